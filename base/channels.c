@@ -3,42 +3,33 @@
 
 #include <string.h>
 
-#define NO_GLTF                                                                                    \
-    {                                                                                              \
-        NULL, NULL, NULL, 0, 0                                                                     \
-    }
+/* A channel of one value that is no colour, and a colour. */
+#define DATA(channel, map, number)                                                                 \
+    .name = (channel), .values = 1, .mtl_map = (map), .mtl_value = (number)
+#define COLOR(channel, map, number)                                                                \
+    .name = (channel), .values = 3, .color = true, .mtl_map = (map), .mtl_value = (number)
 #define PBR  "pbrMetallicRoughness"
 #define COAT "KHR_materials_clearcoat"
 
 static const struct bsq_channel channels[] = {
-    {"roughness",
-     1,
-     false,
-     "map_Pr",
-     "Pr",
-     {PBR, "metallicRoughnessTexture", "roughnessFactor", 1, 1}},
-    {"metallic",
-     1,
-     false,
-     "map_Pm",
-     "Pm",
-     {PBR, "metallicRoughnessTexture", "metallicFactor", 2, 1}},
-    {"sheen", 1, false, "map_Ps", "Ps", NO_GLTF},
-    {"clearcoat", 1, false, "map_Pc", "Pc", {COAT, "clearcoatTexture", "clearcoatFactor", 0, 0}},
-    {"clearcoat_roughness",
-     1,
-     false,
-     "map_Pcr",
-     "Pcr",
-     {COAT, "clearcoatRoughnessTexture", "clearcoatRoughnessFactor", 1, 0}},
-    {"anisotropy", 1, false, "map_aniso", "aniso", NO_GLTF},
-    {"anisotropy_rotation", 1, false, "map_anisor", "anisor", NO_GLTF},
-    {"shininess", 1, false, "map_Ns", NULL, NO_GLTF},
-    {"opacity", 1, false, "map_d", "d", NO_GLTF},
-    {"occlusion", 1, false, "map_ao", NULL, {"", "occlusionTexture", NULL, 0, 1}},
-    {"displacement", 1, false, "disp", NULL, NO_GLTF},
-    {"specular", 3, true, "map_Ks", "Ks", NO_GLTF},
-    {"emission", 3, true, "map_Ke", "Ke", {"", "emissiveTexture", "emissiveFactor", 0, 0}},
+    {DATA("roughness", "map_Pr", "Pr"),
+     .gltf = {PBR, "metallicRoughnessTexture", "roughnessFactor", 1, 1}},
+    {DATA("metallic", "map_Pm", "Pm"),
+     .gltf = {PBR, "metallicRoughnessTexture", "metallicFactor", 2, 1}},
+    {DATA("sheen", "map_Ps", "Ps")},
+    {DATA("clearcoat", "map_Pc", "Pc"),
+     .gltf = {COAT, "clearcoatTexture", "clearcoatFactor", 0, 0}},
+    {DATA("clearcoat_roughness", "map_Pcr", "Pcr"),
+     .gltf = {COAT, "clearcoatRoughnessTexture", "clearcoatRoughnessFactor", 1, 0}},
+    {DATA("anisotropy", "map_aniso", "aniso")},
+    {DATA("anisotropy_rotation", "map_anisor", "anisor")},
+    {DATA("shininess", "map_Ns", NULL)},
+    {DATA("opacity", "map_d", "d"), .mtl_inverse = "Tr", .component = BSQ_CHANNEL_ALPHA,
+     .usual = 1},
+    {DATA("occlusion", "map_ao", NULL), .gltf = {"", "occlusionTexture", NULL, 0, 1}},
+    {DATA("displacement", "disp", NULL)},
+    {COLOR("specular", "map_Ks", "Ks")},
+    {COLOR("emission", "map_Ke", "Ke"), .gltf = {"", "emissiveTexture", "emissiveFactor", 0, 0}},
 };
 enum { CHANNELS = sizeof channels / sizeof *channels };
 
@@ -50,7 +41,7 @@ const struct bsq_channel *bsq_channel_at(unsigned number)
 /* Finds the row of a name of `length` bytes. */
 static const struct bsq_channel *find(const char *name, uint64_t length)
 {
-    static const struct bsq_channel other = {"", 3, false, NULL, NULL, NO_GLTF};
+    static const struct bsq_channel other = {.name = "", .values = 3};
     for (unsigned i = 0; i < CHANNELS; i++)
         if (strlen(channels[i].name) == length && memcmp(channels[i].name, name, length) == 0)
             return &channels[i];
@@ -78,7 +69,7 @@ bool bsq_is_channel_name(const char *name)
 
 void bsq_channel_pick(const struct bsq_channel *channel, uint32_t component, float sample[3])
 {
-    const float value = sample[component];
+    const float value = sample[component < BSQ_CHANNEL_ALPHA ? component : 0];
     if (channel->values == 1)
         sample[0] = sample[1] = sample[2] = value;
 }

@@ -28,8 +28,15 @@ struct bsq_channel {
     bool color;       /* linear light, which files of integers hold sRGB-encoded; else data */
     /* Statements of MTL files: its texture and its value; NULL: none. */
     const char *mtl_map, *mtl_value;
+    const char *mtl_inverse; /* a statement of 1 - value; NULL: none */
+    uint32_t component;      /* of a texture, unless the file names another one */
+    float usual;             /* the value of what has neither a texture nor a value */
     struct bsq_channel_gltf gltf;
 };
+
+/* The component of a texture that is its alpha; of an image without alpha, the first. Components 0
+ * to 2 are red, green and blue. */
+enum { BSQ_CHANNEL_ALPHA = 3, BSQ_CHANNEL_COMPONENTS };
 
 /* Returns the row of a name, or that of all other names: three values, data. */
 const struct bsq_channel *bsq_channel_find(const char *name);
@@ -40,8 +47,8 @@ const struct bsq_channel *bsq_channel_at(unsigned number);
  * letter first. */
 bool bsq_is_channel_name(const char *name);
 
-/* Keeps one component, 0 to 2, of a sample of a texture three times, if the channel has one value.
- */
+/* Keeps one component of a sample of a texture three times, if the channel has one value. Samples
+ * of alpha have it three times already. */
 void bsq_channel_pick(const struct bsq_channel *channel, uint32_t component, float sample[3]);
 
 /* ---- lists: names separated by commas, as in "roughness,emission" ---- */

@@ -97,6 +97,9 @@ struct bake_transfer {
     /** Image for all faces of the scan, which is a chunk file; NULL: the channel of this name that
      * the chunk file has. */
     const char *texture_path;
+    bool
+        in_mask; /**< The mask, which must be baked, is multiplied by it. At most one; one value. */
+    bool no_file; /**< No file of its own. */
 };
 
 /** What bake_run() reads and writes. The caller owns all strings and arrays. */

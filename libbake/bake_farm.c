@@ -521,7 +521,7 @@ static int list_outputs(const struct bake_farm_plan *plan, char ***out, uint64_t
         char *tile = set ? bake_tile_path(set, of->number) : NULL;
         free(set);
         for (unsigned i = 0; i < bake_selection_end(maps); i++)
-            if (tile && bake_is_selected(maps, i))
+            if (tile && bake_has_file(options, maps, i))
                 failed |= !(paths[(*count)++] = bake_transfer_path(tile, bake_name_of(options, i)));
         failed |= tile == NULL;
         free(tile);

@@ -113,6 +113,25 @@ static bool is_map_name(const char *name)
     return false;
 }
 
+/* Checks the transfer maps that the mask is multiplied by. */
+static int check_mask(struct bsq_ctx *ctx, const struct bake_options *options)
+{
+    uint32_t count = 0;
+    for (uint32_t i = 0; i < options->transfer_count; ++i) {
+        const struct bake_transfer *transfer = &options->transfers[i];
+        count += transfer->in_mask;
+        if (transfer->in_mask && bsq_channel_find(transfer->name)->values != 1)
+            return bsq_fail(ctx, BSQ_EUSAGE, "the mask needs one value of %s, which has three",
+                            transfer->name);
+    }
+    if (count > 1)
+        return bsq_fail(ctx, BSQ_EUSAGE, "the mask can be multiplied by one channel, not %u",
+                        count);
+    if (count == 1 && !(options->maps & (BAKE_MAP_MASK | BAKE_MAPS_ALL)))
+        return bsq_fail(ctx, BSQ_EUSAGE, "opacity is part of the mask, which is not baked");
+    return 0;
+}
+
 static int check_transfers(struct bsq_ctx *ctx, const struct bake_options *options)
 {
     if (options->transfer_count > BAKE_MAX_TRANSFERS)
@@ -132,7 +151,7 @@ static int check_transfers(struct bsq_ctx *ctx, const struct bake_options *optio
             if (strcmp(options->transfers[j].name, transfer->name) == 0)
                 return bsq_fail(ctx, BSQ_EUSAGE, "transfer map %s is named twice", transfer->name);
     }
-    return 0;
+    return check_mask(ctx, options);
 }
 
 int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)

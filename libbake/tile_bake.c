@@ -202,7 +202,7 @@ int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile, con
     const char *preview = tile->options.preview_path;
     int status = 0;
     for (unsigned i = 0; i < bake_selection_end(tile->maps) && status == 0; ++i) {
-        if (!bake_is_selected(tile->maps, i))
+        if (!bake_has_file(&tile->options, tile->maps, i))
             continue;
         char *path = bake_path_of(&tile->options, i);
         if (!path)

@@ -27,6 +27,7 @@ static const char help_format[] =
     "      --maps LIST         the maps to bake, separated by commas:\n"
     "%s"
     "      --texture NAME=FILE the scan's image for transfer:NAME\n"
+    "      --mask-opacity      multiply the mask by the scan's opacity\n"
     "      --size N | WxH      texels (default: 2048); by UDIM tile: 1001=4096,*=2048\n"
     "      --tiles LIST        UDIM tiles to bake, such as 1001-1003,1011 (default: all in use)\n"
     "      --samples N         N x N pairs of rays a texel (default: 2)\n"
@@ -81,6 +82,7 @@ static const char help_format[] =
 enum {
     OPT_MAPS = CLI_TASKS_END,
     OPT_TEXTURE,
+    OPT_MASK_OPACITY,
     OPT_SIZE,
     OPT_TILES,
     OPT_SAMPLES,
@@ -126,6 +128,7 @@ static const struct option long_options[] = {
     {"output", required_argument, NULL, 'o'},
     {"maps", required_argument, NULL, OPT_MAPS},
     {"texture", required_argument, NULL, OPT_TEXTURE},
+    {"mask-opacity", no_argument, NULL, OPT_MASK_OPACITY},
     {"size", required_argument, NULL, OPT_SIZE},
     {"tiles", required_argument, NULL, OPT_TILES},
     {"samples", required_argument, NULL, OPT_SAMPLES},
@@ -399,6 +402,9 @@ static int parse_option(struct cli *cli, void *arg, int option)
         return parse_maps(cli, arguments);
     case OPT_TEXTURE:
         return bake_parse_texture(cli, &arguments->transfers, optarg);
+    case OPT_MASK_OPACITY:
+        arguments->transfers.mask_opacity = true;
+        return 0;
     case OPT_SIZE:
         return bake_parse_sizes(cli, optarg, bake);
     case OPT_TILES:

@@ -22,7 +22,7 @@ static int add(struct cli *cli, struct bake_transfer **list, uint32_t *count, co
         free(copy);
         return cli_usage(cli, "out of memory");
     }
-    grown[(*count)++] = (struct bake_transfer){copy, path};
+    grown[(*count)++] = (struct bake_transfer){.name = copy, .texture_path = path};
     return 0;
 }
 
@@ -50,9 +50,25 @@ int bake_parse_texture(struct cli *cli, struct bake_transfers *transfers, const 
                equals + 1);
 }
 
+/* Makes opacity a part of the mask. */
+static int use_opacity(struct cli *cli, struct bake_transfers *transfers)
+{
+    static const char name[] = "opacity";
+    struct bake_transfer *map = find(transfers, name);
+    const bool has_file = map != NULL;
+    if (!map && add(cli, &transfers->maps, &transfers->map_count, name, strlen(name), NULL) < 0)
+        return BSQ_EUSAGE;
+    map = find(transfers, name);
+    map->in_mask = true;
+    map->no_file = !has_file;
+    return 0;
+}
+
 int bake_use_transfers(struct cli *cli, struct bake_transfers *transfers,
                        struct bake_options *options)
 {
+    if (transfers->mask_opacity && use_opacity(cli, transfers) < 0)
+        return BSQ_EUSAGE;
     for (uint32_t i = 0; i < transfers->texture_count; i++) {
         const struct bake_transfer *texture = &transfers->textures[i];
         struct bake_transfer *map = find(transfers, texture->name);

@@ -10,6 +10,7 @@ struct bake_transfers {
     struct bake_transfer *maps;     /* of --maps transfer:NAME; the names are owned */
     struct bake_transfer *textures; /* of --texture NAME=FILE; likewise */
     uint32_t map_count, texture_count;
+    bool mask_opacity; /* the mask is multiplied by the scan's opacity */
 };
 
 /* Returns the name in a word "transfer:NAME" of --maps; NULL if it is another word. */

@@ -18,7 +18,7 @@ static int name_outputs(struct cli *cli, const struct bake_options *bake, char *
     if (!paths)
         return bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", bake->output_path);
     for (unsigned i = 0; i < bake_path_count(bake); i++) {
-        if (i < MOST_MAPS && !(bake->maps & 1u << i))
+        if (i < MOST_MAPS ? !(bake->maps & 1u << i) : bake->transfers[i - MOST_MAPS].no_file)
             continue;
         paths[i] = i < MOST_MAPS ? bake_map_path(bake->output_path, (enum bake_map)(1u << i))
                                  : bake_transfer_path(bake->output_path, bake_path_name(bake, i));

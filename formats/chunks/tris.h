@@ -34,7 +34,7 @@ enum fmt_tris_attribute {
 struct fmt_tris_source {
     char *texture_path; /* absolute, or NULL: the value is used */
     float value[3];     /* of colours, linear light; a single value three times */
-    uint32_t component; /* of the texture, 0 to 2, for channels with one value */
+    uint32_t component; /* of the texture, see BSQ_CHANNEL_ALPHA, for channels with one value */
     struct bsq_uv uv;
 };
 

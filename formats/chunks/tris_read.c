@@ -197,7 +197,7 @@ static int parse_source(const struct fmt_tris_file *file, struct parts *parts,
     memcpy(out->value, record.value, sizeof out->value);
     out->component = record.component;
     if (!isfinite(out->value[0]) || !isfinite(out->value[1]) || !isfinite(out->value[2]) ||
-        out->component > 2 || !take_uv(&record.uv, &out->uv))
+        out->component >= BSQ_CHANNEL_COMPONENTS || !take_uv(&record.uv, &out->uv))
         return fmt_tris_damaged(file, "a channel of a material has a wrong value");
     return parse_path(file, parts, record.path_bytes, &out->texture_path);
 }

@@ -171,6 +171,7 @@ static int read_color(const struct gltf_place *place, const json_t *object, cons
     double rgba[4] = {1, 1, 1, 1};
     int status = fmt_gltf_numbers(place, object, key, 4, rgba);
     memcpy(out->color, rgba, sizeof out->color);
+    out->alpha = rgba[3];
     out->has_color = status > 0;
     return status < 0 ? status : 0;
 }
@@ -191,7 +192,8 @@ static int read_material(const struct gltf_place *place, struct gltf_source *sou
     const json_t *from = pbr ? pbr : old;
     const json_t *base = json_object_get(from, pbr ? "baseColorTexture" : "diffuseTexture");
     uint32_t texture = GLTF_NONE;
-    *out = (struct gltf_material){.name = NULL};
+    const char *mode = fmt_gltf_string(place->object, "alphaMode");
+    *out = (struct gltf_material){.opaque = !mode || strcmp(mode, "OPAQUE") == 0};
     int status = read_name(place, &out->name);
     if (!status)
         status = read_color(place, from, pbr ? "baseColorFactor" : "diffuseFactor", out);

@@ -307,7 +307,9 @@ static int describe_material(struct bsq_ctx *ctx, const char *file,
                              const struct gltf_material *from, struct fmt_material *out)
 {
     struct bsq_part part;
+    struct fmt_material_channel *opacity;
     out->has_diffuse = from->has_color;
+    out->opaque = from->opaque;
     for (int k = 0; k < 3; k++)
         out->diffuse[k] = (float)bsq_linear_to_srgb(from->color[k]);
     int status = fmt_string_copy(ctx, from->name, &out->name);
@@ -317,6 +319,13 @@ static int describe_material(struct bsq_ctx *ctx, const char *file,
         status = fmt_string_copy(ctx, file, &out->texture_place);
     if (!status && from->channel_count > 0)
         status = fmt_channels_copy(ctx, from->channels, from->channel_count, out);
+    if (status || from->opaque)
+        return status;
+    status = fmt_material_enter_channel(ctx, out, bsq_channel_find("opacity"), &opacity);
+    if (!status) {
+        opacity->value[0] = (float)from->alpha;
+        opacity->has_value = true;
+    }
     return status;
 }
 

@@ -424,6 +424,25 @@ void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials)
     memset(materials, 0, sizeof *materials);
 }
 
+int fmt_material_enter_channel(struct bsq_ctx *ctx, struct fmt_material *material,
+                               const struct bsq_channel *channel, struct fmt_material_channel **out)
+{
+    uint64_t capacity = material->channel_count; /* materials have few channels */
+    for (uint32_t i = 0; i < material->channel_count; i++)
+        if (material->channels[i].channel == channel) {
+            *out = &material->channels[i];
+            return 0;
+        }
+    int status = bsq_grow(ctx, "materials", material->channel_count + UINT64_C(1),
+                          sizeof *material->channels, &material->channels, &capacity);
+    if (status)
+        return status;
+    *out = &material->channels[material->channel_count++];
+    **out = (struct fmt_material_channel){
+        .channel = channel, .value = {channel->usual, channel->usual, channel->usual}};
+    return 0;
+}
+
 const char *fmt_mesh_dependency(const struct fmt_mesh_reader *reader, uint32_t index)
 {
     return reader->format->dependency ? reader->format->dependency(reader, index) : NULL;

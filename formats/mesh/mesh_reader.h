@@ -197,7 +197,7 @@ struct fmt_material_channel {
     char *texture_path;  /* as in struct fmt_material, or NULL */
     char *texture_place; /* likewise */
     struct bsq_uv uv;
-    uint32_t component; /* of the texture: 0 to 2, for channels with one value */
+    uint32_t component; /* of the texture, see BSQ_CHANNEL_ALPHA, for channels with one value */
     const char *loss;   /* what of the channel cannot be used, for a warning; or NULL */
 };
 
@@ -210,6 +210,7 @@ struct fmt_material {
      * part of the scan's own file. */
     char *texture_place;
     struct bsq_uv uv; /* of this texture */
+    bool opaque;      /* the alpha of this texture has no meaning */
     struct fmt_material_channel *channels;
     uint32_t channel_count;
     char *object; /* that the faces belong to, see fmt_mesh_use_objects(); or NULL */
@@ -229,6 +230,11 @@ int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials
  * warned of here, and not again by fmt_mesh_read_materials(). */
 int fmt_mesh_preview_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out);
 void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials);
+/* Returns in *out the material's entry for a channel, which is added if there is none. Errors:
+ * BSQ_ENOMEM. */
+int fmt_material_enter_channel(struct bsq_ctx *ctx, struct fmt_material *material,
+                               const struct bsq_channel *channel,
+                               struct fmt_material_channel **out);
 /* Returns the path of another file that the result depends on, such as a material library. Only
  * files named in the blocks read so far are known. Images are not among them. Returns NULL if there
  * are no more than `index`. The reader owns the path. */

@@ -6,6 +6,7 @@
 #include <errno.h>
 #include <float.h>
 #include <inttypes.h>
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 #include <strings.h>
@@ -187,7 +188,10 @@ static int read_option(struct reader *reader, char **at, const struct map_option
     int count = 0;
     char *rest = skip_blanks(p + word_length(p));
     if (word_is(p, "-imfchan"))
-        texture->component = word_is(rest, "g") ? 1 : word_is(rest, "b") ? 2 : 0;
+        texture->component = word_is(rest, "g")   ? 1
+                             : word_is(rest, "b") ? 2
+                             : word_is(rest, "m") ? BSQ_CHANNEL_ALPHA
+                                                  : 0;
     while (count < option->words) {
         char *after = skip_blanks(rest + word_length(rest));
         if (!*after || (is_vector && !obj_number(rest, &numbers[count])))
@@ -251,45 +255,41 @@ static const struct bsq_channel *find_channel(const char *p, bool *is_map)
     const struct bsq_channel *channel;
     for (unsigned i = 0; (channel = bsq_channel_at(i)); i++) {
         *is_map = channel->mtl_map && word_is(p, channel->mtl_map);
-        if (*is_map || (channel->mtl_value && word_is(p, channel->mtl_value)))
+        if (*is_map || (channel->mtl_value && word_is(p, channel->mtl_value)) ||
+            (channel->mtl_inverse && word_is(p, channel->mtl_inverse)))
             return channel;
     }
     return NULL;
 }
 
-/* Returns the current material's entry of a channel in *out; adds it if it is new. */
-static int enter_channel(struct reader *reader, const struct bsq_channel *channel,
-                         struct fmt_material_channel **out)
+/* Reads the value of a channel from the statement at `p`. */
+static int read_channel_value(struct reader *reader, char *p, char *rest,
+                              struct fmt_material_channel *entry)
 {
-    struct fmt_material *material = current(reader);
-    uint64_t capacity = material->channel_count; /* materials have few channels */
-    for (uint32_t i = 0; i < material->channel_count; i++)
-        if (material->channels[i].channel == channel) {
-            *out = &material->channels[i];
-            return 0;
-        }
-    int status = bsq_grow(reader->ctx, "materials", material->channel_count + UINT64_C(1),
-                          sizeof *material->channels, &material->channels, &capacity);
-    if (status)
-        return status;
-    *out = &material->channels[material->channel_count++];
-    **out = (struct fmt_material_channel){.channel = channel};
-    return 0;
+    const bool inverse = entry->channel->mtl_inverse && word_is(p, entry->channel->mtl_inverse);
+    bool known = false;
+    int status = read_values(reader, rest, FLT_MAX, entry->value, &known);
+    for (int k = 0; k < 3 && inverse && known; k++)
+        entry->value[k] = fmaxf(1 - entry->value[k], 0);
+    entry->has_value |= known;
+    return status;
 }
 
-/* Reads a statement about a channel: its value, or its texture. */
+/* Reads a statement at `p` about a channel: its value, or its texture. */
 static int read_channel(struct reader *reader, const struct bsq_channel *channel, bool is_map,
-                        char *rest)
+                        char *p, char *rest)
 {
     struct fmt_material_channel *entry;
     if (!current(reader))
         return warn_without_material(reader, is_map ? channel->mtl_map : channel->mtl_value);
-    int status = enter_channel(reader, channel, &entry);
+    int status = fmt_material_enter_channel(reader->ctx, current(reader), channel, &entry);
     if (status)
         return status;
     if (!is_map)
-        return read_values(reader, rest, FLT_MAX, entry->value, &entry->has_value);
-    struct texture texture = {.path = &entry->texture_path, .place = &entry->texture_place};
+        return read_channel_value(reader, p, rest, entry);
+    struct texture texture = {.path = &entry->texture_path,
+                              .place = &entry->texture_place,
+                              .component = channel->component};
     status = read_texture(reader, channel->mtl_map, rest, &texture);
     entry->uv = texture.uv;
     entry->component = texture.component;
@@ -305,7 +305,7 @@ static int read_line(struct reader *reader, char *line)
     bool is_map = false;
     const struct bsq_channel *channel = find_channel(p, &is_map);
     if (channel)
-        return read_channel(reader, channel, is_map, rest);
+        return read_channel(reader, channel, is_map, p, rest);
     if (word_is(p, "map_Kd"))
         return read_map(reader, rest);
     return word_is(p, "Kd") ? read_diffuse(reader, rest) : 0;

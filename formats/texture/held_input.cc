@@ -212,10 +212,13 @@ int HeldInput::open_image()
 // type are left to it.
 void HeldInput::drop_channels()
 {
-    int kept = m_spec.nchannels >= 3 ? 3 : 1;
+    int kept = m_spec.nchannels >= 3 && !image->alpha ? 3 : 1;
     inner_texel = texel = m_spec.pixel_bytes(true);
+    first_byte = 0;
     if (kept == m_spec.nchannels || !m_spec.channelformats.empty())
         return;
+    if (image->alpha && m_spec.alpha_channel > 0)
+        first_byte = m_spec.format.size() * size_t(m_spec.alpha_channel);
     m_spec.nchannels = kept;
     m_spec.alpha_channel = m_spec.z_channel = -1;
     m_spec.channelnames.resize(size_t(kept));
@@ -225,7 +228,7 @@ void HeldInput::drop_channels()
 // Copies the channels that are given.
 void HeldInput::keep(const void *from, void *to, size_t texels) const
 {
-    const char *in = static_cast<const char *>(from);
+    const char *in = static_cast<const char *>(from) + first_byte;
     char *out = static_cast<char *>(to);
     for (size_t i = 0; i < texels; i++, in += inner_texel, out += texel)
         std::memcpy(out, in, texel);

@@ -20,7 +20,9 @@ struct HeldImage {
     struct bsq_ctx *ctx = nullptr;
     std::string path;                       // of a file, or the name of a part (base/file_part.h)
     struct bsq_file part = BSQ_FILE_CLOSED; // copy of the part
-    int temporary = -1; // descriptor of a tiled copy, which has no name: `path` is for messages
+    bool alpha = false;    // give the alpha channel alone, or the first if there is none
+    int first_channel = 0; // that is read, of those that a HeldInput gives
+    int temporary = -1;    // descriptor of a tiled copy, which has no name: `path` is for messages
     const ImageKind *kind = nullptr; // set by probe()
     Whole whole = {0, 0, 0};         // set by probe()
     bool described = false;
@@ -43,11 +45,12 @@ struct HeldImage {
     int recognise(Probe found);
 };
 
-// An opened image, of whose channels it gives the first three, or one. OpenImageIO reads the file
-// through a descriptor, never by its name, and one format's plug-in alone sees it. open() fails if
-// the file or its layout is not that of the first opening, so that buffers of that layout hold
-// every row and tile. Reading backwards opens the file again: plug-ins would do so by themselves,
-// without any check. Tiles are read one by one, because plug-ins would start threads for several.
+// An opened image, of whose channels it gives the first three, or one, or alpha. OpenImageIO reads
+// the file through a descriptor, never by its name, and one format's plug-in alone sees it. open()
+// fails if the file or its layout is not that of the first opening, so that buffers of that layout
+// hold every row and tile. Reading backwards opens the file again: plug-ins would do so by
+// themselves, without any check. Tiles are read one by one, because plug-ins would start threads
+// for several.
 class HeldInput final : public OIIO::ImageInput
 {
   public:
@@ -91,6 +94,7 @@ class HeldInput final : public OIIO::ImageInput
     std::unique_ptr<OIIO::ImageInput> inner;
     int next_row = 0;
     size_t inner_texel = 0, texel = 0; // bytes; equal if all channels are given
+    size_t first_byte = 0;             // of the first channel that is given, in a texel
     std::vector<char> scratch;
 };
 

@@ -17,7 +17,7 @@ enum { ALL_TILES = BSQ_TILE_COLUMNS * BSQ_TILE_ROWS };
 /* The tiles of a path. Their images are numbers `first` and on, in the order of `files`. */
 struct tiles {
     char *path;
-    bool data;
+    bool data, alpha; /* as in struct fmt_texture_source */
     uint32_t first;
     struct bsq_tile_files files;
     /* Of each tile: 1 if a lookup found it missing, 2 if that was told. */
@@ -44,14 +44,16 @@ struct list {
     uint64_t count, capacity;
 };
 
-static int add_source(struct bsq_ctx *ctx, struct list *list, const char *path, bool data)
+/* Adds a file for a source. */
+static int add_source(struct bsq_ctx *ctx, struct list *list, const char *path,
+                      const struct fmt_texture_source *source)
 {
     int status = list->count < UINT32_MAX
                      ? bsq_grow(ctx, "texture paths", list->count + 1, sizeof *list->list,
                                 &list->list, &list->capacity)
                      : bsq_fail(ctx, BSQ_EDATA, "%s: too many textures", path ? path : "");
     if (status == 0)
-        list->list[list->count++] = (struct fmt_texture_source){path, data};
+        list->list[list->count++] = (struct fmt_texture_source){path, source->data, source->alpha};
     return status;
 }
 
@@ -62,6 +64,7 @@ static int enter_tiles(struct fmt_textures *textures, const struct fmt_texture_s
     struct bsq_ctx *ctx = textures->ctx;
     for (uint64_t i = 0; i < textures->tiles_count; i++)
         if (textures->tiles[i]->data == source->data &&
+            textures->tiles[i]->alpha == source->alpha &&
             strcmp(textures->tiles[i]->path, source->path) == 0) {
             *out = textures->tiles[i];
             return 0;
@@ -75,6 +78,7 @@ static int enter_tiles(struct fmt_textures *textures, const struct fmt_texture_s
         return status;
     textures->tiles[textures->tiles_count++] = *out = tiles;
     tiles->data = source->data;
+    tiles->alpha = source->alpha;
     tiles->first = (uint32_t)list->count;
     tiles->path = strdup(source->path);
     status = tiles->path ? bsq_tile_files_find(ctx, source->path, &tiles->files)
@@ -82,7 +86,7 @@ static int enter_tiles(struct fmt_textures *textures, const struct fmt_texture_s
     if (status == 0 && tiles->files.count == 0)
         status = bsq_fail(ctx, BSQ_ENOINPUT, "%s: no tile of this texture exists", source->path);
     for (uint64_t i = 0; i < tiles->files.count && status == 0; i++)
-        status = add_source(ctx, list, tiles->files.list[i].path, source->data);
+        status = add_source(ctx, list, tiles->files.list[i].path, source);
     return status;
 }
 
@@ -95,7 +99,7 @@ static int list_files(struct fmt_textures *textures, const struct fmt_texture_so
         textures->image_of[i] = (uint32_t)list->count;
         status = sources[i].path && bsq_has_tiles(sources[i].path)
                      ? enter_tiles(textures, &sources[i], list, &textures->tiles_of[i])
-                     : add_source(textures->ctx, list, sources[i].path, sources[i].data);
+                     : add_source(textures->ctx, list, sources[i].path, &sources[i]);
     }
     return status;
 }
@@ -157,6 +161,17 @@ void fmt_texture_size(const struct fmt_textures *textures, uint32_t image, uint3
                       uint32_t *height)
 {
     textures->module->size(textures->images, textures->image_of[image], width, height);
+}
+
+bool fmt_texture_has_alpha(const struct fmt_textures *textures, uint32_t image)
+{
+    const struct tiles *tiles = textures->tiles_of[image];
+    const uint32_t first = tiles ? tiles->first : textures->image_of[image];
+    const uint64_t count = tiles ? tiles->files.count : 1;
+    bool any = false;
+    for (uint64_t i = 0; i < count && !any; i++)
+        any = textures->module->has_alpha(textures->images, first + (uint32_t)i);
+    return any;
 }
 
 /* Moves a coordinate to the border between tiles that it misses by rounding only. */

@@ -20,6 +20,7 @@ struct fmt_textures;
 struct fmt_texture_source {
     const char *path; /* NULL: no image */
     bool data;        /* no colours: integers are values from 0 to 1, whatever the file says */
+    bool alpha;       /* its alpha channel; of an image without one, the first channel, as data */
 };
 
 /* Opens `count` images. The file name of a path may have a token for UDIM tiles
@@ -37,6 +38,9 @@ void fmt_textures_close(struct fmt_textures *textures); /* NULL is allowed */
  * lookups. Errors: BSQ_EDATA in a strict job. */
 int fmt_textures_tell_missing(struct fmt_textures *textures);
 
+/* Returns whether an image has an alpha channel; of one in tiles, whether any tile has. */
+bool fmt_texture_has_alpha(const struct fmt_textures *textures, uint32_t image);
+
 /* Sets the size in texels of an image of one file. */
 void fmt_texture_size(const struct fmt_textures *textures, uint32_t image, uint32_t *width,
                       uint32_t *height);
@@ -44,8 +48,9 @@ void fmt_texture_size(const struct fmt_textures *textures, uint32_t image, uint3
 /* Averages `image` over an axis-aligned box centred at (u, v). Coordinates are OBJ's: v points up,
  * both wrap. `du` and `dv` are the box's full widths in UV units, raised to one texel (so 0 gives
  * bilinear interpolation) and limited to the whole image. out: RGB, not clamped; linear light or,
- * of data, the values. An image of one or two channels gives the first one three times.
- * Thread-safe. Errors: BSQ_EDATA if the file can no longer be read, BSQ_EIO. */
+ * of data, the values. An image of one or two channels gives the first one three times,
+ * and a source of alpha gives that. Thread-safe. Errors: BSQ_EDATA if the file can no longer be
+ * read, BSQ_EIO. */
 int fmt_texture_sample(struct fmt_textures *textures, uint32_t image, float u, float v, float du,
                        float dv, float out[3]);
 

@@ -24,6 +24,7 @@ struct fmt_texture_module {
     void (*close)(struct fmt_texture_images *textures);
     void (*size)(const struct fmt_texture_images *textures, uint32_t image, uint32_t *width,
                  uint32_t *height);
+    bool (*has_alpha)(const struct fmt_texture_images *textures, uint32_t image);
     int (*sample)(struct fmt_texture_images *textures, uint32_t image, float u, float v, float du,
                   float dv, float out[3]);
 };

@@ -167,7 +167,10 @@ int describe_spec(Textures *textures, Image &image)
     image.height = uint32_t(spec.height);
     image.x = spec.x;
     image.y = spec.y;
-    image.channels = spec.nchannels >= 3 ? 3 : 1;
+    image.channels = spec.nchannels >= 3 && !image.file->alpha ? 3 : 1;
+    // The input gives all channels of an image whose channels differ in type.
+    if (image.file->alpha && spec.alpha_channel > 0 && !spec.channelformats.empty())
+        image.file->first_channel = spec.alpha_channel;
     image.tiled = spec.tile_width > 0;
     image.type = TypeDesc::FLOAT;
     if (spec.format == TypeDesc::UINT8 || spec.format == TypeDesc::UINT16) {
@@ -179,12 +182,14 @@ int describe_spec(Textures *textures, Image &image)
 }
 
 // Reserves memory first, as some plug-ins decode an image when they open it.
-int describe(Textures *textures, const char *path, Image &image)
+int describe(Textures *textures, const struct fmt_texture_source &source, Image &image)
 {
     image.file = std::make_unique<fmt::HeldImage>();
+    image.file->alpha = source.alpha;
+    image.data = source.data || source.alpha;
     image.file->host = textures->host;
     image.file->ctx = textures->ctx;
-    image.file->path = path;
+    image.file->path = source.path;
     int status = image.file->probe();
     if (!status)
         status = reserve_whole(textures, *image.file);
@@ -351,13 +356,14 @@ int read_rows(Textures *textures, const Image &image, fmt::HeldInput &input, uin
               uint32_t end, void *rows)
 {
     const ImageSpec &spec = input.spec();
+    const int channel = image.file->first_channel;
     errno = 0;
     int y0 = spec.y + int(first), y1 = spec.y + int(end);
-    bool good =
-        spec.tile_width
-            ? input.read_tiles(0, 0, spec.x, spec.x + spec.width, y0, y1, spec.z, spec.z + 1, 0,
-                               image.channels, image.type, rows)
-            : input.read_scanlines(0, 0, y0, y1, spec.z, 0, image.channels, image.type, rows);
+    bool good = spec.tile_width ? input.read_tiles(0, 0, spec.x, spec.x + spec.width, y0, y1,
+                                                   spec.z, spec.z + 1, channel,
+                                                   channel + image.channels, image.type, rows)
+                                : input.read_scanlines(0, 0, y0, y1, spec.z, channel,
+                                                       channel + image.channels, image.type, rows);
     if (good)
         return 0;
     return fail_read(textures, image, image.file->error, input.geterror());
@@ -498,21 +504,20 @@ int open_cache(Textures *textures)
 // Describes each distinct source once; materials often share a file.
 int describe_all(Textures *textures, const struct fmt_texture_source *sources, uint32_t count)
 {
-    std::unordered_map<std::string, uint32_t> known[2]; // colours, data
+    std::unordered_map<std::string, uint32_t> known[3]; // colours, data, alpha
     textures->image_of.assign(count, no_image);
     for (uint32_t i = 0; i < count; i++) {
         if (!sources[i].path)
             continue;
-        auto entry =
-            known[sources[i].data].emplace(sources[i].path, uint32_t(textures->images.size()));
+        const int use = sources[i].alpha ? 2 : sources[i].data ? 1 : 0;
+        auto entry = known[use].emplace(sources[i].path, uint32_t(textures->images.size()));
         textures->image_of[i] = entry.first->second;
         if (!entry.second)
             continue;
         textures->images.emplace_back();
-        textures->images.back().data = sources[i].data;
         int status = textures->host->check(textures->ctx);
         if (!status)
-            status = describe(textures, sources[i].path, textures->images.back());
+            status = describe(textures, sources[i], textures->images.back());
         if (status)
             return status;
     }
@@ -565,9 +570,9 @@ int add_from_tiles(Textures *textures, const Image &image, const fmt::Rectangle 
     int x_end = int(std::ceil(r.x1)), y_end = int(std::ceil(r.y1));
     for (int y = int(std::floor(r.y0)), next_y = y; y < y_end; y = next_y)
         for (int x = int(std::floor(r.x0)); x < x_end;) {
-            auto *tile = cache->get_tile(image.handle, nullptr, 0, 0, x + image.x, y + image.y, 0,
-                                         0, image.channels);
             const fmt::HeldImage &held = image.copy ? *image.copy : *image.file;
+            auto *tile = cache->get_tile(image.handle, nullptr, 0, 0, x + image.x, y + image.y, 0,
+                                         held.first_channel, held.first_channel + image.channels);
             if (!tile && held.status)
                 return held.status; // the file could not be opened again
             if (!tile)
@@ -664,6 +669,13 @@ void texture_size(const struct fmt_texture_images *opened, uint32_t image, uint3
     *height = number == no_image ? 0 : textures->images[number].height;
 }
 
+bool has_alpha(const struct fmt_texture_images *opened, uint32_t image)
+{
+    const auto *textures = static_cast<const Textures *>(opened);
+    uint32_t number = textures->image_of[image];
+    return number != no_image && textures->images[number].file->shape.alpha_channel >= 0;
+}
+
 int sample_texture(struct fmt_texture_images *opened, uint32_t image, float u, float v, float du,
                    float dv, float out[3])
 {
@@ -715,6 +727,6 @@ int open_textures(const struct fmt_host *host, struct bsq_ctx *ctx,
 } // namespace
 
 extern "C" {
-const struct fmt_texture_module bisque_module = {
-    {fmt_module_stamp}, open_textures, close_textures, texture_size, sample_texture};
+const struct fmt_texture_module bisque_module = {{fmt_module_stamp}, open_textures, close_textures,
+                                                 texture_size,       has_alpha,     sample_texture};
 }

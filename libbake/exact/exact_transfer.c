@@ -22,11 +22,15 @@ static int find_sources(struct bake_exact *exact, const struct bake_transfer *tr
                         exact->options.paths[0], transfer->name, transfer->name,
                         transfer->texture_path);
     for (uint64_t m = 0; transfer->texture_path && m < sources_each(exact); m++)
-        out[m].texture_path = (char *)(uintptr_t)transfer->texture_path;
+        out[m] = (struct fmt_tris_source){.texture_path = (char *)(uintptr_t)transfer->texture_path,
+                                          .component = bsq_channel_find(transfer->name)->component};
     if (transfer->texture_path)
         return 0;
     int status = fmt_tris_require_channel(exact->file, transfer->name);
     const uint32_t channel = fmt_tris_find_channel(header, transfer->name);
+    const float usual = bsq_channel_find(transfer->name)->usual;
+    for (int k = 0; k < 3; k++)
+        out[header->material_count].value[k] = usual;
     for (uint32_t m = 0; m < header->material_count && status == 0; m++)
         out[m] = header->materials[m].sources[channel];
     return status;
@@ -41,6 +45,7 @@ static int open_textures(struct bake_exact *exact, uint64_t count)
     for (uint64_t i = 0; i < count && status == 0; i++) {
         const char *name = transfers->list[i / sources_each(exact)].name;
         images[i].path = transfers->sources[i].texture_path;
+        images[i].alpha = transfers->sources[i].component == BSQ_CHANNEL_ALPHA;
         images[i].data = !bsq_channel_find(name)->color;
         any |= images[i].path != NULL;
     }

@@ -71,6 +71,8 @@ enum { MEMBERS = sizeof members / sizeof *members };
 static const struct fmt_farm_member transfer_members[] = {
     {"name", offsetof(struct bake_transfer, name), FMT_FARM_TEXT, 0},
     {"texture", offsetof(struct bake_transfer, texture_path), FMT_FARM_OPTIONAL, 0},
+    {"in_mask", offsetof(struct bake_transfer, in_mask), FMT_FARM_BOOL, 0},
+    {"no_file", offsetof(struct bake_transfer, no_file), FMT_FARM_BOOL, 0},
 };
 enum { TRANSFER_MEMBERS = sizeof transfer_members / sizeof *transfer_members };
 

@@ -7,6 +7,15 @@
 #include <stdio.h>
 #include <string.h>
 
+/* Returns the place in a texel of the transfer map that the mask is multiplied by; 0: none. */
+static uint32_t place_in_mask(const struct bake_options *options, uint32_t maps)
+{
+    for (uint32_t i = 0; i < options->transfer_count; ++i)
+        if (options->transfers[i].in_mask)
+            return bake_place_of(maps, BK_MAP_COUNT + i);
+    return 0;
+}
+
 void bake_encoder_init(const struct bake_encoding_facts *facts, uint32_t maps, unsigned number,
                        struct bake_encoder *out)
 {
@@ -14,6 +23,8 @@ void bake_encoder_init(const struct bake_encoding_facts *facts, uint32_t maps, u
                                  .offset = bake_place_of(maps, number),
                                  .encoding = {.scale = {1.0, 1.0, 1.0}}};
     const struct bake_encoding *encoding = &out->encoding;
+    if (!out->row->resolve)
+        out->offset = place_in_mask(facts->options, maps);
     if (out->row->encode)
         out->row->encode(facts, &out->encoding);
     for (int c = 0; c < 3; ++c) {
@@ -25,11 +36,14 @@ void bake_encoder_init(const struct bake_encoding_facts *facts, uint32_t maps, u
     }
 }
 
-static void encode_shares(const float *texels, uint32_t channels, uint32_t width, float *out)
+static void encode_shares(const struct bake_encoder *encoder, const float *texels,
+                          uint32_t channels, uint32_t width, float *out)
 {
     for (uint32_t x = 0; x < width; ++x) {
-        float share = texels[(size_t)x * channels];
-        out[x] = share > 0.0f ? share : 0.0f;
+        const float *texel = texels + (size_t)x * channels;
+        out[x] = texel[0] > 0.0f ? texel[0] : 0.0f;
+        if (encoder->offset > 0 && texel[0] > 0.0f)
+            out[x] *= texel[encoder->offset];
     }
 }
 
@@ -38,7 +52,7 @@ void bake_encode_row(const struct bake_encoder *encoder, const float *const *sou
 {
     const uint32_t count = encoder->row->channels;
     if (!encoder->row->resolve) {
-        encode_shares(texels, channels, width, out);
+        encode_shares(encoder, texels, channels, width, out);
         return;
     }
     for (uint32_t x = 0; x < width; ++x)

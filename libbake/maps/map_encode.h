@@ -7,7 +7,8 @@
 
 struct bake_encoder {
     const struct bake_map_row *row;
-    uint32_t offset; /* of the map's first value in a texel of the image */
+    uint32_t offset; /* of the map's first value in a texel of the image; of the mask, the place of
+                      * what it is multiplied by, or 0 */
     struct bake_encoding encoding;
     double factor[3], bias[3]; /* sample = factor * the image's value + bias */
 };

@@ -94,7 +94,7 @@ int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options
     for (unsigned i = 0; status == 0 && i < bake_selection_end(maps); ++i) {
         const struct fmt_image_format *format;
         enum fmt_sample_type type;
-        if (!bake_is_selected(maps, i))
+        if (!bake_has_file(options, maps, i))
             continue;
         count++;
         status = choose_format(ctx, options, i, &format, &type);
@@ -165,7 +165,7 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
         status = bsq_calloc(ctx, "map files", bake_selection_end(maps), sizeof *files->files,
                             &files->files);
     for (unsigned i = 0; status == 0 && i < bake_selection_end(maps); ++i) {
-        if (!bake_is_selected(maps, i))
+        if (!bake_has_file(options, maps, i))
             continue;
         struct map_file *file = &files->files[files->count++];
         file->number = i;

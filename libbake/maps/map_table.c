@@ -303,6 +303,12 @@ uint32_t bake_selection(const struct bake_options *options)
                                                             << BK_TRANSFER_SHIFT;
 }
 
+bool bake_has_file(const struct bake_options *options, uint32_t maps, unsigned number)
+{
+    return bake_is_selected(maps, number) &&
+           (number < BK_MAP_COUNT || !options->transfers[number - BK_MAP_COUNT].no_file);
+}
+
 const struct bake_map_row *bake_row_of(const struct bake_options *options, unsigned number)
 {
     if (number < BK_MAP_COUNT)

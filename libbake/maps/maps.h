@@ -79,7 +79,7 @@ struct bake_map_row {
     enum bake_sample_type usual_type;
     /* Turns a texel's sums into its value; weight is 1 / hits. Returns false if the sums give no
      * value; then the texel has no value in any map. NULL: the map shows the share of covered
-     * samples that hit, and is not dilated. */
+     * samples that hit, times the transfer map that is part of the mask. It is not dilated. */
     bool (*resolve)(const float *sums, uint32_t channels, float weight, float *value);
     /* Changes *out, which holds scale 1 and zeros; NULL: keeps them. */
     void (*encode)(const struct bake_encoding_facts *facts, struct bake_encoding *out);
@@ -113,6 +113,8 @@ static inline bool bake_is_selected(uint32_t maps, unsigned number)
 {
     return number < BK_MAP_COUNT ? maps >> number & 1u : number < bake_selection_end(maps);
 }
+/* Returns whether a map is selected and has a file. */
+bool bake_has_file(const struct bake_options *options, uint32_t maps, unsigned number);
 /* Returns the row of a map, which transfer maps of one kind share. */
 const struct bake_map_row *bake_row_of(const struct bake_options *options, unsigned number);
 /* Returns the name that stands for "<MAP>" in file names. */

@@ -101,14 +101,14 @@ static bool any_channel_texture(const struct scan *scan, const struct scan_textu
     return any;
 }
 
-/* Sets where the value of a channel comes from. */
-static void set_value(const struct fmt_material_channel *own, struct fmt_tris_source *out)
+/* Sets the value of a channel. own: what the material says of it, or NULL. */
+static void set_value(const struct bsq_channel *channel, const struct fmt_material_channel *own,
+                      struct fmt_tris_source *out)
 {
     for (int k = 0; k < 3; k++) {
-        const float value = own->value[own->channel->values == 1 ? 0 : k];
-        out->value[k] = own->channel->color ? (float)bsq_srgb_to_linear((double)value) : value;
+        const float value = own ? own->value[channel->values == 1 ? 0 : k] : channel->usual;
+        out->value[k] = channel->color ? (float)bsq_srgb_to_linear((double)value) : value;
     }
-    out->component = own->component;
 }
 
 /* Gives an entry of the table its channels. textured: whether its triangles have texture
@@ -126,14 +126,15 @@ static int add_sources(struct scan *scan, const struct scan_textures *textures,
         const struct fmt_material_channel *own = find_channel(from, scan->channels[c].name);
         const char *path = textured ? channel_texture(scan, textures, from, c) : NULL;
         scan->found_channels[c] |= path || (own && own->has_value);
-        if (own)
-            set_value(own, source);
+        const struct bsq_channel *channel = bsq_channel_find(scan->channels[c].name);
+        set_value(channel, own, source);
         if (path)
             status = resolve_texture(scan, path, &source->texture_path);
-        if (own && path == own->texture_path)
+        source->component = path ? channel->component : 0;
+        if (own && path == own->texture_path) {
             source->uv = own->uv;
-        else
-            source->component = 0;
+            source->component = own->component;
+        }
     }
     return status;
 }
@@ -195,16 +196,16 @@ static bool keeps_materials(const struct scan *scan)
 static const struct fmt_material no_material = {.name = "", .diffuse = {0.8f, 0.8f, 0.8f}};
 
 /* Adds one entry with the image for all materials; with names or channels, one for each material.
- */
+ * none: what faces without a material have. */
 static int add_single_texture(struct scan *scan, const char *path,
                               const struct scan_textures *textures,
-                              const struct fmt_materials *found)
+                              const struct fmt_materials *found, const struct fmt_material *none)
 {
     static const float white[3] = {1.0f, 1.0f, 1.0f};
     int status = 0;
     for (uint32_t i = 0; i <= scan->usemtl_count && status == 0; i++) {
         uint32_t *map = &scan->material_map[2 * (uint64_t)i];
-        const struct fmt_material *from = i < found->count ? &found->list[i] : &no_material;
+        const struct fmt_material *from = i < found->count ? &found->list[i] : none;
         const char *name = name_of(scan, from);
         status = bsq_check(scan->ctx);
         if (status == 0 && (i == 0 || keeps_materials(scan))) {
@@ -227,14 +228,23 @@ static int add_single_texture(struct scan *scan, const char *path,
 static int use_single_texture(struct scan *scan, struct fmt_mesh_reader *reader,
                               const char *texture_path, struct scan_textures *textures)
 {
-    struct fmt_materials found = {0};
+    struct fmt_materials found = {0}, none = {0};
     int status = bsq_note_texture(scan->ctx, texture_path, "the texture");
     if (status == 0 && keeps_materials(scan))
         status = fmt_mesh_read_materials(reader, &found);
+    if (status == 0)
+        status = bsq_calloc(scan->ctx, "materials", 1, sizeof *none.list, &none.list);
+    if (status == 0)
+        none = (struct fmt_materials){1, none.list};
+    if (status == 0)
+        status = vox_scan_use_alpha_of(scan, texture_path, &found, &none);
     if (status == 0 && scan->channel_count > 0)
         status = vox_textures_check(scan->ctx, &found, true, textures);
+    if (status == 0 && scan->channel_count > 0)
+        status = vox_textures_check(scan->ctx, &none, true, textures);
     if (status == 0)
-        status = add_single_texture(scan, texture_path, textures, &found);
+        status = add_single_texture(scan, texture_path, textures, &found, none.list);
+    fmt_materials_free(scan->ctx, &none);
     fmt_materials_free(scan->ctx, &found);
     return status;
 }
@@ -276,6 +286,8 @@ static int use_own_materials(struct scan *scan, struct fmt_mesh_reader *reader,
     if (status == 0)
         status =
             vox_textures_check(scan->ctx, &found, scan_count(scan, SCAN_TEXCOORDS) > 0, textures);
+    if (status == 0)
+        status = vox_scan_use_alpha(scan, textures, &found);
     for (uint32_t i = 0; status == 0 && i < scan->usemtl_count; i++) {
         status = bsq_check(scan->ctx);
         if (status == 0)

@@ -112,7 +112,7 @@ static int decode_each(struct bsq_ctx *ctx, struct candidate *list, uint64_t cou
     for (uint64_t i = 0; i < count && !status; i++) {
         if (!list[i].good)
             continue;
-        status = decode(ctx, &(struct fmt_texture_source){list[i].path, false}, 1);
+        status = decode(ctx, &(struct fmt_texture_source){.path = list[i].path}, 1);
         if (status != BSQ_EDATA)
             continue;
         char *text = strdup(bsq_error(ctx));
@@ -257,7 +257,7 @@ int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *material
 static int check_given(struct bsq_ctx *ctx, const char *path, const struct scan_textures *textures)
 {
     int status = bsq_note_texture(ctx, path, "the texture");
-    return !status && textures->decode ? decode(ctx, &(struct fmt_texture_source){path, false}, 1)
+    return !status && textures->decode ? decode(ctx, &(struct fmt_texture_source){.path = path}, 1)
                                        : status;
 }
 

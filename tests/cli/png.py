@@ -37,13 +37,13 @@ def read(path):
 
 
 def write(path, bits, rows):
-    """Writes rows of texels, which are tuples of 1 or 3 samples."""
+    """Writes rows of texels, which are tuples of 1, 3 or 4 samples: grey, RGB or RGBA."""
     def chunk(kind, data):
         return struct.pack(">I", len(data)) + kind + data + \
             struct.pack(">I", zlib.crc32(kind + data))
     raw = b"".join(b"\0" + b"".join(struct.pack(">%d%s" % (len(texel), "BH"[bits // 8 - 1]), *texel)
                                     for texel in row) for row in rows)
-    color = 0 if len(rows[0][0]) == 1 else 2
+    color = {1: 0, 3: 2, 4: 6}[len(rows[0][0])]
     with open(path, "wb") as file:
         file.write(b"\x89PNG\r\n\x1a\n" +
                    chunk(b"IHDR", struct.pack(">IIBBBBB", len(rows[0]), len(rows), bits, color,

@@ -1,6 +1,8 @@
 """transfer.py make: writes textures whose values are functions of u and v.
 transfer.py check FILE FUNCTION TOLERANCE [swap]: checks that the texels of a map are values of a
 function of the scan's texture coordinates, of which x of the map is v and y is u.
+transfer.py glass: writes glass.png, whose colours are those of light.png and whose alpha is that of
+slope.png, and planes with it as glTF files, blend.gltf and opaque.gltf.
 transfer.py sphere: writes a sphere, ball.obj, whose image ball.png shows its position, and
 ball_low.obj. transfer.py on_sphere PLACE ROUGHNESS NORMAL TOLERANCE: checks maps of it.
 transfer.py gltf OBJ: writes the mesh of two.obj as two.gltf, with the materials of pbr.mtl.
@@ -41,6 +43,10 @@ FUNCTIONS = {
     "two_metal": lambda u, v: (v if u < 0.6 else 0.75,),
     "orm": lambda u, v: (0.25 + 0.5 * v, u, v),
     "pbr_rough": lambda u, v: (u if u < 0.6 else 0.5,),
+    "two_opacity": lambda u, v: (0.5 if u < 0.6 else 0.75,),
+    "half": lambda u, v: (0.5,),
+    "whole": lambda u, v: (1,),
+    "v": lambda u, v: (v,),
     "two_light": lambda u, v: light(0.25 + 0.5 * u, 0.75 - 0.5 * v) if u < 0.6 else
                  [to_linear(c) for c in (0.2, 0.4, 0.6)],
 }
@@ -89,6 +95,34 @@ def make():
                        for c in FUNCTIONS[name]((x + 0.5) / SIDE, 1 - (y + 0.5) / SIDE))
                  for x in range(SIDE)] for y in range(SIDE)]
         png.write(name + ".png", bits, rows)
+
+
+def glass():
+    rows = [[tuple(round(65535 * c) for c in (*map(to_srgb, light(u, v)), 0.25 + 0.5 * v))
+             for u in ((x + 0.5) / SIDE for x in range(SIDE))]
+            for v in (1 - (y + 0.5) / SIDE for y in range(SIDE))]
+    png.write("glass.png", 16, rows)
+    corners = ((0, 0), (1, 0), (1, 1), (0, 1))
+    data = b"".join(struct.pack("<3f", x, y, 0) for x, y in corners) + \
+        b"".join(struct.pack("<2f", x, 1 - y) for x, y in corners) + struct.pack("<6H", 0, 1, 2, 0, 2, 3)
+    for name, alpha in (("blend", {"alphaMode": "BLEND"}), ("opaque", {})):
+        with open(name + ".gltf", "w") as file:
+            json.dump({
+                "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
+                "nodes": [{"mesh": 0}],
+                "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "TEXCOORD_0": 1},
+                                            "indices": 2, "material": 0}]}],
+                "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}, **alpha}],
+                "textures": [{"source": 0}], "images": [{"uri": "glass.png"}],
+                "accessors": [
+                    {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3",
+                     "min": [0, 0, 0], "max": [1, 1, 0]},
+                    {"bufferView": 1, "componentType": 5126, "count": 4, "type": "VEC2"},
+                    {"bufferView": 2, "componentType": 5123, "count": 6, "type": "SCALAR"}],
+                "bufferViews": [{"buffer": 0, "byteOffset": at, "byteLength": size}
+                                for at, size in ((0, 48), (48, 32), (80, 12))],
+                "buffers": [{"byteLength": len(data), "uri": "data:application/octet-stream;base64," +
+                             base64.b64encode(data).decode()}]}, file)
 
 
 def check(path, name, tolerance):
@@ -222,4 +256,4 @@ def gltf(path):
         open("two.gltf", "w"))
 
 
-{"make": make, "gltf": gltf, "check": check, "sphere": sphere, "on_sphere": on_sphere}[sys.argv[1]](*sys.argv[2:])
+{"make": make, "glass": glass, "gltf": gltf, "check": check, "sphere": sphere, "on_sphere": on_sphere}[sys.argv[1]](*sys.argv[2:])

@@ -58,6 +58,11 @@ static bool set_values(struct vox_shading *shading)
         }
         any |= channels->textured[m];
     }
+    /* What triangles without a material have. */
+    double *none = channels->values + (uint64_t)shading->header->material_count * channels->words;
+    for (uint32_t c = 0; c < channels->count; c++)
+        for (uint32_t k = 0; k < channels->list[c].row->values; k++)
+            *none++ = (double)channels->list[c].row->usual;
     return any && (shading->header->attributes & FMT_TRIS_TEXCOORDS);
 }
 
@@ -72,8 +77,11 @@ static int open_textures(struct bsq_ctx *ctx, uint64_t texture_bytes, struct vox
     int status = bsq_calloc(ctx, "texture paths", count, sizeof *images, &images);
     for (uint64_t i = 0; i < count && status == 0; i++) {
         const uint32_t channel = (uint32_t)(i / materials);
-        images[i].path = source_of(shading, (uint32_t)(i % materials), channel)->texture_path;
+        const struct fmt_tris_source *source =
+            source_of(shading, (uint32_t)(i % materials), channel);
+        images[i].path = source->texture_path;
         images[i].data = !channels->list[channel].row->color;
+        images[i].alpha = source->component == BSQ_CHANNEL_ALPHA;
     }
     if (status == 0)
         status =

@@ -448,8 +448,10 @@ static const char *write_png_rows(const char *name, const struct picture *p, int
     png_infop info = png_create_info_struct(png);
     png_init_io(png, file);
     png_set_IHDR(png, info, (png_uint_32)p->width, (png_uint_32)p->height, bits,
-                 p->channels == 1 ? PNG_COLOR_TYPE_GRAY : PNG_COLOR_TYPE_RGB, interlace,
-                 PNG_COMPRESSION_TYPE_DEFAULT, PNG_FILTER_TYPE_DEFAULT);
+                 p->channels == 1   ? PNG_COLOR_TYPE_GRAY
+                 : p->channels == 3 ? PNG_COLOR_TYPE_RGB
+                                    : PNG_COLOR_TYPE_RGBA,
+                 interlace, PNG_COMPRESSION_TYPE_DEFAULT, PNG_FILTER_TYPE_DEFAULT);
     if (linear_light)
         png_set_gAMA(png, info, 1.0);
     png_write_info(png, info);
@@ -583,6 +585,59 @@ static void test_image_that_is_turned(void **state)
     assert_true(failures >= 2); /* the pass over all rows, and the cache */
 }
 
+/* Opens an image as a source of alpha. */
+static void open_alpha(struct fixture *f, const char *path)
+{
+    const struct bsq_ctx_options options = {
+        .threads = 2, .memory_bytes = 256 << 20, .tmpdir = scratch_directory};
+    const struct fmt_texture_source source = {.path = path, .alpha = true};
+    assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
+    assert_int_equal(fmt_textures_open(f->ctx, &source, 1, 32 << 20, &f->textures), 0);
+}
+
+/* Alpha is data; an image without it gives its first channel. */
+static void test_alpha(void **state)
+{
+    (void)state;
+    static uint8_t rgba[2][4] = {{255, 0, 0, 51}, {0, 255, 0, 204}}, rgb[2][3] = {{51}, {204}};
+    static uint8_t grey[2] = {51, 204};
+    const struct {
+        const char *name;
+        struct picture picture;
+    } cases[] = {{"rgba.png", {2, 1, 4, &rgba[0][0]}},
+                 {"rgb.png", {2, 1, 3, &rgb[0][0]}},
+                 {"grey.png", {2, 1, 1, grey}}};
+    for (int i = 0; i < 3; i++) {
+        struct fixture f;
+        open_alpha(&f, write_png(cases[i].name, &cases[i].picture));
+        assert_int_equal(fmt_texture_has_alpha(f.textures, 0), i == 0);
+        assert_sample(&f, 0.25, 0.5, 0, 0, 0.2, 0.2, 0.2, 1e-6);
+        assert_sample(&f, 0.75, 0.5, 0, 0, 0.8, 0.8, 0.8, 1e-6);
+        assert_sample(&f, 0.5, 0.5, 1, 1, 0.5, 0.5, 0.5, 1e-6);
+        close_fixture(&f);
+    }
+    struct fixture f; /* colours are not multiplied by alpha */
+    open_one(&f, scratch_path("rgba.png"));
+    assert_true(fmt_texture_has_alpha(f.textures, 0));
+    assert_sample(&f, 0.25, 0.5, 0, 0, 1, 0, 0, 1e-6);
+    close_fixture(&f);
+}
+
+/* Interlaced images are copied to temporary tiled files, which hold the alpha alone. */
+static void test_alpha_of_a_copy(void **state)
+{
+    (void)state;
+    uint8_t texels[3 * 2 * 4];
+    for (int i = 0; i < 3 * 2; i++)
+        memcpy(texels + 4 * i, (const uint8_t[]){9, 99, 199, (uint8_t)(51 * (i % 3))}, 4);
+    const struct picture p = {3, 2, 4, texels};
+    struct fixture f;
+    open_alpha(&f, write_png_rows("alpha_copy.png", &p, 8, false, PNG_INTERLACE_ADAM7));
+    for (int x = 0; x < 3; x++)
+        assert_sample(&f, (x + 0.5) / 3, 0.25, 0, 0, 0.2 * x, 0.2 * x, 0.2 * x, 1e-6);
+    close_fixture(&f);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -601,6 +656,8 @@ int main(void)
         cmocka_unit_test(test_sixteen_bits_of_linear_light),
         cmocka_unit_test(test_damage_prints_nothing),
         cmocka_unit_test(test_image_that_is_turned),
+        cmocka_unit_test(test_alpha),
+        cmocka_unit_test(test_alpha_of_a_copy),
     };
     return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
 }

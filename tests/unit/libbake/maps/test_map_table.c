@@ -196,8 +196,9 @@ static void test_encodings_decode_to_the_values(void **state)
 static void test_transfer_maps_follow_the_rows(void **state)
 {
     (void)state;
-    const struct bake_transfer transfers[] = {
-        {"roughness", "r.png"}, {"emission", "e.png"}, {"other", "o.png"}};
+    const struct bake_transfer transfers[] = {{.name = "roughness", .texture_path = "r.png"},
+                                              {.name = "emission", .texture_path = "e.png"},
+                                              {.name = "other", .texture_path = "o.png"}};
     struct bake_options options = options_for(BAKE_MAP_ID | BAKE_MAP_NORMAL, "a_<MAP>.exr");
     options.transfers = transfers;
     options.transfer_count = 3;

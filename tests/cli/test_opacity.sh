@@ -1,0 +1,154 @@
+#!/bin/sh
+# test_opacity.sh - opacity of scans: alpha of textures, values and textures of MTL and glTF files,
+# and masks that are multiplied by it.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+vox="run bisque-voxelize --resolution 40 --channels opacity"
+bake="run bisque-bake --size 48 --mask-opacity"
+maps="python3 -B $top/tests/cli/transfer.py"
+
+# values FILE FUNCTION TOLERANCE: the map has the values of a function.
+values()
+{
+    $maps check "$@" >"$out"
+    check "$1 shows $2" $?
+}
+
+# A square of 5 x 5 quads with texture coordinates u = x, v = y.
+awk 'BEGIN {
+    for (j = 0; j <= 5; j++)
+        for (i = 0; i <= 5; i++)
+            printf "v %.2f %.2f 0\nvt %.2f %.2f\n", i / 5, j / 5, i / 5, j / 5
+    for (j = 0; j < 5; j++)
+        for (i = 1; i <= 5; i++) {
+            a = 6 * j + i
+            printf "f %d/%d %d/%d %d/%d %d/%d\n", a, a, a + 1, a + 1, a + 7, a + 7, a + 6, a + 6
+        }
+}' >plane.obj
+printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 0 1\nvt 1 1\nvt 1 0\nf 1/1 2/2 3/3 4/4\n' >low.obj
+$maps make && $maps glass || exit 1
+
+# ---- alpha of the colour texture ----
+
+$vox plane.obj --texture glass.png -o plane.nvdb
+code 0
+for scan in tris nvdb; do
+    tolerance=$([ $scan = tris ] && echo 0.002 || echo 0.01)
+    $bake plane.$scan low.obj --maps color,mask -o "${scan}_<MAP>.png" --json
+    code 0
+    json '.maps | keys == ["color", "mask"]'
+    values ${scan}_mask.png slope $tolerance
+    values ${scan}_color.png light 0.02
+    $bake plane.$scan low.obj --maps mask,transfer:opacity -o "${scan}_both_<MAP>.png"
+    code 0
+    values ${scan}_both_opacity.png slope $tolerance
+    cmp -s ${scan}_mask.png ${scan}_both_mask.png
+    check "a file of opacity changes no mask from $scan" $?
+    run bisque-bake --size 48 plane.$scan low.obj --maps mask -o ${scan}_plain.png
+    code 0
+    values ${scan}_plain.png whole 0
+done
+run bisque-voxelize --verify plane.tris
+code 0
+"$TESTS/naive-read-tris" plane.tris >"$out"
+grep -q 'component 3' "$out"
+check "another reader finds alpha in plane.tris" $?
+
+# A mask from tasks has the same bytes.
+$bake plane.tris low.obj --maps color,mask -o 'task_<MAP>.png' --tasks 2 --write-plan plan.json
+code 0
+for part in '--task 0-1' --merge; do
+    run bisque-bake --plan plan.json $part
+    code 0
+done
+cmp -s tris_mask.png task_mask.png && [ ! -e task_opacity.png ]
+check "tasks give the same mask" $?
+
+# ---- materials ----
+
+# material NAME FUNCTION STATEMENT...: a scan of this material has this opacity.
+material()
+{
+    name=$1 function=$2
+    shift 2
+    printf '%s\n' 'newmtl m' "$@" >$name.mtl
+    sed "1imtllib $name.mtl\nusemtl m" plane.obj >$name.obj
+    run bisque-voxelize --channels opacity $name.obj -o $name.tris
+    code 0
+    $bake $name.tris low.obj --maps mask -o $name.png
+    code 0
+    values $name.png $function 0.002
+}
+material own slope 'map_Kd glass.png'
+material over ramp 'map_Kd glass.png' 'map_d ramp.png'
+material alpha slope 'map_d glass.png'
+material green v 'map_d -imfchan g three.png'
+material matte slope 'map_d -imfchan m glass.png'
+material value half 'd 0.5'
+material inverse half 'Tr 0.5'
+material texture slope 'd 0.5' 'map_Kd glass.png'
+
+# Two materials, which change at x = 0.6, and one without opacity, which is opaque.
+awk '/^f/ { print "usemtl " (n++ % 5 < 3 ? "left" : "right") } { print }
+    BEGIN { print "mtllib two.mtl" }' plane.obj >two.obj
+printf 'newmtl left\nd 0.5\nnewmtl right\nTr 0.25\n' >two.mtl
+$vox --resolution 80 two.obj -o two.nvdb
+code 0
+for scan in tris nvdb; do
+    $bake two.$scan low.obj --maps mask -o two.png
+    code 0
+    values two.png two_opacity 0.002
+done
+sed 's/usemtl right/usemtl none/; s/usemtl left/usemtl right/' two.obj >rest.obj
+awk '$1 == "usemtl" { name = $2; print; next } $1 != "f" || name == "none" { print }' rest.obj >none.obj
+printf 'f 1 2 3\nusemtl right\nf 1 2 3\n' >>none.obj
+$vox none.obj -o none.nvdb
+code 0
+for scan in tris nvdb; do
+    $bake none.$scan low.obj --maps mask --samples 1 --back 0.01 --front 0.01 -o none_$scan.png
+    code 0
+    python3 -B -c 'import sys; sys.path.insert(0, sys.argv[2]); import png
+rows = png.read(sys.argv[1])[3]; sys.exit(rows[8][24][0] != 65535)' none_$scan.png "$top/tests/cli"
+    check "faces without a material are opaque, from $scan" $?
+done
+
+# ---- glTF ----
+
+$vox blend.gltf -o blend.nvdb
+code 0
+$bake blend.tris low.obj --maps mask -o blend.png
+code 0
+values blend.png slope 0.002
+$vox opaque.gltf -o opaque.nvdb
+code 65
+err_like 'opaque.gltf: no material has a value or a texture of opacity'
+
+# ---- an image of the options ----
+
+run bisque-voxelize --resolution 40 plane.obj --channels opacity=glass.png -o given.nvdb
+code 0
+$bake given.tris low.obj --maps mask -o given.png
+code 0
+values given.png slope 0.002
+run bisque-voxelize --resolution 40 plane.obj --texture light.png -o light.nvdb
+code 0
+$bake light.tris low.obj --maps mask,transfer:opacity --texture opacity=glass.png -o 'light_<MAP>.png'
+code 0
+values light_mask.png slope 0.002
+
+# ---- what is refused ----
+
+$bake light.tris low.obj --maps mask -o x.png
+code 65
+err_like 'light.tris has no channel opacity: make it with bisque-voxelize --channels opacity'
+$bake light.nvdb low.obj --maps mask -o x.png
+code 65
+err_like 'light.nvdb has no channel opacity: make it with bisque-voxelize --channels opacity'
+$bake plane.tris low.obj --maps normal -o x.png
+code 64
+err_like 'opacity is part of the mask, which is not baked'
+$vox light.nvdb -o x.nvdb
+code 65
+[ ! -e x.png ] && [ ! -e x.nvdb ]
+check "nothing was written" $?
+finish
