@@ -226,54 +226,72 @@ BK_FN void bk_surroundings_for_maps(const bk_params *params, const bk_point *poi
     out->bent = bk_scalew(bent, weight);
 }
 
-/* Sends rays from hits. */
-BK_FN void bk_look_from_hits(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                             const bk_samples *samples, const bk_point *points,
-                             const bk_start *start, const bk_hits *hits, bk_map_hits *out)
-{
-    const bk_vec3w position = bk_add_scaledw(start->origin, hits->t, start->direction);
-    bk_surroundings sums[BK_WIDTH];
-    bk_uint lane;
-
-    for (lane = 0; lane < BK_WIDTH; lane++) {
-        bk_place_on_scan from;
-        sums[lane] = bk_no_surroundings();
-        if (!(out->found >> lane & 1u))
-            continue;
-        from.position = bk_lane3(&position, lane);
-        from.normal = bk_lane3(&hits->normal, lane);
-        from.side = hits->reversed >> lane & 1u ? -1.0f : 1.0f;
-        from.seed = bk_sample_seed(samples->x[lane], samples->y[lane], params->samples);
-        sums[lane] = bk_look_around(grid, params, cache, &from);
-    }
-    bk_surroundings_for_maps(params, points, sums, out);
-}
+/* Samples on their way to hits. */
+typedef struct bk_traced {
+    bk_point points;
+    bk_start start;
+    bk_hits hits;
+} bk_traced;
 
 /* Traces samples, and adds transfer maps to their texels. */
+BK_FN void bk_trace_hits(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                         const BK_GLOBAL bk_triangle *triangles, const bk_samples *samples,
+                         bk_traced *traced, bk_map_hits *out)
+{
+    const bk_uint cage = params->flags & BK_CAGE;
+    bk_lines lines;
+    bk_uint lane;
+
+    traced->points = bk_points_at(params, triangles, samples);
+    traced->start = bk_start_at(params, &traced->points);
+    lines.count = samples->count;
+    lines.origin = traced->start.origin;
+    lines.direction = traced->start.direction;
+    lines.facing = traced->start.facing;
+    lines.t_min = bk_splat(cage ? 0.0f : -params->back);
+    lines.t_max = cage ? params->front + params->back : params->front;
+    lines.height = traced->start.height;
+    for (lane = 0; lane < BK_WIDTH; lane++)
+        lines.texel[lane] = samples->texel[lane];
+    bk_trace(grid, params, cache, &lines, &traced->hits);
+    bk_hits_for_maps(params, &traced->points, &traced->start, &traced->hits, out);
+}
+
+/* Returns the place of a sample's hit, from which further rays start. */
+BK_FN bk_place_on_scan bk_place_of_hit(const bk_params *params, const bk_samples *samples,
+                                       const bk_traced *traced, bk_uint lane)
+{
+    const bk_vec3w position =
+        bk_add_scaledw(traced->start.origin, traced->hits.t, traced->start.direction);
+    bk_place_on_scan place;
+
+    place.position = bk_lane3(&position, lane);
+    place.normal = bk_lane3(&traced->hits.normal, lane);
+    place.side = traced->hits.reversed >> lane & 1u ? -1.0f : 1.0f;
+    place.seed = bk_sample_seed(samples->x[lane], samples->y[lane], params->samples);
+    return place;
+}
+
+/* Traces samples and the rays from their hits. */
 BK_FN void bk_trace_samples(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                             const BK_GLOBAL bk_triangle *triangles, const bk_samples *samples,
                             bk_map_hits *out)
 {
-    const bk_point points = bk_points_at(params, triangles, samples);
-    const bk_start start = bk_start_at(params, &points);
-    const bk_uint cage = params->flags & BK_CAGE;
-    bk_lines lines;
-    bk_hits hits;
+    bk_surroundings sums[BK_WIDTH];
+    bk_traced traced;
     bk_uint lane;
 
-    lines.count = samples->count;
-    lines.origin = start.origin;
-    lines.direction = start.direction;
-    lines.facing = start.facing;
-    lines.t_min = bk_splat(cage ? 0.0f : -params->back);
-    lines.t_max = cage ? params->front + params->back : params->front;
-    lines.height = start.height;
-    for (lane = 0; lane < BK_WIDTH; lane++)
-        lines.texel[lane] = samples->texel[lane];
-    bk_trace(grid, params, cache, &lines, &hits);
-    bk_hits_for_maps(params, &points, &start, &hits, out);
-    if (params->maps & BK_SECONDARY_MAPS)
-        bk_look_from_hits(grid, params, cache, samples, &points, &start, &hits, out);
+    bk_trace_hits(grid, params, cache, triangles, samples, &traced, out);
+    if (!(params->maps & BK_SECONDARY_MAPS))
+        return;
+    for (lane = 0; lane < BK_WIDTH; lane++) {
+        sums[lane] = bk_no_surroundings();
+        if (out->found >> lane & 1u) {
+            const bk_place_on_scan from = bk_place_of_hit(params, samples, &traced, lane);
+            sums[lane] = bk_look_around(grid, params, cache, &from);
+        }
+    }
+    bk_surroundings_for_maps(params, &traced.points, sums, out);
 }
 
 BK_FN void bk_copy_lane(const bk_vec3w *from, bk_uint lane, float to[3])

@@ -117,7 +117,7 @@ BK_FN bk_vec3w bk_hemisphere(bk_uint seed, bk_vec3 normal, bk_vec3 facet, bk_uin
                              bk_uint count, float sine2)
 {
     const bk_fw zero = bk_splat(0.0f);
-    const bk_vec3w f = bk_v3w(bk_splat(facet.x), bk_splat(facet.y), bk_splat(facet.z));
+    const bk_vec3w f = bk_splat3(facet);
     const bk_vec3w d = bk_around(bk_cone_directions(seed, first, count, sine2), normal);
     const bk_fw above = bk_dotw(d, f);
 
@@ -273,14 +273,12 @@ BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache
     bk_end_run(walk, walked);
 }
 
-/* Walks the rays of these lanes from one point to the first surface within `limit` voxels. Surfaces
- * that face against `facing` count only if both_sides is set. Returns the t at which rays leave the
- * grid. */
+/* Walks the rays of these lanes to the first surface within `limit` voxels. Surfaces that face
+ * against `facing` count only if both_sides is set. Returns the t at which rays leave the grid. */
 BK_FN bk_fw bk_walk_from(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                         bk_vec3 origin, bk_vec3w direction, bk_vec3w facing, bk_uint lanes,
+                         bk_vec3w start, bk_vec3w direction, bk_vec3w facing, bk_uint lanes,
                          bk_uint both_sides, float limit, bk_walk *walk)
 {
-    const bk_vec3w start = bk_v3w(bk_splat(origin.x), bk_splat(origin.y), bk_splat(origin.z));
     const bk_ray ray = bk_ray_along(start, direction, facing, bk_mask_of(lanes));
     bk_fw t_near, t_far;
 
@@ -337,39 +335,93 @@ BK_FN bk_uint bk_solid_rays(const bk_params *params)
 /* Seeds of the directions of rays into the solid differ from those of open rays in these bits. */
 #define BK_SOLID_SEED 4u
 
+/* Rays of a point that have the same purpose: open ones, or those into the solid. */
+typedef struct bk_rays {
+    bk_uint open, count; /* count: of a point */
+    float sine2, limit;  /* squared sine of half of the cone's angle; length in voxels */
+} bk_rays;
+
+BK_FN bk_rays bk_rays_of(const bk_params *params, bk_uint open)
+{
+    bk_rays rays;
+
+    rays.open = open;
+    rays.count = open ? bk_open_rays(params) : bk_solid_rays(params);
+    rays.sine2 = open ? params->open_sine2 : 1.0f;
+    rays.limit = open ? params->open_limit : params->thickness_limit;
+    return rays;
+}
+
+/* Returns the directions of a point's rays `first` and following ones. */
+BK_FN bk_vec3w bk_ray_directions(const bk_rays *rays, const bk_place_on_scan *from, bk_uint first)
+{
+    const bk_vec3 n = from->normal;
+    const bk_vec3w cone = bk_cone_directions(from->seed ^ (rays->open ? 0u : BK_SOLID_SEED), first,
+                                             rays->count, rays->sine2);
+
+    return bk_around(cone, rays->open ? n : bk_v3(-n.x, -n.y, -n.z));
+}
+
+/* Returns where a point's rays start. */
+BK_FN bk_vec3 bk_ray_start(const bk_rays *rays, const bk_place_on_scan *from)
+{
+    return rays->open ? bk_add_scaled(from->position, BK_LIFT, from->normal) : from->position;
+}
+
+/* Traces the rays of these lanes. side: of their points. Returns the distance to what they met, in
+ * voxels. It is negative for open rays that met nothing, and for rays into the solid that do not
+ * count. */
+BK_FN bk_fw bk_look(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                    const bk_rays *rays, bk_vec3w start, bk_vec3w direction, bk_fw side,
+                    bk_uint lanes)
+{
+    const bk_fw limit = bk_splat(rays->limit);
+    bk_walk walk;
+    const bk_fw t_far =
+        bk_walk_from(grid, params, cache, start, direction, bk_scalew(direction, side), lanes,
+                     rays->open, rays->limit, &walk);
+    const bk_mask through = bk_mask_of(rays->open ? 0u : ~0u) & bk_not(bk_less(t_far, limit));
+    const bk_fw t = bk_select(walk.hit.found, bk_minw(walk.hit.t, limit), limit);
+
+    return bk_select(walk.hit.found | through, t, bk_splat(-1.0f));
+}
+
+/* Adds what `count` rays have found: results of bk_look(). counted: rays into the solid so far that
+ * count. */
+BK_FN void bk_add_looks(const bk_params *params, const bk_rays *rays, bk_uint count, bk_fw found,
+                        bk_vec3w direction, bk_surroundings *sums, bk_uint *counted)
+{
+    bk_uint lane;
+
+    for (lane = 0; lane < count; lane++) {
+        const float t = bk_lane(found, lane);
+        const bk_uint met = t < 0.0f ? 0u : 1u;
+        if (rays->open) {
+            bk_add_open(params, met, t, bk_lane3(&direction, lane), sums);
+        } else if (met) {
+            sums->thickness += t;
+            *counted += 1u;
+        }
+    }
+}
+
 /* Sends the rays of one point, open ones first. Sums run in the order of rays, so that they do not
  * depend on BK_WIDTH. Both kinds share a loop, since a copy of the walk is long. */
 BK_FN bk_surroundings bk_look_around(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                                      const bk_place_on_scan *from)
 {
     const bk_uint opens = bk_open_rays(params), solids = bk_solid_rays(params);
-    const bk_vec3 n = from->normal, inwards = bk_v3(-n.x, -n.y, -n.z);
-    const bk_vec3 lifted = bk_add_scaled(from->position, BK_LIFT, n);
     bk_surroundings sums = bk_no_surroundings();
-    bk_uint i = 0, lane, counted = 0;
+    bk_uint i = 0, counted = 0;
 
     while (i < opens + solids) {
-        const bk_uint open = i < opens, first = open ? i : i - opens, rays = open ? opens : solids;
-        const bk_uint count = rays - first < BK_WIDTH ? rays - first : BK_WIDTH;
-        const float sine2 = open ? params->open_sine2 : 1.0f;
-        const float limit = open ? params->open_limit : params->thickness_limit;
-        const bk_vec3w cone =
-            bk_cone_directions(from->seed ^ (open ? 0u : BK_SOLID_SEED), first, rays, sine2);
-        const bk_vec3w direction = bk_around(cone, open ? n : inwards);
-        bk_walk walk;
-        const bk_fw t_far = bk_walk_from(grid, params, cache, open ? lifted : from->position,
-                                         direction, bk_scalew(direction, bk_splat(from->side)),
-                                         (1u << count) - 1u, open, limit, &walk);
-        for (lane = 0; lane < count; lane++) {
-            const bk_uint found = bk_bits(walk.hit.found) >> lane & 1u;
-            const float t = found ? bk_min(bk_lane(walk.hit.t, lane), limit) : limit;
-            if (open) {
-                bk_add_open(params, found, t, bk_lane3(&direction, lane), &sums);
-            } else if (found || bk_lane(t_far, lane) >= limit) {
-                sums.thickness += t;
-                counted++;
-            }
-        }
+        const bk_rays rays = bk_rays_of(params, i < opens);
+        const bk_uint first = rays.open ? i : i - opens;
+        const bk_uint count = rays.count - first < BK_WIDTH ? rays.count - first : BK_WIDTH;
+        const bk_vec3w direction = bk_ray_directions(&rays, from, first);
+        const bk_fw t = bk_look(grid, params, cache, &rays, bk_splat3(bk_ray_start(&rays, from)),
+                                direction, bk_splat(from->side), (1u << count) - 1u);
+        bk_add_looks(params, &rays, count, t, direction, &sums, &counted);
         i += count;
     }
     bk_mean_surroundings(params, opens, counted, &sums);

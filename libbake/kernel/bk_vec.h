@@ -78,6 +78,12 @@ BK_FN bk_vec3w bk_v3w(bk_fw x, bk_fw y, bk_fw z)
     return v;
 }
 
+/* Returns a vector with the same value in all lanes. */
+BK_FN bk_vec3w bk_splat3(bk_vec3 a)
+{
+    return bk_v3w(bk_splat(a.x), bk_splat(a.y), bk_splat(a.z));
+}
+
 BK_FN bk_vec3 bk_lane3(const bk_vec3w *v, bk_uint lane)
 {
     (void)lane;

@@ -9,6 +9,10 @@
 
 enum { PAIRS_PER_BAND = 1 << 18 };
 
+/* Memory of a thread in which rays from hits are sorted, at most: 5000 samples with 64 rays each.
+ * All threads together take at most a part of the budget that is left. */
+enum { SORTING_BYTES = 8 << 20, SORTING_PART = 16 };
+
 struct native {
     struct bake_backend base;
     struct bsq_ctx *ctx;
@@ -16,6 +20,8 @@ struct native {
     struct bk_params params;
     const struct bk_triangle *triangles;
     bake_native_tile_fn *tile;
+    struct bake_native_memory sorting; /* of all workers; NULL: no map needs it */
+    uint64_t worker_bytes;
 };
 
 /* Returns the rows of a band. A tile can have many millions of pairs of rays, so native_trace()
@@ -35,9 +41,13 @@ static int native_trace(struct bake_backend *backend, unsigned slot, const struc
     const uint32_t rows =
         band_rows(tile->width * texel_samples * bake_sample_cost(&native->params));
 
+    struct bake_native_memory memory = {0};
+
     (void)slot;
-    (void)worker;
     (void)why;
+    if (native->sorting.data)
+        memory = (struct bake_native_memory){
+            (char *)native->sorting.data + worker * native->worker_bytes, native->worker_bytes};
     for (uint32_t row = 0; row < tile->height; row += rows) {
         const uint64_t texel = (uint64_t)row * tile->width;
         struct bk_tile band = *tile;
@@ -47,7 +57,7 @@ static int native_trace(struct bake_backend *backend, unsigned slot, const struc
         band.y += row;
         band.height = tile->height - row < rows ? tile->height - row : rows;
         native->tile(&native->grid, &native->params, native->triangles, &band,
-                     sample_triangles + texel * texel_samples,
+                     sample_triangles + texel * texel_samples, &memory,
                      texels + texel * bk_texel_floats(native->params.maps));
     }
     return 0;
@@ -55,7 +65,26 @@ static int native_trace(struct bake_backend *backend, unsigned slot, const struc
 
 static void native_close(struct bake_backend *backend)
 {
-    bsq_free(((struct native *)backend)->ctx, backend);
+    struct native *native = (struct native *)backend;
+
+    bsq_free(native->ctx, native->sorting.data);
+    bsq_free(native->ctx, native);
+}
+
+/* Allocates the memory in which rays from hits are sorted. */
+static int allocate_sorting(struct native *native)
+{
+    const unsigned threads = bsq_threads(native->ctx);
+    uint64_t bytes = bsq_memory_left(native->ctx) / SORTING_PART / threads;
+
+    if (bake_sample_cost(&native->params) == 1)
+        return 0;
+    bytes = bytes < SORTING_BYTES ? bytes : SORTING_BYTES;
+    native->worker_bytes = bytes - bytes % BSQ_ALIGNMENT;
+    native->sorting.bytes = native->worker_bytes * threads;
+    return native->worker_bytes == 0 ? 0
+                                     : bsq_alloc(native->ctx, "sorting rays", native->worker_bytes,
+                                                 threads, &native->sorting.data);
 }
 
 void bake_native_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
@@ -115,8 +144,12 @@ static int native_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job
     native->params = job->params;
     native->triangles = job->triangles;
     native->tile = BSQ_SIMD_PICK(bsq_simd_best(), bake_native_tile);
-    *out = &native->base;
-    return 0;
+    status = allocate_sorting(native);
+    if (status < 0)
+        native_close(&native->base);
+    else
+        *out = &native->base;
+    return status;
 }
 
 const struct bake_device_kind bake_native_kind = {

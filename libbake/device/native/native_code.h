@@ -10,11 +10,19 @@
  * first-level cache. */
 enum { BAKE_NATIVE_SQUARE = 8 };
 
+/* Memory in which rays from hits are sorted, aligned for any type. It may have any size below 4
+ * GiB, also 0. */
+struct bake_native_memory {
+    void *data;
+    uint64_t bytes;
+};
+
 /* Traces a tile on the calling thread: sample_triangles in, width * height texels of
- * bk_texel_floats(params->maps) floats out. */
+ * bk_texel_floats(params->maps) floats out. The texels do not depend on `memory`. */
 typedef void bake_native_tile_fn(const struct bk_grid *grid, const struct bk_params *params,
                                  const struct bk_triangle *triangles, const struct bk_tile *tile,
-                                 const uint32_t *sample_triangles, float *texels);
+                                 const uint32_t *sample_triangles,
+                                 const struct bake_native_memory *memory, float *texels);
 BSQ_SIMD_DECLARE(bake_native_tile_fn, bake_native_tile);
 
 /* Traces rays on the calling thread. */

@@ -1,6 +1,6 @@
 /* test_kernel_lanes.c - the kernel gives the same bits for any number of lanes and order of
- * samples. Compares groups of four, eight and sixteen in Morton order to single samples, row by
- * row. */
+ * samples and of rays from hits. Compares groups of four, eight and sixteen in Morton order to
+ * single samples, row by row. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -15,7 +15,8 @@
 
 /* No multiples of a square or a group; with three samples an axis, groups span texels. */
 enum { WIDTH = 45, HEIGHT = 27, SAMPLES = 3, TEXELS = WIDTH * HEIGHT, TRIANGLES = 40 };
-enum { MAPS = 1 << BK_MAP_normal | 1 << BK_MAP_color, FLOATS = BK_SUMS + 6 };
+enum { MAPS = 1 << BK_MAP_normal | 1 << BK_MAP_color };
+enum { FLOATS = BK_SUMS + 11 }; /* the most: with BK_SECONDARY_MAPS */
 
 struct fixture {
     struct bsq_ctx *ctx;
@@ -109,32 +110,35 @@ static int teardown(void **state)
 }
 
 static void one_by_one(const struct fixture *f, const struct bk_params *params,
-                       const struct bk_tile *tile, float (*texels)[FLOATS])
+                       const struct bk_tile *tile, float *texels)
 {
     bk_cache cache = bk_cache_empty();
     for (uint32_t row = 0; row < HEIGHT; row++)
         for (uint32_t column = 0; column < WIDTH; column++) {
-            float *texel = texels[row * WIDTH + column];
+            float *texel = texels + (row * WIDTH + column) * bk_texel_floats(params->maps);
             bk_clear_texel(params->maps, texel);
             bk_sample_texel(&f->grid, params, &cache, f->triangles, tile, f->samples, column, row,
                             0, params->samples, texel);
         }
 }
 
-static void compare(const struct fixture *f, uint32_t flags)
+/* Compares tiles that are traced with the widest lanes to be had and with all narrower ones. */
+static void compare(const struct fixture *f, const struct bk_params *params, uint64_t memory_bytes)
 {
-    static float expected[TEXELS][FLOATS], found[TEXELS][FLOATS];
+    static float expected[TEXELS * FLOATS], found[TEXELS * FLOATS];
+    static _Alignas(BSQ_ALIGNMENT) char data[1 << 20];
+    const struct bake_native_memory memory = {data, memory_bytes};
     const struct bk_tile tile = {.x = 3, .y = 1, .width = WIDTH, .height = HEIGHT};
-    struct bk_params params = f->params;
+    const uint64_t entries = bk_texel_floats(params->maps);
     uint64_t covered = 0, hits = 0;
 
-    params.flags |= flags;
-    one_by_one(f, &params, &tile, expected);
-    for (int i = 0; i < TEXELS; i++) {
-        covered += (uint64_t)expected[i][BK_COVERED];
-        hits += (uint64_t)expected[i][BK_HITS];
+    assert_true(entries <= FLOATS && memory_bytes <= sizeof data);
+    one_by_one(f, params, &tile, expected);
+    for (uint64_t i = 0; i < TEXELS; i++) {
+        covered += (uint64_t)expected[i * entries + BK_COVERED];
+        hits += (uint64_t)expected[i * entries + BK_HITS];
     }
-    print_message("flags %u: %u of %u rays hit\n", (unsigned)params.flags, (unsigned)hits,
+    print_message("flags %u: %u of %u rays hit\n", (unsigned)params->flags, (unsigned)hits,
                   (unsigned)covered);
     assert_true(hits > covered / 4 && hits < covered);
     if (bsq_simd_best() < BSQ_SIMD_AVX512)
@@ -142,22 +146,50 @@ static void compare(const struct fixture *f, uint32_t flags)
     for (unsigned level = BSQ_SIMD_BASE; level <= bsq_simd_best(); level++) {
         bake_native_tile_fn *code = BSQ_SIMD_PICK(level, bake_native_tile);
         memset(found, 0xff, sizeof found);
-        code(&f->grid, &params, f->triangles, &tile, f->samples, found[0]);
-        assert_memory_equal(found, expected, sizeof found);
+        code(&f->grid, params, f->triangles, &tile, f->samples, &memory, found);
+        assert_memory_equal(found, expected, TEXELS * entries * sizeof *found);
     }
+}
+
+static void compare_flags(const struct fixture *f, uint32_t flags)
+{
+    struct bk_params params = f->params;
+    params.flags |= flags;
+    compare(f, &params, 0);
 }
 
 static void test_lanes(void **state)
 {
-    compare(*state, 0);
-    compare(*state, BK_TWO_SIDED);
-    compare(*state, BK_NEAREST);
-    compare(*state, BK_OBJECT_SPACE);
-    compare(*state, BK_OBJECT_SPACE | BK_NEAREST | BK_TWO_SIDED);
+    compare_flags(*state, 0);
+    compare_flags(*state, BK_TWO_SIDED);
+    compare_flags(*state, BK_NEAREST);
+    compare_flags(*state, BK_OBJECT_SPACE);
+    compare_flags(*state, BK_OBJECT_SPACE | BK_NEAREST | BK_TWO_SIDED);
+}
+
+/* Rays from hits give the same bits if they are sorted, in batches of any size. Their numbers are
+ * no multiples of a group. */
+static void test_rays_from_hits(void **state)
+{
+    const struct fixture *f = *state;
+    struct bk_params params = f->params;
+    params.maps |= BK_SECONDARY_MAPS;
+    params.flags |= BK_TWO_SIDED;
+    params.open_rays = 11;
+    params.thickness_rays = 5;
+    params.open_limit = params.thickness_limit = 30;
+    params.open_sine2 = 1;
+    compare(f, &params, 0);
+    compare(f, &params, 30000); /* a few groups */
+    compare(f, &params, 1 << 20);
+    params.flags |= BK_OPEN_FALLOFF;
+    params.maps &= ~(1u << BK_MAP_thickness);
+    compare(f, &params, 1 << 20);
 }
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_lanes)};
+    const struct CMUnitTest tests[] = {cmocka_unit_test(test_lanes),
+                                       cmocka_unit_test(test_rays_from_hits)};
     return cmocka_run_group_tests(tests, setup, teardown);
 }
