@@ -143,10 +143,22 @@ bool HeldInput::close()
     return true;
 }
 
-int HeldInput::fail_open(int error, std::string reason)
+std::string one_line(std::string reason, const std::string &path)
+{
+    static const char opened[] = "/proc/self/fd/";
+    const std::string name = path.substr(path.rfind('/') + 1); // npos + 1 is 0
+    std::replace(reason.begin(), reason.end(), '\n', ' ');
+    for (size_t at = 0; (at = reason.find(opened, at)) != std::string::npos; at += name.size()) {
+        const size_t end = reason.find_first_not_of("0123456789", at + sizeof opened - 1);
+        reason.replace(at, end == std::string::npos ? end : end - at, name);
+    }
+    return reason;
+}
+
+int HeldInput::fail_open(int error, const std::string &message)
 {
     const char *path = image->path.c_str();
-    std::replace(reason.begin(), reason.end(), '\n', ' ');
+    const std::string reason = one_line(message, image->path);
     if (image->temporary >= 0)
         return image->host->fail(image->ctx, BSQ_EIO, "%s: %s", path, reason.c_str());
     if (error == EMFILE || error == ENFILE || error == EIO) // not a fault of the image

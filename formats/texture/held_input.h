@@ -45,6 +45,10 @@ struct HeldImage {
     int recognise(Probe found);
 };
 
+// Makes OpenImageIO's message fit for one of ours: one line that names the image instead of the
+// descriptor that it is read from.
+std::string one_line(std::string reason, const std::string &path);
+
 // An opened image, of whose channels it gives the first three, or one, or alpha. OpenImageIO reads
 // the file through a descriptor, never by its name, and one format's plug-in alone sees it. open()
 // fails if the file or its layout is not that of the first opening, so that buffers of that layout
@@ -85,7 +89,7 @@ class HeldInput final : public OIIO::ImageInput
     void drop_channels();
     void keep(const void *from, void *to, size_t texels) const;
     int check_shape();
-    int fail_open(int error, std::string reason);
+    int fail_open(int error, const std::string &message);
     bool go_to(int ybegin, int yend);
     bool pass_on(bool good);
 

@@ -264,9 +264,9 @@ int fail_tiles(Textures *textures, const Image &image, int error, std::string re
 }
 
 // Reports a tile or row of the image that cannot be read: BSQ_EIO if the disk failed, else damage.
-int fail_read(Textures *textures, const Image &image, int error, std::string reason)
+int fail_read(Textures *textures, const Image &image, int error, const std::string &message)
 {
-    std::replace(reason.begin(), reason.end(), '\n', ' ');
+    const std::string reason = fmt::one_line(message, image.file->path);
     if (error == EIO)
         return textures->host->fail_errno(textures->ctx, BSQ_EIO, error, "%s: %s",
                                           image.file->path.c_str(), reason.c_str());

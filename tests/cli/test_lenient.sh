@@ -18,6 +18,7 @@ mkdir folder
 : >empty.png
 echo text >text.png
 printf '\211PNG\r\n\032\n\0\0\0\rIHDR\0\0\0\001\0\0\0\001\010\002\0\0\0\220wS\336' >cut.png
+{ printf '\377\330\377\340' && head -c 100 /dev/zero; } >cut.jpg
 
 # warns LINE OPTION...: a run with these options warns with exactly this line; with --strict it fails
 # with it, before it reads the scan.
@@ -49,6 +50,7 @@ texture . 'not a regular file'
 texture folder 'not a regular file'
 texture empty.png 'an empty file'
 texture cut.png 'not a readable image: the file is cut off'
+texture cut.jpg 'not a readable image: JPEG error: Premature end of JPEG file ("cut.jpg") Bad JPEG header for "cut.jpg"'
 texture text.png 'not a readable image: it is no PNG, JPEG, TIFF, OpenEXR, JPEG 2000, WebP, BMP, Radiance HDR, PNM or TGA'
 
 # The warning comes before the scan is read: here the scan has an error.
