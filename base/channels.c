@@ -30,6 +30,10 @@ static const struct bsq_channel channels[] = {
     {DATA("displacement", "disp", NULL)},
     {COLOR("specular", "map_Ks", "Ks")},
     {COLOR("emission", "map_Ke", "Ke"), .gltf = {"", "emissiveTexture", "emissiveFactor", 0, 0}},
+    {.name = BSQ_CHANNEL_NORMAL_MAP,
+     .values = 3,
+     .mtl_map = "norm",
+     .gltf = {"", "normalTexture", NULL, 0, 0}},
 };
 enum { CHANNELS = sizeof channels / sizeof *channels };
 

@@ -21,6 +21,10 @@ struct bsq_channel_gltf {
     float usual;         /* value without both */
 };
 
+/* The channel of a scan's normal map in tangent space. It belongs to the scan's normals, so grids
+ * do not keep it. */
+#define BSQ_CHANNEL_NORMAL_MAP "normal_map"
+
 /* What is known of a channel by its name. */
 struct bsq_channel {
     const char *name; /* "" for names that the table does not have */

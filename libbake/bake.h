@@ -149,8 +149,9 @@ struct bake_options {
     enum bake_normal_space normal_space; /**< Space of the normal map. */
     enum bake_sampling sampling;         /**< For grids. */
     enum bsq_scan_normals scan_normals;  /**< For chunk files without normals. */
-    /** Input: a tangent-space normal map in the texture space of the scan, added to its normals, or
-     * NULL. For chunk files. Its green grows with the second texture coordinate. */
+    /** Input: a tangent-space normal map in the texture space of the scan, added to its normals.
+     * For chunk files. NULL: what the chunk file keeps, if anything. Its green grows with the
+     * second texture coordinate. */
     const char *scan_normal_map;
     /** Distance that the samples 0 and 1 of an integer file with heights stand for, negative and
      * positive; < 0: the largest of the whole mesh. */

@@ -144,6 +144,12 @@ static int check_transfers(struct bsq_ctx *ctx, const struct bake_options *optio
                             "\"%s\" cannot be a transfer map: names have lower-case letters, "
                             "digits and _, with a letter first",
                             transfer->name);
+        if (strcmp(transfer->name, BSQ_CHANNEL_NORMAL_MAP) == 0)
+            return bsq_fail(
+                ctx, BSQ_EUSAGE,
+                "transfer map %s: directions in tangent space cannot be transferred; the "
+                "map normal contains them",
+                transfer->name);
         if (is_map_name(transfer->name))
             return bsq_fail(ctx, BSQ_EUSAGE, "transfer map %s: there is another map of this name",
                             transfer->name);

@@ -192,6 +192,10 @@ struct vox_voxelize_options {
     bool ids;                           /**< Give the grid the ids of the chunk file. */
     /** Channels of the chunk file that the grid gets: names separated by commas, or NULL. */
     const char *channels;
+    /** Input: a tangent-space normal map in the texture space of the scan, added to its normals.
+     * NULL: what the chunk file keeps, if anything. Its green grows with the second texture
+     * coordinate. */
+    const char *scan_normal_map;
 };
 
 /** What vox_voxelize() did. */

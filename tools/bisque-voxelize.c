@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/channels.h"
 #include "base/clock.h"
 #include "base/job_files.h"
 #include "base/output.h"
@@ -50,6 +51,11 @@ static int check_parts(const struct voxelize_job *job)
                          arguments->output);
     if (job->mesh_count == 0 && option)
         return cli_usage(job->cli, "%s is already a chunk file: leave out %s", part, option);
+    if (job->mesh_count == 0 && voxelize_keeps_normal_map(arguments))
+        return cli_usage(job->cli,
+                         "%s is already a chunk file: leave out the channel " BSQ_CHANNEL_NORMAL_MAP
+                         ", because its normals contain it if it has one",
+                         part);
     if (job->mesh_count > 0 && !arguments->tris && (arguments->resume || arguments->channel_count))
         return cli_usage(job->cli, "%s: beside chunk files, meshes are kept with --tris only",
                          arguments->resume ? "--resume" : "--channels");
@@ -132,6 +138,8 @@ static int note_inputs(struct bsq_ctx *ctx, const struct voxelize_arguments *arg
             status = bsq_note_input(ctx, arguments->inputs[i], "the scan");
     if (status == 0 && arguments->texture)
         status = bsq_note_texture(ctx, arguments->texture, "the texture");
+    if (status == 0 && arguments->scan_normal_map)
+        status = bsq_note_texture(ctx, arguments->scan_normal_map, "the scan's normal map");
     for (uint32_t i = 0; i < arguments->channel_count && status == 0; i++)
         if (arguments->channels[i].texture_path)
             status = bsq_note_texture(ctx, arguments->channels[i].texture_path, "the texture %s",
@@ -220,7 +228,23 @@ static int parse_inputs(struct voxelize_job *job)
 
 /* ---- the work ---- */
 
-static int sort_scan(struct voxelize_job *job)
+/* Lists the channels that the chunk file keeps: those of the options, and the normal map. */
+static int list_channels(const struct voxelize_job *job, struct vox_channel **list, uint32_t *count)
+{
+    const struct voxelize_arguments *arguments = job->arguments;
+    *list = calloc(arguments->channel_count + (size_t)1, sizeof **list);
+    if (!*list)
+        return bsq_fail_errno(job->cli->ctx, BSQ_ENOMEM, ENOMEM, "%s", job->tris_path);
+    for (uint32_t i = 0; i < arguments->channel_count; i++)
+        (*list)[i] = arguments->channels[i];
+    *count = arguments->channel_count;
+    if (arguments->scan_normal_map)
+        (*list)[(*count)++] =
+            (struct vox_channel){BSQ_CHANNEL_NORMAL_MAP, arguments->scan_normal_map};
+    return 0;
+}
+
+static int sort_with(struct voxelize_job *job, const struct vox_channel *channels, uint32_t count)
 {
     const struct voxelize_arguments *arguments = job->arguments;
     struct vox_sort_options options = {
@@ -231,8 +255,8 @@ static int sort_scan(struct voxelize_job *job)
         .ids = !arguments->channel_ids ? VOX_IDS_NONE
                : arguments->ids        ? arguments->ids
                                        : VOX_IDS_MATERIAL,
-        .channels = arguments->channels,
-        .channel_count = arguments->channel_count,
+        .channels = channels,
+        .channel_count = count,
         .tris_path = job->tris_path,
         .temp_tris = job->temp_tris,
         .keeps_tris = !job->temporary_tris,
@@ -250,6 +274,17 @@ static int sort_scan(struct voxelize_job *job)
     options.job = job->record;
     status = vox_sort(ctx, &options, &job->sort);
     return status == 0 && job->record ? vox_job_record(job->record) : status;
+}
+
+static int sort_scan(struct voxelize_job *job)
+{
+    struct vox_channel *channels = NULL;
+    uint32_t count = 0;
+    int status = list_channels(job, &channels, &count);
+    if (status == 0)
+        status = sort_with(job, channels, count);
+    free(channels);
+    return status;
 }
 
 static struct vox_voxelize_options grid_options(struct voxelize_job *job)
@@ -270,6 +305,7 @@ static struct vox_voxelize_options grid_options(struct voxelize_job *job)
         .vdb_path = arguments->vdb,
         .ids = arguments->channel_ids,
         .channels = arguments->channel_list,
+        .scan_normal_map = arguments->scan_normal_map,
     };
     return options;
 }
@@ -339,6 +375,8 @@ static int map_inputs(struct cli *cli, struct voxelize_arguments *arguments)
 {
     const char **inputs = (const char **)(uintptr_t)arguments->inputs;
     int status = cli_map_input(cli, &arguments->texture);
+    if (status == 0)
+        status = cli_map_input(cli, &arguments->scan_normal_map);
     if (status == 0)
         status = cli_map_input(cli, &arguments->farm.plan);
     for (uint32_t i = 0; i < arguments->channel_count && status == 0; i++)

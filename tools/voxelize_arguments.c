@@ -28,6 +28,8 @@ static const char help[] =
     "                          area, angle or max (default: smooth, which is area)\n"
     "      --channels LIST     what else to keep in chunks and grid: id; and for maps\n"
     "                          transfer:NAME, NAME of the materials or NAME=FILE\n"
+    "      --scan-normal-map FILE\n"
+    "                          the scan's own normal map in tangent space, added to its normals\n"
     "      --id KIND           what ids tell apart: material, object or color (default: material)\n"
     "      --vdb FILE          also write the grid as an OpenVDB file\n"
     "      --texture FILE      colours for a scan with texture coordinates but no MTL file\n"
@@ -55,6 +57,7 @@ enum {
     OPT_GRID_TYPE,
     OPT_SCAN_NORMALS,
     OPT_CHANNELS,
+    OPT_SCAN_NORMAL_MAP,
     OPT_ID,
     OPT_VDB,
     OPT_TEXTURE,
@@ -74,6 +77,7 @@ static const struct option long_options[] = {
     {"grid-type", required_argument, NULL, OPT_GRID_TYPE},
     {"scan-normals", required_argument, NULL, OPT_SCAN_NORMALS},
     {"channels", required_argument, NULL, OPT_CHANNELS},
+    {"scan-normal-map", required_argument, NULL, OPT_SCAN_NORMAL_MAP},
     {"id", required_argument, NULL, OPT_ID},
     {"vdb", required_argument, NULL, OPT_VDB},
     {"texture", required_argument, NULL, OPT_TEXTURE},
@@ -198,6 +202,16 @@ void voxelize_arguments_free(struct voxelize_arguments *arguments)
 
 /* ---- options ---- */
 
+/* Adds a name to the channels that the grid gets. */
+static int add_to_list(struct cli *cli, struct voxelize_arguments *arguments, const char *name)
+{
+    char *old = arguments->channel_list;
+    if (asprintf(&arguments->channel_list, "%s%s%s", old ? old : "", old ? "," : "", name) < 0)
+        arguments->channel_list = NULL;
+    free(old);
+    return arguments->channel_list ? 0 : cli_usage(cli, "no memory for the arguments");
+}
+
 /* Adds a channel "NAME" or "NAME=FILE". */
 static int add_channel(struct cli *cli, struct voxelize_arguments *arguments, const char *word)
 {
@@ -213,12 +227,8 @@ static int add_channel(struct cli *cli, struct voxelize_arguments *arguments, co
     if (equals)
         *equals = '\0';
     grown[arguments->channel_count++] = (struct vox_channel){name, equals ? equals + 1 : NULL};
-    char *old = arguments->channel_list;
-    if (asprintf(&arguments->channel_list, "%s%s%s", old ? old : "", old ? "," : "", name) < 0)
-        arguments->channel_list = NULL;
-    free(old);
-    if (!arguments->channel_list)
-        return cli_usage(cli, "no memory for the arguments");
+    if (strcmp(name, BSQ_CHANNEL_NORMAL_MAP) != 0 && add_to_list(cli, arguments, name) < 0)
+        return BSQ_EUSAGE;
     if (!bsq_is_channel_name(name))
         return cli_usage(cli, "--channels: \"%s\" is not a channel", word);
     return equals && equals[1] == '\0' ? cli_usage(cli, "--channels: \"%s\" names no file", word)
@@ -292,6 +302,9 @@ static int parse_option(struct cli *cli, void *arg, int option)
         return cli_parse_scan_normals(cli, optarg, &arguments->scan_normals);
     case OPT_CHANNELS:
         return parse_channels(cli, arguments);
+    case OPT_SCAN_NORMAL_MAP:
+        arguments->scan_normal_map = optarg;
+        return 0;
     case OPT_ID:
         return parse_ids(cli, arguments);
     case OPT_VDB:
@@ -323,6 +336,14 @@ static int parse_option(struct cli *cli, void *arg, int option)
     }
 }
 
+bool voxelize_keeps_normal_map(const struct voxelize_arguments *arguments)
+{
+    bool any = false;
+    for (uint32_t i = 0; i < arguments->channel_count; i++)
+        any |= strcmp(arguments->channels[i].name, BSQ_CHANNEL_NORMAL_MAP) == 0;
+    return any;
+}
+
 static int check_arguments(struct cli *cli, const struct voxelize_arguments *arguments)
 {
     const struct cli_tasks *farm = &arguments->farm;
@@ -348,6 +369,9 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
         return cli_usage(cli, "--resolution and --voxel-size exclude each other");
     if (arguments->ids != VOX_IDS_NONE && !arguments->channel_ids)
         return cli_usage(cli, "--id needs --channels id");
+    if (arguments->scan_normal_map && voxelize_keeps_normal_map(arguments))
+        return cli_usage(cli, "--scan-normal-map and --channels " BSQ_CHANNEL_NORMAL_MAP
+                              " exclude each other");
     if (arguments->tris && arguments->no_tris)
         return cli_usage(cli, "--tris and --no-tris exclude each other");
     if (arguments->sort_only && arguments->grid_option)

@@ -14,6 +14,7 @@ struct voxelize_arguments {
     enum vox_grid_type grid_type;
     enum bsq_scan_normals scan_normals;
     const char *vdb, *texture, *tris;
+    const char *scan_normal_map;
     bool channel_ids;
     struct vox_channel *channels; /* further ones; the names are owned */
     uint32_t channel_count;
@@ -38,6 +39,9 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
                              char **argv);
 
 /* Frees what parsing allocated. */
+/* Returns whether the chunk file is to keep the materials' normal maps. */
+bool voxelize_keeps_normal_map(const struct voxelize_arguments *arguments);
+
 void voxelize_arguments_free(struct voxelize_arguments *arguments);
 
 #endif

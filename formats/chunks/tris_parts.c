@@ -13,7 +13,10 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/channels.h"
 #include "base/job_files.h"
+
+static const char normal_map[] = BSQ_CHANNEL_NORMAL_MAP;
 
 /* ---- opening ---- */
 
@@ -81,7 +84,17 @@ static int join_materials(struct fmt_tris_file *all)
     return status;
 }
 
-/* Keeps the channels that all parts have, in the order of the first part. */
+/* Returns the number of parts that have a channel. */
+static uint32_t parts_with(const struct fmt_tris_file *all, const char *name)
+{
+    uint32_t count = 0;
+    for (uint32_t i = 0; i < all->part_count; i++)
+        count += fmt_tris_find_channel(&all->parts[i].file->header, name) != UINT32_MAX;
+    return count;
+}
+
+/* Keeps the channels that all parts have, in the order of the first part, and the normal map of any
+ * part: the others then have none. */
 static int join_channels(struct fmt_tris_file *all)
 {
     struct fmt_tris_header *header = &all->header;
@@ -90,14 +103,12 @@ static int join_channels(struct fmt_tris_file *all)
         header->materials[m].sources = NULL;
     int status = bsq_alloc(all->ctx, "channels", (uint64_t)first->channel_count + 1,
                            sizeof *header->channels, &header->channels);
-    for (uint32_t c = 0; c < first->channel_count && status == 0; c++) {
-        bool everywhere = true;
-        for (uint32_t i = 1; i < all->part_count; i++)
-            everywhere &= fmt_tris_find_channel(&all->parts[i].file->header, first->channels[c]) !=
-                          UINT32_MAX;
-        if (everywhere)
+    for (uint32_t c = 0; c < first->channel_count && status == 0; c++)
+        if (parts_with(all, first->channels[c]) == all->part_count)
             header->channels[header->channel_count++] = first->channels[c];
-    }
+    if (status == 0 && parts_with(all, normal_map) > 0 &&
+        fmt_tris_find_channel(header, normal_map) == UINT32_MAX)
+        header->channels[header->channel_count++] = (char *)(uintptr_t)normal_map;
     return status;
 }
 
@@ -118,9 +129,11 @@ static int join_sources(struct fmt_tris_file *all)
             const uint32_t number = all->parts[i].first_material + m;
             struct fmt_tris_source *to = all->sources + number * count;
             header->materials[number].sources = to;
-            for (uint64_t c = 0; c < count; c++)
-                to[c] =
-                    part->materials[m].sources[fmt_tris_find_channel(part, header->channels[c])];
+            for (uint64_t c = 0; c < count; c++) {
+                const uint32_t own = fmt_tris_find_channel(part, header->channels[c]);
+                if (own != UINT32_MAX)
+                    to[c] = part->materials[m].sources[own];
+            }
         }
     }
     return status;

@@ -98,7 +98,9 @@ static const char *find_loss(const struct gltf_place *place, const json_t *info,
     const json_t *strength = json_object_get(info, "strength");
     const json_t *emission = json_object_get(
         fmt_gltf_extension(place->object, "KHR_materials_emissive_strength"), "emissiveStrength");
-    bool scaled = json_is_number(strength) && json_number_value(strength) != 1;
+    const json_t *scale = json_object_get(info, "scale");
+    bool scaled = (json_is_number(strength) && json_number_value(strength) != 1) ||
+                  (json_is_number(scale) && json_number_value(scale) != 1);
     for (int k = 0; k < 3 && channel->channel->gltf.factor; k++)
         scaled |= info && factor[k] != 1;
     if (channel->channel->color && json_is_number(emission) && json_number_value(emission) != 1)

@@ -92,7 +92,6 @@ void bake_exact_close(struct bake_exact *exact)
         return;
     struct bsq_ctx *ctx = exact->ctx;
     fmt_textures_close(exact->textures);
-    fmt_textures_close(exact->normal_map);
     bake_exact_transfers_free(exact);
     bsq_free(ctx, exact->diffuse);
     bsq_free(ctx, exact->ids);
@@ -146,20 +145,7 @@ int bake_exact_use_color(struct bake_exact *exact)
 
 bool bake_exact_wants_footprints(const struct bake_exact *exact)
 {
-    return exact->textures || exact->transfers.textures || exact->normal_map;
-}
-
-/* ---- normals ---- */
-
-int bake_exact_use_normal_map(struct bake_exact *exact, const char *path)
-{
-    const struct fmt_texture_source image = {.path = path, .data = true};
-    if (!(exact->header->attributes & FMT_TRIS_TEXCOORDS))
-        return bsq_fail(exact->ctx, BSQ_EDATA,
-                        "%s has no texture coordinates for the normal map: make it with "
-                        "bisque-voxelize --channels normals=%s",
-                        exact->options.paths[0], path);
-    return fmt_textures_open(exact->ctx, &image, 1, exact_cache_bytes(exact), &exact->normal_map);
+    return exact->textures || exact->transfers.textures || exact->normal_map.textures;
 }
 
 /* ---- ids ---- */

@@ -55,10 +55,10 @@ int bake_exact_use_color(struct bake_exact *exact);
 int bake_exact_use_transfers(struct bake_exact *exact, const struct bake_transfer *transfers,
                              uint32_t count);
 
-/* Makes later batches add a tangent-space normal map to the scan's normals. Its red is the
- * direction in which u grows, green that of v; what is black or lies in no tile adds nothing. Call
- * it at most once, not from parallel work. Errors: BSQ_EDATA for a scan without texture
- * coordinates; those of fmt_textures_open(), BSQ_ENOMEM. */
+/* Makes later batches add a tangent-space normal map (base/normal_map.h) to the scan's normals.
+ * What lies in no tile adds nothing. path: its image; NULL: what the chunk file keeps, if anything.
+ * The path must live until bake_exact_close(). Call it at most once, not from parallel work.
+ * Errors: those of bake_exact_use_transfers(). */
 int bake_exact_use_normal_map(struct bake_exact *exact, const char *path);
 
 /* Makes later batches evaluate ids. Call it at most once, not from parallel work, and only if the

@@ -37,7 +37,9 @@ struct bake_exact {
     float (*diffuse)[3]; /* linear light of each material */
     uint32_t *ids;       /* of each material, then of triangles without one; NULL: not used */
     struct exact_transfers transfers;
-    struct fmt_textures *normal_map; /* one image, in tangent space; NULL: none */
+    /* One channel, or none: the scan's normal map in tangent space. */
+    struct exact_transfers normal_map;
+    struct bake_transfer normal_map_source; /* its list */
 };
 
 /* Returns the bytes that a cache of textures may take. */
@@ -205,6 +207,10 @@ struct exact_texture_place {
 /* Samples a texture whose coordinates are moved. */
 int bake_exact_sample(struct fmt_textures *textures, uint32_t image,
                       const struct exact_texture_place *at, const struct bsq_uv *uv, float out[3]);
+
+/* Samples the scan's normal map, which there is, at a hit; black if its material has none. */
+int bake_exact_sample_normal_map(const struct bake_exact *exact,
+                                 const struct exact_texture_place *at, float out[3]);
 
 /* Evaluates the channels of a hit. at: as found for the scan's texture coordinates. */
 int bake_exact_shade_channels(const struct bake_exact *exact, const struct exact_texture_place *at,

@@ -3,6 +3,7 @@
 
 #include <string.h>
 
+#include "base/normal_map.h"
 #include "base/octahedral.h"
 #include "libbake/kernel/bk_srgb.h"
 
@@ -84,54 +85,22 @@ static void shade_normal(const struct bake_exact *exact, const struct place *pla
         out[k] = (float)(n[k] / length);
 }
 
-/* Computes the direction in which the first texture coordinate grows on the plane of unit normal n,
- * as MikkTSpace has it, and across it the direction of the second one. False if the triangle has no
- * area in the texture. */
-static bool tangents(const struct place *place, const double n[3], double t[3], double b[3])
-{
-    const float(*texcoords)[2] = place->slot->chunk.texcoords;
-    double uv[2][2], along[3];
-    for (int e = 0; e < 2; e++)
-        for (int k = 0; k < 2; k++)
-            uv[e][k] = (double)texcoords[place->v[e + 1]][k] - (double)texcoords[place->v[0]][k];
-    const double area = uv[0][0] * uv[1][1] - uv[0][1] * uv[1][0];
-    for (int k = 0; k < 3; k++)
-        along[k] =
-            copysign(1, area) * (uv[1][1] * place->edge[0][k] - uv[0][1] * place->edge[1][k]);
-    const double out = dot(along, n);
-    for (int k = 0; k < 3; k++)
-        t[k] = along[k] - out * n[k];
-    const double length = sqrt(dot(t, t));
-    if (area == 0 || !(length > 0))
-        return false;
-    for (int k = 0; k < 3; k++)
-        t[k] /= length;
-    /* A mirrored texture and a normal on the triangle's other side each turn the second one. */
-    cross(n, t, b);
-    if ((area < 0) != (dot(place->cross, n) < 0))
-        for (int k = 0; k < 3; k++)
-            b[k] = -b[k];
-    return true;
-}
-
-/* Replaces a unit normal by that of the scan's normal map, whose tangents it gives. */
+/* Adds the scan's normal map to a unit normal. */
 static int add_normal_map(const struct bake_exact *exact, const struct place *place,
                           const struct exact_texture_place *at, float normal[3])
 {
-    const double n[3] = {(double)normal[0], (double)normal[1], (double)normal[2]};
-    double t[3], b[3], sum[3];
+    const float(*texcoords)[2] = place->slot->chunk.texcoords;
+    double n[3] = {(double)normal[0], (double)normal[1], (double)normal[2]}, uv[2][2];
     float texel[3];
-    int status = fmt_texture_sample(exact->normal_map, 0, at->u, at->v, at->du, at->dv, texel);
-    if (status != 0 || (texel[0] == 0 && texel[1] == 0 && texel[2] == 0) ||
-        !tangents(place, n, t, b))
-        return status;
-    for (int k = 0; k < 3; k++)
-        sum[k] = (2 * (double)texel[0] - 1) * t[k] + (2 * (double)texel[1] - 1) * b[k] +
-                 (2 * (double)texel[2] - 1) * n[k];
-    const double length = sqrt(dot(sum, sum));
-    for (int k = 0; k < 3 && length > 1e-6; k++)
-        normal[k] = (float)(sum[k] / length);
-    return 0;
+    int status = bake_exact_sample_normal_map(exact, at, texel);
+    for (int e = 0; e < 2; e++)
+        for (int k = 0; k < 2; k++)
+            uv[e][k] = (double)texcoords[place->v[e + 1]][k] - (double)texcoords[place->v[0]][k];
+    if (status == 0 &&
+        bsq_normal_map_apply((const double(*)[3])place->edge, (const double(*)[2])uv, texel, n))
+        for (int k = 0; k < 3; k++)
+            normal[k] = (float)n[k];
+    return status;
 }
 
 /* Sets the side of the triangle that the ray met, and whether that is the scan's back. */
@@ -267,10 +236,11 @@ int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *sl
     shade_normal(exact, &place, hit->normal);
     const struct fmt_tris_chunk *chunk = &slot->chunk;
     struct exact_texture_place at = {0};
-    if (chunk->texcoords && (batch->channels || exact->normal_map))
+    const bool mapped = chunk->texcoords && exact->normal_map.textures;
+    if (chunk->texcoords && (batch->channels || mapped))
         at = texture_place(&place, batch, ray);
-    int status =
-        chunk->texcoords && exact->normal_map ? add_normal_map(exact, &place, &at, hit->normal) : 0;
+    at.material = chunk->materials ? chunk->materials[place.triangle] : UINT32_MAX;
+    int status = mapped ? add_normal_map(exact, &place, &at, hit->normal) : 0;
     if (status < 0)
         return status;
     set_side(exact, &place, batch, ray);
@@ -279,7 +249,6 @@ int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *sl
             hit->normal[k] = -hit->normal[k];
     hit->id = exact->ids ? shade_id(exact, &place) : 0;
     if (batch->channels) {
-        at.material = chunk->materials ? chunk->materials[place.triangle] : UINT32_MAX;
         status = bake_exact_shade_channels(exact, &at,
                                            batch->channels + ray * exact_transfer_floats(exact));
         if (status < 0)

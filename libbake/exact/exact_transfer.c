@@ -1,4 +1,5 @@
-/* exact_transfer.c - further channels of a scan: their textures, and their values at hits. */
+/* exact_transfer.c - further channels of a scan: their textures, and their values at hits. Also the
+ * scan's normal map, which is such a channel. */
 #include "base/channels.h"
 #include "libbake/exact/exact_scene.h"
 
@@ -36,9 +37,9 @@ static int find_sources(struct bake_exact *exact, const struct bake_transfer *tr
     return status;
 }
 
-static int open_textures(struct bake_exact *exact, uint64_t count)
+static int open_textures(struct bake_exact *exact, uint64_t count,
+                         struct exact_transfers *transfers)
 {
-    struct exact_transfers *transfers = &exact->transfers;
     struct fmt_texture_source *images;
     bool any = false;
     int status = bsq_calloc(exact->ctx, "texture paths", count, sizeof *images, &images);
@@ -56,33 +57,55 @@ static int open_textures(struct bake_exact *exact, uint64_t count)
     return status;
 }
 
-int bake_exact_use_transfers(struct bake_exact *exact, const struct bake_transfer *transfers,
-                             uint32_t count)
+static int use(struct bake_exact *exact, const struct bake_transfer *list, uint32_t count,
+               struct exact_transfers *out)
 {
     const uint64_t each = sources_each(exact);
     if (count * each >= UINT32_MAX)
         return bsq_fail(exact->ctx, BSQ_EDATA, "%s: too many materials for %u transfer maps",
                         exact->options.paths[0], count);
-    exact->transfers = (struct exact_transfers){.count = count, .list = transfers};
-    int status = bsq_calloc(exact->ctx, "channels", count * each, sizeof *exact->transfers.sources,
-                            &exact->transfers.sources);
+    *out = (struct exact_transfers){.count = count, .list = list};
+    int status =
+        bsq_calloc(exact->ctx, "channels", count * each, sizeof *out->sources, &out->sources);
     for (uint32_t i = 0; i < count && status == 0; i++)
-        status = find_sources(exact, &transfers[i], exact->transfers.sources + i * each);
-    return status < 0 ? status : open_textures(exact, count * each);
+        status = find_sources(exact, &list[i], out->sources + i * each);
+    return status < 0 ? status : open_textures(exact, count * each, out);
+}
+
+int bake_exact_use_transfers(struct bake_exact *exact, const struct bake_transfer *transfers,
+                             uint32_t count)
+{
+    return use(exact, transfers, count, &exact->transfers);
+}
+
+int bake_exact_use_normal_map(struct bake_exact *exact, const char *path)
+{
+    const struct fmt_tris_header *header = exact->header;
+    if (!path && fmt_tris_find_channel(header, BSQ_CHANNEL_NORMAL_MAP) == UINT32_MAX)
+        return 0;
+    exact->normal_map_source =
+        (struct bake_transfer){.name = BSQ_CHANNEL_NORMAL_MAP, .texture_path = path};
+    return use(exact, &exact->normal_map_source, 1, &exact->normal_map);
+}
+
+static void free_transfers(struct bsq_ctx *ctx, struct exact_transfers *transfers)
+{
+    fmt_textures_close(transfers->textures);
+    bsq_free(ctx, transfers->sources);
+    *transfers = (struct exact_transfers){0};
 }
 
 void bake_exact_transfers_free(struct bake_exact *exact)
 {
-    fmt_textures_close(exact->transfers.textures);
-    bsq_free(exact->ctx, exact->transfers.sources);
-    exact->transfers = (struct exact_transfers){0};
+    free_transfers(exact->ctx, &exact->transfers);
+    free_transfers(exact->ctx, &exact->normal_map);
 }
 
 int bake_exact_tell_missing(struct bake_exact *exact)
 {
     int status = exact->textures ? fmt_textures_tell_missing(exact->textures) : 0;
-    if (status == 0 && exact->normal_map)
-        status = fmt_textures_tell_missing(exact->normal_map);
+    if (status == 0 && exact->normal_map.textures)
+        status = fmt_textures_tell_missing(exact->normal_map.textures);
     if (status == 0 && exact->transfers.textures)
         status = fmt_textures_tell_missing(exact->transfers.textures);
     return status;
@@ -96,12 +119,29 @@ int bake_exact_sample(struct fmt_textures *textures, uint32_t image,
                               bsq_uv_width(uv, 1, at->dv), out);
 }
 
+/* Returns the number of a material among the sources of a channel. */
+static uint32_t source_number(const struct bake_exact *exact, uint32_t material)
+{
+    const uint32_t none = exact->header->material_count;
+    return material < none ? material : none;
+}
+
+int bake_exact_sample_normal_map(const struct bake_exact *exact,
+                                 const struct exact_texture_place *at, float out[3])
+{
+    const struct exact_transfers *map = &exact->normal_map;
+    const uint32_t image = source_number(exact, at->material);
+    memset(out, 0, 3 * sizeof *out);
+    return map->sources[image].texture_path
+               ? bake_exact_sample(map->textures, image, at, &map->sources[image].uv, out)
+               : 0;
+}
+
 int bake_exact_shade_channels(const struct bake_exact *exact, const struct exact_texture_place *at,
                               float *out)
 {
     const struct exact_transfers *transfers = &exact->transfers;
-    const uint32_t none = exact->header->material_count;
-    const uint32_t material = at->material < none ? at->material : none;
+    const uint32_t material = source_number(exact, at->material);
     int status = 0;
     for (uint32_t i = 0; i < transfers->count && status == 0; i++, out += BK_TRANSFER_VALUES) {
         const uint32_t image = (uint32_t)(i * sources_each(exact)) + material;

@@ -232,19 +232,22 @@ int bake_surface_use_transfers(struct bake_surface *surface, const struct bake_o
 
 int bake_surface_use_normal_map(struct bake_surface *surface, const struct bake_options *options)
 {
-    if (!options->scan_normal_map)
-        return 0;
-    if (surface->parts)
+    const char *path = options->scan_normal_map;
+    int status = 0;
+    if (path && surface->parts)
         return bsq_fail(surface->ctx, BSQ_EUSAGE,
-                        "%s is the normal map of one scan, but there are %u scans",
-                        options->scan_normal_map, options->more_scan_count + 1);
-    if (!surface->exact)
-        return bsq_fail(
-            surface->ctx, BSQ_EUSAGE,
-            "%s: a grid has no texture coordinates for the normal map %s; bake from the "
-            "chunk file",
-            surface->path, options->scan_normal_map);
-    return bake_exact_use_normal_map(surface->exact, options->scan_normal_map);
+                        "%s is the normal map of one scan, but there are %u scans", path,
+                        options->more_scan_count + 1);
+    for (uint32_t p = 0; p < surface->part_count && status == 0; p++)
+        status = bake_surface_use_normal_map(&surface->parts[p], options);
+    if (surface->exact)
+        return bake_exact_use_normal_map(surface->exact, path);
+    if (path && !surface->parts)
+        return bsq_fail(surface->ctx, BSQ_EUSAGE,
+                        "%s: a grid has no texture coordinates for the normal map %s; bake from "
+                        "the chunk file, or give the image to bisque-voxelize",
+                        surface->path, path);
+    return status;
 }
 
 struct bake_scan_facts bake_surface_facts(const struct bake_surface *surface)

@@ -59,9 +59,9 @@ int bake_surface_use_color(struct bake_surface *surface);
  * several scans. */
 int bake_surface_use_transfers(struct bake_surface *surface, const struct bake_options *options);
 
-/* Makes later hits have normals with the scan's normal map, if the options name one. Call it at
- * most once, not from parallel work. Errors: those of bake_exact_use_normal_map(); BSQ_EUSAGE for a
- * grid or several scans. */
+/* Makes later hits have normals with the scan's normal map: the image of the options, or those that
+ * chunk files keep. Call it at most once, not from parallel work. Errors: those of
+ * bake_exact_use_normal_map(); BSQ_EUSAGE for an image and a grid, or several scans. */
 int bake_surface_use_normal_map(struct bake_surface *surface, const struct bake_options *options);
 
 /* Makes later hits carry ids, if `use` is set and the scan has any; otherwise devices do not get

@@ -39,9 +39,10 @@ static const struct fmt_farm_member members[] = {
     MEMBER(OPTIONAL, vdb_path, 0),
     MEMBER(BOOL, ids, 0),
     MEMBER(TEXT, channels, FMT_FARM_OR_NULL),
+    MEMBER(OPTIONAL, scan_normal_map, 0),
 };
 enum { MEMBERS = sizeof members / sizeof *members };
-_Static_assert(sizeof(struct vox_voxelize_options) == 88, "a new option needs a row in `members`");
+_Static_assert(sizeof(struct vox_voxelize_options) == 96, "a new option needs a row in `members`");
 _Static_assert(sizeof(enum vox_grid_type) == sizeof(unsigned), "a choice is an unsigned number");
 
 /* ---- making ---- */
@@ -74,7 +75,8 @@ static int copy_options(struct vox_farm_plan *plan, const struct vox_voxelize_op
     to->grid_path = strdup(from->grid_path);
     to->vdb_path = from->vdb_path ? strdup(from->vdb_path) : NULL;
     to->channels = from->channels ? strdup(from->channels) : NULL;
-    failed |= from->channels && !to->channels;
+    to->scan_normal_map = from->scan_normal_map ? strdup(from->scan_normal_map) : NULL;
+    failed |= (from->channels && !to->channels) || (from->scan_normal_map && !to->scan_normal_map);
     failed |= !to->grid_path || (from->vdb_path && !to->vdb_path);
     return failed ? fmt_farm_fail_memory(&plan->base) : 0;
 }

@@ -136,6 +136,10 @@ static int open_textures(const struct vox_run *run)
     if (run->options->channels)
         status = vox_shading_use_channels(run->ctx, run->file, run->options->channels,
                                           bsq_memory_left(run->ctx) / 4, &shading);
+    if (status == 0)
+        status = vox_shading_use_normal_map(run->ctx, run->options->tris_path,
+                                            run->options->scan_normal_map,
+                                            bsq_memory_left(run->ctx) / 4, &shading);
     vox_shading_free(run->ctx, &shading);
     return status;
 }

@@ -34,7 +34,7 @@ enum { SLABS_MAX = VOX_REGION_SIZE / 8 };
 
 struct plan {
     uint64_t cache_slots, accumulator_bytes, result_bytes;
-    uint64_t texture_bytes; /* for colours, and as many again for further channels */
+    uint64_t texture_bytes; /* for colours, for further channels and for the normal map each */
 };
 
 static uint64_t min64(uint64_t a, uint64_t b)
@@ -60,7 +60,8 @@ static int make_plan(const struct vox_run *job, struct plan *plan)
     plan->texture_bytes = 0;
     const uint64_t caches =
         (vox_shading_needs_textures(job->header) ? 1u : 0u) +
-        (vox_shading_channels_need_textures(job->header, job->options->channels) ? 1u : 0u);
+        (vox_shading_channels_need_textures(job->header, job->options->channels) ? 1u : 0u) +
+        (vox_shading_needs_normal_map(job->header, job->options->scan_normal_map) ? 1u : 0u);
     if (caches > 0) {
         plan->texture_bytes = min64(available / 4 / caches, TEXTURE_CACHE_BYTES_USEFUL);
         if (plan->texture_bytes < TEXTURE_CACHE_BYTES_MIN)
@@ -90,6 +91,19 @@ static int make_plan(const struct vox_run *job, struct plan *plan)
 
 /* ---- set-up ---- */
 
+static int check_channels(const struct vox_run *job)
+{
+    const char *list = job->options->channels;
+    uint32_t first;
+    if (list && vox_run_channel_values(job) == 0)
+        return bsq_fail(job->ctx, BSQ_EUSAGE, "\"%.60s\" cannot be channels", list);
+    if (list && bsq_channel_list_find(list, strlen(list), BSQ_CHANNEL_NORMAL_MAP, &first))
+        return bsq_fail(job->ctx, BSQ_EUSAGE,
+                        "grids have no channel " BSQ_CHANNEL_NORMAL_MAP
+                        ": their normals contain it");
+    return 0;
+}
+
 static int open_input(struct vox_run *job)
 {
     const char *path = job->options->tris_path;
@@ -107,9 +121,8 @@ static int open_input(struct vox_run *job)
         return bsq_fail(job->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks are too many", path,
                         job->header->chunk_count);
     status = job->options->ids ? fmt_tris_require_ids(job->file) : 0;
-    if (status == 0 && job->options->channels && vox_run_channel_values(job) == 0)
-        status =
-            bsq_fail(job->ctx, BSQ_EUSAGE, "\"%.60s\" cannot be channels", job->options->channels);
+    if (status == 0)
+        status = check_channels(job);
     return status < 0 ? status
                       : vox_transform_init(job->ctx, job->header, path, job->options->resolution,
                                            job->options->voxel_size, &job->shared.transform);
@@ -227,6 +240,9 @@ static int set_up(struct vox_run *job)
                       ? vox_shading_use_channels(job->ctx, job->file, job->options->channels,
                                                  plan.texture_bytes, &job->shared.shading)
                       : 0) < 0 ||
+        (status = vox_shading_use_normal_map(job->ctx, job->options->tris_path,
+                                             job->options->scan_normal_map, plan.texture_bytes,
+                                             &job->shared.shading)) < 0 ||
         (status = vox_chunks_create(job->ctx, job->file, &job->shared.transform, job->boxes,
                                     job->box_count, job->filter, job->smooth,
                                     (uint32_t)plan.cache_slots, &job->shared.chunks)) < 0 ||

@@ -309,43 +309,6 @@ for map in color roughness metallic emission coat; do
     check "tasks give the bytes of $map" $?
 done
 
-# ---- the scan's own normal map ----
-
-# The same plane with texture coordinates from right to left.
-awk '$1 == "vt" { $2 = 1 - $2 } { print }' plane.obj >left_plane.obj
-$vox left_plane.obj --texture light.png -o left_plane.nvdb
-code 0
-for scan in plane left_plane; do
-    $bake $scan.tris low.obj --maps normal --normal-space object --scan-normal-map tilt.png -o n_$scan.png
-    code 0
-done
-values n_plane.png tilted 0.0002
-values n_left_plane.png tilted_left 0.0002
-$bake plane.tris low.obj --maps normal --normal-space object --scan-normal-map tilt.png --tasks 2 --write-plan n.json \
-    -o n_tasks.png
-code 0
-for part in '--task 0-1' --merge; do
-    run bisque-bake --plan n.json $part
-    code 0
-done
-cmp -s n_plane.png n_tasks.png
-check "tasks give the bytes of normals with the scan's map" $?
-$bake plane.nvdb low.obj --maps normal --scan-normal-map tilt.png -o x.png
-code 64
-err_like 'plane.nvdb: a grid has no texture coordinates for the normal map tilt.png; bake from the chunk file'
-$bake bare.tris low.obj --maps normal --scan-normal-map tilt.png -o x.png
-code 65
-err_like 'bare.tris has no texture coordinates for the normal map: make it with bisque-voxelize --channels normals=tilt.png'
-$bake plane.tris low.obj --maps normal --scan-normal-map none.png -o x.png
-code 66
-err_like 'none.png'
-$bake plane.tris low.obj --maps normal --scan-normal-map tilt.png -o tilt.png
-code 64
-err_like 'tilt.png'
-$bake plane.tris plane.nvdb low.obj --maps normal --scan-normal-map tilt.png -o x.png
-code 64
-err_like 'tilt.png is the normal map of one scan, but there are 2 scans'
-
 # ---- what is refused ----
 
 $bake plane.tris low.obj --maps transfer:gloss -o x.png

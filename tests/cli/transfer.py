@@ -67,6 +67,8 @@ def tilted(u, v, x=1):
 FUNCTIONS["tilt"] = tilt
 FUNCTIONS["tilted"] = tilted
 FUNCTIONS["tilted_left"] = lambda u, v: tilted(1 - u, v, -1)
+FUNCTIONS["flat"] = lambda u, v: (0.5, 0.5, 1)
+FUNCTIONS["half_tilted"] = lambda u, v: tilted(u, v) if u < 0.6 else (0.5, 0.5, 1)
 
 
 # Tiles (0, 0) and (1, 0) of one texture; the third is missing.

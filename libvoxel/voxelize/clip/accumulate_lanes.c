@@ -7,7 +7,9 @@
 #include "libvoxel/voxelize/clip/fragment_block.h"
 
 #include <assert.h>
+#include <math.h>
 
+#include "base/normal_map.h"
 #include "libvoxel/voxelize/clip/clip.h"
 #include "libvoxel/voxelize/clip/small_lanes.h"
 
@@ -40,12 +42,42 @@ LANES_INLINE struct source source_of(const struct vox_accumulation *job)
                            .has_channels = job->sums->channels != NULL};
 }
 
+/* What a fragment has from textures. */
+struct textured {
+    const double *rgb;          /* its colour, and 1; NULL: interpolated from the triangle's */
+    const double *channels;     /* its further channels; NULL: those of the triangle's material */
+    const float *texel;         /* of the triangle's normal map; NULL: it has none */
+    const double (*uv_edge)[2]; /* with a texel: as for bsq_normal_map_apply() */
+};
+
+/* Replaces the sum of a fragment's normal by that of the normal map. The triangle's plane does not
+ * predict it. */
+static __attribute__((noinline)) void add_normal_map(const struct block_facts *facts,
+                                                     const struct textured *from, double area,
+                                                     struct row *normal)
+{
+    const double *flat = facts->row[ROW_FLAT];
+    double edge[2][3], n[4];
+    row_store(*normal, n);
+    const double length = sqrt(vox_dot(n, n));
+    if (!(length > 0.0))
+        return;
+    for (int k = 0; k < 3; k++) {
+        edge[0][k] = facts->row[ROW_EDGE1][k];
+        edge[1][k] = facts->row[ROW_EDGE2][k];
+        n[k] /= length;
+    }
+    if (!bsq_normal_map_apply((const double(*)[3])edge, from->uv_edge, from->texel, n))
+        return;
+    const double weight = area * fabs(vox_dot(n, flat));
+    *normal = row_of(weight * n[0], weight * n[1], weight * n[2], area * VOX_INCONSISTENT);
+}
+
 /* Adds a fragment of the triangle at this place. cell: lower corner of its voxel, relative to that
- * of the triangle's lowest. rgb: its colour, and 1; NULL: interpolated from the triangle's.
- * channels: its values of further channels; NULL: those of the triangle's material. */
+ * of the triangle's lowest. */
 LANES_INLINE int add_fragment(const struct source *from, uint32_t place,
                               const struct block_fragment *fragment, const double cell[4],
-                              const double rgb[4], const double *channels)
+                              const struct textured *textured)
 {
     const struct block_facts *facts = &from->block->facts[place];
     struct vox_fragment_sum sum;
@@ -53,8 +85,10 @@ LANES_INLINE int add_fragment(const struct source *from, uint32_t place,
         shade_smooth(facts, fragment, cell, from->marked, from->curved, &sum);
     else
         shade_flat(facts, fragment, cell, &sum);
-    if (rgb)
-        sum.color = row_times(fragment->area, row_load(rgb));
+    if (textured && textured->texel)
+        add_normal_map(facts, textured, fragment->area, &sum.normal);
+    if (textured && textured->rgb)
+        sum.color = row_times(fragment->area, row_load(textured->rgb));
     else if (from->has_color)
         sum.color = shade_mean(shade_rows(facts, ROW_COLOR), fragment);
     else
@@ -64,8 +98,8 @@ LANES_INLINE int add_fragment(const struct source *from, uint32_t place,
         sum.id =
             vox_shade_id(from->job->shading, from->job->chunk, from->block->triangles[place].number,
                          fragment->area, fragment->moment);
-    sum.channels = channels;
-    if (from->has_channels && !channels)
+    sum.channels = textured ? textured->channels : NULL;
+    if (from->has_channels && !sum.channels)
         sum.channels = vox_shade_channels(from->job->shading, from->job->chunk,
                                           from->block->triangles[place].number);
     return vox_accumulator_add(from->sums, fragment->voxel, &sum, from->has_color, from->has_ids,
@@ -81,7 +115,7 @@ LANES_INLINE int add_run(const struct source *from, const uint32_t *run, uint32_
         const struct block_fragment *fragment =
             &from->block->fragments[run[i] % BLOCK_RUN_TRIANGLE];
         status |= add_fragment(from, run[i] / BLOCK_RUN_TRIANGLE, fragment,
-                               shade_cells[fragment->cell % FRAGMENT_FLAT], NULL, NULL);
+                               shade_cells[fragment->cell % FRAGMENT_FLAT], NULL);
     }
     return status;
 }
@@ -165,28 +199,55 @@ struct single {
     struct shade_triangles triangles;
     uint32_t image; /* UINT32_MAX: no texture */
     bool channels;  /* further channels have textures */
-    double area, uv[3][2];
+    bool normal_map;
+    double area, uv[3][2], uv_edge[2][2];
     struct queue queue;
     double cells[LANE_COUNT][4], rgb[LANE_COUNT][4];
+    float texels[LANE_COUNT][3]; /* of the normal map */
 };
 
 static int add_waiting(struct single *s)
 {
-    bool textured = s->image != UINT32_MAX;
     const double *channels = s->channels ? s->from.sums->fragment_channels : NULL;
     int status = vox_accumulator_reserve(s->from.sums);
     put_queue(&s->triangles, &s->queue, s->job->block);
-    for (uint32_t i = 0; i < s->queue.count && status == 0; i++)
+    for (uint32_t i = 0; i < s->queue.count && status == 0; i++) {
+        const struct textured textured = {
+            .rgb = s->image != UINT32_MAX ? s->rgb[i] : NULL,
+            .channels = channels ? channels + i * s->from.sums->channel_words : NULL,
+            .texel = s->normal_map ? s->texels[i] : NULL,
+            .uv_edge = (const double(*)[2])s->uv_edge,
+        };
         status = add_fragment(&s->from, s->place, &s->job->block->fragments[BLOCK_FRAGMENTS + i],
-                              s->cells[i], textured ? s->rgb[i] : NULL,
-                              channels ? channels + i * s->from.sums->channel_words : NULL);
+                              s->cells[i], &textured);
+    }
     s->queue.count = 0;
+    return status;
+}
+
+/* Samples the textures of fragment i. */
+static int sample_textures(const struct single *s, const struct vox_fragment *fragment, double *rgb,
+                           double *channels, float texel[3])
+{
+    const double(*uv)[2] = (const double(*)[2])s->uv;
+    const struct vox_shading *shading = s->job->shading;
+    const uint32_t triangle = s->job->block->triangles[s->place].number;
+    int status = 0;
+    if (s->image != UINT32_MAX)
+        status = vox_shade_texture(shading, s->image, uv, fragment->b, fragment->uv_extent, rgb);
+    if (status == 0 && s->channels)
+        status = vox_shade_channel_textures(shading, s->job->chunk, triangle, uv, fragment->b,
+                                            fragment->uv_extent, channels);
+    if (status == 0 && s->normal_map)
+        status = vox_shade_normal_map(shading, s->job->chunk, triangle, uv, fragment->b,
+                                      fragment->uv_extent, texel);
     return status;
 }
 
 static int take_fragment(void *arg, const struct vox_fragment *fragment)
 {
     struct single *s = arg;
+    const struct vox_accumulator *sums = s->from.sums;
     const int32_t *origin = s->job->region->lo;
     uint32_t i = s->queue.count++, at[3];
     double area = s->area * fragment->fraction;
@@ -200,22 +261,23 @@ static int take_fragment(void *arg, const struct vox_fragment *fragment)
     }
     s->queue.number[i] = vox_voxel_number(at[0], at[1], at[2]) | (long long)(BLOCK_FRAGMENTS + i)
                                                                      << NUMBER_PLACE;
-    if (s->image != UINT32_MAX) {
-        int status = vox_shade_texture(s->job->shading, s->image, (const double(*)[2])s->uv,
-                                       fragment->b, fragment->uv_extent, s->rgb[i]);
-        if (status < 0)
-            return status;
-    }
-    if (s->channels) {
-        struct vox_accumulator *sums = s->from.sums;
-        int status = vox_shade_channel_textures(
-            s->job->shading, s->job->chunk, s->job->block->triangles[s->place].number,
-            (const double(*)[2])s->uv, fragment->b, fragment->uv_extent,
-            sums->fragment_channels + (uint64_t)i * sums->channel_words);
-        if (status < 0)
-            return status;
-    }
+    double *channels =
+        s->channels ? sums->fragment_channels + (uint64_t)i * sums->channel_words : NULL;
+    int status = sample_textures(s, fragment, s->rgb[i], channels, s->texels[i]);
+    if (status < 0)
+        return status;
     return s->queue.count == LANE_COUNT ? add_waiting(s) : 0;
+}
+
+/* Sets the texture coordinates of the triangle's corners, and their differences. */
+static void set_uv(struct single *s, const struct vox_chunk *chunk, const uint32_t v[3])
+{
+    for (int k = 0; k < 2; k++) {
+        for (int i = 0; i < 3; i++)
+            s->uv[i][k] = (double)chunk->source.texcoords[v[i]][k];
+        for (int e = 0; e < 2; e++)
+            s->uv_edge[e][k] = s->uv[e + 1][k] - s->uv[0][k];
+    }
 }
 
 static __attribute__((noinline)) int add_alone(const struct vox_accumulation *job, uint32_t place)
@@ -249,10 +311,9 @@ static __attribute__((noinline)) int add_alone(const struct vox_accumulation *jo
     s.image = vox_shade_image(job->shading, chunk, triangle->number);
     s.channels =
         s.from.has_channels && vox_shade_has_textures(job->shading, chunk, triangle->number);
-    if (s.image != UINT32_MAX || s.channels) {
-        for (int i = 0; i < 3; i++)
-            for (int k = 0; k < 2; k++)
-                s.uv[i][k] = (double)chunk->source.texcoords[v[i]][k];
+    s.normal_map = vox_shade_has_normal_map(job->shading, chunk, triangle->number);
+    if (s.image != UINT32_MAX || s.channels || s.normal_map) {
+        set_uv(&s, chunk, v);
         clip.uv = (const double(*)[2])s.uv;
     }
     int status = vox_clip(&clip, job->region, job->window, take_fragment, &s);
@@ -318,6 +379,16 @@ LANES_INLINE void prefetch_triangle(const struct vox_chunk *chunk, uint32_t tria
 
 enum { PREFETCH_AHEAD = 12 };
 
+/* Returns whether something of a triangle comes from textures, so that it is clipped alone. */
+LANES_INLINE bool is_textured(const struct vox_accumulation *job, uint32_t triangle)
+{
+    const struct vox_shading *shading = job->shading;
+    return (shading->textures && vox_shade_image(shading, job->chunk, triangle) != UINT32_MAX) ||
+           (shading->channels.textures && vox_shade_has_textures(shading, job->chunk, triangle)) ||
+           (shading->normal_map.textures &&
+            vox_shade_has_normal_map(shading, job->chunk, triangle));
+}
+
 /* Puts the triangles from begin to end that meet the window into the block. capacity: fragments
  * that the block can still take. */
 static int add_group(const struct vox_accumulation *job, uint32_t begin, uint32_t end,
@@ -334,11 +405,7 @@ static int add_group(const struct vox_accumulation *job, uint32_t begin, uint32_
             continue;
         four_ints planes = cells.high - cells.low;
         uint32_t fragments = 0, kind = KIND_LARGE;
-        if (!four_any(planes > DIVIDE_MAX_PLANES) &&
-            (!job->shading->textures ||
-             vox_shade_image(job->shading, job->chunk, i) == UINT32_MAX) &&
-            !(job->shading->channels.textures &&
-              vox_shade_has_textures(job->shading, job->chunk, i))) {
+        if (!four_any(planes > DIVIDE_MAX_PLANES) && !is_textured(job, i)) {
             kind = (uint32_t)(planes[0] << 4 | planes[1] << 2 | planes[2]);
             fragments = (uint32_t)((planes[0] + 1) * (planes[1] + 1) * (planes[2] + 1));
         }

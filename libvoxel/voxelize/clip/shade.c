@@ -70,6 +70,8 @@ int vox_shading_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
 int vox_shading_tell_missing(const struct vox_shading *shading)
 {
     int status = shading->textures ? fmt_textures_tell_missing(shading->textures) : 0;
+    if (status == 0 && shading->normal_map.textures)
+        status = fmt_textures_tell_missing(shading->normal_map.textures);
     return status == 0 && shading->channels.textures
                ? fmt_textures_tell_missing(shading->channels.textures)
                : status;
@@ -84,6 +86,7 @@ void vox_shading_free(struct bsq_ctx *ctx, struct vox_shading *shading)
     bsq_free(ctx, shading->ids);
     shading->ids = NULL;
     vox_shading_channels_free(ctx, &shading->channels);
+    vox_shading_normal_map_free(ctx, &shading->normal_map);
 }
 
 /* ---- triangles ---- */
@@ -144,12 +147,9 @@ uint32_t vox_shade_id(const struct vox_shading *shading, const struct vox_chunk 
 {
     const struct fmt_tris_chunk *source = &chunk->source;
     const double weight[3] = {area - moment[0] - moment[1], moment[0], moment[1]};
-    const uint32_t none = shading->header->material_count;
     int nearest = 0;
-    if (shading->header->ids != BSQ_IDS_COLOR) {
-        const uint32_t material = source->materials ? source->materials[triangle] : none;
-        return shading->ids[material < none ? material : none];
-    }
+    if (shading->header->ids != BSQ_IDS_COLOR)
+        return shading->ids[vox_shade_material(shading, chunk, triangle)];
     for (int i = 1; i < 3; i++)
         nearest = weight[i] > weight[nearest] ? i : nearest;
     const uint32_t color =

@@ -23,6 +23,12 @@ struct vox_shading_channels {
                                       NULL: none */
 };
 
+/* The scan's normal map in tangent space (base/normal_map.h). */
+struct vox_shading_normal_map {
+    struct fmt_tris_source *sources; /* of each material, then of triangles without one */
+    struct fmt_textures *textures;   /* the images of the sources; NULL: there is no map */
+};
+
 /* Sources of colour in order of precedence: the texture of the triangle's material, if the scan has
  * texture coordinates; vertex colours; the material's diffuse colour. */
 struct vox_shading {
@@ -33,6 +39,7 @@ struct vox_shading {
     uint32_t *ids; /* of each material, then of triangles without one; NULL: not used */
     struct vox_color_tables tables;
     struct vox_shading_channels channels;
+    struct vox_shading_normal_map normal_map;
 };
 
 /* Warns of tiles of textures that are missing, each once. Not from parallel work. Errors: BSQ_EDATA
@@ -62,6 +69,33 @@ int vox_shading_use_channels(struct bsq_ctx *ctx, const struct fmt_tris_file *fi
 /* Returns whether channels of a list have textures. */
 bool vox_shading_channels_need_textures(const struct fmt_tris_header *header, const char *list);
 void vox_shading_channels_free(struct bsq_ctx *ctx, struct vox_shading_channels *channels);
+
+/* Returns whether vox_shading_use_normal_map() will open textures. path: as there. */
+bool vox_shading_needs_normal_map(const struct fmt_tris_header *header, const char *path);
+/* Opens the scan's normal map: the image `path` or, if that is NULL, those that the chunk file
+ * keeps, if any. tris_path is for messages. Errors: BSQ_EDATA for an image without texture
+ * coordinates, and those of textures. */
+int vox_shading_use_normal_map(struct bsq_ctx *ctx, const char *tris_path, const char *path,
+                               uint64_t texture_bytes, struct vox_shading *shading);
+void vox_shading_normal_map_free(struct bsq_ctx *ctx, struct vox_shading_normal_map *map);
+
+/* Returns a triangle's material; the number of materials if it has none. */
+static inline uint32_t vox_shade_material(const struct vox_shading *shading,
+                                          const struct vox_chunk *chunk, uint32_t triangle)
+{
+    const uint32_t none = shading->header->material_count;
+    const uint32_t material = chunk->source.materials ? chunk->source.materials[triangle] : none;
+    return material < none ? material : none;
+}
+
+/* Returns whether a triangle has a normal map. */
+bool vox_shade_has_normal_map(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                              uint32_t triangle);
+/* Samples a triangle's normal map over a fragment. uv, b, uv_extent: as for vox_shade_texture().
+ * Errors: those of fmt_texture_sample(). */
+int vox_shade_normal_map(const struct vox_shading *shading, const struct vox_chunk *chunk,
+                         uint32_t triangle, const double (*uv)[2], const double b[2],
+                         const double uv_extent[2], float texel[3]);
 
 /* Returns whether channels of a triangle come from textures. */
 bool vox_shade_has_textures(const struct vox_shading *shading, const struct vox_chunk *chunk,

@@ -129,27 +129,18 @@ void vox_shading_channels_free(struct bsq_ctx *ctx, struct vox_shading_channels 
 
 /* ---- triangles ---- */
 
-/* Returns a triangle's material; the number of materials if it has none. */
-static uint32_t material_of(const struct vox_shading *shading, const struct vox_chunk *chunk,
-                            uint32_t triangle)
-{
-    const uint32_t none = shading->header->material_count;
-    const uint32_t material = chunk->source.materials ? chunk->source.materials[triangle] : none;
-    return material < none ? material : none;
-}
-
 bool vox_shade_has_textures(const struct vox_shading *shading, const struct vox_chunk *chunk,
                             uint32_t triangle)
 {
     return shading->channels.textures &&
-           shading->channels.textured[material_of(shading, chunk, triangle)];
+           shading->channels.textured[vox_shade_material(shading, chunk, triangle)];
 }
 
 const double *vox_shade_channels(const struct vox_shading *shading, const struct vox_chunk *chunk,
                                  uint32_t triangle)
 {
     return shading->channels.values +
-           (uint64_t)material_of(shading, chunk, triangle) * shading->channels.words;
+           (uint64_t)vox_shade_material(shading, chunk, triangle) * shading->channels.words;
 }
 
 int vox_shade_channel_textures(const struct vox_shading *shading, const struct vox_chunk *chunk,
@@ -157,7 +148,7 @@ int vox_shade_channel_textures(const struct vox_shading *shading, const struct v
                                const double uv_extent[2], double *out)
 {
     const struct vox_shading_channels *channels = &shading->channels;
-    const uint32_t material = material_of(shading, chunk, triangle);
+    const uint32_t material = vox_shade_material(shading, chunk, triangle);
     int status = 0;
     memcpy(out, vox_shade_channels(shading, chunk, triangle), channels->words * sizeof *out);
     for (uint32_t c = 0; c < channels->count && status == 0; c++) {

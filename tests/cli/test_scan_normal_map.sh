@@ -1,0 +1,178 @@
+#!/bin/sh
+# test_scan_normal_map.sh - tangent-space normal maps of scans: values by formula in maps from grids
+# and triangles, from an image and from materials, tasks, and what is refused.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+vox="run bisque-voxelize --resolution 160" bake="run bisque-bake --size 48 --maps normal --normal-space object"
+maps="python3 -B $top/tests/cli/transfer.py"
+
+# A square of 5 x 5 quads with texture coordinates u = x, v = y; the same with u from right to left;
+# and with two materials, which change at x = 0.6.
+awk 'BEGIN {
+    for (j = 0; j <= 5; j++)
+        for (i = 0; i <= 5; i++)
+            printf "v %.2f %.2f 0\nvt %.2f %.2f\n", i / 5, j / 5, i / 5, j / 5
+    for (j = 0; j < 5; j++)
+        for (i = 1; i <= 5; i++) {
+            a = 6 * j + i
+            printf "f %d/%d %d/%d %d/%d %d/%d\n", a, a, a + 1, a + 1, a + 7, a + 7, a + 6, a + 6
+        }
+}' >plane.obj
+awk '$1 == "vt" { $2 = 1 - $2 } { print }' plane.obj >left_plane.obj
+awk '/^f/ { print "usemtl " (n++ % 5 < 3 ? "left" : "right") } { print }
+    BEGIN { print "mtllib two.mtl" }' plane.obj >two.obj
+printf 'newmtl left\nnorm tilt.png\nnewmtl right\nPr 1\n' >two.mtl
+printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 0 1\nvt 1 1\nvt 1 0\nf 1/1 2/2 3/3 4/4\n' >low.obj
+printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n' >bare.obj
+$maps make || exit 1
+
+# values FILE FUNCTION TOLERANCE: the map has the values of a function.
+values()
+{
+    $maps check "$@" >"$out"
+    check "$1 shows $2" $?
+}
+
+# ---- images ----
+
+for scan in plane left_plane; do
+    $vox $scan.obj --scan-normal-map tilt.png -o $scan.nvdb
+    code 0
+    [ ! -s "$err" ]
+    check "no message about the normal map of $scan" $?
+    for surface in nvdb tris; do
+        $bake $scan.$surface low.obj -o n_${scan}_$surface.png
+        code 0
+    done
+done
+values n_plane_tris.png tilted 0.00003
+values n_plane_nvdb.png tilted 0.0002
+values n_left_plane_tris.png tilted_left 0.00003
+values n_left_plane_nvdb.png tilted_left 0.0002
+# Heights stay: planes lean, but not by much of a voxel.
+$bake plane.nvdb low.obj --maps height -o h.png --json
+code 0
+json '.encodings.height.range < 0.1 / 160'
+
+# An image that is given later does the same.
+$vox plane.obj --channels coat=three.png --tris later.tris -o plain.nvdb
+code 0
+$bake later.tris low.obj --scan-normal-map tilt.png -o n_later.png
+code 0
+cmp -s n_later.png n_plane_tris.png
+check "bisque-bake adds the image alike" $?
+$vox later.tris --scan-normal-map tilt.png -o later.nvdb
+code 0
+cmp -s later.nvdb plane.nvdb
+check "bisque-voxelize adds the image to a chunk file alike" $?
+$vox later.tris --channels coat -o without.nvdb
+code 0
+cmp -s without.nvdb plain.nvdb
+check "without the image there is none" $?
+
+# ---- tasks ----
+
+$bake later.tris low.obj --scan-normal-map tilt.png --tasks 2 --write-plan n.json -o n_tasks.png
+code 0
+for part in '--task 0-1' --merge; do
+    run bisque-bake --plan n.json $part
+    code 0
+done
+cmp -s n_plane_tris.png n_tasks.png
+check "tasks give the bytes of normals with the scan's map" $?
+$vox later.tris --scan-normal-map tilt.png -o tasks.nvdb --tasks 2 --write-plan g.json
+code 0
+for part in '--task 0-1' --merge; do
+    run bisque-voxelize --plan g.json $part
+    code 0
+done
+cmp -s tasks.nvdb plane.nvdb
+check "tasks give the bytes of a grid with the scan's map" $?
+
+# ---- materials ----
+
+$vox two.obj --channels normal_map -o two.nvdb --threads 1
+code 0
+$vox two.tris -o two_again.nvdb --threads 2
+code 0
+cmp -s two.nvdb two_again.nvdb
+check "a chunk file keeps its normal map" $?
+for surface in nvdb tris; do
+    $bake two.$surface low.obj -o two_$surface.png
+    code 0
+    values two_$surface.png half_tilted 0.0002
+done
+# Chunk files that are one scan: those of the left side have the map.
+for side in left right; do
+    awk -v side=$side '/^usemtl/ { keep = $2 == side } !/^f/ || keep { print }' two.obj >$side.obj
+    channel=normal_map
+    [ $side = left ] || channel=roughness
+    run bisque-voxelize $side.obj --channels $channel -o $side.tris
+    code 0
+done
+$vox left.tris right.tris -o parts.nvdb
+code 0
+$bake parts.nvdb low.obj -o parts.png
+code 0
+values parts.png half_tilted 0.0002
+
+# The same in a glTF file, whose base colour moves texture coordinates.
+$maps gltf two.obj || exit 1
+jq '.images += [{"uri": "tilt.png"}] | .textures += [{"source": 3}] |
+    .materials[0].normalTexture = (.materials[0].occlusionTexture | .index = 3)' two.gltf >map.gltf
+$vox map.gltf --channels normal_map -o map.nvdb
+code 0
+[ ! -s "$err" ]
+check "no warning about the normal map of a glTF file" $?
+$bake map.tris low.obj -o map.png
+code 0
+values map.png half_tilted 0.00003
+jq '.materials[0].normalTexture.scale = 0.5' map.gltf >scaled.gltf
+$vox scaled.gltf --channels normal_map -o scaled.nvdb
+code 0
+grep -q 'material "left": normal_map: its texture has a factor, which is not used$' "$err"
+check "a factor of a normal map is told" $?
+$vox two.obj -o none.nvdb
+code 0
+$bake none.tris low.obj -o none.png
+code 0
+values none.png flat 0.00003
+
+# ---- what is refused ----
+
+$bake plain.nvdb low.obj --scan-normal-map tilt.png -o x.png
+code 64
+err_like 'plain.nvdb: a grid has no texture coordinates for the normal map tilt.png; bake from the chunk file'
+$vox bare.obj -o bare.nvdb
+code 0
+$bake bare.tris low.obj --scan-normal-map tilt.png -o x.png
+code 65
+err_like 'bare.tris has no texture coordinates for the map normal_map'
+$vox bare.tris --scan-normal-map tilt.png -o x.nvdb
+code 65
+err_like 'bare.tris has no texture coordinates for the normal map tilt.png'
+$bake later.tris low.obj --scan-normal-map missing.png -o x.png
+code 66
+err_like 'missing.png'
+$vox later.tris --scan-normal-map missing.png -o x.nvdb
+code 66
+err_like 'missing.png'
+$bake later.tris low.obj --scan-normal-map tilt.png -o tilt.png
+code 64
+err_like 'tilt.png'
+$bake later.tris plain.nvdb low.obj --scan-normal-map tilt.png -o x.png
+code 64
+err_like 'tilt.png is the normal map of one scan, but there are 2 scans'
+$bake two.tris low.obj --maps transfer:normal_map -o x.png
+code 64
+err_like 'normal_map: directions in tangent space cannot be transferred'
+$vox two.tris --channels normal_map -o x.nvdb
+code 64
+err_like 'two.tris is already a chunk file: leave out the channel normal_map'
+$vox two.obj --channels normal_map --scan-normal-map tilt.png -o x.nvdb
+code 64
+err_like '--scan-normal-map and --channels normal_map exclude each other'
+
+[ ! -e x.png ] && [ ! -e x.nvdb ]
+check "nothing was written" $?
+finish
