@@ -1,7 +1,8 @@
 #!/bin/sh
 # check_slurm.sh - bisque-slurm on a real Slurm cluster. A scan in eight parts goes through all
-# steps; a node dies in the middle of a task, another task is requeued, a third runs twice at once.
-# The grid and the maps have the bytes of a single run.
+# steps. Among the tasks that sort, those of the grid and those of the bake, a node dies in the middle
+# of one task, another task is requeued, a third runs twice at once. The grid and the maps have the
+# bytes of a single run.
 # SECONDS_LIMIT: the longest wait for a job.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/../cli/lib.sh"
@@ -28,9 +29,10 @@ check "a cluster of four nodes" $code
 submit()
 {
     command="bisque-slurm $*" code=0
-    "$slurm" "$@" >"$out" 2>"$err" || code=$?
+    LD_PRELOAD=$preload "$slurm" "$@" >"$out" 2>"$err" || code=$?
     code 0
 }
+preload=
 
 # state ID: the states of a job's tasks, without those of the past.
 jobs_left()
@@ -42,12 +44,41 @@ completed()
     scontrol show job "$1" 2>/dev/null | sed -n 's/.*JobState=\([A-Z_]*\).*/\1/p' | sort | uniq -c | tr -s ' '
 }
 
-submit parts --tasks 8 --at-most 4 --cpus 1 --memory 400 --bin "$BIN" --plan farm.json --resolution 300 --grid-tasks 3 parts.txt -- \
+# Each task stops before it gives its output a name, until somebody removes the file "held".
+export BIN FAULT_UNDER="$(pwd -P)" FAULT_PATH=part FAULT_CALLS=name FAULT_AT=1 FAULT_DO=pause FAULT_FLAG="$work/held" \
+    FAULT_LOG="$work/stops"
+preload=$TESTS/faults.so
+
+# disturb WHAT JOB PATTERN COMMAND: waits until three tasks of the job stand before the names of their
+# outputs, which the pattern matches. The node of one dies and starts again, a second task is requeued,
+# a third runs twice at once: by the command, whose $1 is its number. Then all tasks go on.
+disturb()
+{
+    pattern=$3
+    wait_until "$limit" '[ "$(cat "$work/stops" 2>/dev/null | grep -c "$pattern")" -ge 3 ]'
+    check "three tasks that $1 are held" $?
+    squeue -h -t R -j "$2" -o '%N %A %K' | sort >running
+    read -r died _ lost <running
+    twice=$(sed -n '3s/.* //p' running)
+    lose_node "$died"
+    scontrol requeue "$(sed -n '2{s/^[^ ]* //;s/ .*//;p;}' running)"
+    sh -c "$4" sh "$twice" >"$work/double" 2>&1
+    check "task $twice of those that $1 runs a second time, $died is lost with task $lost" $?
+    start_node "$died"
+    job=$2
+    wait_until "$limit" 'rm -f "$work/held"; [ -z "$(squeue -h -j "$job" -o %i 2>/dev/null)" ]'
+    check "all tasks that $1 end" $?
+}
+
+submit parts --tasks 8 --at-most 4 --cpus 1 --memory 400 --bin "$BIN" --plan farm.json --resolution 300 --grid-tasks 4 parts.txt -- \
     low.obj -o 'farm_<MAP>.exr' $options --preview farm.png
 [ "$(grep -c ': job [0-9]*$' "$out")" -eq 7 ]
 check "the numbers of seven jobs are printed" $?
+sort=$(sed -n 's/^bisque-sort: job //p' "$out") grid=$(sed -n 's/^bisque-grid-task: job //p' "$out")
 plan=$(sed -n 's/^bisque-plan: job //p' "$out") task=$(sed -n 's/^bisque-task: job //p' "$out")
 merge=$(sed -n 's/^bisque-merge: job //p' "$out")
+disturb "sort" "$sort" 'part_.\.tris' '"$BIN/bisque-voxelize" -o "part_$1.tris" "part_$1.obj"'
+disturb "make the grid" "$grid" 'farm\.grid\..*part' '"$BIN/bisque-voxelize" --plan farm.grid.json --task "$1" --force'
 wait_until "$limit" '[ "$(squeue -h -t R -j "$task" -o %i 2>/dev/null | wc -l)" -ge 3 ]'
 check "tasks run" $?
 
@@ -66,7 +97,8 @@ double=$!
 echo "# node $lost_node lost with task $lost, task $again requeued, task ${twice:-7} twice"
 wait $double
 check "the double of a task that runs" $?
-wait_until "$limit" '[ "$(jobs_left)" -eq 0 ]'
+wait_until "$limit" 'rm -f "$work/held"; [ "$(jobs_left)" -eq 0 ]'
+preload=
 check "all jobs end" $?
 for job in $plan $merge; do
     [ "$(completed "$job")" = " 1 COMPLETED" ]
@@ -78,8 +110,8 @@ for map in normal color height curvature ao; do
 done
 same one.png farm.png
 same parts.nvdb farm.nvdb
-[ "$(ls part_?.tris | wc -l)" -eq 8 ] && [ "$(ls farm.grid.*.part | wc -l)" -eq 3 ]
-check "eight chunk files, and three parts of the grid" $?
+[ "$(ls part_?.tris | wc -l)" -eq 8 ] && [ "$(ls farm.grid.*.part | wc -l)" -eq 4 ]
+check "eight chunk files, and four parts of the grid" $?
 [ "$(grep -c '^Progress: 0%$' logs/"${task}_$lost.log")" -ge 2 ] && grep -q '^Progress: 100%$' logs/"${task}_$lost.log"
 check "the task whose node was lost was started again, in the same log" $?
 [ "$(scontrol show node "$lost_node" | sed -n 's/.*State=\(DOWN\).*/\1/p')" = DOWN ]

@@ -27,6 +27,7 @@ JobAcctGatherType=jobacct_gather/none
 AccountingStorageType=accounting_storage/none
 SelectType=select/cons_tres
 SelectTypeParameters=CR_Core
+SchedulerParameters=sched_interval=2,bf_interval=2,batch_sched_delay=0
 SwitchType=switch/none
 MpiDefault=none
 ReturnToService=2
@@ -69,7 +70,7 @@ start_cluster()
 steps_of()
 {
     for pid in $(pgrep -x slurmstepd); do
-        tr '\0' '\n' <"/proc/$pid/environ" 2>/dev/null | grep -qx "SLURMD_NODENAME=$1" && echo "$pid"
+        tr '\0' '\n' 2>/dev/null <"/proc/$pid/environ" | grep -qx "SLURMD_NODENAME=$1" && echo "$pid"
         grep -aq "$cluster/spool-$1" "/proc/$pid/maps" 2>/dev/null && echo "$pid"
         ls -l "/proc/$pid/fd" 2>/dev/null | grep -q "$cluster/$1.log" && echo "$pid"
     done | sort -u
