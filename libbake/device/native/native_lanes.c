@@ -40,9 +40,11 @@ struct group {
  * of a group go through the same nodes, and those of the next groups find them in the cache.
  * Directions agree if they are in the same cell of a square of CELLS x CELLS that the unit sphere
  * is mapped to (octahedral map). If places are farther apart than NEAR voxels on average, their
- * rays share little, and rays of one place share more. */
+ * rays share little, and rays of one place share more. So do short rays: open ones are sorted if
+ * they may be SORTED_LENGTH voxels long, and rays into the solid are not sorted. */
 enum { CELLS_LOG2 = 5, CELLS = 1 << CELLS_LOG2 };
-#define NEAR 16.0f
+#define NEAR          16.0f
+#define SORTED_LENGTH 256.0f
 
 /* Divides memory among the arrays of a batch. */
 static struct batch make_batch(const struct bk_params *params,
@@ -56,7 +58,7 @@ static struct batch make_batch(const struct bk_params *params,
     const uint64_t capacity =
         memory->bytes / (sizeof *batch.groups + sizeof *batch.found + BK_WIDTH * lane_bytes);
 
-    if (most == 0 || capacity == 0)
+    if (batch.opens == 0 || params->open_limit < SORTED_LENGTH || capacity == 0)
         return batch;
     batch.capacity = (uint32_t)capacity; /* a slot takes 4 bytes, so 32 bits number them */
     batch.groups = memory->data;
@@ -144,7 +146,7 @@ static void visit_rays(const struct batch *batch, const bk_rays *kind, bool near
 /* Sorts the rays of a kind. Returns their number. */
 static uint32_t sort_rays(const struct batch *batch, const bk_rays *kind)
 {
-    const bool near = are_near(batch);
+    const bool near = kind->open && are_near(batch);
     uint32_t ends[CELLS * CELLS] = {0}, count = 0;
 
     visit_rays(batch, kind, near, false, ends);
