@@ -17,7 +17,8 @@
 struct exact_transfers {
     uint32_t count;
     const struct bake_transfer *list;
-    struct fmt_textures *textures; /* NULL: no channel has a texture */
+    const struct bsq_channel **rows; /* of each, what is known by its name */
+    struct fmt_textures *textures;   /* NULL: no channel has a texture */
     /* For each transfer, that of each material, then of triangles without one. */
     struct fmt_tris_source *sources;
 };

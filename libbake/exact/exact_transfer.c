@@ -44,10 +44,9 @@ static int open_textures(struct bake_exact *exact, uint64_t count,
     bool any = false;
     int status = bsq_calloc(exact->ctx, "texture paths", count, sizeof *images, &images);
     for (uint64_t i = 0; i < count && status == 0; i++) {
-        const char *name = transfers->list[i / sources_each(exact)].name;
         images[i].path = transfers->sources[i].texture_path;
         images[i].alpha = transfers->sources[i].component == BSQ_CHANNEL_ALPHA;
-        images[i].data = !bsq_channel_find(name)->color;
+        images[i].data = !transfers->rows[i / sources_each(exact)]->color;
         any |= images[i].path != NULL;
     }
     if (status == 0 && any)
@@ -67,8 +66,12 @@ static int use(struct bake_exact *exact, const struct bake_transfer *list, uint3
     *out = (struct exact_transfers){.count = count, .list = list};
     int status =
         bsq_calloc(exact->ctx, "channels", count * each, sizeof *out->sources, &out->sources);
-    for (uint32_t i = 0; i < count && status == 0; i++)
+    if (status == 0)
+        status = bsq_calloc(exact->ctx, "channels", count, sizeof *out->rows, &out->rows);
+    for (uint32_t i = 0; i < count && status == 0; i++) {
+        out->rows[i] = bsq_channel_find(list[i].name);
         status = find_sources(exact, &list[i], out->sources + i * each);
+    }
     return status < 0 ? status : open_textures(exact, count * each, out);
 }
 
@@ -92,6 +95,7 @@ static void free_transfers(struct bsq_ctx *ctx, struct exact_transfers *transfer
 {
     fmt_textures_close(transfers->textures);
     bsq_free(ctx, transfers->sources);
+    bsq_free(ctx, transfers->rows);
     *transfers = (struct exact_transfers){0};
 }
 
@@ -151,7 +155,7 @@ int bake_exact_shade_channels(const struct bake_exact *exact, const struct exact
             continue;
         status = bake_exact_sample(transfers->textures, image, at, &source->uv, out);
         if (status == 0)
-            bsq_channel_pick(bsq_channel_find(transfers->list[i].name), source->component, out);
+            bsq_channel_pick(transfers->rows[i], source->component, out);
     }
     return status;
 }

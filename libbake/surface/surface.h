@@ -92,11 +92,10 @@ int bake_surface_trace(const struct bake_surface *surface, const struct bk_param
 
 /* Calls visit() for each group of 16^3 blocks of 8^3 voxels of the surface's grids; bit
  * x << 8 | y << 4 | z of `mask` is set if that block is occupied. origin: of the group's lowest
- * corner, unit: the size of a voxel; both in world units. Returns false, and calls nothing, if some
- * of the surface are triangles. */
+ * corner, unit: the size of a voxel; both in world units. The surface must have no triangles. */
 typedef void bake_surface_visit(void *arg, const double origin[3], double unit,
                                 const uint64_t mask[BAKE_MASK_WORDS]);
-bool bake_surface_each_block(const struct bake_surface *surface, bake_surface_visit *visit,
+void bake_surface_each_block(const struct bake_surface *surface, bake_surface_visit *visit,
                              void *arg);
 
 struct bake_places;

@@ -1,4 +1,6 @@
 /* surface_blocks.c - tells where a surface of grids has voxels, from the masks of nodes alone. */
+#include <assert.h>
+
 #include "libbake/kernel/bk_grid.h"
 #include "libbake/surface/surface.h"
 
@@ -22,16 +24,14 @@ static int visit_node(void *arg, uint32_t upper, uint32_t lower, const int32_t o
     return 0;
 }
 
-bool bake_surface_each_block(const struct bake_surface *surface, bake_surface_visit *visit,
+void bake_surface_each_block(const struct bake_surface *surface, bake_surface_visit *visit,
                              void *arg)
 {
     const uint32_t count = surface->parts ? surface->part_count : 1;
-    if (bake_surface_has_triangles(surface))
-        return false;
+    assert(!bake_surface_has_triangles(surface));
     for (uint32_t p = 0; p < count; p++) {
         struct blocks blocks = {surface->parts ? &surface->parts[p] : surface, visit, arg};
         const struct fmt_nvdb_grid *grid = &blocks.part->grid;
         (void)bake_visit_nodes(grid, grid->index_min, grid->index_max, visit_node, &blocks);
     }
-    return true;
 }

@@ -24,6 +24,9 @@ struct vox_farm_plan {
     struct vox_task_cost *costs; /* one a task */
 };
 
+/* Returns the values of further channels in a record. */
+uint32_t vox_channel_values(const struct vox_voxelize_options *options);
+
 /* Makes a plan for the voxels from lo to hi, in which no task has regions. Free *out with
  * vox_farm_plan_free(). Errors: BSQ_EUSAGE for a number of tasks that no plan can have; BSQ_ENOMEM.
  */

@@ -84,7 +84,7 @@ static int open_part(const struct vox_farm_plan *plan, uint32_t task,
     if (status < 0)
         return status;
     if (header->head.own & ~(uint32_t)(VOX_PART_COLORS | VOX_PART_IDS | VOX_PART_CHANNELS) ||
-        (!(header->head.own & VOX_PART_CHANNELS)) != (vox_part_channel_values(plan) == 0))
+        (!(header->head.own & VOX_PART_CHANNELS)) != (vox_channel_values(&plan->options) == 0))
         return fail_part(plan, file, "damaged header");
     if (header->region_count > (file->size - sizeof *header) / sizeof **entries)
         return fail_part(plan, file, "damaged: its size is wrong");
@@ -389,7 +389,7 @@ static int make_batches(struct reading *reading)
     const struct vox_parts *parts = reading->parts;
     int status = 0;
     reading->words = vox_part_words(parts->plan, parts->flags);
-    reading->channel_values = vox_part_channel_values(parts->plan);
+    reading->channel_values = vox_channel_values(&parts->plan->options);
     reading->batch_bytes = vox_part_buffer_bytes(reading->words);
     const uint64_t records = reading->batch_bytes / (reading->words * sizeof(uint32_t));
     const uint64_t values = reading->channel_values * sizeof(float);

@@ -6,7 +6,6 @@
 
 #include <xxhash.h>
 
-#include "base/channels.h"
 #include "libvoxel/farm/farm_part.h"
 
 struct vox_part_writer {
@@ -23,22 +22,16 @@ struct vox_part_writer {
     XXH3_state_t *hash; /* of the last region */
 };
 
-uint32_t vox_part_channel_values(const struct vox_farm_plan *plan)
-{
-    const char *list = plan->options.channels;
-    return list ? bsq_channel_list_values(list, strlen(list)) : 0;
-}
-
 uint32_t vox_part_flags(const struct vox_farm_plan *plan, bool has_color, bool has_ids)
 {
     return (has_color ? VOX_PART_COLORS : 0u) | (has_ids ? VOX_PART_IDS : 0u) |
-           (vox_part_channel_values(plan) > 0 ? VOX_PART_CHANNELS : 0u);
+           (vox_channel_values(&plan->options) > 0 ? VOX_PART_CHANNELS : 0u);
 }
 
 uint32_t vox_part_words(const struct vox_farm_plan *plan, uint32_t flags)
 {
     return 2u + ((flags & VOX_PART_COLORS) != 0) + ((flags & VOX_PART_IDS) != 0) +
-           vox_part_channel_values(plan);
+           vox_channel_values(&plan->options);
 }
 
 int vox_part_begin(const struct vox_farm_plan *plan, uint32_t task, bool has_color, bool has_ids,
@@ -55,7 +48,7 @@ int vox_part_begin(const struct vox_farm_plan *plan, uint32_t task, bool has_col
     writer->header.head =
         fmt_farm_part_head(&plan->base, task, vox_part_flags(plan, has_color, has_ids));
     writer->words = vox_part_words(plan, writer->header.head.own);
-    writer->channel_values = vox_part_channel_values(plan);
+    writer->channel_values = vox_channel_values(&plan->options);
     writer->buffer_bytes = vox_part_buffer_bytes(writer->words);
     writer->hash = XXH3_createState();
     status = writer->hash ? bsq_alloc(ctx, "part", writer->buffer_bytes, 1, &writer->buffer)

@@ -40,8 +40,6 @@ _Static_assert(sizeof(struct vox_part_leaf) == 72, "the leaf has no padding");
 
 /* Returns the member `own` of the parts of a plan. */
 uint32_t vox_part_flags(const struct vox_farm_plan *plan, bool has_color, bool has_ids);
-/* Returns the values of further channels in a record. */
-uint32_t vox_part_channel_values(const struct vox_farm_plan *plan);
 /* Returns the 32-bit numbers of a record, those values included. */
 uint32_t vox_part_words(const struct vox_farm_plan *plan, uint32_t flags);
 

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/channels.h"
 #include "libvoxel/farm/farm.h"
 #include "libvoxel/voxelize/plan/plan.h"
 
@@ -44,6 +45,12 @@ static const struct fmt_farm_member members[] = {
 enum { MEMBERS = sizeof members / sizeof *members };
 _Static_assert(sizeof(struct vox_voxelize_options) == 96, "a new option needs a row in `members`");
 _Static_assert(sizeof(enum vox_grid_type) == sizeof(unsigned), "a choice is an unsigned number");
+
+uint32_t vox_channel_values(const struct vox_voxelize_options *options)
+{
+    const char *list = options->channels;
+    return list ? bsq_channel_list_values(list, strlen(list)) : 0;
+}
 
 /* ---- making ---- */
 

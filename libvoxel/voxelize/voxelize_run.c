@@ -12,6 +12,7 @@
 
 #include "base/channels.h"
 #include "base/parallel.h"
+#include "libvoxel/farm/farm.h"
 #include "libvoxel/float_precision.h"
 #include "libvoxel/temp_tris.h"
 #include "libvoxel/voxelize/grid_estimate.h"
@@ -47,7 +48,7 @@ static unsigned sums_of(const struct vox_run *job)
 {
     return (vox_shading_has_color(job->header) ? VOX_SUM_COLORS : 0u) +
            (job->options->ids ? VOX_SUM_IDS : 0u) +
-           VOX_SUM_CHANNEL_VALUE * vox_run_channel_values(job);
+           VOX_SUM_CHANNEL_VALUE * vox_channel_values(job->options);
 }
 
 /* Gives half of the free memory to the chunk cache and a quarter to the sums. The rest is left to
@@ -95,7 +96,7 @@ static int check_channels(const struct vox_run *job)
 {
     const char *list = job->options->channels;
     uint32_t first;
-    if (list && vox_run_channel_values(job) == 0)
+    if (list && vox_channel_values(job->options) == 0)
         return bsq_fail(job->ctx, BSQ_EUSAGE, "\"%.60s\" cannot be channels", list);
     if (list && bsq_channel_list_find(list, strlen(list), BSQ_CHANNEL_NORMAL_MAP, &first))
         return bsq_fail(job->ctx, BSQ_EUSAGE,
@@ -131,13 +132,7 @@ static int open_input(struct vox_run *job)
 unsigned vox_run_channels(const struct vox_run *job)
 {
     return 2u + vox_shading_has_color(job->header) + job->options->ids +
-           vox_run_channel_values(job);
-}
-
-uint32_t vox_run_channel_values(const struct vox_run *job)
-{
-    const char *list = job->options->channels;
-    return list ? bsq_channel_list_values(list, strlen(list)) : 0;
+           vox_channel_values(job->options);
 }
 
 int vox_run_check_grid(struct vox_run *job)

@@ -50,8 +50,6 @@ void vox_run_close(struct vox_run *run);
 
 /* Returns the 32-bit numbers of a record: normal and plane, colour, id, further channels. */
 unsigned vox_run_channels(const struct vox_run *run);
-/* Returns the values of further channels in a record. */
-uint32_t vox_run_channel_values(const struct vox_run *run);
 
 /* Refuses a grid that does not fit on its disk or in the format, and warns of lost precision. */
 int vox_run_check_grid(struct vox_run *run);
