@@ -67,7 +67,7 @@ static int use(struct bake_exact *exact, const struct bake_transfer *list, uint3
     int status =
         bsq_calloc(exact->ctx, "channels", count * each, sizeof *out->sources, &out->sources);
     if (status == 0)
-        status = bsq_calloc(exact->ctx, "channels", count, sizeof *out->rows, &out->rows);
+        status = bsq_calloc(exact->ctx, "channels", count, sizeof(void *), &out->rows);
     for (uint32_t i = 0; i < count && status == 0; i++) {
         out->rows[i] = bsq_channel_find(list[i].name);
         status = find_sources(exact, &list[i], out->sources + i * each);
