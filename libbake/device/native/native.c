@@ -10,8 +10,9 @@
 enum { PAIRS_PER_BAND = 1 << 18 };
 
 /* Memory of a thread in which rays from hits are sorted, at most: 5000 samples with 64 rays each.
- * All threads together take at most a part of the budget that is left. */
-enum { SORTING_BYTES = 8 << 20, SORTING_PART = 16 };
+ * All threads together take at most a part of the budget that is left, or nothing if that is too
+ * little for a useful batch. */
+enum { SORTING_BYTES = 8 << 20, SORTING_LEAST = 1 << 18, SORTING_PART = 16 };
 
 struct native {
     struct bake_backend base;
@@ -77,7 +78,7 @@ static int allocate_sorting(struct native *native)
     const unsigned threads = bsq_threads(native->ctx);
     uint64_t bytes = bsq_memory_left(native->ctx) / SORTING_PART / threads;
 
-    if (bake_sample_cost(&native->params) == 1)
+    if (bake_sample_cost(&native->params) == 1 || bytes < SORTING_LEAST)
         return 0;
     bytes = bytes < SORTING_BYTES ? bytes : SORTING_BYTES;
     native->worker_bytes = bytes - bytes % BSQ_ALIGNMENT;
