@@ -123,7 +123,7 @@ for parts in "left.nvdb right.nvdb" "left.nvdb right.tris"; do
     code 0
     # Any order, threads and memory.
     $bake $usual $maps ${parts#* } ${parts% *} groove.obj -o 'other_<MAP>.exr' --threads 3 \
-        --memory 1500K --json
+        --memory 1900K --json
     code 0
     [ "$parts" = "left.nvdb right.nvdb" ] || json '.chunk_loads > 1'
     for map in ao bent thickness; do
