@@ -3,17 +3,7 @@
 
 #include <math.h>
 
-static double dot(const double a[3], const double b[3])
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-static void cross(const double a[3], const double b[3], double out[3])
-{
-    out[0] = a[1] * b[2] - a[2] * b[1];
-    out[1] = a[2] * b[0] - a[0] * b[2];
-    out[2] = a[0] * b[1] - a[1] * b[0];
-}
+#include "base/vec.h"
 
 /* Computes the direction in which the first texture coordinate grows on the plane of unit normal n,
  * as MikkTSpace has it, and across it the direction of the second one. False if the triangle has no
@@ -25,18 +15,18 @@ static bool tangents(const double edge[2][3], const double uv[2][2], const doubl
     double along[3], facet[3];
     for (int k = 0; k < 3; k++)
         along[k] = copysign(1, area) * (uv[1][1] * edge[0][k] - uv[0][1] * edge[1][k]);
-    const double out = dot(along, n);
+    const double out = bsq_dotd(along, n);
     for (int k = 0; k < 3; k++)
         t[k] = along[k] - out * n[k];
-    const double length = sqrt(dot(t, t));
+    const double length = sqrt(bsq_dotd(t, t));
     if (area == 0 || !(length > 0))
         return false;
     for (int k = 0; k < 3; k++)
         t[k] /= length;
     /* A mirrored texture and a normal on the triangle's other side each turn the second one. */
-    cross(edge[0], edge[1], facet);
-    cross(n, t, b);
-    if ((area < 0) != (dot(facet, n) < 0))
+    bsq_crossd(edge[0], edge[1], facet);
+    bsq_crossd(n, t, b);
+    if ((area < 0) != (bsq_dotd(facet, n) < 0))
         for (int k = 0; k < 3; k++)
             b[k] = -b[k];
     return true;
@@ -51,7 +41,7 @@ bool bsq_normal_map_apply(const double edge[2][3], const double uv_edge[2][2], c
     for (int k = 0; k < 3; k++)
         sum[k] = (2 * (double)texel[0] - 1) * t[k] + (2 * (double)texel[1] - 1) * b[k] +
                  (2 * (double)texel[2] - 1) * normal[k];
-    const double length = sqrt(dot(sum, sum));
+    const double length = sqrt(bsq_dotd(sum, sum));
     for (int k = 0; k < 3 && length > 1e-6; k++)
         normal[k] = sum[k] / length;
     return length > 1e-6;

@@ -45,4 +45,17 @@ static inline struct bsq_vec3 bsq_unit3(struct bsq_vec3 a)
     return bsq_scale3(a, 1.0f / length);
 }
 
+/* ---- doubles ---- */
+
+static inline double bsq_dotd(const double a[3], const double b[3])
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+static inline void bsq_crossd(const double a[3], const double b[3], double out[3])
+{
+    out[0] = a[1] * b[2] - a[2] * b[1];
+    out[1] = a[2] * b[0] - a[0] * b[2];
+    out[2] = a[0] * b[1] - a[1] * b[0];
+}
+
 #endif

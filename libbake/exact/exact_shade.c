@@ -5,6 +5,7 @@
 
 #include "base/normal_map.h"
 #include "base/octahedral.h"
+#include "base/vec.h"
 #include "libbake/kernel/bk_srgb.h"
 
 /* A hit and its triangle. */
@@ -16,18 +17,6 @@ struct place {
     double edge[2][3]; /* from the first corner */
     double cross[3];   /* product of the edges: twice the area vector */
 };
-
-static double dot(const double a[3], const double b[3])
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
-static void cross(const double a[3], const double b[3], double out[3])
-{
-    out[0] = a[1] * b[2] - a[2] * b[1];
-    out[1] = a[2] * b[0] - a[0] * b[2];
-    out[2] = a[0] * b[1] - a[1] * b[0];
-}
 
 static void set_place(struct place *place, const struct exact_slot *slot, uint32_t triangle,
                       const struct bake_exact_hit *hit)
@@ -43,7 +32,7 @@ static void set_place(struct place *place, const struct exact_slot *slot, uint32
         for (int k = 0; k < 3; k++)
             place->edge[e][k] = (double)chunk->positions[place->v[e + 1]][k] -
                                 (double)chunk->positions[place->v[0]][k];
-    cross(place->edge[0], place->edge[1], place->cross);
+    bsq_crossd(place->edge[0], place->edge[1], place->cross);
 }
 
 /* ---- normals ---- */
@@ -53,10 +42,10 @@ static void add_smooth(const struct place *place, int corner, double sum[3])
 {
     const struct exact_smooth *smooth = &place->slot->smooth;
     const double *n = smooth->sums[smooth->entry_of[place->v[corner]]];
-    double length = sqrt(dot(n, n));
+    double length = sqrt(bsq_dotd(n, n));
     if (!bsq_is_smooth(length, n[3])) {
         n = place->cross;
-        length = sqrt(dot(n, n));
+        length = sqrt(bsq_dotd(n, n));
     }
     for (int k = 0; k < 3; k++)
         sum[k] += place->w[corner] * (n[k] / length);
@@ -76,10 +65,10 @@ static void shade_normal(const struct bake_exact *exact, const struct place *pla
             add_smooth(place, i, n);
         }
     }
-    double length = sqrt(dot(n, n));
+    double length = sqrt(bsq_dotd(n, n));
     if (!(length > 1e-6)) {
         memcpy(n, place->cross, sizeof n);
-        length = sqrt(dot(n, n));
+        length = sqrt(bsq_dotd(n, n));
     }
     for (int k = 0; k < 3; k++)
         out[k] = (float)(n[k] / length);
@@ -110,9 +99,9 @@ static void set_side(const struct bake_exact *exact, const struct place *place,
     struct bake_exact_hit *hit = &batch->hits[ray];
     const float *d = batch->rays[ray].direction;
     const double direction[3] = {(double)d[0], (double)d[1], (double)d[2]};
-    const bool along = dot(place->cross, direction) > 0;
+    const bool along = bsq_dotd(place->cross, direction) > 0;
     const double scale =
-        (along == batch->facing_origin ? -1 : 1) / sqrt(dot(place->cross, place->cross));
+        (along == batch->facing_origin ? -1 : 1) / sqrt(bsq_dotd(place->cross, place->cross));
     for (int k = 0; k < 3; k++)
         hit->facet[k] = (float)(place->cross[k] * scale);
     hit->reversed = exact->options.two_sided &&
@@ -130,10 +119,10 @@ static void footprint(const struct place *place, const struct bake_exact_ray *ra
 {
     /* At grazing angles the projected steps would grow without limit. */
     const double flattest = 0.25;
-    const double square = dot(place->cross, place->cross), length = sqrt(square);
+    const double square = bsq_dotd(place->cross, place->cross), length = sqrt(square);
     const double d[3] = {(double)ray->direction[0], (double)ray->direction[1],
                          (double)ray->direction[2]};
-    double slope = dot(place->cross, d);
+    double slope = bsq_dotd(place->cross, d);
     if (fabs(slope) < flattest * length)
         slope = copysign(flattest * length, slope);
     width[0] = width[1] = 0;
@@ -141,13 +130,13 @@ static void footprint(const struct place *place, const struct bake_exact_ray *ra
         double on[3], first[3], second[3];
         for (int k = 0; k < 3; k++)
             on[k] = (double)step->step[s][k];
-        const double along = dot(place->cross, on) / slope;
+        const double along = bsq_dotd(place->cross, on) / slope;
         for (int k = 0; k < 3; k++)
             on[k] -= along * d[k];
-        cross(on, place->edge[1], first);
-        cross(place->edge[0], on, second);
-        const double b1 = dot(first, place->cross) / square,
-                     b2 = dot(second, place->cross) / square;
+        bsq_crossd(on, place->edge[1], first);
+        bsq_crossd(place->edge[0], on, second);
+        const double b1 = bsq_dotd(first, place->cross) / square,
+                     b2 = bsq_dotd(second, place->cross) / square;
         for (int k = 0; k < 2; k++) {
             const double moved = b1 * ((double)uv[1][k] - (double)uv[0][k]) +
                                  b2 * ((double)uv[2][k] - (double)uv[0][k]);

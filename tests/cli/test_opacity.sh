@@ -3,30 +3,11 @@
 # and masks that are multiplied by it.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
+. "$top/tests/cli/texture_lib.sh"
 vox="run bisque-voxelize --resolution 40 --channels opacity"
 bake="run bisque-bake --size 48 --mask-opacity"
-maps="python3 -B $top/tests/cli/transfer.py"
 
-# values FILE FUNCTION TOLERANCE: the map has the values of a function.
-values()
-{
-    $maps check "$@" >"$out"
-    check "$1 shows $2" $?
-}
-
-# A square of 5 x 5 quads with texture coordinates u = x, v = y.
-awk 'BEGIN {
-    for (j = 0; j <= 5; j++)
-        for (i = 0; i <= 5; i++)
-            printf "v %.2f %.2f 0\nvt %.2f %.2f\n", i / 5, j / 5, i / 5, j / 5
-    for (j = 0; j < 5; j++)
-        for (i = 1; i <= 5; i++) {
-            a = 6 * j + i
-            printf "f %d/%d %d/%d %d/%d %d/%d\n", a, a, a + 1, a + 1, a + 7, a + 7, a + 6, a + 6
-        }
-}' >plane.obj
-printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 0 1\nvt 1 1\nvt 1 0\nf 1/1 2/2 3/3 4/4\n' >low.obj
-$maps make && $maps glass || exit 1
+$maps glass || exit 1
 
 # ---- alpha of the colour texture ----
 
@@ -89,8 +70,6 @@ material inverse half 'Tr 0.5'
 material texture slope 'd 0.5' 'map_Kd glass.png'
 
 # Two materials, which change at x = 0.6, and one without opacity, which is opaque.
-awk '/^f/ { print "usemtl " (n++ % 5 < 3 ? "left" : "right") } { print }
-    BEGIN { print "mtllib two.mtl" }' plane.obj >two.obj
 printf 'newmtl left\nd 0.5\nnewmtl right\nTr 0.25\n' >two.mtl
 $vox --resolution 80 two.obj -o two.nvdb
 code 0

@@ -3,35 +3,11 @@
 # and triangles, from an image and from materials, tasks, and what is refused.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
+. "$top/tests/cli/texture_lib.sh"
 vox="run bisque-voxelize --resolution 160" bake="run bisque-bake --size 48 --maps normal --normal-space object"
-maps="python3 -B $top/tests/cli/transfer.py"
 
-# A square of 5 x 5 quads with texture coordinates u = x, v = y; the same with u from right to left;
-# and with two materials, which change at x = 0.6.
-awk 'BEGIN {
-    for (j = 0; j <= 5; j++)
-        for (i = 0; i <= 5; i++)
-            printf "v %.2f %.2f 0\nvt %.2f %.2f\n", i / 5, j / 5, i / 5, j / 5
-    for (j = 0; j < 5; j++)
-        for (i = 1; i <= 5; i++) {
-            a = 6 * j + i
-            printf "f %d/%d %d/%d %d/%d %d/%d\n", a, a, a + 1, a + 1, a + 7, a + 7, a + 6, a + 6
-        }
-}' >plane.obj
 awk '$1 == "vt" { $2 = 1 - $2 } { print }' plane.obj >left_plane.obj
-awk '/^f/ { print "usemtl " (n++ % 5 < 3 ? "left" : "right") } { print }
-    BEGIN { print "mtllib two.mtl" }' plane.obj >two.obj
 printf 'newmtl left\nnorm tilt.png\nnewmtl right\nPr 1\n' >two.mtl
-printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 0 1\nvt 1 1\nvt 1 0\nf 1/1 2/2 3/3 4/4\n' >low.obj
-printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n' >bare.obj
-$maps make || exit 1
-
-# values FILE FUNCTION TOLERANCE: the map has the values of a function.
-values()
-{
-    $maps check "$@" >"$out"
-    check "$1 shows $2" $?
-}
 
 # ---- images ----
 

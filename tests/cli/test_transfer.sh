@@ -3,31 +3,8 @@
 # the same bytes for any threads, budget and tiles, and what is refused.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
+. "$top/tests/cli/texture_lib.sh"
 vox="run bisque-voxelize --resolution 40" bake="run bisque-bake --size 48"
-maps="python3 -B $top/tests/cli/transfer.py"
-
-# A square of 5 x 5 quads with texture coordinates u = x, v = y, and another one over it whose
-# texture coordinates are u = y, v = x.
-awk 'BEGIN {
-    for (j = 0; j <= 5; j++)
-        for (i = 0; i <= 5; i++)
-            printf "v %.2f %.2f 0\nvt %.2f %.2f\n", i / 5, j / 5, i / 5, j / 5
-    for (j = 0; j < 5; j++)
-        for (i = 1; i <= 5; i++) {
-            a = 6 * j + i
-            printf "f %d/%d %d/%d %d/%d %d/%d\n", a, a, a + 1, a + 1, a + 7, a + 7, a + 6, a + 6
-        }
-}' >plane.obj
-printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 0 1\nvt 1 1\nvt 1 0\nf 1/1 2/2 3/3 4/4\n' >low.obj
-printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n' >bare.obj
-$maps make || exit 1
-
-# values FILE FUNCTION TOLERANCE: the map has the values of a function.
-values()
-{
-    $maps check "$@" >"$out"
-    check "$1 shows $2" $?
-}
 
 $vox plane.obj --texture light.png -o plane.nvdb
 code 0
@@ -61,8 +38,6 @@ check "the file says what it shows" $?
 # ---- channels of materials ----
 
 # Two materials, which change at x = 0.6.
-awk '/^f/ { print "usemtl " (n++ % 5 < 3 ? "left" : "right") } { print }
-    BEGIN { print "mtllib two.mtl" }' plane.obj >two.obj
 moved='-s 0.5 -0.5 -o 0.25 0.75 light.png'
 cat >two.mtl <<END
 newmtl left
