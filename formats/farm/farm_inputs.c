@@ -69,9 +69,10 @@ static int hash_file(struct bsq_ctx *ctx, const struct bsq_file *file, void *buf
 static int open_input(struct bsq_ctx *ctx, const char *path, struct bsq_file *file, void **buffer)
 {
     int status = bsq_alloc(ctx, "checksum of a file", 1, BUFFER, buffer);
-    if (status == 0)
-        status = bsq_file_open(ctx, path, file);
-    if (status < 0)
+    if (status != 0)
+        return status;
+    status = bsq_file_open(ctx, path, file);
+    if (status != 0)
         bsq_free(ctx, *buffer);
     return status;
 }
@@ -103,7 +104,7 @@ static int describe(struct bsq_ctx *ctx, struct fmt_farm_input *input)
     time_t changed = now;
     void *buffer;
     int status = open_input(ctx, input->path, &file, &buffer);
-    if (status < 0)
+    if (status != 0)
         return status;
     input->bytes = file.size;
     input->identity = identity_of(&file, &changed);
@@ -169,7 +170,7 @@ static int check_input(const struct fmt_farm_plan *plan, const struct fmt_farm_i
     void *buffer;
     bool same = false;
     int status = open_input(ctx, input->path, &file, &buffer);
-    if (status < 0)
+    if (status != 0)
         return status;
     status = compare(ctx, input, &file, buffer, &same);
     bsq_file_close(ctx, &file);

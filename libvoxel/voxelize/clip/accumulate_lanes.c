@@ -192,18 +192,17 @@ LANES_INLINE struct cell_bounds bounds_of(const struct vox_box *box)
 /* A triangle, the same in all lanes, that is clipped alone. Its fragments wait until all lanes are
  * filled. */
 struct single {
-    const struct vox_accumulation *job;
-    struct source from;
-    uint32_t place;
-    const int32_t *low;
-    struct shade_triangles triangles;
-    uint32_t image; /* UINT32_MAX: no texture */
-    bool channels;  /* further channels have textures */
-    bool normal_map;
-    double area, uv[3][2], uv_edge[2][2];
     struct queue queue;
+    struct shade_triangles triangles;
+    const struct vox_accumulation *job;
+    const int32_t *low;
+    double area, uv[3][2], uv_edge[2][2];
+    struct source from;
     double cells[LANE_COUNT][4], rgb[LANE_COUNT][4];
     float texels[LANE_COUNT][3]; /* of the normal map */
+    uint32_t place, image;       /* image: UINT32_MAX: no texture */
+    bool channels;               /* further channels have textures */
+    bool normal_map;
 };
 
 static int add_waiting(struct single *s)
