@@ -184,13 +184,11 @@ int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *material
 bool vox_textures_have(const struct scan_textures *textures, const char *path);
 void vox_textures_free(struct bsq_ctx *ctx, struct scan_textures *textures);
 
-/* If the scan keeps opacity, makes the alpha channels of checked colour textures that of their
- * materials, unless a material names another texture of opacity. Decodes these textures. */
-int vox_scan_use_alpha(struct scan *scan, const struct scan_textures *textures,
+/* If the scan keeps opacity, makes the alpha channels of colour textures that of their materials,
+ * unless a material names another texture of opacity. Decodes these textures. path: the colour
+ * texture of all materials; NULL: their own ones, if these were checked and are good. */
+int vox_scan_use_alpha(struct scan *scan, const struct scan_textures *textures, const char *path,
                        struct fmt_materials *materials);
-/* Does so with the texture `path` for all materials of both lists. */
-int vox_scan_use_alpha_of(struct scan *scan, const char *path, struct fmt_materials *materials,
-                          struct fmt_materials *none);
 
 /* Reads the MTL files and decides on attributes and materials. texture_path: an image for all faces
  * instead, or NULL. ids: those to keep; by name, each material has its name. Errors: BSQ_EDATA for

@@ -20,17 +20,6 @@ static const struct bsq_channel *wanted_channel(const struct scan *scan)
     return NULL;
 }
 
-static int find_alpha(struct bsq_ctx *ctx, const char *path, bool *out)
-{
-    const struct fmt_texture_source source = {.path = path};
-    struct fmt_textures *textures;
-    int status =
-        fmt_textures_open(ctx, &source, 1, bsq_memory_left(ctx) / DECODING_SHARE, &textures);
-    *out = status == 0 && fmt_texture_has_alpha(textures, 0);
-    fmt_textures_close(textures);
-    return status;
-}
-
 /* Makes the alpha of a texture a channel of the material, unless that has another texture of it. */
 static int add_alpha(struct bsq_ctx *ctx, const struct bsq_channel *channel, const char *path,
                      const struct bsq_uv *uv, struct fmt_material *material)
@@ -49,39 +38,55 @@ static int add_alpha(struct bsq_ctx *ctx, const struct bsq_channel *channel, con
     return 0;
 }
 
-int vox_scan_use_alpha(struct scan *scan, const struct scan_textures *textures,
-                       struct fmt_materials *materials)
+/* Returns the texture whose alpha a material may have, or NULL. path: of all materials, or NULL. */
+static const char *color_texture(const struct scan_textures *textures, const char *path,
+                                 const struct fmt_material *material)
 {
-    const struct bsq_channel *channel = wanted_channel(scan);
-    const char *path = NULL; /* of the texture that was looked at last */
-    bool alpha = false;
-    int status = 0;
-    if (!channel || scan_count(scan, SCAN_TEXCOORDS) == 0)
-        return 0;
+    if (path)
+        return path;
+    return material->texture_path && !material->opaque &&
+                   vox_textures_have(textures, material->texture_path)
+               ? material->texture_path
+               : NULL;
+}
+
+/* Opens the textures of all materials, each once; *out: NULL if there are none. */
+static int open_textures(struct bsq_ctx *ctx, const struct scan_textures *textures,
+                         const char *path, const struct fmt_materials *materials,
+                         struct fmt_textures **out)
+{
+    struct fmt_texture_source *sources;
+    bool any = false;
+    *out = NULL;
+    int status =
+        bsq_calloc(ctx, "texture paths", materials->count + UINT64_C(1), sizeof *sources, &sources);
     for (uint32_t i = 0; i < materials->count && status == 0; i++) {
-        struct fmt_material *material = &materials->list[i];
-        if (!material->texture_path || material->opaque ||
-            !vox_textures_have(textures, material->texture_path))
-            continue;
-        if (!path || strcmp(path, material->texture_path) != 0)
-            status = find_alpha(scan->ctx, material->texture_path, &alpha);
-        path = material->texture_path;
-        if (status == 0 && alpha)
-            status = add_alpha(scan->ctx, channel, path, &material->uv, material);
+        sources[i].path = color_texture(textures, path, &materials->list[i]);
+        any |= sources[i].path != NULL;
     }
+    if (status == 0 && any)
+        status = fmt_textures_open(ctx, sources, materials->count,
+                                   bsq_memory_left(ctx) / DECODING_SHARE, out);
+    bsq_free(ctx, sources);
     return status;
 }
 
-int vox_scan_use_alpha_of(struct scan *scan, const char *path, struct fmt_materials *materials,
-                          struct fmt_materials *none)
+int vox_scan_use_alpha(struct scan *scan, const struct scan_textures *textures, const char *path,
+                       struct fmt_materials *materials)
 {
     static const struct bsq_uv unmoved = {0};
     const struct bsq_channel *channel = wanted_channel(scan);
-    struct fmt_materials *const lists[] = {materials, none};
-    bool alpha = false;
-    int status = channel ? find_alpha(scan->ctx, path, &alpha) : 0;
-    for (int list = 0; list < 2 && alpha; list++)
-        for (uint32_t i = 0; i < lists[list]->count && status == 0; i++)
-            status = add_alpha(scan->ctx, channel, path, &unmoved, &lists[list]->list[i]);
+    struct fmt_textures *images;
+    if (!channel || scan_count(scan, SCAN_TEXCOORDS) == 0)
+        return 0;
+    int status = open_textures(scan->ctx, textures, path, materials, &images);
+    for (uint32_t i = 0; i < materials->count && status == 0 && images; i++) {
+        struct fmt_material *material = &materials->list[i];
+        const char *texture = color_texture(textures, path, material);
+        if (texture && fmt_texture_has_alpha(images, i))
+            status =
+                add_alpha(scan->ctx, channel, texture, path ? &unmoved : &material->uv, material);
+    }
+    fmt_textures_close(images);
     return status;
 }

@@ -196,16 +196,17 @@ static bool keeps_materials(const struct scan *scan)
 static const struct fmt_material no_material = {.name = "", .diffuse = {0.8f, 0.8f, 0.8f}};
 
 /* Adds one entry with the image for all materials; with names or channels, one for each material.
- * none: what faces without a material have. */
+ * The last of `found` is what faces without a material have. */
 static int add_single_texture(struct scan *scan, const char *path,
                               const struct scan_textures *textures,
-                              const struct fmt_materials *found, const struct fmt_material *none)
+                              const struct fmt_materials *found)
 {
     static const float white[3] = {1.0f, 1.0f, 1.0f};
     int status = 0;
     for (uint32_t i = 0; i <= scan->usemtl_count && status == 0; i++) {
         uint32_t *map = &scan->material_map[2 * (uint64_t)i];
-        const struct fmt_material *from = i < found->count ? &found->list[i] : none;
+        const uint32_t last = found->count - 1;
+        const struct fmt_material *from = &found->list[i < last ? i : last];
         const char *name = name_of(scan, from);
         status = bsq_check(scan->ctx);
         if (status == 0 && (i == 0 || keeps_materials(scan))) {
@@ -224,27 +225,33 @@ static int add_single_texture(struct scan *scan, const char *path,
     return status;
 }
 
+/* Adds an entry for faces without a material. */
+static int add_rest(struct bsq_ctx *ctx, struct fmt_materials *found)
+{
+    uint64_t capacity = found->count;
+    int status = bsq_grow(ctx, "materials", found->count + UINT64_C(1), sizeof *found->list,
+                          &found->list, &capacity);
+    if (status == 0)
+        found->list[found->count++] = (struct fmt_material){0};
+    return status;
+}
+
 /* Uses one image for all triangles with texture coordinates. */
 static int use_single_texture(struct scan *scan, struct fmt_mesh_reader *reader,
                               const char *texture_path, struct scan_textures *textures)
 {
-    struct fmt_materials found = {0}, none = {0};
+    struct fmt_materials found = {0};
     int status = bsq_note_texture(scan->ctx, texture_path, "the texture");
     if (status == 0 && keeps_materials(scan))
         status = fmt_mesh_read_materials(reader, &found);
     if (status == 0)
-        status = bsq_calloc(scan->ctx, "materials", 1, sizeof *none.list, &none.list);
+        status = add_rest(scan->ctx, &found);
     if (status == 0)
-        none = (struct fmt_materials){1, none.list};
-    if (status == 0)
-        status = vox_scan_use_alpha_of(scan, texture_path, &found, &none);
+        status = vox_scan_use_alpha(scan, textures, texture_path, &found);
     if (status == 0 && scan->channel_count > 0)
         status = vox_textures_check(scan->ctx, &found, true, textures);
-    if (status == 0 && scan->channel_count > 0)
-        status = vox_textures_check(scan->ctx, &none, true, textures);
     if (status == 0)
-        status = add_single_texture(scan, texture_path, textures, &found, none.list);
-    fmt_materials_free(scan->ctx, &none);
+        status = add_single_texture(scan, texture_path, textures, &found);
     fmt_materials_free(scan->ctx, &found);
     return status;
 }
@@ -287,7 +294,7 @@ static int use_own_materials(struct scan *scan, struct fmt_mesh_reader *reader,
         status =
             vox_textures_check(scan->ctx, &found, scan_count(scan, SCAN_TEXCOORDS) > 0, textures);
     if (status == 0)
-        status = vox_scan_use_alpha(scan, textures, &found);
+        status = vox_scan_use_alpha(scan, textures, NULL, &found);
     for (uint32_t i = 0; status == 0 && i < scan->usemtl_count; i++) {
         status = bsq_check(scan->ctx);
         if (status == 0)

@@ -21,7 +21,7 @@ struct native {
     struct bk_params params;
     const struct bk_triangle *triangles;
     bake_native_tile_fn *tile;
-    struct bake_native_memory sorting; /* of all workers; NULL: no map needs it */
+    void *sorting; /* worker_bytes for each worker; NULL: rays are not sorted */
     uint64_t worker_bytes;
 };
 
@@ -46,9 +46,9 @@ static int native_trace(struct bake_backend *backend, unsigned slot, const struc
 
     (void)slot;
     (void)why;
-    if (native->sorting.data)
+    if (native->sorting)
         memory = (struct bake_native_memory){
-            (char *)native->sorting.data + worker * native->worker_bytes, native->worker_bytes};
+            (char *)native->sorting + worker * native->worker_bytes, native->worker_bytes};
     for (uint32_t row = 0; row < tile->height; row += rows) {
         const uint64_t texel = (uint64_t)row * tile->width;
         struct bk_tile band = *tile;
@@ -68,7 +68,7 @@ static void native_close(struct bake_backend *backend)
 {
     struct native *native = (struct native *)backend;
 
-    bsq_free(native->ctx, native->sorting.data);
+    bsq_free(native->ctx, native->sorting);
     bsq_free(native->ctx, native);
 }
 
@@ -82,10 +82,7 @@ static int allocate_sorting(struct native *native)
         return 0;
     bytes = bytes < SORTING_BYTES ? bytes : SORTING_BYTES;
     native->worker_bytes = bytes - bytes % BSQ_ALIGNMENT;
-    native->sorting.bytes = native->worker_bytes * threads;
-    return native->worker_bytes == 0 ? 0
-                                     : bsq_alloc(native->ctx, "sorting rays", native->worker_bytes,
-                                                 threads, &native->sorting.data);
+    return bsq_alloc(native->ctx, "sorting rays", native->worker_bytes, threads, &native->sorting);
 }
 
 void bake_native_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,

@@ -41,7 +41,7 @@ static int add_box(struct maker *maker, uint32_t chunk, const struct vox_box *bo
     return status;
 }
 
-/* Returns whether a box touches so many regions that it is worth cutting. */
+/* Returns whether a box touches more than FEW_REGIONS wanted regions. Such a box is cut in two. */
 static bool is_wide(const struct maker *maker, const struct vox_box *box)
 {
     const struct vox_box_filter *filter = maker->filter;
