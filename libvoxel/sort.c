@@ -58,28 +58,38 @@ static int read_blocks(struct scan *scan, struct fmt_mesh_reader *reader,
     return status;
 }
 
+/* Drops what was read and prepares to read again, with the scale that the colours turned out to
+ * have. */
+static void begin_again(struct scan *scan, const struct vox_sort_options *options,
+                        struct partition *out)
+{
+    struct bsq_ctx *ctx = scan->ctx;
+    const struct sort_limits *limits = scan->limits;
+    const float color_scale = vox_color_votes_scale(&scan->color_votes);
+    vox_partition_free(scan, out);
+    vox_scan_free(scan);
+    vox_scan_init(scan, ctx, limits, options->scan_paths, options->tris_path);
+    scan->channels = options->channels;
+    scan->channel_count = options->channel_count;
+    scan->color_scale = color_scale;
+    scan->reads_again = true;
+}
+
 /* Reads in one pass if samples of the text say that this is possible, and again in two passes if
- * they are wrong. */
+ * they are wrong. Reads again, too, if the first colours gave a wrong scale: the first reading
+ * stops as soon as it looks wrong; a later one goes to the end and then knows it. */
 static int read_passes(struct scan *scan, struct fmt_mesh_reader *reader,
                        const struct vox_sort_options *options, bool one_pass,
                        struct scan_textures *textures, struct partition *out)
 {
-    struct bsq_ctx *ctx = scan->ctx;
-    const struct sort_limits *limits = scan->limits;
-    int status = one_pass ? read_blocks(scan, reader, options, PARTITION_ONE_PASS, textures, out)
-                          : BSQ_RETRY;
-    if (status != BSQ_RETRY)
-        return status;
-    vox_partition_free(scan, out);
-    const float max_color = scan->max_color;
-    const bool color_fractions = scan->color_fractions;
-    vox_scan_free(scan);
-    vox_scan_init(scan, ctx, limits, options->scan_paths, options->tris_path);
-    scan->max_color = max_color;
-    scan->color_fractions = color_fractions;
-    scan->channels = options->channels;
-    scan->channel_count = options->channel_count;
-    return read_blocks(scan, reader, options, PARTITION_TWO_PASSES, textures, out);
+    enum partition_passes passes = one_pass ? PARTITION_ONE_PASS : PARTITION_TWO_PASSES;
+    int status;
+    while ((status = read_blocks(scan, reader, options, passes, textures, out)) == BSQ_RETRY) {
+        if (!scan->misread_colors)
+            passes = PARTITION_TWO_PASSES;
+        begin_again(scan, options, out);
+    }
+    return status;
 }
 
 /* Turns the library's placements into those of the readers. */
@@ -130,8 +140,6 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     status = fmt_mesh_estimate(reader, &estimate);
     if (status == 0)
         status = check_disk(ctx, &estimate, limits, options->tris_path);
-    scan->max_color = estimate.max_color;
-    scan->color_fractions = estimate.color_fractions;
     if (status == 0)
         status = vox_textures_preview(ctx, reader, options->texture_path, estimate.texcoords > 0,
                                       &textures);

@@ -189,8 +189,6 @@ static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate
         out->faces += found.faces;
         out->corners += found.corners;
         out->has_colors |= found.has_colors;
-        out->max_color = found.max_color > out->max_color ? found.max_color : out->max_color;
-        out->color_fractions |= found.color_fractions;
     }
     return status;
 }

@@ -167,9 +167,6 @@ unsigned fmt_mesh_slots_for(uint64_t memory_bytes, unsigned threads);
 struct fmt_mesh_estimate {
     uint64_t vertices, texcoords, normals, faces, corners;
     bool has_colors;
-    float max_color; /* the largest component in the samples, in the units of `colors` of blocks; 0
-                        if the format tells what is white, or no sample has a colour */
-    bool color_fractions; /* some component in the samples is not a whole number */
     bool faces_come_last; /* a single file, in which probably no elements follow faces */
     /* Of temporary files with unpacked bytes. What comes through a pipe is not known, nor counted.
      */

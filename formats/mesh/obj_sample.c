@@ -2,8 +2,6 @@
 #include "formats/mesh/obj_internal.h"
 #include "formats/mesh/obj_number.h"
 
-#include <float.h>
-#include <math.h>
 #include <string.h>
 
 enum { SAMPLES = 32, SAMPLE_BYTES = 8192 };
@@ -12,8 +10,6 @@ enum { SAMPLES = 32, SAMPLE_BYTES = 8192 };
 struct counts {
     uint64_t bytes, vertices, texcoords, normals, faces, corners;
     bool colors, face_seen, element_follows_face;
-    double max_color;     /* the largest component of a vertex colour */
-    bool color_fractions; /* some component is not whole */
 };
 
 /* Returns the number of words in text[0..end). */
@@ -27,23 +23,6 @@ static uint64_t count_words(const char *text, const char *end)
         inside = !blank;
     }
     return words;
-}
-
-/* Notes the colour of a vertex with at least 7 words. */
-static void count_color(struct counts *counts, const char *text)
-{
-    double value;
-    counts->colors = true;
-    for (int word = 0; word < 7; word++) {
-        while (*text == ' ' || *text == '\t' || *text == '\r')
-            text++;
-        if (word >= 4 && obj_number(text, &value) && value > 0.0) {
-            counts->max_color = fmax(counts->max_color, value);
-            counts->color_fractions |= value != floor(value);
-        }
-        while ((unsigned char)*text > ' ')
-            text++;
-    }
 }
 
 static void count_line(struct counts *counts, const char *text, const char *end)
@@ -64,8 +43,7 @@ static void count_line(struct counts *counts, const char *text, const char *end)
         counts->texcoords += text[1] == 't';
         counts->normals += text[1] == 'n';
         counts->vertices += text[1] == ' ' || text[1] == '\t';
-        if (words >= 7 && text[1] != 't' && text[1] != 'n')
-            count_color(counts, text);
+        counts->colors |= words >= 7 && text[1] != 't' && text[1] != 'n';
     }
 }
 
@@ -139,8 +117,6 @@ int fmt_obj_estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimat
         out->faces += (uint64_t)(scale * (double)counts.faces);
         out->corners += (uint64_t)(scale * (double)counts.corners);
         out->has_colors |= counts.colors;
-        out->max_color = fmaxf(out->max_color, (float)fmin(counts.max_color, FLT_MAX));
-        out->color_fractions |= counts.color_fractions;
         out->faces_come_last &= !counts.element_follows_face;
     }
     return status;

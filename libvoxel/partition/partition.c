@@ -263,6 +263,13 @@ static int read_pass(struct reading *r, struct fmt_mesh_reader *reader, bool ele
     return fmt_mesh_read_steps(reader, &steps, r, &r->scan->totals);
 }
 
+/* Reads all elements, and the faces too if asked, and checks what needs all elements. */
+static int read_elements(struct reading *r, struct fmt_mesh_reader *reader, bool faces)
+{
+    int status = read_pass(r, reader, true, faces);
+    return status == 0 ? vox_scan_check_color_scale(r->scan) : status;
+}
+
 int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const char *beside,
                        enum partition_passes passes, struct partition *out)
 {
@@ -274,9 +281,10 @@ int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const 
                         .slot_count = fmt_mesh_max_slots(reader)};
     int status = bsq_calloc(scan->ctx, "faces", r.slot_count, sizeof *r.slots, &r.slots);
     if (status == 0 && passes == PARTITION_TWO_PASSES)
-        status = read_pass(&r, reader, true, false);
+        status = read_elements(&r, reader, false);
     if (status == 0)
-        status = read_pass(&r, reader, passes == PARTITION_ONE_PASS, true);
+        status = passes == PARTITION_ONE_PASS ? read_elements(&r, reader, true)
+                                              : read_pass(&r, reader, false, true);
     for (unsigned i = 0; r.slots && i < r.slot_count; i++)
         free_slot(scan->ctx, &r.slots[i]);
     vox_vertex_buckets_free(scan, &r.vertex_buckets);

@@ -10,6 +10,7 @@
 #include "formats/mesh/mesh_reader.h"
 #include "formats/chunks/tris.h"
 #include "libvoxel/read/attribute_stream.h"
+#include "libvoxel/read/color_scale.h"
 #include "libvoxel/sort_limits.h"
 
 /* Marks a normal without direction in the file; bsq_oct_pack() never yields it. */
@@ -102,11 +103,12 @@ struct scan {
     double origin[3];
     float bounds_min[3], bounds_max[3]; /* of all vertices; valid if there are any */
     bool origin_known, has_colors;
-    float color_scale;        /* to 0..255, of blocks that do not say it; 0: not known yet */
-    float max_color;          /* in samples of the whole scan; set after vox_scan_init() */
-    bool color_fractions;     /* the same: some component is not whole */
-    uint64_t clamped_colors;  /* vertices */
-    uint64_t merged_vertices; /* see float_precision.h */
+    bool reads_again;    /* color_scale is from an earlier reading; set after vox_scan_init() */
+    bool misread_colors; /* color_scale turned out to be wrong */
+    float color_scale;   /* to 0..255, of blocks that do not say it; 0: not known yet */
+    struct color_votes color_votes;                   /* of these blocks */
+    uint64_t clamped_colors;                          /* vertices */
+    uint64_t merged_vertices;                         /* see float_precision.h */
     struct scan_missing missing[FMT_MESH_KIND_COUNT]; /* of vertices and texture coordinates */
     struct fmt_mesh_totals totals;
     struct scan_file *files; /* up to the last one that had elements or faces so far */
@@ -140,8 +142,12 @@ void vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_lim
                    const char *const *scan_paths, const char *tris_path);
 void vox_scan_free(struct scan *scan);
 
-/* Appends a block's elements to the streams. Serial, in the order of the file. */
+/* Appends a block's elements to the streams. Serial, in the order of the file. Errors: BSQ_RETRY as
+ * vox_scan_check_color_scale(), unless the scan is read again; BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA. */
 int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block);
+/* Returns BSQ_RETRY and sets misread_colors if colours so far have another scale than they were
+ * stored with. The votes then tell the right one. */
+int vox_scan_check_color_scale(struct scan *scan);
 /* Prefaults memory that streams will fill next. From any thread. */
 void vox_scan_prefault(struct scan *scan);
 /* Ends appending: the streams can be read from then on. A second call does nothing. */

@@ -11,9 +11,6 @@
 #include <math.h>
 #include <string.h>
 
-/* Colours up to this value count as colours from 0 to 1; larger ones, as colours from 0 to 255. */
-static const float unit_color_limit = 2.0f, bright_color_limit = 16.0f;
-
 void vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limits *limits,
                    const char *const *scan_paths, const char *tris_path)
 {
@@ -184,32 +181,26 @@ static bool color_given(const float color[3])
     return color[0] != -1.0f || color[1] != -1.0f || color[2] != -1.0f;
 }
 
-/* Decides from the first colours, and from samples of the whole scan, whether values are from 0 to
- * 1 or from 0 to 255. Some tools write values slightly above 1, which must not turn the scan black.
- * The largest of thousands of byte values is hardly ever 2 or less. Byte values are whole: some
- * above 2 among fractions are bright spots, which are clamped, unless one is too large for that. */
-static void choose_color_scale(struct scan *scan, const struct fmt_mesh_block *block)
+/* Finds the factor from the block's colours to 0..255. Returns BSQ_RETRY if earlier blocks of the
+ * first reading got another one. Black has no scale, so a scan may begin with any number of black
+ * vertices. */
+static int find_color_scale(struct scan *scan, const struct fmt_mesh_block *block, float *scale)
 {
-    float max = scan->max_color;
-    bool fractions = scan->color_fractions;
-    for (uint64_t v = 0; v < block->vertex_count; v++)
-        for (int i = 0; i < 3; i++) {
-            const float value = block->colors[v][i];
-            max = fmaxf(max, value);
-            fractions |= value > 0.0f && value != floorf(value);
-        }
-    const float limit = fractions ? bright_color_limit : unit_color_limit;
-    scan->color_scale = max > limit ? 1.0f : 255.0f;
+    if (!block->colors || block->color_white > 0.0f) {
+        *scale = block->colors ? 255.0f / block->color_white : 0.0f;
+        return 0;
+    }
+    vox_color_votes_add(&scan->color_votes, block->colors, block->vertex_count);
+    if (scan->color_scale == 0.0f)
+        scan->color_scale = vox_color_votes_scale(&scan->color_votes);
+    *scale = scan->color_scale > 0.0f ? scan->color_scale : 255.0f;
+    return scan->reads_again ? 0 : vox_scan_check_color_scale(scan);
 }
 
-/* Returns the factor from the block's colours to 0..255. */
-static float color_scale(struct scan *scan, const struct fmt_mesh_block *block)
+int vox_scan_check_color_scale(struct scan *scan)
 {
-    if (block->colors && block->color_white > 0.0f)
-        return 255.0f / block->color_white;
-    if (block->colors && scan->color_scale == 0.0f)
-        choose_color_scale(scan, block);
-    return scan->color_scale;
+    scan->misread_colors = scan->color_scale != vox_color_votes_scale(&scan->color_votes);
+    return scan->misread_colors ? BSQ_RETRY : 0;
 }
 
 /* scale: factor to 0..255 */
@@ -222,7 +213,8 @@ static uint32_t pack_color(struct scan *scan, const float color[3], float scale)
     for (int i = 0; i < 3; i++) {
         float value = color[i] * scale;
         clamped |= value < 0.0f || value > 255.0f;
-        value = fminf(fmaxf(value, 0.0f), 255.0f);
+        value = value > 0.0f ? value : 0.0f;
+        value = value < 255.0f ? value : 255.0f;
         packed |= (uint32_t)(value + 0.5f) << 8 * i;
     }
     scan->clamped_colors += clamped;
@@ -233,13 +225,14 @@ static uint32_t pack_color(struct scan *scan, const float color[3], float scale)
 static int add_colors(struct scan *scan, const struct fmt_mesh_block *block, uint64_t end)
 {
     uint64_t begin = scan_count(scan, SCAN_COLORS);
-    const float scale = color_scale(scan, block);
-    while (begin < end) {
+    float scale;
+    int status = find_color_scale(scan, block, &scale);
+    while (status == 0 && begin < end) {
         uint32_t *to;
         uint64_t capacity;
-        int status = stream_reserve(scan, SCAN_COLORS, &to, &capacity);
+        status = stream_reserve(scan, SCAN_COLORS, &to, &capacity);
         if (status < 0)
-            return status;
+            break;
         uint64_t count = end - begin < capacity ? end - begin : capacity;
         for (uint64_t i = 0; i < count; i++) {
             bool known = block->colors && begin + i >= block->vertex_base;
@@ -249,7 +242,7 @@ static int add_colors(struct scan *scan, const struct fmt_mesh_block *block, uin
         stream_advance(scan, SCAN_COLORS, count);
         begin += count;
     }
-    return 0;
+    return status;
 }
 
 static int add_texcoords(struct scan *scan, const struct fmt_mesh_block *block)

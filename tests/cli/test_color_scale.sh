@@ -1,0 +1,55 @@
+#!/bin/sh
+# test_color_scale.sh - colours of vertices from 0 to 1 or to 255, which the first ones do not tell.
+. "$(dirname "$0")/lib.sh"
+vox="run bisque-voxelize --voxel-size 4 --no-tris"
+
+# expect NAME ARGUMENT...: the scan has the voxels of bytes.ply.
+expect()
+{
+    name=$1
+    shift
+    $vox "$@" -o "$name.nvdb"
+    code 0
+    same bytes.nvdb "$name.nvdb"
+    rm -f "$name.nvdb"
+}
+
+for kind in late_bytes late_units twice; do
+    python3 "$top/tests/cli/color_scale.py" $kind .
+    $vox bytes.ply -o bytes.nvdb
+    code 0
+    expect obj scan.obj
+    expect text text.ply
+    expect binary binary.ply
+    gzip -1 -c scan.obj >scan.obj.gz
+    expect packed scan.obj.gz --threads 3
+    gzip -1 -c binary.ply >packed.ply
+    expect packed packed.ply --threads 1 --memory 52MiB
+    command="bisque-voxelize - <scan.obj" code=0
+    "$BIN/bisque-voxelize" - --voxel-size 4 --no-tris -o piped.nvdb <scan.obj >"$out" 2>"$err" || code=$?
+    code 0
+    same bytes.nvdb piped.nvdb
+done
+# Nothing but the values that are too large is warned of, once.
+$vox text.ply -o text.nvdb
+[ "$(cat "$err")" = "bisque-voxelize: warning: text.ply: colours out of range were clamped at 1 vertex" ]
+check "one warning" $?
+
+# Black has any scale, and white is 1 if nothing is above.
+for white in 1 255; do
+    awk -v w=$white 'BEGIN { for (i = 0; i < 9; i++) { c = i < 6 ? 0 : w
+        print "v", i % 3, int(i / 3), 0, c, c, c }
+        print "f 1 2 5 4\nf 2 3 6 5\nf 4 5 8 7\nf 5 6 9 8" }' >white.$white.obj
+    run bisque-voxelize --voxel-size 0.5 --no-tris white.$white.obj -o white.$white.nvdb
+    code 0
+done
+same white.1.nvdb white.255.nvdb
+# The files of a scan have one scale, also if only the last one tells it.
+printf 'v 9 0 0 1 0 0\nv 9 1 0 1 0 1\nv 9 0 1 0 1 0\nf -3 -2 -1\n' >dark.obj
+cat white.255.obj dark.obj >one.obj
+$vox one.obj -o one.nvdb
+code 0
+$vox dark.obj white.255.obj -o two.nvdb
+code 0
+same one.nvdb two.nvdb
+finish
