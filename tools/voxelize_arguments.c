@@ -144,10 +144,11 @@ static int parse_translation(struct cli *cli, struct voxelize_arguments *a)
 {
     int status = add_element(cli, &a->translations, a->translation_count, sizeof *a->translations);
     char *end = optarg;
+    const bool decimal = strspn(optarg, "0123456789.eE+-,") == strlen(optarg);
     for (int axis = 0; axis < 3 && status == 0; axis++) {
         const char *from = end;
         double value = strtod(from, &end);
-        if (end == from || !isfinite(value) || *end != (axis < 2 ? ',' : '\0'))
+        if (!decimal || end == from || !isfinite(value) || *end != (axis < 2 ? ',' : '\0'))
             return cli_usage(cli, "--translate: \"%s\" is not of the form X,Y,Z", optarg);
         a->translations[a->translation_count][axis] = value;
         end += axis < 2;

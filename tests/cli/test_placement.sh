@@ -1,5 +1,6 @@
 #!/bin/sh
 # test_placement.sh - --scale, --up and --translate: the grid of a scan that was moved by its writer.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 p=bisque-voxelize:
 vox="run bisque-voxelize --resolution 40 --no-tris"
@@ -53,6 +54,93 @@ $vox plain.obj second.obj -o both.nvdb
 code 0
 same both.nvdb moved.nvdb
 
+# ---- every format ----
+
+# Files by other programs hold the mesh of an OBJ file. place.py moves that one.
+meshes=$top/tests/meshes
+cp "$meshes"/*.mtl .
+while read -r kind scale up translation; do
+    python3 "$top/tests/cli/place.py" "$meshes/$kind.obj" "$scale" "$up" "$translation" moved.obj
+    $vox moved.obj -o expected.nvdb
+    code 0
+    turn="--up $up"
+    [ $up != keep ] || turn=
+    for file in "$meshes/$kind".obj "$meshes/$kind".*.*; do
+        case $file in *.3ds | *.fbx) continue ;; esac # their triangles are others
+        # shellcheck disable=SC2086 # the turn is no option or two words
+        $vox --scale "$scale" "$file" $turn -o moved.nvdb --translate="$translation"
+        code 0
+        same expected.nvdb moved.nvdb
+    done
+done <<'CASES'
+plain 4 y 8,-16,0.5
+colors 1 z 0,0,0
+faces 2 y -0.5,0,0
+linear 3 keep 0.25,0.5,-8
+twice 0.5 y 1,2,3
+uv 4 z 1000,0,-1
+CASES
+
+# Normals of each format turn with the mesh. Scales of powers of two round nothing.
+"$TESTS/generate-scan" -n 2000 --normals vase -o vase.obj
+for suffix in ply big.ply text.ply; do
+    "$TESTS/generate-scan" -n 2000 --normals vase -o vase.$suffix
+done
+python3 "$top/tests/scan/write_glb.py" vase.obj vase.glb
+for up in y z; do
+    python3 "$top/tests/cli/place.py" vase.obj 4 $up 0,0,0 moved.obj
+    run bisque-voxelize moved.obj -o expected.nvdb --resolution 40
+    code 0
+    for file in vase.obj vase.ply vase.big.ply vase.text.ply vase.glb; do
+        $vox $file --up $up --scale 4 -o moved.nvdb
+        code 0
+        same expected.nvdb moved.nvdb
+    done
+    # The chunk file is where the scan was moved to.
+    run bisque-voxelize vase.ply --up $up --scale 4 -o moved.tris
+    code 0
+    same expected.tris moved.tris
+    $vox moved.tris -o moved.nvdb
+    code 0
+    same expected.nvdb moved.nvdb
+done
+
+# ---- several formats ----
+
+# Options for each file may stand anywhere, and others are for all files.
+for i in 1 2 3 4; do
+    case $i in 1) scale=1 at=0,0,0 ;; 2) scale=4 at=8,0,-2 ;; 3) scale=0.5 at=-8,0.5,0 ;; 4) scale=2 at=1e3,0,1 ;; esac
+    python3 "$top/tests/cli/place.py" "$meshes/plain.obj" $scale z $at $i.obj
+done
+$vox 1.obj 2.obj 3.obj 4.obj -o expected.nvdb
+code 0
+$vox --scale 1 "$meshes/plain.blender.ply" --translate 0,0,0 --scale 4 "$meshes/plain.trimesh.glb" \
+    "$meshes/plain.numpy.stl" --up z --translate=8,0,-2 --scale 0.5 --translate=-8,0.5,0 \
+    "$meshes/plain.obj" -o moved.nvdb --translate 1e3,0,1 --scale 2
+code 0
+same expected.nvdb moved.nvdb
+command="bisque-voxelize ... - ..." code=0
+"$BIN/bisque-voxelize" --resolution 40 --no-tris "$meshes/plain.numpy.stl" - "$meshes/plain.open3d.ply" \
+    "$meshes/plain.obj" --scale 1 --scale 4 --scale 0.5 --scale 2 --up z --up z --up z --up z \
+    --translate 0,0,0 --translate 8,0,-2 --translate=-8,0.5,0 --translate 1e3,0,1 -o moved.nvdb \
+    --threads 1 --memory 52MiB <"$meshes/plain.trimesh.ply" >"$out" 2>"$err" || code=$?
+code 0
+same expected.nvdb moved.nvdb
+# Normals too.
+python3 "$top/tests/cli/place.py" vase.obj 2 y 0,0,0 1.obj
+python3 "$top/tests/cli/place.py" vase.obj 1 z 0,0,0 2.obj
+$vox 1.obj 2.obj 1.obj -o expected.nvdb
+code 0
+$vox vase.ply vase.glb vase.obj --up y --up z --up y --scale 2 --scale 1 --scale 2 -o moved.nvdb
+code 0
+same expected.nvdb moved.nvdb
+$vox 1.obj 2.obj 3.obj --scale 1 --scale 2 -o bad.nvdb
+code 64
+err "$p --scale is given 2 times for 3 files: give it once, or once for each file"
+$vox 1.obj --translate 1,2,3 --translate 4,5,6 -o bad.nvdb
+code 64
+err "$p --translate is given 2 times for 1 file: give it once, or once for each file"
+
 # ---- resuming needs the same place ----
 
 run bisque-voxelize plain.obj --scale 4 --voxel-size 1e-7 -o job.nvdb
@@ -81,6 +169,17 @@ done <<'CASES'
 --translate 1,2
 --translate 1,2,3,4
 --translate 1,2,inf
+--translate 1,2,nan
+--translate 1,2,1e999
+--translate 0x1,2,3
+--translate 1,2,3,
+--translate ,1,2
+--scale inf
+--scale 0x2
+--scale 1e-400
+--up
+--up y --up z
+--translate 1,2,3 --translate 4,5,6
 --scale 1 --scale 2
 CASES
 $vox job.tris --scale 2 -o bad.nvdb
