@@ -71,11 +71,14 @@ bool bsq_is_channel_name(const char *name)
     return is_name(name, strlen(name));
 }
 
-void bsq_channel_pick(const struct bsq_channel *channel, uint32_t component, float sample[3])
+void bsq_channel_pick(const struct bsq_channel *channel, uint32_t component, float value,
+                      float sample[3])
 {
-    const float value = sample[component < BSQ_CHANNEL_ALPHA ? component : 0];
+    float picked = sample[component < BSQ_CHANNEL_ALPHA ? component : 0];
+    if (component == BSQ_CHANNEL_CUTOUT)
+        picked = picked >= value ? 1.0f : 0.0f;
     if (channel->values == 1)
-        sample[0] = sample[1] = sample[2] = value;
+        sample[0] = sample[1] = sample[2] = picked;
 }
 
 /* Returns the length of the name at the start of the rest of a list. */

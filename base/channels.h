@@ -38,9 +38,18 @@ struct bsq_channel {
     struct bsq_channel_gltf gltf;
 };
 
-/* The component of a texture that is its alpha; of an image without alpha, the first. Components 0
- * to 2 are red, green and blue. */
-enum { BSQ_CHANNEL_ALPHA = 3, BSQ_CHANNEL_COMPONENTS };
+/* Components of a texture. 0 to 2 are red, green and blue. */
+enum {
+    BSQ_CHANNEL_ALPHA = 3,  /* of an image without alpha, the first component */
+    BSQ_CHANNEL_CUTOUT = 4, /* 1 where the same is at least the value of the channel, else 0 */
+    BSQ_CHANNEL_COMPONENTS
+};
+
+/* Returns whether a component needs the alpha of a texture. */
+static inline bool bsq_channel_needs_alpha(uint32_t component)
+{
+    return component == BSQ_CHANNEL_ALPHA || component == BSQ_CHANNEL_CUTOUT;
+}
 
 /* Returns the row of a name, or that of all other names: three values, data. */
 const struct bsq_channel *bsq_channel_find(const char *name);
@@ -52,8 +61,9 @@ const struct bsq_channel *bsq_channel_at(unsigned number);
 bool bsq_is_channel_name(const char *name);
 
 /* Keeps one component of a sample of a texture three times, if the channel has one value. Samples
- * of alpha have it three times already. */
-void bsq_channel_pick(const struct bsq_channel *channel, uint32_t component, float sample[3]);
+ * of alpha have it three times already. value: that of the channel, for BSQ_CHANNEL_CUTOUT. */
+void bsq_channel_pick(const struct bsq_channel *channel, uint32_t component, float value,
+                      float sample[3]);
 
 /* ---- lists: names separated by commas, as in "roughness,emission" ---- */
 

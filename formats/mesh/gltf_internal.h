@@ -163,8 +163,10 @@ struct gltf_material {
     char *name;
     double color[3]; /* linear; of faces without texture, and a factor of vertex colours */
     bool has_color;
-    bool opaque;        /* alpha has no meaning */
-    double alpha;       /* of faces without texture */
+    bool opaque;  /* alpha has no meaning */
+    bool cutout;  /* alpha below the cutoff hides, other alpha does not */
+    double alpha; /* of faces without texture, and a factor of the texture's alpha */
+    double cutoff;
     char *texture_path; /* or NULL */
     uint32_t texcoord;  /* number of the set of texture coordinates */
     /* Texture coordinates are uv_matrix * (u, v, 1), with v downwards as in the file. */

@@ -192,8 +192,13 @@ static int read_material(const struct gltf_place *place, struct gltf_source *sou
     const json_t *from = pbr ? pbr : old;
     const json_t *base = json_object_get(from, pbr ? "baseColorTexture" : "diffuseTexture");
     uint32_t texture = GLTF_NONE;
+    const json_t *cutoff = json_object_get(place->object, "alphaCutoff");
     const char *mode = fmt_gltf_string(place->object, "alphaMode");
-    *out = (struct gltf_material){.opaque = !mode || strcmp(mode, "OPAQUE") == 0};
+    *out = (struct gltf_material){.opaque = !mode || strcmp(mode, "OPAQUE") == 0,
+                                  .cutout = mode && strcmp(mode, "MASK") == 0,
+                                  .cutoff = 0.5};
+    if (json_is_number(cutoff))
+        out->cutoff = json_number_value(cutoff);
     int status = read_name(place, &out->name);
     if (!status)
         status = read_color(place, from, pbr ? "baseColorFactor" : "diffuseFactor", out);

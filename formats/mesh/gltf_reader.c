@@ -4,6 +4,7 @@
  * vertices, then all faces, each in the order of nodes and primitives. Buffers are read in parts,
  * and memory does not grow with them. */
 #include <inttypes.h>
+#include <math.h>
 #include <string.h>
 
 #include "base/file_part.h"
@@ -322,11 +323,16 @@ static int describe_material(struct bsq_ctx *ctx, const char *file,
     if (status || from->opaque)
         return status;
     status = fmt_material_enter_channel(ctx, out, bsq_channel_find("opacity"), &opacity);
-    if (!status) {
-        opacity->value[0] = (float)from->alpha;
-        opacity->has_value = true;
-    }
-    return status;
+    if (status)
+        return status;
+    const double alpha = fmin(fmax(from->alpha, 0.0), 1.0);
+    opacity->value[0] = from->cutout ? (float)(alpha >= from->cutoff) : (float)alpha;
+    opacity->has_value = true;
+    out->cutout = from->cutout;
+    /* 2 is above the alpha of all textures. */
+    out->cutoff = alpha > 0.0 ? (float)fmin(fmax(from->cutoff / alpha, 0.0), 2.0)
+                              : 2.0f * (1.0f - opacity->value[0]);
+    return 0;
 }
 
 static int list_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)

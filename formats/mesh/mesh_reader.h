@@ -208,6 +208,8 @@ struct fmt_material {
     char *texture_place;
     struct bsq_uv uv; /* of this texture */
     bool opaque;      /* the alpha of this texture has no meaning */
+    bool cutout;      /* it hides what is below the cutoff, and shows the rest whole */
+    float cutoff;
     struct fmt_material_channel *channels;
     uint32_t channel_count;
     char *object; /* that the faces belong to, see fmt_mesh_use_objects(); or NULL */

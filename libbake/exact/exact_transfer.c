@@ -45,7 +45,7 @@ static int open_textures(struct bake_exact *exact, uint64_t count,
     int status = bsq_calloc(exact->ctx, "texture paths", count, sizeof *images, &images);
     for (uint64_t i = 0; i < count && status == 0; i++) {
         images[i].path = transfers->sources[i].texture_path;
-        images[i].alpha = transfers->sources[i].component == BSQ_CHANNEL_ALPHA;
+        images[i].alpha = bsq_channel_needs_alpha(transfers->sources[i].component);
         images[i].data = !transfers->rows[i / sources_each(exact)]->color;
         any |= images[i].path != NULL;
     }
@@ -155,7 +155,7 @@ int bake_exact_shade_channels(const struct bake_exact *exact, const struct exact
             continue;
         status = bake_exact_sample(transfers->textures, image, at, &source->uv, out);
         if (status == 0)
-            bsq_channel_pick(transfers->rows[i], source->component, out);
+            bsq_channel_pick(transfers->rows[i], source->component, source->value[0], out);
     }
     return status;
 }

@@ -1,4 +1,5 @@
 /* scan_alpha.c - the alpha channels of colour textures as opacity of materials. */
+#include "base/loss.h"
 #include "base/uv.h"
 #include "formats/texture/texture.h"
 #include "libvoxel/read/scan.h"
@@ -20,9 +21,11 @@ static const struct bsq_channel *wanted_channel(const struct scan *scan)
     return NULL;
 }
 
-/* Makes the alpha of a texture a channel of the material, unless that has another texture of it. */
+/* Makes the alpha of a texture a channel of the material, unless that has another texture of it.
+ * Sets *lost to the material if it also has a value, which is not multiplied. */
 static int add_alpha(struct bsq_ctx *ctx, const struct bsq_channel *channel, const char *path,
-                     const struct bsq_uv *uv, struct fmt_material *material)
+                     const struct bsq_uv *uv, struct fmt_material *material,
+                     const struct fmt_material **lost)
 {
     struct fmt_material_channel *entry;
     const size_t size = strlen(path) + 1;
@@ -33,7 +36,9 @@ static int add_alpha(struct bsq_ctx *ctx, const struct bsq_channel *channel, con
     if (status < 0)
         return status;
     memcpy(entry->texture_path, path, size);
-    entry->component = BSQ_CHANNEL_ALPHA;
+    if (entry->has_value && entry->value[0] != 1.0f && !material->cutout)
+        *lost = material;
+    entry->component = material->cutout ? BSQ_CHANNEL_CUTOUT : BSQ_CHANNEL_ALPHA;
     entry->uv = *uv;
     return 0;
 }
@@ -76,6 +81,7 @@ int vox_scan_use_alpha(struct scan *scan, const struct scan_textures *textures, 
 {
     static const struct bsq_uv unmoved = {0};
     const struct bsq_channel *channel = wanted_channel(scan);
+    const struct fmt_material *lost = NULL;
     struct fmt_textures *images;
     if (!channel || scan_count(scan, SCAN_TEXCOORDS) == 0)
         return 0;
@@ -84,9 +90,14 @@ int vox_scan_use_alpha(struct scan *scan, const struct scan_textures *textures, 
         struct fmt_material *material = &materials->list[i];
         const char *texture = color_texture(textures, path, material);
         if (texture && fmt_texture_has_alpha(images, i))
-            status =
-                add_alpha(scan->ctx, channel, texture, path ? &unmoved : &material->uv, material);
+            status = add_alpha(scan->ctx, channel, texture, path ? &unmoved : &material->uv,
+                               material, &lost);
     }
     fmt_textures_close(images);
+    if (status == 0 && lost)
+        status = bsq_warn_loss(scan->ctx,
+                               "material \"%s\": %s: its value is not used, but the alpha of its "
+                               "texture",
+                               lost->name, channel->name);
     return status;
 }

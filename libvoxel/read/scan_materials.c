@@ -135,6 +135,8 @@ static int add_sources(struct scan *scan, const struct scan_textures *textures,
             source->uv = own->uv;
             source->component = own->component;
         }
+        if (source->component == BSQ_CHANNEL_CUTOUT)
+            source->value[0] = source->value[1] = source->value[2] = from->cutoff;
     }
     return status;
 }

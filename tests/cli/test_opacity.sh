@@ -98,6 +98,36 @@ code 0
 $bake blend.tris low.obj --maps mask -o blend.png
 code 0
 values blend.png slope 0.002
+$vox thin.gltf -o thin.nvdb
+code 0
+[ "$(cat "$err")" = 'bisque-voxelize: warning: material "material 0": opacity: its value is not used, but the alpha of its texture' ]
+check "a factor of alpha is warned of" $?
+$vox thin.gltf -o thin.nvdb --strict
+code 65
+# A cutoff shows or hides.
+while read -r name function; do
+    $vox $name.gltf -o $name.nvdb
+    code 0
+    [ ! -s "$err" ]
+    check "no warning about $name.gltf" $?
+    $bake $name.tris low.obj --maps mask -o $name.png
+    code 0
+    values $name.png "$function" 0
+done <<'CASES'
+mask upper
+faint upper
+hidden none
+gone none
+shown whole
+CASES
+$bake mask.nvdb low.obj --maps mask -o mask.png
+code 0
+values mask.png upper 0
+"$TESTS/naive-read-tris" faint.tris >"$out"
+grep -q 'source 0.5 0.5 0.5 component 4' "$out"
+check "another reader finds the cutoff in faint.tris" $?
+run bisque-voxelize --verify mask.tris
+code 0
 $vox opaque.gltf -o opaque.nvdb
 code 65
 err_like 'opaque.gltf: no material has a value or a texture of opacity'

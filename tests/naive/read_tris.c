@@ -149,7 +149,7 @@ static uint64_t read_sources(const struct bytes *file, const struct header *h, u
         if (print)
             printf("\nsource");
         read_numbers(file, at, 3, print);
-        require(file, u32(file, at + 12) < 4, "a component of a channel");
+        require(file, u32(file, at + 12) < 5, "a component of a channel");
         if (print)
             printf(" component %u", u32(file, at + 12));
         read_numbers(file, at + 16, 4, print);

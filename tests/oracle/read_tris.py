@@ -128,7 +128,7 @@ def _read_sources(part, at, channels):
     for _ in channels:
         need(len(part) - at >= 36, "channels of a material beyond their part")
         *value, component, a, b, c, d, path_bytes = fields(part, at, "3fI4fI")
-        need(is_finite(value) and is_finite((a, b, c, d)) and component < 4, "value of a channel")
+        need(is_finite(value) and is_finite((a, b, c, d)) and component < 5, "value of a channel")
         path, at = _read_path(part, at + 36, path_bytes)
         sources.append((tuple(value), component, (a, b, c, d), path))
     return (tuple(moved), sources), at

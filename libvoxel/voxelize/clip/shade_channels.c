@@ -81,7 +81,7 @@ static int open_textures(struct bsq_ctx *ctx, uint64_t texture_bytes, struct vox
             source_of(shading, (uint32_t)(i % materials), channel);
         images[i].path = source->texture_path;
         images[i].data = !channels->list[channel].row->color;
-        images[i].alpha = source->component == BSQ_CHANNEL_ALPHA;
+        images[i].alpha = bsq_channel_needs_alpha(source->component);
     }
     if (status == 0)
         status =
@@ -160,7 +160,7 @@ int vox_shade_channel_textures(const struct vox_shading *shading, const struct v
             status = vox_sample_fragment(channels->textures, image, &source->uv, uv, b, uv_extent,
                                          sample);
             if (status == 0)
-                bsq_channel_pick(row, source->component, sample);
+                bsq_channel_pick(row, source->component, source->value[0], sample);
             for (uint32_t k = 0; k < row->values && status == 0; k++)
                 out[k] = (double)sample[k];
         }

@@ -632,7 +632,7 @@ static void damaged_channels_are_found(void **state)
         {172, 0x52, "the name of a channel"},
         {212, 0x7fc00000, "coordinates are not finite"},
         {228, 0x7f800000, "a channel of a material has a wrong value"},
-        {240, 4, "a channel of a material has a wrong value"},
+        {240, 5, "a channel of a material has a wrong value"},
         {244, 0x7fc00000, "a channel of a material has a wrong value"},
         {260, 100, "path is cut off"},
     };
