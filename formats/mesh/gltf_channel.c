@@ -68,6 +68,9 @@ static int read_uv(const struct gltf_place *place, const struct gltf_material *m
 
 /* ---- values and textures ---- */
 
+/* Larger factors would exceed the range of float. */
+static const double most_factor = 1e30;
+
 /* Reads the value, or the factor of a texture, into `linear`. */
 static int read_factor(const struct gltf_place *place, const json_t *object,
                        struct fmt_material_channel *out, double linear[3])
@@ -81,6 +84,8 @@ static int read_factor(const struct gltf_place *place, const json_t *object,
         status = fmt_gltf_numbers(place, object, row->factor, 3, linear);
     else if (value && json_is_number(value))
         linear[0] = linear[1] = linear[2] = json_number_value(value);
+    for (int k = 0; k < 3; k++)
+        linear[k] = fmin(linear[k], most_factor);
     /* A material is as rough and metallic as it says, or entirely. */
     out->has_value =
         value || (row->usual > 0 && row->factor &&

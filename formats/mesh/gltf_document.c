@@ -9,6 +9,7 @@
 
 #include "base/json_bound.h"
 #include "formats/mesh/gltf_internal.h"
+#include "formats/mesh/mesh_text.h"
 
 /* ---- the text ---- */
 
@@ -144,10 +145,9 @@ static int parse_text(struct gltf_document *d, const struct shortener *s)
 {
     struct feed feed = {.document = d, .text = s->text, .left = s->size};
     json_error_t error;
-    if (s->size >= 3 && memcmp(s->text, "\xef\xbb\xbf", 3) == 0) {
-        feed.text += 3;
-        feed.left -= 3;
-    }
+    const size_t mark = fmt_mesh_mark(s->text, s->size);
+    feed.text += mark;
+    feed.left -= mark;
     const uint64_t bound = bsq_json_bound(s->text, s->size);
     int status = bsq_reserve(d->ctx, "the JSON of a glTF file", bound);
     if (status)

@@ -170,6 +170,8 @@ static int read_color(const struct gltf_place *place, const json_t *object, cons
 {
     double rgba[4] = {1, 1, 1, 1};
     int status = fmt_gltf_numbers(place, object, key, 4, rgba);
+    for (int k = 0; k < 4; k++) /* as the format demands */
+        rgba[k] = fmin(fmax(rgba[k], 0.0), 1.0);
     memcpy(out->color, rgba, sizeof out->color);
     out->alpha = rgba[3];
     out->has_color = status > 0;

@@ -17,7 +17,7 @@
 
 static bool recognise(const char *head, size_t size)
 {
-    size_t i = size >= 3 && memcmp(head, "\xef\xbb\xbf", 3) == 0 ? 3 : 0;
+    size_t i = fmt_mesh_mark(head, size);
     if (size >= 4 && memcmp(head, "glTF", 4) == 0)
         return true;
     while (i < size && (head[i] == ' ' || head[i] == '\t' || head[i] == '\r' || head[i] == '\n'))
@@ -325,7 +325,7 @@ static int describe_material(struct bsq_ctx *ctx, const char *file,
     status = fmt_material_enter_channel(ctx, out, bsq_channel_find("opacity"), &opacity);
     if (status)
         return status;
-    const double alpha = fmin(fmax(from->alpha, 0.0), 1.0);
+    const double alpha = from->alpha;
     opacity->value[0] = from->cutout ? (float)(alpha >= from->cutoff) : (float)alpha;
     opacity->has_value = true;
     out->cutout = from->cutout;

@@ -53,7 +53,7 @@ struct stream_slot {
     float color_white; /* as in struct fmt_mesh_block */
     /* Faces with fewer than three corners, which were skipped. Normals, colours and lists of
      * texture coordinates that are no numbers, and so are missing. */
-    uint64_t short_faces, bad_normals, bad_colors, bad_texcoords;
+    uint64_t short_faces, bad_normals, bad_colors, bad_texcoords, clamped_colors;
     uint64_t missing_positions, missing_texcoords; /* as in struct fmt_mesh_block */
     uint64_t last_face; /* parsing stops after this face of the part; UINT64_MAX: never */
     uint64_t at;        /* line or byte of the file where parsing stopped */

@@ -26,6 +26,11 @@ void fmt_mesh_quote(const char *text, const char *end, char *out, size_t size)
     out[length] = '\0';
 }
 
+size_t fmt_mesh_mark(const void *text, uint64_t size)
+{
+    return size >= 3 && memcmp(text, "\xef\xbb\xbf", 3) == 0 ? 3 : 0;
+}
+
 static bool is_blank(char c)
 {
     return c == ' ' || c == '\t';

@@ -7,6 +7,9 @@
 /* Copies a string. Free *out with bsq_free(). */
 int fmt_string_copy(struct bsq_ctx *ctx, const char *text, char **out);
 
+/* Returns the bytes of the byte order mark that text in UTF-8 may begin with: 3, or 0. */
+size_t fmt_mesh_mark(const void *text, uint64_t size);
+
 /* Takes a name out of the rest of a line, in place: without quotes around it, or else without a
  * comment, which begins with "#" after a blank. Files may have names with such signs, so try the
  * text as it is first. Returns whether the text changed. */

@@ -313,10 +313,8 @@ static int read_line(struct reader *reader, char *line)
 
 static int read_text(struct reader *reader, char *text, uint64_t size)
 {
-    char *p = text, *end = text + size;
+    char *p = text + fmt_mesh_mark(text, size), *end = text + size;
     int status = 0;
-    if (size >= 3 && !memcmp(p, "\xef\xbb\xbf", 3))
-        p += 3;
     while (p < end && !status) {
         char *line = p;
         while (p < end && *p != '\n' && *p != '\r')

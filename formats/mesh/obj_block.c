@@ -16,11 +16,12 @@
 /* Statements of the OBJ standard (Wavefront, "Advanced Visualizer", appendix B1) that say nothing
  * about points and faces, superseded ones included. */
 static const char *const standard_statements[] = {
-    "g",    "o",      "s",      "l",          "p",         "vp",    "cstype",   "deg",
-    "bmat", "step",   "curv",   "curv2",      "surf",      "parm",  "trim",     "hole",
-    "scrv", "sp",     "end",    "con",        "mg",        "bevel", "c_interp", "d_interp",
-    "lod",  "usemap", "maplib", "shadow_obj", "trace_obj", "ctech", "stech",    "call",
-    "csh",  "bsp",    "bzp",    "cdc",        "cdp",       "res"};
+    "g",         "o",     "s",     "l",        "p",        "vp",   "cstype", "deg",    "bmat",
+    "step",      "curv",  "curv2", "parm",     "trim",     "hole", "scrv",   "sp",     "end",
+    "con",       "mg",    "bevel", "c_interp", "d_interp", "lod",  "usemap", "maplib", "shadow_obj",
+    "trace_obj", "ctech", "stech", "call",     "csh",      "cdc",  "res"};
+/* Those of surfaces that are no polygons, and superseded ones. */
+static const char *const surface_statements[] = {"surf", "bsp", "bzp", "cdp"};
 
 /* Parse functions return NULL on failure: block->failed is set if the text is wrong, otherwise
  * `status` says why. */
@@ -429,7 +430,7 @@ static const char *parse_face(struct parser *parser, const char *p)
             block->has_corners[FMT_MESH_NORMAL])
             if (!(p = parse_attributes(parser, p, corner)))
                 return NULL;
-        if (__builtin_expect(!obj_is_delimiter(*p), 0))
+        if (__builtin_expect(!obj_is_delimiter(*p) && *p != '#', 0))
             return fail(parser, "\"%s\" is not a face corner", quote_word(parser, word).text);
     }
     if (!(p = finish_line(parser, p)))
@@ -469,14 +470,15 @@ static const char *add_statement(struct parser *parser, const char *p, enum obj_
     return after;
 }
 
-static bool is_standard(const char *word, size_t length)
+/* Returns whether a list has a word. */
+static bool is_in(const char *const *list, size_t count, const char *word, size_t length)
 {
-    for (size_t i = 0; i < sizeof standard_statements / sizeof *standard_statements; i++)
-        if (strlen(standard_statements[i]) == length &&
-            !memcmp(standard_statements[i], word, length))
+    for (size_t i = 0; i < count; i++)
+        if (strlen(list[i]) == length && !memcmp(list[i], word, length))
             return true;
     return false;
 }
+#define IS_IN(list, word, length) is_in(list, sizeof(list) / sizeof *(list), word, length)
 
 /* Parses any statement other than v, vt, vn and f. */
 static const char *parse_other(struct parser *parser, const char *p)
@@ -492,9 +494,10 @@ static const char *parse_other(struct parser *parser, const char *p)
         return add_statement(parser, p, OBJ_MTLLIB);
     if (length == 1 && (*word == 'o' || *word == 'g') && block->objects)
         return add_statement(parser, p, OBJ_OBJECT);
-    const bool standard = is_standard(word, length);
-    if (!standard)
-        note_odd(parser, OBJ_UNKNOWN);
+    const bool surface = IS_IN(surface_statements, word, length);
+    const bool standard = surface || IS_IN(standard_statements, word, length);
+    if (surface || !standard)
+        note_odd(parser, surface ? OBJ_SURFACE : OBJ_UNKNOWN);
     block->known_lines += standard;
     p = skip_statement(parser, p, &end);
     if (p && block->odd[OBJ_UNKNOWN].count == 1 && !standard)
@@ -658,8 +661,8 @@ int fmt_obj_block_parse(struct bsq_ctx *ctx, struct obj_block *block, bool at_fi
     struct parser parser = {.ctx = ctx, .block = block};
     const char *p = block->text, *end = p + block->size;
     reset(block);
-    if (at_file_start && block->size >= 3 && !memcmp(p, "\xef\xbb\xbf", 3))
-        p += 3;
+    if (at_file_start)
+        p += fmt_mesh_mark(p, block->size);
     while (p && p < end && block->face_count <= last_face) {
         p = parse_plain_lines(block, p, end, last_face);
         if (p >= end)

@@ -153,6 +153,7 @@ void fmt_ply_set_material(struct ply_face *face, const struct ply_property *prop
         face->texture = (int64_t)fmin(fmax(value, -1.0), 4294967296.0);
     } else if (property->role >= PLY_RED && property->role <= PLY_BLUE) {
         value *= ply_is_real(property->type) ? 255.0 : color_scale(property->type);
+        face->clamped |= !(value >= 0.0 && value <= 255.0);
         face->color[property->role - PLY_RED] = fmin(fmax(value, 0.0), 255.0);
     }
 }
@@ -185,6 +186,7 @@ static bool finish_tag(const struct ply_source *source, struct stream_slot *slot
 {
     uint32_t *tag = &slot->arrays.face_tags[slot->arrays.face_count];
     if (source->tags == PLY_TAGS_COLOR) {
+        slot->clamped_colors += face->clamped;
         *tag = (uint32_t)(face->color[0] + 0.5) | (uint32_t)(face->color[1] + 0.5) << 8 |
                (uint32_t)(face->color[2] + 0.5) << 16;
         return true;

@@ -256,7 +256,9 @@ int fmt_ply_header_read(struct bsq_ctx *ctx, struct fmt_input *input, struct ply
     struct lines l = {.ctx = ctx, .input = input, .path = fmt_input_path(input), .header = out};
     memset(out, 0, sizeof *out);
     out->line_end = '\n';
-    int status = bsq_grow(ctx, "header of a PLY file", step_bytes, 1, &l.text, &l.capacity);
+    uint64_t got;
+    int status = load_more(&l, &got);
+    l.size = status ? 0 : fmt_mesh_mark(l.text, l.have);
     while (!status && !l.ended) {
         status = next_line(&l);
         if (!status)

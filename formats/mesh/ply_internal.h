@@ -33,7 +33,8 @@ struct ply_reader {
     uint32_t texture_count; /* of all files */
     struct ply_colors colors;
     /* Of one reading. */
-    uint64_t bad_normals, bad_colors, bad_texcoords, missing_positions, missing_texcoords;
+    uint64_t bad_normals, bad_colors, bad_texcoords, missing_positions, missing_texcoords,
+        clamped_colors;
     bool read_before; /* what there is to warn of is known */
 };
 
@@ -83,6 +84,7 @@ struct ply_face {
     uint64_t texcoords; /* numbers in its list of texture coordinates */
     int64_t texture;
     double color[3]; /* 0 to 255 */
+    bool clamped;    /* a colour was not in this range */
     uint64_t at;     /* line or byte */
 };
 

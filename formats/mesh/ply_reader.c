@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "base/loss.h"
+#include "formats/mesh/mesh_text.h"
 #include "formats/mesh/ply_internal.h"
 #include "formats/mesh/ply_roles.h"
 
@@ -15,7 +16,9 @@
 
 static bool recognise(const char *head, size_t size)
 {
-    return size >= 4 && memcmp(head, "ply", 3) == 0 && (head[3] == '\n' || head[3] == '\r');
+    const size_t mark = fmt_mesh_mark(head, size);
+    return size >= mark + 4 && memcmp(head + mark, "ply", 3) == 0 &&
+           (head[mark + 3] == '\n' || head[mark + 3] == '\r');
 }
 
 /* Leaves the texture coordinates of vertices unread, for files whose corners have their own. */
@@ -160,6 +163,7 @@ static int pass(struct stream_reader *base, struct stream_slot *slot,
     reader->bad_normals += slot->bad_normals;
     reader->bad_colors += slot->bad_colors;
     reader->bad_texcoords += slot->bad_texcoords;
+    reader->clamped_colors += slot->clamped_colors;
     reader->missing_positions += slot->missing_positions;
     reader->missing_texcoords += slot->missing_texcoords;
     if (source->corner_texcoords)
@@ -180,7 +184,13 @@ static int warn_missing(struct ply_reader *reader)
                  {reader->bad_colors, "colours"},
                  {reader->missing_texcoords, "texture coordinates"},
                  {reader->bad_texcoords, "texture coordinates of corners"}};
-    int status = 0;
+    int status = reader->clamped_colors == 0
+                     ? 0
+                     : bsq_warn_loss(reader->stream.base.ctx,
+                                     "%s: colours out of range were clamped at %" PRIu64 " %s; "
+                                     "real numbers range to 1",
+                                     reader->stream.sources[0].path, reader->clamped_colors,
+                                     reader->clamped_colors == 1 ? "face" : "faces");
     for (size_t i = 0; i < sizeof kinds / sizeof *kinds && !status; i++)
         if (kinds[i].count > 0)
             status =
@@ -195,7 +205,7 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
 {
     struct ply_reader *reader = (struct ply_reader *)base;
     reader->bad_normals = reader->bad_colors = reader->bad_texcoords = 0;
-    reader->missing_positions = reader->missing_texcoords = 0;
+    reader->missing_positions = reader->missing_texcoords = reader->clamped_colors = 0;
     int status = fmt_stream_read(&reader->stream, steps, arg, totals);
     if (status || reader->read_before)
         return status;

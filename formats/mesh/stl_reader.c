@@ -9,13 +9,14 @@
 #include <strings.h>
 
 #include "base/loss.h"
+#include "formats/mesh/mesh_text.h"
 #include "formats/mesh/stl_internal.h"
 
 /* ---- opening ---- */
 
 static bool is_text(const char *head, size_t size)
 {
-    size_t blanks = 0;
+    size_t blanks = fmt_mesh_mark(head, size);
     while (blanks < size && head[blanks] != '\0' && (unsigned char)head[blanks] <= ' ')
         blanks++;
     return size - blanks >= 5 && strncasecmp(head + blanks, "solid", 5) == 0 &&

@@ -261,6 +261,8 @@ int fmt_stl_parse_text(struct bsq_ctx *ctx, struct stream_slot *slot)
                      .end = (const char *)slot->bytes + slot->part.size,
                      .line = slot->part.first_line};
     bool more = true;
+    if (slot->part.offset == 0)
+        t.at += fmt_mesh_mark(t.at, slot->part.size);
     for (uint64_t i = 0; more && next_word(&t); i++) {
         if (i % STATEMENTS_A_CHECK == 0 && (t.status = bsq_check(ctx)) != 0)
             return t.status;

@@ -1,0 +1,55 @@
+#!/bin/sh
+# test_unusual.sh - files that are legitimate, but written in ways that few programs use.
+. "$(dirname "$0")/lib.sh"
+p=bisque-voxelize:
+vox="run bisque-voxelize --resolution 8 --no-tris"
+tab=$(printf '\t')
+
+python3 -B "$top/tests/cli/unusual.py" . || exit 1
+$vox plain.obj -o plain.nvdb
+code 0
+while IFS=$tab read -r name warning; do
+    $vox "$name" -o other.nvdb
+    code 0
+    same plain.nvdb other.nvdb
+    [ "$(cat "$err")" = "${warning:+$p warning: $name: $warning}" ] ||
+        [ "$(cat "$err")" = "${warning:+$p warning: $name:$warning}" ]
+    check "$name: ${warning:-no warning}" $?
+done <cases
+[ "$(wc -l <cases)" -gt 60 ]
+check "there are cases" $?
+
+# What is no surface of polygons is an error with --strict.
+$vox surface.obj -o other.nvdb --strict
+code 65
+
+# Real numbers of faces range to 1. Larger ones lose colour.
+sed 's/^property list.*/&\nproperty float red\nproperty float green\nproperty float blue/
+    s/^3 0 1 2/& 255 0 0/; s/^3 1 3 2/& 0 0.5 1/' <<'END' >faces.ply
+ply
+format ascii 1.0
+element vertex 4
+property float x
+property float y
+property float z
+element face 2
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+1 1 0.5
+3 0 1 2
+3 1 3 2
+END
+$vox faces.ply -o other.nvdb
+code 0
+[ "$(cat "$err")" = "$p warning: faces.ply: colours out of range were clamped at 1 face; real numbers range to 1" ]
+check "colours of faces out of range" $?
+
+# Factors beyond all colours make no damaged files.
+run bisque-voxelize --resolution 8 huge.gltf -o huge.nvdb --channels opacity,roughness,emission
+code 0
+run bisque-voxelize --verify huge.tris huge.nvdb
+code 0
+finish
