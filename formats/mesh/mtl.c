@@ -106,13 +106,13 @@ static int begin_material(struct reader *reader, char *name)
 }
 
 /* Reads "r g b" or one number, which stands for all three; at most `most` after clamping. Sets
- * *known. Spectral curves and CIE colours are skipped. */
+ * *known. Spectral curves and CIE colours are not read. */
 static int read_values(struct reader *reader, char *p, double most, float out[3], bool *known)
 {
     double rgb[3];
     int count = 0;
     if (word_is(p, "spectral") || word_is(p, "xyz"))
-        return 0;
+        return warn(reader, "a spectral curve or a CIE colour, ignored", p);
     for (char *at = p; count < 3 && *at && *at != '#'; count++) {
         if (!obj_number(at, &rgb[count]))
             return warn(reader, "not a colour, ignored", p);

@@ -105,7 +105,7 @@ static void test_diffuse(void **state)
     assert_false(f.materials.list[2].has_diffuse);
     assert_diffuse(&f.materials.list[3], 1, 0, 1);
     assert_diffuse(&f.materials.list[4], 0.1f, 0, 0);
-    assert_int_equal(f.warnings, 0);
+    assert_int_equal(f.warnings, 2); /* of colours that are no numbers of red, green and blue */
     assert_string_equal(f.materials.list[1].name, "grey");
     close_fixture(&f);
 }
@@ -154,6 +154,10 @@ static void test_warnings(void **state)
         {"Kd 1 1 1\n", "test.mtl:1: no newmtl before this, ignored: \"Kd\""},
         {"newmtl a\nKd 1 1\n", "test.mtl:2: a colour has 1 or 3 numbers, ignored: \"1 1\""},
         {"newmtl a\nKd 1 x 1\n", "test.mtl:2: not a colour, ignored: \"1 x 1\""},
+        {"newmtl a\nKd xyz 1 1 1\n",
+         "test.mtl:2: a spectral curve or a CIE colour, ignored: \"xyz 1 1 1\""},
+        {"newmtl a\nKd spectral a.rfl 1\n",
+         "test.mtl:2: a spectral curve or a CIE colour, ignored: \"spectral a.rfl 1\""},
         {"newmtl a\nmap_Kd\n", "test.mtl:2: names no file, ignored: \"map_Kd\""},
         {"newmtl a\nmap_Kd -t 2 2 here.png\n",
          "test.mtl:2: texture is used without this turbulence: \"-t 2 2 here.png\""},
