@@ -129,6 +129,39 @@ LANES_INLINE struct row row_of_floats(const float from[3])
 #endif
 }
 
+/* Four floats. */
+typedef float four_floats __attribute__((vector_size(16)));
+
+typedef float four_floats_in_memory __attribute__((vector_size(16), aligned(4), may_alias));
+
+LANES_INLINE four_floats four_floats_load(const float *from)
+{
+    return *(const four_floats_in_memory *)from;
+}
+
+/* Returns a < b ? a : b for each number; four_floats_max(): a > b ? a : b. */
+LANES_INLINE four_floats four_floats_min(four_floats a, four_floats b)
+{
+#ifdef __SSE2__
+    return _mm_min_ps(a, b);
+#else
+    for (int i = 0; i < 4; i++)
+        a[i] = a[i] < b[i] ? a[i] : b[i];
+    return a;
+#endif
+}
+
+LANES_INLINE four_floats four_floats_max(four_floats a, four_floats b)
+{
+#ifdef __SSE2__
+    return _mm_max_ps(a, b);
+#else
+    for (int i = 0; i < 4; i++)
+        a[i] = a[i] > b[i] ? a[i] : b[i];
+    return a;
+#endif
+}
+
 /* Returns x with number i replaced. */
 LANES_INLINE struct row row_with(struct row x, int i, double number)
 {

@@ -79,7 +79,7 @@ struct fmt_tris_chunk_info {
 /* A chunk in memory. Attributes that the file does not have are NULL. */
 struct fmt_tris_chunk {
     uint32_t triangle_count, vertex_count;
-    const float (*positions)[3];
+    const float (*positions)[3]; /* at least four bytes can be read after the last one */
     const uint32_t *normals;
     const float (*texcoords)[2];
     const uint32_t *colors;

@@ -483,31 +483,36 @@ uint64_t fmt_tris_load_size_max(const struct fmt_tris_file *file)
 /* Indices that are widened in one step. */
 enum { WIDEN_STEP = 8 };
 
-static uint32_t widen_step(uint8_t *stored, uint32_t first, uint32_t count)
+typedef uint16_t short_indices __attribute__((vector_size(2 * WIDEN_STEP)));
+typedef uint32_t wide_indices __attribute__((vector_size(4 * WIDEN_STEP)));
+
+/* Widens `count` indices from `first` on, at most WIDEN_STEP. Returns the larger ones of these and
+ * of `max`. */
+static inline short_indices widen_step(uint8_t *stored, uint64_t first, uint64_t count,
+                                       short_indices max)
 {
-    uint16_t from[WIDEN_STEP] = {0};
-    uint32_t to[WIDEN_STEP], max = 0;
-    memcpy(from, stored + (uint64_t)first * sizeof *from, count * sizeof *from);
-    for (uint32_t i = 0; i < WIDEN_STEP; i++) {
-        to[i] = from[i];
-        max = to[i] > max ? to[i] : max;
-    }
-    memcpy(stored + (uint64_t)first * sizeof *to, to, count * sizeof *to);
-    return max;
+    short_indices from = {0};
+    memcpy(&from, stored + first * sizeof from[0], count * sizeof from[0]);
+    const wide_indices to = __builtin_convertvector(from, wide_indices);
+    memcpy(stored + first * sizeof to[0], &to, count * sizeof to[0]);
+    const short_indices larger = (short_indices)(from > max);
+    return (from & larger) | (max & ~larger);
 }
 
 /* Widens indices from 16 to 32 bits in place, from the last to the first: the scratch memory has
  * space after them. Returns the largest index. */
 static uint32_t widen_indices(uint8_t *stored, uint32_t count)
 {
-    uint32_t first = count - count % WIDEN_STEP;
-    uint32_t max = widen_step(stored, first, count - first);
+    uint64_t first = count - count % WIDEN_STEP;
+    uint32_t largest = 0;
+    short_indices max = widen_step(stored, first, count - first, (short_indices){0});
     while (first > 0) {
         first -= WIDEN_STEP;
-        uint32_t here = widen_step(stored, first, WIDEN_STEP);
-        max = here > max ? here : max;
+        max = widen_step(stored, first, WIDEN_STEP, max);
     }
-    return max;
+    for (int i = 0; i < WIDEN_STEP; i++)
+        largest = max[i] > largest ? max[i] : largest;
+    return largest;
 }
 
 static uint32_t largest_index(const uint32_t *indices, uint32_t count)

@@ -27,6 +27,7 @@ struct use {
     struct vox_region_key next; /* next region that needs the chunk after the units under way */
     uint32_t expected;          /* units of work under way that need it */
     int32_t slot;
+    bool empty; /* nothing of it lies in regions that are made */
 };
 
 struct vox_chunks {
@@ -263,7 +264,8 @@ static uint32_t next_unready(const struct vox_chunks *c)
     uint32_t best = NO_CHUNK;
     for (uint32_t i = 0; i < c->chunk_count; i++) {
         const struct use *use = &c->uses[i];
-        if (is_finished(use) || (use->slot != NO_SLOT && c->slots[use->slot].stage != STAGE_READ))
+        if (use->empty || is_finished(use) ||
+            (use->slot != NO_SLOT && c->slots[use->slot].stage != STAGE_READ))
             continue;
         if (best == NO_CHUNK || needed_before(c, i, best))
             best = i;
@@ -302,30 +304,49 @@ static int prepare_others(struct vox_chunks *c, const struct slot *wanted)
     return status;
 }
 
-int vox_chunks_acquire(struct vox_chunks *c, uint32_t chunk, const struct vox_chunk **out)
+/* Returns a slot of the chunk, and counts a use of it. Waits while all slots are held. *fresh: the
+ * first step is the caller's. */
+static struct slot *take_slot(struct vox_chunks *c, uint32_t chunk, bool *fresh)
 {
     const struct use *use = &c->uses[chunk];
     struct slot *slot;
-    bool fresh = false;
-    *out = NULL;
-    pthread_mutex_lock(&c->lock);
+    *fresh = false;
     while (use->slot == NO_SLOT) {
         if ((slot = find_slot(c)) != NULL) {
             give_slot(c, slot, chunk);
-            fresh = true;
+            *fresh = true;
         } else {
             pthread_cond_wait(&c->freed, &c->lock);
         }
     }
     slot = &c->slots[use->slot];
     slot->users++;
+    return slot;
+}
+
+static int acquire(struct vox_chunks *c, uint32_t chunk, const struct vox_chunk **out)
+{
+    struct use *use = &c->uses[chunk];
+    bool fresh;
+    if (use->empty)
+        return 0;
+    struct slot *slot = take_slot(c, chunk, &fresh);
     int status = fresh ? 0 : prepare_others(c, slot);
     if (status == 0)
         status = make_ready(c, slot, fresh);
-    if (status < 0)
+    use->empty = status == 0 && slot->content.empty;
+    if (status < 0 || use->empty)
         leave_slot(c, slot);
     else
         *out = &slot->content.chunk;
+    return status;
+}
+
+int vox_chunks_acquire(struct vox_chunks *c, uint32_t chunk, const struct vox_chunk **out)
+{
+    *out = NULL;
+    pthread_mutex_lock(&c->lock);
+    int status = acquire(c, chunk, out);
     pthread_mutex_unlock(&c->lock);
     return status;
 }

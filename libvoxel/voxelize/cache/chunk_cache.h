@@ -50,9 +50,10 @@ void vox_chunks_expect(struct vox_chunks *chunks, uint32_t chunk, uint32_t uses,
                        struct vox_region_key after);
 void vox_chunks_done(struct vox_chunks *chunks, uint32_t chunk);
 
-/* Loads or finds a chunk; *out is valid until it is released. A worker holds one chunk at a time.
- * Waits while other workers hold all slots. While another worker loads the chunk, this one loads
- * chunks that will be needed next, if there are spare slots. */
+/* Loads or finds a chunk; *out is valid until it is released. It is NULL, and not to be released,
+ * if nothing of the chunk lies in regions that are made. A worker holds one chunk at a time. Waits
+ * while other workers hold all slots. While another worker loads the chunk, this one loads chunks
+ * that will be needed next, if there are spare slots. */
 int vox_chunks_acquire(struct vox_chunks *chunks, uint32_t chunk, const struct vox_chunk **out);
 void vox_chunks_release(struct vox_chunks *chunks, uint32_t chunk);
 

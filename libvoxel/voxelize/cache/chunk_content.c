@@ -24,9 +24,9 @@ static struct vox_chunk_layout lay_out(const struct fmt_tris_file *file, bool sm
         to.normals_at + (normals ? bsq_align_up(vertices * sizeof(float[4]), BSQ_ALIGNMENT) : 0);
     to.vertex_groups_at =
         to.groups_at + bsq_align_up(groups * sizeof(struct vox_box), BSQ_ALIGNMENT);
-    to.inconsistent_at =
-        to.vertex_groups_at +
-        (smooth ? bsq_align_up(vertex_groups * sizeof(struct vox_box), BSQ_ALIGNMENT) : 0);
+    to.used_at = to.vertex_groups_at +
+                 (smooth ? bsq_align_up(vertex_groups * sizeof(struct vox_box), BSQ_ALIGNMENT) : 0);
+    to.inconsistent_at = to.used_at + bsq_align_up(vertex_groups * sizeof(bool), BSQ_ALIGNMENT);
     to.bytes = to.inconsistent_at + bsq_align_up(groups * sizeof(bool), BSQ_ALIGNMENT);
     return to;
 }
@@ -53,20 +53,48 @@ uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
 
 /* ---- the two steps ---- */
 
-/* Computes vox_transform_coordinate() of all vertices and axes. */
-static void map_points(const struct vox_transform *transform, const struct fmt_tris_chunk *source,
-                       double (*points)[4])
+/* Computes the points of vertices from `begin` to `end`. */
+static void place_vertices(const struct vox_transform *transform,
+                           const struct fmt_tris_chunk *source, uint32_t begin, uint32_t end,
+                           double (*points)[4])
 {
-    const double h = transform->h;
-    const struct row origin =
-        row_of(transform->origin[0], transform->origin[1], transform->origin[2], 0.0);
-    const struct row start =
-        row_of(transform->start[0], transform->start[1], transform->start[2], 0.0);
-    const struct row size = row_of(h, h, h, h);
-    for (uint32_t v = 0; v < source->vertex_count; v++) {
-        struct row position = row_of_floats(source->positions[v]);
-        row_store(row_quotient(row_difference(row_sum(origin, position), start), size), points[v]);
+    for (uint32_t v = begin; v < end; v++)
+        row_store(vox_place(transform, row_of_floats(source->positions[v])), points[v]);
+}
+
+/* Marks the groups of vertices that a group of triangles has. */
+static void mark_used(const struct fmt_tris_chunk *source, uint32_t group, bool *used)
+{
+    uint32_t t = group * VOX_GROUP_TRIANGLES;
+    const uint32_t end = vox_group_end(t, source->triangle_count, VOX_GROUP_TRIANGLES);
+    for (; t < end; t++)
+        for (int corner = 0; corner < 3; corner++)
+            used[source->triangles[t][corner] / VOX_GROUP_VERTICES] = true;
+}
+
+/* Computes the points of all vertices whose triangles may touch regions that are made. The normals
+ * of a file are judged by chunks as a whole, which need all points. */
+static void place_points(const struct vox_chunk_source *from, struct vox_chunk_content *content)
+{
+    struct vox_chunk *chunk = &content->chunk;
+    const struct fmt_tris_chunk *source = &chunk->source;
+    double(*points)[4] = (double(*)[4])(void *)(content->memory + content->layout.points_at);
+    bool *used = (bool *)(content->memory + content->layout.used_at);
+    const uint32_t vertices = source->vertex_count;
+    const bool all = !from->filter || source->normals;
+    content->empty = from->filter != NULL;
+    memset(used, all, vox_group_count(vertices, VOX_GROUP_VERTICES) * sizeof *used);
+    for (uint32_t g = 0; from->filter && g < chunk->group_count; g++) {
+        if (!vox_is_wanted(from->filter, &chunk->groups[g]))
+            continue;
+        content->empty = false;
+        mark_used(source, g, used);
     }
+    chunk->points = (const double(*)[4])points;
+    for (uint32_t v = 0; v < vertices && !content->empty; v += VOX_GROUP_VERTICES)
+        if (used[v / VOX_GROUP_VERTICES])
+            place_vertices(from->transform, source, v,
+                           vox_group_end(v, vertices, VOX_GROUP_VERTICES), points);
 }
 
 static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)[4])
@@ -95,16 +123,17 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
 #define NOISE_OF_FACETS   2.7
 #define NOISE_OF_VERTICES 0.4
 
-/* Returns the mean square of the triangles' first edges, in voxels. */
-static double mean_edge_square(const struct fmt_tris_chunk *source, const double (*points)[4])
+/* Returns the mean square of the triangles' first edges, in voxels of size h. */
+static double mean_edge_square(const struct fmt_tris_chunk *source, double h)
 {
     struct row sums = row_of(0.0, 0.0, 0.0, 0.0);
     for (uint32_t t = 0; t < source->triangle_count; t++) {
         const uint32_t *v = source->triangles[t];
-        struct row edge = row_difference(row_load(points[v[1]]), row_load(points[v[0]]));
+        struct row edge = row_difference(row_of_floats(source->positions[v[1]]),
+                                         row_of_floats(source->positions[v[0]]));
         sums = row_sum(sums, row_product(edge, edge));
     }
-    return (row_number(sums, 0) + row_number(sums, 1) + row_number(sums, 2)) /
+    return (row_number(sums, 0) + row_number(sums, 1) + row_number(sums, 2)) / (h * h) /
            (double)source->triangle_count;
 }
 
@@ -127,9 +156,10 @@ static bool is_wide(const struct vox_box *box)
 
 /* Widens `needed` by the triangles of a group that may touch regions that are made. A group that
  * reaches across a jump of the curve is wide, but its triangles are not. */
-static void add_needed(const struct vox_box_filter *filter, const struct vox_chunk *chunk,
+static void add_needed(const struct vox_chunk_source *from, const struct vox_chunk *chunk,
                        uint32_t group, struct vox_box *needed)
 {
+    const struct vox_box_filter *filter = from->filter;
     const struct vox_box *box = &chunk->groups[group];
     uint32_t t = group * VOX_GROUP_TRIANGLES;
     const uint32_t end = vox_group_end(t, chunk->source.triangle_count, VOX_GROUP_TRIANGLES);
@@ -141,21 +171,23 @@ static void add_needed(const struct vox_box_filter *filter, const struct vox_chu
     }
     for (; t < end; t++) {
         const struct vox_box of_triangle =
-            vox_triangle_box(&chunk->source, chunk->points, chunk->last_cell, t, t + 1);
+            vox_triangle_box(&chunk->source, from->transform, t, t + 1);
         if (vox_is_wanted(filter, &of_triangle))
             widen(needed, &of_triangle);
     }
 }
 
-/* Widens the bounds by the vertices in a box. */
-static void bound_vertices(const struct vox_chunk *chunk, const struct vox_box *box, float min[3],
-                           float max[3])
+/* Widens the bounds by those vertices of a group that lie in a box. */
+static void bound_group(const struct vox_transform *transform, const struct vox_chunk *chunk,
+                        uint32_t group, const struct vox_box *box, float min[3], float max[3])
 {
     const four_ints lo = {box->lo[0], box->lo[1], box->lo[2], INT32_MIN};
     const four_ints hi = {box->hi[0], box->hi[1], box->hi[2], INT32_MAX};
-    for (uint32_t v = 0; v < chunk->source.vertex_count; v++) {
+    uint32_t v = group * VOX_GROUP_VERTICES;
+    const uint32_t end = vox_group_end(v, chunk->source.vertex_count, VOX_GROUP_VERTICES);
+    for (; v < end; v++) {
         const float *p = chunk->source.positions[v];
-        const four_ints cell = vox_cell(row_load(chunk->points[v]), chunk->last_cell);
+        const four_ints cell = vox_cell(vox_place(transform, row_of_floats(p)), chunk->last_cell);
         if (four_any((cell < lo) | (cell > hi)))
             continue;
         for (int a = 0; a < 3; a++) {
@@ -167,20 +199,25 @@ static void bound_vertices(const struct vox_chunk *chunk, const struct vox_box *
 
 /* Sets the voxels of all triangles that may touch regions that are made, and the bounds of the
  * vertices there. Returns false if there are none. */
-static bool find_needed(const struct vox_box_filter *filter, const struct vox_chunk *chunk,
-                        struct vox_box *needed, float min[3], float max[3])
+static bool find_needed(const struct vox_chunk_source *from,
+                        const struct vox_chunk_content *content, struct vox_box *needed,
+                        float min[3], float max[3])
 {
+    const struct vox_chunk *chunk = &content->chunk;
+    const uint32_t groups = vox_group_count(chunk->source.vertex_count, VOX_GROUP_VERTICES);
     *needed =
         (struct vox_box){{INT32_MAX, INT32_MAX, INT32_MAX}, {INT32_MIN, INT32_MIN, INT32_MIN}};
     for (uint32_t g = 0; g < chunk->group_count; g++)
-        add_needed(filter, chunk, g, needed);
+        add_needed(from, chunk, g, needed);
     for (int a = 0; a < 3; a++) {
         min[a] = INFINITY;
         max[a] = -INFINITY;
     }
     if (needed->lo[0] > needed->hi[0])
         return false;
-    bound_vertices(chunk, needed, min, max);
+    for (uint32_t g = 0; g < groups; g++)
+        if (vox_boxes_meet(&content->vertex_groups[g], needed))
+            bound_group(from->transform, chunk, g, needed, min, max);
     return true;
 }
 
@@ -197,7 +234,7 @@ static int make_normals(const struct vox_chunk_source *from, const struct vox_sm
     memcpy(smooth.min, info->bounds_min, sizeof smooth.min);
     memcpy(smooth.max, info->bounds_max, sizeof smooth.max);
     if (from->filter) {
-        if (!find_needed(from->filter, chunk, &needed, smooth.min, smooth.max))
+        if (!find_needed(from, content, &needed, smooth.min, smooth.max))
             return 0;
         smooth.needed = &needed;
     }
@@ -219,24 +256,21 @@ static void find_inconsistent(bool large, struct vox_chunk_content *content)
     chunk->inconsistent = any ? inconsistent : NULL;
 }
 
-/* Computes the points in index space and the bounds of groups. */
-static void place_chunk(const struct vox_chunk_source *from, struct vox_chunk_content *content)
+/* Computes the voxels of groups. */
+static void find_groups(const struct vox_chunk_source *from, struct vox_chunk_content *content)
 {
     struct vox_chunk *chunk = &content->chunk;
     const struct fmt_tris_chunk *source = &chunk->source;
-    double(*points)[4] = (double(*)[4])(void *)(content->memory + content->layout.points_at);
     struct vox_box *groups =
         (struct vox_box *)(void *)(content->memory + content->layout.groups_at);
     struct vox_box *vertex_groups =
         (struct vox_box *)(void *)(content->memory + content->layout.vertex_groups_at);
-    map_points(from->transform, source, points);
-    chunk->points = (const double(*)[4])points;
     memcpy(chunk->last_cell, from->transform->voxels.hi, sizeof from->transform->voxels.hi);
-    vox_triangle_groups(source, chunk->points, chunk->last_cell, groups);
+    vox_triangle_groups(source, from->transform, groups);
     chunk->groups = groups;
     chunk->group_count = vox_group_count(source->triangle_count, VOX_GROUP_TRIANGLES);
     if (from->smooth)
-        vox_vertex_groups(source, chunk->points, chunk->last_cell, vertex_groups);
+        vox_vertex_groups(source, from->transform, vertex_groups);
     content->vertex_groups = vertex_groups;
 }
 
@@ -246,7 +280,7 @@ int vox_chunk_read(const struct vox_chunk_source *from, uint32_t number,
     content->layout = layout_of(from, number);
     int status = fmt_tris_load(from->file, number, content->memory, &content->chunk.source);
     if (status == 0)
-        place_chunk(from, content);
+        find_groups(from, content);
     return status;
 }
 
@@ -257,7 +291,10 @@ int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smoot
     const struct fmt_tris_chunk *source = &chunk->source;
     float(*normals)[4] = (float(*)[4])(void *)(content->memory + content->layout.normals_at);
     int status = 0;
-    double square = mean_edge_square(source, chunk->points);
+    place_points(from, content);
+    if (content->empty)
+        return 0;
+    double square = mean_edge_square(source, from->transform->h);
     chunk->coarse = square > COARSE_EDGE_SQUARE;
     chunk->wide = source->normals || square > WIDE_EDGE_SQUARE;
     chunk->normals = (const float(*)[4])normals;

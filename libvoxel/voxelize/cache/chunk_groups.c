@@ -1,58 +1,73 @@
-/* chunk_groups.c - the bounds of a chunk's groups, in voxels. */
+/* chunk_groups.c - the bounds of a chunk's groups, in voxels.
+ *
+ * Index space keeps the order of positions on each axis, so bounds are found among positions and
+ * then placed: a chunk of which a task needs a part only is not placed as a whole. */
 #include "libvoxel/voxelize/cache/chunk_groups.h"
 
 struct bounds {
-    struct row least, most;
+    four_floats least, most;
 };
 
-LANES_INLINE struct bounds begin_at(const double *point)
+/* The fourth number is arbitrary: that of positions is the next number in memory. */
+LANES_INLINE struct bounds begin_at(const float *position)
 {
-    return (struct bounds){row_load(point), row_load(point)};
+    const four_floats p = four_floats_load(position);
+    return (struct bounds){p, p};
 }
 
-LANES_INLINE void widen_by(struct bounds *bounds, const double *point)
+LANES_INLINE void widen_by(struct bounds *bounds, const float *position)
 {
-    struct row p = row_load(point);
-    bounds->least = row_min(p, bounds->least);
-    bounds->most = row_max(p, bounds->most);
+    const four_floats p = four_floats_load(position);
+    bounds->least = four_floats_min(p, bounds->least);
+    bounds->most = four_floats_max(p, bounds->most);
 }
 
-static struct vox_box box_of(const struct bounds *bounds, const int32_t last_cell[4])
+LANES_INLINE four_ints cell_of(const struct vox_transform *transform, four_floats position)
 {
-    four_ints low = vox_cell(bounds->least, last_cell), high = vox_cell(bounds->most, last_cell);
+    float at[4];
+    memcpy(at, &position, sizeof at);
+    return row_floor(vox_place(transform, row_of_floats(at)));
+}
+
+static struct vox_box box_of(const struct vox_transform *transform, const struct bounds *bounds)
+{
+    const int32_t *hi = transform->voxels.hi;
+    const four_ints last = {hi[0], hi[1], hi[2], INT32_MAX};
+    const four_ints low = four_min(cell_of(transform, bounds->least), last),
+                    high = four_min(cell_of(transform, bounds->most), last);
     struct vox_box box;
     memcpy(box.lo, &low, sizeof box.lo);
     memcpy(box.hi, &high, sizeof box.hi);
     return box;
 }
 
-struct vox_box vox_triangle_box(const struct fmt_tris_chunk *chunk, const double (*points)[4],
-                                const int32_t last_cell[4], uint32_t begin, uint32_t end)
+struct vox_box vox_triangle_box(const struct fmt_tris_chunk *chunk,
+                                const struct vox_transform *transform, uint32_t begin, uint32_t end)
 {
-    struct bounds bounds = begin_at(points[chunk->triangles[begin][0]]);
+    struct bounds bounds = begin_at(chunk->positions[chunk->triangles[begin][0]]);
     for (uint32_t t = begin; t < end; t++)
         for (int corner = 0; corner < 3; corner++)
-            widen_by(&bounds, points[chunk->triangles[t][corner]]);
-    return box_of(&bounds, last_cell);
+            widen_by(&bounds, chunk->positions[chunk->triangles[t][corner]]);
+    return box_of(transform, &bounds);
 }
 
-void vox_triangle_groups(const struct fmt_tris_chunk *chunk, const double (*points)[4],
-                         const int32_t last_cell[4], struct vox_box *groups)
+void vox_triangle_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
+                         struct vox_box *groups)
 {
     for (uint32_t begin = 0; begin < chunk->triangle_count; begin += VOX_GROUP_TRIANGLES)
         *groups++ =
-            vox_triangle_box(chunk, points, last_cell, begin,
+            vox_triangle_box(chunk, transform, begin,
                              vox_group_end(begin, chunk->triangle_count, VOX_GROUP_TRIANGLES));
 }
 
-void vox_vertex_groups(const struct fmt_tris_chunk *chunk, const double (*points)[4],
-                       const int32_t last_cell[4], struct vox_box *groups)
+void vox_vertex_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
+                       struct vox_box *groups)
 {
     for (uint32_t begin = 0; begin < chunk->vertex_count; begin += VOX_GROUP_VERTICES) {
         uint32_t end = vox_group_end(begin, chunk->vertex_count, VOX_GROUP_VERTICES);
-        struct bounds bounds = begin_at(points[begin]);
+        struct bounds bounds = begin_at(chunk->positions[begin]);
         for (uint32_t v = begin; v < end; v++)
-            widen_by(&bounds, points[v]);
-        *groups++ = box_of(&bounds, last_cell);
+            widen_by(&bounds, chunk->positions[v]);
+        *groups++ = box_of(transform, &bounds);
     }
 }

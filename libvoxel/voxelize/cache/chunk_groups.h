@@ -23,6 +23,15 @@ static inline uint32_t vox_group_end(uint32_t begin, uint32_t count, uint32_t gr
     return count - begin < group ? count : begin + group;
 }
 
+/* Returns vox_transform_coordinate() of three axes, and 0. position: three numbers and 0. */
+LANES_INLINE struct row vox_place(const struct vox_transform *transform, struct row position)
+{
+    const double *origin = transform->origin, *start = transform->start, h = transform->h;
+    const struct row moved = row_sum(row_of(origin[0], origin[1], origin[2], 0.0), position);
+    return row_quotient(row_difference(moved, row_of(start[0], start[1], start[2], 0.0)),
+                        row_of(h, h, h, h));
+}
+
 /* Returns the voxel of a point, and an arbitrary fourth number. Points are never below the grid;
  * a point on its upper bounds is counted to the last voxel. */
 LANES_INLINE four_ints vox_cell(struct row point, const int32_t last_cell[4])
@@ -30,15 +39,15 @@ LANES_INLINE four_ints vox_cell(struct row point, const int32_t last_cell[4])
     return four_min(row_floor(point), four_load(last_cell));
 }
 
-/* Returns the voxels of the bounds of triangles from `begin` to `end` > begin. last_cell: as in
- * struct vox_chunk. */
-struct vox_box vox_triangle_box(const struct fmt_tris_chunk *chunk, const double (*points)[4],
-                                const int32_t last_cell[4], uint32_t begin, uint32_t end);
+/* Returns the voxels of the bounds of triangles from `begin` to `end` > begin. */
+struct vox_box vox_triangle_box(const struct fmt_tris_chunk *chunk,
+                                const struct vox_transform *transform, uint32_t begin,
+                                uint32_t end);
 
-/* Computes the voxels of each group's bounds. last_cell: as in struct vox_chunk. */
-void vox_triangle_groups(const struct fmt_tris_chunk *chunk, const double (*points)[4],
-                         const int32_t last_cell[4], struct vox_box *groups);
-void vox_vertex_groups(const struct fmt_tris_chunk *chunk, const double (*points)[4],
-                       const int32_t last_cell[4], struct vox_box *groups);
+/* Computes the voxels of each group's bounds. */
+void vox_triangle_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
+                         struct vox_box *groups);
+void vox_vertex_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
+                       struct vox_box *groups);
 
 #endif

@@ -14,7 +14,7 @@
 /* Memory of one call. */
 struct workspace {
     bool busy;
-    struct bsq_positions table; /* of the chunk's vertices */
+    struct bsq_positions table; /* of the chunk's vertices that need normals */
     uint32_t *own_rings; /* for each vertex of the chunk: the number of its one-ring, which is that
                             of the first vertex at its position */
     uint32_t *neighbour_rings;  /* the same for the vertices of a neighbour; 0: none */
@@ -54,7 +54,6 @@ static int make_workspace(struct vox_smooth *s, struct workspace *d)
 {
     uint32_t vertices = largest_vertex_count(s->file), slots = bsq_positions_slots(vertices);
     int status;
-    d->table.mask = slots - 1;
     if ((status = bsq_alloc(s->ctx, "smooth normals", slots, sizeof *d->table.slots,
                             &d->table.slots)) < 0 ||
         (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->own_rings,
@@ -193,11 +192,14 @@ static uint32_t enter_run(const struct workspace *d, const struct fmt_tris_chunk
 
 /* Enters the vertices that may need normals. All vertices at the position of one of them are among
  * these, because they lie in the same voxel. */
-static void enter_vertices(const struct workspace *d, const struct vox_smooth_chunk *of)
+static void enter_vertices(struct workspace *d, const struct vox_smooth_chunk *of)
 {
     const struct fmt_tris_chunk *chunk = of->decoded.chunk;
     const uint32_t *late = d->neighbour_rings;
-    uint32_t late_count = 0;
+    uint32_t late_count = 0, count = 0;
+    for (struct run run = {0, 0}; next_vertices(&of->decoded, of->needed, &run);)
+        count += run.end - run.begin;
+    d->table.mask = bsq_positions_slots(count) - 1;
     memset(d->rings, 0, sizeof *d->rings);
     memset(d->table.slots, 0, ((uint64_t)d->table.mask + 1) * sizeof *d->table.slots);
     if (of->needed)
@@ -234,9 +236,11 @@ static bool touches(const struct fmt_tris_chunk_info *info, const struct neighbo
 static bool match(const struct workspace *d, const struct neighbour *n)
 {
     const struct fmt_tris_chunk *chunk = n->loan.chunk;
-    bool any = false;
-    memset(d->neighbour_rings, 0, chunk->vertex_count * sizeof *d->neighbour_rings);
-    for (struct run run = {0, 0}; next_vertices(&n->loan, &n->box, &run);)
+    struct run run = {0, 0};
+    bool any = false, more = next_vertices(&n->loan, &n->box, &run);
+    if (more)
+        memset(d->neighbour_rings, 0, chunk->vertex_count * sizeof *d->neighbour_rings);
+    for (; more; more = next_vertices(&n->loan, &n->box, &run))
         any |= bsq_positions_match(&d->table, n->min, n->max, chunk->positions + run.begin,
                                    run.end - run.begin, d->neighbour_rings + run.begin);
     return any;

@@ -41,19 +41,12 @@ static void decode(struct fixture *f, uint32_t index)
     struct decoded *d = &f->chunks[index];
     d->memory = malloc(fmt_tris_load_size(f->file, index));
     assert_int_equal(fmt_tris_load(f->file, index, d->memory, &d->chunk), 0);
-    double(*points)[4] = calloc(d->chunk.vertex_count, sizeof *points);
-    for (uint32_t v = 0; v < d->chunk.vertex_count; v++)
-        for (int a = 0; a < 3; a++)
-            points[v][a] = vox_transform_coordinate(&f->transform, d->chunk.positions[v][a], a);
-    int32_t last[4] = {f->transform.voxels.hi[0], f->transform.voxels.hi[1],
-                       f->transform.voxels.hi[2], 0};
     d->triangle_groups = calloc(vox_group_count(d->chunk.triangle_count, VOX_GROUP_TRIANGLES),
                                 sizeof *d->triangle_groups);
     d->vertex_groups = calloc(vox_group_count(d->chunk.vertex_count, VOX_GROUP_VERTICES),
                               sizeof *d->vertex_groups);
-    vox_triangle_groups(&d->chunk, (const double(*)[4])points, last, d->triangle_groups);
-    vox_vertex_groups(&d->chunk, (const double(*)[4])points, last, d->vertex_groups);
-    free(points);
+    vox_triangle_groups(&d->chunk, &f->transform, d->triangle_groups);
+    vox_vertex_groups(&d->chunk, &f->transform, d->vertex_groups);
 }
 
 static int lend(void *arg, uint32_t index, struct vox_loan *out)
