@@ -5,6 +5,7 @@
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -17,6 +18,7 @@
 
 #include "base/job_files.h"
 #include "formats/image/exr_read.h"
+#include "formats/image/exr_zip.h"
 #include "formats/image/image_writer.h"
 #include "tests/unit/fixture.h"
 
@@ -160,6 +162,108 @@ static void test_blocks_that_zip_to_their_own_size_are_kept(void **state)
     assert_int_equal(fmt_exr_read(ctx, path, &image), 0);
     assert_memory_equal(image.samples, samples, sizeof samples);
     fmt_exr_image_free(ctx, &image);
+    test_context_end(ctx);
+}
+
+/* ---- halves that are noise ---- */
+
+enum { HALF = 96 << 10 }; /* bytes; two stored blocks */
+
+/* Packs a chunk from both halves of its ordered bytes, and unpacks it with zlib. Returns the packed
+ * size; `stored` tells whether the stream begins with a stored block. */
+static size_t pack_halves(const uint8_t *ordered, bool *stored)
+{
+    struct bsq_ctx *ctx = test_context(1, 0);
+    struct fmt_exr_zip zip = {0};
+    static uint8_t apart[2 * HALF], chunk[2 * HALF], unpacked[2 * HALF];
+    memcpy(apart, ordered, sizeof apart);
+    for (size_t i = 1; i < sizeof apart; i++)
+        apart[i] = (uint8_t)(apart[i] + apart[i - 1] - 128);
+    for (size_t i = 0; i < sizeof chunk; i++)
+        chunk[i] = apart[i / 2 + (i % 2 ? HALF : 0)];
+    assert_int_equal(fmt_exr_zip_create(ctx, sizeof chunk, &zip), 0);
+    const size_t packed = fmt_exr_zip_pack(&zip, chunk, sizeof chunk);
+    *stored = false;
+    if (packed > 0) {
+        uLongf size = sizeof unpacked;
+        assert_true(packed < sizeof chunk);
+        assert_int_equal(uncompress(unpacked, &size, zip.packed, packed), Z_OK);
+        assert_int_equal(size, sizeof chunk);
+        assert_memory_equal(unpacked, ordered, sizeof chunk);
+        *stored = (zip.packed[2] & 7) == 0; /* not the last block, and of type 0 */
+    }
+    fmt_exr_zip_free(ctx, &zip);
+    test_context_end(ctx);
+    return packed;
+}
+
+static void test_a_half_of_noise_is_stored(void **state)
+{
+    (void)state;
+    static uint8_t ordered[2 * HALF];
+    uint64_t random = 7;
+    bool stored;
+    for (size_t i = 0; i < HALF; i++)
+        ordered[i] = (uint8_t)(test_random(&random) >> 32);
+    for (size_t i = HALF; i < sizeof ordered; i++)
+        ordered[i] = (uint8_t)(test_random(&random) >> 32 & 1);
+    /* The other half has one bit in each byte. A code for it is shorter than two bits. */
+    assert_in_range(pack_halves(ordered, &stored), HALF + HALF / 8, HALF + HALF / 4);
+    assert_true(stored);
+    /* Rows of a plane may repeat: all values are as frequent, but repetitions get smaller. */
+    for (size_t i = 4096; i < HALF; i++)
+        ordered[i] = ordered[i - 4096];
+    assert_in_range(pack_halves(ordered, &stored), HALF / 8, HALF / 4);
+    assert_false(stored);
+}
+
+static void test_a_half_that_begins_with_noise_is_packed(void **state)
+{
+    (void)state;
+    static uint8_t ordered[2 * HALF];
+    uint64_t random = 11;
+    bool stored;
+    for (size_t i = 0; i < sizeof ordered; i++)
+        ordered[i] = i < HALF / 2 ? (uint8_t)(test_random(&random) >> 32) : 0;
+    assert_in_range(pack_halves(ordered, &stored), HALF / 2, HALF / 2 + HALF / 16);
+    assert_false(stored);
+}
+
+static void test_noise_in_both_halves_is_not_packed(void **state)
+{
+    (void)state;
+    static uint8_t ordered[2 * HALF];
+    uint64_t random = 13;
+    bool stored;
+    for (size_t i = 0; i < sizeof ordered; i++)
+        ordered[i] = (uint8_t)(test_random(&random) >> 32);
+    assert_int_equal(pack_halves(ordered, &stored), 0);
+}
+
+/* OpenEXR reads maps of 32 bits whose low bytes are noise. */
+static void test_stored_halves_read_back(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = test_context(2, 0);
+    enum { WIDTH = 1000, HEIGHT = 40, COUNT = WIDTH * HEIGHT };
+    const struct fmt_image_options options = {
+        .width = WIDTH, .height = HEIGHT, .channel_count = 1, .type = FMT_FLOAT};
+    struct fmt_image_writer *writer;
+    float *samples = malloc(COUNT * sizeof *samples);
+    struct fmt_exr_image image;
+    uint64_t random = 17;
+    size_t size;
+    for (size_t i = 0; i < COUNT; i++) /* the even bytes are noise, the odd ones are 0x3f and 0 */
+        samples[i] = 0.5f + (float)(test_random(&random) & 0x7f00ff) * 0x1p-24f;
+    assert_int_equal(fmt_image_create(ctx, &fmt_exr_format, path, &options, &writer), 0);
+    assert_int_equal(fmt_image_write_rows(writer, samples, HEIGHT), 0);
+    assert_int_equal(fmt_image_commit(writer), 0);
+    free(read_bytes(path, &size));
+    assert_in_range(size, COUNT * 2, COUNT * 2 + COUNT / 2); /* two bytes of four stay */
+    assert_int_equal(fmt_exr_read(ctx, path, &image), 0);
+    assert_memory_equal(image.samples, samples, COUNT * sizeof *samples);
+    fmt_exr_image_free(ctx, &image);
+    free(samples);
     test_context_end(ctx);
 }
 
@@ -542,6 +646,10 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_round_trip_is_exact),
         cmocka_unit_test(test_blocks_that_zip_to_their_own_size_are_kept),
+        cmocka_unit_test(test_a_half_of_noise_is_stored),
+        cmocka_unit_test(test_a_half_that_begins_with_noise_is_packed),
+        cmocka_unit_test(test_noise_in_both_halves_is_not_packed),
+        cmocka_unit_test(test_stored_halves_read_back),
         cmocka_unit_test(test_other_reader_agrees),
         cmocka_unit_test(test_other_reader_agrees_on_tiles),
         cmocka_unit_test(test_bytes_do_not_depend_on_threads),
