@@ -112,9 +112,7 @@ def glass():
     for name, alpha, factor in (
             ("blend", {"alphaMode": "BLEND"}, 1), ("opaque", {}, 1), ("thin", {"alphaMode": "BLEND"}, 0.5),
             ("mask", {"alphaMode": "MASK"}, 1), ("faint", {"alphaMode": "MASK", "alphaCutoff": 0.25}, 0.5),
-            ("hidden", {"alphaMode": "MASK", "alphaCutoff": 0.9}, 1),
-            ("gone", {"alphaMode": "MASK", "alphaCutoff": 1e-30}, 0),
-            ("shown", {"alphaMode": "MASK", "alphaCutoff": 0}, 0)):
+            ("gone", {"alphaMode": "MASK", "alphaCutoff": 1e-30}, 0)):
         with open(name + ".gltf", "w") as file:
             json.dump({
                 "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
