@@ -370,6 +370,10 @@ int bake_open_plan(struct bsq_ctx *ctx, const char *path, struct bake_farm_plan 
 void bake_close_plan(struct bake_farm_plan *plan);
 /** Returns the options of the bake; valid until the plan is closed. */
 const struct bake_options *bake_plan_options(const struct bake_farm_plan *plan);
+/** Sets the device that traces the rays of tasks from now on, as `device` of struct bake_options;
+ * NULL: that of the plan. The parts belong to the plan all the same. The name must outlive the
+ * plan. */
+void bake_plan_use_device(struct bake_farm_plan *plan, const char *device);
 /** Returns the number of tasks. */
 uint32_t bake_plan_task_count(const struct bake_farm_plan *plan);
 /** Returns what task number `task`, from 0 on, is expected to need. */

@@ -318,6 +318,11 @@ const struct bake_options *bake_plan_options(const struct bake_farm_plan *plan)
     return &plan->options;
 }
 
+void bake_plan_use_device(struct bake_farm_plan *plan, const char *device)
+{
+    plan->task_device = device;
+}
+
 uint32_t bake_plan_task_count(const struct bake_farm_plan *plan)
 {
     return plan->base.task_count;
@@ -422,8 +427,11 @@ int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32
                   bool *kept, struct bake_report *report)
 {
     struct bake_run *job;
+    struct bake_options options = plan->options;
     *kept = false;
     memset(report, 0, sizeof *report);
+    if (plan->task_device)
+        options.device = plan->task_device;
     int status = fmt_farm_check_task(&plan->base, task);
     if (status < 0)
         return status;
@@ -434,7 +442,7 @@ int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32
         if (status < 0 || *kept)
             return status;
     }
-    status = bake_begin_job(ctx, &plan->options, report, &job);
+    status = bake_begin_job(ctx, &options, report, &job);
     return status < 0 ? status : bake_end_job(job, run_task(job, plan, task));
 }
 

@@ -392,7 +392,8 @@ static int parse_option(struct cli *cli, void *arg, int option)
     const int status = cli_tasks_option(cli, &arguments->farm, option);
     if (status <= 0)
         return status;
-    if ((option >= CLI_TASKS_END && option != OPT_MAX_MISSED) || option == 'o')
+    const bool with_plan = option == OPT_MAX_MISSED || option == OPT_DEVICE;
+    if ((option >= CLI_TASKS_END && !with_plan) || option == 'o')
         arguments->bake_option = option;
     switch (option) {
     case 'o':
@@ -474,7 +475,7 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_GPU_MEMORY:
         return cli_parse_size(cli, "--gpu-memory", optarg, &bake->gpu_memory_bytes);
     case OPT_DEVICE:
-        bake->device = optarg;
+        bake->device = arguments->task_device = optarg;
         return bake_is_device_name(optarg)
                    ? 0
                    : cli_usage(cli, "--device: \"%s\" is not " BAKE_DEVICE_NAMES, optarg);
@@ -505,6 +506,8 @@ static int check_tasks(struct cli *cli, const struct bake_arguments *arguments, 
 {
     const struct cli_tasks *farm = &arguments->farm;
     const char *option = arguments->bake_option ? name_of(arguments->bake_option) : NULL;
+    if (farm->plan && !farm->task_given && arguments->task_device)
+        return cli_usage(cli, "--plan has the device of the tasks: give --device to --task only");
     if ((farm->write_plan || (farm->plan && !farm->merge)) && arguments->max_missed < 100)
         return cli_usage(cli, "--max-missed is for the bake of all texels: give it to --merge");
     return cli_tasks_check(cli, farm, option, inputs);

@@ -11,9 +11,10 @@ struct bake_arguments {
     struct bake_transfers transfers;
     bool list_devices, list_tiles;
     struct cli_tasks farm;
-    int bake_option;   /* the last option that is about the bake itself; 0: none */
-    double max_missed; /* percent of the samples */
-    char **files;      /* the inputs, as given */
+    int bake_option;         /* the last option that is about the bake itself; 0: none */
+    double max_missed;       /* percent of the samples */
+    const char *task_device; /* --device, which tasks of a plan may have too; NULL: not given */
+    char **files;            /* the inputs, as given */
     int file_count;
     char *suffixes;     /* of names to match, with a zero between them; NULL: not given */
     const char **paths; /* the inputs: scans, then low-poly meshes */

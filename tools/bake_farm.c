@@ -95,8 +95,9 @@ static int run_task(struct cli *cli, void *arg, uint32_t task)
 }
 
 int bake_farm_tasks(struct cli *cli, const struct bake_arguments *arguments,
-                    const struct bake_farm_plan *plan)
+                    struct bake_farm_plan *plan)
 {
     struct task_job job = {arguments, plan};
+    bake_plan_use_device(plan, arguments->task_device);
     return cli_tasks_run(cli, &arguments->farm, bake_plan_task_count(plan), run_task, &job);
 }

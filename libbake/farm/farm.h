@@ -27,6 +27,7 @@ struct bake_farm_tile {
 struct bake_farm_plan {
     struct fmt_farm_plan base;
     struct bake_options options; /* with distances, maps and radius as all tasks use them */
+    const char *task_device;     /* traces the rays of tasks; NULL: that of the options */
     bool owns_options;           /* the strings and arrays in them */
     uint32_t block_side;
     struct bake_farm_tile *tiles;

@@ -5,6 +5,7 @@
 #   killed_at CALL...      checks tasks that end at their first call of each kind
 #   twice NAME COMMAND     checks a task that stops before it names its part while COMMAND runs
 #   no_temporary_files     checks that none is left in farm/
+#   plainly COMMAND...     runs a command as on NFS that has neither files without a name nor flock
 
 begin_faults()
 {
@@ -62,6 +63,16 @@ twice()
     wait $! || code=$?
     [ "$code" -eq 0 ] && cmp -s $part whole
     check "$1" $?
+}
+
+plainly()
+{
+    rm -f locks
+    command="$* without O_TMPFILE and flock" code=0
+    LD_PRELOAD=$TESTS/faults.so FAULT_PLAIN=1 FAULT_LOCKS=$(pwd -P)/locks "$@" >"$out" 2>"$err" || code=$?
+    code 0
+    [ -s locks ]
+    check "$command: it asked for a lock" $?
 }
 
 no_temporary_files()

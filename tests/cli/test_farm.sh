@@ -570,6 +570,34 @@ for bad in "" "asset parts" what "asset --chunk 0" "asset --cpus" "asset --memor
     err_like '^bisque-openjd: '
 done
 
+# ---- other devices than the plan's ----
+
+# The plan is made without a GPU. One task has one, which tests/fake/fake_cuda.c simulates, and the others have not.
+rm -rf farm color.*.exr
+mkdir farm
+$bake scan.nvdb low.obj $size -o '<MAP>.<UDIM>.exr' --maps color --device cpu
+code 0
+$bake scan.nvdb low.obj $size -o 'farm/<MAP>.<UDIM>.exr' --maps color --device cuda --tasks 3 --write-plan farm/plan.json
+code 0
+LD_LIBRARY_PATH=$TESTS/fake $bake --plan farm/plan.json --task 0 --json
+json '.device == "Fake GPU 0 (CUDA)"'
+$bake --plan farm/plan.json --task 1 --device cpu --json
+json '.device | startswith("cpu")'
+$bake --plan farm/plan.json --task 2 --device opencl:99
+code 69
+$bake --plan farm/plan.json --task 2 --device auto
+code 0
+$bake --plan farm/plan.json --merge
+code 0
+for map in color.*.exr; do
+    same "$map" "farm/$map"
+done
+for step in --merge ""; do
+    $bake --plan farm/plan.json $step --device cpu
+    code 64
+    err "$p --plan has the device of the tasks: give --device to --task only"
+done
+
 # ---- killed, interrupted, twice at once ----
 
 if ldd "$BIN/bisque-bake" | grep -q 'lib[at]san'; then
@@ -597,5 +625,19 @@ twice "the same task completes meanwhile" "$second"
 # On a machine where locks of other machines do not hold, the second removes the first one's file.
 twice "its temporary file is removed meanwhile" 'rm farm/.plan.0002.part.*.tmp'
 twice "both" "rm farm/.plan.0002.part.*.tmp; $second"
+no_temporary_files
+
+# ---- NFS that has neither files without a name nor flock ----
+
+rm -rf farm color.*.exr
+mkdir farm
+$bake scan.nvdb low.obj $size -o '<MAP>.<UDIM>.exr' --maps color
+code 0
+plainly "$BIN/bisque-bake" scan.nvdb low.obj $size -o 'farm/<MAP>.<UDIM>.exr' --maps color --tasks 2 --write-plan farm/plan.json
+plainly "$BIN/bisque-bake" --plan farm/plan.json --task 0-1
+plainly "$BIN/bisque-bake" --plan farm/plan.json --merge
+for map in color.*.exr; do
+    same "$map" "farm/$map"
+done
 no_temporary_files
 finish

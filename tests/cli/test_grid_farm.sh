@@ -224,4 +224,22 @@ twice "the same task completes meanwhile" '"$faulted" --plan farm/plan.json --ta
 # On a machine where locks of other machines do not hold, the second removes the first one's file.
 twice "its temporary file is removed meanwhile" 'rm farm/.plan.0002.part.*.tmp'
 no_temporary_files
+
+# ---- NFS that has neither files without a name nor flock ----
+
+rm -rf farm one.nvdb
+mkdir farm
+$vox a.obj -o alone.tris
+code 0
+$vox $scans -o one.nvdb --resolution 120
+code 0
+plainly "$BIN/bisque-voxelize" a.obj -o farm/alone.tris
+same alone.tris farm/alone.tris
+plainly "$BIN/bisque-voxelize" $scans -o farm/whole.nvdb --resolution 120
+same one.nvdb farm/whole.nvdb
+plainly "$BIN/bisque-voxelize" $scans -o farm/grid.nvdb --resolution 120 --tasks 2 --write-plan farm/plan.json
+plainly "$BIN/bisque-voxelize" --plan farm/plan.json --task 0-1
+plainly "$BIN/bisque-voxelize" --plan farm/plan.json --merge
+same one.nvdb farm/grid.nvdb
+no_temporary_files
 finish

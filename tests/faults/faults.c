@@ -14,6 +14,7 @@
  * FAULT_LOG     file that gets a line for each call that counts
  * FAULT_THREADS at most this many threads can be started
  * FAULT_PLAIN   1: opening a file without a name (O_TMPFILE) fails with EOPNOTSUPP
+ * FAULT_LOCKS   a file that gets a line for each call of flock, all of which fail with ENOLCK
  *
  * It replaces symbols. It does not see calls inside libc, for example by stdio. */
 #include <dlfcn.h>
@@ -27,6 +28,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
@@ -260,6 +262,20 @@ int close(int fd)
     if (what != FAIL)
         return result;
     errno = error;
+    return -1;
+}
+
+/* ---- locks ---- */
+
+int flock(int fd, int operation)
+{
+    const char *log = setting("FAULT_LOCKS");
+    if (!*log)
+        return (int)syscall(SYS_flock, fd, operation);
+    int to = (int)syscall(SYS_openat, AT_FDCWD, log, O_WRONLY | O_CREAT | O_APPEND, 0600);
+    syscall(SYS_write, to, "flock\n", (size_t)6);
+    syscall(SYS_close, to);
+    errno = ENOLCK;
     return -1;
 }
 
