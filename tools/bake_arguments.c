@@ -321,6 +321,14 @@ static int parse_rays(struct cli *cli, int option, struct bake_options *bake)
     }
 }
 
+static int parse_max_missed(struct cli *cli, double *out)
+{
+    int status = cli_parse_length(cli, "--max-missed", optarg, false, out);
+    if (status == 0 && *out > 100)
+        status = cli_usage(cli, "--max-missed: %s is above 100 percent", optarg);
+    return status;
+}
+
 /* Parses "_low,_high". The texts live as long as the arguments. */
 static int parse_suffixes(struct cli *cli, struct bake_arguments *arguments)
 {
@@ -440,7 +448,7 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_MATCH_SUFFIXES:
         return parse_suffixes(cli, arguments);
     case OPT_MAX_MISSED:
-        return cli_parse_length(cli, "--max-missed", optarg, false, &arguments->max_missed);
+        return parse_max_missed(cli, &arguments->max_missed);
     case OPT_AO_RAYS:
     case OPT_AO_DISTANCE:
     case OPT_AO_SPREAD:

@@ -86,10 +86,24 @@ static int choose_format(struct bsq_ctx *ctx, const struct bake_options *options
     return status;
 }
 
+/* Refuses tokens in small letters, which would become part of the files' names. */
+static int check_tokens(struct bsq_ctx *ctx, const char *path)
+{
+    static const char *const tokens[] = {BAKE_MAP_TOKEN, BAKE_UDIM_TOKEN, BAKE_UVTILE_TOKEN,
+                                         BAKE_OBJECT_TOKEN, BAKE_MATERIAL_TOKEN};
+    for (size_t i = 0; i < sizeof tokens / sizeof *tokens; ++i)
+        for (const char *at = path; (at = strcasestr(at, tokens[i])); ++at)
+            if (strncmp(at, tokens[i], strlen(tokens[i])) != 0)
+                return bsq_fail(ctx, BSQ_EUSAGE,
+                                "%s: \"%s\" in the output's name needs capital letters", path,
+                                tokens[i]);
+    return 0;
+}
+
 int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps)
 {
     const char *path = options->output_path;
-    int status = 0;
+    int status = check_tokens(ctx, path);
     unsigned count = 0;
     for (unsigned i = 0; status == 0 && i < bake_selection_end(maps); ++i) {
         const struct fmt_image_format *format;

@@ -130,6 +130,12 @@ $bake plain.nvdb low.obj -o a.png --png-bits 12
 refused 64 "$p --png-bits: \"12\" is not 8 or 16"
 $bake colored.nvdb low.obj -o a.exr --maps normal,color
 refused 64 "$p a.exr: several maps need \"<MAP>\" in the output's name"
+$bake plain.nvdb low.obj -o 'a_<Map>.exr' --maps normal
+refused 64 "$p a_<Map>.exr: \"<MAP>\" in the output's name needs capital letters"
+$bake plain.nvdb low.obj -o '<object>_<MAP>.exr'
+refused 64 "$p <object>_<MAP>.exr: \"<OBJECT>\" in the output's name needs capital letters"
+$bake $good --max-missed 100.5
+refused 64 "$p --max-missed: 100.5 is above 100 percent"
 $bake $good --gpu-memory much
 refused 64 "$p --gpu-memory: \"much\" is not a size such as 512MiB or 4G"
 # Device names are checked before any file is opened, also for exact bakes, which need no device.
