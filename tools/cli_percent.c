@@ -143,6 +143,14 @@ void cli_percent_turn(struct cli *cli, uint32_t turn, uint32_t turns)
 
 /* ---- the heartbeat ---- */
 
+/* Prints the last line again if none was printed for so long that the next one would come too late.
+ */
+static void repeat_line(const struct timespec *now)
+{
+    if (now->tv_sec - state.at.tv_sec >= HEARTBEAT_SECONDS - 1)
+        print_line(state.cli, state.percent);
+}
+
 static void *beat(void *unused)
 {
     (void)unused;
@@ -150,8 +158,7 @@ static void *beat(void *unused)
     while (!state.stopping) {
         struct timespec now, next;
         clock_gettime(CLOCK_MONOTONIC, &now);
-        if (now.tv_sec - state.at.tv_sec >= HEARTBEAT_SECONDS - 1)
-            print_line(state.cli, state.percent);
+        repeat_line(&now);
         next = state.at;
         next.tv_sec += HEARTBEAT_SECONDS - 1;
         pthread_cond_timedwait(&state.stop, &state.lock, &next);
