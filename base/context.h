@@ -137,7 +137,8 @@ int bsq_alloc(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t si
 int bsq_calloc(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *out);
 
 /** Grows *inout, NULL at first, to at least `count` elements of `size` bytes and keeps its content.
- * Updates *capacity, in elements. Grows by at least half, so appending takes linear time.
+ * Updates *capacity, in elements. Grows by half, or by what the budget allows of that, so appending
+ * takes linear time.
  * Errors: as bsq_alloc(); then *inout stays as it was. */
 int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *inout,
              uint64_t *capacity);

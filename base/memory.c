@@ -334,18 +334,19 @@ int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t siz
     memcpy(&payload, inout, sizeof payload);
     uint64_t old_cost = payload ? bsq_block_cost(header_of(payload)->size) : 0;
 
-    uint64_t generous = *capacity + *capacity / 2;
-    uint64_t wanted = generous > count ? generous : count;
-    uint64_t bytes;
-    if (!size_of_array(wanted, size, &bytes)) {
-        wanted = count;
-        if (!size_of_array(wanted, size, &bytes))
+    /* Asks for half more; where that does not fit, for a quarter more, and so on. So a block that
+     * grows in small steps is rarely copied, also if it takes most of the budget. */
+    uint64_t wanted, bytes, extra = *capacity / 2;
+    bool fits;
+    do {
+        wanted = count - *capacity < extra ? *capacity + extra : count;
+        extra /= 2;
+        fits = size_of_array(wanted, size, &bytes);
+        if (wanted == count && !fits)
             return fail_overflow(ctx, what, count, size);
-    }
-    if (!try_reserve(ctx, more_cost(bytes, old_cost))) {
-        /* The requested size may still fit if the extra capacity does not. */
-        wanted = count;
-        bytes = count * size;
+        fits = fits && try_reserve(ctx, more_cost(bytes, old_cost));
+    } while (!fits && wanted > count);
+    if (!fits) {
         int status = bsq_reserve(ctx, what, more_cost(bytes, old_cost));
         if (status < 0)
             return status;
