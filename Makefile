@@ -600,9 +600,10 @@ bench-normals: $(BUILD)/tests/bench-normals
 	@$< $(BENCH_CELLS)
 
 .PHONY: bench-blender
-## bench-blender: compare ambient occlusion and normals with Blender's, which BLENDER=PROGRAM names
+## bench-blender: compare maps, and the cost of whole jobs, with Blender's, BENCH=small or medium (default)
 bench-blender: all $(generator) $(BUILD)/tests/measure
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/blender.sh
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/blender_job.sh $(BENCH)
 
 # The programs with their shared libraries, except those of C and C++, for machines that cannot
 # build.

@@ -52,7 +52,7 @@ bake()
         cat bake.log >&2
         exit 70
     }
-    tr ' ' '\n' <report | awk -F = '/^(user|sys)=/ { s += $2 } END { printf "processor seconds: %.1f\n", s }'
+    tr ' ' '\n' <report | awk -F = '/^(user|system)=/ { s += $2 } END { printf "processor seconds: %.1f\n", s }'
 }
 
 "$TESTS/generate-scan" --triangles 200000 vase -o vase.obj &&
