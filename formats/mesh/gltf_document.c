@@ -146,8 +146,10 @@ static int parse_text(struct gltf_document *d, const struct shortener *s)
     struct feed feed = {.document = d, .text = s->text, .left = s->size};
     json_error_t error;
     const size_t mark = fmt_mesh_mark(s->text, s->size);
-    feed.text += mark;
-    feed.left -= mark;
+    if (mark > 0) { /* an empty text has no memory */
+        feed.text += mark;
+        feed.left -= mark;
+    }
     const uint64_t bound = bsq_json_bound(s->text, s->size);
     int status = bsq_reserve(d->ctx, "the JSON of a glTF file", bound);
     if (status)
