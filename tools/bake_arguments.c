@@ -122,6 +122,7 @@ enum {
     OPT_LIST_DEVICES,
     OPT_LIST_TILES
 };
+_Static_assert(OPT_LIST_TILES - CLI_TASKS_END < 64, "a bit of `given` for each option");
 
 static const struct option long_options[] = {
     {"output", required_argument, NULL, 'o'},
@@ -402,6 +403,8 @@ static int parse_option(struct cli *cli, void *arg, int option)
     const bool with_plan = option == OPT_MAX_MISSED || option == OPT_DEVICE;
     if ((option >= CLI_TASKS_END && !with_plan) || option == 'o')
         arguments->bake_option = option;
+    if (option >= CLI_TASKS_END)
+        arguments->given |= UINT64_C(1) << (option - CLI_TASKS_END);
     switch (option) {
     case 'o':
         bake->output_path = optarg;
@@ -506,6 +509,14 @@ static const char *name_of(int option)
     while (o->name && o->val != option)
         o++;
     return o->name ? o->name : "";
+}
+
+bool bake_arguments_has(const struct bake_arguments *arguments, const char *name)
+{
+    for (const struct option *o = long_options; o->name; o++)
+        if (strcmp(o->name, name) == 0)
+            return o->val >= CLI_TASKS_END && arguments->given >> (o->val - CLI_TASKS_END) & 1;
+    return false;
 }
 
 /* Checks the options of tasks against each other. */

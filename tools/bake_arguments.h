@@ -11,6 +11,7 @@ struct bake_arguments {
     struct bake_transfers transfers;
     bool list_devices, list_tiles;
     struct cli_tasks farm;
+    uint64_t given;          /* bit i: option CLI_TASKS_END + i */
     int bake_option;         /* the last option that is about the bake itself; 0: none */
     double max_missed;       /* percent of the samples */
     const char *task_device; /* --device, which tasks of a plan may have too; NULL: not given */
@@ -26,6 +27,8 @@ enum { MOST_MAPS = BAKE_MAX_MAPS };
 /* Reads the command line. Free *arguments with bake_arguments_free(), also after a failure. Returns
  * what cli_parse_options() returns. */
 int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int argc, char **argv);
+/* Returns whether a long option that is about the bake itself, such as "size", was given. */
+bool bake_arguments_has(const struct bake_arguments *arguments, const char *name);
 /* Finds out which of the inputs are scans (.nvdb, .tris) and which are low-poly meshes. Two files
  * are a scan and a mesh, in this order. Errors: BSQ_EUSAGE, and those of fmt_recognise(). */
 int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments);

@@ -7,6 +7,7 @@
 #include "base/tile_files.h"
 #include "tools/bake_farm.h"
 #include "tools/bake_report.h"
+#include "tools/bake_unused.h"
 
 /* ---- outputs ---- */
 
@@ -112,6 +113,8 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
         status = name_outputs(cli, bake, &paths);
     if (status == 0)
         status = check_outputs(cli, bake, arguments->farm.write_plan, paths);
+    if (status == 0)
+        bake_warn_unused(cli, arguments);
     if (status == 0 && arguments->farm.write_plan)
         status = bake_farm_plan(cli, arguments, &report);
     else if (status == 0)

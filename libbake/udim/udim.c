@@ -32,14 +32,15 @@ void bake_tile_size_of(const struct bake_options *options, uint32_t number, uint
 
 /* ---- finding ---- */
 
-/* Writes the numbers of the tiles with triangles: "1001, 1002 and 5 more". */
-static void name_tiles(const struct bake_tile_sorter *sorter, char *out, size_t size)
+/* Writes the numbers of the tiles with triangles: "1001, 1002 and 5 more". triangles: of each tile.
+ */
+static void name_tiles(const uint64_t triangles[TILES], char *out, size_t size)
 {
     uint32_t left = 0;
     size_t used = 0;
     snprintf(out, size, "no tile");
     for (uint32_t tile = 0; tile < TILES; tile++) {
-        if (sorter->places[tile] == 0)
+        if (triangles[tile] == 0)
             continue;
         if (used + 32 > size)
             left++;
@@ -67,7 +68,7 @@ static int check_tiles(const struct bake_tile_sorter *sorter, uint32_t count)
 {
     const struct bake_options *o = sorter->options;
     char tiles[200];
-    name_tiles(sorter, tiles, sizeof tiles);
+    name_tiles(sorter->places, tiles, sizeof tiles);
     if (sorter->stray_triangles > 0 && o->tile_range_count == 0)
         return fail_stray(sorter, tiles);
     if (count > 1 && !strstr(o->output_path, BAKE_UDIM_TOKEN) &&
@@ -119,10 +120,10 @@ static int list_tiles(struct bake_tile_sorter *sorter, uint32_t set, struct bake
     return status;
 }
 
-/* Finds the tiles of a set. Writes all tiles with triangles to `found`. */
+/* Finds the tiles of a set. Adds the number of its triangles to that of each tile. */
 static int find_tiles_of_set(struct bsq_ctx *ctx, const struct bake_options *options,
-                             const struct bake_lowmesh *mesh, uint32_t set, struct bake_udim *out,
-                             char *found, size_t size)
+                             const struct bake_lowmesh *mesh, uint32_t set,
+                             uint64_t triangles[TILES], struct bake_udim *out)
 {
     struct bake_tile_sorter *sorter;
     int status = bake_tile_sorter_create(ctx, options, mesh, set, &sorter);
@@ -131,9 +132,48 @@ static int find_tiles_of_set(struct bsq_ctx *ctx, const struct bake_options *opt
     status = bake_tile_sort(sorter, 0, NULL);
     if (status == 0)
         status = list_tiles(sorter, set, out);
-    if (status == 0)
-        name_tiles(sorter, found, size);
+    for (uint32_t tile = 0; tile < TILES; tile++)
+        triangles[tile] += sorter->places[tile];
     bsq_free(ctx, sorter);
+    return status;
+}
+
+static bool is_any_used(const uint64_t triangles[TILES], uint32_t first, uint32_t last)
+{
+    for (uint32_t number = first; number <= last; number++)
+        if (triangles[number - BAKE_FIRST_TILE] > 0)
+            return true;
+    return false;
+}
+
+/* Checks that one of the tiles `first` to `last`, which options name, is in use. */
+static int check_range(struct bsq_ctx *ctx, const struct bake_options *options,
+                       const uint64_t triangles[TILES], uint32_t first, uint32_t last)
+{
+    char tiles[200];
+    if (is_any_used(triangles, first, last))
+        return 0;
+    name_tiles(triangles, tiles, sizeof tiles);
+    if (first == last)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%s: no triangle is in tile %u; there are triangles in %s",
+                        options->mesh_path, first, tiles);
+    return bsq_fail(ctx, BSQ_EUSAGE,
+                    "%s: no triangle is in tiles %u to %u; there are triangles in %s",
+                    options->mesh_path, first, last, tiles);
+}
+
+/* Checks that the tiles that options name are in use: each that has a size of its own, and one of
+ * each selected range. */
+static int check_named_tiles(struct bsq_ctx *ctx, const struct bake_options *options,
+                             const uint64_t triangles[TILES])
+{
+    int status = 0;
+    for (uint32_t i = 0; i < options->tile_size_count && status == 0; i++)
+        status = check_range(ctx, options, triangles, options->tile_sizes[i].tile,
+                             options->tile_sizes[i].tile);
+    for (uint32_t i = 0; i < options->tile_range_count && status == 0; i++)
+        status = check_range(ctx, options, triangles, options->tile_ranges[i].first,
+                             options->tile_ranges[i].last);
     return status;
 }
 
@@ -146,15 +186,14 @@ static uint32_t sets_of(const struct bake_lowmesh *mesh)
 int bake_udim_find(struct bsq_ctx *ctx, const struct bake_options *options,
                    const struct bake_lowmesh *mesh, struct bake_udim *out)
 {
-    char tiles[200] = "";
-    int status = 0;
+    uint64_t *triangles = NULL;
     *out = (struct bake_udim){0};
+    int status = bsq_calloc(ctx, "tiles", TILES, sizeof *triangles, &triangles);
     for (uint32_t set = 0; set < sets_of(mesh) && status == 0; set++)
-        status = find_tiles_of_set(ctx, options, mesh, set, out, tiles, sizeof tiles);
-    if (status == 0 && out->count == 0)
-        status = bsq_fail(ctx, BSQ_EUSAGE,
-                          "%s: no triangle is in the selected tiles; there are triangles in %s",
-                          options->mesh_path, tiles);
+        status = find_tiles_of_set(ctx, options, mesh, set, triangles, out);
+    if (status == 0)
+        status = check_named_tiles(ctx, options, triangles);
+    bsq_free(ctx, triangles);
     return status;
 }
 

@@ -29,7 +29,8 @@ struct bake_udim {
  * Triangles without area in texture space belong to the first tile of their set. A set of such
  * triangles only is in tile 1001. Free *out with bake_udim_free(). Errors: BSQ_EUSAGE if there are
  * several tiles and the output's name has no token for them, if triangles lie outside of all tiles
- * while no tiles are selected, or if a selected one is empty; BSQ_ENOMEM, BSQ_EINTR. */
+ * while no tiles are selected, or if no triangle is in a selected range or in a tile with a size of
+ * its own; BSQ_ENOMEM, BSQ_EINTR. */
 int bake_udim_find(struct bsq_ctx *ctx, const struct bake_options *options,
                    const struct bake_lowmesh *mesh, struct bake_udim *out);
 void bake_udim_free(struct bsq_ctx *ctx, struct bake_udim *udim); /* zeroed: allowed */

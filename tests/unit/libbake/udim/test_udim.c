@@ -188,9 +188,10 @@ static void test_overshoot_below_half_a_texel_is_no_tile(void **state)
     find(f);
     expect_tiles(f, 2, (const uint32_t[]){1001, 1002});
     /* Less than half a texel of that tile's own, smaller map. */
-    const struct bake_tile_size size = {.tile = 1002, .width = SIZE / 5, .height = SIZE};
+    const struct bake_tile_size size = {.tile = 1001, .width = SIZE, .height = SIZE};
     f->options.tile_sizes = &size;
     f->options.tile_size_count = 1;
+    f->options.width = SIZE / 5;
     find(f);
     expect_tiles(f, 1, (const uint32_t[]){1001});
 }
@@ -298,8 +299,24 @@ static void test_messages(void **state)
     find(f);
     expect_tiles(f, 1, (const uint32_t[]){1033});
     range.first = 1034;
-    expect_failure(f, "low.obj: no triangle is in the selected tiles; there are triangles in 1001, "
+    expect_failure(f, "low.obj: no triangle is in tiles 1034 to 1040; there are triangles in 1001, "
                       "1033");
+    const struct bake_tile_range used_and_not[] = {{1001, 1020}, {1002, 1002}};
+    f->options.tile_ranges = used_and_not;
+    f->options.tile_range_count = 2;
+    expect_failure(f, "low.obj: no triangle is in tile 1002; there are triangles in 1001, 1033");
+    f->options.tile_ranges = &range;
+    f->options.tile_range_count = 1;
+    range = (struct bake_tile_range){1033, 1033};
+    struct bake_tile_size size = {
+        .tile = 1001, .width = 8, .height = 8}; /* not selected, but used */
+    f->options.tile_sizes = &size;
+    f->options.tile_size_count = 1;
+    find(f);
+    expect_tiles(f, 1, (const uint32_t[]){1033});
+    size.tile = 1034;
+    expect_failure(f, "low.obj: no triangle is in tile 1034; there are triangles in 1001, 1033");
+    f->options.tile_size_count = 0;
     f->options.tile_range_count = 0;
     f->options.output_path = "<UVTILE>.exr";
     find(f);

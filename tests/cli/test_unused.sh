@@ -1,0 +1,66 @@
+#!/bin/sh
+# test_unused.sh - options that have no effect on a bake are named, and those that have one are not.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
+. "$(dirname "$0")/lib.sh"
+
+"$TESTS/generate-scan" -n 2000 vase -o scan.obj
+"$TESTS/generate-scan" vase-low -o vase-low.obj
+run bisque-voxelize scan.obj -o vase-high.nvdb --resolution 16
+code 0
+bake() { run bisque-bake vase-high.nvdb vase-low.obj --progress none --size 4 --samples 1 "$@"; }
+
+# unused NEEDS OPTION [VALUE] -- USE...: the option has no effect alone, and has one beside USE.
+unused()
+{
+    needs=$1 option=$2
+    shift 2
+    values=
+    while [ "$1" != -- ]; do
+        values="$values $1"
+        shift
+    done
+    shift
+    # shellcheck disable=SC2086 # a value is a word
+    bake --maps mask --device cpu -o map.exr $option $values
+    code 0
+    [ "$(cat "$err")" = "bisque-bake: warning: $option has no effect: it needs $needs" ]
+    check "a warning of $option" $?
+    # shellcheck disable=SC2086
+    bake --device cpu $option $values "$@"
+    code 0
+    [ ! -s "$err" ]
+    check "none of $option beside $*" $?
+}
+
+unused "the map height" --height-range 1 -- --maps height -o map.png
+unused "the map position" --position-in box -- --maps position -o map.png
+unused "the map curvature" --curvature-radius 0.1 -- --maps curvature -o map.png
+unused "the map curvature" --curvature-range 1 -- --maps curvature -o map.png
+unused "the map ao or bent" --ao-rays 2 -- --maps ao -o map.png
+unused "the map ao or bent" --ao-spread 90 -- --maps bent -o map.png
+unused "the map ao or bent" --ao-distance 1 -- --maps mask,bent -o '<MAP>.png'
+unused "the map thickness" --thickness-rays 2 -- --maps thickness -o map.png
+unused "the map thickness" --thickness-distance 1 -- --maps thickness -o map.png
+unused "the map normal or bent" --normal-space object -- --maps normal -o map.png
+unused "the map normal or bent" --green down -- --maps bent -o map.png
+unused "--match" --match-suffixes -low,-high -- --match name -o '<MAP>.png'
+unused "--preview" --preview-views 1 -- --preview preview.png -o '<MAP>.png'
+unused "--preview" --up z -- --preview preview.png -o '<MAP>.png'
+unused "a device other than cpu" --gpu-memory 1G -- --device auto -o '<MAP>.png'
+
+# An option that needs two others is named for the one that lacks.
+bake --maps mask --ao-distance 1 --ao-falloff linear -o map.exr
+code 0
+[ "$(grep -c "has no effect: it needs the map ao or bent" "$err")" -eq 2 ]
+check "both options of ao" $?
+
+# A plan warns when it is written, and its tasks do not.
+bake --maps mask --ao-rays 2 -o map.exr --tasks 1 --write-plan plan.json
+code 0
+grep -q "warning: --ao-rays has no effect" "$err"
+check "a warning of the plan" $?
+run bisque-bake --plan plan.json --task 0 --progress none
+code 0
+[ ! -s "$err" ]
+check "none of the task" $?
+finish
