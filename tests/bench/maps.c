@@ -9,7 +9,8 @@
 #include "libbake/kernel/bk_sample.h"
 #include "tests/bench/rays.h"
 
-/* Maps of the first hit have at least FIRST_HIT_ROUNDS, as a round is short and its ratio near 1. */
+/* Maps of the first hit have at least FIRST_HIT_ROUNDS, as a round is short and its ratio near 1.
+ */
 enum { MAX_ROUNDS = 99, FIRST_HIT_ROUNDS = 9 };
 
 struct bench {
