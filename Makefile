@@ -435,12 +435,13 @@ check-ptx: $(BUILD)/gen/kernel-$(PTX).ptx
 
 # openjd-cli in a virtual environment of the tests.
 farm_venv := build/farm-venv
-.PHONY: check-farm
-## check-farm: bake in tasks on a Slurm cluster on this machine, and with openjd (installs both)
-check-farm: tests-build
+.PHONY: check-farm deps-farm
+deps-farm:
 	@tests/install-packages.sh slurm-wlm python3-venv
 	@[ -x $(farm_venv)/bin/openjd ] || { python3 -m venv $(farm_venv) && \
 	    $(farm_venv)/bin/pip install -q openjd-cli==0.8.0; }
+## check-farm: bake in tasks on a Slurm cluster on this machine, and with openjd (installs both)
+check-farm: tests-build deps-farm
 	@OPENJD=$(farm_venv)/bin/openjd BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
 	    tests/farm/check_openjd.sh tests/farm/check_slurm.sh
 
@@ -454,7 +455,8 @@ bench-farm: all $(generator)
 .PHONY: check-long
 check-long: check
 	@LONG=1 BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
-	    $(patsubst %,tests/cli/test_%.sh,faults overwritten oracle reproducible)
+	    $(patsubst %,tests/cli/test_%.sh,faults overwritten oracle reproducible) \
+	    $(BUILD)/tests/exhaustion/test_exhaustion
 
 # ---- packages ----
 packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev libopenimageio-dev \
