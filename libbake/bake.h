@@ -344,7 +344,7 @@ enum { BAKE_MAX_TASKS = 65536 };
 /** What a task is expected to need. These are estimates, for schedulers. */
 struct bake_task_cost {
     uint64_t texels;        /**< With a surface of the low-poly mesh. */
-    uint64_t memory_bytes;  /**< A budget with which it need not spill. */
+    uint64_t memory_bytes;  /**< With eight threads, at full speed; it works with less. */
     uint64_t scratch_bytes; /**< Of temporary files with a smaller budget. */
     uint64_t part_bytes;    /**< The size of its part file, at most. */
     double cpu_seconds;     /**< Of one core; machines differ by a factor. */

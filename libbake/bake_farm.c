@@ -138,53 +138,6 @@ static int divide(const struct bake_run *job, struct bake_farm_plan *plan)
     return status;
 }
 
-/* ---- what tasks need ---- */
-
-/* Seconds of one core for a sample's pair of rays on a grid and on triangles, and for a ray from a
- * hit, about as tests/bench/FARM.md has them. */
-static const double grid_seconds = 0.25e-6, exact_seconds = 0.8e-6, ray_seconds = 1.2e-6;
-
-static double sample_seconds(const struct bake_run *job)
-{
-    const struct bake_options *options = job->options;
-    const struct bake_surface *surface = &job->surface;
-    double seconds = surface->exact ? exact_seconds : grid_seconds;
-    for (uint32_t p = 0; p < surface->part_count; p++)
-        seconds += surface->parts[p].exact ? exact_seconds : grid_seconds;
-    if (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT))
-        seconds += options->ao_rays * ray_seconds;
-    if (job->maps & BAKE_MAP_THICKNESS)
-        seconds += options->thickness_rays * ray_seconds;
-    return seconds;
-}
-
-/* Returns the bytes of the samples of several scans, for a texel; 0 for one scan. */
-static uint64_t sample_bytes(const struct bake_run *job)
-{
-    const uint64_t n = job->options->samples;
-    return job->surface.part_count > 0
-               ? 2 * n * n * bk_texel_floats(job->maps | BAKE_MAP_HEIGHT) * sizeof(float)
-               : 0;
-}
-
-static void expect_costs(const struct bake_run *job, struct bake_farm_plan *plan)
-{
-    enum { OTHER_BYTES = 256 << 20 }; /* buffers of tiles, rays and chunks */
-    const uint64_t texel = bake_image_channels_for(job->maps) * sizeof(float);
-    const uint64_t block = (uint64_t)plan->block_side * plan->block_side * texel;
-    const uint64_t open = bsq_memory_used(job->ctx);
-    for (uint32_t t = 0; t < plan->tile_count; t++)
-        for (uint64_t b = 0; b < (uint64_t)plan->tiles[t].columns * plan->tiles[t].rows; b++)
-            plan->costs[plan->tiles[t].tasks[b]].part_bytes += block;
-    for (uint32_t i = 0; i < plan->base.task_count; i++) {
-        struct bake_task_cost *cost = &plan->costs[i];
-        cost->scratch_bytes = cost->part_bytes + cost->part_bytes / texel * sample_bytes(job);
-        cost->memory_bytes = open + OTHER_BYTES + 2 * cost->scratch_bytes;
-        cost->cpu_seconds = (double)cost->texels * job->options->samples * job->options->samples *
-                            sample_seconds(job);
-    }
-}
-
 /* ---- the plan ---- */
 
 /* Opens all inputs, sets the parameters and prepares the triangles. */
@@ -256,7 +209,7 @@ static int make_plan(struct bake_run *job, struct bake_farm_plan *plan, bool *ke
     if (status == 0)
         status = divide(job, plan);
     if (status == 0)
-        expect_costs(job, plan);
+        bake_expect_costs(job, plan);
     if (status == 0)
         status = fmt_farm_add_inputs(&plan->base);
     if (status == 0)

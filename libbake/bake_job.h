@@ -1,5 +1,6 @@
 /* bake_job.h - what the files of a bake share; private to libbake/. bake.c runs a job,
- * bake_inputs.c opens its inputs, bake_trace.c traces its maps and bake_outputs.c writes them. */
+ * bake_inputs.c opens its inputs, bake_trace.c traces its maps and bake_outputs.c writes them.
+ * bake_farm.c divides it into tasks, and bake_costs.c estimates what these need. */
 #ifndef BAKE_BAKE_JOB_H
 #define BAKE_BAKE_JOB_H
 
@@ -64,6 +65,11 @@ void bake_choose_radius(struct bake_run *job);
 int bake_trace_curvature(struct bake_run *job);
 /* Frees what is needed for tracing only; may be called twice. */
 void bake_end_tracing(struct bake_run *job);
+
+/* ---- tasks ---- */
+
+/* Sets what each task of a plan needs. The plan must have its tiles, blocks and texels. */
+void bake_expect_costs(const struct bake_run *job, struct bake_farm_plan *plan);
 
 /* ---- outputs ---- */
 

@@ -123,9 +123,12 @@ int cli_plan_print(struct cli *cli, const char *path, bool kept, const struct cl
                       "cpu_seconds", costs->cpu_seconds));
     cli_print("%s: %s for %s%s\n", path, cli_counted_text(costs->tasks, "task", "tasks", memory),
               cli_counted_text(costs->work, unit, units, work), kept ? ", was there already" : "");
-    cli_print("a task: about %s of memory, %s of temporary files, %.3g s of one core\n",
-              cli_size_text(costs->task_memory_bytes, memory),
-              cli_size_text(costs->task_scratch_bytes, scratch), costs->task_cpu_seconds);
+    cli_print("a task: about %s of memory with eight threads, ",
+              cli_size_text(costs->task_memory_bytes, memory));
+    if (costs->task_scratch_bytes > 0)
+        cli_print("%s of temporary files with less, ",
+                  cli_size_text(costs->task_scratch_bytes, scratch));
+    cli_print("%.3g s of one core\n", costs->task_cpu_seconds);
     cli_print("all parts: %s %s\n", bound, cli_size_text(costs->parts_bytes, parts));
     return 0;
 }

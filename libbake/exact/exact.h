@@ -116,6 +116,16 @@ struct bake_exact_batch {
  * for the rays, hits and footprints that the caller allocates, and for more_bytes for each ray. */
 uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes);
 
+/* The memory with which a scan is traced at full speed, and its chunks. */
+struct bake_exact_needs {
+    uint64_t fixed_bytes; /* for any number of rays */
+    uint64_t ray_bytes;   /* of a ray, with its hit */
+    uint64_t scan_bytes;  /* of all chunks at once, for rays from hits */
+    uint32_t chunk_count;
+};
+/* Returns what tracing with so many threads needs, whatever budget and threads the context has. */
+struct bake_exact_needs bake_exact_expect(const struct bake_exact *exact, uint32_t threads);
+
 /* Traces a batch on all threads. Must not be called from parallel work. Errors: BSQ_EDATA for a
  * damaged chunk, BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *batch);

@@ -48,12 +48,12 @@ struct plan {
     uint64_t bytes;
 };
 
-/* Plans up to `most` slots that fit `memory` bytes; at least one. */
-static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, uint64_t memory)
+/* Plans up to `most` slots that fit `memory` bytes, for so many threads; at least one slot. */
+static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, uint32_t threads,
+                              uint64_t memory)
 {
     const struct sizes sizes = buffer_sizes(exact);
     const uint64_t slot = slot_bytes(&sizes), scratch = scratch_bytes(&sizes);
-    const uint32_t threads = bsq_threads(exact->ctx);
     struct plan plan = {.slots = most, .preparers = most < threads ? most : threads};
     while (plan.slots > 1 && plan.slots * slot + plan.preparers * scratch > memory) {
         plan.slots--;
@@ -63,17 +63,33 @@ static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, uin
     return plan;
 }
 
+/* Returns the bytes of a ray of a batch, with its hit. */
+static uint64_t ray_bytes(const struct bake_exact *exact)
+{
+    return sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit) +
+           (bake_exact_wants_footprints(exact) ? sizeof(uint32_t) : 0) +
+           exact_transfer_floats(exact) * sizeof(float) + EXACT_PAIRS_PER_RAY * sizeof(uint32_t);
+}
+
+struct bake_exact_needs bake_exact_expect(const struct bake_exact *exact, uint32_t threads)
+{
+    const uint32_t chunks = exact->chunk_count, slots = EXACT_SLOTS_A_THREAD * threads;
+    return (struct bake_exact_needs){
+        .fixed_bytes = plan_slots(exact, slots, threads, UINT64_MAX).bytes,
+        .ray_bytes = ray_bytes(exact),
+        .scan_bytes = plan_slots(exact, chunks, threads, UINT64_MAX).bytes,
+        .chunk_count = chunks};
+}
+
 uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes)
 {
     const uint64_t left = bsq_memory_left(exact->ctx);
-    const uint64_t fixed = plan_slots(exact, exact_wave_slots(exact), left / 4).bytes +
+    const uint32_t threads = bsq_threads(exact->ctx);
+    const uint64_t fixed = plan_slots(exact, exact_wave_slots(exact), threads, left / 4).bytes +
                            bake_exact_buckets_scratch_bytes(exact) +
                            (exact->chunk_count + 1) * (sizeof(uint64_t) + EXACT_PAIRS_PER_RAY * 4) +
                            EXACT_LOCKS * sizeof(pthread_mutex_t);
-    const uint64_t ray = sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit) +
-                         (bake_exact_wants_footprints(exact) ? sizeof(uint32_t) : 0) +
-                         exact_transfer_floats(exact) * sizeof(float) +
-                         EXACT_PAIRS_PER_RAY * sizeof(uint32_t) + more_bytes;
+    const uint64_t ray = ray_bytes(exact) + more_bytes;
     /* An eighth is left to other parts of the job. */
     const uint64_t usable = left / 8 * 7;
     const uint64_t rays = usable > fixed ? (usable - fixed) / ray : 0;
@@ -85,7 +101,7 @@ int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint6
 {
     struct bsq_ctx *ctx = exact->ctx;
     const struct sizes sizes = buffer_sizes(exact);
-    const struct plan plan = plan_slots(exact, most, memory);
+    const struct plan plan = plan_slots(exact, most, bsq_threads(ctx), memory);
     *out = (struct exact_slots){.count = plan.slots, .preparers = plan.preparers};
     int status = bsq_calloc(ctx, "chunks in memory", plan.slots, sizeof *out->slots, &out->slots);
     if (status == 0)

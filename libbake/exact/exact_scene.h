@@ -59,12 +59,12 @@ static inline uint64_t exact_transfer_floats(const struct bake_exact *exact)
 
 /* Locks over the hits, and bucket entries per ray. If rays cross more chunks than that, the batch
  * is traced in parts. */
-enum { EXACT_LOCKS = 1024, EXACT_PAIRS_PER_RAY = 4 };
+enum { EXACT_LOCKS = 1024, EXACT_PAIRS_PER_RAY = 4, EXACT_SLOTS_A_THREAD = 4 };
 
 /* Returns the slots of a wave: several a thread, so that all threads are busy until it ends. */
 static inline uint32_t exact_wave_slots(const struct bake_exact *exact)
 {
-    return 4 * bsq_threads(exact->ctx);
+    return EXACT_SLOTS_A_THREAD * bsq_threads(exact->ctx);
 }
 
 /* Returns whether hits need vertex normals that have to be summed. */

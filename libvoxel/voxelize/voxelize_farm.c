@@ -1,6 +1,7 @@
 /* voxelize_farm.c - a grid as tasks: writes the plan, makes the regions of one task, merges parts.
  *
  * A region depends on no other, so a task runs the pipeline of a whole grid on its own regions. */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -93,9 +94,9 @@ static int divide(const struct vox_run *run, struct vox_farm_plan *plan)
     return status;
 }
 
-/* Seconds of one core for a triangle's share of the work and for a voxel, about as
- * tests/bench/FARM.md has them. */
-static const double triangle_seconds = 0.35e-6, voxel_seconds = 0.1e-6;
+/* Seconds of one core: to start, for a triangle of a chunk that is loaded, and for a value of a
+ * voxel, which has two or more. docs/decisions/0073 has the measurements. */
+static const double start_seconds = 0.03, triangle_seconds = 0.17e-6, value_seconds = 0.1e-6;
 
 /* Voxels of a leaf, and bytes of one in a part. */
 enum { LEAF_VOXELS = 64, LEAF_BYTES = 72, SAMPLES = 16 };
@@ -103,8 +104,7 @@ enum { LEAF_VOXELS = 64, LEAF_BYTES = 72, SAMPLES = 16 };
 static int expect_costs(const struct vox_run *run, struct vox_farm_plan *plan)
 {
     enum { OTHER_BYTES = 96 << 20 }; /* sums and results */
-    const double chunk_triangles =
-        (double)run->header->triangle_count / (double)run->header->chunk_count;
+    const double triangles = (double)run->header->triangle_count;
     const double chunks = (double)run->header->chunk_count;
     const uint64_t slot = vox_chunks_slot_bytes(run->file, true);
     const uint64_t open = bsq_memory_used(run->ctx);
@@ -115,13 +115,15 @@ static int expect_costs(const struct vox_run *run, struct vox_farm_plan *plan)
     for (uint32_t i = 0; i < plan->base.task_count && status == 0; i++) {
         struct vox_task_cost *cost = &plan->costs[i];
         const double share = cost->work / all, own = voxels * share;
-        const double read =
-            8.0 + 2.0 * share * (double)run->header->triangle_count / chunk_triangles;
+        const double read = 8.0 + 2.0 * share * chunks;
+        /* If the surface of a task is a square that covers n chunks, it touches (sqrt(n) + 1)^2. */
+        const double side = sqrt(share * chunks) + 1.0;
         cost->memory_bytes = open + OTHER_BYTES + (uint64_t)(read < chunks ? read : chunks) * slot;
         cost->part_bytes =
             (uint64_t)(own * (4.0 * vox_run_channels(run)) + own * LEAF_BYTES / LEAF_VOXELS);
-        cost->cpu_seconds =
-            share * (double)run->header->triangle_count * triangle_seconds + own * voxel_seconds;
+        cost->cpu_seconds = start_seconds +
+                            triangles * fmin(side * side / chunks, 1.0) * triangle_seconds +
+                            own * vox_run_channels(run) * value_seconds;
     }
     return status;
 }

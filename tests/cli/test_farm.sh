@@ -130,6 +130,22 @@ plan.json
 maps:" ]
 check "a plan writes no maps" $?
 
+# What tasks need follows from inputs and options alone, and so does the plan's id.
+for scan in scan.nvdb scan.tris; do
+    need="bisque-bake $scan low.obj --tiles 1002 --size 512 --samples 1 -o m.exr --maps normal --tasks 1 --write-plan need.json"
+    rm -f need.*
+    run $need --threads 1 --memory 60M
+    code 0
+    run $need --threads 3 --memory 1G
+    out_like '^need\.json: 1 task for [0-9,]+ texels, was there already$'
+    out_like '^a task: about [0-9.]+ MiB of memory with eight threads, [0-9.]+ MiB of temporary files with less, 0\.[0-9]+ s of one core$'
+    $bake --plan need.json --task 0 --threads 8 --memory 1G --device cpu --json
+    jq -e --slurpfile plan need.json '.cost.memory_high_bytes as $high | $plan[0].expected[0].memory_bytes |
+        . >= $high and . <= 2 * $high + 25 * 1048576' "$out" >"$work/jq"
+    check "$scan: a task takes about the memory that its plan expects" $?
+done
+rm need.*
+
 p="bisque-bake:"
 $bake --plan farm/plan.json --merge
 code 66

@@ -1,0 +1,160 @@
+/* bake_costs.c - estimates what each task of a plan needs: memory, temporary files, time.
+ *
+ * The plan's id covers these numbers. So they follow from the inputs and options alone, not from
+ * the budget and the threads of the program that writes the plan. decisions/0073 has the
+ * measurements. */
+#include <math.h>
+
+#include "libbake/bake_job.h"
+#include "libbake/exact/exact.h"
+#include "libbake/farm/farm.h"
+#include "libbake/kernel/bk_sample.h"
+
+/* Seconds of one core. */
+static const double start_seconds = 0.03;
+/* Of a sample's pair of rays; of a hit that sends rays; of a ray from a hit; of the curvature of a
+ * texel. */
+struct speed {
+    double sample, look, open, thickness, curvature;
+};
+static const struct speed grid_speed = {0.35e-6, 0.9e-6, 0.7e-6, 1.1e-6, 3.0e-6};
+static const struct speed exact_speed = {0.95e-6, 0.0, 2.3e-6, 4.0e-6, 9.0e-6};
+/* Of a triangle in a chunk that is loaded; of one in the tree that rays reach; of one in the chunks
+ * that rays from hits need, which are all of the scan. */
+static const double load_seconds = 0.16e-6, reach_seconds = 0.65e-6, look_seconds = 0.16e-6;
+
+/* The threads whose buffers are counted. */
+enum { THREADS = 8 };
+enum {
+    PROGRAM_BYTES = 24 << 20,
+    TRIANGLE_BYTES = 384,       /* of a low-poly triangle: corners, and what the device gets */
+    TILE_BYTES = 128 << 10,     /* of a thread that traces a grid */
+    SORTED_BYTES = 8 << 20,     /* of a thread that traces rays from hits on a grid */
+    LOOK_RAY_BYTES = 32,        /* of a hit that sends rays */
+    CURVATURE_BYTES = 16 << 20, /* of rays for curvature on a grid */
+    CURVATURE_RAYS = 8,         /* of a texel, on triangles */
+    CURVATURE_RAY_BYTES = 32,   /* of such a ray, beside what all rays need */
+};
+/* Rays and chunks on triangles take more than this if the budget allows, but gain little by it. */
+#define MOST_EXACT_BYTES (UINT64_C(4) << 30)
+
+/* A task, as far as scans are concerned. */
+struct share {
+    const struct bake_run *job;
+    double part; /* of all texels */
+    uint64_t texels, samples;
+};
+
+static bool looks_around(const struct bake_run *job)
+{
+    return (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS)) != 0;
+}
+
+/* Returns the seconds of rays against one scan, without those of loading it. */
+static double ray_seconds(const struct share *task, const struct speed *speed)
+{
+    const struct bake_run *job = task->job;
+    const struct bake_options *options = job->options;
+    double sample = speed->sample, texel = 0;
+    if (looks_around(job))
+        sample += speed->look;
+    if (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT))
+        sample += options->ao_rays * speed->open;
+    if (job->maps & BAKE_MAP_THICKNESS)
+        sample += options->thickness_rays * speed->thickness;
+    if (job->maps & BAKE_MAP_CURVATURE)
+        texel += speed->curvature;
+    return (double)task->samples * sample + (double)task->texels * texel;
+}
+
+/* Returns the seconds of loading chunks. A task's surface is taken to be a square: if it covers n
+ * chunks, it touches (sqrt(n) + 1)^2. */
+static double load_chunks_seconds(const struct share *task, const struct bake_exact *exact)
+{
+    const double triangles = (double)bake_exact_get_info(exact)->triangle_count;
+    const double chunks = bake_exact_expect(exact, THREADS).chunk_count;
+    const double own = triangles * task->part, side = sqrt(chunks * task->part) + 1;
+    const double loaded = triangles * fmin(side * side / chunks, 1);
+    const uint32_t passes = task->job->maps & BAKE_MAP_CURVATURE ? 2 : 1;
+    double seconds = passes * loaded * load_seconds;
+    seconds += fmin(own, (double)task->samples) * reach_seconds;
+    return seconds + (looks_around(task->job) ? triangles * look_seconds : 0);
+}
+
+static double scan_seconds(const struct share *task, const struct bake_surface *scan)
+{
+    return scan->exact ? ray_seconds(task, &exact_speed) + load_chunks_seconds(task, scan->exact)
+                       : ray_seconds(task, &grid_speed);
+}
+
+static uint64_t larger(uint64_t a, uint64_t b)
+{
+    return a > b ? a : b;
+}
+
+/* Returns the memory of tracing triangles, or of measuring curvature on them if that is more. */
+static uint64_t exact_bytes(const struct share *task, const struct bake_exact *exact)
+{
+    const struct bake_exact_needs needs = bake_exact_expect(exact, THREADS);
+    uint64_t bytes = task->samples * needs.ray_bytes;
+    if (looks_around(task->job))
+        bytes += needs.scan_bytes + task->samples * LOOK_RAY_BYTES;
+    if (task->job->maps & BAKE_MAP_CURVATURE)
+        bytes =
+            larger(bytes, task->texels * CURVATURE_RAYS * (needs.ray_bytes + CURVATURE_RAY_BYTES));
+    return needs.fixed_bytes + (bytes < MOST_EXACT_BYTES ? bytes : MOST_EXACT_BYTES);
+}
+
+/* The same for a grid. */
+static uint64_t grid_bytes(const struct share *task)
+{
+    const uint64_t tracing =
+        (uint64_t)THREADS * (looks_around(task->job) ? SORTED_BYTES : TILE_BYTES);
+    return task->job->maps & BAKE_MAP_CURVATURE ? larger(tracing, CURVATURE_BYTES) : tracing;
+}
+
+/* Returns the bytes of the samples of several scans, for a texel; 0 for one scan. */
+static uint64_t sample_bytes(const struct bake_run *job)
+{
+    const uint64_t n = job->options->samples;
+    return job->surface.part_count > 0
+               ? 2 * n * n * bk_texel_floats(job->maps | BAKE_MAP_HEIGHT) * sizeof(float)
+               : 0;
+}
+
+/* Images are in memory if they fit half of the budget. */
+static void expect_cost(const struct share *task, uint64_t texel_bytes, struct bake_task_cost *cost)
+{
+    const struct bake_surface *surface = &task->job->surface;
+    const uint32_t parts = surface->part_count;
+    uint64_t bytes = 0;
+    cost->cpu_seconds = start_seconds;
+    for (uint32_t i = 0; i < (parts > 0 ? parts : 1); i++) {
+        const struct bake_surface *scan = parts > 0 ? &surface->parts[i] : surface;
+        cost->cpu_seconds += scan_seconds(task, scan);
+        bytes = larger(bytes, scan->exact ? exact_bytes(task, scan->exact) : grid_bytes(task));
+    }
+    cost->scratch_bytes =
+        cost->part_bytes + cost->part_bytes / texel_bytes * sample_bytes(task->job);
+    cost->memory_bytes = PROGRAM_BYTES + task->job->mesh.triangle_count * TRIANGLE_BYTES +
+                         cost->scratch_bytes + larger(bytes, cost->scratch_bytes);
+}
+
+void bake_expect_costs(const struct bake_run *job, struct bake_farm_plan *plan)
+{
+    const uint64_t texel = bake_image_channels_for(job->maps) * sizeof(float);
+    const uint64_t block = (uint64_t)plan->block_side * plan->block_side * texel;
+    const uint64_t samples = (uint64_t)job->options->samples * job->options->samples;
+    uint64_t all = 0;
+    for (uint32_t t = 0; t < plan->tile_count; t++)
+        for (uint64_t b = 0; b < (uint64_t)plan->tiles[t].columns * plan->tiles[t].rows; b++)
+            plan->costs[plan->tiles[t].tasks[b]].part_bytes += block;
+    for (uint32_t i = 0; i < plan->base.task_count; i++)
+        all += plan->costs[i].texels;
+    for (uint32_t i = 0; i < plan->base.task_count; i++) {
+        const uint64_t texels = plan->costs[i].texels;
+        const struct share task = {job, all > 0 ? (double)texels / (double)all : 0, texels,
+                                   texels * samples};
+        expect_cost(&task, texel, &plan->costs[i]);
+    }
+}
