@@ -2,6 +2,7 @@
 #include "base/path_map.h"
 
 #include <errno.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -143,6 +144,26 @@ const char *bsq_map_path(struct bsq_ctx *ctx, const char *name)
     if (!out)
         bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", name);
     return out;
+}
+
+int bsq_path_rules_text(struct bsq_ctx *ctx, char **out)
+{
+    size_t size;
+    FILE *stream = NULL;
+    bool failed = false;
+    *out = NULL;
+    pthread_mutex_lock(&ctx->files_lock);
+    const struct bsq_path_map *map = ctx->paths;
+    if (map && map->rule_count > 0)
+        failed = !(stream = open_memstream(out, &size));
+    for (size_t i = 0; stream && i < map->rule_count; i++) {
+        const struct rule *rule = &map->rules[i];
+        fprintf(stream, "%d %zu %s %zu %s\n", (int)rule->format, rule->length, rule->source,
+                strlen(rule->destination), rule->destination);
+    }
+    pthread_mutex_unlock(&ctx->files_lock);
+    failed |= stream && fclose(stream) != 0;
+    return failed ? bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "rules for paths") : 0;
 }
 
 void bsq_path_map_free(struct bsq_path_map *map)

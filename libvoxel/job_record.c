@@ -2,19 +2,20 @@
  * resume from it (docs/decisions/0008).
  *
  * The record is a file of lines beside the chunk file, each of which ends with a null byte, as
- * paths may contain anything else. It exists only while the job is unfinished. Its lines are:
- *     format, checksum and size of the chunk file, checksum of the other lines
- *     version and checksum of the program's sources
- *     "how", and a text that says where an input lies, in the form of the lines below
- *     "obj", "tex" or "mtl", size, time of modification, hash of samples, path; for each input
- *     "ids", the same without a file, what the ids tell apart; if there are ids
- *     "cha", the same, the name of a channel, and "=" and its image if it is given
- * A pipe has the path "-", no time, and a hash of all its bytes as they came.
- * To resume, the lines are made again from the files as they are now, and must be the same. A hash
- * of samples is used because reading whole inputs would take about as long as resuming saves on
- * slow disks. The time of modification reveals edits between samples. */
+ * paths may contain anything else. It exists only while the job is unfinished, and beside a chunk
+ * file that was sorted alone. Its lines are: format, checksum and size of the chunk file, checksum
+ * of the other lines version and checksum of the program's sources "how", and a text that says
+ * where an input lies, in the form of the lines below; the same, with a hash of the rules for
+ * paths, if there are any "obj", "tex" or "mtl", size, time of modification, hash of samples, path;
+ * for each input "ids", the same without a file, what the ids tell apart; if there are ids "cha",
+ * the same, the name of a channel, and "=" and its image if it is given A pipe has the path "-", no
+ * time, and a hash of all its bytes as they came. To resume, the lines are made again from the
+ * files as they are now, and must be the same. A hash of samples is used because reading whole
+ * inputs would take about as long as resuming saves on slow disks. The time of modification reveals
+ * edits between samples. */
 #include "base/job_files.h"
 #include "base/output.h"
+#include "base/path_map.h"
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
 #include "libvoxel/job_record.h"
@@ -297,6 +298,20 @@ static int add_channel(struct vox_job *job, const struct vox_channel *channel)
     return status;
 }
 
+/* Records the rules for paths, which change the names of textures in the chunk file. */
+static int add_path_rules(struct vox_job *job)
+{
+    char *rules, *line = NULL;
+    int status = bsq_path_rules_text(job->ctx, &rules);
+    if (status < 0 || !rules)
+        return status;
+    if (asprintf(&line, "how -1 0.000000000 %016" PRIx64 " the set of rules for paths",
+                 (uint64_t)XXH3_64bits(rules, strlen(rules))) < 0)
+        line = NULL;
+    free(rules);
+    return add_line(job, line);
+}
+
 int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, struct vox_job **out)
 {
     static const char *const ids[] = {[VOX_IDS_MATERIAL] = "ids by material",
@@ -328,6 +343,8 @@ int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, st
         status = add_input(job, "ids", ids[options->ids]);
     for (uint32_t i = 0; i < options->channel_count && status == 0; i++)
         status = add_channel(job, &options->channels[i]);
+    if (status == 0)
+        status = add_path_rules(job);
     if (status < 0)
         vox_job_close(job);
     else
@@ -450,4 +467,16 @@ int vox_job_resume(struct vox_job *job, bool *sorted)
     bsq_free(job->ctx, text);
     free(first);
     return status;
+}
+
+int vox_job_is_done(struct vox_job *job, bool *done)
+{
+    *done = false;
+    if (job->pipe_count > 0) /* they can be read only once */
+        return 0;
+    int status = vox_job_resume(job, done);
+    if (status == BSQ_ENOMEM || status == BSQ_EINTR)
+        return status;
+    bsq_clear_error(job->ctx);
+    return 0;
 }

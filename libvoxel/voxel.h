@@ -127,7 +127,7 @@ int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
  *
  * A job that was interrupted after sorting can continue with its chunk file. A record beside it,
  * tris_path + ".job", says what the chunk file was made from. It exists from the end of sorting to
- * the end of the job. The calls in order:
+ * the end of the job, and stays if sorting is the whole job. The calls in order:
  *
  *     vox_job_open(), vox_job_resume();
  *     unless sorted: vox_sort(), vox_job_record();
@@ -148,6 +148,11 @@ void vox_job_close(struct vox_job *job);
  * changed since, or a program of another version or other sources wrote the record; BSQ_EUSAGE if
  * the inputs or the texture are not the recorded ones. */
 int vox_job_resume(struct vox_job *job, bool *sorted);
+
+/** The same for sorting alone, whose record stays: sets *done if vox_sort() would write the same
+ * file again. Another record, or none, is no error. Jobs that read pipes are never done. Errors:
+ * BSQ_ENOMEM, BSQ_EINTR. */
+int vox_job_is_done(struct vox_job *job, bool *done);
 
 /** Writes the record; to be called after vox_sort(). If an input has changed since vox_job_open(),
  * warns and writes none. Errors: BSQ_ECANTCREAT, BSQ_EIO. */

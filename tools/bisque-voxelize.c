@@ -269,6 +269,8 @@ static int sort_with(struct voxelize_job *job, const struct vox_channel *channel
         return status;
     if (arguments->resume)
         status = vox_job_resume(job->record, &job->resumed);
+    else if (arguments->sort_only && !arguments->farm.force && !job->cli->strict)
+        status = vox_job_is_done(job->record, &job->resumed);
     if (status < 0 || job->resumed)
         return status;
     options.job = job->record;
@@ -340,7 +342,7 @@ static int do_work(struct voxelize_job *job)
         status = sort_scan(job);
     if (status == 0 && !arguments->sort_only)
         status = make_grid(job);
-    if (status == 0)
+    if (status == 0 && !arguments->sort_only)
         vox_job_finish(job->record);
     return status;
 }
@@ -361,7 +363,9 @@ static int run(struct cli *cli, const struct voxelize_arguments *arguments)
     if (status == 0)
         status = do_work(&job);
     vox_temp_tris_close(job.temp_tris);
-    if (status == 0 && !arguments->farm.write_plan)
+    if (status == 0 && arguments->sort_only && job.resumed)
+        status = cli_tasks_say_kept(cli, job.tris_path, "this chunk file");
+    else if (status == 0 && !arguments->farm.write_plan)
         status = voxelize_report_print(&job);
     vox_job_close(job.record);
     free(job.tris_path);

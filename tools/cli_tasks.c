@@ -62,7 +62,7 @@ int cli_tasks_check(struct cli *cli, const struct cli_tasks *tasks, const char *
         return cli_usage(cli, "--tasks and --write-plan need each other");
     if (work && !tasks->plan)
         return cli_usage(cli, "--task and --merge need --plan");
-    if (tasks->force && !work)
+    if (tasks->force && !work && !tasks->alone)
         return cli_usage(cli, "--force needs --task or --merge");
     if (!tasks->plan)
         return 0;

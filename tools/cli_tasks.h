@@ -11,6 +11,7 @@ struct cli_tasks {
     uint32_t task;          /* the first one to do */
     uint32_t last_task;     /* the last one to do */
     bool task_given, merge, force;
+    bool alone; /* the command is a task without a plan */
 };
 
 /* The most tasks that a plan can have. */

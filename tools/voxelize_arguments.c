@@ -46,7 +46,7 @@ static const char help[] =
     "                          alone: print how many tasks it has, and what each needs\n"
     "      --task I | I-J      make the voxels of task I, or I to J, from 0 on, into part files\n"
     "      --merge             write the grid from all parts of the plan\n"
-    "      --force             do it again if the part or the grid is there already\n"
+    "      --force             do it again if the part, the grid or the sorted scan is there already\n"
     "      --resume            continue the same job from its chunk file, if that is complete\n"
     "      --tmpdir DIR        directory for temporary files (default: $TMPDIR, else the output's)\n" CLI_VERIFY_HELP
         CLI_STRICT_HELP CLI_COMMON_HELP;
@@ -391,6 +391,7 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
     arguments->inputs = (const char *const *)argv + optind;
     arguments->input_count = (uint32_t)(argc - optind);
     arguments->sort_only = arguments->output && cli_ends_with(arguments->output, ".tris");
+    arguments->farm.alone = arguments->sort_only;
     if (status == 0)
         status = check_arguments(cli, arguments);
     if (status == 0 && arguments->input_count > 0)

@@ -24,9 +24,47 @@ for part in a b c; do
     $vox $part.obj -o $part.tris --channels id --id object
     code 0
 done
-[ ! -e a.nvdb ] && [ ! -e a.tris.job ]
+[ ! -e a.nvdb ]
 check "sorting alone makes no grid" $?
 out_like '^c\.tris: 1 chunk, '
+
+# Sorting is a task too: what is complete is kept.
+sort_c="c.obj -o c.tris --channels id --id object"
+cp c.tris whole
+before=$(stat -c %i.%y c.tris)
+$vox $sort_c
+out_like '^c\.tris: this chunk file is complete already, kept$'
+$vox $sort_c --json --threads 1
+json '.kept and .path == "c.tris"'
+[ "$(stat -c %i.%y c.tris)" = "$before" ]
+check "a complete chunk file is not touched" $?
+echo '{"version": "pathmapping-1.0", "path_mapping_rules": [{"source_path_format": "POSIX", "source_path": "/a",
+    "destination_path": "/b"}]}' >rules.json
+for other in "--force" "--strict" "--path-map rules.json" ""; do # the last one has no rules
+    $vox $sort_c $other
+    out_like '^c\.tris: 1 chunk, '
+    same whole c.tris
+done
+head -c 3000 whole >c.tris
+$vox $sort_c
+out_like '^c\.tris: 1 chunk, '
+same whole c.tris
+sed 's/^f 2 1 .*//' c.obj >d.obj
+cp c.obj keep.obj
+cp d.obj c.obj
+$vox $sort_c
+out_like '^c\.tris: 1 chunk, '
+! cmp -s whole c.tris
+check "a changed scan is sorted again" $?
+mv keep.obj c.obj
+$vox $sort_c
+same whole c.tris
+$vox - -o d.tris --channels id --id object <d.obj
+$vox - -o d.tris --channels id --id object <d.obj
+out_like '^d\.tris: 1 chunk, '
+$vox a.tris -o x.nvdb --force
+refused 64 "$p --force needs --task or --merge"
+rm d.* whole rules.json
 scans="a.tris b.tris c.tris"
 mkdir farm
 

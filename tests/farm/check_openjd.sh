@@ -15,6 +15,12 @@ openjd()
     code 0
 }
 
+# rises: whether the progress in the output never falls, and ends with 100.
+rises()
+{
+    sed -n 's/.*openjd_progress: //p' "$out" | awk '$1 < last { bad = 1 } { last = $1 } END { exit bad || last != 100 }'
+}
+
 for template in asset parts assets bake; do
     command="bisque-openjd $template" code=0
     "$farm/bisque-openjd" $template --chunk 3 --cpus 2 --memory 700 --scratch 3 --gpu >$template.chunks.yaml 2>"$err" || code=$?
@@ -100,6 +106,8 @@ same moved.nvdb moved/scan.nvdb
 mkdir reference && cp map_height.1001.exr map_normal.1001.exr reference
 compare="run $farm/asset.openjd.yaml --step Compare -p Scan=scan.obj -p Low=low.obj -p OutputDir=maps -p BinDir=$BIN"
 openjd $compare -p Reference=reference -p CompareOptions='--max-error 0'
+rises && grep -q 'openjd_progress: 50' "$out"
+check "the progress of two comparisons rises to 100" $?
 openjd $compare
 grep -q 'no reference given' "$out"
 check "no reference, no comparison" $?
@@ -126,6 +134,10 @@ same parts.nvdb parts/scan.nvdb
 for map in normal height color; do
     same part_$map.1001.exr parts/map_$map.1001.exr
 done
+openjd run parts.chunks.yaml --step Sort -tp Part=3-5 -p Root=. -p List=parts.txt -p LastPart=7 -p Low=low.obj -p OutputDir=parts \
+    -p BinDir="$BIN"
+[ "$(grep -c 'this chunk file is complete already, kept' "$out")" -eq 3 ]
+check "parts that are sorted are kept" $?
 command="openjd run with a part too few" code=0
 "$openjd" run "$farm/parts.openjd.yaml" --step Sort -p Root=. -p List=parts.txt -p LastPart=6 -p Low=low.obj -p OutputDir=few \
     -p BinDir="$BIN" >"$out" 2>"$err" || code=$?
@@ -146,7 +158,7 @@ for template in "$farm/assets.openjd.yaml" assets.chunks.yaml; do
         same map_color.1001.exr asset${i}_color.exr
     done
 done
-sed -n 's/.*openjd_progress: //p' "$out" | awk '$1 < last { bad = 1 } { last = $1 } END { exit bad || last != 100 }'
+rises
 check "the progress of a chunk of assets rises to 100" $?
 
 # A session that is cancelled interrupts the program, which leaves no half of a file.
