@@ -118,6 +118,17 @@ static void note_device_times(struct bake_run *job)
     job->report->kernel_calls = times.launches;
 }
 
+/* Each of several scans is traced by itself, then the rays from hits of all. */
+static void count_stages(const struct bake_run *job)
+{
+    const uint32_t scans = job->surface.part_count;
+    const bool looks = (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS)) != 0;
+    struct bake_report *report = job->report;
+    for (uint32_t i = 0; i < job->udim.count; i++)
+        report->traced_tiles += job->tiles[i].raster != NULL;
+    report->trace_stages = report->traced_tiles * (scans > 0 ? scans + looks : 1);
+}
+
 /* Traces all tiles. Their images share half of the memory that is left in the budget, as writing
  * needs the rest. */
 int bake_trace_maps(struct bake_run *job)
@@ -125,6 +136,7 @@ int bake_trace_maps(struct bake_run *job)
     const struct bake_tile_scene scene = bake_scene_of(job);
     const uint64_t kept = bsq_memory_left(job->ctx) / 2;
     int status = 0;
+    count_stages(job);
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
         const uint64_t left = bsq_memory_left(job->ctx), share = left > kept ? left - kept : 0;
         if (job->tiles[i].raster)

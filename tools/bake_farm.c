@@ -1,5 +1,6 @@
 /* bake_farm.c - see bake_farm.h. */
 #include "tools/bake_farm.h"
+#include "tools/bake_report.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -80,7 +81,7 @@ static int run_task(struct cli *cli, void *arg, uint32_t task)
     const struct bake_farm_plan *plan = job->plan;
     struct bake_report report = {0};
     bool kept = false;
-    cli->tile_count = &report.tile_count; /* cppcheck-suppress autoVariables; until the end */
+    bake_report_watch(cli, &report);
     int status = bake_run_task(cli->ctx, plan, task, arguments->farm.force, &kept, &report);
     char *path = status == 0 ? bake_plan_part_path(plan, task) : NULL;
     if (status == 0 && !path)
@@ -89,7 +90,7 @@ static int run_task(struct cli *cli, void *arg, uint32_t task)
         status = kept ? cli_tasks_say_kept(cli, path, "this part")
                       : print_task(cli, path, task, &report);
     free(path);
-    cli->tile_count = NULL;
+    bake_report_watch(cli, NULL);
     bake_report_free(&report);
     return status;
 }

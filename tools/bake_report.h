@@ -9,6 +9,9 @@
 uint32_t bake_path_count(const struct bake_options *bake);
 const char *bake_path_name(const struct bake_options *bake, unsigned number);
 
+/* Lets the percentage of progress count the stages of a report, until it is called with NULL. */
+void bake_report_watch(struct cli *cli, const struct bake_report *report);
+
 /* Prints what was baked, as lines or as JSON, and warns of many misses or overlaps. paths: the file
  * of each map, with the tokens of tiles; NULL: not baked. */
 int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,

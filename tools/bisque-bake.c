@@ -102,7 +102,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     struct bake_options *bake = &arguments->bake;
     char **paths = NULL;
     struct bake_report report = {0};
-    cli->tile_count = &report.tile_count; /* cppcheck-suppress autoVariables; until the end */
+    bake_report_watch(cli, &report);
     int status = bake_check_options(cli->ctx, bake);
     /* The files have to be known before the work, to check that no input is overwritten. */
     if (status == 0)
@@ -123,7 +123,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
         status = bake_report_print(cli, arguments, &report, paths);
         *missed = status == 0 && bake_report_too_many_missed(cli, arguments, &report);
     }
-    cli->tile_count = NULL;
+    bake_report_watch(cli, NULL);
     bake_report_free(&report);
     free_paths(bake, paths);
     return status;
@@ -136,7 +136,7 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
     char **paths = NULL;
     struct bake_report report = {0};
     bool kept = false;
-    cli->tile_count = &report.tile_count; /* cppcheck-suppress autoVariables; until the end */
+    bake_report_watch(cli, &report);
     arguments->bake = *bake_plan_options(plan);
     int status = name_outputs(cli, &arguments->bake, &paths);
     if (status == 0)
@@ -148,7 +148,7 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
     else if (status == 0)
         status = bake_report_print(cli, arguments, &report, paths);
     *missed = status == 0 && !kept && bake_report_too_many_missed(cli, arguments, &report);
-    cli->tile_count = NULL;
+    bake_report_watch(cli, NULL);
     bake_report_free(&report);
     free_paths(&arguments->bake, paths);
     /* The plan owns what these point to. */

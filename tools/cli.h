@@ -24,6 +24,15 @@ enum cli_progress {
     CLI_PROGRESS_ALF
 };
 
+/* How often a stage of progress comes. */
+enum cli_stage_count {
+    CLI_ONCE,
+    CLI_EACH_TILE,
+    CLI_EACH_TRACED_TILE,
+    CLI_EACH_TRACE,
+    CLI_STAGE_COUNTS
+};
+
 struct cli {
     const char *program;
     struct bsq_ctx *ctx; /* NULL before cli_create_context() */
@@ -41,7 +50,7 @@ struct cli {
     bool reported;  /* the failure has been printed */
     bool bar_drawn; /* the terminal's last line is a progress bar */
     const char *bar_stage;
-    const uint32_t *tile_count; /* how often stages of UDIM tiles come; NULL: once */
+    const uint32_t *stage_counts[CLI_STAGE_COUNTS]; /* how often stages come; NULL: once */
     struct timespec started, stage_started;
 };
 

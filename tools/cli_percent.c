@@ -18,18 +18,20 @@ enum { HEARTBEAT_SECONDS = 30 };
 static const struct stage {
     const char *program, *name;
     unsigned share; /* percent of the program's time */
-    bool per_tile;  /* comes once for each UDIM tile */
+    enum cli_stage_count count;
+    bool joins; /* is counted as the stage before it */
 } stages[] = {
-    {"bisque-voxelize", "reading", 45, false},
-    {"bisque-voxelize", "writing", 15, false},
-    {"bisque-voxelize", "voxelizing", 30, false},
-    {"bisque-voxelize", "reading parts", 9, false},
-    {"bisque-bake", "planning", 1, true},
-    {"bisque-bake", "tracing", 65, true},
-    {"bisque-bake", "measuring curvature", 14, true},
-    {"bisque-bake", "reading parts", 4, false},
-    {"bisque-bake", "writing", 12, true},
-    {"bisque-bake", "preview", 3, false},
+    {"bisque-voxelize", "reading", 45, CLI_ONCE, false},
+    {"bisque-voxelize", "writing", 15, CLI_ONCE, false},
+    {"bisque-voxelize", "voxelizing", 30, CLI_ONCE, false},
+    {"bisque-voxelize", "reading parts", 9, CLI_ONCE, false},
+    {"bisque-bake", "planning", 1, CLI_EACH_TILE, false},
+    {"bisque-bake", "tracing", 65, CLI_EACH_TRACE, false},
+    {"bisque-bake", "tracing rays from hits", 0, CLI_EACH_TRACE, true}, /* of several scans */
+    {"bisque-bake", "measuring curvature", 14, CLI_EACH_TRACED_TILE, false},
+    {"bisque-bake", "reading parts", 4, CLI_ONCE, false},
+    {"bisque-bake", "writing", 12, CLI_EACH_TILE, false},
+    {"bisque-bake", "preview", 3, CLI_ONCE, false},
 };
 enum { STAGES = sizeof stages / sizeof *stages };
 
@@ -40,8 +42,10 @@ static struct {
     pthread_t thread;
     bool running, stopping;
     const struct cli *cli;
-    const char *name;     /* of the stage that runs; NULL: none */
-    const char *last;     /* the stage that was begun last in this turn; NULL: none */
+    const char *name; /* of the stage that runs; NULL: none */
+    const char *last; /* the stage that was begun last in this turn; NULL: none */
+    const struct stage
+        *row;             /* of that stage in the table, or of the one that it joins; NULL: none */
     uint32_t times;       /* how often it was begun before */
     uint32_t turn, turns; /* a job that is done several times, and how often; 0: once */
     double percent;       /* of all stages */
@@ -80,31 +84,39 @@ static void print_if_new(const struct cli *cli)
 
 /* ---- the percentage ---- */
 
-/* Returns the percentage in the middle of a stage, of which `part` is done. Stages that are not in
- * the table have no share. */
-static double percent_at(const struct cli *cli, const char *name, uint32_t times, double part)
+/* Returns the row of a stage, or of the stage that it joins. NULL: it is not in the table. */
+static const struct stage *row_of(const struct cli *cli, const char *name)
+{
+    for (const struct stage *row = stages; row < stages + STAGES; row++)
+        if (strcmp(row->program, cli->program) == 0 && strcmp(row->name, name) == 0)
+            return row->joins ? row - 1 : row;
+    return NULL;
+}
+
+/* Returns the percentage in the middle of the stage that runs, of which `part` is done. Stages that
+ * are not in the table have no share. */
+static double percent_at(const struct cli *cli, double part)
 {
     double before = 0;
-    const uint32_t tiles = cli->tile_count && *cli->tile_count > 1 ? *cli->tile_count : 1;
-    for (int i = 0; i < STAGES; i++) {
-        if (strcmp(stages[i].program, cli->program) != 0)
-            continue;
-        if (strcmp(stages[i].name, name) == 0) {
-            const double count = stages[i].per_tile ? tiles : 1;
-            return before + stages[i].share * fmin((times + part) / count, 1);
-        }
-        before += stages[i].share;
-    }
-    return 0;
+    const uint32_t *times = state.row ? cli->stage_counts[state.row->count] : NULL;
+    const double count = times && *times > 1 ? *times : 1;
+    if (!state.row)
+        return 0;
+    for (const struct stage *row = stages; row < state.row; row++)
+        if (strcmp(row->program, cli->program) == 0)
+            before += row->share;
+    return before + state.row->share * fmin((state.times + part) / count, 1);
 }
 
 /* Notes that a stage runs; counts how often it was begun. */
 static void enter_stage(const struct cli *cli, const struct bsq_progress *progress)
 {
     const bool same = state.last && strcmp(state.last, progress->stage) == 0;
+    const struct stage *row = row_of(cli, progress->stage);
     if (state.name)
         return;
-    state.times = same ? state.times + 1 : 0;
+    state.times = same || (state.last && row && row == state.row) ? state.times + 1 : 0;
+    state.row = row;
     state.name = state.last = progress->stage;
     if (cli->progress == CLI_PROGRESS_OPENJD && !same) {
         printf("openjd_status: %s\n", progress->stage);
@@ -118,7 +130,7 @@ void cli_percent_report(struct cli *cli, const struct bsq_progress *progress)
     pthread_mutex_lock(&state.lock);
     enter_stage(cli, progress);
     part = progress->finished ? 1 : fmin(part, 1);
-    part = percent_at(cli, progress->stage, state.times, part);
+    part = percent_at(cli, part);
     if (state.turns > 1)
         part = (100 * state.turn + part) / state.turns;
     state.percent = fmax(state.percent, part);

@@ -111,6 +111,19 @@ check "maps of two objects in two tiles" $?
 inputs="../scan.nvdb ../box_low.obj ../lid_low.obj"
 alike_several 2 --maps mask -o '<MATERIAL>.<UDIM>.exr' --samples 1
 
+# The percentage counts each scan, rays from hits, and the tiles that a task traces.
+run bisque-bake box_high.nvdb lid_high.nvdb box_low.obj $size -o 'm_<MAP>.<UDIM>.exr' --maps ao --ao-rays 1 --progress openjd
+for percent in 11.8 22.7 33.5 44.3 55.2 66.0; do # after each of six stages
+    grep -qx "openjd_progress: $percent" "$out"
+    check "progress of $percent" $?
+done
+run bisque-bake scan.nvdb low.obj $size -o 'm_<MAP>.<UDIM>.exr' --maps mask --tasks 40 --write-plan forty.json
+task=$(jq '[.tiles[].blocks | [scan("[*]([0-9]+)")[0]]] | .[1] - .[0] | .[0] | tonumber' forty.json) # of one of two tiles
+$bake --plan forty.json --task "$task" --progress openjd
+grep -qx 'openjd_progress: 66.0' "$out"
+check "it counts this tile alone" $?
+rm forty.* m_*
+
 # ---- the same again ----
 
 plan="bisque-bake scan.nvdb low.obj $size -o maps/<MAP>.<UDIM>.exr --maps normal,height --tasks 3 --write-plan farm/plan.json"
