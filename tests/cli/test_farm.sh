@@ -590,6 +590,9 @@ check "tasks and merge ask for the plan's memory" $?
 for template in asset parts assets bake; do # without options, it is the template itself
     "$openjd" $template | cmp -s - "$top/tools/farm/$template.openjd.yaml"
     check "bisque-openjd $template" $?
+    "$openjd" $template --gpu --scratch 7 >text
+    grep -qxF '        - {name: amount.worker.gpu, min: 1}' text && grep -qxF '        - {name: amount.worker.disk.scratch, min: 7}' text
+    check "bisque-openjd $template --gpu --scratch 7" $?
 done
 for bad in "" "asset parts" what "asset --chunk 0" "asset --cpus" "asset --memory 1G" "assets --plan farm/plan.json" "--what asset"; do
     command="bisque-openjd $bad" code=0
