@@ -30,6 +30,7 @@ enum {
     TRIANGLE_BYTES = 384,       /* of a low-poly triangle: corners, and what the device gets */
     TILE_BYTES = 128 << 10,     /* of a thread that traces a grid */
     SORTED_BYTES = 8 << 20,     /* of a thread that traces rays from hits on a grid */
+    TEXTURE_BYTES = 96 << 20,   /* of the libraries that read textures; not of the textures */
     LOOK_RAY_BYTES = 32,        /* of a hit that sends rays */
     CURVATURE_BYTES = 16 << 20, /* of rays for curvature on a grid */
     CURVATURE_RAYS = 8,         /* of a texel, on triangles */
@@ -102,7 +103,8 @@ static uint64_t exact_bytes(const struct share *task, const struct bake_exact *e
     if (task->job->maps & BAKE_MAP_CURVATURE)
         bytes =
             larger(bytes, task->texels * CURVATURE_RAYS * (needs.ray_bytes + CURVATURE_RAY_BYTES));
-    return needs.fixed_bytes + (bytes < MOST_EXACT_BYTES ? bytes : MOST_EXACT_BYTES);
+    return needs.fixed_bytes + (bake_exact_wants_footprints(exact) ? TEXTURE_BYTES : 0) +
+           (bytes < MOST_EXACT_BYTES ? bytes : MOST_EXACT_BYTES);
 }
 
 /* The same for a grid. */
