@@ -194,11 +194,11 @@ void bsq_clear_error(struct bsq_ctx *ctx)
     atomic_store(&ctx->interrupted, 0);
 }
 
-/* Passes a line to on_warning and frees it. */
+/* Passes a line to on_warning, unless warnings are muted, and frees it. */
 static void pass_warning(struct bsq_ctx *ctx, char *text)
 {
     pthread_mutex_lock(&ctx->callback_lock);
-    if (ctx->options.on_warning)
+    if (ctx->options.on_warning && !ctx->muted)
         ctx->options.on_warning(ctx->options.user, text);
     pthread_mutex_unlock(&ctx->callback_lock);
     free_line(text);
@@ -230,6 +230,13 @@ int bsq_warn_loss(struct bsq_ctx *ctx, const char *format, ...)
         return record_failure(ctx, BSQ_EDATA, text);
     pass_warning(ctx, text);
     return 0;
+}
+
+void bsq_mute_warnings(struct bsq_ctx *ctx, bool muted)
+{
+    pthread_mutex_lock(&ctx->callback_lock);
+    ctx->muted = muted;
+    pthread_mutex_unlock(&ctx->callback_lock);
 }
 
 void bsq_interrupt(struct bsq_ctx *ctx)

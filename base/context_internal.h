@@ -32,6 +32,7 @@ struct bsq_ctx {
     int error_status;    /* its code, guarded by error_lock */
     bool strict;         /* see loss.h */
 
+    bool muted;                    /* see loss.h; guarded by callback_lock */
     pthread_mutex_t callback_lock; /* held while on_progress or on_warning runs */
     struct bsq_stage stage;
 

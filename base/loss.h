@@ -17,6 +17,10 @@ void bsq_set_strict(struct bsq_ctx *ctx, bool strict);
 int bsq_warn_loss(struct bsq_ctx *ctx, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
 
+/** Holds warnings back, of lost data too, until it is called with false. For code that reads an
+ * input again whose warnings were given. A strict job fails all the same. */
+void bsq_mute_warnings(struct bsq_ctx *ctx, bool muted);
+
 #ifdef __cplusplus
 }
 #endif

@@ -7,6 +7,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "base/loss.h"
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"
 
@@ -515,9 +516,11 @@ int fmt_mesh_fail_face(struct bsq_ctx *ctx, const char *path, uint64_t face, con
 {
     struct fmt_mesh_reader *reader;
     struct fmt_mesh_place place;
+    bsq_mute_warnings(ctx, true); /* they were given when the file was loaded */
     int status = fmt_mesh_open(ctx, &path, 1, &reader);
     if (status == 0)
         status = fmt_mesh_read(reader, NULL, NULL, NULL);
+    bsq_mute_warnings(ctx, false);
     if (status == 0)
         status = reader->format->locate_face(reader, face, &place);
     if (status == 0)

@@ -130,4 +130,14 @@ check "warning: $line" $?
 rm map.exr
 run bisque-bake lost.nvdb low.obj -o map.exr --size 8 --device cpu --strict
 refused 65 "bisque-bake: $line"
+
+# The mesh is read again to find the line of the refused face, but warns once.
+sed 's/^vt .*/vt nan 0/; s,/7$,/1,' low.obj >nan_low.obj
+line=$(grep -n '^vt' nan_low.obj | cut -d: -f1 | head -n 1) face=$(grep -n '^f' nan_low.obj | cut -d: -f1 | head -n 1)
+count=$(grep -c '^vt' nan_low.obj)
+run bisque-bake lost.nvdb nan_low.obj -o map.exr --size 8 --device cpu
+code 65
+[ "$(cat "$err")" = "bisque-bake: warning: nan_low.obj:$line: texture coordinates without finite numbers: $count; this is the first
+bisque-bake: nan_low.obj:$face: face has no texture coordinates" ]
+check "a refused low-poly mesh warns once" $?
 finish
