@@ -123,7 +123,7 @@ struct bake_exact_needs {
     uint64_t scan_bytes;  /* of all chunks at once, for rays from hits */
     uint32_t chunk_count;
 };
-/* Returns what tracing with so many threads needs, whatever budget and threads the context has. */
+/* Returns what `threads` threads need to trace. It does not depend on the context. */
 struct bake_exact_needs bake_exact_expect(const struct bake_exact *exact, uint32_t threads);
 
 /* Traces a batch on all threads. Must not be called from parallel work. Errors: BSQ_EDATA for a

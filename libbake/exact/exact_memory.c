@@ -48,7 +48,7 @@ struct plan {
     uint64_t bytes;
 };
 
-/* Plans up to `most` slots that fit `memory` bytes, for so many threads; at least one slot. */
+/* Plans up to `most` slots, at least one, that fit `memory` bytes; each thread prepares one. */
 static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, uint32_t threads,
                               uint64_t memory)
 {
