@@ -10,11 +10,11 @@
 #include "base/job_files.h"
 #include "base/path_map.h"
 #include "base/tile_files.h"
+#include "base/xxh3.h"
 
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
-#include <xxhash.h>
 
 /* ---- opening ---- */
 

@@ -1,9 +1,9 @@
 /* nvdb_header.c - fills in all parts of a grid file that are neither nodes nor channels. */
 #include <math.h>
 #include <string.h>
-#include <xxhash.h>
 #include <zlib.h>
 
+#include "base/xxh3.h"
 #include "formats/grid/nvdb_layout_internal.h"
 
 enum { CLASS_CHANNEL_ARRAY = 4 }; /* NanoVDB's GridBlindDataClass */

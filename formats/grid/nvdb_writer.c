@@ -7,9 +7,9 @@
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
-#include <xxhash.h>
 
 #include "base/channels.h"
+#include "base/xxh3.h"
 #include "formats/grid/nvdb_writer_internal.h"
 
 /* ---- streams ---- */
@@ -544,18 +544,28 @@ static int end_entry(struct fmt_nvdb_writer *writer)
     return 0;
 }
 
+/* Returns a bit for each of up to 32 records: whether its voxel has a second one. */
+static uint32_t second_bits(const struct fmt_nvdb_record *records, uint32_t count)
+{
+    uint32_t bits = 0;
+    for (uint32_t i = 0; i < count; i++)
+        bits |= (uint32_t)((records[i].plane & FMT_NVDB_PLANE_SECOND) != 0) << i;
+    return bits;
+}
+
 /* Sets the bits of voxels that have second records. */
 static int append_seconds(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
 {
-    uint64_t value = 1 + writer->counts.voxels;
-    for (uint64_t i = 0; i < region->record_count; i++, value++) {
-        if (value % 32 == 0) {
-            int status = end_entry(writer);
-            if (status)
-                return status;
-        }
-        uint32_t second = (region->records[i].plane & FMT_NVDB_PLANE_SECOND) != 0;
-        writer->entry_bits |= second << (value % 32);
+    const uint64_t first = 1 + writer->counts.voxels;
+    for (uint64_t done = 0; done < region->record_count;) {
+        const uint32_t bit = (uint32_t)((first + done) % 32);
+        const uint64_t left = region->record_count - done;
+        const uint32_t count = left < 32 - bit ? (uint32_t)left : 32 - bit;
+        int status = bit == 0 ? end_entry(writer) : 0;
+        if (status)
+            return status;
+        writer->entry_bits |= second_bits(region->records + done, count) << bit;
+        done += count;
     }
     return 0;
 }

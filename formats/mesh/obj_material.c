@@ -4,10 +4,10 @@
  * own library, and different libraries may have a material of the same name. */
 #include <string.h>
 #include <sys/stat.h>
-#include <xxhash.h>
 
 #include "base/job_files.h"
 #include "base/loss.h"
+#include "base/xxh3.h"
 #include "formats/mesh/mtl.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_internal.h"

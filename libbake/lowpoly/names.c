@@ -1,9 +1,9 @@
 /* names.c - see names.h. */
+#include "base/xxh3.h"
 #include "libbake/lowpoly/names.h"
 
 #include <assert.h>
 #include <string.h>
-#include <xxhash.h>
 
 /* Returns the slot that holds the name, or the empty slot for it. */
 static uint32_t *find_slot(const struct bake_name_table *table, const char *name)

@@ -6,9 +6,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include <xxhash.h>
-
 #include "base/parallel.h"
+#include "base/xxh3.h"
 #include "libvoxel/farm/farm_part.h"
 #include "libvoxel/voxelize/plan/plan.h"
 
@@ -245,23 +244,26 @@ struct reading {
     XXH3_state_t *hash;
 };
 
-/* Takes the numbers of records. */
-static void take_records(const struct reading *reading, const uint8_t *bytes,
-                         struct fmt_nvdb_record *records, float *channels, uint64_t count)
+/* Takes the numbers of records. Returns how many have a second one. */
+static uint32_t take_records(const struct reading *reading, const uint8_t *bytes,
+                             struct fmt_nvdb_record *records, float *channels, uint32_t count)
 {
     const uint32_t flags = reading->parts->flags, words = reading->words;
     const uint32_t values = reading->channel_values;
     const uint32_t *from = (const uint32_t *)bytes;
-    for (uint64_t i = 0; i < count; i++, from += words) {
+    uint32_t seconds = 0;
+    for (uint32_t i = 0; i < count; i++, from += words) {
         unsigned at = 2;
         records[i] = (struct fmt_nvdb_record){.normal = from[0], .plane = from[1]};
+        seconds += (from[1] & FMT_NVDB_PLANE_SECOND) != 0;
         if (flags & VOX_PART_COLORS)
             records[i].color = from[at++];
         if (flags & VOX_PART_IDS)
             records[i].id = from[at++];
         if (values > 0)
-            memcpy(channels + i * values, from + at, values * sizeof *channels);
+            memcpy(channels + (uint64_t)i * values, from + at, values * sizeof *channels);
     }
+    return seconds;
 }
 
 /* Takes the next leaf from at most `size` bytes. Returns its bytes, 0 if it is longer, and
@@ -284,15 +286,13 @@ static uint64_t take_leaf(struct reading *reading, struct batch *batch, const ui
     if (size < needed)
         return 0;
     struct fmt_nvdb_record *records = batch->records + region->record_count;
-    take_records(reading, bytes + sizeof leaf, records,
-                 values > 0 ? batch->channels + region->record_count * values : NULL, voxels);
+    const uint32_t seconds =
+        take_records(reading, bytes + sizeof leaf, records,
+                     values > 0 ? batch->channels + region->record_count * values : NULL, voxels);
     take_records(reading, bytes + sizeof leaf + voxels * record,
                  batch->second + region->second_count,
                  values > 0 ? batch->second_channels + region->second_count * values : NULL,
                  leaf.second_count);
-    uint32_t seconds = 0;
-    for (uint32_t i = 0; i < voxels; i++)
-        seconds += (records[i].plane & FMT_NVDB_PLANE_SECOND) != 0;
     if (seconds != leaf.second_count)
         return UINT64_MAX;
     batch->ids[region->leaf_count] = (uint16_t)leaf.number;

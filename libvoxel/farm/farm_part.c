@@ -4,8 +4,7 @@
  * which it was made. */
 #include <string.h>
 
-#include <xxhash.h>
-
+#include "base/xxh3.h"
 #include "libvoxel/farm/farm_part.h"
 
 struct vox_part_writer {

@@ -154,46 +154,56 @@ static bool is_wide(const struct vox_box *box)
     return wide;
 }
 
-/* Widens `needed` by the triangles of a group that may touch regions that are made. A group that
- * reaches across a jump of the curve is wide, but its triangles are not. */
-static void add_needed(const struct vox_chunk_source *from, const struct vox_chunk *chunk,
-                       uint32_t group, struct vox_box *needed)
+/* Widens `needed` by those triangles from `begin` to `end` that may touch regions that are made.
+ * box: theirs. Triangles on both sides of a jump of the curve have a wide box, but most of them do
+ * not. */
+static void add_needed(const struct vox_chunk_source *from, const struct fmt_tris_chunk *source,
+                       uint32_t begin, uint32_t end, const struct vox_box *box,
+                       struct vox_box *needed)
 {
-    const struct vox_box_filter *filter = from->filter;
-    const struct vox_box *box = &chunk->groups[group];
-    uint32_t t = group * VOX_GROUP_TRIANGLES;
-    const uint32_t end = vox_group_end(t, chunk->source.triangle_count, VOX_GROUP_TRIANGLES);
-    if (!vox_is_wanted(filter, box))
+    if (!vox_is_wanted(from->filter, box))
         return;
-    if (!is_wide(box)) {
+    if (end - begin == 1 || !is_wide(box)) {
         widen(needed, box);
         return;
     }
-    for (; t < end; t++) {
-        const struct vox_box of_triangle =
-            vox_triangle_box(&chunk->source, from->transform, t, t + 1);
-        if (vox_is_wanted(filter, &of_triangle))
-            widen(needed, &of_triangle);
-    }
+    const uint32_t middle = begin + (end - begin) / 2;
+    const struct vox_box first = vox_triangle_box(source, from->transform, begin, middle);
+    const struct vox_box second = vox_triangle_box(source, from->transform, middle, end);
+    add_needed(from, source, begin, middle, &first, needed);
+    add_needed(from, source, middle, end, &second, needed);
 }
 
-/* Widens the bounds by those vertices of a group that lie in a box. */
-static void bound_group(const struct vox_transform *transform, const struct vox_chunk *chunk,
-                        uint32_t group, const struct vox_box *box, float min[3], float max[3])
+/* Returns whether a box is part of another one. */
+static bool is_within(const struct vox_box *box, const struct vox_box *other)
 {
+    bool within = true;
+    for (int a = 0; a < 3; a++)
+        within &= other->lo[a] <= box->lo[a] && box->hi[a] <= other->hi[a];
+    return within;
+}
+
+/* Widens the bounds by those vertices of a group that lie in a box. Only groups across its borders
+ * need the voxels of their vertices. */
+static void bound_group(const struct vox_chunk_source *from,
+                        const struct vox_chunk_content *content, uint32_t group,
+                        const struct vox_box *box, struct vox_bounds *bounds)
+{
+    const struct fmt_tris_chunk *source = &content->chunk.source;
+    const uint32_t begin = group * VOX_GROUP_VERTICES;
+    const uint32_t end = vox_group_end(begin, source->vertex_count, VOX_GROUP_VERTICES);
+    if (is_within(&content->vertex_groups[group], box)) {
+        for (uint32_t v = begin; v < end; v++)
+            vox_widen_bounds(bounds, source->positions[v]);
+        return;
+    }
     const four_ints lo = {box->lo[0], box->lo[1], box->lo[2], INT32_MIN};
     const four_ints hi = {box->hi[0], box->hi[1], box->hi[2], INT32_MAX};
-    uint32_t v = group * VOX_GROUP_VERTICES;
-    const uint32_t end = vox_group_end(v, chunk->source.vertex_count, VOX_GROUP_VERTICES);
-    for (; v < end; v++) {
-        const float *p = chunk->source.positions[v];
-        const four_ints cell = vox_cell(vox_place(transform, row_of_floats(p)), chunk->last_cell);
-        if (four_any((cell < lo) | (cell > hi)))
-            continue;
-        for (int a = 0; a < 3; a++) {
-            min[a] = p[a] < min[a] ? p[a] : min[a];
-            max[a] = p[a] > max[a] ? p[a] : max[a];
-        }
+    for (uint32_t v = begin; v < end; v++) {
+        const struct row point = vox_place(from->transform, row_of_floats(source->positions[v]));
+        const four_ints cell = vox_cell(point, content->chunk.last_cell);
+        if (!four_any((cell < lo) | (cell > hi)))
+            vox_widen_bounds(bounds, source->positions[v]);
     }
 }
 
@@ -205,19 +215,21 @@ static bool find_needed(const struct vox_chunk_source *from,
 {
     const struct vox_chunk *chunk = &content->chunk;
     const uint32_t groups = vox_group_count(chunk->source.vertex_count, VOX_GROUP_VERTICES);
+    struct vox_bounds bounds = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
     *needed =
         (struct vox_box){{INT32_MAX, INT32_MAX, INT32_MAX}, {INT32_MIN, INT32_MIN, INT32_MIN}};
     for (uint32_t g = 0; g < chunk->group_count; g++)
-        add_needed(from, chunk, g, needed);
-    for (int a = 0; a < 3; a++) {
-        min[a] = INFINITY;
-        max[a] = -INFINITY;
-    }
+        add_needed(from, &chunk->source, g * VOX_GROUP_TRIANGLES,
+                   vox_group_end(g * VOX_GROUP_TRIANGLES, chunk->source.triangle_count,
+                                 VOX_GROUP_TRIANGLES),
+                   &chunk->groups[g], needed);
     if (needed->lo[0] > needed->hi[0])
         return false;
     for (uint32_t g = 0; g < groups; g++)
         if (vox_boxes_meet(&content->vertex_groups[g], needed))
-            bound_group(from->transform, chunk, g, needed, min, max);
+            bound_group(from, content, g, needed, &bounds);
+    memcpy(min, &bounds.least, 3 * sizeof *min);
+    memcpy(max, &bounds.most, 3 * sizeof *max);
     return true;
 }
 

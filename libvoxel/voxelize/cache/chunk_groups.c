@@ -4,22 +4,10 @@
  * then placed: a chunk of which a task needs a part only is not placed as a whole. */
 #include "libvoxel/voxelize/cache/chunk_groups.h"
 
-struct bounds {
-    four_floats least, most;
-};
-
-/* The fourth number is arbitrary: that of positions is the next number in memory. */
-LANES_INLINE struct bounds begin_at(const float *position)
+LANES_INLINE struct vox_bounds begin_at(const float *position)
 {
     const four_floats p = four_floats_load(position);
-    return (struct bounds){p, p};
-}
-
-LANES_INLINE void widen_by(struct bounds *bounds, const float *position)
-{
-    const four_floats p = four_floats_load(position);
-    bounds->least = four_floats_min(p, bounds->least);
-    bounds->most = four_floats_max(p, bounds->most);
+    return (struct vox_bounds){p, p};
 }
 
 LANES_INLINE four_ints cell_of(const struct vox_transform *transform, four_floats position)
@@ -29,7 +17,7 @@ LANES_INLINE four_ints cell_of(const struct vox_transform *transform, four_float
     return row_floor(vox_place(transform, row_of_floats(at)));
 }
 
-static struct vox_box box_of(const struct vox_transform *transform, const struct bounds *bounds)
+static struct vox_box box_of(const struct vox_transform *transform, const struct vox_bounds *bounds)
 {
     const int32_t *hi = transform->voxels.hi;
     const four_ints last = {hi[0], hi[1], hi[2], INT32_MAX};
@@ -44,10 +32,10 @@ static struct vox_box box_of(const struct vox_transform *transform, const struct
 struct vox_box vox_triangle_box(const struct fmt_tris_chunk *chunk,
                                 const struct vox_transform *transform, uint32_t begin, uint32_t end)
 {
-    struct bounds bounds = begin_at(chunk->positions[chunk->triangles[begin][0]]);
+    struct vox_bounds bounds = begin_at(chunk->positions[chunk->triangles[begin][0]]);
     for (uint32_t t = begin; t < end; t++)
         for (int corner = 0; corner < 3; corner++)
-            widen_by(&bounds, chunk->positions[chunk->triangles[t][corner]]);
+            vox_widen_bounds(&bounds, chunk->positions[chunk->triangles[t][corner]]);
     return box_of(transform, &bounds);
 }
 
@@ -65,9 +53,9 @@ void vox_vertex_groups(const struct fmt_tris_chunk *chunk, const struct vox_tran
 {
     for (uint32_t begin = 0; begin < chunk->vertex_count; begin += VOX_GROUP_VERTICES) {
         uint32_t end = vox_group_end(begin, chunk->vertex_count, VOX_GROUP_VERTICES);
-        struct bounds bounds = begin_at(chunk->positions[begin]);
+        struct vox_bounds bounds = begin_at(chunk->positions[begin]);
         for (uint32_t v = begin; v < end; v++)
-            widen_by(&bounds, chunk->positions[v]);
+            vox_widen_bounds(&bounds, chunk->positions[v]);
         *groups++ = box_of(transform, &bounds);
     }
 }

@@ -39,6 +39,19 @@ LANES_INLINE four_ints vox_cell(struct row point, const int32_t last_cell[4])
     return four_min(row_floor(point), four_load(last_cell));
 }
 
+/* Bounds of positions. The fourth number is arbitrary: that of a position is the next number in
+ * memory. */
+struct vox_bounds {
+    four_floats least, most;
+};
+
+LANES_INLINE void vox_widen_bounds(struct vox_bounds *bounds, const float *position)
+{
+    const four_floats p = four_floats_load(position);
+    bounds->least = four_floats_min(p, bounds->least);
+    bounds->most = four_floats_max(p, bounds->most);
+}
+
 /* Returns the voxels of the bounds of triangles from `begin` to `end` > begin. */
 struct vox_box vox_triangle_box(const struct fmt_tris_chunk *chunk,
                                 const struct vox_transform *transform, uint32_t begin,
