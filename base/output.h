@@ -20,7 +20,7 @@ extern "C" {
 struct bsq_output;
 
 /* Creates an output. Errors: BSQ_ECANTCREAT if the directory is missing or not writable, or if the
- * name belongs to something that a regular file cannot replace. */
+ * name belongs to something that a regular file cannot replace, or is "-". */
 int bsq_output_open(struct bsq_ctx *ctx, const char *path, struct bsq_output **out);
 
 /* Checks before the work that an output can be created and that it is none of the inputs that are

@@ -110,6 +110,9 @@ int bsq_output_target(struct bsq_ctx *ctx, const char *path, char **out)
     *out = NULL;
     if (!is_file_name(path))
         return bsq_fail(ctx, BSQ_ECANTCREAT, "\"%s\" is not a file name", path);
+    if (strcmp(path, "-") == 0) /* standard input, where a path is an input */
+        return bsq_fail(ctx, BSQ_ECANTCREAT,
+                        "-: no output can be standard output; ./- is a file of this name");
     char *target = error ? NULL : bsq_follow_links(path);
     if (!target)
         return bsq_fail_errno(ctx, BSQ_ECANTCREAT, error ? error : errno, "%s: cannot be created",

@@ -34,6 +34,10 @@ voxelize -o folder
 refused 73 "$p folder: Is a directory"
 voxelize -o folder/
 refused 73 "$p \"folder/\" is not a file name"
+for option in -o --vdb --write-plan; do
+    voxelize -o out.nvdb --tasks 2 --write-plan out.json $option -
+    refused 73 "$p -: no output can be standard output; ./- is a file of this name"
+done
 voxelize -o scan.obj/grid.nvdb
 refused 73 "$p scan.obj/grid.nvdb: cannot be created: Not a directory"
 command="standard output is a pipe" code=0
