@@ -67,6 +67,12 @@ struct scan_file {
     enum scan_paint paint;                      /* late colours */
 };
 
+/* What faces with a material have. */
+struct scan_material_use {
+    uint32_t file;       /* that uses it; UINT32_MAX: none */
+    uint64_t bare_faces; /* with a corner that has no texture coordinate */
+};
+
 /* Facts about the faces of one block. */
 struct scan_face_check {
     const struct fmt_mesh_block *block; /* the faces to use: the block itself or its clean copy */
@@ -113,8 +119,10 @@ struct scan {
     struct fmt_mesh_totals totals;
     struct scan_file *files; /* up to the last one that had elements or faces so far */
     uint64_t file_count, file_capacity;
-    uint32_t *material_files; /* by the readers' number of a material: a file that uses it */
-    uint64_t material_file_count, material_file_capacity;
+    /* By the readers' number of a material, up to the last one that was used so far. */
+    struct scan_material_use *material_uses;
+    uint64_t material_use_count, material_use_capacity;
+    uint64_t bare_faces; /* of faces without a material, as in struct scan_material_use */
 
     /* Of all faces. */
     uint32_t max_face_size;

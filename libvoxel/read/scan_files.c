@@ -23,25 +23,43 @@ int vox_scan_enter_file(struct scan *scan, uint32_t number)
     return 0;
 }
 
-/* Notes which file uses a material. */
-static int note_material(struct scan *scan, uint32_t material, uint32_t file)
+/* Notes which file uses a material, and how many of the faces have no texture coordinates. */
+static int note_material(struct scan *scan, uint32_t material, uint32_t file, uint64_t bare_faces)
 {
-    if (material == FMT_MESH_NO_MATERIAL)
+    const uint64_t before = scan->material_use_count, count = (uint64_t)material + 1;
+    if (material == FMT_MESH_NO_MATERIAL) {
+        scan->bare_faces += bare_faces;
         return 0;
-    const uint64_t before = scan->material_file_count, count = (uint64_t)material + 1;
+    }
     int status = 0;
     if (count > before)
-        status = bsq_grow(scan->ctx, "materials", count, sizeof *scan->material_files,
-                          &scan->material_files, &scan->material_file_capacity);
+        status = bsq_grow(scan->ctx, "materials", count, sizeof *scan->material_uses,
+                          &scan->material_uses, &scan->material_use_capacity);
     if (status < 0)
         return status;
-    if (count > before) {
-        memset(scan->material_files + before, 0xff,
-               (count - before) * sizeof *scan->material_files);
-        scan->material_file_count = count;
-    }
-    scan->material_files[material] = file;
+    for (uint64_t i = before; i < count; i++)
+        scan->material_uses[i] = (struct scan_material_use){.file = UINT32_MAX};
+    scan->material_use_count = count > before ? count : before;
+    scan->material_uses[material].file = file;
+    scan->material_uses[material].bare_faces += bare_faces;
     return 0;
+}
+
+/* Counts the faces from `begin` to `end` with a corner that has no texture coordinate. *corner: the
+ * first one of these faces; becomes the one after them. */
+static uint64_t count_bare(const struct fmt_mesh_block *block, uint64_t begin, uint64_t end,
+                           uint64_t *corner)
+{
+    uint64_t count = 0;
+    if (!block->corner_texcoords)
+        return end - begin;
+    for (uint64_t f = begin; f < end; f++) {
+        bool bare = false;
+        for (uint32_t k = 0; k < block->face_sizes[f]; k++)
+            bare |= block->corner_texcoords[(*corner)++] == FMT_MESH_NONE;
+        count += bare;
+    }
+    return count;
 }
 
 int vox_scan_note_file_faces(struct scan *scan, const struct scan_face_check *check)
@@ -52,9 +70,18 @@ int vox_scan_note_file_faces(struct scan *scan, const struct scan_face_check *ch
     file->has_faces = true;
     file->has_normals |= check->has_normals;
     file->has_texcoords |= check->has_texcoords;
-    int status = note_material(scan, block->material_at_start, block->file);
-    for (uint64_t i = 0; i < block->material_change_count && status == 0; i++)
-        status = note_material(scan, block->material_changes[i].material, block->file);
+    const struct fmt_mesh_material_change *changes = block->material_changes;
+    const uint64_t change_count = block->material_change_count;
+    uint32_t material = block->material_at_start;
+    uint64_t begin = 0, corner = 0;
+    int status = 0;
+    for (uint64_t i = 0; i <= change_count && status == 0; i++) {
+        const uint64_t end = i < change_count ? changes[i].face : block->face_count;
+        const uint64_t bare = check->lacks_texcoord ? count_bare(block, begin, end, &corner) : 0;
+        status = note_material(scan, material, block->file, bare);
+        material = i < change_count ? changes[i].material : material;
+        begin = end;
+    }
     return status;
 }
 
@@ -89,12 +116,11 @@ static int warn(const struct scan *scan, const struct lacking *lacking, bool los
 /* Returns whether a file's material has a colour that vertex colours of other files displace. */
 static bool loses_material_color(const struct scan *scan, uint64_t file)
 {
-    const uint64_t count = scan->material_file_count < scan->usemtl_count
-                               ? scan->material_file_count
-                               : scan->usemtl_count;
+    const uint64_t count = scan->material_use_count < scan->usemtl_count ? scan->material_use_count
+                                                                         : scan->usemtl_count;
     for (uint64_t i = 0; i < count; i++) {
         const uint32_t entry =
-            scan->material_files[i] == file ? scan->material_map[2 * i] : UINT32_MAX;
+            scan->material_uses[i].file == file ? scan->material_map[2 * i] : UINT32_MAX;
         if (entry != UINT32_MAX && !scan->materials[entry].texture_path &&
             !scan->materials[entry].colorless)
             return true;

@@ -11,6 +11,7 @@
 #include "libvoxel/read/scan.h"
 
 #include <errno.h>
+#include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -238,11 +239,37 @@ static int add_rest(struct bsq_ctx *ctx, struct fmt_materials *found)
     return status;
 }
 
+/* Faces whose texture cannot be used, as they have no texture coordinates. */
+struct bare_faces {
+    uint64_t count;
+    const char *texture_path; /* of some of them */
+};
+
+static void count_bare(uint64_t count, const char *texture_path, struct bare_faces *bare)
+{
+    if (count == 0 || !texture_path)
+        return;
+    bare->count += count;
+    bare->texture_path = texture_path;
+}
+
+/* Warns of faces that lose the colour of their texture. Vertex colours stand in for it. */
+static int warn_of_bare_faces(const struct scan *scan, const struct bare_faces *bare)
+{
+    return bare->count == 0 || scan->has_colors
+               ? 0
+               : bsq_warn_loss(scan->ctx,
+                               "%s: faces without texture coordinates: %" PRIu64
+                               "; their texture, such as %s, is not used",
+                               scan->paths[0], bare->count, bare->texture_path);
+}
+
 /* Uses one image for all triangles with texture coordinates. */
 static int use_single_texture(struct scan *scan, struct fmt_mesh_reader *reader,
                               const char *texture_path, struct scan_textures *textures)
 {
     struct fmt_materials found = {0};
+    struct bare_faces bare = {0};
     int status = bsq_note_texture(scan->ctx, texture_path, "the texture");
     if (status == 0 && keeps_materials(scan))
         status = fmt_mesh_read_materials(reader, &found);
@@ -254,6 +281,11 @@ static int use_single_texture(struct scan *scan, struct fmt_mesh_reader *reader,
         status = vox_textures_check(scan->ctx, &found, true, textures);
     if (status == 0)
         status = add_single_texture(scan, texture_path, textures, &found);
+    count_bare(scan->bare_faces, texture_path, &bare);
+    for (uint64_t i = 0; i < scan->material_use_count; i++)
+        count_bare(scan->material_uses[i].bare_faces, texture_path, &bare);
+    if (status == 0 && scan->file_count == 1) /* vox_scan_compare_files() warns of several */
+        status = warn_of_bare_faces(scan, &bare);
     fmt_materials_free(scan->ctx, &found);
     return status;
 }
@@ -290,18 +322,25 @@ static int add_own_material(struct scan *scan, const struct scan_textures *textu
 static int use_own_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                              struct scan_textures *textures)
 {
+    const bool has_texcoords = scan_count(scan, SCAN_TEXCOORDS) > 0;
     struct fmt_materials found = {0};
+    struct bare_faces bare = {0};
     int status = fmt_mesh_read_materials(reader, &found);
     if (status == 0)
-        status =
-            vox_textures_check(scan->ctx, &found, scan_count(scan, SCAN_TEXCOORDS) > 0, textures);
+        status = vox_textures_check(scan->ctx, &found, has_texcoords, textures);
     if (status == 0)
         status = vox_scan_use_alpha(scan, textures, NULL, &found);
     for (uint32_t i = 0; status == 0 && i < scan->usemtl_count; i++) {
         status = bsq_check(scan->ctx);
         if (status == 0)
             status = add_own_material(scan, textures, &found.list[i], i);
+        const char *texture = found.list[i].texture_path;
+        if (texture && i < scan->material_use_count &&
+            (!has_texcoords || vox_textures_have(textures, texture)))
+            count_bare(scan->material_uses[i].bare_faces, texture, &bare);
     }
+    if (status == 0)
+        status = warn_of_bare_faces(scan, &bare);
     if (status == 0 && scan->channel_count > 0)
         status = add_own_material(scan, textures, &no_material, scan->usemtl_count);
     fmt_materials_free(scan->ctx, &found);

@@ -41,7 +41,7 @@ void vox_scan_free(struct scan *scan)
     bsq_free(scan->ctx, scan->materials);
     bsq_free(scan->ctx, scan->found_channels);
     bsq_free(scan->ctx, scan->material_map);
-    bsq_free(scan->ctx, scan->material_files);
+    bsq_free(scan->ctx, scan->material_uses);
     bsq_free(scan->ctx, scan->files);
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         bsq_free(scan->ctx, scan->missing[kind].bits);

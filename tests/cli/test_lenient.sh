@@ -97,6 +97,28 @@ warns 'nan.obj:4: vertices without a finite position: 1; this is the first' nan.
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\ng a\nodd one\nodder\n' >odd.obj
 warns 'odd.obj:6: lines with statements that are not of the format: 2; this is the first' odd.obj
 
+# Faces that cannot use their texture: all of them, some, and none.
+texture=red.ppm
+printf 'P6\n1 1\n255\n\377\0\0' >$texture
+printf 'newmtl a\nmap_Kd %s\nnewmtl b\nKd 1 0 0\n' "$texture" >scan.mtl
+points='mtllib scan.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\n'
+printf "${points}usemtl a\nf 1 2 3\nf 3 2 1\nusemtl b\nf 1 2 3\n" >bare.obj
+warns "bare.obj: faces without texture coordinates: 2; their texture, such as $texture, is not used" bare.obj
+printf "${points}vt 0 0\nusemtl a\nf 1/1 2/1 3/1\nf 1/1 2 3/1\nusemtl b\nf 1 2 3\n" >some.obj
+warns "some.obj: faces without texture coordinates: 1; their texture, such as $texture, is not used" some.obj
+warns "some.obj: faces without texture coordinates: 2; their texture, such as $texture, is not used" some.obj --texture "$texture"
+printf "${points}vt 0 0\nusemtl a\nf 1/1 2/1 3/1\nusemtl b\nf 1 2 3\n" >none.obj
+$vox none.obj -o a.nvdb
+code 0
+[ ! -s "$err" ]
+check "no warning: $command" $?
+sed 's/^v .*/& 0 1 0/' some.obj >vertex.obj
+$vox vertex.obj -o a.nvdb
+code 0
+[ ! -s "$err" ]
+check "no warning: $command" $?
+rm scan.mtl
+
 # A few bright spots do not turn a scan dark.
 awk 'BEGIN { for (i = 0; i < 1000; i++) print "v", i % 2, i / 999, 0, (i == 7 ? 2.5 : 0.8), 0.8, 0.8
     print "f 1 2 1000" }' >bright.obj
