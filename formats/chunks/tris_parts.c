@@ -15,6 +15,7 @@
 
 #include "base/channels.h"
 #include "base/job_files.h"
+#include "base/loss.h"
 
 static const char normal_map[] = BSQ_CHANNEL_NORMAL_MAP;
 
@@ -61,6 +62,42 @@ static int check_normals(const struct fmt_tris_file *all)
                 has ? file->file.path : first->file.path, has ? first->file.path : file->file.path);
     }
     return 0;
+}
+
+/* Returns whether some triangles have a material's colour that is no texture's. */
+static bool has_material_color(const struct fmt_tris_header *part)
+{
+    bool any = false;
+    for (uint32_t i = 0; part->attributes & FMT_TRIS_MATERIALS && i < part->material_count; i++)
+        any |= !part->materials[i].texture_path && !part->materials[i].colorless;
+    return any;
+}
+
+/* Warns of parts without vertex colours beside others with such colours: what has no texture is
+ * white then. */
+static int compare_colors(const struct fmt_tris_file *all)
+{
+    const struct fmt_tris_file *plain = NULL, *lost = NULL;
+    unsigned long long plains = 0, losses = 0;
+    for (uint32_t i = 0; all->header.attributes & FMT_TRIS_COLORS && i < all->part_count; i++) {
+        const struct fmt_tris_file *file = all->parts[i].file;
+        const bool has = file->header.attributes & FMT_TRIS_COLORS;
+        const bool loses = !has && has_material_color(&file->header);
+        lost = loses && !lost ? file : lost;
+        losses += loses;
+        plain = !has && !loses && !plain ? file : plain;
+        plains += !has && !loses;
+    }
+    if (plains > 0)
+        bsq_warn(all->ctx,
+                 "%s: no vertex colours, so what has no texture is white; other parts of the scan "
+                 "have vertex colours; parts like this: %llu",
+                 plain->file.path, plains);
+    return losses == 0 ? 0
+                       : bsq_warn_loss(all->ctx,
+                                       "%s: colours of materials are not used, because other parts "
+                                       "of the scan have vertex colours; parts like this: %llu",
+                                       lost->file.path, losses);
 }
 
 static int join_materials(struct fmt_tris_file *all)
@@ -251,6 +288,8 @@ static int join(struct fmt_tris_file *all)
         status = join_sources(all);
     if (status == 0)
         status = check_normals(all);
+    if (status == 0)
+        status = compare_colors(all);
     if (status == 0)
         status = bsq_alloc(all->ctx, "chunk table", chunks + 1, sizeof *all->chunks, &all->chunks);
     for (uint32_t i = 0; i < all->part_count && status == 0; i++)

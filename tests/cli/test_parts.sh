@@ -244,4 +244,30 @@ cmp -s a.tris victim.tris
 check "an input is not overwritten" $?
 [ ! -e y.nvdb ]
 check "no output" $?
+# ---- colours that some parts lack ----
+
+write_sheet 0 23 3 color >vertex.obj
+printf 'newmtl red\nKd 1 0 0\n' >red.mtl
+{ printf 'mtllib red.mtl\nusemtl red\n' && cat a.obj; } >red.obj
+for part in vertex red; do
+    run bisque-voxelize $part.obj -o $part.tris
+    code 0
+done
+plain='no vertex colours, so what has no texture is white; other parts of the scan have vertex colours; parts like this: 2'
+$vox vertex.tris b.tris c.tris -o white.nvdb --strict
+code 0
+grep -Eqx "$p warning: [bc].tris: $plain" "$err"
+check "warning of white parts" $?
+lost='red.tris: colours of materials are not used, because other parts of the scan have vertex colours; parts like this: 1'
+$vox vertex.tris red.tris -o lost.nvdb
+code 0
+[ "$(cat "$err")" = "$p warning: $lost" ]
+check "warning of lost colours" $?
+$vox vertex.tris red.tris -o strict.nvdb --strict
+refused 65 "$p $lost"
+$vox red.tris b.tris -o red.nvdb
+code 0
+[ ! -s "$err" ]
+check "no warning of materials alone" $?
+
 finish

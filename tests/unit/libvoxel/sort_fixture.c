@@ -14,6 +14,7 @@
 static void keep_warning(void *user, const char *line)
 {
     struct sort_fixture *f = user;
+    memcpy(f->warning_before, f->warning, sizeof f->warning);
     snprintf(f->warning, sizeof f->warning, "%s", line);
     f->warnings++;
 }

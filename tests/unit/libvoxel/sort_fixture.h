@@ -10,7 +10,7 @@
 struct sort_fixture {
     char dir[64], obj[96], obj2[96], tris[96];
     struct bsq_ctx *ctx;
-    char warning[256];
+    char warning[256], warning_before[256]; /* the last one, and the one before it */
     unsigned warnings;
     bool beyond_total;            /* some stage reported more work than its total */
     struct bsq_progress progress; /* the last report of a stage */

@@ -144,7 +144,10 @@ static void what_refers_to_nothing_is_left_out(void **state)
     uint8_t *expected_bytes = NULL;
     write_scan(f->obj, false);
     sort_it(f, 0);
-    assert_int_equal(f->warnings, 0);
+    char bare_faces[sizeof f->warning]; /* they have no texture coordinates, in both scans */
+    memcpy(bare_faces, f->warning, sizeof bare_faces);
+    assert_int_equal(f->warnings, 1);
+    assert_non_null(strstr(bare_faces, ": faces without texture coordinates: "));
     read_sorted(f, &expected, &header);
     const struct losses losses = write_scan(f->obj, true);
     assert_true(losses.faces > 4 && losses.corners > 100);
@@ -154,8 +157,9 @@ static void what_refers_to_nothing_is_left_out(void **state)
         snprintf(message, sizeof message,
                  "%s:%llu: corners that refer to a normal that the file does not have: ", f->obj,
                  (unsigned long long)losses.first_normal);
-        assert_int_equal(f->warnings, 6);
-        assert_int_equal(strncmp(f->warning, message, strlen(message)), 0);
+        assert_int_equal(f->warnings, 7);
+        assert_int_equal(strncmp(f->warning_before, message, strlen(message)), 0);
+        assert_string_equal(f->warning, bare_faces);
         assert_int_equal(f->report.broken_faces, losses.faces);
         assert_int_equal(f->report.lost_corners, losses.corners);
         assert_int_equal(f->report.faces, (SIDE - 1) * (SIDE - 1));
