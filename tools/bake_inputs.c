@@ -37,6 +37,20 @@ static int use_inputs(struct cli *cli, struct bake_arguments *arguments, int sca
     return 0;
 }
 
+/* Points the options at the meshes, without scans, so that the command of a bake lists its tiles.
+ */
+static int use_meshes_alone(struct cli *cli, struct bake_arguments *arguments)
+{
+    struct bake_options *bake = &arguments->bake;
+    const int meshes = take_inputs(cli, arguments, false, arguments->paths);
+    if (meshes <= 0)
+        return meshes < 0 ? meshes : cli_usage(cli, "--list-tiles takes files: LOW.obj...");
+    bake->mesh_path = arguments->paths[0];
+    bake->more_mesh_paths = arguments->paths + 1;
+    bake->more_mesh_count = (uint32_t)meshes - 1;
+    return 0;
+}
+
 int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments)
 {
     struct bake_options *bake = &arguments->bake;
@@ -44,14 +58,11 @@ int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments
     arguments->paths = calloc((size_t)count + 1, sizeof *arguments->paths);
     if (!arguments->paths)
         return bsq_fail(cli->ctx, BSQ_ENOMEM, "out of memory");
-    if (arguments->list_tiles || count == 2) {
-        const int scans = arguments->list_tiles ? 0 : 1;
-        for (int i = 0; i < count; i++)
-            arguments->paths[i] = arguments->files[i];
-        bake->scan_path = arguments->paths[0];
-        bake->mesh_path = arguments->paths[scans];
-        bake->more_mesh_paths = arguments->paths + scans + 1;
-        bake->more_mesh_count = (uint32_t)(count - scans - 1);
+    if (arguments->list_tiles)
+        return use_meshes_alone(cli, arguments);
+    if (count == 2) {
+        bake->scan_path = arguments->paths[0] = arguments->files[0];
+        bake->mesh_path = arguments->paths[1] = arguments->files[1];
         return 0;
     }
     const int scans = take_inputs(cli, arguments, true, arguments->paths);

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "base/loss.h"
 #include "formats/farm/farm.h"
 #include "libvoxel/farm/farm.h"
 #include "libvoxel/voxelize/grid_estimate.h"
@@ -226,9 +227,12 @@ char *vox_plan_part_path(const struct vox_farm_plan *plan, uint32_t task)
 static int open_planned(const struct vox_farm_plan *plan, struct vox_run *run)
 {
     const struct vox_transform *transform = &run->shared.transform;
+    struct bsq_ctx *ctx = plan->base.ctx;
     int status = fmt_farm_check_inputs(&plan->base);
+    bsq_mute_warnings(ctx, true); /* they were given when the plan was made */
     if (status == 0)
-        status = vox_run_open(plan->base.ctx, &plan->options, run);
+        status = vox_run_open(ctx, &plan->options, run);
+    bsq_mute_warnings(ctx, false);
     if (status < 0)
         return status;
     bool same = transform->h == plan->voxel_size;

@@ -483,16 +483,21 @@ rm charts.exr stacked.obj
 
 # The charts in two tiles: 1002, and 1011 from half the height of the map on.
 awk '/^vt / { $2 += 1; $3 *= 2 } { print }' low.obj >two.obj
-$bake --list-tiles two.obj
-code 0
-[ "$(cat "$out")" = "1002
+for words in two.obj "$small plain.nvdb two.obj -o m_<MAP>.<UDIM>.exr"; do
+    $bake --list-tiles $words
+    code 0
+    [ "$(cat "$out")" = "1002
 1012" ]
-check "tiles are listed" $?
+    check "tiles are listed" $?
+done
 $bake --list-tiles two.obj --json --size '1012=64x32,*=16'
 code 0
 json '[.tiles[] | [.tile, .width, .height]] == [[1002, 16, 16], [1012, 64, 32]]'
-$bake --list-tiles
-code 64
+for words in "" plain.nvdb; do
+    $bake --list-tiles $words
+    code 64
+    err "$p --list-tiles takes files: LOW.obj..."
+done
 $bake $small plain.nvdb two.obj -o 'one_<MAP>.exr'
 code 64
 err_like "^$p two\.obj is in several UDIM tiles: 1002, 1012; to bake all, put \"<UDIM>\" into the output's name; "
