@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "base/ids.h"
+#include "base/loss.h"
 #include "libbake/bake_job.h"
 #include "libbake/bake_options.h"
 
@@ -38,7 +39,9 @@ int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint
     scans.more_scan_paths = options->more_scan_paths;
     scans.more_scan_count = options->more_scan_count;
     scans.match_names = options->match_names;
+    bsq_mute_warnings(ctx, true); /* the bake opens the scans again, and then gives them */
     int status = bake_surface_open(ctx, &scans, &surface);
+    bsq_mute_warnings(ctx, false);
     if (status == 0)
         *out = choose_from(&surface, options->maps);
     bake_surface_close(&surface);

@@ -3,15 +3,15 @@
  *
  * The record is a file of lines beside the chunk file, each of which ends with a null byte, as
  * paths may contain anything else. It exists only while the job is unfinished, and beside a chunk
- * file that was sorted alone. Its lines, in this order:
+ * file that was sorted alone. Its lines:
  *
  *     the format, checksum and size of the chunk file, and the checksum of the other lines
  *     the version, and the checksum of the program's sources
- *     "how": a text that says where the input lies, in the form of the lines below
- *     the same, with a hash of the rules for paths, if there are any
- *     for each input "obj", "tex" or "mtl": size, time of modification, hash of samples, path
- *     "ids": the same without a file, and what the ids tell apart, if there are any
- *     "cha": the same for each channel: its name, and "=" and its image if one is given
+ *     "how": a text that says where the next input lies, in the form of the lines below
+ *     "obj", "tex" or "mtl", for each input: size, time of modification, hash of samples, path
+ *     "ids", if there are any: the same without a file; what the ids tell apart
+ *     "cha", for each channel: the same; its name, and "=" and its image if one is given
+ *     "how" again: a hash of the rules for paths, if there are any
  *
  * A pipe has the path "-", no time, and a hash of all its bytes as they came. To resume, the lines
  * are made again from the files as they are now, and must be the same. A hash of samples is used

@@ -73,31 +73,38 @@ static bool has_material_color(const struct fmt_tris_header *part)
     return any;
 }
 
-/* Warns of parts without vertex colours beside others with such colours: what has no texture is
- * white then. */
-static int compare_colors(const struct fmt_tris_file *all)
+/* Warns of parts without vertex colours beside others with such colours. lossy: of those that have
+ * colours of materials instead, which are lost; else of the others. */
+static int warn_of_colors(const struct fmt_tris_file *all, bool lossy)
 {
-    const struct fmt_tris_file *plain = NULL, *lost = NULL;
-    unsigned long long plains = 0, losses = 0;
-    for (uint32_t i = 0; all->header.attributes & FMT_TRIS_COLORS && i < all->part_count; i++) {
-        const struct fmt_tris_file *file = all->parts[i].file;
-        const bool has = file->header.attributes & FMT_TRIS_COLORS;
-        const bool loses = !has && has_material_color(&file->header);
-        lost = loses && !lost ? file : lost;
-        losses += loses;
-        plain = !has && !loses && !plain ? file : plain;
-        plains += !has && !loses;
+    const char *path = NULL;
+    unsigned long long count = 0;
+    for (uint32_t i = 0; i < all->part_count; i++) {
+        const struct fmt_tris_file *part = all->parts[i].file;
+        if (part->header.attributes & FMT_TRIS_COLORS || has_material_color(&part->header) != lossy)
+            continue;
+        path = path ? path : part->file.path;
+        count++;
     }
-    if (plains > 0)
+    if (count > 0 && lossy)
+        return bsq_warn_loss(all->ctx,
+                             "%s: colours of materials are not used, because other parts of the "
+                             "scan have vertex colours; parts like this: %llu",
+                             path, count);
+    if (count > 0)
         bsq_warn(all->ctx,
                  "%s: no vertex colours, so what has no texture is white; other parts of the scan "
                  "have vertex colours; parts like this: %llu",
-                 plain->file.path, plains);
-    return losses == 0 ? 0
-                       : bsq_warn_loss(all->ctx,
-                                       "%s: colours of materials are not used, because other parts "
-                                       "of the scan have vertex colours; parts like this: %llu",
-                                       lost->file.path, losses);
+                 path, count);
+    return 0;
+}
+
+static int compare_colors(const struct fmt_tris_file *all)
+{
+    if (!(all->header.attributes & FMT_TRIS_COLORS))
+        return 0;
+    int status = warn_of_colors(all, false);
+    return status < 0 ? status : warn_of_colors(all, true);
 }
 
 static int join_materials(struct fmt_tris_file *all)

@@ -165,6 +165,7 @@ static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tri
 static int create(struct bsq_ctx *ctx, const char *path, const char *beside,
                   const struct fmt_tris_header *header, struct fmt_tris_writer **out)
 {
+    static const struct tris_file_header zeros;
     struct fmt_tris_writer *writer;
     *out = NULL;
     int status = bsq_calloc(ctx, "chunk file", 1, sizeof *writer, &writer);
@@ -178,12 +179,10 @@ static int create(struct bsq_ctx *ctx, const char *path, const char *beside,
     h->source_faces = header->source_faces;
     h->material_count = header->material_count;
     memcpy(h->origin, header->origin, sizeof h->origin);
-    struct tris_file_header placeholder;
-    memset(&placeholder, 0, sizeof placeholder);
     if ((status = encode_materials(writer, header)) < 0 ||
         (status = path ? bsq_output_open(ctx, path, &writer->output)
                        : bsq_output_open_temp(ctx, beside, "chunks", &writer->output)) < 0 ||
-        (status = bsq_output_write(writer->output, &placeholder, sizeof placeholder)) < 0) {
+        (status = bsq_output_write(writer->output, &zeros, sizeof zeros)) < 0) {
         fmt_tris_discard(writer);
         return status;
     }

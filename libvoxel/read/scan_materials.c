@@ -245,7 +245,7 @@ struct bare_faces {
     const char *texture_path; /* of some of them */
 };
 
-static void count_bare(uint64_t count, const char *texture_path, struct bare_faces *bare)
+static void add_bare(uint64_t count, const char *texture_path, struct bare_faces *bare)
 {
     if (count == 0 || !texture_path)
         return;
@@ -281,9 +281,9 @@ static int use_single_texture(struct scan *scan, struct fmt_mesh_reader *reader,
         status = vox_textures_check(scan->ctx, &found, true, textures);
     if (status == 0)
         status = add_single_texture(scan, texture_path, textures, &found);
-    count_bare(scan->bare_faces, texture_path, &bare);
+    add_bare(scan->bare_faces, texture_path, &bare);
     for (uint64_t i = 0; i < scan->material_use_count; i++)
-        count_bare(scan->material_uses[i].bare_faces, texture_path, &bare);
+        add_bare(scan->material_uses[i].bare_faces, texture_path, &bare);
     if (status == 0 && scan->file_count == 1) /* vox_scan_compare_files() warns of several */
         status = warn_of_bare_faces(scan, &bare);
     fmt_materials_free(scan->ctx, &found);
@@ -337,7 +337,7 @@ static int use_own_materials(struct scan *scan, struct fmt_mesh_reader *reader,
         const char *texture = found.list[i].texture_path;
         if (texture && i < scan->material_use_count &&
             (!has_texcoords || vox_textures_have(textures, texture)))
-            count_bare(scan->material_uses[i].bare_faces, texture, &bare);
+            add_bare(scan->material_uses[i].bare_faces, texture, &bare);
     }
     if (status == 0)
         status = warn_of_bare_faces(scan, &bare);

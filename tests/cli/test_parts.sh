@@ -244,6 +244,7 @@ cmp -s a.tris victim.tris
 check "an input is not overwritten" $?
 [ ! -e y.nvdb ]
 check "no output" $?
+
 # ---- colours that some parts lack ----
 
 write_sheet 0 23 3 color >vertex.obj
@@ -265,6 +266,10 @@ code 0
 check "warning of lost colours" $?
 $vox vertex.tris red.tris -o strict.nvdb --strict
 refused 65 "$p $lost"
+run bisque-bake vertex.tris red.tris low.obj --size 16 --samples 1 --front 1 --back 1 -o 'lost_<MAP>.png'
+code 0
+[ "$(grep -c 'colours of materials are not used' "$err")" -eq 1 ]
+check "a bake that chooses its maps warns once" $?
 $vox red.tris b.tris -o red.nvdb
 code 0
 [ ! -s "$err" ]

@@ -154,24 +154,27 @@ static bool is_wide(const struct vox_box *box)
     return wide;
 }
 
-/* Widens `needed` by those triangles from `begin` to `end` that may touch regions that are made.
- * box: theirs. Triangles on both sides of a jump of the curve have a wide box, but most of them do
- * not. */
-static void add_needed(const struct vox_chunk_source *from, const struct fmt_tris_chunk *source,
-                       uint32_t begin, uint32_t end, const struct vox_box *box,
-                       struct vox_box *needed)
+/* Widens `needed` by the triangles of a group that may touch regions that are made. A group that
+ * reaches across a jump of the curve is wide, but its triangles are not. */
+static void add_needed(const struct vox_chunk_source *from, const struct vox_chunk *chunk,
+                       uint32_t group, struct vox_box *needed)
 {
-    if (!vox_is_wanted(from->filter, box))
+    const struct vox_box_filter *filter = from->filter;
+    const struct vox_box *box = &chunk->groups[group];
+    uint32_t t = group * VOX_GROUP_TRIANGLES;
+    const uint32_t end = vox_group_end(t, chunk->source.triangle_count, VOX_GROUP_TRIANGLES);
+    if (!vox_is_wanted(filter, box))
         return;
-    if (end - begin == 1 || !is_wide(box)) {
+    if (!is_wide(box)) {
         widen(needed, box);
         return;
     }
-    const uint32_t middle = begin + (end - begin) / 2;
-    const struct vox_box first = vox_triangle_box(source, from->transform, begin, middle);
-    const struct vox_box second = vox_triangle_box(source, from->transform, middle, end);
-    add_needed(from, source, begin, middle, &first, needed);
-    add_needed(from, source, middle, end, &second, needed);
+    for (; t < end; t++) {
+        const struct vox_box of_triangle =
+            vox_triangle_box(&chunk->source, from->transform, t, t + 1);
+        if (vox_is_wanted(filter, &of_triangle))
+            widen(needed, &of_triangle);
+    }
 }
 
 /* Returns whether a box is part of another one. */
@@ -219,10 +222,7 @@ static bool find_needed(const struct vox_chunk_source *from,
     *needed =
         (struct vox_box){{INT32_MAX, INT32_MAX, INT32_MAX}, {INT32_MIN, INT32_MIN, INT32_MIN}};
     for (uint32_t g = 0; g < chunk->group_count; g++)
-        add_needed(from, &chunk->source, g * VOX_GROUP_TRIANGLES,
-                   vox_group_end(g * VOX_GROUP_TRIANGLES, chunk->source.triangle_count,
-                                 VOX_GROUP_TRIANGLES),
-                   &chunk->groups[g], needed);
+        add_needed(from, chunk, g, needed);
     if (needed->lo[0] > needed->hi[0])
         return false;
     for (uint32_t g = 0; g < groups; g++)
