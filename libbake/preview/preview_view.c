@@ -31,36 +31,81 @@ static void set_axes(double around, int up_axis, struct preview_view *view)
  * relief is. */
 static const double base_height = 0.02, relief_depth = 0.25;
 
-/* Returns twice the area, projected along the axis, of triangles below a height that face down. */
-static double base_area(const struct bake_lowmesh *mesh, int axis, double height)
+/* What a mesh would stand on. */
+struct base {
+    double area;            /* twice the area that faces down, projected along the axis */
+    double low[3], high[3]; /* of its corners */
+};
+
+static struct base find_base(const struct bake_lowmesh *mesh, int axis, double height)
 {
     const int u = (axis + 1) % 3, v = (axis + 2) % 3;
-    double area = 0;
+    struct base base = {0, {INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
     for (uint64_t t = 0; t < mesh->triangle_count; ++t) {
         const double(*p)[3] = mesh->positions[t];
         if (fmax(p[0][axis], fmax(p[1][axis], p[2][axis])) > height)
             continue;
         double facing =
             (p[1][u] - p[0][u]) * (p[2][v] - p[0][v]) - (p[1][v] - p[0][v]) * (p[2][u] - p[0][u]);
-        area += fmax(-facing, 0);
+        if (!(facing < 0))
+            continue;
+        base.area -= facing;
+        for (int c = 0; c < 3; ++c)
+            for (int k = 0; k < 3; ++k) {
+                base.low[k] = fmin(base.low[k], p[c][k]);
+                base.high[k] = fmax(base.high[k], p[c][k]);
+            }
     }
-    return area;
+    return base;
+}
+
+/* Computes the centroid of the mesh's surface. */
+static void find_centroid(const struct bake_lowmesh *mesh, double out[3])
+{
+    double sum[3] = {0}, area = 0;
+    for (uint64_t t = 0; t < mesh->triangle_count; ++t) {
+        const double(*p)[3] = mesh->positions[t];
+        double a[3], b[3], normal[3];
+        for (int k = 0; k < 3; ++k) {
+            a[k] = p[1][k] - p[0][k];
+            b[k] = p[2][k] - p[0][k];
+        }
+        bsq_crossd(a, b, normal);
+        const double weight = sqrt(bsq_dotd(normal, normal));
+        area += weight;
+        for (int k = 0; k < 3; ++k)
+            sum[k] += weight * (p[0][k] + p[1][k] + p[2][k]) / 3;
+    }
+    for (int k = 0; k < 3; ++k)
+        out[k] = area > 0 ? sum[k] / area : 0;
+}
+
+/* Returns whether a mesh with this centroid would not fall over, if all of the rectangle around the
+ * base carried it. An animal's mouth may be the larger flat part, but it does not stand on that. */
+static bool is_stable(const struct base *base, const double centroid[3], int axis)
+{
+    for (int k = 0; k < 3; ++k)
+        if (k != axis && !(centroid[k] >= base->low[k] && centroid[k] <= base->high[k]))
+            return false;
+    return true;
 }
 
 int bake_preview_up_axis(const struct bake_preview *preview)
 {
     if (preview->up != BAKE_UP_AUTO)
         return preview->up == BAKE_UP_Z ? 2 : 1;
-    const double *low = preview->mesh->bounds_min, *high = preview->mesh->bounds_max;
-    double longest = 0;
+    const struct bake_lowmesh *mesh = preview->mesh;
+    const double *low = mesh->bounds_min, *high = mesh->bounds_max;
+    double longest = 0, centroid[3];
     for (int k = 0; k < 3; ++k)
         longest = fmax(longest, high[k] - low[k]);
     if (high[2] - low[2] < relief_depth * longest)
         return 1;
     const double reach = base_height * longest;
-    return base_area(preview->mesh, 2, low[2] + reach) > base_area(preview->mesh, 1, low[1] + reach)
-               ? 2
-               : 1;
+    const struct base y = find_base(mesh, 1, low[1] + reach),
+                      z = find_base(mesh, 2, low[2] + reach);
+    find_centroid(mesh, centroid);
+    return z.area > y.area && is_stable(&z, centroid, 2) ? 2 : 1;
 }
 
 /* ---- the view ---- */

@@ -68,6 +68,25 @@ static void test_mesh_stands_on_its_base(void **state)
     assert_int_equal(up_axis_of(pyramid, make_pyramid(0, 2, pyramid), BAKE_UP_AUTO), 1);
 }
 
+/* An animal may have a flatter mouth than feet, but it does not stand on its mouth. */
+static void test_mesh_does_not_fall_over(void **state)
+{
+    (void)state;
+    double mesh[8][3][3];
+    const uint64_t body = make_pyramid(1, 3, mesh);
+    /* A flat triangle that faces down z, below the rest of the mesh: in front of it, then under its
+     * middle. It is larger than the base. */
+    const double mouth[3][2] = {{-3, 0}, {0, 4}, {3, 0}};
+    for (int shift = 0; shift < 2; shift++) {
+        for (int c = 0; c < 3; c++) {
+            mesh[body][c][0] = mouth[c][0];
+            mesh[body][c][1] = mouth[c][1] + (shift == 0 ? 3 : -1);
+            mesh[body][c][2] = -2;
+        }
+        assert_int_equal(up_axis_of(mesh, body + 1, BAKE_UP_AUTO), shift == 0 ? 1 : 2);
+    }
+}
+
 /* ---- views ---- */
 
 static double dot(const double a[3], const double b[3])
@@ -262,6 +281,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_mesh_stands_on_its_base),
+        cmocka_unit_test(test_mesh_does_not_fall_over),
         cmocka_unit_test(test_views_go_around_the_vertical_axis),
         cmocka_unit_test(test_misses_are_averaged),
         cmocka_unit_test(test_misses_are_red),
