@@ -49,9 +49,9 @@ static void project_group(const struct preview_view *view, const double origin[3
     double p[3];
     for (int k = 0; k < 3; ++k)
         p[k] = origin[k] + half - view->centre[k];
-    out->at[0] = 0.5 * view->samples / PREVIEW_CELL + cells_a_unit * preview_dot(p, view->right);
-    out->at[1] = 0.5 * view->samples / PREVIEW_CELL - cells_a_unit * preview_dot(p, view->up);
-    out->at[2] = view->scan_depth - preview_dot(p, view->toward);
+    out->at[0] = 0.5 * view->samples / PREVIEW_CELL + cells_a_unit * bsq_dotd(p, view->right);
+    out->at[1] = 0.5 * view->samples / PREVIEW_CELL - cells_a_unit * bsq_dotd(p, view->up);
+    out->at[2] = view->scan_depth - bsq_dotd(p, view->toward);
     for (int k = 0; k < 3; ++k) {
         out->step[k][0] = 2 * half * cells_a_unit * view->right[k];
         out->step[k][1] = -2 * half * cells_a_unit * view->up[k];

@@ -80,10 +80,12 @@ static void find_centroid(const struct bake_lowmesh *mesh, double out[3])
         out[k] = area > 0 ? sum[k] / area : 0;
 }
 
-/* Returns whether a mesh with this centroid would not fall over, if all of the rectangle around the
- * base carried it. An animal's mouth may be the larger flat part, but it does not stand on that. */
-static bool is_stable(const struct base *base, const double centroid[3], int axis)
+/* Returns whether a mesh would not fall over, if all of the rectangle around the base carried it.
+ * An animal's mouth may be the larger flat part, but it does not stand on that. */
+static bool is_stable(const struct bake_lowmesh *mesh, const struct base *base, int axis)
 {
+    double centroid[3];
+    find_centroid(mesh, centroid);
     for (int k = 0; k < 3; ++k)
         if (k != axis && !(centroid[k] >= base->low[k] && centroid[k] <= base->high[k]))
             return false;
@@ -96,7 +98,7 @@ int bake_preview_up_axis(const struct bake_preview *preview)
         return preview->up == BAKE_UP_Z ? 2 : 1;
     const struct bake_lowmesh *mesh = preview->mesh;
     const double *low = mesh->bounds_min, *high = mesh->bounds_max;
-    double longest = 0, centroid[3];
+    double longest = 0;
     for (int k = 0; k < 3; ++k)
         longest = fmax(longest, high[k] - low[k]);
     if (high[2] - low[2] < relief_depth * longest)
@@ -104,8 +106,7 @@ int bake_preview_up_axis(const struct bake_preview *preview)
     const double reach = base_height * longest;
     const struct base y = find_base(mesh, 1, low[1] + reach),
                       z = find_base(mesh, 2, low[2] + reach);
-    find_centroid(mesh, centroid);
-    return z.area > y.area && is_stable(&z, centroid, 2) ? 2 : 1;
+    return z.area > y.area && is_stable(mesh, &z, 2) ? 2 : 1;
 }
 
 /* ---- the view ---- */
@@ -126,7 +127,7 @@ static void frame_mesh(const struct bake_lowmesh *mesh, struct preview_view *vie
     for (uint64_t t = 0; t < mesh->triangle_count; ++t)
         for (int c = 0; c < 3; ++c) {
             const double *p = mesh->positions[t][c];
-            double at[2] = {preview_dot(view->right, p), preview_dot(view->up, p)};
+            double at[2] = {bsq_dotd(view->right, p), bsq_dotd(view->up, p)};
             for (int k = 0; k < 2; ++k) {
                 low[k] = fmin(low[k], at[k]);
                 high[k] = fmax(high[k], at[k]);
@@ -148,7 +149,7 @@ static void span_scan(const struct bake_surface *scan, struct preview_view *view
         double p[3];
         for (int k = 0; k < 3; ++k)
             p[k] = corner >> k & 1 ? scan->scan_max[k] : scan->scan_min[k];
-        double depth = preview_dot(p, view->toward) - preview_dot(view->centre, view->toward);
+        double depth = bsq_dotd(p, view->toward) - bsq_dotd(view->centre, view->toward);
         nearest = fmax(nearest, depth);
         farthest = fmin(farthest, depth);
     }

@@ -11,11 +11,6 @@ enum {
     PREVIEW_BAND = 8  /* pixel rows that a worker renders at a time; divides a panel's side */
 };
 
-static inline double preview_dot(const double a[3], const double b[3])
-{
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
 /* A parallel projection. With half = samples / 2, a point p is on the panel at
  * (half + scale * right . (p - centre), half - scale * up . (p - centre)), in samples from the top
  * left. */
