@@ -16,10 +16,12 @@
 /* Statements of the OBJ standard (Wavefront, "Advanced Visualizer", appendix B1) that say nothing
  * about points and faces, superseded ones included. */
 static const char *const standard_statements[] = {
-    "g",         "o",     "s",     "l",        "p",        "vp",   "cstype", "deg",    "bmat",
-    "step",      "curv",  "curv2", "parm",     "trim",     "hole", "scrv",   "sp",     "end",
-    "con",       "mg",    "bevel", "c_interp", "d_interp", "lod",  "usemap", "maplib", "shadow_obj",
-    "trace_obj", "ctech", "stech", "call",     "csh",      "cdc",  "res"};
+    "s",     "l",        "p",        "vp",   "cstype", "deg",   "bmat", "step", "curv",
+    "curv2", "parm",     "trim",     "hole", "scrv",   "sp",    "end",  "con",  "mg",
+    "bevel", "c_interp", "d_interp", "lod",  "ctech",  "stech", "cdc",  "res"};
+/* Those of them whose arguments are names of things or files. */
+static const char *const name_statements[] = {"g",          "o",         "usemap", "maplib",
+                                              "shadow_obj", "trace_obj", "call",   "csh"};
 /* Those of surfaces that are no polygons, and superseded ones. */
 static const char *const surface_statements[] = {"surf", "bsp", "bzp", "cdp"};
 
@@ -119,12 +121,17 @@ static const char *skip_comment(struct parser *parser, const char *p)
     return p + size;
 }
 
-/* Finds the end of a statement: *end is its line end. Returns the start of the next line. */
-static const char *skip_statement(struct parser *parser, const char *p, const char **end)
+/* Finds the end of a statement, from p after its first word: *end is its line end. Returns the
+ * start of the next line. If arguments may be names, a backslash continues a line only after a
+ * blank. Elsewhere it is the end of a name, as of a Windows path, and must not swallow the next
+ * line. */
+static const char *skip_statement(struct parser *parser, const char *p, bool names,
+                                  const char **end)
 {
     int size;
     for (;;) {
-        if (*p == '\\' && (size = line_end_size(p + 1))) {
+        if (*p == '\\' && (!names || (unsigned char)p[-1] <= ' ') &&
+            (size = line_end_size(p + 1))) {
             parser->block->lines++;
             p += 1 + size;
         } else if ((size = line_end_size(p))) {
@@ -456,8 +463,9 @@ static const char *add_statement(struct parser *parser, const char *p, enum obj_
     if (!RESERVE(parser, "OBJ statements", block->statement_count, block->statements,
                  block->statement_capacity))
         return NULL;
-    p = skip_blanks(block, p);
-    const char *end = p, *after = skip_statement(parser, p, &end);
+    if (is_blank(*p))
+        p = skip_blanks(block, p);
+    const char *end = p, *after = skip_statement(parser, p, true, &end);
     if (!after)
         return NULL;
     block->statements[block->statement_count++] = (struct obj_statement){
@@ -495,11 +503,12 @@ static const char *parse_other(struct parser *parser, const char *p)
     if (length == 1 && (*word == 'o' || *word == 'g') && block->objects)
         return add_statement(parser, p, OBJ_OBJECT);
     const bool surface = IS_IN(surface_statements, word, length);
-    const bool standard = surface || IS_IN(standard_statements, word, length);
+    const bool name = IS_IN(name_statements, word, length);
+    const bool standard = surface || name || IS_IN(standard_statements, word, length);
     if (surface || !standard)
         note_odd(parser, surface ? OBJ_SURFACE : OBJ_UNKNOWN);
     block->known_lines += standard;
-    p = skip_statement(parser, p, &end);
+    p = skip_statement(parser, p, name || !standard, &end);
     if (p && block->odd[OBJ_UNKNOWN].count == 1 && !standard)
         fmt_mesh_quote(word, end, block->first_unknown, sizeof block->first_unknown);
     return p;

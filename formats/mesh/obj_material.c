@@ -87,12 +87,10 @@ int fmt_obj_statement_text(struct bsq_ctx *ctx, const struct obj_block *block,
     if (status)
         return status;
     for (to = *out; from < end; from++) {
-        if (*from == '\\' && (from[1] == '\n' || from[1] == '\r')) {
-            from += 1 + (from[1] == '\r' && from[2] == '\n');
-            *to++ = ' ';
-        } else {
+        if (*from == '\\' && from + 1 < end && (from[1] == '\n' || from[1] == '\r'))
+            from += 1 + (from[1] == '\r' && from[2] == '\n'); /* a blank came before it */
+        else
             *to++ = *from;
-        }
     }
     while (to > *out && (to[-1] == ' ' || to[-1] == '\t'))
         to--;

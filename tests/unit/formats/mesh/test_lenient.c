@@ -164,6 +164,29 @@ static void test_missing_libraries(void **state)
     obj_close(&f);
 }
 
+/* A backslash at the end of a name does not continue the line: no face may get lost. */
+static void test_names_that_end_in_a_backslash(void **state)
+{
+    (void)state;
+    static const char *const statements[] = {
+        "usemtl C:\\m\\", "usemtl C:\\m\\\r", "o C:\\a\\",       "g\\",
+        "mtllib C:\\",    "call C:\\b\\",     "unknown C:\\c\\", "usemtl\\"};
+    for (size_t i = 0; i < sizeof statements / sizeof *statements; i++)
+        for (int more = 0; more < 2; more++) {
+            char text[200];
+            struct obj_fixture f;
+            snprintf(text, sizeof text, "v 0 0 0\n%s\nf 1 1 1\nf 1 \\\n1 1\n", statements[i]);
+            if (more)
+                strcat(text, "usemtl \\\n a \\\nb\nl 1\\\n1\nf 1 1 1\n");
+            obj_read_text(&f, text);
+            assert_int_equal(f.scan.totals.faces, 2 + more);
+            if (i < 2)
+                obj_assert_material(&f, 0, "C:\\m\\");
+            assert_int_equal(obj_line_of_face(&f, 0), 3);
+            obj_close(&f);
+        }
+}
+
 /* ---- PLY and STL ---- */
 
 static void test_ply(void **state)
@@ -235,6 +258,7 @@ int main(void)
         cmocka_unit_test(test_attributes_before_the_first),
         cmocka_unit_test(test_names),
         cmocka_unit_test(test_missing_libraries),
+        cmocka_unit_test(test_names_that_end_in_a_backslash),
         cmocka_unit_test(test_ply),
         cmocka_unit_test(test_stl),
     };

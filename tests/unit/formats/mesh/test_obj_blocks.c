@@ -190,7 +190,8 @@ static void test_first_error_wins(void **state)
 static void test_block_borders(void **state)
 {
     (void)state;
-    static const char tail[] = "v 1 2 3\r\nf 1 \\\r\n1 \\\n1\nusemtl m\\\nn\n#\\\nf 1 1 1\rv 4 5 6";
+    static const char tail[] =
+        "v 1 2 3\r\nf 1 \\\r\n1 \\\n1\nusemtl m \\\nn\n#\\\nf 1 1 1\rg x\\\r\nv 4 5 6";
     char *text = malloc(OBJ_BLOCK_BYTES + 1024);
     size_t border = OBJ_BLOCK_BYTES;
     for (size_t shift = 0; shift <= sizeof tail + 1; shift++) {
