@@ -258,7 +258,6 @@ bool copy_place(const Place &place, fmt_scene *out)
                                      place.mesh->HasNormals(),
                                      place.mesh->HasTextureCoords(0),
                                      nullptr};
-    out->has_tangents |= place.mesh->HasTangentsAndBitangents();
     for (unsigned v = 0; v < place.mesh->mNumVertices; v++)
         copy_vertex(place, normals, v, out);
     return copy_faces(*place.mesh, mirrored, first, out);
@@ -273,6 +272,14 @@ int copy_name(const Source &s, const aiString &name, char **out)
     return status;
 }
 
+// Returns the name of a node or, if it has none, of its mesh.
+const aiString &name_of(const Place &place)
+{
+    const char *name = place.node->mName.C_Str(), *made_up = "$ColladaAutoName$";
+    const bool named = *name != 0 && std::strncmp(name, made_up, std::strlen(made_up)) != 0;
+    return named ? place.node->mName : place.mesh->mName;
+}
+
 int copy_names(const Source &s, const aiScene &scene, const std::vector<Place> &places,
                fmt_scene *out)
 {
@@ -284,7 +291,7 @@ int copy_names(const Source &s, const aiScene &scene, const std::vector<Place> &
             out->material_names[out->material_count++] = copy;
     }
     for (size_t i = 0; i < places.size() && status == 0; i++)
-        status = copy_name(s, places[i].node->mName, &out->parts[i].object);
+        status = copy_name(s, name_of(places[i]), &out->parts[i].object);
     return status;
 }
 
@@ -337,6 +344,23 @@ int copy_scene(const Source &s, const aiScene &scene, fmt_scene *out)
     return copy_names(s, scene, places, out);
 }
 
+// Removes the tangents of all meshes, which nothing uses: the validation refuses a mesh that has
+// tangents but no bitangents. Returns whether there were any.
+bool drop_tangents(const aiScene &scene)
+{
+    bool any = false;
+    for (unsigned i = 0; i < scene.mNumMeshes; i++) {
+        aiMesh *mesh = scene.mMeshes[i];
+        if (!mesh)
+            continue;
+        any |= mesh->mTangents != nullptr;
+        delete[] mesh->mTangents;
+        delete[] mesh->mBitangents;
+        mesh->mTangents = mesh->mBitangents = nullptr;
+    }
+    return any;
+}
+
 int import(const Source &s, fmt_scene *out)
 {
     Assimp::Importer importer;
@@ -346,7 +370,12 @@ int import(const Source &s, fmt_scene *out)
     importer.SetPropertyBool(AI_CONFIG_IMPORT_FBX_READ_ANIMATIONS, false);
     importer.SetPropertyBool(AI_CONFIG_IMPORT_FBX_READ_CAMERAS, false);
     importer.SetPropertyBool(AI_CONFIG_IMPORT_FBX_READ_LIGHTS, false);
-    const aiScene *scene = importer.ReadFile(s.name, aiProcess_ValidateDataStructure);
+    importer.SetPropertyBool(AI_CONFIG_IMPORT_COLLADA_USE_COLLADA_NAMES, true);
+    const aiScene *scene = importer.ReadFile(s.name, 0);
+    if (scene) {
+        out->has_tangents = drop_tangents(*scene);
+        scene = importer.ApplyPostProcessing(aiProcess_ValidateDataStructure);
+    }
     std::string reason = importer.GetErrorString();
     importer.SetProgressHandler(nullptr);
     int status = s.host->check(s.ctx);

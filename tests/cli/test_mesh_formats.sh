@@ -367,6 +367,21 @@ for suffix in blender.fbx assimp.dae; do
     check "the object of uv.$suffix has a name" $?
     rm -f object_*.exr
 done
+# COLLADA: names, which may differ from ids, or else names of meshes. Tangents without bitangents.
+sed 's/<node id="patch" name="patch"/<node id="patch" name="a patch"/
+    s/.*semantic="TEXCOORD" source.*/&<input offset="0" semantic="TEXTANGENT" source="#patch_1-positions"\/>/' \
+    "$meshes/uv.assimp.dae" >named.dae
+sed 's/<node id="patch" name="patch"/<node id="patch"/; s/name="patch"/name="a patch"/' \
+    "$meshes/uv.assimp.dae" >unnamed.dae
+for name in named unnamed; do
+    run bisque-bake uv.nvdb $name.dae -o 'object_<OBJECT>.exr' --maps normal --size 64
+    code 0
+    [ "$(grep -c "$name.dae: the file's tangents are not used" "$err")" -eq $((${#name} == 5)) ]
+    check "warning of tangents: $name.dae" $?
+    run bisque-compare --type normal uv.exr 'object_a patch.exr' --max-error 0.01
+    code 0
+    rm -f object_*.exr
+done
 head -c 3000 "$meshes/uv.blender.fbx" >cut.fbx
 run bisque-bake uv.nvdb cut.fbx -o other.exr
 code 65
