@@ -278,10 +278,11 @@ static int add_placement(struct vox_job *job, const struct vox_sort_options *opt
     if (!options->placements)
         return 0;
     const struct vox_placement *p = &options->placements[i];
+    const char *up = p->up == VOX_UP_Y ? "y" : p->up == VOX_UP_Z ? "z" : "unchanged";
     if (asprintf(
             &line,
-            "how -1 0.000000000 0000000000000000 scale %.17g, up %d, translate %.17g,%.17g,%.17g",
-            p->scale, (int)p->up, p->translate[0], p->translate[1], p->translate[2]) < 0)
+            "how -1 0.000000000 0000000000000000 scale %.17g, up %s, translate %.17g,%.17g,%.17g",
+            p->scale, up, p->translate[0], p->translate[1], p->translate[2]) < 0)
         line = NULL;
     return add_line(job, line);
 }

@@ -148,7 +148,10 @@ run bisque-voxelize plain.obj --scale 4 --voxel-size 1e-7 -o job.nvdb
 check "the record is there" $?
 run bisque-voxelize plain.obj --scale 2 --resolution 40 -o job.nvdb --resume
 code 64
-err_like "^$p job.tris was made from scale 4, up 0, translate 0,0,0, not from scale 2, up 0, .*: this job cannot be resumed\$"
+err_like "^$p job.tris was made from scale 4, up unchanged, translate 0,0,0, not from scale 2, up unchanged, .*: this job cannot be resumed\$"
+run bisque-voxelize plain.obj --scale 4 --up z --resolution 40 -o job.nvdb --resume
+code 64
+err_like " not from scale 4, up z, translate 0,0,0: this job cannot be resumed\$"
 run bisque-voxelize plain.obj --resolution 40 -o job.nvdb --resume
 code 64
 run bisque-voxelize plain.obj --scale 4 --resolution 40 -o job.nvdb --resume --json
