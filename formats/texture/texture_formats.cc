@@ -74,10 +74,21 @@ bool is_png(const Probe &probe)
     return begins(probe, "\x89PNG\r\n\x1a\n");
 }
 
+// Returns whether a PNG file begins with a header (ISO/IEC 15948, 11.2.2) of sizes that libpng
+// takes. Otherwise libpng refuses the file, so its numbers mean nothing.
+bool has_png_header(const uint8_t *h)
+{
+    static const char chunk[] = "\0\0\0\x0dIHDR";
+    return std::memcmp(h + 8, chunk, 8) == 0 && big32(h + 16) <= INT32_MAX &&
+           big32(h + 20) <= INT32_MAX && h[26] == 0 && h[27] == 0 && h[28] <= 1;
+}
+
 // Interlaced images are held whole, with an alpha channel if a palette or a colour gives one.
 Whole png_whole(const Probe &probe)
 {
     const uint8_t *h = probe.head;
+    if (!has_png_header(h))
+        return {0, 0, 0};
     bool is_grey = h[25] == 0 || h[25] == 4;
     uint64_t texel = (is_grey ? 2U : 4U) * (h[24] == 16 ? 2U : 1U);
     return by_texels(big32(h + 16), big32(h + 20), h[28] ? texel : 0);
@@ -178,6 +189,8 @@ Whole jpeg2000_whole(const Probe &probe)
 {
     uint8_t size[42];
     read_at(probe, find_codestream(probe), size, sizeof size);
+    if (std::memcmp(size, "\xff\x4f\xff\x51", 4) != 0) // OpenJPEG refuses the file
+        return {0, 0, 0};
     uint64_t width = big32(size + 8), height = big32(size + 12);
     width -= std::min<uint64_t>(width, big32(size + 16));
     height -= std::min<uint64_t>(height, big32(size + 20));

@@ -516,6 +516,28 @@ static void test_sixteen_bits_of_linear_light(void **state)
     close_fixture(&f);
 }
 
+/* Damaged headers, whose numbers are no size, are no question of memory. */
+static void test_damaged_headers(void **state)
+{
+    (void)state;
+    static const char png[] =
+        "\x89PNG\r\n\x1a\n\0\0\0\rIDAT\x75\x30\x75\x30\x75\x30\x75\x30\x08\x02\0\0\x01";
+    static const char wide[] =
+        "\x89PNG\r\n\x1a\n\0\0\0\rIHDR\xff\x30\x75\x30\0\0\x75\x30\x08\x02\0\0\x01";
+    static const char jp2[] =
+        "\0\0\0\x0cjP  \r\n\x87\n\0\0\0\0jp2c\x01\x01\x01\x01\x01\x01\x01\x01\x01"
+        "\x01\x01\x01\x01\x01\x01\x01\0\0\0\0\0\0\0\0\x75\x30\0\0\x75\x30\0\0\0\0\0\0"
+        "\0\0\0\x03";
+    static const struct {
+        const char *name, *bytes;
+        size_t size;
+    } cases[] = {
+        {"d.png", png, sizeof png}, {"w.png", wide, sizeof wide}, {"d.jp2", jp2, sizeof jp2}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++)
+        expect_refusal(scratch_bytes(cases[i].name, cases[i].bytes, cases[i].size), BSQ_EDATA,
+                       "not a readable image: ");
+}
+
 /* Bytes of a PNG file that are damaged, one at a time: libraries print nothing. */
 static void test_damage_prints_nothing(void **state)
 {
@@ -683,6 +705,7 @@ int main(void)
         cmocka_unit_test(test_whole_images_beyond_the_budget),
         cmocka_unit_test(test_interlaced),
         cmocka_unit_test(test_sixteen_bits_of_linear_light),
+        cmocka_unit_test(test_damaged_headers),
         cmocka_unit_test(test_damage_prints_nothing),
         cmocka_unit_test(test_image_that_is_turned),
         cmocka_unit_test(test_alpha),
