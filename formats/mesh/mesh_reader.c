@@ -41,8 +41,7 @@ static bool has_any_suffix(const char *name, size_t length, const char *suffixes
     return false;
 }
 
-/* Returns the length of a path without the suffix of a packed file. */
-static size_t unpacked_length(const char *path)
+size_t fmt_mesh_unpacked_length(const char *path)
 {
     const size_t length = strlen(path);
     if (has_suffix(path, length, ".gz"))
@@ -61,7 +60,7 @@ static const struct fmt_mesh_format *find_by_content(const char *head, size_t si
 /* Finds the format by the suffix; that of "scan.stl.gz" is ".stl". */
 static const struct fmt_mesh_format *find_by_suffix(const char *path)
 {
-    const size_t length = unpacked_length(path);
+    const size_t length = fmt_mesh_unpacked_length(path);
     for (size_t i = 0; i < FORMAT_COUNT; i++)
         /* No row is NULL, but the analyzer forgets that at the call of a recognise function. */
         /* NOLINTNEXTLINE(clang-analyzer-core.NullDereference) */

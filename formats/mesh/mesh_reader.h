@@ -131,6 +131,8 @@ bool fmt_mesh_given(const struct fmt_mesh_reader *reader, const char *path, uint
  * `size` may be less than FMT_MESH_HEAD_BYTES only if the file is shorter. */
 bool fmt_mesh_recognise(const char *path, const char *head, size_t size);
 #define FMT_MESH_HEAD_BYTES 512
+/* Returns the length of a path without the suffix of a packed file: ".gz" or ".zst". */
+size_t fmt_mesh_unpacked_length(const char *path);
 
 /* Reads everything. on_block is called serially in order; it returns 0 to go on, or a negative
  * status, which stops and is returned. Numbers that are malformed are BSQ_EDATA with file, line and

@@ -6,7 +6,6 @@
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
-#include <strings.h>
 
 #include "base/loss.h"
 #include "formats/mesh/mesh_arrays.h"
@@ -37,12 +36,6 @@ static bool recognise(const char *head, size_t size)
     return size >= sizeof magic && memcmp(head, magic, sizeof magic - 1) == 0;
 }
 
-static bool ends_with(const char *name, size_t length, const char *end)
-{
-    const size_t size = strlen(end);
-    return length >= size && strncasecmp(name + length - size, end, size) == 0;
-}
-
 /* Returns a name whose suffix tells the format: the file's, without the suffix of a packed file. */
 static int name_for_format(struct bsq_ctx *ctx, const char *path, const char *head, size_t size,
                            char **out)
@@ -53,11 +46,8 @@ static int name_for_format(struct bsq_ctx *ctx, const char *path, const char *he
                                  : slash               ? slash + 1
                                                        : path,
                                  out);
-    size_t length = status ? 0 : strlen(*out);
-    if (!status && ends_with(*out, length, ".gz"))
-        (*out)[length - 3] = '\0';
-    else if (!status && ends_with(*out, length, ".zst"))
-        (*out)[length - 4] = '\0';
+    if (!status)
+        (*out)[fmt_mesh_unpacked_length(*out)] = '\0';
     return status;
 }
 

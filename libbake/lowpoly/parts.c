@@ -9,12 +9,13 @@
 
 /* ---- a file ---- */
 
-/* Copies a file's name without its folder and suffix. */
+/* Copies a file's name without its folder and suffix; that of "low.ply.gz" is ".ply.gz". */
 static int copy_stem(struct bsq_ctx *ctx, const char *path, char **out)
 {
     const char *slash = strrchr(path, '/'), *name = slash ? slash + 1 : path;
-    const char *dot = strrchr(name, '.');
-    const size_t length = dot && dot > name ? (size_t)(dot - name) : strlen(name);
+    const size_t unpacked = fmt_mesh_unpacked_length(name);
+    const char *dot = memrchr(name, '.', unpacked);
+    const size_t length = dot && dot > name ? (size_t)(dot - name) : unpacked;
     int status = bsq_alloc(ctx, "names", length + 1, 1, out);
     if (status == 0)
         *(char *)mempcpy(*out, name, length) = '\0';

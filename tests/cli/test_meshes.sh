@@ -73,6 +73,10 @@ code 0
 same materials.paint.exr alone_left.exr
 same materials.rust.exr alone_right.exr
 same left.none.exr alone_left.exr
+gzip -c left.obj >packed.obj.gz
+$bake $small scan.nvdb packed.obj.gz -o '<OBJECT>.<MATERIAL>.exr'
+code 0
+same packed.none.exr alone_left.exr
 
 # Objects with one name are one object, whose tiles are named too.
 $bake $small scan.nvdb a.obj b.obj -o '<OBJECT>_<UDIM>.exr'
