@@ -108,13 +108,27 @@ int fmt_gltf_measure_data(const struct gltf_place *place, uint64_t offset, uint6
     return status;
 }
 
-/* Uses the other file that a URI names. A file of another name could give another shape. */
+/* Returns whether a buffer has nothing but what is also compressed in other buffers. */
+static bool is_fallback(const json_t *buffer)
+{
+    const json_t *meshopt = fmt_gltf_extension(buffer, "EXT_meshopt_compression");
+    return json_is_true(json_object_get(meshopt, "fallback"));
+}
+
+/* Uses the other file that a URI names. A file of another name could give another shape. Fallbacks
+ * are often left behind: one that does not exist has no data. */
 static int use_file(const struct gltf_place *place, const char *uri, struct gltf_buffer *out)
 {
     struct bsq_ctx *ctx = place->document->ctx;
     bool exists;
     int found = fmt_gltf_uri_path(ctx, fmt_input_beside(place->document->input), uri, true,
                                   &out->path, &exists);
+    if (found > 0 && !exists && is_fallback(place->object)) {
+        bsq_free(ctx, out->path);
+        out->path = NULL;
+        out->missing = true;
+        return 0;
+    }
     if (found > 0 && !exists)
         return bsq_fail(ctx, BSQ_ENOINPUT, "%s: no such buffer, which %s names", out->path,
                         place->document->file.path);
@@ -141,7 +155,6 @@ static int read_buffer(const struct gltf_place *place, struct gltf_buffer *out)
         return status;
     if (!uri && fmt_gltf_extension(place->object, "EXT_meshopt_compression")) {
         out->missing = true;
-        out->part.size = length;
     } else if (!uri) {
         /* Without a URI: the chunk, for the first; or nothing that this reader can read. */
         const bool chunk = place->index == 0 && d->chunk_offset > 0;
@@ -155,7 +168,7 @@ static int read_buffer(const struct gltf_place *place, struct gltf_buffer *out)
     }
     if (status)
         return status;
-    if (length > out->part.size)
+    if (length > out->part.size && !out->missing)
         return fmt_gltf_fail(place,
                              "truncated: it should have %" PRIu64 " bytes, there are %" PRIu64,
                              length, out->part.size);

@@ -123,6 +123,14 @@ run bisque-voxelize --parse-only large.glb --memory 64M
 code 71
 err_like '^bisque-voxelize: the memory budget is too small: .* needs [0-9]* bytes'
 
+# Views that are compressed do not need their fallback.
+python3 "$top/tests/meshes/damage.py" "$top/tests/meshes/packed.gltfpack.meshopt.glb" fallback
+run bisque-voxelize "$top/tests/meshes/packed.gltfpack.meshopt.glb" -o packed.nvdb --voxel-size 0.02
+code 0
+run bisque-voxelize fallback.glb -o fallback.nvdb --voxel-size 0.02
+code 0
+same packed.nvdb fallback.nvdb
+
 # Colours of faces and textures, as from MTL files.
 cat >square.mtl <<'END'
 newmtl red

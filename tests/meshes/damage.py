@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
-"""damage.py FILE.glb COUNT|large: writes damaged copies of a GLB file to the current directory.
+"""damage.py FILE.glb COUNT|large|fallback: writes damaged copies of a GLB file to the current
+directory.
 
 A number writes bad.0.glb, bad.1.glb and so on, with one byte changed in the binary chunk each.
-"large" writes large.glb, whose accessors count ten million times more elements.
+"large" writes large.glb, whose accessors count ten million times more elements. "fallback" writes
+fallback.glb, whose fallback buffers are files that do not exist.
 """
 import json
 import struct
@@ -14,7 +16,7 @@ def main(path, how):
         data = bytearray(file.read())
     length = struct.unpack_from("<I", data, 12)[0]
     binary = 28 + length
-    if how != "large":
+    if how not in ("large", "fallback"):
         for i in range(int(how)):
             bad = bytearray(data)
             at = binary + i * (len(data) - binary) // int(how)
@@ -23,12 +25,15 @@ def main(path, how):
                 file.write(bad)
         return
     document = json.loads(data[20:20 + length])
-    for accessor in document["accessors"]:
+    for accessor in document["accessors"] if how == "large" else []:
         accessor["count"] *= 10000000
+    for buffer in document["buffers"] if how == "fallback" else []:
+        if "extensions" in buffer:
+            buffer["uri"] = "none.bin"
     text = json.dumps(document).encode()
     text += b" " * (-len(text) % 4)
     rest = data[20 + length:]
-    with open("large.glb", "wb") as file:
+    with open(how + ".glb", "wb") as file:
         file.write(struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text),
                                b"JSON") + text + rest)
 
