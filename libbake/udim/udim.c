@@ -3,6 +3,7 @@
 #include "libbake/udim/udim.h"
 
 #include <inttypes.h>
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -52,9 +53,26 @@ static void name_tiles(const uint64_t triangles[TILES], char *out, size_t size)
         snprintf(out + used, size - used, " and %u more", left);
 }
 
+/* Returns how far texture coordinates lie outside of the square of all tiles; negative if inside.
+ */
+static float distance_outside(const float uv[2])
+{
+    return fmaxf(fmaxf(-uv[0], uv[0] - COLUMNS), fmaxf(-uv[1], uv[1] - ROWS));
+}
+
+/* Returns the corner of a triangle that lies farthest outside of all tiles. */
+static const float *stray_corner(const float (*uv)[2])
+{
+    const float *farthest = uv[0];
+    for (int i = 1; i < 3; i++)
+        if (distance_outside(uv[i]) > distance_outside(farthest))
+            farthest = uv[i];
+    return farthest;
+}
+
 static int fail_stray(const struct bake_tile_sorter *sorter, const char *tiles)
 {
-    const float *uv = sorter->mesh->texcoords[sorter->first_stray][0];
+    const float *uv = stray_corner(sorter->mesh->texcoords[sorter->first_stray]);
     return bsq_fail(sorter->ctx, BSQ_EUSAGE,
                     "%s: %" PRIu64 " triangles have texture coordinates outside of all UDIM tiles, "
                     "the first at (%g, %g); to leave them out, select tiles to bake (--tiles); "
