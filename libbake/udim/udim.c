@@ -31,6 +31,12 @@ void bake_tile_size_of(const struct bake_options *options, uint32_t number, uint
         }
 }
 
+/* Returns the subject of messages. Tiles do not tell which of several files they are from. */
+static const char *mesh_name(const struct bake_options *options)
+{
+    return options->more_mesh_count > 0 ? "the low-poly mesh" : options->mesh_path;
+}
+
 /* ---- finding ---- */
 
 /* Writes the numbers of the tiles with triangles: "1001, 1002 and 5 more". triangles: of each tile.
@@ -77,7 +83,7 @@ static int fail_stray(const struct bake_tile_sorter *sorter, const char *tiles)
                     "%s: %" PRIu64 " triangles have texture coordinates outside of all UDIM tiles, "
                     "the first at (%g, %g); to leave them out, select tiles to bake (--tiles); "
                     "there are triangles in %s",
-                    sorter->options->mesh_path, sorter->stray_triangles, (double)uv[0],
+                    mesh_name(sorter->options), sorter->stray_triangles, (double)uv[0],
                     (double)uv[1], tiles);
 }
 
@@ -94,7 +100,7 @@ static int check_tiles(const struct bake_tile_sorter *sorter, uint32_t count)
         return bsq_fail(sorter->ctx, BSQ_EUSAGE,
                         "%s is in several UDIM tiles: %s; to bake all, put \"" BAKE_UDIM_TOKEN
                         "\" into the output's name; to bake one, select it (--tiles)",
-                        o->mesh_path, tiles);
+                        mesh_name(o), tiles);
     return 0;
 }
 
@@ -174,10 +180,10 @@ static int check_range(struct bsq_ctx *ctx, const struct bake_options *options,
     name_tiles(triangles, tiles, sizeof tiles);
     if (first == last)
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: no triangle is in tile %u; there are triangles in %s",
-                        options->mesh_path, first, tiles);
+                        mesh_name(options), first, tiles);
     return bsq_fail(ctx, BSQ_EUSAGE,
                     "%s: no triangle is in tiles %u to %u; there are triangles in %s",
-                    options->mesh_path, first, last, tiles);
+                    mesh_name(options), first, last, tiles);
 }
 
 /* Checks that the tiles that options name are in use: each that has a size of its own, and one of
@@ -254,7 +260,7 @@ static int sort_mesh(struct bsq_ctx *ctx, const struct bake_options *options,
     uint32_t *order = NULL, tile = 0;
     if (count > UINT32_MAX)
         return bsq_fail(ctx, BSQ_EDATA, "%s: %" PRIu64 " triangles in UDIM tiles, %u are supported",
-                        options->mesh_path, count, UINT32_MAX);
+                        mesh_name(options), count, UINT32_MAX);
     int status = bsq_alloc(ctx, "triangles by tile", count, sizeof *order, &order);
     for (uint32_t set = 0; set < sets_of(mesh) && status == 0; set++)
         status = sort_set(ctx, options, udim, mesh, set, order, &tile, &rest);
