@@ -69,14 +69,23 @@ static int fail_ids(const struct bake_run *job, const char *map)
                     whole->parts[other].path, bsq_ids_text(whole->parts[other].ids));
 }
 
+/* Reports the first scan without colours. */
+static int fail_color(const struct bake_run *job, const char *map)
+{
+    const struct bake_surface *lacking = job->surface.parts ? job->surface.parts : &job->surface;
+    while (lacking->has_color)
+        ++lacking;
+    return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave %s out of --maps", lacking->path,
+                    map);
+}
+
 /* Checks that the scan can give a map. Errors: BSQ_EDATA if it lacks something. */
 static int check_map(const struct bake_run *job, unsigned map, const struct bake_scan_facts *scan)
 {
     const struct bake_map_row *row = &bake_map_table[map];
-    const char *path = job->options->scan_path, *name = bake_map_names[map];
+    const char *name = bake_map_names[map];
     if (row->needs_color && !scan->has_color)
-        return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave %s out of --maps", path,
-                        name);
+        return fail_color(job, name);
     if (row->needs_ids && !scan->has_ids)
         return fail_ids(job, name);
     return 0;

@@ -177,7 +177,7 @@ code 0
 json '.maps | has("ao") and has("bent") and has("thickness") and has("curvature")'
 $bake $size --maps color left.nvdb plain.nvdb wide.obj -o x.exr
 code 65
-err_like 'has no colour; leave color out of --maps'
+err_like "^$p: plain\.nvdb has no colour; leave color out of --maps"
 $bake $size left.nvdb plain.nvdb wide.obj -o default.exr --json
 code 0
 json '.maps | keys == ["normal"]'
