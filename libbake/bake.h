@@ -220,7 +220,8 @@ const char *bake_map_alias(unsigned number);
 const char *bake_map_summary(unsigned number);
 
 /** Finds out which maps options->maps stands for with the scans of the options: the bits of
- * BAKE_MAPS_DEFAULT and BAKE_MAPS_ALL become those of maps. Returns the errors of opening a scan.
+ * BAKE_MAPS_DEFAULT and BAKE_MAPS_ALL become those of maps. Warns of colours and ids that only some
+ * of several scans have; a strict job fails with BSQ_EDATA. Returns the errors of opening a scan.
  */
 int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t *out);
 

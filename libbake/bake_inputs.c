@@ -13,11 +13,40 @@
 /* Maps of rays from hits. */
 enum { RAYS_FROM_HITS = BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS };
 
-/* Returns the maps that `asked` stands for. */
-static uint32_t choose_from(const struct bake_surface *surface, uint32_t asked)
+/* Returns the first scan without colours. There must be one. */
+static const struct bake_surface *without_color(const struct bake_surface *surface)
+{
+    const struct bake_surface *scan = surface->parts ? surface->parts : surface;
+    while (scan->has_color)
+        ++scan;
+    return scan;
+}
+
+/* Warns of maps that only some of several scans can give, and that are not baked therefore. */
+static int warn_of_lost_maps(const struct bake_surface *surface, uint32_t asked)
+{
+    bool colors = false, ids = false;
+    for (uint32_t p = 0; p < surface->part_count; ++p) {
+        colors |= surface->parts[p].has_color;
+        ids |= surface->parts[p].ids != BSQ_IDS_NONE;
+    }
+    int status = 0;
+    if (colors && !surface->has_color)
+        status = bsq_warn_loss(surface->ctx,
+                               "%s has no colour, and other scans have: no map color is baked",
+                               without_color(surface)->path);
+    if (status == 0 && ids && surface->ids == BSQ_IDS_NONE && asked & BAKE_MAPS_ALL)
+        status = bsq_warn_loss(surface->ctx,
+                               "the scans do not all have ids of one kind: no map id is baked");
+    return status;
+}
+
+/* Finds the maps that `asked` stands for. Errors: BSQ_EDATA in a strict job. */
+static int choose_from(const struct bake_surface *surface, uint32_t asked, uint32_t *out)
 {
     const struct bake_scan_facts facts = bake_surface_facts(surface);
-    return bake_choose_maps(asked, &facts);
+    *out = bake_choose_maps(asked, &facts);
+    return warn_of_lost_maps(surface, asked);
 }
 
 /* Returns whether the options leave the choice of maps to the scan. */
@@ -43,7 +72,7 @@ int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint
     int status = bake_surface_open(ctx, &scans, &surface);
     bsq_mute_warnings(ctx, false);
     if (status == 0)
-        *out = choose_from(&surface, options->maps);
+        status = choose_from(&surface, options->maps, out);
     bake_surface_close(&surface);
     return status;
 }
@@ -69,14 +98,19 @@ static int fail_ids(const struct bake_run *job, const char *map)
                     whole->parts[other].path, bsq_ids_text(whole->parts[other].ids));
 }
 
+static int fail_color(const struct bake_run *job, const char *map)
+{
+    return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave %s out of --maps",
+                    without_color(&job->surface)->path, map);
+}
+
 /* Checks that the scan can give a map. Errors: BSQ_EDATA if it lacks something. */
 static int check_map(const struct bake_run *job, unsigned map, const struct bake_scan_facts *scan)
 {
     const struct bake_map_row *row = &bake_map_table[map];
-    const char *path = job->options->scan_path, *name = bake_map_names[map];
+    const char *name = bake_map_names[map];
     if (row->needs_color && !scan->has_color)
-        return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave %s out of --maps", path,
-                        name);
+        return fail_color(job, name);
     if (row->needs_ids && !scan->has_ids)
         return fail_ids(job, name);
     return 0;
@@ -89,7 +123,7 @@ static int choose_maps(struct bake_run *job)
     int status = 0;
     struct bake_options chosen = *job->options;
     if (leaves_choice(job->options))
-        chosen.maps = choose_from(&job->surface, job->options->maps);
+        status = choose_from(&job->surface, job->options->maps, &chosen.maps);
     job->maps = bake_selection(&chosen);
     for (unsigned i = 0; i < BK_MAP_COUNT && status == 0; ++i)
         if (job->maps & 1u << i)

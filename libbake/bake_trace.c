@@ -161,6 +161,19 @@ void bake_choose_radius(struct bake_run *job)
                   : bake_curvature_radius(&job->surface, job->options, &job->mesh, &job->udim);
 }
 
+/* A tile whose texels curvature asks for their objects. */
+struct seen_tile {
+    struct bake_tile_scene scene;
+    const struct bake_tile *tile;
+};
+
+static int objects_of(const void *arg, uint32_t x, uint32_t y, uint32_t width, uint32_t height,
+                      uint32_t *out)
+{
+    const struct seen_tile *seen = arg;
+    return bake_tile_objects(&seen->scene, seen->tile, x, y, width, height, out);
+}
+
 /* The processor traces from here on, so the curvature is the same for all devices. */
 int bake_trace_curvature(struct bake_run *job)
 {
@@ -169,12 +182,16 @@ int bake_trace_curvature(struct bake_run *job)
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
         if (!job->tiles[i].image)
             continue;
-        const struct bake_curvature curvature = {.surface = &job->surface,
-                                                 .params = &job->traced.params,
-                                                 .image = job->tiles[i].image,
-                                                 .place =
-                                                     bake_place_of(job->maps, BK_MAP_curvature),
-                                                 .radius = job->measures.curvature_radius};
+        const struct seen_tile seen = {bake_scene_of(job), &job->tiles[i]};
+        const struct bake_curvature curvature = {
+            .surface = &job->surface,
+            .params = &job->traced.params,
+            .image = job->tiles[i].image,
+            .place = bake_place_of(job->maps, BK_MAP_curvature),
+            .radius = job->measures.curvature_radius,
+            .objects = job->sees && job->tiles[i].raster ? objects_of : NULL,
+            .objects_arg = &seen,
+            .sees = job->sees};
         status = bake_curvature_trace(job->ctx, &curvature);
     }
     return status;

@@ -146,8 +146,10 @@ int bake_tile_trace(const struct bake_tile_scene *scene, struct bake_tile *tile,
         status = scene->device ? bake_tile_trace_grid(scene->ctx, scene->device, scene->surface,
                                                       &tiles, report)
                                : trace_exact(scene, &tiles, report);
-    bake_raster_free(tile->raster);
-    tile->raster = NULL;
+    if (!several || !scene->sees || !(tile->maps & BAKE_MAP_CURVATURE)) {
+        bake_raster_free(tile->raster);
+        tile->raster = NULL;
+    }
     return status;
 }
 

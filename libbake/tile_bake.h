@@ -58,10 +58,18 @@ int bake_tile_trace_scans(const struct bake_tile_scene *scene, struct bake_tile 
                           uint64_t memory_bytes, struct bake_report *report);
 
 /* Traces all samples into the tile's image, which takes at most `memory_bytes`, or is in a
- * temporary file. Frees the raster. Errors: those of bake_image_create(), bake_exact_trace_tiles()
- * and bake_trace_grid_tiles(). */
+ * temporary file. Frees the raster, unless curvature needs objects of texels. Errors: those of
+ * bake_image_create(), bake_exact_trace_tiles() and bake_trace_grid_tiles(). */
 int bake_tile_trace(const struct bake_tile_scene *scene, struct bake_tile *tile,
                     uint64_t memory_bytes, struct bake_report *report);
+
+/* Writes the object of each texel of a part of the tile's image: that of its first sample in a
+ * triangle, BAKE_NO_OBJECT without one. The raster must be there, and one of its texels be a
+ * sample, as on several scans. Must not be called from parallel work. Errors: those of
+ * bake_raster_fill(); BSQ_ENOMEM. */
+#define BAKE_NO_OBJECT UINT32_MAX
+int bake_tile_objects(const struct bake_tile_scene *scene, const struct bake_tile *tile, uint32_t x,
+                      uint32_t y, uint32_t width, uint32_t height, uint32_t *out);
 
 /* Creates the tile's image, which takes at most `memory_bytes`, or is in a temporary file. Errors:
  * those of bake_image_create(). */

@@ -4,6 +4,7 @@
  * of its centre, at whose border texels repeat: the neighbour may show another part of the scan. */
 #include "formats/texture/texture_module.h"
 
+#include <inttypes.h>
 #include <math.h>
 #include <stdatomic.h>
 #include <stdlib.h>
@@ -29,7 +30,7 @@ struct fmt_textures {
     struct bsq_ctx *ctx;
     const struct fmt_texture_module *module;
     struct fmt_texture_images *images;
-    uint32_t count;
+    uint32_t count, image_count;
     uint32_t *image_of;      /* image of each source without tiles */
     struct tiles **tiles_of; /* NULL: without */
     struct tiles **tiles;    /* each once */
@@ -129,6 +130,7 @@ int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sour
     if (status == 0)
         status = textures->module->open(&fmt_host_functions, ctx, list.list, (uint32_t)list.count,
                                         cache_bytes, &textures->images);
+    textures->image_count = (uint32_t)list.count;
     bsq_free(ctx, list.list);
     if (status < 0)
         fmt_textures_close(textures);
@@ -258,26 +260,43 @@ int fmt_texture_sample(struct fmt_textures *textures, uint32_t image, float u, f
                                             dv, out);
 }
 
-/* ---- missing tiles ---- */
+/* ---- losses ---- */
 
-int fmt_textures_tell_missing(struct fmt_textures *textures)
+static int tell_broken(struct fmt_textures *textures, uint32_t image)
+{
+    const char *path;
+    const uint64_t texels = textures->module->take_broken(textures->images, image, &path);
+    return texels == 0
+               ? 0
+               : bsq_warn_loss(textures->ctx,
+                               "%s: texels that are not finite: %" PRIu64 "; they count as 0", path,
+                               texels);
+}
+
+static int tell_missing(struct fmt_textures *textures, struct tiles *tiles)
 {
     int status = 0;
-    for (uint64_t i = 0; i < textures->tiles_count && status == 0; i++) {
-        struct tiles *tiles = textures->tiles[i];
-        for (uint32_t t = 0; t < ALL_TILES && status == 0; t++)
-            if (tiles->missing[t] == 1) {
-                tiles->missing[t] = 2;
-                status = bsq_warn_loss(textures->ctx,
-                                       "%s: tile %u does not exist: the scan is black there",
-                                       tiles->path, 1001 + t);
-            }
-        if (status == 0 && tiles->outside == 1) {
-            tiles->outside = 2;
-            status = bsq_warn_loss(textures->ctx,
-                                   "%s: the scan is black where it lies outside of all tiles",
-                                   tiles->path);
+    for (uint32_t t = 0; t < ALL_TILES && status == 0; t++)
+        if (tiles->missing[t] == 1) {
+            tiles->missing[t] = 2;
+            status =
+                bsq_warn_loss(textures->ctx, "%s: tile %u does not exist: the scan is black there",
+                              tiles->path, 1001 + t);
         }
+    if (status == 0 && tiles->outside == 1) {
+        tiles->outside = 2;
+        status = bsq_warn_loss(
+            textures->ctx, "%s: the scan is black where it lies outside of all tiles", tiles->path);
     }
+    return status;
+}
+
+int fmt_textures_tell_losses(struct fmt_textures *textures)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < textures->image_count && status == 0; i++)
+        status = tell_broken(textures, i);
+    for (uint64_t i = 0; i < textures->tiles_count && status == 0; i++)
+        status = tell_missing(textures, textures->tiles[i]);
     return status;
 }

@@ -34,9 +34,9 @@ int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sour
                       uint64_t cache_bytes, struct fmt_textures **out);
 void fmt_textures_close(struct fmt_textures *textures); /* NULL is allowed */
 
-/* Warns of tiles without a file that lookups have asked for, each once. Must not be called during
- * lookups. Errors: BSQ_EDATA in a strict job. */
-int fmt_textures_tell_missing(struct fmt_textures *textures);
+/* Warns of files with texels that are not finite, and of tiles without a file that lookups have
+ * asked for, each once. Must not be called during lookups. Errors: BSQ_EDATA in a strict job. */
+int fmt_textures_tell_losses(struct fmt_textures *textures);
 
 /* Returns whether an image has an alpha channel; of one in tiles, whether any tile has. */
 bool fmt_texture_has_alpha(const struct fmt_textures *textures, uint32_t image);
@@ -48,9 +48,9 @@ void fmt_texture_size(const struct fmt_textures *textures, uint32_t image, uint3
 /* Averages `image` over an axis-aligned box centred at (u, v). Coordinates are OBJ's: v points up,
  * both wrap. `du` and `dv` are the box's full widths in UV units, raised to one texel (so 0 gives
  * bilinear interpolation) and limited to the whole image. out: RGB, not clamped; linear light or,
- * of data, the values. An image of one or two channels gives the first one three times,
- * and a source of alpha gives that. Thread-safe. Errors: BSQ_EDATA if the file can no longer be
- * read, BSQ_EIO. */
+ * of data, the values. A value of a texel that is not finite counts as 0. An image of one or two
+ * channels gives the first one three times, and a source of alpha gives that. Thread-safe. Errors:
+ * BSQ_EDATA if the file can no longer be read, BSQ_EIO. */
 int fmt_texture_sample(struct fmt_textures *textures, uint32_t image, float u, float v, float du,
                        float dv, float out[3]);
 

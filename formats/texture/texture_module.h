@@ -15,7 +15,7 @@ struct fmt_texture_images {
     const struct fmt_texture_module *module;
 };
 
-/* Each function does the work of its namesake in texture.h, for textures of one file. */
+/* Functions do the work of their namesakes in texture.h, for textures of one file. */
 struct fmt_texture_module {
     struct fmt_module module;
     int (*open)(const struct fmt_host *host, struct bsq_ctx *ctx,
@@ -25,6 +25,9 @@ struct fmt_texture_module {
     void (*size)(const struct fmt_texture_images *textures, uint32_t image, uint32_t *width,
                  uint32_t *height);
     bool (*has_alpha)(const struct fmt_texture_images *textures, uint32_t image);
+    /* Returns the number of texels of an image that are not finite, and sets the path of its file.
+     * Later calls for the same file return 0. */
+    uint64_t (*take_broken)(struct fmt_texture_images *textures, uint32_t image, const char **path);
     int (*sample)(struct fmt_texture_images *textures, uint32_t image, float u, float v, float du,
                   float dv, float out[3]);
 };

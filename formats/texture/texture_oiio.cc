@@ -25,6 +25,7 @@
 #include <string>
 #include <system_error>
 #include <unordered_map>
+#include <utility>
 #include <vector>
 
 #include <half.h>
@@ -68,6 +69,7 @@ struct Image {
     TypeDesc type;                // of texels in the cache: UINT8, UINT16 or FLOAT
     const float *table = nullptr; // to linear light; for integers only
     bool tiled = false;
+    uint64_t broken = 0; // texels that are not finite, until they are told
     struct bsq_file temporary = BSQ_FILE_CLOSED;
     ImageCache::ImageHandle *handle = nullptr;
     fmt::Pyramid pyramid;
@@ -242,13 +244,25 @@ float texel_value(const Image &image, const void *texels, size_t i)
     return static_cast<const float *>(texels)[i];
 }
 
-// Converts a row of the file to RGB triples of linear light.
-void make_linear(const Image &image, const void *row, float *rgb)
+// Returns 0 for a value that is not finite: a single one would spread to all averages around it.
+float finite_value(float value)
+{
+    return std::isfinite(value) ? value : 0.0f;
+}
+
+// Converts a row of the file to RGB triples of linear light. Counts texels that are not finite.
+void make_linear(Image &image, const void *row, float *rgb)
 {
     size_t channels = size_t(image.channels);
-    for (size_t x = 0; x < image.width; x++)
-        for (size_t c = 0; c < 3; c++)
-            rgb[3 * x + c] = texel_value(image, row, x * channels + (channels == 3 ? c : 0));
+    for (size_t x = 0; x < image.width; x++) {
+        bool broken = false;
+        for (size_t c = 0; c < 3; c++) {
+            float value = texel_value(image, row, x * channels + (channels == 3 ? c : 0));
+            broken = broken || !std::isfinite(value);
+            rgb[3 * x + c] = finite_value(value);
+        }
+        image.broken += broken;
+    }
 }
 
 // Reports a failure of a temporary tiled file. `error` is errno right after the call: OpenImageIO's
@@ -593,11 +607,11 @@ int add_from_tiles(Textures *textures, const Image &image, const fmt::Rectangle 
             else if (type == TypeDesc::HALF)
                 add_texels(
                     image, r, roi, static_cast<const half *>(texels),
-                    [](half v) { return float(v); }, sum);
+                    [](half v) { return finite_value(float(v)); }, sum);
             else
                 add_texels(
-                    image, r, roi, static_cast<const float *>(texels), [](float v) { return v; },
-                    sum);
+                    image, r, roi, static_cast<const float *>(texels),
+                    [](float v) { return finite_value(v); }, sum);
             cache->release_tile(tile);
             x = roi.xend - image.x;
             next_y = roi.yend - image.y;
@@ -676,6 +690,16 @@ bool has_alpha(const struct fmt_texture_images *opened, uint32_t image)
     return number != no_image && textures->images[number].file->shape.alpha_channel >= 0;
 }
 
+uint64_t take_broken(struct fmt_texture_images *opened, uint32_t image, const char **path)
+{
+    auto *textures = static_cast<Textures *>(opened);
+    uint32_t number = textures->image_of[image];
+    if (number == no_image)
+        return 0;
+    *path = textures->images[number].file->path.c_str();
+    return std::exchange(textures->images[number].broken, 0);
+}
+
 int sample_texture(struct fmt_texture_images *opened, uint32_t image, float u, float v, float du,
                    float dv, float out[3])
 {
@@ -728,5 +752,6 @@ int open_textures(const struct fmt_host *host, struct bsq_ctx *ctx,
 
 extern "C" {
 const struct fmt_texture_module bisque_module = {{fmt_module_stamp}, open_textures, close_textures,
-                                                 texture_size,       has_alpha,     sample_texture};
+                                                 texture_size,       has_alpha,     take_broken,
+                                                 sample_texture};
 }

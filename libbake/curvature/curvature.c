@@ -47,8 +47,10 @@ struct work {
     struct bsq_ctx *ctx;
     const struct bake_curvature *job;
     uint32_t channels;
-    float *rows;   /* as read from the file of an image */
-    float *texels; /* of the block */
+    float *rows;           /* as read from the file of an image */
+    float *texels;         /* of the block */
+    uint32_t *objects;     /* of the texels of the block; NULL if all see all scans */
+    uint32_t *ray_objects; /* likewise, of the rays */
     struct bake_exact_ray *rays;
     struct bake_exact_hit *hits;
     struct probe *probes; /* PROBES a texel */
@@ -125,10 +127,23 @@ static void take_hit(const struct work *work, uint64_t probe, const struct bake_
         true};
 }
 
+/* Sets the object of a ray of a probe. Texels without a hit have no object, and rays without a
+ * direction. */
+static void set_object(const struct work *work, uint64_t ray, uint64_t probe)
+{
+    if (work->objects)
+        work->ray_objects[ray] = is_valid(work, probe / PROBES) ? work->objects[probe / PROBES] : 0;
+}
+
 static int trace(const struct work *work, uint64_t count, double range)
 {
-    const struct bake_surface_rays rays = {
-        .rays = work->rays, .hits = work->hits, .count = count, .t_min = -range, .t_max = range};
+    const struct bake_surface_rays rays = {.rays = work->rays,
+                                           .hits = work->hits,
+                                           .count = count,
+                                           .t_min = -range,
+                                           .t_max = range,
+                                           .objects = work->ray_objects,
+                                           .sees = work->job->sees};
     return bake_surface_trace(work->job->surface, work->job->params, &rays);
 }
 
@@ -155,9 +170,11 @@ static int cast_texels(void *arg, uint64_t index, unsigned worker)
     const struct task *task = arg;
     struct work *work = task->work;
     const uint64_t end = task_end(index, TEXELS_A_TASK, task->texels) * PROBES;
-    for (uint64_t i = index * TEXELS_A_TASK * PROBES; i < end; ++i)
+    for (uint64_t i = index * TEXELS_A_TASK * PROBES; i < end; ++i) {
         work->rays[i] = is_valid(work, i / PROBES) ? probe_ray(work, i, 0.0f)
                                                    : (struct bake_exact_ray){{0}, {0}};
+        set_object(work, i, i);
+    }
     return 0;
 }
 
@@ -204,6 +221,8 @@ static int cast_missed(void *arg, uint64_t index, unsigned worker)
         const uint32_t probe = work->missed[work->first_missed + i];
         work->rays[2 * i] = probe_ray(work, probe, 1.0f);
         work->rays[2 * i + 1] = probe_ray(work, probe, -1.0f);
+        set_object(work, 2 * i, probe);
+        set_object(work, 2 * i + 1, probe);
     }
     return 0;
 }
@@ -301,6 +320,9 @@ static int trace_block(struct work *work, const struct block *block)
     const uint64_t texels = block_texels(block);
     struct task task = {work, texels};
     int status = read_block(work, block);
+    if (status == 0 && work->objects)
+        status = work->job->objects(work->job->objects_arg, block->x, block->y, block->width,
+                                    block->height, work->objects);
     if (status == 0)
         status = trace_texels(work, texels);
     if (status < 0)
@@ -358,6 +380,12 @@ static int allocate(struct work *work)
     if (status == 0)
         status = bsq_alloc(work->ctx, "texels", work->most_texels, work->channels * sizeof(float),
                            &work->texels);
+    if (status == 0 && work->job->objects)
+        status = bsq_alloc(work->ctx, "objects of texels", work->most_texels, sizeof *work->objects,
+                           &work->objects);
+    if (status == 0 && work->job->objects)
+        status = bsq_alloc(work->ctx, "objects of rays", rays, sizeof *work->ray_objects,
+                           &work->ray_objects);
     if (status == 0 && !bake_image_in_memory(image))
         status = bsq_alloc(work->ctx, "rows of the map", rows < 1 ? 1 : rows,
                            width * work->channels * sizeof(float), &work->rows);
@@ -375,6 +403,8 @@ int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job)
     bsq_progress_end(ctx);
     bsq_free(ctx, work.rows);
     bsq_free(ctx, work.texels);
+    bsq_free(ctx, work.ray_objects);
+    bsq_free(ctx, work.objects);
     bsq_free(ctx, work.missed);
     bsq_free(ctx, work.probes);
     bsq_free(ctx, work.hits);

@@ -4,13 +4,17 @@
  * they lie on, a grid or triangles. Out: the same image with the curvature in the place of the
  * position's first coordinate.
  *
- * The result depends on the surface around a hit only, so charts, tiles, threads and devices leave
- * no trace in it. */
+ * The result depends on the scans that a texel sees around its hit only, so charts, tiles, threads
+ * and devices leave no trace in it. */
 #ifndef BAKE_CURVATURE_CURVATURE_H
 #define BAKE_CURVATURE_CURVATURE_H
 
 #include "libbake/surface/surface.h"
 #include "libbake/udim/udim.h"
+
+/* Writes the objects of the texels of a part of the image, in row order. Errors end the work. */
+typedef int bake_texel_objects(const void *arg, uint32_t x, uint32_t y, uint32_t width,
+                               uint32_t height, uint32_t *out);
 
 struct bake_curvature {
     const struct bake_surface *surface;
@@ -18,6 +22,11 @@ struct bake_curvature {
     struct bake_image *image;
     uint32_t place; /* of the map's first value in a texel of the image */
     double radius;  /* of the neighbourhood, in world units */
+    /* Of several scans, texels see those that `sees` sets for their object, as in struct
+     * bake_surface_rays. NULL: they see all. */
+    bake_texel_objects *objects;
+    const void *objects_arg;
+    const bool *sees;
 };
 
 /* Computes the curvature of all valid texels on all threads, in 1 / world unit: positive where the

@@ -178,9 +178,9 @@ struct bake_exact_ray bake_exact_open_ray(const struct bake_exact_look *look,
                                           const struct bake_exact_places *places, uint64_t place,
                                           uint32_t number);
 
-/* Warns of tiles of textures that are missing where rays have hit, each once. Errors: BSQ_EDATA in
- * a strict job. */
-int bake_exact_tell_missing(struct bake_exact *exact);
+/* Warns of tiles of textures that are missing where rays have hit, and of textures with texels that
+ * are not finite, each once. Errors: BSQ_EDATA in a strict job. */
+int bake_exact_tell_losses(struct bake_exact *exact);
 
 /* Returns whether footprints have an effect: only if colours come from textures. */
 bool bake_exact_wants_footprints(const struct bake_exact *exact);

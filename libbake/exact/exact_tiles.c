@@ -435,7 +435,7 @@ int bake_exact_trace_tiles(struct bsq_ctx *ctx, const struct bake_exact_tiles *t
     if (status == 0)
         status = run_batches(&job);
     if (status == 0)
-        status = bake_exact_tell_missing(tiles->exact);
+        status = bake_exact_tell_losses(tiles->exact);
     release(&job, report);
     return status;
 }

@@ -105,13 +105,13 @@ void bake_exact_transfers_free(struct bake_exact *exact)
     free_transfers(exact->ctx, &exact->normal_map);
 }
 
-int bake_exact_tell_missing(struct bake_exact *exact)
+int bake_exact_tell_losses(struct bake_exact *exact)
 {
-    int status = exact->textures ? fmt_textures_tell_missing(exact->textures) : 0;
+    int status = exact->textures ? fmt_textures_tell_losses(exact->textures) : 0;
     if (status == 0 && exact->normal_map.textures)
-        status = fmt_textures_tell_missing(exact->normal_map.textures);
+        status = fmt_textures_tell_losses(exact->normal_map.textures);
     if (status == 0 && exact->transfers.textures)
-        status = fmt_textures_tell_missing(exact->transfers.textures);
+        status = fmt_textures_tell_losses(exact->transfers.textures);
     return status;
 }
 

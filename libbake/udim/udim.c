@@ -3,6 +3,7 @@
 #include "libbake/udim/udim.h"
 
 #include <inttypes.h>
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -30,6 +31,12 @@ void bake_tile_size_of(const struct bake_options *options, uint32_t number, uint
         }
 }
 
+/* Returns the subject of messages. Tiles do not tell which of several files they are from. */
+static const char *mesh_name(const struct bake_options *options)
+{
+    return options->more_mesh_count > 0 ? "the low-poly mesh" : options->mesh_path;
+}
+
 /* ---- finding ---- */
 
 /* Writes the numbers of the tiles with triangles: "1001, 1002 and 5 more". triangles: of each tile.
@@ -52,14 +59,31 @@ static void name_tiles(const uint64_t triangles[TILES], char *out, size_t size)
         snprintf(out + used, size - used, " and %u more", left);
 }
 
+/* Returns how far texture coordinates lie outside of the square of all tiles; negative if inside.
+ */
+static float distance_outside(const float uv[2])
+{
+    return fmaxf(fmaxf(-uv[0], uv[0] - COLUMNS), fmaxf(-uv[1], uv[1] - ROWS));
+}
+
+/* Returns the corner of a triangle that lies farthest outside of all tiles. */
+static const float *stray_corner(const float (*uv)[2])
+{
+    const float *farthest = uv[0];
+    for (int i = 1; i < 3; i++)
+        if (distance_outside(uv[i]) > distance_outside(farthest))
+            farthest = uv[i];
+    return farthest;
+}
+
 static int fail_stray(const struct bake_tile_sorter *sorter, const char *tiles)
 {
-    const float *uv = sorter->mesh->texcoords[sorter->first_stray][0];
+    const float *uv = stray_corner(sorter->mesh->texcoords[sorter->first_stray]);
     return bsq_fail(sorter->ctx, BSQ_EUSAGE,
                     "%s: %" PRIu64 " triangles have texture coordinates outside of all UDIM tiles, "
                     "the first at (%g, %g); to leave them out, select tiles to bake (--tiles); "
                     "there are triangles in %s",
-                    sorter->options->mesh_path, sorter->stray_triangles, (double)uv[0],
+                    mesh_name(sorter->options), sorter->stray_triangles, (double)uv[0],
                     (double)uv[1], tiles);
 }
 
@@ -76,7 +100,7 @@ static int check_tiles(const struct bake_tile_sorter *sorter, uint32_t count)
         return bsq_fail(sorter->ctx, BSQ_EUSAGE,
                         "%s is in several UDIM tiles: %s; to bake all, put \"" BAKE_UDIM_TOKEN
                         "\" into the output's name; to bake one, select it (--tiles)",
-                        o->mesh_path, tiles);
+                        mesh_name(o), tiles);
     return 0;
 }
 
@@ -156,10 +180,10 @@ static int check_range(struct bsq_ctx *ctx, const struct bake_options *options,
     name_tiles(triangles, tiles, sizeof tiles);
     if (first == last)
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: no triangle is in tile %u; there are triangles in %s",
-                        options->mesh_path, first, tiles);
+                        mesh_name(options), first, tiles);
     return bsq_fail(ctx, BSQ_EUSAGE,
                     "%s: no triangle is in tiles %u to %u; there are triangles in %s",
-                    options->mesh_path, first, last, tiles);
+                    mesh_name(options), first, last, tiles);
 }
 
 /* Checks that the tiles that options name are in use: each that has a size of its own, and one of
@@ -236,7 +260,7 @@ static int sort_mesh(struct bsq_ctx *ctx, const struct bake_options *options,
     uint32_t *order = NULL, tile = 0;
     if (count > UINT32_MAX)
         return bsq_fail(ctx, BSQ_EDATA, "%s: %" PRIu64 " triangles in UDIM tiles, %u are supported",
-                        options->mesh_path, count, UINT32_MAX);
+                        mesh_name(options), count, UINT32_MAX);
     int status = bsq_alloc(ctx, "triangles by tile", count, sizeof *order, &order);
     for (uint32_t set = 0; set < sets_of(mesh) && status == 0; set++)
         status = sort_set(ctx, options, udim, mesh, set, order, &tile, &rest);

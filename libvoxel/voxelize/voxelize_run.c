@@ -438,7 +438,7 @@ int vox_run_regions(struct vox_run *job, const struct vox_sink *sink)
     if (status == 0)
         status = run_pipeline(job);
     if (status == 0)
-        status = vox_shading_tell_missing(&job->shared.shading);
+        status = vox_shading_tell_losses(&job->shared.shading);
     end_pipeline(job);
     return status;
 }

@@ -84,7 +84,7 @@ code 0
 same same_1001.exr alone_left.exr
 same same_1002.exr alone_right.exr
 $bake $small scan.nvdb a.obj b.obj -o 'own_<OBJECT>.exr'
-refused 64 "$p: a.obj is in several UDIM tiles: 1001, 1002; to bake all, put \"<UDIM>\" into the output's name; to bake one, select it (--tiles)"
+refused 64 "$p: the low-poly mesh is in several UDIM tiles: 1001, 1002; to bake all, put \"<UDIM>\" into the output's name; to bake one, select it (--tiles)"
 $bake $small scan.nvdb low.obj b.obj -o '<OBJECT>.exr' --tiles 1002 --json
 code 0
 json '[.tiles[] | [.object, .tile]] == [["same", 1002]]'

@@ -156,4 +156,33 @@ for kind in nvdb tris; do
     value b_low.exr 1 0.0001
 done
 
+# The wall stands within the radius of all texels. Curvature ignores it on objects that do not see it,
+# also in a map that both objects share.
+printf 'vt 0.5 0\nvt 0.5 1\nvt 1 0\nvt 1 1\n' >halves.txt
+awk '/^f/ { next } { print } /^vt/ && ++n == 4 { while ((getline line < "halves.txt") > 0) print line }' \
+    foot.obj >shared.obj
+printf 'o a_low\nf 1/1 2/5 3/6 4/4\no b_low\nf 1/5 2/7 3/8 4/6\n' >>shared.obj
+awk '/^o a_low/ { getline; next } { print }' shared.obj >b.obj
+usual="--size 8 --device cpu --front 0.5 --back 0.125 --padding 0 --curvature-radius 0.25"
+for kind in nvdb tris; do
+    $bake $usual --maps curvature --match name a_high.$kind b_high.$kind a_high_wall.$kind pair.obj \
+        -o 'own_<OBJECT>.exr'
+    code 0
+    $bake $usual --maps curvature --match name a_high.$kind b_high.$kind a_high_wall.$kind shared.obj \
+        --samples 3 --threads 1 -o shared_one.exr
+    code 0
+    $bake $usual --maps curvature --match name a_high_wall.$kind b_high.$kind a_high.$kind shared.obj \
+        --samples 3 --threads 3 --memory 24M -o shared.exr
+    code 0
+    same shared.exr shared_one.exr
+    $bake $usual --maps curvature floor.$kind pair.obj -o alone.exr
+    run bisque-compare --type data own_b_low.exr alone.exr --max-error 0.0001
+    code 0
+    run bisque-compare --type data own_a_low.exr alone.exr --max-error 0.0001
+    code 1
+    $bake $usual --maps curvature,mask --samples 3 floor.$kind b.obj -o 'b_<MAP>.exr'
+    run bisque-compare --type data shared.exr b_curvature.exr --mask b_mask.exr --max-error 0.0001
+    code 0
+done
+
 finish

@@ -177,10 +177,27 @@ code 0
 json '.maps | has("ao") and has("bent") and has("thickness") and has("curvature")'
 $bake $size --maps color left.nvdb plain.nvdb wide.obj -o x.exr
 code 65
-err_like 'has no colour; leave color out of --maps'
+err_like "^$p: plain\.nvdb has no colour; leave color out of --maps"
 $bake $size left.nvdb plain.nvdb wide.obj -o default.exr --json
 code 0
 json '.maps | keys == ["normal"]'
+lost="plain.nvdb has no colour, and other scans have: no map color is baked"
+[ "$(grep -c "^$p: warning: $lost\$" "$err")" -eq 1 ]
+check "one warning tells that colours get lost" $?
+$bake $size left.nvdb plain.nvdb wide.obj -o x.exr --strict
+refused 65 "$p: $lost"
+mkdir ids
+run bisque-voxelize left.obj -o ids/left.nvdb --voxel-size 0.03125 --channels id --id color
+code 0
+$bake $size ids/left.nvdb right.nvdb wide.obj -o 'x_<MAP>.exr' --maps all --ao-rays 1 --thickness-rays 1
+code 0
+grep -q "^$p: warning: the scans do not all have ids of one kind: no map id is baked$" "$err"
+check "a warning tells that ids get lost" $?
+rm x_*.exr
+$bake $size left.nvdb right.nvdb wide.obj -o 'x_<MAP>.exr' --maps all --ao-rays 1 --thickness-rays 1
+code 0
+[ ! -s "$err" ] && rm x_*.exr
+check "nothing is told if no scan has ids" $?
 $bake $size left.nvdb missing.nvdb wide.obj -o x.exr
 code 66
 $bake $size --sampling nearest left.nvdb left.tris wide.obj -o x.exr

@@ -67,13 +67,13 @@ int vox_shading_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
     return status;
 }
 
-int vox_shading_tell_missing(const struct vox_shading *shading)
+int vox_shading_tell_losses(const struct vox_shading *shading)
 {
-    int status = shading->textures ? fmt_textures_tell_missing(shading->textures) : 0;
+    int status = shading->textures ? fmt_textures_tell_losses(shading->textures) : 0;
     if (status == 0 && shading->normal_map.textures)
-        status = fmt_textures_tell_missing(shading->normal_map.textures);
+        status = fmt_textures_tell_losses(shading->normal_map.textures);
     return status == 0 && shading->channels.textures
-               ? fmt_textures_tell_missing(shading->channels.textures)
+               ? fmt_textures_tell_losses(shading->channels.textures)
                : status;
 }
 

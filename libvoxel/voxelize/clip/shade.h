@@ -42,9 +42,9 @@ struct vox_shading {
     struct vox_shading_normal_map normal_map;
 };
 
-/* Warns of tiles of textures that are missing, each once. Not from parallel work. Errors: BSQ_EDATA
- * in a strict job. */
-int vox_shading_tell_missing(const struct vox_shading *shading);
+/* Warns of tiles of textures that are missing, and of textures with texels that are not finite,
+ * each once. Not from parallel work. Errors: BSQ_EDATA in a strict job. */
+int vox_shading_tell_losses(const struct vox_shading *shading);
 
 /* Opens the textures that the scan needs, with a cache of texture_bytes if there are any. */
 int vox_shading_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header,

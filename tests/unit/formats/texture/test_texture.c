@@ -17,6 +17,7 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include "base/loss.h"
 #include "base/parallel.h"
 #include "formats/texture/texture.h"
 #include "tests/unit/fixture.h"
@@ -337,6 +338,33 @@ static void test_float_image_is_linear(void **state)
     assert_sample(&f, 0.5, 0.25, 0, 0, 0.25, 4, -1, 1e-6);
     assert_sample(&f, 0.5, 0.75, 0, 0, 0.5, 0, 0, 1e-6);
     assert_sample(&f, 0.5, 0.5, 0, 0, 0.375, 2, -0.5, 1e-6);
+    close_fixture(&f);
+}
+
+/* Two of 128 x 128 texels are not finite. They count as 0 in single texels and in all averages. */
+static void test_texels_that_are_not_finite(void **state)
+{
+    (void)state;
+    enum { SIDE = 128 };
+    const char *path = scratch_path("broken.pfm");
+    FILE *file = fopen(path, "wb");
+    assert_non_null(file);
+    fprintf(file, "PF\n%d %d\n-1.0\n", SIDE, SIDE);
+    for (int i = 0; i < SIDE * SIDE; i++) {
+        const float texel[3] = {i == 0 ? NAN : 1, i == 0 ? INFINITY : 2, i == 1 ? -INFINITY : 4};
+        fwrite(texel, sizeof texel, 1, file);
+    }
+    fclose(file);
+    struct fixture f;
+    open_one(&f, path);
+    const double texel = 1.0 / SIDE, all = SIDE * SIDE;
+    assert_sample(&f, 0.5 * texel, 0.5 * texel, 0, 0, 0, 0, 4, 1e-6);
+    assert_sample(&f, texel, 0.5 * texel, 0, 0, 0.5, 1, 2, 1e-6);
+    assert_sample(&f, 0.5, 0.5, 1, 1, 1 - 1 / all, 2 - 2 / all, 4 - 4 / all, 1e-6);
+    bsq_set_strict(f.ctx, true);
+    assert_int_equal(fmt_textures_tell_losses(f.textures), BSQ_EDATA);
+    assert_non_null(strstr(bsq_error(f.ctx), "broken.pfm: texels that are not finite: 2; they "));
+    assert_int_equal(fmt_textures_tell_losses(f.textures), 0); /* told once */
     close_fixture(&f);
 }
 
@@ -698,6 +726,7 @@ int main(void)
         cmocka_unit_test(test_image_larger_than_cache),
         cmocka_unit_test(test_threads_see_the_same),
         cmocka_unit_test(test_float_image_is_linear),
+        cmocka_unit_test(test_texels_that_are_not_finite),
         cmocka_unit_test(test_bad_files),
         cmocka_unit_test(test_only_regular_files),
         cmocka_unit_test(test_other_formats_are_refused),

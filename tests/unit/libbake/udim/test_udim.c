@@ -327,6 +327,23 @@ static void test_messages(void **state)
                    "there are triangles in 1001, 1033");
 }
 
+/* The first corner of each triangle lies in a tile. */
+static void test_the_corner_outside_of_all_tiles_is_named(void **state)
+{
+    struct fixture *f = *state;
+    add_corner(f, 9.25f, 0.25f, 1.25f);
+    expect_failure(f,
+                   "low.obj: 1 triangles have texture coordinates outside of all UDIM tiles, the "
+                   "first at (10.5, 0.25); to leave them out, select tiles to bake (--tiles); "
+                   "there are triangles in 1010, 1020");
+    f->mesh.triangle_count = 0;
+    add(f, (const float[3][2]){{0.25f, 0.25f}, {0.5f, -0.5f}, {-0.25f, 0.25f}});
+    expect_failure(f,
+                   "low.obj: 1 triangles have texture coordinates outside of all UDIM tiles, the "
+                   "first at (0.5, -0.5); to leave them out, select tiles to bake (--tiles); "
+                   "there are triangles in 1001");
+}
+
 static void test_long_lists_are_cut(void **state)
 {
     struct fixture *f = *state;
@@ -366,6 +383,7 @@ int main(void)
         TEST(test_only_flat_triangles),
         TEST(test_tiles_are_those_that_triangles_overlap),
         TEST(test_messages),
+        TEST(test_the_corner_outside_of_all_tiles_is_named),
         TEST(test_long_lists_are_cut),
         TEST(test_huge_coordinates_end),
     };
