@@ -212,8 +212,8 @@ static void test_checker_averages_in_linear_light(void **state)
         p.texels[i] = (i + i / 256) % 2 ? 255 : 0;
     struct fixture f;
     open_one(&f, write_png("checker.png", &p));
-    for (double size = 2; size <= 64; size *= 2)
-        assert_sample(&f, 0.5, 0.5, size / 256, size / 128, 0.5, 0.5, 0.5, 1e-6);
+    for (int size = 2; size <= 64; size *= 2)
+        assert_sample(&f, 0.5, 0.5, size / 256.0, size / 128.0, 0.5, 0.5, 0.5, 1e-6);
     assert_sample(&f, 0.1, 0.2, 1, 1, 0.5, 0.5, 0.5, 1e-6);
     /* Half the light is about grey 188 in sRGB, whose exact light is 0.503. */
     memset(p.texels, 188, 256 * 128);
