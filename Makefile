@@ -127,7 +127,8 @@ $(BUILD)/$(2)/%_lanes.c.$(1).o: %_lanes.c
 endef
 $(foreach s,$(simd),$(foreach d,obj counted,$(eval $(call simd_rule,$(s),$(d)))))
 $(BUILD)/counted/%.o: CPPFLAGS += -DBK_COUNTERS
-$(patsubst %,$(BUILD)/%/libbake/device/native/native_lanes.c.avx512.o,obj counted): CFLAGS += \
+$(foreach s,native tree_rays tree_voxels,$(patsubst \
+    %,$(BUILD)/%/libbake/device/native/$(s)_lanes.c.avx512.o,obj counted)): CFLAGS += \
     -mprefer-vector-width=512
 cppflags.formats = $(formats_cppflags)
 cppflags.tests   = $(formats_cppflags)

@@ -29,7 +29,8 @@ enum {
     PROGRAM_BYTES = 24 << 20,
     TRIANGLE_BYTES = 384,       /* of a low-poly triangle: corners, and what the device gets */
     TILE_BYTES = 128 << 10,     /* of a thread that traces a grid */
-    SORTED_BYTES = 8 << 20,     /* of a thread that traces rays from hits on a grid */
+    STREAM_BYTES = 512 << 10,   /* of a thread that traces rays from hits on a grid */
+    TREE_LEAF_BYTES = 160,      /* of a grid's leaf in the tree for these rays, while it is built */
     TEXTURE_BYTES = 96 << 20,   /* of the libraries that read textures; not of the textures */
     LOOK_RAY_BYTES = 32,        /* of a hit that sends rays */
     CURVATURE_BYTES = 16 << 20, /* of rays for curvature on a grid */
@@ -108,10 +109,11 @@ static uint64_t exact_bytes(const struct share *task, const struct bake_exact *e
 }
 
 /* The same for a grid. */
-static uint64_t grid_bytes(const struct share *task)
+static uint64_t grid_bytes(const struct share *task, const struct fmt_nvdb_grid *grid)
 {
-    const uint64_t tracing =
-        (uint64_t)THREADS * (looks_around(task->job) ? SORTED_BYTES : TILE_BYTES);
+    uint64_t tracing = (uint64_t)THREADS * (looks_around(task->job) ? STREAM_BYTES : TILE_BYTES);
+    if (looks_around(task->job))
+        tracing += grid->leaf_count * TREE_LEAF_BYTES;
     return task->job->maps & BAKE_MAP_CURVATURE ? larger(tracing, CURVATURE_BYTES) : tracing;
 }
 
@@ -134,7 +136,8 @@ static void expect_cost(const struct share *task, uint64_t texel_bytes, struct b
     for (uint32_t i = 0; i < (parts > 0 ? parts : 1); i++) {
         const struct bake_surface *scan = parts > 0 ? &surface->parts[i] : surface;
         cost->cpu_seconds += scan_seconds(task, scan);
-        bytes = larger(bytes, scan->exact ? exact_bytes(task, scan->exact) : grid_bytes(task));
+        bytes = larger(bytes, scan->exact ? exact_bytes(task, scan->exact)
+                                          : grid_bytes(task, &scan->grid));
     }
     cost->scratch_bytes =
         cost->part_bytes + cost->part_bytes / texel_bytes * sample_bytes(task->job);

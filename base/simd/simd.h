@@ -6,11 +6,12 @@
  * BSQ_SIMD_PICK(). Lanes never meet in arithmetic, so every level yields the same bits.
  *
  * Takes: the instruction set of the compilation. Gives: `doubles` and `floats`, which are vectors;
- * `struct row`, four doubles; and their operations. These names have no prefix because they are
- * types and inline functions, which never reach the linker. */
+ * `struct row`, four doubles; `eights`, eight floats; and their operations. These names have no
+ * prefix because they are types and inline functions, which never reach the linker. */
 #ifndef BSQ_SIMD_SIMD_H
 #define BSQ_SIMD_SIMD_H
 
+#include "base/simd/eights.h"
 #include "base/simd/floats.h"
 #include "base/simd/lanes.h"
 #include "base/simd/rows.h"

@@ -176,6 +176,22 @@ BK_FN void bk_enter_blocks(const bk_grid *grid, bk_cache caches[BK_WIDTH], bk_ui
     place->leaf = bk_load_lanes(leaves);
 }
 
+/* Tests the records of the occupied voxels that lanes are in from t to t_out. Returns the lanes
+ * whose run has ended: no sheet there faces the right way. */
+BK_FN bk_mask bk_meet_records(const bk_grid *grid, bk_cache *cache, const bk_ray *ray,
+                              bk_walk *walk, bk_uint occupied, const bk_ulong values[BK_WIDTH],
+                              const bk_place *place, bk_fw t, bk_fw t_out)
+{
+    const bk_mask below = walk->side == BK_BELOW, here = bk_mask_of(occupied);
+    bk_mask over;
+
+    bk_cross_voxels(grid, cache, walk, ray, occupied, values, place, t,
+                    bk_minw(t_out, walk->t_limit));
+    over = here & below & (walk->side == BK_APART) & bk_not(walk->hit.found);
+    walk->side = bk_selecti(over, bk_splati(BK_BELOW), walk->side);
+    return over;
+}
+
 /* Tests the voxels that lanes are in from t to t_out, and ends the runs of lanes in empty blocks.
  */
 BK_FN void bk_meet_voxels(const bk_grid *grid, bk_cache *cache, const bk_ray *ray, bk_walk *walk,
@@ -189,16 +205,8 @@ BK_FN void bk_meet_voxels(const bk_grid *grid, bk_cache *cache, const bk_ray *ra
     BK_COUNT(cache, steps, bk_popcount32(in_leaf));
     BK_COUNT(cache, skips, bk_popcount32(active & ~in_leaf));
     BK_COUNT(cache, rounds, 1);
-    if (occupied) {
-        const bk_mask below = walk->side == BK_BELOW, here = bk_mask_of(occupied);
-        bk_mask over;
-        bk_cross_voxels(grid, cache, walk, ray, occupied, values, place, t,
-                        bk_minw(t_out, walk->t_limit));
-        /* No sheet here faces the right way, so the run of the previous sheet has ended. */
-        over = here & below & (walk->side == BK_APART) & bk_not(walk->hit.found);
-        walk->side = bk_selecti(over, bk_splati(BK_BELOW), walk->side);
-        ended = ended | over;
-    }
+    if (occupied)
+        ended = ended | bk_meet_records(grid, cache, ray, walk, occupied, values, place, t, t_out);
     if (bk_bits(ended & (walk->side != BK_APART)))
         bk_end_run(walk, ended);
 }
@@ -226,9 +234,45 @@ BK_FN bk_uint bk_begin_walk(const bk_params *params, const bk_ray *ray, bk_walk 
     return bk_bits(walked);
 }
 
+/* Returns the layer of an axis in which rays are when they cross a border of another axis at
+ * t_event. Rays were in layer `from` before, and have since crossed the borders of this axis that
+ * come before t_event and, in the lanes of `ties`, at it. up: see bk_upwards(). A floating-point
+ * position at t_event can be in the next layer already, so the borders decide. */
+BK_FN bk_iw bk_layer_at(bk_iw from, bk_iw up, bk_mask ties, bk_fw start, bk_fw direction,
+                        bk_fw inverse, bk_fw t_event, bk_iw base)
+{
+    const bk_iw at = base + bk_to_iw(bk_floorw(start + direction * t_event));
+    const bk_iw crossed = bk_maxi(bk_selecti(up != 0, at - from, from - at), bk_splati(0));
+    /* Borders number `crossed` and the next one, counted along the ray. */
+    const bk_iw layer = bk_selecti(up != 0, from + crossed, from - crossed + 1);
+    const bk_fw last = bk_border(layer, base, start, inverse);
+    const bk_fw next = bk_border(layer - (up | 1), base, start, inverse);
+    const bk_mask over = bk_selecti(ties, bk_less(t_event, last), bk_not(bk_less(last, t_event)));
+    const bk_mask under = bk_selecti(ties, bk_not(bk_less(t_event, next)), bk_less(next, t_event));
+    const bk_iw less = bk_selecti(over & (crossed != 0), bk_splati(1), bk_splati(0));
+    const bk_iw more = bk_selecti(under, bk_splati(1), bk_splati(0));
+    const bk_iw steps = crossed - less + more;
+
+    return bk_selecti(up != 0, from + steps, from - steps);
+}
+
+/* Returns bk_layer_at() after a step from an aligned block; mask = side - 1. */
+BK_FN bk_iw bk_layer_in(bk_iw v, bk_iw mask, bk_iw up, bk_mask ties, bk_fw start, bk_fw direction,
+                        bk_fw inverse, bk_fw t_event, bk_iw base)
+{
+    const bk_iw low = v & ~mask;
+    const bk_iw layer = bk_layer_at(v, up, ties, start, direction, inverse, t_event, base);
+
+    return bk_mini(bk_maxi(layer, low), low + mask);
+}
+
 /* Walks rays from walk->t_start to walk->t_limit, like bk_walk_rays(), but in other steps: a step
  * goes through a voxel of an occupied block of 4^3, or through an empty block. Lanes have caches of
- * their own, because rays of a hemisphere part. */
+ * their own, because rays of a hemisphere part.
+ *
+ * Borders are crossed in the order of their t and, if these are equal, of their axes. So the voxels
+ * that a ray visits do not depend on the size of empty blocks, and a device may skip empty space in
+ * another way. */
 BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                           const bk_ray *ray, bk_walk *walk, bk_fw t_near, bk_fw t_far)
 {
@@ -236,6 +280,7 @@ BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache
     const bk_iw up_x = bk_upwards(inverse.x), up_y = bk_upwards(inverse.y);
     const bk_iw up_z = bk_upwards(inverse.z);
     const bk_fw t_end = bk_minw(walk->t_limit, t_far);
+    const bk_mask never = bk_mask_of(0);
     bk_cache caches[BK_WIDTH];
     bk_place place;
     bk_fw t;
@@ -254,15 +299,26 @@ BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache
         const bk_fw tx = bk_border(fx, ray->bx, o.x, inverse.x);
         const bk_fw ty = bk_border(fy, ray->by, o.y, inverse.y);
         const bk_fw tz = bk_border(fz, ray->bz, o.z, inverse.z);
-        const bk_fw t_out = bk_maxw(t, bk_minw(tx, bk_minw(ty, tz)));
+        const bk_fw t_event = bk_minw(tx, bk_minw(ty, tz)), t_out = bk_maxw(t, t_event);
         const bk_mask along_x = bk_not(bk_less(ty, tx)) & bk_not(bk_less(tz, tx));
         const bk_mask along_y = bk_not(along_x) & bk_not(bk_less(tz, ty));
         const bk_mask along_z = bk_not(along_x) & bk_not(along_y);
 
         bk_meet_voxels(grid, cache, ray, walk, active, &place, t, t_out);
-        place.x = bk_step(x, mask, fx, up_x, along_x, o.x, d.x, t_out, ray->bx);
-        place.y = bk_step(y, mask, fy, up_y, along_y, o.y, d.y, t_out, ray->by);
-        place.z = bk_step(z, mask, fz, up_z, along_z, o.z, d.z, t_out, ray->bz);
+        place.x = bk_selecti(along_x, fx + ~up_x, x);
+        place.y = bk_selecti(along_y, fy + ~up_y, y);
+        place.z = bk_selecti(along_z, fz + ~up_z, z);
+        if (bk_bits(mask != 0)) {
+            const bk_iw in_x =
+                bk_layer_in(x, mask, up_x, bk_not(along_x), o.x, d.x, inverse.x, t_event, ray->bx);
+            const bk_iw in_y =
+                bk_layer_in(y, mask, up_y, along_z, o.y, d.y, inverse.y, t_event, ray->by);
+            const bk_iw in_z =
+                bk_layer_in(z, mask, up_z, never, o.z, d.z, inverse.z, t_event, ray->bz);
+            place.x = bk_selecti(along_x, place.x, in_x);
+            place.y = bk_selecti(along_y, place.y, in_y);
+            place.z = bk_selecti(along_z, place.z, in_z);
+        }
         t = t_out;
         active &= bk_bits(bk_less(t, t_end) & bk_not(walk->hit.found));
         bk_enter_blocks(

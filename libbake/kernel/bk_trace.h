@@ -313,41 +313,62 @@ BK_FN void bk_enter(const bk_grid *grid, bk_cache *cache, bk_uint bits, bk_place
     }
 }
 
-/* Returns the lanes of `bits` whose voxel is occupied. values: its value index, 0 in other lanes.
- * Occupancy is hard to predict, so there are no branches on single lanes. */
-BK_FN bk_uint bk_occupied(const bk_grid *grid, bk_uint bits, const bk_place *place,
-                          bk_ulong values[BK_WIDTH])
+/* Returns the lanes of `bits` whose voxel is occupied; place->leaf is the leaf around it. Occupancy
+ * is hard to predict, so there are no branches on single lanes. */
+BK_FN bk_uint bk_find_occupied(const bk_grid *grid, bk_uint bits, const bk_place *place)
 {
     const bk_iw layer = (place->x & 7) + (bk_int)BK_LEAF_MASK;
     const bk_iw within = (place->y & 7) << 3 | (place->z & 7);
     bk_int layers[BK_WIDTH], places[BK_WIDTH], leaves[BK_WIDTH];
     bk_uint lane, occupied = 0;
 
-    bk_store_lanes(layers, layer);
-    bk_store_lanes(places, within);
-    bk_store_lanes(leaves, place->leaf);
 #ifdef bk_gather
     if (grid->leaf_count <= BK_GATHER_MOST / (2u * BK_LEAF_WORDS)) {
         const bk_iw words = bk_gather(grid->leaves, place->leaf * (bk_int)(2u * BK_LEAF_WORDS) +
                                                         (layer << 1 | within >> 5));
-        occupied = bk_bits((words & (bk_splati(1) << (within & 31))) != 0);
-    } else
+        return bits & bk_bits((words & (bk_splati(1) << (within & 31))) != 0);
+    }
 #endif
-        for (lane = 0; lane < BK_WIDTH; lane++) {
-            const bk_ulong leaf = (bk_ulong)(bk_uint)leaves[lane] * BK_LEAF_WORDS;
-            occupied |= (bk_uint)(grid->leaves[leaf + (bk_uint)layers[lane]] >> places[lane] & 1u)
-                        << lane;
-        }
+    bk_store_lanes(layers, layer);
+    bk_store_lanes(places, within);
+    bk_store_lanes(leaves, place->leaf);
+    for (lane = 0; lane < BK_WIDTH; lane++) {
+        const bk_ulong leaf = (bk_ulong)(bk_uint)leaves[lane] * BK_LEAF_WORDS;
+        occupied |= (bk_uint)(grid->leaves[leaf + (bk_uint)layers[lane]] >> places[lane] & 1u)
+                    << lane;
+    }
+    return bits & occupied;
+}
+
+/* Looks up the value indices of occupied voxels; those of other lanes are 0. */
+BK_FN void bk_rank_voxels(const bk_grid *grid, bk_uint occupied, const bk_place *place,
+                          bk_ulong values[BK_WIDTH])
+{
+    bk_int layers[BK_WIDTH], places[BK_WIDTH], leaves[BK_WIDTH];
+    bk_uint lane;
+
+    bk_store_lanes(layers, place->x & 7);
+    bk_store_lanes(places, (place->y & 7) << 3 | (place->z & 7));
+    bk_store_lanes(leaves, place->leaf);
     for (lane = 0; lane < BK_WIDTH; lane++)
         values[lane] = 0;
-    occupied &= bits;
-    for (bits = occupied; bits; bits &= bits - 1u) {
+    for (; occupied; occupied &= occupied - 1u) {
         bk_ulong leaf;
-        lane = bk_first(bits);
+        lane = bk_first(occupied);
         leaf = (bk_ulong)(bk_uint)leaves[lane] * BK_LEAF_WORDS;
-        values[lane] = bk_leaf_rank(grid, grid->leaves + leaf, (bk_uint)layers[lane] - BK_LEAF_MASK,
-                                    (bk_uint)places[lane]);
+        values[lane] =
+            bk_leaf_rank(grid, grid->leaves + leaf, (bk_uint)layers[lane], (bk_uint)places[lane]);
     }
+}
+
+/* Returns the lanes of `bits` whose voxel is occupied. values: its value index, 0 in other lanes.
+ */
+BK_FN bk_uint bk_occupied(const bk_grid *grid, bk_uint bits, const bk_place *place,
+                          bk_ulong values[BK_WIDTH])
+{
+    const bk_uint occupied = bk_find_occupied(grid, bits, place);
+
+    bk_rank_voxels(grid, occupied, place, values);
     return occupied;
 }
 

@@ -5,14 +5,12 @@
 #include <unistd.h>
 
 #include "libbake/device/native/native_code.h"
-#include "libbake/kernel/bk_grid.h"
+#include "libbake/device/native/tree_rays.h"
 
 enum { PAIRS_PER_BAND = 1 << 18 };
 
-/* Memory of a thread in which rays from hits are sorted, at most: 5000 samples with 64 rays each.
- * All threads together take at most a part of the budget that is left, or nothing if that is too
- * little for a useful batch. */
-enum { SORTING_BYTES = 8 << 20, SORTING_LEAST = 1 << 18, SORTING_PART = 16 };
+/* The part of the budget that is left which the tree of leaves may take. */
+enum { TREE_PART = 4 };
 
 struct native {
     struct bake_backend base;
@@ -21,8 +19,10 @@ struct native {
     struct bk_params params;
     const struct bk_triangle *triangles;
     bake_native_tile_fn *tile;
-    void *sorting; /* worker_bytes for each worker; NULL: rays are not sorted */
-    uint64_t worker_bytes;
+    struct bake_tree tree;            /* for rays from hits */
+    struct bake_tree_stream *streams; /* of each worker; NULL: there is no tree */
+    float *results;                   /* of each worker: of the rays of BAKE_NATIVE_HITS hits */
+    uint64_t worker_results;
 };
 
 /* Returns the rows of a band. A tile can have many millions of pairs of rays, so native_trace()
@@ -46,9 +46,9 @@ static int native_trace(struct bake_backend *backend, unsigned slot, const struc
 
     (void)slot;
     (void)why;
-    if (native->sorting)
-        memory = (struct bake_native_memory){
-            (char *)native->sorting + worker * native->worker_bytes, native->worker_bytes};
+    if (native->streams)
+        memory = (struct bake_native_memory){&native->tree, &native->streams[worker],
+                                             native->results + worker * native->worker_results};
     for (uint32_t row = 0; row < tile->height; row += rows) {
         const uint64_t texel = (uint64_t)row * tile->width;
         struct bk_tile band = *tile;
@@ -68,21 +68,33 @@ static void native_close(struct bake_backend *backend)
 {
     struct native *native = (struct native *)backend;
 
-    bsq_free(native->ctx, native->sorting);
+    bake_tree_free(native->ctx, &native->tree);
+    bsq_free(native->ctx, native->streams);
+    bsq_free(native->ctx, native->results);
     bsq_free(native->ctx, native);
 }
 
-/* Allocates the memory in which rays from hits are sorted. */
-static int allocate_sorting(struct native *native)
+/* Makes the tree of leaves, if there are rays from hits and memory for it. */
+static int make_tree(struct native *native)
 {
     const unsigned threads = bsq_threads(native->ctx);
-    uint64_t bytes = bsq_memory_left(native->ctx) / SORTING_PART / threads;
+    const uint64_t rays = (uint64_t)bk_open_rays(&native->params) + bk_solid_rays(&native->params);
+    const uint64_t limit = bsq_memory_left(native->ctx) / TREE_PART;
+    uint64_t bytes;
 
-    if (bake_sample_cost(&native->params) == 1 || bytes < SORTING_LEAST)
+    native->worker_results = BAKE_NATIVE_HITS * rays;
+    bytes = threads * (sizeof *native->streams + native->worker_results * sizeof(float));
+    if (rays == 0 || bytes > limit)
         return 0;
-    bytes = bytes < SORTING_BYTES ? bytes : SORTING_BYTES;
-    native->worker_bytes = bytes - bytes % BSQ_ALIGNMENT;
-    return bsq_alloc(native->ctx, "sorting rays", native->worker_bytes, threads, &native->sorting);
+    int status = bake_tree_build(native->ctx, &native->grid, limit - bytes, &native->tree);
+    if (status < 0 || !native->tree.nodes)
+        return status;
+    status = bsq_alloc(native->ctx, "results of rays", threads * native->worker_results,
+                       sizeof *native->results, &native->results);
+    if (status == 0)
+        status = bsq_alloc(native->ctx, "streams of rays", threads, sizeof *native->streams,
+                           &native->streams);
+    return status;
 }
 
 void bake_native_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
@@ -142,7 +154,7 @@ static int native_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job
     native->params = job->params;
     native->triangles = job->triangles;
     native->tile = BSQ_SIMD_PICK(bsq_simd_best(), bake_native_tile);
-    status = allocate_sorting(native);
+    status = make_tree(native);
     if (status < 0)
         native_close(&native->base);
     else

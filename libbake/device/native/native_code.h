@@ -10,12 +10,18 @@
  * first-level cache. */
 enum { BAKE_NATIVE_SQUARE = 8 };
 
-/* Memory in which rays from hits are sorted, aligned for any type. It may have any size below 4
- * GiB, also 0. */
+struct bake_tree;
+struct bake_tree_stream;
+
+/* What rays from hits need to go through the tree of leaves; all NULL: they go through the grid's
+ * nodes, and find the same. */
 struct bake_native_memory {
-    void *data;
-    uint64_t bytes;
+    const struct bake_tree *tree;
+    struct bake_tree_stream *stream;
+    float *results; /* of the rays of BAKE_NATIVE_HITS hits */
 };
+
+enum { BAKE_NATIVE_HITS = 16 }; /* as many as any instruction set has lanes */
 
 /* Traces a tile on the calling thread: sample_triangles in, width * height texels of
  * bk_texel_floats(params->maps) floats out. The texels do not depend on `memory`. */

@@ -1,6 +1,6 @@
 /* test_kernel_lanes.c - the kernel gives the same bits for any number of lanes and order of
- * samples and of rays from hits. Compares groups of four, eight and sixteen in Morton order to
- * single samples, row by row. */
+ * samples, and for rays from hits that go through the tree of leaves. Compares groups of four,
+ * eight and sixteen in Morton order to single samples, row by row. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -11,11 +11,13 @@
 
 #include "libbake/kernel/bk_sample.h"
 #include "libbake/device/native/native_code.h"
+#include "libbake/device/native/tree_rays.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
 /* No multiples of a square or a group; with three samples an axis, groups span texels. */
 enum { WIDTH = 45, HEIGHT = 27, SAMPLES = 3, TEXELS = WIDTH * HEIGHT, TRIANGLES = 40 };
 enum { MAPS = 1 << BK_MAP_normal | 1 << BK_MAP_color };
+enum { RAYS = 164 };            /* from a hit, at most */
 enum { FLOATS = BK_SUMS + 11 }; /* the most: with BK_SECONDARY_MAPS */
 
 struct fixture {
@@ -122,17 +124,20 @@ static void one_by_one(const struct fixture *f, const struct bk_params *params,
         }
 }
 
-/* Compares tiles that are traced with the widest lanes to be had and with all narrower ones. */
-static void compare(const struct fixture *f, const struct bk_params *params, uint64_t memory_bytes)
+/* Compares tiles that are traced with the widest lanes to be had and with all narrower ones. tree:
+ * for rays from hits; may be NULL. */
+static void compare(const struct fixture *f, const struct bk_params *params,
+                    const struct bake_tree *tree)
 {
     static float expected[TEXELS * FLOATS], found[TEXELS * FLOATS];
-    static _Alignas(BSQ_ALIGNMENT) char data[1 << 20];
-    const struct bake_native_memory memory = {data, memory_bytes};
+    static float results[BAKE_NATIVE_HITS * RAYS];
+    static struct bake_tree_stream stream;
+    const struct bake_native_memory memory = {tree, &stream, results};
     const struct bk_tile tile = {.x = 3, .y = 1, .width = WIDTH, .height = HEIGHT};
     const uint64_t entries = bk_texel_floats(params->maps);
     uint64_t covered = 0, hits = 0;
 
-    assert_true(entries <= FLOATS && memory_bytes <= sizeof data);
+    assert_true(entries <= FLOATS && params->open_rays + params->thickness_rays <= RAYS);
     one_by_one(f, params, &tile, expected);
     for (uint64_t i = 0; i < TEXELS; i++) {
         covered += (uint64_t)expected[i * entries + BK_COVERED];
@@ -155,7 +160,7 @@ static void compare_flags(const struct fixture *f, uint32_t flags)
 {
     struct bk_params params = f->params;
     params.flags |= flags;
-    compare(f, &params, 0);
+    compare(f, &params, NULL);
 }
 
 static void test_lanes(void **state)
@@ -167,25 +172,31 @@ static void test_lanes(void **state)
     compare_flags(*state, BK_OBJECT_SPACE | BK_NEAREST | BK_TWO_SIDED);
 }
 
-/* Rays from hits give the same bits if they are sorted, in batches of any size. Their numbers are
- * no multiples of a group. */
+/* Rays from hits give the same bits through the tree of leaves. Their numbers are no multiples of a
+ * group; the most are in two bundles, and all of a group in several streams. */
 static void test_rays_from_hits(void **state)
 {
+    static const uint32_t counts[][2] = {{11, 5}, {1, 0}, {100, 64}};
     const struct fixture *f = *state;
     struct bk_params params = f->params;
-    params.maps |= BK_SECONDARY_MAPS;
+    struct bake_tree tree;
+    assert_int_equal(bake_tree_build(f->ctx, &f->grid, UINT64_MAX, &tree), 0);
+    assert_non_null(tree.nodes);
     params.flags |= BK_TWO_SIDED;
-    params.open_rays = 11;
-    params.thickness_rays = 5;
-    params.open_limit = 300; /* shorter rays are not sorted */
-    params.thickness_limit = 30;
     params.open_sine2 = 1;
-    compare(f, &params, 0);
-    compare(f, &params, 30000); /* a few groups */
-    compare(f, &params, 1 << 20);
-    params.flags |= BK_OPEN_FALLOFF;
-    params.maps &= ~(1u << BK_MAP_thickness);
-    compare(f, &params, 1 << 20);
+    for (size_t i = 0; i < sizeof counts / sizeof *counts; i++) {
+        params.open_rays = counts[i][0];
+        params.thickness_rays = counts[i][1];
+        params.maps = MAPS | BK_OPEN_MAPS | (counts[i][1] ? 1u << BK_MAP_thickness : 0);
+        params.flags &= ~(uint32_t)BK_OPEN_FALLOFF;
+        params.open_limit = i == 1 ? 7 : 300;
+        params.thickness_limit = 30;
+        compare(f, &params, NULL);
+        compare(f, &params, &tree);
+        params.flags |= BK_OPEN_FALLOFF;
+        compare(f, &params, &tree);
+    }
+    bake_tree_free(f->ctx, &tree);
 }
 
 int main(void)

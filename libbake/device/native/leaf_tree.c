@@ -1,0 +1,444 @@
+/* leaf_tree.c - builds the tree of boxes around the voxels of a grid.
+ *
+ * The leaves are listed in Morton order. Nodes are made from the root down: each has a range of
+ * that list and divides it where the highest bit changes, until there are eight parts or only
+ * single leaves. Boxes are then made from the last node up, since children follow their parents. */
+#include "libbake/device/native/leaf_tree.h"
+
+#include <stdbool.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/context.h"
+
+/* A leaf of the grid. */
+struct leaf {
+    int32_t corner[3]; /* lowest voxel */
+    uint32_t number;
+};
+
+/* A part of the list of leaves. */
+struct range {
+    uint64_t begin, end;
+};
+
+/* A node of 16^3 leaves of the grid. */
+struct block {
+    int32_t corner[3];
+    uint32_t lower;
+};
+
+/* What a node's borders hold until its boxes are made. */
+struct pending {
+    struct range range; /* its leaves */
+    uint32_t children;
+};
+_Static_assert(sizeof(struct pending) <= sizeof((struct bake_tree_node *)0)->borders,
+               "borders hold what is pending");
+
+/* Nodes, and nodes of 16^3 leaves, from one check for an interruption to the next. */
+enum { CHECKED = 4096, CHECKED_BLOCKS = 64 };
+_Static_assert(sizeof(struct pending) <= sizeof((struct bake_tree_node *)0)->borders,
+               "borders hold what is pending");
+
+struct builder {
+    struct bsq_ctx *ctx;
+    const struct bk_grid *grid;
+    uint64_t limit; /* bytes */
+    struct block *blocks;
+    uint64_t block_count;
+    struct leaf *leaves;
+    uint64_t leaf_count;
+    struct bake_tree *tree;
+};
+
+struct box {
+    int32_t low[3], high[3]; /* borders */
+};
+
+/* Compares corners by Morton order: the axis with the highest differing bit decides, the first one
+ * of those alike (Chan, "A minimalist's implementation of an approximate nearest neighbor
+ * algorithm", 2006). Returns that axis; *bits: what differs on it. */
+static int first_axis(const int32_t a[3], const int32_t b[3], uint32_t *bits)
+{
+    int axis = 0;
+    *bits = 0;
+    for (int i = 0; i < 3; i++) {
+        const uint32_t differ = (uint32_t)a[i] ^ (uint32_t)b[i];
+        if (*bits < differ && *bits < (*bits ^ differ)) {
+            *bits = differ;
+            axis = i;
+        }
+    }
+    return axis;
+}
+
+static int by_morton_order(const void *left, const void *right)
+{
+    const int32_t *a = ((const struct block *)left)->corner;
+    const int32_t *b = ((const struct block *)right)->corner;
+    uint32_t bits;
+    const int axis = first_axis(a, b, &bits);
+    return (a[axis] > b[axis]) - (a[axis] < b[axis]);
+}
+
+/* ---- the list of leaves ---- */
+
+/* Appends the lower nodes of an upper node. */
+static void add_blocks(struct builder *builder, uint32_t upper, const int32_t corner[3])
+{
+    const struct bk_grid *grid = builder->grid;
+    const uint64_t node = (uint64_t)upper * BK_UPPER_WORDS;
+    for (uint32_t n = 0; n < 1u << 15; n++) {
+        if (!(grid->uppers[node + BK_UPPER_CHILD_MASK + (n >> 6)] >> (n & 63) & 1))
+            continue;
+        const uint64_t child =
+            node * 8 + grid->uppers[node + BK_UPPER_TABLE + n] - grid->lower_offset;
+        const uint64_t lower = child / (BK_LOWER_WORDS * 8u);
+        if (lower >= grid->lower_count || builder->block_count == grid->lower_count)
+            continue;
+        builder->blocks[builder->block_count++] =
+            (struct block){.corner = {corner[0] + (int32_t)(n >> 10 << BK_LOWER_LOG2),
+                                      corner[1] + (int32_t)((n >> 5 & 31) << BK_LOWER_LOG2),
+                                      corner[2] + (int32_t)((n & 31) << BK_LOWER_LOG2)},
+                           .lower = (uint32_t)lower};
+    }
+}
+
+/* Returns the coordinate that 21 bits of a root tile's key stand for. */
+static int32_t key_corner(uint64_t key)
+{
+    return (int32_t)((uint32_t)(key & 0x1fffff) << BK_UPPER_LOG2);
+}
+
+static void list_blocks(struct builder *builder)
+{
+    const struct bk_grid *grid = builder->grid;
+    for (uint32_t i = 0; i < grid->tile_count; i++) {
+        const uint64_t *tile = &grid->tiles[(uint64_t)i * BK_TILE_WORDS];
+        const uint64_t key = tile[0];
+        const int32_t corner[3] = {key_corner(key >> 42), key_corner(key >> 21), key_corner(key)};
+        const uint32_t upper = bk_find_upper(grid, corner[0], corner[1], corner[2]);
+        if (upper != BK_NONE)
+            add_blocks(builder, upper, corner);
+    }
+    qsort(builder->blocks, builder->block_count, sizeof *builder->blocks, by_morton_order);
+}
+
+/* Returns every third of the lowest twelve bits. */
+static uint32_t third_bits(uint32_t code)
+{
+    return (code & 1) | (code >> 2 & 2) | (code >> 4 & 4) | (code >> 6 & 8);
+}
+
+static int list_leaves(struct builder *builder)
+{
+    const struct bk_grid *grid = builder->grid;
+    for (uint64_t b = 0; b < builder->block_count; b++) {
+        const struct block *block = &builder->blocks[b];
+        int status = b % CHECKED_BLOCKS ? 0 : bsq_check(builder->ctx);
+        if (status < 0)
+            return status;
+        if (b > 0 && by_morton_order(block - 1, block) == 0)
+            continue; /* the file is damaged */
+        const uint64_t node = (uint64_t)block->lower * BK_LOWER_WORDS;
+        for (uint32_t code = 0; code < 1u << 12; code++) {
+            const uint32_t x = third_bits(code >> 2), y = third_bits(code >> 1);
+            const uint32_t z = third_bits(code), n = x << 8 | y << 4 | z;
+            if (!(grid->lowers[node + BK_LOWER_CHILD_MASK + (n >> 6)] >> (n & 63) & 1))
+                continue;
+            const uint64_t child =
+                node * 8 + grid->lowers[node + BK_LOWER_TABLE + n] - grid->leaf_offset;
+            const uint64_t leaf = child / (BK_LEAF_WORDS * 8u);
+            if (leaf >= grid->leaf_count || builder->leaf_count == grid->leaf_count)
+                continue;
+            builder->leaves[builder->leaf_count++] =
+                (struct leaf){.corner = {block->corner[0] + (int32_t)(x << BK_LEAF_LOG2),
+                                         block->corner[1] + (int32_t)(y << BK_LEAF_LOG2),
+                                         block->corner[2] + (int32_t)(z << BK_LEAF_LOG2)},
+                              .number = (uint32_t)leaf};
+        }
+    }
+    return 0;
+}
+
+/* ---- nodes ---- */
+
+/* Returns the level of the highest bit in which the leaves of a range differ: three a bit, those of
+ * the first axis highest; 0 for a single leaf. *middle: the first leaf that has it set. */
+static uint32_t split(const struct builder *builder, const struct range *range, uint64_t *middle)
+{
+    const struct leaf *leaves = builder->leaves;
+    uint64_t low = range->begin, high = range->end - 1;
+    const int32_t *first = leaves[low].corner;
+    uint32_t bits;
+    const int axis = first_axis(first, leaves[high].corner, &bits);
+    if (bits == 0)
+        return 0;
+    const uint32_t bit = 31 - (uint32_t)__builtin_clz(bits);
+    const uint32_t same = ((uint32_t)first[axis] >> bit) & 1;
+    while (high - low > 1) {
+        const uint64_t at = low + (high - low) / 2;
+        if (((uint32_t)leaves[at].corner[axis] >> bit & 1) == same)
+            low = at;
+        else
+            high = at;
+    }
+    *middle = high;
+    return 3 * bit + 3 - (uint32_t)axis;
+}
+
+/* Divides a range into at most eight parts, in order. Returns their number. */
+static uint32_t divide(const struct builder *builder, struct range parts[BAKE_TREE_WIDTH])
+{
+    uint64_t middles[BAKE_TREE_WIDTH];
+    uint32_t levels[BAKE_TREE_WIDTH], count = 1;
+    levels[0] = split(builder, &parts[0], &middles[0]);
+    while (count < BAKE_TREE_WIDTH) {
+        uint32_t best = 0;
+        for (uint32_t i = 1; i < count; i++)
+            if (levels[i] > levels[best])
+                best = i;
+        if (levels[best] == 0)
+            break;
+        for (uint32_t i = count++; i > best; i--) {
+            parts[i] = parts[i - 1];
+            levels[i] = levels[i - 1];
+            middles[i] = middles[i - 1];
+        }
+        parts[best].end = parts[best + 1].begin = middles[best];
+        levels[best] = split(builder, &parts[best], &middles[best]);
+        levels[best + 1] = split(builder, &parts[best + 1], &middles[best + 1]);
+    }
+    return count;
+}
+
+/* Makes room for more nodes. *fits: whether they are within the limit. */
+static int reserve(struct builder *builder, uint64_t nodes, bool *fits)
+{
+    struct bake_tree *tree = builder->tree;
+    const uint64_t needed = tree->count + nodes;
+
+    *fits = needed <= BAKE_TREE_MOST && needed <= builder->limit / sizeof *tree->nodes;
+    return *fits ? bsq_grow(builder->ctx, "tree of leaves", needed, sizeof *tree->nodes,
+                            &tree->nodes, &tree->capacity)
+                 : 0;
+}
+
+static struct pending get_pending(const struct bake_tree_node *node)
+{
+    struct pending pending;
+    memcpy(&pending, node->borders, sizeof pending);
+    return pending;
+}
+
+/* Appends a node with these leaves. */
+static void append(struct bake_tree *tree, const struct range *range)
+{
+    const struct pending pending = {.range = *range};
+    struct bake_tree_node *node = &tree->nodes[tree->count++];
+    memset(node, 0, sizeof *node);
+    memcpy(node->borders, &pending, sizeof pending);
+}
+
+/* Gives a node its children. */
+static int add_children(struct builder *builder, uint64_t number, bool *fits)
+{
+    struct bake_tree *tree = builder->tree;
+    struct pending pending = get_pending(&tree->nodes[number]);
+    struct range parts[BAKE_TREE_WIDTH] = {pending.range};
+    if (pending.range.end - pending.range.begin == 1) {
+        const struct leaf *leaf = &builder->leaves[pending.range.begin];
+        struct bake_tree_node *node = &tree->nodes[number];
+        memcpy(node->corner, leaf->corner, sizeof node->corner);
+        node->first = leaf->number;
+        node->corner[2] |= 1;
+        return 0;
+    }
+    pending.children = divide(builder, parts);
+    memcpy(tree->nodes[number].borders, &pending, sizeof pending);
+    tree->nodes[number].first = (uint32_t)tree->count;
+    int status = reserve(builder, pending.children, fits);
+    for (uint32_t i = 0; status == 0 && *fits && i < pending.children; i++)
+        append(tree, &parts[i]);
+    return status;
+}
+
+/* ---- boxes ---- */
+
+/* Finds the lowest and the highest of up to four bits. */
+static void bit_range(uint32_t bits, uint32_t from, uint8_t *low, uint8_t *high)
+{
+    *low = (uint8_t)(bits ? from + (uint32_t)__builtin_ctz(bits) : UINT8_MAX);
+    *high = (uint8_t)(bits ? from + 32 - (uint32_t)__builtin_clz(bits) : 0);
+}
+
+/* Makes the boxes of a leaf's blocks. */
+static void make_blocks(const struct bk_grid *grid, struct bake_tree_node *node)
+{
+    const uint64_t *layers = grid->leaves + (uint64_t)node->first * BK_LEAF_WORDS + BK_LEAF_MASK;
+    for (uint32_t block = 0; block < BAKE_TREE_WIDTH; block++) {
+        const uint32_t from[3] = {block & 4, block << 1 & 4, block << 2 & 4};
+        uint32_t bits[3] = {0, 0, 0};
+        for (uint32_t x = 0; x < 4; x++)
+            for (uint32_t y = 0; y < 4; y++) {
+                const uint32_t row =
+                    (uint32_t)(layers[from[0] + x] >> (8 * (from[1] + y) + from[2])) & 15;
+                bits[0] |= (uint32_t)(row != 0) << x;
+                bits[1] |= (uint32_t)(row != 0) << y;
+                bits[2] |= row;
+            }
+        for (int axis = 0; axis < 3; axis++)
+            bit_range(bits[axis], from[axis], &node->borders[axis][0][block],
+                      &node->borders[axis][1][block]);
+    }
+}
+
+/* The box of nothing. */
+static const struct box no_box = {{INT32_MAX, INT32_MAX, INT32_MAX},
+                                  {INT32_MIN, INT32_MIN, INT32_MIN}};
+
+static void join(struct box *box, const struct box *other)
+{
+    for (int axis = 0; axis < 3; axis++) {
+        if (other->low[axis] < box->low[axis])
+            box->low[axis] = other->low[axis];
+        if (other->high[axis] > box->high[axis])
+            box->high[axis] = other->high[axis];
+    }
+}
+
+/* Returns the box around the boxes of a node's children. */
+static struct box node_box(const struct bake_tree_node *node)
+{
+    const uint32_t shift = bake_tree_shift(node);
+    struct box box;
+    for (int axis = 0; axis < 3; axis++) {
+        uint8_t low = UINT8_MAX, high = 0;
+        for (int i = 0; i < BAKE_TREE_WIDTH; i++) {
+            if (node->borders[axis][0][i] > node->borders[axis][1][i])
+                continue;
+            low = node->borders[axis][0][i] < low ? node->borders[axis][0][i] : low;
+            high = node->borders[axis][1][i] > high ? node->borders[axis][1][i] : high;
+        }
+        if (low > high)
+            low = high; /* a leaf without voxels: the file is damaged */
+        box.low[axis] = (node->corner[axis] & ~7) + ((int32_t)low << shift);
+        box.high[axis] = (node->corner[axis] & ~7) + ((int32_t)high << shift);
+    }
+    return box;
+}
+
+/* Makes the boxes of a node's children from theirs. */
+static void make_boxes(const struct bake_tree *tree, struct bake_tree_node *node)
+{
+    const uint32_t children = get_pending(node).children;
+    struct box boxes[BAKE_TREE_WIDTH] = {{{0}, {0}}}, whole = no_box;
+    uint32_t shift = 0;
+    for (uint32_t i = 0; i < children; i++) {
+        boxes[i] = node_box(&tree->nodes[node->first + i]);
+        join(&whole, &boxes[i]);
+    }
+    for (int axis = 0; axis < 3; axis++)
+        while ((whole.high[axis] - (whole.low[axis] & ~7)) >> shift > UINT8_MAX - 1)
+            shift += 2;
+    for (int axis = 0; axis < 3; axis++) {
+        const int32_t corner = whole.low[axis] & ~7, up = (1 << shift) - 1;
+        node->corner[axis] = corner;
+        for (uint32_t i = 0; i < BAKE_TREE_WIDTH; i++) {
+            const bool some = i < children;
+            node->borders[axis][0][i] =
+                some ? (uint8_t)((boxes[i].low[axis] - corner) >> shift) : UINT8_MAX;
+            node->borders[axis][1][i] =
+                some ? (uint8_t)((boxes[i].high[axis] - corner + up) >> shift) : 0;
+        }
+    }
+    node->corner[0] |= (int32_t)(shift / 2);
+}
+
+/* Makes the root and all below it. */
+static int add_nodes(struct builder *builder, bool *fits)
+{
+    struct bake_tree *tree = builder->tree;
+    const struct range all = {0, builder->leaf_count};
+    int status = reserve(builder, 1, fits);
+    if (status < 0 || !*fits)
+        return status;
+    append(tree, &all);
+    for (uint64_t i = 0; i < tree->count; i++) {
+        status = i % CHECKED ? 0 : bsq_check(builder->ctx);
+        if (status == 0)
+            status = add_children(builder, i, fits);
+        if (status < 0 || !*fits)
+            return status;
+    }
+    for (uint64_t i = tree->count; i-- > 0;) {
+        status = i % CHECKED ? 0 : bsq_check(builder->ctx);
+        if (status < 0)
+            return status;
+        if (bake_tree_is_leaf(&tree->nodes[i]))
+            make_blocks(builder->grid, &tree->nodes[i]);
+        else
+            make_boxes(tree, &tree->nodes[i]);
+    }
+    return 0;
+}
+
+/* Returns whether the leaves are within BAKE_TREE_EXTENT of each other. */
+static bool is_narrow(const struct builder *builder)
+{
+    struct box box = no_box;
+    for (uint64_t i = 0; i < builder->block_count; i++) {
+        struct box block;
+        for (int axis = 0; axis < 3; axis++) {
+            block.low[axis] = builder->blocks[i].corner[axis];
+            block.high[axis] = block.low[axis] + (1 << BK_LOWER_LOG2);
+        }
+        join(&box, &block);
+    }
+    for (int axis = 0; axis < 3; axis++)
+        if ((int64_t)box.high[axis] - box.low[axis] > BAKE_TREE_EXTENT)
+            return false;
+    return true;
+}
+
+int bake_tree_build(struct bsq_ctx *ctx, const struct bk_grid *grid, uint64_t limit,
+                    struct bake_tree *tree)
+{
+    const uint64_t lists =
+        grid->leaf_count * sizeof(struct leaf) + grid->lower_count * sizeof(struct block);
+    struct builder builder = {.ctx = ctx, .grid = grid, .tree = tree};
+    bool fits = lists < limit / 2;
+    int status = 0;
+
+    *tree = (struct bake_tree){0};
+    if (!fits || grid->leaf_count == 0 || grid->lower_count == 0)
+        return 0;
+    builder.limit = limit - lists;
+    status = bsq_alloc(ctx, "blocks of leaves", grid->lower_count, sizeof *builder.blocks,
+                       &builder.blocks);
+    if (status == 0)
+        status =
+            bsq_alloc(ctx, "leaves", grid->leaf_count, sizeof *builder.leaves, &builder.leaves);
+    if (status < 0)
+        goto done;
+    list_blocks(&builder);
+    status = list_leaves(&builder);
+    if (status < 0)
+        goto done;
+    fits = builder.leaf_count > 0 && is_narrow(&builder);
+    if (fits)
+        status = add_nodes(&builder, &fits);
+done:
+    bsq_free(ctx, builder.blocks);
+    bsq_free(ctx, builder.leaves);
+    if (status < 0 || !fits)
+        bake_tree_free(ctx, tree);
+    return status;
+}
+
+void bake_tree_free(struct bsq_ctx *ctx, struct bake_tree *tree)
+{
+    bsq_free(ctx, tree->nodes);
+    *tree = (struct bake_tree){0};
+}

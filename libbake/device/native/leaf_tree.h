@@ -1,0 +1,63 @@
+/* leaf_tree.h - a tree of boxes around the voxels of a grid, for rays from hits.
+ *
+ * A node has up to eight children, whose boxes are as tight as the active voxels in them. Boxes are
+ * stored as eight-bit steps from the node's corner, and rounded outwards (Ylitie, Karras and Laine,
+ * "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", 2017). The lowest
+ * nodes are the leaves of the grid; their children are the eight blocks of 4^3 voxels. Those of
+ * other nodes are nodes: parts of the Morton order of leaves, split at the highest bits. They
+ * follow each other in the array. */
+#ifndef BAKE_DEVICE_NATIVE_LEAF_TREE_H
+#define BAKE_DEVICE_NATIVE_LEAF_TREE_H
+
+#include <stdint.h>
+
+#include "libbake/kernel/bk_grid.h"
+
+struct bsq_ctx;
+
+enum { BAKE_TREE_WIDTH = 8 };
+
+/* Grids that are wider than this many voxels have no tree: boxes must be exact in float. */
+#define BAKE_TREE_EXTENT (1 << 23)
+/* Nodes, at most: a word numbers their children. */
+#define BAKE_TREE_MOST (UINT32_MAX / BAKE_TREE_WIDTH)
+
+struct bake_tree_node {
+    /* Lowest border of the children's boxes, rounded down to a multiple of 8: the corner of a leaf.
+     * The lowest three bits of each are other fields, see bake_tree_shift() and
+     * bake_tree_is_leaf().
+     */
+    int32_t corner[3];
+    uint32_t first; /* number of the first child; of a leaf its number in the grid */
+    /* Of each axis: the lower borders of the children's boxes, then the upper ones. The lower
+     * border of a missing child is above the upper one. The children of a leaf are in the order of
+     * their bits x y z, x highest. */
+    uint8_t borders[3][2][BAKE_TREE_WIDTH];
+};
+_Static_assert(sizeof(struct bake_tree_node) == 64, "a node takes a cache line");
+
+struct bake_tree {
+    struct bake_tree_node *nodes; /* the root comes first; NULL: there is no tree */
+    uint64_t count, capacity;
+};
+
+/* Builds the tree of a grid. Without leaves, or if the grid is too wide or the tree would need more
+ * than `limit` bytes, there is none: tree->nodes stays NULL. The caller frees it. Errors:
+ * BSQ_EINTR. */
+int bake_tree_build(struct bsq_ctx *ctx, const struct bk_grid *grid, uint64_t limit,
+                    struct bake_tree *tree);
+void bake_tree_free(struct bsq_ctx *ctx, struct bake_tree *tree);
+
+/* Returns log2 of the voxels that a step of a node's borders is, an even number. */
+static inline uint32_t bake_tree_shift(const struct bake_tree_node *node)
+{
+    return 2 * ((uint32_t)node->corner[0] & 7);
+}
+
+/* Returns 1 if the node is a leaf of the grid, else 0. */
+static inline uint32_t bake_tree_is_leaf(const struct bake_tree_node *node)
+{
+    return (uint32_t)node->corner[2] & 1;
+}
+
+#endif

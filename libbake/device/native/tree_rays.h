@@ -1,0 +1,63 @@
+/* tree_rays.h - traces rays from hits through the tree of leaves; all instruction sets give the
+ * bits of bk_look(). */
+#ifndef BAKE_DEVICE_NATIVE_TREE_RAYS_H
+#define BAKE_DEVICE_NATIVE_TREE_RAYS_H
+
+#include "base/simd/simd.h"
+#include "libbake/device/native/leaf_tree.h"
+#include "libbake/kernel/bk_secondary.h"
+
+enum {
+    BAKE_TREE_POINT_RAYS = 64, /* rays of a point that go through the upper nodes together */
+    BAKE_TREE_RAYS = 512,      /* whose lists are finished together */
+    BAKE_TREE_AT_ONCE = 16,    /* pairs of rays and nodes that are read together */
+    /* Of the tree, at most: each level splits at another bit of the 20 that BAKE_TREE_EXTENT leaves
+     * to the corners of leaves on each axis. */
+    BAKE_TREE_DEPTH = 64,
+    BAKE_TREE_NODES = 2048 + 2 * BAKE_TREE_DEPTH * BAKE_TREE_AT_ONCE * BAKE_TREE_WIDTH,
+    BAKE_TREE_BLOCKS = 1024,
+    BAKE_TREE_TESTED = 256, /* pairs of rays and blocks that are tested early */
+    BAKE_TREE_VOXELS = 256
+};
+
+/* A ray on its way, see bk_ray and bk_walk. Each array has three values. */
+struct bake_tree_ray {
+    float inverse[4], start[4];
+    int32_t base[4];
+    float error[4]; /* of a border's t for each voxel of distance: eight times that of rounding */
+    float direction[4];
+    int32_t first[4];        /* voxel in which the walk begins */
+    int32_t near[4], far[4]; /* places of a node's borders that the ray meets first and last */
+    float t_begin, t_end;
+    float t_before; /* voxels are entered before it: t_end, or only the first voxel is entered */
+    /* Voxels that are entered later do not count: at t_stop, those entered across a border of
+     * stop_axis or a higher axis. t_last: the same for boxes. */
+    float t_stop, t_last;
+    int32_t stop_axis;
+    float side; /* of the point */
+    uint32_t slot;
+};
+
+/* Rays, and lists of pairs of a ray and a node, a block or a voxel. Vectors are stored at the ends
+ * of lists. */
+struct bake_tree_stream {
+    struct bake_tree_ray rays[BAKE_TREE_RAYS];
+    uint32_t node[BAKE_TREE_NODES + BAKE_TREE_WIDTH], node_ray[BAKE_TREE_NODES + BAKE_TREE_WIDTH];
+    /* A block is its leaf's node times BAKE_TREE_WIDTH, and its number there. */
+    uint32_t block[BAKE_TREE_BLOCKS + BAKE_TREE_WIDTH];
+    uint32_t block_ray[BAKE_TREE_BLOCKS + BAKE_TREE_WIDTH];
+    uint64_t voxel_value[BAKE_TREE_VOXELS]; /* index */
+    uint32_t voxel_block[BAKE_TREE_VOXELS], voxel_ray[BAKE_TREE_VOXELS];
+    uint8_t voxel[BAKE_TREE_VOXELS]; /* in its block, as x << 4 | y << 2 | z */
+};
+
+/* Traces the rays of `count` points, all of one kind. results: kind->count values of bk_look() for
+ * each point, `stride` apart; of open rays only the sign counts, unless params->flags has
+ * BK_OPEN_FALLOFF. The stream needs no content. */
+typedef void bake_tree_look_fn(const struct bk_grid *grid, const struct bk_params *params,
+                               const struct bake_tree *tree, const bk_rays *kind,
+                               const bk_place_on_scan *points, uint32_t count, float *results,
+                               uint64_t stride, struct bake_tree_stream *stream);
+BSQ_SIMD_DECLARE(bake_tree_look_fn, bake_tree_look);
+
+#endif

@@ -1,0 +1,341 @@
+/* tree_rays_lanes.c - traces rays from hits through the tree of leaves.
+ *
+ * Work is in lists of pairs: of a ray and a node, a block of 4^3 voxels, or an occupied voxel. So
+ * no step depends on what other rays do, lanes are always full, and what a step reads is prefetched
+ * (after Barringer and Akenine-Möller, "Dynamic Ray Stream Traversal", 2014).
+ *
+ * The rays of a point start together. As long as many of them meet a node, all are tested against
+ * one box at a time; then one ray at a time against the boxes of all children of a node. Boxes are
+ * tested with a margin for rounding. tree_voxels_lanes.c tests blocks and voxels. */
+#include <math.h>
+#include <string.h>
+
+#include "base/simd/simd.h"
+#define BK_WIDTH SIMD_FLOATS
+#include "libbake/device/native/tree_tracer.h"
+
+enum { FEW = 16 }; /* rays of a point that go through a node one by one */
+
+/* ---- nodes ---- */
+
+typedef float four_floats __attribute__((vector_size(16)));
+typedef int32_t four_ints __attribute__((vector_size(16)));
+
+static four_floats load_floats(const float from[4])
+{
+    four_floats v;
+    memcpy(&v, from, sizeof v);
+    return v;
+}
+
+static four_ints load_ints(const void *from)
+{
+    four_ints v;
+    memcpy(&v, from, sizeof v);
+    return v;
+}
+
+static eights splat(float f)
+{
+    return f - (eights){0};
+}
+
+#define ALL_OF(v, n) __builtin_shufflevector(v, v, n, n, n, n, n, n, n, n)
+
+/* Returns the children of a node that a ray may meet, one bit each. */
+static inline uint32_t meet_children(const struct bake_tree_ray *ray,
+                                     const struct bake_tree_node *node)
+{
+    static const float units[8] = {1, 4, 16, 64, 256, 1024, 4096, 16384};
+    const float *unit = &units[bake_tree_shift(node) / 2];
+    const four_floats step = {*unit, *unit, *unit, *unit};
+    const four_ints corner = load_ints(node) & ~7; /* and another word */
+    const four_floats from = __builtin_convertvector(corner - load_ints(ray->base), four_floats) -
+                             load_floats(ray->start);
+    const four_floats inverse = load_floats(ray->inverse);
+    const four_floats scale = inverse * step, zero = from * inverse;
+    const four_floats length = (four_floats)((four_ints)from & INT32_MAX) + 256.0f * step;
+    const four_floats margin = length * load_floats(ray->error);
+    const four_floats near = zero - margin, far = zero + margin;
+    const uint8_t *borders = node->borders[0][0];
+    eights t_in = splat(ray->t_begin), t_out = splat(ray->t_last);
+
+    t_in = eights_max(t_in,
+                      eights_of_bytes(borders + ray->near[0]) * ALL_OF(scale, 0) + ALL_OF(near, 0));
+    t_out = eights_min(t_out,
+                       eights_of_bytes(borders + ray->far[0]) * ALL_OF(scale, 0) + ALL_OF(far, 0));
+    t_in = eights_max(t_in,
+                      eights_of_bytes(borders + ray->near[1]) * ALL_OF(scale, 1) + ALL_OF(near, 1));
+    t_out = eights_min(t_out,
+                       eights_of_bytes(borders + ray->far[1]) * ALL_OF(scale, 1) + ALL_OF(far, 1));
+    t_in = eights_max(t_in,
+                      eights_of_bytes(borders + ray->near[2]) * ALL_OF(scale, 2) + ALL_OF(near, 2));
+    t_out = eights_min(t_out,
+                       eights_of_bytes(borders + ray->far[2]) * ALL_OF(scale, 2) + ALL_OF(far, 2));
+    return eights_not_above(t_in, t_out);
+}
+
+/* Appends pairs of a ray and first + i for each bit i that is set. Returns their new number. */
+static inline uint32_t add_pairs(uint32_t *things, uint32_t *rays, uint32_t count, uint32_t bits,
+                                 uint32_t first, uint32_t ray)
+{
+    const eight_ints all = (int32_t)ray - (eight_ints){0};
+    eights_store_set(bits, first, things + count);
+    memcpy(rays + count, &all, sizeof all);
+    return count + (uint32_t)__builtin_popcount(bits);
+}
+
+/* Pairs that are about to be tested, while their nodes are read. */
+struct pairs {
+    uint32_t count, nodes[BAKE_TREE_AT_ONCE], rays[BAKE_TREE_AT_ONCE];
+};
+
+/* Takes the pairs that were added last. */
+static void take_pairs(struct bake_tree_tracer *tracer, struct pairs *pairs)
+{
+    const struct bake_tree_stream *stream = tracer->stream;
+    pairs->count = tracer->nodes < BAKE_TREE_AT_ONCE ? tracer->nodes : BAKE_TREE_AT_ONCE;
+    tracer->nodes -= pairs->count;
+    for (uint32_t i = 0; i < pairs->count; i++) {
+        pairs->nodes[i] = stream->node[tracer->nodes + i];
+        pairs->rays[i] = stream->node_ray[tracer->nodes + i];
+        __builtin_prefetch(&tracer->tree->nodes[pairs->nodes[i]]);
+    }
+}
+
+static void test_pairs(struct bake_tree_tracer *tracer, const struct pairs *pairs)
+{
+    struct bake_tree_stream *stream = tracer->stream;
+    uint32_t nodes = tracer->nodes, blocks = tracer->blocks;
+    for (uint32_t i = 0; i < pairs->count; i++) {
+        const uint32_t number = pairs->nodes[i], ray = pairs->rays[i];
+        const struct bake_tree_node *node = &tracer->tree->nodes[number];
+        const uint32_t met = meet_children(&stream->rays[ray], node);
+        const uint32_t of_leaf = 0u - bake_tree_is_leaf(node);
+        blocks = add_pairs(stream->block, stream->block_ray, blocks, met & of_leaf,
+                           number * BAKE_TREE_WIDTH, ray);
+        nodes = add_pairs(stream->node, stream->node_ray, nodes, met & ~of_leaf, node->first, ray);
+    }
+    tracer->nodes = nodes;
+    tracer->blocks = blocks;
+    if (blocks >= BAKE_TREE_TESTED)
+        BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);
+}
+
+/* Tests all pairs of rays and nodes. */
+static void drain_nodes(struct bake_tree_tracer *tracer)
+{
+    struct pairs pairs[2];
+    pairs[0].count = 0;
+    for (uint32_t turn = 0; tracer->nodes > 0 || pairs[turn].count > 0; turn ^= 1) {
+        take_pairs(tracer, &pairs[turn ^ 1]);
+        test_pairs(tracer, &pairs[turn]);
+    }
+}
+
+/* ---- rays of a point ---- */
+
+/* Rays of a point, in lanes. Rays that are not there meet nothing. */
+struct bundle {
+    uint32_t first, count; /* numbers of the rays */
+    float inverse[3][BAKE_TREE_POINT_RAYS];
+    float t_begin[BAKE_TREE_POINT_RAYS], t_end[BAKE_TREE_POINT_RAYS];
+};
+
+static void load_bundle(const struct bake_tree_stream *stream, uint32_t first, uint32_t count,
+                        struct bundle *bundle)
+{
+    bundle->first = first;
+    bundle->count = count;
+    for (uint32_t i = 0; i < BAKE_TREE_POINT_RAYS; i++) {
+        const struct bake_tree_ray *ray = &stream->rays[first + (i < count ? i : 0)];
+        for (int axis = 0; axis < 3; axis++)
+            bundle->inverse[axis][i] = ray->inverse[axis];
+        bundle->t_begin[i] = ray->t_begin;
+        bundle->t_end[i] = i < count ? ray->t_end : BAKE_TREE_DONE;
+    }
+}
+
+static bk_fw load_lanes(const float from[BK_WIDTH])
+{
+    bk_fw lanes;
+    memcpy(&lanes, from, sizeof lanes);
+    return lanes;
+}
+
+/* Returns those rays of a bundle that meet a box; low, high: its borders from the rays' start. */
+static inline uint64_t meet_box(const struct bundle *bundle, const float low[3],
+                                const float high[3], uint64_t rays)
+{
+    uint64_t met = 0;
+    for (uint32_t i = 0; i < bundle->count; i += BK_WIDTH) {
+        bk_fw t_in = load_lanes(&bundle->t_begin[i]), t_out = load_lanes(&bundle->t_end[i]);
+        for (int axis = 0; axis < 3; axis++) {
+            const bk_fw inverse = load_lanes(&bundle->inverse[axis][i]);
+            const bk_fw a = inverse * low[axis], b = inverse * high[axis];
+            t_in = bk_maxw(t_in, bk_minw(a, b));
+            t_out = bk_minw(t_out, bk_maxw(a, b));
+        }
+        met |= (uint64_t)bk_bits(t_in <= t_out) << i;
+    }
+    return met & rays;
+}
+
+/* Appends pairs of the rays of a mask. */
+static inline uint32_t add_rays_of(uint32_t *things, uint32_t *rays, uint32_t count, uint64_t mask,
+                                   uint32_t thing, uint32_t first)
+{
+    for (; mask; mask &= mask - 1) {
+        things[count] = thing;
+        rays[count++] = first + (uint32_t)__builtin_ctzll(mask);
+    }
+    return count;
+}
+
+/* A node that many rays of a bundle meet. */
+struct shared {
+    uint64_t rays;
+    uint32_t node;
+};
+
+/* Tests a bundle against the boxes of a node's children. Children that few rays meet are left to
+ * these, others are appended to the stack. */
+static void spread(struct bake_tree_tracer *tracer, const struct bundle *bundle, uint32_t number,
+                   uint64_t rays, struct shared *stack, uint32_t *top)
+{
+    struct bake_tree_stream *stream = tracer->stream;
+    const struct bake_tree_node *node = &tracer->tree->nodes[number];
+    const struct bake_tree_ray *ray = &stream->rays[bundle->first];
+    const uint32_t shift = bake_tree_shift(node);
+    if (tracer->blocks + BAKE_TREE_WIDTH * BAKE_TREE_POINT_RAYS > BAKE_TREE_BLOCKS)
+        BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);
+    if (tracer->nodes > BAKE_TREE_POINT_RAYS * BAKE_TREE_WIDTH)
+        drain_nodes(tracer);
+    for (uint32_t child = 0; child < BAKE_TREE_WIDTH; child++) {
+        float low[3], high[3];
+        if (node->borders[0][0][child] > node->borders[0][1][child])
+            continue;
+        for (int axis = 0; axis < 3; axis++) {
+            const int32_t corner = (node->corner[axis] & ~7) - ray->base[axis];
+            low[axis] =
+                (float)(corner + (node->borders[axis][0][child] << shift)) - ray->start[axis];
+            high[axis] =
+                (float)(corner + (node->borders[axis][1][child] << shift)) - ray->start[axis];
+        }
+        const uint64_t met = meet_box(bundle, low, high, rays);
+        if (bake_tree_is_leaf(node))
+            tracer->blocks = add_rays_of(stream->block, stream->block_ray, tracer->blocks, met,
+                                         number * BAKE_TREE_WIDTH + child, bundle->first);
+        else if (__builtin_popcountll(met) > FEW)
+            stack[(*top)++] = (struct shared){met, node->first + child};
+        else
+            tracer->nodes = add_rays_of(stream->node, stream->node_ray, tracer->nodes, met,
+                                        node->first + child, bundle->first);
+    }
+}
+
+/* Sends the rays of a point, all of those from `first` on, through the tree. */
+static void trace_point(struct bake_tree_tracer *tracer, uint32_t first)
+{
+    struct shared stack[BAKE_TREE_DEPTH * BAKE_TREE_WIDTH];
+    struct bundle bundle;
+    uint32_t top = 0;
+    if (first == tracer->rays)
+        return;
+    load_bundle(tracer->stream, first, tracer->rays - first, &bundle);
+    stack[top++] = (struct shared){~UINT64_C(0) >> (64 - bundle.count), 0};
+    while (top > 0) {
+        const struct shared next = stack[--top];
+        spread(tracer, &bundle, next.node, next.rays, stack, &top);
+    }
+    drain_nodes(tracer);
+}
+
+/* Finishes all rays that were added. */
+static void finish_rays(struct bake_tree_tracer *tracer)
+{
+    BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);
+    tracer->rays = 0;
+}
+
+/* Appends rays `first` and following ones of a point, at most BK_WIDTH. */
+static void add_rays(struct bake_tree_tracer *tracer, const bk_place_on_scan *point, uint32_t first,
+                     uint32_t slot)
+{
+    struct bake_tree_stream *stream = tracer->stream;
+    const bk_rays *kind = tracer->kind;
+    const bk_uint left = kind->count - first, count = left < BK_WIDTH ? left : BK_WIDTH;
+    const bk_vec3w direction = bk_ray_directions(kind, point, first);
+    const bk_ray line =
+        bk_ray_along(bk_splat3(bk_ray_start(kind, point)), direction,
+                     bk_scalew(direction, bk_splat(point->side)), bk_mask_of((1u << count) - 1u));
+    const bk_fw limit = bk_splat(kind->limit);
+    bk_walk walk = {.t_start = bk_splat(0.0f), .t_limit = limit};
+    bk_fw t_near, t_far, t;
+    bk_place place;
+
+    bk_bounds(&line, tracer->params, &t_near, &t_far);
+    const bk_fw t_end = bk_minw(limit, t_far);
+    const bk_uint walked = bk_begin_walk(tracer->params, &line, &walk, t_near, t_end, &t, &place);
+    for (bk_uint lane = 0; lane < count; lane++) {
+        const bool through = !kind->open && !(bk_lane(t_far, lane) < kind->limit);
+        struct bake_tree_ray *ray = &stream->rays[tracer->rays];
+        tracer->results[slot + lane] = through ? kind->limit : -1.0f;
+        if (!(walked >> lane & 1))
+            continue;
+        *ray = (struct bake_tree_ray){
+            .inverse = {bk_lane(line.inverse.x, lane), bk_lane(line.inverse.y, lane),
+                        bk_lane(line.inverse.z, lane)},
+            .start = {bk_lane(line.start.x, lane), bk_lane(line.start.y, lane),
+                      bk_lane(line.start.z, lane)},
+            .base = {bk_lane(line.bx, lane), bk_lane(line.by, lane), bk_lane(line.bz, lane)},
+            .direction = {bk_lane(direction.x, lane), bk_lane(direction.y, lane),
+                          bk_lane(direction.z, lane)},
+            .first = {bk_lane(place.x, lane), bk_lane(place.y, lane), bk_lane(place.z, lane)},
+            .t_begin = bk_lane(t, lane),
+            .t_end = bk_lane(t_end, lane),
+            .t_before = bk_lane(t_end, lane),
+            .t_stop = bk_lane(t_end, lane),
+            .t_last = bk_lane(t_end, lane),
+            .stop_axis = 3,
+            .side = point->side,
+            .slot = slot + lane};
+        for (int axis = 0; axis < 3; axis++) {
+            const int down = ray->inverse[axis] < 0.0f;
+            ray->error[axis] = fabsf(ray->inverse[axis]) * (1.0f / (1 << 21));
+            ray->near[axis] = (2 * axis + down) * BAKE_TREE_WIDTH;
+            ray->far[axis] = (2 * axis + !down) * BAKE_TREE_WIDTH;
+        }
+        if (!(ray->t_begin < ray->t_end))
+            ray->t_before = -0.5f * BK_FAR;
+        tracer->rays++;
+    }
+}
+
+void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_params *params,
+                                   const struct bake_tree *tree, const bk_rays *kind,
+                                   const bk_place_on_scan *points, uint32_t count, float *results,
+                                   uint64_t stride, struct bake_tree_stream *stream)
+{
+    struct bake_tree_tracer tracer = {.grid = grid,
+                                      .params = params,
+                                      .tree = tree,
+                                      .kind = kind,
+                                      .stream = stream,
+                                      .results = results,
+                                      .nearest = !kind->open || params->flags & BK_OPEN_FALLOFF,
+                                      .cache = bk_cache_empty()};
+    for (uint32_t i = 0; i < count; i++)
+        for (bk_uint first = 0; first < kind->count; first += BAKE_TREE_POINT_RAYS) {
+            const bk_uint left = kind->count - first;
+            const bk_uint end = first + (left < BAKE_TREE_POINT_RAYS ? left : BAKE_TREE_POINT_RAYS);
+            uint32_t begin;
+            if (tracer.rays + BAKE_TREE_POINT_RAYS > BAKE_TREE_RAYS)
+                finish_rays(&tracer);
+            begin = tracer.rays;
+            for (bk_uint ray = first; ray < end; ray += BK_WIDTH)
+                add_rays(&tracer, &points[i], ray, (uint32_t)(i * stride) + ray);
+            trace_point(&tracer, begin);
+        }
+    finish_rays(&tracer);
+}

@@ -1,0 +1,415 @@
+/* tree_voxels_lanes.c - tests rays from hits against the voxels of blocks, and their records.
+ *
+ *  - A ray may visit the voxels of a block that it does not leave before it enters them. All 64
+ *    are tested at once. The t of borders are those of bk_walk_blocks(), which goes by the same
+ *    borders, so both visit the same voxels. Of borders at the same t, that of the lower axis comes
+ *    first.
+ *  - The records of a voxel are tested with the walk's state after the voxel before, which follows
+ *    from the records there. A surface may also be crossed after a voxel, if the next one is empty.
+ *
+ * Voxels are not visited in the order in which rays meet them. If distances matter, the hit counts
+ * whose voxel is entered first. */
+#include <stddef.h>
+#include <string.h>
+
+#include "base/simd/simd.h"
+#define BK_WIDTH SIMD_FLOATS
+#include "libbake/device/native/tree_tracer.h"
+
+enum { BLOCK_VOXELS = 64 };
+
+/* ---- voxels ---- */
+
+/* Rays and the voxels they visit, in lanes. */
+struct group {
+    bk_ray ray;
+    bk_iw first[3]; /* voxels in which walks begin */
+    bk_fw t_begin, t_before, t_end, t_stop;
+    bk_iw stop_axis;
+    bk_place place; /* the voxels */
+    bk_ulong values[BK_WIDTH];
+    /* How rays enter their voxels: t, and the axis of the border; -1: walks begin here. */
+    bk_fw t_event;
+    bk_iw axis;
+    bk_fw t_exit; /* how they leave them */
+    bk_iw exit_axis;
+};
+
+static bk_fw gather_float(const struct bake_tree_stream *stream, const uint32_t rays[BK_WIDTH],
+                          size_t offset)
+{
+    bk_int words[BK_WIDTH];
+    for (int lane = 0; lane < BK_WIDTH; lane++)
+        memcpy(&words[lane], (const char *)&stream->rays[rays[lane]] + offset, sizeof *words);
+    return (bk_fw)bk_load_lanes(words);
+}
+
+#define RAY_FLOAT(member) gather_float(tracer->stream, rays, offsetof(struct bake_tree_ray, member))
+#define RAY_INT(member)   ((bk_iw)RAY_FLOAT(member))
+
+/* Loads pairs `first` to `first + count - 1`; further lanes repeat the first one. */
+static void load_group(const struct bake_tree_tracer *tracer, uint32_t first, uint32_t count,
+                       struct group *group)
+{
+    const struct bake_tree_stream *stream = tracer->stream;
+    bk_int leaves[BK_WIDTH], voxels[3][BK_WIDTH];
+    uint32_t rays[BK_WIDTH];
+    for (uint32_t lane = 0; lane < BK_WIDTH; lane++) {
+        const uint32_t pair = first + (lane < count ? lane : 0);
+        const uint32_t block = stream->voxel_block[pair], voxel = stream->voxel[pair];
+        const struct bake_tree_node *leaf = &tracer->tree->nodes[block / BAKE_TREE_WIDTH];
+        rays[lane] = stream->voxel_ray[pair];
+        leaves[lane] = (bk_int)leaf->first;
+        for (int axis = 0; axis < 3; axis++)
+            voxels[axis][lane] = (leaf->corner[axis] & ~7) | (int32_t)(block << axis & 4) |
+                                 (int32_t)(voxel >> (4 - 2 * axis) & 3);
+        group->values[lane] = stream->voxel_value[pair];
+    }
+    group->place.x = bk_load_lanes(voxels[0]);
+    group->place.y = bk_load_lanes(voxels[1]);
+    group->place.z = bk_load_lanes(voxels[2]);
+    group->place.leaf = bk_load_lanes(leaves);
+    group->place.mask = bk_splati(0);
+    group->ray.bx = RAY_INT(base[0]);
+    group->ray.by = RAY_INT(base[1]);
+    group->ray.bz = RAY_INT(base[2]);
+    group->ray.start = bk_v3w(RAY_FLOAT(start[0]), RAY_FLOAT(start[1]), RAY_FLOAT(start[2]));
+    group->ray.direction =
+        bk_v3w(RAY_FLOAT(direction[0]), RAY_FLOAT(direction[1]), RAY_FLOAT(direction[2]));
+    group->ray.inverse =
+        bk_v3w(RAY_FLOAT(inverse[0]), RAY_FLOAT(inverse[1]), RAY_FLOAT(inverse[2]));
+    group->ray.facing = bk_scalew(group->ray.direction, RAY_FLOAT(side));
+    group->ray.valid = bk_mask_of((1u << count) - 1u);
+    for (int axis = 0; axis < 3; axis++)
+        group->first[axis] = RAY_INT(first[axis]);
+    group->t_begin = RAY_FLOAT(t_begin);
+    group->t_end = RAY_FLOAT(t_end);
+    group->t_before = RAY_FLOAT(t_before);
+    group->t_stop = RAY_FLOAT(t_stop);
+    group->stop_axis = RAY_INT(stop_axis);
+}
+
+/* Returns the t at which rays enter layer v of an axis; -BK_FAR: their walks begin in it. */
+static bk_fw entered(bk_iw v, bk_iw first, bk_iw base, bk_fw start, bk_fw inverse)
+{
+    const bk_fw t = bk_border(v + (1 & ~bk_upwards(inverse)), base, start, inverse);
+    return bk_select(v != first, t, bk_splat(-BK_FAR));
+}
+
+/* Finds how rays enter voxels: across the last of the borders of the three axes. */
+static bk_fw find_entry(const struct group *group, const bk_place *place, bk_iw *axis)
+{
+    const bk_ray *ray = &group->ray;
+    const bk_fw tx = entered(place->x, group->first[0], ray->bx, ray->start.x, ray->inverse.x);
+    const bk_fw ty = entered(place->y, group->first[1], ray->by, ray->start.y, ray->inverse.y);
+    const bk_fw tz = entered(place->z, group->first[2], ray->bz, ray->start.z, ray->inverse.z);
+    const bk_fw xy = bk_maxw(tx, ty), t = bk_maxw(xy, tz);
+    const bk_iw last = bk_selecti(bk_less(ty, tx), bk_splati(0), bk_splati(1));
+    *axis = bk_selecti(bk_less(tz, xy), last, bk_splati(2));
+    *axis = bk_selecti(bk_less(bk_splat(-BK_FAR), t), *axis, bk_splati(-1));
+    return t;
+}
+
+/* Finds how rays leave voxels: across the first border. */
+static bk_fw find_exit(const bk_ray *ray, const bk_place *place, bk_iw *axis)
+{
+    const bk_iw x = place->x + (1 & bk_upwards(ray->inverse.x));
+    const bk_iw y = place->y + (1 & bk_upwards(ray->inverse.y));
+    const bk_iw z = place->z + (1 & bk_upwards(ray->inverse.z));
+    const bk_fw tx = bk_border(x, ray->bx, ray->start.x, ray->inverse.x);
+    const bk_fw ty = bk_border(y, ray->by, ray->start.y, ray->inverse.y);
+    const bk_fw tz = bk_border(z, ray->bz, ray->start.z, ray->inverse.z);
+    const bk_fw xy = bk_minw(tx, ty);
+    const bk_iw first = bk_selecti(bk_less(ty, tx), bk_splati(1), bk_splati(0));
+    *axis = bk_selecti(bk_less(tz, xy), bk_splati(2), first);
+    return bk_minw(xy, tz);
+}
+
+/* Returns whether a border is crossed before another one. */
+static bk_mask comes_before(bk_fw t, bk_iw axis, bk_fw t_other, bk_iw other)
+{
+    return bk_less(t, t_other) | ((t == t_other) & (axis < other));
+}
+
+/* Returns the next voxels along an axis, or those before. */
+static bk_place beside(const bk_ray *ray, const bk_place *place, bk_iw axis, bool back)
+{
+    const bk_iw sign = bk_splati(back ? 1 : -1), none = bk_splati(0);
+    bk_place next = *place;
+    next.x = place->x + bk_selecti(axis == 0, sign * (bk_upwards(ray->inverse.x) | 1), none);
+    next.y = place->y + bk_selecti(axis == 1, sign * (bk_upwards(ray->inverse.y) | 1), none);
+    next.z = place->z + bk_selecti(axis == 2, sign * (bk_upwards(ray->inverse.z) | 1), none);
+    return next;
+}
+
+/* Finds voxels beside those of a group. Returns the lanes whose voxel is occupied, and sets their
+ * leaves. */
+static bk_uint find_voxels(struct bake_tree_tracer *tracer, const struct group *group,
+                           bk_uint lanes, bk_place *place)
+{
+    const bk_iw apart =
+        (place->x ^ group->place.x) | (place->y ^ group->place.y) | (place->z ^ group->place.z);
+    const bk_uint inside = lanes & bk_bits((apart & ~7) == 0);
+    bk_uint found = inside ? bk_find_occupied(tracer->grid, inside, place) : 0;
+    bk_int leaves[BK_WIDTH];
+    lanes &= ~inside;
+    if (lanes == 0)
+        return found;
+    bk_store_lanes(leaves, place->leaf);
+    for (; lanes; lanes &= lanes - 1) {
+        const bk_uint lane = bk_first(lanes);
+        const bk_int x = bk_lane(place->x, lane), y = bk_lane(place->y, lane);
+        const bk_int z = bk_lane(place->z, lane);
+        if (bk_locate(tracer->grid, &tracer->cache, x, y, z) == 0 &&
+            bk_leaf_value(tracer->grid, tracer->cache.leaf, x, y, z) != 0) {
+            leaves[lane] = (bk_int)tracer->cache.leaf;
+            found |= 1u << lane;
+        }
+    }
+    place->leaf = bk_load_lanes(leaves);
+    return found;
+}
+
+/* Sets the state of walks to that after the voxels before. */
+static void recall(struct bake_tree_tracer *tracer, const struct group *group, bk_uint lanes,
+                   bk_walk *walk)
+{
+    bk_place before = beside(&group->ray, &group->place, group->axis, true);
+    bk_ulong values[BK_WIDTH];
+    bk_iw axis;
+    lanes = find_voxels(tracer, group, lanes & bk_bits(group->axis >= 0), &before);
+    if (lanes == 0)
+        return;
+    const bk_fw t = bk_maxw(group->t_begin, find_entry(group, &before, &axis));
+    bk_rank_voxels(tracer->grid, lanes, &before, values);
+    bk_cross_voxels(tracer->grid, &tracer->cache, walk, &group->ray, lanes, values, &before, t,
+                    bk_minw(bk_maxw(t, group->t_event), walk->t_limit));
+    walk->hit = bk_no_crossing();
+}
+
+/* Tests the records of the voxels of a group. */
+static void meet_voxels(struct bake_tree_tracer *tracer, const struct group *group, bk_uint lanes,
+                        bk_walk *walk)
+{
+    const bk_fw t = bk_maxw(group->t_begin, group->t_event);
+    const bk_fw t_out = bk_maxw(t, group->t_exit);
+    bk_uint over, below;
+    bk_place next;
+    recall(tracer, group, lanes, walk);
+    over = bk_bits(bk_meet_records(tracer->grid, &tracer->cache, &group->ray, walk, lanes,
+                                   group->values, &group->place, t, t_out));
+    if (over)
+        bk_end_run(walk, bk_mask_of(over));
+    below = lanes & bk_bits((walk->side == BK_BELOW) & bk_not(walk->hit.found));
+    if (below == 0)
+        return;
+    /* A run that goes on is left to the next voxel. */
+    next = beside(&group->ray, &group->place, group->exit_axis, false);
+    below &= ~find_voxels(tracer, group, below & bk_bits(bk_less(t_out, group->t_end)), &next);
+    bk_end_run(walk, bk_mask_of(below));
+}
+
+/* Notes the hit of a ray in a pair's voxel. */
+static void note_hit(const struct bake_tree_tracer *tracer, uint32_t pair, float t, float t_event,
+                     int32_t axis)
+{
+    struct bake_tree_stream *stream = tracer->stream;
+    struct bake_tree_ray *ray = &stream->rays[stream->voxel_ray[pair]];
+    if (!tracer->nearest) {
+        tracer->results[ray->slot] = 0.0f;
+        ray->t_stop = ray->t_last = ray->t_before = BAKE_TREE_DONE;
+    } else if (t_event < ray->t_stop || (t_event == ray->t_stop && axis < ray->stop_axis)) {
+        tracer->results[ray->slot] = bk_min(t, tracer->kind->limit);
+        ray->t_stop = t_event;
+        ray->stop_axis = axis;
+        ray->t_last = bk_max(t_event, ray->t_begin);
+    }
+}
+
+static void test_voxels(struct bake_tree_tracer *tracer)
+{
+    struct group group;
+    bk_walk walk;
+    for (uint32_t first = 0; first < tracer->voxels; first += BK_WIDTH) {
+        const uint32_t left = tracer->voxels - first;
+        load_group(tracer, first, left < BK_WIDTH ? left : BK_WIDTH, &group);
+        group.t_event = find_entry(&group, &group.place, &group.axis);
+        group.t_exit = find_exit(&group.ray, &group.place, &group.exit_axis);
+        const bk_uint lanes =
+            bk_bits(group.ray.valid & bk_less(group.t_event, group.t_before) &
+                    comes_before(group.t_event, group.axis, group.t_exit, group.exit_axis) &
+                    comes_before(group.t_event, group.axis, group.t_stop, group.stop_axis));
+        if (lanes == 0)
+            continue;
+        walk.t_start = bk_splat(0.0f);
+        walk.t_limit = bk_splat(tracer->kind->limit);
+        walk.two_sided = bk_mask_of(tracer->kind->open ? ~0u : 0u);
+        walk.hit = walk.ahead = bk_no_crossing();
+        walk.side = bk_splati(BK_APART);
+        walk.falling = bk_mask_of(0);
+        walk.outside = walk.ahead_margin = bk_splat(0.0f);
+        meet_voxels(tracer, &group, lanes, &walk);
+        for (bk_uint found = bk_bits(walk.hit.found) & lanes; found; found &= found - 1) {
+            const bk_uint lane = bk_first(found);
+            note_hit(tracer, first + lane, bk_lane(walk.hit.t, lane), bk_lane(group.t_event, lane),
+                     bk_lane(group.axis, lane));
+        }
+    }
+    tracer->voxels = 0;
+}
+
+/* ---- blocks ---- */
+
+/* When rays are in each of a block's four layers of an axis. */
+struct layers {
+    bk_fw in[4], out[4];
+};
+
+/* Pairs of rays and blocks, in lanes. */
+struct block_group {
+    struct layers axes[3];
+    bk_fw t_before;
+};
+
+/* Finds when rays are in the layers of an axis from `corner` on. */
+static inline struct layers find_layers(bk_iw corner, bk_iw first, bk_iw base, bk_fw start,
+                                        bk_fw inverse)
+{
+    const bk_fw always = bk_splat(-BK_FAR), never = bk_splat(BK_FAR);
+    const bk_mask up = bk_upwards(inverse) != 0;
+    bk_fw border = bk_border(corner, base, start, inverse);
+    struct layers layers;
+    for (int i = 0; i < 4; i++) {
+        const bk_iw layer = corner + i;
+        const bk_mask behind = bk_selecti(up, layer<first, layer> first);
+        const bk_fw next = bk_border(layer + 1, base, start, inverse);
+        const bk_fw in = bk_select(layer == first, always, bk_minw(border, next));
+        layers.in[i] = bk_select(behind, never, in);
+        layers.out[i] = bk_select(behind, always, bk_maxw(border, next));
+        border = next;
+    }
+    return layers;
+}
+
+/* Loads pairs `first` and following ones; lanes from `count` on repeat the first one. */
+static void load_blocks(const struct bake_tree_tracer *tracer, uint32_t first, uint32_t count,
+                        struct block_group *group)
+{
+    const struct bake_tree_stream *stream = tracer->stream;
+    bk_int corners[3][BK_WIDTH];
+    uint32_t rays[BK_WIDTH];
+    for (uint32_t lane = 0; lane < BK_WIDTH; lane++) {
+        const uint32_t pair = first + (lane < count ? lane : 0), block = stream->block[pair];
+        const struct bake_tree_node *leaf = &tracer->tree->nodes[block / BAKE_TREE_WIDTH];
+        rays[lane] = stream->block_ray[pair];
+        for (int axis = 0; axis < 3; axis++)
+            corners[axis][lane] = (leaf->corner[axis] & ~7) | (int32_t)(block << axis & 4);
+    }
+    group->axes[0] = find_layers(bk_load_lanes(corners[0]), RAY_INT(first[0]), RAY_INT(base[0]),
+                                 RAY_FLOAT(start[0]), RAY_FLOAT(inverse[0]));
+    group->axes[1] = find_layers(bk_load_lanes(corners[1]), RAY_INT(first[1]), RAY_INT(base[1]),
+                                 RAY_FLOAT(start[1]), RAY_FLOAT(inverse[1]));
+    group->axes[2] = find_layers(bk_load_lanes(corners[2]), RAY_INT(first[2]), RAY_INT(base[2]),
+                                 RAY_FLOAT(start[2]), RAY_FLOAT(inverse[2]));
+    group->t_before = RAY_FLOAT(t_before);
+}
+
+/* Finds the voxels that rays may visit in their blocks, bits of two words: those that they do not
+ * leave before they enter them. A ray that goes through an edge is in some of them for no time;
+ * test_voxels() finds out which of these it visits. */
+static void visit_voxels(const struct block_group *group, bk_iw words[2])
+{
+    bk_fw out_z[4];
+    words[0] = words[1] = bk_splati(0);
+    for (int z = 0; z < 4; z++)
+        out_z[z] = bk_minw(group->axes[2].out[z], group->t_before);
+    for (int yz = 0; yz < 16; yz++) {
+        const bk_fw in = bk_maxw(group->axes[1].in[yz >> 2], group->axes[2].in[yz & 3]);
+        const bk_fw out = bk_minw(group->axes[1].out[yz >> 2], out_z[yz & 3]);
+        for (int x = 0; x < 4; x++) {
+            const bk_mask met =
+                bk_maxw(group->axes[0].in[x], in) <= bk_minw(group->axes[0].out[x], out);
+            words[x >> 1] |= met & (bk_int)(1u << (16 * (x & 1) + yz));
+        }
+    }
+}
+
+/* Returns a block's occupied voxels, bit x << 4 | y << 2 | z. */
+static inline uint64_t occupied_voxels(const bk_grid *grid, uint32_t leaf, uint32_t block)
+{
+    const bk_ulong *words =
+        grid->leaves + (uint64_t)leaf * BK_LEAF_WORDS + BK_LEAF_MASK + (block & 4);
+    const uint32_t shift = (block & 2) << 4 | (block & 1) << 2;
+    uint64_t all = 0;
+    for (uint32_t x = 0; x < 4; x++) {
+#ifdef __BMI2__
+        all |= _pext_u64(words[x] >> shift, 0x0f0f0f0f) << (16 * x);
+#else
+        uint64_t rows = words[x] >> shift & 0x0f0f0f0f;
+        rows = (rows | rows >> 4) & 0x00ff00ff;
+        all |= ((rows | rows >> 8) & 0xffff) << (16 * x);
+#endif
+    }
+    return all;
+}
+
+static void prefetch_block(const struct bake_tree_tracer *tracer, uint32_t block)
+{
+    const uint32_t leaf = tracer->tree->nodes[block / BAKE_TREE_WIDTH].first;
+    __builtin_prefetch(
+        &tracer->grid->leaves[(uint64_t)leaf * BK_LEAF_WORDS + BK_LEAF_MASK + (block & 4)]);
+}
+
+/* Appends the occupied voxels of a pair of a ray and a block. */
+static void add_voxels(struct bake_tree_tracer *tracer, uint32_t pair, uint64_t voxels)
+{
+    struct bake_tree_stream *stream = tracer->stream;
+    const bk_grid *grid = tracer->grid;
+    const uint32_t number = stream->block[pair], block = number % BAKE_TREE_WIDTH;
+    const uint32_t leaf = tracer->tree->nodes[number / BAKE_TREE_WIDTH].first;
+    if (tracer->voxels + BLOCK_VOXELS > BAKE_TREE_VOXELS)
+        test_voxels(tracer);
+    for (; voxels; voxels &= voxels - 1) {
+        const uint32_t voxel = (uint32_t)__builtin_ctzll(voxels), at = tracer->voxels++;
+        const bk_ulong value = bk_leaf_rank(
+            grid, grid->leaves + (uint64_t)leaf * BK_LEAF_WORDS, (block & 4) | voxel >> 4,
+            (block & 2) << 4 | (voxel >> 2 & 3) << 3 | (block & 1) << 2 | (voxel & 3));
+        __builtin_prefetch(&grid->normals[value]);
+        __builtin_prefetch(&grid->planes[value]);
+        stream->voxel[at] = (uint8_t)voxel;
+        stream->voxel_block[at] = number;
+        stream->voxel_ray[at] = stream->block_ray[pair];
+        stream->voxel_value[at] = value;
+    }
+}
+
+void BSQ_SIMD_NAME(bake_tree_test_blocks)(struct bake_tree_tracer *tracer)
+{
+    const struct bake_tree_stream *stream = tracer->stream;
+    const bk_grid *grid = tracer->grid;
+    const uint32_t count = tracer->blocks;
+    for (uint32_t i = 0; i < count && i < BK_WIDTH; i++)
+        prefetch_block(tracer, stream->block[i]);
+    for (uint32_t first = 0; first < count; first += BK_WIDTH) {
+        const uint32_t left = count - first, lanes = left < BK_WIDTH ? left : BK_WIDTH;
+        struct block_group group;
+        bk_int low[BK_WIDTH], high[BK_WIDTH];
+        bk_iw words[2];
+        for (uint32_t i = first + BK_WIDTH; i < count && i < first + 2 * BK_WIDTH; i++)
+            prefetch_block(tracer, stream->block[i]);
+        load_blocks(tracer, first, lanes, &group);
+        visit_voxels(&group, words);
+        bk_store_lanes(low, words[0]);
+        bk_store_lanes(high, words[1]);
+        for (uint32_t lane = 0; lane < lanes; lane++) {
+            const uint32_t block = stream->block[first + lane];
+            const uint32_t leaf = tracer->tree->nodes[block / BAKE_TREE_WIDTH].first;
+            const uint64_t voxels = ((uint32_t)low[lane] | (uint64_t)(uint32_t)high[lane] << 32) &
+                                    occupied_voxels(grid, leaf, block % BAKE_TREE_WIDTH);
+            if (voxels)
+                add_voxels(tracer, first + lane, voxels);
+        }
+    }
+    tracer->blocks = 0;
+    test_voxels(tracer);
+}

@@ -1,0 +1,310 @@
+/* test_leaf_tree.c - the tree of leaves contains all voxels, and rays through it find what
+ * bk_look() finds, also if they go through edges and corners of voxels. */
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include <cmocka.h>
+
+#include "base/context.h"
+#include "libbake/device/job/job.h"
+#include "libbake/device/native/tree_rays.h"
+#include "tests/unit/libbake/analytic_grid.h"
+
+enum { POINTS = 400, RAYS = 3 };
+
+struct fixture {
+    struct bsq_ctx *ctx;
+    struct fmt_nvdb_grid file;
+    struct bk_grid grid;
+    struct bk_params params;
+    struct bake_tree tree;
+};
+
+static void open_fixture(struct fixture *f, const struct analytic_grid *grid)
+{
+    assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
+    analytic_grid_open(f->ctx, grid, false, &f->file);
+    memset(&f->params, 0, sizeof f->params);
+    bake_params_from_grid(&f->file, &f->params);
+    bake_kernel_grid(&f->file, &f->params, &f->grid);
+    assert_int_equal(bake_tree_build(f->ctx, &f->grid, UINT64_MAX, &f->tree), 0);
+}
+
+static void close_fixture(struct fixture *f)
+{
+    bake_tree_free(f->ctx, &f->tree);
+    fmt_nvdb_close(f->ctx, &f->file);
+    bsq_ctx_destroy(f->ctx);
+}
+
+static double between(uint64_t *seed, double low, double high)
+{
+    return low + (high - low) * analytic_random(seed);
+}
+
+/* Adds planes through voxels in a cube around `centre`. */
+static void add_clutter(struct analytic_grid *grid, const double centre[3], double half, int count,
+                        uint64_t *seed)
+{
+    for (int i = 0; i < count; i++) {
+        double p[3], n[3];
+        for (int k = 0; k < 3; k++)
+            p[k] = centre[k] + between(seed, -half, half);
+        analytic_random_unit(seed, n);
+        analytic_grid_add(grid, p, n, 1, NULL);
+    }
+}
+
+/* ---- boxes ---- */
+
+struct box {
+    int32_t low[3], high[3];
+};
+
+static struct box child_box(const struct bake_tree_node *node, int child)
+{
+    struct box box;
+    for (int k = 0; k < 3; k++) {
+        const int32_t corner = node->corner[k] & ~7;
+        box.low[k] = corner + (node->borders[k][0][child] << bake_tree_shift(node));
+        box.high[k] = corner + (node->borders[k][1][child] << bake_tree_shift(node));
+    }
+    return box;
+}
+
+/* Checks that a leaf's boxes are those of its voxels. Returns their number. */
+static uint64_t check_leaf(const struct bk_grid *grid, const struct bake_tree_node *node)
+{
+    uint64_t count = 0;
+    for (int block = 0; block < 8; block++) {
+        struct box tight = {{INT32_MAX, INT32_MAX, INT32_MAX}, {INT32_MIN, INT32_MIN, INT32_MIN}};
+        uint64_t voxels = 0;
+        for (int i = 0; i < 64; i++) {
+            const int32_t v[3] = {(node->corner[0] & ~7) + ((block >> 2 & 1) * 4 + (i >> 4)),
+                                  (node->corner[1] & ~7) + ((block >> 1 & 1) * 4 + (i >> 2 & 3)),
+                                  (node->corner[2] & ~7) + ((block & 1) * 4 + (i & 3))};
+            bk_cache cache = bk_cache_empty();
+            if (bk_locate(grid, &cache, v[0], v[1], v[2]) != 0 ||
+                bk_leaf_value(grid, cache.leaf, v[0], v[1], v[2]) == 0)
+                continue;
+            assert_int_equal(cache.leaf, node->first);
+            voxels++;
+            for (int k = 0; k < 3; k++) {
+                tight.low[k] = v[k] < tight.low[k] ? v[k] : tight.low[k];
+                tight.high[k] = v[k] + 1 > tight.high[k] ? v[k] + 1 : tight.high[k];
+            }
+        }
+        const struct box box = child_box(node, block);
+        if (voxels == 0)
+            assert_true(node->borders[0][0][block] > node->borders[0][1][block]);
+        else
+            assert_memory_equal(&box, &tight, sizeof box);
+        count += voxels;
+    }
+    return count;
+}
+
+/* Checks that the boxes of a node's children contain theirs. Returns the voxels below the node. */
+static uint64_t check_node(const struct fixture *f, uint64_t number, const struct box *outer)
+{
+    const struct bake_tree_node *node = &f->tree.nodes[number];
+    uint64_t count = 0;
+    if (bake_tree_is_leaf(node))
+        return check_leaf(&f->grid, node);
+    for (int i = 0, child = 0; i < BAKE_TREE_WIDTH; i++) {
+        if (node->borders[0][0][i] > node->borders[0][1][i])
+            continue;
+        const struct box box = child_box(node, i);
+        for (int k = 0; k < 3 && outer; k++)
+            assert_true(box.low[k] >= outer->low[k] && box.high[k] <= outer->high[k]);
+        assert_true(node->first + (uint64_t)child < f->tree.count);
+        assert_true(node->first > number);
+        count += check_node(f, node->first + (uint64_t)child++, &box);
+    }
+    return count;
+}
+
+/* Boxes that are rounded to steps can stick out of their parent's, but by less than its step. */
+static void test_all_voxels_are_in_the_tree(void **state)
+{
+    const double centres[][3] = {{2, 127, 4095}, {-3000, 500, -9}, {-1, -1, -1}, {60000, 3, 4}};
+    uint64_t seed = 7;
+    (void)state;
+    struct analytic_grid *grid = analytic_grid_create();
+    for (size_t i = 0; i < sizeof centres / sizeof *centres; i++)
+        add_clutter(grid, centres[i], 5 + 20 * (double)i, 1500, &seed);
+    struct fixture f;
+    open_fixture(&f, grid);
+    assert_non_null(f.tree.nodes);
+    assert_int_equal(check_node(&f, 0, NULL), f.file.voxel_count);
+    close_fixture(&f);
+    analytic_grid_free(grid);
+}
+
+static void test_one_voxel(void **state)
+{
+    const double at[3] = {-7, 8, 100}, up[3] = {0, 0, 1};
+    (void)state;
+    struct analytic_grid *grid = analytic_grid_create();
+    analytic_grid_add(grid, at, up, 1, NULL);
+    struct fixture f;
+    open_fixture(&f, grid);
+    assert_int_equal(f.tree.count, 1);
+    assert_int_equal(check_node(&f, 0, NULL), 1);
+    close_fixture(&f);
+    analytic_grid_free(grid);
+}
+
+/* Without memory for the tree there is none, and nothing stays allocated. A grid that is too wide
+ * has none either. */
+static void test_limits(void **state)
+{
+    const double far[3] = {BAKE_TREE_EXTENT + 1000.0, 0, 0}, centre[3] = {0, 0, 0};
+    const double up[3] = {0, 0, 1};
+    uint64_t seed = 3;
+    (void)state;
+    struct analytic_grid *grid = analytic_grid_create();
+    add_clutter(grid, centre, 60, 3000, &seed);
+    struct fixture f;
+    open_fixture(&f, grid);
+    const uint64_t all = f.tree.count;
+    struct bake_tree tree;
+    const uint64_t used = bsq_memory_used(f.ctx);
+    bool some = false, none = false;
+    for (uint64_t limit = 0; limit < 400 * all; limit += 5 * all + 1) {
+        assert_int_equal(bake_tree_build(f.ctx, &f.grid, limit, &tree), 0);
+        assert_true(!tree.nodes || tree.count == all);
+        some |= tree.nodes != NULL;
+        none |= tree.nodes == NULL;
+        bake_tree_free(f.ctx, &tree);
+        assert_int_equal(bsq_memory_used(f.ctx), used);
+    }
+    assert_true(some && none);
+    bsq_interrupt(f.ctx);
+    assert_int_equal(bake_tree_build(f.ctx, &f.grid, UINT64_MAX, &tree), BSQ_EINTR);
+    assert_null(tree.nodes);
+    assert_int_equal(bsq_memory_used(f.ctx), used);
+    close_fixture(&f);
+    analytic_grid_add(grid, far, up, 1, NULL);
+    open_fixture(&f, grid);
+    assert_null(f.tree.nodes);
+    close_fixture(&f);
+    analytic_grid_free(grid);
+}
+
+/* ---- rays ---- */
+
+/* Compares rays through the tree with bk_look() at all levels of instructions. exact: distances
+ * count, not only whether a ray meets something. */
+static void compare(const struct fixture *f, const bk_rays *kind, const bk_place_on_scan *points,
+                    bool exact)
+{
+    static float found[POINTS * RAYS], expected[POINTS * RAYS];
+    static struct bake_tree_stream stream;
+    uint32_t hits = 0;
+    for (uint32_t i = 0; i < POINTS; i++)
+        for (uint32_t ray = 0; ray < RAYS; ray++) {
+            bk_cache cache = bk_cache_empty();
+            const float t = bk_look(&f->grid, &f->params, &cache, kind,
+                                    bk_splat3(bk_ray_start(kind, &points[i])),
+                                    bk_ray_directions(kind, &points[i], ray), points[i].side, 1);
+            expected[i * RAYS + ray] = t;
+            hits += t >= 0 && t < kind->limit;
+        }
+    print_message("%u of %u rays meet something\n", hits, POINTS * RAYS);
+    assert_in_range(hits, POINTS / 10, POINTS * RAYS - POINTS / 10);
+    for (unsigned level = BSQ_SIMD_BASE; level <= bsq_simd_best(); level++) {
+        memset(found, 0xff, sizeof found);
+        BSQ_SIMD_PICK(level, bake_tree_look)
+        (&f->grid, &f->params, &f->tree, kind, points, POINTS, found, RAYS, &stream);
+        for (uint32_t i = 0; i < POINTS * RAYS; i++)
+            if (exact)
+                assert_memory_equal(&found[i], &expected[i], sizeof *found);
+            else
+                assert_int_equal(found[i] < 0, expected[i] < 0);
+    }
+}
+
+static void compare_kinds(struct fixture *f, const bk_place_on_scan *points, float sine2)
+{
+    bk_rays kind = {.open = 1, .count = RAYS, .sine2 = sine2, .limit = 40};
+    f->params.open_limit = kind.limit;
+    f->params.flags = 0;
+    compare(f, &kind, points, false);
+    f->params.flags = BK_OPEN_FALLOFF;
+    compare(f, &kind, points, true);
+    kind.open = 0;
+    compare(f, &kind, points, true);
+}
+
+/* A cone without width has all its rays along the normal. So rays start at corners and edges of
+ * voxels and go along axes, diagonals of faces and of voxels: many borders have the same t. */
+static void test_edges_and_corners(void **state)
+{
+    const double centre[3] = {3, -4, 5};
+    static bk_place_on_scan points[POINTS];
+    uint64_t seed = 11;
+    (void)state;
+    struct analytic_grid *grid = analytic_grid_create();
+    add_clutter(grid, centre, 20, 2500, &seed);
+    struct fixture f;
+    open_fixture(&f, grid);
+    for (int i = 0; i < POINTS; i++) {
+        bk_vec3 n = bk_v3(0, 0, 0);
+        while (n.x == 0 && n.y == 0 && n.z == 0)
+            n = bk_v3((float)floor(between(&seed, -1, 2)), (float)floor(between(&seed, -1, 2)),
+                      (float)floor(between(&seed, -1, 2)));
+        points[i].normal = bk_unit(n);
+        points[i].position = bk_v3((float)floor(between(&seed, -40, 46)) / 2,
+                                   (float)floor(between(&seed, -48, 32)) / 2,
+                                   (float)floor(between(&seed, -30, 50)) / 2);
+        points[i].side = i % 3 ? 1.0f : -1.0f;
+        points[i].seed = (bk_uint)i;
+    }
+    compare_kinds(&f, points, 0.0f);
+    close_fixture(&f);
+    analytic_grid_free(grid);
+}
+
+/* Points in and around a grid, some far outside of it. */
+static void test_points_everywhere(void **state)
+{
+    const double centre[3] = {2, 127, 4095};
+    static bk_place_on_scan points[POINTS];
+    uint64_t seed = 5;
+    (void)state;
+    struct analytic_grid *grid = analytic_grid_create();
+    add_clutter(grid, centre, 12, 1000, &seed);
+    struct fixture f;
+    open_fixture(&f, grid);
+    for (int i = 0; i < POINTS; i++) {
+        double n[3];
+        const double half = i % 8 ? 14 : 200;
+        analytic_random_unit(&seed, n);
+        points[i].normal = bk_v3((float)n[0], (float)n[1], (float)n[2]);
+        points[i].position = bk_v3((float)(centre[0] + between(&seed, -half, half)),
+                                   (float)(centre[1] + between(&seed, -half, half)),
+                                   (float)(centre[2] + between(&seed, -half, half)));
+        points[i].side = 1.0f;
+        points[i].seed = (bk_uint)i;
+    }
+    /* Not traced at all. */
+    points[5].position.x = NAN;
+    points[6].normal.y = INFINITY;
+    compare_kinds(&f, points, 1.0f);
+    close_fixture(&f);
+    analytic_grid_free(grid);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_all_voxels_are_in_the_tree), cmocka_unit_test(test_one_voxel),
+        cmocka_unit_test(test_limits), cmocka_unit_test(test_edges_and_corners),
+        cmocka_unit_test(test_points_everywhere)};
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
