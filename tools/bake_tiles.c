@@ -33,27 +33,39 @@ static bool take_size(const char **text, uint32_t *width, uint32_t *height)
     return good && (!take(text, 'x') || take_number(text, BAKE_MAX_SIDE, height));
 }
 
-/* Reads "1001=4096" or "*=2048". Sets *good. */
-static int take_tile_size(struct cli *cli, const char **text, struct bake_options *options,
-                          bool *good)
+/* Adds the size of a tile. */
+static int add_tile_size(struct cli *cli, struct bake_options *options,
+                         const struct bake_tile_size *size)
 {
-    struct bake_tile_size size = {0};
-    const bool others = take(text, '*');
-    *good = (others || take_number(text, BAKE_LAST_TILE, &size.tile)) && take(text, '=') &&
-            take_size(text, &size.width, &size.height);
-    if (!*good)
-        return 0;
-    if (others) {
-        options->width = size.width;
-        options->height = size.height;
-        return 0;
-    }
+    for (uint32_t i = 0; i < options->tile_size_count; i++)
+        if (options->tile_sizes[i].tile == size->tile)
+            return cli_usage(cli, "--size: tile %u is given twice", size->tile);
     struct bake_tile_size *sizes = realloc((void *)(uintptr_t)options->tile_sizes,
                                            (options->tile_size_count + 1) * sizeof *sizes);
     if (!sizes)
         return cli_usage(cli, "--size: out of memory");
-    sizes[options->tile_size_count++] = size;
+    sizes[options->tile_size_count++] = *size;
     options->tile_sizes = sizes;
+    return 0;
+}
+
+/* Reads "1001=4096" or "*=2048". Sets *good, and *others after "*". */
+static int take_tile_size(struct cli *cli, const char **text, struct bake_options *options,
+                          bool *others, bool *good)
+{
+    struct bake_tile_size size = {0};
+    const bool all = take(text, '*');
+    *good = (all || take_number(text, BAKE_LAST_TILE, &size.tile)) && take(text, '=') &&
+            take_size(text, &size.width, &size.height);
+    if (!*good)
+        return 0;
+    if (!all)
+        return add_tile_size(cli, options, &size);
+    if (*others)
+        return cli_usage(cli, "--size: * is given twice");
+    *others = true;
+    options->width = size.width;
+    options->height = size.height;
     return 0;
 }
 
@@ -67,8 +79,9 @@ int bake_parse_sizes(struct cli *cli, const char *text, struct bake_options *opt
         options->width = width; /* of tiles that the text does not name */
         options->height = height;
         at = text;
+        bool others = false;
         do
-            status = take_tile_size(cli, &at, options, &good);
+            status = take_tile_size(cli, &at, options, &others, &good);
         while (status == 0 && good && take(&at, ','));
         good = good && *at == '\0';
     }

@@ -94,6 +94,14 @@ for size in 0 -1 x 1.5 1048577 99999999999999999999 '' 16x 16x0 x16 16x16x16 16X
     $bake $good --size "$size"
     refused 64 "$p --size: \"$size\" is not N, WxH or TILE=SIZE,...,*=SIZE with numbers from 1 to 1048576"
 done
+for sizes in 1001=64,1001=32 1001=64,1002=8,1001=64 '*=8,1001=64x32,1001=64'; do
+    $bake $good --size "$sizes"
+    refused 64 "$p --size: tile 1001 is given twice"
+done
+$bake $good --size 1001=64 --size 1001=32
+refused 64 "$p --size: tile 1001 is given twice"
+$bake $good --size '*=64,1001=8,*=32'
+refused 64 "$p --size: * is given twice"
 $bake $good --samples 0
 refused 64 "$p --samples: \"0\" is not a whole number from 1 to 64"
 $bake $good --front -1
