@@ -185,6 +185,8 @@ struct map_word {
 
 enum { MOST_MAP_WORDS = 2 * MOST_MAPS + 1 };
 
+static const char transfer_word[] = "transfer:NAME";
+
 /* Lists the words; returns their number. */
 static unsigned list_map_words(struct map_word words[MOST_MAP_WORDS])
 {
@@ -202,10 +204,11 @@ static int parse_maps(struct cli *cli, struct bake_arguments *arguments)
 {
     struct bake_options *bake = &arguments->bake;
     struct map_word words[MOST_MAP_WORDS];
-    const char *names[MOST_MAP_WORDS + 1] = {NULL};
+    const char *names[MOST_MAP_WORDS + 2] = {NULL};
     const unsigned count = list_map_words(words);
     for (unsigned i = 0; i < count; i++)
         names[i] = words[i].name;
+    names[count] = transfer_word; /* for the message: bake_transfer_name() takes such words */
     char *list = strdup(optarg), *rest = list, *word;
     int status = list ? 0 : cli_usage(cli, "--maps: out of memory");
     bake->maps = 0;
@@ -388,7 +391,7 @@ static int common_option(struct cli *cli, int option)
     }
     if (length < sizeof maps)
         snprintf(maps + length, sizeof maps - length, "%28s%-*s  %s\n", "", (int)width,
-                 "transfer:NAME", "another texture of the scan, such as roughness");
+                 transfer_word, "another texture of the scan, such as roughness");
     snprintf(help, sizeof help, help_format, maps);
     return cli_common_option(cli, option, help);
 }

@@ -83,7 +83,7 @@ refused 64 "$p --list-devices takes no files"
 $bake --nonsense
 refused 64 "$p unrecognized option '--nonsense'"
 good="plain.nvdb low.obj -o a_<MAP>.exr"
-known=$(echo $maps | sed 's/ /, /g; s/\(.*\), /\1 or /') # normal, color or mask
+known="$(echo $maps | sed 's/ /, /g') or transfer:NAME" # normal, color or transfer:NAME
 $bake $good --maps normal,hight
 refused 64 "$p --maps: \"hight\" is not $known"
 $bake $good --maps normal,
