@@ -109,6 +109,8 @@ int bsq_file_open(struct bsq_ctx *ctx, const char *path, struct bsq_file *out)
 int bsq_file_check(struct bsq_ctx *ctx, const struct bsq_file *file)
 {
     struct stat info;
+    if (file->identity.inode == 0) /* not an input */
+        return 0;
     if (fstat(file->fd, &info) != 0)
         return bsq_fail_errno(ctx, BSQ_EIO, errno, "%s", file->path);
     struct bsq_identity now = identity_of(&info);
@@ -166,7 +168,10 @@ int bsq_file_read(struct bsq_ctx *ctx, const struct bsq_file *file, void *buffer
 {
     uint64_t got;
     int status = bsq_file_read_some(ctx, file, buffer, size, offset, &got);
-    if (status == 0 && got < size)
+    if (status < 0 || got == size)
+        return status;
+    status = bsq_file_check(ctx, file);
+    if (status == 0)
         status =
             bsq_fail(ctx, BSQ_EDATA, "%s: truncated: %llu bytes expected at byte %llu, %llu there",
                      file->path, (unsigned long long)size, (unsigned long long)offset,

@@ -53,7 +53,8 @@ int bsq_file_open_as(struct bsq_ctx *ctx, const char *path, enum bsq_open how,
 /* Opens an input: bsq_file_open_as() with BSQ_OPEN_INPUT. */
 int bsq_file_open(struct bsq_ctx *ctx, const char *path, struct bsq_file *out);
 
-/* Returns BSQ_EIO if an input was written to since it was opened. Call it after the last read. */
+/* Returns BSQ_EIO if an input was written to since it was opened. Call it after the last read.
+ * Temporary files pass. */
 int bsq_file_check(struct bsq_ctx *ctx, const struct bsq_file *file);
 
 /* Creates an unnamed temporary file, which is gone when it is closed or the process ends. It lies
@@ -67,7 +68,8 @@ int bsq_file_duplicate(struct bsq_ctx *ctx, const struct bsq_file *file, struct 
 /* Closes and frees; a closed file is allowed. */
 void bsq_file_close(struct bsq_ctx *ctx, struct bsq_file *file);
 
-/* Reads exactly `size` bytes at `offset`; fewer in the file is BSQ_EDATA ("truncated"). */
+/* Reads exactly `size` bytes at `offset`. If the file ends before, this is BSQ_EDATA ("truncated"),
+ * or what bsq_file_check() returns for an input that shrank. */
 int bsq_file_read(struct bsq_ctx *ctx, const struct bsq_file *file, void *buffer, uint64_t size,
                   uint64_t offset);
 

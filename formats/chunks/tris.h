@@ -164,7 +164,7 @@ uint64_t fmt_tris_load_size_max(const struct fmt_tris_file *file);
 /* Reads and decodes a chunk into `scratch` (8-byte aligned); *out points into it. Checks what a
  * caller relies on: checksum, padding, indices, material numbers, and that positions are inside the
  * chunk's bounds and texture coordinates finite. Thread-safe for distinct scratch. Errors:
- * BSQ_EDATA, BSQ_EIO. */
+ * BSQ_EDATA; BSQ_EIO, also if the file was changed since it was opened. */
 int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratch,
                   struct fmt_tris_chunk *out);
 /* Checks all of FORMATS.md that fmt_tris_open() does not: loads each chunk and compares it with its

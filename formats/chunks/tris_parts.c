@@ -459,8 +459,6 @@ int fmt_tris_load_part(const struct fmt_tris_file *all, uint64_t index, void *sc
     int status = named ? bsq_file_open(all->ctx, part->file->file.path, &open.file) : 0;
     if (status == 0)
         status = fmt_tris_load(&open, index - part->first_chunk, scratch, out);
-    if (status == 0 && named)
-        status = bsq_file_check(all->ctx, &open.file);
     if (named)
         bsq_file_close(all->ctx, &open.file);
     if (status < 0)

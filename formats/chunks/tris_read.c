@@ -36,6 +36,15 @@ int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what)
     return bsq_fail(file->ctx, BSQ_EDATA, "%s: damaged chunk file: %s", file->file.path, what);
 }
 
+/* Reads bytes of the file as it was when it was opened. The checksum of a chunk is beside its
+ * bytes, so it cannot tell that another file took the place. */
+static int read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t bytes,
+                          uint64_t offset)
+{
+    int status = bsq_file_read(file->ctx, &file->file, to, bytes, offset);
+    return status == 0 ? bsq_file_check(file->ctx, &file->file) : status;
+}
+
 struct bsq_ctx *fmt_tris_context(const struct fmt_tris_file *file)
 {
     return file->ctx;
@@ -97,8 +106,7 @@ static int read_tail(struct fmt_tris_file *file, const struct tris_file_header *
     int status = bsq_alloc(file->ctx, "chunk table", bytes + 1, 1, &file->tail);
     if (status < 0)
         return status;
-    if ((status = bsq_file_read(file->ctx, &file->file, file->tail, bytes, h->materials_offset)) <
-        0)
+    if ((status = read_unchanged(file, file->tail, bytes, h->materials_offset)) < 0)
         return status;
     uint64_t materials_bytes = h->table_offset - h->materials_offset;
     if (XXH3_64bits(file->tail, materials_bytes) != h->materials_checksum)
@@ -592,7 +600,7 @@ int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratc
     struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);
     uint8_t *bytes = scratch;
     memset(out, 0, sizeof *out);
-    int status = bsq_file_read(file->ctx, &file->file, bytes, l.bytes, info->offset);
+    int status = read_unchanged(file, bytes, l.bytes, info->offset);
     if (status < 0)
         return status;
     struct tris_chunk_header header;

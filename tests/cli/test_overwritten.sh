@@ -1,7 +1,7 @@
 #!/bin/sh
-# test_overwritten.sh - grids that another process overwrites in place while a bake reads them: the
-# bake ends with exit code 74 and one line, or it was done before. No signal ends it. LONG=1 makes
-# many more rounds. tests/faults/ has the library that makes a bake wait.
+# test_overwritten.sh - grids and chunk files that another process overwrites in place while a bake
+# reads them: the bake ends with exit code 74 and one line, or it was done before. No signal ends
+# it. LONG=1 makes many more rounds. tests/faults/ has the library that makes a bake wait.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 SEED=${SEED:-$(date +%s)}
@@ -14,12 +14,15 @@ fi
 
 "$TESTS/generate-scan" -n 30000 --colors vase -o scan.obj
 "$TESTS/generate-scan" vase-low -o low.obj
-"$BIN/bisque-voxelize" scan.obj -o scan.nvdb --no-tris --resolution 250 >"$out" 2>"$err"
+"$BIN/bisque-voxelize" scan.obj -o scan.nvdb --resolution 250 >"$out" 2>"$err"
 "$BIN/bisque-voxelize" scan.obj -o other.nvdb --no-tris --resolution 260 >"$out" 2>"$err"
-command="two grids" code=0
-[ -s scan.nvdb ] && [ -s other.nvdb ]
-check "two grids" $?
-size=$(wc -c <scan.nvdb)
+# The same surface in another colour: its chunk file has the same layout.
+awk '$1 == "v" { $5 = 1 - $5 } { print }' scan.obj >other.obj
+"$BIN/bisque-voxelize" other.obj -o other.tris >"$out" 2>"$err"
+command="two grids and two chunk files" code=0
+[ -s scan.nvdb ] && [ -s other.nvdb ] && [ -s scan.tris ] && [ -s other.tris ]
+check "$command" $?
+live=live.nvdb size=$(wc -c <scan.nvdb)
 
 # random N: sets $random to a number from 0 to N - 1.
 random()
@@ -28,18 +31,19 @@ random()
     random=$(((SEED >> 8) % $1))
 }
 
-# damage KIND: overwrites live.nvdb in place, without changing its size.
+# damage KIND: overwrites $live in place, without changing its size except for cut.
 damage()
 {
     random $((size / 4096))
     place=$random
     case $1 in
-    all) head -c "$size" /dev/urandom | dd of=live.nvdb conv=notrunc bs=1M status=none iflag=fullblock ;;
-    ones) head -c "$size" /dev/zero | tr '\0' '\377' | dd of=live.nvdb conv=notrunc bs=1M status=none iflag=fullblock ;;
-    page) dd if=/dev/urandom of=live.nvdb conv=notrunc bs=4096 seek="$place" count=1 status=none ;;
-    other) head -c "$size" other.nvdb | dd of=live.nvdb conv=notrunc bs=1M status=none iflag=fullblock ;;
-    moved) tail -c +$((place * 4096 + 9)) scan.nvdb | head -c $((size - place * 4096 - 8)) |
-        dd of=live.nvdb conv=notrunc bs=1M seek=$((place * 4096)) oflag=seek_bytes iflag=fullblock status=none ;;
+    all) head -c "$size" /dev/urandom | dd of=$live conv=notrunc bs=1M status=none iflag=fullblock ;;
+    ones) head -c "$size" /dev/zero | tr '\0' '\377' | dd of=$live conv=notrunc bs=1M status=none iflag=fullblock ;;
+    cut) truncate -s $((size / 2)) $live ;;
+    page) dd if=/dev/urandom of=$live conv=notrunc bs=4096 seek="$place" count=1 status=none ;;
+    other) head -c "$size" "other.${live#live.}" | dd of=$live conv=notrunc bs=1M status=none iflag=fullblock ;;
+    moved) tail -c +$((place * 4096 + 9)) "scan.${live#live.}" | head -c $((size - place * 4096 - 8)) |
+        dd of=$live conv=notrunc bs=1M seek=$((place * 4096)) oflag=seek_bytes iflag=fullblock status=none ;;
     esac
 }
 
@@ -55,17 +59,17 @@ ended()
     check "ended with 0, 65 or 74: $command" $?
 }
 
-# held KIND OPTION...: overwrites the grid when the bake opens the low-poly mesh, which it does
-# after it has opened and checked the grid.
+# held KIND OPTION...: overwrites the scan when the bake opens the low-poly mesh, which it does
+# after it has opened and checked the scan.
 held()
 {
     kind=$1
     shift
     rm -f flag
-    cp scan.nvdb live.nvdb
-    command="bisque-bake $* of a grid overwritten with $kind, SEED=$SEED" code=0
+    cp "scan.${live#live.}" $live
+    command="bisque-bake $* of $live overwritten with $kind, SEED=$SEED" code=0
     LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$(pwd -P) FAULT_CALLS=open FAULT_PATH=/low.obj FAULT_AT=1 FAULT_DO=pause \
-        FAULT_FLAG=flag "$BIN/bisque-bake" live.nvdb low.obj --size 48 --maps normal,color -o 'a_<MAP>.exr' "$@" >"$out" 2>"$err" &
+        FAULT_FLAG=flag "$BIN/bisque-bake" $live low.obj --size 48 --maps normal,color -o 'a_<MAP>.exr' "$@" >"$out" 2>"$err" &
     tries=0
     while [ $tries -lt 500 ] && [ ! -e flag ]; do
         tries=$((tries + 1))
@@ -74,7 +78,7 @@ held()
     damage "$kind"
     rm flag
     wait $! || code=$?
-    [ "$code" -eq 74 ] && [ "$(cat "$err")" = "bisque-bake: live.nvdb: was changed while it was read" ]
+    [ "$code" -eq 74 ] && [ "$(cat "$err")" = "bisque-bake: $live: was changed while it was read" ]
     check "exit code 74: $command" $?
     [ -z "$(ls -A | grep '^\.*a_')" ]
     check "no map: $command" $?
@@ -107,6 +111,11 @@ else
         held all --device opencl
         LD_LIBRARY_PATH=$TESTS/fake held moved --device cuda --gpu-memory 2M
         LD_LIBRARY_PATH=$TESTS/fake held all --device cuda --gpu-memory 2M
+        live=live.tris size=$(wc -c <scan.tris)
+        for kind in all page other cut; do
+            held $kind
+        done
+        live=live.nvdb size=$(wc -c <scan.nvdb)
     done
 fi
 round=0

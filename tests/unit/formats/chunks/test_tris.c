@@ -3,11 +3,13 @@
 #include "formats/file_kind.h"
 #include "formats/chunks/tris.h"
 
+#include <fcntl.h>
 #include <inttypes.h>
 #include <setjmp.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <unistd.h>
 #include <xxhash.h>
 #include <cmocka.h>
@@ -381,6 +383,35 @@ static void every_truncated_length_is_found(void **state)
     free(bytes);
 }
 
+/* The same bytes are written again, and then half of them. Checksums do not tell the first. */
+static void a_file_that_changes_is_not_read(void **state)
+{
+    struct fixture *f = *state;
+    const struct timespec past[2] = {{1000, 0}, {1000, 0}};
+    struct fmt_tris_file *file;
+    struct fmt_tris_chunk chunk;
+    char expected[300];
+    void *scratch;
+    size_t size;
+    fill(f->samples[0], 15, 5, 7, 4);
+    write_sample_file(f, 15, 1);
+    assert_int_equal(utimensat(AT_FDCWD, f->path, past, 0), 0);
+    assert_int_equal(fmt_tris_open(f->ctx, f->path, &file), 0);
+    assert_int_equal(bsq_alloc(f->ctx, "chunk", 1, fmt_tris_load_size_max(file) + 8, &scratch), 0);
+    assert_int_equal(fmt_tris_load(file, 0, scratch, &chunk), 0);
+    uint8_t *bytes = read_bytes(f->path, &size);
+    for (int cut = 0; cut < 2; cut++) {
+        write_bytes(f->path, bytes, cut ? size / 2 : size);
+        bsq_clear_error(f->ctx);
+        assert_int_equal(fmt_tris_load(file, 0, scratch, &chunk), BSQ_EIO);
+        snprintf(expected, sizeof expected, "%s: was changed while it was read", f->path);
+        assert_string_equal(bsq_error(f->ctx), expected);
+    }
+    free(bytes);
+    bsq_free(f->ctx, scratch);
+    fmt_tris_close(file);
+}
+
 static void every_flipped_bit_is_found(void **state)
 {
     struct fixture *f = *state;
@@ -736,6 +767,7 @@ int main(void)
         TEST(a_file_without_chunks_is_valid),
         TEST(bytes_are_those_of_the_specification),
         TEST(every_truncated_length_is_found),
+        TEST(a_file_that_changes_is_not_read),
         TEST(every_flipped_bit_is_found),
         TEST(sizes_are_compared_with_the_file),
         TEST(padding_is_zero),
