@@ -474,7 +474,9 @@ without_hit 0.75 0 ': try a larger --front and --back, or --two-sided if the sca
 without_hit 0.75 0 ': try a larger --front and --back' --two-sided
 without_hit 1 5000000 '\(5000000 0 0\) to \(5000001 2 3\): are they in the same place and units\?'
 without_hit 1000 0 ': are they in the same place and units\?'
+without_hit 1000 0 ': are they in the same place and units\?' --max-missed 100
 rm away.obj
+files $start
 
 # ---- charts that overlap ----
 
