@@ -72,7 +72,7 @@ enum bake_sample_type {
                           PNG. */
     BAKE_UINT8,        /**< 8 bits, dithered. PNG only. */
     BAKE_UINT16,       /**< 16 bits. PNG only. */
-    BAKE_HALF,         /**< 16-bit floating point. OpenEXR only. */
+    BAKE_HALF,         /**< 16-bit floating point, limited to 65504. OpenEXR only. */
     BAKE_FLOAT         /**< 32-bit floating point. OpenEXR only. */
 };
 

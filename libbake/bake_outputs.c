@@ -98,14 +98,16 @@ static uint32_t thumbnail_side(const struct bake_run *job)
     return side;
 }
 
-static int write_tile(struct bake_run *job, struct bake_tile *tile, uint32_t side)
+static int write_tile(struct bake_run *job, struct bake_tile *tile, uint32_t side,
+                      uint64_t *limited)
 {
     const struct bake_traced traced = traced_of(job);
     int status = bake_tile_open_files(job->ctx, tile, &traced);
     if (status == 0 && job->preview_file)
         status = bake_tile_create_thumbnails(job->ctx, tile, side);
     if (status == 0)
-        status = bake_map_files_write(tile->files, tile->image, &job->measures, job->report);
+        status =
+            bake_map_files_write(tile->files, tile->image, &job->measures, limited, job->report);
     bake_image_free(tile->image);
     tile->image = NULL;
     return status;
@@ -126,9 +128,16 @@ static int measure_maps(struct bake_run *job)
 int bake_write_maps(struct bake_run *job)
 {
     const uint32_t side = thumbnail_side(job);
-    int status = measure_maps(job);
+    uint64_t *limited = NULL;
+    int status =
+        bsq_calloc(job->ctx, "maps", bake_selection_end(job->maps), sizeof *limited, &limited);
+    if (status == 0)
+        status = measure_maps(job);
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
-        status = write_tile(job, &job->tiles[i], side);
+        status = write_tile(job, &job->tiles[i], side, limited);
+    if (status == 0)
+        status = bake_warn_limited(job->ctx, job->options, job->maps, limited);
+    bsq_free(job->ctx, limited);
     return status;
 }
 

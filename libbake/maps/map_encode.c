@@ -63,6 +63,18 @@ void bake_encode_row(const struct bake_encoder *encoder, const float *const *sou
                          : encoder->encoding.background[c];
 }
 
+uint32_t bake_limit_to_half(float *samples, uint32_t count)
+{
+    static const float most = 65504.0f;
+    uint32_t beyond = 0;
+    for (uint32_t i = 0; i < count; ++i) {
+        const float v = samples[i];
+        beyond += v > most || v < -most;
+        samples[i] = v > most ? most : v < -most ? -most : v; /* NaN stays */
+    }
+    return beyond;
+}
+
 /* ---- attributes ---- */
 
 void bake_add_attribute(struct bake_attributes *attributes, const char *name, const char *value)

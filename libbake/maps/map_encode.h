@@ -21,6 +21,10 @@ void bake_encoder_init(const struct bake_encoding_facts *facts, uint32_t maps, u
 void bake_encode_row(const struct bake_encoder *encoder, const float *const *sources,
                      const float *texels, uint32_t channels, uint32_t width, float *out);
 
+/* Limits samples to the largest 16-bit float, 65504, and its negative. Returns the number of
+ * samples beyond them, which would become infinite in a file. */
+uint32_t bake_limit_to_half(float *samples, uint32_t count);
+
 /* Lists the attributes of a map's file. The list points to texts in *out. */
 void bake_describe_map(const struct bake_options *options, unsigned number,
                        const struct bake_traced *traced, struct bake_attributes *out);

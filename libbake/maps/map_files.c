@@ -2,10 +2,13 @@
  *
  * For each band, dilation.c finds every texel's source, all threads encode the rows of all maps,
  * and the image writers take the rows. All files get their final names together. */
+#include <inttypes.h>
+#include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "base/clock.h"
+#include "base/loss.h"
 #include "base/parallel.h"
 #include "libbake/maps/dilation.h"
 #include "libbake/maps/map_encode.h"
@@ -15,8 +18,9 @@ enum { BAND_STEP = 64 };
 
 struct map_file {
     unsigned number; /* of the map in the selection */
-    bool integers;
-    struct bake_encoder encoder; /* while writing */
+    bool integers, half;
+    atomic_uint_fast64_t limited; /* samples beyond the largest half */
+    struct bake_encoder encoder;  /* while writing */
     struct fmt_image_writer *writer;
     struct bake_thumbnail *thumbnail; /* NULL: none */
     float *rows;                      /* of the current band, encoded */
@@ -149,6 +153,7 @@ static int open_file(struct bsq_ctx *ctx, const struct bake_options *options, un
     if (status < 0)
         return status;
     file->integers = image.type == FMT_UINT8 || image.type == FMT_UINT16;
+    file->half = image.type == FMT_HALF;
     char *path = bake_path_of(options, number);
     if (!path)
         return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
@@ -257,9 +262,15 @@ static int encode_row(void *arg, uint64_t row, unsigned worker)
     const float *const *sources;
     const float *texels;
     bake_dilation_row(files->dilation, (uint32_t)row, worker, &sources, &texels);
-    for (uint32_t i = 0; i < files->count; ++i)
-        bake_encode_row(&files->files[i].encoder, sources, texels, files->image_channels,
-                        files->width, files->files[i].rows + row * row_samples(files, i));
+    for (uint32_t i = 0; i < files->count; ++i) {
+        struct map_file *file = &files->files[i];
+        float *samples = file->rows + row * row_samples(files, i);
+        bake_encode_row(&file->encoder, sources, texels, files->image_channels, files->width,
+                        samples);
+        const uint32_t beyond = file->half ? bake_limit_to_half(samples, row_samples(files, i)) : 0;
+        if (beyond > 0)
+            atomic_fetch_add_explicit(&file->limited, beyond, memory_order_relaxed);
+    }
     return 0;
 }
 
@@ -310,7 +321,8 @@ static int finish_files(struct bake_map_files *files)
 }
 
 int bake_map_files_write(struct bake_map_files *files, const struct bake_image *image,
-                         const struct bake_measures *measures, struct bake_report *report)
+                         const struct bake_measures *measures, uint64_t *limited,
+                         struct bake_report *report)
 {
     int status = choose_encodings(files, measures, report);
     if (status < 0)
@@ -345,10 +357,24 @@ int bake_map_files_write(struct bake_map_files *files, const struct bake_image *
     for (uint32_t i = 0; i < files->count; ++i) {
         bsq_free(files->ctx, files->files[i].rows);
         files->files[i].rows = NULL;
+        limited[files->files[i].number] += atomic_load(&files->files[i].limited);
     }
     if (status == 0)
         status = finish_files(files);
     report->seconds_write += bsq_seconds_now() - start;
+    return status;
+}
+
+int bake_warn_limited(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
+                      const uint64_t *limited)
+{
+    int status = 0;
+    for (unsigned i = 0; i < bake_selection_end(maps) && status == 0; ++i)
+        if (limited[i] > 0)
+            status = bsq_warn_loss(ctx,
+                                   "map %s: samples too large for 16 bits: %" PRIu64
+                                   "; they became 65504 or -65504: --float holds them",
+                                   bake_name_of(options, i), limited[i]);
     return status;
 }
 

@@ -295,9 +295,16 @@ void bake_map_files_set_thumbnail(struct bake_map_files *files, enum bake_map ma
 
 /* Dilates, encodes and writes all rows of the image. measures: of all images of the mesh. Sets
  * the report's encodings. Adds to the report's seconds_padding, seconds_resolve and seconds_write.
- */
+ * Samples of 16-bit floats are limited to what these can hold; limited: one number for each map of
+ * the selection, to which their counts are added. */
 int bake_map_files_write(struct bake_map_files *files, const struct bake_image *image,
-                         const struct bake_measures *measures, struct bake_report *report);
+                         const struct bake_measures *measures, uint64_t *limited,
+                         struct bake_report *report);
+
+/* Warns of each map with samples that were limited. limited: over all images of the mesh, from
+ * bake_map_files_write(). Errors: BSQ_EDATA in a strict job. */
+int bake_warn_limited(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
+                      const uint64_t *limited);
 
 /* Adds all complete files to a group of outputs; frees `files` in any case. */
 int bake_map_files_hand_over(struct bake_map_files *files, struct bsq_output_group *group);

@@ -568,6 +568,30 @@ code 0
 [ -s d/mask/n.exr ]
 check "maps are in their directories" $?
 rm -r d
+# Half-float samples stay finite. One warning holds for both tiles. The box is 300000 units high.
+for mesh in low two; do
+    awk '/^v / { for (i = 2; i < 5; i++) $i *= 100000 } { print }' $mesh.obj >huge_$mesh.obj
+done
+run bisque-voxelize huge_low.obj -o huge.tris
+code 0
+huge="$small huge.tris huge_two.obj --maps position,mask"
+$bake $huge --half -o 'huge_<MAP>.<UDIM>.exr'
+code 0
+[ "$(sed 's/bits: [1-9][0-9]*;/bits: N;/' "$err")" = "$p warning: map position: samples too large for 16 bits: N; \
+they became 65504 or -65504: --float holds them" ]
+check "one warning of large samples" $?
+$bake $huge --float -o 'float_<MAP>.<UDIM>.exr'
+code 0
+[ ! -s "$err" ]
+check "no warning of 32-bit samples" $?
+run bisque-compare --type data --max-error 234500 huge_position.1002.exr float_position.1002.exr
+code 0
+$bake $huge --half -o 'strict_<MAP>.<UDIM>.exr' --strict
+code 65
+err_like "^$p map position: samples too large for 16 bits: "
+[ ! -e strict_mask.1002.exr ]
+check "no map of a strict job" $?
+rm huge* float_*
 # The size of other tiles may be given before.
 $bake --list-tiles two.obj --json --size 16 --size 1012=64x32
 code 0

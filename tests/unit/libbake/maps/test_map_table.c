@@ -192,6 +192,18 @@ static void test_encodings_decode_to_the_values(void **state)
         }
 }
 
+static void test_samples_are_limited_to_halves(void **state)
+{
+    (void)state;
+    float samples[] = {0,        65504,     -65504, 65505, -65505,
+                       INFINITY, -INFINITY, 1e30f,  6e-8f, (float)NAN};
+    assert_int_equal(bake_limit_to_half(samples, 10), 5);
+    static const float expected[] = {0, 65504, -65504, 65504, -65504, 65504, -65504, 65504, 6e-8f};
+    for (int i = 0; i < 9; ++i)
+        assert_true(samples[i] == expected[i]);
+    assert_true(isnan(samples[9]));
+}
+
 /* Three sums each, after those of the rows; files have the channels of the name. */
 static void test_transfer_maps_follow_the_rows(void **state)
 {
@@ -253,6 +265,7 @@ int main(void)
         cmocka_unit_test(test_defaults_need_no_colours),
         cmocka_unit_test(test_all_maps_are_those_that_the_scan_gives),
         cmocka_unit_test(test_encodings_decode_to_the_values),
+        cmocka_unit_test(test_samples_are_limited_to_halves),
         cmocka_unit_test(test_transfer_maps_follow_the_rows),
         cmocka_unit_test(test_unknown_maps_are_refused),
     };
