@@ -8,6 +8,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <unistd.h>
 #include <cmocka.h>
 
@@ -97,15 +98,19 @@ static int use(struct fixture *f, uint32_t chunk, int32_t next)
     return status;
 }
 
-/* Damages the chunk in the file, so that reading it from now on fails. */
+/* Damages the chunk in the file, so that reading it from now on fails. The file keeps its times, so
+ * that reading other chunks does not. */
 static void damage(struct fixture *f, uint32_t chunk)
 {
     int fd = open(f->tris, O_RDWR);
+    struct stat info;
+    assert_int_equal(fstat(fd, &info), 0);
     off_t at = (off_t)fmt_tris_chunks(f->file)[chunk].offset + 20;
     uint8_t byte;
     assert_int_equal(pread(fd, &byte, 1, at), 1);
     byte ^= 1;
     assert_int_equal(pwrite(fd, &byte, 1, at), 1);
+    assert_int_equal(futimens(fd, (struct timespec[]){info.st_atim, info.st_mtim}), 0);
     close(fd);
 }
 
