@@ -262,41 +262,89 @@ int fmt_texture_sample(struct fmt_textures *textures, uint32_t image, float u, f
 
 /* ---- losses ---- */
 
-static int tell_broken(struct fmt_textures *textures, uint32_t image)
+/* Sets of textures that are told together, and the files whose texels were told. */
+struct losses {
+    struct fmt_textures *const *sets; /* entries may be NULL */
+    uint32_t count;
+    const char **told;
+    uint64_t told_count, told_capacity;
+};
+
+static bool was_told(const struct losses *losses, const char *path)
+{
+    bool told = false;
+    for (uint64_t i = 0; i < losses->told_count && !told; i++)
+        told = strcmp(losses->told[i], path) == 0;
+    return told;
+}
+
+static int tell_broken(struct losses *losses, struct fmt_textures *textures, uint32_t image)
 {
     const char *path;
     const uint64_t texels = textures->module->take_broken(textures->images, image, &path);
-    return texels == 0
-               ? 0
-               : bsq_warn_loss(textures->ctx,
-                               "%s: texels that are not finite: %" PRIu64 "; they count as 0", path,
-                               texels);
+    if (texels == 0 || was_told(losses, path))
+        return 0;
+    int status = bsq_grow(textures->ctx, "texture paths", losses->told_count + 1,
+                          sizeof *losses->told, &losses->told, &losses->told_capacity);
+    if (status < 0)
+        return status;
+    losses->told[losses->told_count++] = path;
+    return bsq_warn_loss(textures->ctx,
+                         "%s: texels that are not finite: %" PRIu64 "; they count as 0", path,
+                         texels);
 }
 
-static int tell_missing(struct fmt_textures *textures, struct tiles *tiles)
+/* tile: ALL_TILES for what lies outside of all tiles. */
+static atomic_uchar *missing_of(struct tiles *tiles, uint32_t tile)
+{
+    return tile < ALL_TILES ? &tiles->missing[tile] : &tiles->outside;
+}
+
+/* Marks a missing tile as told in all entries of this path. Returns whether it was told before. */
+static bool mark_told(const struct losses *losses, const char *path, uint32_t tile)
+{
+    bool before = false;
+    for (uint32_t s = 0; s < losses->count; s++)
+        for (uint64_t i = 0; losses->sets[s] && i < losses->sets[s]->tiles_count; i++) {
+            struct tiles *tiles = losses->sets[s]->tiles[i];
+            if (strcmp(tiles->path, path) != 0)
+                continue;
+            before = before || *missing_of(tiles, tile) == 2;
+            *missing_of(tiles, tile) = 2;
+        }
+    return before;
+}
+
+static int tell_missing(const struct losses *losses, struct bsq_ctx *ctx, struct tiles *tiles)
 {
     int status = 0;
-    for (uint32_t t = 0; t < ALL_TILES && status == 0; t++)
-        if (tiles->missing[t] == 1) {
-            tiles->missing[t] = 2;
+    for (uint32_t t = 0; t <= ALL_TILES && status == 0; t++)
+        if (*missing_of(tiles, t) == 1 && !mark_told(losses, tiles->path, t))
             status =
-                bsq_warn_loss(textures->ctx, "%s: tile %u does not exist: the scan is black there",
-                              tiles->path, 1001 + t);
-        }
-    if (status == 0 && tiles->outside == 1) {
-        tiles->outside = 2;
-        status = bsq_warn_loss(
-            textures->ctx, "%s: the scan is black where it lies outside of all tiles", tiles->path);
-    }
+                t < ALL_TILES
+                    ? bsq_warn_loss(ctx, "%s: tile %u does not exist: the scan is black there",
+                                    tiles->path, 1001 + t)
+                    : bsq_warn_loss(ctx, "%s: the scan is black where it lies outside of all tiles",
+                                    tiles->path);
     return status;
 }
 
-int fmt_textures_tell_losses(struct fmt_textures *textures)
+int fmt_textures_tell_losses(struct fmt_textures *const *sets, uint32_t count)
 {
+    struct losses losses = {.sets = sets, .count = count};
+    struct bsq_ctx *ctx = NULL;
     int status = 0;
-    for (uint32_t i = 0; i < textures->image_count && status == 0; i++)
-        status = tell_broken(textures, i);
-    for (uint64_t i = 0; i < textures->tiles_count && status == 0; i++)
-        status = tell_missing(textures, textures->tiles[i]);
+    for (uint32_t s = 0; s < count; s++) {
+        struct fmt_textures *textures = sets[s];
+        if (!textures)
+            continue;
+        ctx = textures->ctx;
+        for (uint32_t i = 0; i < textures->image_count && status == 0; i++)
+            status = tell_broken(&losses, textures, i);
+        for (uint64_t i = 0; i < textures->tiles_count && status == 0; i++)
+            status = tell_missing(&losses, ctx, textures->tiles[i]);
+    }
+    if (losses.told)
+        bsq_free(ctx, losses.told);
     return status;
 }

@@ -35,8 +35,10 @@ int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sour
 void fmt_textures_close(struct fmt_textures *textures); /* NULL is allowed */
 
 /* Warns of files with texels that are not finite, and of tiles without a file that lookups have
- * asked for, each once. Must not be called during lookups. Errors: BSQ_EDATA in a strict job. */
-int fmt_textures_tell_losses(struct fmt_textures *textures);
+ * asked for, each once, also if a file is in several of the sets. sets: all textures of a scan;
+ * entries may be NULL. Must not be called during lookups. Errors: BSQ_EDATA in a strict job,
+ * BSQ_ENOMEM. */
+int fmt_textures_tell_losses(struct fmt_textures *const *sets, uint32_t count);
 
 /* Returns whether an image has an alpha channel; of one in tiles, whether any tile has. */
 bool fmt_texture_has_alpha(const struct fmt_textures *textures, uint32_t image);

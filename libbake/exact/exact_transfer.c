@@ -107,12 +107,9 @@ void bake_exact_transfers_free(struct bake_exact *exact)
 
 int bake_exact_tell_losses(struct bake_exact *exact)
 {
-    int status = exact->textures ? fmt_textures_tell_losses(exact->textures) : 0;
-    if (status == 0 && exact->normal_map.textures)
-        status = fmt_textures_tell_losses(exact->normal_map.textures);
-    if (status == 0 && exact->transfers.textures)
-        status = fmt_textures_tell_losses(exact->transfers.textures);
-    return status;
+    struct fmt_textures *const sets[] = {exact->textures, exact->normal_map.textures,
+                                         exact->transfers.textures};
+    return fmt_textures_tell_losses(sets, sizeof sets / sizeof *sets);
 }
 
 int bake_exact_sample(struct fmt_textures *textures, uint32_t image,

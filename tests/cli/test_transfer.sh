@@ -258,6 +258,24 @@ $bake udim3.tris low.obj --maps color -o udim3.png --strict
 code 65
 grep -q "$told" "$err"
 check "and refused by a strict job" $?
+$vox udim3.obj --channels 'emission=udim.<UDIM>.png,a=udim.<UDIM>.png' -o udim3.nvdb
+code 0
+[ "$(cat "$err")" = "bisque-voxelize: warning: $(pwd -P)/$told" ]
+check "also if it is missing for colours and for channels" $?
+# A texture whose first texel is not finite, for colours and for two channels.
+{
+    printf 'PF\n16 16\n-1.0\n\0\0\300\177'
+    head -c 3068 /dev/zero
+} >broken.pfm
+broken='broken.pfm: texels that are not finite: 1; they count as 0'
+$vox plane.obj --texture broken.pfm --channels emission=broken.pfm,a=broken.pfm -o broken.nvdb
+code 0
+[ "$(cat "$err")" = "bisque-voxelize: warning: $(pwd -P)/$broken" ]
+check "a damaged texture is told once" $?
+$bake broken.tris low.obj --maps color,transfer:emission,transfer:a -o 'broken_<MAP>.exr'
+code 0
+[ "$(cat "$err")" = "bisque-bake: warning: $(pwd -P)/$broken" ]
+check "also by a bake" $?
 $vox udim2.obj --texture 'none.<UDIM>.png' -o x.nvdb
 code 66
 err_like 'none.<UDIM>.png: no tile of this texture exists'

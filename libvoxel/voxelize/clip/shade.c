@@ -69,12 +69,9 @@ int vox_shading_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
 
 int vox_shading_tell_losses(const struct vox_shading *shading)
 {
-    int status = shading->textures ? fmt_textures_tell_losses(shading->textures) : 0;
-    if (status == 0 && shading->normal_map.textures)
-        status = fmt_textures_tell_losses(shading->normal_map.textures);
-    return status == 0 && shading->channels.textures
-               ? fmt_textures_tell_losses(shading->channels.textures)
-               : status;
+    struct fmt_textures *const sets[] = {shading->textures, shading->normal_map.textures,
+                                         shading->channels.textures};
+    return fmt_textures_tell_losses(sets, sizeof sets / sizeof *sets);
 }
 
 void vox_shading_free(struct bsq_ctx *ctx, struct vox_shading *shading)
