@@ -107,9 +107,9 @@ void bake_exact_transfers_free(struct bake_exact *exact)
 
 int bake_exact_tell_losses(struct bake_exact *exact)
 {
-    struct fmt_textures *const sets[] = {exact->textures, exact->normal_map.textures,
-                                         exact->transfers.textures};
-    return fmt_textures_tell_losses(sets, sizeof sets / sizeof *sets);
+    struct fmt_textures *const sets[3] = {exact->textures, exact->normal_map.textures,
+                                          exact->transfers.textures};
+    return fmt_textures_tell_losses(sets, 3);
 }
 
 int bake_exact_sample(struct fmt_textures *textures, uint32_t image,

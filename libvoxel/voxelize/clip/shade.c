@@ -69,9 +69,9 @@ int vox_shading_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
 
 int vox_shading_tell_losses(const struct vox_shading *shading)
 {
-    struct fmt_textures *const sets[] = {shading->textures, shading->normal_map.textures,
-                                         shading->channels.textures};
-    return fmt_textures_tell_losses(sets, sizeof sets / sizeof *sets);
+    struct fmt_textures *const sets[3] = {shading->textures, shading->normal_map.textures,
+                                          shading->channels.textures};
+    return fmt_textures_tell_losses(sets, 3);
 }
 
 void vox_shading_free(struct bsq_ctx *ctx, struct vox_shading *shading)
