@@ -1,5 +1,5 @@
-/* eights.h - vectors of eight floats for any instruction set, where the number of values does not
- * follow from the processor: the children of a tree's node. */
+/* eights.h - vectors of eight floats for any instruction set, for code whose width is fixed: a node
+ * of a tree has eight children. */
 #ifndef BSQ_SIMD_EIGHTS_H
 #define BSQ_SIMD_EIGHTS_H
 
@@ -9,12 +9,16 @@
 
 /* Without AVX, compilers warn that functions with such arguments have another calling convention;
  * these are always inlined. */
-#ifdef __GNUC__
+#pragma GCC diagnostic push
 #pragma GCC diagnostic ignored "-Wpsabi"
-#endif
 
 typedef float eights __attribute__((vector_size(32)));
 typedef int32_t eight_ints __attribute__((vector_size(32)));
+
+LANES_INLINE eights eights_splat(float f)
+{
+    return f - (eights){0};
+}
 
 /* Converts eight bytes. */
 LANES_INLINE eights eights_of_bytes(const uint8_t bytes[8])
@@ -65,8 +69,8 @@ LANES_INLINE uint32_t eights_not_above(eights a, eights b)
 #endif
 }
 
-/* Stores base + i for each bit i that is set, in ascending order. Writes eight values, whatever the
- * bits. */
+/* Stores base + i for each bit i that is set, in ascending order. May write all eight values; those
+ * after the stored ones are arbitrary. */
 LANES_INLINE void eights_store_set(uint32_t bits, uint32_t base, uint32_t to[8])
 {
 #if defined __AVX512VL__ && defined __AVX512F__
@@ -87,5 +91,7 @@ LANES_INLINE void eights_store_set(uint32_t bits, uint32_t base, uint32_t to[8])
     }
 #endif
 }
+
+#pragma GCC diagnostic pop
 
 #endif

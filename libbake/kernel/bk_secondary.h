@@ -177,7 +177,7 @@ BK_FN void bk_enter_blocks(const bk_grid *grid, bk_cache caches[BK_WIDTH], bk_ui
 }
 
 /* Tests the records of the occupied voxels that lanes are in from t to t_out. Returns the lanes
- * whose run has ended: no sheet there faces the right way. */
+ * whose run has ended, for bk_end_run(): no sheet there faces the right way. */
 BK_FN bk_mask bk_meet_records(const bk_grid *grid, bk_cache *cache, const bk_ray *ray,
                               bk_walk *walk, bk_uint occupied, const bk_ulong values[BK_WIDTH],
                               const bk_place *place, bk_fw t, bk_fw t_out)
@@ -234,10 +234,10 @@ BK_FN bk_uint bk_begin_walk(const bk_params *params, const bk_ray *ray, bk_walk 
     return bk_bits(walked);
 }
 
-/* Returns the layer of an axis in which rays are when they cross a border of another axis at
- * t_event. Rays were in layer `from` before, and have since crossed the borders of this axis that
- * come before t_event and, in the lanes of `ties`, at it. up: see bk_upwards(). A floating-point
- * position at t_event can be in the next layer already, so the borders decide. */
+/* Returns the layer of an axis in which rays are at t_event, when they cross a border of another
+ * axis. They were in layer `from` before. Borders of this axis are crossed if their t is smaller
+ * and, in the lanes of `ties`, if it is equal. up: of bk_upwards(). The position at t_event may be
+ * rounded into the next layer, so the borders decide. */
 BK_FN bk_iw bk_layer_at(bk_iw from, bk_iw up, bk_mask ties, bk_fw start, bk_fw direction,
                         bk_fw inverse, bk_fw t_event, bk_iw base)
 {
@@ -256,7 +256,7 @@ BK_FN bk_iw bk_layer_at(bk_iw from, bk_iw up, bk_mask ties, bk_fw start, bk_fw d
     return bk_selecti(up != 0, from + steps, from - steps);
 }
 
-/* Returns bk_layer_at() after a step from an aligned block; mask = side - 1. */
+/* Returns bk_layer_at(), clamped to the aligned block around v; mask = side - 1. */
 BK_FN bk_iw bk_layer_in(bk_iw v, bk_iw mask, bk_iw up, bk_mask ties, bk_fw start, bk_fw direction,
                         bk_fw inverse, bk_fw t_event, bk_iw base)
 {

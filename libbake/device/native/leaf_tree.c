@@ -5,11 +5,13 @@
  * single leaves. Boxes are then made from the last node up, since children follow their parents. */
 #include "libbake/device/native/leaf_tree.h"
 
+#include <assert.h>
 #include <stdbool.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "base/context.h"
+#include "libbake/device/job/job.h"
 
 /* A leaf of the grid. */
 struct leaf {
@@ -22,13 +24,13 @@ struct range {
     uint64_t begin, end;
 };
 
-/* A node of 16^3 leaves of the grid. */
-struct block {
+/* A lower node of the grid: 16^3 leaves. */
+struct lower_node {
     int32_t corner[3];
     uint32_t lower;
 };
 
-/* What a node's borders hold until its boxes are made. */
+/* The state of a node while the tree is built, in its borders until make_boxes() fills these. */
 struct pending {
     struct range range; /* its leaves */
     uint32_t children;
@@ -36,17 +38,14 @@ struct pending {
 _Static_assert(sizeof(struct pending) <= sizeof((struct bake_tree_node *)0)->borders,
                "borders hold what is pending");
 
-/* Nodes, and nodes of 16^3 leaves, from one check for an interruption to the next. */
-enum { CHECKED = 4096, CHECKED_BLOCKS = 64 };
-_Static_assert(sizeof(struct pending) <= sizeof((struct bake_tree_node *)0)->borders,
-               "borders hold what is pending");
-
+/* Nodes, and lower nodes of the grid, that are handled between checks for an interruption. */
+enum { CHECKED = 4096, CHECKED_LOWERS = 64 };
 struct builder {
     struct bsq_ctx *ctx;
     const struct bk_grid *grid;
     uint64_t limit; /* bytes */
-    struct block *blocks;
-    uint64_t block_count;
+    struct lower_node *lowers;
+    uint64_t lower_count;
     struct leaf *leaves;
     uint64_t leaf_count;
     struct bake_tree *tree;
@@ -56,9 +55,10 @@ struct box {
     int32_t low[3], high[3]; /* borders */
 };
 
-/* Compares corners by Morton order: the axis with the highest differing bit decides, the first one
- * of those alike (Chan, "A minimalist's implementation of an approximate nearest neighbor
- * algorithm", 2006). Returns that axis; *bits: what differs on it. */
+/* Returns the axis with the highest bit in which two corners differ; the first one if several
+ * differ in that bit. It decides their Morton order (Chan, "A minimalist's implementation of an
+ * approximate nearest neighbor algorithm", 2006). *bits: the XOR of the coordinates on that axis.
+ */
 static int first_axis(const int32_t a[3], const int32_t b[3], uint32_t *bits)
 {
     int axis = 0;
@@ -75,8 +75,8 @@ static int first_axis(const int32_t a[3], const int32_t b[3], uint32_t *bits)
 
 static int by_morton_order(const void *left, const void *right)
 {
-    const int32_t *a = ((const struct block *)left)->corner;
-    const int32_t *b = ((const struct block *)right)->corner;
+    const int32_t *a = ((const struct lower_node *)left)->corner;
+    const int32_t *b = ((const struct lower_node *)right)->corner;
     uint32_t bits;
     const int axis = first_axis(a, b, &bits);
     return (a[axis] > b[axis]) - (a[axis] < b[axis]);
@@ -85,7 +85,7 @@ static int by_morton_order(const void *left, const void *right)
 /* ---- the list of leaves ---- */
 
 /* Appends the lower nodes of an upper node. */
-static void add_blocks(struct builder *builder, uint32_t upper, const int32_t corner[3])
+static void add_lowers(struct builder *builder, uint32_t upper, const int32_t corner[3])
 {
     const struct bk_grid *grid = builder->grid;
     const uint64_t node = (uint64_t)upper * BK_UPPER_WORDS;
@@ -95,13 +95,15 @@ static void add_blocks(struct builder *builder, uint32_t upper, const int32_t co
         const uint64_t child =
             node * 8 + grid->uppers[node + BK_UPPER_TABLE + n] - grid->lower_offset;
         const uint64_t lower = child / (BK_LOWER_WORDS * 8u);
-        if (lower >= grid->lower_count || builder->block_count == grid->lower_count)
+        if (builder->lower_count == grid->lower_count)
+            return; /* the file is damaged */
+        if (lower >= grid->lower_count)
             continue;
-        builder->blocks[builder->block_count++] =
-            (struct block){.corner = {corner[0] + (int32_t)(n >> 10 << BK_LOWER_LOG2),
-                                      corner[1] + (int32_t)((n >> 5 & 31) << BK_LOWER_LOG2),
-                                      corner[2] + (int32_t)((n & 31) << BK_LOWER_LOG2)},
-                           .lower = (uint32_t)lower};
+        builder->lowers[builder->lower_count++] =
+            (struct lower_node){.corner = {corner[0] + (int32_t)(n >> 10 << BK_LOWER_LOG2),
+                                           corner[1] + (int32_t)((n >> 5 & 31) << BK_LOWER_LOG2),
+                                           corner[2] + (int32_t)((n & 31) << BK_LOWER_LOG2)},
+                                .lower = (uint32_t)lower};
     }
 }
 
@@ -111,18 +113,28 @@ static int32_t key_corner(uint64_t key)
     return (int32_t)((uint32_t)(key & 0x1fffff) << BK_UPPER_LOG2);
 }
 
-static void list_blocks(struct builder *builder)
+/* Returns whether a coordinate is one of a grid that can be traced. Others are in damaged files. */
+static bool is_index(int32_t v)
+{
+    return v >= -BAKE_INDEX_LIMIT && v < BAKE_INDEX_LIMIT;
+}
+
+static int list_lowers(struct builder *builder)
 {
     const struct bk_grid *grid = builder->grid;
     for (uint32_t i = 0; i < grid->tile_count; i++) {
+        int status = i % CHECKED_LOWERS ? 0 : bsq_check(builder->ctx);
+        if (status < 0)
+            return status;
         const uint64_t *tile = &grid->tiles[(uint64_t)i * BK_TILE_WORDS];
         const uint64_t key = tile[0];
         const int32_t corner[3] = {key_corner(key >> 42), key_corner(key >> 21), key_corner(key)};
         const uint32_t upper = bk_find_upper(grid, corner[0], corner[1], corner[2]);
-        if (upper != BK_NONE)
-            add_blocks(builder, upper, corner);
+        if (upper != BK_NONE && is_index(corner[0]) && is_index(corner[1]) && is_index(corner[2]))
+            add_lowers(builder, upper, corner);
     }
-    qsort(builder->blocks, builder->block_count, sizeof *builder->blocks, by_morton_order);
+    qsort(builder->lowers, builder->lower_count, sizeof *builder->lowers, by_morton_order);
+    return 0;
 }
 
 /* Returns every third of the lowest twelve bits. */
@@ -134,14 +146,14 @@ static uint32_t third_bits(uint32_t code)
 static int list_leaves(struct builder *builder)
 {
     const struct bk_grid *grid = builder->grid;
-    for (uint64_t b = 0; b < builder->block_count; b++) {
-        const struct block *block = &builder->blocks[b];
-        int status = b % CHECKED_BLOCKS ? 0 : bsq_check(builder->ctx);
+    for (uint64_t b = 0; b < builder->lower_count; b++) {
+        const struct lower_node *lower = &builder->lowers[b];
+        int status = b % CHECKED_LOWERS ? 0 : bsq_check(builder->ctx);
         if (status < 0)
             return status;
-        if (b > 0 && by_morton_order(block - 1, block) == 0)
+        if (b > 0 && by_morton_order(lower - 1, lower) == 0)
             continue; /* the file is damaged */
-        const uint64_t node = (uint64_t)block->lower * BK_LOWER_WORDS;
+        const uint64_t node = (uint64_t)lower->lower * BK_LOWER_WORDS;
         for (uint32_t code = 0; code < 1u << 12; code++) {
             const uint32_t x = third_bits(code >> 2), y = third_bits(code >> 1);
             const uint32_t z = third_bits(code), n = x << 8 | y << 4 | z;
@@ -150,12 +162,14 @@ static int list_leaves(struct builder *builder)
             const uint64_t child =
                 node * 8 + grid->lowers[node + BK_LOWER_TABLE + n] - grid->leaf_offset;
             const uint64_t leaf = child / (BK_LEAF_WORDS * 8u);
-            if (leaf >= grid->leaf_count || builder->leaf_count == grid->leaf_count)
+            if (builder->leaf_count == grid->leaf_count)
+                return 0; /* the file is damaged */
+            if (leaf >= grid->leaf_count)
                 continue;
             builder->leaves[builder->leaf_count++] =
-                (struct leaf){.corner = {block->corner[0] + (int32_t)(x << BK_LEAF_LOG2),
-                                         block->corner[1] + (int32_t)(y << BK_LEAF_LOG2),
-                                         block->corner[2] + (int32_t)(z << BK_LEAF_LOG2)},
+                (struct leaf){.corner = {lower->corner[0] + (int32_t)(x << BK_LEAF_LOG2),
+                                         lower->corner[1] + (int32_t)(y << BK_LEAF_LOG2),
+                                         lower->corner[2] + (int32_t)(z << BK_LEAF_LOG2)},
                               .number = (uint32_t)leaf};
         }
     }
@@ -164,8 +178,9 @@ static int list_leaves(struct builder *builder)
 
 /* ---- nodes ---- */
 
-/* Returns the level of the highest bit in which the leaves of a range differ: three a bit, those of
- * the first axis highest; 0 for a single leaf. *middle: the first leaf that has it set. */
+/* Returns the level at which a range of leaves splits: 3 * bit + 3 - axis of the highest bit in
+ * which the first leaf and the last differ; 0 for a single leaf. *middle: the index of the first
+ * leaf whose bit is that of the last. */
 static uint32_t split(const struct builder *builder, const struct range *range, uint64_t *middle)
 {
     const struct leaf *leaves = builder->leaves;
@@ -213,13 +228,14 @@ static uint32_t divide(const struct builder *builder, struct range parts[BAKE_TR
     return count;
 }
 
-/* Makes room for more nodes. *fits: whether they are within the limit. */
+/* Reserves capacity for more nodes. *fits: whether they are within the limit; bsq_grow() takes up
+ * to a half more. */
 static int reserve(struct builder *builder, uint64_t nodes, bool *fits)
 {
     struct bake_tree *tree = builder->tree;
     const uint64_t needed = tree->count + nodes;
 
-    *fits = needed <= BAKE_TREE_MOST && needed <= builder->limit / sizeof *tree->nodes;
+    *fits = needed <= BAKE_TREE_MOST && needed + needed / 2 <= builder->limit / sizeof *tree->nodes;
     return *fits ? bsq_grow(builder->ctx, "tree of leaves", needed, sizeof *tree->nodes,
                             &tree->nodes, &tree->capacity)
                  : 0;
@@ -329,7 +345,7 @@ static struct box node_box(const struct bake_tree_node *node)
     return box;
 }
 
-/* Makes the boxes of a node's children from theirs. */
+/* Stores the boxes of a node's children in its borders. */
 static void make_boxes(const struct bake_tree *tree, struct bake_tree_node *node)
 {
     const uint32_t children = get_pending(node).children;
@@ -353,10 +369,11 @@ static void make_boxes(const struct bake_tree *tree, struct bake_tree_node *node
                 some ? (uint8_t)((boxes[i].high[axis] - corner + up) >> shift) : 0;
         }
     }
+    assert(shift <= 14);
     node->corner[0] |= (int32_t)(shift / 2);
 }
 
-/* Makes the root and all below it. */
+/* Makes the root and all its descendants. */
 static int add_nodes(struct builder *builder, bool *fits)
 {
     struct bake_tree *tree = builder->tree;
@@ -388,10 +405,10 @@ static int add_nodes(struct builder *builder, bool *fits)
 static bool is_narrow(const struct builder *builder)
 {
     struct box box = no_box;
-    for (uint64_t i = 0; i < builder->block_count; i++) {
+    for (uint64_t i = 0; i < builder->lower_count; i++) {
         struct box block;
         for (int axis = 0; axis < 3; axis++) {
-            block.low[axis] = builder->blocks[i].corner[axis];
+            block.low[axis] = builder->lowers[i].corner[axis];
             block.high[axis] = block.low[axis] + (1 << BK_LOWER_LOG2);
         }
         join(&box, &block);
@@ -406,7 +423,7 @@ int bake_tree_build(struct bsq_ctx *ctx, const struct bk_grid *grid, uint64_t li
                     struct bake_tree *tree)
 {
     const uint64_t lists =
-        grid->leaf_count * sizeof(struct leaf) + grid->lower_count * sizeof(struct block);
+        grid->leaf_count * sizeof(struct leaf) + grid->lower_count * sizeof(struct lower_node);
     struct builder builder = {.ctx = ctx, .grid = grid, .tree = tree};
     bool fits = lists < limit / 2;
     int status = 0;
@@ -415,22 +432,23 @@ int bake_tree_build(struct bsq_ctx *ctx, const struct bk_grid *grid, uint64_t li
     if (!fits || grid->leaf_count == 0 || grid->lower_count == 0)
         return 0;
     builder.limit = limit - lists;
-    status = bsq_alloc(ctx, "blocks of leaves", grid->lower_count, sizeof *builder.blocks,
-                       &builder.blocks);
+    status =
+        bsq_alloc(ctx, "lower nodes", grid->lower_count, sizeof *builder.lowers, &builder.lowers);
     if (status == 0)
         status =
             bsq_alloc(ctx, "leaves", grid->leaf_count, sizeof *builder.leaves, &builder.leaves);
     if (status < 0)
         goto done;
-    list_blocks(&builder);
-    status = list_leaves(&builder);
+    status = list_lowers(&builder);
+    if (status == 0)
+        status = list_leaves(&builder);
     if (status < 0)
         goto done;
     fits = builder.leaf_count > 0 && is_narrow(&builder);
     if (fits)
         status = add_nodes(&builder, &fits);
 done:
-    bsq_free(ctx, builder.blocks);
+    bsq_free(ctx, builder.lowers);
     bsq_free(ctx, builder.leaves);
     if (status < 0 || !fits)
         bake_tree_free(ctx, tree);

@@ -1,11 +1,11 @@
 /* leaf_tree.h - a tree of boxes around the voxels of a grid, for rays from hits.
  *
- * A node has up to eight children, whose boxes are as tight as the active voxels in them. Boxes are
- * stored as eight-bit steps from the node's corner, and rounded outwards (Ylitie, Karras and Laine,
- * "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", 2017). The lowest
- * nodes are the leaves of the grid; their children are the eight blocks of 4^3 voxels. Those of
- * other nodes are nodes: parts of the Morton order of leaves, split at the highest bits. They
- * follow each other in the array. */
+ * A node has up to eight children. Their boxes are stored as eight-bit steps from the node's corner
+ * (Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide
+ * BVHs", 2017). The lowest nodes are the leaves of the grid. Their children are the eight blocks of
+ * 4^3 voxels, whose boxes fit the active voxels exactly. The children of any other node are nodes,
+ * each of which covers a range of the leaves in Morton order; their boxes are rounded outwards.
+ * Siblings are adjacent in the array. */
 #ifndef BAKE_DEVICE_NATIVE_LEAF_TREE_H
 #define BAKE_DEVICE_NATIVE_LEAF_TREE_H
 
@@ -17,9 +17,10 @@ struct bsq_ctx;
 
 enum { BAKE_TREE_WIDTH = 8 };
 
-/* Grids that are wider than this many voxels have no tree: boxes must be exact in float. */
-#define BAKE_TREE_EXTENT (1 << 23)
-/* Nodes, at most: a word numbers their children. */
+/* Grids that are wider than this many voxels have no tree. Borders are at most 255 steps of 2^14
+ * voxels from a node's corner, and must be exact in float. */
+#define BAKE_TREE_EXTENT (1 << 21)
+/* Nodes, at most, so that node * BAKE_TREE_WIDTH + child fits in 32 bits. */
 #define BAKE_TREE_MOST (UINT32_MAX / BAKE_TREE_WIDTH)
 
 struct bake_tree_node {
@@ -43,12 +44,12 @@ struct bake_tree {
 
 /* Builds the tree of a grid. Without leaves, or if the grid is too wide or the tree would need more
  * than `limit` bytes, there is none: tree->nodes stays NULL. The caller frees it. Errors:
- * BSQ_EINTR. */
+ * BSQ_EINTR, BSQ_ENOMEM. */
 int bake_tree_build(struct bsq_ctx *ctx, const struct bk_grid *grid, uint64_t limit,
                     struct bake_tree *tree);
 void bake_tree_free(struct bsq_ctx *ctx, struct bake_tree *tree);
 
-/* Returns log2 of the voxels that a step of a node's borders is, an even number. */
+/* Returns log2 of a step of a node's borders in voxels: an even number, at most 14. */
 static inline uint32_t bake_tree_shift(const struct bake_tree_node *node)
 {
     return 2 * ((uint32_t)node->corner[0] & 7);

@@ -9,7 +9,7 @@
 
 enum { PAIRS_PER_BAND = 1 << 18 };
 
-/* The part of the budget that is left which the tree of leaves may take. */
+/* The tree of leaves may take 1 / TREE_PART of the budget that is left. */
 enum { TREE_PART = 4 };
 
 struct native {

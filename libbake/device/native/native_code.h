@@ -13,15 +13,15 @@ enum { BAKE_NATIVE_SQUARE = 8 };
 struct bake_tree;
 struct bake_tree_stream;
 
-/* What rays from hits need to go through the tree of leaves; all NULL: they go through the grid's
- * nodes, and find the same. */
+/* What rays from hits need to go through the tree of leaves; all NULL: they walk through
+ * the grid's nodes, with equal results. */
 struct bake_native_memory {
     const struct bake_tree *tree;
     struct bake_tree_stream *stream;
     float *results; /* of the rays of BAKE_NATIVE_HITS hits */
 };
 
-enum { BAKE_NATIVE_HITS = 16 }; /* as many as any instruction set has lanes */
+enum { BAKE_NATIVE_HITS = 16 }; /* the largest BK_WIDTH of any instruction set */
 
 /* Traces a tile on the calling thread: sample_triangles in, width * height texels of
  * bk_texel_floats(params->maps) floats out. The texels do not depend on `memory`. */

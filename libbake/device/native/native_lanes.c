@@ -7,6 +7,8 @@
 #include "libbake/device/native/tree_rays.h"
 #include "libbake/kernel/bk_sample.h"
 
+_Static_assert(BK_WIDTH <= BAKE_NATIVE_HITS, "the hits of a group have results");
+
 struct group {
     const struct bk_grid *grid;
     const struct bk_params *params;

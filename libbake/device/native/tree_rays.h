@@ -9,29 +9,33 @@
 
 enum {
     BAKE_TREE_POINT_RAYS = 64, /* rays of a point that go through the upper nodes together */
-    BAKE_TREE_RAYS = 512,      /* whose lists are finished together */
-    BAKE_TREE_AT_ONCE = 16,    /* pairs of rays and nodes that are read together */
-    /* Of the tree, at most: each level splits at another bit of the 20 that BAKE_TREE_EXTENT leaves
-     * to the corners of leaves on each axis. */
-    BAKE_TREE_DEPTH = 64,
-    BAKE_TREE_NODES = 2048 + 2 * BAKE_TREE_DEPTH * BAKE_TREE_AT_ONCE * BAKE_TREE_WIDTH,
+    BAKE_TREE_RAYS = 512,      /* in a stream */
+    BAKE_TREE_AT_ONCE =
+        16, /* pairs of rays and nodes that are taken together, and whose nodes are prefetched */
+    /* Of the tree, at most: each level splits at another bit of those that differ between the
+     * corners of leaves, at most 19 an axis with BAKE_TREE_EXTENT, and a leaf is a level. */
+    BAKE_TREE_DEPTH = 58,
+    /* Of each level at most three groups of pairs wait: two that are taken in turns, and one that a
+     * shallower group has covered. */
+    BAKE_TREE_NODES = 1024 + 3 * BAKE_TREE_DEPTH * BAKE_TREE_AT_ONCE * BAKE_TREE_WIDTH,
     BAKE_TREE_BLOCKS = 1024,
-    BAKE_TREE_TESTED = 256, /* pairs of rays and blocks that are tested early */
+    BAKE_TREE_TESTED = 256, /* blocks are tested as soon as this many pairs wait */
     BAKE_TREE_VOXELS = 256
 };
 
-/* A ray on its way, see bk_ray and bk_walk. Each array has three values. */
+/* A ray on its way, see bk_ray and bk_walk. Each array has three values, and a
+ * fourth that is not used. */
 struct bake_tree_ray {
     float inverse[4], start[4];
     int32_t base[4];
     float error[4]; /* of a border's t for each voxel of distance: eight times that of rounding */
     float direction[4];
     int32_t first[4];        /* voxel in which the walk begins */
-    int32_t near[4], far[4]; /* places of a node's borders that the ray meets first and last */
+    int32_t near[4], far[4]; /* byte offsets of the borders that the ray meets first and last */
     float t_begin, t_end;
-    float t_before; /* voxels are entered before it: t_end, or only the first voxel is entered */
-    /* Voxels that are entered later do not count: at t_stop, those entered across a border of
-     * stop_axis or a higher axis. t_last: the same for boxes. */
+    float t_before; /* voxels are entered before it: t_end; far below 0 if only the first one is */
+    /* How the voxel of the nearest hit is entered: at t_stop, across a border of stop_axis. Voxels
+     * that are entered later, by t and then by axis, do not count, and boxes after t_last. */
     float t_stop, t_last;
     int32_t stop_axis;
     float side; /* of the point */
@@ -52,8 +56,8 @@ struct bake_tree_stream {
 };
 
 /* Traces the rays of `count` points, all of one kind. results: kind->count values of bk_look() for
- * each point, `stride` apart; of open rays only the sign counts, unless params->flags has
- * BK_OPEN_FALLOFF. The stream needs no content. */
+ * each point, `stride` apart; of open rays only the sign is defined, unless params->flags has
+ * BK_OPEN_FALLOFF. The stream is scratch memory. */
 typedef void bake_tree_look_fn(const struct bk_grid *grid, const struct bk_params *params,
                                const struct bake_tree *tree, const bk_rays *kind,
                                const bk_place_on_scan *points, uint32_t count, float *results,

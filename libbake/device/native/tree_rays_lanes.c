@@ -7,6 +7,7 @@
  * The rays of a point start together. As long as many of them meet a node, all are tested against
  * one box at a time; then one ray at a time against the boxes of all children of a node. Boxes are
  * tested with a margin for rounding. tree_voxels_lanes.c tests blocks and voxels. */
+#include <assert.h>
 #include <math.h>
 #include <string.h>
 
@@ -14,7 +15,11 @@
 #define BK_WIDTH SIMD_FLOATS
 #include "libbake/device/native/tree_tracer.h"
 
-enum { FEW = 16 }; /* rays of a point that go through a node one by one */
+/* Functions that take or return `eights` are inlined, see eights.h. */
+#pragma GCC diagnostic ignored "-Wpsabi"
+
+/* At most this many rays of a point are tested against a node one by one. */
+enum { SINGLE_RAYS_MOST = 16 };
 
 /* ---- nodes ---- */
 
@@ -35,21 +40,15 @@ static four_ints load_ints(const void *from)
     return v;
 }
 
-static eights splat(float f)
-{
-    return f - (eights){0};
-}
-
-#define ALL_OF(v, n) __builtin_shufflevector(v, v, n, n, n, n, n, n, n, n)
+#define SPLAT_LANE(v, n) __builtin_shufflevector(v, v, n, n, n, n, n, n, n, n)
 
 /* Returns the children of a node that a ray may meet, one bit each. */
 static inline uint32_t meet_children(const struct bake_tree_ray *ray,
                                      const struct bake_tree_node *node)
 {
-    static const float units[8] = {1, 4, 16, 64, 256, 1024, 4096, 16384};
-    const float *unit = &units[bake_tree_shift(node) / 2];
-    const four_floats step = {*unit, *unit, *unit, *unit};
-    const four_ints corner = load_ints(node) & ~7; /* and another word */
+    const float unit = (float)(1u << bake_tree_shift(node));
+    const four_floats step = {unit, unit, unit, unit};
+    const four_ints corner = load_ints(node) & ~7; /* lane 3 is not used */
     const four_floats from = __builtin_convertvector(corner - load_ints(ray->base), four_floats) -
                              load_floats(ray->start);
     const four_floats inverse = load_floats(ray->inverse);
@@ -58,29 +57,29 @@ static inline uint32_t meet_children(const struct bake_tree_ray *ray,
     const four_floats margin = length * load_floats(ray->error);
     const four_floats near = zero - margin, far = zero + margin;
     const uint8_t *borders = node->borders[0][0];
-    eights t_in = splat(ray->t_begin), t_out = splat(ray->t_last);
+    eights t_in = eights_splat(ray->t_begin), t_out = eights_splat(ray->t_last);
 
-    t_in = eights_max(t_in,
-                      eights_of_bytes(borders + ray->near[0]) * ALL_OF(scale, 0) + ALL_OF(near, 0));
-    t_out = eights_min(t_out,
-                       eights_of_bytes(borders + ray->far[0]) * ALL_OF(scale, 0) + ALL_OF(far, 0));
-    t_in = eights_max(t_in,
-                      eights_of_bytes(borders + ray->near[1]) * ALL_OF(scale, 1) + ALL_OF(near, 1));
-    t_out = eights_min(t_out,
-                       eights_of_bytes(borders + ray->far[1]) * ALL_OF(scale, 1) + ALL_OF(far, 1));
-    t_in = eights_max(t_in,
-                      eights_of_bytes(borders + ray->near[2]) * ALL_OF(scale, 2) + ALL_OF(near, 2));
-    t_out = eights_min(t_out,
-                       eights_of_bytes(borders + ray->far[2]) * ALL_OF(scale, 2) + ALL_OF(far, 2));
+    t_in = eights_max(t_in, eights_of_bytes(borders + ray->near[0]) * SPLAT_LANE(scale, 0) +
+                                SPLAT_LANE(near, 0));
+    t_out = eights_min(t_out, eights_of_bytes(borders + ray->far[0]) * SPLAT_LANE(scale, 0) +
+                                  SPLAT_LANE(far, 0));
+    t_in = eights_max(t_in, eights_of_bytes(borders + ray->near[1]) * SPLAT_LANE(scale, 1) +
+                                SPLAT_LANE(near, 1));
+    t_out = eights_min(t_out, eights_of_bytes(borders + ray->far[1]) * SPLAT_LANE(scale, 1) +
+                                  SPLAT_LANE(far, 1));
+    t_in = eights_max(t_in, eights_of_bytes(borders + ray->near[2]) * SPLAT_LANE(scale, 2) +
+                                SPLAT_LANE(near, 2));
+    t_out = eights_min(t_out, eights_of_bytes(borders + ray->far[2]) * SPLAT_LANE(scale, 2) +
+                                  SPLAT_LANE(far, 2));
     return eights_not_above(t_in, t_out);
 }
 
-/* Appends pairs of a ray and first + i for each bit i that is set. Returns their new number. */
-static inline uint32_t add_pairs(uint32_t *things, uint32_t *rays, uint32_t count, uint32_t bits,
+/* Appends pairs of a ray and first + i for each bit i that is set. Returns the new count. */
+static inline uint32_t add_pairs(uint32_t *items, uint32_t *rays, uint32_t count, uint32_t bits,
                                  uint32_t first, uint32_t ray)
 {
     const eight_ints all = (int32_t)ray - (eight_ints){0};
-    eights_store_set(bits, first, things + count);
+    eights_store_set(bits, first, items + count);
     memcpy(rays + count, &all, sizeof all);
     return count + (uint32_t)__builtin_popcount(bits);
 }
@@ -116,6 +115,7 @@ static void test_pairs(struct bake_tree_tracer *tracer, const struct pairs *pair
                            number * BAKE_TREE_WIDTH, ray);
         nodes = add_pairs(stream->node, stream->node_ray, nodes, met & ~of_leaf, node->first, ray);
     }
+    assert(nodes <= BAKE_TREE_NODES);
     tracer->nodes = nodes;
     tracer->blocks = blocks;
     if (blocks >= BAKE_TREE_TESTED)
@@ -135,7 +135,7 @@ static void drain_nodes(struct bake_tree_tracer *tracer)
 
 /* ---- rays of a point ---- */
 
-/* Rays of a point, in lanes. Rays that are not there meet nothing. */
+/* Rays of a point, in lanes. Unused lanes meet nothing. */
 struct bundle {
     uint32_t first, count; /* numbers of the rays */
     float inverse[3][BAKE_TREE_POINT_RAYS];
@@ -163,7 +163,8 @@ static bk_fw load_lanes(const float from[BK_WIDTH])
     return lanes;
 }
 
-/* Returns those rays of a bundle that meet a box; low, high: its borders from the rays' start. */
+/* Returns those rays of a bundle that meet a box; low, high: its borders from the rays' start, with
+ * a margin. */
 static inline uint64_t meet_box(const struct bundle *bundle, const float low[3],
                                 const float high[3], uint64_t rays)
 {
@@ -182,26 +183,26 @@ static inline uint64_t meet_box(const struct bundle *bundle, const float low[3],
 }
 
 /* Appends pairs of the rays of a mask. */
-static inline uint32_t add_rays_of(uint32_t *things, uint32_t *rays, uint32_t count, uint64_t mask,
-                                   uint32_t thing, uint32_t first)
+static inline uint32_t add_rays_of(uint32_t *items, uint32_t *rays, uint32_t count, uint64_t mask,
+                                   uint32_t item, uint32_t first)
 {
     for (; mask; mask &= mask - 1) {
-        things[count] = thing;
+        items[count] = item;
         rays[count++] = first + (uint32_t)__builtin_ctzll(mask);
     }
     return count;
 }
 
 /* A node that many rays of a bundle meet. */
-struct shared {
+struct bundle_entry {
     uint64_t rays;
     uint32_t node;
 };
 
-/* Tests a bundle against the boxes of a node's children. Children that few rays meet are left to
- * these, others are appended to the stack. */
-static void spread(struct bake_tree_tracer *tracer, const struct bundle *bundle, uint32_t number,
-                   uint64_t rays, struct shared *stack, uint32_t *top)
+/* Tests a bundle against the boxes of a node's children. Children that few rays meet become
+ * pairs with single rays, others are appended to the stack. */
+static void test_bundle(struct bake_tree_tracer *tracer, const struct bundle *bundle,
+                        uint32_t number, uint64_t rays, struct bundle_entry *stack, uint32_t *top)
 {
     struct bake_tree_stream *stream = tracer->stream;
     const struct bake_tree_node *node = &tracer->tree->nodes[number];
@@ -217,17 +218,20 @@ static void spread(struct bake_tree_tracer *tracer, const struct bundle *bundle,
             continue;
         for (int axis = 0; axis < 3; axis++) {
             const int32_t corner = (node->corner[axis] & ~7) - ray->base[axis];
-            low[axis] =
+            const float from =
                 (float)(corner + (node->borders[axis][0][child] << shift)) - ray->start[axis];
-            high[axis] =
+            const float to =
                 (float)(corner + (node->borders[axis][1][child] << shift)) - ray->start[axis];
+            const float margin = (fabsf(from) + fabsf(to) + 1.0f) * (1.0f / (1 << 21));
+            low[axis] = from - margin;
+            high[axis] = to + margin;
         }
         const uint64_t met = meet_box(bundle, low, high, rays);
         if (bake_tree_is_leaf(node))
             tracer->blocks = add_rays_of(stream->block, stream->block_ray, tracer->blocks, met,
                                          number * BAKE_TREE_WIDTH + child, bundle->first);
-        else if (__builtin_popcountll(met) > FEW)
-            stack[(*top)++] = (struct shared){met, node->first + child};
+        else if (__builtin_popcountll(met) > SINGLE_RAYS_MOST)
+            stack[(*top)++] = (struct bundle_entry){met, node->first + child};
         else
             tracer->nodes = add_rays_of(stream->node, stream->node_ray, tracer->nodes, met,
                                         node->first + child, bundle->first);
@@ -237,21 +241,21 @@ static void spread(struct bake_tree_tracer *tracer, const struct bundle *bundle,
 /* Sends the rays of a point, all of those from `first` on, through the tree. */
 static void trace_point(struct bake_tree_tracer *tracer, uint32_t first)
 {
-    struct shared stack[BAKE_TREE_DEPTH * BAKE_TREE_WIDTH];
+    struct bundle_entry stack[BAKE_TREE_DEPTH * BAKE_TREE_WIDTH];
     struct bundle bundle;
     uint32_t top = 0;
     if (first == tracer->rays)
         return;
     load_bundle(tracer->stream, first, tracer->rays - first, &bundle);
-    stack[top++] = (struct shared){~UINT64_C(0) >> (64 - bundle.count), 0};
+    stack[top++] = (struct bundle_entry){~UINT64_C(0) >> (64 - bundle.count), 0};
     while (top > 0) {
-        const struct shared next = stack[--top];
-        spread(tracer, &bundle, next.node, next.rays, stack, &top);
+        const struct bundle_entry next = stack[--top];
+        test_bundle(tracer, &bundle, next.node, next.rays, stack, &top);
     }
     drain_nodes(tracer);
 }
 
-/* Finishes all rays that were added. */
+/* Tests the blocks that are left, and empties the stream. */
 static void finish_rays(struct bake_tree_tracer *tracer)
 {
     BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);

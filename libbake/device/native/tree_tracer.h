@@ -7,8 +7,14 @@
 
 #include "libbake/device/native/tree_rays.h"
 
-/* The t at which rays end that meet nothing more. */
+/* The end of a ray that is finished: below the t of every box and voxel. */
 #define BAKE_TREE_DONE (-1.0e30f)
+
+_Static_assert(BAKE_TREE_POINT_RAYS == 64 && BAKE_TREE_POINT_RAYS % BK_WIDTH == 0,
+               "the rays of a point are bits of a word, in whole lanes");
+_Static_assert(BAKE_TREE_TESTED + BAKE_TREE_AT_ONCE * BAKE_TREE_WIDTH <= BAKE_TREE_BLOCKS &&
+                   BAKE_TREE_POINT_RAYS * BAKE_TREE_WIDTH <= BAKE_TREE_BLOCKS,
+               "what a step adds fits in the list of blocks");
 
 struct bake_tree_tracer {
     const bk_grid *grid;

@@ -1,11 +1,11 @@
 /* tree_voxels_lanes.c - tests rays from hits against the voxels of blocks, and their records.
  *
- *  - A ray may visit the voxels of a block that it does not leave before it enters them. All 64
- *    are tested at once. The t of borders are those of bk_walk_blocks(), which goes by the same
- *    borders, so both visit the same voxels. Of borders at the same t, that of the lower axis comes
- *    first.
- *  - The records of a voxel are tested with the walk's state after the voxel before, which follows
- *    from the records there. A surface may also be crossed after a voxel, if the next one is empty.
+ *  - A ray visits the voxels of a block that it enters before it leaves them. The t of borders are
+ *    computed as in bk_walk_blocks(), so both visit the same voxels. Of borders at the same t, that
+ *    of the lower axis is crossed first.
+ *  - The records of a voxel are tested with the state that a walk has after the previous voxel on
+ *    the ray. That state follows from the records of the previous voxel alone. A surface may also
+ * be crossed after a voxel, if the next one is empty.
  *
  * Voxels are not visited in the order in which rays meet them. If distances matter, the hit counts
  * whose voxel is entered first. */
@@ -131,7 +131,9 @@ static bk_mask comes_before(bk_fw t, bk_iw axis, bk_fw t_other, bk_iw other)
     return bk_less(t, t_other) | ((t == t_other) & (axis < other));
 }
 
-/* Returns the next voxels along an axis, or those before. */
+/* Returns the neighbours of voxels along an axis, in the direction of rays or, if `back`, against
+ * it.
+ */
 static bk_place beside(const bk_ray *ray, const bk_place *place, bk_iw axis, bool back)
 {
     const bk_iw sign = bk_splati(back ? 1 : -1), none = bk_splati(0);
@@ -170,7 +172,7 @@ static bk_uint find_voxels(struct bake_tree_tracer *tracer, const struct group *
     return found;
 }
 
-/* Sets the state of walks to that after the voxels before. */
+/* Sets the state of walks to the one after the previous voxels on the rays. */
 static void recall(struct bake_tree_tracer *tracer, const struct group *group, bk_uint lanes,
                    bk_walk *walk)
 {
@@ -275,17 +277,18 @@ struct block_group {
 static inline struct layers find_layers(bk_iw corner, bk_iw first, bk_iw base, bk_fw start,
                                         bk_fw inverse)
 {
-    const bk_fw always = bk_splat(-BK_FAR), never = bk_splat(BK_FAR);
+    const bk_fw past = bk_splat(-BK_FAR), future = bk_splat(BK_FAR);
     const bk_mask up = bk_upwards(inverse) != 0;
     bk_fw border = bk_border(corner, base, start, inverse);
     struct layers layers;
     for (int i = 0; i < 4; i++) {
         const bk_iw layer = corner + i;
-        const bk_mask behind = bk_selecti(up, layer<first, layer> first);
+        const bk_mask below = layer < first, above = first < layer;
+        const bk_mask behind = bk_selecti(up, below, above);
         const bk_fw next = bk_border(layer + 1, base, start, inverse);
-        const bk_fw in = bk_select(layer == first, always, bk_minw(border, next));
-        layers.in[i] = bk_select(behind, never, in);
-        layers.out[i] = bk_select(behind, always, bk_maxw(border, next));
+        const bk_fw in = bk_select(layer == first, past, bk_minw(border, next));
+        layers.in[i] = bk_select(behind, future, in);
+        layers.out[i] = bk_select(behind, past, bk_maxw(border, next));
         border = next;
     }
     return layers;
@@ -315,8 +318,8 @@ static void load_blocks(const struct bake_tree_tracer *tracer, uint32_t first, u
 }
 
 /* Finds the voxels that rays may visit in their blocks, bits of two words: those that they do not
- * leave before they enter them. A ray that goes through an edge is in some of them for no time;
- * test_voxels() finds out which of these it visits. */
+ * leave before they enter them. A ray through an edge or a corner leaves some of them as it enters
+ * them; test_voxels() finds out which of these it visits. */
 static void visit_voxels(const struct block_group *group, bk_iw words[2])
 {
     bk_fw out_z[4];
