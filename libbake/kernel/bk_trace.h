@@ -118,8 +118,10 @@ BK_FN bk_ray bk_ray_along(bk_vec3w origin, bk_vec3w direction, bk_vec3w facing, 
     ray.by = bk_to_iw(v.y);
     ray.bz = bk_to_iw(v.z);
     ray.start = bk_v3w(o.x - v.x + 0.5f, o.y - v.y + 0.5f, o.z - v.z + 0.5f);
-    ray.direction = direction;
-    ray.inverse = bk_v3w(bk_inverse(direction.x), bk_inverse(direction.y), bk_inverse(direction.z));
+    ray.direction = bk_v3w(bk_keep(ray.valid, direction.x), bk_keep(ray.valid, direction.y),
+                           bk_keep(ray.valid, direction.z));
+    ray.inverse = bk_v3w(bk_inverse(ray.direction.x), bk_inverse(ray.direction.y),
+                         bk_inverse(ray.direction.z));
     ray.facing = facing;
     return ray;
 }
