@@ -222,10 +222,7 @@ BK_FN bk_uint bk_begin_walk(const bk_params *params, const bk_ray *ray, bk_walk 
     *t = bk_maxw(walk->t_start, t_near);
     walked = ray->valid & bk_not(bk_less(t_end, *t));
     *t = bk_keep(walked, *t);
-    walk->hit = walk->ahead = bk_no_crossing();
-    walk->side = bk_splati(BK_APART);
-    walk->falling = bk_mask_of(0);
-    walk->outside = walk->ahead_margin = bk_splat(0.0f);
+    bk_clear_walk(walk);
     place->x = bk_voxel_at(o.x, d.x, *t, ray->bx, bk_splati(low[0]), bk_splati(high[0]));
     place->y = bk_voxel_at(o.y, d.y, *t, ray->by, bk_splati(low[1]), bk_splati(high[1]));
     place->z = bk_voxel_at(o.z, d.z, *t, ray->bz, bk_splati(low[2]), bk_splati(high[2]));

@@ -81,6 +81,15 @@ BK_FN bk_crossing bk_no_crossing(void)
     return none;
 }
 
+/* Sets the state of walks that have met nothing yet. */
+BK_FN void bk_clear_walk(bk_walk *walk)
+{
+    walk->hit = walk->ahead = bk_no_crossing();
+    walk->side = bk_splati(BK_APART);
+    walk->falling = bk_mask_of(0);
+    walk->outside = walk->ahead_margin = bk_splat(0.0f);
+}
+
 BK_FN bk_crossing bk_select_crossing(bk_mask mask, const bk_crossing *a, const bk_crossing *b)
 {
     bk_crossing c;
@@ -413,10 +422,7 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
     bk_place place;
     bk_uint active = bk_bits(walked);
 
-    walk->hit = walk->ahead = bk_no_crossing();
-    walk->side = bk_splati(BK_APART);
-    walk->falling = bk_mask_of(0);
-    walk->outside = walk->ahead_margin = bk_splat(0.0f);
+    bk_clear_walk(walk);
     if (!active)
         return;
     t = bk_keep(walked, t);

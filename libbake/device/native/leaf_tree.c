@@ -40,6 +40,7 @@ _Static_assert(sizeof(struct pending) <= sizeof((struct bake_tree_node *)0)->bor
 
 /* Nodes, and lower nodes of the grid, that are handled between checks for an interruption. */
 enum { CHECKED = 4096, CHECKED_LOWERS = 64 };
+
 struct builder {
     struct bsq_ctx *ctx;
     const struct bk_grid *grid;
@@ -339,8 +340,8 @@ static struct box node_box(const struct bake_tree_node *node)
         }
         if (low > high)
             low = high; /* a leaf without voxels: the file is damaged */
-        box.low[axis] = (node->corner[axis] & ~7) + ((int32_t)low << shift);
-        box.high[axis] = (node->corner[axis] & ~7) + ((int32_t)high << shift);
+        box.low[axis] = bake_tree_corner(node, axis) + ((int32_t)low << shift);
+        box.high[axis] = bake_tree_corner(node, axis) + ((int32_t)high << shift);
     }
     return box;
 }

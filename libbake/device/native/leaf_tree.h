@@ -49,6 +49,12 @@ int bake_tree_build(struct bsq_ctx *ctx, const struct bk_grid *grid, uint64_t li
                     struct bake_tree *tree);
 void bake_tree_free(struct bsq_ctx *ctx, struct bake_tree *tree);
 
+/* Returns the lowest border of the children's boxes on an axis. */
+static inline int32_t bake_tree_corner(const struct bake_tree_node *node, int axis)
+{
+    return node->corner[axis] & ~7;
+}
+
 /* Returns log2 of a step of a node's borders in voxels: an even number, at most 14. */
 static inline uint32_t bake_tree_shift(const struct bake_tree_node *node)
 {

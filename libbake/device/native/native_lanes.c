@@ -17,8 +17,8 @@ struct group {
     bk_samples samples;
     uint32_t texel_floats;
     float places[BAKE_MAX_SAMPLES]; /* of a texel's samples along an axis, from its corner */
-    struct bake_native_memory
-        memory; /* without a tree, rays from hits go through the grid's nodes */
+    /* Without a tree, rays from hits walk through the grid's nodes. */
+    struct bake_native_memory memory;
 };
 
 static void add_samples(struct group *group, const bk_samples *samples, const bk_map_hits *hits)

@@ -106,6 +106,7 @@ static void test_pairs(struct bake_tree_tracer *tracer, const struct pairs *pair
 {
     struct bake_tree_stream *stream = tracer->stream;
     uint32_t nodes = tracer->nodes, blocks = tracer->blocks;
+    assert(nodes + BAKE_TREE_AT_ONCE * BAKE_TREE_WIDTH <= BAKE_TREE_NODES);
     for (uint32_t i = 0; i < pairs->count; i++) {
         const uint32_t number = pairs->nodes[i], ray = pairs->rays[i];
         const struct bake_tree_node *node = &tracer->tree->nodes[number];
@@ -115,7 +116,6 @@ static void test_pairs(struct bake_tree_tracer *tracer, const struct pairs *pair
                            number * BAKE_TREE_WIDTH, ray);
         nodes = add_pairs(stream->node, stream->node_ray, nodes, met & ~of_leaf, node->first, ray);
     }
-    assert(nodes <= BAKE_TREE_NODES);
     tracer->nodes = nodes;
     tracer->blocks = blocks;
     if (blocks >= BAKE_TREE_TESTED)
@@ -217,7 +217,7 @@ static void test_bundle(struct bake_tree_tracer *tracer, const struct bundle *bu
         if (node->borders[0][0][child] > node->borders[0][1][child])
             continue;
         for (int axis = 0; axis < 3; axis++) {
-            const int32_t corner = (node->corner[axis] & ~7) - ray->base[axis];
+            const int32_t corner = bake_tree_corner(node, axis) - ray->base[axis];
             const float from =
                 (float)(corner + (node->borders[axis][0][child] << shift)) - ray->start[axis];
             const float to =

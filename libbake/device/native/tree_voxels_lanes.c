@@ -18,6 +18,12 @@
 
 enum { BLOCK_VOXELS = 64 };
 
+/* Returns the lowest layer of a block of a leaf on an axis. */
+static int32_t block_corner(const struct bake_tree_node *leaf, uint32_t block, int axis)
+{
+    return bake_tree_corner(leaf, axis) | (int32_t)(block << axis & 4);
+}
+
 /* ---- voxels ---- */
 
 /* Rays and the voxels they visit, in lanes. */
@@ -61,8 +67,8 @@ static void load_group(const struct bake_tree_tracer *tracer, uint32_t first, ui
         rays[lane] = stream->voxel_ray[pair];
         leaves[lane] = (bk_int)leaf->first;
         for (int axis = 0; axis < 3; axis++)
-            voxels[axis][lane] = (leaf->corner[axis] & ~7) | (int32_t)(block << axis & 4) |
-                                 (int32_t)(voxel >> (4 - 2 * axis) & 3);
+            voxels[axis][lane] =
+                block_corner(leaf, block, axis) | (int32_t)(voxel >> (4 - 2 * axis) & 3);
         group->values[lane] = stream->voxel_value[pair];
     }
     group->place.x = bk_load_lanes(voxels[0]);
@@ -113,9 +119,9 @@ static bk_fw find_entry(const struct group *group, const bk_place *place, bk_iw 
 /* Finds how rays leave voxels: across the first border. */
 static bk_fw find_exit(const bk_ray *ray, const bk_place *place, bk_iw *axis)
 {
-    const bk_iw x = place->x + (1 & bk_upwards(ray->inverse.x));
-    const bk_iw y = place->y + (1 & bk_upwards(ray->inverse.y));
-    const bk_iw z = place->z + (1 & bk_upwards(ray->inverse.z));
+    const bk_iw x = bk_exit_layer(place->x, place->mask, bk_upwards(ray->inverse.x));
+    const bk_iw y = bk_exit_layer(place->y, place->mask, bk_upwards(ray->inverse.y));
+    const bk_iw z = bk_exit_layer(place->z, place->mask, bk_upwards(ray->inverse.z));
     const bk_fw tx = bk_border(x, ray->bx, ray->start.x, ray->inverse.x);
     const bk_fw ty = bk_border(y, ray->by, ray->start.y, ray->inverse.y);
     const bk_fw tz = bk_border(z, ray->bz, ray->start.z, ray->inverse.z);
@@ -246,10 +252,7 @@ static void test_voxels(struct bake_tree_tracer *tracer)
         walk.t_start = bk_splat(0.0f);
         walk.t_limit = bk_splat(tracer->kind->limit);
         walk.two_sided = bk_mask_of(tracer->kind->open ? ~0u : 0u);
-        walk.hit = walk.ahead = bk_no_crossing();
-        walk.side = bk_splati(BK_APART);
-        walk.falling = bk_mask_of(0);
-        walk.outside = walk.ahead_margin = bk_splat(0.0f);
+        bk_clear_walk(&walk);
         meet_voxels(tracer, &group, lanes, &walk);
         for (bk_uint found = bk_bits(walk.hit.found) & lanes; found; found &= found - 1) {
             const bk_uint lane = bk_first(found);
@@ -262,7 +265,8 @@ static void test_voxels(struct bake_tree_tracer *tracer)
 
 /* ---- blocks ---- */
 
-/* When rays are in each of a block's four layers of an axis. */
+/* The t at which rays enter and leave each of a block's four layers of an axis. They never enter
+ * layers behind the voxel in which their walk begins, and are in its own layer from the start. */
 struct layers {
     bk_fw in[4], out[4];
 };
@@ -306,7 +310,7 @@ static void load_blocks(const struct bake_tree_tracer *tracer, uint32_t first, u
         const struct bake_tree_node *leaf = &tracer->tree->nodes[block / BAKE_TREE_WIDTH];
         rays[lane] = stream->block_ray[pair];
         for (int axis = 0; axis < 3; axis++)
-            corners[axis][lane] = (leaf->corner[axis] & ~7) | (int32_t)(block << axis & 4);
+            corners[axis][lane] = block_corner(leaf, block, axis);
     }
     group->axes[0] = find_layers(bk_load_lanes(corners[0]), RAY_INT(first[0]), RAY_INT(base[0]),
                                  RAY_FLOAT(start[0]), RAY_FLOAT(inverse[0]));

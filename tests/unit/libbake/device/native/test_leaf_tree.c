@@ -69,7 +69,7 @@ static struct box child_box(const struct bake_tree_node *node, int child)
 {
     struct box box;
     for (int k = 0; k < 3; k++) {
-        const int32_t corner = node->corner[k] & ~7;
+        const int32_t corner = bake_tree_corner(node, k);
         box.low[k] = corner + (node->borders[k][0][child] << bake_tree_shift(node));
         box.high[k] = corner + (node->borders[k][1][child] << bake_tree_shift(node));
     }
@@ -84,9 +84,9 @@ static uint64_t check_leaf(const struct bk_grid *grid, const struct bake_tree_no
         struct box tight = {{INT32_MAX, INT32_MAX, INT32_MAX}, {INT32_MIN, INT32_MIN, INT32_MIN}};
         uint64_t voxels = 0;
         for (int i = 0; i < 64; i++) {
-            const int32_t v[3] = {(node->corner[0] & ~7) + ((block >> 2 & 1) * 4 + (i >> 4)),
-                                  (node->corner[1] & ~7) + ((block >> 1 & 1) * 4 + (i >> 2 & 3)),
-                                  (node->corner[2] & ~7) + ((block & 1) * 4 + (i & 3))};
+            const int32_t v[3] = {bake_tree_corner(node, 0) + ((block >> 2 & 1) * 4 + (i >> 4)),
+                                  bake_tree_corner(node, 1) + ((block >> 1 & 1) * 4 + (i >> 2 & 3)),
+                                  bake_tree_corner(node, 2) + ((block & 1) * 4 + (i & 3))};
             bk_cache cache = bk_cache_empty();
             if (bk_locate(grid, &cache, v[0], v[1], v[2]) != 0 ||
                 bk_leaf_value(grid, cache.leaf, v[0], v[1], v[2]) == 0)
@@ -268,6 +268,19 @@ static void test_edges_and_corners(void **state)
     analytic_grid_free(grid);
 }
 
+/* Returns a point in a cube around `centre`, with any normal. */
+static bk_place_on_scan random_point(const double centre[3], double half, uint64_t *seed)
+{
+    double n[3], p[3];
+    analytic_random_unit(seed, n);
+    for (int k = 0; k < 3; k++)
+        p[k] = centre[k] + between(seed, -half, half);
+    return (bk_place_on_scan){.position = bk_v3((float)p[0], (float)p[1], (float)p[2]),
+                              .normal = bk_v3((float)n[0], (float)n[1], (float)n[2]),
+                              .side = 1.0f,
+                              .seed = (bk_uint)*seed};
+}
+
 /* Points in and around a grid, some far outside of it. */
 static void test_points_everywhere(void **state)
 {
@@ -279,17 +292,8 @@ static void test_points_everywhere(void **state)
     add_clutter(grid, centre, 12, 1000, &seed);
     struct fixture f;
     open_fixture(&f, grid);
-    for (int i = 0; i < POINTS; i++) {
-        double n[3];
-        const double half = i % 8 ? 14 : 200;
-        analytic_random_unit(&seed, n);
-        points[i].normal = bk_v3((float)n[0], (float)n[1], (float)n[2]);
-        points[i].position = bk_v3((float)(centre[0] + between(&seed, -half, half)),
-                                   (float)(centre[1] + between(&seed, -half, half)),
-                                   (float)(centre[2] + between(&seed, -half, half)));
-        points[i].side = 1.0f;
-        points[i].seed = (bk_uint)i;
-    }
+    for (int i = 0; i < POINTS; i++)
+        points[i] = random_point(centre, i % 8 ? 14 : 200, &seed);
     /* Invalid points are not traced. */
     points[5].position.x = NAN;
     points[6].normal.y = INFINITY;
@@ -314,16 +318,8 @@ static void test_wide_grid(void **state)
     assert_non_null(f.tree.nodes);
     assert_true(bake_tree_shift(&f.tree.nodes[0]) >= 12);
     assert_int_equal(check_node(&f, 0, NULL), f.file.voxel_count);
-    for (int i = 0; i < POINTS; i++) {
-        double n[3];
-        analytic_random_unit(&seed, n);
-        points[i].normal = bk_v3((float)n[0], (float)n[1], (float)n[2]);
-        points[i].position = bk_v3((float)(ends[i % 2] + between(&seed, -11, 11)),
-                                   (float)(ends[1 - i % 2] + between(&seed, -11, 11)),
-                                   (float)(3 + between(&seed, -11, 11)));
-        points[i].side = 1.0f;
-        points[i].seed = (bk_uint)i;
-    }
+    for (int i = 0; i < POINTS; i++)
+        points[i] = random_point((double[3]){ends[i % 2], ends[1 - i % 2], 3}, 11, &seed);
     compare_kinds(&f, points, 1.0f);
     close_fixture(&f);
     analytic_grid_free(grid);
