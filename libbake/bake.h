@@ -166,7 +166,10 @@ struct bake_options {
     uint32_t ao_rays;   /**< Rays of each hit for BAKE_MAP_AO and BAKE_MAP_BENT, cosine-weighted. */
     double ao_distance; /**< Length of these rays; <= 0: no limit. */
     double ao_spread;   /**< Angle of the cone that they fill, in degrees, to 180. */
-    bool ao_falloff;    /**< A surface hides less the farther it is: nothing at ao_distance. */
+    /** In grids, a voxel at this distance from the hit or farther hides these rays as a whole, as if
+     * its surface filled it; in voxels; <= 0: none does. */
+    double ao_coarse;
+    bool ao_falloff; /**< A surface hides less the farther it is: nothing at ao_distance. */
     uint32_t thickness_rays; /**< Rays of each hit for BAKE_MAP_THICKNESS, cosine-weighted. */
     /** Length of these rays, which is also the sample 1 of integer files; <= 0: the diagonal of the
      * scan's bounding box. */
@@ -207,6 +210,7 @@ enum {
     BAKE_MAX_SIDE = 1 << 20,    /**< Largest width and height of a map. */
     BAKE_MAX_SAMPLES = 64,      /**< Largest N of N x N samples a texel. */
     BAKE_MAX_RAYS = 4096,       /**< Most rays of a hit. */
+    BAKE_AO_COARSE = 64,        /**< Default of bake_options.ao_coarse. */
     BAKE_MAX_VIEWS = 360,       /**< Most views of a preview. */
     BAKE_MAX_EXR_TILE = 8192    /**< Largest side of a tile of an OpenEXR file. */
 };

@@ -300,6 +300,7 @@ static void set_rays(const struct bake_run *job, const struct bake_surface *scan
     params->open_limit = far;
     if (options->ao_distance > 0)
         params->open_limit = fminf((float)(options->ao_distance / scan->unit), far);
+    params->open_coarse = options->ao_coarse > 0 ? fminf((float)options->ao_coarse, far) : far;
     params->thickness_limit = fminf((float)(thickness / scan->unit), far);
     params->open_sine2 = (float)(sin(half) * sin(half));
     if (options->ao_falloff)

@@ -21,6 +21,7 @@ void bake_defaults(struct bake_options *options)
         .ao_rays = 64,
         .ao_distance = -1.0,
         .ao_spread = 180.0,
+        .ao_coarse = BAKE_AO_COARSE,
         .thickness_rays = 64,
         .thickness_distance = -1.0,
         .padding = 16,
@@ -76,7 +77,8 @@ static int check_rays(struct bsq_ctx *ctx, const struct bake_options *options)
     if (!(options->ao_spread > 0 && options->ao_spread <= 180))
         return bsq_fail(ctx, BSQ_EUSAGE, "a spread of %g degrees is not above 0 and at most 180",
                         options->ao_spread);
-    if (!isfinite(options->ao_distance) || !isfinite(options->thickness_distance))
+    if (!isfinite(options->ao_distance) || !isfinite(options->thickness_distance) ||
+        !isfinite(options->ao_coarse))
         return bsq_fail(ctx, BSQ_EUSAGE, "distances of rays from hits must be finite");
     if (options->ao_falloff && options->ao_distance <= 0)
         return bsq_fail(ctx, BSQ_EUSAGE, "a falloff of ambient occlusion needs its distance");

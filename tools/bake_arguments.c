@@ -47,6 +47,7 @@ static const char help_format[] =
     "      --ao-distance D     their length (default: none, they reach everything)\n"
     "      --ao-spread DEG     angle of their cone, to 180 degrees (default: 180)\n"
     "      --ao-falloff MODE   none or linear: far surfaces hide less (default: none)\n"
+    "      --ao-coarse N       in grids, voxels hide as a whole from N voxels on (default: 64; none)\n"
     "      --thickness-rays N  rays from each hit for thickness (default: 64)\n"
     "      --thickness-distance D\n"
     "                          their length, white in PNG files (default: the scan's diagonal)\n"
@@ -102,6 +103,7 @@ enum {
     OPT_AO_DISTANCE,
     OPT_AO_SPREAD,
     OPT_AO_FALLOFF,
+    OPT_AO_COARSE,
     OPT_THICKNESS_RAYS,
     OPT_THICKNESS_DISTANCE,
     OPT_TWO_SIDED,
@@ -148,6 +150,7 @@ static const struct option long_options[] = {
     {"ao-distance", required_argument, NULL, OPT_AO_DISTANCE},
     {"ao-spread", required_argument, NULL, OPT_AO_SPREAD},
     {"ao-falloff", required_argument, NULL, OPT_AO_FALLOFF},
+    {"ao-coarse", required_argument, NULL, OPT_AO_COARSE},
     {"thickness-rays", required_argument, NULL, OPT_THICKNESS_RAYS},
     {"thickness-distance", required_argument, NULL, OPT_THICKNESS_DISTANCE},
     {"two-sided", no_argument, NULL, OPT_TWO_SIDED},
@@ -315,6 +318,11 @@ static int parse_rays(struct cli *cli, int option, struct bake_options *bake)
         status = cli_parse_word(cli, "--ao-falloff", optarg, falloffs, &choice);
         bake->ao_falloff = choice == 1;
         return status;
+    case OPT_AO_COARSE:
+        bake->ao_coarse = -1;
+        return strcmp(optarg, "none") == 0
+                   ? 0
+                   : cli_parse_length(cli, "--ao-coarse", optarg, true, &bake->ao_coarse);
     case OPT_THICKNESS_RAYS:
         return parse_count(cli, "--thickness-rays", optarg, 1, BAKE_MAX_RAYS,
                            &bake->thickness_rays);
@@ -458,6 +466,7 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_AO_DISTANCE:
     case OPT_AO_SPREAD:
     case OPT_AO_FALLOFF:
+    case OPT_AO_COARSE:
     case OPT_THICKNESS_RAYS:
     case OPT_THICKNESS_DISTANCE:
         return parse_rays(cli, option, bake);

@@ -62,6 +62,7 @@ static const struct {
     {"ao-distance", "the map ao or bent", has_open_rays},
     {"ao-spread", "the map ao or bent", has_open_rays},
     {"ao-falloff", "the map ao or bent", has_open_rays},
+    {"ao-coarse", "the map ao or bent", has_open_rays},
     {"thickness-rays", "the map thickness", has_thickness},
     {"thickness-distance", "the map thickness", has_thickness},
     {"normal-space", "the map normal or bent", has_normals},

@@ -11,7 +11,8 @@
  *
  * Open rays start one voxel above the hit: planes of neighbouring voxels do not meet exactly, and a
  * surface must not hide itself. So gaps of less than about a voxel look open. They end at any
- * surface, on either side. Rays into the solid start at the hit and end where they leave the solid,
+ * surface, on either side, and from params->open_coarse on at any occupied voxel: how a far surface
+ * lies in its voxel hardly matters, and its records need not be read. Rays into the solid start at the hit and end where they leave the solid,
  * at a surface that faces along them; the surface they start on faces against them. Rays that leave
  * the grid inside the solid are not counted: the scan has a hole, or they touched it only. */
 #ifndef BAKE_KERNEL_BK_SECONDARY_H
@@ -192,16 +193,31 @@ BK_FN bk_mask bk_meet_records(const bk_grid *grid, bk_cache *cache, const bk_ray
     return over;
 }
 
+/* Ends walks at t, at any surface. */
+BK_FN void bk_stop(bk_walk *walk, bk_mask lanes, bk_fw t)
+{
+    walk->hit.found = walk->hit.found | lanes;
+    walk->hit.t = bk_select(lanes, t, walk->hit.t);
+    walk->side = bk_selecti(lanes, bk_splati(BK_APART), walk->side);
+}
+
 /* Tests the voxels that lanes are in from t to t_out, and ends the runs of lanes in empty blocks.
- */
+ * Voxels that are entered at t_coarse or later have a surface if they are occupied. */
 BK_FN void bk_meet_voxels(const bk_grid *grid, bk_cache *cache, const bk_ray *ray, bk_walk *walk,
-                          bk_uint active, const bk_place *place, bk_fw t, bk_fw t_out)
+                          bk_uint active, const bk_place *place, bk_fw t, bk_fw t_out,
+                          float t_coarse)
 {
     const bk_uint in_leaf = active & bk_bits(place->mask == 0);
-    bk_ulong values[BK_WIDTH];
-    const bk_uint occupied = in_leaf ? bk_occupied(grid, in_leaf, place, values) : 0;
+    bk_uint occupied = in_leaf ? bk_find_occupied(grid, in_leaf, place) : 0;
+    const bk_uint coarse = occupied & bk_bits(bk_not(bk_less(t, bk_splat(t_coarse))));
     bk_mask ended = bk_mask_of(active & ~occupied);
+    bk_ulong values[BK_WIDTH];
 
+    if (coarse) {
+        bk_stop(walk, bk_mask_of(coarse), t);
+        occupied &= ~coarse;
+    }
+    bk_rank_voxels(grid, occupied, place, values);
     BK_COUNT(cache, steps, bk_popcount32(in_leaf));
     BK_COUNT(cache, skips, bk_popcount32(active & ~in_leaf));
     BK_COUNT(cache, rounds, 1);
@@ -269,9 +285,10 @@ BK_FN bk_iw bk_layer_in(bk_iw v, bk_iw mask, bk_iw up, bk_mask ties, bk_fw start
  *
  * Borders are crossed in the order of their t and, if these are equal, of their axes. So the voxels
  * that a ray visits do not depend on the size of empty blocks, and a device may skip empty space in
- * another way. */
+ * another way. t_coarse: see bk_meet_voxels(). */
 BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                          const bk_ray *ray, bk_walk *walk, bk_fw t_near, bk_fw t_far)
+                          const bk_ray *ray, bk_walk *walk, bk_fw t_near, bk_fw t_far,
+                          float t_coarse)
 {
     const bk_vec3w o = ray->start, d = ray->direction, inverse = ray->inverse;
     const bk_iw up_x = bk_upwards(inverse.x), up_y = bk_upwards(inverse.y);
@@ -301,7 +318,7 @@ BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache
         const bk_mask along_y = bk_not(along_x) & bk_not(bk_less(tz, ty));
         const bk_mask along_z = bk_not(along_x) & bk_not(along_y);
 
-        bk_meet_voxels(grid, cache, ray, walk, active, &place, t, t_out);
+        bk_meet_voxels(grid, cache, ray, walk, active, &place, t, t_out, t_coarse);
         place.x = bk_selecti(along_x, fx + ~up_x, x);
         place.y = bk_selecti(along_y, fy + ~up_y, y);
         place.z = bk_selecti(along_z, fz + ~up_z, z);
@@ -326,11 +343,17 @@ BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache
     bk_end_run(walk, walked);
 }
 
-/* Walks the rays of these lanes to the first surface within `limit` voxels. Surfaces that face
- * against `facing` count only if both_sides is set. Returns the t at which rays leave the grid. */
+/* Returns the t from which on an occupied voxel hides rays. */
+BK_FN float bk_coarse_from(const bk_params *params, bk_uint open)
+{
+    return open ? params->open_coarse : BK_FAR;
+}
+
+/* Walks the rays of these lanes to the first surface within `limit` voxels. Rays that are not open
+ * meet only surfaces that face along `facing`. Returns the t at which rays leave the grid. */
 BK_FN bk_fw bk_walk_from(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                          bk_vec3w start, bk_vec3w direction, bk_vec3w facing, bk_uint lanes,
-                         bk_uint both_sides, float limit, bk_walk *walk)
+                         bk_uint open, float limit, bk_walk *walk)
 {
     const bk_ray ray = bk_ray_along(start, direction, facing, bk_mask_of(lanes));
     bk_fw t_near, t_far;
@@ -338,8 +361,8 @@ BK_FN bk_fw bk_walk_from(const bk_grid *grid, const bk_params *params, bk_cache 
     bk_bounds(&ray, params, &t_near, &t_far);
     walk->t_start = bk_splat(0.0f);
     walk->t_limit = bk_splat(limit);
-    walk->two_sided = bk_mask_of(both_sides ? ~0u : 0u);
-    bk_walk_blocks(grid, params, cache, &ray, walk, t_near, t_far);
+    walk->two_sided = bk_mask_of(open ? ~0u : 0u);
+    bk_walk_blocks(grid, params, cache, &ray, walk, t_near, t_far, bk_coarse_from(params, open));
     return t_far;
 }
 

@@ -37,6 +37,7 @@ int main(int argc, char **argv)
         scene.job.params.open_rays = (bk_uint)atoi(argv[5]);
         scene.job.params.open_limit = BK_FAR;
         scene.job.params.open_sine2 = 1.0f;
+        scene.job.params.open_coarse = BAKE_AO_COARSE;
     }
     if (status == 0)
         status = bake_device_open(ctx, "cpu", &scene.job, &device);

@@ -40,7 +40,7 @@ $bake --help
 code 0
 out_like '^Usage: bisque-bake '
 options="output maps size tiles samples front back height-range position-in curvature-radius curvature-range
-    ao-rays ao-distance ao-spread ao-falloff thickness-rays thickness-distance cage ray-directions max-missed two-sided
+    ao-rays ao-distance ao-spread ao-falloff ao-coarse thickness-rays thickness-distance cage ray-directions max-missed two-sided
     sampling normal-space green padding half float exr-tiles png-bits preview preview-views up device gpu-memory list-devices list-tiles tasks write-plan plan task merge force strict memory
     threads progress path-map json help
     version"
@@ -384,7 +384,7 @@ code 0
 json '.encodings.thickness | .unit == "mesh unit" and .scale == [2] and .offset == [0] and .range == 1'
 is_png 3_ao.png 96 96 16
 for bad in '--ao-rays 0' '--ao-rays 4097' '--ao-spread 181' '--ao-spread 0' '--ao-falloff square' '--ao-distance 0' \
-    '--ao-falloff linear' '--thickness-rays 0' '--thickness-distance -1'; do
+    '--ao-falloff linear' '--ao-coarse 0' '--ao-coarse far' '--thickness-rays 0' '--thickness-distance -1'; do
     $bake $hits -o 'x_<MAP>.exr' $bad
     code 64
 done

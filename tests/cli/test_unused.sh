@@ -39,6 +39,7 @@ unused "the map curvature" --curvature-range 1 -- --maps curvature -o map.png
 unused "the map ao or bent" --ao-rays 2 -- --maps ao -o map.png
 unused "the map ao or bent" --ao-spread 90 -- --maps bent -o map.png
 unused "the map ao or bent" --ao-distance 1 -- --maps mask,bent -o '<MAP>.png'
+unused "the map ao or bent" --ao-coarse none -- --maps bent -o map.png
 unused "the map thickness" --thickness-rays 2 -- --maps thickness -o map.png
 unused "the map thickness" --thickness-distance 1 -- --maps thickness -o map.png
 unused "the map normal or bent" --normal-space object -- --maps normal -o map.png

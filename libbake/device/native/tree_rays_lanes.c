@@ -328,6 +328,7 @@ void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_p
                                       .stream = stream,
                                       .results = results,
                                       .nearest = !kind->open || params->flags & BK_OPEN_FALLOFF,
+                                      .coarse = bk_coarse_from(params, kind->open),
                                       .cache = bk_cache_empty()};
     for (uint32_t i = 0; i < count; i++)
         for (bk_uint first = 0; first < kind->count; first += BAKE_TREE_POINT_RAYS) {

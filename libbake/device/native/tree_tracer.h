@@ -25,6 +25,7 @@ struct bake_tree_tracer {
     float *results;
     uint32_t rays, nodes, blocks, voxels; /* in the lists of `stream` */
     bool nearest;                         /* distances matter */
+    float coarse;                         /* of bk_coarse_from() */
     bk_cache cache;
 };
 

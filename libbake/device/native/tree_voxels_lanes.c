@@ -7,6 +7,8 @@
  *    the ray. That state follows from the records of the previous voxel alone. A surface may also
  * be crossed after a voxel, if the next one is empty.
  *
+ *  - Voxels far along an open ray hide it without their records, see bk_meet_voxels().
+ *
  * Voxels are not visited in the order in which rays meet them. If distances matter, the hit counts
  * whose voxel is entered first. */
 #include <stddef.h>
@@ -217,6 +219,14 @@ static void meet_voxels(struct bake_tree_tracer *tracer, const struct group *gro
     bk_end_run(walk, bk_mask_of(below));
 }
 
+/* Notes that a ray is hidden, if distances do not matter. */
+static void note_hidden(const struct bake_tree_tracer *tracer, uint32_t number)
+{
+    struct bake_tree_ray *ray = &tracer->stream->rays[number];
+    tracer->results[ray->slot] = 0.0f;
+    ray->t_stop = ray->t_last = ray->t_before = BAKE_TREE_DONE;
+}
+
 /* Notes the hit of a ray in a pair's voxel. */
 static void note_hit(const struct bake_tree_tracer *tracer, uint32_t pair, float t, float t_event,
                      int32_t axis)
@@ -224,8 +234,7 @@ static void note_hit(const struct bake_tree_tracer *tracer, uint32_t pair, float
     struct bake_tree_stream *stream = tracer->stream;
     struct bake_tree_ray *ray = &stream->rays[stream->voxel_ray[pair]];
     if (!tracer->nearest) {
-        tracer->results[ray->slot] = 0.0f;
-        ray->t_stop = ray->t_last = ray->t_before = BAKE_TREE_DONE;
+        note_hidden(tracer, stream->voxel_ray[pair]);
     } else if (t_event < ray->t_stop || (t_event == ray->t_stop && axis < ray->stop_axis)) {
         tracer->results[ray->slot] = bk_min(t, tracer->kind->limit);
         ray->t_stop = t_event;
@@ -247,13 +256,18 @@ static void test_voxels(struct bake_tree_tracer *tracer)
             bk_bits(group.ray.valid & bk_less(group.t_event, group.t_before) &
                     comes_before(group.t_event, group.axis, group.t_exit, group.exit_axis) &
                     comes_before(group.t_event, group.axis, group.t_stop, group.stop_axis));
+        const bk_fw t = bk_maxw(group.t_begin, group.t_event);
+        const bk_uint coarse = lanes & bk_bits(bk_not(bk_less(t, bk_splat(tracer->coarse))));
         if (lanes == 0)
             continue;
         walk.t_start = bk_splat(0.0f);
         walk.t_limit = bk_splat(tracer->kind->limit);
         walk.two_sided = bk_mask_of(tracer->kind->open ? ~0u : 0u);
         bk_clear_walk(&walk);
-        meet_voxels(tracer, &group, lanes, &walk);
+        if (lanes & ~coarse)
+            meet_voxels(tracer, &group, lanes & ~coarse, &walk);
+        if (coarse)
+            bk_stop(&walk, bk_mask_of(coarse), t);
         for (bk_uint found = bk_bits(walk.hit.found) & lanes; found; found &= found - 1) {
             const bk_uint lane = bk_first(found);
             note_hit(tracer, first + lane, bk_lane(walk.hit.t, lane), bk_lane(group.t_event, lane),
@@ -275,6 +289,7 @@ struct layers {
 struct block_group {
     struct layers axes[3];
     bk_fw t_before;
+    bk_fw t_in; /* at which rays enter the blocks; very low in a block in which walks begin */
 };
 
 /* Finds when rays are in the layers of an axis from `corner` on. */
@@ -298,6 +313,12 @@ static inline struct layers find_layers(bk_iw corner, bk_iw first, bk_iw base, b
     return layers;
 }
 
+/* Returns the t at which rays enter the first of the layers that they are in. */
+static inline bk_fw first_entry(const struct layers *layers)
+{
+    return bk_minw(bk_minw(layers->in[0], layers->in[1]), bk_minw(layers->in[2], layers->in[3]));
+}
+
 /* Loads pairs `first` and following ones; lanes from `count` on repeat the first one. */
 static void load_blocks(const struct bake_tree_tracer *tracer, uint32_t first, uint32_t count,
                         struct block_group *group)
@@ -319,6 +340,28 @@ static void load_blocks(const struct bake_tree_tracer *tracer, uint32_t first, u
     group->axes[2] = find_layers(bk_load_lanes(corners[2]), RAY_INT(first[2]), RAY_INT(base[2]),
                                  RAY_FLOAT(start[2]), RAY_FLOAT(inverse[2]));
     group->t_before = RAY_FLOAT(t_before);
+    group->t_in = bk_maxw(first_entry(&group->axes[0]),
+                          bk_maxw(first_entry(&group->axes[1]), first_entry(&group->axes[2])));
+}
+
+/* Returns whether a lane's ray surely visits one of these voxels of its block: it enters it some
+ * time before it leaves it. */
+static bool surely_visits(const struct block_group *group, uint32_t lane, uint64_t voxels)
+{
+    const struct layers *axes = group->axes;
+    const float t_before = bk_lane(group->t_before, lane);
+    for (; voxels; voxels &= voxels - 1) {
+        const uint32_t voxel = (uint32_t)__builtin_ctzll(voxels);
+        const uint32_t x = voxel >> 4, y = voxel >> 2 & 3, z = voxel & 3;
+        const float in = bk_max(bk_lane(axes[0].in[x], lane),
+                                bk_max(bk_lane(axes[1].in[y], lane), bk_lane(axes[2].in[z], lane)));
+        const float out =
+            bk_min(bk_lane(axes[0].out[x], lane),
+                   bk_min(bk_lane(axes[1].out[y], lane), bk_lane(axes[2].out[z], lane)));
+        if (in < out && in < t_before)
+            return true;
+    }
+    return false;
 }
 
 /* Finds the voxels that rays may visit in their blocks, bits of two words: those that they do not
@@ -406,6 +449,8 @@ void BSQ_SIMD_NAME(bake_tree_test_blocks)(struct bake_tree_tracer *tracer)
             prefetch_block(tracer, stream->block[i]);
         load_blocks(tracer, first, lanes, &group);
         visit_voxels(&group, words);
+        const bk_uint coarse =
+            tracer->nearest ? 0 : bk_bits(bk_not(bk_less(group.t_in, bk_splat(tracer->coarse))));
         bk_store_lanes(low, words[0]);
         bk_store_lanes(high, words[1]);
         for (uint32_t lane = 0; lane < lanes; lane++) {
@@ -413,7 +458,9 @@ void BSQ_SIMD_NAME(bake_tree_test_blocks)(struct bake_tree_tracer *tracer)
             const uint32_t leaf = tracer->tree->nodes[block / BAKE_TREE_WIDTH].first;
             const uint64_t voxels = ((uint32_t)low[lane] | (uint64_t)(uint32_t)high[lane] << 32) &
                                     occupied_voxels(grid, leaf, block % BAKE_TREE_WIDTH);
-            if (voxels)
+            if (coarse >> lane & 1 && surely_visits(&group, lane, voxels))
+                note_hidden(tracer, stream->block_ray[first + lane]);
+            else if (voxels)
                 add_voxels(tracer, first + lane, voxels);
         }
     }

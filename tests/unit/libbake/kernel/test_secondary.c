@@ -7,6 +7,7 @@
 
 #include <cmocka.h>
 
+#include "libbake/bake.h"
 #include "libbake/device/job/job.h"
 #include "libbake/kernel/bk_secondary.h"
 #include "tests/unit/fixture.h"
@@ -60,6 +61,7 @@ static void open_scene(struct scene *s)
     s->params.open_limit = BK_FAR;
     s->params.thickness_limit = 1000;
     s->params.open_sine2 = 1;
+    s->params.open_coarse = BAKE_AO_COARSE;
 }
 
 static void end(struct scene *s)
@@ -159,7 +161,8 @@ static void a_wall_hides_half_of_a_floor(void **state)
     end(&s);
 }
 
-/* The floor's middle of a round well sees the sky under the cone tan = r / h: r^2 / (r^2 + h^2). */
+/* The floor's middle of a round well sees the sky under the cone tan = r / h: r^2 / (r^2 + h^2).
+ * Whole voxels of the rim, 73 voxels away, narrow it by up to one voxel. */
 static void a_tube_leaves_a_cone(void **state)
 {
     (void)state;
@@ -175,11 +178,16 @@ static void a_tube_leaves_a_cone(void **state)
     add_rectangle(&s, (double[]){0, 0, 0}, (double[]){r, 0, 0}, (double[]){0, r, 0}, 1);
     open_scene(&s);
     const double at[3] = {0.1, 0.2, 0}, up[3] = {0, 0, 1};
+    s.params.open_coarse = BK_FAR;
     assert_near(look(&s, at, up).open, r * r / (r * r + (h - BK_LIFT) * (h - BK_LIFT)), 0.01,
                 "in a tube");
     s.params.open_sine2 = 0.1f; /* a cone that fits through the opening */
     assert_near(look(&s, at, up).open, 1, 0, "in a cone");
     s.params.open_sine2 = 0.6f;
+    s.params.open_coarse = BAKE_AO_COARSE;
+    assert_near(look(&s, at, up).open, r * r / (r * r + (h - BK_LIFT) * (h - BK_LIFT)) / 0.6, 0.02,
+                "in a wider cone, with a coarse rim");
+    s.params.open_coarse = BK_FAR;
     assert_near(look(&s, at, up).open, r * r / (r * r + (h - BK_LIFT) * (h - BK_LIFT)) / 0.6, 0.01,
                 "in a wider cone");
     s.params.open_sine2 = 1;
@@ -205,6 +213,34 @@ static void falloff_is_linear(void **state)
     s.params.flags |= BK_OPEN_FALLOFF;
     assert_near(look(&s, at, up).open, 2 * share * (1 - share) + share * share, 0.01,
                 "with falloff");
+    end(&s);
+}
+
+/* A ray along a floor, a fifth of a voxel above it, does not cross it. From open_coarse on the
+ * floor's voxels hide it: the first one that it enters there. */
+static void far_voxels_hide(void **state)
+{
+    (void)state;
+    struct scene s = begin();
+    const bk_vec3w start = bk_v3w(-20.2f, 0.1f, 0.3f), along = bk_v3w(1, 0, 0);
+    bk_rays rays = {.open = 1, .count = 1, .sine2 = 1, .limit = BK_FAR};
+    bk_cache cache = bk_cache_empty();
+    add_rectangle(&s, (double[]){60, 0, 0.1}, (double[]){60, 0, 0}, (double[]){0, 9, 0}, 1);
+    open_scene(&s);
+    const struct {
+        float coarse, limit;
+        bk_uint open;
+        double found;
+    } cases[] = {{BK_FAR, BK_FAR, 1, -1},    {64, BK_FAR, 1, 44.5 + 20.2}, {64.6f, BK_FAR, 1, 64.7},
+                 {64.8f, BK_FAR, 1, 65.7},   {64, 64.5f, 1, -1},           {64, 64.8f, 1, 64.7},
+                 {64, BK_FAR, 0, -1},        {1, BK_FAR, 1, 19.7}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        s.params.open_coarse = cases[i].coarse;
+        rays.limit = cases[i].limit;
+        rays.open = cases[i].open;
+        const float t = bk_look(&s.grid, &s.params, &cache, &rays, start, along, 1, 1);
+        assert_near(t, cases[i].found, 1e-4, "along a floor");
+    }
     end(&s);
 }
 
@@ -267,6 +303,7 @@ int main(void)
         cmocka_unit_test(a_wall_hides_half_of_a_floor),
         cmocka_unit_test(a_tube_leaves_a_cone),
         cmocka_unit_test(falloff_is_linear),
+        cmocka_unit_test(far_voxels_hide),
         cmocka_unit_test(a_ball_is_open_and_thick),
         cmocka_unit_test(a_slab_is_as_thick_as_it_is),
     };

@@ -229,12 +229,16 @@ static void compare(const struct fixture *f, const bk_rays *kind, const bk_place
 
 static void compare_kinds(struct fixture *f, const bk_place_on_scan *points, float sine2)
 {
+    static const float coarse[] = {BK_FAR, 9.5f, 1.0f};
     bk_rays kind = {.open = 1, .count = RAYS, .sine2 = sine2, .limit = 40};
     f->params.open_limit = kind.limit;
-    f->params.flags = 0;
-    compare(f, &kind, points, false);
-    f->params.flags = BK_OPEN_FALLOFF;
-    compare(f, &kind, points, true);
+    for (size_t i = 0; i < sizeof coarse / sizeof *coarse; i++) {
+        f->params.open_coarse = coarse[i];
+        f->params.flags = 0;
+        compare(f, &kind, points, false);
+        f->params.flags = BK_OPEN_FALLOFF;
+        compare(f, &kind, points, true);
+    }
     kind.open = 0;
     compare(f, &kind, points, true);
 }
