@@ -46,6 +46,7 @@ struct bake_tree_ray {
  * of lists. */
 struct bake_tree_stream {
     struct bake_tree_ray rays[BAKE_TREE_RAYS];
+    uint32_t points[BAKE_TREE_RAYS + 1]; /* first ray of each point, and the end of the last one */
     uint32_t node[BAKE_TREE_NODES + BAKE_TREE_WIDTH], node_ray[BAKE_TREE_NODES + BAKE_TREE_WIDTH];
     /* A block is its leaf's node times BAKE_TREE_WIDTH, and its number there. */
     uint32_t block[BAKE_TREE_BLOCKS + BAKE_TREE_WIDTH];

@@ -21,6 +21,11 @@
 /* At most this many rays of a point are tested against a node one by one. */
 enum { SINGLE_RAYS_MOST = 16 };
 
+/* Length of the first part of a ray to the nearest hit, in voxels, and of each part that follows
+ * beside what is before it. */
+#define NEAR_PART 64.0f
+#define NEXT_PART 4.0f
+
 /* ---- nodes ---- */
 
 typedef float four_floats __attribute__((vector_size(16)));
@@ -42,9 +47,10 @@ static four_ints load_ints(const void *from)
 
 #define SPLAT_LANE(v, n) __builtin_shufflevector(v, v, n, n, n, n, n, n, n, n)
 
-/* Returns the children of a node that a ray may meet, one bit each. */
+/* Returns the children of a node that a ray may meet in this part of it, one bit each. */
 static inline uint32_t meet_children(const struct bake_tree_ray *ray,
-                                     const struct bake_tree_node *node)
+                                     const struct bake_tree_node *node,
+                                     const struct bake_tree_part *part)
 {
     const float unit = (float)(1u << bake_tree_shift(node));
     const four_floats step = {unit, unit, unit, unit};
@@ -57,7 +63,8 @@ static inline uint32_t meet_children(const struct bake_tree_ray *ray,
     const four_floats margin = length * load_floats(ray->error);
     const four_floats near = zero - margin, far = zero + margin;
     const uint8_t *borders = node->borders[0][0];
-    eights t_in = eights_splat(ray->t_begin), t_out = eights_splat(ray->t_last);
+    eights t_in = eights_splat(bk_max(ray->t_begin, part->begin));
+    eights t_out = eights_splat(bk_min(ray->t_last, part->end));
 
     t_in = eights_max(t_in, eights_of_bytes(borders + ray->near[0]) * SPLAT_LANE(scale, 0) +
                                 SPLAT_LANE(near, 0));
@@ -110,7 +117,7 @@ static void test_pairs(struct bake_tree_tracer *tracer, const struct pairs *pair
     for (uint32_t i = 0; i < pairs->count; i++) {
         const uint32_t number = pairs->nodes[i], ray = pairs->rays[i];
         const struct bake_tree_node *node = &tracer->tree->nodes[number];
-        const uint32_t met = meet_children(&stream->rays[ray], node);
+        const uint32_t met = meet_children(&stream->rays[ray], node, &tracer->part);
         const uint32_t of_leaf = 0u - bake_tree_is_leaf(node);
         blocks = add_pairs(stream->block, stream->block_ray, blocks, met & of_leaf,
                            number * BAKE_TREE_WIDTH, ray);
@@ -142,17 +149,18 @@ struct bundle {
     float t_begin[BAKE_TREE_POINT_RAYS], t_end[BAKE_TREE_POINT_RAYS];
 };
 
-static void load_bundle(const struct bake_tree_stream *stream, uint32_t first, uint32_t count,
+static void load_bundle(const struct bake_tree_tracer *tracer, uint32_t first, uint32_t count,
                         struct bundle *bundle)
 {
+    const struct bake_tree_part *part = &tracer->part;
     bundle->first = first;
     bundle->count = count;
     for (uint32_t i = 0; i < BAKE_TREE_POINT_RAYS; i++) {
-        const struct bake_tree_ray *ray = &stream->rays[first + (i < count ? i : 0)];
+        const struct bake_tree_ray *ray = &tracer->stream->rays[first + (i < count ? i : 0)];
         for (int axis = 0; axis < 3; axis++)
             bundle->inverse[axis][i] = ray->inverse[axis];
-        bundle->t_begin[i] = ray->t_begin;
-        bundle->t_end[i] = i < count ? ray->t_end : BAKE_TREE_DONE;
+        bundle->t_begin[i] = bk_max(ray->t_begin, part->begin);
+        bundle->t_end[i] = i < count ? bk_min(ray->t_last, part->end) : BAKE_TREE_DONE;
     }
 }
 
@@ -238,16 +246,23 @@ static void test_bundle(struct bake_tree_tracer *tracer, const struct bundle *bu
     }
 }
 
-/* Sends the rays of a point, all of those from `first` on, through the tree. */
-static void trace_point(struct bake_tree_tracer *tracer, uint32_t first)
+/* Sends the rays of a point, `count` from `first` on, through the tree. */
+static void trace_point(struct bake_tree_tracer *tracer, uint32_t first, uint32_t count)
 {
+    struct bake_tree_stream *stream = tracer->stream;
     struct bundle_entry stack[BAKE_TREE_DEPTH * BAKE_TREE_WIDTH];
     struct bundle bundle;
+    uint64_t rays = 0;
     uint32_t top = 0;
-    if (first == tracer->rays)
-        return;
-    load_bundle(tracer->stream, first, tracer->rays - first, &bundle);
-    stack[top++] = (struct bundle_entry){~UINT64_C(0) >> (64 - bundle.count), 0};
+    for (uint32_t i = 0; i < count; i++)
+        rays |= (uint64_t)(stream->rays[first + i].t_last >= tracer->part.begin) << i;
+    if (__builtin_popcountll(rays) > SINGLE_RAYS_MOST) {
+        load_bundle(tracer, first, count, &bundle);
+        stack[top++] = (struct bundle_entry){rays, 0};
+    } else {
+        tracer->nodes =
+            add_rays_of(stream->node, stream->node_ray, tracer->nodes, rays, 0, first);
+    }
     while (top > 0) {
         const struct bundle_entry next = stack[--top];
         test_bundle(tracer, &bundle, next.node, next.rays, stack, &top);
@@ -255,11 +270,20 @@ static void trace_point(struct bake_tree_tracer *tracer, uint32_t first)
     drain_nodes(tracer);
 }
 
-/* Tests the blocks that are left, and empties the stream. */
-static void finish_rays(struct bake_tree_tracer *tracer)
+/* Traces the rays of the stream, and empties it. If the nearest hit counts, near parts of all rays
+ * come first, so that what is behind hits is not looked at. */
+static void trace_rays(struct bake_tree_tracer *tracer)
 {
-    BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);
-    tracer->rays = 0;
+    const uint32_t *points = tracer->stream->points;
+    struct bake_tree_part *part = &tracer->part;
+    *part = (struct bake_tree_part){0.0f, tracer->nearest ? NEAR_PART : BK_FAR};
+    for (bool more = true; more; part->begin = part->end, part->end = part->end * NEXT_PART) {
+        for (uint32_t i = 0; i < tracer->points; i++)
+            trace_point(tracer, points[i], points[i + 1] - points[i]);
+        BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);
+        more = part->end < tracer->kind->limit;
+    }
+    tracer->rays = tracer->points = 0;
 }
 
 /* Appends rays `first` and following ones of a point, at most BK_WIDTH. */
@@ -334,13 +358,14 @@ void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_p
         for (bk_uint first = 0; first < kind->count; first += BAKE_TREE_POINT_RAYS) {
             const bk_uint left = kind->count - first;
             const bk_uint end = first + (left < BAKE_TREE_POINT_RAYS ? left : BAKE_TREE_POINT_RAYS);
-            uint32_t begin;
             if (tracer.rays + BAKE_TREE_POINT_RAYS > BAKE_TREE_RAYS)
-                finish_rays(&tracer);
-            begin = tracer.rays;
+                trace_rays(&tracer);
+            stream->points[tracer.points++] = tracer.rays;
             for (bk_uint ray = first; ray < end; ray += BK_WIDTH)
                 add_rays(&tracer, &points[i], ray, (uint32_t)(i * stride) + ray);
-            trace_point(&tracer, begin);
+            if (tracer.rays == stream->points[tracer.points - 1])
+                tracer.points--;
+            stream->points[tracer.points] = tracer.rays;
         }
-    finish_rays(&tracer);
+    trace_rays(&tracer);
 }

@@ -16,6 +16,11 @@ _Static_assert(BAKE_TREE_TESTED + BAKE_TREE_AT_ONCE * BAKE_TREE_WIDTH <= BAKE_TR
                    BAKE_TREE_POINT_RAYS * BAKE_TREE_WIDTH <= BAKE_TREE_BLOCKS,
                "what a step adds fits in the list of blocks");
 
+/* What is traced of rays: boxes that they meet from t = begin to end. */
+struct bake_tree_part {
+    float begin, end;
+};
+
 struct bake_tree_tracer {
     const bk_grid *grid;
     const bk_params *params;
@@ -23,7 +28,8 @@ struct bake_tree_tracer {
     const bk_rays *kind;
     struct bake_tree_stream *stream;
     float *results;
-    uint32_t rays, nodes, blocks, voxels; /* in the lists of `stream` */
+    uint32_t rays, points, nodes, blocks, voxels; /* in the lists of `stream` */
+    struct bake_tree_part part;
     bool nearest;                         /* distances matter */
     float coarse;                         /* of bk_coarse_from() */
     bk_cache cache;

@@ -227,10 +227,11 @@ static void compare(const struct fixture *f, const bk_rays *kind, const bk_place
     }
 }
 
-static void compare_kinds(struct fixture *f, const bk_place_on_scan *points, float sine2)
+static void compare_kinds(struct fixture *f, const bk_place_on_scan *points, float sine2,
+                          float limit)
 {
     static const float coarse[] = {BK_FAR, 9.5f, 1.0f};
-    bk_rays kind = {.open = 1, .count = RAYS, .sine2 = sine2, .limit = 40};
+    bk_rays kind = {.open = 1, .count = RAYS, .sine2 = sine2, .limit = limit};
     f->params.open_limit = kind.limit;
     for (size_t i = 0; i < sizeof coarse / sizeof *coarse; i++) {
         f->params.open_coarse = coarse[i];
@@ -267,7 +268,7 @@ static void test_edges_and_corners(void **state)
         points[i].side = i % 3 ? 1.0f : -1.0f;
         points[i].seed = (bk_uint)i;
     }
-    compare_kinds(&f, points, 0.0f);
+    compare_kinds(&f, points, 0.0f, 40);
     close_fixture(&f);
     analytic_grid_free(grid);
 }
@@ -297,11 +298,18 @@ static void test_points_everywhere(void **state)
     struct fixture f;
     open_fixture(&f, grid);
     for (int i = 0; i < POINTS; i++)
-        points[i] = random_point(centre, i % 8 ? 14 : 200, &seed);
+        points[i] = random_point(centre, i % 4 ? 14 : 200, &seed);
+    /* Some outside look at the grid from afar. */
+    for (int i = 0; i < POINTS; i += 8) {
+        const bk_vec3 p = points[i].position;
+        points[i].normal = bk_unit(bk_v3((float)centre[0] - p.x, (float)centre[1] - p.y,
+                                         (float)centre[2] - p.z));
+    }
     /* Invalid points are not traced. */
     points[5].position.x = NAN;
     points[6].normal.y = INFINITY;
-    compare_kinds(&f, points, 1.0f);
+    compare_kinds(&f, points, 1.0f, 40);
+    compare_kinds(&f, points, 0.02f, 500);
     close_fixture(&f);
     analytic_grid_free(grid);
 }
@@ -324,7 +332,7 @@ static void test_wide_grid(void **state)
     assert_int_equal(check_node(&f, 0, NULL), f.file.voxel_count);
     for (int i = 0; i < POINTS; i++)
         points[i] = random_point((double[3]){ends[i % 2], ends[1 - i % 2], 3}, 11, &seed);
-    compare_kinds(&f, points, 1.0f);
+    compare_kinds(&f, points, 1.0f, 40);
     close_fixture(&f);
     analytic_grid_free(grid);
 }
