@@ -5,6 +5,8 @@
 #ifndef BSQ_SIMD_FLOATS_H
 #define BSQ_SIMD_FLOATS_H
 
+#include <string.h>
+
 #include "base/simd/lanes.h"
 
 #ifndef SIMD_FLOATS
@@ -131,6 +133,51 @@ LANES_INLINE float_ints floats_mask_of(uint32_t bits)
     for (int i = 0; i < SIMD_FLOATS; i++)
         each[i] = 1 << i;
     return (each & (int32_t)bits) != 0;
+#endif
+}
+
+/* Loads four words from each of SIMD_FLOATS places: word w of place i becomes lane i of out[w]. */
+LANES_INLINE void floats_load_fours(const void *const from[SIMD_FLOATS], floats out[4])
+{
+#if defined FLOATS_CALL
+    floats rows[4]; /* places r, r + 4, ... */
+    for (int r = 0; r < 4; r++) {
+#define FLOATS_FOUR(i) _mm_loadu_ps((const float *)from[r + 4 * (i)])
+#if SIMD_FLOATS == 4
+        rows[r] = FLOATS_FOUR(0);
+#define FLOATS_INDICES(a, b, c, d) a, b, c, d
+#else
+        const __m256 low =
+            _mm256_insertf128_ps(_mm256_castps128_ps256(FLOATS_FOUR(0)), FLOATS_FOUR(1), 1);
+#define FLOATS_INDICES_8(a, b, c, d) a, b, c, d, (a) + 4, (b) + 4, (c) + 4, (d) + 4
+#if SIMD_FLOATS == 8
+        rows[r] = low;
+#define FLOATS_INDICES(a, b, c, d) FLOATS_INDICES_8(a, b, c, d)
+#else
+        rows[r] = _mm512_insertf32x4(
+            _mm512_insertf32x4(_mm512_castps256_ps512(low), FLOATS_FOUR(2), 2), FLOATS_FOUR(3), 3);
+#define FLOATS_INDICES(a, b, c, d)                                                                 \
+    FLOATS_INDICES_8(a, b, c, d), FLOATS_INDICES_8((a) + 8, (b) + 8, (c) + 8, (d) + 8)
+#endif
+#endif
+    }
+#define FLOATS_MIX(x, y, a, b, c, d) __builtin_shufflevector(x, y, FLOATS_INDICES(a, b, c, d))
+    enum { Y = SIMD_FLOATS };
+    const floats low01 = FLOATS_MIX(rows[0], rows[1], 0, Y + 0, 1, Y + 1);
+    const floats low23 = FLOATS_MIX(rows[2], rows[3], 0, Y + 0, 1, Y + 1);
+    const floats high01 = FLOATS_MIX(rows[0], rows[1], 2, Y + 2, 3, Y + 3);
+    const floats high23 = FLOATS_MIX(rows[2], rows[3], 2, Y + 2, 3, Y + 3);
+    out[0] = FLOATS_MIX(low01, low23, 0, 1, Y + 0, Y + 1);
+    out[1] = FLOATS_MIX(low01, low23, 2, 3, Y + 2, Y + 3);
+    out[2] = FLOATS_MIX(high01, high23, 0, 1, Y + 0, Y + 1);
+    out[3] = FLOATS_MIX(high01, high23, 2, 3, Y + 2, Y + 3);
+#else
+    for (int i = 0; i < SIMD_FLOATS; i++) {
+        float words[4];
+        memcpy(words, from[i], sizeof words);
+        for (int w = 0; w < 4; w++)
+            out[w][i] = words[w];
+    }
 #endif
 }
 

@@ -23,22 +23,25 @@ enum {
     BAKE_TREE_VOXELS = 256
 };
 
-/* A ray on its way, see bk_ray and bk_walk. Each array has three values, and a
- * fourth that is not used. */
+/* A ray on its way, see bk_ray and bk_walk. Code loads four words at once, from the first ones of
+ * the rows. */
 struct bake_tree_ray {
-    float inverse[4], start[4];
-    int32_t base[4];
-    float error[4]; /* of a border's t for each voxel of distance: eight times that of rounding */
-    float direction[4];
-    int32_t first[4];        /* voxel in which the walk begins */
-    int32_t near[4], far[4]; /* byte offsets of the borders that the ray meets first and last */
-    float t_begin, t_end;
+    float inverse[3];
     float t_before; /* voxels are entered before it: t_end; far below 0 if only the first one is */
+    float start[3];
+    float side; /* of the point */
+    int32_t base[3];
+    float t_begin;
+    int32_t first[3]; /* voxel in which the walk begins */
     /* How the voxel of the nearest hit is entered: at t_stop, across a border of stop_axis. Voxels
      * that are entered later, by t and then by axis, do not count, and boxes after t_last. */
-    float t_stop, t_last;
+    float t_stop;
+    float direction[3];
     int32_t stop_axis;
-    float side; /* of the point */
+    float error[3]; /* of a border's t for each voxel of distance: eight times that of rounding */
+    float t_end;
+    int32_t near[3], far[3]; /* byte offsets of the borders that the ray meets first and last */
+    float t_last;
     uint32_t slot;
 };
 

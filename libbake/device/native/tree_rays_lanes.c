@@ -9,6 +9,7 @@
  * tested with a margin for rounding. tree_voxels_lanes.c tests blocks and voxels. */
 #include <assert.h>
 #include <math.h>
+#include <stddef.h>
 #include <string.h>
 
 #include "base/simd/simd.h"
@@ -31,17 +32,17 @@ enum { SINGLE_RAYS_MOST = 16 };
 typedef float four_floats __attribute__((vector_size(16)));
 typedef int32_t four_ints __attribute__((vector_size(16)));
 
-static four_floats load_floats(const float from[4])
+static four_floats load_floats(const void *from, size_t offset)
 {
     four_floats v;
-    memcpy(&v, from, sizeof v);
+    memcpy(&v, (const char *)from + offset, sizeof v);
     return v;
 }
 
-static four_ints load_ints(const void *from)
+static four_ints load_ints(const void *from, size_t offset)
 {
     four_ints v;
-    memcpy(&v, from, sizeof v);
+    memcpy(&v, (const char *)from + offset, sizeof v);
     return v;
 }
 
@@ -54,13 +55,16 @@ static inline uint32_t meet_children(const struct bake_tree_ray *ray,
 {
     const float unit = (float)(1u << bake_tree_shift(node));
     const four_floats step = {unit, unit, unit, unit};
-    const four_ints corner = load_ints(node) & ~7; /* lane 3 is not used */
-    const four_floats from = __builtin_convertvector(corner - load_ints(ray->base), four_floats) -
-                             load_floats(ray->start);
-    const four_floats inverse = load_floats(ray->inverse);
+    /* The fourth words are not used. */
+    const four_ints corner = load_ints(node, offsetof(struct bake_tree_node, corner)) & ~7;
+    const four_ints base = load_ints(ray, offsetof(struct bake_tree_ray, base));
+    const four_floats start = load_floats(ray, offsetof(struct bake_tree_ray, start));
+    const four_floats inverse = load_floats(ray, offsetof(struct bake_tree_ray, inverse));
+    const four_floats error = load_floats(ray, offsetof(struct bake_tree_ray, error));
+    const four_floats from = __builtin_convertvector(corner - base, four_floats) - start;
     const four_floats scale = inverse * step, zero = from * inverse;
     const four_floats length = (four_floats)((four_ints)from & INT32_MAX) + 256.0f * step;
-    const four_floats margin = length * load_floats(ray->error);
+    const four_floats margin = length * error;
     const four_floats near = zero - margin, far = zero + margin;
     const uint8_t *borders = node->borders[0][0];
     eights t_in = eights_splat(bk_max(ray->t_begin, part->begin));

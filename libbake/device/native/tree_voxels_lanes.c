@@ -20,12 +20,6 @@
 
 enum { BLOCK_VOXELS = 64 };
 
-/* Returns the lowest layer of a block of a leaf on an axis. */
-static int32_t block_corner(const struct bake_tree_node *leaf, uint32_t block, int axis)
-{
-    return bake_tree_corner(leaf, axis) | (int32_t)(block << axis & 4);
-}
-
 /* ---- voxels ---- */
 
 /* Rays and the voxels they visit, in lanes. */
@@ -43,58 +37,83 @@ struct group {
     bk_iw exit_axis;
 };
 
-static bk_fw gather_float(const struct bake_tree_stream *stream, const uint32_t rays[BK_WIDTH],
-                          size_t offset)
+/* Loads the words of rays from a row of four on, see struct bake_tree_ray. */
+static inline void load_row(const struct bake_tree_stream *stream, const uint32_t rays[BK_WIDTH],
+                            size_t offset, bk_fw row[4])
 {
-    bk_int words[BK_WIDTH];
+    const void *from[BK_WIDTH];
     for (int lane = 0; lane < BK_WIDTH; lane++)
-        memcpy(&words[lane], (const char *)&stream->rays[rays[lane]] + offset, sizeof *words);
-    return (bk_fw)bk_load_lanes(words);
+        from[lane] = (const char *)&stream->rays[rays[lane]] + offset;
+    floats_load_fours(from, row);
 }
 
-#define RAY_FLOAT(member) gather_float(tracer->stream, rays, offsetof(struct bake_tree_ray, member))
-#define RAY_INT(member)   ((bk_iw)RAY_FLOAT(member))
+#define LOAD_ROW(member, row) load_row(stream, rays, offsetof(struct bake_tree_ray, member), row)
+
+/* Where leaves are, and their numbers in the grid. */
+struct leaves {
+    bk_iw corner[3], number;
+};
+
+/* Loads the leaves of blocks, which are nodes times BAKE_TREE_WIDTH and more. */
+static inline void load_leaves(const struct bake_tree *tree, const uint32_t blocks[BK_WIDTH],
+                               struct leaves *leaves)
+{
+    const void *from[BK_WIDTH];
+    bk_fw row[4];
+    _Static_assert(offsetof(struct bake_tree_node, first) == 12, "after the corner");
+    for (int lane = 0; lane < BK_WIDTH; lane++)
+        from[lane] = &tree->nodes[blocks[lane] / BAKE_TREE_WIDTH];
+    floats_load_fours(from, row);
+    for (int axis = 0; axis < 3; axis++)
+        leaves->corner[axis] = (bk_iw)row[axis] & ~7;
+    leaves->number = (bk_iw)row[3];
+}
 
 /* Loads pairs `first` to `first + count - 1`; further lanes repeat the first one. */
 static void load_group(const struct bake_tree_tracer *tracer, uint32_t first, uint32_t count,
                        struct group *group)
 {
     const struct bake_tree_stream *stream = tracer->stream;
-    bk_int leaves[BK_WIDTH], voxels[3][BK_WIDTH];
-    uint32_t rays[BK_WIDTH];
+    uint32_t rays[BK_WIDTH], blocks[BK_WIDTH];
+    bk_int inside[BK_WIDTH];
+    struct leaves leaves;
+    bk_fw row[4];
     for (uint32_t lane = 0; lane < BK_WIDTH; lane++) {
-        const uint32_t pair = first + (lane < count ? lane : 0);
-        const uint32_t block = stream->voxel_block[pair], voxel = stream->voxel[pair];
-        const struct bake_tree_node *leaf = &tracer->tree->nodes[block / BAKE_TREE_WIDTH];
+        const uint32_t pair = first + (lane < count ? lane : 0), block = stream->voxel_block[pair];
         rays[lane] = stream->voxel_ray[pair];
-        leaves[lane] = (bk_int)leaf->first;
-        for (int axis = 0; axis < 3; axis++)
-            voxels[axis][lane] =
-                block_corner(leaf, block, axis) | (int32_t)(voxel >> (4 - 2 * axis) & 3);
+        blocks[lane] = block;
+        inside[lane] = (bk_int)((block % BAKE_TREE_WIDTH) << 6 | stream->voxel[pair]);
         group->values[lane] = stream->voxel_value[pair];
     }
-    group->place.x = bk_load_lanes(voxels[0]);
-    group->place.y = bk_load_lanes(voxels[1]);
-    group->place.z = bk_load_lanes(voxels[2]);
-    group->place.leaf = bk_load_lanes(leaves);
+    load_leaves(tracer->tree, blocks, &leaves);
+    const bk_iw v = bk_load_lanes(inside);
+    group->place.x = leaves.corner[0] | (v >> 6 & 4) | (v >> 4 & 3);
+    group->place.y = leaves.corner[1] | (v >> 5 & 4) | (v >> 2 & 3);
+    group->place.z = leaves.corner[2] | (v >> 4 & 4) | (v & 3);
+    group->place.leaf = leaves.number;
     group->place.mask = bk_splati(0);
-    group->ray.bx = RAY_INT(base[0]);
-    group->ray.by = RAY_INT(base[1]);
-    group->ray.bz = RAY_INT(base[2]);
-    group->ray.start = bk_v3w(RAY_FLOAT(start[0]), RAY_FLOAT(start[1]), RAY_FLOAT(start[2]));
-    group->ray.direction =
-        bk_v3w(RAY_FLOAT(direction[0]), RAY_FLOAT(direction[1]), RAY_FLOAT(direction[2]));
-    group->ray.inverse =
-        bk_v3w(RAY_FLOAT(inverse[0]), RAY_FLOAT(inverse[1]), RAY_FLOAT(inverse[2]));
-    group->ray.facing = bk_scalew(group->ray.direction, RAY_FLOAT(side));
-    group->ray.valid = bk_mask_of((1u << count) - 1u);
+    LOAD_ROW(inverse, row);
+    group->ray.inverse = bk_v3w(row[0], row[1], row[2]);
+    group->t_before = row[3];
+    LOAD_ROW(start, row);
+    group->ray.start = bk_v3w(row[0], row[1], row[2]);
+    const bk_fw side = row[3];
+    LOAD_ROW(base, row);
+    group->ray.bx = (bk_iw)row[0];
+    group->ray.by = (bk_iw)row[1];
+    group->ray.bz = (bk_iw)row[2];
+    group->t_begin = row[3];
+    LOAD_ROW(first, row);
     for (int axis = 0; axis < 3; axis++)
-        group->first[axis] = RAY_INT(first[axis]);
-    group->t_begin = RAY_FLOAT(t_begin);
-    group->t_end = RAY_FLOAT(t_end);
-    group->t_before = RAY_FLOAT(t_before);
-    group->t_stop = RAY_FLOAT(t_stop);
-    group->stop_axis = RAY_INT(stop_axis);
+        group->first[axis] = (bk_iw)row[axis];
+    group->t_stop = row[3];
+    LOAD_ROW(direction, row);
+    group->ray.direction = bk_v3w(row[0], row[1], row[2]);
+    group->ray.facing = bk_scalew(group->ray.direction, side);
+    group->stop_axis = (bk_iw)row[3];
+    LOAD_ROW(error, row);
+    group->t_end = row[3];
+    group->ray.valid = bk_mask_of((1u << count) - 1u);
 }
 
 /* Returns the t at which rays enter layer v of an axis; -BK_FAR: their walks begin in it. */
@@ -324,22 +343,25 @@ static void load_blocks(const struct bake_tree_tracer *tracer, uint32_t first, u
                         struct block_group *group)
 {
     const struct bake_tree_stream *stream = tracer->stream;
-    bk_int corners[3][BK_WIDTH];
-    uint32_t rays[BK_WIDTH];
+    uint32_t rays[BK_WIDTH], blocks[BK_WIDTH];
+    bk_fw inverse[4], start[4], base[4], begin[4];
+    struct leaves leaves;
     for (uint32_t lane = 0; lane < BK_WIDTH; lane++) {
-        const uint32_t pair = first + (lane < count ? lane : 0), block = stream->block[pair];
-        const struct bake_tree_node *leaf = &tracer->tree->nodes[block / BAKE_TREE_WIDTH];
+        const uint32_t pair = first + (lane < count ? lane : 0);
         rays[lane] = stream->block_ray[pair];
-        for (int axis = 0; axis < 3; axis++)
-            corners[axis][lane] = block_corner(leaf, block, axis);
+        blocks[lane] = stream->block[pair];
     }
-    group->axes[0] = find_layers(bk_load_lanes(corners[0]), RAY_INT(first[0]), RAY_INT(base[0]),
-                                 RAY_FLOAT(start[0]), RAY_FLOAT(inverse[0]));
-    group->axes[1] = find_layers(bk_load_lanes(corners[1]), RAY_INT(first[1]), RAY_INT(base[1]),
-                                 RAY_FLOAT(start[1]), RAY_FLOAT(inverse[1]));
-    group->axes[2] = find_layers(bk_load_lanes(corners[2]), RAY_INT(first[2]), RAY_INT(base[2]),
-                                 RAY_FLOAT(start[2]), RAY_FLOAT(inverse[2]));
-    group->t_before = RAY_FLOAT(t_before);
+    load_leaves(tracer->tree, blocks, &leaves);
+    LOAD_ROW(inverse, inverse);
+    LOAD_ROW(start, start);
+    LOAD_ROW(base, base);
+    LOAD_ROW(first, begin);
+    const bk_iw block = bk_load_lanes((const bk_int *)blocks);
+    for (int axis = 0; axis < 3; axis++)
+        group->axes[axis] =
+            find_layers(leaves.corner[axis] | (block << axis & 4), (bk_iw)begin[axis],
+                        (bk_iw)base[axis], start[axis], inverse[axis]);
+    group->t_before = inverse[3];
     group->t_in = bk_maxw(first_entry(&group->axes[0]),
                           bk_maxw(first_entry(&group->axes[1]), first_entry(&group->axes[2])));
 }
