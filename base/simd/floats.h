@@ -5,6 +5,7 @@
 #ifndef BSQ_SIMD_FLOATS_H
 #define BSQ_SIMD_FLOATS_H
 
+#include <stddef.h>
 #include <string.h>
 
 #include "base/simd/lanes.h"
@@ -136,13 +137,15 @@ LANES_INLINE float_ints floats_mask_of(uint32_t bits)
 #endif
 }
 
-/* Loads four words from each of SIMD_FLOATS places: word w of place i becomes lane i of out[w]. */
-LANES_INLINE void floats_load_fours(const void *const from[SIMD_FLOATS], floats out[4])
+/* Loads the four words at an offset of bytes from each of SIMD_FLOATS places: word w of place i
+ * becomes lane i of out[w]. */
+LANES_INLINE void floats_load_rows(const void *const from[SIMD_FLOATS], size_t offset,
+                                   floats out[4])
 {
 #if defined FLOATS_CALL
     floats rows[4]; /* places r, r + 4, ... */
     for (int r = 0; r < 4; r++) {
-#define FLOATS_FOUR(i) _mm_loadu_ps((const float *)from[r + 4 * (i)])
+#define FLOATS_FOUR(i) _mm_loadu_ps((const float *)((const char *)from[r + 4 * (i)] + offset))
 #if SIMD_FLOATS == 4
         rows[r] = FLOATS_FOUR(0);
 #define FLOATS_INDICES(a, b, c, d) a, b, c, d
@@ -174,7 +177,7 @@ LANES_INLINE void floats_load_fours(const void *const from[SIMD_FLOATS], floats 
 #else
     for (int i = 0; i < SIMD_FLOATS; i++) {
         float words[4];
-        memcpy(words, from[i], sizeof words);
+        memcpy(words, (const char *)from[i] + offset, sizeof words);
         for (int w = 0; w < 4; w++)
             out[w][i] = words[w];
     }

@@ -40,16 +40,23 @@ struct bake_tree_ray {
     int32_t stop_axis;
     float error[3]; /* of a border's t for each voxel of distance: eight times that of rounding */
     float t_end;
-    int32_t near[3], far[3]; /* byte offsets of the borders that the ray meets first and last */
+    int32_t near[3]; /* byte offsets of the borders that the ray meets first */
     float t_last;
+    int32_t far[3]; /* and last */
     uint32_t slot;
+};
+
+/* A point whose rays are in a stream, BAKE_TREE_POINT_RAYS at most. */
+struct bake_tree_point {
+    uint32_t first, count; /* its rays */
+    float axis[3];         /* no ray is more than a right angle from it */
 };
 
 /* Rays, and lists of pairs of a ray and a node, a block or a voxel. Vectors are stored at the ends
  * of lists. */
 struct bake_tree_stream {
     struct bake_tree_ray rays[BAKE_TREE_RAYS];
-    uint32_t points[BAKE_TREE_RAYS + 1]; /* first ray of each point, and the end of the last one */
+    struct bake_tree_point points[BAKE_TREE_RAYS];
     uint32_t node[BAKE_TREE_NODES + BAKE_TREE_WIDTH], node_ray[BAKE_TREE_NODES + BAKE_TREE_WIDTH];
     /* A block is its leaf's node times BAKE_TREE_WIDTH, and its number there. */
     uint32_t block[BAKE_TREE_BLOCKS + BAKE_TREE_WIDTH];

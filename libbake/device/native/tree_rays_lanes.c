@@ -148,31 +148,56 @@ static void drain_nodes(struct bake_tree_tracer *tracer)
 
 /* Rays of a point, in lanes. Unused lanes meet nothing. */
 struct bundle {
-    uint32_t first, count; /* numbers of the rays */
-    float inverse[3][BAKE_TREE_POINT_RAYS];
-    float t_begin[BAKE_TREE_POINT_RAYS], t_end[BAKE_TREE_POINT_RAYS];
+    const struct bake_tree_point *point;
+    float low[3], high[3]; /* a box around the rays, from where they start */
+    bk_fw inverse[3][BAKE_TREE_POINT_RAYS / BK_WIDTH];
+    bk_fw t_begin[BAKE_TREE_POINT_RAYS / BK_WIDTH], t_end[BAKE_TREE_POINT_RAYS / BK_WIDTH];
 };
 
-static void load_bundle(const struct bake_tree_tracer *tracer, uint32_t first, uint32_t count,
-                        struct bundle *bundle)
+/* Loads rays `first` and following ones of a bundle. low, high: a box around them in lanes, which
+ * grows. */
+static inline void load_rays(const struct bake_tree_tracer *tracer, uint32_t first,
+                             struct bundle *bundle, bk_fw low[3], bk_fw high[3])
 {
+    const struct bake_tree_ray *rays = &tracer->stream->rays[bundle->point->first];
     const struct bake_tree_part *part = &tracer->part;
-    bundle->first = first;
-    bundle->count = count;
-    for (uint32_t i = 0; i < BAKE_TREE_POINT_RAYS; i++) {
-        const struct bake_tree_ray *ray = &tracer->stream->rays[first + (i < count ? i : 0)];
-        for (int axis = 0; axis < 3; axis++)
-            bundle->inverse[axis][i] = ray->inverse[axis];
-        bundle->t_begin[i] = bk_max(ray->t_begin, part->begin);
-        bundle->t_end[i] = i < count ? bk_min(ray->t_last, part->end) : BAKE_TREE_DONE;
+    const uint32_t left = bundle->point->count - first, group = first / BK_WIDTH;
+    const void *from[BK_WIDTH];
+    bk_fw inverse[4], base[4], direction[4], near[4];
+    for (uint32_t lane = 0; lane < BK_WIDTH; lane++)
+        from[lane] = &rays[first + (lane < left ? lane : 0)];
+    floats_load_rows(from, offsetof(struct bake_tree_ray, inverse), inverse);
+    floats_load_rows(from, offsetof(struct bake_tree_ray, base), base);
+    floats_load_rows(from, offsetof(struct bake_tree_ray, direction), direction);
+    floats_load_rows(from, offsetof(struct bake_tree_ray, near), near);
+    const bk_fw t_end = bk_minw(near[3], bk_splat(part->end));
+    for (int axis = 0; axis < 3; axis++) {
+        const bk_fw end = direction[axis] * t_end;
+        bundle->inverse[axis][group] = inverse[axis];
+        low[axis] = bk_minw(low[axis], end);
+        high[axis] = bk_maxw(high[axis], end);
     }
+    bundle->t_begin[group] = bk_maxw(base[3], bk_splat(part->begin));
+    bundle->t_end[group] =
+        bk_select(bk_mask_of(left < BK_WIDTH ? (1u << left) - 1u : ~0u), t_end,
+                  bk_splat(BAKE_TREE_DONE));
 }
 
-static bk_fw load_lanes(const float from[BK_WIDTH])
+static void load_bundle(const struct bake_tree_tracer *tracer, const struct bake_tree_point *point,
+                        struct bundle *bundle)
 {
-    bk_fw lanes;
-    memcpy(&lanes, from, sizeof lanes);
-    return lanes;
+    const bk_fw none = bk_splat(0.0f);
+    bk_fw low[3] = {none, none, none}, high[3] = {none, none, none};
+    bundle->point = point;
+    for (uint32_t first = 0; first < point->count; first += BK_WIDTH)
+        load_rays(tracer, first, bundle, low, high);
+    for (int axis = 0; axis < 3; axis++) {
+        bundle->low[axis] = bundle->high[axis] = 0.0f;
+        for (uint32_t lane = 0; lane < BK_WIDTH; lane++) {
+            bundle->low[axis] = bk_min(bundle->low[axis], bk_lane(low[axis], lane));
+            bundle->high[axis] = bk_max(bundle->high[axis], bk_lane(high[axis], lane));
+        }
+    }
 }
 
 /* Returns those rays of a bundle that meet a box; low, high: its borders from the rays' start, with
@@ -181,15 +206,15 @@ static inline uint64_t meet_box(const struct bundle *bundle, const float low[3],
                                 const float high[3], uint64_t rays)
 {
     uint64_t met = 0;
-    for (uint32_t i = 0; i < bundle->count; i += BK_WIDTH) {
-        bk_fw t_in = load_lanes(&bundle->t_begin[i]), t_out = load_lanes(&bundle->t_end[i]);
+    for (uint32_t group = 0; group * BK_WIDTH < bundle->point->count; group++) {
+        bk_fw t_in = bundle->t_begin[group], t_out = bundle->t_end[group];
         for (int axis = 0; axis < 3; axis++) {
-            const bk_fw inverse = load_lanes(&bundle->inverse[axis][i]);
+            const bk_fw inverse = bundle->inverse[axis][group];
             const bk_fw a = inverse * low[axis], b = inverse * high[axis];
             t_in = bk_maxw(t_in, bk_minw(a, b));
             t_out = bk_minw(t_out, bk_maxw(a, b));
         }
-        met |= (uint64_t)bk_bits(t_in <= t_out) << i;
+        met |= (uint64_t)bk_bits(t_in <= t_out) << group * BK_WIDTH;
     }
     return met & rays;
 }
@@ -211,6 +236,39 @@ struct bundle_entry {
     uint32_t node;
 };
 
+/* Borders of the boxes of a node's children, from the start of a point's rays. */
+struct boxes {
+    float low[3][BAKE_TREE_WIDTH], high[3][BAKE_TREE_WIDTH];
+};
+
+/* Finds the boxes of a node's children, with a margin for rounding. Returns those that rays of a
+ * bundle may meet, one bit each: they touch the box around the rays, and are not wholly behind the
+ * plane through the point. */
+static uint32_t find_boxes(const struct bundle *bundle, const struct bake_tree_ray *ray,
+                           const struct bake_tree_node *node, struct boxes *boxes)
+{
+    const float unit = (float)(1u << bake_tree_shift(node));
+    const float *normal = bundle->point->axis;
+    eights ahead = eights_splat(0.0f);
+    float slack = 0.0f;
+    uint32_t met = eights_not_above(eights_of_bytes(node->borders[0][0]),
+                                    eights_of_bytes(node->borders[0][1]));
+    for (int axis = 0; axis < 3; axis++) {
+        const float from =
+            (float)(bake_tree_corner(node, axis) - ray->base[axis]) - ray->start[axis];
+        const float margin = (fabsf(from) + 256.0f * unit) * (1.0f / (1 << 21));
+        const eights low = eights_of_bytes(node->borders[axis][0]) * unit + (from - margin);
+        const eights high = eights_of_bytes(node->borders[axis][1]) * unit + (from + margin);
+        met &= eights_not_above(low, eights_splat(bundle->high[axis])) &
+               eights_not_above(eights_splat(bundle->low[axis]), high);
+        ahead += eights_max(low * normal[axis], high * normal[axis]);
+        slack += 8.0f * margin;
+        memcpy(boxes->low[axis], &low, sizeof low);
+        memcpy(boxes->high[axis], &high, sizeof high);
+    }
+    return met & eights_not_above(eights_splat(-slack), ahead);
+}
+
 /* Tests a bundle against the boxes of a node's children. Children that few rays meet become
  * pairs with single rays, others are appended to the stack. */
 static void test_bundle(struct bake_tree_tracer *tracer, const struct bundle *bundle,
@@ -218,54 +276,48 @@ static void test_bundle(struct bake_tree_tracer *tracer, const struct bundle *bu
 {
     struct bake_tree_stream *stream = tracer->stream;
     const struct bake_tree_node *node = &tracer->tree->nodes[number];
-    const struct bake_tree_ray *ray = &stream->rays[bundle->first];
-    const uint32_t shift = bake_tree_shift(node);
+    const uint32_t first = bundle->point->first;
+    struct boxes boxes;
     if (tracer->blocks + BAKE_TREE_WIDTH * BAKE_TREE_POINT_RAYS > BAKE_TREE_BLOCKS)
         BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);
     if (tracer->nodes > BAKE_TREE_POINT_RAYS * BAKE_TREE_WIDTH)
         drain_nodes(tracer);
-    for (uint32_t child = 0; child < BAKE_TREE_WIDTH; child++) {
+    for (uint32_t left = find_boxes(bundle, &stream->rays[first], node, &boxes); left;
+         left &= left - 1) {
+        const uint32_t child = (uint32_t)__builtin_ctz(left);
         float low[3], high[3];
-        if (node->borders[0][0][child] > node->borders[0][1][child])
-            continue;
         for (int axis = 0; axis < 3; axis++) {
-            const int32_t corner = bake_tree_corner(node, axis) - ray->base[axis];
-            const float from =
-                (float)(corner + (node->borders[axis][0][child] << shift)) - ray->start[axis];
-            const float to =
-                (float)(corner + (node->borders[axis][1][child] << shift)) - ray->start[axis];
-            const float margin = (fabsf(from) + fabsf(to) + 1.0f) * (1.0f / (1 << 21));
-            low[axis] = from - margin;
-            high[axis] = to + margin;
+            low[axis] = boxes.low[axis][child];
+            high[axis] = boxes.high[axis][child];
         }
         const uint64_t met = meet_box(bundle, low, high, rays);
         if (bake_tree_is_leaf(node))
             tracer->blocks = add_rays_of(stream->block, stream->block_ray, tracer->blocks, met,
-                                         number * BAKE_TREE_WIDTH + child, bundle->first);
+                                         number * BAKE_TREE_WIDTH + child, first);
         else if (__builtin_popcountll(met) > SINGLE_RAYS_MOST)
             stack[(*top)++] = (struct bundle_entry){met, node->first + child};
         else
             tracer->nodes = add_rays_of(stream->node, stream->node_ray, tracer->nodes, met,
-                                        node->first + child, bundle->first);
+                                        node->first + child, first);
     }
 }
 
-/* Sends the rays of a point, `count` from `first` on, through the tree. */
-static void trace_point(struct bake_tree_tracer *tracer, uint32_t first, uint32_t count)
+/* Sends the rays of a point through the tree. */
+static void trace_point(struct bake_tree_tracer *tracer, const struct bake_tree_point *point)
 {
     struct bake_tree_stream *stream = tracer->stream;
     struct bundle_entry stack[BAKE_TREE_DEPTH * BAKE_TREE_WIDTH];
     struct bundle bundle;
     uint64_t rays = 0;
     uint32_t top = 0;
-    for (uint32_t i = 0; i < count; i++)
-        rays |= (uint64_t)(stream->rays[first + i].t_last >= tracer->part.begin) << i;
+    for (uint32_t i = 0; i < point->count; i++)
+        rays |= (uint64_t)(stream->rays[point->first + i].t_last >= tracer->part.begin) << i;
     if (__builtin_popcountll(rays) > SINGLE_RAYS_MOST) {
-        load_bundle(tracer, first, count, &bundle);
+        load_bundle(tracer, point, &bundle);
         stack[top++] = (struct bundle_entry){rays, 0};
     } else {
         tracer->nodes =
-            add_rays_of(stream->node, stream->node_ray, tracer->nodes, rays, 0, first);
+            add_rays_of(stream->node, stream->node_ray, tracer->nodes, rays, 0, point->first);
     }
     while (top > 0) {
         const struct bundle_entry next = stack[--top];
@@ -278,12 +330,11 @@ static void trace_point(struct bake_tree_tracer *tracer, uint32_t first, uint32_
  * come first, so that what is behind hits is not looked at. */
 static void trace_rays(struct bake_tree_tracer *tracer)
 {
-    const uint32_t *points = tracer->stream->points;
     struct bake_tree_part *part = &tracer->part;
     *part = (struct bake_tree_part){0.0f, tracer->nearest ? NEAR_PART : BK_FAR};
     for (bool more = true; more; part->begin = part->end, part->end = part->end * NEXT_PART) {
         for (uint32_t i = 0; i < tracer->points; i++)
-            trace_point(tracer, points[i], points[i + 1] - points[i]);
+            trace_point(tracer, &tracer->stream->points[i]);
         BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);
         more = part->end < tracer->kind->limit;
     }
@@ -358,18 +409,22 @@ void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_p
                                       .nearest = !kind->open || params->flags & BK_OPEN_FALLOFF,
                                       .coarse = bk_coarse_from(params, kind->open),
                                       .cache = bk_cache_empty()};
-    for (uint32_t i = 0; i < count; i++)
+    const float side = kind->open ? 1.0f : -1.0f;
+    for (uint32_t i = 0; i < count; i++) {
+        const bk_vec3 n = points[i].normal;
         for (bk_uint first = 0; first < kind->count; first += BAKE_TREE_POINT_RAYS) {
             const bk_uint left = kind->count - first;
             const bk_uint end = first + (left < BAKE_TREE_POINT_RAYS ? left : BAKE_TREE_POINT_RAYS);
             if (tracer.rays + BAKE_TREE_POINT_RAYS > BAKE_TREE_RAYS)
                 trace_rays(&tracer);
-            stream->points[tracer.points++] = tracer.rays;
+            struct bake_tree_point *point = &stream->points[tracer.points];
+            *point = (struct bake_tree_point){
+                .first = tracer.rays, .axis = {side * n.x, side * n.y, side * n.z}};
             for (bk_uint ray = first; ray < end; ray += BK_WIDTH)
                 add_rays(&tracer, &points[i], ray, (uint32_t)(i * stride) + ray);
-            if (tracer.rays == stream->points[tracer.points - 1])
-                tracer.points--;
-            stream->points[tracer.points] = tracer.rays;
+            point->count = tracer.rays - point->first;
+            tracer.points += point->count > 0;
         }
+    }
     trace_rays(&tracer);
 }

@@ -37,18 +37,6 @@ struct group {
     bk_iw exit_axis;
 };
 
-/* Loads the words of rays from a row of four on, see struct bake_tree_ray. */
-static inline void load_row(const struct bake_tree_stream *stream, const uint32_t rays[BK_WIDTH],
-                            size_t offset, bk_fw row[4])
-{
-    const void *from[BK_WIDTH];
-    for (int lane = 0; lane < BK_WIDTH; lane++)
-        from[lane] = (const char *)&stream->rays[rays[lane]] + offset;
-    floats_load_fours(from, row);
-}
-
-#define LOAD_ROW(member, row) load_row(stream, rays, offsetof(struct bake_tree_ray, member), row)
-
 /* Where leaves are, and their numbers in the grid. */
 struct leaves {
     bk_iw corner[3], number;
@@ -63,7 +51,7 @@ static inline void load_leaves(const struct bake_tree *tree, const uint32_t bloc
     _Static_assert(offsetof(struct bake_tree_node, first) == 12, "after the corner");
     for (int lane = 0; lane < BK_WIDTH; lane++)
         from[lane] = &tree->nodes[blocks[lane] / BAKE_TREE_WIDTH];
-    floats_load_fours(from, row);
+    floats_load_rows(from, offsetof(struct bake_tree_node, corner), row);
     for (int axis = 0; axis < 3; axis++)
         leaves->corner[axis] = (bk_iw)row[axis] & ~7;
     leaves->number = (bk_iw)row[3];
@@ -74,13 +62,14 @@ static void load_group(const struct bake_tree_tracer *tracer, uint32_t first, ui
                        struct group *group)
 {
     const struct bake_tree_stream *stream = tracer->stream;
-    uint32_t rays[BK_WIDTH], blocks[BK_WIDTH];
+    const void *rays[BK_WIDTH];
+    uint32_t blocks[BK_WIDTH];
     bk_int inside[BK_WIDTH];
     struct leaves leaves;
     bk_fw row[4];
     for (uint32_t lane = 0; lane < BK_WIDTH; lane++) {
         const uint32_t pair = first + (lane < count ? lane : 0), block = stream->voxel_block[pair];
-        rays[lane] = stream->voxel_ray[pair];
+        rays[lane] = &stream->rays[stream->voxel_ray[pair]];
         blocks[lane] = block;
         inside[lane] = (bk_int)((block % BAKE_TREE_WIDTH) << 6 | stream->voxel[pair]);
         group->values[lane] = stream->voxel_value[pair];
@@ -92,26 +81,26 @@ static void load_group(const struct bake_tree_tracer *tracer, uint32_t first, ui
     group->place.z = leaves.corner[2] | (v >> 4 & 4) | (v & 3);
     group->place.leaf = leaves.number;
     group->place.mask = bk_splati(0);
-    LOAD_ROW(inverse, row);
+    floats_load_rows(rays, offsetof(struct bake_tree_ray, inverse), row);
     group->ray.inverse = bk_v3w(row[0], row[1], row[2]);
     group->t_before = row[3];
-    LOAD_ROW(start, row);
+    floats_load_rows(rays, offsetof(struct bake_tree_ray, start), row);
     group->ray.start = bk_v3w(row[0], row[1], row[2]);
     const bk_fw side = row[3];
-    LOAD_ROW(base, row);
+    floats_load_rows(rays, offsetof(struct bake_tree_ray, base), row);
     group->ray.bx = (bk_iw)row[0];
     group->ray.by = (bk_iw)row[1];
     group->ray.bz = (bk_iw)row[2];
     group->t_begin = row[3];
-    LOAD_ROW(first, row);
+    floats_load_rows(rays, offsetof(struct bake_tree_ray, first), row);
     for (int axis = 0; axis < 3; axis++)
         group->first[axis] = (bk_iw)row[axis];
     group->t_stop = row[3];
-    LOAD_ROW(direction, row);
+    floats_load_rows(rays, offsetof(struct bake_tree_ray, direction), row);
     group->ray.direction = bk_v3w(row[0], row[1], row[2]);
     group->ray.facing = bk_scalew(group->ray.direction, side);
     group->stop_axis = (bk_iw)row[3];
-    LOAD_ROW(error, row);
+    floats_load_rows(rays, offsetof(struct bake_tree_ray, error), row);
     group->t_end = row[3];
     group->ray.valid = bk_mask_of((1u << count) - 1u);
 }
@@ -343,19 +332,20 @@ static void load_blocks(const struct bake_tree_tracer *tracer, uint32_t first, u
                         struct block_group *group)
 {
     const struct bake_tree_stream *stream = tracer->stream;
-    uint32_t rays[BK_WIDTH], blocks[BK_WIDTH];
+    const void *rays[BK_WIDTH];
+    uint32_t blocks[BK_WIDTH];
     bk_fw inverse[4], start[4], base[4], begin[4];
     struct leaves leaves;
     for (uint32_t lane = 0; lane < BK_WIDTH; lane++) {
         const uint32_t pair = first + (lane < count ? lane : 0);
-        rays[lane] = stream->block_ray[pair];
+        rays[lane] = &stream->rays[stream->block_ray[pair]];
         blocks[lane] = stream->block[pair];
     }
     load_leaves(tracer->tree, blocks, &leaves);
-    LOAD_ROW(inverse, inverse);
-    LOAD_ROW(start, start);
-    LOAD_ROW(base, base);
-    LOAD_ROW(first, begin);
+    floats_load_rows(rays, offsetof(struct bake_tree_ray, inverse), inverse);
+    floats_load_rows(rays, offsetof(struct bake_tree_ray, start), start);
+    floats_load_rows(rays, offsetof(struct bake_tree_ray, base), base);
+    floats_load_rows(rays, offsetof(struct bake_tree_ray, first), begin);
     const bk_iw block = bk_load_lanes((const bk_int *)blocks);
     for (int axis = 0; axis < 3; axis++)
         group->axes[axis] =
