@@ -85,14 +85,18 @@ static inline uint32_t meet_children(const struct bake_tree_ray *ray,
     return eights_not_above(t_in, t_out);
 }
 
-/* Appends pairs of a ray and first + i for each bit i that is set. Returns the new count. */
-static inline uint32_t add_pairs(uint32_t *items, uint32_t *rays, uint32_t count, uint32_t bits,
-                                 uint32_t first, uint32_t ray)
+/* Lists of pairs of a ray and a node, or a block. */
+struct list {
+    uint32_t *items, *rays, count;
+};
+
+/* Appends pairs of a ray and first + i for each bit i that is set. */
+static inline void add_pairs(struct list *list, uint32_t bits, uint32_t first, uint32_t ray)
 {
     const eight_ints all = (int32_t)ray - (eight_ints){0};
-    eights_store_set(bits, first, items + count);
-    memcpy(rays + count, &all, sizeof all);
-    return count + (uint32_t)__builtin_popcount(bits);
+    eights_store_set(bits, first, list->items + list->count);
+    memcpy(list->rays + list->count, &all, sizeof all);
+    list->count += (uint32_t)__builtin_popcount(bits);
 }
 
 /* Pairs that are about to be tested, while their nodes are read. */
@@ -116,20 +120,19 @@ static void take_pairs(struct bake_tree_tracer *tracer, struct pairs *pairs)
 static void test_pairs(struct bake_tree_tracer *tracer, const struct pairs *pairs)
 {
     struct bake_tree_stream *stream = tracer->stream;
-    uint32_t nodes = tracer->nodes, blocks = tracer->blocks;
-    assert(nodes + BAKE_TREE_AT_ONCE * BAKE_TREE_WIDTH <= BAKE_TREE_NODES);
+    struct list lists[2] = {{stream->node, stream->node_ray, tracer->nodes},
+                            {stream->block, stream->block_ray, tracer->blocks}};
+    assert(tracer->nodes + BAKE_TREE_AT_ONCE * BAKE_TREE_WIDTH <= BAKE_TREE_NODES);
     for (uint32_t i = 0; i < pairs->count; i++) {
         const uint32_t number = pairs->nodes[i], ray = pairs->rays[i];
         const struct bake_tree_node *node = &tracer->tree->nodes[number];
         const uint32_t met = meet_children(&stream->rays[ray], node, &tracer->part);
-        const uint32_t of_leaf = 0u - bake_tree_is_leaf(node);
-        blocks = add_pairs(stream->block, stream->block_ray, blocks, met & of_leaf,
-                           number * BAKE_TREE_WIDTH, ray);
-        nodes = add_pairs(stream->node, stream->node_ray, nodes, met & ~of_leaf, node->first, ray);
+        const uint32_t leaf = bake_tree_is_leaf(node);
+        add_pairs(&lists[leaf], met, leaf ? number * BAKE_TREE_WIDTH : node->first, ray);
     }
-    tracer->nodes = nodes;
-    tracer->blocks = blocks;
-    if (blocks >= BAKE_TREE_TESTED)
+    tracer->nodes = lists[0].count;
+    tracer->blocks = lists[1].count;
+    if (tracer->blocks >= BAKE_TREE_TESTED)
         BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);
 }
 
