@@ -58,7 +58,9 @@ LANES_INLINE eights eights_max(eights a, eights b)
 /* Returns bit i if a[i] <= b[i]. */
 LANES_INLINE uint32_t eights_not_above(eights a, eights b)
 {
-#ifdef __AVX2__
+#if defined __AVX512VL__ && defined __AVX512F__
+    return _mm256_cmp_ps_mask(a, b, _CMP_LE_OQ);
+#elif defined __AVX2__
     return (uint32_t)_mm256_movemask_ps(_mm256_cmp_ps(a, b, _CMP_LE_OQ));
 #else
     const eight_ints mask = a <= b;

@@ -399,6 +399,9 @@ static int add_nodes(struct builder *builder, bool *fits)
         else
             make_boxes(tree, &tree->nodes[i]);
     }
+    const struct box whole = node_box(&tree->nodes[0]);
+    memcpy(tree->low, whole.low, sizeof tree->low);
+    memcpy(tree->high, whole.high, sizeof tree->high);
     return 0;
 }
 

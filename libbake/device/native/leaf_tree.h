@@ -40,6 +40,7 @@ _Static_assert(sizeof(struct bake_tree_node) == 64, "a node takes a cache line")
 struct bake_tree {
     struct bake_tree_node *nodes; /* the root comes first; NULL: there is no tree */
     uint64_t count, capacity;
+    int32_t low[3], high[3]; /* borders of a box around all voxels */
 };
 
 /* Builds the tree of a grid. Without leaves, or if the grid is too wide or the tree would need more

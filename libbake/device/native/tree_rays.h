@@ -38,7 +38,7 @@ struct bake_tree_ray {
     float t_stop;
     float direction[3];
     int32_t stop_axis;
-    float error[3]; /* of a border's t for each voxel of distance: eight times that of rounding */
+    float margin[3]; /* of the t of a box's borders: eight times the error of rounding */
     float t_end;
     int32_t near[3]; /* byte offsets of the borders that the ray meets first */
     float t_last;

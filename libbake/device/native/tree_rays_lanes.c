@@ -8,6 +8,7 @@
  * one box at a time; then one ray at a time against the boxes of all children of a node. Boxes are
  * tested with a margin for rounding. tree_voxels_lanes.c tests blocks and voxels. */
 #include <assert.h>
+#include <float.h>
 #include <math.h>
 #include <stddef.h>
 #include <string.h>
@@ -46,6 +47,15 @@ static four_ints load_ints(const void *from, size_t offset)
     return v;
 }
 
+/* Returns the step of a node's borders in all lanes: the power of two with the exponent
+ * bake_tree_shift(). */
+static inline four_floats four_steps(const struct bake_tree_node *node)
+{
+    const four_ints first = node->corner[0] - (four_ints){0};
+    _Static_assert(FLT_MANT_DIG == 24, "the exponent is in the bits from 23 on");
+    return (four_floats)(((first & 7) << 24) + (127 << 23));
+}
+
 #define SPLAT_LANE(v, n) __builtin_shufflevector(v, v, n, n, n, n, n, n, n, n)
 
 /* Returns the children of a node that a ray may meet in this part of it, one bit each. */
@@ -53,18 +63,15 @@ static inline uint32_t meet_children(const struct bake_tree_ray *ray,
                                      const struct bake_tree_node *node,
                                      const struct bake_tree_part *part)
 {
-    const float unit = (float)(1u << bake_tree_shift(node));
-    const four_floats step = {unit, unit, unit, unit};
+    const four_floats step = four_steps(node);
     /* The fourth words are not used. */
     const four_ints corner = load_ints(node, offsetof(struct bake_tree_node, corner)) & ~7;
     const four_ints base = load_ints(ray, offsetof(struct bake_tree_ray, base));
     const four_floats start = load_floats(ray, offsetof(struct bake_tree_ray, start));
     const four_floats inverse = load_floats(ray, offsetof(struct bake_tree_ray, inverse));
-    const four_floats error = load_floats(ray, offsetof(struct bake_tree_ray, error));
+    const four_floats margin = load_floats(ray, offsetof(struct bake_tree_ray, margin));
     const four_floats from = __builtin_convertvector(corner - base, four_floats) - start;
     const four_floats scale = inverse * step, zero = from * inverse;
-    const four_floats length = (four_floats)((four_ints)from & INT32_MAX) + 256.0f * step;
-    const four_floats margin = length * error;
     const four_floats near = zero - margin, far = zero + margin;
     const uint8_t *borders = node->borders[0][0];
     eights t_in = eights_splat(bk_max(ray->t_begin, part->begin));
@@ -127,8 +134,9 @@ static void test_pairs(struct bake_tree_tracer *tracer, const struct pairs *pair
         const uint32_t number = pairs->nodes[i], ray = pairs->rays[i];
         const struct bake_tree_node *node = &tracer->tree->nodes[number];
         const uint32_t met = meet_children(&stream->rays[ray], node, &tracer->part);
-        const uint32_t leaf = bake_tree_is_leaf(node);
-        add_pairs(&lists[leaf], met, leaf ? number * BAKE_TREE_WIDTH : node->first, ray);
+        /* Half of the time it is a leaf, so no branch. */
+        const uint32_t leaf = bake_tree_is_leaf(node), block = number * BAKE_TREE_WIDTH;
+        add_pairs(&lists[leaf], met, node->first ^ ((node->first ^ block) & (0u - leaf)), ray);
     }
     tracer->nodes = lists[0].count;
     tracer->blocks = lists[1].count;
@@ -344,9 +352,22 @@ static void trace_rays(struct bake_tree_tracer *tracer)
     tracer->rays = tracer->points = 0;
 }
 
+/* Finds the margins of the borders of boxes, in voxels, for rays that start at one point. */
+static void find_margins(const struct bake_tree *tree, bk_vec3 start, float margins[3])
+{
+    const float from[3] = {start.x, start.y, start.z};
+    for (int axis = 0; axis < 3; axis++) {
+        const float low = (float)tree->low[axis], high = (float)tree->high[axis];
+        const float distance = bk_max(fabsf(low - from[axis]), fabsf(high - from[axis]));
+        /* Borders are at most that far away. They are computed from a node's corner. With margins
+         * of less than 255 steps, children that are missing are never met. */
+        margins[axis] = bk_min(distance + 2.0f * (high - low) + 16.0f, 1 << 25) / (1 << 21);
+    }
+}
+
 /* Appends rays `first` and following ones of a point, at most BK_WIDTH. */
-static void add_rays(struct bake_tree_tracer *tracer, const bk_place_on_scan *point, uint32_t first,
-                     uint32_t slot)
+static void add_rays(struct bake_tree_tracer *tracer, const bk_place_on_scan *point,
+                     const float margins[3], uint32_t first, uint32_t slot)
 {
     struct bake_tree_stream *stream = tracer->stream;
     const bk_rays *kind = tracer->kind;
@@ -388,7 +409,7 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_place_on_scan *po
             .slot = slot + lane};
         for (int axis = 0; axis < 3; axis++) {
             const int down = ray->inverse[axis] < 0.0f;
-            ray->error[axis] = fabsf(ray->inverse[axis]) * (1.0f / (1 << 21));
+            ray->margin[axis] = fabsf(ray->inverse[axis]) * margins[axis];
             ray->near[axis] = (2 * axis + down) * BAKE_TREE_WIDTH;
             ray->far[axis] = (2 * axis + !down) * BAKE_TREE_WIDTH;
         }
@@ -415,6 +436,8 @@ void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_p
     const float side = kind->open ? 1.0f : -1.0f;
     for (uint32_t i = 0; i < count; i++) {
         const bk_vec3 n = points[i].normal;
+        float margins[3];
+        find_margins(tree, points[i].position, margins);
         for (bk_uint first = 0; first < kind->count; first += BAKE_TREE_POINT_RAYS) {
             const bk_uint left = kind->count - first;
             const bk_uint end = first + (left < BAKE_TREE_POINT_RAYS ? left : BAKE_TREE_POINT_RAYS);
@@ -424,7 +447,7 @@ void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_p
             *point = (struct bake_tree_point){
                 .first = tracer.rays, .axis = {side * n.x, side * n.y, side * n.z}};
             for (bk_uint ray = first; ray < end; ray += BK_WIDTH)
-                add_rays(&tracer, &points[i], ray, (uint32_t)(i * stride) + ray);
+                add_rays(&tracer, &points[i], margins, ray, (uint32_t)(i * stride) + ray);
             point->count = tracer.rays - point->first;
             tracer.points += point->count > 0;
         }

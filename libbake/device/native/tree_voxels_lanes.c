@@ -100,7 +100,7 @@ static void load_group(const struct bake_tree_tracer *tracer, uint32_t first, ui
     group->ray.direction = bk_v3w(row[0], row[1], row[2]);
     group->ray.facing = bk_scalew(group->ray.direction, side);
     group->stop_axis = (bk_iw)row[3];
-    floats_load_rows(rays, offsetof(struct bake_tree_ray, error), row);
+    floats_load_rows(rays, offsetof(struct bake_tree_ray, margin), row);
     group->t_end = row[3];
     group->ray.valid = bk_mask_of((1u << count) - 1u);
 }
