@@ -137,49 +137,86 @@ LANES_INLINE float_ints floats_mask_of(uint32_t bits)
 #endif
 }
 
-/* Loads the four words at an offset of bytes from each of SIMD_FLOATS places: word w of place i
- * becomes lane i of out[w]. */
+/* Rows are four words of each of SIMD_FLOATS places in memory. Word w of place i is lane i of
+ * vector w. */
+#ifdef FLOATS_CALL
+#if SIMD_FLOATS == 4
+#define FLOATS_INDICES(a, b, c, d) a, b, c, d
+#elif SIMD_FLOATS == 8
+#define FLOATS_INDICES(a, b, c, d) a, b, c, d, (a) + 4, (b) + 4, (c) + 4, (d) + 4
+#else
+#define FLOATS_INDICES(a, b, c, d)                                                                 \
+    a, b, c, d, (a) + 4, (b) + 4, (c) + 4, (d) + 4, (a) + 8, (b) + 8, (c) + 8, (d) + 8, (a) + 12,  \
+        (b) + 12, (c) + 12, (d) + 12
+#endif
+/* Takes four words for each four lanes, as _mm_shuffle_ps() does: those of y are 4 to 7. */
+#define FLOATS_MIX(x, y, a, b, c, d)                                                               \
+    __builtin_shufflevector(                                                                       \
+        x, y,                                                                                      \
+        FLOATS_INDICES((a) < 4 ? (a) : (a)-4 + SIMD_FLOATS, (b) < 4 ? (b) : (b)-4 + SIMD_FLOATS,   \
+                       (c) < 4 ? (c) : (c)-4 + SIMD_FLOATS, (d) < 4 ? (d) : (d)-4 + SIMD_FLOATS))
+
+/* Transposes each four lanes of four vectors. */
+LANES_INLINE void floats_transpose_fours(floats v[4])
+{
+    const floats low01 = FLOATS_MIX(v[0], v[1], 0, 4, 1, 5);
+    const floats low23 = FLOATS_MIX(v[2], v[3], 0, 4, 1, 5);
+    const floats high01 = FLOATS_MIX(v[0], v[1], 2, 6, 3, 7);
+    const floats high23 = FLOATS_MIX(v[2], v[3], 2, 6, 3, 7);
+    v[0] = FLOATS_MIX(low01, low23, 0, 1, 4, 5);
+    v[1] = FLOATS_MIX(low01, low23, 2, 3, 6, 7);
+    v[2] = FLOATS_MIX(high01, high23, 0, 1, 4, 5);
+    v[3] = FLOATS_MIX(high01, high23, 2, 3, 6, 7);
+}
+#endif
+
+/* Loads the rows at an offset of bytes from these places. */
 LANES_INLINE void floats_load_rows(const void *const from[SIMD_FLOATS], size_t offset,
                                    floats out[4])
 {
-#if defined FLOATS_CALL
-    floats rows[4]; /* places r, r + 4, ... */
-    for (int r = 0; r < 4; r++) {
-#define FLOATS_FOUR(i) _mm_loadu_ps((const float *)((const char *)from[r + 4 * (i)] + offset))
+#ifdef FLOATS_CALL
+    for (int r = 0; r < 4; r++) { /* places r, r + 4, ... */
+#define FLOATS_ROW(i) _mm_loadu_ps((const float *)((const char *)from[r + 4 * (i)] + offset))
 #if SIMD_FLOATS == 4
-        rows[r] = FLOATS_FOUR(0);
-#define FLOATS_INDICES(a, b, c, d) a, b, c, d
+        out[r] = FLOATS_ROW(0);
 #else
         const __m256 low =
-            _mm256_insertf128_ps(_mm256_castps128_ps256(FLOATS_FOUR(0)), FLOATS_FOUR(1), 1);
-#define FLOATS_INDICES_8(a, b, c, d) a, b, c, d, (a) + 4, (b) + 4, (c) + 4, (d) + 4
+            _mm256_insertf128_ps(_mm256_castps128_ps256(FLOATS_ROW(0)), FLOATS_ROW(1), 1);
 #if SIMD_FLOATS == 8
-        rows[r] = low;
-#define FLOATS_INDICES(a, b, c, d) FLOATS_INDICES_8(a, b, c, d)
+        out[r] = low;
 #else
-        rows[r] = _mm512_insertf32x4(
-            _mm512_insertf32x4(_mm512_castps256_ps512(low), FLOATS_FOUR(2), 2), FLOATS_FOUR(3), 3);
-#define FLOATS_INDICES(a, b, c, d)                                                                 \
-    FLOATS_INDICES_8(a, b, c, d), FLOATS_INDICES_8((a) + 8, (b) + 8, (c) + 8, (d) + 8)
+        out[r] = _mm512_insertf32x4(
+            _mm512_insertf32x4(_mm512_castps256_ps512(low), FLOATS_ROW(2), 2), FLOATS_ROW(3), 3);
 #endif
 #endif
+#undef FLOATS_ROW
     }
-#define FLOATS_MIX(x, y, a, b, c, d) __builtin_shufflevector(x, y, FLOATS_INDICES(a, b, c, d))
-    enum { Y = SIMD_FLOATS };
-    const floats low01 = FLOATS_MIX(rows[0], rows[1], 0, Y + 0, 1, Y + 1);
-    const floats low23 = FLOATS_MIX(rows[2], rows[3], 0, Y + 0, 1, Y + 1);
-    const floats high01 = FLOATS_MIX(rows[0], rows[1], 2, Y + 2, 3, Y + 3);
-    const floats high23 = FLOATS_MIX(rows[2], rows[3], 2, Y + 2, 3, Y + 3);
-    out[0] = FLOATS_MIX(low01, low23, 0, 1, Y + 0, Y + 1);
-    out[1] = FLOATS_MIX(low01, low23, 2, 3, Y + 2, Y + 3);
-    out[2] = FLOATS_MIX(high01, high23, 0, 1, Y + 0, Y + 1);
-    out[3] = FLOATS_MIX(high01, high23, 2, 3, Y + 2, Y + 3);
+    floats_transpose_fours(out);
 #else
     for (int i = 0; i < SIMD_FLOATS; i++) {
         float words[4];
         memcpy(words, (const char *)from[i] + offset, sizeof words);
         for (int w = 0; w < 4; w++)
             out[w][i] = words[w];
+    }
+#endif
+}
+
+/* Stores rows at an offset of bytes from these places, in their order. */
+LANES_INLINE void floats_store_rows(void *const to[SIMD_FLOATS], size_t offset, floats a, floats b,
+                                    floats c, floats d)
+{
+    floats rows[4] = {a, b, c, d};
+#ifdef FLOATS_CALL
+    floats_transpose_fours(rows);
+    for (int i = 0; i < SIMD_FLOATS; i++)
+        memcpy((char *)to[i] + offset, (const char *)&rows[i % 4] + 16 * (i / 4), 16);
+#else
+    for (int i = 0; i < SIMD_FLOATS; i++) {
+        float words[4];
+        for (int w = 0; w < 4; w++)
+            words[w] = rows[w][i];
+        memcpy((char *)to[i] + offset, words, sizeof words);
     }
 #endif
 }

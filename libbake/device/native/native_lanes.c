@@ -34,6 +34,8 @@ static void add_samples(struct group *group, const bk_samples *samples, const bk
 static bk_surroundings add_up(const struct bk_params *params, const bk_place_on_scan *point,
                               const float *found)
 {
+    const bk_fw zero = bk_splat(0.0f);
+    const bool directed = params->maps & 1u << BK_MAP_bent;
     bk_surroundings sums = bk_no_surroundings();
     bk_uint counted = 0;
 
@@ -44,8 +46,9 @@ static bk_surroundings add_up(const struct bk_params *params, const bk_place_on_
             bk_fw t = bk_splat(0.0f);
             for (bk_uint lane = 0; lane < count; lane++)
                 bk_set_lane(t, lane, found[first + lane]);
-            bk_add_looks(params, &kind, count, t, bk_ray_directions(&kind, point, first), &sums,
-                         &counted);
+            const bk_vec3w directions =
+                directed ? bk_ray_directions(&kind, point, first) : bk_v3w(zero, zero, zero);
+            bk_add_looks(params, &kind, count, t, directions, &sums, &counted);
         }
         found += kind.count;
     }

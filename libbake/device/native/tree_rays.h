@@ -55,7 +55,7 @@ struct bake_tree_point {
 /* Rays, and lists of pairs of a ray and a node, a block or a voxel. Vectors are stored at the ends
  * of lists. */
 struct bake_tree_stream {
-    struct bake_tree_ray rays[BAKE_TREE_RAYS];
+    struct bake_tree_ray rays[BAKE_TREE_RAYS + 1];
     struct bake_tree_point points[BAKE_TREE_RAYS];
     uint32_t node[BAKE_TREE_NODES + BAKE_TREE_WIDTH], node_ray[BAKE_TREE_NODES + BAKE_TREE_WIDTH];
     /* A block is its leaf's node times BAKE_TREE_WIDTH, and its number there. */

@@ -384,39 +384,35 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_place_on_scan *po
     bk_bounds(&line, tracer->params, &t_near, &t_far);
     const bk_fw t_end = bk_minw(limit, t_far);
     const bk_uint walked = bk_begin_walk(tracer->params, &line, &walk, t_near, t_end, &t, &place);
-    for (bk_uint lane = 0; lane < count; lane++) {
-        const bool through = !kind->open && !(bk_lane(t_far, lane) < kind->limit);
-        struct bake_tree_ray *ray = &stream->rays[tracer->rays];
-        tracer->results[slot + lane] = through ? kind->limit : -1.0f;
-        if (!(walked >> lane & 1))
-            continue;
-        *ray = (struct bake_tree_ray){
-            .inverse = {bk_lane(line.inverse.x, lane), bk_lane(line.inverse.y, lane),
-                        bk_lane(line.inverse.z, lane)},
-            .start = {bk_lane(line.start.x, lane), bk_lane(line.start.y, lane),
-                      bk_lane(line.start.z, lane)},
-            .base = {bk_lane(line.bx, lane), bk_lane(line.by, lane), bk_lane(line.bz, lane)},
-            .direction = {bk_lane(direction.x, lane), bk_lane(direction.y, lane),
-                          bk_lane(direction.z, lane)},
-            .first = {bk_lane(place.x, lane), bk_lane(place.y, lane), bk_lane(place.z, lane)},
-            .t_begin = bk_lane(t, lane),
-            .t_end = bk_lane(t_end, lane),
-            .t_before = bk_lane(t_end, lane),
-            .t_stop = bk_lane(t_end, lane),
-            .t_last = bk_lane(t_end, lane),
-            .stop_axis = 3,
-            .side = point->side,
-            .slot = slot + lane};
-        for (int axis = 0; axis < 3; axis++) {
-            const int down = ray->inverse[axis] < 0.0f;
-            ray->margin[axis] = fabsf(ray->inverse[axis]) * margins[axis];
-            ray->near[axis] = (2 * axis + down) * BAKE_TREE_WIDTH;
-            ray->far[axis] = (2 * axis + !down) * BAKE_TREE_WIDTH;
-        }
-        if (!(ray->t_begin < ray->t_end))
-            ray->t_before = -0.5f * BK_FAR;
-        tracer->rays++;
+    const bk_mask through = bk_mask_of(kind->open ? 0u : ~0u) & bk_not(bk_less(t_far, limit));
+    const bk_fw found = bk_select(through, limit, bk_splat(-1.0f));
+    memcpy(&tracer->results[slot], &found, count * sizeof(float));
+
+    /* The place of a ray that is not walked is that of the next one. */
+    bk_int slots[BK_WIDTH];
+    void *to[BK_WIDTH];
+    for (bk_uint lane = 0; lane < BK_WIDTH; lane++) {
+        slots[lane] = (bk_int)(slot + lane);
+        to[lane] = &stream->rays[tracer->rays];
+        tracer->rays += walked >> lane & 1;
     }
+    const bk_fw t_before = bk_select(bk_less(t, t_end), t_end, bk_splat(-0.5f * BK_FAR));
+    const bk_iw down_x = ~bk_upwards(line.inverse.x), down_y = ~bk_upwards(line.inverse.y);
+    const bk_iw down_z = ~bk_upwards(line.inverse.z);
+#define STORE_ROW(member, a, b, c, d)                                                              \
+    floats_store_rows(to, offsetof(struct bake_tree_ray, member), (bk_fw)(a), (bk_fw)(b),          \
+                      (bk_fw)(c), (bk_fw)(d))
+    STORE_ROW(inverse, line.inverse.x, line.inverse.y, line.inverse.z, t_before);
+    STORE_ROW(start, line.start.x, line.start.y, line.start.z, bk_splat(point->side));
+    STORE_ROW(base, line.bx, line.by, line.bz, t);
+    STORE_ROW(first, place.x, place.y, place.z, t_end);
+    STORE_ROW(direction, line.direction.x, line.direction.y, line.direction.z, bk_splati(3));
+    STORE_ROW(margin, bk_absw(line.inverse.x) * margins[0], bk_absw(line.inverse.y) * margins[1],
+              bk_absw(line.inverse.z) * margins[2], t_end);
+    STORE_ROW(near, down_x & BAKE_TREE_WIDTH, (down_y & BAKE_TREE_WIDTH) + 2 * BAKE_TREE_WIDTH,
+              (down_z & BAKE_TREE_WIDTH) + 4 * BAKE_TREE_WIDTH, t_end);
+    STORE_ROW(far, ~down_x & BAKE_TREE_WIDTH, (~down_y & BAKE_TREE_WIDTH) + 2 * BAKE_TREE_WIDTH,
+              (~down_z & BAKE_TREE_WIDTH) + 4 * BAKE_TREE_WIDTH, bk_load_lanes(slots));
 }
 
 void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_params *params,
