@@ -283,6 +283,21 @@ static int add_children(struct builder *builder, uint64_t number, bool *fits)
 
 /* ---- boxes ---- */
 
+/* Returns the occupied voxels of a block of a leaf. */
+static uint64_t occupied_voxels(const struct bk_grid *grid, uint64_t leaf, uint32_t block)
+{
+    const uint64_t *words = grid->leaves + leaf * BK_LEAF_WORDS + BK_LEAF_MASK + (block & 4);
+    const uint32_t shift = (block & 2) << 4 | (block & 1) << 2;
+    uint64_t all = 0;
+    for (uint32_t x = 0; x < 4; x++) {
+        /* Four rows of four bits, a byte apart. */
+        uint64_t rows = words[x] >> shift & 0x0f0f0f0f;
+        rows = (rows | rows >> 4) & 0x00ff00ff;
+        all |= ((rows | rows >> 8) & 0xffff) << (16 * x);
+    }
+    return all;
+}
+
 /* Finds the lowest and the highest of up to four bits. */
 static void bit_range(uint32_t bits, uint32_t from, uint8_t *low, uint8_t *high)
 {
@@ -291,23 +306,23 @@ static void bit_range(uint32_t bits, uint32_t from, uint8_t *low, uint8_t *high)
 }
 
 /* Makes the boxes of a leaf's blocks. */
-static void make_blocks(const struct bk_grid *grid, struct bake_tree_node *node)
+static void make_blocks(const struct bk_grid *grid, const struct bake_tree *tree,
+                        struct bake_tree_node *node)
 {
-    const uint64_t *layers = grid->leaves + (uint64_t)node->first * BK_LEAF_WORDS + BK_LEAF_MASK;
     for (uint32_t block = 0; block < BAKE_TREE_WIDTH; block++) {
+        const uint64_t voxels = occupied_voxels(grid, node->first, block);
         const uint32_t from[3] = {block & 4, block << 1 & 4, block << 2 & 4};
         uint32_t bits[3] = {0, 0, 0};
-        for (uint32_t x = 0; x < 4; x++)
-            for (uint32_t y = 0; y < 4; y++) {
-                const uint32_t row =
-                    (uint32_t)(layers[from[0] + x] >> (8 * (from[1] + y) + from[2])) & 15;
-                bits[0] |= (uint32_t)(row != 0) << x;
-                bits[1] |= (uint32_t)(row != 0) << y;
-                bits[2] |= row;
-            }
+        for (uint32_t i = 0; i < 16; i++) {
+            const uint32_t row = (uint32_t)(voxels >> (4 * i)) & 15, some = row != 0;
+            bits[0] |= some << (i >> 2);
+            bits[1] |= some << (i & 3);
+            bits[2] |= row;
+        }
         for (int axis = 0; axis < 3; axis++)
             bit_range(bits[axis], from[axis], &node->borders[axis][0][block],
                       &node->borders[axis][1][block]);
+        tree->blocks[node->first][block] = voxels;
     }
 }
 
@@ -395,7 +410,7 @@ static int add_nodes(struct builder *builder, bool *fits)
         if (status < 0)
             return status;
         if (bake_tree_is_leaf(&tree->nodes[i]))
-            make_blocks(builder->grid, &tree->nodes[i]);
+            make_blocks(builder->grid, tree, &tree->nodes[i]);
         else
             make_boxes(tree, &tree->nodes[i]);
     }
@@ -428,14 +443,15 @@ int bake_tree_build(struct bsq_ctx *ctx, const struct bk_grid *grid, uint64_t li
 {
     const uint64_t lists =
         grid->leaf_count * sizeof(struct leaf) + grid->lower_count * sizeof(struct lower_node);
+    const uint64_t blocks = grid->leaf_count * sizeof *tree->blocks;
     struct builder builder = {.ctx = ctx, .grid = grid, .tree = tree};
-    bool fits = lists < limit / 2;
+    bool fits = lists + blocks < limit;
     int status = 0;
 
     *tree = (struct bake_tree){0};
     if (!fits || grid->leaf_count == 0 || grid->lower_count == 0)
         return 0;
-    builder.limit = limit - lists;
+    builder.limit = limit - lists - blocks;
     status =
         bsq_alloc(ctx, "lower nodes", grid->lower_count, sizeof *builder.lowers, &builder.lowers);
     if (status == 0)
@@ -450,6 +466,9 @@ int bake_tree_build(struct bsq_ctx *ctx, const struct bk_grid *grid, uint64_t li
         goto done;
     fits = builder.leaf_count > 0 && is_narrow(&builder);
     if (fits)
+        status =
+            bsq_alloc(ctx, "blocks of leaves", grid->leaf_count, sizeof *tree->blocks, &tree->blocks);
+    if (fits && status == 0)
         status = add_nodes(&builder, &fits);
 done:
     bsq_free(ctx, builder.lowers);
@@ -462,5 +481,6 @@ done:
 void bake_tree_free(struct bsq_ctx *ctx, struct bake_tree *tree)
 {
     bsq_free(ctx, tree->nodes);
+    bsq_free(ctx, tree->blocks);
     *tree = (struct bake_tree){0};
 }

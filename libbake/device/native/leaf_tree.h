@@ -5,7 +5,10 @@
  * BVHs", 2017). The lowest nodes are the leaves of the grid. Their children are the eight blocks of
  * 4^3 voxels, whose boxes fit the active voxels exactly. The children of any other node are nodes,
  * each of which covers a range of the leaves in Morton order; their boxes are rounded outwards.
- * Siblings are adjacent in the array. */
+ * Siblings are adjacent in the array.
+ *
+ * The occupied voxels of blocks are stored again, because rays that many of them hide read nothing
+ * else, and the grid's file is mapped in small pages. */
 #ifndef BAKE_DEVICE_NATIVE_LEAF_TREE_H
 #define BAKE_DEVICE_NATIVE_LEAF_TREE_H
 
@@ -40,6 +43,8 @@ _Static_assert(sizeof(struct bake_tree_node) == 64, "a node takes a cache line")
 struct bake_tree {
     struct bake_tree_node *nodes; /* the root comes first; NULL: there is no tree */
     uint64_t count, capacity;
+    /* Occupied voxels of the blocks of each leaf of the grid, bit x << 4 | y << 2 | z. */
+    uint64_t (*blocks)[BAKE_TREE_WIDTH];
     int32_t low[3], high[3]; /* borders of a box around all voxels */
 };
 

@@ -396,30 +396,10 @@ static void visit_voxels(const struct block_group *group, bk_iw words[2])
     }
 }
 
-/* Returns a block's occupied voxels, bit x << 4 | y << 2 | z. */
-static inline uint64_t occupied_voxels(const bk_grid *grid, uint32_t leaf, uint32_t block)
+/* Returns where the occupied voxels of a block are stored. */
+static inline const uint64_t *find_block(const struct bake_tree *tree, uint32_t block)
 {
-    const bk_ulong *words =
-        grid->leaves + (uint64_t)leaf * BK_LEAF_WORDS + BK_LEAF_MASK + (block & 4);
-    const uint32_t shift = (block & 2) << 4 | (block & 1) << 2;
-    uint64_t all = 0;
-    for (uint32_t x = 0; x < 4; x++) {
-#ifdef __BMI2__
-        all |= _pext_u64(words[x] >> shift, 0x0f0f0f0f) << (16 * x);
-#else
-        uint64_t rows = words[x] >> shift & 0x0f0f0f0f;
-        rows = (rows | rows >> 4) & 0x00ff00ff;
-        all |= ((rows | rows >> 8) & 0xffff) << (16 * x);
-#endif
-    }
-    return all;
-}
-
-static void prefetch_block(const struct bake_tree_tracer *tracer, uint32_t block)
-{
-    const uint32_t leaf = tracer->tree->nodes[block / BAKE_TREE_WIDTH].first;
-    __builtin_prefetch(
-        &tracer->grid->leaves[(uint64_t)leaf * BK_LEAF_WORDS + BK_LEAF_MASK + (block & 4)]);
+    return &tree->blocks[tree->nodes[block / BAKE_TREE_WIDTH].first][block % BAKE_TREE_WIDTH];
 }
 
 /* Appends the occupied voxels of a pair of a ray and a block. */
@@ -448,17 +428,16 @@ static void add_voxels(struct bake_tree_tracer *tracer, uint32_t pair, uint64_t 
 void BSQ_SIMD_NAME(bake_tree_test_blocks)(struct bake_tree_tracer *tracer)
 {
     const struct bake_tree_stream *stream = tracer->stream;
-    const bk_grid *grid = tracer->grid;
     const uint32_t count = tracer->blocks;
     for (uint32_t i = 0; i < count && i < BK_WIDTH; i++)
-        prefetch_block(tracer, stream->block[i]);
+        __builtin_prefetch(find_block(tracer->tree, stream->block[i]));
     for (uint32_t first = 0; first < count; first += BK_WIDTH) {
         const uint32_t left = count - first, lanes = left < BK_WIDTH ? left : BK_WIDTH;
         struct block_group group;
         bk_int low[BK_WIDTH], high[BK_WIDTH];
         bk_iw words[2];
         for (uint32_t i = first + BK_WIDTH; i < count && i < first + 2 * BK_WIDTH; i++)
-            prefetch_block(tracer, stream->block[i]);
+            __builtin_prefetch(find_block(tracer->tree, stream->block[i]));
         load_blocks(tracer, first, lanes, &group);
         visit_voxels(&group, words);
         const bk_uint coarse =
@@ -466,10 +445,8 @@ void BSQ_SIMD_NAME(bake_tree_test_blocks)(struct bake_tree_tracer *tracer)
         bk_store_lanes(low, words[0]);
         bk_store_lanes(high, words[1]);
         for (uint32_t lane = 0; lane < lanes; lane++) {
-            const uint32_t block = stream->block[first + lane];
-            const uint32_t leaf = tracer->tree->nodes[block / BAKE_TREE_WIDTH].first;
             const uint64_t voxels = ((uint32_t)low[lane] | (uint64_t)(uint32_t)high[lane] << 32) &
-                                    occupied_voxels(grid, leaf, block % BAKE_TREE_WIDTH);
+                                    *find_block(tracer->tree, stream->block[first + lane]);
             if (coarse >> lane & 1 && surely_visits(&group, lane, voxels))
                 note_hidden(tracer, stream->block_ray[first + lane]);
             else if (voxels)
