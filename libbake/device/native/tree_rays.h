@@ -11,7 +11,7 @@ enum {
     BAKE_TREE_POINT_RAYS = 64, /* rays of a point that go through the upper nodes together */
     BAKE_TREE_RAYS = 512,      /* in a stream */
     BAKE_TREE_AT_ONCE =
-        16, /* pairs of rays and nodes that are taken together, and whose nodes are prefetched */
+        24, /* pairs of rays and nodes that are taken together, and whose nodes are prefetched */
     /* Of the tree, at most: each level splits at another bit of those that differ between the
      * corners of leaves, at most 19 an axis with BAKE_TREE_EXTENT, and a leaf is a level. */
     BAKE_TREE_DEPTH = 58,
