@@ -17,7 +17,7 @@ static const double start_seconds = 0.03;
 struct speed {
     double sample, look, open, thickness, curvature;
 };
-static const struct speed grid_speed = {0.35e-6, 0.9e-6, 0.7e-6, 1.1e-6, 3.0e-6};
+static const struct speed grid_speed = {0.35e-6, 0.6e-6, 0.2e-6, 0.5e-6, 3.0e-6};
 static const struct speed exact_speed = {0.95e-6, 0.0, 2.3e-6, 4.0e-6, 9.0e-6};
 /* Of a triangle in a chunk that is loaded; of one in the tree that rays reach; of one in the chunks
  * that rays from hits need, which are all of the scan. */
@@ -30,7 +30,7 @@ enum {
     TRIANGLE_BYTES = 384,       /* of a low-poly triangle: corners, and what the device gets */
     TILE_BYTES = 128 << 10,     /* of a thread that traces a grid */
     STREAM_BYTES = 512 << 10,   /* of a thread that traces rays from hits on a grid */
-    TREE_LEAF_BYTES = 160,      /* of a grid's leaf in the tree for these rays, while it is built */
+    TREE_LEAF_BYTES = 224,      /* of a grid's leaf in the tree for these rays, while it is built */
     TEXTURE_BYTES = 96 << 20,   /* of the libraries that read textures; not of the textures */
     LOOK_RAY_BYTES = 32,        /* of a hit that sends rays */
     CURVATURE_BYTES = 16 << 20, /* of rays for curvature on a grid */

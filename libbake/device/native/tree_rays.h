@@ -38,7 +38,7 @@ struct bake_tree_ray {
     float t_stop;
     float direction[3];
     int32_t stop_axis;
-    float margin[3]; /* of the t of a box's borders: eight times the error of rounding */
+    float margin[3]; /* of the t of a box's borders */
     float t_end;
     int32_t near[3]; /* byte offsets of the borders that the ray meets first */
     float t_last;
@@ -50,6 +50,7 @@ struct bake_tree_ray {
 struct bake_tree_point {
     uint32_t first, count; /* its rays */
     float axis[3];         /* no ray is more than a right angle from it */
+    float margins[3]; /* of the borders of boxes, in voxels: eight times the error of rounding */
 };
 
 /* Rays, and lists of pairs of a ray and a node, a block or a voxel. Vectors are stored at the ends

@@ -267,7 +267,7 @@ static uint32_t find_boxes(const struct bundle *bundle, const struct bake_tree_r
     for (int axis = 0; axis < 3; axis++) {
         const float from =
             (float)(bake_tree_corner(node, axis) - ray->base[axis]) - ray->start[axis];
-        const float margin = (fabsf(from) + 256.0f * unit) * (1.0f / (1 << 21));
+        const float margin = bundle->point->margins[axis];
         const eights low = eights_of_bytes(node->borders[axis][0]) * unit + (from - margin);
         const eights high = eights_of_bytes(node->borders[axis][1]) * unit + (from + margin);
         met &= eights_not_above(low, eights_splat(bundle->high[axis])) &
@@ -352,7 +352,7 @@ static void trace_rays(struct bake_tree_tracer *tracer)
     tracer->rays = tracer->points = 0;
 }
 
-/* Finds the margins of the borders of boxes, in voxels, for rays that start at one point. */
+/* Finds the margins of boxes for rays that start at a point. */
 static void find_margins(const struct bake_tree *tree, bk_vec3 start, float margins[3])
 {
     const float from[3] = {start.x, start.y, start.z};
@@ -432,8 +432,6 @@ void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_p
     const float side = kind->open ? 1.0f : -1.0f;
     for (uint32_t i = 0; i < count; i++) {
         const bk_vec3 n = points[i].normal;
-        float margins[3];
-        find_margins(tree, points[i].position, margins);
         for (bk_uint first = 0; first < kind->count; first += BAKE_TREE_POINT_RAYS) {
             const bk_uint left = kind->count - first;
             const bk_uint end = first + (left < BAKE_TREE_POINT_RAYS ? left : BAKE_TREE_POINT_RAYS);
@@ -442,8 +440,9 @@ void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_p
             struct bake_tree_point *point = &stream->points[tracer.points];
             *point = (struct bake_tree_point){
                 .first = tracer.rays, .axis = {side * n.x, side * n.y, side * n.z}};
+            find_margins(tree, points[i].position, point->margins);
             for (bk_uint ray = first; ray < end; ray += BK_WIDTH)
-                add_rays(&tracer, &points[i], margins, ray, (uint32_t)(i * stride) + ray);
+                add_rays(&tracer, &points[i], point->margins, ray, (uint32_t)(i * stride) + ray);
             point->count = tracer.rays - point->first;
             tracer.points += point->count > 0;
         }
