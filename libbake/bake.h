@@ -166,10 +166,10 @@ struct bake_options {
     uint32_t ao_rays;   /**< Rays of each hit for BAKE_MAP_AO and BAKE_MAP_BENT, cosine-weighted. */
     double ao_distance; /**< Length of these rays; <= 0: no limit. */
     double ao_spread;   /**< Angle of the cone that they fill, in degrees, to 180. */
-    /** In grids, a voxel at this distance from the hit or farther hides these rays as a whole, as if
-     * its surface filled it; in voxels; <= 0: none does. */
+    /** In grids, a voxel at this distance from the hit or farther hides these rays as a whole, as
+     * if its surface filled it; in voxels; <= 0: none does. */
     double ao_coarse;
-    bool ao_falloff; /**< A surface hides less the farther it is: nothing at ao_distance. */
+    bool ao_falloff;         /**< A surface hides less the farther it is: nothing at ao_distance. */
     uint32_t thickness_rays; /**< Rays of each hit for BAKE_MAP_THICKNESS, cosine-weighted. */
     /** Length of these rays, which is also the sample 1 of integer files; <= 0: the diagonal of the
      * scan's bounding box. */

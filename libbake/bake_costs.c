@@ -1,7 +1,7 @@
 /* bake_costs.c - estimates what each task of a plan needs: memory, temporary files, time.
  *
  * The plan's id covers these numbers. So they follow from the inputs and options alone, not from
- * the budget and the threads of the program that writes the plan. decisions/0073 has the
+ * the budget and the threads of the program that writes the plan. decisions/0073 and 0080 have the
  * measurements. */
 #include <math.h>
 
@@ -18,6 +18,8 @@ struct speed {
     double sample, look, open, thickness, curvature;
 };
 static const struct speed grid_speed = {0.35e-6, 0.6e-6, 0.2e-6, 0.5e-6, 3.0e-6};
+/* Rays from hits on several scans do not go through a tree of leaves. */
+static const struct speed walk_speed = {0.35e-6, 0.6e-6, 0.5e-6, 0.9e-6, 3.0e-6};
 static const struct speed exact_speed = {0.95e-6, 0.0, 2.3e-6, 4.0e-6, 9.0e-6};
 /* Of a triangle in a chunk that is loaded; of one in the tree that rays reach; of one in the chunks
  * that rays from hits need, which are all of the scan. */
@@ -50,6 +52,12 @@ struct share {
 static bool looks_around(const struct bake_run *job)
 {
     return (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS)) != 0;
+}
+
+/* Returns whether rays from hits on a grid go through a tree of its leaves. */
+static bool has_tree(const struct share *task)
+{
+    return looks_around(task->job) && task->job->surface.part_count == 0;
 }
 
 /* Returns the seconds of rays against one scan, without those of loading it. */
@@ -85,8 +93,9 @@ static double load_chunks_seconds(const struct share *task, const struct bake_ex
 
 static double scan_seconds(const struct share *task, const struct bake_surface *scan)
 {
-    return scan->exact ? ray_seconds(task, &exact_speed) + load_chunks_seconds(task, scan->exact)
-                       : ray_seconds(task, &grid_speed);
+    if (scan->exact)
+        return ray_seconds(task, &exact_speed) + load_chunks_seconds(task, scan->exact);
+    return ray_seconds(task, has_tree(task) ? &grid_speed : &walk_speed);
 }
 
 static uint64_t larger(uint64_t a, uint64_t b)
@@ -112,7 +121,7 @@ static uint64_t exact_bytes(const struct share *task, const struct bake_exact *e
 static uint64_t grid_bytes(const struct share *task, const struct fmt_nvdb_grid *grid)
 {
     uint64_t tracing = (uint64_t)THREADS * (looks_around(task->job) ? STREAM_BYTES : TILE_BYTES);
-    if (looks_around(task->job))
+    if (has_tree(task))
         tracing += grid->leaf_count * TREE_LEAF_BYTES;
     return task->job->maps & BAKE_MAP_CURVATURE ? larger(tracing, CURVATURE_BYTES) : tracing;
 }

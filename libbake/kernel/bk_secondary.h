@@ -12,9 +12,10 @@
  * Open rays start one voxel above the hit: planes of neighbouring voxels do not meet exactly, and a
  * surface must not hide itself. So gaps of less than about a voxel look open. They end at any
  * surface, on either side, and from params->open_coarse on at any occupied voxel: how a far surface
- * lies in its voxel hardly matters, and its records need not be read. Rays into the solid start at the hit and end where they leave the solid,
- * at a surface that faces along them; the surface they start on faces against them. Rays that leave
- * the grid inside the solid are not counted: the scan has a hole, or they touched it only. */
+ * lies in its voxel hardly matters, and its records need not be read. Rays into the solid start at
+ * the hit and end where they leave the solid, at a surface that faces along them; the surface they
+ * start on faces against them. Rays that leave the grid inside the solid are not counted: the scan
+ * has a hole, or they touched it only. */
 #ifndef BAKE_KERNEL_BK_SECONDARY_H
 #define BAKE_KERNEL_BK_SECONDARY_H
 

@@ -466,8 +466,8 @@ int bake_tree_build(struct bsq_ctx *ctx, const struct bk_grid *grid, uint64_t li
         goto done;
     fits = builder.leaf_count > 0 && is_narrow(&builder);
     if (fits)
-        status =
-            bsq_alloc(ctx, "blocks of leaves", grid->leaf_count, sizeof *tree->blocks, &tree->blocks);
+        status = bsq_alloc(ctx, "blocks of leaves", grid->leaf_count, sizeof *tree->blocks,
+                           &tree->blocks);
     if (fits && status == 0)
         status = add_nodes(&builder, &fits);
 done:

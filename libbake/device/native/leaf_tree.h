@@ -7,8 +7,8 @@
  * each of which covers a range of the leaves in Morton order; their boxes are rounded outwards.
  * Siblings are adjacent in the array.
  *
- * The occupied voxels of blocks are stored again, because rays that many of them hide read nothing
- * else, and the grid's file is mapped in small pages. */
+ * The occupied voxels of blocks are stored again. Rays that voxels hide as a whole need nothing
+ * else of the grid, whose file is mapped in small pages. */
 #ifndef BAKE_DEVICE_NATIVE_LEAF_TREE_H
 #define BAKE_DEVICE_NATIVE_LEAF_TREE_H
 

@@ -3,6 +3,8 @@
 #ifndef BAKE_DEVICE_NATIVE_TREE_RAYS_H
 #define BAKE_DEVICE_NATIVE_TREE_RAYS_H
 
+#include <stddef.h>
+
 #include "base/simd/simd.h"
 #include "libbake/device/native/leaf_tree.h"
 #include "libbake/kernel/bk_secondary.h"
@@ -45,12 +47,18 @@ struct bake_tree_ray {
     int32_t far[3]; /* and last */
     uint32_t slot;
 };
+_Static_assert(sizeof(struct bake_tree_ray) == 128 && offsetof(struct bake_tree_ray, start) == 16 &&
+                   offsetof(struct bake_tree_ray, near) == 96 &&
+                   offsetof(struct bake_tree_ray, far) == 112,
+               "rows of four words");
 
 /* A point whose rays are in a stream, BAKE_TREE_POINT_RAYS at most. */
 struct bake_tree_point {
     uint32_t first, count; /* its rays */
-    float axis[3];         /* no ray is more than a right angle from it */
-    float margins[3]; /* of the borders of boxes, in voxels: eight times the error of rounding */
+    float normal[3];       /* no ray is more than a right angle from it */
+    /* Of the borders of boxes, in voxels. 2^-21 of the largest distance: eight roundings, of which
+     * tests of boxes have up to seven. */
+    float margins[3];
 };
 
 /* Rays, and lists of pairs of a ray and a node, a block or a voxel. Vectors are stored at the ends

@@ -23,10 +23,10 @@
 /* At most this many rays of a point are tested against a node one by one. */
 enum { SINGLE_RAYS_MOST = 16 };
 
-/* Length of the first part of a ray to the nearest hit, in voxels, and of each part that follows
- * beside what is before it. */
-#define NEAR_PART 64.0f
-#define NEXT_PART 4.0f
+/* Rays to the nearest hit are traced in sections. The first one ends after so many voxels, each
+ * other one at END_FACTOR times the end of the section before it. */
+#define FIRST_END  64.0f
+#define END_FACTOR 4.0f
 
 /* ---- nodes ---- */
 
@@ -58,10 +58,10 @@ static inline four_floats four_steps(const struct bake_tree_node *node)
 
 #define SPLAT_LANE(v, n) __builtin_shufflevector(v, v, n, n, n, n, n, n, n, n)
 
-/* Returns the children of a node that a ray may meet in this part of it, one bit each. */
+/* Returns the children of a node that a ray may meet in a section of it, one bit each. */
 static inline uint32_t meet_children(const struct bake_tree_ray *ray,
                                      const struct bake_tree_node *node,
-                                     const struct bake_tree_part *part)
+                                     const struct bake_tree_section *section)
 {
     const four_floats step = four_steps(node);
     /* The fourth words are not used. */
@@ -74,8 +74,8 @@ static inline uint32_t meet_children(const struct bake_tree_ray *ray,
     const four_floats scale = inverse * step, zero = from * inverse;
     const four_floats near = zero - margin, far = zero + margin;
     const uint8_t *borders = node->borders[0][0];
-    eights t_in = eights_splat(bk_max(ray->t_begin, part->begin));
-    eights t_out = eights_splat(bk_min(ray->t_last, part->end));
+    eights t_in = eights_splat(bk_max(ray->t_begin, section->begin));
+    eights t_out = eights_splat(bk_min(ray->t_last, section->end));
 
     t_in = eights_max(t_in, eights_of_bytes(borders + ray->near[0]) * SPLAT_LANE(scale, 0) +
                                 SPLAT_LANE(near, 0));
@@ -130,10 +130,11 @@ static void test_pairs(struct bake_tree_tracer *tracer, const struct pairs *pair
     struct list lists[2] = {{stream->node, stream->node_ray, tracer->nodes},
                             {stream->block, stream->block_ray, tracer->blocks}};
     assert(tracer->nodes + BAKE_TREE_AT_ONCE * BAKE_TREE_WIDTH <= BAKE_TREE_NODES);
+    assert(tracer->blocks + BAKE_TREE_AT_ONCE * BAKE_TREE_WIDTH <= BAKE_TREE_BLOCKS);
     for (uint32_t i = 0; i < pairs->count; i++) {
         const uint32_t number = pairs->nodes[i], ray = pairs->rays[i];
         const struct bake_tree_node *node = &tracer->tree->nodes[number];
-        const uint32_t met = meet_children(&stream->rays[ray], node, &tracer->part);
+        const uint32_t met = meet_children(&stream->rays[ray], node, &tracer->section);
         /* Half of the time it is a leaf, so no branch. */
         const uint32_t leaf = bake_tree_is_leaf(node), block = number * BAKE_TREE_WIDTH;
         add_pairs(&lists[leaf], met, node->first ^ ((node->first ^ block) & (0u - leaf)), ray);
@@ -149,6 +150,8 @@ static void drain_nodes(struct bake_tree_tracer *tracer)
 {
     struct pairs pairs[2];
     pairs[0].count = 0;
+    if (tracer->blocks >= BAKE_TREE_TESTED)
+        BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);
     for (uint32_t turn = 0; tracer->nodes > 0 || pairs[turn].count > 0; turn ^= 1) {
         take_pairs(tracer, &pairs[turn ^ 1]);
         test_pairs(tracer, &pairs[turn]);
@@ -171,7 +174,7 @@ static inline void load_rays(const struct bake_tree_tracer *tracer, uint32_t fir
                              struct bundle *bundle, bk_fw low[3], bk_fw high[3])
 {
     const struct bake_tree_ray *rays = &tracer->stream->rays[bundle->point->first];
-    const struct bake_tree_part *part = &tracer->part;
+    const struct bake_tree_section *section = &tracer->section;
     const uint32_t left = bundle->point->count - first, group = first / BK_WIDTH;
     const void *from[BK_WIDTH];
     bk_fw inverse[4], base[4], direction[4], near[4];
@@ -181,17 +184,16 @@ static inline void load_rays(const struct bake_tree_tracer *tracer, uint32_t fir
     floats_load_rows(from, offsetof(struct bake_tree_ray, base), base);
     floats_load_rows(from, offsetof(struct bake_tree_ray, direction), direction);
     floats_load_rows(from, offsetof(struct bake_tree_ray, near), near);
-    const bk_fw t_end = bk_minw(near[3], bk_splat(part->end));
+    const bk_fw t_end = bk_minw(near[3], bk_splat(section->end));
     for (int axis = 0; axis < 3; axis++) {
         const bk_fw end = direction[axis] * t_end;
         bundle->inverse[axis][group] = inverse[axis];
         low[axis] = bk_minw(low[axis], end);
         high[axis] = bk_maxw(high[axis], end);
     }
-    bundle->t_begin[group] = bk_maxw(base[3], bk_splat(part->begin));
-    bundle->t_end[group] =
-        bk_select(bk_mask_of(left < BK_WIDTH ? (1u << left) - 1u : ~0u), t_end,
-                  bk_splat(BAKE_TREE_DONE));
+    bundle->t_begin[group] = bk_maxw(base[3], bk_splat(section->begin));
+    bundle->t_end[group] = bk_select(bk_mask_of(left < BK_WIDTH ? (1u << left) - 1u : ~0u), t_end,
+                                     bk_splat(BAKE_TREE_DONE));
 }
 
 static void load_bundle(const struct bake_tree_tracer *tracer, const struct bake_tree_point *point,
@@ -259,7 +261,7 @@ static uint32_t find_boxes(const struct bundle *bundle, const struct bake_tree_r
                            const struct bake_tree_node *node, struct boxes *boxes)
 {
     const float unit = (float)(1u << bake_tree_shift(node));
-    const float *normal = bundle->point->axis;
+    const float *normal = bundle->point->normal;
     eights ahead = eights_splat(0.0f);
     float slack = 0.0f;
     uint32_t met = eights_not_above(eights_of_bytes(node->borders[0][0]),
@@ -322,7 +324,7 @@ static void trace_point(struct bake_tree_tracer *tracer, const struct bake_tree_
     uint64_t rays = 0;
     uint32_t top = 0;
     for (uint32_t i = 0; i < point->count; i++)
-        rays |= (uint64_t)(stream->rays[point->first + i].t_last >= tracer->part.begin) << i;
+        rays |= (uint64_t)(stream->rays[point->first + i].t_last >= tracer->section.begin) << i;
     if (__builtin_popcountll(rays) > SINGLE_RAYS_MOST) {
         load_bundle(tracer, point, &bundle);
         stack[top++] = (struct bundle_entry){rays, 0};
@@ -337,17 +339,18 @@ static void trace_point(struct bake_tree_tracer *tracer, const struct bake_tree_
     drain_nodes(tracer);
 }
 
-/* Traces the rays of the stream, and empties it. If the nearest hit counts, near parts of all rays
- * come first, so that what is behind hits is not looked at. */
+/* Traces the rays of the stream, and empties it. If the nearest hit counts, near sections of all
+ * rays come first, so that what is behind hits is not looked at. */
 static void trace_rays(struct bake_tree_tracer *tracer)
 {
-    struct bake_tree_part *part = &tracer->part;
-    *part = (struct bake_tree_part){0.0f, tracer->nearest ? NEAR_PART : BK_FAR};
-    for (bool more = true; more; part->begin = part->end, part->end = part->end * NEXT_PART) {
+    struct bake_tree_section *section = &tracer->section;
+    *section = (struct bake_tree_section){0.0f, tracer->nearest ? FIRST_END : BK_FAR};
+    for (bool more = true; more;
+         section->begin = section->end, section->end = section->end * END_FACTOR) {
         for (uint32_t i = 0; i < tracer->points; i++)
             trace_point(tracer, &tracer->stream->points[i]);
         BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);
-        more = part->end < tracer->kind->limit;
+        more = section->end < tracer->kind->limit;
     }
     tracer->rays = tracer->points = 0;
 }
@@ -359,8 +362,9 @@ static void find_margins(const struct bake_tree *tree, bk_vec3 start, float marg
     for (int axis = 0; axis < 3; axis++) {
         const float low = (float)tree->low[axis], high = (float)tree->high[axis];
         const float distance = bk_max(fabsf(low - from[axis]), fabsf(high - from[axis]));
-        /* Borders are at most that far away. They are computed from a node's corner. With margins
-         * of less than 255 steps, children that are missing are never met. */
+        /* Borders are at most `distance` away, and computed from a node's corner, which adds two
+         * sizes of the tree. The cap keeps margins below half of the 255 steps between the borders
+         * of a missing child, so no ray meets it. */
         margins[axis] = bk_min(distance + 2.0f * (high - low) + 16.0f, 1 << 25) / (1 << 21);
     }
 }
@@ -438,8 +442,8 @@ void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_p
             if (tracer.rays + BAKE_TREE_POINT_RAYS > BAKE_TREE_RAYS)
                 trace_rays(&tracer);
             struct bake_tree_point *point = &stream->points[tracer.points];
-            *point = (struct bake_tree_point){
-                .first = tracer.rays, .axis = {side * n.x, side * n.y, side * n.z}};
+            *point = (struct bake_tree_point){.first = tracer.rays,
+                                              .normal = {side * n.x, side * n.y, side * n.z}};
             find_margins(tree, points[i].position, point->margins);
             for (bk_uint ray = first; ray < end; ray += BK_WIDTH)
                 add_rays(&tracer, &points[i], point->margins, ray, (uint32_t)(i * stride) + ray);

@@ -16,8 +16,8 @@ _Static_assert(BAKE_TREE_TESTED + BAKE_TREE_AT_ONCE * BAKE_TREE_WIDTH <= BAKE_TR
                    BAKE_TREE_POINT_RAYS * BAKE_TREE_WIDTH <= BAKE_TREE_BLOCKS,
                "what a step adds fits in the list of blocks");
 
-/* What is traced of rays: boxes that they meet from t = begin to end. */
-struct bake_tree_part {
+/* The section of rays that is traced: boxes that they meet from t = begin to end. */
+struct bake_tree_section {
     float begin, end;
 };
 
@@ -29,9 +29,9 @@ struct bake_tree_tracer {
     struct bake_tree_stream *stream;
     float *results;
     uint32_t rays, points, nodes, blocks, voxels; /* in the lists of `stream` */
-    struct bake_tree_part part;
-    bool nearest;                         /* distances matter */
-    float coarse;                         /* of bk_coarse_from() */
+    struct bake_tree_section section;
+    bool nearest; /* distances matter */
+    float coarse; /* of bk_coarse_from() */
     bk_cache cache;
 };
 

@@ -5,8 +5,7 @@
  *    of the lower axis is crossed first.
  *  - The records of a voxel are tested with the state that a walk has after the previous voxel on
  *    the ray. That state follows from the records of the previous voxel alone. A surface may also
- * be crossed after a voxel, if the next one is empty.
- *
+ *    be crossed after a voxel, if the next one is empty.
  *  - Voxels far along an open ray hide it without their records, see bk_meet_voxels().
  *
  * Voxels are not visited in the order in which rays meet them. If distances matter, the hit counts
@@ -356,8 +355,8 @@ static void load_blocks(const struct bake_tree_tracer *tracer, uint32_t first, u
                           bk_maxw(first_entry(&group->axes[1]), first_entry(&group->axes[2])));
 }
 
-/* Returns whether a lane's ray surely visits one of these voxels of its block: it enters it some
- * time before it leaves it. */
+/* Returns whether a lane's ray enters one of these voxels of its block at a smaller t than that at
+ * which it leaves it. If they are equal, test_voxels() finds out whether it visits the voxel. */
 static bool surely_visits(const struct block_group *group, uint32_t lane, uint64_t voxels)
 {
     const struct layers *axes = group->axes;

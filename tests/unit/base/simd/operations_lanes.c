@@ -155,6 +155,36 @@ static void check_gathering(uint64_t *state)
         EXPECT(LANE_COUNT, to[i][k], k < 4 ? in[k][i] : 0.0);
 }
 
+/* Rows of four words in the middle of records, in any order. */
+static void check_float_rows(uint64_t *state)
+{
+    uint32_t records[SIMD_FLOATS][12], stored[SIMD_FLOATS][12];
+    const void *from[SIMD_FLOATS];
+    void *to[SIMD_FLOATS];
+    floats words[4];
+    for (int i = 0; i < SIMD_FLOATS; i++) {
+        for (int w = 0; w < 12; w++)
+            records[i][w] = (uint32_t)test_random(state);
+        from[i] = records[(i * 5 + 3) % SIMD_FLOATS];
+        to[i] = stored[(i * 5 + 3) % SIMD_FLOATS];
+    }
+    floats_load_rows(from, 16, words);
+    for (int w = 0; w < 4; w++)
+        EXPECT_INTS(SIMD_FLOATS, (uint32_t)((float_ints)words[w])[i],
+                    records[(i * 5 + 3) % SIMD_FLOATS][4 + w]);
+    memset(stored, 0xa5, sizeof stored);
+    floats_store_rows(to, 16, words[0], words[1], words[2], words[3]);
+    for (int i = 0; i < SIMD_FLOATS; i++)
+        for (int w = 0; w < 12; w++)
+            assert_int_equal(stored[i][w], w >= 4 && w < 8 ? records[i][w] : 0xa5a5a5a5);
+    /* Of places that are equal, the last one counts. */
+    for (int i = 0; i < SIMD_FLOATS; i++)
+        to[i] = stored[0];
+    floats_store_rows(to, 0, words[0], words[1], words[2], words[3]);
+    for (int w = 0; w < 4; w++)
+        assert_int_equal(stored[0][w], ((const uint32_t *)from[SIMD_FLOATS - 1])[4 + w]);
+}
+
 static void check_floats(uint64_t *state)
 {
     float a[SIMD_FLOATS], b[SIMD_FLOATS];
@@ -246,6 +276,7 @@ void BSQ_SIMD_NAME(test_operations)(uint64_t seed)
         check_lane_integers(&seed);
         check_gathering(&seed);
         check_floats(&seed);
+        check_float_rows(&seed);
         check_rows(&seed);
         check_integers(&seed);
     }
