@@ -196,7 +196,7 @@ int fmt_input_read_some(struct fmt_input *input, void *buffer, uint64_t size, ui
     if (status)
         return status;
     *got = all <= offset ? 0 : all - offset < size ? all - offset : size;
-    return fmt_spool_read(input->spool, buffer, *got, offset);
+    return *got > 0 ? fmt_spool_read(input->spool, buffer, *got, offset) : 0;
 }
 
 int fmt_input_read(struct fmt_input *input, void *buffer, uint64_t size, uint64_t offset)
@@ -222,6 +222,8 @@ int fmt_input_whole(struct fmt_input *input, struct bsq_file *out)
 {
     uint64_t size;
     *out = (struct bsq_file)BSQ_FILE_CLOSED;
+    if (!is_plain(input))
+        fmt_spool_keep(input->spool);
     int status = fmt_input_reach(input, UINT64_MAX, &size);
     if (status)
         return status;

@@ -7,6 +7,7 @@
  *
  * A packed file, or a pipe, is unpacked by a thread of its own into a temporary file without a
  * name, while readers parse what is there already. Who reads a range waits until it has arrived.
+ * Of a packed file the last 128 MiB are kept; who goes back farther has it unpacked again.
  * The thread goes only a little ahead of what readers have requested. So a reader that fails stops
  * it, and a small file that unpacks to a huge one takes no more disk than its reader wants. */
 #ifndef FMT_INPUT_INPUT_H

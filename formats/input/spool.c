@@ -1,4 +1,9 @@
-/* spool.c - see spool.h. */
+/* spool.c - see spool.h.
+ *
+ * The temporary file is a ring: byte n of the unpacked stream is at n % RING_BYTES, and new bytes
+ * replace old ones. So its pages stay in memory, and a large scan takes no more space. Who wants
+ * bytes that were replaced starts the stream again; from then on the file holds all of it. What
+ * came through a pipe cannot come again, so it is all kept from the start. */
 #include <errno.h>
 #include <pthread.h>
 #include <string.h>
@@ -13,9 +18,9 @@
 /* Bytes that are unpacked ahead of what readers have requested, and at once. Fuzz targets unpack
  * their small files in several steps too. */
 #ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION
-enum { AHEAD_BYTES = 4 << 10, STEP_BYTES = 1 << 10 };
+enum { AHEAD_BYTES = 4 << 10, STEP_BYTES = 1 << 10, RING_BYTES = 16 << 10 };
 #else
-enum { AHEAD_BYTES = 4 << 20, STEP_BYTES = 256 << 10 };
+enum { AHEAD_BYTES = 4 << 20, STEP_BYTES = 256 << 10, RING_BYTES = 128 << 20 };
 #endif
 /* How often a waiting thread looks for an interruption, in milliseconds. */
 enum { PATIENCE_MS = 50 };
@@ -31,14 +36,18 @@ struct spool {
     struct unpacker *unpacker;
     uint8_t *buffer; /* STEP_BYTES */
     XXH3_state_t *hash;
-    uint64_t taken; /* packed bytes that were read */
+    uint64_t taken;  /* packed bytes that were read */
+    uint64_t stored; /* unpacked bytes that were written to the file */
     pthread_t thread;
     bool has_thread, has_lock;
     atomic_bool stop;
 
     pthread_mutex_t lock; /* guards all below */
     pthread_cond_t arrived, requested;
-    uint64_t done, wanted; /* bytes in the temporary file; bytes that readers have requested */
+    uint64_t done, wanted; /* bytes that were unpacked; bytes that readers have requested */
+    uint64_t size;         /* of all; UINT64_MAX: not known yet */
+    unsigned starts;       /* how often the stream was started again */
+    bool whole, again;     /* the file is no ring; the stream is to be started again */
     bool ended;
     int status; /* of the thread; the spool has `done` bytes and no more */
 };
@@ -63,57 +72,91 @@ static int read_packed(void *arg, void *buffer, uint64_t size, uint64_t *got)
 
 /* ---- the thread ---- */
 
+/* Returns whether there is nothing to do, or nothing that readers want yet. The lock is held. */
+static bool is_idle(const struct spool *spool)
+{
+    if (spool->stop || spool->again)
+        return false;
+    return spool->ended || spool->status ||
+           (spool->done >= spool->wanted && spool->done - spool->wanted >= AHEAD_BYTES);
+}
+
 /* Waits until readers want more. Returns false if the thread must stop. */
 static bool wait_for_request(struct spool *spool)
 {
     pthread_mutex_lock(&spool->lock);
-    while (!spool->stop && spool->done >= spool->wanted &&
-           spool->done - spool->wanted >= AHEAD_BYTES)
+    while (is_idle(spool))
         pthread_cond_wait(&spool->requested, &spool->lock);
     bool stop = spool->stop;
     pthread_mutex_unlock(&spool->lock);
     return !stop;
 }
 
+/* Starts the stream again if a reader asked for it. *whole: whether the file is no ring. */
+static int start_again(struct spool *spool, bool *whole)
+{
+    int status = 0;
+    pthread_mutex_lock(&spool->lock);
+    *whole = spool->whole;
+    if (spool->again) {
+        fmt_unpack_free(spool->unpacker);
+        spool->unpacker = NULL;
+        status = fmt_unpack_create(spool->ctx, read_packed, spool, &spool->unpacker);
+        spool->again = false;
+        spool->starts++;
+        spool->taken = spool->stored = spool->done = 0;
+        spool->ended = false;
+        spool->status = status;
+    }
+    pthread_mutex_unlock(&spool->lock);
+    return status;
+}
+
 /* Moves the next bytes to the temporary file. Before each DISK_STEP_BYTES after the first ones,
  * twice as much space must be free, so that no stream fills the disk. */
-static int unpack_step(struct spool *spool, uint64_t *got)
+static int unpack_step(struct spool *spool, bool whole, uint64_t *got)
 {
     int status = fmt_unpack_read(spool->unpacker, spool->buffer, STEP_BYTES, got);
-    const uint64_t before = spool->temp.size, after = before + *got;
-    if (!status && before > 0 && before / DISK_STEP_BYTES != after / DISK_STEP_BYTES)
+    const uint64_t before = spool->stored, after = before + *got;
+    const bool grows = whole || before < RING_BYTES;
+    if (!status && grows && before > 0 && before / DISK_STEP_BYTES != after / DISK_STEP_BYTES)
         status = bsq_require_disk(spool->ctx, spool->beside, 2 * DISK_STEP_BYTES);
     if (*got > 0) { /* also the bytes before a damage */
+        const uint64_t at = whole ? before : before % RING_BYTES;
         int written = status && status != BSQ_EDATA
                           ? status
-                          : bsq_file_append(spool->ctx, &spool->temp, spool->buffer, *got);
+                          : bsq_file_write(spool->ctx, &spool->temp, spool->buffer, *got, at);
+        spool->stored += written ? 0 : *got;
         status = status ? status : written;
     }
     return status;
 }
 
-/* Takes one step. Returns false if there are no more. */
-static bool advance(struct spool *spool)
+/* Takes one step. */
+static void advance(struct spool *spool)
 {
     uint64_t got = 0;
+    bool whole = false;
     int status = bsq_check(spool->ctx);
     if (!status)
-        status = unpack_step(spool, &got);
+        status = start_again(spool, &whole);
+    if (!status)
+        status = unpack_step(spool, whole, &got);
     pthread_mutex_lock(&spool->lock);
-    spool->done = spool->temp.size;
+    spool->done = spool->stored;
     spool->status = status;
     spool->ended = !status && got < STEP_BYTES;
-    const bool more = !status && !spool->ended;
+    if (spool->ended)
+        spool->size = spool->done;
     pthread_cond_broadcast(&spool->arrived);
     pthread_mutex_unlock(&spool->lock);
-    return more;
 }
 
 static void *run(void *arg)
 {
     struct spool *spool = arg;
-    while (wait_for_request(spool) && advance(spool))
-        ;
+    while (wait_for_request(spool))
+        advance(spool);
     return NULL;
 }
 
@@ -165,6 +208,8 @@ int fmt_spool_start(struct bsq_ctx *ctx, const char *path, const char *beside,
     spool->file = file;
     spool->pipe_fd = pipe_fd;
     spool->temp = (struct bsq_file)BSQ_FILE_CLOSED;
+    spool->size = UINT64_MAX;
+    spool->whole = !file;
     status = set_up(spool);
     if (status)
         fmt_spool_stop(spool);
@@ -223,41 +268,127 @@ static int explain(const struct spool *spool)
     return spool->status;
 }
 
+/* Returns whether all `end` bytes have come, or no more do. The lock is held. */
+static bool has_come(const struct spool *spool, uint64_t end)
+{
+    return !spool->again && (spool->done >= end || spool->ended || spool->status);
+}
+
 int fmt_spool_reach(struct spool *spool, uint64_t end, uint64_t *size)
 {
     int status = 0;
     pthread_mutex_lock(&spool->lock);
-    if (end > spool->wanted) {
+    if (end > spool->wanted)
         spool->wanted = end;
-        pthread_cond_signal(&spool->requested);
-    }
-    while (spool->done < end && !spool->ended && !spool->status && !status) {
+    pthread_cond_signal(&spool->requested);
+    while (!has_come(spool, end) && !status) {
         wait_for_arrival(spool);
         status = bsq_check(spool->ctx);
     }
     if (!status && spool->done < end && !spool->ended)
         status = explain(spool);
-    *size = spool->ended ? spool->done : UINT64_MAX;
+    *size = spool->size;
     pthread_mutex_unlock(&spool->lock);
     return status;
 }
 
-int fmt_spool_read(const struct spool *spool, void *buffer, uint64_t size, uint64_t offset)
+/* Returns the first byte that the file still has. The step that is being written replaces bytes
+ * already. The lock is held. */
+static uint64_t first_kept(const struct spool *spool)
 {
-    return bsq_file_read(spool->ctx, &spool->temp, buffer, size, offset);
+    const uint64_t end = spool->done + STEP_BYTES;
+    return spool->whole || end < RING_BYTES ? 0 : end - RING_BYTES;
+}
+
+/* Has all bytes kept. Starts again if some were replaced. The lock is held. */
+static void keep_all(struct spool *spool)
+{
+    if (spool->whole)
+        return;
+    spool->again = first_kept(spool) > 0;
+    spool->whole = true;
+    pthread_cond_signal(&spool->requested);
+}
+
+void fmt_spool_keep(struct spool *spool)
+{
+    pthread_mutex_lock(&spool->lock);
+    keep_all(spool);
+    pthread_mutex_unlock(&spool->lock);
+}
+
+/* Reads bytes of the file, which may be a ring. */
+static int read_stored(const struct spool *spool, bool whole, void *buffer, uint64_t size,
+                       uint64_t offset)
+{
+    const uint64_t at = whole ? offset : offset % RING_BYTES;
+    const uint64_t left = whole || size < RING_BYTES - at ? size : RING_BYTES - at;
+    int status = bsq_file_read(spool->ctx, &spool->temp, buffer, left, at);
+    if (!status && left < size)
+        status = bsq_file_read(spool->ctx, &spool->temp, (char *)buffer + left, size - left, 0);
+    return status;
+}
+
+/* What a reader found in the file. */
+struct sight {
+    unsigned starts;
+    bool whole, there;
+};
+
+/* Looks whether bytes are there, and makes them come again if they were replaced. */
+static int look(struct spool *spool, uint64_t size, uint64_t offset, struct sight *sight)
+{
+    uint64_t all;
+    if (size > RING_BYTES / 2)
+        fmt_spool_keep(spool);
+    int status = fmt_spool_reach(spool, offset + size, &all);
+    if (status)
+        return status;
+    pthread_mutex_lock(&spool->lock);
+    if (!spool->again && first_kept(spool) > offset)
+        keep_all(spool);
+    *sight = (struct sight){.starts = spool->starts,
+                            .whole = spool->whole,
+                            .there = !spool->again && spool->done >= offset + size};
+    if (!spool->again && spool->ended && !sight->there)
+        status = bsq_fail(spool->ctx, BSQ_EIO, "%s: changed while it was read", spool->path);
+    pthread_mutex_unlock(&spool->lock);
+    return status;
+}
+
+/* Returns whether the bytes from `offset` on were not replaced since a reader looked. */
+static bool are_kept(struct spool *spool, const struct sight *sight, uint64_t offset)
+{
+    pthread_mutex_lock(&spool->lock);
+    const bool kept = spool->starts == sight->starts && !spool->again &&
+                      (sight->whole || first_kept(spool) <= offset);
+    pthread_mutex_unlock(&spool->lock);
+    return kept;
+}
+
+int fmt_spool_read(struct spool *spool, void *buffer, uint64_t size, uint64_t offset)
+{
+    struct sight sight;
+    int status;
+    do {
+        status = look(spool, size, offset, &sight);
+        if (!status && sight.there)
+            status = read_stored(spool, sight.whole, buffer, size, offset);
+    } while (!status && !(sight.there && are_kept(spool, &sight, offset)));
+    return status;
 }
 
 int fmt_spool_duplicate(const struct spool *spool, struct bsq_file *out)
 {
     const struct bsq_file named = {
-        .fd = spool->temp.fd, .size = spool->temp.size, .path = (char *)spool->path};
+        .fd = spool->temp.fd, .size = spool->stored, .path = (char *)spool->path};
     return bsq_file_duplicate(spool->ctx, &named, out);
 }
 
 uint64_t fmt_spool_size(struct spool *spool)
 {
     pthread_mutex_lock(&spool->lock);
-    uint64_t size = spool->ended ? spool->done : UINT64_MAX;
+    uint64_t size = spool->size;
     pthread_mutex_unlock(&spool->lock);
     return size;
 }

@@ -17,10 +17,15 @@ void fmt_spool_stop(struct spool *spool);
 /* Waits until `end` bytes are there or all have come. *size: all bytes if they have come, else
  * UINT64_MAX. Thread-safe. */
 int fmt_spool_reach(struct spool *spool, uint64_t end, uint64_t *size);
-/* Reads bytes that are there. Thread-safe. */
-int fmt_spool_read(const struct spool *spool, void *buffer, uint64_t size, uint64_t offset);
+/* Reads bytes. Waits for them. Errors: BSQ_EIO if a file that was unpacked twice has other bytes
+ * than before; those of fmt_spool_reach(). Thread-safe. */
+int fmt_spool_read(struct spool *spool, void *buffer, uint64_t size, uint64_t offset);
+/* Has all bytes kept that come, and those that have come, for fmt_spool_duplicate(). Without this a
+ * file's bytes may be unpacked again when a reader goes back. Thread-safe. */
+void fmt_spool_keep(struct spool *spool);
 
-/* Opens the temporary file once more, under the name of the path. Errors: BSQ_ENOINPUT. */
+/* Opens the temporary file once more, under the name of the path. All bytes were kept and have
+ * come. Errors: BSQ_ENOINPUT. */
 int fmt_spool_duplicate(const struct spool *spool, struct bsq_file *out);
 
 /* Returns the bytes of all if they have come, else UINT64_MAX. */

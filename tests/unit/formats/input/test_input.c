@@ -3,6 +3,7 @@
 #include <pthread.h>
 #include <setjmp.h>
 #include <stdarg.h>
+#include <stdatomic.h>
 #include <stdlib.h>
 #include <stdio.h>
 #include <string.h>
@@ -93,6 +94,127 @@ static void test_ranges_in_any_order(void **state)
     }
     fmt_input_free(input);
     assert_int_equal(bsq_memory_used(ctx), 0);
+    bsq_ctx_destroy(ctx);
+}
+
+/* ---- a file that unpacks to more than is kept ---- */
+
+enum { COPIES = 16, MIB = 1 << 20 };
+#define LARGE_BYTES ((uint64_t)COPIES * BYTES)
+
+/* Returns the number at an index of the large file. */
+static uint32_t large_number(uint64_t index)
+{
+    return (uint32_t)(index % NUMBERS) ^ (uint32_t)(index / NUMBERS) << 24;
+}
+
+static const char *write_large(const char *name)
+{
+    uint32_t *copy = malloc(BYTES);
+    struct packed p = {0};
+    assert_non_null(copy);
+    for (uint32_t k = 0; k < COPIES; k++) {
+        for (uint32_t i = 0; i < NUMBERS; i++)
+            copy[i] = large_number((uint64_t)k * NUMBERS + i);
+        pack_zstd(&p, copy, BYTES, 0);
+    }
+    const char *path = scratch_bytes(name, p.data, p.size);
+    free(p.data);
+    free(copy);
+    return path;
+}
+
+/* Returns whether numbers are those of the large file from a byte on, a multiple of four. */
+static bool are_large(const uint32_t *found, uint64_t offset, uint64_t size)
+{
+    for (uint64_t i = 0; i < size / 4; i++)
+        if (found[i] != large_number(offset / 4 + i))
+            return false;
+    return true;
+}
+
+static void expect_large(struct fmt_input *input, uint64_t offset, uint64_t size)
+{
+    uint32_t *buffer = malloc(size);
+    assert_non_null(buffer);
+    assert_int_equal(fmt_input_read(input, buffer, size, offset), 0);
+    assert_true(are_large(buffer, offset, size));
+    free(buffer);
+}
+
+/* Returns the bytes of the temporary file that is open. */
+static uint64_t temporary_bytes(void)
+{
+    uint64_t bytes = 0;
+    for (int fd = 3; fd < 64; fd++) {
+        char link[64], path[4096];
+        struct stat info;
+        snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
+        const ssize_t length = readlink(link, path, sizeof path - 1);
+        if (length < 0)
+            continue;
+        path[length] = '\0';
+        if (strstr(path, "(deleted)") && fstat(fd, &info) == 0)
+            bytes += (uint64_t)info.st_size;
+    }
+    return bytes;
+}
+
+struct blocks {
+    struct fmt_input *input;
+    atomic_uint next, bad;
+};
+
+static void *read_blocks(void *arg)
+{
+    struct blocks *blocks = arg;
+    uint32_t *buffer = malloc(MIB);
+    for (unsigned i; buffer && (i = blocks->next++) < LARGE_BYTES / MIB;)
+        if (fmt_input_read(blocks->input, buffer, MIB, (uint64_t)i * MIB) != 0 ||
+            !are_large(buffer, (uint64_t)i * MIB, MIB))
+            blocks->bad++;
+    blocks->bad += !buffer;
+    free(buffer);
+    return NULL;
+}
+
+/* Threads read the file in order, and no more than 128 MiB of it are kept. Then a reader goes back,
+ * wants much at once, and wants a file with all. */
+static void test_much_is_read_in_order_and_again(void **state)
+{
+    (void)state;
+    struct blocks blocks = {0};
+    struct bsq_file whole;
+    pthread_t threads[3];
+    uint32_t last[4];
+    struct bsq_ctx *ctx = make_context(64 << 20, 2);
+    const char *path = write_large("large.bin");
+    for (int round = 0; round < 2; round++) {
+        assert_int_equal(fmt_input_create(ctx, path, NULL, false, &blocks.input), 0);
+        assert_int_equal(fmt_input_open(blocks.input), 0);
+        blocks.next = 0;
+        for (int i = 0; i < 3; i++)
+            assert_int_equal(pthread_create(&threads[i], NULL, read_blocks, &blocks), 0);
+        for (int i = 0; i < 3; i++)
+            pthread_join(threads[i], NULL);
+        assert_int_equal(blocks.bad, 0);
+        assert_in_range(temporary_bytes(), 100 * MIB, 128 * MIB);
+        if (round == 0) {
+            expect_large(blocks.input, 130 * MIB - 8, 3 * MIB);
+            expect_large(blocks.input, 12, 5 * MIB);
+            assert_true(fmt_input_size(blocks.input) == LARGE_BYTES);
+            expect_large(blocks.input, LARGE_BYTES - 80 * MIB, 80 * MIB);
+            expect_large(blocks.input, 0, 80 * MIB);
+        }
+        assert_int_equal(fmt_input_whole(blocks.input, &whole), 0);
+        assert_true(whole.size == LARGE_BYTES);
+        assert_int_equal(bsq_file_read(ctx, &whole, last, sizeof last, LARGE_BYTES - 16), 0);
+        assert_true(are_large(last, LARGE_BYTES - 16, 16));
+        bsq_file_close(ctx, &whole);
+        expect_large(blocks.input, 3 * MIB, MIB);
+        assert_int_equal(fmt_input_close(blocks.input), 0);
+        fmt_input_free(blocks.input);
+    }
     bsq_ctx_destroy(ctx);
 }
 
@@ -239,6 +361,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_ranges_in_any_order),
+        cmocka_unit_test(test_much_is_read_in_order_and_again),
         cmocka_unit_test(test_no_more_is_unpacked_than_is_read),
         cmocka_unit_test(test_pipe_is_read_once),
         cmocka_unit_test(test_waiting_ends_with_an_interruption),
