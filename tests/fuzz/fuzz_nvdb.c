@@ -14,6 +14,8 @@ static int use(struct bsq_ctx *ctx)
     if (status == 0) {
         grid_use_trace(&grid);
         status = grid_use_trace_tile(ctx, &grid);
+        if (status == 0)
+            status = grid_use_look_around(ctx, &grid);
     }
     if (status == 0 && fuzzed_grid.verify)
         status = fmt_nvdb_verify(ctx, &grid);

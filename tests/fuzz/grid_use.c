@@ -128,9 +128,60 @@ static void make_square(const struct fmt_nvdb_grid *grid, struct bk_triangle tri
     }
 }
 
-int grid_use_trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
+/* Makes the samples of a tile: both triangles, and a diagonal without any. */
+static void make_samples(uint32_t samples[SIDE * SIDE])
+{
+    for (uint32_t i = 0; i < SIDE * SIDE; i++)
+        samples[i] = i % SIDE == i / SIDE ? BK_NO_TRIANGLE : i % SIDE > i / SIDE;
+}
+
+static int trace_tile(struct bsq_ctx *ctx, const struct bake_job *job, const uint32_t *samples,
+                      float *texels)
 {
     const struct bk_tile tile = {.width = SIDE, .height = SIDE};
+    struct bake_device *device;
+    int status = bake_device_open(ctx, "cpu", job, &device);
+    if (status)
+        return status;
+    status = bake_device_trace(device, &tile, samples, texels, 0);
+    bake_device_close(device);
+    return status;
+}
+
+int grid_use_look_around(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
+{
+    struct bk_triangle triangles[2];
+    uint32_t samples[SIDE * SIDE];
+    static float texels[SIDE * SIDE * (BK_SUMS + 3 + 8)];
+    struct bake_job job = {
+        .grid = grid,
+        .triangles = triangles,
+        .triangle_count = 2,
+        .tile_texels = SIDE * SIDE,
+        .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS,
+                   .samples = 1,
+                   .unit = 1,
+                   .front = 50,
+                   .back = 1e7f,
+                   .open_rays = 20,
+                   .thickness_rays = 5,
+                   .open_limit = BK_FAR,
+                   .open_coarse = 3,
+                   .thickness_limit = 1000,
+                   .open_sine2 = 1}};
+    const uint32_t floats = bk_texel_floats(job.params.maps);
+    require(floats * SIDE * SIDE <= sizeof texels / sizeof *texels, "a texel of too many floats");
+    make_square(grid, triangles);
+    make_samples(samples);
+    bake_params_from_grid(grid, &job.params);
+    int status = trace_tile(ctx, &job, samples, texels);
+    for (uint32_t i = 0; !status && i < SIDE * SIDE * floats; i++)
+        require(isfinite(texels[i]), "a texel that is not finite");
+    return status;
+}
+
+int grid_use_trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
+{
     struct bk_triangle triangles[2];
     uint32_t samples[SIDE * SIDE];
     float texels[SIDE * SIDE * (BK_SUMS + 6 + 2 * BK_TRANSFER_VALUES)];
@@ -149,19 +200,13 @@ int grid_use_trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
                                       .unit = 1,
                                       .front = 50,
                                       .back = 1e7f}};
-    struct bake_device *device;
     job.params.maps |= transfers << BK_TRANSFER_SHIFT;
     used.transfers = words;
     used.transfer_count = transfers;
     make_square(grid, triangles);
-    for (uint32_t i = 0; i < SIDE * SIDE; i++)
-        samples[i] = i % SIDE == i / SIDE ? BK_NO_TRIANGLE : i % SIDE > i / SIDE;
+    make_samples(samples);
     bake_params_from_grid(&used, &job.params);
-    int status = bake_device_open(ctx, "cpu", &job, &device);
-    if (status)
-        return status;
-    status = bake_device_trace(device, &tile, samples, texels, 0);
-    bake_device_close(device);
+    int status = trace_tile(ctx, &job, samples, texels);
     for (uint32_t i = 0; !status && i < SIDE * SIDE; i++) {
         const float *texel = texels + (size_t)i * floats;
         require(texel[BK_HITS] <= texel[BK_COVERED] && texel[BK_COVERED] <= 1,
