@@ -199,21 +199,23 @@ ssize_t __wrap_pread64(int fd, void *buffer, size_t size, off_t offset)
     return (ssize_t)count;
 }
 
-/* Temporary files are only appended to. */
+/* Temporary files have no holes: bytes are replaced, or appended. */
 ssize_t __wrap_pwrite64(int fd, const void *buffer, size_t size, off_t offset)
 {
     struct memory_file *file = file_of(fd);
     if (!file)
         return __real_pwrite64(fd, buffer, size, offset);
-    require(!file->path && (size_t)offset == file->size, "a file is not appended to");
-    if (file->size + size > file->capacity) {
-        file->capacity = 2 * (file->size + size);
+    const size_t at = (size_t)offset;
+    require(!file->path && at <= file->size, "a temporary file gets a hole");
+    if (at + size > file->capacity) {
+        file->capacity = 2 * (at + size);
         file->data = file->written = realloc(file->written, file->capacity);
     }
     if (!file->written)
         abort(); /* no memory */
-    memcpy(file->written + file->size, buffer, size);
-    file->size += size;
+    memcpy(file->written + at, buffer, size);
+    if (file->size < at + size)
+        file->size = at + size;
     return (ssize_t)size;
 }
 
