@@ -8,6 +8,9 @@ here=$(cd "$(dirname "$0")" && pwd) || exit 1
 # Sanitizer options, for programs built with config=tsan or config=asan. die_after_fork=0 because
 # some tests fork.
 export TSAN_OPTIONS="suppressions=$here/lint/tsan.supp die_after_fork=0 ${TSAN_OPTIONS-}"
+# The leak sanitizer may crash at exit when it looks at dynamic thread-local memory of modules that
+# were closed ("Tracer caught signal 11"), so it does not follow such memory.
+export ASAN_OPTIONS="intercept_tls_get_addr=0 ${ASAN_OPTIONS-}"
 export LSAN_OPTIONS="suppressions=$here/lint/lsan.supp:print_suppressions=0:${LSAN_OPTIONS-}"
 # Compiled OpenCL kernels go to the tests' cache, not to the user's.
 XDG_CACHE_HOME=$(cd "${TESTS:?}" && pwd)/cache || exit 1
