@@ -185,6 +185,7 @@ static void test_much_is_read_in_order_and_again(void **state)
     (void)state;
     struct blocks blocks = {0};
     struct bsq_file whole;
+    uint64_t size;
     pthread_t threads[3];
     uint32_t last[4];
     struct bsq_ctx *ctx = make_context(64 << 20, 2);
@@ -202,6 +203,8 @@ static void test_much_is_read_in_order_and_again(void **state)
         if (round == 0) {
             expect_large(blocks.input, 130 * MIB - 8, 3 * MIB);
             expect_large(blocks.input, 12, 5 * MIB);
+            assert_int_equal(fmt_input_reach(blocks.input, LARGE_BYTES + 1, &size), 0);
+            assert_true(size == LARGE_BYTES);
             assert_true(fmt_input_size(blocks.input) == LARGE_BYTES);
             expect_large(blocks.input, LARGE_BYTES - 80 * MIB, 80 * MIB);
             expect_large(blocks.input, 0, 80 * MIB);
