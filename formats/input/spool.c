@@ -345,7 +345,7 @@ static int look(struct spool *spool, uint64_t size, uint64_t offset, struct sigh
     if (status)
         return status;
     pthread_mutex_lock(&spool->lock);
-    if (!spool->again && first_kept(spool) > offset)
+    if (first_kept(spool) > offset)
         keep_all(spool);
     *sight = (struct sight){.starts = spool->starts,
                             .whole = spool->whole,
@@ -360,8 +360,8 @@ static int look(struct spool *spool, uint64_t size, uint64_t offset, struct sigh
 static bool are_kept(struct spool *spool, const struct sight *sight, uint64_t offset)
 {
     pthread_mutex_lock(&spool->lock);
-    const bool kept = spool->starts == sight->starts && !spool->again &&
-                      (sight->whole || first_kept(spool) <= offset);
+    const bool kept =
+        spool->starts == sight->starts && !spool->again && first_kept(spool) <= offset;
     pthread_mutex_unlock(&spool->lock);
     return kept;
 }

@@ -23,8 +23,8 @@
 /* At most this many rays of a point are tested against a node one by one. */
 enum { SINGLE_RAYS_MOST = 16 };
 
-/* Rays to the nearest hit are traced in sections. The first one ends after so many voxels, each
- * other one at END_FACTOR times the end of the section before it. */
+/* Rays that look for their nearest hit are traced in sections: the first ends after FIRST_END
+ * voxels, the next at END_FACTOR times that distance, and so on. */
 #define FIRST_END  64.0f
 #define END_FACTOR 4.0f
 
@@ -339,8 +339,9 @@ static void trace_point(struct bake_tree_tracer *tracer, const struct bake_tree_
     drain_nodes(tracer);
 }
 
-/* Traces the rays of the stream, and empties it. If the nearest hit counts, near sections of all
- * rays come first, so that what is behind hits is not looked at. */
+/* Traces the rays of the stream, and empties it. If the nearest hit counts, the first section of
+ * all rays is traced before the next one. A ray whose hit lies in a section skips the
+ * others. */
 static void trace_rays(struct bake_tree_tracer *tracer)
 {
     struct bake_tree_section *section = &tracer->section;

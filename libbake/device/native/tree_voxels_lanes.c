@@ -204,11 +204,10 @@ static void recall(struct bake_tree_tracer *tracer, const struct group *group, b
     walk->hit = bk_no_crossing();
 }
 
-/* Tests the records of the voxels of a group. */
+/* Tests the records of the voxels of a group, in which rays are from t on. */
 static void meet_voxels(struct bake_tree_tracer *tracer, const struct group *group, bk_uint lanes,
-                        bk_walk *walk)
+                        bk_fw t, bk_walk *walk)
 {
-    const bk_fw t = bk_maxw(group->t_begin, group->t_event);
     const bk_fw t_out = bk_maxw(t, group->t_exit);
     bk_uint over, below;
     bk_place next;
@@ -272,7 +271,7 @@ static void test_voxels(struct bake_tree_tracer *tracer)
         walk.two_sided = bk_mask_of(tracer->kind->open ? ~0u : 0u);
         bk_clear_walk(&walk);
         if (lanes & ~coarse)
-            meet_voxels(tracer, &group, lanes & ~coarse, &walk);
+            meet_voxels(tracer, &group, lanes & ~coarse, t, &walk);
         if (coarse)
             bk_stop(&walk, bk_mask_of(coarse), t);
         for (bk_uint found = bk_bits(walk.hit.found) & lanes; found; found &= found - 1) {
