@@ -56,6 +56,7 @@ struct obj_reader {
     struct obj_names materials, libraries;
     struct obj_odd_place odd[OBJ_ODDITY_COUNT]; /* of the current reading */
     bool read_before;                           /* the files were read to their end */
+    bool has_colors;                            /* of vertices, in any file that was read */
     bool warns; /* of materials without colours: set by a preview, cleared by the first warning */
     uint64_t previewed; /* libraries that were read before the files */
     /* If the reader numbers faces by object too: the object's name, and as its `source` the number

@@ -282,31 +282,70 @@ static bool has_library(const struct obj_reader *reader, uint32_t source)
     return false;
 }
 
-/* Names the materials that no library describes, and warns of the first of them. If a file names
- * no library, it promises no colours, or a warning has said that the library is missing. */
+/* Returns whether a file of the scan names a library. */
+static bool names_library(const struct obj_reader *reader, uint32_t source)
+{
+    for (uint64_t i = 0; i < reader->libraries.count; i++)
+        if (reader->libraries.list[i].source == source)
+            return true;
+    return false;
+}
+
+/* Materials that no library describes. */
+struct others {
+    uint32_t count;
+    const struct obj_name *first;
+};
+
+static void add_other(struct others *others, const struct obj_name *name)
+{
+    others->first = others->count++ ? others->first : name;
+}
+
+/* Warns of materials without a description: lost ones, whose file has a library that lacks them,
+ * and those of files that name no library, unless vertices have colours. */
+static int warn_of_others(const struct obj_reader *reader, const struct others *lost,
+                          const struct others *bare)
+{
+    if (bare->count > 0 && !reader->has_colors)
+        bsq_warn(reader->base.ctx,
+                 "%s: no material library is named; faces of %u materials such as \"%.60s\" have "
+                 "no colour (see --texture)",
+                 reader->sources[bare->first->source].path, bare->count, bare->first->text);
+    if (lost->count == 0)
+        return 0;
+    return bsq_warn_loss(reader->base.ctx,
+                         "%s: no material library describes \"%.60s\"; faces of %u such "
+                         "materials have no colour (see --texture)",
+                         reader->sources[lost->first->source].path, lost->first->text,
+                         lost->count);
+}
+
+/* Names the materials that no library describes, and warns of them. If a library is missing,
+ * another warning has said so. */
 static int name_others(struct obj_reader *reader, struct fmt_materials *out)
 {
-    struct bsq_ctx *ctx = reader->base.ctx;
-    const struct obj_name *first = NULL;
-    uint32_t others = 0, source = UINT32_MAX;
-    bool promised = false;
+    struct others lost = {0}, bare = {0};
+    uint32_t source = UINT32_MAX;
+    bool readable = false, named = false;
     int status = 0;
     for (uint32_t i = 0; i < out->count && !status; i++) {
         const struct obj_name *name = &reader->materials.list[i];
         if (out->list[i].name)
             continue;
-        if (name->source != source)
-            promised = has_library(reader, name->source);
+        if (name->source != source) {
+            readable = has_library(reader, name->source);
+            named = names_library(reader, name->source);
+        }
         source = name->source;
-        others += promised;
-        first = first || !promised ? first : name;
-        status = fmt_string_copy(ctx, name->text, &out->list[i].name);
+        if (readable)
+            add_other(&lost, name);
+        else if (!named)
+            add_other(&bare, name);
+        status = fmt_string_copy(reader->base.ctx, name->text, &out->list[i].name);
     }
-    if (!status && first && reader->warns)
-        status = bsq_warn_loss(ctx,
-                               "%s: no material library describes \"%.60s\"; faces of %u such "
-                               "materials have no colour (see --texture)",
-                               reader->sources[first->source].path, first->text, others);
+    if (!status && reader->warns)
+        status = warn_of_others(reader, &lost, &bare);
     reader->warns = false;
     return status;
 }

@@ -324,6 +324,7 @@ static int call_on_block(struct job *job, struct slot *slot)
         .material_changes = slot->changes,
         .material_at_start = job->material,
     };
+    job->reader->has_colors |= block->has_colors || block->paint_count > 0;
     if (slot->change_count)
         job->material = slot->changes[slot->change_count - 1].material;
     return job->steps->on_block ? job->steps->on_block(job->arg, &slot->view) : 0;

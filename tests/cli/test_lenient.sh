@@ -87,11 +87,22 @@ printf 'newmtl a\nmap_Kd scan.obj\n' >scan.mtl
 sed '/usemtl/d; s/^f .*/f 1 2 3/; /^vt/d' scan.obj >unused.obj
 warns 'unused.obj: no face has a material, so textures such as scan.obj are not used (see --texture)' unused.obj
 rm scan.mtl
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl x\nf 1 2 3\nusemtl y\nf 1 2 3\n' >bare.obj
+$vox bare.obj -o a.nvdb
+code 0
+line='bare.obj: no material library is named; faces of 2 materials such as "x" have no colour (see --texture)'
+[ "$(cat "$err")" = "$p warning: $line" ]
+check "warning: $line" $?
+sed 's/^v .*/& 0 1 0/' bare.obj >vertex.obj
+$vox vertex.obj -o a.nvdb
+code 0
+[ ! -s "$err" ]
+check "no warning: $command" $?
 
 # ---- what is lost in the scan ----
 
-{ cat scan.obj; echo 'f 1/9 2/1 3/1'; } | sed 1d >lost.obj
-warns 'lost.obj:7: corners that refer to a texture coordinate that the file does not have: 1; this is the first' lost.obj
+{ cat scan.obj; echo 'f 1/9 2/1 3/1'; } | sed '/mtl/d' >lost.obj
+warns 'lost.obj:6: corners that refer to a texture coordinate that the file does not have: 1; this is the first' lost.obj
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 nan 0\nf 1 2 3\n' >nan.obj
 warns 'nan.obj:4: vertices without a finite position: 1; this is the first' nan.obj
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\ng a\nodd one\nodder\n' >odd.obj
@@ -127,7 +138,11 @@ warns 'bright.obj: colours out of range were clamped at 1 vertex' bright.obj
 # Each file is checked with its own library: the first has none here.
 sed '/mtllib/d' scan.obj >bare.obj
 printf 'newmtl b\nKd 1 0 0\n' >scan.mtl
-warns 'scan.obj: no material library describes "a"; faces of 1 such materials have no colour (see --texture)' bare.obj scan.obj
+$vox bare.obj scan.obj -o a.nvdb --resolution 8
+code 0
+[ "$(cat "$err")" = "$p warning: bare.obj: no material library is named; faces of 1 materials such as \"a\" have no colour (see --texture)
+$p warning: scan.obj: no material library describes \"a\"; faces of 1 such materials have no colour (see --texture)" ]
+check "each file has a warning of its own" $?
 rm scan.mtl
 
 # The libraries of a pipe are beside nothing but the current directory, also several of them.
