@@ -68,8 +68,8 @@ archives := $(foreach l,$(libs),$(archive.$(l)))
 # Parts of formats that are opened at their first use, see formats/module/module.h. The stamp holds
 # the version and a checksum of the headers that a module shares with its host.
 modules      := texture openvdb gltf scene
-src.texture  := $(addprefix formats/texture/,texture_oiio.cc texture_pyramid.cc held_input.cc \
-    texture_formats.cc png_rows.c) formats/exr_header.c
+src.texture  := $(addprefix formats/texture/,texture_oiio.cc texture_pass.cc texture_lookup.cc \
+    texture_pyramid.cc held_input.cc texture_formats.cc png_rows.c) formats/exr_header.c
 src.gltf     := formats/mesh/gltf_decode.cc
 src.scene    := formats/mesh/scene_assimp.cc
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
