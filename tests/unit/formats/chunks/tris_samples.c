@@ -1,0 +1,171 @@
+#include "tris_samples.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <unistd.h>
+#include <cmocka.h>
+
+static uint32_t next(uint64_t *seed)
+{
+    *seed = *seed * 6364136223846793005u + 1442695040888963407u;
+    return (uint32_t)(*seed >> 32);
+}
+
+static float next_float(uint64_t *seed)
+{
+    return (float)next(seed) / 4294967296.0f * 20.0f - 10.0f;
+}
+
+void tris_fill(struct tris_sample *s, uint32_t attributes, uint32_t triangles, uint32_t vertices,
+               uint64_t seed)
+{
+    for (uint32_t v = 0; v < vertices; v++) {
+        for (int axis = 0; axis < 3; axis++)
+            s->positions[v][axis] = next_float(&seed);
+        s->texcoords[v][0] = next_float(&seed);
+        s->texcoords[v][1] = next_float(&seed);
+        s->normals[v] = next(&seed);
+        s->colors[v] = next(&seed);
+    }
+    uint32_t corner = 0;
+    for (uint32_t t = 0; t < triangles; t++) {
+        for (int k = 0; k < 3; k++, corner++)
+            s->triangles[t][k] = corner < vertices ? corner : next(&seed) % vertices;
+        s->materials[t] = next(&seed) % 3 == 0 ? UINT32_MAX : next(&seed) % 2;
+    }
+    s->chunk = (struct fmt_tris_chunk){
+        .triangle_count = triangles,
+        .vertex_count = vertices,
+        .positions = (const float(*)[3])s->positions,
+        .normals = attributes & FMT_TRIS_NORMALS ? s->normals : NULL,
+        .texcoords = attributes & FMT_TRIS_TEXCOORDS ? (const float(*)[2])s->texcoords : NULL,
+        .colors = attributes & FMT_TRIS_COLORS ? s->colors : NULL,
+        .triangles = (const uint32_t(*)[3])s->triangles,
+        .materials = attributes & FMT_TRIS_MATERIALS ? s->materials : NULL,
+    };
+}
+
+int tris_setup(void **state)
+{
+    struct tris_fixture *f = calloc(1, sizeof *f);
+    snprintf(f->dir, sizeof f->dir, "/tmp/test_tris_XXXXXX");
+    assert_non_null(mkdtemp(f->dir));
+    snprintf(f->path, sizeof f->path, "%s/scan.tris", f->dir);
+    struct bsq_ctx_options options = {.memory_bytes = 64 << 20, .threads = 1};
+    assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
+    for (int i = 0; i < 2; i++)
+        f->samples[i] = calloc(1, sizeof *f->samples[i]);
+    *state = f;
+    return 0;
+}
+
+int tris_teardown(void **state)
+{
+    struct tris_fixture *f = *state;
+    assert_int_equal(bsq_memory_used(f->ctx), 0);
+    bsq_ctx_destroy(f->ctx);
+    for (int i = 0; i < 2; i++)
+        free(f->samples[i]);
+    unlink(f->path);
+    assert_int_equal(rmdir(f->dir), 0);
+    free(f);
+    return 0;
+}
+
+void tris_write_samples(struct tris_fixture *f, uint32_t attributes, uint32_t chunk_count)
+{
+    struct fmt_tris_material materials[2] = {
+        {.texture_path = (char *)"/a dir/wall.png", .diffuse = {0.25f, 0.5f, 0.75f}},
+        {.diffuse = {1.0f, 0.0f, 0.5f}}};
+    struct fmt_tris_header header = {
+        .attributes = attributes,
+        .source_faces = 77,
+        .origin = {512000.0, -1024.0, 0.0},
+        .material_count = 2,
+        .materials = materials,
+    };
+    struct fmt_tris_writer *writer;
+    assert_int_equal(fmt_tris_create(f->ctx, f->path, &header, &writer), 0);
+    fmt_tris_skip(writer, 2);
+    fmt_tris_skip(writer, 3);
+    for (uint32_t i = 0; i < chunk_count; i++) {
+        const struct fmt_tris_chunk *chunk = &f->samples[i]->chunk;
+        uint64_t size,
+            bound = fmt_tris_encoded_bound(attributes, chunk->triangle_count, chunk->vertex_count);
+        struct fmt_tris_chunk_info info;
+        void *buffer;
+        assert_int_equal(bsq_alloc(f->ctx, "test", bound, 1, &buffer), 0);
+        assert_int_equal(fmt_tris_encode(f->ctx, attributes, chunk, buffer, &size, &info), 0);
+        assert_true(size <= bound);
+        assert_int_equal(fmt_tris_append(writer, buffer, size, &info), 0);
+        bsq_free(f->ctx, buffer);
+    }
+    uint64_t written = fmt_tris_written(writer);
+    assert_true(written > 0);
+    assert_int_equal(fmt_tris_commit(writer), 0);
+}
+
+uint8_t *tris_read_bytes(const char *path, size_t *size)
+{
+    FILE *file = fopen(path, "rb");
+    assert_non_null(file);
+    fseek(file, 0, SEEK_END);
+    *size = (size_t)ftell(file);
+    rewind(file);
+    uint8_t *bytes = malloc(*size + 1);
+    assert_int_equal(fread(bytes, 1, *size, file), *size);
+    fclose(file);
+    return bytes;
+}
+
+void tris_write_bytes(const char *path, const void *bytes, size_t size)
+{
+    FILE *file = fopen(path, "wb");
+    assert_non_null(file);
+    assert_int_equal(fwrite(bytes, 1, size, file), size);
+    assert_int_equal(fclose(file), 0);
+}
+
+uint64_t tris_u64_at(const uint8_t *bytes, size_t at)
+{
+    uint64_t value = 0;
+    for (int i = 7; i >= 0; i--)
+        value = value << 8 | bytes[at + (size_t)i];
+    return value;
+}
+
+uint8_t *tris_write_ids(struct tris_fixture *f, size_t *size)
+{
+    struct fmt_tris_material materials[] = {
+        {.texture_path = (char *)"/a.png", .name = (char *)"body"},
+        {.colorless = true, .name = NULL},
+        {.diffuse = {0.5f, 0, 1}, .name = (char *)"gl\xc3\xa4s"}};
+    const struct fmt_tris_header header = {
+        .material_count = 3, .materials = materials, .ids = BSQ_IDS_OBJECT};
+    struct fmt_tris_writer *writer;
+    assert_int_equal(fmt_tris_create(f->ctx, f->path, &header, &writer), 0);
+    assert_int_equal(fmt_tris_commit(writer), 0);
+    return tris_read_bytes(f->path, size);
+}
+
+uint8_t *tris_write_channels(struct tris_fixture *f, size_t *size)
+{
+    struct fmt_tris_source sources[] = {
+        {.value = {0.25f, 0.25f, 0.25f}},
+        {.texture_path = (char *)"/e.png",
+         .component = 2,
+         .uv = {.moves = true, .scale = {2, 1}, .offset = {0, -0.5f}}},
+        {.texture_path = (char *)"/r.png"},
+        {.value = {1, 2, 3}}};
+    struct fmt_tris_material materials[] = {
+        {.sources = sources}, {.sources = sources + 2, .texture_path = (char *)"/a.png"}};
+    char *channels[] = {(char *)"roughness", (char *)"b_2"};
+    const struct fmt_tris_header header = {
+        .material_count = 2, .materials = materials, .channel_count = 2, .channels = channels};
+    struct fmt_tris_writer *writer;
+    assert_int_equal(fmt_tris_create(f->ctx, f->path, &header, &writer), 0);
+    assert_int_equal(fmt_tris_commit(writer), 0);
+    return tris_read_bytes(f->path, size);
+}
