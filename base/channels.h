@@ -41,7 +41,7 @@ struct bsq_channel {
 /* Components of a texture. 0 to 2 are red, green and blue. */
 enum {
     BSQ_CHANNEL_ALPHA = 3,  /* of an image without alpha, the first component */
-    BSQ_CHANNEL_CUTOUT = 4, /* 1 where the same is at least the value of the channel, else 0 */
+    BSQ_CHANNEL_CUTOUT = 4, /* 1 where alpha is at least the channel's value, else 0 */
     BSQ_CHANNEL_COMPONENTS
 };
 
@@ -60,8 +60,9 @@ const struct bsq_channel *bsq_channel_at(unsigned number);
  * letter first. */
 bool bsq_is_channel_name(const char *name);
 
-/* Keeps one component of a sample of a texture three times, if the channel has one value. Samples
- * of alpha have it three times already. value: that of the channel, for BSQ_CHANNEL_CUTOUT. */
+/* For a channel with one value, copies one component of a texture's sample to all three entries.
+ * Samples of alpha have it three times already. value: that of the channel, for BSQ_CHANNEL_CUTOUT.
+ */
 void bsq_channel_pick(const struct bsq_channel *channel, uint32_t component, float value,
                       float sample[3]);
 

@@ -64,7 +64,8 @@ struct bsq_progress {
 /** Options of a context. All zeros are the defaults. */
 struct bsq_ctx_options {
     uint64_t memory_bytes; /**< Budget; 0: half of what machine and control groups allow. */
-    unsigned threads;      /**< 0: one a usable processor. More than 64 and 4 each are lowered. */
+    unsigned threads;      /**< 0: one for each usable processor. A number above 64 and above 4 per
+                              processor is lowered, with a warning. */
     const char *tmpdir; /**< Directory of temporary files. NULL: $TMPDIR, else that of the output.
                          */
     /** Called at most about ten times a second, never concurrently; may be NULL. */

@@ -128,8 +128,8 @@ int bsq_map_file(struct bsq_ctx *ctx, struct bsq_file *file, struct bsq_map *out
 /* Returns BSQ_EIO if the data cannot be relied on: the file shrank, was written to, or could not be
  * read. Call it now and then, and before results are used. Thread-safe. */
 int bsq_map_check(struct bsq_ctx *ctx, const struct bsq_map *map);
-/* Returns the cause of a status: bsq_map_check() if that fails, for a job that went on with changed
- * data may have failed of that; else `status`. Forgets the failure that it replaces, so no other
+/* Returns the cause of a status: the error of bsq_map_check() if that fails, since changed data can
+ * make a job fail in other ways; else `status`. Forgets the failure that it replaces, so no other
  * thread may use the context. Interruptions stay what they are. */
 int bsq_map_explain(struct bsq_ctx *ctx, const struct bsq_map *map, int status);
 /* Unmaps and closes; a closed map, or one of all zeros, is allowed. */

@@ -20,7 +20,7 @@ enum bsq_ids {
 const char *bsq_ids_text(enum bsq_ids ids);
 
 /* Returns the id of a name, a colour that depends on its bytes alone: red in bits 0-7, green in
- * 8-15, blue in 16-23, 255 in 24-31. It is never black. docs/maps.md has the formula. */
+ * 8-15, blue in 16-23, 255 in 24-31. It is never black. formats/FORMATS.md has the formula. */
 uint32_t bsq_name_id(const char *name);
 
 #ifdef __cplusplus

@@ -1,4 +1,4 @@
-/* voxelize_scan.c - turns a mesh file (OBJ, PLY or STL) into chunks and a voxel grid.
+/* voxelize_scan.c - turns a mesh file (OBJ, PLY, STL or glTF) into chunks and a voxel grid.
  *
  *   voxelize_scan SCAN.obj CHUNKS.tris GRID.nvdb RESOLUTION [TEXTURE [EXPORT.vdb]] */
 #include <libvoxel/voxel.h>

@@ -1,5 +1,5 @@
 /** @file
- * libbake, stage 2: rays from a low-poly mesh (the low mesh) to a high-poly mesh (the scan) give
+ * libbake, stage 2: rays from a low-poly mesh  to a high-poly mesh (the scan) give
  * texture maps. The scan is a voxel grid, or a chunk file for exact results.
  *
  * Lengths are in the scan's units. Both meshes share one coordinate system.
@@ -30,7 +30,8 @@ enum bake_map {
     BAKE_MAP_BENT = 128,      /**< Mean open direction, as BAKE_MAP_NORMAL has it. */
     BAKE_MAP_THICKNESS = 256, /**< Mean distance through the solid below the hit. */
     BAKE_MAP_ID = 512, /**< A colour for each region, see struct bake_id. Scans with ids only. */
-    BAKE_MAPS_ALL = 1 << 30 /**< All maps that the scan can give, and others that are named. */
+    BAKE_MAPS_ALL =
+        1 << 30 /**< All maps that the scan can give, and maps whose bits are also set. */
 };
 
 /** What the samples 0 and 1 of an integer file with positions stand for. */
@@ -195,7 +196,8 @@ struct bake_options {
 #define BAKE_UVTILE_TOKEN "<UVTILE>"
 
 /** In an output path: stands for the name of the low-poly mesh's object, which then has maps of its
- * own. An object is what follows an "o" or "g" statement; without any, it is the whole file. */
+ * own. An object follows an "o" or "g" statement of an OBJ file, or is a node with a mesh in glTF
+ * files and those that Assimp reads; without any, it is the whole file. */
 #define BAKE_OBJECT_TOKEN "<OBJECT>"
 /** In an output path: stands for the name of the low-poly mesh's material, which then has maps of
  * its own. */
@@ -311,7 +313,7 @@ struct bake_report {
     double seconds_copies;
     uint64_t kernel_calls; /**< Kernel launches; 0 for the processor. */
     struct bake_value_encoding encodings[BAKE_MAX_MAPS]; /**< Of each map, by its number. */
-    /** Chunks of an exact bake that were loaded for rays from hits, counted again each time. */
+    /** Chunks of an exact bake that were loaded for secondary rays, counted again each time. */
     uint64_t chunk_loads;
     const char *id_source; /**< What ids tell apart: "material", "object" or "color". NULL: none. */
     struct bake_id *ids; /**< The names that BAKE_MAP_ID has colours for, ascending. Vertex colours
@@ -413,8 +415,8 @@ struct bake_tile_info {
 };
 
 /** Calls `fn` with `arg` for each UDIM tile that bake_run() would bake, by number. Of the options,
- * reads mesh_path, the sizes and the tile ranges. Errors: those of reading the mesh; BSQ_EUSAGE as
- * in bake_run(). */
+ * reads mesh_path, more_mesh_paths, the sizes and the tile ranges. Errors: those of reading the
+ * mesh; BSQ_EUSAGE as in bake_run(). */
 int bake_list_tiles(struct bsq_ctx *ctx, const struct bake_options *options,
                     void (*fn)(void *arg, const struct bake_tile_info *tile), void *arg);
 

@@ -18,11 +18,11 @@ struct speed {
     double sample, look, open, thickness, curvature;
 };
 static const struct speed grid_speed = {0.35e-6, 0.6e-6, 0.2e-6, 0.5e-6, 3.0e-6};
-/* Rays from hits on several scans do not go through a tree of leaves. */
+/* Secondary rays on several scans do not go through a tree of leaves. */
 static const struct speed walk_speed = {0.35e-6, 0.6e-6, 0.5e-6, 0.9e-6, 3.0e-6};
 static const struct speed exact_speed = {0.95e-6, 0.0, 2.3e-6, 4.0e-6, 9.0e-6};
 /* Of a triangle in a chunk that is loaded; of one in the tree that rays reach; of one in the chunks
- * that rays from hits need, which are all of the scan. */
+ * that secondary rays need, which are all of the scan. */
 static const double load_seconds = 0.16e-6, reach_seconds = 0.65e-6, look_seconds = 0.16e-6;
 
 /* The threads whose buffers are counted. */
@@ -31,7 +31,7 @@ enum {
     PROGRAM_BYTES = 24 << 20,
     TRIANGLE_BYTES = 384,       /* of a low-poly triangle: corners, and what the device gets */
     TILE_BYTES = 128 << 10,     /* of a thread that traces a grid */
-    STREAM_BYTES = 512 << 10,   /* of a thread that traces rays from hits on a grid */
+    STREAM_BYTES = 512 << 10,   /* of a thread that traces secondary rays on a grid */
     TREE_LEAF_BYTES = 224,      /* of a grid's leaf in the tree for these rays, while it is built */
     TEXTURE_BYTES = 96 << 20,   /* of the libraries that read textures; not of the textures */
     LOOK_RAY_BYTES = 32,        /* of a hit that sends rays */
@@ -54,7 +54,7 @@ static bool looks_around(const struct bake_run *job)
     return (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS)) != 0;
 }
 
-/* Returns whether rays from hits on a grid go through a tree of its leaves. */
+/* Returns whether secondary rays on a grid go through a tree of its leaves. */
 static bool has_tree(const struct share *task)
 {
     return looks_around(task->job) && task->job->surface.part_count == 0;

@@ -10,7 +10,7 @@
 #include "libbake/bake_job.h"
 #include "libbake/bake_options.h"
 
-/* Maps of rays from hits. */
+/* Maps of secondary rays. */
 enum { RAYS_FROM_HITS = BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS };
 
 /* Returns the first scan without colours. There must be one. */
@@ -286,7 +286,7 @@ static int choose_distances(struct bake_run *job)
     return 0;
 }
 
-/* Sets what rays from hits have in common, in the index space of a scan. */
+/* Sets what secondary rays have in common, in the index space of a scan. */
 static void set_rays(const struct bake_run *job, const struct bake_surface *scan,
                      struct bk_params *params)
 {

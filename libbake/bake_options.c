@@ -79,7 +79,7 @@ static int check_rays(struct bsq_ctx *ctx, const struct bake_options *options)
                         options->ao_spread);
     if (!isfinite(options->ao_distance) || !isfinite(options->thickness_distance) ||
         !isfinite(options->ao_coarse))
-        return bsq_fail(ctx, BSQ_EUSAGE, "distances of rays from hits must be finite");
+        return bsq_fail(ctx, BSQ_EUSAGE, "distances of secondary rays must be finite");
     if (options->ao_falloff && options->ao_distance <= 0)
         return bsq_fail(ctx, BSQ_EUSAGE, "a falloff of ambient occlusion needs its distance");
     return 0;

@@ -118,7 +118,7 @@ static void note_device_times(struct bake_run *job)
     job->report->kernel_calls = times.launches;
 }
 
-/* Each of several scans is traced by itself, then the rays from hits of all. */
+/* Each of several scans is traced by itself, then the secondary rays of all. */
 static void count_stages(const struct bake_run *job)
 {
     const uint32_t scans = job->surface.part_count;

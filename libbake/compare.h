@@ -94,7 +94,8 @@ const char *bake_compare_unit(enum bake_compare_kind kind);
  * Errors: BSQ_ENOINPUT; BSQ_EDATA if a file is damaged or not OpenEXR, if sizes or channels differ
  * or do not suit the kind, if no texel is covered by both maps, if `ignore_nan` leaves none, or,
  * without `force`, if both files have an attribute bisque:map, normalSpace, tangents,
- * green or encoding and its values differ; BSQ_ECANTCREAT; BSQ_EIO; BSQ_ENOMEM; BSQ_EINTR. */
+ * green, encoding, unit or origin and its values differ; BSQ_ECANTCREAT; BSQ_EIO; BSQ_ENOMEM;
+ * BSQ_EINTR. */
 int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options,
                  struct bake_compare_report *report);
 

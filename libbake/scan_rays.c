@@ -284,9 +284,9 @@ static int allocate(struct scan_rays *rays)
         return status;
     choose_rows(rays);
     const uint64_t most = rays->most_rows * width;
-    status = bsq_alloc(ctx, "rays from hits", most, sizeof *rays->triangles, &rays->triangles);
+    status = bsq_alloc(ctx, "secondary rays", most, sizeof *rays->triangles, &rays->triangles);
     if (status == 0)
-        status = bsq_alloc(ctx, "rays from hits", most, sizeof *rays->origins, &rays->origins);
+        status = bsq_alloc(ctx, "secondary rays", most, sizeof *rays->origins, &rays->origins);
     return status < 0 ? status : bake_ray_states_create(ctx, &rays->params, most, &rays->states);
 }
 
@@ -318,7 +318,7 @@ int bake_trace_scan_rays(const struct bake_scan_samples *samples, struct bake_re
     struct scan_rays rays = {
         .samples = samples, .whole = samples->scene->surface, .params = world_params(samples)};
     int status = allocate(&rays);
-    bsq_progress_begin(ctx, "tracing rays from hits", "samples",
+    bsq_progress_begin(ctx, "tracing secondary rays", "samples",
                        (uint64_t)samples->width * samples->height * rays.whole->part_count);
     for (; rays.row < samples->height && status == 0; rays.row += rays.most_rows) {
         const uint32_t left = samples->height - rays.row;

@@ -2,7 +2,7 @@
  *
  * Each scan is traced as if it were alone, by the functions for a single scan, so all devices and
  * all kinds of scans can be baked together. A texel of these images is a sample of the map. Of all
- * scans, each sample keeps its nearest hit. Rays from hits are traced when these are known. Then
+ * scans, each sample keeps its nearest hit. Secondary rays are traced when these are known. Then
  * the samples are summed as the kernel sums them. */
 #include <assert.h>
 #include <math.h>
@@ -149,7 +149,7 @@ static bool is_nearer(const struct work *work, const float *sample, const float 
     return fabsf(t) < fabsf(other_t);
 }
 
-/* Replaces a sample by that of the current scan, if it is nearer. moved: room for a sample. */
+/* Replaces a sample by that of the current scan, if it is nearer. moved: space for a sample. */
 static void keep_nearest(const struct work *work, const float *sample, float *moved, float *nearest)
 {
     if (sample[BK_COVERED] == 0.0f)

@@ -169,7 +169,7 @@ uint64_t vox_memory_min(unsigned threads);
 
 /** NanoVDB types of a grid. Both have the same nodes and channels. */
 enum vox_grid_type {
-    VOX_GRID_MASK,   /**< Readable by NanoVDB 32.4 and later. */
+    VOX_GRID_MASK,   /**< Readable by NanoVDB 32.4.2 and later. */
     VOX_GRID_ONINDEX /**< Readable by NanoVDB 32.6 and later. */
 };
 

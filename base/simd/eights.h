@@ -1,16 +1,12 @@
 /* eights.h - vectors of eight floats for any instruction set, for code whose width is fixed: a node
- * of a tree has eight children. */
+ * of a tree has eight children. Functions that take or return `eights` are inlined, because their
+ * calling convention depends on the instruction set. */
 #ifndef BSQ_SIMD_EIGHTS_H
 #define BSQ_SIMD_EIGHTS_H
 
 #include <string.h>
 
 #include "base/simd/lanes.h"
-
-/* Without AVX, compilers warn that functions with such arguments have another calling convention;
- * these are always inlined. */
-#pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wpsabi"
 
 typedef float eights __attribute__((vector_size(32)));
 typedef int32_t eight_ints __attribute__((vector_size(32)));
@@ -93,7 +89,5 @@ LANES_INLINE void eights_store_set(uint32_t bits, uint32_t base, uint32_t to[8])
     }
 #endif
 }
-
-#pragma GCC diagnostic pop
 
 #endif

@@ -145,9 +145,8 @@ int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp,
  */
 int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
                         const struct bsq_file *temp, struct fmt_tris_file **out);
-/* Sets *one: whether files can be one scan in which no file loses anything or has something made
- * up. All of them have normals, or none; the same for colours; and they have ids of one kind.
- * Errors: those of fmt_tris_open(). */
+/* Sets *one if the files can be joined without loss: all or none of them have normals, all or none
+ * have colours, and they have ids of one kind. Errors: those of fmt_tris_open(). */
 int fmt_tris_can_join(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
                       bool *one);
 /* Checks that a scan has ids. Errors: BSQ_EDATA, with the name of the file that prevents it. */

@@ -8,7 +8,7 @@
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "the host must be little-endian");
 
 #define TRIS_MAGIC      "BSQTRIS\n"
-#define TRIS_ATTRIBUTES 15u /* all that version 1 knows */
+#define TRIS_ATTRIBUTES 15u /* all that are known */
 /* Largest vertex count of a chunk with 16-bit indices. */
 #define TRIS_SHORT_VERTICES 65536u
 /* The length of a path that means "no texture". */

@@ -149,8 +149,8 @@ struct fmt_nvdb_grid {
     uint32_t channel_words;   /* values of all channels of the list; 0 when the grid has none */
     const char *channel_list; /* names, see base/channels.h; not terminated */
     uint32_t channel_list_bytes;
-    /* Of those who use channels: for each of transfer_count uses, the first of its values in a
-     * record, times 4, and their number. The user owns it. NULL after opening. */
+    /* One word for each of transfer_count maps of channels: index of the map's first value in a
+     * record, times 4, plus its number of values. The user owns it. NULL after opening. */
     const uint32_t *transfers;
     uint32_t transfer_count;
     /* Which voxels have second records: entry i = {bits, rank} is for value indices 32 i ... 32 i +

@@ -1,4 +1,4 @@
-/* exr_internal.h - errors and memory of the EXR writer and reader; private to this room. */
+/* exr_internal.h - errors and memory of the EXR writer and reader; private to this folder. */
 #ifndef FMT_IMAGE_EXR_INTERNAL_H
 #define FMT_IMAGE_EXR_INTERNAL_H
 

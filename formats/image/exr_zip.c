@@ -24,8 +24,8 @@ enum {
     /* Halves that are tested for noise have at least this size. In shorter ones there are too few
      * samples for a histogram, and little time is lost. */
     TESTED_BYTES = 16384,
-    COUNTED_STEP = 5, /* one byte of so many is counted; odd, to count all bytes of samples */
-    TRIED_PART = 8    /* one part of so many is packed to find repetitions: two rows of 16 */
+    COUNTED_STEP = 5, /* each fifth byte is counted; odd, to count all bytes of samples */
+    TRIED_PART = 8    /* each eighth part is packed to find repetitions: two rows of 16 */
 };
 
 /* Deflate with a window of 32 KiB, packed fast; a multiple of 31. */

@@ -1,4 +1,4 @@
-/* exr_zip.h - packs chunks of EXR files with the compression ZIP; private to this room. */
+/* exr_zip.h - packs chunks of EXR files with the compression ZIP; private to this folder. */
 #ifndef FMT_IMAGE_EXR_ZIP_H
 #define FMT_IMAGE_EXR_ZIP_H
 

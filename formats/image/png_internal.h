@@ -1,4 +1,4 @@
-/* png_internal.h - compresses a band of rows for a PNG file; private to this room. */
+/* png_internal.h - compresses a band of rows for a PNG file; private to this folder. */
 #ifndef FMT_IMAGE_PNG_INTERNAL_H
 #define FMT_IMAGE_PNG_INTERNAL_H
 

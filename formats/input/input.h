@@ -1,9 +1,10 @@
-/* input.h - the door of this room: the bytes of an input file that may be packed, or a pipe.
+/* input.h - the public header of this folder: the bytes of an input file that may be packed, or a
+ * pipe.
  *
  * Takes the path of a regular file, of a FIFO, or "-" for standard input; gives ranges of bytes. A
  * file that gzip or Zstandard packed gives its unpacked bytes; its first bytes tell, not its name.
  * Text in UTF-16 with a byte order mark, also if it is packed, gives UTF-8 without a mark. In this
- * room, such text counts as packed.
+ * folder, such text counts as packed.
  *
  * A packed file, or a pipe, is unpacked by a thread of its own into a temporary file without a
  * name, while readers parse what is there already. Who reads a range waits until it has arrived.

@@ -24,7 +24,7 @@ enum { AHEAD_BYTES = 4 << 20, STEP_BYTES = 256 << 10, RING_BYTES = 128 << 20 };
 #endif
 /* How often a waiting thread looks for an interruption, in milliseconds. */
 enum { PATIENCE_MS = 50 };
-/* After so many bytes, the free space of the disk is looked at again. */
+/* The free space of the disk is checked again after this number of bytes. */
 #define DISK_STEP_BYTES ((uint64_t)64 << 20)
 
 struct spool {

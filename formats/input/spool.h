@@ -20,8 +20,8 @@ int fmt_spool_reach(struct spool *spool, uint64_t end, uint64_t *size);
 /* Reads bytes. Waits for them. Errors: BSQ_EIO if a file that was unpacked twice has other bytes
  * than before; those of fmt_spool_reach(). Thread-safe. */
 int fmt_spool_read(struct spool *spool, void *buffer, uint64_t size, uint64_t offset);
-/* Has all bytes kept that come, and those that have come, for fmt_spool_duplicate(). Without this a
- * file's bytes may be unpacked again when a reader goes back. Thread-safe. */
+/* Keeps all unpacked bytes, earlier and later ones, so that fmt_spool_duplicate() can open them.
+ * Without this a file's bytes may be unpacked again when a reader goes back. Thread-safe. */
 void fmt_spool_keep(struct spool *spool);
 
 /* Opens the temporary file once more, under the name of the path. All bytes were kept and have

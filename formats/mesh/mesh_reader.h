@@ -122,8 +122,8 @@ int fmt_mesh_open_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *inpu
                          struct fmt_mesh_reader **out);
 /* Returns the bytes of all files; 0 if some of them are packed, or pipes. */
 uint64_t fmt_mesh_bytes(const struct fmt_mesh_reader *reader);
-/* Gives what came through the pipe `path` as it came: bytes and XXH3 hash. Returns false for a
- * file, and for a pipe that was not read to its end. */
+/* Sets the number of bytes that were read from the pipe `path`, before unpacking, and their XXH3
+ * hash. Returns false for a file, and for a pipe that was not read to its end. */
 bool fmt_mesh_given(const struct fmt_mesh_reader *reader, const char *path, uint64_t *bytes,
                     uint64_t *hash);
 
@@ -180,7 +180,7 @@ int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_esti
 
 /* ---- materials ---- */
 
-/* Makes blocks number faces by material and object: a material number then belongs to one object.
+/* Gives each pair of material and object a material number of its own in the blocks that follow.
  * An object of an OBJ file begins at an "o" or "g" statement and has its name. In glTF files, and
  * in those that Assimp reads, it is a node with a mesh. Call it before the first reading. Does
  * nothing for formats without objects. */

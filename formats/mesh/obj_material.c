@@ -317,8 +317,7 @@ static int warn_of_others(const struct obj_reader *reader, const struct others *
     return bsq_warn_loss(reader->base.ctx,
                          "%s: no material library describes \"%.60s\"; faces of %u such "
                          "materials have no colour (see --texture)",
-                         reader->sources[lost->first->source].path, lost->first->text,
-                         lost->count);
+                         reader->sources[lost->first->source].path, lost->first->text, lost->count);
 }
 
 /* Names the materials that no library describes, and warns of them. If a library is missing,

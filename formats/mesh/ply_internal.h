@@ -77,8 +77,8 @@ void fmt_ply_store_vertex(struct mesh_arrays *arrays, uint64_t vertex,
 void fmt_ply_finish_vertices(const struct ply_source *source, const struct ply_element *element,
                              struct stream_slot *slot, uint64_t count);
 
-/* A face while it is read. Its indices lie behind the last corner, its texture coordinates behind
- * the last texture coordinate. */
+/* A face while it is read. Its indices are stored after the last corner, its texture coordinates
+ * after the last texture coordinate. */
 struct ply_face {
     uint64_t size;      /* indices */
     uint64_t texcoords; /* numbers in its list of texture coordinates */

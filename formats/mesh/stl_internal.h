@@ -29,7 +29,7 @@ struct stl_reader {
     struct stream_reader stream; /* must be first */
     struct stl_source *files;
     int64_t open_solids; /* "solid" without "endsolid", of one reading */
-    bool read_before;    /* what there is to warn of is known */
+    bool read_before;    /* an earlier reading has given the warnings */
 };
 
 /* ---- stl_weld.c ---- */

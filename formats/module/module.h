@@ -2,8 +2,8 @@
  * brings some 250 other libraries with it.
  *
  * Takes the name of a module; gives its table of functions. A module exports one object,
- * `bisque_module`, whose type its room declares and which begins with a struct fmt_module. It calls
- * functions of base through a struct fmt_host that the program hands to it. */
+ * `bisque_module`, whose type its folder declares and which begins with a struct fmt_module. It
+ * calls functions of base through a struct fmt_host that the program hands to it. */
 #ifndef FMT_MODULE_MODULE_H
 #define FMT_MODULE_MODULE_H
 

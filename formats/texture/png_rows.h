@@ -1,4 +1,4 @@
-/* png_rows.h - reads PNG files row by row with libpng; private to this room.
+/* png_rows.h - reads PNG files row by row with libpng; private to this folder.
  *
  * OpenImageIO's reader lets libpng print its messages to standard error. This one returns them. */
 #ifndef FMT_TEXTURE_PNG_ROWS_H

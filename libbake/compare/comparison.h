@@ -1,4 +1,4 @@
-/* comparison.h - what the files of this room share; private to it. The room's door is
+/* comparison.h - what the files of this folder share; private to it. Its public header is
  * libbake/compare.h. */
 #ifndef BAKE_COMPARE_COMPARISON_H
 #define BAKE_COMPARE_COMPARISON_H

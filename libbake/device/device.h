@@ -1,8 +1,8 @@
 /* device.h - what traces tiles: native threads or a GPU, behind one interface. The kernel in
  * libbake/kernel/ is the same for all.
  *
- * The door of device/ for the rest of libbake. Takes a job (job/job.h); gives texels, and for a
- * grid that does not fit the device the passes to bake it in (subgrid/subgrid.h). */
+ * The public header of device/ for the rest of libbake. Takes a job (job/job.h); gives texels, and
+ * for a grid that does not fit the device the passes to bake it in (subgrid/subgrid.h). */
 #ifndef BAKE_DEVICE_DEVICE_H
 #define BAKE_DEVICE_DEVICE_H
 

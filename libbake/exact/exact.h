@@ -120,7 +120,7 @@ uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes
 struct bake_exact_needs {
     uint64_t fixed_bytes; /* for any number of rays */
     uint64_t ray_bytes;   /* of a ray, with its hit */
-    uint64_t scan_bytes;  /* of all chunks at once, for rays from hits */
+    uint64_t scan_bytes;  /* of all chunks at once, for secondary rays */
     uint32_t chunk_count;
 };
 /* Returns what `threads` threads need to trace. It does not depend on the context. */
@@ -130,7 +130,7 @@ struct bake_exact_needs bake_exact_expect(const struct bake_exact *exact, uint32
  * damaged chunk, BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *batch);
 
-/* ---- rays from hits ---- */
+/* ---- secondary rays ---- */
 
 struct bake_exact_look;
 struct bake_places;
@@ -146,7 +146,7 @@ struct bake_exact_places {
     uint64_t progress; /* what all of them add to the context's progress */
 };
 
-/* Prepares rays from hits: takes up to half of what is left of the budget, for the chunks of the
+/* Prepares secondary rays: takes up to half of what is left of the budget, for the chunks of the
  * scan and for the state of rays from at most `places` hits at a time. 0: the caller has the
  * states, and calls bake_exact_look_from() only. params: maps, counts and lengths of rays; must
  * outlive *out. Errors: BSQ_ENOMEM. */
@@ -154,7 +154,7 @@ int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *par
                            uint64_t places, struct bake_exact_look **out);
 void bake_exact_look_free(struct bake_exact_look *look); /* NULL is allowed */
 
-/* Traces rays from hits as bk_secondary.h describes, but against triangles, and writes what they
+/* Traces secondary rays as bk_secondary.h describes, but against triangles, and writes what they
  * found to out[], an entry for each place. Results do not depend on chunks, threads or memory. If
  * all chunks fit into memory, each is loaded once; otherwise once for each batch of places that
  * fits. Must not be called from parallel work. Errors: those of bake_exact_trace(). */
@@ -170,7 +170,7 @@ int bake_exact_look_from(struct bake_exact_look *look, const struct bake_places 
  * a hit's position. */
 float bake_exact_lift(const struct bake_exact *exact);
 
-/* Returns how many chunks have been loaded for rays from hits, counted again each time. */
+/* Returns how many chunks have been loaded for secondary rays, counted again each time. */
 uint64_t bake_exact_look_loads(const struct bake_exact_look *look);
 
 /* Computes open ray `number` of a place. */

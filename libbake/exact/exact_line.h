@@ -1,4 +1,4 @@
-/* exact_line.h - tests of a line against boxes and triangles; private to this room.
+/* exact_line.h - tests of a line against boxes and triangles; private to this folder.
  *
  * Boxes are tested in float, four at a time, and never missed. Triangles are tested in double by
  * Woop, Benthin & Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1), 2013: corners are

@@ -1,4 +1,4 @@
-/* exact_look.c - traces rays from hits out of core.
+/* exact_look.c - traces secondary rays out of core.
  *
  * A hemisphere reaches chunks everywhere. So chunks pass through memory in groups, as many at a
  * time as fit, and each group is traced by all rays that still need it. Between groups, a ray is
@@ -354,7 +354,7 @@ int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *par
     const uint64_t left = bsq_memory_left(ctx);
     struct bake_exact_look *look;
     *out = NULL;
-    int status = bsq_calloc(ctx, "rays from hits", 1, sizeof *look, &look);
+    int status = bsq_calloc(ctx, "secondary rays", 1, sizeof *look, &look);
     if (status < 0)
         return status;
     look->exact = exact;

@@ -1,4 +1,4 @@
-/* exact_scene.h - what the files of this room share; private to it: the opened scan, slots for
+/* exact_scene.h - what the files of this folder share; private to it: the opened scan, slots for
  * chunks in memory, and buckets of rays. */
 #ifndef BAKE_EXACT_EXACT_SCENE_H
 #define BAKE_EXACT_EXACT_SCENE_H

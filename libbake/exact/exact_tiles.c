@@ -37,7 +37,7 @@ struct job {
     uint32_t *footprints;
     float *channels; /* of each hit: values of transfer maps; NULL: there are none */
     uint64_t capacity;
-    /* For maps of rays from hits; else NULL. */
+    /* For maps of secondary rays; else NULL. */
     struct bake_exact_look *look;
     uint32_t *seeds;
     struct bk_surroundings *surroundings;
@@ -250,7 +250,7 @@ static int resolve_tile(void *arg, uint64_t index, unsigned number)
     return bake_image_write_tile(job->tiles->image, &tile, worker->resolved);
 }
 
-/* ---- rays from hits ---- */
+/* ---- secondary rays ---- */
 
 /* Prepares the hits of a tile's rays: sets their seeds, and takes back hits beyond a ray's end. */
 static int seed_tile(void *arg, uint64_t index, unsigned number)
@@ -388,9 +388,9 @@ static int allocate_rays(struct job *job)
         status = bsq_alloc(job->ctx, "hits", job->capacity, sizeof *job->hits, &job->hits);
     if (status == 0 && job->look)
         status =
-            bsq_alloc(job->ctx, "rays from hits", job->capacity, sizeof *job->seeds, &job->seeds);
+            bsq_alloc(job->ctx, "secondary rays", job->capacity, sizeof *job->seeds, &job->seeds);
     if (status == 0 && job->look)
-        status = bsq_alloc(job->ctx, "rays from hits", job->capacity, sizeof *job->surroundings,
+        status = bsq_alloc(job->ctx, "secondary rays", job->capacity, sizeof *job->surroundings,
                            &job->surroundings);
     if (status == 0 && job->footprint_table)
         status = bsq_alloc(job->ctx, "footprints", job->capacity, sizeof *job->footprints,

@@ -1,5 +1,5 @@
 /* exact_tree.h - a tree of boxes with four children per node, for triangles and for chunks; private
- * to this room.
+ * to this folder.
  *
  * Boxes are sorted along a Hilbert curve and packed by fours, level by level (Kamel & Faloutsos,
  * "On Packing R-trees", 1993). Building takes linear time, children need no stored numbers, and the

@@ -1,4 +1,4 @@
-/* farm_options.h - the options of a bake as JSON; private to this room. */
+/* farm_options.h - the options of a bake as JSON; private to this folder. */
 #ifndef BAKE_FARM_FARM_OPTIONS_H
 #define BAKE_FARM_FARM_OPTIONS_H
 

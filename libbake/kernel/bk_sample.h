@@ -200,7 +200,7 @@ BK_FN void bk_hits_for_maps(const bk_params *params, const bk_point *points, con
     out->facet = bk_v3w(bk_splat(0.0f), bk_splat(0.0f), bk_splat(0.0f));
 }
 
-/* Turns what rays from hits found, lane by lane, into values for maps. A bent direction has the
+/* Turns what secondary rays found, lane by lane, into values for maps. A bent direction has the
  * weight of its open rays; a hit without any has the normal with hardly a weight, so that hidden
  * texels have a direction too. */
 BK_FN void bk_surroundings_for_maps(const bk_params *params, const bk_point *points,

@@ -129,7 +129,7 @@ BK_FN bk_vec3w bk_hemisphere(bk_uint seed, bk_vec3 normal, bk_vec3 facet, bk_uin
 /* ---- walking through blocks ---- */
 
 /* Returns log2 of the side of the empty block around voxel (x, y, z), or 0 if its block of 4^3 has
- * voxels; *leaf is then the leaf that has them. Rays from hits cross mostly empty space, so blocks
+ * voxels; *leaf is then the leaf that has them. Secondary rays cross mostly empty space, so blocks
  * of 4^3 and 32^3 voxels are looked up too: the bits of children are in the nodes that were read
  * anyway. */
 BK_FN bk_uint bk_block_at(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y, bk_int z,

@@ -55,7 +55,7 @@ typedef struct bk_params {
      * the lower nodes, from those to the leaves. A child's number follows from its byte offset. */
     bk_uint upper_offset[2], lower_offset[2], leaf_offset[2];
     bk_uint second_count; /* second records */
-    /* Rays from hits, see bk_secondary.h. */
+    /* Secondary rays, see bk_secondary.h. */
     bk_uint open_rays, thickness_rays; /* a hit */
     float open_limit, thickness_limit; /* lengths in voxels */
     float open_coarse; /* in voxels: from here on, an occupied voxel hides an open ray */

@@ -1,4 +1,4 @@
-/* directions.h - directions of rays at the corners of the low-poly mesh; private to this room. */
+/* directions.h - directions of rays at the corners of the low-poly mesh; private to this folder. */
 #ifndef BAKE_LOWPOLY_DIRECTIONS_H
 #define BAKE_LOWPOLY_DIRECTIONS_H
 

@@ -1,5 +1,5 @@
 /* mikkt.h - tangent frames by the MikkTSpace convention, and the topology that they need; private
- * to this room.
+ * to this folder.
  *
  * Implemented from the convention's definition (Mikkelsen, "Simulation of Wrinkled Surfaces
  * Revisited", 2008, section 2.2) and compared with tangents that Blender computed. A corner is

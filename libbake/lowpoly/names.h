@@ -1,4 +1,4 @@
-/* names.h - numbers for distinct names; private to this room. */
+/* names.h - numbers for distinct names; private to this folder. */
 #ifndef BAKE_LOWPOLY_NAMES_H
 #define BAKE_LOWPOLY_NAMES_H
 

@@ -37,8 +37,8 @@ static int enter_names(struct bsq_ctx *ctx, struct bake_parts *parts, const char
     return status < 0 ? status : bake_names_enter(ctx, &parts->materials, material, &numbers[1]);
 }
 
-/* Adds the triangles of a file. numbers: room for one entry more than the file has parts. Names are
- * entered when a triangle has them, so that empty objects do not count. */
+/* Adds the triangles of a file. numbers: space for one entry more than the file has parts. Names
+ * are entered when a triangle has them, so that empty objects do not count. */
 static int add_triangles(struct bsq_ctx *ctx, struct bake_parts *parts, const char *stem,
                          const struct fmt_mesh *mesh, uint32_t (*numbers)[2])
 {

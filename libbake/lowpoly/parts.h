@@ -1,4 +1,4 @@
-/* parts.h - objects and materials of low-poly meshes; private to this room. */
+/* parts.h - objects and materials of low-poly meshes; private to this folder. */
 #ifndef BAKE_LOWPOLY_PARTS_H
 #define BAKE_LOWPOLY_PARTS_H
 

@@ -1,5 +1,5 @@
 /* dilation.h - finds for every texel of a map the nearest valid texel, band by band; private to
- * this room.
+ * this folder.
  *
  * Distances are exact: Euclidean, between texel centres. Among equally near texels the lowest row
  * wins, then the lowest column. The result does not depend on the height of the bands or on the

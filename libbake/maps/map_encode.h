@@ -1,5 +1,5 @@
 /* map_encode.h - encodes texels of the image as rows of a map's file, describes the map in the
- * file's header, and makes thumbnails; private to this room. */
+ * file's header, and makes thumbnails; private to this folder. */
 #ifndef BAKE_MAPS_MAP_ENCODE_H
 #define BAKE_MAPS_MAP_ENCODE_H
 

@@ -66,8 +66,8 @@ struct bake_map_row {
     const char *summary; /* for --help */
     const char *alias;   /* another name for --maps, or NULL */
     uint32_t channels;   /* of the file: 1 or 3 */
-    /* Floats that `resolve` writes, if there are more; a later step takes them and leaves the
-     * channels in their front. 0: as many as channels. */
+    /* Floats that `resolve` writes, if more than `channels`; a later step reduces them to the first
+     * `channels` values. 0: as many as channels. */
     uint32_t values;
     bool by_default;       /* baked if no maps are named and the scan has the colours it needs */
     bool needs_color;      /* from the scan */

@@ -1,4 +1,4 @@
-/* preview_view.h - camera, light and renderers of the preview; private to this room. */
+/* preview_view.h - camera, light and renderers of the preview; private to this folder. */
 #ifndef BAKE_PREVIEW_PREVIEW_VIEW_H
 #define BAKE_PREVIEW_PREVIEW_VIEW_H
 

@@ -1,4 +1,4 @@
-/* raster_index.h - the triangles of each tile; private to this room. */
+/* raster_index.h - the triangles of each tile; private to this folder. */
 #ifndef BAKE_RASTER_RASTER_INDEX_H
 #define BAKE_RASTER_RASTER_INDEX_H
 

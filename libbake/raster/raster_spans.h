@@ -1,5 +1,5 @@
 /* raster_spans.h - converts a triangle in texture space into spans of samples; private to this
- * room.
+ * folder.
  *
  * A map has width * N by height * N samples; sample i has its centre at i + 1/2. Corners are
  * snapped to fixed-point coordinates with `shift` fractional bits. From there on all arithmetic is

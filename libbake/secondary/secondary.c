@@ -52,10 +52,10 @@ int bake_ray_states_create(struct bsq_ctx *ctx, const struct bk_params *params, 
 {
     *out = plan(params);
     out->capacity = capacity;
-    int status = bsq_alloc(ctx, "rays from hits", capacity * out->words + 1, sizeof *out->hidden,
+    int status = bsq_alloc(ctx, "secondary rays", capacity * out->words + 1, sizeof *out->hidden,
                            &out->hidden);
     if (status == 0)
-        status = bsq_alloc(ctx, "rays from hits", capacity * out->lengths + 1,
+        status = bsq_alloc(ctx, "secondary rays", capacity * out->lengths + 1,
                            sizeof *out->distances, &out->distances);
     return status;
 }

@@ -1,4 +1,4 @@
-/* secondary.h - rays from hits, in batches: the maps ao, bent and thickness of triangles, and of
+/* secondary.h - secondary rays, in batches: the maps ao, bent and thickness of triangles, and of
  * several scans. (The kernel sends the rays of a single grid itself.)
  *
  * Takes places on the surface. Gives their rays, which are those of bk_secondary.h, keeps what is

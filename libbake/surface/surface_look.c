@@ -1,4 +1,4 @@
-/* surface_look.c - traces rays from hits against one of several scans. */
+/* surface_look.c - traces secondary rays against one of several scans. */
 #include "base/parallel.h"
 #include "libbake/kernel/bk_secondary.h"
 #include "libbake/secondary/secondary.h"

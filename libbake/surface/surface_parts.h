@@ -1,4 +1,4 @@
-/* surface_parts.h - surfaces of several scans; private to this room. */
+/* surface_parts.h - surfaces of several scans; private to this folder. */
 #ifndef BAKE_SURFACE_SURFACE_PARTS_H
 #define BAKE_SURFACE_SURFACE_PARTS_H
 

@@ -1,4 +1,4 @@
-/* tile_sort.h - sorts triangles into UDIM tiles; private to this room. */
+/* tile_sort.h - sorts triangles into UDIM tiles; private to this folder. */
 #ifndef BAKE_UDIM_TILE_SORT_H
 #define BAKE_UDIM_TILE_SORT_H
 

@@ -1,5 +1,5 @@
-/* chunk_writer.h - the door of this room: takes a partition, sorts its buckets, and writes the
- * chunks of the chunk file. */
+/* chunk_writer.h - the public header of this folder: takes a partition, sorts its buckets, and
+ * writes the chunks of the chunk file. */
 #ifndef VOX_CHUNK_CHUNK_WRITER_H
 #define VOX_CHUNK_CHUNK_WRITER_H
 

@@ -1,4 +1,4 @@
-/* farm_part.h - the layout of part files; private to this room. See FORMATS.md. */
+/* farm_part.h - the layout of part files; private to this folder. See FORMATS.md. */
 #ifndef VOX_FARM_FARM_PART_H
 #define VOX_FARM_FARM_PART_H
 

@@ -1,4 +1,5 @@
-/* partition.h - the door of this room: a scan's triangles, partitioned into buckets by place.
+/* partition.h - the public header of this folder: a scan's triangles, partitioned into buckets by
+ * place.
  *
  * Takes a mesh reader. Gives the scan's attribute streams (read/scan.h) and its triangles, coded in
  * buckets of a coarse Morton grid (record_runs.h). The reading is one pass if all vertices come

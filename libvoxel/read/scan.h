@@ -1,4 +1,5 @@
-/* scan.h - the door of this room: a scan's vertices as attribute streams, and its materials.
+/* scan.h - the public header of this folder: a scan's vertices as attribute streams, and its
+ * materials.
  *
  * Takes blocks of mesh files in order. Gives positions, colours, texture coordinates and
  * normals as streams of equal elements, in memory or in temporary files; the bounds and the origin;
@@ -46,8 +47,8 @@ struct scan_loss {
     uint64_t count, face;
 };
 
-/* A copy of a block's faces without what refers to nothing. The buffers are reused. All zero at
- * first; free it with vox_scan_clean_free(). */
+/* A copy of a block's faces, without faces and indices whose elements do not exist. The buffers are
+ * reused. All zero at first; free it with vox_scan_clean_free(). */
 struct scan_clean_faces {
     struct fmt_mesh_block block; /* the copy; its other fields are those of the original */
     uint32_t *sizes;
@@ -56,7 +57,7 @@ struct scan_clean_faces {
     uint64_t size_capacity, corner_capacity[FMT_MESH_KIND_COUNT], change_capacity;
 };
 
-/* What became of late colours of a file. */
+/* What became of a file's ZBrush polypaint. */
 enum scan_paint { SCAN_PAINT_NONE, SCAN_PAINT_USED, SCAN_PAINT_LOST };
 
 /* What one of a scan's files has. */
@@ -95,7 +96,7 @@ struct scan_textures {
     struct scan_texture *list;
     uint64_t count, capacity;
     bool decode; /* read the images, and not only their directory entries */
-    /* The channels whose textures matter too, and whether only theirs do. */
+    /* Channels whose textures are checked too; only_channels: no others are. */
     const struct vox_channel *channels;
     uint32_t channel_count;
     bool only_channels;

@@ -1,4 +1,4 @@
-/* maps.c - measures what maps cost beside the normal map alone, and how many rays from hits a grid
+/* maps.c - measures what maps cost beside the normal map alone, and how many secondary rays a grid
  * traces, beside Embree with the same rays on the triangles of the scan. Prints tables in Markdown.
  * All on one thread; seconds are processor time.
  *
@@ -76,7 +76,7 @@ static int measure_maps(struct bench *bench)
     return 0;
 }
 
-/* ---- rays from hits ---- */
+/* ---- secondary rays ---- */
 
 /* Appends the open rays of a sample, as the kernel makes them. */
 static void add_rays(struct bench *bench, const bk_grid *grid, bk_cache *cache, uint32_t triangle,

@@ -1,5 +1,5 @@
 #!/bin/sh
-# Measures what maps cost beside the normal map, how many rays from hits a grid traces beside Embree, and where the time of
+# Measures what maps cost beside the normal map, how many secondary rays a grid traces beside Embree, and where the time of
 # --maps all goes. All is processor time. Prints tables in Markdown; tests/bench/BAKE.md says how to read them.
 #
 #   BIN=DIR TESTS=DIR tests/bench/maps.sh small|medium

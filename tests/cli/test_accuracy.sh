@@ -127,7 +127,7 @@ code 0
 sanitized || within "voxels against exact maps" voxel_normal.exr exact_normal.exr --mask-a voxel_mask.exr \
     --mask-b exact_mask.exr --max-mean 0.4 --max-p95 1 --max-p99 1.5 --min-agreement 0.999
 
-# ---- rays from hits: voxels and exact maps; errors are those of rays that start a voxel higher ----
+# ---- secondary rays: voxels and exact maps; errors are those of rays that start a voxel higher ----
 
 around="--maps ao,thickness,mask --size 64 --samples 1 --ao-rays 32 --thickness-rays 32"
 for scan in tris nvdb; do

@@ -21,7 +21,7 @@ warned()
 "$TESTS/generate-scan" --triangles 20000 --colors vase -o vase.obj >/dev/null &&
     "$TESTS/generate-scan" vase-low -o low.obj >/dev/null &&
     "$BIN/bisque-voxelize" --resolution 256 vase.obj -o vase.nvdb >/dev/null || exit 1
-# Rays from hits are short, so that parts of the grid are enough for them.
+# Secondary rays are short, so that parts of the grid are enough for them.
 hits="--ao-rays 5 --ao-distance 0.02 --thickness-rays 3 --thickness-distance 0.02"
 maps="--size 160x96 --float --maps all $hits vase.nvdb low.obj"
 names="normal color mask height position curvature ao bent thickness"
@@ -193,7 +193,7 @@ fi
 
 # ---- OpenCL ----
 
-# Rays from hits, on a device that is compiled at run time. It rounds as the processor does.
+# Secondary rays, on a device that is compiled at run time. It rounds as the processor does.
 bake --list-devices
 if grep -q '^opencl:0' "$out"; then
     for device in cpu opencl; do
@@ -205,7 +205,7 @@ if grep -q '^opencl:0' "$out"; then
         code 0
     done
 else
-    skip "rays from hits with OpenCL" "no OpenCL device"
+    skip "secondary rays with OpenCL" "no OpenCL device"
 fi
 
 if "$BIN/bisque-bake" --list-devices --json --progress none | jq -e '.devices | map(.id) | contains(["opencl:0"])' \

@@ -111,7 +111,7 @@ check "maps of two objects in two tiles" $?
 inputs="../scan.nvdb ../box_low.obj ../lid_low.obj"
 alike_several 2 --maps mask -o '<MATERIAL>.<UDIM>.exr' --samples 1
 
-# The percentage counts each scan, rays from hits, and the tiles that a task traces.
+# The percentage counts each scan, secondary rays, and the tiles that a task traces.
 run bisque-bake box_high.nvdb lid_high.nvdb box_low.obj $size -o 'm_<MAP>.<UDIM>.exr' --maps ao --ao-rays 1 --progress openjd
 for percent in 11.8 22.7 33.5 44.3 55.2 66.0; do # after each of six stages
     grep -qx "openjd_progress: $percent" "$out"

@@ -1,5 +1,5 @@
 #!/bin/sh
-# test_scan_rays.sh - rays from hits on several scans: ao, bent and thickness against formulas, in
+# test_scan_rays.sh - secondary rays on several scans: ao, bent and thickness against formulas, in
 # any order of scans, with any memory, threads and device, and for objects that see some scans.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"

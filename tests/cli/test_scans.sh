@@ -151,7 +151,7 @@ for kind in nvdb tris; do
     $bake $size --maps height $high pair.obj -o any.exr --padding 0 --json
     json '(.encodings.height.range - 0.0625 | fabs) < 0.001'
 done
-# Rays from hits see the only scan of each object.
+# Secondary rays see the only scan of each object.
 $bake $size --maps ao scans/body_high_1.nvdb scans/belt_high.nvdb pair.obj -o ao.exr \
     $rays --padding 0 --match name --ao-rays 16 --json
 code 0

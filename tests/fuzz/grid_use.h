@@ -14,7 +14,7 @@ void grid_use_look_up(const struct fmt_nvdb_grid *grid);
 void grid_use_trace(const struct fmt_nvdb_grid *grid);
 /* Traces a tile, to run the code for several rays at a time. */
 int grid_use_trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
-/* Traces a tile with rays from hits, through the tree of leaves. */
+/* Traces a tile with secondary rays, through the tree of leaves. */
 int grid_use_look_around(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
 
 #endif

@@ -1,7 +1,7 @@
 /* job.h - what a device traces: the grid, the low-poly mesh's triangles and the parameters.
  *
  * Takes an open grid file (formats/grid); gives the kernel's parameters and array pointers for it.
- * Every other room of device/ uses this one. */
+ * Every other folder of device/ uses this one. */
 #ifndef BAKE_DEVICE_JOB_JOB_H
 #define BAKE_DEVICE_JOB_JOB_H
 
@@ -40,13 +40,13 @@ void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *
 
 /* Traces one ray on the calling thread with the kernel's code, for previews and tests.
  * origin and unit direction are in index space. Of the hits with t in [t_min, t_max] the one with
- * the smallest |t| wins. Ignores surfaces whose normal has a negative dot product with the unit
+ * the smallest |t| wins. Ignores surfaces whose normal has no positive dot product with the unit
  * vector `facing`, unless params->flags has BK_TWO_SIDED, which turns their normals round. */
 void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
                     const float origin[3], const float direction[3], float t_min, float t_max,
                     const float facing[3], struct bk_hit *hit);
 
-/* Rays that have more in common than their grid. */
+/* Rays of a grid with one range of t and one facing rule. */
 struct bake_ray_batch {
     const float (*rays)[6]; /* origin and unit direction of each, in index space */
     uint64_t count;
@@ -55,7 +55,7 @@ struct bake_ray_batch {
     float facing;        /* 1: surfaces must face along the ray; -1: against it */
 };
 
-/* Returns what a sample costs, as a multiple of its pair of rays: maps can send more from hits. */
+/* Returns the cost of a sample, secondary rays included, in pairs of primary rays. */
 uint32_t bake_sample_cost(const struct bk_params *params);
 
 #endif

@@ -1,4 +1,4 @@
-/* leaf_tree.h - a tree of boxes around the voxels of a grid, for rays from hits.
+/* leaf_tree.h - a tree of boxes around the voxels of a grid, for secondary rays.
  *
  * A node has up to eight children. Their boxes are stored as eight-bit steps from the node's corner
  * (Ylitie, Karras and Laine, "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide

@@ -19,7 +19,7 @@ struct native {
     struct bk_params params;
     const struct bk_triangle *triangles;
     bake_native_tile_fn *tile;
-    struct bake_tree tree;            /* for rays from hits */
+    struct bake_tree tree;            /* for secondary rays */
     struct bake_tree_stream *streams; /* of each worker; NULL: there is no tree */
     float *results;                   /* of each worker: of the rays of BAKE_NATIVE_HITS hits */
     uint64_t worker_results;
@@ -74,7 +74,7 @@ static void native_close(struct bake_backend *backend)
     bsq_free(native->ctx, native);
 }
 
-/* Makes the tree of leaves, if there are rays from hits and memory for it. */
+/* Makes the tree of leaves, if there are secondary rays and memory for it. */
 static int make_tree(struct native *native)
 {
     const unsigned threads = bsq_threads(native->ctx);

@@ -13,7 +13,7 @@ enum { BAKE_NATIVE_SQUARE = 8 };
 struct bake_tree;
 struct bake_tree_stream;
 
-/* What rays from hits need to go through the tree of leaves; all NULL: they walk through
+/* What secondary rays need to go through the tree of leaves; all NULL: they walk through
  * the grid's nodes, with equal results. */
 struct bake_native_memory {
     const struct bake_tree *tree;

@@ -1,4 +1,4 @@
-/* native_lanes.c - traces a tile, or rays, or rays from hits, BK_WIDTH at a time. */
+/* native_lanes.c - traces a tile, or rays, or secondary rays, BK_WIDTH at a time. */
 #include <string.h>
 
 #include "base/simd/simd.h"
@@ -17,7 +17,7 @@ struct group {
     bk_samples samples;
     uint32_t texel_floats;
     float places[BAKE_MAX_SAMPLES]; /* of a texel's samples along an axis, from its corner */
-    /* Without a tree, rays from hits walk through the grid's nodes. */
+    /* Without a tree, secondary rays walk through the grid's nodes. */
     struct bake_native_memory memory;
 };
 
@@ -27,7 +27,7 @@ static void add_samples(struct group *group, const bk_samples *samples, const bk
         bk_add_sample(group->params, hits, lane, samples->texel[lane]);
 }
 
-/* ---- rays from hits ---- */
+/* ---- secondary rays ---- */
 
 /* Adds up what the rays of a point found, as bk_look_around() does. found: of all its rays, open
  * ones first. */
@@ -214,7 +214,7 @@ void BSQ_SIMD_NAME(bake_native_rays)(const struct bk_grid *grid, const struct bk
     }
 }
 
-/* ---- rays from hits ---- */
+/* ---- secondary rays ---- */
 
 struct view {
     const struct bk_grid *grid;

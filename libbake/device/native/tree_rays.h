@@ -1,4 +1,4 @@
-/* tree_rays.h - traces rays from hits through the tree of leaves; all instruction sets give the
+/* tree_rays.h - traces secondary rays through the tree of leaves; all instruction sets give the
  * bits of bk_look(). */
 #ifndef BAKE_DEVICE_NATIVE_TREE_RAYS_H
 #define BAKE_DEVICE_NATIVE_TREE_RAYS_H
@@ -14,7 +14,7 @@ enum {
     BAKE_TREE_RAYS = 512,      /* in a stream */
     BAKE_TREE_AT_ONCE =
         24, /* pairs of rays and nodes that are taken together, and whose nodes are prefetched */
-    /* Of the tree, at most: each level splits at another bit of those that differ between the
+    /* Most levels of the tree: each level splits at another bit of those that differ between the
      * corners of leaves, at most 19 an axis with BAKE_TREE_EXTENT, and a leaf is a level. */
     BAKE_TREE_DEPTH = 58,
     /* Of each level at most three groups of pairs wait: two that are taken in turns, and one that a
@@ -56,8 +56,8 @@ _Static_assert(sizeof(struct bake_tree_ray) == 128 && offsetof(struct bake_tree_
 struct bake_tree_point {
     uint32_t first, count; /* its rays */
     float normal[3];       /* no ray is more than a right angle from it */
-    /* Of the borders of boxes, in voxels. 2^-21 of the largest distance: eight roundings, of which
-     * tests of boxes have up to seven. */
+    /* Tolerances of box borders, in voxels: 2^-21 of the largest distance, which is eight
+     * roundings; tests of boxes have at most seven. */
     float margins[3];
 };
 

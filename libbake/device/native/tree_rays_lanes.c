@@ -1,4 +1,4 @@
-/* tree_rays_lanes.c - traces rays from hits through the tree of leaves.
+/* tree_rays_lanes.c - traces secondary rays through the tree of leaves.
  *
  * Work is in lists of pairs: of a ray and a node, a block of 4^3 voxels, or an occupied voxel. So
  * no step depends on what other rays do, lanes are always full, and what a step reads is prefetched
@@ -16,9 +16,6 @@
 #include "base/simd/simd.h"
 #define BK_WIDTH SIMD_FLOATS
 #include "libbake/device/native/tree_tracer.h"
-
-/* Functions that take or return `eights` are inlined, see eights.h. */
-#pragma GCC diagnostic ignored "-Wpsabi"
 
 /* At most this many rays of a point are tested against a node one by one. */
 enum { SINGLE_RAYS_MOST = 16 };

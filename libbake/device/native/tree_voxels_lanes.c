@@ -1,4 +1,4 @@
-/* tree_voxels_lanes.c - tests rays from hits against the voxels of blocks, and their records.
+/* tree_voxels_lanes.c - tests secondary rays against the voxels of blocks, and their records.
  *
  *  - A ray visits the voxels of a block that it enters before it leaves them. The t of borders are
  *    computed as in bk_walk_blocks(), so both visit the same voxels. Of borders at the same t, that

@@ -61,7 +61,7 @@ uint64_t bake_subgrid_total(const uint64_t bytes[BAKE_SUBGRID_ARRAYS], uint64_t 
 /* Returns an array's name for messages. */
 const char *bake_subgrid_array_name(int array);
 
-/* Calls sink with the bytes of an array from first to last, in pieces of any size. Returns the
+/* Calls sink with the bytes of an array from first to last, in parts of any size. Returns the
  * first result of sink that is not 0. Thread-safe. */
 int bake_subgrid_send(const struct bake_subgrid *subgrid, int array,
                       int (*sink)(void *arg, const void *data, uint64_t bytes), void *arg);

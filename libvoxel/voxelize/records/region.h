@@ -93,11 +93,11 @@ struct vox_leaves {
     uint32_t voxel_min[3], voxel_max[3]; /* in the region; min > max: no voxels */
 };
 
-/* What an accumulator sums besides surfaces: VOX_SUM_CHANNEL_VALUE times the number of values of
- * further channels, and the others. */
+/* Optional sums of an accumulator: flags, plus VOX_SUM_CHANNEL_VALUE for each value of further
+ * channels. */
 enum { VOX_SUM_COLORS = 1, VOX_SUM_IDS = 2, VOX_SUM_CHANNEL_VALUE = 4 };
 
-/* Most fragments whose channels wait to be added. */
+/* Most fragments whose channel values are buffered. */
 enum { VOX_FRAGMENT_LANES = 8 };
 
 /* Returns the fewest bytes an accumulator with these sums works with: the voxels of one brick. */

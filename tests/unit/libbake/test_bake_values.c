@@ -444,7 +444,7 @@ static void test_means_lose_no_precision(void **state)
 /* ---- scans that are wound inwards ---- */
 
 /* With two_sided, the back of a surface that faces away is a front: normals and curvature have the
- * signs of a scan that is wound outwards, like the rays from hits. */
+ * signs of a scan that is wound outwards, like the secondary rays. */
 static void test_backs_are_fronts_if_both_sides_count(void **state)
 {
     (void)state;

@@ -1,4 +1,4 @@
-/* test_exact_look.c - rays from hits on triangles: against formulas, against Embree with the same
+/* test_exact_look.c - secondary rays on triangles: against formulas, against Embree with the same
  * rays, and with any number of threads and any budget. */
 #include <embree3/rtcore.h>
 #include <float.h>
@@ -363,7 +363,7 @@ static void test_rays_are_hidden_where_embree_hides_them(void **state)
             open += !hidden;
             same += hidden == embree_occluded(scene, &view.open[r], limits[i]);
         }
-        print_message("%u rays from hits, %u open, %u differ from Embree\n", count, open,
+        print_message("%u secondary rays, %u open, %u differ from Embree\n", count, open,
                       count - same);
         assert_true(count > RAYS / 4 && open > count / 4 && open < count - count / 40);
         assert_true(count - same <= count / 1000);

@@ -1,5 +1,5 @@
 /* test_kernel_lanes.c - the kernel gives the same bits for any number of lanes and order of
- * samples, and for rays from hits that go through the tree of leaves. Compares groups of four,
+ * samples, and for secondary rays that go through the tree of leaves. Compares groups of four,
  * eight and sixteen in Morton order to single samples, row by row. */
 #include <setjmp.h>
 #include <stdarg.h>
@@ -125,7 +125,7 @@ static void one_by_one(const struct fixture *f, const struct bk_params *params,
 }
 
 /* Compares tiles that are traced with the widest lanes to be had and with all narrower ones. tree:
- * for rays from hits; may be NULL. */
+ * for secondary rays; may be NULL. */
 static void compare(const struct fixture *f, const struct bk_params *params,
                     const struct bake_tree *tree)
 {
@@ -172,7 +172,7 @@ static void test_lanes(void **state)
     compare_flags(*state, BK_OBJECT_SPACE | BK_NEAREST | BK_TWO_SIDED);
 }
 
-/* Rays from hits give the same bits through the tree of leaves. Their numbers are no multiples of a
+/* Secondary rays give the same bits through the tree of leaves. Their numbers are no multiples of a
  * group; the most are in two bundles, and all of a group in several streams. */
 static void test_rays_from_hits(void **state)
 {
