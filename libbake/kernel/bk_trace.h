@@ -210,10 +210,10 @@ BK_FN void bk_cross_record(bk_walk *walk, const bk_ray *ray, bk_mask lanes, cons
                                  bk_to_fw(ray->by - place->y) + (ray->start.y - 0.5f),
                                  bk_to_fw(ray->bz - place->z) + (ray->start.z - 0.5f));
     bk_fw f = bk_dotw(record->normal, from) - record->offset;
-    bk_fw slope = bk_dotw(record->normal, ray->direction), f_in, f_out, at, t;
+    bk_fw slope = bk_dotw(record->normal, ray->direction), f_in, f_out, at, t, outside;
     const bk_mask falling = bk_less(slope, zero);
     const bk_mask same = bk_not(falling ^ was_falling);
-    bk_mask above, crossed, below, begun, sloped;
+    bk_mask above, crossed, below, begun, sloped, waits, changed;
 
     f = bk_select(falling, -f, f);
     slope = bk_select(falling, -slope, slope);
@@ -230,12 +230,15 @@ BK_FN void bk_cross_record(bk_walk *walk, const bk_ray *ray, bk_mask lanes, cons
     t = bk_select(crossed, at,
                   bk_select(same & (side == BK_BELOW), t_in, bk_maxw(t_in - f_in / slope, zero)));
     bk_take(walk, tested & (crossed | (above & ((same & (side == BK_BELOW)) | begun))), t, record);
-    walk->falling = bk_selecti(tested, falling, walk->falling);
-    walk->side =
-        bk_selecti(tested, bk_selecti(below, bk_splati(BK_BELOW), bk_splati(BK_ABOVE)), walk->side);
-    below = below & tested;
-    walk->outside =
-        bk_select(below, bk_select(bk_less(-f_out, slope), -f_out, bk_splat(1.0f)), walk->outside);
+    outside = bk_select(bk_less(-f_out, slope), -f_out, bk_splat(1.0f));
+    /* A sheet that is ahead of the ray is not forgotten for one that is behind it, or farther. */
+    waits = walk->side == BK_BELOW;
+    below = below & tested & (bk_not(waits) | bk_less(outside, walk->outside));
+    changed = tested & (below | bk_not(waits));
+    walk->falling = bk_selecti(changed, falling, walk->falling);
+    walk->side = bk_selecti(changed, bk_selecti(below, bk_splati(BK_BELOW), bk_splati(BK_ABOVE)),
+                            walk->side);
+    walk->outside = bk_select(below, outside, walk->outside);
     walk->ahead.t =
         bk_select(below, bk_select(sloped, t_out - f_out / slope, t_out), walk->ahead.t);
     walk->ahead.normal = bk_select3(below, record->normal, walk->ahead.normal);

@@ -369,13 +369,18 @@ static struct naive naive_trace(const struct fmt_nvdb_grid *grid, const double o
             result.doubtful |= nearly(f_in, 0) || nearly(f_out, 0) || nearly(f_in, own) ||
                                nearly(f_in, slope) || nearly(-f_out, slope);
             if (f_out < 0) {
+                /* Of two sheets ahead, the run goes on with the nearer one. */
+                double left = -f_out < slope ? -f_out : 1;
+                result.doubtful |= side == BK_BELOW && nearly(left, outside);
+                if (side == BK_BELOW && left >= outside)
+                    continue;
                 side = BK_BELOW;
                 margin = own;
-                outside = -f_out < slope ? -f_out : 1;
+                outside = left;
                 ahead = t_out - f_out / slope;
                 continue;
             }
-            side = BK_ABOVE;
+            side = side == BK_BELOW ? BK_BELOW : BK_ABOVE;
             if (f_in <= 0)
                 t = -f / slope;
             else if (before == BK_BELOW)
