@@ -231,6 +231,12 @@ const char *bake_map_summary(unsigned number);
  */
 int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t *out);
 
+/** Calls `fn` with `arg` for the name of each channel that all scans of the options have and that
+ * can be a transfer map, such as "roughness". A status below 0 ends the list and is returned, like
+ * the errors of opening a scan. */
+int bake_find_channels(struct bsq_ctx *ctx, const struct bake_options *options,
+                       int (*fn)(void *arg, const char *name), void *arg);
+
 /** Returns the file name of a map: output_path with "<MAP>" replaced by its name. The caller frees
  * it with free(). Returns NULL if there is no memory. */
 char *bake_map_path(const char *output_path, enum bake_map map);

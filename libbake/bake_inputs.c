@@ -56,21 +56,40 @@ static bool leaves_choice(const struct bake_options *options)
            (options->maps == BAKE_MAPS_DEFAULT && options->transfer_count == 0);
 }
 
-int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t *out)
+/* Opens the scans of the options, without what maps need. */
+static int open_scans(struct bsq_ctx *ctx, const struct bake_options *options,
+                      struct bake_surface *surface)
 {
     struct bake_options scans;
-    struct bake_surface surface;
-    *out = options->maps;
-    if (!leaves_choice(options))
-        return 0;
     bake_defaults(&scans);
     scans.scan_path = options->scan_path;
     scans.more_scan_paths = options->more_scan_paths;
     scans.more_scan_count = options->more_scan_count;
     scans.match_names = options->match_names;
     bsq_mute_warnings(ctx, true); /* the bake opens the scans again, and then gives them */
-    int status = bake_surface_open(ctx, &scans, &surface);
+    const int status = bake_surface_open(ctx, &scans, surface);
     bsq_mute_warnings(ctx, false);
+    return status;
+}
+
+int bake_find_channels(struct bsq_ctx *ctx, const struct bake_options *options,
+                       int (*fn)(void *arg, const char *name), void *arg)
+{
+    struct bake_surface surface;
+    int status = open_scans(ctx, options, &surface);
+    if (status == 0)
+        status = bake_surface_list_channels(&surface, fn, arg);
+    bake_surface_close(&surface);
+    return status;
+}
+
+int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t *out)
+{
+    struct bake_surface surface;
+    *out = options->maps;
+    if (!leaves_choice(options))
+        return 0;
+    int status = open_scans(ctx, options, &surface);
     if (status == 0)
         status = choose_from(&surface, options->maps, out);
     bake_surface_close(&surface);

@@ -1,6 +1,7 @@
 /* bake_options.c - defaults and checks of a bake's options. */
 #include "libbake/bake_options.h"
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -66,6 +67,12 @@ int bake_check_maps(struct bsq_ctx *ctx, const struct bake_options *options, uin
     return status;
 }
 
+/* Returns whether a length, and small multiples of it, can be a float. */
+static bool is_float(double value)
+{
+    return fabs(value) <= (double)FLT_MAX / 4;
+}
+
 /* Checks the rays that start at hits. */
 static int check_rays(struct bsq_ctx *ctx, const struct bake_options *options)
 {
@@ -77,9 +84,9 @@ static int check_rays(struct bsq_ctx *ctx, const struct bake_options *options)
     if (!(options->ao_spread > 0 && options->ao_spread <= 180))
         return bsq_fail(ctx, BSQ_EUSAGE, "a spread of %g degrees is not above 0 and at most 180",
                         options->ao_spread);
-    if (!isfinite(options->ao_distance) || !isfinite(options->thickness_distance) ||
-        !isfinite(options->ao_coarse))
-        return bsq_fail(ctx, BSQ_EUSAGE, "distances of secondary rays must be finite");
+    if (!is_float(options->ao_distance) || !is_float(options->thickness_distance) ||
+        !is_float(options->ao_coarse))
+        return bsq_fail(ctx, BSQ_EUSAGE, "distances of secondary rays must be finite floats");
     if (options->ao_falloff && options->ao_distance <= 0)
         return bsq_fail(ctx, BSQ_EUSAGE, "a falloff of ambient occlusion needs its distance");
     return 0;
@@ -162,6 +169,12 @@ static int check_transfers(struct bsq_ctx *ctx, const struct bake_options *optio
     return check_mask(ctx, options);
 }
 
+/* Returns whether samples from -range to range can be scaled as floats. Negative: it is not given. */
+static bool is_range(double range)
+{
+    return range < 0.0 || (range > 0.0 && is_float(range));
+}
+
 int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
 {
     if (!options->scan_path || !options->mesh_path || !options->output_path)
@@ -187,11 +200,12 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
     if (options->front == 0.0 && options->back == 0.0)
         return bsq_fail(ctx, BSQ_EUSAGE,
                         "rays of length 0 find nothing: front and back must not both be 0");
-    if (!isfinite(options->height_range) || options->height_range == 0.0)
-        return bsq_fail(ctx, BSQ_EUSAGE, "a range of heights of %g holds no heights",
+    if (!is_range(options->height_range))
+        return bsq_fail(ctx, BSQ_EUSAGE, "a range of heights of %g holds no heights, or no floats",
                         options->height_range);
-    if (!isfinite(options->curvature_range) || options->curvature_range == 0.0)
-        return bsq_fail(ctx, BSQ_EUSAGE, "a range of curvature of %g holds no curvature",
+    if (!is_range(options->curvature_range))
+        return bsq_fail(ctx, BSQ_EUSAGE,
+                        "a range of curvature of %g holds no curvature, or no floats",
                         options->curvature_range);
     if (!isfinite(options->curvature_radius) || options->curvature_radius == 0.0)
         return bsq_fail(ctx, BSQ_EUSAGE, "curvature cannot be measured within %g",

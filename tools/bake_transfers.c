@@ -41,6 +41,33 @@ int bake_add_transfer(struct cli *cli, struct bake_transfers *transfers, const c
     return add(cli, &transfers->maps, &transfers->map_count, name, strlen(name), NULL);
 }
 
+/* Where names of channels are added. */
+struct additions {
+    struct cli *cli;
+    struct bake_transfers *transfers;
+};
+
+static int add_channel(void *arg, const char *name)
+{
+    const struct additions *to = (const struct additions *)arg;
+    struct bake_transfer *map = find(to->transfers, name);
+    if (map)
+        map->no_file = false;
+    return map ? 0
+               : add(to->cli, &to->transfers->maps, &to->transfers->map_count, name, strlen(name),
+                     NULL);
+}
+
+int bake_add_channels(struct cli *cli, struct bake_transfers *transfers,
+                      struct bake_options *options)
+{
+    struct additions to = {cli, transfers};
+    const int status = bake_find_channels(cli->ctx, options, add_channel, &to);
+    options->transfers = transfers->maps;
+    options->transfer_count = transfers->map_count;
+    return status;
+}
+
 int bake_parse_texture(struct cli *cli, struct bake_transfers *transfers, const char *text)
 {
     const char *equals = strchr(text, '=');

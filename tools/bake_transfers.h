@@ -17,6 +17,11 @@ struct bake_transfers {
 const char *bake_transfer_name(const char *word);
 /* Adds a transfer map. */
 int bake_add_transfer(struct cli *cli, struct bake_transfers *transfers, const char *name);
+/* Adds a transfer map for each channel of the options' scans that has none yet, also to the
+ * options.
+ */
+int bake_add_channels(struct cli *cli, struct bake_transfers *transfers,
+                      struct bake_options *options);
 /* Parses "NAME=FILE". The file's name must live as long as *transfers. */
 int bake_parse_texture(struct cli *cli, struct bake_transfers *transfers, const char *text);
 /* Gives the maps their textures, and the options the maps. */

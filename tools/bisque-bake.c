@@ -105,6 +105,8 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     bake_report_watch(cli, &report);
     int status = bake_check_options(cli->ctx, bake);
     /* The files have to be known before the work, to check that no input is overwritten. */
+    if (status == 0 && bake->maps & BAKE_MAPS_ALL)
+        status = bake_add_channels(cli, &arguments->transfers, bake);
     if (status == 0)
         status = bake_find_maps(cli->ctx, bake, &bake->maps);
     if (status == 0)

@@ -29,7 +29,9 @@ struct bake_exact_info {
     double scan_min[3], scan_max[3]; /* world */
     uint64_t triangle_count;
     bool has_color;
-    enum bsq_ids ids; /* what its ids tell apart */
+    enum bsq_ids ids;      /* what its ids tell apart */
+    char *const *channels; /* names of further channels that the whole scan has */
+    uint32_t channel_count;
 };
 
 /* Sets *one: whether chunk files can be one scan; see fmt_tris_can_join(). */

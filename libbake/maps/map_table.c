@@ -66,10 +66,27 @@ static bool resolve_mean(const float *sums, uint32_t channels, float weight, flo
 
 /* ---- heights ---- */
 
+/* Usual ranges are no smaller than these shares of the diagonal of the scan's bounding box, and of
+ * its inverse. Otherwise, heights and curvature of a flat scan would be rounding errors on a large
+ * scale. */
+#define LEAST_HEIGHT    0x1p-16
+#define LEAST_CURVATURE 0.01
+
+static double scan_diagonal(const struct bake_encoding_facts *facts)
+{
+    double square = 0;
+    for (int k = 0; k < 3; ++k) {
+        const double side = facts->traced->scan_max[k] - facts->traced->scan_min[k];
+        square += side * side;
+    }
+    return sqrt(square);
+}
+
 static void encode_heights(const struct bake_encoding_facts *facts, struct bake_encoding *out)
 {
     const double given = facts->options->height_range;
-    out->range = given > 0.0 ? given : facts->statistics.largest;
+    const double least = LEAST_HEIGHT * scan_diagonal(facts);
+    out->range = given > 0.0 ? given : fmax(facts->statistics.largest, least);
     if (facts->integers)
         set_range(out, out->range, 0.5f);
 }
@@ -148,7 +165,9 @@ static void encode_curvature(const struct bake_encoding_facts *facts, struct bak
     const double mean = count > 0 ? statistics->sum / count : 0;
     const double variance = count > 0 ? statistics->squares / count - mean * mean : 0;
     out->radius = facts->curvature_radius;
-    out->range = given > 0.0 ? given : mean + sqrt(fmax(variance, 0));
+    const double diagonal = scan_diagonal(facts);
+    const double least = diagonal > 0 ? LEAST_CURVATURE / diagonal : 0;
+    out->range = given > 0.0 ? given : fmax(mean + sqrt(fmax(variance, 0)), least);
     if (facts->integers)
         set_range(out, out->range, 0.5f);
 }

@@ -53,6 +53,11 @@ int bake_surface_explain(const struct bake_surface *surface, int status);
  * work. Errors: those of bake_exact_use_color(). */
 int bake_surface_use_color(struct bake_surface *surface);
 
+/* Calls fn for the name of each channel that an open scan, or each of several, has, but not for
+ * that of its normal map. A status below 0 ends the list and is returned. Errors: BSQ_ENOMEM. */
+int bake_surface_list_channels(const struct bake_surface *surface,
+                               int (*fn)(void *arg, const char *name), void *arg);
+
 /* Makes later hits of maps carry the channels of transfer maps, if there are any. The options must
  * live until bake_surface_close(). Call it at most once, not from parallel work. Errors: those of
  * bake_exact_use_transfers(); BSQ_EDATA for a grid without a channel; BSQ_EUSAGE for a texture of

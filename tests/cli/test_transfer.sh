@@ -64,6 +64,12 @@ check "another reader reads two.tris" $?
 $bake two.tris low.obj --maps id,color,$four -o 'two_<MAP>.png'
 code 0
 values two_roughness.png two_rough 0.00003
+for scan in two.tris two.nvdb; do
+    $bake $scan low.obj --maps all --json -o 'all_<MAP>.png' --ao-rays 1 --thickness-rays 1
+    code 0
+    json '.maps | (keys - ["ao", "bent", "curvature", "height", "mask", "normal", "position", "thickness"])
+        == ["coat", "color", "emission", "id", "metallic", "roughness"]'
+done
 values two_metallic.png two_metal 0.00003
 values two_emission.png two_light 0.00003
 values two_coat.png three 0.00003

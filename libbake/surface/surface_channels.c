@@ -1,0 +1,138 @@
+/* surface_channels.c - the further channels of scans, such as roughness, for transfer maps. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/channels.h"
+#include "libbake/surface/surface.h"
+
+/* Returns whether an open scan, or each of several, has a channel. */
+static bool has_channel(const struct bake_surface *surface, const char *name)
+{
+    uint32_t first;
+    for (uint32_t p = 0; p < surface->part_count; p++)
+        if (!has_channel(&surface->parts[p], name))
+            return false;
+    if (surface->parts)
+        return true;
+    if (!surface->exact)
+        return surface->grid.channels &&
+               bsq_channel_list_find(surface->grid.channel_list, surface->grid.channel_list_bytes,
+                                     name, &first);
+    const struct bake_exact_info *info = bake_exact_get_info(surface->exact);
+    for (uint32_t c = 0; c < info->channel_count; c++)
+        if (strcmp(info->channels[c], name) == 0)
+            return true;
+    return false;
+}
+
+/* What each channel of a scan is given to. */
+struct listing {
+    const struct bake_surface *all;
+    int (*fn)(void *arg, const char *name);
+    void *arg;
+};
+
+static int list_channel(const struct listing *listing, const char *name)
+{
+    /* A normal map belongs to the scan's normals. */
+    if (strcmp(name, BSQ_CHANNEL_NORMAL_MAP) == 0 || !has_channel(listing->all, name))
+        return 0;
+    return listing->fn(listing->arg, name);
+}
+
+static int list_grid(const struct listing *listing, const struct fmt_nvdb_grid *grid)
+{
+    const char *at = grid->channel_list, *end = at + grid->channel_list_bytes;
+    int status = 0;
+    while (grid->channels && at < end && status == 0) {
+        const char *comma = memchr(at, ',', (size_t)(end - at));
+        const size_t length = (size_t)((comma ? comma : end) - at);
+        char *name = strndup(at, length);
+        status =
+            name ? list_channel(listing, name)
+                 : bsq_fail(listing->all->ctx, BSQ_ENOMEM, "out of memory for names of channels");
+        free(name);
+        at += length + 1;
+    }
+    return status;
+}
+
+int bake_surface_list_channels(const struct bake_surface *surface,
+                               int (*fn)(void *arg, const char *name), void *arg)
+{
+    const struct listing listing = {surface, fn, arg};
+    const struct bake_surface *first = surface->parts ? surface->parts : surface;
+    if (!first->exact)
+        return list_grid(&listing, &first->grid);
+    const struct bake_exact_info *info = bake_exact_get_info(first->exact);
+    int status = 0;
+    for (uint32_t c = 0; c < info->channel_count && status == 0; c++)
+        status = list_channel(&listing, info->channels[c]);
+    return status;
+}
+
+/* Finds the channels of transfer maps in a grid. */
+static int use_channels(struct bake_surface *surface, const struct bake_transfer *transfers,
+                        uint32_t count)
+{
+    struct fmt_nvdb_grid *grid = &surface->grid;
+    int status = bsq_alloc(surface->ctx, "transfer maps", count, sizeof *surface->transfer_words,
+                           &surface->transfer_words);
+    for (uint32_t i = 0; i < count && status == 0; i++) {
+        uint32_t first = 0;
+        const struct bsq_channel *channel =
+            grid->channels ? bsq_channel_list_find(grid->channel_list, grid->channel_list_bytes,
+                                                   transfers[i].name, &first)
+                           : NULL;
+        if (transfers[i].texture_path)
+            status = bsq_fail(surface->ctx, BSQ_EDATA,
+                              "%s is a grid, which cannot use %s: make it with bisque-voxelize "
+                              "--channels %s=%s",
+                              surface->path, transfers[i].texture_path, transfers[i].name,
+                              transfers[i].texture_path);
+        else if (!channel)
+            status = bsq_fail(surface->ctx, BSQ_EDATA,
+                              "%s has no channel %s: make it with bisque-voxelize --channels %s",
+                              surface->path, transfers[i].name, transfers[i].name);
+        else if (first + channel->values > grid->channel_words) /* another process changed it */
+            status =
+                bsq_fail(surface->ctx, BSQ_EIO, "%s: was changed while it was read", surface->path);
+        else
+            surface->transfer_words[i] = first << 2 | channel->values;
+    }
+    if (status == 0) {
+        grid->transfers = surface->transfer_words;
+        grid->transfer_count = count;
+    }
+    return status;
+}
+
+/* Lets grids leave out channels that no map needs. */
+static void drop_channels(struct bake_surface *surface)
+{
+    for (uint32_t p = 0; p < surface->part_count; p++)
+        drop_channels(&surface->parts[p]);
+    surface->grid.channels = NULL;
+}
+
+int bake_surface_use_transfers(struct bake_surface *surface, const struct bake_options *options)
+{
+    const struct bake_transfer *transfers = options->transfers;
+    int status = 0;
+    if (options->transfer_count == 0) {
+        drop_channels(surface);
+        return 0;
+    }
+    for (uint32_t i = 0; i < options->transfer_count && options->more_scan_count > 0; i++)
+        if (transfers[i].texture_path)
+            return bsq_fail(surface->ctx, BSQ_EUSAGE,
+                            "%s is a texture of one scan, but there are %u scans",
+                            transfers[i].texture_path, options->more_scan_count + 1);
+    for (uint32_t p = 0; p < surface->part_count && status == 0; p++)
+        status = bake_surface_use_transfers(&surface->parts[p], options);
+    if (surface->parts)
+        return status;
+    if (!surface->exact)
+        return use_channels(surface, transfers, options->transfer_count);
+    return bake_exact_use_transfers(surface->exact, transfers, options->transfer_count);
+}
