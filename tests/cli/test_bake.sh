@@ -112,6 +112,12 @@ for range in 0 -1 none nan; do
     $bake $good --height-range $range
     refused 64 "$p --height-range: \"$range\" is not a positive number"
 done
+for option in height-range curvature-range ao-distance thickness-distance; do
+    $bake $good --maps normal --$option 1e308
+    code 64
+    [ ! -e out.exr ] && [ ! -e out.png ]
+    check "no map with --$option 1e308" $?
+done
 for option in curvature-radius curvature-range; do
     $bake $good --$option 0
     refused 64 "$p --$option: \"0\" is not a positive number"
@@ -406,6 +412,18 @@ for tile in 1001 1002; do
     same given_$tile.png both_$tile.png
 done
 rm both_* alone_* given_* tiles.obj
+
+# The scan of a flat square is the same square: what heights and curvature it has are rounding errors, which are grey.
+printf 'v 0 0 0\nv 1 0 0.1\nv 1 1 0.3\nv 0 1 0.2\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n' >flat.obj
+run bisque-voxelize flat.obj -o flat.nvdb --resolution 64
+code 0
+for scan in flat.nvdb flat.tris; do
+    $bake $small $scan flat.obj -o 'flat_<MAP>.png' --maps height,curvature --json
+    code 0
+    json '.encodings | (.height.range * 65536 / (2.09 | sqrt) - 1 | fabs) < 1e-6
+        and (.curvature.range * 100 * (2.09 | sqrt) - 1 | fabs) < 1e-6'
+done
+rm flat*
 
 # Far from 0, positions have an origin, the same from a grid and from triangles.
 awk '/^v / { printf "v %.4f %.4f %.4f\n", $2 + 500000.25, $3 + 4400000.5, $4; next } { print }' low.obj >far.obj
