@@ -71,6 +71,17 @@ bool bsq_is_channel_name(const char *name)
     return is_name(name, strlen(name));
 }
 
+bool bsq_is_map_name(const char *name)
+{
+    static const char *const names[] = {"normal",    "color",     "mask", "height",
+                                        "position",  "curvature", "ao",   "bent",
+                                        "thickness", "id",        "all",  "transfer"};
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++)
+        if (strcmp(names[i], name) == 0)
+            return true;
+    return false;
+}
+
 void bsq_channel_pick(const struct bsq_channel *channel, uint32_t component, float value,
                       float sample[3])
 {

@@ -59,6 +59,9 @@ const struct bsq_channel *bsq_channel_at(unsigned number);
 /* Returns whether a channel can have this name: lower-case letters, digits and underscores, with a
  * letter first. */
 bool bsq_is_channel_name(const char *name);
+/* Returns whether bisque-bake has another meaning for a name, such as the map "normal", so that the
+ * channel could not be baked as a map of its name. */
+bool bsq_is_map_name(const char *name);
 
 /* For a channel with one value, copies one component of a texture's sample to all three entries.
  * Samples of alpha have it three times already. value: that of the channel, for BSQ_CHANNEL_CUTOUT.

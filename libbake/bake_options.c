@@ -113,15 +113,6 @@ static int check_choices(struct bsq_ctx *ctx, const struct bake_options *options
     return 0;
 }
 
-/* Returns whether a name is that of a map of the table. */
-static bool is_map_name(const char *name)
-{
-    for (unsigned i = 0; bake_map_name(i); ++i)
-        if (strcmp(bake_map_name(i), name) == 0)
-            return true;
-    return false;
-}
-
 /* Checks the transfer maps that the mask is multiplied by. */
 static int check_mask(struct bsq_ctx *ctx, const struct bake_options *options)
 {
@@ -159,7 +150,7 @@ static int check_transfers(struct bsq_ctx *ctx, const struct bake_options *optio
                 "transfer map %s: directions in tangent space cannot be transferred; the "
                 "map normal contains them",
                 transfer->name);
-        if (is_map_name(transfer->name))
+        if (bsq_is_map_name(transfer->name))
             return bsq_fail(ctx, BSQ_EUSAGE, "transfer map %s: there is another map of this name",
                             transfer->name);
         for (uint32_t j = 0; j < i; ++j)
@@ -169,7 +160,8 @@ static int check_transfers(struct bsq_ctx *ctx, const struct bake_options *optio
     return check_mask(ctx, options);
 }
 
-/* Returns whether samples from -range to range can be scaled as floats. Negative: it is not given. */
+/* Returns whether samples from -range to range can be scaled as floats. Negative: it is not given.
+ */
 static bool is_range(double range)
 {
     return range < 0.0 || (range > 0.0 && is_float(range));

@@ -258,6 +258,8 @@ static int check_channels(struct bsq_ctx *ctx, const struct vox_sort_options *op
                             "\"%s\" cannot be a channel: names have lower-case letters, digits and "
                             "_, with a letter first",
                             name);
+        if (bsq_is_map_name(name))
+            return bsq_fail(ctx, BSQ_EUSAGE, "channel %s: there is a map of this name", name);
         for (uint32_t j = 0; j < i; j++)
             if (strcmp(options->channels[j].name, name) == 0)
                 return bsq_fail(ctx, BSQ_EUSAGE, "channel %s is named twice", name);

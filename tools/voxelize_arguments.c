@@ -232,6 +232,8 @@ static int add_channel(struct cli *cli, struct voxelize_arguments *arguments, co
         return BSQ_EUSAGE;
     if (!bsq_is_channel_name(name))
         return cli_usage(cli, "--channels: \"%s\" is not a channel", word);
+    if (bsq_is_map_name(name))
+        return cli_usage(cli, "--channels: \"%s\": there is a map of this name", word);
     return equals && equals[1] == '\0' ? cli_usage(cli, "--channels: \"%s\" names no file", word)
                                        : 0;
 }

@@ -322,6 +322,10 @@ err_like 'two.tris is already a chunk file: leave out the images of --channels'
 $vox two.obj --channels Rough -o x.nvdb
 code 64
 err_like '"Rough" is not a channel'
+for name in normal id all transfer; do
+    run bisque-voxelize two.obj -o bad.nvdb --channels roughness,$name=three.png
+    refused 64 "bisque-voxelize: --channels: \"$name=three.png\": there is a map of this name"
+done
 $vox two.obj --channels a,a -o x.nvdb
 code 64
 err_like 'channel a is named twice'

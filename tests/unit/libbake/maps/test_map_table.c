@@ -10,6 +10,7 @@
 #include <string.h>
 #include <cmocka.h>
 
+#include "base/channels.h"
 #include "libbake/maps/map_encode.h"
 #include "tests/unit/fixture.h"
 
@@ -33,6 +34,7 @@ static void test_names_are_unique_words(void **state)
         const char *name = bake_map_name(i);
         assert_non_null(name);
         assert_true(name[0] != '\0');
+        assert_true(bsq_is_map_name(name));
         assert_int_equal(strspn(name, "abcdefghijklmnopqrstuvwxyz_0123456789"), strlen(name));
         for (unsigned j = 0; j < i; ++j)
             assert_string_not_equal(name, bake_map_name(j));
