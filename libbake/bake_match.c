@@ -36,18 +36,39 @@ static bool take(struct name *name, const char *text, size_t length)
     return there;
 }
 
+/* Returns the length of an object's name without its suffix. */
+static size_t stem_length(const struct bake_options *options, const char *object)
+{
+    const size_t low = strlen(options->low_suffix), length = strlen(object);
+    const bool ends =
+        low > 0 && length > low && strcmp(object + length - low, options->low_suffix) == 0;
+    return ends ? length - low : length;
+}
+
 /* Returns whether an object and a scan have the same name but for their suffixes. What follows the
  * scan's suffix after a '_' is the number of a scan, or any other text. */
 static bool match(const struct bake_options *options, const char *object, struct name scan)
 {
-    const size_t low = strlen(options->low_suffix), high = strlen(options->high_suffix);
-    size_t stem = strlen(object);
-    if (low > 0 && stem > low && strcmp(object + stem - low, options->low_suffix) == 0)
-        stem -= low;
-    if (!take(&scan, object, stem))
+    if (!take(&scan, object, stem_length(options, object)))
         return false;
-    return scan.length == 0 ||
-           (take(&scan, options->high_suffix, high) && (scan.length == 0 || *scan.at == '_'));
+    return scan.length == 0 || (take(&scan, options->high_suffix, strlen(options->high_suffix)) &&
+                                (scan.length == 0 || *scan.at == '_'));
+}
+
+/* Lets a scan be seen only by the objects that share most of its name with it: "body_arm_high" is a
+ * scan of "body_arm_low", not another one of "body_low", if the suffixes allow both. */
+static void keep_longest(struct bake_run *job, uint32_t scan)
+{
+    const uint32_t scans = scan_count(job), objects = job->mesh.objects.count;
+    size_t longest = 0;
+    for (uint32_t o = 0; o < objects; o++) {
+        const size_t stem = stem_length(job->options, job->mesh.objects.list[o]);
+        if (job->sees[(uint64_t)o * scans + scan] && stem > longest)
+            longest = stem;
+    }
+    for (uint32_t o = 0; o < objects; o++)
+        job->sees[(uint64_t)o * scans + scan] &=
+            stem_length(job->options, job->mesh.objects.list[o]) == longest;
 }
 
 /* ---- messages ---- */
@@ -113,6 +134,11 @@ int bake_match_names(struct bake_run *job)
         for (uint32_t s = 0; s < scans && status == 0; s++)
             job->sees[(uint64_t)o * scans + s] =
                 match(job->options, job->mesh.objects.list[o], scan_name(job, s));
+    }
+    for (uint32_t s = 0; s < scans && status == 0; s++) {
+        status = bsq_check(job->ctx);
+        if (status == 0)
+            keep_longest(job, s);
     }
     return status < 0 ? status : fail_alone(job, job->sees);
 }

@@ -160,6 +160,14 @@ $bake $size --maps mask scans/body_high_1.nvdb scans/belt_high.nvdb letters.obj 
     --match name --match-suffixes _L,_high --front 1 --back 0
 code 0
 rm x.exr
+# A scan belongs to the object that shares most of its name.
+cp scans/body_high_1.nvdb body.nvdb
+cp scans/belt_high.nvdb body_belt.nvdb
+sed 's/belt_low/body_belt_low/' pair.obj >nested.obj
+$bake $size --maps height body.nvdb body_belt.nvdb nested.obj -o nested.exr --padding 0 --match name --match-suffixes _low, --json
+code 0
+json '.misses == 0 and (.encodings.height.range - 0.3125 | fabs) < 0.001'
+rm body.nvdb body_belt.nvdb nested.*
 $bake $size --maps mask left.nvdb scans/belt_high.nvdb pair.obj -o x.exr --match name
 refused 64 "$p: names do not match: low-poly objects without a scan: body_low; scans without an object: left"
 $bake $size --maps mask scans/belt_high.nvdb pair.obj -o x.exr --match name
