@@ -164,7 +164,7 @@ rm x.exr
 cp scans/body_high_1.nvdb body.nvdb
 cp scans/belt_high.nvdb body_belt.nvdb
 sed 's/belt_low/body_belt_low/' pair.obj >nested.obj
-$bake $size --maps height body.nvdb body_belt.nvdb nested.obj -o nested.exr --padding 0 --match name --match-suffixes _low, --json
+$bake $size --maps height body.nvdb body_belt.nvdb nested.obj -o nested.exr $rays --padding 0 --match name --match-suffixes _low, --json
 code 0
 json '.misses == 0 and (.encodings.height.range - 0.3125 | fabs) < 0.001'
 rm body.nvdb body_belt.nvdb nested.*
