@@ -143,10 +143,11 @@ static int describe(struct bsq_ctx *ctx, const char *kind, const char *path, cha
 
 /* ---- pipes ---- */
 
-/* Returns whether a line is about a pipe. Paths of files are absolute. */
+/* Returns whether a line is about a pipe. Only meshes come through pipes; the path of a mesh file
+ * is absolute. Other inputs may be missing files, which have the path that was given. */
 static bool is_pipe_line(const char *line)
 {
-    return strcmp(path_of(line), "-") == 0;
+    return strncmp(line, "obj ", 4) == 0 && strcmp(path_of(line), "-") == 0;
 }
 
 /* Makes the line of a pipe. bytes: -1 as long as they are not known. */
@@ -185,6 +186,7 @@ static int describe_pipes(struct vox_job *job,
     for (const char *line = lines; *line && status >= 0; line = next_line(line)) {
         uint64_t bytes = 0, hash = 0;
         const bool is_pipe = is_pipe_line(line);
+        assert(!is_pipe || pipe < job->pipe_count);
         if (is_pipe)
             status = find(arg, job->pipes[pipe++], &bytes, &hash);
         if (status >= 0)
@@ -459,7 +461,8 @@ int vox_job_resume(struct vox_job *job, bool *sorted)
     *sorted = false;
     int status = load(job->ctx, job->record_path, UINT64_MAX, &text, &size);
     const size_t begin = status == 0 && text ? strlen(text) + 1 : 0;
-    if (begin > 0 && begin < size)
+    /* The last line, too, must have its null byte. */
+    if (begin > 0 && begin < size && text[size - 1] == '\0')
         status = first_line(job, text + begin, size - begin, &first);
     if (first && strcmp(text, first) == 0) {
         status = describe_pipes(job, find_by_reading, job->ctx);

@@ -54,7 +54,11 @@ $voxelize a.obj -o box.nvdb --resolution 32 --resume --json
 code 0
 json '.resumed == false and .scan.triangles == 12'
 same box.nvdb whole/box.nvdb
+# A record without its last null byte, with a right checksum.
+sed -z 1d job | head -c -1 >text
+{ sed -z "2,\$d; s/[0-9a-f]*\$/$("$TESTS/xxh3" <text)/" job; cat text; } >unended
 for damage in 'rm box.tris' ': >box.tris' 'cp other.tris box.tris' 'head -c 200 job >box.tris.job' ': >box.tris.job' \
+    'cp unended box.tris.job' \
     'sed s/job.2/job.3/ job >box.tris.job' 'sed s/Kd/Xd/ job | tr 4 5 >box.tris.job'; do
     cp whole/box.tris box.tris
     printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >other.obj
@@ -66,7 +70,7 @@ for damage in 'rm box.tris' ': >box.tris' 'cp other.tris box.tris' 'head -c 200 
     json '.resumed == false and .scan.triangles == 12'
     same box.tris whole/box.tris
 done
-rm -f other.* box.nvdb
+rm -f other.* box.nvdb text unended
 
 # A complete chunk file is used as it is; damage inside of it is found where it is read.
 cp whole/box.tris box.tris
@@ -146,6 +150,14 @@ stopped "$odd" -o odd.nvdb
 $voxelize "$odd" -o odd.nvdb --resume --json
 code 0
 json .resumed
+
+# A texture of the name "-", which does not exist, is not taken for a second pipe.
+"$BIN/bisque-voxelize" - -o piped.tris --texture dot.ppm <box.obj >"$out" 2>"$err"
+code=$? command="bisque-voxelize - --texture dot.ppm"
+code 0
+"$BIN/bisque-voxelize" - -o piped.tris --texture - --resume <box.obj >"$out" 2>"$err"
+code=$? command="bisque-voxelize - --texture - --resume"
+refused 64 "$p piped.tris was made from $here/dot.ppm, not from -: this job cannot be resumed"
 
 # ---- killed while it voxelizes ----
 
