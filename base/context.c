@@ -191,7 +191,6 @@ void bsq_clear_error(struct bsq_ctx *ctx)
     pthread_mutex_unlock(&ctx->error_lock);
     if (text)
         free_line(text);
-    atomic_store(&ctx->interrupted, 0);
 }
 
 /* Passes a line to on_warning, unless warnings are muted, and frees it. */
@@ -242,6 +241,11 @@ void bsq_mute_warnings(struct bsq_ctx *ctx, bool muted)
 void bsq_interrupt(struct bsq_ctx *ctx)
 {
     atomic_store(&ctx->interrupted, 1);
+}
+
+void bsq_clear_interruption(struct bsq_ctx *ctx)
+{
+    atomic_store(&ctx->interrupted, 0);
 }
 
 int bsq_check(struct bsq_ctx *ctx)

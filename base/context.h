@@ -112,7 +112,8 @@ int bsq_fail_errno(struct bsq_ctx *ctx, int status, int errnum, const char *form
  * bsq_clear_error() or bsq_ctx_destroy(). */
 const char *bsq_error(const struct bsq_ctx *ctx);
 
-/** Forgets the recorded failure, so that the context can be used for another job. */
+/** Forgets the recorded failure, for callers that can go on without what failed, and before another
+ * job. An interruption stays; see bsq_clear_interruption(). */
 void bsq_clear_error(struct bsq_ctx *ctx);
 
 /** Passes a line to on_warning. */
@@ -122,6 +123,9 @@ void bsq_warn(struct bsq_ctx *ctx, const char *format, ...) __attribute__((forma
 
 /** Makes all work of this context stop soon with BSQ_EINTR. Async-signal-safe. */
 void bsq_interrupt(struct bsq_ctx *ctx);
+
+/** Forgets bsq_interrupt(), so that the context can be used for another job. */
+void bsq_clear_interruption(struct bsq_ctx *ctx);
 
 /** Returns BSQ_EINTR after bsq_interrupt(), else 0. Long loops call this every few milliseconds. */
 int bsq_check(struct bsq_ctx *ctx);

@@ -198,7 +198,7 @@ int fmt_farm_part_is_there(const struct fmt_farm_plan *plan, uint32_t task,
                            const struct fmt_farm_part_steps *steps, bool *out);
 
 /* Checks that all parts are there and accepted. Errors: BSQ_ENOINPUT, which names the missing ones;
- * those of steps->check(). */
+ * BSQ_EINTR; those of steps->check(). */
 int fmt_farm_parts_check(const struct fmt_farm_plan *plan, const struct fmt_farm_part_steps *steps);
 
 /* Checks that the plan has a task of this number. Errors: BSQ_EUSAGE. */

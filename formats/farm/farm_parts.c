@@ -178,6 +178,8 @@ int fmt_farm_parts_check(const struct fmt_farm_plan *plan, const struct fmt_farm
             missing[count++] = task;
             status = 0;
         }
+        if (status == 0)
+            status = bsq_check(plan->ctx);
     }
     if (status == 0 && count > 0)
         status = fail_missing(plan, missing, count);

@@ -173,7 +173,10 @@ static void test_interruption(void **state)
     bsq_interrupt(ctx);
     assert_int_equal(bsq_check(ctx), BSQ_EINTR);
     assert_string_equal(bsq_error(ctx), "interrupted");
+    bsq_clear_error(ctx); /* a caller that can go on without what failed must still stop */
+    assert_int_equal(bsq_check(ctx), BSQ_EINTR);
     bsq_clear_error(ctx);
+    bsq_clear_interruption(ctx);
     assert_int_equal(bsq_check(ctx), 0);
     bsq_ctx_destroy(ctx);
 }

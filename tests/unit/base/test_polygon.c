@@ -487,6 +487,7 @@ static void test_interruption(void **state)
     bsq_interrupt(ctx);
     assert_int_equal(
         bsq_triangulate(ctx, (const double(*)[3])positions, MEDIUM, triangles, scratch), BSQ_EINTR);
+    bsq_clear_interruption(ctx);
     bsq_clear_error(ctx);
     free(triangles);
     free(scratch);

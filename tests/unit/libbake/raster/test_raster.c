@@ -482,6 +482,7 @@ static void test_interruption(void **state)
     bake_raster_free(raster);
     assert_int_equal(bake_raster_create(f->ctx, &f->mesh, &options, &report, &raster), BSQ_EINTR);
     assert_null(raster);
+    bsq_clear_interruption(f->ctx);
     bsq_clear_error(f->ctx);
 }
 
