@@ -1,8 +1,8 @@
 /* job_files.c - the files that a job reads and writes.
  *
  * Files are compared by device and inode, so links and other spellings of a path do not matter. A
- * file that does not exist is its directory and its name in it. Inputs are found by their path in a
- * hash table, because a scan may name very many textures; outputs are few. */
+ * file that does not exist is its directory and its name in it. Both lists are found by paths in
+ * hash tables, because a scan may name very many textures, and a bake may write very many tiles. */
 #include <errno.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -13,10 +13,7 @@
 
 #include "base/context_internal.h"
 #include "base/job_files.h"
-
-/* The first bytes are not counted against the budget, so that jobs with few files have the same
- * memory as without this list. */
-enum { FREE_BYTES = 64 << 10, FIRST_SLOTS = 64 };
+#include "base/text_table.h"
 
 /* Where a path leads. */
 struct place {
@@ -26,7 +23,7 @@ struct place {
 };
 
 struct input {
-    char *path;
+    const char *path;
     char *role; /* NULL: nobody said */
     struct place place;
     bool opened, own; /* own: this job wrote it before */
@@ -34,19 +31,18 @@ struct input {
 };
 
 struct output {
-    char *path;
+    const char *path;
     struct place place;
     bool written;
 };
 
 struct job_files {
-    struct input *inputs;
-    uint64_t input_count, input_capacity;
-    uint64_t *slots; /* open addressing: number of the input + 1 */
-    uint64_t slot_count;
-    struct output *outputs;
-    uint64_t output_count;
-    uint64_t bytes, reserved;
+    struct bsq_texts input_paths, output_paths;
+    struct input *inputs;   /* numbered as their paths */
+    struct output *outputs; /* numbered as their paths */
+    uint64_t input_capacity, output_capacity;
+    uint64_t own_count; /* of inputs that this job wrote before */
+    struct bsq_tally tally;
 };
 
 /* ---- places ---- */
@@ -92,57 +88,6 @@ static int fail_memory(struct bsq_ctx *ctx, const char *path)
     return BSQ_ENOMEM;
 }
 
-/* Returns the slot of a path: that of its input, or an empty one. Some slot must be empty. */
-static uint64_t *find_slot(const struct job_files *files, const char *path)
-{
-    uint64_t hash = UINT64_C(0xcbf29ce484222325); /* FNV-1a */
-    for (const char *c = path; *c; c++)
-        hash = (hash ^ (unsigned char)*c) * UINT64_C(0x100000001b3);
-    for (uint64_t i = hash;; i++) {
-        uint64_t *slot = &files->slots[i & (files->slot_count - 1)];
-        if (*slot == 0 || strcmp(files->inputs[*slot - 1].path, path) == 0)
-            return slot;
-    }
-}
-
-/* Counts the bytes of new entries against the budget. */
-static int count_bytes(struct bsq_ctx *ctx, struct job_files *files, uint64_t bytes)
-{
-    files->bytes += bytes;
-    if (files->bytes <= FREE_BYTES)
-        return 0;
-    int status = bsq_reserve(ctx, "names of files", bytes);
-    if (status == 0)
-        files->reserved += bytes;
-    return status;
-}
-
-/* Makes space for one more input, and keeps half of the slots empty. */
-static int grow_inputs(struct bsq_ctx *ctx, struct job_files *files, const char *path)
-{
-    if (files->input_count < files->input_capacity)
-        return 0;
-    uint64_t capacity = files->input_capacity ? 2 * files->input_capacity : FIRST_SLOTS / 2;
-    int status = count_bytes(ctx, files,
-                             (capacity - files->input_capacity) *
-                                 (sizeof *files->inputs + 2 * sizeof *files->slots));
-    if (status != 0)
-        return status;
-    struct input *inputs = reallocarray(files->inputs, capacity, sizeof *inputs);
-    if (inputs)
-        files->inputs = inputs;
-    uint64_t *slots = inputs ? calloc(2 * capacity, sizeof *slots) : NULL;
-    if (!slots)
-        return fail_memory(ctx, path);
-    free(files->slots);
-    files->slots = slots;
-    files->slot_count = 2 * capacity;
-    files->input_capacity = capacity;
-    for (uint64_t i = 0; i < files->input_count; i++)
-        *find_slot(files, inputs[i].path) = i + 1;
-    return 0;
-}
-
 static struct job_files *get_files(struct bsq_ctx *ctx)
 {
     if (!ctx->files)
@@ -167,37 +112,37 @@ static int add_input(struct bsq_ctx *ctx, const char *path, struct input **out)
     struct job_files *files = get_files(ctx);
     if (!files)
         return fail_memory(ctx, path);
-    int status = grow_inputs(ctx, files, path);
-    if (status != 0)
+    const uint64_t count = files->input_paths.count;
+    uint64_t number;
+    int status = bsq_tally_grow(ctx, &files->tally, count + 1, sizeof *files->inputs,
+                                &files->inputs, &files->input_capacity);
+    if (status == 0)
+        status = bsq_texts_add(ctx, &files->tally, &files->input_paths, path, &number);
+    if (status < 0)
         return status;
-    uint64_t *slot = find_slot(files, path);
-    if (*slot != 0) {
-        *out = &files->inputs[*slot - 1];
-        return 0;
-    }
-    if ((status = count_bytes(ctx, files, strlen(path) + 1)) != 0)
-        return status;
-    struct input input = {.path = strdup(path)};
-    if (!input.path)
-        return fail_memory(ctx, path);
-    input.place = find_place(path);
-    *out = &files->inputs[files->input_count++];
-    *slot = files->input_count;
-    **out = input;
+    *out = &files->inputs[number];
+    if (number == count)
+        **out = (struct input){.path = files->input_paths.list[number], .place = find_place(path)};
     return 0;
 }
 
-/* Compares an input with all outputs. */
+/* Compares an input with all outputs. One that was written counts before others that were noted
+ * under other names of the same file. */
 static int check_input(struct bsq_ctx *ctx, struct input *input)
 {
     struct job_files *files = ctx->files;
-    for (uint64_t i = 0; i < files->output_count; i++) {
-        if (!same_place(&input->place, &files->outputs[i].place))
-            continue;
-        if (!files->outputs[i].written)
-            return fail_overwrite(ctx, files->outputs[i].path, input);
-        input->own = true;
+    const struct output *same = NULL;
+    for (uint64_t i = 0; i < files->output_paths.count; i++) {
+        const struct output *output = &files->outputs[i];
+        if (same_place(&input->place, &output->place) && (!same || output->written))
+            same = output;
     }
+    if (!same)
+        return 0;
+    if (!same->written)
+        return fail_overwrite(ctx, same->path, input);
+    files->own_count += !input->own;
+    input->own = true;
     return 0;
 }
 
@@ -209,7 +154,7 @@ static int set_role(struct bsq_ctx *ctx, struct input *input, const char *format
         input->role = NULL;
         return fail_memory(ctx, input->path);
     }
-    return count_bytes(ctx, ctx->files, strlen(input->role) + 1);
+    return bsq_tally_add(ctx, &ctx->files->tally, strlen(input->role) + 1);
 }
 
 int bsq_note_input(struct bsq_ctx *ctx, const char *path, const char *format, ...)
@@ -262,7 +207,7 @@ int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, char **path, char **role
     *path = *role = NULL;
     pthread_mutex_lock(&ctx->files_lock);
     const struct job_files *files = ctx->files;
-    for (; status == 0 && files && *next < files->input_count; ++*next) {
+    for (; status == 0 && files && *next < files->input_paths.count; ++*next) {
         const struct input *input = &files->inputs[*next];
         if (!input->opened)
             continue;
@@ -281,24 +226,24 @@ int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, char **path, char **role
 
 /* ---- outputs ---- */
 
+/* Sets *out to the output with this path, which is added if it is new. */
 static int add_output(struct bsq_ctx *ctx, const char *path, struct output **out)
 {
     struct job_files *files = get_files(ctx);
-    for (uint64_t i = 0; files && i < files->output_count; i++)
-        if (strcmp(files->outputs[i].path, path) == 0) {
-            *out = &files->outputs[i];
-            return 0;
-        }
-    struct output *outputs =
-        files ? reallocarray(files->outputs, files->output_count + 1, sizeof *outputs) : NULL;
-    if (outputs)
-        files->outputs = outputs;
-    char *copy = outputs ? strdup(path) : NULL;
-    if (!copy)
+    if (!files)
         return fail_memory(ctx, path);
-    *out = &outputs[files->output_count++];
-    **out = (struct output){.path = copy};
-    return count_bytes(ctx, files, sizeof *outputs + strlen(path) + 1);
+    const uint64_t count = files->output_paths.count;
+    uint64_t number;
+    int status = bsq_tally_grow(ctx, &files->tally, count + 1, sizeof *files->outputs,
+                                &files->outputs, &files->output_capacity);
+    if (status == 0)
+        status = bsq_texts_add(ctx, &files->tally, &files->output_paths, path, &number);
+    if (status < 0)
+        return status;
+    *out = &files->outputs[number];
+    if (number == count)
+        **out = (struct output){.path = files->output_paths.list[number]};
+    return 0;
 }
 
 int bsq_note_output(struct bsq_ctx *ctx, const char *path)
@@ -310,7 +255,7 @@ int bsq_note_output(struct bsq_ctx *ctx, const char *path)
         free(output->place.name);
         output->place = find_place(path);
         output->written = false;
-        for (uint64_t i = 0; status == 0 && i < ctx->files->input_count; i++) {
+        for (uint64_t i = 0; status == 0 && i < ctx->files->input_paths.count; i++) {
             const struct input *input = &ctx->files->inputs[i];
             if (!input->own && same_place(&input->place, &output->place))
                 status = fail_overwrite(ctx, path, input);
@@ -322,19 +267,18 @@ int bsq_note_output(struct bsq_ctx *ctx, const char *path)
 
 void bsq_note_written(struct bsq_ctx *ctx, const char *path)
 {
-    struct place place = find_place(path);
     pthread_mutex_lock(&ctx->files_lock);
     struct job_files *files = ctx->files;
-    for (uint64_t i = 0; files && i < files->output_count; i++) {
-        struct output *output = &files->outputs[i];
+    const uint64_t number = files ? bsq_texts_find(&files->output_paths, path) : 0;
+    if (files && number < files->output_paths.count) {
+        struct output *output = &files->outputs[number];
         free(output->place.name);
-        output->place = find_place(output->path);
-        output->written |= same_place(&output->place, &place);
+        output->place = find_place(path);
+        output->written = true;
     }
-    for (uint64_t i = 0; files && i < files->input_count; i++)
+    for (uint64_t i = 0; files && files->own_count > 0 && i < files->input_paths.count; i++)
         files->inputs[i].opened &= !files->inputs[i].own;
     pthread_mutex_unlock(&ctx->files_lock);
-    free(place.name);
 }
 
 void bsq_forget_files(struct bsq_ctx *ctx)
@@ -345,18 +289,16 @@ void bsq_forget_files(struct bsq_ctx *ctx)
     pthread_mutex_unlock(&ctx->files_lock);
     if (!files)
         return;
-    for (uint64_t i = 0; i < files->input_count; i++) {
-        free(files->inputs[i].path);
+    for (uint64_t i = 0; i < files->input_paths.count; i++) {
         free(files->inputs[i].role);
         free(files->inputs[i].place.name);
     }
-    for (uint64_t i = 0; i < files->output_count; i++) {
-        free(files->outputs[i].path);
+    for (uint64_t i = 0; i < files->output_paths.count; i++)
         free(files->outputs[i].place.name);
-    }
-    bsq_release(ctx, files->reserved);
+    bsq_texts_free(&files->input_paths);
+    bsq_texts_free(&files->output_paths);
+    bsq_tally_release(ctx, &files->tally);
     free(files->inputs);
-    free(files->slots);
     free(files->outputs);
     free(files);
 }

@@ -29,7 +29,8 @@ int bsq_note_output(struct bsq_ctx *ctx, const char *path);
  * their order. Returns 1; 0 after the last one. Errors: BSQ_ENOMEM. */
 int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, char **path, char **role);
 
-/* Notes that an output has its final name now, and that later openings may find another file. */
+/* Notes that the output that was noted under this path has its final name now, and that later
+ * openings may find another file. */
 void bsq_note_written(struct bsq_ctx *ctx, const char *path);
 
 #ifdef __cplusplus

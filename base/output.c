@@ -35,6 +35,7 @@ static void free_output(struct bsq_output *output)
     free(output->temp_path);
     free(output->directory);
     free(output->path);
+    free(output->noted);
     free(output);
 }
 
@@ -78,8 +79,9 @@ int bsq_output_open(struct bsq_ctx *ctx, const char *path, struct bsq_output **o
     output->ctx = ctx;
     output->fd = output->directory_fd = -1;
     output->path = target;
+    output->noted = strdup(path);
     output->directory = bsq_dirname(target);
-    int error = output->directory ? create_temp(output) : ENOMEM;
+    int error = output->noted && output->directory ? create_temp(output) : ENOMEM;
     if (error) {
         status = bsq_fail_errno(ctx, BSQ_ECANTCREAT, error, "%s: cannot be created", path);
         free_output(output);

@@ -195,8 +195,11 @@ static int prepare(struct bsq_output *const *outputs, unsigned count)
         if (i == 0 || strcmp(outputs[i]->directory, outputs[i - 1]->directory) != 0)
             status = open_directory(outputs[i]);
     }
-    for (unsigned i = 0; status == 0 && i < count; i++)
-        status = name_temp(outputs[i]);
+    for (unsigned i = 0; status == 0 && i < count; i++) {
+        status = bsq_check(outputs[i]->ctx);
+        if (status == 0)
+            status = name_temp(outputs[i]);
+    }
     return status;
 }
 
@@ -220,7 +223,7 @@ static int commit_all(struct bsq_output *const *outputs, unsigned count)
     if (status == 0)
         status = give_names(outputs, count);
     for (unsigned i = 0; status == 0 && i < count; i++) {
-        bsq_note_written(outputs[i]->ctx, outputs[i]->path);
+        bsq_note_written(outputs[i]->ctx, outputs[i]->noted);
         bsq_temp_unmark(outputs[i]->fd);
         if (outputs[i]->exchanged)
             remove_old(outputs[i]);

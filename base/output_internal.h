@@ -11,6 +11,7 @@
 struct bsq_output {
     struct bsq_ctx *ctx;
     char *path;      /* final name, symbolic links followed; or a name for messages only */
+    char *noted;     /* the path under which the job knows it */
     char *directory; /* of both names; NULL: the file gets no final name */
     char *temp_path; /* NULL: the file has no name */
     mode_t old_mode; /* of the file that was there at the start; 0: none */

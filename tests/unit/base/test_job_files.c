@@ -17,6 +17,14 @@
 #include "base/job_files.h"
 #include "base/output.h"
 
+static uint64_t stats; /* calls of stat() */
+
+int stat(const char *path, struct stat *out)
+{
+    stats++;
+    return fstatat(AT_FDCWD, path, out, 0);
+}
+
 static char directory[] = "/tmp/bisque-test-job-files.XXXXXX";
 
 static int enter_directory(void **state)
@@ -218,6 +226,48 @@ static void test_own_outputs(void **state)
     unlink("between");
 }
 
+/* Outputs of a group are noted one by one: a commit does not look at all of them for each. */
+static void test_many_outputs(void **state)
+{
+    enum { COUNT = 300 };
+    struct bsq_ctx *ctx = *state;
+    struct bsq_output_group group = {0};
+    struct bsq_output *output;
+    char name[40];
+    for (int i = 0; i < COUNT; i++) {
+        snprintf(name, sizeof name, "map %d", i);
+        assert_int_equal(bsq_output_open(ctx, name, &output), 0);
+        assert_int_equal(bsq_output_group_add(&group, output), 0);
+    }
+    stats = 0;
+    assert_int_equal(bsq_output_group_commit(&group), 0);
+    assert_in_range(stats, 1, 10 * COUNT);
+    for (int i = 0; i < COUNT; i++) {
+        snprintf(name, sizeof name, "map %d", i);
+        assert_int_equal(reopen(ctx, name), 0);
+        unlink(name);
+    }
+    assert_in_range(bsq_memory_used(ctx), 0, COUNT * 400);
+    bsq_forget_files(ctx);
+    assert_int_equal(bsq_memory_used(ctx), 0);
+}
+
+/* An output that was noted under two names of a file is written under one. */
+static void test_own_output_with_two_names(void **state)
+{
+    struct bsq_ctx *ctx = *state;
+    assert_int_equal(symlink("out", "link"), 0);
+    put("out", "old");
+    assert_int_equal(bsq_output_check(ctx, "link"), 0);
+    assert_int_equal(bsq_output_check(ctx, "out"), 0);
+    assert_int_equal(write_output(ctx, "link"), 0);
+    assert_int_equal(bsq_note_output(ctx, "./out"), 0); /* also an unwritten one of this file */
+    assert_int_equal(reopen(ctx, "out"), 0);
+    assert_int_equal(reopen(ctx, "link"), 0);
+    unlink("link");
+    unlink("out");
+}
+
 /* Many names are found again, and their memory is counted. */
 static void test_many_inputs(void **state)
 {
@@ -247,7 +297,9 @@ int main(void)
         cmocka_unit_test_setup_teardown(test_links_and_spellings, create, destroy),
         cmocka_unit_test_setup_teardown(test_missing_inputs, create, destroy),
         cmocka_unit_test_setup_teardown(test_own_outputs, create, destroy),
+        cmocka_unit_test_setup_teardown(test_own_output_with_two_names, create, destroy),
         cmocka_unit_test_setup_teardown(test_many_inputs, create, destroy),
+        cmocka_unit_test_setup_teardown(test_many_outputs, create, destroy),
     };
     return cmocka_run_group_tests(tests, enter_directory, leave_directory);
 }

@@ -1,0 +1,41 @@
+/* text_table.h - private to base: distinct texts, such as the names of files, and the memory that
+ * they take. Not thread-safe. */
+#ifndef BSQ_TEXT_TABLE_H
+#define BSQ_TEXT_TABLE_H
+
+#include "base/context.h"
+
+/* Bytes of lists that grow with the files of a job. The first BSQ_FREE_BYTES are not counted
+ * against the budget, so that jobs with few files have the same memory as without these lists. */
+struct bsq_tally {
+    uint64_t bytes, reserved;
+};
+#define BSQ_FREE_BYTES (UINT64_C(64) << 10)
+
+/* Counts more bytes. Errors: BSQ_ENOMEM. */
+int bsq_tally_add(struct bsq_ctx *ctx, struct bsq_tally *tally, uint64_t bytes);
+/* Returns all bytes to the budget. */
+void bsq_tally_release(struct bsq_ctx *ctx, struct bsq_tally *tally);
+
+/* Texts in the order in which they were added. All zeros: empty. Free it with bsq_texts_free(). */
+struct bsq_texts {
+    char **list; /* each stays where it is */
+    uint64_t count, capacity;
+    uint64_t *slots; /* open addressing: number of the text + 1, 0 in empty slots; twice as many as
+                        `capacity`, a power of 2 */
+};
+
+/* Returns the number of a text; texts->count if it is not there. */
+uint64_t bsq_texts_find(const struct bsq_texts *texts, const char *text);
+/* Sets *number to the number of a text. A copy is added if the text is new: then *number was
+ * texts->count. Errors: BSQ_ENOMEM. */
+int bsq_texts_add(struct bsq_ctx *ctx, struct bsq_tally *tally, struct bsq_texts *texts,
+                  const char *text, uint64_t *number);
+void bsq_texts_free(struct bsq_texts *texts);
+
+/* Grows *inout, an array of elements of `size` bytes, to hold at least `count` of them, by doubling
+ * *capacity. New elements are not initialised. Errors: BSQ_ENOMEM. */
+int bsq_tally_grow(struct bsq_ctx *ctx, struct bsq_tally *tally, uint64_t count, uint64_t size,
+                   void *inout, uint64_t *capacity);
+
+#endif
