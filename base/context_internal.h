@@ -13,6 +13,7 @@ struct bsq_pool;
 struct bsq_identity;
 struct job_files;
 struct bsq_path_map;
+struct bsq_sweeps;
 
 struct bsq_stage {
     const char *name, *unit; /* name is NULL between stages */
@@ -39,6 +40,7 @@ struct bsq_ctx {
     pthread_mutex_t files_lock;
     struct job_files *files;    /* NULL until the first is noted; guarded by files_lock */
     struct bsq_path_map *paths; /* NULL: no rules; guarded by files_lock */
+    struct bsq_sweeps *sweeps;  /* directories of outputs; guarded by files_lock */
 
     struct bsq_pool *pool; /* NULL until the first parallel call */
 };
@@ -63,6 +65,9 @@ int bsq_error_status(struct bsq_ctx *ctx);
 
 /* Stops and frees the threads; NULL is allowed. */
 void bsq_pool_destroy(struct bsq_pool *pool);
+
+/* Frees what is known of the directories of outputs; NULL is allowed. */
+void bsq_sweeps_free(struct bsq_ctx *ctx, struct bsq_sweeps *sweeps);
 
 /* Frees the rules of paths; NULL is allowed. */
 void bsq_path_map_free(struct bsq_path_map *map);

@@ -235,14 +235,16 @@ static char *temp_directory(const struct bsq_ctx *ctx, const char *beside)
 
 /* Opens a file without a name, or one that loses its name at once if the file system has no unnamed
  * files. */
-static int open_unnamed(const char *directory, int *fd)
+static int open_unnamed(struct bsq_ctx *ctx, const char *directory, int *fd)
 {
     static const char name[] = "bisque";
     char *path;
     int error = bsq_temp_unnamed(directory, 0600, false, fd);
     if (error != EOPNOTSUPP && error != EISDIR && error != ENOENT && error != EINVAL)
         return error;
-    bsq_temp_sweep(directory, name);
+    error = bsq_temp_sweep(ctx, directory, name);
+    if (error)
+        return error;
     error = bsq_temp_named(directory, name, 0600, &path, fd);
     if (error == 0)
         unlink(path);
@@ -261,7 +263,7 @@ int bsq_file_temp(struct bsq_ctx *ctx, const char *beside, const char *what, str
     if (asprintf(&label, "%s: temporary file for %s", directory, what) < 0) {
         status = bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "temporary file for %s", what);
     } else {
-        int fd, error = open_unnamed(directory, &fd);
+        int fd, error = open_unnamed(ctx, directory, &fd);
         if (error) {
             status = bsq_fail_errno(ctx, BSQ_ECANTCREAT, error, "%s", label);
             free(label);

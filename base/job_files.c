@@ -285,8 +285,11 @@ void bsq_forget_files(struct bsq_ctx *ctx)
 {
     pthread_mutex_lock(&ctx->files_lock);
     struct job_files *files = ctx->files;
+    struct bsq_sweeps *sweeps = ctx->sweeps;
     ctx->files = NULL;
+    ctx->sweeps = NULL;
     pthread_mutex_unlock(&ctx->files_lock);
+    bsq_sweeps_free(ctx, sweeps);
     if (!files)
         return;
     for (uint64_t i = 0; i < files->input_paths.count; i++) {

@@ -55,8 +55,10 @@ static int create_temp(struct bsq_output *output)
     const char *name = bsq_file_name(output->path);
     output->old_mode = stat(output->path, &old) == 0 ? old.st_mode : 0;
     mode_t mode = output->old_mode ? 0600 : 0666;
-    bsq_temp_sweep(output->directory, name);
-    int error = bsq_temp_unnamed(output->directory, mode, true, &output->fd);
+    int error = bsq_temp_sweep(output->ctx, output->directory, name);
+    if (error)
+        return error;
+    error = bsq_temp_unnamed(output->directory, mode, true, &output->fd);
     if (lacks_unnamed(error))
         error = bsq_temp_named(output->directory, name, mode, &output->temp_path, &output->fd);
     return error;

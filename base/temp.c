@@ -19,6 +19,7 @@
 #include "base/context_internal.h"
 #include "base/file.h"
 #include "base/temp_internal.h"
+#include "base/text_table.h"
 
 enum { RANDOM_LETTERS = 6, CHECK_LETTERS = 6, NAME_BYTES = 200, ATTEMPTS = 100 };
 
@@ -35,11 +36,11 @@ struct ending {
 
 /* Appends the check letters and the suffix to "." and random letters. The checksum is FNV-1a
  * (Fowler, Noll, Vo) of the name and these letters. */
-static void finish_ending(const char *name, struct ending *ending)
+static void finish_ending(const char *name, size_t length, struct ending *ending)
 {
     uint64_t hash = UINT64_C(0xcbf29ce484222325);
     char *end = ending->text + 1 + RANDOM_LETTERS;
-    for (size_t i = strnlen(name, NAME_BYTES); i > 0; i--)
+    for (size_t i = length; i > 0; i--)
         hash = (hash ^ (unsigned char)*name++) * UINT64_C(0x100000001b3);
     for (const char *c = ending->text; c < end; c++)
         hash = (hash ^ (unsigned char)*c) * UINT64_C(0x100000001b3);
@@ -59,7 +60,7 @@ static int new_path(const char *directory, const char *name, char **path)
     }
     for (int i = 0; i < RANDOM_LETTERS; i++)
         ending.text[1 + i] = letters[bytes[i] % (sizeof letters - 1)];
-    finish_ending(name, &ending);
+    finish_ending(name, strnlen(name, NAME_BYTES), &ending);
     if (asprintf(path, "%s/.%.*s%s", directory, NAME_BYTES, name, ending.text) < 0) {
         *path = NULL;
         return ENOMEM;
@@ -67,17 +68,18 @@ static int new_path(const char *directory, const char *name, char **path)
     return 0;
 }
 
-/* Returns true if new_path() can have made `entry` from `name`. */
-static bool is_temp_name(const char *entry, const char *name)
+/* Returns the length of the name from which new_path() can have made `entry`, and which follows the
+ * first character; 0: it has not made it. */
+static size_t name_length(const char *entry)
 {
-    size_t length = strnlen(name, NAME_BYTES);
     struct ending ending = {"."};
-    if (entry[0] != '.' || strlen(entry) != 1 + length + sizeof ending.text - 1 ||
-        strncmp(entry + 1, name, length) != 0)
-        return false;
+    const size_t others = 1 + sizeof ending.text - 1, all = strlen(entry);
+    if (entry[0] != '.' || all <= others || all - others > NAME_BYTES)
+        return 0;
+    const size_t length = all - others;
     memcpy(ending.text + 1, entry + 1 + length + 1, RANDOM_LETTERS);
-    finish_ending(name, &ending);
-    return strcmp(entry + 1 + length, ending.text) == 0;
+    finish_ending(entry + 1, length, &ending);
+    return strcmp(entry + 1 + length, ending.text) == 0 ? length : 0;
 }
 
 /* ---- marks ---- */
@@ -157,16 +159,101 @@ static void remove_unowned(int directory_fd, const char *entry)
     close(fd);
 }
 
-void bsq_temp_sweep(const char *directory, const char *name)
+/* ---- leftovers ---- */
+
+/* Temporary names that a directory had when the job first looked. There are hardly any, while the
+ * directory may have very many files, and a job very many outputs there. */
+struct swept {
+    dev_t device;
+    ino_t inode;
+    struct bsq_texts names;
+};
+
+struct bsq_sweeps {
+    struct swept *list;
+    uint64_t count, capacity;
+    struct bsq_tally tally;
+};
+
+static int list_names(struct bsq_ctx *ctx, struct bsq_tally *tally, DIR *list,
+                      struct bsq_texts *names)
 {
-    DIR *list = opendir(directory);
+    int status = 0;
+    uint64_t number;
+    for (struct dirent *entry; status == 0 && (entry = readdir(list));)
+        if (name_length(entry->d_name) > 0)
+            status = bsq_texts_add(ctx, tally, names, entry->d_name, &number);
+    return status == 0 ? 0 : ENOMEM;
+}
+
+/* Sets *out to the names in a directory; NULL: it cannot be read. Returns an errno. */
+static int find_swept(struct bsq_ctx *ctx, struct bsq_sweeps *sweeps, const char *directory,
+                      const struct swept **out)
+{
+    struct stat info;
+    *out = NULL;
+    if (stat(directory, &info) != 0)
+        return 0;
+    for (uint64_t i = sweeps->count; i-- > 0 && !*out;)
+        if (sweeps->list[i].inode == info.st_ino && sweeps->list[i].device == info.st_dev)
+            *out = &sweeps->list[i];
+    DIR *list = *out ? NULL : opendir(directory);
     if (!list)
-        return;
-    for (struct dirent *entry; (entry = readdir(list));) {
-        if (is_temp_name(entry->d_name, name))
-            remove_unowned(dirfd(list), entry->d_name);
-    }
+        return 0;
+    struct swept swept = {.device = info.st_dev, .inode = info.st_ino};
+    int error = bsq_tally_grow(ctx, &sweeps->tally, sweeps->count + 1, sizeof *sweeps->list,
+                               &sweeps->list, &sweeps->capacity) == 0
+                    ? list_names(ctx, &sweeps->tally, list, &swept.names)
+                    : ENOMEM;
     closedir(list);
+    if (error) {
+        bsq_texts_free(&swept.names);
+        return error;
+    }
+    sweeps->list[sweeps->count] = swept;
+    *out = &sweeps->list[sweeps->count++];
+    return 0;
+}
+
+static void remove_leftovers(const struct swept *swept, const char *directory, const char *name)
+{
+    const size_t length = strnlen(name, NAME_BYTES);
+    int fd = -1;
+    for (uint64_t i = 0; i < swept->names.count; i++) {
+        const char *entry = swept->names.list[i];
+        if (strncmp(entry + 1, name, length) != 0 || name_length(entry) != length)
+            continue;
+        if (fd < 0)
+            fd = bsq_open(directory, O_RDONLY | O_DIRECTORY, 0);
+        if (fd >= 0)
+            remove_unowned(fd, entry);
+    }
+    if (fd >= 0)
+        close(fd);
+}
+
+int bsq_temp_sweep(struct bsq_ctx *ctx, const char *directory, const char *name)
+{
+    const struct swept *swept = NULL;
+    pthread_mutex_lock(&ctx->files_lock);
+    if (!ctx->sweeps)
+        ctx->sweeps = calloc(1, sizeof *ctx->sweeps);
+    int error = ctx->sweeps ? find_swept(ctx, ctx->sweeps, directory, &swept) : ENOMEM;
+    if (error == 0 && swept)
+        remove_leftovers(swept, directory, name);
+    pthread_mutex_unlock(&ctx->files_lock);
+    return error;
+}
+
+void bsq_sweeps_free(struct bsq_ctx *ctx, struct bsq_sweeps *sweeps)
+{
+    if (!sweeps)
+        return;
+    for (uint64_t i = 0; i < sweeps->count; i++)
+        bsq_texts_free(&sweeps->list[i].names);
+    bsq_tally_release(ctx, &sweeps->tally);
+    free(sweeps->list);
+    free(sweeps);
 }
 
 /* ---- files ---- */

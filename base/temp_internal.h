@@ -14,6 +14,8 @@
 #include <stdbool.h>
 #include <sys/types.h>
 
+struct bsq_ctx;
+
 /* Opens a file without a name in a directory. `linkable`: only if bsq_temp_link() can name it. */
 int bsq_temp_unnamed(const char *directory, mode_t mode, int linkable, int *fd);
 
@@ -25,8 +27,10 @@ int bsq_temp_link(int fd, const char *directory, const char *name, char **path);
 
 /* Removes the files of this name that no process owns, as far as possible. A file stays if its
  * owner lives or the file system has no locks; and if it has no mark, unless it is empty (its owner
- * was about to mark it) or the file system has no extended attributes. */
-void bsq_temp_sweep(const char *directory, const char *name);
+ * was about to mark it) or the file system has no extended attributes. A job reads each directory
+ * once, so files that come later stay for the next job. Thread-safe. Returns ENOMEM if the names do
+ * not fit in memory or in the budget. */
+int bsq_temp_sweep(struct bsq_ctx *ctx, const char *directory, const char *name);
 
 /* Marks a file, for the time in which it has a temporary name. Returns false if it cannot be marked
  * but the file system has attributes. */

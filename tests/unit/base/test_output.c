@@ -20,6 +20,15 @@
 #include "base/output_internal.h"
 #include "base/temp_internal.h"
 
+static unsigned directories_read; /* calls of opendir() */
+
+DIR *opendir(const char *path)
+{
+    int fd = open(path, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    directories_read++;
+    return fd < 0 ? NULL : fdopendir(fd);
+}
+
 static char directory[] = "/tmp/bisque-test-output.XXXXXX";
 
 static int enter_directory(void **state)
@@ -311,8 +320,8 @@ static void test_default_access_list(void **state)
 
 /* ---- temporary names ---- */
 
-/* Creates a file with a temporary name of "out", and opens and discards an output of that name.
- * Returns whether the file is still there. */
+/* Creates a file with a temporary name of "out", and opens and discards an output of that name in
+ * another job. Returns whether the file is still there. */
 static bool stays(struct bsq_ctx *ctx, const char *content, bool marked, bool locked)
 {
     char *path;
@@ -323,6 +332,7 @@ static bool stays(struct bsq_ctx *ctx, const char *content, bool marked, bool lo
         bsq_temp_unmark(fd);
     if (!locked)
         close(fd);
+    bsq_forget_files(ctx);
     bsq_output_discard(start(ctx, "out"));
     bool there = unlink(path) == 0;
     free(path);
@@ -338,6 +348,7 @@ static void test_sweep_removes_own_files_only(void **state)
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
         put(names[i], "");
         setxattr(names[i], "user.bisque.temporary", "", 0, 0);
+        bsq_forget_files(*state);
         bsq_output_discard(start(*state, "out"));
         assert_int_equal(unlink(names[i]), 0);
     }
@@ -352,6 +363,33 @@ static void test_sweep_removes_own_files_only(void **state)
     unlink("attributes");
     assert_int_equal(stays(*state, "a user's", false, false), can_mark);
     assert_int_equal(files_here(), 0);
+}
+
+/* A job reads a directory once, however many outputs it has there, and still removes the leftovers
+ * of each. */
+static void test_directories_are_read_once(void **state)
+{
+    enum { COUNT = 50 };
+    char name[40], *paths[COUNT];
+    struct bsq_ctx *ctx = *state;
+    assert_int_equal(mkdir("sub", 0700), 0);
+    for (int i = 0; i < COUNT; i++) {
+        int fd;
+        snprintf(name, sizeof name, "out%d", i);
+        assert_int_equal(bsq_temp_named(i % 2 ? "sub" : ".", name, 0600, &paths[i], &fd), 0);
+        close(fd);
+    }
+    directories_read = 0;
+    for (int i = 0; i < 2 * COUNT; i++) {
+        snprintf(name, sizeof name, "%sout%d", i / 2 % 2 ? "sub/" : "./", i / 2);
+        assert_int_equal(bsq_output_check(ctx, name), 0);
+    }
+    assert_int_equal(directories_read, 2);
+    for (int i = 0; i < COUNT; i++) {
+        assert_int_equal(access(paths[i], F_OK), -1);
+        free(paths[i]);
+    }
+    assert_int_equal(rmdir("sub"), 0);
 }
 
 static void test_outputs_have_no_mark(void **state)
@@ -445,13 +483,21 @@ static void test_reading_before_the_commit(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        TEST(test_dangling_links_are_followed),   TEST(test_loops_of_links),
-        TEST(test_links_to_files_without_a_name), TEST(test_mode_is_kept),
-        TEST(test_private_until_it_is_complete),  TEST(test_owner_is_kept),
-        TEST(test_rights_without_the_group),      TEST(test_access_list_is_kept),
-        TEST(test_default_access_list),           TEST(test_sweep_removes_own_files_only),
-        TEST(test_outputs_have_no_mark),          TEST(test_group_appears),
-        TEST(test_group_appears_not_at_all),      TEST(test_reading_before_the_commit),
+        TEST(test_dangling_links_are_followed),
+        TEST(test_loops_of_links),
+        TEST(test_links_to_files_without_a_name),
+        TEST(test_mode_is_kept),
+        TEST(test_private_until_it_is_complete),
+        TEST(test_owner_is_kept),
+        TEST(test_rights_without_the_group),
+        TEST(test_access_list_is_kept),
+        TEST(test_default_access_list),
+        TEST(test_sweep_removes_own_files_only),
+        TEST(test_directories_are_read_once),
+        TEST(test_outputs_have_no_mark),
+        TEST(test_group_appears),
+        TEST(test_group_appears_not_at_all),
+        TEST(test_reading_before_the_commit),
     };
     return cmocka_run_group_tests(tests, enter_directory, leave_directory);
 }
