@@ -2,11 +2,14 @@
  *
  * Everything goes through pread and pwrite: no shared file position, so that threads can work on
  * one descriptor, and no mapped writes, which a full disk would turn into SIGBUS. */
+#include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/statvfs.h>
 #include <unistd.h>
@@ -25,6 +28,33 @@ int bsq_fd_above_standard(int fd)
     close(fd);
     errno = error;
     return above;
+}
+
+/* Counts the open files, or only the standard ones if /proc is not mounted. */
+static uint64_t count_open(void)
+{
+    DIR *list = opendir("/proc/self/fd");
+    uint64_t count = 0;
+    if (!list)
+        return STDERR_FILENO + 1;
+    for (struct dirent *entry; (entry = readdir(list));)
+        count += entry->d_name[0] != '.';
+    closedir(list);
+    return count > 0 ? count - 1 : 0; /* the list itself is closed now */
+}
+
+int bsq_require_descriptors(struct bsq_ctx *ctx, const char *output, uint64_t count)
+{
+    struct rlimit limit;
+    if (getrlimit(RLIMIT_NOFILE, &limit) != 0 || count <= limit.rlim_cur / 2)
+        return 0;
+    const uint64_t open = count_open();
+    if (open <= limit.rlim_cur && count <= limit.rlim_cur - open)
+        return 0;
+    return bsq_fail_errno(ctx, BSQ_ECANTCREAT, EMFILE,
+                          "%s: %" PRIu64 " outputs must be open together with %" PRIu64
+                          " other files, the limit is %" PRIu64,
+                          output, count, open, (uint64_t)limit.rlim_cur);
 }
 
 /* A thread may have printed into a new file before its descriptor was moved. */

@@ -102,6 +102,11 @@ int bsq_require_disk(struct bsq_ctx *ctx, const char *beside, uint64_t bytes);
 int bsq_require_space(struct bsq_ctx *ctx, const char *output, uint64_t output_bytes,
                       uint64_t temp_bytes);
 
+/* Checks that the process may open `count` more outputs together with the files that are open now
+ * (RLIMIT_NOFILE). `output` is the path for the message. Errors: BSQ_ECANTCREAT, which names these
+ * numbers. */
+int bsq_require_descriptors(struct bsq_ctx *ctx, const char *output, uint64_t count);
+
 /* A whole file mapped read-only, 4096-byte aligned.
  *
  * If the file shrinks while it is mapped, or the disk fails, the lost memory reads as zeros instead

@@ -71,12 +71,23 @@ static struct bake_traced traced_of(const struct bake_run *job)
     return traced;
 }
 
+/* All outputs stay open until they get their names together. */
+static int require_descriptors(const struct bake_run *job)
+{
+    uint64_t count = job->options->preview_path != NULL;
+    for (uint32_t i = 0; i < job->udim.count; ++i)
+        count += bake_tile_file_count(&job->tiles[i]);
+    return bsq_require_descriptors(job->ctx, job->options->output_path, count);
+}
+
 /* Checks the files of all tiles before the work, and creates those of the first. Those of other
  * tiles are created when they are written. */
 int bake_open_outputs(struct bake_run *job)
 {
     int status = job->options->more_scan_count > 0 ? name_scans(job) : 0;
     const struct bake_traced traced = traced_of(job);
+    if (status == 0)
+        status = require_descriptors(job);
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
         status = bake_tile_check_files(job->ctx, &job->tiles[i], NULL);
     if (status == 0)

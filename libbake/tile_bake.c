@@ -199,6 +199,14 @@ static bool is_same_path(const char *a, const char *b)
     return info[0].st_dev == info[1].st_dev && info[0].st_ino == info[1].st_ino;
 }
 
+unsigned bake_tile_file_count(const struct bake_tile *tile)
+{
+    unsigned count = 0;
+    for (unsigned i = 0; i < bake_selection_end(tile->maps); ++i)
+        count += bake_has_file(&tile->options, tile->maps, i);
+    return count;
+}
+
 int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile, const char *other)
 {
     const char *preview = tile->options.preview_path;

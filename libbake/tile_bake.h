@@ -75,6 +75,9 @@ int bake_tile_objects(const struct bake_tile_scene *scene, const struct bake_til
  * those of bake_image_create(). */
 int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t memory_bytes);
 
+/* Returns the number of the tile's files. */
+unsigned bake_tile_file_count(const struct bake_tile *tile);
+
 /* Checks that the tile's files can be created, are no inputs, and are neither the preview nor the
  * file `other`, which may be NULL. Errors: BSQ_EUSAGE, BSQ_ECANTCREAT, BSQ_ENOMEM. */
 int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile, const char *other);

@@ -197,4 +197,25 @@ rm a.nvdb
 few bisque-bake scan.nvdb low.obj --device cpu --size 32 --samples 1 --maps normal,color,mask -o 'a_<MAP>.exr'
 rm a_*.exr
 
+# Maps of many tiles are counted before the work.
+awk 'BEGIN { for (t = 0; t < 100; t++) {
+    u = t % 10; v = int(t / 10)
+    printf "v %d %d 0\nv %d %d 0\nv %d %d 0\n", u, v, u + 1, v, u, v + 1
+    printf "vt %.1f %.1f\nvt %.1f %.1f\nvt %.1f %.1f\n", u + .1, v + .1, u + .9, v + .1, u + .1, v + .9
+    printf "f %d/%d %d/%d %d/%d\n", 3 * t + 1, 3 * t + 1, 3 * t + 2, 3 * t + 2, 3 * t + 3, 3 * t + 3 } }' >many.obj
+run bisque-voxelize many.obj -o many.nvdb --no-tris --resolution 20
+inputs=$(ls -A)
+command="bisque-bake of 200 maps with 150 descriptors" code=0
+(ulimit -n 150 && exec "$BIN/bisque-bake" many.nvdb many.obj --device cpu --size 8 --maps normal,height \
+    -o '<MAP>.<UDIM>.exr' --progress json) >"$out" 2>"$err" || code=$?
+code 73
+tail -n 1 "$err" | grep -Eq "^bisque-bake: <MAP>\.<UDIM>\.exr: 200 outputs must be open together with [0-9]+ other files, the limit is 150: Too many open files\$" &&
+    ! grep -q tracing "$err" && [ "$(ls -A)" = "$inputs" ]
+check "refused before the work" $?
+command="bisque-bake of 200 maps with 250 descriptors" code=0
+(ulimit -n 250 && exec "$BIN/bisque-bake" many.nvdb many.obj --device cpu --size 8 --maps normal,height \
+    -o '<MAP>.<UDIM>.exr') >"$out" 2>"$err" || code=$?
+code 0
+rm *.exr
+
 finish
