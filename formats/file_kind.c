@@ -18,7 +18,7 @@ int fmt_recognise(struct bsq_ctx *ctx, const char *path, enum fmt_kind *out)
     bsq_file_close(ctx, &file);
     if (status < 0)
         return status;
-    if (fmt_tris_recognise(head))
+    if (fmt_tris_recognise(path, head, size))
         *out = FMT_KIND_TRIS;
     else if (fmt_nvdb_recognise(head))
         *out = FMT_KIND_NVDB;

@@ -58,6 +58,16 @@ static int read_blocks(struct scan *scan, struct fmt_mesh_reader *reader,
     return status;
 }
 
+/* Makes an empty scan. */
+static void begin_scan(struct scan *scan, struct bsq_ctx *ctx,
+                       const struct vox_sort_options *options, const struct sort_limits *limits)
+{
+    vox_scan_init(scan, ctx, limits, options->scan_paths, options->tris_path);
+    scan->path_count = options->scan_count;
+    scan->channels = options->channels;
+    scan->channel_count = options->channel_count;
+}
+
 /* Drops what was read and prepares to read again, with the scale that the colours turned out to
  * have. */
 static void begin_again(struct scan *scan, const struct vox_sort_options *options,
@@ -68,9 +78,7 @@ static void begin_again(struct scan *scan, const struct vox_sort_options *option
     const float color_scale = vox_color_votes_scale(&scan->color_votes);
     vox_partition_free(scan, out);
     vox_scan_free(scan);
-    vox_scan_init(scan, ctx, limits, options->scan_paths, options->tris_path);
-    scan->channels = options->channels;
-    scan->channel_count = options->channel_count;
+    begin_scan(scan, ctx, options, limits);
     scan->color_scale = color_scale;
     scan->reads_again = true;
 }
@@ -274,9 +282,7 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     struct partition partition = {0};
     uint64_t temp_before = bsq_temp_bytes(ctx);
     memset(report, 0, sizeof *report);
-    vox_scan_init(&scan, ctx, limits, options->scan_paths, options->tris_path);
-    scan.channels = options->channels;
-    scan.channel_count = options->channel_count;
+    begin_scan(&scan, ctx, options, limits);
     int status = check_channels(ctx, options);
     if (status == 0)
         status = names_tris(options) ? bsq_note_output(ctx, options->tris_path) : 0;

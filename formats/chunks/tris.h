@@ -90,8 +90,9 @@ struct fmt_tris_chunk {
 /* Returns whether any of the scan's triangles has a colour: a vertex has, or a material. */
 bool fmt_tris_has_color(const struct fmt_tris_header *header);
 
-/* Recognises a chunk file of any version by its first 8 bytes. */
-bool fmt_tris_recognise(const char first[8]);
+/* Recognises a chunk file of any version by its first bytes. `size` may be less than 8 only if the
+ * file is shorter: then it is one that is cut off, if they fit and its name ends in ".tris". */
+bool fmt_tris_recognise(const char *path, const char *first, uint64_t size);
 
 /* ---- writing ---- */
 struct fmt_tris_writer;

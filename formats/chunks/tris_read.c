@@ -15,12 +15,15 @@
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
+#include <strings.h>
 
 /* ---- opening ---- */
 
-bool fmt_tris_recognise(const char first[8])
+bool fmt_tris_recognise(const char *path, const char *first, uint64_t size)
 {
-    return memcmp(first, TRIS_MAGIC, 8) == 0;
+    const size_t length = strlen(path);
+    const bool named = length > 5 && strcasecmp(path + length - 5, ".tris") == 0;
+    return (size >= 8 || named) && memcmp(first, TRIS_MAGIC, size < 8 ? size : 8) == 0;
 }
 
 bool fmt_tris_has_color(const struct fmt_tris_header *header)
@@ -397,7 +400,7 @@ static int open_parts(struct fmt_tris_file *file)
     int status = bsq_file_read_some(file->ctx, &file->file, &h, sizeof h, 0, &got);
     if (status < 0)
         return status;
-    if (got < sizeof h.magic || !fmt_tris_recognise(h.magic))
+    if (memcmp(h.magic, TRIS_MAGIC, got < sizeof h.magic ? got : sizeof h.magic) != 0)
         return bsq_fail(file->ctx, BSQ_EDATA, "%s: not a chunk file", file->file.path);
     if (got < sizeof h)
         return fmt_tris_damaged(file, "the header is cut off");

@@ -63,6 +63,7 @@ enum scan_paint { SCAN_PAINT_NONE, SCAN_PAINT_USED, SCAN_PAINT_LOST };
 /* What one of a scan's files has. */
 struct scan_file {
     uint64_t ends[FMT_MESH_KIND_COUNT];         /* elements of this and of all earlier files */
+    uint64_t bytes;                             /* unpacked */
     bool has_colors;                            /* of vertices, in their own lines */
     bool has_faces, has_normals, has_texcoords; /* some corner has one */
     enum scan_paint paint;                      /* late colours */
@@ -106,6 +107,7 @@ struct scan {
     struct bsq_ctx *ctx;
     const struct sort_limits *limits;
     const char *const *paths;
+    uint32_t path_count; /* set after vox_scan_init() */
     struct attribute_stream streams[SCAN_STREAM_COUNT];
     double origin[3];
     float bounds_min[3], bounds_max[3]; /* of all vertices; valid if there are any */
@@ -118,7 +120,7 @@ struct scan {
     uint64_t merged_vertices;                         /* see float_precision.h */
     struct scan_missing missing[FMT_MESH_KIND_COUNT]; /* of vertices and texture coordinates */
     struct fmt_mesh_totals totals;
-    struct scan_file *files; /* up to the last one that had elements or faces so far */
+    struct scan_file *files; /* up to the last one that had a block so far; at the end all */
     uint64_t file_count, file_capacity;
     /* By the readers' number of a material, up to the last one that was used so far. */
     struct scan_material_use *material_uses;
@@ -180,8 +182,9 @@ uint64_t vox_scan_missing_memory(const struct scan *scan);
 /* Adds the result to the scan. Serial, in the order of the file. Errors: BSQ_ENOMEM. */
 int vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check);
 
-/* Ends reading: reports warnings. Errors: BSQ_EDATA if the index of a vertex is out of range, if
- * more than 1 % of the faces are left out, or if there are no faces. */
+/* Ends reading: completes the list of files and reports warnings. Errors: BSQ_EDATA if the index of
+ * a vertex is out of range, if more than 1 % of the faces are left out, or if there are no faces.
+ */
 int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader);
 
 /* Checks the textures that the files name near their start, or only the one at `texture_path`,
@@ -216,8 +219,8 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
 int vox_scan_enter_file(struct scan *scan, uint32_t number);
 /* Notes what faces of a file have, whose elements have been noted. Serial. Errors: BSQ_ENOMEM. */
 int vox_scan_note_file_faces(struct scan *scan, const struct scan_face_check *check);
-/* Warns of attributes that some files have and others lack, in a scan of several files. Called
- * after vox_scan_find_materials(). */
+/* Warns of files without faces, and of attributes that some files have and others lack, in a scan
+ * of several files. Called after vox_scan_find_materials(). */
 int vox_scan_compare_files(struct scan *scan, const char *texture_path);
 /* Returns the number of elements in a file and in all earlier ones, of a kind of index. */
 static inline uint64_t scan_file_end(const struct scan *scan, uint32_t file,

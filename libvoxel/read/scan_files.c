@@ -1,5 +1,7 @@
-/* scan_files.c - what each file of a scan has, and warnings of attributes that some files lack.
+/* scan_files.c - what each file of a scan has, and warnings of faces and attributes that some files
+ * lack.
  *
+ * A file without faces among several may be a download that failed, so it is a loss.
  * A file without vertex colours is white beside files with such colours, and its facets are flat
  * beside files with normals. Users learn of both, because they may not expect it. */
 #include "base/loss.h"
@@ -155,6 +157,25 @@ static int compare_colors(const struct scan *scan)
                          "scan have vertex colours");
 }
 
+/* Warns of files without faces, which add nothing to the scan. */
+static int report_faceless(const struct scan *scan)
+{
+    struct lacking bytes = {0}, points = {0}, faces = {0};
+    for (uint64_t i = 0; i < scan->file_count; i++) {
+        const struct scan_file *file = &scan->files[i];
+        const uint64_t before = i > 0 ? file[-1].ends[FMT_MESH_VERTEX] : 0;
+        if (!file->has_faces)
+            add(file->bytes == 0                       ? &bytes
+                : file->ends[FMT_MESH_VERTEX] > before ? &points
+                                                       : &faces,
+                i);
+    }
+    int status = warn(scan, &bytes, true, "an empty file, it adds nothing to the scan");
+    if (status == 0)
+        status = warn(scan, &points, true, "no faces, only vertices; it adds nothing to the scan");
+    return status ? status : warn(scan, &faces, true, "no faces; it adds nothing to the scan");
+}
+
 int vox_scan_compare_files(struct scan *scan, const char *texture_path)
 {
     struct lacking normals = {0}, texcoords = {0};
@@ -168,7 +189,9 @@ int vox_scan_compare_files(struct scan *scan, const char *texture_path)
             !file->has_texcoords)
             add(&texcoords, i);
     }
-    int status = compare_colors(scan);
+    int status = report_faceless(scan);
+    if (status == 0)
+        status = compare_colors(scan);
     if (status == 0)
         status = warn(scan, &texcoords, true, "no texture coordinates, --texture is not used");
     return status ? status

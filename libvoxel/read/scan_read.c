@@ -344,6 +344,7 @@ static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
 static void count_elements(struct scan *scan, const struct fmt_mesh_block *block)
 {
     struct scan_file *file = &scan->files[block->file];
+    file->bytes += block->byte_size;
     file->has_colors |= block->colors != NULL;
     file->ends[FMT_MESH_VERTEX] = scan_count(scan, SCAN_POSITIONS);
     file->ends[FMT_MESH_TEXCOORD] = scan_count(scan, SCAN_TEXCOORDS);
@@ -426,6 +427,8 @@ int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
 {
     const struct scan_bad_index *bad = &scan->bad_index;
     int status = vox_scan_finish_streams(scan);
+    if (status == 0 && scan->path_count > 0) /* the last files may be empty */
+        status = vox_scan_enter_file(scan, scan->path_count - 1);
     if (status < 0)
         return status;
     scan->has_colors |= late_colors_fit(scan);

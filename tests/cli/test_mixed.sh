@@ -99,6 +99,38 @@ $vox s0.obj s1.ply cut.obj.gz -o bad.nvdb
 code 65
 err_like "^$p cut.obj.gz: byte 9: truncated"
 
+# ---- files that add nothing ----
+
+: >empty.obj
+: >empty.glb
+: >zero.tris
+echo 'v 0 0 0' >points.obj
+printf 'solid a\nendsolid a\n' >none.stl
+nothing='it adds nothing to the scan; files like this:'
+while read -r files_and_line; do
+    files=${files_and_line%%:*} line=${files_and_line#*:}
+    $vox $files -o empty.nvdb
+    code 0
+    grep -Fqx "$p warning: $line" "$err"
+    check "warning: $line" $?
+    $vox $files -o strict.nvdb --strict
+    refused 65 "$p $line"
+done <<CASES
+empty.obj s0.obj:empty.obj: an empty file, $nothing 1
+s0.obj empty.obj:empty.obj: an empty file, $nothing 1
+s0.ply empty.glb s0.obj empty.obj:empty.glb: an empty file, $nothing 2
+points.obj s0.obj:points.obj: no faces, only vertices; $nothing 1
+s0.obj none.stl:none.stl: no faces; $nothing 1
+CASES
+command="bisque-voxelize - s0.obj </dev/null" code=0
+"$BIN/bisque-voxelize" - s0.obj --strict -o strict.nvdb </dev/null >"$out" 2>"$err" || code=$?
+refused 65 "$p -: an empty file, $nothing 1"
+$vox s1.obj -o s1.nvdb
+for files in zero.tris 'zero.tris s0.obj' 's1.tris zero.tris s0.obj'; do
+    $vox $files -o strict.nvdb
+    refused 65 "$p zero.tris: damaged chunk file: the header is cut off"
+done
+
 # ---- attributes that some files lack ----
 
 grep -v '^vn' s1.obj | sed 's,//[0-9]*,,g' >bare.obj

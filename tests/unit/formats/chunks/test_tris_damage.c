@@ -320,6 +320,22 @@ static void values_out_of_range_are_found(void **state)
     free(bytes);
 }
 
+/* A file that ends within the first bytes is a damaged one, also an empty one. */
+static void short_files_are_damaged(void **state)
+{
+    struct tris_fixture *f = *state;
+    for (uint64_t size = 0; size <= 8; size++) {
+        tris_write_bytes(f->path, "BSQTRIS\n", size);
+        assert_int_equal(read_all(f), BSQ_EDATA);
+        assert_non_null(strstr(bsq_error(f->ctx), "damaged chunk file: the header is cut off"));
+        bsq_clear_error(f->ctx);
+    }
+    assert_true(fmt_tris_recognise("A.TRIS", "BSQ", 3));
+    assert_false(fmt_tris_recognise("a.obj", "BSQ", 3));
+    assert_false(fmt_tris_recognise("a.tris", "BQS", 3));
+    assert_true(fmt_tris_recognise("a.obj", "BSQTRIS\nmore", 12));
+}
+
 static void other_files_are_refused(void **state)
 {
     struct tris_fixture *f = *state;
@@ -349,6 +365,7 @@ int main(void)
         TEST(damaged_names_of_ids_are_found),
         TEST(damaged_channels_are_found),
         TEST(values_out_of_range_are_found),
+        TEST(short_files_are_damaged),
         TEST(other_files_are_refused),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
