@@ -68,24 +68,28 @@ static void begin_scan(struct scan *scan, struct bsq_ctx *ctx,
     scan->channel_count = options->channel_count;
 }
 
-/* Drops what was read and prepares to read again, with the scale that the colours turned out to
- * have. */
-static void begin_again(struct scan *scan, const struct vox_sort_options *options,
-                        struct partition *out)
+/* Drops what was read and prepares to read again, with the scales that the files' colours turned
+ * out to have. */
+static int begin_again(struct scan *scan, const struct vox_sort_options *options,
+                       struct partition *out)
 {
     struct bsq_ctx *ctx = scan->ctx;
     const struct sort_limits *limits = scan->limits;
-    const float color_scale = vox_color_votes_scale(&scan->color_votes);
+    float *scales = NULL;
+    const uint32_t count = (uint32_t)scan->file_count;
+    int status = vox_scan_list_color_scales(scan, &scales);
     vox_partition_free(scan, out);
     vox_scan_free(scan);
     begin_scan(scan, ctx, options, limits);
-    scan->color_scale = color_scale;
     scan->reads_again = true;
+    scan->known_scales = scales;
+    scan->known_count = status == 0 ? count : 0;
+    return status;
 }
 
 /* Reads in one pass if samples of the text say that this is possible, and again in two passes if
- * they are wrong. Reads again, too, if the first colours gave a wrong scale: the first reading
- * stops as soon as it looks wrong; a later one goes to the end and then knows it. */
+ * they are wrong. Reads again, too, if the first colours of a file gave a wrong scale: the first
+ * reading stops as soon as it looks wrong; a later one goes to the end and then knows it. */
 static int read_passes(struct scan *scan, struct fmt_mesh_reader *reader,
                        const struct vox_sort_options *options, bool one_pass,
                        struct scan_textures *textures, struct partition *out)
@@ -95,7 +99,9 @@ static int read_passes(struct scan *scan, struct fmt_mesh_reader *reader,
     while ((status = read_blocks(scan, reader, options, passes, textures, out)) == BSQ_RETRY) {
         if (!scan->misread_colors)
             passes = PARTITION_TWO_PASSES;
-        begin_again(scan, options, out);
+        status = begin_again(scan, options, out);
+        if (status < 0)
+            break;
     }
     return status;
 }

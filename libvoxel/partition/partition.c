@@ -267,7 +267,7 @@ static int read_pass(struct reading *r, struct fmt_mesh_reader *reader, bool ele
 static int read_elements(struct reading *r, struct fmt_mesh_reader *reader, bool faces)
 {
     int status = read_pass(r, reader, true, faces);
-    return status == 0 ? vox_scan_check_color_scale(r->scan) : status;
+    return status == 0 ? vox_scan_check_color_scales(r->scan) : status;
 }
 
 int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const char *beside,

@@ -39,9 +39,7 @@ void vox_color_votes_add(struct color_votes *votes, const float (*colors)[3], ui
  * spots of colours from 0 to 1, unless many are too large for that. */
 float vox_color_votes_scale(const struct color_votes *votes)
 {
-    if (votes->nonzero == 0)
-        return 0.0f;
     if (votes->fractional == 0)
-        return votes->large > 0 ? 1.0f : 255.0f;
+        return votes->large > 0 ? 1.0f : 0.0f;
     return votes->bright > votes->fractional / FRACTIONAL_PER_BRIGHT ? 1.0f : 255.0f;
 }

@@ -67,6 +67,9 @@ struct scan_file {
     bool has_colors;                            /* of vertices, in their own lines */
     bool has_faces, has_normals, has_texcoords; /* some corner has one */
     enum scan_paint paint;                      /* late colours */
+    /* Of vertex colours in blocks that do not say their scale. */
+    struct color_votes color_votes;
+    float color_scale; /* to 0..255, that they are stored with; 0: none but black so far */
 };
 
 /* What faces with a material have. */
@@ -112,12 +115,14 @@ struct scan {
     double origin[3];
     float bounds_min[3], bounds_max[3]; /* of all vertices; valid if there are any */
     bool origin_known, has_colors;
-    bool reads_again;    /* color_scale is from an earlier reading; set after vox_scan_init() */
-    bool misread_colors; /* color_scale turned out to be wrong */
-    float color_scale;   /* to 0..255, of blocks that do not say it; 0: not known yet */
-    struct color_votes color_votes;                   /* of these blocks */
-    uint64_t clamped_colors;                          /* vertices */
-    uint64_t merged_vertices;                         /* see float_precision.h */
+    bool reads_again;         /* some was read before; set after vox_scan_init(), as is: */
+    float *known_scales;      /* color_scale of the files by the earlier reading; owned */
+    uint32_t known_count;     /* of these files */
+    bool misread_colors;      /* a color_scale turned out to be wrong */
+    bool has_telling_file;    /* the colours of some file tell their scale */
+    uint32_t telling_file;    /* the first such file; files that do not tell take its scale */
+    uint64_t clamped_colors;  /* vertices */
+    uint64_t merged_vertices; /* see float_precision.h */
     struct scan_missing missing[FMT_MESH_KIND_COUNT]; /* of vertices and texture coordinates */
     struct fmt_mesh_totals totals;
     struct scan_file *files; /* up to the last one that had a block so far; at the end all */
@@ -154,11 +159,17 @@ void vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_lim
 void vox_scan_free(struct scan *scan);
 
 /* Appends a block's elements to the streams. Serial, in the order of the file. Errors: BSQ_RETRY as
- * vox_scan_check_color_scale(), unless the scan is read again; BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA. */
+ * vox_scan_find_color_scale(), unless the scan is read again; BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA. */
 int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block);
-/* Returns BSQ_RETRY and sets misread_colors if colours so far have another scale than they were
- * stored with. The votes then tell the right one. */
-int vox_scan_check_color_scale(struct scan *scan);
+/* Finds the factor from a block's colours to 0..255, from the colours of its file so far. Returns
+ * BSQ_RETRY and sets misread_colors if earlier blocks of the first reading got another one. */
+int vox_scan_find_color_scale(struct scan *scan, const struct fmt_mesh_block *block, float *scale);
+/* Returns BSQ_RETRY and sets misread_colors if colours of a file have another scale than they were
+ * stored with. */
+int vox_scan_check_color_scales(struct scan *scan);
+/* Sets *out to the scales that the files have as far as they were read, of scan->file_count files.
+ * The caller frees it with bsq_free(). Errors: BSQ_ENOMEM. */
+int vox_scan_list_color_scales(const struct scan *scan, float **out);
 /* Prefaults memory that streams will fill next. From any thread. */
 void vox_scan_prefault(struct scan *scan);
 /* Ends appending: the streams can be read from then on. A second call does nothing. */

@@ -43,6 +43,7 @@ void vox_scan_free(struct scan *scan)
     bsq_free(scan->ctx, scan->material_map);
     bsq_free(scan->ctx, scan->material_uses);
     bsq_free(scan->ctx, scan->files);
+    bsq_free(scan->ctx, scan->known_scales);
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         bsq_free(scan->ctx, scan->missing[kind].bits);
     memset(scan, 0, sizeof *scan);
@@ -181,28 +182,6 @@ static bool color_given(const float color[3])
     return color[0] != -1.0f || color[1] != -1.0f || color[2] != -1.0f;
 }
 
-/* Finds the factor from the block's colours to 0..255. Returns BSQ_RETRY if earlier blocks of the
- * first reading got another one. Black has no scale, so a scan may begin with any number of black
- * vertices. */
-static int find_color_scale(struct scan *scan, const struct fmt_mesh_block *block, float *scale)
-{
-    if (!block->colors || block->color_white > 0.0f) {
-        *scale = block->colors ? 255.0f / block->color_white : 0.0f;
-        return 0;
-    }
-    vox_color_votes_add(&scan->color_votes, block->colors, block->vertex_count);
-    if (scan->color_scale == 0.0f)
-        scan->color_scale = vox_color_votes_scale(&scan->color_votes);
-    *scale = scan->color_scale > 0.0f ? scan->color_scale : 255.0f;
-    return scan->reads_again ? 0 : vox_scan_check_color_scale(scan);
-}
-
-int vox_scan_check_color_scale(struct scan *scan)
-{
-    scan->misread_colors = scan->color_scale != vox_color_votes_scale(&scan->color_votes);
-    return scan->misread_colors ? BSQ_RETRY : 0;
-}
-
 /* scale: factor to 0..255 */
 static uint32_t pack_color(struct scan *scan, const float color[3], float scale)
 {
@@ -226,7 +205,7 @@ static int add_colors(struct scan *scan, const struct fmt_mesh_block *block, uin
 {
     uint64_t begin = scan_count(scan, SCAN_COLORS);
     float scale;
-    int status = find_color_scale(scan, block, &scale);
+    int status = vox_scan_find_color_scale(scan, block, &scale);
     while (status == 0 && begin < end) {
         uint32_t *to;
         uint64_t capacity;

@@ -44,7 +44,7 @@ for white in 1 255; do
     code 0
 done
 same white.1.nvdb white.255.nvdb
-# The files of a scan have one scale, also if only the last one tells it.
+# A file of pure colours takes the scale of the first file that tells its own, also of the last one.
 printf 'v 9 0 0 1 0 0\nv 9 1 0 1 0 1\nv 9 0 1 0 1 0\nf -3 -2 -1\n' >dark.obj
 cat white.255.obj dark.obj >one.obj
 $vox one.obj -o one.nvdb
@@ -52,4 +52,42 @@ code 0
 $vox dark.obj white.255.obj -o two.nvdb
 code 0
 same one.nvdb two.nvdb
+
+# Each file has the scale of its own colours, in any order; one that does not tell takes the first
+# one's. Faces lie apart, so that the grids of all orders have the same voxels.
+face()
+{
+    printf 'v %s 0 0 %s\nv %s 1 0 %s\nv %s 0 1 %s\nf -3 -2 -1\n' "$1" "$2" "$1" "$2" "$1" "$2"
+}
+face 0 '0.5 0.25 1' >unit.obj
+face 2 '127.5 255 64' >byte.obj
+face 4 '1 0 1' >pure.obj
+face 2 '0.5 1 0.250980392' >byte_as_unit.obj
+face 4 '255 0 255' >pure_as_byte.obj
+face 4 '0.003921569 0 0.003921569' >dark_as_unit.obj
+# apart NAME FILE...: a grid of these files with no warning.
+apart()
+{
+    name=$1
+    shift
+    run bisque-voxelize --voxel-size 0.5 --no-tris "$@" -o "$name.nvdb"
+    code 0
+    [ ! -s "$err" ]
+    check "no warning: $command" $?
+}
+apart right unit.obj byte_as_unit.obj pure.obj
+apart a unit.obj byte.obj pure.obj
+same right.nvdb a.nvdb
+apart a pure.obj unit.obj byte.obj
+apart b pure.obj unit.obj byte_as_unit.obj
+same b.nvdb a.nvdb
+apart a pure.obj byte.obj unit.obj
+apart b dark_as_unit.obj byte.obj unit.obj
+same b.nvdb a.nvdb
+apart a byte.obj unit.obj
+apart b byte_as_unit.obj unit.obj
+same b.nvdb a.nvdb
+apart b pure.obj
+apart a pure_as_byte.obj
+same b.nvdb a.nvdb
 finish
