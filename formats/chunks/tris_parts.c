@@ -64,12 +64,15 @@ static int check_normals(const struct fmt_tris_file *all)
     return 0;
 }
 
-/* Returns whether some triangles have a material's colour that is no texture's. */
+/* Returns whether some triangles have a material's colour that is no texture's, and not white. */
 static bool has_material_color(const struct fmt_tris_header *part)
 {
     bool any = false;
-    for (uint32_t i = 0; part->attributes & FMT_TRIS_MATERIALS && i < part->material_count; i++)
-        any |= !part->materials[i].texture_path && !part->materials[i].colorless;
+    for (uint32_t i = 0; part->attributes & FMT_TRIS_MATERIALS && i < part->material_count; i++) {
+        const struct fmt_tris_material *m = &part->materials[i];
+        const bool white = m->diffuse[0] == 1.0f && m->diffuse[1] == 1.0f && m->diffuse[2] == 1.0f;
+        any |= !m->texture_path && !m->colorless && !white;
+    }
     return any;
 }
 

@@ -17,8 +17,9 @@ struct obj_source {
     /* Number of elements in earlier files, and in this file as far as it has been read. */
     uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
     uint64_t lines;
-    uint64_t paint; /* colours in ZBrush's comments, as far as the file has been read */
-    bool bad_paint; /* such a comment has other text than colours */
+    uint64_t paint;       /* colours in ZBrush's comments, as far as the file has been read */
+    bool bad_paint;       /* such a comment has other text than colours */
+    uint64_t plain_faces; /* without a material, as far as the file has been read */
 };
 
 /* The place of a block that has faces. */

@@ -2,6 +2,7 @@
  *
  * A name belongs to the file that contains it. Scans are often delivered as tiles, each with its
  * own library, and different libraries may have a material of the same name. */
+#include <inttypes.h>
 #include <string.h>
 #include <sys/stat.h>
 
@@ -320,6 +321,28 @@ static int warn_of_others(const struct obj_reader *reader, const struct others *
                          reader->sources[lost->first->source].path, lost->first->text, lost->count);
 }
 
+/* Warns of faces without a material in files whose materials have colours or textures, unless
+ * vertices have colours. */
+static int warn_of_plain_faces(const struct obj_reader *reader, const struct fmt_materials *found)
+{
+    uint64_t count = 0;
+    uint32_t counted = UINT32_MAX, first = 0; /* files */
+    for (uint32_t i = 0; i < found->count && !reader->has_colors; i++) {
+        const struct fmt_material *material = &found->list[i];
+        const uint32_t source = reader->materials.list[i].source;
+        if (source == counted || !(material->has_diffuse || material->texture_path))
+            continue;
+        counted = source;
+        first = count > 0 ? first : source;
+        count += reader->sources[source].plain_faces;
+    }
+    return count == 0 ? 0
+                      : bsq_warn_loss(reader->base.ctx,
+                                      "%s: faces without a material: %" PRIu64
+                                      "; they have no colour (see --texture)",
+                                      reader->sources[first].path, count);
+}
+
 /* Names the materials that no library describes, and warns of them. If a library is missing,
  * another warning has said so. */
 static int name_others(struct obj_reader *reader, struct fmt_materials *out)
@@ -345,6 +368,8 @@ static int name_others(struct obj_reader *reader, struct fmt_materials *out)
     }
     if (!status && reader->warns)
         status = warn_of_others(reader, &lost, &bare);
+    if (!status && reader->warns)
+        status = warn_of_plain_faces(reader, out);
     reader->warns = false;
     return status;
 }

@@ -214,11 +214,21 @@ static int resolve_change(struct job *job, struct slot *slot, const struct obj_s
     return status ? status : add_change(job, slot, statement->face, material);
 }
 
+/* Counts the faces of a block from *begin to `end`, if they have no material, and moves *begin. */
+static void count_plain_faces(struct job *job, const struct slot *slot, uint64_t end,
+                              uint64_t *begin)
+{
+    if (job->named == FMT_MESH_NO_MATERIAL)
+        job->reader->sources[slot->source].plain_faces += end - *begin;
+    *begin = end;
+}
+
 /* Enters the names in the statements of the block. */
 static int resolve_statements(struct job *job, struct slot *slot)
 {
     struct obj_reader *reader = job->reader;
     const struct obj_block *block = &slot->block;
+    uint64_t counted = 0; /* faces */
     int status = 0;
     slot->change_count = 0;
     for (uint64_t i = 0; i < block->statement_count && !status; i++) {
@@ -227,10 +237,12 @@ static int resolve_statements(struct job *job, struct slot *slot)
         if ((status = bsq_check(reader->base.ctx)) ||
             (status = fmt_obj_statement_text(reader->base.ctx, block, statement, &text)))
             break;
+        count_plain_faces(job, slot, statement->face, &counted);
         status = statement->kind == OBJ_MTLLIB ? fmt_obj_enter_libraries(reader, slot->source, text)
                                                : resolve_change(job, slot, statement, &text);
         bsq_free(reader->base.ctx, text);
     }
+    count_plain_faces(job, slot, block->face_count, &counted);
     return status;
 }
 
@@ -265,7 +277,7 @@ static void enter_source(struct job *job, uint32_t number)
     job->known_statements = job->skipped_in_file = 0;
     memcpy(source->base, job->totals_by_kind, sizeof source->base);
     memset(source->count, 0, sizeof source->count);
-    source->lines = source->paint = 0;
+    source->lines = source->paint = source->plain_faces = 0;
     source->bad_paint = false;
 }
 

@@ -74,7 +74,8 @@ struct scan_file {
 
 /* What faces with a material have. */
 struct scan_material_use {
-    uint32_t file;       /* that uses it; UINT32_MAX: none */
+    uint32_t file; /* that uses it; UINT32_MAX: none */
+    uint64_t faces;
     uint64_t bare_faces; /* with a corner that has no texture coordinate */
 };
 
@@ -130,7 +131,7 @@ struct scan {
     /* By the readers' number of a material, up to the last one that was used so far. */
     struct scan_material_use *material_uses;
     uint64_t material_use_count, material_use_capacity;
-    uint64_t bare_faces; /* of faces without a material, as in struct scan_material_use */
+    struct scan_material_use without_material; /* of faces without one; `file` is not used */
 
     /* Of all faces. */
     uint32_t max_face_size;

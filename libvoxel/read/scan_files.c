@@ -25,14 +25,13 @@ int vox_scan_enter_file(struct scan *scan, uint32_t number)
     return 0;
 }
 
-/* Notes which file uses a material, and how many of the faces have no texture coordinates. */
-static int note_material(struct scan *scan, uint32_t material, uint32_t file, uint64_t bare_faces)
+/* Sets *out to the entry of a material, or to that of faces without one. */
+static int enter_material(struct scan *scan, uint32_t material, struct scan_material_use **out)
 {
     const uint64_t before = scan->material_use_count, count = (uint64_t)material + 1;
-    if (material == FMT_MESH_NO_MATERIAL) {
-        scan->bare_faces += bare_faces;
+    *out = &scan->without_material;
+    if (material == FMT_MESH_NO_MATERIAL)
         return 0;
-    }
     int status = 0;
     if (count > before)
         status = bsq_grow(scan->ctx, "materials", count, sizeof *scan->material_uses,
@@ -42,8 +41,21 @@ static int note_material(struct scan *scan, uint32_t material, uint32_t file, ui
     for (uint64_t i = before; i < count; i++)
         scan->material_uses[i] = (struct scan_material_use){.file = UINT32_MAX};
     scan->material_use_count = count > before ? count : before;
-    scan->material_uses[material].file = file;
-    scan->material_uses[material].bare_faces += bare_faces;
+    *out = &scan->material_uses[material];
+    return 0;
+}
+
+/* Notes which file uses a material, and its faces, of which some have no texture coordinates. */
+static int note_material(struct scan *scan, uint32_t material, uint32_t file, uint64_t faces,
+                         uint64_t bare_faces)
+{
+    struct scan_material_use *use;
+    int status = enter_material(scan, material, &use);
+    if (status < 0)
+        return status;
+    use->file = file;
+    use->faces += faces;
+    use->bare_faces += bare_faces;
     return 0;
 }
 
@@ -80,7 +92,7 @@ int vox_scan_note_file_faces(struct scan *scan, const struct scan_face_check *ch
     for (uint64_t i = 0; i <= change_count && status == 0; i++) {
         const uint64_t end = i < change_count ? changes[i].face : block->face_count;
         const uint64_t bare = check->lacks_texcoord ? count_bare(block, begin, end, &corner) : 0;
-        status = note_material(scan, material, block->file, bare);
+        status = note_material(scan, material, block->file, end - begin, bare);
         material = i < change_count ? changes[i].material : material;
         begin = end;
     }

@@ -264,6 +264,54 @@ static int warn_of_bare_faces(const struct scan *scan, const struct bare_faces *
                                scan->paths[0], bare->count, bare->texture_path);
 }
 
+/* Returns whether the table has a colour or a texture of it. */
+static bool has_colored_material(const struct scan *scan)
+{
+    bool any = false;
+    for (uint32_t i = 0; i < scan->material_count; i++)
+        any |= !scan->materials[i].colorless;
+    return any;
+}
+
+/* Makes an entry of the map white if it has no colour. *shared: a white entry of the table, which
+ * is added when it is needed first; UINT32_MAX before. */
+static int whiten(struct scan *scan, uint32_t *entry, uint32_t *shared)
+{
+    static const float white[3] = {1.0f, 1.0f, 1.0f};
+    int status = 0;
+    if (*entry == UINT32_MAX && *shared == UINT32_MAX)
+        status = add_material(scan, NULL, white, true, by_name(scan) ? "" : NULL, shared);
+    if (*entry == UINT32_MAX) {
+        *entry = *shared;
+    } else if (scan->materials[*entry].colorless) {
+        memcpy(scan->materials[*entry].diffuse, white, sizeof white);
+        scan->materials[*entry].colorless = false;
+    }
+    return status;
+}
+
+/* Makes faces without a colour white if other faces have colours of materials. */
+static int whiten_colorless(struct scan *scan)
+{
+    uint32_t shared = UINT32_MAX;
+    int status = 0;
+    if (scan->has_colors || !has_colored_material(scan))
+        return 0;
+    for (uint64_t i = 0; i <= scan->usemtl_count && status == 0; i++) {
+        static const struct scan_material_use none = {0};
+        const struct scan_material_use *use = i == scan->usemtl_count ? &scan->without_material
+                                              : i < scan->material_use_count
+                                                  ? &scan->material_uses[i]
+                                                  : &none;
+        uint32_t *map = &scan->material_map[2 * i];
+        if (use->faces > 0)
+            status = whiten(scan, &map[0], &shared);
+        if (status == 0 && use->bare_faces > 0)
+            status = whiten(scan, &map[1], &shared);
+    }
+    return status;
+}
+
 /* Uses one image for all triangles with texture coordinates. */
 static int use_single_texture(struct scan *scan, struct fmt_mesh_reader *reader,
                               const char *texture_path, struct scan_textures *textures)
@@ -281,7 +329,7 @@ static int use_single_texture(struct scan *scan, struct fmt_mesh_reader *reader,
         status = vox_textures_check(scan->ctx, &found, true, textures);
     if (status == 0)
         status = add_single_texture(scan, texture_path, textures, &found);
-    add_bare(scan->bare_faces, texture_path, &bare);
+    add_bare(scan->without_material.bare_faces, texture_path, &bare);
     for (uint64_t i = 0; i < scan->material_use_count; i++)
         add_bare(scan->material_uses[i].bare_faces, texture_path, &bare);
     if (status == 0 && scan->file_count == 1) /* vox_scan_compare_files() warns of several */
@@ -400,6 +448,8 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
     else
         status = bsq_warn_loss(scan->ctx, "%s: no texture coordinates, %s is not used",
                                scan->paths[0], texture_path);
+    if (status == 0)
+        status = whiten_colorless(scan);
     if (status == 0)
         warn_without_names(scan);
     if (status == 0)

@@ -128,6 +128,29 @@ $vox vertex.obj -o a.nvdb
 code 0
 [ ! -s "$err" ]
 check "no warning: $command" $?
+# Faces without a material beside a material with a colour or a texture.
+triangles='o x\nf 1 2 3\nf 3 2 1\nusemtl %s\nf 1 2 3\n'
+printf "${points}$triangles" b >plain.obj
+lacks='faces without a material: 2; they have no colour (see --texture)'
+warns "plain.obj: $lacks" plain.obj
+warns "plain.obj: $lacks" plain.obj --channels id --id object
+printf "${points}vt 0 0\nf 1/1 2/1 3/1\nusemtl a\nf 1/1 2/1 3/1\nusemtl\nf 3 2 1\n" >textured.obj
+warns "textured.obj: $lacks" textured.obj
+printf 'newmtl a\nPr 0.5\n' >gray.mtl
+printf "mtllib gray.mtl\n${points#*.mtl?n}$triangles" a >gray.obj
+$vox plain.obj gray.obj -o a.nvdb --resolution 8
+code 0
+grep -Fqx "$p warning: plain.obj: $lacks" "$err"
+check "only faces of files with colours count" $?
+# They are white.
+printf 'newmtl b\nKd 1 0 0\nnewmtl white\nKd 1 1 1\n' >scan.mtl
+printf "${points}v 1 1 1\nf 2 3 4\nusemtl b\nf 1 2 3\n" >plain.obj
+sed 's/^f 2 3 4/usemtl white\n&/' plain.obj >white.obj
+for name in plain white; do
+    $vox $name.obj -o $name.nvdb --resolution 8
+    code 0
+done
+same white.nvdb plain.nvdb
 rm scan.mtl
 
 # A few bright spots do not turn a scan dark.
