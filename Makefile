@@ -40,7 +40,7 @@ CXXFLAGS += -std=c++17 -Wall -Wextra $(common)
 LDFLAGS  += -Wl,--as-needed
 
 pc_formats := OpenEXR libpng libxxhash jansson libisal libzstd libdeflate
-pc_texture := OpenImageIO Imath libpng
+pc_texture := OpenImageIO Imath libpng libjpeg
 pc_tools   := jansson
 # Expanded only when something is compiled: `make help` and `make deps` work without the packages.
 formats_cppflags = $(shell pkg-config --cflags $(pc_formats) $(pc_texture))
@@ -72,7 +72,8 @@ archives := $(foreach l,$(libs),$(archive.$(l)))
 # the version and a checksum of the headers that a module shares with its host.
 modules      := texture openvdb gltf scene
 src.texture  := $(addprefix formats/texture/,texture_oiio.cc texture_pass.cc texture_lookup.cc \
-    texture_pyramid.cc held_input.cc texture_formats.cc png_rows.c) formats/exr_header.c
+    texture_pyramid.cc held_input.cc texture_formats.cc jpeg_check.c png_rows.c) \
+    formats/exr_header.c
 src.gltf     := formats/mesh/gltf_decode.cc
 src.scene    := formats/mesh/scene_assimp.cc
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
@@ -257,8 +258,8 @@ $(call unit_bin,$(1)): $(BUILD)/obj/$(1).o $(needs.$(call unit_lib,$(1))) \
 	    $$(LIBS.base)
 endef
 $(foreach s,$(unit_sources),$(eval $(call unit_rule,$(s))))
-# Libraries that some tests compare results with.
-LIBS.tests = $(LIBS.openvdb) -lembree3
+# Libraries that some tests compare results with, or make files with.
+LIBS.tests = $(LIBS.openvdb) -lembree3 $(shell pkg-config --libs libjpeg)
 # Tests look for modules in ../lib/bisque, as programs do.
 $(BUILD)/tests/lib:
 	@mkdir -p $(@D)
@@ -464,8 +465,8 @@ check-long: check
 
 # ---- packages ----
 packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev libopenimageio-dev \
-    libpng-dev libjansson-dev libdraco-dev libmeshoptimizer-dev libassimp-dev libxxhash-dev \
-    zlib1g-dev libdeflate-dev libisal-dev libzstd-dev opencl-c-headers
+    libpng-dev libjpeg62-turbo-dev libjansson-dev libdraco-dev libmeshoptimizer-dev libassimp-dev \
+    libxxhash-dev zlib1g-dev libdeflate-dev libisal-dev libzstd-dev opencl-c-headers
 packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools pocl-opencl-icd \
     ocl-icd-libopencl1 jq mandoc python3 python3-numpy python3-xxhash
 # Compiles the kernel for NVIDIA GPUs. Without it the build has no CUDA.

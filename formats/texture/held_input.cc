@@ -124,6 +124,19 @@ int HeldImage::recognise(Probe found)
     return failure;
 }
 
+int HeldImage::check(std::string &reason)
+{
+    if (!kind->check)
+        return 0;
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    const bool is_part = part.fd >= 0;
+    int failure = is_part ? 0 : host->file_open(ctx, path.c_str(), &file);
+    if (!failure)
+        failure = kind->check({host, ctx, is_part ? &part : &file, nullptr, {0}}, reason);
+    host->file_close(ctx, &file);
+    return failure;
+}
+
 HeldInput::HeldInput(HeldImage *image) : image(image)
 {
     threads(1);

@@ -40,6 +40,9 @@ struct HeldImage {
     // bsq_file_open(); BSQ_EDATA.
     int probe();
 
+    // Looks for damage that decoding would not tell of. Returns as ImageKind's check().
+    int check(std::string &reason);
+
   private:
     int probe_range(const std::string &name, const struct bsq_part *range);
     int recognise(Probe found);

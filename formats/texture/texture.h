@@ -3,7 +3,8 @@
  * Takes paths of image files and a share of the memory budget, which holds whatever the size of the
  * images. Gives colours in linear light: texels are converted (from sRGB unless the file says
  * otherwise) before they are averaged. Texels of data, such as roughness, are not converted. Images
- * are read by OpenImageIO, PNG files by libpng, in a module that is opened at its first use.
+ * are read by OpenImageIO, PNG files by libpng, in a module that is opened at its first use. JPEG
+ * files are checked with libjpeg before.
  * texture_formats.cc lists the formats. */
 #ifndef FMT_TEXTURE_TEXTURE_H
 #define FMT_TEXTURE_TEXTURE_H

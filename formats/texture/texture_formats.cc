@@ -5,6 +5,7 @@
 #include "formats/texture/texture_formats.h"
 
 #include "formats/exr_header.h"
+#include "formats/texture/jpeg_check.h"
 
 #include <algorithm>
 #include <cstring>
@@ -157,6 +158,27 @@ Whole jpeg_whole(const Probe &probe)
     return {0, 0, 0};
 }
 
+int read_jpeg(void *arg, uint64_t offset, void *to, uint64_t size, uint64_t *got)
+{
+    return static_cast<const Probe *>(arg)->read(offset, to, size, got);
+}
+
+int check_interruption(void *arg)
+{
+    const auto *probe = static_cast<const Probe *>(arg);
+    return probe->host->check(probe->ctx);
+}
+
+int jpeg_check(const Probe &probe, std::string &reason)
+{
+    const struct fmt_jpeg_source source = {read_jpeg, check_interruption,
+                                           const_cast<Probe *>(&probe)};
+    char message[FMT_JPEG_MESSAGE];
+    const int failure = fmt_jpeg_check(&source, message);
+    reason = message;
+    return failure;
+}
+
 // ---- JPEG 2000 ----
 
 bool is_jpeg2000(const Probe &probe)
@@ -296,16 +318,16 @@ Whole targa_whole(const Probe &probe)
 
 // The last row matches loosely.
 const ImageKind kinds[] = {
-    {"png", "PNG", is_png, png_whole, nullptr},
-    {"jpeg", "JPEG", is_jpeg, jpeg_whole, nullptr},
-    {"tiff", "TIFF", is_tiff, nullptr, nullptr},
-    {"openexr", "OpenEXR", is_exr, nullptr, exr_excess},
-    {"jpeg2000", "JPEG 2000", is_jpeg2000, jpeg2000_whole, nullptr},
-    {"webp", "WebP", is_webp, webp_whole, nullptr},
-    {"bmp", "BMP", is_bmp, bmp_whole, nullptr},
-    {"hdr", "Radiance HDR", is_hdr, nullptr, nullptr},
-    {"pnm", "PNM", is_pnm, pnm_whole, nullptr},
-    {"targa", "TGA", is_targa, targa_whole, nullptr},
+    {"png", "PNG", is_png, png_whole, nullptr, nullptr},
+    {"jpeg", "JPEG", is_jpeg, jpeg_whole, nullptr, jpeg_check},
+    {"tiff", "TIFF", is_tiff, nullptr, nullptr, nullptr},
+    {"openexr", "OpenEXR", is_exr, nullptr, exr_excess, nullptr},
+    {"jpeg2000", "JPEG 2000", is_jpeg2000, jpeg2000_whole, nullptr, nullptr},
+    {"webp", "WebP", is_webp, webp_whole, nullptr, nullptr},
+    {"bmp", "BMP", is_bmp, bmp_whole, nullptr, nullptr},
+    {"hdr", "Radiance HDR", is_hdr, nullptr, nullptr, nullptr},
+    {"pnm", "PNM", is_pnm, pnm_whole, nullptr, nullptr},
+    {"targa", "TGA", is_targa, targa_whole, nullptr, nullptr},
 };
 
 } // namespace

@@ -7,6 +7,8 @@
 
 #include <OpenImageIO/imageio.h>
 
+#include <string>
+
 #include "formats/module/module.h"
 
 namespace fmt
@@ -43,6 +45,9 @@ struct ImageKind {
     Whole (*whole)(const Probe &probe); // from the file's header; NULL: always by rows or tiles
     const char *(*excess)(
         const Probe &probe); // what is too much in the header, or NULL; may be NULL
+    // Finds damage that the plug-in does not tell of, in memory like that of decoding. Returns a
+    // failure that was reported, or 0; `reason` is then empty if the image is whole. May be NULL.
+    int (*check)(const Probe &probe, std::string &reason);
 };
 
 // All formats, for messages.

@@ -154,6 +154,14 @@ bool write_rows(OIIO::ImageOutput &output, const Image &image, uint32_t first, u
                                            image.type, rows);
 }
 
+// Reports damage that decoding would not tell of.
+int check_damage(Textures *textures, const Image &image)
+{
+    std::string reason;
+    const int status = image.file->check(reason);
+    return status || reason.empty() ? status : fail_read(textures, image, 0, reason);
+}
+
 // Reads the image once: builds its pyramid and, if textures->rewrite is set, its tiled copy.
 int pass_over(Textures *textures, Image &image)
 {
@@ -163,7 +171,9 @@ int pass_over(Textures *textures, Image &image)
     auto &output = tiled.output;
     Rows rows{textures, nullptr};
     HeldInput input(image.file.get());
-    int status = input.open_image();
+    int status = check_damage(textures, image);
+    if (!status)
+        status = input.open_image();
     if (status)
         return status;
     bool rewrite = !image.tiled && (textures->rewrite || image.file->whole.bytes > 0);
