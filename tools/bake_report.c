@@ -105,14 +105,19 @@ static void hint_at_misses(struct cli *cli, const struct bake_arguments *argumen
                                        : ", or --two-sided if the scan's faces are wound inwards");
 }
 
-static void hint_at_overlaps(struct cli *cli, const struct bake_report *report)
+static void hint_at_overlaps(struct cli *cli, const struct bake_arguments *arguments,
+                             const struct bake_report *report)
 {
+    const bool by_object = strstr(arguments->bake.output_path, BAKE_OBJECT_TOKEN) != NULL;
     if (percent(report->overlapping_samples, report->samples) > HINT_PERCENT)
         bsq_warn(
             cli->ctx,
             "%.1f %% of the samples lie in several triangles, because charts overlap: they show "
-            "the first of these triangles in the file",
-            percent(report->overlapping_samples, report->samples));
+            "the first of these triangles in the file%s",
+            percent(report->overlapping_samples, report->samples),
+            by_object ? ""
+                      : "; " BAKE_OBJECT_TOKEN
+                        " in the output's name gives objects maps of their own");
 }
 
 static void print_coverage(const struct bake_arguments *arguments, const struct bake_report *report)
@@ -343,7 +348,7 @@ int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
                       const struct bake_report *report, char *const *paths)
 {
     hint_at_misses(cli, arguments, report);
-    hint_at_overlaps(cli, report);
+    hint_at_overlaps(cli, arguments, report);
     if (cli->json)
         return print_json(cli, arguments, report, paths);
     print_report(cli, arguments, report, paths);

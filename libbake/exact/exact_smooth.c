@@ -119,7 +119,9 @@ int bake_exact_smooth_sum(const struct bake_exact *exact, struct exact_slot *slo
         if (!touches_chunk(s, &exact->chunks[number]))
             continue;
         struct fmt_tris_chunk neighbour;
-        int status = fmt_tris_load(exact->file, number, scratch->neighbour, &neighbour);
+        int status = bsq_check(exact->ctx);
+        if (status == 0)
+            status = fmt_tris_load(exact->file, number, scratch->neighbour, &neighbour);
         if (status < 0)
             return status;
         add_chunk(s, exact->options.normals, &neighbour, &box, scratch->map);
