@@ -84,6 +84,9 @@ int bsq_fail_changed(struct bsq_ctx *ctx, const char *path);
 /* Returns the directory part of a path ("." if it has none), to be freed with free(); NULL if there
  * is no memory. */
 char *bsq_dirname(const char *path);
+/* Returns the directory of the first output that was noted, or "."; the caller frees it. NULL: out
+ * of memory. Thread-safe. */
+char *bsq_output_directory(struct bsq_ctx *ctx);
 
 /* Opens a file as open(2) does, with O_CLOEXEC and again after EINTR. The descriptor is 3 or more,
  * and a new file (O_EXCL, O_TMPFILE) is empty. Returns -1 and sets errno on failure. */

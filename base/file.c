@@ -256,11 +256,11 @@ char *bsq_dirname(const char *path)
     return strndup(path, slash == path ? 1 : (size_t)(slash - path));
 }
 
-static char *temp_directory(const struct bsq_ctx *ctx, const char *beside)
+static char *temp_directory(struct bsq_ctx *ctx, const char *beside)
 {
     if (bsq_tmpdir(ctx))
         return strdup(bsq_tmpdir(ctx));
-    return bsq_dirname(beside ? beside : "");
+    return beside ? bsq_dirname(beside) : bsq_output_directory(ctx);
 }
 
 /* Opens a file without a name, or one that loses its name at once if the file system has no unnamed

@@ -59,7 +59,7 @@ int bsq_file_check(struct bsq_ctx *ctx, const struct bsq_file *file);
 
 /* Creates an unnamed temporary file, which is gone when it is closed or the process ends. It lies
  * in the context's tmpdir or, if there is none, in the directory of `beside` (an output path; NULL:
- * "."). `what` is for messages. */
+ * the first output that was noted, or "."). `what` is for messages. */
 int bsq_file_temp(struct bsq_ctx *ctx, const char *beside, const char *what, struct bsq_file *out);
 
 /* Opens a second descriptor of the same file. Errors: BSQ_ENOINPUT. */

@@ -265,6 +265,16 @@ int bsq_note_output(struct bsq_ctx *ctx, const char *path)
     return status;
 }
 
+char *bsq_output_directory(struct bsq_ctx *ctx)
+{
+    pthread_mutex_lock(&ctx->files_lock);
+    const struct job_files *files = ctx->files;
+    char *directory =
+        bsq_dirname(files && files->output_paths.count > 0 ? files->output_paths.list[0] : "");
+    pthread_mutex_unlock(&ctx->files_lock);
+    return directory;
+}
+
 void bsq_note_written(struct bsq_ctx *ctx, const char *path)
 {
     pthread_mutex_lock(&ctx->files_lock);

@@ -373,6 +373,24 @@ static void test_temporary_directory(void **state)
     bsq_ctx_destroy(ctx);
 }
 
+/* Without a directory of its own, a temporary file lies beside the first output of the job. */
+static void test_temporary_files_beside_the_output(void **state)
+{
+    (void)state;
+    struct bsq_ctx *ctx = create(NULL);
+    struct bsq_file file;
+    char output[64];
+    snprintf(output, sizeof output, "%s/out.nvdb", directory);
+    assert_int_equal(chdir("/proc"), 0); /* nobody can create files here */
+    assert_int_equal(bsq_file_temp(ctx, NULL, "testing", &file), BSQ_ECANTCREAT);
+    bsq_clear_error(ctx);
+    assert_int_equal(bsq_note_output(ctx, output), 0);
+    assert_int_equal(bsq_file_temp(ctx, NULL, "testing", &file), 0);
+    bsq_file_close(ctx, &file);
+    assert_int_equal(chdir(directory), 0);
+    bsq_ctx_destroy(ctx);
+}
+
 static void test_disk_space(void **state)
 {
     (void)state;
@@ -679,6 +697,7 @@ int main(void)
         cmocka_unit_test(test_other_bus_errors),
         cmocka_unit_test(test_temporary_files),
         cmocka_unit_test(test_temporary_directory),
+        cmocka_unit_test(test_temporary_files_beside_the_output),
         cmocka_unit_test(test_disk_space),
         cmocka_unit_test(test_output_appears_on_commit),
         cmocka_unit_test(test_output_is_discarded),
