@@ -200,6 +200,24 @@ static int warn_missing(struct ply_reader *reader)
     return status;
 }
 
+/* Warns of colours and textures that choose_use() had no use for. */
+static int warn_unused(const struct ply_reader *reader, uint32_t number)
+{
+    const struct ply_source *source = &reader->files[number];
+    const struct ply_element *faces = fmt_ply_find_element(&source->header, PLY_FACES);
+    const bool textured = source->tags == PLY_TAGS_TEXTURE;
+    struct bsq_ctx *ctx = reader->stream.base.ctx;
+    const char *path = reader->stream.sources[number].path;
+    int status = 0;
+    if (source->header.texture_count > 0 && !textured)
+        status = bsq_warn_loss(ctx, "%s: no texture coordinates, so the texture %s is not used",
+                               path, source->header.textures[0]);
+    if (status == 0 && faces && faces->role[PLY_RED] && source->tags != PLY_TAGS_COLOR)
+        status = bsq_warn_loss(ctx, "%s: colours of faces are not used beside %s", path,
+                               textured ? "a texture" : "those of vertices");
+    return status;
+}
+
 static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *steps, void *arg,
                     struct fmt_mesh_totals *totals)
 {
@@ -210,9 +228,11 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
     if (status || reader->read_before)
         return status;
     reader->read_before = true;
-    for (uint32_t i = 0; i < reader->stream.source_count; i++)
+    for (uint32_t i = 0; i < reader->stream.source_count && status == 0; i++) {
         fmt_ply_warn_unread(base->ctx, reader->stream.sources[i].path, &reader->files[i].header);
-    return warn_missing(reader);
+        status = warn_unused(reader, i);
+    }
+    return status ? status : warn_missing(reader);
 }
 
 static int locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_mesh_place *out)

@@ -206,6 +206,29 @@ end_header
 3 0 1 2
 3 0 2 3
 END
+# A texture without coordinates, and colours of faces beside those of vertices or a texture, are told.
+colors='property uchar red
+property uchar green
+property uchar blue'
+sed '/^property float [st]$/d; s/^\([01] [01] 0\) [01] [01]$/\1/' vertices.ply >bare.ply
+loses()
+{
+    run bisque-voxelize $1 -o lost.tris
+    code 0
+    grep -q "^bisque-voxelize: warning: $1: $2\$" "$err"
+    check "warning: $2" $?
+    run bisque-voxelize $1 -o lost.tris --strict
+    code 65
+    err_like "bisque-voxelize: $1: $2"
+}
+loses bare.ply 'no texture coordinates, so the texture .*image.ppm is not used'
+awk -v colors="$colors" '{ print } /^property list uchar int/ { print colors }' vertices.ply |
+    sed 's/^3 0 [12] [23]$/& 9 9 9/' >tinted.ply
+loses tinted.ply 'colours of faces are not used beside a texture'
+grep -v TextureFile bare.ply | awk -v colors="$colors" '{ print } /^property float z/ || /^property list/ { print colors }' |
+    sed 's/^3 0 [12] [23]$/& 9 9 9/; s/^[01] [01] 0$/& 7 7 7/' >twice.ply
+loses twice.ply 'colours of faces are not used beside those of vertices'
+
 for name in faces texture; do
     run bisque-voxelize $name.obj -o $name.nvdb --resolution 64
     code 0
