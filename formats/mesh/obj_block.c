@@ -418,6 +418,9 @@ static const char *parse_attributes(struct parser *parser, const char *p, uint64
     return p;
 }
 
+/* Corners between checks for an interruption. */
+enum { CORNERS_CHECKED = 4096 };
+
 static const char *parse_face(struct parser *parser, const char *p)
 {
     struct obj_block *block = parser->block;
@@ -439,6 +442,9 @@ static const char *parse_face(struct parser *parser, const char *p)
                 return NULL;
         if (__builtin_expect(!obj_is_delimiter(*p) && *p != '#', 0))
             return fail(parser, "\"%s\" is not a face corner", quote_word(parser, word).text);
+        /* A single face may be as large as a scan. */
+        if (corner % CORNERS_CHECKED == 0 && (parser->status = bsq_check(parser->ctx)) < 0)
+            return NULL;
     }
     if (!(p = finish_line(parser, p)))
         return NULL;

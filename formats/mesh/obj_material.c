@@ -448,13 +448,24 @@ static int find_libraries(struct obj_reader *reader, uint32_t source)
     return status;
 }
 
-/* Returns whether an entry before number `index` has the same text. */
-static bool is_listed(const struct obj_names *names, uint64_t index)
+/* Reads the libraries that are known so far, each once. */
+static int preview_libraries(struct obj_reader *reader, struct fmt_materials *out)
 {
-    for (uint64_t i = 0; i < index; i++)
-        if (!strcmp(names->list[i].text, names->list[index].text))
-            return true;
-    return false;
+    struct bsq_ctx *ctx = reader->base.ctx;
+    struct obj_names paths = {0};
+    int status = 0;
+    for (uint64_t i = 0; i < reader->libraries.count && !status; i++) {
+        const char *path = reader->libraries.list[i].text;
+        const uint64_t known = paths.count;
+        uint32_t number;
+        status = bsq_check(ctx);
+        if (!status)
+            status = fmt_obj_names_enter(ctx, &paths, 0, path, &number);
+        if (!status && paths.count > known)
+            status = fmt_mtl_read(ctx, path, false, out);
+    }
+    fmt_obj_names_free(ctx, &paths);
+    return status;
 }
 
 int fmt_obj_preview_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
@@ -463,9 +474,8 @@ int fmt_obj_preview_materials(struct fmt_mesh_reader *base, struct fmt_materials
     int status = 0;
     for (uint32_t source = 0; source < reader->source_count && !status; source++)
         status = find_libraries(reader, source);
-    for (uint64_t i = 0; i < reader->libraries.count && !status; i++)
-        if (!is_listed(&reader->libraries, i))
-            status = fmt_mtl_read(base->ctx, reader->libraries.list[i].text, false, out);
+    if (!status)
+        status = preview_libraries(reader, out);
     reader->warns = true;
     reader->previewed = reader->libraries.count;
     if (status)

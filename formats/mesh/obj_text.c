@@ -43,6 +43,8 @@ static uint64_t find_line_start(const struct window *window, uint64_t from)
 {
     for (uint64_t at = from - 1; at < window->end; at++) {
         char c = window->text[at - window->offset];
+        if (c == '\0') /* not a text file: the parser says so, and need not see more of it */
+            return at + 1;
         if (c != '\n' && c != '\r')
             continue;
         if (c == '\r' && at + 1 == window->end && window->end < window->file_size)
@@ -92,7 +94,8 @@ int fmt_obj_text_load(struct bsq_ctx *ctx, struct fmt_input *input, uint64_t ind
     if (start < range_end) {
         while ((end = find_line_start(&window, range_end)) == UINT64_MAX) {
             uint64_t have = window.end - window.offset;
-            if ((status = load_until(ctx, input, block, &window, window.end + have)))
+            if ((status = bsq_check(ctx)) ||
+                (status = load_until(ctx, input, block, &window, window.end + have)))
                 return status;
         }
     } else {

@@ -99,6 +99,12 @@ code 0
 [ ! -s "$err" ]
 check "no warning: $command" $?
 
+# A file of zero bytes, such as a download that failed, has no line end. It is not read whole.
+truncate -s 1G zero.obj
+$vox zero.obj -o a.nvdb --memory 64M
+refused 65 "$p zero.obj:1: not a text file (zero byte)"
+rm zero.obj
+
 # ---- what is lost in the scan ----
 
 { cat scan.obj; echo 'f 1/9 2/1 3/1'; } | sed '/mtl/d' >lost.obj
