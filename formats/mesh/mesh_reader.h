@@ -190,8 +190,8 @@ void fmt_mesh_use_objects(struct fmt_mesh_reader *reader);
 struct fmt_material_channel {
     const struct bsq_channel *channel; /* a row with a name */
     bool has_value;
-    /* As the file has it; of colours, display-referred (sRGB). Without has_value it is what the
-     * material has if another material has the channel. */
+    /* As the file has it; of colours, display-referred (sRGB) up to 1, and linear light above.
+     * Without has_value it is what the material has if another material has the channel. */
     float value[3];
     char *texture_path;  /* as in struct fmt_material, or NULL */
     char *texture_place; /* likewise */

@@ -3,8 +3,8 @@
  * Such files are small, so one is held whole and cut into lines in place. */
 #include "formats/mesh/mtl.h"
 
+#include <ctype.h>
 #include <errno.h>
-#include <float.h>
 #include <inttypes.h>
 #include <math.h>
 #include <stdio.h>
@@ -18,6 +18,11 @@
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_number.h"
 #include "formats/mesh/obj_path.h"
+
+/* Larger values, scales and offsets would exceed the range of float in sums and products. */
+static const double most_number = 1e30;
+
+static const char unused_option[] = "texture is used without this option";
 
 struct reader {
     struct bsq_ctx *ctx;
@@ -106,11 +111,12 @@ static int begin_material(struct reader *reader, char *name)
 }
 
 /* Reads "r g b" or one number, which stands for all three; at most `most` after clamping. Sets
- * *known. Spectral curves and CIE colours are not read. */
+ * *known. Warns of values that are clamped. Spectral curves and CIE colours are not read. */
 static int read_values(struct reader *reader, char *p, double most, float out[3], bool *known)
 {
     double rgb[3];
     int count = 0;
+    bool clamped = false;
     if (word_is(p, "spectral") || word_is(p, "xyz"))
         return warn(reader, "a spectral curve or a CIE colour, ignored", p);
     for (char *at = p; count < 3 && *at && *at != '#'; count++) {
@@ -122,10 +128,11 @@ static int read_values(struct reader *reader, char *p, double most, float out[3]
         return warn(reader, "a colour has 1 or 3 numbers, ignored", p);
     for (int i = 0; i < 3; i++) {
         double value = rgb[count == 1 ? 0 : i];
+        clamped |= value < 0 || value > most;
         out[i] = (float)(value < 0 ? 0 : value > most ? most : value);
     }
     *known = true;
-    return 0;
+    return clamped ? warn(reader, "out of range, clamped", p) : 0;
 }
 
 /* Reads "Kd r g b" or "Kd grey". */
@@ -137,15 +144,28 @@ static int read_diffuse(struct reader *reader, char *p)
     return read_values(reader, p, 1, material->diffuse, &material->has_diffuse);
 }
 
+enum option_effect {
+    OPTION_MOVES,   /* the texture, and is used */
+    OPTION_PICKS,   /* a component, and is used */
+    OPTION_CHANGES, /* what the texture means, but is not used */
+    OPTION_FILTERS, /* the texture in a way that lookups do not follow */
+};
+
 /* Options of map_ statements with the number of words that follow each. */
 static const struct map_option {
     const char *name;
-    int words;       /* vectors may have fewer */
-    double identity; /* for vectors: the value that changes nothing */
+    int words; /* vectors, of three, may have fewer */
+    enum option_effect effect;
+    double numbers[3]; /* that change nothing */
+    const char *word;  /* that changes nothing; NULL: none */
 } map_options[] = {
-    {"-s", 3, 1},      {"-o", 3, 0},     {"-t", 3, 0},  {"-blendu", 1, 0}, {"-blendv", 1, 0},
-    {"-cc", 1, 0},     {"-clamp", 1, 0}, {"-bm", 1, 0}, {"-boost", 1, 0},  {"-imfchan", 1, 0},
-    {"-texres", 1, 0}, {"-type", 1, 0},  {"-mm", 2, 0},
+    {"-s", 3, OPTION_MOVES, {1, 1, 1}, NULL},  {"-o", 3, OPTION_MOVES, {0}, NULL},
+    {"-imfchan", 1, OPTION_PICKS, {0}, NULL},  {"-t", 3, OPTION_CHANGES, {0}, NULL},
+    {"-mm", 2, OPTION_CHANGES, {0, 1}, NULL},  {"-bm", 1, OPTION_CHANGES, {1}, NULL},
+    {"-cc", 1, OPTION_CHANGES, {NAN}, "off"},  {"-clamp", 1, OPTION_CHANGES, {NAN}, "off"},
+    {"-type", 1, OPTION_CHANGES, {NAN}, NULL}, {"-blendu", 1, OPTION_FILTERS, {0}, NULL},
+    {"-blendv", 1, OPTION_FILTERS, {0}, NULL}, {"-boost", 1, OPTION_FILTERS, {0}, NULL},
+    {"-texres", 1, OPTION_FILTERS, {0}, NULL},
 };
 
 static const struct map_option *find_option(const char *p)
@@ -161,13 +181,19 @@ struct texture {
     char **path, **place;
     struct bsq_uv uv;
     uint32_t component;
+    bool scalar;       /* it gives one value, so `component` counts */
+    bool after_vector; /* the file could be a number of the option before it */
+    bool found;        /* the statement names a file */
 };
 
 /* Notes what an option with these numbers says of the texture. */
-static void use_vector(const char *option, const double numbers[3], int count,
-                       struct texture *texture)
+static int use_vector(struct reader *reader, const char *option, const double numbers[3], int count,
+                      struct texture *texture)
 {
     struct bsq_uv *uv = &texture->uv;
+    for (int i = 0; i < count; i++)
+        if (fabs(numbers[i]) > most_number)
+            return warn(reader, "out of range, ignored", option);
     for (int i = 0; i < 2; i++) {
         if (!uv->moves)
             uv->scale[i] = 1, uv->offset[i] = 0;
@@ -175,35 +201,46 @@ static void use_vector(const char *option, const double numbers[3], int count,
     for (int i = 0; i < count && i < 2; i++)
         *(word_is(option, "-s") ? &uv->scale[i] : &uv->offset[i]) = (float)numbers[i];
     uv->moves = uv->scale[0] != 1 || uv->scale[1] != 1 || uv->offset[0] != 0 || uv->offset[1] != 0;
+    return 0;
+}
+
+/* Notes the component that an option names with `word`. */
+static int use_component(struct reader *reader, const char *option, const char *word,
+                         struct texture *texture)
+{
+    static const char components[] = "rgbm"; /* m, the matte, is alpha */
+    const char *found = word_length(word) == 1 ? strchr(components, tolower(*word)) : NULL;
+    texture->component = found ? (uint32_t)(found - components) : 0;
+    return found && texture->scalar ? 0 : warn(reader, unused_option, option);
 }
 
 /* Reads the words of one option. Never takes the last word of a line, which is the file. */
 static int read_option(struct reader *reader, char **at, const struct map_option *option,
                        struct texture *texture)
 {
-    char *p = *at;
-    bool is_vector = option->words == 3, changes = false;
-    const bool moves = word_is(p, "-s") || word_is(p, "-o");
+    char *p = *at, *first = skip_blanks(p + word_length(p)), *rest = first;
+    const bool is_vector = option->words == 3;
+    bool changes = false;
     double numbers[3] = {0};
     int count = 0;
-    char *rest = skip_blanks(p + word_length(p));
-    if (word_is(p, "-imfchan"))
-        texture->component = word_is(rest, "g")   ? 1
-                             : word_is(rest, "b") ? 2
-                             : word_is(rest, "m") ? BSQ_CHANNEL_ALPHA
-                                                  : 0;
+    texture->after_vector = false;
     while (count < option->words) {
         char *after = skip_blanks(rest + word_length(rest));
-        if (!*after || (is_vector && !obj_number(rest, &numbers[count])))
+        const bool is_number = obj_number(rest, &numbers[count]);
+        texture->after_vector = is_vector && is_number && !*after;
+        if (!*after || (is_vector && !is_number))
             break;
-        changes |= is_vector && numbers[count] != option->identity;
+        changes |= is_number ? numbers[count] != option->numbers[count]
+                             : !option->word || !word_is(rest, option->word);
         count++;
         rest = after;
     }
-    if (moves)
-        use_vector(p, numbers, count, texture);
     *at = rest;
-    return changes && !moves ? warn(reader, "texture is used without this turbulence", p) : 0;
+    if (option->effect == OPTION_MOVES)
+        return use_vector(reader, p, numbers, count, texture);
+    if (option->effect == OPTION_PICKS)
+        return use_component(reader, p, first, texture);
+    return changes && option->effect == OPTION_CHANGES ? warn(reader, unused_option, p) : 0;
 }
 
 /* Notes that the current line names a texture. */
@@ -222,6 +259,8 @@ static int read_texture(struct reader *reader, const char *statement, char *p,
                         struct texture *texture)
 {
     const struct map_option *option;
+    char *path = NULL;
+    bool exists = false;
     int status = 0;
     trim_end(p);
     while (!status && (option = find_option(p)))
@@ -230,10 +269,17 @@ static int read_texture(struct reader *reader, const char *statement, char *p,
         return status;
     if (!*p || (*p == '#' && (!p[1] || is_blank(p[1]))) || !strcmp(p, "\"\""))
         return warn(reader, "names no file, ignored", statement);
+    status = fmt_path_find(reader->ctx, reader->path, p, &path, &exists);
+    if (!status && !exists && texture->after_vector) {
+        bsq_free(reader->ctx, path);
+        return warn(reader, "names no file, ignored", statement);
+    }
+    if (status)
+        return status;
     bsq_free(reader->ctx, *texture->path);
-    *texture->path = NULL;
-    status = fmt_path_find(reader->ctx, reader->path, p, texture->path, NULL);
-    return status ? status : note_place(reader, texture->place);
+    *texture->path = path;
+    texture->found = true;
+    return note_place(reader, texture->place);
 }
 
 static int read_map(struct reader *reader, char *p)
@@ -243,7 +289,8 @@ static int read_map(struct reader *reader, char *p)
         return warn_without_material(reader, "map_Kd");
     struct texture texture = {.path = &material->texture_path, .place = &material->texture_place};
     int status = read_texture(reader, "map_Kd", p, &texture);
-    material->uv = texture.uv;
+    if (texture.found)
+        material->uv = texture.uv;
     return status;
 }
 
@@ -268,9 +315,9 @@ static int read_channel_value(struct reader *reader, char *p, char *rest,
 {
     const bool inverse = entry->channel->mtl_inverse && word_is(p, entry->channel->mtl_inverse);
     bool known = false;
-    int status = read_values(reader, rest, FLT_MAX, entry->value, &known);
+    int status = read_values(reader, rest, inverse ? 1 : most_number, entry->value, &known);
     for (int k = 0; k < 3 && inverse && known; k++)
-        entry->value[k] = fmaxf(1 - entry->value[k], 0);
+        entry->value[k] = 1 - entry->value[k];
     entry->has_value |= known;
     return status;
 }
@@ -289,10 +336,13 @@ static int read_channel(struct reader *reader, const struct bsq_channel *channel
         return read_channel_value(reader, p, rest, entry);
     struct texture texture = {.path = &entry->texture_path,
                               .place = &entry->texture_place,
-                              .component = channel->component};
+                              .component = channel->component,
+                              .scalar = channel->values == 1};
     status = read_texture(reader, channel->mtl_map, rest, &texture);
-    entry->uv = texture.uv;
-    entry->component = texture.component;
+    if (texture.found) {
+        entry->uv = texture.uv;
+        entry->component = texture.component;
+    }
     return status;
 }
 
@@ -311,18 +361,60 @@ static int read_line(struct reader *reader, char *line)
     return word_is(p, "Kd") ? read_diffuse(reader, rest) : 0;
 }
 
-static int read_text(struct reader *reader, char *text, uint64_t size)
+/* Finds the end of the statement at `line`, and adds to *lines the line ends in it that a backslash
+ * after a blank continues; these become blanks. A backslash after something else ends a name, such
+ * as a Windows path. Comments are not continued. */
+static char *find_statement_end(char *line, char *end, uint64_t *lines)
 {
-    char *p = text + fmt_mesh_mark(text, size), *end = text + size;
-    int status = 0;
-    while (p < end && !status) {
-        char *line = p;
+    const bool comment = *skip_blanks(line) == '#';
+    char *p = line;
+    for (;; p++) {
         while (p < end && *p != '\n' && *p != '\r')
             p++;
+        if (p == end || p - line < 2 || p[-1] != '\\' || !is_blank(p[-2]) || comment)
+            return p;
+        p[-1] = ' ';
+        if (p + 1 < end && p[0] == '\r' && p[1] == '\n')
+            *p++ = ' ';
+        *p = ' ';
+        ++*lines;
+    }
+}
+
+/* Warns if the text has a zero byte, and makes *size the bytes before its line. */
+static int cut_at_zero(struct reader *reader, const char *text, uint64_t *size)
+{
+    const char *zero = memchr(text, '\0', *size);
+    uint64_t line = 1, start = 0;
+    if (!zero)
+        return 0;
+    for (uint64_t i = 0; text + i < zero; i++)
+        if (text[i] == '\n') {
+            line++;
+            start = i + 1;
+        }
+    *size = start;
+    if (reader->again)
+        return 0;
+    return bsq_warn_loss(reader->ctx,
+                         "%s:%" PRIu64 ": not a text file (zero byte): not read from here on",
+                         reader->path, line);
+}
+
+static int read_text(struct reader *reader, char *text, uint64_t size)
+{
+    int status = cut_at_zero(reader, text, &size);
+    char *p = text + fmt_mesh_mark(text, size), *end = text + size;
+    uint64_t lines = 0; /* before `p` */
+    while (p < end && !status) {
+        char *line = p;
+        const uint64_t first = lines++;
+        p = find_statement_end(line, end, &lines);
         bool crlf = p + 1 < end && p[0] == '\r' && p[1] == '\n';
         *p = '\0';
         p += 1 + crlf;
-        if (reader->line++ % 1024 == 0)
+        reader->line = first + 1;
+        if (first % 1024 == 0)
             status = bsq_check(reader->ctx);
         if (!status)
             status = read_line(reader, line);

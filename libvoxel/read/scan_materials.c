@@ -102,13 +102,15 @@ static bool any_channel_texture(const struct scan *scan, const struct scan_textu
     return any;
 }
 
-/* Sets the value of a channel. own: what the material says of it, or NULL. */
+/* Sets the value of a channel. own: what the material says of it, or NULL. A colour's value above 1
+ * is light already: sRGB ends at 1. */
 static void set_value(const struct bsq_channel *channel, const struct fmt_material_channel *own,
                       struct fmt_tris_source *out)
 {
     for (int k = 0; k < 3; k++) {
         const float value = own ? own->value[channel->values == 1 ? 0 : k] : channel->usual;
-        out->value[k] = channel->color ? (float)bsq_srgb_to_linear((double)value) : value;
+        out->value[k] =
+            channel->color && value <= 1.0f ? (float)bsq_srgb_to_linear((double)value) : value;
     }
 }
 

@@ -105,7 +105,8 @@ static void test_diffuse(void **state)
     assert_false(f.materials.list[2].has_diffuse);
     assert_diffuse(&f.materials.list[3], 1, 0, 1);
     assert_diffuse(&f.materials.list[4], 0.1f, 0, 0);
-    assert_int_equal(f.warnings, 2); /* of colours that are no numbers of red, green and blue */
+    /* Colours that are no numbers of red, green and blue, and one that is clamped. */
+    assert_int_equal(f.warnings, 3);
     assert_string_equal(f.materials.list[1].name, "grey");
     close_fixture(&f);
 }
@@ -126,11 +127,11 @@ static void test_map_paths(void **state)
         {"map_Kd not there.png", "not there.png"},
         {"map_Kd .\\not\\there.png", ".\\not\\there.png"},
         {"map_Kd -s 1 1 1 -o 0 0 0 -mm 0 1 here.png", "here.png"},
-        {"map_Kd -blendu on -blendv off -cc off -clamp on -bm 0.5 -boost 1 -imfchan l -texres 512 "
-         "-type sphere sub dir/wood grain.png",
+        {"map_Kd -blendu on -blendv off -cc off -clamp off -bm 1.0 -boost 1 -mm 0.0 1 -texres 512 "
+         "sub dir/wood grain.png",
          "sub dir/wood grain.png"},
         {"map_Kd -o 0 2.png", "2.png"},
-        {"map_Kd -s 1 1 7", "7"},
+        {"map_Kd \\\n -s 1 1 \\\r\n 1 here.png", "here.png"},
         {"map_Kd -t 0 0 0 -x.png", "-x.png"},
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
@@ -160,7 +161,29 @@ static void test_warnings(void **state)
          "test.mtl:2: a spectral curve or a CIE colour, ignored: \"spectral a.rfl 1\""},
         {"newmtl a\nmap_Kd\n", "test.mtl:2: names no file, ignored: \"map_Kd\""},
         {"newmtl a\nmap_Kd -t 2 2 here.png\n",
-         "test.mtl:2: texture is used without this turbulence: \"-t 2 2 here.png\""},
+         "test.mtl:2: texture is used without this option: \"-t 2 2 here.png\""},
+        {"newmtl a\nmap_Kd -mm 0 2 here.png\n",
+         "test.mtl:2: texture is used without this option: \"-mm 0 2 here.png\""},
+        {"newmtl a\nmap_Pr -clamp on here.png\n",
+         "test.mtl:2: texture is used without this option: \"-clamp on here.png\""},
+        {"newmtl a\nmap_Pr -imfchan l here.png\n",
+         "test.mtl:2: texture is used without this option: \"-imfchan l here.png\""},
+        {"newmtl a\nmap_Ke -imfchan g here.png\n",
+         "test.mtl:2: texture is used without this option: \"-imfchan g here.png\""},
+        {"newmtl a\nmap_Ke -type sphere here.png\n",
+         "test.mtl:2: texture is used without this option: \"-type sphere here.png\""},
+        {"newmtl a\nnorm -bm 0.5 here.png\n",
+         "test.mtl:2: texture is used without this option: \"-bm 0.5 here.png\""},
+        {"newmtl a\nmap_Kd -s 1e39 1 1 here.png\n",
+         "test.mtl:2: out of range, ignored: \"-s 1e39 1 1 here.png\""},
+        {"newmtl a\nmap_Ke -o 1 -1e39 here.png\n",
+         "test.mtl:2: out of range, ignored: \"-o 1 -1e39 here.png\""},
+        {"newmtl a\nmap_Kd -s 1 1 1\n", "test.mtl:2: names no file, ignored: \"map_Kd\""},
+        {"newmtl a\nKd 2 1 1\n", "test.mtl:2: out of range, clamped: \"2 1 1\""},
+        {"newmtl a\nKe 2 3 -4\n", "test.mtl:2: out of range, clamped: \"2 3 -4\""},
+        {"newmtl a\nPr 1e40\n", "test.mtl:2: out of range, clamped: \"1e40\""},
+        {"newmtl a\nTr 1.5\n", "test.mtl:2: out of range, clamped: \"1.5\""},
+        {"newmtl a\nKe \\\n1 1 \\\n1\nKd x\n", "test.mtl:5: not a colour, ignored: \"x\""},
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         struct fixture f;
@@ -169,6 +192,34 @@ static void test_warnings(void **state)
         assert_string_equal(f.warning + strlen(directory) + 1, cases[i].warning);
         close_fixture(&f);
     }
+}
+
+/* Values above 1 are light, and a scale beyond float leaves the texture where it is. */
+static void test_large_numbers(void **state)
+{
+    (void)state;
+    struct fixture f;
+    read_text(&f, "newmtl a\nKe 2 3 4\nmap_Kd -s 1e39 1 1 -o 0.5 0 here.png\n");
+    const struct fmt_material *m = &f.materials.list[0];
+    assert_int_equal(m->channel_count, 1);
+    assert_true(m->channels[0].value[0] == 2 && m->channels[0].value[2] == 4);
+    assert_true(m->uv.scale[0] == 1 && m->uv.offset[0] == 0.5f);
+    close_fixture(&f);
+}
+
+static void test_zero_bytes(void **state)
+{
+    (void)state;
+    static const char text[] = "newmtl a\nKd 0 1 0\nnew\0mtl b\nnewmtl c\n";
+    struct fixture f;
+    open_fixture(&f);
+    const char *path = write_file("test.mtl", text, sizeof text - 1);
+    assert_int_equal(fmt_mtl_read(f.ctx, path, false, &f.materials), 0);
+    assert_int_equal(f.materials.count, 1);
+    assert_int_equal(f.warnings, 1);
+    assert_string_equal(f.warning + strlen(directory) + 1,
+                        "test.mtl:3: not a text file (zero byte): not read from here on");
+    close_fixture(&f);
 }
 
 static void test_missing_file_is_a_warning(void **state)
@@ -210,9 +261,10 @@ static void test_every_truncated_length(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_diffuse),      cmocka_unit_test(test_map_paths),
-        cmocka_unit_test(test_warnings),     cmocka_unit_test(test_missing_file_is_a_warning),
-        cmocka_unit_test(test_files_append), cmocka_unit_test(test_every_truncated_length),
+        cmocka_unit_test(test_diffuse),       cmocka_unit_test(test_map_paths),
+        cmocka_unit_test(test_large_numbers), cmocka_unit_test(test_zero_bytes),
+        cmocka_unit_test(test_warnings),      cmocka_unit_test(test_missing_file_is_a_warning),
+        cmocka_unit_test(test_files_append),  cmocka_unit_test(test_every_truncated_length),
     };
     return cmocka_run_group_tests(tests, make_directory, remove_directory);
 }
