@@ -290,4 +290,21 @@ LANES_INLINE struct row row_rotate(struct row x)
 #endif
 }
 
+/* Returns a mask: bit i is the sign bit of number i, for the first three numbers. */
+LANES_INLINE uint32_t row_signs(struct row x)
+{
+#ifdef __AVX2__
+    return (uint32_t)_mm256_movemask_pd(x.part[0]) & 7;
+#elif defined __SSE2__
+    return (uint32_t)(_mm_movemask_pd(x.part[0]) | (_mm_movemask_pd(x.part[1]) & 1) << 2);
+#else
+    uint64_t bits[3];
+    for (int i = 0; i < 3; i++) {
+        double number = row_number(x, i);
+        memcpy(&bits[i], &number, sizeof bits[i]);
+    }
+    return (uint32_t)(bits[0] >> 63 | bits[1] >> 63 << 1 | bits[2] >> 63 << 2);
+#endif
+}
+
 #endif

@@ -86,8 +86,9 @@ static int reserve_result(struct vox_shared *shared, struct vox_unit *unit,
 }
 
 static int keep_result(struct vox_shared *shared, struct vox_unit *unit,
-                       const struct vox_accumulator *sums)
+                       struct vox_accumulator *sums)
 {
+    vox_accumulator_settle(sums);
     int status = reserve_result(shared, unit, sums);
     if (status < 0)
         return status;

@@ -1,5 +1,6 @@
 #!/bin/sh
 # test_parts.sh - several chunk files as one scan: the voxels of a scan that was sorted whole.
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 p=bisque-voxelize:
 
@@ -244,6 +245,66 @@ cmp -s a.tris victim.tris
 check "an input is not overwritten" $?
 [ ! -e y.nvdb ]
 check "no output" $?
+
+# ---- a noisy scan: which records its voxels have depends neither on parts nor on the order of faces ----
+
+# write_noisy ORDER FROM TO: a sheet so rough that many voxels have two records, with a colour for each
+# vertex. ORDER: 1, or -1 for faces in the reverse order. Only the columns of faces FROM to TO are written.
+write_noisy()
+{
+    awk -v order="$1" -v from="$2" -v to="$3" 'BEGIN {
+        n = 60
+        seed = 1
+        for (y = 0; y <= n; y++) for (x = 0; x <= n; x++) {
+            seed = seed * 16807 % 2147483647
+            printf "v %.6f %.6f %.6f %.3f %.3f %.3f\n", x / n, y / n, seed / 2147483647 / 25,
+                seed % 7 / 7, seed % 11 / 11, seed % 13 / 13
+        }
+        for (k = 0; k < n * n; k++) {
+            j = order > 0 ? k : n * n - 1 - k
+            x = j % n
+            i = j + (j - x) / n + 1
+            if (x < from || x > to)
+                continue
+            a = "f " i " " i + 1 " " i + n + 2
+            b = "f " i " " i + n + 2 " " i + n + 1
+            print (order > 0 ? a "\n" b : b "\n" a)
+        }
+    }'
+}
+
+noisy="run bisque-voxelize --resolution 50"
+write_noisy 1 0 59 >noisy.obj
+write_noisy -1 0 59 >reversed.obj
+write_noisy 1 0 29 >left.obj
+write_noisy 1 30 59 >right.obj
+for normals in smooth flat; do
+    for part in left right; do
+        run bisque-voxelize $part.obj -o $part.tris
+        code 0
+    done
+    $noisy noisy.obj -o noisy.nvdb --scan-normals $normals
+    $noisy reversed.obj -o reversed.nvdb --scan-normals $normals
+    $noisy left.tris right.tris -o halves.nvdb --scan-normals $normals
+    code 0
+    for grid in noisy reversed halves; do
+        "$TESTS/naive-read-nvdb" $grid.nvdb | grep -E '^(voxels|second_records) ' >$grid.counts
+        run bisque-bake $grid.nvdb low.obj --size 128 --samples 1 --sampling nearest --two-sided \
+            --maps normal,color,position --float --front 1 --back 1 -o "${grid}_<MAP>.exr"
+        code 0
+    done
+    [ "$(sed -n 's/^second_records //p' noisy.counts)" -gt 100 ]
+    check "$normals normals: many voxels have two records" $?
+    for grid in reversed halves; do
+        same noisy.counts $grid.counts
+        run bisque-compare --type normal noisy_normal.exr ${grid}_normal.exr --max-error 0.05
+        code 0
+        run bisque-compare --type data noisy_position.exr ${grid}_position.exr --max-error 1e-4
+        code 0
+        run bisque-compare --type data noisy_color.exr ${grid}_color.exr --max-error 0.01
+        code 0
+    done
+done
 
 # ---- colours that some parts lack ----
 

@@ -85,8 +85,11 @@ LANES_INLINE int add_fragment(const struct source *from, uint32_t place,
         shade_smooth(facts, fragment, cell, from->marked, from->curved, &sum);
     else
         shade_flat(facts, fragment, cell, &sum);
-    if (textured && textured->texel)
+    uint32_t class_bits = fragment->voxel & ~(uint32_t)VOX_LINK_NUMBER;
+    if (textured && textured->texel) {
         add_normal_map(facts, textured, fragment->area, &sum.normal);
+        class_bits = vox_class_bits(sum.normal);
+    }
     if (textured && textured->rgb)
         sum.color = row_times(fragment->area, row_load(textured->rgb));
     else if (from->has_color)
@@ -102,8 +105,8 @@ LANES_INLINE int add_fragment(const struct source *from, uint32_t place,
     if (from->has_channels && !sum.channels)
         sum.channels = vox_shade_channels(from->job->shading, from->job->chunk,
                                           from->block->triangles[place].number);
-    return vox_accumulator_add(from->sums, fragment->voxel, &sum, from->has_color, from->has_ids,
-                               from->has_channels);
+    return vox_accumulator_add(from->sums, fragment->voxel & VOX_LINK_NUMBER, class_bits, &sum,
+                               from->has_color, from->has_ids, from->has_channels);
 }
 
 LANES_INLINE int add_run(const struct source *from, const uint32_t *run, uint32_t count)
@@ -258,8 +261,8 @@ static int take_fragment(void *arg, const struct vox_fragment *fragment)
         s->cells[i][k] = fragment->cell[k] - s->low[k];
         at[k] = (uint32_t)(fragment->cell[k] - origin[k]);
     }
-    s->queue.number[i] = vox_voxel_number(at[0], at[1], at[2]) | (long long)(BLOCK_FRAGMENTS + i)
-                                                                     << NUMBER_PLACE;
+    s->queue.number[i] = vox_voxel_number(at[0], at[1], at[2]) | s->triangles.class_bits[0] |
+                         (long long)(BLOCK_FRAGMENTS + i) << NUMBER_PLACE;
     double *channels =
         s->channels ? sums->fragment_channels + (uint64_t)i * sums->channel_words : NULL;
     int status = sample_textures(s, fragment, s->rgb[i], channels, s->texels[i]);

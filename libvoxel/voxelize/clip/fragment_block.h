@@ -54,7 +54,7 @@ enum { FRAGMENT_FLAT = 64 };
 struct block_fragment {
     double area;      /* in voxel faces */
     double moment[2]; /* area times weight of the second and of the third corner at the centroid */
-    uint32_t voxel;   /* number in the region */
+    uint32_t voxel;   /* number in the region; above VOX_LINK_CLASS the class of its triangle */
     uint8_t cell;     /* relative to the lowest voxel of the triangle, two bits for each axis;
                          FRAGMENT_FLAT */
     uint8_t lane;     /* of the triangle, while several are divided side by side */

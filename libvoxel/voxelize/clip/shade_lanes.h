@@ -39,6 +39,7 @@ struct shade_triangles {
     bool marked; /* normals have a facet-noise weight, or some planes are inconsistent with them */
     doubles normal[3][3]; /* corner, axis; unit */
     struct shade_weights weights;
+    lane_ints class_bits; /* class of the fragments' normals, as in a link of the sums */
     lane_mask facet; /* the plane is inconsistent with the normals, or too far from their surface */
     bool has_color;
     doubles rgb[3][3]; /* corner, channel; linear light */
@@ -121,6 +122,21 @@ LANES_INLINE void shade_measure_arcs(struct shade_triangles *t)
     }
 }
 
+/* Finds the class of direction of the mean of the corners' normals. */
+LANES_INLINE void shade_find_class(struct shade_triangles *t)
+{
+    doubles n[3];
+    for (int k = 0; k < 3; k++)
+        n[k] = t->has_normals ? t->normal[0][k] + t->normal[1][k] + t->normal[2][k] : t->flat[k];
+    t->class_bits = lanes_all_bits(0);
+    for (int k = 0; k < 3; k++) {
+        const doubles turned =
+            VOX_TURN_0 * n[k] + VOX_TURN_1 * n[(k + 1) % 3] + VOX_TURN_2 * n[(k + 2) % 3];
+        t->class_bits = lanes_set_bits(lanes_less(turned, lanes_all(0.0)), t->class_bits,
+                                       lanes_all_bits(UINT64_C(1) << (VOX_LINK_CLASS + k)));
+    }
+}
+
 /* Computes all that follows from corners and their normals. */
 LANES_INLINE void shade_prepare(struct shade_triangles *t)
 {
@@ -131,6 +147,7 @@ LANES_INLINE void shade_prepare(struct shade_triangles *t)
     }
     if (t->curved)
         shade_measure_arcs(t);
+    shade_find_class(t);
 }
 
 /* ---- rows ---- */

@@ -227,8 +227,8 @@ LANES_INLINE void divide_batch(const struct vox_accumulation *job,
     for (int a = 0; a < 3; a++)
         number_cells(job, lowest[a], a, planes[a], &numbers[a]);
     lane_mask doubtful = divide_small((const doubles(*)[3])t.p, planes, fragments);
-    lane_ints after =
-        queue_divided(&t, planes, fragments, numbers, lanes_load_ints(where), &queue, &doubtful);
+    lane_ints after = queue_divided(&t, planes, fragments, numbers,
+                                    lanes_load_ints(where) | t.class_bits, &queue, &doubtful);
     lanes_store_ints(after, where);
     put_queue(&t, &queue, block);
     for (uint32_t l = 0; l < count; l++) {

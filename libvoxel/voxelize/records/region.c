@@ -1,10 +1,10 @@
 /* region.c - the memory of a region's sums, and the records made from them.
  *
- * A wall thinner than a voxel has two sides whose normals would cancel. So a fragment that faces
- * away from the voxel's record opens a second one. A record only takes fragments that do not face
- * away from it, so its own sum cannot cancel. */
+ * A wall thinner than a voxel has two sides whose normals would cancel. So the fragments of a voxel
+ * are summed in classes of directions, and sides.c makes one or two records of the sums. */
 #include "libvoxel/voxelize/records/region.h"
 
+#include <assert.h>
 #include <float.h>
 #include <math.h>
 #include <string.h>
@@ -12,11 +12,14 @@
 /* A second record below this share of the first one's area is noise. */
 static const double second_share = 0.01;
 
-/* Records for all voxels of a brick, or of the region, and those that are cleared ahead. */
+/* Sums for all voxels and classes of a brick, two for each voxel of the region, and those that are
+ * cleared ahead. */
 enum {
-    SUMS_MIN = 2 * VOX_BRICK_VOXELS + VOX_FRAGMENTS_AT_ONCE,
+    SUMS_MIN = VOX_CLASSES * VOX_BRICK_VOXELS + VOX_FRAGMENTS_AT_ONCE,
     SUMS_MAX = 2 * VOX_BRICKS * VOX_BRICK_VOXELS + VOX_FRAGMENTS_AT_ONCE
 };
+
+static_assert((uint64_t)SUMS_MAX <= VOX_LINK_NUMBER, "links hold all numbers");
 
 /* ---- memory ---- */
 
@@ -117,6 +120,7 @@ void vox_accumulator_clear(struct vox_accumulator *a)
         memset(a->brick_of, 0, sizeof a->brick_of);
     a->brick_count = 0;
     a->sum_count = a->ready_count = 0;
+    a->second_count = a->spare_count = 0;
 }
 
 /* ---- adding ---- */
@@ -148,24 +152,6 @@ bool vox_accumulator_open_brick(struct vox_accumulator *a, uint32_t *brick)
     *brick = ++a->brick_count;
     memset(&a->bricks[*brick], 0, sizeof a->bricks[*brick]);
     return true;
-}
-
-/* Returns the length of a normal times the cosine of its angle to a record's. */
-static double along(const struct vox_sum *fragment, const struct vox_sum *sum)
-{
-    double length = sqrt(vox_dot(sum->normal, sum->normal));
-    return length > 0.0 ? vox_dot(fragment->normal, sum->normal) / length : 0.0;
-}
-
-uint32_t vox_accumulator_choose(struct vox_accumulator *a, uint32_t first,
-                                const struct vox_sum *fragment)
-{
-    uint32_t second = a->others[first];
-    if (second == 0)
-        return a->others[first] = ++a->sum_count;
-    if (!vox_faces_away(row_load(fragment->normal), fragment->area, &a->sums[second]))
-        return second;
-    return along(fragment, &a->sums[second]) > along(fragment, &a->sums[first]) ? second : first;
 }
 
 /* ---- records ---- */
@@ -218,12 +204,22 @@ struct brick_records {
     bool has_second[VOX_BRICK_VOXELS];
 };
 
+/* Returns whether the first of two records is the larger one. If they are equal but for rounding,
+ * their directions decide. */
+static bool goes_first(const struct vox_sum *one, const struct vox_sum *other)
+{
+    static const double order[3] = {0.9, 0.5, 0.3};
+    if (fabs(one->area - other->area) > 1e-6 * one->area)
+        return one->area > other->area;
+    return vox_dot(one->normal, order) > vox_dot(other->normal, order);
+}
+
 /* Chooses a voxel's records: the larger of its sums, then the other one if it is worth keeping. */
 static void choose_records(const struct vox_accumulator *a, uint32_t number,
                            struct brick_records *chosen)
 {
     uint32_t other = a->others[number];
-    if (other != 0 && a->sums[other].area > a->sums[number].area) {
+    if (other != 0 && goes_first(&a->sums[other], &a->sums[number])) {
         uint32_t smaller = number;
         number = other;
         other = smaller;
@@ -267,7 +263,8 @@ static void find_voxels(const struct vox_accumulator *a, const uint32_t *slots, 
         for (uint32_t i = 0; i < 64; i += 16)
             mask[word] |= (uint64_t)bits_of_sixteen(slots + 64 * word + i) << i;
         for (uint64_t bits = mask[word]; bits; bits &= bits - 1)
-            __builtin_prefetch(&a->sums[slots[64 * word + (uint32_t)__builtin_ctzll(bits)]]);
+            __builtin_prefetch(
+                &a->sums[slots[64 * word + (uint32_t)__builtin_ctzll(bits)] & VOX_LINK_NUMBER]);
     }
 }
 
@@ -281,7 +278,8 @@ static void finish_brick(const struct vox_accumulator *a, uint32_t brick,
     find_voxels(a, slots, mask);
     for (uint32_t word = 0; word < 8; word++)
         for (uint64_t bits = mask[word]; bits; bits &= bits - 1)
-            choose_records(a, slots[64 * word + (uint32_t)__builtin_ctzll(bits)], &chosen);
+            choose_records(a, slots[64 * word + (uint32_t)__builtin_ctzll(bits)] & VOX_LINK_NUMBER,
+                           &chosen);
 
     struct fmt_nvdb_record *records = leaves->records + leaves->record_count;
     make_records(a, chosen.first, chosen.first_count, tables, records);
@@ -300,14 +298,6 @@ static void finish_brick(const struct vox_accumulator *a, uint32_t brick,
     leaves->second_count += chosen.second_count;
     leaves->ids[leaves->leaf_count++] = (uint16_t)brick;
     widen(leaves, brick, mask);
-}
-
-static uint64_t count_seconds(const struct vox_accumulator *a)
-{
-    uint64_t count = 0;
-    for (uint32_t i = 1; i <= a->sum_count; i++)
-        count += a->others[i] != 0;
-    return count;
 }
 
 /* Ensures capacity for this many more leaves and records. */
@@ -339,7 +329,7 @@ static int grow_leaves(struct vox_leaves *l, uint64_t leaves, uint64_t records, 
 uint64_t vox_accumulator_result_bytes(const struct vox_accumulator *a, const struct vox_leaves *l)
 {
     uint64_t leaves = (uint64_t)l->leaf_count + a->brick_count;
-    uint64_t records = l->record_count + l->second_count + a->sum_count;
+    uint64_t records = l->record_count + l->second_count + a->sum_count - a->spare_count;
     return leaves * (sizeof *l->ids + sizeof *l->masks) +
            records * (sizeof *l->records + a->channel_words * sizeof *l->channels);
 }
@@ -347,9 +337,9 @@ uint64_t vox_accumulator_result_bytes(const struct vox_accumulator *a, const str
 int vox_accumulator_finish(const struct vox_accumulator *a, const struct vox_color_tables *tables,
                            struct vox_leaves *l)
 {
-    uint64_t seconds = count_seconds(a);
+    const uint64_t firsts = a->sum_count - a->spare_count - a->second_count;
     l->channel_words = a->channel_words;
-    int status = grow_leaves(l, a->brick_count, a->sum_count - seconds, seconds);
+    int status = grow_leaves(l, a->brick_count, firsts, a->second_count);
     if (status < 0)
         return status;
     if (a->brick_count > 0)

@@ -2,11 +2,14 @@
  *
  * Takes fragments (clip/). Gives the leaves of a region in the layout of fmt_nvdb_append(). A
  * region is 128^3 voxels. Only touched voxels take memory: 16^3 brick slots, 8^3 voxel slots for
- * each brick, one or two records for each voxel. Sums are double, so a million small fragments in
- * one voxel lose nothing. Not thread-safe: each worker has one accumulator and reuses it for every
- * region.
+ * each brick, one sum for each voxel and class of directions in it. Sums are double, so a million
+ * small fragments in one voxel lose nothing. Not thread-safe: each worker has one accumulator and
+ * reuses it for every region.
  *
- * About every fourth fragment is the first in its voxel, which no processor can predict. So records
+ * The order of fragments changes sums by rounding only
+ * (docs/decisions/0082-sides-are-found-from-sums.md).
+ *
+ * About every fourth fragment is the first in its voxel, which no processor can predict. So sums
  * are cleared ahead of need, and adding takes no branch for that. */
 #ifndef VOX_VOXELIZE_RECORDS_REGION_H
 #define VOX_VOXELIZE_RECORDS_REGION_H
@@ -52,7 +55,18 @@ struct vox_vote {
     uint32_t id;
 };
 
-/* Number of the first record of each voxel, 0: not touched. */
+/* Fragments are summed in classes of directions: the octants of axes that are turned by 45 degrees
+ * about (1, 1, 1). So no common direction, such as those of the axes, lies between classes. The
+ * rows of the rotation's matrix have these three numbers. */
+#define VOX_TURN_0 0.8047378541243649
+#define VOX_TURN_1 0.5058793634016805
+#define VOX_TURN_2 (-0.3106172175260455)
+enum { VOX_CLASSES = 8 };
+
+/* Link to a sum: its number, and above it the class of its normals. 0: none. */
+enum { VOX_LINK_CLASS = 29, VOX_LINK_NUMBER = (1 << VOX_LINK_CLASS) - 1 };
+
+/* Link to the first sum of each voxel, 0: not touched. */
 typedef uint32_t vox_brick[VOX_BRICK_VOXELS];
 
 struct vox_accumulator {
@@ -60,7 +74,10 @@ struct vox_accumulator {
     uint32_t brick_of[VOX_BRICKS]; /* number of each brick, 0: none */
     vox_brick *bricks;             /* number 0 is unused, here and below */
     struct vox_sum *sums;
-    uint32_t *others; /* for each record: the number of the voxel's second one, 0: none */
+    /* For each sum: link to the next one of its voxel, from the last one to the first; 0: there is
+     * only one. After vox_accumulator_settle(), for the first one: number of the voxel's second
+     * record, 0: none. */
+    uint32_t *others;
     struct vox_color_sum *colors; /* NULL: the scan has no colours */
     struct vox_vote *votes;       /* NULL: the grid gets no ids */
     double *channels;       /* of each record channel_words sums of area times value; NULL: none */
@@ -68,7 +85,8 @@ struct vox_accumulator {
     double *fragment_channels; /* space for the values of VOX_FRAGMENT_LANES fragments */
     uint32_t brick_count, brick_capacity;
     uint32_t sum_count, sum_capacity;
-    uint32_t ready_count; /* records that have been cleared, used or not */
+    uint32_t second_count, spare_count; /* second records, sums that others have taken in */
+    uint32_t ready_count;               /* records that have been cleared, used or not */
 };
 
 /* Returns the number of a voxel with coordinates from 0 to 127 in the region: its brick, then its
@@ -112,11 +130,15 @@ void vox_accumulator_destroy(struct vox_accumulator *a); /* NULL is allowed */
 /* Empties the accumulator. */
 void vox_accumulator_clear(struct vox_accumulator *a);
 
+/* Makes one or two records of the sums of each voxel. Called once, after all fragments are added.
+ */
+void vox_accumulator_settle(struct vox_accumulator *a);
+
 /* Returns the bytes that `leaves` takes after the voxels are appended. */
 uint64_t vox_accumulator_result_bytes(const struct vox_accumulator *a,
                                       const struct vox_leaves *leaves);
-/* Appends the voxels to `leaves`, whose ids must all be below those of this accumulator. Fails only
- * if memory runs out. */
+/* Appends the settled voxels to `leaves`, whose ids must all be below those of this accumulator.
+ * Fails only if memory runs out. */
 int vox_accumulator_finish(const struct vox_accumulator *a, const struct vox_color_tables *tables,
                            struct vox_leaves *leaves);
 
@@ -149,23 +171,22 @@ struct vox_fragment_sum {
     const double *channels; /* values; not read without has_channels */
 };
 
-/* Returns the record for a fragment that faces away from the voxel's first one. */
-uint32_t vox_accumulator_choose(struct vox_accumulator *a, uint32_t first,
-                                const struct vox_sum *fragment);
+/* Returns the number of the voxel's sum for this class. first_link: link to its first sum, which
+ * has another class. */
+uint32_t vox_accumulator_find(struct vox_accumulator *a, uint32_t first_link, uint32_t class_bits);
 
 static inline double vox_dot(const double a[3], const double b[3])
 {
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-/* Returns whether the cosine between a fragment's normal and a record's is below -1/4. It is for
- * the two sides of a wall or a blade, but not at the edge of a box. */
-LANES_INLINE bool vox_faces_away(struct row normal, double area, const struct vox_sum *sum)
+/* Returns the class of a normal, above VOX_LINK_CLASS. */
+LANES_INLINE uint32_t vox_class_bits(struct row normal)
 {
-    struct row products = row_product(normal, row_load(sum->normal));
-    double d = row_number(products, 0) + row_number(products, 1) + row_number(products, 2);
-    return __builtin_expect(d < 0.0, 0) &&
-           d * d > 0.25 * 0.25 * vox_dot(sum->normal, sum->normal) * area * area;
+    struct row next = row_rotate(normal);
+    struct row turned = row_sum(row_sum(row_times(VOX_TURN_0, normal), row_times(VOX_TURN_1, next)),
+                                row_times(VOX_TURN_2, row_rotate(next)));
+    return row_signs(turned) << VOX_LINK_CLASS;
 }
 
 /* Adds an area's vote. */
@@ -190,27 +211,24 @@ static inline void vox_add_channels(struct vox_accumulator *a, uint32_t number,
         sums[i] += area * values[i];
 }
 
-/* Adds one fragment, of an area above 0, to a voxel. has_color, has_ids, has_channels: whether the
- * accumulator has colours, ids and further channels. The order of calls decides which record a
- * fragment goes to. Returns 0, or VOX_REGION_FULL with nothing added. */
-LANES_INLINE int vox_accumulator_add(struct vox_accumulator *a, uint32_t voxel,
+/* Adds one fragment, of an area above 0, to a voxel. class_bits: class of its direction, above
+ * VOX_LINK_CLASS. has_color, has_ids, has_channels: whether the accumulator has colours, ids and
+ * further channels. Returns 0, or VOX_REGION_FULL with nothing added. */
+LANES_INLINE int vox_accumulator_add(struct vox_accumulator *a, uint32_t voxel, uint32_t class_bits,
                                      const struct vox_fragment_sum *fragment, bool has_color,
                                      bool has_ids, bool has_channels)
 {
     uint32_t *brick = &a->brick_of[voxel / VOX_BRICK_VOXELS];
     if (*brick == 0 && !vox_accumulator_open_brick(a, brick))
         return VOX_REGION_FULL;
-    uint32_t *slot = &a->bricks[*brick][voxel % VOX_BRICK_VOXELS], number = *slot;
-    uint32_t fresh = number == 0, next = a->sum_count + 1;
-    number = fresh ? next : number;
-    *slot = number;
+    uint32_t *slot = &a->bricks[*brick][voxel % VOX_BRICK_VOXELS], link = *slot;
+    uint32_t fresh = link == 0, next = a->sum_count + 1;
+    link |= (next | class_bits) & (0 - fresh); /* no branch */
+    *slot = link;
     a->sum_count += fresh;
-    if (vox_faces_away(fragment->normal, row_number(fragment->center, 3), &a->sums[number])) {
-        struct vox_sum in_memory; /* so that `fragment` itself stays in registers */
-        row_store(fragment->normal, in_memory.normal);
-        row_store(fragment->center, in_memory.center);
-        number = vox_accumulator_choose(a, number, &in_memory);
-    }
+    uint32_t number = link & VOX_LINK_NUMBER;
+    if (__builtin_expect((link ^ class_bits) > VOX_LINK_NUMBER, 0))
+        number = vox_accumulator_find(a, link, class_bits);
 
     struct vox_sum *sum = &a->sums[number];
     row_add(sum->normal, fragment->normal);
