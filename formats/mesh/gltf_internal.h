@@ -146,6 +146,7 @@ struct gltf_mesh {
     uint32_t first, count;               /* primitives that have triangles */
     uint64_t total[FMT_MESH_KIND_COUNT]; /* elements */
     uint64_t triangles;
+    bool named; /* by a node */
 };
 
 /* A mesh in the scene: at a node. */
@@ -177,8 +178,8 @@ struct gltf_material {
 
 /* What is not read, counted for warnings. */
 struct gltf_unread {
-    uint64_t points, rest, outside, skins, morphs, texture_factors, texture_colors, images,
-        packed_images, instances;
+    uint64_t points, bare, rest, outside, unplaced, skins, morphs, texture_factors, texture_colors,
+        images, packed_images, instances;
 };
 
 struct gltf_source {

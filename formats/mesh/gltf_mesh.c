@@ -113,6 +113,7 @@ static int read_primitive(const struct gltf_place *place, struct gltf_source *so
         status = fmt_gltf_index(place, object, "material", "materials", &out->material);
     if (!status)
         status = read_accessors(place, source, object, out);
+    source->unread.bare += !status && out->position == GLTF_NONE;
     if (status || out->position == GLTF_NONE)
         return status;
     count_triangles(source, out);

@@ -230,8 +230,10 @@ static int warn_unread(const struct gltf_reader *reader, uint32_t file)
     const struct gltf_unread *unread = &reader->files[file].unread;
     const struct unread_kind shape[] = {
         {unread->points, false, "primitives of points or lines are not read"},
+        {unread->bare, true, "primitives without positions are not read"},
         {unread->rest, true, "indices of incomplete triangles are not read"},
         {unread->outside, true, "nodes with meshes are not in the scene and are not read"},
+        {unread->unplaced, true, "meshes are at no node and are not read"},
         {unread->skins, false, "meshes have skins, which are not applied"},
         {unread->morphs, false, "primitives have morph targets, which are not applied"},
         {unread->instances, true,

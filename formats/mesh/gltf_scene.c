@@ -231,13 +231,20 @@ static int visit_scene(struct walk *w)
     return status ? status : visit_nodes(w);
 }
 
-/* Counts meshes of nodes that were not visited. */
+/* Counts meshes of nodes that were not visited, and meshes that no node names. */
 static void count_outside(struct walk *w)
 {
-    for (uint64_t i = 0; i < w->node_count; i++)
-        w->source->unread.outside +=
-            !w->seen[i] &&
-            json_object_get(fmt_gltf_element(w->document, "nodes", i).object, "mesh") != NULL;
+    struct gltf_source *source = w->source;
+    for (uint64_t i = 0; i < w->node_count; i++) {
+        const json_t *mesh =
+            json_object_get(fmt_gltf_element(w->document, "nodes", i).object, "mesh");
+        uint64_t number;
+        source->unread.outside += !w->seen[i] && mesh != NULL;
+        if (mesh && source->mesh_count > 0 && fmt_gltf_whole(mesh, source->mesh_count - 1, &number))
+            source->meshes[number].named = true;
+    }
+    for (uint32_t i = 0; i < source->mesh_count; i++)
+        source->unread.unplaced += !source->meshes[i].named && source->meshes[i].triangles > 0;
 }
 
 /* A file without nodes is a library of meshes: each is placed once. */

@@ -271,7 +271,10 @@ sed 's/"image.ppm"/"https:\/\/example.org\/image.ppm"/' beside.gltf >web.gltf
 sed 's/"source": 0/"sampler": 0/' beside.gltf >basisu.gltf
 sed 's/"pbrMetallicRoughness": {/&"baseColorFactor": [1, 0.5, 1, 1], /' beside.gltf >factor.gltf
 sed 's/"nodes": \[{"mesh": 0}/&, {"mesh": 0}/' beside.gltf >outside.gltf
-for case in 'packed.glb.gz textures are inside of a packed file or a pipe: unpack it' \
+jq '.meshes += .meshes' beside.gltf >unplaced.gltf
+jq '.meshes[0].primitives += [{"attributes": {}}]' beside.gltf >bare.gltf
+for case in 'unplaced.gltf meshes are at no node and are not read' 'bare.gltf primitives without positions are not read' \
+    'packed.glb.gz textures are inside of a packed file or a pipe: unpack it' \
     'web.gltf textures have a format or an address that is not read' \
     'basisu.gltf textures have a format or an address that is not read' \
     'factor.gltf materials have a texture, so their colour factor is not used' \
