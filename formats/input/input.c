@@ -248,6 +248,15 @@ static int read_packed(void *arg, void *buffer, uint64_t size, uint64_t *got)
     return status;
 }
 
+/* Reports why a file cannot be unpacked: it was changed (BSQ_EIO), or it is damaged (BSQ_EDATA). */
+static int fail_unpacking(const struct packed_reader *reader, const char *path,
+                          const struct unpacker *unpacker)
+{
+    const int changed = bsq_file_check(reader->ctx, &reader->file);
+    return changed ? changed
+                   : bsq_fail(reader->ctx, BSQ_EDATA, "%s: %s", path, fmt_unpack_error(unpacker));
+}
+
 /* Unpacks the first bytes of a packed file. *taken: the packed bytes that they came from. */
 static int unpack_start(struct fmt_input *input, void *buffer, uint64_t size, uint64_t *got,
                         uint64_t *taken)
@@ -260,7 +269,7 @@ static int unpack_start(struct fmt_input *input, void *buffer, uint64_t size, ui
     if (!status)
         status = fmt_unpack_read(unpacker, buffer, size, got);
     if (status == BSQ_EDATA)
-        status = bsq_fail(input->ctx, BSQ_EDATA, "%s: %s", input->path, fmt_unpack_error(unpacker));
+        status = fail_unpacking(&reader, input->path, unpacker);
     *taken = unpacker ? fmt_unpack_taken(unpacker) : 0;
     fmt_unpack_free(unpacker);
     bsq_file_close(input->ctx, &reader.file);
@@ -318,7 +327,7 @@ int fmt_input_text(struct bsq_ctx *ctx, const char *path, uint64_t padding, char
     if (!status)
         status = read_to_end(ctx, unpacker, padding, text, &capacity, size);
     if (status == BSQ_EDATA)
-        status = bsq_fail(ctx, BSQ_EDATA, "%s: %s", path, fmt_unpack_error(unpacker));
+        status = fail_unpacking(&reader, path, unpacker);
     if (!status)
         status = bsq_file_check(ctx, &reader.file);
     fmt_unpack_free(unpacker);

@@ -262,10 +262,12 @@ static void wait_for_arrival(struct spool *spool)
 /* Returns why no more bytes come. Damage is described here, by the reader that wanted the bytes. */
 static int explain(const struct spool *spool)
 {
-    if (spool->status == BSQ_EDATA)
-        return bsq_fail(spool->ctx, BSQ_EDATA, "%s: %s", spool->path,
-                        fmt_unpack_error(spool->unpacker));
-    return spool->status;
+    if (spool->status != BSQ_EDATA)
+        return spool->status;
+    const int changed = spool->file ? bsq_file_check(spool->ctx, spool->file) : 0;
+    return changed ? changed
+                   : bsq_fail(spool->ctx, BSQ_EDATA, "%s: %s", spool->path,
+                              fmt_unpack_error(spool->unpacker));
 }
 
 /* Returns whether all `end` bytes have come, or no more do. The lock is held. */

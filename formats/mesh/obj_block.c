@@ -508,6 +508,8 @@ static const char *parse_other(struct parser *parser, const char *p)
         return add_statement(parser, p, OBJ_MTLLIB);
     if (length == 1 && (*word == 'o' || *word == 'g') && block->objects)
         return add_statement(parser, p, OBJ_OBJECT);
+    if (length == 6 && !memcmp(word, "usemap", 6) && strncmp(skip_blanks(block, p), "off", 3) != 0)
+        note_odd(parser, OBJ_USEMAP);
     const bool surface = IS_IN(surface_statements, word, length);
     const bool name = IS_IN(name_statements, word, length);
     const bool standard = surface || name || IS_IN(standard_statements, word, length);

@@ -22,6 +22,7 @@ enum obj_oddity {
     OBJ_NO_COLOR,    /* vertex colours that are not finite */
     OBJ_VERTEX_SIZE, /* vertices of 2 numbers (z is 0) or 5 (two are ignored) */
     OBJ_SURFACE,     /* free-form surfaces and patches */
+    OBJ_USEMAP,      /* textures that the file itself names */
     OBJ_UNKNOWN,     /* statements that are not in the standard */
     OBJ_ODDITY_COUNT
 };

@@ -508,6 +508,7 @@ static int warn_odd_lines(const struct obj_reader *reader)
         [OBJ_NO_COLOR] = "vertices with a colour that is not finite",
         [OBJ_VERTEX_SIZE] = "vertices of 2 or 5 numbers, read as x y 0 or x y z",
         [OBJ_SURFACE] = "free-form surfaces, which are not read",
+        [OBJ_USEMAP] = "usemap statements, whose textures are not read (see --texture)",
         [OBJ_UNKNOWN] = "lines with statements that are not of the format",
     };
     int status = 0;

@@ -114,6 +114,9 @@ warns 'nan.obj:4: vertices without a finite position: 1; this is the first' nan.
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\ng a\nodd one\nodder\n' >odd.obj
 warns 'odd.obj:6: lines with statements that are not of the format: 2; this is the first' odd.obj
 
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nusemap off\nf 1 2 3\nusemap wood.png\nf 3 2 1\n' >usemap.obj
+warns 'usemap.obj:6: usemap statements, whose textures are not read (see --texture): 1; this is the first' usemap.obj
+
 # Faces that cannot use their texture: all of them, some, and none.
 texture=red.ppm
 printf 'P6\n1 1\n255\n\377\0\0' >$texture

@@ -227,10 +227,11 @@ static void test_no_more_is_unpacked_than_is_read(void **state)
     (void)state;
     struct packed p = {0};
     struct fmt_mesh_reader *reader;
-    const size_t zeros = (size_t)256 << 20;
-    uint8_t *bomb = calloc(zeros, 1);
+    const size_t blanks = (size_t)256 << 20; /* one line */
+    uint8_t *bomb = malloc(blanks);
     assert_non_null(bomb);
-    pack_zstd(&p, bomb, zeros, 20);
+    memset(bomb, ' ', blanks);
+    pack_zstd(&p, bomb, blanks, 20);
     const char *path = scratch_bytes("bomb.obj.zst", p.data, p.size);
     assert_true(p.size < 100000);
     free(bomb);
@@ -243,6 +244,37 @@ static void test_no_more_is_unpacked_than_is_read(void **state)
     fmt_mesh_close(reader);
     assert_int_equal(bsq_memory_used(ctx), 0);
     bsq_ctx_destroy(ctx);
+}
+
+/* A packed file that ends too early is damaged, unless it was written to under way. */
+static void test_a_file_that_changes_is_not_damaged(void **state)
+{
+    (void)state;
+    const char *path = write_packed("short.bin");
+    struct stat info;
+    assert_int_equal(stat(path, &info), 0);
+    assert_int_equal(truncate(path, info.st_size - 9), 0);
+    for (int changed = 0; changed < 2; changed++) {
+        const struct timespec past[2] = {{1000, 0}, {1000, 0}};
+        struct fmt_input *input;
+        char *buffer = malloc(BYTES);
+        uint64_t got;
+        struct bsq_ctx *ctx = make_context(64 << 20, 1);
+        assert_non_null(buffer);
+        assert_int_equal(fmt_input_create(ctx, path, NULL, false, &input), 0);
+        assert_int_equal(fmt_input_open(input), 0);
+        expect_range(input, 0, 1);
+        assert_int_equal(changed ? utimensat(AT_FDCWD, path, past, 0) : 0, 0);
+        assert_int_equal(fmt_input_read_some(input, buffer, BYTES, 0, &got),
+                         changed ? BSQ_EIO : BSQ_EDATA);
+        assert_non_null(strstr(bsq_error(ctx), changed ? "short.bin: was changed while it was read"
+                                                       : "short.bin: truncated: "));
+        bsq_clear_error(ctx);
+        fmt_input_close(input);
+        fmt_input_free(input);
+        free(buffer);
+        bsq_ctx_destroy(ctx);
+    }
 }
 
 /* ---- pipes ---- */
@@ -366,6 +398,7 @@ int main(void)
         cmocka_unit_test(test_ranges_in_any_order),
         cmocka_unit_test(test_much_is_read_in_order_and_again),
         cmocka_unit_test(test_no_more_is_unpacked_than_is_read),
+        cmocka_unit_test(test_a_file_that_changes_is_not_damaged),
         cmocka_unit_test(test_pipe_is_read_once),
         cmocka_unit_test(test_waiting_ends_with_an_interruption),
         cmocka_unit_test(test_two_inputs_cannot_be_one_pipe),
