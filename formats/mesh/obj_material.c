@@ -308,17 +308,19 @@ static void add_other(struct others *others, const struct obj_name *name)
 static int warn_of_others(const struct obj_reader *reader, const struct others *lost,
                           const struct others *bare)
 {
+    const struct obj_source *sources = reader->sources;
+    int status = 0;
     if (bare->count > 0 && !reader->has_colors)
-        bsq_warn(reader->base.ctx,
-                 "%s: no material library is named; faces of %u materials such as \"%.60s\" have "
-                 "no colour (see --texture)",
-                 reader->sources[bare->first->source].path, bare->count, bare->first->text);
-    if (lost->count == 0)
-        return 0;
-    return bsq_warn_loss(reader->base.ctx,
-                         "%s: no material library describes \"%.60s\"; faces of %u such "
-                         "materials have no colour (see --texture)",
-                         reader->sources[lost->first->source].path, lost->first->text, lost->count);
+        status = bsq_warn_loss(reader->base.ctx,
+                               "%s: no material library is named; materials without a colour, such "
+                               "as \"%.60s\": %u (see --texture)",
+                               sources[bare->first->source].path, bare->first->text, bare->count);
+    if (status == 0 && lost->count > 0)
+        status = bsq_warn_loss(reader->base.ctx,
+                               "%s: no material library describes \"%.60s\"; materials without a "
+                               "colour: %u (see --texture)",
+                               sources[lost->first->source].path, lost->first->text, lost->count);
+    return status;
 }
 
 /* Warns of faces without a material in files whose materials have colours or textures, unless
