@@ -208,11 +208,11 @@ static void materials_come_from_the_library(void **state)
     assert_true(f->report.has_texcoords);
     read_sorted(f, &got, &header);
     assert_int_equal(header.attributes, FMT_TRIS_TEXCOORDS | FMT_TRIS_MATERIALS);
-    assert_int_equal(header.material_count, 3);
-    assert_int_equal(count_material(&got, UINT32_MAX), 2); /* before usemtl, and unknown */
-    assert_int_equal(count_material(&got, 0), 1);          /* wall with its texture */
-    assert_int_equal(count_material(&got, 1), 1);          /* wall without */
-    assert_int_equal(count_material(&got, 2), 2);          /* red */
+    assert_int_equal(header.material_count, 4);
+    assert_int_equal(count_material(&got, 0), 1); /* wall with its texture */
+    assert_int_equal(count_material(&got, 1), 1); /* wall without */
+    assert_int_equal(count_material(&got, 2), 2); /* red */
+    assert_int_equal(count_material(&got, 3), 2); /* before usemtl, and unknown */
     for (size_t i = 0; i < got.count; i++)
         if (got.list[i].material == 0)
             for (int k = 0; k < 3; k++) {
@@ -226,6 +226,7 @@ static void materials_come_from_the_library(void **state)
     assert_null(m[1].texture_path);
     assert_true(m[1].diffuse[0] == 0.5f);
     assert_true(m[2].diffuse[0] == 1.0f && m[2].diffuse[1] == 0.0f);
+    assert_true(m[3].diffuse[0] == 1.0f && m[3].diffuse[1] == 1.0f); /* white */
     fmt_tris_close(file);
     free(got.list);
 }
@@ -240,8 +241,9 @@ static void a_missing_texture_leaves_the_diffuse_colour(void **state)
     expect_sorted(f, sort_text(f, materials_obj));
     read_sorted(f, &got, &header);
     assert_int_equal(header.attributes, FMT_TRIS_MATERIALS);
-    assert_int_equal(header.material_count, 1);
+    assert_int_equal(header.material_count, 2);
     assert_int_equal(count_material(&got, 0), 2);
+    assert_int_equal(count_material(&got, 1), 4); /* white */
     free(got.list);
 }
 
@@ -270,7 +272,7 @@ static void one_texture_can_be_given_for_all(void **state)
     expect_sorted(f, vox_sort(f->ctx, &options, &f->report));
     read_sorted(f, &got, NULL);
     assert_int_equal(count_material(&got, 0), 2);
-    assert_int_equal(count_material(&got, UINT32_MAX), 2);
+    assert_int_equal(count_material(&got, 1), 2); /* without texture coordinates: white */
     free(got.list);
     strcpy(texture, "/nowhere/at all.png");
     assert_int_equal(vox_sort(f->ctx, &options, &f->report), BSQ_ENOINPUT);
