@@ -81,7 +81,7 @@ void bsq_ctx_destroy(struct bsq_ctx *ctx)
         return;
     bsq_pool_destroy(ctx->pool);
     bsq_forget_files(ctx);
-    bsq_path_map_free(ctx->paths);
+    bsq_path_map_free(ctx, ctx->paths);
     assert(atomic_load(&ctx->memory_used) == 0 && "memory of this context was not freed");
     bsq_clear_error(ctx);
     pthread_mutex_destroy(&ctx->error_lock);

@@ -70,7 +70,7 @@ void bsq_pool_destroy(struct bsq_pool *pool);
 void bsq_sweeps_free(struct bsq_ctx *ctx, struct bsq_sweeps *sweeps);
 
 /* Frees the rules of paths; NULL is allowed. */
-void bsq_path_map_free(struct bsq_path_map *map);
+void bsq_path_map_free(struct bsq_ctx *ctx, struct bsq_path_map *map);
 
 /* Notes an input that was opened. Errors: BSQ_EIO if it is not what the first opening of this path
  * found; those of bsq_note_input(). */

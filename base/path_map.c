@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "base/context_internal.h"
+#include "base/text_table.h"
 
 struct rule {
     enum bsq_path_format format;
@@ -17,8 +18,8 @@ struct rule {
 struct bsq_path_map {
     struct rule *rules; /* longest source first */
     size_t rule_count;
-    char **mapped; /* paths that were handed out */
-    size_t mapped_count;
+    struct bsq_texts mapped; /* paths that were handed out */
+    struct bsq_tally tally;  /* of these */
 };
 
 static bool is_separator(enum bsq_path_format format, char c)
@@ -112,37 +113,30 @@ static char *replace(const struct rule *rule, const char *path)
     return out;
 }
 
-/* Returns a kept copy of the mapped path; NULL if there is no memory. */
-static const char *keep(struct bsq_path_map *map, const struct rule *rule, const char *path)
+/* Sets *out to a kept copy of the mapped path. Errors: BSQ_ENOMEM. */
+static int keep(struct bsq_ctx *ctx, const struct rule *rule, const char *path, const char **out)
 {
+    struct bsq_path_map *map = ctx->paths;
     char *mapped = replace(rule, path);
-    for (size_t i = 0; mapped && i < map->mapped_count; i++)
-        if (strcmp(map->mapped[i], mapped) == 0) {
-            free(mapped);
-            return map->mapped[i];
-        }
-    char **list = mapped ? reallocarray(map->mapped, map->mapped_count + 1, sizeof *list) : NULL;
-    if (!list) {
-        free(mapped);
-        return NULL;
-    }
-    map->mapped = list;
-    return list[map->mapped_count++] = mapped;
+    uint64_t number = 0;
+    int status = mapped ? bsq_texts_add(ctx, &map->tally, &map->mapped, mapped, &number)
+                        : bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", path);
+    free(mapped);
+    *out = status == 0 ? map->mapped.list[number] : NULL;
+    return status;
 }
 
 const char *bsq_map_path(struct bsq_ctx *ctx, const char *name)
 {
     const char *out = name;
     pthread_mutex_lock(&ctx->files_lock);
-    struct bsq_path_map *map = ctx->paths;
-    for (size_t i = 0; map && i < map->rule_count; i++)
-        if (fits(&map->rules[i], name)) {
-            out = keep(map, &map->rules[i], name);
-            break;
-        }
+    const struct bsq_path_map *map = ctx->paths;
+    size_t i = 0;
+    while (map && i < map->rule_count && !fits(&map->rules[i], name))
+        i++;
+    if (map && i < map->rule_count)
+        (void)keep(ctx, &map->rules[i], name, &out); /* NULL tells of the failure */
     pthread_mutex_unlock(&ctx->files_lock);
-    if (!out)
-        bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", name);
     return out;
 }
 
@@ -166,7 +160,7 @@ int bsq_path_rules_text(struct bsq_ctx *ctx, char **out)
     return failed ? bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "rules for paths") : 0;
 }
 
-void bsq_path_map_free(struct bsq_path_map *map)
+void bsq_path_map_free(struct bsq_ctx *ctx, struct bsq_path_map *map)
 {
     if (!map)
         return;
@@ -174,9 +168,8 @@ void bsq_path_map_free(struct bsq_path_map *map)
         free(map->rules[i].source);
         free(map->rules[i].destination);
     }
-    for (size_t i = 0; i < map->mapped_count; i++)
-        free(map->mapped[i]);
+    bsq_texts_free(&map->mapped);
+    bsq_tally_release(ctx, &map->tally);
     free(map->rules);
-    free(map->mapped);
     free(map);
 }
