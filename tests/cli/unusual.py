@@ -120,7 +120,7 @@ def obj():
     case("fo.obj", v + f.replace("f", "fo"))
     case("cr.obj", (v + f).replace("\n", "\r"))
     case("plus.obj", v.replace("0.5", "+0.5") + f.replace("4", "+4"))
-    case("old.obj", "csh -ls\n" + v + "mg off\ns off\nlod 3\nbevel on\nusemap x\nmaplib y\n" + f)
+    case("old.obj", "csh -ls\n" + v + "mg off\ns off\nlod 3\nbevel on\nusemap off\nmaplib y\n" + f)
     case("latin1.obj", b"# caf\xe9\no caf\xe9\n" + (v + f).encode())
 
 
