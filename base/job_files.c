@@ -113,7 +113,7 @@ static int add_input(struct bsq_ctx *ctx, const char *path, struct input **out)
     if (!files)
         return fail_memory(ctx, path);
     const uint64_t count = files->input_paths.count;
-    uint64_t number;
+    uint64_t number = 0;
     int status = bsq_tally_grow(ctx, &files->tally, count + 1, sizeof *files->inputs,
                                 &files->inputs, &files->input_capacity);
     if (status == 0)
@@ -233,7 +233,7 @@ static int add_output(struct bsq_ctx *ctx, const char *path, struct output **out
     if (!files)
         return fail_memory(ctx, path);
     const uint64_t count = files->output_paths.count;
-    uint64_t number;
+    uint64_t number = 0;
     int status = bsq_tally_grow(ctx, &files->tally, count + 1, sizeof *files->outputs,
                                 &files->outputs, &files->output_capacity);
     if (status == 0)

@@ -1,5 +1,6 @@
 /* text_table.c - see text_table.h. */
 #include <errno.h>
+#include <assert.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -77,6 +78,7 @@ static int grow(struct bsq_ctx *ctx, struct bsq_tally *tally, struct bsq_texts *
         bsq_tally_grow(ctx, tally, texts->count + 1, sizeof *texts->list, &texts->list, &capacity);
     if (status == 0)
         status = bsq_tally_add(ctx, tally, 2 * (capacity - texts->capacity) * sizeof *texts->slots);
+    assert(status < 0 || capacity > 0);
     uint64_t *slots = status == 0 ? calloc(2 * capacity, sizeof *slots) : NULL;
     if (!slots)
         return status < 0 ? status : fail_memory(ctx);

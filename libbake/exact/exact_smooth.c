@@ -122,7 +122,7 @@ int bake_exact_smooth_sum(const struct bake_exact *exact, struct exact_slot *slo
         int status = bsq_check(exact->ctx);
         if (status == 0)
             status = fmt_tris_load(exact->file, number, scratch->neighbour, &neighbour);
-        if (status < 0)
+        if (status != 0)
             return status;
         add_chunk(s, exact->options.normals, &neighbour, &box, scratch->map);
     }

@@ -5,24 +5,30 @@
 #include "base/channels.h"
 #include "libbake/surface/surface.h"
 
-/* Returns whether an open scan, or each of several, has a channel. */
-static bool has_channel(const struct bake_surface *surface, const char *name)
+/* Returns whether a single scan has a channel. */
+static bool has_own_channel(const struct bake_surface *scan, const char *name)
 {
+    const struct fmt_nvdb_grid *grid = &scan->grid;
     uint32_t first;
-    for (uint32_t p = 0; p < surface->part_count; p++)
-        if (!has_channel(&surface->parts[p], name))
-            return false;
-    if (surface->parts)
-        return true;
-    if (!surface->exact)
-        return surface->grid.channels &&
-               bsq_channel_list_find(surface->grid.channel_list, surface->grid.channel_list_bytes,
-                                     name, &first);
-    const struct bake_exact_info *info = bake_exact_get_info(surface->exact);
+    if (!scan->exact)
+        return grid->channels &&
+               bsq_channel_list_find(grid->channel_list, grid->channel_list_bytes, name, &first);
+    const struct bake_exact_info *info = bake_exact_get_info(scan->exact);
     for (uint32_t c = 0; c < info->channel_count; c++)
         if (strcmp(info->channels[c], name) == 0)
             return true;
     return false;
+}
+
+/* Returns whether an open scan, or each of several, has a channel. */
+static bool has_channel(const struct bake_surface *surface, const char *name)
+{
+    if (!surface->parts)
+        return has_own_channel(surface, name);
+    for (uint32_t p = 0; p < surface->part_count; p++)
+        if (!has_own_channel(&surface->parts[p], name))
+            return false;
+    return true;
 }
 
 /* What each channel of a scan is given to. */

@@ -8,6 +8,7 @@
  */
 #include "libvoxel/voxelize/records/region.h"
 
+#include <assert.h>
 #include <math.h>
 
 /* Two ways to divide are equally good if their lengths differ by a smaller share. Then the first
@@ -99,6 +100,7 @@ static uint32_t divide_best(const struct voxel_sums *voxel)
     struct two_sides sides;
     uint32_t best = 0;
     double longest = 0.0;
+    assert(voxel->count > 0);
     sum_sides(voxel, 0, &sides);
     for (uint32_t i = 1; i < UINT32_C(1) << (voxel->count - 1); i++) {
         const uint32_t part = i ^ i >> 1, moved = (uint32_t)__builtin_ctz(i);
