@@ -242,6 +242,8 @@ static int write_chunks(const struct scan *scan, const struct partition *partiti
     report->degenerate_triangles = batches.degenerate;
     if (status == 0 && batches.triangles == 0)
         status = fail_without_area(scan, batches.degenerate);
+    if (status == 0)
+        status = vox_partition_warn_colorless(scan, partition);
     if (status < 0) {
         fmt_tris_discard(writer);
         return status;

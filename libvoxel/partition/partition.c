@@ -4,9 +4,11 @@
  * vertices are known: so are the cube around the scan and, if positions are in a file, the bucket
  * of each vertex. From then on all threads triangulate blocks of faces. A second serial step copies
  * the result to the buckets, in the order of the file. */
+#include "base/loss.h"
 #include "libvoxel/partition/partition.h"
 #include "libvoxel/partition/triangulate.h"
 
+#include <inttypes.h>
 #include <string.h>
 
 #define MIB ((uint64_t)1 << 20)
@@ -53,6 +55,38 @@ uint64_t vox_partition_unused(const struct scan *scan, const struct partition *p
 {
     uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
     return vertices - used_count(partition->used, vertices);
+}
+
+/* Counts the vertices of a file that faces use and that lack a colour. */
+static uint64_t count_colorless(const struct scan *scan, const struct partition *partition,
+                                uint64_t file)
+{
+    const uint64_t begin = file > 0 ? scan->files[file - 1].ends[FMT_MESH_VERTEX] : 0;
+    const uint64_t all = scan->missing_colors.words * 64;
+    uint64_t end = scan->files[file].ends[FMT_MESH_VERTEX], count = 0;
+    end = end < all ? end : all;
+    for (uint64_t v = begin; v < end; v++)
+        count += scan_is_missing(&scan->missing_colors, v) && used_is(partition->used, v);
+    return count;
+}
+
+int vox_partition_warn_colorless(const struct scan *scan, const struct partition *partition)
+{
+    uint64_t count = 0, first = 0; /* vertices; a file */
+    for (uint64_t i = 0; scan->missing_colors.words > 0 && i < scan->file_count; i++) {
+        if (!scan->files[i].has_colors || !vox_scan_loses_material_color(scan, i))
+            continue;
+        const uint64_t own = count_colorless(scan, partition, i);
+        first = count > 0 ? first : i;
+        count += own;
+    }
+    return count == 0
+               ? 0
+               : bsq_warn_loss(scan->ctx,
+                               "%s: vertices without a colour: %" PRIu64
+                               "; they are white, and colours of materials are not used, because "
+                               "other vertices have colours",
+                               scan->paths[first], count);
 }
 
 /* Chooses the levels that name buckets. A surface meets about 3 * 4^n of the 8^n cells of a grid.

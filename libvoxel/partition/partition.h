@@ -31,6 +31,11 @@ static inline void used_mark(used_word *used, uint64_t vertex)
         atomic_fetch_or_explicit(word, bit, memory_order_relaxed);
 }
 
+static inline bool used_is(const used_word *used, uint64_t vertex)
+{
+    return atomic_load_explicit(&used[vertex / 64], memory_order_relaxed) >> vertex % 64 & 1;
+}
+
 static inline uint64_t used_count(const used_word *used, uint64_t vertices)
 {
     uint64_t count = 0;
@@ -70,6 +75,9 @@ int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const 
 void vox_partition_finish(const struct scan *scan, struct partition *partition);
 void vox_partition_free(const struct scan *scan, struct partition *partition);
 
+/* Warns of vertices without a colour that faces use, in files of which other vertices have one, if
+ * colours of materials are lost by that. Called after `used` has been marked. */
+int vox_partition_warn_colorless(const struct scan *scan, const struct partition *partition);
 /* Returns the number of vertices that no face refers to, after `used` has been marked. */
 uint64_t vox_partition_unused(const struct scan *scan, const struct partition *partition);
 

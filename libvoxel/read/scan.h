@@ -125,6 +125,8 @@ struct scan {
     uint64_t clamped_colors;  /* vertices */
     uint64_t merged_vertices; /* see float_precision.h */
     struct scan_missing missing[FMT_MESH_KIND_COUNT]; /* of vertices and texture coordinates */
+    /* Vertices without a colour, in files of which other vertices have one in their own line. */
+    struct scan_missing missing_colors;
     struct fmt_mesh_totals totals;
     struct scan_file *files; /* up to the last one that had a block so far; at the end all */
     uint64_t file_count, file_capacity;
@@ -189,6 +191,9 @@ int vox_scan_clean_faces(const struct scan *scan, const struct fmt_mesh_block *b
 void vox_scan_clean_free(struct bsq_ctx *ctx, struct scan_clean_faces *clean);
 /* Notes which elements of a block are missing. Serial. Errors: BSQ_ENOMEM. */
 int vox_scan_note_missing(struct scan *scan, const struct fmt_mesh_block *block);
+/* Notes which vertices lack a colour, if others of the file have one. Serial, before the block is
+ * counted for its file. Errors: BSQ_ENOMEM. */
+int vox_scan_note_missing_colors(struct scan *scan, const struct fmt_mesh_block *block);
 /* Returns the bytes that notes on missing elements take. */
 uint64_t vox_scan_missing_memory(const struct scan *scan);
 /* Adds the result to the scan. Serial, in the order of the file. Errors: BSQ_ENOMEM. */
@@ -234,6 +239,9 @@ int vox_scan_note_file_faces(struct scan *scan, const struct scan_face_check *ch
 /* Warns of files without faces, and of attributes that some files have and others lack, in a scan
  * of several files. Called after vox_scan_find_materials(). */
 int vox_scan_compare_files(struct scan *scan, const char *texture_path);
+/* Returns whether vertex colours displace colours of materials that faces of a file use. Called
+ * after vox_scan_find_materials(). */
+bool vox_scan_loses_material_color(const struct scan *scan, uint64_t file);
 /* Returns the number of elements in a file and in all earlier ones, of a kind of index. */
 static inline uint64_t scan_file_end(const struct scan *scan, uint32_t file,
                                      enum fmt_mesh_kind kind)

@@ -49,9 +49,38 @@ int vox_scan_note_missing(struct scan *scan, const struct fmt_mesh_block *block)
     return 0;
 }
 
+static bool is_colored(const struct fmt_mesh_block *block, uint64_t vertex)
+{
+    const float *color = block->colors ? block->colors[vertex] : NULL;
+    return color && (color[0] != -1.0f || color[1] != -1.0f || color[2] != -1.0f);
+}
+
+int vox_scan_note_missing_colors(struct scan *scan, const struct fmt_mesh_block *block)
+{
+    const bool colored_before = scan->files[block->file].has_colors;
+    const uint64_t base = block->vertex_base, end = base + block->vertex_count;
+    /* The first colours of a file show that all vertices before them lack one. */
+    uint64_t first = base, vertex = 0;
+    if (block->color_white > 0.0f || (!block->colors && !colored_before))
+        return 0;
+    if (!colored_before)
+        first = block->file > 0 ? scan->files[block->file - 1].ends[FMT_MESH_VERTEX] : 0;
+    while (vertex < block->vertex_count && is_colored(block, vertex))
+        vertex++;
+    if (first == base && vertex == block->vertex_count)
+        return 0;
+    int status = extend(scan->ctx, &scan->missing_colors, end);
+    for (uint64_t i = first; status == 0 && i < base; i++)
+        mark(&scan->missing_colors, i);
+    for (; status == 0 && vertex < block->vertex_count; vertex++)
+        if (!is_colored(block, vertex))
+            mark(&scan->missing_colors, base + vertex);
+    return status;
+}
+
 uint64_t vox_scan_missing_memory(const struct scan *scan)
 {
-    uint64_t words = 0;
+    uint64_t words = scan->missing_colors.capacity;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         words += scan->missing[kind].capacity;
     return words * sizeof(uint64_t);

@@ -46,6 +46,7 @@ void vox_scan_free(struct scan *scan)
     bsq_free(scan->ctx, scan->known_scales);
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         bsq_free(scan->ctx, scan->missing[kind].bits);
+    bsq_free(scan->ctx, scan->missing_colors.bits);
     memset(scan, 0, sizeof *scan);
 }
 
@@ -314,6 +315,8 @@ static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
         choose_origin(scan, block);
     scan->has_colors |= block->colors != NULL;
     int status = add_positions(scan, block);
+    if (status == 0 && scan->has_colors)
+        status = vox_scan_note_missing_colors(scan, block);
     if (status == 0 && scan->has_colors)
         status = add_colors(scan, block, scan_count(scan, SCAN_POSITIONS));
     return status;

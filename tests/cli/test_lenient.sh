@@ -158,6 +158,32 @@ done
 same white.nvdb plain.nvdb
 rm scan.mtl
 
+# A few vertices with a colour hide the colours of materials, also if a block or a file without any
+# comes before them.
+lacks='they are white, and colours of materials are not used, because other vertices have colours'
+printf 'newmtl b\nKd 1 0 0\n' >scan.mtl
+faces='usemtl b\nf 1 2 3\n'
+printf "${points}v 5 5 5\nv 1 1 1 1 0 0\n$faces" >hidden.obj
+warns "hidden.obj: vertices without a colour: 3; $lacks" hidden.obj
+printf "mtllib scan.mtl\nv 0 0 0 1 0 0\nv 1 0 0\nv 0 1 0 0 1 0\n$faces" >middle.obj
+warns "middle.obj: vertices without a colour: 1; $lacks" middle.obj
+printf 'v 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0 1 0 0\nf 1 2 3\n' >colored.obj
+warns "hidden.obj: vertices without a colour: 3; $lacks" colored.obj hidden.obj
+warns "hidden.obj: vertices without a colour: 4; $lacks" hidden.obj colored.obj middle.obj
+{ printf "$points" && awk 'BEGIN { for (i = 0; i < 90000; i++) print "v 0.5 0.5", i / 9e4 }' &&
+    printf "v 1 1 1 1 0 0\n$faces" && echo f 4 5 80000; } >blocks.obj
+warns "blocks.obj: vertices without a colour: 6; $lacks" blocks.obj
+# Nothing is lost if no face uses such a vertex, or if materials have no colours.
+printf "mtllib scan.mtl\n$(grep '^v' colored.obj)\nv 5 5 5\n$faces" >all.obj
+{ grep '^v' hidden.obj; echo 'f 1 2 3'; } >plain.obj
+for name in all plain; do
+    $vox $name.obj -o a.nvdb --resolution 8
+    code 0
+    [ ! -s "$err" ]
+    check "no warning: $command" $?
+done
+rm scan.mtl a.*
+
 # A few bright spots do not turn a scan dark.
 awk 'BEGIN { for (i = 0; i < 1000; i++) print "v", i % 2, i / 999, 0, (i == 7 ? 2.5 : 0.8), 0.8, 0.8
     print "f 1 2 1000" }' >bright.obj
