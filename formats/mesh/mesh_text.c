@@ -54,3 +54,18 @@ bool fmt_mesh_plain_name(char *text)
     *end = '\0';
     return true;
 }
+
+void fmt_mesh_tidy_name(char *text)
+{
+    size_t length = 0;
+    for (; text[length]; length++)
+        if (text[length] == '#' && length > 0 && is_blank(text[length - 1]) &&
+            (text[length + 1] == '\0' || is_blank(text[length + 1])))
+            break;
+    while (length > 0 && is_blank(text[length - 1]))
+        length--;
+    const bool quoted = length >= 2 && text[0] == '"' && text[length - 1] == '"';
+    if (quoted)
+        memmove(text, text + 1, length -= 2);
+    text[length] = '\0';
+}

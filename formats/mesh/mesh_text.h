@@ -15,6 +15,11 @@ size_t fmt_mesh_mark(const void *text, uint64_t size);
  * text as it is first. Returns whether the text changed. */
 bool fmt_mesh_plain_name(char *text);
 
+/* Makes a name fit for output, in place: without a comment, which begins with "#" after a blank and
+ * before a blank or the end, and without quotes around all of it. Other than fmt_mesh_plain_name(),
+ * keeps "wall #3". */
+void fmt_mesh_tidy_name(char *text);
+
 /* Copies text of a file into `out` for a message: one line, printable, shortened. */
 void fmt_mesh_quote(const char *text, const char *end, char *out, size_t size);
 

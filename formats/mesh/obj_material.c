@@ -227,7 +227,7 @@ static int describe_loosely(struct obj_reader *reader, uint32_t source,
         status = copy_loosely(ctx, reader->materials.list[i].text, &copy);
         const uint32_t number = status ? 0 : *find_slot(&loose->names, 0, copy);
         if (number > 0)
-            status = fmt_material_copy(ctx, loose->from[number - 1], reader->materials.list[i].text,
+            status = fmt_material_copy(ctx, loose->from[number - 1], loose->from[number - 1]->name,
                                        &out->list[i]);
         bsq_free(ctx, copy);
     }
@@ -415,6 +415,8 @@ static int read_materials(struct obj_reader *reader, struct fmt_materials *out)
         status = read_materials_of(reader, source, out);
     if (!status)
         status = name_others(reader, out);
+    for (uint64_t i = 0; i < count && !status; i++)
+        fmt_mesh_tidy_name(out->list[i].name);
     if (status)
         fmt_materials_free(reader->base.ctx, out);
     return status;

@@ -202,6 +202,7 @@ static int resolve_change(struct job *job, struct slot *slot, const struct obj_s
         bsq_free(ctx, job->object);
         job->object = *text;
         *text = NULL;
+        fmt_mesh_tidy_name(job->object);
     } else {
         if (**text)
             status = fmt_obj_names_enter(ctx, &reader->materials, slot->source, *text, &material);

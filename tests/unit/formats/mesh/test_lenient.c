@@ -11,6 +11,7 @@
 #include <setjmp.h>
 #include <cmocka.h>
 
+#include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_number.h"
 #include "tests/unit/fixture.h"
 #include "tests/unit/formats/mesh/obj_fixture.h"
@@ -145,11 +146,36 @@ static void test_names(void **state)
     assert_int_equal(m.count, 7);
     for (int i = 0; i < 7; i++)
         assert_memory_equal(m.list[i].diffuse, expected[i], sizeof expected[i]);
-    assert_string_equal(m.list[0].name, "wood");
+    assert_string_equal(m.list[0].name, "Wood"); /* as in the library, without its comment */
+    assert_string_equal(m.list[1].name, "two words");
+    assert_string_equal(m.list[2].name, "# 5");
     assert_string_equal(m.list[0].texture_path, scratch_path("tex a.PNG"));
-    assert_string_equal(m.list[4].name, "Oak");
+    assert_string_equal(m.list[3].name, "oak");
+    assert_string_equal(m.list[4].name, "oak");
     assert_false(m.list[6].has_diffuse);
     fmt_materials_free(f.ctx, &m);
+    obj_close(&f);
+}
+
+/* Names are output without comments and quotes. */
+static void test_tidy_names(void **state)
+{
+    (void)state;
+    static const char *const cases[][2] = {
+        {"", ""},           {"a", "a"},         {"a # x", "a"},         {"a\t#", "a"},
+        {"a #x", "a #x"},   {"a# x", "a# x"},   {"wall #3", "wall #3"}, {"# 5", "# 5"},
+        {"\"a b\"", "a b"}, {"\"a\" # x", "a"}, {"\"a\" b", "\"a\" b"}, {"\"", "\""},
+        {"\"\"", ""},       {"\"a # x", "\"a"}, {"a  #\t# y", "a"}};
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        char text[20];
+        strcpy(text, cases[i][0]);
+        fmt_mesh_tidy_name(text);
+        assert_string_equal(text, cases[i][1]);
+    }
+    struct obj_fixture f;
+    obj_read_text(&f, "v 0 0 0\nusemtl m\nf 1 1 1\nusemtl \"m\" # left\nf 1 1 1\n");
+    obj_assert_material(&f, 0, "m");
+    obj_assert_material(&f, 1, "m");
     obj_close(&f);
 }
 
@@ -257,6 +283,7 @@ int main(void)
         cmocka_unit_test(test_first_line_in_a_late_block),
         cmocka_unit_test(test_attributes_before_the_first),
         cmocka_unit_test(test_names),
+        cmocka_unit_test(test_tidy_names),
         cmocka_unit_test(test_missing_libraries),
         cmocka_unit_test(test_names_that_end_in_a_backslash),
         cmocka_unit_test(test_ply),

@@ -324,8 +324,9 @@ static void test_objects(void **state)
     static const uint32_t numbers[] = {FMT_MESH_NO_MATERIAL, 0, 1, 2, 1, 3, 4};
     scratch_text("m.mtl", "newmtl m\nKd 1 0 0\n");
     const char *paths[] = {
-        scratch_text("1.obj", "mtllib m.mtl\nf 1 1 1\no a b \nf 1 1 1\nusemtl m\nf 1 1 1\ng c\n"
-                              "f 1 1 1\ng a b\nf 1 1 1\n"),
+        scratch_text("1.obj",
+                     "mtllib m.mtl\nf 1 1 1\no \"a b\" # x\nf 1 1 1\nusemtl m\nf 1 1 1\ng c\n"
+                     "f 1 1 1\ng a b\nf 1 1 1\n"),
         scratch_text("2.obj", "usemtl m\nf 1 1 1\no a b\nf 1 1 1\n")};
     struct bsq_ctx_options options = {.threads = 2, .memory_bytes = 64 << 20};
     struct bsq_ctx *ctx;
