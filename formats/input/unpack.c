@@ -51,10 +51,11 @@ struct unpacker {
 
 enum packing fmt_packing_of(const uint8_t *head, uint64_t size)
 {
-    if (size >= 3 && head[0] == 0x1f && head[1] == 0x8b && head[2] == 8)
+    /* A file that is cut off after some of these bytes is a damaged one. */
+    if (size >= 2 && memcmp(head, "\x1f\x8b\x08", size < 3 ? size : 3) == 0)
         return PACKING_GZIP;
     if (size < PACKING_HEAD_BYTES)
-        return PACKING_NONE;
+        return size >= 2 && memcmp(head, "\x28\xb5\x2f", size) == 0 ? PACKING_ZSTD : PACKING_NONE;
     const uint32_t magic =
         head[0] | (uint32_t)head[1] << 8 | (uint32_t)head[2] << 16 | (uint32_t)head[3] << 24;
     /* A frame, or a frame to be skipped, which pzstd writes first. */

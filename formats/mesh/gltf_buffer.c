@@ -129,6 +129,10 @@ static int use_file(const struct gltf_place *place, const char *uri, struct gltf
         out->missing = true;
         return 0;
     }
+    struct stat info;
+    if (found > 0 && !exists && stat(out->path, &info) == 0)
+        return bsq_fail(ctx, BSQ_ENOINPUT, "%s: not a regular file, which %s names as a buffer",
+                        out->path, place->document->file.path);
     if (found > 0 && !exists)
         return bsq_fail(ctx, BSQ_ENOINPUT, "%s: no such buffer, which %s names", out->path,
                         place->document->file.path);

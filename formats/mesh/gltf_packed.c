@@ -115,6 +115,20 @@ int fmt_gltf_read_packed_view(const struct gltf_place *place, struct gltf_source
 
 /* ---- Draco ---- */
 
+/* A byte holds this many vertices or triangles at most. A plane of two million triangles, the best
+ * case, takes a byte for 500 of them; larger planes take less. */
+enum { DRACO_ELEMENTS_PER_BYTE = 65536 };
+
+/* Checks the counts of a compressed mesh before memory is reserved for them. */
+static int check_counts(const struct gltf_place *place, const struct gltf_draco *mesh)
+{
+    const uint64_t count = mesh->points > mesh->faces ? mesh->points : mesh->faces;
+    if (count <= UINT32_MAX && count / DRACO_ELEMENTS_PER_BYTE <= mesh->size)
+        return 0;
+    return fmt_gltf_fail(place, "%" PRIu64 " compressed bytes cannot hold %" PRIu64 " %s",
+                         mesh->size, count, mesh->points > mesh->faces ? "vertices" : "triangles");
+}
+
 /* Adds a view for the elements of an accessor. */
 static int add_view(const struct gltf_place *place, struct gltf_source *source, uint32_t number,
                     uint32_t component_bytes)
@@ -188,6 +202,10 @@ int fmt_gltf_read_draco(const struct gltf_place *place, struct gltf_source *sour
                  {p->color, "COLOR_0"}};
     packed.draco.points = source->accessors[p->position].count;
     packed.draco.faces = source->accessors[p->index].count / 3;
+    if (!status) {
+        packed.draco.size = source->views[view].size;
+        status = check_counts(place, &packed.draco);
+    }
     for (int i = 0; i < 5 && !status; i++)
         status = add_output(place, source, parts[i].accessor, attributes, parts[i].key, &packed);
     if (status)
@@ -198,7 +216,6 @@ int fmt_gltf_read_draco(const struct gltf_place *place, struct gltf_source *sour
         return 0;
     packed.buffer = source->views[view].buffer;
     packed.offset = source->views[view].offset;
-    packed.draco.size = source->views[view].size;
     return add_packed(place, source, &packed);
 }
 

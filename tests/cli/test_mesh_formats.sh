@@ -122,6 +122,11 @@ python3 "$top/tests/meshes/damage.py" "$top/tests/meshes/draco.blender.glb" larg
 run bisque-voxelize --parse-only large.glb --memory 64M
 code 71
 err_like '^bisque-voxelize: the memory budget is too small: .* needs [0-9]* bytes'
+# Counts that the compressed bytes cannot hold need no memory.
+python3 "$top/tests/meshes/damage.py" "$top/tests/meshes/draco.blender.glb" huge
+run bisque-voxelize --parse-only huge.glb --memory 64M
+code 65
+err_like '^bisque-voxelize: huge.glb: .*: [0-9]* compressed bytes cannot hold [0-9]* triangles$'
 
 # Views that are compressed do not need their fallback.
 python3 "$top/tests/meshes/damage.py" "$top/tests/meshes/packed.gltfpack.meshopt.glb" fallback
@@ -307,6 +312,14 @@ sed 's/"square.bin"/"tile7\/square.bin"/' beside.gltf >tile.gltf
 run bisque-voxelize tile.gltf -o a.nvdb
 code 66
 err 'bisque-voxelize: tile7/square.bin: no such buffer, which tile.gltf names'
+
+mkfifo fifo.bin
+for other in fifo.bin .; do
+    sed "s/\"square.bin\"/\"$other\"/" beside.gltf >tile.gltf
+    run bisque-voxelize tile.gltf -o a.nvdb
+    code 66
+    err "bisque-voxelize: $other: not a regular file, which tile.gltf names as a buffer"
+done
 
 # A texture is an input: no output may replace it.
 run bisque-voxelize texture.ply -o a.nvdb --tris image.ppm

@@ -85,6 +85,15 @@ head -c 20000 scan.obj.gz >cut.obj.gz
 $vox cut.obj.gz -o cut.nvdb
 code 65
 err "$p cut.obj.gz: byte 20000: truncated: the packed data end too early"
+for size in 2 3; do
+    printf '\037\213\010' | head -c $size >short.gz
+    printf '\050\265\057' | head -c $size >short.zst
+    for name in short.gz short.zst; do
+        run bisque-voxelize --parse-only $name
+        code 65
+        err "$p $name: byte $size: truncated: the packed data end too early"
+    done
+done
 for stray in x xyz; do # even if they are fewer than a member's head
     { cat scan.obj.gz && printf $stray; } >stray.obj.gz
     $vox stray.obj.gz -o cut.nvdb

@@ -1,9 +1,10 @@
 #!/usr/bin/env python3
-"""damage.py FILE.glb COUNT|large|fallback: writes damaged copies of a GLB file to the current
+"""damage.py FILE.glb COUNT|large|huge|fallback: writes damaged copies of a GLB file to the current
 directory.
 
 A number writes bad.0.glb, bad.1.glb and so on, with one byte changed in the binary chunk each.
-"large" writes large.glb, whose accessors count ten million times more elements. "fallback" writes
+"large" and "huge" write large.glb and huge.glb, whose accessors count thirty thousand or ten million
+times more elements. "fallback" writes
 fallback.glb, whose fallback buffers are files that do not exist.
 """
 import json
@@ -16,7 +17,7 @@ def main(path, how):
         data = bytearray(file.read())
     length = struct.unpack_from("<I", data, 12)[0]
     binary = 28 + length
-    if how not in ("large", "fallback"):
+    if how not in ("large", "huge", "fallback"):
         for i in range(int(how)):
             bad = bytearray(data)
             at = binary + i * (len(data) - binary) // int(how)
@@ -25,8 +26,8 @@ def main(path, how):
                 file.write(bad)
         return
     document = json.loads(data[20:20 + length])
-    for accessor in document["accessors"] if how == "large" else []:
-        accessor["count"] *= 10000000
+    for accessor in document["accessors"] if how in ("large", "huge") else []:
+        accessor["count"] *= 30000 if how == "large" else 10000000
     for buffer in document["buffers"] if how == "fallback" else []:
         if "extensions" in buffer:
             buffer["uri"] = "none.bin"
