@@ -137,6 +137,13 @@ struct fmt_tris_file {
     uint64_t weld_count, weld_capacity;
 };
 
+/* ---- tris_load.c ---- */
+
+/* Reads bytes of the file as it was when it was opened. The checksum of a chunk is beside its
+ * bytes, so it cannot tell that another file took the place. */
+int fmt_tris_read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t bytes,
+                            uint64_t offset);
+
 /* ---- tris_parts.c ---- */
 
 void fmt_tris_close_parts(struct fmt_tris_file *all);
@@ -172,6 +179,13 @@ static inline struct tris_layout tris_chunk_layout(uint32_t attributes, uint32_t
     l.end = l.triangles + (l.short_indices ? 6 : 12) * nt;
     l.bytes = bsq_align_up(l.end, 8);
     return l;
+}
+
+static inline uint64_t tris_load_size(uint32_t attributes, const struct fmt_tris_chunk_info *info)
+{
+    struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);
+    return l.short_indices ? bsq_align_up(l.triangles + 12 * (uint64_t)info->triangle_count, 8)
+                           : l.bytes;
 }
 
 #endif

@@ -9,76 +9,7 @@
 #include <string.h>
 
 #include "base/channels.h"
-#include "base/xxh3.h"
 #include "formats/grid/nvdb_writer_internal.h"
-
-/* ---- streams ---- */
-
-/* beside: path of the output. what: for messages. */
-static int stream_open(struct bsq_ctx *ctx, const char *beside, const char *what,
-                       struct nvdb_stream *stream)
-{
-    *stream = (struct nvdb_stream){.ctx = ctx, .file = BSQ_FILE_CLOSED};
-    int status = bsq_alloc(ctx, "grid section buffer", NVDB_STREAM_BYTES, 1, &stream->buffer);
-    if (status)
-        return status;
-    stream->written = XXH3_createState();
-    stream->read = XXH3_createState();
-    if (!stream->written || !stream->read)
-        return bsq_fail(ctx, BSQ_ENOMEM, "no memory for a checksum");
-    XXH3_64bits_reset(stream->written);
-    XXH3_64bits_reset(stream->read);
-    return bsq_file_temp(ctx, beside, what, &stream->file);
-}
-
-void fmt_nvdb_stream_close(struct nvdb_stream *stream)
-{
-    if (!stream->ctx)
-        return;
-    bsq_file_close(stream->ctx, &stream->file);
-    bsq_free(stream->ctx, stream->buffer);
-    XXH3_freeState(stream->written);
-    XXH3_freeState(stream->read);
-    *stream = (struct nvdb_stream){0};
-}
-
-/* Hashes the buffer while it is in the cache, and appends it to the file or the output. */
-static int stream_flush(struct nvdb_stream *stream)
-{
-    if (stream->fill == 0)
-        return 0;
-    XXH3_64bits_update(stream->written, stream->buffer, (size_t)stream->fill);
-    int status = stream->output
-                     ? bsq_output_write_at(stream->output, stream->buffer, stream->fill,
-                                           stream->at + stream->size)
-                     : bsq_file_append(stream->ctx, &stream->file, stream->buffer, stream->fill);
-    stream->size += stream->fill;
-    stream->fill = 0;
-    return status;
-}
-
-/* Sets *out to space for `size` <= NVDB_STREAM_BYTES bytes. The caller adds what it writes there to
- * stream->fill. */
-static int stream_reserve(struct nvdb_stream *stream, uint64_t size, void *out)
-{
-    assert(size <= NVDB_STREAM_BYTES);
-    if (stream->fill + size > NVDB_STREAM_BYTES) {
-        int status = stream_flush(stream);
-        if (status)
-            return status;
-    }
-    *(void **)out = stream->buffer + stream->fill;
-    return 0;
-}
-
-/* Flushes and frees the buffer; nothing can be added any more. */
-static int stream_end(struct nvdb_stream *stream)
-{
-    int status = stream_flush(stream);
-    bsq_free(stream->ctx, stream->buffer);
-    stream->buffer = NULL;
-    return status;
-}
 
 /* ---- creation ---- */
 
@@ -110,24 +41,6 @@ static bool stream_used(const struct fmt_nvdb_writer *writer, int stream)
                       : true;
 }
 
-/* Appends bytes to a stream. */
-static int put_bytes(struct nvdb_stream *stream, const void *bytes, uint64_t size)
-{
-    int status = 0;
-    for (uint64_t done = 0; done < size && status == 0;) {
-        const uint64_t left = size - done;
-        const uint64_t n = left < NVDB_STREAM_BYTES ? left : NVDB_STREAM_BYTES;
-        void *to;
-        status = stream_reserve(stream, n, &to);
-        if (status)
-            break;
-        memcpy(to, (const uint8_t *)bytes + done, n);
-        stream->fill += n;
-        done += n;
-    }
-    return status;
-}
-
 /* Counts the values of channels, if the grid has any. */
 static int count_channels(struct fmt_nvdb_writer *writer)
 {
@@ -151,15 +64,15 @@ static int begin_channels(struct fmt_nvdb_writer *writer)
     struct nvdb_stream *stream = &writer->stream[STREAM_CHANNELS];
     if (head.words == 0)
         return 0;
-    int status = put_bytes(stream, &head, sizeof head);
+    int status = fmt_nvdb_stream_put(stream, &head, sizeof head);
     if (status == 0)
-        status = put_bytes(stream, writer->info.channels, head.list_bytes);
+        status = fmt_nvdb_stream_put(stream, writer->info.channels, head.list_bytes);
     if (status == 0)
-        status =
-            put_bytes(stream, zeros,
-                      nvdb_channels_head_bytes(head.list_bytes) - sizeof head - head.list_bytes);
+        status = fmt_nvdb_stream_put(stream, zeros,
+                                     nvdb_channels_head_bytes(head.list_bytes) - sizeof head -
+                                         head.list_bytes);
     for (uint32_t i = 0; i < head.words && status == 0; i++)
-        status = put_bytes(stream, zeros, sizeof(float));
+        status = fmt_nvdb_stream_put(stream, zeros, sizeof(float));
     return status;
 }
 
@@ -213,7 +126,7 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
     status = bsq_output_open(ctx, path, &writer->output);
     for (int i = 0; i < STREAM_COUNT && status == 0; i++) {
         if (stream_used(writer, i))
-            status = stream_open(ctx, path, stream_names[i], &writer->stream[i]);
+            status = fmt_nvdb_stream_open(ctx, path, stream_names[i], &writer->stream[i]);
     }
     if (status == 0)
         status = begin_channels(writer);
@@ -387,7 +300,7 @@ static int close_lower(struct fmt_nvdb_writer *writer)
         return 0;
     fmt_nvdb_bbox_extend(upper->bbox_min, upper->bbox_max, lower->bbox_min, lower->bbox_max);
     fmt_nvdb_bbox_extend(writer->bbox_min, writer->bbox_max, lower->bbox_min, lower->bbox_max);
-    return put_bytes(&writer->stream[STREAM_LOWERS], lower, sizeof(*lower));
+    return fmt_nvdb_stream_put(&writer->stream[STREAM_LOWERS], lower, sizeof(*lower));
 }
 
 /* Writes the stub of the open upper node. */
@@ -395,7 +308,8 @@ static int close_upper(struct fmt_nvdb_writer *writer)
 {
     if (writer->counts.uppers == 0)
         return 0;
-    return put_bytes(&writer->stream[STREAM_UPPERS], writer->upper, sizeof(*writer->upper));
+    return fmt_nvdb_stream_put(&writer->stream[STREAM_UPPERS], writer->upper,
+                               sizeof(*writer->upper));
 }
 
 /* Opens the upper node of a region unless it is open already. */
@@ -453,7 +367,7 @@ static int append_leaves(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_r
     struct nvdb_stream *leaves = &writer->stream[STREAM_LEAVES];
     for (uint32_t i = 0; i < region->leaf_count; i++) {
         struct nvdb_leaf *leaf;
-        int status = stream_reserve(leaves, sizeof(*leaf), &leaf);
+        int status = fmt_nvdb_stream_reserve(leaves, sizeof(*leaf), &leaf);
         if (status)
             return status;
         int32_t origin[3], bbox_max[3];
@@ -482,7 +396,7 @@ static int append_channel(struct nvdb_stream *stream, const struct fmt_nvdb_reco
     for (uint64_t done = 0; done < count;) {
         uint64_t n = count - done < most ? count - done : most;
         uint32_t *to;
-        int status = stream_reserve(stream, n * sizeof *to, &to);
+        int status = fmt_nvdb_stream_reserve(stream, n * sizeof *to, &to);
         if (status)
             return status;
         stream->fill += n * sizeof *to;
@@ -521,11 +435,11 @@ static int append_channels(struct fmt_nvdb_writer *writer, const struct fmt_nvdb
     const uint64_t bytes = writer->counts.channel_words * sizeof *region->channels;
     if (bytes == 0)
         return 0;
-    int status =
-        put_bytes(&writer->stream[STREAM_CHANNELS], region->channels, region->record_count * bytes);
+    int status = fmt_nvdb_stream_put(&writer->stream[STREAM_CHANNELS], region->channels,
+                                     region->record_count * bytes);
     return status ? status
-                  : put_bytes(&writer->stream[STREAM_SECOND_CHANNELS], region->second_channels,
-                              region->second_count * bytes);
+                  : fmt_nvdb_stream_put(&writer->stream[STREAM_SECOND_CHANNELS],
+                                        region->second_channels, region->second_count * bytes);
 }
 
 /* Writes the open entry of section NVDB_SECONDS. */
@@ -533,7 +447,7 @@ static int end_entry(struct fmt_nvdb_writer *writer)
 {
     uint32_t *entry;
     struct nvdb_stream *stream = &writer->stream[STREAM_SECOND_WORDS];
-    int status = stream_reserve(stream, 8, &entry);
+    int status = fmt_nvdb_stream_reserve(stream, 8, &entry);
     if (status)
         return status;
     entry[0] = writer->entry_bits;
@@ -622,6 +536,6 @@ int fmt_nvdb_writer_finish(struct fmt_nvdb_writer *writer)
         status = close_upper(writer);
     for (int i = 0; i < STREAM_COUNT && status == 0; i++)
         if (stream_used(writer, i))
-            status = stream_end(&writer->stream[i]);
+            status = fmt_nvdb_stream_end(&writer->stream[i]);
     return status;
 }

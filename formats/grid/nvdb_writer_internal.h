@@ -21,8 +21,21 @@ struct nvdb_stream {
     void *written, *read;
 };
 
+/* ---- nvdb_stream.c ---- */
+
+/* Opens a stream in a temporary file. beside: path of the output. what: for messages. */
+int fmt_nvdb_stream_open(struct bsq_ctx *ctx, const char *beside, const char *what,
+                         struct nvdb_stream *stream);
+/* Sets *out to space for `size` <= NVDB_STREAM_BYTES bytes. The caller adds what it writes there to
+ * stream->fill. */
+int fmt_nvdb_stream_reserve(struct nvdb_stream *stream, uint64_t size, void *out);
+int fmt_nvdb_stream_put(struct nvdb_stream *stream, const void *bytes, uint64_t size);
+/* Flushes and frees the buffer; nothing can be added any more. */
+int fmt_nvdb_stream_end(struct nvdb_stream *stream);
 /* Closes a stream and frees its memory; a zeroed stream is allowed. */
 void fmt_nvdb_stream_close(struct nvdb_stream *stream);
+
+/* ---- nvdb_writer.c ---- */
 
 /* Stubs: an internal node without its table, which needs the totals. */
 struct nvdb_lower_stub {

@@ -1,9 +1,7 @@
-/* tris_read.c - opens a chunk file and loads single chunks.
+/* tris_open.c - opens a chunk file: its header, materials and table of chunks.
  *
  * Nothing in the file is trusted. Lengths are compared with the file's size before memory is
- * allocated, parts must follow each other without gaps, and a checksum covers each byte. Loading a
- * chunk checks what a checksum does not prove: indices, bounds, finite numbers. So callers use a
- * chunk without checks of their own. */
+ * allocated, parts must follow each other without gaps, and a checksum covers each byte. */
 #include "formats/chunks/tris_internal.h"
 #include "base/channels.h"
 #include "base/file_part.h"
@@ -16,8 +14,6 @@
 #include <math.h>
 #include <string.h>
 #include <strings.h>
-
-/* ---- opening ---- */
 
 bool fmt_tris_recognise(const char *path, const char *first, uint64_t size)
 {
@@ -37,15 +33,6 @@ bool fmt_tris_has_color(const struct fmt_tris_header *header)
 int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what)
 {
     return bsq_fail(file->ctx, BSQ_EDATA, "%s: damaged chunk file: %s", file->file.path, what);
-}
-
-/* Reads bytes of the file as it was when it was opened. The checksum of a chunk is beside its
- * bytes, so it cannot tell that another file took the place. */
-static int read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t bytes,
-                          uint64_t offset)
-{
-    int status = bsq_file_read(file->ctx, &file->file, to, bytes, offset);
-    return status == 0 ? bsq_file_check(file->ctx, &file->file) : status;
 }
 
 struct bsq_ctx *fmt_tris_context(const struct fmt_tris_file *file)
@@ -109,7 +96,7 @@ static int read_tail(struct fmt_tris_file *file, const struct tris_file_header *
     int status = bsq_alloc(file->ctx, "chunk table", bytes + 1, 1, &file->tail);
     if (status < 0)
         return status;
-    if ((status = read_unchanged(file, file->tail, bytes, h->materials_offset)) < 0)
+    if ((status = fmt_tris_read_unchanged(file, file->tail, bytes, h->materials_offset)) < 0)
         return status;
     uint64_t materials_bytes = h->table_offset - h->materials_offset;
     if (XXH3_64bits(file->tail, materials_bytes) != h->materials_checksum)
@@ -330,13 +317,6 @@ static bool bounds_valid(const float min[3], const float max[3])
     return true;
 }
 
-static uint64_t load_size(uint32_t attributes, const struct fmt_tris_chunk_info *info)
-{
-    struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);
-    return l.short_indices ? bsq_align_up(l.triangles + 12 * (uint64_t)info->triangle_count, 8)
-                           : l.bytes;
-}
-
 static bool chunk_info_valid(uint32_t attributes, const struct fmt_tris_chunk_info *info)
 {
     uint32_t nt = info->triangle_count, nv = info->vertex_count;
@@ -371,7 +351,7 @@ static int parse_table(struct fmt_tris_file *file, const struct tris_file_header
                             file->file.path, i);
         offset += info->size_bytes;
         triangles += info->triangle_count;
-        uint64_t bytes = load_size(h->attributes, info);
+        uint64_t bytes = tris_load_size(h->attributes, info);
         if (bytes > file->load_size_max)
             file->load_size_max = bytes;
     }
@@ -476,156 +456,4 @@ const struct fmt_tris_header *fmt_tris_get_header(const struct fmt_tris_file *fi
 const struct fmt_tris_chunk_info *fmt_tris_chunks(const struct fmt_tris_file *file)
 {
     return file->chunks;
-}
-
-/* ---- loading ---- */
-
-uint64_t fmt_tris_load_size(const struct fmt_tris_file *file, uint64_t index)
-{
-    return file->parts ? fmt_tris_part_load_size(file, index)
-                       : load_size(file->header.attributes, &file->chunks[index]);
-}
-
-uint64_t fmt_tris_load_size_max(const struct fmt_tris_file *file)
-{
-    return file->load_size_max;
-}
-
-/* Indices that are widened in one step. */
-enum { WIDEN_STEP = 8 };
-
-typedef uint16_t short_indices __attribute__((vector_size(2 * WIDEN_STEP)));
-typedef uint32_t wide_indices __attribute__((vector_size(4 * WIDEN_STEP)));
-
-/* Widens `count` indices from `first` on, at most WIDEN_STEP. Returns the larger ones of these and
- * of `max`. */
-static inline short_indices widen_step(uint8_t *stored, uint64_t first, uint64_t count,
-                                       short_indices max)
-{
-    short_indices from = {0};
-    memcpy(&from, stored + first * sizeof from[0], count * sizeof from[0]);
-    const wide_indices to = __builtin_convertvector(from, wide_indices);
-    memcpy(stored + first * sizeof to[0], &to, count * sizeof to[0]);
-    const short_indices larger = (short_indices)(from > max);
-    return (from & larger) | (max & ~larger);
-}
-
-/* Widens indices from 16 to 32 bits in place, from the last to the first: the scratch memory has
- * space after them. Returns the largest index. */
-static uint32_t widen_indices(uint8_t *stored, uint32_t count)
-{
-    uint64_t first = count - count % WIDEN_STEP;
-    uint32_t largest = 0;
-    short_indices max = widen_step(stored, first, count - first, (short_indices){0});
-    while (first > 0) {
-        first -= WIDEN_STEP;
-        max = widen_step(stored, first, WIDEN_STEP, max);
-    }
-    for (int i = 0; i < WIDEN_STEP; i++)
-        largest = max[i] > largest ? max[i] : largest;
-    return largest;
-}
-
-static uint32_t largest_index(const uint32_t *indices, uint32_t count)
-{
-    uint32_t max = 0;
-    for (uint32_t i = 0; i < count; i++)
-        max = indices[i] > max ? indices[i] : max;
-    return max;
-}
-
-static bool positions_inside(const struct fmt_tris_chunk *chunk,
-                             const struct fmt_tris_chunk_info *info)
-{
-    int outside = 0;
-    for (uint32_t v = 0; v < chunk->vertex_count; v++)
-        for (int axis = 0; axis < 3; axis++) {
-            float p = chunk->positions[v][axis];
-            /* NaN fails both comparisons. */
-            outside |= !(p >= info->bounds_min[axis]) | !(p <= info->bounds_max[axis]);
-        }
-    return !outside;
-}
-
-static bool texcoords_finite(const struct fmt_tris_chunk *chunk)
-{
-    float poison = 0.0f;
-    for (uint32_t v = 0; v < chunk->vertex_count; v++)
-        poison += chunk->texcoords[v][0] * 0.0f + chunk->texcoords[v][1] * 0.0f;
-    return poison == 0.0f;
-}
-
-static bool materials_known(const struct fmt_tris_chunk *chunk, uint32_t material_count)
-{
-    int unknown = 0;
-    for (uint32_t t = 0; t < chunk->triangle_count; t++)
-        unknown |= (chunk->materials[t] >= material_count) & (chunk->materials[t] != UINT32_MAX);
-    return !unknown;
-}
-
-int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what)
-{
-    return bsq_fail(file->ctx, BSQ_EDATA, "%s: damaged chunk file: chunk %" PRIu64 ": %s",
-                    file->file.path, index, what);
-}
-
-/* Points the chunk at its parts in the bytes that were read. */
-static void place_chunk(struct fmt_tris_chunk *out, const uint8_t *bytes,
-                        const struct tris_layout *l, uint32_t attributes)
-{
-    out->positions = (const float(*)[3])(const void *)(bytes + l->positions);
-    if (attributes & FMT_TRIS_NORMALS)
-        out->normals = (const uint32_t *)(const void *)(bytes + l->normals);
-    if (attributes & FMT_TRIS_TEXCOORDS)
-        out->texcoords = (const float(*)[2])(const void *)(bytes + l->texcoords);
-    if (attributes & FMT_TRIS_COLORS)
-        out->colors = (const uint32_t *)(const void *)(bytes + l->colors);
-    if (attributes & FMT_TRIS_MATERIALS)
-        out->materials = (const uint32_t *)(const void *)(bytes + l->materials);
-    out->triangles = (const uint32_t(*)[3])(const void *)(bytes + l->triangles);
-}
-
-static bool all_zero(const uint8_t *bytes, uint64_t count)
-{
-    uint8_t any = 0;
-    for (uint64_t i = 0; i < count; i++)
-        any |= bytes[i];
-    return any == 0;
-}
-
-int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratch,
-                  struct fmt_tris_chunk *out)
-{
-    if (file->parts)
-        return fmt_tris_load_part(file, index, scratch, out);
-    const struct fmt_tris_chunk_info *info = &file->chunks[index];
-    const uint32_t attributes = file->header.attributes;
-    struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);
-    uint8_t *bytes = scratch;
-    memset(out, 0, sizeof *out);
-    int status = read_unchanged(file, bytes, l.bytes, info->offset);
-    if (status < 0)
-        return status;
-    struct tris_chunk_header header;
-    memcpy(&header, bytes, sizeof header);
-    if (XXH3_64bits(bytes + 8, l.bytes - 8) != header.checksum)
-        return fmt_tris_damaged_chunk(file, index, "the checksum does not match");
-    if (header.triangle_count != info->triangle_count || header.vertex_count != info->vertex_count)
-        return fmt_tris_damaged_chunk(file, index, "its counts are not those of the table");
-    if (!all_zero(bytes + l.end, l.bytes - l.end))
-        return fmt_tris_damaged_chunk(file, index, "its padding is not zero");
-    out->triangle_count = info->triangle_count;
-    out->vertex_count = info->vertex_count;
-    place_chunk(out, bytes, &l, attributes);
-    uint32_t max = l.short_indices ? widen_indices(bytes + l.triangles, 3 * info->triangle_count)
-                                   : largest_index(out->triangles[0], 3 * info->triangle_count);
-    if (max >= info->vertex_count)
-        return fmt_tris_damaged_chunk(file, index, "an index is out of range");
-    if (!positions_inside(out, info))
-        return fmt_tris_damaged_chunk(file, index, "a vertex is outside of the bounds");
-    if (out->texcoords && !texcoords_finite(out))
-        return fmt_tris_damaged_chunk(file, index, "a texture coordinate is not finite");
-    if (out->materials && !materials_known(out, file->header.material_count))
-        return fmt_tris_damaged_chunk(file, index, "a material number is out of range");
-    return 0;
 }
