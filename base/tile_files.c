@@ -9,6 +9,7 @@
 
 #include "base/file_part.h"
 #include "base/job_files.h"
+#include "base/sort_array.h"
 
 static const char udim[] = "<UDIM>", uvtile[] = "<UVTILE>";
 
@@ -90,8 +91,7 @@ static int compare_files(const void *a, const void *b)
 static void sort_files(struct bsq_ctx *ctx, struct bsq_tile_files *files)
 {
     uint64_t kept = 0;
-    if (files->count > 0)
-        qsort(files->list, files->count, sizeof *files->list, compare_files);
+    bsq_sort(files->list, files->count, sizeof *files->list, compare_files);
     for (uint64_t i = 0; i < files->count; i++)
         if (kept > 0 && files->list[kept - 1].number == files->list[i].number)
             bsq_free(ctx, files->list[i].path);

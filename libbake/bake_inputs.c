@@ -7,6 +7,7 @@
 
 #include "base/ids.h"
 #include "base/loss.h"
+#include "base/sort_array.h"
 #include "libbake/bake_job.h"
 #include "libbake/bake_options.h"
 
@@ -204,7 +205,7 @@ static int check_tile_paths(struct bake_run *job)
         return status;
     for (uint32_t i = 0; i < job->udim.count; ++i)
         paths[i] = job->tiles[i].output_path;
-    qsort(paths, job->udim.count, sizeof *paths, compare_paths);
+    bsq_sort(paths, job->udim.count, sizeof *paths, compare_paths);
     for (uint32_t i = 1; i < job->udim.count && status == 0; ++i)
         if (strcmp(paths[i - 1], paths[i]) == 0)
             status = bsq_fail(job->ctx, BSQ_EUSAGE, "%s: two outputs have this name", paths[i]);

@@ -1,9 +1,9 @@
 /* bake_outputs.c - writes the maps and the preview of a bake. They get their names together. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "base/clock.h"
 #include "base/ids.h"
+#include "base/sort_array.h"
 #include "libbake/bake_job.h"
 
 enum { PREVIEW_TEXTURE = 2048 /* largest side of a texture of the preview, in texels */ };
@@ -49,7 +49,7 @@ static int name_scans(struct bake_run *job)
     if (status == 0)
         status = bsq_calloc(job->ctx, "names of scans", bytes, 1, &job->scan_names);
     if (status == 0) {
-        qsort(paths, count, sizeof(void *), compare_names);
+        bsq_sort(paths, count, sizeof(void *), compare_names);
         char *to = job->scan_names;
         for (uint32_t p = 0; p < count; ++p)
             to = stpcpy(stpcpy(to, p > 0 ? ", " : ""), file_name(paths[p]));

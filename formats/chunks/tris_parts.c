@@ -10,12 +10,12 @@
 
 #include <errno.h>
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "base/channels.h"
 #include "base/job_files.h"
 #include "base/loss.h"
+#include "base/sort_array.h"
 
 static const char normal_map[] = BSQ_CHANNEL_NORMAL_MAP;
 
@@ -363,7 +363,7 @@ int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t 
     all->file = (struct bsq_file)BSQ_FILE_CLOSED;
     status = open_all(all, paths, path_count, temp);
     if (status == 0) {
-        qsort(all->parts, all->part_count, sizeof *all->parts, compare_parts);
+        bsq_sort(all->parts, all->part_count, sizeof *all->parts, compare_parts);
         all->file.path = strdup(all->parts[0].file->file.path);
         status =
             all->file.path ? join(all) : bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", paths[0]);

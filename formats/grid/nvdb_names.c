@@ -1,7 +1,7 @@
 /* nvdb_names.c - the section of names that ids stand for: a sorted table without repetitions. */
-#include <stdlib.h>
 #include <string.h>
 
+#include "base/sort_array.h"
 #include "formats/grid/nvdb_writer_internal.h"
 
 /* ---- writing ---- */
@@ -58,7 +58,7 @@ int fmt_nvdb_set_names(struct fmt_nvdb_writer *writer, const char *const *names,
         return status;
     if (count > 0)
         memcpy(sorted, names, count * sizeof *sorted);
-    qsort(sorted, count, sizeof *sorted, by_bytes);
+    bsq_sort(sorted, count, sizeof *sorted, by_bytes);
     status = bsq_check(writer->ctx);
     if (status == 0)
         status = encode(writer, sorted, drop_repetitions(sorted, count));

@@ -7,8 +7,9 @@
 #include "libbake/exact/exact_scene.h"
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
+
+#include "base/sort_array.h"
 
 /* ---- memory ---- */
 
@@ -108,7 +109,7 @@ int bake_exact_smooth_sum(const struct bake_exact *exact, struct exact_slot *slo
     struct exact_smooth *s = &slot->smooth;
     const struct exact_box box = bounds_of(s);
     const uint32_t near = bake_exact_tree_overlapping(&exact->tree, &box, scratch->near);
-    qsort(scratch->near, near, sizeof *scratch->near, ascending);
+    bsq_sort(scratch->near, near, sizeof *scratch->near, ascending);
     for (uint32_t i = 0; i < near; i++) {
         const uint32_t number = scratch->near[i];
         if (number == slot->number) {

@@ -8,10 +8,10 @@
 #include "libbake/exact/exact.h"
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "base/parallel.h"
+#include "base/sort_array.h"
 #include "libbake/exact/exact_tree.h"
 #include "libbake/kernel/bk_sample.h"
 
@@ -106,7 +106,7 @@ static int order_tiles(struct job *job)
     int status = bsq_parallel_for(job->ctx, job->tile_count, count_tile, job);
     if (status < 0)
         return status;
-    qsort(job->order, job->tile_count, sizeof *job->order, compare_tiles);
+    bsq_sort(job->order, job->tile_count, sizeof *job->order, compare_tiles);
     job->starts[0] = 0;
     for (uint32_t i = 0; i < job->tile_count; i++)
         job->starts[i + 1] = job->starts[i] + job->order[i].samples;

@@ -2,8 +2,8 @@
  *
  * Blocks are ordered along a curve through the scan, and cut into runs with about as many samples.
  * So neighbours in space have one task, whatever the layout of the charts. */
-#include <stdlib.h>
 
+#include "base/sort_array.h"
 #include "libbake/farm/farm.h"
 
 /* The last side keeps the overhead of a block small. A task has BLOCKS_A_TASK blocks or more, if
@@ -62,7 +62,7 @@ static void fill_rest(struct bake_farm_tile *tile)
 int bake_farm_divide(struct bake_farm_plan *plan, struct bake_farm_block *blocks, uint64_t count)
 {
     uint64_t all = 0, before = 0;
-    qsort(blocks, count, sizeof *blocks, compare_blocks);
+    bsq_sort(blocks, count, sizeof *blocks, compare_blocks);
     for (uint32_t t = 0; t < plan->tile_count; t++)
         for (uint64_t b = 0; b < (uint64_t)plan->tiles[t].columns * plan->tiles[t].rows; b++)
             plan->tiles[t].tasks[b] = NO_TASK;

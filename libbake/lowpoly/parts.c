@@ -1,8 +1,9 @@
 /* parts.c - see parts.h. Objects with one name are one object, also in several files. */
 #include "libbake/lowpoly/parts.h"
 
-#include <stdlib.h>
 #include <string.h>
+
+#include "base/sort_array.h"
 
 /* Stands for the material of faces that have none. */
 #define NO_MATERIAL "none"
@@ -134,7 +135,7 @@ static int sort_by_set(struct bsq_ctx *ctx, const struct bake_lowmesh_options *o
         places[t] = (struct place){options->object_maps ? parts->of[t][0] : 0,
                                    options->material_maps ? parts->of[t][1] : 0, (uint32_t)t};
     if (status == 0) {
-        qsort(places, count, sizeof *places, compare_places);
+        bsq_sort(places, count, sizeof *places, compare_places);
         status = make_sets(ctx, options, places, count, mesh);
     }
     for (uint64_t t = 0; t < count && status == 0; t++)

@@ -5,8 +5,8 @@
 #include "libbake/surface/surface.h"
 
 #include <math.h>
-#include <stdlib.h>
 
+#include "base/sort_array.h"
 #include "base/vec.h"
 
 enum { PROBES = 16384 };
@@ -119,7 +119,7 @@ static size_t take_distances(const struct bake_exact_hit *hits, float *distances
     for (size_t i = 0; i < PROBES; ++i)
         if (hits[i].triangle != BAKE_EXACT_NONE)
             distances[count++] = (float)hits[i].t;
-    qsort(distances, count, sizeof *distances, compare_floats);
+    bsq_sort(distances, count, sizeof *distances, compare_floats);
     return count;
 }
 

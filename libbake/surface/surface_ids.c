@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "base/ids.h"
+#include "base/sort_array.h"
 #include "libbake/surface/surface.h"
 
 int bake_surface_use_ids(struct bake_surface *surface, bool use)
@@ -70,7 +71,7 @@ static int list_exact(struct listing *list, const struct bake_exact *exact)
     for (; count < end; count++)
         names[count] = bake_exact_id_name(exact, (uint32_t)count);
     names[count++] = ""; /* triangles without a material */
-    qsort(names, count, sizeof *names, by_name);
+    bsq_sort(names, count, sizeof *names, by_name);
     for (uint64_t i = 0; i < count && status == 0; i++)
         if (i == 0 || strcmp(names[i], names[i - 1]) != 0)
             status = add_name(list, names[i]);
@@ -94,8 +95,7 @@ static int by_id_name(const void *a, const void *b)
 static void join_names(struct bake_report *report)
 {
     uint64_t kept = 0;
-    if (report->id_count > 0)
-        qsort(report->ids, report->id_count, sizeof *report->ids, by_id_name);
+    bsq_sort(report->ids, report->id_count, sizeof *report->ids, by_id_name);
     for (uint64_t i = 0; i < report->id_count; i++)
         if (kept > 0 && strcmp(report->ids[kept - 1].name, report->ids[i].name) == 0)
             free(report->ids[i].name);

@@ -1,6 +1,6 @@
 /* farm_divide.c - divides the regions of a grid among tasks. */
-#include <stdlib.h>
 
+#include "base/sort_array.h"
 #include "base/space_curve.h"
 #include "libvoxel/farm/farm.h"
 #include "libvoxel/voxelize/plan/plan.h"
@@ -42,7 +42,7 @@ void vox_farm_divide(struct vox_farm_plan *plan, struct vox_farm_region *regions
     const uint32_t tasks = plan->base.task_count;
     double all = 0.0, before = 0.0;
     uint32_t task = 0;
-    qsort(regions, count, sizeof *regions, compare_places);
+    bsq_sort(regions, count, sizeof *regions, compare_places);
     for (uint64_t i = 0; i < count; i++)
         all += regions[i].work;
     plan->cuts[0] = 0;

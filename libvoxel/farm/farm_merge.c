@@ -3,10 +3,10 @@
  * Each part has its regions in this order. Their tables are read first and merged, so that parts
  * need not be open at the same time. Regions are read in batches of whole leaves, while the batch
  * before is appended to the grid. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "base/parallel.h"
+#include "base/sort_array.h"
 #include "base/xxh3.h"
 #include "libvoxel/farm/farm_part.h"
 #include "libvoxel/voxelize/plan/plan.h"
@@ -176,8 +176,8 @@ int vox_parts_open(const struct vox_farm_plan *plan, bool has_color, bool has_id
     struct listing listing = {parts, totals};
     const struct fmt_farm_part_steps steps = {.arg = &listing, .check = list_part};
     status = fmt_farm_parts_check(&plan->base, &steps);
-    if (status == 0 && parts->count > 0)
-        qsort(parts->items, parts->count, sizeof *parts->items, compare_items);
+    if (status == 0)
+        bsq_sort(parts->items, parts->count, sizeof *parts->items, compare_items);
     totals->tiles = count_tiles(parts);
     return status;
 }

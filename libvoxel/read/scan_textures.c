@@ -5,6 +5,7 @@
 #include "base/file_part.h"
 #include "base/job_files.h"
 #include "base/loss.h"
+#include "base/sort_array.h"
 #include "base/tile_files.h"
 #include "formats/texture/texture.h"
 #include "libvoxel/read/scan.h"
@@ -160,8 +161,7 @@ static int add_checked(struct bsq_ctx *ctx, struct scan_textures *textures,
         to->good = list[i].good;
         textures->count++;
     }
-    if (textures->count > 0)
-        qsort(textures->list, textures->count, sizeof *textures->list, compare_textures);
+    bsq_sort(textures->list, textures->count, sizeof *textures->list, compare_textures);
     return status;
 }
 
@@ -196,8 +196,7 @@ static uint64_t list_textures(const struct scan_textures *textures,
 static uint64_t keep_new(const struct scan_textures *textures, struct candidate *list, uint64_t all)
 {
     uint64_t count = 0;
-    if (all > 0)
-        qsort(list, all, sizeof *list, compare_candidates);
+    bsq_sort(list, all, sizeof *list, compare_candidates);
     for (uint64_t i = 0; i < all; i++)
         if (!find(textures, list[i].path) &&
             (count == 0 || strcmp(list[count - 1].path, list[i].path) != 0))

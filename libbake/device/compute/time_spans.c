@@ -1,8 +1,9 @@
 /* time_spans.c - a list of spans, merged whenever it is full. */
 #include "libbake/device/compute/time_spans.h"
 
-#include <stdlib.h>
 #include <string.h>
+
+#include "base/sort_array.h"
 
 static int by_start(const void *a, const void *b)
 {
@@ -15,7 +16,7 @@ static void merge(struct bake_time_spans *spans)
 {
     unsigned kept = 0;
 
-    qsort(spans->spans, spans->count, sizeof *spans->spans, by_start);
+    bsq_sort(spans->spans, spans->count, sizeof *spans->spans, by_start);
     for (unsigned i = 0; i < spans->count; i++) {
         struct bake_span span = spans->spans[i];
         if (kept && span.start <= spans->spans[kept - 1].end) {

@@ -7,10 +7,10 @@
 
 #include <assert.h>
 #include <stdbool.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "base/context.h"
+#include "base/sort_array.h"
 #include "libbake/device/job/job.h"
 
 /* A leaf of the grid. */
@@ -134,7 +134,7 @@ static int list_lowers(struct builder *builder)
         if (upper != BK_NONE && is_index(corner[0]) && is_index(corner[1]) && is_index(corner[2]))
             add_lowers(builder, upper, corner);
     }
-    qsort(builder->lowers, builder->lower_count, sizeof *builder->lowers, by_morton_order);
+    bsq_sort(builder->lowers, builder->lower_count, sizeof *builder->lowers, by_morton_order);
     return 0;
 }
 

@@ -5,9 +5,9 @@
  * are neighbours on the surface. */
 
 #include <inttypes.h>
-#include <stdlib.h>
 
 #include "base/parallel.h"
+#include "base/sort_array.h"
 #include "base/space_curve.h"
 #include "libbake/device/subgrid/leaf_set.h"
 #include "libbake/raster/raster.h"
@@ -218,7 +218,7 @@ static int order_tiles(struct planner *p)
     if (status == 0)
         status = bsq_parallel_for(p->ctx, count, find_key, p);
     if (status == 0)
-        qsort(p->order, count, sizeof *p->order, by_key);
+        bsq_sort(p->order, count, sizeof *p->order, by_key);
     return status;
 }
 

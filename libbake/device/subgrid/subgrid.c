@@ -1,9 +1,9 @@
 /* subgrid.c - the sizes and nodes of a subgrid; subgrid_send.c makes its arrays. */
 #include "libbake/device/subgrid/leaf_set.h"
 
-#include <stdlib.h>
 #include <string.h>
 
+#include "base/sort_array.h"
 #include "libbake/kernel/bk_grid.h"
 #include "libbake/kernel/bk_srgb.h"
 
@@ -83,7 +83,7 @@ static void copy_nodes(const struct bake_leaf_set *set, struct bake_subgrid *sub
             subgrid->uppers[n++] = i;
     for (uint64_t i = 0; i < set->lower_count; i++)
         subgrid->lowers[i].number = set->lowers[i];
-    qsort(subgrid->lowers, set->lower_count, sizeof *subgrid->lowers, by_number);
+    bsq_sort(subgrid->lowers, set->lower_count, sizeof *subgrid->lowers, by_number);
     for (uint64_t i = 0; i < set->lower_count; i++) {
         struct bake_subgrid_lower *lower = &subgrid->lowers[i];
         const uint32_t place = set->place_of_lower[lower->number] - 1;
