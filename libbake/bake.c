@@ -7,6 +7,7 @@
 
 #include "base/clock.h"
 #include "libbake/bake_job.h"
+#include "libbake/bake_options.h"
 
 static int run(struct bake_run *job)
 {
@@ -119,7 +120,9 @@ int bake_list_tiles(struct bsq_ctx *ctx, const struct bake_options *options,
     const struct bake_lowmesh_options low = {.path = options->mesh_path,
                                              .more_paths = options->more_mesh_paths,
                                              .more_count = options->more_mesh_count};
-    int status = bake_lowmesh_load(ctx, &low, &mesh);
+    int status = bake_check_tile_numbers(ctx, options);
+    if (status == 0)
+        status = bake_lowmesh_load(ctx, &low, &mesh);
     if (status < 0)
         return status;
     struct bake_options all = *options;

@@ -40,7 +40,7 @@ static bool is_tile(uint32_t number)
     return number >= BAKE_FIRST_TILE && number <= BAKE_LAST_TILE;
 }
 
-static int check_tile_numbers(struct bsq_ctx *ctx, const struct bake_options *options)
+int bake_check_tile_numbers(struct bsq_ctx *ctx, const struct bake_options *options)
 {
     for (uint32_t i = 0; i < options->tile_range_count; ++i) {
         const struct bake_tile_range *range = &options->tile_ranges[i];
@@ -215,7 +215,7 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
     if (status == 0)
         status = check_rays(ctx, options);
     if (status == 0)
-        status = check_tile_numbers(ctx, options);
+        status = bake_check_tile_numbers(ctx, options);
     if (status == 0)
         status = check_transfers(ctx, options);
     if (status < 0)

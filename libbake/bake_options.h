@@ -7,4 +7,7 @@
 /* Checks output path, sample type and the sizes of all tiles for these maps. Errors: BSQ_EUSAGE. */
 int bake_check_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps);
 
+/* Checks that ranges and sizes are of tiles that exist. Errors: BSQ_EUSAGE. */
+int bake_check_tile_numbers(struct bsq_ctx *ctx, const struct bake_options *options);
+
 #endif

@@ -521,6 +521,9 @@ done
 $bake --list-tiles two.obj --json --size '1012=64x32,*=16'
 code 0
 json '[.tiles[] | [.tile, .width, .height]] == [[1002, 16, 16], [1012, 64, 32]]'
+$bake --list-tiles two.obj --size '5=64'
+code 64
+err_like "^$p a size for tile 5: UDIM tiles are 1001 to "
 for words in "" plain.nvdb; do
     $bake --list-tiles $words
     code 64
