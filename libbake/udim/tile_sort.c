@@ -9,14 +9,6 @@
 
 enum { TRIANGLES_A_CHECK = 1024 };
 
-static bool is_selected(const struct bake_options *options, uint32_t number)
-{
-    for (uint32_t i = 0; i < options->tile_range_count; i++)
-        if (options->tile_ranges[i].first <= number && number <= options->tile_ranges[i].last)
-            return true;
-    return options->tile_range_count == 0;
-}
-
 /* ---- the tiles of a triangle ---- */
 
 /* A triangle in texture space. */
@@ -58,15 +50,6 @@ static bool overlaps(const struct shape *s, const double centre[2], const double
             return false;
     }
     return true;
-}
-
-/* Returns half a texel of a tile's map in texture coordinates. */
-static void half_texel(const struct bake_options *options, uint32_t number, double out[2])
-{
-    uint32_t width, height;
-    bake_tile_size_of(options, number, &width, &height);
-    out[0] = 0.5 / width;
-    out[1] = 0.5 / height;
 }
 
 /* Adds a triangle to a tile. Returns whether the tile is selected. */
@@ -111,10 +94,8 @@ static struct added add_to_overlapped(struct bake_tile_sorter *sorter, const str
         for (uint32_t column = first[0]; column < end[0]; column++) {
             const uint32_t tile = row * COLUMNS + column;
             const double centre[2] = {column + 0.5, row + 0.5};
-            double half[2];
-            half_texel(sorter->options, BAKE_FIRST_TILE + tile, half);
-            half[0] = 0.5 - half[0];
-            half[1] = 0.5 - half[1];
+            const uint32_t *size = sorter->sizes[tile];
+            const double half[2] = {0.5 - 0.5 / size[0], 0.5 - 0.5 / size[1]};
             if (overlaps(shape, centre, half))
                 count_added(&added, add_to_tile(sorter, tile, triangle));
         }
@@ -137,8 +118,7 @@ static struct added add_to_nearest(struct bake_tile_sorter *sorter, const struct
 /* Returns whether a triangle leaves the square of all tiles by half a texel or more. */
 static bool is_stray(const struct bake_tile_sorter *sorter, const struct shape *s)
 {
-    double half[2];
-    half_texel(sorter->options, 0, half);
+    const double half[2] = {0.5 / sorter->options->width, 0.5 / sorter->options->height};
     return !(s->low[0] > -half[0] && s->low[1] > -half[1] && s->high[0] < COLUMNS + half[0] &&
              s->high[1] < ROWS + half[1]);
 }
@@ -194,6 +174,26 @@ int bake_tile_sort(struct bake_tile_sorter *sorter, uint32_t first_tile, uint64_
     return status;
 }
 
+/* Takes from the options which tiles are selected, and the sizes of their maps. */
+static void take_options(struct bake_tile_sorter *sorter, const struct bake_options *options)
+{
+    for (uint32_t tile = 0; tile < TILES; tile++) {
+        sorter->selected[tile] = options->tile_range_count == 0;
+        sorter->sizes[tile][0] = options->width;
+        sorter->sizes[tile][1] = options->height;
+    }
+    for (uint32_t i = 0; i < options->tile_range_count; i++) {
+        const struct bake_tile_range *range = &options->tile_ranges[i];
+        for (uint32_t number = range->first; number <= range->last; number++)
+            sorter->selected[number - BAKE_FIRST_TILE] = true;
+    }
+    for (uint32_t i = 0; i < options->tile_size_count; i++) {
+        uint32_t *size = sorter->sizes[options->tile_sizes[i].tile - BAKE_FIRST_TILE];
+        size[0] = options->tile_sizes[i].width;
+        size[1] = options->tile_sizes[i].height;
+    }
+}
+
 int bake_tile_sorter_create(struct bsq_ctx *ctx, const struct bake_options *options,
                             const struct bake_lowmesh *mesh, uint32_t set,
                             struct bake_tile_sorter **out)
@@ -207,7 +207,6 @@ int bake_tile_sorter_create(struct bsq_ctx *ctx, const struct bake_options *opti
     (*out)->begin = mesh->set_count > 0 ? mesh->sets[set].first : 0;
     (*out)->end =
         mesh->set_count > 0 ? (*out)->begin + mesh->sets[set].count : mesh->triangle_count;
-    for (uint32_t tile = 0; tile < TILES; tile++)
-        (*out)->selected[tile] = is_selected(options, BAKE_FIRST_TILE + tile);
+    take_options(*out, options);
     return 0;
 }

@@ -19,6 +19,7 @@ struct bake_tile_sorter {
     const struct bake_lowmesh *mesh;
     uint64_t begin, end; /* triangles of the mesh to sort */
     bool selected[TILES];
+    uint32_t sizes[TILES][2];   /* width and height of each map in texels */
     uint64_t places[TILES];     /* number of triangles; while sorting, place of the next one */
     uint32_t *order;            /* out: triangles by tile; NULL: only count */
     uint64_t flat_triangles;    /* without area in texture space */
@@ -28,8 +29,8 @@ struct bake_tile_sorter {
     uint64_t first_stray;
 };
 
-/* Creates a sorter of a set's triangles, which knows the tiles that options->tile_ranges selects.
- * Free it with bsq_free(). */
+/* Creates a sorter of a set's triangles, which knows the tiles that options->tile_ranges selects,
+ * and the sizes of all tiles. The options are checked. Free it with bsq_free(). */
 int bake_tile_sorter_create(struct bsq_ctx *ctx, const struct bake_options *options,
                             const struct bake_lowmesh *mesh, uint32_t set,
                             struct bake_tile_sorter **out);
