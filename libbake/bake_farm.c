@@ -80,40 +80,33 @@ static int create_count_raster(const struct bake_run *job, const struct bake_far
     return bake_raster_create(job->ctx, &job->mesh, &options, &ignored, out);
 }
 
-/* Adds the blocks of a tile to a list. */
+struct block_list {
+    struct bake_farm_block *blocks;
+    uint64_t count, capacity;
+};
+
+/* Adds the blocks of a tile that have samples to a list. */
 static int count_tile(const struct bake_run *job, const struct bake_farm_plan *plan, uint32_t tile,
-                      uint32_t **samples, struct bake_farm_block **blocks, uint64_t *block_count)
+                      uint32_t **samples, struct block_list *list)
 {
-    static const uint64_t size = sizeof(struct bake_farm_block);
     struct bake_raster *raster = NULL;
     int status = create_count_raster(job, plan, tile, &raster);
     if (status < 0)
         return status;
     const uint32_t found = bake_raster_tile_count(raster);
-    struct bake_farm_block *all = NULL;
-    status = bsq_alloc(job->ctx, "blocks", *block_count + found, size, &all);
-    if (status == 0) {
-        if (*block_count > 0)
-            memcpy(all, *blocks, *block_count * size);
-        bsq_free(job->ctx, *blocks);
-        *blocks = all;
-        struct count_job count = {
-            job, raster, &plan->tiles[tile], all + *block_count, tile, plan->block_side, samples};
+    status = bsq_grow(job->ctx, "blocks", list->count + found, sizeof *list->blocks, &list->blocks,
+                      &list->capacity);
+    if (status == 0 && found > 0) {
+        struct bake_farm_block *added = list->blocks + list->count;
+        struct count_job count = {job,    raster, &plan->tiles[tile], added, tile, plan->block_side,
+                                  samples};
         status = bsq_parallel_for(job->ctx, found, count_block, &count);
-        *block_count += found;
+        for (uint32_t i = 0; i < found && status == 0; i++)
+            if (added[i].samples > 0)
+                list->blocks[list->count++] = added[i];
     }
     bake_raster_free(raster);
     return status;
-}
-
-/* Removes blocks without samples. Returns the number of those that stay. */
-static uint64_t drop_empty(struct bake_farm_block *blocks, uint64_t count)
-{
-    uint64_t kept = 0;
-    for (uint64_t i = 0; i < count; i++)
-        if (blocks[i].samples > 0)
-            blocks[kept++] = blocks[i];
-    return kept;
 }
 
 /* Divides the blocks of all tiles by the work in them. */
@@ -121,20 +114,19 @@ static int divide(const struct bake_run *job, struct bake_farm_plan *plan)
 {
     const unsigned workers = bsq_threads(job->ctx);
     const uint64_t texels = (uint64_t)plan->block_side * plan->block_side;
-    struct bake_farm_block *blocks = NULL;
+    struct block_list list = {0};
     uint32_t **samples;
-    uint64_t count = 0;
     int status = bsq_calloc(job->ctx, "samples of blocks", workers, sizeof *samples, &samples);
     for (unsigned w = 0; w < workers && status == 0; w++)
         status = bsq_alloc(job->ctx, "samples of blocks", texels, sizeof **samples, &samples[w]);
     for (uint32_t t = 0; t < plan->tile_count && status == 0; t++)
-        status = count_tile(job, plan, t, samples, &blocks, &count);
+        status = count_tile(job, plan, t, samples, &list);
     if (status == 0)
-        status = bake_farm_divide(plan, blocks, drop_empty(blocks, count));
+        status = bake_farm_divide(plan, list.blocks, list.count);
     for (unsigned w = 0; samples && w < workers; w++)
         bsq_free(job->ctx, samples[w]);
     bsq_free(job->ctx, samples);
-    bsq_free(job->ctx, blocks);
+    bsq_free(job->ctx, list.blocks);
     return status;
 }
 
