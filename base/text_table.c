@@ -10,7 +10,7 @@ enum { FIRST_CAPACITY = 32 };
 
 static int fail_memory(struct bsq_ctx *ctx)
 {
-    return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "names of files");
+    return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "names");
 }
 
 /* ---- the memory ---- */
@@ -20,7 +20,7 @@ int bsq_tally_add(struct bsq_ctx *ctx, struct bsq_tally *tally, uint64_t bytes)
     tally->bytes += bytes;
     if (tally->bytes <= BSQ_FREE_BYTES)
         return 0;
-    int status = bsq_reserve(ctx, "names of files", bytes);
+    int status = bsq_reserve(ctx, "names", bytes);
     if (status == 0)
         tally->reserved += bytes;
     return status;

@@ -1,5 +1,5 @@
-/* text_table.h - private to base: distinct texts, such as the names of files, and the memory that
- * they take. Not thread-safe. */
+/* text_table.h - distinct texts, such as the names of files, and the memory that they take. Not
+ * thread-safe. */
 #ifndef BSQ_TEXT_TABLE_H
 #define BSQ_TEXT_TABLE_H
 

@@ -408,7 +408,8 @@ void bake_lowmesh_free(struct bsq_ctx *ctx, struct bake_lowmesh *mesh)
     bsq_free(ctx, mesh->directions);
     bsq_free(ctx, mesh->object_of);
     bsq_free(ctx, mesh->sets);
-    bake_names_free(ctx, &mesh->objects);
-    bake_names_free(ctx, &mesh->materials);
+    bsq_texts_free(&mesh->objects);
+    bsq_texts_free(&mesh->materials);
+    bsq_tally_release(ctx, &mesh->names);
     memset(mesh, 0, sizeof(*mesh));
 }

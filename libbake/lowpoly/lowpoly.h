@@ -4,13 +4,9 @@
 #ifndef BAKE_LOWPOLY_LOWPOLY_H
 #define BAKE_LOWPOLY_LOWPOLY_H
 
+#include "base/text_table.h"
 #include "formats/mesh/mesh_reader.h"
 #include "libbake/bake.h"
-
-struct bake_names {
-    char **list;
-    uint32_t count;
-};
 
 /* Triangles that share maps. */
 struct bake_low_set {
@@ -30,8 +26,9 @@ struct bake_lowmesh {
     double bounds_min[3], bounds_max[3];
     struct bake_low_set *sets; /* none: all triangles share maps */
     uint32_t set_count;
-    struct bake_names objects, materials; /* in order of appearance; only if they are wanted */
-    uint32_t *object_of;                  /* of each triangle; NULL unless wanted */
+    struct bsq_texts objects, materials; /* names; only if they are wanted */
+    struct bsq_tally names;              /* memory of these */
+    uint32_t *object_of;                 /* of each triangle; NULL unless wanted */
 };
 
 struct bake_lowmesh_options {

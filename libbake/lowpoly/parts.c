@@ -32,10 +32,15 @@ static bool is_named(const char *name)
 static int enter_names(struct bsq_ctx *ctx, struct bake_parts *parts, const char *stem,
                        const struct fmt_material *part, uint32_t numbers[2])
 {
+    uint64_t number[2] = {0};
     const char *object = part && is_named(part->object) ? part->object : stem;
     const char *material = part && is_named(part->name) ? part->name : NO_MATERIAL;
-    int status = bake_names_enter(ctx, &parts->objects, object, &numbers[0]);
-    return status < 0 ? status : bake_names_enter(ctx, &parts->materials, material, &numbers[1]);
+    int status = bsq_texts_add(ctx, &parts->tally, &parts->objects, object, &number[0]);
+    if (status == 0)
+        status = bsq_texts_add(ctx, &parts->tally, &parts->materials, material, &number[1]);
+    numbers[0] = (uint32_t)number[0]; /* at most that of triangles */
+    numbers[1] = (uint32_t)number[1];
+    return status;
 }
 
 /* Adds the triangles of a file. numbers: space for one entry more than the file has parts. Names
@@ -153,9 +158,11 @@ int bake_parts_apply(struct bsq_ctx *ctx, const struct bake_lowmesh_options *opt
                      struct bake_parts *parts, struct bake_lowmesh *mesh)
 {
     int status = 0;
-    mesh->objects = parts->objects.names;
-    mesh->materials = parts->materials.names;
-    parts->objects.names = parts->materials.names = (struct bake_names){0};
+    mesh->objects = parts->objects;
+    mesh->materials = parts->materials;
+    mesh->names = parts->tally;
+    parts->objects = parts->materials = (struct bsq_texts){0};
+    parts->tally = (struct bsq_tally){0};
     if (options->objects)
         status = bsq_alloc(ctx, "objects of triangles", mesh->triangle_count,
                            sizeof *mesh->object_of, &mesh->object_of);
@@ -168,9 +175,8 @@ int bake_parts_apply(struct bsq_ctx *ctx, const struct bake_lowmesh_options *opt
 
 void bake_parts_free(struct bsq_ctx *ctx, struct bake_parts *parts)
 {
-    bake_name_table_free(ctx, &parts->objects);
-    bake_name_table_free(ctx, &parts->materials);
-    bake_names_free(ctx, &parts->objects.names);
-    bake_names_free(ctx, &parts->materials.names);
+    bsq_texts_free(&parts->objects);
+    bsq_texts_free(&parts->materials);
+    bsq_tally_release(ctx, &parts->tally);
     bsq_free(ctx, parts->of);
 }

@@ -2,12 +2,13 @@
 #ifndef BAKE_LOWPOLY_PARTS_H
 #define BAKE_LOWPOLY_PARTS_H
 
-#include "libbake/lowpoly/names.h"
+#include "libbake/lowpoly/lowpoly.h"
 
 /* The names in all files of a job, and those of each triangle. All zero at first. */
 struct bake_parts {
-    struct bake_name_table objects, materials;
-    uint32_t (*of)[2]; /* of each triangle: numbers of its object and material */
+    struct bsq_texts objects, materials;
+    struct bsq_tally tally; /* of these */
+    uint32_t (*of)[2];      /* of each triangle: numbers of its object and material */
     uint64_t count, capacity;
 };
 
