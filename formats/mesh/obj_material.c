@@ -146,10 +146,10 @@ int fmt_obj_enter_libraries(struct obj_reader *reader, uint32_t source, const ch
     if ((status = fmt_string_copy(reader->base.ctx, text, &names)))
         return status;
     status = any_library(reader, source, names, &any);
+    if (!status && !any)
+        status = enter_library(reader, source, text, false, &exists);
     strcpy(names, text);
     fmt_mesh_plain_name(names);
-    if (!status && !any)
-        status = enter_library(reader, source, names, false, &exists);
     for (name = any ? strtok_r(names, " \t", &rest) : NULL; name && !status;
          name = strtok_r(NULL, " \t", &rest))
         status = enter_library(reader, source, name, false, &exists);

@@ -8,13 +8,18 @@
 #include <sys/stat.h>
 
 #include "base/path_map.h"
+#include "base/tile_files.h"
 #include "formats/mesh/mesh_text.h"
 
-static bool is_file(const char *path)
-{
-    struct stat info;
-    return stat(path, &info) == 0 && S_ISREG(info.st_mode);
-}
+/* Ways to read a name, in the order of the trials. */
+enum form { AS_WRITTEN, WITH_SLASHES, LAST_COMPONENT, FORM_COUNT };
+
+struct search {
+    struct bsq_ctx *ctx;
+    const char *beside;
+    size_t directory; /* length of the directory of `beside`, with its slash */
+    char *path;       /* the file, when it is found; owned */
+};
 
 static const char *last_component(const char *path)
 {
@@ -22,11 +27,30 @@ static const char *last_component(const char *path)
     return slash ? slash + 1 : path;
 }
 
-/* Replaces the last component of `path` by the name of a file that differs in its capitals. Takes
- * the first one in the order of bytes. Returns whether there is one. */
-static bool find_in_any_case(char *path)
+/* Checks that a path is a regular file, or that a texture of tiles has a tile. */
+static int check_file(struct bsq_ctx *ctx, const char *path, bool *is_file)
 {
-    char *name = path + (last_component(path) - path), best[NAME_MAX + 1] = "";
+    struct bsq_tile_files tiles = {0};
+    struct stat info;
+    int status = 0;
+    if (bsq_has_tiles(path)) {
+        status = bsq_tile_files_find(ctx, path, &tiles);
+        *is_file = tiles.count > 0;
+        bsq_tile_files_free(ctx, &tiles);
+    } else {
+        *is_file = stat(path, &info) == 0 && S_ISREG(info.st_mode);
+    }
+    return status;
+}
+
+/* ---- capitals ---- */
+
+/* Replaces the last component of `path`, which begins at `name`, by an entry of its directory that
+ * differs in its capitals. Takes the first one in the order of bytes. Returns whether there is one.
+ */
+static bool find_entry(char *path, char *name)
+{
+    char best[NAME_MAX + 1] = "";
     const char first = *name;
     *name = '\0';
     DIR *directory = opendir(name == path ? "." : path);
@@ -36,68 +60,148 @@ static bool find_in_any_case(char *path)
             strcpy(best, entry->d_name);
     if (directory)
         closedir(directory);
-    if (!*best)
-        return false;
-    memcpy(name, best, strlen(name));
-    return is_file(path);
+    memcpy(name, best, strlen(best));
+    return *best != '\0';
 }
 
-/* Tries the name, then the name with slashes instead of backslashes, then its last component.
- * `path` has space for the directory of `beside` and the name. */
-static bool find_file(const char *beside, const char *name, bool any_case, char *path)
+/* Gives the components of `path` from byte `from` on the capitals of folders and files that exist;
+ * those that exist as they are stay so, and the token of a texture of tiles. Returns whether all
+ * exist. */
+static bool match_capitals(char *path, size_t from)
 {
-    const size_t beside_directory = (size_t)(last_component(beside) - beside);
-    const size_t directory = name[0] == '/' ? 0 : beside_directory;
-    memcpy(path, beside, directory);
+    struct stat info;
+    bool found = true;
+    for (char *name = path + from, *next; *name && found; name = next) {
+        char *end = strchrnul(name, '/');
+        next = end + (*end == '/');
+        const char end_byte = *end, next_byte = *next;
+        *next = '\0'; /* a path that ends in a slash is a folder */
+        found = end == name || stat(path, &info) == 0 || (!end_byte && bsq_has_tiles(path));
+        *next = next_byte;
+        if (found)
+            continue;
+        *end = '\0';
+        found = find_entry(path, name);
+        *end = end_byte;
+    }
+    return found;
+}
+
+/* ---- trials ---- */
+
+/* Looks for the file `name`. Sets search->path if it exists. */
+static int try_path(struct search *search, const char *name, enum form form)
+{
+    const size_t directory = name[0] == '/' ? 0 : search->directory;
+    char *path;
+    bool found = false;
+    int status = bsq_alloc(search->ctx, "names", directory + strlen(name) + 1, 1, &path);
+    if (status)
+        return status;
+    memcpy(path, search->beside, directory);
     strcpy(path + directory, name);
-    if (any_case ? find_in_any_case(path) : is_file(path))
-        return true;
-    strcpy(path + directory, name);
-    for (char *c = path + directory; *c; c++)
-        if (*c == '\\')
-            *c = '/';
-    if (any_case ? find_in_any_case(path) : is_file(path))
-        return true;
-    const char *component = last_component(name), *backslash = strrchr(component, '\\');
-    component = backslash ? backslash + 1 : component;
-    memcpy(path, beside, beside_directory);
-    strcpy(path + beside_directory, component);
-    return *component && (any_case ? find_in_any_case(path) : is_file(path));
+    for (char *c = path + directory; *c && form == WITH_SLASHES; c++)
+        *c = *c == '\\' ? '/' : *c;
+    status = check_file(search->ctx, path, &found);
+    if (!status && !found && match_capitals(path, directory))
+        status = check_file(search->ctx, path, &found);
+    if (!status && found)
+        search->path = path;
+    else
+        bsq_free(search->ctx, path);
+    return status;
+}
+
+/* Tries a text as a name. */
+static int try_text(struct search *search, const char *text, enum form form)
+{
+    const char *name = bsq_map_path(search->ctx, text), *backslash;
+    if (!name)
+        return BSQ_ENOMEM;
+    if (form == LAST_COMPONENT) {
+        name = last_component(name);
+        backslash = strrchr(name, '\\');
+        name = backslash ? backslash + 1 : name;
+    }
+    if (!*name || (form == WITH_SLASHES && !strchr(name, '\\')))
+        return 0;
+    int status = bsq_check(search->ctx); /* directories may be long */
+    return status ? status : try_path(search, name, form);
+}
+
+static bool is_blank(char c)
+{
+    return c == ' ' || c == '\t';
+}
+
+/* Cuts a text before its last "#" after a blank. Returns whether there is one. What is longer than
+ * a path can be is cut off too. */
+static bool cut_comment(char *text)
+{
+    size_t at = strnlen(text, PATH_MAX);
+    do
+        at -= at > 0;
+    while (at > 0 && !(text[at] == '#' && is_blank(text[at - 1])));
+    if (at == 0)
+        return false;
+    while (at > 0 && is_blank(text[at - 1]))
+        at--;
+    text[at] = '\0';
+    return true;
+}
+
+/* Tries a name as it is, and without its quotes or else without comments, of which a short one goes
+ * first. */
+static int try_form(struct search *search, const char *name, enum form form)
+{
+    char *text;
+    int status = fmt_string_copy(search->ctx, name, &text);
+    if (status)
+        return status;
+    status = try_text(search, text, form);
+    if (!status && !search->path && text[0] == '"' && fmt_mesh_plain_name(text))
+        status = try_text(search, text, form);
+    while (!status && !search->path && name[0] != '"' && cut_comment(text))
+        status = try_text(search, text, form);
+    bsq_free(search->ctx, text);
+    return status;
+}
+
+/* Sets search->path to the path of a file that does not exist, for messages. */
+static int name_missing(struct search *search, const char *name)
+{
+    const char *mapped;
+    char *text;
+    int status = fmt_string_copy(search->ctx, name, &text);
+    if (status)
+        return status;
+    if (text[0] != '"' || !fmt_mesh_plain_name(text))
+        fmt_mesh_tidy_name(text);
+    mapped = bsq_map_path(search->ctx, text);
+    const size_t directory = mapped && *mapped == '/' ? 0 : search->directory;
+    status = mapped
+                 ? bsq_alloc(search->ctx, "names", directory + strlen(mapped) + 1, 1, &search->path)
+                 : BSQ_ENOMEM;
+    if (!status) {
+        memcpy(search->path, search->beside, directory);
+        strcpy(search->path + directory, mapped);
+    }
+    bsq_free(search->ctx, text);
+    return status;
 }
 
 int fmt_path_find(struct bsq_ctx *ctx, const char *beside, const char *name, char **out,
                   bool *exists)
 {
-    const size_t beside_directory = (size_t)(last_component(beside) - beside);
-    const char *mapped = bsq_map_path(ctx, name), *plain = NULL;
-    char *copy = NULL;
-    *out = NULL;
-    int status = mapped ? fmt_string_copy(ctx, name, &copy) : BSQ_ENOMEM;
-    if (!status)
-        status = bsq_check(ctx); /* directories may be long */
-    const bool changed = !status && fmt_mesh_plain_name(copy);
-    if (!status && !(plain = bsq_map_path(ctx, copy)))
-        status = BSQ_ENOMEM;
-    if (!status)
-        status =
-            bsq_alloc(ctx, "names", beside_directory + strlen(mapped) + strlen(plain) + 1, 1, out);
-    if (status)
-        goto done;
-    const bool found = find_file(beside, mapped, false, *out) ||
-                       (changed && find_file(beside, plain, false, *out)) ||
-                       find_file(beside, plain, true, *out);
+    struct search search = {
+        .ctx = ctx, .beside = beside, .directory = (size_t)(last_component(beside) - beside)};
+    int status = 0;
+    for (enum form form = AS_WRITTEN; form < FORM_COUNT && !status && !search.path; form++)
+        status = try_form(&search, name, form);
     if (exists)
-        *exists = found;
-    if (!found) {
-        const size_t directory = plain[0] == '/' ? 0 : beside_directory;
-        memcpy(*out, beside, directory);
-        strcpy(*out + directory, plain);
-    }
-done:
-    bsq_free(ctx, copy);
-    if (status) {
-        bsq_free(ctx, *out);
-        *out = NULL;
-    }
+        *exists = search.path != NULL;
+    if (!status && !search.path)
+        status = name_missing(&search, name);
+    *out = search.path;
     return status;
 }

@@ -1,0 +1,117 @@
+/* test_obj_path.c - files that OBJ and MTL files name in other spellings. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <stdio.h>
+#include <cmocka.h>
+
+#include <string.h>
+#include <sys/stat.h>
+
+#include "formats/mesh/obj_path.h"
+#include "tests/unit/fixture.h"
+#include "tests/unit/formats/scratch.h"
+
+static void make_files(void)
+{
+    static const char *const folders[] = {"sub", "textures", "Both", "both", "textures/Deep"};
+    static const char *const files[] = {"textures/t.png",
+                                        "textures/Deep/wood grain.png",
+                                        "textures/skin.1001.png",
+                                        "Both/t.png",
+                                        "both/t.png",
+                                        "both/u.png",
+                                        "t.png",
+                                        "a #1.mtl",
+                                        "b #1",
+                                        "#",
+                                        "C.MTL"};
+    for (size_t i = 0; i < sizeof folders / sizeof *folders; i++)
+        assert_int_equal(mkdir(scratch_path(folders[i]), 0777), 0);
+    for (size_t i = 0; i < sizeof files / sizeof *files; i++)
+        scratch_text(files[i], "x");
+}
+
+static void test_spellings(void **state)
+{
+    (void)state;
+    /* The path of the file, or after "!" that which messages name. */
+    static const char *const cases[][2] = {
+        {"textures/t.png", "textures/t.png"},
+        {"Textures/t.png", "textures/t.png"},
+        {"TEXTURES/T.PNG", "textures/t.png"},
+        {"Textures\\T.PNG", "textures/t.png"},
+        {".\\Textures\\DEEP\\Wood Grain.png # oak", "./textures/Deep/wood grain.png"},
+        {"\"Textures/deep//Wood grain.PNG\"", "textures/Deep//wood grain.png"},
+        {"sub/../Textures/T.png", "sub/../textures/t.png"},
+        {"Both/t.png", "Both/t.png"}, /* an exact name goes first */
+        {"both/t.png", "both/t.png"},
+        {"BOTH/T.PNG", "Both/t.png"}, /* then the first one in the order of bytes */
+        {"C:\\Users\\me\\T.PNG", "t.png"},
+        {"/Nowhere/T.png", "t.png"},
+        {"Textures/Skin.<UDIM>.png", "!Textures/Skin.<UDIM>.png"},
+        {"Textures\\skin.<UDIM>.png # c", "textures/skin.<UDIM>.png"},
+        {"textures\\other.<UDIM>.png", "!textures\\other.<UDIM>.png"},
+        {"a #1.mtl", "a #1.mtl"},
+        {"a #1.mtl # lib", "a #1.mtl"},
+        {"A #1.MTL\t#lib #2", "a #1.mtl"},
+        {"\"a #1.mtl\" # lib", "a #1.mtl"},
+        {"b #1 #2", "b #1"},
+        {"c.mtl #1.mtl # lib", "C.MTL"},
+        {"#", "#"},
+        {"Textures", "!Textures"},
+        {"t.png/x", "!t.png/x"},
+        {"d #1.mtl # lib", "!d #1.mtl"},
+        {"\"d #1.mtl\" #lib", "!d #1.mtl"},
+        {"", "!"},
+    };
+    struct bsq_ctx *ctx = test_context(1, 0);
+    char beside[300];
+    snprintf(beside, sizeof beside, "%s", scratch_path("scan.obj"));
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+        const bool missing = cases[i][1][0] == '!';
+        bool exists = missing;
+        char *path;
+        assert_int_equal(fmt_path_find(ctx, beside, cases[i][0], &path, &exists), 0);
+        assert_string_equal(path + strlen(scratch_directory) + 1, cases[i][1] + missing);
+        assert_int_equal(exists, !missing);
+        bsq_free(ctx, path);
+    }
+    test_context_end(ctx);
+}
+
+/* Names that are longer than any path, with as many comments, end soon. */
+static void test_long_names(void **state)
+{
+    (void)state;
+    enum { SIZE = 1 << 20 };
+    static char name[SIZE + 1];
+    struct bsq_ctx *ctx = test_context(1, 0);
+    char *path;
+    bool exists;
+    for (int i = 0; i < SIZE; i++)
+        name[i] = i % 2 ? '#' : ' ';
+    memcpy(name, "t.png ", 6);
+    assert_int_equal(fmt_path_find(ctx, scratch_path("scan.obj"), name, &path, &exists), 0);
+    assert_true(exists);
+    assert_string_equal(path, scratch_path("t.png"));
+    bsq_free(ctx, path);
+    test_context_end(ctx);
+}
+
+static int set_up(void **state)
+{
+    if (scratch_make(state))
+        return -1;
+    make_files();
+    return 0;
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_spellings),
+        cmocka_unit_test(test_long_names),
+    };
+    return cmocka_run_group_tests(tests, set_up, scratch_remove);
+}
