@@ -220,7 +220,7 @@ bool vox_textures_have(const struct scan_textures *textures, const char *path);
 void vox_textures_free(struct bsq_ctx *ctx, struct scan_textures *textures);
 
 /* If the scan keeps opacity, makes the alpha channels of colour textures that of their materials,
- * unless a material names another texture of opacity. Decodes these textures. path: the colour
+ * unless a material names another good texture of opacity. Decodes these textures. path: the colour
  * texture of all materials; NULL: their own ones, if these were checked and are good. */
 int vox_scan_use_alpha(struct scan *scan, const struct scan_textures *textures, const char *path,
                        struct fmt_materials *materials);

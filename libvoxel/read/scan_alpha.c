@@ -21,17 +21,20 @@ static const struct bsq_channel *wanted_channel(const struct scan *scan)
     return NULL;
 }
 
-/* Makes the alpha of a texture a channel of the material, unless that has another texture of it.
- * Sets *lost to the material if it also has a value, which is not multiplied. */
-static int add_alpha(struct bsq_ctx *ctx, const struct bsq_channel *channel, const char *path,
-                     const struct bsq_uv *uv, struct fmt_material *material,
-                     const struct fmt_material **lost)
+/* Makes the alpha of a texture a channel of the material, unless that has another texture of it,
+ * which is good. Sets *lost to the material if it also has a value, which is not multiplied. */
+static int add_alpha(struct bsq_ctx *ctx, const struct scan_textures *textures,
+                     const struct bsq_channel *channel, const char *path, const struct bsq_uv *uv,
+                     struct fmt_material *material, const struct fmt_material **lost)
 {
     struct fmt_material_channel *entry;
     const size_t size = strlen(path) + 1;
     int status = fmt_material_enter_channel(ctx, material, channel, &entry);
-    if (status < 0 || entry->texture_path)
+    if (status < 0 || (entry->texture_path && vox_textures_have(textures, entry->texture_path)))
         return status;
+    bsq_free(ctx, entry->texture_path);
+    bsq_free(ctx, entry->texture_place);
+    entry->texture_place = NULL;
     status = bsq_alloc(ctx, "names", size, 1, &entry->texture_path);
     if (status < 0)
         return status;
@@ -90,8 +93,8 @@ int vox_scan_use_alpha(struct scan *scan, const struct scan_textures *textures, 
         struct fmt_material *material = &materials->list[i];
         const char *texture = color_texture(textures, path, material);
         if (texture && fmt_texture_has_alpha(images, i))
-            status = add_alpha(scan->ctx, channel, texture, path ? &unmoved : &material->uv,
-                               material, &lost);
+            status = add_alpha(scan->ctx, textures, channel, texture,
+                               path ? &unmoved : &material->uv, material, &lost);
     }
     fmt_textures_close(images);
     if (status == 0 && lost)

@@ -114,6 +114,14 @@ static void set_value(const struct bsq_channel *channel, const struct fmt_materi
     }
 }
 
+/* Returns whether a material gives a channel a value. A texture that cannot be used, of which a
+ * warning tells, leaves the usual value. A value of 0 everywhere tells nothing. */
+static bool gives_value(const struct scan *scan, const struct fmt_material_channel *own)
+{
+    return own && (own->has_value || (own->texture_path && own->channel->usual > 0 &&
+                                      scan_count(scan, SCAN_TEXCOORDS) > 0));
+}
+
 /* Gives an entry of the table its channels. textured: whether its triangles have texture
  * coordinates. */
 static int add_sources(struct scan *scan, const struct scan_textures *textures,
@@ -128,7 +136,7 @@ static int add_sources(struct scan *scan, const struct scan_textures *textures,
         struct fmt_tris_source *source = &material->sources[c];
         const struct fmt_material_channel *own = find_channel(from, scan->channels[c].name);
         const char *path = textured ? channel_texture(scan, textures, from, c) : NULL;
-        scan->found_channels[c] |= path || (own && own->has_value);
+        scan->found_channels[c] |= path || gives_value(scan, own);
         const struct bsq_channel *channel = bsq_channel_find(scan->channels[c].name);
         set_value(channel, own, source);
         if (path)
@@ -325,6 +333,9 @@ static int use_single_texture(struct scan *scan, struct fmt_mesh_reader *reader,
         status = fmt_mesh_read_materials(reader, &found);
     if (status == 0)
         status = add_rest(scan->ctx, &found);
+    /* The second check is for the alpha of the image. */
+    if (status == 0 && scan->channel_count > 0)
+        status = vox_textures_check(scan->ctx, &found, true, textures);
     if (status == 0)
         status = vox_scan_use_alpha(scan, textures, texture_path, &found);
     if (status == 0 && scan->channel_count > 0)
@@ -416,7 +427,7 @@ static void warn_without_names(const struct scan *scan)
                  scan->ids == BSQ_IDS_OBJECT ? "objects or groups" : "materials");
 }
 
-/* Refuses channels that no material has: they would be 0 everywhere. */
+/* Refuses channels that no material has: they would be the same everywhere. */
 static int check_channels(const struct scan *scan)
 {
     for (uint32_t c = 0; c < scan->channel_count; c++) {

@@ -69,6 +69,39 @@ material value half 'd 0.5'
 material inverse half 'Tr 0.5'
 material texture slope 'd 0.5' 'map_Kd glass.png'
 
+# A texture of opacity that cannot be used is a loss: the alpha of the colour texture counts, or else
+# the value, or else the material is opaque.
+echo text >text.png
+lost()
+{
+    name=$1 options=$2 function=$3
+    shift 3
+    printf '%s\n' 'newmtl m' "$@" >lost.mtl
+    sed "1imtllib lost.mtl\nusemtl m" plane.obj >lost.obj
+    run bisque-voxelize --progress none --channels opacity $options lost.obj -o lost.tris
+    code 0
+    grep -Eq "^bisque-voxelize: warning: lost.mtl:2: (gone.png: no such texture|text.png: not a readable image: .*): material \"m\" goes without it$" "$err"
+    check "a warning tells of the texture ($name)" $?
+    $bake lost.tris low.obj --maps mask -o lost.png
+    code 0
+    values lost.png $function 0.002
+    run bisque-voxelize --channels opacity $options lost.obj -o strict.tris --strict
+    code 65
+    [ ! -e strict.tris ]
+    check "no file with --strict" $?
+}
+lost alpha '' slope 'map_d gone.png' 'map_Kd glass.png'
+lost 'alpha of all' '--texture glass.png' slope 'map_d text.png'
+lost value '' half 'map_d gone.png' 'map_Kd light.png' 'd 0.5'
+lost unreadable '' half 'map_d text.png' 'Tr 0.5'
+lost opaque '' whole 'map_d gone.png'
+material both ramp 'map_d ramp.png'
+run bisque-voxelize --channels opacity --texture glass.png both.obj -o both.tris
+code 0
+$bake both.tris low.obj --maps mask -o both.png
+code 0
+values both.png ramp 0.002
+
 # Two materials, which change at x = 0.6, and one without opacity, which is opaque.
 printf 'newmtl left\nd 0.5\nnewmtl right\nTr 0.25\n' >two.mtl
 $vox --resolution 80 two.obj -o two.nvdb
