@@ -30,8 +30,9 @@ struct reader {
     uint64_t line;
     struct fmt_materials *materials;
     uint64_t capacity;
-    bool has_current; /* the last material of the list is from this file */
-    bool again;       /* the file was read before: do not warn */
+    bool has_current;                /* the last material of the list is from this file */
+    bool again;                      /* the file was read before: do not warn */
+    uint64_t unknown, first_unknown; /* statements that are not of the format; line of the first */
 };
 
 /* ---- words of a line ---- */
@@ -346,6 +347,24 @@ static int read_channel(struct reader *reader, const struct bsq_channel *channel
     return status;
 }
 
+/* Returns whether a line says nothing that is kept: a comment, or a statement of rendering. Each
+ * that begins with "map_" counts as one, since programs have their own. */
+static bool is_ignored(const char *p)
+{
+    static const char *const ignored[] = {"Ka",   "Kt",    "Tf",    "Ni",   "Ns",
+                                          "bump", "decal", "illum", "refl", "sharpness"};
+    bool is = !*p || *p == '#' || !strncasecmp(p, "map_", 4);
+    for (size_t i = 0; i < sizeof ignored / sizeof *ignored && !is; i++)
+        is = word_is(p, ignored[i]);
+    return is;
+}
+
+static void note_unknown(struct reader *reader)
+{
+    if (reader->unknown++ == 0)
+        reader->first_unknown = reader->line;
+}
+
 static int read_line(struct reader *reader, char *line)
 {
     char *p = skip_blanks(line);
@@ -358,7 +377,11 @@ static int read_line(struct reader *reader, char *line)
         return read_channel(reader, channel, is_map, p, rest);
     if (word_is(p, "map_Kd"))
         return read_map(reader, rest);
-    return word_is(p, "Kd") ? read_diffuse(reader, rest) : 0;
+    if (word_is(p, "Kd"))
+        return read_diffuse(reader, rest);
+    if (!is_ignored(p))
+        note_unknown(reader);
+    return 0;
 }
 
 /* Finds the end of the statement at `line`, and adds to *lines the line ends in it that a backslash
@@ -422,6 +445,16 @@ static int read_text(struct reader *reader, char *text, uint64_t size)
     return status;
 }
 
+static int warn_unknown(const struct reader *reader)
+{
+    return reader->unknown == 0 || reader->again
+               ? 0
+               : bsq_warn_loss(reader->ctx,
+                               "%s:%" PRIu64 ": lines with statements that are not of the format: "
+                               "%" PRIu64 "; this is the first",
+                               reader->path, reader->first_unknown, reader->unknown);
+}
+
 /* Warns if the file cannot be read, and sets *readable. */
 static int check_readable(const struct reader *reader, bool *readable)
 {
@@ -471,6 +504,8 @@ int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, bool again, struct fmt_m
         status = read_text(&reader, text, size);
     else if (status == BSQ_EDATA)
         status = warn_damaged(&reader);
+    if (!status)
+        status = warn_unknown(&reader);
     bsq_free(ctx, text);
     return status;
 }

@@ -78,6 +78,15 @@ rmdir scan.mtl
 : >scan.mtl
 warns 'scan.mtl: an empty file: its materials are missing' scan.obj
 
+# Text of another kind.
+printf '<!DOCTYPE html>\n<html>\n# Kd\n</html>\n' >scan.mtl
+$vox scan.obj -o a.nvdb --resolution 8
+code 0
+[ "$(sed -n 1p "$err")" = "$p warning: scan.mtl:1: lines with statements that are not of the format: 3; this is the first" ]
+check "a page instead of a library" $?
+$vox scan.obj -o a.nvdb --resolution 8 --strict
+refused 65 "$p scan.mtl:1: lines with statements that are not of the format: 3; this is the first"
+
 # ---- colours that no face uses ----
 
 printf 'newmtl a\nKd 1 0 0\n' >scan.mtl

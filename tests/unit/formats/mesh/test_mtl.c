@@ -183,6 +183,8 @@ static void test_warnings(void **state)
         {"newmtl a\nKe 2 3 -4\n", "test.mtl:2: out of range, clamped: \"2 3 -4\""},
         {"newmtl a\nPr 1e40\n", "test.mtl:2: out of range, clamped: \"1e40\""},
         {"newmtl a\nTr 1.5\n", "test.mtl:2: out of range, clamped: \"1.5\""},
+        {"newmtl a\n# text\n\tpage 1\nillum 2\n<b>\r\nKdd 1 1 1\n",
+         "test.mtl:3: lines with statements that are not of the format: 3; this is the first"},
         {"newmtl a\nKe \\\n1 1 \\\n1\nKd x\n", "test.mtl:5: not a colour, ignored: \"x\""},
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
@@ -192,6 +194,21 @@ static void test_warnings(void **state)
         assert_string_equal(f.warning + strlen(directory) + 1, cases[i].warning);
         close_fixture(&f);
     }
+}
+
+/* Statements that are not used say nothing, in any capitals. */
+static void test_ignored_statements(void **state)
+{
+    (void)state;
+    struct fixture f;
+    read_text(&f,
+              "  # made by hand\n \nnewmtl a\nKa 1 1 1\nKs 0 0 0\nKt 1\nTf 1 1 1\nNs 96.1\n"
+              "Ni 1.45\nd 1\nillum 2\nILLUM 2\nsharpness 60\nbump b.png\ndisp d.png\n"
+              "decal d.png\nrefl -type sphere r.png\nnorm n.png\nmap_Bump b.png\nmap_RMA r.png\n"
+              "Pr 0.5\nPcr 0.5\naniso 0\nanisor 0\n");
+    assert_int_equal(f.materials.count, 1);
+    assert_int_equal(f.warnings, 0);
+    close_fixture(&f);
 }
 
 /* Values above 1 are light, and a scale beyond float leaves the texture where it is. */
@@ -261,10 +278,15 @@ static void test_every_truncated_length(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_diffuse),       cmocka_unit_test(test_map_paths),
-        cmocka_unit_test(test_large_numbers), cmocka_unit_test(test_zero_bytes),
-        cmocka_unit_test(test_warnings),      cmocka_unit_test(test_missing_file_is_a_warning),
-        cmocka_unit_test(test_files_append),  cmocka_unit_test(test_every_truncated_length),
+        cmocka_unit_test(test_diffuse),
+        cmocka_unit_test(test_map_paths),
+        cmocka_unit_test(test_large_numbers),
+        cmocka_unit_test(test_zero_bytes),
+        cmocka_unit_test(test_warnings),
+        cmocka_unit_test(test_missing_file_is_a_warning),
+        cmocka_unit_test(test_files_append),
+        cmocka_unit_test(test_every_truncated_length),
+        cmocka_unit_test(test_ignored_statements),
     };
     return cmocka_run_group_tests(tests, make_directory, remove_directory);
 }
