@@ -27,6 +27,7 @@ static const char unused_option[] = "texture is used without this option";
 struct reader {
     struct bsq_ctx *ctx;
     const char *path;
+    const char *place; /* of the statement that names it */
     uint64_t line;
     struct fmt_materials *materials;
     uint64_t capacity;
@@ -469,7 +470,8 @@ static int check_readable(const struct reader *reader, bool *readable)
         problem = "an empty file";
     if (!problem || reader->again)
         return 0;
-    return bsq_warn_loss(reader->ctx, "%s: %s: its materials are missing", reader->path, problem);
+    return bsq_warn_loss(reader->ctx, "%s: %s: %s: its materials are missing", reader->place,
+                         reader->path, problem);
 }
 
 /* Turns the failure to read a damaged text into a warning. */
@@ -481,15 +483,18 @@ static int warn_damaged(const struct reader *reader)
         return status;
     bsq_clear_error(reader->ctx);
     if (!reader->again)
-        status = bsq_warn_loss(reader->ctx, "%s: its materials are missing", why);
+        status =
+            bsq_warn_loss(reader->ctx, "%s: %s: its materials are missing", reader->place, why);
     bsq_free(reader->ctx, why);
     return status;
 }
 
-int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, bool again, struct fmt_materials *materials)
+int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, const char *place, bool again,
+                 struct fmt_materials *materials)
 {
     struct reader reader = {.ctx = ctx,
                             .path = path,
+                            .place = place,
                             .materials = materials,
                             .capacity = materials->count,
                             .again = again};

@@ -469,6 +469,7 @@ static const char *add_statement(struct parser *parser, const char *p, enum obj_
     if (!RESERVE(parser, "OBJ statements", block->statement_count, block->statements,
                  block->statement_capacity))
         return NULL;
+    const uint64_t line = block->lines;
     if (is_blank(*p))
         p = skip_blanks(block, p);
     const char *end = p, *after = skip_statement(parser, p, true, &end);
@@ -477,6 +478,7 @@ static const char *add_statement(struct parser *parser, const char *p, enum obj_
     block->statements[block->statement_count++] = (struct obj_statement){
         .kind = kind,
         .face = block->face_count,
+        .line = line,
         .offset = (uint64_t)(p - block->text),
         .size = (uint64_t)(end - p),
     };

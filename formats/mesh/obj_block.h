@@ -38,6 +38,7 @@ enum obj_statement_kind { OBJ_USEMTL, OBJ_MTLLIB, OBJ_OBJECT };
 struct obj_statement {
     enum obj_statement_kind kind;
     uint64_t face; /* number of faces of the block before it */
+    uint64_t line; /* from 0 */
     uint64_t offset, size;
 };
 

@@ -32,6 +32,7 @@ struct obj_place {
 struct obj_name {
     char *text;
     uint32_t source; /* the file that contains it */
+    uint64_t line;   /* of a library: that names it first, from 1 */
 };
 
 /* Names in order of first appearance; `slots` is an open-addressing hash table of number + 1. */
@@ -108,7 +109,8 @@ void fmt_obj_names_free(struct bsq_ctx *ctx, struct obj_names *names);
 int fmt_obj_statement_text(struct bsq_ctx *ctx, const struct obj_block *block,
                            const struct obj_statement *statement, char **out);
 
-/* Enters the files that a mtllib statement names. */
-int fmt_obj_enter_libraries(struct obj_reader *reader, uint32_t source, const char *text);
+/* Enters the files that the mtllib statement in line `line`, from 1, names. */
+int fmt_obj_enter_libraries(struct obj_reader *reader, uint32_t source, uint64_t line,
+                            const char *text);
 
 #endif

@@ -3,6 +3,7 @@
  * A name belongs to the file that contains it. Scans are often delivered as tiles, each with its
  * own library, and different libraries may have a material of the same name. */
 #include <inttypes.h>
+#include <stdio.h>
 #include <string.h>
 #include <sys/stat.h>
 
@@ -61,7 +62,7 @@ int fmt_obj_names_enter(struct bsq_ctx *ctx, struct obj_names *names, uint32_t s
                                &names->capacity)))
             return status;
         struct obj_name *entry = &names->list[names->count];
-        entry->source = source;
+        *entry = (struct obj_name){.source = source};
         if ((status = fmt_string_copy(ctx, name, &entry->text)))
             return status;
         *slot = (uint32_t)++names->count;
@@ -99,20 +100,31 @@ int fmt_obj_statement_text(struct bsq_ctx *ctx, const struct obj_block *block,
     return 0;
 }
 
+/* A mtllib statement. */
+struct statement {
+    uint32_t source;
+    uint64_t line; /* from 1 */
+};
+
 /* Enters one library and sets *exists. If the file does not exist and `only_existing` is set,
  * enters nothing. */
-static int enter_library(struct obj_reader *reader, uint32_t source, const char *name,
+static int enter_library(struct obj_reader *reader, const struct statement *at, const char *name,
                          bool only_existing, bool *exists)
 {
+    const struct obj_source *source = &reader->sources[at->source];
     char *path = NULL;
-    uint32_t number;
-    int status = fmt_path_find(reader->base.ctx, fmt_input_beside(reader->sources[source].input),
-                               name, &path, exists);
-    if (!status && (*exists || !only_existing))
+    uint32_t number = 0;
+    int status =
+        fmt_path_find(reader->base.ctx, fmt_input_beside(source->input), name, &path, exists);
+    const bool enters = !status && (*exists || !only_existing);
+    if (enters)
         status = bsq_note_input(reader->base.ctx, path, "the material library that %s names",
-                                reader->sources[source].path);
-    if (!status && (*exists || !only_existing))
-        status = fmt_obj_names_enter(reader->base.ctx, &reader->libraries, source, path, &number);
+                                source->path);
+    if (enters && !status)
+        status =
+            fmt_obj_names_enter(reader->base.ctx, &reader->libraries, at->source, path, &number);
+    if (enters && !status && reader->libraries.list[number].line == 0)
+        reader->libraries.list[number].line = at->line;
     bsq_free(reader->base.ctx, path);
     return status;
 }
@@ -134,12 +146,14 @@ static int any_library(struct obj_reader *reader, uint32_t source, char *names, 
 
 /* The standard allows several names. One name with blanks is as common in practice, so the whole
  * text is tried first; and if no library exists, a message shows the whole text. */
-int fmt_obj_enter_libraries(struct obj_reader *reader, uint32_t source, const char *text)
+int fmt_obj_enter_libraries(struct obj_reader *reader, uint32_t source, uint64_t line,
+                            const char *text)
 {
+    const struct statement at = {.source = source, .line = line};
     bool exists, any = false;
     if (!*text || !strcmp(text, "#") || !strncmp(text, "# ", 2))
         return 0;
-    int status = enter_library(reader, source, text, true, &exists);
+    int status = enter_library(reader, &at, text, true, &exists);
     if (status || exists)
         return status;
     char *names, *rest, *name;
@@ -147,12 +161,12 @@ int fmt_obj_enter_libraries(struct obj_reader *reader, uint32_t source, const ch
         return status;
     status = any_library(reader, source, names, &any);
     if (!status && !any)
-        status = enter_library(reader, source, text, false, &exists);
+        status = enter_library(reader, &at, text, false, &exists);
     strcpy(names, text);
     fmt_mesh_plain_name(names);
     for (name = any ? strtok_r(names, " \t", &rest) : NULL; name && !status;
          name = strtok_r(NULL, " \t", &rest))
-        status = enter_library(reader, source, name, false, &exists);
+        status = enter_library(reader, &at, name, false, &exists);
     bsq_free(reader->base.ctx, names);
     return status;
 }
@@ -255,6 +269,23 @@ static int describe_all(struct obj_reader *reader, uint32_t source, struct fmt_m
     return status;
 }
 
+/* Reads a library. again: it was read before, so there are no warnings. */
+static int read_library(const struct obj_reader *reader, const struct obj_name *library, bool again,
+                        struct fmt_materials *out)
+{
+    struct bsq_ctx *ctx = reader->base.ctx;
+    const char *path = reader->sources[library->source].path;
+    const size_t size = strlen(path) + 24;
+    char *place;
+    int status = bsq_alloc(ctx, "names", size, 1, &place);
+    if (status)
+        return status;
+    snprintf(place, size, "%s:%" PRIu64, path, library->line);
+    status = fmt_mtl_read(ctx, library->text, place, again, out);
+    bsq_free(ctx, place);
+    return status;
+}
+
 /* Describes the materials of one file from its own libraries. */
 static int read_materials_of(struct obj_reader *reader, uint32_t source, struct fmt_materials *out)
 {
@@ -264,7 +295,7 @@ static int read_materials_of(struct obj_reader *reader, uint32_t source, struct 
     for (uint64_t i = 0; i < reader->libraries.count && !status; i++)
         if (reader->libraries.list[i].source == source)
             status =
-                fmt_mtl_read(ctx, reader->libraries.list[i].text, i < reader->previewed, &found);
+                read_library(reader, &reader->libraries.list[i], i < reader->previewed, &found);
     if (!status)
         status = describe_all(reader, source, &found, out);
     fmt_materials_free(ctx, &found);
@@ -384,7 +415,7 @@ static int warn_of_unused_libraries(struct obj_reader *reader)
     const char *texture = NULL;
     int status = 0;
     for (uint64_t i = 0; i < reader->libraries.count && !status && !texture; i++) {
-        status = fmt_mtl_read(ctx, reader->libraries.list[i].text, i < reader->previewed, &found);
+        status = read_library(reader, &reader->libraries.list[i], i < reader->previewed, &found);
         for (uint32_t k = 0; k < found.count && !texture; k++)
             texture = found.list[k].texture_path;
     }
@@ -445,7 +476,7 @@ static int find_libraries(struct obj_reader *reader, uint32_t source)
             continue;
         if ((status = fmt_obj_statement_text(ctx, &block, &block.statements[i], &text)))
             break;
-        status = fmt_obj_enter_libraries(reader, source, text);
+        status = fmt_obj_enter_libraries(reader, source, block.statements[i].line + 1, text);
         bsq_free(ctx, text);
     }
     fmt_obj_block_free(ctx, &block);
@@ -459,14 +490,14 @@ static int preview_libraries(struct obj_reader *reader, struct fmt_materials *ou
     struct obj_names paths = {0};
     int status = 0;
     for (uint64_t i = 0; i < reader->libraries.count && !status; i++) {
-        const char *path = reader->libraries.list[i].text;
+        const struct obj_name *library = &reader->libraries.list[i];
         const uint64_t known = paths.count;
         uint32_t number;
         status = bsq_check(ctx);
         if (!status)
-            status = fmt_obj_names_enter(ctx, &paths, 0, path, &number);
+            status = fmt_obj_names_enter(ctx, &paths, 0, library->text, &number);
         if (!status && paths.count > known)
-            status = fmt_mtl_read(ctx, path, false, out);
+            status = read_library(reader, library, false, out);
     }
     fmt_obj_names_free(ctx, &paths);
     return status;

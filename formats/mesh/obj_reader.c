@@ -229,6 +229,7 @@ static int resolve_statements(struct job *job, struct slot *slot)
 {
     struct obj_reader *reader = job->reader;
     const struct obj_block *block = &slot->block;
+    const uint64_t lines = reader->sources[slot->source].lines;
     uint64_t counted = 0; /* faces */
     int status = 0;
     slot->change_count = 0;
@@ -239,8 +240,11 @@ static int resolve_statements(struct job *job, struct slot *slot)
             (status = fmt_obj_statement_text(reader->base.ctx, block, statement, &text)))
             break;
         count_plain_faces(job, slot, statement->face, &counted);
-        status = statement->kind == OBJ_MTLLIB ? fmt_obj_enter_libraries(reader, slot->source, text)
-                                               : resolve_change(job, slot, statement, &text);
+        if (statement->kind == OBJ_MTLLIB)
+            status =
+                fmt_obj_enter_libraries(reader, slot->source, lines + statement->line + 1, text);
+        else
+            status = resolve_change(job, slot, statement, &text);
         bsq_free(reader->base.ctx, text);
     }
     count_plain_faces(job, slot, block->face_count, &counted);

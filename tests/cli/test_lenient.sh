@@ -71,12 +71,17 @@ warns "$texture_line" late.obj
 # ---- libraries ----
 
 rm scan.mtl
-warns 'scan.mtl: No such file or directory: its materials are missing' scan.obj
+warns 'scan.obj:1: scan.mtl: No such file or directory: its materials are missing' scan.obj
 mkdir scan.mtl
-warns 'scan.mtl: not a regular file: its materials are missing' scan.obj
+warns 'scan.obj:1: scan.mtl: not a regular file: its materials are missing' scan.obj
 rmdir scan.mtl
 : >scan.mtl
-warns 'scan.mtl: an empty file: its materials are missing' scan.obj
+warns 'scan.obj:1: scan.mtl: an empty file: its materials are missing' scan.obj
+
+{ printf '\n# long \\\n\nv \\\n0 0 0\n'; sed '1,2d; s/^usemtl/mtllib none.mtl\n&/' scan.obj; } >named.obj
+warns 'named.obj:9: none.mtl: No such file or directory: its materials are missing' named.obj
+sed '$s/scan/none/' late.obj >later.obj
+warns "later.obj:$(wc -l <later.obj): none.mtl: No such file or directory: its materials are missing" later.obj
 
 # Text of another kind.
 printf '<!DOCTYPE html>\n<html>\n# Kd\n</html>\n' >scan.mtl

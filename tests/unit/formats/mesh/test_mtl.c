@@ -81,7 +81,7 @@ static void read_text(struct fixture *f, const char *text)
 {
     open_fixture(f);
     const char *path = write_file("test.mtl", text, strlen(text));
-    assert_int_equal(fmt_mtl_read(f->ctx, path, false, &f->materials), 0);
+    assert_int_equal(fmt_mtl_read(f->ctx, path, "a.obj:1", false, &f->materials), 0);
 }
 
 static void assert_diffuse(const struct fmt_material *m, float r, float g, float b)
@@ -231,7 +231,7 @@ static void test_zero_bytes(void **state)
     struct fixture f;
     open_fixture(&f);
     const char *path = write_file("test.mtl", text, sizeof text - 1);
-    assert_int_equal(fmt_mtl_read(f.ctx, path, false, &f.materials), 0);
+    assert_int_equal(fmt_mtl_read(f.ctx, path, "a.obj:1", false, &f.materials), 0);
     assert_int_equal(f.materials.count, 1);
     assert_int_equal(f.warnings, 1);
     assert_string_equal(f.warning + strlen(directory) + 1,
@@ -244,9 +244,9 @@ static void test_missing_file_is_a_warning(void **state)
     (void)state;
     struct fixture f;
     open_fixture(&f);
-    assert_int_equal(fmt_mtl_read(f.ctx, "/nowhere/a.mtl", false, &f.materials), 0);
+    assert_int_equal(fmt_mtl_read(f.ctx, "/nowhere/a.mtl", "a.obj:1", false, &f.materials), 0);
     assert_int_equal(f.warnings, 1);
-    assert_non_null(strstr(f.warning, "/nowhere/a.mtl"));
+    assert_non_null(strstr(f.warning, "a.obj:1: /nowhere/a.mtl: "));
     close_fixture(&f);
 }
 
@@ -256,7 +256,7 @@ static void test_files_append(void **state)
     struct fixture f;
     read_text(&f, "newmtl a\nnewmtl b\n");
     const char *path = write_file("more.mtl", "\xef\xbb\xbfnewmtl c\nKd 0 1 0", 20);
-    assert_int_equal(fmt_mtl_read(f.ctx, path, false, &f.materials), 0);
+    assert_int_equal(fmt_mtl_read(f.ctx, path, "a.obj:1", false, &f.materials), 0);
     assert_int_equal(f.materials.count, 3);
     assert_string_equal(f.materials.list[2].name, "c");
     close_fixture(&f);
@@ -270,7 +270,7 @@ static void test_every_truncated_length(void **state)
         struct fixture f;
         open_fixture(&f);
         const char *path = write_file("cut.mtl", text, size);
-        assert_int_equal(fmt_mtl_read(f.ctx, path, false, &f.materials), 0);
+        assert_int_equal(fmt_mtl_read(f.ctx, path, "a.obj:1", false, &f.materials), 0);
         close_fixture(&f);
     }
 }
