@@ -10,6 +10,7 @@
 #include "formats/texture/texture.h"
 #include "libvoxel/read/scan.h"
 
+#include <inttypes.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
@@ -23,6 +24,7 @@ enum { DECODING_SHARE = 2 };
 struct candidate {
     const struct fmt_material *material;
     const char *path, *place; /* as in struct fmt_material */
+    uint64_t others;          /* further materials that name it */
     bool good;
 };
 
@@ -54,14 +56,19 @@ bool vox_textures_have(const struct scan_textures *textures, const char *path)
 
 /* ---- checking ---- */
 
-/* Warns that a material has no texture. `problem` names it and says why. */
+/* Warns that materials have no texture. `problem` names it and says why. */
 static int warn_bad(struct bsq_ctx *ctx, struct candidate *candidate, const char *path,
                     const char *problem)
 {
-    const char *place = candidate->place;
+    const char *place = candidate->place ? candidate->place : "";
+    const char *colon = candidate->place ? ": " : "", *name = candidate->material->name;
     candidate->good = false;
-    return bsq_warn_loss(ctx, "%s%s%s%s: material \"%s\" goes without it", place ? place : "",
-                         place ? ": " : "", path, problem, candidate->material->name);
+    if (candidate->others > 0)
+        return bsq_warn_loss(ctx,
+                             "%s%s%s%s: materials that go without it, such as \"%s\": %" PRIu64,
+                             place, colon, path, problem, name, candidate->others + 1);
+    return bsq_warn_loss(ctx, "%s%s%s%s: material \"%s\" goes without it", place, colon, path,
+                         problem, name);
 }
 
 /* Checks that there is a tile of a texture. */
@@ -192,14 +199,15 @@ static uint64_t list_textures(const struct scan_textures *textures,
     return count;
 }
 
-/* Keeps each new texture once, with the first material that names it. */
+/* Keeps each new texture once, with the first material that names it and the number of others. */
 static uint64_t keep_new(const struct scan_textures *textures, struct candidate *list, uint64_t all)
 {
     uint64_t count = 0;
     bsq_sort(list, all, sizeof *list, compare_candidates);
     for (uint64_t i = 0; i < all; i++)
-        if (!find(textures, list[i].path) &&
-            (count == 0 || strcmp(list[count - 1].path, list[i].path) != 0))
+        if (count > 0 && strcmp(list[count - 1].path, list[i].path) == 0)
+            list[count - 1].others += list[i].material != list[i - 1].material;
+        else if (!find(textures, list[i].path))
             list[count++] = list[i];
     return count;
 }

@@ -53,7 +53,16 @@ texture cut.png 'not a readable image: the file is cut off'
 texture cut.jpg 'not a readable image: JPEG error: Premature end of JPEG file ("cut.jpg") Bad JPEG header for "cut.jpg"'
 texture text.png 'not a readable image: it is no PNG, JPEG, TIFF, OpenEXR, JPEG 2000, WebP, BMP, Radiance HDR, PNM or TGA'
 
+# Several materials that name a bad texture are counted, also those of another library.
+printf 'newmtl a\nd 1\nmap_Kd gone.png\nnewmtl b\nmap_Kd gone.png\nmap_d gone.png\nnewmtl c\nmap_d gone.png\n' >scan.mtl
+printf 'newmtl a\nmap_Kd gone.png\n' >more.mtl
+sed 's/scan.mtl/more.mtl/' scan.obj >more.obj
+warns 'scan.mtl:3: gone.png: no such texture: materials that go without it, such as "a": 2' scan.obj
+warns 'scan.mtl:3: gone.png: no such texture: materials that go without it, such as "a": 3' scan.obj --channels opacity
+warns 'scan.mtl:3: gone.png: no such texture: materials that go without it, such as "a": 3' scan.obj more.obj
+
 # The warning comes before the scan is read: here the scan has an error.
+printf 'newmtl a\nKd 1 0 0\nmap_Kd text.png\n' >scan.mtl
 { cat scan.obj; echo 'v x'; } >wrong.obj
 $vox wrong.obj -o a.nvdb
 code 65
