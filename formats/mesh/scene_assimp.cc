@@ -15,6 +15,7 @@
 #include <assimp/Importer.hpp>
 #include <assimp/ProgressHandler.hpp>
 #include <assimp/config.h>
+#include <assimp/material.h>
 #include <assimp/postprocess.h>
 #include <assimp/scene.h>
 
@@ -247,6 +248,28 @@ bool copy_faces(const aiMesh &mesh, bool mirrored, uint64_t first_vertex, fmt_sc
     return true;
 }
 
+// Copies the colours of the vertices that copy_vertex() is about to copy.
+void copy_colors(const aiMesh &mesh, fmt_scene *out)
+{
+    static const fmt_scene_material white = {nullptr, true, {1, 1, 1}, nullptr, {}};
+    const bool known = mesh.mMaterialIndex < out->material_count;
+    const fmt_scene_material &material = known ? out->materials[mesh.mMaterialIndex] : white;
+    if (!mesh.HasVertexColors(0)) {
+        for (unsigned v = 0; v < mesh.mNumVertices; v++)
+            std::copy_n(material.has_diffuse ? material.diffuse : white.diffuse, 3,
+                        out->colors[out->vertex_count + v]);
+        return;
+    }
+    out->hidden_colors += material.texture && mesh.HasTextureCoords(0);
+    for (unsigned v = 0; v < mesh.mNumVertices; v++) {
+        const aiColor4D &c = mesh.mColors[0][v];
+        const float values[3] = {float(c.r), float(c.g), float(c.b)}, none[3] = {-1, -1, -1};
+        const bool finite = std::isfinite(c.r) && std::isfinite(c.g) && std::isfinite(c.b);
+        std::copy_n(finite ? values : none, 3, out->colors[out->vertex_count + v]);
+        out->missing_colors += !finite;
+    }
+}
+
 bool copy_place(const Place &place, fmt_scene *out)
 {
     double normals[3][3];
@@ -258,6 +281,8 @@ bool copy_place(const Place &place, fmt_scene *out)
                                      place.mesh->HasNormals(),
                                      place.mesh->HasTextureCoords(0),
                                      nullptr};
+    if (out->colors)
+        copy_colors(*place.mesh, out);
     for (unsigned v = 0; v < place.mesh->mNumVertices; v++)
         copy_vertex(place, normals, v, out);
     return copy_faces(*place.mesh, mirrored, first, out);
@@ -280,16 +305,63 @@ const aiString &name_of(const Place &place)
     return named ? place.node->mName : place.mesh->mName;
 }
 
-int copy_names(const Source &s, const aiScene &scene, const std::vector<Place> &places,
-               fmt_scene *out)
+// Copies the diffuse colour, unless importers made the material up for meshes without one.
+void copy_diffuse(const aiMaterial &from, fmt_scene_material *to)
+{
+    const std::string name = from.GetName().C_Str();
+    aiColor3D color;
+    std::fill_n(to->diffuse, 3, 0.8F);
+    to->has_diffuse = name != AI_DEFAULT_MATERIAL_NAME && name != "%%%DEFAULT" &&
+                      from.Get(AI_MATKEY_COLOR_DIFFUSE, color) == aiReturn_SUCCESS &&
+                      std::isfinite(color.r) && std::isfinite(color.g) && std::isfinite(color.b);
+    for (unsigned k = 0; k < 3 && to->has_diffuse; k++)
+        to->diffuse[k] = float(color[k]);
+}
+
+// Copies the name of the diffuse texture, and how it moves texture coordinates.
+int copy_texture(const Source &s, const aiMaterial &from, fmt_scene_material *to, fmt_scene *out)
+{
+    aiString name;
+    aiUVTransform transform;
+    unsigned type = aiTextureType_DIFFUSE, set = 0;
+    if (from.GetTextureCount(aiTextureType_DIFFUSE) == 0)
+        type = aiTextureType_BASE_COLOR;
+    if (from.Get(AI_MATKEY_TEXTURE(type, 0), name) != aiReturn_SUCCESS || name.length == 0)
+        return 0;
+    if (name.data[0] == '*') { // the number of an embedded texture
+        out->inner_textures++;
+        return 0;
+    }
+    from.Get(AI_MATKEY_UVWSRC(type, 0), set);
+    from.Get(AI_MATKEY_UVTRANSFORM(type, 0), transform);
+    const aiVector2D &scale = transform.mScaling, &offset = transform.mTranslation;
+    if (std::isfinite(scale.x) && std::isfinite(scale.y) && std::isfinite(offset.x) &&
+        std::isfinite(offset.y))
+        to->uv = {scale.x != 1 || scale.y != 1 || offset.x != 0 || offset.y != 0,
+                  {float(scale.x), float(scale.y)},
+                  {float(offset.x), float(offset.y)}};
+    out->turned_textures += set != 0 || transform.mRotation != 0;
+    return copy_name(s, name, &to->texture);
+}
+
+int copy_materials(const Source &s, const aiScene &scene, fmt_scene *out)
 {
     int status = 0;
     for (unsigned i = 0; i < scene.mNumMaterials && status == 0; i++) {
-        char *copy = nullptr;
-        status = copy_name(s, scene.mMaterials[i]->GetName(), &copy);
+        const aiMaterial &from = *scene.mMaterials[i];
+        fmt_scene_material material = {};
+        copy_diffuse(from, &material);
+        status = copy_name(s, from.GetName(), &material.name);
         if (status == 0)
-            out->material_names[out->material_count++] = copy;
+            status = copy_texture(s, from, &material, out);
+        out->materials[out->material_count++] = material;
     }
+    return status;
+}
+
+int copy_objects(const Source &s, const std::vector<Place> &places, fmt_scene *out)
+{
+    int status = 0;
     for (size_t i = 0; i < places.size() && status == 0; i++)
         status = copy_name(s, name_of(places[i]), &out->parts[i].object);
     return status;
@@ -299,7 +371,9 @@ int allocate(const Source &s, const aiScene &scene, const std::vector<Place> &pl
              fmt_scene *out)
 {
     uint64_t vertices = 0, faces = 0, corners = 0;
+    bool colored = false;
     for (const Place &place : places) {
+        colored |= place.mesh->HasVertexColors(0);
         vertices += place.mesh->mNumVertices;
         for (unsigned f = 0; f < place.mesh->mNumFaces; f++) {
             const unsigned size = place.mesh->mFaces[f].mNumIndices;
@@ -317,11 +391,13 @@ int allocate(const Source &s, const aiScene &scene, const std::vector<Place> &pl
                   {faces, sizeof *out->face_sizes, &out->face_sizes},
                   {corners, sizeof *out->corners, &out->corners},
                   {places.size() + 1, sizeof *out->parts, &out->parts},
-                  {scene.mNumMaterials, sizeof *out->material_names, &out->material_names}};
+                  {scene.mNumMaterials, sizeof *out->materials, &out->materials}};
     int status = 0;
     for (const auto &array : arrays)
         if (status == 0)
             status = s.host->alloc(s.ctx, "a scene", array.count + 1, array.size, array.to);
+    if (status == 0 && colored)
+        status = s.host->alloc(s.ctx, "a scene", vertices, sizeof *out->colors, &out->colors);
     return status;
 }
 
@@ -329,6 +405,8 @@ int copy_scene(const Source &s, const aiScene &scene, fmt_scene *out)
 {
     const std::vector<Place> places = find_places(scene);
     int status = allocate(s, scene, places, out);
+    if (status == 0)
+        status = copy_materials(s, scene, out);
     for (const Place &place : places) {
         if (status == 0)
             status = s.host->check(s.ctx);
@@ -341,7 +419,7 @@ int copy_scene(const Source &s, const aiScene &scene, fmt_scene *out)
     if (status != 0)
         return status;
     out->parts[out->part_count] = {out->face_count, out->corner_count, 0, false, false, nullptr};
-    return copy_names(s, scene, places, out);
+    return copy_objects(s, places, out);
 }
 
 // Removes the tangents of all meshes, which nothing uses: the validation refuses a mesh that has

@@ -11,6 +11,7 @@
 #include "formats/mesh/mesh_arrays.h"
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"
+#include "formats/mesh/obj_path.h"
 #include "formats/mesh/scene_module.h"
 
 /* Assimp's memory for a byte of a file. Text of positions takes less, compressed FBX files more. */
@@ -21,10 +22,11 @@ enum { BLOCK_ELEMENTS = 16384 };
 
 struct scene_reader {
     struct fmt_mesh_reader base; /* must be first */
-    const char *path;            /* of the input */
+    const char *path, *beside;   /* of the input; other files are looked for beside the latter */
     struct fmt_scene scene;
     uint64_t bytes; /* of the file */
     bool read_before;
+    bool uses_colors;          /* the caller previewed materials */
     struct mesh_arrays arrays; /* of one block: a copy that callers may change */
 };
 
@@ -82,14 +84,17 @@ static void close_reader(struct fmt_mesh_reader *base)
     bsq_free(base->ctx, r->scene.positions);
     bsq_free(base->ctx, r->scene.texcoords);
     bsq_free(base->ctx, r->scene.normals);
+    bsq_free(base->ctx, r->scene.colors);
     bsq_free(base->ctx, r->scene.face_sizes);
     bsq_free(base->ctx, r->scene.corners);
     for (uint64_t i = 0; i < r->scene.part_count; i++)
         bsq_free(base->ctx, r->scene.parts[i].object);
     bsq_free(base->ctx, r->scene.parts);
-    for (uint64_t i = 0; i < r->scene.material_count; i++)
-        bsq_free(base->ctx, r->scene.material_names[i]);
-    bsq_free(base->ctx, r->scene.material_names);
+    for (uint64_t i = 0; i < r->scene.material_count; i++) {
+        bsq_free(base->ctx, r->scene.materials[i].name);
+        bsq_free(base->ctx, r->scene.materials[i].texture);
+    }
+    bsq_free(base->ctx, r->scene.materials);
     fmt_arrays_free(base->ctx, &r->arrays);
     bsq_free(base->ctx, r);
 }
@@ -101,6 +106,7 @@ static int open_input(struct scene_reader *r, struct fmt_input *input)
     if (status)
         return status;
     r->path = fmt_input_path(input);
+    r->beside = fmt_input_beside(input);
     status = fmt_input_whole(input, &file);
     if (!status)
         status = read_whole(r, &file);
@@ -174,11 +180,16 @@ static int copy_vertices(struct scene_reader *r, uint64_t first, uint64_t count)
         status = fmt_arrays_reserve_texcoords(r->base.ctx, a, count);
     if (!status)
         status = fmt_arrays_reserve_normals(r->base.ctx, a, count);
+    if (!status && s->colors)
+        status = fmt_arrays_reserve_colors(r->base.ctx, a, count);
     if (status || count == 0)
         return status;
     memcpy(a->positions, s->positions + first, count * sizeof *a->positions);
     memcpy(a->texcoords, s->texcoords + first, count * sizeof *a->texcoords);
     memcpy(a->normals, s->normals + first, count * sizeof *a->normals);
+    if (s->colors)
+        memcpy(a->colors, s->colors + first, count * sizeof *a->colors);
+    a->has_colors = s->colors != NULL;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         a->count[kind] = count;
     return 0;
@@ -199,6 +210,7 @@ static int read_vertices(struct scene_reader *r, const struct fmt_mesh_steps *st
             .vertex_base = v,
             .texcoord_base = v,
             .normal_base = v,
+            .color_white = 1,
             .missing_positions = count_missing(&s->positions[v][0], count, 3),
             .missing_texcoords = count_missing(&s->texcoords[v][0], count, 2),
             .material_at_start = FMT_MESH_NO_MATERIAL,
@@ -266,6 +278,32 @@ static int read_faces(struct scene_reader *r, const struct fmt_scene_part *part,
     return status;
 }
 
+/* Warns of what is not read, or not finite. Colours matter only if the caller uses them. */
+static int warn_unread(const struct scene_reader *r)
+{
+    const struct fmt_scene *s = &r->scene;
+    const struct {
+        uint64_t count;
+        const char *what;
+    } kinds[] = {
+        {s->missing_positions + s->missing_texcoords + s->missing_normals,
+         "values are not finite and were left out"},
+        {r->uses_colors ? s->missing_colors : 0, "colours are not finite and were left out"},
+        {r->uses_colors ? s->inner_textures : 0,
+         "textures are inside of the file and are not read: save them and use --texture"},
+        {r->uses_colors ? s->turned_textures : 0,
+         "textures are turned, or use further texture coordinates, which is not applied"},
+        {r->uses_colors ? s->hidden_colors : 0,
+         "meshes have a texture, so their vertex colours are not used"},
+    };
+    int status = 0;
+    for (size_t i = 0; i < sizeof kinds / sizeof *kinds && !status; i++)
+        if (kinds[i].count > 0)
+            status = bsq_warn_loss(r->base.ctx, "%s: %" PRIu64 " %s", r->path, kinds[i].count,
+                                   kinds[i].what);
+    return status;
+}
+
 static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *steps, void *arg,
                     struct fmt_mesh_totals *totals)
 {
@@ -279,10 +317,8 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
     totals->short_faces = s->short_faces;
     totals->has_tangents = s->has_tangents;
     totals->split_vertices = true;
-    const uint64_t missing = s->missing_positions + s->missing_texcoords + s->missing_normals;
-    if (!status && !r->read_before && missing > 0)
-        status = bsq_warn_loss(base->ctx, "%s: %" PRIu64 " values are not finite and were left out",
-                               r->path, missing);
+    if (!status && !r->read_before)
+        status = warn_unread(r);
     r->read_before |= status == 0;
     return status;
 }
@@ -295,6 +331,7 @@ static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate
                                       .normals = s->vertex_count,
                                       .faces = s->face_count,
                                       .corners = s->corner_count,
+                                      .has_colors = s->colors != NULL,
                                       .faces_come_last = true};
     return 0;
 }
@@ -318,7 +355,7 @@ static int list_parts(struct fmt_mesh_reader *base, struct fmt_materials *out)
     for (uint64_t i = 0; i < s->part_count && !status; i++, out->count++) {
         const uint32_t material = s->parts[i].material;
         status = fmt_string_copy(base->ctx,
-                                 material < s->material_count ? s->material_names[material] : "",
+                                 material < s->material_count ? s->materials[material].name : "",
                                  &out->list[i].name);
         if (!status)
             status = fmt_string_copy(base->ctx, s->parts[i].object, &out->list[i].object);
@@ -328,18 +365,45 @@ static int list_parts(struct fmt_mesh_reader *base, struct fmt_materials *out)
     return status;
 }
 
+/* Describes a material. Its texture is looked for beside the file, as those of MTL files are. */
+static int describe_material(const struct scene_reader *r, const struct fmt_scene_material *from,
+                             struct fmt_material *out)
+{
+    struct bsq_ctx *ctx = r->base.ctx;
+    for (int k = 0; k < 3; k++)
+        out->diffuse[k] = fminf(fmaxf(from->diffuse[k], 0), 1);
+    out->has_diffuse = from->has_diffuse;
+    out->uv = from->uv;
+    int status = fmt_string_copy(ctx, from->name, &out->name);
+    if (!status && from->texture)
+        status = fmt_path_find(ctx, r->beside, from->texture, &out->texture_path, NULL);
+    if (!status && from->texture)
+        status = fmt_string_copy(ctx, r->path, &out->texture_place);
+    return status;
+}
+
+static int list_materials(const struct scene_reader *r, struct fmt_materials *out)
+{
+    const struct fmt_scene *s = &r->scene;
+    struct bsq_ctx *ctx = r->base.ctx;
+    int status = bsq_calloc(ctx, "materials", s->material_count + 1, sizeof *out->list, &out->list);
+    for (uint64_t i = 0; i < s->material_count && !status; i++)
+        status = describe_material(r, &s->materials[i], &out->list[out->count++]);
+    if (status)
+        fmt_materials_free(ctx, out);
+    return status;
+}
+
 static int read_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
 {
-    if (base->objects)
-        return list_parts(base, out);
-    const struct fmt_scene *s = &((const struct scene_reader *)base)->scene;
-    int status =
-        bsq_calloc(base->ctx, "materials", s->material_count + 1, sizeof *out->list, &out->list);
-    for (uint64_t i = 0; i < s->material_count && !status; i++, out->count++)
-        status = fmt_string_copy(base->ctx, s->material_names[i], &out->list[i].name);
-    if (status)
-        fmt_materials_free(base->ctx, out);
-    return status;
+    return base->objects ? list_parts(base, out)
+                         : list_materials((const struct scene_reader *)base, out);
+}
+
+static int preview_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
+{
+    ((struct scene_reader *)base)->uses_colors = true;
+    return list_materials((const struct scene_reader *)base, out);
 }
 
 const struct fmt_mesh_format fmt_scene_format = {
@@ -353,4 +417,5 @@ const struct fmt_mesh_format fmt_scene_format = {
     .estimate = estimate,
     .locate_face = locate_face,
     .read_materials = read_materials,
+    .preview_materials = preview_materials,
 };

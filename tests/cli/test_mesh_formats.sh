@@ -430,7 +430,7 @@ for name in named unnamed; do
     rm -f object_*.exr
 done
 head -c 3000 "$meshes/uv.blender.fbx" >cut.fbx
-run bisque-bake uv.nvdb cut.fbx -o other.exr
+run bisque-bake uv.nvdb cut.fbx -o other.exr --maps normal
 code 65
 err_like '^bisque-bake: cut.fbx: cannot be read: '
 gzip -c "$meshes/uv.assimp.dae" >uv.dae.gz
@@ -438,7 +438,7 @@ run bisque-bake uv.nvdb uv.dae.gz -o other.exr --maps normal --size 64
 code 0
 run bisque-compare --type normal uv.exr other.exr --max-error 0.01
 code 0
-run bisque-bake uv.nvdb "$meshes/uv.assimp.dae" -o other.exr --memory 300K
+run bisque-bake uv.nvdb "$meshes/uv.assimp.dae" -o other.exr --maps normal --memory 300K
 code 71
 
 # Messages.

@@ -66,6 +66,11 @@ aiMesh *make_mesh(Bytes &bytes)
         mesh->mNormals = make_vectors(bytes, mesh->mNumVertices);
     if (arrays & 2)
         mesh->mTextureCoords[0] = make_vectors(bytes, mesh->mNumVertices);
+    if (bytes.below(4) == 1) {
+        mesh->mColors[0] = new aiColor4D[mesh->mNumVertices];
+        for (unsigned i = 0; i < mesh->mNumVertices; i++)
+            mesh->mColors[0][i] = aiColor4D(bytes.number(), bytes.number(), bytes.number(), 1);
+    }
     if (arrays & 4) {
         mesh->mTangents = make_vectors(bytes, mesh->mNumVertices);
         mesh->mBitangents = make_vectors(bytes, mesh->mNumVertices);
@@ -113,6 +118,13 @@ std::unique_ptr<aiScene> make_scene(Bytes &bytes)
         auto *material = new aiMaterial;
         const aiString name = bytes.name();
         material->AddProperty(&name, AI_MATKEY_NAME);
+        const unsigned kinds = bytes.below(4);
+        const aiColor3D color(bytes.number(), 0.5F, 0);
+        const aiString texture = bytes.name();
+        if (kinds & 1)
+            material->AddProperty(&color, 1, AI_MATKEY_COLOR_DIFFUSE);
+        if (kinds & 2)
+            material->AddProperty(&texture, AI_MATKEY_TEXTURE(aiTextureType_DIFFUSE, 0));
         scene->mMaterials[scene->mNumMaterials] = material;
     }
     scene->mRootNode = bytes.below(16) > 0 ? make_node(bytes, 3) : nullptr;
@@ -135,6 +147,8 @@ void check_scene(const fmt_scene &scene)
         require(finite_or_missing(scene.texcoords[v], 2), "texture coordinates are partly finite");
         for (const float n : scene.normals[v])
             require(std::isfinite(n), "a normal is not finite");
+        for (int k = 0; scene.colors && k < 3; k++)
+            require(std::isfinite(scene.colors[v][k]), "a colour is not finite");
     }
     for (uint64_t p = 0; p < scene.part_count; p++) {
         require(scene.parts[p].first_face == faces && scene.parts[p].first_corner == corners &&
@@ -154,10 +168,12 @@ void free_scene(struct bsq_ctx *ctx, const fmt_scene &scene)
 {
     for (uint64_t i = 0; i < scene.part_count; i++)
         bsq_free(ctx, scene.parts[i].object);
-    for (uint64_t i = 0; i < scene.material_count; i++)
-        bsq_free(ctx, scene.material_names[i]);
-    void *const arrays[] = {scene.positions, scene.texcoords, scene.normals,       scene.face_sizes,
-                            scene.corners,   scene.parts,     scene.material_names};
+    for (uint64_t i = 0; i < scene.material_count; i++) {
+        bsq_free(ctx, scene.materials[i].name);
+        bsq_free(ctx, scene.materials[i].texture);
+    }
+    void *const arrays[] = {scene.positions, scene.texcoords, scene.normals,   scene.face_sizes,
+                            scene.corners,   scene.parts,     scene.materials, scene.colors};
     for (void *array : arrays)
         bsq_free(ctx, array);
 }

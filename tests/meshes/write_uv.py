@@ -8,8 +8,10 @@ side = 7
 points = [(i / 8, (i * j % 3) / 8, -j / 8) for j in range(side) for i in range(side)]
 quads = [(j * side + i, j * side + i + 1, (j + 1) * side + i + 1, (j + 1) * side + i)
          for j in range(side - 1) for i in range(side - 1)]
+with open("uv.mtl", "w") as out:
+    out.write("newmtl stone\nKd 1 1 1\n")
 with open("uv.obj", "w") as out:
-    out.write("o patch\nusemtl stone\n")
+    out.write("mtllib uv.mtl\no patch\nusemtl stone\n")
     for p in points:
         out.write("v %g %g %g\n" % p)
     for p in points:
