@@ -129,7 +129,8 @@ int fmt_ply_read_materials(struct fmt_mesh_reader *base, struct fmt_materials *o
     const uint64_t count = reader->texture_count + reader->colors.count;
     if (count == 0)
         return 0;
-    int status = bsq_calloc(base->ctx, "materials", count, sizeof *out->list, &out->list);
+    int status = bsq_calloc(base->ctx, "a list of materials and of colours of faces", count,
+                            sizeof *out->list, &out->list);
     if (status)
         return status;
     out->count = (uint32_t)count;

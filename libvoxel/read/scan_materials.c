@@ -176,8 +176,8 @@ static int allocate_tables(struct scan *scan, uint32_t usemtl_count)
     int status =
         bsq_alloc(scan->ctx, "materials", entries, sizeof *scan->material_map, &scan->material_map);
     if (status == 0)
-        status =
-            bsq_calloc(scan->ctx, "materials", entries, sizeof *scan->materials, &scan->materials);
+        status = bsq_calloc(scan->ctx, "a table of materials and of colours of faces", entries,
+                            sizeof *scan->materials, &scan->materials);
     if (status == 0)
         memset(scan->material_map, 0xff, entries * sizeof *scan->material_map);
     if (status == 0)

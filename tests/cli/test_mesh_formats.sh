@@ -234,6 +234,20 @@ grep -v TextureFile bare.ply | awk -v colors="$colors" '{ print } /^property flo
     sed 's/^3 0 [12] [23]$/& 9 9 9/; s/^[01] [01] 0$/& 7 7 7/' >twice.ply
 loses twice.ply 'colours of faces are not used beside those of vertices'
 
+# Each colour of faces is a material. A budget that is too small for them says so.
+awk 'BEGIN {
+    print "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z"
+    print "element face 400000\nproperty list uchar int vertex_index"
+    print "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n0 0 0\n1 0 0\n0 1 0"
+    for (i = 0; i < 400000; i++)
+        print 3, 0, 1, 2, i % 256, int(i / 256) % 256, int(i / 65536)
+}' >many.ply
+run bisque-voxelize many.ply -o many.nvdb --resolution 16 --memory 56M --threads 1
+code 71
+err_like 'the memory budget is too small: a table of materials and of colours of faces needs [0-9]* bytes'
+run bisque-voxelize many.ply -o many.nvdb --resolution 16 --memory 256M --threads 1
+code 0
+
 for name in faces texture; do
     run bisque-voxelize $name.obj -o $name.nvdb --resolution 64
     code 0
