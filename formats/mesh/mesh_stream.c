@@ -192,6 +192,7 @@ static int work(void *arg, void *slot_memory, uint64_t sequence, unsigned worker
     slot->last_face = UINT64_MAX;
     slot->short_faces = slot->bad_normals = slot->bad_colors = slot->bad_texcoords = 0;
     slot->missing_positions = slot->missing_texcoords = slot->clamped_colors = 0;
+    slot->lost_textures = 0;
     slot->color_white = 0;
     return slot->part.failed ? 0 : job->reader->stream->parse(job->reader, slot);
 }

@@ -55,6 +55,8 @@ struct stream_slot {
      * texture coordinates that are no numbers, and so are missing. */
     uint64_t short_faces, bad_normals, bad_colors, bad_texcoords, clamped_colors;
     uint64_t missing_positions, missing_texcoords; /* as in struct fmt_mesh_block */
+    /* Faces whose texture the file does not name, and the line or byte of the first. */
+    uint64_t lost_textures, lost_texture_at;
     uint64_t last_face; /* parsing stops after this face of the part; UINT64_MAX: never */
     uint64_t at;        /* line or byte of the file where parsing stopped */
     char error[200];    /* what is wrong there; "": nothing */

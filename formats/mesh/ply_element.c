@@ -180,8 +180,8 @@ static void finish_texcoords(struct stream_slot *slot, const struct ply_face *fa
     a->count[FMT_MESH_TEXCOORD] += fits ? face->size : 0;
 }
 
-/* Finds what decides the face's material. Returns false if it is no texture of the file. */
-static bool finish_tag(const struct ply_source *source, struct stream_slot *slot,
+/* Finds what decides the face's material. A texture that the file does not name counts as lost. */
+static void finish_tag(const struct ply_source *source, struct stream_slot *slot,
                        const struct ply_face *face)
 {
     uint32_t *tag = &slot->arrays.face_tags[slot->arrays.face_count];
@@ -189,14 +189,12 @@ static bool finish_tag(const struct ply_source *source, struct stream_slot *slot
         slot->clamped_colors += face->clamped;
         *tag = (uint32_t)(face->color[0] + 0.5) | (uint32_t)(face->color[1] + 0.5) << 8 |
                (uint32_t)(face->color[2] + 0.5) << 16;
-        return true;
+        return;
     }
-    *tag = face->texture < 0 ? PLY_NO_TAG : (uint32_t)face->texture;
-    if (face->texture < (int64_t)source->header.texture_count)
-        return true;
-    fmt_stream_fail(slot, face->at, "face has texture %" PRId64 " (counted from 0), file has %u",
-                    face->texture, source->header.texture_count);
-    return false;
+    const bool lost = face->texture >= (int64_t)source->header.texture_count;
+    *tag = face->texture < 0 || lost ? PLY_NO_TAG : (uint32_t)face->texture;
+    if (lost && slot->lost_textures++ == 0)
+        slot->lost_texture_at = face->at;
 }
 
 bool fmt_ply_finish_face(const struct ply_source *source, struct stream_slot *slot,
@@ -211,8 +209,8 @@ bool fmt_ply_finish_face(const struct ply_source *source, struct stream_slot *sl
         fmt_stream_fail(slot, face->at, "a face of %" PRIu64 " corners", face->size);
         return false;
     }
-    if (source->tags != PLY_TAGS_NONE && !finish_tag(source, slot, face))
-        return false;
+    if (source->tags != PLY_TAGS_NONE)
+        finish_tag(source, slot, face);
     if (source->corner_texcoords)
         finish_texcoords(slot, face);
     a->face_sizes[a->face_count] = (uint32_t)face->size;

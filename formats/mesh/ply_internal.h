@@ -35,7 +35,9 @@ struct ply_reader {
     /* Of one reading. */
     uint64_t bad_normals, bad_colors, bad_texcoords, missing_positions, missing_texcoords,
         clamped_colors;
-    bool read_before; /* what there is to warn of is known */
+    uint64_t lost_textures, lost_texture_at; /* as in struct stream_slot, of all files */
+    uint32_t lost_texture_file;              /* that has the first */
+    bool read_before;                        /* what there is to warn of is known */
 };
 
 /* The kind of a part: the number of its element, or one of these. */

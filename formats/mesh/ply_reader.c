@@ -152,6 +152,15 @@ static int warn_rest(struct ply_reader *reader, const struct stream_slot *slot)
     return status;
 }
 
+static void count_lost_textures(struct ply_reader *reader, const struct stream_slot *slot)
+{
+    if (reader->lost_textures == 0 && slot->lost_textures > 0) {
+        reader->lost_texture_at = slot->lost_texture_at;
+        reader->lost_texture_file = slot->part.source;
+    }
+    reader->lost_textures += slot->lost_textures;
+}
+
 static int pass(struct stream_reader *base, struct stream_slot *slot,
                 struct fmt_mesh_totals *totals)
 {
@@ -166,12 +175,29 @@ static int pass(struct stream_reader *base, struct stream_slot *slot,
     reader->clamped_colors += slot->clamped_colors;
     reader->missing_positions += slot->missing_positions;
     reader->missing_texcoords += slot->missing_texcoords;
+    count_lost_textures(reader, slot);
     if (source->corner_texcoords)
         number_texcoords(&base->sources[slot->part.source], &slot->arrays);
     if (source->tags != PLY_TAGS_NONE)
         status = fmt_ply_find_materials(reader, source, &slot->arrays);
     totals->materials = reader->texture_count + (uint32_t)reader->colors.count;
     return status;
+}
+
+static int warn_lost_textures(const struct ply_reader *reader)
+{
+    const struct ply_header *header = &reader->files[reader->lost_texture_file].header;
+    const bool text = header->encoding == PLY_ASCII;
+    if (reader->lost_textures == 0)
+        return 0;
+    return bsq_warn_loss(
+        reader->stream.base.ctx,
+        "%s:%s%" PRIu64 ": faces without their texture, as %s named (texnumber counts from 0): "
+        "%" PRIu64 "; this is the first",
+        reader->stream.sources[reader->lost_texture_file].path, text ? "" : " byte ",
+        reader->lost_texture_at,
+        header->texture_count == 1 ? "only texture 0 is" : "not so many textures are",
+        reader->lost_textures);
 }
 
 static int warn_missing(struct ply_reader *reader)
@@ -224,6 +250,7 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
     struct ply_reader *reader = (struct ply_reader *)base;
     reader->bad_normals = reader->bad_colors = reader->bad_texcoords = 0;
     reader->missing_positions = reader->missing_texcoords = reader->clamped_colors = 0;
+    reader->lost_textures = 0;
     int status = fmt_stream_read(&reader->stream, steps, arg, totals);
     if (status || reader->read_before)
         return status;
@@ -232,6 +259,8 @@ static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *s
         fmt_ply_warn_unread(base->ctx, reader->stream.sources[i].path, &reader->files[i].header);
         status = warn_unused(reader, i);
     }
+    if (!status)
+        status = warn_lost_textures(reader);
     return status ? status : warn_missing(reader);
 }
 

@@ -234,6 +234,17 @@ grep -v TextureFile bare.ply | awk -v colors="$colors" '{ print } /^property flo
     sed 's/^3 0 [12] [23]$/& 9 9 9/; s/^[01] [01] 0$/& 7 7 7/' >twice.ply
 loses twice.ply 'colours of faces are not used beside those of vertices'
 
+# A number of a texture beyond those that the file names is a loss; a negative one is none.
+sed 's/^property list uchar float texcoord/&\nproperty int texnumber/
+    s/^3 0 1 2 .*/& 0/; s/^3 0 2 3 .*/& 0\n3 0 1 3 0 -1\n3 1 2 3 0 1\n3 1 3 2 0 4294967297/
+    s/^element face 2/element face 5/' texture.ply >beyond.ply
+run bisque-voxelize beyond.ply -o beyond.nvdb --resolution 16
+code 0
+grep -qxF 'bisque-voxelize: warning: beyond.ply:20: faces without their texture, as only texture 0 is named (texnumber counts from 0): 2; this is the first' "$err"
+check 'a warning of textures beyond the file' $?
+run bisque-voxelize beyond.ply -o beyond.nvdb --resolution 16 --strict
+code 65
+
 # Each colour of faces is a material. A budget that is too small for them says so.
 awk 'BEGIN {
     print "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z"
