@@ -131,6 +131,14 @@ static int parse_texcoords(struct parser *p)
     return 0;
 }
 
+/* Returns the sRGB value of linear light. One out of range stays so, for callers that count them;
+ * it is above -1, which stands for no colour. */
+static float display_color(double linear)
+{
+    const bool inside = linear >= 0.0 && linear <= 1.0;
+    return (float)(inside ? bsq_linear_to_srgb(linear) : fmax(linear, -0.5));
+}
+
 /* Colours are linear, and factors of the material's. If any vertex of the scan has a colour, the
  * others get that of their material, because colours of vertices hide those of materials. */
 static int parse_colors(struct parser *p)
@@ -146,7 +154,7 @@ static int parse_colors(struct parser *p)
     for (uint64_t i = 0; i < p->count && !status; i++, from += step) {
         bool good = true;
         for (int k = 0; k < 3; k++) {
-            p->arrays->colors[i][k] = (float)bsq_linear_to_srgb(from[k] * factor[k]);
+            p->arrays->colors[i][k] = display_color(from[k] * factor[k]);
             good &= isfinite(from[k]);
         }
         for (int k = 0; k < 3 && !good; k++)

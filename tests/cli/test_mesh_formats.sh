@@ -319,6 +319,41 @@ for case in 'unplaced.gltf meshes are at no node and are not read' 'bare.gltf pr
     err "bisque-voxelize: $line"
 done
 
+# Vertex colours out of range are clamped, which is told.
+# write_colors RED GREEN BLUE FACTOR: a triangle with these colours of float.
+write_colors()
+{
+    python3 - "$@" <<'END'
+import base64, json, struct, sys
+color = [float(word) for word in sys.argv[1:4]]
+data = struct.pack("<18f", *([0, 0, 0, 1, 0, 0, 0, 1, 0] + 3 * color))
+uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
+accessor = {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}
+print(json.dumps({
+    "asset": {"version": "2.0"}, "buffers": [{"byteLength": len(data), "uri": uri}],
+    "bufferViews": [{"buffer": 0, "byteLength": len(data)}],
+    "accessors": [accessor, dict(accessor, byteOffset=36)],
+    "materials": [{"pbrMetallicRoughness": {"baseColorFactor": 3 * [float(sys.argv[4])] + [1]}}],
+    "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "COLOR_0": 1}, "material": 0}]}],
+    "nodes": [{"mesh": 0}]}))
+END
+}
+write_colors 1 0 1 1 >within.gltf
+write_colors 1.5 -1 1e30 1 >beyond.gltf
+write_colors -1 -1 -1 1 >negative.gltf
+write_colors 2 0 2 0.5 >halved.gltf
+for name in within beyond negative halved; do
+    run bisque-voxelize $name.gltf -o $name.nvdb --resolution 16
+    code 0
+    clamped=$(grep -c "$name.gltf: colours out of range were clamped at 3 vertices" "$err")
+    case $name in
+    beyond | negative) check "$name.gltf: $clamped warnings" $((clamped != 1)) ;;
+    *) check "$name.gltf: $clamped warnings" "$clamped" ;;
+    esac
+done
+same within.nvdb beyond.nvdb
+same within.nvdb halved.nvdb
+
 # What is no image is not copied out of its file: no temporary file may have more than 100 KiB.
 mkdir no_image
 head -c 1000000 /dev/zero >no_image/image.ppm
