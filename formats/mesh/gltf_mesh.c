@@ -123,7 +123,6 @@ static int read_primitive(const struct gltf_place *place, struct gltf_source *so
         return fmt_gltf_fail(place, "it has triangles, but no vertices");
     if (out->color != GLTF_NONE) /* some programs forget to say so */
         source->accessors[out->color].normalized = true;
-    source->unread.morphs += json_array_size(json_object_get(object, "targets")) > 0;
     source->has_tangents |=
         json_object_get(json_object_get(object, "attributes"), "TANGENT") != NULL;
     source->has_colors |= out->color != GLTF_NONE;

@@ -234,8 +234,8 @@ static int warn_unread(const struct gltf_reader *reader, uint32_t file)
         {unread->rest, true, "indices of incomplete triangles are not read"},
         {unread->outside, true, "nodes with meshes are not in the scene and are not read"},
         {unread->unplaced, true, "meshes are at no node and are not read"},
-        {unread->skins, false, "meshes have skins, which are not applied"},
-        {unread->morphs, false, "primitives have morph targets, which are not applied"},
+        {unread->skins, false, "meshes have skins, which are not applied: they are in bind pose"},
+        {unread->morphs, true, "meshes have weights of morph targets, which are not applied"},
         {unread->instances, true,
          "nodes have EXT_mesh_gpu_instancing, of which one instance is read"},
     };

@@ -111,6 +111,22 @@ static int copy_name(const struct gltf_place *place, uint32_t mesh, char **out)
     return fmt_string_copy(place->document->ctx, name ? name : "", out);
 }
 
+/* Returns whether morph targets change the shape of a mesh: a weight of the node, or else of the
+ * mesh, is not 0. place: the node. */
+static bool is_morphed(const struct gltf_place *place, uint32_t mesh)
+{
+    const json_t *object = fmt_gltf_element(place->document, "meshes", mesh).object;
+    const json_t *own = json_object_get(place->object, "weights");
+    const json_t *weights = own ? own : json_object_get(object, "weights");
+    const json_t *primitives = json_object_get(object, "primitives");
+    bool targets = false, weighted = false;
+    for (size_t i = 0; i < json_array_size(primitives); i++)
+        targets |= json_object_get(json_array_get(primitives, i), "targets") != NULL;
+    for (size_t i = 0; i < json_array_size(weights); i++)
+        weighted |= json_number_value(json_array_get(weights, i)) != 0;
+    return targets && weighted;
+}
+
 static int add_placement(struct walk *w, const struct gltf_place *place, uint32_t mesh,
                          const double matrix[3][4])
 {
@@ -119,6 +135,7 @@ static int add_placement(struct walk *w, const struct gltf_place *place, uint32_
     struct gltf_placement *out = &source->placements[source->placement_count];
     if (m->count == 0)
         return 0;
+    source->unread.morphs += is_morphed(place, mesh);
     *out = (struct gltf_placement){.mesh = mesh};
     memcpy(out->matrix, matrix, sizeof out->matrix);
     out->mirrored = invert_for_normals(matrix, out->normal_matrix);

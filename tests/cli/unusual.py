@@ -140,6 +140,7 @@ def gltf(name, warning="", points=POINTS, faces=FACES, indices=True, mode=4, **m
                      "uri": "data:application/octet-stream;base64," + base64.b64encode(data).decode()}]}
     for key in ("targets", "attributes", "material"):
         primitive.update({key: members.pop(key)} if key in members else {})
+    document["meshes"][0].update({"weights": members.pop("weights")} if "weights" in members else {})
     document.update(members)
     case(name, json.dumps(document), warning)
     return json.dumps(document).encode()
@@ -165,8 +166,13 @@ def all_gltf():
          nodes=[{"mesh": 0, "rotation": [0, 0, 1, 0]}])
     gltf("scenes.gltf", "1 nodes with meshes are not in the scene and are not read", scene=1,
          scenes=[{"nodes": [1]}, {"nodes": [0]}], nodes=[{"mesh": 0}, {"mesh": 0, "translation": [5, 0, 0]}])
-    gltf("morph.gltf", "1 primitives have morph targets, which are not applied", targets=[{"POSITION": 0}])
-    gltf("skin.gltf", "1 meshes have skins, which are not applied", nodes=[{"mesh": 0, "skin": 0}, {}],
+    morphed = "1 meshes have weights of morph targets, which are not applied"
+    target = [{"POSITION": 0}]
+    gltf("morph.gltf", targets=target)
+    gltf("zero.gltf", targets=target, nodes=[{"mesh": 0, "weights": [0.0]}])
+    gltf("weights.gltf", morphed, targets=target, nodes=[{"mesh": 0, "weights": [0.5]}])
+    gltf("mesh_weights.gltf", morphed, targets=target, weights=[1])
+    gltf("skin.gltf", "1 meshes have skins, which are not applied: they are in bind pose", nodes=[{"mesh": 0, "skin": 0}, {}],
          skins=[{"joints": [1]}])
     gltf("unlit.gltf", extensionsUsed=["KHR_materials_unlit"], extensionsRequired=["KHR_materials_unlit"],
          materials=[{"extensions": {"KHR_materials_unlit": {}}}])
