@@ -65,12 +65,13 @@ static int load_more(struct lines *l, uint64_t *got)
 /* Finds the end of the line: at '\n', or at '\r' in a file whose first line ends so. */
 static char *find_end(const struct lines *l, uint64_t from)
 {
-    char *end = memchr(l->text + from, l->header->line_end, l->have - from);
-    if (l->header->lines > 1 || end)
+    char *begin = l->text + from, *limit = l->text + l->have;
+    char *end = memchr(begin, l->header->line_end, (size_t)(limit - begin));
+    if (l->header->lines > 1)
         return end;
-    end = memchr(l->text + from, '\r', l->have - from);
-    /* A "\r" is the line's end if something else than "\n" follows it. */
-    return end && end + 1 < l->text + l->have && end[1] != '\n' ? end : NULL;
+    /* A "\r" is the first line's end if no other line end follows it. */
+    char *old = memchr(begin, '\r', (size_t)((end ? end : limit) - begin));
+    return old && old + 1 < limit && old[1] != '\n' && old[1] != '\r' ? old : end;
 }
 
 /* Refuses control characters, so that names are fit for messages. */

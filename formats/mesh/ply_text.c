@@ -31,7 +31,8 @@ static bool fail_word(struct text *t, const char *what)
         end++;
     fmt_mesh_quote(t->at, end, quoted, sizeof quoted);
     if (*t->at == t->line_end)
-        fmt_stream_fail(t->slot, t->line, "the line ends before %s", what);
+        fmt_stream_fail(t->slot, t->line, "the line ends before %s; each element must be a line",
+                        what);
     else
         fmt_stream_fail(t->slot, t->line, "\"%s\" is not %s", quoted, what);
     return false;
@@ -199,7 +200,7 @@ static bool finish_line(struct text *t)
 {
     t->at = skip_blanks(t, t->at);
     if (*t->at != t->line_end)
-        return fail_word(t, "expected: the element has ended");
+        return fail_word(t, "expected: each element must be a line");
     t->at++;
     t->line++;
     return true;

@@ -75,11 +75,14 @@ static void test_text(void **state)
         const char *text, *message;
     } cases[] = {
         {SMALL "0 0 x\n3 0 0 0\n", "bad.ply:10: \"x\" is not a number"},
-        {SMALL "\n0 0\n3 0 0 0\n", "bad.ply:11: the line ends before a number"},
+        {SMALL "\n0 0\n3 0 0 0\n",
+         "bad.ply:11: the line ends before a number; each element must be a line"},
         {SMALL "0 0 nano\n3 0 0 0\n", "bad.ply:10: \"nano\" is not a number"},
-        {SMALL "0 0 0 4\n3 0 0 0\n", "bad.ply:10: \"4\" is not expected: the element has ended"},
+        {SMALL "0 0 0 4\n3 0 0 0\n",
+         "bad.ply:10: \"4\" is not expected: each element must be a line"},
         {SMALL "0 0 0\n\n", "bad.ply:12: truncated: the file ends after 0 of 1 elements \"face\""},
-        {SMALL "0 0 0\n3 0 0    \n", "bad.ply:11: the line ends before an integer"},
+        {SMALL "0 0 0\n3 0 0    \n",
+         "bad.ply:11: the line ends before an integer; each element must be a line"},
         {SMALL "0 0 0\n3 0 0", "bad.ply:11: a list of 3 numbers is longer than the text"},
         {SMALL "0 0 0\n3 0 0.5 0\n", "bad.ply:11: \"0.5\" is not an integer"},
         {SMALL "0 0 0\n3 0 0 -2\n", "bad.ply:11: face refers to vertex -2"},
