@@ -1,7 +1,9 @@
 /* bake_trace.c - traces the maps of a bake. */
+#include <inttypes.h>
 #include <math.h>
 #include <stdio.h>
 
+#include "base/loss.h"
 #include "libbake/bake_job.h"
 #include "libbake/curvature/curvature.h"
 
@@ -174,9 +176,22 @@ static int objects_of(const void *arg, uint32_t x, uint32_t y, uint32_t width, u
     return bake_tile_objects(&seen->scene, seen->tile, x, y, width, height, out);
 }
 
+/* Warns of texels whose curvature is unknown, as a radius larger than the scan makes all. */
+static int warn_of_radius(const struct bake_run *job, const struct bake_curvature_counts *counts)
+{
+    if (counts->alone == 0)
+        return 0;
+    return bsq_warn_loss(job->ctx,
+                         "map curvature: no surface around the hits of %" PRIu64 " of %" PRIu64
+                         " texels, at a radius of %g; they became 0: try a smaller "
+                         "--curvature-radius",
+                         counts->alone, counts->texels, job->measures.curvature_radius);
+}
+
 /* The processor traces from here on, so the curvature is the same for all devices. */
 int bake_trace_curvature(struct bake_run *job)
 {
+    struct bake_curvature_counts counts = {0};
     int status = 0;
     bake_choose_radius(job);
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
@@ -192,9 +207,9 @@ int bake_trace_curvature(struct bake_run *job)
             .objects = job->sees && job->tiles[i].raster ? objects_of : NULL,
             .objects_arg = &seen,
             .sees = job->sees};
-        status = bake_curvature_trace(job->ctx, &curvature);
+        status = bake_curvature_trace(job->ctx, &curvature, &counts);
     }
-    return status;
+    return status < 0 ? status : warn_of_radius(job, &counts);
 }
 
 /* Frees what is needed for tracing only. */

@@ -46,6 +46,7 @@ struct block {
 struct work {
     struct bsq_ctx *ctx;
     const struct bake_curvature *job;
+    struct bake_curvature_counts *counts;
     uint32_t channels;
     float *rows;           /* as read from the file of an image */
     float *texels;         /* of the block */
@@ -289,6 +290,18 @@ static float curvature_of(const struct work *work, uint64_t texel)
     return count > 0 ? (float)(sum / count) : 0.0f;
 }
 
+/* Counts the texels with hits, and those of which no ray around the hit found the scan. */
+static void count_texels(const struct work *work, uint64_t texels)
+{
+    for (uint64_t i = 0; i < texels; ++i) {
+        bool found = false;
+        for (uint32_t k = 0; k < PROBES; ++k)
+            found |= work->probes[i * PROBES + k].found;
+        work->counts->texels += is_valid(work, i);
+        work->counts->alone += is_valid(work, i) && !found;
+    }
+}
+
 static int resolve_texels(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
@@ -329,6 +342,8 @@ static int trace_block(struct work *work, const struct block *block)
         return status;
     list_missed(work, texels);
     status = trace_missed(work);
+    if (status == 0)
+        count_texels(work, texels);
     if (status == 0)
         status = bsq_parallel_for(work->ctx, (texels + TEXELS_A_TASK - 1) / TEXELS_A_TASK,
                                   resolve_texels, &task);
@@ -392,9 +407,10 @@ static int allocate(struct work *work)
     return status;
 }
 
-int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job)
+int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job,
+                         struct bake_curvature_counts *counts)
 {
-    struct work work = {.ctx = ctx, .job = job};
+    struct work work = {.ctx = ctx, .job = job, .counts = counts};
     bsq_progress_begin(ctx, "measuring curvature", "texels",
                        (uint64_t)bake_image_width(job->image) * bake_image_height(job->image));
     int status = allocate(&work);

@@ -29,10 +29,17 @@ struct bake_curvature {
     const bool *sees;
 };
 
+struct bake_curvature_counts {
+    uint64_t texels; /* with hits */
+    uint64_t alone;  /* of these, the ones around whose hits no ray found the scan */
+};
+
 /* Computes the curvature of all valid texels on all threads, in 1 / world unit: positive where the
- * scan is convex, 0 if its surroundings are not found. Must not be called from parallel work.
- * Errors: those of bake_surface_trace(), bake_image_rows() and bake_image_write(); BSQ_ENOMEM. */
-int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job);
+ * scan is convex. If only some of the rays around a hit find the scan, they give the value; if none
+ * does, it is 0, and counted. Adds to *counts. Must not be called from parallel work. Errors: those
+ * of bake_surface_trace(), bake_image_rows() and bake_image_write(); BSQ_ENOMEM. */
+int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job,
+                         struct bake_curvature_counts *counts);
 
 /* Returns the usual radius in world units: two texels of the tiles' maps, whose side is the root of
  * the mesh's area in these tiles by the charts' area in texels. For grids it is at least two

@@ -356,7 +356,16 @@ code 0
 json '.encodings.curvature == {"unit": "1 / mesh unit", "radius": 0.25, "range": 8, "scale": [16], "offset": [-8],
     "origin": [0]}'
 is_png curved.png 96 96 16
+# A radius larger than the scan finds nothing around the hits.
+$bake $small plain.nvdb low.obj -o curved.png --maps curvature --curvature-radius 100
+code 0
+grep -Eq 'warning: map curvature: no surface around the hits of ([0-9]+) of \1 texels, at a radius of 100; they became 0' "$err"
+check "all texels of unknown curvature are counted" $?
 rm curved.png
+$bake $small plain.nvdb low.obj -o curved.png --maps curvature --curvature-radius 100 --strict
+code 65
+[ ! -e curved.png ]
+check "no map of unknown curvature in a strict bake" $?
 is_png all_height.png 96 96 16
 is_png all_position.png 96 96 16
 rm all_*

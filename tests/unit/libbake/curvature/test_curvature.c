@@ -231,13 +231,14 @@ static struct bake_image *make_image(struct bsq_ctx *ctx, const struct shape *sh
     return image;
 }
 
-/* Measures the curvature of all texels of the image. */
-static void measure(struct bsq_ctx *ctx, const struct shape *shape, bool exact, bool in_memory,
-                    double radius, float *out)
+/* Measures the curvature of all texels of the image. Returns the counts. */
+static struct bake_curvature_counts measure(struct bsq_ctx *ctx, const struct shape *shape,
+                                            bool exact, bool in_memory, double radius, float *out)
 {
     struct bake_options options;
     struct bake_surface surface;
     struct bk_params params = {.unit = 1};
+    struct bake_curvature_counts counts = {0};
     float row[WIDTH * CHANNELS];
     bake_defaults(&options);
     options.scan_path = path_of(shape, exact);
@@ -247,7 +248,7 @@ static void measure(struct bsq_ctx *ctx, const struct shape *shape, bool exact, 
     struct bake_image *image = make_image(ctx, shape, &surface, in_memory);
     const struct bake_curvature job = {
         .surface = &surface, .params = &params, .image = image, .place = 1, .radius = radius};
-    assert_int_equal(bake_curvature_trace(ctx, &job), 0);
+    assert_int_equal(bake_curvature_trace(ctx, &job, &counts), 0);
     for (uint32_t y = 0; y < HEIGHT; y++) {
         const float *rows;
         assert_int_equal(bake_image_rows(image, y, 1, row, &rows), 0);
@@ -256,6 +257,7 @@ static void measure(struct bsq_ctx *ctx, const struct shape *shape, bool exact, 
     }
     bake_image_free(image);
     bake_surface_close(&surface);
+    return counts;
 }
 
 static int compare_doubles(const void *a, const void *b)
@@ -335,6 +337,7 @@ static void measure_edge(const char *path, const float *distances, uint32_t coun
                                              .channels = CHANNELS,
                                              .memory_bytes = UINT64_MAX,
                                              .beside = path};
+    struct bake_curvature_counts counts = {0};
     struct bake_image *image;
     const float *texels;
     bake_defaults(&options);
@@ -348,7 +351,7 @@ static void measure_edge(const char *path, const float *distances, uint32_t coun
     }
     const struct bake_curvature job = {
         .surface = &surface, .params = &params, .image = image, .place = 1, .radius = 1};
-    assert_int_equal(bake_curvature_trace(ctx, &job), 0);
+    assert_int_equal(bake_curvature_trace(ctx, &job, &counts), 0);
     assert_int_equal(bake_image_rows(image, 0, 1, NULL, &texels), 0);
     for (uint32_t i = 0; i < count; i++)
         out[i] = texels[i * CHANNELS + 1];
@@ -382,6 +385,25 @@ static void test_edges_are_found_on_both_sides(void **state)
     }
 }
 
+/* On a sphere, any two points have its curvature, so the points that are found suffice. Far outside
+ * the sphere, none are. */
+static void test_a_radius_that_leaves_the_scan_counts_texels_without_a_value(void **state)
+{
+    (void)state;
+    static const double radii[] = {25, 200};
+    static float found[WIDTH * HEIGHT];
+    for (int i = 0; i < 2; i++) {
+        struct bsq_ctx *ctx = test_context(2, 0);
+        const struct bake_curvature_counts counts =
+            measure(ctx, &shapes[0], true, true, radii[i], found);
+        assert_int_equal(counts.texels, WIDTH * HEIGHT - 1);
+        assert_int_equal(counts.alone, i == 0 ? 0 : WIDTH * HEIGHT - 1);
+        for (uint32_t t = 0; t < WIDTH * HEIGHT; t++)
+            assert_true(t == 7 || fabs((double)found[t] - (i == 0 ? 1 / 24.0 : 0)) < 1e-4);
+        test_context_end(ctx);
+    }
+}
+
 /* Blocks of texels are traced one after another if memory is short. */
 static void test_values_depend_on_neither_threads_nor_memory(void **state)
 {
@@ -411,6 +433,7 @@ int main(void)
         cmocka_unit_test(test_triangles_have_the_curvature_of_the_formula),
         cmocka_unit_test(test_voxels_have_the_curvature_of_the_formula),
         cmocka_unit_test(test_edges_are_found_on_both_sides),
+        cmocka_unit_test(test_a_radius_that_leaves_the_scan_counts_texels_without_a_value),
         cmocka_unit_test(test_values_depend_on_neither_threads_nor_memory),
     };
     return cmocka_run_group_tests(tests, make_scans, remove_scans);
