@@ -74,7 +74,7 @@ int vox_partition_warn_colorless(const struct scan *scan, const struct partition
 {
     uint64_t count = 0, first = 0; /* vertices; a file */
     for (uint64_t i = 0; scan->missing_colors.words > 0 && i < scan->file_count; i++) {
-        if (!scan->files[i].has_colors || !vox_scan_loses_material_color(scan, i))
+        if (!scan->files[i].has_colors || !scan->files[i].has_material_colors)
             continue;
         const uint64_t own = count_colorless(scan, partition, i);
         first = count > 0 ? first : i;

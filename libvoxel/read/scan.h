@@ -66,7 +66,9 @@ struct scan_file {
     uint64_t bytes;                             /* unpacked */
     bool has_colors;                            /* of vertices, in their own lines */
     bool has_faces, has_normals, has_texcoords; /* some corner has one */
-    enum scan_paint paint;                      /* late colours */
+    bool has_material_colors; /* faces use a material with a colour, but without a texture; set by
+                                 vox_scan_find_materials() */
+    enum scan_paint paint;    /* late colours */
     /* Of vertex colours in blocks that do not say their scale. */
     struct color_votes color_votes;
     float color_scale; /* to 0..255, that they are stored with; 0: none but black so far */
@@ -239,9 +241,6 @@ int vox_scan_note_file_faces(struct scan *scan, const struct scan_face_check *ch
 /* Warns of files without faces, and of attributes that some files have and others lack, in a scan
  * of several files. Called after vox_scan_find_materials(). */
 int vox_scan_compare_files(struct scan *scan, const char *texture_path);
-/* Returns whether vertex colours displace colours of materials that faces of a file use. Called
- * after vox_scan_find_materials(). */
-bool vox_scan_loses_material_color(const struct scan *scan, uint64_t file);
 /* Returns the number of elements in a file and in all earlier ones, of a kind of index. */
 static inline uint64_t scan_file_end(const struct scan *scan, uint32_t file,
                                      enum fmt_mesh_kind kind)

@@ -127,22 +127,6 @@ static int warn(const struct scan *scan, const struct lacking *lacking, bool los
     return 0;
 }
 
-bool vox_scan_loses_material_color(const struct scan *scan, uint64_t file)
-{
-    const uint64_t count = scan->material_use_count < scan->usemtl_count ? scan->material_use_count
-                                                                         : scan->usemtl_count;
-    for (uint64_t i = 0; i < count; i++) {
-        const uint32_t entry =
-            scan->material_uses[i].file == file && scan->material_uses[i].faces > 0
-                ? scan->material_map[2 * i]
-                : UINT32_MAX;
-        if (entry != UINT32_MAX && !scan->materials[entry].texture_path &&
-            !scan->materials[entry].colorless)
-            return true;
-    }
-    return false;
-}
-
 /* Warns of colours. Files are white if they have none of their own. */
 static int compare_colors(const struct scan *scan)
 {
@@ -155,7 +139,7 @@ static int compare_colors(const struct scan *scan)
             add(&paint, i);
         if (!scan->has_colors || own || !file->has_faces)
             continue;
-        add(vox_scan_loses_material_color(scan, i) ? &materials : &vertices, i);
+        add(file->has_material_colors ? &materials : &vertices, i);
     }
     int status = warn(scan, &paint, true,
                       "ZBrush's polypaint is not used beside files without it: export a texture of "

@@ -444,6 +444,18 @@ static int check_channels(const struct scan *scan)
     return 0;
 }
 
+/* Notes which files have colours of materials. */
+static void note_material_colors(struct scan *scan)
+{
+    for (uint64_t i = 0; i < scan->material_use_count && i < scan->usemtl_count; i++) {
+        const struct scan_material_use *use = &scan->material_uses[i];
+        const uint32_t entry = use->faces > 0 ? scan->material_map[2 * i] : UINT32_MAX;
+        if (entry != UINT32_MAX && !scan->materials[entry].texture_path &&
+            !scan->materials[entry].colorless)
+            scan->files[use->file].has_material_colors = true;
+    }
+}
+
 int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                             const char *texture_path, struct scan_textures *textures,
                             enum bsq_ids ids)
@@ -463,6 +475,8 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                                scan->paths[0], texture_path);
     if (status == 0)
         status = whiten_colorless(scan);
+    if (status == 0)
+        note_material_colors(scan);
     if (status == 0)
         warn_without_names(scan);
     if (status == 0)
