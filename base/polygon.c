@@ -27,6 +27,9 @@ enum { patience_rounds = 8 };
 
 #define NONE UINT32_MAX
 
+/* Corners between checks for an interruption, in loops that take little time for each. */
+enum { CORNERS_CHECKED = 1 << 16 };
+
 /* A polygon that is being clipped: corners linked in a ring. */
 struct ring {
     const double (*positions)[3];
@@ -79,10 +82,19 @@ static void put(uint32_t *triangle, uint32_t a, uint32_t b, uint32_t c)
     triangle[2] = c;
 }
 
-static void make_fan(uint32_t n, uint32_t *triangles)
+static int check_corner(struct bsq_ctx *ctx, uint32_t corner)
 {
-    for (uint32_t i = 0; i + 2 < n; i++)
+    return corner % CORNERS_CHECKED == CORNERS_CHECKED - 1 ? bsq_check(ctx) : 0;
+}
+
+static int make_fan(struct bsq_ctx *ctx, uint32_t n, uint32_t *triangles)
+{
+    int status = 0;
+    for (uint32_t i = 0; i + 2 < n && status == 0; i++) {
         put(triangles + 3 * (uint64_t)i, 0, i + 1, i + 2);
+        status = check_corner(ctx, i);
+    }
+    return status;
 }
 
 /* Cuts a quad from corner 0, as a fan does; if corner 1 or 3 is reflex, from that corner. */
@@ -93,7 +105,8 @@ static void split_quad(const double (*positions)[3], uint32_t *triangles)
         put(triangles, 1, 2, 3);
         put(triangles + 3, 1, 3, 0);
     } else {
-        make_fan(4, triangles);
+        put(triangles, 0, 1, 2);
+        put(triangles + 3, 0, 2, 3);
     }
 }
 
@@ -280,24 +293,26 @@ static void *place_arrays(struct ring *ring, void *memory)
     return numbers;
 }
 
-/* Links all corners and finds the blockers. Returns their number. */
-static uint32_t make_ring(struct ring *ring)
+/* Links all corners, finds the blockers and counts them. */
+static int make_ring(struct bsq_ctx *ctx, struct ring *ring, uint32_t *blockers)
 {
     const uint32_t n = ring->count;
-    uint32_t blockers = 0;
+    int status = 0;
+    *blockers = 0;
     for (uint32_t i = 0; i < n; i++) {
         ring->next[i] = i + 1 < n ? i + 1 : 0;
         ring->previous[i] = i ? i - 1 : n - 1;
         ring->witness[i] = ring->first_watcher[i] = NONE;
     }
-    for (uint32_t i = 0; i < n; i++) {
+    for (uint32_t i = 0; i < n && status == 0; i++) {
         classify(ring, i);
+        status = check_corner(ctx, i);
         if (bit_tree_has(&ring->convex, i))
             continue;
         bit_tree_add(&ring->blockers, i);
-        blockers++;
+        ++*blockers;
     }
-    return blockers;
+    return status;
 }
 
 static int fill_index(struct bsq_ctx *ctx, struct ring *ring, uint32_t blockers, void *memory)
@@ -312,13 +327,11 @@ static int fill_index(struct bsq_ctx *ctx, struct ring *ring, uint32_t blockers,
 static int triangulate(struct bsq_ctx *ctx, struct ring *ring, uint32_t *triangles, void *memory)
 {
     void *rest = place_arrays(ring, memory);
-    const uint32_t blockers = make_ring(ring);
-    int status = 0;
-    if (blockers == 0 || dot(ring->normal, ring->normal) == 0) {
-        make_fan(ring->count, triangles);
-        return 0;
-    }
-    if (ring->count > FEW_CORNERS)
+    uint32_t blockers;
+    int status = make_ring(ctx, ring, &blockers);
+    if (status == 0 && (blockers == 0 || dot(ring->normal, ring->normal) == 0))
+        return make_fan(ctx, ring->count, triangles);
+    if (status == 0 && ring->count > FEW_CORNERS)
         status = fill_index(ctx, ring, blockers, rest);
     return status < 0 ? status : clip_ears(ctx, ring, triangles);
 }
@@ -331,10 +344,8 @@ int bsq_triangulate(struct bsq_ctx *ctx, const double (*positions)[3], uint32_t 
         split_quad(positions, triangles);
         return 0;
     }
-    if (n == 3) {
-        make_fan(n, triangles);
-        return 0;
-    }
+    if (n == 3)
+        return make_fan(ctx, n, triangles);
     struct ring ring = {
         .positions = positions, .normal = newell_normal(positions, n), .count = n, .size = n};
     return triangulate(ctx, &ring, triangles, n <= FEW_CORNERS ? few : scratch);

@@ -493,6 +493,32 @@ static void test_interruption(void **state)
     free(scratch);
 }
 
+/* Polygons that need no search: on a line, and convex. */
+static void test_interruption_of_a_fan(void **state)
+{
+    (void)state;
+    enum { SIZE = 1 << 17 };
+    double(*positions)[3] = malloc(SIZE * sizeof *positions);
+    uint32_t *triangles = malloc(3 * SIZE * sizeof *triangles);
+    void *scratch = malloc(bsq_triangulate_scratch(SIZE));
+    for (int kind = 0; kind < 2; kind++) {
+        for (int i = 0; i < SIZE; i++) {
+            positions[i][0] = i;
+            positions[i][1] = kind * (double)i * i;
+            positions[i][2] = 0;
+        }
+        bsq_interrupt(ctx);
+        assert_int_equal(
+            bsq_triangulate(ctx, (const double(*)[3])positions, SIZE, triangles, scratch),
+            BSQ_EINTR);
+        bsq_clear_interruption(ctx);
+        bsq_clear_error(ctx);
+    }
+    free(positions);
+    free(triangles);
+    free(scratch);
+}
+
 static int open_context(void **state)
 {
     (void)state;
@@ -528,6 +554,7 @@ int main(void)
         cmocka_unit_test(test_triangles_do_not_overlap),
         cmocka_unit_test(test_large_degenerate),
         cmocka_unit_test(test_interruption),
+        cmocka_unit_test(test_interruption_of_a_fan),
     };
     return cmocka_run_group_tests(tests, open_context, close_context);
 }
