@@ -282,6 +282,14 @@ $bake broken.tris low.obj --maps color,transfer:emission,transfer:a -o 'broken_<
 code 0
 [ "$(cat "$err")" = "bisque-bake: warning: $(pwd -P)/$broken" ]
 check "also by a bake" $?
+run bisque-voxelize plane.obj --texture broken.pfm -o sorted.tris --strict
+code 0
+for job in "$vox sorted.tris -o x.nvdb" "$bake sorted.tris low.obj --maps color -o x.exr"; do
+    $job --strict
+    code 65
+    grep -q "$broken" "$err"
+    check "a job that uses the texels tells: $job" $?
+done
 $vox udim2.obj --texture 'none.<UDIM>.png' -o x.nvdb
 code 66
 err_like 'none.<UDIM>.png: no tile of this texture exists'
