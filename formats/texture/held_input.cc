@@ -165,7 +165,7 @@ std::string one_line(std::string reason, const std::string &path)
         const size_t end = reason.find_first_not_of("0123456789", at + sizeof opened - 1);
         reason.replace(at, end == std::string::npos ? end : end - at, name);
     }
-    return reason;
+    return reason.empty() ? "its decoder gives no reason, the file may be cut off" : reason;
 }
 
 int HeldInput::fail_open(int error, const std::string &message)

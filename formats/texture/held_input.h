@@ -49,7 +49,7 @@ struct HeldImage {
 };
 
 // Makes OpenImageIO's message fit for one of ours: one line that names the image instead of the
-// descriptor that it is read from.
+// descriptor that it is read from, and is never empty.
 std::string one_line(std::string reason, const std::string &path);
 
 // An opened image, of whose channels it gives the first three, or one, or alpha. OpenImageIO reads

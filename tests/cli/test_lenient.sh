@@ -53,6 +53,12 @@ texture cut.png 'not a readable image: the file is cut off'
 texture cut.jpg 'not a readable image: JPEG error: Premature end of JPEG file ("cut.jpg") Bad JPEG header for "cut.jpg"'
 texture text.png 'not a readable image: it is no PNG, JPEG, TIFF, OpenEXR, JPEG 2000, WebP, BMP, Radiance HDR, PNM or TGA'
 
+# OpenImageIO says nothing of these.
+printf 'P6\n4 4\n255\n\377\0' >cut.ppm
+texture cut.ppm 'damaged image: its decoder gives no reason, the file may be cut off'
+printf 'P6\n4 4\n' >head.ppm
+texture head.ppm 'not a readable image: its decoder gives no reason, the file may be cut off'
+
 # Several materials that name a bad texture are counted, also those of another library.
 printf 'newmtl a\nd 1\nmap_Kd gone.png\nnewmtl b\nmap_Kd gone.png\nmap_d gone.png\nnewmtl c\nmap_d gone.png\n' >scan.mtl
 printf 'newmtl a\nmap_Kd gone.png\n' >more.mtl
