@@ -115,15 +115,17 @@ static int try_path(struct search *search, const char *name, enum form form)
 /* Tries a text as a name. */
 static int try_text(struct search *search, const char *text, enum form form)
 {
-    const char *name = bsq_map_path(search->ctx, text), *backslash;
-    if (!name)
+    const char *mapped = bsq_map_path(search->ctx, text), *name = mapped;
+    if (!mapped)
         return BSQ_ENOMEM;
     if (form == LAST_COMPONENT) {
-        name = last_component(name);
-        backslash = strrchr(name, '\\');
+        name = last_component(mapped);
+        const char *backslash = strrchr(name, '\\');
         name = backslash ? backslash + 1 : name;
     }
-    if (!*name || (form == WITH_SLASHES && !strchr(name, '\\')))
+    const bool tried =
+        (form == WITH_SLASHES && !strchr(name, '\\')) || (form == LAST_COMPONENT && name == mapped);
+    if (!*name || tried)
         return 0;
     int status = bsq_check(search->ctx); /* directories may be long */
     return status ? status : try_path(search, name, form);
