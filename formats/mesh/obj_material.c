@@ -192,58 +192,81 @@ static const struct fmt_material *describe(struct obj_reader *reader, uint32_t s
     return &out->list[number - 1];
 }
 
-/* The names of a library's materials as describe_loosely() compares them; `from` has the material
- * of each. */
+/* Forms of a name: without what is a comment for sure, then without what may be one. */
+enum loose_form { LOOSE_TIDY, LOOSE_PLAIN, LOOSE_FORMS };
+
+/* The names of a library's materials in a form, as describe_loosely() compares them; `from` has the
+ * material of each. */
 struct loose_names {
     struct obj_names names;
     const struct fmt_material **from;
 };
 
 /* Copies a name without quotes, comment and capitals. */
-static int copy_loosely(struct bsq_ctx *ctx, const char *name, char **out)
+static int copy_loosely(struct bsq_ctx *ctx, const char *name, enum loose_form form, char **out)
 {
     int status = fmt_string_copy(ctx, name, out);
     if (status)
         return status;
-    fmt_mesh_plain_name(*out);
+    if (form == LOOSE_TIDY)
+        fmt_mesh_tidy_name(*out);
+    else
+        fmt_mesh_plain_name(*out);
     for (char *c = *out; *c; c++)
         *c = *c >= 'A' && *c <= 'Z' ? (char)(*c + 'a' - 'A') : *c;
     return 0;
 }
 
-/* Enters the loose form of a name, unless it is there. */
-static int enter_loosely(struct bsq_ctx *ctx, struct loose_names *loose, const char *name,
+/* Enters the loose forms of a material's name, unless they are there. */
+static int enter_loosely(struct bsq_ctx *ctx, struct loose_names loose[LOOSE_FORMS],
                          const struct fmt_material *from)
 {
-    char *copy = NULL;
-    uint32_t number = 0;
-    const uint64_t before = loose->names.count;
-    int status = copy_loosely(ctx, name, &copy);
-    if (!status)
-        status = fmt_obj_names_enter(ctx, &loose->names, 0, copy, &number);
-    if (!status && loose->names.count > before)
-        loose->from[number] = from;
-    bsq_free(ctx, copy);
+    int status = 0;
+    for (enum loose_form form = LOOSE_TIDY; form < LOOSE_FORMS && !status; form++) {
+        struct loose_names *names = &loose[form];
+        char *copy = NULL;
+        uint32_t number = 0;
+        const uint64_t before = names->names.count;
+        status = copy_loosely(ctx, from->name, form, &copy);
+        if (!status)
+            status = fmt_obj_names_enter(ctx, &names->names, 0, copy, &number);
+        if (!status && names->names.count > before)
+            names->from[number] = from;
+        bsq_free(ctx, copy);
+    }
+    return status;
+}
+
+/* Sets *from to the material with a loose form of the name, or to NULL. */
+static int find_loosely(struct bsq_ctx *ctx, const struct loose_names loose[LOOSE_FORMS],
+                        const char *name, const struct fmt_material **from)
+{
+    int status = 0;
+    *from = NULL;
+    for (enum loose_form form = LOOSE_TIDY; form < LOOSE_FORMS && !*from && !status; form++) {
+        char *copy = NULL;
+        status = copy_loosely(ctx, name, form, &copy);
+        const uint32_t number = status ? 0 : *find_slot(&loose[form].names, 0, copy);
+        *from = number > 0 ? loose[form].from[number - 1] : NULL;
+        bsq_free(ctx, copy);
+    }
     return status;
 }
 
 /* Describes the materials of one file that no library names exactly, but with quotes, a comment or
  * other capitals. */
 static int describe_loosely(struct obj_reader *reader, uint32_t source,
-                            const struct loose_names *loose, struct fmt_materials *out)
+                            const struct loose_names loose[LOOSE_FORMS], struct fmt_materials *out)
 {
     struct bsq_ctx *ctx = reader->base.ctx;
     int status = 0;
     for (uint32_t i = 0; i < out->count && !status; i++) {
-        char *copy = NULL;
+        const struct fmt_material *from;
         if (reader->materials.list[i].source != source || out->list[i].name)
             continue;
-        status = copy_loosely(ctx, reader->materials.list[i].text, &copy);
-        const uint32_t number = status ? 0 : *find_slot(&loose->names, 0, copy);
-        if (number > 0)
-            status = fmt_material_copy(ctx, loose->from[number - 1], loose->from[number - 1]->name,
-                                       &out->list[i]);
-        bsq_free(ctx, copy);
+        status = find_loosely(ctx, loose, reader->materials.list[i].text, &from);
+        if (!status && from)
+            status = fmt_material_copy(ctx, from, from->name, &out->list[i]);
     }
     return status;
 }
@@ -253,19 +276,23 @@ static int describe_all(struct obj_reader *reader, uint32_t source, struct fmt_m
                         struct fmt_materials *out)
 {
     struct bsq_ctx *ctx = reader->base.ctx;
-    struct loose_names loose = {0};
-    int status =
-        bsq_alloc(ctx, "materials", (uint64_t)found->count + 1, sizeof(void *), &loose.from);
+    struct loose_names loose[LOOSE_FORMS] = {0};
+    int status = 0;
+    for (int form = 0; form < LOOSE_FORMS && !status; form++)
+        status = bsq_alloc(ctx, "materials", (uint64_t)found->count + 1, sizeof(void *),
+                           &loose[form].from);
     for (uint32_t i = 0; i < found->count && !status; i++) {
         status = i % 1024 == 0 ? bsq_check(ctx) : 0;
         const struct fmt_material *from = describe(reader, source, &found->list[i], out);
         if (!status)
-            status = enter_loosely(ctx, &loose, from->name, from);
+            status = enter_loosely(ctx, loose, from);
     }
-    if (!status && loose.names.count > 0)
-        status = describe_loosely(reader, source, &loose, out);
-    fmt_obj_names_free(ctx, &loose.names);
-    bsq_free(ctx, loose.from);
+    if (!status && found->count > 0)
+        status = describe_loosely(reader, source, loose, out);
+    for (int form = 0; form < LOOSE_FORMS; form++) {
+        fmt_obj_names_free(ctx, &loose[form].names);
+        bsq_free(ctx, loose[form].from);
+    }
     return status;
 }
 

@@ -157,6 +157,25 @@ static void test_names(void **state)
     obj_close(&f);
 }
 
+/* A name with "#" and a comment is that material, not the first one with the same beginning. */
+static void test_numbered_names(void **state)
+{
+    (void)state;
+    struct obj_fixture f;
+    struct fmt_materials m;
+    scratch_text("wall.mtl", "newmtl wall #1\nKd 1 0 0\nnewmtl wall #2\nKd 0 1 0\n"
+                             "newmtl floor\nKd 0 0 1\n");
+    obj_read_text(&f, "mtllib wall.mtl\nv 0 0 0\nusemtl Wall #2 # left\nf 1 1 1\n"
+                      "usemtl wall #1\t#\nf 1 1 1\nusemtl floor #wood\nf 1 1 1\n");
+    assert_int_equal(fmt_mesh_read_materials(f.reader, &m), 0);
+    const float expected[3][3] = {{0, 1, 0}, {1, 0, 0}, {0, 0, 1}};
+    assert_int_equal(m.count, 3);
+    for (int i = 0; i < 3; i++)
+        assert_memory_equal(m.list[i].diffuse, expected[i], sizeof expected[i]);
+    fmt_materials_free(f.ctx, &m);
+    obj_close(&f);
+}
+
 /* Names are output without comments and quotes. */
 static void test_tidy_names(void **state)
 {
@@ -284,6 +303,7 @@ int main(void)
         cmocka_unit_test(test_attributes_before_the_first),
         cmocka_unit_test(test_names),
         cmocka_unit_test(test_tidy_names),
+        cmocka_unit_test(test_numbered_names),
         cmocka_unit_test(test_missing_libraries),
         cmocka_unit_test(test_names_that_end_in_a_backslash),
         cmocka_unit_test(test_ply),
