@@ -1,5 +1,6 @@
 /* bake_inputs.c - tells scans from low-poly meshes among the inputs of bisque-bake. */
 #include <stdlib.h>
+#include <string.h>
 
 #include "formats/file_kind.h"
 #include "tools/bake_arguments.h"
@@ -58,6 +59,10 @@ int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments
     arguments->paths = calloc((size_t)count + 1, sizeof *arguments->paths);
     if (!arguments->paths)
         return bsq_fail(cli->ctx, BSQ_ENOMEM, "out of memory");
+    for (int i = 0; i < count; i++)
+        if (strcmp(arguments->files[i], "-") == 0)
+            return cli_usage(cli, "-: standard input is not read: scans and low-poly meshes must "
+                                  "be files");
     if (arguments->list_tiles)
         return use_meshes_alone(cli, arguments);
     if (count == 2) {

@@ -644,6 +644,13 @@ for list in '1001=' '=5' '*=0' '1001=4x' '1001=4,' '1000=4' '4,5'; do
 done
 rm look.png *_normal.10??.exr n.exr b_u2_v1.exr 10?2.png outside.obj two.obj
 
+# Inputs are files.
+for inputs in 'plain.nvdb -' '- low.obj' '- plain.nvdb low.obj'; do
+    $bake $inputs -o n.exr </dev/null
+    code 64
+    err 'bisque-bake: -: standard input is not read: scans and low-poly meshes must be files'
+done
+
 # ---- failures on the way ----
 
 command="bisque-bake with a file size limit" code=0
