@@ -6,6 +6,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
 #include "base/file_part.h"
 #include "base/job_files.h"
@@ -13,27 +14,38 @@
 
 static const char udim[] = "<UDIM>", uvtile[] = "<UVTILE>";
 
-static const char *name_of(const char *path)
+/* Returns the length of the token that a text begins with; 0: none. */
+static size_t token_at(const char *text, bool *is_udim)
 {
-    const char *slash = strrchr(path, '/');
-    return slash ? slash + 1 : path;
+    *is_udim = strncmp(text, udim, strlen(udim)) == 0;
+    return *is_udim                                     ? strlen(udim)
+           : strncmp(text, uvtile, strlen(uvtile)) == 0 ? strlen(uvtile)
+                                                        : 0;
 }
 
-/* Returns the token in a path's last component, or NULL. */
-static const char *find_token(const char *path, bool *is_udim)
+/* Returns the first component of a path that has a token, or NULL. */
+static const char *find_component(const char *path)
 {
-    const char *name = name_of(path), *number = strstr(name, udim);
-    struct bsq_part part;
-    *is_udim = number != NULL;
-    if (bsq_part_parse(path, &part) > 0)
-        return NULL;
-    return number ? number : strstr(name, uvtile);
+    const char *component = path;
+    bool is_udim;
+    for (const char *at = path; *at; at++) {
+        if (token_at(at, &is_udim) > 0)
+            return component;
+        component = *at == '/' ? at + 1 : component;
+    }
+    return NULL;
 }
 
 bool bsq_has_tiles(const char *path)
 {
-    bool is_udim;
-    return find_token(path, &is_udim) != NULL;
+    struct bsq_part part;
+    return find_component(path) != NULL && bsq_part_parse(path, &part) == 0;
+}
+
+size_t bsq_tile_folder(const char *path)
+{
+    const char *component = find_component(path);
+    return component ? (size_t)(component - path) : strlen(path);
 }
 
 /* Parses a number of at most four digits without a sign. Returns its end, or NULL. */
@@ -62,23 +74,94 @@ static const char *parse_tile(const char *text, bool is_udim, uint32_t *number)
     return at && u >= 1 && u <= BSQ_TILE_COLUMNS && v >= 1 && v <= BSQ_TILE_ROWS ? at : NULL;
 }
 
-static int add_file(struct bsq_ctx *ctx, const char *path, const char *name, uint32_t number,
+/* A tile while its file is looked for. */
+struct tile {
+    bool known;
+    uint32_t number;
+};
+
+/* Returns whether a name matches a component of a path up to `end`. All tokens must stand for one
+ * tile: the one in *tile, which is set if it is not known. */
+static bool matches(const char *component, const char *end, const char *name, struct tile *tile)
+{
+    while (component < end) {
+        uint32_t number;
+        bool is_udim;
+        const size_t token = token_at(component, &is_udim);
+        if (token == 0 && *component++ != *name++)
+            return false;
+        if (token == 0)
+            continue;
+        name = parse_tile(name, is_udim, &number);
+        if (!name || (tile->known && number != tile->number))
+            return false;
+        *tile = (struct tile){true, number};
+        component += token;
+    }
+    return *name == '\0';
+}
+
+/* Adds a file, if there is a regular one of this path. */
+static int add_file(struct bsq_ctx *ctx, const char *path, uint32_t number,
                     struct bsq_tile_files *out)
 {
-    const size_t directory = (size_t)(name_of(path) - path), length = strlen(name);
+    struct stat info;
+    if (stat(path, &info) != 0 || !S_ISREG(info.st_mode))
+        return 0;
     int status = bsq_grow(ctx, "tiles of a texture", out->count + 1, sizeof *out->list, &out->list,
                           &out->capacity);
     if (status < 0)
         return status;
     struct bsq_tile_file *file = &out->list[out->count];
-    status = bsq_alloc(ctx, "tiles of a texture", directory + length + 1, 1, &file->path);
+    status = bsq_alloc(ctx, "tiles of a texture", strlen(path) + 1, 1, &file->path);
     if (status < 0)
         return status;
-    memcpy(file->path, path, directory);
-    memcpy(file->path + directory, name, length + 1);
+    strcpy(file->path, path);
     file->number = number;
     out->count++;
     return 0;
+}
+
+/* Joins `length` bytes of a path and what follows them. The caller frees *out with free(). */
+static int join(struct bsq_ctx *ctx, const char *path, const char *next, size_t length,
+                const char *end, char **out)
+{
+    if (asprintf(out, "%s%.*s%s", path, (int)length, next, end) >= 0)
+        return 0;
+    *out = NULL;
+    bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", path);
+    return BSQ_ENOMEM;
+}
+
+/* Lists the files whose path begins with `folder`, which is "" or ends in a slash, and matches
+ * `rest` after that. Calls itself for the entries of a folder that match the next component with a
+ * token: at most as deep as folders are. */
+static int find_files(struct bsq_ctx *ctx, const char *folder, const char *rest, struct tile tile,
+                      struct bsq_tile_files *out)
+{
+    const char *component = find_component(rest);
+    char *path = NULL;
+    int status = bsq_check(ctx);
+    if (status == 0)
+        status = join(ctx, folder, rest, bsq_tile_folder(rest), "", &path);
+    if (status == 0 && !component)
+        status = add_file(ctx, path, tile.number, out);
+    DIR *entries = status == 0 && component ? opendir(*path ? path : ".") : NULL;
+    const char *end = component ? component + strcspn(component, "/") : NULL;
+    for (struct dirent *entry; status == 0 && entries && (entry = readdir(entries)) != NULL;) {
+        struct tile found = tile;
+        char *next;
+        if (!matches(component, end, entry->d_name, &found))
+            continue;
+        status = join(ctx, path, entry->d_name, strlen(entry->d_name), *end ? "/" : "", &next);
+        if (status == 0)
+            status = find_files(ctx, next, *end ? end + 1 : end, found, out);
+        free(next);
+    }
+    if (entries)
+        closedir(entries);
+    free(path);
+    return status;
 }
 
 static int compare_files(const void *a, const void *b)
@@ -102,24 +185,7 @@ static void sort_files(struct bsq_ctx *ctx, struct bsq_tile_files *files)
 
 int bsq_tile_files_find(struct bsq_ctx *ctx, const char *path, struct bsq_tile_files *out)
 {
-    bool is_udim;
-    const char *name = name_of(path), *token = find_token(path, &is_udim);
-    const size_t before = token ? (size_t)(token - name) : 0;
-    char *directory = strndup(path, (size_t)(name - path));
-    int status = directory ? bsq_check(ctx) : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", path);
-    DIR *folder = directory && status == 0 && token ? opendir(*directory ? directory : ".") : NULL;
-    for (struct dirent *entry; status == 0 && folder && (entry = readdir(folder)) != NULL;) {
-        uint32_t number;
-        const char *found = entry->d_name, *end;
-        if (strncmp(found, name, before) != 0 ||
-            !(end = parse_tile(found + before, is_udim, &number)) ||
-            strcmp(end, token + (is_udim ? strlen(udim) : strlen(uvtile))) != 0)
-            continue;
-        status = add_file(ctx, path, found, number, out);
-    }
-    if (folder)
-        closedir(folder);
-    free(directory);
+    int status = bsq_has_tiles(path) ? find_files(ctx, "", path, (struct tile){0}, out) : 0;
     sort_files(ctx, out);
     if (status < 0)
         bsq_tile_files_free(ctx, out);

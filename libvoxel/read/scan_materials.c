@@ -27,17 +27,16 @@ static int copy_text(struct scan *scan, const char *text, char **out)
     return status;
 }
 
-/* Returns the absolute path of a file, or of a texture of tiles, whose name is no file's; NULL with
+/* Returns the absolute path of a file, or of a texture of tiles, whose path is no file's; NULL with
  * errno set if there is none. */
 static char *absolute_path(const char *path)
 {
     if (!bsq_has_tiles(path))
         return realpath(path, NULL);
-    const char *slash = strrchr(path, '/');
-    char *directory = slash ? strndup(path, (size_t)(slash - path) + 1) : strdup(".");
+    const size_t folder = bsq_tile_folder(path);
+    char *directory = folder > 0 ? strndup(path, folder) : strdup(".");
     char *real = directory ? realpath(directory, NULL) : NULL, *out = NULL;
-    if (real &&
-        asprintf(&out, "%s/%s", strcmp(real, "/") == 0 ? "" : real, slash ? slash + 1 : path) < 0)
+    if (real && asprintf(&out, "%s/%s", strcmp(real, "/") == 0 ? "" : real, path + folder) < 0)
         out = NULL;
     free(directory);
     free(real);

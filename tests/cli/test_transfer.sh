@@ -255,6 +255,18 @@ $bake udim2.tris low.obj --maps transfer:emission -o udim_e.png
 code 0
 cmp -s udim_e.png udim_tris.png
 check "<UVTILE> is another name of the tiles" $?
+# Tokens stand anywhere in the path.
+mkdir -p tiles/1001 tiles/1002
+cp udim.1001.png tiles/1001/u1_v1.png
+cp udim.1002.png tiles/1002/u2_v1.png
+printf 'newmtl tiles\nmap_Kd tiles/<UDIM>/<UVTILE>.png\n' >folders.mtl
+sed 's/udim.mtl/folders.mtl/' udim2.obj >folders.obj
+$vox folders.obj -o folders.nvdb --strict
+code 0
+$bake folders.tris low.obj --maps color -o folders.png
+code 0
+cmp -s folders.png udim_tris.png
+check "tokens in folders and names" $?
 $vox udim3.obj -o udim3.nvdb
 code 0
 told='udim.<UDIM>.png: tile 1003 does not exist: the scan is black there'

@@ -2,6 +2,7 @@
 #include <fcntl.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include "base/tile_files.h"
@@ -9,16 +10,42 @@
 
 static char directory[] = "/tmp/bisque-test-tile-files.XXXXXX";
 
-static const char *const files[] = {
-    "a.1001.png",   "a.1012.png",   "a.9990.png",  "a.1000.png",   "a.0999.png",  "a.10010.png",
-    "a.101.png",    "a.1001.jpg",   "b.1001.png",  "a.+001.png",   "a_u1_v1.png", "a_u2_v1.png",
-    "a_u10_v2.png", "a_u11_v1.png", "a_u0_v1.png", "a_u01_v1.png", "a_u1_v.png"};
+static const char *const files[] = {"a.1001.png",
+                                    "a.1012.png",
+                                    "a.9990.png",
+                                    "a.1000.png",
+                                    "a.0999.png",
+                                    "a.10010.png",
+                                    "a.101.png",
+                                    "a.1001.jpg",
+                                    "b.1001.png",
+                                    "a.+001.png",
+                                    "a_u1_v1.png",
+                                    "a_u2_v1.png",
+                                    "a_u10_v2.png",
+                                    "a_u11_v1.png",
+                                    "a_u0_v1.png",
+                                    "a_u01_v1.png",
+                                    "a_u1_v.png",
+                                    "t1001/c/1001.1001.png",
+                                    "t1002/c/1002.1002.png",
+                                    "t1002/c/1002.1003.png",
+                                    "t1003/c/1002.1002.png",
+                                    "t1003/c/u3_v1.1003.png"};
 enum { FILES = sizeof files / sizeof *files };
+static const char *const folders[] = {"t1001", "t1001/c", "t1002",     "t1002/c",
+                                      "t1003", "t1003/c", "d.1001.png"};
+enum { FOLDERS = sizeof folders / sizeof *folders };
 
 static int enter_directory(void **state)
 {
     (void)state;
     if (!mkdtemp(directory) || chdir(directory) != 0)
+        return -1;
+    for (int i = 0; i < FOLDERS; i++)
+        if (mkdir(folders[i], 0700) != 0)
+            return -1;
+    if (mkfifo("d.1002.png", 0600) != 0)
         return -1;
     for (int i = 0; i < FILES; i++)
         close(open(files[i], O_CREAT | O_WRONLY, 0600));
@@ -30,6 +57,9 @@ static int leave_directory(void **state)
     (void)state;
     for (int i = 0; i < FILES; i++)
         unlink(files[i]);
+    unlink("d.1002.png");
+    for (int i = FOLDERS; i-- > 0;)
+        rmdir(folders[i]);
     return chdir("/") == 0 && rmdir(directory) == 0 ? 0 : -1;
 }
 
@@ -71,13 +101,37 @@ static void places_of_tiles_are_found(void **state)
     check_tiles("a_<UVTILE>.png", uvtile, 3);
 }
 
+/* Tokens in names of folders, several tokens of both kinds: all stand for one tile. */
+static void tokens_stand_anywhere(void **state)
+{
+    const struct bsq_tile_file two[] = {{0, (char *)"1001.1001.png"}, {1, (char *)"1002.1002.png"}};
+    const struct bsq_tile_file three[] = {{2, (char *)"u3_v1.1003.png"}};
+    char path[96];
+    (void)state;
+    check_tiles("t<UDIM>/c/<UDIM>.<UDIM>.png", two, 2);
+    check_tiles("./t<UDIM>//c/<UVTILE>.<UDIM>.png", three, 1);
+    snprintf(path, sizeof path, "%s/t<UDIM>/c/<UDIM>.<UDIM>.png", directory);
+    check_tiles(path, two, 2);
+    assert_int_equal(bsq_tile_folder(path), strlen(directory) + 1);
+    check_tiles("t<UDIM>/none/<UDIM>.png", NULL, 0);
+    check_tiles(
+        "t<UDIM>/c/1002.1002.png",
+        (struct bsq_tile_file[]){{1, (char *)"1002.1002.png"}, {2, (char *)"1002.1002.png"}}, 2);
+}
+
+static void folders_and_fifos_are_no_tiles(void **state)
+{
+    (void)state;
+    check_tiles("d.<UDIM>.png", NULL, 0);
+}
+
 static void only_names_with_a_token_have_tiles(void **state)
 {
     (void)state;
     assert_true(bsq_has_tiles("x/a.<UDIM>.png"));
     assert_true(bsq_has_tiles("<UVTILE>"));
     assert_false(bsq_has_tiles("a.1001.png"));
-    assert_false(bsq_has_tiles("<UDIM>/a.png"));
+    assert_true(bsq_has_tiles("<UDIM>/a.png"));
     assert_false(bsq_has_tiles("a.<udim>.png"));
 }
 
@@ -86,6 +140,8 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(numbers_of_tiles_are_found),
         cmocka_unit_test(places_of_tiles_are_found),
+        cmocka_unit_test(tokens_stand_anywhere),
+        cmocka_unit_test(folders_and_fifos_are_no_tiles),
         cmocka_unit_test(only_names_with_a_token_have_tiles),
     };
     return cmocka_run_group_tests(tests, enter_directory, leave_directory);
