@@ -7,6 +7,7 @@
 #include <inttypes.h>
 #include <math.h>
 #include <stdatomic.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -19,8 +20,11 @@ enum { ALL_TILES = BSQ_TILE_COLUMNS * BSQ_TILE_ROWS };
 struct tiles {
     char *path;
     bool data, alpha; /* as in struct fmt_texture_source */
+    bool listed;      /* `first` is set */
     uint32_t first;
-    struct bsq_tile_files files;
+    struct bsq_tile_files files; /* without damaged ones */
+    uint64_t damaged;            /* files that cannot be read */
+    char *damage;                /* what is wrong with the first one; NULL: nothing */
     /* Of each tile: 1 if a lookup found it missing, 2 if that was told. */
     atomic_uchar missing[ALL_TILES];
     atomic_uchar outside; /* the same for lookups outside of all tiles */
@@ -58,9 +62,9 @@ static int add_source(struct bsq_ctx *ctx, struct list *list, const char *path,
     return status;
 }
 
-/* Lists the tiles of a path, and adds their files to the list. */
+/* Finds the tiles of a path. */
 static int enter_tiles(struct fmt_textures *textures, const struct fmt_texture_source *source,
-                       struct list *list, struct tiles **out)
+                       struct tiles **out)
 {
     struct bsq_ctx *ctx = textures->ctx;
     for (uint64_t i = 0; i < textures->tiles_count; i++)
@@ -80,12 +84,23 @@ static int enter_tiles(struct fmt_textures *textures, const struct fmt_texture_s
     textures->tiles[textures->tiles_count++] = *out = tiles;
     tiles->data = source->data;
     tiles->alpha = source->alpha;
-    tiles->first = (uint32_t)list->count;
     tiles->path = strdup(source->path);
     status = tiles->path ? bsq_tile_files_find(ctx, source->path, &tiles->files)
                          : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", source->path);
     if (status == 0 && tiles->files.count == 0)
         status = bsq_fail(ctx, BSQ_ENOINPUT, "%s: no tile of this texture exists", source->path);
+    return status;
+}
+
+/* Adds the files of tiles to the list, once. */
+static int list_tiles(struct bsq_ctx *ctx, const struct fmt_texture_source *source,
+                      struct tiles *tiles, struct list *list)
+{
+    int status = 0;
+    if (tiles->listed)
+        return 0;
+    tiles->listed = true;
+    tiles->first = (uint32_t)list->count;
     for (uint64_t i = 0; i < tiles->files.count && status == 0; i++)
         status = add_source(ctx, list, tiles->files.list[i].path, source);
     return status;
@@ -96,12 +111,97 @@ static int list_files(struct fmt_textures *textures, const struct fmt_texture_so
                       struct list *list)
 {
     int status = 0;
+    list->count = 0;
+    for (uint64_t i = 0; i < textures->tiles_count; i++)
+        textures->tiles[i]->listed = false;
     for (uint32_t i = 0; i < textures->count && status == 0; i++) {
         textures->image_of[i] = (uint32_t)list->count;
-        status = sources[i].path && bsq_has_tiles(sources[i].path)
-                     ? enter_tiles(textures, &sources[i], list, &textures->tiles_of[i])
+        status = textures->tiles_of[i]
+                     ? list_tiles(textures->ctx, &sources[i], textures->tiles_of[i], list)
                      : add_source(textures->ctx, list, sources[i].path, &sources[i]);
     }
+    return status;
+}
+
+static int open_list(struct fmt_textures *textures, const struct list *list, uint64_t cache_bytes)
+{
+    textures->image_count = (uint32_t)list->count;
+    return textures->module->open(&fmt_host_functions, textures->ctx, list->list,
+                                  textures->image_count, cache_bytes, &textures->images);
+}
+
+/* ---- damaged tiles ---- */
+
+/* Opens one file alone. *damaged: it cannot be read; this is no error then. */
+static int probe(struct fmt_textures *textures, struct tiles *tiles, const char *path,
+                 uint64_t cache_bytes, bool *damaged)
+{
+    struct bsq_ctx *ctx = textures->ctx;
+    const struct fmt_texture_source source = {path, tiles->data, tiles->alpha};
+    struct fmt_texture_images *images = NULL;
+    int status = textures->module->open(&fmt_host_functions, ctx, &source, 1, cache_bytes, &images);
+    if (images)
+        textures->module->close(images);
+    *damaged = status == BSQ_EDATA || status == BSQ_ENOINPUT;
+    if (!*damaged || bsq_check(ctx) != 0)
+        return status;
+    if (!tiles->damage && !(tiles->damage = strdup(bsq_error(ctx))))
+        return status;
+    bsq_clear_error(ctx);
+    return 0;
+}
+
+/* Leaves out the tiles that cannot be read. Those of other textures are kept, and so is one file of
+ * each texture at least: its error is that of the texture. */
+static int leave_damaged(struct fmt_textures *textures, struct tiles *tiles, uint64_t cache_bytes)
+{
+    struct bsq_tile_files *files = &tiles->files;
+    uint64_t kept = 0;
+    int status = 0;
+    for (uint64_t i = 0; i < files->count; i++) {
+        bool damaged = false;
+        if (status == 0)
+            status = probe(textures, tiles, files->list[i].path, cache_bytes, &damaged);
+        if (!damaged || status != 0 || (kept == 0 && i + 1 == files->count)) {
+            files->list[kept++] = files->list[i];
+            continue;
+        }
+        bsq_free(textures->ctx, files->list[i].path);
+        tiles->damaged++;
+    }
+    files->count = kept;
+    return status;
+}
+
+/* Opens all files, without tiles that are damaged if there are such. */
+static int open_files(struct fmt_textures *textures, const struct fmt_texture_source *sources,
+                      uint64_t cache_bytes, struct list *list)
+{
+    struct bsq_ctx *ctx = textures->ctx;
+    int status = list_files(textures, sources, list);
+    if (status == 0)
+        status = open_list(textures, list, cache_bytes);
+    if ((status != BSQ_EDATA && status != BSQ_ENOINPUT) || textures->tiles_count == 0 ||
+        bsq_check(ctx) != 0)
+        return status;
+    bsq_clear_error(ctx);
+    status = 0;
+    for (uint64_t i = 0; i < textures->tiles_count && status == 0; i++)
+        status = leave_damaged(textures, textures->tiles[i], cache_bytes);
+    if (status == 0)
+        status = list_files(textures, sources, list);
+    return status == 0 ? open_list(textures, list, cache_bytes) : status;
+}
+
+/* ---- opening and closing ---- */
+
+/* Finds the tiles of all sources. */
+static int find_tiles(struct fmt_textures *textures, const struct fmt_texture_source *sources)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < textures->count && status == 0; i++)
+        if (sources[i].path && bsq_has_tiles(sources[i].path))
+            status = enter_tiles(textures, &sources[i], &textures->tiles_of[i]);
     return status;
 }
 
@@ -126,11 +226,9 @@ int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sour
         status =
             bsq_calloc(ctx, "textures", count + UINT64_C(1), sizeof(void *), &textures->tiles_of);
     if (status == 0)
-        status = list_files(textures, sources, &list);
+        status = find_tiles(textures, sources);
     if (status == 0)
-        status = textures->module->open(&fmt_host_functions, ctx, list.list, (uint32_t)list.count,
-                                        cache_bytes, &textures->images);
-    textures->image_count = (uint32_t)list.count;
+        status = open_files(textures, sources, cache_bytes, &list);
     bsq_free(ctx, list.list);
     if (status < 0)
         fmt_textures_close(textures);
@@ -149,6 +247,7 @@ void fmt_textures_close(struct fmt_textures *textures)
     for (uint64_t i = 0; i < textures->tiles_count; i++) {
         bsq_tile_files_free(ctx, &textures->tiles[i]->files);
         free(textures->tiles[i]->path);
+        free(textures->tiles[i]->damage);
         bsq_free(ctx, textures->tiles[i]);
     }
     bsq_free(ctx, textures->tiles);
@@ -315,17 +414,51 @@ static bool mark_told(const struct losses *losses, const char *path, uint32_t ti
     return before;
 }
 
+/* Takes the tiles that were found missing and not told yet. Writes the first numbers to `names`.
+ * Returns how many there are. */
+static uint32_t take_missing(const struct losses *losses, struct tiles *tiles, char *names,
+                             size_t size)
+{
+    enum { SHOWN = 5 };
+    uint32_t count = 0;
+    size_t length = 0;
+    for (uint32_t t = 0; t < ALL_TILES; t++) {
+        if (*missing_of(tiles, t) != 1 || mark_told(losses, tiles->path, t))
+            continue;
+        if (count++ < SHOWN)
+            length += (size_t)snprintf(names + length, size - length, "%s%u",
+                                       length > 0 ? ", " : "", 1001 + t);
+        else if (count == SHOWN + 1)
+            snprintf(names + length, size - length, ", ...");
+    }
+    return count;
+}
+
 static int tell_missing(const struct losses *losses, struct bsq_ctx *ctx, struct tiles *tiles)
 {
+    char names[80] = "";
+    const uint32_t count = take_missing(losses, tiles, names, sizeof names);
+    int status =
+        count == 0
+            ? 0
+            : bsq_warn_loss(ctx, "%s: %u %s no file that can be read: %s; the scan is black there",
+                            tiles->path, count, count == 1 ? "tile has" : "tiles have", names);
+    if (status == 0 && tiles->outside == 1 && !mark_told(losses, tiles->path, ALL_TILES))
+        status = bsq_warn_loss(ctx, "%s: the scan is black where it lies outside of all tiles",
+                               tiles->path);
+    return status;
+}
+
+int fmt_textures_tell_damage(const struct fmt_textures *textures)
+{
     int status = 0;
-    for (uint32_t t = 0; t <= ALL_TILES && status == 0; t++)
-        if (*missing_of(tiles, t) == 1 && !mark_told(losses, tiles->path, t))
-            status =
-                t < ALL_TILES
-                    ? bsq_warn_loss(ctx, "%s: tile %u does not exist: the scan is black there",
-                                    tiles->path, 1001 + t)
-                    : bsq_warn_loss(ctx, "%s: the scan is black where it lies outside of all tiles",
-                                    tiles->path);
+    for (uint64_t i = 0; i < textures->tiles_count && status == 0; i++) {
+        const struct tiles *tiles = textures->tiles[i];
+        if (tiles->damaged > 0)
+            status = bsq_warn_loss(textures->ctx, "%s: %" PRIu64 " %s not used; the first: %s",
+                                   tiles->path, tiles->damaged,
+                                   tiles->damaged == 1 ? "tile is" : "tiles are", tiles->damage);
+    }
     return status;
 }
 

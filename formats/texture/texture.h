@@ -24,20 +24,25 @@ struct fmt_texture_source {
     bool alpha;       /* its alpha channel; of an image without one, the first channel, as data */
 };
 
-/* Opens `count` images. The file name of a path may have a token for UDIM tiles
- * (base/tile_files.h), each of which is a file; what lies in no tile is black. A source that occurs
- * twice is opened once. Reads each image through once, on all threads, so it must not be called
- * from parallel work. Reserves `cache_bytes` (at least 12 MiB) from the budget, or less if the
- * images are small; files stored in rows that exceed it are copied to temporary tiled files.
- * Errors: BSQ_ENOINPUT or BSQ_EDATA for a file that is missing, no image, or damaged; BSQ_ENOMEM.
+/* Opens `count` images. A path may have tokens for UDIM tiles (base/tile_files.h), each of which is
+ * a file. What lies in no tile is black, and so are tiles whose file cannot be read, unless all of
+ * a texture cannot. A source that occurs twice is opened once. Reads each image through once, on
+ * all threads, so it must not be called from parallel work. Reserves `cache_bytes` (at least 12
+ * MiB) from the budget, or less if the images are small; files stored in rows that exceed it are
+ * copied to temporary tiled files. Errors: BSQ_ENOINPUT or BSQ_EDATA for a file that is missing, no
+ * image, or damaged; BSQ_ENOMEM.
  */
 int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sources, uint32_t count,
                       uint64_t cache_bytes, struct fmt_textures **out);
 void fmt_textures_close(struct fmt_textures *textures); /* NULL is allowed */
 
-/* Warns of files with texels that are not finite, and of tiles without a file that lookups have
- * asked for, each once, also if a file is in several of the sets. sets: all textures of a scan;
- * entries may be NULL. Must not be called during lookups. Errors: BSQ_EDATA in a strict job,
+/* Warns of the tiles whose files cannot be read, with what is wrong with the first one of each
+ * texture. Errors: BSQ_EDATA in a strict job. */
+int fmt_textures_tell_damage(const struct fmt_textures *textures);
+
+/* Warns of files with texels that are not finite, and of tiles without a readable file that lookups
+ * have asked for, each once, also if a file is in several of the sets. sets: all textures of a
+ * scan; entries may be NULL. Must not be called during lookups. Errors: BSQ_EDATA in a strict job,
  * BSQ_ENOMEM. */
 int fmt_textures_tell_losses(struct fmt_textures *const *sets, uint32_t count);
 

@@ -109,6 +109,8 @@ static int decode(struct bsq_ctx *ctx, const struct fmt_texture_source *sources,
     int status =
         fmt_textures_open(ctx, sources, count,
                           share > LEAST_DECODING_BYTES ? share : LEAST_DECODING_BYTES, &textures);
+    if (!status)
+        status = fmt_textures_tell_damage(textures);
     fmt_textures_close(textures);
     return status;
 }

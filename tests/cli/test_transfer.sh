@@ -269,7 +269,7 @@ cmp -s folders.png udim_tris.png
 check "tokens in folders and names" $?
 $vox udim3.obj -o udim3.nvdb
 code 0
-told='udim.<UDIM>.png: tile 1003 does not exist: the scan is black there'
+told='udim.<UDIM>.png: 1 tile has no file that can be read: 1003; the scan is black there'
 [ "$(grep -c "$told" "$err")" = 1 ] && [ "$(wc -l <"$err")" = 1 ]
 check "the tile that is missing is told once" $?
 $bake udim3.tris low.obj --maps color -o udim3.png --strict
@@ -280,6 +280,45 @@ $vox udim3.obj --channels 'emission=udim.<UDIM>.png,a=udim.<UDIM>.png' -o udim3.
 code 0
 [ "$(cat "$err")" = "bisque-voxelize: warning: $(pwd -P)/$told" ]
 check "also if it is missing for colours and for channels" $?
+# Many missing tiles are one line. A damaged one is lost alone, whatever is wrong with it.
+awk '/^vt/ { $2 *= 20 } { print }' udim3.obj >udim60.obj
+$vox udim60.obj -o udim60.nvdb
+code 0
+grep -q 'udim.<UDIM>.png: [0-9]* tiles have no file that can be read: 1003, 1004, 1005, 1006, 1007, ...; the scan' "$err"
+check "the first of many missing tiles" $?
+[ "$(wc -l <"$err")" = 2 ] && grep -q 'where it lies outside of all tiles' "$err"
+check "and no further lines but that of all else" $?
+printf 'newmtl tiles\nmap_Kd bad.<UDIM>.png\n' >bad.mtl
+sed 's/udim.mtl/bad.mtl/' udim2.obj >bad.obj
+cp udim.1001.png bad.1001.png
+$vox bad.obj -o alone.nvdb
+for damage in fifo folder cut; do
+    rm -rf bad.1002.png
+    case $damage in
+    fifo) mkfifo bad.1002.png ;;
+    folder) mkdir bad.1002.png ;;
+    cut) head -c 60 udim.1002.png >bad.1002.png ;;
+    esac
+    $vox bad.obj -o bad.nvdb
+    code 0
+    same alone.nvdb bad.nvdb
+    black='bad.<UDIM>.png: 1 tile has no file that can be read: 1002; the scan is black there'
+    grep -q "$black" "$err"
+    check "one tile: $damage" $?
+done
+grep -q 'bad.<UDIM>.png: 1 tile is not used; the first: .*bad.1002.png: ' "$err" &&
+    [ "$(wc -l <"$err")" = 2 ]
+check "what is wrong with it" $?
+$bake bad.tris low.obj --maps color -o bad.png
+code 0
+grep -q "$black" "$err"
+check "a bake tells of the tile too" $?
+head -c 60 udim.1002.png >bad.1001.png
+rm -r bad.1002.png
+$vox bad.obj -o bad.nvdb
+code 0
+grep -q 'bad.1001.png: .*: material "tiles" goes without it' "$err"
+check "all tiles are damaged" $?
 # A texture whose first texel is not finite, for colours and for two channels.
 {
     printf 'PF\n16 16\n-1.0\n\0\0\300\177'
