@@ -426,8 +426,15 @@ struct bake_tile_info {
 int bake_list_tiles(struct bsq_ctx *ctx, const struct bake_options *options,
                     void (*fn)(void *arg, const struct bake_tile_info *tile), void *arg);
 
-/** Sets *out if a grid or chunk file has colours. Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_EIO. */
-int bake_scan_has_color(struct bsq_ctx *ctx, const char *path, bool *out);
+/** What a scan is. */
+struct bake_scan_info {
+    bool is_grid;     /**< A voxel grid; else a chunk file. */
+    bool has_normals; /**< Normals of its own, as all grids have. */
+    bool has_color;   /**< Colours. */
+};
+
+/** Says what a grid or chunk file is. Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_EIO. */
+int bake_inspect_scan(struct bsq_ctx *ctx, const char *path, struct bake_scan_info *out);
 
 /** A device that can trace rays. */
 struct bake_device_info {

@@ -116,7 +116,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     if (status == 0)
         status = check_outputs(cli, bake, arguments->farm.write_plan, paths);
     if (status == 0)
-        bake_warn_unused(cli, arguments);
+        status = bake_warn_unused(cli, arguments);
     if (status == 0 && arguments->farm.write_plan)
         status = bake_farm_plan(cli, arguments, &report);
     else if (status == 0)

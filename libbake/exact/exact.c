@@ -16,6 +16,7 @@ static void set_info(struct bake_exact *exact)
     info->triangle_count = h->triangle_count;
     info->ids = h->ids;
     info->has_color = fmt_tris_has_color(h);
+    info->has_normals = h->attributes & FMT_TRIS_NORMALS;
     info->channels = h->channels;
     info->channel_count = h->channel_count;
     for (int k = 0; k < 3; k++) {

@@ -28,7 +28,7 @@ struct bake_exact_info {
     double origin[3];                /* world = origin + position */
     double scan_min[3], scan_max[3]; /* world */
     uint64_t triangle_count;
-    bool has_color;
+    bool has_color, has_normals;
     enum bsq_ids ids;      /* what its ids tell apart */
     char *const *channels; /* names of further channels that the whole scan has */
     uint32_t channel_count;

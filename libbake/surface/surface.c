@@ -190,16 +190,21 @@ struct bake_scan_facts bake_surface_facts(const struct bake_surface *surface)
                                     .has_ids = surface->ids != BSQ_IDS_NONE};
 }
 
-int bake_scan_has_color(struct bsq_ctx *ctx, const char *path, bool *out)
+int bake_inspect_scan(struct bsq_ctx *ctx, const char *path, struct bake_scan_info *out)
 {
     struct bake_options options;
     struct bake_surface surface;
     bake_defaults(&options);
     options.scan_path = path;
     int status = bake_surface_open(ctx, &options, &surface);
-    *out = status == 0 && surface.has_color;
+    if (status < 0)
+        return status;
+    *out = (struct bake_scan_info){.is_grid = !surface.exact,
+                                   .has_normals = !surface.exact ||
+                                                  bake_exact_get_info(surface.exact)->has_normals,
+                                   .has_color = surface.has_color};
     bake_surface_close(&surface);
-    return status;
+    return 0;
 }
 
 /* ---- rays ---- */

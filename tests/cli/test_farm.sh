@@ -482,7 +482,7 @@ $bake --plan missing.json --task 0
 code 66
 $bake scan.nvdb low.obj -o o.exr --maps mask --tasks 2 --write-plan o.exr
 refused 64 "$p o.exr: the plan and a map have this name"
-$bake scan.nvdb low.obj $size -o './o.<UDIM>.exr' --maps mask --tasks 2 --write-plan o.1012.exr
+$bake scan.nvdb low.obj $size -o './o.<UDIM>.exr' --maps height --tasks 2 --write-plan o.1012.exr
 refused 64 "$p ./o.1012.exr: two outputs have this name"
 $bake scan.nvdb low.obj -o o.exr --maps mask --tasks 2 --preview o.png --write-plan ./o.png
 refused 64 "$p ./o.png: the plan and the preview have this name"

@@ -283,14 +283,14 @@ static void test_errors_name_the_reason(void **state)
     unlink(in_directory("tiny.obj"));
 }
 
-static void test_colour_is_known_beforehand(void **state)
+static void test_scans_are_known_beforehand(void **state)
 {
     (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
-    bool color = false;
-    assert_int_equal(bake_scan_has_color(ctx, scan_paths[0], &color), 0);
-    assert_true(color);
-    assert_int_equal(bake_scan_has_color(ctx, "/nonexistent.tris", &color), BSQ_ENOINPUT);
+    struct bake_scan_info info;
+    assert_int_equal(bake_inspect_scan(ctx, scan_paths[0], &info), 0);
+    assert_true(info.has_color && !info.is_grid && !info.has_normals);
+    assert_int_equal(bake_inspect_scan(ctx, "/nonexistent.tris", &info), BSQ_ENOINPUT);
     test_context_end(ctx);
 }
 
@@ -301,7 +301,7 @@ int main(void)
         cmocka_unit_test(test_bytes_depend_on_neither_chunks_nor_threads_nor_budget),
         cmocka_unit_test(test_flat_normals),
         cmocka_unit_test(test_errors_name_the_reason),
-        cmocka_unit_test(test_colour_is_known_beforehand),
+        cmocka_unit_test(test_scans_are_known_beforehand),
     };
     return cmocka_run_group_tests(tests, make_scene, remove_scene);
 }
