@@ -190,26 +190,45 @@ static int report_tiles(struct bake_run *job)
     return 0;
 }
 
+/* Orders tiles by path, and those with one path as they come in the mesh. */
 static int compare_paths(const void *a, const void *b)
 {
-    const char *const *x = a, *const *y = b;
-    return strcmp(*x, *y);
+    const struct bake_tile *x = *(const struct bake_tile *const *)a;
+    const struct bake_tile *y = *(const struct bake_tile *const *)b;
+    const int order = strcmp(x->output_path, y->output_path);
+    return order ? order : (x > y) - (x < y);
+}
+
+/* Reports two sets of maps whose names became one, such as "a/b" and "a<b", which
+ * both become "a_b". */
+static int fail_twice(const struct bake_run *job, const struct bake_tile *a,
+                      const struct bake_tile *b)
+{
+    if (a->object && a->material)
+        return bsq_fail(job->ctx, BSQ_EUSAGE,
+                        "%s: two outputs have this name: those of object \"%s\" with material "
+                        "\"%s\" and of object \"%s\" with material \"%s\"",
+                        a->output_path, a->object, a->material, b->object, b->material);
+    return bsq_fail(job->ctx, BSQ_EUSAGE,
+                    "%s: two outputs have this name: those of %s \"%s\" and \"%s\"", a->output_path,
+                    a->object ? "the objects" : "the materials",
+                    a->object ? a->object : a->material, b->object ? b->object : b->material);
 }
 
 /* Checks that names of objects and materials are different also as parts of file names. */
 static int check_tile_paths(struct bake_run *job)
 {
-    const char **paths;
-    int status = bsq_alloc(job->ctx, "names of maps", job->udim.count, sizeof *paths, &paths);
+    const struct bake_tile **tiles;
+    int status = bsq_alloc(job->ctx, "names of maps", job->udim.count, sizeof *tiles, &tiles);
     if (status < 0)
         return status;
     for (uint32_t i = 0; i < job->udim.count; ++i)
-        paths[i] = job->tiles[i].output_path;
-    bsq_sort(paths, job->udim.count, sizeof *paths, compare_paths);
+        tiles[i] = &job->tiles[i];
+    bsq_sort(tiles, job->udim.count, sizeof *tiles, compare_paths);
     for (uint32_t i = 1; i < job->udim.count && status == 0; ++i)
-        if (strcmp(paths[i - 1], paths[i]) == 0)
-            status = bsq_fail(job->ctx, BSQ_EUSAGE, "%s: two outputs have this name", paths[i]);
-    bsq_free(job->ctx, paths);
+        if (strcmp(tiles[i - 1]->output_path, tiles[i]->output_path) == 0)
+            status = fail_twice(job, tiles[i - 1], tiles[i]);
+    bsq_free(job->ctx, tiles);
     return status;
 }
 

@@ -118,7 +118,12 @@ same inner/_._evil.exr alone_left.exr
 same inner/_MAP_.exr alone_right.exr
 { square 0 "o a/b" 1; square 2 "o a<b" 5; } >twins.obj
 $bake $small scan.nvdb twins.obj -o 'twin_<OBJECT>.exr'
-refused 64 "$p: twin_a_b.exr: two outputs have this name"
+refused 64 "$p: twin_a_b.exr: two outputs have this name: those of the objects \"a/b\" and \"a<b\""
+{ square 0 "usemtl a/b" 1; square 2 "usemtl a<b" 5; } >twins.obj
+$bake $small scan.nvdb twins.obj -o 'twin_<MATERIAL>.exr'
+refused 64 "$p: twin_a_b.exr: two outputs have this name: those of the materials \"a/b\" and \"a<b\""
+$bake $small scan.nvdb twins.obj -o 'twin_<OBJECT>_<MATERIAL>.exr'
+refused 64 "$p: twin_twins_a_b.exr: two outputs have this name: those of object \"twins\" with material \"a/b\" and of object \"twins\" with material \"a<b\""
 $bake $small scan.nvdb low.obj -o 'own_<OBJECT>.png' --preview own_right.png
 refused 64 "$p: own_right.png: two outputs have this name"
 $bake $small scan.nvdb low.obj red.obj -o 'own_<OBJECT>.exr'
