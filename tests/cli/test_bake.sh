@@ -514,6 +514,9 @@ code 0
 json '.overlapping_samples == .samples'
 grep -q "^$p warning: 100\.0 % of the samples lie in several triangles, because charts overlap: " "$err"
 check "a hint at charts that overlap" $?
+# Layouts with mirrored charts are intended.
+$bake $small plain.nvdb stacked.obj -o charts.exr --strict
+code 0
 rm charts.exr stacked.obj
 
 # ---- UDIM tiles ----
