@@ -99,7 +99,8 @@ int bake_open_outputs(struct bake_run *job)
 }
 
 /* Returns the side of thumbnails. Those of one map in all tiles may take an eighth of what is left
- * in the budget; with thousands of tiles, a thumbnail may be a single texel. */
+ * in the budget; with thousands of tiles, a thumbnail may be a single texel. So the picture, unlike
+ * the maps, can depend on a small budget. */
 static uint32_t thumbnail_side(const struct bake_run *job)
 {
     uint32_t side = PREVIEW_TEXTURE;
