@@ -219,12 +219,12 @@ static int fail_twice(const struct bake_run *job, const struct bake_tile *a,
 static int check_tile_paths(struct bake_run *job)
 {
     const struct bake_tile **tiles;
-    int status = bsq_alloc(job->ctx, "names of maps", job->udim.count, sizeof *tiles, &tiles);
+    int status = bsq_alloc(job->ctx, "names of maps", job->udim.count, sizeof(void *), &tiles);
     if (status < 0)
         return status;
     for (uint32_t i = 0; i < job->udim.count; ++i)
         tiles[i] = &job->tiles[i];
-    bsq_sort(tiles, job->udim.count, sizeof *tiles, compare_paths);
+    bsq_sort(tiles, job->udim.count, sizeof(void *), compare_paths);
     for (uint32_t i = 1; i < job->udim.count && status == 0; ++i)
         if (strcmp(tiles[i - 1]->output_path, tiles[i]->output_path) == 0)
             status = fail_twice(job, tiles[i - 1], tiles[i]);

@@ -130,7 +130,8 @@ static int use_file(const struct gltf_place *place, const char *uri, struct gltf
         return 0;
     }
     struct stat info;
-    if (found > 0 && !exists && stat(out->path, &info) == 0)
+    const bool is_other = found > 0 && !exists && out->path && stat(out->path, &info) == 0;
+    if (is_other)
         return bsq_fail(ctx, BSQ_ENOINPUT, "%s: not a regular file, which %s names as a buffer",
                         out->path, place->document->file.path);
     if (found > 0 && !exists)
