@@ -50,6 +50,7 @@ typedef ulong bk_ulong;
 #define bk_work_y()      ((bk_uint)get_global_id(1))
 #endif
 
+#define bk_prefetch(p)  ((void)0)
 #define BK_WIDTH        1
 #define BK_NATIVE_LANES 0
 
@@ -70,6 +71,7 @@ typedef unsigned long long bk_ulong;
 #define bk_abs(x)        fabsf(x)
 #define bk_popcount32(x) ((bk_uint)__popc(x))
 #define bk_popcount64(x) ((bk_uint)__popcll(x))
+#define bk_prefetch(p)   ((void)0)
 
 #define BK_WIDTH        1
 #define BK_NATIVE_LANES 0
@@ -89,6 +91,7 @@ typedef uint64_t bk_ulong;
 #define bk_abs(x)        fabsf(x)
 #define bk_popcount32(x) ((bk_uint)__builtin_popcount(x))
 #define bk_popcount64(x) ((bk_uint)__builtin_popcountll(x))
+#define bk_prefetch(p)   __builtin_prefetch(p)
 
 #ifndef BK_WIDTH
 #define BK_WIDTH 1

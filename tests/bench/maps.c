@@ -41,7 +41,11 @@ static double median(double *values, unsigned count)
 static int trace(struct bench *bench, uint32_t maps, struct rays_cost *cost)
 {
     struct bake_device *device;
-    bench->scene.job.params.maps = maps;
+    struct bk_params *params = &bench->scene.job.params;
+    params->maps = maps;
+    bake_params_from_grid(&bench->scene.surface.grid, params);
+    if (!(maps & BAKE_MAP_ID)) /* then bakes read no ids */
+        params->flags &= ~(bk_uint)BK_HAS_IDS;
     int status = bake_device_open(bench->ctx, "cpu", &bench->scene.job, &device);
     if (status < 0)
         return status;
@@ -57,7 +61,7 @@ static int measure_maps(struct bench *bench)
     static const struct {
         const char *name;
         uint32_t map;
-    } maps[] = {{"height", BAKE_MAP_HEIGHT}, {"position", BAKE_MAP_POSITION}};
+    } maps[] = {{"height", BAKE_MAP_HEIGHT}, {"position", BAKE_MAP_POSITION}, {"id", BAKE_MAP_ID}};
     const unsigned rounds = bench->rounds > FIRST_HIT_ROUNDS ? bench->rounds : FIRST_HIT_ROUNDS;
     double ratios[MAX_ROUNDS];
     puts("| map beside normal | processor time, ratio |\n|:--|--:|");

@@ -37,8 +37,11 @@ say()
 
 if [ ! -f "$scan.nvdb" ] || [ ! -f "$scan.tris" ]; then
     say "making a scan of $triangles triangles"
-    "$TESTS/generate-scan" --triangles $triangles vase -o "$scan.obj" >&2
-    "$BIN/bisque-voxelize" --progress none "$scan.obj" -o "$scan.nvdb" --resolution $resolution >&2
+    # Sixteen materials, for the map id.
+    "$TESTS/generate-scan" --triangles $triangles vase -o "$work/plain.obj" >&2
+    awk -v step=$((triangles / 16)) '/^f/ && faces++ % step == 0 { print "usemtl m" faces } 1' "$work/plain.obj" >"$scan.obj"
+    rm "$work/plain.obj"
+    "$BIN/bisque-voxelize" --progress none "$scan.obj" -o "$scan.nvdb" --resolution $resolution --channels id >&2
     rm "$scan.obj"
 fi
 "$TESTS/generate-scan" vase-low -o "$low" >&2
