@@ -192,12 +192,10 @@ static int warn_lost_textures(const struct ply_reader *reader)
         return 0;
     return bsq_warn_loss(
         reader->stream.base.ctx,
-        "%s:%s%" PRIu64 ": faces without their texture, as %s named (texnumber counts from 0): "
-        "%" PRIu64 "; this is the first",
+        "%s:%s%" PRIu64 ": faces whose texnumber, from 0, is not below the number of textures that "
+        "the file names, %u; they have no texture: %" PRIu64 "; this is the first",
         reader->stream.sources[reader->lost_texture_file].path, text ? "" : " byte ",
-        reader->lost_texture_at,
-        header->texture_count == 1 ? "only texture 0 is" : "not so many textures are",
-        reader->lost_textures);
+        reader->lost_texture_at, header->texture_count, reader->lost_textures);
 }
 
 static int warn_missing(struct ply_reader *reader)

@@ -220,7 +220,8 @@ BK_FN void bk_cross_record(bk_walk *walk, const bk_ray *ray, bk_mask lanes, cons
                   bk_select(same & (side == BK_BELOW), t_in, bk_maxw(t_in - f_in / slope, zero)));
     bk_take(walk, tested & (crossed | (above & ((same & (side == BK_BELOW)) | begun))), t, record);
     outside = bk_select(bk_less(-f_out, slope), -f_out, bk_splat(1.0f));
-    /* A sheet that is ahead of the ray is not forgotten for one that is behind it, or farther. */
+    /* A voxel may have two sheets. If the ray has not reached the plane of one of them yet, that
+     * one is kept, unless the plane of the other is nearer and ahead of the ray too. */
     waits = walk->side == BK_BELOW;
     below = below & tested & (bk_not(waits) | bk_less(outside, walk->outside));
     changed = tested & (below | bk_not(waits));

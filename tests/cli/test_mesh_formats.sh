@@ -240,7 +240,7 @@ sed 's/^property list uchar float texcoord/&\nproperty int texnumber/
     s/^element face 2/element face 5/' texture.ply >beyond.ply
 run bisque-voxelize beyond.ply -o beyond.nvdb --resolution 16
 code 0
-grep -qxF 'bisque-voxelize: warning: beyond.ply:20: faces without their texture, as only texture 0 is named (texnumber counts from 0): 2; this is the first' "$err"
+grep -qxF 'bisque-voxelize: warning: beyond.ply:20: faces whose texnumber, from 0, is not below the number of textures that the file names, 1; they have no texture: 2; this is the first' "$err"
 check 'a warning of textures beyond the file' $?
 run bisque-voxelize beyond.ply -o beyond.nvdb --resolution 16 --strict
 code 65
