@@ -27,9 +27,6 @@ enum { patience_rounds = 8 };
 
 #define NONE UINT32_MAX
 
-/* Corners between checks for an interruption, in loops that take little time for each. */
-enum { CORNERS_CHECKED = 1 << 16 };
-
 /* A polygon that is being clipped: corners linked in a ring. */
 struct ring {
     const double (*positions)[3];
@@ -82,17 +79,12 @@ static void put(uint32_t *triangle, uint32_t a, uint32_t b, uint32_t c)
     triangle[2] = c;
 }
 
-static int check_corner(struct bsq_ctx *ctx, uint32_t corner)
-{
-    return corner % CORNERS_CHECKED == CORNERS_CHECKED - 1 ? bsq_check(ctx) : 0;
-}
-
 static int make_fan(struct bsq_ctx *ctx, uint32_t n, uint32_t *triangles)
 {
     int status = 0;
     for (uint32_t i = 0; i + 2 < n && status == 0; i++) {
         put(triangles + 3 * (uint64_t)i, 0, i + 1, i + 2);
-        status = check_corner(ctx, i);
+        status = bsq_check_corner(ctx, i);
     }
     return status;
 }
@@ -306,7 +298,7 @@ static int make_ring(struct bsq_ctx *ctx, struct ring *ring, uint32_t *blockers)
     }
     for (uint32_t i = 0; i < n && status == 0; i++) {
         classify(ring, i);
-        status = check_corner(ctx, i);
+        status = bsq_check_corner(ctx, i);
         if (bit_tree_has(&ring->convex, i))
             continue;
         bit_tree_add(&ring->blockers, i);

@@ -4,6 +4,13 @@
 
 #include "base/context.h"
 
+/* Returns bsq_check() for one of 65536 corners, else 0: a polygon may be as large as a scan, and
+ * loops over its corners take little time for each. */
+static inline int bsq_check_corner(struct bsq_ctx *ctx, uint32_t corner)
+{
+    return corner % 65536 == 65535 ? bsq_check(ctx) : 0;
+}
+
 /* Returns the bytes of scratch memory that bsq_triangulate() needs for n corners; 0 for few. */
 uint64_t bsq_triangulate_scratch(uint32_t n);
 

@@ -85,30 +85,31 @@ static bool lacks_normals(const struct use *use)
 static const struct {
     const char *option, *needs;
     bool (*is_used)(const struct use *use);
+    bool of_scans; /* is_used looks at what the scans are */
 } uses[] = {
-    {"height-range", "the map height", has_height},
-    {"position-in", "the map position", has_position},
-    {"curvature-radius", "the map curvature", has_curvature},
-    {"curvature-range", "the map curvature", has_curvature},
-    {"ao-rays", "the map ao or bent", has_open_rays},
-    {"ao-distance", "the map ao or bent", has_open_rays},
-    {"ao-spread", "the map ao or bent", has_open_rays},
-    {"ao-falloff", "the map ao or bent", has_open_rays},
-    {"ao-coarse", "the map ao or bent", has_open_rays},
-    {"ao-coarse", "a grid", has_grid},
-    {"thickness-rays", "the map thickness", has_thickness},
-    {"thickness-distance", "the map thickness", has_thickness},
-    {"sampling", "a grid", has_grid},
-    {"scan-normals", "triangles without normals", lacks_normals},
-    {"normal-space", "the map normal or bent", has_normals},
-    {"green", "the map normal or bent", has_normals},
-    {"green", "--normal-space tangent", is_tangent_space},
-    {"padding", "a map other than mask", has_padding},
-    {"match-suffixes", "--match", matches_names},
-    {"preview-views", "--preview", has_preview},
-    {"up", "--preview", has_preview},
-    {"gpu-memory", "a device other than cpu", may_use_gpu},
-    {"gpu-memory", "a grid", has_grid},
+    {"height-range", "the map height", has_height, false},
+    {"position-in", "the map position", has_position, false},
+    {"curvature-radius", "the map curvature", has_curvature, false},
+    {"curvature-range", "the map curvature", has_curvature, false},
+    {"ao-rays", "the map ao or bent", has_open_rays, false},
+    {"ao-distance", "the map ao or bent", has_open_rays, false},
+    {"ao-spread", "the map ao or bent", has_open_rays, false},
+    {"ao-falloff", "the map ao or bent", has_open_rays, false},
+    {"ao-coarse", "the map ao or bent", has_open_rays, false},
+    {"ao-coarse", "a grid", has_grid, true},
+    {"thickness-rays", "the map thickness", has_thickness, false},
+    {"thickness-distance", "the map thickness", has_thickness, false},
+    {"sampling", "a grid", has_grid, true},
+    {"scan-normals", "triangles without normals", lacks_normals, true},
+    {"normal-space", "the map normal or bent", has_normals, false},
+    {"green", "the map normal or bent", has_normals, false},
+    {"green", "--normal-space tangent", is_tangent_space, false},
+    {"padding", "a map other than mask", has_padding, false},
+    {"match-suffixes", "--match", matches_names, false},
+    {"preview-views", "--preview", has_preview, false},
+    {"up", "--preview", has_preview, false},
+    {"gpu-memory", "a device other than cpu", may_use_gpu, false},
+    {"gpu-memory", "a grid", has_grid, true},
 };
 
 /* Returns whether an option was given whose effect depends on the scans. */
@@ -116,8 +117,7 @@ static bool depends_on_scans(const struct bake_arguments *arguments)
 {
     bool depends = false;
     for (size_t i = 0; i < sizeof uses / sizeof *uses; i++)
-        depends |= (uses[i].is_used == has_grid || uses[i].is_used == lacks_normals) &&
-                   bake_arguments_has(arguments, uses[i].option);
+        depends |= uses[i].of_scans && bake_arguments_has(arguments, uses[i].option);
     return depends;
 }
 

@@ -52,16 +52,13 @@ static size_t scheme_length(const char *uri)
 static int find_exactly(struct bsq_ctx *ctx, const char *beside, const char *name, char **out,
                         bool *exists)
 {
-    const char *slash = strrchr(beside, '/'), *mapped = bsq_map_path(ctx, name);
+    const char *mapped = bsq_map_path(ctx, name);
     struct stat info;
     if (!mapped)
         return BSQ_ENOMEM;
-    const size_t directory = slash && mapped[0] != '/' ? (size_t)(slash - beside) + 1 : 0;
-    int status = bsq_alloc(ctx, "names", directory + strlen(mapped) + 1, 1, out);
+    int status = fmt_path_beside(ctx, beside, mapped, out);
     if (status)
         return status;
-    memcpy(*out, beside, directory);
-    strcpy(*out + directory, mapped);
     *exists = stat(*out, &info) == 0 && S_ISREG(info.st_mode);
     return 0;
 }
@@ -115,6 +112,18 @@ static bool is_fallback(const json_t *buffer)
     return json_is_true(json_object_get(meshopt, "fallback"));
 }
 
+/* Reports that a buffer's path is no regular file. */
+static int fail_missing(const struct gltf_place *place, const char *path)
+{
+    const char *document = place->document->file.path;
+    struct stat info;
+    if (path && stat(path, &info) == 0)
+        return bsq_fail(place->document->ctx, BSQ_ENOINPUT,
+                        "%s: not a regular file, which %s names as a buffer", path, document);
+    return bsq_fail(place->document->ctx, BSQ_ENOINPUT, "%s: no such buffer, which %s names", path,
+                    document);
+}
+
 /* Uses the other file that a URI names. A file of another name could give another shape. Fallbacks
  * are often left behind: one that does not exist has no data. */
 static int use_file(const struct gltf_place *place, const char *uri, struct gltf_buffer *out)
@@ -129,14 +138,8 @@ static int use_file(const struct gltf_place *place, const char *uri, struct gltf
         out->missing = true;
         return 0;
     }
-    struct stat info;
-    const bool is_other = found > 0 && !exists && out->path && stat(out->path, &info) == 0;
-    if (is_other)
-        return bsq_fail(ctx, BSQ_ENOINPUT, "%s: not a regular file, which %s names as a buffer",
-                        out->path, place->document->file.path);
     if (found > 0 && !exists)
-        return bsq_fail(ctx, BSQ_ENOINPUT, "%s: no such buffer, which %s names", out->path,
-                        place->document->file.path);
+        return fail_missing(place, out->path);
     if (found == 0)
         return fmt_gltf_fail(place, "its URI \"%.60s\" names no file", uri);
     int status = found < 0 ? found

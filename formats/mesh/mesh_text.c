@@ -31,11 +31,6 @@ size_t fmt_mesh_mark(const void *text, uint64_t size)
     return size >= 3 && memcmp(text, "\xef\xbb\xbf", 3) == 0 ? 3 : 0;
 }
 
-static bool is_blank(char c)
-{
-    return c == ' ' || c == '\t';
-}
-
 bool fmt_mesh_plain_name(char *text)
 {
     char *quote = text[0] == '"' ? strchr(text + 1, '"') : NULL;
@@ -45,11 +40,11 @@ bool fmt_mesh_plain_name(char *text)
         return true;
     }
     char *end = text + 1;
-    while (*text && *end && !(*end == '#' && is_blank(end[-1])))
+    while (*text && *end && !(*end == '#' && fmt_mesh_is_blank(end[-1])))
         end++;
     if (!*text || !*end)
         return false;
-    while (end > text && is_blank(end[-1]))
+    while (end > text && fmt_mesh_is_blank(end[-1]))
         end--;
     *end = '\0';
     return true;
@@ -59,10 +54,10 @@ void fmt_mesh_tidy_name(char *text)
 {
     size_t length = 0;
     for (; text[length]; length++)
-        if (text[length] == '#' && length > 0 && is_blank(text[length - 1]) &&
-            (text[length + 1] == '\0' || is_blank(text[length + 1])))
+        if (text[length] == '#' && length > 0 && fmt_mesh_is_blank(text[length - 1]) &&
+            (text[length + 1] == '\0' || fmt_mesh_is_blank(text[length + 1])))
             break;
-    while (length > 0 && is_blank(text[length - 1]))
+    while (length > 0 && fmt_mesh_is_blank(text[length - 1]))
         length--;
     const bool quoted = length >= 2 && text[0] == '"' && text[length - 1] == '"';
     if (quoted)

@@ -15,6 +15,12 @@ size_t fmt_mesh_mark(const void *text, uint64_t size);
  * text as it is first. Returns whether the text changed. */
 bool fmt_mesh_plain_name(char *text);
 
+/* Returns whether a character of a line separates words. */
+static inline bool fmt_mesh_is_blank(char c)
+{
+    return c == ' ' || c == '\t';
+}
+
 /* Makes a name fit for output, in place: without a comment, which begins with "#" after a blank and
  * before a blank or the end, and without quotes around all of it. Other than fmt_mesh_plain_name(),
  * keeps "wall #3". */

@@ -38,14 +38,9 @@ struct reader {
 
 /* ---- words of a line ---- */
 
-static bool is_blank(char c)
-{
-    return c == ' ' || c == '\t';
-}
-
 static char *skip_blanks(char *p)
 {
-    while (is_blank(*p))
+    while (fmt_mesh_is_blank(*p))
         p++;
     return p;
 }
@@ -53,7 +48,7 @@ static char *skip_blanks(char *p)
 static size_t word_length(const char *p)
 {
     size_t length = 0;
-    while (p[length] && !is_blank(p[length]))
+    while (p[length] && !fmt_mesh_is_blank(p[length]))
         length++;
     return length;
 }
@@ -67,7 +62,7 @@ static bool word_is(const char *p, const char *keyword)
 static void trim_end(char *text)
 {
     size_t length = strlen(text);
-    while (length && is_blank(text[length - 1]))
+    while (length && fmt_mesh_is_blank(text[length - 1]))
         text[--length] = '\0';
 }
 
@@ -269,7 +264,7 @@ static int read_texture(struct reader *reader, const char *statement, char *p,
         status = read_option(reader, &p, option, texture);
     if (status)
         return status;
-    if (!*p || (*p == '#' && (!p[1] || is_blank(p[1]))) || !strcmp(p, "\"\""))
+    if (!*p || (*p == '#' && (!p[1] || fmt_mesh_is_blank(p[1]))) || !strcmp(p, "\"\""))
         return warn(reader, "names no file, ignored", statement);
     status = fmt_path_find(reader->ctx, reader->path, p, &path, &exists);
     if (!status && !exists && texture->after_vector) {
@@ -395,7 +390,7 @@ static char *find_statement_end(char *line, char *end, uint64_t *lines)
     for (;; p++) {
         while (p < end && *p != '\n' && *p != '\r')
             p++;
-        if (p == end || p - line < 2 || p[-1] != '\\' || !is_blank(p[-2]) || comment)
+        if (p == end || p - line < 2 || p[-1] != '\\' || !fmt_mesh_is_blank(p[-2]) || comment)
             return p;
         p[-1] = ' ';
         if (p + 1 < end && p[0] == '\r' && p[1] == '\n')

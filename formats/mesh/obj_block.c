@@ -65,11 +65,6 @@ __attribute__((format(printf, 2, 3))) static const char *fail(struct parser *par
 
 /* ---- lines ---- */
 
-static bool is_blank(char c)
-{
-    return c == ' ' || c == '\t';
-}
-
 /* Returns the length of the line end at p ("\n", "\r\n" or a lone "\r"); 0 if there is none. */
 static inline int line_end_size(const char *p)
 {
@@ -87,7 +82,7 @@ static struct quoted quote_word(const struct parser *parser, const char *p)
 {
     struct quoted quoted = {0};
     const char *end = p, *limit = parser->block->text + parser->block->size;
-    while (end < limit && !is_blank(*end) && !line_end_size(end))
+    while (end < limit && !fmt_mesh_is_blank(*end) && !line_end_size(end))
         end++;
     fmt_mesh_quote(p, end, quoted.text, sizeof quoted.text);
     return quoted;
@@ -97,7 +92,7 @@ static struct quoted quote_word(const struct parser *parser, const char *p)
 static inline const char *skip_blanks(struct obj_block *block, const char *p)
 {
     for (;;) {
-        while (is_blank(*p))
+        while (fmt_mesh_is_blank(*p))
             p++;
         int size;
         if (__builtin_expect(*p != '\\', 1) || !(size = line_end_size(p + 1)))
@@ -470,7 +465,7 @@ static const char *add_statement(struct parser *parser, const char *p, enum obj_
                  block->statement_capacity))
         return NULL;
     const uint64_t line = block->lines;
-    if (is_blank(*p))
+    if (fmt_mesh_is_blank(*p))
         p = skip_blanks(block, p);
     const char *end = p, *after = skip_statement(parser, p, true, &end);
     if (!after)
@@ -559,7 +554,7 @@ static bool add_paint(struct parser *parser, const char *p)
         block->paint[block->paint_count++] =
             0xff000000u | (v & 0xff) << 16 | (v & 0xff00) | (v >> 16 & 0xff);
     }
-    while (is_blank(*p))
+    while (fmt_mesh_is_blank(*p))
         p++;
     block->bad_paint |= !line_end_size(p);
     return true;
@@ -567,14 +562,14 @@ static bool add_paint(struct parser *parser, const char *p)
 
 static bool is_separator(char c)
 {
-    return is_blank(c) || c == '\\' || at_line_end(c);
+    return fmt_mesh_is_blank(c) || c == '\\' || at_line_end(c);
 }
 
 /* Parses one line (with its continuations) that begins at p. */
 static inline const char *parse_line(struct parser *parser, const char *p)
 {
     if (p[0] == 'v') {
-        if (is_blank(p[1]))
+        if (fmt_mesh_is_blank(p[1]))
             return parse_vertex(parser, p + 2);
         if (p[1] == 't' && is_separator(p[2]))
             return parse_texcoord(parser, p + 2);

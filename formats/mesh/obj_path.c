@@ -17,14 +17,30 @@ enum form { AS_WRITTEN, WITH_SLASHES, LAST_COMPONENT, FORM_COUNT };
 struct search {
     struct bsq_ctx *ctx;
     const char *beside;
-    size_t directory; /* length of the directory of `beside`, with its slash */
-    char *path;       /* the file, when it is found; owned */
+    char *path; /* the file, when it is found; owned */
 };
 
 static const char *last_component(const char *path)
 {
     const char *slash = strrchr(path, '/');
     return slash ? slash + 1 : path;
+}
+
+/* Returns the length of the directory of a file, with its slash. */
+static size_t directory_length(const char *path)
+{
+    return (size_t)(last_component(path) - path);
+}
+
+int fmt_path_beside(struct bsq_ctx *ctx, const char *beside, const char *path, char **out)
+{
+    const size_t directory = path[0] == '/' ? 0 : directory_length(beside);
+    int status = bsq_alloc(ctx, "names", directory + strlen(path) + 1, 1, out);
+    if (status)
+        return status;
+    memcpy(*out, beside, directory);
+    strcpy(*out + directory, path);
+    return 0;
 }
 
 /* Checks that a path is a regular file, or that a texture of tiles has a tile. */
@@ -92,14 +108,12 @@ static bool match_capitals(char *path, size_t from)
 /* Looks for the file `name`. Sets search->path if it exists. */
 static int try_path(struct search *search, const char *name, enum form form)
 {
-    const size_t directory = name[0] == '/' ? 0 : search->directory;
+    const size_t directory = name[0] == '/' ? 0 : directory_length(search->beside);
     char *path;
     bool found = false;
-    int status = bsq_alloc(search->ctx, "names", directory + strlen(name) + 1, 1, &path);
+    int status = fmt_path_beside(search->ctx, search->beside, name, &path);
     if (status)
         return status;
-    memcpy(path, search->beside, directory);
-    strcpy(path + directory, name);
     for (char *c = path + directory; *c && form == WITH_SLASHES; c++)
         *c = *c == '\\' ? '/' : *c;
     status = check_file(search->ctx, path, &found);
@@ -131,11 +145,6 @@ static int try_text(struct search *search, const char *text, enum form form)
     return status ? status : try_path(search, name, form);
 }
 
-static bool is_blank(char c)
-{
-    return c == ' ' || c == '\t';
-}
-
 /* Cuts a text before its last "#" after a blank. Returns whether there is one. What is longer than
  * a path can be is cut off too. */
 static bool cut_comment(char *text)
@@ -143,10 +152,10 @@ static bool cut_comment(char *text)
     size_t at = strnlen(text, PATH_MAX);
     do
         at -= at > 0;
-    while (at > 0 && !(text[at] == '#' && is_blank(text[at - 1])));
+    while (at > 0 && !(text[at] == '#' && fmt_mesh_is_blank(text[at - 1])));
     if (at == 0)
         return false;
-    while (at > 0 && is_blank(text[at - 1]))
+    while (at > 0 && fmt_mesh_is_blank(text[at - 1]))
         at--;
     text[at] = '\0';
     return true;
@@ -180,14 +189,8 @@ static int name_missing(struct search *search, const char *name)
     if (text[0] != '"' || !fmt_mesh_plain_name(text))
         fmt_mesh_tidy_name(text);
     mapped = bsq_map_path(search->ctx, text);
-    const size_t directory = mapped && *mapped == '/' ? 0 : search->directory;
-    status = mapped
-                 ? bsq_alloc(search->ctx, "names", directory + strlen(mapped) + 1, 1, &search->path)
-                 : BSQ_ENOMEM;
-    if (!status) {
-        memcpy(search->path, search->beside, directory);
-        strcpy(search->path + directory, mapped);
-    }
+    status =
+        mapped ? fmt_path_beside(search->ctx, search->beside, mapped, &search->path) : BSQ_ENOMEM;
     bsq_free(search->ctx, text);
     return status;
 }
@@ -195,8 +198,7 @@ static int name_missing(struct search *search, const char *name)
 int fmt_path_find(struct bsq_ctx *ctx, const char *beside, const char *name, char **out,
                   bool *exists)
 {
-    struct search search = {
-        .ctx = ctx, .beside = beside, .directory = (size_t)(last_component(beside) - beside)};
+    struct search search = {.ctx = ctx, .beside = beside};
     int status = 0;
     for (enum form form = AS_WRITTEN; form < FORM_COUNT && !status && !search.path; form++)
         status = try_form(&search, name, form);

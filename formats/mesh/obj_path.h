@@ -8,6 +8,10 @@
 extern "C" {
 #endif
 
+/* Joins the directory of the file `beside` and a path; an absolute path stays as it is. Free *out
+ * with bsq_free(). Errors: BSQ_ENOMEM. */
+int fmt_path_beside(struct bsq_ctx *ctx, const char *beside, const char *path, char **out);
+
 /* Finds the file `name` that the file `beside` refers to, after the context's rules for paths
  * (base/path_map.h). Tries in this order: the name as written, relative to the directory of
  * `beside`; its backslashes as slashes, since many files come from Windows; its last component

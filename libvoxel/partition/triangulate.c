@@ -7,8 +7,6 @@
 
 /* Corners are prefetched this far ahead: files without order wait for memory otherwise. */
 #define CORNERS_AHEAD 48
-/* Corners of a polygon between checks for an interruption: one may be as large as a scan. */
-#define CORNERS_CHECKED 65536
 
 /* ---- memory ---- */
 
@@ -115,11 +113,6 @@ static inline void add_triangle(struct triangulator *t, const struct faces *face
     corners[2] = c;
 }
 
-static int check_corner(const struct triangulator *t, uint32_t corner)
-{
-    return corner % CORNERS_CHECKED == CORNERS_CHECKED - 1 ? bsq_check(t->ctx) : 0;
-}
-
 static int add_polygon(struct triangulator *t, const struct faces *faces, uint32_t first,
                        uint32_t size)
 {
@@ -128,7 +121,7 @@ static int add_polygon(struct triangulator *t, const struct faces *faces, uint32
         const float *p = corner_position(t, faces, first + k);
         for (int axis = 0; axis < 3; axis++)
             t->polygon[k][axis] = p[axis];
-        status = check_corner(t, k);
+        status = bsq_check_corner(t->ctx, k);
     }
     const uint32_t *v = t->polygon_triangles;
     if (status == 0)
@@ -136,7 +129,7 @@ static int add_polygon(struct triangulator *t, const struct faces *faces, uint32
                                  t->polygon_scratch);
     for (uint32_t i = 0; i < size - 2 && status == 0; i++, v += 3) {
         add_triangle(t, faces, first + v[0], first + v[1], first + v[2]);
-        status = check_corner(t, i);
+        status = bsq_check_corner(t->ctx, i);
     }
     return status;
 }

@@ -262,6 +262,12 @@ static inline bool scan_is_missing(const struct scan_missing *missing, uint64_t 
     return index / 64 < missing->words && missing->bits[index / 64] >> index % 64 & 1;
 }
 
+/* Returns whether a vertex has this colour: three times -1 stands for none. */
+static inline bool scan_color_given(const float color[3])
+{
+    return color[0] != -1.0f || color[1] != -1.0f || color[2] != -1.0f;
+}
+
 static inline uint64_t scan_count(const struct scan *scan, enum scan_stream stream)
 {
     return stream_count(&scan->streams[stream]);

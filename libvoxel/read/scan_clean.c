@@ -51,8 +51,7 @@ int vox_scan_note_missing(struct scan *scan, const struct fmt_mesh_block *block)
 
 static bool is_colored(const struct fmt_mesh_block *block, uint64_t vertex)
 {
-    const float *color = block->colors ? block->colors[vertex] : NULL;
-    return color && (color[0] != -1.0f || color[1] != -1.0f || color[2] != -1.0f);
+    return block->colors && scan_color_given(block->colors[vertex]);
 }
 
 int vox_scan_note_missing_colors(struct scan *scan, const struct fmt_mesh_block *block)

@@ -178,17 +178,12 @@ static int add_positions(struct scan *scan, const struct fmt_mesh_block *block)
 
 /* ---- attributes ---- */
 
-static bool color_given(const float color[3])
-{
-    return color[0] != -1.0f || color[1] != -1.0f || color[2] != -1.0f;
-}
-
 /* scale: factor to 0..255 */
 static uint32_t pack_color(struct scan *scan, const float color[3], float scale)
 {
     uint32_t packed = 0xff000000u;
     bool clamped = false;
-    if (!color_given(color))
+    if (!scan_color_given(color))
         return SCAN_DEFAULT_COLOR;
     for (int i = 0; i < 3; i++) {
         float value = color[i] * scale;
