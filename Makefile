@@ -406,9 +406,8 @@ test: tests-build
 	    $(unit_bins)
 
 # Other tests start no threads, or only threads that these tests start too.
-threaded_bins := $(filter $(addprefix $(BUILD)/tests/,base/test_context base/test_parallel \
-    formats/test_exr formats/test_nvdb formats/test_obj formats/test_obj_blocks formats/test_png \
-    formats/test_texture libvoxel/% libbake/%),$(unit_bins))
+threaded_bins := $(filter $(patsubst %,$(BUILD)/tests/%,base/% formats/% libvoxel/% libbake/%), \
+    $(unit_bins))
 .PHONY: test-threads
 ## test-threads: the tests of parallel work; config=tsan finds races
 test-threads: all $(threaded_bins) $(generator) $(fakes)
