@@ -344,7 +344,7 @@ static int write_part(const struct bake_run *job, const struct bake_farm_plan *p
 {
     const struct bake_report *report = job->report;
     const struct bake_farm_counts counts = {report->covered_texels, report->samples, report->hits,
-                                            report->overlapping_samples};
+                                            report->overlapping_samples, job->curvature};
     struct bake_farm_image *images = NULL;
     int status = bsq_alloc(job->ctx, "images", job->udim.count, sizeof *images, &images);
     for (uint32_t i = 0; i < job->udim.count && status == 0; i++)
@@ -425,6 +425,7 @@ static int read_parts(struct bake_run *job, const struct bake_farm_plan *plan)
     job->report->hits = counts.hits;
     job->report->misses = counts.samples - counts.hits;
     job->report->overlapping_samples = counts.overlapping_samples;
+    job->curvature = counts.curvature;
     snprintf(job->report->device, sizeof job->report->device, "%u tasks", plan->base.task_count);
     return bake_check_hits(job);
 }
@@ -457,7 +458,8 @@ static int merge(struct bake_run *job, const struct bake_farm_plan *plan)
     if (status < 0)
         return status;
     bake_choose_radius(job);
-    return write_outputs(job);
+    status = bake_warn_of_radius(job);
+    return status < 0 ? status : write_outputs(job);
 }
 
 /* Lists the files of all maps and tiles, and the preview. Free the list with free_paths(). */

@@ -5,6 +5,7 @@
 #define BAKE_BAKE_JOB_H
 
 #include "libbake/bake.h"
+#include "libbake/curvature/curvature.h"
 #include "libbake/preview/preview.h"
 #include "libbake/tile_bake.h"
 
@@ -24,7 +25,8 @@ struct bake_run {
     struct bk_triangle *triangles;
     char *scan_names;              /* of several scans, for the maps' headers; NULL: there is one */
     struct bake_measures measures; /* over all tiles */
-    struct bake_device *device;    /* NULL: the triangles of a chunk file are traced */
+    struct bake_curvature_counts curvature; /* over those that were traced */
+    struct bake_device *device;             /* NULL: the triangles of a chunk file are traced */
     struct bake_preview_tile *preview_tiles;
     struct bake_preview_file *preview_file;
 };
@@ -61,8 +63,11 @@ int bake_trace_maps(struct bake_run *job);
 int bake_check_hits(struct bake_run *job);
 /* Chooses the radius in which curvature is measured. */
 void bake_choose_radius(struct bake_run *job);
-/* Replaces positions and normals in the images by the curvature there. */
+/* Replaces positions and normals in the images by the curvature there, and counts. */
 int bake_trace_curvature(struct bake_run *job);
+/* Warns of texels whose curvature is unknown, as a radius larger than the scan makes all. Errors:
+ * BSQ_EDATA in a strict job. */
+int bake_warn_of_radius(struct bake_run *job);
 /* Frees what is needed for tracing only; may be called twice. */
 void bake_end_tracing(struct bake_run *job);
 

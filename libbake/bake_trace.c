@@ -176,22 +176,9 @@ static int objects_of(const void *arg, uint32_t x, uint32_t y, uint32_t width, u
     return bake_tile_objects(&seen->scene, seen->tile, x, y, width, height, out);
 }
 
-/* Warns of texels whose curvature is unknown, as a radius larger than the scan makes all. */
-static int warn_of_radius(const struct bake_run *job, const struct bake_curvature_counts *counts)
-{
-    if (counts->alone == 0)
-        return 0;
-    return bsq_warn_loss(job->ctx,
-                         "map curvature: no surface around the hits of %" PRIu64 " of %" PRIu64
-                         " texels, at a radius of %g; they became 0: try a smaller "
-                         "--curvature-radius",
-                         counts->alone, counts->texels, job->measures.curvature_radius);
-}
-
 /* The processor traces from here on, so the curvature is the same for all devices. */
 int bake_trace_curvature(struct bake_run *job)
 {
-    struct bake_curvature_counts counts = {0};
     int status = 0;
     bake_choose_radius(job);
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
@@ -207,9 +194,21 @@ int bake_trace_curvature(struct bake_run *job)
             .objects = job->sees && job->tiles[i].raster ? objects_of : NULL,
             .objects_arg = &seen,
             .sees = job->sees};
-        status = bake_curvature_trace(job->ctx, &curvature, &counts);
+        status = bake_curvature_trace(job->ctx, &curvature, &job->curvature);
     }
-    return status < 0 ? status : warn_of_radius(job, &counts);
+    return status < 0 ? status : bake_warn_of_radius(job);
+}
+
+int bake_warn_of_radius(struct bake_run *job)
+{
+    if (job->curvature.alone == 0)
+        return 0;
+    return bsq_warn_loss(job->ctx,
+                         "map curvature: no surface around the hits of %" PRIu64 " of %" PRIu64
+                         " texels, at a radius of %g; they became 0: try a smaller "
+                         "--curvature-radius",
+                         job->curvature.alone, job->curvature.texels,
+                         job->measures.curvature_radius);
 }
 
 /* Frees what is needed for tracing only. */

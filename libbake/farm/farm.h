@@ -12,6 +12,7 @@
 
 #include "formats/farm/farm.h"
 #include "libbake/bake.h"
+#include "libbake/curvature/curvature.h"
 #include "libbake/maps/maps.h"
 
 /* ---- the plan ---- */
@@ -82,6 +83,7 @@ int bake_farm_task_blocks(const struct bake_farm_plan *plan, uint32_t tile, uint
 /* What a task counted, for the report of the bake. */
 struct bake_farm_counts {
     uint64_t covered_texels, samples, hits, overlapping_samples;
+    struct bake_curvature_counts curvature;
 };
 
 /* The texels of one tile. */

@@ -16,10 +16,12 @@ struct part_header {
     uint64_t samples;
     uint64_t hits;
     uint64_t overlapping_samples;
+    uint64_t curvature_texels;
+    uint64_t curvature_alone;
     uint64_t table_checksum;
     uint64_t header_checksum; /* of all bytes before this field */
 };
-_Static_assert(sizeof(struct part_header) == 104, "the header has no padding");
+_Static_assert(sizeof(struct part_header) == 120, "the header has no padding");
 
 struct part_entry {
     uint32_t tile;     /* index in the plan */
@@ -134,7 +136,9 @@ static struct part_header header_for(const struct bake_farm_plan *plan, uint32_t
                                  .covered_texels = counts->covered_texels,
                                  .samples = counts->samples,
                                  .hits = counts->hits,
-                                 .overlapping_samples = counts->overlapping_samples};
+                                 .overlapping_samples = counts->overlapping_samples,
+                                 .curvature_texels = counts->curvature.texels,
+                                 .curvature_alone = counts->curvature.alone};
     return header;
 }
 
@@ -335,6 +339,8 @@ static void add_counts(struct bake_farm_counts *counts, const struct part_header
     counts->samples += header->samples;
     counts->hits += header->hits;
     counts->overlapping_samples += header->overlapping_samples;
+    counts->curvature.texels += header->curvature_texels;
+    counts->curvature.alone += header->curvature_alone;
 }
 
 static int copy_part(const struct bake_farm_plan *plan, uint32_t task, const struct reading *all,

@@ -17,7 +17,7 @@ static const struct fmt_farm_kind bake_kind = {.format = "Bisque bake plan",
                                                .program_version = program_version,
                                                .work = "a bake",
                                                .magic = "BSQPART\n",
-                                               .part_version = 2,
+                                               .part_version = 3,
                                                .most_tasks = BAKE_MAX_TASKS};
 
 int bake_farm_plan_create(struct bsq_ctx *ctx, const char *path, const struct bake_options *options,

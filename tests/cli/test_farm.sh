@@ -58,6 +58,24 @@ check "the skew map is an input of the plan" $?
 alike scan.nvdb 40 --maps normal -o 'n_<UVTILE>.exr' --samples 1 --device cpu
 alike scan.tris 2 --maps color,position -o 'p_<MAP>.<UDIM>.exr' --tiles 1012 --normal-space object
 
+# What the tasks could not measure is counted again by the merge.
+rm -rf farm
+mkdir farm
+(cd farm && "$BIN/bisque-bake" ../scan.nvdb ../low.obj -o 'c_<UDIM>.png' --size 32 --maps curvature --curvature-radius 100 \
+    --tasks 3 --write-plan plan.json) >"$out" 2>"$err"
+check "a plan of unknown curvature" $?
+$bake --plan farm/plan.json --task 0-2
+code 0
+texels=$(sed -n 's/.* around the hits of \([0-9]*\) of .*/\1/p' "$err" | awk '{ sum += $1 } END { print sum }')
+$bake --plan farm/plan.json --merge --strict
+code 65
+[ ! -e farm/c_1002.png ]
+check "a strict merge writes no map of unknown curvature" $?
+$bake --plan farm/plan.json --merge
+code 0
+grep -q "warning: map curvature: no surface around the hits of $texels of $texels texels, at a radius of 100" "$err"
+check "a merge warns of unknown curvature" $?
+
 # ---- several scans and low-poly meshes ----
 
 # alike_several TASKS OPTION...: as alike(), with all inputs in `inputs`.

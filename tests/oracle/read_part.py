@@ -11,7 +11,7 @@ import numpy
 from parts import check_parts, read_json_plan
 from refusal import array, checksum, fields, need
 
-HEADER_BYTES, ENTRY_BYTES = 104, 16
+HEADER_BYTES, ENTRY_BYTES = 120, 16
 SIDES = (16, 32, 64, 128, 256)
 
 
@@ -33,9 +33,9 @@ def read(plan, data):
     """Returns the task and its blocks, (tile, block, texels) each."""
     need(len(data) >= HEADER_BYTES and data[:8] == b"BSQPART\n", "not a part")
     version, channels, high, low, task, tasks, side, reserved, count = fields(data, 8, "IIQQIIIIQ")
-    table_checksum, header_checksum = fields(data, 88, "QQ")
-    need(version == 2, "version")
-    need(header_checksum == checksum(data[:96]), "header_checksum")
+    table_checksum, header_checksum = fields(data, 104, "QQ")
+    need(version == 3, "version")
+    need(header_checksum == checksum(data[:112]), "header_checksum")
     need(reserved == 0 and channels >= 1, "reserved or channels")
     need(f"{high:016x}{low:016x}" == plan["id"], "plan_id")
     need(tasks == plan["tasks"] and task < tasks and side == plan["block_side"], "not of the plan")
