@@ -246,7 +246,13 @@ int bsq_file_append(struct bsq_ctx *ctx, struct bsq_file *file, const void *buff
     return status;
 }
 
-/* ---- temporary files ---- */
+/* ---- paths ---- */
+
+const char *bsq_file_name(const char *path)
+{
+    const char *slash = strrchr(path, '/');
+    return slash ? slash + 1 : path;
+}
 
 char *bsq_dirname(const char *path)
 {
@@ -255,6 +261,8 @@ char *bsq_dirname(const char *path)
         return strdup(".");
     return strndup(path, slash == path ? 1 : (size_t)(slash - path));
 }
+
+/* ---- temporary files ---- */
 
 static char *temp_directory(struct bsq_ctx *ctx, const char *beside)
 {

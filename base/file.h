@@ -38,6 +38,9 @@ int bsq_fd_above_standard(int fd);
  * Free it with free(). Returns NULL and sets errno if links form a loop or there is no memory. */
 char *bsq_follow_links(const char *path);
 
+/* Returns the part of a path after its last slash. */
+const char *bsq_file_name(const char *path);
+
 /* How bsq_file_open_as() opens a file. */
 enum bsq_open {
     BSQ_OPEN_INPUT, /* an input of the job, see base/job_files.h */

@@ -12,6 +12,7 @@
 #include <unistd.h>
 
 #include "base/context_internal.h"
+#include "base/file.h"
 #include "base/job_files.h"
 #include "base/text_table.h"
 
@@ -53,8 +54,7 @@ static void find_missing(const char *path, struct place *out)
     char *end = bsq_follow_links(path);
     char *directory = end ? bsq_dirname(end) : NULL;
     if (directory && stat(directory, &info) == 0) {
-        const char *slash = strrchr(end, '/');
-        out->name = strdup(slash ? slash + 1 : end);
+        out->name = strdup(bsq_file_name(end));
         out->known = out->name != NULL;
         out->device = info.st_dev;
         out->inode = info.st_ino;

@@ -13,6 +13,7 @@
 #include <unistd.h>
 
 #include "base/context_internal.h"
+#include "base/file.h"
 #include "base/job_files.h"
 #include "base/output_internal.h"
 #include "base/temp_internal.h"

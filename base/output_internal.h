@@ -32,9 +32,6 @@ int bsq_output_fail_write(struct bsq_output *output, int error);
  * free(). Errors: BSQ_ECANTCREAT, BSQ_ENOMEM. */
 int bsq_output_target(struct bsq_ctx *ctx, const char *path, char **out);
 
-/* Returns the part of a path after its last slash. */
-const char *bsq_file_name(const char *path);
-
 /* Gives the new file the mode, owner, group and access list of the file that it is going to
  * replace, as far as the process may. Whoever could not read the old file cannot read the new one.
  * Does nothing if there was and is no such file. Returns 0 or an errno. */

@@ -10,15 +10,10 @@
 #include <unistd.h>
 
 #include "base/context_internal.h"
+#include "base/file.h"
 #include "base/output_internal.h"
 
 /* ---- the final name ---- */
-
-const char *bsq_file_name(const char *path)
-{
-    const char *slash = strrchr(path, '/');
-    return slash ? slash + 1 : path;
-}
 
 /* Sets *next to the path that a symbolic link names, NULL if `path` is no link. Returns an errno.
  */

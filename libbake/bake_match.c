@@ -2,6 +2,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "base/file.h"
 #include "libbake/bake_job.h"
 
 enum { LIST_BYTES = 300 /* of names in a message */ };
@@ -16,8 +17,7 @@ static struct name scan_name(const struct bake_run *job, uint32_t scan)
 {
     const struct bake_surface *surface = &job->surface;
     const char *path = surface->parts ? surface->parts[scan].path : surface->path;
-    const char *slash = strrchr(path, '/'), *at = slash ? slash + 1 : path;
-    const char *dot = strrchr(at, '.');
+    const char *at = bsq_file_name(path), *dot = strrchr(at, '.');
     return (struct name){at, dot && dot > at ? (size_t)(dot - at) : strlen(at)};
 }
 

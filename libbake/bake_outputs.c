@@ -2,6 +2,7 @@
 #include <string.h>
 
 #include "base/clock.h"
+#include "base/file.h"
 #include "base/ids.h"
 #include "base/sort_array.h"
 #include "libbake/bake_job.h"
@@ -21,17 +22,10 @@ static const char *sampling_of(const struct bake_run *job)
                                                     : "trilinear";
 }
 
-/* Returns a path's last part. */
-static const char *file_name(const char *path)
-{
-    const char *slash = strrchr(path, '/');
-    return slash ? slash + 1 : path;
-}
-
 static int compare_names(const void *a, const void *b)
 {
     const char *const *x = a, *const *y = b;
-    return strcmp(file_name(*x), file_name(*y));
+    return strcmp(bsq_file_name(*x), bsq_file_name(*y));
 }
 
 /* Joins the names of several scans, sorted, so that their order does not show. */
@@ -52,7 +46,7 @@ static int name_scans(struct bake_run *job)
         bsq_sort(paths, count, sizeof(void *), compare_names);
         char *to = job->scan_names;
         for (uint32_t p = 0; p < count; ++p)
-            to = stpcpy(stpcpy(to, p > 0 ? ", " : ""), file_name(paths[p]));
+            to = stpcpy(stpcpy(to, p > 0 ? ", " : ""), bsq_file_name(paths[p]));
     }
     bsq_free(job->ctx, paths);
     return status;

@@ -5,6 +5,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
+#include "base/file.h"
 #include "base/output.h"
 
 int bake_tile_begin(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
@@ -184,13 +185,13 @@ int bake_tile_create_thumbnails(struct bsq_ctx *ctx, struct bake_tile *tile, uin
 /* Returns whether two paths have the same name in the same directory. */
 static bool is_same_path(const char *a, const char *b)
 {
-    const char *name_a = strrchr(a, '/'), *name_b = strrchr(b, '/');
+    const char *const paths[] = {a, b}, *const names[] = {bsq_file_name(a), bsq_file_name(b)};
     struct stat info[2];
-    if (strcmp(name_a ? name_a + 1 : a, name_b ? name_b + 1 : b) != 0)
+    if (strcmp(names[0], names[1]) != 0)
         return false;
-    const char *const paths[] = {a, b}, *const names[] = {name_a, name_b};
     for (int i = 0; i < 2; ++i) {
-        char *directory = names[i] ? strndup(paths[i], (size_t)(names[i] - paths[i]) + 1) : NULL;
+        const size_t length = (size_t)(names[i] - paths[i]);
+        char *directory = length > 0 ? strndup(paths[i], length) : NULL;
         int result = stat(directory ? directory : ".", &info[i]);
         free(directory);
         if (result != 0)

@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "base/file.h"
 #include "base/xxh3.h"
 #include "formats/farm/farm.h"
 
@@ -15,8 +16,7 @@ enum { ATTEMPTS = 3, LIST_BYTES = 160 };
 /* Returns the length of a plan's path without ".json", or 0 if its name has no such end. */
 static size_t length_without_json(const char *path)
 {
-    const char *slash = strrchr(path, '/');
-    const char *name = slash ? slash + 1 : path;
+    const char *name = bsq_file_name(path);
     const size_t length = strlen(name);
     if (length <= 5 || strcmp(name + length - 5, ".json") != 0)
         return 0;

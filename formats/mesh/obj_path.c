@@ -7,6 +7,7 @@
 #include <strings.h>
 #include <sys/stat.h>
 
+#include "base/file.h"
 #include "base/path_map.h"
 #include "base/tile_files.h"
 #include "formats/mesh/mesh_text.h"
@@ -20,16 +21,10 @@ struct search {
     char *path; /* the file, when it is found; owned */
 };
 
-static const char *last_component(const char *path)
-{
-    const char *slash = strrchr(path, '/');
-    return slash ? slash + 1 : path;
-}
-
 /* Returns the length of the directory of a file, with its slash. */
 static size_t directory_length(const char *path)
 {
-    return (size_t)(last_component(path) - path);
+    return (size_t)(bsq_file_name(path) - path);
 }
 
 int fmt_path_beside(struct bsq_ctx *ctx, const char *beside, const char *path, char **out)
@@ -133,7 +128,7 @@ static int try_text(struct search *search, const char *text, enum form form)
     if (!mapped)
         return BSQ_ENOMEM;
     if (form == LAST_COMPONENT) {
-        name = last_component(mapped);
+        name = bsq_file_name(mapped);
         const char *backslash = strrchr(name, '\\');
         name = backslash ? backslash + 1 : name;
     }

@@ -7,6 +7,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/file.h"
 #include "base/loss.h"
 #include "formats/mesh/mesh_arrays.h"
 #include "formats/mesh/mesh_format.h"
@@ -42,12 +43,8 @@ static bool recognise(const char *head, size_t size)
 static int name_for_format(struct bsq_ctx *ctx, const char *path, const char *head, size_t size,
                            char **out)
 {
-    const char *slash = strrchr(path, '/');
-    int status = fmt_string_copy(ctx,
-                                 recognise(head, size) ? "mesh.fbx"
-                                 : slash               ? slash + 1
-                                                       : path,
-                                 out);
+    int status =
+        fmt_string_copy(ctx, recognise(head, size) ? "mesh.fbx" : bsq_file_name(path), out);
     if (!status)
         (*out)[fmt_mesh_unpacked_length(*out)] = '\0';
     return status;

@@ -3,6 +3,7 @@
 
 #include <string.h>
 
+#include "base/file.h"
 #include "base/sort_array.h"
 
 /* Stands for the material of faces that have none. */
@@ -13,7 +14,7 @@
 /* Copies a file's name without its folder and suffix; that of "low.ply.gz" is ".ply.gz". */
 static int copy_stem(struct bsq_ctx *ctx, const char *path, char **out)
 {
-    const char *slash = strrchr(path, '/'), *name = slash ? slash + 1 : path;
+    const char *name = bsq_file_name(path);
     const size_t unpacked = fmt_mesh_unpacked_length(name);
     const char *dot = memrchr(name, '.', unpacked);
     const size_t length = dot && dot > name ? (size_t)(dot - name) : unpacked;
