@@ -275,6 +275,23 @@ static int read_faces(struct scene_reader *r, const struct fmt_scene_part *part,
     return status;
 }
 
+/* Returns how many meshes have a diffuse colour out of range, which describe_material() clamps.
+ * Beside vertex colours, it is one of these. */
+static uint64_t count_clamped(const struct fmt_scene *s)
+{
+    uint64_t count = 0;
+    for (uint64_t i = 0; i < s->part_count && !s->colors; i++) {
+        const uint32_t number = s->parts[i].material;
+        const struct fmt_scene_material *m =
+            number < s->material_count ? &s->materials[number] : NULL;
+        bool clamped = false;
+        for (int k = 0; k < 3 && m && m->has_diffuse && !m->texture; k++)
+            clamped |= m->diffuse[k] < 0 || m->diffuse[k] > 1;
+        count += clamped;
+    }
+    return count;
+}
+
 /* Warns of what is not read, or not finite. Colours matter only if the caller uses them. */
 static int warn_unread(const struct scene_reader *r)
 {
@@ -292,6 +309,8 @@ static int warn_unread(const struct scene_reader *r)
          "textures are turned, or use further texture coordinates, which is not applied"},
         {r->uses_colors ? s->hidden_colors : 0,
          "meshes have a texture, so their vertex colours are not used"},
+        {r->uses_colors ? count_clamped(s) : 0,
+         "meshes have a diffuse colour out of range, which was clamped"},
     };
     int status = 0;
     for (size_t i = 0; i < sizeof kinds / sizeof *kinds && !status; i++)

@@ -90,6 +90,15 @@ code 65
 same image.nvdb both.nvdb
 run bisque-bake image.nvdb both.dae -o low.exr --maps color --size 16 --strict
 code 0
+write_dae TEXCOORD '<color>0.2 1.5 0.6 1</color>' >bright.dae
+run bisque-voxelize bright.dae -o bright.nvdb --resolution 32
+code 0
+grep -qxF 'bisque-voxelize: warning: bright.dae: 1 meshes have a diffuse colour out of range, which was clamped' "$err"
+check 'a warning of a diffuse colour out of range' $?
+write_dae COLOR '<color>0.2 1.5 0.6 1</color>' >bright.dae
+run bisque-voxelize bright.dae -o bright.nvdb --resolution 32 --strict
+code 0
+same colors.nvdb bright.nvdb
 mkdir without
 cp image.dae without
 run bisque-voxelize without/image.dae -o other.nvdb --resolution 32
