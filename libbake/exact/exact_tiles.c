@@ -130,34 +130,54 @@ static bk_point sample_point(const struct job *job, const struct bk_tile *tile,
     return bk_points_at(params, job->tiles->triangles, &sample);
 }
 
+/* A sample of a tile, and the number of its ray in the batch. */
+struct sample {
+    const struct bk_tile *tile;
+    bk_point point;
+    uint32_t triangle, column, row;
+    uint64_t ray;
+};
+
+/* Calls `take` for each sample of the tile with this index in the batch that lies in a triangle. */
+static inline int each_sample(struct job *job, uint64_t index, unsigned worker,
+                              void (*take)(struct job *job, const struct sample *sample))
+{
+    const struct tile *place = &job->order[job->first + index];
+    const struct bk_tile tile = bake_raster_tile(job->tiles->raster, place->index);
+    uint32_t *triangles = job->workers.workers[worker].sample_triangles;
+    const uint32_t columns = tile.width * job->tiles->params->samples;
+    const uint64_t count = (uint64_t)columns * tile.height * job->tiles->params->samples;
+    struct sample sample = {.tile = &tile,
+                            .ray = job->starts[job->first + index] - job->starts[job->first]};
+    uint64_t overlaps;
+    int status = bake_raster_fill(job->tiles->raster, place->index, triangles, &overlaps);
+    for (uint64_t i = 0; i < count && status == 0; i++) {
+        sample.triangle = triangles[i];
+        sample.column = (uint32_t)(i % columns);
+        sample.row = (uint32_t)(i / columns);
+        if (sample.triangle == BK_NO_TRIANGLE)
+            continue;
+        sample.point = sample_point(job, &tile, triangles, sample.column, sample.row);
+        take(job, &sample);
+        sample.ray++;
+    }
+    return status;
+}
+
+static void cast_sample(struct job *job, const struct sample *sample)
+{
+    const bk_start start = bk_start_at(job->tiles->params, &sample->point);
+    job->rays[sample->ray] =
+        (struct bake_exact_ray){{start.origin.x, start.origin.y, start.origin.z},
+                                {start.direction.x, start.direction.y, start.direction.z}};
+    if (job->footprints)
+        job->footprints[sample->ray] = sample->triangle;
+}
+
 /* Writes the rays of a tile to the batch. */
 static int cast_tile(void *arg, uint64_t index, unsigned number)
 {
-    struct job *job = arg;
-    const struct tile *place = &job->order[job->first + index];
-    const struct bk_tile tile = bake_raster_tile(job->tiles->raster, place->index);
-    const uint32_t *samples = job->workers.workers[number].sample_triangles, *sample = samples;
-    const uint32_t columns = tile.width * job->tiles->params->samples;
-    const uint32_t rows = tile.height * job->tiles->params->samples;
-    uint64_t overlaps, ray = job->starts[job->first + index] - job->starts[job->first];
-    int status = bake_raster_fill(job->tiles->raster, place->index,
-                                  job->workers.workers[number].sample_triangles, &overlaps);
-    if (status < 0)
-        return status;
-    for (uint32_t row = 0; row < rows; row++)
-        for (uint32_t column = 0; column < columns; column++, sample++) {
-            if (*sample == BK_NO_TRIANGLE)
-                continue;
-            const bk_point point = sample_point(job, &tile, samples, column, row);
-            const bk_start start = bk_start_at(job->tiles->params, &point);
-            job->rays[ray] =
-                (struct bake_exact_ray){{start.origin.x, start.origin.y, start.origin.z},
-                                        {start.direction.x, start.direction.y, start.direction.z}};
-            if (job->footprints)
-                job->footprints[ray] = *sample;
-            ray++;
-        }
-    return 0;
+    return each_sample(arg, index, number, cast_sample);
 }
 
 static void measure_footprints(const struct job *job)
@@ -252,30 +272,21 @@ static int resolve_tile(void *arg, uint64_t index, unsigned number)
 
 /* ---- secondary rays ---- */
 
-/* Prepares the hits of a tile's rays: sets their seeds, and takes back hits beyond a ray's end. */
+/* Sets the seed of a sample, and takes back its hit if that is beyond the ray's end. */
+static void seed_sample(struct job *job, const struct sample *sample)
+{
+    const struct bk_tile *tile = sample->tile;
+    const uint32_t n = job->tiles->params->samples, x = sample->column, y = sample->row;
+    if (!place_hit(job, &sample->point, &job->hits[sample->ray]).found)
+        job->hits[sample->ray].triangle = BAKE_EXACT_NONE;
+    job->seeds[sample->ray] = bk_sample_seed(bk_sample_place(tile->x + x / n, x % n, n),
+                                             bk_sample_place(tile->y + y / n, y % n, n), n);
+}
+
+/* Prepares the hits of a tile's rays. */
 static int seed_tile(void *arg, uint64_t index, unsigned number)
 {
-    struct job *job = arg;
-    const struct tile *place = &job->order[job->first + index];
-    const struct bk_tile tile = bake_raster_tile(job->tiles->raster, place->index);
-    const uint32_t *samples = job->workers.workers[number].sample_triangles, *sample = samples;
-    const uint32_t n = job->tiles->params->samples, columns = tile.width * n;
-    uint64_t overlaps, ray = job->starts[job->first + index] - job->starts[job->first];
-    int status = bake_raster_fill(job->tiles->raster, place->index,
-                                  job->workers.workers[number].sample_triangles, &overlaps);
-    if (status < 0)
-        return status;
-    for (uint32_t row = 0; row < tile.height * n; row++)
-        for (uint32_t column = 0; column < columns; column++, sample++) {
-            if (*sample == BK_NO_TRIANGLE)
-                continue;
-            const bk_point point = sample_point(job, &tile, samples, column, row);
-            if (!place_hit(job, &point, &job->hits[ray]).found)
-                job->hits[ray].triangle = BAKE_EXACT_NONE;
-            job->seeds[ray++] = bk_sample_seed(bk_sample_place(tile.x + column / n, column % n, n),
-                                               bk_sample_place(tile.y + row / n, row % n, n), n);
-        }
-    return 0;
+    return each_sample(arg, index, number, seed_sample);
 }
 
 /* Traces the rays from all hits of the batch. */
