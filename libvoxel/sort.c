@@ -58,14 +58,15 @@ static int read_blocks(struct scan *scan, struct fmt_mesh_reader *reader,
     return status;
 }
 
-/* Makes an empty scan. */
-static void begin_scan(struct scan *scan, struct bsq_ctx *ctx,
-                       const struct vox_sort_options *options, const struct sort_limits *limits)
+/* Makes an empty scan. Errors: BSQ_ENOMEM. */
+static int begin_scan(struct scan *scan, struct bsq_ctx *ctx,
+                      const struct vox_sort_options *options, const struct sort_limits *limits)
 {
-    vox_scan_init(scan, ctx, limits, options->scan_paths, options->tris_path);
-    scan->path_count = options->scan_count;
+    int status = vox_scan_init(scan, ctx, limits, options->scan_paths, options->scan_count,
+                               options->tris_path);
     scan->channels = options->channels;
     scan->channel_count = options->channel_count;
+    return status;
 }
 
 /* Drops what was read and prepares to read again, with the scales that the files' colours turned
@@ -80,11 +81,11 @@ static int begin_again(struct scan *scan, const struct vox_sort_options *options
     int status = vox_scan_list_color_scales(scan, &scales);
     vox_partition_free(scan, out);
     vox_scan_free(scan);
-    begin_scan(scan, ctx, options, limits);
+    const int begun = begin_scan(scan, ctx, options, limits);
     scan->reads_again = true;
     scan->known_scales = scales;
     scan->known_count = status == 0 ? count : 0;
-    return status;
+    return status < 0 ? status : begun;
 }
 
 /* Reads in one pass if samples of the text say that this is possible, and again in two passes if
@@ -290,8 +291,9 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     struct partition partition = {0};
     uint64_t temp_before = bsq_temp_bytes(ctx);
     memset(report, 0, sizeof *report);
-    begin_scan(&scan, ctx, options, limits);
-    int status = check_channels(ctx, options);
+    int status = begin_scan(&scan, ctx, options, limits);
+    if (status == 0)
+        status = check_channels(ctx, options);
     if (status == 0)
         status = names_tris(options) ? bsq_note_output(ctx, options->tris_path) : 0;
     if (status == 0)

@@ -222,17 +222,11 @@ static int begin_faces(struct reading *r)
     return status;
 }
 
-static bool has_elements(const struct fmt_mesh_block *block)
-{
-    return block->vertex_count > 0 || block->texcoord_count > 0 || block->normal_count > 0 ||
-           block->late_color_count > 0;
-}
-
 static int on_block(void *arg, const struct fmt_mesh_block *block)
 {
     struct reading *r = arg;
     int status = bsq_check(r->scan->ctx);
-    if (status == 0 && r->elements && r->begun && has_elements(block))
+    if (status == 0 && r->elements && r->begun && vox_scan_has_elements(block))
         return BSQ_RETRY;
     if (status == 0 && r->elements)
         status = vox_scan_add_elements(r->scan, block);
@@ -246,7 +240,7 @@ static int follow(void *arg, const struct fmt_mesh_block *block, unsigned number
 {
     struct reading *r = arg;
     struct block_slot *slot = &r->slots[number];
-    if (r->elements && has_elements(block))
+    if (r->elements && vox_scan_has_elements(block))
         vox_scan_prefault(r->scan);
     if (!r->faces || block->face_count == 0)
         return 0;

@@ -113,7 +113,7 @@ struct scan {
     struct bsq_ctx *ctx;
     const struct sort_limits *limits;
     const char *const *paths;
-    uint32_t path_count; /* set after vox_scan_init() */
+    uint32_t path_count;
     struct attribute_stream streams[SCAN_STREAM_COUNT];
     double origin[3];
     float bounds_min[3], bounds_max[3]; /* of all vertices; valid if there are any */
@@ -130,8 +130,9 @@ struct scan {
     /* Vertices without a colour, in files of which other vertices have one in their own line. */
     struct scan_missing missing_colors;
     struct fmt_mesh_totals totals;
-    struct scan_file *files; /* up to the last one that had a block so far; at the end all */
-    uint64_t file_count, file_capacity;
+    struct scan_file *files; /* one for each path. vox_scan_check_faces() looks at that of its block
+                                on other threads, while blocks without elements are added. */
+    uint64_t file_count;     /* up to the last one that had a block so far; at the end all */
     /* By the readers' number of a material, up to the last one that was used so far. */
     struct scan_material_use *material_uses;
     uint64_t material_use_count, material_use_capacity;
@@ -159,10 +160,14 @@ struct scan {
     uint32_t usemtl_count;
 };
 
-void vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limits *limits,
-                   const char *const *scan_paths, const char *tris_path);
+/* Makes an empty scan of `path_count` files. Free it with vox_scan_free(), also after a failure.
+ * Errors: BSQ_ENOMEM. */
+int vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limits *limits,
+                  const char *const *scan_paths, uint32_t path_count, const char *tris_path);
 void vox_scan_free(struct scan *scan);
 
+/* Returns whether a block has vertices, texture coordinates, normals or late colours. */
+bool vox_scan_has_elements(const struct fmt_mesh_block *block);
 /* Appends a block's elements to the streams. Serial, in the order of the file. Errors: BSQ_RETRY as
  * vox_scan_find_color_scale(), unless the scan is read again; BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA. */
 int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block);
@@ -234,8 +239,8 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                             const char *texture_path, struct scan_textures *textures,
                             enum bsq_ids ids);
 
-/* Notes that elements of a file come. Serial. Errors: BSQ_ENOMEM. */
-int vox_scan_enter_file(struct scan *scan, uint32_t number);
+/* Notes that blocks of a file come. Serial. */
+void vox_scan_enter_file(struct scan *scan, uint32_t number);
 /* Notes what faces of a file have, whose elements have been noted. Serial. Errors: BSQ_ENOMEM. */
 int vox_scan_note_file_faces(struct scan *scan, const struct scan_face_check *check);
 /* Warns of files without faces, and of attributes that some files have and others lack, in a scan
@@ -245,7 +250,7 @@ int vox_scan_compare_files(struct scan *scan, const char *texture_path);
 static inline uint64_t scan_file_end(const struct scan *scan, uint32_t file,
                                      enum fmt_mesh_kind kind)
 {
-    return file < scan->file_count ? scan->files[file].ends[kind] : 0;
+    return scan->files[file].ends[kind];
 }
 
 /* Returns whether the chunk file has this stream's attribute, after vox_scan_find_materials(). */

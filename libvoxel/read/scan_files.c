@@ -9,20 +9,12 @@
 
 #include <string.h>
 
-int vox_scan_enter_file(struct scan *scan, uint32_t number)
+void vox_scan_enter_file(struct scan *scan, uint32_t number)
 {
-    if (number < scan->file_count)
-        return 0;
-    const uint64_t before = scan->file_count, count = (uint64_t)number + 1;
-    int status = bsq_grow(scan->ctx, "files of a scan", count, sizeof *scan->files, &scan->files,
-                          &scan->file_capacity);
-    if (status < 0)
-        return status;
-    memset(scan->files + before, 0, (count - before) * sizeof *scan->files);
-    for (uint64_t i = before; before > 0 && i < count; i++)
-        memcpy(scan->files[i].ends, scan->files[before - 1].ends, sizeof scan->files[i].ends);
-    scan->file_count = count;
-    return 0;
+    for (; scan->file_count <= number; scan->file_count++)
+        if (scan->file_count > 0)
+            memcpy(scan->files[scan->file_count].ends, scan->files[scan->file_count - 1].ends,
+                   sizeof scan->files->ends);
 }
 
 /* Sets *out to the entry of a material, or to that of faces without one. */

@@ -11,18 +11,20 @@
 #include <math.h>
 #include <string.h>
 
-void vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limits *limits,
-                   const char *const *scan_paths, const char *tris_path)
+int vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limits *limits,
+                  const char *const *scan_paths, uint32_t path_count, const char *tris_path)
 {
     memset(scan, 0, sizeof *scan);
     scan->ctx = ctx;
     scan->limits = limits;
     scan->paths = scan_paths;
+    scan->path_count = path_count;
     const uint32_t shift = limits->stream_shift;
     stream_init(&scan->streams[SCAN_POSITIONS], ctx, "vertices", tris_path, 12, shift);
     stream_init(&scan->streams[SCAN_COLORS], ctx, "colours", tris_path, 4, shift);
     stream_init(&scan->streams[SCAN_TEXCOORDS], ctx, "texture coordinates", tris_path, 8, shift);
     stream_init(&scan->streams[SCAN_NORMALS], ctx, "normals", tris_path, 4, shift);
+    return bsq_calloc(ctx, "files of a scan", path_count, sizeof *scan->files, &scan->files);
 }
 
 void vox_scan_free(struct scan *scan)
@@ -317,22 +319,29 @@ static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
     return status;
 }
 
-/* Counts a block's elements for its file. */
+/* Counts the elements that a block with some adds to its file. */
 static void count_elements(struct scan *scan, const struct fmt_mesh_block *block)
 {
     struct scan_file *file = &scan->files[block->file];
-    file->bytes += block->byte_size;
     file->has_colors |= block->colors != NULL;
     file->ends[FMT_MESH_VERTEX] = scan_count(scan, SCAN_POSITIONS);
     file->ends[FMT_MESH_TEXCOORD] = scan_count(scan, SCAN_TEXCOORDS);
     file->ends[FMT_MESH_NORMAL] = scan_count(scan, SCAN_NORMALS);
 }
 
+bool vox_scan_has_elements(const struct fmt_mesh_block *block)
+{
+    return block->vertex_count > 0 || block->texcoord_count > 0 || block->normal_count > 0 ||
+           block->late_color_count > 0;
+}
+
 int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block)
 {
-    int status = vox_scan_enter_file(scan, block->file);
-    if (status == 0)
-        status = vox_scan_note_missing(scan, block);
+    vox_scan_enter_file(scan, block->file);
+    scan->files[block->file].bytes += block->byte_size;
+    if (!vox_scan_has_elements(block))
+        return 0;
+    int status = vox_scan_note_missing(scan, block);
     if (status == 0 && block->vertex_count > 0)
         status = add_vertices(scan, block);
     if (status == 0 && block->texcoord_count > 0)
@@ -404,10 +413,9 @@ int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
 {
     const struct scan_bad_index *bad = &scan->bad_index;
     int status = vox_scan_finish_streams(scan);
-    if (status == 0 && scan->path_count > 0) /* the last files may be empty */
-        status = vox_scan_enter_file(scan, scan->path_count - 1);
     if (status < 0)
         return status;
+    vox_scan_enter_file(scan, scan->path_count - 1); /* the last files may be empty */
     scan->has_colors |= late_colors_fit(scan);
     if (scan->clamped_colors > 0)
         status = bsq_warn_loss(scan->ctx, "%s: colours out of range were clamped at %llu %s",

@@ -54,7 +54,7 @@ static int set_up(void **state)
     struct fixture *f = calloc(1, sizeof *f);
     assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
     vox_sort_limits_for(128 * MIB, 3, &f->limits);
-    vox_scan_init(&f->scan, f->ctx, &f->limits, paths, "/tmp/scan.tris");
+    assert_int_equal(vox_scan_init(&f->scan, f->ctx, &f->limits, paths, 1, "/tmp/scan.tris"), 0);
     *state = f;
     return 0;
 }
@@ -217,7 +217,8 @@ static void columns_in_memory_stay_there(void **state)
         f->scan.material_count = 0;
         vox_scan_free(&f->scan);
         static const char *const paths[] = {"scan.obj"};
-        vox_scan_init(&f->scan, f->ctx, &f->limits, paths, "/tmp/scan.tris");
+        assert_int_equal(vox_scan_init(&f->scan, f->ctx, &f->limits, paths, 1, "/tmp/scan.tris"),
+                         0);
     }
 }
 
@@ -266,7 +267,8 @@ static void buckets_of_vertices_are_those_of_their_keys(void **state)
         expect_buckets(f, order);
         static const char *const paths[] = {"scan.obj"};
         vox_scan_free(&f->scan);
-        vox_scan_init(&f->scan, f->ctx, &f->limits, paths, "/tmp/scan.tris");
+        assert_int_equal(vox_scan_init(&f->scan, f->ctx, &f->limits, paths, 1, "/tmp/scan.tris"),
+                         0);
     }
 }
 
