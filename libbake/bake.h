@@ -175,7 +175,10 @@ struct bake_options {
     /** Length of these rays, which is also the sample 1 of integer files; <= 0: the diagonal of the
      * scan's bounding box. */
     double thickness_distance;
-    bool two_sided;     /**< Also takes surfaces that face away from the low-poly mesh. */
+    bool two_sided; /**< Also takes surfaces that face away from the low-poly mesh. */
+    /** Percentage of the samples that may miss before a farm stops, 0 to 100. The report has the
+     * misses; this is for the caller, who finds it in plans. */
+    double max_missed;
     const char *device; /**< One of BAKE_DEVICE_NAMES. */
     /** Most bytes of a GPU's memory to use; 0: all that is free. A larger grid is baked in passes.
      * The processor reads the grid from its file and ignores this. */
@@ -232,8 +235,9 @@ const char *bake_map_summary(unsigned number);
 int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t *out);
 
 /** Calls `fn` with `arg` for the name of each channel that all scans of the options have and that
- * can be a transfer map, such as "roughness". A status below 0 ends the list and is returned, like
- * the errors of opening a scan. */
+ * can be a transfer map, such as "roughness". Warns of channels that only some of several scans
+ * have; a strict job fails with BSQ_EDATA. A status below 0 ends the list and is returned, like the
+ * errors of opening a scan. */
 int bake_find_channels(struct bsq_ctx *ctx, const struct bake_options *options,
                        int (*fn)(void *arg, const char *name), void *arg);
 
@@ -406,8 +410,9 @@ int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32
 
 /** Writes the maps of a plan from all part files. The maps have the bytes that bake_run() would
  * write. Without `force`, maps that were merged from this plan before and were not touched since
- * stay as they are, and *kept is set. Fills in the report; the caller frees it with
- * bake_report_free(). Errors: those of bake_run(); BSQ_ENOINPUT, which names the missing parts;
+ * stay as they are, and *kept is set; the report then has their samples, hits and misses. Fills in
+ * the report; the caller frees it with bake_report_free(). Errors: those of bake_run();
+ * BSQ_ENOINPUT, which names the missing parts;
  * BSQ_EDATA for a part that is damaged or of another plan. */
 int bake_merge_plan(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, bool force, bool *kept,
                     struct bake_report *report);

@@ -2,6 +2,7 @@
  *
  * All three run steps of bake_run(). The plan gives the tasks the distances and the radius that a
  * single run would measure. Ranges of maps follow from all texels, so the merge measures them. */
+#include <inttypes.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -343,8 +344,9 @@ static int trace_task(struct bake_run *job)
 static int write_part(const struct bake_run *job, const struct bake_farm_plan *plan, uint32_t task)
 {
     const struct bake_report *report = job->report;
-    const struct bake_farm_counts counts = {report->covered_texels, report->samples, report->hits,
-                                            report->overlapping_samples, job->curvature};
+    const struct bake_farm_counts counts = {report->covered_texels, report->samples,
+                                            report->hits,           report->overlapping_samples,
+                                            job->curvature.texels,  job->curvature.alone};
     struct bake_farm_image *images = NULL;
     int status = bsq_alloc(job->ctx, "images", job->udim.count, sizeof *images, &images);
     for (uint32_t i = 0; i < job->udim.count && status == 0; i++)
@@ -425,7 +427,8 @@ static int read_parts(struct bake_run *job, const struct bake_farm_plan *plan)
     job->report->hits = counts.hits;
     job->report->misses = counts.samples - counts.hits;
     job->report->overlapping_samples = counts.overlapping_samples;
-    job->curvature = counts.curvature;
+    job->curvature =
+        (struct bake_curvature_counts){counts.curvature_texels, counts.curvature_alone};
     snprintf(job->report->device, sizeof job->report->device, "%u tasks", plan->base.task_count);
     return bake_check_hits(job);
 }
@@ -458,7 +461,7 @@ static int merge(struct bake_run *job, const struct bake_farm_plan *plan)
     if (status < 0)
         return status;
     bake_choose_radius(job);
-    status = bake_warn_of_radius(job);
+    status = bake_warn_of_radius(job->ctx, &job->curvature, job->measures.curvature_radius);
     return status < 0 ? status : write_outputs(job);
 }
 
@@ -494,24 +497,61 @@ static void free_paths(char **paths, uint64_t count)
     free(paths);
 }
 
+/* ---- merging again ---- */
+
+/* Writes what a merge found as a line, for recall_found(). */
+static void describe_found(const struct bake_report *report,
+                           const struct bake_curvature_counts *curvature,
+                           char out[FMT_FARM_FOUND_BYTES])
+{
+    snprintf(out, FMT_FARM_FOUND_BYTES,
+             "samples %" PRIu64 " hits %" PRIu64 " curvature %" PRIu64 " alone %" PRIu64,
+             report->samples, report->hits, curvature->texels, curvature->alone);
+}
+
+/* Reads the line of a merge that is kept. Returns whether it is such a line. */
+static bool recall_found(const char *found, struct bake_report *report,
+                         struct bake_curvature_counts *curvature)
+{
+    const bool known =
+        sscanf(found, "samples %" SCNu64 " hits %" SCNu64 " curvature %" SCNu64 " alone %" SCNu64,
+               &report->samples, &report->hits, &curvature->texels, &curvature->alone) == 4 &&
+        report->hits <= report->samples;
+    report->misses = known ? report->samples - report->hits : 0;
+    return known;
+}
+
+/* Merges, and notes what was found. */
+static int merge_and_note(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, char **paths,
+                          uint64_t count, struct bake_report *report)
+{
+    struct bake_run *job;
+    char found[FMT_FARM_FOUND_BYTES] = "";
+    int status = bake_begin_job(ctx, &plan->options, report, &job);
+    if (status < 0)
+        return status;
+    status = merge(job, plan);
+    describe_found(report, &job->curvature, found);
+    status = bake_end_job(job, status);
+    return status < 0 ? status : fmt_farm_note_merged(&plan->base, paths, count, found);
+}
+
 int bake_merge_plan(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, bool force, bool *kept,
                     struct bake_report *report)
 {
-    struct bake_run *job;
-    char **paths;
+    struct bake_curvature_counts curvature;
+    char **paths, found[FMT_FARM_FOUND_BYTES];
     uint64_t count;
     memset(report, 0, sizeof *report);
     int status = list_outputs(plan, &paths, &count);
-    *kept = status == 0 && !force && fmt_farm_is_merged(&plan->base, paths, count);
+    *kept = status == 0 && !force && fmt_farm_is_merged(&plan->base, paths, count, found) &&
+            recall_found(found, report, &curvature);
     if (*kept)
         status = fmt_farm_check_inputs(&plan->base);
-    if (status == 0 && !*kept) {
-        status = bake_begin_job(ctx, &plan->options, report, &job);
-        if (status == 0)
-            status = bake_end_job(job, merge(job, plan));
-        if (status == 0)
-            status = fmt_farm_note_merged(&plan->base, paths, count);
-    }
+    if (status == 0 && *kept)
+        status = bake_warn_of_radius(ctx, &curvature, plan->options.curvature_radius);
+    if (status == 0 && !*kept)
+        status = merge_and_note(ctx, plan, paths, count, report);
     free_paths(paths, count);
     return status;
 }

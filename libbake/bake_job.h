@@ -67,7 +67,8 @@ void bake_choose_radius(struct bake_run *job);
 int bake_trace_curvature(struct bake_run *job);
 /* Warns of texels whose curvature is unknown, as a radius larger than the scan makes all. Errors:
  * BSQ_EDATA in a strict job. */
-int bake_warn_of_radius(struct bake_run *job);
+int bake_warn_of_radius(struct bsq_ctx *ctx, const struct bake_curvature_counts *counts,
+                        double radius);
 /* Frees what is needed for tracing only; may be called twice. */
 void bake_end_tracing(struct bake_run *job);
 

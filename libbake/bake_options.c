@@ -29,6 +29,7 @@ void bake_defaults(struct bake_options *options)
         .normal_space = BAKE_TANGENT_SPACE,
         .sampling = BAKE_TRILINEAR,
         .device = "auto",
+        .max_missed = 100.0,
         .low_suffix = "_low",
         .high_suffix = "_high",
         .preview_views = 4,

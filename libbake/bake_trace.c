@@ -196,19 +196,21 @@ int bake_trace_curvature(struct bake_run *job)
             .sees = job->sees};
         status = bake_curvature_trace(job->ctx, &curvature, &job->curvature);
     }
-    return status < 0 ? status : bake_warn_of_radius(job);
+    return status < 0
+               ? status
+               : bake_warn_of_radius(job->ctx, &job->curvature, job->measures.curvature_radius);
 }
 
-int bake_warn_of_radius(struct bake_run *job)
+int bake_warn_of_radius(struct bsq_ctx *ctx, const struct bake_curvature_counts *counts,
+                        double radius)
 {
-    if (job->curvature.alone == 0)
+    if (counts->alone == 0)
         return 0;
-    return bsq_warn_loss(job->ctx,
+    return bsq_warn_loss(ctx,
                          "map curvature: no surface around the hits of %" PRIu64 " of %" PRIu64
                          " texels, at a radius of %g; they became 0: try a smaller "
                          "--curvature-radius",
-                         job->curvature.alone, job->curvature.texels,
-                         job->measures.curvature_radius);
+                         counts->alone, counts->texels, radius);
 }
 
 /* Frees what is needed for tracing only. */

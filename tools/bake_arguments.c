@@ -461,7 +461,7 @@ static int parse_option(struct cli *cli, void *arg, int option)
     case OPT_MATCH_SUFFIXES:
         return parse_suffixes(cli, arguments);
     case OPT_MAX_MISSED:
-        return parse_max_missed(cli, &arguments->max_missed);
+        return parse_max_missed(cli, &arguments->bake.max_missed);
     case OPT_AO_RAYS:
     case OPT_AO_DISTANCE:
     case OPT_AO_SPREAD:
@@ -538,7 +538,7 @@ static int check_tasks(struct cli *cli, const struct bake_arguments *arguments, 
     const char *option = arguments->bake_option ? name_of(arguments->bake_option) : NULL;
     if (farm->plan && !farm->task_given && arguments->task_device)
         return cli_usage(cli, "--plan has the device of the tasks: give --device to --task only");
-    if ((farm->write_plan || (farm->plan && !farm->merge)) && arguments->max_missed < 100)
+    if (farm->plan && !farm->merge && bake_arguments_has(arguments, "max-missed"))
         return cli_usage(cli, "--max-missed is for the bake of all texels: give it to --merge");
     return cli_tasks_check(cli, farm, option, inputs);
 }
@@ -572,7 +572,6 @@ static int check_arguments(struct cli *cli, struct bake_arguments *arguments, in
 int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int argc, char **argv)
 {
     bake_defaults(&arguments->bake);
-    arguments->max_missed = 100;
     int status = cli_parse_options(cli, argc, argv, long_options, parse_option, arguments);
     return status != 0 ? status : check_arguments(cli, arguments, argc - optind, argv + optind);
 }

@@ -13,7 +13,6 @@ struct bake_arguments {
     struct cli_tasks farm;
     uint64_t given;          /* bit i: option CLI_TASKS_END + i */
     int bake_option;         /* the last option that is about the bake itself; 0: none */
-    double max_missed;       /* percent of the samples */
     const char *task_device; /* --device, which tasks of a plan may have too; NULL: not given */
     char **files;            /* the inputs, as given */
     int file_count;

@@ -120,6 +120,12 @@ static void hint_at_overlaps(struct cli *cli, const struct bake_arguments *argum
                         " in the output's name gives objects maps of their own");
 }
 
+/* Returns whether objects or materials have maps of their own. */
+static bool has_sets(const struct bake_report *report)
+{
+    return report->tile_count > 0 && (report->tiles[0].object || report->tiles[0].material);
+}
+
 static void print_coverage(const struct bake_arguments *arguments, const struct bake_report *report)
 {
     char triangles[CLI_TEXT], texels[CLI_TEXT], tiles[CLI_TEXT];
@@ -134,7 +140,9 @@ static void print_coverage(const struct bake_arguments *arguments, const struct 
                   report->tiles[0].height);
     else
         cli_print("%s texels covered in %s\n", texels,
-                  cli_counted_text(report->tile_count, "tile", "tiles", tiles));
+                  has_sets(report) ? cli_counted_text(report->tile_count, "file of a map",
+                                                      "files of a map", tiles)
+                                   : cli_counted_text(report->tile_count, "tile", "tiles", tiles));
 }
 
 static void print_map(const char *path, const char *name,
@@ -359,10 +367,10 @@ bool bake_report_too_many_missed(const struct cli *cli, const struct bake_argume
                                  const struct bake_report *report)
 {
     const double missed = percent(report->misses, report->samples);
-    if (missed <= arguments->max_missed)
+    if (missed <= arguments->bake.max_missed)
         return false;
     fprintf(stderr, "%s: %g %% of the samples found no surface, more than --max-missed %g\n",
-            cli->program, missed, arguments->max_missed);
+            cli->program, missed, arguments->bake.max_missed);
     return true;
 }
 

@@ -76,6 +76,12 @@ static bool has_grid(const struct use *use)
     return use->grid;
 }
 
+/* Refused, not unused: the nearest voxel of triangles. */
+static bool has_voxels(const struct use *use)
+{
+    return use->grid || use->bake->sampling == BAKE_NEAREST;
+}
+
 static bool lacks_normals(const struct use *use)
 {
     return use->without_normals;
@@ -99,7 +105,7 @@ static const struct {
     {"ao-coarse", "a grid", has_grid, true},
     {"thickness-rays", "the map thickness", has_thickness, false},
     {"thickness-distance", "the map thickness", has_thickness, false},
-    {"sampling", "a grid", has_grid, true},
+    {"sampling", "a grid", has_voxels, true},
     {"scan-normals", "triangles without normals", lacks_normals, true},
     {"normal-space", "the map normal or bent", has_normals, false},
     {"green", "the map normal or bent", has_normals, false},

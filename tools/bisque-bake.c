@@ -139,7 +139,11 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
     struct bake_report report = {0};
     bool kept = false;
     bake_report_watch(cli, &report);
+    const double max_missed = bake_arguments_has(arguments, "max-missed")
+                                  ? arguments->bake.max_missed
+                                  : bake_plan_options(plan)->max_missed;
     arguments->bake = *bake_plan_options(plan);
+    arguments->bake.max_missed = max_missed;
     int status = name_outputs(cli, &arguments->bake, &paths);
     if (status == 0)
         status = check_outputs(cli, &arguments->bake, NULL, paths);
@@ -149,7 +153,7 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
         status = bake_farm_say_merged(cli, arguments);
     else if (status == 0)
         status = bake_report_print(cli, arguments, &report, paths);
-    *missed = status == 0 && !kept && bake_report_too_many_missed(cli, arguments, &report);
+    *missed = status == 0 && bake_report_too_many_missed(cli, arguments, &report);
     bake_report_watch(cli, NULL);
     bake_report_free(&report);
     free_paths(&arguments->bake, paths);

@@ -219,12 +219,18 @@ int fmt_farm_write_text(struct bsq_ctx *ctx, const char *path, const char *text)
  * no memory. */
 char *fmt_farm_note_path(const struct fmt_farm_plan *plan);
 
-/* Notes in a file beside the plan that these files were merged. Errors: BSQ_EIO, BSQ_ECANTCREAT,
- * BSQ_ENOMEM, BSQ_ENOINPUT. */
-int fmt_farm_note_merged(const struct fmt_farm_plan *plan, char *const *paths, uint64_t count);
+/* Bytes of what a merge found, with its end. */
+enum { FMT_FARM_FOUND_BYTES = 128 };
 
-/* Returns whether these files were merged from the plan and not touched since. */
-bool fmt_farm_is_merged(const struct fmt_farm_plan *plan, char *const *paths, uint64_t count);
+/* Notes in a file beside the plan that these files were merged. found: a line for
+ * fmt_farm_is_merged(). Errors: BSQ_EIO, BSQ_ECANTCREAT, BSQ_ENOMEM, BSQ_ENOINPUT. */
+int fmt_farm_note_merged(const struct fmt_farm_plan *plan, char *const *paths, uint64_t count,
+                         const char *found);
+
+/* Returns whether these files were merged from the plan and not touched since. If so, copies the
+ * line that fmt_farm_note_merged() was given. */
+bool fmt_farm_is_merged(const struct fmt_farm_plan *plan, char *const *paths, uint64_t count,
+                        char found[FMT_FARM_FOUND_BYTES]);
 
 #ifdef __cplusplus
 }

@@ -1,8 +1,8 @@
 /* farm_merged.c - the note that the parts of a plan are merged, so that doing it again costs
  * nothing.
  *
- * The note has the plan's id, and the size and time of each file. A file that was touched since is
- * merged again, which gives the same bytes. */
+ * The note has the plan's id, the size and time of each file, and a line with what the merge found.
+ * A file that was touched since is merged again, which gives the same bytes. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -41,29 +41,37 @@ static char *note_text(const struct fmt_farm_plan *plan, char *const *paths, uin
     return NULL;
 }
 
-int fmt_farm_note_merged(const struct fmt_farm_plan *plan, char *const *paths, uint64_t count)
+int fmt_farm_note_merged(const struct fmt_farm_plan *plan, char *const *paths, uint64_t count,
+                         const char *found)
 {
-    char *path = fmt_farm_note_path(plan), *text = note_text(plan, paths, count);
+    char *path = fmt_farm_note_path(plan), *files = note_text(plan, paths, count), *text = NULL;
+    if (files && asprintf(&text, "%s%s\n", files, found) < 0)
+        text = NULL;
     const int status = path && text
                            ? fmt_farm_write_text(plan->ctx, path, text)
                            : bsq_fail(plan->ctx, BSQ_EIO, "%s: an output is gone", plan->path);
     free(text);
+    free(files);
     free(path);
     return status;
 }
 
-bool fmt_farm_is_merged(const struct fmt_farm_plan *plan, char *const *paths, uint64_t count)
+bool fmt_farm_is_merged(const struct fmt_farm_plan *plan, char *const *paths, uint64_t count,
+                        char found[FMT_FARM_FOUND_BYTES])
 {
-    char *path = fmt_farm_note_path(plan), *text = note_text(plan, paths, count);
-    const size_t length = text ? strlen(text) : 0;
-    char *found = malloc(length + 2);
-    FILE *file = path && text && found ? fopen(path, "re") : NULL;
-    const bool same =
-        file && fread(found, 1, length + 1, file) == length && memcmp(found, text, length) == 0;
+    char *path = fmt_farm_note_path(plan), *files = note_text(plan, paths, count);
+    const size_t length = files ? strlen(files) : 0;
+    char *text = malloc(length + FMT_FARM_FOUND_BYTES);
+    FILE *file = path && files && text ? fopen(path, "re") : NULL;
+    const size_t read = file ? fread(text, 1, length + FMT_FARM_FOUND_BYTES, file) : 0;
+    const bool same = read > length && read < length + FMT_FARM_FOUND_BYTES &&
+                      memcmp(text, files, length) == 0 && text[read - 1] == '\n';
+    if (same)
+        *(char *)mempcpy(found, text + length, read - 1 - length) = '\0';
     if (file)
         fclose(file);
-    free(found);
     free(text);
+    free(files);
     free(path);
     return same;
 }

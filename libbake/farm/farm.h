@@ -12,7 +12,6 @@
 
 #include "formats/farm/farm.h"
 #include "libbake/bake.h"
-#include "libbake/curvature/curvature.h"
 #include "libbake/maps/maps.h"
 
 /* ---- the plan ---- */
@@ -83,7 +82,7 @@ int bake_farm_task_blocks(const struct bake_farm_plan *plan, uint32_t tile, uint
 /* What a task counted, for the report of the bake. */
 struct bake_farm_counts {
     uint64_t covered_texels, samples, hits, overlapping_samples;
-    struct bake_curvature_counts curvature;
+    uint64_t curvature_texels, curvature_alone; /* of struct bake_curvature_counts */
 };
 
 /* The texels of one tile. */

@@ -59,6 +59,7 @@ static const struct fmt_farm_member members[] = {
     MEMBER(U32, thickness_rays),
     MEMBER(NUMBER, thickness_distance),
     MEMBER(BOOL, two_sided),
+    MEMBER(NUMBER, max_missed),
     MEMBER(TEXT, device),
     MEMBER(U64, gpu_memory_bytes),
     MEMBER(U32, exr_tile_side),
@@ -78,7 +79,7 @@ static const struct fmt_farm_member transfer_members[] = {
 enum { TRANSFER_MEMBERS = sizeof transfer_members / sizeof *transfer_members };
 
 /* tile_sizes, tile_ranges and transfers are written by themselves. */
-_Static_assert(sizeof(struct bake_options) == 336, "a new option needs a row in `members`");
+_Static_assert(sizeof(struct bake_options) == 344, "a new option needs a row in `members`");
 _Static_assert(sizeof(enum bake_rays) == sizeof(unsigned), "a choice is an unsigned number");
 
 static json_t *tile_sizes_to_json(const struct bake_options *options)

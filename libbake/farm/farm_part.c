@@ -137,8 +137,8 @@ static struct part_header header_for(const struct bake_farm_plan *plan, uint32_t
                                  .samples = counts->samples,
                                  .hits = counts->hits,
                                  .overlapping_samples = counts->overlapping_samples,
-                                 .curvature_texels = counts->curvature.texels,
-                                 .curvature_alone = counts->curvature.alone};
+                                 .curvature_texels = counts->curvature_texels,
+                                 .curvature_alone = counts->curvature_alone};
     return header;
 }
 
@@ -339,8 +339,8 @@ static void add_counts(struct bake_farm_counts *counts, const struct part_header
     counts->samples += header->samples;
     counts->hits += header->hits;
     counts->overlapping_samples += header->overlapping_samples;
-    counts->curvature.texels += header->curvature_texels;
-    counts->curvature.alone += header->curvature_alone;
+    counts->curvature_texels += header->curvature_texels;
+    counts->curvature_alone += header->curvature_alone;
 }
 
 static int copy_part(const struct bake_farm_plan *plan, uint32_t task, const struct reading *all,

@@ -54,7 +54,8 @@ int bake_surface_explain(const struct bake_surface *surface, int status);
 int bake_surface_use_color(struct bake_surface *surface);
 
 /* Calls fn for the name of each channel that an open scan, or each of several, has, but not for
- * that of its normal map. A status below 0 ends the list and is returned. Errors: BSQ_ENOMEM. */
+ * that of its normal map. Warns of channels that only some of several scans have. A status below 0
+ * ends the list and is returned. Errors: BSQ_ENOMEM; BSQ_EDATA in a strict job. */
 int bake_surface_list_channels(const struct bake_surface *surface,
                                int (*fn)(void *arg, const char *name), void *arg);
 

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "base/channels.h"
+#include "base/loss.h"
 #include "libbake/surface/surface.h"
 
 /* Returns whether a single scan has a channel. */
@@ -31,19 +32,33 @@ static bool has_channel(const struct bake_surface *surface, const char *name)
     return true;
 }
 
-/* What each channel of a scan is given to. */
+/* What each channel of the scans is given to. */
 struct listing {
     const struct bake_surface *all;
+    const struct bake_surface *scan; /* whose channels are listed: one of them, or all */
     int (*fn)(void *arg, const char *name);
     void *arg;
 };
 
+/* Returns whether a scan before the listed one has a channel. */
+static bool was_listed(const struct listing *listing, const char *name)
+{
+    for (const struct bake_surface *s = listing->all->parts; s && s < listing->scan; s++)
+        if (has_own_channel(s, name))
+            return true;
+    return false;
+}
+
 static int list_channel(const struct listing *listing, const char *name)
 {
     /* A normal map belongs to the scan's normals. */
-    if (strcmp(name, BSQ_CHANNEL_NORMAL_MAP) == 0 || !has_channel(listing->all, name))
+    if (strcmp(name, BSQ_CHANNEL_NORMAL_MAP) == 0 || was_listed(listing, name))
         return 0;
-    return listing->fn(listing->arg, name);
+    if (has_channel(listing->all, name))
+        return listing->fn(listing->arg, name);
+    return bsq_warn_loss(listing->all->ctx,
+                         "the scans do not all have the channel %s: no map transfer:%s is baked",
+                         name, name);
 }
 
 static int list_grid(const struct listing *listing, const struct fmt_nvdb_grid *grid)
@@ -63,17 +78,26 @@ static int list_grid(const struct listing *listing, const struct fmt_nvdb_grid *
     return status;
 }
 
+static int list_scan(const struct listing *listing)
+{
+    if (!listing->scan->exact)
+        return list_grid(listing, &listing->scan->grid);
+    const struct bake_exact_info *info = bake_exact_get_info(listing->scan->exact);
+    int status = 0;
+    for (uint32_t c = 0; c < info->channel_count && status == 0; c++)
+        status = list_channel(listing, info->channels[c]);
+    return status;
+}
+
 int bake_surface_list_channels(const struct bake_surface *surface,
                                int (*fn)(void *arg, const char *name), void *arg)
 {
-    const struct listing listing = {surface, fn, arg};
-    const struct bake_surface *first = surface->parts ? surface->parts : surface;
-    if (!first->exact)
-        return list_grid(&listing, &first->grid);
-    const struct bake_exact_info *info = bake_exact_get_info(first->exact);
-    int status = 0;
-    for (uint32_t c = 0; c < info->channel_count && status == 0; c++)
-        status = list_channel(&listing, info->channels[c]);
+    struct listing listing = {surface, surface, fn, arg};
+    int status = surface->parts ? 0 : list_scan(&listing);
+    for (uint32_t p = 0; surface->parts && p < surface->part_count && status == 0; p++) {
+        listing.scan = &surface->parts[p];
+        status = list_scan(&listing);
+    }
     return status;
 }
 

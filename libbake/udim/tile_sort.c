@@ -1,8 +1,8 @@
 /* tile_sort.c - finds the UDIM tiles that each triangle lies in.
  *
  * Most triangles lie in one tile, which their bounds tell. The others are tested against each tile
- * in their bounds, shrunk by half a texel: coordinates that overshoot a tile by less are rounding
- * of the program that unwrapped the mesh. */
+ * in their bounds, shrunk on each side by half a texel of the tile there: coordinates that
+ * overshoot a tile by less are rounding of the program that unwrapped the mesh. */
 #include "libbake/udim/tile_sort.h"
 
 #include <math.h>
@@ -82,7 +82,22 @@ static void count_added(struct added *added, bool selected)
     added->others += !selected;
 }
 
-/* Adds a triangle to the tiles that it overlaps by half a texel. */
+/* Finds the part of a tile that is farther than half a texel of its neighbours from them. */
+static void shrink_tile(const struct bake_tile_sorter *sorter, uint32_t column, uint32_t row,
+                        double centre[2], double half[2])
+{
+    static const uint32_t most[2] = {COLUMNS - 1, ROWS - 1}, steps[2] = {1, COLUMNS};
+    const uint32_t place[2] = {column, row}, tile = row * COLUMNS + column;
+    for (int k = 0; k < 2; k++) {
+        const uint32_t before = place[k] > 0 ? tile - steps[k] : tile;
+        const uint32_t after = place[k] < most[k] ? tile + steps[k] : tile;
+        const double low = 0.5 / sorter->sizes[before][k], high = 1 - 0.5 / sorter->sizes[after][k];
+        centre[k] = place[k] + (low + high) / 2;
+        half[k] = (high - low) / 2;
+    }
+}
+
+/* Adds a triangle to the tiles that it overlaps by half a texel of their neighbours. */
 static struct added add_to_overlapped(struct bake_tile_sorter *sorter, const struct shape *shape,
                                       uint64_t triangle)
 {
@@ -92,14 +107,22 @@ static struct added add_to_overlapped(struct bake_tile_sorter *sorter, const str
     overlapped_units(shape->low[1], shape->high[1], ROWS, &first[1], &end[1]);
     for (uint32_t row = first[1]; row < end[1]; row++)
         for (uint32_t column = first[0]; column < end[0]; column++) {
-            const uint32_t tile = row * COLUMNS + column;
-            const double centre[2] = {column + 0.5, row + 0.5};
-            const uint32_t *size = sorter->sizes[tile];
-            const double half[2] = {0.5 - 0.5 / size[0], 0.5 - 0.5 / size[1]};
+            double centre[2], half[2];
+            shrink_tile(sorter, column, row, centre, half);
             if (overlaps(shape, centre, half))
-                count_added(&added, add_to_tile(sorter, tile, triangle));
+                count_added(&added, add_to_tile(sorter, row * COLUMNS + column, triangle));
         }
     return added;
+}
+
+/* Returns the tile that is nearest to the centre of a triangle. */
+static uint32_t nearest_tile(const struct shape *shape)
+{
+    const double u = (shape->u[0] + shape->u[1] + shape->u[2]) / 3;
+    const double v = (shape->v[0] + shape->v[1] + shape->v[2]) / 3;
+    const uint32_t column = u > 0 ? (uint32_t)fmin(u, COLUMNS - 1) : 0;
+    const uint32_t row = v > 0 ? (uint32_t)fmin(v, ROWS - 1) : 0;
+    return row * COLUMNS + column;
 }
 
 /* Adds a triangle that overlaps no tile by half a texel to the tile of its centre. */
@@ -107,18 +130,15 @@ static struct added add_to_nearest(struct bake_tile_sorter *sorter, const struct
                                    uint64_t triangle)
 {
     struct added added = {0};
-    const double u = (shape->u[0] + shape->u[1] + shape->u[2]) / 3;
-    const double v = (shape->v[0] + shape->v[1] + shape->v[2]) / 3;
-    const uint32_t column = u > 0 ? (uint32_t)fmin(u, COLUMNS - 1) : 0;
-    const uint32_t row = v > 0 ? (uint32_t)fmin(v, ROWS - 1) : 0;
-    count_added(&added, add_to_tile(sorter, row * COLUMNS + column, triangle));
+    count_added(&added, add_to_tile(sorter, nearest_tile(shape), triangle));
     return added;
 }
 
 /* Returns whether a triangle leaves the square of all tiles by half a texel or more. */
 static bool is_stray(const struct bake_tile_sorter *sorter, const struct shape *s)
 {
-    const double half[2] = {0.5 / sorter->options->width, 0.5 / sorter->options->height};
+    const uint32_t *size = sorter->sizes[nearest_tile(s)];
+    const double half[2] = {0.5 / size[0], 0.5 / size[1]};
     return !(s->low[0] > -half[0] && s->low[1] > -half[1] && s->high[0] < COLUMNS + half[0] &&
              s->high[1] < ROWS + half[1]);
 }

@@ -416,13 +416,14 @@ int vox_merge_plan(struct bsq_ctx *ctx, const struct vox_farm_plan *plan, bool f
     char *paths[2] = {(char *)(uintptr_t)plan->options.grid_path,
                       (char *)(uintptr_t)plan->options.vdb_path};
     const uint64_t count = paths[1] ? 2 : 1;
+    char found[FMT_FARM_FOUND_BYTES];
     memset(report, 0, sizeof *report);
-    *kept = !force && fmt_farm_is_merged(&plan->base, paths, count);
+    *kept = !force && fmt_farm_is_merged(&plan->base, paths, count, found);
     if (*kept)
         return fmt_farm_check_inputs(&plan->base);
     int status = merge(plan, report);
     if (status == 0)
-        status = fmt_farm_note_merged(&plan->base, paths, count);
+        status = fmt_farm_note_merged(&plan->base, paths, count, "");
     report->seconds = bsq_seconds_now() - start;
     return status < 0 ? status : bsq_check(ctx);
 }

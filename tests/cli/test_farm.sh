@@ -75,6 +75,35 @@ $bake --plan farm/plan.json --merge
 code 0
 grep -q "warning: map curvature: no surface around the hits of $texels of $texels texels, at a radius of 100" "$err"
 check "a merge warns of unknown curvature" $?
+$bake --plan farm/plan.json --merge
+code 0
+grep -q "of $texels texels, at a radius of 100" "$err"
+check "a merge that is kept warns of it too" $?
+$bake --plan farm/plan.json --merge --strict
+code 65
+
+# A plan keeps --max-missed for its merge, which may have another. A merge that is kept obeys too.
+rm -rf farm
+mkdir farm
+awk '/^v / { $2 += 0.5 } { print }' low.obj >aside.obj
+(cd farm && "$BIN/bisque-bake" ../scan.nvdb ../aside.obj -o 'm_<UDIM>.png' --size 32 --maps mask --front 0.1 --back 0.1 \
+    --max-missed 5 --tasks 2 --write-plan plan.json) >"$out" 2>"$err"
+check "a plan with --max-missed" $?
+$bake --plan farm/plan.json --task 0-1
+code 0
+for again in 1 2; do
+    $bake --plan farm/plan.json --merge
+    code 1
+    grep -q ' % of the samples found no surface, more than --max-missed 5$' "$err"
+    check "merge $again says what is wrong" $?
+done
+[ -s farm/m_1002.png ]
+check "the maps are there" $?
+$bake --plan farm/plan.json --merge --max-missed 99
+code 0
+$bake --plan farm/plan.json --merge --max-missed 0
+code 1
+rm aside.obj
 
 # ---- several scans and low-poly meshes ----
 

@@ -35,6 +35,21 @@ code 0
 grep -aq 'bisque:transfer.*emission' e.exr && grep -aq lin_rec709_scene e.exr
 check "the file says what it shows" $?
 
+# "all" leaves out what only one of two scans has, and says so once, whichever comes first.
+$vox plane.obj --channels dirt=ramp.png -o dirty.nvdb --tris dirty.tris
+code 0
+for scans in 'dirty.nvdb plane.nvdb' 'plane.nvdb dirty.nvdb' 'plane.tris dirty.tris'; do
+    # shellcheck disable=SC2086 # names
+    $bake $scans low.obj --maps all --ao-rays 1 --thickness-rays 1 -o 'a_<MAP>.exr'
+    code 0
+    [ "$(grep -c "warning: the scans do not all have the channel dirt: no map transfer:dirt is baked" "$err")" -eq 1 ]
+    check "a warning of a lost channel: $scans" $?
+    # shellcheck disable=SC2086 # names
+    $bake $scans low.obj --maps all --ao-rays 1 --thickness-rays 1 -o 'a_<MAP>.exr' --strict
+    code 65
+done
+rm a_* dirty.*
+
 # ---- channels of materials ----
 
 # Two materials, which change at x = 0.6.

@@ -187,11 +187,15 @@ static void test_overshoot_below_half_a_texel_is_no_tile(void **state)
     add(f, (const float[3][2]){{0.5f, 0.5f}, {1 + 2 * texel, 0.5f}, {1 + 2 * texel, 0.75f}});
     find(f);
     expect_tiles(f, 2, (const uint32_t[]){1001, 1002});
-    /* Less than half a texel of that tile's own, smaller map. */
-    const struct bake_tile_size size = {.tile = 1001, .width = SIZE, .height = SIZE};
+    /* It is the texel of the tile that is overshot, not that of its neighbour. */
+    struct bake_tile_size size = {.tile = 1001, .width = SIZE, .height = SIZE};
     f->options.tile_sizes = &size;
     f->options.tile_size_count = 1;
     f->options.width = SIZE / 5;
+    find(f);
+    expect_tiles(f, 2, (const uint32_t[]){1001, 1002});
+    size.width = SIZE / 5;
+    f->options.width = SIZE;
     find(f);
     expect_tiles(f, 1, (const uint32_t[]){1001});
 }
