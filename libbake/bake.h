@@ -412,8 +412,8 @@ int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32
  * write. Without `force`, maps that were merged from this plan before and were not touched since
  * stay as they are, and *kept is set; the report then has their samples, hits and misses. Fills in
  * the report; the caller frees it with bake_report_free(). Errors: those of bake_run();
- * BSQ_ENOINPUT, which names the missing parts;
- * BSQ_EDATA for a part that is damaged or of another plan. */
+ * BSQ_ENOINPUT, which names the missing parts; BSQ_EDATA for a part that is damaged or of another
+ * plan. */
 int bake_merge_plan(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, bool force, bool *kept,
                     struct bake_report *report);
 

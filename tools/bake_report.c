@@ -128,6 +128,7 @@ static bool has_sets(const struct bake_report *report)
 
 static void print_coverage(const struct bake_arguments *arguments, const struct bake_report *report)
 {
+    const bool sets = has_sets(report);
     char triangles[CLI_TEXT], texels[CLI_TEXT], tiles[CLI_TEXT];
     cli_print("%s", arguments->bake.mesh_path);
     if (arguments->bake.more_mesh_count > 0)
@@ -140,9 +141,8 @@ static void print_coverage(const struct bake_arguments *arguments, const struct 
                   report->tiles[0].height);
     else
         cli_print("%s texels covered in %s\n", texels,
-                  has_sets(report) ? cli_counted_text(report->tile_count, "file of a map",
-                                                      "files of a map", tiles)
-                                   : cli_counted_text(report->tile_count, "tile", "tiles", tiles));
+                  cli_counted_text(report->tile_count, sets ? "file of a map" : "tile",
+                                   sets ? "files of a map" : "tiles", tiles));
 }
 
 static void print_map(const char *path, const char *name,

@@ -76,8 +76,8 @@ static bool has_grid(const struct use *use)
     return use->grid;
 }
 
-/* Refused, not unused: the nearest voxel of triangles. */
-static bool has_voxels(const struct use *use)
+/* The nearest voxel of triangles is refused later, so it does not go unused. */
+static bool sampling_matters(const struct use *use)
 {
     return use->grid || use->bake->sampling == BAKE_NEAREST;
 }
@@ -105,7 +105,7 @@ static const struct {
     {"ao-coarse", "a grid", has_grid, true},
     {"thickness-rays", "the map thickness", has_thickness, false},
     {"thickness-distance", "the map thickness", has_thickness, false},
-    {"sampling", "a grid", has_voxels, true},
+    {"sampling", "a grid", sampling_matters, true},
     {"scan-normals", "triangles without normals", lacks_normals, true},
     {"normal-space", "the map normal or bent", has_normals, false},
     {"green", "the map normal or bent", has_normals, false},

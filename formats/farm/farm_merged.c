@@ -9,6 +9,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
+#include "base/file.h"
 #include "formats/farm/farm.h"
 
 char *fmt_farm_note_path(const struct fmt_farm_plan *plan)
@@ -30,10 +31,9 @@ static char *note_text(const struct fmt_farm_plan *plan, char *const *paths, uin
     fprintf(stream, "Bisque merged %016" PRIx64 "%016" PRIx64 "\n", plan->id[0], plan->id[1]);
     for (uint64_t i = 0; i < count && all; i++) {
         struct stat info = {0};
-        const char *slash = strrchr(paths[i], '/');
         all = stat(paths[i], &info) == 0 && S_ISREG(info.st_mode);
         fprintf(stream, "%lld %lld.%09ld %s\n", (long long)info.st_size,
-                (long long)info.st_mtim.tv_sec, info.st_mtim.tv_nsec, slash ? slash + 1 : paths[i]);
+                (long long)info.st_mtim.tv_sec, info.st_mtim.tv_nsec, bsq_file_name(paths[i]));
     }
     if (fclose(stream) == 0 && all)
         return text;

@@ -35,7 +35,7 @@ static bool has_channel(const struct bake_surface *surface, const char *name)
 /* What each channel of the scans is given to. */
 struct listing {
     const struct bake_surface *all;
-    const struct bake_surface *scan; /* whose channels are listed: one of them, or all */
+    const struct bake_surface *scan; /* the one whose channels are listed */
     int (*fn)(void *arg, const char *name);
     void *arg;
 };
@@ -92,12 +92,11 @@ static int list_scan(const struct listing *listing)
 int bake_surface_list_channels(const struct bake_surface *surface,
                                int (*fn)(void *arg, const char *name), void *arg)
 {
-    struct listing listing = {surface, surface, fn, arg};
-    int status = surface->parts ? 0 : list_scan(&listing);
-    for (uint32_t p = 0; surface->parts && p < surface->part_count && status == 0; p++) {
-        listing.scan = &surface->parts[p];
+    const uint32_t count = surface->parts ? surface->part_count : 1;
+    struct listing listing = {surface, surface->parts ? surface->parts : surface, fn, arg};
+    int status = 0;
+    for (uint32_t i = 0; i < count && status == 0; i++, listing.scan++)
         status = list_scan(&listing);
-    }
     return status;
 }
 

@@ -137,6 +137,8 @@ static struct added add_to_nearest(struct bake_tile_sorter *sorter, const struct
 /* Returns whether a triangle leaves the square of all tiles by half a texel or more. */
 static bool is_stray(const struct bake_tile_sorter *sorter, const struct shape *s)
 {
+    if (s->low[0] >= 0 && s->low[1] >= 0 && s->high[0] <= COLUMNS && s->high[1] <= ROWS)
+        return false;
     const uint32_t *size = sorter->sizes[nearest_tile(s)];
     const double half[2] = {0.5 / size[0], 0.5 / size[1]};
     return !(s->low[0] > -half[0] && s->low[1] > -half[1] && s->high[0] < COLUMNS + half[0] &&
