@@ -98,6 +98,17 @@ const char *bsq_tmpdir(const struct bsq_ctx *ctx);
 
 /* ---- errors ---- */
 
+/** Runs a step of a function that returns a status. If the step fails, keeps its code in the local
+ * variable `status` and continues at the label `done`, where the function frees what it holds and
+ * returns `status`. Codes above 0 are no failures. A function without anything to free returns at
+ * `done` only. */
+#define BSQ_TRY(step)                                                                              \
+    do {                                                                                           \
+        status = (step);                                                                           \
+        if (status < 0)                                                                            \
+            goto done;                                                                             \
+    } while (0)
+
 /** Records the description of a failure and returns `status`. A context keeps only its first
  * failure. The text is a line without a newline: "scan.obj:12: face refers to vertex 9, ...". */
 int bsq_fail(struct bsq_ctx *ctx, int status, const char *format, ...)
