@@ -67,7 +67,7 @@ static void trace_subgrid(const struct bake_job *job, const struct bake_subgrid 
     struct array arrays[BAKE_SUBGRID_ARRAYS];
     load(subgrid, arrays);
     const struct bk_grid grid = grid_of(arrays, &subgrid->params);
-    bake_native_tile_base(&grid, &subgrid->params, job->triangles, &tile, samples,
+    bake_native_tile_base(&grid, &subgrid->params, job->triangles, &tile, 0, SIDE, samples,
                           &(struct bake_native_memory){0}, texels[0]);
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
         free(arrays[i].data);

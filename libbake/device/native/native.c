@@ -50,16 +50,12 @@ static int native_trace(struct bake_backend *backend, unsigned slot, const struc
         memory = (struct bake_native_memory){&native->tree, &native->streams[worker],
                                              native->results + worker * native->worker_results};
     for (uint32_t row = 0; row < tile->height; row += rows) {
-        const uint64_t texel = (uint64_t)row * tile->width;
-        struct bk_tile band = *tile;
+        const uint32_t end = tile->height - row < rows ? tile->height : row + rows;
         int status = bsq_check(native->ctx);
         if (status < 0)
             return status;
-        band.y += row;
-        band.height = tile->height - row < rows ? tile->height - row : rows;
-        native->tile(&native->grid, &native->params, native->triangles, &band,
-                     sample_triangles + texel * texel_samples, &memory,
-                     texels + texel * bk_texel_floats(native->params.maps));
+        native->tile(&native->grid, &native->params, native->triangles, tile, row, end,
+                     sample_triangles, &memory, texels);
     }
     return 0;
 }

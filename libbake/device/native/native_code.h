@@ -23,10 +23,12 @@ struct bake_native_memory {
 
 enum { BAKE_NATIVE_HITS = 16 }; /* the largest BK_WIDTH of any instruction set */
 
-/* Traces a tile on the calling thread: sample_triangles in, width * height texels of
- * bk_texel_floats(params->maps) floats out. The texels do not depend on `memory`. */
+/* Traces rows first_row to end_row - 1 of a tile on the calling thread, as the kernel does on other
+ * devices. sample_triangles and texels hold the whole tile, which has width * height texels of
+ * bk_texel_floats(params->maps) floats. The texels do not depend on `memory`. */
 typedef void bake_native_tile_fn(const struct bk_grid *grid, const struct bk_params *params,
                                  const struct bk_triangle *triangles, const struct bk_tile *tile,
+                                 uint32_t first_row, uint32_t end_row,
                                  const uint32_t *sample_triangles,
                                  const struct bake_native_memory *memory, float *texels);
 BSQ_SIMD_DECLARE(bake_native_tile_fn, bake_native_tile);

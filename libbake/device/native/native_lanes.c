@@ -139,14 +139,14 @@ static uint32_t even_bits(uint32_t bits)
     return (bits & 1) | (bits >> 1 & 2) | (bits >> 2 & 4);
 }
 
-/* Adds a square of texels in Morton order (1966), so that the samples of a group are near each
- * other on both axes. */
-static void add_square(struct group *group, const struct bk_tile *tile,
+/* Adds a square of texels before row end_row in Morton order (1966), so that the samples of a group
+ * are near each other on both axes. */
+static void add_square(struct group *group, const struct bk_tile *tile, uint32_t end_row,
                        const uint32_t *sample_triangles, uint32_t x, uint32_t y, float *texels)
 {
     for (uint32_t i = 0; i < BAKE_NATIVE_SQUARE * BAKE_NATIVE_SQUARE; i++) {
         const uint32_t column = x + even_bits(i), row = y + even_bits(i >> 1);
-        if (column < tile->width && row < tile->height)
+        if (column < tile->width && row < end_row)
             add_texel(group, tile, sample_triangles, column, row,
                       texels + ((uint64_t)row * tile->width + column) * group->texel_floats);
     }
@@ -154,7 +154,8 @@ static void add_square(struct group *group, const struct bk_tile *tile,
 
 void BSQ_SIMD_NAME(bake_native_tile)(const struct bk_grid *grid, const struct bk_params *params,
                                      const struct bk_triangle *triangles,
-                                     const struct bk_tile *tile, const uint32_t *sample_triangles,
+                                     const struct bk_tile *tile, uint32_t first_row,
+                                     uint32_t end_row, const uint32_t *sample_triangles,
                                      const struct bake_native_memory *memory, float *texels)
 {
     struct group group = {.grid = grid,
@@ -166,9 +167,9 @@ void BSQ_SIMD_NAME(bake_native_tile)(const struct bk_grid *grid, const struct bk
 
     for (bk_uint i = 0; i < params->samples; i++)
         group.places[i] = bk_sample_place(0, i, params->samples);
-    for (uint32_t y = 0; y < tile->height; y += BAKE_NATIVE_SQUARE)
+    for (uint32_t y = first_row; y < end_row; y += BAKE_NATIVE_SQUARE)
         for (uint32_t x = 0; x < tile->width; x += BAKE_NATIVE_SQUARE)
-            add_square(&group, tile, sample_triangles, x, y, texels);
+            add_square(&group, tile, end_row, sample_triangles, x, y, texels);
     trace_group(&group);
 }
 

@@ -151,7 +151,7 @@ static void compare(const struct fixture *f, const struct bk_params *params,
     for (unsigned level = BSQ_SIMD_BASE; level <= bsq_simd_best(); level++) {
         bake_native_tile_fn *code = BSQ_SIMD_PICK(level, bake_native_tile);
         memset(found, 0xff, sizeof found);
-        code(&f->grid, params, f->triangles, &tile, f->samples, &memory, found);
+        code(&f->grid, params, f->triangles, &tile, 0, tile.height, f->samples, &memory, found);
         assert_memory_equal(found, expected, TEXELS * entries * sizeof *found);
     }
 }

@@ -162,7 +162,7 @@ static void trace(const struct fixture *f, const struct bake_subgrid *subgrid,
     struct memory arrays[BAKE_SUBGRID_ARRAYS];
     struct bk_grid grid;
     load(subgrid, arrays, &grid);
-    bake_native_tile_base(&grid, &subgrid->params, f->triangles, tile, samples,
+    bake_native_tile_base(&grid, &subgrid->params, f->triangles, tile, 0, tile->height, samples,
                           &(struct bake_native_memory){0}, (float *)texels);
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
         free(arrays[i].data);
