@@ -20,7 +20,6 @@
 #include "base/job_files.h"
 #include "base/output.h"
 #include "base/path_map.h"
-#include "base/xxh3.h"
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
 #include "libvoxel/job_record.h"
@@ -33,6 +32,7 @@
 #include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
+#include <xxhash.h>
 
 /* The second line. */
 static const char program[] = "version " BSQ_VERSION " "

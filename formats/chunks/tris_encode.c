@@ -3,11 +3,11 @@
  * Attributes are stored as successive arrays, so that a reader can use them in place. Only indices
  * change: they are stored in 16 bits if the vertex count allows it. Encoding needs no state, so
  * workers encode chunks while one thread appends them. */
-#include "base/xxh3.h"
 #include "formats/chunks/tris_internal.h"
 
 #include <math.h>
 #include <string.h>
+#include <xxhash.h>
 
 uint64_t fmt_tris_encoded_bound(uint32_t attributes, uint32_t triangle_count, uint32_t vertex_count)
 {

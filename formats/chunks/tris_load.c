@@ -3,10 +3,10 @@
  * Loading a chunk checks its checksum, and what that does not prove: indices, bounds, finite
  * numbers. So callers use a chunk without checks of their own. */
 #include "formats/chunks/tris_internal.h"
-#include "base/xxh3.h"
 
 #include <inttypes.h>
 #include <string.h>
+#include <xxhash.h>
 
 int fmt_tris_read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t bytes,
                             uint64_t offset)

@@ -8,12 +8,12 @@
 #include "base/job_files.h"
 #include "base/path_map.h"
 #include "base/tile_files.h"
-#include "base/xxh3.h"
 
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
 #include <strings.h>
+#include <xxhash.h>
 
 bool fmt_tris_recognise(const char *path, const char *first, uint64_t size)
 {

@@ -2,11 +2,11 @@
  *
  * The chunks determine the header's counts and bounds, so the header is known only at the end.
  * Until then its place holds zeros, which no reader accepts. */
-#include "base/xxh3.h"
 #include "formats/chunks/tris_internal.h"
 
 #include <math.h>
 #include <string.h>
+#include <xxhash.h>
 
 uint32_t fmt_tris_version(const struct fmt_tris_header *header)
 {

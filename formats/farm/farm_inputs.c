@@ -12,9 +12,9 @@
 #include <string.h>
 #include <sys/stat.h>
 #include <time.h>
+#include <xxhash.h>
 
 #include "base/job_files.h"
-#include "base/xxh3.h"
 #include "formats/farm/farm.h"
 
 enum { BUFFER = 1 << 20, PIECE = 16 << 10, PIECES = 512 };

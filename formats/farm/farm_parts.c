@@ -2,9 +2,9 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <xxhash.h>
 
 #include "base/file.h"
-#include "base/xxh3.h"
 #include "formats/farm/farm.h"
 
 /* Structures are copied to and from the file as they are. */

@@ -3,9 +3,9 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <xxhash.h>
 
 #include "base/json_bound.h"
-#include "base/xxh3.h"
 #include "formats/farm/farm.h"
 
 /* The last member of a plan. */

@@ -6,9 +6,9 @@
  * nodes are filled in here. The children of a level are contiguous: the set bits of all nodes of
  * the level above, in order, are its nodes 0, 1, 2, ... */
 #include <string.h>
+#include <xxhash.h>
 
 #include "base/parallel.h"
-#include "base/xxh3.h"
 #include "formats/grid/nvdb_writer_internal.h"
 
 /* Larger blocks cost less per byte to write, as long as they stay in the processor's cache. */

@@ -2,8 +2,8 @@
 #include <math.h>
 #include <string.h>
 #include <zlib.h>
+#include <xxhash.h>
 
-#include "base/xxh3.h"
 #include "formats/grid/nvdb_layout_internal.h"
 
 enum { CLASS_CHANNEL_ARRAY = 4 }; /* NanoVDB's GridBlindDataClass */

@@ -1,8 +1,8 @@
 /* nvdb_stream.c - sections of a grid file that grow through a buffer, in a temporary file or in the
  * output. */
 #include <string.h>
+#include <xxhash.h>
 
-#include "base/xxh3.h"
 #include "formats/grid/nvdb_writer_internal.h"
 
 int fmt_nvdb_stream_open(struct bsq_ctx *ctx, const char *beside, const char *what,

@@ -9,9 +9,9 @@
 #include <stdlib.h>
 #include <sys/mman.h>
 #include <unistd.h>
+#include <xxhash.h>
 
 #include "base/parallel.h"
-#include "base/xxh3.h"
 #include "formats/grid/nvdb_layout_internal.h"
 
 /* Bytes that are hashed between two checks for an interrupt. */

@@ -4,8 +4,8 @@
  * OpenVDB writes an archive from whole grids in memory. The memory follows from the node counts and
  * is reserved before anything is built. */
 #include <stdio.h>
+#include <xxhash.h>
 
-#include "base/xxh3.h"
 #include "formats/grid/nvdb_layout_internal.h"
 #include "formats/grid/vdb_module.h"
 

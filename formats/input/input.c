@@ -6,9 +6,9 @@
 #include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
+#include <xxhash.h>
 
 #include "base/file.h"
-#include "base/xxh3.h"
 #include "formats/input/pipe.h"
 #include "formats/input/spool.h"
 #include "formats/input/unpack.h"

@@ -8,9 +8,9 @@
 #include <pthread.h>
 #include <string.h>
 #include <time.h>
+#include <xxhash.h>
 
 #include "base/parallel.h"
-#include "base/xxh3.h"
 #include "formats/input/pipe.h"
 #include "formats/input/spool.h"
 #include "formats/input/unpack.h"

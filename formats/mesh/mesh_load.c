@@ -5,10 +5,10 @@
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
+#include <xxhash.h>
 
 #include "base/loss.h"
 #include "base/polygon.h"
-#include "base/xxh3.h"
 #include "formats/mesh/mesh_reader.h"
 
 /* Occurrences of something, and the first face that has it. */

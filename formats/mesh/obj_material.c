@@ -6,10 +6,10 @@
 #include <stdio.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <xxhash.h>
 
 #include "base/job_files.h"
 #include "base/loss.h"
-#include "base/xxh3.h"
 #include "formats/mesh/mtl.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_internal.h"

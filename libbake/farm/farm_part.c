@@ -1,7 +1,8 @@
 /* farm_part.c - part files: the texels of the blocks that one task baked. See FORMATS.md. */
 
+#include <xxhash.h>
+
 #include "base/parallel.h"
-#include "base/xxh3.h"
 #include "libbake/farm/farm.h"
 
 /* Structures are copied to and from the file as they are. */

@@ -10,9 +10,9 @@
 #include <float.h>
 #include <math.h>
 #include <string.h>
+#include <xxhash.h>
 
 #include "base/smooth_normals.h"
-#include "base/xxh3.h"
 #include "libbake/lowpoly/directions.h"
 #include "libbake/lowpoly/mikkt.h"
 #include "libbake/lowpoly/parts.h"

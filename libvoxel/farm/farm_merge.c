@@ -4,10 +4,10 @@
  * need not be open at the same time. Regions are read in batches of whole leaves, while the batch
  * before is appended to the grid. */
 #include <string.h>
+#include <xxhash.h>
 
 #include "base/parallel.h"
 #include "base/sort_array.h"
-#include "base/xxh3.h"
 #include "libvoxel/farm/farm_part.h"
 #include "libvoxel/voxelize/plan/plan.h"
 

@@ -3,8 +3,8 @@
  * A leaf's records lie beside its mask, so the bytes of a region do not depend on the pieces in
  * which it was made. */
 #include <string.h>
+#include <xxhash.h>
 
-#include "base/xxh3.h"
 #include "libvoxel/farm/farm_part.h"
 
 struct vox_part_writer {
