@@ -3,7 +3,8 @@
  *
  * A context carries the memory budget, the threads, the error of the first failure, and the
  * callbacks for progress and warnings. Create one for each job. Libraries reserve all memory of a
- * job from its context. They keep no global state, print nothing and never exit.
+ * job from its context. They keep no global state, print nothing and never exit. The one exception
+ * is a handler of SIGBUS, which the process has while any file is mapped (base/file.h).
  *
  * Functions return 0 or a negative code of enum bsq_status. Whoever detects a failure describes it
  * once with bsq_fail(); callers only forward the code.
@@ -158,6 +159,15 @@ int bsq_calloc(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t s
  * Errors: as bsq_alloc(); then *inout stays as it was. */
 int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *inout,
              uint64_t *capacity);
+
+/* Lets the compiler warn if the last argument is not the address of a pointer. */
+#define BSQ_ADDRESS_OF_POINTER(out) ((void)sizeof(*(out) == (const volatile void *)0), (out))
+#define bsq_alloc(ctx, what, count, size, out)                                                     \
+    bsq_alloc(ctx, what, count, size, BSQ_ADDRESS_OF_POINTER(out))
+#define bsq_calloc(ctx, what, count, size, out)                                                    \
+    bsq_calloc(ctx, what, count, size, BSQ_ADDRESS_OF_POINTER(out))
+#define bsq_grow(ctx, what, count, size, inout, capacity)                                          \
+    bsq_grow(ctx, what, count, size, BSQ_ADDRESS_OF_POINTER(inout), capacity)
 
 /** Frees memory of bsq_alloc(), bsq_calloc() or bsq_grow(); NULL is allowed. */
 void bsq_free(struct bsq_ctx *ctx, void *memory);

@@ -244,12 +244,12 @@ static int allocate(struct bsq_ctx *ctx, const char *what, uint64_t count, uint6
     return 0;
 }
 
-int bsq_alloc(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *out)
+int(bsq_alloc)(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *out)
 {
     return allocate(ctx, what, count, size, false, out);
 }
 
-int bsq_calloc(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *out)
+int(bsq_calloc)(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *out)
 {
     return allocate(ctx, what, count, size, true, out);
 }
@@ -325,8 +325,8 @@ static uint64_t more_cost(uint64_t bytes, uint64_t old_cost)
     return cost > old_cost ? cost - old_cost : 0;
 }
 
-int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *inout,
-             uint64_t *capacity)
+int(bsq_grow)(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *inout,
+              uint64_t *capacity)
 {
     if (count <= *capacity)
         return 0;

@@ -7,6 +7,7 @@
 #include <assert.h>
 #include <signal.h>
 #include <stdlib.h>
+#include <time.h>
 
 #include "base/context_internal.h"
 #include "base/parallel.h"
@@ -73,6 +74,17 @@ bool bsq_thread_start(pthread_t *out, void *(*fn)(void *arg), void *arg)
     const bool started = pthread_create(out, NULL, fn, arg) == 0;
     pthread_sigmask(SIG_SETMASK, &before, NULL);
     return started;
+}
+
+void bsq_wait_a_little(pthread_cond_t *condition, pthread_mutex_t *lock)
+{
+    enum { PATIENCE_NS = 50 * 1000 * 1000, SECOND_NS = 1000 * 1000 * 1000 };
+    struct timespec until;
+    clock_gettime(CLOCK_MONOTONIC, &until);
+    until.tv_nsec += PATIENCE_NS;
+    until.tv_sec += until.tv_nsec / SECOND_NS;
+    until.tv_nsec %= SECOND_NS;
+    pthread_cond_clockwait(condition, lock, CLOCK_MONOTONIC, &until);
 }
 
 static void start_threads(struct bsq_pool *pool, unsigned count)

@@ -7,7 +7,6 @@
 #include <errno.h>
 #include <pthread.h>
 #include <string.h>
-#include <time.h>
 #include <xxhash.h>
 
 #include "base/parallel.h"
@@ -22,8 +21,6 @@ enum { AHEAD_BYTES = 4 << 10, STEP_BYTES = 1 << 10, RING_BYTES = 16 << 10 };
 #else
 enum { AHEAD_BYTES = 4 << 20, STEP_BYTES = 256 << 10, RING_BYTES = 128 << 20 };
 #endif
-/* How often a waiting thread looks for an interruption, in milliseconds. */
-enum { PATIENCE_MS = 50 };
 /* The free space of the disk is checked again after this number of bytes. */
 #define DISK_STEP_BYTES ((uint64_t)64 << 20)
 
@@ -243,7 +240,7 @@ void fmt_spool_stop(struct spool *spool)
 
 /* ---- reading ---- */
 
-/* Waits for news, but not longer than PATIENCE_MS. Makes them itself if there is no thread: the
+/* Waits for news, but not for long. Makes them itself if there is no thread: the
  * lock is held meanwhile, because other readers want the same. The lock is held. */
 static void wait_for_arrival(struct spool *spool)
 {
@@ -251,12 +248,7 @@ static void wait_for_arrival(struct spool *spool)
         advance(spool);
         return;
     }
-    struct timespec until;
-    clock_gettime(CLOCK_REALTIME, &until);
-    until.tv_nsec += (long)PATIENCE_MS * 1000000;
-    until.tv_sec += until.tv_nsec / 1000000000;
-    until.tv_nsec %= 1000000000;
-    pthread_cond_timedwait(&spool->arrived, &spool->lock, &until);
+    bsq_wait_a_little(&spool->arrived, &spool->lock);
 }
 
 /* Returns why no more bytes come. Damage is described here, by the reader that wanted the bytes. */

@@ -15,7 +15,7 @@ void fmt_arrays_clear(struct mesh_arrays *arrays)
 static int reserve(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size,
                    void *array, uint64_t *capacity)
 {
-    return count <= *capacity ? 0 : bsq_grow(ctx, what, count, size, array, capacity);
+    return count <= *capacity ? 0 : (bsq_grow)(ctx, what, count, size, array, capacity);
 }
 
 int fmt_arrays_reserve_positions(struct bsq_ctx *ctx, struct mesh_arrays *arrays, uint64_t count)

@@ -47,7 +47,7 @@ static int append(struct loader *loader, const char *what, void *array, uint64_t
 {
     if (count == 0)
         return 0;
-    int status = bsq_grow(loader->ctx, what, old + count, size, array, capacity);
+    int status = (bsq_grow)(loader->ctx, what, old + count, size, array, capacity);
     char *to;
     memcpy(&to, array, sizeof to);
     if (!status)

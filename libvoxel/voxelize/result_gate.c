@@ -1,10 +1,7 @@
 /* result_gate.c - waiting for memory, in the order of units. */
 #include "libvoxel/voxelize/result_gate.h"
 
-#include <time.h>
-
-/* An interruption does not signal the condition, so waiting wakes up at this interval. */
-enum { WAKE_UP_NS = 50 * 1000 * 1000 };
+#include "base/parallel.h"
 
 void vox_gate_init(struct vox_result_gate *gate, struct bsq_ctx *ctx, uint64_t limit_bytes)
 {
@@ -22,18 +19,6 @@ void vox_gate_free(struct vox_result_gate *gate)
     pthread_mutex_destroy(&gate->lock);
 }
 
-static void wait_a_little(struct vox_result_gate *gate)
-{
-    struct timespec until;
-    clock_gettime(CLOCK_REALTIME, &until);
-    until.tv_nsec += WAKE_UP_NS;
-    if (until.tv_nsec >= 1000000000) {
-        until.tv_nsec -= 1000000000;
-        until.tv_sec++;
-    }
-    pthread_cond_timedwait(&gate->changed, &gate->lock, &until);
-}
-
 int vox_gate_take(struct vox_result_gate *gate, uint64_t sequence, uint64_t bytes)
 {
     int status = 0;
@@ -42,7 +27,7 @@ int vox_gate_take(struct vox_result_gate *gate, uint64_t sequence, uint64_t byte
         if (gate->turn == sequence)
             status = 1;
         else if ((status = gate->status) == 0 && (status = bsq_check(gate->ctx)) == 0)
-            wait_a_little(gate);
+            bsq_wait_a_little(&gate->changed, &gate->lock);
     }
     if (status == 0)
         gate->held += bytes;
