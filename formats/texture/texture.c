@@ -237,6 +237,29 @@ int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sour
     return status;
 }
 
+int fmt_textures_open_each(struct bsq_ctx *ctx, uint64_t count,
+                           void (*source_of)(const void *arg, uint64_t index,
+                                             struct fmt_texture_source *out),
+                           const void *arg, uint64_t cache_bytes, struct fmt_textures **out)
+{
+    struct fmt_texture_source *sources = NULL;
+    bool any = false;
+    int status;
+    *out = NULL;
+    if (count > UINT32_MAX)
+        return bsq_fail(ctx, BSQ_EDATA, "too many textures: %" PRIu64, count);
+    BSQ_TRY(bsq_calloc(ctx, "texture paths", count + 1, sizeof *sources, &sources));
+    for (uint64_t i = 0; i < count; i++) {
+        source_of(arg, i, &sources[i]);
+        any |= sources[i].path != NULL;
+    }
+    if (any)
+        BSQ_TRY(fmt_textures_open(ctx, sources, (uint32_t)count, cache_bytes, out));
+done:
+    bsq_free(ctx, sources);
+    return status;
+}
+
 void fmt_textures_close(struct fmt_textures *textures)
 {
     if (!textures)

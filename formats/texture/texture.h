@@ -36,6 +36,14 @@ int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sour
                       uint64_t cache_bytes, struct fmt_textures **out);
 void fmt_textures_close(struct fmt_textures *textures); /* NULL is allowed */
 
+/* Opens the images of `count` sources that source_of() tells one by one: it sets the members of
+ * *out, which are zeros before. Sets *out to NULL if none has a path. Otherwise as
+ * fmt_textures_open(). */
+int fmt_textures_open_each(struct bsq_ctx *ctx, uint64_t count,
+                           void (*source_of)(const void *arg, uint64_t index,
+                                             struct fmt_texture_source *out),
+                           const void *arg, uint64_t cache_bytes, struct fmt_textures **out);
+
 /* Warns of the tiles whose files cannot be read, with what is wrong with the first one of each
  * texture. Errors: BSQ_EDATA in a strict job. */
 int fmt_textures_tell_damage(const struct fmt_textures *textures);

@@ -110,24 +110,10 @@ const struct bake_exact_info *bake_exact_get_info(const struct bake_exact *exact
 
 /* ---- colour ---- */
 
-static int open_textures(struct bake_exact *exact)
+/* The colour texture of a material. */
+static void source_of(const void *header, uint64_t material, struct fmt_texture_source *out)
 {
-    const struct fmt_tris_header *h = exact->header;
-    struct fmt_texture_source *sources;
-    bool any = false;
-    int status =
-        bsq_calloc(exact->ctx, "texture paths", h->material_count, sizeof *sources, &sources);
-    if (status < 0)
-        return status;
-    for (uint32_t m = 0; m < h->material_count; m++) {
-        sources[m].path = h->materials[m].texture_path;
-        any |= sources[m].path != NULL;
-    }
-    if (any)
-        status = fmt_textures_open(exact->ctx, sources, h->material_count, exact_cache_bytes(exact),
-                                   &exact->textures);
-    bsq_free(exact->ctx, sources);
-    return status;
+    out->path = ((const struct fmt_tris_header *)header)->materials[material].texture_path;
 }
 
 int bake_exact_use_color(struct bake_exact *exact)
@@ -143,7 +129,10 @@ int bake_exact_use_color(struct bake_exact *exact)
     for (uint32_t m = 0; m < h->material_count; m++)
         for (int k = 0; k < 3; k++)
             exact->diffuse[m][k] = (float)bsq_srgb_to_linear((double)h->materials[m].diffuse[k]);
-    return h->attributes & FMT_TRIS_TEXCOORDS ? open_textures(exact) : 0;
+    return h->attributes & FMT_TRIS_TEXCOORDS
+               ? fmt_textures_open_each(exact->ctx, h->material_count, source_of, h,
+                                        exact_cache_bytes(exact), &exact->textures)
+               : 0;
 }
 
 bool bake_exact_wants_footprints(const struct bake_exact *exact)

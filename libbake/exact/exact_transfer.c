@@ -37,32 +37,25 @@ static int find_sources(struct bake_exact *exact, const struct bake_transfer *tr
     return status;
 }
 
-static int open_textures(struct bake_exact *exact, uint64_t count,
-                         struct exact_transfers *transfers)
+/* What image_of() tells the images of. */
+struct image_list {
+    const struct exact_transfers *transfers;
+    uint64_t each; /* sources of a transfer map */
+};
+
+static void image_of(const void *arg, uint64_t index, struct fmt_texture_source *out)
 {
-    struct fmt_texture_source *images;
-    bool any = false;
-    int status = bsq_calloc(exact->ctx, "texture paths", count, sizeof *images, &images);
-    for (uint64_t i = 0; i < count && status == 0; i++) {
-        images[i].path = transfers->sources[i].texture_path;
-        images[i].alpha = bsq_channel_needs_alpha(transfers->sources[i].component);
-        images[i].data = !transfers->rows[i / sources_each(exact)]->color;
-        any |= images[i].path != NULL;
-    }
-    if (status == 0 && any)
-        status = fmt_textures_open(exact->ctx, images, (uint32_t)count, exact_cache_bytes(exact),
-                                   &transfers->textures);
-    bsq_free(exact->ctx, images);
-    return status;
+    const struct image_list *list = arg;
+    const struct fmt_tris_source *source = &list->transfers->sources[index];
+    out->path = source->texture_path;
+    out->alpha = bsq_channel_needs_alpha(source->component);
+    out->data = !list->transfers->rows[index / list->each]->color;
 }
 
 static int use(struct bake_exact *exact, const struct bake_transfer *list, uint32_t count,
                struct exact_transfers *out)
 {
     const uint64_t each = sources_each(exact);
-    if (count * each >= UINT32_MAX)
-        return bsq_fail(exact->ctx, BSQ_EDATA, "%s: too many materials for %u transfer maps",
-                        exact->options.paths[0], count);
     *out = (struct exact_transfers){.count = count, .list = list};
     int status =
         bsq_calloc(exact->ctx, "channels", count * each, sizeof *out->sources, &out->sources);
@@ -72,7 +65,10 @@ static int use(struct bake_exact *exact, const struct bake_transfer *list, uint3
         out->rows[i] = bsq_channel_find(list[i].name);
         status = find_sources(exact, &list[i], out->sources + i * each);
     }
-    return status < 0 ? status : open_textures(exact, count * each, out);
+    return status < 0 ? status
+                      : fmt_textures_open_each(exact->ctx, count * each, image_of,
+                                               &(struct image_list){out, each},
+                                               exact_cache_bytes(exact), &out->textures);
 }
 
 int bake_exact_use_transfers(struct bake_exact *exact, const struct bake_transfer *transfers,

@@ -59,24 +59,17 @@ static const char *color_texture(const struct scan_textures *textures, const cha
 }
 
 /* Opens the textures of all materials, each once; *out: NULL if there are none. */
-static int open_textures(struct bsq_ctx *ctx, const struct scan_textures *textures,
-                         const char *path, const struct fmt_materials *materials,
-                         struct fmt_textures **out)
+/* The colour textures of materials. */
+struct color_textures {
+    const struct scan_textures *textures;
+    const char *path;
+    const struct fmt_materials *materials;
+};
+
+static void source_of(const void *arg, uint64_t material, struct fmt_texture_source *out)
 {
-    struct fmt_texture_source *sources;
-    bool any = false;
-    *out = NULL;
-    int status =
-        bsq_calloc(ctx, "texture paths", materials->count + UINT64_C(1), sizeof *sources, &sources);
-    for (uint32_t i = 0; i < materials->count && status == 0; i++) {
-        sources[i].path = color_texture(textures, path, &materials->list[i]);
-        any |= sources[i].path != NULL;
-    }
-    if (status == 0 && any)
-        status = fmt_textures_open(ctx, sources, materials->count,
-                                   bsq_memory_left(ctx) / DECODING_SHARE, out);
-    bsq_free(ctx, sources);
-    return status;
+    const struct color_textures *colors = arg;
+    out->path = color_texture(colors->textures, colors->path, &colors->materials->list[material]);
 }
 
 int vox_scan_use_alpha(struct scan *scan, const struct scan_textures *textures, const char *path,
@@ -88,7 +81,9 @@ int vox_scan_use_alpha(struct scan *scan, const struct scan_textures *textures, 
     struct fmt_textures *images;
     if (!channel || scan_count(scan, SCAN_TEXCOORDS) == 0)
         return 0;
-    int status = open_textures(scan->ctx, textures, path, materials, &images);
+    int status = fmt_textures_open_each(scan->ctx, materials->count, source_of,
+                                        &(struct color_textures){textures, path, materials},
+                                        bsq_memory_left(scan->ctx) / DECODING_SHARE, &images);
     for (uint32_t i = 0; i < materials->count && status == 0 && images; i++) {
         struct fmt_material *material = &materials->list[i];
         const char *texture = color_texture(textures, path, material);

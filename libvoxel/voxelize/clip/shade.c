@@ -30,19 +30,10 @@ bool vox_shading_needs_textures(const struct fmt_tris_header *header)
     return false;
 }
 
-static int open_textures(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
-                         uint64_t texture_bytes, struct fmt_textures **out)
+/* The colour texture of a material. */
+static void source_of(const void *header, uint64_t material, struct fmt_texture_source *out)
 {
-    struct fmt_texture_source *sources;
-    int status =
-        bsq_calloc(ctx, "texture paths", header->material_count, sizeof *sources, &sources);
-    if (status < 0)
-        return status;
-    for (uint32_t i = 0; i < header->material_count; i++)
-        sources[i].path = header->materials[i].texture_path;
-    status = fmt_textures_open(ctx, sources, header->material_count, texture_bytes, out);
-    bsq_free(ctx, sources);
-    return status;
+    out->path = ((const struct fmt_tris_header *)header)->materials[material].texture_path;
 }
 
 int vox_shading_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
@@ -61,8 +52,10 @@ int vox_shading_init(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
     for (uint32_t i = 0; i < header->material_count; i++)
         for (int k = 0; k < 3; k++)
             out->diffuse[i][k] = bsq_srgb_to_linear((double)header->materials[i].diffuse[k]);
-    if (vox_shading_needs_textures(header) &&
-        (status = open_textures(ctx, header, texture_bytes, &out->textures)) < 0)
+    if (vox_shading_needs_textures(header))
+        status = fmt_textures_open_each(ctx, header->material_count, source_of, header,
+                                        texture_bytes, &out->textures);
+    if (status < 0)
         vox_shading_free(ctx, out);
     return status;
 }

@@ -66,28 +66,17 @@ static bool set_values(struct vox_shading *shading)
     return any && (shading->header->attributes & FMT_TRIS_TEXCOORDS);
 }
 
-static int open_textures(struct bsq_ctx *ctx, uint64_t texture_bytes, struct vox_shading *shading)
+/* The texture of a material for a channel; those of the first channel come first. */
+static void image_of(const void *arg, uint64_t index, struct fmt_texture_source *out)
 {
-    struct vox_shading_channels *channels = &shading->channels;
-    const uint32_t materials = shading->header->material_count;
-    const uint64_t count = (uint64_t)channels->count * materials;
-    struct fmt_texture_source *images;
-    if (count >= UINT32_MAX)
-        return bsq_fail(ctx, BSQ_EDATA, "too many materials for %u channels", channels->count);
-    int status = bsq_calloc(ctx, "texture paths", count, sizeof *images, &images);
-    for (uint64_t i = 0; i < count && status == 0; i++) {
-        const uint32_t channel = (uint32_t)(i / materials);
-        const struct fmt_tris_source *source =
-            source_of(shading, (uint32_t)(i % materials), channel);
-        images[i].path = source->texture_path;
-        images[i].data = !channels->list[channel].row->color;
-        images[i].alpha = bsq_channel_needs_alpha(source->component);
-    }
-    if (status == 0)
-        status =
-            fmt_textures_open(ctx, images, (uint32_t)count, texture_bytes, &channels->textures);
-    bsq_free(ctx, images);
-    return status;
+    const struct vox_shading *shading = arg;
+    const uint64_t materials = shading->header->material_count;
+    const uint32_t channel = (uint32_t)(index / materials);
+    const struct fmt_tris_source *source =
+        source_of(shading, (uint32_t)(index % materials), channel);
+    out->path = source->texture_path;
+    out->data = !shading->channels.list[channel].row->color;
+    out->alpha = bsq_channel_needs_alpha(source->component);
 }
 
 int vox_shading_use_channels(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
@@ -103,7 +92,8 @@ int vox_shading_use_channels(struct bsq_ctx *ctx, const struct fmt_tris_file *fi
         status = bsq_calloc(ctx, "channels", materials + 1, sizeof *channels->textured,
                             &channels->textured);
     if (status == 0 && set_values(shading))
-        status = open_textures(ctx, texture_bytes, shading);
+        status = fmt_textures_open_each(ctx, channels->count * materials, image_of, shading,
+                                        texture_bytes, &channels->textures);
     return status;
 }
 

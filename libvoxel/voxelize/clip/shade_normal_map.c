@@ -20,21 +20,11 @@ static void find_sources(const struct fmt_tris_header *header, const char *path,
         out[m] = header->materials[m].sources[channel];
 }
 
-static int open_textures(struct bsq_ctx *ctx, uint64_t texture_bytes, uint64_t count,
-                         struct vox_shading_normal_map *map)
+/* The image of a material. */
+static void source_of(const void *sources, uint64_t material, struct fmt_texture_source *out)
 {
-    struct fmt_texture_source *images;
-    bool any = false;
-    int status = bsq_calloc(ctx, "texture paths", count, sizeof *images, &images);
-    for (uint64_t m = 0; m < count && status == 0; m++) {
-        images[m].path = map->sources[m].texture_path;
-        images[m].data = true;
-        any |= images[m].path != NULL;
-    }
-    if (status == 0 && any)
-        status = fmt_textures_open(ctx, images, (uint32_t)count, texture_bytes, &map->textures);
-    bsq_free(ctx, images);
-    return status;
+    out->path = ((const struct fmt_tris_source *)sources)[material].texture_path;
+    out->data = true;
 }
 
 int vox_shading_use_normal_map(struct bsq_ctx *ctx, const char *tris_path, const char *path,
@@ -50,13 +40,12 @@ int vox_shading_use_normal_map(struct bsq_ctx *ctx, const char *tris_path, const
                         "%s has no texture coordinates for the normal map %s: make it again, with "
                         "--scan-normal-map",
                         tris_path, path);
-    if (count >= UINT32_MAX)
-        return bsq_fail(ctx, BSQ_EDATA, "%s: too many materials for a normal map", tris_path);
     int status = bsq_calloc(ctx, "normal map", count, sizeof *map->sources, &map->sources);
     if (status < 0)
         return status;
     find_sources(header, path, map->sources);
-    return open_textures(ctx, texture_bytes, count, map);
+    return fmt_textures_open_each(ctx, count, source_of, map->sources, texture_bytes,
+                                  &map->textures);
 }
 
 void vox_shading_normal_map_free(struct bsq_ctx *ctx, struct vox_shading_normal_map *map)
