@@ -300,7 +300,7 @@ $(fake_opencl): $(BUILD)/obj/tests/fake/opencl_gpu.c.o
 fakes := $(fake_cuda) $(crashing_driver) $(nvidia_opencl) $(fake_opencl)
 
 # A folder with the installed headers and no others, for examples/ and `make doc`.
-public_headers := base/version.h base/context.h base/loss.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
+public_headers := base/version.h base/context.h base/loss.h base/options.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
 public_copies  := $(public_headers:%=$(BUILD)/include/%)
 $(public_copies): $(BUILD)/include/%: %
 	@install -D -m 644 $< $@

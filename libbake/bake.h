@@ -9,7 +9,7 @@
 #ifndef BAKE_BAKE_H
 #define BAKE_BAKE_H
 
-#include "base/context.h"
+#include "base/options.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -263,6 +263,15 @@ void bake_tile_size_of(const struct bake_options *options, uint32_t tile, uint32
 /** Fills in the defaults: default maps, 2048 x 2048 texels, 2 x 2 samples, automatic ray lengths,
  * 16 texels of padding, tangent space, any device. */
 void bake_defaults(struct bake_options *options);
+
+/** Returns the table of the options, with *count rows: defaults, values, and the options of
+ * bisque-bake that set the members. */
+const struct bsq_option *bake_option_rows(size_t *count);
+
+/** Warns of each option that was given and has no effect on the maps of this bake, and names what
+ * it needs. given: a flag for each row of bake_option_rows(). bake_find_maps() must have set the
+ * maps. Errors: those of bake_inspect_scan(). */
+int bake_warn_unused(struct bsq_ctx *ctx, const struct bake_options *options, const bool *given);
 
 /** How the samples of a file stand for values with a unit: value = origin + offset + scale *
  * sample, in each channel. */

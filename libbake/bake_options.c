@@ -1,40 +1,271 @@
-/* bake_options.c - defaults and checks of a bake's options. */
+/* bake_options.c - the table of a bake's options, and checks of them. */
 #include "libbake/bake_options.h"
 
 #include <float.h>
-#include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "base/channels.h"
 
+/* ---- what options need to have an effect ---- */
+
+/* Bits of bsq_option.needs. Those of maps mean that one of them is baked. */
+enum {
+    OPEN_RAYS = BAKE_MAP_AO | BAKE_MAP_BENT,
+    NORMALS = BAKE_MAP_NORMAL | BAKE_MAP_BENT,
+    PADDED_MAP = 1 << BAKE_MAX_MAPS,
+    TANGENT_SPACE = PADDED_MAP << 1,
+    PREVIEW = PADDED_MAP << 2,
+    GPU = PADDED_MAP << 3,
+    GRID = PADDED_MAP << 4,
+    GRID_TO_SAMPLE = PADDED_MAP << 5,
+    BARE_TRIANGLES = PADDED_MAP << 6
+};
+
+/* Returns whether a map has padding; the mask has none. */
+static bool has_padding(const struct bake_options *options)
+{
+    bool padded = (options->maps & ~(uint32_t)BAKE_MAP_MASK) != 0;
+    for (uint32_t i = 0; i < options->transfer_count; i++)
+        padded |= !options->transfers[i].no_file;
+    return padded;
+}
+
+/* Returns what a single bit of `needs` asks for if the bake does not have it, or NULL. scans: what
+ * any of them is. */
+static const char *lacks(uint32_t need, const struct bake_options *options,
+                         const struct bake_scan_info *scans)
+{
+    switch (need) {
+    case PADDED_MAP:
+        return has_padding(options) ? NULL : "a map other than mask";
+    case TANGENT_SPACE:
+        return options->normal_space == BAKE_TANGENT_SPACE ? NULL : "--normal-space tangent";
+    case PREVIEW:
+        return options->preview_path ? NULL : "--preview";
+    case GPU:
+        return strcmp(options->device, "cpu") != 0 ? NULL : "a device other than cpu";
+    case GRID_TO_SAMPLE: /* the nearest voxel of triangles is an error later */
+        return scans->is_grid || options->sampling == BAKE_NEAREST ? NULL : "a grid";
+    case GRID:
+        return scans->is_grid ? NULL : "a grid";
+    case BARE_TRIANGLES:
+        return scans->has_normals ? "triangles without normals" : NULL;
+    default:
+        return NULL;
+    }
+}
+
+/* ---- the table ---- */
+
+#define OPTION(name_, argument_, help_)    .name = name_, .argument = argument_, .help = help_
+#define KEY(name_, key_, argument_, help_) OPTION(name_, argument_, help_), .key = key_
+#define MEMBER(kind, member)               BSQ_MEMBER(kind, struct bake_options, member)
+#define COUNT(member, least, most, usual)  MEMBER(COUNT, member), BSQ_RANGE(least, most, usual)
+#define NUMBER(member, most, usual)        MEMBER(NUMBER, member), BSQ_RANGE(0, most, usual)
+#define CHOICE(member, words_)             MEMBER(CHOICE, member), .words = words_
+#define EITHER(member, words_)             MEMBER(FLAG, member), .words = words_
+
+/* Small multiples of a length must be floats too. */
+#define MOST_LENGTH ((double)FLT_MAX / 4)
+
+static const struct bsq_option path_rows[] = {{.kind = BSQ_OPTION_INPUT}};
+static const struct bsq_option size_rows[] = {
+    {BSQ_MEMBER(COUNT, struct bake_tile_size, tile)},
+    {BSQ_MEMBER(COUNT, struct bake_tile_size, width)},
+    {BSQ_MEMBER(COUNT, struct bake_tile_size, height)},
+};
+static const struct bsq_option range_rows[] = {
+    {BSQ_MEMBER(COUNT, struct bake_tile_range, first)},
+    {BSQ_MEMBER(COUNT, struct bake_tile_range, last)},
+};
+static const struct bsq_option transfer_rows[] = {
+    {BSQ_MEMBER(TEXT, struct bake_transfer, name)},
+    {BSQ_MEMBER(INPUT, struct bake_transfer, texture_path)},
+    {BSQ_MEMBER(FLAG, struct bake_transfer, in_mask)},
+    {BSQ_MEMBER(FLAG, struct bake_transfer, no_file)},
+};
+
+static const struct bsq_option table[] = {
+    {MEMBER(INPUT, scan_path)},
+    {BSQ_LIST(struct bake_options, more_scan_paths, more_scan_count, path_rows)},
+    {MEMBER(INPUT, mesh_path)},
+    {BSQ_LIST(struct bake_options, more_mesh_paths, more_mesh_count, path_rows)},
+
+    {OPTION("output", "FILE", "the maps; must contain \"<MAP>\" if there are several"),
+     .heading = "Maps", .letter = 'o', MEMBER(OUTPUT, output_path)},
+    {OPTION("maps", "LIST",
+            "the maps to bake, separated by commas; see below\n"
+            "(default: normal, and color if the scan has colours)"),
+     .own_syntax = true, COUNT(maps, 0, UINT32_MAX, BAKE_MAPS_DEFAULT)},
+    {OPTION("texture", "NAME=FILE", "the scan's image for transfer:NAME"), .own_syntax = true,
+     BSQ_LIST(struct bake_options, transfers, transfer_count, transfer_rows)},
+    {OPTION("size", "N | WxH", "texels (default: 2048); by UDIM tile: 1001=4096,*=2048"),
+     .own_syntax = true, COUNT(width, 0, UINT32_MAX, 2048)},
+    {COUNT(height, 0, UINT32_MAX, 2048)},
+    {BSQ_LIST(struct bake_options, tile_sizes, tile_size_count, size_rows)},
+    {OPTION("tiles", "LIST", "UDIM tiles to bake, such as 1001-1003,1011 (default: all in use)"),
+     .own_syntax = true, BSQ_LIST(struct bake_options, tile_ranges, tile_range_count, range_rows)},
+    {OPTION("type", "TYPE",
+            "of samples: half or float in OpenEXR, 16 or 8 (dithered) in PNG\n"
+            "(default: auto, by the map)"),
+     CHOICE(sample_type, "auto 8 16 half float")},
+    {OPTION("exr-tiles", "N", "make OpenEXR files of tiles of N x N texels (default: of lines)"),
+     COUNT(exr_tile_side, 8, BAKE_MAX_EXR_TILE, 0)},
+    {OPTION("padding", "N", "texels to fill around each chart; all: everywhere"), .words = "all",
+     COUNT(padding, 0, UINT32_MAX - 1, 16), .needs = PADDED_MAP},
+    {OPTION("normal-space", "SPC", "tangent (MikkTSpace) or object"),
+     CHOICE(normal_space, "tangent object"), .needs = NORMALS},
+    {OPTION("green", "DIR", "up (OpenGL) or down (Direct3D), for tangent space"),
+     EITHER(green_down, "up down"), .needs = NORMALS | TANGENT_SPACE},
+    {KEY("range", "height", "D", "height of white in PNG files (default: the largest of the mesh)"),
+     .old_name = "height-range", .words = "auto", NUMBER(height_range, MOST_LENGTH, -1),
+     .positive = true, .needs = BAKE_MAP_HEIGHT},
+    {KEY("range", "curvature", "C", "curvature of white (default: by the whole mesh)"),
+     .old_name = "curvature-range", .words = "auto", NUMBER(curvature_range, MOST_LENGTH, -1),
+     .positive = true, .needs = BAKE_MAP_CURVATURE},
+    {KEY("range", "position", "SHAPE", "sphere or box around the scan"), .old_name = "position-in",
+     CHOICE(position_in, "sphere box"), .needs = BAKE_MAP_POSITION},
+
+    {OPTION("samples", "N", "N x N pairs of rays a texel"), .heading = "Rays",
+     COUNT(samples, 1, BAKE_MAX_SAMPLES, 2)},
+    {OPTION("front", "D", "length of the rays outwards, in the mesh's units"), .words = "auto",
+     NUMBER(front, DBL_MAX, -1)},
+    {OPTION("back", "D", "length of the rays inwards"), .words = "auto", NUMBER(back, DBL_MAX, -1)},
+    {OPTION("cage", "FILE", "start rays at this mesh, with the vertices and faces of LOW.obj"),
+     MEMBER(INPUT, cage_path)},
+    {OPTION("skew", "FILE", "grey map: white turns rays towards the faces' normals"),
+     MEMBER(INPUT, skew_path)},
+    {OPTION("ray-directions", "D", "smooth, mesh (its normals) or face"),
+     CHOICE(rays, "smooth mesh face")},
+    {OPTION("two-sided", NULL, "also hit surfaces that face away from the low-poly mesh"),
+     MEMBER(FLAG, two_sided)},
+    {OPTION("match", "name | LOW,HIGH",
+            "objects see only scans with their names: body_low sees\n"
+            "body_high.nvdb; LOW,HIGH: other endings of these names"),
+     .own_syntax = true, MEMBER(FLAG, match_names)},
+    {MEMBER(TEXT, low_suffix), .text = "_low"},
+    {MEMBER(TEXT, high_suffix), .text = "_high"},
+    {OPTION("max-missed", "P", "exit with 1 if more than P % of the samples find no surface"),
+     .with_plan = true, NUMBER(max_missed, 100, 100)},
+    {KEY("rays", "ao", "N", "rays from each hit for ao and bent"), .old_name = "ao-rays",
+     COUNT(ao_rays, 1, BAKE_MAX_RAYS, 64), .needs = OPEN_RAYS},
+    {KEY("rays", "thickness", "N", "rays from each hit for thickness"),
+     .old_name = "thickness-rays", COUNT(thickness_rays, 1, BAKE_MAX_RAYS, 64),
+     .needs = BAKE_MAP_THICKNESS},
+    {KEY("distance", "ao", "D", "length of these rays (default: none, they reach everything)"),
+     .old_name = "ao-distance", .words = "none", NUMBER(ao_distance, MOST_LENGTH, -1),
+     .positive = true, .needs = OPEN_RAYS},
+    {KEY("distance", "thickness", "D",
+         "likewise; white in PNG files (default: the scan's diagonal)"),
+     .old_name = "thickness-distance", .words = "auto", NUMBER(thickness_distance, MOST_LENGTH, -1),
+     .positive = true, .needs = BAKE_MAP_THICKNESS},
+    {KEY("distance", "curvature", "D", "around a hit, to measure in (default: 2 texels)"),
+     .old_name = "curvature-radius", .words = "auto", NUMBER(curvature_radius, DBL_MAX, -1),
+     .positive = true, .needs = BAKE_MAP_CURVATURE},
+    {KEY("ao", "spread", "DEG", "angle of the cone of rays for ao and bent, to 180 degrees"),
+     .old_name = "ao-spread", NUMBER(ao_spread, 180, 180), .positive = true, .needs = OPEN_RAYS},
+    {KEY("ao", "falloff", "MODE", "none or linear: far surfaces hide less"),
+     .old_name = "ao-falloff", EITHER(ao_falloff, "none linear"), .needs = OPEN_RAYS},
+    {KEY("ao", "coarse", "N", "in grids, voxels hide as a whole from N voxels on; none"),
+     .old_name = "ao-coarse", .words = "none", NUMBER(ao_coarse, MOST_LENGTH, BAKE_AO_COARSE),
+     .positive = true, .needs = OPEN_RAYS | GRID},
+
+    {OPTION("sampling", "MODE", "trilinear or nearest, for grids"), .heading = "Scans",
+     CHOICE(sampling, "trilinear nearest"), .needs = GRID_TO_SAMPLE},
+    {OPTION("scan-normals", "NAME",
+            "for triangles without normals: smooth, flat; or smooth ones\n"
+            "by weight: area, angle or max (default: smooth, which is area)"),
+     CHOICE(scan_normals, "smooth/area angle max flat"), .needs = BARE_TRIANGLES},
+    {OPTION("scan-normal-map", "FILE",
+            "add a tangent-space map to the scan's normals, for triangles"),
+     MEMBER(INPUT, scan_normal_map)},
+
+    {OPTION("preview", "FILE.png", "a picture of the low-poly mesh, the baked mesh and the scan"),
+     .heading = "Preview", MEMBER(OUTPUT, preview_path)},
+    {KEY("view", "count", "N", "views around the mesh"), .old_name = "preview-views",
+     COUNT(preview_views, 1, BAKE_MAX_VIEWS, 4), .needs = PREVIEW},
+    {KEY("view", "up", "AXIS", "the vertical axis: y, z or auto"), .old_name = "up",
+     CHOICE(preview_up, "auto y z"), .needs = PREVIEW},
+
+    {OPTION("device", "NAME", BAKE_DEVICE_NAMES), .heading = "Devices", .own_syntax = true,
+     .with_plan = true, MEMBER(TEXT, device), .text = "auto"},
+    {OPTION("gpu-memory", "SIZE", "most memory of a GPU to use, e.g. 2G (default: what is free)"),
+     MEMBER(BYTES, gpu_memory_bytes), .needs = GPU | GRID},
+};
+enum { ROWS = sizeof table / sizeof *table };
+
+const struct bsq_option *bake_option_rows(size_t *count)
+{
+    *count = ROWS;
+    return table;
+}
+
 void bake_defaults(struct bake_options *options)
 {
-    *options = (struct bake_options){
-        .maps = BAKE_MAPS_DEFAULT,
-        .width = 2048,
-        .height = 2048,
-        .samples = 2,
-        .front = -1.0,
-        .back = -1.0,
-        .height_range = -1.0,
-        .curvature_range = -1.0,
-        .curvature_radius = -1.0,
-        .ao_rays = 64,
-        .ao_distance = -1.0,
-        .ao_spread = 180.0,
-        .ao_coarse = BAKE_AO_COARSE,
-        .thickness_rays = 64,
-        .thickness_distance = -1.0,
-        .padding = 16,
-        .normal_space = BAKE_TANGENT_SPACE,
-        .sampling = BAKE_TRILINEAR,
-        .device = "auto",
-        .max_missed = 100.0,
-        .low_suffix = "_low",
-        .high_suffix = "_high",
-        .preview_views = 4,
-    };
+    bsq_options_defaults(table, ROWS, options);
 }
+
+/* ---- options without effect ---- */
+
+/* Finds out what any of the scans is. */
+static int inspect_scans(struct bsq_ctx *ctx, const struct bake_options *options,
+                         struct bake_scan_info *any)
+{
+    int status = 0;
+    for (uint32_t i = 0; i <= options->more_scan_count; i++) {
+        struct bake_scan_info info;
+        BSQ_TRY(bake_inspect_scan(ctx, i ? options->more_scan_paths[i - 1] : options->scan_path,
+                                  &info));
+        any->is_grid |= info.is_grid;
+        any->has_normals &= info.has_normals;
+    }
+done:
+    return status;
+}
+
+static void warn(struct bsq_ctx *ctx, const struct bsq_option *row, const char *what)
+{
+    bsq_warn(ctx, "--%s%s%s has no effect: it needs %s", row->name, row->key ? " " : "",
+             row->key ? row->key : "", what);
+}
+
+/* Warns of an option that needs one of these maps, of which none is baked. */
+static void warn_of_maps(struct bsq_ctx *ctx, const struct bsq_option *row, uint32_t maps)
+{
+    char text[256] = "the map";
+    size_t length = strlen(text);
+    for (unsigned i = 0; bake_map_name(i); i++)
+        if (maps >> i & 1)
+            length += (size_t)snprintf(text + length, sizeof text - length, "%s %s",
+                                       maps & ((1u << i) - 1) ? " or" : "", bake_map_name(i));
+    warn(ctx, row, text);
+}
+
+int bake_warn_unused(struct bsq_ctx *ctx, const struct bake_options *options, const bool *given)
+{
+    struct bake_scan_info scans = {.has_normals = true};
+    uint32_t needs = 0;
+    int status = 0;
+    for (unsigned i = 0; i < ROWS; i++)
+        needs |= given[i] ? table[i].needs : 0;
+    if (needs & (GRID | GRID_TO_SAMPLE | BARE_TRIANGLES))
+        BSQ_TRY(inspect_scans(ctx, options, &scans));
+    for (const struct bsq_option *row = table; row < table + ROWS; row++) {
+        const uint32_t maps = row->needs & (PADDED_MAP - 1);
+        if (!given[row - table])
+            continue;
+        if (maps && !(maps & options->maps))
+            warn_of_maps(ctx, row, maps);
+        for (uint32_t need = PADDED_MAP; need <= BARE_TRIANGLES; need <<= 1)
+            if (row->needs & need && lacks(need, options, &scans))
+                warn(ctx, row, lacks(need, options, &scans));
+    }
+done:
+    return status;
+}
+
+/* ---- checks ---- */
 
 static bool is_tile(uint32_t number)
 {
@@ -66,52 +297,6 @@ int bake_check_maps(struct bsq_ctx *ctx, const struct bake_options *options, uin
         status = bake_map_files_check(ctx, &tile, maps);
     }
     return status;
-}
-
-/* Returns whether a length, and small multiples of it, can be a float. */
-static bool is_float(double value)
-{
-    return fabs(value) <= (double)FLT_MAX / 4;
-}
-
-/* Checks the rays that start at hits. */
-static int check_rays(struct bsq_ctx *ctx, const struct bake_options *options)
-{
-    const uint32_t rays[] = {options->ao_rays, options->thickness_rays};
-    for (int i = 0; i < 2; ++i)
-        if (rays[i] < 1 || rays[i] > BAKE_MAX_RAYS)
-            return bsq_fail(ctx, BSQ_EUSAGE, "%u rays from a hit: must be 1 to %d", rays[i],
-                            BAKE_MAX_RAYS);
-    if (!(options->ao_spread > 0 && options->ao_spread <= 180))
-        return bsq_fail(ctx, BSQ_EUSAGE, "a spread of %g degrees is not above 0 and at most 180",
-                        options->ao_spread);
-    if (!is_float(options->ao_distance) || !is_float(options->thickness_distance) ||
-        !is_float(options->ao_coarse))
-        return bsq_fail(ctx, BSQ_EUSAGE, "distances of secondary rays must be finite floats");
-    if (options->ao_falloff && options->ao_distance <= 0)
-        return bsq_fail(ctx, BSQ_EUSAGE, "a falloff of ambient occlusion needs its distance");
-    return 0;
-}
-
-/* Checks that choices have one of their values. */
-static int check_choices(struct bsq_ctx *ctx, const struct bake_options *options)
-{
-    const struct {
-        const char *what;
-        unsigned value, last;
-    } choices[] = {
-        {"type of samples", options->sample_type, BAKE_FLOAT},
-        {"direction of rays", options->rays, BAKE_RAYS_FACE},
-        {"space of normals", options->normal_space, BAKE_OBJECT_SPACE},
-        {"sampling", options->sampling, BAKE_NEAREST},
-        {"kind of the scan's normals", options->scan_normals, BSQ_SCAN_NORMALS_FLAT},
-        {"range of positions", options->position_in, BAKE_IN_BOX},
-        {"vertical axis", options->preview_up, BAKE_UP_Z},
-    };
-    for (size_t i = 0; i < sizeof choices / sizeof *choices; ++i)
-        if (choices[i].value > choices[i].last)
-            return bsq_fail(ctx, BSQ_EUSAGE, "unknown %s: %u", choices[i].what, choices[i].value);
-    return 0;
 }
 
 /* Checks the transfer maps that the mask is multiplied by. */
@@ -161,48 +346,21 @@ static int check_transfers(struct bsq_ctx *ctx, const struct bake_options *optio
     return check_mask(ctx, options);
 }
 
-/* Returns whether samples from -range to range can be scaled as floats. Negative: it is not given.
- */
-static bool is_range(double range)
-{
-    return range < 0.0 || (range > 0.0 && is_float(range));
-}
-
 int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
 {
+    int status = 0;
     if (!options->scan_path || !options->mesh_path || !options->output_path)
         return bsq_fail(ctx, BSQ_EUSAGE, "a scan, a low-poly mesh and an output are needed");
-    if (options->match_names && (!options->low_suffix || !options->high_suffix))
-        return bsq_fail(ctx, BSQ_EUSAGE,
-                        "names are matched without their suffixes, which are missing");
     if (options->cage_path && options->more_mesh_count > 0)
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: a cage needs a single low-poly file, not %u of them",
                         options->cage_path, options->more_mesh_count + 1);
     if ((options->maps & ~(uint32_t)BAKE_MAPS_ALL) >= 1u << BK_MAP_COUNT)
         return bsq_fail(ctx, BSQ_EUSAGE, "unknown maps: %#x", options->maps);
-    if (options->samples < 1 || options->samples > BAKE_MAX_SAMPLES)
-        return bsq_fail(ctx, BSQ_EUSAGE, "%u x %u samples a texel: must be 1 to %d",
-                        options->samples, options->samples, BAKE_MAX_SAMPLES);
-    if (options->preview_views < 1 || options->preview_views > BAKE_MAX_VIEWS)
-        return bsq_fail(ctx, BSQ_EUSAGE, "%u views of a preview: must be 1 to %d",
-                        options->preview_views, BAKE_MAX_VIEWS);
-    if (isnan(options->front) || isnan(options->back) || isinf(options->front) ||
-        isinf(options->back))
-        return bsq_fail(ctx, BSQ_EUSAGE, "ray lengths %g and %g are not numbers", options->front,
-                        options->back);
     if (options->front == 0.0 && options->back == 0.0)
         return bsq_fail(ctx, BSQ_EUSAGE,
                         "rays of length 0 find nothing: front and back must not both be 0");
-    if (!is_range(options->height_range))
-        return bsq_fail(ctx, BSQ_EUSAGE, "a range of heights of %g holds no heights, or no floats",
-                        options->height_range);
-    if (!is_range(options->curvature_range))
-        return bsq_fail(ctx, BSQ_EUSAGE,
-                        "a range of curvature of %g holds no curvature, or no floats",
-                        options->curvature_range);
-    if (!isfinite(options->curvature_radius) || options->curvature_radius == 0.0)
-        return bsq_fail(ctx, BSQ_EUSAGE, "curvature cannot be measured within %g",
-                        options->curvature_radius);
+    if (options->ao_falloff && options->ao_distance <= 0)
+        return bsq_fail(ctx, BSQ_EUSAGE, "a falloff of ambient occlusion needs its distance");
     if (options->cage_path && (options->front >= 0 || options->rays != BAKE_RAYS_SMOOTH))
         return bsq_fail(ctx, BSQ_EUSAGE,
                         "a cage gives the rays' directions and their length in front");
@@ -212,18 +370,14 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
                         options->skew_path);
     if (options->normal_space == BAKE_OBJECT_SPACE && options->green_down)
         return bsq_fail(ctx, BSQ_EUSAGE, "an object-space map has no green direction to flip");
-    int status = check_choices(ctx, options);
-    if (status == 0)
-        status = check_rays(ctx, options);
-    if (status == 0)
-        status = bake_check_tile_numbers(ctx, options);
-    if (status == 0)
-        status = check_transfers(ctx, options);
-    if (status < 0)
-        return status;
+    BSQ_TRY(bsq_options_check(ctx, table, ROWS, options));
+    BSQ_TRY(bake_check_tile_numbers(ctx, options));
+    BSQ_TRY(check_transfers(ctx, options));
     /* The default maps depend on the scan; they are checked again after it was opened. */
     struct bake_options chosen = *options;
     if (options->transfer_count == 0 || options->maps != BAKE_MAPS_DEFAULT)
         chosen.maps = bake_choose_maps(options->maps, &(struct bake_scan_facts){0});
-    return bake_check_maps(ctx, options, bake_selection(&chosen));
+    status = bake_check_maps(ctx, options, bake_selection(&chosen));
+done:
+    return status;
 }

@@ -209,7 +209,7 @@ int bake_warn_of_radius(struct bsq_ctx *ctx, const struct bake_curvature_counts 
     return bsq_warn_loss(ctx,
                          "map curvature: no surface around the hits of %" PRIu64 " of %" PRIu64
                          " texels, at a radius of %g; they became 0: try a smaller "
-                         "--curvature-radius",
+                         "--distance curvature",
                          counts->alone, counts->texels, radius);
 }
 

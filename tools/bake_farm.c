@@ -99,6 +99,7 @@ int bake_farm_tasks(struct cli *cli, const struct bake_arguments *arguments,
                     struct bake_farm_plan *plan)
 {
     struct task_job job = {arguments, plan};
-    bake_plan_use_device(plan, arguments->task_device);
+    bake_plan_use_device(plan,
+                         bake_arguments_has(arguments, "device") ? arguments->bake.device : NULL);
     return cli_tasks_run(cli, &arguments->farm, bake_plan_task_count(plan), run_task, &job);
 }

@@ -7,7 +7,6 @@
 #include "base/tile_files.h"
 #include "tools/bake_farm.h"
 #include "tools/bake_report.h"
-#include "tools/bake_unused.h"
 
 /* ---- outputs ---- */
 
@@ -75,27 +74,6 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, const
 
 /* ---- the work ---- */
 
-/* Applies the rules for paths to the inputs of the command line. */
-static int map_inputs(struct cli *cli, struct bake_arguments *arguments)
-{
-    struct bake_options *bake = &arguments->bake;
-    int status = 0;
-    for (int i = 0; i < arguments->file_count && !cli->verify && status == 0; i++) {
-        const char *path = arguments->files[i];
-        status = cli_map_input(cli, &path);
-        arguments->files[i] = (char *)(uintptr_t)path;
-    }
-    if (status == 0)
-        status = cli_map_input(cli, &bake->cage_path);
-    if (status == 0)
-        status = cli_map_input(cli, &bake->skew_path);
-    if (status == 0)
-        status = cli_map_input(cli, &bake->scan_normal_map);
-    for (uint32_t i = 0; i < arguments->transfers.map_count && status == 0; i++)
-        status = cli_map_input(cli, &arguments->transfers.maps[i].texture_path);
-    return status < 0 ? status : cli_map_input(cli, &arguments->farm.plan);
-}
-
 /* Sets *missed if the maps are written but more samples missed than is allowed. */
 static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *missed)
 {
@@ -106,7 +84,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     int status = bake_check_options(cli->ctx, bake);
     /* The files have to be known before the work, to check that no input is overwritten. */
     if (status == 0 && bake->maps & BAKE_MAPS_ALL)
-        status = bake_add_channels(cli, &arguments->transfers, bake);
+        status = bake_arguments_add_channels(cli, arguments);
     if (status == 0)
         status = bake_find_maps(cli->ctx, bake, &bake->maps);
     if (status == 0)
@@ -116,7 +94,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     if (status == 0)
         status = check_outputs(cli, bake, arguments->farm.write_plan, paths);
     if (status == 0)
-        status = bake_warn_unused(cli, arguments);
+        status = bake_warn_unused(cli->ctx, bake, arguments->given);
     if (status == 0 && arguments->farm.write_plan)
         status = bake_farm_plan(cli, arguments, &report);
     else if (status == 0)
@@ -139,7 +117,7 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
     struct bake_report report = {0};
     bool kept = false;
     bake_report_watch(cli, &report);
-    const double max_missed = bake_arguments_has(arguments, "max-missed")
+    const double max_missed = bake_arguments_has(arguments, "max_missed")
                                   ? arguments->bake.max_missed
                                   : bake_plan_options(plan)->max_missed;
     arguments->bake = *bake_plan_options(plan);
@@ -190,7 +168,7 @@ int main(int argc, char **argv)
     if (status == 0)
         status = cli_create_context(&cli);
     if (status == 0)
-        status = map_inputs(&cli, &arguments);
+        status = bake_arguments_map_inputs(&cli, &arguments);
     if (status == 0 && cli.verify)
         status = cli_verify(&cli, arguments.files, arguments.file_count);
     else if (status == 0 && !arguments.list_devices && !arguments.farm.plan)

@@ -1,4 +1,5 @@
 /* bisque-compare.c - measures how far apart two maps are, and checks the figures against limits. */
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 
@@ -6,63 +7,13 @@
 #include "libbake/compare.h"
 #include "tools/cli.h"
 
-static const char help[] =
+static const char usage[] =
     "Usage: bisque-compare [OPTION]... A.exr B.exr\n"
     "Measures how far map A is from the reference B: the angle between normals in degrees, the\n"
     "CIEDE2000 difference and PSNR of colours, absolute and relative differences of other maps.\n"
-    "Exits with 0 if all limits hold, with 1 if one does not.\n"
-    "\n"
-    "      --type KIND         auto, normal, color or data (default: auto)\n"
-    "      --mask FILE         compare only texels where this mask is above 0\n"
-    "      --mask-a FILE       mask of the texels that A covers\n"
-    "      --mask-b FILE       mask of the texels that B covers; with both, hit agreement is reported\n"
-    "      --force             compare maps although their attributes disagree\n"
-    "      --ignore-nan        leave NaN and infinite values out; otherwise they are outside of\n"
-    "                          every limit\n"
-    "      --heatmap FILE.png  write a picture of the error of each texel\n"
-    "      --histogram FILE.png\n"
-    "                          write a picture of the distribution of the error\n"
-    "      --scale E           error at the top of their scale (default: the 99th percentile)\n"
-    "      --max-mean E, --max-median E, --max-p95 E, --max-p99 E, --max-error E\n"
-    "                          limits: the largest mean, median, percentile, maximum that passes\n"
-    "      --min-psnr DB       limit: the smallest PSNR that passes, for colours\n"
-    "      --min-agreement S   limit: the smallest hit agreement that passes, 0 to 1\n" CLI_COMMON_HELP;
-
-enum {
-    OPT_TYPE = CLI_OWN,
-    OPT_MASK,
-    OPT_MASK_A,
-    OPT_MASK_B,
-    OPT_FORCE,
-    OPT_IGNORE_NAN,
-    OPT_HEATMAP,
-    OPT_HISTOGRAM,
-    OPT_SCALE,
-    OPT_LIMITS /* option of the first limit; those of the others follow */
-};
+    "Exits with 0 if all limits hold, with 1 if one does not.\n";
 
 enum limit { MAX_MEAN, MAX_MEDIAN, MAX_P95, MAX_P99, MAX_ERROR, MIN_PSNR, MIN_AGREEMENT, LIMITS };
-
-static const struct option long_options[] = {
-    {"type", required_argument, NULL, OPT_TYPE},
-    {"mask", required_argument, NULL, OPT_MASK},
-    {"mask-a", required_argument, NULL, OPT_MASK_A},
-    {"mask-b", required_argument, NULL, OPT_MASK_B},
-    {"force", no_argument, NULL, OPT_FORCE},
-    {"ignore-nan", no_argument, NULL, OPT_IGNORE_NAN},
-    {"heatmap", required_argument, NULL, OPT_HEATMAP},
-    {"histogram", required_argument, NULL, OPT_HISTOGRAM},
-    {"scale", required_argument, NULL, OPT_SCALE},
-    {"max-mean", required_argument, NULL, OPT_LIMITS + MAX_MEAN},
-    {"max-median", required_argument, NULL, OPT_LIMITS + MAX_MEDIAN},
-    {"max-p95", required_argument, NULL, OPT_LIMITS + MAX_P95},
-    {"max-p99", required_argument, NULL, OPT_LIMITS + MAX_P99},
-    {"max-error", required_argument, NULL, OPT_LIMITS + MAX_ERROR},
-    {"min-psnr", required_argument, NULL, OPT_LIMITS + MIN_PSNR},
-    {"min-agreement", required_argument, NULL, OPT_LIMITS + MIN_AGREEMENT},
-    CLI_COMMON_OPTIONS,
-    {NULL, 0, NULL, 0},
-};
 
 static const struct {
     const char *option, *figure;
@@ -81,6 +32,7 @@ static const char *const kind_names[] = {"auto", "normal", "color", "data", NULL
 
 struct arguments {
     struct bake_compare_options compare;
+    const char *mask;      /* of both maps, unless they have their own */
     double limits[LIMITS]; /* NAN: not given */
 };
 
@@ -93,54 +45,49 @@ static bool has_agreement(const struct bake_compare_options *compare)
 
 /* ---- arguments ---- */
 
-static int parse_option(struct cli *cli, void *arg, int option)
-{
-    struct arguments *arguments = arg;
-    struct bake_compare_options *compare = &arguments->compare;
-    unsigned word;
-    int status = 0;
-    switch (option) {
-    case OPT_TYPE:
-        status = cli_parse_word(cli, "--type", optarg, kind_names, &word);
-        if (status == 0)
-            compare->kind = (enum bake_compare_kind)word;
-        return status;
-    case OPT_MASK:
-        compare->a_mask_path = compare->b_mask_path = optarg;
-        return 0;
-    case OPT_MASK_A:
-        compare->a_mask_path = optarg;
-        return 0;
-    case OPT_MASK_B:
-        compare->b_mask_path = optarg;
-        return 0;
-    case OPT_FORCE:
-        compare->force = true;
-        return 0;
-    case OPT_IGNORE_NAN:
-        compare->ignore_nan = true;
-        return 0;
-    case OPT_HEATMAP:
-        compare->heatmap_path = optarg;
-        return 0;
-    case OPT_HISTOGRAM:
-        compare->histogram_path = optarg;
-        return 0;
-    case OPT_SCALE:
-        return cli_parse_length(cli, "--scale", optarg, true, &compare->scale);
-    default:
-        if (option < OPT_LIMITS || option >= OPT_LIMITS + LIMITS)
-            return cli_common_option(cli, option, help);
-        return cli_parse_length(cli, limit_names[option - OPT_LIMITS].option, optarg, false,
-                                &arguments->limits[option - OPT_LIMITS]);
-    }
-}
+#define OPTION(name_, argument_, help_) .name = name_, .argument = argument_, .help = help_
+#define MEMBER(kind, member)            BSQ_MEMBER(kind, struct arguments, member)
+#define LIMIT(limit)                    MEMBER(NUMBER, limits[limit]), BSQ_RANGE(0, DBL_MAX, NAN)
+
+static const struct bsq_option rows[] = {
+    {OPTION("type", "KIND", "auto, normal, color or data"), .heading = "Comparison",
+     MEMBER(CHOICE, compare.kind), .words = "auto normal color data"},
+    {OPTION("mask", "FILE", "compare only texels where this mask is above 0"), MEMBER(INPUT, mask)},
+    {OPTION("mask-a", "FILE", "mask of the texels that A covers"),
+     MEMBER(INPUT, compare.a_mask_path)},
+    {OPTION("mask-b", "FILE",
+            "mask of the texels that B covers; with both, hit agreement is\n"
+            "reported"),
+     MEMBER(INPUT, compare.b_mask_path)},
+    {OPTION("force", NULL, "compare maps although their attributes disagree"),
+     MEMBER(FLAG, compare.force)},
+    {OPTION("ignore-nan", NULL,
+            "leave NaN and infinite values out; otherwise they are outside of\n"
+            "every limit"),
+     MEMBER(FLAG, compare.ignore_nan)},
+    {OPTION("heatmap", "FILE.png", "write a picture of the error of each texel"),
+     .heading = "Pictures", MEMBER(OUTPUT, compare.heatmap_path)},
+    {OPTION("histogram", "FILE.png", "write a picture of the distribution of the error"),
+     MEMBER(OUTPUT, compare.histogram_path)},
+    {OPTION("scale", "E", "error at the top of their scale (default: the 99th percentile)"),
+     MEMBER(NUMBER, compare.scale), BSQ_RANGE(0, DBL_MAX, 0), .positive = true},
+    {OPTION("max-mean", "E", "the largest mean that passes (default: none)"), .heading = "Limits",
+     LIMIT(MAX_MEAN)},
+    {OPTION("max-median", "E", "the largest median (default: none)"), LIMIT(MAX_MEDIAN)},
+    {OPTION("max-p95", "E", "the largest 95th percentile (default: none)"), LIMIT(MAX_P95)},
+    {OPTION("max-p99", "E", "the largest 99th percentile (default: none)"), LIMIT(MAX_P99)},
+    {OPTION("max-error", "E", "the largest maximum (default: none)"), LIMIT(MAX_ERROR)},
+    {OPTION("min-psnr", "DB", "the smallest PSNR, for colours (default: none)"), LIMIT(MIN_PSNR)},
+    {OPTION("min-agreement", "S", "the smallest hit agreement, 0 to 1 (default: none)"),
+     LIMIT(MIN_AGREEMENT)},
+};
+enum { ROWS = sizeof rows / sizeof *rows };
 
 static int parse_arguments(struct cli *cli, struct arguments *arguments, int argc, char **argv)
 {
-    for (int i = 0; i < LIMITS; i++)
-        arguments->limits[i] = NAN;
-    int status = cli_parse_options(cli, argc, argv, long_options, parse_option, arguments);
+    const struct cli_command command = {.usage = usage, .tables = {{rows, ROWS, arguments, NULL}}};
+    bsq_options_defaults(rows, ROWS, arguments);
+    int status = cli_parse(cli, &command, argc, argv);
     if (status != 0)
         return status;
     if (argc - optind != 2)
@@ -307,14 +254,19 @@ static int compare_maps(struct cli *cli, const struct arguments *arguments, int 
     return 0;
 }
 
-/* Applies the rules for paths to the inputs. */
-static int map_inputs(struct cli *cli, struct bake_compare_options *compare)
+/* Applies the rules for paths to the inputs, and gives both maps the mask that they share. */
+static int map_inputs(struct cli *cli, struct arguments *arguments)
 {
-    const char **inputs[] = {&compare->a_path, &compare->b_path, &compare->a_mask_path,
-                             &compare->b_mask_path};
+    struct bake_compare_options *compare = &arguments->compare;
     int status = 0;
-    for (int i = 0; i < 4 && status == 0; i++)
-        status = cli_map_input(cli, inputs[i]);
+    BSQ_TRY(cli_map_inputs(cli, &(struct cli_table){rows, ROWS, arguments, NULL}));
+    BSQ_TRY(cli_map_input(cli, &compare->a_path));
+    BSQ_TRY(cli_map_input(cli, &compare->b_path));
+    if (!compare->a_mask_path)
+        compare->a_mask_path = arguments->mask;
+    if (!compare->b_mask_path)
+        compare->b_mask_path = arguments->mask;
+done:
     return status;
 }
 
@@ -328,7 +280,7 @@ int main(int argc, char **argv)
     if (status == 0)
         status = cli_create_context(&cli);
     if (status == 0)
-        status = map_inputs(&cli, &arguments.compare);
+        status = map_inputs(&cli, &arguments);
     if (status == 0)
         status = compare_maps(&cli, &arguments, &failures);
     int code = cli_end(&cli, status);

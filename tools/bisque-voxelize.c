@@ -184,9 +184,8 @@ static int check_memory(struct cli *cli)
     if (bsq_memory_limit(cli->ctx) >= least)
         return 0;
     return bsq_fail(cli->ctx, BSQ_ENOMEM, "--memory: %s is too small, %u thread%s at least %lluMiB",
-                    cli->memory_text ? cli->memory_text
-                                     : cli_size_text(bsq_memory_limit(cli->ctx), limit),
-                    bsq_threads(cli->ctx), bsq_threads(cli->ctx) == 1 ? " needs" : "s need",
+                    cli_size_text(bsq_memory_limit(cli->ctx), limit), bsq_threads(cli->ctx),
+                    bsq_threads(cli->ctx) == 1 ? " needs" : "s need",
                     (unsigned long long)least_mib);
 }
 
@@ -300,7 +299,7 @@ static struct vox_voxelize_options grid_options(struct voxelize_job *job)
         .part_count = job->part_count,
         .temp_tris = job->resumed ? NULL : job->temp_tris,
         .grid_path = arguments->output,
-        .resolution = (uint32_t)arguments->resolution,
+        .resolution = arguments->resolution,
         .voxel_size = arguments->voxel_size,
         .grid_type = arguments->grid_type,
         .scan_normals = arguments->scan_normals,
@@ -374,22 +373,6 @@ static int run(struct cli *cli, const struct voxelize_arguments *arguments)
     return status;
 }
 
-/* Applies the rules for paths to the inputs of the command line. */
-static int map_inputs(struct cli *cli, struct voxelize_arguments *arguments)
-{
-    const char **inputs = (const char **)(uintptr_t)arguments->inputs;
-    int status = cli_map_input(cli, &arguments->texture);
-    if (status == 0)
-        status = cli_map_input(cli, &arguments->scan_normal_map);
-    if (status == 0)
-        status = cli_map_input(cli, &arguments->farm.plan);
-    for (uint32_t i = 0; i < arguments->channel_count && status == 0; i++)
-        status = cli_map_input(cli, &arguments->channels[i].texture_path);
-    for (uint32_t i = 0; i < arguments->input_count && status == 0; i++)
-        status = cli_map_input(cli, &inputs[i]);
-    return status;
-}
-
 int main(int argc, char **argv)
 {
     struct cli cli;
@@ -399,7 +382,7 @@ int main(int argc, char **argv)
     if (status == 0)
         status = cli_create_context(&cli);
     if (status == 0)
-        status = map_inputs(&cli, &arguments);
+        status = voxelize_arguments_map_inputs(&cli, &arguments);
     if (status == 0)
         status = run(&cli, &arguments);
     voxelize_arguments_free(&arguments);

@@ -1,7 +1,7 @@
 /* cli.h - what Bisque's programs share: common options, parsing of values, checks of files,
  * progress and reports.
  *
- * A program calls cli_begin(), cli_parse_options() and cli_create_context(), does its work through
+ * A program calls cli_begin(), cli_parse() and cli_create_context(), does its work through
  * the libraries and returns cli_end() from main. Every failure becomes one line "PROGRAM: MESSAGE"
  * on standard error; the exit code is the negated status. */
 #ifndef CLI_H
@@ -12,7 +12,7 @@
 #include <stdio.h>
 #include <time.h>
 
-#include "base/context.h"
+#include "base/options.h"
 
 enum cli_progress {
     CLI_PROGRESS_AUTO,
@@ -37,15 +37,15 @@ struct cli {
     const char *program;
     struct bsq_ctx *ctx; /* NULL before cli_create_context() */
 
-    uint64_t memory_bytes;   /* 0: not given */
-    const char *memory_text; /* as given; NULL: not given */
-    unsigned threads;        /* 0: not given */
+    uint64_t memory_bytes; /* 0: not given */
+    unsigned threads;      /* 0: not given */
     const char *tmpdir;
     const char *path_map; /* file with rules for paths; NULL: none */
     enum cli_progress progress;
     bool json;   /* print results as JSON */
     bool verify; /* only check files */
     bool strict; /* warnings of lost data are errors */
+    bool help, version;
 
     bool reported;  /* the failure has been printed */
     bool bar_drawn; /* the terminal's last line is a progress bar */
@@ -54,59 +54,25 @@ struct cli {
     struct timespec started, stage_started;
 };
 
-/* Values of the common options for getopt_long; a program's own long options start at CLI_OWN. */
-enum {
-    CLI_MEMORY = 256,
-    CLI_THREADS,
-    CLI_TMPDIR,
-    CLI_VERIFY,
-    CLI_STRICT,
-    CLI_PROGRESS,
-    CLI_PATH_MAP,
-    CLI_JSON,
-    CLI_HELP,
-    CLI_VERSION,
-    CLI_OWN
-};
+#define CLI_HEADING "All programs"
 
-#define CLI_COMMON_OPTIONS                                                                         \
-    {"memory", required_argument, NULL, CLI_MEMORY},                                               \
-        {"threads", required_argument, NULL, CLI_THREADS},                                         \
-        {"progress", required_argument, NULL, CLI_PROGRESS},                                       \
-        {"path-map", required_argument, NULL, CLI_PATH_MAP},                                       \
-        {"json", no_argument, NULL, CLI_JSON}, {"help", no_argument, NULL, CLI_HELP},              \
+/* Rows of options that not every program has; they set members of struct cli. */
+#define CLI_TMPDIR_ROW                                                                             \
     {                                                                                              \
-        "version", no_argument, NULL, CLI_VERSION                                                  \
+        .name = "tmpdir", .heading = CLI_HEADING, .argument = "DIR",                               \
+        BSQ_MEMBER(TEXT, struct cli, tmpdir),                                                      \
+        .help = "directory for temporary files (default: $TMPDIR, else the output's)"              \
     }
-#define CLI_TMPDIR_OPTION                                                                          \
+#define CLI_STRICT_ROW                                                                             \
     {                                                                                              \
-        "tmpdir", required_argument, NULL, CLI_TMPDIR                                              \
+        .name = "strict", .heading = CLI_HEADING, BSQ_MEMBER(FLAG, struct cli, strict),            \
+        .help = "end with an error if data of an input is lost, not with a warning"                \
     }
-
-#define CLI_STRICT_OPTION                                                                          \
+#define CLI_VERIFY_ROW                                                                             \
     {                                                                                              \
-        "strict", no_argument, NULL, CLI_STRICT                                                    \
+        .name = "verify", .heading = CLI_HEADING, BSQ_MEMBER(FLAG, struct cli, verify),            \
+        .help = "check FILES (.tris, .nvdb), print a line on each, do nothing else"                \
     }
-#define CLI_VERIFY_OPTION                                                                          \
-    {                                                                                              \
-        "verify", no_argument, NULL, CLI_VERIFY                                                    \
-    }
-
-/* Texts of --help. */
-#define CLI_STRICT_HELP                                                                            \
-    "      --strict            end with an error if data of an input is lost, not with a warning\n"
-#define CLI_VERIFY_HELP                                                                            \
-    "      --verify            check FILES (.tris, .nvdb), print a line on each, do nothing "      \
-    "else\n"
-#define CLI_COMMON_HELP                                                                            \
-    "      --memory SIZE       memory budget, e.g. 4G, 512MiB (default: half of the machine's)\n"  \
-    "      --threads N         worker threads (default: one per processor)\n"                      \
-    "      --progress WHEN     auto, bar, none or json (default: auto, a bar on a terminal);\n"    \
-    "                          openjd, percent or alf: lines for schedulers\n"                     \
-    "      --path-map FILE     rules for paths on this machine (pathmapping-1.0)\n"                \
-    "      --json              print the results as JSON\n"                                        \
-    "      --help              print this help\n"                                                  \
-    "      --version           print the version\n"
 
 /* ---- start and end of a program ---- */
 
@@ -114,16 +80,33 @@ enum {
  * getopt's messages begin with the program's name. `argv` is main's. */
 void cli_begin(struct cli *cli, const char *program, char **argv);
 
-/* Handles a common option, whose value is in optarg. Returns 0; 1 if it is not a common option; 2
- * if the program is to end (--help, --version); a negative status on failure. */
-int cli_common_option(struct cli *cli, int option, const char *help);
+/* A table of options, and what they set. */
+struct cli_table {
+    const struct bsq_option *rows;
+    size_t count;
+    void *options; /* the structure with the members; the program's struct cli for common ones */
+    bool *given;   /* for each row: whether it was given; NULL: not asked for */
+};
 
-/* Parses all options. Calls `take` for each, with its value in optarg; options that `take` does not
- * know go to cli_common_option(), and `take` returns what that returns. --verify excludes options
- * of the program's own. Returns 0, or the first result of `take` that is not 0. After success
- * optind is the index of the first file in argv. */
-int cli_parse_options(struct cli *cli, int argc, char **argv, const struct option *options,
-                      int (*take)(struct cli *cli, void *arguments, int option), void *arguments);
+enum { CLI_MOST_TABLES = 4 };
+
+/* The command line of a program. */
+struct cli_command {
+    const char *usage;                        /* the first lines of --help */
+    void (*print_more)(void);                 /* prints the last lines, or NULL */
+    struct cli_table tables[CLI_MOST_TABLES]; /* fewer tables end with one without rows */
+    /* Takes the value of a row with its own syntax. Returns 0, or what cli_usage() returns. */
+    int (*take)(struct cli *cli, void *arguments, const struct bsq_option *row, const char *text);
+    void *arguments;
+};
+
+/* Reads the command line by the tables and the common options. --verify excludes options that are
+ * not members of struct cli. Returns 0; 2 if the program is to end (--help, --version); a negative
+ * status on failure. After success optind is the index of the first file in argv. */
+int cli_parse(struct cli *cli, const struct cli_command *command, int argc, char **argv);
+
+/* Returns a row that was given, and that may (or may not) stand beside a plan; NULL if none was. */
+const struct bsq_option *cli_given(const struct cli_table *table, bool with_plan);
 
 /* Creates the context and lets SIGINT, SIGTERM and SIGHUP interrupt it. */
 int cli_create_context(struct cli *cli);
@@ -137,20 +120,12 @@ int cli_end(struct cli *cli, int status);
 
 /* ---- values of options; messages name `option` ---- */
 
-/* Parses a size in bytes: a number with an optional unit. K, M, G, T and KiB ... are powers of
- * 1024, kB ... are powers of 1000. */
-int cli_parse_size(struct cli *cli, const char *option, const char *text, uint64_t *out);
-/* Parses a whole number from min to max. */
-int cli_parse_count(struct cli *cli, const char *option, const char *text, uint64_t min,
-                    uint64_t max, uint64_t *out);
-/* Parses a finite decimal number >= 0, or > 0 if `positive`. */
-int cli_parse_length(struct cli *cli, const char *option, const char *text, bool positive,
-                     double *out);
-/* Parses one of `words` (NULL-terminated); sets *out to its index. */
-int cli_parse_word(struct cli *cli, const char *option, const char *text, const char *const *words,
+/* Sets the member of a row to the value of a text. */
+int cli_parse_value(struct cli *cli, const char *option, const struct bsq_option *row,
+                    const char *text, void *options);
+/* Parses one of `words`, as rows have them; sets *out to its index. */
+int cli_parse_word(struct cli *cli, const char *option, const char *text, const char *words,
                    unsigned *out);
-/* Parses the value of --scan-normals, such as smooth. */
-int cli_parse_scan_normals(struct cli *cli, const char *text, enum bsq_scan_normals *out);
 
 /* ---- files ---- */
 
@@ -173,6 +148,9 @@ int cli_load_path_map(struct cli *cli);
 
 /* Applies these rules to an input of the command line; *path may be NULL. */
 int cli_map_input(struct cli *cli, const char **path);
+
+/* Applies them to all inputs of a table. */
+int cli_map_inputs(struct cli *cli, const struct cli_table *table);
 
 /* ---- reports ---- */
 

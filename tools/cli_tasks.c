@@ -5,53 +5,53 @@
 
 #include "tools/cli_percent.h"
 
-/* Parses the number of a task, or of the first and the last one with a dash between them. */
-static int parse_range(struct cli *cli, struct cli_tasks *tasks)
+#define MEMBER(kind, member) BSQ_MEMBER(kind, struct cli_tasks, member)
+
+const struct bsq_option cli_task_rows[CLI_TASK_ROWS] = {
+    {.name = "tasks",
+     .argument = "N",
+     .heading = "Tasks for several machines",
+     MEMBER(COUNT, tasks),
+     BSQ_RANGE(1, CLI_MOST_TASKS, 0),
+     .help = "with --write-plan: divide the work into N tasks (default: none)"},
+    {.name = "write-plan",
+     .argument = "FILE",
+     MEMBER(OUTPUT, write_plan),
+     .help = "write a plan of the tasks, and do nothing else"},
+    {.name = "plan",
+     .argument = "FILE",
+     MEMBER(INPUT, plan),
+     .help = "take inputs, output and options from a plan\n"
+             "alone: print how many tasks it has, and what each needs"},
+    {.name = "task",
+     .argument = "I | I-J",
+     .own_syntax = true,
+     MEMBER(FLAG, task_given),
+     .help = "do task I, or I to J, of the plan, from 0 on, into part files"},
+    {.name = "merge", MEMBER(FLAG, merge), .help = "write the outputs from all parts of the plan"},
+    {.name = "force",
+     MEMBER(FLAG, force),
+     .help = "do it again if the part or the outputs are there already"},
+};
+
+int cli_tasks_parse_range(struct cli *cli, struct cli_tasks *tasks, const char *text)
 {
     unsigned long long number[2] = {0};
-    const char *at = optarg;
+    const char *at = text;
     char *end;
+    tasks->task_given = true;
     for (int i = 0; i < 2; i++) {
         number[i] = strtoull(at, &end, 10);
         if (*at < '0' || *at > '9' || number[i] >= CLI_MOST_TASKS || (*end && (*end != '-' || i)))
             return cli_usage(cli, "--task: \"%s\" is no number from 0 to %d, and no range of them",
-                             optarg, CLI_MOST_TASKS - 1);
+                             text, CLI_MOST_TASKS - 1);
         at = *end ? end + 1 : at;
     }
     tasks->task = (uint32_t)number[0];
     tasks->last_task = (uint32_t)number[1];
     return number[0] <= number[1]
                ? 0
-               : cli_usage(cli, "--task: \"%s\": the first task comes after the last one", optarg);
-}
-
-int cli_tasks_option(struct cli *cli, struct cli_tasks *tasks, int option)
-{
-    uint64_t count = 0;
-    int status = 0;
-    switch (option) {
-    case CLI_TASKS:
-        status = cli_parse_count(cli, "--tasks", optarg, 1, CLI_MOST_TASKS, &count);
-        tasks->tasks = (uint32_t)count;
-        return status;
-    case CLI_WRITE_PLAN:
-        tasks->write_plan = optarg;
-        return 0;
-    case CLI_PLAN:
-        tasks->plan = optarg;
-        return 0;
-    case CLI_TASK:
-        tasks->task_given = true;
-        return parse_range(cli, tasks);
-    case CLI_MERGE:
-        tasks->merge = true;
-        return 0;
-    case CLI_FORCE:
-        tasks->force = true;
-        return 0;
-    default:
-        return 1;
-    }
+               : cli_usage(cli, "--task: \"%s\": the first task comes after the last one", text);
 }
 
 int cli_tasks_check(struct cli *cli, const struct cli_tasks *tasks, const char *work_option,

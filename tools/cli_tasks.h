@@ -17,29 +17,12 @@ struct cli_tasks {
 /* The most tasks that a plan can have. */
 enum { CLI_MOST_TASKS = 65536 };
 
-/* Values of the options for getopt_long. A program's own long options start at CLI_TASKS_END. */
-enum {
-    CLI_TASKS = CLI_OWN,
-    CLI_WRITE_PLAN,
-    CLI_PLAN,
-    CLI_TASK,
-    CLI_MERGE,
-    CLI_FORCE,
-    CLI_TASKS_END
-};
+/* The rows of the options of tasks; they set members of struct cli_tasks. */
+enum { CLI_TASK_ROWS = 6 };
+extern const struct bsq_option cli_task_rows[CLI_TASK_ROWS];
 
-#define CLI_TASKS_OPTIONS                                                                          \
-    {"tasks", required_argument, NULL, CLI_TASKS},                                                 \
-        {"write-plan", required_argument, NULL, CLI_WRITE_PLAN},                                   \
-        {"plan", required_argument, NULL, CLI_PLAN}, {"task", required_argument, NULL, CLI_TASK},  \
-        {"merge", no_argument, NULL, CLI_MERGE},                                                   \
-    {                                                                                              \
-        "force", no_argument, NULL, CLI_FORCE                                                      \
-    }
-
-/* Parses an option of tasks. Returns 1 if it is another one, and what cli_usage() returns if its
- * value is wrong. */
-int cli_tasks_option(struct cli *cli, struct cli_tasks *tasks, int option);
+/* Parses the number of a task, or of the first and the last one with a dash between them. */
+int cli_tasks_parse_range(struct cli *cli, struct cli_tasks *tasks, const char *text);
 
 /* Checks the options against each other. work_option: the name of an option of the work itself that
  * was given, which a plan has already; NULL if none was. files: how many were given. */

@@ -3,11 +3,12 @@
 
 #include "base/channels.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-static const char help[] =
+static const char usage[] =
     "Usage: bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.nvdb\n"
     "       bisque-voxelize [OPTION]... SCAN.tris... -o SCAN.nvdb\n"
     "       bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.tris\n"
@@ -18,93 +19,65 @@ static const char help[] =
     "       bisque-voxelize --verify FILE...\n"
     "Turns a scan (a high-poly mesh) of any size into a sparse grid of surface voxels with normals\n"
     "and colours. Several files are read as one scan. The sorted triangles of meshes are kept in a chunk\n"
-    "file (SCAN.tris), which makes grids of other resolutions without reading them again.\n"
-    "\n"
-    "  -o, --output FILE       the grid, a NanoVDB file; a name that ends in .tris sorts only\n"
-    "      --resolution N      voxels along the scan's longest side (default: 2048)\n"
-    "      --voxel-size X      edge of a voxel in the scan's units, instead of a resolution\n"
-    "      --grid-type TYPE    mask or onindex (NanoVDB 32.6 and later) (default: mask)\n"
-    "      --scan-normals NAME for a scan without normals: smooth, flat; or smooth ones by weight:\n"
-    "                          area, angle or max (default: smooth, which is area)\n"
-    "      --channels LIST     what else to keep in chunks and grid: id; and for maps\n"
-    "                          transfer:NAME, NAME of the materials or NAME=FILE\n"
-    "      --scan-normal-map FILE\n"
-    "                          the scan's own normal map in tangent space, added to its normals\n"
-    "      --id KIND           what ids tell apart: material, object or color (default: material)\n"
-    "      --vdb FILE          also write the grid as an OpenVDB file\n"
-    "      --texture FILE      colours for a scan with texture coordinates but no MTL file\n"
-    "      --scale X           multiply the scan's positions by X\n"
-    "      --up AXIS           turn the scan so that y or z points upwards\n"
-    "      --translate X,Y,Z   then shift the scan; these three options, given once, are for all\n"
-    "                          files; given once for each file, they are for the files in order\n"
-    "      --tris FILE         name of the chunk file (default: the output's, ending in .tris)\n"
-    "      --no-tris           do not keep the chunk file\n"
-    "      --parse-only        only read the mesh files, to measure the reader\n"
-    "      --tasks N           with --write-plan: divide the grid into N tasks\n"
-    "      --write-plan FILE   write a plan of the tasks, and make no grid\n"
-    "      --plan FILE         take inputs, output and options from a plan\n"
-    "                          alone: print how many tasks it has, and what each needs\n"
-    "      --task I | I-J      make the voxels of task I, or I to J, from 0 on, into part files\n"
-    "      --merge             write the grid from all parts of the plan\n"
-    "      --force             do it again if the part, the grid or the sorted scan is there already\n"
-    "      --resume            continue the same job from its chunk file, if that is complete\n"
-    "      --tmpdir DIR        directory for temporary files (default: $TMPDIR, else the output's)\n" CLI_VERIFY_HELP
-        CLI_STRICT_HELP CLI_COMMON_HELP;
+    "file (SCAN.tris), which makes grids of other resolutions without reading them again.\n";
 
-enum {
-    OPT_RESOLUTION = CLI_TASKS_END,
-    OPT_VOXEL_SIZE,
-    OPT_GRID_TYPE,
-    OPT_SCAN_NORMALS,
-    OPT_CHANNELS,
-    OPT_SCAN_NORMAL_MAP,
-    OPT_ID,
-    OPT_VDB,
-    OPT_TEXTURE,
-    OPT_TRIS,
-    OPT_NO_TRIS,
-    OPT_PARSE_ONLY,
-    OPT_RESUME,
-    OPT_SCALE,
-    OPT_UP,
-    OPT_TRANSLATE
+/* Bit of bsq_option.needs: the option does nothing if no grid is made. */
+enum { GRID = 1 };
+
+#define OPTION(name_, argument_, help_) .name = name_, .argument = argument_, .help = help_
+#define MEMBER(kind, member)            BSQ_MEMBER(kind, struct voxelize_arguments, member)
+#define OWN                             .own_syntax = true, .kind = BSQ_OPTION_NONE
+
+static const struct bsq_option rows[] = {
+    {OPTION("output", "FILE", "the grid, a NanoVDB file; a name that ends in .tris sorts only"),
+     .letter = 'o', .heading = "Grid", MEMBER(OUTPUT, output)},
+    {OPTION("resolution", "N", "voxels along the scan's longest side (default: 2048)"),
+     MEMBER(COUNT, resolution), BSQ_RANGE(1, VOX_RESOLUTION_MAX, 0), .needs = GRID},
+    {OPTION("voxel-size", "X",
+            "edge of a voxel in the scan's units, instead of a resolution\n"
+            "(default: by the resolution)"),
+     MEMBER(NUMBER, voxel_size), BSQ_RANGE(0, DBL_MAX, 0), .positive = true, .needs = GRID},
+    {OPTION("grid-type", "TYPE", "mask or onindex (NanoVDB 32.6 and later)"),
+     MEMBER(CHOICE, grid_type), .words = "mask onindex", .needs = GRID},
+    {OPTION("vdb", "FILE", "also write the grid as an OpenVDB file"), MEMBER(OUTPUT, vdb),
+     .needs = GRID},
+
+    {OPTION("scan-normals", "NAME",
+            "for a scan without normals: smooth, flat; or smooth ones by\n"
+            "weight: area, angle or max (default: smooth, which is area)"),
+     .heading = "Scan", MEMBER(CHOICE, scan_normals), .words = "smooth/area angle max flat",
+     .needs = GRID},
+    {OPTION("channels", "LIST",
+            "what else to keep in chunks and grid: id; and for maps\n"
+            "transfer:NAME, NAME of the materials or NAME=FILE"),
+     OWN},
+    {OPTION("scan-normal-map", "FILE",
+            "the scan's own normal map in tangent space, added to its normals"),
+     MEMBER(INPUT, scan_normal_map)},
+    {OPTION("id", "KIND", "what ids tell apart: material, object or color (default: material)"),
+     MEMBER(CHOICE, ids), .words = "none material object color"},
+    {OPTION("texture", "FILE", "colours for a scan with texture coordinates but no MTL file"),
+     MEMBER(INPUT, texture)},
+    {OPTION("scale", "X", "multiply the scan's positions by X"), .own_syntax = true,
+     MEMBER(NUMBER, scale), BSQ_RANGE(0, DBL_MAX, 1), .positive = true},
+    {OPTION("up", "AXIS", "turn the scan so that y or z points upwards"), OWN},
+    {OPTION("translate", "X,Y,Z",
+            "then shift the scan; these three options, given once, are for all\n"
+            "files; given once for each file, they are for the files in order"),
+     OWN},
+
+    {OPTION("tris", "FILE", "name of the chunk file (default: the output's, ending in .tris)"),
+     .heading = "Chunk file", MEMBER(OUTPUT, tris), .needs = GRID},
+    {OPTION("no-tris", NULL, "do not keep the chunk file"), MEMBER(FLAG, no_tris), .needs = GRID},
+    {OPTION("resume", NULL, "continue the same job from its chunk file, if that is complete"),
+     MEMBER(FLAG, resume)},
+    {OPTION("parse-only", NULL, "only read the mesh files, to measure the reader"),
+     MEMBER(FLAG, parse_only)},
 };
+enum { ROWS = sizeof rows / sizeof *rows };
+_Static_assert(sizeof rows / sizeof *rows <= VOXELIZE_MOST_ROWS, "a flag for each row");
 
-static const struct option long_options[] = {
-    {"output", required_argument, NULL, 'o'},
-    {"resolution", required_argument, NULL, OPT_RESOLUTION},
-    {"voxel-size", required_argument, NULL, OPT_VOXEL_SIZE},
-    {"grid-type", required_argument, NULL, OPT_GRID_TYPE},
-    {"scan-normals", required_argument, NULL, OPT_SCAN_NORMALS},
-    {"channels", required_argument, NULL, OPT_CHANNELS},
-    {"scan-normal-map", required_argument, NULL, OPT_SCAN_NORMAL_MAP},
-    {"id", required_argument, NULL, OPT_ID},
-    {"vdb", required_argument, NULL, OPT_VDB},
-    {"texture", required_argument, NULL, OPT_TEXTURE},
-    {"tris", required_argument, NULL, OPT_TRIS},
-    {"no-tris", no_argument, NULL, OPT_NO_TRIS},
-    {"parse-only", no_argument, NULL, OPT_PARSE_ONLY},
-    CLI_TMPDIR_OPTION,
-    {"resume", no_argument, NULL, OPT_RESUME},
-    {"scale", required_argument, NULL, OPT_SCALE},
-    {"up", required_argument, NULL, OPT_UP},
-    {"translate", required_argument, NULL, OPT_TRANSLATE},
-    CLI_TASKS_OPTIONS,
-    CLI_VERIFY_OPTION,
-    CLI_STRICT_OPTION,
-    CLI_COMMON_OPTIONS,
-    {NULL, 0, NULL, 0},
-};
-
-static int parse_grid_type(struct cli *cli, struct voxelize_arguments *arguments)
-{
-    static const char *const words[] = {"mask", "onindex", NULL};
-    unsigned type = 0;
-    int status = cli_parse_word(cli, "--grid-type", optarg, words, &type);
-    if (status == 0)
-        arguments->grid_type = type == 0 ? VOX_GRID_MASK : VOX_GRID_ONINDEX;
-    return status;
-}
+static const struct bsq_option cli_rows[] = {CLI_TMPDIR_ROW, CLI_STRICT_ROW, CLI_VERIFY_ROW};
 
 /* ---- where files lie ---- */
 
@@ -121,35 +94,40 @@ static int add_element(struct cli *cli, void *array, uint32_t count, size_t size
     return 0;
 }
 
-static int parse_scale(struct cli *cli, struct voxelize_arguments *a)
+static int parse_scale(struct cli *cli, struct voxelize_arguments *a, const struct bsq_option *row,
+                       const char *text)
 {
     int status = add_element(cli, &a->scales, a->scale_count, sizeof *a->scales);
-    return status ? status
-                  : cli_parse_length(cli, "--scale", optarg, true, &a->scales[a->scale_count++]);
+    if (status == 0)
+        status = cli_parse_value(cli, "--scale", row, text, a);
+    if (status == 0)
+        a->scales[a->scale_count++] = a->scale;
+    return status;
 }
 
-static int parse_up(struct cli *cli, struct voxelize_arguments *a)
+static int parse_up(struct cli *cli, struct voxelize_arguments *a, const char *text)
 {
-    static const char *const words[] = {"y", "z", NULL};
     unsigned axis = 0;
     int status = add_element(cli, &a->ups, a->up_count, sizeof *a->ups);
     if (status == 0)
-        status = cli_parse_word(cli, "--up", optarg, words, &axis);
+        status = cli_parse_word(cli, "--up", text, "y z", &axis);
     if (status == 0)
         a->ups[a->up_count++] = axis == 0 ? VOX_UP_Y : VOX_UP_Z;
     return status;
 }
 
-static int parse_translation(struct cli *cli, struct voxelize_arguments *a)
+static int parse_translation(struct cli *cli, struct voxelize_arguments *a, const char *text)
 {
     int status = add_element(cli, &a->translations, a->translation_count, sizeof *a->translations);
-    char *end = optarg;
-    const bool decimal = strspn(optarg, "0123456789.eE+-,") == strlen(optarg);
+    const char *end = text;
+    const bool decimal = strspn(text, "0123456789.eE+-,") == strlen(text);
     for (int axis = 0; axis < 3 && status == 0; axis++) {
         const char *from = end;
-        double value = strtod(from, &end);
+        char *after;
+        double value = strtod(from, &after);
+        end = after;
         if (!decimal || end == from || !isfinite(value) || *end != (axis < 2 ? ',' : '\0'))
-            return cli_usage(cli, "--translate: \"%s\" is not of the form X,Y,Z", optarg);
+            return cli_usage(cli, "--translate: \"%s\" is not of the form X,Y,Z", text);
         a->translations[a->translation_count][axis] = value;
         end += axis < 2;
     }
@@ -187,6 +165,22 @@ static int make_placements(struct cli *cli, struct voxelize_arguments *a)
                    sizeof p->translate);
     }
     return 0;
+}
+
+int voxelize_arguments_map_inputs(struct cli *cli, struct voxelize_arguments *arguments)
+{
+    const struct cli_table table = {rows, ROWS, arguments, NULL};
+    const char **inputs = (const char **)(uintptr_t)arguments->inputs;
+    int status = cli_map_inputs(cli, &table);
+    if (status < 0)
+        return status;
+    BSQ_TRY(cli_map_input(cli, &arguments->farm.plan));
+    for (uint32_t i = 0; i < arguments->channel_count; i++)
+        BSQ_TRY(cli_map_input(cli, &arguments->channels[i].texture_path));
+    for (uint32_t i = 0; i < arguments->input_count; i++)
+        BSQ_TRY(cli_map_input(cli, &inputs[i]));
+done:
+    return status;
 }
 
 void voxelize_arguments_free(struct voxelize_arguments *arguments)
@@ -239,9 +233,9 @@ static int add_channel(struct cli *cli, struct voxelize_arguments *arguments, co
 }
 
 /* Parses the names of channels. Paths of images must not have commas. */
-static int parse_channels(struct cli *cli, struct voxelize_arguments *arguments)
+static int parse_channels(struct cli *cli, struct voxelize_arguments *arguments, const char *text)
 {
-    char *list = strdup(optarg), *rest = list, *word;
+    char *list = strdup(text), *rest = list, *word;
     int status = list ? 0 : cli_usage(cli, "no memory for the arguments");
     while (status == 0 && (word = strsep(&rest, ","))) {
         if (strcmp(word, "id") == 0)
@@ -253,90 +247,28 @@ static int parse_channels(struct cli *cli, struct voxelize_arguments *arguments)
     return status;
 }
 
-static int parse_ids(struct cli *cli, struct voxelize_arguments *arguments)
-{
-    static const char *const words[] = {"material", "object", "color", NULL};
-    unsigned kind = 0;
-    int status = cli_parse_word(cli, "--id", optarg, words, &kind);
-    if (status == 0)
-        arguments->ids = (enum vox_ids)(VOX_IDS_MATERIAL + kind);
-    return status;
-}
-
-/* Returns whether an option does nothing if no grid is made. */
-static bool is_of_grid(int option)
-{
-    return option == OPT_RESOLUTION || option == OPT_VOXEL_SIZE || option == OPT_GRID_TYPE ||
-           option == OPT_SCAN_NORMALS || option == OPT_VDB || option == OPT_TRIS ||
-           option == OPT_NO_TRIS;
-}
-
-/* Returns the name of an option without its dashes. */
-static const char *name_of(int option)
-{
-    const struct option *o = long_options;
-    while (o->name && o->val != option)
-        o++;
-    return o->name ? o->name : "";
-}
-
-static int parse_option(struct cli *cli, void *arg, int option)
+static int take_option(struct cli *cli, void *arg, const struct bsq_option *row, const char *text)
 {
     struct voxelize_arguments *arguments = arg;
-    const int status = cli_tasks_option(cli, &arguments->farm, option);
-    if (status <= 0)
-        return status;
-    if (option >= CLI_TASKS_END || option == 'o')
-        arguments->work_option = name_of(option);
-    if (is_of_grid(option))
-        arguments->grid_option = name_of(option);
-    switch (option) {
-    case 'o':
-        arguments->output = optarg;
-        return 0;
-    case OPT_RESOLUTION:
-        return cli_parse_count(cli, "--resolution", optarg, 1, VOX_RESOLUTION_MAX,
-                               &arguments->resolution);
-    case OPT_VOXEL_SIZE:
-        return cli_parse_length(cli, "--voxel-size", optarg, true, &arguments->voxel_size);
-    case OPT_GRID_TYPE:
-        return parse_grid_type(cli, arguments);
-    case OPT_SCAN_NORMALS:
-        return cli_parse_scan_normals(cli, optarg, &arguments->scan_normals);
-    case OPT_CHANNELS:
-        return parse_channels(cli, arguments);
-    case OPT_SCAN_NORMAL_MAP:
-        arguments->scan_normal_map = optarg;
-        return 0;
-    case OPT_ID:
-        return parse_ids(cli, arguments);
-    case OPT_VDB:
-        arguments->vdb = optarg;
-        return 0;
-    case OPT_TEXTURE:
-        arguments->texture = optarg;
-        return 0;
-    case OPT_TRIS:
-        arguments->tris = optarg;
-        return 0;
-    case OPT_NO_TRIS:
-        arguments->no_tris = true;
-        return 0;
-    case OPT_PARSE_ONLY:
-        arguments->parse_only = true;
-        return 0;
-    case OPT_SCALE:
-        return parse_scale(cli, arguments);
-    case OPT_UP:
-        return parse_up(cli, arguments);
-    case OPT_TRANSLATE:
-        return parse_translation(cli, arguments);
-    case OPT_RESUME:
-        arguments->resume = true;
-        return 0;
-    default:
-        return cli_common_option(cli, option, help);
-    }
+    if (strcmp(row->name, "channels") == 0)
+        return parse_channels(cli, arguments, text);
+    if (strcmp(row->name, "scale") == 0)
+        return parse_scale(cli, arguments, row, text);
+    if (strcmp(row->name, "up") == 0)
+        return parse_up(cli, arguments, text);
+    if (strcmp(row->name, "translate") == 0)
+        return parse_translation(cli, arguments, text);
+    return cli_tasks_parse_range(cli, &arguments->farm, text);
+}
+
+/* Returns the name of an option that was given and has one of these bits in `needs`; 0: of any
+ * option. NULL: none was. */
+static const char *given_option(const struct voxelize_arguments *arguments, uint32_t needs)
+{
+    for (unsigned i = 0; i < ROWS; i++)
+        if (arguments->given[i] && (needs == 0 || rows[i].needs & needs))
+            return rows[i].name;
+    return NULL;
 }
 
 bool voxelize_keeps_normal_map(const struct voxelize_arguments *arguments)
@@ -354,7 +286,7 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
         return cli_usage(cli, "no input file given (see --help)");
     if (cli->verify)
         return 0;
-    if (cli_tasks_check(cli, farm, arguments->work_option, (int)arguments->input_count) < 0)
+    if (cli_tasks_check(cli, farm, given_option(arguments, 0), (int)arguments->input_count) < 0)
         return BSQ_EUSAGE;
     if (farm->plan)
         return 0;
@@ -377,9 +309,9 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
                               " exclude each other");
     if (arguments->tris && arguments->no_tris)
         return cli_usage(cli, "--tris and --no-tris exclude each other");
-    if (arguments->sort_only && arguments->grid_option)
+    if (arguments->sort_only && given_option(arguments, GRID))
         return cli_usage(cli, "%s: a chunk file is not a grid: leave out --%s", arguments->output,
-                         arguments->grid_option);
+                         given_option(arguments, GRID));
     if (arguments->resume && (arguments->no_tris || arguments->parse_only))
         return cli_usage(cli, "--resume continues from a chunk file: leave out %s",
                          arguments->no_tris ? "--no-tris" : "--parse-only");
@@ -389,7 +321,16 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
 int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *arguments, int argc,
                              char **argv)
 {
-    int status = cli_parse_options(cli, argc, argv, long_options, parse_option, arguments);
+    const struct cli_command command = {
+        .usage = usage,
+        .tables = {{rows, ROWS, arguments, arguments->given},
+                   {cli_task_rows, CLI_TASK_ROWS, &arguments->farm, NULL},
+                   {cli_rows, sizeof cli_rows / sizeof *cli_rows, cli, NULL}},
+        .take = take_option,
+        .arguments = arguments,
+    };
+    bsq_options_defaults(rows, ROWS, arguments);
+    int status = cli_parse(cli, &command, argc, argv);
     arguments->inputs = (const char *const *)argv + optind;
     arguments->input_count = (uint32_t)(argc - optind);
     arguments->sort_only = arguments->output && cli_ends_with(arguments->output, ".tris");

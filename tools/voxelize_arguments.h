@@ -5,11 +5,14 @@
 #include "libvoxel/voxel.h"
 #include "tools/cli_tasks.h"
 
+enum { VOXELIZE_MOST_ROWS = 32 };
+
 struct voxelize_arguments {
+    bool given[VOXELIZE_MOST_ROWS]; /* by rows of the options */
     const char *const *inputs;
     uint32_t input_count;
     const char *output;
-    uint64_t resolution; /* 0: a voxel size is given */
+    uint32_t resolution; /* 0: a voxel size is given */
     double voxel_size;   /* 0: not given */
     enum vox_grid_type grid_type;
     enum bsq_scan_normals scan_normals;
@@ -23,9 +26,8 @@ struct voxelize_arguments {
     bool no_tris, parse_only, resume;
     bool sort_only; /* the output is a chunk file: no grid is made */
     struct cli_tasks farm;
-    const char *work_option; /* the last option of sorting or of the grid; NULL: none was given */
-    const char *grid_option; /* the last option of the grid alone; NULL: none was given */
     /* Of all files, or of each one: as often as the option was given. */
+    double scale; /* the last one */
     double *scales;
     enum vox_up *ups;
     double (*translations)[3];
@@ -34,14 +36,17 @@ struct voxelize_arguments {
 };
 
 /* Parses the command line, and checks what can be checked without opening a file. Returns what
- * cli_parse_options() returns. */
+ * cli_parse() returns. */
 int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *arguments, int argc,
                              char **argv);
 
-/* Frees what parsing allocated. */
+/* Applies the rules for paths to the inputs of the command line. */
+int voxelize_arguments_map_inputs(struct cli *cli, struct voxelize_arguments *arguments);
+
 /* Returns whether the chunk file is to keep the materials' normal maps. */
 bool voxelize_keeps_normal_map(const struct voxelize_arguments *arguments);
 
+/* Frees what parsing allocated. */
 void voxelize_arguments_free(struct voxelize_arguments *arguments);
 
 #endif

@@ -1,198 +1,209 @@
-/* farm_options.c - see farm_options.h.
- *
- * A member that is missing in the table would be lost in tasks; the assertion on the size reminds
- * of it. */
+/* farm_options.c - the options of a bake as JSON, by the rows of their table. */
 #include "libbake/farm/farm_options.h"
 
-#include <stddef.h>
 #include <stdlib.h>
+#include <string.h>
 
-#define MEMBER(kind, name)                                                                         \
-    {                                                                                              \
-#name, offsetof(struct bake_options, name), FMT_FARM_##kind, 0                             \
-    }
-#define CHOICE_MEMBER(name, last)                                                                  \
-    {                                                                                              \
-#name, offsetof(struct bake_options, name), FMT_FARM_CHOICE, last                          \
-    }
-
-#define PATHS_MEMBER(name, count)                                                                  \
-    {                                                                                              \
-#name, offsetof(struct bake_options, name), FMT_FARM_PATHS,                                \
-            offsetof(struct bake_options, count)                                                   \
-    }
-
-static const struct fmt_farm_member members[] = {
-    MEMBER(PATH, scan_path),
-    PATHS_MEMBER(more_scan_paths, more_scan_count),
-    MEMBER(BOOL, match_names),
-    MEMBER(TEXT, low_suffix),
-    MEMBER(TEXT, high_suffix),
-    MEMBER(PATH, mesh_path),
-    PATHS_MEMBER(more_mesh_paths, more_mesh_count),
-    MEMBER(U32, maps),
-    MEMBER(PATH, output_path),
-    CHOICE_MEMBER(sample_type, BAKE_FLOAT),
-    MEMBER(U32, width),
-    MEMBER(U32, height),
-    MEMBER(U32, samples),
-    CHOICE_MEMBER(rays, BAKE_RAYS_FACE),
-    MEMBER(OPTIONAL, cage_path),
-    MEMBER(OPTIONAL, skew_path),
-    MEMBER(NUMBER, front),
-    MEMBER(NUMBER, back),
-    MEMBER(U32, padding),
-    MEMBER(BOOL, green_down),
-    CHOICE_MEMBER(normal_space, BAKE_OBJECT_SPACE),
-    CHOICE_MEMBER(sampling, BAKE_NEAREST),
-    CHOICE_MEMBER(scan_normals, BSQ_SCAN_NORMALS_FLAT),
-    MEMBER(OPTIONAL, scan_normal_map),
-    MEMBER(NUMBER, height_range),
-    CHOICE_MEMBER(position_in, BAKE_IN_BOX),
-    MEMBER(NUMBER, curvature_range),
-    MEMBER(NUMBER, curvature_radius),
-    MEMBER(U32, ao_rays),
-    MEMBER(NUMBER, ao_distance),
-    MEMBER(NUMBER, ao_spread),
-    MEMBER(BOOL, ao_falloff),
-    MEMBER(NUMBER, ao_coarse),
-    MEMBER(U32, thickness_rays),
-    MEMBER(NUMBER, thickness_distance),
-    MEMBER(BOOL, two_sided),
-    MEMBER(NUMBER, max_missed),
-    MEMBER(TEXT, device),
-    MEMBER(U64, gpu_memory_bytes),
-    MEMBER(U32, exr_tile_side),
-    MEMBER(OPTIONAL, preview_path),
-    MEMBER(U32, preview_views),
-    CHOICE_MEMBER(preview_up, BAKE_UP_Z),
-};
-enum { MEMBERS = sizeof members / sizeof *members };
-
-/* Of a transfer map. */
-static const struct fmt_farm_member transfer_members[] = {
-    {"name", offsetof(struct bake_transfer, name), FMT_FARM_TEXT, 0},
-    {"texture", offsetof(struct bake_transfer, texture_path), FMT_FARM_OPTIONAL, 0},
-    {"in_mask", offsetof(struct bake_transfer, in_mask), FMT_FARM_BOOL, 0},
-    {"no_file", offsetof(struct bake_transfer, no_file), FMT_FARM_BOOL, 0},
-};
-enum { TRANSFER_MEMBERS = sizeof transfer_members / sizeof *transfer_members };
-
-/* tile_sizes, tile_ranges and transfers are written by themselves. */
-_Static_assert(sizeof(struct bake_options) == 344, "a new option needs a row in `members`");
-_Static_assert(sizeof(enum bake_rays) == sizeof(unsigned), "a choice is an unsigned number");
-
-static json_t *tile_sizes_to_json(const struct bake_options *options)
+static uint32_t *count_of(const struct bsq_option *row, const void *options)
 {
-    json_t *list = json_array();
-    for (uint32_t i = 0; i < options->tile_size_count; i++) {
-        const struct bake_tile_size *size = &options->tile_sizes[i];
-        json_array_append_new(list, json_pack("[I, I, I]", (json_int_t)size->tile,
-                                              (json_int_t)size->width, (json_int_t)size->height));
-    }
-    return list;
+    return (void *)((char *)(uintptr_t)options + row->count_offset);
 }
 
-static json_t *tile_ranges_to_json(const struct bake_options *options)
+/* Returns element i of a list. */
+static char *element_of(const struct bsq_option *row, const void *options, uint32_t i)
 {
-    json_t *list = json_array();
-    for (uint32_t i = 0; i < options->tile_range_count; i++)
-        json_array_append_new(list, json_pack("[I, I]", (json_int_t)options->tile_ranges[i].first,
-                                              (json_int_t)options->tile_ranges[i].last));
-    return list;
+    return *(char **)bsq_option_at(row, options) + i * row->element_bytes;
 }
 
-static json_t *transfers_to_json(const struct bake_options *options, const char *plan_path)
+/* ---- writing ---- */
+
+static json_t *rows_to_json(const struct bsq_option *rows, size_t count, const void *options,
+                            const char *plan_path);
+
+static json_t *path_to_json(const char *path, const char *plan_path)
+{
+    char *name = path ? fmt_farm_path_in_plan(plan_path, path) : NULL;
+    json_t *json = name ? json_string(name) : path ? NULL : json_null();
+    free(name);
+    return json;
+}
+
+static json_t *list_to_json(const struct bsq_option *row, const void *options,
+                            const char *plan_path)
 {
     json_t *list = json_array();
-    int failed = list == NULL;
-    for (uint32_t i = 0; i < options->transfer_count; i++)
-        failed |= json_array_append_new(
-            list, fmt_farm_options_to_json(transfer_members, TRANSFER_MEMBERS,
-                                           &options->transfers[i], plan_path));
+    bool failed = list == NULL;
+    for (uint32_t i = 0; i < *count_of(row, options); i++)
+        failed |=
+            json_array_append_new(list, rows_to_json(row->rows, row->row_count,
+                                                     element_of(row, options, i), plan_path)) != 0;
     if (!failed)
         return list;
     json_decref(list);
     return NULL;
 }
 
-json_t *bake_farm_options_to_json(const struct bake_options *options, const char *plan_path)
+static json_t *member_to_json(const struct bsq_option *row, const void *options,
+                              const char *plan_path)
 {
-    json_t *json = fmt_farm_options_to_json(members, MEMBERS, options, plan_path);
-    if (json_object_set_new(json, "tile_sizes", tile_sizes_to_json(options)) == 0 &&
-        json_object_set_new(json, "tile_ranges", tile_ranges_to_json(options)) == 0 &&
-        json_object_set_new(json, "transfers", transfers_to_json(options, plan_path)) == 0)
+    const void *at = bsq_option_at(row, options);
+    switch (row->kind) {
+    case BSQ_OPTION_FLAG:
+        return json_boolean(*(const bool *)at);
+    case BSQ_OPTION_COUNT:
+    case BSQ_OPTION_CHOICE:
+        return json_integer(*(const uint32_t *)at);
+    case BSQ_OPTION_BYTES:
+        return json_integer((json_int_t) * (const uint64_t *)at);
+    case BSQ_OPTION_NUMBER:
+        return json_real(*(const double *)at);
+    case BSQ_OPTION_TEXT:
+        return json_string(*(const char *const *)at);
+    case BSQ_OPTION_LIST:
+        return list_to_json(row, options, plan_path);
+    default:
+        return path_to_json(*(const char *const *)at, plan_path);
+    }
+}
+
+/* Returns an object with all members; of a single row without a name, its value. */
+static json_t *rows_to_json(const struct bsq_option *rows, size_t count, const void *options,
+                            const char *plan_path)
+{
+    if (!rows->member)
+        return member_to_json(rows, options, plan_path);
+    json_t *json = json_object();
+    bool failed = json == NULL;
+    for (size_t i = 0; i < count; i++)
+        failed |= json_object_set_new(json, rows[i].member,
+                                      member_to_json(&rows[i], options, plan_path)) != 0;
+    if (!failed)
         return json;
     json_decref(json);
     return NULL;
 }
 
-/* Reads a list of lists of `width` numbers. The caller frees *out. */
-static bool read_lists(const json_t *json, size_t width, uint32_t **out, uint32_t *count)
+json_t *bake_farm_options_to_json(const struct bake_options *options, const char *plan_path)
 {
-    *count = 0;
-    *out = calloc(json_array_size(json) * width + 1, sizeof **out);
-    if (!json_is_array(json) || !*out || json_array_size(json) > UINT32_MAX)
-        return false;
-    for (size_t i = 0; i < json_array_size(json); i++)
-        for (size_t k = 0; k < width; k++) {
-            uint64_t number;
-            if (!fmt_farm_is_count(json_array_get(json_array_get(json, i), k), UINT32_MAX, &number))
-                return false;
-            (*out)[i * width + k] = (uint32_t)number;
-        }
-    *count = (uint32_t)json_array_size(json);
-    return true;
+    size_t count;
+    const struct bsq_option *rows = bake_option_rows(&count);
+    return rows_to_json(rows, count, options, plan_path);
 }
 
-static bool read_tiles(const json_t *json, struct bake_options *options)
+/* ---- reading ---- */
+
+/* Where options are read from. */
+struct source {
+    struct bsq_ctx *ctx;
+    const char *plan_path;
+};
+
+static int read_rows(const struct source *from, const struct bsq_option *rows, size_t count,
+                     const json_t *json, void *options);
+
+static int fail(const struct source *from, const struct bsq_option *row)
 {
-    _Static_assert(sizeof(struct bake_tile_size) == 3 * sizeof(uint32_t), "three numbers");
-    _Static_assert(sizeof(struct bake_tile_range) == 2 * sizeof(uint32_t), "two numbers");
-    uint32_t *sizes = NULL, *ranges = NULL;
-    bool good =
-        read_lists(json_object_get(json, "tile_sizes"), 3, &sizes, &options->tile_size_count);
-    options->tile_sizes = (const struct bake_tile_size *)sizes;
-    good = good &&
-           read_lists(json_object_get(json, "tile_ranges"), 2, &ranges, &options->tile_range_count);
-    options->tile_ranges = (const struct bake_tile_range *)ranges;
-    return good;
+    return bsq_fail(from->ctx, BSQ_EDATA, "%s: the option %s is missing or has no such value",
+                    from->plan_path, row->member ? row->member : "of several files");
 }
 
-static int read_transfers(struct bsq_ctx *ctx, const char *plan_path, const json_t *json,
-                          struct bake_options *options)
+/* Reads a text or a path. */
+static int read_text(const struct source *from, const struct bsq_option *row, const json_t *json,
+                     char **out)
 {
-    const size_t count = json_array_size(json);
-    struct bake_transfer *list = calloc(count + 1, sizeof *list);
-    options->transfers = list;
-    if (!json_is_array(json) || !list || count > BAKE_MAX_TRANSFERS)
-        return fmt_farm_fail_option(ctx, plan_path, "transfers");
-    options->transfer_count = (uint32_t)count;
+    const char *text = json_string_value(json);
+    const bool optional = row->kind != BSQ_OPTION_TEXT && row->member;
+    if (!text)
+        return optional && json_is_null(json) ? 0 : fail(from, row);
+    *out = row->kind == BSQ_OPTION_TEXT ? strdup(text)
+                                        : fmt_farm_path_from_plan(from->ctx, from->plan_path, text);
+    return *out ? 0 : bsq_fail(from->ctx, BSQ_ENOMEM, "%s: out of memory", from->plan_path);
+}
+
+/* Counts the elements that are there to be freed, also after a failure. */
+static int read_list(const struct source *from, const struct bsq_option *row, const json_t *json,
+                     void *options)
+{
+    const size_t size = json_array_size(json);
+    void *list = NULL;
     int status = 0;
-    for (size_t i = 0; i < count && status == 0; i++)
-        status = fmt_farm_options_from_json(ctx, transfer_members, TRANSFER_MEMBERS, plan_path,
-                                            json_array_get(json, i), &list[i]);
+    if (!json_is_array(json) || size > UINT32_MAX)
+        return fail(from, row);
+    list = calloc(size + 1, row->element_bytes);
+    if (!list)
+        return bsq_fail(from->ctx, BSQ_ENOMEM, "%s: out of memory", from->plan_path);
+    *(void **)bsq_option_at(row, options) = list;
+    *count_of(row, options) = (uint32_t)size;
+    for (uint32_t i = 0; i < size; i++)
+        BSQ_TRY(read_rows(from, row->rows, row->row_count, json_array_get(json, i),
+                          element_of(row, options, i)));
+done:
+    return status;
+}
+
+static int read_member(const struct source *from, const struct bsq_option *row, const json_t *json,
+                       void *options)
+{
+    void *at = bsq_option_at(row, options);
+    uint64_t count = 0;
+    switch (row->kind) {
+    case BSQ_OPTION_FLAG:
+        *(bool *)at = json_is_true(json);
+        return json_is_boolean(json) ? 0 : fail(from, row);
+    case BSQ_OPTION_COUNT:
+    case BSQ_OPTION_CHOICE:
+        if (!fmt_farm_is_count(json, UINT32_MAX, &count))
+            return fail(from, row);
+        *(uint32_t *)at = (uint32_t)count;
+        return 0;
+    case BSQ_OPTION_BYTES:
+        return fmt_farm_is_count(json, INT64_MAX, at) ? 0 : fail(from, row);
+    case BSQ_OPTION_NUMBER:
+        *(double *)at = json_number_value(json);
+        return json_is_number(json) ? 0 : fail(from, row);
+    case BSQ_OPTION_LIST:
+        return read_list(from, row, json, options);
+    default:
+        return read_text(from, row, json, at);
+    }
+}
+
+static int read_rows(const struct source *from, const struct bsq_option *rows, size_t count,
+                     const json_t *json, void *options)
+{
+    int status = 0;
+    for (const struct bsq_option *row = rows; row < rows + count; row++)
+        BSQ_TRY(read_member(from, row, row->member ? json_object_get(json, row->member) : json,
+                            options));
+done:
     return status;
 }
 
 int bake_farm_options_from_json(struct bsq_ctx *ctx, const char *plan_path, const json_t *json,
                                 struct bake_options *out)
 {
+    size_t count;
+    const struct bsq_option *rows = bake_option_rows(&count);
     *out = (struct bake_options){0};
-    int status = fmt_farm_options_from_json(ctx, members, MEMBERS, plan_path, json, out);
-    if (status == 0 && !read_tiles(json, out))
-        status = fmt_farm_fail_option(ctx, plan_path, "tile_sizes or tile_ranges");
-    return status == 0 ? read_transfers(ctx, plan_path, json_object_get(json, "transfers"), out)
-                       : status;
+    return read_rows(&(struct source){ctx, plan_path}, rows, count, json, out);
+}
+
+static void free_rows(const struct bsq_option *rows, size_t count, void *options)
+{
+    for (const struct bsq_option *row = rows; row < rows + count; row++) {
+        void **at = bsq_option_at(row, options);
+        if (row->kind == BSQ_OPTION_LIST)
+            for (uint32_t i = 0; i < *count_of(row, options); i++)
+                free_rows(row->rows, row->row_count, element_of(row, options, i));
+        if (row->kind == BSQ_OPTION_LIST || row->kind == BSQ_OPTION_TEXT ||
+            row->kind == BSQ_OPTION_INPUT || row->kind == BSQ_OPTION_OUTPUT)
+            free(*at);
+    }
 }
 
 void bake_farm_options_free(struct bake_options *options)
 {
-    fmt_farm_options_free(members, MEMBERS, options);
-    for (uint32_t i = 0; i < options->transfer_count; i++)
-        fmt_farm_options_free(transfer_members, TRANSFER_MEMBERS,
-                              (void *)(uintptr_t)&options->transfers[i]);
-    free((void *)(uintptr_t)options->transfers);
-    free((void *)(uintptr_t)options->tile_sizes);
-    free((void *)(uintptr_t)options->tile_ranges);
+    size_t count;
+    const struct bsq_option *rows = bake_option_rows(&count);
+    free_rows(rows, count, options);
 }

@@ -373,7 +373,7 @@ int bake_warn_limited(struct bsq_ctx *ctx, const struct bake_options *options, u
         if (limited[i] > 0)
             status = bsq_warn_loss(ctx,
                                    "map %s: samples too large for 16 bits: %" PRIu64
-                                   "; they became 65504 or -65504: --float holds them",
+                                   "; they became 65504 or -65504: --type float holds them",
                                    bake_name_of(options, i), limited[i]);
     return status;
 }

@@ -66,7 +66,7 @@ echo "count once:"
 echo
 echo "| device | open | of it upload | trace | of it kernels | copies | padding | resolve | file | all |"
 echo "|:-------|-----:|-------------:|------:|--------------:|-------:|--------:|--------:|-----:|----:|"
-for device in $("$BIN/bisque-bake" --list-devices --progress none 2>/dev/null | awk '{ print $1 }'); do
+for device in $("$BIN/bisque-bake" --list devices --progress none 2>/dev/null | awk '{ print $1 }'); do
     say "whole bake on $device"
     "$BIN/bisque-bake" --json --progress none --device "$device" --size $size --maps normal,mask \
         -o "$work/map_<MAP>.exr" "$scan.nvdb" "$low" >"$work/report" || continue

@@ -47,7 +47,7 @@ bake()
 {
     map=$1
     shift
-    "$TESTS/measure" report "$BIN/bisque-bake" "$@" -o "${map}_<MAP>.exr" --float --size "$size" \
+    "$TESTS/measure" report "$BIN/bisque-bake" "$@" -o "${map}_<MAP>.exr" --type float --size "$size" \
         --samples 1 --padding 0 >bake.log 2>&1 || {
         cat bake.log >&2
         exit 70
@@ -62,13 +62,13 @@ reach="--front 0.05 --back 0.05"
 for count in 64 "$rays"; do
     echo "ao of the vase, exact, $count rays"
     # shellcheck disable=SC2086 # options
-    bake "exact$count" vase.tris vase_low.obj --maps ao,mask --ao-rays "$count" $reach
+    bake "exact$count" vase.tris vase_low.obj --maps ao,mask --rays ao="$count" $reach
     echo "ao of the vase, Blender, $count rays"
     blend bake ao vase.obj vase_low.obj "blender$count.exr" "$size" "$count" 0.05 0.05
 done
 echo "ao of the vase, grid, 64 rays"
 # shellcheck disable=SC2086 # options
-bake grid64 vase.nvdb vase_low.obj --maps ao,mask --ao-rays 64 $reach
+bake grid64 vase.nvdb vase_low.obj --maps ao,mask --rays ao=64 $reach
 mask=exact${rays}_mask.exr
 for map in "exact${rays}_ao.exr" exact64_ao.exr grid64_ao.exr blender64.exr; do
     echo "$map beside Blender with $rays rays"

@@ -61,8 +61,8 @@ in_blender()
 bisque()
 {
     # shellcheck disable=SC2086 # options
-    cost "$1" "$BIN/bisque-bake" "$2.nvdb" low.obj -o "$1_<MAP>.exr" --maps ao,mask --ao-rays "$4" --size "$3" --samples 1 \
-        --padding 0 --float --device cpu $reach
+    cost "$1" "$BIN/bisque-bake" "$2.nvdb" low.obj -o "$1_<MAP>.exr" --maps ao,mask --rays ao="$4" --size "$3" --samples 1 \
+        --padding 0 --type float --device cpu $reach
 }
 
 # noise A B MASK: prints the root mean square of the difference of two maps.

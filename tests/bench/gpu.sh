@@ -83,13 +83,13 @@ echo '```'
 command -v nvidia-smi >/dev/null &&
     nvidia-smi --query-gpu=name,driver_version,memory.total,pcie.link.gen.max --format=csv,noheader
 echo "$(uname -m), $(nproc) processors, $(sed -n 's/^model name[^:]*: //p' /proc/cpuinfo | head -n 1)"
-bisque-bake --list-devices 2>warnings
+bisque-bake --list devices 2>warnings
 cat warnings
 setting=$(sed -n 's/.*this does it: export //p' warnings | head -n 1)
 if [ -n "$setting" ]; then
     echo "\$ export $setting"
     export "${setting?}"
-    bisque-bake --list-devices 2>&1
+    bisque-bake --list devices 2>&1
 fi
 echo '```'
 echo

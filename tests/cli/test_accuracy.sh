@@ -67,7 +67,7 @@ plate_low()
 bake_plate()
 {
     run bisque-bake "$1" plate_low.obj -o "$2_<MAP>.exr" --maps normal,color,mask --normal-space object \
-        --float --size 64x32 --samples 2 --front 6 --back 6 --device cpu
+        --type float --size 64x32 --samples 2 --front 6 --back 6 --device cpu
 }
 
 # Parallel to the grid, between two layers of voxels, inside one and elsewhere; and tilted.
@@ -110,7 +110,7 @@ fi
 "$TESTS/generate-scan" vase-low -o low.obj
 run bisque-voxelize vase.obj -o vase.nvdb --resolution $resolution
 code 0
-options="--maps normal,mask --size 256 --samples 2 --normal-space object --float"
+options="--maps normal,mask --size 256 --samples 2 --normal-space object --type float"
 run bisque-bake vase.tris low.obj $options -o 'exact_<MAP>.exr'
 code 0
 holds "exact maps have the formula's normals" check-vase -s 2 -e 7 -m 0.2 -p 0.5 -h 1 exact_normal.exr \
@@ -129,7 +129,7 @@ sanitized || within "voxels against exact maps" voxel_normal.exr exact_normal.ex
 
 # ---- secondary rays: voxels and exact maps; errors are those of rays that start a voxel higher ----
 
-around="--maps ao,thickness,mask --size 64 --samples 1 --ao-rays 32 --thickness-rays 32"
+around="--maps ao,thickness,mask --size 64 --samples 1 --rays ao=32 --rays thickness=32"
 for scan in tris nvdb; do
     run bisque-bake vase.$scan low.obj $around -o "${scan}_<MAP>.exr"
     code 0
@@ -160,7 +160,7 @@ half_texels()
     "$TESTS/generate-scan" "$@" --wavelength "$wavelength" sine -o sine.obj
     run bisque-voxelize sine.obj -o sine.nvdb --voxel-size 0.78125
     code 0
-    options="--maps normal,mask --size 64 --samples 4 --normal-space object --float --padding 0"
+    options="--maps normal,mask --size 64 --samples 4 --normal-space object --type float --padding 0"
     run bisque-bake sine.tris sine_low.obj $options -o 'exact_<MAP>.exr'
     for sampling in trilinear nearest; do
         run bisque-bake sine.nvdb sine_low.obj $options --sampling $sampling -o "${sampling}_<MAP>.exr"
@@ -197,12 +197,12 @@ for mesh in low low_mirrored box; do
     esac
     for source in nvdb tris; do
         bake="run bisque-bake $scan.$source $mesh.obj --size 256 --samples 1 --device cpu"
-        $bake --maps normal,mask --normal-space object --float -o 'object_<MAP>.exr'
+        $bake --maps normal,mask --normal-space object --type float -o 'object_<MAP>.exr'
         code 0
-        $bake --maps normal --float -o tangent.exr
+        $bake --maps normal --type float -o tangent.exr
         holds "$mesh from $scan.$source: tangent space of floats is object space" check-tangent -x 0.01 -h 0.5 \
             $mesh.obj tangent.exr object_normal.exr object_mask.exr
-        $bake --maps normal --half -o tangent.exr
+        $bake --maps normal --type half -o tangent.exr
         holds "$mesh from $scan.$source: tangent space of halves is object space" check-tangent -x $limit -m 0.03 \
             -h 0.5 $mesh.obj tangent.exr object_normal.exr object_mask.exr
     done

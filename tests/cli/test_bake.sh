@@ -36,21 +36,12 @@ is_png()
 
 # ---- help, version, devices ----
 
+help_and_man_page bisque-bake
 $bake --help
 code 0
-out_like '^Usage: bisque-bake '
-options="output maps size tiles samples front back height-range position-in curvature-radius curvature-range
-    ao-rays ao-distance ao-spread ao-falloff ao-coarse thickness-rays thickness-distance cage ray-directions max-missed two-sided
-    sampling normal-space green padding half float exr-tiles png-bits preview preview-views up device gpu-memory list-devices list-tiles tasks write-plan plan task merge force strict memory
-    threads progress path-map json help
-    version"
-for option in $options; do
-    out_like "  --$option|, --$option"
-done
-maps=$(sed -n '/--maps LIST/,/--size/s/^ \{28\}\([a-z_0-9]*\) .*/\1/p' "$out")
+maps=$(sed -n '/^Maps:$/,$s/^ \{6\}\([a-z_0-9]*\)  .*/\1/p' "$out")
 [ -n "$maps" ]
 check "the help lists maps" $?
-man_page bisque-bake $options
 # The man page describes each map that the help lists.
 for map in $maps; do
     grep -q "^\.It Cm $map\$" "$top/man/bisque-bake.1"
@@ -59,11 +50,11 @@ done
 $bake --version
 code 0
 out_like '^bisque-bake [0-9]+\.[0-9]+\.[0-9]+$'
-$bake --list-devices
+$bake --list devices
 code 0
 grep -q '^cpu ' "$out"
 check "the processor is a device" $?
-$bake --list-devices --json
+$bake --list devices --json
 code 0
 json '.devices | map(.id) | contains(["cpu"])'
 
@@ -78,8 +69,8 @@ $bake plain.nvdb plain.nvdb plain.nvdb -o a.exr
 refused 64 "$p 3 scans (.nvdb, .tris) and 0 low-poly meshes given (see --help)"
 $bake plain.nvdb low.obj
 refused 64 "$p no output given: add -o 'OUT_<MAP>.exr'"
-$bake --list-devices low.obj
-refused 64 "$p --list-devices takes no files"
+$bake --list devices low.obj
+refused 64 "$p --list devices takes no files"
 $bake --nonsense
 refused 64 "$p unrecognized option '--nonsense'"
 good="plain.nvdb low.obj -o a_<MAP>.exr"
@@ -109,8 +100,8 @@ refused 64 "$p --front: \"-1\" is not a non-negative number"
 $bake $good --back far
 refused 64 "$p --back: \"far\" is not a non-negative number"
 for range in 0 -1 none nan; do
-    $bake $good --height-range $range
-    refused 64 "$p --height-range: \"$range\" is not a positive number"
+    $bake $good --range height=$range
+    refused 64 "$p --range height: \"$range\" is not a positive number"
 done
 for option in height-range curvature-range ao-distance thickness-distance; do
     $bake $good --maps normal --$option 1e308
@@ -122,8 +113,8 @@ for option in curvature-radius curvature-range; do
     $bake $good --$option 0
     refused 64 "$p --$option: \"0\" is not a positive number"
 done
-$bake $good --position-in cube
-refused 64 "$p --position-in: \"cube\" is not sphere or box"
+$bake $good --range position=cube
+refused 64 "$p --range position: \"cube\" is not sphere or box"
 $bake $good --padding some
 refused 64 "$p --padding: \"some\" is not a whole number from 0 to 4294967294"
 $bake $good --green left
@@ -134,14 +125,12 @@ $bake $good --normal-space object --green down
 refused 64 "$p an object-space map has no green direction to flip"
 $bake $good --sampling cubic
 refused 64 "$p --sampling: \"cubic\" is not trilinear or nearest"
-$bake $good --half --float
-refused 64 "$p --half, --float and --png-bits exclude each other"
-$bake $good --png-bits 8
+$bake $good --type 8
 refused 64 "$p a_<MAP>.exr: OpenEXR files have no 8-bit samples"
-$bake plain.nvdb low.obj -o a.png --float
+$bake plain.nvdb low.obj -o a.png --type float
 refused 64 "$p a.png: PNG files have no float samples"
-$bake plain.nvdb low.obj -o a.png --png-bits 12
-refused 64 "$p --png-bits: \"12\" is not 8 or 16"
+$bake plain.nvdb low.obj -o a.png --type 12
+refused 64 "$p --type: \"12\" is not auto, 8, 16, half or float"
 $bake colored.nvdb low.obj -o a.exr --maps normal,color
 refused 64 "$p a.exr: several maps need \"<MAP>\" in the output's name"
 $bake plain.nvdb low.obj -o 'a_<Map>.exr' --maps normal
@@ -149,7 +138,7 @@ refused 64 "$p a_<Map>.exr: \"<MAP>\" in the output's name needs capital letters
 $bake plain.nvdb low.obj -o '<object>_<MAP>.exr'
 refused 64 "$p <object>_<MAP>.exr: \"<OBJECT>\" in the output's name needs capital letters"
 $bake $good --max-missed 100.5
-refused 64 "$p --max-missed: 100.5 is above 100 percent"
+refused 64 "$p --max-missed: 100.5 is above 100"
 $bake $good --gpu-memory much
 refused 64 "$p --gpu-memory: \"much\" is not a size such as 512MiB or 4G"
 # Device names are checked before any file is opened, also for exact bakes, which need no device.
@@ -207,7 +196,7 @@ for name in a.jpg a 'a_<MAP>.tif' exr; do
 done
 $bake plain.nvdb low.obj -o a.exr --preview p.jpg
 refused 64 "$p p.jpg: the picture is a PNG file: its name must end in .png"
-$bake plain.nvdb low.obj -o a.PNG --half
+$bake plain.nvdb low.obj -o a.PNG --type half
 refused 64 "$p a.PNG: PNG files have no half-float samples"
 $bake plain.nvdb low.obj -o a.png --preview low.obj
 refused 64 "$p low.obj: this output would overwrite the low-poly mesh"
@@ -218,7 +207,7 @@ files $start
 # ---- passes ----
 
 # A grid ten times as large as the usable memory of the device.
-if "$BIN/bisque-bake" --list-devices --json --progress none | jq -e '.devices | map(.id) | contains(["opencl:0"])' \
+if "$BIN/bisque-bake" --list devices --json --progress none | jq -e '.devices | map(.id) | contains(["opencl:0"])' \
     >/dev/null; then
     run bisque-voxelize low.obj -o large.nvdb --no-tris --resolution 720
     code 0
@@ -287,7 +276,7 @@ $bake $small plain.nvdb low.obj -o 'p_<MAP>.exr'
 code 0
 files p_normal.exr $start
 cp p_normal.exr half.exr
-$bake $small plain.nvdb low.obj -o float.exr --float
+$bake $small plain.nvdb low.obj -o float.exr --type float
 code 0
 [ "$(wc -c <float.exr)" -gt "$(wc -c <half.exr)" ]
 check "float samples take more bytes than half" $?
@@ -303,14 +292,14 @@ code 0
 cmp -s look.png grey.png
 check "without a colour map the preview shows the scan without colours" $?
 $bake --device cpu --size 96x48 plain.nvdb low.obj -o n.png --preview grey.png --maps normal \
-    --preview-views 1 --up z
+    --view count=1,up=z
 code 0
 is_png grey.png 2312 768 8
 for value in 0 361 -1 many; do
-    $bake $small plain.nvdb low.obj -o n.png --preview grey.png --preview-views $value
+    $bake $small plain.nvdb low.obj -o n.png --preview grey.png --view count=$value
     code 64
 done
-$bake $small plain.nvdb low.obj -o n.png --preview grey.png --up x
+$bake $small plain.nvdb low.obj -o n.png --preview grey.png --view up=x
 code 64
 rm grey.png
 $bake $small plain.nvdb low.obj -o lines.exr --maps normal
@@ -329,7 +318,7 @@ for value in 7 8193 0; do
     $bake $small plain.nvdb low.obj -o n.exr --maps normal --exr-tiles $value
     code 64
 done
-$bake $small plain.nvdb low.obj -o n8.png --png-bits 8 --maps normal
+$bake $small plain.nvdb low.obj -o n8.png --type 8 --maps normal
 code 0
 is_png n8.png 96 96 8
 $bake $small plain.nvdb low.obj -o m.png --maps mask
@@ -345,24 +334,24 @@ files all_ao.exr all_bent.exr all_curvature.exr all_height.exr all_mask.exr all_
 json '.encodings | keys == ["curvature", "height", "position", "thickness"]'
 json '.encodings.curvature | .unit == "1 / mesh unit" and .radius > 0 and .range > 0'
 json '.encodings.position | .unit == "mesh unit" and .scale == [1, 1, 1] and .offset == [0, 0, 0] and .origin == [0, 0, 0]'
-$bake $small colored.nvdb low.obj -o 'all_<MAP>.png' --maps all,color --position-in box --height-range 2 --json
+$bake $small colored.nvdb low.obj -o 'all_<MAP>.png' --maps all,color --range position=box --range height=2 --json
 code 0
 json '.maps | keys == ["ao", "bent", "color", "curvature", "height", "mask", "normal", "position", "thickness"]'
 json '.encodings.height == {"unit": "mesh unit", "radius": 0, "range": 2, "scale": [4], "offset": [-2], "origin": [0]}'
 json '.encodings.position | .scale == [1, 2, 3] and .offset == [0, 0, 0] and .range == 1.5'
 # Curvature of a radius that is given, with a range that is given.
-$bake $small plain.nvdb low.obj -o 'curved.png' --maps curvature --curvature-radius 0.25 --curvature-range 8 --json
+$bake $small plain.nvdb low.obj -o 'curved.png' --maps curvature --distance curvature=0.25 --range curvature=8 --json
 code 0
 json '.encodings.curvature == {"unit": "1 / mesh unit", "radius": 0.25, "range": 8, "scale": [16], "offset": [-8],
     "origin": [0]}'
 is_png curved.png 96 96 16
 # A radius larger than the scan finds nothing around the hits.
-$bake $small plain.nvdb low.obj -o curved.png --maps curvature --curvature-radius 100
+$bake $small plain.nvdb low.obj -o curved.png --maps curvature --distance curvature=100
 code 0
 grep -Eq 'warning: map curvature: no surface around the hits of ([0-9]+) of \1 texels, at a radius of 100; they became 0' "$err"
 check "all texels of unknown curvature are counted" $?
 rm curved.png
-$bake $small plain.nvdb low.obj -o curved.png --maps curvature --curvature-radius 100 --strict
+$bake $small plain.nvdb low.obj -o curved.png --maps curvature --distance curvature=100 --strict
 code 65
 [ ! -e curved.png ]
 check "no map of unknown curvature in a strict bake" $?
@@ -394,12 +383,12 @@ for map in ao bent thickness; do
 done
 run bisque-compare 1_bent.exr 1_normal.exr --mask 1_mask.exr --force --type normal --max-mean 3
 code 0
-$bake $hits -o '3_<MAP>.png' --ao-rays 16 --thickness-distance 2 --json
+$bake $hits -o '3_<MAP>.png' --rays ao=16 --distance thickness=2 --json
 code 0
 json '.encodings.thickness | .unit == "mesh unit" and .scale == [2] and .offset == [0] and .range == 1'
 is_png 3_ao.png 96 96 16
-for bad in '--ao-rays 0' '--ao-rays 4097' '--ao-spread 181' '--ao-spread 0' '--ao-falloff square' '--ao-distance 0' \
-    '--ao-falloff linear' '--ao-coarse 0' '--ao-coarse far' '--thickness-rays 0' '--thickness-distance -1'; do
+for bad in '--rays ao=0' '--rays ao=4097' '--ao spread=181' '--ao spread=0' '--ao falloff=square' '--distance ao=0' \
+    '--ao falloff=linear' '--ao coarse=0' '--ao coarse=far' '--rays thickness=0' '--distance thickness=-1'; do
     $bake $hits -o 'x_<MAP>.exr' $bad
     code 64
 done
@@ -416,7 +405,7 @@ first=$(jq .encodings.height.range "$out")
 $bake $small $heights plain.nvdb tiles.obj -o 'alone_<UDIM>.png' --tiles 1002 --json
 json ".encodings.height.range as \$second | $range == ([$first, \$second] | max) and $first != \$second"
 for tile in 1001 1002; do
-    $bake $small $heights plain.nvdb tiles.obj -o 'given_<UDIM>.png' --tiles $tile --height-range "$range"
+    $bake $small $heights plain.nvdb tiles.obj -o 'given_<UDIM>.png' --tiles $tile --range height="$range"
     code 0
     same given_$tile.png both_$tile.png
 done
@@ -457,7 +446,7 @@ rm far.* nvdb_* tris_* near.exr
 # Options change the map.
 for option in "--green up" "--green down" "--normal-space object" "--padding 0" "--padding all" \
     "--sampling nearest" "--samples 3"; do
-    $bake $small $option plain.nvdb low.obj -o b.png --png-bits 8 --maps normal
+    $bake $small $option plain.nvdb low.obj -o b.png --type 8 --maps normal
     code 0
     case $option in
     "--green up")
@@ -524,22 +513,22 @@ rm charts.exr stacked.obj
 # The charts in two tiles: 1002, and 1011 from half the height of the map on.
 awk '/^vt / { $2 += 1; $3 *= 2 } { print }' low.obj >two.obj
 for words in two.obj "$small plain.nvdb two.obj -o m_<MAP>.<UDIM>.exr"; do
-    $bake --list-tiles $words
+    $bake --list tiles $words
     code 0
     [ "$(cat "$out")" = "1002
 1012" ]
     check "tiles are listed" $?
 done
-$bake --list-tiles two.obj --json --size '1012=64x32,*=16'
+$bake --list tiles two.obj --json --size '1012=64x32,*=16'
 code 0
 json '[.tiles[] | [.tile, .width, .height]] == [[1002, 16, 16], [1012, 64, 32]]'
-$bake --list-tiles two.obj --size '5=64'
+$bake --list tiles two.obj --size '5=64'
 code 64
 err_like "^$p a size for tile 5: UDIM tiles are 1001 to "
 for words in "" plain.nvdb; do
-    $bake --list-tiles $words
+    $bake --list tiles $words
     code 64
-    err "$p --list-tiles takes files: LOW.obj..."
+    err "$p --list tiles takes files: LOW.obj..."
 done
 $bake $small plain.nvdb two.obj -o 'one_<MAP>.exr'
 code 64
@@ -608,25 +597,25 @@ done
 run bisque-voxelize huge_low.obj -o huge.tris
 code 0
 huge="$small huge.tris huge_two.obj --maps position,mask"
-$bake $huge --half -o 'huge_<MAP>.<UDIM>.exr'
+$bake $huge --type half -o 'huge_<MAP>.<UDIM>.exr'
 code 0
 [ "$(sed 's/bits: [1-9][0-9]*;/bits: N;/' "$err")" = "$p warning: map position: samples too large for 16 bits: N; \
-they became 65504 or -65504: --float holds them" ]
+they became 65504 or -65504: --type float holds them" ]
 check "one warning of large samples" $?
-$bake $huge --float -o 'float_<MAP>.<UDIM>.exr'
+$bake $huge --type float -o 'float_<MAP>.<UDIM>.exr'
 code 0
 [ ! -s "$err" ]
 check "no warning of 32-bit samples" $?
 run bisque-compare --type data --max-error 234500 huge_position.1002.exr float_position.1002.exr
 code 0
-$bake $huge --half -o 'strict_<MAP>.<UDIM>.exr' --strict
+$bake $huge --type half -o 'strict_<MAP>.<UDIM>.exr' --strict
 code 65
 err_like "^$p map position: samples too large for 16 bits: "
 [ ! -e strict_mask.1002.exr ]
 check "no map of a strict job" $?
 rm huge* float_*
 # The size of other tiles may be given before.
-$bake --list-tiles two.obj --json --size 16 --size 1012=64x32
+$bake --list tiles two.obj --json --size 16 --size 1012=64x32
 code 0
 json '[.tiles[] | [.tile, .width, .height]] == [[1002, 16, 16], [1012, 64, 32]]'
 # What lies in no tile is an error, unless it is left out on purpose.
@@ -657,7 +646,7 @@ done
 # ---- failures on the way ----
 
 command="bisque-bake with a file size limit" code=0
-(ulimit -f 8 && exec "$BIN/bisque-bake" --device cpu --size 1024 --float plain.nvdb low.obj \
+(ulimit -f 8 && exec "$BIN/bisque-bake" --device cpu --size 1024 --type float plain.nvdb low.obj \
     --padding all -o a.exr) >"$out" 2>"$err" || code=$?
 code 74
 err_like '^bisque-bake: a\.exr: '

@@ -6,20 +6,13 @@ compare="run bisque-compare"
 p=bisque-compare:
 write_box >low.obj
 run bisque-voxelize low.obj -o box.nvdb --no-tris --resolution 48
-run bisque-bake box.nvdb low.obj --size 64 --maps normal,mask --normal-space object --float -o 'a_<MAP>.exr'
+run bisque-bake box.nvdb low.obj --size 64 --maps normal,mask --normal-space object --type float -o 'a_<MAP>.exr'
 code 0
-run bisque-bake box.nvdb low.obj --size 32 --maps normal --float -o small.exr
+run bisque-bake box.nvdb low.obj --size 32 --maps normal --type float -o small.exr
 code 0
 start="a_mask.exr a_normal.exr box.nvdb low.obj small.exr"
 
-$compare --help
-code 0
-options="type mask mask-a mask-b force ignore-nan heatmap histogram scale max-mean max-median max-p95 max-p99 max-error min-psnr
-    min-agreement memory threads progress path-map json help version"
-for option in $options; do
-    out_like "--$option"
-done
-man_page bisque-compare $options
+help_and_man_page bisque-compare
 
 $compare a_normal.exr a_normal.exr
 code 0
@@ -33,7 +26,7 @@ code 0
 json '.psnr == null and .mean == 0'
 
 # Maps of tangent and object space are refused; with --force they are far apart, and a limit fails.
-run bisque-bake box.nvdb low.obj --size 64 --maps normal --float -o t.exr
+run bisque-bake box.nvdb low.obj --size 64 --maps normal --type float -o t.exr
 $compare t.exr a_normal.exr --mask a_mask.exr
 refused 65 "$p t.exr has bisque:normalSpace \"tangent\", a_normal.exr has \"object\": these maps cannot be compared"
 $compare t.exr a_normal.exr --mask a_mask.exr --force --max-mean 1 --max-p95 5 --json
@@ -45,7 +38,7 @@ $compare t.exr a_normal.exr --force --max-mean 180
 code 0
 
 # Maps with green up and green down, or a mask and a normal map, differ in meaning, not by some degrees.
-run bisque-bake box.nvdb low.obj --size 64 --maps normal --green down --float -o d.exr
+run bisque-bake box.nvdb low.obj --size 64 --maps normal --green down --type float -o d.exr
 $compare t.exr d.exr
 refused 65 "$p t.exr has bisque:green \"up\", d.exr has \"down\": these maps cannot be compared"
 $compare d.exr t.exr --type data

@@ -93,7 +93,7 @@ all_combinations -- bisque-voxelize --verify scan.tris scan.nvdb
 maps="low.obj --device cpu --size 32 --samples 1 --threads 2 --progress json"
 all_combinations a_normal.exr a_color.exr a.png -- bisque-bake scan.nvdb $maps --preview a.png -o 'a_<MAP>.exr'
 all_combinations a_normal.png a_mask.png -- bisque-bake scan.tris $maps --maps normal,mask --json -o 'a_<MAP>.png'
-all_combinations -- bisque-bake --list-devices
+all_combinations -- bisque-bake --list devices
 
 run bisque-bake scan.nvdb $maps --maps normal -o grid.exr
 run bisque-bake scan.tris $maps --maps normal -o exact.exr

@@ -22,18 +22,18 @@ warned()
     "$TESTS/generate-scan" vase-low -o low.obj >/dev/null &&
     "$BIN/bisque-voxelize" --resolution 256 vase.obj -o vase.nvdb >/dev/null || exit 1
 # Secondary rays are short, so that parts of the grid are enough for them.
-hits="--ao-rays 5 --ao-distance 0.02 --thickness-rays 3 --thickness-distance 0.02"
-maps="--size 160x96 --float --maps all $hits vase.nvdb low.obj"
+hits="--rays ao=5 --distance ao=0.02 --rays thickness=3 --distance thickness=0.02"
+maps="--size 160x96 --type float --maps all $hits vase.nvdb low.obj"
 names="normal color mask height position curvature ao bent thickness"
 
 # ---- CUDA ----
 
 ptx=$(ls "$BIN"/../gen/kernel-*.ptx 2>/dev/null | head -n 1)
 if [ -s "$ptx" ]; then
-    cuda --list-devices
+    cuda --list devices
     code 0
     out_like '^cuda:0 +Fake GPU 0, 1\.0 GiB$'
-    FAKE_CUDA_DEVICES=2 cuda --list-devices --json
+    FAKE_CUDA_DEVICES=2 cuda --list devices --json
     json '.devices | map(select(.is_gpu)) | map(.id) | contains(["cuda:0", "cuda:1"])'
 
     bake --device cpu $maps -o 'cpu_<MAP>.exr'
@@ -72,7 +72,7 @@ if [ -s "$ptx" ]; then
     done
 
     # Rays that may reach everything need the whole grid on the device.
-    far="--size 16 --maps ao --ao-rays 3 vase.nvdb low.obj --gpu-memory $((${least:-1} + 3000000))"
+    far="--size 16 --maps ao --rays ao=3 vase.nvdb low.obj --gpu-memory $((${least:-1} + 3000000))"
     cuda --device cuda $far -o x.exr
     code 69
     grep -q '^bisque-bake: rays that start on the scan reach all of the grid, and ' "$err"
@@ -103,7 +103,7 @@ if [ -s "$ptx" ]; then
     refused 69 "$p there is no device cuda:1; there is cuda:0 Fake GPU 0"
     FAKE_CUDA_DEVICES=0 cuda --device cuda $maps -o 'x_<MAP>.exr'
     refused 69 "$p CUDA has no devices"
-    FAKE_CUDA_FAIL=cuInit:1:803 cuda --list-devices
+    FAKE_CUDA_FAIL=cuInit:1:803 cuda --list devices
     code 0
     warned "$p warning: CUDA does not start: CUDA_ERROR_SYSTEM_DRIVER_MISMATCH (system has unsupported display driver / cuda driver combination)"
 
@@ -116,7 +116,7 @@ if [ -s "$ptx" ]; then
     warned "$p warning: opencl:0 is not used: Fake GPU (Fake CUDA): clCreateContext: CL_DEVICE_NOT_AVAILABLE"
     FAKE_CUDA_FAIL=cuInit:1:-6 cuda --device cuda $maps -o 'x_<MAP>.exr'
     refused 69 "$p CUDA cannot be used: a driver crashed when it was asked for its devices (Aborted)"
-    LD_LIBRARY_PATH=$fake:$fake/nvidia "$BIN/bisque-bake" --list-devices 2>&- 0<&- | grep -q '^opencl:0'
+    LD_LIBRARY_PATH=$fake:$fake/nvidia "$BIN/bisque-bake" --list devices 2>&- 0<&- | grep -q '^opencl:0'
     check "devices are listed without standard input and error" $?
 
     # gone PID: waits until a process has ended; hung: starts a job with a driver that hangs, sets $job and $asking.
@@ -194,10 +194,10 @@ fi
 # ---- OpenCL ----
 
 # Secondary rays, on a device that is compiled at run time. It rounds as the processor does.
-bake --list-devices
+bake --list devices
 if grep -q '^opencl:0' "$out"; then
     for device in cpu opencl; do
-        bake --device $device --size 48 --maps ao,bent,thickness --ao-rays 20 vase.nvdb low.obj -o "${device}_<MAP>.exr"
+        bake --device $device --size 48 --maps ao,bent,thickness --rays ao=20 vase.nvdb low.obj -o "${device}_<MAP>.exr"
         code 0
     done
     for map in ao bent thickness; do
@@ -208,7 +208,7 @@ else
     skip "secondary rays with OpenCL" "no OpenCL device"
 fi
 
-if "$BIN/bisque-bake" --list-devices --json --progress none | jq -e '.devices | map(.id) | contains(["opencl:0"])' \
+if "$BIN/bisque-bake" --list devices --json --progress none | jq -e '.devices | map(.id) | contains(["opencl:0"])' \
     >/dev/null; then
     bake --device cpu $maps -o 'cpu_<MAP>.exr'
     bake --device opencl:0 $maps -o 'opencl_<MAP>.exr'
@@ -224,7 +224,7 @@ fi
 OCL_ICD_VENDORS=$fake/crashing_driver.so
 export OCL_ICD_VENDORS
 crash="OpenCL cannot be used: a driver crashed when it was asked for its devices (Aborted)"
-bake --list-devices
+bake --list devices
 if [ "$(cat "$err")" = "$p warning: $crash" ]; then
     code 0
     bake --size 16 --maps mask vase.nvdb low.obj -o mask.exr
@@ -239,7 +239,7 @@ OCL_ICD_VENDORS=/nowhere
 bake --device opencl --size 16 --maps mask vase.nvdb low.obj -o x.exr
 if [ "$code" -eq 69 ]; then
     refused 69 "$p OpenCL has no devices (no driver that works is installed)"
-    bake --list-devices
+    bake --list devices
     check "no warning if no OpenCL driver is registered" "$(wc -l <"$err")"
 fi
 unset OCL_ICD_VENDORS

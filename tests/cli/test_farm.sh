@@ -45,7 +45,7 @@ alike()
     done
 }
 
-alike scan.nvdb 5 --maps all --ao-rays 2 --thickness-rays 2 -o 'm_<MAP>.<UDIM>.exr' --preview look.png
+alike scan.nvdb 5 --maps all --rays ao=2 --rays thickness=2 -o 'm_<MAP>.<UDIM>.exr' --preview look.png
 # The ranges of heights and curvature follow from all tasks.
 alike scan.tris 3 --maps all -o 'x_<MAP>.<UDIM>.exr'
 alike scan.nvdb 4 --maps height,curvature,normal -o 'r_<MAP>.<UDIM>.png' --green down --cage "$work/here/low.obj" --back 0.2
@@ -61,7 +61,7 @@ alike scan.tris 2 --maps color,position -o 'p_<MAP>.<UDIM>.exr' --tiles 1012 --n
 # What the tasks could not measure is counted again by the merge.
 rm -rf farm
 mkdir farm
-(cd farm && "$BIN/bisque-bake" ../scan.nvdb ../low.obj -o 'c_<UDIM>.png' --size 32 --maps curvature --curvature-radius 100 \
+(cd farm && "$BIN/bisque-bake" ../scan.nvdb ../low.obj -o 'c_<UDIM>.png' --size 32 --maps curvature --distance curvature=100 \
     --tasks 3 --write-plan plan.json) >"$out" 2>"$err"
 check "a plan of unknown curvature" $?
 $bake --plan farm/plan.json --task 0-2
@@ -152,14 +152,14 @@ run bisque-voxelize lid_high.tris -o lid_high.nvdb --resolution 33
 inputs="../box_high.nvdb ../lid_high.nvdb ../box_low.obj ../lid_low.obj"
 sed -i 's/^o .*/o lid_low/' lid_low.obj
 sed -i 's/^o .*/o box_low/' box_low.obj
-alike_several 4 --maps normal,ao,position --ao-rays 2 --match name -o '<OBJECT>_<MAP>.<UDIM>.exr'
+alike_several 4 --maps normal,ao,position --rays ao=2 --match name -o '<OBJECT>_<MAP>.<UDIM>.exr'
 [ "$(ls farm/*.exr | wc -l)" -eq 12 ]
 check "maps of two objects in two tiles" $?
 inputs="../scan.nvdb ../box_low.obj ../lid_low.obj"
 alike_several 2 --maps mask -o '<MATERIAL>.<UDIM>.exr' --samples 1
 
 # The percentage counts each scan, secondary rays, and the tiles that a task traces.
-run bisque-bake box_high.nvdb lid_high.nvdb box_low.obj $size -o 'm_<MAP>.<UDIM>.exr' --maps ao --ao-rays 1 --progress openjd
+run bisque-bake box_high.nvdb lid_high.nvdb box_low.obj $size -o 'm_<MAP>.<UDIM>.exr' --maps ao --rays ao=1 --progress openjd
 for percent in 11.8 22.7 33.5 44.3 55.2 66.0; do # after each of six stages
     grep -qx "openjd_progress: $percent" "$out"
     check "progress of $percent" $?

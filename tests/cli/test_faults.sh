@@ -153,7 +153,7 @@ torture -m 10 EINTR
 torture -m 5 -n 20 kill
 
 # The image is too large for its cache, so it is copied to a temporary tiled file.
-run bisque-bake scan.nvdb low.obj --device cpu --size 2048 --samples 1 --maps color --png-bits 8 --padding 0 -o wood.png
+run bisque-bake scan.nvdb low.obj --device cpu --size 2048 --samples 1 --maps color --type 8 --padding 0 -o wood.png
 code 0
 cat >square.obj <<'OBJ'
 v 0 0 0

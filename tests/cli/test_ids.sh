@@ -123,7 +123,7 @@ done
 
 # ---- devices, threads, budgets ----
 
-for device in $("$BIN/bisque-bake" --list-devices --json | jq -r '.devices[].id' | grep opencl: | head -n 1); do
+for device in $("$BIN/bisque-bake" --list devices --json | jq -r '.devices[].id' | grep opencl: | head -n 1); do
     $bake material.nvdb low.obj -o other.png --maps id --device "$device"
     code 0
     same material_nvdb.png other.png

@@ -42,7 +42,7 @@ files vase.nvdb vase.obj vase.tris
 
 run bisque-voxelize vase.obj -o small.nvdb --memory 16M --threads 2
 code 71
-err_like '^bisque-voxelize: --memory: 16M is too small, 2 threads need at least [0-9]*MiB$'
+err_like '^bisque-voxelize: --memory: 16.0 MiB is too small, 2 threads need at least [0-9]*MiB$'
 least=$(sed -n 's/.*at least \([0-9]*\)MiB$/\1/p' "$err")
 run bisque-voxelize vase.obj -o small.nvdb --resolution 512 --memory "${least}M" --threads 2
 code 0
@@ -63,7 +63,7 @@ code 71
 err_like '^bisque-compare: the memory budget is too small: '
 run bisque-voxelize vase.tris -o small.nvdb --memory 1k
 code 71
-err_like '^bisque-voxelize: --memory: 1k is too small, '
+err_like '^bisque-voxelize: --memory: 1.0 KiB is too small, '
 files low.obj normal.exr vase.nvdb vase.obj vase.tris
 rm -f low.obj normal.exr
 

@@ -10,7 +10,7 @@ fake=$TESTS/fake
 "$TESTS/generate-scan" --triangles 20000 --colors vase -o vase.obj >/dev/null &&
     "$TESTS/generate-scan" vase-low -o low.obj >/dev/null &&
     "$BIN/bisque-voxelize" --resolution 128 vase.obj -o vase.nvdb >/dev/null || exit 1
-maps="--threads 2 --size 48x32 --float --maps normal,mask vase.nvdb low.obj"
+maps="--threads 2 --size 48x32 --type float --maps normal,mask vase.nvdb low.obj"
 
 run bisque-bake --device cpu $maps -o 'cpu_<MAP>.exr'
 code 0
@@ -68,7 +68,7 @@ fi
 
 FAKE_OPENCL_REAL=$(ldconfig -p | awk '/libOpenCL\.so\.1 / { print $NF; exit }')
 export FAKE_OPENCL_REAL
-if [ -n "$FAKE_OPENCL_REAL" ] && opencl --list-devices && grep -q '^opencl:0' "$out"; then
+if [ -n "$FAKE_OPENCL_REAL" ] && opencl --list devices && grep -q '^opencl:0' "$out"; then
     opencl $maps -o 'x_<MAP>.exr' --json
     json '.device | startswith("cpu,") | not'
     passes opencl

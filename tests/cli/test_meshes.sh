@@ -103,7 +103,7 @@ $bake $small scan.nvdb a.obj b.obj -o 'shared_<UDIM>.exr'
 code 0
 same shared_1001.exr alone_left.exr
 same shared_1002.exr alone_right.exr
-$bake --list-tiles a.obj b.obj
+$bake --list tiles a.obj b.obj
 code 0
 [ "$(cat "$out")" = "$(printf '1001\n1002')" ]
 check "tiles of several meshes" $?

@@ -72,16 +72,16 @@ offline bisque-voxelize scan.obj -o a.nvdb --no-tris --resolution 32
 maps="low.obj --size 32 --samples 1"
 offline bisque-bake scan.nvdb $maps --device cpu --preview a.png -o 'a_<MAP>.exr'
 offline bisque-bake scan.tris $maps -o 'b_<MAP>.exr'
-offline bisque-bake scan.nvdb $maps --device cpu --maps normal,color,mask --png-bits 8 -o 'a_<MAP>.png'
+offline bisque-bake scan.nvdb $maps --device cpu --maps normal,color,mask --type 8 -o 'a_<MAP>.png'
 offline bisque-bake --verify scan.tris scan.nvdb
 offline bisque-compare a_normal.exr b_normal.exr --heatmap heat.png --histogram curve.png
 offline bisque-compare --version
 
 # ---- drivers ----
 
-run bisque-bake --list-devices
+run bisque-bake --list devices
 if grep -q '^opencl:0 ' "$out"; then
-    offline bisque-bake --list-devices
+    offline bisque-bake --list devices
     offline bisque-bake scan.nvdb $maps --device opencl -o 'a_<MAP>.exr'
 else
     skip "OpenCL opens no socket" "no OpenCL device"

@@ -30,7 +30,7 @@ moved()
 maps()
 {
     for kind in nvdb tris; do
-        run bisque-bake "$1.$kind" "$1_low.obj" --size 64 --maps normal,mask --normal-space object --device cpu --float \
+        run bisque-bake "$1.$kind" "$1_low.obj" --size 64 --maps normal,mask --normal-space object --device cpu --type float \
             -o "$1_${kind}_<MAP>.exr" --json
         code 0
         jq -r '"\(.front) \(.back)"' "$out" >"$1_$kind.rays"

@@ -5,7 +5,7 @@ TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 . "$top/tests/cli/texture_lib.sh"
 vox="run bisque-voxelize --resolution 40 --channels opacity"
-bake="run bisque-bake --size 48 --mask-opacity"
+bake="run bisque-bake --size 48"
 
 $maps glass || exit 1
 
@@ -15,12 +15,12 @@ $vox plane.obj --texture glass.png -o plane.nvdb
 code 0
 for scan in tris nvdb; do
     tolerance=$([ $scan = tris ] && echo 0.002 || echo 0.01)
-    $bake plane.$scan low.obj --maps color,mask -o "${scan}_<MAP>.png" --json
+    $bake plane.$scan low.obj --maps color,mask:opacity -o "${scan}_<MAP>.png" --json
     code 0
     json '.maps | keys == ["color", "mask"]'
     values ${scan}_mask.png slope $tolerance
     values ${scan}_color.png light 0.02
-    $bake plane.$scan low.obj --maps mask,transfer:opacity -o "${scan}_both_<MAP>.png"
+    $bake plane.$scan low.obj --maps mask:opacity,transfer:opacity -o "${scan}_both_<MAP>.png"
     code 0
     values ${scan}_both_opacity.png slope $tolerance
     cmp -s ${scan}_mask.png ${scan}_both_mask.png
@@ -36,7 +36,7 @@ grep -q 'component 3' "$out"
 check "another reader finds alpha in plane.tris" $?
 
 # A mask from tasks has the same bytes.
-$bake plane.tris low.obj --maps color,mask -o 'task_<MAP>.png' --tasks 2 --write-plan plan.json
+$bake plane.tris low.obj --maps color,mask:opacity -o 'task_<MAP>.png' --tasks 2 --write-plan plan.json
 code 0
 for part in '--task 0-1' --merge; do
     run bisque-bake --plan plan.json $part
@@ -56,7 +56,7 @@ material()
     sed "1imtllib $name.mtl\nusemtl m" plane.obj >$name.obj
     run bisque-voxelize --channels opacity $name.obj -o $name.tris
     code 0
-    $bake $name.tris low.obj --maps mask -o $name.png
+    $bake $name.tris low.obj --maps mask:opacity -o $name.png
     code 0
     values $name.png $function 0.002
 }
@@ -82,7 +82,7 @@ lost()
     code 0
     grep -Eq "^bisque-voxelize: warning: lost.mtl:2: (gone.png: no such texture|text.png: not a readable image: .*): material \"m\" goes without it$" "$err"
     check "a warning tells of the texture ($name)" $?
-    $bake lost.tris low.obj --maps mask -o lost.png
+    $bake lost.tris low.obj --maps mask:opacity -o lost.png
     code 0
     values lost.png $function 0.002
     run bisque-voxelize --channels opacity $options lost.obj -o strict.tris --strict
@@ -98,7 +98,7 @@ lost opaque '' whole 'map_d gone.png'
 material both ramp 'map_d ramp.png'
 run bisque-voxelize --channels opacity --texture glass.png both.obj -o both.tris
 code 0
-$bake both.tris low.obj --maps mask -o both.png
+$bake both.tris low.obj --maps mask:opacity -o both.png
 code 0
 values both.png ramp 0.002
 
@@ -107,7 +107,7 @@ printf 'newmtl left\nd 0.5\nnewmtl right\nTr 0.25\n' >two.mtl
 $vox --resolution 80 two.obj -o two.nvdb
 code 0
 for scan in tris nvdb; do
-    $bake two.$scan low.obj --maps mask -o two.png
+    $bake two.$scan low.obj --maps mask:opacity -o two.png
     code 0
     values two.png two_opacity 0.002
 done
@@ -117,7 +117,7 @@ printf 'f 1 2 3\nusemtl right\nf 1 2 3\n' >>none.obj
 $vox none.obj -o none.nvdb
 code 0
 for scan in tris nvdb; do
-    $bake none.$scan low.obj --maps mask --samples 1 --back 0.01 --front 0.01 -o none_$scan.png
+    $bake none.$scan low.obj --maps mask:opacity --samples 1 --back 0.01 --front 0.01 -o none_$scan.png
     code 0
     python3 -B -c 'import sys; sys.path.insert(0, sys.argv[2]); import png
 rows = png.read(sys.argv[1])[3]; sys.exit(rows[8][24][0] != 65535)' none_$scan.png "$top/tests/cli"
@@ -128,7 +128,7 @@ done
 
 $vox blend.gltf -o blend.nvdb
 code 0
-$bake blend.tris low.obj --maps mask -o blend.png
+$bake blend.tris low.obj --maps mask:opacity -o blend.png
 code 0
 values blend.png slope 0.002
 $vox thin.gltf -o thin.nvdb --strict
@@ -140,7 +140,7 @@ while read -r name function; do
     code 0
     [ ! -s "$err" ]
     check "no warning about $name.gltf" $?
-    $bake $name.tris low.obj --maps mask -o $name.png
+    $bake $name.tris low.obj --maps mask:opacity -o $name.png
     code 0
     values $name.png "$function" 0
 done <<'CASES'
@@ -148,7 +148,7 @@ mask upper
 faint upper
 gone none
 CASES
-$bake mask.nvdb low.obj --maps mask -o mask.png
+$bake mask.nvdb low.obj --maps mask:opacity -o mask.png
 code 0
 values mask.png upper 0
 "$TESTS/naive-read-tris" faint.tris >"$out"
@@ -164,24 +164,24 @@ err_like 'opaque.gltf: no material has a value or a texture of opacity'
 
 run bisque-voxelize --resolution 40 plane.obj --channels opacity=glass.png -o given.nvdb
 code 0
-$bake given.tris low.obj --maps mask -o given.png
+$bake given.tris low.obj --maps mask:opacity -o given.png
 code 0
 values given.png slope 0.002
 run bisque-voxelize --resolution 40 plane.obj --texture light.png -o light.nvdb
 code 0
-$bake light.tris low.obj --maps mask,transfer:opacity --texture opacity=glass.png -o 'light_<MAP>.png'
+$bake light.tris low.obj --maps mask:opacity,transfer:opacity --texture opacity=glass.png -o 'light_<MAP>.png'
 code 0
 values light_mask.png slope 0.002
 
 # ---- what is refused ----
 
-$bake light.tris low.obj --maps mask -o x.png
+$bake light.tris low.obj --maps mask:opacity -o x.png
 code 65
 err_like 'light.tris has no channel opacity: make it with bisque-voxelize --channels opacity'
-$bake light.nvdb low.obj --maps mask -o x.png
+$bake light.nvdb low.obj --maps mask:opacity -o x.png
 code 65
 err_like 'light.nvdb has no channel opacity: make it with bisque-voxelize --channels opacity'
-$bake plane.tris low.obj --maps normal -o x.png
+$bake --mask-opacity plane.tris low.obj --maps normal -o x.png
 code 64
 err_like 'opacity is part of the mask, which is not baked'
 $vox light.nvdb -o x.nvdb

@@ -290,7 +290,7 @@ for normals in smooth flat; do
     for grid in noisy reversed halves; do
         "$TESTS/naive-read-nvdb" $grid.nvdb | grep -E '^(voxels|second_records) ' >$grid.counts
         run bisque-bake $grid.nvdb low.obj --size 128 --samples 1 --sampling nearest --two-sided \
-            --maps normal,color,position --float --front 1 --back 1 -o "${grid}_<MAP>.exr"
+            --maps normal,color,position --type float --front 1 --back 1 -o "${grid}_<MAP>.exr"
         code 0
     done
     [ "$(sed -n 's/^second_records //p' noisy.counts)" -gt 100 ]

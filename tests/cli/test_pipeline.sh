@@ -32,7 +32,7 @@ fi
 "$TESTS/generate-scan" vase-low -o low.obj
 run bisque-voxelize vase.obj -o vase.nvdb --resolution $resolution
 code 0
-run bisque-bake vase.nvdb low.obj --maps normal,color,mask --normal-space object --float --size 512 \
+run bisque-bake vase.nvdb low.obj --maps normal,color,mask --normal-space object --type float --size 512 \
     --samples 1 -o 'object_<MAP>.exr'
 code 0
 # The finest relief is 14 voxels and 11 triangles long. The normal at a vertex is a mean over its
@@ -43,7 +43,7 @@ truth "vase: normals and colours are the analytic ones" check-vase -m 0.9 -p 1.8
 
 # Voxels add little to the error of the triangles' own normals.
 mean() { "$TESTS/check-vase" "$1" object_mask.exr | sed -n 's/.*mean angle: \([0-9.e-]*\).*/\1/p'; }
-run bisque-bake vase.tris low.obj --maps normal --normal-space object --float --size 512 --samples 1 -o exact.exr
+run bisque-bake vase.tris low.obj --maps normal --normal-space object --type float --size 512 --samples 1 -o exact.exr
 code 0
 if sanitized; then
     skip "vase: normals from voxels are as good as those from triangles" "the scan is smaller under sanitizers"
@@ -53,7 +53,7 @@ else
 fi
 
 # Lookup of the nearest voxel is blockier: the option must make the result worse.
-run bisque-bake vase.nvdb low.obj --maps normal,mask --normal-space object --float --size 512 \
+run bisque-bake vase.nvdb low.obj --maps normal,mask --normal-space object --type float --size 512 \
     --samples 1 --sampling nearest -o 'nearest_<MAP>.exr'
 code 0
 if sanitized; then
@@ -68,7 +68,7 @@ fi
 run bisque-voxelize far.obj -o far.nvdb --resolution $resolution --no-tris
 code 0
 "$TESTS/generate-scan" --offset 500000,5000000,100 vase-low -o far_low.obj
-run bisque-bake far.nvdb far_low.obj --maps normal,color,mask --normal-space object --float --size 512 \
+run bisque-bake far.nvdb far_low.obj --maps normal,color,mask --normal-space object --type float --size 512 \
     --samples 1 -o 'far_<MAP>.exr'
 code 0
 truth "vase 5000 km away: normals and colours keep their detail" check-vase -m 0.9 -p 1.8 -h 0.9999 -c 0.01 \
@@ -104,7 +104,7 @@ fi
 if [ -n "$SCANS" ] && ! sanitized; then
     run bisque-voxelize "$SCANS/bunny.obj" -o bunny.nvdb --resolution 1024 --scan-normals flat
     code 0
-    run bisque-bake bunny.nvdb "$SCANS/bunny_low.obj" --maps normal,mask --normal-space object --float \
+    run bisque-bake bunny.nvdb "$SCANS/bunny_low.obj" --maps normal,mask --normal-space object --type float \
         --size 1024 --samples 1 -o 'bunny_<MAP>.exr'
     code 0
     truth "bunny: face normals of exact rays" check-mesh -e 997 -m 1.0 -p 5.0 -h 0.999 "$SCANS/bunny.obj" \
@@ -112,7 +112,7 @@ if [ -n "$SCANS" ] && ! sanitized; then
     run bisque-voxelize "$SCANS/spot.obj" --texture "$SCANS/spot.png" -o spot.nvdb --resolution 1024 \
         --scan-normals flat
     code 0
-    run bisque-bake spot.nvdb "$SCANS/spot_low.obj" --maps normal,color,mask --normal-space object --float \
+    run bisque-bake spot.nvdb "$SCANS/spot_low.obj" --maps normal,color,mask --normal-space object --type float \
         --size 1024 --samples 1 -o 'spot_<MAP>.exr'
     code 0
     truth "Spot: colours of the texture at exact hits" check-mesh -e 397 -m 1.0 -p 3.0 -h 0.999 -c 0.005 \

@@ -88,7 +88,7 @@ $bake $small both.nvdb low.obj --cage high_cage.obj --front 1 -o cage.exr
 code 64
 $bake $small both.nvdb low.obj --cage high_cage.obj --ray-directions mesh -o cage.exr
 code 64
-if "$BIN/bisque-bake" --list-devices | grep -q '^opencl:0 '; then
+if "$BIN/bisque-bake" --list devices | grep -q '^opencl:0 '; then
     $bake $small both.nvdb low.obj --cage high_cage.obj --device opencl:0 -o cage.exr
     code 0
     same_color cage.exr green.exr
@@ -142,7 +142,7 @@ run bisque-compare skew_white.exr face.exr --max-error 0.01
 code 0
 ! cmp -s skew_grey.exr smooth.exr && ! cmp -s skew_grey.exr skew_white.exr
 check "grey is neither" $?
-if "$BIN/bisque-bake" --list-devices | grep -q '^opencl:0 '; then
+if "$BIN/bisque-bake" --list devices | grep -q '^opencl:0 '; then
     $turned --device opencl:0 --skew grey.pgm -o opencl.exr
     code 0
     run bisque-compare opencl.exr skew_grey.exr --max-error 0.1

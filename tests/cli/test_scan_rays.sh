@@ -80,8 +80,8 @@ $bake $usual --maps ao far.nvdb both.nvdb foot.obj -o two.exr
 run bisque-compare one.exr two.exr --max-error 0
 code 0
 # The wall hides less the farther away it is: 1 - t / 2.
-$bake $usual --maps ao --ao-distance 2 --ao-falloff linear wall.nvdb floor.tris foot.obj -o one.exr
-$bake $usual --maps ao --ao-distance 2 --ao-falloff linear both.tris foot.obj -o two.exr
+$bake $usual --maps ao --distance ao=2 --ao falloff=linear wall.nvdb floor.tris foot.obj -o one.exr
+$bake $usual --maps ao --distance ao=2 --ao falloff=linear both.tris foot.obj -o two.exr
 run bisque-compare one.exr two.exr --type data --max-mean 0.01 --max-error 0.05
 code 0
 # Whole voxels of the wall hide more than its surface does, in one grid and in several: half a voxel
@@ -89,7 +89,7 @@ code 0
 # away than anything in the scans, they hide nothing more.
 for scans in "both.nvdb" "floor.nvdb wall.nvdb"; do
     for from in none 2 1000; do
-        $bake $usual --maps ao --ao-coarse $from $scans foot.obj -o from_$from.exr
+        $bake $usual --maps ao --ao coarse=$from $scans foot.obj -o from_$from.exr
         code 0
     done
     run bisque-compare from_none.exr from_2.exr --force --type data --json
@@ -105,11 +105,11 @@ patch below 0 -4 -0.5 0 8 0 4 0 0
 square middle 1.9375 -0.0625 0.125 -0.0625
 scan below 0.0625
 for scans in "floor.nvdb below.nvdb" "below.nvdb floor.tris" "floor.nvdb below.tris"; do
-    $bake $usual --maps thickness --thickness-distance 1.5 $scans middle.obj -o slab.exr
+    $bake $usual --maps thickness --distance thickness=1.5 $scans middle.obj -o slab.exr
     code 0
     value slab.exr 0.8333 0.01
 done
-$bake $usual --maps thickness --thickness-distance 1.5 floor.nvdb far.nvdb middle.obj -o slab.exr
+$bake $usual --maps thickness --distance thickness=1.5 floor.nvdb far.nvdb middle.obj -o slab.exr
 code 0
 value slab.exr 1.5 0.0001
 
@@ -121,7 +121,7 @@ square groove 0.5 -0.5 1 0.25
 scan left 0.03125
 scan right 0.03125
 scan groove_scan 0.03125 left.obj right.obj
-maps="--maps ao,bent,thickness --thickness-distance 1"
+maps="--maps ao,bent,thickness --distance thickness=1"
 usual="--size 24 --device cpu --front 1 --back 1 --padding 0"
 for parts in "left.nvdb right.nvdb" "left.nvdb right.tris"; do
     $bake $usual $maps groove_scan.nvdb groove.obj -o 'whole_<MAP>.exr'
@@ -143,7 +143,7 @@ for parts in "left.nvdb right.nvdb" "left.nvdb right.tris"; do
         same parts_$map.exr other_$map.exr
     done
 done
-LD_LIBRARY_PATH=$TESTS/fake $bake --maps ao,bent,thickness --thickness-distance 1 --size 24 \
+LD_LIBRARY_PATH=$TESTS/fake $bake --maps ao,bent,thickness --distance thickness=1 --size 24 \
     --front 1 --back 1 --padding 0 --device cuda left.nvdb right.nvdb groove.obj -o 'cuda_<MAP>.exr'
 code 0
 $bake $usual $maps left.nvdb right.nvdb groove.obj -o 'cpu_<MAP>.exr'
@@ -176,7 +176,7 @@ awk '/^f/ { next } { print } /^vt/ && ++n == 4 { while ((getline line < "halves.
     foot.obj >shared.obj
 printf 'o a_low\nf 1/1 2/5 3/6 4/4\no b_low\nf 1/5 2/7 3/8 4/6\n' >>shared.obj
 awk '/^o a_low/ { getline; next } { print }' shared.obj >b.obj
-usual="--size 8 --device cpu --front 0.5 --back 0.125 --padding 0 --curvature-radius 0.25"
+usual="--size 8 --device cpu --front 0.5 --back 0.125 --padding 0 --distance curvature=0.25"
 for kind in nvdb tris; do
     $bake $usual --maps curvature --match name a_high.$kind b_high.$kind a_high_wall.$kind pair.obj \
         -o 'own_<OBJECT>.exr'

@@ -43,7 +43,7 @@ done
 run bisque-voxelize left.obj right.obj -o merged.tris
 code 0
 size="--device cpu --size 32x16"
-all="--maps normal,color,mask,height,position,curvature --curvature-radius 0.0625"
+all="--maps normal,color,mask,height,position,curvature --distance curvature=0.0625"
 rays="--front 0.5 --back 0.125"
 
 # same_values A B: no sample of the maps differs.
@@ -104,7 +104,7 @@ for scans in "left.nvdb right.nvdb above.nvdb" "left.tris right.tris above.tris"
     check "the map names its scans" $?
 done
 
-small="--device cpu --size 8 --maps normal --preview-views 1"
+small="--device cpu --size 8 --maps normal --view count=1"
 $bake $small left.nvdb above.tris low.obj -o x.exr --preview one.png
 $bake $small above.tris left.nvdb low.obj -o x.exr --preview other.png
 code 0
@@ -153,18 +153,18 @@ for kind in nvdb tris; do
 done
 # Secondary rays see the only scan of each object.
 $bake $size --maps ao scans/body_high_1.nvdb scans/belt_high.nvdb pair.obj -o ao.exr \
-    $rays --padding 0 --match name --ao-rays 16 --json
+    $rays --padding 0 --match name --rays ao=16 --json
 code 0
 # Suffixes.
 $bake $size --maps mask scans/body_high_1.nvdb scans/belt_high.nvdb letters.obj -o x.exr \
-    --match name --match-suffixes _L,_high --front 1 --back 0
+    --match _L,_high --front 1 --back 0
 code 0
 rm x.exr
 # A scan belongs to the object that shares most of its name.
 cp scans/body_high_1.nvdb body.nvdb
 cp scans/belt_high.nvdb body_belt.nvdb
 sed 's/belt_low/body_belt_low/' pair.obj >nested.obj
-$bake $size --maps height body.nvdb body_belt.nvdb nested.obj -o nested.exr $rays --padding 0 --match name --match-suffixes _low, --json
+$bake $size --maps height body.nvdb body_belt.nvdb nested.obj -o nested.exr $rays --padding 0 --match _low, --json
 code 0
 json '.misses == 0 and (.encodings.height.range - 0.3125 | fabs) < 0.001'
 rm body.nvdb body_belt.nvdb nested.*
@@ -173,14 +173,12 @@ refused 64 "$p: names do not match: low-poly objects without a scan: body_low; s
 $bake $size --maps mask scans/belt_high.nvdb pair.obj -o x.exr --match name
 refused 64 "$p: names do not match: low-poly objects without a scan: body_low; scans without an object: none"
 $bake $size --maps mask left.nvdb low.obj -o x.exr --match colour
-code 64
-$bake $size --maps mask left.nvdb low.obj -o x.exr --match name --match-suffixes low
-refused 64 "$p: --match-suffixes: \"low\" is not LOW,HIGH"
+refused 64 "$p: --match: \"colour\" is not name or LOW,HIGH"
 
 # ---- what is refused ----
 
-$bake $size --maps all left.nvdb right.nvdb wide.obj -o 'all_<MAP>.exr' --ao-rays 4 \
-    --thickness-rays 4 --json
+$bake $size --maps all left.nvdb right.nvdb wide.obj -o 'all_<MAP>.exr' --rays ao=4 \
+    --rays thickness=4 --json
 code 0
 json '.maps | has("ao") and has("bent") and has("thickness") and has("curvature")'
 $bake $size --maps color left.nvdb plain.nvdb wide.obj -o x.exr
@@ -197,12 +195,12 @@ refused 65 "$p: $lost"
 mkdir ids
 run bisque-voxelize left.obj -o ids/left.nvdb --voxel-size 0.03125 --channels id --id color
 code 0
-$bake $size ids/left.nvdb right.nvdb wide.obj -o 'x_<MAP>.exr' --maps all --ao-rays 1 --thickness-rays 1
+$bake $size ids/left.nvdb right.nvdb wide.obj -o 'x_<MAP>.exr' --maps all --rays ao=1 --rays thickness=1
 code 0
 grep -q "^$p: warning: the scans do not all have ids of one kind: no map id is baked$" "$err"
 check "a warning tells that ids get lost" $?
 rm x_*.exr
-$bake $size left.nvdb right.nvdb wide.obj -o 'x_<MAP>.exr' --maps all --ao-rays 1 --thickness-rays 1
+$bake $size left.nvdb right.nvdb wide.obj -o 'x_<MAP>.exr' --maps all --rays ao=1 --rays thickness=1
 code 0
 [ ! -s "$err" ] && rm x_*.exr
 check "nothing is told if no scan has ids" $?

@@ -27,7 +27,7 @@ for threads in 1 8; do
             --samples 2 --preview "${to}_preview.png" --device cpu --threads $threads
         code 0
         run bisque-bake $threads/$scan low.obj -o "${to}_<MAP>.png" --maps normal,color --size 100x75 \
-            --samples 1 --png-bits 8 --device cpu --threads $threads
+            --samples 1 --type 8 --device cpu --threads $threads
         code 0
     done
     run bisque-compare $threads/nvdb_normal.exr $threads/tris_normal.exr --mask-a $threads/nvdb_mask.exr \

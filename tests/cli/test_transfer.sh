@@ -27,7 +27,7 @@ values t_coat.png three 0.00003
 cmp -s t_color.png t_emission.png
 check "a transferred colour is that of the map color" $?
 
-$bake plane.tris low.obj --maps transfer:roughness --texture roughness=ramp.png -o one.png --png-bits 8
+$bake plane.tris low.obj --maps transfer:roughness --texture roughness=ramp.png -o one.png --type 8
 code 0
 values one.png ramp 0.004
 $bake plane.tris low.obj --maps transfer:emission --texture emission=light.png -o e.exr
@@ -40,12 +40,12 @@ $vox plane.obj --channels dirt=ramp.png -o dirty.nvdb --tris dirty.tris
 code 0
 for scans in 'dirty.nvdb plane.nvdb' 'plane.nvdb dirty.nvdb' 'plane.tris dirty.tris'; do
     # shellcheck disable=SC2086 # names
-    $bake $scans low.obj --maps all --ao-rays 1 --thickness-rays 1 -o 'a_<MAP>.exr'
+    $bake $scans low.obj --maps all --rays ao=1 --rays thickness=1 -o 'a_<MAP>.exr'
     code 0
     [ "$(grep -c "warning: the scans do not all have the channel dirt: no map transfer:dirt is baked" "$err")" -eq 1 ]
     check "a warning of a lost channel: $scans" $?
     # shellcheck disable=SC2086 # names
-    $bake $scans low.obj --maps all --ao-rays 1 --thickness-rays 1 -o 'a_<MAP>.exr' --strict
+    $bake $scans low.obj --maps all --rays ao=1 --rays thickness=1 -o 'a_<MAP>.exr' --strict
     code 65
 done
 rm a_* dirty.*
@@ -80,7 +80,7 @@ $bake two.tris low.obj --maps id,color,$four -o 'two_<MAP>.png'
 code 0
 values two_roughness.png two_rough 0.00003
 for scan in two.tris two.nvdb; do
-    $bake $scan low.obj --maps all --json -o 'all_<MAP>.png' --ao-rays 1 --thickness-rays 1
+    $bake $scan low.obj --maps all --json -o 'all_<MAP>.png' --rays ao=1 --rays thickness=1
     code 0
     json '.maps | (keys - ["ao", "bent", "curvature", "height", "mask", "normal", "position", "thickness"])
         == ["coat", "color", "emission", "id", "metallic", "roughness"]'

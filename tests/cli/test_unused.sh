@@ -14,7 +14,7 @@ run bisque-voxelize with.obj -o with.tris
 code 0
 bake() { run bisque-bake vase-high.nvdb vase-low.obj --progress none --size 4 --samples 1 "$@"; }
 
-# unused NEEDS OPTION [VALUE] -- USE...: the option has no effect alone, and has one beside USE.
+# unused NEEDS OPTION VALUE -- USE...: the option has no effect alone, and has one beside USE.
 unused()
 {
     needs=$1 option=$2
@@ -25,11 +25,13 @@ unused()
         shift
     done
     shift
+    name=$option
+    case $values in *=*) name=$option${values%%=*} ;; esac
     # shellcheck disable=SC2086 # a value is a word
     bake --maps mask --device cpu -o map.exr $option $values
     code 0
-    [ "$(cat "$err")" = "bisque-bake: warning: $option has no effect: it needs $needs" ]
-    check "a warning of $option" $?
+    [ "$(cat "$err")" = "bisque-bake: warning: $name has no effect: it needs $needs" ]
+    check "a warning of $name" $?
     # shellcheck disable=SC2086
     bake --device cpu $option $values "$@"
     code 0
@@ -37,21 +39,20 @@ unused()
     check "none of $option beside $*" $?
 }
 
-unused "the map height" --height-range 1 -- --maps height -o map.png
-unused "the map position" --position-in box -- --maps position -o map.png
-unused "the map curvature" --curvature-radius 0.1 -- --maps curvature -o map.png
-unused "the map curvature" --curvature-range 1 -- --maps curvature -o map.png
-unused "the map ao or bent" --ao-rays 2 -- --maps ao -o map.png
-unused "the map ao or bent" --ao-spread 90 -- --maps bent -o map.png
-unused "the map ao or bent" --ao-distance 1 -- --maps mask,bent -o '<MAP>.png'
-unused "the map ao or bent" --ao-coarse none -- --maps bent -o map.png
-unused "the map thickness" --thickness-rays 2 -- --maps thickness -o map.png
-unused "the map thickness" --thickness-distance 1 -- --maps thickness -o map.png
+unused "the map height" --range height=1 -- --maps height -o map.png
+unused "the map position" --range position=box -- --maps position -o map.png
+unused "the map curvature" --distance curvature=0.1 -- --maps curvature -o map.png
+unused "the map curvature" --range curvature=1 -- --maps curvature -o map.png
+unused "the map ao or bent" --rays ao=2 -- --maps ao -o map.png
+unused "the map ao or bent" --ao spread=90 -- --maps bent -o map.png
+unused "the map ao or bent" --distance ao=1 -- --maps mask,bent -o '<MAP>.png'
+unused "the map ao or bent" --ao coarse=none -- --maps bent -o map.png
+unused "the map thickness" --rays thickness=2 -- --maps thickness -o map.png
+unused "the map thickness" --distance thickness=1 -- --maps thickness -o map.png
 unused "the map normal or bent" --normal-space object -- --maps normal -o map.png
 unused "the map normal or bent" --green down -- --maps bent -o map.png
-unused "--match" --match-suffixes -low,-high -- --match name -o '<MAP>.png'
-unused "--preview" --preview-views 1 -- --preview preview.png -o '<MAP>.png'
-unused "--preview" --up z -- --preview preview.png -o '<MAP>.png'
+unused "--preview" --view count=1 -- --preview preview.png -o '<MAP>.png'
+unused "--preview" --view up=z -- --preview preview.png -o '<MAP>.png'
 unused "a device other than cpu" --gpu-memory 1G -- --device auto -o '<MAP>.png'
 
 # nothing NEEDS OPTION SCAN ARGUMENT...: the option has no effect on maps of the scan.
@@ -64,9 +65,9 @@ nothing()
     [ "$(cat "$err")" = "bisque-bake: warning: $option has no effect: it needs $needs" ]
     check "a warning of $option on $scan" $?
 }
-for words in "--ao-coarse none" "--sampling trilinear" "--gpu-memory 1G"; do
+for words in "--ao coarse=none" "--sampling trilinear" "--gpu-memory 1G"; do
     # shellcheck disable=SC2086 # an option and its value
-    nothing "a grid" "${words% *}" vase-high.tris --maps ao $words
+    nothing "a grid" "${words%[ =]*}" vase-high.tris --maps ao $words
     # shellcheck disable=SC2086
     run bisque-bake vase-high.tris vase-high.nvdb vase-low.obj --progress none --size 4 --samples 1 --maps ao \
         $words -o map.exr
@@ -86,15 +87,15 @@ check "none of --scan-normals for triangles without normals" $?
 unused "a map other than mask" --padding 3 -- --maps mask,height -o '<MAP>.png'
 
 # An option that needs two others is named for the one that lacks.
-bake --maps mask --ao-distance 1 --ao-falloff linear -o map.exr
+bake --maps mask --distance ao=1 --ao falloff=linear -o map.exr
 code 0
 [ "$(grep -c "has no effect: it needs the map ao or bent" "$err")" -eq 2 ]
 check "both options of ao" $?
 
 # A plan warns when it is written, and its tasks do not.
-bake --maps mask --ao-rays 2 -o map.exr --tasks 1 --write-plan plan.json
+bake --maps mask --rays ao=2 -o map.exr --tasks 1 --write-plan plan.json
 code 0
-grep -q "warning: --ao-rays has no effect" "$err"
+grep -q "warning: --rays ao has no effect" "$err"
 check "a warning of the plan" $?
 run bisque-bake --plan plan.json --task 0 --progress none
 code 0

@@ -207,9 +207,4 @@ run bisque-bake --verify
 refused 64 "bisque-bake: no input file given (see --help)"
 run bisque-bake --size 9 --verify box.nvdb
 refused 64 "bisque-bake: --verify only checks files: leave out --size"
-for program in bisque-voxelize bisque-bake; do
-    run $program --help
-    out_like --verify
-    man_page $program verify
-done
 finish

@@ -7,15 +7,7 @@ write_box >box.obj
 
 # ---- help and version ----
 
-$vox --help
-code 0
-out_like '^Usage: bisque-voxelize '
-options="output resolution voxel-size grid-type vdb texture tris no-tris parse-only tmpdir strict memory
-    threads progress path-map json help version"
-for option in $options; do
-    out_like "  --$option|-o, --$option"
-done
-man_page bisque-voxelize $options
+help_and_man_page bisque-voxelize
 $vox --version
 code 0
 out_like '^bisque-voxelize [0-9]+\.[0-9]+\.[0-9]+$'
@@ -66,7 +58,7 @@ $vox box.obj -o a.nvdb --threads 0
 refused 64 "$p --threads: \"0\" is not a whole number from 1 to 65536"
 $vox box.obj -o a.nvdb --threads 1 --memory 1k
 code 71
-err_like '^bisque-voxelize: --memory: 1k is too small, 1 thread needs at least [0-9]+MiB$'
+err_like '^bisque-voxelize: --memory: 1.0 KiB is too small, 1 thread needs at least [0-9]+MiB$'
 least=$(sed 's/.*at least //' "$err")
 files box.obj
 

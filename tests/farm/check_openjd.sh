@@ -167,7 +167,7 @@ check "the progress of a chunk of assets rises to 100" $?
 rm -f asset?_* asset?.obj.nvdb
 command="openjd run, cancelled" code=0
 PYTHONUNBUFFERED=1 "$openjd" run assets.chunks.yaml --step Bake -p Root=. -p List=list.tsv -p LastAsset=2 -p Resolution=128 \
-    -p BakeOptions="--size 4096 --samples 4 --maps ao --ao-rays 4096 --device cpu" -p BinDir="$BIN" >"$out" 2>"$err" &
+    -p BakeOptions="--size 4096 --samples 4 --maps ao --rays ao=4096 --device cpu" -p BinDir="$BIN" >"$out" 2>"$err" &
 pid=$! tries=0
 until grep -q 'openjd_status: tracing' "$out" || [ $tries -gt 6000 ]; do
     tries=$((tries + 1))

@@ -16,7 +16,7 @@ trap 'stop_cluster; cd / && rm -rf "$work"' EXIT
 "$TESTS/generate-scan" vase-low -o low.obj
 write_parts scan.obj
 voxelize_parts 300
-options="--maps normal,color,height,curvature,ao --size 640 --samples 2 --ao-rays 16 --device cpu"
+options="--maps normal,color,height,curvature,ao --size 640 --samples 2 --rays ao=16 --device cpu"
 run bisque-bake parts.nvdb low.obj -o 'one_<MAP>.exr' $options --preview one.png
 code 0
 

@@ -101,7 +101,7 @@ inside clean artist '
     printf "P3\n1 1\n255\n255 0 0\n" >red.ppm
     bisque-voxelize statue.obj -o statue.nvdb --resolution 256 --vdb statue.vdb
     bisque-voxelize statue_low.obj -o red.nvdb --resolution 32 --texture red.ppm
-    bisque-bake --list-devices
+    bisque-bake --list devices
     bisque-bake statue.nvdb statue_low.obj --maps normal,color --size 512 -o "grid_<MAP>.exr"
     bisque-bake statue.tris statue_low.obj --maps normal,color --size 512 -o "exact_<MAP>.exr"
     bisque-compare grid_normal.exr exact_normal.exr

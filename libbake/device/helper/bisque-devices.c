@@ -1,5 +1,5 @@
 /* bisque-devices.c - lists the devices of one kind, for bake_probe(). The libraries start this
- * program because drivers may crash, hang or print; users call bisque-bake --list-devices. */
+ * program because drivers may crash, hang or print; users call bisque-bake --list devices. */
 #include <fcntl.h>
 #include <signal.h>
 #include <stdio.h>
@@ -51,7 +51,7 @@ int main(int argument_count, char **arguments)
     while (kind < KINDS && !(argument_count == 2 && strcmp(arguments[1], kinds[kind].kind) == 0))
         kind++;
     if (kind == KINDS) {
-        fputs("bisque-devices: is run by Bisque; see bisque-bake --list-devices\n", stderr);
+        fputs("bisque-devices: is run by Bisque; see bisque-bake --list devices\n", stderr);
         return 64;
     }
     answer = isolate();

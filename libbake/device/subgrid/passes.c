@@ -309,8 +309,8 @@ static int check_reach(struct bsq_ctx *ctx, const struct bake_plan_options *opti
     return across ? bsq_fail(ctx, BSQ_ENODEVICE,
                              "rays that start on the scan reach all of the grid, and the device's "
                              "memory leaves %" PRIu64
-                             " bytes for it: more --gpu-memory, or a shorter --ao-distance and "
-                             "--thickness-distance",
+                             " bytes for it: more --gpu-memory, or a shorter --distance ao and "
+                             "thickness",
                              options->subgrid_bytes * options->slots)
                   : 0;
 }

@@ -279,8 +279,7 @@ static void test_impossible_options_are_refused(void **state)
         bake_farm_plan_free(write_plan(ctx, &options, bytes, sizeof bytes, &size));
         assert_int_equal(bake_check_options(ctx, &options), BSQ_EUSAGE);
         bsq_clear_error(ctx);
-        assert_int_equal(bake_open_plan(ctx, in_directory("plan.json"), &read),
-                         i < 10 ? BSQ_EDATA : BSQ_EUSAGE);
+        assert_int_equal(bake_open_plan(ctx, in_directory("plan.json"), &read), BSQ_EUSAGE);
         assert_null(read);
         bsq_clear_error(ctx);
         bsq_forget_files(ctx);
