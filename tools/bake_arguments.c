@@ -62,12 +62,13 @@ static uint32_t maps_of_word(const char *word)
 
 static int refuse_map(struct cli *cli, const char *word)
 {
-    char names[512];
+    char names[512] = "";
     size_t length = 0;
-    for (unsigned i = 0; bake_map_name(i); i++)
-        length += (size_t)snprintf(
-            names + length, sizeof names - length, "%s%s%s%s", bake_map_name(i), ", ",
-            bake_map_alias(i) ? bake_map_alias(i) : "", bake_map_alias(i) ? ", " : "");
+    for (unsigned i = 0; i < 2 * MOST_MAPS; i++) { /* names, then other names */
+        const char *name = i < MOST_MAPS ? bake_map_name(i) : bake_map_alias(i - MOST_MAPS);
+        if (name)
+            length += (size_t)snprintf(names + length, sizeof names - length, "%s, ", name);
+    }
     return cli_usage(cli, "--maps: \"%s\" is not %s%s, all or %sNAME", word, names, opacity_word,
                      transfer_prefix);
 }

@@ -12,7 +12,7 @@ static const char program_version[] = BSQ_VERSION " of sources "
     ;
 
 static const struct fmt_farm_kind bake_kind = {.format = "Bisque bake plan",
-                                               .format_version = 2,
+                                               .format_version = 3,
                                                .program = "bisque-bake",
                                                .program_version = program_version,
                                                .work = "a bake",

@@ -39,7 +39,7 @@ is_png()
 help_and_man_page bisque-bake
 $bake --help
 code 0
-maps=$(sed -n '/^Maps:$/,$s/^ \{6\}\([a-z_0-9]*\)  .*/\1/p' "$out")
+maps=$(sed -n '/^Maps:$/,$s/^ \{6\}\([a-z_0-9:]*\)  .*/\1/p' "$out")
 [ -n "$maps" ]
 check "the help lists maps" $?
 # The man page describes each map that the help lists.
