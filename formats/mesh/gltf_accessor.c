@@ -227,10 +227,10 @@ static int decode_array(const struct gltf_decoder *d, const struct gltf_array *a
     if (count == 0)
         return 0;
     const uint64_t size = (count - 1) * stride + element;
-    int status = fmt_stream_reserve(d->ctx, d->slot, size);
+    int status = fmt_stream_reserve(d->slot, size);
     if (!status)
-        status = fmt_gltf_read_view(d->ctx, d->source, d->own, array->view,
-                                    array->offset + first * stride, d->slot->bytes, size);
+        status = fmt_gltf_read_view(d->ctx, d->source, array->view, array->offset + first * stride,
+                                    d->slot->bytes, size);
     if (!status)
         convert(d->slot->bytes, stride, array->component, components, count, to);
     return status;
@@ -314,19 +314,18 @@ static int check_sparse(const struct gltf_decoder *d, const struct gltf_place *p
     return status;
 }
 
-int fmt_gltf_check_sparse(struct bsq_ctx *ctx, const struct gltf_source *source,
-                          const struct bsq_file *own)
+int fmt_gltf_check_sparse(struct bsq_ctx *ctx, const struct gltf_source *source)
 {
-    struct stream_slot slot = {.loaded = false};
-    struct gltf_document document = {.ctx = ctx, .file = *own}; /* for messages */
-    const struct gltf_decoder decoder = {ctx, source, own, &slot};
+    struct stream_slot slot = {.ctx = ctx};
+    struct gltf_document document = {.ctx = ctx, .file = source->own}; /* for messages */
+    const struct gltf_decoder decoder = {ctx, source, &slot};
     int status = 0;
     for (uint32_t i = 0; i < source->accessor_count && !status; i++)
         if (source->accessors[i].sparse_count > 0) {
             const struct gltf_place place = {&document, "accessors", i, NULL};
             status = check_sparse(&decoder, &place, &source->accessors[i]);
         }
-    bsq_free(ctx, slot.bytes);
+    fmt_stream_free_slot(&slot);
     return status;
 }
 

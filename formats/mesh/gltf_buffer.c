@@ -284,14 +284,13 @@ void fmt_gltf_free_buffers(struct bsq_ctx *ctx, struct gltf_source *source)
     bsq_free(ctx, source->packed);
 }
 
-int fmt_gltf_read_view(struct bsq_ctx *ctx, const struct gltf_source *source,
-                       const struct bsq_file *own, uint32_t view, uint64_t offset, void *to,
-                       uint64_t size)
+int fmt_gltf_read_view(struct bsq_ctx *ctx, const struct gltf_source *source, uint32_t view,
+                       uint64_t offset, void *to, uint64_t size)
 {
     const struct gltf_view *from = &source->views[view];
     if (from->decoded != GLTF_NOT_DECODED)
         return bsq_file_read(ctx, &source->decoded, to, size, from->decoded + offset);
     const struct gltf_buffer *buffer = &source->buffers[from->buffer];
-    return bsq_part_read(ctx, buffer->path ? &buffer->file : own, &buffer->part, to, size,
+    return bsq_part_read(ctx, buffer->path ? &buffer->file : &source->own, &buffer->part, to, size,
                          from->offset + offset);
 }

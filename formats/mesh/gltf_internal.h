@@ -10,7 +10,7 @@
 
 #include "base/file_part.h"
 #include "formats/mesh/gltf_module.h"
-#include "formats/mesh/mesh_stream.h"
+#include "formats/mesh/mesh_format.h"
 
 #define GLTF_NONE UINT32_MAX /* no such index */
 
@@ -179,9 +179,10 @@ struct gltf_material {
 /* What is not read, counted for warnings. */
 struct gltf_unread {
     uint64_t points, bare, rest, outside, unplaced, skins, morphs, texture_factors, texture_colors,
-        images, packed_images, instances;
+        images, packed_images, instances, hidden, other_colors, variants;
 };
 
+/* What the reader keeps of a file: source->data. */
 struct gltf_source {
     struct bsq_file own; /* the file, unpacked; open while it is read */
     uint64_t size;       /* of it */
@@ -199,23 +200,11 @@ struct gltf_source {
     struct gltf_placement *placements;
     uint32_t buffer_count, view_count, accessor_count, primitive_count, mesh_count, material_count;
     uint32_t placement_count;
-    uint32_t material_base;         /* materials of earlier files */
-    uint64_t part_count, part_base; /* primitives of all placements; those of earlier files */
+    uint64_t part_count; /* primitives of all placements */
     uint64_t total[FMT_MESH_KIND_COUNT], triangles;
     uint64_t bytes; /* of the file and its buffers */
     bool has_colors, has_tangents;
     struct gltf_unread unread;
-};
-
-struct gltf_reader {
-    struct stream_reader stream; /* must be first */
-    struct gltf_source *files;
-    uint32_t material_count; /* of all files */
-    uint64_t part_count;     /* primitives of the placements of all files */
-    uint64_t missing[4];     /* positions, normals, texture coordinates, colours: not finite */
-    bool has_colors;         /* some vertex of the scan has one */
-    bool read_before;        /* what there is to warn of is known */
-    bool uses_colors;        /* the caller previewed materials */
 };
 
 /* ---- gltf_buffer.c ---- */
@@ -234,10 +223,9 @@ int fmt_gltf_uri_path(struct bsq_ctx *ctx, const char *beside, const char *uri, 
 /* Finds out how many bytes base64 text stands for: `size` characters from `offset` in the file. */
 int fmt_gltf_measure_data(const struct gltf_place *place, uint64_t offset, uint64_t size,
                           uint64_t *out);
-/* Reads bytes of a view. `own` is the glTF file itself. Thread-safe. */
-int fmt_gltf_read_view(struct bsq_ctx *ctx, const struct gltf_source *source,
-                       const struct bsq_file *own, uint32_t view, uint64_t offset, void *to,
-                       uint64_t size);
+/* Reads bytes of a view. Thread-safe. */
+int fmt_gltf_read_view(struct bsq_ctx *ctx, const struct gltf_source *source, uint32_t view,
+                       uint64_t offset, void *to, uint64_t size);
 
 /* ---- gltf_packed.c ---- */
 
@@ -249,7 +237,7 @@ int fmt_gltf_read_packed_view(const struct gltf_place *place, struct gltf_source
 int fmt_gltf_read_draco(const struct gltf_place *place, struct gltf_source *source,
                         const json_t *object, const char *texcoord, struct gltf_primitive *p);
 /* Decompresses everything to a temporary file, unless that is done. */
-int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source, const struct bsq_file *own);
+int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source);
 
 /* ---- gltf_accessor.c ---- */
 
@@ -260,14 +248,12 @@ int fmt_gltf_read_accessors(struct gltf_document *document, struct gltf_source *
 int fmt_gltf_check_zeros(const struct gltf_place *place, const struct gltf_source *source,
                          uint32_t accessor);
 /* Checks that the indices of sparse accessors ascend and are in range. */
-int fmt_gltf_check_sparse(struct bsq_ctx *ctx, const struct gltf_source *source,
-                          const struct bsq_file *own);
+int fmt_gltf_check_sparse(struct bsq_ctx *ctx, const struct gltf_source *source);
 
 /* What decoding works with: memory of a slot. */
 struct gltf_decoder {
     struct bsq_ctx *ctx;
     const struct gltf_source *source;
-    const struct bsq_file *own;
     struct stream_slot *slot;
 };
 /* Decodes elements [first, first + count) of an accessor to doubles, components next to each other.
@@ -305,7 +291,7 @@ int fmt_gltf_read_channels(const struct gltf_place *place, struct gltf_source *s
 /* ---- gltf_parse.c ---- */
 
 /* Parses a part: see `parse` of struct stream_format. */
-int fmt_gltf_parse(struct stream_reader *reader, struct stream_slot *slot);
+int fmt_gltf_parse(struct stream_slot *slot);
 /* What a part holds: stream_part.kind is its placement, .carry its primitive, .carry_out this. */
 enum { GLTF_VERTICES, GLTF_FACES };
 

@@ -1,6 +1,7 @@
 /* gltf_mesh.c - meshes of glTF files: which accessors their primitives use. */
 #include <inttypes.h>
 #include <stdio.h>
+#include <string.h>
 
 #include "formats/mesh/gltf_internal.h"
 
@@ -98,6 +99,18 @@ static int read_accessors(const struct gltf_place *place, struct gltf_source *so
     return status;
 }
 
+/* Returns whether a primitive has colours of vertices beside COLOR_0. */
+static bool has_other_colors(const json_t *primitive)
+{
+    const json_t *attributes = json_object_get(primitive, "attributes");
+    for (void *i = json_object_iter((json_t *)attributes); i;
+         i = json_object_iter_next((json_t *)attributes, i))
+        if (strncmp(json_object_iter_key(i), "COLOR_", 6) == 0 &&
+            strcmp(json_object_iter_key(i), "COLOR_0") != 0)
+            return true;
+    return false;
+}
+
 /* Reads a primitive. Leaves its `triangles` 0 if it has none that can be read. */
 static int read_primitive(const struct gltf_place *place, struct gltf_source *source,
                           const json_t *object, struct gltf_primitive *out)
@@ -126,6 +139,8 @@ static int read_primitive(const struct gltf_place *place, struct gltf_source *so
     source->has_tangents |=
         json_object_get(json_object_get(object, "attributes"), "TANGENT") != NULL;
     source->has_colors |= out->color != GLTF_NONE;
+    source->unread.other_colors += out->color == GLTF_NONE && has_other_colors(object);
+    source->unread.variants += fmt_gltf_extension(object, "KHR_materials_variants") != NULL;
     source->unread.texture_colors += out->color != GLTF_NONE && out->texcoord != GLTF_NONE &&
                                      out->material != GLTF_NONE &&
                                      source->materials[out->material].texture_path;

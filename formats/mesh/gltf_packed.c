@@ -251,11 +251,11 @@ static int decode(struct bsq_ctx *ctx, const struct fmt_gltf_module *module, con
     return 0;
 }
 
-static int unpack(struct bsq_ctx *ctx, struct gltf_source *source, const struct bsq_file *own,
+static int unpack(struct bsq_ctx *ctx, struct gltf_source *source,
                   const struct fmt_gltf_module *module, struct gltf_packed *packed)
 {
     const struct gltf_buffer *buffer = &source->buffers[packed->buffer];
-    const struct bsq_file *file = buffer->path ? &buffer->file : own;
+    const struct bsq_file *file = buffer->path ? &buffer->file : &source->own;
     const uint64_t size = packed->is_draco ? packed->draco.size : packed->meshopt.size;
     uint8_t *from = NULL, *to = NULL;
     int status = bsq_alloc(ctx, "a compressed part of a glTF file", size, 1, &from);
@@ -264,7 +264,7 @@ static int unpack(struct bsq_ctx *ctx, struct gltf_source *source, const struct 
     if (!status)
         status = bsq_part_read(ctx, file, &buffer->part, from, size, packed->offset);
     if (!status)
-        status = decode(ctx, module, own->path, packed, from, to);
+        status = decode(ctx, module, source->own.path, packed, from, to);
     if (!status)
         status = bsq_file_append(ctx, &source->decoded, to, packed->bytes);
     bsq_free(ctx, from);
@@ -272,7 +272,7 @@ static int unpack(struct bsq_ctx *ctx, struct gltf_source *source, const struct 
     return status ? status : bsq_check(ctx);
 }
 
-int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source, const struct bsq_file *own)
+int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source)
 {
     const struct fmt_module *module = NULL;
     if (source->packed_count == 0 || source->decoded.fd >= 0)
@@ -283,8 +283,7 @@ int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source, const struc
     if (!status)
         status = bsq_file_temp(ctx, NULL, "a decompressed glTF file", &source->decoded);
     for (uint32_t i = 0; i < source->packed_count && !status; i++)
-        status =
-            unpack(ctx, source, own, (const struct fmt_gltf_module *)module, &source->packed[i]);
+        status = unpack(ctx, source, (const struct fmt_gltf_module *)module, &source->packed[i]);
     if (status)
         bsq_file_close(ctx, &source->decoded);
     return status;

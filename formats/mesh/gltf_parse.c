@@ -13,7 +13,6 @@
 /* What a part belongs to. */
 struct parser {
     struct gltf_decoder decoder;
-    const struct gltf_reader *reader;
     const struct gltf_source *source;
     const struct gltf_placement *placement;
     const struct gltf_primitive *primitive;
@@ -60,7 +59,8 @@ static int parse_positions(struct parser *p)
     const double(*m)[4] = p->placement->matrix;
     const double *from;
     double poison = 0;
-    int status = fmt_arrays_reserve_positions(p->decoder.ctx, p->arrays, p->count);
+    int status =
+        FMT_RESERVE(p->decoder.ctx, p->count, p->arrays->positions, p->arrays->position_capacity);
     if (!status)
         status = decode(p, p->primitive->position, &from);
     if (status)
@@ -73,7 +73,8 @@ static int parse_positions(struct parser *p)
             poison += value * 0;
         }
     if (poison != 0)
-        p->decoder.slot->missing_positions = clear_bad(&p->arrays->positions[0][0], p->count, 3);
+        p->decoder.slot->odd[STREAM_NO_POSITION].count =
+            clear_bad(&p->arrays->positions[0][0], p->count, 3);
     p->arrays->count[FMT_MESH_VERTEX] = p->count;
     return 0;
 }
@@ -82,7 +83,8 @@ static int parse_normals(struct parser *p)
 {
     const double(*m)[3] = p->placement->normal_matrix;
     const double *from;
-    int status = fmt_arrays_reserve_normals(p->decoder.ctx, p->arrays, p->count);
+    int status =
+        FMT_RESERVE(p->decoder.ctx, p->count, p->arrays->normals, p->arrays->normal_capacity);
     if (!status)
         status = decode(p, p->primitive->normal, &from);
     if (status)
@@ -96,7 +98,7 @@ static int parse_normals(struct parser *p)
             poison += to[k] * 0;
         }
         if (poison != 0) {
-            p->decoder.slot->bad_normals++;
+            p->decoder.slot->odd[STREAM_NO_NORMAL].count++;
             memset(to, 0, sizeof *p->arrays->normals);
         }
     }
@@ -114,7 +116,8 @@ static int parse_texcoords(struct parser *p)
                               : (const double(*)[3])p->source->materials[material].uv_matrix;
     const double *from;
     double poison = 0;
-    int status = fmt_arrays_reserve_texcoords(p->decoder.ctx, p->arrays, p->count);
+    int status =
+        FMT_RESERVE(p->decoder.ctx, p->count, p->arrays->texcoords, p->arrays->texcoord_capacity);
     if (!status)
         status = decode(p, p->primitive->texcoord, &from);
     if (status)
@@ -126,7 +129,8 @@ static int parse_texcoords(struct parser *p)
         poison += to[0] * 0 + to[1] * 0;
     }
     if (poison != 0)
-        p->decoder.slot->missing_texcoords = clear_bad(&p->arrays->texcoords[0][0], p->count, 2);
+        p->decoder.slot->odd[STREAM_NO_TEXCOORD].count =
+            clear_bad(&p->arrays->texcoords[0][0], p->count, 2);
     p->arrays->count[FMT_MESH_TEXCOORD] = p->count;
     return 0;
 }
@@ -148,7 +152,8 @@ static int parse_colors(struct parser *p)
     const double *factor = material == GLTF_NONE ? white : p->source->materials[material].color;
     const double *from = white;
     const uint32_t step = accessor == GLTF_NONE ? 0 : p->source->accessors[accessor].components;
-    int status = fmt_arrays_reserve_colors(p->decoder.ctx, p->arrays, p->count);
+    int status =
+        FMT_RESERVE(p->decoder.ctx, p->count, p->arrays->colors, p->arrays->color_capacity);
     if (!status && step > 0)
         status = decode(p, accessor, &from);
     for (uint64_t i = 0; i < p->count && !status; i++, from += step) {
@@ -159,7 +164,7 @@ static int parse_colors(struct parser *p)
         }
         for (int k = 0; k < 3 && !good; k++)
             p->arrays->colors[i][k] = -1;
-        p->decoder.slot->bad_colors += !good;
+        p->decoder.slot->odd[STREAM_NO_COLOR].count += !good;
     }
     p->arrays->has_colors = true;
     p->decoder.slot->color_white = 1;
@@ -173,7 +178,7 @@ static int parse_vertices(struct parser *p)
         status = parse_normals(p);
     if (!status && p->primitive->texcoord != GLTF_NONE)
         status = parse_texcoords(p);
-    if (!status && p->reader->has_colors)
+    if (!status && p->decoder.slot->source->reader->gltf_colors)
         status = parse_colors(p);
     return status;
 }
@@ -261,13 +266,13 @@ static int add_triangles(const struct parser *p, const struct window *w)
     return 0;
 }
 
-/* Returns the number of a part: of a primitive at a node. fmt_gltf_open() has checked that it fits.
+/* Returns the number in the file of a primitive at a node. fmt_stream_read() checks that it fits.
  */
 static uint32_t part_of(const struct parser *p)
 {
     const uint64_t primitive = (uint64_t)(p->primitive - p->source->primitives) -
                                p->source->meshes[p->placement->mesh].first;
-    return (uint32_t)(p->source->part_base + p->placement->part_base + primitive);
+    return (uint32_t)(p->placement->part_base + primitive);
 }
 
 static int reserve_faces(const struct parser *p)
@@ -276,46 +281,45 @@ static int reserve_faces(const struct parser *p)
         [FMT_MESH_VERTEX] = true,
         [FMT_MESH_TEXCOORD] = p->primitive->texcoord != GLTF_NONE,
         [FMT_MESH_NORMAL] = p->primitive->normal != GLTF_NONE};
-    int status = fmt_arrays_reserve_faces(p->decoder.ctx, p->arrays, p->count);
-    for (int kind = 0; kind < FMT_MESH_KIND_COUNT && !status; kind++) {
+    struct mesh_arrays *a = p->arrays;
+    int status;
+    BSQ_TRY(FMT_RESERVE(p->decoder.ctx, p->count, a->face_sizes, a->size_capacity));
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         if (!wanted[kind])
             continue;
-        status = fmt_arrays_reserve_corners(p->decoder.ctx, p->arrays, (enum fmt_mesh_kind)kind,
-                                            3 * p->count);
-        p->arrays->has_corners[kind] = true;
+        BSQ_TRY(
+            FMT_RESERVE(p->decoder.ctx, 3 * p->count, a->corners[kind], a->corner_capacity[kind]));
+        a->has_corners[kind] = true;
     }
-    return status ? status : fmt_arrays_reserve_changes(p->decoder.ctx, p->arrays, 1);
+    status = FMT_RESERVE(p->decoder.ctx, 1, a->changes, a->change_capacity);
+done:
+    return status;
 }
 
 static int parse_faces(struct parser *p)
 {
     struct window window;
-    int status = reserve_faces(p);
-    if (!status)
-        status = load_window(p, &window);
-    if (!status)
-        status = add_triangles(p, &window);
-    if (status)
-        return status;
+    int status;
+    BSQ_TRY(reserve_faces(p));
+    BSQ_TRY(load_window(p, &window));
+    BSQ_TRY(add_triangles(p, &window));
     p->arrays->change_count = p->arrays->face_count > 0;
     p->arrays->changes[0] = (struct fmt_mesh_material_change){
         .face = 0,
-        .material = p->reader->stream.base.objects ? part_of(p)
-                    : p->primitive->material == GLTF_NONE
-                        ? FMT_MESH_NO_MATERIAL
-                        : p->source->material_base + p->primitive->material};
-    return 0;
+        .material = p->decoder.slot->source->reader->objects ? part_of(p)
+                    : p->primitive->material == GLTF_NONE    ? FMT_MESH_NO_MATERIAL
+                                                             : p->primitive->material};
+done:
+    return status;
 }
 
 /* ---- parts ---- */
 
-int fmt_gltf_parse(struct stream_reader *base, struct stream_slot *slot)
+int fmt_gltf_parse(struct stream_slot *slot)
 {
-    const struct gltf_reader *reader = (const struct gltf_reader *)base;
-    const struct gltf_source *source = &reader->files[slot->part.source];
+    const struct gltf_source *source = slot->source->data;
     struct parser p = {
-        .decoder = {base->base.ctx, source, &source->own, slot},
-        .reader = reader,
+        .decoder = {slot->ctx, source, slot},
         .source = source,
         .first = slot->part.first_item,
         .count = slot->part.items,

@@ -8,7 +8,6 @@
 #include <string.h>
 
 #include "base/file_part.h"
-#include "base/loss.h"
 #include "base/srgb.h"
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/mesh_text.h"
@@ -25,75 +24,57 @@ static bool recognise(const char *head, size_t size)
     return i < size && head[i] == '{' && memmem(head + i, size - i, "\"asset\"", 7) != NULL;
 }
 
-static int read_document(struct gltf_document *document, struct gltf_source *source)
+static int read_document(struct gltf_document *document, struct gltf_source *file)
 {
-    int status = fmt_gltf_check_extensions(document, source);
-    if (!status)
-        status = fmt_gltf_read_buffers(document, source);
-    if (!status)
-        status = fmt_gltf_read_accessors(document, source);
-    if (!status)
-        status = fmt_gltf_read_materials(document, source);
-    if (!status)
-        status = fmt_gltf_read_meshes(document, source);
-    if (!status)
-        status = fmt_gltf_read_scene(document, source);
+    int status;
+    BSQ_TRY(fmt_gltf_check_extensions(document, file));
+    BSQ_TRY(fmt_gltf_read_buffers(document, file));
+    BSQ_TRY(fmt_gltf_read_accessors(document, file));
+    BSQ_TRY(fmt_gltf_read_materials(document, file));
+    BSQ_TRY(fmt_gltf_read_meshes(document, file));
+    status = fmt_gltf_read_scene(document, file);
+done:
     return status;
 }
 
-static int read_file(struct stream_reader *stream, uint32_t number)
+static int begin(struct stream_source *source)
 {
-    struct gltf_reader *reader = (struct gltf_reader *)stream;
-    struct gltf_source *source = &reader->files[number];
+    struct gltf_source *file = source->data;
     struct gltf_document document;
-    struct fmt_input *input = reader->stream.sources[number].input;
-    int status = fmt_input_open(input);
+    file->own = file->decoded = (struct bsq_file)BSQ_FILE_CLOSED;
+    int status = fmt_input_open(source->input);
     if (status)
         return status;
-    status = fmt_gltf_open_document(reader->stream.base.ctx, input, &document);
-    source->size = document.file.size;
+    status = fmt_gltf_open_document(source->ctx, source->input, &document);
+    file->size = document.file.size;
     if (!status)
-        status = read_document(&document, source);
+        status = read_document(&document, file);
     fmt_gltf_close_document(&document);
-    const int closed = fmt_input_close(input);
-    status = status ? status : closed;
-    if (!status && source->material_count > UINT32_MAX - 1 - reader->material_count)
-        status = bsq_fail(reader->stream.base.ctx, BSQ_EDATA, "too many materials");
-    source->material_base = reader->material_count;
-    reader->material_count += source->material_count;
-    source->part_base = reader->part_count;
-    if (!status &&
-        __builtin_add_overflow(reader->part_count, source->part_count, &reader->part_count))
-        status = bsq_fail(reader->stream.base.ctx, BSQ_EDATA, "too many elements");
-    reader->has_colors |= source->has_colors;
-    return status;
+    const int closed = fmt_input_close(source->input);
+    source->material_count = file->material_count;
+    source->part_count = file->part_count;
+    source->reader->gltf_colors |= file->has_colors;
+    return status ? status : closed;
 }
 
-static void free_source(struct bsq_ctx *ctx, struct gltf_source *source)
+static void end(struct stream_source *source)
 {
-    bsq_file_close(ctx, &source->own);
-    fmt_gltf_free_buffers(ctx, source);
-    for (uint32_t i = 0; i < source->material_count; i++) {
-        bsq_free(ctx, source->materials[i].name);
-        bsq_free(ctx, source->materials[i].texture_path);
-        fmt_channels_free(ctx, source->materials[i].channels, source->materials[i].channel_count);
+    struct bsq_ctx *ctx = source->ctx;
+    struct gltf_source *file = source->data;
+    bsq_file_close(ctx, &file->own);
+    fmt_gltf_free_buffers(ctx, file);
+    for (uint32_t i = 0; i < file->material_count; i++) {
+        bsq_free(ctx, file->materials[i].name);
+        bsq_free(ctx, file->materials[i].texture_path);
+        fmt_channels_free(ctx, file->materials[i].channels, file->materials[i].channel_count);
     }
-    bsq_free(ctx, source->materials);
-    bsq_free(ctx, source->accessors);
-    bsq_free(ctx, source->primitives);
-    bsq_free(ctx, source->meshes);
-    for (uint32_t i = 0; i < source->placement_count; i++)
-        bsq_free(ctx, source->placements[i].name);
-    bsq_free(ctx, source->placements);
-}
-
-static void close_reader(struct fmt_mesh_reader *base)
-{
-    struct gltf_reader *reader = (struct gltf_reader *)base;
-    for (uint32_t i = 0; reader->files && i < reader->stream.source_count; i++)
-        free_source(base->ctx, &reader->files[i]);
-    bsq_free(base->ctx, reader->files);
-    fmt_stream_free(&reader->stream);
+    bsq_free(ctx, file->materials);
+    bsq_free(ctx, file->accessors);
+    bsq_free(ctx, file->primitives);
+    bsq_free(ctx, file->meshes);
+    for (uint32_t i = 0; i < file->placement_count; i++)
+        bsq_free(ctx, file->placements[i].name);
+    bsq_free(ctx, file->placements);
 }
 
 /* ---- cutting ---- */
@@ -139,10 +120,9 @@ static uint64_t usual_items(const struct gltf_source *source, const struct strea
 
 /* The bytes of the file are shared out by elements, as a measure of progress. part->left counts the
  * elements of this and of earlier parts. */
-static int cut(struct stream_reader *base, const struct stream_part *before,
-               struct stream_slot *slot)
+static int cut(const struct stream_part *before, struct stream_slot *slot)
 {
-    const struct gltf_source *source = &((const struct gltf_reader *)base)->files[before->source];
+    const struct gltf_source *source = slot->source->data;
     const uint64_t size = source->size;
     const uint64_t all = source->total[FMT_MESH_VERTEX] + source->triangles;
     struct stream_part *part = &slot->part;
@@ -169,66 +149,40 @@ static int cut(struct stream_reader *base, const struct stream_part *before,
 /* ---- reading ---- */
 
 /* Opens the buffers, and prepares what can only be read whole. */
-static int open_buffers(struct stream_reader *base, uint32_t number)
+static int enter(struct stream_source *source)
 {
-    struct gltf_source *source = &((struct gltf_reader *)base)->files[number];
-    int status =
-        source->own.fd < 0 ? fmt_input_whole(base->sources[number].input, &source->own) : 0;
-    if (!status)
-        status = fmt_gltf_open_buffers(base->base.ctx, source);
-    if (!status)
-        status = fmt_gltf_unpack(base->base.ctx, source, &source->own);
-    return status ? status : fmt_gltf_check_sparse(base->base.ctx, source, &source->own);
-}
-
-static int close_buffers(struct stream_reader *base, uint32_t number)
-{
-    struct gltf_source *source = &((struct gltf_reader *)base)->files[number];
-    bsq_file_close(base->base.ctx, &source->own);
-    return fmt_gltf_close_buffers(base->base.ctx, source);
-}
-
-static int pass(struct stream_reader *base, struct stream_slot *slot,
-                struct fmt_mesh_totals *totals)
-{
-    struct gltf_reader *reader = (struct gltf_reader *)base;
-    reader->missing[0] += slot->missing_positions;
-    reader->missing[1] += slot->bad_normals;
-    reader->missing[2] += slot->missing_texcoords;
-    reader->missing[3] += slot->bad_colors;
-    totals->materials =
-        reader->stream.base.objects ? (uint32_t)reader->part_count : reader->material_count;
-    totals->split_vertices = true;
-    totals->has_tangents |= reader->files[slot->part.source].has_tangents;
-    return 0;
-}
-
-struct unread_kind {
-    uint64_t count;
-    bool loss; /* the scan is poorer by it */
-    const char *what;
-};
-
-static int warn_kinds(struct bsq_ctx *ctx, const char *path, const struct unread_kind *kinds,
-                      size_t count)
-{
-    int status = 0;
-    for (size_t i = 0; i < count && !status; i++) {
-        if (kinds[i].count > 0 && kinds[i].loss)
-            status = bsq_warn_loss(ctx, "%s: %" PRIu64 " %s", path, kinds[i].count, kinds[i].what);
-        else if (kinds[i].count > 0)
-            bsq_warn(ctx, "%s: %" PRIu64 " %s", path, kinds[i].count, kinds[i].what);
-    }
+    struct gltf_source *file = source->data;
+    int status;
+    if (file->own.fd < 0)
+        BSQ_TRY(fmt_input_whole(source->input, &file->own));
+    BSQ_TRY(fmt_gltf_open_buffers(source->ctx, file));
+    BSQ_TRY(fmt_gltf_unpack(source->ctx, file));
+    status = fmt_gltf_check_sparse(source->ctx, file);
+done:
     return status;
 }
 
-/* Warns of what is not read. Colours matter only if the caller uses them. */
-static int warn_unread(const struct gltf_reader *reader, uint32_t file)
+static int leave(struct stream_source *source)
 {
-    struct bsq_ctx *ctx = reader->stream.base.ctx;
-    const char *path = reader->stream.sources[file].path;
-    const struct gltf_unread *unread = &reader->files[file].unread;
-    const struct unread_kind shape[] = {
+    struct gltf_source *file = source->data;
+    bsq_file_close(source->ctx, &file->own);
+    return fmt_gltf_close_buffers(source->ctx, file);
+}
+
+static int pass(struct stream_slot *slot, struct fmt_mesh_totals *totals)
+{
+    fmt_stream_number_materials(slot);
+    totals->split_vertices = true;
+    totals->has_tangents |= ((struct gltf_source *)slot->source->data)->has_tangents;
+    return 0;
+}
+
+/* Warns of what is not read. Colours matter only if the caller uses them. */
+static int finish(struct stream_source *source, struct fmt_mesh_totals *totals)
+{
+    const struct gltf_unread *unread = &((struct gltf_source *)source->data)->unread;
+    const bool colors = source->reader->uses_colors;
+    const struct stream_unread kinds[] = {
         {unread->points, false, "primitives of points or lines are not read"},
         {unread->bare, true, "primitives without positions are not read"},
         {unread->rest, true, "indices of incomplete triangles are not read"},
@@ -238,96 +192,51 @@ static int warn_unread(const struct gltf_reader *reader, uint32_t file)
         {unread->morphs, true, "meshes have weights of morph targets, which are not applied"},
         {unread->instances, true,
          "nodes have EXT_mesh_gpu_instancing, of which one instance is read"},
-    };
-    const struct unread_kind colors[] = {
-        {unread->images, true, "textures have a format or an address that is not read"},
-        {unread->packed_images, true, "textures are inside of a packed file or a pipe: unpack it"},
-        {unread->texture_factors, true,
+        {unread->hidden, true, "nodes are hidden by KHR_node_visibility, but are read"},
+        {colors ? unread->images : 0, true,
+         "textures have a format or an address that is not read"},
+        {colors ? unread->packed_images : 0, true,
+         "textures are inside of a packed file or a pipe: unpack it"},
+        {colors ? unread->texture_factors : 0, true,
          "materials have a texture, so their colour factor is not used"},
-        {unread->texture_colors, true,
+        {colors ? unread->texture_colors : 0, true,
          "primitives have a texture, so their vertex colours are not used"},
+        {colors ? unread->other_colors : 0, true,
+         "primitives have COLOR_1 or the like without COLOR_0, which is not read"},
+        {colors ? unread->variants : 0, true,
+         "primitives have KHR_materials_variants, of which only the first material is read"},
     };
-    int status = warn_kinds(ctx, path, shape, sizeof shape / sizeof *shape);
-    if (!status && reader->uses_colors)
-        status = warn_kinds(ctx, path, colors, sizeof colors / sizeof *colors);
-    return status;
+    (void)totals;
+    if (source->reader->read_before)
+        return 0;
+    return fmt_stream_warn_unread(source, kinds, sizeof kinds / sizeof *kinds);
 }
 
-static int warn_missing(const struct gltf_reader *reader)
+static int estimate(const struct stream_source *source, uint64_t bytes, bool plain,
+                    struct fmt_mesh_estimate *out)
 {
-    static const char *const kinds[] = {"positions", "normals", "texture coordinates", "colours"};
-    int status = 0;
-    for (int i = 0; i < 4 && !status; i++)
-        if (reader->missing[i] > 0)
-            status = bsq_warn_loss(reader->stream.base.ctx,
-                                   "%s: %" PRIu64 " %s are not finite and were left out",
-                                   reader->stream.sources[0].path, reader->missing[i], kinds[i]);
-    return status;
-}
-
-static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *steps, void *arg,
-                    struct fmt_mesh_totals *totals)
-{
-    struct gltf_reader *reader = (struct gltf_reader *)base;
-    if (base->objects && reader->part_count >= FMT_MESH_NO_MATERIAL)
-        return bsq_fail(base->ctx, BSQ_EDATA, "%s: too many objects",
-                        reader->stream.sources[0].path);
-    memset(reader->missing, 0, sizeof reader->missing);
-    int status = fmt_stream_read(&reader->stream, steps, arg, totals);
-    if (status || reader->read_before)
-        return status;
-    reader->read_before = true;
-    for (uint32_t i = 0; i < reader->stream.source_count && !status; i++)
-        status = warn_unread(reader, i);
-    return status ? status : warn_missing(reader);
-}
-
-static int locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_mesh_place *out)
-{
-    return fmt_stream_locate_face((struct stream_reader *)base, face, out);
-}
-
-static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate *out)
-{
-    const struct gltf_reader *reader = (const struct gltf_reader *)base;
-    *out = (struct fmt_mesh_estimate){.faces_come_last = reader->stream.source_count == 1,
-                                      .has_colors = reader->has_colors};
-    for (uint32_t i = 0; i < reader->stream.source_count; i++) {
-        const struct gltf_source *source = &reader->files[i];
-        out->vertices += source->total[FMT_MESH_VERTEX];
-        out->texcoords += source->total[FMT_MESH_TEXCOORD];
-        out->normals += source->total[FMT_MESH_NORMAL];
-        out->faces += source->triangles;
-    }
-    out->corners = 3 * out->faces;
+    const struct gltf_source *file = source->data;
+    (void)bytes, (void)plain;
+    out->vertices += file->total[FMT_MESH_VERTEX];
+    out->texcoords += file->total[FMT_MESH_TEXCOORD];
+    out->normals += file->total[FMT_MESH_NORMAL];
+    out->faces += file->triangles;
+    out->corners += 3 * file->triangles;
+    out->has_colors |= source->reader->gltf_colors;
     return 0;
 }
 
-/* ---- other files ---- */
+/* ---- materials and other files ---- */
 
-/* file: the path of the glTF file */
-static int describe_material(struct bsq_ctx *ctx, const char *file,
-                             const struct gltf_material *from, struct fmt_material *out)
+/* Describes the opacity of a material that is not opaque. */
+static int describe_opacity(struct bsq_ctx *ctx, const struct gltf_material *from,
+                            struct fmt_material *out)
 {
-    struct bsq_part part;
     struct fmt_material_channel *opacity;
-    out->has_diffuse = from->has_color;
-    out->opaque = from->opaque;
-    for (int k = 0; k < 3; k++)
-        out->diffuse[k] = (float)bsq_linear_to_srgb(from->color[k]);
-    int status = fmt_string_copy(ctx, from->name, &out->name);
-    if (!status && from->texture_path)
-        status = fmt_string_copy(ctx, from->texture_path, &out->texture_path);
-    if (!status && from->texture_path && bsq_part_parse(from->texture_path, &part) == 0)
-        status = fmt_string_copy(ctx, file, &out->texture_place);
-    if (!status && from->channel_count > 0)
-        status = fmt_channels_copy(ctx, from->channels, from->channel_count, out);
-    if (status || from->opaque)
-        return status;
-    status = fmt_material_enter_channel(ctx, out, bsq_channel_find("opacity"), &opacity);
+    const double alpha = from->alpha;
+    int status = fmt_material_enter_channel(ctx, out, bsq_channel_find("opacity"), &opacity);
     if (status)
         return status;
-    const double alpha = from->alpha;
     opacity->value[0] = from->cutout ? (float)(alpha >= from->cutoff) : (float)alpha;
     opacity->has_value = true;
     out->cutout = from->cutout;
@@ -337,119 +246,107 @@ static int describe_material(struct bsq_ctx *ctx, const char *file,
     return 0;
 }
 
-static int list_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
+static int describe_material(const struct stream_source *source, const struct gltf_material *from,
+                             struct fmt_material *out)
 {
-    const struct gltf_reader *reader = (const struct gltf_reader *)base;
-    int status = bsq_calloc(base->ctx, "materials", (uint64_t)reader->material_count + 1,
-                            sizeof *out->list, &out->list);
-    for (uint32_t file = 0; file < reader->stream.source_count && !status; file++)
-        for (uint32_t i = 0; i < reader->files[file].material_count && !status; i++)
-            status = describe_material(base->ctx, reader->stream.sources[file].path,
-                                       &reader->files[file].materials[i], &out->list[out->count++]);
-    if (status)
-        fmt_materials_free(base->ctx, out);
+    struct bsq_ctx *ctx = source->ctx;
+    struct bsq_part part;
+    int status;
+    out->has_diffuse = from->has_color;
+    out->opaque = from->opaque;
+    for (int k = 0; k < 3; k++)
+        out->diffuse[k] = (float)bsq_linear_to_srgb(from->color[k]);
+    BSQ_TRY(fmt_string_copy(ctx, from->name, &out->name));
+    BSQ_TRY(fmt_string_copy(ctx, from->texture_path, &out->texture_path));
+    if (from->texture_path && bsq_part_parse(from->texture_path, &part) == 0)
+        BSQ_TRY(fmt_string_copy(ctx, source->path, &out->texture_place));
+    BSQ_TRY(fmt_channels_copy(ctx, from->channels, from->channel_count, out));
+    status = from->opaque ? 0 : describe_opacity(ctx, from, out);
+done:
     return status;
 }
 
-/* Describes the material and the object of a primitive at a node. */
-static int describe_part(struct bsq_ctx *ctx, const char *file, const struct gltf_source *source,
-                         const struct gltf_placement *placement,
-                         const struct gltf_primitive *primitive, struct fmt_material *out)
+static int list_materials(struct stream_source *source, struct fmt_materials *out)
 {
+    const struct gltf_source *file = source->data;
+    struct fmt_material *material;
     int status = 0;
-    for (int k = 0; k < 3; k++)
-        out->diffuse[k] = 0.8f;
-    if (primitive->material != GLTF_NONE)
-        status = describe_material(ctx, file, &source->materials[primitive->material], out);
+    for (uint32_t i = 0; i < file->material_count; i++) {
+        BSQ_TRY(fmt_materials_add(source->ctx, out, &material));
+        BSQ_TRY(describe_material(source, &file->materials[i], material));
+    }
+done:
+    return status;
+}
+
+/* Adds the material and the object of a primitive at a node. */
+static int add_part(const struct stream_source *source, const struct gltf_placement *placement,
+                    uint32_t material, struct fmt_materials *out)
+{
+    const struct gltf_source *file = source->data;
+    struct fmt_material *part;
+    int status;
+    BSQ_TRY(fmt_materials_add(source->ctx, out, &part));
+    if (material != GLTF_NONE)
+        BSQ_TRY(describe_material(source, &file->materials[material], part));
     else
-        status = fmt_string_copy(ctx, "", &out->name);
-    return status ? status : fmt_string_copy(ctx, placement->name, &out->object);
+        BSQ_TRY(fmt_string_copy(source->ctx, "", &part->name));
+    status = fmt_string_copy(source->ctx, placement->name, &part->object);
+done:
+    return status;
 }
 
 /* Lists the parts: the primitives of each placement, in the order of their numbers. */
-static int list_parts(struct fmt_mesh_reader *base, struct fmt_materials *out)
+static int list_parts(struct stream_source *source, struct fmt_materials *out)
 {
-    const struct gltf_reader *reader = (const struct gltf_reader *)base;
-    int status =
-        bsq_calloc(base->ctx, "materials", reader->part_count + 1, sizeof *out->list, &out->list);
-    for (uint32_t file = 0; file < reader->stream.source_count && !status; file++) {
-        const struct gltf_source *source = &reader->files[file];
-        for (uint32_t i = 0; i < source->placement_count && !status; i++) {
-            const struct gltf_placement *placement = &source->placements[i];
-            const struct gltf_mesh *mesh = &source->meshes[placement->mesh];
-            status = bsq_check(base->ctx);
-            for (uint32_t k = 0; k < mesh->count && !status; k++)
-                status =
-                    describe_part(base->ctx, reader->stream.sources[file].path, source, placement,
-                                  &source->primitives[mesh->first + k], &out->list[out->count++]);
-        }
+    const struct gltf_source *file = source->data;
+    int status = 0;
+    for (uint32_t i = 0; i < file->placement_count; i++) {
+        const struct gltf_placement *placement = &file->placements[i];
+        const struct gltf_mesh *mesh = &file->meshes[placement->mesh];
+        BSQ_TRY(bsq_check(source->ctx));
+        for (uint32_t k = 0; k < mesh->count; k++)
+            BSQ_TRY(add_part(source, placement, file->primitives[mesh->first + k].material, out));
     }
-    if (status)
-        fmt_materials_free(base->ctx, out);
+done:
     return status;
 }
 
-static int read_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
+static int read_materials(struct stream_source *source, struct fmt_materials *out)
 {
-    return base->objects ? list_parts(base, out) : list_materials(base, out);
+    return source->reader->objects ? list_parts(source, out) : list_materials(source, out);
 }
 
-static int preview_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
+static const char *dependency(const struct stream_source *source, uint32_t index)
 {
-    ((struct gltf_reader *)base)->uses_colors = true;
-    return list_materials(base, out);
-}
-
-static const char *dependency(const struct fmt_mesh_reader *base, uint32_t index)
-{
-    const struct gltf_reader *reader = (const struct gltf_reader *)base;
-    for (uint32_t file = 0; file < reader->stream.source_count; file++)
-        for (uint32_t i = 0; i < reader->files[file].buffer_count; i++)
-            if (reader->files[file].buffers[i].path && index-- == 0)
-                return reader->files[file].buffers[i].path;
+    const struct gltf_source *file = source->data;
+    for (uint32_t i = 0; i < file->buffer_count; i++)
+        if (file->buffers[i].path && index-- == 0)
+            return file->buffers[i].path;
     return NULL;
 }
 
-/* ---- the format ---- */
-
-static int prepare(struct stream_reader *stream)
-{
-    struct gltf_reader *reader = (struct gltf_reader *)stream;
-    int status = bsq_calloc(stream->base.ctx, "glTF files", stream->source_count,
-                            sizeof *reader->files, &reader->files);
-    for (uint32_t i = 0; i < stream->source_count && !status; i++)
-        reader->files[i].own = reader->files[i].decoded = (struct bsq_file)BSQ_FILE_CLOSED;
-    return status;
-}
-
-static int open_reader(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t input_count,
-                       struct fmt_mesh_reader **out)
-{
-    static const struct stream_format stream = {
-        .reader_name = "glTF reader",
-        .reader_bytes = sizeof(struct gltf_reader),
-        .prepare = prepare,
-        .begin = read_file,
-        .end = close_reader,
-        .open = open_buffers,
-        .close = close_buffers,
-        .cut = cut,
-        .parse = fmt_gltf_parse,
-        .pass = pass,
-    };
-    return fmt_stream_open(ctx, &stream, inputs, input_count, out);
-}
+#define LEFT_OUT " are not finite and were left out"
 
 const struct fmt_mesh_format fmt_gltf_format = {
     .name = "glTF",
     .suffix = ".gltf",
+    .data_bytes = sizeof(struct gltf_source),
+    .oddities = {[STREAM_NO_POSITION] = "positions" LEFT_OUT,
+                 [STREAM_NO_NORMAL] = "normals" LEFT_OUT,
+                 [STREAM_NO_TEXCOORD] = "texture coordinates" LEFT_OUT,
+                 [STREAM_NO_COLOR] = "colours" LEFT_OUT},
     .recognise = recognise,
-    .open = open_reader,
-    .close = close_reader,
-    .read = read_all,
+    .begin = begin,
+    .end = end,
+    .enter = enter,
+    .leave = leave,
+    .cut = cut,
+    .parse = fmt_gltf_parse,
+    .pass = pass,
+    .finish = finish,
     .estimate = estimate,
-    .locate_face = locate_face,
     .read_materials = read_materials,
-    .preview_materials = preview_materials,
+    .preview_materials = list_materials,
     .dependency = dependency,
 };

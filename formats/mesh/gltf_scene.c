@@ -201,6 +201,8 @@ static int visit_nodes(struct walk *w)
             status = read_transform(&place, own);
         if (status)
             return status;
+        w->source->unread.hidden += json_is_false(
+            json_object_get(fmt_gltf_extension(place.object, "KHR_node_visibility"), "visible"));
         multiply(visit.matrix, (const double(*)[4])own, matrix);
         status = place_mesh(w, &place, (const double(*)[4])matrix);
         if (!status)

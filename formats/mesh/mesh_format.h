@@ -1,17 +1,138 @@
 /* mesh_format.h - private to formats/mesh: what a mesh format implements, and the registry.
  *
- * A format is one source file that defines a `struct fmt_mesh_format`, and one row below.
+ * A format is one source file that defines a `struct fmt_mesh_format`, and one row below. All files
+ * of a scan are read as one stream (mesh_stream.c), whatever their formats. A format cuts a file
+ * into parts, serially and in order, and parses each part alone, on any thread. The stream does the
+ * rest: it opens the files, runs the pipeline, counts elements, moves meshes, and finds the part
+ * that holds a face again. What depends on earlier parts is done when the parts pass in order.
  *
- * A reader delivers blocks in file order, each of at most about FMT_MESH_SLOT_BYTES. They are the
- * same for each reading, any budget and any number of threads. Their byte_size add up to the files.
- * A block and its arrays are memory of the reader that its caller may change in on_block: the
- * reader uses none of it after that, and no two arrays overlap.
- * The reader calls bsq_check() for each block. A reader without threads uses slot 0 only. */
+ * A part becomes one block. Parts are the same for each reading, any budget and any number of
+ * threads, and take at most about FMT_MESH_SLOT_BYTES. */
 #ifndef FMT_MESH_FORMAT_H
 #define FMT_MESH_FORMAT_H
 
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
+
+/* Bytes of a file that one part has, as a rule. The part and what is parsed from it fit a core's
+ * cache. Fuzz targets cut their small files too. */
+#ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION
+#define STREAM_PART_BYTES ((uint64_t)48)
+#else
+#define STREAM_PART_BYTES ((uint64_t)256 << 10)
+#endif
+
+/* Something that a file has and that is not read as it is, such as positions that are not finite.
+ * Each format has a list of them; the first ones are common to all. */
+struct stream_oddity {
+    uint64_t count, at; /* at: line or byte of the first; 0: unknown */
+};
+enum {
+    STREAM_NO_POSITION, /* positions that are not finite: all numbers become NaN */
+    STREAM_NO_TEXCOORD, /* texture coordinates likewise */
+    STREAM_NO_NORMAL,   /* normals likewise; they become 0 */
+    STREAM_NO_COLOR,    /* colours of vertices likewise; they become -1 */
+    STREAM_FORMAT_ODDITIES,
+    STREAM_ODDITY_COUNT = STREAM_FORMAT_ODDITIES + 4
+};
+
+/* Growing arrays for the elements and faces of one part; reused, so only the first parts allocate.
+ * Fields are those of struct fmt_mesh_block. */
+struct mesh_arrays {
+    double (*positions)[3];
+    float (*colors)[3];
+    double (*texcoords)[2];
+    float (*normals)[3];
+    uint32_t *late_colors;
+    uint32_t *face_sizes;
+    uint64_t *corners[FMT_MESH_KIND_COUNT];
+    uint32_t *face_tags; /* what decides the material of each face; the format says what it is */
+    struct fmt_mesh_material_change *changes;
+
+    uint64_t count[FMT_MESH_KIND_COUNT];
+    uint64_t late_color_count, face_count, corner_count, change_count;
+    bool has_colors;
+    bool has_corners[FMT_MESH_KIND_COUNT];
+
+    uint64_t position_capacity, color_capacity, texcoord_capacity, normal_capacity;
+    uint64_t late_color_capacity, size_capacity, corner_capacity[FMT_MESH_KIND_COUNT];
+    uint64_t tag_capacity, change_capacity;
+};
+
+/* Ensures capacity for `count` elements of one of these arrays. Errors: BSQ_ENOMEM. */
+#define FMT_RESERVE(ctx, count, array, capacity)                                                   \
+    ((count) <= (capacity)                                                                         \
+         ? 0                                                                                       \
+         : bsq_grow(ctx, "blocks of a mesh", count, sizeof *(array), &(array), &(capacity)))
+
+/* One file of the scan. */
+struct stream_source {
+    struct bsq_ctx *ctx;
+    struct fmt_mesh_reader *reader;
+    const struct fmt_mesh_format *format;
+    uint32_t number;
+    struct fmt_input *input; /* owned; open from the first cut to the pass of the last part */
+    const char *path;        /* of the input */
+    bool open;
+    void *data; /* what the format keeps of the file: format->data_bytes, zero at first */
+    struct fmt_mesh_placement placement;
+    bool moves; /* the placement changes something */
+    /* Elements of the scan in earlier files, and in this file as far as it has passed. */
+    uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
+    uint64_t late_color_count, face_base;
+    uint64_t lines; /* that have passed, for formats whose cut does not know `first_line` */
+    /* Numbers over the scan of the file's materials or, if the reader numbers objects, of its
+     * parts. So many as `begin` says are assigned when the first part of the file passes. */
+    uint32_t *numbers;
+    uint64_t number_count, number_capacity, material_count, part_count;
+};
+
+/* What a cut says of a part: enough to parse it again. */
+struct stream_part {
+    uint32_t source;
+    uint64_t offset, size; /* bytes of the file that hold its elements */
+    uint64_t end;          /* all bytes before it belong to this part or to earlier ones */
+    uint64_t first_line;   /* of text, from 1; 0: the format has no lines */
+    uint64_t lines;        /* that the part has */
+    bool failed;           /* it has an error: no part of this file follows */
+    /* For the format: what the part holds, how many of it, and how many came before; how much of
+     * it is still to come, and what the parser must know of the bytes before and tell the next. */
+    uint32_t kind;
+    uint64_t items, first_item, left;
+    uint32_t carry, carry_out;
+};
+
+/* A statement of a text that names a material, an object or a file of materials. */
+struct stream_statement {
+    int kind;
+    uint64_t face; /* number of faces of the part before it */
+    uint64_t line; /* of the part, from 0 */
+    uint64_t offset, size;
+};
+
+/* A part and what was parsed from it. The buffers are reused. */
+struct stream_slot {
+    struct bsq_ctx *ctx;
+    struct stream_source *source;
+    struct stream_part part;
+    uint8_t *bytes; /* of the part; the cut or the parse loads them */
+    uint64_t capacity;
+    bool loaded; /* `bytes` holds the part */
+    struct mesh_arrays arrays;
+    uint8_t *work; /* memory of the format */
+    uint64_t work_capacity;
+    struct stream_statement *statements;
+    uint64_t statement_count, statement_capacity;
+    int64_t balance;            /* a count of the format */
+    float color_white;          /* as in struct fmt_mesh_block */
+    uint32_t material_at_start; /* likewise; set by `pass` */
+    uint64_t short_faces;       /* faces with fewer than three corners, which were skipped */
+    struct stream_oddity odd[STREAM_ODDITY_COUNT];
+    uint64_t last_face; /* parsing stops after this face of the part; UINT64_MAX: never */
+    uint64_t at;        /* line or byte of the file where parsing stopped */
+    char error[200];    /* what is wrong there; "": nothing */
+    struct fmt_mesh_block view;
+};
 
 /* Where a face is, for messages. */
 struct fmt_mesh_place {
@@ -20,81 +141,188 @@ struct fmt_mesh_place {
     uint64_t byte;       /* of the file, from 0; 0: unknown, then messages count faces */
     uint64_t first_face; /* then: the face of the scan that is the first of the file */
     bool from_zero;      /* the file counts elements from 0, and not from 1 */
-    /* By kind: elements of the scan in files before the face's file, and in the face's file. With
-     * one file, base is 0. */
+    /* By kind: elements of the scan in files before the face's file, and in the face's file. */
     uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
 };
 
-/* open, close, read, estimate, read_materials, preview_materials and dependency do what
- * mesh_reader.h says about fmt_mesh_open() and so on. Only recognise, resembles,
- * read_materials, preview_materials and dependency may be NULL. */
+/* What a format does. Functions return 0 or a status, unless they say something else. Those that
+ * may be NULL say so. */
 struct fmt_mesh_format {
     const char *name;   /* for messages: "OBJ" */
     const char *suffix; /* of file names, with its point, in any case: ".obj". Blanks separate
                            several. */
-    bool single;        /* a reader takes one input; several inputs have a reader each */
+    bool from_one;      /* files count elements from 1, and not from 0 */
+    size_t data_bytes;  /* of source->data; 0: NULL */
+    /* What to say of its oddities: "positions are not finite". NULL: nothing. */
+    const char *oddities[STREAM_ODDITY_COUNT];
     /* Returns true if the first bytes of a file show this format beyond doubt. `head` is the first
-     * FMT_MESH_HEAD_BYTES, or the whole file if it is shorter; no zero follows it. */
+     * FMT_MESH_HEAD_BYTES, or the whole file if it is shorter; no zero follows it. May be NULL. */
     bool (*recognise)(const char *head, size_t size);
     /* Returns true if they may be of this format. Asked if no format recognises them, the suffix
-     * tells nothing, and they are of no other known kind. */
+     * tells nothing, and they are of no other known kind. May be NULL. */
     bool (*resembles)(const char *head, size_t size);
-    /* Sets *out to a structure that begins with a struct fmt_mesh_reader, and sets its ctx. The
-     * inputs live longer than the reader. They may be packed, or pipes, so a reader opens them with
-     * fmt_input_open() and knows their size only if fmt_input_size() does. */
-    int (*open)(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t input_count,
-                struct fmt_mesh_reader **out);
-    void (*close)(struct fmt_mesh_reader *reader);
-    /* For each block calls steps->on_block, unless it is NULL, and then, if steps->follow is not
-     * NULL, steps->follow and steps->finish. A reader without threads calls them one after the
-     * other with slot 0. `totals` is never NULL and zero at first. */
-    int (*read)(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps, void *arg,
-                struct fmt_mesh_totals *totals);
-    int (*estimate)(const struct fmt_mesh_reader *reader, struct fmt_mesh_estimate *out);
-    /* Finds a face that has been read. */
-    int (*locate_face)(struct fmt_mesh_reader *reader, uint64_t face, struct fmt_mesh_place *out);
-    /* NULL: the format has no materials. */
-    int (*read_materials)(struct fmt_mesh_reader *reader, struct fmt_materials *out);
-    int (*preview_materials)(struct fmt_mesh_reader *reader, struct fmt_materials *out);
-    /* NULL: the format refers to no other files. */
-    const char *(*dependency)(const struct fmt_mesh_reader *reader, uint32_t index);
+    /* Reads the start of a file. Called for each file, in order. The input is not open; it may be
+     * packed, or a pipe, so its size is known only if fmt_input_size() knows it. May be NULL. */
+    int (*begin)(struct stream_source *source);
+    /* Frees what source->data refers to, also after a failure of `begin`. May be NULL. */
+    void (*end)(struct stream_source *source);
+    /* Open and close what belongs to a file besides the file itself, before its first cut and after
+     * its last part has passed. Both may be NULL. Closing what is not open does nothing; after a
+     * failure of `enter` it is called too. */
+    int (*enter)(struct stream_source *source);
+    int (*leave)(struct stream_source *source);
+    /* Sets slot->part to the part after `before`, which is all zero but for `source` at the start
+     * of a file. Returns 1, or 0 if the file has no more parts. May load slot->bytes; then it sets
+     * slot->loaded. What is wrong with the file goes to slot->error, as in `parse`. */
+    int (*cut)(const struct stream_part *before, struct stream_slot *slot);
+    /* Fills slot->arrays with indices that count from the start of the file, and materials that are
+     * numbers of `pass`. May make slot->part more exact. Thread-safe. What is wrong with the file
+     * goes to slot->error, with slot->at: parts are parsed in any order, and only the first error
+     * of the files is reported. No two arrays overlap: callers change them. */
+    int (*parse)(struct stream_slot *slot);
+    /* Completes the arrays by what depends on earlier parts. Serial, in order. Called also if
+     * slot->error is set, which is reported then. Changes of materials have numbers over the scan
+     * after it. May be NULL. */
+    int (*pass)(struct stream_slot *slot, struct fmt_mesh_totals *totals);
+    /* Called for each file, in order, after all have been read. Warns of what was not read if the
+     * reader's read_before is not set. May be NULL. */
+    int (*finish)(struct stream_source *source, struct fmt_mesh_totals *totals);
+    /* Adds a file to the estimate. bytes: of the unpacked file, exactly if it is plain. */
+    int (*estimate)(const struct stream_source *source, uint64_t bytes, bool plain,
+                    struct fmt_mesh_estimate *out);
+    /* Append what is known of a file's materials to the list: in the order of source->numbers, and
+     * as fmt_mesh_preview_materials() does. NULL: the format has no materials. */
+    int (*read_materials)(struct stream_source *source, struct fmt_materials *out);
+    int (*preview_materials)(struct stream_source *source, struct fmt_materials *out);
+    /* Returns as fmt_mesh_dependency() does, for one file. NULL: the format refers to no files. */
+    const char *(*dependency)(const struct stream_source *source, uint32_t index);
 };
 
-/* The start of every reader. */
+/* What there is to say of all files: see stream_oddity. */
+struct stream_note {
+    const char *text;
+    uint32_t source; /* that has the first */
+    bool bytes;      /* odd.at is a byte, and no line */
+    struct stream_oddity odd;
+};
+
+/* Materials that lack a colour, counted over the files; see obj_material.c. */
+struct stream_colorless {
+    uint64_t count;
+    uint32_t source;  /* that has the first */
+    const char *name; /* of the first; owned by the source */
+};
+
+/* A part with faces. */
+struct stream_place {
+    struct stream_part part;
+    uint64_t face_base;
+};
+
 struct fmt_mesh_reader {
     struct bsq_ctx *ctx;
-    bool objects; /* set by fmt_mesh_use_objects() */
-    /* Set by fmt_mesh_open_inputs(). */
-    const struct fmt_mesh_format *format;
-    struct fmt_input **inputs; /* owned */
-    uint32_t input_count;
-    struct fmt_mesh_placement *placements; /* of the inputs; owned; NULL: all stay in place */
+    bool objects;     /* set by fmt_mesh_use_objects() */
+    bool read_before; /* the files were read to their end: what there is to warn of is known */
+    bool uses_colors; /* the caller previewed materials */
+    bool has_colors;  /* of vertices, in any part that has passed */
+    bool gltf_colors; /* a glTF file has colours of vertices */
+    bool painted, unpainted; /* files have late colours for each vertex; have not */
+    struct stream_source *sources;
+    uint32_t source_count;
+    uint64_t material_count; /* numbers that were assigned */
+    struct stream_place *places;
+    uint64_t place_count, place_capacity;
+    struct stream_note *notes;
+    uint64_t note_count, note_capacity;
+    bool warns_of_materials; /* set by a preview, cleared by the first warning */
+    /* Counted while materials are read: of files that name no library, of files whose libraries
+     * lack them, and faces without a material beside others with colours. */
+    struct stream_colorless bare, lost, plain;
 };
 
-/* Copies a material under another name. Free *out as fmt_materials_free() does. */
-int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from, const char *name,
+/* ---- mesh_stream.c ---- */
+
+/* Reads as fmt_mesh_read_steps() does. */
+int fmt_stream_read(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps, void *arg,
+                    struct fmt_mesh_totals *totals);
+/* Frees what the reader keeps of the sources and the sources. */
+void fmt_stream_free(struct fmt_mesh_reader *reader);
+
+/* Finds a face that has been read: parses the part that holds face number `face` of the scan up to
+ * this face. */
+int fmt_stream_locate_face(struct fmt_mesh_reader *reader, uint64_t face,
+                           struct fmt_mesh_place *out);
+/* Parses a part up to its face number `face`, at which *slot stays. Free it with
+ * fmt_stream_free_slot(), also after a failure. */
+int fmt_stream_parse_again(struct stream_source *source, const struct stream_part *part,
+                           uint64_t face, struct stream_slot *slot);
+void fmt_stream_free_slot(struct stream_slot *slot);
+
+/* Ensures capacity for `size` bytes of a part and STREAM_PADDING bytes after them. */
+int fmt_stream_reserve(struct stream_slot *slot, uint64_t size);
+#define STREAM_PADDING ((uint64_t)64)
+/* Extends a part's loaded bytes from `have` on to `size` of them, from the part's offset; to fewer
+ * at the end of the file. *loaded: their number. *at_end: the file ends with them, for certain. */
+int fmt_stream_extend(struct stream_slot *slot, uint64_t have, uint64_t size, uint64_t *loaded,
+                      bool *at_end);
+/* Loads the bytes of a part, unless they are loaded. */
+int fmt_stream_load(struct stream_slot *slot);
+
+/* Describes what is wrong with a part, at a line or byte of its file; 0: the text says where.
+ * Returns 0, so that a parse function can return it. Only the first description of a part is kept.
+ */
+int fmt_stream_fail(struct stream_slot *slot, uint64_t at, const char *format, ...)
+    __attribute__((format(printf, 3, 4)));
+
+/* Assigns the next number over the scan to a further material of a file. */
+int fmt_stream_add_material(struct stream_source *source, uint32_t *number);
+
+/* Turns the materials of a part, which count over its file, into numbers over the scan. */
+void fmt_stream_number_materials(struct stream_slot *slot);
+
+/* A kind of data that is not read. */
+struct stream_unread {
+    uint64_t count;
+    bool loss; /* the scan is poorer by it */
+    const char *what;
+};
+/* Warns of each kind that a file has: "scan.gltf: 2 meshes ..." */
+int fmt_stream_warn_unread(const struct stream_source *source, const struct stream_unread *kinds,
+                           size_t count);
+
+/* ---- mesh_material.c ---- */
+
+/* Copies a material, but not its object. Free *out as fmt_materials_free() does. */
+int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
                       struct fmt_material *out);
 /* Gives a material copies of channels. */
 int fmt_channels_copy(struct bsq_ctx *ctx, const struct fmt_material_channel *from, uint32_t count,
                       struct fmt_material *out);
 void fmt_channels_free(struct bsq_ctx *ctx, struct fmt_material_channel *list, uint32_t count);
 
-/* ---- mesh_place.c ---- */
+/* Names, or numbers, in order of first appearance; `slots` is an open-addressing hash table of
+ * number + 1. All zero at first. */
+struct mesh_name {
+    char *text; /* NULL: "" */
+    uint64_t key;
+};
+struct mesh_names {
+    struct mesh_name *list;
+    uint64_t count, capacity;
+    uint32_t *slots;
+    uint64_t slot_count;
+};
+/* Sets *number to the number of a pair of key and text; enters it if it is new. */
+int fmt_names_enter(struct bsq_ctx *ctx, struct mesh_names *names, uint64_t key, const char *text,
+                    uint32_t *number);
+/* Returns the number of a pair; UINT32_MAX: it is not in the table. */
+uint32_t fmt_names_find(const struct mesh_names *names, uint64_t key, const char *text);
+void fmt_names_free(struct bsq_ctx *ctx, struct mesh_names *names);
 
-/* Copies the placements, unless all leave their meshes as they are. */
-int fmt_mesh_keep_placements(struct fmt_mesh_reader *reader,
-                             const struct fmt_mesh_placement *placements);
-/* Reads as fmt_mesh_read_steps() does, and places each block before steps->on_block. */
-int fmt_mesh_read_placed(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps,
-                         void *arg, struct fmt_mesh_totals *totals);
+/* ---- obj_material.c ---- */
 
-/* ---- mesh_mixed.c ---- */
-
-/* Opens inputs that need several readers; formats: of each input. Implements `open`. */
-int fmt_mesh_open_mixed(struct bsq_ctx *ctx, struct fmt_input *const *inputs,
-                        const struct fmt_mesh_format *const *formats, uint32_t input_count,
-                        struct fmt_mesh_reader **out);
-extern const struct fmt_mesh_format fmt_mixed_format; /* of such a reader; not in the registry */
+/* Warns of materials without a colour, after those of all files were read. */
+int fmt_obj_finish_materials(struct fmt_mesh_reader *reader);
 
 /* The registry. The first row also reads files that no row recognises. */
 #define FMT_MESH_FORMATS(ROW)                                                                      \

@@ -1,15 +1,16 @@
-/* mesh_reader.c - chooses the reader of a mesh and passes every call on to it. */
+/* mesh_reader.c - opens the files of a scan, chooses their formats, and places faces in messages.
+ */
 #include <inttypes.h>
-#include <assert.h>
-#include <string.h>
+#include <math.h>
+#include <stdarg.h>
 #include <stdio.h>
+#include <string.h>
 #include <strings.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include "base/loss.h"
 #include "formats/mesh/mesh_format.h"
-#include "formats/mesh/mesh_text.h"
 
 #define MIB ((uint64_t)1 << 20)
 
@@ -106,66 +107,24 @@ static int refuse_foreign(struct bsq_ctx *ctx, const char *path, const char *hea
     return 0;
 }
 
-static int choose_format(struct bsq_ctx *ctx, struct fmt_input *input,
-                         const struct fmt_mesh_format **out)
+static int choose_format(struct stream_source *source)
 {
     char head[FMT_MESH_HEAD_BYTES];
     uint64_t size = 0;
-    const char *path = fmt_input_path(input);
-    int status = fmt_input_peek(input, head, sizeof head, &size);
-    if (status < 0 || (*out = find_by_content(head, size)) != NULL)
+    int status = fmt_input_peek(source->input, head, sizeof head, &size);
+    if (status < 0 || (source->format = find_by_content(head, size)) != NULL)
         return status;
-    *out = find_by_suffix(path);
-    status = refuse_foreign(ctx, path, head, size);
-    for (size_t i = 0; i < FORMAT_COUNT && !*out; i++)
+    source->format = find_by_suffix(source->path);
+    status = refuse_foreign(source->ctx, source->path, head, size);
+    for (size_t i = 0; i < FORMAT_COUNT && !source->format; i++)
         if (formats[i]->resembles && formats[i]->resembles(head, size))
-            *out = formats[i];
-    if (*out == NULL)
-        *out = formats[0];
+            source->format = formats[i];
+    if (source->format == NULL)
+        source->format = formats[0];
     return status;
 }
 
 /* ---- opening ---- */
-
-static void free_inputs(struct bsq_ctx *ctx, struct fmt_input **inputs, uint32_t count)
-{
-    for (uint32_t i = 0; inputs && i < count; i++)
-        fmt_input_free(inputs[i]);
-    bsq_free(ctx, inputs);
-}
-
-/* Finds the format of each input. Sets *one to that of all if one reader takes them, else to NULL.
- */
-static int choose_formats(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t count,
-                          const struct fmt_mesh_format **found, const struct fmt_mesh_format **one)
-{
-    int status = 0;
-    *one = NULL;
-    for (uint32_t i = 0; i < count && !status; i++) {
-        status = choose_format(ctx, inputs[i], &found[i]);
-        if (!status)
-            *one = i == 0 || (found[i] == *one && !found[i]->single) ? found[i] : NULL;
-    }
-    return status;
-}
-
-/* Opens the reader, or the readers, that the inputs need. */
-static int open_readers(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t count,
-                        struct fmt_mesh_reader **out)
-{
-    const struct fmt_mesh_format **found, *one = NULL;
-    int status = bsq_calloc(ctx, "inputs", count, sizeof(void *), &found);
-    if (!status)
-        status = choose_formats(ctx, inputs, count, found, &one);
-    if (!status && one)
-        status = one->open(ctx, inputs, count, out);
-    else if (!status)
-        status = fmt_mesh_open_mixed(ctx, inputs, found, count, out);
-    if (!status)
-        (*out)->format = one ? one : &fmt_mixed_format;
-    bsq_free(ctx, found);
-    return status;
-}
 
 /* Sets *info for a path; "-" is standard input. Returns false if it cannot be seen. */
 static bool identify(const char *path, struct stat *info)
@@ -193,40 +152,66 @@ static int check_once(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from, u
     return 0;
 }
 
-static int create_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from,
-                         struct fmt_input **inputs)
+static int set_placement(struct stream_source *source, const struct fmt_mesh_placement *p)
 {
-    int status = 0;
+    source->placement = *p;
+    source->moves = p->scale != 1.0 || p->up != FMT_MESH_UP_KEEP || p->translate[0] != 0.0 ||
+                    p->translate[1] != 0.0 || p->translate[2] != 0.0;
+    if (!(p->scale > 0.0) || !isfinite(p->scale))
+        return bsq_fail(source->ctx, BSQ_EUSAGE, "%s: a scale of %g", source->path, p->scale);
+    return 0;
+}
+
+/* Finds a file's format and reads the start of it. */
+static int begin_source(struct stream_source *source)
+{
+    int status;
+    BSQ_TRY(choose_format(source));
+    if (source->format->data_bytes > 0)
+        BSQ_TRY(
+            bsq_calloc(source->ctx, "a mesh file", 1, source->format->data_bytes, &source->data));
+    if (source->format->begin)
+        status = source->format->begin(source);
+done:
+    return status;
+}
+
+static int open_sources(struct fmt_mesh_reader *reader, const struct fmt_mesh_inputs *from)
+{
+    struct bsq_ctx *ctx = reader->ctx;
+    int status;
+    BSQ_TRY(bsq_calloc(ctx, "inputs", from->path_count, sizeof *reader->sources, &reader->sources));
     /* All are checked before one is opened, which may wait for a writer. */
-    for (uint32_t i = 0; i < from->path_count && !status; i++)
-        status = check_once(ctx, from, i);
-    for (uint32_t i = 0; i < from->path_count && !status; i++)
-        status = fmt_input_create(ctx, from->paths[i], from->beside, from->pipes, &inputs[i]);
+    for (uint32_t i = 0; i < from->path_count; i++)
+        BSQ_TRY(check_once(ctx, from, i));
+    for (uint32_t i = 0; i < from->path_count; i++, reader->source_count++) {
+        struct stream_source *source = &reader->sources[i];
+        *source = (struct stream_source){.ctx = ctx, .reader = reader, .number = i};
+        BSQ_TRY(fmt_input_create(ctx, from->paths[i], from->beside, from->pipes, &source->input));
+        source->path = fmt_input_path(source->input);
+    }
+    for (uint32_t i = 0; i < from->path_count; i++)
+        BSQ_TRY(begin_source(&reader->sources[i]));
+    for (uint32_t i = 0; i < from->path_count && from->placements; i++)
+        BSQ_TRY(set_placement(&reader->sources[i], &from->placements[i]));
+done:
     return status;
 }
 
 int fmt_mesh_open_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *from,
                          struct fmt_mesh_reader **out)
 {
-    struct fmt_input **inputs;
+    struct fmt_mesh_reader *reader;
     *out = NULL;
-    int status = bsq_calloc(ctx, "inputs", from->path_count, sizeof(void *), &inputs);
-    if (status == 0)
-        status = create_inputs(ctx, from, inputs);
-    if (status == 0)
-        status = open_readers(ctx, inputs, from->path_count, out);
-    if (status < 0) {
-        free_inputs(ctx, inputs, from->path_count);
+    int status = bsq_calloc(ctx, "mesh reader", 1, sizeof *reader, &reader);
+    if (status)
         return status;
-    }
-    assert(*out);
-    (*out)->inputs = inputs;
-    (*out)->input_count = from->path_count;
-    status = from->placements ? fmt_mesh_keep_placements(*out, from->placements) : 0;
-    if (status < 0) {
-        fmt_mesh_close(*out);
-        *out = NULL;
-    }
+    reader->ctx = ctx;
+    status = open_sources(reader, from);
+    if (status)
+        fmt_mesh_close(reader);
+    else
+        *out = reader;
     return status;
 }
 
@@ -241,19 +226,15 @@ void fmt_mesh_close(struct fmt_mesh_reader *reader)
 {
     if (!reader)
         return;
-    struct bsq_ctx *ctx = reader->ctx;
-    struct fmt_input **inputs = reader->inputs;
-    const uint32_t count = reader->input_count;
-    bsq_free(ctx, reader->placements);
-    reader->format->close(reader);
-    free_inputs(ctx, inputs, count);
+    fmt_stream_free(reader);
+    bsq_free(reader->ctx, reader);
 }
 
 uint64_t fmt_mesh_bytes(const struct fmt_mesh_reader *reader)
 {
     uint64_t bytes = 0;
-    for (uint32_t i = 0; i < reader->input_count; i++) {
-        const uint64_t size = fmt_input_size(reader->inputs[i]);
+    for (uint32_t i = 0; i < reader->source_count; i++) {
+        const uint64_t size = fmt_input_size(reader->sources[i].input);
         if (size == UINT64_MAX)
             return 0;
         bytes += size;
@@ -264,9 +245,9 @@ uint64_t fmt_mesh_bytes(const struct fmt_mesh_reader *reader)
 bool fmt_mesh_given(const struct fmt_mesh_reader *reader, const char *path, uint64_t *bytes,
                     uint64_t *hash)
 {
-    for (uint32_t i = 0; i < reader->input_count; i++)
-        if (strcmp(fmt_input_path(reader->inputs[i]), path) == 0)
-            return fmt_input_given(reader->inputs[i], bytes, hash);
+    for (uint32_t i = 0; i < reader->source_count; i++)
+        if (strcmp(reader->sources[i].path, path) == 0)
+            return fmt_input_given(reader->sources[i].input, bytes, hash);
     return false;
 }
 
@@ -298,8 +279,7 @@ int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_st
     struct fmt_mesh_totals unused = {0};
     totals = totals ? totals : &unused;
     memset(totals, 0, sizeof *totals);
-    return reader->placements ? fmt_mesh_read_placed(reader, steps, arg, totals)
-                              : reader->format->read(reader, steps, arg, totals);
+    return fmt_stream_read(reader, steps, arg, totals);
 }
 
 int fmt_mesh_read(struct fmt_mesh_reader *reader,
@@ -331,121 +311,44 @@ int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_esti
     uint64_t temp_bytes = 0, all_bytes = 0;
     bool all_plain = true;
     int status = 0;
-    for (uint32_t i = 0; i < reader->input_count && status == 0; i++) {
-        uint64_t bytes;
+    *out = (struct fmt_mesh_estimate){.faces_come_last = reader->source_count == 1};
+    for (uint32_t i = 0; i < reader->source_count; i++) {
+        const struct stream_source *source = &reader->sources[i];
+        uint64_t bytes = 0;
         bool plain;
-        status = fmt_input_guess(reader->inputs[i], &bytes, &plain);
+        BSQ_TRY(fmt_input_guess(source->input, &bytes, &plain));
+        BSQ_TRY(source->format->estimate(source, bytes, plain, out));
         all_bytes += bytes;
         all_plain &= plain;
         /* Unpacked files are dropped one after the other. */
-        if (status == 0 && !plain && bytes > temp_bytes)
+        if (!plain && bytes > temp_bytes)
             temp_bytes = bytes;
     }
-    if (status == 0)
-        status = reader->format->estimate(reader, out);
     if (!all_plain)
         limit_estimate(out, all_bytes);
     out->temp_bytes = temp_bytes;
+done:
     return status;
 }
-
-/* ---- materials ---- */
 
 void fmt_mesh_use_objects(struct fmt_mesh_reader *reader)
 {
     reader->objects = true;
 }
 
-int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out)
-{
-    memset(out, 0, sizeof *out);
-    return reader->format->read_materials ? reader->format->read_materials(reader, out) : 0;
-}
-
-int fmt_mesh_preview_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out)
-{
-    memset(out, 0, sizeof *out);
-    return reader->format->preview_materials ? reader->format->preview_materials(reader, out) : 0;
-}
-
-int fmt_channels_copy(struct bsq_ctx *ctx, const struct fmt_material_channel *from, uint32_t count,
-                      struct fmt_material *out)
-{
-    int status = bsq_calloc(ctx, "materials", count, sizeof *out->channels, &out->channels);
-    for (uint32_t i = 0; i < count && !status; i++) {
-        const struct fmt_material_channel *source = &from[i];
-        struct fmt_material_channel *copy = &out->channels[out->channel_count++];
-        *copy = *source;
-        copy->texture_path = copy->texture_place = NULL;
-        if (source->texture_path)
-            status = fmt_string_copy(ctx, source->texture_path, &copy->texture_path);
-        if (!status && source->texture_place)
-            status = fmt_string_copy(ctx, source->texture_place, &copy->texture_place);
-    }
-    return status;
-}
-
-int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from, const char *name,
-                      struct fmt_material *out)
-{
-    *out = *from;
-    out->name = out->texture_path = out->texture_place = out->object = NULL;
-    out->channels = NULL;
-    out->channel_count = 0;
-    int status = fmt_string_copy(ctx, name, &out->name);
-    if (!status && from->texture_path)
-        status = fmt_string_copy(ctx, from->texture_path, &out->texture_path);
-    if (!status && from->texture_place)
-        status = fmt_string_copy(ctx, from->texture_place, &out->texture_place);
-    if (!status && from->channel_count > 0)
-        status = fmt_channels_copy(ctx, from->channels, from->channel_count, out);
-    return status;
-}
-
-void fmt_channels_free(struct bsq_ctx *ctx, struct fmt_material_channel *list, uint32_t count)
-{
-    for (uint32_t i = 0; i < count; i++) {
-        bsq_free(ctx, list[i].texture_path);
-        bsq_free(ctx, list[i].texture_place);
-    }
-    bsq_free(ctx, list);
-}
-
-void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials)
-{
-    for (uint32_t i = 0; i < materials->count; i++) {
-        bsq_free(ctx, materials->list[i].name);
-        bsq_free(ctx, materials->list[i].texture_path);
-        bsq_free(ctx, materials->list[i].texture_place);
-        bsq_free(ctx, materials->list[i].object);
-        fmt_channels_free(ctx, materials->list[i].channels, materials->list[i].channel_count);
-    }
-    bsq_free(ctx, materials->list);
-    memset(materials, 0, sizeof *materials);
-}
-
-int fmt_material_enter_channel(struct bsq_ctx *ctx, struct fmt_material *material,
-                               const struct bsq_channel *channel, struct fmt_material_channel **out)
-{
-    uint64_t capacity = material->channel_count; /* materials have few channels */
-    for (uint32_t i = 0; i < material->channel_count; i++)
-        if (material->channels[i].channel == channel) {
-            *out = &material->channels[i];
-            return 0;
-        }
-    int status = bsq_grow(ctx, "materials", material->channel_count + UINT64_C(1),
-                          sizeof *material->channels, &material->channels, &capacity);
-    if (status)
-        return status;
-    *out = &material->channels[material->channel_count++];
-    **out = (struct fmt_material_channel){
-        .channel = channel, .value = {channel->usual, channel->usual, channel->usual}};
-    return 0;
-}
-
 const char *fmt_mesh_dependency(const struct fmt_mesh_reader *reader, uint32_t index)
 {
-    return reader->format->dependency ? reader->format->dependency(reader, index) : NULL;
+    const char *path = NULL;
+    for (uint32_t i = 0; i < reader->source_count; i++) {
+        const struct stream_source *source = &reader->sources[i];
+        for (uint32_t own = 0; source->format->dependency; own++) {
+            if ((path = source->format->dependency(source, own)) == NULL)
+                break;
+            if (index-- == 0)
+                return path;
+        }
+    }
+    return NULL;
 }
 
 /* ---- messages about faces ---- */
@@ -474,7 +377,7 @@ int fmt_mesh_place_text(struct fmt_mesh_reader *reader, uint64_t face, char **ou
 {
     struct fmt_mesh_place place;
     *out = NULL;
-    int status = reader->format->locate_face(reader, face, &place);
+    int status = fmt_stream_locate_face(reader, face, &place);
     const size_t size = status == 0 ? strlen(place.path) + 40 : 1;
     if (status == 0)
         status = bsq_alloc(reader->ctx, "names", size, 1, out);
@@ -500,7 +403,7 @@ int fmt_mesh_fail_index(struct fmt_mesh_reader *reader, uint64_t face, enum fmt_
                         uint64_t index)
 {
     struct fmt_mesh_place place;
-    int status = reader->format->locate_face(reader, face, &place);
+    int status = fmt_stream_locate_face(reader, face, &place);
     if (status < 0)
         return status;
     if (index - place.base[kind] >= FMT_MESH_BEFORE)
@@ -521,7 +424,7 @@ int fmt_mesh_fail_face(struct bsq_ctx *ctx, const char *path, uint64_t face, con
         status = fmt_mesh_read(reader, NULL, NULL, NULL);
     bsq_mute_warnings(ctx, false);
     if (status == 0)
-        status = reader->format->locate_face(reader, face, &place);
+        status = fmt_stream_locate_face(reader, face, &place);
     if (status == 0)
         status = fail_face(ctx, &place, face, "%s", what);
     fmt_mesh_close(reader);

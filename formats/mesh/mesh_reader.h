@@ -217,9 +217,11 @@ struct fmt_material {
     char *object; /* that the faces belong to, see fmt_mesh_use_objects(); or NULL */
 };
 
+/* All zero at first. */
 struct fmt_materials {
-    uint32_t count;
     struct fmt_material *list;
+    uint32_t count;
+    uint64_t capacity;
 };
 
 /* Describes all materials that the blocks read so far refer to; their index in the list is the
@@ -231,6 +233,9 @@ int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials
  * warned of here, and not again by fmt_mesh_read_materials(). */
 int fmt_mesh_preview_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out);
 void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials);
+/* Adds a material to the end of a list: grey, as materials without a colour are. Errors:
+ * BSQ_ENOMEM, BSQ_EDATA if there are too many. */
+int fmt_materials_add(struct bsq_ctx *ctx, struct fmt_materials *list, struct fmt_material **out);
 /* Returns in *out the material's entry for a channel, which is added if there is none. Errors:
  * BSQ_ENOMEM. */
 int fmt_material_enter_channel(struct bsq_ctx *ctx, struct fmt_material *material,

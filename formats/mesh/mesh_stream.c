@@ -1,17 +1,16 @@
-/* mesh_stream.c - see mesh_stream.h. */
-#include "formats/mesh/mesh_stream.h"
-
+/* mesh_stream.c - reads the files of a scan part by part, on all threads; see mesh_format.h. */
 #include <inttypes.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
 
+#include "base/loss.h"
 #include "base/parallel.h"
-#include "formats/mesh/mesh_text.h"
+#include "formats/mesh/mesh_format.h"
 
 /* One call of fmt_stream_read(). */
 struct job {
-    struct stream_reader *reader;
+    struct fmt_mesh_reader *reader;
     const struct fmt_mesh_steps *steps;
     void *arg;
     struct fmt_mesh_totals *totals;
@@ -23,120 +22,62 @@ struct job {
 
 /* ---- files ---- */
 
-static int set_sources(struct stream_reader *reader, struct fmt_input *const *inputs,
-                       uint32_t input_count)
-{
-    struct bsq_ctx *ctx = reader->base.ctx;
-    int status =
-        bsq_calloc(ctx, "mesh files", input_count, sizeof *reader->sources, &reader->sources);
-    if (status)
-        return status;
-    reader->source_count = input_count;
-    for (uint32_t i = 0; i < input_count; i++) {
-        reader->sources[i].input = inputs[i];
-        reader->sources[i].path = fmt_input_path(inputs[i]);
-    }
-    return 0;
-}
-
-int fmt_stream_open(struct bsq_ctx *ctx, const struct stream_format *stream,
-                    struct fmt_input *const *inputs, uint32_t input_count,
-                    struct fmt_mesh_reader **out)
-{
-    struct stream_reader *reader;
-    int status = bsq_calloc(ctx, stream->reader_name, 1, stream->reader_bytes, &reader);
-    if (status)
-        return status;
-    reader->base.ctx = ctx;
-    reader->stream = stream;
-    status = set_sources(reader, inputs, input_count);
-    if (!status)
-        status = stream->prepare(reader);
-    for (uint32_t i = 0; i < input_count && !status; i++)
-        status = stream->begin(reader, i);
-    if (status)
-        stream->end(&reader->base);
-    else
-        *out = &reader->base;
-    return status;
-}
-
-void fmt_stream_free(struct stream_reader *reader)
-{
-    struct bsq_ctx *ctx = reader->base.ctx;
-    bsq_free(ctx, reader->sources);
-    bsq_free(ctx, reader->places);
-    bsq_free(ctx, reader);
-}
-
 /* Opens a file before its first part. */
-static int enter_file(struct stream_reader *reader, uint32_t number)
+static int enter_file(struct stream_source *source)
 {
-    struct stream_source *source = &reader->sources[number];
     int status = fmt_input_open(source->input);
     source->open = status == 0;
-    if (!status && reader->stream->open)
-        status = reader->stream->open(reader, number);
-    return status;
+    return !status && source->format->enter ? source->format->enter(source) : status;
 }
 
 /* Closes a file after its last part. Errors: BSQ_EIO if it was changed meanwhile. */
-static int close_source(struct stream_reader *reader, struct stream_source *source)
+static int leave_file(struct stream_source *source)
 {
     const bool was_open = source->open;
     source->open = false;
-    int status = was_open ? fmt_input_close(source->input) : 0;
-    const int closed = reader->stream->close
-                           ? reader->stream->close(reader, (uint32_t)(source - reader->sources))
-                           : 0;
-    return status ? status : closed;
+    const int status = was_open ? fmt_input_close(source->input) : 0;
+    const int left = source->format->leave ? source->format->leave(source) : 0;
+    return status ? status : left;
 }
 
-int fmt_stream_reserve(struct bsq_ctx *ctx, struct stream_slot *slot, uint64_t size)
+int fmt_stream_reserve(struct stream_slot *slot, uint64_t size)
 {
     if (size > UINT64_MAX - STREAM_PADDING)
-        return bsq_fail(ctx, BSQ_ENOMEM, "a part of a mesh file is too long");
-    if (size + STREAM_PADDING <= slot->capacity)
-        return 0;
-    return bsq_grow(ctx, "parts of mesh files", size + STREAM_PADDING, 1, &slot->bytes,
-                    &slot->capacity);
+        return bsq_fail(slot->ctx, BSQ_ENOMEM, "a part of a mesh file is too long");
+    return FMT_RESERVE(slot->ctx, size + STREAM_PADDING, slot->bytes, slot->capacity);
 }
 
-int fmt_stream_extend(struct stream_reader *reader, struct stream_slot *slot, uint64_t have,
-                      uint64_t size, uint64_t *loaded, bool *at_end)
+int fmt_stream_extend(struct stream_slot *slot, uint64_t have, uint64_t size, uint64_t *loaded,
+                      bool *at_end)
 {
-    struct fmt_input *input = reader->sources[slot->part.source].input;
+    struct fmt_input *input = slot->source->input;
     const uint64_t offset = slot->part.offset;
     uint64_t file_size, end;
+    int status;
     *loaded = have;
     *at_end = false;
     if (__builtin_add_overflow(offset, size, &end) || end > fmt_input_size(input))
         end = fmt_input_size(input);
     end = end > offset ? end : offset;
-    /* Memory first: who cannot hold so much need not have it unpacked. */
-    int status = fmt_stream_reserve(reader->base.ctx, slot, end - offset);
-    if (!status)
-        status = fmt_input_reach(input, end, &file_size);
-    if (status)
-        return status;
+    /* Memory first: bytes that do not fit need not be unpacked. */
+    BSQ_TRY(fmt_stream_reserve(slot, end - offset));
+    BSQ_TRY(fmt_input_reach(input, end, &file_size));
     end = end < file_size ? end : file_size;
     size = end > offset ? end - offset : 0;
     if (size > have)
-        status = fmt_input_read(input, slot->bytes + have, size - have, offset + have);
-    if (!status)
-        *loaded = size > have ? size : have;
+        BSQ_TRY(fmt_input_read(input, slot->bytes + have, size - have, offset + have));
+    *loaded = size > have ? size : have;
     *at_end = offset + *loaded >= file_size;
+done:
     return status;
 }
 
-int fmt_stream_load(struct stream_reader *reader, struct stream_slot *slot)
+int fmt_stream_load(struct stream_slot *slot)
 {
-    struct bsq_ctx *ctx = reader->base.ctx;
     const struct stream_part *part = &slot->part;
-    int status = slot->loaded ? 0 : fmt_stream_reserve(ctx, slot, part->size);
+    int status = slot->loaded ? 0 : fmt_stream_reserve(slot, part->size);
     if (!status && !slot->loaded)
-        status = fmt_input_read(reader->sources[part->source].input, slot->bytes, part->size,
-                                part->offset);
+        status = fmt_input_read(slot->source->input, slot->bytes, part->size, part->offset);
     slot->loaded = !status;
     return status;
 }
@@ -159,23 +100,23 @@ static int produce(void *arg, void *slot_memory, uint64_t sequence)
 {
     struct job *job = arg;
     struct stream_slot *slot = slot_memory;
-    struct stream_reader *reader = job->reader;
     (void)sequence;
-    while (job->cut.source < reader->source_count) {
-        struct stream_source *source = &reader->sources[job->cut.source];
-        int status = !source->open && job->cut.end == 0 ? enter_file(reader, job->cut.source) : 0;
+    while (job->cut.source < job->reader->source_count) {
+        struct stream_source *source = &job->reader->sources[job->cut.source];
+        int status = !source->open && job->cut.end == 0 ? enter_file(source) : 0;
+        slot->source = source;
         slot->loaded = false;
         slot->error[0] = '\0';
         slot->part = (struct stream_part){.source = job->cut.source};
         if (status == 0 && !job->cut.failed)
-            status = reader->stream->cut(reader, &job->cut, slot);
+            status = source->format->cut(&job->cut, slot);
         slot->part.failed = slot->error[0] != '\0';
         if (status != 0) {
             job->cut = slot->part;
             return status;
         }
         /* No part of an empty file passes, so nothing else closes it. */
-        status = job->cut.end == 0 ? close_source(reader, source) : 0;
+        status = job->cut.end == 0 ? leave_file(source) : 0;
         if (status != 0)
             return status;
         job->cut = (struct stream_part){.source = job->cut.source + 1};
@@ -183,50 +124,98 @@ static int produce(void *arg, void *slot_memory, uint64_t sequence)
     return 0;
 }
 
+/* Forgets what an earlier part had, and keeps the memory. */
+static void clear_slot(struct stream_slot *slot)
+{
+    struct mesh_arrays *a = &slot->arrays;
+    memset(a->count, 0, sizeof a->count);
+    memset(a->has_corners, 0, sizeof a->has_corners);
+    memset(slot->odd, 0, sizeof slot->odd);
+    a->late_color_count = a->face_count = a->corner_count = a->change_count = 0;
+    a->has_colors = false;
+    slot->statement_count = slot->short_faces = 0;
+    slot->balance = 0;
+    slot->color_white = 0;
+    slot->material_at_start = FMT_MESH_NO_MATERIAL;
+}
+
 static int work(void *arg, void *slot_memory, uint64_t sequence, unsigned worker)
 {
-    const struct job *job = arg;
     struct stream_slot *slot = slot_memory;
-    (void)sequence, (void)worker;
-    fmt_arrays_clear(&slot->arrays);
+    (void)arg, (void)sequence, (void)worker;
+    clear_slot(slot);
     slot->last_face = UINT64_MAX;
-    slot->short_faces = slot->bad_normals = slot->bad_colors = slot->bad_texcoords = 0;
-    slot->missing_positions = slot->missing_texcoords = slot->clamped_colors = 0;
-    slot->lost_textures = 0;
-    slot->color_white = 0;
-    return slot->part.failed ? 0 : job->reader->stream->parse(job->reader, slot);
+    return slot->part.failed ? 0 : slot->source->format->parse(slot);
+}
+
+/* ---- materials ---- */
+
+int fmt_stream_add_material(struct stream_source *source, uint32_t *number)
+{
+    if (source->reader->material_count >= FMT_MESH_NO_MATERIAL - 1)
+        return bsq_fail(source->ctx, BSQ_EDATA, "%s: too many materials", source->path);
+    int status = FMT_RESERVE(source->ctx, source->number_count + 1, source->numbers,
+                             source->number_capacity);
+    if (status)
+        return status;
+    *number = (uint32_t)source->reader->material_count++;
+    source->numbers[source->number_count++] = *number;
+    return 0;
+}
+
+void fmt_stream_number_materials(struct stream_slot *slot)
+{
+    for (uint64_t i = 0; i < slot->arrays.change_count; i++) {
+        uint32_t *material = &slot->arrays.changes[i].material;
+        if (*material != FMT_MESH_NO_MATERIAL)
+            *material = slot->source->numbers[*material];
+    }
+}
+
+/* Numbers the materials or parts that are known of a file from its start. */
+static int number_first_materials(struct stream_source *source)
+{
+    const bool objects = source->reader->objects;
+    const uint64_t count = objects ? source->part_count : source->material_count;
+    uint32_t number;
+    int status = 0;
+    if (count >= FMT_MESH_NO_MATERIAL - source->reader->material_count)
+        return bsq_fail(source->ctx, BSQ_EDATA, "%s: too many %s", source->path,
+                        objects ? "objects" : "materials");
+    while (source->number_count < count && !status)
+        status = fmt_stream_add_material(source, &number);
+    return status;
 }
 
 /* ---- passing in order ---- */
 
 /* Moves on to the file of the next part. The parts of earlier files have all been parsed. */
-static int enter_source(struct job *job, uint32_t number)
+static int enter_source(struct job *job, struct stream_source *source)
 {
-    struct stream_reader *reader = job->reader;
-    struct stream_source *source = &reader->sources[number];
     const struct fmt_mesh_totals *totals = job->totals;
     int status = 0;
-    for (uint32_t i = job->source; i < number && !status; i++)
-        status = close_source(reader, &reader->sources[i]);
-    job->source = number;
+    for (uint32_t i = job->source; i < source->number; i++)
+        BSQ_TRY(leave_file(&job->reader->sources[i]));
+    job->source = source->number;
     job->passed = 0;
     source->base[FMT_MESH_VERTEX] = totals->vertices;
     source->base[FMT_MESH_TEXCOORD] = totals->texcoords;
     source->base[FMT_MESH_NORMAL] = totals->normals;
+    source->face_base = totals->faces;
     memset(source->count, 0, sizeof source->count);
+    source->late_color_count = source->lines = 0;
+    status = number_first_materials(source);
+done:
     return status;
 }
 
-static int fail_part(const struct stream_reader *reader, const struct stream_slot *slot)
+static int fail_part(const struct stream_slot *slot)
 {
-    const char *path = reader->sources[slot->part.source].path;
+    const char *path = slot->source->path;
     if (slot->at == 0)
-        return bsq_fail(reader->base.ctx, BSQ_EDATA, "%s: %s", path, slot->error);
-    if (slot->part.first_line)
-        return bsq_fail(reader->base.ctx, BSQ_EDATA, "%s:%" PRIu64 ": %s", path, slot->at,
-                        slot->error);
-    return bsq_fail(reader->base.ctx, BSQ_EDATA, "%s: byte %" PRIu64 ": %s", path, slot->at,
-                    slot->error);
+        return bsq_fail(slot->ctx, BSQ_EDATA, "%s: %s", path, slot->error);
+    return bsq_fail(slot->ctx, BSQ_EDATA, "%s:%s%" PRIu64 ": %s", path,
+                    slot->part.first_line ? "" : " byte ", slot->at, slot->error);
 }
 
 /* Makes indices that count from the start of the file count over the scan. */
@@ -241,39 +230,105 @@ static void add_bases(const struct stream_source *source, struct mesh_arrays *ar
     }
 }
 
+/* Scales, turns and shifts the elements of a part, in double precision, before anybody chooses an
+ * origin for 32-bit positions. */
+static void move_elements(const struct fmt_mesh_placement *p, struct mesh_arrays *a)
+{
+    for (uint64_t v = 0; v < a->count[FMT_MESH_VERTEX]; v++) {
+        double *position = a->positions[v];
+        const double x = position[0] * p->scale, y = position[1] * p->scale,
+                     z = position[2] * p->scale;
+        const double turned[3][2] = {{y, z}, {z, -y}, {-z, y}}; /* by p->up */
+        position[0] = x + p->translate[0];
+        position[1] = turned[p->up][0] + p->translate[1];
+        position[2] = turned[p->up][1] + p->translate[2];
+    }
+    for (uint64_t i = 0; p->up != FMT_MESH_UP_KEEP && i < a->count[FMT_MESH_NORMAL]; i++) {
+        const float y = a->normals[i][1], z = a->normals[i][2];
+        a->normals[i][1] = p->up == FMT_MESH_UP_Y ? z : -z;
+        a->normals[i][2] = p->up == FMT_MESH_UP_Y ? -y : y;
+    }
+}
+
 static int add_place(const struct job *job, const struct stream_slot *slot)
 {
-    struct stream_reader *reader = job->reader;
-    int status = 0;
+    struct fmt_mesh_reader *reader = job->reader;
     if (slot->arrays.face_count == 0)
         return 0;
-    if (reader->place_count == reader->place_capacity)
-        status = bsq_grow(reader->base.ctx, "table of parts", reader->place_count + 16,
-                          sizeof *reader->places, &reader->places, &reader->place_capacity);
+    int status =
+        FMT_RESERVE(reader->ctx, reader->place_count + 1, reader->places, reader->place_capacity);
     if (!status)
         reader->places[reader->place_count++] =
             (struct stream_place){.part = slot->part, .face_base = job->totals->faces};
     return status;
 }
 
+/* Adds the oddities of a part to the notes of all files. */
+static int note_oddities(struct fmt_mesh_reader *reader, const struct stream_slot *slot)
+{
+    for (int i = 0; i < STREAM_ODDITY_COUNT; i++) {
+        const char *text = slot->source->format->oddities[i];
+        uint64_t k = 0;
+        if (slot->odd[i].count == 0 || !text || reader->read_before)
+            continue;
+        while (k < reader->note_count && reader->notes[k].text != text)
+            k++;
+        int status = FMT_RESERVE(reader->ctx, k + 1, reader->notes, reader->note_capacity);
+        if (status)
+            return status;
+        if (k == reader->note_count)
+            reader->notes[reader->note_count++] =
+                (struct stream_note){.text = text,
+                                     .source = slot->part.source,
+                                     .bytes = slot->part.first_line == 0,
+                                     .odd = {.at = slot->odd[i].at}};
+        reader->notes[k].odd.count += slot->odd[i].count;
+    }
+    return 0;
+}
+
+static void show_arrays(const struct mesh_arrays *a, struct fmt_mesh_block *block)
+{
+    block->vertex_count = a->count[FMT_MESH_VERTEX];
+    block->positions = (const double(*)[3])a->positions;
+    block->colors = a->has_colors ? (const float(*)[3])a->colors : NULL;
+    block->late_colors = a->late_colors;
+    block->late_color_count = a->late_color_count;
+    block->texcoord_count = a->count[FMT_MESH_TEXCOORD];
+    block->texcoords = (const double(*)[2])a->texcoords;
+    block->normal_count = a->count[FMT_MESH_NORMAL];
+    block->normals = (const float(*)[3])a->normals;
+    block->face_count = a->face_count;
+    block->face_sizes = a->face_sizes;
+    block->corner_count = a->corner_count;
+    block->corner_vertices = a->corners[FMT_MESH_VERTEX];
+    block->corner_texcoords =
+        a->has_corners[FMT_MESH_TEXCOORD] ? a->corners[FMT_MESH_TEXCOORD] : NULL;
+    block->corner_normals = a->has_corners[FMT_MESH_NORMAL] ? a->corners[FMT_MESH_NORMAL] : NULL;
+    block->material_change_count = a->change_count;
+    block->material_changes = a->changes;
+}
+
 static int call_on_block(const struct job *job, struct stream_slot *slot, uint64_t sequence)
 {
     const struct fmt_mesh_totals *totals = job->totals;
+    const struct stream_source *source = slot->source;
     slot->view = (struct fmt_mesh_block){
         .sequence = sequence,
         .file = slot->part.source,
         .byte_offset = job->passed,
         .byte_size = slot->part.end - job->passed,
         .color_white = slot->color_white,
-        .missing_positions = slot->missing_positions,
-        .missing_texcoords = slot->missing_texcoords,
+        .missing_positions = slot->odd[STREAM_NO_POSITION].count,
+        .missing_texcoords = slot->odd[STREAM_NO_TEXCOORD].count,
+        .late_color_base = source->base[FMT_MESH_VERTEX] + source->late_color_count,
         .vertex_base = totals->vertices,
         .texcoord_base = totals->texcoords,
         .normal_base = totals->normals,
         .face_base = totals->faces,
-        .material_at_start = FMT_MESH_NO_MATERIAL,
+        .material_at_start = slot->material_at_start,
     };
-    fmt_arrays_show(&slot->arrays, &slot->view);
+    show_arrays(&slot->arrays, &slot->view);
     return job->steps->on_block ? job->steps->on_block(job->arg, &slot->view) : 0;
 }
 
@@ -281,10 +336,13 @@ static int call_on_block(const struct job *job, struct stream_slot *slot, uint64
 static void count_part(struct job *job, const struct stream_slot *slot)
 {
     const struct mesh_arrays *arrays = &slot->arrays;
-    struct stream_source *source = &job->reader->sources[slot->part.source];
+    struct stream_source *source = slot->source;
     struct fmt_mesh_totals *totals = job->totals;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         source->count[kind] += arrays->count[kind];
+    source->late_color_count += arrays->late_color_count;
+    source->lines += slot->part.lines;
+    job->reader->has_colors |= arrays->has_colors || arrays->late_color_count > 0;
     totals->bytes += slot->part.end - job->passed;
     totals->vertices += arrays->count[FMT_MESH_VERTEX];
     totals->texcoords += arrays->count[FMT_MESH_TEXCOORD];
@@ -292,6 +350,7 @@ static void count_part(struct job *job, const struct stream_slot *slot)
     totals->faces += arrays->face_count;
     totals->corners += arrays->corner_count;
     totals->short_faces += slot->short_faces;
+    totals->materials = (uint32_t)job->reader->material_count;
     job->passed = slot->part.end;
 }
 
@@ -299,22 +358,25 @@ static int emit(void *arg, void *slot_memory, uint64_t sequence)
 {
     struct job *job = arg;
     struct stream_slot *slot = slot_memory;
-    struct stream_reader *reader = job->reader;
-    int status = bsq_check(reader->base.ctx);
-    if (!status && (sequence == 0 || slot->part.source != job->source))
-        status = enter_source(job, slot->part.source);
-    if (!status && slot->error[0])
-        status = fail_part(reader, slot);
-    if (!status && reader->stream->pass)
-        status = reader->stream->pass(reader, slot, job->totals);
-    if (status)
-        return status;
-    add_bases(&reader->sources[slot->part.source], &slot->arrays);
-    status = add_place(job, slot);
-    if (!status)
-        status = call_on_block(job, slot, sequence);
-    if (!status)
-        count_part(job, slot);
+    struct stream_source *source = slot->source;
+    int status;
+    BSQ_TRY(bsq_check(slot->ctx));
+    if (sequence == 0 || source->number != job->source)
+        BSQ_TRY(enter_source(job, source));
+    if (source->format->pass)
+        BSQ_TRY(source->format->pass(slot, job->totals));
+    if (slot->error[0])
+        return fail_part(slot);
+    if (slot->part.end < job->passed) /* the part lies within the one before */
+        slot->part.end = job->passed;
+    add_bases(source, &slot->arrays);
+    if (source->moves)
+        move_elements(&source->placement, &slot->arrays);
+    BSQ_TRY(note_oddities(job->reader, slot));
+    BSQ_TRY(add_place(job, slot));
+    BSQ_TRY(call_on_block(job, slot, sequence));
+    count_part(job, slot);
+done:
     return status;
 }
 
@@ -336,17 +398,20 @@ static int finish(void *arg, void *slot_memory, uint64_t sequence)
 
 /* ---- reading ---- */
 
-static void free_slot(struct bsq_ctx *ctx, struct stream_slot *slot)
+void fmt_stream_free_slot(struct stream_slot *slot)
 {
-    fmt_arrays_free(ctx, &slot->arrays);
-    bsq_free(ctx, slot->bytes);
-    bsq_free(ctx, slot->work);
+    struct mesh_arrays *a = &slot->arrays;
+    void *memory[] = {a->positions,  a->colors,     a->texcoords,  a->normals,      a->face_sizes,
+                      a->corners[0], a->corners[1], a->corners[2], a->face_tags,    a->late_colors,
+                      a->changes,    slot->bytes,   slot->work,    slot->statements};
+    for (size_t i = 0; i < sizeof memory / sizeof *memory; i++)
+        bsq_free(slot->ctx, memory[i]);
 }
 
-static unsigned count_slots(const struct stream_reader *reader)
+static unsigned count_slots(const struct fmt_mesh_reader *reader)
 {
     uint64_t parts = 1;
-    unsigned most = fmt_mesh_max_slots(&reader->base);
+    const unsigned most = fmt_mesh_max_slots(reader);
     for (uint32_t i = 0; i < reader->source_count && parts < most; i++)
         parts += fmt_input_size(reader->sources[i].input) / STREAM_PART_BYTES + 2;
     return parts < most ? (unsigned)parts : most;
@@ -354,12 +419,13 @@ static unsigned count_slots(const struct stream_reader *reader)
 
 static int run_job(struct job *job)
 {
-    struct bsq_ctx *ctx = job->reader->base.ctx;
-    unsigned slot_count = count_slots(job->reader);
-    int status =
-        bsq_calloc(ctx, "parts of mesh files", slot_count, sizeof *job->slots, &job->slots);
+    struct bsq_ctx *ctx = job->reader->ctx;
+    const unsigned slot_count = count_slots(job->reader);
+    int status = bsq_calloc(ctx, "blocks of a mesh", slot_count, sizeof *job->slots, &job->slots);
     if (status)
         return status;
+    for (unsigned i = 0; i < slot_count; i++)
+        job->slots[i].ctx = ctx;
     struct bsq_pipeline pipeline = {
         .produce = produce,
         .work = work,
@@ -373,28 +439,68 @@ static int run_job(struct job *job)
     };
     status = bsq_pipeline_run(ctx, &pipeline);
     for (unsigned i = 0; i < slot_count; i++)
-        free_slot(ctx, &job->slots[i]);
+        fmt_stream_free_slot(&job->slots[i]);
     bsq_free(ctx, job->slots);
     return status;
 }
 
-int fmt_stream_read(struct stream_reader *reader, const struct fmt_mesh_steps *steps, void *arg,
+int fmt_stream_warn_unread(const struct stream_source *source, const struct stream_unread *kinds,
+                           size_t count)
+{
+    int status = 0;
+    for (size_t i = 0; i < count && !status; i++) {
+        if (kinds[i].count > 0 && kinds[i].loss)
+            status = bsq_warn_loss(source->ctx, "%s: %" PRIu64 " %s", source->path, kinds[i].count,
+                                   kinds[i].what);
+        else if (kinds[i].count > 0)
+            bsq_warn(source->ctx, "%s: %" PRIu64 " %s", source->path, kinds[i].count,
+                     kinds[i].what);
+    }
+    return status;
+}
+
+/* Warns once of each kind of oddity: with its first line, if that is known. */
+static int warn_oddities(const struct fmt_mesh_reader *reader)
+{
+    int status = 0;
+    for (uint64_t i = 0; i < reader->note_count && !status; i++) {
+        const struct stream_note *note = &reader->notes[i];
+        const struct stream_unread kind = {note->odd.count, true, note->text};
+        if (note->odd.at == 0)
+            status = fmt_stream_warn_unread(&reader->sources[note->source], &kind, 1);
+        else
+            status =
+                bsq_warn_loss(reader->ctx, "%s:%s%" PRIu64 ": %s: %" PRIu64 "; this is the first",
+                              reader->sources[note->source].path, note->bytes ? " byte " : "",
+                              note->odd.at, note->text, note->odd.count);
+    }
+    return status;
+}
+
+int fmt_stream_read(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps, void *arg,
                     struct fmt_mesh_totals *totals)
 {
     struct job job = {.reader = reader, .steps = steps, .arg = arg, .totals = totals};
-    reader->place_count = 0;
+    reader->place_count = reader->note_count = 0;
+    reader->painted = reader->unpainted = false;
     int status = run_job(&job);
     for (uint32_t i = 0; i < reader->source_count; i++) {
-        int closed = close_source(reader, &reader->sources[i]);
-        status = status ? status : closed;
+        const int left = leave_file(&reader->sources[i]);
+        status = status ? status : left;
     }
+    for (uint32_t i = 0; i < reader->source_count && !status; i++)
+        if (reader->sources[i].format->finish)
+            status = reader->sources[i].format->finish(&reader->sources[i], totals);
+    if (!status && !reader->read_before)
+        status = warn_oddities(reader);
+    reader->read_before |= status == 0;
     return status;
 }
 
 /* ---- finding a face again ---- */
 
 /* Returns the last place whose faces begin at or before `face`. */
-static const struct stream_place *find_place(const struct stream_reader *reader, uint64_t face)
+static const struct stream_place *find_place(const struct fmt_mesh_reader *reader, uint64_t face)
 {
     uint64_t low = 0, high = reader->place_count;
     while (high - low > 1) {
@@ -407,36 +513,49 @@ static const struct stream_place *find_place(const struct stream_reader *reader,
     return reader->place_count ? &reader->places[low] : NULL;
 }
 
-/* Loads and parses a part up to its face number `face`. *at: the line or byte of the face. */
-static int parse_again(struct stream_reader *reader, const struct stream_part *part, uint64_t face,
-                       uint64_t *at)
+int fmt_stream_parse_again(struct stream_source *source, const struct stream_part *part,
+                           uint64_t face, struct stream_slot *slot)
 {
-    struct bsq_ctx *ctx = reader->base.ctx;
-    struct stream_source *source = &reader->sources[part->source];
-    struct stream_slot slot = {.part = *part, .last_face = face};
+    *slot = (struct stream_slot){
+        .ctx = source->ctx, .source = source, .part = *part, .last_face = face};
     const bool opened = !source->open;
-    int status = opened ? enter_file(reader, part->source) : 0;
+    int status = opened ? enter_file(source) : 0;
     if (!status)
-        status = fmt_stream_load(reader, &slot);
-    if (!status)
-        status = reader->stream->parse(reader, &slot);
-    *at = slot.at;
-    free_slot(ctx, &slot);
-    const int closed = opened ? close_source(reader, source) : 0;
-    return status ? status : closed;
+        status = source->format->parse(slot);
+    const int left = opened ? leave_file(source) : 0;
+    return status ? status : left;
 }
 
-int fmt_stream_locate_face(struct stream_reader *reader, uint64_t face, struct fmt_mesh_place *out)
+int fmt_stream_locate_face(struct fmt_mesh_reader *reader, uint64_t face,
+                           struct fmt_mesh_place *out)
 {
     const struct stream_place *place = find_place(reader, face);
-    uint64_t at = 0;
+    struct stream_slot slot;
     if (!place)
-        return bsq_fail(reader->base.ctx, BSQ_EBUG, "face %" PRIu64 " has not been read", face);
-    const struct stream_source *source = &reader->sources[place->part.source];
-    int status = parse_again(reader, &place->part, face - place->face_base, &at);
-    *out = (struct fmt_mesh_place){.path = source->path, .from_zero = true};
-    *(place->part.first_line ? &out->line : &out->byte) = at;
+        return bsq_fail(reader->ctx, BSQ_EBUG, "face %" PRIu64 " has not been read", face);
+    struct stream_source *source = &reader->sources[place->part.source];
+    int status = fmt_stream_parse_again(source, &place->part, face - place->face_base, &slot);
+    *out = (struct fmt_mesh_place){.path = source->path,
+                                   .first_face = source->face_base,
+                                   .from_zero = !source->format->from_one};
+    *(place->part.first_line ? &out->line : &out->byte) = slot.at;
     memcpy(out->base, source->base, sizeof out->base);
     memcpy(out->count, source->count, sizeof out->count);
+    fmt_stream_free_slot(&slot);
     return status;
+}
+
+void fmt_stream_free(struct fmt_mesh_reader *reader)
+{
+    for (uint32_t i = 0; i < reader->source_count; i++) {
+        struct stream_source *source = &reader->sources[i];
+        if (source->data && source->format->end)
+            source->format->end(source);
+        bsq_free(reader->ctx, source->data);
+        bsq_free(reader->ctx, source->numbers);
+        fmt_input_free(source->input);
+    }
+    bsq_free(reader->ctx, reader->sources);
+    bsq_free(reader->ctx, reader->places);
+    bsq_free(reader->ctx, reader->notes);
 }

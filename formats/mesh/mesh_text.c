@@ -5,6 +5,9 @@
 
 int fmt_string_copy(struct bsq_ctx *ctx, const char *text, char **out)
 {
+    *out = NULL;
+    if (!text)
+        return 0;
     size_t size = strlen(text) + 1;
     int status = bsq_alloc(ctx, "names", size, 1, out);
     if (!status)

@@ -4,7 +4,7 @@
 
 #include "base/context.h"
 
-/* Copies a string. Free *out with bsq_free(). */
+/* Copies a string; NULL gives NULL. Free *out with bsq_free(). */
 int fmt_string_copy(struct bsq_ctx *ctx, const char *text, char **out);
 
 /* Returns the bytes of the byte order mark that text in UTF-8 may begin with: 3, or 0. */

@@ -30,7 +30,6 @@ struct reader {
     const char *place; /* of the statement that names it */
     uint64_t line;
     struct fmt_materials *materials;
-    uint64_t capacity;
     bool has_current;                /* the last material of the list is from this file */
     bool again;                      /* the file was read before: do not warn */
     uint64_t unknown, first_unknown; /* statements that are not of the format; line of the first */
@@ -89,22 +88,11 @@ static int warn_without_material(struct reader *reader, const char *statement)
 
 static int begin_material(struct reader *reader, char *name)
 {
-    struct fmt_materials *materials = reader->materials;
+    struct fmt_material *material;
     trim_end(name);
-    if (materials->count == UINT32_MAX - 1)
-        return bsq_fail(reader->ctx, BSQ_EDATA, "%s: too many materials", reader->path);
-    int status = bsq_grow(reader->ctx, "materials", (uint64_t)materials->count + 1,
-                          sizeof *materials->list, &materials->list, &reader->capacity);
-    if (status)
-        return status;
-    struct fmt_material *material = &materials->list[materials->count];
-    *material = (struct fmt_material){.diffuse = {0.8f, 0.8f, 0.8f}};
-    status = fmt_string_copy(reader->ctx, name, &material->name);
-    if (!status) {
-        materials->count++;
-        reader->has_current = true;
-    }
-    return status;
+    int status = fmt_materials_add(reader->ctx, reader->materials, &material);
+    reader->has_current = !status;
+    return status ? status : fmt_string_copy(reader->ctx, name, &material->name);
 }
 
 /* Reads "r g b" or one number, which stands for all three; at most `most` after clamping. Sets
@@ -487,12 +475,8 @@ static int warn_damaged(const struct reader *reader)
 int fmt_mtl_read(struct bsq_ctx *ctx, const char *path, const char *place, bool again,
                  struct fmt_materials *materials)
 {
-    struct reader reader = {.ctx = ctx,
-                            .path = path,
-                            .place = place,
-                            .materials = materials,
-                            .capacity = materials->count,
-                            .again = again};
+    struct reader reader = {
+        .ctx = ctx, .path = path, .place = place, .materials = materials, .again = again};
     char *text = NULL;
     uint64_t size = 0;
     bool readable;

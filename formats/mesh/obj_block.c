@@ -3,7 +3,7 @@
  * The parser looks at each byte once: numbers and indices find their own ends, and lines without
  * fields that matter are skipped. The buffers grow to what the text of a block needs and are
  * reused, so only the first blocks touch memory for the first time. */
-#include "formats/mesh/obj_block.h"
+#include "formats/mesh/obj_internal.h"
 
 #include <math.h>
 #include <stdarg.h>
@@ -25,41 +25,26 @@ static const char *const name_statements[] = {"g",          "o",         "usemap
 /* Those of surfaces that are no polygons, and superseded ones. */
 static const char *const surface_statements[] = {"surf", "bsp", "bzp", "cdp"};
 
-/* Parse functions return NULL on failure: block->failed is set if the text is wrong, otherwise
+/* Parse functions return NULL on failure: the slot has an error if the text is wrong, otherwise
  * `status` says why. */
 struct parser {
     struct bsq_ctx *ctx;
-    struct obj_block *block;
+    struct stream_slot *slot; /* part.lines counts the line ends passed */
+    struct mesh_arrays *arrays;
+    const char *end; /* of the text */
+    bool objects;    /* keep o and g statements */
     int status;
     unsigned not_finite; /* a bit for each number of the line that is not finite */
 };
 
-int fmt_obj_block_reserve_text(struct bsq_ctx *ctx, struct obj_block *block, uint64_t size)
-{
-    if (size > UINT64_MAX - OBJ_TEXT_PADDING)
-        return bsq_fail(ctx, BSQ_ENOMEM, "a block of text is too long");
-    return bsq_grow(ctx, "OBJ text", size + OBJ_TEXT_PADDING, 1, &block->buffer,
-                    &block->buffer_capacity);
-}
-
-void fmt_obj_block_set_text(struct obj_block *block, uint64_t begin, uint64_t end)
-{
-    block->text = block->buffer + begin;
-    block->size = end - begin;
-    /* Two line ends: the last line may lack its own and even end in a continuation. */
-    memset(block->buffer + end, 0, OBJ_TEXT_PADDING);
-    memset(block->buffer + end, '\n', 2);
-}
-
 __attribute__((format(printf, 2, 3))) static const char *fail(struct parser *parser,
                                                               const char *format, ...)
 {
-    struct obj_block *block = parser->block;
+    struct stream_slot *slot = parser->slot;
     va_list arguments;
     va_start(arguments, format);
-    vsnprintf(block->error, sizeof block->error, format, arguments);
+    vsnprintf(slot->error, sizeof slot->error, format, arguments);
     va_end(arguments);
-    block->failed = true;
     return NULL;
 }
 
@@ -81,15 +66,15 @@ struct quoted {
 static struct quoted quote_word(const struct parser *parser, const char *p)
 {
     struct quoted quoted = {0};
-    const char *end = p, *limit = parser->block->text + parser->block->size;
+    const char *end = p, *limit = parser->end;
     while (end < limit && !fmt_mesh_is_blank(*end) && !line_end_size(end))
         end++;
     fmt_mesh_quote(p, end, quoted.text, sizeof quoted.text);
     return quoted;
 }
 
-/* Skips blanks and continued line ends. */
-static inline const char *skip_blanks(struct obj_block *block, const char *p)
+/* Skips blanks and continued line ends, which it counts. */
+static inline const char *skip_blanks(struct parser *parser, const char *p)
 {
     for (;;) {
         while (fmt_mesh_is_blank(*p))
@@ -98,7 +83,7 @@ static inline const char *skip_blanks(struct obj_block *block, const char *p)
         if (__builtin_expect(*p != '\\', 1) || !(size = line_end_size(p + 1)))
             return p;
         p += 1 + size;
-        block->lines++;
+        parser->slot->part.lines++;
     }
 }
 
@@ -112,7 +97,7 @@ static const char *skip_comment(struct parser *parser, const char *p)
             return fail(parser, "not a text file (zero byte)");
         p++;
     }
-    parser->block->lines++;
+    parser->slot->part.lines++;
     return p + size;
 }
 
@@ -127,7 +112,7 @@ static const char *skip_statement(struct parser *parser, const char *p, bool nam
     for (;;) {
         if (*p == '\\' && (!names || (unsigned char)p[-1] <= ' ') &&
             (size = line_end_size(p + 1))) {
-            parser->block->lines++;
+            parser->slot->part.lines++;
             p += 1 + size;
         } else if ((size = line_end_size(p))) {
             break;
@@ -138,7 +123,7 @@ static const char *skip_statement(struct parser *parser, const char *p, bool nam
         }
     }
     *end = p;
-    parser->block->lines++;
+    parser->slot->part.lines++;
     return p + size;
 }
 
@@ -146,13 +131,13 @@ static const char *skip_statement(struct parser *parser, const char *p, bool nam
 static inline const char *finish_line(struct parser *parser, const char *p)
 {
     if (__builtin_expect(*p == '\n', 1)) {
-        parser->block->lines++;
+        parser->slot->part.lines++;
         return p + 1;
     }
-    p = skip_blanks(parser->block, p);
+    p = skip_blanks(parser, p);
     int size = line_end_size(p);
     if (size) {
-        parser->block->lines++;
+        parser->slot->part.lines++;
         return p + size;
     }
     if (*p == '#')
@@ -183,11 +168,11 @@ static const char *fail_number(struct parser *parser, const char *p)
 }
 
 /* Counts the current line as odd. */
-__attribute__((cold, noinline)) static void note_odd(struct parser *parser, enum obj_oddity oddity)
+__attribute__((cold, noinline)) static void note_odd(struct parser *parser, int oddity)
 {
-    struct obj_odd_lines *odd = &parser->block->odd[oddity];
+    struct stream_oddity *odd = &parser->slot->odd[oddity];
     if (!odd->count++)
-        odd->first = parser->block->lines;
+        odd->at = parser->slot->part.lines + 1;
 }
 
 /* Reads a word that is no number, as number `n` of its line. Returns NULL unless it stands for one
@@ -209,7 +194,7 @@ static const char *parse_numbers(struct parser *parser, const char *p, double *n
 {
     int n = 0;
     for (;; n++) {
-        p = skip_blanks(parser->block, p);
+        p = skip_blanks(parser, p);
         if (n == most || at_line_end(*p))
             break;
         const char *after = obj_number(p, &numbers[n]);
@@ -224,20 +209,20 @@ static const char *parse_numbers(struct parser *parser, const char *p, double *n
 /* Adds the colour of the next vertex. Earlier vertices of the block without colour get -1. */
 static bool add_color(struct parser *parser, const double *rgb)
 {
-    struct obj_block *block = parser->block;
-    uint64_t vertex = block->count[FMT_MESH_VERTEX];
-    if (vertex >= block->color_capacity) {
-        parser->status = bsq_grow(parser->ctx, "OBJ colours", vertex + 256, sizeof *block->colors,
-                                  &block->colors, &block->color_capacity);
+    struct mesh_arrays *a = parser->arrays;
+    uint64_t vertex = a->count[FMT_MESH_VERTEX];
+    if (vertex >= a->color_capacity) {
+        parser->status = bsq_grow(parser->ctx, "OBJ colours", vertex + 256, sizeof *a->colors,
+                                  &a->colors, &a->color_capacity);
         if (parser->status)
             return false;
     }
-    if (!block->has_colors)
+    if (!a->has_colors)
         for (uint64_t i = 0; i < vertex; i++)
-            block->colors[i][0] = block->colors[i][1] = block->colors[i][2] = -1;
-    block->has_colors = true;
+            a->colors[i][0] = a->colors[i][1] = a->colors[i][2] = -1;
+    a->has_colors = true;
     for (int i = 0; i < 3; i++)
-        block->colors[vertex][i] = (float)rgb[i];
+        a->colors[vertex][i] = (float)rgb[i];
     return true;
 }
 
@@ -256,10 +241,10 @@ static const char *parse_vertex_rest(struct parser *parser, const char *p)
     if (__builtin_expect(count == 2, 0))
         note_odd(parser, OBJ_VERTEX_SIZE);
     if (__builtin_expect(count >= 3 && (parser->not_finite & 7) != 0, 0)) {
-        note_odd(parser, OBJ_NO_COLOR);
+        note_odd(parser, STREAM_NO_COLOR);
         count = 0;
     }
-    if (count >= 3 || parser->block->has_colors)
+    if (count >= 3 || parser->arrays->has_colors)
         if (!add_color(parser, count >= 3 ? extra : none))
             return NULL;
     return p;
@@ -282,13 +267,13 @@ parse_odd_coordinate(struct parser *parser, const char *p, double *position, int
 
 static const char *parse_vertex(struct parser *parser, const char *p)
 {
-    struct obj_block *block = parser->block;
-    uint64_t vertex = block->count[FMT_MESH_VERTEX];
-    if (!RESERVE(parser, "OBJ vertices", vertex, block->positions, block->position_capacity))
+    struct mesh_arrays *a = parser->arrays;
+    uint64_t vertex = a->count[FMT_MESH_VERTEX];
+    if (!RESERVE(parser, "OBJ vertices", vertex, a->positions, a->position_capacity))
         return NULL;
-    double *position = block->positions[vertex];
+    double *position = a->positions[vertex];
     for (int i = 0; i < 3; i++) {
-        p = skip_blanks(block, p);
+        p = skip_blanks(parser, p);
         const char *after = obj_number(p, &position[i]);
         if (__builtin_expect(!after, 0) && !(after = parse_odd_coordinate(parser, p, position, i)))
             return NULL;
@@ -297,23 +282,22 @@ static const char *parse_vertex(struct parser *parser, const char *p)
     if (__builtin_expect(parser->not_finite != 0, 0)) {
         position[0] = position[1] = position[2] = NAN;
         parser->not_finite = 0; /* it is for what follows now */
-        note_odd(parser, OBJ_NO_POSITION);
+        note_odd(parser, STREAM_NO_POSITION);
     }
-    if (__builtin_expect(!line_end_size(p) || block->has_colors, 0) &&
+    if (__builtin_expect(!line_end_size(p) || a->has_colors, 0) &&
         !(p = parse_vertex_rest(parser, p)))
         return NULL;
     if (!(p = finish_line(parser, p)))
         return NULL;
-    block->count[FMT_MESH_VERTEX] = vertex + 1;
+    a->count[FMT_MESH_VERTEX] = vertex + 1;
     return p;
 }
 
 static const char *parse_texcoord(struct parser *parser, const char *p)
 {
-    struct obj_block *block = parser->block;
-    uint64_t *count = &block->count[FMT_MESH_TEXCOORD];
-    if (!RESERVE(parser, "OBJ texture coordinates", *count, block->texcoords,
-                 block->texcoord_capacity))
+    struct mesh_arrays *a = parser->arrays;
+    uint64_t *count = &a->count[FMT_MESH_TEXCOORD];
+    if (!RESERVE(parser, "OBJ texture coordinates", *count, a->texcoords, a->texcoord_capacity))
         return NULL;
     double numbers[3] = {0};
     int given = 0;
@@ -321,20 +305,20 @@ static const char *parse_texcoord(struct parser *parser, const char *p)
         return NULL;
     if (given == 0 || parser->not_finite & 3) {
         numbers[0] = numbers[1] = NAN;
-        note_odd(parser, OBJ_NO_TEXCOORD);
+        note_odd(parser, STREAM_NO_TEXCOORD);
     }
     if (!(p = finish_line(parser, p)))
         return NULL;
-    memcpy(block->texcoords[*count], numbers, sizeof block->texcoords[0]);
+    memcpy(a->texcoords[*count], numbers, sizeof a->texcoords[0]);
     ++*count;
     return p;
 }
 
 static const char *parse_normal(struct parser *parser, const char *p)
 {
-    struct obj_block *block = parser->block;
-    uint64_t *count = &block->count[FMT_MESH_NORMAL];
-    if (!RESERVE(parser, "OBJ normals", *count, block->normals, block->normal_capacity))
+    struct mesh_arrays *a = parser->arrays;
+    uint64_t *count = &a->count[FMT_MESH_NORMAL];
+    if (!RESERVE(parser, "OBJ normals", *count, a->normals, a->normal_capacity))
         return NULL;
     double numbers[4];
     int given = 0;
@@ -342,23 +326,23 @@ static const char *parse_normal(struct parser *parser, const char *p)
         return NULL;
     if (given < 3 || parser->not_finite & 7) {
         numbers[0] = numbers[1] = numbers[2] = 0.0;
-        note_odd(parser, OBJ_NO_NORMAL);
+        note_odd(parser, STREAM_NO_NORMAL);
     }
     if (!(p = finish_line(parser, p)))
         return NULL;
     for (int i = 0; i < 3; i++)
-        block->normals[*count][i] = (float)numbers[i];
+        a->normals[*count][i] = (float)numbers[i];
     ++*count;
     return p;
 }
 
 /* ---- faces ---- */
 
-/* Reads one index into *out, encoded as obj_block.h says. */
+/* Reads one index into *out, encoded as obj_internal.h says. */
 static inline const char *parse_index(struct parser *parser, const char *p, enum fmt_mesh_kind kind,
                                       uint64_t *out)
 {
-    struct obj_block *block = parser->block;
+    struct mesh_arrays *a = parser->arrays;
     bool negative = *p == '-';
     uint64_t value;
     const char *after = obj_integer(p + (negative || *p == '+'), &value);
@@ -372,8 +356,8 @@ static inline const char *parse_index(struct parser *parser, const char *p, enum
     }
     *out = value - 1;
     if (negative) {
-        *out = OBJ_RELATIVE_ZERO + block->count[kind] - value;
-        block->relative[kind] = true;
+        *out = OBJ_RELATIVE_ZERO + a->count[kind] - value;
+        parser->slot->part.carry_out |= 1u << kind;
     }
     return after;
 }
@@ -383,20 +367,20 @@ static inline const char *parse_index(struct parser *parser, const char *p, enum
 static bool put_corner(struct parser *parser, enum fmt_mesh_kind kind, uint64_t corner,
                        uint64_t index)
 {
-    struct obj_block *block = parser->block;
-    if (!RESERVE(parser, "OBJ corners", corner, block->corners[kind], block->corner_capacity[kind]))
+    struct mesh_arrays *a = parser->arrays;
+    if (!RESERVE(parser, "OBJ corners", corner, a->corners[kind], a->corner_capacity[kind]))
         return false;
-    if (!block->has_corners[kind])
-        memset(block->corners[kind], 0xff, corner * sizeof(uint64_t));
-    block->has_corners[kind] = true;
-    block->corners[kind][corner] = index;
+    if (!a->has_corners[kind])
+        memset(a->corners[kind], 0xff, corner * sizeof(uint64_t));
+    a->has_corners[kind] = true;
+    a->corners[kind][corner] = index;
     return true;
 }
 
 /* Reads "/t", "/t/n", "//n" or nothing, after the vertex of corner number `corner`. */
 static const char *parse_attributes(struct parser *parser, const char *p, uint64_t corner)
 {
-    struct obj_block *block = parser->block;
+    struct mesh_arrays *a = parser->arrays;
     for (enum fmt_mesh_kind kind = FMT_MESH_TEXCOORD; kind <= FMT_MESH_NORMAL; kind++) {
         uint64_t index = FMT_MESH_NONE;
         if (*p == '/') {
@@ -405,7 +389,7 @@ static const char *parse_attributes(struct parser *parser, const char *p, uint64
             if (given && !(p = parse_index(parser, p, kind, &index)))
                 return NULL;
         }
-        if (index == FMT_MESH_NONE && !block->has_corners[kind])
+        if (index == FMT_MESH_NONE && !a->has_corners[kind])
             continue;
         if (!put_corner(parser, kind, corner, index))
             return NULL;
@@ -418,21 +402,20 @@ enum { CORNERS_CHECKED = 4096 };
 
 static const char *parse_face(struct parser *parser, const char *p)
 {
-    struct obj_block *block = parser->block;
-    uint64_t first = block->corner_count, corner = first;
+    struct mesh_arrays *a = parser->arrays;
+    uint64_t first = a->corner_count, corner = first;
     for (;; corner++) {
-        p = skip_blanks(block, p);
+        p = skip_blanks(parser, p);
         if (at_line_end(*p))
             break;
-        if (!RESERVE(parser, "OBJ corners", corner, block->corners[FMT_MESH_VERTEX],
-                     block->corner_capacity[FMT_MESH_VERTEX]))
+        if (!RESERVE(parser, "OBJ corners", corner, a->corners[FMT_MESH_VERTEX],
+                     a->corner_capacity[FMT_MESH_VERTEX]))
             return NULL;
         const char *word = p;
-        p = parse_index(parser, p, FMT_MESH_VERTEX, &block->corners[FMT_MESH_VERTEX][corner]);
+        p = parse_index(parser, p, FMT_MESH_VERTEX, &a->corners[FMT_MESH_VERTEX][corner]);
         if (!p)
             return NULL;
-        if (*p == '/' || block->has_corners[FMT_MESH_TEXCOORD] ||
-            block->has_corners[FMT_MESH_NORMAL])
+        if (*p == '/' || a->has_corners[FMT_MESH_TEXCOORD] || a->has_corners[FMT_MESH_NORMAL])
             if (!(p = parse_attributes(parser, p, corner)))
                 return NULL;
         if (__builtin_expect(!obj_is_delimiter(*p) && *p != '#', 0))
@@ -444,41 +427,47 @@ static const char *parse_face(struct parser *parser, const char *p)
     if (!(p = finish_line(parser, p)))
         return NULL;
     if (__builtin_expect(corner - first < 3, 0)) {
-        block->short_faces++;
+        parser->slot->short_faces++;
         return p;
     }
     if (corner - first > UINT32_MAX)
         return fail(parser, "a face of more than %u corners", UINT32_MAX);
-    if (!RESERVE(parser, "OBJ faces", block->face_count, block->face_sizes, block->face_capacity))
+    if (!RESERVE(parser, "OBJ faces", a->face_count, a->face_sizes, a->size_capacity))
         return NULL;
-    block->face_sizes[block->face_count++] = (uint32_t)(corner - first);
-    block->corner_count = corner;
+    a->face_sizes[a->face_count++] = (uint32_t)(corner - first);
+    a->corner_count = corner;
     return p;
 }
 
 /* ---- other statements ---- */
 
-static const char *add_statement(struct parser *parser, const char *p, enum obj_statement_kind kind)
+/* Keeps bytes [p, end) of a statement that begins in line `line` of the part. */
+static bool add_statement(struct parser *parser, enum obj_statement_kind kind, uint64_t line,
+                          const char *p, const char *end)
 {
-    struct obj_block *block = parser->block;
-    if (!RESERVE(parser, "OBJ statements", block->statement_count, block->statements,
-                 block->statement_capacity))
-        return NULL;
-    const uint64_t line = block->lines;
-    if (fmt_mesh_is_blank(*p))
-        p = skip_blanks(block, p);
-    const char *end = p, *after = skip_statement(parser, p, true, &end);
-    if (!after)
-        return NULL;
-    block->statements[block->statement_count++] = (struct obj_statement){
+    struct stream_slot *slot = parser->slot;
+    if (!RESERVE(parser, "OBJ statements", slot->statement_count, slot->statements,
+                 slot->statement_capacity))
+        return false;
+    slot->statements[slot->statement_count++] = (struct stream_statement){
         .kind = kind,
-        .face = block->face_count,
+        .face = parser->arrays->face_count,
         .line = line,
-        .offset = (uint64_t)(p - block->text),
+        .offset = (uint64_t)(p - (const char *)slot->bytes),
         .size = (uint64_t)(end - p),
     };
-    block->known_lines++;
-    return after;
+    return true;
+}
+
+/* Keeps the name after the first word of a statement. */
+static const char *parse_name(struct parser *parser, const char *p, enum obj_statement_kind kind)
+{
+    const uint64_t line = parser->slot->part.lines;
+    if (fmt_mesh_is_blank(*p))
+        p = skip_blanks(parser, p);
+    const char *end = p, *after = skip_statement(parser, p, true, &end);
+    parser->slot->balance++;
+    return after && add_statement(parser, kind, line, p, end) ? after : NULL;
 }
 
 /* Returns whether a list has a word. */
@@ -491,31 +480,41 @@ static bool is_in(const char *const *list, size_t count, const char *word, size_
 }
 #define IS_IN(list, word, length) is_in(list, sizeof(list) / sizeof *(list), word, length)
 
+/* Returns whether the arguments of a usemap statement name a map: they are not "off". */
+static bool names_map(struct parser *parser, const char *p)
+{
+    const uint64_t lines = parser->slot->part.lines;
+    const bool off = strncmp(skip_blanks(parser, p), "off", 3) == 0;
+    parser->slot->part.lines = lines; /* the caller reads the arguments again */
+    return !off;
+}
+
 /* Parses any statement other than v, vt, vn and f. */
 static const char *parse_other(struct parser *parser, const char *p)
 {
-    struct obj_block *block = parser->block;
     const char *word = p, *end = p;
+    const uint64_t line = parser->slot->part.lines;
     while (!obj_is_delimiter(*p))
         p++;
     size_t length = (size_t)(p - word);
     if (length == 6 && !memcmp(word, "usemtl", 6))
-        return add_statement(parser, p, OBJ_USEMTL);
+        return parse_name(parser, p, OBJ_USEMTL);
     if (length == 6 && !memcmp(word, "mtllib", 6))
-        return add_statement(parser, p, OBJ_MTLLIB);
-    if (length == 1 && (*word == 'o' || *word == 'g') && block->objects)
-        return add_statement(parser, p, OBJ_OBJECT);
-    if (length == 6 && !memcmp(word, "usemap", 6) && strncmp(skip_blanks(block, p), "off", 3) != 0)
+        return parse_name(parser, p, OBJ_MTLLIB);
+    if (length == 1 && (*word == 'o' || *word == 'g') && parser->objects)
+        return parse_name(parser, p, OBJ_OBJECT);
+    if (length == 6 && !memcmp(word, "usemap", 6) && names_map(parser, p))
         note_odd(parser, OBJ_USEMAP);
     const bool surface = IS_IN(surface_statements, word, length);
     const bool name = IS_IN(name_statements, word, length);
     const bool standard = surface || name || IS_IN(standard_statements, word, length);
     if (surface || !standard)
         note_odd(parser, surface ? OBJ_SURFACE : OBJ_UNKNOWN);
-    block->known_lines += standard;
+    parser->slot->balance += standard;
     p = skip_statement(parser, p, name || !standard, &end);
-    if (p && block->odd[OBJ_UNKNOWN].count == 1 && !standard)
-        fmt_mesh_quote(word, end, block->first_unknown, sizeof block->first_unknown);
+    if (p && !standard && parser->slot->odd[OBJ_UNKNOWN].count == 1 &&
+        !add_statement(parser, OBJ_FIRST_UNKNOWN, line, word, end))
+        return NULL;
     return p;
 }
 
@@ -545,19 +544,18 @@ static bool read_paint(const char *p, uint32_t *out)
  * each of up to 64 vertices. The mask MM is ignored. Returns false if memory lacks. */
 static bool add_paint(struct parser *parser, const char *p)
 {
-    struct obj_block *block = parser->block;
+    struct mesh_arrays *a = parser->arrays;
     uint32_t v;
     for (; read_paint(p, &v); p += 8) {
-        if (!RESERVE(parser, "OBJ colours", block->paint_count, block->paint,
-                     block->paint_capacity))
+        if (!RESERVE(parser, "OBJ colours", a->late_color_count, a->late_colors,
+                     a->late_color_capacity))
             return false;
-        block->paint[block->paint_count++] =
+        a->late_colors[a->late_color_count++] =
             0xff000000u | (v & 0xff) << 16 | (v & 0xff00) | (v >> 16 & 0xff);
     }
     while (fmt_mesh_is_blank(*p))
         p++;
-    block->bad_paint |= !line_end_size(p);
-    return true;
+    return line_end_size(p) || add_statement(parser, OBJ_BAD_PAINT, parser->slot->part.lines, p, p);
 }
 
 static bool is_separator(char c)
@@ -589,7 +587,7 @@ static inline const char *parse_line(struct parser *parser, const char *p)
     }
     int size = line_end_size(p);
     if (size) {
-        parser->block->lines++;
+        parser->slot->part.lines++;
         return p + size;
     }
     if (p[0] == '\0')
@@ -603,104 +601,85 @@ static inline const char *parse_line(struct parser *parser, const char *p)
  * as long as the buffers have capacity. Returns the start of the first line that it did not parse.
  */
 
-static const char *parse_plain_vertices(struct obj_block *block, const char *p, const char *end)
+static const char *parse_plain_vertices(struct parser *parser, const char *p)
 {
-    const uint64_t first = block->count[FMT_MESH_VERTEX];
+    struct mesh_arrays *a = parser->arrays;
+    const char *end = parser->end;
+    const uint64_t first = a->count[FMT_MESH_VERTEX];
     uint64_t vertex = first;
-    while (p < end && vertex < block->position_capacity && p[0] == 'v' && p[1] == ' ') {
-        const char *after = obj_three_numbers(p + 2, block->positions[vertex]);
+    while (p < end && vertex < a->position_capacity && p[0] == 'v' && p[1] == ' ') {
+        const char *after = obj_three_numbers(p + 2, a->positions[vertex]);
         if (!after)
             break;
         p = after;
         vertex++;
     }
-    block->count[FMT_MESH_VERTEX] = vertex;
-    block->lines += vertex - first;
+    a->count[FMT_MESH_VERTEX] = vertex;
+    parser->slot->part.lines += vertex - first;
     return p;
 }
 
-static const char *parse_plain_triangles(struct obj_block *block, const char *p, const char *end,
-                                         uint64_t last_face)
+static const char *parse_plain_triangles(struct parser *parser, const char *p)
 {
-    const uint64_t first = block->face_count;
-    const uint64_t capacity = (block->corner_capacity[FMT_MESH_VERTEX] - block->corner_count) / 3;
+    struct mesh_arrays *a = parser->arrays;
+    const char *end = parser->end;
+    const uint64_t first = a->face_count;
+    const uint64_t capacity = (a->corner_capacity[FMT_MESH_VERTEX] - a->corner_count) / 3;
     uint64_t limit = first + capacity;
-    if (limit > block->face_capacity)
-        limit = block->face_capacity;
-    if (limit > last_face) /* the caller asks for the line of this face */
-        limit = last_face;
+    if (limit > a->size_capacity)
+        limit = a->size_capacity;
+    if (limit > parser->slot->last_face) /* the caller wants the line of this face */
+        limit = parser->slot->last_face;
     if (limit <= first) /* the buffers may have no capacity at all yet */
         return p;
-    uint64_t face = first, *corners = block->corners[FMT_MESH_VERTEX] + block->corner_count;
+    uint64_t face = first, *corners = a->corners[FMT_MESH_VERTEX] + a->corner_count;
     while (p < end && face < limit && p[0] == 'f' && p[1] == ' ') {
         const char *after = obj_three_indices(p + 2, corners);
         if (!after)
             break;
         p = after;
         corners += 3;
-        block->face_sizes[face++] = 3;
+        a->face_sizes[face++] = 3;
     }
-    block->face_count = face;
-    block->corner_count += 3 * (face - first);
-    block->lines += face - first;
+    a->face_count = face;
+    a->corner_count += 3 * (face - first);
+    parser->slot->part.lines += face - first;
     return p;
 }
 
-static const char *parse_plain_lines(struct obj_block *block, const char *p, const char *end,
-                                     uint64_t last_face)
+static const char *parse_plain_lines(struct parser *parser, const char *p)
 {
-    if (p[0] == 'v' && !block->has_colors)
-        return parse_plain_vertices(block, p, end);
-    if (p[0] == 'f' && !block->has_corners[FMT_MESH_TEXCOORD] &&
-        !block->has_corners[FMT_MESH_NORMAL])
-        return parse_plain_triangles(block, p, end, last_face);
+    const struct mesh_arrays *a = parser->arrays;
+    if (p[0] == 'v' && !a->has_colors)
+        return parse_plain_vertices(parser, p);
+    if (p[0] == 'f' && !a->has_corners[FMT_MESH_TEXCOORD] && !a->has_corners[FMT_MESH_NORMAL])
+        return parse_plain_triangles(parser, p);
     return p;
 }
 
-static void reset(struct obj_block *block)
+int fmt_obj_parse_text(struct stream_slot *slot, uint64_t begin, uint64_t size, bool objects)
 {
-    memset(block->count, 0, sizeof block->count);
-    memset(block->has_corners, 0, sizeof block->has_corners);
-    memset(block->relative, 0, sizeof block->relative);
-    memset(block->odd, 0, sizeof block->odd);
-    block->has_colors = block->bad_paint = false;
-    block->paint_count = block->face_count = block->corner_count = block->statement_count = 0;
-    block->lines = block->known_lines = block->short_faces = 0;
-    block->failed = false;
-}
-
-int fmt_obj_block_parse(struct bsq_ctx *ctx, struct obj_block *block, bool at_file_start,
-                        uint64_t last_face)
-{
-    struct parser parser = {.ctx = ctx, .block = block};
-    const char *p = block->text, *end = p + block->size;
-    reset(block);
-    if (at_file_start)
-        p += fmt_mesh_mark(p, block->size);
-    while (p && p < end && block->face_count <= last_face) {
-        p = parse_plain_lines(block, p, end, last_face);
-        if (p >= end)
+    const char *p = (const char *)slot->bytes + begin;
+    struct parser parser = {.ctx = slot->ctx,
+                            .slot = slot,
+                            .arrays = &slot->arrays,
+                            .end = p + size,
+                            .objects = objects};
+    uint64_t line = 0;
+    slot->part.lines = slot->part.carry_out = 0;
+    /* Two line ends: the last line may lack its own and even end in a continuation. */
+    memset(slot->bytes + begin + size, 0, STREAM_PADDING);
+    memset(slot->bytes + begin + size, '\n', 2);
+    if (slot->part.offset == 0)
+        p += fmt_mesh_mark(p, size);
+    while (p && p < parser.end && slot->arrays.face_count <= slot->last_face) {
+        p = parse_plain_lines(&parser, p);
+        if (p >= parser.end)
             break;
-        uint64_t line = block->lines;
+        line = slot->part.lines;
         parser.not_finite = 0;
-        p = parse_line(&parser, skip_blanks(block, p));
-        if (block->failed || block->face_count > last_face)
-            block->lines = line;
+        p = parse_line(&parser, skip_blanks(&parser, p));
     }
+    slot->at = line + (slot->part.first_line ? slot->part.first_line : 1);
     return parser.status;
-}
-
-void fmt_obj_block_free(struct bsq_ctx *ctx, struct obj_block *block)
-{
-    bsq_free(ctx, block->buffer);
-    bsq_free(ctx, block->positions);
-    bsq_free(ctx, block->colors);
-    bsq_free(ctx, block->paint);
-    bsq_free(ctx, block->texcoords);
-    bsq_free(ctx, block->normals);
-    bsq_free(ctx, block->face_sizes);
-    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
-        bsq_free(ctx, block->corners[kind]);
-    bsq_free(ctx, block->statements);
-    memset(block, 0, sizeof *block);
 }

@@ -96,28 +96,19 @@ static int sample_start(struct bsq_ctx *ctx, struct fmt_input *input, struct cou
     return status;
 }
 
-int fmt_obj_estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate *out)
+int fmt_obj_estimate(const struct stream_source *source, uint64_t bytes, bool plain,
+                     struct fmt_mesh_estimate *out)
 {
-    const struct obj_reader *reader = (const struct obj_reader *)base;
-    int status = 0;
-    *out = (struct fmt_mesh_estimate){.faces_come_last = reader->source_count == 1};
-    for (uint32_t i = 0; status == 0 && i < reader->source_count; i++) {
-        struct counts counts = {0};
-        struct fmt_input *input = reader->sources[i].input;
-        uint64_t bytes = 0;
-        bool plain;
-        status = fmt_input_guess(input, &bytes, &plain);
-        if (status == 0)
-            status = plain ? sample_file(input, &counts)
-                           : sample_start(reader->base.ctx, input, &counts);
-        double scale = counts.bytes > 0 ? (double)bytes / (double)counts.bytes : 0.0;
-        out->vertices += (uint64_t)(scale * (double)counts.vertices);
-        out->texcoords += (uint64_t)(scale * (double)counts.texcoords);
-        out->normals += (uint64_t)(scale * (double)counts.normals);
-        out->faces += (uint64_t)(scale * (double)counts.faces);
-        out->corners += (uint64_t)(scale * (double)counts.corners);
-        out->has_colors |= counts.colors;
-        out->faces_come_last &= !counts.element_follows_face;
-    }
+    struct counts counts = {0};
+    int status = plain ? sample_file(source->input, &counts)
+                       : sample_start(source->ctx, source->input, &counts);
+    double scale = counts.bytes > 0 ? (double)bytes / (double)counts.bytes : 0.0;
+    out->vertices += (uint64_t)(scale * (double)counts.vertices);
+    out->texcoords += (uint64_t)(scale * (double)counts.texcoords);
+    out->normals += (uint64_t)(scale * (double)counts.normals);
+    out->faces += (uint64_t)(scale * (double)counts.faces);
+    out->corners += (uint64_t)(scale * (double)counts.corners);
+    out->has_colors |= counts.colors;
+    out->faces_come_last &= !counts.element_follows_face;
     return status;
 }

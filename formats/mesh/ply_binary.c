@@ -76,7 +76,7 @@ static void parse_equal_vertices(const struct ply_source *source, const struct p
     for (uint32_t i = 0; i < element->property_count; i++)
         if (p[i].role != PLY_UNUSED && !(copied && p[i].role <= PLY_Z))
             read_property(&slot->arrays, slot->bytes, each, count, &p[i], swap);
-    fmt_ply_finish_vertices(source, element, slot, count);
+    fmt_ply_finish_vertices(element, slot, count);
 }
 
 /* Returns the position after the property at `from`. A list's numbers begin at *list. */
@@ -105,7 +105,7 @@ static void parse_uneven_vertices(const struct ply_source *source,
                 fmt_ply_store_vertex(&slot->arrays, vertex, &p[i], ply_real(from, p[i].type, swap));
             from = skip_property(&p[i], from, swap, &list, &length);
         }
-    fmt_ply_finish_vertices(source, element, slot, slot->part.items);
+    fmt_ply_finish_vertices(element, slot, slot->part.items);
 }
 
 /* ---- faces ---- */
@@ -247,11 +247,11 @@ static uint64_t most_items(const struct ply_element *element, const struct strea
     return slot->part.size / least + 1;
 }
 
-int fmt_ply_parse_binary(struct bsq_ctx *ctx, const struct ply_source *source,
-                         const struct ply_element *element, struct stream_slot *slot)
+int fmt_ply_parse_binary(const struct ply_element *element, struct stream_slot *slot)
 {
+    const struct ply_source *source = slot->source->data;
     const bool swap = source->header.encoding == PLY_BIG_ENDIAN;
-    int status = fmt_ply_reserve(ctx, source, element, slot, most_items(element, slot));
+    int status = fmt_ply_reserve(element, slot, most_items(element, slot));
     if (status)
         return status;
     if (element->kind == PLY_VERTICES && element->list_count == 0)

@@ -12,7 +12,6 @@
 /* The state of one cut. */
 struct cutter {
     struct bsq_ctx *ctx;
-    struct stream_reader *reader;
     const struct stream_source *source;
     const struct ply_header *header;
     const struct ply_element *element;
@@ -32,7 +31,7 @@ static uint64_t smaller(uint64_t a, uint64_t b)
 /* Loads `size` bytes from the part's start on, or fewer at the end of the file. */
 static int load(struct cutter *c, uint64_t size)
 {
-    return fmt_stream_extend(c->reader, c->slot, c->have, size, &c->have, &c->at_file_end);
+    return fmt_stream_extend(c->slot, c->have, size, &c->have, &c->at_file_end);
 }
 
 /* Returns the bytes of the file, as far as they are known: there may be more. */
@@ -319,13 +318,11 @@ static int cut_rest(struct cutter *c)
     return 1;
 }
 
-int fmt_ply_cut(struct stream_reader *reader, const struct stream_part *before,
-                struct stream_slot *slot)
+int fmt_ply_cut(const struct stream_part *before, struct stream_slot *slot)
 {
-    const struct ply_header *header = &((struct ply_reader *)reader)->files[before->source].header;
-    struct cutter c = {.ctx = reader->base.ctx,
-                       .reader = reader,
-                       .source = &reader->sources[before->source],
+    const struct ply_header *header = &((struct ply_source *)slot->source->data)->header;
+    struct cutter c = {.ctx = slot->ctx,
+                       .source = slot->source,
                        .header = header,
                        .slot = slot,
                        .part = &slot->part,

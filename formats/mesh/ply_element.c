@@ -9,34 +9,38 @@
 /* No file can have this many elements of a kind; callers compare indices as signed numbers. */
 #define INDEX_LIMIT ((int64_t)1 << 61)
 
-int fmt_ply_reserve(struct bsq_ctx *ctx, const struct ply_source *source,
-                    const struct ply_element *element, struct stream_slot *slot,
+int fmt_ply_reserve(const struct ply_element *element, struct stream_slot *slot,
                     uint64_t most_items)
 {
+    const struct ply_source *source = slot->source->data;
+    struct bsq_ctx *ctx = slot->ctx;
     struct mesh_arrays *a = &slot->arrays;
     const uint64_t count = slot->part.items;
-    int status = 0;
+    const bool strips = element->kind == PLY_STRIPS;
+    const uint64_t faces = strips ? most_items : count;
+    const uint64_t corners = strips ? 3 * most_items : most_items;
+    int status;
     if (element->kind == PLY_VERTICES) {
-        status = fmt_arrays_reserve_positions(ctx, a, count);
-        if (!status && element->role[PLY_RED])
-            status = fmt_arrays_reserve_colors(ctx, a, count);
-        if (!status && source->vertex_normals)
-            status = fmt_arrays_reserve_normals(ctx, a, count);
-        if (!status && source->vertex_texcoords)
-            status = fmt_arrays_reserve_texcoords(ctx, a, count);
-        return status;
+        BSQ_TRY(FMT_RESERVE(ctx, count, a->positions, a->position_capacity));
+        if (element->role[PLY_RED])
+            BSQ_TRY(FMT_RESERVE(ctx, count, a->colors, a->color_capacity));
+        if (source->vertex_normals)
+            BSQ_TRY(FMT_RESERVE(ctx, count, a->normals, a->normal_capacity));
+        if (source->vertex_texcoords)
+            BSQ_TRY(FMT_RESERVE(ctx, count, a->texcoords, a->texcoord_capacity));
+        return 0;
     }
-    const uint64_t faces = element->kind == PLY_STRIPS ? most_items : count;
-    const uint64_t corners = element->kind == PLY_STRIPS ? 3 * most_items : most_items;
-    status = fmt_arrays_reserve_corners(ctx, a, FMT_MESH_VERTEX, corners);
-    if (!status)
-        status = fmt_arrays_reserve_faces(ctx, a, faces);
-    if (!status && source->corner_texcoords)
-        status = fmt_arrays_reserve_corners(ctx, a, FMT_MESH_TEXCOORD, corners);
-    if (!status && source->corner_texcoords)
-        status = fmt_arrays_reserve_texcoords(ctx, a, most_items / 2 + 1);
-    if (!status && source->tags != PLY_TAGS_NONE)
-        status = fmt_arrays_reserve_tags(ctx, a, faces);
+    BSQ_TRY(FMT_RESERVE(ctx, corners, a->corners[FMT_MESH_VERTEX],
+                        a->corner_capacity[FMT_MESH_VERTEX]));
+    BSQ_TRY(FMT_RESERVE(ctx, faces, a->face_sizes, a->size_capacity));
+    if (source->corner_texcoords) {
+        BSQ_TRY(FMT_RESERVE(ctx, corners, a->corners[FMT_MESH_TEXCOORD],
+                            a->corner_capacity[FMT_MESH_TEXCOORD]));
+        BSQ_TRY(FMT_RESERVE(ctx, most_items / 2 + 1, a->texcoords, a->texcoord_capacity));
+    }
+    if (source->tags != PLY_TAGS_NONE)
+        BSQ_TRY(FMT_RESERVE(ctx, faces, a->face_tags, a->tag_capacity));
+done:
     return status;
 }
 
@@ -106,25 +110,26 @@ static uint64_t clear_bad(double *numbers, uint64_t count, uint64_t size)
     return bad;
 }
 
-void fmt_ply_finish_vertices(const struct ply_source *source, const struct ply_element *element,
-                             struct stream_slot *slot, uint64_t count)
+void fmt_ply_finish_vertices(const struct ply_element *element, struct stream_slot *slot,
+                             uint64_t count)
 {
+    const struct ply_source *source = slot->source->data;
     struct mesh_arrays *a = &slot->arrays;
     a->count[FMT_MESH_VERTEX] = count;
-    slot->missing_positions = clear_bad(&a->positions[0][0], count, 3);
+    slot->odd[STREAM_NO_POSITION].count = clear_bad(&a->positions[0][0], count, 3);
     if (source->vertex_normals) {
         a->count[FMT_MESH_NORMAL] = count;
-        slot->bad_normals += replace_bad(a->normals, count, 0.0f);
+        slot->odd[STREAM_NO_NORMAL].count += replace_bad(a->normals, count, 0.0f);
     }
     if (source->vertex_texcoords) {
         a->count[FMT_MESH_TEXCOORD] = count;
-        slot->missing_texcoords = clear_bad(&a->texcoords[0][0], count, 2);
+        slot->odd[STREAM_NO_TEXCOORD].count = clear_bad(&a->texcoords[0][0], count, 2);
     }
     if (element->role[PLY_RED]) {
         a->has_colors = true;
         slot->color_white = ply_is_real(element->role[PLY_RED]->type) ? 0.0f : 255.0f;
         if (slot->color_white == 0.0f)
-            slot->bad_colors += replace_bad(a->colors, count, -1.0f);
+            slot->odd[STREAM_NO_COLOR].count += replace_bad(a->colors, count, -1.0f);
     }
 }
 
@@ -168,13 +173,13 @@ static void finish_texcoords(struct stream_slot *slot, const struct ply_face *fa
     const bool fits = face->texcoords == 2 * face->size;
     a->has_corners[FMT_MESH_TEXCOORD] = true;
     if (!fits && face->texcoords > 0)
-        slot->bad_texcoords += face->size;
+        slot->odd[PLY_BAD_TEXCOORDS].count += face->size;
     for (uint64_t i = 0; i < face->size; i++) {
         const bool finite = fits && all_finite(a->texcoords[base + i], 2);
         corners[i] = finite ? base + i : FMT_MESH_NONE;
         if (!fits || finite)
             continue;
-        slot->bad_texcoords++;
+        slot->odd[PLY_BAD_TEXCOORDS].count++;
         a->texcoords[base + i][0] = a->texcoords[base + i][1] = 0.0;
     }
     a->count[FMT_MESH_TEXCOORD] += fits ? face->size : 0;
@@ -186,15 +191,15 @@ static void finish_tag(const struct ply_source *source, struct stream_slot *slot
 {
     uint32_t *tag = &slot->arrays.face_tags[slot->arrays.face_count];
     if (source->tags == PLY_TAGS_COLOR) {
-        slot->clamped_colors += face->clamped;
+        slot->odd[PLY_CLAMPED_COLORS].count += face->clamped;
         *tag = (uint32_t)(face->color[0] + 0.5) | (uint32_t)(face->color[1] + 0.5) << 8 |
                (uint32_t)(face->color[2] + 0.5) << 16;
         return;
     }
     const bool lost = face->texture >= (int64_t)source->header.texture_count;
     *tag = face->texture < 0 || lost ? PLY_NO_TAG : (uint32_t)face->texture;
-    if (lost && slot->lost_textures++ == 0)
-        slot->lost_texture_at = face->at;
+    if (lost && slot->odd[PLY_LOST_TEXTURES].count++ == 0)
+        slot->odd[PLY_LOST_TEXTURES].at = face->at;
 }
 
 bool fmt_ply_finish_face(const struct ply_source *source, struct stream_slot *slot,

@@ -5,10 +5,12 @@
  * corners, colours, texture coordinates of corners and a texture's number; "tristrips" are strips
  * of triangles. Other elements and properties are skipped. */
 #include <inttypes.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "base/loss.h"
 #include "formats/mesh/mesh_text.h"
+#include "formats/mesh/obj_path.h"
 #include "formats/mesh/ply_internal.h"
 #include "formats/mesh/ply_roles.h"
 
@@ -53,72 +55,64 @@ static void choose_use(struct ply_source *source)
         source->tags = PLY_TAGS_COLOR;
 }
 
-static int read_header(struct stream_reader *stream, uint32_t number)
+static int begin(struct stream_source *source)
 {
-    struct ply_reader *reader = (struct ply_reader *)stream;
-    struct bsq_ctx *ctx = reader->stream.base.ctx;
-    struct ply_source *source = &reader->files[number];
-    struct fmt_input *input = reader->stream.sources[number].input;
-    int status = fmt_input_open(input);
+    struct ply_source *file = source->data;
+    int status = fmt_input_open(source->input);
     if (!status)
-        status = fmt_ply_header_read(ctx, input, &source->header);
-    int closed = fmt_input_close(input);
+        status = fmt_ply_header_read(source->ctx, source->input, &file->header);
+    const int closed = fmt_input_close(source->input);
     status = status ? status : closed;
     if (status)
         return status;
-    choose_use(source);
-    source->texture_base = reader->texture_count;
-    reader->texture_count += source->header.texture_count;
+    choose_use(file);
+    source->material_count = source->part_count = file->header.texture_count;
     return 0;
 }
 
-static void close_reader(struct fmt_mesh_reader *base)
+static void end(struct stream_source *source)
 {
-    struct ply_reader *reader = (struct ply_reader *)base;
-    for (uint32_t i = 0; reader->files && i < reader->stream.source_count; i++)
-        fmt_ply_header_free(base->ctx, &reader->files[i].header);
-    bsq_free(base->ctx, reader->files);
-    fmt_ply_colors_free(base->ctx, &reader->colors);
-    fmt_stream_free(&reader->stream);
+    struct ply_source *file = source->data;
+    fmt_ply_header_free(source->ctx, &file->header);
+    fmt_names_free(source->ctx, &file->colors);
 }
 
 /* ---- reading ---- */
 
 /* Gives each corner the normal and texture coordinate of its vertex. */
-static int copy_vertex_indices(struct bsq_ctx *ctx, const struct ply_source *source,
-                               struct mesh_arrays *a)
+static int copy_vertex_indices(struct stream_slot *slot)
 {
+    const struct ply_source *file = slot->source->data;
     const bool wanted[FMT_MESH_KIND_COUNT] = {
-        [FMT_MESH_NORMAL] = source->vertex_normals, [FMT_MESH_TEXCOORD] = source->vertex_texcoords};
+        [FMT_MESH_NORMAL] = file->vertex_normals, [FMT_MESH_TEXCOORD] = file->vertex_texcoords};
+    struct mesh_arrays *a = &slot->arrays;
     int status = 0;
-    if (a->face_count == 0)
-        return 0;
-    for (enum fmt_mesh_kind kind = FMT_MESH_TEXCOORD; kind <= FMT_MESH_NORMAL && !status; kind++) {
+    for (int kind = FMT_MESH_TEXCOORD; kind <= FMT_MESH_NORMAL && a->face_count > 0; kind++) {
         if (!wanted[kind])
             continue;
-        status = fmt_arrays_reserve_corners(ctx, a, kind, a->corner_count);
-        if (status)
-            continue;
+        BSQ_TRY(
+            FMT_RESERVE(slot->ctx, a->corner_count, a->corners[kind], a->corner_capacity[kind]));
         a->has_corners[kind] = true;
         memcpy(a->corners[kind], a->corners[FMT_MESH_VERTEX], a->corner_count * sizeof(uint64_t));
     }
+done:
     return status;
 }
 
-static int parse(struct stream_reader *reader, struct stream_slot *slot)
+static int parse(struct stream_slot *slot)
 {
-    const struct ply_source *source = ply_source_of(reader, slot);
+    const struct ply_header *header = &((struct ply_source *)slot->source->data)->header;
     const uint32_t number = slot->part.kind & ~PLY_PART_PIECE;
-    if (slot->part.kind == PLY_PART_REST || source->header.elements[number].kind == PLY_OTHER)
+    int status;
+    if (slot->part.kind == PLY_PART_REST || header->elements[number].kind == PLY_OTHER)
         return 0;
-    const struct ply_element *element = &source->header.elements[number];
-    int status = fmt_stream_load(reader, slot);
-    if (status)
-        return status;
-    status = source->header.encoding == PLY_ASCII
-                 ? fmt_ply_parse_text(reader->base.ctx, source, element, slot)
-                 : fmt_ply_parse_binary(reader->base.ctx, source, element, slot);
-    return status ? status : copy_vertex_indices(reader->base.ctx, source, &slot->arrays);
+    const struct ply_element *element = &header->elements[number];
+    BSQ_TRY(fmt_stream_load(slot));
+    BSQ_TRY(header->encoding == PLY_ASCII ? fmt_ply_parse_text(element, slot)
+                                          : fmt_ply_parse_binary(element, slot));
+    status = copy_vertex_indices(slot);
+done:
+    return status;
 }
 
 /* Makes texture coordinates of corners count from the start of the file. */
@@ -136,209 +130,195 @@ static bool is_blank(char c)
 }
 
 /* Warns of bytes after the last element, unless they are blank. */
-static int warn_rest(struct ply_reader *reader, const struct stream_slot *slot)
+static int warn_rest(const struct stream_slot *slot)
 {
-    struct bsq_ctx *ctx = reader->stream.base.ctx;
-    const struct stream_source *source = &reader->stream.sources[slot->part.source];
+    const struct stream_source *source = slot->source;
     const uint64_t bytes = slot->part.end - slot->part.offset;
     char sample[256];
     uint64_t got, blanks = 0;
     int status = fmt_input_read_some(source->input, sample, sizeof sample, slot->part.offset, &got);
     while (!status && blanks < got && is_blank(sample[blanks]))
         blanks++;
-    if (!status && blanks < bytes && !reader->read_before)
-        status = bsq_warn_loss(ctx, "%s: %" PRIu64 " bytes after the last element not read",
+    if (!status && blanks < bytes && !source->reader->read_before)
+        status = bsq_warn_loss(source->ctx, "%s: %" PRIu64 " bytes after the last element not read",
                                source->path, bytes);
     return status;
 }
 
-static void count_lost_textures(struct ply_reader *reader, const struct stream_slot *slot)
+/* ---- materials of faces ---- */
+
+/* Returns the first PLY file of the scan, which has the colours of faces of all of them. */
+static struct stream_source *colors_owner(const struct stream_source *source)
 {
-    if (reader->lost_textures == 0 && slot->lost_textures > 0) {
-        reader->lost_texture_at = slot->lost_texture_at;
-        reader->lost_texture_file = slot->part.source;
-    }
-    reader->lost_textures += slot->lost_textures;
+    struct stream_source *first = source->reader->sources;
+    while (first->format != &fmt_ply_format)
+        first++;
+    return first;
 }
 
-static int pass(struct stream_reader *base, struct stream_slot *slot,
-                struct fmt_mesh_totals *totals)
+/* Sets *material to the number over the scan of a face's material. */
+static int find_material(const struct stream_source *source, uint32_t tag, uint32_t *material)
 {
-    struct ply_reader *reader = (struct ply_reader *)base;
-    const struct ply_source *source = ply_source_of(base, slot);
+    struct stream_source *owner = colors_owner(source);
+    struct ply_source *shared = owner->data;
+    const struct ply_source *file = source->data;
+    uint32_t number;
     int status = 0;
+    *material = FMT_MESH_NO_MATERIAL;
+    if (tag != PLY_NO_TAG && file->tags == PLY_TAGS_TEXTURE) {
+        *material = source->numbers[tag];
+    } else if (tag != PLY_NO_TAG) {
+        BSQ_TRY(fmt_names_enter(source->ctx, &shared->colors, tag, "", &number));
+        const uint64_t place = owner->material_count + number; /* textures come first */
+        if (place == owner->number_count)
+            BSQ_TRY(fmt_stream_add_material(owner, material));
+        *material = owner->numbers[place];
+    }
+done:
+    return status;
+}
+
+/* Turns face_tags into changes of material. */
+static int find_materials(struct stream_slot *slot)
+{
+    struct mesh_arrays *a = &slot->arrays;
+    int status = 0;
+    for (uint64_t face = 0; face < a->face_count; face++) {
+        const uint32_t tag = a->face_tags[face];
+        if (face > 0 && tag == a->face_tags[face - 1])
+            continue;
+        BSQ_TRY(FMT_RESERVE(slot->ctx, a->change_count + 1, a->changes, a->change_capacity));
+        struct fmt_mesh_material_change *change = &a->changes[a->change_count++];
+        change->face = face;
+        BSQ_TRY(find_material(slot->source, tag, &change->material));
+    }
+done:
+    return status;
+}
+
+static int pass(struct stream_slot *slot, struct fmt_mesh_totals *totals)
+{
+    const struct ply_source *file = slot->source->data;
+    (void)totals;
     if (slot->part.kind == PLY_PART_REST)
-        return warn_rest(reader, slot);
-    reader->bad_normals += slot->bad_normals;
-    reader->bad_colors += slot->bad_colors;
-    reader->bad_texcoords += slot->bad_texcoords;
-    reader->clamped_colors += slot->clamped_colors;
-    reader->missing_positions += slot->missing_positions;
-    reader->missing_texcoords += slot->missing_texcoords;
-    count_lost_textures(reader, slot);
-    if (source->corner_texcoords)
-        number_texcoords(&base->sources[slot->part.source], &slot->arrays);
-    if (source->tags != PLY_TAGS_NONE)
-        status = fmt_ply_find_materials(reader, source, &slot->arrays);
-    totals->materials = reader->texture_count + (uint32_t)reader->colors.count;
+        return warn_rest(slot);
+    if (file->corner_texcoords)
+        number_texcoords(slot->source, &slot->arrays);
+    return file->tags != PLY_TAGS_NONE ? find_materials(slot) : 0;
+}
+
+static int describe_texture(const struct stream_source *source, const char *name,
+                            struct fmt_material *out)
+{
+    bool exists;
+    int status;
+    BSQ_TRY(fmt_string_copy(source->ctx, name, &out->name));
+    BSQ_TRY(fmt_path_find(source->ctx, fmt_input_beside(source->input), name, &out->texture_path,
+                          &exists));
+    status = fmt_string_copy(source->ctx, source->path, &out->texture_place);
+done:
     return status;
 }
 
-static int warn_lost_textures(const struct ply_reader *reader)
+static int describe_color(struct bsq_ctx *ctx, uint32_t color, struct fmt_material *out)
 {
-    const struct ply_header *header = &reader->files[reader->lost_texture_file].header;
-    const bool text = header->encoding == PLY_ASCII;
-    if (reader->lost_textures == 0)
-        return 0;
-    return bsq_warn_loss(
-        reader->stream.base.ctx,
-        "%s:%s%" PRIu64 ": faces whose texnumber, from 0, is not below the number of textures that "
-        "the file names, %u; they have no texture: %" PRIu64 "; this is the first",
-        reader->stream.sources[reader->lost_texture_file].path, text ? "" : " byte ",
-        reader->lost_texture_at, header->texture_count, reader->lost_textures);
+    char name[16];
+    for (int c = 0; c < 3; c++)
+        out->diffuse[c] = (float)(color >> 8 * c & 255) / 255.0f;
+    out->has_diffuse = true;
+    snprintf(name, sizeof name, "#%02x%02x%02x", color & 255, color >> 8 & 255, color >> 16 & 255);
+    return fmt_string_copy(ctx, name, &out->name);
 }
 
-static int warn_missing(struct ply_reader *reader)
+/* Lists the textures that comments name, and then the colours of faces. */
+static int read_materials(struct stream_source *source, struct fmt_materials *out)
 {
-    const struct {
-        uint64_t count;
-        const char *what;
-    } kinds[] = {{reader->missing_positions, "positions"},
-                 {reader->bad_normals, "normals"},
-                 {reader->bad_colors, "colours"},
-                 {reader->missing_texcoords, "texture coordinates"},
-                 {reader->bad_texcoords, "texture coordinates of corners"}};
-    int status = reader->clamped_colors == 0
-                     ? 0
-                     : bsq_warn_loss(reader->stream.base.ctx,
-                                     "%s: colours out of range were clamped at %" PRIu64 " %s; "
-                                     "real numbers range to 1",
-                                     reader->stream.sources[0].path, reader->clamped_colors,
-                                     reader->clamped_colors == 1 ? "face" : "faces");
-    for (size_t i = 0; i < sizeof kinds / sizeof *kinds && !status; i++)
-        if (kinds[i].count > 0)
-            status =
-                bsq_warn_loss(reader->stream.base.ctx,
-                              "%s: %" PRIu64 " %s are not finite or incomplete and were left out",
-                              reader->stream.sources[0].path, kinds[i].count, kinds[i].what);
-    return status;
-}
-
-/* Warns of colours and textures that choose_use() had no use for. */
-static int warn_unused(const struct ply_reader *reader, uint32_t number)
-{
-    const struct ply_source *source = &reader->files[number];
-    const struct ply_element *faces = fmt_ply_find_element(&source->header, PLY_FACES);
-    const bool textured = source->tags == PLY_TAGS_TEXTURE;
-    struct bsq_ctx *ctx = reader->stream.base.ctx;
-    const char *path = reader->stream.sources[number].path;
+    const struct ply_source *file = source->data;
+    struct fmt_material *material;
     int status = 0;
-    if (source->header.texture_count > 0 && !textured)
-        status = bsq_warn_loss(ctx, "%s: no texture coordinates, so the texture %s is not used",
-                               path, source->header.textures[0]);
-    if (status == 0 && faces && faces->role[PLY_RED] && source->tags != PLY_TAGS_COLOR)
-        status = bsq_warn_loss(ctx, "%s: colours of faces are not used beside %s", path,
-                               textured ? "a texture" : "those of vertices");
+    for (uint32_t i = 0; i < file->header.texture_count; i++) {
+        BSQ_TRY(fmt_materials_add(source->ctx, out, &material));
+        BSQ_TRY(describe_texture(source, file->header.textures[i], material));
+    }
+    for (uint64_t i = 0; i < file->colors.count; i++) {
+        BSQ_TRY(fmt_materials_add(source->ctx, out, &material));
+        BSQ_TRY(describe_color(source->ctx, (uint32_t)file->colors.list[i].key, material));
+    }
+done:
     return status;
 }
 
-static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *steps, void *arg,
-                    struct fmt_mesh_totals *totals)
+/* ---- warnings ---- */
+
+/* Warns of elements, properties, colours and textures that are not used. */
+static int finish(struct stream_source *source, struct fmt_mesh_totals *totals)
 {
-    struct ply_reader *reader = (struct ply_reader *)base;
-    reader->bad_normals = reader->bad_colors = reader->bad_texcoords = 0;
-    reader->missing_positions = reader->missing_texcoords = reader->clamped_colors = 0;
-    reader->lost_textures = 0;
-    int status = fmt_stream_read(&reader->stream, steps, arg, totals);
-    if (status || reader->read_before)
-        return status;
-    reader->read_before = true;
-    for (uint32_t i = 0; i < reader->stream.source_count && status == 0; i++) {
-        fmt_ply_warn_unread(base->ctx, reader->stream.sources[i].path, &reader->files[i].header);
-        status = warn_unused(reader, i);
-    }
-    if (!status)
-        status = warn_lost_textures(reader);
-    return status ? status : warn_missing(reader);
+    const struct ply_source *file = source->data;
+    const struct ply_element *faces = fmt_ply_find_element(&file->header, PLY_FACES);
+    const bool textured = file->tags == PLY_TAGS_TEXTURE;
+    int status = 0;
+    (void)totals;
+    if (source->reader->read_before)
+        return 0;
+    fmt_ply_warn_unread(source->ctx, source->path, &file->header);
+    if (file->header.texture_count > 0 && !textured)
+        status =
+            bsq_warn_loss(source->ctx, "%s: no texture coordinates, so the texture %s is not used",
+                          source->path, file->header.textures[0]);
+    if (status == 0 && faces && faces->role[PLY_RED] && file->tags != PLY_TAGS_COLOR)
+        status = bsq_warn_loss(source->ctx, "%s: colours of faces are not used beside %s",
+                               source->path, textured ? "a texture" : "those of vertices");
+    return status;
 }
 
-static int locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_mesh_place *out)
+/* Faces are taken for triangles. */
+static int estimate(const struct stream_source *source, uint64_t bytes, bool plain,
+                    struct fmt_mesh_estimate *out)
 {
-    return fmt_stream_locate_face((struct stream_reader *)base, face, out);
-}
-
-/* ---- estimating ---- */
-
-/* Adds a file. Faces are taken for triangles. */
-static void add_estimate(const struct ply_source *source, uint64_t file_size,
-                         struct fmt_mesh_estimate *out)
-{
-    const struct ply_element *vertices = fmt_ply_find_element(&source->header, PLY_VERTICES);
-    const struct ply_element *faces = fmt_ply_find_element(&source->header, PLY_FACES);
-    const struct ply_element *strips = fmt_ply_find_element(&source->header, PLY_STRIPS);
+    const struct ply_source *file = source->data;
+    const struct ply_element *vertices = fmt_ply_find_element(&file->header, PLY_VERTICES);
+    const struct ply_element *faces = fmt_ply_find_element(&file->header, PLY_FACES);
+    const struct ply_element *strips = fmt_ply_find_element(&file->header, PLY_STRIPS);
     uint64_t triangles = faces ? faces->count : 0;
+    (void)plain;
     if (strips && strips->count > 0)
-        triangles += file_size > source->header.bytes ? (file_size - source->header.bytes) / 4 : 0;
+        triangles += bytes > file->header.bytes ? (bytes - file->header.bytes) / 4 : 0;
     out->vertices += vertices->count;
-    out->normals += source->vertex_normals ? vertices->count : 0;
-    out->texcoords += source->vertex_texcoords   ? vertices->count
-                      : source->corner_texcoords ? 3 * triangles
-                                                 : 0;
+    out->normals += file->vertex_normals ? vertices->count : 0;
+    out->texcoords += file->vertex_texcoords   ? vertices->count
+                      : file->corner_texcoords ? 3 * triangles
+                                               : 0;
     out->faces += triangles;
     out->corners += 3 * triangles;
     out->has_colors |= vertices->role[PLY_RED] != NULL;
     out->faces_come_last &=
-        !source->corner_texcoords && (!faces || faces > vertices) && (!strips || strips > vertices);
+        !file->corner_texcoords && (!faces || faces > vertices) && (!strips || strips > vertices);
+    return 0;
 }
 
-static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate *out)
-{
-    const struct ply_reader *reader = (const struct ply_reader *)base;
-    *out = (struct fmt_mesh_estimate){.faces_come_last = reader->stream.source_count == 1};
-    int status = 0;
-    for (uint32_t i = 0; i < reader->stream.source_count && !status; i++) {
-        uint64_t bytes;
-        bool plain;
-        status = fmt_input_guess(reader->stream.sources[i].input, &bytes, &plain);
-        add_estimate(&reader->files[i], bytes, out);
-    }
-    return status;
-}
-
-/* ---- the format ---- */
-
-static int prepare(struct stream_reader *stream)
-{
-    struct ply_reader *reader = (struct ply_reader *)stream;
-    return bsq_calloc(stream->base.ctx, "PLY files", stream->source_count, sizeof *reader->files,
-                      &reader->files);
-}
-
-static int open_reader(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t input_count,
-                       struct fmt_mesh_reader **out)
-{
-    static const struct stream_format stream = {
-        .reader_name = "PLY reader",
-        .reader_bytes = sizeof(struct ply_reader),
-        .prepare = prepare,
-        .begin = read_header,
-        .end = close_reader,
-        .cut = fmt_ply_cut,
-        .parse = parse,
-        .pass = pass,
-    };
-    return fmt_stream_open(ctx, &stream, inputs, input_count, out);
-}
+#define LEFT_OUT " are not finite or incomplete and were left out"
 
 const struct fmt_mesh_format fmt_ply_format = {
     .name = "PLY",
     .suffix = ".ply",
+    .data_bytes = sizeof(struct ply_source),
+    .oddities = {[STREAM_NO_POSITION] = "positions" LEFT_OUT,
+                 [STREAM_NO_NORMAL] = "normals" LEFT_OUT,
+                 [STREAM_NO_COLOR] = "colours" LEFT_OUT,
+                 [STREAM_NO_TEXCOORD] = "texture coordinates" LEFT_OUT,
+                 [PLY_BAD_TEXCOORDS] = "texture coordinates of corners" LEFT_OUT,
+                 [PLY_CLAMPED_COLORS] = "colours of faces are out of range and were clamped; real "
+                                        "numbers range to 1",
+                 [PLY_LOST_TEXTURES] = "faces whose texnumber, from 0, is not below the number of "
+                                       "textures that the file names; they have no texture"},
     .recognise = recognise,
-    .open = open_reader,
-    .close = close_reader,
-    .read = read_all,
+    .begin = begin,
+    .end = end,
+    .cut = fmt_ply_cut,
+    .parse = parse,
+    .pass = pass,
+    .finish = finish,
     .estimate = estimate,
-    .locate_face = locate_face,
-    .read_materials = fmt_ply_read_materials,
-    .preview_materials = fmt_ply_read_materials,
+    .read_materials = read_materials,
+    .preview_materials = read_materials,
 };

@@ -213,9 +213,9 @@ static bool read_element(struct text *t, const struct ply_element *element, uint
     return element->kind == PLY_FACES ? read_face(t, element) : read_strip(t);
 }
 
-int fmt_ply_parse_text(struct bsq_ctx *ctx, const struct ply_source *source,
-                       const struct ply_element *element, struct stream_slot *slot)
+int fmt_ply_parse_text(const struct ply_element *element, struct stream_slot *slot)
 {
+    const struct ply_source *source = slot->source->data;
     struct text t = {.source = source,
                      .slot = slot,
                      .at = (const char *)slot->bytes,
@@ -223,7 +223,7 @@ int fmt_ply_parse_text(struct bsq_ctx *ctx, const struct ply_source *source,
                      .line = slot->part.first_line,
                      .line_end = source->header.line_end};
     uint64_t count = 0;
-    int status = fmt_ply_reserve(ctx, source, element, slot, slot->part.size / 2 + 1);
+    int status = fmt_ply_reserve(element, slot, slot->part.size / 2 + 1);
     if (status)
         return status;
     memset(slot->bytes + slot->part.size, 0, STREAM_PADDING);
@@ -231,6 +231,6 @@ int fmt_ply_parse_text(struct bsq_ctx *ctx, const struct ply_source *source,
     while (next_line(&t) && read_element(&t, element, count) && finish_line(&t))
         count++;
     if (element->kind == PLY_VERTICES)
-        fmt_ply_finish_vertices(source, element, slot, count);
+        fmt_ply_finish_vertices(element, slot, count);
     return 0;
 }

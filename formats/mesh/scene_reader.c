@@ -2,14 +2,11 @@
  *
  * Meant for low-poly meshes. The memory that Assimp takes is not known before; it is counted as a
  * multiple of the file. */
-#include <assert.h>
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
 
 #include "base/file.h"
-#include "base/loss.h"
-#include "formats/mesh/mesh_arrays.h"
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_path.h"
@@ -21,14 +18,10 @@ enum { MEMORY_PER_BYTE = 40 };
 /* Elements of a block. */
 enum { BLOCK_ELEMENTS = 16384 };
 
-struct scene_reader {
-    struct fmt_mesh_reader base; /* must be first */
-    const char *path, *beside;   /* of the input; other files are looked for beside the latter */
+/* What the reader keeps of a file: source->data. */
+struct scene_file {
     struct fmt_scene scene;
     uint64_t bytes; /* of the file */
-    bool read_before;
-    bool uses_colors;          /* the caller previewed materials */
-    struct mesh_arrays arrays; /* of one block: a copy that callers may change */
 };
 
 /* ---- opening ---- */
@@ -50,107 +43,64 @@ static int name_for_format(struct bsq_ctx *ctx, const char *path, const char *he
     return status;
 }
 
-static int read_whole(struct scene_reader *r, const struct bsq_file *file)
+static int read_whole(struct stream_source *source, const struct bsq_file *file)
 {
-    struct bsq_ctx *ctx = r->base.ctx;
+    struct bsq_ctx *ctx = source->ctx;
+    struct scene_file *scene = source->data;
     const struct fmt_module *module;
     char head[64], *name = NULL;
     uint64_t got = 0, memory;
-    r->bytes = file->size;
+    int status;
+    scene->bytes = file->size;
     if (__builtin_mul_overflow(file->size, (uint64_t)MEMORY_PER_BYTE, &memory))
-        return bsq_fail(ctx, BSQ_ENOMEM, "%s: too large", r->path);
-    int status = fmt_module_open(ctx, "scene", "FBX, COLLADA and such files", &module);
-    if (!status)
-        status = bsq_file_read_some(ctx, file, head, sizeof head, 0, &got);
-    if (!status)
-        status = name_for_format(ctx, r->path, head, got, &name);
-    if (!status)
-        status = bsq_reserve(ctx, "reading a file whole by Assimp", memory);
-    if (!status) {
-        status = ((const struct fmt_scene_module *)module)
-                     ->read(&fmt_host_functions, ctx, file, name, &r->scene);
-        bsq_release(ctx, memory);
-    }
+        return bsq_fail(ctx, BSQ_ENOMEM, "%s: too large", source->path);
+    BSQ_TRY(fmt_module_open(ctx, "scene", "FBX, COLLADA and such files", &module));
+    BSQ_TRY(bsq_file_read_some(ctx, file, head, sizeof head, 0, &got));
+    BSQ_TRY(name_for_format(ctx, source->path, head, got, &name));
+    BSQ_TRY(bsq_reserve(ctx, "reading a file whole by Assimp", memory));
+    status = ((const struct fmt_scene_module *)module)
+                 ->read(&fmt_host_functions, ctx, file, name, &scene->scene);
+    bsq_release(ctx, memory);
+done:
     bsq_free(ctx, name);
     return status;
 }
 
-static void close_reader(struct fmt_mesh_reader *base)
+static void end(struct stream_source *source)
 {
-    struct scene_reader *r = (struct scene_reader *)base;
-    bsq_free(base->ctx, r->scene.positions);
-    bsq_free(base->ctx, r->scene.texcoords);
-    bsq_free(base->ctx, r->scene.normals);
-    bsq_free(base->ctx, r->scene.colors);
-    bsq_free(base->ctx, r->scene.face_sizes);
-    bsq_free(base->ctx, r->scene.corners);
-    for (uint64_t i = 0; i < r->scene.part_count; i++)
-        bsq_free(base->ctx, r->scene.parts[i].object);
-    bsq_free(base->ctx, r->scene.parts);
-    for (uint64_t i = 0; i < r->scene.material_count; i++) {
-        bsq_free(base->ctx, r->scene.materials[i].name);
-        bsq_free(base->ctx, r->scene.materials[i].texture);
+    struct bsq_ctx *ctx = source->ctx;
+    struct fmt_scene *s = &((struct scene_file *)source->data)->scene;
+    void *memory[] = {s->positions, s->texcoords, s->normals, s->colors, s->face_sizes, s->corners};
+    for (size_t i = 0; i < sizeof memory / sizeof *memory; i++)
+        bsq_free(ctx, memory[i]);
+    for (uint64_t i = 0; i < s->part_count; i++)
+        bsq_free(ctx, s->parts[i].object);
+    bsq_free(ctx, s->parts);
+    for (uint64_t i = 0; i < s->material_count; i++) {
+        bsq_free(ctx, s->materials[i].name);
+        bsq_free(ctx, s->materials[i].texture);
     }
-    bsq_free(base->ctx, r->scene.materials);
-    fmt_arrays_free(base->ctx, &r->arrays);
-    bsq_free(base->ctx, r);
+    bsq_free(ctx, s->materials);
 }
 
-static int open_input(struct scene_reader *r, struct fmt_input *input)
+static int begin(struct stream_source *source)
 {
+    const struct fmt_scene *scene = &((struct scene_file *)source->data)->scene;
     struct bsq_file file = BSQ_FILE_CLOSED;
-    int status = fmt_input_open(input);
+    int status = fmt_input_open(source->input);
     if (status)
         return status;
-    r->path = fmt_input_path(input);
-    r->beside = fmt_input_beside(input);
-    status = fmt_input_whole(input, &file);
+    status = fmt_input_whole(source->input, &file);
     if (!status)
-        status = read_whole(r, &file);
-    bsq_file_close(r->base.ctx, &file);
-    const int closed = fmt_input_close(input);
+        status = read_whole(source, &file);
+    bsq_file_close(source->ctx, &file);
+    const int closed = fmt_input_close(source->input);
+    source->material_count = scene->material_count;
+    source->part_count = scene->part_count;
     return status ? status : closed;
 }
 
-static int open_reader(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t input_count,
-                       struct fmt_mesh_reader **out)
-{
-    struct scene_reader *r;
-    assert(input_count == 1);
-    (void)input_count;
-    int status = bsq_calloc(ctx, "scene reader", 1, sizeof *r, &r);
-    if (status)
-        return status;
-    r->base.ctx = ctx;
-    status = open_input(r, inputs[0]);
-    if (status)
-        close_reader(&r->base);
-    else
-        *out = &r->base;
-    return status;
-}
-
 /* ---- reading ---- */
-
-/* Passes a block to all steps and adds it to the totals. */
-static int deliver(const struct scene_reader *r, const struct fmt_mesh_steps *steps, void *arg,
-                   struct fmt_mesh_block *block, struct fmt_mesh_totals *totals)
-{
-    int status = bsq_check(r->base.ctx);
-    if (!status && steps->on_block)
-        status = steps->on_block(arg, block);
-    if (!status && steps->follow)
-        status = steps->follow(arg, block, 0);
-    if (!status && steps->follow)
-        status = steps->finish(arg, block, 0);
-    totals->vertices += block->vertex_count;
-    totals->texcoords += block->texcoord_count;
-    totals->normals += block->normal_count;
-    totals->faces += block->face_count;
-    totals->corners += block->corner_count;
-    totals->bytes += block->byte_size;
-    return status;
-}
 
 static uint64_t smaller(uint64_t a, uint64_t b)
 {
@@ -166,21 +116,49 @@ static uint64_t count_missing(const double *values, uint64_t count, unsigned siz
     return missing;
 }
 
-/* Copies vertices to the arrays of a block. */
-static int copy_vertices(struct scene_reader *r, uint64_t first, uint64_t count)
+/* Parts with vertices come first, and then those with faces of each part of the scene, whose number
+ * is part.kind - 1. The first one has all bytes of the file, also if there are no vertices. */
+static int cut(const struct stream_part *before, struct stream_slot *slot)
 {
-    const struct fmt_scene *s = &r->scene;
-    struct mesh_arrays *a = &r->arrays;
-    fmt_arrays_clear(a);
-    int status = fmt_arrays_reserve_positions(r->base.ctx, a, count);
-    if (!status)
-        status = fmt_arrays_reserve_texcoords(r->base.ctx, a, count);
-    if (!status)
-        status = fmt_arrays_reserve_normals(r->base.ctx, a, count);
-    if (!status && s->colors)
-        status = fmt_arrays_reserve_colors(r->base.ctx, a, count);
-    if (status || count == 0)
-        return status;
+    const struct scene_file *file = slot->source->data;
+    const struct fmt_scene *s = &file->scene;
+    struct stream_part *part = &slot->part;
+    part->kind = before->kind;
+    part->first_item = before->first_item + before->items;
+    part->carry_out = 0;
+    part->end = file->bytes;
+    if (part->kind == 0 && part->first_item == s->vertex_count && before->end > 0)
+        part->first_item = 0, part->kind = 1;
+    while (part->kind > 0 && part->kind <= s->part_count &&
+           part->first_item == s->parts[part->kind].first_face)
+        part->kind++;
+    if (part->kind > s->part_count && before->end > 0)
+        return 0;
+    if (part->kind == 0) {
+        part->items = smaller(s->vertex_count - part->first_item, BLOCK_ELEMENTS);
+        return 1;
+    }
+    /* part->left: the first corner */
+    part->left = before->kind == 0 ? 0 : before->left + before->size;
+    for (uint64_t f = part->first_item;
+         f < s->parts[part->kind].first_face && part->size < 3 * BLOCK_ELEMENTS; f++, part->items++)
+        part->size += s->face_sizes[f];
+    return 1;
+}
+
+static int copy_vertices(struct stream_slot *slot)
+{
+    const struct fmt_scene *s = &((struct scene_file *)slot->source->data)->scene;
+    const uint64_t first = slot->part.first_item, count = slot->part.items;
+    struct mesh_arrays *a = &slot->arrays;
+    int status;
+    BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->positions, a->position_capacity));
+    BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->texcoords, a->texcoord_capacity));
+    BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->normals, a->normal_capacity));
+    if (s->colors)
+        BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->colors, a->color_capacity));
+    if (count == 0)
+        return 0;
     memcpy(a->positions, s->positions + first, count * sizeof *a->positions);
     memcpy(a->texcoords, s->texcoords + first, count * sizeof *a->texcoords);
     memcpy(a->normals, s->normals + first, count * sizeof *a->normals);
@@ -189,90 +167,59 @@ static int copy_vertices(struct scene_reader *r, uint64_t first, uint64_t count)
     a->has_colors = s->colors != NULL;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         a->count[kind] = count;
-    return 0;
-}
-
-/* The first block has all bytes of the file, also if there are no vertices. */
-static int read_vertices(struct scene_reader *r, const struct fmt_mesh_steps *steps, void *arg,
-                         uint64_t *sequence, struct fmt_mesh_totals *totals)
-{
-    const struct fmt_scene *s = &r->scene;
-    int status = 0;
-    for (uint64_t v = 0; (v == 0 || v < s->vertex_count) && !status; v += BLOCK_ELEMENTS) {
-        const uint64_t count = smaller(s->vertex_count - v, BLOCK_ELEMENTS);
-        struct fmt_mesh_block block = {
-            .sequence = (*sequence)++,
-            .byte_size = v == 0 ? r->bytes : 0,
-            .byte_offset = v == 0 ? 0 : r->bytes,
-            .vertex_base = v,
-            .texcoord_base = v,
-            .normal_base = v,
-            .color_white = 1,
-            .missing_positions = count_missing(&s->positions[v][0], count, 3),
-            .missing_texcoords = count_missing(&s->texcoords[v][0], count, 2),
-            .material_at_start = FMT_MESH_NO_MATERIAL,
-        };
-        status = copy_vertices(r, v, count);
-        fmt_arrays_show(&r->arrays, &block);
-        if (!status)
-            status = deliver(r, steps, arg, &block, totals);
-    }
+    slot->color_white = 1;
+    slot->odd[STREAM_NO_POSITION].count = count_missing(&a->positions[0][0], count, 3);
+    slot->odd[STREAM_NO_TEXCOORD].count = count_missing(&a->texcoords[0][0], count, 2);
+done:
     return status;
 }
 
-/* Copies faces of a part to the arrays of a block. */
-static int copy_faces(struct scene_reader *r, const struct fmt_scene_part *part, uint64_t face,
-                      uint64_t face_count, uint64_t corner, uint64_t corner_count)
+static int copy_faces(struct stream_slot *slot)
 {
+    const struct fmt_scene *s = &((struct scene_file *)slot->source->data)->scene;
+    const uint32_t number = slot->part.kind - 1;
+    const struct fmt_scene_part *part = &s->parts[number];
+    const uint64_t corners = slot->part.size;
     const bool has[FMT_MESH_KIND_COUNT] = {[FMT_MESH_VERTEX] = true,
                                            [FMT_MESH_TEXCOORD] = part->has_texcoords,
                                            [FMT_MESH_NORMAL] = part->has_normals};
-    struct mesh_arrays *a = &r->arrays;
-    fmt_arrays_clear(a);
-    int status = fmt_arrays_reserve_faces(r->base.ctx, a, face_count);
-    for (int kind = 0; kind < FMT_MESH_KIND_COUNT && !status; kind++) {
-        a->has_corners[kind] = has[kind];
-        if (has[kind])
-            status =
-                fmt_arrays_reserve_corners(r->base.ctx, a, (enum fmt_mesh_kind)kind, corner_count);
-        if (has[kind] && !status)
-            memcpy(a->corners[kind], r->scene.corners + corner, corner_count * sizeof(uint64_t));
+    struct mesh_arrays *a = &slot->arrays;
+    int status;
+    BSQ_TRY(FMT_RESERVE(slot->ctx, slot->part.items, a->face_sizes, a->size_capacity));
+    BSQ_TRY(FMT_RESERVE(slot->ctx, 1, a->changes, a->change_capacity));
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
+        if (!(a->has_corners[kind] = has[kind]))
+            continue;
+        BSQ_TRY(FMT_RESERVE(slot->ctx, corners, a->corners[kind], a->corner_capacity[kind]));
+        memcpy(a->corners[kind], s->corners + slot->part.left, corners * sizeof(uint64_t));
     }
-    if (status)
-        return status;
-    memcpy(a->face_sizes, r->scene.face_sizes + face, face_count * sizeof *a->face_sizes);
-    a->face_count = face_count;
-    a->corner_count = corner_count;
-    return 0;
+    memcpy(a->face_sizes, s->face_sizes + slot->part.first_item,
+           slot->part.items * sizeof *a->face_sizes);
+    a->face_count = slot->part.items;
+    a->corner_count = corners;
+    a->change_count = 1;
+    a->changes[0].face = 0;
+    a->changes[0].material = slot->source->reader->objects        ? number
+                             : part->material < s->material_count ? part->material
+                                                                  : FMT_MESH_NO_MATERIAL;
+done:
+    return status;
 }
 
-static int read_faces(struct scene_reader *r, const struct fmt_scene_part *part,
-                      const struct fmt_mesh_steps *steps, void *arg, uint64_t *sequence,
-                      struct fmt_mesh_totals *totals)
+static int parse(struct stream_slot *slot)
 {
-    const struct fmt_scene *s = &r->scene;
-    uint64_t corner = part->first_corner;
-    int status = 0;
-    for (uint64_t f = part->first_face; f < part[1].first_face && !status;) {
-        struct fmt_mesh_block block = {
-            .sequence = (*sequence)++,
-            .byte_offset = r->bytes,
-            .vertex_base = s->vertex_count,
-            .texcoord_base = s->vertex_count,
-            .normal_base = s->vertex_count,
-            .face_base = f,
-            .material_at_start = r->base.objects ? (uint32_t)(part - s->parts) : part->material,
-        };
-        uint64_t corners = 0;
-        for (; f < part[1].first_face && corners < 3 * BLOCK_ELEMENTS; f++)
-            corners += s->face_sizes[f];
-        status = copy_faces(r, part, block.face_base, f - block.face_base, corner, corners);
-        fmt_arrays_show(&r->arrays, &block);
-        corner += corners;
-        if (!status)
-            status = deliver(r, steps, arg, &block, totals);
-    }
-    return status;
+    return slot->part.kind == 0 ? copy_vertices(slot) : copy_faces(slot);
+}
+
+static int pass(struct stream_slot *slot, struct fmt_mesh_totals *totals)
+{
+    const struct fmt_scene *s = &((struct scene_file *)slot->source->data)->scene;
+    fmt_stream_number_materials(slot);
+    totals->has_tangents |= s->has_tangents;
+    totals->split_vertices = true;
+    if (slot->part.kind == 0 && slot->part.first_item == 0)
+        totals->short_faces += s->short_faces;
+    return 0;
 }
 
 /* Returns how many meshes have a diffuse colour out of range, which describe_material() clamps.
@@ -293,145 +240,112 @@ static uint64_t count_clamped(const struct fmt_scene *s)
 }
 
 /* Warns of what is not read, or not finite. Colours matter only if the caller uses them. */
-static int warn_unread(const struct scene_reader *r)
+static int finish(struct stream_source *source, struct fmt_mesh_totals *totals)
 {
-    const struct fmt_scene *s = &r->scene;
-    const struct {
-        uint64_t count;
-        const char *what;
-    } kinds[] = {
-        {s->missing_positions + s->missing_texcoords + s->missing_normals,
+    const struct fmt_scene *s = &((struct scene_file *)source->data)->scene;
+    const bool colors = source->reader->uses_colors;
+    const struct stream_unread kinds[] = {
+        {s->missing_positions + s->missing_texcoords + s->missing_normals, true,
          "values are not finite and were left out"},
-        {r->uses_colors ? s->missing_colors : 0, "colours are not finite and were left out"},
-        {r->uses_colors ? s->inner_textures : 0,
+        {colors ? s->missing_colors : 0, true, "colours are not finite and were left out"},
+        {colors ? s->inner_textures : 0, true,
          "textures are inside of the file and are not read: save them and use --texture"},
-        {r->uses_colors ? s->turned_textures : 0,
+        {colors ? s->turned_textures : 0, true,
          "textures are turned, or use further texture coordinates, which is not applied"},
-        {r->uses_colors ? s->hidden_colors : 0,
+        {colors ? s->hidden_colors : 0, true,
          "meshes have a texture, so their vertex colours are not used"},
-        {r->uses_colors ? count_clamped(s) : 0,
+        {colors ? count_clamped(s) : 0, true,
          "meshes have a diffuse colour out of range, which was clamped"},
     };
-    int status = 0;
-    for (size_t i = 0; i < sizeof kinds / sizeof *kinds && !status; i++)
-        if (kinds[i].count > 0)
-            status = bsq_warn_loss(r->base.ctx, "%s: %" PRIu64 " %s", r->path, kinds[i].count,
-                                   kinds[i].what);
-    return status;
+    (void)totals;
+    if (source->reader->read_before)
+        return 0;
+    return fmt_stream_warn_unread(source, kinds, sizeof kinds / sizeof *kinds);
 }
 
-static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *steps, void *arg,
-                    struct fmt_mesh_totals *totals)
+static int estimate(const struct stream_source *source, uint64_t bytes, bool plain,
+                    struct fmt_mesh_estimate *out)
 {
-    struct scene_reader *r = (struct scene_reader *)base;
-    const struct fmt_scene *s = &r->scene;
-    uint64_t sequence = 0;
-    int status = read_vertices(r, steps, arg, &sequence, totals);
-    for (uint64_t i = 0; i < s->part_count && !status; i++)
-        status = read_faces(r, &s->parts[i], steps, arg, &sequence, totals);
-    totals->materials = (uint32_t)(base->objects ? s->part_count : s->material_count);
-    totals->short_faces = s->short_faces;
-    totals->has_tangents = s->has_tangents;
-    totals->split_vertices = true;
-    if (!status && !r->read_before)
-        status = warn_unread(r);
-    r->read_before |= status == 0;
-    return status;
-}
-
-static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate *out)
-{
-    const struct fmt_scene *s = &((const struct scene_reader *)base)->scene;
-    *out = (struct fmt_mesh_estimate){.vertices = s->vertex_count,
-                                      .texcoords = s->vertex_count,
-                                      .normals = s->vertex_count,
-                                      .faces = s->face_count,
-                                      .corners = s->corner_count,
-                                      .has_colors = s->colors != NULL,
-                                      .faces_come_last = true};
+    const struct fmt_scene *s = &((struct scene_file *)source->data)->scene;
+    (void)bytes, (void)plain;
+    out->vertices += s->vertex_count;
+    out->texcoords += s->vertex_count;
+    out->normals += s->vertex_count;
+    out->faces += s->face_count;
+    out->corners += s->corner_count;
+    out->has_colors |= s->colors != NULL;
     return 0;
 }
 
-static int locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_mesh_place *out)
-{
-    const struct scene_reader *r = (const struct scene_reader *)base;
-    (void)face; /* its number tells where it is */
-    *out = (struct fmt_mesh_place){.path = r->path, .from_zero = true};
-    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
-        out->count[kind] = r->scene.vertex_count;
-    return 0;
-}
+/* ---- materials ---- */
 
 /* Lists the parts with the names of their materials and objects. */
-static int list_parts(struct fmt_mesh_reader *base, struct fmt_materials *out)
+static int list_parts(struct stream_source *source, struct fmt_materials *out)
 {
-    const struct fmt_scene *s = &((const struct scene_reader *)base)->scene;
-    int status =
-        bsq_calloc(base->ctx, "materials", s->part_count + 1, sizeof *out->list, &out->list);
-    for (uint64_t i = 0; i < s->part_count && !status; i++, out->count++) {
+    const struct fmt_scene *s = &((struct scene_file *)source->data)->scene;
+    struct fmt_material *part;
+    int status = 0;
+    for (uint64_t i = 0; i < s->part_count; i++) {
         const uint32_t material = s->parts[i].material;
-        status = fmt_string_copy(base->ctx,
-                                 material < s->material_count ? s->materials[material].name : "",
-                                 &out->list[i].name);
-        if (!status)
-            status = fmt_string_copy(base->ctx, s->parts[i].object, &out->list[i].object);
+        BSQ_TRY(fmt_materials_add(source->ctx, out, &part));
+        BSQ_TRY(fmt_string_copy(source->ctx,
+                                material < s->material_count ? s->materials[material].name : "",
+                                &part->name));
+        BSQ_TRY(fmt_string_copy(source->ctx, s->parts[i].object, &part->object));
     }
-    if (status)
-        fmt_materials_free(base->ctx, out);
+done:
     return status;
 }
 
 /* Describes a material. Its texture is looked for beside the file, as those of MTL files are. */
-static int describe_material(const struct scene_reader *r, const struct fmt_scene_material *from,
-                             struct fmt_material *out)
+static int describe_material(const struct stream_source *source,
+                             const struct fmt_scene_material *from, struct fmt_material *out)
 {
-    struct bsq_ctx *ctx = r->base.ctx;
+    int status;
     for (int k = 0; k < 3; k++)
         out->diffuse[k] = fminf(fmaxf(from->diffuse[k], 0), 1);
     out->has_diffuse = from->has_diffuse;
     out->uv = from->uv;
-    int status = fmt_string_copy(ctx, from->name, &out->name);
-    if (!status && from->texture)
-        status = fmt_path_find(ctx, r->beside, from->texture, &out->texture_path, NULL);
-    if (!status && from->texture)
-        status = fmt_string_copy(ctx, r->path, &out->texture_place);
+    BSQ_TRY(fmt_string_copy(source->ctx, from->name, &out->name));
+    if (!from->texture)
+        return 0;
+    BSQ_TRY(fmt_path_find(source->ctx, fmt_input_beside(source->input), from->texture,
+                          &out->texture_path, NULL));
+    status = fmt_string_copy(source->ctx, source->path, &out->texture_place);
+done:
     return status;
 }
 
-static int list_materials(const struct scene_reader *r, struct fmt_materials *out)
+static int list_materials(struct stream_source *source, struct fmt_materials *out)
 {
-    const struct fmt_scene *s = &r->scene;
-    struct bsq_ctx *ctx = r->base.ctx;
-    int status = bsq_calloc(ctx, "materials", s->material_count + 1, sizeof *out->list, &out->list);
-    for (uint64_t i = 0; i < s->material_count && !status; i++)
-        status = describe_material(r, &s->materials[i], &out->list[out->count++]);
-    if (status)
-        fmt_materials_free(ctx, out);
+    const struct fmt_scene *s = &((struct scene_file *)source->data)->scene;
+    struct fmt_material *material;
+    int status = 0;
+    for (uint64_t i = 0; i < s->material_count; i++) {
+        BSQ_TRY(fmt_materials_add(source->ctx, out, &material));
+        BSQ_TRY(describe_material(source, &s->materials[i], material));
+    }
+done:
     return status;
 }
 
-static int read_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
+static int read_materials(struct stream_source *source, struct fmt_materials *out)
 {
-    return base->objects ? list_parts(base, out)
-                         : list_materials((const struct scene_reader *)base, out);
-}
-
-static int preview_materials(struct fmt_mesh_reader *base, struct fmt_materials *out)
-{
-    ((struct scene_reader *)base)->uses_colors = true;
-    return list_materials((const struct scene_reader *)base, out);
+    return source->reader->objects ? list_parts(source, out) : list_materials(source, out);
 }
 
 const struct fmt_mesh_format fmt_scene_format = {
     .name = "FBX, COLLADA or the like",
     .suffix = ".fbx .dae .3ds .x",
-    .single = true,
+    .data_bytes = sizeof(struct scene_file),
     .recognise = recognise,
-    .open = open_reader,
-    .close = close_reader,
-    .read = read_all,
+    .begin = begin,
+    .end = end,
+    .cut = cut,
+    .parse = parse,
+    .pass = pass,
+    .finish = finish,
     .estimate = estimate,
-    .locate_face = locate_face,
     .read_materials = read_materials,
-    .preview_materials = preview_materials,
+    .preview_materials = list_materials,
 };

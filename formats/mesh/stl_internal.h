@@ -6,7 +6,7 @@
 #ifndef FMT_MESH_STL_INTERNAL_H
 #define FMT_MESH_STL_INTERNAL_H
 
-#include "formats/mesh/mesh_stream.h"
+#include "formats/mesh/mesh_format.h"
 
 enum stl_kind {
     STL_TEXT,
@@ -19,31 +19,25 @@ enum stl_kind {
 #define STL_HEADER_BYTES   ((uint64_t)84)
 #define STL_TRIANGLE_BYTES ((uint64_t)50)
 
+/* What the reader keeps of a file: source->data. */
 struct stl_source {
     enum stl_kind kind;
     float object_color[3]; /* of STL_BINARY_MAGICS */
     uint64_t triangles;    /* of a binary file, by its size or its header */
-};
-
-struct stl_reader {
-    struct stream_reader stream; /* must be first */
-    struct stl_source *files;
-    int64_t open_solids; /* "solid" without "endsolid", of one reading */
-    bool read_before;    /* an earlier reading has given the warnings */
+    int64_t open_solids;   /* "solid" without "endsolid", of one reading */
 };
 
 /* ---- stl_weld.c ---- */
 
 /* Prepares slot->work and slot->arrays for a part of up to `most` vertices. */
-int fmt_stl_begin_weld(struct bsq_ctx *ctx, struct stream_slot *slot, uint64_t most);
+int fmt_stl_begin_weld(struct stream_slot *slot, uint64_t most);
 /* Returns the number, in the part, of the vertex at this position; adds it if it is new. position:
  * finite, or all NAN. color: NULL unless slot->arrays.has_colors. */
 uint64_t fmt_stl_weld(struct stream_slot *slot, const double position[3], const float *color);
 
 /* ---- stl_text.c ---- */
 
-int fmt_stl_cut_text(struct stream_reader *reader, const struct stream_part *before,
-                     struct stream_slot *slot);
-int fmt_stl_parse_text(struct bsq_ctx *ctx, struct stream_slot *slot);
+int fmt_stl_cut_text(const struct stream_part *before, struct stream_slot *slot);
+int fmt_stl_parse_text(struct stream_slot *slot);
 
 #endif

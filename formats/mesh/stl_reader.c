@@ -124,29 +124,19 @@ static int examine(struct bsq_ctx *ctx, const struct fmt_input *input, const cha
     return 0;
 }
 
-static int open_file(struct stream_reader *stream, uint32_t number)
+static int begin(struct stream_source *source)
 {
-    struct stl_reader *reader = (struct stl_reader *)stream;
-    struct bsq_ctx *ctx = reader->stream.base.ctx;
-    struct fmt_input *input = reader->stream.sources[number].input;
     char head[FMT_MESH_HEAD_BYTES];
     uint64_t size = 0;
-    int status = fmt_input_peek(input, head, sizeof head, &size);
-    return status ? status : examine(ctx, input, head, size, &reader->files[number]);
-}
-
-static void close_reader(struct fmt_mesh_reader *base)
-{
-    struct stl_reader *reader = (struct stl_reader *)base;
-    bsq_free(base->ctx, reader->files);
-    fmt_stream_free(&reader->stream);
+    int status = fmt_input_peek(source->input, head, sizeof head, &size);
+    return status ? status : examine(source->ctx, source->input, head, size, source->data);
 }
 
 /* ---- binary files ---- */
 
 /* Cuts after a number of triangles. What follows the last one becomes a part of its own. */
-static int cut_binary(const struct stl_source *file, const struct stream_source *source,
-                      const struct stream_part *before, struct stream_slot *slot)
+static int cut_binary(const struct stl_source *file, const struct stream_part *before,
+                      struct stream_slot *slot)
 {
     uint64_t file_size;
     struct stream_part *part = &slot->part;
@@ -158,7 +148,7 @@ static int cut_binary(const struct stl_source *file, const struct stream_source 
     part->size = part->items * STL_TRIANGLE_BYTES;
     part->end = part->offset + part->size;
     int status =
-        fmt_input_reach(source->input, part->items > 0 ? part->end : UINT64_MAX, &file_size);
+        fmt_input_reach(slot->source->input, part->items > 0 ? part->end : UINT64_MAX, &file_size);
     if (status || (part->items == 0 && part->offset >= file_size))
         return status;
     if (part->items == 0)
@@ -228,140 +218,92 @@ static bool add_triangle(const struct stl_source *file, struct stream_slot *slot
     return a->face_count++ != slot->last_face;
 }
 
-static int parse_binary(struct bsq_ctx *ctx, const struct stl_source *file,
-                        struct stream_slot *slot)
+static int parse_binary(const struct stl_source *file, struct stream_slot *slot)
 {
     struct mesh_arrays *a = &slot->arrays;
     const uint64_t count = slot->part.items;
+    int status;
     a->has_colors = any_color(file, slot);
     slot->color_white = 255.0f;
-    int status = fmt_stl_begin_weld(ctx, slot, 3 * count);
-    if (!status)
-        status = fmt_arrays_reserve_faces(ctx, a, count);
-    if (!status)
-        status = fmt_arrays_reserve_corners(ctx, a, FMT_MESH_VERTEX, 3 * count);
-    for (uint64_t i = 0; !status && i < count; i++)
+    BSQ_TRY(fmt_stl_begin_weld(slot, 3 * count));
+    BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->face_sizes, a->size_capacity));
+    BSQ_TRY(FMT_RESERVE(slot->ctx, 3 * count, a->corners[FMT_MESH_VERTEX],
+                        a->corner_capacity[FMT_MESH_VERTEX]));
+    for (uint64_t i = 0; i < count; i++)
         if (!add_triangle(file, slot, i))
             break;
+done:
     return status;
 }
 
 /* ---- reading ---- */
 
-static const struct stl_source *file_of(const struct stream_reader *reader, uint32_t number)
+static int cut(const struct stream_part *before, struct stream_slot *slot)
 {
-    return &((const struct stl_reader *)reader)->files[number];
+    const struct stl_source *file = slot->source->data;
+    return file->kind == STL_TEXT ? fmt_stl_cut_text(before, slot) : cut_binary(file, before, slot);
 }
 
-static int cut(struct stream_reader *reader, const struct stream_part *before,
-               struct stream_slot *slot)
+static int parse(struct stream_slot *slot)
 {
-    const struct stl_source *file = file_of(reader, before->source);
-    return file->kind == STL_TEXT
-               ? fmt_stl_cut_text(reader, before, slot)
-               : cut_binary(file, &reader->sources[before->source], before, slot);
-}
-
-static int parse(struct stream_reader *reader, struct stream_slot *slot)
-{
-    const struct stl_source *file = file_of(reader, slot->part.source);
-    slot->balance = 0;
-    int status = fmt_stream_load(reader, slot);
+    const struct stl_source *file = slot->source->data;
+    int status = fmt_stream_load(slot);
     if (status)
         return status;
-    return file->kind == STL_TEXT ? fmt_stl_parse_text(reader->base.ctx, slot)
-                                  : parse_binary(reader->base.ctx, file, slot);
+    return file->kind == STL_TEXT ? fmt_stl_parse_text(slot) : parse_binary(file, slot);
 }
 
 /* Makes indices count from the start of the file. Warns of bytes after the last triangle. */
-static int pass(struct stream_reader *base, struct stream_slot *slot,
-                struct fmt_mesh_totals *totals)
+static int pass(struct stream_slot *slot, struct fmt_mesh_totals *totals)
 {
-    struct stl_reader *reader = (struct stl_reader *)base;
-    const struct stl_source *file = file_of(base, slot->part.source);
-    const struct stream_source *source = &base->sources[slot->part.source];
+    const struct stream_source *source = slot->source;
+    struct stl_source *file = source->data;
     struct mesh_arrays *a = &slot->arrays;
     (void)totals;
-    reader->open_solids += slot->balance;
+    file->open_solids = slot->balance + (slot->part.offset > 0 ? file->open_solids : 0);
     for (uint64_t i = 0; i < a->corner_count; i++)
         a->corners[FMT_MESH_VERTEX][i] += source->count[FMT_MESH_VERTEX];
-    if (file->kind != STL_TEXT && slot->part.items == 0 && !reader->read_before)
-        return bsq_warn_loss(base->base.ctx,
-                             "%s: %" PRIu64 " bytes after the last triangle not read", source->path,
-                             slot->part.end - slot->part.offset);
+    if (file->kind != STL_TEXT && slot->part.items == 0 && !source->reader->read_before)
+        return bsq_warn_loss(source->ctx, "%s: %" PRIu64 " bytes after the last triangle not read",
+                             source->path, slot->part.end - slot->part.offset);
     return 0;
 }
 
-static int read_all(struct fmt_mesh_reader *base, const struct fmt_mesh_steps *steps, void *arg,
-                    struct fmt_mesh_totals *totals)
+static int finish(struct stream_source *source, struct fmt_mesh_totals *totals)
 {
-    struct stl_reader *reader = (struct stl_reader *)base;
-    reader->open_solids = 0;
-    int status = fmt_stream_read(&reader->stream, steps, arg, totals);
-    if (!status && reader->open_solids > 0 && !reader->read_before)
-        status = bsq_warn_loss(base->ctx, "%s: \"endsolid\" is missing: the file may be incomplete",
-                               reader->stream.sources[0].path);
-    reader->read_before |= status == 0;
-    return status;
-}
-
-static int locate_face(struct fmt_mesh_reader *base, uint64_t face, struct fmt_mesh_place *out)
-{
-    return fmt_stream_locate_face((struct stream_reader *)base, face, out);
+    const struct stl_source *file = source->data;
+    (void)totals;
+    if (file->kind != STL_TEXT || file->open_solids <= 0 || source->reader->read_before)
+        return 0;
+    return bsq_warn_loss(source->ctx, "%s: \"endsolid\" is missing: the file may be incomplete",
+                         source->path);
 }
 
 /* A triangle of text takes about 250 bytes. Vertices are counted as if none were equal. */
-static int estimate(const struct fmt_mesh_reader *base, struct fmt_mesh_estimate *out)
+static int estimate(const struct stream_source *source, uint64_t bytes, bool plain,
+                    struct fmt_mesh_estimate *out)
 {
-    const struct stl_reader *reader = (const struct stl_reader *)base;
-    *out = (struct fmt_mesh_estimate){.faces_come_last = false};
-    for (uint32_t i = 0; i < reader->stream.source_count; i++) {
-        const struct stl_source *file = &reader->files[i];
-        uint64_t bytes;
-        bool plain;
-        int status = fmt_input_guess(reader->stream.sources[i].input, &bytes, &plain);
-        if (status)
-            return status;
-        out->faces += file->kind == STL_TEXT ? bytes / 250 : file->triangles;
-        out->has_colors |= file->kind == STL_BINARY_MAGICS;
-    }
-    out->vertices = out->corners = 3 * out->faces;
+    const struct stl_source *file = source->data;
+    const uint64_t triangles = file->kind == STL_TEXT ? bytes / 250 : file->triangles;
+    (void)plain;
+    out->faces += triangles;
+    out->vertices += 3 * triangles;
+    out->corners += 3 * triangles;
+    out->has_colors |= file->kind == STL_BINARY_MAGICS;
+    out->faces_come_last = false;
     return 0;
-}
-
-/* ---- the format ---- */
-
-static int prepare(struct stream_reader *stream)
-{
-    struct stl_reader *reader = (struct stl_reader *)stream;
-    return bsq_calloc(stream->base.ctx, "STL files", stream->source_count, sizeof *reader->files,
-                      &reader->files);
-}
-
-static int open_reader(struct bsq_ctx *ctx, struct fmt_input *const *inputs, uint32_t input_count,
-                       struct fmt_mesh_reader **out)
-{
-    static const struct stream_format stream = {
-        .reader_name = "STL reader",
-        .reader_bytes = sizeof(struct stl_reader),
-        .prepare = prepare,
-        .begin = open_file,
-        .end = close_reader,
-        .cut = cut,
-        .parse = parse,
-        .pass = pass,
-    };
-    return fmt_stream_open(ctx, &stream, inputs, input_count, out);
 }
 
 const struct fmt_mesh_format fmt_stl_format = {
     .name = "STL",
     .suffix = ".stl",
+    .data_bytes = sizeof(struct stl_source),
     .recognise = recognise,
     .resembles = resembles,
-    .open = open_reader,
-    .close = close_reader,
-    .read = read_all,
+    .begin = begin,
+    .cut = cut,
+    .parse = parse,
+    .pass = pass,
+    .finish = finish,
     .estimate = estimate,
-    .locate_face = locate_face,
 };

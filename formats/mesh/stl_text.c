@@ -78,19 +78,17 @@ static uint64_t count_lines(const uint8_t *text, uint64_t size)
     return lines;
 }
 
-int fmt_stl_cut_text(struct stream_reader *reader, const struct stream_part *before,
-                     struct stream_slot *slot)
+int fmt_stl_cut_text(const struct stream_part *before, struct stream_slot *slot)
 {
-    struct bsq_ctx *ctx = reader->base.ctx;
     struct stream_part *part = &slot->part;
     uint64_t have = 0, size = 0, wanted = STREAM_PART_BYTES;
     bool at_file_end = false;
     part->offset = before->end;
     part->first_line = before->end == 0 ? 1 : before->first_line + before->lines;
     while (size == 0) {
-        int status = fmt_stream_extend(reader, slot, have, wanted, &have, &at_file_end);
+        int status = fmt_stream_extend(slot, have, wanted, &have, &at_file_end);
         if (!status)
-            status = bsq_check(ctx);
+            status = bsq_check(slot->ctx);
         if (status || (have == 0 && at_file_end))
             return status;
         size = at_file_end ? have : find_cut(slot->bytes, have);
@@ -182,7 +180,8 @@ static bool read_vertex(struct text *t)
     if (!finite)
         position[0] = position[1] = position[2] = NAN;
     const uint64_t corner = a->corner_count + t->size;
-    t->status = fmt_arrays_reserve_corners(t->ctx, a, FMT_MESH_VERTEX, corner + 1);
+    t->status = FMT_RESERVE(t->ctx, corner + 1, a->corners[FMT_MESH_VERTEX],
+                            a->corner_capacity[FMT_MESH_VERTEX]);
     if (t->status)
         return false;
     a->corners[FMT_MESH_VERTEX][corner] = fmt_stl_weld(t->slot, position, NULL);
@@ -200,7 +199,7 @@ static bool finish_loop(struct text *t)
         t->slot->short_faces++;
         return true;
     }
-    t->status = fmt_arrays_reserve_faces(t->ctx, a, a->face_count + 1);
+    t->status = FMT_RESERVE(t->ctx, a->face_count + 1, a->face_sizes, a->size_capacity);
     if (t->status || size > UINT32_MAX)
         return false;
     a->face_sizes[a->face_count] = (uint32_t)size;
@@ -247,15 +246,15 @@ static bool read_statement(struct text *t)
     return take(t, "endsolid") ? skip_name(t, -1) : fail_word(t, "a word of STL files");
 }
 
-int fmt_stl_parse_text(struct bsq_ctx *ctx, struct stream_slot *slot)
+int fmt_stl_parse_text(struct stream_slot *slot)
 {
     /* "vertex 0 0 0" takes 13 bytes. */
-    int status = fmt_stl_begin_weld(ctx, slot, slot->part.size / 13 + 1);
+    int status = fmt_stl_begin_weld(slot, slot->part.size / 13 + 1);
     if (status)
         return status;
     memset(slot->bytes + slot->part.size, 0, STREAM_PADDING);
     slot->bytes[slot->part.size] = '\n';
-    struct text t = {.ctx = ctx,
+    struct text t = {.ctx = slot->ctx,
                      .slot = slot,
                      .at = (const char *)slot->bytes,
                      .end = (const char *)slot->bytes + slot->part.size,
@@ -264,7 +263,7 @@ int fmt_stl_parse_text(struct bsq_ctx *ctx, struct stream_slot *slot)
     if (slot->part.offset == 0)
         t.at += fmt_mesh_mark(t.at, slot->part.size);
     for (uint64_t i = 0; more && next_word(&t); i++) {
-        if (i % STATEMENTS_A_CHECK == 0 && (t.status = bsq_check(ctx)) != 0)
+        if (i % STATEMENTS_A_CHECK == 0 && (t.status = bsq_check(slot->ctx)) != 0)
             return t.status;
         more = read_statement(&t);
     }

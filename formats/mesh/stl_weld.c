@@ -14,27 +14,25 @@ struct weld {
     uint32_t slots[];
 };
 
-int fmt_stl_begin_weld(struct bsq_ctx *ctx, struct stream_slot *slot, uint64_t most)
+int fmt_stl_begin_weld(struct stream_slot *slot, uint64_t most)
 {
+    struct mesh_arrays *a = &slot->arrays;
     uint64_t entries = 1024;
+    int status;
     while (entries < 2 * most)
         entries *= 2;
     if (most > UINT32_MAX / 2)
-        return bsq_fail(ctx, BSQ_ENOMEM, "a part of an STL file has too many vertices");
-    const uint64_t bytes = sizeof(struct weld) + entries * sizeof(uint32_t);
-    int status = 0;
-    if (bytes > slot->work_capacity)
-        status = bsq_grow(ctx, "vertices", bytes, 1, &slot->work, &slot->work_capacity);
-    if (!status)
-        status = fmt_arrays_reserve_positions(ctx, &slot->arrays, most);
-    if (!status && slot->arrays.has_colors)
-        status = fmt_arrays_reserve_colors(ctx, &slot->arrays, most);
-    if (status)
-        return status;
+        return bsq_fail(slot->ctx, BSQ_ENOMEM, "a part of an STL file has too many vertices");
+    BSQ_TRY(FMT_RESERVE(slot->ctx, sizeof(struct weld) + entries * sizeof(uint32_t), slot->work,
+                        slot->work_capacity));
+    BSQ_TRY(FMT_RESERVE(slot->ctx, most, a->positions, a->position_capacity));
+    if (a->has_colors)
+        BSQ_TRY(FMT_RESERVE(slot->ctx, most, a->colors, a->color_capacity));
     struct weld *weld = (struct weld *)(void *)slot->work;
     weld->mask = entries - 1;
     memset(weld->slots, 0, entries * sizeof(uint32_t));
-    return 0;
+done:
+    return status;
 }
 
 static uint64_t hash_position(const double position[3])
@@ -69,7 +67,7 @@ uint64_t fmt_stl_weld(struct stream_slot *slot, const double position[3], const 
         i = (i + 1) & weld->mask;
     }
     const uint64_t vertex = a->count[FMT_MESH_VERTEX]++;
-    slot->missing_positions += isnan(position[0]);
+    slot->odd[STREAM_NO_POSITION].count += isnan(position[0]);
     if (weld->slots[i] == 0)
         weld->slots[i] = (uint32_t)vertex + 1;
     memcpy(a->positions[vertex], position, sizeof a->positions[vertex]);

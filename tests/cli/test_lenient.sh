@@ -141,6 +141,8 @@ warns 'odd.obj:6: lines with statements that are not of the format: 2; this is t
 
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nusemap off\nf 1 2 3\nusemap wood.png\nf 3 2 1\n' >usemap.obj
 warns 'usemap.obj:6: usemap statements, whose textures are not read (see --texture): 1; this is the first' usemap.obj
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nusemap \\\noff\nodd one\n' >continued.obj
+warns 'continued.obj:7: lines with statements that are not of the format: 1; this is the first' continued.obj
 
 # Faces that cannot use their texture: all of them, some, and none.
 texture=red.ppm

@@ -240,7 +240,7 @@ sed 's/^property list uchar float texcoord/&\nproperty int texnumber/
     s/^element face 2/element face 5/' texture.ply >beyond.ply
 run bisque-voxelize beyond.ply -o beyond.nvdb --resolution 16
 code 0
-grep -qxF 'bisque-voxelize: warning: beyond.ply:20: faces whose texnumber, from 0, is not below the number of textures that the file names, 1; they have no texture: 2; this is the first' "$err"
+grep -qxF 'bisque-voxelize: warning: beyond.ply:20: faces whose texnumber, from 0, is not below the number of textures that the file names; they have no texture: 2; this is the first' "$err"
 check 'a warning of textures beyond the file' $?
 run bisque-voxelize beyond.ply -o beyond.nvdb --resolution 16 --strict
 code 65
@@ -303,7 +303,14 @@ sed 's/"pbrMetallicRoughness": {/&"baseColorFactor": [1, 0.5, 1, 1], /' beside.g
 sed 's/"nodes": \[{"mesh": 0}/&, {"mesh": 0}/' beside.gltf >outside.gltf
 jq '.meshes += .meshes' beside.gltf >unplaced.gltf
 jq '.meshes[0].primitives += [{"attributes": {}}]' beside.gltf >bare.gltf
-for case in 'unplaced.gltf meshes are at no node and are not read' 'bare.gltf primitives without positions are not read' \
+jq '.meshes[0].primitives[0].attributes.COLOR_1 = 0' beside.gltf >color_1.gltf
+jq '.nodes[0].extensions = {"KHR_node_visibility": {"visible": false}}' beside.gltf >hidden.gltf
+jq '.meshes[0].primitives[0].extensions = {"KHR_materials_variants": {"mappings": []}}' beside.gltf \
+    >variants.gltf
+for case in 'color_1.gltf primitives have COLOR_1 or the like without COLOR_0, which is not read' \
+    'hidden.gltf nodes are hidden by KHR_node_visibility, but are read' \
+    'variants.gltf primitives have KHR_materials_variants, of which only the first material is read' \
+    'unplaced.gltf meshes are at no node and are not read' 'bare.gltf primitives without positions are not read' \
     'packed.glb.gz textures are inside of a packed file or a pipe: unpack it' \
     'web.gltf textures have a format or an address that is not read' \
     'basisu.gltf textures have a format or an address that is not read' \

@@ -44,7 +44,7 @@ end_header
 END
 $vox faces.ply -o other.nvdb
 code 0
-[ "$(cat "$err")" = "$p warning: faces.ply: colours out of range were clamped at 1 face; real numbers range to 1" ]
+[ "$(cat "$err")" = "$p warning: faces.ply: 1 colours of faces are out of range and were clamped; real numbers range to 1" ]
 check "colours of faces out of range" $?
 
 # Factors beyond all colours make no damaged files.

@@ -118,7 +118,7 @@ void obj_read_text(struct obj_fixture *f, const char *text)
 uint64_t obj_line_of_face(const struct obj_fixture *f, uint64_t face)
 {
     struct fmt_mesh_place place;
-    assert_int_equal(f->reader->format->locate_face(f->reader, face, &place), 0);
+    assert_int_equal(fmt_stream_locate_face(f->reader, face, &place), 0);
     return place.line;
 }
 

@@ -1,0 +1,216 @@
+/* mesh_material.c - lists of materials, for all formats, and tables of their names. */
+#include <string.h>
+#include <xxhash.h>
+
+#include "formats/mesh/mesh_format.h"
+#include "formats/mesh/mesh_text.h"
+
+/* ---- the materials of a scan ---- */
+
+/* Moves the materials of a file to their numbers over the scan. */
+static void place_materials(const struct stream_source *source, struct fmt_materials *own,
+                            struct fmt_materials *out)
+{
+    for (uint32_t i = 0; i < own->count && i < source->number_count; i++) {
+        out->list[source->numbers[i]] = own->list[i];
+        own->list[i] = (struct fmt_material){0};
+    }
+}
+
+int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out)
+{
+    struct fmt_materials own = {0};
+    int status = 0;
+    memset(out, 0, sizeof *out);
+    if (reader->material_count > 0)
+        BSQ_TRY(bsq_calloc(reader->ctx, "a list of materials and of colours of faces",
+                           reader->material_count, sizeof *out->list, &out->list));
+    out->count = (uint32_t)reader->material_count;
+    for (uint32_t i = 0; i < reader->source_count; i++) {
+        struct stream_source *source = &reader->sources[i];
+        if (!source->format->read_materials)
+            continue;
+        BSQ_TRY(bsq_check(reader->ctx));
+        BSQ_TRY(source->format->read_materials(source, &own));
+        place_materials(source, &own, out);
+        fmt_materials_free(reader->ctx, &own);
+    }
+    status = fmt_obj_finish_materials(reader);
+done:
+    fmt_materials_free(reader->ctx, &own);
+    if (status)
+        fmt_materials_free(reader->ctx, out);
+    return status;
+}
+
+int fmt_mesh_preview_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out)
+{
+    int status = 0;
+    memset(out, 0, sizeof *out);
+    reader->uses_colors = reader->warns_of_materials = true;
+    for (uint32_t i = 0; i < reader->source_count && !status; i++)
+        if (reader->sources[i].format->preview_materials)
+            status = reader->sources[i].format->preview_materials(&reader->sources[i], out);
+    if (status)
+        fmt_materials_free(reader->ctx, out);
+    return status;
+}
+
+int fmt_materials_add(struct bsq_ctx *ctx, struct fmt_materials *list, struct fmt_material **out)
+{
+    if (list->count == UINT32_MAX - 1)
+        return bsq_fail(ctx, BSQ_EDATA, "too many materials");
+    int status = FMT_RESERVE(ctx, list->count + UINT64_C(1), list->list, list->capacity);
+    if (status)
+        return status;
+    *out = &list->list[list->count++];
+    **out = (struct fmt_material){.diffuse = {0.8f, 0.8f, 0.8f}};
+    return 0;
+}
+
+/* ---- one material ---- */
+
+int fmt_channels_copy(struct bsq_ctx *ctx, const struct fmt_material_channel *from, uint32_t count,
+                      struct fmt_material *out)
+{
+    int status = 0;
+    if (count > 0)
+        BSQ_TRY(bsq_calloc(ctx, "materials", count, sizeof *out->channels, &out->channels));
+    for (uint32_t i = 0; i < count; i++) {
+        struct fmt_material_channel *copy = &out->channels[out->channel_count++];
+        *copy = from[i];
+        copy->texture_path = copy->texture_place = NULL;
+        BSQ_TRY(fmt_string_copy(ctx, from[i].texture_path, &copy->texture_path));
+        BSQ_TRY(fmt_string_copy(ctx, from[i].texture_place, &copy->texture_place));
+    }
+done:
+    return status;
+}
+
+int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
+                      struct fmt_material *out)
+{
+    int status;
+    *out = *from;
+    out->name = out->texture_path = out->texture_place = out->object = NULL;
+    out->channels = NULL;
+    out->channel_count = 0;
+    BSQ_TRY(fmt_string_copy(ctx, from->name, &out->name));
+    BSQ_TRY(fmt_string_copy(ctx, from->texture_path, &out->texture_path));
+    BSQ_TRY(fmt_string_copy(ctx, from->texture_place, &out->texture_place));
+    status = fmt_channels_copy(ctx, from->channels, from->channel_count, out);
+done:
+    return status;
+}
+
+void fmt_channels_free(struct bsq_ctx *ctx, struct fmt_material_channel *list, uint32_t count)
+{
+    for (uint32_t i = 0; i < count; i++) {
+        bsq_free(ctx, list[i].texture_path);
+        bsq_free(ctx, list[i].texture_place);
+    }
+    bsq_free(ctx, list);
+}
+
+void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials)
+{
+    for (uint32_t i = 0; i < materials->count; i++) {
+        bsq_free(ctx, materials->list[i].name);
+        bsq_free(ctx, materials->list[i].texture_path);
+        bsq_free(ctx, materials->list[i].texture_place);
+        bsq_free(ctx, materials->list[i].object);
+        fmt_channels_free(ctx, materials->list[i].channels, materials->list[i].channel_count);
+    }
+    bsq_free(ctx, materials->list);
+    memset(materials, 0, sizeof *materials);
+}
+
+int fmt_material_enter_channel(struct bsq_ctx *ctx, struct fmt_material *material,
+                               const struct bsq_channel *channel, struct fmt_material_channel **out)
+{
+    uint64_t capacity = material->channel_count; /* materials have few channels */
+    for (uint32_t i = 0; i < material->channel_count; i++)
+        if (material->channels[i].channel == channel) {
+            *out = &material->channels[i];
+            return 0;
+        }
+    int status = bsq_grow(ctx, "materials", material->channel_count + UINT64_C(1),
+                          sizeof *material->channels, &material->channels, &capacity);
+    if (status)
+        return status;
+    *out = &material->channels[material->channel_count++];
+    **out = (struct fmt_material_channel){
+        .channel = channel, .value = {channel->usual, channel->usual, channel->usual}};
+    return 0;
+}
+
+/* ---- tables of names ---- */
+
+/* Returns the slot that holds the name, or the empty slot for it. */
+static uint32_t *find_slot(const struct mesh_names *names, uint64_t key, const char *text)
+{
+    uint64_t i = XXH3_64bits_withSeed(text, strlen(text), key) & (names->slot_count - 1);
+    for (;; i = (i + 1) & (names->slot_count - 1)) {
+        uint32_t *slot = &names->slots[i];
+        if (*slot == 0)
+            return slot;
+        const struct mesh_name *entry = &names->list[*slot - 1];
+        if (entry->key == key && !strcmp(entry->text ? entry->text : "", text))
+            return slot;
+    }
+}
+
+/* Keeps the table at most half full. */
+static int make_slots(struct bsq_ctx *ctx, struct mesh_names *names)
+{
+    if (names->slot_count > 2 * names->count)
+        return 0;
+    uint64_t slot_count = names->slot_count ? 4 * names->slot_count : 64;
+    uint32_t *slots;
+    int status = bsq_calloc(ctx, "names", slot_count, sizeof *slots, &slots);
+    if (status)
+        return status;
+    bsq_free(ctx, names->slots);
+    names->slots = slots;
+    names->slot_count = slot_count;
+    for (uint64_t i = 0; i < names->count; i++) {
+        const struct mesh_name *name = &names->list[i];
+        *find_slot(names, name->key, name->text ? name->text : "") = (uint32_t)(i + 1);
+    }
+    return 0;
+}
+
+int fmt_names_enter(struct bsq_ctx *ctx, struct mesh_names *names, uint64_t key, const char *text,
+                    uint32_t *number)
+{
+    int status;
+    BSQ_TRY(make_slots(ctx, names));
+    uint32_t *slot = find_slot(names, key, text);
+    if (*slot == 0) {
+        struct mesh_name name = {.key = key};
+        if (names->count == UINT32_MAX - 1)
+            return bsq_fail(ctx, BSQ_EDATA, "more than %u materials", UINT32_MAX - 1);
+        BSQ_TRY(FMT_RESERVE(ctx, names->count + 1, names->list, names->capacity));
+        if (*text)
+            BSQ_TRY(fmt_string_copy(ctx, text, &name.text));
+        names->list[names->count++] = name;
+        *slot = (uint32_t)names->count;
+    }
+    *number = *slot - 1;
+done:
+    return status;
+}
+
+uint32_t fmt_names_find(const struct mesh_names *names, uint64_t key, const char *text)
+{
+    return names->slot_count > 0 ? *find_slot(names, key, text) - 1 : UINT32_MAX;
+}
+
+void fmt_names_free(struct bsq_ctx *ctx, struct mesh_names *names)
+{
+    for (uint64_t i = 0; i < names->count; i++)
+        bsq_free(ctx, names->list[i].text);
+    bsq_free(ctx, names->list);
+    bsq_free(ctx, names->slots);
+    memset(names, 0, sizeof *names);
+}
