@@ -241,25 +241,6 @@ int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint
 int bake_find_channels(struct bsq_ctx *ctx, const struct bake_options *options,
                        int (*fn)(void *arg, const char *name), void *arg);
 
-/** Returns the file name of a map: output_path with "<MAP>" replaced by its name. The caller frees
- * it with free(). Returns NULL if there is no memory. */
-char *bake_map_path(const char *output_path, enum bake_map map);
-/** Does the same for the transfer map of this name. */
-char *bake_transfer_path(const char *output_path, const char *name);
-
-/** Returns output_path with "<OBJECT>" and "<MATERIAL>" replaced by names; characters that could
- * lead to another folder become '_'. NULL keeps a token. The caller frees it with free(). Returns
- * NULL if there is no memory. */
-char *bake_object_path(const char *output_path, const char *object, const char *material);
-
-/** Returns output_path with "<UDIM>" and "<UVTILE>" replaced for a tile. The caller frees it with
- * free(). Returns NULL if there is no memory. */
-char *bake_tile_path(const char *output_path, uint32_t tile);
-
-/** Finds the size of the maps of a tile in texels. */
-void bake_tile_size_of(const struct bake_options *options, uint32_t tile, uint32_t *width,
-                       uint32_t *height);
-
 /** Fills in the defaults: default maps, 2048 x 2048 texels, 2 x 2 samples, automatic ray lengths,
  * 16 texels of padding, tangent space, any device. */
 void bake_defaults(struct bake_options *options);
@@ -294,6 +275,20 @@ struct bake_baked_tile {
     char *object;    /**< The name for "<OBJECT>", or NULL. */
     char *material;  /**< The name for "<MATERIAL>", or NULL. */
 };
+
+/** A file of a map. */
+struct bake_file {
+    const char *path;
+    const char *map; /**< Name of the map. */
+    unsigned number; /**< Of the map, see bake_map_name(); BAKE_MAX_MAPS for transfer maps. */
+};
+
+/** Calls `fn` with `arg` for the file of each map in a tile; NULL: with the tokens of tiles,
+ * objects and materials in the path. bake_find_maps() must have set the maps. A status of `fn`
+ * below 0 ends the list and is returned. Errors: BSQ_ENOMEM. */
+int bake_list_files(struct bsq_ctx *ctx, const struct bake_options *options,
+                    const struct bake_baked_tile *tile,
+                    int (*fn)(void *arg, const struct bake_file *file), void *arg);
 
 /** A region of the scan in BAKE_MAP_ID. */
 struct bake_id {

@@ -480,7 +480,7 @@ static int list_outputs(const struct bake_farm_plan *plan, char ***out, uint64_t
         free(set);
         for (unsigned i = 0; i < bake_selection_end(maps); i++)
             if (tile && bake_has_file(options, maps, i))
-                failed |= !(paths[(*count)++] = bake_transfer_path(tile, bake_name_of(options, i)));
+                failed |= !(paths[(*count)++] = bake_map_path(tile, bake_name_of(options, i)));
         failed |= tile == NULL;
         free(tile);
     }

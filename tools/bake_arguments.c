@@ -64,8 +64,8 @@ static int refuse_map(struct cli *cli, const char *word)
 {
     char names[512] = "";
     size_t length = 0;
-    for (unsigned i = 0; i < 2 * MOST_MAPS; i++) { /* names, then other names */
-        const char *name = i < MOST_MAPS ? bake_map_name(i) : bake_map_alias(i - MOST_MAPS);
+    for (unsigned i = 0; i < 2 * BAKE_MAX_MAPS; i++) { /* names, then other names */
+        const char *name = i < BAKE_MAX_MAPS ? bake_map_name(i) : bake_map_alias(i - BAKE_MAX_MAPS);
         if (name)
             length += (size_t)snprintf(names + length, sizeof names - length, "%s, ", name);
     }

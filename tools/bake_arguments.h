@@ -5,7 +5,7 @@
 #include "libbake/bake.h"
 #include "tools/cli_tasks.h"
 
-enum { MOST_MAPS = BAKE_MAX_MAPS, BAKE_MOST_ROWS = 64 };
+enum { BAKE_MOST_ROWS = 64 };
 
 /* A list of transfer maps; the names are owned. */
 struct bake_transfers {

@@ -9,81 +9,61 @@ enum { HINT_PERCENT = 5 };
 
 /* ---- devices and tiles ---- */
 
-/* A list that a callback prints. */
-struct listing {
-    json_t *json; /* NULL: print lines */
-    bool failed;
-};
-
-/* Adds an entry, which may be NULL, and takes it. */
-static void add_entry(struct listing *list, json_t *entry)
-{
-    if (!entry || json_array_append_new(list->json, entry) != 0)
-        list->failed = true;
-}
-
-/* Prints a list as JSON under `name`, if JSON is asked for, and frees it. */
-static int end_listing(struct cli *cli, struct listing *list, int status, const char *name)
+/* Prints a list that callbacks filled as JSON under `name`; NULL: as lines, which they printed. */
+static int end_listing(struct cli *cli, json_t *list, int status, const char *name)
 {
     if (cli->json && status == 0)
-        status = cli_print_json(cli, list->failed ? NULL : json_pack("{s:O}", name, list->json));
-    json_decref(list->json);
+        return cli_print_json(cli, json_pack("{s:o}", name, list));
+    json_decref(list);
     return status;
 }
+
+struct listing {
+    const struct cli *cli;
+    json_t *json;
+};
 
 static void list_device(void *arg, const struct bake_device_info *device)
 {
     struct listing *list = arg;
     char memory[CLI_TEXT];
-    if (!list->json) {
+    if (list->cli->json)
+        cli_json_append(&list->json,
+                        json_pack("{s:o, s:o, s:I, s:b}", "id", cli_json_text(device->id), "name",
+                                  cli_json_text(device->name), "memory_bytes",
+                                  (json_int_t)device->memory_bytes, "is_gpu", (int)device->is_gpu));
+    else
         cli_print("%-10s  %s, %s\n", device->id, device->name,
                   cli_size_text(device->memory_bytes, memory));
-        return;
-    }
-    add_entry(list, json_pack("{s:o, s:o, s:I, s:b}", "id", cli_json_text(device->id), "name",
-                              cli_json_text(device->name), "memory_bytes",
-                              (json_int_t)device->memory_bytes, "is_gpu", (int)device->is_gpu));
 }
 
 int bake_report_devices(struct cli *cli)
 {
-    struct listing list = {.json = cli->json ? json_array() : NULL};
+    struct listing list = {cli, cli->json ? json_array() : NULL};
     int status = bake_list_devices(cli->ctx, list_device, &list);
-    return end_listing(cli, &list, status, "devices");
+    return end_listing(cli, list.json, status, "devices");
 }
 
 static void list_tile(void *arg, const struct bake_tile_info *tile)
 {
     struct listing *list = arg;
-    if (!list->json) {
+    if (list->cli->json)
+        cli_json_append(&list->json,
+                        json_pack("{s:i, s:i, s:i, s:I}", "tile", (int)tile->tile, "width",
+                                  (int)tile->width, "height", (int)tile->height, "triangles",
+                                  (json_int_t)tile->triangles));
+    else
         cli_print("%u\n", tile->tile);
-        return;
-    }
-    json_t *entry =
-        json_pack("{s:i, s:i, s:i, s:I}", "tile", (int)tile->tile, "width", (int)tile->width,
-                  "height", (int)tile->height, "triangles", (json_int_t)tile->triangles);
-    if (json_array_append_new(list->json, entry) != 0)
-        list->failed = true;
 }
 
 int bake_report_tiles(struct cli *cli, const struct bake_options *options)
 {
-    struct listing list = {.json = cli->json ? json_array() : NULL};
+    struct listing list = {cli, cli->json ? json_array() : NULL};
     int status = bake_list_tiles(cli->ctx, options, list_tile, &list);
-    return end_listing(cli, &list, status, "tiles");
+    return end_listing(cli, list.json, status, "tiles");
 }
 
 /* ---- maps ---- */
-
-uint32_t bake_path_count(const struct bake_options *bake)
-{
-    return MOST_MAPS + bake->transfer_count;
-}
-
-const char *bake_path_name(const struct bake_options *bake, unsigned number)
-{
-    return number < MOST_MAPS ? bake_map_name(number) : bake->transfers[number - MOST_MAPS].name;
-}
 
 static double percent(uint64_t part, uint64_t whole)
 {
@@ -145,42 +125,21 @@ static void print_coverage(const struct bake_arguments *arguments, const struct 
                                    sets ? "files of a map" : "tiles", tiles));
 }
 
-static void print_map(const char *path, const char *name,
-                      const struct bake_value_encoding *encoding)
+static int print_map(void *arg, const struct bake_file *file)
 {
-    cli_print("%s: %s map", path, name);
-    if (encoding->unit)
-        cli_print(", range %g (%s)", encoding->range, encoding->unit);
+    const struct bake_report *report = (const struct bake_report *)arg;
+    cli_print("%s: %s map", file->path, file->map);
+    if (file->number < BAKE_MAX_MAPS && report->encodings[file->number].unit)
+        cli_print(", range %g (%s)", report->encodings[file->number].range,
+                  report->encodings[file->number].unit);
     putchar('\n');
+    return 0;
 }
 
-/* Returns the path of a map in a tile; the caller frees it. NULL: no path, or no memory. */
-static char *tile_path(const char *path, const struct bake_baked_tile *tile)
+static int print_report(const struct cli *cli, const struct bake_arguments *arguments,
+                        struct bake_report *report)
 {
-    char *named = path ? bake_object_path(path, tile->object, tile->material) : NULL;
-    char *out = named ? bake_tile_path(named, tile->tile) : NULL;
-    free(named);
-    return out;
-}
-
-/* Prints the file of each map and tile. */
-static void print_maps(const struct bake_options *bake, const struct bake_report *report,
-                       char *const *paths)
-{
-    static const struct bake_value_encoding none = {0};
-    for (uint32_t t = 0; t < report->tile_count; t++)
-        for (unsigned i = 0; i < bake_path_count(bake); i++) {
-            char *path = tile_path(paths[i], &report->tiles[t]);
-            if (path)
-                print_map(path, bake_path_name(bake, i),
-                          i < MOST_MAPS ? &report->encodings[i] : &none);
-            free(path);
-        }
-}
-
-static void print_report(const struct cli *cli, const struct bake_arguments *arguments,
-                         const struct bake_report *report, char *const *paths)
-{
+    int status = 0;
     const struct bake_options *bake = &arguments->bake;
     char samples[CLI_TEXT], misses[CLI_TEXT];
     print_coverage(arguments, report);
@@ -202,7 +161,8 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
               cli_counted_text(report->samples, "sample", "samples", samples),
               cli_count_text(report->misses, misses), percent(report->misses, report->samples),
               report->front, report->back, report->device);
-    print_maps(bake, report, paths);
+    for (uint32_t i = 0; i < report->tile_count; i++)
+        BSQ_TRY(bake_list_files(cli->ctx, bake, &report->tiles[i], print_map, report));
     if (bake->preview_path)
         cli_print("%s: preview\n", bake->preview_path);
     cli_print(
@@ -221,40 +181,39 @@ static void print_report(const struct cli *cli, const struct bake_arguments *arg
         cli_print("passes: %s, because the grid is larger than the usable memory of the device\n",
                   cli_count_text(report->passes, samples));
     cli_print_cost(cli);
+done:
+    return status;
+}
+
+static int add_path(void *arg, const struct bake_file *file)
+{
+    cli_json_set(arg, file->map, cli_json_text(file->path));
+    return 0;
 }
 
 /* Returns an object with the file of each map; tile NULL: with all tokens but that of the map.
  * NULL: no memory. */
-static json_t *maps_json(const struct bake_options *bake, char *const *paths,
+static json_t *maps_json(const struct cli *cli, const struct bake_options *bake,
                          const struct bake_baked_tile *tile)
 {
     json_t *maps = json_object();
-    for (unsigned i = 0; maps && i < bake_path_count(bake); i++) {
-        char *path = !paths[i] ? NULL : tile ? tile_path(paths[i], tile) : strdup(paths[i]);
-        if (paths[i] && (!path || json_object_set_new(maps, bake_path_name(bake, i),
-                                                      cli_json_text(path)) != 0)) {
-            json_decref(maps);
-            maps = NULL;
-        }
-        free(path);
-    }
-    return maps;
+    if (bake_list_files(cli->ctx, bake, tile, add_path, &maps) == 0)
+        return maps;
+    json_decref(maps);
+    return NULL;
 }
 
-static json_t *tiles_json(const struct bake_options *bake, const struct bake_report *report,
-                          char *const *paths)
+static json_t *tiles_json(const struct cli *cli, const struct bake_options *bake,
+                          const struct bake_report *report)
 {
     json_t *tiles = json_array();
-    for (uint32_t i = 0; tiles && i < report->tile_count; i++) {
+    for (uint32_t i = 0; i < report->tile_count; i++) {
         const struct bake_baked_tile *tile = &report->tiles[i];
-        json_t *entry = json_pack(
-            "{s:i, s:i, s:i, s:o, s:o, s:o}", "tile", (int)tile->tile, "width", (int)tile->width,
-            "height", (int)tile->height, "object", cli_json_text(tile->object), "material",
-            cli_json_text(tile->material), "maps", maps_json(bake, paths, tile));
-        if (json_array_append_new(tiles, entry) != 0) {
-            json_decref(tiles);
-            tiles = NULL;
-        }
+        cli_json_append(&tiles, json_pack("{s:i, s:i, s:i, s:o, s:o, s:o}", "tile", (int)tile->tile,
+                                          "width", (int)tile->width, "height", (int)tile->height,
+                                          "object", cli_json_text(tile->object), "material",
+                                          cli_json_text(tile->material), "maps",
+                                          maps_json(cli, bake, tile)));
     }
     return tiles;
 }
@@ -278,14 +237,9 @@ static json_t *encoding_json(const struct bake_value_encoding *encoding)
 static json_t *encodings_json(const struct bake_report *report)
 {
     json_t *encodings = json_object();
-    for (unsigned i = 0; encodings && bake_map_name(i); i++) {
-        const struct bake_value_encoding *encoding = &report->encodings[i];
-        if (encoding->unit &&
-            json_object_set_new(encodings, bake_map_name(i), encoding_json(encoding)) != 0) {
-            json_decref(encodings);
-            encodings = NULL;
-        }
-    }
+    for (unsigned i = 0; bake_map_name(i); i++)
+        if (report->encodings[i].unit)
+            cli_json_set(&encodings, bake_map_name(i), encoding_json(&report->encodings[i]));
     return encodings;
 }
 
@@ -293,11 +247,8 @@ static json_t *encodings_json(const struct bake_report *report)
 static json_t *paths_json(const char *first, const char *const *more, uint32_t count)
 {
     json_t *paths = json_array();
-    for (uint32_t i = 0; paths && i <= count; i++)
-        if (json_array_append_new(paths, cli_json_text(i ? more[i - 1] : first)) != 0) {
-            json_decref(paths);
-            paths = NULL;
-        }
+    for (uint32_t i = 0; i <= count; i++)
+        cli_json_append(&paths, cli_json_text(i ? more[i - 1] : first));
     return paths;
 }
 
@@ -305,25 +256,21 @@ static json_t *paths_json(const char *first, const char *const *more, uint32_t c
 static json_t *ids_json(const struct bake_report *report)
 {
     json_t *names = json_array();
-    if (!report->id_source) {
-        json_decref(names);
-        return json_null();
-    }
-    for (uint64_t i = 0; names && i < report->id_count; i++) {
+    for (uint64_t i = 0; i < report->id_count; i++) {
         const struct bake_id *id = &report->ids[i];
         char color[8];
         snprintf(color, sizeof color, "#%02x%02x%02x", id->color[0], id->color[1], id->color[2]);
-        if (json_array_append_new(names, json_pack("{s:o, s:s}", "name", cli_json_text(id->name),
-                                                   "color", color)) != 0) {
-            json_decref(names);
-            names = NULL;
-        }
+        cli_json_append(&names,
+                        json_pack("{s:o, s:s}", "name", cli_json_text(id->name), "color", color));
     }
-    return json_pack("{s:s, s:o}", "source", report->id_source, "names", names);
+    if (report->id_source)
+        return json_pack("{s:s, s:o}", "source", report->id_source, "names", names);
+    json_decref(names);
+    return json_null();
 }
 
 static int print_json(struct cli *cli, const struct bake_arguments *arguments,
-                      const struct bake_report *report, char *const *paths)
+                      const struct bake_report *report)
 {
     const struct bake_options *bake = &arguments->bake;
     json_t *root = json_pack(
@@ -333,7 +280,7 @@ static int print_json(struct cli *cli, const struct bake_arguments *arguments,
         paths_json(bake->scan_path, bake->more_scan_paths, bake->more_scan_count), "mesh_path",
         cli_json_text(bake->mesh_path), "mesh_paths",
         paths_json(bake->mesh_path, bake->more_mesh_paths, bake->more_mesh_count), "maps",
-        maps_json(bake, paths, NULL), "tiles", tiles_json(bake, report, paths), "encodings",
+        maps_json(cli, bake, NULL), "tiles", tiles_json(cli, bake, report), "encodings",
         encodings_json(report), "ids", ids_json(report), "preview_path",
         cli_json_text(bake->preview_path), "width", (int)bake->width, "height", (int)bake->height,
         "samples_per_axis", (int)bake->samples, "device", cli_json_text(report->device),
@@ -353,14 +300,11 @@ static int print_json(struct cli *cli, const struct bake_arguments *arguments,
 }
 
 int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
-                      const struct bake_report *report, char *const *paths)
+                      struct bake_report *report)
 {
     hint_at_misses(cli, arguments, report);
     hint_at_overlaps(cli, arguments, report);
-    if (cli->json)
-        return print_json(cli, arguments, report, paths);
-    print_report(cli, arguments, report, paths);
-    return 0;
+    return cli->json ? print_json(cli, arguments, report) : print_report(cli, arguments, report);
 }
 
 bool bake_report_too_many_missed(const struct cli *cli, const struct bake_arguments *arguments,

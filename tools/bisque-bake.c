@@ -8,67 +8,62 @@
 #include "tools/bake_farm.h"
 #include "tools/bake_report.h"
 
-/* ---- outputs ---- */
+/* ---- checks before the work ---- */
 
-/* Names the files of all maps, of which there is one for each UDIM tile. The caller frees *out with
- * free_paths(), also after a failure. */
-static int name_outputs(struct cli *cli, const struct bake_options *bake, char ***out)
+static int note_inputs(struct cli *cli, const struct bake_options *bake)
 {
-    char **paths = *out = calloc(bake_path_count(bake), sizeof *paths);
-    if (!paths)
-        return bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", bake->output_path);
-    for (unsigned i = 0; i < bake_path_count(bake); i++) {
-        if (i < MOST_MAPS ? !(bake->maps & 1u << i) : bake->transfers[i - MOST_MAPS].no_file)
-            continue;
-        paths[i] = i < MOST_MAPS ? bake_map_path(bake->output_path, (enum bake_map)(1u << i))
-                                 : bake_transfer_path(bake->output_path, bake_path_name(bake, i));
-        if (!paths[i])
-            return bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", bake->output_path);
-    }
-    return 0;
+    int status = 0;
+    BSQ_TRY(bsq_note_input(cli->ctx, bake->scan_path, "the scan"));
+    for (uint32_t i = 0; i < bake->more_scan_count; i++)
+        BSQ_TRY(bsq_note_input(cli->ctx, bake->more_scan_paths[i], "a scan"));
+    BSQ_TRY(bsq_note_input(cli->ctx, bake->mesh_path, "the low-poly mesh"));
+    for (uint32_t i = 0; i < bake->more_mesh_count; i++)
+        BSQ_TRY(bsq_note_input(cli->ctx, bake->more_mesh_paths[i], "a low-poly mesh"));
+    if (bake->cage_path)
+        BSQ_TRY(bsq_note_input(cli->ctx, bake->cage_path, "the cage"));
+    for (uint32_t i = 0; i < bake->transfer_count; i++)
+        if (bake->transfers[i].texture_path)
+            BSQ_TRY(bsq_note_texture(cli->ctx, bake->transfers[i].texture_path, "the texture %s",
+                                     bake->transfers[i].name));
+done:
+    return status;
 }
 
-static void free_paths(const struct bake_options *bake, char **paths)
+/* The outputs beside the maps. */
+struct outputs {
+    struct cli *cli;
+    const char *preview, *write_plan; /* NULL: none */
+};
+
+/* Checks the file of a map. The library checks those of tiles and objects, which are known when the
+ * mesh is. */
+static int check_map(void *arg, const struct bake_file *file)
 {
-    for (unsigned i = 0; paths && i < bake_path_count(bake); i++)
-        free(paths[i]);
-    free(paths);
+    static const char *const tokens[] = {BAKE_UDIM_TOKEN, BAKE_UVTILE_TOKEN, BAKE_OBJECT_TOKEN,
+                                         BAKE_MATERIAL_TOKEN};
+    const struct outputs *outputs = (const struct outputs *)arg;
+    if (outputs->preview && cli_same_file(outputs->preview, file->path))
+        return cli_usage(outputs->cli, "%s: two outputs have this name", file->path);
+    if (outputs->write_plan && cli_same_file(outputs->write_plan, file->path))
+        return cli_usage(outputs->cli, "%s: the plan and a map have this name", file->path);
+    for (size_t i = 0; i < sizeof tokens / sizeof *tokens; i++)
+        if (strstr(file->path, tokens[i]))
+            return 0;
+    return bsq_output_check(outputs->cli->ctx, file->path);
 }
 
 /* write_plan: the plan that is written, or NULL. */
-static int check_outputs(struct cli *cli, const struct bake_options *bake, const char *write_plan,
-                         char *const *paths)
+static int check_outputs(struct cli *cli, const struct bake_options *bake, const char *write_plan)
 {
-    int status = bsq_note_input(cli->ctx, bake->scan_path, "the scan");
-    for (uint32_t i = 0; i < bake->more_scan_count && status == 0; i++)
-        status = bsq_note_input(cli->ctx, bake->more_scan_paths[i], "a scan");
-    if (status == 0)
-        status = bsq_note_input(cli->ctx, bake->mesh_path, "the low-poly mesh");
-    for (uint32_t i = 0; i < bake->more_mesh_count && status == 0; i++)
-        status = bsq_note_input(cli->ctx, bake->more_mesh_paths[i], "a low-poly mesh");
-    if (status == 0 && bake->cage_path)
-        status = bsq_note_input(cli->ctx, bake->cage_path, "the cage");
-    for (uint32_t i = 0; i < bake->transfer_count && status == 0; i++)
-        if (bake->transfers[i].texture_path)
-            status = bsq_note_texture(cli->ctx, bake->transfers[i].texture_path, "the texture %s",
-                                      bake->transfers[i].name);
-    for (unsigned i = 0; i < bake_path_count(bake) && status == 0; i++) {
-        if (!paths[i])
-            continue;
-        if (bake->preview_path && cli_same_file(bake->preview_path, paths[i]))
-            return cli_usage(cli, "%s: two outputs have this name", paths[i]);
-        if (write_plan && cli_same_file(write_plan, paths[i]))
-            return cli_usage(cli, "%s: the plan and a map have this name", paths[i]);
-        /* bake_run() checks the files of tiles and objects, which are known when the mesh is. */
-        if (!strstr(paths[i], BAKE_UDIM_TOKEN) && !strstr(paths[i], BAKE_UVTILE_TOKEN) &&
-            !strstr(paths[i], BAKE_OBJECT_TOKEN) && !strstr(paths[i], BAKE_MATERIAL_TOKEN))
-            status = bsq_output_check(cli->ctx, paths[i]);
-    }
-    if (status == 0 && bake->preview_path && write_plan &&
-        cli_same_file(write_plan, bake->preview_path))
+    struct outputs outputs = {cli, bake->preview_path, write_plan};
+    int status = 0;
+    BSQ_TRY(note_inputs(cli, bake));
+    BSQ_TRY(bake_list_files(cli->ctx, bake, NULL, check_map, &outputs));
+    if (bake->preview_path && write_plan && cli_same_file(write_plan, bake->preview_path))
         return cli_usage(cli, "%s: the plan and the preview have this name", write_plan);
-    if (status == 0 && bake->preview_path)
-        status = cli_check_picture(cli, bake->preview_path);
+    if (bake->preview_path)
+        BSQ_TRY(cli_check_picture(cli, bake->preview_path));
+done:
     return status;
 }
 
@@ -78,34 +73,27 @@ static int check_outputs(struct cli *cli, const struct bake_options *bake, const
 static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *missed)
 {
     struct bake_options *bake = &arguments->bake;
-    char **paths = NULL;
     struct bake_report report = {0};
+    int status = 0;
     bake_report_watch(cli, &report);
-    int status = bake_check_options(cli->ctx, bake);
+    BSQ_TRY(bake_check_options(cli->ctx, bake));
     /* The files have to be known before the work, to check that no input is overwritten. */
-    if (status == 0 && bake->maps & BAKE_MAPS_ALL)
-        status = bake_arguments_add_channels(cli, arguments);
-    if (status == 0)
-        status = bake_find_maps(cli->ctx, bake, &bake->maps);
-    if (status == 0)
-        status = bake_check_options(cli->ctx, bake);
-    if (status == 0)
-        status = name_outputs(cli, bake, &paths);
-    if (status == 0)
-        status = check_outputs(cli, bake, arguments->farm.write_plan, paths);
-    if (status == 0)
-        status = bake_warn_unused(cli->ctx, bake, arguments->given);
-    if (status == 0 && arguments->farm.write_plan)
+    if (bake->maps & BAKE_MAPS_ALL)
+        BSQ_TRY(bake_arguments_add_channels(cli, arguments));
+    BSQ_TRY(bake_find_maps(cli->ctx, bake, &bake->maps));
+    BSQ_TRY(bake_check_options(cli->ctx, bake));
+    BSQ_TRY(check_outputs(cli, bake, arguments->farm.write_plan));
+    BSQ_TRY(bake_warn_unused(cli->ctx, bake, arguments->given));
+    if (arguments->farm.write_plan) {
         status = bake_farm_plan(cli, arguments, &report);
-    else if (status == 0)
-        status = bake_run(cli->ctx, bake, &report);
-    if (status == 0 && !arguments->farm.write_plan) {
-        status = bake_report_print(cli, arguments, &report, paths);
-        *missed = status == 0 && bake_report_too_many_missed(cli, arguments, &report);
+        goto done;
     }
+    BSQ_TRY(bake_run(cli->ctx, bake, &report));
+    BSQ_TRY(bake_report_print(cli, arguments, &report));
+    *missed = bake_report_too_many_missed(cli, arguments, &report);
+done:
     bake_report_watch(cli, NULL);
     bake_report_free(&report);
-    free_paths(bake, paths);
     return status;
 }
 
@@ -113,28 +101,23 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
 static int merge(struct cli *cli, struct bake_arguments *arguments,
                  const struct bake_farm_plan *plan, bool *missed)
 {
-    char **paths = NULL;
     struct bake_report report = {0};
     bool kept = false;
+    int status = 0;
     bake_report_watch(cli, &report);
     const double max_missed = bake_arguments_has(arguments, "max_missed")
                                   ? arguments->bake.max_missed
                                   : bake_plan_options(plan)->max_missed;
     arguments->bake = *bake_plan_options(plan);
     arguments->bake.max_missed = max_missed;
-    int status = name_outputs(cli, &arguments->bake, &paths);
-    if (status == 0)
-        status = check_outputs(cli, &arguments->bake, NULL, paths);
-    if (status == 0)
-        status = bake_merge_plan(cli->ctx, plan, arguments->farm.force, &kept, &report);
-    if (status == 0 && kept)
-        status = bake_farm_say_merged(cli, arguments);
-    else if (status == 0)
-        status = bake_report_print(cli, arguments, &report, paths);
-    *missed = status == 0 && bake_report_too_many_missed(cli, arguments, &report);
+    BSQ_TRY(check_outputs(cli, &arguments->bake, NULL));
+    BSQ_TRY(bake_merge_plan(cli->ctx, plan, arguments->farm.force, &kept, &report));
+    BSQ_TRY(kept ? bake_farm_say_merged(cli, arguments)
+                 : bake_report_print(cli, arguments, &report));
+    *missed = bake_report_too_many_missed(cli, arguments, &report);
+done:
     bake_report_watch(cli, NULL);
     bake_report_free(&report);
-    free_paths(&arguments->bake, paths);
     /* The plan owns what these point to. */
     arguments->bake.transfers = NULL;
     arguments->bake.transfer_count = 0;
@@ -147,14 +130,33 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
 static int work_by_plan(struct cli *cli, struct bake_arguments *arguments, bool *missed)
 {
     struct bake_farm_plan *plan = NULL;
-    int status = bsq_note_input(cli->ctx, arguments->farm.plan, "the plan");
-    if (status == 0)
-        status = bake_open_plan(cli->ctx, arguments->farm.plan, &plan);
-    if (status == 0)
-        status = arguments->farm.merge        ? merge(cli, arguments, plan, missed)
-                 : arguments->farm.task_given ? bake_farm_tasks(cli, arguments, plan)
-                                              : bake_farm_print(cli, arguments->farm.plan, plan);
+    int status = 0;
+    BSQ_TRY(bsq_note_input(cli->ctx, arguments->farm.plan, "the plan"));
+    BSQ_TRY(bake_open_plan(cli->ctx, arguments->farm.plan, &plan));
+    status = arguments->farm.merge        ? merge(cli, arguments, plan, missed)
+             : arguments->farm.task_given ? bake_farm_tasks(cli, arguments, plan)
+                                          : bake_farm_print(cli, arguments->farm.plan, plan);
+done:
     bake_close_plan(plan);
+    return status;
+}
+
+/* Does what the command line asks for. */
+static int work(struct cli *cli, struct bake_arguments *arguments, bool *missed)
+{
+    int status = 0;
+    BSQ_TRY(cli_create_context(cli));
+    BSQ_TRY(bake_arguments_map_inputs(cli, arguments));
+    if (cli->verify)
+        return cli_verify(cli, arguments->files, arguments->file_count);
+    if (arguments->list_devices)
+        return bake_report_devices(cli);
+    if (arguments->farm.plan)
+        return work_by_plan(cli, arguments, missed);
+    BSQ_TRY(bake_arguments_sort_inputs(cli, arguments));
+    status = arguments->list_tiles ? bake_report_tiles(cli, &arguments->bake)
+                                   : bake_maps(cli, arguments, missed);
+done:
     return status;
 }
 
@@ -166,18 +168,7 @@ int main(int argc, char **argv)
     cli_begin(&cli, "bisque-bake", argv);
     int status = bake_arguments_parse(&cli, &arguments, argc, argv);
     if (status == 0)
-        status = cli_create_context(&cli);
-    if (status == 0)
-        status = bake_arguments_map_inputs(&cli, &arguments);
-    if (status == 0 && cli.verify)
-        status = cli_verify(&cli, arguments.files, arguments.file_count);
-    else if (status == 0 && !arguments.list_devices && !arguments.farm.plan)
-        status = bake_arguments_sort_inputs(&cli, &arguments);
-    if (status == 0 && !cli.verify)
-        status = arguments.list_devices ? bake_report_devices(&cli)
-                 : arguments.list_tiles ? bake_report_tiles(&cli, &arguments.bake)
-                 : arguments.farm.plan  ? work_by_plan(&cli, &arguments, &missed)
-                                        : bake_maps(&cli, &arguments, &missed);
+        status = work(&cli, &arguments, &missed);
     bake_arguments_free(&arguments);
     int code = cli_end(&cli, status);
     return code ? code : missed;

@@ -184,6 +184,10 @@ void cli_print_cost(const struct cli *cli);
 
 /* Returns a JSON string of the text; if it is not UTF-8, of the escaped text. NULL gives null. */
 json_t *cli_json_text(const char *text);
+/* Adds a value, which it takes over, to an array or an object. Without memory, frees *json and sets
+ * it to NULL; NULL stays. */
+void cli_json_append(json_t **json, json_t *value);
+void cli_json_set(json_t **json, const char *name, json_t *value);
 /* Prints `root` with program, version and cost added. Takes over the caller's reference; NULL means
  * that there was no memory for it. */
 int cli_print_json(struct cli *cli, json_t *root);

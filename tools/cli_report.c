@@ -100,6 +100,25 @@ json_t *cli_json_text(const char *text)
     return string;
 }
 
+/* Frees the JSON value if adding to it failed. */
+static void keep_if(bool good, json_t **json)
+{
+    if (good)
+        return;
+    json_decref(*json);
+    *json = NULL;
+}
+
+void cli_json_append(json_t **json, json_t *value)
+{
+    keep_if(json_array_append_new(*json, value) == 0, json);
+}
+
+void cli_json_set(json_t **json, const char *name, json_t *value)
+{
+    keep_if(json_object_set_new(*json, name, value) == 0, json);
+}
+
 static double seconds_of(struct timeval time)
 {
     return (double)time.tv_sec + (double)time.tv_usec * 1e-6;

@@ -345,7 +345,33 @@ const char *bake_name_of(const struct bake_options *options, unsigned number)
 
 char *bake_path_of(const struct bake_options *options, unsigned number)
 {
-    return bake_transfer_path(options->output_path, bake_name_of(options, number));
+    return bake_map_path(options->output_path, bake_name_of(options, number));
+}
+
+int bake_list_files(struct bsq_ctx *ctx, const struct bake_options *options,
+                    const struct bake_baked_tile *tile,
+                    int (*fn)(void *arg, const struct bake_file *file), void *arg)
+{
+    const uint32_t maps = bake_selection(options);
+    char *named = tile ? bake_object_path(options->output_path, tile->object, tile->material)
+                       : strdup(options->output_path);
+    char *path = tile && named ? bake_tile_path(named, tile->tile) : named;
+    int status = path ? 0 : BSQ_ENOMEM;
+    for (unsigned i = 0; status == 0 && i < bake_selection_end(maps); ++i) {
+        const char *name = bake_name_of(options, i);
+        if (!bake_has_file(options, maps, i))
+            continue;
+        char *file = bake_map_path(path, name);
+        const unsigned number = i < BK_MAP_COUNT ? i : BAKE_MAX_MAPS;
+        status = file ? fn(arg, &(struct bake_file){file, name, number}) : BSQ_ENOMEM;
+        free(file);
+    }
+    if (status == BSQ_ENOMEM)
+        status = bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
+    if (path != named)
+        free(path);
+    free(named);
+    return status;
 }
 
 unsigned bake_first_of(uint32_t maps)

@@ -45,4 +45,8 @@ int bake_udim_arrange(struct bsq_ctx *ctx, const struct bake_options *options,
 uint32_t bake_udim_column(uint32_t number);
 uint32_t bake_udim_row(uint32_t number);
 
+/* Finds the size of the maps of a tile in texels. */
+void bake_tile_size_of(const struct bake_options *options, uint32_t tile, uint32_t *width,
+                       uint32_t *height);
+
 #endif

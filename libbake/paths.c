@@ -1,9 +1,11 @@
-/* map_path.c - the file names of maps: an output path whose tokens are replaced. */
+/* paths.c - see paths.h. */
+#include "libbake/paths.h"
+
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "libbake/maps/maps.h"
+#include "libbake/bake.h"
 
 /* Returns a copy of `path` with each `token` replaced by `value`; NULL if there is no memory. The
  * caller frees it. A NULL path is allowed and gives NULL. */
@@ -26,15 +28,7 @@ static char *replace(const char *path, const char *token, const char *value)
     return out;
 }
 
-char *bake_map_path(const char *path, enum bake_map map)
-{
-    unsigned number = 0;
-    while (number < BK_MAP_COUNT - 1 && 1u << number != (uint32_t)map)
-        ++number;
-    return replace(path, BAKE_MAP_TOKEN, bake_map_names[number]);
-}
-
-char *bake_transfer_path(const char *path, const char *name)
+char *bake_map_path(const char *path, const char *name)
 {
     return replace(path, BAKE_MAP_TOKEN, name);
 }
