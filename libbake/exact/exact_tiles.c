@@ -115,57 +115,62 @@ static int order_tiles(struct job *job)
 
 /* ---- samples to rays ---- */
 
-/* Returns the point of the low-poly mesh that a tile's sample lies on. samples: of the tile. */
-static bk_point sample_point(const struct job *job, const struct bk_tile *tile,
-                             const uint32_t *samples, uint32_t column, uint32_t row)
+/* A sample of a tile that lies in a triangle. */
+struct sample {
+    uint32_t triangle, column; /* column: of the tile's texels */
+    float x, y;                /* map position in texels */
+    bk_point point;            /* of the low-poly mesh */
+    uint64_t ray;              /* its number in the batch */
+};
+
+/* Calls `take` for the samples of a line of a tile that lie in a triangle, from the left. Their
+ * rays are numbered from *ray on. samples: of the tile. */
+static inline void each_sample_of_line(struct job *job, const struct bk_tile *tile,
+                                       const uint32_t *samples, uint32_t line, uint64_t *ray,
+                                       void (*take)(struct job *job, const struct sample *sample,
+                                                    float *texels),
+                                       float *texels)
 {
     const struct bk_params *params = job->tiles->params;
     const uint32_t n = params->samples;
-    const uint64_t index = (uint64_t)row * (tile->width * n) + column;
-    const bk_samples sample = {.count = 1,
-                               .triangle = {samples[index]},
-                               .x = {bk_sample_place(tile->x + column / n, column % n, n)},
-                               .y = {bk_sample_place(tile->y + row / n, row % n, n)},
-                               .skew = {bk_sample_skew(params, tile, samples, index)}};
-    return bk_points_at(params, job->tiles->triangles, &sample);
+    const float y = bk_sample_place(tile->y + line / n, line % n, n);
+    uint64_t index = (uint64_t)line * (tile->width * n);
+    for (uint32_t column = 0; column < tile->width; column++)
+        for (uint32_t i = 0; i < n; i++, index++) {
+            struct sample sample = {.triangle = samples[index], .column = column, .y = y};
+            if (sample.triangle == BK_NO_TRIANGLE)
+                continue;
+            const struct bk_triangle *triangle = &job->tiles->triangles[sample.triangle];
+            sample.x = bk_sample_place(tile->x + column, i, n);
+            sample.point = bk_point_at(triangle, sample.x, y);
+            if (params->flags & BK_SKEW)
+                bk_set_lane3(&sample.point.direction, 0,
+                             bk_skewed(triangle, bk_lane3(&sample.point.direction, 0),
+                                       bk_sample_skew(params, tile, samples, index)));
+            sample.ray = (*ray)++;
+            take(job, &sample, texels);
+        }
 }
-
-/* A sample of a tile, and the number of its ray in the batch. */
-struct sample {
-    const struct bk_tile *tile;
-    bk_point point;
-    uint32_t triangle, column, row;
-    uint64_t ray;
-};
 
 /* Calls `take` for each sample of the tile with this index in the batch that lies in a triangle. */
 static inline int each_sample(struct job *job, uint64_t index, unsigned worker,
-                              void (*take)(struct job *job, const struct sample *sample))
+                              void (*take)(struct job *job, const struct sample *sample,
+                                           float *texels))
 {
     const struct tile *place = &job->order[job->first + index];
     const struct bk_tile tile = bake_raster_tile(job->tiles->raster, place->index);
-    uint32_t *triangles = job->workers.workers[worker].sample_triangles;
-    const uint32_t columns = tile.width * job->tiles->params->samples;
-    const uint64_t count = (uint64_t)columns * tile.height * job->tiles->params->samples;
-    struct sample sample = {.tile = &tile,
-                            .ray = job->starts[job->first + index] - job->starts[job->first]};
-    uint64_t overlaps;
-    int status = bake_raster_fill(job->tiles->raster, place->index, triangles, &overlaps);
-    for (uint64_t i = 0; i < count && status == 0; i++) {
-        sample.triangle = triangles[i];
-        sample.column = (uint32_t)(i % columns);
-        sample.row = (uint32_t)(i / columns);
-        if (sample.triangle == BK_NO_TRIANGLE)
-            continue;
-        sample.point = sample_point(job, &tile, triangles, sample.column, sample.row);
-        take(job, &sample);
-        sample.ray++;
-    }
+    const uint32_t lines = tile.height * job->tiles->params->samples;
+    uint32_t *samples = job->workers.workers[worker].sample_triangles;
+    uint64_t overlaps, ray = job->starts[job->first + index] - job->starts[job->first];
+    int status = bake_raster_fill(job->tiles->raster, place->index, samples, &overlaps);
+    for (uint32_t line = 0; line < lines && status == 0; line++)
+        each_sample_of_line(job, &tile, samples, line, &ray, take, NULL);
     return status;
 }
 
-static void cast_sample(struct job *job, const struct sample *sample)
+static void cast_sample(struct job *job, const struct sample *sample, float *texels)
 {
+    (void)texels;
     const bk_start start = bk_start_at(job->tiles->params, &sample->point);
     job->rays[sample->ray] =
         (struct bake_exact_ray){{start.origin.x, start.origin.y, start.origin.z},
@@ -219,34 +224,28 @@ static uint64_t transfer_floats(const struct job *job)
     return (uint64_t)BK_TRANSFER_VALUES * bk_transfers(job->tiles->params->maps);
 }
 
-static void add_sample(const struct job *job, const bk_point *point, uint64_t ray, float *texel)
+/* Adds a sample to its texel. texels: a row of them. */
+static void add_sample(struct job *job, const struct sample *sample, float *texels)
 {
     const struct bk_params *params = job->tiles->params;
-    bk_map_hits placed = place_hit(job, point, &job->hits[ray]);
+    float *texel = texels + sample->column * job->workers.texel_floats;
+    bk_map_hits placed = place_hit(job, &sample->point, &job->hits[sample->ray]);
     if (job->look)
-        bk_surroundings_for_maps(params, point, &job->surroundings[ray], &placed);
+        bk_surroundings_for_maps(params, &sample->point, &job->surroundings[sample->ray], &placed);
     bk_add_sample(params, &placed, 0, texel);
     if (job->channels && placed.found)
-        bk_add_transfers(params->maps, job->channels + ray * transfer_floats(job), texel);
+        bk_add_transfers(params->maps, job->channels + sample->ray * transfer_floats(job), texel);
 }
 
 /* Sums a row of texels. Hits come in rows of samples, so the texels of the row are summed together.
  * Each texel gets its samples in the same order as in the kernel. */
-static void sum_row(const struct job *job, const struct bk_tile *tile, uint32_t texel_row,
-                    const uint32_t *sample_triangles, uint64_t *next, float *texels)
+static void sum_row(struct job *job, const struct bk_tile *tile, uint32_t row,
+                    const uint32_t *samples, uint64_t *next, float *texels)
 {
-    const uint32_t n = job->tiles->params->samples, columns = tile->width * n;
-    const uint32_t floats = job->workers.texel_floats;
-    memset(texels, 0, tile->width * floats * sizeof *texels);
-    for (uint32_t row = texel_row * n; row < (texel_row + 1) * n; row++) {
-        const uint32_t *sample = sample_triangles + (size_t)row * columns;
-        for (uint32_t column = 0; column < columns; column++) {
-            if (sample[column] == BK_NO_TRIANGLE)
-                continue;
-            const bk_point point = sample_point(job, tile, sample_triangles, column, row);
-            add_sample(job, &point, (*next)++, texels + column / n * floats);
-        }
-    }
+    const uint32_t n = job->tiles->params->samples;
+    memset(texels, 0, tile->width * job->workers.texel_floats * sizeof *texels);
+    for (uint32_t line = row * n; line < (row + 1) * n; line++)
+        each_sample_of_line(job, tile, samples, line, next, add_sample, texels);
 }
 
 /* Sums and resolves a tile, and writes it to the image. */
@@ -273,14 +272,12 @@ static int resolve_tile(void *arg, uint64_t index, unsigned number)
 /* ---- secondary rays ---- */
 
 /* Sets the seed of a sample, and takes back its hit if that is beyond the ray's end. */
-static void seed_sample(struct job *job, const struct sample *sample)
+static void seed_sample(struct job *job, const struct sample *sample, float *texels)
 {
-    const struct bk_tile *tile = sample->tile;
-    const uint32_t n = job->tiles->params->samples, x = sample->column, y = sample->row;
+    (void)texels;
     if (!place_hit(job, &sample->point, &job->hits[sample->ray]).found)
         job->hits[sample->ray].triangle = BAKE_EXACT_NONE;
-    job->seeds[sample->ray] = bk_sample_seed(bk_sample_place(tile->x + x / n, x % n, n),
-                                             bk_sample_place(tile->y + y / n, y % n, n), n);
+    job->seeds[sample->ray] = bk_sample_seed(sample->x, sample->y, job->tiles->params->samples);
 }
 
 /* Prepares the hits of a tile's rays. */
