@@ -61,6 +61,7 @@ static int open_file(struct bake_exact *exact)
         return bsq_fail(exact->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks: must be 1 to %" PRIu32,
                         exact->options.paths[0], exact->header->chunk_count, EXACT_TREE_BOXES);
     exact->chunk_count = (uint32_t)exact->header->chunk_count;
+    exact->simd = bsq_simd_best();
     set_info(exact);
     return build_chunk_tree(exact);
 }

@@ -16,8 +16,9 @@
 enum { GROUP = 64, SEGMENTS_A_THREAD = 4 };
 
 struct worker {
-    uint32_t *candidates; /* chunks */
-    struct exact_box4 *boxes;
+    uint32_t *candidates;     /* chunks */
+    struct exact_box8 *boxes; /* of the candidates */
+    uint32_t *crossed;        /* candidates of a ray */
 };
 
 struct sorting {
@@ -39,15 +40,21 @@ static uint32_t segments_of(const struct bake_exact *exact)
     return SEGMENTS_A_THREAD * bsq_threads(exact->ctx);
 }
 
-static uint64_t box4_count(const struct bake_exact *exact)
+static uint64_t box8_count(const struct bake_exact *exact)
 {
-    return exact->chunk_count / 4 + 1;
+    return exact->chunk_count / 8 + 1;
+}
+
+/* Returns the size of candidates[], which crossed[] follows. */
+static uint64_t number_count(const struct bake_exact *exact)
+{
+    return 2 * (uint64_t)exact->chunk_count + 7;
 }
 
 uint64_t bake_exact_buckets_scratch_bytes(const struct bake_exact *exact)
 {
-    uint64_t worker = exact->chunk_count * sizeof(uint32_t) +
-                      box4_count(exact) * sizeof(struct exact_box4) + sizeof(struct worker);
+    uint64_t worker = number_count(exact) * sizeof(uint32_t) +
+                      box8_count(exact) * sizeof(struct exact_box8) + sizeof(struct worker);
     return segments_of(exact) * (uint64_t)exact->chunk_count * sizeof(uint32_t) +
            bsq_threads(exact->ctx) * worker;
 }
@@ -69,7 +76,7 @@ static void add_ray(struct exact_box *box, const struct bake_exact_ray *ray,
     }
 }
 
-/* Finds the chunks that rays [begin, end) may cross, and gathers their boxes by fours. Returns
+/* Finds the chunks that rays [begin, end) may cross, and gathers their boxes by eights. Returns
  * their count. */
 static uint32_t find_candidates(const struct sorting *s, uint64_t begin, uint64_t end,
                                 struct worker *worker)
@@ -83,14 +90,14 @@ static uint32_t find_candidates(const struct sorting *s, uint64_t begin, uint64_
     for (uint32_t i = 0; i < count; i++) {
         const struct fmt_tris_chunk_info *chunk = &s->exact->chunks[worker->candidates[i]];
         for (int k = 0; k < 3; k++) {
-            worker->boxes[i / 4].planes[0][k][i % 4] = chunk->bounds_min[k];
-            worker->boxes[i / 4].planes[1][k][i % 4] = chunk->bounds_max[k];
+            worker->boxes[i / 8].planes[0][k][i % 8] = chunk->bounds_min[k];
+            worker->boxes[i / 8].planes[1][k][i % 8] = chunk->bounds_max[k];
         }
     }
-    for (uint32_t i = count; i % 4 != 0; i++)
+    for (uint32_t i = count; i % 8 != 0; i++)
         for (int k = 0; k < 3; k++) {
-            worker->boxes[i / 4].planes[0][k][i % 4] = INFINITY;
-            worker->boxes[i / 4].planes[1][k][i % 4] = -INFINITY;
+            worker->boxes[i / 8].planes[0][k][i % 8] = INFINITY;
+            worker->boxes[i / 8].planes[1][k][i % 8] = -INFINITY;
         }
     return count;
 }
@@ -100,19 +107,13 @@ static void sort_ray(const struct sorting *s, uint64_t ray, uint32_t candidates,
                      const struct worker *worker, uint32_t *counts)
 {
     const struct bake_exact_batch *batch = s->batch;
-    const struct exact_span span = exact_span_of(batch->t_min, batch->t_max);
-    struct exact_line line;
-    float distances[4];
-    if (!exact_line_set(&line, batch->rays[ray].origin, batch->rays[ray].direction))
-        return;
-    for (uint32_t i = 0; i < candidates; i += 4) {
-        unsigned bits = exact_line_crosses4(&line, &worker->boxes[i / 4], span, distances);
-        for (; bits; bits &= bits - 1) {
-            const uint32_t chunk = worker->candidates[i + (uint32_t)__builtin_ctz(bits)];
-            const uint32_t place = counts[chunk]++;
-            if (s->writing)
-                s->buckets->rays[s->buckets->starts[chunk] + place] = (uint32_t)ray;
-        }
+    const uint32_t crossed = BSQ_SIMD_PICK(s->exact->simd, bake_exact_crossed)(
+        &batch->rays[ray], batch->t_min, batch->t_max, worker->boxes, candidates, worker->crossed);
+    for (uint32_t i = 0; i < crossed; i++) {
+        const uint32_t chunk = worker->candidates[worker->crossed[i]];
+        const uint32_t place = counts[chunk]++;
+        if (s->writing)
+            s->buckets->rays[s->buckets->starts[chunk] + place] = (uint32_t)ray;
     }
 }
 
@@ -199,11 +200,13 @@ static int allocate(struct sorting *s)
     if (status == 0)
         status = bsq_calloc(exact->ctx, "workers", threads, sizeof *s->workers, &s->workers);
     for (unsigned w = 0; status == 0 && w < threads; w++) {
-        status = bsq_alloc(exact->ctx, "chunks near rays", exact->chunk_count, sizeof(uint32_t),
+        status = bsq_alloc(exact->ctx, "chunks near rays", number_count(exact), sizeof(uint32_t),
                            &s->workers[w].candidates);
-        if (status == 0)
-            status = bsq_alloc(exact->ctx, "chunks near rays", box4_count(exact),
-                               sizeof *s->workers[w].boxes, &s->workers[w].boxes);
+        if (status < 0)
+            return status;
+        s->workers[w].crossed = s->workers[w].candidates + exact->chunk_count;
+        status = bsq_alloc(exact->ctx, "chunks near rays", box8_count(exact),
+                           sizeof *s->workers[w].boxes, &s->workers[w].boxes);
     }
     return status;
 }

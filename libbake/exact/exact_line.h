@@ -1,6 +1,6 @@
 /* exact_line.h - tests of a line against boxes and triangles; private to this folder.
  *
- * Boxes are tested in float, four at a time, and never missed. Triangles are tested in double by
+ * Boxes are tested in float, eight at a time, and never missed. Triangles are tested in double by
  * Woop, Benthin & Wald, "Watertight Ray/Triangle Intersection", JCGT 2(1), 2013: corners are
  * sheared so that the line becomes an axis, and the signs of three edge functions decide. A corner
  * is sheared alike for all its triangles, and the direction of an edge changes only the sign of its
@@ -11,10 +11,8 @@
 
 #include <math.h>
 #include <stdbool.h>
-#ifdef __SSE2__
-#include <emmintrin.h>
-#endif
 
+#include "base/simd/simd.h"
 #include "libbake/exact/exact_tree.h"
 
 /* ---- boxes ---- */
@@ -71,61 +69,23 @@ static inline struct exact_span exact_span_of(double begin, double end)
  * the smallest |t| inside each. Never misses a box: subtraction, reciprocal and product are each
  * rounded once, so parameters are off by less than 3 * 2^-24 of their size, and are widened by more
  * (Ize, "Robust BVH Ray Traversal", JCGT 2(2), 2013). */
-#define EXACT_WIDEN 4.8e-7f
-#ifdef __SSE2__
-static inline __m128 exact_widen4(__m128 t, __m128 amount)
+static inline unsigned exact_line_crosses(const struct exact_line *line,
+                                          const struct exact_box8 *boxes, struct exact_span span,
+                                          eights *distances)
 {
-    const __m128 sign = _mm_and_ps(t, _mm_set1_ps(-0.0f));
-    return _mm_mul_ps(t, _mm_add_ps(_mm_set1_ps(1.0f), _mm_xor_ps(sign, amount)));
-}
-
-static inline unsigned exact_line_crosses4(const struct exact_line *line,
-                                           const struct exact_box4 *boxes, struct exact_span span,
-                                           float distances[4])
-{
-    __m128 in = _mm_set1_ps(-INFINITY), out = _mm_set1_ps(INFINITY);
+    const eights less = eights_splat(1.0f - 4.8e-7f), more = eights_splat(1.0f + 4.8e-7f);
+    eights in = eights_splat(-INFINITY), out = eights_splat(INFINITY);
     for (int k = 0; k < 3; k++) {
-        const float *near = boxes->planes[line->near[k]][k];
-        const float *far = boxes->planes[line->far[k]][k];
-        const __m128 inverse = _mm_set1_ps(line->inverse[k]);
-        const __m128 from = _mm_sub_ps(_mm_load_ps(near), _mm_set1_ps(line->near_origin[k]));
-        const __m128 to = _mm_sub_ps(_mm_load_ps(far), _mm_set1_ps(line->far_origin[k]));
-        in = _mm_max_ps(_mm_mul_ps(from, inverse), in);
-        out = _mm_min_ps(_mm_mul_ps(to, inverse), out);
+        const eights near = *(const eights *)(const void *)boxes->planes[line->near[k]][k];
+        const eights far = *(const eights *)(const void *)boxes->planes[line->far[k]][k];
+        in = eights_max((near - line->near_origin[k]) * line->inverse[k], in);
+        out = eights_min((far - line->far_origin[k]) * line->inverse[k], out);
     }
-    in = _mm_max_ps(exact_widen4(in, _mm_set1_ps(-EXACT_WIDEN)), _mm_set1_ps(span.begin));
-    out = _mm_min_ps(exact_widen4(out, _mm_set1_ps(EXACT_WIDEN)), _mm_set1_ps(span.end));
-    const __m128 behind = _mm_xor_ps(out, _mm_set1_ps(-0.0f));
-    _mm_storeu_ps(distances, _mm_max_ps(_mm_max_ps(in, behind), _mm_setzero_ps()));
-    return (unsigned)_mm_movemask_ps(_mm_cmple_ps(in, out));
+    in = eights_max(eights_min(in * less, in * more), eights_splat(span.begin));
+    out = eights_min(eights_max(out * less, out * more), eights_splat(span.end));
+    *distances = eights_max(eights_max(in, -out), eights_splat(0.0f));
+    return eights_not_above(in, out);
 }
-#else
-static inline unsigned exact_line_crosses4(const struct exact_line *line,
-                                           const struct exact_box4 *boxes, struct exact_span span,
-                                           float distances[4])
-{
-    unsigned bits = 0;
-    for (unsigned c = 0; c < 4; c++) {
-        float in = -INFINITY, out = INFINITY;
-        for (int k = 0; k < 3; k++) {
-            const float near = boxes->planes[line->near[k]][k][c];
-            const float far = boxes->planes[line->far[k]][k][c];
-            const float from = (near - line->near_origin[k]) * line->inverse[k];
-            const float to = (far - line->far_origin[k]) * line->inverse[k];
-            in = from > in ? from : in;
-            out = to < out ? to : out;
-        }
-        in *= 1.0f - copysignf(EXACT_WIDEN, in);
-        out *= 1.0f + copysignf(EXACT_WIDEN, out);
-        in = in > span.begin ? in : span.begin;
-        out = out < span.end ? out : span.end;
-        const float distance = in > -out ? in : -out;
-        distances[c] = distance > 0.0f ? distance : 0.0f;
-        bits |= (unsigned)(in <= out) << c;
-    }
-    return bits;
-}
-#endif
 
 /* ---- triangles ---- */
 

@@ -105,7 +105,8 @@ static void trace_open(const struct pass *pass, const struct bake_place *place, 
         if (hidden[i / 64] >> (i % 64) & 1)
             continue;
         const struct bake_exact_ray ray = ray_of(look, place, true, i);
-        const bool found = bake_exact_group_trace(&look->group, &ray, &limits, &best);
+        const bool found = BSQ_SIMD_PICK(look->exact->simd, bake_exact_group_trace)(
+            &look->group, &ray, &limits, &best);
         hidden[i / 64] |= (uint64_t)found << (i % 64);
     }
 }
@@ -121,7 +122,8 @@ static void trace_nearest(const struct pass *pass, const struct bake_place *plac
         const struct bake_exact_ray ray = ray_of(look, place, open, i);
         const float most = open ? look->params->open_limit : look->params->thickness_limit;
         limits.t_max = (double)fminf(distances[i], most);
-        if (bake_exact_group_trace(&look->group, &ray, &limits, &best))
+        if (BSQ_SIMD_PICK(look->exact->simd, bake_exact_group_trace)(&look->group, &ray, &limits,
+                                                                     &best))
             distances[i] = fminf(distances[i], (float)best.t);
     }
 }

@@ -7,6 +7,7 @@
 #include <pthread.h>
 
 #include "base/positions.h"
+#include "base/simd/simd.h"
 #include "base/smooth_normals.h"
 #include "formats/texture/texture.h"
 #include "formats/chunks/tris.h"
@@ -31,6 +32,7 @@ struct bake_exact {
     const struct fmt_tris_header *header;
     const struct fmt_tris_chunk_info *chunks;
     uint32_t chunk_count;
+    enum bsq_simd simd;     /* instructions for tracing */
     struct exact_tree tree; /* over the chunks' bounds */
     void *tree_memory;
     bool color; /* hits have colours */
@@ -148,9 +150,10 @@ struct exact_limits {
 
 /* Replaces *best by the nearest hit among the chunk's triangles, if that wins. Returns whether it
  * did. first: number of the chunk's first triangle. */
-bool bake_exact_slot_trace(const struct exact_slot *slot, uint64_t first,
-                           const struct bake_exact_ray *ray, const struct exact_limits *limits,
-                           struct exact_best *best);
+typedef bool bake_exact_slot_trace_fn(const struct exact_slot *slot, uint64_t first,
+                                      const struct bake_exact_ray *ray,
+                                      const struct exact_limits *limits, struct exact_best *best);
+BSQ_SIMD_DECLARE(bake_exact_slot_trace_fn, bake_exact_slot_trace);
 
 /* Chunks in memory, with a tree over their bounds. */
 struct exact_group {
@@ -160,8 +163,17 @@ struct exact_group {
 };
 
 /* Does what bake_exact_slot_trace() does with the triangles of all slots of the group. */
-bool bake_exact_group_trace(const struct exact_group *group, const struct bake_exact_ray *ray,
-                            const struct exact_limits *limits, struct exact_best *best);
+typedef bool bake_exact_group_trace_fn(const struct exact_group *group,
+                                       const struct bake_exact_ray *ray,
+                                       const struct exact_limits *limits, struct exact_best *best);
+BSQ_SIMD_DECLARE(bake_exact_group_trace_fn, bake_exact_group_trace);
+
+/* Writes the numbers of the boxes that a ray crosses between t_min and t_max to out[], ascending,
+ * and returns their count. boxes: `count` of them, by eights. out: space for count + 7 numbers. */
+typedef uint32_t bake_exact_crossed_fn(const struct bake_exact_ray *ray, double t_min, double t_max,
+                                       const struct exact_box8 *boxes, uint32_t count,
+                                       uint32_t *out);
+BSQ_SIMD_DECLARE(bake_exact_crossed_fn, bake_exact_crossed);
 
 /* Checks whether the winding of a triangle disagrees with its vertex normals. The normals then
  * decide which side is outside. False if the chunk has no normals. */

@@ -1,9 +1,5 @@
-/* exact_slot.c - loads a chunk, and finds the nearest hit among its triangles.
- *
- * The leaves of the tree are boxes of single triangles, so that most triangles that are tested in
- * double are hit. */
+/* exact_slot.c - loads a chunk, and builds the tree of its triangles. */
 #include "libbake/exact/exact_scene.h"
-#include "libbake/exact/exact_line.h"
 
 #include "base/octahedral.h"
 
@@ -40,34 +36,6 @@ void bake_exact_slot_build(struct exact_slot *slot, const struct exact_scratch *
                           scratch->keys);
 }
 
-/* ---- tracing ---- */
-
-struct trace {
-    const struct exact_slot *slot;
-    uint64_t first;
-    const struct exact_limits *limits;
-    const struct bake_exact_ray *ray;
-    struct exact_line line;
-    struct exact_shear shear; /* set for the first triangle: many rays meet none */
-    bool sheared;
-    struct exact_span span; /* where a hit would win; shrinks with each hit */
-    struct exact_best *best;
-    bool improved, done;             /* done: no better hit is needed */
-    const struct exact_group *group; /* whose slots are walked one after another */
-};
-
-static void set_span(struct trace *trace)
-{
-    const struct exact_limits *limits = trace->limits;
-    double begin = limits->t_min, end = limits->t_max;
-    if (trace->best->triangle != BAKE_EXACT_NONE) {
-        double nearest = fabs(trace->best->t);
-        begin = begin > -nearest ? begin : -nearest;
-        end = end < nearest ? end : nearest;
-    }
-    trace->span = exact_span_of(begin, end);
-}
-
 bool bake_exact_wound_backwards(const struct fmt_tris_chunk *chunk, uint32_t triangle)
 {
     if (!chunk->normals)
@@ -88,130 +56,4 @@ bool bake_exact_wound_backwards(const struct fmt_tris_chunk *chunk, uint32_t tri
                        ((double)b[j] - (double)a[j]) * ((double)c[i] - (double)a[i]));
     }
     return dot < 0;
-}
-
-/* Tests a triangle, and takes its hit if that wins. */
-static void try_triangle(struct trace *trace, uint32_t triangle)
-{
-    const struct fmt_tris_chunk *chunk = &trace->slot->chunk;
-    const struct exact_limits *limits = trace->limits;
-    struct exact_best *best = trace->best;
-    const uint32_t *v = chunk->triangles[triangle];
-    const uint64_t number = trace->first + triangle;
-    struct exact_crossing crossing;
-    if (!trace->sheared)
-        exact_shear_set(&trace->shear, trace->ray->origin, trace->ray->direction);
-    trace->sheared = true;
-    if (!exact_cross_triangle(&trace->shear, chunk->positions[v[0]], chunk->positions[v[1]],
-                              chunk->positions[v[2]], &crossing) ||
-        !(crossing.t >= limits->t_min && crossing.t <= limits->t_max))
-        return;
-    if (best->triangle != BAKE_EXACT_NONE &&
-        !exact_wins(crossing.t, number, best->t, best->triangle))
-        return;
-    if (!limits->two_sided) {
-        const bool along = crossing.along != bake_exact_wound_backwards(chunk, triangle);
-        if (along == limits->facing_origin)
-            return;
-    }
-    *best = (struct exact_best){crossing.t, number, crossing.w1, crossing.w2};
-    trace->improved = true;
-    trace->done = limits->any;
-    set_span(trace);
-}
-
-struct entry {
-    float distance;
-    uint32_t level, node;
-};
-
-/* Pushes the children that the ray crosses, the nearest one last. Returns the new depth. */
-static uint32_t push_children(struct entry *stack, uint32_t depth, uint32_t level, uint32_t node,
-                              unsigned bits, const float distances[4])
-{
-    const uint32_t base = depth;
-    if ((bits & (bits - 1)) == 0 && bits != 0) {
-        const unsigned c = (unsigned)__builtin_ctz(bits);
-        stack[depth] = (struct entry){distances[c], level - 1, 4 * node + c};
-        return depth + 1;
-    }
-    for (; bits; bits &= bits - 1) {
-        const unsigned c = (unsigned)__builtin_ctz(bits);
-        uint32_t at = depth++;
-        for (; at > base && stack[at - 1].distance < distances[c]; at--)
-            stack[at] = stack[at - 1];
-        stack[at] = (struct entry){distances[c], level - 1, 4 * node + c};
-    }
-    return depth;
-}
-
-static bool too_far(const struct exact_span *span, float distance)
-{
-    return distance > span->end && distance > -span->begin;
-}
-
-/* Calls `visit` for the boxes of a tree that the ray crosses where a hit would win, near ones
- * first.
- */
-static inline void walk_tree(struct trace *trace, const struct exact_tree *tree,
-                             void (*visit)(struct trace *trace, uint32_t box))
-{
-    struct entry stack[EXACT_TREE_STACK];
-    float distances[4];
-    uint32_t depth = 1;
-    if (tree->levels == 0)
-        return;
-    stack[0] = (struct entry){0, tree->levels - 1, 0};
-    while (depth > 0 && !trace->done) {
-        const struct entry top = stack[--depth];
-        if (too_far(&trace->span, top.distance))
-            continue;
-        const struct exact_box4 *boxes = &tree->nodes[tree->first[top.level] + top.node];
-        unsigned bits = exact_line_crosses4(&trace->line, boxes, trace->span, distances);
-        if (top.level > 0) {
-            depth = push_children(stack, depth, top.level, top.node, bits, distances);
-            continue;
-        }
-        for (; bits && !trace->done; bits &= bits - 1) {
-            const unsigned c = (unsigned)__builtin_ctz(bits);
-            if (!too_far(&trace->span, distances[c]))
-                visit(trace, tree->order[4 * top.node + c]);
-        }
-    }
-}
-
-static void walk_slot(struct trace *trace, const struct exact_slot *slot, uint64_t first)
-{
-    trace->slot = slot;
-    trace->first = first;
-    walk_tree(trace, &slot->tree, try_triangle);
-}
-
-static void visit_slot(struct trace *trace, uint32_t number)
-{
-    const struct exact_slot *slot = &trace->group->slots[number];
-    walk_slot(trace, slot, trace->group->exact->chunks[slot->number].first_triangle);
-}
-
-bool bake_exact_slot_trace(const struct exact_slot *slot, uint64_t first,
-                           const struct bake_exact_ray *ray, const struct exact_limits *limits,
-                           struct exact_best *best)
-{
-    struct trace trace = {.limits = limits, .ray = ray, .best = best};
-    if (!exact_line_set(&trace.line, ray->origin, ray->direction))
-        return false;
-    set_span(&trace);
-    walk_slot(&trace, slot, first);
-    return trace.improved;
-}
-
-bool bake_exact_group_trace(const struct exact_group *group, const struct bake_exact_ray *ray,
-                            const struct exact_limits *limits, struct exact_best *best)
-{
-    struct trace trace = {.limits = limits, .ray = ray, .best = best, .group = group};
-    if (!exact_line_set(&trace.line, ray->origin, ray->direction))
-        return false;
-    set_span(&trace);
-    walk_tree(&trace, &group->tree, visit_slot);
-    return trace.improved;
 }

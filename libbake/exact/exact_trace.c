@@ -97,8 +97,9 @@ static void trace_ray(struct wave *wave, const struct exact_slot *slot, uint32_t
     best.t = hit->t;
     best.triangle = hit->triangle;
     pthread_mutex_unlock(lock);
-    if (!bake_exact_slot_trace(slot, wave->exact->chunks[slot->number].first_triangle,
-                               &wave->batch->rays[ray], &wave->limits, &best))
+    if (!BSQ_SIMD_PICK(wave->exact->simd, bake_exact_slot_trace)(
+            slot, wave->exact->chunks[slot->number].first_triangle, &wave->batch->rays[ray],
+            &wave->limits, &best))
         return;
     pthread_mutex_lock(lock);
     if (hit->triangle == BAKE_EXACT_NONE ||

@@ -13,7 +13,7 @@ _Static_assert(NUMBER_BITS + 3 * AXIS_BITS == 64, "keys fill 64 bits");
 
 static uint32_t parents(uint32_t count)
 {
-    return count / 4 + (count % 4 != 0);
+    return count / 8 + (count % 8 != 0);
 }
 
 static uint64_t node_count(uint32_t count)
@@ -28,7 +28,7 @@ static uint64_t node_count(uint32_t count)
 
 uint64_t bake_exact_tree_bytes(uint32_t count)
 {
-    return bsq_align_up(node_count(count) * sizeof(struct exact_box4), BSQ_ALIGNMENT) +
+    return bsq_align_up(node_count(count) * sizeof(struct exact_box8), BSQ_ALIGNMENT) +
            bsq_align_up((uint64_t)count * sizeof(uint32_t), BSQ_ALIGNMENT);
 }
 
@@ -96,7 +96,7 @@ static const uint64_t *sort_keys(uint32_t count, uint64_t *keys, uint64_t *other
 
 /* ---- nodes ---- */
 
-static void set_child(struct exact_box4 *node, unsigned child, const struct exact_box *box)
+static void set_child(struct exact_box8 *node, unsigned child, const struct exact_box *box)
 {
     for (int k = 0; k < 3; k++) {
         node->planes[0][k][child] = box->low[k];
@@ -104,14 +104,14 @@ static void set_child(struct exact_box4 *node, unsigned child, const struct exac
     }
 }
 
-static struct exact_box bounds_of(const struct exact_box4 *node)
+static struct exact_box bounds_of(const struct exact_box8 *node)
 {
     struct exact_box box;
     for (int k = 0; k < 3; k++) {
         const float *low = node->planes[0][k], *high = node->planes[1][k];
         box.low[k] = low[0];
         box.high[k] = high[0];
-        for (int c = 1; c < 4; c++) {
+        for (int c = 1; c < 8; c++) {
             box.low[k] = low[c] < box.low[k] ? low[c] : box.low[k];
             box.high[k] = high[c] > box.high[k] ? high[c] : box.high[k];
         }
@@ -126,8 +126,8 @@ static void fill_leaves(struct exact_tree *tree, const struct exact_box *boxes)
 {
     uint32_t nodes = parents(tree->count);
     for (uint32_t n = 0; n < nodes; n++)
-        for (unsigned c = 0; c < 4; c++) {
-            uint32_t place = 4 * n + c;
+        for (unsigned c = 0; c < 8; c++) {
+            uint32_t place = 8 * n + c;
             set_child(&tree->nodes[n], c,
                       place < tree->count ? &boxes[tree->order[place]] : &empty);
         }
@@ -135,13 +135,13 @@ static void fill_leaves(struct exact_tree *tree, const struct exact_box *boxes)
 
 static void fill_level(struct exact_tree *tree, uint32_t level, uint32_t children)
 {
-    const struct exact_box4 *below = tree->nodes + tree->first[level - 1];
-    struct exact_box4 *nodes = tree->nodes + tree->first[level];
+    const struct exact_box8 *below = tree->nodes + tree->first[level - 1];
+    struct exact_box8 *nodes = tree->nodes + tree->first[level];
     for (uint32_t n = 0; n < parents(children); n++)
-        for (unsigned c = 0; c < 4; c++) {
+        for (unsigned c = 0; c < 8; c++) {
             struct exact_box box = empty;
-            if (4 * n + c < children)
-                box = bounds_of(&below[4 * n + c]);
+            if (8 * n + c < children)
+                box = bounds_of(&below[8 * n + c]);
             set_child(&nodes[n], c, &box);
         }
 }
@@ -173,10 +173,10 @@ void bake_exact_tree_build(struct exact_tree *tree, uint32_t count, const struct
 
 /* ---- search ---- */
 
-static unsigned overlaps4(const struct exact_box4 *boxes, const struct exact_box *box)
+static unsigned overlaps(const struct exact_box8 *boxes, const struct exact_box *box)
 {
     unsigned bits = 0;
-    for (unsigned c = 0; c < 4; c++) {
+    for (unsigned c = 0; c < 8; c++) {
         unsigned inside = 1;
         for (int k = 0; k < 3; k++)
             inside &= (unsigned)(boxes->planes[0][k][c] <= box->high[k]) &
@@ -200,9 +200,9 @@ uint32_t bake_exact_tree_overlapping(const struct exact_tree *tree, const struct
     }
     while (depth > 0) {
         const uint32_t level = stack[--depth].level, node = stack[depth].node;
-        unsigned bits = overlaps4(&tree->nodes[tree->first[level] + node], box);
+        unsigned bits = overlaps(&tree->nodes[tree->first[level] + node], box);
         for (; bits; bits &= bits - 1) {
-            uint32_t child = 4 * node + (uint32_t)__builtin_ctz(bits);
+            uint32_t child = 8 * node + (uint32_t)__builtin_ctz(bits);
             if (level == 0) {
                 out[found++] = tree->order[child];
             } else {

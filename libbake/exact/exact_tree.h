@@ -1,7 +1,7 @@
-/* exact_tree.h - a tree of boxes with four children per node, for triangles and for chunks; private
- * to this folder.
+/* exact_tree.h - a tree of boxes with eight children per node, for triangles and for chunks;
+ * private to this folder.
  *
- * Boxes are sorted along a Hilbert curve and packed by fours, level by level (Kamel & Faloutsos,
+ * Boxes are sorted along a Hilbert curve and packed by eights, level by level (Kamel & Faloutsos,
  * "On Packing R-trees", 1993). Building takes linear time, children need no stored numbers, and the
  * memory is known beforehand. A surface-area heuristic would cost more and gain little: the
  * triangles of scans are small and of similar size, and the tree of a chunk serves the rays of one
@@ -11,11 +11,11 @@
 
 #include <stdint.h>
 
-enum { EXACT_TREE_LEVELS = 17, EXACT_TREE_STACK = 3 * EXACT_TREE_LEVELS + 1 };
+enum { EXACT_TREE_LEVELS = 11, EXACT_TREE_STACK = 7 * EXACT_TREE_LEVELS + 1 };
 
-/* The boxes of a node's four children. Those of missing children are empty. */
-struct exact_box4 {
-    _Alignas(16) float planes[2][3][4]; /* lower and upper, by axis, of each child */
+/* The boxes of a node's eight children. Those of missing children are empty. */
+struct exact_box8 {
+    _Alignas(32) float planes[2][3][8]; /* lower and upper, by axis, of each child */
 };
 
 struct exact_box {
@@ -23,8 +23,8 @@ struct exact_box {
 };
 
 struct exact_tree {
-    struct exact_box4 *nodes;          /* by level, from the leaves to the root */
-    uint32_t *order;                   /* child c of leaf node k is box order[4 k + c] */
+    struct exact_box8 *nodes;          /* by level, from the leaves to the root */
+    uint32_t *order;                   /* child c of leaf node k is box order[8 k + c] */
     uint32_t count;                    /* of boxes */
     uint32_t levels;                   /* 0 if there are no boxes */
     uint32_t first[EXACT_TREE_LEVELS]; /* index of each level's first node */
