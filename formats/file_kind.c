@@ -4,6 +4,7 @@
 #include "base/file.h"
 #include "formats/chunks/tris.h"
 #include "formats/grid/nvdb.h"
+#include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
 
 int fmt_recognise(struct bsq_ctx *ctx, const char *path, enum fmt_kind *out)
@@ -11,7 +12,9 @@ int fmt_recognise(struct bsq_ctx *ctx, const char *path, enum fmt_kind *out)
     struct bsq_file file;
     char head[FMT_MESH_HEAD_BYTES] = {0};
     uint64_t size = 0;
-    *out = FMT_KIND_OTHER;
+    *out = fmt_input_is_pipe(path) ? FMT_KIND_PIPE : FMT_KIND_OTHER;
+    if (*out == FMT_KIND_PIPE)
+        return 0;
     int status = bsq_file_open(ctx, path, &file);
     if (status == 0)
         status = bsq_file_read_some(ctx, &file, head, sizeof head, 0, &size);
@@ -34,6 +37,8 @@ static const char *advice(enum fmt_kind kind)
 {
     if (kind == FMT_KIND_VDB)
         return ", but an OpenVDB file";
+    if (kind == FMT_KIND_PIPE)
+        return ", but a pipe";
     return kind == FMT_KIND_MESH ? "; bisque-voxelize makes both from a mesh" : "";
 }
 

@@ -14,7 +14,8 @@ enum fmt_kind {
     FMT_KIND_MESH, /* a format of mesh/mesh_reader.h */
     FMT_KIND_TRIS, /* chunk file, see chunks/tris.h */
     FMT_KIND_NVDB, /* NanoVDB file, see grid/nvdb.h; not always a grid of Bisque */
-    FMT_KIND_VDB   /* OpenVDB file */
+    FMT_KIND_VDB,  /* OpenVDB file */
+    FMT_KIND_PIPE  /* FIFO, or "-" for standard input, which can be read only once */
 };
 
 /* Recognises a file. Errors: BSQ_ENOINPUT, BSQ_EIO. */

@@ -344,3 +344,32 @@ int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
     vox_sort_limits_for(budget, bsq_threads(ctx), &limits);
     return vox_sort_with_limits(ctx, options, &limits, report);
 }
+
+/* ---- parsing alone ---- */
+
+static int count_block(void *arg, const struct fmt_mesh_block *block)
+{
+    bsq_progress_add(arg, block->byte_size);
+    return 0;
+}
+
+int vox_parse(struct bsq_ctx *ctx, const struct vox_sort_options *options,
+              struct vox_sort_report *report)
+{
+    struct fmt_mesh_reader *reader;
+    struct fmt_mesh_totals totals = {0};
+    const double start = bsq_seconds_now();
+    const struct fmt_mesh_inputs inputs = {
+        .paths = options->scan_paths, .path_count = options->scan_count, .pipes = true};
+    int status = fmt_mesh_open_inputs(ctx, &inputs, &reader);
+    if (status < 0)
+        return status;
+    bsq_progress_begin(ctx, "reading", "bytes", fmt_mesh_bytes(reader));
+    status = fmt_mesh_read(reader, count_block, ctx, &totals);
+    bsq_progress_end(ctx);
+    fmt_mesh_close(reader);
+    *report = (struct vox_sort_report){.triangles = totals.corners - 2 * totals.faces,
+                                       .seconds_read = bsq_seconds_now() - start};
+    report_totals(report, &totals);
+    return status;
+}

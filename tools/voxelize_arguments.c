@@ -21,8 +21,8 @@ static const char usage[] =
     "and colours. Several files are read as one scan. The sorted triangles of meshes are kept in a chunk\n"
     "file (SCAN.tris), which makes grids of other resolutions without reading them again.\n";
 
-/* Bit of bsq_option.needs: the option does nothing if no grid is made. */
-enum { GRID = 1 };
+/* Bits of bsq_option.needs: what the option does nothing without. */
+enum { GRID = 1, MESHES = 2 };
 
 #define OPTION(name_, argument_, help_) .name = name_, .argument = argument_, .help = help_
 #define MEMBER(kind, member)            BSQ_MEMBER(kind, struct voxelize_arguments, member)
@@ -30,22 +30,22 @@ enum { GRID = 1 };
 
 static const struct bsq_option rows[] = {
     {OPTION("output", "FILE", "the grid, a NanoVDB file; a name that ends in .tris sorts only"),
-     .letter = 'o', .heading = "Grid", MEMBER(OUTPUT, output)},
-    {OPTION("resolution", "N", "voxels along the scan's longest side (default: 2048)"),
-     MEMBER(COUNT, resolution), BSQ_RANGE(1, VOX_RESOLUTION_MAX, 0), .needs = GRID},
+     .letter = 'o', .heading = "Grid", MEMBER(OUTPUT, grid.grid_path)},
+    {OPTION("resolution", "N", "voxels along the scan's longest side"),
+     MEMBER(COUNT, grid.resolution), BSQ_RANGE(1, VOX_RESOLUTION_MAX, 2048), .needs = GRID},
     {OPTION("voxel-size", "X",
             "edge of a voxel in the scan's units, instead of a resolution\n"
             "(default: by the resolution)"),
-     MEMBER(NUMBER, voxel_size), BSQ_RANGE(0, DBL_MAX, 0), .positive = true, .needs = GRID},
+     MEMBER(NUMBER, grid.voxel_size), BSQ_RANGE(0, DBL_MAX, 0), .positive = true, .needs = GRID},
     {OPTION("grid-type", "TYPE", "mask or onindex (NanoVDB 32.6 and later)"),
-     MEMBER(CHOICE, grid_type), .words = "mask onindex", .needs = GRID},
-    {OPTION("vdb", "FILE", "also write the grid as an OpenVDB file"), MEMBER(OUTPUT, vdb),
+     MEMBER(CHOICE, grid.grid_type), .words = "mask onindex", .needs = GRID},
+    {OPTION("vdb", "FILE", "also write the grid as an OpenVDB file"), MEMBER(OUTPUT, grid.vdb_path),
      .needs = GRID},
 
     {OPTION("scan-normals", "NAME",
             "for a scan without normals: smooth, flat; or smooth ones by\n"
             "weight: area, angle or max (default: smooth, which is area)"),
-     .heading = "Scan", MEMBER(CHOICE, scan_normals), .words = "smooth/area angle max flat",
+     .heading = "Scan", MEMBER(CHOICE, grid.scan_normals), .words = "smooth/area angle max flat",
      .needs = GRID},
     {OPTION("channels", "LIST",
             "what else to keep in chunks and grid: id; and for maps\n"
@@ -53,13 +53,12 @@ static const struct bsq_option rows[] = {
      OWN},
     {OPTION("scan-normal-map", "FILE",
             "the scan's own normal map in tangent space, added to its normals"),
-     MEMBER(INPUT, scan_normal_map)},
+     MEMBER(INPUT, grid.scan_normal_map)},
     {OPTION("id", "KIND", "what ids tell apart: material, object or color (default: material)"),
-     MEMBER(CHOICE, ids), .words = "none material object color"},
+     MEMBER(CHOICE, sort.ids), .words = "none material object color", .needs = MESHES},
     {OPTION("texture", "FILE", "colours for a scan with texture coordinates but no MTL file"),
-     MEMBER(INPUT, texture)},
-    {OPTION("scale", "X", "multiply the scan's positions by X"), .own_syntax = true,
-     MEMBER(NUMBER, scale), BSQ_RANGE(0, DBL_MAX, 1), .positive = true},
+     MEMBER(INPUT, sort.texture_path), .needs = MESHES},
+    {OPTION("scale", "X", "multiply the scan's positions by X"), OWN},
     {OPTION("up", "AXIS", "turn the scan so that y or z points upwards"), OWN},
     {OPTION("translate", "X,Y,Z",
             "then shift the scan; these three options, given once, are for all\n"
@@ -67,10 +66,10 @@ static const struct bsq_option rows[] = {
      OWN},
 
     {OPTION("tris", "FILE", "name of the chunk file (default: the output's, ending in .tris)"),
-     .heading = "Chunk file", MEMBER(OUTPUT, tris), .needs = GRID},
+     .heading = "Chunk file", MEMBER(OUTPUT, tris), .needs = GRID | MESHES},
     {OPTION("no-tris", NULL, "do not keep the chunk file"), MEMBER(FLAG, no_tris), .needs = GRID},
     {OPTION("resume", NULL, "continue the same job from its chunk file, if that is complete"),
-     MEMBER(FLAG, resume)},
+     MEMBER(FLAG, resume), .needs = MESHES},
     {OPTION("parse-only", NULL, "only read the mesh files, to measure the reader"),
      MEMBER(FLAG, parse_only)},
 };
@@ -79,190 +78,8 @@ _Static_assert(sizeof rows / sizeof *rows <= VOXELIZE_MOST_ROWS, "a flag for eac
 
 static const struct bsq_option cli_rows[] = {CLI_TMPDIR_ROW, CLI_STRICT_ROW, CLI_VERIFY_ROW};
 
-/* ---- where files lie ---- */
-
-/* Makes space for one more element. */
-static int add_element(struct cli *cli, void *array, uint32_t count, size_t size)
-{
-    void *old, *grown;
-    memcpy(&old, array, sizeof old);
-    grown = reallocarray(old, count + 1, size);
-    if (!grown)
-        return cli_usage(cli, "no memory for the arguments");
-    memcpy(array, &grown, sizeof grown);
-    /* cppcheck-suppress memleak; the copied pointer owns it */
-    return 0;
-}
-
-static int parse_scale(struct cli *cli, struct voxelize_arguments *a, const struct bsq_option *row,
-                       const char *text)
-{
-    int status = add_element(cli, &a->scales, a->scale_count, sizeof *a->scales);
-    if (status == 0)
-        status = cli_parse_value(cli, "--scale", row, text, a);
-    if (status == 0)
-        a->scales[a->scale_count++] = a->scale;
-    return status;
-}
-
-static int parse_up(struct cli *cli, struct voxelize_arguments *a, const char *text)
-{
-    unsigned axis = 0;
-    int status = add_element(cli, &a->ups, a->up_count, sizeof *a->ups);
-    if (status == 0)
-        status = cli_parse_word(cli, "--up", text, "y z", &axis);
-    if (status == 0)
-        a->ups[a->up_count++] = axis == 0 ? VOX_UP_Y : VOX_UP_Z;
-    return status;
-}
-
-static int parse_translation(struct cli *cli, struct voxelize_arguments *a, const char *text)
-{
-    int status = add_element(cli, &a->translations, a->translation_count, sizeof *a->translations);
-    const char *end = text;
-    const bool decimal = strspn(text, "0123456789.eE+-,") == strlen(text);
-    for (int axis = 0; axis < 3 && status == 0; axis++) {
-        const char *from = end;
-        char *after;
-        double value = strtod(from, &after);
-        end = after;
-        if (!decimal || end == from || !isfinite(value) || *end != (axis < 2 ? ',' : '\0'))
-            return cli_usage(cli, "--translate: \"%s\" is not of the form X,Y,Z", text);
-        a->translations[a->translation_count][axis] = value;
-        end += axis < 2;
-    }
-    a->translation_count += status == 0;
-    return status;
-}
-
-static int check_number(struct cli *cli, const char *option, uint32_t given, uint32_t inputs)
-{
-    if (given <= 1 || given == inputs)
-        return 0;
-    return cli_usage(cli, "%s is given %u times for %u file%s: give it once, or once for each file",
-                     option, given, inputs, inputs == 1 ? "" : "s");
-}
-
-/* Turns the options into a placement for each file. */
-static int make_placements(struct cli *cli, struct voxelize_arguments *a)
-{
-    int status = check_number(cli, "--scale", a->scale_count, a->input_count);
-    if (status == 0)
-        status = check_number(cli, "--up", a->up_count, a->input_count);
-    if (status == 0)
-        status = check_number(cli, "--translate", a->translation_count, a->input_count);
-    if (status < 0 || a->scale_count + a->up_count + a->translation_count == 0)
-        return status;
-    a->placements = calloc(a->input_count, sizeof *a->placements);
-    if (!a->placements)
-        return cli_usage(cli, "no memory for the arguments");
-    for (uint32_t i = 0; i < a->input_count; i++) {
-        struct vox_placement *p = &a->placements[i];
-        p->scale = a->scale_count ? a->scales[a->scale_count > 1 ? i : 0] : 1.0;
-        p->up = a->up_count ? a->ups[a->up_count > 1 ? i : 0] : VOX_UP_KEEP;
-        if (a->translation_count)
-            memcpy(p->translate, a->translations[a->translation_count > 1 ? i : 0],
-                   sizeof p->translate);
-    }
-    return 0;
-}
-
-int voxelize_arguments_map_inputs(struct cli *cli, struct voxelize_arguments *arguments)
-{
-    const struct cli_table table = {rows, ROWS, arguments, NULL};
-    const char **inputs = (const char **)(uintptr_t)arguments->inputs;
-    int status = cli_map_inputs(cli, &table);
-    if (status < 0)
-        return status;
-    BSQ_TRY(cli_map_input(cli, &arguments->farm.plan));
-    for (uint32_t i = 0; i < arguments->channel_count; i++)
-        BSQ_TRY(cli_map_input(cli, &arguments->channels[i].texture_path));
-    for (uint32_t i = 0; i < arguments->input_count; i++)
-        BSQ_TRY(cli_map_input(cli, &inputs[i]));
-done:
-    return status;
-}
-
-void voxelize_arguments_free(struct voxelize_arguments *arguments)
-{
-    free(arguments->scales);
-    free(arguments->ups);
-    free(arguments->translations);
-    free(arguments->placements);
-    for (uint32_t i = 0; i < arguments->channel_count; i++)
-        free((void *)(uintptr_t)arguments->channels[i].name);
-    free(arguments->channels);
-    free(arguments->channel_list);
-}
-
-/* ---- options ---- */
-
-/* Adds a name to the channels that the grid gets. */
-static int add_to_list(struct cli *cli, struct voxelize_arguments *arguments, const char *name)
-{
-    char *old = arguments->channel_list;
-    if (asprintf(&arguments->channel_list, "%s%s%s", old ? old : "", old ? "," : "", name) < 0)
-        arguments->channel_list = NULL;
-    free(old);
-    return arguments->channel_list ? 0 : cli_usage(cli, "no memory for the arguments");
-}
-
-/* Adds a channel "NAME" or "NAME=FILE". */
-static int add_channel(struct cli *cli, struct voxelize_arguments *arguments, const char *word)
-{
-    char *name = strdup(word), *equals = name ? strchr(name, '=') : NULL;
-    struct vox_channel *grown =
-        realloc(arguments->channels, (arguments->channel_count + UINT64_C(1)) * sizeof *grown);
-    if (grown)
-        arguments->channels = grown;
-    if (!name || !grown) {
-        free(name);
-        return cli_usage(cli, "no memory for the arguments");
-    }
-    if (equals)
-        *equals = '\0';
-    grown[arguments->channel_count++] = (struct vox_channel){name, equals ? equals + 1 : NULL};
-    if (strcmp(name, BSQ_CHANNEL_NORMAL_MAP) != 0 && add_to_list(cli, arguments, name) < 0)
-        return BSQ_EUSAGE;
-    if (!bsq_is_channel_name(name))
-        return cli_usage(cli, "--channels: \"%s\" is not a channel", word);
-    if (bsq_is_map_name(name))
-        return cli_usage(cli, "--channels: \"%s\": there is a map of this name", word);
-    return equals && equals[1] == '\0' ? cli_usage(cli, "--channels: \"%s\" names no file", word)
-                                       : 0;
-}
-
-/* Parses the names of channels. Paths of images must not have commas. */
-static int parse_channels(struct cli *cli, struct voxelize_arguments *arguments, const char *text)
-{
-    char *list = strdup(text), *rest = list, *word;
-    int status = list ? 0 : cli_usage(cli, "no memory for the arguments");
-    while (status == 0 && (word = strsep(&rest, ","))) {
-        if (strcmp(word, "id") == 0)
-            arguments->channel_ids = true;
-        else
-            status = add_channel(cli, arguments, word);
-    }
-    free(list);
-    return status;
-}
-
-static int take_option(struct cli *cli, void *arg, const struct bsq_option *row, const char *text)
-{
-    struct voxelize_arguments *arguments = arg;
-    if (strcmp(row->name, "channels") == 0)
-        return parse_channels(cli, arguments, text);
-    if (strcmp(row->name, "scale") == 0)
-        return parse_scale(cli, arguments, row, text);
-    if (strcmp(row->name, "up") == 0)
-        return parse_up(cli, arguments, text);
-    if (strcmp(row->name, "translate") == 0)
-        return parse_translation(cli, arguments, text);
-    return cli_tasks_parse_range(cli, &arguments->farm, text);
-}
-
-/* Returns the name of an option that was given and has one of these bits in `needs`; 0: of any
- * option. NULL: none was. */
+/* Returns the name of an option that was given and has one of these bits in `needs`, with its
+ * dashes; 0: of any option. NULL: none was. */
 static const char *given_option(const struct voxelize_arguments *arguments, uint32_t needs)
 {
     for (unsigned i = 0; i < ROWS; i++)
@@ -271,51 +88,251 @@ static const char *given_option(const struct voxelize_arguments *arguments, uint
     return NULL;
 }
 
-bool voxelize_keeps_normal_map(const struct voxelize_arguments *arguments)
+static bool is_given(const struct voxelize_arguments *arguments, const char *name)
+{
+    for (unsigned i = 0; i < ROWS; i++)
+        if (strcmp(rows[i].name, name) == 0)
+            return arguments->given[i];
+    return false;
+}
+
+/* ---- where files lie ---- */
+
+static int parse_scale(struct cli *cli, struct voxelize_arguments *a, const char *text)
+{
+    static const struct bsq_option row = {BSQ_MEMBER(NUMBER, struct vox_placement, scale),
+                                          BSQ_RANGE(0, DBL_MAX, 1), .positive = true};
+    return cli_parse_value(cli, "--scale", &row, text, &a->placements[a->scales++]);
+}
+
+static int parse_up(struct cli *cli, struct voxelize_arguments *a, const char *text)
+{
+    unsigned axis = 0;
+    const int status = cli_parse_word(cli, "--up", text, "y z", &axis);
+    a->placements[a->ups++].up = axis == 0 ? VOX_UP_Y : VOX_UP_Z;
+    return status;
+}
+
+static int parse_translation(struct cli *cli, struct voxelize_arguments *a, const char *text)
+{
+    double *translate = a->placements[a->translations++].translate;
+    const bool decimal = strspn(text, "0123456789.eE+-,") == strlen(text);
+    const char *from = text;
+    for (int axis = 0; axis < 3; axis++) {
+        char *end;
+        translate[axis] = strtod(from, &end);
+        if (!decimal || end == from || !isfinite(translate[axis]) ||
+            *end != (axis < 2 ? ',' : '\0'))
+            return cli_usage(cli, "--translate: \"%s\" is not of the form X,Y,Z", text);
+        from = end + 1;
+    }
+    return 0;
+}
+
+/* Turns the options into a placement for each file: what was given once is for all of them. */
+static int finish_placements(struct cli *cli, struct voxelize_arguments *a)
+{
+    const uint32_t inputs = a->input_count;
+    const struct {
+        const char *name;
+        uint32_t count;
+    } given[] = {{"--scale", a->scales}, {"--up", a->ups}, {"--translate", a->translations}};
+    for (int i = 0; i < 3; i++)
+        if (given[i].count > 1 && given[i].count != inputs)
+            return cli_usage(cli,
+                             "%s is given %u times for %u file%s: give it once, or once for each "
+                             "file",
+                             given[i].name, given[i].count, inputs, inputs == 1 ? "" : "s");
+    for (uint32_t i = 1; i < inputs; i++) {
+        struct vox_placement *to = &a->placements[i];
+        if (a->scales == 1)
+            to->scale = a->placements->scale;
+        if (a->ups == 1)
+            to->up = a->placements->up;
+        if (a->translations == 1)
+            memcpy(to->translate, a->placements->translate, sizeof to->translate);
+    }
+    if (a->scales + a->ups + a->translations > 0)
+        a->sort.placements = a->placements;
+    return 0;
+}
+
+/* Makes a placement for each word of the command line: more than options or files. */
+static int begin_placements(struct cli *cli, struct voxelize_arguments *a, int words)
+{
+    a->placements = calloc((size_t)words, sizeof *a->placements);
+    if (!a->placements)
+        return cli_usage(cli, "no memory for the arguments");
+    for (int i = 0; i < words; i++)
+        a->placements[i].scale = 1;
+    return 0;
+}
+
+/* ---- channels ---- */
+
+/* Adds a name to the channels that the grid gets. */
+static int add_to_list(struct cli *cli, struct voxelize_arguments *arguments, const char *name)
+{
+    char *old = arguments->channel_list;
+    if (asprintf(&arguments->channel_list, "%s%s%s", old ? old : "", old ? "," : "", name) < 0)
+        arguments->channel_list = NULL;
+    free(old);
+    arguments->grid.channels = arguments->channel_list;
+    return arguments->channel_list ? 0 : cli_usage(cli, "no memory for the arguments");
+}
+
+/* Adds a channel to those of the chunk file. path: of its image, or NULL. */
+static int add_channel(struct cli *cli, struct voxelize_arguments *arguments, const char *name,
+                       size_t length, const char *path)
+{
+    const size_t count = arguments->sort.channel_count;
+    struct vox_channel *grown = realloc(arguments->channels, (count + 1) * sizeof *grown);
+    char *copy = strndup(name, length);
+    if (grown)
+        arguments->sort.channels = arguments->channels = grown;
+    if (!grown || !copy) {
+        free(copy);
+        return cli_usage(cli, "no memory for the arguments");
+    }
+    grown[arguments->sort.channel_count++] = (struct vox_channel){copy, path};
+    return 0;
+}
+
+/* Parses "id", "NAME" or "NAME=FILE". */
+static int parse_channel(struct cli *cli, struct voxelize_arguments *arguments, const char *word)
+{
+    const char *equals = strchr(word, '=');
+    if (strcmp(word, "id") == 0) {
+        arguments->grid.ids = true;
+        return 0;
+    }
+    if (add_channel(cli, arguments, word, strcspn(word, "="), equals ? equals + 1 : NULL) < 0)
+        return BSQ_EUSAGE;
+    const char *name = arguments->channels[arguments->sort.channel_count - 1].name;
+    if (!bsq_is_channel_name(name))
+        return cli_usage(cli, "--channels: \"%s\" is not a channel", word);
+    if (bsq_is_map_name(name))
+        return cli_usage(cli, "--channels: \"%s\": there is a map of this name", word);
+    if (equals && equals[1] == '\0')
+        return cli_usage(cli, "--channels: \"%s\" names no file", word);
+    return strcmp(name, BSQ_CHANNEL_NORMAL_MAP) == 0 ? 0 : add_to_list(cli, arguments, name);
+}
+
+static bool keeps_normal_map(const struct voxelize_arguments *arguments)
 {
     bool any = false;
-    for (uint32_t i = 0; i < arguments->channel_count; i++)
+    for (uint32_t i = 0; i < arguments->sort.channel_count; i++)
         any |= strcmp(arguments->channels[i].name, BSQ_CHANNEL_NORMAL_MAP) == 0;
     return any;
 }
 
-static int check_arguments(struct cli *cli, const struct voxelize_arguments *arguments)
+static int take_option(struct cli *cli, void *arg, const struct bsq_option *row, const char *text)
+{
+    struct voxelize_arguments *arguments = arg;
+    int status = 0;
+    if (strcmp(row->name, "scale") == 0)
+        return parse_scale(cli, arguments, text);
+    if (strcmp(row->name, "up") == 0)
+        return parse_up(cli, arguments, text);
+    if (strcmp(row->name, "translate") == 0)
+        return parse_translation(cli, arguments, text);
+    if (strcmp(row->name, "task") == 0)
+        return cli_tasks_parse_range(cli, &arguments->farm, text);
+    /* --channels: paths of images must not have commas. */
+    for (char *word = (char *)(uintptr_t)text; word && status == 0;) {
+        char *next = strchr(word, ',');
+        if (next)
+            *next++ = '\0';
+        status = parse_channel(cli, arguments, word);
+        word = next;
+    }
+    return status;
+}
+
+int voxelize_arguments_keep_normal_map(struct cli *cli, struct voxelize_arguments *arguments)
+{
+    static const char name[] = BSQ_CHANNEL_NORMAL_MAP;
+    const char *path = arguments->grid.scan_normal_map;
+    return path ? add_channel(cli, arguments, name, strlen(name), path) : 0;
+}
+
+/* ---- all of them ---- */
+
+static int check_tasks(struct cli *cli, const struct voxelize_arguments *arguments)
 {
     const struct cli_tasks *farm = &arguments->farm;
-    if (arguments->input_count == 0 && !farm->plan)
-        return cli_usage(cli, "no input file given (see --help)");
-    if (cli->verify)
-        return 0;
     if (cli_tasks_check(cli, farm, given_option(arguments, 0), (int)arguments->input_count) < 0)
         return BSQ_EUSAGE;
-    if (farm->plan)
-        return 0;
     if (farm->write_plan && (arguments->parse_only || arguments->sort_only))
         return cli_usage(cli, "a plan is for a grid: leave out %s",
                          arguments->parse_only ? "--parse-only" : "the chunk file as output");
-    if (arguments->parse_only && arguments->output)
+    return 0;
+}
+
+static int check_arguments(struct cli *cli, const struct voxelize_arguments *arguments)
+{
+    static const char *const exclude[][2] = {{"resolution", "voxel-size"}, {"tris", "no-tris"}};
+    const char *output = arguments->grid.grid_path;
+    if (arguments->parse_only && output)
         return cli_usage(cli, "--parse-only writes nothing: leave out --output");
-    if (arguments->parse_only &&
-        arguments->scale_count + arguments->up_count + arguments->translation_count > 0)
+    if (arguments->parse_only && arguments->scales + arguments->ups + arguments->translations > 0)
         return cli_usage(cli, "--parse-only only reads: leave out --scale, --up and --translate");
-    if (!arguments->parse_only && !arguments->output)
+    if (!arguments->parse_only && !output)
         return cli_usage(cli, "no output given: add -o FILE.nvdb");
-    if (arguments->resolution > 0 && arguments->voxel_size > 0)
-        return cli_usage(cli, "--resolution and --voxel-size exclude each other");
-    if (arguments->ids != VOX_IDS_NONE && !arguments->channel_ids)
+    for (size_t i = 0; i < sizeof exclude / sizeof *exclude; i++)
+        if (is_given(arguments, exclude[i][0]) && is_given(arguments, exclude[i][1]))
+            return cli_usage(cli, "--%s and --%s exclude each other", exclude[i][0], exclude[i][1]);
+    if (is_given(arguments, "id") && !arguments->grid.ids)
         return cli_usage(cli, "--id needs --channels id");
-    if (arguments->scan_normal_map && voxelize_keeps_normal_map(arguments))
+    if (arguments->grid.scan_normal_map && keeps_normal_map(arguments))
         return cli_usage(cli, "--scan-normal-map and --channels " BSQ_CHANNEL_NORMAL_MAP
                               " exclude each other");
-    if (arguments->tris && arguments->no_tris)
-        return cli_usage(cli, "--tris and --no-tris exclude each other");
     if (arguments->sort_only && given_option(arguments, GRID))
-        return cli_usage(cli, "%s: a chunk file is not a grid: leave out --%s", arguments->output,
+        return cli_usage(cli, "%s: a chunk file is not a grid: leave out --%s", output,
                          given_option(arguments, GRID));
     if (arguments->resume && (arguments->no_tris || arguments->parse_only))
         return cli_usage(cli, "--resume continues from a chunk file: leave out %s",
                          arguments->no_tris ? "--no-tris" : "--parse-only");
     return 0;
+}
+
+int voxelize_arguments_check_part(struct cli *cli, const struct voxelize_arguments *arguments,
+                                  const char *part, bool beside_meshes)
+{
+    const char *option = given_option(arguments, MESHES);
+    bool images = false;
+    for (uint32_t i = 0; i < arguments->sort.channel_count; i++)
+        images |= arguments->channels[i].texture_path != NULL;
+    if (arguments->parse_only)
+        return cli_usage(cli, "%s: --parse-only reads meshes", part);
+    if (arguments->sort.placements)
+        return cli_usage(cli, "%s is a chunk file: --scale, --up and --translate are for meshes",
+                         part);
+    if (arguments->sort_only)
+        return cli_usage(cli, "%s: only meshes can be sorted, and an input is a chunk file",
+                         arguments->grid.grid_path);
+    if (!beside_meshes && (option || images))
+        return cli_usage(cli, "%s is already a chunk file: leave out %s%s", part,
+                         option ? "--" : "", option ? option : "the images of --channels");
+    if (!beside_meshes && keeps_normal_map(arguments))
+        return cli_usage(cli,
+                         "%s is already a chunk file: leave out the channel " BSQ_CHANNEL_NORMAL_MAP
+                         ", because its normals contain it if it has one",
+                         part);
+    if (beside_meshes && !arguments->tris && (arguments->resume || arguments->sort.channel_count))
+        return cli_usage(cli, "%s: beside chunk files, meshes are kept with --tris only",
+                         arguments->resume ? "--resume" : "--channels");
+    return 0;
+}
+
+/* Sets what follows from the options. */
+static int finish(struct cli *cli, struct voxelize_arguments *arguments)
+{
+    if (is_given(arguments, "voxel-size"))
+        arguments->grid.resolution = 0;
+    if (!arguments->grid.ids)
+        arguments->sort.ids = VOX_IDS_NONE;
+    return finish_placements(cli, arguments);
 }
 
 int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *arguments, int argc,
@@ -329,19 +346,50 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
         .take = take_option,
         .arguments = arguments,
     };
-    bsq_options_defaults(rows, ROWS, arguments);
-    int status = cli_parse(cli, &command, argc, argv);
+    vox_sort_defaults(&arguments->sort);
+    vox_voxelize_defaults(&arguments->grid);
+    arguments->sort.ids = VOX_IDS_MATERIAL;
+    int status = begin_placements(cli, arguments, argc);
+    if (status == 0)
+        status = cli_parse(cli, &command, argc, argv);
     arguments->inputs = (const char *const *)argv + optind;
     arguments->input_count = (uint32_t)(argc - optind);
-    arguments->sort_only = arguments->output && cli_ends_with(arguments->output, ".tris");
+    arguments->sort_only =
+        arguments->grid.grid_path && cli_ends_with(arguments->grid.grid_path, ".tris");
     arguments->farm.alone = arguments->sort_only;
-    if (status == 0)
-        status = check_arguments(cli, arguments);
-    if (status == 0 && arguments->input_count > 0)
-        status = make_placements(cli, arguments);
-    struct vox_voxelize_options defaults;
-    vox_voxelize_defaults(&defaults);
-    if (status == 0 && arguments->resolution == 0 && arguments->voxel_size == 0)
-        arguments->resolution = defaults.resolution;
+    if (status != 0 || cli->verify)
+        return status;
+    if (arguments->input_count == 0 && !arguments->farm.plan)
+        return cli_usage(cli, "no input file given (see --help)");
+    BSQ_TRY(check_tasks(cli, arguments));
+    if (arguments->farm.plan)
+        return 0;
+    BSQ_TRY(check_arguments(cli, arguments));
+    status = finish(cli, arguments);
+done:
     return status;
+}
+
+int voxelize_arguments_map_inputs(struct cli *cli, struct voxelize_arguments *arguments)
+{
+    const struct cli_table table = {rows, ROWS, arguments, NULL};
+    const char **inputs = (const char **)(uintptr_t)arguments->inputs;
+    int status = 0;
+    BSQ_TRY(cli_map_inputs(cli, &table));
+    BSQ_TRY(cli_map_input(cli, &arguments->farm.plan));
+    for (uint32_t i = 0; i < arguments->sort.channel_count; i++)
+        BSQ_TRY(cli_map_input(cli, &arguments->channels[i].texture_path));
+    for (uint32_t i = 0; i < arguments->input_count; i++)
+        BSQ_TRY(cli_map_input(cli, &inputs[i]));
+done:
+    return status;
+}
+
+void voxelize_arguments_free(struct voxelize_arguments *arguments)
+{
+    for (uint32_t i = 0; i < arguments->sort.channel_count; i++)
+        free((void *)(uintptr_t)arguments->channels[i].name);
+    free(arguments->channels);
+    free(arguments->channel_list);
+    free(arguments->placements);
 }

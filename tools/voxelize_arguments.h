@@ -8,31 +8,19 @@
 enum { VOXELIZE_MOST_ROWS = 32 };
 
 struct voxelize_arguments {
-    bool given[VOXELIZE_MOST_ROWS]; /* by rows of the options */
+    bool given[VOXELIZE_MOST_ROWS];   /* by rows of the options */
+    struct vox_sort_options sort;     /* of the meshes; the job adds its files */
+    struct vox_voxelize_options grid; /* likewise */
     const char *const *inputs;
     uint32_t input_count;
-    const char *output;
-    uint32_t resolution; /* 0: a voxel size is given */
-    double voxel_size;   /* 0: not given */
-    enum vox_grid_type grid_type;
-    enum bsq_scan_normals scan_normals;
-    const char *vdb, *texture, *tris;
-    const char *scan_normal_map;
-    bool channel_ids;
-    struct vox_channel *channels; /* further ones; the names are owned */
-    uint32_t channel_count;
-    char *channel_list; /* their names, separated by commas; NULL: none */
-    enum vox_ids ids;   /* VOX_IDS_NONE: not given */
+    const char *tris;
     bool no_tris, parse_only, resume;
     bool sort_only; /* the output is a chunk file: no grid is made */
     struct cli_tasks farm;
-    /* Of all files, or of each one: as often as the option was given. */
-    double scale; /* the last one */
-    double *scales;
-    enum vox_up *ups;
-    double (*translations)[3];
-    uint32_t scale_count, up_count, translation_count;
-    struct vox_placement *placements; /* one for each input; NULL: none is given */
+    struct vox_channel *channels;       /* those of sort; the names are owned */
+    char *channel_list;                 /* those of grid */
+    struct vox_placement *placements;   /* those of sort */
+    uint32_t scales, ups, translations; /* how often these options were given */
 };
 
 /* Parses the command line, and checks what can be checked without opening a file. Returns what
@@ -43,8 +31,12 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
 /* Applies the rules for paths to the inputs of the command line. */
 int voxelize_arguments_map_inputs(struct cli *cli, struct voxelize_arguments *arguments);
 
-/* Returns whether the chunk file is to keep the materials' normal maps. */
-bool voxelize_keeps_normal_map(const struct voxelize_arguments *arguments);
+/* Checks the options if chunk files, such as `part`, are among the inputs. */
+int voxelize_arguments_check_part(struct cli *cli, const struct voxelize_arguments *arguments,
+                                  const char *part, bool beside_meshes);
+
+/* Adds the image of --scan-normal-map to the channels of the chunk file. */
+int voxelize_arguments_keep_normal_map(struct cli *cli, struct voxelize_arguments *arguments);
 
 /* Frees what parsing allocated. */
 void voxelize_arguments_free(struct voxelize_arguments *arguments);

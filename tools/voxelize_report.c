@@ -56,18 +56,6 @@ void voxelize_report_grid(const struct vox_voxelize_options *options,
         cli_print("%s: the same as OpenVDB\n", options->vdb_path);
 }
 
-static json_t *inputs_json(const struct voxelize_arguments *arguments)
-{
-    json_t *list = json_array();
-    for (uint32_t i = 0; list && i < arguments->input_count; i++) {
-        if (json_array_append_new(list, cli_json_text(arguments->inputs[i])) != 0) {
-            json_decref(list);
-            list = NULL;
-        }
-    }
-    return list;
-}
-
 static json_t *sort_json(const struct vox_sort_report *sort)
 {
     return json_pack(
@@ -104,11 +92,14 @@ static int print_json(const struct voxelize_job *job)
     const struct voxelize_arguments *arguments = job->arguments;
     bool keeps_tris = !arguments->parse_only && !job->temporary_tris;
     const bool no_grid = arguments->parse_only || arguments->sort_only;
+    json_t *inputs = json_array();
+    for (uint32_t i = 0; i < arguments->input_count; i++)
+        cli_json_append(&inputs, cli_json_text(arguments->inputs[i]));
     json_t *root = json_pack(
-        "{s:o, s:b, s:o, s:o, s:o, s:o, s:o}", "inputs", inputs_json(arguments), "resumed",
-        (int)job->resumed, "grid_path", cli_json_text(no_grid ? NULL : arguments->output),
-        "tris_path", cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
-        cli_json_text(arguments->vdb), "scan",
+        "{s:o, s:b, s:o, s:o, s:o, s:o, s:o}", "inputs", inputs, "resumed", (int)job->resumed,
+        "grid_path", cli_json_text(no_grid ? NULL : arguments->grid.grid_path), "tris_path",
+        cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
+        cli_json_text(arguments->grid.vdb_path), "scan",
         job->mesh_count == 0 || job->resumed ? json_null() : sort_json(&job->sort), "grid",
         no_grid ? json_null() : voxelize_report_grid_json(&job->grid));
     return cli_print_json(job->cli, root);
@@ -129,8 +120,8 @@ static void warn_of_stray_parts(const struct voxelize_job *job)
         bsq_warn(job->cli->ctx,
                  "%s: only %s in a grid of %lld along the longest side: is there something far "
                  "away from the scan, or are its files in different units?",
-                 job->arguments->output, cli_counted_text(grid->voxels, "voxel", "voxels", voxels),
-                 (long long)side);
+                 job->arguments->grid.grid_path,
+                 cli_counted_text(grid->voxels, "voxel", "voxels", voxels), (long long)side);
 }
 
 int voxelize_report_print(const struct voxelize_job *job)
@@ -145,10 +136,8 @@ int voxelize_report_print(const struct voxelize_job *job)
         print_read(job);
     if (!job->arguments->parse_only)
         print_tris(job);
-    const struct vox_voxelize_options options = {.grid_path = job->arguments->output,
-                                                 .vdb_path = job->arguments->vdb};
     if (!job->arguments->parse_only && !job->arguments->sort_only)
-        voxelize_report_grid(&options, &job->grid);
+        voxelize_report_grid(&job->arguments->grid, &job->grid);
     cli_print_cost(job->cli);
     return 0;
 }

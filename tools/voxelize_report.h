@@ -6,7 +6,7 @@
 
 struct voxelize_job {
     struct cli *cli;
-    const struct voxelize_arguments *arguments;
+    struct voxelize_arguments *arguments;
     const char **meshes, **parts; /* the inputs: mesh files, and chunk files; owned */
     uint32_t mesh_count, part_count;
     bool resumed;                    /* an earlier run wrote the chunk file, see --resume */
