@@ -71,13 +71,15 @@ static int read_sparse_array(const struct gltf_place *place, const struct gltf_s
                              struct gltf_array *out)
 {
     out->offset = 0;
-    int status = fmt_gltf_index(place, object, "bufferView", "bufferViews", &out->view);
-    if (!status && out->view == GLTF_NONE)
-        status = fmt_gltf_fail(place, "\"sparse\" has no bufferView");
-    if (!status)
-        status = fmt_gltf_number(place, object, "byteOffset", INT64_MAX / 4, &out->offset);
+    int status;
+    BSQ_TRY(fmt_gltf_index(place, object, "bufferView", "bufferViews", &out->view));
+    if (out->view == GLTF_NONE)
+        BSQ_TRY(fmt_gltf_fail(place, "\"sparse\" has no bufferView"));
+    BSQ_TRY(fmt_gltf_number(place, object, "byteOffset", INT64_MAX / 4, &out->offset));
     const uint64_t bytes = (uint64_t)components * fmt_gltf_component_bytes(out->component);
-    return status ? status : check_range(place, source, out, count, bytes, bytes);
+    status = check_range(place, source, out, count, bytes, bytes);
+done:
+    return status;
 }
 
 static int read_sparse(const struct gltf_place *place, const struct gltf_source *source,
@@ -129,35 +131,33 @@ static int read_accessor(const struct gltf_place *place, const struct gltf_sourc
                          struct gltf_accessor *out)
 {
     *out = (struct gltf_accessor){.count = GLTF_REQUIRED};
-    int status =
-        fmt_gltf_index(place, place->object, "bufferView", "bufferViews", &out->elements.view);
-    if (!status)
-        status = fmt_gltf_number(place, place->object, "byteOffset", INT64_MAX / 4,
-                                 &out->elements.offset);
-    if (!status)
-        status = fmt_gltf_number(place, place->object, "count", INT64_MAX / 4, &out->count);
-    if (!status)
-        status = read_component(place, place->object, &out->elements.component);
-    if (!status)
-        status = read_type(place, &out->components);
+    int status;
+    BSQ_TRY(fmt_gltf_index(place, place->object, "bufferView", "bufferViews", &out->elements.view));
+    BSQ_TRY(
+        fmt_gltf_number(place, place->object, "byteOffset", INT64_MAX / 4, &out->elements.offset));
+    BSQ_TRY(fmt_gltf_number(place, place->object, "count", INT64_MAX / 4, &out->count));
+    BSQ_TRY(read_component(place, place->object, &out->elements.component));
+    BSQ_TRY(read_type(place, &out->components));
     out->normalized = json_is_true(json_object_get(place->object, "normalized"));
-    if (!status)
-        status = check_elements(place, source, out);
-    return status ? status : read_sparse(place, source, out);
+    BSQ_TRY(check_elements(place, source, out));
+    status = read_sparse(place, source, out);
+done:
+    return status;
 }
 
 int fmt_gltf_read_accessors(struct gltf_document *document, struct gltf_source *source)
 {
     const uint64_t count = fmt_gltf_count(document, "accessors");
-    int status = bsq_calloc(document->ctx, "glTF accessors", count + 1, sizeof *source->accessors,
-                            &source->accessors);
-    for (uint64_t i = 0; i < count && !status; i++) {
+    int status;
+    BSQ_TRY(bsq_calloc(document->ctx, "glTF accessors", count + 1, sizeof *source->accessors,
+                       &source->accessors));
+    for (uint64_t i = 0; i < count; i++) {
         const struct gltf_place place = fmt_gltf_element(document, "accessors", i);
-        status = i % 4096 ? 0 : bsq_check(document->ctx);
-        if (!status)
-            status = read_accessor(&place, source, &source->accessors[i]);
+        BSQ_TRY(i % 4096 ? 0 : bsq_check(document->ctx));
+        BSQ_TRY(read_accessor(&place, source, &source->accessors[i]));
         source->accessor_count++;
     }
+done:
     return status;
 }
 
@@ -276,20 +276,21 @@ static int apply_sparse(const struct gltf_decoder *d, const struct gltf_accessor
     const uint64_t bytes = (uint64_t)n * fmt_gltf_component_bytes(accessor->elements.component);
     double indices[SPARSE_BLOCK], values[4 * SPARSE_BLOCK];
     uint64_t next = 0;
-    int status = find_sparse(d, accessor, first, &next);
-    while (next < accessor->sparse_count && !status) {
+    int status;
+    BSQ_TRY(find_sparse(d, accessor, first, &next));
+    while (next < accessor->sparse_count) {
         const uint64_t left = accessor->sparse_count - next;
         const uint64_t block = left < SPARSE_BLOCK ? left : SPARSE_BLOCK;
-        status = read_sparse_indices(d, accessor, next, block, indices);
-        if (!status)
-            status = decode_array(d, &accessor->sparse_values, bytes, n, next, block, values);
-        for (uint64_t i = 0; i < block && !status; i++) {
+        BSQ_TRY(read_sparse_indices(d, accessor, next, block, indices));
+        BSQ_TRY(decode_array(d, &accessor->sparse_values, bytes, n, next, block, values));
+        for (uint64_t i = 0; i < block; i++) {
             if (!(indices[i] >= (double)first && indices[i] < (double)(first + count)))
                 return 0;
             memcpy(to + ((uint64_t)indices[i] - first) * n, values + i * n, n * sizeof *to);
         }
         next += block;
     }
+done:
     return status;
 }
 
@@ -298,19 +299,19 @@ static int check_sparse(const struct gltf_decoder *d, const struct gltf_place *p
 {
     double indices[SPARSE_BLOCK], last = -1;
     int status = 0;
-    for (uint64_t at = 0; at < accessor->sparse_count && !status; at += SPARSE_BLOCK) {
+    for (uint64_t at = 0; at < accessor->sparse_count; at += SPARSE_BLOCK) {
         const uint64_t left = accessor->sparse_count - at;
         const uint64_t block = left < SPARSE_BLOCK ? left : SPARSE_BLOCK;
-        status = bsq_check(d->ctx);
-        if (!status)
-            status = read_sparse_indices(d, accessor, at, block, indices);
-        for (uint64_t i = 0; i < block && !status; last = indices[i++])
+        BSQ_TRY(bsq_check(d->ctx));
+        BSQ_TRY(read_sparse_indices(d, accessor, at, block, indices));
+        for (uint64_t i = 0; i < block; last = indices[i++])
             if (!(indices[i] > last && indices[i] < (double)accessor->count))
-                status = fmt_gltf_fail(place,
-                                       "its sparse index %" PRIu64 " is %.0f: it is no element, or "
-                                       "not above the one before it",
-                                       at + i, indices[i]);
+                BSQ_TRY(fmt_gltf_fail(place,
+                                      "its sparse index %" PRIu64 " is %.0f: it is no element, or "
+                                      "not above the one before it",
+                                      at + i, indices[i]));
     }
+done:
     return status;
 }
 

@@ -10,18 +10,8 @@
 #include "base/path_map.h"
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/mesh_text.h"
-#include "formats/mesh/obj_path.h"
 
 /* ---- URIs ---- */
-
-/* Returns the value of a hexadecimal digit, or -1. */
-static int hex(char c)
-{
-    if (c >= '0' && c <= '9')
-        return c - '0';
-    c = (char)(c | 0x20);
-    return c >= 'a' && c <= 'f' ? c - 'a' + 10 : -1;
-}
 
 /* Decodes %XX in place. A zero byte would end the name, so "%00" stays as it is. */
 static void decode_percent(char *text)
@@ -29,8 +19,8 @@ static void decode_percent(char *text)
     char *to = text;
     for (const char *from = text; *from; from++) {
         int value = -1;
-        if (*from == '%' && hex(from[1]) >= 0 && hex(from[2]) >= 0)
-            value = 16 * hex(from[1]) + hex(from[2]);
+        if (*from == '%' && fmt_mesh_hex_digit(from[1]) >= 0 && fmt_mesh_hex_digit(from[2]) >= 0)
+            value = 16 * fmt_mesh_hex_digit(from[1]) + fmt_mesh_hex_digit(from[2]);
         if (value > 0)
             from += 2;
         *to++ = value > 0 ? (char)value : *from;
@@ -194,15 +184,11 @@ static int read_view(const struct gltf_place *place, struct gltf_source *source,
     const json_t *meshopt = fmt_gltf_extension(place->object, "EXT_meshopt_compression");
     uint64_t size = GLTF_REQUIRED, offset = 0, stride = 0;
     *out = (struct gltf_view){.buffer = GLTF_NONE, .decoded = GLTF_NOT_DECODED};
-    int status = fmt_gltf_index(place, place->object, "buffer", "buffers", &out->buffer);
-    if (!status)
-        status = fmt_gltf_number(place, place->object, "byteLength", INT64_MAX / 4, &size);
-    if (!status)
-        status = fmt_gltf_number(place, place->object, "byteOffset", INT64_MAX / 4, &offset);
-    if (!status)
-        status = fmt_gltf_number(place, place->object, "byteStride", MOST_STRIDE, &stride);
-    if (status)
-        return status;
+    int status;
+    BSQ_TRY(fmt_gltf_index(place, place->object, "buffer", "buffers", &out->buffer));
+    BSQ_TRY(fmt_gltf_number(place, place->object, "byteLength", INT64_MAX / 4, &size));
+    BSQ_TRY(fmt_gltf_number(place, place->object, "byteOffset", INT64_MAX / 4, &offset));
+    BSQ_TRY(fmt_gltf_number(place, place->object, "byteStride", MOST_STRIDE, &stride));
     if (out->buffer == GLTF_NONE)
         return fmt_gltf_fail(place, "\"buffer\" is missing");
     const uint64_t bytes = source->buffers[out->buffer].part.size;
@@ -216,8 +202,10 @@ static int read_view(const struct gltf_place *place, struct gltf_source *source,
     out->stride = (uint32_t)stride;
     if (meshopt)
         return fmt_gltf_read_packed_view(place, source, meshopt, out);
-    return source->buffers[out->buffer].missing ? fmt_gltf_fail(place, "its buffer has no data")
-                                                : 0;
+    status =
+        source->buffers[out->buffer].missing ? fmt_gltf_fail(place, "its buffer has no data") : 0;
+done:
+    return status;
 }
 
 /* ---- both ---- */

@@ -120,17 +120,19 @@ static int read_texture(const struct gltf_place *place, struct gltf_source *sour
     const struct gltf_unread before = source->unread;
     struct bsq_part part;
     uint32_t texture = GLTF_NONE;
-    int status = fmt_gltf_index(place, info, "index", "textures", &texture);
-    if (!status && texture != GLTF_NONE)
-        status = fmt_gltf_find_texture(place->document, source, texture, &out->texture_path);
+    int status;
+    BSQ_TRY(fmt_gltf_index(place, info, "index", "textures", &texture));
+    if (texture != GLTF_NONE)
+        BSQ_TRY(fmt_gltf_find_texture(place->document, source, texture, &out->texture_path));
     source->unread = before; /* these counts are of colours */
-    if (!status && !out->texture_path)
+    if (!out->texture_path)
         out->loss = "its texture has a format or an address that is not read";
-    if (!status && out->texture_path)
-        status = read_uv(place, material, info, out);
-    if (!status && out->texture_path && bsq_part_parse(out->texture_path, &part) == 0)
-        status =
-            fmt_string_copy(place->document->ctx, place->document->file.path, &out->texture_place);
+    if (out->texture_path)
+        BSQ_TRY(read_uv(place, material, info, out));
+    if (out->texture_path && bsq_part_parse(out->texture_path, &part) == 0)
+        BSQ_TRY(
+            fmt_string_copy(place->document->ctx, place->document->file.path, &out->texture_place));
+done:
     return status;
 }
 
@@ -151,16 +153,17 @@ static int read_channel(const struct gltf_place *place, struct gltf_source *sour
 int fmt_gltf_read_channels(const struct gltf_place *place, struct gltf_source *source,
                            struct gltf_material *material)
 {
+    struct fmt_material *list = &material->described;
     const struct bsq_channel *row;
     uint32_t count = 0;
     for (unsigned i = 0; (row = bsq_channel_at(i)); i++)
         count += row->gltf.object != NULL;
-    int status = bsq_calloc(place->document->ctx, "glTF materials", count,
-                            sizeof *material->channels, &material->channels);
+    int status = bsq_calloc(place->document->ctx, "glTF materials", count, sizeof *list->channels,
+                            &list->channels);
     for (unsigned i = 0; (row = bsq_channel_at(i)) && !status; i++) {
         if (!row->gltf.object)
             continue;
-        struct fmt_material_channel *channel = &material->channels[material->channel_count++];
+        struct fmt_material_channel *channel = &list->channels[list->channel_count++];
         channel->channel = row;
         status = read_channel(place, source, material, channel);
     }

@@ -161,19 +161,11 @@ struct gltf_placement {
 };
 
 struct gltf_material {
-    char *name;
-    double color[3]; /* linear; of faces without texture, and a factor of vertex colours */
-    bool has_color;
-    bool opaque;  /* alpha has no meaning */
-    bool cutout;  /* alpha below the cutoff hides, other alpha does not */
-    double alpha; /* of faces without texture, and a factor of the texture's alpha */
-    double cutoff;
-    char *texture_path; /* or NULL */
-    uint32_t texcoord;  /* number of the set of texture coordinates */
+    struct fmt_material described;
+    double color[3];   /* linear; of faces without texture, and a factor of vertex colours */
+    uint32_t texcoord; /* number of the set of texture coordinates */
     /* Texture coordinates are uv_matrix * (u, v, 1), with v downwards as in the file. */
     double uv_matrix[2][3];
-    struct fmt_material_channel *channels; /* one for each channel that materials can have */
-    uint32_t channel_count;
 };
 
 /* What is not read, counted for warnings. */

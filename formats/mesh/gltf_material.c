@@ -165,16 +165,19 @@ static const json_t *find_texture_info(const struct gltf_place *place, const jso
 
 /* ---- materials ---- */
 
+/* Reads a factor of red, green, blue and alpha. */
 static int read_color(const struct gltf_place *place, const json_t *object, const char *key,
-                      struct gltf_material *out)
+                      struct gltf_material *out, double *alpha)
 {
     double rgba[4] = {1, 1, 1, 1};
     int status = fmt_gltf_numbers(place, object, key, 4, rgba);
     for (int k = 0; k < 4; k++) /* as the format demands */
         rgba[k] = fmin(fmax(rgba[k], 0.0), 1.0);
     memcpy(out->color, rgba, sizeof out->color);
-    out->alpha = rgba[3];
-    out->has_color = status > 0;
+    for (int k = 0; k < 3; k++)
+        out->described.diffuse[k] = (float)bsq_linear_to_srgb(rgba[k]);
+    *alpha = rgba[3];
+    out->described.has_diffuse = status > 0;
     return status < 0 ? status : 0;
 }
 
@@ -186,49 +189,73 @@ static int read_name(const struct gltf_place *place, char **out)
     return fmt_string_copy(place->document->ctx, name ? name : number, out);
 }
 
+/* Reads how alpha hides a material: alpha is that of faces without texture, and a factor of the
+ * texture's alpha. */
+static int read_opacity(const struct gltf_place *place, double alpha, struct fmt_material *out)
+{
+    const json_t *value = json_object_get(place->object, "alphaCutoff");
+    const char *mode = fmt_gltf_string(place->object, "alphaMode");
+    const double cutoff = json_is_number(value) ? json_number_value(value) : 0.5;
+    struct fmt_material_channel *opacity;
+    out->opaque = !mode || strcmp(mode, "OPAQUE") == 0;
+    out->cutout = mode && strcmp(mode, "MASK") == 0;
+    if (out->opaque)
+        return 0;
+    int status = fmt_material_enter_channel(place->document->ctx, out, bsq_channel_find("opacity"),
+                                            &opacity);
+    if (status)
+        return status;
+    opacity->value[0] = out->cutout ? (float)(alpha >= cutoff) : (float)alpha;
+    opacity->has_value = true;
+    /* 2 is above the alpha of all textures. */
+    out->cutoff = alpha > 0.0 ? (float)fmin(fmax(cutoff / alpha, 0.0), 2.0)
+                              : 2.0f * (1.0f - opacity->value[0]);
+    return 0;
+}
+
 static int read_material(const struct gltf_place *place, struct gltf_source *source,
                          struct gltf_material *out)
 {
+    struct gltf_document *d = place->document;
     const json_t *pbr = json_object_get(place->object, "pbrMetallicRoughness");
     const json_t *old = fmt_gltf_extension(place->object, "KHR_materials_pbrSpecularGlossiness");
     const json_t *from = pbr ? pbr : old;
     const json_t *base = json_object_get(from, pbr ? "baseColorTexture" : "diffuseTexture");
+    struct fmt_material *m = &out->described;
     uint32_t texture = GLTF_NONE;
-    const json_t *cutoff = json_object_get(place->object, "alphaCutoff");
-    const char *mode = fmt_gltf_string(place->object, "alphaMode");
-    *out = (struct gltf_material){.opaque = !mode || strcmp(mode, "OPAQUE") == 0,
-                                  .cutout = mode && strcmp(mode, "MASK") == 0,
-                                  .cutoff = 0.5};
-    if (json_is_number(cutoff))
-        out->cutoff = json_number_value(cutoff);
-    int status = read_name(place, &out->name);
-    if (!status)
-        status = read_color(place, from, pbr ? "baseColorFactor" : "diffuseFactor", out);
-    if (!status && base)
-        status = fmt_gltf_index(place, base, "index", "textures", &texture);
-    if (!status && texture != GLTF_NONE)
-        status = fmt_gltf_find_texture(place->document, source, texture, &out->texture_path);
-    if (!status)
-        status = fmt_gltf_read_texcoord(place, find_texture_info(place, base), &out->texcoord,
-                                        out->uv_matrix);
-    if (!status)
-        status = fmt_gltf_read_channels(place, source, out);
-    if (out->texture_path && (out->color[0] != 1 || out->color[1] != 1 || out->color[2] != 1))
-        source->unread.texture_factors++;
+    struct bsq_part part;
+    double alpha;
+    int status;
+    BSQ_TRY(read_name(place, &m->name));
+    BSQ_TRY(read_color(place, from, pbr ? "baseColorFactor" : "diffuseFactor", out, &alpha));
+    if (base)
+        BSQ_TRY(fmt_gltf_index(place, base, "index", "textures", &texture));
+    if (texture != GLTF_NONE)
+        BSQ_TRY(fmt_gltf_find_texture(d, source, texture, &m->texture_path));
+    if (m->texture_path && bsq_part_parse(m->texture_path, &part) == 0)
+        BSQ_TRY(fmt_string_copy(d->ctx, d->file.path, &m->texture_place));
+    BSQ_TRY(fmt_gltf_read_texcoord(place, find_texture_info(place, base), &out->texcoord,
+                                   out->uv_matrix));
+    BSQ_TRY(fmt_gltf_read_channels(place, source, out));
+    source->unread.texture_factors +=
+        m->texture_path && (out->color[0] != 1 || out->color[1] != 1 || out->color[2] != 1);
+    status = read_opacity(place, alpha, m);
+done:
     return status;
 }
 
 int fmt_gltf_read_materials(struct gltf_document *document, struct gltf_source *source)
 {
     const uint64_t count = fmt_gltf_count(document, "materials");
-    int status = bsq_calloc(document->ctx, "glTF materials", count + 1, sizeof *source->materials,
-                            &source->materials);
-    for (uint64_t i = 0; i < count && !status; i++) {
+    int status;
+    BSQ_TRY(bsq_calloc(document->ctx, "glTF materials", count + 1, sizeof *source->materials,
+                       &source->materials));
+    for (uint64_t i = 0; i < count; i++) {
         const struct gltf_place place = fmt_gltf_element(document, "materials", i);
-        status = bsq_check(document->ctx);
+        BSQ_TRY(bsq_check(document->ctx));
         source->material_count++;
-        if (!status)
-            status = read_material(&place, source, &source->materials[i]);
+        BSQ_TRY(read_material(&place, source, &source->materials[i]));
     }
+done:
     return status;
 }

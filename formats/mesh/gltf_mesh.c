@@ -87,15 +87,15 @@ static int read_accessors(const struct gltf_place *place, struct gltf_source *so
     const uint32_t set = out->material == GLTF_NONE ? 0 : source->materials[out->material].texcoord;
     char texcoord[32];
     snprintf(texcoord, sizeof texcoord, "TEXCOORD_%" PRIu32, set);
-    int status = read_attributes(place, source, object, texcoord, out);
-    if (!status)
-        status = read_indices(place, source, object, out);
-    if (!status)
-        status = fmt_gltf_read_draco(place, source, object, texcoord, out);
+    int status;
+    BSQ_TRY(read_attributes(place, source, object, texcoord, out));
+    BSQ_TRY(read_indices(place, source, object, out));
+    BSQ_TRY(fmt_gltf_read_draco(place, source, object, texcoord, out));
     const uint32_t all[] = {out->position, out->normal, out->texcoord, out->color, out->index};
-    for (int i = 0; i < 5 && !status; i++)
+    for (int i = 0; i < 5; i++)
         if (all[i] != GLTF_NONE)
-            status = fmt_gltf_check_zeros(place, source, all[i]);
+            BSQ_TRY(fmt_gltf_check_zeros(place, source, all[i]));
+done:
     return status;
 }
 
@@ -143,7 +143,7 @@ static int read_primitive(const struct gltf_place *place, struct gltf_source *so
     source->unread.variants += fmt_gltf_extension(object, "KHR_materials_variants") != NULL;
     source->unread.texture_colors += out->color != GLTF_NONE && out->texcoord != GLTF_NONE &&
                                      out->material != GLTF_NONE &&
-                                     source->materials[out->material].texture_path;
+                                     source->materials[out->material].described.texture_path;
     return 0;
 }
 
@@ -171,18 +171,18 @@ static int read_mesh(const struct gltf_place *place, struct gltf_source *source,
     const json_t *list = json_object_get(place->object, "primitives");
     int status = 0;
     mesh->first = source->primitive_count;
-    for (size_t i = 0; i < json_array_size(list) && !status; i++) {
+    for (size_t i = 0; i < json_array_size(list); i++) {
         struct gltf_primitive *p = &source->primitives[source->primitive_count];
         *p = (struct gltf_primitive){
             .position = GLTF_NONE, .mesh = (uint32_t)place->index, .number = (uint32_t)i};
-        status = i % 1024 ? 0 : bsq_check(place->document->ctx);
-        if (!status)
-            status = read_primitive(place, source, json_array_get(list, i), p);
-        if (!status && p->triangles > 0) {
-            status = add_primitive(place, source, mesh, p);
+        BSQ_TRY(i % 1024 ? 0 : bsq_check(place->document->ctx));
+        BSQ_TRY(read_primitive(place, source, json_array_get(list, i), p));
+        if (p->triangles > 0) {
+            BSQ_TRY(add_primitive(place, source, mesh, p));
             source->primitive_count++;
         }
     }
+done:
     return status;
 }
 
@@ -193,15 +193,16 @@ int fmt_gltf_read_meshes(struct gltf_document *document, struct gltf_source *sou
     for (uint64_t i = 0; i < count; i++)
         primitives += json_array_size(
             json_object_get(fmt_gltf_element(document, "meshes", i).object, "primitives"));
-    int status = bsq_calloc(document->ctx, "glTF meshes", count + 1, sizeof *source->meshes,
-                            &source->meshes);
-    if (!status)
-        status = bsq_calloc(document->ctx, "glTF primitives", primitives,
-                            sizeof *source->primitives, &source->primitives);
-    for (uint64_t i = 0; i < count && !status; i++) {
+    int status;
+    BSQ_TRY(bsq_calloc(document->ctx, "glTF meshes", count + 1, sizeof *source->meshes,
+                       &source->meshes));
+    BSQ_TRY(bsq_calloc(document->ctx, "glTF primitives", primitives, sizeof *source->primitives,
+                       &source->primitives));
+    for (uint64_t i = 0; i < count; i++) {
         const struct gltf_place place = fmt_gltf_element(document, "meshes", i);
-        status = read_mesh(&place, source, &source->meshes[i]);
+        BSQ_TRY(read_mesh(&place, source, &source->meshes[i]));
         source->mesh_count++;
     }
+done:
     return status;
 }

@@ -83,19 +83,13 @@ int fmt_gltf_read_packed_view(const struct gltf_place *place, struct gltf_source
     struct gltf_meshopt *meshopt = &packed.meshopt;
     uint64_t stride = GLTF_REQUIRED;
     meshopt->count = meshopt->size = GLTF_REQUIRED;
-    int status = fmt_gltf_index(place, object, "buffer", "buffers", &packed.buffer);
-    if (!status)
-        status = fmt_gltf_number(place, object, "byteOffset", INT64_MAX / 4, &packed.offset);
-    if (!status)
-        status = fmt_gltf_number(place, object, "byteLength", INT64_MAX / 4, &meshopt->size);
-    if (!status)
-        status = fmt_gltf_number(place, object, "byteStride", 256, &stride);
-    if (!status)
-        status = fmt_gltf_number(place, object, "count", INT64_MAX / 4096, &meshopt->count);
-    if (!status)
-        status = read_modes(place, object, meshopt);
-    if (status)
-        return status;
+    int status;
+    BSQ_TRY(fmt_gltf_index(place, object, "buffer", "buffers", &packed.buffer));
+    BSQ_TRY(fmt_gltf_number(place, object, "byteOffset", INT64_MAX / 4, &packed.offset));
+    BSQ_TRY(fmt_gltf_number(place, object, "byteLength", INT64_MAX / 4, &meshopt->size));
+    BSQ_TRY(fmt_gltf_number(place, object, "byteStride", 256, &stride));
+    BSQ_TRY(fmt_gltf_number(place, object, "count", INT64_MAX / 4096, &meshopt->count));
+    BSQ_TRY(read_modes(place, object, meshopt));
     meshopt->stride = (uint32_t)stride;
     packed.bytes = meshopt->count * stride;
     if (!meshopt_fits(meshopt))
@@ -109,8 +103,10 @@ int fmt_gltf_read_packed_view(const struct gltf_place *place, struct gltf_source
                                : source->buffers[packed.buffer].part.size;
     if (packed.offset > bytes || meshopt->size > bytes - packed.offset)
         return fmt_gltf_fail(place, "its compressed bytes are outside of their buffer");
-    status = add_decoded(place, source, packed.bytes, &view->decoded);
-    return status ? status : add_packed(place, source, &packed);
+    BSQ_TRY(add_decoded(place, source, packed.bytes, &view->decoded));
+    status = add_packed(place, source, &packed);
+done:
+    return status;
 }
 
 /* ---- Draco ---- */

@@ -39,21 +39,6 @@ static int decode(const struct parser *p, uint32_t accessor, const double **out)
 
 /* ---- vertices ---- */
 
-/* Makes all numbers of vectors that are not finite NaN. Returns how many there are. */
-static uint64_t clear_bad(double *values, uint64_t count, unsigned size)
-{
-    uint64_t bad = 0;
-    for (uint64_t i = 0; i < count; i++, values += size) {
-        double poison = 0;
-        for (unsigned k = 0; k < size; k++)
-            poison += values[k] * 0;
-        for (unsigned k = 0; k < size && poison != 0; k++)
-            values[k] = NAN;
-        bad += poison != 0;
-    }
-    return bad;
-}
-
 static int parse_positions(struct parser *p)
 {
     const double(*m)[4] = p->placement->matrix;
@@ -74,7 +59,7 @@ static int parse_positions(struct parser *p)
         }
     if (poison != 0)
         p->decoder.slot->odd[STREAM_NO_POSITION].count =
-            clear_bad(&p->arrays->positions[0][0], p->count, 3);
+            fmt_stream_clear_bad(&p->arrays->positions[0][0], p->count, 3);
     p->arrays->count[FMT_MESH_VERTEX] = p->count;
     return 0;
 }
@@ -130,7 +115,7 @@ static int parse_texcoords(struct parser *p)
     }
     if (poison != 0)
         p->decoder.slot->odd[STREAM_NO_TEXCOORD].count =
-            clear_bad(&p->arrays->texcoords[0][0], p->count, 2);
+            fmt_stream_clear_bad(&p->arrays->texcoords[0][0], p->count, 2);
     p->arrays->count[FMT_MESH_TEXCOORD] = p->count;
     return 0;
 }
@@ -173,13 +158,15 @@ static int parse_colors(struct parser *p)
 
 static int parse_vertices(struct parser *p)
 {
-    int status = parse_positions(p);
-    if (!status && p->primitive->normal != GLTF_NONE)
-        status = parse_normals(p);
-    if (!status && p->primitive->texcoord != GLTF_NONE)
-        status = parse_texcoords(p);
-    if (!status && p->decoder.slot->source->reader->gltf_colors)
-        status = parse_colors(p);
+    int status;
+    BSQ_TRY(parse_positions(p));
+    if (p->primitive->normal != GLTF_NONE)
+        BSQ_TRY(parse_normals(p));
+    if (p->primitive->texcoord != GLTF_NONE)
+        BSQ_TRY(parse_texcoords(p));
+    if (p->decoder.slot->source->reader->gltf_colors)
+        BSQ_TRY(parse_colors(p));
+done:
     return status;
 }
 

@@ -4,11 +4,8 @@
  * vertices, then all faces, each in the order of nodes and primitives. Buffers are read in parts,
  * and memory does not grow with them. */
 #include <inttypes.h>
-#include <math.h>
 #include <string.h>
 
-#include "base/file_part.h"
-#include "base/srgb.h"
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/mesh_text.h"
 
@@ -63,11 +60,8 @@ static void end(struct stream_source *source)
     struct gltf_source *file = source->data;
     bsq_file_close(ctx, &file->own);
     fmt_gltf_free_buffers(ctx, file);
-    for (uint32_t i = 0; i < file->material_count; i++) {
-        bsq_free(ctx, file->materials[i].name);
-        bsq_free(ctx, file->materials[i].texture_path);
-        fmt_channels_free(ctx, file->materials[i].channels, file->materials[i].channel_count);
-    }
+    for (uint32_t i = 0; i < file->material_count; i++)
+        fmt_material_free(ctx, &file->materials[i].described);
     bsq_free(ctx, file->materials);
     bsq_free(ctx, file->accessors);
     bsq_free(ctx, file->primitives);
@@ -228,44 +222,6 @@ static int estimate(const struct stream_source *source, uint64_t bytes, bool pla
 
 /* ---- materials and other files ---- */
 
-/* Describes the opacity of a material that is not opaque. */
-static int describe_opacity(struct bsq_ctx *ctx, const struct gltf_material *from,
-                            struct fmt_material *out)
-{
-    struct fmt_material_channel *opacity;
-    const double alpha = from->alpha;
-    int status = fmt_material_enter_channel(ctx, out, bsq_channel_find("opacity"), &opacity);
-    if (status)
-        return status;
-    opacity->value[0] = from->cutout ? (float)(alpha >= from->cutoff) : (float)alpha;
-    opacity->has_value = true;
-    out->cutout = from->cutout;
-    /* 2 is above the alpha of all textures. */
-    out->cutoff = alpha > 0.0 ? (float)fmin(fmax(from->cutoff / alpha, 0.0), 2.0)
-                              : 2.0f * (1.0f - opacity->value[0]);
-    return 0;
-}
-
-static int describe_material(const struct stream_source *source, const struct gltf_material *from,
-                             struct fmt_material *out)
-{
-    struct bsq_ctx *ctx = source->ctx;
-    struct bsq_part part;
-    int status;
-    out->has_diffuse = from->has_color;
-    out->opaque = from->opaque;
-    for (int k = 0; k < 3; k++)
-        out->diffuse[k] = (float)bsq_linear_to_srgb(from->color[k]);
-    BSQ_TRY(fmt_string_copy(ctx, from->name, &out->name));
-    BSQ_TRY(fmt_string_copy(ctx, from->texture_path, &out->texture_path));
-    if (from->texture_path && bsq_part_parse(from->texture_path, &part) == 0)
-        BSQ_TRY(fmt_string_copy(ctx, source->path, &out->texture_place));
-    BSQ_TRY(fmt_channels_copy(ctx, from->channels, from->channel_count, out));
-    status = from->opaque ? 0 : describe_opacity(ctx, from, out);
-done:
-    return status;
-}
-
 static int list_materials(struct stream_source *source, struct fmt_materials *out)
 {
     const struct gltf_source *file = source->data;
@@ -273,7 +229,7 @@ static int list_materials(struct stream_source *source, struct fmt_materials *ou
     int status = 0;
     for (uint32_t i = 0; i < file->material_count; i++) {
         BSQ_TRY(fmt_materials_add(source->ctx, out, &material));
-        BSQ_TRY(describe_material(source, &file->materials[i], material));
+        BSQ_TRY(fmt_material_copy(source->ctx, &file->materials[i].described, material));
     }
 done:
     return status;
@@ -288,7 +244,7 @@ static int add_part(const struct stream_source *source, const struct gltf_placem
     int status;
     BSQ_TRY(fmt_materials_add(source->ctx, out, &part));
     if (material != GLTF_NONE)
-        BSQ_TRY(describe_material(source, &file->materials[material], part));
+        BSQ_TRY(fmt_material_copy(source->ctx, &file->materials[material].described, part));
     else
         BSQ_TRY(fmt_string_copy(source->ctx, "", &part->name));
     status = fmt_string_copy(source->ctx, placement->name, &part->object);

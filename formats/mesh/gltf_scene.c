@@ -192,23 +192,20 @@ static int push_nodes(struct walk *w, const struct gltf_place *place, const json
 static int visit_nodes(struct walk *w)
 {
     int status = 0;
-    for (uint64_t i = 0; w->stack_count > 0 && !status; i++) {
+    for (uint64_t i = 0; w->stack_count > 0; i++) {
         const struct visit visit = w->stack[--w->stack_count];
         const struct gltf_place place = fmt_gltf_element(w->document, "nodes", visit.node);
         double own[3][4], matrix[3][4];
-        status = i % 1024 ? 0 : bsq_check(w->document->ctx);
-        if (!status)
-            status = read_transform(&place, own);
-        if (status)
-            return status;
+        BSQ_TRY(i % 1024 ? 0 : bsq_check(w->document->ctx));
+        BSQ_TRY(read_transform(&place, own));
         w->source->unread.hidden += json_is_false(
             json_object_get(fmt_gltf_extension(place.object, "KHR_node_visibility"), "visible"));
         multiply(visit.matrix, (const double(*)[4])own, matrix);
-        status = place_mesh(w, &place, (const double(*)[4])matrix);
-        if (!status)
-            status = push_nodes(w, &place, json_object_get(place.object, "children"),
-                                (const double(*)[4])matrix);
+        BSQ_TRY(place_mesh(w, &place, (const double(*)[4])matrix));
+        BSQ_TRY(push_nodes(w, &place, json_object_get(place.object, "children"),
+                           (const double(*)[4])matrix));
     }
+done:
     return status;
 }
 

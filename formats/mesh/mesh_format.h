@@ -123,6 +123,8 @@ struct stream_slot {
     uint64_t work_capacity;
     struct stream_statement *statements;
     uint64_t statement_count, statement_capacity;
+    unsigned local;             /* a bit for each kind whose indices count from the first element
+                                   of the part, and not of the file */
     int64_t balance;            /* a count of the format */
     float color_white;          /* as in struct fmt_mesh_block */
     uint32_t material_at_start; /* likewise; set by `pass` */
@@ -175,10 +177,11 @@ struct fmt_mesh_format {
      * of a file. Returns 1, or 0 if the file has no more parts. May load slot->bytes; then it sets
      * slot->loaded. What is wrong with the file goes to slot->error, as in `parse`. */
     int (*cut)(const struct stream_part *before, struct stream_slot *slot);
-    /* Fills slot->arrays with indices that count from the start of the file, and materials that are
-     * numbers of `pass`. May make slot->part more exact. Thread-safe. What is wrong with the file
-     * goes to slot->error, with slot->at: parts are parsed in any order, and only the first error
-     * of the files is reported. No two arrays overlap: callers change them. */
+    /* Fills slot->arrays with indices that count from the start of the file, or as slot->local
+     * says, and materials that are numbers of `pass`. May make slot->part more exact. Thread-safe.
+     * What is wrong with the file goes to slot->error, with slot->at: parts are parsed in any
+     * order, and only the first error of the files is reported. No two arrays overlap: callers
+     * change them. */
     int (*parse)(struct stream_slot *slot);
     /* Completes the arrays by what depends on earlier parts. Serial, in order. Called also if
      * slot->error is set, which is reported then. Changes of materials have numbers over the scan
@@ -268,6 +271,10 @@ int fmt_stream_extend(struct stream_slot *slot, uint64_t have, uint64_t size, ui
 /* Loads the bytes of a part, unless they are loaded. */
 int fmt_stream_load(struct stream_slot *slot);
 
+/* Makes all numbers of a vector NaN if one is not finite, for `count` vectors of `size` numbers.
+ * Returns how many there are. */
+uint64_t fmt_stream_clear_bad(double *numbers, uint64_t count, unsigned size);
+
 /* Describes what is wrong with a part, at a line or byte of its file; 0: the text says where.
  * Returns 0, so that a parse function can return it. Only the first description of a part is kept.
  */
@@ -295,10 +302,7 @@ int fmt_stream_warn_unread(const struct stream_source *source, const struct stre
 /* Copies a material, but not its object. Free *out as fmt_materials_free() does. */
 int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
                       struct fmt_material *out);
-/* Gives a material copies of channels. */
-int fmt_channels_copy(struct bsq_ctx *ctx, const struct fmt_material_channel *from, uint32_t count,
-                      struct fmt_material *out);
-void fmt_channels_free(struct bsq_ctx *ctx, struct fmt_material_channel *list, uint32_t count);
+void fmt_material_free(struct bsq_ctx *ctx, struct fmt_material *material);
 
 /* Names, or numbers, in order of first appearance; `slots` is an open-addressing hash table of
  * number + 1. All zero at first. */

@@ -7,7 +7,6 @@
 #include <string.h>
 #include <xxhash.h>
 
-#include "base/loss.h"
 #include "base/polygon.h"
 #include "formats/mesh/mesh_reader.h"
 
@@ -99,30 +98,27 @@ static int collect(void *arg, const struct fmt_mesh_block *block)
                         "more than %u vertices in a mesh that is to be "
                         "held whole",
                         UINT32_MAX - 1);
-    int status =
-        append(loader, "vertices", &mesh->positions, &loader->position_capacity, block->vertex_base,
-               block->positions, block->vertex_count, sizeof *mesh->positions);
-    if (!status)
-        status = append(loader, "texture coordinates", &mesh->texcoords, &loader->texcoord_capacity,
-                        block->texcoord_base, block->texcoords, block->texcoord_count,
-                        sizeof *mesh->texcoords);
-    if (!status)
-        status =
-            append(loader, "normals", &mesh->normals, &loader->normal_capacity, block->normal_base,
-                   block->normals, block->normal_count, sizeof *mesh->normals);
-    if (!status)
-        status =
-            append(loader, "faces", &loader->face_sizes, &loader->face_capacity, block->face_base,
-                   block->face_sizes, block->face_count, sizeof *loader->face_sizes);
+    int status;
+    BSQ_TRY(append(loader, "vertices", &mesh->positions, &loader->position_capacity,
+                   block->vertex_base, block->positions, block->vertex_count,
+                   sizeof *mesh->positions));
+    BSQ_TRY(append(loader, "texture coordinates", &mesh->texcoords, &loader->texcoord_capacity,
+                   block->texcoord_base, block->texcoords, block->texcoord_count,
+                   sizeof *mesh->texcoords));
+    BSQ_TRY(append(loader, "normals", &mesh->normals, &loader->normal_capacity, block->normal_base,
+                   block->normals, block->normal_count, sizeof *mesh->normals));
+    BSQ_TRY(append(loader, "faces", &loader->face_sizes, &loader->face_capacity, block->face_base,
+                   block->face_sizes, block->face_count, sizeof *loader->face_sizes));
     const uint64_t *corners[3] = {block->corner_vertices, block->corner_texcoords,
                                   block->corner_normals};
-    for (int kind = 0; kind < 3 && !status && block->corner_count; kind++)
-        status = append_corners(loader, kind, corners[kind], block->corner_count);
+    for (int kind = 0; kind < 3 && block->corner_count; kind++)
+        BSQ_TRY(append_corners(loader, kind, corners[kind], block->corner_count));
     loader->corner_count += block->corner_count;
     loader->missing_positions += block->missing_positions;
     loader->missing_texcoords += block->missing_texcoords;
-    if (!status && loader->parts && block->face_count > 0)
-        status = append_parts(loader, block);
+    if (loader->parts && block->face_count > 0)
+        BSQ_TRY(append_parts(loader, block));
+done:
     return status;
 }
 
@@ -214,38 +210,6 @@ static int check_corners(struct loader *loader, const uint64_t totals[3])
     return status;
 }
 
-/* Warns of what was lost. Fails if more than 1 % of the faces are left out. */
-static int report_losses(const struct loader *loader)
-{
-    const struct loss *faces = &loader->lost_faces, *normals = &loader->lost_normals;
-    const uint64_t all = loader->mesh->face_count;
-    char *place = NULL;
-    int status = normals->count ? fmt_mesh_place_text(loader->reader, normals->face, &place) : 0;
-    if (!status && normals->count)
-        status =
-            bsq_warn_loss(loader->ctx,
-                          "%s: corners that refer to a normal that the file does not have: %" PRIu64
-                          "; this is the first",
-                          place, normals->count);
-    bsq_free(loader->ctx, place);
-    place = NULL;
-    if (!status && faces->count)
-        status = fmt_mesh_place_text(loader->reader, faces->face, &place);
-    if (!status && faces->count > all / 100)
-        status = bsq_fail(loader->ctx, BSQ_EDATA,
-                          "%s: %" PRIu64 " of %" PRIu64 " faces have a vertex without a finite "
-                          "position, more than 1 %%; this is the first",
-                          place, faces->count, all);
-    else if (!status && faces->count)
-        status = bsq_warn_loss(
-            loader->ctx,
-            "%s: faces left out, as they have a vertex without a finite position: %" PRIu64
-            "; this is the first",
-            place, faces->count);
-    bsq_free(loader->ctx, place);
-    return status;
-}
-
 /* ---- splitting ---- */
 
 static int allocate_triangles(struct loader *loader, uint32_t largest_face)
@@ -318,17 +282,19 @@ static int make_triangles(struct loader *loader)
     for (uint64_t face = 0; face < loader->mesh->face_count; face++)
         if (loader->face_sizes[face] > largest)
             largest = loader->face_sizes[face];
-    int status = allocate_triangles(loader, largest);
-    for (uint64_t face = 0; face < loader->mesh->face_count && !status; face++) {
+    int status;
+    BSQ_TRY(allocate_triangles(loader, largest));
+    for (uint64_t face = 0; face < loader->mesh->face_count; face++) {
         if (!lacks_position(loader, face, corner)) {
-            status = split_face(loader, face, corner, triangle);
+            BSQ_TRY(split_face(loader, face, corner, triangle));
             triangle += loader->face_sizes[face] - 2;
         }
         corner += loader->face_sizes[face];
-        if (face % 4096 == 0 && !status)
-            status = bsq_check(loader->ctx);
+        if (face % 4096 == 0)
+            BSQ_TRY(bsq_check(loader->ctx));
     }
     loader->mesh->triangle_count = triangle;
+done:
     return status;
 }
 
@@ -365,7 +331,11 @@ static int load(struct loader *loader, const char *path)
     const uint64_t counts[3] = {totals.vertices, totals.texcoords, totals.normals};
     status = check_corners(loader, counts);
     if (!status)
-        status = report_losses(loader);
+        status = fmt_mesh_report_loss(loader->reader, FMT_MESH_NORMAL, loader->lost_normals.count,
+                                      loader->lost_normals.face, totals.faces);
+    if (!status)
+        status = fmt_mesh_report_loss(loader->reader, FMT_MESH_VERTEX, loader->lost_faces.count,
+                                      loader->lost_faces.face, totals.faces);
     if (!status)
         status = hash_faces(loader);
     if (!status)

@@ -70,23 +70,6 @@ int fmt_materials_add(struct bsq_ctx *ctx, struct fmt_materials *list, struct fm
 
 /* ---- one material ---- */
 
-int fmt_channels_copy(struct bsq_ctx *ctx, const struct fmt_material_channel *from, uint32_t count,
-                      struct fmt_material *out)
-{
-    int status = 0;
-    if (count > 0)
-        BSQ_TRY(bsq_calloc(ctx, "materials", count, sizeof *out->channels, &out->channels));
-    for (uint32_t i = 0; i < count; i++) {
-        struct fmt_material_channel *copy = &out->channels[out->channel_count++];
-        *copy = from[i];
-        copy->texture_path = copy->texture_place = NULL;
-        BSQ_TRY(fmt_string_copy(ctx, from[i].texture_path, &copy->texture_path));
-        BSQ_TRY(fmt_string_copy(ctx, from[i].texture_place, &copy->texture_place));
-    }
-done:
-    return status;
-}
-
 int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
                       struct fmt_material *out)
 {
@@ -98,29 +81,37 @@ int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
     BSQ_TRY(fmt_string_copy(ctx, from->name, &out->name));
     BSQ_TRY(fmt_string_copy(ctx, from->texture_path, &out->texture_path));
     BSQ_TRY(fmt_string_copy(ctx, from->texture_place, &out->texture_place));
-    status = fmt_channels_copy(ctx, from->channels, from->channel_count, out);
+    if (from->channel_count > 0)
+        BSQ_TRY(bsq_calloc(ctx, "materials", from->channel_count, sizeof *out->channels,
+                           &out->channels));
+    for (uint32_t i = 0; i < from->channel_count; i++) {
+        struct fmt_material_channel *copy = &out->channels[out->channel_count++];
+        *copy = from->channels[i];
+        copy->texture_path = copy->texture_place = NULL;
+        BSQ_TRY(fmt_string_copy(ctx, from->channels[i].texture_path, &copy->texture_path));
+        BSQ_TRY(fmt_string_copy(ctx, from->channels[i].texture_place, &copy->texture_place));
+    }
 done:
     return status;
 }
 
-void fmt_channels_free(struct bsq_ctx *ctx, struct fmt_material_channel *list, uint32_t count)
+void fmt_material_free(struct bsq_ctx *ctx, struct fmt_material *material)
 {
-    for (uint32_t i = 0; i < count; i++) {
-        bsq_free(ctx, list[i].texture_path);
-        bsq_free(ctx, list[i].texture_place);
+    for (uint32_t i = 0; i < material->channel_count; i++) {
+        bsq_free(ctx, material->channels[i].texture_path);
+        bsq_free(ctx, material->channels[i].texture_place);
     }
-    bsq_free(ctx, list);
+    bsq_free(ctx, material->channels);
+    bsq_free(ctx, material->name);
+    bsq_free(ctx, material->texture_path);
+    bsq_free(ctx, material->texture_place);
+    bsq_free(ctx, material->object);
 }
 
 void fmt_materials_free(struct bsq_ctx *ctx, struct fmt_materials *materials)
 {
-    for (uint32_t i = 0; i < materials->count; i++) {
-        bsq_free(ctx, materials->list[i].name);
-        bsq_free(ctx, materials->list[i].texture_path);
-        bsq_free(ctx, materials->list[i].texture_place);
-        bsq_free(ctx, materials->list[i].object);
-        fmt_channels_free(ctx, materials->list[i].channels, materials->list[i].channel_count);
-    }
+    for (uint32_t i = 0; i < materials->count; i++)
+        fmt_material_free(ctx, &materials->list[i]);
     bsq_free(ctx, materials->list);
     memset(materials, 0, sizeof *materials);
 }

@@ -353,6 +353,23 @@ const char *fmt_mesh_dependency(const struct fmt_mesh_reader *reader, uint32_t i
 
 /* ---- messages about faces ---- */
 
+/* What follows the path in the place of a face: ":120". */
+struct place_end {
+    char text[40];
+};
+
+static struct place_end end_of_place(const struct fmt_mesh_place *place, uint64_t face)
+{
+    struct place_end end;
+    if (place->line > 0)
+        snprintf(end.text, sizeof end.text, ":%" PRIu64, place->line);
+    else if (place->byte > 0)
+        snprintf(end.text, sizeof end.text, ": byte %" PRIu64, place->byte);
+    else
+        snprintf(end.text, sizeof end.text, ": face %" PRIu64, face - place->first_face + 1);
+    return end;
+}
+
 /* Fails with "path:line: face " and the text. If the format has no lines, with "path: byte 99: face
  * " and the text, or "path: face 12 " if the byte is unknown too. */
 __attribute__((format(printf, 4, 5))) static int fail_face(struct bsq_ctx *ctx,
@@ -364,32 +381,49 @@ __attribute__((format(printf, 4, 5))) static int fail_face(struct bsq_ctx *ctx,
     va_start(arguments, format);
     vsnprintf(text, sizeof text, format, arguments);
     va_end(arguments);
-    if (place->line > 0)
-        return bsq_fail(ctx, BSQ_EDATA, "%s:%" PRIu64 ": face %s", place->path, place->line, text);
-    if (place->byte > 0)
-        return bsq_fail(ctx, BSQ_EDATA, "%s: byte %" PRIu64 ": face %s", place->path, place->byte,
-                        text);
-    return bsq_fail(ctx, BSQ_EDATA, "%s: face %" PRIu64 " %s", place->path,
-                    face - place->first_face + 1, text);
+    return bsq_fail(ctx, BSQ_EDATA, "%s%s%s%s", place->path, end_of_place(place, face).text,
+                    place->line + place->byte > 0 ? ": face " : " ", text);
 }
 
 int fmt_mesh_place_text(struct fmt_mesh_reader *reader, uint64_t face, char **out)
 {
     struct fmt_mesh_place place;
+    int status;
     *out = NULL;
-    int status = fmt_stream_locate_face(reader, face, &place);
-    const size_t size = status == 0 ? strlen(place.path) + 40 : 1;
-    if (status == 0)
-        status = bsq_alloc(reader->ctx, "names", size, 1, out);
-    if (status < 0)
-        return status;
-    if (place.line > 0)
-        snprintf(*out, size, "%s:%" PRIu64, place.path, place.line);
-    else if (place.byte > 0)
-        snprintf(*out, size, "%s: byte %" PRIu64, place.path, place.byte);
+    BSQ_TRY(fmt_stream_locate_face(reader, face, &place));
+    const struct place_end end = end_of_place(&place, face);
+    BSQ_TRY(bsq_alloc(reader->ctx, "names", strlen(place.path) + sizeof end, 1, out));
+    sprintf(*out, "%s%s", place.path, end.text);
+done:
+    return status;
+}
+
+int fmt_mesh_report_loss(struct fmt_mesh_reader *reader, enum fmt_mesh_kind kind, uint64_t count,
+                         uint64_t face, uint64_t faces)
+{
+    char *place = NULL;
+    int status = 0;
+    if (count == 0)
+        return 0;
+    BSQ_TRY(fmt_mesh_place_text(reader, face, &place));
+    if (kind != FMT_MESH_VERTEX)
+        status = bsq_warn_loss(reader->ctx,
+                               "%s: corners that refer to a %s that the file does not have: "
+                               "%" PRIu64 "; this is the first",
+                               place, fmt_mesh_kind_names[kind], count);
+    else if (count > faces / 100)
+        status = bsq_fail(reader->ctx, BSQ_EDATA,
+                          "%s: %" PRIu64 " of %" PRIu64 " faces have a vertex without a finite "
+                          "position, more than 1 %%; this is the first",
+                          place, count, faces);
     else
-        snprintf(*out, size, "%s: face %" PRIu64, place.path, face - place.first_face + 1);
-    return 0;
+        status = bsq_warn_loss(reader->ctx,
+                               "%s: faces left out, as they have a vertex without a finite "
+                               "position: %" PRIu64 "; this is the first",
+                               place, count);
+done:
+    bsq_free(reader->ctx, place);
+    return status;
 }
 
 int fmt_mesh_fail_no_faces(struct bsq_ctx *ctx, const char *path,

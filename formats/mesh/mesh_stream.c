@@ -1,5 +1,6 @@
 /* mesh_stream.c - reads the files of a scan part by part, on all threads; see mesh_format.h. */
 #include <inttypes.h>
+#include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
@@ -94,6 +95,34 @@ int fmt_stream_fail(struct stream_slot *slot, uint64_t at, const char *format, .
     return 0;
 }
 
+/* Returns whether all numbers are finite. */
+static bool all_finite(const double *numbers, uint64_t count)
+{
+    const uint64_t exponent = 0x7ff0000000000000, one = 0x0010000000000000;
+    uint64_t carries = 0, bits;
+    for (uint64_t i = 0; i < count; i++) {
+        memcpy(&bits, &numbers[i], sizeof bits);
+        carries |= (bits & exponent) + one; /* the largest exponent carries into the sign */
+    }
+    return carries >> 63 == 0;
+}
+
+uint64_t fmt_stream_clear_bad(double *numbers, uint64_t count, unsigned size)
+{
+    uint64_t bad = 0;
+    if (all_finite(numbers, count * size))
+        return 0;
+    for (uint64_t i = 0; i < count; i++) {
+        double *v = numbers + i * size;
+        if (all_finite(v, size))
+            continue;
+        for (unsigned k = 0; k < size; k++)
+            v[k] = NAN;
+        bad++;
+    }
+    return bad;
+}
+
 /* ---- cutting and parsing ---- */
 
 static int produce(void *arg, void *slot_memory, uint64_t sequence)
@@ -134,6 +163,7 @@ static void clear_slot(struct stream_slot *slot)
     a->late_color_count = a->face_count = a->corner_count = a->change_count = 0;
     a->has_colors = false;
     slot->statement_count = slot->short_faces = 0;
+    slot->local = 0;
     slot->balance = 0;
     slot->color_white = 0;
     slot->material_at_start = FMT_MESH_NO_MATERIAL;
@@ -218,14 +248,19 @@ static int fail_part(const struct stream_slot *slot)
                     slot->part.first_line ? "" : " byte ", slot->at, slot->error);
 }
 
-/* Makes indices that count from the start of the file count over the scan. */
-static void add_bases(const struct stream_source *source, struct mesh_arrays *arrays)
+/* Makes indices that count from the start of the file, or of the part, count over the scan. */
+static void add_bases(struct stream_slot *slot)
 {
+    const struct stream_source *source = slot->source;
+    struct mesh_arrays *arrays = &slot->arrays;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         uint64_t *corners = arrays->corners[kind], base = source->base[kind];
+        base += slot->local >> kind & 1 ? source->count[kind] : 0;
         if (base == 0 || (kind != FMT_MESH_VERTEX && !arrays->has_corners[kind]))
             continue;
-        for (uint64_t i = 0; i < arrays->corner_count; i++)
+        for (uint64_t i = 0; kind == FMT_MESH_VERTEX && i < arrays->corner_count; i++)
+            corners[i] += base; /* each corner has a vertex */
+        for (uint64_t i = 0; kind != FMT_MESH_VERTEX && i < arrays->corner_count; i++)
             corners[i] = corners[i] == FMT_MESH_NONE ? FMT_MESH_NONE : corners[i] + base;
     }
 }
@@ -369,7 +404,7 @@ static int emit(void *arg, void *slot_memory, uint64_t sequence)
         return fail_part(slot);
     if (slot->part.end < job->passed) /* the part lies within the one before */
         slot->part.end = job->passed;
-    add_bases(source, &slot->arrays);
+    add_bases(slot);
     if (source->moves)
         move_elements(&source->placement, &slot->arrays);
     BSQ_TRY(note_oddities(job->reader, slot));

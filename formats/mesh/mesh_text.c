@@ -67,3 +67,11 @@ void fmt_mesh_tidy_name(char *text)
         memmove(text, text + 1, length -= 2);
     text[length] = '\0';
 }
+
+int fmt_mesh_hex_digit(char c)
+{
+    const char lower = (char)(c | 0x20);
+    if (c >= '0' && c <= '9')
+        return c - '0';
+    return lower >= 'a' && lower <= 'f' ? lower - 'a' + 10 : -1;
+}

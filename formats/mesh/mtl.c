@@ -1,7 +1,7 @@
 /* mtl.c - reads the colours, textures and further channels of materials in Wavefront MTL files.
  *
  * Such files are small, so one is held whole and cut into lines in place. */
-#include "formats/mesh/mtl.h"
+#include "formats/mesh/obj_internal.h"
 
 #include <ctype.h>
 #include <errno.h>
@@ -17,7 +17,6 @@
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_number.h"
-#include "formats/mesh/obj_path.h"
 
 /* Larger values, scales and offsets would exceed the range of float in sums and products. */
 static const double most_number = 1e30;
@@ -410,10 +409,11 @@ static int cut_at_zero(struct reader *reader, const char *text, uint64_t *size)
 
 static int read_text(struct reader *reader, char *text, uint64_t size)
 {
-    int status = cut_at_zero(reader, text, &size);
+    int status;
+    BSQ_TRY(cut_at_zero(reader, text, &size));
     char *p = text + fmt_mesh_mark(text, size), *end = text + size;
     uint64_t lines = 0; /* before `p` */
-    while (p < end && !status) {
+    while (p < end) {
         char *line = p;
         const uint64_t first = lines++;
         p = find_statement_end(line, end, &lines);
@@ -422,10 +422,10 @@ static int read_text(struct reader *reader, char *text, uint64_t size)
         p += 1 + crlf;
         reader->line = first + 1;
         if (first % 1024 == 0)
-            status = bsq_check(reader->ctx);
-        if (!status)
-            status = read_line(reader, line);
+            BSQ_TRY(bsq_check(reader->ctx));
+        BSQ_TRY(read_line(reader, line));
     }
+done:
     return status;
 }
 

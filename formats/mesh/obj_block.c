@@ -518,20 +518,12 @@ static const char *parse_other(struct parser *parser, const char *p)
     return p;
 }
 
-static int hex_digit(char c)
-{
-    const char lower = (char)(c | 0x20);
-    if (c >= '0' && c <= '9')
-        return c - '0';
-    return lower >= 'a' && lower <= 'f' ? lower - 'a' + 10 : -1;
-}
-
 /* Reads eight hexadecimal digits, MMRRGGBB. Returns false for other text. */
 static bool read_paint(const char *p, uint32_t *out)
 {
     uint32_t value = 0;
     for (int i = 0; i < 8; i++) {
-        const int digit = hex_digit(p[i]);
+        const int digit = fmt_mesh_hex_digit(p[i]);
         if (digit < 0)
             return false;
         value = value << 4 | (uint32_t)digit;

@@ -9,10 +9,8 @@
 
 #include "base/job_files.h"
 #include "base/loss.h"
-#include "formats/mesh/mtl.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_internal.h"
-#include "formats/mesh/obj_path.h"
 
 int fmt_obj_statement_text(const struct stream_slot *slot, const struct stream_statement *statement,
                            char **out)
@@ -139,16 +137,14 @@ static const struct fmt_material *describe(const struct obj_file *file, struct f
     if (number == UINT32_MAX || out->list[number].name)
         return from;
     out->list[number] = *from;
-    from->name = from->texture_path = from->texture_place = NULL;
-    from->channels = NULL;
-    from->channel_count = 0;
+    *from = (struct fmt_material){0};
     return &out->list[number];
 }
 
 /* Forms of a name: without what is a comment for sure, then without what may be one. */
 enum loose_form { LOOSE_TIDY, LOOSE_PLAIN, LOOSE_FORMS };
 
-/* The names of a library's materials in a form, as describe_loosely() compares them; `from` has the
+/* The names of a library's materials: each in all forms, with the form as key. `from` has the
  * material of each. */
 struct loose_names {
     struct mesh_names names;
@@ -171,58 +167,39 @@ static int copy_loosely(struct bsq_ctx *ctx, const char *name, enum loose_form f
 }
 
 /* Enters the loose forms of a material's name, unless they are there. */
-static int enter_loosely(struct bsq_ctx *ctx, struct loose_names loose[LOOSE_FORMS],
+static int enter_loosely(struct bsq_ctx *ctx, struct loose_names *loose,
                          const struct fmt_material *from)
 {
     int status = 0;
     for (enum loose_form form = LOOSE_TIDY; form < LOOSE_FORMS && !status; form++) {
-        struct loose_names *names = &loose[form];
+        const uint64_t before = loose->names.count;
         char *copy = NULL;
         uint32_t number = 0;
-        const uint64_t before = names->names.count;
         status = copy_loosely(ctx, from->name, form, &copy);
         if (!status)
-            status = fmt_names_enter(ctx, &names->names, 0, copy, &number);
-        if (!status && names->names.count > before)
-            names->from[number] = from;
+            status = fmt_names_enter(ctx, &loose->names, form, copy, &number);
+        if (!status && loose->names.count > before)
+            loose->from[number] = from;
         bsq_free(ctx, copy);
     }
     return status;
 }
 
-/* Sets *from to the material with a loose form of the name, or to NULL. */
-static int find_loosely(struct bsq_ctx *ctx, const struct loose_names loose[LOOSE_FORMS],
-                        const char *name, const struct fmt_material **from)
+/* Describes a material that no library names exactly, but with quotes, a comment or other capitals.
+ */
+static int describe_loosely(struct bsq_ctx *ctx, const struct loose_names *loose, const char *name,
+                            struct fmt_material *out)
 {
-    int status = 0;
-    *from = NULL;
-    for (enum loose_form form = LOOSE_TIDY; form < LOOSE_FORMS && !*from && !status; form++) {
+    uint32_t number = UINT32_MAX;
+    for (enum loose_form form = LOOSE_TIDY; form < LOOSE_FORMS && number == UINT32_MAX; form++) {
         char *copy = NULL;
-        status = copy_loosely(ctx, name, form, &copy);
-        const uint32_t number = status ? UINT32_MAX : fmt_names_find(&loose[form].names, 0, copy);
-        *from = number < UINT32_MAX ? loose[form].from[number] : NULL;
+        int status = copy_loosely(ctx, name, form, &copy);
+        if (status)
+            return status;
+        number = fmt_names_find(&loose->names, form, copy);
         bsq_free(ctx, copy);
     }
-    return status;
-}
-
-/* Describes the materials that no library names exactly, but with quotes, a comment or other
- * capitals. */
-static int describe_loosely(const struct stream_source *source,
-                            const struct loose_names loose[LOOSE_FORMS], struct fmt_materials *out)
-{
-    const struct obj_file *file = source->data;
-    const struct fmt_material *from;
-    int status = 0;
-    for (uint32_t i = 0; i < out->count; i++) {
-        if (out->list[i].name)
-            continue;
-        BSQ_TRY(find_loosely(source->ctx, loose, file->materials.list[i].text, &from));
-        if (from)
-            BSQ_TRY(fmt_material_copy(source->ctx, from, &out->list[i]));
-    }
-done:
-    return status;
+    return number < UINT32_MAX ? fmt_material_copy(ctx, loose->from[number], out) : 0;
 }
 
 /* Describes the materials of a file by those of its own libraries. */
@@ -230,23 +207,22 @@ static int describe_all(const struct stream_source *source, struct fmt_materials
                         struct fmt_materials *out)
 {
     struct bsq_ctx *ctx = source->ctx;
-    struct loose_names loose[LOOSE_FORMS] = {0};
-    int status = 0;
-    for (int form = 0; form < LOOSE_FORMS; form++)
-        BSQ_TRY(bsq_alloc(ctx, "materials", (uint64_t)found->count + 1, sizeof(void *),
-                          &loose[form].from));
+    const struct obj_file *file = source->data;
+    struct loose_names loose = {0};
+    int status;
+    BSQ_TRY(bsq_alloc(ctx, "materials", LOOSE_FORMS * (uint64_t)found->count + 1, sizeof(void *),
+                      &loose.from));
     for (uint32_t i = 0; i < found->count; i++) {
         if (i % 1024 == 0)
             BSQ_TRY(bsq_check(ctx));
-        BSQ_TRY(enter_loosely(ctx, loose, describe(source->data, &found->list[i], out)));
+        BSQ_TRY(enter_loosely(ctx, &loose, describe(file, &found->list[i], out)));
     }
-    if (found->count > 0)
-        status = describe_loosely(source, loose, out);
+    for (uint32_t i = 0; i < out->count; i++)
+        if (!out->list[i].name)
+            BSQ_TRY(describe_loosely(ctx, &loose, file->materials.list[i].text, &out->list[i]));
 done:
-    for (int form = 0; form < LOOSE_FORMS; form++) {
-        fmt_names_free(ctx, &loose[form].names);
-        bsq_free(ctx, loose[form].from);
-    }
+    fmt_names_free(ctx, &loose.names);
+    bsq_free(ctx, loose.from);
     return status;
 }
 

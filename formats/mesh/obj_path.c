@@ -1,5 +1,4 @@
 /* obj_path.c - finds the files that OBJ and MTL files name. */
-#include "formats/mesh/obj_path.h"
 
 #include <dirent.h>
 #include <limits.h>

@@ -4,7 +4,6 @@
  * one; there is a loop of its own for runs of triangles without other properties, as most scans
  * have nothing else. */
 #include "formats/mesh/ply_internal.h"
-#include "formats/mesh/ply_number.h"
 
 /* ---- vertices ---- */
 

@@ -7,7 +7,6 @@
 #include <inttypes.h>
 
 #include "formats/mesh/ply_internal.h"
-#include "formats/mesh/ply_number.h"
 
 /* The state of one cut. */
 struct cutter {

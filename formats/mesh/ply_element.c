@@ -66,18 +66,6 @@ void fmt_ply_store_vertex(struct mesh_arrays *arrays, uint64_t vertex,
         arrays->texcoords[vertex][role - PLY_S] = value;
 }
 
-/* Returns whether all numbers are finite. */
-static bool all_finite(const double *numbers, uint64_t count)
-{
-    const uint64_t exponent = 0x7ff0000000000000, one = 0x0010000000000000;
-    uint64_t carries = 0, bits;
-    for (uint64_t i = 0; i < count; i++) {
-        memcpy(&bits, &numbers[i], sizeof bits);
-        carries |= (bits & exponent) + one; /* the largest exponent carries into the sign */
-    }
-    return carries >> 63 == 0;
-}
-
 /* Sets vectors that are not finite to `missing`; returns their number. */
 static uint64_t replace_bad(float (*vectors)[3], uint64_t count, float missing)
 {
@@ -92,38 +80,20 @@ static uint64_t replace_bad(float (*vectors)[3], uint64_t count, float missing)
     return bad;
 }
 
-/* Makes all numbers of a vector NaN if one is not finite, for `count` vectors of `size` numbers.
- * Returns how many there are. */
-static uint64_t clear_bad(double *numbers, uint64_t count, uint64_t size)
-{
-    uint64_t bad = 0;
-    if (all_finite(numbers, count * size))
-        return 0;
-    for (uint64_t i = 0; i < count; i++) {
-        double *v = numbers + i * size;
-        if (all_finite(v, size))
-            continue;
-        for (uint64_t k = 0; k < size; k++)
-            v[k] = NAN;
-        bad++;
-    }
-    return bad;
-}
-
 void fmt_ply_finish_vertices(const struct ply_element *element, struct stream_slot *slot,
                              uint64_t count)
 {
     const struct ply_source *source = slot->source->data;
     struct mesh_arrays *a = &slot->arrays;
     a->count[FMT_MESH_VERTEX] = count;
-    slot->odd[STREAM_NO_POSITION].count = clear_bad(&a->positions[0][0], count, 3);
+    slot->odd[STREAM_NO_POSITION].count = fmt_stream_clear_bad(&a->positions[0][0], count, 3);
     if (source->vertex_normals) {
         a->count[FMT_MESH_NORMAL] = count;
         slot->odd[STREAM_NO_NORMAL].count += replace_bad(a->normals, count, 0.0f);
     }
     if (source->vertex_texcoords) {
         a->count[FMT_MESH_TEXCOORD] = count;
-        slot->odd[STREAM_NO_TEXCOORD].count = clear_bad(&a->texcoords[0][0], count, 2);
+        slot->odd[STREAM_NO_TEXCOORD].count = fmt_stream_clear_bad(&a->texcoords[0][0], count, 2);
     }
     if (element->role[PLY_RED]) {
         a->has_colors = true;
@@ -175,7 +145,8 @@ static void finish_texcoords(struct stream_slot *slot, const struct ply_face *fa
     if (!fits && face->texcoords > 0)
         slot->odd[PLY_BAD_TEXCOORDS].count += face->size;
     for (uint64_t i = 0; i < face->size; i++) {
-        const bool finite = fits && all_finite(a->texcoords[base + i], 2);
+        const bool finite =
+            fits && isfinite(a->texcoords[base + i][0]) && isfinite(a->texcoords[base + i][1]);
         corners[i] = finite ? base + i : FMT_MESH_NONE;
         if (!fits || finite)
             continue;

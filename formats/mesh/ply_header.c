@@ -2,13 +2,12 @@
  *
  * Lines may have any length. A buffer grows with the longest one, so a file can ask for no more
  * memory than it has bytes, and the budget limits that. */
-#include "formats/mesh/ply_header.h"
+#include "formats/mesh/ply_internal.h"
 
 #include <inttypes.h>
 #include <string.h>
 
 #include "formats/mesh/mesh_text.h"
-#include "formats/mesh/ply_roles.h"
 
 enum { step_bytes = 4096 };
 

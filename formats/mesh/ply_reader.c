@@ -10,9 +10,7 @@
 
 #include "base/loss.h"
 #include "formats/mesh/mesh_text.h"
-#include "formats/mesh/obj_path.h"
 #include "formats/mesh/ply_internal.h"
-#include "formats/mesh/ply_roles.h"
 
 /* ---- opening ---- */
 
@@ -110,18 +108,12 @@ static int parse(struct stream_slot *slot)
     BSQ_TRY(fmt_stream_load(slot));
     BSQ_TRY(header->encoding == PLY_ASCII ? fmt_ply_parse_text(element, slot)
                                           : fmt_ply_parse_binary(element, slot));
+    slot->local = slot->arrays.count[FMT_MESH_TEXCOORD] > 0 && element->kind != PLY_VERTICES
+                      ? 1u << FMT_MESH_TEXCOORD
+                      : 0;
     status = copy_vertex_indices(slot);
 done:
     return status;
-}
-
-/* Makes texture coordinates of corners count from the start of the file. */
-static void number_texcoords(const struct stream_source *source, struct mesh_arrays *a)
-{
-    uint64_t *corners = a->corners[FMT_MESH_TEXCOORD];
-    const uint64_t before = source->count[FMT_MESH_TEXCOORD];
-    for (uint64_t i = 0; before > 0 && i < a->corner_count; i++)
-        corners[i] = corners[i] == FMT_MESH_NONE ? FMT_MESH_NONE : corners[i] + before;
 }
 
 static bool is_blank(char c)
@@ -202,8 +194,6 @@ static int pass(struct stream_slot *slot, struct fmt_mesh_totals *totals)
     (void)totals;
     if (slot->part.kind == PLY_PART_REST)
         return warn_rest(slot);
-    if (file->corner_texcoords)
-        number_texcoords(slot->source, &slot->arrays);
     return file->tags != PLY_TAGS_NONE ? find_materials(slot) : 0;
 }
 

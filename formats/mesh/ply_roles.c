@@ -1,5 +1,5 @@
 /* ply_roles.c - see ply_roles.h. The names are those that scanners and mesh programs write. */
-#include "formats/mesh/ply_roles.h"
+#include "formats/mesh/ply_internal.h"
 
 #include <inttypes.h>
 #include <stdio.h>

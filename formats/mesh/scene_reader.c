@@ -9,7 +9,6 @@
 #include "base/file.h"
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"
-#include "formats/mesh/obj_path.h"
 #include "formats/mesh/scene_module.h"
 
 /* Assimp's memory for a byte of a file. Text of positions takes less, compressed FBX files more. */

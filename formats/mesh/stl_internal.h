@@ -27,7 +27,7 @@ struct stl_source {
     int64_t open_solids;   /* "solid" without "endsolid", of one reading */
 };
 
-/* ---- stl_weld.c ---- */
+/* ---- stl_reader.c ---- */
 
 /* Prepares slot->work and slot->arrays for a part of up to `most` vertices. */
 int fmt_stl_begin_weld(struct stream_slot *slot, uint64_t most);

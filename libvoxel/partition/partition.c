@@ -201,13 +201,10 @@ static int divide_memory(const struct reading *r, struct shares *out)
 static int begin_faces(struct reading *r)
 {
     struct shares shares = {0};
-    int status = vox_scan_finish_streams(r->scan);
-    if (status == 0)
-        status = divide_memory(r, &shares);
-    if (status == 0)
-        status = make_buckets(r, shares.pages, shares.max_levels);
-    if (status < 0)
-        return status;
+    int status;
+    BSQ_TRY(vox_scan_finish_streams(r->scan));
+    BSQ_TRY(divide_memory(r, &shares));
+    BSQ_TRY(make_buckets(r, shares.pages, shares.max_levels));
     r->plan = (struct triangulation_plan){
         .scan = r->scan,
         .cube = r->out->cube,
@@ -216,22 +213,25 @@ static int begin_faces(struct reading *r)
             r->scan->streams[SCAN_POSITIONS].spill.spilled ? &r->vertex_buckets : NULL,
         .fan_bytes = shares.fans,
     };
-    for (unsigned i = 0; status == 0 && i < r->slot_count; i++)
-        status = vox_triangulator_init(&r->slots[i].triangulator, r->scan->ctx, &r->plan);
+    for (unsigned i = 0; i < r->slot_count; i++)
+        BSQ_TRY(vox_triangulator_init(&r->slots[i].triangulator, r->scan->ctx, &r->plan));
     r->begun = true;
+done:
     return status;
 }
 
 static int on_block(void *arg, const struct fmt_mesh_block *block)
 {
     struct reading *r = arg;
-    int status = bsq_check(r->scan->ctx);
-    if (status == 0 && r->elements && r->begun && vox_scan_has_elements(block))
+    int status;
+    BSQ_TRY(bsq_check(r->scan->ctx));
+    if (r->elements && r->begun && vox_scan_has_elements(block))
         return BSQ_RETRY;
-    if (status == 0 && r->elements)
-        status = vox_scan_add_elements(r->scan, block);
-    if (status == 0 && r->faces && block->face_count > 0 && !r->begun)
-        status = begin_faces(r);
+    if (r->elements)
+        BSQ_TRY(vox_scan_add_elements(r->scan, block));
+    if (r->faces && block->face_count > 0 && !r->begun)
+        BSQ_TRY(begin_faces(r));
+done:
     bsq_progress_add(r->scan->ctx, block->byte_size);
     return status;
 }
@@ -307,12 +307,13 @@ int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const 
                         .passes = passes,
                         .used_before = bsq_memory_used(scan->ctx),
                         .slot_count = fmt_mesh_max_slots(reader)};
-    int status = bsq_calloc(scan->ctx, "faces", r.slot_count, sizeof *r.slots, &r.slots);
-    if (status == 0 && passes == PARTITION_TWO_PASSES)
-        status = read_elements(&r, reader, false);
-    if (status == 0)
-        status = passes == PARTITION_ONE_PASS ? read_elements(&r, reader, true)
-                                              : read_pass(&r, reader, false, true);
+    int status;
+    BSQ_TRY(bsq_calloc(scan->ctx, "faces", r.slot_count, sizeof *r.slots, &r.slots));
+    if (passes == PARTITION_TWO_PASSES)
+        BSQ_TRY(read_elements(&r, reader, false));
+    status = passes == PARTITION_ONE_PASS ? read_elements(&r, reader, true)
+                                          : read_pass(&r, reader, false, true);
+done:
     for (unsigned i = 0; r.slots && i < r.slot_count; i++)
         free_slot(scan->ctx, &r.slots[i]);
     vox_vertex_buckets_free(scan, &r.vertex_buckets);

@@ -117,20 +117,20 @@ static int add_polygon(struct triangulator *t, const struct faces *faces, uint32
                        uint32_t size)
 {
     int status = 0;
-    for (uint32_t k = 0; k < size && status == 0; k++) {
+    for (uint32_t k = 0; k < size; k++) {
         const float *p = corner_position(t, faces, first + k);
         for (int axis = 0; axis < 3; axis++)
             t->polygon[k][axis] = p[axis];
-        status = bsq_check_corner(t->ctx, k);
+        BSQ_TRY(bsq_check_corner(t->ctx, k));
     }
     const uint32_t *v = t->polygon_triangles;
-    if (status == 0)
-        status = bsq_triangulate(t->ctx, (const double(*)[3])t->polygon, size, t->polygon_triangles,
-                                 t->polygon_scratch);
-    for (uint32_t i = 0; i < size - 2 && status == 0; i++, v += 3) {
+    BSQ_TRY(bsq_triangulate(t->ctx, (const double(*)[3])t->polygon, size, t->polygon_triangles,
+                            t->polygon_scratch));
+    for (uint32_t i = 0; i < size - 2; i++, v += 3) {
         add_triangle(t, faces, first + v[0], first + v[1], first + v[2]);
-        status = bsq_check_corner(t->ctx, i);
+        BSQ_TRY(bsq_check_corner(t->ctx, i));
     }
+done:
     return status;
 }
 

@@ -117,12 +117,12 @@ static int reserve(struct triangulator *t, const struct faces *faces)
                            headers * sizeof(struct run_header) + CORNER_CODE_SLACK;
     const uint64_t buckets = (uint64_t)1 << 3 * t->plan->levels;
     const uint64_t runs = buckets < t->span_count ? buckets : t->span_count;
-    int status = bsq_grow(t->ctx, what, bytes, 1, &t->bytes, &t->bytes_capacity);
-    if (status == 0)
-        status = bsq_grow(t->ctx, what, t->span_count, sizeof *t->sorted, &t->sorted,
-                          &t->sorted_capacity);
-    if (status == 0)
-        status = bsq_grow(t->ctx, what, runs, sizeof *t->runs, &t->runs, &t->run_capacity);
+    int status;
+    BSQ_TRY(bsq_grow(t->ctx, what, bytes, 1, &t->bytes, &t->bytes_capacity));
+    BSQ_TRY(
+        bsq_grow(t->ctx, what, t->span_count, sizeof *t->sorted, &t->sorted, &t->sorted_capacity));
+    status = bsq_grow(t->ctx, what, runs, sizeof *t->runs, &t->runs, &t->run_capacity);
+done:
     return status;
 }
 

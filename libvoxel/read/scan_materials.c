@@ -215,25 +215,24 @@ static int add_single_texture(struct scan *scan, const char *path,
 {
     static const float white[3] = {1.0f, 1.0f, 1.0f};
     int status = 0;
-    for (uint32_t i = 0; i <= scan->usemtl_count && status == 0; i++) {
+    for (uint32_t i = 0; i <= scan->usemtl_count; i++) {
         uint32_t *map = &scan->material_map[2 * (uint64_t)i];
         const uint32_t last = found->count - 1;
         const struct fmt_material *from = &found->list[i < last ? i : last];
         const char *name = name_of(scan, from);
-        status = bsq_check(scan->ctx);
-        if (status == 0 && (i == 0 || keeps_materials(scan))) {
-            status = add_material(scan, path, white, true, name, &map[0]);
-            if (status == 0)
-                status = add_sources(scan, textures, from, true, map[0]);
+        BSQ_TRY(bsq_check(scan->ctx));
+        if (i == 0 || keeps_materials(scan)) {
+            BSQ_TRY(add_material(scan, path, white, true, name, &map[0]));
+            BSQ_TRY(add_sources(scan, textures, from, true, map[0]));
         } else {
             map[0] = scan->material_map[0];
         }
-        if (status == 0 && keeps_materials(scan) && scan->lacks_texcoord) {
-            status = add_material(scan, NULL, white, false, name, &map[1]);
-            if (status == 0)
-                status = add_sources(scan, textures, from, false, map[1]);
+        if (keeps_materials(scan) && scan->lacks_texcoord) {
+            BSQ_TRY(add_material(scan, NULL, white, false, name, &map[1]));
+            BSQ_TRY(add_sources(scan, textures, from, false, map[1]));
         }
     }
+done:
     return status;
 }
 
@@ -363,19 +362,19 @@ static int add_own_material(struct scan *scan, const struct scan_textures *textu
     const bool plain = from->has_diffuse || name || scan->channel_count > 0;
     int status = 0;
     if (textured)
-        status = add_material(scan, colored ? from->texture_path : NULL, from->diffuse,
-                              colored || from->has_diffuse, name, &map[0]);
-    if (status == 0 && textured)
-        status = add_sources(scan, textures, from, true, map[0]);
-    if (status == 0 && colored)
+        BSQ_TRY(add_material(scan, colored ? from->texture_path : NULL, from->diffuse,
+                             colored || from->has_diffuse, name, &map[0]));
+    if (textured)
+        BSQ_TRY(add_sources(scan, textures, from, true, map[0]));
+    if (colored)
         scan->materials[map[0]].uv = from->uv;
-    if (status == 0 && plain && (!textured || scan->lacks_texcoord)) {
-        status = add_material(scan, NULL, from->diffuse, from->has_diffuse, name, &map[1]);
-        if (status == 0)
-            status = add_sources(scan, textures, from, false, map[1]);
+    if (plain && (!textured || scan->lacks_texcoord)) {
+        BSQ_TRY(add_material(scan, NULL, from->diffuse, from->has_diffuse, name, &map[1]));
+        BSQ_TRY(add_sources(scan, textures, from, false, map[1]));
     }
     if (!textured)
         map[0] = map[1];
+done:
     return status;
 }
 
@@ -385,24 +384,22 @@ static int use_own_materials(struct scan *scan, struct fmt_mesh_reader *reader,
     const bool has_texcoords = scan_count(scan, SCAN_TEXCOORDS) > 0;
     struct fmt_materials found = {0};
     struct bare_faces bare = {0};
-    int status = fmt_mesh_read_materials(reader, &found);
-    if (status == 0)
-        status = vox_textures_check(scan->ctx, &found, has_texcoords, textures);
-    if (status == 0)
-        status = vox_scan_use_alpha(scan, textures, NULL, &found);
-    for (uint32_t i = 0; status == 0 && i < scan->usemtl_count; i++) {
-        status = bsq_check(scan->ctx);
-        if (status == 0)
-            status = add_own_material(scan, textures, &found.list[i], i);
+    int status;
+    BSQ_TRY(fmt_mesh_read_materials(reader, &found));
+    BSQ_TRY(vox_textures_check(scan->ctx, &found, has_texcoords, textures));
+    BSQ_TRY(vox_scan_use_alpha(scan, textures, NULL, &found));
+    for (uint32_t i = 0; i < scan->usemtl_count; i++) {
+        BSQ_TRY(bsq_check(scan->ctx));
+        BSQ_TRY(add_own_material(scan, textures, &found.list[i], i));
         const char *texture = found.list[i].texture_path;
         if (texture && i < scan->material_use_count &&
             (!has_texcoords || vox_textures_have(textures, texture)))
             add_bare(scan->material_uses[i].bare_faces, texture, &bare);
     }
-    if (status == 0)
-        status = warn_of_bare_faces(scan, &bare);
-    if (status == 0 && scan->channel_count > 0)
-        status = add_own_material(scan, textures, &no_material, scan->usemtl_count);
+    BSQ_TRY(warn_of_bare_faces(scan, &bare));
+    if (scan->channel_count > 0)
+        BSQ_TRY(add_own_material(scan, textures, &no_material, scan->usemtl_count));
+done:
     fmt_materials_free(scan->ctx, &found);
     return status;
 }

@@ -311,11 +311,13 @@ static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
     if (!scan->origin_known && block->missing_positions < block->vertex_count)
         choose_origin(scan, block);
     scan->has_colors |= block->colors != NULL;
-    int status = add_positions(scan, block);
-    if (status == 0 && scan->has_colors)
-        status = vox_scan_note_missing_colors(scan, block);
-    if (status == 0 && scan->has_colors)
-        status = add_colors(scan, block, scan_count(scan, SCAN_POSITIONS));
+    int status;
+    BSQ_TRY(add_positions(scan, block));
+    if (scan->has_colors)
+        BSQ_TRY(vox_scan_note_missing_colors(scan, block));
+    if (scan->has_colors)
+        BSQ_TRY(add_colors(scan, block, scan_count(scan, SCAN_POSITIONS)));
+done:
     return status;
 }
 
@@ -371,66 +373,28 @@ int vox_scan_finish_streams(struct scan *scan)
     return status;
 }
 
-/* Warns of faces that are left out and of corners that refer to nothing; `place` is the first.
- * Fails if more than 1 % of the faces are left out: the file is damaged, or not what was meant. */
-static int report_loss(const struct scan *scan, enum fmt_mesh_kind kind, const char *place)
-{
-    const unsigned long long count = scan->lost[kind].count, faces = scan->totals.faces;
-    if (kind != FMT_MESH_VERTEX)
-        return bsq_warn_loss(
-            scan->ctx,
-            "%s: corners that refer to a %s that the file does not have: %llu; this is the "
-            "first",
-            place, fmt_mesh_kind_names[kind], count);
-    if (count > faces / 100)
-        return bsq_fail(scan->ctx, BSQ_EDATA,
-                        "%s: %llu of %llu faces have a vertex without a finite position, more than "
-                        "1 %%; this is the first",
-                        place, count, faces);
-    return bsq_warn_loss(
-        scan->ctx,
-        "%s: faces left out, as they have a vertex without a finite position: %llu; this "
-        "is the first",
-        place, count);
-}
-
-static int report_losses(const struct scan *scan, struct fmt_mesh_reader *reader)
-{
-    int status = 0;
-    for (int kind = 0; kind < FMT_MESH_KIND_COUNT && status == 0; kind++) {
-        char *place = NULL;
-        if (scan->lost[kind].count == 0)
-            continue;
-        status = fmt_mesh_place_text(reader, scan->lost[kind].face, &place);
-        if (status == 0)
-            status = report_loss(scan, (enum fmt_mesh_kind)kind, place);
-        bsq_free(scan->ctx, place);
-    }
-    return status;
-}
-
 int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
 {
     const struct scan_bad_index *bad = &scan->bad_index;
-    int status = vox_scan_finish_streams(scan);
-    if (status < 0)
-        return status;
+    int status;
+    BSQ_TRY(vox_scan_finish_streams(scan));
     vox_scan_enter_file(scan, scan->path_count - 1); /* the last files may be empty */
     scan->has_colors |= late_colors_fit(scan);
     if (scan->clamped_colors > 0)
-        status = bsq_warn_loss(scan->ctx, "%s: colours out of range were clamped at %llu %s",
-                               scan->paths[0], (unsigned long long)scan->clamped_colors,
-                               scan->clamped_colors == 1 ? "vertex" : "vertices");
-    if (status == 0 && scan->totals.unread_colors && !scan->has_colors)
-        status = bsq_warn_loss(scan->ctx, "%s: %s", scan->paths[0], scan->totals.unread_colors);
-    if (status == 0)
-        status = vox_precision_warn_merged(scan->ctx, scan->paths[0], scan->merged_vertices,
-                                           scan->bounds_min, scan->bounds_max);
-    if (status < 0)
-        return status;
+        BSQ_TRY(bsq_warn_loss(scan->ctx, "%s: colours out of range were clamped at %llu %s",
+                              scan->paths[0], (unsigned long long)scan->clamped_colors,
+                              scan->clamped_colors == 1 ? "vertex" : "vertices"));
+    if (scan->totals.unread_colors && !scan->has_colors)
+        BSQ_TRY(bsq_warn_loss(scan->ctx, "%s: %s", scan->paths[0], scan->totals.unread_colors));
+    BSQ_TRY(vox_precision_warn_merged(scan->ctx, scan->paths[0], scan->merged_vertices,
+                                      scan->bounds_min, scan->bounds_max));
     if (scan->totals.faces == 0)
         return fmt_mesh_fail_no_faces(scan->ctx, scan->paths[0], &scan->totals);
     if (bad->found)
         return fmt_mesh_fail_index(reader, bad->face, bad->kind, bad->index);
-    return report_losses(scan, reader);
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        BSQ_TRY(fmt_mesh_report_loss(reader, (enum fmt_mesh_kind)kind, scan->lost[kind].count,
+                                     scan->lost[kind].face, scan->totals.faces));
+done:
+    return status;
 }

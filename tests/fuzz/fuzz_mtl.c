@@ -1,5 +1,5 @@
 /* fuzz_mtl.c - fuzz target for material libraries. */
-#include "formats/mesh/mtl.h"
+#include "formats/mesh/obj_internal.h"
 #include "tests/fuzz/fuzz_file.h"
 
 #include <math.h>

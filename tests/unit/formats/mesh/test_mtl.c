@@ -10,7 +10,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "formats/mesh/mtl.h"
+#include "formats/mesh/obj_internal.h"
 
 static char directory[64];
 

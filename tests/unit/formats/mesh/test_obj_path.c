@@ -8,7 +8,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "formats/mesh/obj_path.h"
+#include "formats/mesh/mesh_text.h"
 #include "tests/unit/fixture.h"
 #include "tests/unit/formats/scratch.h"
 
