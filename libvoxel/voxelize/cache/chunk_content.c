@@ -58,8 +58,9 @@ static void place_vertices(const struct vox_transform *transform,
                            const struct fmt_tris_chunk *source, uint32_t begin, uint32_t end,
                            double (*points)[4])
 {
+    const struct vox_row_transform rows = vox_row_transform_of(transform);
     for (uint32_t v = begin; v < end; v++)
-        row_store(vox_place(transform, row_of_floats(source->positions[v])), points[v]);
+        row_store(vox_place(&rows, row_of_floats(source->positions[v])), points[v]);
 }
 
 /* Marks the groups of vertices that a group of triangles has. */
@@ -202,8 +203,9 @@ static void bound_group(const struct vox_chunk_source *from,
     }
     const four_ints lo = {box->lo[0], box->lo[1], box->lo[2], INT32_MIN};
     const four_ints hi = {box->hi[0], box->hi[1], box->hi[2], INT32_MAX};
+    const struct vox_row_transform rows = vox_row_transform_of(from->transform);
     for (uint32_t v = begin; v < end; v++) {
-        const struct row point = vox_place(from->transform, row_of_floats(source->positions[v]));
+        const struct row point = vox_place(&rows, row_of_floats(source->positions[v]));
         const four_ints cell = vox_cell(point, content->chunk.last_cell);
         if (!four_any((cell < lo) | (cell > hi)))
             vox_widen_bounds(bounds, source->positions[v]);

@@ -10,7 +10,7 @@ LANES_INLINE struct vox_bounds begin_at(const float *position)
     return (struct vox_bounds){p, p};
 }
 
-LANES_INLINE four_ints cell_of(const struct vox_transform *transform, four_floats position)
+LANES_INLINE four_ints cell_of(const struct vox_row_transform *transform, four_floats position)
 {
     float at[4];
     memcpy(at, &position, sizeof at);
@@ -21,8 +21,9 @@ static struct vox_box box_of(const struct vox_transform *transform, const struct
 {
     const int32_t *hi = transform->voxels.hi;
     const four_ints last = {hi[0], hi[1], hi[2], INT32_MAX};
-    const four_ints low = four_min(cell_of(transform, bounds->least), last),
-                    high = four_min(cell_of(transform, bounds->most), last);
+    const struct vox_row_transform rows = vox_row_transform_of(transform);
+    const four_ints low = four_min(cell_of(&rows, bounds->least), last),
+                    high = four_min(cell_of(&rows, bounds->most), last);
     struct vox_box box;
     memcpy(box.lo, &low, sizeof box.lo);
     memcpy(box.hi, &high, sizeof box.hi);

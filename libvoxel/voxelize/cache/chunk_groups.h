@@ -23,13 +23,25 @@ static inline uint32_t vox_group_end(uint32_t begin, uint32_t count, uint32_t gr
     return count - begin < group ? count : begin + group;
 }
 
-/* Returns vox_transform_coordinate() of three axes, and 0. position: three numbers and 0. */
-LANES_INLINE struct row vox_place(const struct vox_transform *transform, struct row position)
+/* A voxel transform as rows. Loops keep it in registers: compilers load the members of the
+ * transform again for each point, as the points might overwrite them. */
+struct vox_row_transform {
+    struct row origin, start, size;
+};
+
+LANES_INLINE struct vox_row_transform vox_row_transform_of(const struct vox_transform *transform)
 {
     const double *origin = transform->origin, *start = transform->start, h = transform->h;
-    const struct row moved = row_sum(row_of(origin[0], origin[1], origin[2], 0.0), position);
-    return row_quotient(row_difference(moved, row_of(start[0], start[1], start[2], 0.0)),
-                        row_of(h, h, h, h));
+    return (struct vox_row_transform){row_of(origin[0], origin[1], origin[2], 0.0),
+                                      row_of(start[0], start[1], start[2], 0.0),
+                                      row_of(h, h, h, h)};
+}
+
+/* Returns vox_transform_coordinate() of three axes, and 0. position: three numbers and 0. */
+LANES_INLINE struct row vox_place(const struct vox_row_transform *transform, struct row position)
+{
+    const struct row moved = row_sum(transform->origin, position);
+    return row_quotient(row_difference(moved, transform->start), transform->size);
 }
 
 /* Returns the voxel of a point, and an arbitrary fourth number. Points are never below the grid;

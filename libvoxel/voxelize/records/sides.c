@@ -159,10 +159,25 @@ static void take_in(struct vox_accumulator *a, uint32_t number, uint32_t from)
     a->spare_count++;
 }
 
+/* Makes one record of two sums of one side, as most voxels with several sums have them. Returns
+ * false if this is another voxel. */
+static bool settle_pair(struct vox_accumulator *a, uint32_t first)
+{
+    const uint32_t other = a->others[first] & VOX_LINK_NUMBER;
+    if ((a->others[other] & VOX_LINK_NUMBER) != first ||
+        vox_dot(a->sums[first].normal, a->sums[other].normal) < 0.0)
+        return false;
+    a->others[first] = a->others[other] = 0;
+    take_in(a, first, other);
+    return true;
+}
+
 /* Makes the records of the voxel whose first sum this is: that sum, and one of the others. */
 static void settle_voxel(struct vox_accumulator *a, uint32_t first)
 {
     struct voxel_sums voxel;
+    if (settle_pair(a, first))
+        return;
     collect(a, first, &voxel);
     uint32_t second_bits = second_side(&voxel), second = 0;
     for (uint32_t i = 0; i < voxel.count; i++)
@@ -183,10 +198,24 @@ static void settle_voxel(struct vox_accumulator *a, uint32_t first)
     a->second_count += second != 0;
 }
 
+enum { PREFETCH_AHEAD = 32 };
+
+/* Prefetches the first sum of a voxel, and another one. */
+static void prefetch_sums(const struct vox_accumulator *a, uint32_t first)
+{
+    const uint32_t other = a->others[first] & VOX_LINK_NUMBER;
+    __builtin_prefetch(&a->others[other]);
+    __builtin_prefetch(&a->sums[first]);
+    __builtin_prefetch(&a->sums[other]);
+}
+
 void vox_accumulator_settle(struct vox_accumulator *a)
 {
     /* A voxel's first sum has the lowest number. All others are unlinked with it. */
-    for (uint32_t i = 1; i <= a->sum_count; i++)
+    for (uint32_t i = 1; i <= a->sum_count; i++) {
+        if (i + PREFETCH_AHEAD <= a->sum_count && a->others[i + PREFETCH_AHEAD] != 0)
+            prefetch_sums(a, i + PREFETCH_AHEAD);
         if (a->others[i] != 0)
             settle_voxel(a, i);
+    }
 }
