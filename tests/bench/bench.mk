@@ -1,0 +1,116 @@
+# bench.mk - builds and runs the benchmarks. Part of the Makefile.
+BENCH ?= medium
+packages_bench := libtinyobjloader-dev
+bench_bins := $(addprefix $(BUILD)/tests/,measure baseline-embree baseline-assimp \
+    $(if $(wildcard /usr/include/tiny_obj_loader.h),baseline-tinyobj))
+$(BUILD)/tests/measure: $(BUILD)/obj/tests/bench/measure.c.o
+	@mkdir -p $(@D)
+	$(CC) $(common) -o $@ $^
+$(BUILD)/tests/baseline-embree: $(BUILD)/obj/tests/bench/baseline_embree.c.o
+	@mkdir -p $(@D)
+	$(CC) $(common) -o $@ $^ -lembree3
+$(BUILD)/tests/baseline-assimp: $(BUILD)/obj/tests/bench/baseline_assimp.cc.o
+	@mkdir -p $(@D)
+	$(CXX) $(common) -o $@ $^ -lassimp
+$(BUILD)/tests/baseline-tinyobj: $(BUILD)/obj/tests/bench/baseline_tinyobj.cc.o
+	@mkdir -p $(@D)
+	$(CXX) $(common) -o $@ $^ -ltinyobjloader
+
+rays_archives := $(archive.libbake) $(archive.formats) $(archive.base)
+rays_objs = $(patsubst %,$(BUILD)/obj/tests/bench/%.c.o,rays_scene $(1))
+$(BUILD)/tests/bench-rays: $(call rays_objs,rays rays_embree) $(rays_archives) \
+    | $(module_files) $(helper) $(BUILD)/tests/lib
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
+$(BUILD)/tests/bench-maps: $(call rays_objs,maps rays_embree) $(rays_archives) \
+    | $(module_files) $(helper) $(BUILD)/tests/lib
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
+# The native device with counters. Its objects come before the library's when linking.
+counted := native_lanes.c $(simd:%=native_lanes.c.%)
+$(BUILD)/counted/%.c.o: %.c
+	@mkdir -p $(@D)
+	$(CC) $(CPPFLAGS) $(CFLAGS) -c $< -o $@
+$(BUILD)/counted/tests/bench/rays_counters.c.o: tests/bench/rays_counters.c
+$(BUILD)/tests/bench-gpu-trace: $(call rays_objs,gpu_trace gpu_limits) $(rays_archives) \
+    | $(module_files) $(helper) $(BUILD)/tests/lib
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all)
+$(BUILD)/tests/bench-rays-counters: $(call rays_objs) \
+    $(BUILD)/counted/tests/bench/rays_counters.c.o \
+    $(counted:%=$(BUILD)/counted/libbake/device/native/%.o) $(rays_archives) | $(module_files) \
+    $(BUILD)/tests/lib
+	@mkdir -p $(@D)
+	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all)
+
+.PHONY: bench bench-build
+bench-build: all $(generator) $(bench_bins)
+
+## bench: compare stage 1 with other programs, BENCH=small, medium (default) or large
+bench: deps
+	@tests/install-packages.sh $(packages_bench) || echo "bench: continues without tinyobjloader"
+	@$(MAKE) --no-print-directory -j$(jobs) bench-build >&2
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/run.sh $(BENCH)
+
+.PHONY: bench-bake
+## bench-bake: compare rays a second with Embree on each device, BENCH=small or medium (default)
+bench-bake: deps
+	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(BUILD)/tests/bench-rays \
+	    $(BUILD)/tests/bench-rays-counters >&2
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/bake.sh $(BENCH)
+
+.PHONY: bench-maps
+## bench-maps: compare the cost of maps, and secondary rays with Embree, BENCH=small or medium (default)
+bench-maps: deps
+	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(BUILD)/tests/bench-maps >&2
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/maps.sh $(BENCH)
+
+.PHONY: bench-accuracy
+## bench-accuracy: compare maps from voxels with exact maps, BENCH=small or medium (default)
+bench-accuracy: deps
+	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(checkers) >&2
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/accuracy.sh $(BENCH)
+
+.PHONY: bench-normals
+## bench-normals: compare the weights of vertex normals on analytic surfaces
+$(BUILD)/tests/bench-normals: $(BUILD)/obj/tests/bench/normals.c.o
+	@mkdir -p $(@D)
+	$(CC) $(common) -o $@ $^ -lm
+bench-normals: $(BUILD)/tests/bench-normals
+	@$< $(BENCH_CELLS)
+
+.PHONY: bench-blender
+## bench-blender: compare maps, and the cost of whole jobs, with Blender's, BENCH=small or medium (default)
+bench-blender: all $(generator) $(BUILD)/tests/measure
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/blender.sh
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/blender_job.sh $(BENCH)
+
+.PHONY: bench-farm
+## bench-farm: processor time of bakes and grids in 1 to 64 tasks beside that of a single run
+bench-farm: all $(generator)
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/farm.sh
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/farm_grid.sh
+
+.PHONY: bench-pace
+## bench-pace: compare the core's speed with that of the commit PACE_REF=HEAD~1, in pairs
+bench-pace: all $(generator)
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/pace.sh $(or $(PACE_REF),HEAD~1)
+
+# The programs with their shared libraries, except those of C and C++, for machines that cannot
+# build.
+gpu_bundle := build/gpu
+.PHONY: bench-gpu gpu-bundle
+## bench-gpu: measure bisque-bake on this machine's GPUs, BENCH=small or full (default)
+bench-gpu: gpu-bundle
+	@tests/bench/gpu.sh $(if $(filter small,$(BENCH)),small,full)
+
+## gpu-bundle: collect what bench-gpu needs on a machine that cannot build, in build/gpu
+gpu-bundle: $(bins) $(generator) $(BUILD)/tests/bench-gpu-trace $(helper)
+	rm -rf $(gpu_bundle)
+	@mkdir -p $(gpu_bundle)/bin $(gpu_bundle)/lib/bisque
+	cp $(filter-out $(helper),$^) $(gpu_bundle)/bin
+	cp $(helper) $(gpu_bundle)/lib/bisque
+	strip $(gpu_bundle)/bin/* $(gpu_bundle)/lib/bisque/*
+	ldd $(gpu_bundle)/bin/* | awk '$$2 == "=>" && $$3 ~ /^\// { print $$3 }' | sort -u | \
+	    grep -Ev '/(libc|libm|libdl|libpthread|librt|libgcc_s|libstdc[+][+])[.]so' | \
+	    xargs -I LIB cp LIB $(gpu_bundle)/lib

@@ -1,0 +1,48 @@
+# packaging.mk - installs Bisque, and makes its packages. Part of the Makefile.
+bindir = $(DESTDIR)$(prefix)/bin
+arcdir = $(DESTDIR)$(libdir)
+moddir = $(DESTDIR)$(prefix)/lib/bisque
+incdir = $(DESTDIR)$(prefix)/include/bisque
+mandir = $(DESTDIR)$(prefix)/share/man/man1
+farmdir = $(DESTDIR)$(prefix)/share/bisque/farm
+farm_programs := tools/farm/bisque-slurm tools/farm/bisque-openjd
+
+.PHONY: install uninstall
+## install: install programs, man pages, libraries and headers under prefix=/usr/local
+install: all
+	install -d $(bindir) $(arcdir)/pkgconfig $(moddir) $(mandir) $(farmdir) \
+	    $(addprefix $(incdir)/,$(sort $(dir $(public_headers))))
+	install -m 755 $(bins) $(bindir)
+	install -m 644 $(wildcard man/*.1) $(mandir)
+	install -m 755 $(farm_programs) $(farmdir)
+	install -m 644 $(filter-out $(farm_programs),$(wildcard tools/farm/*)) $(farmdir)
+	install -m 644 $(module_files) $(moddir)
+	install -m 755 $(helper) $(moddir)
+	install -m 644 $(archives) $(arcdir)
+	$(here) $(CC) $(CPPFLAGS) $(directory_cppflags) $(CFLAGS) -c formats/module/module_directory.c \
+	    -o $(moddir)/module_directory.c.o
+	$(AR) rD $(arcdir)/$(notdir $(archive.formats)) $(moddir)/module_directory.c.o
+	rm $(moddir)/module_directory.c.*
+	$(foreach h,$(public_headers),install -m 644 $(h) $(incdir)/$(h) &&) true
+	for lib in voxel bake; do \
+	    sed -e 's|@prefix@|$(prefix)|; s|@libdir@|$(libdir)|; s|@version@|$(VERSION)|' \
+	    tools/bisque-$$lib.pc.in > $(arcdir)/pkgconfig/bisque-$$lib.pc; done
+
+## uninstall: remove the files of install
+uninstall:
+	rm -f $(addprefix $(bindir)/,$(programs)) $(addprefix $(mandir)/,$(notdir $(wildcard man/*.1)))
+	rm -f $(addprefix $(arcdir)/,$(notdir $(archives))) $(arcdir)/pkgconfig/bisque-*.pc
+	rm -rf $(incdir) $(moddir) $(farmdir)
+	-rmdir $(dir $(farmdir)) 2>/dev/null
+
+# ---- packages of Bisque ----
+dist := build/dist/bisque-$(VERSION).tar.gz
+.PHONY: dist deb
+## dist: build/dist/bisque-VERSION.tar.gz with the sources of the last commit, and its date
+dist:
+	@mkdir -p $(dir $(dist))
+	git archive --format=tar --prefix=bisque-$(VERSION)/ HEAD | gzip -9n > $(dist)
+
+## deb: build/deb with Debian packages of the last commit (installs missing packages)
+deb: deps-deb dist
+	tools/packaging/make-deb.sh $(dist) build/deb
