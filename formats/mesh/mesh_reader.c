@@ -351,6 +351,51 @@ const char *fmt_mesh_dependency(const struct fmt_mesh_reader *reader, uint32_t i
     return NULL;
 }
 
+/* ---- indices ---- */
+
+bool fmt_mesh_all_below(const uint64_t *indices, uint64_t count, uint64_t end)
+{
+    uint64_t differences = 0;
+    for (uint64_t i = 0; i < count; i++)
+        differences |= end - 1 - indices[i];
+    return differences >> 63 == 0;
+}
+
+/* Returns the bitwise or of all indices. Vectors of arrays from bsq_alloc() are read at once. */
+static uint64_t or_all(const uint64_t *indices, uint64_t count)
+{
+    typedef uint64_t two __attribute__((vector_size(16), may_alias));
+    const two *at = (const two *)(const void *)indices;
+    const two *end = at + ((uintptr_t)indices % sizeof *at == 0 ? count / 16 * 8 : 0);
+    two a = {0}, b = {0};
+    for (; at < end; at += 8) {
+        a |= at[0], b |= at[1], a |= at[2], b |= at[3];
+        a |= at[4], b |= at[5], a |= at[6], b |= at[7];
+    }
+    a |= b;
+    uint64_t all = a[0] | a[1];
+    for (const uint64_t *rest = (const uint64_t *)end; rest < indices + count; rest++)
+        all |= *rest;
+    return all;
+}
+
+bool fmt_mesh_check_vertices(const struct fmt_mesh_block *block, uint64_t end, uint64_t *face,
+                             uint64_t *index)
+{
+    uint64_t f = 0, first = 0, corner = 0;
+    /* Neighbours in the file have similar indices, so the first test mostly tells. */
+    if (or_all(block->corner_vertices, block->corner_count) < end ||
+        fmt_mesh_all_below(block->corner_vertices, block->corner_count, end))
+        return true;
+    while (block->corner_vertices[corner] < end)
+        corner++;
+    for (; first + block->face_sizes[f] <= corner; f++)
+        first += block->face_sizes[f];
+    *face = block->face_base + f;
+    *index = block->corner_vertices[corner];
+    return false;
+}
+
 /* ---- messages about faces ---- */
 
 /* What follows the path in the place of a face: ":120". */

@@ -261,6 +261,14 @@ int fmt_mesh_place_text(struct fmt_mesh_reader *reader, uint64_t face, char **ou
 int fmt_mesh_report_loss(struct fmt_mesh_reader *reader, enum fmt_mesh_kind kind, uint64_t count,
                          uint64_t face, uint64_t faces);
 
+/* Returns whether no index but FMT_MESH_NONE is `end` or more. Indices and ends are below 2^62, so
+ * the sign of the difference tells; FMT_MESH_NONE wraps to `end`. */
+bool fmt_mesh_all_below(const uint64_t *indices, uint64_t count, uint64_t end);
+/* Returns whether all vertex indices of a block are below `end`. If not, sets the first face of the
+ * scan that has another one, and this index. */
+bool fmt_mesh_check_vertices(const struct fmt_mesh_block *block, uint64_t end, uint64_t *face,
+                             uint64_t *index);
+
 /* Describes a corner whose index is out of range, with file, line and value:
  * "scan.obj:120: face refers to vertex 99, file has 12". Returns BSQ_EDATA. `face` and `index` are
  * numbers over the whole scan. Reads the face's block again. */

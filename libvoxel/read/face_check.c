@@ -1,16 +1,6 @@
 /* face_check.c - what a block's faces say of the scan, and whether their indices are in range. */
 #include "libvoxel/read/scan.h"
 
-/* Checks that no index but "none" is `end` or more. Indices and ends are below 2^62, so the sign of
- * the difference tells; "none" wraps to `end`. */
-static bool all_below(const uint64_t *indices, uint64_t count, uint64_t end)
-{
-    uint64_t differences = 0;
-    for (uint64_t i = 0; i < count; i++)
-        differences |= end - 1 - indices[i];
-    return differences >> 63 == 0;
-}
-
 static bool any_none(const uint64_t *indices, uint64_t count)
 {
     bool any = false;
@@ -37,18 +27,6 @@ static uint32_t largest_face(const struct fmt_mesh_block *block)
     return largest;
 }
 
-/* Finds the first vertex index that is not below `end`; there is one. */
-static struct scan_bad_index find_bad_index(const struct fmt_mesh_block *block, uint64_t end)
-{
-    uint64_t f = 0, first = 0, corner = 0;
-    while (block->corner_vertices[corner] < end)
-        corner++;
-    for (; first + block->face_sizes[f] <= corner; f++)
-        first += block->face_sizes[f];
-    return (struct scan_bad_index){true, FMT_MESH_VERTEX, block->face_base + f,
-                                   block->corner_vertices[corner]};
-}
-
 static bool any_missing(const struct scan *scan, enum fmt_mesh_kind kind, const uint64_t *indices,
                         uint64_t count)
 {
@@ -63,7 +41,8 @@ static bool any_lost(const struct scan *scan, uint32_t file, enum fmt_mesh_kind 
                      const uint64_t *indices, uint64_t count)
 {
     const uint64_t end = scan_file_end(scan, file, kind);
-    return indices && (!all_below(indices, count, end) || any_missing(scan, kind, indices, count));
+    return indices &&
+           (!fmt_mesh_all_below(indices, count, end) || any_missing(scan, kind, indices, count));
 }
 
 int vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *block,
@@ -72,10 +51,10 @@ int vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *b
     const uint64_t vertices = scan_file_end(scan, block->file, FMT_MESH_VERTEX);
     const uint64_t all = block->corner_count;
     *out = (struct scan_face_check){.block = block, .max_size = 3};
-    if (!all_below(block->corner_vertices, all, vertices)) {
-        out->bad_index = find_bad_index(block, vertices);
+    struct scan_bad_index *bad = &out->bad_index;
+    bad->found = !fmt_mesh_check_vertices(block, vertices, &bad->face, &bad->index);
+    if (bad->found)
         return 0;
-    }
     if (any_missing(scan, FMT_MESH_VERTEX, block->corner_vertices, all) ||
         any_lost(scan, block->file, FMT_MESH_TEXCOORD, block->corner_texcoords, all) ||
         any_lost(scan, block->file, FMT_MESH_NORMAL, block->corner_normals, all)) {

@@ -67,6 +67,12 @@ $vox s0.obj s0.obj s0.obj s3.obj --translate 0,0,0 --translate 0,1,0 --translate
     --translate 0,0,0 -o plain.nvdb
 code 0
 same plain.nvdb moved.nvdb
+# Faces are checked against the vertices of their own file.
+printf 'v 0 0 0\nv 1 0 0\nf 1 2 3\nv 0 1 0\nf 1 2 4294967297\n' >beyond.obj
+run bisque-voxelize --parse-only s1.ply beyond.obj
+code 65
+err 'bisque-voxelize: beyond.obj:5: face refers to vertex 4294967297, file has 3'
+
 run bisque-voxelize --parse-only s0.obj s1.ply
 code 0
 # Files that Assimp reads, two of one kind beside another one.
