@@ -89,6 +89,64 @@ int vox_partition_warn_colorless(const struct scan *scan, const struct partition
                                scan->paths[first], count);
 }
 
+/* ---- buckets of vertices ---- */
+
+#define BLOCK_VERTICES 8192u
+
+/* Vertices have an order if fewer than one in eight changes the bucket. */
+#define VERTICES_BY_CHANGE 8
+
+static int allocate_buckets(const struct scan *scan, uint64_t vertices, uint32_t levels,
+                            struct vertex_buckets *out)
+{
+    const char *what = "buckets of vertices";
+    if (levels > VERTEX_BUCKET_NARROW_LEVELS)
+        return bsq_alloc(scan->ctx, what, vertices, sizeof *out->wide, &out->wide);
+    return bsq_alloc(scan->ctx, what, vertices, sizeof *out->narrow, &out->narrow);
+}
+
+int vox_vertex_buckets_make(const struct scan *scan, const struct morton_cube *cube,
+                            uint32_t levels, struct vertex_buckets *out)
+{
+    const struct attribute_stream *stream = &scan->streams[SCAN_POSITIONS];
+    const uint64_t vertices = stream_count(stream);
+    uint64_t changes = 0;
+    uint32_t before = 0;
+    float(*positions)[3] = NULL;
+    *out = (struct vertex_buckets){0};
+    int status = allocate_buckets(scan, vertices, levels, out);
+    if (status == 0)
+        status = bsq_alloc(scan->ctx, "buckets of vertices", BLOCK_VERTICES, sizeof *positions,
+                           &positions);
+    for (uint64_t done = 0, count; status == 0 && done < vertices; done += count) {
+        count = vertices - done < BLOCK_VERTICES ? vertices - done : BLOCK_VERTICES;
+        if ((status = bsq_check(scan->ctx)) == 0)
+            status = vox_spill_read(&stream->spill, sizeof *positions * done,
+                                    sizeof *positions * count, positions);
+        for (uint64_t i = 0; status == 0 && i < count; i++) {
+            uint32_t bucket = morton_cell(cube, levels, positions[i]);
+            changes += bucket != before;
+            before = bucket;
+            if (out->wide)
+                out->wide[done + i] = (uint16_t)bucket;
+            else
+                out->narrow[done + i] = (uint8_t)bucket;
+        }
+    }
+    out->have_order = changes < vertices / VERTICES_BY_CHANGE;
+    bsq_free(scan->ctx, positions);
+    return status;
+}
+
+void vox_vertex_buckets_free(const struct scan *scan, struct vertex_buckets *buckets)
+{
+    bsq_free(scan->ctx, buckets->wide);
+    bsq_free(scan->ctx, buckets->narrow);
+    *buckets = (struct vertex_buckets){0};
+}
+
+/* ---- buckets ---- */
+
 /* Chooses the levels that name buckets. A surface meets about 3 * 4^n of the 8^n cells of a grid.
  * Buckets of some ten thousand triangles are sorted inside a core's cache. But every bucket must
  * get a page, and pages must be worth a system call. */
@@ -319,4 +377,34 @@ done:
     vox_vertex_buckets_free(scan, &r.vertex_buckets);
     bsq_free(scan->ctx, r.slots);
     return status;
+}
+
+/* ---- disk ---- */
+
+/* Bytes of a triangle's delta-coded indices, for one kind of index. */
+#define BYTES_BY_INDEX 2
+
+static uint64_t vertex_bytes(const struct fmt_mesh_estimate *scan)
+{
+    return 12 + (scan->has_colors ? 4 : 0) + (scan->texcoords > 0 ? 8 : 0) +
+           (scan->normals > 0 ? 4 : 0);
+}
+
+struct disk_space vox_disk_estimate(const struct fmt_mesh_estimate *scan,
+                                    const struct sort_limits *limits)
+{
+    const uint64_t triangles =
+        scan->corners > 2 * scan->faces ? scan->corners - 2 * scan->faces : 0;
+    const uint64_t kinds = 1u + (scan->texcoords > 0) + (scan->normals > 0);
+    const uint64_t streams =
+        scan->vertices * (scan->has_colors ? 16 : 12) + 8 * scan->texcoords + 4 * scan->normals;
+    const uint64_t coded = BYTES_BY_INDEX * kinds * triangles;
+    const bool spilled = streams > limits->stream_bytes;
+    /* Pages may use the memory that streams do not need. */
+    const uint64_t pages = limits->page_memory + (spilled ? 0 : limits->stream_bytes - streams);
+    const uint64_t runs = coded > pages ? coded - pages : 0;
+    return (struct disk_space){
+        .output_bytes = 6 * triangles + scan->vertices * vertex_bytes(scan),
+        .temp_bytes = (spilled ? streams : 0) + runs,
+    };
 }

@@ -28,8 +28,6 @@ static inline uint32_t coded_triangle_bytes(const struct triangulation_plan *pla
 /* Sorts the triangulator's spans by bucket and codes them as runs. */
 int vox_triangulate_code_spans(struct triangulator *t, const struct faces *faces);
 
-/* ---- triangulate_plain.c ---- */
-
 /* Triangulates a block of triangles that have positions alone and one material. *done: false if the
  * block has no such faces or its triangles have no order; then the result is undefined. */
 int vox_triangulate_plain(struct triangulator *t, const struct faces *faces, bool *done);

@@ -10,8 +10,7 @@
 
 #include "formats/mesh/mesh_reader.h"
 #include "formats/chunks/tris.h"
-#include "libvoxel/read/attribute_stream.h"
-#include "libvoxel/read/color_scale.h"
+#include "libvoxel/read/spill_buffer.h"
 #include "libvoxel/sort_limits.h"
 
 /* Marks a normal without direction in the file; bsq_oct_pack() never yields it. */
@@ -56,6 +55,24 @@ struct scan_clean_faces {
     struct fmt_mesh_material_change *changes;
     uint64_t size_capacity, corner_capacity[FMT_MESH_KIND_COUNT], change_capacity;
 };
+
+/* Some programs write values from 0 to 1 with bright spots above that. */
+#define COLOR_UNIT   2.0f
+#define COLOR_BRIGHT 16.0f
+
+/* Numbers of colours that have some such component, see scan_scale.c. */
+struct color_votes {
+    uint64_t nonzero;    /* above 0 */
+    uint64_t fractional; /* above 0 and at most COLOR_BRIGHT, but not whole */
+    uint64_t large;      /* above COLOR_UNIT */
+    uint64_t bright;     /* above COLOR_BRIGHT */
+};
+
+/* Adds colours to the votes. Those of vertices without a colour have no component above 0. */
+void vox_color_votes_add(struct color_votes *votes, const float (*colors)[3], uint64_t count);
+/* Returns the factor from the colours to 0..255: 255 or 1. Returns 0 if they do not tell: all are
+ * whole numbers up to COLOR_UNIT so far. */
+float vox_color_votes_scale(const struct color_votes *votes);
 
 /* What became of a file's ZBrush polypaint. */
 enum scan_paint { SCAN_PAINT_NONE, SCAN_PAINT_USED, SCAN_PAINT_LOST };
@@ -122,6 +139,7 @@ struct scan {
     float *known_scales;      /* color_scale of the files by the earlier reading; owned */
     uint32_t known_count;     /* of these files */
     bool misread_colors;      /* a color_scale turned out to be wrong */
+    float block_scale;        /* factor from the colours of the block that is appended to 0..255 */
     bool has_telling_file;    /* the colours of some file tell their scale */
     uint32_t telling_file;    /* the first such file; files that do not tell take its scale */
     uint64_t clamped_colors;  /* vertices */
@@ -192,9 +210,6 @@ uint64_t vox_scan_stream_memory(const struct scan *scan);
  * block refers to nothing. From any thread. Errors: BSQ_ENOMEM. */
 int vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *block,
                          struct scan_clean_faces *clean, struct scan_face_check *out);
-/* Makes the copy, and counts what it lacks in *check. Vertex indices are in range. */
-int vox_scan_clean_faces(const struct scan *scan, const struct fmt_mesh_block *block,
-                         struct scan_clean_faces *clean, struct scan_face_check *check);
 void vox_scan_clean_free(struct bsq_ctx *ctx, struct scan_clean_faces *clean);
 /* Notes which elements of a block are missing. Serial. Errors: BSQ_ENOMEM. */
 int vox_scan_note_missing(struct scan *scan, const struct fmt_mesh_block *block);

@@ -63,28 +63,42 @@ uint64_t vox_scan_stream_memory(const struct scan *scan)
 }
 
 /* Finds space for at least one element at the end of a stream, which moves to a file if all streams
- * together exceed their limit. *at: a pointer to elements. */
-static int stream_reserve(struct scan *scan, enum scan_stream number, void *at, uint64_t *capacity)
+ * together exceed their limit. *at: the elements. */
+static int reserve(struct scan *scan, struct attribute_stream *stream, uint8_t **at,
+                   uint64_t *capacity)
 {
-    struct attribute_stream *stream = &scan->streams[number];
-    uint64_t cost = vox_spill_reserve_cost(&stream->spill);
-    int status = 0;
+    const uint64_t cost = vox_spill_reserve_cost(&stream->spill);
+    int status;
     if (cost > 0 && !stream->spill.spilled &&
         vox_scan_stream_memory(scan) + cost > scan->limits->stream_bytes)
-        status = vox_spill_spill(&stream->spill);
-    if (status < 0)
-        return status;
-    uint8_t *bytes;
-    status = vox_spill_reserve(&stream->spill, &bytes, capacity);
+        BSQ_TRY(vox_spill_spill(&stream->spill));
+    status = vox_spill_reserve(&stream->spill, at, capacity);
     *capacity /= stream->element_bytes;
-    memcpy(at, &bytes, sizeof bytes);
+done:
     return status;
 }
 
-static void stream_advance(struct scan *scan, enum scan_stream number, uint64_t elements)
+/* Makes elements [first, first + count) of a stream at `to` from those of a block. The numbers
+ * count over the scan. */
+typedef int converter(struct scan *scan, const struct fmt_mesh_block *block, uint64_t first,
+                      uint64_t count, void *to);
+
+/* Appends to a stream until it has `end` elements. */
+static int append(struct scan *scan, const struct fmt_mesh_block *block, enum scan_stream number,
+                  uint64_t end, converter *convert)
 {
     struct attribute_stream *stream = &scan->streams[number];
-    vox_spill_advance(&stream->spill, elements * stream->element_bytes);
+    uint64_t capacity, count;
+    uint8_t *to;
+    int status = 0;
+    for (uint64_t first = stream_count(stream); first < end; first += count) {
+        BSQ_TRY(reserve(scan, stream, &to, &capacity));
+        count = end - first < capacity ? end - first : capacity;
+        BSQ_TRY(convert(scan, block, first, count, to));
+        vox_spill_advance(&stream->spill, count * stream->element_bytes);
+    }
+done:
+    return status;
 }
 
 /* ---- positions ---- */
@@ -122,8 +136,8 @@ static int fail_vertex(const struct scan *scan, const struct fmt_mesh_block *blo
     return BSQ_EBUG;
 }
 
-/* Converts positions of which some are missing, as add_positions() does. Missing ones become the
- * origin, which no face uses, and do not count for the bounds. Returns whether all others are
+/* Converts positions of which some are missing, as convert_positions() does. Missing ones become
+ * the origin, which no face uses, and do not count for the bounds. Returns whether all others are
  * within float32. */
 static bool convert_present(const double (*from)[3], uint64_t count, const double origin[3],
                             float low[3], float high[3], float (*to)[3])
@@ -141,40 +155,27 @@ static bool convert_present(const double (*from)[3], uint64_t count, const doubl
     return poison == 0.0f;
 }
 
-static int add_positions(struct scan *scan, const struct fmt_mesh_block *block)
+static int convert_positions(struct scan *scan, const struct fmt_mesh_block *block, uint64_t first,
+                             uint64_t count, void *out)
 {
     const double o[3] = {scan->origin[0], scan->origin[1], scan->origin[2]};
-    float low[3], high[3], poison = 0.0f;
+    const double(*from)[3] = block->positions + (first - block->vertex_base);
+    float(*to)[3] = out, low[3], high[3], poison = 0.0f;
     memcpy(low, scan->bounds_min, sizeof low);
     memcpy(high, scan->bounds_max, sizeof high);
-    for (uint64_t done = 0; done < block->vertex_count;) {
-        float(*to)[3];
-        uint64_t capacity;
-        int status = stream_reserve(scan, SCAN_POSITIONS, &to, &capacity);
-        if (status < 0)
-            return status;
-        uint64_t count =
-            block->vertex_count - done < capacity ? block->vertex_count - done : capacity;
-        const double(*from)[3] = block->positions + done;
-        if (block->missing_positions > 0 && !convert_present(from, count, o, low, high, to))
-            poison = 1.0f;
-        for (uint64_t v = 0; block->missing_positions == 0 && v < count; v++)
-            for (int axis = 0; axis < 3; axis++) {
-                /* + 0 makes a negative zero positive, so that equal positions have equal bits. */
-                float p = (float)(from[v][axis] - o[axis]) + 0.0f;
-                poison += p * 0.0f;
-                low[axis] = p < low[axis] ? p : low[axis];
-                high[axis] = p > high[axis] ? p : high[axis];
-                to[v][axis] = p;
-            }
-        stream_advance(scan, SCAN_POSITIONS, count);
-        done += count;
-    }
+    if (block->missing_positions > 0 && !convert_present(from, count, o, low, high, to))
+        poison = 1.0f;
+    for (uint64_t v = 0; block->missing_positions == 0 && v < count; v++)
+        for (int axis = 0; axis < 3; axis++) {
+            /* + 0 makes a negative zero positive, so that equal positions have equal bits. */
+            float p = (float)(from[v][axis] - o[axis]) + 0.0f;
+            poison += p * 0.0f;
+            low[axis] = p < low[axis] ? p : low[axis];
+            high[axis] = p > high[axis] ? p : high[axis];
+            to[v][axis] = p;
+        }
     memcpy(scan->bounds_min, low, sizeof low);
     memcpy(scan->bounds_max, high, sizeof high);
-    if (block->missing_positions == 0)
-        scan->merged_vertices +=
-            vox_precision_count_merged(block->positions, block->vertex_count, o);
     return poison == 0.0f ? 0 : fail_vertex(scan, block);
 }
 
@@ -198,47 +199,26 @@ static uint32_t pack_color(struct scan *scan, const float color[3], float scale)
     return packed;
 }
 
-/* Appends the block's colours, or the default, until there are `end` colours. */
-static int add_colors(struct scan *scan, const struct fmt_mesh_block *block, uint64_t end)
+static int convert_colors(struct scan *scan, const struct fmt_mesh_block *block, uint64_t first,
+                          uint64_t count, void *out)
 {
-    uint64_t begin = scan_count(scan, SCAN_COLORS);
-    float scale;
-    int status = vox_scan_find_color_scale(scan, block, &scale);
-    while (status == 0 && begin < end) {
-        uint32_t *to;
-        uint64_t capacity;
-        status = stream_reserve(scan, SCAN_COLORS, &to, &capacity);
-        if (status < 0)
-            break;
-        uint64_t count = end - begin < capacity ? end - begin : capacity;
-        for (uint64_t i = 0; i < count; i++) {
-            bool known = block->colors && begin + i >= block->vertex_base;
-            to[i] = known ? pack_color(scan, block->colors[begin + i - block->vertex_base], scale)
-                          : SCAN_DEFAULT_COLOR;
-        }
-        stream_advance(scan, SCAN_COLORS, count);
-        begin += count;
-    }
-    return status;
+    uint32_t *to = out;
+    for (uint64_t i = first; i < first + count; i++)
+        *to++ = block->colors && i >= block->vertex_base
+                    ? pack_color(scan, block->colors[i - block->vertex_base], scan->block_scale)
+                    : SCAN_DEFAULT_COLOR;
+    return 0;
 }
 
-static int add_texcoords(struct scan *scan, const struct fmt_mesh_block *block)
+static int convert_texcoords(struct scan *scan, const struct fmt_mesh_block *block, uint64_t first,
+                             uint64_t count, void *out)
 {
-    for (uint64_t done = 0; done < block->texcoord_count;) {
-        float(*to)[2];
-        uint64_t capacity;
-        int status = stream_reserve(scan, SCAN_TEXCOORDS, &to, &capacity);
-        if (status < 0)
-            return status;
-        uint64_t left = block->texcoord_count - done, count = left < capacity ? left : capacity;
-        for (uint64_t i = 0; i < count; i++)
-            for (int k = 0; k < 2; k++) {
-                double value = block->texcoords[done + i][k];
-                to[i][k] = (float)fmin(fmax(value, -FLT_MAX), FLT_MAX) + 0.0f;
-            }
-        stream_advance(scan, SCAN_TEXCOORDS, count);
-        done += count;
-    }
+    const double(*from)[2] = block->texcoords + (first - block->texcoord_base);
+    float(*to)[2] = out;
+    (void)scan;
+    for (uint64_t i = 0; i < count; i++)
+        for (int k = 0; k < 2; k++)
+            to[i][k] = (float)fmin(fmax(from[i][k], -FLT_MAX), FLT_MAX) + 0.0f;
     return 0;
 }
 
@@ -252,20 +232,25 @@ static uint32_t pack_normal(const float n[3])
     return bsq_oct_pack(bsq_unit3(v));
 }
 
-static int add_normals(struct scan *scan, const struct fmt_mesh_block *block)
+static int convert_normals(struct scan *scan, const struct fmt_mesh_block *block, uint64_t first,
+                           uint64_t count, void *out)
 {
-    for (uint64_t done = 0; done < block->normal_count;) {
-        uint32_t *to;
-        uint64_t capacity;
-        int status = stream_reserve(scan, SCAN_NORMALS, &to, &capacity);
-        if (status < 0)
-            return status;
-        uint64_t left = block->normal_count - done, count = left < capacity ? left : capacity;
-        for (uint64_t i = 0; i < count; i++)
-            to[i] = pack_normal(block->normals[done + i]);
-        stream_advance(scan, SCAN_NORMALS, count);
-        done += count;
-    }
+    const float(*from)[3] = block->normals + (first - block->normal_base);
+    uint32_t *to = out;
+    (void)scan;
+    for (uint64_t i = 0; i < count; i++)
+        to[i] = pack_normal(from[i]);
+    return 0;
+}
+
+static int convert_late_colors(struct scan *scan, const struct fmt_mesh_block *block,
+                               uint64_t first, uint64_t count, void *out)
+{
+    const uint64_t base = block->late_color_base;
+    uint32_t *to = out;
+    (void)scan;
+    for (uint64_t i = first; i < first + count; i++)
+        *to++ = i < base ? SCAN_DEFAULT_COLOR : block->late_colors[i - base];
     return 0;
 }
 
@@ -274,27 +259,14 @@ static int add_normals(struct scan *scan, const struct fmt_mesh_block *block)
 static int add_late_colors(struct scan *scan, const struct fmt_mesh_block *block)
 {
     const uint64_t base = block->late_color_base, vertices = scan_count(scan, SCAN_POSITIONS);
-    uint64_t begin = scan_count(scan, SCAN_COLORS), end = base + block->late_color_count;
+    const uint64_t end = base + block->late_color_count;
     enum scan_paint *paint = &scan->files[block->file].paint;
-    end = end < vertices ? end : vertices;
-    if (begin > base)
+    if (scan_count(scan, SCAN_COLORS) > base)
         *paint = SCAN_PAINT_LOST;
     if (*paint == SCAN_PAINT_LOST)
         return 0;
     *paint = SCAN_PAINT_USED;
-    while (begin < end) {
-        uint32_t *to;
-        uint64_t capacity;
-        int status = stream_reserve(scan, SCAN_COLORS, &to, &capacity);
-        if (status < 0)
-            return status;
-        uint64_t count = end - begin < capacity ? end - begin : capacity;
-        for (uint64_t i = 0; i < count; i++)
-            to[i] = begin + i < base ? SCAN_DEFAULT_COLOR : block->late_colors[begin + i - base];
-        stream_advance(scan, SCAN_COLORS, count);
-        begin += count;
-    }
-    return 0;
+    return append(scan, block, SCAN_COLORS, end < vertices ? end : vertices, convert_late_colors);
 }
 
 /* Returns whether late colours fit the vertices. */
@@ -308,15 +280,20 @@ static bool late_colors_fit(const struct scan *scan)
 
 static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
 {
+    const uint64_t end = block->vertex_base + block->vertex_count;
+    int status;
     if (!scan->origin_known && block->missing_positions < block->vertex_count)
         choose_origin(scan, block);
     scan->has_colors |= block->colors != NULL;
-    int status;
-    BSQ_TRY(add_positions(scan, block));
-    if (scan->has_colors)
-        BSQ_TRY(vox_scan_note_missing_colors(scan, block));
-    if (scan->has_colors)
-        BSQ_TRY(add_colors(scan, block, scan_count(scan, SCAN_POSITIONS)));
+    BSQ_TRY(append(scan, block, SCAN_POSITIONS, end, convert_positions));
+    if (block->missing_positions == 0)
+        scan->merged_vertices +=
+            vox_precision_count_merged(block->positions, block->vertex_count, scan->origin);
+    if (!scan->has_colors)
+        return 0;
+    BSQ_TRY(vox_scan_note_missing_colors(scan, block));
+    BSQ_TRY(vox_scan_find_color_scale(scan, block, &scan->block_scale));
+    status = append(scan, block, SCAN_COLORS, end, convert_colors);
 done:
     return status;
 }
@@ -343,17 +320,18 @@ int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block)
     scan->files[block->file].bytes += block->byte_size;
     if (!vox_scan_has_elements(block))
         return 0;
-    int status = vox_scan_note_missing(scan, block);
-    if (status == 0 && block->vertex_count > 0)
-        status = add_vertices(scan, block);
-    if (status == 0 && block->texcoord_count > 0)
-        status = add_texcoords(scan, block);
-    if (status == 0 && block->normal_count > 0)
-        status = add_normals(scan, block);
-    if (status == 0 && block->late_color_count > 0)
-        status = add_late_colors(scan, block);
-    if (status == 0)
-        count_elements(scan, block);
+    const uint64_t texcoords = block->texcoord_base + block->texcoord_count;
+    const uint64_t normals = block->normal_base + block->normal_count;
+    int status;
+    BSQ_TRY(vox_scan_note_missing(scan, block));
+    if (block->vertex_count > 0)
+        BSQ_TRY(add_vertices(scan, block));
+    BSQ_TRY(append(scan, block, SCAN_TEXCOORDS, texcoords, convert_texcoords));
+    BSQ_TRY(append(scan, block, SCAN_NORMALS, normals, convert_normals));
+    if (block->late_color_count > 0)
+        BSQ_TRY(add_late_colors(scan, block));
+    count_elements(scan, block);
+done:
     return status;
 }
 

@@ -1,5 +1,5 @@
 /* Tests which scale colours get, and that their order does not matter. */
-#include "libvoxel/read/color_scale.h"
+#include "libvoxel/read/scan.h"
 
 #include <setjmp.h>
 #include <stdarg.h>
