@@ -131,6 +131,12 @@ void bsq_pool_destroy(struct bsq_pool *pool)
     free(pool);
 }
 
+void bsq_threads_end(struct bsq_ctx *ctx)
+{
+    bsq_pool_destroy(ctx->pool);
+    ctx->pool = NULL;
+}
+
 /* Runs fn on up to `workers` threads, the calling one as worker 0, and waits for all. */
 static void pool_run(struct bsq_ctx *ctx, unsigned workers, pool_fn *fn, void *arg)
 {

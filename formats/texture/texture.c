@@ -12,6 +12,7 @@
 #include <string.h>
 
 #include "base/loss.h"
+#include "base/parallel.h"
 #include "base/tile_files.h"
 
 enum { ALL_TILES = BSQ_TILE_COLUMNS * BSQ_TILE_ROWS };
@@ -265,6 +266,9 @@ void fmt_textures_close(struct fmt_textures *textures)
     if (!textures)
         return;
     struct bsq_ctx *ctx = textures->ctx;
+    /* OpenImageIO keeps the last tiles and files of a cache in each thread. A later cache at the
+     * same address would find them. */
+    bsq_threads_end(ctx);
     if (textures->images)
         textures->module->close(textures->images);
     for (uint64_t i = 0; i < textures->tiles_count; i++) {

@@ -425,6 +425,17 @@ code 0
 for tile in 1002 1012; do
     same skin.$tile.exr other/color.$tile.exr
 done
+# All tasks in one process: threads do not keep what they know of the textures of a task before.
+$bake gone/skin.tris low.obj $size -o 'many.<UDIM>.exr' --maps color --tasks 12 --write-plan many.json \
+    --path-map moved.json
+code 0
+$bake --plan many.json --task 0-11 --threads 2 --path-map moved.json
+code 0
+$bake --plan many.json --merge --path-map moved.json
+code 0
+for tile in 1002 1012; do
+    same skin.$tile.exr many.$tile.exr
+done
 for bad in '{' '[]' '{"version": "pathmapping-2.0"}' '{"version": "pathmapping-1.0", "path_mapping_rules": 3}' \
     '{"version": "pathmapping-1.0", "path_mapping_rules": [{"source_path_format": "POSIX", "source_path": "/a"}]}' \
     '{"version": "pathmapping-1.0", "path_mapping_rules": [{"source_path_format": "DOS", "source_path": "/a", "destination_path": "/b"}]}'; do
