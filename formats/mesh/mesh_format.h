@@ -11,6 +11,7 @@
 #ifndef FMT_MESH_FORMAT_H
 #define FMT_MESH_FORMAT_H
 
+#include "base/text_table.h"
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
 
@@ -233,6 +234,7 @@ struct fmt_mesh_reader {
     struct stream_source *sources;
     uint32_t source_count;
     uint64_t material_count; /* numbers that were assigned */
+    struct bsq_tally names;  /* the memory of names that formats keep */
     struct stream_place *places;
     uint64_t place_count, place_capacity;
     struct stream_note *notes;
@@ -303,25 +305,6 @@ int fmt_stream_warn_unread(const struct stream_source *source, const struct stre
 int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
                       struct fmt_material *out);
 void fmt_material_free(struct bsq_ctx *ctx, struct fmt_material *material);
-
-/* Names, or numbers, in order of first appearance; `slots` is an open-addressing hash table of
- * number + 1. All zero at first. */
-struct mesh_name {
-    char *text; /* NULL: "" */
-    uint64_t key;
-};
-struct mesh_names {
-    struct mesh_name *list;
-    uint64_t count, capacity;
-    uint32_t *slots;
-    uint64_t slot_count;
-};
-/* Sets *number to the number of a pair of key and text; enters it if it is new. */
-int fmt_names_enter(struct bsq_ctx *ctx, struct mesh_names *names, uint64_t key, const char *text,
-                    uint32_t *number);
-/* Returns the number of a pair; UINT32_MAX: it is not in the table. */
-uint32_t fmt_names_find(const struct mesh_names *names, uint64_t key, const char *text);
-void fmt_names_free(struct bsq_ctx *ctx, struct mesh_names *names);
 
 /* ---- obj_material.c ---- */
 

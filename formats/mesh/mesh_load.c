@@ -27,6 +27,7 @@ struct loader {
     uint32_t *corners[3]; /* vertices, texture coordinates, normals */
     uint64_t corner_capacity[3], corner_count;
     bool has_corners[3];
+    uint64_t cut[3]; /* the first index of a kind that is too large for 32 bits; 0: none */
     uint64_t missing_positions, missing_texcoords;
     struct loss lost_faces, lost_normals; /* without a position; that refer to nothing */
     bool parts;                           /* the names of materials and objects are wanted */
@@ -65,9 +66,12 @@ static int append_corners(struct loader *loader, int kind, const uint64_t *from,
     loader->has_corners[kind] |= from != NULL;
     if (!from)
         memset(to, 0xff, count * sizeof *to);
-    for (uint64_t i = 0; from && i < count; i++)
-        to[i] = from[i] < UINT32_MAX - 1 || from[i] == FMT_MESH_NONE ? (uint32_t)from[i]
-                                                                     : UINT32_MAX - 1;
+    for (uint64_t i = 0; from && i < count; i++) {
+        const bool cut = from[i] >= UINT32_MAX - 1 && from[i] != FMT_MESH_NONE;
+        to[i] = cut ? UINT32_MAX - 1 : (uint32_t)from[i];
+        if (cut && loader->cut[kind] == 0)
+            loader->cut[kind] = from[i];
+    }
     return 0;
 }
 
@@ -124,35 +128,11 @@ done:
 
 /* ---- checking ---- */
 
-/* A search for the index of corner number `corner`, as the file has it: indices that were cut to 32
- * bits are read from the file again. */
-struct offender {
-    uint64_t corner, index;
-    int kind;
-};
-
-static int find_offender(void *arg, const struct fmt_mesh_block *block)
-{
-    struct offender *offender = arg;
-    const uint64_t *corners[3] = {block->corner_vertices, block->corner_texcoords,
-                                  block->corner_normals};
-    if (offender->corner < block->corner_count)
-        offender->index = corners[offender->kind][offender->corner];
-    offender->corner -= block->corner_count; /* wraps when found, and is never small again */
-    return 0;
-}
-
 static int fail_corner(struct loader *loader, uint64_t face, uint64_t corner, int kind)
 {
-    uint64_t index = loader->corners[kind][corner];
-    if (index == UINT32_MAX - 1) {
-        struct offender offender = {.corner = corner, .index = index, .kind = kind};
-        int status = fmt_mesh_read(loader->reader, find_offender, &offender, NULL);
-        if (status)
-            return status;
-        index = offender.index;
-    }
-    return fmt_mesh_fail_index(loader->reader, face, (enum fmt_mesh_kind)kind, index);
+    const uint64_t index = loader->corners[kind][corner];
+    return fmt_mesh_fail_index(loader->reader, face, (enum fmt_mesh_kind)kind,
+                               index == UINT32_MAX - 1 ? loader->cut[kind] : index);
 }
 
 static void count_loss(struct loss *loss, uint64_t face)

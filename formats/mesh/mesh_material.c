@@ -1,6 +1,5 @@
-/* mesh_material.c - lists of materials, for all formats, and tables of their names. */
+/* mesh_material.c - lists of materials, for all formats. */
 #include <string.h>
-#include <xxhash.h>
 
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"
@@ -133,75 +132,4 @@ int fmt_material_enter_channel(struct bsq_ctx *ctx, struct fmt_material *materia
     **out = (struct fmt_material_channel){
         .channel = channel, .value = {channel->usual, channel->usual, channel->usual}};
     return 0;
-}
-
-/* ---- tables of names ---- */
-
-/* Returns the slot that holds the name, or the empty slot for it. */
-static uint32_t *find_slot(const struct mesh_names *names, uint64_t key, const char *text)
-{
-    uint64_t i = XXH3_64bits_withSeed(text, strlen(text), key) & (names->slot_count - 1);
-    for (;; i = (i + 1) & (names->slot_count - 1)) {
-        uint32_t *slot = &names->slots[i];
-        if (*slot == 0)
-            return slot;
-        const struct mesh_name *entry = &names->list[*slot - 1];
-        if (entry->key == key && !strcmp(entry->text ? entry->text : "", text))
-            return slot;
-    }
-}
-
-/* Keeps the table at most half full. */
-static int make_slots(struct bsq_ctx *ctx, struct mesh_names *names)
-{
-    if (names->slot_count > 2 * names->count)
-        return 0;
-    uint64_t slot_count = names->slot_count ? 4 * names->slot_count : 64;
-    uint32_t *slots;
-    int status = bsq_calloc(ctx, "names", slot_count, sizeof *slots, &slots);
-    if (status)
-        return status;
-    bsq_free(ctx, names->slots);
-    names->slots = slots;
-    names->slot_count = slot_count;
-    for (uint64_t i = 0; i < names->count; i++) {
-        const struct mesh_name *name = &names->list[i];
-        *find_slot(names, name->key, name->text ? name->text : "") = (uint32_t)(i + 1);
-    }
-    return 0;
-}
-
-int fmt_names_enter(struct bsq_ctx *ctx, struct mesh_names *names, uint64_t key, const char *text,
-                    uint32_t *number)
-{
-    int status;
-    BSQ_TRY(make_slots(ctx, names));
-    uint32_t *slot = find_slot(names, key, text);
-    if (*slot == 0) {
-        struct mesh_name name = {.key = key};
-        if (names->count == UINT32_MAX - 1)
-            return bsq_fail(ctx, BSQ_EDATA, "more than %u materials", UINT32_MAX - 1);
-        BSQ_TRY(FMT_RESERVE(ctx, names->count + 1, names->list, names->capacity));
-        if (*text)
-            BSQ_TRY(fmt_string_copy(ctx, text, &name.text));
-        names->list[names->count++] = name;
-        *slot = (uint32_t)names->count;
-    }
-    *number = *slot - 1;
-done:
-    return status;
-}
-
-uint32_t fmt_names_find(const struct mesh_names *names, uint64_t key, const char *text)
-{
-    return names->slot_count > 0 ? *find_slot(names, key, text) - 1 : UINT32_MAX;
-}
-
-void fmt_names_free(struct bsq_ctx *ctx, struct mesh_names *names)
-{
-    for (uint64_t i = 0; i < names->count; i++)
-        bsq_free(ctx, names->list[i].text);
-    bsq_free(ctx, names->list);
-    bsq_free(ctx, names->slots);
-    memset(names, 0, sizeof *names);
 }

@@ -593,4 +593,5 @@ void fmt_stream_free(struct fmt_mesh_reader *reader)
     bsq_free(reader->ctx, reader->sources);
     bsq_free(reader->ctx, reader->places);
     bsq_free(reader->ctx, reader->notes);
+    bsq_tally_release(reader->ctx, &reader->names);
 }

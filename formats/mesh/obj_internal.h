@@ -37,13 +37,16 @@ enum obj_statement_kind {
     OBJ_BAD_PAINT      /* a ZBrush comment of colours that has other text */
 };
 
+enum { OBJ_PART_DIGITS = 8 };
+
 /* What the reader keeps of a file: source->data. */
 struct obj_file {
-    struct mesh_names materials; /* of usemtl statements */
-    /* If the reader numbers faces by object: pairs of material, as key, and name of the object. */
-    struct mesh_names parts;
-    struct mesh_names libraries; /* paths of material libraries */
-    uint64_t *library_lines;     /* that name them first, from 1 */
+    struct bsq_texts materials; /* of usemtl statements */
+    /* If the reader numbers faces by object: the number of the material, as OBJ_PART_DIGITS
+     * hexadecimal digits, and the name of the object. */
+    struct bsq_texts parts;
+    struct bsq_texts libraries; /* paths of material libraries */
+    uint64_t *library_lines;    /* that name them first, from 1 */
     uint64_t line_capacity;
     uint64_t previewed; /* libraries that were read before the file */
     /* Of one reading, as far as it has come: */

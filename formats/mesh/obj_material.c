@@ -39,11 +39,11 @@ static int add_library(struct stream_source *source, uint64_t line, const char *
 {
     struct obj_file *file = source->data;
     const uint64_t known = file->libraries.count;
-    uint32_t number;
+    uint64_t number;
     int status;
     BSQ_TRY(bsq_note_input(source->ctx, path, "the material library that %s names", source->path));
     BSQ_TRY(FMT_RESERVE(source->ctx, known + 1, file->library_lines, file->line_capacity));
-    BSQ_TRY(fmt_names_enter(source->ctx, &file->libraries, 0, path, &number));
+    BSQ_TRY(bsq_texts_add(source->ctx, &source->reader->names, &file->libraries, path, &number));
     if (file->libraries.count > known)
         file->library_lines[known] = line;
 done:
@@ -106,7 +106,7 @@ done:
 const char *fmt_obj_dependency(const struct stream_source *source, uint32_t index)
 {
     const struct obj_file *file = source->data;
-    return index < file->libraries.count ? file->libraries.list[index].text : NULL;
+    return index < file->libraries.count ? file->libraries.list[index] : NULL;
 }
 
 /* Reads a library of a file. There are no warnings if it was previewed. */
@@ -120,7 +120,7 @@ static int read_library(const struct stream_source *source, uint64_t library,
     if (status)
         return status;
     snprintf(place, size, "%s:%" PRIu64, source->path, file->library_lines[library]);
-    status = fmt_mtl_read(source->ctx, file->libraries.list[library].text, place,
+    status = fmt_mtl_read(source->ctx, file->libraries.list[library], place,
                           library < file->previewed, out);
     bsq_free(source->ctx, place);
     return status;
@@ -133,8 +133,8 @@ static int read_library(const struct stream_source *source, uint64_t library,
 static const struct fmt_material *describe(const struct obj_file *file, struct fmt_material *from,
                                            struct fmt_materials *out)
 {
-    const uint32_t number = fmt_names_find(&file->materials, 0, from->name);
-    if (number == UINT32_MAX || out->list[number].name)
+    const uint64_t number = bsq_texts_find(&file->materials, from->name);
+    if (number == file->materials.count || out->list[number].name)
         return from;
     out->list[number] = *from;
     *from = (struct fmt_material){0};
@@ -144,10 +144,10 @@ static const struct fmt_material *describe(const struct obj_file *file, struct f
 /* Forms of a name: without what is a comment for sure, then without what may be one. */
 enum loose_form { LOOSE_TIDY, LOOSE_PLAIN, LOOSE_FORMS };
 
-/* The names of a library's materials: each in all forms, with the form as key. `from` has the
- * material of each. */
+/* The names of a library's materials in a form; `from` has the material of each. */
 struct loose_names {
-    struct mesh_names names;
+    struct bsq_texts names;
+    struct bsq_tally tally;
     const struct fmt_material **from;
 };
 
@@ -167,19 +167,20 @@ static int copy_loosely(struct bsq_ctx *ctx, const char *name, enum loose_form f
 }
 
 /* Enters the loose forms of a material's name, unless they are there. */
-static int enter_loosely(struct bsq_ctx *ctx, struct loose_names *loose,
+static int enter_loosely(struct bsq_ctx *ctx, struct loose_names loose[LOOSE_FORMS],
                          const struct fmt_material *from)
 {
     int status = 0;
     for (enum loose_form form = LOOSE_TIDY; form < LOOSE_FORMS && !status; form++) {
-        const uint64_t before = loose->names.count;
+        struct loose_names *names = &loose[form];
+        const uint64_t before = names->names.count;
         char *copy = NULL;
-        uint32_t number = 0;
+        uint64_t number = 0;
         status = copy_loosely(ctx, from->name, form, &copy);
         if (!status)
-            status = fmt_names_enter(ctx, &loose->names, form, copy, &number);
-        if (!status && loose->names.count > before)
-            loose->from[number] = from;
+            status = bsq_texts_add(ctx, &names->tally, &names->names, copy, &number);
+        if (!status && names->names.count > before)
+            names->from[number] = from;
         bsq_free(ctx, copy);
     }
     return status;
@@ -187,19 +188,20 @@ static int enter_loosely(struct bsq_ctx *ctx, struct loose_names *loose,
 
 /* Describes a material that no library names exactly, but with quotes, a comment or other capitals.
  */
-static int describe_loosely(struct bsq_ctx *ctx, const struct loose_names *loose, const char *name,
-                            struct fmt_material *out)
+static int describe_loosely(struct bsq_ctx *ctx, const struct loose_names loose[LOOSE_FORMS],
+                            const char *name, struct fmt_material *out)
 {
-    uint32_t number = UINT32_MAX;
-    for (enum loose_form form = LOOSE_TIDY; form < LOOSE_FORMS && number == UINT32_MAX; form++) {
+    for (enum loose_form form = LOOSE_TIDY; form < LOOSE_FORMS; form++) {
         char *copy = NULL;
         int status = copy_loosely(ctx, name, form, &copy);
         if (status)
             return status;
-        number = fmt_names_find(&loose->names, form, copy);
+        const uint64_t number = bsq_texts_find(&loose[form].names, copy);
         bsq_free(ctx, copy);
+        if (number < loose[form].names.count)
+            return fmt_material_copy(ctx, loose[form].from[number], out);
     }
-    return number < UINT32_MAX ? fmt_material_copy(ctx, loose->from[number], out) : 0;
+    return 0;
 }
 
 /* Describes the materials of a file by those of its own libraries. */
@@ -208,21 +210,25 @@ static int describe_all(const struct stream_source *source, struct fmt_materials
 {
     struct bsq_ctx *ctx = source->ctx;
     const struct obj_file *file = source->data;
-    struct loose_names loose = {0};
-    int status;
-    BSQ_TRY(bsq_alloc(ctx, "materials", LOOSE_FORMS * (uint64_t)found->count + 1, sizeof(void *),
-                      &loose.from));
+    struct loose_names loose[LOOSE_FORMS] = {0};
+    int status = 0;
+    for (int form = 0; form < LOOSE_FORMS; form++)
+        BSQ_TRY(bsq_alloc(ctx, "materials", (uint64_t)found->count + 1, sizeof(void *),
+                          &loose[form].from));
     for (uint32_t i = 0; i < found->count; i++) {
         if (i % 1024 == 0)
             BSQ_TRY(bsq_check(ctx));
-        BSQ_TRY(enter_loosely(ctx, &loose, describe(file, &found->list[i], out)));
+        BSQ_TRY(enter_loosely(ctx, loose, describe(file, &found->list[i], out)));
     }
     for (uint32_t i = 0; i < out->count; i++)
         if (!out->list[i].name)
-            BSQ_TRY(describe_loosely(ctx, &loose, file->materials.list[i].text, &out->list[i]));
+            BSQ_TRY(describe_loosely(ctx, loose, file->materials.list[i], &out->list[i]));
 done:
-    fmt_names_free(ctx, &loose.names);
-    bsq_free(ctx, loose.from);
+    for (int form = 0; form < LOOSE_FORMS; form++) {
+        bsq_texts_free(&loose[form].names);
+        bsq_tally_release(ctx, &loose[form].tally);
+        bsq_free(ctx, loose[form].from);
+    }
     return status;
 }
 
@@ -233,8 +239,7 @@ static bool has_library(const struct obj_file *file)
 {
     struct stat info;
     for (uint64_t i = 0; i < file->libraries.count; i++)
-        if (stat(file->libraries.list[i].text, &info) == 0 && S_ISREG(info.st_mode) &&
-            info.st_size > 0)
+        if (stat(file->libraries.list[i], &info) == 0 && S_ISREG(info.st_mode) && info.st_size > 0)
             return true;
     return false;
 }
@@ -259,7 +264,7 @@ static int name_others(struct stream_source *source, struct fmt_materials *out)
     const bool readable = has_library(file);
     bool colored = false;
     for (uint32_t i = 0; i < out->count; i++) {
-        const char *name = file->materials.list[i].text;
+        const char *name = file->materials.list[i];
         colored |= out->list[i].has_diffuse || out->list[i].texture_path;
         if (out->list[i].name)
             continue;
@@ -362,19 +367,19 @@ done:
 static int list_parts(struct stream_source *source, struct fmt_materials *out)
 {
     static const struct fmt_material none = {.name = "", .diffuse = {0.8f, 0.8f, 0.8f}};
-    const struct mesh_names *parts = &((struct obj_file *)source->data)->parts;
+    const struct bsq_texts *parts = &((struct obj_file *)source->data)->parts;
     struct fmt_materials materials = {0};
     struct fmt_material *part;
     int status;
     BSQ_TRY(list_materials(source, &materials));
     for (uint64_t i = 0; i < parts->count; i++) {
-        const uint64_t material = parts->list[i].key;
-        const char *object = parts->list[i].text;
+        uint32_t material = 0;
+        sscanf(parts->list[i], "%8" SCNx32, &material); /* OBJ_PART_DIGITS */
         BSQ_TRY(bsq_check(source->ctx));
         BSQ_TRY(fmt_materials_add(source->ctx, out, &part));
         BSQ_TRY(fmt_material_copy(
             source->ctx, material < materials.count ? &materials.list[material] : &none, part));
-        BSQ_TRY(fmt_string_copy(source->ctx, object ? object : "", &part->object));
+        BSQ_TRY(fmt_string_copy(source->ctx, parts->list[i] + OBJ_PART_DIGITS, &part->object));
     }
 done:
     fmt_materials_free(source->ctx, &materials);
@@ -420,9 +425,9 @@ static bool was_previewed(const struct stream_source *source, const char *path)
 {
     for (uint32_t i = 0; i < source->number; i++) {
         const struct stream_source *other = &source->reader->sources[i];
+        const struct obj_file *file = other->data;
         if (other->format == &fmt_obj_format &&
-            fmt_names_find(&((const struct obj_file *)other->data)->libraries, 0, path) !=
-                UINT32_MAX)
+            bsq_texts_find(&file->libraries, path) < file->libraries.count)
             return true;
     }
     return false;
@@ -436,7 +441,7 @@ int fmt_obj_preview_materials(struct stream_source *source, struct fmt_materials
     BSQ_TRY(find_libraries(source));
     for (uint64_t i = 0; i < file->libraries.count; i++) {
         BSQ_TRY(bsq_check(source->ctx));
-        if (!was_previewed(source, file->libraries.list[i].text))
+        if (!was_previewed(source, file->libraries.list[i]))
             BSQ_TRY(read_library(source, i, out));
     }
     file->previewed = file->libraries.count;

@@ -9,6 +9,7 @@
  * can load any part on its own: from a little before its range to the first line start after it. A
  * line longer than a range belongs to the part where it begins; the parts within it are empty. */
 #include <inttypes.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "formats/mesh/mesh_text.h"
@@ -22,9 +23,9 @@ static void end(struct stream_source *source)
     struct obj_file *file = source->data;
     bsq_free(source->ctx, file->library_lines);
     bsq_free(source->ctx, file->object);
-    fmt_names_free(source->ctx, &file->materials);
-    fmt_names_free(source->ctx, &file->parts);
-    fmt_names_free(source->ctx, &file->libraries);
+    bsq_texts_free(&file->materials);
+    bsq_texts_free(&file->parts);
+    bsq_texts_free(&file->libraries);
 }
 
 /* ---- cutting and parsing ---- */
@@ -180,6 +181,22 @@ static int resolve_corners(const struct stream_slot *slot, enum fmt_mesh_kind ki
     return 0;
 }
 
+/* Sets *number to the number of the current material and object as a part. */
+static int enter_part(struct stream_source *source, uint64_t *number)
+{
+    struct obj_file *file = source->data;
+    const char *object = file->object ? file->object : "";
+    const size_t size = OBJ_PART_DIGITS + strlen(object) + 1;
+    char *text;
+    int status = bsq_alloc(source->ctx, "names", size, 1, &text);
+    if (status)
+        return status;
+    snprintf(text, size, "%0*" PRIx32 "%s", OBJ_PART_DIGITS, file->material, object);
+    status = bsq_texts_add(source->ctx, &source->reader->names, &file->parts, text, number);
+    bsq_free(source->ctx, text);
+    return status;
+}
+
 /* Adds the change that a usemtl, o or g statement makes; takes the object's name over. */
 static int add_change(struct stream_slot *slot, const struct stream_statement *statement,
                       char **text)
@@ -188,6 +205,7 @@ static int add_change(struct stream_slot *slot, const struct stream_statement *s
     struct obj_file *file = source->data;
     struct mesh_arrays *a = &slot->arrays;
     const bool objects = source->reader->objects;
+    uint64_t number;
     int status = 0;
     if (statement->kind == OBJ_OBJECT) {
         bsq_free(source->ctx, file->object);
@@ -196,16 +214,18 @@ static int add_change(struct stream_slot *slot, const struct stream_statement *s
         fmt_mesh_tidy_name(file->object);
     } else {
         file->material = FMT_MESH_NO_MATERIAL;
-        if (**text)
-            BSQ_TRY(fmt_names_enter(source->ctx, &file->materials, 0, *text, &file->material));
+        if (**text) {
+            BSQ_TRY(bsq_texts_add(source->ctx, &source->reader->names, &file->materials, *text,
+                                  &number));
+            file->material = (uint32_t)number;
+        }
     }
-    uint32_t number = file->material;
+    number = file->material;
     if (objects)
-        BSQ_TRY(fmt_names_enter(source->ctx, &file->parts, file->material,
-                                file->object ? file->object : "", &number));
+        BSQ_TRY(enter_part(source, &number));
     while (source->number_count < (objects ? file->parts.count : file->materials.count))
         BSQ_TRY(fmt_stream_add_material(source, &file->number));
-    file->number = number == FMT_MESH_NO_MATERIAL ? number : source->numbers[number];
+    file->number = number == FMT_MESH_NO_MATERIAL ? FMT_MESH_NO_MATERIAL : source->numbers[number];
     BSQ_TRY(FMT_RESERVE(source->ctx, a->change_count + 1, a->changes, a->change_capacity));
     a->changes[a->change_count++] =
         (struct fmt_mesh_material_change){.face = statement->face, .material = file->number};

@@ -202,8 +202,8 @@ struct ply_source {
     struct ply_header header;
     enum ply_tags tags;
     bool vertex_normals, vertex_texcoords, corner_texcoords;
-    /* Colours of faces of all PLY files, in the first one of them. */
-    struct mesh_names colors;
+    /* Colours of faces of all PLY files, in the first one of them: "#ff0000". */
+    struct bsq_texts colors;
 };
 
 /* What a file has beside what is common to all formats. */

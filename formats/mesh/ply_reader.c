@@ -72,7 +72,7 @@ static void end(struct stream_source *source)
 {
     struct ply_source *file = source->data;
     fmt_ply_header_free(source->ctx, &file->header);
-    fmt_names_free(source->ctx, &file->colors);
+    bsq_texts_free(&file->colors);
 }
 
 /* ---- reading ---- */
@@ -148,19 +148,29 @@ static struct stream_source *colors_owner(const struct stream_source *source)
     return first;
 }
 
+/* Sets *number to the number of a colour of faces. */
+static int enter_color(struct stream_source *owner, uint32_t color, uint64_t *number)
+{
+    static const char digits[] = "0123456789abcdef";
+    struct ply_source *file = owner->data;
+    char name[8] = "#";
+    for (int i = 0; i < 6; i++)
+        name[1 + i] = digits[color >> (8 * (i / 2) + (i % 2 ? 0 : 4)) & 15];
+    return bsq_texts_add(owner->ctx, &owner->reader->names, &file->colors, name, number);
+}
+
 /* Sets *material to the number over the scan of a face's material. */
 static int find_material(const struct stream_source *source, uint32_t tag, uint32_t *material)
 {
     struct stream_source *owner = colors_owner(source);
-    struct ply_source *shared = owner->data;
     const struct ply_source *file = source->data;
-    uint32_t number;
+    uint64_t number;
     int status = 0;
     *material = FMT_MESH_NO_MATERIAL;
     if (tag != PLY_NO_TAG && file->tags == PLY_TAGS_TEXTURE) {
         *material = source->numbers[tag];
     } else if (tag != PLY_NO_TAG) {
-        BSQ_TRY(fmt_names_enter(source->ctx, &shared->colors, tag, "", &number));
+        BSQ_TRY(enter_color(owner, tag, &number));
         const uint64_t place = owner->material_count + number; /* textures come first */
         if (place == owner->number_count)
             BSQ_TRY(fmt_stream_add_material(owner, material));
@@ -210,13 +220,13 @@ done:
     return status;
 }
 
-static int describe_color(struct bsq_ctx *ctx, uint32_t color, struct fmt_material *out)
+static int describe_color(struct bsq_ctx *ctx, const char *name, struct fmt_material *out)
 {
-    char name[16];
+    unsigned color[3] = {0};
+    sscanf(name, "#%2x%2x%2x", &color[0], &color[1], &color[2]);
     for (int c = 0; c < 3; c++)
-        out->diffuse[c] = (float)(color >> 8 * c & 255) / 255.0f;
+        out->diffuse[c] = (float)color[c] / 255.0f;
     out->has_diffuse = true;
-    snprintf(name, sizeof name, "#%02x%02x%02x", color & 255, color >> 8 & 255, color >> 16 & 255);
     return fmt_string_copy(ctx, name, &out->name);
 }
 
@@ -232,7 +242,7 @@ static int read_materials(struct stream_source *source, struct fmt_materials *ou
     }
     for (uint64_t i = 0; i < file->colors.count; i++) {
         BSQ_TRY(fmt_materials_add(source->ctx, out, &material));
-        BSQ_TRY(describe_color(source->ctx, (uint32_t)file->colors.list[i].key, material));
+        BSQ_TRY(describe_color(source->ctx, file->colors.list[i], material));
     }
 done:
     return status;
