@@ -197,6 +197,8 @@ enum ply_tags {
 };
 #define PLY_NO_TAG UINT32_MAX
 
+enum { PLY_CACHED_COLORS = 4096 };
+
 /* What the reader keeps of a file: source->data. */
 struct ply_source {
     struct ply_header header;
@@ -204,6 +206,10 @@ struct ply_source {
     bool vertex_normals, vertex_texcoords, corner_texcoords;
     /* Colours of faces of all PLY files, in the first one of them: "#ff0000". */
     struct bsq_texts colors;
+    /* A cache of them: a colour, and its number + 1. */
+    struct {
+        uint32_t color, entry;
+    } cached[PLY_CACHED_COLORS];
 };
 
 /* What a file has beside what is common to all formats. */

@@ -153,10 +153,18 @@ static int enter_color(struct stream_source *owner, uint32_t color, uint64_t *nu
 {
     static const char digits[] = "0123456789abcdef";
     struct ply_source *file = owner->data;
+    const uint32_t slot = color * 0x9e3779b1u >> 20;
     char name[8] = "#";
-    for (int i = 0; i < 6; i++)
-        name[1 + i] = digits[color >> (8 * (i / 2) + (i % 2 ? 0 : 4)) & 15];
-    return bsq_texts_add(owner->ctx, &owner->reader->names, &file->colors, name, number);
+    int status = 0;
+    if (file->cached[slot].entry == 0 || file->cached[slot].color != color) {
+        for (int i = 0; i < 6; i++)
+            name[1 + i] = digits[color >> (8 * (i / 2) + (i % 2 ? 0 : 4)) & 15];
+        status = bsq_texts_add(owner->ctx, &owner->reader->names, &file->colors, name, number);
+        file->cached[slot].color = color;
+        file->cached[slot].entry = status ? 0 : (uint32_t)*number + 1;
+    }
+    *number = file->cached[slot].entry - UINT64_C(1);
+    return status;
 }
 
 /* Sets *material to the number over the scan of a face's material. */
