@@ -127,11 +127,12 @@ static int check_elements(const struct gltf_place *place, const struct gltf_sour
         (uint64_t)accessor->components * fmt_gltf_component_bytes(accessor->elements.component));
 }
 
-static int read_accessor(const struct gltf_place *place, const struct gltf_source *source,
-                         struct gltf_accessor *out)
+int fmt_gltf_read_accessor(const struct gltf_place *place, struct gltf_source *source,
+                           void *element)
 {
-    *out = (struct gltf_accessor){.count = GLTF_REQUIRED};
+    struct gltf_accessor *out = element;
     int status;
+    out->count = GLTF_REQUIRED;
     BSQ_TRY(fmt_gltf_index(place, place->object, "bufferView", "bufferViews", &out->elements.view));
     BSQ_TRY(
         fmt_gltf_number(place, place->object, "byteOffset", INT64_MAX / 4, &out->elements.offset));
@@ -141,22 +142,6 @@ static int read_accessor(const struct gltf_place *place, const struct gltf_sourc
     out->normalized = json_is_true(json_object_get(place->object, "normalized"));
     BSQ_TRY(check_elements(place, source, out));
     status = read_sparse(place, source, out);
-done:
-    return status;
-}
-
-int fmt_gltf_read_accessors(struct gltf_document *document, struct gltf_source *source)
-{
-    const uint64_t count = fmt_gltf_count(document, "accessors");
-    int status;
-    BSQ_TRY(bsq_calloc(document->ctx, "glTF accessors", count + 1, sizeof *source->accessors,
-                       &source->accessors));
-    for (uint64_t i = 0; i < count; i++) {
-        const struct gltf_place place = fmt_gltf_element(document, "accessors", i);
-        BSQ_TRY(i % 4096 ? 0 : bsq_check(document->ctx));
-        BSQ_TRY(read_accessor(&place, source, &source->accessors[i]));
-        source->accessor_count++;
-    }
 done:
     return status;
 }
@@ -229,8 +214,8 @@ static int decode_array(const struct gltf_decoder *d, const struct gltf_array *a
     const uint64_t size = (count - 1) * stride + element;
     int status = fmt_stream_reserve(d->slot, size);
     if (!status)
-        status = fmt_gltf_read_view(d->ctx, d->source, array->view, array->offset + first * stride,
-                                    d->slot->bytes, size);
+        status = fmt_gltf_read_bytes(d->ctx, d->source, array->view, array->offset + first * stride,
+                                     d->slot->bytes, size);
     if (!status)
         convert(d->slot->bytes, stride, array->component, components, count, to);
     return status;

@@ -142,8 +142,9 @@ static int use_file(const struct gltf_place *place, const char *uri, struct gltf
     return status;
 }
 
-static int read_buffer(const struct gltf_place *place, struct gltf_buffer *out)
+int fmt_gltf_read_buffer(const struct gltf_place *place, struct gltf_source *source, void *element)
 {
+    struct gltf_buffer *out = element;
     const struct gltf_document *d = place->document;
     const char *uri = fmt_gltf_string(place->object, "uri");
     uint64_t length = GLTF_REQUIRED, offset, size;
@@ -171,6 +172,7 @@ static int read_buffer(const struct gltf_place *place, struct gltf_buffer *out)
                              "truncated: it should have %" PRIu64 " bytes, there are %" PRIu64,
                              length, out->part.size);
     out->part.size = length;
+    source->bytes += out->path ? length : 0;
     return 0;
 }
 
@@ -178,9 +180,9 @@ static int read_buffer(const struct gltf_place *place, struct gltf_buffer *out)
 
 enum { MOST_STRIDE = 252 }; /* of the file format */
 
-static int read_view(const struct gltf_place *place, struct gltf_source *source,
-                     struct gltf_view *out)
+int fmt_gltf_read_view(const struct gltf_place *place, struct gltf_source *source, void *element)
 {
+    struct gltf_view *out = element;
     const json_t *meshopt = fmt_gltf_extension(place->object, "EXT_meshopt_compression");
     uint64_t size = GLTF_REQUIRED, offset = 0, stride = 0;
     *out = (struct gltf_view){.buffer = GLTF_NONE, .decoded = GLTF_NOT_DECODED};
@@ -205,35 +207,6 @@ static int read_view(const struct gltf_place *place, struct gltf_source *source,
     status =
         source->buffers[out->buffer].missing ? fmt_gltf_fail(place, "its buffer has no data") : 0;
 done:
-    return status;
-}
-
-/* ---- both ---- */
-
-int fmt_gltf_read_buffers(struct gltf_document *document, struct gltf_source *source)
-{
-    struct bsq_ctx *ctx = document->ctx;
-    const uint64_t buffers = fmt_gltf_count(document, "buffers");
-    const uint64_t views = fmt_gltf_count(document, "bufferViews");
-    int status =
-        bsq_calloc(ctx, "glTF buffers", buffers + 1, sizeof *source->buffers, &source->buffers);
-    source->bytes = document->file.size;
-    for (uint64_t i = 0; i < buffers && !status; i++) {
-        const struct gltf_place place = fmt_gltf_element(document, "buffers", i);
-        status = read_buffer(&place, &source->buffers[i]);
-        source->buffer_count++;
-        source->bytes += source->buffers[i].path ? source->buffers[i].part.size : 0;
-    }
-    if (!status)
-        status = bsq_calloc(ctx, "glTF views", views + 1, sizeof *source->views, &source->views);
-    source->view_capacity = status ? 0 : views + 1;
-    for (uint64_t i = 0; i < views && !status; i++) {
-        const struct gltf_place place = fmt_gltf_element(document, "bufferViews", i);
-        status = i % 4096 ? 0 : bsq_check(ctx);
-        if (!status)
-            status = read_view(&place, source, &source->views[i]);
-        source->view_count++;
-    }
     return status;
 }
 
@@ -272,8 +245,8 @@ void fmt_gltf_free_buffers(struct bsq_ctx *ctx, struct gltf_source *source)
     bsq_free(ctx, source->packed);
 }
 
-int fmt_gltf_read_view(struct bsq_ctx *ctx, const struct gltf_source *source, uint32_t view,
-                       uint64_t offset, void *to, uint64_t size)
+int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, uint32_t view,
+                        uint64_t offset, void *to, uint64_t size)
 {
     const struct gltf_view *from = &source->views[view];
     if (from->decoded != GLTF_NOT_DECODED)

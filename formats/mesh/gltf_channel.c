@@ -1,7 +1,8 @@
 /* gltf_channel.c - further channels of glTF materials, such as roughness, emission and occlusion.
  *
- * A vertex has one pair of texture coordinates: those of the base colour. Textures of channels are
- * looked up there too, moved if necessary. What cannot be said so is told if the channel is kept.
+ * A vertex has one pair of texture coordinates, which the base colour uses. Textures of channels
+ * are looked up there too, moved if necessary. If that is not possible, the texture is not used,
+ * and a warning says so if the channel is kept.
  */
 #include <math.h>
 

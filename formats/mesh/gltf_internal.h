@@ -201,8 +201,10 @@ struct gltf_source {
 
 /* ---- gltf_buffer.c ---- */
 
-/* Reads buffers and bufferViews. */
-int fmt_gltf_read_buffers(struct gltf_document *document, struct gltf_source *source);
+/* This and the functions below that take an element read one element of a top-level array into a
+ * zeroed structure, which was counted before. A buffer must be zero but for its file. */
+int fmt_gltf_read_buffer(const struct gltf_place *place, struct gltf_source *source, void *element);
+int fmt_gltf_read_view(const struct gltf_place *place, struct gltf_source *source, void *element);
 /* Open and close the other files that a file's buffers are in. */
 int fmt_gltf_open_buffers(struct bsq_ctx *ctx, struct gltf_source *source);
 int fmt_gltf_close_buffers(struct bsq_ctx *ctx, struct gltf_source *source);
@@ -216,8 +218,8 @@ int fmt_gltf_uri_path(struct bsq_ctx *ctx, const char *beside, const char *uri, 
 int fmt_gltf_measure_data(const struct gltf_place *place, uint64_t offset, uint64_t size,
                           uint64_t *out);
 /* Reads bytes of a view. Thread-safe. */
-int fmt_gltf_read_view(struct bsq_ctx *ctx, const struct gltf_source *source, uint32_t view,
-                       uint64_t offset, void *to, uint64_t size);
+int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, uint32_t view,
+                        uint64_t offset, void *to, uint64_t size);
 
 /* ---- gltf_packed.c ---- */
 
@@ -235,7 +237,8 @@ int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source);
 
 uint32_t fmt_gltf_component_bytes(enum gltf_component component);
 
-int fmt_gltf_read_accessors(struct gltf_document *document, struct gltf_source *source);
+int fmt_gltf_read_accessor(const struct gltf_place *place, struct gltf_source *source,
+                           void *element);
 /* Checks an accessor of a mesh that has neither a view nor compressed data. */
 int fmt_gltf_check_zeros(const struct gltf_place *place, const struct gltf_source *source,
                          uint32_t accessor);
@@ -260,10 +263,13 @@ uint64_t fmt_gltf_stride(const struct gltf_source *source, const struct gltf_acc
 
 /* ---- gltf_mesh.c, gltf_scene.c, gltf_material.c ---- */
 
-int fmt_gltf_read_meshes(struct gltf_document *document, struct gltf_source *source);
+/* Allocates the primitives of all meshes. */
+int fmt_gltf_allocate_primitives(struct gltf_document *document, struct gltf_source *source);
+int fmt_gltf_read_mesh(const struct gltf_place *place, struct gltf_source *source, void *element);
 int fmt_gltf_read_scene(struct gltf_document *document, struct gltf_source *source);
-int fmt_gltf_read_materials(struct gltf_document *document, struct gltf_source *source);
-int fmt_gltf_check_extensions(struct gltf_document *document, struct gltf_source *source);
+int fmt_gltf_read_material(const struct gltf_place *place, struct gltf_source *source,
+                           void *element);
+int fmt_gltf_check_extensions(struct gltf_document *document);
 
 /* Sets *out to the path or name of the image of a texture, which the caller frees; NULL if there is
  * none that can be read, which is counted. */

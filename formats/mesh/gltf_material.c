@@ -30,11 +30,10 @@ static bool is_known(const char *name)
     return false;
 }
 
-int fmt_gltf_check_extensions(struct gltf_document *document, struct gltf_source *source)
+int fmt_gltf_check_extensions(struct gltf_document *document)
 {
     const json_t *required = json_object_get(document->root, "extensionsRequired");
     char unknown[200] = "";
-    (void)source;
     for (size_t i = 0; i < json_array_size(required); i++) {
         const char *name = json_string_value(json_array_get(required, i));
         const size_t length = strlen(unknown);
@@ -65,8 +64,8 @@ static const char *part_of_view(const struct gltf_document *document,
     return fmt_input_is_plain(document->input) ? document->file.path : NULL;
 }
 
-/* Sets *out to the path or name of an image; NULL if it has no data that can be read. Those inside
- * of a packed file cannot be named: counts them. */
+/* Sets *out to the path or name of an image; NULL if it has no data that can be read. An image
+ * inside of a packed file cannot be named: counts it. */
 static int find_image(const struct gltf_place *place, struct gltf_source *source, char **out)
 {
     struct gltf_document *d = place->document;
@@ -151,7 +150,7 @@ int fmt_gltf_read_texcoord(const struct gltf_place *place, const json_t *info, u
     return status || !transform ? status : read_transform(place, transform, matrix);
 }
 
-/* Returns the texture whose coordinates those of the material are: that of the base colour, or
+/* Returns the texture that chooses the texture coordinates of a material: the base colour's, or
  * another one. A low-poly mesh may have only normal maps, for instance. */
 static const json_t *find_texture_info(const struct gltf_place *place, const json_t *base)
 {
@@ -189,7 +188,7 @@ static int read_name(const struct gltf_place *place, char **out)
     return fmt_string_copy(place->document->ctx, name ? name : number, out);
 }
 
-/* Reads how alpha hides a material: alpha is that of faces without texture, and a factor of the
+/* Reads how alpha hides a material. `alpha` is for faces without texture, and multiplies the
  * texture's alpha. */
 static int read_opacity(const struct gltf_place *place, double alpha, struct fmt_material *out)
 {
@@ -213,9 +212,10 @@ static int read_opacity(const struct gltf_place *place, double alpha, struct fmt
     return 0;
 }
 
-static int read_material(const struct gltf_place *place, struct gltf_source *source,
-                         struct gltf_material *out)
+int fmt_gltf_read_material(const struct gltf_place *place, struct gltf_source *source,
+                           void *element)
 {
+    struct gltf_material *out = element;
     struct gltf_document *d = place->document;
     const json_t *pbr = json_object_get(place->object, "pbrMetallicRoughness");
     const json_t *old = fmt_gltf_extension(place->object, "KHR_materials_pbrSpecularGlossiness");
@@ -240,22 +240,6 @@ static int read_material(const struct gltf_place *place, struct gltf_source *sou
     source->unread.texture_factors +=
         m->texture_path && (out->color[0] != 1 || out->color[1] != 1 || out->color[2] != 1);
     status = read_opacity(place, alpha, m);
-done:
-    return status;
-}
-
-int fmt_gltf_read_materials(struct gltf_document *document, struct gltf_source *source)
-{
-    const uint64_t count = fmt_gltf_count(document, "materials");
-    int status;
-    BSQ_TRY(bsq_calloc(document->ctx, "glTF materials", count + 1, sizeof *source->materials,
-                       &source->materials));
-    for (uint64_t i = 0; i < count; i++) {
-        const struct gltf_place place = fmt_gltf_element(document, "materials", i);
-        BSQ_TRY(bsq_check(document->ctx));
-        source->material_count++;
-        BSQ_TRY(read_material(&place, source, &source->materials[i]));
-    }
 done:
     return status;
 }

@@ -165,9 +165,9 @@ static int add_primitive(const struct gltf_place *place, const struct gltf_sourc
     return status;
 }
 
-static int read_mesh(const struct gltf_place *place, struct gltf_source *source,
-                     struct gltf_mesh *mesh)
+int fmt_gltf_read_mesh(const struct gltf_place *place, struct gltf_source *source, void *element)
 {
+    struct gltf_mesh *mesh = element;
     const json_t *list = json_object_get(place->object, "primitives");
     int status = 0;
     mesh->first = source->primitive_count;
@@ -186,23 +186,13 @@ done:
     return status;
 }
 
-int fmt_gltf_read_meshes(struct gltf_document *document, struct gltf_source *source)
+int fmt_gltf_allocate_primitives(struct gltf_document *document, struct gltf_source *source)
 {
     const uint64_t count = fmt_gltf_count(document, "meshes");
     uint64_t primitives = 1;
     for (uint64_t i = 0; i < count; i++)
         primitives += json_array_size(
             json_object_get(fmt_gltf_element(document, "meshes", i).object, "primitives"));
-    int status;
-    BSQ_TRY(bsq_calloc(document->ctx, "glTF meshes", count + 1, sizeof *source->meshes,
-                       &source->meshes));
-    BSQ_TRY(bsq_calloc(document->ctx, "glTF primitives", primitives, sizeof *source->primitives,
-                       &source->primitives));
-    for (uint64_t i = 0; i < count; i++) {
-        const struct gltf_place place = fmt_gltf_element(document, "meshes", i);
-        BSQ_TRY(read_mesh(&place, source, &source->meshes[i]));
-        source->mesh_count++;
-    }
-done:
-    return status;
+    return bsq_calloc(document->ctx, "glTF primitives", primitives, sizeof *source->primitives,
+                      &source->primitives);
 }

@@ -232,8 +232,8 @@ static void add_triangle(const struct parser *p, const uint64_t corners[3],
     a->face_sizes[a->face_count++] = 3;
 }
 
-/* Adds the triangles of the part. Those of strips and fans that name a vertex twice only connect
- * others; they are left out. */
+/* Adds the triangles of the part. In strips and fans, triangles that name a vertex twice only
+ * connect others; they are left out. */
 static int add_triangles(const struct parser *p, const struct window *w)
 {
     const uint64_t vertices = p->source->accessors[p->primitive->position].count;

@@ -21,14 +21,43 @@ static bool recognise(const char *head, size_t size)
     return i < size && head[i] == '{' && memmem(head + i, size - i, "\"asset\"", 7) != NULL;
 }
 
+/* Reads all elements of a top-level array. *list: becomes an array of elements of `bytes` bytes,
+ * with space for one more. */
+static int read_list(struct gltf_document *document, struct gltf_source *file, const char *array,
+                     uint64_t bytes, void *list, uint32_t *count,
+                     int (*read)(const struct gltf_place *, struct gltf_source *, void *))
+{
+    const uint64_t all = fmt_gltf_count(document, array);
+    uint8_t *elements;
+    int status;
+    BSQ_TRY((bsq_calloc)(document->ctx, array, all + 1, bytes, list));
+    memcpy(&elements, list, sizeof elements);
+    for (uint64_t i = 0; i < all; i++) {
+        const struct gltf_place place = fmt_gltf_element(document, array, i);
+        if (i % 1024 == 0)
+            BSQ_TRY(bsq_check(document->ctx));
+        ++*count;
+        BSQ_TRY(read(&place, file, elements + i * bytes));
+    }
+done:
+    return status;
+}
+
+#define READ_LIST(name, list, count, read)                                                         \
+    read_list(document, file, name, sizeof *file->list, &file->list, &file->count, read)
+
 static int read_document(struct gltf_document *document, struct gltf_source *file)
 {
     int status;
-    BSQ_TRY(fmt_gltf_check_extensions(document, file));
-    BSQ_TRY(fmt_gltf_read_buffers(document, file));
-    BSQ_TRY(fmt_gltf_read_accessors(document, file));
-    BSQ_TRY(fmt_gltf_read_materials(document, file));
-    BSQ_TRY(fmt_gltf_read_meshes(document, file));
+    file->bytes = document->file.size;
+    BSQ_TRY(fmt_gltf_check_extensions(document));
+    BSQ_TRY(READ_LIST("buffers", buffers, buffer_count, fmt_gltf_read_buffer));
+    file->view_capacity = fmt_gltf_count(document, "bufferViews") + 1;
+    BSQ_TRY(READ_LIST("bufferViews", views, view_count, fmt_gltf_read_view));
+    BSQ_TRY(READ_LIST("accessors", accessors, accessor_count, fmt_gltf_read_accessor));
+    BSQ_TRY(READ_LIST("materials", materials, material_count, fmt_gltf_read_material));
+    BSQ_TRY(fmt_gltf_allocate_primitives(document, file));
+    BSQ_TRY(READ_LIST("meshes", meshes, mesh_count, fmt_gltf_read_mesh));
     status = fmt_gltf_read_scene(document, file);
 done:
     return status;

@@ -148,8 +148,8 @@ struct fmt_mesh_place {
     uint64_t base[FMT_MESH_KIND_COUNT], count[FMT_MESH_KIND_COUNT];
 };
 
-/* What a format does. Functions return 0 or a status, unless they say something else. Those that
- * may be NULL say so. */
+/* What a format does. Functions return 0 or a status, and are not NULL, unless their comment
+ * says so. */
 struct fmt_mesh_format {
     const char *name;   /* for messages: "OBJ" */
     const char *suffix; /* of file names, with its point, in any case: ".obj". Blanks separate

@@ -255,9 +255,9 @@ const char *fmt_mesh_dependency(const struct fmt_mesh_reader *reader, uint32_t i
 int fmt_mesh_place_text(struct fmt_mesh_reader *reader, uint64_t face, char **out);
 
 /* Reports that `count` of the scan's `faces` have a vertex without a position and are left out, if
- * kind is FMT_MESH_VERTEX, or that so many corners refer to a texture coordinate or normal that
- * their file does not have. face: the first one. It is a warning of lost data, or BSQ_EDATA if more
- * than 1 % of the faces are left out: the file is damaged, or not what was meant. */
+ * kind is FMT_MESH_VERTEX, or that `count` corners refer to a texture coordinate or normal
+ * that their file does not have. face: the first one. It is a warning of lost data, or BSQ_EDATA if
+ * more than 1 % of the faces are left out: the file is damaged, or not what was meant. */
 int fmt_mesh_report_loss(struct fmt_mesh_reader *reader, enum fmt_mesh_kind kind, uint64_t count,
                          uint64_t face, uint64_t faces);
 

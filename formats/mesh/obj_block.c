@@ -19,10 +19,10 @@ static const char *const standard_statements[] = {
     "s",     "l",        "p",        "vp",   "cstype", "deg",   "bmat", "step", "curv",
     "curv2", "parm",     "trim",     "hole", "scrv",   "sp",    "end",  "con",  "mg",
     "bevel", "c_interp", "d_interp", "lod",  "ctech",  "stech", "cdc",  "res"};
-/* Those of them whose arguments are names of things or files. */
+/* Further statements, whose arguments are names of things or files. */
 static const char *const name_statements[] = {"g",          "o",         "usemap", "maplib",
                                               "shadow_obj", "trace_obj", "call",   "csh"};
-/* Those of surfaces that are no polygons, and superseded ones. */
+/* Statements of surfaces that are no polygons, and superseded ones. */
 static const char *const surface_statements[] = {"surf", "bsp", "bzp", "cdp"};
 
 /* Parse functions return NULL on failure: the slot has an error if the text is wrong, otherwise

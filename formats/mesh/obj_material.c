@@ -141,7 +141,7 @@ static const struct fmt_material *describe(const struct obj_file *file, struct f
     return &out->list[number];
 }
 
-/* Forms of a name: without what is a comment for sure, then without what may be one. */
+/* Forms of a name: without an obvious comment, then without anything that may be a comment. */
 enum loose_form { LOOSE_TIDY, LOOSE_PLAIN, LOOSE_FORMS };
 
 /* The names of a library's materials in a form; `from` has the material of each. */
@@ -204,7 +204,7 @@ static int describe_loosely(struct bsq_ctx *ctx, const struct loose_names loose[
     return 0;
 }
 
-/* Describes the materials of a file by those of its own libraries. */
+/* Describes the materials of a file from its own libraries. */
 static int describe_all(const struct stream_source *source, struct fmt_materials *found,
                         struct fmt_materials *out)
 {

@@ -34,7 +34,7 @@ static bool is_digit(char c)
     return (unsigned char)(c - '0') <= 9;
 }
 
-/* Appends a run of digits; `after_point` is 1 for those of the fraction. */
+/* Appends a run of digits; `after_point` is 1 for digits of the fraction. */
 static const char *scan_digits(const char *p, struct decimal *number, int after_point)
 {
     for (; is_digit(*p); p++) {

@@ -94,7 +94,7 @@ static inline const char *obj_number(const char *text, double *out)
     return fmt_obj_number_general(text, out);
 }
 
-/* Returns the value of `count` (1 to 8) decimal digits at `text`, of which 8 bytes are readable.
+/* Returns the value of `count` (1 to 8) decimal digits at `text`, where 8 bytes are readable.
  * Works on all bytes at a time (Lamport, "Multiple Byte Processing with Full-Word Instructions",
  * CACM 1975): first pairs of digits, then pairs of pairs, then pairs of those. Needs a
  * little-endian machine. */

@@ -155,8 +155,7 @@ static bool cut_comment(char *text)
     return true;
 }
 
-/* Tries a name as it is, and without its quotes or else without comments, of which a short one goes
- * first. */
+/* Tries a name as it is, and without its quotes or else without comments, the shortest first. */
 static int try_form(struct search *search, const char *name, enum form form)
 {
     char *text;

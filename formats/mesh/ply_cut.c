@@ -62,7 +62,7 @@ static int fail_truncated(struct cutter *c)
 
 /* ---- binary ---- */
 
-/* Cuts elements of equal size. Those that are not read become one part. */
+/* Cuts elements of equal size. Elements that are not read become one part. */
 static int cut_equal(struct cutter *c)
 {
     const uint64_t each = c->element->least_bytes, usual = STREAM_PART_BYTES / each;
@@ -82,8 +82,8 @@ static int cut_equal(struct cutter *c)
     return 1;
 }
 
-/* Returns the bytes of the element at `from`, of which `have` are loaded. Returns 0 if they are too
- * few, or if a list has a negative length; then the slot has an error. */
+/* Returns the bytes of the element at `from`, where `have` bytes are loaded. Returns 0 if they are
+ * too few, or if a list has a negative length; then the slot has an error. */
 static uint64_t element_bytes(struct cutter *c, const uint8_t *from, uint64_t have)
 {
     const struct ply_property *p = c->header->properties + c->element->first_property;

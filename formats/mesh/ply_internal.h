@@ -38,7 +38,7 @@ static inline bool ply_is_real(enum ply_type type)
     return type == PLY_FLOAT32 || type == PLY_FLOAT64;
 }
 
-/* What a property means. Those of a vertex come in groups: x y z, and so on. */
+/* What a property means. Properties of a vertex come in groups: x y z, and so on. */
 enum ply_role {
     PLY_UNUSED,
     PLY_X,
@@ -143,7 +143,7 @@ static inline uint64_t ply_bits(const uint8_t *from, uint32_t bytes, bool swap)
     }
 }
 
-/* Returns an integer. Those of PLY_UINT64 above INT64_MAX become INT64_MAX, which is out of range
+/* Returns an integer. Values of PLY_UINT64 above INT64_MAX become INT64_MAX, which is out of range
  * for whatever a file counts. */
 static inline int64_t ply_integer(const uint8_t *from, enum ply_type type, bool swap)
 {

@@ -32,7 +32,7 @@ static bool has_controls(const char *head, size_t size)
     return false;
 }
 
-/* Only text can be told for sure by its first bytes: it has a facet soon after the name. */
+/* Only text is certain from its first bytes: it has a facet soon after the name. */
 static bool recognise(const char *head, size_t size)
 {
     if (!is_text(head, size))

@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-/* Returns the size of a slab of pages: that of a huge page if there is much memory. */
+/* Returns the size of a slab of pages: a huge page if there is much memory. */
 static uint64_t slab_bytes(uint64_t page_memory)
 {
     return page_memory >= (uint64_t)64 << 20 ? (uint64_t)2 << 20 : (uint64_t)256 << 10;

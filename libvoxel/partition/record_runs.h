@@ -1,4 +1,4 @@
-/* record_runs.h - records of triangles, and the runs of which a bucket's bytes consist.
+/* record_runs.h - records of triangles, and the runs that make up the bytes of a bucket.
  *
  * A record, as sort batches hold them, is three corners and a material. A corner is one index of
  * each kind. The scan's counts give the bytes of an index, at least limits->index_bytes. Records

@@ -68,7 +68,7 @@ struct color_votes {
     uint64_t bright;     /* above COLOR_BRIGHT */
 };
 
-/* Adds colours to the votes. Those of vertices without a colour have no component above 0. */
+/* Adds colours to the votes. A vertex without a colour has no component above 0. */
 void vox_color_votes_add(struct color_votes *votes, const float (*colors)[3], uint64_t count);
 /* Returns the factor from the colours to 0..255: 255 or 1. Returns 0 if they do not tell: all are
  * whole numbers up to COLOR_UNIT so far. */
@@ -148,8 +148,8 @@ struct scan {
     /* Vertices without a colour, in files of which other vertices have one in their own line. */
     struct scan_missing missing_colors;
     struct fmt_mesh_totals totals;
-    struct scan_file *files; /* one for each path. vox_scan_check_faces() looks at that of its block
-                                on other threads, while blocks without elements are added. */
+    struct scan_file *files; /* one for each path. vox_scan_check_faces() reads the entry of its
+                                block on other threads, while blocks without elements are added. */
     uint64_t file_count;     /* up to the last one that had a block so far; at the end all */
     /* By the readers' number of a material, up to the last one that was used so far. */
     struct scan_material_use *material_uses;
@@ -241,9 +241,9 @@ int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *material
 bool vox_textures_have(const struct scan_textures *textures, const char *path);
 void vox_textures_free(struct bsq_ctx *ctx, struct scan_textures *textures);
 
-/* If the scan keeps opacity, makes the alpha channels of colour textures that of their materials,
- * unless a material names another good texture of opacity. Decodes these textures. path: the colour
- * texture of all materials; NULL: their own ones, if these were checked and are good. */
+/* If the scan keeps opacity, makes the alpha channels of colour textures the opacity of their
+ * materials, unless a material names another good texture of opacity. Decodes these textures. path:
+ * the colour texture of all materials; NULL: their own ones, if these were checked and are good. */
 int vox_scan_use_alpha(struct scan *scan, const struct scan_textures *textures, const char *path,
                        struct fmt_materials *materials);
 

@@ -58,7 +58,6 @@ static const char *color_texture(const struct scan_textures *textures, const cha
                : NULL;
 }
 
-/* Opens the textures of all materials, each once; *out: NULL if there are none. */
 /* The colour textures of materials. */
 struct color_textures {
     const struct scan_textures *textures;

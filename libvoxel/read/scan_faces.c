@@ -118,8 +118,8 @@ static bool lacks_position(const struct scan_missing *missing, const uint64_t *c
     return false;
 }
 
-/* Copies the indices of one kind of a face, and drops those that name nothing. Those of missing
- * elements have been counted by the reader. */
+/* Copies the indices of one kind of a face, and drops indices that name nothing. The reader has
+ * counted indices of missing elements. */
 static void copy_indices(const struct scan *scan, const uint64_t *from, uint32_t size, int kind,
                          uint64_t face, uint64_t *to, struct scan_face_check *check)
 {

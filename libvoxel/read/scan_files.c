@@ -17,7 +17,7 @@ void vox_scan_enter_file(struct scan *scan, uint32_t number)
                    sizeof scan->files->ends);
 }
 
-/* Sets *out to the entry of a material, or to that of faces without one. */
+/* Sets *out to the entry of a material, or to the entry of faces without one. */
 static int enter_material(struct scan *scan, uint32_t material, struct scan_material_use **out)
 {
     const uint64_t before = scan->material_use_count, count = (uint64_t)material + 1;
@@ -37,7 +37,9 @@ static int enter_material(struct scan *scan, uint32_t material, struct scan_mate
     return 0;
 }
 
-/* Notes which file uses a material, and its faces, of which some have no texture coordinates. */
+/* Notes which file uses a material, and counts its faces, and its faces without texture
+ * coordinates.
+ */
 static int note_material(struct scan *scan, uint32_t material, uint32_t file, uint64_t faces,
                          uint64_t bare_faces)
 {

@@ -75,8 +75,8 @@ static const struct fmt_material_channel *find_channel(const struct fmt_material
     return NULL;
 }
 
-/* Returns the texture that gives a material a channel: that of the options or, if it is good, its
- * own; NULL: neither. */
+/* Returns the texture that gives a material a channel: the image of the options or, if it is good,
+ * the material's own texture; NULL: neither. */
 static const char *channel_texture(const struct scan *scan, const struct scan_textures *textures,
                                    const struct fmt_material *from, uint32_t number)
 {
@@ -113,8 +113,8 @@ static void set_value(const struct bsq_channel *channel, const struct fmt_materi
     }
 }
 
-/* Returns whether a material gives a channel a value. A texture that cannot be used, of which a
- * warning tells, leaves the usual value. A value of 0 everywhere tells nothing. */
+/* Returns whether a material gives a channel a value. A texture that cannot be used leaves the
+ * usual value; a warning tells of it. A value of 0 everywhere tells nothing. */
 static bool gives_value(const struct scan *scan, const struct fmt_material_channel *own)
 {
     return own && (own->has_value || (own->texture_path && own->channel->usual > 0 &&
