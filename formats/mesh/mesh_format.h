@@ -75,6 +75,7 @@ struct stream_source {
     struct fmt_input *input; /* owned; open from the first cut to the pass of the last part */
     const char *path;        /* of the input */
     bool open;
+    bool held;  /* the input stays open from the start of the reader to the first cut */
     void *data; /* what the format keeps of the file: format->data_bytes, zero at first */
     struct fmt_mesh_placement placement;
     bool moves; /* the placement changes something */

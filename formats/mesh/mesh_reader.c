@@ -176,6 +176,10 @@ done:
     return status;
 }
 
+/* So few plain files stay open until they are read, so that each is opened once. Opening others
+ * again for each look at them keeps within the limit of open files. */
+enum { MOST_HELD = 64 };
+
 static int open_sources(struct fmt_mesh_reader *reader, const struct fmt_mesh_inputs *from)
 {
     struct bsq_ctx *ctx = reader->ctx;
@@ -184,11 +188,14 @@ static int open_sources(struct fmt_mesh_reader *reader, const struct fmt_mesh_in
     /* All are checked before one is opened, which may wait for a writer. */
     for (uint32_t i = 0; i < from->path_count; i++)
         BSQ_TRY(check_once(ctx, from, i));
-    for (uint32_t i = 0; i < from->path_count; i++, reader->source_count++) {
-        struct stream_source *source = &reader->sources[i];
+    for (uint32_t i = 0; i < from->path_count; i++) {
+        struct stream_source *source = &reader->sources[reader->source_count++];
         *source = (struct stream_source){.ctx = ctx, .reader = reader, .number = i};
         BSQ_TRY(fmt_input_create(ctx, from->paths[i], from->beside, from->pipes, &source->input));
         source->path = fmt_input_path(source->input);
+        if (from->path_count <= MOST_HELD && fmt_input_is_plain(source->input))
+            BSQ_TRY(fmt_input_open(source->input));
+        source->held = from->path_count <= MOST_HELD && fmt_input_is_plain(source->input);
     }
     for (uint32_t i = 0; i < from->path_count; i++)
         BSQ_TRY(begin_source(&reader->sources[i]));

@@ -28,6 +28,9 @@ static int enter_file(struct stream_source *source)
 {
     int status = fmt_input_open(source->input);
     source->open = status == 0;
+    if (!status && source->held)
+        fmt_input_close(source->input);
+    source->held &= status != 0;
     return !status && source->format->enter ? source->format->enter(source) : status;
 }
 
