@@ -157,11 +157,6 @@ int bsq_output_write(struct bsq_output *output, const void *buffer, uint64_t siz
     return status;
 }
 
-void bsq_output_skip(struct bsq_output *output, uint64_t size)
-{
-    output->position += size;
-}
-
 /* Returns true for errors that keep a file from being written at all, not only from reserving
  * space. */
 static bool prevents_writing(int error)

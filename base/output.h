@@ -44,9 +44,6 @@ int bsq_output_write(struct bsq_output *output, const void *buffer, uint64_t siz
 int bsq_output_write_at(struct bsq_output *output, const void *buffer, uint64_t size,
                         uint64_t offset);
 
-/* Moves the append position over `size` bytes that were written with bsq_output_write_at(). */
-void bsq_output_skip(struct bsq_output *output, uint64_t size);
-
 /* Returns the position of the next bsq_output_write(). */
 uint64_t bsq_output_tell(const struct bsq_output *output);
 

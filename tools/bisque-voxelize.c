@@ -7,7 +7,6 @@
 #include "base/output.h"
 #include "base/tile_files.h"
 #include "formats/file_kind.h"
-#include "tools/voxelize_farm.h"
 #include "tools/voxelize_report.h"
 
 /* ---- checks before the work: what would otherwise fail after hours ---- */
@@ -43,9 +42,6 @@ static int recognise_inputs(struct voxelize_job *job)
         return bsq_fail_errno(job->cli->ctx, BSQ_ENOMEM, ENOMEM, "%s", arguments->inputs[0]);
     for (uint32_t i = 0; i < arguments->input_count; i++)
         BSQ_TRY(recognise_input(job, arguments->inputs[i]));
-    if (job->mesh_count > 0 && arguments->farm.write_plan)
-        return cli_usage(job->cli, "%s: tasks share chunk files: sort it first, with -o FILE.tris",
-                         job->meshes[0]);
     if (job->part_count > 0)
         status =
             voxelize_arguments_check_part(job->cli, arguments, job->parts[0], job->mesh_count > 0);
@@ -106,7 +102,7 @@ static int check_outputs(struct voxelize_job *job)
     const struct voxelize_arguments *arguments = job->arguments;
     const bool makes_tris = job->mesh_count > 0 && !job->temporary_tris && !arguments->sort_only;
     const char *outputs[] = {arguments->grid.grid_path, makes_tris ? job->tris_path : NULL,
-                             arguments->grid.vdb_path, arguments->farm.write_plan};
+                             arguments->grid.vdb_path};
     for (unsigned i = 0; i < sizeof outputs / sizeof *outputs; i++) {
         if (!outputs[i])
             continue;
@@ -162,7 +158,7 @@ static int sort_scan(struct voxelize_job *job)
         BSQ_TRY(vox_job_open(ctx, options, &job->record));
     if (arguments->resume)
         BSQ_TRY(vox_job_resume(job->record, &job->resumed));
-    else if (arguments->sort_only && !arguments->farm.force && !job->cli->strict)
+    else if (arguments->sort_only && !arguments->force && !job->cli->strict)
         BSQ_TRY(vox_job_is_done(job->record, &job->resumed));
     if (job->resumed)
         return 0;
@@ -174,7 +170,6 @@ done:
     return status;
 }
 
-/* Makes the grid, or the plan of its tasks. */
 static int make_grid(struct voxelize_job *job)
 {
     struct vox_voxelize_options *options = &job->arguments->grid;
@@ -184,9 +179,7 @@ static int make_grid(struct voxelize_job *job)
     options->part_paths = job->part_count > 0 ? job->parts : NULL;
     options->part_count = job->part_count;
     options->temp_tris = job->resumed ? NULL : job->temp_tris;
-    return job->arguments->farm.write_plan
-               ? voxelize_farm_plan(job->cli, &job->arguments->farm, options)
-               : vox_voxelize(job->cli->ctx, options, &job->grid);
+    return vox_voxelize(job->cli->ctx, options, &job->grid);
 }
 
 static int do_work(struct voxelize_job *job)
@@ -224,14 +217,12 @@ static int run(struct voxelize_job *job)
     BSQ_TRY(voxelize_arguments_map_inputs(cli, arguments));
     if (cli->verify)
         return cli_verify(cli, (char *const *)arguments->inputs, (int)arguments->input_count);
-    if (arguments->farm.plan)
-        return voxelize_farm_by_plan(cli, &arguments->farm);
     BSQ_TRY(note_images(cli->ctx, arguments));
     BSQ_TRY(recognise_inputs(job));
     BSQ_TRY(do_work(job));
     if (arguments->sort_only && job->resumed)
-        status = cli_tasks_say_kept(cli, job->tris_path, "this chunk file");
-    else if (!arguments->farm.write_plan)
+        status = cli_say_kept(cli, job->tris_path, "this chunk file");
+    else
         status = voxelize_report_print(job);
 done:
     return status;

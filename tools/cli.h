@@ -191,5 +191,7 @@ void cli_json_set(json_t **json, const char *name, json_t *value);
 /* Prints `root` with program, version and cost added. Takes over the caller's reference; NULL means
  * that there was no memory for it. */
 int cli_print_json(struct cli *cli, json_t *root);
+/* Prints that a file is there already. */
+int cli_say_kept(struct cli *cli, const char *path, const char *what);
 
 #endif

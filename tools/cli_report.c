@@ -167,3 +167,12 @@ int cli_print_json(struct cli *cli, json_t *root)
     json_decref(root);
     return status;
 }
+
+int cli_say_kept(struct cli *cli, const char *path, const char *what)
+{
+    if (!cli->json) {
+        cli_print("%s: %s is complete already, kept\n", path, what);
+        return 0;
+    }
+    return cli_print_json(cli, json_pack("{s:o, s:b}", "path", cli_json_text(path), "kept", 1));
+}

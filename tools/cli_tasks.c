@@ -132,12 +132,3 @@ int cli_plan_print(struct cli *cli, const char *path, bool kept, const struct cl
     cli_print("all parts: %s %s\n", bound, cli_size_text(costs->parts_bytes, parts));
     return 0;
 }
-
-int cli_tasks_say_kept(struct cli *cli, const char *path, const char *what)
-{
-    if (!cli->json) {
-        cli_print("%s: %s is complete already, kept\n", path, what);
-        return 0;
-    }
-    return cli_print_json(cli, json_pack("{s:o, s:b}", "path", cli_json_text(path), "kept", 1));
-}

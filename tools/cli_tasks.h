@@ -54,7 +54,4 @@ void cli_plan_add(struct cli_plan_costs *costs, uint64_t work, uint64_t memory_b
 int cli_plan_print(struct cli *cli, const char *path, bool kept, const struct cli_plan_costs *costs,
                    const char *unit, const char *units, const char *bound);
 
-/* Prints that a file is there already. */
-int cli_tasks_say_kept(struct cli *cli, const char *path, const char *what);
-
 #endif

@@ -12,10 +12,6 @@ static const char usage[] =
     "Usage: bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.nvdb\n"
     "       bisque-voxelize [OPTION]... SCAN.tris... -o SCAN.nvdb\n"
     "       bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.tris\n"
-    "       bisque-voxelize [OPTION]... SCAN.tris... -o SCAN.nvdb --tasks N --write-plan PLAN\n"
-    "       bisque-voxelize --plan PLAN --task I\n"
-    "       bisque-voxelize --plan PLAN --merge\n"
-    "       bisque-voxelize --plan PLAN\n"
     "       bisque-voxelize --verify FILE...\n"
     "Turns a scan (a high-poly mesh) of any size into a sparse grid of surface voxels with normals\n"
     "and colours. Several files are read as one scan. The sorted triangles of meshes are kept in a chunk\n"
@@ -70,6 +66,8 @@ static const struct bsq_option rows[] = {
     {OPTION("no-tris", NULL, "do not keep the chunk file"), MEMBER(FLAG, no_tris), .needs = GRID},
     {OPTION("resume", NULL, "continue the same job from its chunk file, if that is complete"),
      MEMBER(FLAG, resume), .needs = MESHES},
+    {OPTION("force", NULL, "with a chunk file as output: make it again if it is there already"),
+     MEMBER(FLAG, force), .needs = MESHES},
     {OPTION("parse-only", NULL, "only read the mesh files, to measure the reader"),
      MEMBER(FLAG, parse_only)},
 };
@@ -236,8 +234,6 @@ static int take_option(struct cli *cli, void *arg, const struct bsq_option *row,
         return parse_up(cli, arguments, text);
     if (strcmp(row->name, "translate") == 0)
         return parse_translation(cli, arguments, text);
-    if (strcmp(row->name, "task") == 0)
-        return cli_tasks_parse_range(cli, &arguments->farm, text);
     /* --channels: paths of images must not have commas. */
     for (char *word = (char *)(uintptr_t)text; word && status == 0;) {
         char *next = strchr(word, ',');
@@ -257,17 +253,6 @@ int voxelize_arguments_keep_normal_map(struct cli *cli, struct voxelize_argument
 }
 
 /* ---- all of them ---- */
-
-static int check_tasks(struct cli *cli, const struct voxelize_arguments *arguments)
-{
-    const struct cli_tasks *farm = &arguments->farm;
-    if (cli_tasks_check(cli, farm, given_option(arguments, 0), (int)arguments->input_count) < 0)
-        return BSQ_EUSAGE;
-    if (farm->write_plan && (arguments->parse_only || arguments->sort_only))
-        return cli_usage(cli, "a plan is for a grid: leave out %s",
-                         arguments->parse_only ? "--parse-only" : "the chunk file as output");
-    return 0;
-}
 
 static int check_arguments(struct cli *cli, const struct voxelize_arguments *arguments)
 {
@@ -290,6 +275,8 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
     if (arguments->sort_only && given_option(arguments, GRID))
         return cli_usage(cli, "%s: a chunk file is not a grid: leave out --%s", output,
                          given_option(arguments, GRID));
+    if (arguments->force && !arguments->sort_only)
+        return cli_usage(cli, "--force needs a chunk file as output");
     if (arguments->resume && (arguments->no_tris || arguments->parse_only))
         return cli_usage(cli, "--resume continues from a chunk file: leave out %s",
                          arguments->no_tris ? "--no-tris" : "--parse-only");
@@ -341,7 +328,6 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
     const struct cli_command command = {
         .usage = usage,
         .tables = {{rows, ROWS, arguments, arguments->given},
-                   {cli_task_rows, CLI_TASK_ROWS, &arguments->farm, NULL},
                    {cli_rows, sizeof cli_rows / sizeof *cli_rows, cli, NULL}},
         .take = take_option,
         .arguments = arguments,
@@ -356,14 +342,10 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
     arguments->input_count = (uint32_t)(argc - optind);
     arguments->sort_only =
         arguments->grid.grid_path && cli_ends_with(arguments->grid.grid_path, ".tris");
-    arguments->farm.alone = arguments->sort_only;
     if (status != 0 || cli->verify)
         return status;
-    if (arguments->input_count == 0 && !arguments->farm.plan)
+    if (arguments->input_count == 0)
         return cli_usage(cli, "no input file given (see --help)");
-    BSQ_TRY(check_tasks(cli, arguments));
-    if (arguments->farm.plan)
-        return 0;
     BSQ_TRY(check_arguments(cli, arguments));
     status = finish(cli, arguments);
 done:
@@ -376,7 +358,6 @@ int voxelize_arguments_map_inputs(struct cli *cli, struct voxelize_arguments *ar
     const char **inputs = (const char **)(uintptr_t)arguments->inputs;
     int status = 0;
     BSQ_TRY(cli_map_inputs(cli, &table));
-    BSQ_TRY(cli_map_input(cli, &arguments->farm.plan));
     for (uint32_t i = 0; i < arguments->sort.channel_count; i++)
         BSQ_TRY(cli_map_input(cli, &arguments->channels[i].texture_path));
     for (uint32_t i = 0; i < arguments->input_count; i++)

@@ -3,7 +3,7 @@
 #define VOXELIZE_ARGUMENTS_H
 
 #include "libvoxel/voxel.h"
-#include "tools/cli_tasks.h"
+#include "tools/cli.h"
 
 enum { VOXELIZE_MOST_ROWS = 32 };
 
@@ -14,9 +14,8 @@ struct voxelize_arguments {
     const char *const *inputs;
     uint32_t input_count;
     const char *tris;
-    bool no_tris, parse_only, resume;
-    bool sort_only; /* the output is a chunk file: no grid is made */
-    struct cli_tasks farm;
+    bool no_tris, parse_only, resume, force;
+    bool sort_only;                     /* the output is a chunk file: no grid is made */
     struct vox_channel *channels;       /* those of sort; the names are owned */
     char *channel_list;                 /* those of grid */
     struct vox_placement *placements;   /* those of sort */

@@ -62,8 +62,7 @@ void fmt_nvdb_version(enum fmt_nvdb_type type, uint32_t version[3]);
 /* ---- writing ---- */
 struct fmt_nvdb_writer;
 
-/* Starts a grid file. Nodes and channels go to temporary files beside the output until the commit,
- * unless fmt_nvdb_expect() is called.
+/* Starts a grid file. Nodes and channels go to temporary files beside the output until the commit.
  * Errors: BSQ_EUSAGE for a voxel size that is not positive; BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
 int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb_info *info,
                     struct fmt_nvdb_writer **out);
@@ -75,13 +74,6 @@ int fmt_nvdb_set_names(struct fmt_nvdb_writer *writer, const char *const *names,
 struct fmt_nvdb_totals {
     uint64_t voxels, second_records, leaves, lowers, uppers, file_bytes;
 };
-
-/* Says before the first fmt_nvdb_append(), and after the names, what the grid will have. Leaves and
- * the records of voxels then go to their places in the output at once. The commit fails with
- * BSQ_EBUG if the grid has other counts. totals: file_bytes is not used. Errors: BSQ_EIO,
- * BSQ_EINTR.
- */
-int fmt_nvdb_expect(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_totals *totals);
 
 /* A region of 128^3 voxels (a lower node), or some of its leaves. Leaves ascend by number;
  * successive calls with the same origin add to one region, and leaf numbers ascend across them. */

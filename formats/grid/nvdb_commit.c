@@ -1,10 +1,9 @@
 /* nvdb_commit.c - writes the finished grid file from a writer's temporary files.
  *
  * All counts are known by now, and they determine all offsets: the file is written once, from front
- * to back, without what fmt_nvdb_expect() let the writer put there before. It is made in blocks.
- * Writing takes longest, so the next blocks are made while one is written. The tables of internal
- * nodes are filled in here. The children of a level are contiguous: the set bits of all nodes of
- * the level above, in order, are its nodes 0, 1, 2, ... */
+ * to back. It is made in blocks. Writing takes longest, so the next blocks are made while one is
+ * written. The tables of internal nodes are filled in here. The children of a level are contiguous:
+ * the set bits of all nodes of the level above, in order, are its nodes 0, 1, 2, ... */
 #include <string.h>
 #include <xxhash.h>
 
@@ -15,8 +14,7 @@
 enum { BLOCK_BYTES = 1 << 20, BLOCK_COUNT = 3 };
 
 struct block {
-    uint64_t skipped; /* bytes before the block that are in the output already */
-    uint8_t *bytes;   /* BLOCK_BYTES */
+    uint8_t *bytes; /* BLOCK_BYTES */
     uint64_t size;
 };
 
@@ -234,27 +232,6 @@ static void end_section(struct commit *commit)
     commit->done = 0;
 }
 
-/* Returns whether a section begins here whose first stream is in the output already. */
-static bool is_written(const struct commit *commit)
-{
-    const struct nvdb_stream *first = streams_of(commit).first;
-    return commit->done == 0 && commit->at == commit->layout.section[commit->section].offset &&
-           first && first->output;
-}
-
-/* Goes to the end of that stream. */
-static int skip_written(struct commit *commit, struct block *block)
-{
-    const uint64_t size = streams_of(commit).first->size;
-    int status = begin_section(commit);
-    commit->done = size;
-    commit->at += size;
-    block->skipped += size;
-    if (commit->done == commit->layout.section[commit->section].size)
-        end_section(commit);
-    return status;
-}
-
 /* Makes up to *size bytes; sets *size to their number. */
 static int make_bytes(struct commit *commit, uint8_t *to, uint64_t *size)
 {
@@ -284,15 +261,9 @@ static int make_block(void *arg, void *slot, uint64_t sequence)
     struct block *block = slot;
     int status = 0;
     block->bytes = commit->buffer + sequence % BLOCK_COUNT * BLOCK_BYTES;
-    block->size = block->skipped = 0;
+    block->size = 0;
     while (status == 0 && block->size < BLOCK_BYTES && commit->section < NVDB_SECTION_COUNT) {
         uint64_t size = BLOCK_BYTES - block->size;
-        if (is_written(commit)) {
-            if (block->size > 0)
-                break;
-            status = skip_written(commit, block);
-            continue;
-        }
         status = make_bytes(commit, block->bytes + block->size, &size);
         block->size += size;
         commit->at += size;
@@ -305,7 +276,6 @@ static int write_block(void *arg, void *slot, uint64_t sequence)
     struct commit *commit = arg;
     const struct block *block = slot;
     (void)sequence;
-    bsq_output_skip(commit->output, block->skipped);
     return bsq_output_write(commit->output, block->bytes, block->size);
 }
 
@@ -364,7 +334,7 @@ static int write_file(struct fmt_nvdb_writer *writer)
 {
     struct commit commit = {.writer = writer, .ctx = writer->ctx, .output = writer->output};
     int status = set_up(&commit);
-    if (status == 0 && writer->expected.voxels == 0)
+    if (status == 0)
         status = bsq_output_expect(commit.output, commit.layout.file_bytes);
     if (status == 0)
         status = write_blocks(&commit);

@@ -1,5 +1,4 @@
-/* nvdb_stream.c - sections of a grid file that grow through a buffer, in a temporary file or in the
- * output. */
+/* nvdb_stream.c - sections of a grid file that grow through a buffer in a temporary file. */
 #include <string.h>
 #include <xxhash.h>
 
@@ -32,16 +31,13 @@ void fmt_nvdb_stream_close(struct nvdb_stream *stream)
     *stream = (struct nvdb_stream){0};
 }
 
-/* Hashes the buffer while it is in the cache, and appends it to the file or the output. */
+/* Hashes the buffer while it is in the cache, and appends it to the file. */
 static int stream_flush(struct nvdb_stream *stream)
 {
     if (stream->fill == 0)
         return 0;
     XXH3_64bits_update(stream->written, stream->buffer, (size_t)stream->fill);
-    int status = stream->output
-                     ? bsq_output_write_at(stream->output, stream->buffer, stream->fill,
-                                           stream->at + stream->size)
-                     : bsq_file_append(stream->ctx, &stream->file, stream->buffer, stream->fill);
+    int status = bsq_file_append(stream->ctx, &stream->file, stream->buffer, stream->fill);
     stream->size += stream->fill;
     stream->fill = 0;
     return status;

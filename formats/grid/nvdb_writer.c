@@ -178,50 +178,6 @@ struct nvdb_section_streams fmt_nvdb_streams_of(struct fmt_nvdb_writer *writer, 
     return (struct nvdb_section_streams){0};
 }
 
-/* ---- totals that are known before the voxels ---- */
-
-/* The head of channels may be in a file already; then its stream stays there. Counts beyond the
- * format's are left to fmt_nvdb_append() to refuse. */
-int fmt_nvdb_expect(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_totals *totals)
-{
-    struct nvdb_counts counts = writer->counts;
-    struct nvdb_layout layout;
-    assert(counts.voxels == 0);
-    if (totals->voxels == 0 || totals->leaves > UINT32_MAX || totals->lowers > UINT32_MAX ||
-        totals->uppers > UINT32_MAX || totals->second_records > UINT32_MAX)
-        return 0;
-    counts.voxels = totals->voxels;
-    counts.seconds = totals->second_records;
-    counts.leaves = (uint32_t)totals->leaves;
-    counts.lowers = (uint32_t)totals->lowers;
-    counts.uppers = (uint32_t)totals->uppers;
-    fmt_nvdb_layout_compute(&counts, &layout);
-    writer->expected = *totals;
-    for (int section = 0; section < NVDB_SECTION_COUNT; section++) {
-        struct nvdb_stream *stream = fmt_nvdb_streams_of(writer, section).first;
-        if (!stream || stream->size > 0)
-            continue;
-        bsq_file_close(writer->ctx, &stream->file);
-        stream->output = writer->output;
-        stream->at = layout.section[section].offset;
-    }
-    return bsq_output_expect(writer->output, layout.file_bytes);
-}
-
-static int check_expected(const struct fmt_nvdb_writer *writer)
-{
-    const struct fmt_nvdb_totals *expected = &writer->expected;
-    const struct nvdb_counts *counts = &writer->counts;
-    const bool same =
-        expected->voxels == 0 ||
-        (expected->voxels == counts->voxels && expected->second_records == counts->seconds &&
-         expected->leaves == counts->leaves && expected->lowers == counts->lowers &&
-         expected->uppers == counts->uppers);
-    return same ? 0
-                : bsq_fail(writer->ctx, BSQ_EBUG,
-                           "%s: the grid has other counts than were expected", writer->path);
-}
-
 /* ---- regions ---- */
 
 static int fail_region(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region,
@@ -527,9 +483,7 @@ int fmt_nvdb_writer_finish(struct fmt_nvdb_writer *writer)
         return status;
     if (writer->counts.voxels == 0)
         return bsq_fail(writer->ctx, BSQ_EDATA, "%s: the grid has no voxels", writer->path);
-    status = check_expected(writer);
-    if (status == 0)
-        status = end_entry(writer);
+    status = end_entry(writer);
     if (status == 0)
         status = close_lower(writer);
     if (status == 0)

@@ -7,14 +7,11 @@
 
 #define NVDB_STREAM_BYTES (UINT64_C(256) << 10)
 
-/* A part of a section that grows in a temporary file or in the output, through a buffer of
- * NVDB_STREAM_BYTES. */
+/* A part of a section that grows in a temporary file, through a buffer of NVDB_STREAM_BYTES. */
 struct nvdb_stream {
     struct bsq_ctx *ctx;
-    struct bsq_file file;      /* closed if the stream grows in the output */
-    struct bsq_output *output; /* NULL: the stream grows in the file */
-    uint64_t at;               /* where it begins in the output */
-    uint64_t size;             /* bytes written so far */
+    struct bsq_file file;
+    uint64_t size; /* bytes written so far */
     uint8_t *buffer;
     uint64_t fill; /* bytes in the buffer */
     /* XXH3 states of the bytes that were written to the file, and of those read from it so far. */
@@ -83,7 +80,6 @@ struct fmt_nvdb_writer {
     uint32_t last_leaf;            /* number of the last leaf in the lower node */
 
     struct nvdb_counts counts;
-    struct fmt_nvdb_totals expected; /* no voxels: nothing is expected */
     int32_t bbox_min[3], bbox_max[3];
     uint32_t entry_bits, entry_rank; /* the open entry of section NVDB_SECONDS */
 };

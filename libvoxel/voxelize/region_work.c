@@ -38,8 +38,6 @@ static int add_chunks(const struct vox_shared *shared, const struct vox_unit *un
         if ((status = bsq_check(shared->ctx)) < 0 ||
             (status = vox_chunks_acquire(shared->chunks, number, &job.chunk)) < 0)
             break;
-        if (!job.chunk)
-            continue;
         status = BSQ_SIMD_PICK(bsq_simd_best(), vox_accumulate_chunk)(&job, counted);
         vox_chunks_release(shared->chunks, number);
     }

@@ -23,7 +23,8 @@ static int name_ids(const struct vox_run *run, struct fmt_nvdb_writer *writer)
     return status;
 }
 
-int vox_grid_create(const struct vox_run *run, struct fmt_nvdb_writer **out)
+/* Starts the grid of a run. */
+static int create_grid(const struct vox_run *run, struct fmt_nvdb_writer **out)
 {
     const struct vox_transform *transform = &run->shared.transform;
     struct fmt_nvdb_info info = {
@@ -82,27 +83,30 @@ static int export_vdb(struct bsq_ctx *ctx, const char *path, struct bsq_output *
     return status;
 }
 
-int vox_grid_commit(const struct vox_run *run, struct fmt_nvdb_writer *writer,
-                    struct vox_voxelize_report *report)
+/* Completes the grid, whose writer it frees in any case, exports it as OpenVDB if that is asked
+ * for, gives the files their names, and fills in the report except for the time. */
+static int commit_grid(const struct vox_run *run, struct fmt_nvdb_writer *writer,
+                       struct vox_voxelize_report *report)
 {
     const char *vdb_path = run->options->vdb_path;
     struct bsq_output_group group = {0};
     struct bsq_output *grid = NULL, *vdb = NULL;
     struct fmt_nvdb_totals totals;
-    int status = fmt_nvdb_finish(writer, &totals, &grid);
-    if (status == 0)
-        fill_report(run, &totals, report);
-    if (status == 0)
-        status = bsq_output_group_add(&group, grid);
-    if (status == 0 && vdb_path && (status = export_vdb(run->ctx, vdb_path, grid, &vdb)) == 0)
-        status = bsq_output_group_add(&group, vdb);
-    if (status == 0)
-        status = bsq_output_group_commit(&group);
+    int status = 0;
+    BSQ_TRY(fmt_nvdb_finish(writer, &totals, &grid));
+    fill_report(run, &totals, report);
+    BSQ_TRY(bsq_output_group_add(&group, grid));
+    if (vdb_path) {
+        BSQ_TRY(export_vdb(run->ctx, vdb_path, grid, &vdb));
+        BSQ_TRY(bsq_output_group_add(&group, vdb));
+    }
+    status = bsq_output_group_commit(&group);
+done:
     bsq_output_group_discard(&group);
     return status;
 }
 
-int vox_grid_note_outputs(struct bsq_ctx *ctx, const struct vox_voxelize_options *options)
+static int note_outputs(struct bsq_ctx *ctx, const struct vox_voxelize_options *options)
 {
     int status = options->vdb_path ? vox_check_export(ctx) : 0;
     if (status == 0)
@@ -114,22 +118,14 @@ int vox_grid_note_outputs(struct bsq_ctx *ctx, const struct vox_voxelize_options
 
 /* ---- the whole ---- */
 
-static int append_region(void *arg, const struct fmt_nvdb_region *region)
-{
-    return fmt_nvdb_append(arg, region);
-}
-
 static int make_grid(struct vox_run *run, struct vox_voxelize_report *report)
 {
     struct fmt_nvdb_writer *writer = NULL;
-    int status = vox_run_check_grid(run);
+    int status = create_grid(run, &writer);
     if (status == 0)
-        status = vox_grid_create(run, &writer);
-    const struct vox_sink sink = {append_region, writer};
+        status = vox_run_regions(run, writer);
     if (status == 0)
-        status = vox_run_regions(run, &sink);
-    if (status == 0)
-        return vox_grid_commit(run, writer, report);
+        return commit_grid(run, writer, report);
     fmt_nvdb_discard(writer);
     return status;
 }
@@ -150,13 +146,11 @@ int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options
     struct vox_run run = {0};
     double start = bsq_seconds_now();
     memset(report, 0, sizeof *report);
-    int status = vox_grid_note_outputs(ctx, options);
-    if (status == 0)
-        status = vox_run_open(ctx, options, &run);
-    if (status == 0)
-        status = vox_run_find_boxes(&run, NULL);
-    if (status == 0)
-        status = make_grid(&run, report);
+    int status = 0;
+    BSQ_TRY(note_outputs(ctx, options));
+    BSQ_TRY(vox_run_open(ctx, options, &run));
+    status = make_grid(&run, report);
+done:
     vox_run_close(&run);
     report->seconds = bsq_seconds_now() - start;
     return status;

@@ -2,9 +2,8 @@
  *
  * Regions of 128^3 voxels, the lower nodes of the grid, go through a pipeline. The schedule
  * produces the next region with the chunks that touch it. A worker sums the fragments of their
- * triangles. The sink takes the results in sequence. Every voxel belongs to one region and gets its
- * fragments in the order of the file, so results do not depend on threads, budget or on which
- * regions are made. */
+ * triangles. The results are written in sequence. Every voxel belongs to one region and gets its
+ * fragments in the order of the file, so results do not depend on threads or budget. */
 #include "libvoxel/voxelize/voxelize_run.h"
 
 #include <inttypes.h>
@@ -12,7 +11,6 @@
 
 #include "base/channels.h"
 #include "base/parallel.h"
-#include "libvoxel/farm/farm.h"
 #include "libvoxel/float_precision.h"
 #include "libvoxel/temp_tris.h"
 #include "libvoxel/voxelize/grid_estimate.h"
@@ -43,12 +41,18 @@ static uint64_t min64(uint64_t a, uint64_t b)
     return a < b ? a : b;
 }
 
+/* Returns the values of further channels in a record. */
+static uint32_t channel_values(const struct vox_run *job)
+{
+    const char *list = job->options->channels;
+    return list ? bsq_channel_list_values(list, strlen(list)) : 0;
+}
+
 /* Returns what accumulators sum, as vox_accumulator_create() takes it. */
 static unsigned sums_of(const struct vox_run *job)
 {
     return (vox_shading_has_color(job->header) ? VOX_SUM_COLORS : 0u) +
-           (job->options->ids ? VOX_SUM_IDS : 0u) +
-           VOX_SUM_CHANNEL_VALUE * vox_channel_values(job->options);
+           (job->options->ids ? VOX_SUM_IDS : 0u) + VOX_SUM_CHANNEL_VALUE * channel_values(job);
 }
 
 /* Gives half of the free memory to the chunk cache and a quarter to the sums. The rest is left to
@@ -96,7 +100,7 @@ static int check_channels(const struct vox_run *job)
 {
     const char *list = job->options->channels;
     uint32_t first;
-    if (list && vox_channel_values(job->options) == 0)
+    if (list && channel_values(job) == 0)
         return bsq_fail(job->ctx, BSQ_EUSAGE, "\"%.60s\" cannot be channels", list);
     if (list && bsq_channel_list_find(list, strlen(list), BSQ_CHANNEL_NORMAL_MAP, &first))
         return bsq_fail(job->ctx, BSQ_EUSAGE,
@@ -129,27 +133,24 @@ static int open_input(struct vox_run *job)
                                            job->options->voxel_size, &job->shared.transform);
 }
 
-unsigned vox_run_channels(const struct vox_run *job)
+/* Refuses a grid that does not fit on its disk or in the format, and warns of lost precision. */
+static int check_grid(struct vox_run *job)
 {
-    return 2u + vox_shading_has_color(job->header) + job->options->ids +
-           vox_channel_values(job->options);
-}
-
-int vox_run_check_grid(struct vox_run *job)
-{
-    int status = vox_estimate_check(job->ctx, job->file, &job->shared.transform,
-                                    vox_run_channels(job) - 2, job->options->grid_path);
+    const unsigned further = (unsigned)vox_shading_has_color(job->header) +
+                             (unsigned)job->options->ids + channel_values(job);
+    int status = vox_estimate_check(job->ctx, job->file, &job->shared.transform, further,
+                                    job->options->grid_path);
     if (status == 0)
         vox_precision_warn_grid(job->ctx, job->options->tris_path, job->header,
                                 fmt_tris_chunks(job->file), job->shared.transform.h);
     return status;
 }
 
-int vox_run_find_boxes(struct vox_run *job, const struct vox_box_filter *filter)
+/* Finds the boxes of chunks in the regions that they touch. */
+static int find_boxes(struct vox_run *job)
 {
     uint64_t count = job->header->chunk_count;
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(job->file);
-    job->filter = filter;
     int status = bsq_alloc(job->ctx, "chunk bounds", count, sizeof *job->bounds, &job->bounds);
     if (status < 0)
         return status;
@@ -157,7 +158,7 @@ int vox_run_find_boxes(struct vox_run *job, const struct vox_box_filter *filter)
         job->bounds[i] =
             vox_transform_box(&job->shared.transform, infos[i].bounds_min, infos[i].bounds_max);
     job->shared.bounds = job->bounds;
-    return vox_chunk_boxes_create(job->ctx, job->file, &job->shared.transform, job->bounds, filter,
+    return vox_chunk_boxes_create(job->ctx, job->file, &job->shared.transform, job->bounds,
                                   bsq_memory_left(job->ctx) / 16, &job->boxes, &job->box_count);
 }
 
@@ -170,12 +171,12 @@ int vox_run_open(struct bsq_ctx *ctx, const struct vox_voxelize_options *options
         job->index_min[a] = INT32_MAX;
         job->index_max[a] = INT32_MIN;
     }
-    int status = open_input(job);
-    if (status < 0)
-        return status;
-    job->expected_triangles = job->header->triangle_count;
-    job->expected_regions = vox_region_count(&job->shared.transform.voxels);
-    return 0;
+    int status = 0;
+    BSQ_TRY(open_input(job));
+    BSQ_TRY(find_boxes(job));
+    status = check_grid(job);
+done:
+    return status;
 }
 
 static int make_smooth(struct vox_run *job)
@@ -222,32 +223,31 @@ static int make_workers(struct vox_run *job, const struct plan *plan)
 
 static int set_up(struct vox_run *job)
 {
+    const struct vox_voxelize_options *options = job->options;
+    struct vox_shading *shading = &job->shared.shading;
     struct plan plan = {0};
-    int status;
-    if ((status = vox_schedule_create(job->ctx, job->boxes, job->box_count, job->filter,
-                                      &job->schedule)) < 0 ||
-        (status = make_smooth(job)) < 0 || (status = make_plan(job, &plan)) < 0 ||
-        (status = vox_shading_init(job->ctx, job->header, plan.texture_bytes,
-                                   &job->shared.shading)) < 0 ||
-        (status = job->options->ids ? vox_shading_use_ids(job->ctx, &job->shared.shading) : 0) <
-            0 ||
-        (status = job->options->channels
-                      ? vox_shading_use_channels(job->ctx, job->file, job->options->channels,
-                                                 plan.texture_bytes, &job->shared.shading)
-                      : 0) < 0 ||
-        (status = vox_shading_use_normal_map(job->ctx, job->options->tris_path,
-                                             job->options->scan_normal_map, plan.texture_bytes,
-                                             &job->shared.shading)) < 0 ||
-        (status = vox_chunks_create(job->ctx, job->file, &job->shared.transform, job->boxes,
-                                    job->box_count, job->filter, job->smooth,
-                                    (uint32_t)plan.cache_slots, &job->shared.chunks)) < 0 ||
-        (status = make_workers(job, &plan)) < 0)
-        return status;
+    int status = 0;
+    BSQ_TRY(vox_schedule_create(job->ctx, job->boxes, job->box_count, &job->schedule));
+    BSQ_TRY(make_smooth(job));
+    BSQ_TRY(make_plan(job, &plan));
+    BSQ_TRY(vox_shading_init(job->ctx, job->header, plan.texture_bytes, shading));
+    if (options->ids)
+        BSQ_TRY(vox_shading_use_ids(job->ctx, shading));
+    if (options->channels)
+        BSQ_TRY(vox_shading_use_channels(job->ctx, job->file, options->channels, plan.texture_bytes,
+                                         shading));
+    BSQ_TRY(vox_shading_use_normal_map(job->ctx, options->tris_path, options->scan_normal_map,
+                                       plan.texture_bytes, shading));
+    BSQ_TRY(vox_chunks_create(job->ctx, job->file, &job->shared.transform, job->boxes,
+                              job->box_count, job->smooth, (uint32_t)plan.cache_slots,
+                              &job->shared.chunks));
+    BSQ_TRY(make_workers(job, &plan));
     vox_gate_init(&job->shared.gate, job->ctx, plan.result_bytes);
     job->gate_open = true;
-    job->slabs = choose_slabs(job->expected_regions, job->workers);
+    job->slabs = choose_slabs(vox_region_count(&job->shared.transform.voxels), job->workers);
     job->next_slab = job->slabs;
-    return 0;
+done:
+    return status;
 }
 
 /* Frees what the pipeline needed: joining the sections of a grid needs memory too. */
@@ -389,7 +389,7 @@ static int write_unit(void *arg, const struct vox_unit *unit)
     };
     memcpy(region.origin, unit->origin, sizeof region.origin);
     widen_index(job, unit);
-    return job->sink.append(job->sink.arg, &region);
+    return fmt_nvdb_append(job->writer, &region);
 }
 
 /* Writes a unit. Its slot keeps memory of ordinary size for the next unit, at most half of the
@@ -425,20 +425,20 @@ static int run_pipeline(struct vox_run *job)
     };
     job->shared.write = write_unit;
     job->shared.write_arg = job;
-    bsq_progress_begin(job->ctx, "voxelizing", "triangles", job->expected_triangles);
+    bsq_progress_begin(job->ctx, "voxelizing", "triangles", job->header->triangle_count);
     int status = bsq_pipeline_run(job->ctx, &pipeline);
     bsq_progress_end(job->ctx);
     return status;
 }
 
-int vox_run_regions(struct vox_run *job, const struct vox_sink *sink)
+int vox_run_regions(struct vox_run *job, struct fmt_nvdb_writer *writer)
 {
-    job->sink = *sink;
-    int status = set_up(job);
-    if (status == 0)
-        status = run_pipeline(job);
-    if (status == 0)
-        status = vox_shading_tell_losses(&job->shared.shading);
+    int status = 0;
+    job->writer = writer;
+    BSQ_TRY(set_up(job));
+    BSQ_TRY(run_pipeline(job));
+    status = vox_shading_tell_losses(&job->shared.shading);
+done:
     end_pipeline(job);
     return status;
 }

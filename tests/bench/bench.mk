@@ -86,10 +86,9 @@ bench-blender: all $(generator) $(BUILD)/tests/measure
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/blender_job.sh $(BENCH)
 
 .PHONY: bench-farm
-## bench-farm: processor time of bakes and grids in 1 to 64 tasks beside that of a single run
+## bench-farm: processor time of bakes in 1 to 64 tasks beside that of a single run
 bench-farm: all $(generator)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/farm.sh
-	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/farm_grid.sh
 
 .PHONY: bench-pace
 ## bench-pace: compare the core's speed with that of the commit PACE_REF=HEAD~1, in pairs

@@ -4,8 +4,7 @@
 # Model: a step that is divided takes its core seconds / (nodes * CORES). Serial steps take theirs on
 # one core. Work grows with texels, triangles and voxels as it was measured:
 #   sorting       triangles, divided by parts of the scan
-#   voxelizing    triangles and bytes of the grid; divided by regions, which costs GRID_OVERHEAD; the
-#                 merge of the grid takes GRID_MERGE seconds a GB of one core (both: farm_grid.sh)
+#   voxelizing    triangles and bytes of the grid; all cores of one node
 #   tasks         texels; from triangles also each triangle that a task loads
 #   merge         texels; one core
 # The load of the file system is what the tasks of a step read and write, by the time of the step.
@@ -18,8 +17,6 @@ BEGIN {
     TEXELS = 20 * 16384 * 16384
     RESOLUTION = 8192
     CHUNK_READERS = 3
-    GRID_OVERHEAD = 1.15
-    GRID_MERGE = 1.04
     GB = 1e9
 }
 { f[$1] = $2 }
@@ -40,12 +37,11 @@ function fit(kind,    texels) {
     again[kind] = kind == "tris" ? CHUNK_READERS : most(1, f[kind "_read"] / f[kind "_bytes"])
 }
 
-function row(kind, triangles, nodes,    cores, grid, sort, voxels, grid_merge, tasks, merge, scan, parts, total) {
+function row(kind, triangles, nodes,    cores, grid, sort, voxels, tasks, merge, scan, parts, total) {
     cores = nodes * CORES
     grid = f["nvdb_bytes"] * (RESOLUTION / 1024) ^ 2 * triangles / 1e9
     sort = f["sort_seconds"] / f["triangles"] * triangles / cores
-    grid_merge = kind == "nvdb" ? grid / GB * GRID_MERGE : 0
-    voxels = kind == "nvdb" ? (grid * grid_byte + triangles * grid_triangle) * GRID_OVERHEAD / cores + grid_merge : 0
+    voxels = kind == "nvdb" ? (grid * grid_byte + triangles * grid_triangle) / CORES : 0
     scan = kind == "nvdb" ? grid : f["tris_bytes"] / f["triangles"] * triangles
     tasks = TEXELS * each_texel[kind] * most(1, overhead[kind])
     if (kind == "tris")
@@ -57,7 +53,7 @@ function row(kind, triangles, nodes,    cores, grid, sort, voxels, grid_merge, t
     printf "| %s | 10^%d | %d | %s | %s | %s | %s | %s | %.0f %% | %.1f | %.1f | %.1f |\n",
         kind == "nvdb" ? "grid" : "triangles", log(triangles) / log(10) + 0.5, nodes, time(sort),
         kind == "nvdb" ? time(voxels) : "-", time(tasks), time(merge), time(total),
-        100 * (merge + grid_merge) / total,
+        100 * merge / total,
         triangles * (f["obj_bytes"] + f["tris_bytes"]) / f["triangles"] / sort / GB,
         (scan * again[kind] + parts) / tasks / GB, 2 * parts / merge / GB
 }

@@ -610,13 +610,6 @@ code 0
     grep -qF "'--dependency=afterok:<bisque-grid>' '--kill-on-invalid-dep=yes'" "$out" &&
     grep -qF "'bisque-bake' 'plan.nvdb' 'low.obj'" "$out"
 check "parts are sorted, voxelized together and baked" $?
-command="bisque-slurm parts --dry-run --grid-tasks 5" code=0
-"$slurm" parts --dry-run --grid-tasks 5 --plan p.json list -- low.obj -o 'o_<MAP>.exr' >"$out" 2>"$err" || code=$?
-code 0
-[ "$(grep -c '^sbatch ' "$out")" -eq 7 ] && grep -qF "'--array=0-4'" "$out" &&
-    grep -qF "'--tasks' '5' '--write-plan' 'p.grid.json' 'p/a 1.tris'" "$out" &&
-    grep -qF "'--plan' 'p.grid.json' '--merge'" "$out" && grep -qF "'bisque-bake' 'p.nvdb' 'low.obj'" "$out"
-check "the grid of parts in tasks" $?
 printf 'a.ply\na.obj\n' >twice
 printf 'a.ply\n\nb.ply\n' >gap
 : >empty

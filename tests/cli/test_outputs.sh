@@ -34,8 +34,8 @@ voxelize -o folder
 refused 73 "$p folder: Is a directory"
 voxelize -o folder/
 refused 73 "$p \"folder/\" is not a file name"
-for option in -o --vdb --write-plan; do
-    voxelize -o out.nvdb --tasks 2 --write-plan out.json $option -
+for option in -o --vdb; do
+    voxelize -o out.nvdb $option -
     refused 73 "$p -: no output can be standard output; ./- is a file of this name"
 done
 voxelize -o scan.obj/grid.nvdb

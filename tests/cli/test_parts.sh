@@ -227,8 +227,6 @@ done <<'CASES'
 --channels: beside chunk files, meshes are kept with --tris only
 -o y.nvdb --scale 2
 a.tris is a chunk file: --scale, --up and --translate are for meshes
--o y.nvdb --tasks 2 --write-plan plan
-b.obj: tasks share chunk files: sort it first, with -o FILE.tris
 --parse-only
 a.tris: --parse-only reads meshes
 CASES

@@ -56,14 +56,6 @@ for part in '--task 0-1' --merge; do
 done
 cmp -s n_plane_tris.png n_tasks.png
 check "tasks give the bytes of normals with the scan's map" $?
-$vox later.tris --scan-normal-map tilt.png -o tasks.nvdb --tasks 2 --write-plan g.json
-code 0
-for part in '--task 0-1' --merge; do
-    run bisque-voxelize --plan g.json $part
-    code 0
-done
-cmp -s tasks.nvdb plane.nvdb
-check "tasks give the bytes of a grid with the scan's map" $?
 
 # ---- materials ----
 

@@ -202,21 +202,12 @@ if [ -s "$(ls "$BIN"/../gen/kernel-*.ptx 2>/dev/null | head -n 1)" ]; then
     done
 fi
 
-# From the chunk file, with other threads and budgets, and in tasks, a grid has the same bytes.
+# From the chunk file, with other threads and budgets, a grid has the same bytes.
 $vox --resolution 160 two.tris --channels metallic,coat,emission,roughness -o again.nvdb --threads 1 \
     --memory 150M
 code 0
 cmp -s fine.nvdb again.nvdb
 check "a grid with channels has the same bytes for any threads and budget" $?
-$vox --resolution 160 two.tris --channels metallic,coat,emission,roughness -o tasks.nvdb --tasks 2 \
-    --write-plan grid.json
-code 0
-for step in '--task 0' '--task 1' '--merge'; do
-    run bisque-voxelize --plan grid.json $step
-    code 0
-done
-cmp -s fine.nvdb tasks.nvdb
-check "and from tasks" $?
 $bake two.nvdb low.obj --maps transfer:sheen -o x.png
 code 65
 err_like 'two.nvdb has no channel sheen: make it with bisque-voxelize --channels sheen'

@@ -128,8 +128,6 @@ openjd run parts.chunks.yaml --step Compare --run-dependencies -p Root=. -p List
     -p OutputDir=parts -p LastTask=4 -p Resolution=128 -p BakeOptions="$options" -p BinDir="$BIN"
 [ "$(ls parts/*.tris | wc -l)" -eq 8 ]
 check "there are eight chunk files" $?
-[ "$(ls parts/grid.*.part | wc -l)" -eq 4 ]
-check "there are four parts of the grid" $?
 same parts.nvdb parts/scan.nvdb
 for map in normal height color; do
     same part_$map.1001.exr parts/map_$map.1001.exr

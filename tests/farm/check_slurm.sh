@@ -70,15 +70,14 @@ disturb()
     check "all tasks that $1 end" $?
 }
 
-submit parts --tasks 8 --at-most 4 --cpus 1 --memory 400 --bin "$BIN" --plan farm.json --resolution 300 --grid-tasks 4 parts.txt -- \
+submit parts --tasks 8 --at-most 4 --cpus 1 --memory 400 --bin "$BIN" --plan farm.json --resolution 300 parts.txt -- \
     low.obj -o 'farm_<MAP>.exr' $options --preview farm.png
-[ "$(grep -c ': job [0-9]*$' "$out")" -eq 7 ]
-check "the numbers of seven jobs are printed" $?
-sort=$(sed -n 's/^bisque-sort: job //p' "$out") grid=$(sed -n 's/^bisque-grid-task: job //p' "$out")
+[ "$(grep -c ': job [0-9]*$' "$out")" -eq 5 ]
+check "the numbers of five jobs are printed" $?
+sort=$(sed -n 's/^bisque-sort: job //p' "$out")
 plan=$(sed -n 's/^bisque-plan: job //p' "$out") task=$(sed -n 's/^bisque-task: job //p' "$out")
 merge=$(sed -n 's/^bisque-merge: job //p' "$out")
 disturb "sort" "$sort" 'part_.\.tris' '"$BIN/bisque-voxelize" -o "part_$1.tris" "part_$1.obj"'
-disturb "make the grid" "$grid" 'farm\.grid\..*part' '"$BIN/bisque-voxelize" --plan farm.grid.json --task "$1" --force'
 wait_until "$limit" '[ "$(squeue -h -t R -j "$task" -o %i 2>/dev/null | wc -l)" -ge 3 ]'
 check "tasks run" $?
 
@@ -110,8 +109,8 @@ for map in normal color height curvature ao; do
 done
 same one.png farm.png
 same parts.nvdb farm.nvdb
-[ "$(ls part_?.tris | wc -l)" -eq 8 ] && [ "$(ls farm.grid.*.part | wc -l)" -eq 4 ]
-check "eight chunk files, and four parts of the grid" $?
+[ "$(ls part_?.tris | wc -l)" -eq 8 ]
+check "eight chunk files" $?
 [ "$(grep -c '^Progress: 0%$' logs/"${task}_$lost.log")" -ge 2 ] && grep -q '^Progress: 100%$' logs/"${task}_$lost.log"
 check "the task whose node was lost was started again, in the same log" $?
 [ "$(scontrol show node "$lost_node" | sed -n 's/.*State=\(DOWN\).*/\1/p')" = DOWN ]

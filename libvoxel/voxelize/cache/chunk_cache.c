@@ -27,7 +27,6 @@ struct use {
     struct vox_region_key next; /* next region that needs the chunk after the units under way */
     uint32_t expected;          /* units of work under way that need it */
     int32_t slot;
-    bool empty; /* nothing of it lies in regions that are made */
 };
 
 struct vox_chunks {
@@ -69,8 +68,8 @@ static int finish_chunk(struct vox_chunks *c, struct slot *slot)
 
 int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                       const struct vox_transform *transform, const struct vox_chunk_box *boxes,
-                      uint64_t box_count, const struct vox_box_filter *filter,
-                      struct vox_smooth *smooth, uint32_t slot_count, struct vox_chunks **out)
+                      uint64_t box_count, struct vox_smooth *smooth, uint32_t slot_count,
+                      struct vox_chunks **out)
 {
     struct vox_chunks *c;
     uint32_t chunk_count = (uint32_t)fmt_tris_get_header(file)->chunk_count;
@@ -79,7 +78,7 @@ int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
     if (status < 0)
         return status;
     c->ctx = ctx;
-    c->from = (struct vox_chunk_source){file, transform, smooth, filter};
+    c->from = (struct vox_chunk_source){file, transform, smooth};
     c->chunk_count = chunk_count;
     c->slot_count = slot_count;
     c->slot_bytes = vox_chunks_slot_bytes(file, smooth != NULL);
@@ -264,8 +263,7 @@ static uint32_t next_unready(const struct vox_chunks *c)
     uint32_t best = NO_CHUNK;
     for (uint32_t i = 0; i < c->chunk_count; i++) {
         const struct use *use = &c->uses[i];
-        if (use->empty || is_finished(use) ||
-            (use->slot != NO_SLOT && c->slots[use->slot].stage != STAGE_READ))
+        if (is_finished(use) || (use->slot != NO_SLOT && c->slots[use->slot].stage != STAGE_READ))
             continue;
         if (best == NO_CHUNK || needed_before(c, i, best))
             best = i;
@@ -326,16 +324,12 @@ static struct slot *take_slot(struct vox_chunks *c, uint32_t chunk, bool *fresh)
 
 static int acquire(struct vox_chunks *c, uint32_t chunk, const struct vox_chunk **out)
 {
-    struct use *use = &c->uses[chunk];
     bool fresh;
-    if (use->empty)
-        return 0;
     struct slot *slot = take_slot(c, chunk, &fresh);
     int status = fresh ? 0 : prepare_others(c, slot);
     if (status == 0)
         status = make_ready(c, slot, fresh);
-    use->empty = status == 0 && slot->content.empty;
-    if (status < 0 || use->empty)
+    if (status < 0)
         leave_slot(c, slot);
     else
         *out = &slot->content.chunk;

@@ -35,13 +35,12 @@ uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth);
 
 /* Creates a cache of up to slot_count >= 1 chunks. `file`, `transform` and `smooth` must outlive
  * it. boxes: those of the schedule; they tell the first region that needs each chunk, and are not
- * kept. filter: which regions are made; vertices in others get no smooth normals; NULL: all. It
- * must outlive the cache. smooth: makes normals for chunks that have none and whose triangles are
+ * kept. smooth: makes normals for chunks that have none and whose triangles are
  * large for the grid; NULL: such chunks stay without normals. */
 int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                       const struct vox_transform *transform, const struct vox_chunk_box *boxes,
-                      uint64_t box_count, const struct vox_box_filter *filter,
-                      struct vox_smooth *smooth, uint32_t slot_count, struct vox_chunks **out);
+                      uint64_t box_count, struct vox_smooth *smooth, uint32_t slot_count,
+                      struct vox_chunks **out);
 void vox_chunks_destroy(struct vox_chunks *chunks); /* NULL is allowed */
 
 /* vox_chunks_expect() announces `uses` units of work that need `chunk`, and the region that needs
@@ -50,10 +49,9 @@ void vox_chunks_expect(struct vox_chunks *chunks, uint32_t chunk, uint32_t uses,
                        struct vox_region_key after);
 void vox_chunks_done(struct vox_chunks *chunks, uint32_t chunk);
 
-/* Loads or finds a chunk; *out is valid until it is released. It is NULL, and not to be released,
- * if nothing of the chunk lies in regions that are made. A worker holds one chunk at a time. Waits
- * while other workers hold all slots. While another worker loads the chunk, this one loads chunks
- * that will be needed next, if there are spare slots. */
+/* Loads or finds a chunk; *out is valid until it is released. A worker holds one chunk at a time.
+ * Waits while other workers hold all slots. While another worker loads the chunk, this one loads
+ * chunks that will be needed next, if there are spare slots. */
 int vox_chunks_acquire(struct vox_chunks *chunks, uint32_t chunk, const struct vox_chunk **out);
 void vox_chunks_release(struct vox_chunks *chunks, uint32_t chunk);
 

@@ -24,9 +24,9 @@ static struct vox_chunk_layout lay_out(const struct fmt_tris_file *file, bool sm
         to.normals_at + (normals ? bsq_align_up(vertices * sizeof(float[4]), BSQ_ALIGNMENT) : 0);
     to.vertex_groups_at =
         to.groups_at + bsq_align_up(groups * sizeof(struct vox_box), BSQ_ALIGNMENT);
-    to.used_at = to.vertex_groups_at +
-                 (smooth ? bsq_align_up(vertex_groups * sizeof(struct vox_box), BSQ_ALIGNMENT) : 0);
-    to.inconsistent_at = to.used_at + bsq_align_up(vertex_groups * sizeof(bool), BSQ_ALIGNMENT);
+    to.inconsistent_at =
+        to.vertex_groups_at +
+        (smooth ? bsq_align_up(vertex_groups * sizeof(struct vox_box), BSQ_ALIGNMENT) : 0);
     to.bytes = to.inconsistent_at + bsq_align_up(groups * sizeof(bool), BSQ_ALIGNMENT);
     return to;
 }
@@ -53,49 +53,15 @@ uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
 
 /* ---- the two steps ---- */
 
-/* Computes the points of vertices from `begin` to `end`. */
-static void place_vertices(const struct vox_transform *transform,
-                           const struct fmt_tris_chunk *source, uint32_t begin, uint32_t end,
-                           double (*points)[4])
+/* Computes the points of all vertices. */
+static void place_points(const struct vox_transform *transform, struct vox_chunk_content *content)
 {
     const struct vox_row_transform rows = vox_row_transform_of(transform);
-    for (uint32_t v = begin; v < end; v++)
-        row_store(vox_place(&rows, row_of_floats(source->positions[v])), points[v]);
-}
-
-/* Marks the groups of vertices that a group of triangles has. */
-static void mark_used(const struct fmt_tris_chunk *source, uint32_t group, bool *used)
-{
-    uint32_t t = group * VOX_GROUP_TRIANGLES;
-    const uint32_t end = vox_group_end(t, source->triangle_count, VOX_GROUP_TRIANGLES);
-    for (; t < end; t++)
-        for (int corner = 0; corner < 3; corner++)
-            used[source->triangles[t][corner] / VOX_GROUP_VERTICES] = true;
-}
-
-/* Computes the points of all vertices whose triangles may touch regions that are made. The normals
- * of a file are judged by chunks as a whole, which need all points. */
-static void place_points(const struct vox_chunk_source *from, struct vox_chunk_content *content)
-{
-    struct vox_chunk *chunk = &content->chunk;
-    const struct fmt_tris_chunk *source = &chunk->source;
+    const struct fmt_tris_chunk *source = &content->chunk.source;
     double(*points)[4] = (double(*)[4])(void *)(content->memory + content->layout.points_at);
-    bool *used = (bool *)(content->memory + content->layout.used_at);
-    const uint32_t vertices = source->vertex_count;
-    const bool all = !from->filter || source->normals;
-    content->empty = from->filter != NULL;
-    memset(used, all, vox_group_count(vertices, VOX_GROUP_VERTICES) * sizeof *used);
-    for (uint32_t g = 0; from->filter && g < chunk->group_count; g++) {
-        if (!vox_is_wanted(from->filter, &chunk->groups[g]))
-            continue;
-        content->empty = false;
-        mark_used(source, g, used);
-    }
-    chunk->points = (const double(*)[4])points;
-    for (uint32_t v = 0; v < vertices && !content->empty; v += VOX_GROUP_VERTICES)
-        if (used[v / VOX_GROUP_VERTICES])
-            place_vertices(from->transform, source, v,
-                           vox_group_end(v, vertices, VOX_GROUP_VERTICES), points);
+    for (uint32_t v = 0; v < source->vertex_count; v++)
+        row_store(vox_place(&rows, row_of_floats(source->positions[v])), points[v]);
+    content->chunk.points = (const double(*)[4])points;
 }
 
 static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)[4])
@@ -138,120 +104,14 @@ static double mean_edge_square(const struct fmt_tris_chunk *source, double h)
            (double)source->triangle_count;
 }
 
-static void widen(struct vox_box *box, const struct vox_box *by)
-{
-    for (int a = 0; a < 3; a++) {
-        box->lo[a] = by->lo[a] < box->lo[a] ? by->lo[a] : box->lo[a];
-        box->hi[a] = by->hi[a] > box->hi[a] ? by->hi[a] : box->hi[a];
-    }
-}
-
-/* Returns whether a box is wider than a region. */
-static bool is_wide(const struct vox_box *box)
-{
-    bool wide = false;
-    for (int a = 0; a < 3; a++)
-        wide |= box->hi[a] - box->lo[a] >= VOX_REGION_SIZE;
-    return wide;
-}
-
-/* Widens `needed` by the triangles of a group that may touch regions that are made. A group that
- * reaches across a jump of the curve is wide, but its triangles are not. */
-static void add_needed(const struct vox_chunk_source *from, const struct vox_chunk *chunk,
-                       uint32_t group, struct vox_box *needed)
-{
-    const struct vox_box_filter *filter = from->filter;
-    const struct vox_box *box = &chunk->groups[group];
-    uint32_t t = group * VOX_GROUP_TRIANGLES;
-    const uint32_t end = vox_group_end(t, chunk->source.triangle_count, VOX_GROUP_TRIANGLES);
-    if (!vox_is_wanted(filter, box))
-        return;
-    if (!is_wide(box)) {
-        widen(needed, box);
-        return;
-    }
-    for (; t < end; t++) {
-        const struct vox_box of_triangle =
-            vox_triangle_box(&chunk->source, from->transform, t, t + 1);
-        if (vox_is_wanted(filter, &of_triangle))
-            widen(needed, &of_triangle);
-    }
-}
-
-/* Returns whether a box is part of another one. */
-static bool is_within(const struct vox_box *box, const struct vox_box *other)
-{
-    bool within = true;
-    for (int a = 0; a < 3; a++)
-        within &= other->lo[a] <= box->lo[a] && box->hi[a] <= other->hi[a];
-    return within;
-}
-
-/* Widens the bounds by those vertices of a group that lie in a box. Only groups across its borders
- * need the voxels of their vertices. */
-static void bound_group(const struct vox_chunk_source *from,
-                        const struct vox_chunk_content *content, uint32_t group,
-                        const struct vox_box *box, struct vox_bounds *bounds)
-{
-    const struct fmt_tris_chunk *source = &content->chunk.source;
-    const uint32_t begin = group * VOX_GROUP_VERTICES;
-    const uint32_t end = vox_group_end(begin, source->vertex_count, VOX_GROUP_VERTICES);
-    if (is_within(&content->vertex_groups[group], box)) {
-        for (uint32_t v = begin; v < end; v++)
-            vox_widen_bounds(bounds, source->positions[v]);
-        return;
-    }
-    const four_ints lo = {box->lo[0], box->lo[1], box->lo[2], INT32_MIN};
-    const four_ints hi = {box->hi[0], box->hi[1], box->hi[2], INT32_MAX};
-    const struct vox_row_transform rows = vox_row_transform_of(from->transform);
-    for (uint32_t v = begin; v < end; v++) {
-        const struct row point = vox_place(&rows, row_of_floats(source->positions[v]));
-        const four_ints cell = vox_cell(point, content->chunk.last_cell);
-        if (!four_any((cell < lo) | (cell > hi)))
-            vox_widen_bounds(bounds, source->positions[v]);
-    }
-}
-
-/* Sets the voxels of all triangles that may touch regions that are made, and the bounds of the
- * vertices there. Returns false if there are none. */
-static bool find_needed(const struct vox_chunk_source *from,
-                        const struct vox_chunk_content *content, struct vox_box *needed,
-                        float min[3], float max[3])
-{
-    const struct vox_chunk *chunk = &content->chunk;
-    const uint32_t groups = vox_group_count(chunk->source.vertex_count, VOX_GROUP_VERTICES);
-    struct vox_bounds bounds = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
-    *needed =
-        (struct vox_box){{INT32_MAX, INT32_MAX, INT32_MAX}, {INT32_MIN, INT32_MIN, INT32_MIN}};
-    for (uint32_t g = 0; g < chunk->group_count; g++)
-        add_needed(from, chunk, g, needed);
-    if (needed->lo[0] > needed->hi[0])
-        return false;
-    for (uint32_t g = 0; g < groups; g++)
-        if (vox_boxes_meet(&content->vertex_groups[g], needed))
-            bound_group(from, content, g, needed, &bounds);
-    memcpy(min, &bounds.least, 3 * sizeof *min);
-    memcpy(max, &bounds.most, 3 * sizeof *max);
-    return true;
-}
-
-/* Makes the normals of vertices in regions that are made. */
+/* Makes the normals of vertices. */
 static int make_normals(const struct vox_chunk_source *from, const struct vox_smooth_lender *lender,
                         uint32_t number, const struct vox_chunk_content *content,
                         float (*normals)[4])
 {
     const struct vox_chunk *chunk = &content->chunk;
-    const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(from->file)[number];
-    struct vox_smooth_chunk smooth = {
+    const struct vox_smooth_chunk smooth = {
         .index = number, .decoded = {&chunk->source, chunk->groups, content->vertex_groups}};
-    struct vox_box needed;
-    memcpy(smooth.min, info->bounds_min, sizeof smooth.min);
-    memcpy(smooth.max, info->bounds_max, sizeof smooth.max);
-    if (from->filter) {
-        if (!find_needed(from, content, &needed, smooth.min, smooth.max))
-            return 0;
-        smooth.needed = &needed;
-    }
     return vox_smooth_normals(from->smooth, lender, &smooth, from->transform, normals);
 }
 
@@ -305,9 +165,7 @@ int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smoot
     const struct fmt_tris_chunk *source = &chunk->source;
     float(*normals)[4] = (float(*)[4])(void *)(content->memory + content->layout.normals_at);
     int status = 0;
-    place_points(from, content);
-    if (content->empty)
-        return 0;
+    place_points(from->transform, content);
     double square = mean_edge_square(source, from->transform->h);
     chunk->coarse = square > COARSE_EDGE_SQUARE;
     chunk->wide = source->normals || square > WIDE_EDGE_SQUARE;

@@ -11,13 +11,12 @@
 struct vox_chunk_source {
     const struct fmt_tris_file *file;
     const struct vox_transform *transform;
-    struct vox_smooth *smooth;           /* NULL: chunks without normals stay without */
-    const struct vox_box_filter *filter; /* which regions are made; NULL: all */
+    struct vox_smooth *smooth; /* NULL: chunks without normals stay without */
 };
 
 /* Offsets in bytes in a slot's memory. The chunk as it is in the file comes first. */
 struct vox_chunk_layout {
-    uint64_t points_at, normals_at, groups_at, vertex_groups_at, used_at, inconsistent_at, bytes;
+    uint64_t points_at, normals_at, groups_at, vertex_groups_at, inconsistent_at, bytes;
 };
 
 struct vox_chunk_content {
@@ -25,14 +24,12 @@ struct vox_chunk_content {
     struct vox_chunk_layout layout;
     struct vox_chunk chunk;
     const struct vox_box *vertex_groups; /* for chunks that need this one's triangles */
-    bool empty; /* no triangle may touch regions that are made, so the second step made nothing */
 };
 
 /* The first step: loads chunk `number` as it is in the file, and finds the voxels of its groups. */
 int vox_chunk_read(const struct vox_chunk_source *from, uint32_t number,
                    struct vox_chunk_content *content);
-/* The second step: places vertices in index space, and makes normals and what depends on them. Only
- * vertices of groups that may touch regions that are made are sure to have both. */
+/* The second step: places vertices in index space, and makes normals and what depends on them. */
 int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smooth_lender *lender,
                      uint32_t number, struct vox_chunk_content *content);
 

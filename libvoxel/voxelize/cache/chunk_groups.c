@@ -1,7 +1,7 @@
 /* chunk_groups.c - the bounds of a chunk's groups, in voxels.
  *
  * Index space keeps the order of positions on each axis, so bounds are found among positions and
- * then placed: a chunk of which a task needs a part only is not placed as a whole. */
+ * then placed. */
 #include "libvoxel/voxelize/cache/chunk_groups.h"
 
 LANES_INLINE struct vox_bounds begin_at(const float *position)
@@ -30,8 +30,10 @@ static struct vox_box box_of(const struct vox_transform *transform, const struct
     return box;
 }
 
-struct vox_box vox_triangle_box(const struct fmt_tris_chunk *chunk,
-                                const struct vox_transform *transform, uint32_t begin, uint32_t end)
+/* Returns the voxels of the bounds of triangles from `begin` to `end` > begin. */
+static struct vox_box triangle_box(const struct fmt_tris_chunk *chunk,
+                                   const struct vox_transform *transform, uint32_t begin,
+                                   uint32_t end)
 {
     struct vox_bounds bounds = begin_at(chunk->positions[chunk->triangles[begin][0]]);
     for (uint32_t t = begin; t < end; t++)
@@ -44,9 +46,8 @@ void vox_triangle_groups(const struct fmt_tris_chunk *chunk, const struct vox_tr
                          struct vox_box *groups)
 {
     for (uint32_t begin = 0; begin < chunk->triangle_count; begin += VOX_GROUP_TRIANGLES)
-        *groups++ =
-            vox_triangle_box(chunk, transform, begin,
-                             vox_group_end(begin, chunk->triangle_count, VOX_GROUP_TRIANGLES));
+        *groups++ = triangle_box(chunk, transform, begin,
+                                 vox_group_end(begin, chunk->triangle_count, VOX_GROUP_TRIANGLES));
 }
 
 void vox_vertex_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,

@@ -64,11 +64,6 @@ LANES_INLINE void vox_widen_bounds(struct vox_bounds *bounds, const float *posit
     bounds->most = four_floats_max(p, bounds->most);
 }
 
-/* Returns the voxels of the bounds of triangles from `begin` to `end` > begin. */
-struct vox_box vox_triangle_box(const struct fmt_tris_chunk *chunk,
-                                const struct vox_transform *transform, uint32_t begin,
-                                uint32_t end);
-
 /* Computes the voxels of each group's bounds. */
 void vox_triangle_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
                          struct vox_box *groups);

@@ -171,15 +171,17 @@ static bool next_triangles(const struct vox_loan *of, const struct vox_box *box,
 
 /* ---- positions ---- */
 
-/* Finds vertices of a run at the same position. Most vertices find their slot of the table free,
- * which processors cannot predict. So the others are put off without a branch, in neighbour_rings,
- * and looked up after all first ones have slots. Returns how many were put off in all. */
-static uint32_t enter_run(const struct workspace *d, const struct fmt_tris_chunk *chunk,
-                          const struct run *run, uint32_t late_count)
+/* Finds vertices at the same position. Most vertices find their slot of the table free, which
+ * processors cannot predict. So the others are put off without a branch, in neighbour_rings, and
+ * looked up after all first ones have slots. */
+static void enter_vertices(struct workspace *d, const struct fmt_tris_chunk *chunk)
 {
-    uint32_t *late = d->neighbour_rings;
-    memset(d->rings + run->begin + 1, 0, (uint64_t)(run->end - run->begin) * sizeof *d->rings);
-    for (uint32_t v = run->begin; v < run->end; v++) {
+    uint32_t *late = d->neighbour_rings, late_count = 0;
+    const uint64_t count = chunk->vertex_count;
+    d->table.mask = bsq_positions_slots(count) - 1;
+    memset(d->rings, 0, (count + 1) * sizeof *d->rings);
+    memset(d->table.slots, 0, ((uint64_t)d->table.mask + 1) * sizeof *d->table.slots);
+    for (uint32_t v = 0; v < count; v++) {
         uint32_t *slot = &d->table.slots[bsq_position_hash(chunk->positions[v]) & d->table.mask];
         uint32_t taken = *slot != 0;
         *slot = taken ? *slot : v + 1;
@@ -187,25 +189,6 @@ static uint32_t enter_run(const struct workspace *d, const struct fmt_tris_chunk
         late[late_count] = v;
         late_count += taken;
     }
-    return late_count;
-}
-
-/* Enters the vertices that may need normals. All vertices at the position of one of them are among
- * these, because they lie in the same voxel. */
-static void enter_vertices(struct workspace *d, const struct vox_smooth_chunk *of)
-{
-    const struct fmt_tris_chunk *chunk = of->decoded.chunk;
-    const uint32_t *late = d->neighbour_rings;
-    uint32_t late_count = 0, count = 0;
-    for (struct run run = {0, 0}; next_vertices(&of->decoded, of->needed, &run);)
-        count += run.end - run.begin;
-    d->table.mask = bsq_positions_slots(count) - 1;
-    memset(d->rings, 0, sizeof *d->rings);
-    memset(d->table.slots, 0, ((uint64_t)d->table.mask + 1) * sizeof *d->table.slots);
-    if (of->needed)
-        memset(d->own_rings, 0, chunk->vertex_count * sizeof *d->own_rings);
-    for (struct run run = {0, 0}; next_vertices(&of->decoded, of->needed, &run);)
-        late_count = enter_run(d, chunk, &run, late_count);
     for (uint32_t i = 0; i < late_count; i++) {
         uint32_t v = late[i], *slot = bsq_positions_find(&d->table, chunk->positions[v]);
         if (*slot == 0)
@@ -219,7 +202,7 @@ static void enter_vertices(struct workspace *d, const struct vox_smooth_chunk *o
 /* A neighbour, whose triangles are added to the one-rings of a chunk. */
 struct neighbour {
     struct vox_loan loan;
-    const float *min, *max; /* bounds of the vertices that need normals */
+    const float *min, *max; /* bounds of that chunk */
     struct vox_box box;     /* voxels of these bounds */
 };
 
@@ -281,14 +264,16 @@ static int sum_normals(const struct vox_smooth *s, const struct vox_smooth_lende
 {
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(s->file);
     uint32_t count = (uint32_t)fmt_tris_get_header(s->file)->chunk_count;
-    struct neighbour neighbour = {
-        .min = of->min, .max = of->max, .box = vox_transform_box(transform, of->min, of->max)};
+    struct neighbour neighbour = {.min = infos[of->index].bounds_min,
+                                  .max = infos[of->index].bounds_max,
+                                  .box = vox_transform_box(transform, infos[of->index].bounds_min,
+                                                           infos[of->index].bounds_max)};
     int status = 0;
     d->table.positions = of->decoded.chunk->positions;
-    enter_vertices(d, of);
+    enter_vertices(d, of->decoded.chunk);
     for (uint32_t i = 0; i < count && status == 0; i++) {
         if (i == of->index)
-            add_triangles(s, d, &of->decoded, of->needed, d->own_rings);
+            add_triangles(s, d, &of->decoded, NULL, d->own_rings);
         else if (touches(&infos[i], &neighbour))
             status = add_chunk(s, lender, d, &neighbour, i);
     }
@@ -299,8 +284,7 @@ static void finish_normals(const struct workspace *d, const struct vox_smooth_ch
                            float (*normals)[4])
 {
     vox_finish_one_rings_fn *const finish = BSQ_SIMD_PICK(bsq_simd_best(), vox_finish_one_rings);
-    for (struct run run = {0, 0}; next_vertices(&of->decoded, of->needed, &run);)
-        finish(d->rings, d->own_rings + run.begin, run.end - run.begin, h, normals + run.begin);
+    finish(d->rings, d->own_rings, of->decoded.chunk->vertex_count, h, normals);
 }
 
 int vox_smooth_normals(struct vox_smooth *s, const struct vox_smooth_lender *lender,

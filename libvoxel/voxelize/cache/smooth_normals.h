@@ -32,13 +32,11 @@ struct vox_smooth_lender {
 struct vox_smooth_chunk {
     uint32_t index;
     struct vox_loan decoded;
-    const struct vox_box *needed; /* only vertices in these voxels need normals; NULL: all do */
-    float min[3], max[3];         /* bounds of the vertices that need normals */
 };
 
 /* Computes smooth normals of a chunk's vertices as if the scan were whole: vertices
  * at the same position are one, whichever chunk they are in.
- * normals: one entry for each vertex; those of vertices that need none are arbitrary. An entry is a
+ * normals: one entry for each vertex: a
  * unit normal, or zero at creases (BSQ_CREASE_SHARE), and a height in voxels: how far above the
  * vertex, along its normal, the surface lies that the interpolated normals describe; 0 at creases.
  * Sums run in the order of triangles in the file, so results do not depend on the order of calls.

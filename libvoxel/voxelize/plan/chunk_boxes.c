@@ -13,7 +13,6 @@ enum { FEW_REGIONS = 128 };
 struct maker {
     struct bsq_ctx *ctx;
     const struct vox_transform *transform;
-    const struct vox_box_filter *filter; /* NULL: all boxes are wanted */
     struct vox_chunk_box *boxes;
     uint64_t count, capacity, most;
 };
@@ -41,21 +40,17 @@ static int add_box(struct maker *maker, uint32_t chunk, const struct vox_box *bo
     return status;
 }
 
-/* Returns whether a box touches more than FEW_REGIONS wanted regions. Such a box is cut in two. */
-static bool is_wide(const struct maker *maker, const struct vox_box *box)
+/* Returns whether a box touches more than FEW_REGIONS regions. Such a box is cut in two. */
+static bool is_wide(const struct vox_box *box)
 {
-    const struct vox_box_filter *filter = maker->filter;
-    return vox_region_count(box) > FEW_REGIONS &&
-           (!filter || filter->count(filter->arg, box, FEW_REGIONS + 1) > FEW_REGIONS);
+    return vox_region_count(box) > FEW_REGIONS;
 }
 
 static int add_run(struct maker *maker, uint32_t number, const struct fmt_tris_chunk *chunk,
                    uint32_t begin, uint32_t end)
 {
     struct vox_box box = run_box(maker->transform, chunk, begin, end);
-    if (!vox_is_wanted(maker->filter, &box))
-        return 0;
-    if (end - begin == 1 || maker->count >= maker->most || !is_wide(maker, &box))
+    if (end - begin == 1 || maker->count >= maker->most || !is_wide(&box))
         return add_box(maker, number, &box);
     uint32_t middle = begin + (end - begin) / 2;
     int status = add_run(maker, number, chunk, begin, middle);
@@ -64,21 +59,17 @@ static int add_run(struct maker *maker, uint32_t number, const struct fmt_tris_c
 
 int vox_chunk_boxes_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                            const struct vox_transform *transform, const struct vox_box *bounds,
-                           const struct vox_box_filter *filter, uint64_t bytes,
-                           struct vox_chunk_box **boxes, uint64_t *count)
+                           uint64_t bytes, struct vox_chunk_box **boxes, uint64_t *count)
 {
     uint64_t chunks = fmt_tris_get_header(file)->chunk_count;
     struct maker maker = {.ctx = ctx,
                           .transform = transform,
-                          .filter = filter,
                           .most = bytes / (sizeof *maker.boxes + vox_schedule_entry_bytes())};
     void *scratch = NULL;
     int status = 0;
     for (uint64_t i = 0; i < chunks && status == 0; i++) {
         struct fmt_tris_chunk chunk;
-        if (!vox_is_wanted(filter, &bounds[i]))
-            continue;
-        bool wide = maker.count + (chunks - i) < maker.most && is_wide(&maker, &bounds[i]);
+        bool wide = maker.count + (chunks - i) < maker.most && is_wide(&bounds[i]);
         if (wide && !scratch)
             status = bsq_alloc(ctx, "chunk boxes", fmt_tris_load_size_max(file), 1, &scratch);
         if (wide && status == 0 && (status = bsq_check(ctx)) == 0)

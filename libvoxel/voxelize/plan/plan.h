@@ -71,28 +71,13 @@ struct vox_chunk_box {
     uint32_t chunk;
 };
 
-/* Chooses the regions that are made. Chunks that touch none of them are not used. count: returns
- * how many of them a box touches, but at most `most`, which is at least 1. A box that touches too
- * many regions to look at may count as `most`. */
-struct vox_box_filter {
-    uint64_t (*count)(void *arg, const struct vox_box *box, uint64_t most);
-    void *arg;
-};
-
-/* Returns whether a box may touch a region that is made. filter: NULL: all are. */
-static inline bool vox_is_wanted(const struct vox_box_filter *filter, const struct vox_box *box)
-{
-    return !filter || filter->count(filter->arg, box, 1) > 0;
-}
-
 /* Creates the boxes of chunks in ascending order of chunks; free them with bsq_free(). bounds: the
- * voxels of each chunk's bounds. filter: NULL: all boxes are wanted. Chunks that reach across many
- * wanted regions are read and cut into boxes that do not, or that hold one triangle. The boxes and
- * their schedule take at most `bytes`, unless one box a chunk needs more. */
+ * voxels of each chunk's bounds. Chunks that reach across many regions are read and cut into boxes
+ * that do not, or that hold one triangle. The boxes and their schedule take at most `bytes`, unless
+ * one box a chunk needs more. */
 int vox_chunk_boxes_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                            const struct vox_transform *transform, const struct vox_box *bounds,
-                           const struct vox_box_filter *filter, uint64_t bytes,
-                           struct vox_chunk_box **boxes, uint64_t *count);
+                           uint64_t bytes, struct vox_chunk_box **boxes, uint64_t *count);
 
 /* ---- the schedule ----
  *
@@ -116,9 +101,6 @@ static inline bool vox_region_before(struct vox_region_key a, struct vox_region_
 /* Sets the index of the region's first voxel. */
 void vox_region_origin(struct vox_region_key key, int32_t origin[3]);
 
-/* Returns the key of the region with this first voxel. */
-struct vox_region_key vox_region_key_of(const int32_t origin[3]);
-
 /* Returns the number of regions that a box of voxels touches; it may be inexact above 2^53. */
 double vox_region_count(const struct vox_box *box);
 
@@ -127,10 +109,10 @@ struct vox_region_key vox_region_first(const struct vox_box *box);
 
 struct vox_schedule;
 
-/* Creates a schedule. boxes: in ascending order of chunks. filter: which regions are made; NULL:
- * all. The caller keeps both until the schedule is destroyed. */
+/* Creates a schedule. boxes: in ascending order of chunks. The caller keeps them until the schedule
+ * is destroyed. */
 int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_chunk_box *boxes, uint64_t box_count,
-                        const struct vox_box_filter *filter, struct vox_schedule **out);
+                        struct vox_schedule **out);
 void vox_schedule_destroy(struct vox_schedule *schedule); /* NULL is allowed */
 
 /* Returns the bytes that a schedule takes for each chunk box. */

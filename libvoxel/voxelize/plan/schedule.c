@@ -18,7 +18,6 @@ struct entry {
 struct vox_schedule {
     struct bsq_ctx *ctx;
     const struct vox_chunk_box *boxes;
-    const struct vox_box_filter *filter; /* NULL: all regions are made */
     struct entry *heap;
     struct vox_region_key *keys; /* of each box: its next region */
     uint64_t count, box_count;
@@ -54,14 +53,6 @@ void vox_region_origin(struct vox_region_key key, int32_t origin[3])
     split_key(key, origin);
     for (int a = 0; a < 3; a++)
         origin[a] *= VOX_REGION_SIZE;
-}
-
-struct vox_region_key vox_region_key_of(const int32_t origin[3])
-{
-    int32_t region[3];
-    for (int a = 0; a < 3; a++)
-        region[a] = origin[a] >> VOX_REGION_LOG2;
-    return make_key(region);
 }
 
 double vox_region_count(const struct vox_box *box)
@@ -174,24 +165,8 @@ uint64_t vox_schedule_entry_bytes(void)
     return sizeof(struct entry) + sizeof(struct vox_region_key);
 }
 
-/* Returns the first region from `key` on that the box touches and that is to be made. */
-static struct vox_region_key wanted_from(const struct vox_schedule *s, const struct vox_box *box,
-                                         struct vox_region_key key)
-{
-    while (s->filter && key.tile != UINT64_MAX) {
-        struct vox_box region = {0};
-        vox_region_origin(key, region.lo);
-        for (int a = 0; a < 3; a++)
-            region.hi[a] = region.lo[a] + VOX_REGION_SIZE - 1;
-        if (vox_is_wanted(s->filter, &region))
-            break;
-        key = region_after(box, key);
-    }
-    return key;
-}
-
 int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_chunk_box *boxes, uint64_t box_count,
-                        const struct vox_box_filter *filter, struct vox_schedule **out)
+                        struct vox_schedule **out)
 {
     struct vox_schedule *s;
     *out = NULL;
@@ -201,7 +176,6 @@ int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_chunk_box *boxes, 
     s->ctx = ctx;
     s->boxes = boxes;
     s->box_count = box_count;
-    s->filter = filter;
     status = bsq_alloc(ctx, "region schedule", box_count + 1, sizeof *s->heap, &s->heap);
     if (status == 0)
         status = bsq_alloc(ctx, "region schedule", box_count + 1, sizeof *s->keys, &s->keys);
@@ -210,9 +184,8 @@ int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_chunk_box *boxes, 
         return status;
     }
     for (uint64_t i = 0; i < box_count; i++) {
-        s->keys[i] = wanted_from(s, &boxes[i].box, vox_region_first(&boxes[i].box));
-        if (s->keys[i].tile != UINT64_MAX)
-            s->heap[s->count++] = (struct entry){s->keys[i], i};
+        s->keys[i] = vox_region_first(&boxes[i].box);
+        s->heap[s->count++] = (struct entry){s->keys[i], i};
     }
     for (uint64_t i = s->count / 2; i-- > 0;)
         sift_down(s, i, s->heap[i]);
@@ -242,7 +215,7 @@ static void advance(struct vox_schedule *s)
 {
     struct entry entry = s->heap[0];
     const struct vox_box *box = &s->boxes[entry.box].box;
-    entry.key = s->keys[entry.box] = wanted_from(s, box, region_after(box, entry.key));
+    entry.key = s->keys[entry.box] = region_after(box, entry.key);
     if (entry.key.tile == UINT64_MAX)
         entry = s->heap[--s->count];
     if (s->count > 0)

@@ -210,13 +210,6 @@ int scene_write(struct bsq_ctx *ctx, const char *path, const struct scene *scene
     int status = fmt_nvdb_create(ctx, path, &scene->info, &writer);
     if (status)
         return status;
-    const struct fmt_nvdb_totals expected = {.voxels = scene->count,
-                                             .second_records = scene->second_count,
-                                             .leaves = scene_nodes(scene, 8) + scene->more_leaves,
-                                             .lowers = scene_nodes(scene, 128),
-                                             .uppers = scene_nodes(scene, 4096)};
-    if (scene->expect)
-        status = fmt_nvdb_expect(writer, &expected);
     for (uint64_t i = 0, begin = 0; i < scene->count && status == 0; i++) {
         if (i + 1 < scene->count && same_node(scene->voxels[i].ijk, scene->voxels[i + 1].ijk, 128))
             continue;

@@ -16,8 +16,6 @@ struct scene_voxel {
 struct scene {
     struct fmt_nvdb_info info;
     uint64_t count, second_count;
-    uint64_t more_leaves;       /* fmt_nvdb_expect() is told of this many too many */
-    bool expect;                /* call it */
     struct scene_voxel *voxels; /* in the order of the file */
 };
 

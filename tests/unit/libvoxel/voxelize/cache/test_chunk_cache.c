@@ -64,8 +64,8 @@ static int set_up(void **state)
     for (uint32_t i = 0; i < CHUNKS; i++)
         f->boxes[i].chunk = i;
     f->boxes[RIGHT].box = (struct vox_box){.lo = {1280, 0, 0}, .hi = {1290, 0, 0}};
-    assert_int_equal(vox_chunks_create(f->ctx, f->file, &f->transform, f->boxes, CHUNKS, NULL,
-                                       f->smooth, 2, &f->chunks),
+    assert_int_equal(vox_chunks_create(f->ctx, f->file, &f->transform, f->boxes, CHUNKS, f->smooth,
+                                       2, &f->chunks),
                      0);
     *state = f;
     return 0;
@@ -138,46 +138,12 @@ static void a_chunk_that_is_not_needed_any_more_goes_first(void **state)
     assert_int_equal(use(f, APART, 0), BSQ_EDATA);
 }
 
-/* Wants all below the 30th voxel along x: the left and the right chunk. */
-static uint64_t count_low(void *arg, const struct vox_box *box, uint64_t most)
-{
-    (void)arg;
-    (void)most;
-    return box->lo[0] < 30;
-}
-
-static void a_chunk_outside_of_a_task_is_read_once_and_not_made(void **state)
-{
-    struct fixture *f = *state;
-    const struct vox_box_filter filter = {count_low, NULL};
-    const struct vox_chunk *content;
-    vox_chunks_destroy(f->chunks);
-    assert_int_equal(vox_chunks_create(f->ctx, f->file, &f->transform, f->boxes, CHUNKS, &filter,
-                                       f->smooth, 1, &f->chunks),
-                     0);
-    assert_int_equal(vox_chunks_acquire(f->chunks, APART, &content), 0);
-    assert_null(content);
-    assert_int_equal(vox_chunks_acquire(f->chunks, LEFT, &content), 0); /* takes the only slot */
-    assert_non_null(content);
-    for (uint32_t v = 0; v < content->source.vertex_count; v++)
-        for (int a = 0; a < 3; a++)
-            assert_true(
-                content->points[v][a] ==
-                vox_transform_coordinate(&f->transform, content->source.positions[v][a], a));
-    vox_chunks_release(f->chunks, LEFT);
-    damage(f, APART);
-    assert_int_equal(vox_chunks_acquire(f->chunks, APART, &content), 0);
-    assert_null(content);
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test_setup_teardown(a_chunk_lent_before_its_turn_is_not_kept_instead_of_others,
                                         set_up, tear_down),
         cmocka_unit_test_setup_teardown(a_chunk_that_is_not_needed_any_more_goes_first, set_up,
-                                        tear_down),
-        cmocka_unit_test_setup_teardown(a_chunk_outside_of_a_task_is_read_once_and_not_made, set_up,
                                         tear_down),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);

@@ -155,50 +155,7 @@ static void expected_normal(const struct scan_mesh *mesh, enum bsq_scan_normals 
         normal[a] = length >= BSQ_CREASE_SHARE * total && length > 0 ? sum[a] / length : 0.0;
 }
 
-static bool is_inside(const struct fixture *f, const float p[3], const struct vox_box *box)
-{
-    bool inside = true;
-    for (int a = 0; a < 3; a++) {
-        const int32_t voxel = (int32_t)floor(vox_transform_coordinate(&f->transform, p[a], a));
-        const int32_t last = f->transform.voxels.hi[a], at = voxel < last ? voxel : last;
-        inside = inside && at >= box->lo[a] && at <= box->hi[a];
-    }
-    return inside;
-}
-
-/* Checks that vertices in half of a chunk get the same normals if only these need them. Returns how
- * many there are. */
-static uint32_t check_half(struct fixture *f, uint32_t index, int axis, const float (*normals)[4])
-{
-    const struct vox_smooth_lender lender = {f, lend, take_back};
-    const struct decoded *d = &f->chunks[index];
-    const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(f->file)[index];
-    struct vox_box half = vox_transform_box(&f->transform, info->bounds_min, info->bounds_max);
-    struct vox_smooth_chunk smooth = {.index = index,
-                                      .decoded = {&d->chunk, d->triangle_groups, d->vertex_groups},
-                                      .needed = &half,
-                                      .min = {INFINITY, INFINITY, INFINITY},
-                                      .max = {-INFINITY, -INFINITY, -INFINITY}};
-    float(*some)[4] = malloc(d->chunk.vertex_count * sizeof *some);
-    uint32_t count = 0;
-    half.hi[axis] = half.lo[axis] + (half.hi[axis] - half.lo[axis]) / 2;
-    for (uint32_t v = 0; v < d->chunk.vertex_count; v++)
-        for (int a = 0; a < 3 && is_inside(f, d->chunk.positions[v], &half); a++) {
-            smooth.min[a] = fminf(smooth.min[a], d->chunk.positions[v][a]);
-            smooth.max[a] = fmaxf(smooth.max[a], d->chunk.positions[v][a]);
-        }
-    assert_int_equal(vox_smooth_normals(f->smooth, &lender, &smooth, &f->transform, some), 0);
-    for (uint32_t v = 0; v < d->chunk.vertex_count; v++)
-        if (is_inside(f, d->chunk.positions[v], &half)) {
-            assert_memory_equal(some[v], normals[v], sizeof *some);
-            count++;
-        }
-    free(some);
-    return count;
-}
-
-/* Checks the normals of all chunks, with neighbours lent and with neighbours read, and those of
- * half of each chunk. */
+/* Checks the normals of all chunks, with neighbours lent and with neighbours read. */
 static void check(struct fixture *f)
 {
     const struct vox_smooth_lender lender = {f, lend, take_back};
@@ -207,10 +164,7 @@ static void check(struct fixture *f)
         const size_t bytes = chunk->vertex_count * sizeof(float[4]);
         float(*normals)[4] = malloc(bytes), (*read)[4] = malloc(bytes);
         f->lends = true;
-        const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(f->file)[i];
-        struct vox_smooth_chunk smooth = {.index = i, .decoded = {.chunk = chunk}};
-        memcpy(smooth.min, info->bounds_min, sizeof smooth.min);
-        memcpy(smooth.max, info->bounds_max, sizeof smooth.max);
+        const struct vox_smooth_chunk smooth = {.index = i, .decoded = {.chunk = chunk}};
         assert_int_equal(vox_smooth_normals(f->smooth, &lender, &smooth, &f->transform, normals),
                          0);
         assert_int_equal(f->lent, 0);
@@ -222,10 +176,6 @@ static void check(struct fixture *f)
             expected_normal(&f->mesh, f->weights, chunk->positions[v], expected);
             for (int a = 0; a < 3; a++)
                 assert_true(fabs((double)normals[v][a] - expected[a]) < 1e-6);
-        }
-        for (int axis = 0; axis < 3; axis++) {
-            f->lends = axis > 0;
-            assert_true(check_half(f, i, axis, (const float(*)[4])normals) > 0);
         }
         free(normals);
         free(read);

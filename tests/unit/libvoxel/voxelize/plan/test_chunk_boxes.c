@@ -84,7 +84,7 @@ static void make_boxes(const struct vox_fixture *f, double voxel_size, uint64_t 
         made->bounds[i] =
             vox_transform_box(&made->transform, infos[i].bounds_min, infos[i].bounds_max);
     assert_int_equal(vox_chunk_boxes_create(f->ctx, made->file, &made->transform, made->bounds,
-                                            NULL, bytes, &made->boxes, &made->count),
+                                            bytes, &made->boxes, &made->count),
                      0);
 }
 

@@ -73,7 +73,7 @@ static void check_schedule(const struct vox_chunk_box *boxes, uint32_t count)
     struct vox_schedule *schedule;
     struct bsq_ctx_options options = {.memory_bytes = 1 << 20, .threads = 1};
     assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    assert_int_equal(vox_schedule_create(ctx, boxes, count, NULL, &schedule), 0);
+    assert_int_equal(vox_schedule_create(ctx, boxes, count, &schedule), 0);
     struct vox_region_key key, after, due[20];
     uint32_t chunk;
     assert_true(count <= 20);
