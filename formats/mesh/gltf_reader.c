@@ -192,8 +192,9 @@ static int leave(struct stream_source *source)
     return fmt_gltf_close_buffers(source->ctx, file);
 }
 
-static int pass(struct stream_slot *slot, struct fmt_mesh_totals *totals)
+static int pass(struct stream_slot *slot)
 {
+    struct fmt_mesh_totals *totals = slot->source->reader->totals;
     fmt_stream_number_materials(slot);
     totals->split_vertices = true;
     totals->has_tangents |= ((struct gltf_source *)slot->source->data)->has_tangents;
@@ -201,7 +202,7 @@ static int pass(struct stream_slot *slot, struct fmt_mesh_totals *totals)
 }
 
 /* Warns of what is not read. Colours matter only if the caller uses them. */
-static int finish(struct stream_source *source, struct fmt_mesh_totals *totals)
+static int finish(struct stream_source *source)
 {
     const struct gltf_unread *unread = &((struct gltf_source *)source->data)->unread;
     const bool colors = source->reader->uses_colors;
@@ -229,7 +230,6 @@ static int finish(struct stream_source *source, struct fmt_mesh_totals *totals)
         {colors ? unread->variants : 0, true,
          "primitives have KHR_materials_variants, of which only the first material is read"},
     };
-    (void)totals;
     if (source->reader->read_before)
         return 0;
     return fmt_stream_warn_unread(source, kinds, sizeof kinds / sizeof *kinds);

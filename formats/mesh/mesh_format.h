@@ -188,10 +188,10 @@ struct fmt_mesh_format {
     /* Completes the arrays by what depends on earlier parts. Serial, in order. Called also if
      * slot->error is set, which is reported then. Changes of materials have numbers over the scan
      * after it. May be NULL. */
-    int (*pass)(struct stream_slot *slot, struct fmt_mesh_totals *totals);
+    int (*pass)(struct stream_slot *slot);
     /* Called for each file, in order, after all have been read. Warns of what was not read if the
      * reader's read_before is not set. May be NULL. */
-    int (*finish)(struct stream_source *source, struct fmt_mesh_totals *totals);
+    int (*finish)(struct stream_source *source);
     /* Adds a file to the estimate. bytes: of the unpacked file, exactly if it is plain. */
     int (*estimate)(const struct stream_source *source, uint64_t bytes, bool plain,
                     struct fmt_mesh_estimate *out);
@@ -231,7 +231,8 @@ struct fmt_mesh_reader {
     bool uses_colors; /* the caller previewed materials */
     bool has_colors;  /* of vertices, in any part that has passed */
     bool gltf_colors; /* a glTF file has colours of vertices */
-    bool painted, unpainted; /* files have late colours for each vertex; have not */
+    bool painted, unpainted;        /* files have late colours for each vertex; have not */
+    struct fmt_mesh_totals *totals; /* of the reading that goes on */
     struct stream_source *sources;
     uint32_t source_count;
     uint64_t material_count; /* numbers that were assigned */

@@ -196,27 +196,22 @@ static int allocate_triangles(struct loader *loader, uint32_t largest_face)
 {
     struct bsq_ctx *ctx = loader->ctx;
     struct fmt_mesh *mesh = loader->mesh;
-    uint64_t count = loader->corner_count - 2 * mesh->face_count;
-    int status = bsq_alloc(ctx, "triangles", count, sizeof *mesh->vertices, &mesh->vertices);
-    if (!status && loader->has_corners[1])
-        status = bsq_alloc(ctx, "triangles", count, sizeof *mesh->corner_texcoords,
-                           &mesh->corner_texcoords);
-    if (!status && loader->has_corners[2])
-        status =
-            bsq_alloc(ctx, "triangles", count, sizeof *mesh->corner_normals, &mesh->corner_normals);
-    if (!status)
-        status = bsq_alloc(ctx, "triangles", count, sizeof *mesh->faces, &mesh->faces);
-    if (!status)
-        status =
-            bsq_alloc(ctx, "a polygon", largest_face, sizeof *loader->polygon, &loader->polygon);
-    if (!status)
-        status = bsq_alloc(ctx, "a polygon", 3 * (uint64_t)largest_face, sizeof *loader->triangles,
-                           &loader->triangles);
-    if (!status)
-        status =
-            bsq_alloc(ctx, "a polygon", bsq_triangulate_scratch(largest_face), 1, &loader->scratch);
-    if (!status)
-        mesh->triangle_count = count;
+    const uint64_t count = loader->corner_count - 2 * mesh->face_count;
+    int status;
+    BSQ_TRY(bsq_alloc(ctx, "triangles", count, sizeof *mesh->vertices, &mesh->vertices));
+    if (loader->has_corners[1])
+        BSQ_TRY(bsq_alloc(ctx, "triangles", count, sizeof *mesh->corner_texcoords,
+                          &mesh->corner_texcoords));
+    if (loader->has_corners[2])
+        BSQ_TRY(bsq_alloc(ctx, "triangles", count, sizeof *mesh->corner_normals,
+                          &mesh->corner_normals));
+    BSQ_TRY(bsq_alloc(ctx, "triangles", count, sizeof *mesh->faces, &mesh->faces));
+    BSQ_TRY(bsq_alloc(ctx, "a polygon", largest_face, sizeof *loader->polygon, &loader->polygon));
+    BSQ_TRY(bsq_alloc(ctx, "a polygon", largest_face, 3 * sizeof *loader->triangles,
+                      &loader->triangles));
+    status =
+        bsq_alloc(ctx, "a polygon", bsq_triangulate_scratch(largest_face), 1, &loader->scratch);
+done:
     return status;
 }
 
@@ -293,13 +288,11 @@ static int load(struct loader *loader, const char *path)
 {
     struct fmt_mesh *mesh = loader->mesh;
     struct fmt_mesh_totals totals;
-    int status = fmt_mesh_open(loader->ctx, &path, 1, &loader->reader);
-    if (!status && loader->parts)
+    int status;
+    BSQ_TRY(fmt_mesh_open(loader->ctx, &path, 1, &loader->reader));
+    if (loader->parts)
         fmt_mesh_use_objects(loader->reader);
-    if (!status)
-        status = fmt_mesh_read(loader->reader, collect, loader, &totals);
-    if (status)
-        return status;
+    BSQ_TRY(fmt_mesh_read(loader->reader, collect, loader, &totals));
     mesh->vertex_count = totals.vertices;
     mesh->texcoord_count = totals.texcoords;
     mesh->normal_count = totals.normals;
@@ -309,21 +302,17 @@ static int load(struct loader *loader, const char *path)
     if (totals.faces == 0)
         return fmt_mesh_fail_no_faces(loader->ctx, path, &totals);
     const uint64_t counts[3] = {totals.vertices, totals.texcoords, totals.normals};
-    status = check_corners(loader, counts);
-    if (!status)
-        status = fmt_mesh_report_loss(loader->reader, FMT_MESH_NORMAL, loader->lost_normals.count,
-                                      loader->lost_normals.face, totals.faces);
-    if (!status)
-        status = fmt_mesh_report_loss(loader->reader, FMT_MESH_VERTEX, loader->lost_faces.count,
-                                      loader->lost_faces.face, totals.faces);
-    if (!status)
-        status = hash_faces(loader);
-    if (!status)
-        status = make_triangles(loader);
-    if (!status)
-        normalise(mesh);
-    if (!status && loader->parts)
+    BSQ_TRY(check_corners(loader, counts));
+    BSQ_TRY(fmt_mesh_report_loss(loader->reader, FMT_MESH_NORMAL, loader->lost_normals.count,
+                                 loader->lost_normals.face, totals.faces));
+    BSQ_TRY(fmt_mesh_report_loss(loader->reader, FMT_MESH_VERTEX, loader->lost_faces.count,
+                                 loader->lost_faces.face, totals.faces));
+    BSQ_TRY(hash_faces(loader));
+    BSQ_TRY(make_triangles(loader));
+    normalise(mesh);
+    if (loader->parts)
         status = fmt_mesh_read_materials(loader->reader, &mesh->parts);
+done:
     return status;
 }
 

@@ -25,6 +25,7 @@ int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials
         BSQ_TRY(bsq_calloc(reader->ctx, "a list of materials and of colours of faces",
                            reader->material_count, sizeof *out->list, &out->list));
     out->count = (uint32_t)reader->material_count;
+    out->capacity = reader->material_count;
     for (uint32_t i = 0; i < reader->source_count; i++) {
         struct stream_source *source = &reader->sources[i];
         if (!source->format->read_materials)

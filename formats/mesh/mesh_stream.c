@@ -14,7 +14,6 @@ struct job {
     struct fmt_mesh_reader *reader;
     const struct fmt_mesh_steps *steps;
     void *arg;
-    struct fmt_mesh_totals *totals;
     struct stream_slot *slots;
     struct stream_part cut; /* the last part that was cut */
     uint32_t source;        /* file of the last part that passed */
@@ -225,7 +224,7 @@ static int number_first_materials(struct stream_source *source)
 /* Moves on to the file of the next part. The parts of earlier files have all been parsed. */
 static int enter_source(struct job *job, struct stream_source *source)
 {
-    const struct fmt_mesh_totals *totals = job->totals;
+    const struct fmt_mesh_totals *totals = job->reader->totals;
     int status = 0;
     for (uint32_t i = job->source; i < source->number; i++)
         BSQ_TRY(leave_file(&job->reader->sources[i]));
@@ -297,7 +296,7 @@ static int add_place(const struct job *job, const struct stream_slot *slot)
         FMT_RESERVE(reader->ctx, reader->place_count + 1, reader->places, reader->place_capacity);
     if (!status)
         reader->places[reader->place_count++] =
-            (struct stream_place){.part = slot->part, .face_base = job->totals->faces};
+            (struct stream_place){.part = slot->part, .face_base = job->reader->totals->faces};
     return status;
 }
 
@@ -349,7 +348,7 @@ static void show_arrays(const struct mesh_arrays *a, struct fmt_mesh_block *bloc
 
 static int call_on_block(const struct job *job, struct stream_slot *slot, uint64_t sequence)
 {
-    const struct fmt_mesh_totals *totals = job->totals;
+    const struct fmt_mesh_totals *totals = job->reader->totals;
     const struct stream_source *source = slot->source;
     slot->view = (struct fmt_mesh_block){
         .sequence = sequence,
@@ -375,7 +374,7 @@ static void count_part(struct job *job, const struct stream_slot *slot)
 {
     const struct mesh_arrays *arrays = &slot->arrays;
     struct stream_source *source = slot->source;
-    struct fmt_mesh_totals *totals = job->totals;
+    struct fmt_mesh_totals *totals = job->reader->totals;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         source->count[kind] += arrays->count[kind];
     source->late_color_count += arrays->late_color_count;
@@ -402,7 +401,7 @@ static int emit(void *arg, void *slot_memory, uint64_t sequence)
     if (sequence == 0 || source->number != job->source)
         BSQ_TRY(enter_source(job, source));
     if (source->format->pass)
-        BSQ_TRY(source->format->pass(slot, job->totals));
+        BSQ_TRY(source->format->pass(slot));
     if (slot->error[0])
         return fail_part(slot);
     if (slot->part.end < job->passed) /* the part lies within the one before */
@@ -518,7 +517,8 @@ static int warn_oddities(const struct fmt_mesh_reader *reader)
 int fmt_stream_read(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps, void *arg,
                     struct fmt_mesh_totals *totals)
 {
-    struct job job = {.reader = reader, .steps = steps, .arg = arg, .totals = totals};
+    struct job job = {.reader = reader, .steps = steps, .arg = arg};
+    reader->totals = totals;
     reader->place_count = reader->note_count = 0;
     reader->painted = reader->unpainted = false;
     int status = run_job(&job);
@@ -528,7 +528,7 @@ int fmt_stream_read(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps 
     }
     for (uint32_t i = 0; i < reader->source_count && !status; i++)
         if (reader->sources[i].format->finish)
-            status = reader->sources[i].format->finish(&reader->sources[i], totals);
+            status = reader->sources[i].format->finish(&reader->sources[i]);
     if (!status && !reader->read_before)
         status = warn_oddities(reader);
     reader->read_before |= status == 0;

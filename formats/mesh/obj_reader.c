@@ -299,7 +299,7 @@ static void begin_reading(struct stream_source *source)
 
 /* Errors are reported in the order of the file: first the relative indices of the faces that were
  * parsed, then the place where the parser stopped. */
-static int pass(struct stream_slot *slot, struct fmt_mesh_totals *totals)
+static int pass(struct stream_slot *slot)
 {
     struct stream_source *source = slot->source;
     struct obj_file *file = source->data;
@@ -321,14 +321,14 @@ static int pass(struct stream_slot *slot, struct fmt_mesh_totals *totals)
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         file->known += slot->arrays.count[kind];
     file->unknown += unknown;
-    totals->skipped_lines += unknown;
+    source->reader->totals->skipped_lines += unknown;
     status = check_is_obj(source, PATIENCE_LINES - 1);
 done:
     return status;
 }
 
 /* Checks that ZBrush's comments have a colour for each vertex of each file, or none at all. */
-static int finish(struct stream_source *source, struct fmt_mesh_totals *totals)
+static int finish(struct stream_source *source)
 {
     struct fmt_mesh_reader *reader = source->reader;
     const struct obj_file *file = source->data;
@@ -336,8 +336,9 @@ static int finish(struct stream_source *source, struct fmt_mesh_totals *totals)
     reader->unpainted |=
         file->bad_paint || source->late_color_count != source->count[FMT_MESH_VERTEX];
     if (reader->painted && reader->unpainted)
-        totals->unread_colors = "ZBrush's polypaint is not used, as it is not one colour for each "
-                                "vertex: export a texture of it for --texture";
+        reader->totals->unread_colors =
+            "ZBrush's polypaint is not used, as it is not one colour for each "
+            "vertex: export a texture of it for --texture";
     return check_is_obj(source, 0);
 }
 

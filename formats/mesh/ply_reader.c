@@ -206,10 +206,9 @@ done:
     return status;
 }
 
-static int pass(struct stream_slot *slot, struct fmt_mesh_totals *totals)
+static int pass(struct stream_slot *slot)
 {
     const struct ply_source *file = slot->source->data;
-    (void)totals;
     if (slot->part.kind == PLY_PART_REST)
         return warn_rest(slot);
     return file->tags != PLY_TAGS_NONE ? find_materials(slot) : 0;
@@ -259,13 +258,12 @@ done:
 /* ---- warnings ---- */
 
 /* Warns of elements, properties, colours and textures that are not used. */
-static int finish(struct stream_source *source, struct fmt_mesh_totals *totals)
+static int finish(struct stream_source *source)
 {
     const struct ply_source *file = source->data;
     const struct ply_element *faces = fmt_ply_find_element(&file->header, PLY_FACES);
     const bool textured = file->tags == PLY_TAGS_TEXTURE;
     int status = 0;
-    (void)totals;
     if (source->reader->read_before)
         return 0;
     fmt_ply_warn_unread(source->ctx, source->path, &file->header);

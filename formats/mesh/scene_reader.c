@@ -210,9 +210,10 @@ static int parse(struct stream_slot *slot)
     return slot->part.kind == 0 ? copy_vertices(slot) : copy_faces(slot);
 }
 
-static int pass(struct stream_slot *slot, struct fmt_mesh_totals *totals)
+static int pass(struct stream_slot *slot)
 {
     const struct fmt_scene *s = &((struct scene_file *)slot->source->data)->scene;
+    struct fmt_mesh_totals *totals = slot->source->reader->totals;
     fmt_stream_number_materials(slot);
     totals->has_tangents |= s->has_tangents;
     totals->split_vertices = true;
@@ -239,7 +240,7 @@ static uint64_t count_clamped(const struct fmt_scene *s)
 }
 
 /* Warns of what is not read, or not finite. Colours matter only if the caller uses them. */
-static int finish(struct stream_source *source, struct fmt_mesh_totals *totals)
+static int finish(struct stream_source *source)
 {
     const struct fmt_scene *s = &((struct scene_file *)source->data)->scene;
     const bool colors = source->reader->uses_colors;
@@ -256,7 +257,6 @@ static int finish(struct stream_source *source, struct fmt_mesh_totals *totals)
         {colors ? count_clamped(s) : 0, true,
          "meshes have a diffuse colour out of range, which was clamped"},
     };
-    (void)totals;
     if (source->reader->read_before)
         return 0;
     return fmt_stream_warn_unread(source, kinds, sizeof kinds / sizeof *kinds);

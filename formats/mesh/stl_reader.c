@@ -329,11 +329,10 @@ static int parse(struct stream_slot *slot)
 }
 
 /* Warns of bytes after the last triangle. */
-static int pass(struct stream_slot *slot, struct fmt_mesh_totals *totals)
+static int pass(struct stream_slot *slot)
 {
     const struct stream_source *source = slot->source;
     struct stl_source *file = source->data;
-    (void)totals;
     file->open_solids = slot->balance + (slot->part.offset > 0 ? file->open_solids : 0);
     if (file->kind != STL_TEXT && slot->part.items == 0 && !source->reader->read_before)
         return bsq_warn_loss(source->ctx, "%s: %" PRIu64 " bytes after the last triangle not read",
@@ -341,10 +340,9 @@ static int pass(struct stream_slot *slot, struct fmt_mesh_totals *totals)
     return 0;
 }
 
-static int finish(struct stream_source *source, struct fmt_mesh_totals *totals)
+static int finish(struct stream_source *source)
 {
     const struct stl_source *file = source->data;
-    (void)totals;
     if (file->kind != STL_TEXT || file->open_solids <= 0 || source->reader->read_before)
         return 0;
     return bsq_warn_loss(source->ctx, "%s: \"endsolid\" is missing: the file may be incomplete",

@@ -3,7 +3,7 @@
  * Neighbours in the file are mostly neighbours in space, so consecutive triangles in one bucket are
  * noted as one span. triangulate_code.c then codes the spans of each bucket. */
 #include "base/polygon.h"
-#include "libvoxel/partition/triangulate_internal.h"
+#include "libvoxel/partition/triangulate.h"
 
 /* Corners are prefetched this far ahead: files without order wait for memory otherwise. */
 #define CORNERS_AHEAD 48

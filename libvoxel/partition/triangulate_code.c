@@ -4,7 +4,7 @@
  * the file have no order. There is a fast path for most scans, whose blocks have triangles with
  * positions alone and one material: these are coded while their buckets are found, so each change
  * of the bucket ends a run. That pays as long as neighbours in the file are neighbours in space. */
-#include "libvoxel/partition/triangulate_internal.h"
+#include "libvoxel/partition/triangulate.h"
 
 /* ---- runs ---- */
 

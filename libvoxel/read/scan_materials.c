@@ -236,17 +236,6 @@ done:
     return status;
 }
 
-/* Adds an entry for faces without a material. */
-static int add_rest(struct bsq_ctx *ctx, struct fmt_materials *found)
-{
-    uint64_t capacity = found->count;
-    int status = bsq_grow(ctx, "materials", found->count + UINT64_C(1), sizeof *found->list,
-                          &found->list, &capacity);
-    if (status == 0)
-        found->list[found->count++] = (struct fmt_material){0};
-    return status;
-}
-
 /* Faces whose texture cannot be used, as they have no texture coordinates. */
 struct bare_faces {
     uint64_t count;
@@ -325,12 +314,13 @@ static int use_single_texture(struct scan *scan, struct fmt_mesh_reader *reader,
                               const char *texture_path, struct scan_textures *textures)
 {
     struct fmt_materials found = {0};
+    struct fmt_material *rest;
     struct bare_faces bare = {0};
     int status = bsq_note_texture(scan->ctx, texture_path, "the texture");
     if (status == 0 && keeps_materials(scan))
         status = fmt_mesh_read_materials(reader, &found);
     if (status == 0)
-        status = add_rest(scan->ctx, &found);
+        status = fmt_materials_add(scan->ctx, &found, &rest); /* faces without a material */
     /* The second check is for the alpha of the image. */
     if (status == 0 && scan->channel_count > 0)
         status = vox_textures_check(scan->ctx, &found, true, textures);
