@@ -251,18 +251,18 @@ int fmt_gltf_open_document(struct bsq_ctx *ctx, struct fmt_input *input, struct 
     uint8_t head[GLB_HEADER] = {0};
     uint64_t got = 0;
     *out = (struct gltf_document){.ctx = ctx, .input = input, .file = BSQ_FILE_CLOSED};
-    int status = fmt_input_whole(input, &out->file);
-    if (!status)
-        status = bsq_file_read_some(ctx, &out->file, head, sizeof head, 0, &got);
+    int status;
+    BSQ_TRY(fmt_input_whole(input, &out->file));
+    BSQ_TRY(bsq_file_read_some(ctx, &out->file, head, sizeof head, 0, &got));
     out->json_bytes = out->file.size;
-    if (!status && got == sizeof head && memcmp(head, "glTF", 4) == 0)
-        status = find_chunks(out, head);
-    if (!status)
-        status = read_text(out, &text);
-    if (!status)
-        status = parse_text(out, &text);
+    if (got == sizeof head && memcmp(head, "glTF", 4) == 0)
+        BSQ_TRY(find_chunks(out, head));
+    BSQ_TRY(read_text(out, &text));
+    BSQ_TRY(parse_text(out, &text));
+    status = check_version(out);
+done:
     bsq_free(ctx, text.text);
-    return status ? status : check_version(out);
+    return status;
 }
 
 void fmt_gltf_close_document(struct gltf_document *document)

@@ -33,15 +33,13 @@ static int read_attribute(const struct gltf_place *place, const struct gltf_sour
 static int read_attributes(const struct gltf_place *place, const struct gltf_source *source,
                            const json_t *object, const char *texcoord, struct gltf_primitive *out)
 {
-    int status = read_attribute(place, source, object, "POSITION", 3, 3, &out->position);
-    if (!status)
-        status = read_attribute(place, source, object, "NORMAL", 3, 3, &out->normal);
-    if (!status)
-        status = read_attribute(place, source, object, texcoord, 2, 2, &out->texcoord);
-    if (!status)
-        status = read_attribute(place, source, object, "COLOR_0", 3, 4, &out->color);
-    if (status || out->position == GLTF_NONE)
-        return status;
+    int status;
+    BSQ_TRY(read_attribute(place, source, object, "POSITION", 3, 3, &out->position));
+    BSQ_TRY(read_attribute(place, source, object, "NORMAL", 3, 3, &out->normal));
+    BSQ_TRY(read_attribute(place, source, object, texcoord, 2, 2, &out->texcoord));
+    BSQ_TRY(read_attribute(place, source, object, "COLOR_0", 3, 4, &out->color));
+    if (out->position == GLTF_NONE)
+        return 0;
     const uint32_t others[] = {out->normal, out->texcoord, out->color};
     const uint64_t vertices = source->accessors[out->position].count;
     for (int i = 0; i < 3; i++)
@@ -49,7 +47,8 @@ static int read_attributes(const struct gltf_place *place, const struct gltf_sou
             return fmt_gltf_fail(place,
                                  "an attribute has %" PRIu64 " elements, POSITION has %" PRIu64,
                                  source->accessors[others[i]].count, vertices);
-    return 0;
+done:
+    return status;
 }
 
 static int read_indices(const struct gltf_place *place, struct gltf_source *source,

@@ -254,18 +254,17 @@ static int unpack(struct bsq_ctx *ctx, struct gltf_source *source,
     const struct bsq_file *file = buffer->path ? &buffer->file : &source->own;
     const uint64_t size = packed->is_draco ? packed->draco.size : packed->meshopt.size;
     uint8_t *from = NULL, *to = NULL;
-    int status = bsq_alloc(ctx, "a compressed part of a glTF file", size, 1, &from);
-    if (!status)
-        status = bsq_calloc(ctx, "a decompressed part of a glTF file", packed->bytes, 1, &to);
-    if (!status)
-        status = bsq_part_read(ctx, file, &buffer->part, from, size, packed->offset);
-    if (!status)
-        status = decode(ctx, module, source->own.path, packed, from, to);
-    if (!status)
-        status = bsq_file_append(ctx, &source->decoded, to, packed->bytes);
+    int status;
+    BSQ_TRY(bsq_alloc(ctx, "a compressed part of a glTF file", size, 1, &from));
+    BSQ_TRY(bsq_calloc(ctx, "a decompressed part of a glTF file", packed->bytes, 1, &to));
+    BSQ_TRY(bsq_part_read(ctx, file, &buffer->part, from, size, packed->offset));
+    BSQ_TRY(decode(ctx, module, source->own.path, packed, from, to));
+    BSQ_TRY(bsq_file_append(ctx, &source->decoded, to, packed->bytes));
+    status = bsq_check(ctx);
+done:
     bsq_free(ctx, from);
     bsq_free(ctx, to);
-    return status ? status : bsq_check(ctx);
+    return status;
 }
 
 int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source)
@@ -273,13 +272,13 @@ int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source)
     const struct fmt_module *module = NULL;
     if (source->packed_count == 0 || source->decoded.fd >= 0)
         return 0;
-    int status = fmt_module_open(ctx, "gltf", "compressed glTF files", &module);
-    if (!status)
-        status = bsq_require_disk(ctx, NULL, source->decoded_bytes);
-    if (!status)
-        status = bsq_file_temp(ctx, NULL, "a decompressed glTF file", &source->decoded);
-    for (uint32_t i = 0; i < source->packed_count && !status; i++)
-        status = unpack(ctx, source, (const struct fmt_gltf_module *)module, &source->packed[i]);
+    int status;
+    BSQ_TRY(fmt_module_open(ctx, "gltf", "compressed glTF files", &module));
+    BSQ_TRY(bsq_require_disk(ctx, NULL, source->decoded_bytes));
+    BSQ_TRY(bsq_file_temp(ctx, NULL, "a decompressed glTF file", &source->decoded));
+    for (uint32_t i = 0; i < source->packed_count; i++)
+        BSQ_TRY(unpack(ctx, source, (const struct fmt_gltf_module *)module, &source->packed[i]));
+done:
     if (status)
         bsq_file_close(ctx, &source->decoded);
     return status;

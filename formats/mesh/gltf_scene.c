@@ -280,20 +280,19 @@ int fmt_gltf_read_scene(struct gltf_document *document, struct gltf_source *sour
     struct walk w = {
         .document = document, .source = source, .node_count = fmt_gltf_count(document, "nodes")};
     const uint64_t most = w.node_count > 0 ? w.node_count : source->mesh_count;
-    int status =
-        bsq_calloc(ctx, "glTF nodes", most + 1, sizeof *source->placements, &source->placements);
-    if (!status)
-        status = bsq_calloc(ctx, "glTF nodes", w.node_count + 1, sizeof *w.stack, &w.stack);
-    if (!status)
-        status = bsq_calloc(ctx, "glTF nodes", w.node_count + 1, 2, &w.seen);
-    if (!status && w.node_count == 0)
-        status = place_all(&w);
-    else if (!status && fmt_gltf_count(document, "scenes") == 0)
-        status = visit_all_roots(&w, w.seen + w.node_count);
-    else if (!status)
-        status = visit_scene(&w);
-    if (!status)
-        count_outside(&w);
+    int status;
+    BSQ_TRY(
+        bsq_calloc(ctx, "glTF nodes", most + 1, sizeof *source->placements, &source->placements));
+    BSQ_TRY(bsq_calloc(ctx, "glTF nodes", w.node_count + 1, sizeof *w.stack, &w.stack));
+    BSQ_TRY(bsq_calloc(ctx, "glTF nodes", w.node_count + 1, 2, &w.seen));
+    if (w.node_count == 0)
+        BSQ_TRY(place_all(&w));
+    else if (fmt_gltf_count(document, "scenes") == 0)
+        BSQ_TRY(visit_all_roots(&w, w.seen + w.node_count));
+    else
+        BSQ_TRY(visit_scene(&w));
+    count_outside(&w);
+done:
     bsq_free(ctx, w.stack);
     bsq_free(ctx, w.seen);
     return status;

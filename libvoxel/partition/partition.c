@@ -176,15 +176,16 @@ static int make_buckets(struct reading *r, uint64_t page_memory, uint32_t max_le
     uint64_t page_bytes;
     out->cube = morton_cube_over(scan->bounds_min, scan->bounds_max);
     choose_levels(scan->limits, triangles, page_memory, max_levels, &out->levels, &page_bytes);
-    int status = vox_buckets_init(&out->buckets, scan->ctx, r->beside, 1u << 3 * out->levels,
-                                  page_bytes, page_memory);
-    if (status == 0)
-        status = bsq_calloc(scan->ctx, "vertices in use", used_words(vertices), sizeof *out->used,
-                            &out->used);
-    if (status == 0 && scan->streams[SCAN_POSITIONS].spill.spilled) {
-        status = vox_vertex_buckets_make(scan, &out->cube, out->levels, &r->vertex_buckets);
+    int status;
+    BSQ_TRY(vox_buckets_init(&out->buckets, scan->ctx, r->beside, 1u << 3 * out->levels, page_bytes,
+                             page_memory));
+    BSQ_TRY(bsq_calloc(scan->ctx, "vertices in use", used_words(vertices), sizeof *out->used,
+                       &out->used));
+    if (scan->streams[SCAN_POSITIONS].spill.spilled) {
+        BSQ_TRY(vox_vertex_buckets_make(scan, &out->cube, out->levels, &r->vertex_buckets));
         out->vertices_lack_order = !r->vertex_buckets.have_order;
     }
+done:
     return status;
 }
 

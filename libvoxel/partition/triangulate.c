@@ -49,13 +49,13 @@ static int reserve_polygon(struct triangulator *t, uint32_t max_size)
     if (t->plan->vertex_buckets)
         return bsq_grow(t->ctx, what, max_size, sizeof *t->fan_buckets, &t->fan_buckets,
                         &t->fan_capacity);
-    if ((status = bsq_grow(t->ctx, what, max_size, sizeof *t->polygon, &t->polygon,
-                           &t->polygon_capacity[0])) < 0 ||
-        (status = bsq_grow(t->ctx, what, max_size, 12, &t->polygon_triangles,
-                           &t->polygon_capacity[1])) < 0)
-        return status;
-    return bsq_grow(t->ctx, what, bsq_triangulate_scratch(max_size), 1, &t->polygon_scratch,
-                    &t->polygon_capacity[2]);
+    BSQ_TRY(
+        bsq_grow(t->ctx, what, max_size, sizeof *t->polygon, &t->polygon, &t->polygon_capacity[0]));
+    BSQ_TRY(bsq_grow(t->ctx, what, max_size, 12, &t->polygon_triangles, &t->polygon_capacity[1]));
+    status = bsq_grow(t->ctx, what, bsq_triangulate_scratch(max_size), 1, &t->polygon_scratch,
+                      &t->polygon_capacity[2]);
+done:
+    return status;
 }
 
 /* ---- triangles ---- */
@@ -268,14 +268,14 @@ int vox_triangulate_block(struct triangulator *t, const struct fmt_mesh_block *b
         .sizes = max_size > 3 ? block->face_sizes : NULL,
         .indices = {block->corner_vertices, block->corner_texcoords, block->corner_normals}};
     const uint64_t triangles = block->corner_count - 2 * block->face_count;
-    bool done;
-    int status = vox_triangulate_plain(t, &faces, &done);
-    if (status < 0 || done)
+    bool plain;
+    int status = vox_triangulate_plain(t, &faces, &plain);
+    if (status < 0 || plain)
         return status;
-    status = reserve_triangles(t, triangles, triangles);
-    if (status == 0)
-        status = reserve_polygon(t, max_size);
-    if (status == 0)
-        status = add_faces(t, &faces);
-    return status < 0 ? status : vox_triangulate_code_spans(t, &faces);
+    BSQ_TRY(reserve_triangles(t, triangles, triangles));
+    BSQ_TRY(reserve_polygon(t, max_size));
+    BSQ_TRY(add_faces(t, &faces));
+    status = vox_triangulate_code_spans(t, &faces);
+done:
+    return status;
 }

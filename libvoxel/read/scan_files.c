@@ -135,17 +135,20 @@ static int compare_colors(const struct scan *scan)
             continue;
         add(file->has_material_colors ? &materials : &vertices, i);
     }
-    int status = warn(scan, &paint, true,
-                      "ZBrush's polypaint is not used beside files without it: export a texture of "
-                      "it, or vertex colours");
-    if (status == 0)
-        status = warn(scan, &materials, true,
-                      "colours of materials are not used, because other files of the scan have "
-                      "vertex colours");
-    return status ? status
-                  : warn(scan, &vertices, false,
-                         "no vertex colours, so what has no texture is white; other files of the "
-                         "scan have vertex colours");
+    int status;
+    BSQ_TRY(
+        warn(scan, &paint, true,
+             "ZBrush's polypaint is not used beside files without it: export a texture of it, or "
+             "vertex colours"));
+    BSQ_TRY(warn(scan, &materials, true,
+                 "colours of materials are not used, because other files of the scan have vertex "
+                 "colours"));
+    status =
+        warn(scan, &vertices, false,
+             "no vertex colours, so what has no texture is white; other files of the scan have "
+             "vertex colours");
+done:
+    return status;
 }
 
 /* Warns of files without faces, which add nothing to the scan. */
@@ -161,10 +164,12 @@ static int report_faceless(const struct scan *scan)
                                                        : &faces,
                 i);
     }
-    int status = warn(scan, &bytes, true, "an empty file, it adds nothing to the scan");
-    if (status == 0)
-        status = warn(scan, &points, true, "no faces, only vertices; it adds nothing to the scan");
-    return status ? status : warn(scan, &faces, true, "no faces; it adds nothing to the scan");
+    int status;
+    BSQ_TRY(warn(scan, &bytes, true, "an empty file, it adds nothing to the scan"));
+    BSQ_TRY(warn(scan, &points, true, "no faces, only vertices; it adds nothing to the scan"));
+    status = warn(scan, &faces, true, "no faces; it adds nothing to the scan");
+done:
+    return status;
 }
 
 int vox_scan_compare_files(struct scan *scan, const char *texture_path)
@@ -180,13 +185,12 @@ int vox_scan_compare_files(struct scan *scan, const char *texture_path)
             !file->has_texcoords)
             add(&texcoords, i);
     }
-    int status = report_faceless(scan);
-    if (status == 0)
-        status = compare_colors(scan);
-    if (status == 0)
-        status = warn(scan, &texcoords, true, "no texture coordinates, --texture is not used");
-    return status ? status
-                  : warn(scan, &normals, false,
-                         "no normals, so its facets stay flat; other files of the scan have "
-                         "normals");
+    int status;
+    BSQ_TRY(report_faceless(scan));
+    BSQ_TRY(compare_colors(scan));
+    BSQ_TRY(warn(scan, &texcoords, true, "no texture coordinates, --texture is not used"));
+    status = warn(scan, &normals, false,
+                  "no normals, so its facets stay flat; other files of the scan have normals");
+done:
+    return status;
 }

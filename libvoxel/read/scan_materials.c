@@ -170,18 +170,17 @@ static int add_material(struct scan *scan, const char *path, const float diffuse
 
 static int allocate_tables(struct scan *scan, uint32_t usemtl_count)
 {
+    const uint64_t entries = 2 * ((uint64_t)usemtl_count + 1);
+    int status;
     scan->usemtl_count = usemtl_count;
-    uint64_t entries = 2 * ((uint64_t)usemtl_count + 1);
-    int status =
-        bsq_alloc(scan->ctx, "materials", entries, sizeof *scan->material_map, &scan->material_map);
-    if (status == 0)
-        status = bsq_calloc(scan->ctx, "a table of materials and of colours of faces", entries,
-                            sizeof *scan->materials, &scan->materials);
-    if (status == 0)
-        memset(scan->material_map, 0xff, entries * sizeof *scan->material_map);
-    if (status == 0)
-        status = bsq_calloc(scan->ctx, "channels", scan->channel_count + UINT64_C(1),
-                            sizeof *scan->found_channels, &scan->found_channels);
+    BSQ_TRY(bsq_alloc(scan->ctx, "materials", entries, sizeof *scan->material_map,
+                      &scan->material_map));
+    memset(scan->material_map, 0xff, entries * sizeof *scan->material_map);
+    BSQ_TRY(bsq_calloc(scan->ctx, "a table of materials and of colours of faces", entries,
+                       sizeof *scan->materials, &scan->materials));
+    status = bsq_calloc(scan->ctx, "channels", scan->channel_count + UINT64_C(1),
+                        sizeof *scan->found_channels, &scan->found_channels);
+done:
     return status;
 }
 
@@ -316,25 +315,23 @@ static int use_single_texture(struct scan *scan, struct fmt_mesh_reader *reader,
     struct fmt_materials found = {0};
     struct fmt_material *rest;
     struct bare_faces bare = {0};
-    int status = bsq_note_texture(scan->ctx, texture_path, "the texture");
-    if (status == 0 && keeps_materials(scan))
-        status = fmt_mesh_read_materials(reader, &found);
-    if (status == 0)
-        status = fmt_materials_add(scan->ctx, &found, &rest); /* faces without a material */
-    /* The second check is for the alpha of the image. */
-    if (status == 0 && scan->channel_count > 0)
-        status = vox_textures_check(scan->ctx, &found, true, textures);
-    if (status == 0)
-        status = vox_scan_use_alpha(scan, textures, texture_path, &found);
-    if (status == 0 && scan->channel_count > 0)
-        status = vox_textures_check(scan->ctx, &found, true, textures);
-    if (status == 0)
-        status = add_single_texture(scan, texture_path, textures, &found);
+    int status;
+    BSQ_TRY(bsq_note_texture(scan->ctx, texture_path, "the texture"));
+    if (keeps_materials(scan))
+        BSQ_TRY(fmt_mesh_read_materials(reader, &found));
+    BSQ_TRY(fmt_materials_add(scan->ctx, &found, &rest)); /* faces without a material */
+    if (scan->channel_count > 0)
+        BSQ_TRY(vox_textures_check(scan->ctx, &found, true, textures));
+    BSQ_TRY(vox_scan_use_alpha(scan, textures, texture_path, &found));
+    if (scan->channel_count > 0) /* again, for the alpha of the image */
+        BSQ_TRY(vox_textures_check(scan->ctx, &found, true, textures));
+    BSQ_TRY(add_single_texture(scan, texture_path, textures, &found));
     add_bare(scan->without_material.bare_faces, texture_path, &bare);
     for (uint64_t i = 0; i < scan->material_use_count; i++)
         add_bare(scan->material_uses[i].bare_faces, texture_path, &bare);
-    if (status == 0 && scan->file_count == 1) /* vox_scan_compare_files() warns of several */
+    if (scan->file_count == 1) /* vox_scan_compare_files() warns of several */
         status = warn_of_bare_faces(scan, &bare);
+done:
     fmt_materials_free(scan->ctx, &found);
     return status;
 }
@@ -446,27 +443,21 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                             const char *texture_path, struct scan_textures *textures,
                             enum bsq_ids ids)
 {
+    int status;
     scan->ids = ids;
-    int status = check_ids(scan);
-    if (status == 0)
-        status = allocate_tables(scan, scan->totals.materials);
-    if (status < 0)
-        return status;
+    BSQ_TRY(check_ids(scan));
+    BSQ_TRY(allocate_tables(scan, scan->totals.materials));
     if (!texture_path)
-        status = use_own_materials(scan, reader, textures);
+        BSQ_TRY(use_own_materials(scan, reader, textures));
     else if (scan_count(scan, SCAN_TEXCOORDS) > 0)
-        status = use_single_texture(scan, reader, texture_path, textures);
+        BSQ_TRY(use_single_texture(scan, reader, texture_path, textures));
     else
-        status = bsq_warn_loss(scan->ctx, "%s: no texture coordinates, %s is not used",
-                               scan->paths[0], texture_path);
-    if (status == 0)
-        status = whiten_colorless(scan);
-    if (status == 0)
-        note_material_colors(scan);
-    if (status == 0)
-        warn_without_names(scan);
-    if (status == 0)
-        status = check_channels(scan);
+        BSQ_TRY(bsq_warn_loss(scan->ctx, "%s: no texture coordinates, %s is not used",
+                              scan->paths[0], texture_path));
+    BSQ_TRY(whiten_colorless(scan));
+    note_material_colors(scan);
+    warn_without_names(scan);
+    BSQ_TRY(check_channels(scan));
     scan->attributes = (scan->has_colors ? FMT_TRIS_COLORS : 0) |
                        (scan->has_normals ? FMT_TRIS_NORMALS : 0) |
                        (scan->material_count > 0 ? FMT_TRIS_MATERIALS : 0);
@@ -478,5 +469,6 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
         if (textured)
             scan->attributes |= FMT_TRIS_TEXCOORDS;
     }
+done:
     return status;
 }
