@@ -193,22 +193,6 @@ $(BUILD)/gen/kernel-$(PTX).ptx: libbake/kernel/bake.cl libbake/kernel/check_ptx.
 $(BUILD)/gen/kernel_ptx.inc: $(BUILD)/gen/kernel-$(PTX).ptx libbake/kernel/embed.awk
 	{ awk -f libbake/kernel/embed.awk $< && echo '""'; } > $@
 
-# A checksum of all sources that a chunk file or a grid may depend on, see libvoxel/job_record.c.
-chunk_sources := $(sort $(shell find base formats libvoxel -name '*.c' -o -name '*.cc' \
-    -o -name '*.h'))
-$(BUILD)/gen/chunk_sources.inc: $(chunk_sources) Makefile
-	@mkdir -p $(@D)
-	cat $(chunk_sources) | cksum | awk '{ printf "\"%08x\"\n", $$1 }' > $@
-$(BUILD)/obj/libvoxel/job_record.c.o: $(BUILD)/gen/chunk_sources.inc
-
-# The same of all sources that the maps of a plan may depend on, see libbake/farm/farm_plan.c.
-bake_sources := $(sort $(shell find base formats libbake -name '*.c' -o -name '*.cc' \
-    -o -name '*.h' -o -name '*.cl'))
-$(BUILD)/gen/bake_sources.inc: $(bake_sources) Makefile
-	@mkdir -p $(@D)
-	cat $(bake_sources) | cksum | awk '{ printf "\"%08x\"\n", $$1 }' > $@
-$(BUILD)/obj/libbake/farm/farm_plan.c.o: $(BUILD)/gen/bake_sources.inc
-
 # A program is made of tools/bisque-NAME.c, tools/NAME_*.c and tools/cli*.c.
 define program
 $(BUILD)/bin/bisque-$(1): $(patsubst %,$(BUILD)/obj/%.o,tools/bisque-$(1).c \

@@ -6,7 +6,7 @@
  * file that was sorted alone. Its lines:
  *
  *     the format, checksum and size of the chunk file, and the checksum of the other lines
- *     the version, and the checksum of the program's sources
+ *     the version of the program
  *     "how": a text that says where the next input lies, in the form of the lines below
  *     "obj", "tex" or "mtl", for each input: size, time of modification, hash of samples, path
  *     "ids", if there are any: the same without a file; what the ids tell apart
@@ -35,9 +35,7 @@
 #include <xxhash.h>
 
 /* The second line. */
-static const char program[] = "version " BSQ_VERSION " "
-#include "chunk_sources.inc"
-    ;
+static const char program[] = "version " BSQ_VERSION;
 
 /* Samples are spread evenly over a file, and overlap in small files. */
 enum { SAMPLES = 64, SAMPLE_BYTES = 64 << 10 };

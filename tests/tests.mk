@@ -232,8 +232,7 @@ formatted = $(sort $(shell find $(libs) tools tests $(wildcard examples) \
 lint_nodes ?= 225000
 .PHONY: lint format
 ## lint: check rooms, documents, formatting, cppcheck, clang-tidy (installs missing tools)
-lint: deps-lint $(addprefix $(BUILD)/gen/,kernel_source.inc kernel_ptx.inc chunk_sources.inc \
-    bake_sources.inc)
+lint: deps-lint $(addprefix $(BUILD)/gen/,kernel_source.inc kernel_ptx.inc)
 	tests/lint/rooms.sh
 	tests/lint/documents.sh
 	clang-format --dry-run -Werror $(formatted)

@@ -21,7 +21,7 @@ struct fmt_farm_kind {
     const char *format;          /* member "format" of its plans */
     uint32_t format_version;     /* of its plans */
     const char *program;         /* that reads and writes them, for messages */
-    const char *program_version; /* its version and a checksum of its sources */
+    const char *program_version; /* its version */
     const char *work;            /* for messages: "a bake" */
     char magic[8];               /* of its parts */
     uint32_t part_version;
@@ -93,46 +93,6 @@ char *fmt_farm_path_from_plan(struct bsq_ctx *ctx, const char *plan_path, const 
 /* Checks that a plan can name a file: JSON holds UTF-8 only. NULL is allowed. Errors: BSQ_EUSAGE.
  */
 int fmt_farm_check_name(struct bsq_ctx *ctx, const char *path);
-
-/* ---- options ----
- *
- * A table lists the members of a structure of options, so each is written and read in one way. */
-
-enum fmt_farm_member_kind {
-    FMT_FARM_PATH,     /* char *, a file */
-    FMT_FARM_OPTIONAL, /* the same, or NULL */
-    FMT_FARM_PATHS,    /* char **, a list of files; its count is a uint32_t at offset `most` */
-    FMT_FARM_TEXT,     /* char *; with `most` FMT_FARM_OR_NULL, or NULL */
-    FMT_FARM_U32,
-    FMT_FARM_U64,
-    FMT_FARM_NUMBER, /* double */
-    FMT_FARM_BOOL,
-    FMT_FARM_CHOICE /* unsigned, or an enumeration, of 0 to `most` */
-};
-
-enum { FMT_FARM_OR_NULL = 1 };
-
-struct fmt_farm_member {
-    const char *name;
-    size_t offset;
-    enum fmt_farm_member_kind kind;
-    uint32_t most; /* the largest value of a choice; of a list, where its count is */
-};
-
-/* Returns the options as a JSON object; paths are relative to the plan's directory where possible.
- * NULL if there is no memory. */
-json_t *fmt_farm_options_to_json(const struct fmt_farm_member *members, size_t count,
-                                 const void *options, const char *plan_path);
-
-/* Reads such an object into zeroed options. Free the strings in them with fmt_farm_options_free(),
- * also after a failure. Errors: BSQ_EDATA. */
-int fmt_farm_options_from_json(struct bsq_ctx *ctx, const struct fmt_farm_member *members,
-                               size_t count, const char *plan_path, const json_t *json,
-                               void *options);
-void fmt_farm_options_free(const struct fmt_farm_member *members, size_t count, void *options);
-
-/* Reports that an option is missing or has no value that it can have. Returns BSQ_EDATA. */
-int fmt_farm_fail_option(struct bsq_ctx *ctx, const char *plan_path, const char *name);
 
 /* Reads a whole number from 0 to `most`. Returns false if the value is none. */
 bool fmt_farm_is_count(const json_t *value, uint64_t most, uint64_t *out);

@@ -173,6 +173,15 @@ int fmt_farm_plan_write(struct fmt_farm_plan *plan, json_t *members, bool *kept)
 
 /* ---- reading ---- */
 
+bool fmt_farm_is_count(const json_t *value, uint64_t most, uint64_t *out)
+{
+    const json_int_t number = json_integer_value(value);
+    if (!json_is_integer(value) || number < 0 || (uint64_t)number > most)
+        return false;
+    *out = (uint64_t)number;
+    return true;
+}
+
 int fmt_farm_read_count(const struct fmt_farm_plan *plan, const json_t *json, const char *name,
                         uint64_t least, uint64_t most, uint64_t *out)
 {

@@ -6,15 +6,10 @@
 
 #include "libbake/farm/farm_options.h"
 
-/* Tasks of other sources may bake other texels, whatever their version is called. */
-static const char program_version[] = BSQ_VERSION " of sources "
-#include "bake_sources.inc"
-    ;
-
 static const struct fmt_farm_kind bake_kind = {.format = "Bisque bake plan",
                                                .format_version = 3,
                                                .program = "bisque-bake",
-                                               .program_version = program_version,
+                                               .program_version = BSQ_VERSION,
                                                .work = "a bake",
                                                .magic = "BSQPART\n",
                                                .part_version = 3,

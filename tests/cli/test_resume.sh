@@ -119,8 +119,8 @@ refused 66 "$p a.obj: No such file or directory"
 cp -p kept.obj a.obj
 # The record of another program, with a right checksum of its own, is made by hand.
 cp job job.kept
-made_by=$(tr '\0' '\n' <job | grep -x "version $("$BIN/bisque-voxelize" --version | sed 's/.* //') [0-9a-f]\{8\}")
-check "the record names version and sources" $?
+made_by=$(tr '\0' '\n' <job | grep -x "version $("$BIN/bisque-voxelize" --version | sed 's/.* //')")
+check "the record names the version" $?
 # recorded LINE: puts it in place of the record's line of the version. Each line ends with a null byte.
 recorded()
 {
@@ -128,10 +128,9 @@ recorded()
     { sed -z "2,\$d; s/[0-9a-f]*\$/$("$TESTS/xxh3" <text)/" job.kept; cat text; } >job
     refuses 65 "box.tris was made by $1, this is $made_by" a.obj
 }
-recorded "version 9.9 ${made_by##* }"
+recorded "version 9.9"
 recorded "version 0.1.0"
-recorded "${made_by% *} 0badcafe1"
-recorded "${made_by% *}"
+recorded "${made_by%.*}"
 cp job.kept job
 
 # Put back as it was, the job goes on, from another directory too, and with odd names.
