@@ -4,7 +4,8 @@
 cd "$(dirname "$0")/../.." || exit 1
 bad=0
 complain() { echo "documents: $*"; bad=1; }
-for page in *.md docs/*.md docs/decisions/*.md formats/*.md tests/*/*.md; do
+for page in *.md docs/*.md docs/decisions/*.md formats/*.md tests/*/*.md \
+    libbake/*/*.md formats/*/*.md; do
     for link in $(grep -oE '\]\([^)#]+' "$page" | sed 's/^](//' | grep -v '^http'); do
         [ -e "$(dirname "$page")/$link" ] || complain "$page: $link does not exist"
     done
