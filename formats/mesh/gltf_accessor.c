@@ -259,7 +259,7 @@ static int apply_sparse(const struct gltf_decoder *d, const struct gltf_accessor
 {
     const uint32_t n = accessor->components;
     const uint64_t bytes = (uint64_t)n * fmt_gltf_component_bytes(accessor->elements.component);
-    double indices[SPARSE_BLOCK], values[4 * SPARSE_BLOCK];
+    double indices[SPARSE_BLOCK] = {0}, values[4 * SPARSE_BLOCK];
     uint64_t next = 0;
     int status;
     BSQ_TRY(find_sparse(d, accessor, first, &next));
@@ -282,7 +282,7 @@ done:
 static int check_sparse(const struct gltf_decoder *d, const struct gltf_place *place,
                         const struct gltf_accessor *accessor)
 {
-    double indices[SPARSE_BLOCK], last = -1;
+    double indices[SPARSE_BLOCK] = {0}, last = -1;
     int status = 0;
     for (uint64_t at = 0; at < accessor->sparse_count; at += SPARSE_BLOCK) {
         const uint64_t left = accessor->sparse_count - at;

@@ -302,21 +302,26 @@ static int estimate(const struct stream_source *source, uint64_t bytes, bool pla
     return 0;
 }
 
-#define LEFT_OUT " are not finite or incomplete and were left out"
+static const char lost_textures[] =
+    "faces whose texnumber, from 0, is not below the number of textures that the file names; they "
+    "have no texture";
+static const char clamped_colors[] =
+    "colours of faces are out of range and were clamped; real numbers range to 1";
 
 const struct fmt_mesh_format fmt_ply_format = {
     .name = "PLY",
     .suffix = ".ply",
     .data_bytes = sizeof(struct ply_source),
-    .oddities = {[STREAM_NO_POSITION] = "positions" LEFT_OUT,
-                 [STREAM_NO_NORMAL] = "normals" LEFT_OUT,
-                 [STREAM_NO_COLOR] = "colours" LEFT_OUT,
-                 [STREAM_NO_TEXCOORD] = "texture coordinates" LEFT_OUT,
-                 [PLY_BAD_TEXCOORDS] = "texture coordinates of corners" LEFT_OUT,
-                 [PLY_CLAMPED_COLORS] = "colours of faces are out of range and were clamped; real "
-                                        "numbers range to 1",
-                 [PLY_LOST_TEXTURES] = "faces whose texnumber, from 0, is not below the number of "
-                                       "textures that the file names; they have no texture"},
+    .oddities =
+        {[STREAM_NO_POSITION] = "positions are not finite or incomplete and were left out",
+         [STREAM_NO_NORMAL] = "normals are not finite or incomplete and were left out",
+         [STREAM_NO_COLOR] = "colours are not finite or incomplete and were left out",
+         [STREAM_NO_TEXCOORD] =
+             "texture coordinates are not finite or incomplete and were left out",
+         [PLY_BAD_TEXCOORDS] =
+             "texture coordinates of corners are not finite or incomplete and were left out",
+         [PLY_CLAMPED_COLORS] = clamped_colors,
+         [PLY_LOST_TEXTURES] = lost_textures},
     .recognise = recognise,
     .begin = begin,
     .end = end,
