@@ -1,18 +1,38 @@
-/* input.c - see input.h. */
+/* input.c - see input.h.
+ *
+ * Bytes that are unpacked go to a temporary file, whoever wants them: the steps of a pipeline that
+ * cut a file into parts run beside those that parse it, so both cores are busy without a thread
+ * for unpacking.
+ *
+ * The temporary file of a packed file is a ring: byte n of the unpacked stream is at
+ * n % RING_BYTES, and new bytes replace old ones. So its pages stay in memory, and a large scan
+ * takes no more space. Whoever wants bytes that were replaced unpacks the file again; from then on
+ * the temporary file holds all of it. What came through a pipe cannot come again, so it is all kept
+ * from the start. */
 #include "formats/input/input.h"
 
+#include <errno.h>
+#include <fcntl.h>
 #include <inttypes.h>
+#include <poll.h>
 #include <pthread.h>
+#include <stdatomic.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
 #include <xxhash.h>
 
-#include "base/file.h"
-#include "formats/input/pipe.h"
-#include "formats/input/spool.h"
 #include "formats/input/unpack.h"
-#include "formats/input/utf16.h"
+
+/* Bytes that are unpacked at once, and kept. Fuzz targets unpack their small files in several steps
+ * too. */
+#ifdef FUZZING_BUILD_MODE_UNSAFE_FOR_PRODUCTION
+enum { STEP_BYTES = 1 << 10, RING_BYTES = 16 << 10 };
+#else
+enum { STEP_BYTES = 256 << 10, RING_BYTES = 128 << 20 };
+#endif
+/* The free space of the disk is checked again after this number of bytes. */
+#define DISK_STEP_BYTES ((uint64_t)64 << 20)
 
 struct fmt_input {
     struct bsq_ctx *ctx;
@@ -20,13 +40,34 @@ struct fmt_input {
     bool packed;         /* or text in UTF-16: the file's bytes are not those that readers get */
     int pipe_fd;         /* -1: a file */
     uint64_t file_size;
-    pthread_mutex_t lock; /* guards `users`, and opening and closing */
+    atomic_uint_least64_t size; /* of all that readers get; UINT64_MAX: not known yet */
+
+    pthread_mutex_t lock; /* held while somebody opens, closes or unpacks */
     unsigned users;
     struct bsq_file file; /* open while there are users; not for pipes */
-    struct spool *spool;  /* of a pipe: from the first use on; of a packed file: while open */
+    /* Of a pipe: from the first use on; of a packed file: while open. */
+    struct unpacker *unpacker;
+    uint64_t taken;     /* packed bytes that were read */
+    XXH3_state_t *hash; /* of these, for pipes */
+
+    pthread_rwlock_t stored_lock; /* written to with `lock` held; guards all below */
+    struct bsq_file temp;
+    uint64_t stored; /* unpacked bytes that were written to `temp` */
+    bool whole;      /* `temp` is no ring */
+    int status;      /* 1: more bytes can be unpacked; 0: these are all; < 0: why no more come */
 };
 
-/* ---- creating ---- */
+static bool is_pipe(const struct fmt_input *input)
+{
+    return input->pipe_fd >= 0;
+}
+
+bool fmt_input_is_plain(const struct fmt_input *input)
+{
+    return !is_pipe(input) && !input->packed;
+}
+
+/* ---- packed bytes ---- */
 
 bool fmt_input_is_pipe(const char *path)
 {
@@ -34,28 +75,222 @@ bool fmt_input_is_pipe(const char *path)
     return strcmp(path, "-") == 0 || (stat(path, &info) == 0 && S_ISFIFO(info.st_mode));
 }
 
+/* Does not wait for a writer. */
+static int open_pipe(struct fmt_input *input)
+{
+    const char *path = input->path;
+    input->pipe_fd =
+        strcmp(path, "-") == 0
+            ? fcntl(STDIN_FILENO, F_DUPFD_CLOEXEC, STDERR_FILENO + 1)
+            : bsq_fd_above_standard(open(path, O_RDONLY | O_NONBLOCK | O_NOCTTY | O_CLOEXEC));
+    return is_pipe(input) ? 0 : bsq_fail_errno(input->ctx, BSQ_ENOINPUT, errno, "%s", path);
+}
+
+/* Waits until the pipe has bytes or has ended. A FIFO that nobody has opened for writing yet has
+ * neither. The wait looks for an interruption now and then. */
+static int read_pipe(struct fmt_input *input, void *buffer, uint64_t size, uint64_t *got)
+{
+    enum { PATIENCE_MS = 50 };
+    struct pollfd poll_fd = {.fd = input->pipe_fd, .events = POLLIN};
+    for (;;) {
+        int status = bsq_check(input->ctx);
+        if (status < 0)
+            return status;
+        ssize_t count = poll(&poll_fd, 1, PATIENCE_MS);
+        if (count == 0)
+            continue;
+        if (count > 0)
+            count = read(input->pipe_fd, buffer, size);
+        *got = count > 0 ? (uint64_t)count : 0;
+        if (count >= 0)
+            return 0;
+        if (errno != EINTR && errno != EAGAIN)
+            return bsq_fail_errno(input->ctx, BSQ_EIO, errno, "%s", input->path);
+    }
+}
+
+/* Implements unpack_source. */
+static int read_packed(void *arg, void *buffer, uint64_t size, uint64_t *got)
+{
+    struct fmt_input *input = arg;
+    int status = is_pipe(input) ? read_pipe(input, buffer, size, got)
+                                : bsq_file_read_some(input->ctx, &input->file, buffer, size,
+                                                     input->taken, got);
+    if (status < 0)
+        return status;
+    input->taken += *got;
+    if (input->hash)
+        XXH3_64bits_update(input->hash, buffer, *got);
+    return 0;
+}
+
+static int start_hash(struct fmt_input *input)
+{
+    input->hash = XXH3_createState();
+    if (!input->hash)
+        return bsq_fail_errno(input->ctx, BSQ_ENOMEM, ENOMEM, "%s", input->path);
+    XXH3_64bits_reset(input->hash);
+    return 0;
+}
+
+bool fmt_input_given(const struct fmt_input *input, uint64_t *bytes, uint64_t *hash)
+{
+    if (!input->hash || input->size == UINT64_MAX)
+        return false;
+    *bytes = input->taken;
+    *hash = XXH3_64bits_digest(input->hash);
+    return true;
+}
+
+int fmt_input_drain(struct bsq_ctx *ctx, const char *path, uint64_t *bytes, uint64_t *hash)
+{
+    struct fmt_input *input = NULL;
+    uint8_t buffer[16384];
+    int status = 0;
+    BSQ_TRY(fmt_input_create(ctx, path, NULL, true, &input));
+    BSQ_TRY(start_hash(input));
+    for (uint64_t got = 1; got > 0;)
+        BSQ_TRY(read_packed(input, buffer, sizeof buffer, &got));
+    input->size = input->taken;
+    fmt_input_given(input, bytes, hash);
+done:
+    fmt_input_free(input);
+    return status;
+}
+
+/* ---- unpacked bytes ---- */
+
+/* Returns the first byte that the temporary file still has. */
+static uint64_t first_kept(const struct fmt_input *input)
+{
+    return input->whole || input->stored <= RING_BYTES ? 0 : input->stored - RING_BYTES;
+}
+
+/* Reads bytes of the temporary file, which may be a ring. */
+static int read_stored(const struct fmt_input *input, uint8_t *to, uint64_t size, uint64_t offset)
+{
+    const uint64_t at = input->whole ? offset : offset % RING_BYTES;
+    const uint64_t before = input->whole || size < RING_BYTES - at ? size : RING_BYTES - at;
+    int status = 0;
+    BSQ_TRY(bsq_file_read(input->ctx, &input->temp, to, before, at));
+    if (before < size)
+        BSQ_TRY(bsq_file_read(input->ctx, &input->temp, to + before, size - before, 0));
+done:
+    return status;
+}
+
+/* Appends bytes to the temporary file. Before each DISK_STEP_BYTES after the first ones, twice as
+ * much space must be free, so that no stream fills the disk. */
+static int store(struct fmt_input *input, const uint8_t *bytes, uint64_t size)
+{
+    const uint64_t end = input->stored + size;
+    const uint64_t at = input->whole ? input->stored : input->stored % RING_BYTES;
+    const uint64_t before = input->whole || size < RING_BYTES - at ? size : RING_BYTES - at;
+    const bool grows = input->whole || input->stored < RING_BYTES;
+    int status = 0;
+    if (grows && input->stored > 0 && input->stored / DISK_STEP_BYTES != end / DISK_STEP_BYTES)
+        BSQ_TRY(bsq_require_disk(input->ctx, input->beside, 2 * DISK_STEP_BYTES));
+    BSQ_TRY(bsq_file_write(input->ctx, &input->temp, bytes, before, at));
+    if (before < size)
+        BSQ_TRY(bsq_file_write(input->ctx, &input->temp, bytes + before, size - before, 0));
+    input->stored = end;
+done:
+    return status;
+}
+
+/* Unpacks the next bytes, and stores those before a damage, too. */
+static void unpack_step(struct fmt_input *input)
+{
+    const uint8_t *bytes;
+    uint64_t size = 0;
+    int status = bsq_check(input->ctx);
+    if (status == 0)
+        status = fmt_unpack_next(input->unpacker, &bytes, &size);
+    pthread_rwlock_wrlock(&input->stored_lock);
+    if (size > 0 && (status >= 0 || status == BSQ_EDATA)) {
+        const int stored = store(input, bytes, size);
+        status = stored < 0 ? stored : status;
+    }
+    input->status = status;
+    if (status == 0)
+        input->size = input->stored;
+    pthread_rwlock_unlock(&input->stored_lock);
+}
+
+/* Starts to unpack from the first byte on. The lock is held. */
+static int start_unpacking(struct fmt_input *input, bool whole)
+{
+    int status = 0;
+    pthread_rwlock_wrlock(&input->stored_lock);
+    fmt_unpack_free(input->unpacker);
+    input->unpacker = NULL;
+    input->taken = input->stored = 0;
+    input->whole = whole;
+    if (input->temp.fd < 0)
+        BSQ_TRY(bsq_file_temp(input->ctx, input->beside, "an unpacked mesh", &input->temp));
+    BSQ_TRY(fmt_unpack_create(input->ctx, read_packed, input, STEP_BYTES, &input->unpacker));
+done:
+    input->status = status < 0 ? status : 1;
+    pthread_rwlock_unlock(&input->stored_lock);
+    return status;
+}
+
+/* Has all bytes kept. Unpacks again if some were replaced. */
+static int keep_all(struct fmt_input *input)
+{
+    int status = 0;
+    pthread_mutex_lock(&input->lock);
+    if (first_kept(input) > 0)
+        status = start_unpacking(input, true);
+    pthread_rwlock_wrlock(&input->stored_lock);
+    input->whole = true;
+    pthread_rwlock_unlock(&input->stored_lock);
+    pthread_mutex_unlock(&input->lock);
+    return status;
+}
+
+/* Unpacks until `end` bytes are stored, or all. Damage is described here, for the reader that
+ * wanted the bytes. */
+static int unpack_until(struct fmt_input *input, uint64_t end)
+{
+    pthread_mutex_lock(&input->lock);
+    while (input->stored < end && input->status > 0)
+        unpack_step(input);
+    int status = input->stored < end && input->status < 0 ? input->status : 0;
+    if (status == BSQ_EDATA) {
+        const int changed = is_pipe(input) ? 0 : bsq_file_check(input->ctx, &input->file);
+        status = changed ? changed
+                         : bsq_fail(input->ctx, BSQ_EDATA, "%s: %s", input->path,
+                                    fmt_unpack_error(input->unpacker));
+    }
+    pthread_mutex_unlock(&input->lock);
+    return status;
+}
+
+/* ---- creating ---- */
+
 static int copy_text(struct bsq_ctx *ctx, const char *text, char **out)
 {
     const size_t size = strlen(text) + 1;
     int status = bsq_alloc(ctx, "name of an input", size, 1, out);
-    if (!status)
+    if (status == 0)
         memcpy(*out, text, size);
     return status;
 }
 
-_Static_assert(UTF16_HEAD_BYTES <= PACKING_HEAD_BYTES, "one head shows both");
-
 /* Opens a file for a moment, to learn its size and whether it is packed. */
 static int examine(struct fmt_input *input)
 {
-    uint8_t head[PACKING_HEAD_BYTES];
+    uint8_t head[UNPACK_HEAD_BYTES];
     uint64_t size = 0;
-    int status = bsq_file_open(input->ctx, input->path, &input->file);
-    if (!status)
-        status = bsq_file_read_some(input->ctx, &input->file, head, sizeof head, 0, &size);
+    int status = 0;
+    BSQ_TRY(bsq_file_open(input->ctx, input->path, &input->file));
+    BSQ_TRY(bsq_file_read_some(input->ctx, &input->file, head, sizeof head, 0, &size));
     input->file_size = input->file.size;
-    input->packed =
-        !status && (fmt_packing_of(head, size) != PACKING_NONE || fmt_utf16_recognise(head, size));
+    input->packed = fmt_unpack_recognise(head, size);
+    if (!input->packed)
+        input->size = input->file_size;
+done:
     bsq_file_close(input->ctx, &input->file);
     return status;
 }
@@ -66,47 +301,47 @@ int fmt_input_create(struct bsq_ctx *ctx, const char *path, const char *beside, 
     struct fmt_input *input;
     *out = NULL;
     int status = bsq_calloc(ctx, "inputs", 1, sizeof *input, &input);
-    if (status)
+    if (status < 0)
         return status;
     input->ctx = ctx;
     input->pipe_fd = -1;
-    input->file = (struct bsq_file)BSQ_FILE_CLOSED;
+    input->size = UINT64_MAX;
+    input->file = input->temp = (struct bsq_file)BSQ_FILE_CLOSED;
     pthread_mutex_init(&input->lock, NULL);
-    status = copy_text(ctx, path, &input->path);
-    if (!status && beside)
-        status = copy_text(ctx, beside, &input->beside);
-    if (!status)
-        status = pipes && fmt_input_is_pipe(path) ? fmt_pipe_open(ctx, path, &input->pipe_fd)
-                                                  : examine(input);
-    if (status)
+    pthread_rwlock_init(&input->stored_lock, NULL);
+    BSQ_TRY(copy_text(ctx, path, &input->path));
+    if (beside)
+        BSQ_TRY(copy_text(ctx, beside, &input->beside));
+    BSQ_TRY(pipes && fmt_input_is_pipe(path) ? open_pipe(input) : examine(input));
+    *out = input;
+done:
+    if (status < 0)
         fmt_input_free(input);
-    else
-        *out = input;
     return status;
+}
+
+/* Drops what was unpacked. */
+static void end_use(struct fmt_input *input)
+{
+    fmt_unpack_free(input->unpacker);
+    input->unpacker = NULL;
+    bsq_file_close(input->ctx, &input->temp);
+    bsq_file_close(input->ctx, &input->file);
 }
 
 void fmt_input_free(struct fmt_input *input)
 {
     if (!input)
         return;
-    fmt_spool_stop(input->spool);
-    bsq_file_close(input->ctx, &input->file);
-    if (input->pipe_fd >= 0)
+    end_use(input);
+    XXH3_freeState(input->hash);
+    if (is_pipe(input))
         close(input->pipe_fd);
+    pthread_rwlock_destroy(&input->stored_lock);
     pthread_mutex_destroy(&input->lock);
     bsq_free(input->ctx, input->path);
     bsq_free(input->ctx, input->beside);
     bsq_free(input->ctx, input);
-}
-
-static bool is_pipe(const struct fmt_input *input)
-{
-    return input->pipe_fd >= 0;
-}
-
-static bool is_plain(const struct fmt_input *input)
-{
-    return !is_pipe(input) && !input->packed;
 }
 
 const char *fmt_input_path(const struct fmt_input *input)
@@ -121,34 +356,22 @@ const char *fmt_input_beside(const struct fmt_input *input)
 
 uint64_t fmt_input_size(const struct fmt_input *input)
 {
-    if (is_plain(input))
-        return input->file_size;
-    return input->spool ? fmt_spool_size(input->spool) : UINT64_MAX;
+    return input->size;
 }
 
 /* ---- opening ---- */
 
-static int start_spool(struct fmt_input *input)
-{
-    return fmt_spool_start(input->ctx, input->path, input->beside,
-                           is_pipe(input) ? NULL : &input->file, input->pipe_fd, &input->spool);
-}
-
-static void end_use(struct fmt_input *input)
-{
-    if (!is_pipe(input)) {
-        fmt_spool_stop(input->spool);
-        input->spool = NULL;
-    }
-    bsq_file_close(input->ctx, &input->file);
-}
-
 static int begin_use(struct fmt_input *input)
 {
-    int status = is_pipe(input) ? 0 : bsq_file_open(input->ctx, input->path, &input->file);
-    if (!status && !is_plain(input) && !input->spool)
-        status = start_spool(input);
-    if (status)
+    int status = 0;
+    if (!is_pipe(input))
+        BSQ_TRY(bsq_file_open(input->ctx, input->path, &input->file));
+    if (is_pipe(input) && !input->hash)
+        BSQ_TRY(start_hash(input));
+    if (!fmt_input_is_plain(input) && !input->unpacker)
+        BSQ_TRY(start_unpacking(input, is_pipe(input)));
+done:
+    if (status < 0)
         end_use(input);
     return status;
 }
@@ -166,9 +389,11 @@ int fmt_input_close(struct fmt_input *input)
 {
     int status = 0;
     pthread_mutex_lock(&input->lock);
-    if (input->users == 1) {
-        status = is_pipe(input) ? 0 : bsq_file_check(input->ctx, &input->file);
+    if (input->users == 1 && !is_pipe(input)) {
+        status = bsq_file_check(input->ctx, &input->file);
         end_use(input);
+        if (input->packed)
+            input->size = UINT64_MAX;
     }
     input->users -= input->users > 0;
     pthread_mutex_unlock(&input->lock);
@@ -179,221 +404,116 @@ int fmt_input_close(struct fmt_input *input)
 
 int fmt_input_reach(struct fmt_input *input, uint64_t end, uint64_t *size)
 {
-    if (!is_plain(input))
-        return fmt_spool_reach(input->spool, end, size);
-    *size = input->file_size;
-    return 0;
+    int status = fmt_input_is_plain(input) ? 0 : unpack_until(input, end);
+    *size = input->size;
+    return status;
 }
 
 int fmt_input_read_some(struct fmt_input *input, void *buffer, uint64_t size, uint64_t offset,
                         uint64_t *got)
 {
-    uint64_t all = 0;
+    const uint64_t end = size < UINT64_MAX - offset ? offset + size : UINT64_MAX;
+    int status = 0;
     *got = 0;
-    if (is_plain(input))
+    if (fmt_input_is_plain(input))
         return bsq_file_read_some(input->ctx, &input->file, buffer, size, offset, got);
-    int status = fmt_spool_reach(input->spool, offset + size, &all);
-    if (status)
-        return status;
-    *got = all <= offset ? 0 : all - offset < size ? all - offset : size;
-    return *got > 0 ? fmt_spool_read(input->spool, buffer, *got, offset) : 0;
+    for (bool read = false; !read;) {
+        BSQ_TRY(unpack_until(input, end));
+        pthread_rwlock_rdlock(&input->stored_lock);
+        const bool come = input->stored >= end || input->status <= 0;
+        read = come && first_kept(input) <= offset;
+        *got = input->stored <= offset ? 0 : input->stored - offset;
+        *got = *got < size ? *got : size;
+        status = read && *got > 0 ? read_stored(input, buffer, *got, offset) : 0;
+        pthread_rwlock_unlock(&input->stored_lock);
+        if (come && !read)
+            BSQ_TRY(keep_all(input));
+    }
+done:
+    return status;
 }
 
 int fmt_input_read(struct fmt_input *input, void *buffer, uint64_t size, uint64_t offset)
 {
     uint64_t got;
-    if (is_plain(input))
+    int status = 0;
+    if (fmt_input_is_plain(input))
         return bsq_file_read(input->ctx, &input->file, buffer, size, offset);
-    int status = fmt_input_read_some(input, buffer, size, offset, &got);
-    if (!status && got < size)
+    BSQ_TRY(fmt_input_read_some(input, buffer, size, offset, &got));
+    if (got < size && !is_pipe(input)) /* it may have been changed before it was unpacked again */
+        BSQ_TRY(bsq_file_check(input->ctx, &input->file));
+    if (got < size)
         status = bsq_fail(input->ctx, BSQ_EDATA,
                           "%s: truncated: %" PRIu64 " bytes expected at byte %" PRIu64
                           " of the unpacked file, %" PRIu64 " there",
                           input->path, size, offset, got);
+done:
     return status;
-}
-
-bool fmt_input_is_plain(const struct fmt_input *input)
-{
-    return is_plain(input);
 }
 
 int fmt_input_whole(struct fmt_input *input, struct bsq_file *out)
 {
-    uint64_t size;
     *out = (struct bsq_file)BSQ_FILE_CLOSED;
-    if (!is_plain(input))
-        fmt_spool_keep(input->spool);
-    int status = fmt_input_reach(input, UINT64_MAX, &size);
-    if (status)
-        return status;
-    return is_plain(input) ? bsq_file_duplicate(input->ctx, &input->file, out)
-                           : fmt_spool_duplicate(input->spool, out);
-}
-
-/* ---- the first bytes ---- */
-
-/* Implements unpack_source. */
-struct packed_reader {
-    struct bsq_ctx *ctx;
-    struct bsq_file file;
-    uint64_t at;
-};
-
-static int read_packed(void *arg, void *buffer, uint64_t size, uint64_t *got)
-{
-    struct packed_reader *reader = arg;
-    int status = bsq_file_read_some(reader->ctx, &reader->file, buffer, size, reader->at, got);
-    reader->at += *got;
-    return status;
-}
-
-/* Reports why a file cannot be unpacked: it was changed (BSQ_EIO), or it is damaged (BSQ_EDATA). */
-static int fail_unpacking(const struct packed_reader *reader, const char *path,
-                          const struct unpacker *unpacker)
-{
-    const int changed = bsq_file_check(reader->ctx, &reader->file);
-    return changed ? changed
-                   : bsq_fail(reader->ctx, BSQ_EDATA, "%s: %s", path, fmt_unpack_error(unpacker));
-}
-
-/* Unpacks the first bytes of a packed file. *taken: the packed bytes that they came from. */
-static int unpack_start(struct fmt_input *input, void *buffer, uint64_t size, uint64_t *got,
-                        uint64_t *taken)
-{
-    struct packed_reader reader = {.ctx = input->ctx, .file = BSQ_FILE_CLOSED};
-    struct unpacker *unpacker = NULL;
-    int status = bsq_file_open(input->ctx, input->path, &reader.file);
-    if (!status)
-        status = fmt_unpack_create(input->ctx, read_packed, &reader, &unpacker);
-    if (!status)
-        status = fmt_unpack_read(unpacker, buffer, size, got);
-    if (status == BSQ_EDATA)
-        status = fail_unpacking(&reader, input->path, unpacker);
-    *taken = unpacker ? fmt_unpack_taken(unpacker) : 0;
-    fmt_unpack_free(unpacker);
-    bsq_file_close(input->ctx, &reader.file);
+    if (fmt_input_is_plain(input))
+        return bsq_file_duplicate(input->ctx, &input->file, out);
+    int status = 0;
+    BSQ_TRY(keep_all(input));
+    BSQ_TRY(unpack_until(input, UINT64_MAX));
+    const struct bsq_file named = {
+        .fd = input->temp.fd, .size = input->stored, .path = input->path};
+    BSQ_TRY(bsq_file_duplicate(input->ctx, &named, out));
+done:
     return status;
 }
 
 int fmt_input_peek(struct fmt_input *input, void *buffer, uint64_t size, uint64_t *got)
 {
-    uint64_t taken;
     *got = 0;
-    if (input->packed)
-        return unpack_start(input, buffer, size, got, &taken);
     int status = fmt_input_open(input);
-    if (!status)
-        status = fmt_input_read_some(input, buffer, size, 0, got);
-    int closed = fmt_input_close(input);
+    if (status < 0)
+        return status;
+    status = fmt_input_read_some(input, buffer, size, 0, got);
+    const int closed = fmt_input_close(input);
     return status ? status : closed;
 }
 
-/* ---- small files ---- */
-
-/* Reads to the end of a file into a buffer that grows. */
-static int read_to_end(struct bsq_ctx *ctx, struct unpacker *unpacker, uint64_t padding,
-                       char **text, uint64_t *capacity, uint64_t *size)
+int fmt_input_guess(struct fmt_input *input, uint64_t *bytes, bool *plain)
 {
+    uint64_t size;
     int status = 0;
-    for (;;) {
-        uint64_t got = 0;
-        const uint64_t space = *capacity - padding - *size;
-        status = fmt_unpack_read(unpacker, *text + *size, space, &got);
-        *size += got;
-        if (status || got < space)
-            return status;
-        status = bsq_grow(ctx, "a text file", *capacity + 1, 1, text, capacity);
-        if (status)
-            return status;
-    }
+    *plain = fmt_input_is_plain(input);
+    *bytes = input->size == UINT64_MAX ? 0 : input->size;
+    if (!input->packed || *bytes > 0)
+        return 0;
+    BSQ_TRY(fmt_input_open(input));
+    status = fmt_input_reach(input, FMT_INPUT_SAMPLE_BYTES, &size);
+    const uint64_t taken = fmt_unpack_taken(input->unpacker);
+    const double ratio = taken > 0 ? (double)input->stored / (double)taken : 0.0;
+    *bytes = size < UINT64_MAX ? size : (uint64_t)(ratio * (double)input->file_size);
+    const int closed = fmt_input_close(input);
+    status = status ? status : closed;
+done:
+    return status;
 }
 
 int fmt_input_text(struct bsq_ctx *ctx, const char *path, uint64_t padding, char **text,
                    uint64_t *size)
 {
-    struct packed_reader reader = {.ctx = ctx, .file = BSQ_FILE_CLOSED};
-    struct unpacker *unpacker = NULL;
-    uint64_t capacity = 0;
+    struct fmt_input *input = NULL;
+    int status = 0;
     *text = NULL;
-    *size = 0;
-    int status = bsq_file_open(ctx, path, &reader.file);
-    if (!status && __builtin_add_overflow(reader.file.size, padding + 1, &capacity))
-        status = bsq_fail(ctx, BSQ_ENOMEM, "%s: too large", path);
-    if (!status)
-        status = bsq_alloc(ctx, "a text file", capacity, 1, text);
-    if (!status)
-        status = fmt_unpack_create(ctx, read_packed, &reader, &unpacker);
-    if (!status)
-        status = read_to_end(ctx, unpacker, padding, text, &capacity, size);
-    if (status == BSQ_EDATA)
-        status = fail_unpacking(&reader, path, unpacker);
-    if (!status)
-        status = bsq_file_check(ctx, &reader.file);
-    fmt_unpack_free(unpacker);
-    bsq_file_close(ctx, &reader.file);
-    if (!status && *text) {
-        memset(*text + *size, 0, padding);
-    } else {
+    BSQ_TRY(fmt_input_create(ctx, path, NULL, false, &input));
+    BSQ_TRY(fmt_input_open(input));
+    BSQ_TRY(fmt_input_reach(input, UINT64_MAX, size));
+    BSQ_TRY(bsq_alloc(ctx, "a text file", *size + padding + 1, 1, text));
+    BSQ_TRY(fmt_input_read(input, *text, *size, 0));
+    BSQ_TRY(fmt_input_close(input));
+    memset(*text + *size, 0, padding);
+done:
+    if (status < 0) {
         bsq_free(ctx, *text);
         *text = NULL;
     }
-    return status;
-}
-
-static int guess_packed(struct fmt_input *input, uint64_t *bytes)
-{
-    uint8_t *sample;
-    uint64_t got = 0, taken = 0;
-    int status = bsq_alloc(input->ctx, "unpacking", FMT_INPUT_SAMPLE_BYTES, 1, &sample);
-    if (!status)
-        status = unpack_start(input, sample, FMT_INPUT_SAMPLE_BYTES, &got, &taken);
-    bsq_free(input->ctx, sample);
-    const double ratio = taken > 0 ? (double)got / (double)taken : 0.0;
-    *bytes = got < FMT_INPUT_SAMPLE_BYTES ? got : (uint64_t)(ratio * (double)input->file_size);
-    return status;
-}
-
-int fmt_input_guess(struct fmt_input *input, uint64_t *bytes, bool *plain)
-{
-    *plain = is_plain(input);
-    *bytes = fmt_input_size(input);
-    if (input->packed)
-        return guess_packed(input, bytes);
-    *bytes = *bytes == UINT64_MAX ? 0 : *bytes;
-    return 0;
-}
-
-bool fmt_input_given(const struct fmt_input *input, uint64_t *bytes, uint64_t *hash)
-{
-    return input->spool && is_pipe(input) && fmt_spool_given(input->spool, bytes, hash);
-}
-
-int fmt_input_drain(struct bsq_ctx *ctx, const char *path, uint64_t *bytes, uint64_t *hash)
-{
-    enum { AT_ONCE = 128 << 10 };
-    uint8_t *buffer;
-    uint64_t got = 1;
-    int fd = -1;
-    XXH3_state_t *state = XXH3_createState();
-    int status = bsq_alloc(ctx, "a pipe", AT_ONCE, 1, &buffer);
-    *bytes = 0;
-    if (!state)
-        status = bsq_fail(ctx, BSQ_ENOMEM, "%s: no memory", path);
-    if (!status)
-        status = fmt_pipe_open(ctx, path, &fd);
-    if (!status)
-        XXH3_64bits_reset(state);
-    while (!status && got > 0) {
-        status = fmt_pipe_read(ctx, path, fd, NULL, buffer, AT_ONCE, &got);
-        if (!status)
-            XXH3_64bits_update(state, buffer, got);
-        *bytes += got;
-    }
-    *hash = status ? 0 : XXH3_64bits_digest(state);
-    if (fd >= 0)
-        close(fd);
-    bsq_free(ctx, buffer);
-    XXH3_freeState(state);
+    fmt_input_free(input);
     return status;
 }

@@ -1,11 +1,16 @@
-/* unpack.c - see unpack.h. */
+/* unpack.c - see unpack.h.
+ *
+ * ISA-L inflates gzip twice as fast as zlib, and streams, which libdeflate does not
+ * (docs/decisions). libzstd allocates its window itself. So the header of each frame is read here
+ * first, and the window is reserved from the budget. */
 #include "formats/input/unpack.h"
 
 #include <inttypes.h>
+#include <isa-l/igzip_lib.h>
 #include <stdio.h>
 #include <string.h>
-
-#include "formats/input/utf16.h"
+#include <zstd.h>
+#include <zstd_errors.h>
 
 /* Packed bytes that are read at once. Fuzz targets have small files, which take several reads too.
  */
@@ -15,78 +20,88 @@ enum { IN_BYTES = 64 };
 enum { IN_BYTES = 128 << 10 };
 #endif
 
-/* Units of UTF-16 that are converted at once, and the bytes that they may become. */
-enum { UNIT_BYTES = 32 << 10, TEXT_BYTES = 3 * UNIT_BYTES / 2 + 2 * UTF16_MAX_BYTES };
-
-/* A stream of text in UTF-16. */
-struct text {
-    struct utf16 converter;
-    uint8_t units[UNIT_BYTES], bytes[TEXT_BYTES];
-    uint64_t unit_count; /* bytes of `units` that are not converted yet, from its start */
-    uint64_t begin, end; /* of `bytes` that have not been given out yet */
-    bool ended;          /* no more units come */
-};
+enum packing { PACKING_NONE, PACKING_GZIP, PACKING_ZSTD };
 
 struct unpacker {
     struct bsq_ctx *ctx;
     unpack_source *source;
     void *arg;
     enum packing packing;
-    const struct unpack_codec *codec; /* NULL: the bytes are not packed */
-    void *codec_state;
+    struct inflate_state *gzip;
+    ZSTD_DStream *zstd;
+    uint64_t zstd_bytes;       /* reserved for it */
     uint8_t *in;               /* IN_BYTES */
     uint64_t in_begin, in_end; /* packed bytes that are not unpacked yet */
-    uint64_t taken;            /* packed bytes before in_begin, of the whole stream */
+    uint64_t given;            /* bytes that the source gave */
     bool started, source_ended;
-    bool between; /* at the start of a member, or at the end of the stream */
-    /* The first unpacked bytes, which tell whether they are text in UTF-16, and the status after
-     * them. */
-    uint8_t head[UTF16_HEAD_BYTES];
-    uint64_t head_begin, head_end;
-    bool head_read;
-    int failure;
-    struct text *text; /* NULL: bytes are given out as they are */
+    bool inside; /* a member or frame */
+
+    uint8_t *out; /* `step` bytes */
+    uint64_t step;
+    /* Text in UTF-16. */
+    uint8_t *text; /* what the units in `out` become; NULL: the bytes are no such text */
+    bool big_endian;
+    uint16_t high; /* first half of a surrogate pair whose second half is to come; 0: none */
+    uint64_t odd;  /* 1: `out` begins with the first byte of a unit, else 0 */
     char error[160];
 };
 
-enum packing fmt_packing_of(const uint8_t *head, uint64_t size)
+/* ---- recognising ---- */
+
+static uint64_t load(const uint8_t *from, unsigned bytes)
+{
+    uint64_t value = 0;
+    for (unsigned i = 0; i < bytes; i++)
+        value |= (uint64_t)from[i] << 8 * i;
+    return value;
+}
+
+static enum packing packing_of(const uint8_t *head, uint64_t size)
 {
     /* A file that is cut off after some of these bytes is a damaged one. */
     if (size >= 2 && memcmp(head, "\x1f\x8b\x08", size < 3 ? size : 3) == 0)
         return PACKING_GZIP;
-    if (size < PACKING_HEAD_BYTES)
+    if (size < UNPACK_HEAD_BYTES)
         return size >= 2 && memcmp(head, "\x28\xb5\x2f", size) == 0 ? PACKING_ZSTD : PACKING_NONE;
-    const uint32_t magic =
-        head[0] | (uint32_t)head[1] << 8 | (uint32_t)head[2] << 16 | (uint32_t)head[3] << 24;
+    const uint64_t magic = load(head, 4);
     /* A frame, or a frame to be skipped, which pzstd writes first. */
     return magic == 0xfd2fb528 || (magic & 0xfffffff0) == 0x184d2a50 ? PACKING_ZSTD : PACKING_NONE;
 }
 
-int fmt_unpack_create(struct bsq_ctx *ctx, unpack_source *source, void *arg, struct unpacker **out)
+static uint16_t unit_at(const uint8_t *p, bool big_endian)
 {
-    struct unpacker *u;
-    int status = bsq_calloc(ctx, "unpacking", 1, sizeof *u, &u);
-    *out = NULL;
-    if (status)
-        return status;
-    *u = (struct unpacker){.ctx = ctx, .source = source, .arg = arg, .between = true};
-    status = bsq_alloc(ctx, "unpacking", IN_BYTES, 1, &u->in);
-    if (status)
-        fmt_unpack_free(u);
-    else
-        *out = u;
-    return status;
+    return big_endian ? (uint16_t)(p[0] << 8 | p[1]) : (uint16_t)(p[1] << 8 | p[0]);
 }
 
-void fmt_unpack_free(struct unpacker *u)
+/* Returns whether a file is text in UTF-16: a mark and then an ASCII character, as every mesh or
+ * material file in text begins. So no binary file is taken for text. */
+static bool is_utf16(const uint8_t *head, uint64_t size)
 {
-    if (!u)
-        return;
-    if (u->codec_state)
-        u->codec->free(u->ctx, u->codec_state);
-    bsq_free(u->ctx, u->text);
-    bsq_free(u->ctx, u->in);
-    bsq_free(u->ctx, u);
+    enum { MARK = 0xfeff };
+    if (size < 2 || (unit_at(head, true) != MARK && unit_at(head, false) != MARK))
+        return false;
+    if (size < UNPACK_HEAD_BYTES)
+        return true;
+    const uint16_t unit = unit_at(head + 2, unit_at(head, true) == MARK);
+    return unit > 0 && unit < 0x80;
+}
+
+bool fmt_unpack_recognise(const uint8_t *head, uint64_t size)
+{
+    return packing_of(head, size) != PACKING_NONE || is_utf16(head, size);
+}
+
+/* ---- packed bytes ---- */
+
+uint64_t fmt_unpack_taken(const struct unpacker *u)
+{
+    return u->given - (u->in_end - u->in_begin);
+}
+
+static int fail(struct unpacker *u, const char *why, const char *detail)
+{
+    snprintf(u->error, sizeof u->error, "byte %" PRIu64 ": %s%s", fmt_unpack_taken(u), why, detail);
+    return BSQ_EDATA;
 }
 
 /* Moves the packed bytes to the start of the buffer and fills the rest. */
@@ -100,90 +115,193 @@ static int refill(struct unpacker *u)
         return 0;
     int status = u->source(u->arg, u->in + have, IN_BYTES - have, &got);
     u->in_end += got;
+    u->given += got;
     u->source_ended = status == 0 && got == 0;
     return status;
 }
 
-/* Fills the buffer with the stream's first bytes and chooses the codec. */
-static int start(struct unpacker *u)
+static const char *describe_gzip(int result)
 {
-    int status = 0;
-    while (!status && !u->source_ended && u->in_end < PACKING_HEAD_BYTES)
-        status = refill(u);
-    if (status)
-        return status;
-    u->packing = fmt_packing_of(u->in, u->in_end);
-    u->codec = u->packing == PACKING_GZIP   ? &fmt_gzip_codec
-               : u->packing == PACKING_ZSTD ? &fmt_zstd_codec
-                                            : NULL;
-    u->started = true;
-    return u->codec ? u->codec->create(u->ctx, &u->codec_state) : 0;
+    switch (result) {
+    case ISAL_INCORRECT_CHECKSUM:
+        return "damaged: the gzip checksum or length does not match";
+    case ISAL_INVALID_WRAPPER:
+    case ISAL_UNSUPPORTED_METHOD:
+        return "these bytes are no gzip member";
+    default:
+        return "damaged: the gzip data make no sense";
+    }
 }
 
-static int copy_plain(struct unpacker *u, uint8_t *buffer, uint64_t size, uint64_t *got)
+/* Begins a member, if one is there. Zeros after the last member are padding, as of tapes, and are
+ * skipped as gzip(1) does. */
+static int begin_member(struct unpacker *u)
 {
+    while (u->in_begin < u->in_end && u->in[u->in_begin] == 0)
+        u->in_begin++;
+    const uint8_t *in = u->in + u->in_begin;
     const uint64_t have = u->in_end - u->in_begin;
-    *got = have < size ? have : size;
-    memcpy(buffer, u->in + u->in_begin, *got);
-    u->in_begin += *got;
-    u->taken += *got;
+    if (have == 0)
+        return 0;
+    if (in[0] != 0x1f || (have > 1 && in[1] != 0x8b))
+        return fail(u, "bytes after the packed data that are no gzip member", "");
+    isal_inflate_init(u->gzip);
+    u->gzip->crc_flag = ISAL_GZIP;
+    u->inside = true;
     return 0;
 }
 
-static int fail(struct unpacker *u, const char *why)
+static int step_gzip(struct unpacker *u, uint8_t *out, uint64_t size, uint64_t *got)
 {
-    snprintf(u->error, sizeof u->error, "byte %" PRIu64 ": %s", u->taken, why);
-    return BSQ_EDATA;
+    struct inflate_state *gzip = u->gzip;
+    const uint32_t space = size < UINT32_MAX ? (uint32_t)size : UINT32_MAX;
+    int status = u->inside ? 0 : begin_member(u);
+    if (!u->inside)
+        return status;
+    gzip->next_in = u->in + u->in_begin;
+    gzip->avail_in = (uint32_t)(u->in_end - u->in_begin);
+    gzip->next_out = out;
+    gzip->avail_out = space;
+    const int result = isal_inflate(gzip); /* checks CRC and length, too */
+    u->in_begin = u->in_end - gzip->avail_in;
+    *got = space - gzip->avail_out;
+    if (result < 0)
+        return fail(u, describe_gzip(result), "");
+    u->inside = gzip->block_state != ISAL_BLOCK_FINISH;
+    return 0;
+}
+
+/* Memory of a Zstandard decoder beside its window: tables, a block of input, and two blocks of
+ * output. */
+enum { DECODER_BYTES = 640 << 10 };
+/* The longest header of a frame, from its magic number on. */
+enum { FRAME_HEADER_BYTES = 18 };
+
+/* Returns the window in bytes of the frame whose header begins at `in`; 0 if there are too few
+ * bytes to tell, or if it is no frame. */
+static uint64_t window_of(const uint8_t *in, uint64_t size)
+{
+    static const unsigned id_bytes[] = {0, 1, 2, 4};
+    if (size < 6 || load(in, 4) != 0xfd2fb528)
+        return 0;
+    const unsigned descriptor = in[4], content = descriptor >> 6;
+    if (!(descriptor >> 5 & 1)) {
+        const uint64_t base = (uint64_t)1 << (10 + (in[5] >> 3));
+        return base + base / 8 * (in[5] & 7);
+    }
+    /* A single segment: the window is the content. */
+    const unsigned at = 5 + id_bytes[descriptor & 3], bytes = 1u << content;
+    if (size < at + bytes)
+        return 0;
+    return load(in + at, bytes) + (bytes == 2 ? 256 : 0);
+}
+
+static int reserve_zstd(struct unpacker *u, uint64_t bytes)
+{
+    if (bytes <= u->zstd_bytes)
+        return 0;
+    int status = bsq_reserve(u->ctx, "the window of a Zstandard file", bytes - u->zstd_bytes);
+    u->zstd_bytes = status == 0 ? bytes : u->zstd_bytes;
+    return status;
+}
+
+/* Begins a frame, if its header is there. */
+static int begin_frame(struct unpacker *u)
+{
+    const uint64_t have = u->in_end - u->in_begin;
+    if (have == 0 || (have < FRAME_HEADER_BYTES && !u->source_ended))
+        return 0;
+    const uint64_t window = window_of(u->in + u->in_begin, have);
+    if (window > UINT64_MAX - DECODER_BYTES)
+        return bsq_fail(u->ctx, BSQ_ENOMEM, "a Zstandard file has a window of 2^64 bytes");
+    int status = reserve_zstd(u, window + DECODER_BYTES);
+    u->inside = status == 0;
+    return status;
+}
+
+static int step_zstd(struct unpacker *u, uint8_t *out, uint64_t size, uint64_t *got)
+{
+    int status = u->inside ? 0 : begin_frame(u);
+    if (!u->inside)
+        return status;
+    ZSTD_inBuffer from = {u->in, u->in_end, u->in_begin};
+    ZSTD_outBuffer to = {out, size, 0};
+    const size_t result = ZSTD_decompressStream(u->zstd, &to, &from);
+    u->in_begin = from.pos;
+    *got = to.pos;
+    if (ZSTD_getErrorCode(result) == ZSTD_error_memory_allocation)
+        return bsq_fail(u->ctx, BSQ_ENOMEM, "no memory for unpacking");
+    if (ZSTD_isError(result))
+        return fail(u, "damaged Zstandard data: ", ZSTD_getErrorName(result));
+    u->inside = result != 0;
+    return 0;
+}
+
+/* Fills the buffer with the stream's first bytes and makes the decoder. */
+static int start(struct unpacker *u)
+{
+    int status = 0;
+    while (!u->source_ended && u->in_end < UNPACK_HEAD_BYTES)
+        BSQ_TRY(refill(u));
+    u->packing = packing_of(u->in, u->in_end);
+    u->started = true;
+    if (u->packing == PACKING_GZIP)
+        BSQ_TRY(bsq_calloc(u->ctx, "unpacking", 1, sizeof *u->gzip, &u->gzip));
+    if (u->packing != PACKING_ZSTD)
+        return 0;
+    BSQ_TRY(reserve_zstd(u, DECODER_BYTES));
+    u->zstd = ZSTD_createDStream();
+    if (!u->zstd)
+        return bsq_fail(u->ctx, BSQ_ENOMEM, "no memory for unpacking");
+    /* The window is reserved before it is used, so the budget limits it. */
+    ZSTD_DCtx_setParameter(u->zstd, ZSTD_d_windowLogMax,
+                           ZSTD_dParam_getBounds(ZSTD_d_windowLogMax).upperBound);
+done:
+    return status;
+}
+
+static int copy_plain(struct unpacker *u, uint8_t *out, uint64_t size, uint64_t *got)
+{
+    const uint64_t have = u->in_end - u->in_begin;
+    *got = have < size ? have : size;
+    memcpy(out, u->in + u->in_begin, *got);
+    u->in_begin += *got;
+    return 0;
 }
 
 /* Unpacks what is in memory. */
-static int step(struct unpacker *u, uint8_t *buffer, uint64_t size, uint64_t *got)
+static int step(struct unpacker *u, uint8_t *out, uint64_t size, uint64_t *got)
 {
-    struct unpack_span span = {.in = u->in + u->in_begin,
-                               .in_size = u->in_end - u->in_begin,
-                               .last = u->source_ended,
-                               .out = buffer,
-                               .out_size = size};
-    const char *why = "";
-    int failure = 0;
-    if (u->between && span.in_size == 0)
-        return 0;
-    const enum unpack_state state = u->codec->step(u->codec_state, &span, &why, &failure);
-    const uint64_t used = u->in_end - u->in_begin - span.in_size;
-    *got = size - span.out_size;
-    u->in_begin += used;
-    u->taken += used;
-    u->between = state == UNPACK_ENDED;
-    if (state == UNPACK_FAILED)
-        return failure;
-    if (state == UNPACK_DAMAGED)
-        return fail(u, why);
-    if (used > 0 || *got > 0 || u->between)
-        return 0;
+    const uint64_t before = u->in_begin;
+    int status = u->packing == PACKING_GZIP   ? step_gzip(u, out, size, got)
+                 : u->packing == PACKING_ZSTD ? step_zstd(u, out, size, got)
+                                              : copy_plain(u, out, size, got);
+    if (status || u->in_begin > before || *got > 0 || !u->inside)
+        return status;
     /* Nothing more can come: the stream ends in the middle of a member. */
     if (u->source_ended)
-        return fail(u, "truncated: the packed data end too early");
-    return u->in_end - u->in_begin == IN_BYTES ? fail(u, "damaged: the packed data make no sense")
-                                               : 0;
+        return fail(u, "truncated: the packed data end too early", "");
+    return u->in_end - u->in_begin == IN_BYTES
+               ? fail(u, "damaged: the packed data make no sense", "")
+               : 0;
 }
 
-/* Unpacks the next bytes of any kind, as fmt_unpack_read() does. */
-static int read_bytes(struct unpacker *u, void *buffer, uint64_t size, uint64_t *got)
+/* Unpacks `size` bytes; *got < size only at the end or after a failure. */
+static int read_bytes(struct unpacker *u, uint8_t *out, uint64_t size, uint64_t *got)
 {
     int status = u->started ? 0 : start(u);
     *got = 0;
     while (!status && *got < size) {
         uint64_t more = 0;
-        const uint64_t before = u->in_end - u->in_begin;
-        uint8_t *to = (uint8_t *)buffer + *got;
-        status = u->codec ? step(u, to, size - *got, &more) : copy_plain(u, to, size - *got, &more);
+        const uint64_t before = u->in_begin;
+        status = step(u, out + *got, size - *got, &more);
         *got += more;
         if (status || more > 0)
             continue;
-        if (u->source_ended && u->in_end == u->in_begin && (u->between || !u->codec))
+        if (u->source_ended && u->in_end == u->in_begin && !u->inside)
             break;
-        /* The codec may have gone on to the next member without giving bytes. */
-        if (u->in_end - u->in_begin == before || before == 0)
+        /* The decoder may have gone on to the next member without giving bytes. */
+        if (u->in_begin == before)
             status = refill(u);
         if (!status)
             status = bsq_check(u->ctx);
@@ -193,90 +311,103 @@ static int read_bytes(struct unpacker *u, void *buffer, uint64_t size, uint64_t 
 
 /* ---- text ---- */
 
-/* Reads the first bytes and decides whether they are text in UTF-16. */
-static int read_head(struct unpacker *u)
+/* Writes a character as UTF-8; returns its length, at most 4. */
+static uint64_t put(uint32_t c, uint8_t *out)
 {
-    u->head_read = true;
-    u->failure = read_bytes(u, u->head, sizeof u->head, &u->head_end);
-    if (u->failure && u->failure != BSQ_EDATA)
-        return u->failure;
-    if (!fmt_utf16_recognise(u->head, u->head_end))
-        return 0;
-    int status = bsq_calloc(u->ctx, "text in UTF-16", 1, sizeof *u->text, &u->text);
-    if (status)
-        return status;
-    u->text->converter.big_endian = u->head[0] == 0xfe;
-    memcpy(u->text->units, u->head, u->head_end);
-    u->text->unit_count = u->head_end;
-    return 0;
+    static const uint8_t leads[] = {0, 0xc0, 0xe0, 0xf0};
+    const unsigned more = c < 0x80 ? 0 : c < 0x800 ? 1 : c < 0x10000 ? 2 : 3;
+    out[0] = (uint8_t)(leads[more] | c >> 6 * more);
+    for (unsigned i = 1; i <= more; i++)
+        out[i] = (uint8_t)(0x80 | (c >> 6 * (more - i) & 63));
+    return more + 1;
 }
 
-/* Fills text->bytes. Keeps what is wrong in u->failure until all bytes before it are given out. */
-static void convert(struct unpacker *u)
+/* Converts units to UTF-8. Halves of surrogate pairs that are alone become U+FFFD. last: no units
+ * follow. Returns the bytes, at most 3 for each unit and 3 more. */
+static uint64_t convert(struct unpacker *u, const uint8_t *units, uint64_t count, bool last)
 {
-    struct text *t = u->text;
-    uint64_t more = 0, used;
-    if (!u->failure && !t->ended) {
-        const uint64_t space = UNIT_BYTES - t->unit_count;
-        u->failure = read_bytes(u, t->units + t->unit_count, space, &more);
-        t->unit_count += more;
-        t->ended = !u->failure && more < space;
+    enum { REPLACEMENT = 0xfffd };
+    uint64_t made = 0;
+    for (uint64_t i = 0; i < count; i++) {
+        const uint32_t unit = unit_at(units + 2 * i, u->big_endian), high = u->high;
+        const bool is_high = unit >= 0xd800 && unit < 0xdc00;
+        const bool is_low = unit >= 0xdc00 && unit < 0xe000;
+        u->high = is_high ? (uint16_t)unit : 0;
+        if (high && is_low) {
+            made += put(0x10000 + ((high - 0xd800) << 10) + (unit - 0xdc00), u->text + made);
+            continue;
+        }
+        if (high)
+            made += put(REPLACEMENT, u->text + made);
+        if (!is_high)
+            made += put(is_low ? REPLACEMENT : unit, u->text + made);
     }
-    fmt_utf16_convert(&t->converter, t->units, t->unit_count, t->ended, t->bytes, TEXT_BYTES, &used,
-                      &t->end);
-    t->begin = 0;
-    t->unit_count -= used;
-    memmove(t->units, t->units + used, t->unit_count);
-    if (t->ended && t->unit_count > 0)
-        u->failure = fail(u, "truncated: text in UTF-16 ends in the middle of a character");
+    return last && u->high ? made + put(REPLACEMENT, u->text + made) : made;
 }
 
-static int read_text(struct unpacker *u, uint8_t *buffer, uint64_t size, uint64_t *got)
+int fmt_unpack_next(struct unpacker *u, const uint8_t **bytes, uint64_t *size)
 {
-    struct text *t = u->text;
-    while (*got < size) {
-        if (t->begin == t->end && !u->failure && !t->ended)
-            convert(u);
-        if (t->begin == t->end)
-            return u->failure;
-        const uint64_t have = t->end - t->begin, wanted = size - *got;
-        const uint64_t count = have < wanted ? have : wanted;
-        memcpy(buffer + *got, t->bytes + t->begin, count);
-        t->begin += count;
-        *got += count;
+    uint64_t got, begin = 0;
+    const bool first = !u->started;
+    *bytes = u->out;
+    *size = 0;
+    int status = read_bytes(u, u->out + u->odd, u->step - u->odd, &got);
+    got += u->odd;
+    const bool last = status == 0 && got < u->step;
+    if (first && is_utf16(u->out, got)) {
+        const int made = bsq_alloc(u->ctx, "text in UTF-16", u->step / 2 + 2, 3, &u->text);
+        if (made < 0)
+            return made;
+        u->big_endian = u->out[0] == 0xfe;
+        begin = 2; /* the byte order mark */
     }
-    return 0;
+    if (u->text) {
+        *bytes = u->text;
+        *size = convert(u, u->out + begin, (got - begin) / 2, last);
+        u->odd = got % 2;
+        u->out[0] = u->odd ? u->out[got - 1] : 0;
+        if (last && u->odd)
+            status = fail(u, "truncated: text in UTF-16 ends in the middle of a character", "");
+    } else {
+        *size = got;
+    }
+    return status ? status : !last;
 }
 
-int fmt_unpack_read(struct unpacker *u, void *buffer, uint64_t size, uint64_t *got)
+/* ---- all ---- */
+
+int fmt_unpack_create(struct bsq_ctx *ctx, unpack_source *source, void *arg, uint64_t step_bytes,
+                      struct unpacker **out)
 {
-    uint64_t more = 0;
-    *got = 0;
-    int status = u->head_read ? 0 : read_head(u);
-    if (status)
+    struct unpacker *u;
+    *out = NULL;
+    int status = bsq_calloc(ctx, "unpacking", 1, sizeof *u, &u);
+    if (status < 0)
         return status;
-    if (u->text)
-        return read_text(u, buffer, size, got);
-    for (; *got < size && u->head_begin < u->head_end; ++*got)
-        ((uint8_t *)buffer)[*got] = u->head[u->head_begin++];
-    if (*got == size || u->failure)
-        return *got == size ? 0 : u->failure;
-    status = read_bytes(u, (uint8_t *)buffer + *got, size - *got, &more);
-    *got += more;
+    *u = (struct unpacker){.ctx = ctx, .source = source, .arg = arg, .step = step_bytes};
+    BSQ_TRY(bsq_alloc(ctx, "unpacking", IN_BYTES, 1, &u->in));
+    BSQ_TRY(bsq_alloc(ctx, "unpacking", step_bytes, 1, &u->out));
+    *out = u;
+done:
+    if (status < 0)
+        fmt_unpack_free(u);
     return status;
+}
+
+void fmt_unpack_free(struct unpacker *u)
+{
+    if (!u)
+        return;
+    ZSTD_freeDStream(u->zstd);
+    bsq_release(u->ctx, u->zstd_bytes);
+    bsq_free(u->ctx, u->gzip);
+    bsq_free(u->ctx, u->text);
+    bsq_free(u->ctx, u->out);
+    bsq_free(u->ctx, u->in);
+    bsq_free(u->ctx, u);
 }
 
 const char *fmt_unpack_error(const struct unpacker *u)
 {
     return u->error;
-}
-
-uint64_t fmt_unpack_taken(const struct unpacker *u)
-{
-    return u->taken;
-}
-
-enum packing fmt_unpack_packing(const struct unpacker *u)
-{
-    return u->packing;
 }

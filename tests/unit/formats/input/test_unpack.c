@@ -33,17 +33,20 @@ static int unpack(struct bsq_ctx *ctx, const uint8_t *data, size_t data_size, si
 {
     struct stream stream = {data, data_size, 0, piece};
     struct unpacker *unpacker;
-    uint64_t got = step;
-    int status = fmt_unpack_create(ctx, give, &stream, &unpacker);
+    int status = fmt_unpack_create(ctx, give, &stream, step, &unpacker);
     *size = 0;
     error[0] = '\0';
     if (status)
         return status;
-    while (!status && got == step && *size < most) {
-        step = step < most - *size ? step : most - *size;
-        status = fmt_unpack_read(unpacker, out + *size, step, &got);
+    for (status = 1; status > 0 && *size < most;) {
+        const uint8_t *bytes;
+        uint64_t got;
+        status = fmt_unpack_next(unpacker, &bytes, &got);
+        got = got < most - *size ? got : most - *size;
+        memcpy(out + *size, bytes, got);
         *size += got;
     }
+    status = status > 0 ? 0 : status;
     snprintf(error, 200, "%s", fmt_unpack_error(unpacker));
     fmt_unpack_free(unpacker);
     return status;
