@@ -1,7 +1,6 @@
 /* surface_blocks.c - tells where a surface of grids has voxels, from the masks of nodes alone. */
 #include <assert.h>
 
-#include "libbake/kernel/bk_grid.h"
 #include "libbake/surface/surface.h"
 
 struct blocks {
@@ -10,14 +9,11 @@ struct blocks {
     void *arg;
 };
 
-static int visit_node(void *arg, uint32_t upper, uint32_t lower, const int32_t origin[3])
+static int visit_node(void *arg, uint32_t lower, const int32_t origin[3])
 {
-    (void)upper;
     const struct blocks *blocks = arg;
     const struct bake_surface *part = blocks->part;
     double corner[3];
-    if (lower == BK_NONE)
-        return 0;
     for (int k = 0; k < 3; k++)
         corner[k] = part->translation[k] + (origin[k] - 0.5) * part->unit;
     blocks->visit(blocks->arg, corner, part->unit, bake_lower_children(&part->grid, lower));

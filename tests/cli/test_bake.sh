@@ -209,10 +209,11 @@ files $start
 # A grid ten times as large as the usable memory of the device.
 if "$BIN/bisque-bake" --list devices --json --progress none | jq -e '.devices | map(.id) | contains(["opencl:0"])' \
     >/dev/null; then
-    run bisque-voxelize low.obj -o large.nvdb --no-tris --resolution 720
+    awk '/^v / { print "v", $2 + 9, $3 + 9, $4 + 9; next } { print }' low.obj >moved.obj
+    run bisque-voxelize moved.obj -o large.nvdb --no-tris --resolution 1300
     code 0
     tenth=$(($(wc -c <large.nvdb) / 10))
-    passes="--device opencl:0 --size 160 --threads 2 large.nvdb low.obj"
+    passes="--device opencl:0 --size 160 --threads 2 large.nvdb moved.obj"
     $bake $passes -o one.exr --json
     code 0
     json '.passes == 1'
@@ -221,7 +222,7 @@ if "$BIN/bisque-bake" --list devices --json --progress none | jq -e '.devices | 
     json '.passes >= 10'
     same many.exr one.exr
     # The processor reads the grid from its file: no passes.
-    $bake --size 160 large.nvdb low.obj --device cpu -o many.exr --json --gpu-memory 1M
+    $bake --size 160 large.nvdb moved.obj --device cpu -o many.exr --json --gpu-memory 1M
     code 0
     json '.passes == 1'
     # Enough for the tiles, but not for the voxels that the rays of a single texel can reach.
@@ -238,7 +239,7 @@ if "$BIN/bisque-bake" --list devices --json --progress none | jq -e '.devices | 
     $bake $passes -o few2.exr --gpu-memory 1000
     code 69
     err_like '^bisque-bake: .*tiles and the low-poly mesh take [0-9]+ bytes'
-    rm large.nvdb one.exr many.exr few.exr
+    rm large.nvdb moved.obj one.exr many.exr few.exr
 else
     echo "# skipped: passes: there is no OpenCL device"
 fi

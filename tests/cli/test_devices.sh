@@ -18,9 +18,9 @@ warned()
 
 # ---- inputs ----
 
-"$TESTS/generate-scan" --triangles 20000 --colors vase -o vase.obj >/dev/null &&
-    "$TESTS/generate-scan" vase-low -o low.obj >/dev/null &&
-    "$BIN/bisque-voxelize" --resolution 256 vase.obj -o vase.nvdb >/dev/null || exit 1
+"$TESTS/generate-scan" --offset 9,9,9 --triangles 20000 --colors vase -o vase.obj >/dev/null &&
+    "$TESTS/generate-scan" --offset 9,9,9 vase-low -o low.obj >/dev/null &&
+    "$BIN/bisque-voxelize" --resolution 500 vase.obj -o vase.nvdb >/dev/null || exit 1
 # Secondary rays are short, so that parts of the grid are enough for them.
 hits="--rays ao=5 --distance ao=0.02 --rays thickness=3 --distance thickness=0.02"
 maps="--size 160x96 --type float --maps all $hits vase.nvdb low.obj"
@@ -64,7 +64,7 @@ if [ -s "$ptx" ]; then
     # driver refuses kernels and copies that do not wait for each other.
     cuda --device cuda --threads 2 $maps -o 'x_<MAP>.exr' --gpu-memory 1M
     least=$(sed -n 's/.*--gpu-memory \([0-9]*\).*/\1/p; s/.*take \([0-9]*\) bytes of the device.*/\1/p' "$err")
-    FAKE_CUDA_HOLD=2 cuda --device cuda --threads 2 $maps -o 'passes_<MAP>.exr' --gpu-memory $((${least:-1} + 3000000)) --json
+    FAKE_CUDA_HOLD=2 cuda --device cuda --threads 2 $maps -o 'passes_<MAP>.exr' --gpu-memory $((${least:-1} + 11000000)) --json
     code 0
     json '.passes > 2 and .device == "Fake GPU 0 (CUDA)"'
     for map in $names; do
@@ -72,7 +72,7 @@ if [ -s "$ptx" ]; then
     done
 
     # Rays that may reach everything need the whole grid on the device.
-    far="--size 16 --maps ao --rays ao=3 vase.nvdb low.obj --gpu-memory $((${least:-1} + 3000000))"
+    far="--size 16 --maps ao --rays ao=3 vase.nvdb low.obj --gpu-memory $((${least:-1} + 11000000))"
     cuda --device cuda $far -o x.exr
     code 69
     grep -q '^bisque-bake: rays that start on the scan reach all of the grid, and ' "$err"
@@ -85,7 +85,7 @@ if [ -s "$ptx" ]; then
     # Freeing or allocating device memory may wait for the device. So passes allocate nothing: the low-poly mesh, two
     # blocks for subgrids, and two arrays for each worker are all.
     FAKE_CUDA_FAIL=cuMemAlloc_v2:8:2 cuda --device cuda --threads 2 $maps -o 'reused_<MAP>.exr' \
-        --gpu-memory $((${least:-1} + 3000000)) --json
+        --gpu-memory $((${least:-1} + 11000000)) --json
     code 0
     json '.passes > 2 and .device == "Fake GPU 0 (CUDA)"'
 

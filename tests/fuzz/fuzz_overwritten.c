@@ -5,7 +5,7 @@
 
 #include "libbake/device/device.h"
 #include "libbake/device/native/native_code.h"
-#include "libbake/device/subgrid/leaf_set.h"
+#include "libbake/device/subgrid/subgrid.h"
 #include "libbake/kernel/bk_grid.h"
 #include "tests/fuzz/fuzz_file.h"
 #include "tests/fuzz/grid_use.h"
@@ -73,26 +73,39 @@ static void trace_subgrid(const struct bake_job *job, const struct bake_subgrid 
         free(arrays[i].data);
 }
 
+/* A set of lower nodes, as a visitor fills it. */
+struct lowers {
+    struct bsq_ctx *ctx;
+    struct bake_lower_set set;
+};
+
+static int add_lower(void *arg, uint32_t lower, const int32_t origin[3])
+{
+    struct lowers *lowers = arg;
+    (void)origin;
+    return bake_lower_set_add(lowers->ctx, &lowers->set, lower);
+}
+
 /* Adds half of the grid to a set, and all of it, for subgrids of every shape. */
 static int trace_parts(struct bsq_ctx *ctx, const struct bake_job *job)
 {
     const struct fmt_nvdb_grid *grid = job->grid;
-    struct bake_leaf_set set;
-    int status = bake_leaf_set_create(ctx, grid, &set);
+    struct lowers lowers = {.ctx = ctx};
+    int status = bake_lower_set_create(ctx, grid, &lowers.set);
     for (int part = 2; part > 0 && status == 0; part--) {
         struct bake_subgrid subgrid = {0};
         int32_t high[3];
         for (int k = 0; k < 3; k++)
             high[k] = (int32_t)(grid->index_min[k] +
                                 ((int64_t)grid->index_max[k] - grid->index_min[k]) / part);
-        status = bake_leaf_set_add_box(ctx, &set, grid->index_min, high);
+        status = bake_visit_nodes(grid, grid->index_min, high, add_lower, &lowers);
         if (status == 0)
-            status = bake_subgrid_create(ctx, &set, &job->params, &subgrid);
+            status = bake_subgrid_create(ctx, &lowers.set, &job->params, &subgrid);
         if (status == 0)
             trace_subgrid(job, &subgrid);
         bake_subgrid_free(ctx, &subgrid);
     }
-    bake_leaf_set_free(ctx, &set);
+    bake_lower_set_free(ctx, &lowers.set);
     return status;
 }
 

@@ -1,4 +1,7 @@
-/* job.c - prepares a grid file for the kernel, and traces single rays through it. */
+/* job.c - prepares a grid file for the kernel, traces single rays through it, and finds its nodes.
+ *
+ * The file may change while it is read, so every number of a node is bounded here, as in the
+ * kernel: children with wrong numbers count as missing. */
 #include "libbake/device/job/job.h"
 
 #include <assert.h>
@@ -104,6 +107,92 @@ void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *pa
                            .t = hits.t,
                            .normal = {hits.normal.x, hits.normal.y, hits.normal.z},
                            .color = {hits.color.x, hits.color.y, hits.color.z}};
+}
+
+/* ---- nodes ---- */
+
+/* Returns the number of child n of a node; its level's first node is `distance` bytes before that
+ * of the children's level. */
+static uint32_t child_of(const uint64_t *words, uint64_t node_at, uint32_t mask, uint32_t table,
+                         uint32_t n, uint64_t distance, uint32_t child_words, uint32_t count)
+{
+    if (!(words[mask + (n >> 6)] >> (n & 63) & 1))
+        return BK_NONE;
+    const uint64_t number = (node_at + words[table + n] - distance) / (child_words * UINT64_C(8));
+    return number < count ? (uint32_t)number : BK_NONE;
+}
+
+uint32_t bake_upper_lower(const struct fmt_nvdb_grid *grid, uint32_t upper, uint32_t n)
+{
+    const uint64_t at = (uint64_t)upper * BK_UPPER_WORDS * 8;
+    return child_of((const uint64_t *)(const void *)(grid->uppers + at), at, BK_UPPER_CHILD_MASK,
+                    BK_UPPER_TABLE, n, (uint64_t)(grid->lowers - grid->uppers), BK_LOWER_WORDS,
+                    grid->lower_count);
+}
+
+uint32_t bake_lower_leaf(const struct fmt_nvdb_grid *grid, uint32_t lower, uint32_t n)
+{
+    const uint64_t at = (uint64_t)lower * BK_LOWER_WORDS * 8;
+    return child_of((const uint64_t *)(const void *)(grid->lowers + at), at, BK_LOWER_CHILD_MASK,
+                    BK_LOWER_TABLE, n, (uint64_t)(grid->leaves - grid->lowers), BK_LEAF_WORDS,
+                    grid->leaf_count);
+}
+
+const uint64_t *bake_lower_children(const struct fmt_nvdb_grid *grid, uint32_t lower)
+{
+    const uint64_t at = (uint64_t)lower * BK_LOWER_WORDS * 8;
+    return (const uint64_t *)(const void *)(grid->lowers + at) + BK_LOWER_CHILD_MASK;
+}
+
+static int visit_upper(const struct fmt_nvdb_grid *grid, uint32_t upper, const int32_t origin[3],
+                       const int32_t low[3], const int32_t high[3], bake_node_visit *visit,
+                       void *arg)
+{
+    uint32_t first[3], last[3];
+    int status = 0;
+    for (int k = 0; k < 3; k++) {
+        const int64_t a = ((int64_t)low[k] - origin[k]) >> BK_LOWER_LOG2;
+        const int64_t b = ((int64_t)high[k] - origin[k]) >> BK_LOWER_LOG2;
+        first[k] = a < 0 ? 0 : (uint32_t)a;
+        last[k] = b > 31 ? 31 : (uint32_t)b;
+    }
+    for (uint32_t x = first[0]; x <= last[0]; x++)
+        for (uint32_t y = first[1]; y <= last[1]; y++)
+            for (uint32_t z = first[2]; status == 0 && z <= last[2]; z++) {
+                const uint32_t lower = bake_upper_lower(grid, upper, x << 10 | y << 5 | z);
+                const int32_t at[3] = {origin[0] + (int32_t)(x << BK_LOWER_LOG2),
+                                       origin[1] + (int32_t)(y << BK_LOWER_LOG2),
+                                       origin[2] + (int32_t)(z << BK_LOWER_LOG2)};
+                status = lower == BK_NONE ? 0 : visit(arg, lower, at);
+            }
+    return status;
+}
+
+/* Returns the lowest voxel of a root tile along the axis whose key bits begin at `shift`. */
+static int32_t tile_origin(uint64_t key, uint32_t shift)
+{
+    const uint32_t bits = (uint32_t)(key >> shift) & 0xfffff; /* x >> 12 of a 32-bit x */
+    return (int32_t)(bits << BK_UPPER_LOG2);
+}
+
+int bake_visit_nodes(const struct fmt_nvdb_grid *grid, const int32_t low[3], const int32_t high[3],
+                     bake_node_visit *visit, void *arg)
+{
+    const uint64_t *tiles = (const uint64_t *)(const void *)grid->tiles;
+    int status = 0;
+    for (uint32_t i = 0; status == 0 && i < grid->tile_count; i++) {
+        const uint64_t key = tiles[i * BK_TILE_WORDS], child = tiles[i * BK_TILE_WORDS + 1];
+        const uint64_t upper =
+            (child - (uint64_t)(grid->uppers - grid->root)) / (BK_UPPER_WORDS * UINT64_C(8));
+        const int32_t origin[3] = {tile_origin(key, 42), tile_origin(key, 21), tile_origin(key, 0)};
+        bool inside = child != 0 && upper < grid->upper_count;
+        for (int k = 0; k < 3; k++)
+            inside = inside && high[k] >= origin[k] &&
+                     low[k] <= (int64_t)origin[k] + (1 << BK_UPPER_LOG2) - 1;
+        if (inside)
+            status = visit_upper(grid, (uint32_t)upper, origin, low, high, visit, arg);
+    }
+    return status;
 }
 
 uint32_t bake_sample_cost(const struct bk_params *params)

@@ -1,7 +1,7 @@
 /* job.h - what a device traces: the grid, the low-poly mesh's triangles and the parameters.
  *
- * Takes an open grid file (formats/grid); gives the kernel's parameters and array pointers for it.
- * Every other folder of device/ uses this one. */
+ * Takes an open grid file (formats/grid); gives the kernel's parameters and array pointers for it,
+ * and its nodes. Every other folder of device/ uses this one. */
 #ifndef BAKE_DEVICE_JOB_JOB_H
 #define BAKE_DEVICE_JOB_JOB_H
 
@@ -54,6 +54,24 @@ struct bake_ray_batch {
     const float *starts; /* a t_min for each ray; NULL: that above */
     float facing;        /* 1: surfaces must face along the ray; -1: against it */
 };
+
+/* ---- nodes of a grid ---- */
+
+enum { BAKE_MASK_WORDS = 64 }; /* one bit for each child of a lower node */
+
+/* Calls visit() for each lower node of a grid that overlaps voxels low .. high (inclusive). origin:
+ * the node's lowest voxel. Returns the first result of visit() that is not 0, after which it stops.
+ */
+typedef int bake_node_visit(void *arg, uint32_t lower, const int32_t origin[3]);
+int bake_visit_nodes(const struct fmt_nvdb_grid *grid, const int32_t low[3], const int32_t high[3],
+                     bake_node_visit *visit, void *arg);
+
+/* Return the number of child n of an upper or of a lower node; BK_NONE if there is none, or if the
+ * grid has no such node: the file may change while it is read. */
+uint32_t bake_upper_lower(const struct fmt_nvdb_grid *grid, uint32_t upper, uint32_t n);
+uint32_t bake_lower_leaf(const struct fmt_nvdb_grid *grid, uint32_t lower, uint32_t n);
+/* Returns the mask of the leaves of a lower node: BAKE_MASK_WORDS words in the grid's file. */
+const uint64_t *bake_lower_children(const struct fmt_nvdb_grid *grid, uint32_t lower);
 
 /* Returns the cost of a sample, secondary rays included, in pairs of primary rays. */
 uint32_t bake_sample_cost(const struct bk_params *params);

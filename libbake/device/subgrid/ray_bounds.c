@@ -1,32 +1,23 @@
-/* ray_bounds.c - boxes around the rays of neighbouring texels. The rays come from the kernel's own
- * code. */
+/* ray_bounds.c - finds the lower nodes around rays. The rays come from the kernel's own code. */
 #define BK_WIDTH 4
-#include "libbake/device/subgrid/leaf_set.h"
+#include "libbake/device/subgrid/subgrid.h"
 
 #include <math.h>
+#include <string.h>
 
 #include "libbake/kernel/bk_sample.h"
 
-enum {
-    SQUARE = 4, /* side in texels of the square whose rays may share a box */
-    SLACK = 8,  /* voxels that a shared box may be longer than either of its two */
-    MARGIN = 2  /* voxels around a ray: one for the blend, one for rounding, which needs less */
-};
-
-struct box {
-    float low[3], high[3]; /* low > high: empty */
-};
+/* Voxels around a ray: one for the blend, one for rounding, which needs less. */
+enum { MARGIN = 2 };
 
 struct ray_bounds {
     struct bsq_ctx *ctx;
     const struct bake_job *job;
-    struct bake_leaf_set *set;
-    struct box box; /* of rays whose nodes are not in the set yet */
+    struct bake_lower_set *set;
+    double margin;
+    int32_t last[6]; /* lowest and highest lower nodes around the last ray: voxels >> 7 */
     bk_samples samples;
 };
-
-static const struct box nothing = {{INFINITY, INFINITY, INFINITY},
-                                   {-INFINITY, -INFINITY, -INFINITY}};
 
 float bake_secondary_reach(const struct bk_params *params)
 {
@@ -38,60 +29,37 @@ float bake_secondary_reach(const struct bk_params *params)
     return reach;
 }
 
-static int add_box(struct ray_bounds *bounds)
+static int add_node(void *arg, uint32_t lower, const int32_t origin[3])
+{
+    struct ray_bounds *bounds = arg;
+    (void)origin;
+    return bake_lower_set_add(bounds->ctx, bounds->set, lower);
+}
+
+/* Adds the nodes around a ray from a to b. Most rays have those of the last one. A ray whose origin
+ * is NaN hits nothing, and has no nodes. */
+static int add_ray(struct ray_bounds *bounds, const float a[3], const float b[3])
 {
     const struct bk_params *params = &bounds->job->params;
-    const double margin = MARGIN + ceil((double)bake_secondary_reach(params));
-    int32_t low[3], high[3];
-    bool some = true;
+    int32_t low[3], high[3], nodes[6];
     for (int k = 0; k < 3; k++) {
-        const double a = floor((double)bounds->box.low[k]) - margin;
-        const double b = ceil((double)bounds->box.high[k]) + margin;
+        const double begin = floor((double)fminf(a[k], b[k])) - bounds->margin;
+        const double end = ceil((double)fmaxf(a[k], b[k])) + bounds->margin;
         const double least = (double)params->index_min[k], most = (double)params->index_max[k];
-        some = some && a <= most && b >= least;
-        if (!some)
-            break;
-        low[k] = (int32_t)fmax(a, least);
-        high[k] = (int32_t)fmin(b, most);
+        if (!(begin <= most && end >= least))
+            return 0;
+        low[k] = (int32_t)fmax(begin, least);
+        high[k] = (int32_t)fmin(end, most);
+        nodes[k] = low[k] >> BK_LOWER_LOG2;
+        nodes[3 + k] = high[k] >> BK_LOWER_LOG2;
     }
-    bounds->box = nothing;
-    return some ? bake_leaf_set_add_box(bounds->ctx, bounds->set, low, high) : 0;
+    if (memcmp(nodes, bounds->last, sizeof nodes) == 0)
+        return 0;
+    memcpy(bounds->last, nodes, sizeof nodes);
+    return bake_visit_nodes(bounds->job->grid, low, high, add_node, bounds);
 }
 
-/* Returns whether a box around both is hardly longer than the longer one. */
-static bool close_together(const struct box *a, const struct box *b)
-{
-    for (int k = 0; k < 3; k++) {
-        const float joined = fmaxf(a->high[k], b->high[k]) - fminf(a->low[k], b->low[k]);
-        if (!(joined <= fmaxf(a->high[k] - a->low[k], b->high[k] - b->low[k]) + SLACK))
-            return false;
-    }
-    return true;
-}
-
-static int join_box(struct ray_bounds *bounds, const struct box *box)
-{
-    struct box *own = &bounds->box;
-    int status = 0;
-    if (own->low[0] <= own->high[0] && !close_together(own, box))
-        status = add_box(bounds);
-    for (int k = 0; k < 3; k++) {
-        own->low[k] = fminf(own->low[k], box->low[k]);
-        own->high[k] = fmaxf(own->high[k], box->high[k]);
-    }
-    return status;
-}
-
-static void extend(bk_fw a, bk_fw b, uint32_t count, float *low, float *high)
-{
-    for (uint32_t lane = 0; lane < count; lane++) {
-        *low = fminf(*low, fminf(bk_lane(a, lane), bk_lane(b, lane)));
-        *high = fmaxf(*high, fmaxf(bk_lane(a, lane), bk_lane(b, lane)));
-    }
-}
-
-/* Adds the collected samples' rays. fminf and fmaxf ignore origins that are NaN; such rays hit
- * nothing. */
+/* Adds the collected samples' rays. */
 static int add_samples(struct ray_bounds *bounds)
 {
     const struct bk_params *params = &bounds->job->params;
@@ -100,16 +68,20 @@ static int add_samples(struct ray_bounds *bounds)
         return 0;
     const bk_point points = bk_points_at(params, bounds->job->triangles, &bounds->samples);
     const bk_start start = bk_start_at(params, &points);
-    const bk_vec3w d = start.direction, o = start.origin;
     const bool cage = params->flags & BK_CAGE;
-    const float f = cage ? params->front + params->back : params->front;
-    const float b = cage ? 0.0f : params->back;
-    struct box box = nothing;
-    extend(o.x + f * d.x, o.x - b * d.x, count, &box.low[0], &box.high[0]);
-    extend(o.y + f * d.y, o.y - b * d.y, count, &box.low[1], &box.high[1]);
-    extend(o.z + f * d.z, o.z - b * d.z, count, &box.low[2], &box.high[2]);
+    const bk_fw front = bk_splat(cage ? params->front + params->back : params->front);
+    const bk_fw back = bk_splat(cage ? 0.0f : -params->back);
+    const bk_vec3w from = bk_add_scaledw(start.origin, front, start.direction);
+    const bk_vec3w to = bk_add_scaledw(start.origin, back, start.direction);
+    int status = 0;
+    for (uint32_t lane = 0; lane < count && status == 0; lane++) {
+        float a[3], b[3];
+        bk_copy_lane(&from, lane, a);
+        bk_copy_lane(&to, lane, b);
+        status = add_ray(bounds, a, b);
+    }
     bounds->samples.count = 0;
-    return join_box(bounds, &box);
+    return status;
 }
 
 static int add_texel(struct ray_bounds *bounds, const struct bk_tile *tile,
@@ -135,33 +107,21 @@ static int add_texel(struct ray_bounds *bounds, const struct bk_tile *tile,
     return status;
 }
 
-static int add_square(struct ray_bounds *bounds, const struct bk_tile *tile,
-                      const uint32_t *sample_triangles, const struct bake_rectangle *square)
+int bake_lower_set_add_rays(struct bsq_ctx *ctx, struct bake_lower_set *set,
+                            const struct bake_job *job, const struct bk_tile *tile,
+                            const uint32_t *sample_triangles,
+                            const struct bake_rectangle *rectangle)
 {
+    struct ray_bounds bounds = {.ctx = ctx,
+                                .job = job,
+                                .set = set,
+                                .margin = MARGIN + ceil((double)bake_secondary_reach(&job->params)),
+                                .last = {INT32_MAX}};
     int status = 0;
-    for (uint32_t y = 0; y < square->height && status == 0; y++)
-        for (uint32_t x = 0; x < square->width && status == 0; x++)
-            status = add_texel(bounds, tile, sample_triangles, square->x + x, square->y + y);
-    if (status == 0)
-        status = add_samples(bounds);
-    if (status == 0 && bounds->box.low[0] <= bounds->box.high[0])
-        status = add_box(bounds);
-    return status;
-}
-
-int bake_leaf_set_add_rays(struct bsq_ctx *ctx, struct bake_leaf_set *set,
-                           const struct bake_job *job, const struct bk_tile *tile,
-                           const uint32_t *sample_triangles, const struct bake_rectangle *rectangle)
-{
-    struct ray_bounds bounds = {.ctx = ctx, .job = job, .set = set, .box = nothing};
-    int status = 0;
-    for (uint32_t y = 0; y < rectangle->height && status == 0; y += SQUARE)
-        for (uint32_t x = 0; x < rectangle->width && status == 0; x += SQUARE) {
-            const uint32_t right = rectangle->width - x, below = rectangle->height - y;
-            const struct bake_rectangle square = {rectangle->x + x, rectangle->y + y,
-                                                  right < SQUARE ? right : SQUARE,
-                                                  below < SQUARE ? below : SQUARE};
-            status = add_square(&bounds, tile, sample_triangles, &square);
-        }
+    for (uint32_t y = 0; y < rectangle->height; y++)
+        for (uint32_t x = 0; x < rectangle->width; x++)
+            BSQ_TRY(add_texel(&bounds, tile, sample_triangles, rectangle->x + x, rectangle->y + y));
+    status = add_samples(&bounds);
+done:
     return status;
 }

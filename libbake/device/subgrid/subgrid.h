@@ -1,10 +1,14 @@
 /* subgrid.h - a grid, or the part of it that some rays need, as the arrays that a device takes;
  * and the passes in which a grid that does not fit a device is baked.
  *
- * Takes a job (its grid and triangles) and a raster; gives subgrids and the tiles to trace with
- * each. A subgrid has the layout of a grid file with fewer nodes and records, renumbered: the
- * kernel cannot tell it from a grid. It never exists in memory as a whole: bake_subgrid_send()
- * hands out its arrays piece by piece on their way to the device. */
+ * Takes a job (its grid and triangles) and a raster; gives subgrids and the pieces of the map to
+ * trace with each. A subgrid has all upper nodes of a grid, and some of its lower nodes (128^3
+ * voxels) with all of their leaves and records, renumbered: the kernel cannot tell it from a grid.
+ * It never exists in memory as a whole: bake_subgrid_send() hands out its arrays piece by piece on
+ * their way to the device.
+ *
+ * A lower node that a ray looks up must not be missing: it would look empty, and the ray would take
+ * other steps through it. So a subgrid gives results with the same bits as the whole grid. */
 #ifndef BAKE_DEVICE_SUBGRID_SUBGRID_H
 #define BAKE_DEVICE_SUBGRID_SUBGRID_H
 
@@ -23,30 +27,34 @@ enum {
     BAKE_SUBGRID_ARRAYS
 };
 
-enum { BAKE_MASK_WORDS = 64 }; /* one bit for each child of a lower node, as in its child mask */
+/* Sizes of a subgrid. */
+struct bake_subgrid_counts {
+    uint64_t lowers, leaves;
+    uint64_t values; /* indices of first records, 0 and those that no voxel has included */
+    uint64_t seconds;
+};
 
-/* Calls visit() for each upper node of a grid that overlaps voxels low .. high (inclusive), with
- * lower == BK_NONE, and then for each of its lower nodes that overlap them. origin: the node's
- * lowest voxel. Returns the first result of visit() that is not 0, after which it stops. */
-typedef int bake_node_visit(void *arg, uint32_t upper, uint32_t lower, const int32_t origin[3]);
-int bake_visit_nodes(const struct fmt_nvdb_grid *grid, const int32_t low[3], const int32_t high[3],
-                     bake_node_visit *visit, void *arg);
-/* Returns the mask of the leaves of a lower node: BAKE_MASK_WORDS words in the grid's file. */
-const uint64_t *bake_lower_children(const struct fmt_nvdb_grid *grid, uint32_t lower);
-
-/* A lower node of a subgrid. */
+/* A lower node of a subgrid, and its leaves in the grid. */
 struct bake_subgrid_lower {
-    uint32_t number;                  /* in the grid */
-    uint64_t first_leaf, first_voxel; /* leaves and voxels of the nodes before it */
+    uint32_t number; /* in the grid */
+    uint32_t first_leaf, leaf_count;
+    uint64_t shift; /* what its voxels' value indices in the subgrid have more than in the grid */
+};
+
+/* Value indices `first` to first + count - 1 of the grid, which are those from `to` on in the
+ * subgrid, and their second records. `first` and `to` have the same remainder by 32. */
+struct bake_value_run {
+    uint64_t first, count, to;
+    uint64_t first_second, second_count;
 };
 
 struct bake_subgrid {
     const struct fmt_nvdb_grid *grid;
-    bool whole;                              /* the fields from here to params are unused */
-    uint32_t *uppers;                        /* numbers in the grid, ascending */
-    struct bake_subgrid_lower *lowers;       /* ascending numbers */
-    uint64_t (*leaf_masks)[BAKE_MASK_WORDS]; /* for each lower node: its leaves in the subgrid */
-    uint64_t upper_count, lower_count, leaf_count, voxel_count, second_count;
+    bool whole;                        /* the fields from here to params are unused */
+    struct bake_subgrid_lower *lowers; /* ascending numbers */
+    struct bake_value_run *runs;
+    uint64_t run_count;
+    struct bake_subgrid_counts counts;
     struct bk_params params;             /* the job's, for this subgrid */
     uint64_t bytes[BAKE_SUBGRID_ARRAYS]; /* 0: the kernel does not read the array */
 };
@@ -66,14 +74,54 @@ const char *bake_subgrid_array_name(int array);
 int bake_subgrid_send(const struct bake_subgrid *subgrid, int array,
                       int (*sink)(void *arg, const void *data, uint64_t bytes), void *arg);
 
-/* ---- passes ---- */
+/* ---- lower nodes ---- */
 
-struct bake_raster;
+/* Lower nodes of a grid. */
+struct bake_lower_set {
+    const struct fmt_nvdb_grid *grid;
+    uint8_t *has;     /* for each lower node of the grid */
+    uint32_t *lowers; /* numbers of those in the set, in the order in which they were added */
+    uint64_t count, capacity;
+};
+
+/* Makes an empty set; free with bake_lower_set_free(), also after a failure. */
+int bake_lower_set_create(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid,
+                          struct bake_lower_set *out);
+void bake_lower_set_free(struct bsq_ctx *ctx, struct bake_lower_set *set);
+void bake_lower_set_clear(struct bake_lower_set *set);
+int bake_lower_set_add(struct bsq_ctx *ctx, struct bake_lower_set *set, uint32_t lower);
+
+/* Adds a lower node to the counts of a subgrid; at most what it really adds. */
+void bake_subgrid_count(const struct fmt_nvdb_grid *grid, uint32_t lower,
+                        struct bake_subgrid_counts *counts);
+/* Computes the bytes of each array. */
+void bake_subgrid_sizes(const struct fmt_nvdb_grid *grid, const struct bake_subgrid_counts *counts,
+                        uint64_t bytes[BAKE_SUBGRID_ARRAYS]);
+/* Makes a subgrid of the nodes of a set, which it sorts; free with bake_subgrid_free(), also after
+ * a failure. */
+int bake_subgrid_create(struct bsq_ctx *ctx, struct bake_lower_set *set,
+                        const struct bk_params *params, struct bake_subgrid *out);
+void bake_subgrid_free(struct bsq_ctx *ctx, struct bake_subgrid *subgrid);
+
+/* ---- rays ---- */
 
 /* Texels of a tile, relative to it. */
 struct bake_rectangle {
     uint32_t x, y, width, height;
 };
+
+/* Adds all lower nodes that the rays of a rectangle's samples, or the blending around their hits,
+ * look up. sample_triangles are those of the whole tile. */
+int bake_lower_set_add_rays(struct bsq_ctx *ctx, struct bake_lower_set *set,
+                            const struct bake_job *job, const struct bk_tile *tile,
+                            const uint32_t *sample_triangles,
+                            const struct bake_rectangle *rectangle);
+/* Returns how far rays that start at hits reach from there, in voxels. */
+float bake_secondary_reach(const struct bk_params *params);
+
+/* ---- passes ---- */
+
+struct bake_raster;
 
 /* Texels that are traced together: usually a whole tile, less if a tile needs too many nodes. */
 struct bake_piece {

@@ -11,7 +11,7 @@
 
 #include "libbake/kernel/bk_grid.h"
 #include "libbake/device/native/native_code.h"
-#include "libbake/device/subgrid/leaf_set.h"
+#include "libbake/device/subgrid/subgrid.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
 enum { WIDTH = 64, HEIGHT = 48, SAMPLES = 2, TEXELS = WIDTH * HEIGHT, TRIANGLES = 24 };
@@ -176,12 +176,12 @@ static uint64_t compare(const struct fixture *f, const struct bake_rectangle *r,
     const uint32_t row = r->width * SAMPLES;
     uint32_t *samples = malloc(sizeof *samples * row * r->height * SAMPLES);
     struct sums *texels = malloc(sizeof *texels * r->width * r->height);
-    struct bake_leaf_set set;
+    struct bake_lower_set set;
     struct bake_subgrid subgrid;
-    uint64_t leaves;
-    assert_int_equal(bake_leaf_set_create(f->ctx, &f->grid, &set), 0);
-    assert_int_equal(bake_leaf_set_add_rays(f->ctx, &set, &f->job, &map, f->samples, r), 0);
-    leaves = set.leaf_count;
+    uint64_t lowers;
+    assert_int_equal(bake_lower_set_create(f->ctx, &f->grid, &set), 0);
+    assert_int_equal(bake_lower_set_add_rays(f->ctx, &set, &f->job, &map, f->samples, r), 0);
+    lowers = set.count;
     assert_int_equal(bake_subgrid_create(f->ctx, &set, &f->job.params, &subgrid), 0);
     for (uint32_t j = 0; j < r->height * SAMPLES; j++)
         memcpy(samples + j * row,
@@ -192,10 +192,10 @@ static uint64_t compare(const struct fixture *f, const struct bake_rectangle *r,
         assert_memory_equal(texels + y * r->width, expected + (r->y + y) * WIDTH + r->x,
                             r->width * sizeof *texels);
     bake_subgrid_free(f->ctx, &subgrid);
-    bake_leaf_set_free(f->ctx, &set);
+    bake_lower_set_free(f->ctx, &set);
     free(samples);
     free(texels);
-    return leaves;
+    return lowers;
 }
 
 static void test_same_bits(void **state)
@@ -220,13 +220,13 @@ static void test_same_bits(void **state)
         print_message("%u of %u rays hit\n", (unsigned)hits, (unsigned)covered);
         assert_true(hits > covered / 20 && hits < covered);
         for (size_t r = 0; r < sizeof rectangles / sizeof *rectangles; r++) {
-            const uint64_t leaves = compare(f, &rectangles[r], expected);
-            print_message("%u x %u texels: %u of %u leaves\n", (unsigned)rectangles[r].width,
-                          (unsigned)rectangles[r].height, (unsigned)leaves,
-                          (unsigned)f->grid.leaf_count);
-            /* A texel's rays are 52 voxels long: about ten leaves, and those around them. */
-            assert_true(leaves < f->grid.leaf_count);
-            assert_true(rectangles[r].width > 1 || leaves < 600);
+            const uint64_t lowers = compare(f, &rectangles[r], expected);
+            print_message("%u x %u texels: %u of %u lower nodes\n", (unsigned)rectangles[r].width,
+                          (unsigned)rectangles[r].height, (unsigned)lowers,
+                          (unsigned)f->grid.lower_count);
+            /* A texel's rays are 52 voxels long, less than a lower node. */
+            assert_true(lowers <= f->grid.lower_count);
+            assert_true(rectangles[r].width > 1 || lowers <= 8);
         }
         f->job.params.flags &= ~flags[i];
     }
@@ -236,18 +236,17 @@ static void test_same_bits(void **state)
 static void test_whole_set(void **state)
 {
     struct fixture *f = *state;
-    struct bake_leaf_set set;
+    struct bake_lower_set set;
     struct bake_subgrid subgrid, whole;
     struct memory a[BAKE_SUBGRID_ARRAYS], b[BAKE_SUBGRID_ARRAYS];
     struct bk_grid grid;
-    assert_int_equal(bake_leaf_set_create(f->ctx, &f->grid, &set), 0);
-    assert_int_equal(bake_leaf_set_add_box(f->ctx, &set, f->grid.index_min, f->grid.index_max), 0);
-    assert_int_equal(set.leaf_count, f->grid.leaf_count);
-    assert_int_equal(set.voxel_count, f->grid.voxel_count);
-    assert_int_equal(set.second_count, f->grid.record_count - 1 - f->grid.voxel_count);
-    assert_true(set.second_count > 1000 && f->grid.upper_count == 8);
+    assert_int_equal(bake_lower_set_create(f->ctx, &f->grid, &set), 0);
+    for (uint32_t i = 0; i < f->grid.lower_count; i++)
+        assert_int_equal(bake_lower_set_add(f->ctx, &set, i), 0);
     assert_int_equal(bake_subgrid_create(f->ctx, &set, &f->job.params, &subgrid), 0);
     bake_subgrid_whole(&f->grid, &f->job.params, &whole);
+    assert_memory_equal(&subgrid.counts, &whole.counts, sizeof subgrid.counts);
+    assert_true(whole.counts.seconds > 1000 && f->grid.upper_count == 8);
     assert_memory_equal(&subgrid.params, &whole.params, sizeof subgrid.params);
     load(&subgrid, a, &grid);
     load(&whole, b, &grid);
@@ -260,42 +259,42 @@ static void test_whole_set(void **state)
         free(b[i].data);
     }
     bake_subgrid_free(f->ctx, &subgrid);
-    bake_leaf_set_free(f->ctx, &set);
+    bake_lower_set_free(f->ctx, &set);
 }
 
-/* The preview of a set gives the sizes that it has after the addition. */
-static void test_preview(void **state)
+/* Counts of lower nodes are enough for any subgrid, and not much more. */
+static void test_counts(void **state)
 {
     struct fixture *f = *state;
-    struct bake_leaf_set a, b, counts;
-    uint64_t seed = 7;
-    assert_int_equal(bake_leaf_set_create(f->ctx, &f->grid, &a), 0);
-    assert_int_equal(bake_leaf_set_create(f->ctx, &f->grid, &b), 0);
+    uint64_t seed = 7, bytes[BAKE_SUBGRID_ARRAYS];
     for (int i = 0; i < 40; i++) {
-        int32_t low[3], high[3];
-        for (int k = 0; k < 3; k++) {
-            low[k] = (int32_t)(centre[k] + between(&seed, -200, 150));
-            high[k] = low[k] + (int32_t)between(&seed, 0, 60);
+        struct bake_subgrid_counts counts = {.values = 1};
+        struct bake_lower_set set;
+        struct bake_subgrid subgrid;
+        assert_int_equal(bake_lower_set_create(f->ctx, &f->grid, &set), 0);
+        for (int n = 0; n < i; n++) {
+            const uint32_t lower = (uint32_t)between(&seed, 0, f->grid.lower_count);
+            if (!set.has[lower])
+                bake_subgrid_count(&f->grid, lower, &counts);
+            assert_int_equal(bake_lower_set_add(f->ctx, &set, lower), 0);
         }
-        bake_leaf_set_clear(&b);
-        assert_int_equal(bake_leaf_set_add_box(f->ctx, &b, low, high), 0);
-        bake_leaf_set_preview(&a, &b, &counts);
-        assert_int_equal(bake_leaf_set_add(f->ctx, &a, &b), 0);
-        assert_int_equal(a.upper_count, counts.upper_count);
-        assert_int_equal(a.lower_count, counts.lower_count);
-        assert_int_equal(a.leaf_count, counts.leaf_count);
-        assert_int_equal(a.voxel_count, counts.voxel_count);
-        assert_int_equal(a.second_count, counts.second_count);
+        assert_int_equal(bake_subgrid_create(f->ctx, &set, &f->job.params, &subgrid), 0);
+        assert_int_equal(subgrid.counts.lowers, counts.lowers);
+        assert_int_equal(subgrid.counts.leaves, counts.leaves);
+        assert_int_equal(subgrid.counts.seconds, counts.seconds);
+        assert_in_range(subgrid.counts.values, counts.values - 64 * counts.lowers, counts.values);
+        bake_subgrid_sizes(&f->grid, &counts, bytes);
+        for (int a = 0; a < BAKE_SUBGRID_ARRAYS; a++)
+            assert_true(subgrid.bytes[a] <= bytes[a]);
+        bake_subgrid_free(f->ctx, &subgrid);
+        bake_lower_set_free(f->ctx, &set);
     }
-    assert_true(a.leaf_count > 100 && a.leaf_count < f->grid.leaf_count);
-    bake_leaf_set_free(f->ctx, &a);
-    bake_leaf_set_free(f->ctx, &b);
 }
 
 int main(void)
 {
     const struct CMUnitTest tests[] = {cmocka_unit_test(test_same_bits),
                                        cmocka_unit_test(test_whole_set),
-                                       cmocka_unit_test(test_preview)};
+                                       cmocka_unit_test(test_counts)};
     return cmocka_run_group_tests(tests, setup, teardown);
 }
