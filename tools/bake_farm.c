@@ -87,8 +87,7 @@ static int run_task(struct cli *cli, void *arg, uint32_t task)
     if (status == 0 && !path)
         status = bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", arguments->farm.plan);
     if (status == 0)
-        status = kept ? cli_say_kept(cli, path, "this part")
-                      : print_task(cli, path, task, &report);
+        status = kept ? cli_say_kept(cli, path, "this part") : print_task(cli, path, task, &report);
     free(path);
     bake_report_watch(cli, NULL);
     bake_report_free(&report);
