@@ -67,9 +67,9 @@ struct bsq_option {
     .bytes = sizeof((type *)NULL)->member_
 #define BSQ_RANGE(least_, most_, usual_) .least = least_, .most = most_, .usual = usual_
 #define BSQ_LIST(type, member_, count_, rows_)                                                     \
-    BSQ_MEMBER(LIST, type, member_), .rows = rows_, .row_count = sizeof rows_ / sizeof *rows_,     \
-                                     .element_bytes = sizeof *((type *)NULL)->member_,             \
-                                     .count_offset = offsetof(type, count_)
+    .kind = BSQ_OPTION_LIST, .member = #member_, .offset = offsetof(type, member_),                \
+    .bytes = sizeof(void *), .rows = rows_, .row_count = sizeof rows_ / sizeof *rows_,             \
+    .element_bytes = sizeof *((type *)NULL)->member_, .count_offset = offsetof(type, count_)
 /** @} */
 
 /** Returns where a row's member is. */

@@ -332,8 +332,9 @@ static int take_option(struct parser *parser, int option)
     const char *name = parser->options[i].name;
     if (table->options != cli)
         parser->own_name = name;
-    int status = row->key && name == row->name ? take_keys(parser, table, row, optarg)
-                                               : take_value(parser, table, row, name, optarg);
+    int status = row->key && name == row->name
+                     ? take_keys(parser, table, row, optarg)
+                     : take_value(parser, table, row, name, optarg ? optarg : "");
     if (status == 0 && cli->help)
         print_help(parser->command, parser->tables, parser->table_count);
     if (status == 0 && cli->version)

@@ -92,7 +92,7 @@ static void trace_ray(struct wave *wave, const struct exact_slot *slot, uint32_t
 {
     struct bake_exact_hit *hit = &wave->batch->hits[ray];
     pthread_mutex_t *lock = &wave->locks[ray / 4 % EXACT_LOCKS];
-    struct exact_best best;
+    struct exact_best best = {0};
     pthread_mutex_lock(lock);
     best.t = hit->t;
     best.triangle = hit->triangle;
