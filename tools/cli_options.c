@@ -138,7 +138,7 @@ int cli_parse_value(struct cli *cli, const char *option, const struct bsq_option
 /* Returns whether two rows are keys of one option. */
 static bool is_same_option(const struct bsq_option *a, const struct bsq_option *b)
 {
-    return a->key && b->key && strcmp(a->name, b->name) == 0;
+    return a->name && b->name && a->key && b->key && strcmp(a->name, b->name) == 0;
 }
 
 /* ---- --help ---- */
@@ -254,7 +254,7 @@ static void add_entry(struct parser *parser, const struct cli_table *table,
     parser->entries[i].table = table;
     parser->entries[i].row = row;
     if (row->letter && name == row->name) {
-        parser->options[i].val = row->letter;
+        parser->options[i].val = (unsigned char)row->letter;
         snprintf(parser->letters, sizeof parser->letters, ":%c:", row->letter);
     }
 }
