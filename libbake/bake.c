@@ -12,37 +12,29 @@
 static int run(struct bake_run *job)
 {
     double started = bsq_seconds_now();
-    int status = bake_open_inputs(job);
-    if (status == 0)
-        status = bake_set_params(job);
-    if (status == 0)
-        status = bake_open_outputs(job);
-    if (status == 0)
-        status = bake_prepare_triangles(job);
-    if (status == 0)
-        status = bake_open_device(job);
+    int status = 0;
+    BSQ_TRY(bake_open_inputs(job));
+    BSQ_TRY(bake_set_params(job));
+    BSQ_TRY(bake_open_outputs(job));
+    BSQ_TRY(bake_prepare_triangles(job));
+    BSQ_TRY(bake_open_device(job));
     double opened = bsq_seconds_now();
     job->report->seconds_open = opened - started;
-    if (status == 0)
-        status = bake_trace_maps(job);
-    if (status == 0)
-        status = bake_check_hits(job);
-    if (status == 0 && job->maps & BAKE_MAP_CURVATURE)
-        status = bake_trace_curvature(job);
+    BSQ_TRY(bake_trace_maps(job));
+    BSQ_TRY(bake_check_hits(job));
+    if (job->maps & BAKE_MAP_CURVATURE)
+        BSQ_TRY(bake_trace_curvature(job));
     bake_end_tracing(job);
     job->report->seconds_trace = bsq_seconds_now() - opened;
-    if (status == 0)
-        status = bake_write_maps(job);
+    BSQ_TRY(bake_write_maps(job));
     double written = bsq_seconds_now();
-    if (status == 0)
-        status = bake_write_preview(job);
-    if (status == 0)
-        status = bake_surface_check(&job->surface);
+    BSQ_TRY(bake_write_preview(job));
+    BSQ_TRY(bake_surface_check(&job->surface));
     double committing = bsq_seconds_now();
     job->report->seconds_preview = committing - written;
-    if (status == 0)
-        status = bake_commit_outputs(job);
+    BSQ_TRY(bake_commit_outputs(job));
     job->report->seconds_write += bsq_seconds_now() - committing;
+done:
     return status;
 }
 

@@ -143,12 +143,14 @@ static int choose_maps(struct bake_run *job)
     int status = 0;
     struct bake_options chosen = *job->options;
     if (leaves_choice(job->options))
-        status = choose_from(&job->surface, job->options->maps, &chosen.maps);
+        BSQ_TRY(choose_from(&job->surface, job->options->maps, &chosen.maps));
     job->maps = bake_selection(&chosen);
-    for (unsigned i = 0; i < BK_MAP_COUNT && status == 0; ++i)
+    for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
         if (job->maps & 1u << i)
-            status = check_map(job, i, &scan);
-    return status < 0 ? status : bake_check_maps(job->ctx, job->options, job->maps);
+            BSQ_TRY(check_map(job, i, &scan));
+    BSQ_TRY(bake_check_maps(job->ctx, job->options, job->maps));
+done:
+    return status;
 }
 
 /* Makes hits carry what the maps need. */
@@ -235,17 +237,18 @@ static int check_tile_paths(struct bake_run *job)
 static int begin_tiles(struct bake_run *job)
 {
     const struct bake_low_set *sets = job->mesh.sets;
-    int status = bake_udim_find(job->ctx, job->options, &job->mesh, &job->udim);
-    if (status == 0)
-        status = bsq_calloc(job->ctx, "tiles", job->udim.count, sizeof *job->tiles, &job->tiles);
-    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
-        status = bake_tile_begin(job->ctx, job->options, job->maps,
-                                 sets ? &sets[job->udim.tiles[i].set] : NULL, &job->udim.tiles[i],
-                                 &job->tiles[i]);
-    if (status == 0)
-        status = check_tile_paths(job);
+    int status = 0;
+    BSQ_TRY(bake_udim_find(job->ctx, job->options, &job->mesh, &job->udim));
+    BSQ_TRY(bsq_calloc(job->ctx, "tiles", job->udim.count, sizeof *job->tiles, &job->tiles));
+    for (uint32_t i = 0; i < job->udim.count; ++i)
+        BSQ_TRY(bake_tile_begin(job->ctx, job->options, job->maps,
+                                sets ? &sets[job->udim.tiles[i].set] : NULL, &job->udim.tiles[i],
+                                &job->tiles[i]));
+    BSQ_TRY(check_tile_paths(job));
     job->report->outside_uv_triangles = job->udim.outside_triangles;
-    return status < 0 ? status : report_tiles(job);
+    BSQ_TRY(report_tiles(job));
+done:
+    return status;
 }
 
 /* Opens the skew maps of all tiles. */
@@ -269,17 +272,11 @@ static int open_skew(struct bake_run *job)
 
 int bake_open_inputs(struct bake_run *job)
 {
-    int status = bake_check_options(job->ctx, job->options);
-    if (status < 0)
-        return status;
-    status = bake_surface_open(job->ctx, job->options, &job->surface);
-    if (status < 0)
-        return status;
-    status = choose_maps(job);
-    if (status == 0)
-        status = use_attributes(job);
-    if (status < 0)
-        return status;
+    int status = 0;
+    BSQ_TRY(bake_check_options(job->ctx, job->options));
+    BSQ_TRY(bake_surface_open(job->ctx, job->options, &job->surface));
+    BSQ_TRY(choose_maps(job));
+    BSQ_TRY(use_attributes(job));
     const char *output = job->options->output_path;
     const struct bake_lowmesh_options low = {.path = job->options->mesh_path,
                                              .more_paths = job->options->more_mesh_paths,
@@ -289,16 +286,14 @@ int bake_open_inputs(struct bake_run *job)
                                              .material_maps = strstr(output, BAKE_MATERIAL_TOKEN),
                                              .cage_path = job->options->cage_path,
                                              .rays = job->options->rays};
-    status = bake_lowmesh_load(job->ctx, &low, &job->mesh);
-    if (status < 0)
-        return status;
+    BSQ_TRY(bake_lowmesh_load(job->ctx, &low, &job->mesh));
     job->report->low_triangles = job->mesh.triangle_count;
     if (job->options->match_names)
-        status = bake_match_names(job);
-    if (status < 0)
-        return status;
-    status = begin_tiles(job);
-    return status < 0 ? status : open_skew(job);
+        BSQ_TRY(bake_match_names(job));
+    BSQ_TRY(begin_tiles(job));
+    BSQ_TRY(open_skew(job));
+done:
+    return status;
 }
 
 /* ---- parameters ---- */

@@ -127,20 +127,23 @@ static int fail_alone(const struct bake_run *job, const bool *sees)
 int bake_match_names(struct bake_run *job)
 {
     const uint32_t scans = scan_count(job), objects = job->mesh.objects.count;
-    int status =
-        bsq_calloc(job->ctx, "matches", (uint64_t)objects * scans, sizeof *job->sees, &job->sees);
-    for (uint32_t o = 0; o < objects && status == 0; o++) {
-        status = o % 1024 == 0 ? bsq_check(job->ctx) : 0;
-        for (uint32_t s = 0; s < scans && status == 0; s++)
+    int status = 0;
+    BSQ_TRY(
+        bsq_calloc(job->ctx, "matches", (uint64_t)objects * scans, sizeof *job->sees, &job->sees));
+    for (uint32_t o = 0; o < objects; o++) {
+        if (o % 1024 == 0)
+            BSQ_TRY(bsq_check(job->ctx));
+        for (uint32_t s = 0; s < scans; s++)
             job->sees[(uint64_t)o * scans + s] =
                 match(job->options, job->mesh.objects.list[o], scan_name(job, s));
     }
-    for (uint32_t s = 0; s < scans && status == 0; s++) {
-        status = bsq_check(job->ctx);
-        if (status == 0)
-            keep_longest(job, s);
+    for (uint32_t s = 0; s < scans; s++) {
+        BSQ_TRY(bsq_check(job->ctx));
+        keep_longest(job, s);
     }
-    return status < 0 ? status : fail_alone(job, job->sees);
+    BSQ_TRY(fail_alone(job, job->sees));
+done:
+    return status;
 }
 
 bool bake_sees_one_scan(const struct bake_run *job)

@@ -35,19 +35,18 @@ static int name_scans(struct bake_run *job)
     const char **paths = NULL;
     const uint32_t count = options->more_scan_count + 1;
     uint64_t bytes = 1;
-    int status = bsq_alloc(job->ctx, "names of scans", count, sizeof(void *), &paths);
-    for (uint32_t p = 0; p < count && status == 0; ++p) {
+    int status = 0;
+    BSQ_TRY(bsq_alloc(job->ctx, "names of scans", count, sizeof(void *), &paths));
+    for (uint32_t p = 0; p < count; ++p) {
         paths[p] = p == 0 ? options->scan_path : options->more_scan_paths[p - 1];
         bytes += strlen(paths[p]) + 2;
     }
-    if (status == 0)
-        status = bsq_calloc(job->ctx, "names of scans", bytes, 1, &job->scan_names);
-    if (status == 0) {
-        bsq_sort(paths, count, sizeof(void *), compare_names);
-        char *to = job->scan_names;
-        for (uint32_t p = 0; p < count; ++p)
-            to = stpcpy(stpcpy(to, p > 0 ? ", " : ""), bsq_file_name(paths[p]));
-    }
+    BSQ_TRY(bsq_calloc(job->ctx, "names of scans", bytes, 1, &job->scan_names));
+    bsq_sort(paths, count, sizeof(void *), compare_names);
+    char *to = job->scan_names;
+    for (uint32_t p = 0; p < count; ++p)
+        to = stpcpy(stpcpy(to, p > 0 ? ", " : ""), bsq_file_name(paths[p]));
+done:
     bsq_free(job->ctx, paths);
     return status;
 }
@@ -78,17 +77,18 @@ static int require_descriptors(const struct bake_run *job)
  * tiles are created when they are written. */
 int bake_open_outputs(struct bake_run *job)
 {
-    int status = job->options->more_scan_count > 0 ? name_scans(job) : 0;
+    int status = 0;
+    if (job->options->more_scan_count > 0)
+        BSQ_TRY(name_scans(job));
     const struct bake_traced traced = traced_of(job);
-    if (status == 0)
-        status = require_descriptors(job);
-    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
-        status = bake_tile_check_files(job->ctx, &job->tiles[i], NULL);
-    if (status == 0)
-        status = bake_tile_open_files(job->ctx, &job->tiles[0], &traced);
-    if (status == 0 && job->options->preview_path)
-        status = bake_preview_open(job->ctx, job->options->preview_path,
-                                   job->options->preview_views, &job->preview_file);
+    BSQ_TRY(require_descriptors(job));
+    for (uint32_t i = 0; i < job->udim.count; ++i)
+        BSQ_TRY(bake_tile_check_files(job->ctx, &job->tiles[i], NULL));
+    BSQ_TRY(bake_tile_open_files(job->ctx, &job->tiles[0], &traced));
+    if (job->options->preview_path)
+        BSQ_TRY(bake_preview_open(job->ctx, job->options->preview_path, job->options->preview_views,
+                                  &job->preview_file));
+done:
     return status;
 }
 
@@ -108,12 +108,12 @@ static int write_tile(struct bake_run *job, struct bake_tile *tile, uint32_t sid
                       uint64_t *limited)
 {
     const struct bake_traced traced = traced_of(job);
-    int status = bake_tile_open_files(job->ctx, tile, &traced);
-    if (status == 0 && job->preview_file)
-        status = bake_tile_create_thumbnails(job->ctx, tile, side);
-    if (status == 0)
-        status =
-            bake_map_files_write(tile->files, tile->image, &job->measures, limited, job->report);
+    int status = 0;
+    BSQ_TRY(bake_tile_open_files(job->ctx, tile, &traced));
+    if (job->preview_file)
+        BSQ_TRY(bake_tile_create_thumbnails(job->ctx, tile, side));
+    BSQ_TRY(bake_map_files_write(tile->files, tile->image, &job->measures, limited, job->report));
+done:
     bake_image_free(tile->image);
     tile->image = NULL;
     return status;
@@ -124,9 +124,10 @@ static int measure_maps(struct bake_run *job)
 {
     const double start = bsq_seconds_now();
     int status = 0;
-    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
-        status =
-            bake_image_measure(job->ctx, job->tiles[i].image, job->maps, job->measures.statistics);
+    for (uint32_t i = 0; i < job->udim.count; ++i)
+        BSQ_TRY(
+            bake_image_measure(job->ctx, job->tiles[i].image, job->maps, job->measures.statistics));
+done:
     job->report->seconds_resolve += bsq_seconds_now() - start;
     return status;
 }
@@ -135,14 +136,13 @@ int bake_write_maps(struct bake_run *job)
 {
     const uint32_t side = thumbnail_side(job);
     uint64_t *limited = NULL;
-    int status =
-        bsq_calloc(job->ctx, "maps", bake_selection_end(job->maps), sizeof *limited, &limited);
-    if (status == 0)
-        status = measure_maps(job);
-    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
-        status = write_tile(job, &job->tiles[i], side, limited);
-    if (status == 0)
-        status = bake_warn_limited(job->ctx, job->options, job->maps, limited);
+    int status = 0;
+    BSQ_TRY(bsq_calloc(job->ctx, "maps", bake_selection_end(job->maps), sizeof *limited, &limited));
+    BSQ_TRY(measure_maps(job));
+    for (uint32_t i = 0; i < job->udim.count; ++i)
+        BSQ_TRY(write_tile(job, &job->tiles[i], side, limited));
+    BSQ_TRY(bake_warn_limited(job->ctx, job->options, job->maps, limited));
+done:
     bsq_free(job->ctx, limited);
     return status;
 }
@@ -176,18 +176,19 @@ int bake_commit_outputs(struct bake_run *job)
     struct bsq_output_group group = {0};
     struct bsq_output *preview;
     int status = 0;
-    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
-        status = bake_map_files_hand_over(job->tiles[i].files, &group);
+    for (uint32_t i = 0; i < job->udim.count; ++i) {
+        struct bake_map_files *files = job->tiles[i].files;
         job->tiles[i].files = NULL;
+        BSQ_TRY(bake_map_files_hand_over(files, &group));
     }
-    if (status == 0 && job->preview_file) {
-        status = bake_preview_hand_over(job->preview_file, &preview);
+    if (job->preview_file) {
+        struct bake_preview_file *file = job->preview_file;
         job->preview_file = NULL;
-        if (status == 0)
-            status = bsq_output_group_add(&group, preview);
+        BSQ_TRY(bake_preview_hand_over(file, &preview));
+        BSQ_TRY(bsq_output_group_add(&group, preview));
     }
-    if (status == 0)
-        status = bsq_output_group_commit(&group);
+    BSQ_TRY(bsq_output_group_commit(&group));
+done:
     bsq_output_group_discard(&group);
     return status;
 }

@@ -30,14 +30,15 @@ struct bake_tile_scene bake_scene_of(const struct bake_run *job)
 
 int bake_prepare_triangles(struct bake_run *job)
 {
-    int status = bake_udim_arrange(job->ctx, job->options, &job->udim, &job->mesh);
-    if (status == 0)
-        status = bsq_calloc(job->ctx, "triangles of the low-poly mesh", tile_triangles(job),
-                            sizeof *job->triangles, &job->triangles);
+    int status = 0;
+    BSQ_TRY(bake_udim_arrange(job->ctx, job->options, &job->udim, &job->mesh));
+    BSQ_TRY(bsq_calloc(job->ctx, "triangles of the low-poly mesh", tile_triangles(job),
+                       sizeof *job->triangles, &job->triangles));
     const struct bake_tile_scene scene = bake_scene_of(job);
-    for (uint32_t i = 0; i < job->udim.count && status == 0; ++i)
+    for (uint32_t i = 0; i < job->udim.count; ++i)
         if (!job->tiles[i].in_blocks || job->tiles[i].blocks.count > 0)
-            status = bake_tile_rasterise(&scene, &job->tiles[i], job->report);
+            BSQ_TRY(bake_tile_rasterise(&scene, &job->tiles[i], job->report));
+done:
     return status;
 }
 

@@ -235,11 +235,11 @@ static int trace_batch(struct scan_rays *rays, struct bake_report *report)
     const struct bake_tile_scene *scene = rays->samples->scene;
     const uint64_t count = (uint64_t)rays->rows * rays->samples->width;
     bake_ray_states_clear(&rays->states, count);
-    int status = bsq_parallel_for(scene->ctx, bake_raster_tile_count(rays->samples->tile->raster),
-                                  fill_tile, rays);
-    if (status == 0)
-        status = bsq_parallel_for(scene->ctx, rays->rows, load_row, rays);
-    for (uint32_t p = 0; p < rays->whole->part_count && status == 0; p++) {
+    int status = 0;
+    BSQ_TRY(bsq_parallel_for(scene->ctx, bake_raster_tile_count(rays->samples->tile->raster),
+                             fill_tile, rays));
+    BSQ_TRY(bsq_parallel_for(scene->ctx, rays->rows, load_row, rays));
+    for (uint32_t p = 0; p < rays->whole->part_count; p++) {
         struct bk_params params = scene->part_params[p];
         const struct scan_view view = {rays, p};
         const struct bake_places places = {.get = get_place,
@@ -248,10 +248,12 @@ static int trace_batch(struct scan_rays *rays, struct bake_report *report)
                                            .unit = rays->whole->parts[p].unit,
                                            .progress = count};
         params.maps = rays->samples->maps;
-        status = bake_surface_look(&rays->whole->parts[p], &params, &places, &rays->states,
-                                   &report->chunk_loads);
+        BSQ_TRY(bake_surface_look(&rays->whole->parts[p], &params, &places, &rays->states,
+                                  &report->chunk_loads));
     }
-    return status < 0 ? status : bsq_parallel_for(scene->ctx, rays->rows, finish_row, rays);
+    BSQ_TRY(bsq_parallel_for(scene->ctx, rays->rows, finish_row, rays));
+done:
+    return status;
 }
 
 /* ---- memory ---- */
@@ -275,19 +277,18 @@ static int allocate(struct scan_rays *rays)
 {
     struct bsq_ctx *ctx = rays->samples->scene->ctx;
     const uint64_t threads = bsq_threads(ctx), width = rays->samples->width;
-    int status = bsq_alloc(ctx, "samples of a tile", threads * tile_entries(rays->samples->tile),
-                           sizeof *rays->tiles, &rays->tiles);
-    if (status == 0)
-        status = bsq_alloc(ctx, "rows of samples", threads * width,
-                           rays->samples->floats * sizeof *rays->buffers, &rays->buffers);
-    if (status < 0)
-        return status;
+    int status = 0;
+    BSQ_TRY(bsq_alloc(ctx, "samples of a tile", threads * tile_entries(rays->samples->tile),
+                      sizeof *rays->tiles, &rays->tiles));
+    BSQ_TRY(bsq_alloc(ctx, "rows of samples", threads * width,
+                      rays->samples->floats * sizeof *rays->buffers, &rays->buffers));
     choose_rows(rays);
     const uint64_t most = rays->most_rows * width;
-    status = bsq_alloc(ctx, "secondary rays", most, sizeof *rays->triangles, &rays->triangles);
-    if (status == 0)
-        status = bsq_alloc(ctx, "secondary rays", most, sizeof *rays->origins, &rays->origins);
-    return status < 0 ? status : bake_ray_states_create(ctx, &rays->params, most, &rays->states);
+    BSQ_TRY(bsq_alloc(ctx, "secondary rays", most, sizeof *rays->triangles, &rays->triangles));
+    BSQ_TRY(bsq_alloc(ctx, "secondary rays", most, sizeof *rays->origins, &rays->origins));
+    BSQ_TRY(bake_ray_states_create(ctx, &rays->params, most, &rays->states));
+done:
+    return status;
 }
 
 static void release(struct scan_rays *rays)

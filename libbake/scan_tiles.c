@@ -252,15 +252,15 @@ static int create_images(struct work *work, uint64_t memory_bytes)
                                        .beside = tile->beside,
                                        .blocks = tile->in_blocks ? &tile->sample_blocks : NULL};
     struct bsq_ctx *ctx = work->scene->ctx;
-    int status = bake_image_create(ctx, &image, &work->nearest);
+    int status = 0;
+    BSQ_TRY(bake_image_create(ctx, &image, &work->nearest));
     image.channels = work->traced_floats;
-    if (status == 0)
-        status = bake_image_create(ctx, &image, &work->image);
+    BSQ_TRY(bake_image_create(ctx, &image, &work->image));
     work->row_floats =
         (uint64_t)work->width * (work->traced_floats + work->kept_floats) + work->kept_floats;
-    if (status == 0)
-        status = bsq_alloc(ctx, "rows of samples", bsq_threads(ctx),
-                           work->row_floats * sizeof *work->rows, &work->rows);
+    BSQ_TRY(bsq_alloc(ctx, "rows of samples", bsq_threads(ctx),
+                      work->row_floats * sizeof *work->rows, &work->rows));
+done:
     return status;
 }
 
@@ -290,16 +290,16 @@ int bake_tile_trace_scans(const struct bake_tile_scene *scene, struct bake_tile 
                         .kept_floats = bk_texel_floats(traced | tile->maps) + 1,
                         .width = bake_image_width(tile->image) * n,
                         .height = bake_image_height(tile->image) * n};
-    int status = create_images(&work, memory_bytes);
-    for (; work.part < scene->surface->part_count && status == 0; work.part++) {
-        status = trace_part(&work, report);
-        if (status == 0)
-            status = bsq_parallel_for(scene->ctx, work.height, merge_row, &work);
+    int status = 0;
+    BSQ_TRY(create_images(&work, memory_bytes));
+    for (; work.part < scene->surface->part_count; work.part++) {
+        BSQ_TRY(trace_part(&work, report));
+        BSQ_TRY(bsq_parallel_for(scene->ctx, work.height, merge_row, &work));
     }
-    if (status == 0 && traced & BK_PLACE)
-        status = trace_rays_from_hits(&work, report);
-    if (status == 0)
-        status = resolve(&work, report);
+    if (traced & BK_PLACE)
+        BSQ_TRY(trace_rays_from_hits(&work, report));
+    BSQ_TRY(resolve(&work, report));
+done:
     bsq_free(scene->ctx, work.rows);
     bake_image_free(work.image);
     bake_image_free(work.nearest);

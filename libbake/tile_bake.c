@@ -174,11 +174,11 @@ static int create_thumbnail(struct bsq_ctx *ctx, struct bake_tile *tile, enum ba
 
 int bake_tile_create_thumbnails(struct bsq_ctx *ctx, struct bake_tile *tile, uint32_t side)
 {
-    int status = create_thumbnail(ctx, tile, BAKE_MAP_NORMAL, side, &tile->normal);
-    if (status == 0)
-        status = create_thumbnail(ctx, tile, BAKE_MAP_COLOR, side, &tile->color);
-    if (status == 0)
-        status = bake_thumbnail_of_missed(ctx, tile->image, side, &tile->missed);
+    int status = 0;
+    BSQ_TRY(create_thumbnail(ctx, tile, BAKE_MAP_NORMAL, side, &tile->normal));
+    BSQ_TRY(create_thumbnail(ctx, tile, BAKE_MAP_COLOR, side, &tile->color));
+    BSQ_TRY(bake_thumbnail_of_missed(ctx, tile->image, side, &tile->missed));
+done:
     return status;
 }
 

@@ -197,27 +197,23 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
     struct bake_comparison c = {0};
     struct bsq_output_group pictures = {0};
     memset(report, 0, sizeof *report);
-    int status = load(ctx, options, &c);
-    if (!status)
-        status = check_same_meaning(ctx, options, &c);
-    if (!status)
-        status = choose_kind(ctx, options, &c);
-    if (!status)
-        status =
-            bsq_alloc(ctx, "errors", (uint64_t)c.a.width * c.a.height, sizeof *c.errors, &c.errors);
-    if (!status)
-        status = bsq_parallel_for(ctx, c.a.height, measure_row, &c);
-    if (!status)
-        status = bake_comparison_summarise(ctx, options, &c, report);
+    int status = 0;
+    BSQ_TRY(load(ctx, options, &c));
+    BSQ_TRY(check_same_meaning(ctx, options, &c));
+    BSQ_TRY(choose_kind(ctx, options, &c));
+    BSQ_TRY(
+        bsq_alloc(ctx, "errors", (uint64_t)c.a.width * c.a.height, sizeof *c.errors, &c.errors));
+    BSQ_TRY(bsq_parallel_for(ctx, c.a.height, measure_row, &c));
+    BSQ_TRY(bake_comparison_summarise(ctx, options, &c, report));
     double top = options->scale > 0                         ? options->scale
                  : report->p99 > 0 && isfinite(report->p99) ? report->p99
                                                             : 1;
-    if (!status && options->heatmap_path)
-        status = bake_heatmap_write(ctx, &c, top, options->heatmap_path, &pictures);
-    if (!status && options->histogram_path)
-        status = bake_histogram_write(ctx, &c, report, top, options->histogram_path, &pictures);
-    if (!status)
-        status = bsq_output_group_commit(&pictures);
+    if (options->heatmap_path)
+        BSQ_TRY(bake_heatmap_write(ctx, &c, top, options->heatmap_path, &pictures));
+    if (options->histogram_path)
+        BSQ_TRY(bake_histogram_write(ctx, &c, report, top, options->histogram_path, &pictures));
+    BSQ_TRY(bsq_output_group_commit(&pictures));
+done:
     bsq_output_group_discard(&pictures);
     bsq_free(ctx, c.errors);
     fmt_exr_image_free(ctx, &c.a), fmt_exr_image_free(ctx, &c.b);

@@ -196,10 +196,12 @@ static int trace_texels(struct work *work, uint64_t texels)
 {
     struct task task = {work, texels};
     const uint64_t tasks = (texels + TEXELS_A_TASK - 1) / TEXELS_A_TASK;
-    int status = bsq_parallel_for(work->ctx, tasks, cast_texels, &task);
-    if (status == 0)
-        status = trace(work, texels * PROBES, work->job->radius);
-    return status < 0 ? status : bsq_parallel_for(work->ctx, tasks, take_texels, &task);
+    int status = 0;
+    BSQ_TRY(bsq_parallel_for(work->ctx, tasks, cast_texels, &task));
+    BSQ_TRY(trace(work, texels * PROBES, work->job->radius));
+    BSQ_TRY(bsq_parallel_for(work->ctx, tasks, take_texels, &task));
+done:
+    return status;
 }
 
 /* ---- rays that lean, two for each probe that found nothing ---- */
@@ -249,17 +251,16 @@ static int trace_missed(struct work *work)
 {
     const uint64_t most = work->most_texels * PROBES / 2;
     int status = 0;
-    for (uint64_t at = 0; status == 0 && at < work->missed_count; at += most) {
+    for (uint64_t at = 0; at < work->missed_count; at += most) {
         const uint64_t left = work->missed_count - at;
         struct task task = {work, left < most ? left : most};
         const uint64_t tasks = (task.texels + RETRIES_A_TASK - 1) / RETRIES_A_TASK;
         work->first_missed = at;
-        status = bsq_parallel_for(work->ctx, tasks, cast_missed, &task);
-        if (status == 0)
-            status = trace(work, 2 * task.texels, sqrt(2.0) * work->job->radius);
-        if (status == 0)
-            status = bsq_parallel_for(work->ctx, tasks, take_missed, &task);
+        BSQ_TRY(bsq_parallel_for(work->ctx, tasks, cast_missed, &task));
+        BSQ_TRY(trace(work, 2 * task.texels, sqrt(2.0) * work->job->radius));
+        BSQ_TRY(bsq_parallel_for(work->ctx, tasks, take_missed, &task));
     }
+done:
     return status;
 }
 
@@ -332,27 +333,23 @@ static int trace_block(struct work *work, const struct block *block)
 {
     const uint64_t texels = block_texels(block);
     struct task task = {work, texels};
-    int status = read_block(work, block);
-    if (status == 0 && work->objects)
-        status = work->job->objects(work->job->objects_arg, block->x, block->y, block->width,
-                                    block->height, work->objects);
-    if (status == 0)
-        status = trace_texels(work, texels);
-    if (status < 0)
-        return status;
+    int status = 0;
+    BSQ_TRY(read_block(work, block));
+    if (work->objects)
+        BSQ_TRY(work->job->objects(work->job->objects_arg, block->x, block->y, block->width,
+                                   block->height, work->objects));
+    BSQ_TRY(trace_texels(work, texels));
     list_missed(work, texels);
-    status = trace_missed(work);
-    if (status == 0)
-        count_texels(work, texels);
-    if (status == 0)
-        status = bsq_parallel_for(work->ctx, (texels + TEXELS_A_TASK - 1) / TEXELS_A_TASK,
-                                  resolve_texels, &task);
-    if (status == 0)
-        status = bake_surface_check(work->job->surface);
+    BSQ_TRY(trace_missed(work));
+    count_texels(work, texels);
+    BSQ_TRY(bsq_parallel_for(work->ctx, (texels + TEXELS_A_TASK - 1) / TEXELS_A_TASK,
+                             resolve_texels, &task));
+    BSQ_TRY(bake_surface_check(work->job->surface));
     bsq_progress_add(work->ctx, texels);
-    return status < 0 ? status
-                      : bake_image_write(work->job->image, block->x, block->y, block->width,
-                                         block->height, work->texels);
+    BSQ_TRY(bake_image_write(work->job->image, block->x, block->y, block->width, block->height,
+                             work->texels));
+done:
+    return status;
 }
 
 static int trace_blocks(struct work *work)
@@ -385,25 +382,23 @@ static int allocate(struct work *work)
     work->most_texels = fitting < 1 ? 1 : fitting < all ? fitting : all;
     const uint64_t rays = work->most_texels * PROBES;
     const uint64_t rows = work->most_texels / width;
-    int status = bsq_alloc(work->ctx, "rays", rays, sizeof *work->rays, &work->rays);
-    if (status == 0)
-        status = bsq_alloc(work->ctx, "hits", rays, sizeof *work->hits, &work->hits);
-    if (status == 0)
-        status = bsq_alloc(work->ctx, "points", rays, sizeof *work->probes, &work->probes);
-    if (status == 0)
-        status = bsq_alloc(work->ctx, "points", rays, sizeof *work->missed, &work->missed);
-    if (status == 0)
-        status = bsq_alloc(work->ctx, "texels", work->most_texels, work->channels * sizeof(float),
-                           &work->texels);
-    if (status == 0 && work->job->objects)
-        status = bsq_alloc(work->ctx, "objects of texels", work->most_texels, sizeof *work->objects,
-                           &work->objects);
-    if (status == 0 && work->job->objects)
-        status = bsq_alloc(work->ctx, "objects of rays", rays, sizeof *work->ray_objects,
-                           &work->ray_objects);
-    if (status == 0 && !bake_image_in_memory(image))
-        status = bsq_alloc(work->ctx, "rows of the map", rows < 1 ? 1 : rows,
-                           width * work->channels * sizeof(float), &work->rows);
+    int status = 0;
+    BSQ_TRY(bsq_alloc(work->ctx, "rays", rays, sizeof *work->rays, &work->rays));
+    BSQ_TRY(bsq_alloc(work->ctx, "hits", rays, sizeof *work->hits, &work->hits));
+    BSQ_TRY(bsq_alloc(work->ctx, "points", rays, sizeof *work->probes, &work->probes));
+    BSQ_TRY(bsq_alloc(work->ctx, "points", rays, sizeof *work->missed, &work->missed));
+    BSQ_TRY(bsq_alloc(work->ctx, "texels", work->most_texels, work->channels * sizeof(float),
+                      &work->texels));
+    if (work->job->objects) {
+        BSQ_TRY(bsq_alloc(work->ctx, "objects of texels", work->most_texels, sizeof *work->objects,
+                          &work->objects));
+        BSQ_TRY(bsq_alloc(work->ctx, "objects of rays", rays, sizeof *work->ray_objects,
+                          &work->ray_objects));
+    }
+    if (!bake_image_in_memory(image))
+        BSQ_TRY(bsq_alloc(work->ctx, "rows of the map", rows < 1 ? 1 : rows,
+                          width * work->channels * sizeof(float), &work->rows));
+done:
     return status;
 }
 
@@ -413,9 +408,10 @@ int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job,
     struct work work = {.ctx = ctx, .job = job, .counts = counts};
     bsq_progress_begin(ctx, "measuring curvature", "texels",
                        (uint64_t)bake_image_width(job->image) * bake_image_height(job->image));
-    int status = allocate(&work);
-    if (status == 0)
-        status = trace_blocks(&work);
+    int status = 0;
+    BSQ_TRY(allocate(&work));
+    BSQ_TRY(trace_blocks(&work));
+done:
     bsq_progress_end(ctx);
     bsq_free(ctx, work.rows);
     bsq_free(ctx, work.texels);

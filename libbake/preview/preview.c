@@ -127,18 +127,17 @@ static int allocate(struct rendering *r)
 {
     struct bsq_ctx *ctx = r->ctx;
     const uint64_t samples = (uint64_t)PREVIEW_BAND * PREVIEW_GRID * r->side * PREVIEW_GRID;
-    int status =
-        bsq_calloc(ctx, "preview", (uint64_t)r->width * r->side, 3 * sizeof(float), &r->pixels);
-    if (status == 0)
-        status = bsq_alloc(ctx, "preview", r->preview->mesh->triangle_count, sizeof *r->extents,
-                           &r->extents);
-    if (status == 0)
-        status = bsq_calloc(ctx, "preview", bsq_threads(ctx), sizeof *r->bands, &r->bands);
-    for (unsigned w = 0; status == 0 && w < bsq_threads(ctx); ++w) {
-        status = bsq_alloc(ctx, "preview", samples, sizeof(float), &r->bands[w].depth);
-        if (status == 0)
-            status = bsq_alloc(ctx, "preview", samples, sizeof(uint32_t), &r->bands[w].triangle);
+    int status = 0;
+    BSQ_TRY(
+        bsq_calloc(ctx, "preview", (uint64_t)r->width * r->side, 3 * sizeof(float), &r->pixels));
+    BSQ_TRY(bsq_alloc(ctx, "preview", r->preview->mesh->triangle_count, sizeof *r->extents,
+                      &r->extents));
+    BSQ_TRY(bsq_calloc(ctx, "preview", bsq_threads(ctx), sizeof *r->bands, &r->bands));
+    for (unsigned w = 0; w < bsq_threads(ctx); ++w) {
+        BSQ_TRY(bsq_alloc(ctx, "preview", samples, sizeof(float), &r->bands[w].depth));
+        BSQ_TRY(bsq_alloc(ctx, "preview", samples, sizeof(uint32_t), &r->bands[w].triangle));
     }
+done:
     return status;
 }
 
@@ -157,13 +156,13 @@ static void release(struct rendering *r)
 static int render_view(struct rendering *r)
 {
     const uint64_t tasks = (r->preview->mesh->triangle_count - 1) / EXTENTS_A_TASK + 1;
-    int status = bsq_parallel_for(r->ctx, tasks, measure_extents, r);
-    if (status == 0)
-        status = bsq_parallel_for(r->ctx, r->side / PREVIEW_BAND, render_band, r);
-    if (status == 0)
-        status = bake_preview_scan_panel(r->preview, &r->view,
-                                         r->pixels + (size_t)PANEL_SCAN * (r->side + SEPARATOR) * 3,
-                                         (size_t)r->width * 3);
+    int status = 0;
+    BSQ_TRY(bsq_parallel_for(r->ctx, tasks, measure_extents, r));
+    BSQ_TRY(bsq_parallel_for(r->ctx, r->side / PREVIEW_BAND, render_band, r));
+    BSQ_TRY(bake_preview_scan_panel(r->preview, &r->view,
+                                    r->pixels + (size_t)PANEL_SCAN * (r->side + SEPARATOR) * 3,
+                                    (size_t)r->width * 3));
+done:
     return status;
 }
 
@@ -189,15 +188,14 @@ int bake_preview_write(struct bake_preview_file *file, const struct bake_preview
 {
     struct rendering r = {
         .ctx = file->ctx, .preview = preview, .side = file->side, .width = file->width};
-    int status = allocate(&r);
-    if (status == 0) {
-        bsq_progress_begin(file->ctx, "preview", "rows",
-                           UINT64_C(2) * r.side * preview->view_count);
-        status = write_views(&r, file->writer);
-        bsq_progress_end(file->ctx);
-    }
+    int status = 0;
+    BSQ_TRY(allocate(&r));
+    bsq_progress_begin(file->ctx, "preview", "rows", UINT64_C(2) * r.side * preview->view_count);
+    status = write_views(&r, file->writer);
+    bsq_progress_end(file->ctx);
     if (status == 0)
         status = fmt_image_finish(file->writer);
+done:
     release(&r);
     return status;
 }

@@ -120,11 +120,11 @@ static int render_strip(struct strip *strip)
                                            .t_max = strip->view->scan_span,
                                            .starts = strip->starts,
                                            .facing_origin = true};
-    int status = bsq_parallel_for(ctx, strip->view->samples / COLUMN, cast_column, strip);
-    if (status == 0)
-        status = bake_surface_trace(strip->preview->surface, &params, &rays);
-    if (status == 0)
-        status = bsq_parallel_for(ctx, strip->rows, shade_row, strip);
+    int status = 0;
+    BSQ_TRY(bsq_parallel_for(ctx, strip->view->samples / COLUMN, cast_column, strip));
+    BSQ_TRY(bake_surface_trace(strip->preview->surface, &params, &rays));
+    BSQ_TRY(bsq_parallel_for(ctx, strip->rows, shade_row, strip));
+done:
     return status;
 }
 
@@ -137,19 +137,19 @@ int bake_preview_scan_panel(const struct bake_preview *preview, const struct pre
         .preview = preview, .view = view, .row_rays = row_rays, .pixels = pixels, .stride = stride};
     uint64_t most = bake_surface_capacity(preview->surface) / row_rays;
     most = most < 1 ? 1 : most > side ? side : most;
-    int status = bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.rays, &strip.rays);
-    if (status == 0)
-        status = bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.hits, &strip.hits);
-    if (status == 0)
-        status = bake_preview_front_create(ctx, preview->surface, view, &strip.front);
-    if (status == 0 && strip.front.starts)
-        status = bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.starts, &strip.starts);
-    for (uint32_t row = 0; status == 0 && row < side; row += strip.rows) {
+    int status = 0;
+    BSQ_TRY(bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.rays, &strip.rays));
+    BSQ_TRY(bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.hits, &strip.hits));
+    BSQ_TRY(bake_preview_front_create(ctx, preview->surface, view, &strip.front));
+    if (strip.front.starts)
+        BSQ_TRY(bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.starts, &strip.starts));
+    for (uint32_t row = 0; row < side; row += strip.rows) {
         strip.first_row = row;
         strip.rows = side - row < most ? side - row : (uint32_t)most;
-        status = render_strip(&strip);
+        BSQ_TRY(render_strip(&strip));
         bsq_progress_add(ctx, strip.rows);
     }
+done:
     bsq_free(ctx, strip.starts);
     bsq_free(ctx, strip.front.starts);
     bsq_free(ctx, strip.hits);

@@ -134,15 +134,12 @@ int bake_measure_distances(const struct bake_surface *surface, const struct bk_p
     float *distances = NULL;
     uint32_t *objects = NULL;
     *front = *back = 0.05 * diagonal;
-    int status = bsq_alloc(ctx, "distances", PROBES, sizeof *rays, &rays);
-    if (status == 0)
-        status = bsq_alloc(ctx, "distances", PROBES, sizeof *hits, &hits);
-    if (status == 0)
-        status = bsq_alloc(ctx, "distances", PROBES, sizeof *distances, &distances);
-    if (status == 0 && sees)
-        status = bsq_alloc(ctx, "distances", PROBES, sizeof *objects, &objects);
-    if (status)
-        goto done;
+    int status = 0;
+    BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *rays, &rays));
+    BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *hits, &hits));
+    BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *distances, &distances));
+    if (sees)
+        BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *objects, &objects));
     place_probes(surface, mesh, rays, objects);
     struct bake_surface_rays probes = {.rays = rays,
                                        .hits = hits,
@@ -152,9 +149,7 @@ int bake_measure_distances(const struct bake_surface *surface, const struct bk_p
                                        .distances_only = true,
                                        .objects = objects,
                                        .sees = sees};
-    status = bake_surface_trace(surface, params, &probes);
-    if (status)
-        goto done;
+    BSQ_TRY(bake_surface_trace(surface, params, &probes));
     size_t count = take_distances(hits, distances);
     if (count >= PROBES / 100) {
         *front = side_length(distances, count, 1, surface->detail);

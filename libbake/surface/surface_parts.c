@@ -159,10 +159,12 @@ static int trace_part(struct parts_trace *trace, const struct bk_params *params)
     own.unit = (float)part->unit;
     if (!part->exact)
         bake_params_from_grid(&part->grid, &own);
-    int status = bsq_parallel_for(part->ctx, tasks, move_rays, trace);
-    if (status == 0)
-        status = bake_surface_trace(part, &own, &rays);
-    return status < 0 ? status : bsq_parallel_for(part->ctx, tasks, keep_nearest, trace);
+    int status = 0;
+    BSQ_TRY(bsq_parallel_for(part->ctx, tasks, move_rays, trace));
+    BSQ_TRY(bake_surface_trace(part, &own, &rays));
+    BSQ_TRY(bsq_parallel_for(part->ctx, tasks, keep_nearest, trace));
+done:
+    return status;
 }
 
 int bake_surface_trace_parts(const struct bake_surface *surface, const struct bk_params *params,
@@ -170,11 +172,12 @@ int bake_surface_trace_parts(const struct bake_surface *surface, const struct bk
 {
     struct parts_trace trace = {.surface = surface, .rays = rays};
     struct bsq_ctx *ctx = surface->ctx;
-    int status = bsq_alloc(ctx, "rays", rays->count, sizeof *trace.part_rays, &trace.part_rays);
-    if (status == 0)
-        status = bsq_alloc(ctx, "hits", rays->count, sizeof *trace.part_hits, &trace.part_hits);
-    for (; trace.part < surface->part_count && status == 0; trace.part++)
-        status = trace_part(&trace, params);
+    int status = 0;
+    BSQ_TRY(bsq_alloc(ctx, "rays", rays->count, sizeof *trace.part_rays, &trace.part_rays));
+    BSQ_TRY(bsq_alloc(ctx, "hits", rays->count, sizeof *trace.part_hits, &trace.part_hits));
+    for (; trace.part < surface->part_count; trace.part++)
+        BSQ_TRY(trace_part(&trace, params));
+done:
     bsq_free(ctx, trace.part_hits);
     bsq_free(ctx, trace.part_rays);
     return status;
