@@ -100,12 +100,6 @@ static bool get_place(const void *arg, uint64_t index, struct bake_place *out)
 
 /* ---- a batch ---- */
 
-/* Returns the entries that the raster writes for a tile: triangles and, with a skew map, skews. */
-static uint64_t tile_entries(const struct bake_tile *tile)
-{
-    return (uint64_t)tile->tile_size * tile->tile_size * (tile->skew.skew ? 2 : 1);
-}
-
 /* Notes the triangles of a raster tile's samples that are in the batch. */
 static int fill_tile(void *arg, uint64_t index, unsigned worker)
 {
@@ -114,7 +108,7 @@ static int fill_tile(void *arg, uint64_t index, unsigned worker)
     struct bk_tile place = bake_raster_tile(tile->raster, (uint32_t)index);
     if (tile->in_blocks)
         bake_blocks_to_image(&tile->sample_blocks, &place.x, &place.y);
-    uint32_t *triangles = rays->tiles + worker * tile_entries(tile);
+    uint32_t *triangles = rays->tiles + worker * bake_tile_entries(tile);
     uint64_t overlaps;
     if (place.y >= rays->row + rays->rows || place.y + place.height <= rays->row)
         return 0;
@@ -278,7 +272,7 @@ static int allocate(struct scan_rays *rays)
     struct bsq_ctx *ctx = rays->samples->scene->ctx;
     const uint64_t threads = bsq_threads(ctx), width = rays->samples->width;
     int status = 0;
-    BSQ_TRY(bsq_alloc(ctx, "samples of a tile", threads * tile_entries(rays->samples->tile),
+    BSQ_TRY(bsq_alloc(ctx, "samples of a tile", threads * bake_tile_entries(rays->samples->tile),
                       sizeof *rays->tiles, &rays->tiles));
     BSQ_TRY(bsq_alloc(ctx, "rows of samples", threads * width,
                       rays->samples->floats * sizeof *rays->buffers, &rays->buffers));

@@ -25,6 +25,13 @@ struct bake_tile {
     struct bake_thumbnail normal, color, missed; /* `texels` is NULL if there is none */
 };
 
+/* Returns the entries that the raster writes for one of its tiles: triangles and, with a skew map,
+ * skews. */
+static inline uint64_t bake_tile_entries(const struct bake_tile *tile)
+{
+    return (uint64_t)tile->tile_size * tile->tile_size * (tile->skew.skew ? 2 : 1);
+}
+
 /* What all tiles of a job share. */
 struct bake_tile_scene {
     struct bsq_ctx *ctx;

@@ -14,12 +14,6 @@ struct window {
     uint32_t *objects;            /* of its texels, BAKE_NO_OBJECT until one is known */
 };
 
-/* Returns the entries that the raster writes for a tile: triangles and, with a skew map, skews. */
-static uint64_t tile_entries(const struct bake_tile *tile)
-{
-    return (uint64_t)tile->tile_size * tile->tile_size * (tile->skew.skew ? 2 : 1);
-}
-
 static bool overlaps(const struct window *window, const struct bk_tile *place)
 {
     const uint64_t n = window->tile->options.samples;
@@ -64,8 +58,8 @@ int bake_tile_objects(const struct bake_tile_scene *scene, const struct bake_til
     const uint32_t count = bake_raster_tile_count(tile->raster);
     uint32_t *triangles;
     memset(out, 0xff, (size_t)width * height * sizeof *out);
-    int status = bsq_alloc(scene->ctx, "samples of a tile", tile_entries(tile), sizeof *triangles,
-                           &triangles);
+    int status = bsq_alloc(scene->ctx, "samples of a tile", bake_tile_entries(tile),
+                           sizeof *triangles, &triangles);
     /* One after the other: two raster tiles may share a texel, whose first sample counts. */
     for (uint32_t i = 0; i < count && status == 0; i++)
         status = take_raster_tile(&window, i, triangles);

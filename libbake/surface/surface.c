@@ -1,19 +1,16 @@
-/* surface.c - opens grids and chunk files, and traces rays against either. */
+/* surface.c - opens grids and chunk files, of which several may be one surface.
+ *
+ * Each of several scans has an index space of its own. Rays are given in the space of the scan with
+ * the least origin, which does not depend on the order of scans. */
 #include "libbake/surface/surface.h"
 
 #include <math.h>
 #include <string.h>
 
-#include "base/parallel.h"
 #include "base/channels.h"
 #include "formats/file_kind.h"
-#include "libbake/surface/surface_parts.h"
 
-enum {
-    RAYS_A_TASK = 256,
-    DETAILS = 2048, /* along the longest side of a scan: the usual resolution of a grid */
-    MAX_GRID_RAYS = 1 << 18
-};
+enum { DETAILS = 2048 /* along the longest side of a scan: the usual resolution of a grid */ };
 
 static int open_grid(struct bake_surface *surface, const struct bake_options *options)
 {
@@ -102,6 +99,65 @@ static int join_chunk_files(struct bake_surface *surface, const struct bake_opti
     return status;
 }
 
+/* ---- several scans ---- */
+
+/* Returns whether the index space of a scan comes before another's. */
+static bool comes_first(const struct bake_surface *a, const struct bake_surface *b)
+{
+    for (int k = 0; k < 3; k++)
+        if (a->translation[k] != b->translation[k])
+            return a->translation[k] < b->translation[k];
+    return a->unit < b->unit;
+}
+
+/* Sets what is known of all scans from what is known of each. */
+static void join_parts(struct bake_surface *surface)
+{
+    const struct bake_surface *first = &surface->parts[0];
+    surface->has_color = true;
+    surface->ids = first->ids;
+    for (int k = 0; k < 3; k++) {
+        surface->scan_min[k] = INFINITY;
+        surface->scan_max[k] = -INFINITY;
+    }
+    for (uint32_t p = 0; p < surface->part_count; p++) {
+        const struct bake_surface *part = &surface->parts[p];
+        surface->has_color &= part->has_color;
+        if (part->ids != surface->ids)
+            surface->ids = BSQ_IDS_NONE;
+        surface->detail = fmax(surface->detail, part->detail);
+        for (int k = 0; k < 3; k++) {
+            surface->scan_min[k] = fmin(surface->scan_min[k], part->scan_min[k]);
+            surface->scan_max[k] = fmax(surface->scan_max[k], part->scan_max[k]);
+        }
+        if (comes_first(part, first))
+            first = part;
+    }
+    memcpy(surface->translation, first->translation, sizeof surface->translation);
+    surface->unit = first->unit;
+}
+
+static int open_parts(struct bake_surface *surface, const struct bake_options *options)
+{
+    struct bake_options one = *options;
+    const uint32_t count = options->more_scan_count + 1;
+    one.more_scan_count = 0;
+    int status = bsq_calloc(surface->ctx, "scans", count, sizeof *surface->parts, &surface->parts);
+    for (uint32_t p = 0; p < count && status == 0; p++) {
+        if (p > 0)
+            one.scan_path = options->more_scan_paths[p - 1];
+        status = bake_surface_open(surface->ctx, &one, &surface->parts[p]);
+        surface->part_count += status == 0;
+    }
+    if (status < 0)
+        bake_surface_close(surface);
+    else
+        join_parts(surface);
+    return status;
+}
+
+/* ---- all kinds ---- */
+
 int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
                       struct bake_surface *out)
 {
@@ -110,7 +166,7 @@ int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
     out->path = options->scan_path;
     int status = options->more_scan_count > 0 ? join_chunk_files(out, options) : 0;
     if (status == 0 && options->more_scan_count > 0 && !out->joined)
-        return bake_surface_open_parts(out, options);
+        return open_parts(out, options);
     enum fmt_kind kind = FMT_KIND_TRIS;
     if (status == 0 && !out->joined)
         status = fmt_recognise_scan(ctx, options->scan_path, &kind);
@@ -123,10 +179,25 @@ int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
     return status;
 }
 
+static void close_parts(struct bake_surface *surface)
+{
+    for (uint32_t p = 0; p < surface->part_count; p++)
+        bake_surface_close(&surface->parts[p]);
+    bsq_free(surface->ctx, surface->parts);
+}
+
+bool bake_surface_has_triangles(const struct bake_surface *surface)
+{
+    bool some = surface->exact != NULL;
+    for (uint32_t p = 0; p < surface->part_count; p++)
+        some |= surface->parts[p].exact != NULL;
+    return some;
+}
+
 void bake_surface_close(struct bake_surface *surface)
 {
     if (surface->parts)
-        bake_surface_close_parts(surface);
+        close_parts(surface);
     else if (surface->exact)
         bake_exact_close(surface->exact);
     else if (surface->ctx) {
@@ -205,87 +276,4 @@ int bake_inspect_scan(struct bsq_ctx *ctx, const char *path, struct bake_scan_in
                                    .has_color = surface.has_color};
     bake_surface_close(&surface);
     return 0;
-}
-
-/* ---- rays ---- */
-
-struct grid_trace {
-    const struct bake_surface *surface;
-    const struct bk_params *params;
-    const struct bake_surface_rays *rays;
-};
-
-_Static_assert(sizeof(struct bake_exact_ray) == 6 * sizeof(float), "rays are read as floats");
-
-static int trace_grid_rays(void *arg, uint64_t task, unsigned worker)
-{
-    (void)worker;
-    const struct grid_trace *trace = arg;
-    const struct bake_surface_rays *rays = trace->rays;
-    const double unit = trace->surface->unit;
-    const uint64_t begin = task * RAYS_A_TASK, left = rays->count - begin;
-    struct bake_ray_batch lines = {
-        .rays = (const float(*)[6])(const void *)(rays->rays + begin),
-        .count = left < RAYS_A_TASK ? left : RAYS_A_TASK,
-        .t_min = (float)(rays->t_min / unit),
-        .t_max = (float)(rays->t_max / unit),
-        .facing = rays->facing_origin ? -1.0f : 1.0f,
-    };
-    float starts[RAYS_A_TASK];
-    struct bk_hit hits[RAYS_A_TASK];
-    if (rays->starts) {
-        for (uint64_t i = 0; i < lines.count; i++)
-            starts[i] = (float)((double)rays->starts[begin + i] / unit);
-        lines.starts = starts;
-    }
-    bake_trace_rays(&trace->surface->grid, trace->params, &lines, hits);
-    for (uint64_t i = 0; i < lines.count; i++) {
-        struct bake_exact_hit *out = &rays->hits[begin + i];
-        *out = (struct bake_exact_hit){.triangle = hits[i].found ? 0 : BAKE_EXACT_NONE,
-                                       .t = (double)hits[i].t * unit};
-        memcpy(out->normal, hits[i].normal, sizeof out->normal);
-        memcpy(out->color, hits[i].color, sizeof out->color);
-    }
-    return 0;
-}
-
-static int trace_exact(const struct bake_surface *surface, const struct bake_surface_rays *rays)
-{
-    int status = 0;
-    for (uint64_t at = 0; status == 0 && at < rays->count;) {
-        const uint64_t most = bake_exact_capacity(surface->exact, 0), left = rays->count - at;
-        const struct bake_exact_batch batch = {.rays = rays->rays + at,
-                                               .hits = rays->hits + at,
-                                               .count = left < most ? left : most,
-                                               .t_min = rays->t_min,
-                                               .t_max = rays->t_max,
-                                               .distances_only = rays->distances_only,
-                                               .facing_origin = rays->facing_origin};
-        status = bake_exact_trace(surface->exact, &batch);
-        at += batch.count;
-    }
-    return status;
-}
-
-int bake_surface_trace(const struct bake_surface *surface, const struct bk_params *params,
-                       const struct bake_surface_rays *rays)
-{
-    struct grid_trace trace = {surface, params, rays};
-    if (surface->parts)
-        return bake_surface_trace_parts(surface, params, rays);
-    if (surface->exact)
-        return trace_exact(surface, rays);
-    return bsq_parallel_for(surface->ctx, (rays->count + RAYS_A_TASK - 1) / RAYS_A_TASK,
-                            trace_grid_rays, &trace);
-}
-
-uint64_t bake_surface_capacity(const struct bake_surface *surface)
-{
-    if (surface->parts)
-        return bake_surface_parts_capacity(surface);
-    if (surface->exact)
-        return bake_exact_capacity(surface->exact, 0);
-    const uint64_t ray = sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit);
-    const uint64_t most = bsq_memory_left(surface->ctx) / 8 / ray;
-    return most < 1 ? 1 : most > MAX_GRID_RAYS ? MAX_GRID_RAYS : most;
 }
