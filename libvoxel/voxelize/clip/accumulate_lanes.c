@@ -80,16 +80,22 @@ LANES_INLINE int add_fragment(const struct source *from, uint32_t place,
                               const struct textured *textured)
 {
     const struct block_facts *facts = &from->block->facts[place];
+    const bool mapped = textured && textured->texel; /* the class follows from the normal map */
+    const uint32_t voxel = fragment->voxel & VOX_LINK_NUMBER;
+    uint32_t number = 0;
     struct vox_fragment_sum sum;
+    if (!mapped)
+        number = vox_accumulator_sum(from->sums, voxel, fragment->voxel ^ voxel);
     if (from->smooth && !(fragment->cell & FRAGMENT_FLAT))
         shade_smooth(facts, fragment, cell, from->marked, from->curved, &sum);
     else
         shade_flat(facts, fragment, cell, &sum);
-    uint32_t class_bits = fragment->voxel & ~(uint32_t)VOX_LINK_NUMBER;
-    if (textured && textured->texel) {
+    if (mapped) {
         add_normal_map(facts, textured, fragment->area, &sum.normal);
-        class_bits = vox_class_bits(sum.normal);
+        number = vox_accumulator_sum(from->sums, voxel, vox_class_bits(sum.normal));
     }
+    if (number == 0)
+        return VOX_REGION_FULL;
     if (textured && textured->rgb)
         sum.color = row_times(fragment->area, row_load(textured->rgb));
     else if (from->has_color)
@@ -105,8 +111,9 @@ LANES_INLINE int add_fragment(const struct source *from, uint32_t place,
     if (from->has_channels && !sum.channels)
         sum.channels = vox_shade_channels(from->job->shading, from->job->chunk,
                                           from->block->triangles[place].number);
-    return vox_accumulator_add(from->sums, fragment->voxel & VOX_LINK_NUMBER, class_bits, &sum,
-                               from->has_color, from->has_ids, from->has_channels);
+    vox_accumulator_add(from->sums, number, &sum, from->has_color, from->has_ids,
+                        from->has_channels);
+    return 0;
 }
 
 LANES_INLINE int add_run(const struct source *from, const uint32_t *run, uint32_t count)

@@ -211,25 +211,31 @@ static inline void vox_add_channels(struct vox_accumulator *a, uint32_t number,
         sums[i] += area * values[i];
 }
 
-/* Adds one fragment, of an area above 0, to a voxel. class_bits: class of its direction, above
- * VOX_LINK_CLASS. has_color, has_ids, has_channels: whether the accumulator has colours, ids and
- * further channels. Returns 0, or VOX_REGION_FULL with nothing added. */
-LANES_INLINE int vox_accumulator_add(struct vox_accumulator *a, uint32_t voxel, uint32_t class_bits,
-                                     const struct vox_fragment_sum *fragment, bool has_color,
-                                     bool has_ids, bool has_channels)
+/* Returns the number of the sum that takes a fragment of this class in a voxel, 0 if there is no
+ * brick left. class_bits: class of its direction, above VOX_LINK_CLASS. Called before the fragment
+ * is shaded, so that its rows need not be kept across the call that few fragments make. */
+LANES_INLINE uint32_t vox_accumulator_sum(struct vox_accumulator *a, uint32_t voxel,
+                                          uint32_t class_bits)
 {
     uint32_t *brick = &a->brick_of[voxel / VOX_BRICK_VOXELS];
     if (*brick == 0 && !vox_accumulator_open_brick(a, brick))
-        return VOX_REGION_FULL;
+        return 0;
     uint32_t *slot = &a->bricks[*brick][voxel % VOX_BRICK_VOXELS], link = *slot;
     uint32_t fresh = link == 0, next = a->sum_count + 1;
     link |= (next | class_bits) & (0 - fresh); /* no branch */
     *slot = link;
     a->sum_count += fresh;
-    uint32_t number = link & VOX_LINK_NUMBER;
     if (__builtin_expect((link ^ class_bits) > VOX_LINK_NUMBER, 0))
-        number = vox_accumulator_find(a, link, class_bits);
+        return vox_accumulator_find(a, link, class_bits);
+    return link & VOX_LINK_NUMBER;
+}
 
+/* Adds one fragment, of an area above 0, to a sum. has_color, has_ids, has_channels: whether the
+ * accumulator has colours, ids and further channels. */
+LANES_INLINE void vox_accumulator_add(struct vox_accumulator *a, uint32_t number,
+                                      const struct vox_fragment_sum *fragment, bool has_color,
+                                      bool has_ids, bool has_channels)
+{
     struct vox_sum *sum = &a->sums[number];
     row_add(sum->normal, fragment->normal);
     row_add(sum->center, fragment->center);
@@ -239,7 +245,6 @@ LANES_INLINE int vox_accumulator_add(struct vox_accumulator *a, uint32_t voxel, 
         vox_vote(&a->votes[number], fragment->id, row_number(fragment->center, 3));
     if (has_channels)
         vox_add_channels(a, number, fragment->channels, row_number(fragment->center, 3));
-    return 0;
 }
 
 /* Makes `count` records from the sums with these numbers, without colours, ids and
