@@ -25,7 +25,7 @@ static_assert((uint64_t)SUMS_MAX <= VOX_LINK_NUMBER, "links hold all numbers");
 
 static uint64_t bytes_per_sum(unsigned sums)
 {
-    return sizeof(struct vox_sum) + sizeof(uint32_t) +
+    return sizeof(struct vox_sum) + 3 * sizeof(uint32_t) / 2 +
            (sums & VOX_SUM_COLORS ? sizeof(struct vox_color_sum) : 0) +
            (sums & VOX_SUM_IDS ? sizeof(struct vox_vote) : 0) +
            sums / VOX_SUM_CHANNEL_VALUE * sizeof(double);
@@ -80,24 +80,24 @@ int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, unsigned sums,
     a->ctx = ctx;
     a->channel_words = sums / VOX_SUM_CHANNEL_VALUE;
     set_capacities(a, bytes, sums);
-    if ((status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->brick_capacity + 1, sizeof *a->bricks,
-                            &a->bricks)) < 0 ||
-        (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1, sizeof *a->sums,
-                            &a->sums)) < 0 ||
-        (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1, sizeof *a->others,
-                            &a->others)) < 0 ||
-        (sums & VOX_SUM_COLORS &&
-         (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1, sizeof *a->colors,
-                             &a->colors)) < 0) ||
-        (sums & VOX_SUM_IDS && (status = bsq_alloc(ctx, "voxel sums", (uint64_t)a->sum_capacity + 1,
-                                                   sizeof *a->votes, &a->votes)) < 0) ||
-        (a->channel_words > 0 && (status = allocate_channels(a)) < 0)) {
-        vox_accumulator_destroy(a);
-        return status;
-    }
+    const uint64_t count = (uint64_t)a->sum_capacity + 1;
+    BSQ_TRY(bsq_alloc(ctx, "voxel sums", (uint64_t)a->brick_capacity + 1, sizeof *a->bricks,
+                      &a->bricks));
+    BSQ_TRY(bsq_alloc(ctx, "voxel sums", count, sizeof *a->sums, &a->sums));
+    BSQ_TRY(bsq_alloc(ctx, "voxel sums", count, sizeof *a->others, &a->others));
+    BSQ_TRY(bsq_alloc(ctx, "voxel sums", count / 2, sizeof *a->shared, &a->shared));
+    if (sums & VOX_SUM_COLORS)
+        BSQ_TRY(bsq_alloc(ctx, "voxel sums", count, sizeof *a->colors, &a->colors));
+    if (sums & VOX_SUM_IDS)
+        BSQ_TRY(bsq_alloc(ctx, "voxel sums", count, sizeof *a->votes, &a->votes));
+    if (a->channel_words > 0)
+        BSQ_TRY(allocate_channels(a));
     memset(&a->bricks[0], 0, sizeof a->bricks[0]);
     *out = a;
-    return 0;
+done:
+    if (status < 0)
+        vox_accumulator_destroy(a);
+    return status;
 }
 
 void vox_accumulator_destroy(struct vox_accumulator *a)
@@ -107,6 +107,7 @@ void vox_accumulator_destroy(struct vox_accumulator *a)
     bsq_free(a->ctx, a->bricks);
     bsq_free(a->ctx, a->sums);
     bsq_free(a->ctx, a->others);
+    bsq_free(a->ctx, a->shared);
     bsq_free(a->ctx, a->colors);
     bsq_free(a->ctx, a->votes);
     bsq_free(a->ctx, a->channels);
@@ -119,7 +120,7 @@ void vox_accumulator_clear(struct vox_accumulator *a)
     if (a->brick_count > 0)
         memset(a->brick_of, 0, sizeof a->brick_of);
     a->brick_count = 0;
-    a->sum_count = a->ready_count = 0;
+    a->sum_count = a->ready_count = a->shared_count = 0;
     a->second_count = a->spare_count = 0;
 }
 

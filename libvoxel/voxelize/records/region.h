@@ -78,13 +78,14 @@ struct vox_accumulator {
      * only one. After vox_accumulator_settle(), for the first one: number of the voxel's second
      * record, 0: none. */
     uint32_t *others;
+    uint32_t *shared;             /* first sums of the voxels that have several */
     struct vox_color_sum *colors; /* NULL: the scan has no colours */
     struct vox_vote *votes;       /* NULL: the grid gets no ids */
     double *channels;       /* of each record channel_words sums of area times value; NULL: none */
     uint32_t channel_words; /* values of further channels */
     double *fragment_channels; /* space for the values of VOX_FRAGMENT_LANES fragments */
     uint32_t brick_count, brick_capacity;
-    uint32_t sum_count, sum_capacity;
+    uint32_t sum_count, sum_capacity, shared_count;
     uint32_t second_count, spare_count; /* second records, sums that others have taken in */
     uint32_t ready_count;               /* records that have been cleared, used or not */
 };

@@ -18,8 +18,10 @@ static const double equally_good = 1e-6;
 uint32_t vox_accumulator_find(struct vox_accumulator *a, uint32_t first_link, uint32_t class_bits)
 {
     const uint32_t first = first_link & VOX_LINK_NUMBER;
-    if (a->others[first] == 0)
+    if (a->others[first] == 0) {
         a->others[first] = first_link;
+        a->shared[a->shared_count++] = first;
+    }
     for (uint32_t number = first;;) {
         const uint32_t link = a->others[number];
         number = link & VOX_LINK_NUMBER;
@@ -198,24 +200,16 @@ static void settle_voxel(struct vox_accumulator *a, uint32_t first)
     a->second_count += second != 0;
 }
 
-enum { PREFETCH_AHEAD = 32 };
-
-/* Prefetches the first sum of a voxel, and another one. */
-static void prefetch_sums(const struct vox_accumulator *a, uint32_t first)
-{
-    const uint32_t other = a->others[first] & VOX_LINK_NUMBER;
-    __builtin_prefetch(&a->others[other]);
-    __builtin_prefetch(&a->sums[first]);
-    __builtin_prefetch(&a->sums[other]);
-}
+enum { PREFETCH_AHEAD = 16 };
 
 void vox_accumulator_settle(struct vox_accumulator *a)
 {
-    /* A voxel's first sum has the lowest number. All others are unlinked with it. */
-    for (uint32_t i = 1; i <= a->sum_count; i++) {
-        if (i + PREFETCH_AHEAD <= a->sum_count && a->others[i + PREFETCH_AHEAD] != 0)
-            prefetch_sums(a, i + PREFETCH_AHEAD);
-        if (a->others[i] != 0)
-            settle_voxel(a, i);
+    for (uint32_t i = 0; i < a->shared_count; i++) {
+        if (i + PREFETCH_AHEAD < a->shared_count) {
+            const uint32_t first = a->shared[i + PREFETCH_AHEAD];
+            __builtin_prefetch(&a->sums[first]);
+            __builtin_prefetch(&a->sums[a->others[first] & VOX_LINK_NUMBER]);
+        }
+        settle_voxel(a, a->shared[i]);
     }
 }
