@@ -160,6 +160,7 @@ int bsq_calloc(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t s
 int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t size, void *inout,
              uint64_t *capacity);
 
+/** @cond */
 /* Lets the compiler warn if the last argument is not the address of a pointer. */
 #define BSQ_ADDRESS_OF_POINTER(out) ((void)sizeof(*(out) == (const volatile void *)0), (out))
 #define bsq_alloc(ctx, what, count, size, out)                                                     \
@@ -168,6 +169,7 @@ int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t siz
     bsq_calloc(ctx, what, count, size, BSQ_ADDRESS_OF_POINTER(out))
 #define bsq_grow(ctx, what, count, size, inout, capacity)                                          \
     bsq_grow(ctx, what, count, size, BSQ_ADDRESS_OF_POINTER(inout), capacity)
+/** @endcond */
 
 /** Frees memory of bsq_alloc(), bsq_calloc() or bsq_grow(); NULL is allowed. */
 void bsq_free(struct bsq_ctx *ctx, void *memory);

@@ -62,10 +62,13 @@ struct bsq_option {
 /** @name Initialisers of rows
  * `type` is the structure.
  * @{ */
+/** A member of any kind but LIST. */
 #define BSQ_MEMBER(kind_, type, member_)                                                           \
     .kind = BSQ_OPTION_##kind_, .member = #member_, .offset = offsetof(type, member_),             \
     .bytes = sizeof((type *)NULL)->member_
+/** What a count or a number may be, and its default. */
 #define BSQ_RANGE(least_, most_, usual_) .least = least_, .most = most_, .usual = usual_
+/** A list: the member that points to its elements, that with their number, and their rows. */
 #define BSQ_LIST(type, member_, count_, rows_)                                                     \
     .kind = BSQ_OPTION_LIST, .member = #member_, .offset = offsetof(type, member_),                \
     .bytes = sizeof(void *), .rows = rows_, .row_count = sizeof rows_ / sizeof *rows_,             \

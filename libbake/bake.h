@@ -179,6 +179,7 @@ struct bake_options {
     /** Percentage of the samples that may miss before a farm stops, 0 to 100. The report has the
      * misses; this is for the caller, who finds it in plans. */
     double max_missed;
+    bool strict; /**< Lost data stops tasks and merges of a plan; for the caller, likewise. */
     const char *device; /**< One of BAKE_DEVICE_NAMES. */
     /** Most bytes of a GPU's memory to use; 0: all that is free. A larger grid is baked in passes.
      * The processor reads the grid from its file and ignores this. */
@@ -278,9 +279,9 @@ struct bake_baked_tile {
 
 /** A file of a map. */
 struct bake_file {
-    const char *path;
-    const char *map; /**< Name of the map. */
-    unsigned number; /**< Of the map, see bake_map_name(); BAKE_MAX_MAPS for transfer maps. */
+    const char *path; /**< Where the map is written. */
+    const char *map;  /**< Name of the map. */
+    unsigned number;  /**< Of the map, see bake_map_name(); BAKE_MAX_MAPS for transfer maps. */
 };
 
 /** Calls `fn` with `arg` for the file of each map in a tile; NULL: with the tokens of tiles,

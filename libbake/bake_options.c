@@ -148,6 +148,7 @@ static const struct bsq_option table[] = {
     {MEMBER(TEXT, high_suffix), .text = "_high"},
     {OPTION("max-missed", "P", "exit with 1 if more than P % of the samples find no surface"),
      .with_plan = true, NUMBER(max_missed, 100, 100)},
+    {MEMBER(FLAG, strict)},
     {KEY("rays", "ao", "N", "rays from each hit for ao and bent"), .old_name = "ao-rays",
      COUNT(ao_rays, 1, BAKE_MAX_RAYS, 64), .needs = OPEN_RAYS},
     {KEY("rays", "thickness", "N", "rays from each hit for thickness"),

@@ -449,6 +449,7 @@ static int check_arguments(struct cli *cli, struct bake_arguments *arguments)
         return cli_usage(cli, "--ao falloff=linear needs --distance ao=D");
     if (!bake->output_path)
         return cli_usage(cli, "no output given: add -o 'OUT_<MAP>.exr'");
+    arguments->bake.strict = cli->strict;
     return finish_transfers(cli, arguments);
 }
 

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "base/job_files.h"
+#include "base/loss.h"
 #include "base/output.h"
 #include "base/tile_files.h"
 #include "tools/bake_farm.h"
@@ -133,6 +134,8 @@ static int work_by_plan(struct cli *cli, struct bake_arguments *arguments, bool 
     int status = 0;
     BSQ_TRY(bsq_note_input(cli->ctx, arguments->farm.plan, "the plan"));
     BSQ_TRY(bake_open_plan(cli->ctx, arguments->farm.plan, &plan));
+    if (bake_plan_options(plan)->strict)
+        bsq_set_strict(cli->ctx, true);
     status = arguments->farm.merge        ? merge(cli, arguments, plan, missed)
              : arguments->farm.task_given ? bake_farm_tasks(cli, arguments, plan)
                                           : bake_farm_print(cli, arguments->farm.plan, plan);

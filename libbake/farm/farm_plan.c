@@ -7,7 +7,7 @@
 #include "libbake/farm/farm_options.h"
 
 static const struct fmt_farm_kind bake_kind = {.format = "Bisque bake plan",
-                                               .format_version = 3,
+                                               .format_version = 4,
                                                .program = "bisque-bake",
                                                .program_version = BSQ_VERSION,
                                                .work = "a bake",

@@ -82,6 +82,17 @@ check "a merge that is kept warns of it too" $?
 $bake --plan farm/plan.json --merge --strict
 code 65
 
+# A plan keeps --strict.
+rm -rf farm
+mkdir farm
+(cd farm && "$BIN/bisque-bake" ../scan.nvdb ../low.obj -o 'c_<UDIM>.png' --size 32 --maps curvature --distance curvature=100 \
+    --strict --tasks 3 --write-plan plan.json) >"$out" 2>"$err"
+check "a strict plan" $?
+$bake --plan farm/plan.json --task 0-2
+code 65
+grep -q 'map curvature: no surface around the hits of ' "$err"
+check "a task of a strict plan ends with what is lost" $?
+
 # A plan keeps --max-missed for its merge, which may have another. A merge that is kept obeys too.
 rm -rf farm
 mkdir farm
