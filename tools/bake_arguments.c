@@ -360,7 +360,7 @@ static int take_option(struct cli *cli, void *arg, const struct bsq_option *row,
                    : cli_usage(cli, "--device: \"%s\" is not " BAKE_DEVICE_NAMES, text);
     }
     if (strcmp(name, "task") == 0)
-        return cli_tasks_parse_range(cli, &arguments->farm, text);
+        return bake_tasks_parse_range(cli, &arguments->farm, text);
     if (strcmp(name, "list") == 0)
         return parse_list(cli, arguments, text);
     if (strcmp(name, "png-bits") == 0)
@@ -418,14 +418,14 @@ bool bake_arguments_has(const struct bake_arguments *arguments, const char *memb
 /* Checks the options of tasks against each other. */
 static int check_tasks(struct cli *cli, struct bake_arguments *arguments, int inputs)
 {
-    const struct cli_tasks *farm = &arguments->farm;
+    const struct bake_tasks *farm = &arguments->farm;
     const struct cli_table table = bake_table(arguments);
     const struct bsq_option *row = cli_given(&table, false);
     if (farm->plan && !farm->task_given && bake_arguments_has(arguments, "device"))
         return cli_usage(cli, "--plan has the device of the tasks: give --device to --task only");
     if (farm->plan && !farm->merge && bake_arguments_has(arguments, "max_missed"))
         return cli_usage(cli, "--max-missed is for the bake of all texels: give it to --merge");
-    return cli_tasks_check(cli, farm, row ? row->name : NULL, inputs);
+    return bake_tasks_check(cli, farm, row ? row->name : NULL, inputs);
 }
 
 static int check_arguments(struct cli *cli, struct bake_arguments *arguments)
@@ -459,7 +459,7 @@ int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int 
         .usage = usage,
         .print_more = print_maps,
         .tables = {bake_table(arguments),
-                   {cli_task_rows, CLI_TASK_ROWS, &arguments->farm, NULL},
+                   {bake_task_rows, BAKE_TASK_ROWS, &arguments->farm, NULL},
                    {list_rows, LIST_ROWS, arguments, NULL},
                    {cli_rows, sizeof cli_rows / sizeof *cli_rows, cli, NULL}},
         .take = take_option,

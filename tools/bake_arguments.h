@@ -3,7 +3,7 @@
 #define BAKE_ARGUMENTS_H
 
 #include "libbake/bake.h"
-#include "tools/cli_tasks.h"
+#include "tools/bake_tasks.h"
 
 enum { BAKE_MOST_ROWS = 64 };
 
@@ -20,7 +20,7 @@ struct bake_arguments {
     struct bake_transfers textures; /* of --texture NAME=FILE */
     bool mask_opacity;              /* the mask is multiplied by the scan's opacity */
     bool list_devices, list_tiles;
-    struct cli_tasks farm;
+    struct bake_tasks farm;
     char **files; /* the inputs, as given */
     int file_count;
     char *suffixes;     /* of names to match, with a zero between them; NULL: not given */

@@ -2,6 +2,7 @@
 #include "tools/bake_farm.h"
 #include "tools/bake_report.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -12,17 +13,65 @@ int bake_farm_say_merged(struct cli *cli, const struct bake_arguments *arguments
 
 /* ---- the plan ---- */
 
+/* The costs of a plan: the largest of any task, and the sums of all. */
+struct plan_costs {
+    uint32_t tasks;
+    uint64_t texels;                                /* of all */
+    uint64_t task_memory_bytes, task_scratch_bytes; /* largest */
+    double task_cpu_seconds;                        /* largest */
+    uint64_t parts_bytes;                           /* of all */
+    double cpu_seconds;                             /* of all */
+};
+
+static uint64_t larger(uint64_t a, uint64_t b)
+{
+    return a > b ? a : b;
+}
+
+static void add_cost(struct plan_costs *costs, const struct bake_task_cost *cost)
+{
+    costs->tasks++;
+    costs->texels += cost->texels;
+    costs->task_memory_bytes = larger(costs->task_memory_bytes, cost->memory_bytes);
+    costs->task_scratch_bytes = larger(costs->task_scratch_bytes, cost->scratch_bytes);
+    costs->task_cpu_seconds = fmax(costs->task_cpu_seconds, cost->cpu_seconds);
+    costs->parts_bytes += cost->part_bytes;
+    costs->cpu_seconds += cost->cpu_seconds;
+}
+
 /* kept: the plan was to be written, but was there already. */
+static int print_costs(struct cli *cli, const char *path, bool kept, const struct plan_costs *costs)
+{
+    char memory[CLI_TEXT], scratch[CLI_TEXT], parts[CLI_TEXT], texels[CLI_TEXT];
+    if (cli->json)
+        return cli_print_json(
+            cli, json_pack("{s:o, s:b, s:i, s:I, s:I, s:I, s:I, s:f, s:f}", "path",
+                           cli_json_text(path), "kept", (int)kept, "tasks", (int)costs->tasks,
+                           "texels", (json_int_t)costs->texels, "task_memory_bytes",
+                           (json_int_t)costs->task_memory_bytes, "task_scratch_bytes",
+                           (json_int_t)costs->task_scratch_bytes, "parts_bytes",
+                           (json_int_t)costs->parts_bytes, "task_cpu_seconds",
+                           costs->task_cpu_seconds, "cpu_seconds", costs->cpu_seconds));
+    cli_print("%s: %s for %s%s\n", path, cli_counted_text(costs->tasks, "task", "tasks", memory),
+              cli_counted_text(costs->texels, "texel", "texels", texels),
+              kept ? ", was there already" : "");
+    cli_print("a task: about %s of memory with eight threads, ",
+              cli_size_text(costs->task_memory_bytes, memory));
+    if (costs->task_scratch_bytes > 0)
+        cli_print("%s of temporary files with less, ",
+                  cli_size_text(costs->task_scratch_bytes, scratch));
+    cli_print("%.3g s of one core\n", costs->task_cpu_seconds);
+    cli_print("all parts: at most %s\n", cli_size_text(costs->parts_bytes, parts));
+    return 0;
+}
+
 static int print_plan(struct cli *cli, const char *path, const struct bake_farm_plan *plan,
                       bool kept)
 {
-    struct cli_plan_costs costs = {0};
-    for (uint32_t i = 0; i < bake_plan_task_count(plan); i++) {
-        const struct bake_task_cost *cost = bake_plan_task_cost(plan, i);
-        cli_plan_add(&costs, cost->texels, cost->memory_bytes, cost->scratch_bytes,
-                     cost->part_bytes, cost->cpu_seconds);
-    }
-    return cli_plan_print(cli, path, kept, &costs, "texel", "texels", "at most");
+    struct plan_costs costs = {0};
+    for (uint32_t i = 0; i < bake_plan_task_count(plan); i++)
+        add_cost(&costs, bake_plan_task_cost(plan, i));
+    return print_costs(cli, path, kept, &costs);
 }
 
 int bake_farm_print(struct cli *cli, const char *path, const struct bake_farm_plan *plan)
@@ -100,5 +149,5 @@ int bake_farm_tasks(struct cli *cli, const struct bake_arguments *arguments,
     struct task_job job = {arguments, plan};
     bake_plan_use_device(plan,
                          bake_arguments_has(arguments, "device") ? arguments->bake.device : NULL);
-    return cli_tasks_run(cli, &arguments->farm, bake_plan_task_count(plan), run_task, &job);
+    return bake_tasks_run(cli, &arguments->farm, bake_plan_task_count(plan), run_task, &job);
 }
