@@ -230,8 +230,6 @@ static int finish(struct stream_source *source)
         {colors ? unread->variants : 0, true,
          "primitives have KHR_materials_variants, of which only the first material is read"},
     };
-    if (source->reader->read_before)
-        return 0;
     return fmt_stream_warn_unread(source, kinds, sizeof kinds / sizeof *kinds);
 }
 

@@ -297,7 +297,8 @@ struct stream_unread {
     bool loss; /* the scan is poorer by it */
     const char *what;
 };
-/* Warns of each kind that a file has: "scan.gltf: 2 meshes ..." */
+/* Warns of each kind that a file has: "scan.gltf: 2 meshes ...". Warns only once, when the files
+ * are read for the first time. */
 int fmt_stream_warn_unread(const struct stream_source *source, const struct stream_unread *kinds,
                            size_t count);
 

@@ -485,7 +485,7 @@ int fmt_stream_warn_unread(const struct stream_source *source, const struct stre
                            size_t count)
 {
     int status = 0;
-    for (size_t i = 0; i < count && !status; i++) {
+    for (size_t i = 0; i < count && !status && !source->reader->read_before; i++) {
         if (kinds[i].count > 0 && kinds[i].loss)
             status = bsq_warn_loss(source->ctx, "%s: %" PRIu64 " %s", source->path, kinds[i].count,
                                    kinds[i].what);

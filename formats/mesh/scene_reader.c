@@ -257,8 +257,6 @@ static int finish(struct stream_source *source)
         {colors ? count_clamped(s) : 0, true,
          "meshes have a diffuse colour out of range, which was clamped"},
     };
-    if (source->reader->read_before)
-        return 0;
     return fmt_stream_warn_unread(source, kinds, sizeof kinds / sizeof *kinds);
 }
 
