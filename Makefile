@@ -54,6 +54,8 @@ LIBS.bake     = -ldl $(LIBS.tools)
 LIBS.all      = $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 LIBS.tools    = $(shell pkg-config --libs $(pc_tools))
 
+public_headers := base/version.h base/context.h base/loss.h base/options.h libvoxel/voxel.h \
+    libbake/bake.h libbake/compare.h
 libs := base formats libvoxel libbake
 # A library is a folder; its subfolders are its rooms.
 # The helper is a program of its own.
@@ -67,6 +69,8 @@ archive.formats  := $(BUILD)/lib/libbisque-formats.a
 archive.libvoxel := $(BUILD)/lib/libbisque-voxel.a
 archive.libbake  := $(BUILD)/lib/libbisque-bake.a
 archives := $(foreach l,$(libs),$(archive.$(l)))
+# All of them as one library. The number changes whenever a program must be compiled again.
+shared   := $(BUILD)/lib/libbisque.so.0
 
 # Parts of formats that are opened at their first use, see formats/module/module.h. The stamp holds
 # the version and a checksum of the headers that a module shares with its host.
@@ -96,7 +100,7 @@ helper   := $(BUILD)/lib/bisque/bisque-devices
 
 .PHONY: all
 ## all: build the libraries, modules and programs (default), into build/$(config)/
-all: $(archives) $(module_files) $(helper) $(bins)
+all: $(archives) $(shared) $(module_files) $(helper) $(bins)
 
 # Debug information names the folder of the sources. With this name, builds in different folders have
 # the same bytes; debuggers find the sources if they are started there.
@@ -160,6 +164,20 @@ $(BUILD)/lib/bisque/bisque-$(1).so: $$(call objs,$(1)) formats/module/module.map
 endef
 $(foreach m,$(modules),$(eval $(call module_rule,$(m))))
 
+# Exports the functions that the public headers declare, and nothing else.
+$(BUILD)/gen/libbisque.map: $(public_headers)
+	@mkdir -p $(@D)
+	{ echo 'BISQUE_0 {'; echo 'global:'; cat $^ | $(CC) -E -P -fpreprocessed - | sed '/^#/d' | \
+	    grep -oE '\b(bsq|vox|bake)_[a-z_0-9]+\(' | sort -u | tr '(' ';'; echo 'local: *;'; \
+	    echo '};'; } > $@
+# Two sources need libraries of the module for textures, which has them.
+all_objects := $(filter-out %/jpeg_check.c.o %/png_rows.c.o,$(foreach l,$(libs),$(call objs,$(l))))
+link_shared  = $(CC) $(common) $(LDFLAGS) -shared $(no_undefined) -Wl,-soname,$(notdir $(shared)) \
+    -Wl,--version-script=$(BUILD)/gen/libbisque.map
+$(shared): $(BUILD)/gen/libbisque.map $(all_objects)
+	@mkdir -p $(@D)
+	$(link_shared) -o $@ $(filter %.o,$^) $(LIBS.all)
+
 # The kernel's source as an array in the library; OpenCL compiles it at run time.
 kernel_sources := $(wildcard libbake/kernel/*.h libbake/kernel/*.cl)
 $(BUILD)/gen/kernel_source.inc: libbake/kernel/embed.awk $(kernel_sources)
@@ -209,7 +227,6 @@ $(helper): $(BUILD)/obj/$(src.helper).o $(archives)
 	    $(LIBS.all)
 
 # A folder with the installed headers and no others, for examples/ and `make doc`.
-public_headers := base/version.h base/context.h base/loss.h base/options.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
 public_copies  := $(public_headers:%=$(BUILD)/include/%)
 $(public_copies): $(BUILD)/include/%: %
 	@install -D -m 644 $< $@

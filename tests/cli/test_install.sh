@@ -36,27 +36,28 @@ is_there share/bisque/farm/bisque-openjd share/bisque/farm/parts.openjd.yaml sha
 is_there lib/bisque/bisque-texture.so lib/bisque/bisque-openvdb.so lib/bisque/bisque-devices
 is_there lib/bisque/bisque-gltf.so lib/bisque/bisque-scene.so
 command="tests/lint/symbols.sh" code=0
-"$top/tests/lint/symbols.sh" "$prefix/lib" >"$out" 2>"$err" || code=$?
+"$top/tests/lint/symbols.sh" "$build/lib" >"$out" 2>"$err" || code=$?
 check "exported symbols have their library's prefix" "$code"
+nm -D --defined-only "$prefix/lib/libbisque.so.0" | awk '$2 != "A" { print $3 }' >"$out"
+grep -q '^vox_voxelize@@BISQUE_0$' "$out" && ! grep -Evq '^(bsq|vox|bake)_.*@@BISQUE_0$' "$out" &&
+    ! grep -q '^bsq_file_open@' "$out"
+check "the shared library exports the public functions, with a version" $?
 
 # ---- the programs of examples/, built with the installation ----
 PKG_CONFIG_PATH=$prefix/lib/pkgconfig
 export PKG_CONFIG_PATH
-flags=
-case $(nm "$prefix/lib/libbisque-base.a") in
-*__asan_*) flags=-fsanitize=address,undefined ;;
-*__tsan_*) flags=-fsanitize=thread ;;
-esac
-for libraries in bisque-voxel bisque-bake "bisque-voxel bisque-bake"; do
-    pkg-config --libs $libraries >"$out" 2>"$err"
-    grep -q -- "-L$prefix/lib " "$out" && ! grep -Eiq 'openimageio|openvdb|stdc' "$out"
-    check "pkg-config --libs $libraries" $?
-done
+pkg-config --libs bisque >"$out" 2>"$err"
+grep -q -- "-L$prefix/lib -lbisque" "$out" && ! grep -Eiq 'openimageio|openvdb|stdc|png' "$out"
+check "pkg-config --libs bisque" $?
 for example in voxelize_scan bake_maps compare_maps; do
     command="cc $example.c" code=0
-    cc -std=c99 -Wall -Wextra -Werror $flags -o $example "$top/examples/$example.c" \
-        $(pkg-config --cflags --libs bisque-voxel bisque-bake) >"$out" 2>"$err" || code=$?
-    check "$example.c is compiled with the installed headers and libraries" "$code"
+    cc -std=c99 -Wall -Wextra -Werror -o $example-shared "$top/examples/$example.c" \
+        $(pkg-config --cflags --libs bisque) -Wl,-rpath,"$prefix/lib" >"$out" 2>"$err" || code=$?
+    check "$example.c is compiled with the installed headers and the shared library" "$code"
+    cc -std=c99 -o $example "$top/examples/$example.c" $(pkg-config --cflags bisque) \
+        "$prefix/lib/libbisque.a" $(pkg-config --static --libs bisque | sed 's/-lbisque//') \
+        >"$out" 2>"$err" || code=$?
+    check "$example.c is compiled with the static library" "$code"
 done
 
 write_box >box.obj
@@ -66,6 +67,9 @@ voxelize="voxelize_scan box.obj box.tris box.nvdb 32"
 run $voxelize
 code 0
 out_like '^12 triangles, [0-9]* voxels, no color$'
+run voxelize_scan-shared box.obj shared.tris shared.nvdb 32 red.ppm
+code 0
+out_like ', color$'
 run bake_maps box.nvdb box.obj 'box_<MAP>.png' 64
 code 0
 out_like '^hits on '
@@ -135,6 +139,6 @@ find "$prefix" ! -type d >"$out"
 check "uninstall leaves nothing" $?
 make_top install DESTDIR="$work/stage" prefix=/opt/bisque
 grep -rl "$work/stage" "$work/stage" >"$out"
-[ ! -s "$out" ] && grep -q '^prefix=/opt/bisque$' "$work"/stage/opt/bisque/lib/pkgconfig/*-bake.pc
+[ ! -s "$out" ] && grep -q '^prefix=/opt/bisque$' "$work"/stage/opt/bisque/lib/pkgconfig/bisque.pc
 check "nothing in a staged installation names the stage" $?
 finish

@@ -89,7 +89,7 @@ built=$folder/build/home/builder/bisque
 cp "$built"/build/deb/*bisque*_*.deb "$folder/clean/root"
 cp "$built"/build/release/tests/generate-scan "$folder/clean/home/artist"
 inside clean root 'rm *-dbgsym_*; apt-get install -y -qq --no-install-recommends ./*.deb >/dev/null'
-inside clean root 'dpkg -L bisque libbisque-dev >installed; dpkg -V bisque libbisque-dev'
+inside clean root 'dpkg -L bisque libbisque0 libbisque-dev >installed; dpkg -V bisque libbisque0 libbisque-dev'
 for page in "$top"/man/*.1; do
     gzip -dc "$folder/clean/usr/share/man/man1/$(basename "$page").gz" | cmp - "$page"
 done
@@ -110,12 +110,12 @@ step "the examples, compiled with libbisque-dev"
 inside clean root 'apt-get install -y -qq --no-install-recommends gcc libc6-dev pkg-config >/dev/null'
 inside clean artist '
     for source in /usr/share/doc/libbisque-dev/examples/*.c; do
-        gcc -o $(basename $source .c) $source $(pkg-config --cflags --libs bisque-voxel bisque-bake)
+        gcc -o $(basename $source .c) $source $(pkg-config --cflags --libs bisque)
     done
     ./voxelize_scan statue.obj own.tris own.nvdb 64
     ./bake_maps own.nvdb statue_low.obj "own_<MAP>.png" 64'
 step "removing the packages"
-inside clean root 'apt-get purge -y -qq bisque libbisque-dev >/dev/null
+inside clean root 'apt-get purge -y -qq bisque libbisque0 libbisque-dev >/dev/null
     grep -vFx /. installed | while read -r name; do
         [ ! -e "$name" ] || { [ -d "$name" ] && dpkg -S "$name" >/dev/null 2>&1; } || echo "$name"
     done >left

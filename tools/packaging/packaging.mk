@@ -7,6 +7,9 @@ mandir = $(DESTDIR)$(prefix)/share/man/man1
 farmdir = $(DESTDIR)$(prefix)/share/bisque/farm
 farm_programs := tools/farm/bisque-slurm tools/farm/bisque-openjd
 
+# Only the directory of modules differs between the build and an installation.
+other_objects := $(filter-out %/module_directory.c.o,$(all_objects))
+
 .PHONY: install uninstall
 ## install: install programs, man pages, libraries and headers under prefix=/usr/local
 install: all
@@ -18,20 +21,22 @@ install: all
 	install -m 644 $(filter-out $(farm_programs),$(wildcard tools/farm/*)) $(farmdir)
 	install -m 644 $(module_files) $(moddir)
 	install -m 755 $(helper) $(moddir)
-	install -m 644 $(archives) $(arcdir)
 	$(here) $(CC) $(CPPFLAGS) $(directory_cppflags) $(CFLAGS) -c formats/module/module_directory.c \
-	    -o $(moddir)/module_directory.c.o
-	$(AR) rD $(arcdir)/$(notdir $(archive.formats)) $(moddir)/module_directory.c.o
-	rm $(moddir)/module_directory.c.*
+	    -o $(arcdir)/module_directory.c.o
+	rm -f $(arcdir)/libbisque.a
+	$(AR) rcsD $(arcdir)/libbisque.a $(other_objects) $(arcdir)/module_directory.c.o
+	$(link_shared) -o $(arcdir)/$(notdir $(shared)) $(other_objects) \
+	    $(arcdir)/module_directory.c.o $(LIBS.all)
+	ln -sf $(notdir $(shared)) $(arcdir)/libbisque.so
+	rm $(arcdir)/module_directory.c.*
 	$(foreach h,$(public_headers),install -m 644 $(h) $(incdir)/$(h) &&) true
-	for lib in voxel bake; do \
-	    sed -e 's|@prefix@|$(prefix)|; s|@libdir@|$(libdir)|; s|@version@|$(VERSION)|' \
-	    tools/bisque-$$lib.pc.in > $(arcdir)/pkgconfig/bisque-$$lib.pc; done
+	sed -e 's|@prefix@|$(prefix)|; s|@libdir@|$(libdir)|; s|@version@|$(VERSION)|' \
+	    tools/packaging/bisque.pc.in > $(arcdir)/pkgconfig/bisque.pc
 
 ## uninstall: remove the files of install
 uninstall:
 	rm -f $(addprefix $(bindir)/,$(programs)) $(addprefix $(mandir)/,$(notdir $(wildcard man/*.1)))
-	rm -f $(addprefix $(arcdir)/,$(notdir $(archives))) $(arcdir)/pkgconfig/bisque-*.pc
+	rm -f $(arcdir)/libbisque.* $(arcdir)/pkgconfig/bisque.pc
 	rm -rf $(incdir) $(moddir) $(farmdir)
 	-rmdir $(dir $(farmdir)) 2>/dev/null
 
