@@ -7,6 +7,11 @@
 #include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
+#ifdef __cplusplus
+extern "C" {
+#include <cmocka.h>
+}
+#else
 #include <cmocka.h>
 
 #include "base/context.h"
@@ -26,6 +31,7 @@ static inline void test_context_end(struct bsq_ctx *ctx)
     assert_int_equal(bsq_memory_used(ctx), 0);
     bsq_ctx_destroy(ctx);
 }
+#endif
 
 /* Returns a seed for random numbers and prints it. BSQ_TEST_SEED sets it, to repeat a failure. */
 static inline uint64_t test_seed(void)

@@ -10,7 +10,7 @@
 #include "base/context_internal.h"
 #include "base/octahedral.h"
 #include "base/parallel.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/sanitized.h"
 
 #if TEST_SANITIZED
@@ -29,9 +29,8 @@ const char *__tsan_default_options(void)
 
 /* ---- creation ---- */
 
-static void test_defaults(void **state)
+TEST(test_defaults)
 {
-    (void)state;
     struct bsq_ctx *ctx;
     setenv("TMPDIR", "/somewhere", 1);
     assert_int_equal(bsq_ctx_create(NULL, &ctx), 0);
@@ -47,9 +46,8 @@ static void test_defaults(void **state)
     bsq_ctx_destroy(NULL);
 }
 
-static void test_options_are_copied(void **state)
+TEST(test_options_are_copied)
 {
-    (void)state;
     char directory[] = "/one";
     struct bsq_ctx *ctx;
     struct bsq_ctx_options options = {.memory_bytes = 12345, .threads = 3, .tmpdir = directory};
@@ -63,9 +61,8 @@ static void test_options_are_copied(void **state)
 
 /* ---- errors ---- */
 
-static void test_first_failure_wins(void **state)
+TEST(test_first_failure_wins)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     assert_int_equal(bsq_fail(ctx, BSQ_EDATA, "scan.obj:%d: no such vertex", 12), BSQ_EDATA);
     assert_int_equal(bsq_fail(ctx, BSQ_EIO, "later"), BSQ_EIO);
@@ -77,9 +74,8 @@ static void test_first_failure_wins(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_errno_maps_to_status(void **state)
+TEST(test_errno_maps_to_status)
 {
-    (void)state;
     static const struct {
         int errnum, status;
     } cases[] = {
@@ -97,9 +93,8 @@ static void test_errno_maps_to_status(void **state)
     }
 }
 
-static void test_messages_are_one_line_of_any_length(void **state)
+TEST(test_messages_are_one_line_of_any_length)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     char *name = malloc(100001);
     memset(name, 'n', 100000);
@@ -121,9 +116,8 @@ static int fail_each(void *arg, uint64_t index, unsigned worker)
     return bsq_fail(ctx, status, "%d", status);
 }
 
-static void test_code_and_text_agree(void **state)
+TEST(test_code_and_text_agree)
 {
-    (void)state;
     for (int round = 0; round < 200; round++) {
         struct bsq_ctx *ctx = test_context(4, 0);
         int status = bsq_parallel_for(ctx, 64, fail_each, ctx);
@@ -151,9 +145,8 @@ static int warn_each(void *arg, uint64_t index, unsigned worker)
     return 0;
 }
 
-static void test_warnings_come_one_at_a_time(void **state)
+TEST(test_warnings_come_one_at_a_time)
 {
-    (void)state;
     struct heard heard = {0};
     struct bsq_ctx *ctx;
     struct bsq_ctx_options options = {.threads = 4, .on_warning = hear, .user = &heard};
@@ -165,9 +158,8 @@ static void test_warnings_come_one_at_a_time(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_interruption(void **state)
+TEST(test_interruption)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     assert_int_equal(bsq_check(ctx), 0);
     bsq_interrupt(ctx);
@@ -184,9 +176,8 @@ static void test_interruption(void **state)
 /* ---- memory ---- */
 
 /* Small blocks count their header and alignment, and what malloc() adds. */
-static void test_cost_of_blocks(void **state)
+TEST(test_cost_of_blocks)
 {
-    (void)state;
     const uint64_t huge = (uint64_t)2 << 20;
     struct bsq_ctx *ctx = test_context(1, 0);
     for (uint64_t bytes = 0; bytes < huge - 4096; bytes = bytes * 3 + 1) {
@@ -200,9 +191,8 @@ static void test_cost_of_blocks(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_budget(void **state)
+TEST(test_budget)
 {
-    (void)state;
     const uint64_t cost_a = bsq_block_cost(600), cost_b = bsq_block_cost(400);
     struct bsq_ctx *ctx = test_context(1, cost_a + cost_b);
     char *a, *b, message[128];
@@ -230,9 +220,8 @@ static void test_budget(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_sizes_that_overflow(void **state)
+TEST(test_sizes_that_overflow)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, UINT64_MAX);
     static const uint64_t sizes[][2] = {
         {UINT64_MAX, 2}, {UINT64_C(1) << 32, UINT64_C(1) << 32}, {UINT64_MAX, 1}, {INT64_MAX, 1}};
@@ -254,9 +243,8 @@ static void test_sizes_that_overflow(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_blocks_are_aligned_and_zeroed(void **state)
+TEST(test_blocks_are_aligned_and_zeroed)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     for (uint64_t size = 0; size < 5000000; size = size * 3 + 1) {
         unsigned char *plain, *zeroed;
@@ -274,9 +262,8 @@ static void test_blocks_are_aligned_and_zeroed(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_growing_keeps_content(void **state)
+TEST(test_growing_keeps_content)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     uint32_t *list = NULL;
     uint64_t capacity = 0, moves = 0;
@@ -296,9 +283,8 @@ static void test_growing_keeps_content(void **state)
 }
 
 /* Blocks below and above the size of a huge page, which are allocated in different ways. */
-static void test_large_blocks(void **state)
+TEST(test_large_blocks)
 {
-    (void)state;
     const uint64_t huge = (uint64_t)2 << 20;
     struct bsq_ctx *ctx = test_context(1, 64 << 20);
     for (uint64_t bytes = huge - 1; bytes < huge + 8192; bytes += bytes < huge + 1 ? 1 : 4095) {
@@ -327,9 +313,8 @@ static void test_large_blocks(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_growing_up_to_the_budget(void **state)
+TEST(test_growing_up_to_the_budget)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, bsq_block_cost(1000));
     char *list = NULL;
     uint64_t capacity = 0;
@@ -355,9 +340,8 @@ static int alloc_some(void *arg, uint64_t index, unsigned worker)
     return status;
 }
 
-static void test_budget_with_threads(void **state)
+TEST(test_budget_with_threads)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(4, 4 * bsq_block_cost(970));
     assert_int_equal(bsq_parallel_for(ctx, 50000, alloc_some, ctx), 0);
     assert_int_equal(bsq_memory_used(ctx), 0);
@@ -394,9 +378,8 @@ static int add_slowly(void *arg, uint64_t index, unsigned worker)
     return 0;
 }
 
-static void test_progress(void **state)
+TEST(test_progress)
 {
-    (void)state;
     struct seen seen = {0};
     struct bsq_ctx *ctx;
     struct bsq_ctx_options options = {.threads = 4, .on_progress = see, .user = &seen};
@@ -428,9 +411,8 @@ static double angle_degrees(struct bsq_vec3 a, struct bsq_vec3 b)
     return atan2(sqrt(x * x + y * y + z * z), dot) * 180 / acos(-1);
 }
 
-static void test_octahedral_error(void **state)
+TEST(test_octahedral_error)
 {
-    (void)state;
     /* A Fibonacci lattice covers the sphere evenly. The bounds are those of 2 x 16 bits in Cigolle
      * et al. 2014. */
     const int count = 200000;
@@ -448,9 +430,8 @@ static void test_octahedral_error(void **state)
     assert_true(worst < 0.0038);
 }
 
-static void test_octahedral_corners(void **state)
+TEST(test_octahedral_corners)
 {
-    (void)state;
     for (int axis = 0; axis < 6; axis++) {
         float s = axis & 1 ? -1.0f : 1.0f;
         struct bsq_vec3 v =
@@ -468,28 +449,4 @@ static void test_octahedral_corners(void **state)
     assert_true(fabs(bsq_length3(bsq_oct_unpack(0x80008000u)) - 1) < 1e-6);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_defaults),
-        cmocka_unit_test(test_options_are_copied),
-        cmocka_unit_test(test_first_failure_wins),
-        cmocka_unit_test(test_errno_maps_to_status),
-        cmocka_unit_test(test_messages_are_one_line_of_any_length),
-        cmocka_unit_test(test_code_and_text_agree),
-        cmocka_unit_test(test_warnings_come_one_at_a_time),
-        cmocka_unit_test(test_interruption),
-        cmocka_unit_test(test_cost_of_blocks),
-        cmocka_unit_test(test_budget),
-        cmocka_unit_test(test_sizes_that_overflow),
-        cmocka_unit_test(test_blocks_are_aligned_and_zeroed),
-        cmocka_unit_test(test_growing_keeps_content),
-        cmocka_unit_test(test_large_blocks),
-        cmocka_unit_test(test_growing_up_to_the_budget),
-        cmocka_unit_test(test_budget_with_threads),
-        cmocka_unit_test(test_progress),
-        cmocka_unit_test(test_octahedral_error),
-        cmocka_unit_test(test_octahedral_corners),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -2,7 +2,7 @@
 #include <string.h>
 
 #include "base/escape.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 static void expect(const char *text, const char *expected)
 {
@@ -11,9 +11,8 @@ static void expect(const char *text, const char *expected)
     free(escaped);
 }
 
-static void test_text_stays(void **state)
+TEST(test_text_stays)
 {
-    (void)state;
     expect("", "");
     expect("a b\\c.obj:12: \"x\"", "a b\\c.obj:12: \"x\"");
     expect("Stra\xc3\x9f"
@@ -22,9 +21,8 @@ static void test_text_stays(void **state)
            "e \xe2\x82\xac \xf0\x9f\x97\xbf");
 }
 
-static void test_control_characters(void **state)
+TEST(test_control_characters)
 {
-    (void)state;
     expect("\033[2J\a\r\n\t\x7f", "\\x1b[2J\\x07\\x0d\\x0a\\x09\\x7f");
     expect("\xc2\x9b"
            "31m",
@@ -36,9 +34,8 @@ static void test_control_characters(void **state)
     free(kept);
 }
 
-static void test_invalid_utf8(void **state)
+TEST(test_invalid_utf8)
 {
-    (void)state;
     expect("\xff", "\\xff");
     expect("\x80z", "\\x80z");
     expect("\xc3", "\\xc3");
@@ -51,9 +48,8 @@ static void test_invalid_utf8(void **state)
 }
 
 /* Whatever the bytes, the result has neither control bytes nor bytes that are not UTF-8. */
-static void test_random_bytes(void **state)
+TEST(test_random_bytes)
 {
-    (void)state;
     uint64_t random = test_seed();
     for (int i = 0; i < 20000; i++) {
         char text[24];
@@ -71,13 +67,4 @@ static void test_random_bytes(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_text_stays),
-        cmocka_unit_test(test_control_characters),
-        cmocka_unit_test(test_invalid_utf8),
-        cmocka_unit_test(test_random_bytes),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -2,10 +2,7 @@
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
-#include <setjmp.h>
 #include <signal.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -16,11 +13,10 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
-#include <cmocka.h>
-
 #include "base/job_files.h"
 #include "base/output.h"
 #include "base/parallel.h"
+#include "tests/unit/test.h"
 
 /* ---- replacements of functions of the C library ---- */
 
@@ -102,9 +98,8 @@ static unsigned files_here(void)
 
 /* ---- input ---- */
 
-static void test_reading(void **state)
+TEST(test_reading)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     put("in", "0123456789");
     struct bsq_file file;
@@ -127,9 +122,8 @@ static void test_reading(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_every_truncated_length(void **state)
+TEST(test_every_truncated_length)
 {
-    (void)state;
     put("in", "0123456789");
     for (int length = 9; length >= 0; length--) {
         struct bsq_ctx *ctx = create(NULL);
@@ -158,9 +152,8 @@ static void assert_cannot_open(const char *path, const char *message)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_what_cannot_be_opened(void **state)
+TEST(test_what_cannot_be_opened)
 {
-    (void)state;
     assert_cannot_open("none", "none: No such file or directory");
     assert_cannot_open(".", ".: Is a directory");
     assert_int_equal(mkfifo("fifo", 0600), 0);
@@ -168,9 +161,8 @@ static void test_what_cannot_be_opened(void **state)
     unlink("fifo");
 }
 
-static void test_maps(void **state)
+TEST(test_maps)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_map map;
     put("in", "0123456789");
@@ -194,9 +186,8 @@ static void test_maps(void **state)
 /* ---- closed standard descriptors ---- */
 
 /* A program that uses the library may have closed them; what it prints must not get into files. */
-static void test_standard_descriptors_are_not_used(void **state)
+TEST(test_standard_descriptors_are_not_used)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_file file, twin, temporary;
     struct bsq_output *output;
@@ -252,9 +243,8 @@ static int read_page(void *arg, uint64_t page, unsigned worker)
     return byte == (page == 0 ? 'x' : '\0') ? 0 : BSQ_EBUG;
 }
 
-static void test_map_that_shrinks(void **state)
+TEST(test_map_that_shrinks)
 {
-    (void)state;
     struct bsq_ctx_options options = {.threads = 4};
     struct bsq_ctx *ctx;
     struct bsq_map map;
@@ -311,9 +301,8 @@ static void fault_elsewhere(const volatile char *byte)
 }
 
 /* The previous handler gets signals that are not about a map, and is restored afterwards. */
-static void test_other_bus_errors(void **state)
+TEST(test_other_bus_errors)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_map first, second;
     struct sigaction own = {.sa_handler = on_own_fault}, original, now;
@@ -341,9 +330,8 @@ static void test_other_bus_errors(void **state)
 
 /* ---- temporary files ---- */
 
-static void test_temporary_files(void **state)
+TEST(test_temporary_files)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_file file;
     char buffer[6];
@@ -360,9 +348,8 @@ static void test_temporary_files(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_temporary_directory(void **state)
+TEST(test_temporary_directory)
 {
-    (void)state;
     struct bsq_ctx *ctx = create("/nowhere/at/all");
     struct bsq_file file;
     assert_int_equal(bsq_file_temp(ctx, "out", "testing", &file), BSQ_ECANTCREAT);
@@ -374,9 +361,8 @@ static void test_temporary_directory(void **state)
 }
 
 /* Without a directory of its own, a temporary file lies beside the first output of the job. */
-static void test_temporary_files_beside_the_output(void **state)
+TEST(test_temporary_files_beside_the_output)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_file file;
     char output[64];
@@ -391,9 +377,8 @@ static void test_temporary_files_beside_the_output(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_disk_space(void **state)
+TEST(test_disk_space)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     assert_int_equal(bsq_require_disk(ctx, "out", 1), 0);
     assert_int_equal(bsq_require_disk(ctx, "out", UINT64_MAX), BSQ_EIO);
@@ -403,9 +388,8 @@ static void test_disk_space(void **state)
 
 /* ---- output ---- */
 
-static void test_output_appears_on_commit(void **state)
+TEST(test_output_appears_on_commit)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_output *output;
     put("out", "old");
@@ -423,9 +407,8 @@ static void test_output_appears_on_commit(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_output_is_discarded(void **state)
+TEST(test_output_is_discarded)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_output *output;
     assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
@@ -437,9 +420,8 @@ static void test_output_is_discarded(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_output_permissions(void **state)
+TEST(test_output_permissions)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     mode_t before = umask(0027);
     struct bsq_output *output;
@@ -453,9 +435,8 @@ static void test_output_permissions(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_output_long_name_and_link(void **state)
+TEST(test_output_long_name_and_link)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_output *output;
     char name[256];
@@ -485,9 +466,8 @@ static void assert_cannot_create(const char *path, const char *message)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_what_cannot_be_created(void **state)
+TEST(test_what_cannot_be_created)
 {
-    (void)state;
     assert_int_equal(mkdir("sub", 0700), 0);
     assert_cannot_create("sub", "sub: Is a directory");
     assert_cannot_create("sub/", "\"sub/\" is not a file name");
@@ -501,9 +481,8 @@ static void test_what_cannot_be_created(void **state)
     rmdir("sub");
 }
 
-static void test_failed_write_cannot_be_committed(void **state)
+TEST(test_failed_write_cannot_be_committed)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_output *output;
     struct rlimit before, small;
@@ -534,9 +513,8 @@ static bool preallocates(void)
     return can;
 }
 
-static void test_space_is_preallocated(void **state)
+TEST(test_space_is_preallocated)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_output *output;
     struct rlimit before, small;
@@ -575,9 +553,8 @@ static void assert_too_short(struct bsq_ctx *ctx, int status)
     bsq_clear_error(ctx);
 }
 
-static void test_less_than_expected(void **state)
+TEST(test_less_than_expected)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_output *output;
     struct bsq_file file;
@@ -596,9 +573,8 @@ static void test_less_than_expected(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_preallocation_is_interrupted(void **state)
+TEST(test_preallocation_is_interrupted)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_output *output;
     assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
@@ -631,9 +607,8 @@ static struct bsq_output *open_to_copy(struct bsq_ctx *ctx, char *content)
     return output;
 }
 
-static void test_copying_to_a_name(void **state)
+TEST(test_copying_to_a_name)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     static char content[COPIED], got[COPIED + 1];
     struct bsq_output *output = open_to_copy(ctx, content);
@@ -658,9 +633,8 @@ static void test_copying_to_a_name(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_copying_to_a_name_fails(void **state)
+TEST(test_copying_to_a_name_fails)
 {
-    (void)state;
     struct bsq_ctx *ctx = create(NULL);
     static char content[COPIED];
     struct bsq_output *output = open_to_copy(ctx, content);
@@ -685,31 +659,4 @@ static void test_copying_to_a_name_fails(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_reading),
-        cmocka_unit_test(test_every_truncated_length),
-        cmocka_unit_test(test_what_cannot_be_opened),
-        cmocka_unit_test(test_maps),
-        cmocka_unit_test(test_standard_descriptors_are_not_used),
-        cmocka_unit_test(test_map_that_shrinks),
-        cmocka_unit_test(test_other_bus_errors),
-        cmocka_unit_test(test_temporary_files),
-        cmocka_unit_test(test_temporary_directory),
-        cmocka_unit_test(test_temporary_files_beside_the_output),
-        cmocka_unit_test(test_disk_space),
-        cmocka_unit_test(test_output_appears_on_commit),
-        cmocka_unit_test(test_output_is_discarded),
-        cmocka_unit_test(test_output_permissions),
-        cmocka_unit_test(test_output_long_name_and_link),
-        cmocka_unit_test(test_what_cannot_be_created),
-        cmocka_unit_test(test_failed_write_cannot_be_committed),
-        cmocka_unit_test(test_space_is_preallocated),
-        cmocka_unit_test(test_less_than_expected),
-        cmocka_unit_test(test_preallocation_is_interrupted),
-        cmocka_unit_test(test_copying_to_a_name),
-        cmocka_unit_test(test_copying_to_a_name_fails),
-    };
-    return cmocka_run_group_tests(tests, enter_directory, leave_directory);
-}
+RUN_TESTS(enter_directory, leave_directory)

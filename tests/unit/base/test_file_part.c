@@ -6,11 +6,10 @@
 #include <unistd.h>
 
 #include "base/file_part.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
-static void test_names(void **state)
+TEST(test_names)
 {
-    (void)state;
     static const char *const others[] = {"",
                                          "a.png",
                                          "#bytes=1+2",
@@ -34,9 +33,8 @@ static void test_names(void **state)
 }
 
 /* Every range of base64 text of each length, against the bytes that it was made from. */
-static void test_base64(void **state)
+TEST(test_base64)
 {
-    (void)state;
     static const char *const texts[] = {"",         "/w==",     "/wE=",    "/wEC",
                                         "/wECAw==", "/wECAwQ=", "/wECAwQF"};
     static const unsigned char bytes[] = {255, 1, 2, 3, 4, 5};
@@ -65,9 +63,8 @@ static void test_base64(void **state)
 }
 
 /* A copy of a part; a file with the whole name is no part. */
-static void test_copies(void **state)
+TEST(test_copies)
 {
-    (void)state;
     char directory[] = "/tmp/test_part.XXXXXX", path[64], part_path[64];
     struct bsq_ctx *ctx;
     struct bsq_file copy;
@@ -98,12 +95,4 @@ static void test_copies(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_names),
-        cmocka_unit_test(test_base64),
-        cmocka_unit_test(test_copies),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -1,8 +1,5 @@
 /* test_job_files.c - inputs that are changed under way, and outputs that are inputs. */
 #include <fcntl.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -12,10 +9,9 @@
 #include <sys/un.h>
 #include <unistd.h>
 
-#include <cmocka.h>
-
 #include "base/job_files.h"
 #include "base/output.h"
+#include "tests/unit/test.h"
 
 static uint64_t stats; /* calls of stat() */
 
@@ -53,6 +49,7 @@ static int destroy(void **state)
     bsq_ctx_destroy(*state);
     return 0;
 }
+#define FIXTURE_TEST(name) TEST_EACH(name, create, destroy)
 
 static void put(const char *path, const char *text)
 {
@@ -81,7 +78,7 @@ static int reopen(struct bsq_ctx *ctx, const char *path)
 
 static const char changed[] = "in: was changed while it was read";
 
-static void test_replaced_between_openings(void **state)
+FIXTURE_TEST(test_replaced_between_openings)
 {
     struct bsq_ctx *ctx = *state;
     put("in", "first");
@@ -96,7 +93,7 @@ static void test_replaced_between_openings(void **state)
 }
 
 /* Two files of one size and time differ by their inode. */
-static void test_replaced_with_the_same_size_and_time(void **state)
+FIXTURE_TEST(test_replaced_with_the_same_size_and_time)
 {
     struct bsq_ctx *ctx = *state;
     const struct timespec times[2] = {{1000, 5}, {1000, 5}};
@@ -110,7 +107,7 @@ static void test_replaced_with_the_same_size_and_time(void **state)
     unlink("in");
 }
 
-static void test_written_to_in_place(void **state)
+FIXTURE_TEST(test_written_to_in_place)
 {
     struct bsq_ctx *ctx = *state;
     struct timespec times[2] = {{1000, 5}, {1000, 5}};
@@ -140,7 +137,7 @@ static void make_socket(const char *path)
     close(fd);
 }
 
-static void test_only_regular_files(void **state)
+FIXTURE_TEST(test_only_regular_files)
 {
     struct bsq_ctx *ctx = *state;
     assert_int_equal(mkfifo("fifo", 0600), 0);
@@ -156,7 +153,7 @@ static void test_only_regular_files(void **state)
 /* ---- outputs that are inputs ---- */
 
 /* An output is an input under any name, whichever of the two is noted first. */
-static void test_links_and_spellings(void **state)
+FIXTURE_TEST(test_links_and_spellings)
 {
     struct bsq_ctx *ctx = *state;
     char message[200];
@@ -185,7 +182,7 @@ static void test_links_and_spellings(void **state)
 }
 
 /* A file that an input names, and that is missing, may not be created either. */
-static void test_missing_inputs(void **state)
+FIXTURE_TEST(test_missing_inputs)
 {
     struct bsq_ctx *ctx = *state;
     struct bsq_output *output;
@@ -216,7 +213,7 @@ static int write_output(struct bsq_ctx *ctx, const char *path)
 }
 
 /* A job may read what it wrote, and write it again. */
-static void test_own_outputs(void **state)
+FIXTURE_TEST(test_own_outputs)
 {
     struct bsq_ctx *ctx = *state;
     for (int i = 0; i < 2; i++) {
@@ -227,7 +224,7 @@ static void test_own_outputs(void **state)
 }
 
 /* Outputs of a group are noted one by one: a commit does not look at all of them for each. */
-static void test_many_outputs(void **state)
+FIXTURE_TEST(test_many_outputs)
 {
     enum { COUNT = 300 };
     struct bsq_ctx *ctx = *state;
@@ -253,7 +250,7 @@ static void test_many_outputs(void **state)
 }
 
 /* An output that was noted under two names of a file is written under one. */
-static void test_own_output_with_two_names(void **state)
+FIXTURE_TEST(test_own_output_with_two_names)
 {
     struct bsq_ctx *ctx = *state;
     assert_int_equal(symlink("out", "link"), 0);
@@ -269,7 +266,7 @@ static void test_own_output_with_two_names(void **state)
 }
 
 /* Many names are found again, and their memory is counted. */
-static void test_many_inputs(void **state)
+FIXTURE_TEST(test_many_inputs)
 {
     enum { COUNT = 5000 };
     struct bsq_ctx *ctx = *state;
@@ -287,19 +284,4 @@ static void test_many_inputs(void **state)
     assert_int_equal(bsq_memory_used(ctx), 0);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test_setup_teardown(test_replaced_between_openings, create, destroy),
-        cmocka_unit_test_setup_teardown(test_replaced_with_the_same_size_and_time, create, destroy),
-        cmocka_unit_test_setup_teardown(test_written_to_in_place, create, destroy),
-        cmocka_unit_test_setup_teardown(test_only_regular_files, create, destroy),
-        cmocka_unit_test_setup_teardown(test_links_and_spellings, create, destroy),
-        cmocka_unit_test_setup_teardown(test_missing_inputs, create, destroy),
-        cmocka_unit_test_setup_teardown(test_own_outputs, create, destroy),
-        cmocka_unit_test_setup_teardown(test_own_output_with_two_names, create, destroy),
-        cmocka_unit_test_setup_teardown(test_many_inputs, create, destroy),
-        cmocka_unit_test_setup_teardown(test_many_outputs, create, destroy),
-    };
-    return cmocka_run_group_tests(tests, enter_directory, leave_directory);
-}
+RUN_TESTS(enter_directory, leave_directory)

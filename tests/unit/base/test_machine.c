@@ -4,7 +4,7 @@
 #include <sys/stat.h>
 
 #include "base/context_internal.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 static char root[] = "/tmp/bisque-machine.XXXXXX";
 
@@ -37,6 +37,7 @@ static int remove_root(void **state)
     snprintf(command, sizeof command, "rm -r %s", root);
     return system(command);
 }
+#define FIXTURE_TEST(name) TEST_EACH(name, make_root, remove_root)
 
 static void expect(uint64_t memory_bytes, unsigned processors)
 {
@@ -57,9 +58,8 @@ static void mount_v2(const char *top)
     put("proc/self/mountinfo", line);
 }
 
-static void test_without_control_groups(void **state)
+FIXTURE_TEST(test_without_control_groups)
 {
-    (void)state;
     expect(1 << 30, 64);
     mount_v2("/");
     expect(1 << 30, 64);
@@ -67,9 +67,8 @@ static void test_without_control_groups(void **state)
     expect(1 << 30, 64);
 }
 
-static void test_tightest_ancestor(void **state)
+FIXTURE_TEST(test_tightest_ancestor)
 {
-    (void)state;
     mount_v2("/");
     put("proc/self/cgroup", "0::/a/b/c\n");
     put("sys/fs/cgroup/a/b/c/memory.max", "max\n");
@@ -88,9 +87,8 @@ static void test_tightest_ancestor(void **state)
 }
 
 /* Above memory.high the kernel slows a group down and reclaims its memory. */
-static void test_memory_high(void **state)
+FIXTURE_TEST(test_memory_high)
 {
-    (void)state;
     mount_v2("/");
     put("proc/self/cgroup", "0::/a\n");
     put("sys/fs/cgroup/a/memory.max", "300000000\n");
@@ -101,9 +99,8 @@ static void test_memory_high(void **state)
 }
 
 /* With a name space of its own a container sees its group as "/". */
-static void test_container_with_its_own_root(void **state)
+FIXTURE_TEST(test_container_with_its_own_root)
 {
-    (void)state;
     mount_v2("/");
     put("proc/self/cgroup", "0::/\n");
     put("sys/fs/cgroup/memory.max", "268435456\n");
@@ -112,9 +109,8 @@ static void test_container_with_its_own_root(void **state)
 }
 
 /* Without one it sees its path on the host, of which only its own group is mounted. */
-static void test_container_with_the_path_of_the_host(void **state)
+FIXTURE_TEST(test_container_with_the_path_of_the_host)
 {
-    (void)state;
     mount_v2("/docker/0123");
     put("proc/self/cgroup", "0::/docker/0123/job\n");
     put("sys/fs/cgroup/memory.max", "268435456\n");
@@ -128,9 +124,8 @@ static void test_container_with_the_path_of_the_host(void **state)
     expect(268435456, 64);
 }
 
-static void test_version_1(void **state)
+FIXTURE_TEST(test_version_1)
 {
-    (void)state;
     put("proc/self/mountinfo",
         "31 30 0:27 / /sys/fs/cgroup/memory rw - cgroup cgroup rw,memory\n"
         "32 30 0:28 / /sys/fs/cgroup/cpu,cpuacct rw - cgroup cgroup rw,cpu,cpuacct\n"
@@ -147,18 +142,16 @@ static void test_version_1(void **state)
     expect(536870912, 3);
 }
 
-static void test_mount_with_a_blank(void **state)
+FIXTURE_TEST(test_mount_with_a_blank)
 {
-    (void)state;
     put("proc/self/mountinfo", "31 30 0:27 / /my\\040groups rw - cgroup2 none rw\n");
     put("proc/self/cgroup", "0::/a b\n");
     put("my groups/a b/memory.max", "1000\n");
     expect(1000, 64);
 }
 
-static void test_damaged_files(void **state)
+FIXTURE_TEST(test_damaged_files)
 {
-    (void)state;
     put("proc/self/mountinfo", "\n - \n31 30\n31 30 0:27 / - cgroup2\n"
                                "31 30 0:27 / /sys/fs/cgroup rw - cgroup2 cgroup2 rw\n");
     put("proc/self/cgroup", "\n0\n0:\n0::\n0::a\n::::\n0::/a\n");
@@ -168,19 +161,4 @@ static void test_damaged_files(void **state)
     expect(1 << 30, 64);
 }
 
-#define TEST(name) cmocka_unit_test_setup_teardown(name, make_root, remove_root)
-
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        TEST(test_without_control_groups),
-        TEST(test_tightest_ancestor),
-        TEST(test_memory_high),
-        TEST(test_container_with_its_own_root),
-        TEST(test_container_with_the_path_of_the_host),
-        TEST(test_version_1),
-        TEST(test_mount_with_a_blank),
-        TEST(test_damaged_files),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

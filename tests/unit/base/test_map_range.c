@@ -1,19 +1,14 @@
 /* test_map_range.c - what the signal handler of base/map.c finds while another thread reuses an
  * entry of its list. The moment is too short to be met from outside, so this includes the source.
  */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 
-#include <cmocka.h>
-
 #include "base/map.c"
+#include "tests/unit/test.h"
 
 /* An entry went from [1000, 9000) to [2000, 3000). */
-static void test_entries_that_are_changed_are_skipped(void **state)
+TEST(test_entries_that_are_changed_are_skipped)
 {
-    (void)state;
     struct bsq_map_range range = {0};
     set_range(&range, 1000, 9000);
     assert_int_equal(end_around(&range, 5000), 9000);
@@ -29,10 +24,4 @@ static void test_entries_that_are_changed_are_skipped(void **state)
     assert_int_equal(end_around(&range, 5000), 0);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_entries_that_are_changed_are_skipped),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -3,9 +3,6 @@
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -14,11 +11,10 @@
 #include <sys/xattr.h>
 #include <unistd.h>
 
-#include <cmocka.h>
-
 #include "base/output.h"
 #include "base/output_internal.h"
 #include "base/temp_internal.h"
+#include "tests/unit/test.h"
 
 static unsigned directories_read; /* calls of opendir() */
 
@@ -58,6 +54,7 @@ static int end(void **state)
     bsq_ctx_destroy(*state);
     return 0;
 }
+#define FIXTURE_TEST(name) TEST_EACH(name, begin, end)
 
 static void put(const char *path, const char *text)
 {
@@ -118,7 +115,7 @@ static bool is_link(const char *path)
 
 /* ---- symbolic links ---- */
 
-static void test_dangling_links_are_followed(void **state)
+FIXTURE_TEST(test_dangling_links_are_followed)
 {
     assert_int_equal(mkdir("sub", 0700), 0);
     assert_int_equal(symlink("second", "sub/first"), 0);
@@ -153,7 +150,7 @@ static void test_dangling_links_are_followed(void **state)
     assert_int_equal(files_here(), 0);
 }
 
-static void test_loops_of_links(void **state)
+FIXTURE_TEST(test_loops_of_links)
 {
     assert_int_equal(symlink("b", "a"), 0);
     assert_int_equal(symlink("a", "b"), 0);
@@ -164,7 +161,7 @@ static void test_loops_of_links(void **state)
     unlink("b");
 }
 
-static void test_links_to_files_without_a_name(void **state)
+FIXTURE_TEST(test_links_to_files_without_a_name)
 {
     char path[40], message[100];
     put("gone", "old");
@@ -185,7 +182,7 @@ static void assert_mode(const char *path, mode_t mode)
     assert_int_equal(info.st_mode & 07777, mode);
 }
 
-static void test_mode_is_kept(void **state)
+FIXTURE_TEST(test_mode_is_kept)
 {
     static const mode_t modes[] = {0600, 0640, 0666, 0777, 0400, 0604};
     for (size_t i = 0; i < sizeof modes / sizeof *modes; i++) {
@@ -218,7 +215,7 @@ static mode_t mode_now(struct bsq_output *output)
 }
 
 /* Before the new file has the old one's group, its group is another one. */
-static void test_private_until_it_is_complete(void **state)
+FIXTURE_TEST(test_private_until_it_is_complete)
 {
     put("out", "old");
     assert_int_equal(chmod("out", 0644), 0);
@@ -235,7 +232,7 @@ static void test_private_until_it_is_complete(void **state)
     unlink("out");
 }
 
-static void test_owner_is_kept(void **state)
+FIXTURE_TEST(test_owner_is_kept)
 {
     struct stat info;
     if (geteuid() != 0)
@@ -250,7 +247,7 @@ static void test_owner_is_kept(void **state)
     unlink("out");
 }
 
-static void test_rights_without_the_group(void **state)
+FIXTURE_TEST(test_rights_without_the_group)
 {
     /* Not root: the file belongs to a group of which this process is no member. */
     if (geteuid() != 0)
@@ -285,7 +282,7 @@ static const struct access_list list_for_12345 = {2,
                                                    {0x10, 6, UINT32_MAX},
                                                    {0x20, 0, UINT32_MAX}}};
 
-static void test_access_list_is_kept(void **state)
+FIXTURE_TEST(test_access_list_is_kept)
 {
     struct access_list got = {0};
     put("out", "old");
@@ -300,7 +297,7 @@ static void test_access_list_is_kept(void **state)
 }
 
 /* A directory's default list applies to new files, but not to one that replaces a private file. */
-static void test_default_access_list(void **state)
+FIXTURE_TEST(test_default_access_list)
 {
     assert_int_equal(mkdir("sub", 0700), 0);
     if (setxattr("sub", "system.posix_acl_default", &list_for_12345, sizeof list_for_12345, 0) !=
@@ -341,7 +338,7 @@ static bool stays(struct bsq_ctx *ctx, const char *content, bool marked, bool lo
     return there;
 }
 
-static void test_sweep_removes_own_files_only(void **state)
+FIXTURE_TEST(test_sweep_removes_own_files_only)
 {
     static const char *const names[] = {".out.backup.tmp", ".out.abc123.tmp", ".out.tmp",
                                         ".out.abcdefghijkl.tmp", ".out..............tmp"};
@@ -367,7 +364,7 @@ static void test_sweep_removes_own_files_only(void **state)
 
 /* A job reads a directory once, however many outputs it has there, and still removes the leftovers
  * of each. */
-static void test_directories_are_read_once(void **state)
+FIXTURE_TEST(test_directories_are_read_once)
 {
     enum { COUNT = 50 };
     char name[40], *paths[COUNT];
@@ -392,7 +389,7 @@ static void test_directories_are_read_once(void **state)
     assert_int_equal(rmdir("sub"), 0);
 }
 
-static void test_outputs_have_no_mark(void **state)
+FIXTURE_TEST(test_outputs_have_no_mark)
 {
     put("out", "old");
     write_new(*state, "out");
@@ -411,7 +408,7 @@ static struct bsq_output_group start_group(struct bsq_ctx *ctx)
     return group;
 }
 
-static void test_group_appears(void **state)
+FIXTURE_TEST(test_group_appears)
 {
     put("b", "old");
     assert_int_equal(link("b", "other"), 0);
@@ -457,14 +454,14 @@ static void assert_none(struct bsq_ctx *ctx, const char *blocked)
     assert_int_equal(files_here(), 0);
 }
 
-static void test_group_appears_not_at_all(void **state)
+FIXTURE_TEST(test_group_appears_not_at_all)
 {
     assert_none(*state, "a");
     assert_none(*state, "b");
     assert_none(*state, "c");
 }
 
-static void test_reading_before_the_commit(void **state)
+FIXTURE_TEST(test_reading_before_the_commit)
 {
     struct bsq_output *output = start(*state, "out");
     struct bsq_file file;
@@ -478,26 +475,4 @@ static void test_reading_before_the_commit(void **state)
     assert_int_equal(files_here(), 0);
 }
 
-#define TEST(name) cmocka_unit_test_setup_teardown(name, begin, end)
-
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        TEST(test_dangling_links_are_followed),
-        TEST(test_loops_of_links),
-        TEST(test_links_to_files_without_a_name),
-        TEST(test_mode_is_kept),
-        TEST(test_private_until_it_is_complete),
-        TEST(test_owner_is_kept),
-        TEST(test_rights_without_the_group),
-        TEST(test_access_list_is_kept),
-        TEST(test_default_access_list),
-        TEST(test_sweep_removes_own_files_only),
-        TEST(test_directories_are_read_once),
-        TEST(test_outputs_have_no_mark),
-        TEST(test_group_appears),
-        TEST(test_group_appears_not_at_all),
-        TEST(test_reading_before_the_commit),
-    };
-    return cmocka_run_group_tests(tests, enter_directory, leave_directory);
-}
+RUN_TESTS(enter_directory, leave_directory)

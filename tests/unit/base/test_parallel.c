@@ -8,7 +8,7 @@
 #include <unistd.h>
 
 #include "base/parallel.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 enum { MAX_THREADS = 8 };
 
@@ -38,60 +38,57 @@ struct loop_state {
 
 static int visit(void *arg, uint64_t index, unsigned worker)
 {
-    struct loop_state *state = arg;
-    atomic_fetch_add(&state->calls, 1);
-    if (worker >= state->threads || atomic_fetch_add(&state->inside[worker], 1) != 0)
-        atomic_store(&state->trouble, 1);
-    if (state->visits)
-        atomic_fetch_add(&state->visits[index], 1);
-    int status = index == state->fail_at ? BSQ_EDATA : 0;
-    if (state->interrupt && index == 10)
-        bsq_interrupt(state->interrupt);
-    atomic_fetch_sub(&state->inside[worker], 1);
+    struct loop_state *shared = arg;
+    atomic_fetch_add(&shared->calls, 1);
+    if (worker >= shared->threads || atomic_fetch_add(&shared->inside[worker], 1) != 0)
+        atomic_store(&shared->trouble, 1);
+    if (shared->visits)
+        atomic_fetch_add(&shared->visits[index], 1);
+    int status = index == shared->fail_at ? BSQ_EDATA : 0;
+    if (shared->interrupt && index == 10)
+        bsq_interrupt(shared->interrupt);
+    atomic_fetch_sub(&shared->inside[worker], 1);
     return status;
 }
 
-static void test_loop_visits_each_once(void **unused)
+TEST(test_loop_visits_each_once)
 {
-    (void)unused;
     static const uint64_t counts[] = {0, 1, 2, 3, 7, 100, 12345};
     for (unsigned threads = 1; threads <= MAX_THREADS; threads++) {
         struct bsq_ctx *ctx = test_context(threads, 0);
         for (size_t c = 0; c < sizeof counts / sizeof counts[0]; c++) {
             uint64_t count = counts[c];
-            struct loop_state state = {.threads = threads, .fail_at = UINT64_MAX};
-            state.visits = calloc(count + 1, 1);
-            assert_int_equal(bsq_parallel_for(ctx, count, visit, &state), 0);
+            struct loop_state shared = {.threads = threads, .fail_at = UINT64_MAX};
+            shared.visits = calloc(count + 1, 1);
+            assert_int_equal(bsq_parallel_for(ctx, count, visit, &shared), 0);
             for (uint64_t i = 0; i < count; i++)
-                assert_int_equal(state.visits[i], 1);
-            assert_int_equal(state.trouble, 0);
-            free(state.visits);
+                assert_int_equal(shared.visits[i], 1);
+            assert_int_equal(shared.trouble, 0);
+            free(shared.visits);
         }
         bsq_ctx_destroy(ctx);
     }
 }
 
-static void test_loop_stops_at_failure(void **unused)
+TEST(test_loop_stops_at_failure)
 {
-    (void)unused;
     for (unsigned threads = 1; threads <= MAX_THREADS; threads++) {
         struct bsq_ctx *ctx = test_context(threads, 0);
-        struct loop_state state = {.threads = threads, .fail_at = 1000};
-        assert_int_equal(bsq_parallel_for(ctx, UINT64_C(1) << 50, visit, &state), BSQ_EDATA);
-        assert_int_equal(state.trouble, 0);
+        struct loop_state shared = {.threads = threads, .fail_at = 1000};
+        assert_int_equal(bsq_parallel_for(ctx, UINT64_C(1) << 50, visit, &shared), BSQ_EDATA);
+        assert_int_equal(shared.trouble, 0);
         if (threads == 1)
-            assert_int_equal(state.calls, 1001);
+            assert_int_equal(shared.calls, 1001);
         bsq_ctx_destroy(ctx);
     }
 }
 
-static void test_loop_is_interrupted(void **unused)
+TEST(test_loop_is_interrupted)
 {
-    (void)unused;
     for (unsigned threads = 1; threads <= MAX_THREADS; threads += 3) {
         struct bsq_ctx *ctx = test_context(threads, 0);
-        struct loop_state state = {.threads = threads, .fail_at = UINT64_MAX, .interrupt = ctx};
-        assert_int_equal(bsq_parallel_for(ctx, UINT64_C(1) << 50, visit, &state), BSQ_EINTR);
+        struct loop_state shared = {.threads = threads, .fail_at = UINT64_MAX, .interrupt = ctx};
+        assert_int_equal(bsq_parallel_for(ctx, UINT64_C(1) << 50, visit, &shared), BSQ_EINTR);
         assert_string_equal(bsq_error(ctx), "interrupted");
         bsq_ctx_destroy(ctx);
     }
@@ -108,9 +105,8 @@ static int meet(void *arg, uint64_t index, unsigned worker)
     return atomic_load(arrived) < 2 ? BSQ_EBUG : 0;
 }
 
-static void test_loop_runs_concurrently(void **unused)
+TEST(test_loop_runs_concurrently)
 {
-    (void)unused;
     struct bsq_ctx *ctx = test_context(2, 0);
     atomic_int arrived = 0;
     assert_int_equal(bsq_parallel_for(ctx, 2, meet, &arrived), 0);
@@ -141,144 +137,143 @@ struct pipe_state {
     uint64_t sum;
 };
 
-static void check(struct pipe_state *state, bool condition)
+static void check(struct pipe_state *shared, bool condition)
 {
     if (!condition)
-        atomic_store(&state->trouble, 1);
+        atomic_store(&shared->trouble, 1);
 }
 
-static void idle_a_while(const struct pipe_state *state, uint64_t sequence, enum stage stage)
+static void idle_a_while(const struct pipe_state *shared, uint64_t sequence, enum stage stage)
 {
-    if (state->longest_pause > 0)
-        pause_microseconds(
-            (unsigned)(scramble(state->seed ^ sequence * 8 ^ stage) % (state->longest_pause + 1)));
+    if (shared->longest_pause > 0)
+        pause_microseconds((unsigned)(scramble(shared->seed ^ sequence * 8 ^ stage) %
+                                      (shared->longest_pause + 1)));
 }
 
-static int finish_stage(struct pipe_state *state, uint64_t sequence, enum stage stage)
+static int finish_stage(struct pipe_state *shared, uint64_t sequence, enum stage stage)
 {
-    if (sequence != state->fail_at)
+    if (sequence != shared->fail_at)
         return 0;
-    if (state->interrupt_in == stage)
-        bsq_interrupt(state->ctx);
-    return state->fail_in == stage ? BSQ_EDATA - (int)stage : 0;
+    if (shared->interrupt_in == stage)
+        bsq_interrupt(shared->ctx);
+    return shared->fail_in == stage ? BSQ_EDATA - (int)stage : 0;
 }
 
 static int produce(void *arg, void *data, uint64_t sequence)
 {
-    struct pipe_state *state = arg;
+    struct pipe_state *shared = arg;
     struct slot *slot = data;
-    check(state, atomic_fetch_add(&state->producing, 1) == 0);
-    check(state, sequence == atomic_load(&state->produced));
-    check(state,
-          sequence < atomic_load(state->has_second_stage ? &state->finished : &state->emitted) +
-                         state->slot_count);
+    check(shared, atomic_fetch_add(&shared->producing, 1) == 0);
+    check(shared, sequence == atomic_load(&shared->produced));
+    check(shared,
+          sequence < atomic_load(shared->has_second_stage ? &shared->finished : &shared->emitted) +
+                         shared->slot_count);
     int status = 0;
-    if (sequence < state->count) {
-        check(state, atomic_fetch_add(&slot->owners, 1) == 0);
+    if (sequence < shared->count) {
+        check(shared, atomic_fetch_add(&slot->owners, 1) == 0);
         slot->sequence = sequence;
         slot->value = sequence;
-        idle_a_while(state, sequence, IN_PRODUCE);
-        status = finish_stage(state, sequence, IN_PRODUCE);
+        idle_a_while(shared, sequence, IN_PRODUCE);
+        status = finish_stage(shared, sequence, IN_PRODUCE);
         atomic_fetch_sub(&slot->owners, 1);
-        atomic_fetch_add(&state->produced, 1);
+        atomic_fetch_add(&shared->produced, 1);
         status = status < 0 ? status : 1;
     }
-    atomic_fetch_sub(&state->producing, 1);
+    atomic_fetch_sub(&shared->producing, 1);
     return status;
 }
 
 static int work(void *arg, void *data, uint64_t sequence, unsigned worker)
 {
-    struct pipe_state *state = arg;
+    struct pipe_state *shared = arg;
     struct slot *slot = data;
-    check(state, worker < state->threads);
-    check(state, atomic_fetch_add(&state->inside[worker], 1) == 0);
-    check(state, atomic_fetch_add(&slot->owners, 1) == 0);
-    check(state, slot->sequence == sequence && slot->value == sequence);
-    idle_a_while(state, sequence, IN_WORK);
+    check(shared, worker < shared->threads);
+    check(shared, atomic_fetch_add(&shared->inside[worker], 1) == 0);
+    check(shared, atomic_fetch_add(&slot->owners, 1) == 0);
+    check(shared, slot->sequence == sequence && slot->value == sequence);
+    idle_a_while(shared, sequence, IN_WORK);
     slot->value = scramble(sequence);
     atomic_fetch_sub(&slot->owners, 1);
-    atomic_fetch_sub(&state->inside[worker], 1);
-    return finish_stage(state, sequence, IN_WORK);
+    atomic_fetch_sub(&shared->inside[worker], 1);
+    return finish_stage(shared, sequence, IN_WORK);
 }
 
 static int emit(void *arg, void *data, uint64_t sequence)
 {
-    struct pipe_state *state = arg;
+    struct pipe_state *shared = arg;
     struct slot *slot = data;
-    check(state, atomic_fetch_add(&state->emitting, 1) == 0);
-    check(state, atomic_fetch_add(&slot->owners, 1) == 0);
-    check(state, sequence == atomic_load(&state->emitted));
-    check(state, slot->value == (state->has_work ? scramble(sequence) : sequence));
-    idle_a_while(state, sequence, IN_EMIT);
-    state->sum = state->sum * 31 + slot->value;
-    slot->value = state->has_second_stage ? sequence : UINT64_MAX;
+    check(shared, atomic_fetch_add(&shared->emitting, 1) == 0);
+    check(shared, atomic_fetch_add(&slot->owners, 1) == 0);
+    check(shared, sequence == atomic_load(&shared->emitted));
+    check(shared, slot->value == (shared->has_work ? scramble(sequence) : sequence));
+    idle_a_while(shared, sequence, IN_EMIT);
+    shared->sum = shared->sum * 31 + slot->value;
+    slot->value = shared->has_second_stage ? sequence : UINT64_MAX;
     atomic_fetch_sub(&slot->owners, 1);
-    atomic_fetch_add(&state->emitted, 1);
-    atomic_fetch_sub(&state->emitting, 1);
-    return finish_stage(state, sequence, IN_EMIT);
+    atomic_fetch_add(&shared->emitted, 1);
+    atomic_fetch_sub(&shared->emitting, 1);
+    return finish_stage(shared, sequence, IN_EMIT);
 }
 
 static int follow(void *arg, void *data, uint64_t sequence, unsigned worker)
 {
-    struct pipe_state *state = arg;
+    struct pipe_state *shared = arg;
     struct slot *slot = data;
-    check(state, worker < state->threads);
-    check(state, atomic_fetch_add(&state->inside[worker], 1) == 0);
-    check(state, atomic_fetch_add(&slot->owners, 1) == 0);
-    check(state, sequence < atomic_load(&state->emitted));
-    check(state, slot->sequence == sequence && slot->value == sequence);
-    idle_a_while(state, sequence, IN_FOLLOW);
+    check(shared, worker < shared->threads);
+    check(shared, atomic_fetch_add(&shared->inside[worker], 1) == 0);
+    check(shared, atomic_fetch_add(&slot->owners, 1) == 0);
+    check(shared, sequence < atomic_load(&shared->emitted));
+    check(shared, slot->sequence == sequence && slot->value == sequence);
+    idle_a_while(shared, sequence, IN_FOLLOW);
     slot->value = scramble(sequence + 1);
     atomic_fetch_sub(&slot->owners, 1);
-    atomic_fetch_sub(&state->inside[worker], 1);
-    return finish_stage(state, sequence, IN_FOLLOW);
+    atomic_fetch_sub(&shared->inside[worker], 1);
+    return finish_stage(shared, sequence, IN_FOLLOW);
 }
 
 static int finish(void *arg, void *data, uint64_t sequence)
 {
-    struct pipe_state *state = arg;
+    struct pipe_state *shared = arg;
     struct slot *slot = data;
-    check(state, atomic_fetch_add(&state->finishing, 1) == 0);
-    check(state, atomic_fetch_add(&slot->owners, 1) == 0);
-    check(state, sequence == atomic_load(&state->finished));
-    check(state, slot->value == scramble(sequence + 1));
-    idle_a_while(state, sequence, IN_FINISH);
+    check(shared, atomic_fetch_add(&shared->finishing, 1) == 0);
+    check(shared, atomic_fetch_add(&slot->owners, 1) == 0);
+    check(shared, sequence == atomic_load(&shared->finished));
+    check(shared, slot->value == scramble(sequence + 1));
+    idle_a_while(shared, sequence, IN_FINISH);
     slot->value = UINT64_MAX;
     atomic_fetch_sub(&slot->owners, 1);
-    atomic_fetch_add(&state->finished, 1);
-    atomic_fetch_sub(&state->finishing, 1);
-    return finish_stage(state, sequence, IN_FINISH);
+    atomic_fetch_add(&shared->finished, 1);
+    atomic_fetch_sub(&shared->finishing, 1);
+    return finish_stage(shared, sequence, IN_FINISH);
 }
 
-static int run(struct pipe_state *state)
+static int run(struct pipe_state *shared)
 {
-    struct slot *slots = calloc(state->slot_count, sizeof *slots);
+    struct slot *slots = calloc(shared->slot_count, sizeof *slots);
     struct bsq_pipeline pipeline = {
         .produce = produce,
-        .work = state->has_work ? work : NULL,
+        .work = shared->has_work ? work : NULL,
         .emit = emit,
-        .follow = state->has_second_stage ? follow : NULL,
-        .finish = state->has_second_stage ? finish : NULL,
-        .arg = state,
+        .follow = shared->has_second_stage ? follow : NULL,
+        .finish = shared->has_second_stage ? finish : NULL,
+        .arg = shared,
         .slots = slots,
         .slot_size = sizeof *slots,
-        .slot_count = state->slot_count,
+        .slot_count = shared->slot_count,
     };
-    int status = bsq_pipeline_run(state->ctx, &pipeline);
+    int status = bsq_pipeline_run(shared->ctx, &pipeline);
     free(slots);
     return status;
 }
 
-static void test_pipeline_keeps_order(void **unused)
+TEST(test_pipeline_keeps_order)
 {
-    (void)unused;
     static const uint64_t counts[] = {0, 1, 2, 5, 100};
     static const unsigned pauses[] = {0, 100};
     for (unsigned threads = 1; threads <= MAX_THREADS; threads++) {
         struct bsq_ctx *ctx = test_context(threads, 0);
         for (size_t c = 0; c < 5 * 2 * 2 * 3 * 2; c++) {
-            struct pipe_state state = {
+            struct pipe_state shared = {
                 .ctx = ctx,
                 .threads = threads,
                 .slot_count = c / 20 % 3 == 0   ? 1
@@ -291,28 +286,27 @@ static void test_pipeline_keeps_order(void **unused)
                 .has_second_stage = c / 60,
             };
             uint64_t expected = 0;
-            for (uint64_t i = 0; i < state.count; i++)
-                expected = expected * 31 + (state.has_work ? scramble(i) : i);
-            assert_int_equal(run(&state), 0);
-            assert_int_equal(state.trouble, 0);
-            assert_int_equal(state.emitted, state.count);
-            assert_int_equal(state.finished, state.has_second_stage ? state.count : 0);
-            assert_int_equal(state.sum, expected);
+            for (uint64_t i = 0; i < shared.count; i++)
+                expected = expected * 31 + (shared.has_work ? scramble(i) : i);
+            assert_int_equal(run(&shared), 0);
+            assert_int_equal(shared.trouble, 0);
+            assert_int_equal(shared.emitted, shared.count);
+            assert_int_equal(shared.finished, shared.has_second_stage ? shared.count : 0);
+            assert_int_equal(shared.sum, expected);
         }
         assert_int_equal(bsq_memory_used(ctx), 0);
         bsq_ctx_destroy(ctx);
     }
 }
 
-static void test_pipeline_failures(void **unused)
+TEST(test_pipeline_failures)
 {
-    (void)unused;
     const uint64_t seed = test_seed();
     for (unsigned threads = 1; threads <= MAX_THREADS; threads++) {
         for (enum stage stage = IN_PRODUCE; stage <= IN_FINISH; stage++) {
             for (unsigned round = 0; round < 8; round++) {
                 struct bsq_ctx *ctx = test_context(threads, 0);
-                struct pipe_state state = {
+                struct pipe_state shared = {
                     .ctx = ctx,
                     .threads = threads,
                     .slot_count = round % 2 ? 2 * threads : 2,
@@ -324,25 +318,25 @@ static void test_pipeline_failures(void **unused)
                     .fail_in = stage,
                     .fail_at = scramble(seed + round) % 60,
                 };
-                assert_int_equal(run(&state), BSQ_EDATA - (int)stage);
-                assert_int_equal(state.trouble, 0);
+                assert_int_equal(run(&shared), BSQ_EDATA - (int)stage);
+                assert_int_equal(shared.trouble, 0);
                 /* No later slot than the one that failed is emitted or finished. */
-                assert_true(stage > IN_EMIT || state.emitted <= state.fail_at + (stage == IN_EMIT));
-                assert_true(state.finished <= state.fail_at + (stage == IN_FINISH));
-                assert_true(state.produced <= state.fail_at + state.slot_count + 1);
+                assert_true(stage > IN_EMIT ||
+                            shared.emitted <= shared.fail_at + (stage == IN_EMIT));
+                assert_true(shared.finished <= shared.fail_at + (stage == IN_FINISH));
+                assert_true(shared.produced <= shared.fail_at + shared.slot_count + 1);
                 bsq_ctx_destroy(ctx);
             }
         }
     }
 }
 
-static void test_pipeline_is_interrupted(void **unused)
+TEST(test_pipeline_is_interrupted)
 {
-    (void)unused;
     for (unsigned threads = 1; threads <= MAX_THREADS; threads += 1) {
         for (enum stage stage = IN_PRODUCE; stage <= IN_FINISH; stage++) {
             struct bsq_ctx *ctx = test_context(threads, 0);
-            struct pipe_state state = {
+            struct pipe_state shared = {
                 .ctx = ctx,
                 .threads = threads,
                 .slot_count = 2 * threads,
@@ -352,22 +346,21 @@ static void test_pipeline_is_interrupted(void **unused)
                 .interrupt_in = stage,
                 .fail_at = 20,
             };
-            assert_int_equal(run(&state), BSQ_EINTR);
-            assert_int_equal(state.trouble, 0);
+            assert_int_equal(run(&shared), BSQ_EINTR);
+            assert_int_equal(shared.trouble, 0);
             bsq_ctx_destroy(ctx);
         }
     }
 }
 
-static void test_pipeline_needs_budget(void **unused)
+TEST(test_pipeline_needs_budget)
 {
-    (void)unused;
     struct bsq_ctx *ctx;
     struct bsq_ctx_options options = {.threads = 2, .memory_bytes = 3};
     assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    struct pipe_state state = {.ctx = ctx, .threads = 2, .slot_count = 4, .count = 10};
-    assert_int_equal(run(&state), BSQ_ENOMEM);
-    assert_int_equal(state.produced, 0);
+    struct pipe_state shared = {.ctx = ctx, .threads = 2, .slot_count = 4, .count = 10};
+    assert_int_equal(run(&shared), BSQ_ENOMEM);
+    assert_int_equal(shared.produced, 0);
     bsq_ctx_destroy(ctx);
 }
 
@@ -409,9 +402,8 @@ static int overlap_emit(void *arg, void *slot, uint64_t sequence)
     return await(&overlap->working) ? 0 : BSQ_EBUG;
 }
 
-static void test_emit_overlaps_with_work(void **unused)
+TEST(test_emit_overlaps_with_work)
 {
-    (void)unused;
     struct bsq_ctx *ctx = test_context(2, 0);
     struct overlap overlap = {0};
     char slots[4];
@@ -429,14 +421,13 @@ static void test_emit_overlaps_with_work(void **unused)
 }
 
 /* Waiting threads sleep: one slow step with seven idle threads costs next to no processor time. */
-static void test_waiting_is_not_busy(void **unused)
+TEST(test_waiting_is_not_busy)
 {
-    (void)unused;
     struct bsq_ctx *ctx = test_context(MAX_THREADS, 0);
-    struct pipe_state state = {
+    struct pipe_state shared = {
         .ctx = ctx, .threads = MAX_THREADS, .slot_count = 1, .count = 100, .longest_pause = 4000};
     clock_t before = clock();
-    assert_int_equal(run(&state), 0);
+    assert_int_equal(run(&shared), 0);
     assert_true(clock() - before < CLOCKS_PER_SEC / 10);
     bsq_ctx_destroy(ctx);
 }
@@ -444,17 +435,5 @@ static void test_waiting_is_not_busy(void **unused)
 int main(void)
 {
     alarm(120); /* a deadlock is a failure, not a hang */
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_loop_visits_each_once),
-        cmocka_unit_test(test_loop_stops_at_failure),
-        cmocka_unit_test(test_loop_is_interrupted),
-        cmocka_unit_test(test_loop_runs_concurrently),
-        cmocka_unit_test(test_pipeline_keeps_order),
-        cmocka_unit_test(test_pipeline_failures),
-        cmocka_unit_test(test_pipeline_is_interrupted),
-        cmocka_unit_test(test_pipeline_needs_budget),
-        cmocka_unit_test(test_emit_overlaps_with_work),
-        cmocka_unit_test(test_waiting_is_not_busy),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
+    return test_run(NULL, NULL);
 }

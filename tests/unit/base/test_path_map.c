@@ -1,5 +1,5 @@
 /* test_path_map.c - rules that replace the beginnings of paths. */
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -11,9 +11,8 @@ static void expect(struct bsq_ctx *ctx, const char *name, const char *path)
     assert_string_equal(bsq_map_path(ctx, name), path);
 }
 
-static void test_the_longest_source_is_replaced_once(void **state)
+TEST(test_the_longest_source_is_replaced_once)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     expect(ctx, "/mnt/a", "/mnt/a");
     assert_int_equal(bsq_add_path_rule(ctx, BSQ_PATH_POSIX, "/mnt", "/data"), 0);
@@ -32,9 +31,8 @@ static void test_the_longest_source_is_replaced_once(void **state)
     test_context_end(ctx);
 }
 
-static void test_formats(void **state)
+TEST(test_formats)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     assert_int_equal(bsq_add_path_rule(ctx, BSQ_PATH_WINDOWS, "Z:\\Studio", "/studio"), 0);
     assert_int_equal(bsq_add_path_rule(ctx, BSQ_PATH_URI, "s3://bucket/a", "/s3"), 0);
@@ -61,9 +59,8 @@ static char *text_of(enum bsq_path_format format, const char *source, const char
     return text;
 }
 
-static void test_texts_tell_rules_apart(void **state)
+TEST(test_texts_tell_rules_apart)
 {
-    (void)state;
     char *texts[] = {text_of(BSQ_PATH_POSIX, "/a", "/b"), text_of(BSQ_PATH_WINDOWS, "/a", "/b"),
                      text_of(BSQ_PATH_POSIX, "/a /", "b"), text_of(BSQ_PATH_POSIX, "/b", "/a"),
                      text_of(BSQ_PATH_POSIX, "/a", "/b")};
@@ -75,12 +72,4 @@ static void test_texts_tell_rules_apart(void **state)
         free(texts[i]);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_the_longest_source_is_replaced_once),
-        cmocka_unit_test(test_formats),
-        cmocka_unit_test(test_texts_tell_rules_apart),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

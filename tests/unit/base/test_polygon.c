@@ -5,7 +5,7 @@
 #include <string.h>
 
 #include "base/polygon.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 static uint64_t random_state; /* of test_random() */
 static struct bsq_ctx *ctx;
@@ -137,9 +137,8 @@ static void reverse(double (*corners)[2], uint32_t n)
         }
 }
 
-static void test_random_stars(void **state)
+TEST(test_random_stars)
 {
-    (void)state;
     double corners[200][2];
     random_state = test_seed();
     for (int i = 0; i < 20000; i++) {
@@ -154,9 +153,8 @@ static void test_random_stars(void **state)
     }
 }
 
-static void test_far_from_origin(void **state)
+TEST(test_far_from_origin)
 {
-    (void)state;
     double corners[20][2];
     random_state = test_seed();
     for (int i = 0; i < 2000; i++) {
@@ -166,9 +164,8 @@ static void test_far_from_origin(void **state)
     }
 }
 
-static void test_known_shapes(void **state)
+TEST(test_known_shapes)
 {
-    (void)state;
     static const double comb[][2] = {{0, 0}, {7, 0}, {7, 5}, {6, 5}, {6, 1}, {5, 1},
                                      {5, 5}, {4, 5}, {4, 1}, {3, 1}, {3, 5}, {2, 5},
                                      {2, 1}, {1, 1}, {1, 5}, {0, 5}};
@@ -194,9 +191,8 @@ static void test_known_shapes(void **state)
 }
 
 /* The reflex corner of an arrowhead must be on the cut, whichever corner it is. */
-static void test_arrowhead(void **state)
+TEST(test_arrowhead)
 {
-    (void)state;
     static const double arrow[4][3] = {{0, 0, 0}, {4, 3, 0}, {1, 3, 0}, {0, 6, 0}};
     for (uint32_t first = 0; first < 4; first++) {
         double quad[4][3];
@@ -215,9 +211,8 @@ static void test_arrowhead(void **state)
     }
 }
 
-static void test_convex_quad_is_cut_at_its_first_corner(void **state)
+TEST(test_convex_quad_is_cut_at_its_first_corner)
 {
-    (void)state;
     static const double quad[4][3] = {{0, 0, 5}, {1, 0, 5}, {1, 1, 5}, {0, 1, 5}};
     static const uint32_t expected[6] = {0, 1, 2, 0, 2, 3};
     uint32_t triangles[6];
@@ -226,9 +221,8 @@ static void test_convex_quad_is_cut_at_its_first_corner(void **state)
 }
 
 /* Corners are at one position if their coordinates are equal; 0 and -0 are. */
-static void test_sign_of_zero_changes_nothing(void **state)
+TEST(test_sign_of_zero_changes_nothing)
 {
-    (void)state;
     random_state = test_seed();
     for (int i = 0; i < 20000; i++) {
         double plain[8][3] = {{0}}, negative[8][3];
@@ -246,9 +240,8 @@ static void test_sign_of_zero_changes_nothing(void **state)
 }
 
 /* Degenerate input still gives n - 2 triangles of valid corners. */
-static void test_degenerate(void **state)
+TEST(test_degenerate)
 {
-    (void)state;
     enum { most = 40 };
     double positions[most][3];
     uint32_t triangles[3 * most];
@@ -294,9 +287,8 @@ static void check_large(uint32_t n)
 
 /* A strip that winds around the origin: out along one side, back along the other one. Triangles
  * that overlap would have areas of more than the strip. */
-static void test_large_spiral(void **state)
+TEST(test_large_spiral)
 {
-    (void)state;
     for (uint32_t i = 0; i < LARGE; i++) {
         uint32_t along = i < LARGE / 2 ? i : LARGE - 1 - i;
         double angle = along * 0.0157, radius = 1 + along / 400.0 + (i < LARGE / 2 ? 0.4 : 0);
@@ -306,9 +298,8 @@ static void test_large_spiral(void **state)
 }
 
 /* The same with four corners a turn, so that triangles span the whole spiral. */
-static void test_large_square_spiral(void **state)
+TEST(test_large_square_spiral)
 {
-    (void)state;
     static const double x[4] = {1, -1, -1, 1}, y[4] = {1, 1, -1, -1};
     for (uint32_t i = 0; i < LARGE; i++) {
         uint32_t along = i < LARGE / 2 ? i : LARGE - 1 - i;
@@ -318,18 +309,16 @@ static void test_large_square_spiral(void **state)
     check_large(LARGE);
 }
 
-static void test_large_star(void **state)
+TEST(test_large_star)
 {
-    (void)state;
     random_state = test_seed();
     random_star(large, MEDIUM, 0.05);
     check_large(MEDIUM);
 }
 
 /* Teeth of equal height have many corners in one line. */
-static void test_large_comb(void **state)
+TEST(test_large_comb)
 {
-    (void)state;
     for (uint32_t i = 0; i < MEDIUM - 2; i++)
         place(i, i / 2, (i / 2 % 2 ? 1.0 : 9.0) + i % 2);
     place(MEDIUM - 2, MEDIUM / 2, -1);
@@ -338,9 +327,8 @@ static void test_large_comb(void **state)
 }
 
 /* Corners in one line along all sides of a square. */
-static void test_large_collinear(void **state)
+TEST(test_large_collinear)
 {
-    (void)state;
     const uint32_t side = MEDIUM / 4;
     for (uint32_t i = 0; i < MEDIUM; i++) {
         double t = i % side;
@@ -359,9 +347,8 @@ static void test_large_collinear(void **state)
 
 /* Square holes in a square. A bridge that is walked twice leads from the left side to each hole, or
  * from each hole to the next. */
-static void test_large_with_holes(void **state)
+TEST(test_large_with_holes)
 {
-    (void)state;
     enum { holes = 1000 };
     uint32_t n = 0;
     place(n++, 0, 0);
@@ -382,9 +369,8 @@ static void test_large_with_holes(void **state)
 }
 
 /* Each corner comes three times. */
-static void test_large_with_repeated_corners(void **state)
+TEST(test_large_with_repeated_corners)
 {
-    (void)state;
     static double corners[MEDIUM / 3][2];
     random_state = test_seed();
     random_star(corners, MEDIUM / 3, 0.3);
@@ -395,9 +381,8 @@ static void test_large_with_repeated_corners(void **state)
 
 /* Random walks that keep to their own column on the way up and down are simple polygons with
  * neither symmetry nor order. */
-static void test_random_simple_polygons(void **state)
+TEST(test_random_simple_polygons)
 {
-    (void)state;
     random_state = test_seed();
     for (int i = 0; i < 2000; i++) {
         uint32_t n = 5 + (uint32_t)(300 * random_unit()), half = n / 2;
@@ -415,9 +400,8 @@ static void test_random_simple_polygons(void **state)
 
 /* No two triangles of a small polygon overlap: random points lie in as many triangles as they
  * should, by the even-odd rule. */
-static void test_triangles_do_not_overlap(void **state)
+TEST(test_triangles_do_not_overlap)
 {
-    (void)state;
     double corners[100][2], positions[100][3];
     uint32_t triangles[300];
     random_state = test_seed();
@@ -452,9 +436,8 @@ static void test_triangles_do_not_overlap(void **state)
 }
 
 /* Self-intersecting polygons of any size end, with triangles of valid corners. */
-static void test_large_degenerate(void **state)
+TEST(test_large_degenerate)
 {
-    (void)state;
     static double positions[MEDIUM][3];
     uint32_t *triangles = malloc(3 * MEDIUM * sizeof *triangles);
     random_state = test_seed();
@@ -474,9 +457,8 @@ static void test_large_degenerate(void **state)
     free(triangles);
 }
 
-static void test_interruption(void **state)
+TEST(test_interruption)
 {
-    (void)state;
     static double positions[MEDIUM][3];
     uint32_t *triangles = malloc(3 * MEDIUM * sizeof *triangles);
     void *scratch = malloc(bsq_triangulate_scratch(MEDIUM));
@@ -494,9 +476,8 @@ static void test_interruption(void **state)
 }
 
 /* Polygons that need no search: on a line, and convex. */
-static void test_interruption_of_a_fan(void **state)
+TEST(test_interruption_of_a_fan)
 {
-    (void)state;
     enum { SIZE = 1 << 17 };
     double(*positions)[3] = malloc(SIZE * sizeof *positions);
     uint32_t *triangles = malloc(3 * SIZE * sizeof *triangles);
@@ -533,28 +514,4 @@ static int close_context(void **state)
     return 0;
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_random_stars),
-        cmocka_unit_test(test_far_from_origin),
-        cmocka_unit_test(test_known_shapes),
-        cmocka_unit_test(test_arrowhead),
-        cmocka_unit_test(test_convex_quad_is_cut_at_its_first_corner),
-        cmocka_unit_test(test_sign_of_zero_changes_nothing),
-        cmocka_unit_test(test_degenerate),
-        cmocka_unit_test(test_large_spiral),
-        cmocka_unit_test(test_large_square_spiral),
-        cmocka_unit_test(test_large_star),
-        cmocka_unit_test(test_large_comb),
-        cmocka_unit_test(test_large_collinear),
-        cmocka_unit_test(test_large_with_holes),
-        cmocka_unit_test(test_large_with_repeated_corners),
-        cmocka_unit_test(test_random_simple_polygons),
-        cmocka_unit_test(test_triangles_do_not_overlap),
-        cmocka_unit_test(test_large_degenerate),
-        cmocka_unit_test(test_interruption),
-        cmocka_unit_test(test_interruption_of_a_fan),
-    };
-    return cmocka_run_group_tests(tests, open_context, close_context);
-}
+RUN_TESTS(open_context, close_context)

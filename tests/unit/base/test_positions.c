@@ -1,11 +1,8 @@
 /* test_positions.c - the table finds the same equal positions as a comparison of every pair. */
 #include "base/positions.h"
+#include "tests/unit/test.h"
 
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdlib.h>
-#include <cmocka.h>
 
 enum { KNOWN = 300, OTHERS = 203 };
 
@@ -34,9 +31,8 @@ static bool within(const float p[3], const float min[3], const float max[3])
 }
 
 /* Tries every number of positions, as the last batch and its last vector may be incomplete. */
-static void test_match(void **state)
+TEST(test_match)
 {
-    (void)state;
     unsigned seed = 5;
     print_message("seed %u\n", seed);
     static float known[KNOWN][3];
@@ -77,8 +73,4 @@ static void test_match(void **state)
     free(slots);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_match)};
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

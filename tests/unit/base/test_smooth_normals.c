@@ -1,7 +1,7 @@
 /* test_smooth_normals.c - sums over one-rings have the bits of scalar code; weights are those of
  * their definitions; creases begin at a fold of 60 degrees. */
 #include "base/smooth_normals.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 enum { VERTICES = 40, TRIANGLES = 300, RINGS = 30 };
 
@@ -29,9 +29,8 @@ static void add_triangle(const float (*positions)[3], const uint32_t v[3], int i
     sums[0][3] += area;
 }
 
-static void test_sums_over_one_rings(void **state)
+TEST(test_sums_over_one_rings)
 {
-    (void)state;
     uint64_t seed = test_seed();
     float positions[VERTICES][3];
     uint32_t triangles[TRIANGLES][3], ring_of[VERTICES];
@@ -59,9 +58,8 @@ static void test_sums_over_one_rings(void **state)
 }
 
 /* Right angles, and angles down to 1e-9 and up to nearly pi. */
-static void test_angles(void **state)
+TEST(test_angles)
 {
-    (void)state;
     assert_true(fabs(row_number(bsq_angles(2, row_of(0, 2, -2, 0)), 0) - acos(0)) < 1e-10);
     for (double ratio = 1e-9; ratio < 1e10; ratio *= 1.7) {
         const double along[4] = {ratio, -ratio, 1 / ratio, -1 / ratio};
@@ -86,9 +84,8 @@ static void normal_of_first(const float (*positions)[3], const uint32_t (*triang
 }
 
 /* Max's weights are exact on a sphere, however its points are chosen; the others are not. */
-static void test_max_on_a_sphere(void **state)
+TEST(test_max_on_a_sphere)
 {
-    (void)state;
     enum { RIM = 7 };
     uint64_t seed = test_seed();
     float positions[RIM + 1][3] = {{0, 0, 1}};
@@ -120,9 +117,8 @@ static void test_max_on_a_sphere(void **state)
 
 /* Angles do not depend on how faces are cut. Three squares meet at the corner of a cube; the
  * diagonal of the first one ends there. */
-static void test_angles_at_a_cube(void **state)
+TEST(test_angles_at_a_cube)
 {
-    (void)state;
     const float positions[7][3] = {{0, 0, 0}, {1, 0, 0}, {1, 1, 0}, {0, 1, 0},
                                    {0, 1, 1}, {0, 0, 1}, {1, 0, 1}};
     const uint32_t triangles[4][3] = {{0, 1, 2}, {0, 2, 3}, {0, 3, 5}, {0, 5, 1}};
@@ -135,9 +131,8 @@ static void test_angles_at_a_cube(void **state)
 }
 
 /* A triangle without an area has no weight. */
-static void test_no_area(void **state)
+TEST(test_no_area)
 {
-    (void)state;
     const float positions[4][3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {2, 0, 0}};
     const uint32_t triangles[3][3] = {{0, 1, 2}, {0, 1, 3}, {0, 0, 2}};
     for (unsigned w = 0; w < BSQ_SCAN_NORMALS_FLAT; w++) {
@@ -147,9 +142,8 @@ static void test_no_area(void **state)
     }
 }
 
-static void test_creases(void **state)
+TEST(test_creases)
 {
-    (void)state;
     for (int degrees = 0; degrees <= 180; degrees++) {
         const double length = 2 * cos(degrees * 0.5 * acos(-1) / 180);
         assert_int_equal(bsq_is_smooth(length, 2), degrees <= 60);
@@ -160,15 +154,4 @@ static void test_creases(void **state)
     assert_int_equal(lanes_bits(bsq_are_smooth(lanes_all(0), lanes_all(0))) & 1, 0);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_sums_over_one_rings),
-        cmocka_unit_test(test_angles),
-        cmocka_unit_test(test_max_on_a_sphere),
-        cmocka_unit_test(test_angles_at_a_cube),
-        cmocka_unit_test(test_no_area),
-        cmocka_unit_test(test_creases),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -1,11 +1,9 @@
 /* test_sort_array.c - arrays of all small sizes, of large items, and what sorting allocates. */
 #include "base/sort_array.h"
+#include "tests/unit/test.h"
 
 #include <malloc.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdlib.h>
-#include <cmocka.h>
 
 /* Items of more than the 64 bytes that are swapped at a time. */
 struct item {
@@ -46,9 +44,8 @@ static void sort_and_check(uint64_t count, uint32_t keys, uint32_t *seed)
     free(items);
 }
 
-static void test_sorts(void **state)
+TEST(test_sorts)
 {
-    (void)state;
     uint32_t seed = 7;
     bsq_sort(NULL, 0, sizeof(struct item), by_key);
     for (uint64_t count = 0; count < 100; count++) {
@@ -74,9 +71,8 @@ static int by_value(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-static void test_allocates_nothing(void **state)
+TEST(test_allocates_nothing)
 {
-    (void)state;
     enum { COUNT = 5000 };
     uint32_t *values = malloc(COUNT * sizeof *values), seed = 3;
     for (int i = 0; i < COUNT; i++)
@@ -88,11 +84,4 @@ static void test_allocates_nothing(void **state)
     free(values);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_sorts),
-        cmocka_unit_test(test_allocates_nothing),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

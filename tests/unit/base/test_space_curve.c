@@ -1,16 +1,11 @@
 /* test_space_curve.c - both curves number each cell of a cube once, in their documented order. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <stdlib.h>
 
 #include "base/space_curve.h"
+#include "tests/unit/test.h"
 
-static void test_morton_keys_interleave_bits(void **state)
+TEST(test_morton_keys_interleave_bits)
 {
-    (void)state;
     for (uint32_t i = 0; i < 1000; i++) {
         const uint32_t cell[3] = {i * 2654435761u >> 11, i * 40503u & 0x1fffff, 0x1fffff - i};
         const uint32_t small[3] = {cell[0] & 31, cell[1] & 31, cell[2] & 31};
@@ -23,9 +18,8 @@ static void test_morton_keys_interleave_bits(void **state)
     }
 }
 
-static void test_hilbert_cells_follow_each_other(void **state)
+TEST(test_hilbert_cells_follow_each_other)
 {
-    (void)state;
     enum { BITS = 4, SIDE = 1 << BITS, CELLS = SIDE * SIDE * SIDE };
     static uint32_t cells[CELLS][3], seen[CELLS];
     for (uint32_t i = 0; i < CELLS; i++) {
@@ -44,11 +38,4 @@ static void test_hilbert_cells_follow_each_other(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_morton_keys_interleave_bits),
-        cmocka_unit_test(test_hilbert_cells_follow_each_other),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

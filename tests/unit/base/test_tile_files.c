@@ -6,7 +6,7 @@
 #include <unistd.h>
 
 #include "base/tile_files.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 static char directory[] = "/tmp/bisque-test-tile-files.XXXXXX";
 
@@ -79,7 +79,7 @@ static void check_tiles(const char *path, const struct bsq_tile_file *expected, 
     test_context_end(ctx);
 }
 
-static void numbers_of_tiles_are_found(void **state)
+TEST(numbers_of_tiles_are_found)
 {
     const struct bsq_tile_file udim[] = {
         {0, (char *)"a.1001.png"}, {11, (char *)"a.1012.png"}, {8989, (char *)"a.9990.png"}};
@@ -93,7 +93,7 @@ static void numbers_of_tiles_are_found(void **state)
 }
 
 /* u1_v1 and u01_v1 are one tile: the first by its bytes counts. */
-static void places_of_tiles_are_found(void **state)
+TEST(places_of_tiles_are_found)
 {
     const struct bsq_tile_file uvtile[] = {
         {0, (char *)"a_u01_v1.png"}, {1, (char *)"a_u2_v1.png"}, {19, (char *)"a_u10_v2.png"}};
@@ -102,7 +102,7 @@ static void places_of_tiles_are_found(void **state)
 }
 
 /* Tokens in names of folders, several tokens of both kinds: all stand for one tile. */
-static void tokens_stand_anywhere(void **state)
+TEST(tokens_stand_anywhere)
 {
     const struct bsq_tile_file two[] = {{0, (char *)"1001.1001.png"}, {1, (char *)"1002.1002.png"}};
     const struct bsq_tile_file three[] = {{2, (char *)"u3_v1.1003.png"}};
@@ -119,15 +119,13 @@ static void tokens_stand_anywhere(void **state)
         (struct bsq_tile_file[]){{1, (char *)"1002.1002.png"}, {2, (char *)"1002.1002.png"}}, 2);
 }
 
-static void folders_and_fifos_are_no_tiles(void **state)
+TEST(folders_and_fifos_are_no_tiles)
 {
-    (void)state;
     check_tiles("d.<UDIM>.png", NULL, 0);
 }
 
-static void only_names_with_a_token_have_tiles(void **state)
+TEST(only_names_with_a_token_have_tiles)
 {
-    (void)state;
     assert_true(bsq_has_tiles("x/a.<UDIM>.png"));
     assert_true(bsq_has_tiles("<UVTILE>"));
     assert_false(bsq_has_tiles("a.1001.png"));
@@ -135,14 +133,4 @@ static void only_names_with_a_token_have_tiles(void **state)
     assert_false(bsq_has_tiles("a.<udim>.png"));
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(numbers_of_tiles_are_found),
-        cmocka_unit_test(places_of_tiles_are_found),
-        cmocka_unit_test(tokens_stand_anywhere),
-        cmocka_unit_test(folders_and_fifos_are_no_tiles),
-        cmocka_unit_test(only_names_with_a_token_have_tiles),
-    };
-    return cmocka_run_group_tests(tests, enter_directory, leave_directory);
-}
+RUN_TESTS(enter_directory, leave_directory)

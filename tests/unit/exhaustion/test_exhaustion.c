@@ -6,9 +6,6 @@
  * is tried in this way, unless LONG is set. */
 #include <dirent.h>
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -16,7 +13,6 @@
 #include <unistd.h>
 #include <zlib.h>
 #include <zstd.h>
-#include <cmocka.h>
 
 #include "formats/mesh/mesh_reader.h"
 #include "formats/verify.h"
@@ -24,6 +20,7 @@
 #include "libbake/compare.h"
 #include "libvoxel/voxel.h"
 #include "tests/unit/exhaustion/failing.h"
+#include "tests/unit/test.h"
 
 enum { SIDE = 12, THREADS = 2 };
 
@@ -389,26 +386,25 @@ static void exhaust(int (*job)(struct bsq_ctx *), uint64_t stride)
     assert_int_equal(run(job), 0);
 }
 
-#define TEST(job, stride)                                                                          \
-    static void test_##job(void **state)                                                           \
+#define EXHAUST(job, stride)                                                                       \
+    TEST(test_##job)                                                                               \
     {                                                                                              \
-        (void)state;                                                                               \
         exhaust(job, stride);                                                                      \
     }
-TEST(parse, 1)
-TEST(load_mesh, 1)
-TEST(sort, 1)
-TEST(record, 1)
-TEST(voxelize, 1)
-TEST(voxelize_parts, 1)
-TEST(verify_tris, 1)
-TEST(verify_nvdb, 1)
-TEST(bake_grid, 1)
-TEST(bake_preview, 41) /* a large picture; most of its calls are those of bake_grid */
-TEST(bake_exact, 1)
-TEST(compare, 1)
-TEST(parse_others, 1)
-TEST(parse_packed, 1)
+EXHAUST(parse, 1)
+EXHAUST(load_mesh, 1)
+EXHAUST(sort, 1)
+EXHAUST(record, 1)
+EXHAUST(voxelize, 1)
+EXHAUST(voxelize_parts, 1)
+EXHAUST(verify_tris, 1)
+EXHAUST(verify_nvdb, 1)
+EXHAUST(bake_grid, 1)
+EXHAUST(bake_preview, 41) /* a large picture; most of its calls are those of bake_grid */
+EXHAUST(bake_exact, 1)
+EXHAUST(compare, 1)
+EXHAUST(parse_others, 1)
+EXHAUST(parse_packed, 1)
 
 static int prepare(struct bsq_ctx *ctx)
 {
@@ -434,16 +430,4 @@ static int tear_down(void **state)
     return chdir("/") == 0 ? system(command) : -1;
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_parse),          cmocka_unit_test(test_load_mesh),
-        cmocka_unit_test(test_sort),           cmocka_unit_test(test_voxelize),
-        cmocka_unit_test(test_voxelize_parts), cmocka_unit_test(test_verify_tris),
-        cmocka_unit_test(test_verify_nvdb),    cmocka_unit_test(test_bake_grid),
-        cmocka_unit_test(test_bake_preview),   cmocka_unit_test(test_bake_exact),
-        cmocka_unit_test(test_compare),        cmocka_unit_test(test_record),
-        cmocka_unit_test(test_parse_others),   cmocka_unit_test(test_parse_packed),
-    };
-    return cmocka_run_group_tests(tests, set_up, tear_down);
-}
+RUN_TESTS(set_up, tear_down)

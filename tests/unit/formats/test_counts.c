@@ -1,18 +1,15 @@
 /* test_counts.c - counts and offsets near and far above 2^32. Writing billions of triangles takes
  * too long for a test, so counts are set in the state of writers. The chunk writer's state is
  * private, so its source is included here. */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
-#include <cmocka.h>
 
 #include "formats/grid/nvdb_writer_internal.h"
 #include "formats/chunks/tris_write.c"
+#include "tests/unit/test.h"
 
 #define START (UINT64_C(0x100000000) - 10)
 
@@ -54,9 +51,8 @@ static uint64_t encode_strip(uint8_t *buffer, struct fmt_tris_chunk_info *info)
     return size;
 }
 
-static void triangles_are_numbered_past_2_32(void **state)
+TEST(triangles_are_numbered_past_2_32)
 {
-    (void)state;
     struct fmt_tris_header header = {.source_faces = UINT64_C(5) << 32};
     struct fmt_tris_writer *writer;
     struct fmt_tris_chunk_info info;
@@ -84,9 +80,8 @@ static void triangles_are_numbered_past_2_32(void **state)
 }
 
 /* Array lengths as in FORMATS.md, for counts larger than any chunk has. */
-static void sizes_of_chunks_do_not_wrap(void **state)
+TEST(sizes_of_chunks_do_not_wrap)
 {
-    (void)state;
     uint64_t nt = UINT32_MAX, nv = UINT32_MAX;
     uint64_t bytes = 16 + nv * (12 + 4 + 8 + 4) + nt * 4 + nt * 12;
     assert_int_equal(tris_chunk_layout(15, UINT32_MAX, UINT32_MAX).bytes, (bytes + 7) / 8 * 8);
@@ -121,9 +116,8 @@ static struct fmt_nvdb_writer *new_grid(void)
     return writer;
 }
 
-static void voxels_are_numbered_past_2_32(void **state)
+TEST(voxels_are_numbered_past_2_32)
 {
-    (void)state;
     struct fmt_nvdb_writer *writer = new_grid();
     writer->counts.voxels = START;
     for (int i = 0; i < 3; i++)
@@ -149,9 +143,8 @@ static void expect_full(struct fmt_nvdb_writer *writer, const char *what)
     fmt_nvdb_discard(writer);
 }
 
-static void counts_that_the_format_cannot_hold_are_refused(void **state)
+TEST(counts_that_the_format_cannot_hold_are_refused)
 {
-    (void)state;
     struct fmt_nvdb_writer *writer = new_grid();
     writer->counts.leaves = UINT32_MAX;
     expect_full(writer, "leaves of 8x8x8 voxels");
@@ -171,9 +164,8 @@ static void counts_that_the_format_cannot_hold_are_refused(void **state)
 }
 
 /* Checks each section of the largest grid that FORMATS.md allows. */
-static void sections_of_the_largest_grid_do_not_wrap(void **state)
+TEST(sections_of_the_largest_grid_do_not_wrap)
 {
-    (void)state;
     uint64_t u = UINT32_MAX, l = UINT32_MAX, f = UINT32_MAX, v = 512 * f, s = UINT32_MAX,
              n = 1 + v + s, names = (UINT64_C(1) << 61) - 1, words = 65535;
     struct nvdb_counts counts = {.type = FMT_NVDB_ONINDEX,
@@ -213,14 +205,4 @@ static void sections_of_the_largest_grid_do_not_wrap(void **state)
     assert_true(at > UINT64_C(1) << 50 && at < INT64_MAX);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(triangles_are_numbered_past_2_32),
-        cmocka_unit_test(sizes_of_chunks_do_not_wrap),
-        cmocka_unit_test(voxels_are_numbered_past_2_32),
-        cmocka_unit_test(counts_that_the_format_cannot_hold_are_refused),
-        cmocka_unit_test(sections_of_the_largest_grid_do_not_wrap),
-    };
-    return cmocka_run_group_tests(tests, set_up, tear_down);
-}
+RUN_TESTS(set_up, tear_down)

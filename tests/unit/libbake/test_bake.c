@@ -1,19 +1,15 @@
 /* test_bake.c - whole bakes of a wavy sheet, compared with the formula of its normals and colours.
  */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
-#include <cmocka.h>
 
 #include "formats/image/exr_read.h"
 #include "libbake/bake.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
 /* In voxels: half the width of the sheet, its wavelength, the depth of the low-poly square below
@@ -206,9 +202,8 @@ static struct errors normal_errors(const struct fmt_exr_image *image, bool objec
     return errors;
 }
 
-static void test_normals_are_those_of_the_formula(void **state)
+TEST(test_normals_are_those_of_the_formula)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(2, 0);
     for (int variant = 0; variant < 3; ++variant) {
         struct bake_options options = options_for(grey_path, in_directory("<MAP>.exr"));
@@ -232,9 +227,8 @@ static void test_normals_are_those_of_the_formula(void **state)
     test_context_end(ctx);
 }
 
-static void test_report_counts_samples(void **state)
+TEST(test_report_counts_samples)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(grey_path, in_directory("n.exr"));
     options.samples = 3;
@@ -256,9 +250,8 @@ static void test_report_counts_samples(void **state)
 
 /* ---- colour, mask, padding ---- */
 
-static void test_colors_are_those_of_the_formula(void **state)
+TEST(test_colors_are_those_of_the_formula)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(3, 0);
     struct bake_options options = options_for(color_path, in_directory("<MAP>.exr"));
     struct bake_report report;
@@ -286,9 +279,8 @@ static void test_colors_are_those_of_the_formula(void **state)
     test_context_end(ctx);
 }
 
-static void test_misses_are_masked_and_filled(void **state)
+TEST(test_misses_are_masked_and_filled)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(grey_path, in_directory("<MAP>.exr"));
     options.maps = BAKE_MAP_NORMAL | BAKE_MAP_MASK;
@@ -327,9 +319,8 @@ static void test_misses_are_masked_and_filled(void **state)
     test_context_end(ctx);
 }
 
-static void test_padding_surrounds_the_chart(void **state)
+TEST(test_padding_surrounds_the_chart)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(grey_path, in_directory("n.exr"));
     struct bake_report report;
@@ -366,9 +357,8 @@ static uint8_t *take_file(const char *path, size_t *size)
     return bytes;
 }
 
-static void test_bytes_depend_on_neither_threads_nor_budget(void **state)
+TEST(test_bytes_depend_on_neither_threads_nor_budget)
 {
-    (void)state;
     static const struct {
         unsigned threads;
         uint64_t memory;
@@ -408,9 +398,8 @@ static void test_bytes_depend_on_neither_threads_nor_budget(void **state)
 
 /* ---- preview ---- */
 
-static void test_preview_is_written_with_the_maps(void **state)
+TEST(test_preview_is_written_with_the_maps)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(color_path, in_directory("<MAP>.png"));
     options.sample_type = BAKE_SAMPLE_USUAL;
@@ -453,9 +442,8 @@ static void compare_columns(struct bsq_ctx *ctx, const char *tile_path, const ch
 }
 
 /* Two tiles of a square that spans both are the halves of a map of twice the width. */
-static void test_tiles_are_parts_of_one_map(void **state)
+TEST(test_tiles_are_parts_of_one_map)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(grey_path, in_directory("whole.exr"));
     struct bake_report whole, tiles;
@@ -498,9 +486,8 @@ static void expect_failure(const struct bake_options *options, int status, const
     test_context_end(ctx);
 }
 
-static void test_errors_name_the_reason(void **state)
+TEST(test_errors_name_the_reason)
 {
-    (void)state;
     const char *many = in_directory("<MAP>.exr");
     struct bake_options options = options_for(grey_path, many);
     options.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR;
@@ -534,9 +521,8 @@ static void test_errors_name_the_reason(void **state)
     expect_failure(&options, BSQ_ENOINPUT, "/nonexistent/low.obj");
 }
 
-static void test_interruption_leaves_nothing(void **state)
+TEST(test_interruption_leaves_nothing)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(grey_path, in_directory("<MAP>.exr"));
     struct bake_report report;
@@ -546,19 +532,4 @@ static void test_interruption_leaves_nothing(void **state)
     test_context_end(ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_normals_are_those_of_the_formula),
-        cmocka_unit_test(test_report_counts_samples),
-        cmocka_unit_test(test_colors_are_those_of_the_formula),
-        cmocka_unit_test(test_misses_are_masked_and_filled),
-        cmocka_unit_test(test_padding_surrounds_the_chart),
-        cmocka_unit_test(test_bytes_depend_on_neither_threads_nor_budget),
-        cmocka_unit_test(test_preview_is_written_with_the_maps),
-        cmocka_unit_test(test_errors_name_the_reason),
-        cmocka_unit_test(test_tiles_are_parts_of_one_map),
-        cmocka_unit_test(test_interruption_leaves_nothing),
-    };
-    return cmocka_run_group_tests(tests, make_scene, remove_scene);
-}
+RUN_TESTS(make_scene, remove_scene)

@@ -1,6 +1,6 @@
 /* test_bake_options.c - the table of a bake's options: it has each byte of them, so that plans keep
  * all members, and its rows agree with themselves. */
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 #include <math.h>
 #include <string.h>
@@ -48,9 +48,8 @@ static const struct bsq_option *row_of(const char *member)
     return row;
 }
 
-static void test_rows_cover_the_structures(void **state)
+TEST(test_rows_cover_the_structures)
 {
-    (void)state;
 #ifdef MARK
     static struct bake_options options;
     static struct bake_transfer transfer;
@@ -97,7 +96,20 @@ static size_t size_of(enum bsq_option_kind kind)
     }
 }
 
-static void test_rows_agree_with_themselves(void **state)
+static int set_up(void **state)
+{
+    *state = test_context(1, 0);
+    return 0;
+}
+
+static int tear_down(void **state)
+{
+    test_context_end(*state);
+    return 0;
+}
+#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
+
+FIXTURE_TEST(test_rows_agree_with_themselves)
 {
     struct bsq_ctx *ctx = *state;
     struct bake_options options;
@@ -124,7 +136,7 @@ static void test_rows_agree_with_themselves(void **state)
 }
 
 /* Values just outside of what a row allows are refused, and those on the limits are not. */
-static void test_limits_are_checked(void **state)
+FIXTURE_TEST(test_limits_are_checked)
 {
     struct bsq_ctx *ctx = *state;
     size_t count;
@@ -155,9 +167,8 @@ static void test_limits_are_checked(void **state)
     }
 }
 
-static void test_words(void **state)
+TEST(test_words)
 {
-    (void)state;
     static const char words[] = "smooth/area angle max";
     assert_int_equal(bsq_option_word(words, "smooth"), 0);
     assert_int_equal(bsq_option_word(words, "area"), 0);
@@ -169,25 +180,4 @@ static void test_words(void **state)
     assert_int_equal(bsq_option_word(NULL, "max"), -1);
 }
 
-static int set_up(void **state)
-{
-    *state = test_context(1, 0);
-    return 0;
-}
-
-static int tear_down(void **state)
-{
-    test_context_end(*state);
-    return 0;
-}
-
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_rows_cover_the_structures),
-        cmocka_unit_test_setup_teardown(test_rows_agree_with_themselves, set_up, tear_down),
-        cmocka_unit_test_setup_teardown(test_limits_are_checked, set_up, tear_down),
-        cmocka_unit_test(test_words),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -9,7 +9,7 @@
 #include "formats/image/exr_read.h"
 #include "formats/image/image_writer.h"
 #include "libbake/bake.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/libbake/analytic_grid.h"
 #include "tests/unit/libbake/triangle_scan.h"
 
@@ -263,9 +263,8 @@ static void check_texel(const struct scan *scan, const struct bake_value_encodin
     assert_true(length(displaced) < 1e-4);
 }
 
-static void test_values_are_those_of_the_formula(void **state)
+TEST(test_values_are_those_of_the_formula)
 {
-    (void)state;
     for (int s = 0; s < SCANS; s++) {
         struct bsq_ctx *ctx = test_context(1, 0);
         struct bake_options options = options_for(&scans[s], "<MAP>.exr");
@@ -368,9 +367,8 @@ static void check_skewed(const struct scan *scan, uint32_t texel, double height,
 }
 
 /* On a grid and on triangles, with a cage and without. */
-static void test_skews_turn_rays(void **state)
+TEST(test_skews_turn_rays)
 {
-    (void)state;
     write_skew();
     write_low(&scans[1], "cage.obj", radius + 2);
     for (int i = 0; i < 4; i++) {
@@ -398,9 +396,8 @@ static void test_skews_turn_rays(void **state)
 }
 
 /* A scan far from 0 has an origin of its own, which is the same in the file and in the report. */
-static void test_far_positions_have_an_origin(void **state)
+TEST(test_far_positions_have_an_origin)
 {
-    (void)state;
     for (int s = 1; s < SCANS; s++) {
         struct bsq_ctx *ctx = test_context(1, 0); /* a context holds a file to its first opening */
         struct bake_options options = options_for(&scans[s], "p.exr");
@@ -421,9 +418,8 @@ static void test_far_positions_have_an_origin(void **state)
 }
 
 /* Means of many samples are as exact as single samples. */
-static void test_means_lose_no_precision(void **state)
+TEST(test_means_lose_no_precision)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     struct bake_options options = options_for(&scans[0], "p.exr");
     options.maps = BAKE_MAP_POSITION;
@@ -445,9 +441,8 @@ static void test_means_lose_no_precision(void **state)
 
 /* With two_sided, the back of a surface that faces away is a front: normals and curvature have the
  * signs of a scan that is wound outwards, like the secondary rays. */
-static void test_backs_are_fronts_if_both_sides_count(void **state)
+TEST(test_backs_are_fronts_if_both_sides_count)
 {
-    (void)state;
     for (int s = 0; s < 2; s++) {
         const struct scan *scan = &inward_scans[s];
         struct bsq_ctx *ctx = test_context(1, 0);
@@ -545,9 +540,8 @@ static void check_png(struct bsq_ctx *ctx, const char *map, const struct bake_va
     fmt_exr_image_free(ctx, &raw);
 }
 
-static void test_png_files_decode_to_the_values(void **state)
+TEST(test_png_files_decode_to_the_values)
 {
-    (void)state;
     for (int s = 0; s < SCANS; s++)
         for (int variant = 0; variant < 2; variant++) {
             struct bsq_ctx *ctx = test_context(1, 0);
@@ -568,9 +562,8 @@ static void test_png_files_decode_to_the_values(void **state)
         }
 }
 
-static void test_options_that_hold_nothing_are_refused(void **state)
+TEST(test_options_that_hold_nothing_are_refused)
 {
-    (void)state;
     static const double ranges[] = {0, INFINITY, NAN};
     struct bsq_ctx *ctx = test_context(1, 0);
     for (size_t i = 0; i < sizeof ranges / sizeof *ranges; i++) {
@@ -598,9 +591,8 @@ static uint64_t take_hash(const char *name)
 }
 
 /* Ranges are measured over the whole mesh, in the same order for any threads and budget. */
-static void test_bytes_depend_on_neither_threads_nor_budget(void **state)
+TEST(test_bytes_depend_on_neither_threads_nor_budget)
 {
-    (void)state;
     static const struct {
         unsigned threads;
         uint64_t memory;
@@ -622,17 +614,4 @@ static void test_bytes_depend_on_neither_threads_nor_budget(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_values_are_those_of_the_formula),
-        cmocka_unit_test(test_skews_turn_rays),
-        cmocka_unit_test(test_far_positions_have_an_origin),
-        cmocka_unit_test(test_means_lose_no_precision),
-        cmocka_unit_test(test_backs_are_fronts_if_both_sides_count),
-        cmocka_unit_test(test_png_files_decode_to_the_values),
-        cmocka_unit_test(test_options_that_hold_nothing_are_refused),
-        cmocka_unit_test(test_bytes_depend_on_neither_threads_nor_budget),
-    };
-    return cmocka_run_group_tests(tests, make_scene, remove_scene);
-}
+RUN_TESTS(make_scene, remove_scene)

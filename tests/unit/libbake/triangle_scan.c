@@ -1,11 +1,9 @@
 /* triangle_scan.c - allocates and writes meshes of tests. */
+#include "tests/unit/fixture.h"
 #include "tests/unit/libbake/triangle_scan.h"
 
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 struct triangle_scan triangle_scan_new(uint32_t vertices, uint32_t triangles)
 {

@@ -1,11 +1,9 @@
 #include "scan_fixture.h"
+#include "tests/unit/fixture.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 static void *must_alloc(uint64_t count, uint64_t size)
 {

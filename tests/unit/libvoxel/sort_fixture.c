@@ -1,13 +1,11 @@
 #include "sort_fixture.h"
+#include "tests/unit/fixture.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
-#include <cmocka.h>
 
 /* ---- fixture ---- */
 

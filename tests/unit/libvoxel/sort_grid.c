@@ -1,13 +1,11 @@
 #include "sort_grid.h"
 #include "base/octahedral.h"
+#include "tests/unit/fixture.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 uint32_t sort_random(uint64_t *seed)
 {

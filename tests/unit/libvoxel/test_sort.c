@@ -1,18 +1,18 @@
 /* Tests sorting: each triangle comes out once, with its attributes, and the file has the same bytes
  * for any memory budget and any number of threads. */
 #include "sort_grid.h"
+#include "tests/unit/test.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
+
+#define FIXTURE_TEST(name) TEST_EACH(name, sort_set_up, sort_tear_down)
 
 /* ---- every triangle, once ---- */
 
-static void every_triangle_of_a_grid_comes_out_once(void **state)
+FIXTURE_TEST(every_triangle_of_a_grid_comes_out_once)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -38,7 +38,7 @@ static void every_triangle_of_a_grid_comes_out_once(void **state)
 }
 
 /* Each triangle has its own corners, anywhere in a cube: no neighbours, and all buckets in use. */
-static void every_triangle_of_a_soup_comes_out_once(void **state)
+FIXTURE_TEST(every_triangle_of_a_soup_comes_out_once)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -85,7 +85,7 @@ static void expect_same_file(struct sort_fixture *f, struct reference *reference
     free(bytes);
 }
 
-static void budgets_and_threads_do_not_change_the_file(void **state)
+FIXTURE_TEST(budgets_and_threads_do_not_change_the_file)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -120,7 +120,7 @@ static void append_flat_triangles(const char *path, const struct sort_grid *g, u
 }
 
 /* Sets limits so small that each part of the sorter uses files, one at a time and all together. */
-static void spilling_does_not_change_the_file(void **state)
+FIXTURE_TEST(spilling_does_not_change_the_file)
 {
     struct sort_fixture *f = *state;
     static const unsigned kinds[] = {GRID_SHUFFLED | GRID_COLORS | GRID_NORMALS, GRID_SHUFFLED, 0};
@@ -170,7 +170,7 @@ static void spilling_does_not_change_the_file(void **state)
 
 /* A vertex after the faces changes the bounds of the scan. The reader's samples miss it, so the
  * scan is read again in two passes. */
-static void vertices_after_faces_are_found_late(void **state)
+FIXTURE_TEST(vertices_after_faces_are_found_late)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -203,7 +203,7 @@ static void vertices_after_faces_are_found_late(void **state)
 }
 
 /* More triangles than a batch holds have the same first corner, so they keep the scan's order. */
-static void many_triangles_in_one_place_are_sorted(void **state)
+FIXTURE_TEST(many_triangles_in_one_place_are_sorted)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -263,7 +263,7 @@ static void expect_morton_order(const struct fmt_tris_chunk *chunk,
     }
 }
 
-static void triangles_are_in_morton_order(void **state)
+FIXTURE_TEST(triangles_are_in_morton_order)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -288,7 +288,7 @@ static void triangles_are_in_morton_order(void **state)
     sort_grid_free(&g);
 }
 
-static void ordinary_meshes_take_14_bytes_a_triangle(void **state)
+FIXTURE_TEST(ordinary_meshes_take_14_bytes_a_triangle)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -303,7 +303,7 @@ static void ordinary_meshes_take_14_bytes_a_triangle(void **state)
 
 /* ---- triangles that are left out ---- */
 
-static void triangles_without_area_are_counted(void **state)
+FIXTURE_TEST(triangles_without_area_are_counted)
 {
     struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
@@ -325,7 +325,7 @@ static void triangles_without_area_are_counted(void **state)
     free(got.list);
 }
 
-static void tiny_triangles_are_kept(void **state)
+FIXTURE_TEST(tiny_triangles_are_kept)
 {
     struct sort_fixture *f = *state;
     expect_sorted(f, sort_text(f, "v 0 0 0\nv 1e-30 0 0\nv 0 1e-30 0\nf 1 2 3\n"
@@ -334,20 +334,4 @@ static void tiny_triangles_are_kept(void **state)
     assert_int_equal(f->report.degenerate_triangles, 0);
 }
 
-int main(void)
-{
-#define TEST(name) cmocka_unit_test_setup_teardown(name, sort_set_up, sort_tear_down)
-    const struct CMUnitTest tests[] = {
-        TEST(every_triangle_of_a_grid_comes_out_once),
-        TEST(every_triangle_of_a_soup_comes_out_once),
-        TEST(budgets_and_threads_do_not_change_the_file),
-        TEST(spilling_does_not_change_the_file),
-        TEST(vertices_after_faces_are_found_late),
-        TEST(many_triangles_in_one_place_are_sorted),
-        TEST(triangles_are_in_morton_order),
-        TEST(ordinary_meshes_take_14_bytes_a_triangle),
-        TEST(triangles_without_area_are_counted),
-        TEST(tiny_triangles_are_kept),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -1,13 +1,13 @@
 /* Tests how sorting handles polygons, colours, positions far from zero, and materials. */
 #include "sort_fixture.h"
+#include "tests/unit/test.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
+
+#define FIXTURE_TEST(name) TEST_EACH(name, sort_set_up, sort_tear_down)
 
 /* ---- polygons ---- */
 
@@ -27,7 +27,7 @@ static double total_area(const struct sorted_triangles *t)
     return area;
 }
 
-static void concave_polygons_keep_their_area(void **state)
+FIXTURE_TEST(concave_polygons_keep_their_area)
 {
     struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
@@ -43,7 +43,7 @@ static void concave_polygons_keep_their_area(void **state)
 }
 
 /* One polygon fills a block of text. */
-static void a_polygon_of_any_size_is_split(void **state)
+FIXTURE_TEST(a_polygon_of_any_size_is_split)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -76,7 +76,7 @@ static uint32_t color_at(const struct sorted_triangles *t, float x, float y)
     return 0;
 }
 
-static void colors_are_of_zero_to_one_or_of_bytes(void **state)
+FIXTURE_TEST(colors_are_of_zero_to_one_or_of_bytes)
 {
     struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
@@ -104,7 +104,7 @@ static void colors_are_of_zero_to_one_or_of_bytes(void **state)
     free(got.list);
 }
 
-static void colors_of_a_later_file_do_not_shift(void **state)
+FIXTURE_TEST(colors_of_a_later_file_do_not_shift)
 {
     struct sort_fixture *f = *state;
     const char *paths[2] = {f->obj, f->obj2};
@@ -123,7 +123,7 @@ static void colors_of_a_later_file_do_not_shift(void **state)
 
 /* ---- places far from zero ---- */
 
-static void georeferenced_scans_keep_their_detail(void **state)
+FIXTURE_TEST(georeferenced_scans_keep_their_detail)
 {
     struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
@@ -156,7 +156,7 @@ static void georeferenced_scans_keep_their_detail(void **state)
     free(got.list);
 }
 
-static void ordinary_scans_have_no_origin(void **state)
+FIXTURE_TEST(ordinary_scans_have_no_origin)
 {
     struct sort_fixture *f = *state;
     expect_sorted(f, sort_text(f, "v 9000 0 0\nv 9500 0 0\nv 9000 500 0\nf 1 2 3\n"));
@@ -195,7 +195,7 @@ static unsigned count_material(const struct sorted_triangles *t, uint32_t materi
     return count;
 }
 
-static void materials_come_from_the_library(void **state)
+FIXTURE_TEST(materials_come_from_the_library)
 {
     struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
@@ -232,7 +232,7 @@ static void materials_come_from_the_library(void **state)
 }
 
 /* Scans often come without their images. Shapes and diffuse colours are kept. */
-static void a_missing_texture_leaves_the_diffuse_colour(void **state)
+FIXTURE_TEST(a_missing_texture_leaves_the_diffuse_colour)
 {
     struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
@@ -247,7 +247,7 @@ static void a_missing_texture_leaves_the_diffuse_colour(void **state)
     free(got.list);
 }
 
-static void without_materials_texture_coordinates_go(void **state)
+FIXTURE_TEST(without_materials_texture_coordinates_go)
 {
     struct sort_fixture *f = *state;
     struct fmt_tris_header header;
@@ -257,7 +257,7 @@ static void without_materials_texture_coordinates_go(void **state)
     assert_int_equal(header.attributes, 0);
 }
 
-static void one_texture_can_be_given_for_all(void **state)
+FIXTURE_TEST(one_texture_can_be_given_for_all)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -280,7 +280,7 @@ static void one_texture_can_be_given_for_all(void **state)
 }
 
 /* A face of two corners is skipped, and its normals do not count, in one pass and in two. */
-static void normals_of_faces_left_out_do_not_count(void **state)
+FIXTURE_TEST(normals_of_faces_left_out_do_not_count)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -297,21 +297,4 @@ static void normals_of_faces_left_out_do_not_count(void **state)
     }
 }
 
-int main(void)
-{
-#define TEST(name) cmocka_unit_test_setup_teardown(name, sort_set_up, sort_tear_down)
-    const struct CMUnitTest tests[] = {
-        TEST(concave_polygons_keep_their_area),
-        TEST(a_polygon_of_any_size_is_split),
-        TEST(colors_are_of_zero_to_one_or_of_bytes),
-        TEST(colors_of_a_later_file_do_not_shift),
-        TEST(georeferenced_scans_keep_their_detail),
-        TEST(ordinary_scans_have_no_origin),
-        TEST(materials_come_from_the_library),
-        TEST(a_missing_texture_leaves_the_diffuse_colour),
-        TEST(without_materials_texture_coordinates_go),
-        TEST(one_texture_can_be_given_for_all),
-        TEST(normals_of_faces_left_out_do_not_count),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

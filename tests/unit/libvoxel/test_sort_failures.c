@@ -1,17 +1,17 @@
 /* Tests scans that cannot be sorted, and sorting that fails midway: the error says why, and no file
  * or memory is left. */
 #include "sort_grid.h"
+#include "tests/unit/test.h"
 
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
 #include <unistd.h>
-#include <cmocka.h>
+
+#define FIXTURE_TEST(name) TEST_EACH(name, sort_set_up, sort_tear_down)
 
 /* ---- bad input ---- */
 
-static void indices_out_of_range_are_located(void **state)
+FIXTURE_TEST(indices_out_of_range_are_located)
 {
     struct sort_fixture *f = *state;
     static const struct {
@@ -32,7 +32,7 @@ static void indices_out_of_range_are_located(void **state)
     }
 }
 
-static void scans_without_faces_are_refused(void **state)
+FIXTURE_TEST(scans_without_faces_are_refused)
 {
     struct sort_fixture *f = *state;
     static const char *const texts[] = {"", "v 0 0 0\n", "v 0 0 0\nv 1 0 0\nf 1 2\n"};
@@ -42,7 +42,7 @@ static void scans_without_faces_are_refused(void **state)
     }
 }
 
-static void positions_beyond_float_are_refused(void **state)
+FIXTURE_TEST(positions_beyond_float_are_refused)
 {
     struct sort_fixture *f = *state;
     assert_int_equal(sort_text(f, "v 0 0 0\nv 1 0 0\nv 0 1e200 0\nf 1 2 3\n"), BSQ_EDATA);
@@ -50,7 +50,7 @@ static void positions_beyond_float_are_refused(void **state)
 }
 
 /* A scan with only degenerate triangles is refused. */
-static void a_scan_without_area_is_refused(void **state)
+FIXTURE_TEST(a_scan_without_area_is_refused)
 {
     struct sort_fixture *f = *state;
     assert_int_equal(sort_text(f, "v 1 2 3\nf 1 1 1\n"), BSQ_EDATA);
@@ -60,7 +60,7 @@ static void a_scan_without_area_is_refused(void **state)
     assert_int_not_equal(access(f->tris, F_OK), 0);
 }
 
-static void too_little_memory_is_refused(void **state)
+FIXTURE_TEST(too_little_memory_is_refused)
 {
     struct sort_fixture *f = *state;
     sort_open_context(f, vox_memory_min(2) - 1, 2);
@@ -71,7 +71,7 @@ static void too_little_memory_is_refused(void **state)
 
 /* Positions are in a file, and there is no memory for one byte a vertex. The message names a budget
  * that is enough. */
-static void too_many_vertices_are_refused(void **state)
+FIXTURE_TEST(too_many_vertices_are_refused)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -104,7 +104,7 @@ static void too_many_vertices_are_refused(void **state)
 }
 
 /* Lets each allocation fail in turn: this is an error, and nothing is left. */
-static void memory_may_run_out_anywhere(void **state)
+FIXTURE_TEST(memory_may_run_out_anywhere)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -132,7 +132,7 @@ static void memory_may_run_out_anywhere(void **state)
     sort_grid_free(&g);
 }
 
-static void an_unwritable_place_is_refused(void **state)
+FIXTURE_TEST(an_unwritable_place_is_refused)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -142,7 +142,7 @@ static void an_unwritable_place_is_refused(void **state)
     assert_int_equal(vox_sort(f->ctx, &options, &f->report), BSQ_ECANTCREAT);
 }
 
-static void an_interrupt_stops_and_leaves_nothing(void **state)
+FIXTURE_TEST(an_interrupt_stops_and_leaves_nothing)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {f->obj};
@@ -153,15 +153,4 @@ static void an_interrupt_stops_and_leaves_nothing(void **state)
     assert_int_not_equal(access(f->tris, F_OK), 0);
 }
 
-int main(void)
-{
-#define TEST(name) cmocka_unit_test_setup_teardown(name, sort_set_up, sort_tear_down)
-    const struct CMUnitTest tests[] = {
-        TEST(indices_out_of_range_are_located),      TEST(scans_without_faces_are_refused),
-        TEST(positions_beyond_float_are_refused),    TEST(a_scan_without_area_is_refused),
-        TEST(too_little_memory_is_refused),          TEST(too_many_vertices_are_refused),
-        TEST(memory_may_run_out_anywhere),           TEST(an_unwritable_place_is_refused),
-        TEST(an_interrupt_stops_and_leaves_nothing),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

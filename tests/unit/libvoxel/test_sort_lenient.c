@@ -1,13 +1,13 @@
 /* test_sort_lenient.c - scans with faces that refer to nothing. The result is that of a scan
  * without these faces and corners, the same bytes for any threads, budget and number of passes. */
 #include "sort_grid.h"
+#include "tests/unit/test.h"
 
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
+
+#define FIXTURE_TEST(name) TEST_EACH(name, sort_set_up, sort_tear_down)
 
 /* Rows and columns of vertices: some blocks of text. */
 enum { SIDE = 200 };
@@ -135,7 +135,7 @@ static void sort_it(struct sort_fixture *f, unsigned way)
     expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
 }
 
-static void what_refers_to_nothing_is_left_out(void **state)
+FIXTURE_TEST(what_refers_to_nothing_is_left_out)
 {
     struct sort_fixture *f = *state;
     struct sorted_triangles expected = {0}, got = {0};
@@ -179,7 +179,7 @@ static void what_refers_to_nothing_is_left_out(void **state)
 }
 
 /* A block all of whose faces are left out, and a first block without any position. */
-static void a_block_may_lose_all_its_faces(void **state)
+FIXTURE_TEST(a_block_may_lose_all_its_faces)
 {
     struct sort_fixture *f = *state;
     FILE *file = fopen(f->obj, "wb");
@@ -201,7 +201,7 @@ static void a_block_may_lose_all_its_faces(void **state)
 }
 
 /* Colours from 0 to 255 whose first 144,000 vertices are black. */
-static void dark_beginnings_stay_dark(void **state)
+FIXTURE_TEST(dark_beginnings_stay_dark)
 {
     struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
@@ -230,14 +230,4 @@ static void dark_beginnings_stay_dark(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test_setup_teardown(what_refers_to_nothing_is_left_out, sort_set_up,
-                                        sort_tear_down),
-        cmocka_unit_test_setup_teardown(dark_beginnings_stay_dark, sort_set_up, sort_tear_down),
-        cmocka_unit_test_setup_teardown(a_block_may_lose_all_its_faces, sort_set_up,
-                                        sort_tear_down),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -2,13 +2,13 @@
  * are fans until their batch is sorted. */
 #include "libvoxel/partition/partition.h"
 #include "sort_grid.h"
+#include "tests/unit/test.h"
 
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
+
+#define FIXTURE_TEST(name) TEST_EACH(name, sort_set_up, sort_tear_down)
 
 enum {
     NORMALS = 1,
@@ -190,13 +190,13 @@ static void expect_refused_with_vertices_in_a_file(struct sort_fixture *f, unsig
     }
 }
 
-static void polygons_of_positions_are_split_the_same_way(void **state)
+FIXTURE_TEST(polygons_of_positions_are_split_the_same_way)
 {
     expect_the_same_for_all_ways(*state, 0);
     expect_the_same_for_all_ways(*state, SHUFFLED);
 }
 
-static void polygons_keep_their_attributes(void **state)
+FIXTURE_TEST(polygons_keep_their_attributes)
 {
     expect_the_same_for_all_ways(*state, NORMALS);
     expect_the_same_for_all_ways(*state, TEXCOORDS | SHUFFLED);
@@ -204,31 +204,20 @@ static void polygons_keep_their_attributes(void **state)
 }
 
 /* Triangles are textured if their own corners have coordinates. Fans cannot represent this. */
-static void polygons_may_lack_some_texture_coordinates_in_memory(void **state)
+FIXTURE_TEST(polygons_may_lack_some_texture_coordinates_in_memory)
 {
     expect_refused_with_vertices_in_a_file(*state, TEXCOORDS | MIXED | SHUFFLED, 0);
 }
 
-static void a_polygon_may_be_too_large_for_a_fan(void **state)
+FIXTURE_TEST(a_polygon_may_be_too_large_for_a_fan)
 {
     expect_refused_with_vertices_in_a_file(*state, GIANT, FAN_CORNERS + 1);
 }
 
 /* As fans, the polygons would exceed the memory budget. */
-static void polygons_may_be_in_too_many_buckets_for_fans(void **state)
+FIXTURE_TEST(polygons_may_be_in_too_many_buckets_for_fans)
 {
     expect_refused_with_vertices_in_a_file(*state, TANGLED, TANGLED_CORNERS);
 }
 
-int main(void)
-{
-#define TEST(name) cmocka_unit_test_setup_teardown(name, sort_set_up, sort_tear_down)
-    const struct CMUnitTest tests[] = {
-        TEST(polygons_of_positions_are_split_the_same_way),
-        TEST(polygons_keep_their_attributes),
-        TEST(polygons_may_lack_some_texture_coordinates_in_memory),
-        TEST(a_polygon_may_be_too_large_for_a_fan),
-        TEST(polygons_may_be_in_too_many_buckets_for_fans),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

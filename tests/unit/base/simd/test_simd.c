@@ -1,7 +1,7 @@
 /* test_simd.c - vector operations give the bits of scalar code at each level that the processor
  * has. */
 #include "tests/unit/base/simd/operations.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 static void check_level(enum bsq_simd level)
 {
@@ -10,30 +10,19 @@ static void check_level(enum bsq_simd level)
     BSQ_SIMD_PICK(level, test_operations)(test_seed());
 }
 
-static void test_base_operations(void **state)
+TEST(test_base_operations)
 {
-    (void)state;
     check_level(BSQ_SIMD_BASE);
 }
 
-static void test_avx2_operations(void **state)
+TEST(test_avx2_operations)
 {
-    (void)state;
     check_level(BSQ_SIMD_AVX2);
 }
 
-static void test_avx512_operations(void **state)
+TEST(test_avx512_operations)
 {
-    (void)state;
     check_level(BSQ_SIMD_AVX512);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_base_operations),
-        cmocka_unit_test(test_avx2_operations),
-        cmocka_unit_test(test_avx512_operations),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -2,14 +2,14 @@
 #include "tris_samples.h"
 
 #include "formats/file_kind.h"
+#include "tests/unit/test.h"
 
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 #include <xxhash.h>
-#include <cmocka.h>
+
+#define FIXTURE_TEST(name) TEST_EACH(name, tris_setup, tris_teardown)
 
 /* ---- round trips ---- */
 
@@ -80,7 +80,7 @@ static void expect_file(struct tris_fixture *f, uint32_t chunk_count)
     fmt_tris_close(file);
 }
 
-static void every_set_of_attributes_comes_back(void **state)
+FIXTURE_TEST(every_set_of_attributes_comes_back)
 {
     struct tris_fixture *f = *state;
     for (uint32_t attributes = 0; attributes < 16; attributes++) {
@@ -92,7 +92,7 @@ static void every_set_of_attributes_comes_back(void **state)
 }
 
 /* 16 bits can number at most 65536 vertices. */
-static void large_chunks_come_back(void **state)
+FIXTURE_TEST(large_chunks_come_back)
 {
     struct tris_fixture *f = *state;
     size_t sizes[2];
@@ -108,7 +108,7 @@ static void large_chunks_come_back(void **state)
     expect_file(f, 1);
 }
 
-static void a_file_without_chunks_is_valid(void **state)
+FIXTURE_TEST(a_file_without_chunks_is_valid)
 {
     struct tris_fixture *f = *state;
     tris_write_samples(f, 0, 0);
@@ -131,7 +131,7 @@ static float f32_at(const uint8_t *bytes, size_t at)
     return value;
 }
 
-static void bytes_are_those_of_the_specification(void **state)
+FIXTURE_TEST(bytes_are_those_of_the_specification)
 {
     struct tris_fixture *f = *state;
     struct tris_sample *s = f->samples[0];
@@ -189,7 +189,7 @@ static void bytes_are_those_of_the_specification(void **state)
     free(b);
 }
 
-static void names_of_ids_come_back(void **state)
+FIXTURE_TEST(names_of_ids_come_back)
 {
     static const char *const names[] = {"body", "", "gl\xc3\xa4s"};
     struct tris_fixture *f = *state;
@@ -210,7 +210,7 @@ static void names_of_ids_come_back(void **state)
     free(bytes);
 }
 
-static void channels_come_back(void **state)
+FIXTURE_TEST(channels_come_back)
 {
     struct tris_fixture *f = *state;
     struct fmt_tris_file *file;
@@ -237,7 +237,7 @@ static void channels_come_back(void **state)
     free(bytes);
 }
 
-static void nothing_remains_of_a_discarded_file(void **state)
+FIXTURE_TEST(nothing_remains_of_a_discarded_file)
 {
     struct tris_fixture *f = *state;
     struct fmt_tris_header header = {.attributes = 0};
@@ -248,17 +248,4 @@ static void nothing_remains_of_a_discarded_file(void **state)
     fmt_tris_discard(NULL);
 }
 
-int main(void)
-{
-#define TEST(name) cmocka_unit_test_setup_teardown(name, tris_setup, tris_teardown)
-    const struct CMUnitTest tests[] = {
-        TEST(every_set_of_attributes_comes_back),
-        TEST(large_chunks_come_back),
-        TEST(a_file_without_chunks_is_valid),
-        TEST(bytes_are_those_of_the_specification),
-        TEST(names_of_ids_come_back),
-        TEST(channels_come_back),
-        TEST(nothing_remains_of_a_discarded_file),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -3,17 +3,17 @@
 
 #include "base/job_files.h"
 #include "formats/file_kind.h"
+#include "tests/unit/test.h"
 
 #include <fcntl.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
 #include <xxhash.h>
-#include <cmocka.h>
+
+#define FIXTURE_TEST(name) TEST_EACH(name, tris_setup, tris_teardown)
 
 /* Opens the file and loads each chunk; returns the first failure, or 0. */
 static int read_all(struct tris_fixture *f)
@@ -35,7 +35,7 @@ static int read_all(struct tris_fixture *f)
     return status;
 }
 
-static void every_truncated_length_is_found(void **state)
+FIXTURE_TEST(every_truncated_length_is_found)
 {
     struct tris_fixture *f = *state;
     size_t size;
@@ -57,7 +57,7 @@ static void every_truncated_length_is_found(void **state)
 }
 
 /* The same bytes are written again, and then half of them. Checksums do not tell the first. */
-static void a_file_that_changes_is_not_read(void **state)
+FIXTURE_TEST(a_file_that_changes_is_not_read)
 {
     struct tris_fixture *f = *state;
     const struct timespec past[2] = {{1000, 0}, {1000, 0}};
@@ -85,7 +85,7 @@ static void a_file_that_changes_is_not_read(void **state)
     fmt_tris_close(file);
 }
 
-static void every_flipped_bit_is_found(void **state)
+FIXTURE_TEST(every_flipped_bit_is_found)
 {
     struct tris_fixture *f = *state;
     size_t size;
@@ -118,7 +118,7 @@ static void sign(uint8_t *bytes, size_t size)
 
 /* With wrong sizes in header or table but correct checksums, a reader must not allocate more than a
  * few times the size of the file. */
-static void sizes_are_compared_with_the_file(void **state)
+FIXTURE_TEST(sizes_are_compared_with_the_file)
 {
     static const uint32_t values[] = {UINT32_MAX, INT32_MAX, 1u << 31, 65536, 4096};
     struct tris_fixture *f = *state;
@@ -146,7 +146,7 @@ static void sizes_are_compared_with_the_file(void **state)
 }
 
 /* Three triangles with 16-bit indices end six bytes before the end of the chunk. */
-static void padding_is_zero(void **state)
+FIXTURE_TEST(padding_is_zero)
 {
     struct tris_fixture *f = *state;
     size_t size;
@@ -167,7 +167,7 @@ static void padding_is_zero(void **state)
 }
 
 /* A path of two bytes leaves six bytes of padding after the materials. */
-static void padding_of_materials_is_zero(void **state)
+FIXTURE_TEST(padding_of_materials_is_zero)
 {
     struct tris_fixture *f = *state;
     struct fmt_tris_material material = {.texture_path = (char *)"/a"};
@@ -202,7 +202,7 @@ static void sign_materials(uint8_t *bytes, size_t size)
     memcpy(bytes + 144, &sum, 8);
 }
 
-static void damaged_names_of_ids_are_found(void **state)
+FIXTURE_TEST(damaged_names_of_ids_are_found)
 {
     static const struct {
         uint64_t at;
@@ -236,7 +236,7 @@ static void damaged_names_of_ids_are_found(void **state)
     free(bytes);
 }
 
-static void damaged_channels_are_found(void **state)
+FIXTURE_TEST(damaged_channels_are_found)
 {
     static const struct {
         uint64_t at;
@@ -273,7 +273,7 @@ static void damaged_channels_are_found(void **state)
     free(bytes);
 }
 
-static void values_out_of_range_are_found(void **state)
+FIXTURE_TEST(values_out_of_range_are_found)
 {
     static const struct {
         size_t at;
@@ -321,7 +321,7 @@ static void values_out_of_range_are_found(void **state)
 }
 
 /* A file that ends within the first bytes is a damaged one, also an empty one. */
-static void short_files_are_damaged(void **state)
+FIXTURE_TEST(short_files_are_damaged)
 {
     struct tris_fixture *f = *state;
     for (uint64_t size = 0; size <= 8; size++) {
@@ -336,7 +336,7 @@ static void short_files_are_damaged(void **state)
     assert_true(fmt_tris_recognise("a.obj", "BSQTRIS\nmore", 12));
 }
 
-static void other_files_are_refused(void **state)
+FIXTURE_TEST(other_files_are_refused)
 {
     struct tris_fixture *f = *state;
     enum fmt_kind kind;
@@ -352,21 +352,4 @@ static void other_files_are_refused(void **state)
     assert_int_equal(read_all(f), BSQ_ENOINPUT);
 }
 
-int main(void)
-{
-#define TEST(name) cmocka_unit_test_setup_teardown(name, tris_setup, tris_teardown)
-    const struct CMUnitTest tests[] = {
-        TEST(every_truncated_length_is_found),
-        TEST(a_file_that_changes_is_not_read),
-        TEST(every_flipped_bit_is_found),
-        TEST(sizes_are_compared_with_the_file),
-        TEST(padding_is_zero),
-        TEST(padding_of_materials_is_zero),
-        TEST(damaged_names_of_ids_are_found),
-        TEST(damaged_channels_are_found),
-        TEST(values_out_of_range_are_found),
-        TEST(short_files_are_damaged),
-        TEST(other_files_are_refused),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

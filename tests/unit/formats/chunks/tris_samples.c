@@ -1,11 +1,9 @@
 #include "tris_samples.h"
+#include "tests/unit/fixture.h"
 
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <unistd.h>
-#include <cmocka.h>
 
 static uint32_t next(uint64_t *seed)
 {

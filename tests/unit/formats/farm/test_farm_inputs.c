@@ -1,7 +1,7 @@
 /* Tests when the inputs of a plan are read to compare them, and when their identity is enough. */
 #include "formats/farm/farm.h"
 #include "base/job_files.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 #include <fcntl.h>
 #include <stdio.h>
@@ -60,9 +60,8 @@ static void end(struct bsq_ctx *ctx, struct fmt_farm_plan *plan)
 }
 
 /* A plan with a wrong checksum shows whether the file is read. */
-static void test_known_file_is_not_read(void **state)
+TEST(test_known_file_is_not_read)
 {
-    (void)state;
     for (later = 0; later < 20; later += 10) {
         struct fmt_farm_plan plan;
         write_file("abcdef");
@@ -76,9 +75,8 @@ static void test_known_file_is_not_read(void **state)
 }
 
 /* Other content of the same size is noticed, also if the file has its old time of modification. */
-static void test_changed_file(void **state)
+TEST(test_changed_file)
 {
-    (void)state;
     later = 10;
     for (int restore = 0; restore < 2; restore++) {
         struct fmt_farm_plan plan;
@@ -120,11 +118,4 @@ static int remove_directory(void **state)
     return unlink(name) == 0 && rmdir(directory) == 0 ? 0 : -1;
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_known_file_is_not_read),
-        cmocka_unit_test(test_changed_file),
-    };
-    return cmocka_run_group_tests(tests, make_directory, remove_directory);
-}
+RUN_TESTS(make_directory, remove_directory)

@@ -1,6 +1,6 @@
 /* Tests how the parts of a plan are counted. */
 #include "formats/farm/farm.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 #include <string.h>
 
@@ -32,9 +32,8 @@ static int check_parts(struct parts *parts)
     return status;
 }
 
-static void test_missing_parts_are_counted(void **state)
+TEST(test_missing_parts_are_counted)
 {
-    (void)state;
     struct parts parts = {test_context(1, 0), TASKS, 0};
     assert_int_equal(check_parts(&parts), BSQ_ENOINPUT);
     assert_int_equal(parts.checked, TASKS);
@@ -42,9 +41,8 @@ static void test_missing_parts_are_counted(void **state)
     test_context_end(parts.ctx);
 }
 
-static void test_an_interruption_is_not_lost_among_missing_parts(void **state)
+TEST(test_an_interruption_is_not_lost_among_missing_parts)
 {
-    (void)state;
     struct parts parts = {test_context(1, 0), LAST, 0};
     assert_int_equal(check_parts(&parts), BSQ_EINTR);
     assert_int_equal(parts.checked, LAST + 1);
@@ -52,11 +50,4 @@ static void test_an_interruption_is_not_lost_among_missing_parts(void **state)
     test_context_end(parts.ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_missing_parts_are_counted),
-        cmocka_unit_test(test_an_interruption_is_not_lost_among_missing_parts),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

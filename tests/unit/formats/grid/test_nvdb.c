@@ -1,18 +1,14 @@
 /* test_nvdb.c - compares written grids with a plain list of voxels, and runs NanoVDB's tools on
  * them.
  */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
-#include <cmocka.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
 #include "formats/grid/nvdb_writer_internal.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/formats/grid/nvdb_files.h"
 #include "tests/unit/formats/grid/nvdb_scene.h"
 
@@ -142,9 +138,8 @@ static void round_trip(uint64_t seed, unsigned per_cluster, enum fmt_nvdb_type t
     bsq_ctx_destroy(ctx);
 }
 
-static void test_round_trip(void **state)
+TEST(test_round_trip)
 {
-    (void)state;
     for (uint64_t seed = 1; seed <= 4; seed++)
         for (int variant = 0; variant < 4; variant++)
             round_trip(seed, seed == 1 ? 1 : 3000, variant & 1 ? FMT_NVDB_ONINDEX : FMT_NVDB_MASK,
@@ -152,9 +147,8 @@ static void test_round_trip(void **state)
 }
 
 /* All voxels of two regions are set: full masks, entries of second records with all bits. */
-static void test_full_leaves(void **state)
+TEST(test_full_leaves)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(2, 0);
     struct scene scene;
     scene_random(&scene, 9, 1, false);
@@ -183,9 +177,8 @@ static void test_full_leaves(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_same_bytes(void **state)
+TEST(test_same_bytes)
 {
-    (void)state;
     struct scene scene;
     scene_random(&scene, 5, 20000, true);
     scene.info.ids = BSQ_IDS_OBJECT;
@@ -223,9 +216,8 @@ static bool run(const char *command, char *output, size_t size, int *status)
     return *status != 127;
 }
 
-static void test_nanovdb_tools(void **state)
+TEST(test_nanovdb_tools)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     struct scene scene;
     scene_random(&scene, 6, 2000, false);
@@ -256,13 +248,4 @@ static void test_nanovdb_tools(void **state)
         skip();
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_round_trip),
-        cmocka_unit_test(test_full_leaves),
-        cmocka_unit_test(test_same_bytes),
-        cmocka_unit_test(test_nanovdb_tools),
-    };
-    return cmocka_run_group_tests(tests, nvdb_make_directory, nvdb_remove_directory);
-}
+RUN_TESTS(nvdb_make_directory, nvdb_remove_directory)

@@ -1,9 +1,5 @@
 /* test_nvdb_damage.c - grid files that are truncated, changed, forged or of another kind. */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
-#include <cmocka.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -11,7 +7,7 @@
 #include <xxhash.h>
 
 #include "formats/grid/nvdb_writer_internal.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/formats/grid/nvdb_files.h"
 #include "tests/unit/formats/grid/nvdb_scene.h"
 #include "tests/unit/sanitized.h"
@@ -102,9 +98,8 @@ static void small_file_close(struct small_file *file)
     bsq_ctx_destroy(file->ctx);
 }
 
-static void test_truncated(void **state)
+TEST(test_truncated)
 {
-    (void)state;
     struct small_file file;
     small_file_open(&file, FMT_NVDB_MASK);
     for (int claimed = 0; claimed < 2; claimed++) {
@@ -162,16 +157,14 @@ static void flip_bytes(enum fmt_nvdb_type type, bool forged, uint64_t stride)
     small_file_close(&file);
 }
 
-static void test_flipped(void **state)
+TEST(test_flipped)
 {
-    (void)state;
     flip_bytes(FMT_NVDB_MASK, false, TEST_SANITIZED ? 61 : 1);
 }
 
 /* Changes several words at a time in any section, and corrects the checksums. */
-static void test_forged(void **state)
+TEST(test_forged)
 {
-    (void)state;
     static const uint64_t values[] = {0, 1, UINT64_MAX, INT64_MAX, UINT32_MAX, 96, 33856, 270400};
     struct small_file file;
     small_file_open(&file, FMT_NVDB_ONINDEX);
@@ -238,9 +231,8 @@ static void assert_refused(const struct small_file *file, uint64_t at, uint32_t 
 }
 
 /* Other programs may use them, so they are as FORMATS.md says. */
-static void test_unused_bytes(void **state)
+TEST(test_unused_bytes)
 {
-    (void)state;
     struct small_file file;
     small_file_open(&file, FMT_NVDB_ONINDEX);
     const uint64_t grid = FMT_NVDB_GRID_OFFSET, root = file.layout.root;
@@ -284,9 +276,8 @@ static void assert_open_fails(const uint8_t *bytes, uint64_t size, const char *e
     bsq_ctx_destroy(ctx);
 }
 
-static void test_messages(void **state)
+TEST(test_messages)
 {
-    (void)state;
     struct small_file file;
     small_file_open(&file, FMT_NVDB_MASK);
     uint8_t *bytes = file.bytes;
@@ -313,12 +304,4 @@ static void test_messages(void **state)
     small_file_close(&file);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_truncated), cmocka_unit_test(test_flipped),
-        cmocka_unit_test(test_forged),    cmocka_unit_test(test_unused_bytes),
-        cmocka_unit_test(test_messages),
-    };
-    return cmocka_run_group_tests(tests, nvdb_make_directory, nvdb_remove_directory);
-}
+RUN_TESTS(nvdb_make_directory, nvdb_remove_directory)

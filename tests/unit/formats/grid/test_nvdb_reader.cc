@@ -1,8 +1,5 @@
 // test_nvdb_reader.cc - NanoVDB's C++ reader reads files of fmt_nvdb_commit(), and fmt_nvdb_open()
 // reads files of NanoVDB.
-#include <cstdarg>
-#include <cstddef>
-#include <csetjmp>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
@@ -20,9 +17,7 @@
 #include <openvdb/openvdb.h>
 
 // Last, because its macros (skip, fail) are names in NanoVDB too.
-extern "C" {
-#include <cmocka.h>
-}
+#include "tests/unit/test.h"
 
 #include "formats/grid/nvdb_layout_internal.h"
 #include "tests/unit/formats/grid/nvdb_scene.h"
@@ -175,7 +170,7 @@ template <typename GridT> uint64_t count_active(const GridT &grid)
     return active;
 }
 
-void test_mask_grid(void **)
+TEST(test_mask_grid)
 {
     scene scene;
     scene_random(&scene, 21, 3000, false);
@@ -208,7 +203,7 @@ void test_mask_grid(void **)
 }
 
 // NanoVDB computes the bounding boxes of all nodes again: no byte may change.
-void test_bounds(void **)
+TEST(test_bounds)
 {
     scene scene;
     scene_random(&scene, 22, 2000, false);
@@ -224,7 +219,7 @@ void test_bounds(void **)
 }
 
 // 32.4.2 does not know OnIndex, but its ValueIndex grids have the same nodes.
-void test_onindex_grid(void **)
+TEST(test_onindex_grid)
 {
     scene scene;
     scene_random(&scene, 23, 2000, false);
@@ -257,7 +252,7 @@ openvdb::MaskGrid::Ptr to_openvdb(const scene &scene)
 
 // NanoVDB's converter makes the same nodes at the same offsets from the same voxels. It orders root
 // tiles by signed coordinates and not by keys, which is the same order if none is negative.
-void test_same_nodes_as_converter(void **)
+TEST(test_same_nodes_as_converter)
 {
     scene scene;
     scene_random(&scene, 24, 2000, false);
@@ -299,7 +294,7 @@ template <typename HandleT> void assert_refused(const HandleT &handle, const cha
     bsq_ctx_destroy(ctx);
 }
 
-void test_other_grids(void **)
+TEST(test_other_grids)
 {
     nanovdb::GridBuilder<float> builder(0.0f);
     builder.getAccessor().setValue(nanovdb::Coord(1, 2, 3), 1.0f);
@@ -320,12 +315,4 @@ void test_other_grids(void **)
 
 } // namespace
 
-int main()
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_mask_grid),    cmocka_unit_test(test_bounds),
-        cmocka_unit_test(test_onindex_grid), cmocka_unit_test(test_same_nodes_as_converter),
-        cmocka_unit_test(test_other_grids),
-    };
-    return cmocka_run_group_tests(tests, make_directory, remove_directory);
-}
+RUN_TESTS(make_directory, remove_directory)

@@ -1,17 +1,13 @@
 /* test_nvdb_writer.c - regions in parts, wrong regions, too many regions, and outputs that cannot
  * be written. */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
-#include <cmocka.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
 #include "formats/grid/nvdb_writer_internal.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/formats/grid/nvdb_files.h"
 
 /* ---- wrong use of the writer ---- */
@@ -57,9 +53,8 @@ static void assert_refused(const struct fmt_nvdb_region *first,
 }
 
 /* A region appended in one call and in two calls gives the same file. */
-static void test_region_in_parts(void **state)
+TEST(test_region_in_parts)
 {
-    (void)state;
     uint64_t masks[3][8] = {{1, 0, 0, 0, 0, 0, 0, 5}, {0, 2}, {UINT64_MAX, 3}};
     uint16_t ids[3] = {7, 8, 4095};
     struct fmt_nvdb_record records[70], second = {5, 6, 0, 0};
@@ -112,9 +107,8 @@ static void test_region_in_parts(void **state)
     assert_refused(&rest, &first, "out of order");
 }
 
-static void test_order_of_regions(void **state)
+TEST(test_order_of_regions)
 {
-    (void)state;
     /* Regions ascend by x; negative root tiles come after positive ones. */
     static const int32_t ordered[][2][3] = {
         {{0, 0, 0}, {0, 0, 128}},       {{0, 0, 128}, {0, 128, 0}},
@@ -138,9 +132,8 @@ static void test_order_of_regions(void **state)
     }
 }
 
-static void test_wrong_regions(void **state)
+TEST(test_wrong_regions)
 {
-    (void)state;
     static const uint16_t descending[2] = {9, 7}, large[2] = {7, 4096};
     static const uint64_t empty[2][8] = {{1, 0, 0, 0, 0, 0, 0, 0}, {0}};
     static const struct fmt_nvdb_record flagged[2] = {{1, FMT_NVDB_PLANE_SECOND, 3, 0},
@@ -163,9 +156,8 @@ static void test_wrong_regions(void **state)
     assert_refused(NULL, &region, "second");
 }
 
-static void test_nothing_to_write(void **state)
+TEST(test_nothing_to_write)
 {
-    (void)state;
     unlink(nvdb_path);
     struct bsq_ctx *ctx = test_context(1, 0);
     struct fmt_nvdb_writer *writer = new_writer(ctx);
@@ -192,9 +184,8 @@ ssize_t pread(int fd, void *to, size_t size, off_t offset)
 }
 
 /* Whatever gets into a temporary file does not get into the grid unnoticed. */
-static void test_damaged_temporary_files(void **state)
+TEST(test_damaged_temporary_files)
 {
-    (void)state;
     struct fmt_nvdb_record flagged[2] = {{1, FMT_NVDB_PLANE_SECOND, 3, 0}, {4, 5, 6, 0}};
     struct fmt_nvdb_region region = small_region(0, 0, 0);
     region.records = region.second = flagged;
@@ -221,9 +212,8 @@ static void test_damaged_temporary_files(void **state)
     unlink(nvdb_path);
 }
 
-static void test_limits(void **state)
+TEST(test_limits)
 {
-    (void)state;
     static const struct fmt_nvdb_record flagged[2] = {{1, FMT_NVDB_PLANE_SECOND, 3, 0},
                                                       {4, 5, 6, 0}};
     for (int i = 0; i < 3; i++) {
@@ -245,9 +235,8 @@ static void test_limits(void **state)
     }
 }
 
-static void test_unwritable(void **state)
+TEST(test_unwritable)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     struct fmt_nvdb_info info = {.type = FMT_NVDB_MASK, .voxel_size = 1};
     struct fmt_nvdb_writer *writer;
@@ -260,16 +249,4 @@ static void test_unwritable(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_region_in_parts),
-        cmocka_unit_test(test_order_of_regions),
-        cmocka_unit_test(test_wrong_regions),
-        cmocka_unit_test(test_nothing_to_write),
-        cmocka_unit_test(test_damaged_temporary_files),
-        cmocka_unit_test(test_limits),
-        cmocka_unit_test(test_unwritable),
-    };
-    return cmocka_run_group_tests(tests, nvdb_make_directory, nvdb_remove_directory);
-}
+RUN_TESTS(nvdb_make_directory, nvdb_remove_directory)

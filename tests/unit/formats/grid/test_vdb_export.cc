@@ -1,9 +1,6 @@
 // test_vdb_export.cc - OpenVDB reads an exported grid: all voxels, normals, colours, and the
 // transform.
 #include <cmath>
-#include <cstdarg>
-#include <cstddef>
-#include <csetjmp>
 #include <cstdint>
 #include <cstdlib>
 #include <cstring>
@@ -22,9 +19,7 @@ extern "C" {
 #include "tests/unit/formats/grid/nvdb_scene.h"
 
 // Last, because its macros (skip, fail) are names in other headers too.
-extern "C" {
-#include <cmocka.h>
-}
+#include "tests/unit/test.h"
 
 namespace
 {
@@ -96,7 +91,7 @@ double linear(uint32_t byte)
     return s <= 0.04045 ? s / 12.92 : std::pow((s + 0.055) / 1.055, 2.4);
 }
 
-void test_export(void **)
+TEST(test_export)
 {
     for (bool color : {true, false}) {
         bsq_ctx *ctx = new_context(0);
@@ -146,7 +141,7 @@ std::string read_file(const std::string &path)
     return std::string((std::istreambuf_iterator<char>(file)), std::istreambuf_iterator<char>());
 }
 
-void test_same_bytes(void **)
+TEST(test_same_bytes)
 {
     std::string bytes[2];
     for (std::string &b : bytes) {
@@ -165,7 +160,7 @@ void test_same_bytes(void **)
 }
 
 // No partial file is left, and the message says what is missing.
-void test_no_memory(void **)
+TEST(test_no_memory)
 {
     unlink(vdb_path.c_str());
     bsq_ctx *ctx = new_context(uint64_t(6) << 20);
@@ -178,7 +173,7 @@ void test_no_memory(void **)
     scene_free(&scene);
 }
 
-void test_unwritable(void **)
+TEST(test_unwritable)
 {
     bsq_ctx *ctx = new_context(0);
     scene scene;
@@ -192,13 +187,4 @@ void test_unwritable(void **)
 
 } // namespace
 
-int main()
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_export),
-        cmocka_unit_test(test_same_bytes),
-        cmocka_unit_test(test_no_memory),
-        cmocka_unit_test(test_unwritable),
-    };
-    return cmocka_run_group_tests(tests, make_directory, remove_directory);
-}
+RUN_TESTS(make_directory, remove_directory)

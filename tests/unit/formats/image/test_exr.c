@@ -3,24 +3,20 @@
 #include <ImfCRgbaFile.h>
 #include <fcntl.h>
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdbool.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
-#include <cmocka.h>
 #include <zlib.h>
 
 #include "base/job_files.h"
 #include "formats/image/exr_read.h"
 #include "formats/image/exr_zip.h"
 #include "formats/image/image_writer.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 static char directory[64];
 static char path[128];
@@ -135,9 +131,8 @@ static size_t zip_size(const float *samples)
 }
 
 /* A compressed block of the size of its samples looks like one that is not compressed. */
-static void test_blocks_that_zip_to_their_own_size_are_kept(void **state)
+TEST(test_blocks_that_zip_to_their_own_size_are_kept)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     float samples[NOISE_SAMPLES];
     uint64_t random = 1;
@@ -197,9 +192,8 @@ static size_t pack_halves(const uint8_t *ordered, bool *stored)
     return packed;
 }
 
-static void test_a_half_of_noise_is_stored(void **state)
+TEST(test_a_half_of_noise_is_stored)
 {
-    (void)state;
     static uint8_t ordered[2 * HALF];
     uint64_t random = 7;
     bool stored;
@@ -217,9 +211,8 @@ static void test_a_half_of_noise_is_stored(void **state)
     assert_false(stored);
 }
 
-static void test_a_half_that_begins_with_noise_is_packed(void **state)
+TEST(test_a_half_that_begins_with_noise_is_packed)
 {
-    (void)state;
     static uint8_t ordered[2 * HALF];
     uint64_t random = 11;
     bool stored;
@@ -229,9 +222,8 @@ static void test_a_half_that_begins_with_noise_is_packed(void **state)
     assert_false(stored);
 }
 
-static void test_noise_in_both_halves_is_not_packed(void **state)
+TEST(test_noise_in_both_halves_is_not_packed)
 {
-    (void)state;
     static uint8_t ordered[2 * HALF];
     uint64_t random = 13;
     bool stored;
@@ -241,9 +233,8 @@ static void test_noise_in_both_halves_is_not_packed(void **state)
 }
 
 /* OpenEXR reads maps of 32 bits whose low bytes are noise. */
-static void test_stored_halves_read_back(void **state)
+TEST(test_stored_halves_read_back)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(2, 0);
     enum { WIDTH = 1000, HEIGHT = 40, COUNT = WIDTH * HEIGHT };
     const struct fmt_image_options options = {
@@ -275,9 +266,8 @@ static const uint32_t sizes[][4] = {
     {5, 100, 17, 0},  {300, 64, 40, 0},  {1, 1, 1, 8},     {37, 53, 7, 8},
     {16, 16, 16, 16}, {130, 33, 33, 64}, {5, 100, 17, 33}, {300, 64, 40, 17}};
 
-static void test_round_trip_is_exact(void **state)
+TEST(test_round_trip_is_exact)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(4, 0);
     for (size_t s = 0; s < sizeof sizes / sizeof *sizes; ++s)
         for (int type = FMT_HALF; type <= FMT_FLOAT; ++type) {
@@ -317,9 +307,8 @@ static void compare_pixels(const ImfRgba *pixels, const float *samples)
     }
 }
 
-static void test_other_reader_agrees(void **state)
+TEST(test_other_reader_agrees)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(3, 0);
     float *samples = random_samples((size_t)SMALL_WIDTH * SMALL_HEIGHT * 3, 99);
     write_image(ctx, SMALL_WIDTH, SMALL_HEIGHT, FMT_HALF, samples, 11, 0);
@@ -343,9 +332,8 @@ static void test_other_reader_agrees(void **state)
     test_context_end(ctx);
 }
 
-static void test_other_reader_agrees_on_tiles(void **state)
+TEST(test_other_reader_agrees_on_tiles)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(3, 0);
     float *samples = random_samples((size_t)SMALL_WIDTH * SMALL_HEIGHT * 3, 98);
     write_image(ctx, SMALL_WIDTH, SMALL_HEIGHT, FMT_HALF, samples, 11, 16);
@@ -389,9 +377,8 @@ static void compare_threads(uint32_t tile_side)
     free(samples);
 }
 
-static void test_bytes_do_not_depend_on_threads(void **state)
+TEST(test_bytes_do_not_depend_on_threads)
 {
-    (void)state;
     compare_threads(0);
     compare_threads(24);
 }
@@ -413,9 +400,8 @@ static void write_tiled(int width, int height, int compression, const ImfRgba *p
     ImfDeleteHeader(header);
 }
 
-static void test_reads_tiles_of_other_writers(void **state)
+TEST(test_reads_tiles_of_other_writers)
 {
-    (void)state;
     enum { WIDTH = 77, HEIGHT = 50 };
     static const int compressions[] = {IMF_NO_COMPRESSION, IMF_RLE_COMPRESSION,
                                        IMF_ZIPS_COMPRESSION, IMF_ZIP_COMPRESSION,
@@ -461,9 +447,8 @@ static void expect_damage(struct bsq_ctx *ctx, const char *what, size_t where)
     bsq_clear_error(ctx);
 }
 
-static void test_truncated_files_are_refused(void **state)
+TEST(test_truncated_files_are_refused)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     float *samples = random_samples(20 * 40 * 3, 3);
     write_image(ctx, 20, 40, FMT_HALF, samples, 40, 0);
@@ -479,9 +464,8 @@ static void test_truncated_files_are_refused(void **state)
 
 /* Any result is allowed, but nothing may leak or be accessed out of bounds, which sanitizers
  * detect. */
-static void test_flipped_bytes_do_no_harm(void **state)
+TEST(test_flipped_bytes_do_no_harm)
 {
-    (void)state;
     uint32_t seed = (uint32_t)getpid();
     print_message("seed %u\n", seed);
     struct bsq_ctx *ctx = test_context(1, UINT64_C(256) << 20);
@@ -508,9 +492,8 @@ static void test_flipped_bytes_do_no_harm(void **state)
     test_context_end(ctx);
 }
 
-static void test_sizes_are_held_against_the_budget(void **state)
+TEST(test_sizes_are_held_against_the_budget)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, UINT64_C(8) << 20);
     float *samples = random_samples(64 * 64 * 3, 3);
     write_image(ctx, 64, 64, FMT_HALF, samples, 64, 0);
@@ -533,9 +516,8 @@ static void test_sizes_are_held_against_the_budget(void **state)
 }
 
 /* Without the check, OpenEXR allocates a table of 256 MiB for a file of 10 KB. */
-static void test_a_table_of_blocks_is_held_against_the_file(void **state)
+TEST(test_a_table_of_blocks_is_held_against_the_file)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, UINT64_C(1) << 40);
     float *samples = random_samples(64 * 64 * 3, 3);
     write_image(ctx, 64, 64, FMT_HALF, samples, 64, 0);
@@ -586,9 +568,8 @@ static void write_excess(unsigned channels, unsigned integers, unsigned bytes)
 }
 
 /* OpenEXR takes minutes to sort very many channels, and memory that nobody counted. */
-static void test_excessive_headers(void **state)
+TEST(test_excessive_headers)
 {
-    (void)state;
     static const struct {
         unsigned channels, integers, bytes;
         const char *message;
@@ -613,9 +594,8 @@ static void test_excessive_headers(void **state)
     test_context_end(ctx);
 }
 
-static void test_nothing_is_left_of_a_discarded_file(void **state)
+TEST(test_nothing_is_left_of_a_discarded_file)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(2, 0);
     unlink(path);
     float *samples = random_samples(20 * 40 * 3, 3);
@@ -641,25 +621,4 @@ static void test_nothing_is_left_of_a_discarded_file(void **state)
     test_context_end(ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_round_trip_is_exact),
-        cmocka_unit_test(test_blocks_that_zip_to_their_own_size_are_kept),
-        cmocka_unit_test(test_a_half_of_noise_is_stored),
-        cmocka_unit_test(test_a_half_that_begins_with_noise_is_packed),
-        cmocka_unit_test(test_noise_in_both_halves_is_not_packed),
-        cmocka_unit_test(test_stored_halves_read_back),
-        cmocka_unit_test(test_other_reader_agrees),
-        cmocka_unit_test(test_other_reader_agrees_on_tiles),
-        cmocka_unit_test(test_bytes_do_not_depend_on_threads),
-        cmocka_unit_test(test_reads_tiles_of_other_writers),
-        cmocka_unit_test(test_truncated_files_are_refused),
-        cmocka_unit_test(test_excessive_headers),
-        cmocka_unit_test(test_flipped_bytes_do_no_harm),
-        cmocka_unit_test(test_sizes_are_held_against_the_budget),
-        cmocka_unit_test(test_a_table_of_blocks_is_held_against_the_file),
-        cmocka_unit_test(test_nothing_is_left_of_a_discarded_file),
-    };
-    return cmocka_run_group_tests(tests, make_directory, remove_directory);
-}
+RUN_TESTS(make_directory, remove_directory)

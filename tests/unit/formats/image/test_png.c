@@ -2,18 +2,14 @@
  * samples with the mean that they must keep. */
 #include <math.h>
 #include <png.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
-#include <cmocka.h>
 
 #include "formats/image/image_writer.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 static char directory[64];
 static char path[128];
@@ -80,9 +76,8 @@ static uint32_t sample16(const struct image *image, uint32_t y, uint32_t sample)
     return (uint32_t)image->rows[y][2 * sample] << 8 | image->rows[y][2 * sample + 1];
 }
 
-static void test_16_bits_are_rounded(void **state)
+TEST(test_16_bits_are_rounded)
 {
-    (void)state;
     enum { WIDTH = 401, HEIGHT = 500 }; /* several bands */
     static const uint32_t channel_counts[] = {1, 3, 4};
     struct bsq_ctx *ctx = test_context(3, 0);
@@ -119,9 +114,8 @@ static void test_16_bits_are_rounded(void **state)
     test_context_end(ctx);
 }
 
-static void test_color_is_encoded_as_srgb_but_alpha_is_not(void **state)
+TEST(test_color_is_encoded_as_srgb_but_alpha_is_not)
 {
-    (void)state;
     enum { WIDTH = 256 };
     struct bsq_ctx *ctx = test_context(1, 0);
     struct fmt_image_options options = {
@@ -154,9 +148,8 @@ static double block_mean(const struct image *image, uint32_t x0, uint32_t y0, ui
     return sum / size / size;
 }
 
-static void test_dither_keeps_the_mean(void **state)
+TEST(test_dither_keeps_the_mean)
 {
-    (void)state;
     enum { SIZE = 128, BLOCK = 16 };
     struct bsq_ctx *ctx = test_context(2, 0);
     struct fmt_image_options options = {
@@ -183,9 +176,8 @@ static void test_dither_keeps_the_mean(void **state)
     test_context_end(ctx);
 }
 
-static void test_black_and_white_do_not_dither(void **state)
+TEST(test_black_and_white_do_not_dither)
 {
-    (void)state;
     enum { SIZE = 64 };
     struct bsq_ctx *ctx = test_context(2, 0);
     struct fmt_image_options options = {
@@ -203,9 +195,8 @@ static void test_black_and_white_do_not_dither(void **state)
     test_context_end(ctx);
 }
 
-static void test_bytes_do_not_depend_on_threads_or_batches(void **state)
+TEST(test_bytes_do_not_depend_on_threads_or_batches)
 {
-    (void)state;
     enum { WIDTH = 990, HEIGHT = 750 };
     float *samples = malloc(WIDTH * HEIGHT * 3 * sizeof *samples);
     for (uint32_t i = 0; i < WIDTH * HEIGHT * 3; ++i)
@@ -232,9 +223,8 @@ static void test_bytes_do_not_depend_on_threads_or_batches(void **state)
 }
 
 /* Attributes that decode the samples can be added until the first row is written. */
-static void test_described_files_have_text_chunks(void **state)
+TEST(test_described_files_have_text_chunks)
 {
-    (void)state;
     static const struct fmt_image_attribute texts[] = {{"bisque:scale", "0.25"},
                                                        {"bisque:offset", "-1 2 3"}};
     struct bsq_ctx *ctx = test_context(1, 0);
@@ -259,9 +249,8 @@ static void test_described_files_have_text_chunks(void **state)
     test_context_end(ctx);
 }
 
-static void test_nothing_is_left_of_a_discarded_file(void **state)
+TEST(test_nothing_is_left_of_a_discarded_file)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     float samples[8 * 3] = {0};
     unlink(path);
@@ -282,16 +271,4 @@ static void test_nothing_is_left_of_a_discarded_file(void **state)
     test_context_end(ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_16_bits_are_rounded),
-        cmocka_unit_test(test_color_is_encoded_as_srgb_but_alpha_is_not),
-        cmocka_unit_test(test_dither_keeps_the_mean),
-        cmocka_unit_test(test_black_and_white_do_not_dither),
-        cmocka_unit_test(test_bytes_do_not_depend_on_threads_or_batches),
-        cmocka_unit_test(test_described_files_have_text_chunks),
-        cmocka_unit_test(test_nothing_is_left_of_a_discarded_file),
-    };
-    return cmocka_run_group_tests(tests, make_directory, remove_directory);
-}
+RUN_TESTS(make_directory, remove_directory)

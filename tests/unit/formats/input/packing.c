@@ -1,13 +1,11 @@
 /* packing.c - see packing.h. */
+#include "tests/unit/fixture.h"
 #include "tests/unit/formats/input/packing.h"
 
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
 #include <zlib.h>
 #include <zstd.h>
-#include <cmocka.h>
 
 /* Makes space for `more` bytes at the end. */
 static uint8_t *grow(struct packed *to, size_t more)

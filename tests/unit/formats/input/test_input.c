@@ -1,8 +1,6 @@
 /* test_input.c - inputs that are packed, and pipes: ranges, several openings, interruptions. */
 #include <fcntl.h>
 #include <pthread.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdatomic.h>
 #include <stdlib.h>
 #include <stdio.h>
@@ -12,13 +10,13 @@
 #include <unistd.h>
 #include <xxhash.h>
 #include <zstd.h>
-#include <cmocka.h>
 
 #include "base/file.h"
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
 #include "tests/unit/formats/input/packing.h"
 #include "tests/unit/formats/scratch.h"
+#include "tests/unit/test.h"
 
 enum { NUMBERS = 3 << 20, BYTES = 4 * NUMBERS };
 
@@ -68,9 +66,8 @@ static void expect_range(struct fmt_input *input, uint64_t offset, uint64_t size
     free(buffer);
 }
 
-static void test_ranges_in_any_order(void **state)
+TEST(test_ranges_in_any_order)
 {
-    (void)state;
     struct fmt_input *input;
     uint64_t size;
     char byte;
@@ -180,9 +177,8 @@ static void *read_blocks(void *arg)
 
 /* Threads read the file in order, and no more than 128 MiB of it are kept. Then a reader goes back,
  * wants much at once, and wants a file with all. */
-static void test_much_is_read_in_order_and_again(void **state)
+TEST(test_much_is_read_in_order_and_again)
 {
-    (void)state;
     struct blocks blocks = {0};
     struct bsq_file whole;
     uint64_t size;
@@ -222,9 +218,8 @@ static void test_much_is_read_in_order_and_again(void **state)
 }
 
 /* What nobody reads is not unpacked: a small file cannot fill the disk before it is refused. */
-static void test_no_more_is_unpacked_than_is_read(void **state)
+TEST(test_no_more_is_unpacked_than_is_read)
 {
-    (void)state;
     struct packed p = {0};
     struct fmt_mesh_reader *reader;
     const size_t blanks = (size_t)256 << 20; /* one line */
@@ -247,9 +242,8 @@ static void test_no_more_is_unpacked_than_is_read(void **state)
 }
 
 /* A packed file that ends too early is damaged, unless it was written to under way. */
-static void test_a_file_that_changes_is_not_damaged(void **state)
+TEST(test_a_file_that_changes_is_not_damaged)
 {
-    (void)state;
     const char *path = write_packed("short.bin");
     struct stat info;
     assert_int_equal(stat(path, &info), 0);
@@ -309,9 +303,8 @@ static const char *make_fifo(const char *name)
     return path;
 }
 
-static void test_pipe_is_read_once(void **state)
+TEST(test_pipe_is_read_once)
 {
-    (void)state;
     struct fmt_input *input;
     struct packed p = {0};
     uint64_t bytes, hash, got;
@@ -358,9 +351,8 @@ static void *interrupt(void *arg)
 }
 
 /* Nobody opens the pipe for writing, or the writer writes nothing. */
-static void test_waiting_ends_with_an_interruption(void **state)
+TEST(test_waiting_ends_with_an_interruption)
 {
-    (void)state;
     const char *path = make_fifo("silent");
     for (int round = 0; round < 2; round++) {
         struct fmt_input *input;
@@ -381,9 +373,8 @@ static void test_waiting_ends_with_an_interruption(void **state)
     }
 }
 
-static void test_two_inputs_cannot_be_one_pipe(void **state)
+TEST(test_two_inputs_cannot_be_one_pipe)
 {
-    (void)state;
     static const char *const paths[] = {"-", "-"};
     const struct fmt_mesh_inputs inputs = {.paths = paths, .path_count = 2, .pipes = true};
     struct fmt_mesh_reader *reader;
@@ -393,16 +384,4 @@ static void test_two_inputs_cannot_be_one_pipe(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_ranges_in_any_order),
-        cmocka_unit_test(test_much_is_read_in_order_and_again),
-        cmocka_unit_test(test_no_more_is_unpacked_than_is_read),
-        cmocka_unit_test(test_a_file_that_changes_is_not_damaged),
-        cmocka_unit_test(test_pipe_is_read_once),
-        cmocka_unit_test(test_waiting_ends_with_an_interruption),
-        cmocka_unit_test(test_two_inputs_cannot_be_one_pipe),
-    };
-    return cmocka_run_group_tests(tests, make_numbers, free_numbers);
-}
+RUN_TESTS(make_numbers, free_numbers)

@@ -1,14 +1,12 @@
 /* test_unpack.c - gzip and Zstandard streams: members side by side in pieces of every size, every
  * truncation, every damaged byte, and how much memory they may ask for. */
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdlib.h>
 #include <stdio.h>
 #include <string.h>
-#include <cmocka.h>
 
 #include "formats/input/unpack.h"
 #include "tests/unit/formats/input/packing.h"
+#include "tests/unit/test.h"
 
 /* A stream that is given in pieces of `piece` bytes. */
 struct stream {
@@ -96,9 +94,8 @@ static struct bsq_ctx *make_context(uint64_t memory)
     return ctx;
 }
 
-static void test_members_side_by_side_in_any_pieces(void **state)
+TEST(test_members_side_by_side_in_any_pieces)
 {
-    (void)state;
     static uint8_t text[TEXT], out[TEXT + 1];
     static const size_t pieces[] = {1, 2, 3, 5, 17, 255, 4096, 1 << 20};
     static const size_t steps[] = {1, 7, 1000, TEXT + 1};
@@ -124,9 +121,8 @@ static void test_members_side_by_side_in_any_pieces(void **state)
 }
 
 /* A stream that is cut off is an error, unless the cut is between two members. */
-static void test_every_truncation(void **state)
+TEST(test_every_truncation)
 {
-    (void)state;
     static uint8_t text[300], out[301];
     char error[200];
     struct bsq_ctx *ctx = make_context(64 << 20);
@@ -153,9 +149,8 @@ static void test_every_truncation(void **state)
 }
 
 /* Damage never changes what is read: it is found, or was in a byte that does not matter. */
-static void test_every_flipped_bit(void **state)
+TEST(test_every_flipped_bit)
 {
-    (void)state;
     static uint8_t text[400], out[4096];
     char error[200];
     struct bsq_ctx *ctx = make_context(64 << 20);
@@ -181,9 +176,8 @@ static void test_every_flipped_bit(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_bytes_after_the_last_member(void **state)
+TEST(test_bytes_after_the_last_member)
 {
-    (void)state;
     static uint8_t out[100];
     char error[200];
     size_t size;
@@ -205,9 +199,8 @@ static void test_bytes_after_the_last_member(void **state)
 }
 
 /* A header can ask for a window of gigabytes. The budget limits it before memory is touched. */
-static void test_windows_are_reserved(void **state)
+TEST(test_windows_are_reserved)
 {
-    (void)state;
     static uint8_t text[TEXT], out[TEXT + 1];
     char error[200];
     size_t size;
@@ -229,14 +222,4 @@ static void test_windows_are_reserved(void **state)
     free(p.data);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_members_side_by_side_in_any_pieces),
-        cmocka_unit_test(test_every_truncation),
-        cmocka_unit_test(test_every_flipped_bit),
-        cmocka_unit_test(test_bytes_after_the_last_member),
-        cmocka_unit_test(test_windows_are_reserved),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -1,15 +1,11 @@
 /* test_utf16.c - text in UTF-16 with a byte order mark is read as UTF-8. */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/formats/input/packing.h"
 #include "tests/unit/formats/scratch.h"
 
@@ -66,9 +62,8 @@ static void expect_text(const void *bytes, size_t size, const char *expected)
 }
 
 /* Unicode Standard 15, table 3-6 and section 3.9: each length of UTF-8; halves of pairs alone. */
-static void test_characters(void **state)
+TEST(test_characters)
 {
-    (void)state;
     static const struct {
         uint16_t units[8];
         size_t count;
@@ -93,9 +88,8 @@ static void test_characters(void **state)
 }
 
 /* Bytes that are no UTF-16 stay as they are. */
-static void test_other_bytes(void **state)
+TEST(test_other_bytes)
 {
-    (void)state;
     static const struct {
         const char *bytes;
         size_t size;
@@ -137,18 +131,16 @@ static void expect_pairs(unsigned shift, bool packed)
     free(file.data);
 }
 
-static void test_pairs_across_buffers(void **state)
+TEST(test_pairs_across_buffers)
 {
-    (void)state;
     expect_pairs(1, false);
     expect_pairs(2, false);
     expect_pairs(3, true);
 }
 
 /* A file that ends anywhere is read as far as it goes, or it is an error. */
-static void test_every_truncated_length(void **state)
+TEST(test_every_truncated_length)
 {
-    (void)state;
     uint8_t bytes[256];
     const size_t whole = put_ascii("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", true, bytes);
     int read = 0, cut = 0;
@@ -173,10 +165,4 @@ static void test_every_truncated_length(void **state)
     assert_int_not_equal(cut, 0);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_characters), cmocka_unit_test(test_other_bytes),
-        cmocka_unit_test(test_pairs_across_buffers), cmocka_unit_test(test_every_truncated_length)};
-    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
-}
+RUN_TESTS(scratch_make, scratch_remove)

@@ -1,12 +1,9 @@
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
 
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "tests/unit/fixture.h"
 #include "tests/unit/formats/mesh/gltf_builder.h"
 
 void gltf_begin(struct ply_builder *bytes)

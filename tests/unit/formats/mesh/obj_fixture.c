@@ -1,12 +1,9 @@
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
 
 #include <stdlib.h>
 #include <string.h>
 
 #include "formats/mesh/mesh_format.h"
+#include "tests/unit/fixture.h"
 #include "tests/unit/formats/mesh/obj_fixture.h"
 
 static void *grown(void *memory, uint64_t count, size_t size)

@@ -1,15 +1,11 @@
 /* test_gltf.c - the glTF reader on every kind of element, node and buffer. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "tests/unit/formats/mesh/gltf_builder.h"
+#include "tests/unit/test.h"
 
 #define HEAD              "{'asset':{'version':'2.0'},"
 #define FILE_BUFFER(NAME) "'buffers':[{'uri':'" NAME ".bin','byteLength':$BYTES}],"
@@ -51,9 +47,8 @@ static void assert_vertices(const struct obj_fixture *f, uint64_t count)
 
 /* ---- faces ---- */
 
-static void test_index_types(void **state)
+TEST(test_index_types)
 {
-    (void)state;
     static const struct {
         int code;
         const char *letters;
@@ -103,9 +98,8 @@ static void read_mode(struct obj_fixture *f, const char *node, int mode)
     ply_free(&b);
 }
 
-static void test_modes(void **state)
+TEST(test_modes)
 {
-    (void)state;
     struct obj_fixture f;
     read_mode(&f, "", 4);
     obj_assert_corners(&f, FMT_MESH_VERTEX, 6, 0, 1, 2, 3, 4, 5);
@@ -124,9 +118,8 @@ static void test_modes(void **state)
 }
 
 /* A node that mirrors turns triangles round, so that their front stays outside. */
-static void test_mirrored(void **state)
+TEST(test_mirrored)
 {
-    (void)state;
     struct obj_fixture f;
     read_mode(&f, ",'scale':[1,-1,1]", 4);
     obj_assert_corners(&f, FMT_MESH_VERTEX, 6, 0, 2, 1, 3, 5, 4);
@@ -138,9 +131,8 @@ static void test_mirrored(void **state)
 }
 
 /* Strips and fans with indices, also long ones, in parts. Triangles without area connect them. */
-static void test_long_strips(void **state)
+TEST(test_long_strips)
 {
-    (void)state;
     enum { COUNT = 50000 };
     for (int mode = 5; mode < 7; mode++) {
         struct obj_fixture f;
@@ -174,9 +166,8 @@ static void test_long_strips(void **state)
 /* ---- attributes ---- */
 
 /* All attributes of three vertices, interleaved in one view, in types of KHR_mesh_quantization. */
-static void test_attributes(void **state)
+TEST(test_attributes)
 {
-    (void)state;
     struct obj_fixture f;
     struct ply_builder b;
     gltf_begin(&b);
@@ -229,9 +220,8 @@ static void test_attributes(void **state)
 }
 
 /* Colours of all types, with and without alpha; a second mesh without colours is white. */
-static void test_color_types(void **state)
+TEST(test_color_types)
 {
-    (void)state;
     static const struct {
         int code, components;
         const char *letters;
@@ -267,9 +257,8 @@ static void test_color_types(void **state)
 }
 
 /* Sparse accessors replace elements of a view, or zeros; also across the ends of parts. */
-static void test_sparse(void **state)
+TEST(test_sparse)
 {
-    (void)state;
     enum { COUNT = 30000 };
     struct obj_fixture f;
     struct ply_builder b;
@@ -307,9 +296,8 @@ static void test_sparse(void **state)
 /* ---- nodes ---- */
 
 /* Nodes in a chain and instances: a translation of a rotation of a scale, and a matrix. */
-static void test_nodes(void **state)
+TEST(test_nodes)
 {
-    (void)state;
     struct obj_fixture f;
     struct ply_builder b;
     gltf_begin(&b);
@@ -355,9 +343,8 @@ static void test_nodes(void **state)
 
 /* A slanted surface keeps its normal at a right angle when a node scales one axis; also when that
  * mirrors. */
-static void test_scaled_normals(void **state)
+TEST(test_scaled_normals)
 {
-    (void)state;
     static const char *const scales[] = {"[5,1,1]", "[-5,1,1]"};
     for (int i = 0; i < 2; i++) {
         struct obj_fixture f;
@@ -405,9 +392,8 @@ static void test_scaled_normals(void **state)
 #define MESH "'meshes':[{'primitives':[{'attributes':{'POSITION':0}}]}]}"
 
 /* A buffer in a GLB file, in a file with odd characters in its name, and in a data URI. */
-static void test_buffers(void **state)
+TEST(test_buffers)
 {
-    (void)state;
     static const char base64[] =
         HEAD "'buffers':[{'byteLength':37,'uri':'data:application/octet-stream;base64,"
              /* one byte, then (0, 0, 0), (1, 2, -1), (2, 4, -2) */
@@ -442,9 +428,8 @@ static void test_buffers(void **state)
 
 /* A texture beside the file, in a data URI and in a view, with a transform; its coordinates are set
  * 1 of the file. */
-static void test_textures(void **state)
+TEST(test_textures)
 {
-    (void)state;
     static const char *const images[] = {"'uri':'wall%20a.png'",
                                          "'uri':'data:image/png;base64,iVBORw0='",
                                          "'bufferView':1,'mimeType':'image/png'"};
@@ -492,9 +477,8 @@ static void test_textures(void **state)
 }
 
 /* Many parts and any number of threads give the same blocks. Several files are one scan. */
-static void test_threads(void **state)
+TEST(test_threads)
 {
-    (void)state;
     enum { COUNT = 60000 };
     struct obj_fixture f[2];
     struct ply_builder b;
@@ -523,9 +507,8 @@ static void test_threads(void **state)
 }
 
 /* An object is a node with a mesh: it has the node's name, or else the mesh's. */
-static void test_objects(void **state)
+TEST(test_objects)
 {
-    (void)state;
     static const char *const objects[] = {"left", "left", "wheel", "wheel", "right", ""};
     static const char *const materials[] = {"a", "", "a", "", "a", ""};
     struct ply_builder b;
@@ -567,16 +550,4 @@ static void test_objects(void **state)
     ply_free(&b);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_index_types),    cmocka_unit_test(test_modes),
-        cmocka_unit_test(test_mirrored),       cmocka_unit_test(test_long_strips),
-        cmocka_unit_test(test_attributes),     cmocka_unit_test(test_color_types),
-        cmocka_unit_test(test_sparse),         cmocka_unit_test(test_nodes),
-        cmocka_unit_test(test_scaled_normals), cmocka_unit_test(test_buffers),
-        cmocka_unit_test(test_textures),       cmocka_unit_test(test_objects),
-        cmocka_unit_test(test_threads),
-    };
-    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
-}
+RUN_TESTS(scratch_make, scratch_remove)

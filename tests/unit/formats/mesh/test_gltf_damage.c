@@ -1,9 +1,4 @@
 /* test_gltf_damage.c - the glTF reader's messages for wrong files, and damaged files. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -11,6 +6,7 @@
 #include <sys/stat.h>
 
 #include "tests/unit/formats/mesh/gltf_builder.h"
+#include "tests/unit/test.h"
 
 #define HEAD     "{'asset':{'version':'2.0'},"
 #define BUFFER   HEAD "'buffers':[{'uri':'bad.bin','byteLength':36}],"
@@ -24,9 +20,8 @@ static void put_triangle(struct ply_builder *b)
     ply_put(b, "fffffffff", 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0);
 }
 
-static void test_messages(void **state)
+TEST(test_messages)
 {
-    (void)state;
     static const struct {
         const char *json, *message;
     } cases[] = {
@@ -114,9 +109,8 @@ static void test_messages(void **state)
 }
 
 /* Wrong values in buffers. */
-static void test_values(void **state)
+TEST(test_values)
 {
-    (void)state;
     struct ply_builder b;
     put_triangle(&b);
     b.bytes[2] = (char)0x80; /* infinity */
@@ -165,9 +159,8 @@ static void test_values(void **state)
 }
 
 /* Buffers that are no regular files. */
-static void test_buffer_files(void **state)
+TEST(test_buffer_files)
 {
-    (void)state;
     static const char *const names[] = {"missing", "folder"};
     assert_int_equal(mkdir(scratch_path("folder.bin"), 0777), 0);
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
@@ -183,9 +176,8 @@ static void test_buffer_files(void **state)
 }
 
 /* Matrices, which no mesh has, may be sparse. */
-static void test_sparse_matrices(void **state)
+TEST(test_sparse_matrices)
 {
-    (void)state;
     struct obj_fixture f;
     struct ply_builder b;
     put_triangle(&b);
@@ -202,9 +194,8 @@ static void test_sparse_matrices(void **state)
 }
 
 /* A hierarchy as deep as there are nodes needs no deep recursion. */
-static void test_deep_hierarchy(void **state)
+TEST(test_deep_hierarchy)
 {
-    (void)state;
     enum { DEPTH = 30000 };
     struct obj_fixture f;
     struct ply_builder b;
@@ -249,9 +240,8 @@ static int read_within(const char *path, uint64_t mib)
 }
 
 /* JSON that takes much memory for its length is refused before. */
-static void test_memory(void **state)
+TEST(test_memory)
 {
-    (void)state;
     enum { COUNT = 400000 };
     char *json = malloc(3 * COUNT + 100);
     assert_non_null(json);
@@ -274,9 +264,8 @@ static void assert_handled(int status)
 }
 
 /* A GLB file with all kinds of tables, cut off and damaged at many places. */
-static void test_damage(void **state)
+TEST(test_damage)
 {
-    (void)state;
     static const char json[] = HEAD
         "'scene':0,'scenes':[{'nodes':[0]}],'nodes':[{'children':[1]},{'mesh':0,"
         "'rotation':[0,0,0,1]}],'buffers':[{'byteLength':$BYTES}],"
@@ -312,13 +301,4 @@ static void test_damage(void **state)
     ply_free(&b);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_messages),        cmocka_unit_test(test_values),
-        cmocka_unit_test(test_buffer_files),    cmocka_unit_test(test_deep_hierarchy),
-        cmocka_unit_test(test_sparse_matrices), cmocka_unit_test(test_memory),
-        cmocka_unit_test(test_damage),
-    };
-    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
-}
+RUN_TESTS(scratch_make, scratch_remove)

@@ -2,26 +2,20 @@
  * that do not exist, names in other spellings. It is missing, and a warning names the first place.
  */
 #include <math.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_number.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/formats/mesh/obj_fixture.h"
 #include "tests/unit/formats/mesh/ply_builder.h"
 
 /* ---- words ---- */
 
-static void test_words(void **state)
+TEST(test_words)
 {
-    (void)state;
     static const char *const words[] = {
         "nan",     "NaN",         "-nan(ind)", "+NAN(0x7f)", "inf",      "-Infinity", "1.#IND",
         "-1.#IND", "1.#QNAN0000", "1.#INF",    "1e999",      "-1.5e400", ".5e+309",   "1.#J"};
@@ -65,9 +59,8 @@ static void expect_warnings(const char *path, unsigned threads, const char *expe
     test_context_end(ctx);
 }
 
-static void test_numbers(void **state)
+TEST(test_numbers)
 {
-    (void)state;
     struct obj_fixture f;
     obj_read_text(&f,
                   "v 1 2\nv 1 2 # c\nv 1 2 3 4 5\nv nan 2 3 1 1 1\nv 1 2 -inf\nv 1 2 3 0 nan 1\n"
@@ -98,9 +91,8 @@ static void test_numbers(void **state)
 }
 
 /* The first line counts from the start of the file, whatever thread parses its block. */
-static void test_first_line_in_a_late_block(void **state)
+TEST(test_first_line_in_a_late_block)
 {
-    (void)state;
     enum { LINES = 200000 };
     char *text = malloc(LINES * 10 + 1), *to = text;
     for (int i = 0; i < LINES; i++)
@@ -114,9 +106,8 @@ static void test_first_line_in_a_late_block(void **state)
 }
 
 /* Indices of attributes before the first one are kept apart from all others. */
-static void test_attributes_before_the_first(void **state)
+TEST(test_attributes_before_the_first)
 {
-    (void)state;
     struct obj_fixture f;
     obj_read_text(&f, "v 0 0 0\nvt 0 0\nvn 0 0 1\nf 1/0/-2 1/-2/1 1/1/0\n");
     for (int i = 0; i < 3; i++) {
@@ -128,9 +119,8 @@ static void test_attributes_before_the_first(void **state)
 
 /* ---- names ---- */
 
-static void test_names(void **state)
+TEST(test_names)
 {
-    (void)state;
     struct obj_fixture f;
     struct fmt_materials m;
     scratch_text("My Lib.mtl", "newmtl Wood # brown\nKd 1 0 0\nmap_Kd \"Tex A.png\" # c\n"
@@ -158,9 +148,8 @@ static void test_names(void **state)
 }
 
 /* A name with "#" and a comment is that material, not the first one with the same beginning. */
-static void test_numbered_names(void **state)
+TEST(test_numbered_names)
 {
-    (void)state;
     struct obj_fixture f;
     struct fmt_materials m;
     scratch_text("wall.mtl", "newmtl wall #1\nKd 1 0 0\nnewmtl wall #2\nKd 0 1 0\n"
@@ -177,9 +166,8 @@ static void test_numbered_names(void **state)
 }
 
 /* Names are output without comments and quotes. */
-static void test_tidy_names(void **state)
+TEST(test_tidy_names)
 {
-    (void)state;
     static const char *const cases[][2] = {
         {"", ""},           {"a", "a"},         {"a # x", "a"},         {"a\t#", "a"},
         {"a #x", "a #x"},   {"a# x", "a# x"},   {"wall #3", "wall #3"}, {"# 5", "# 5"},
@@ -199,9 +187,8 @@ static void test_tidy_names(void **state)
 }
 
 /* A library whose name has blanks is one name in messages. */
-static void test_missing_libraries(void **state)
+TEST(test_missing_libraries)
 {
-    (void)state;
     struct obj_fixture f;
     obj_read_text(&f, "mtllib no such lib.mtl # c\nv 0 0 0\nf 1 1 1\n");
     assert_string_equal(fmt_mesh_dependency(f.reader, 0), scratch_path("no such lib.mtl"));
@@ -210,9 +197,8 @@ static void test_missing_libraries(void **state)
 }
 
 /* A backslash at the end of a name does not continue the line: no face may get lost. */
-static void test_names_that_end_in_a_backslash(void **state)
+TEST(test_names_that_end_in_a_backslash)
 {
-    (void)state;
     static const char *const statements[] = {
         "usemtl C:\\m\\", "usemtl C:\\m\\\r", "o C:\\a\\",       "g\\",
         "mtllib C:\\",    "call C:\\b\\",     "unknown C:\\c\\", "usemtl\\"};
@@ -234,9 +220,8 @@ static void test_names_that_end_in_a_backslash(void **state)
 
 /* ---- PLY and STL ---- */
 
-static void test_ply(void **state)
+TEST(test_ply)
 {
-    (void)state;
     for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
         struct ply_builder b;
         struct obj_fixture f;
@@ -266,9 +251,8 @@ static void test_ply(void **state)
     }
 }
 
-static void test_stl(void **state)
+TEST(test_stl)
 {
-    (void)state;
     char binary[84 + 2 * 50] = "a scan";
     const float corners[2][3][3] = {{{0, 0, 0}, {1, 0, NAN}, {0, 1, 0}},
                                     {{0, 0, 0}, {INFINITY, 0, 1}, {1, 1, 1}}};
@@ -294,20 +278,4 @@ static void test_stl(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_words),
-        cmocka_unit_test(test_numbers),
-        cmocka_unit_test(test_first_line_in_a_late_block),
-        cmocka_unit_test(test_attributes_before_the_first),
-        cmocka_unit_test(test_names),
-        cmocka_unit_test(test_tidy_names),
-        cmocka_unit_test(test_numbered_names),
-        cmocka_unit_test(test_missing_libraries),
-        cmocka_unit_test(test_names_that_end_in_a_backslash),
-        cmocka_unit_test(test_ply),
-        cmocka_unit_test(test_stl),
-    };
-    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
-}
+RUN_TESTS(scratch_make, scratch_remove)

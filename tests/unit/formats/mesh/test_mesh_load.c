@@ -1,12 +1,8 @@
 /* test_mesh_load.c - fmt_mesh_load() on OBJ files. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <string.h>
 
 #include "tests/unit/formats/mesh/obj_fixture.h"
+#include "tests/unit/test.h"
 
 static void load_mesh(struct obj_fixture *f, struct fmt_mesh *mesh, const char *text)
 {
@@ -16,9 +12,8 @@ static void load_mesh(struct obj_fixture *f, struct fmt_mesh *mesh, const char *
     f->status = fmt_mesh_load(f->ctx, path, mesh);
 }
 
-static void test_mesh(void **state)
+TEST(test_mesh)
 {
-    (void)state;
     struct obj_fixture f;
     struct fmt_mesh mesh;
     /* Faces come first. The quad is reflex at corner 2, so the cut starts there. */
@@ -42,9 +37,8 @@ static void test_mesh(void **state)
     obj_close(&f);
 }
 
-static void test_mesh_errors(void **state)
+TEST(test_mesh_errors)
 {
-    (void)state;
     static const struct {
         const char *text, *message;
     } cases[] = {
@@ -75,9 +69,8 @@ static void test_mesh_errors(void **state)
 
 /* A normal that does not exist and texture coordinates that are not finite are missing, and a face
  * without a position is left out. */
-static void test_missing_elements(void **state)
+TEST(test_missing_elements)
 {
-    (void)state;
     struct obj_fixture f;
     struct fmt_mesh mesh;
     char text[2000] = "v 0 0 0\nv 1 0 0\nv inf 0 0\nvt 0 0\nvt nan 1\nvn 0 0 1\nvn 0 1\n"
@@ -99,12 +92,4 @@ static void test_missing_elements(void **state)
     obj_close(&f);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_mesh),
-        cmocka_unit_test(test_mesh_errors),
-        cmocka_unit_test(test_missing_elements),
-    };
-    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
-}
+RUN_TESTS(scratch_make, scratch_remove)

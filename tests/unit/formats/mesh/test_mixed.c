@@ -1,12 +1,7 @@
 /* test_mixed.c - files of several formats as one scan: numbers of elements, faces and materials. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <string.h>
 
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/formats/mesh/obj_fixture.h"
 
 #define OBJ_TEXT                                                                                   \
@@ -32,9 +27,8 @@ static void make_files(const char *paths[FILES])
 }
 
 /* Each face has the vertices that its own file gives it. */
-static void test_elements(void **state)
+TEST(test_elements)
 {
-    (void)state;
     const char *paths[FILES];
     struct obj_fixture f;
     make_files(paths);
@@ -55,9 +49,8 @@ static void test_elements(void **state)
 }
 
 /* A material belongs to its file, also if another file has one of the same name. */
-static void test_materials(void **state)
+TEST(test_materials)
 {
-    (void)state;
     static const char *const names[FACES] = {"red", "blue", "#ff0000", "#00ff00",
                                              "",    "red",  "blue"};
     const char *paths[FILES];
@@ -87,9 +80,8 @@ static int compare_block(void *arg, const struct fmt_mesh_block *block)
 }
 
 /* Another reading gives the same numbers, and messages name a face of its own file. */
-static void test_again(void **state)
+TEST(test_again)
 {
-    (void)state;
     static const char *const places[FACES] = {"a.obj:9", "a.obj:11", "b.ply:18", "b.ply:19",
                                               "c.stl:2", "d.obj:9",  "d.obj:11"};
     const char *paths[FILES];
@@ -111,9 +103,8 @@ static void test_again(void **state)
 }
 
 /* Every allocation fails in turn. */
-static void test_memory(void **state)
+TEST(test_memory)
 {
-    (void)state;
     const char *paths[FILES];
     make_files(paths);
     int failures = 0;
@@ -133,10 +124,4 @@ static void test_memory(void **state)
     assert_int_not_equal(failures, 0);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_elements),
-                                       cmocka_unit_test(test_materials),
-                                       cmocka_unit_test(test_again), cmocka_unit_test(test_memory)};
-    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
-}
+RUN_TESTS(scratch_make, scratch_remove)

@@ -1,9 +1,4 @@
 /* test_mtl.c - MTL files in the forms that programs write. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -11,6 +6,7 @@
 #include <unistd.h>
 
 #include "formats/mesh/obj_internal.h"
+#include "tests/unit/test.h"
 
 static char directory[64];
 
@@ -89,9 +85,8 @@ static void assert_diffuse(const struct fmt_material *m, float r, float g, float
     assert_true(m->diffuse[0] == r && m->diffuse[1] == g && m->diffuse[2] == b);
 }
 
-static void test_diffuse(void **state)
+TEST(test_diffuse)
 {
-    (void)state;
     struct fixture f;
     read_text(&f, "# made by hand\r\nnewmtl red paint \r\n\tKd 1 0 .5\r\n  illum 2\r\n\r\n"
                   "newmtl grey\nKd 0.25\nnewmtl none\nKa 1 1 1\nKd spectral a.rfl 1\nKd xyz 1 1 1\n"
@@ -111,9 +106,8 @@ static void test_diffuse(void **state)
     close_fixture(&f);
 }
 
-static void test_map_paths(void **state)
+TEST(test_map_paths)
 {
-    (void)state;
     static const struct {
         const char *statement, *expected;
     } cases[] = {
@@ -146,9 +140,8 @@ static void test_map_paths(void **state)
     }
 }
 
-static void test_warnings(void **state)
+TEST(test_warnings)
 {
-    (void)state;
     static const struct {
         const char *text, *warning;
     } cases[] = {
@@ -197,9 +190,8 @@ static void test_warnings(void **state)
 }
 
 /* Statements that are not used say nothing, in any capitals. */
-static void test_ignored_statements(void **state)
+TEST(test_ignored_statements)
 {
-    (void)state;
     struct fixture f;
     read_text(&f,
               "  # made by hand\n \nnewmtl a\nKa 1 1 1\nKs 0 0 0\nKt 1\nTf 1 1 1\nNs 96.1\n"
@@ -212,9 +204,8 @@ static void test_ignored_statements(void **state)
 }
 
 /* Values above 1 are light, and a scale beyond float leaves the texture where it is. */
-static void test_large_numbers(void **state)
+TEST(test_large_numbers)
 {
-    (void)state;
     struct fixture f;
     read_text(&f, "newmtl a\nKe 2 3 4\nmap_Kd -s 1e39 1 1 -o 0.5 0 here.png\n");
     const struct fmt_material *m = &f.materials.list[0];
@@ -224,9 +215,8 @@ static void test_large_numbers(void **state)
     close_fixture(&f);
 }
 
-static void test_zero_bytes(void **state)
+TEST(test_zero_bytes)
 {
-    (void)state;
     static const char text[] = "newmtl a\nKd 0 1 0\nnew\0mtl b\nnewmtl c\n";
     struct fixture f;
     open_fixture(&f);
@@ -239,9 +229,8 @@ static void test_zero_bytes(void **state)
     close_fixture(&f);
 }
 
-static void test_missing_file_is_a_warning(void **state)
+TEST(test_missing_file_is_a_warning)
 {
-    (void)state;
     struct fixture f;
     open_fixture(&f);
     assert_int_equal(fmt_mtl_read(f.ctx, "/nowhere/a.mtl", "a.obj:1", false, &f.materials), 0);
@@ -250,9 +239,8 @@ static void test_missing_file_is_a_warning(void **state)
     close_fixture(&f);
 }
 
-static void test_files_append(void **state)
+TEST(test_files_append)
 {
-    (void)state;
     struct fixture f;
     read_text(&f, "newmtl a\nnewmtl b\n");
     const char *path = write_file("more.mtl", "\xef\xbb\xbfnewmtl c\nKd 0 1 0", 20);
@@ -262,9 +250,8 @@ static void test_files_append(void **state)
     close_fixture(&f);
 }
 
-static void test_every_truncated_length(void **state)
+TEST(test_every_truncated_length)
 {
-    (void)state;
     static const char text[] = "newmtl a b\r\nKd 1 0.5 .25\nmap_Kd -s 1 1 1 -mm 0 1 here.png\nKd";
     for (size_t size = 0; size < sizeof text; size++) {
         struct fixture f;
@@ -275,18 +262,4 @@ static void test_every_truncated_length(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_diffuse),
-        cmocka_unit_test(test_map_paths),
-        cmocka_unit_test(test_large_numbers),
-        cmocka_unit_test(test_zero_bytes),
-        cmocka_unit_test(test_warnings),
-        cmocka_unit_test(test_missing_file_is_a_warning),
-        cmocka_unit_test(test_files_append),
-        cmocka_unit_test(test_every_truncated_length),
-        cmocka_unit_test(test_ignored_statements),
-    };
-    return cmocka_run_group_tests(tests, make_directory, remove_directory);
-}
+RUN_TESTS(make_directory, remove_directory)

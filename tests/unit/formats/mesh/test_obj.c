@@ -1,20 +1,15 @@
 /* test_obj.c - the OBJ reader on every form of valid text, and its messages for invalid text. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "tests/unit/formats/mesh/obj_fixture.h"
+#include "tests/unit/test.h"
 
 /* ---- spellings ---- */
 
-static void test_vertices(void **state)
+TEST(test_vertices)
 {
-    (void)state;
     struct obj_fixture f;
     obj_read_text(&f, "v 1 2 3\nv 4 5 6 0.5\n  v\t-1.5  +.5 1e2 0.25 0.5 0.75  \r\n"
                       "v 7 8 9 0 1 0 0.5 # green\nv \\\n 1 \\\r\n 2 3\nv 1 2 3");
@@ -28,9 +23,8 @@ static void test_vertices(void **state)
     obj_close(&f);
 }
 
-static void test_texcoords_and_normals(void **state)
+TEST(test_texcoords_and_normals)
 {
-    (void)state;
     struct obj_fixture f;
     obj_read_text(&f, "vt 0.25\nvt 0.5 0.75\nvt 1 -2 3\nvn 0 0 2\nvp 1 2\nvt\t3\t4\t# x\n");
     const double texcoords[4][2] = {{0.25, 0}, {0.5, 0.75}, {1, -2}, {3, 4}};
@@ -43,9 +37,8 @@ static void test_texcoords_and_normals(void **state)
     obj_close(&f);
 }
 
-static void test_face_forms(void **state)
+TEST(test_face_forms)
 {
-    (void)state;
     struct obj_fixture f;
     obj_read_text(&f, "f 1 2 3\nf 4/5 6/7 8/9\nf 1//2 3//4 5//6 7//8\nf 1/2/3 4/5/6 7/8/9\n"
                       "f 10 20/30 40//50 \\\n 60/70/80\n");
@@ -58,9 +51,8 @@ static void test_face_forms(void **state)
     obj_close(&f);
 }
 
-static void test_relative_indices(void **state)
+TEST(test_relative_indices)
 {
-    (void)state;
     struct obj_fixture f;
     obj_read_text(&f, "v 0 0 0\nv 1 0 0\nv 1 1 0\nvn 0 0 1\nvt 0 0\nf -3/-1/-1 -2/-1/-1 -1/1/1\n"
                       "v 2 2 2\nf -1 -2 1\n");
@@ -69,9 +61,8 @@ static void test_relative_indices(void **state)
     obj_close(&f);
 }
 
-static void test_short_faces_and_unknown(void **state)
+TEST(test_short_faces_and_unknown)
 {
-    (void)state;
     struct obj_fixture f;
     obj_read_text(&f, "\xef\xbb\xbf# comment \\\nv 0 0 0\ng group\no object\ns off\nl 1 2\np 1\n"
                       "fancy statement\nf 1 1\nf\nf 1 2 3\nfo 1 2 3\ncurv2 1 2\nvc 1 2 3\n\n \t\n");
@@ -82,9 +73,8 @@ static void test_short_faces_and_unknown(void **state)
     obj_close(&f);
 }
 
-static void test_line_ends(void **state)
+TEST(test_line_ends)
 {
-    (void)state;
     static const char *const texts[] = {
         "v 1 2 3\nusemtl a b\nf 1 2 3\n# c\ng x\nf 4 5 6\n",
         "v 1 2 3\r\nusemtl a b \r\nf 1 2 3\r\n# c\r\ng x\r\nf 4 5 6\r\n",
@@ -102,9 +92,8 @@ static void test_line_ends(void **state)
     }
 }
 
-static void test_empty_files(void **state)
+TEST(test_empty_files)
 {
-    (void)state;
     struct obj_fixture f;
     const char *paths[3] = {scratch_text("empty.obj", ""), scratch_text("some.obj", "f 1 2 3\n"),
                             scratch_text("blank.obj", "\n\n")};
@@ -118,9 +107,8 @@ static void test_empty_files(void **state)
     obj_close(&f);
 }
 
-static void test_several_files(void **state)
+TEST(test_several_files)
 {
-    (void)state;
     struct obj_fixture f;
     scratch_text("b.mtl", "newmtl m\nKd 0 0 1\n");
     scratch_text("a file.mtl", "newmtl m\nKd 1 0 0\n");
@@ -158,9 +146,8 @@ static void test_several_files(void **state)
 
 /* Quadratic time would take minutes. Every seventh material has no description, and others have
  * two, of which the first counts. */
-static void test_many_materials(void **state)
+TEST(test_many_materials)
 {
-    (void)state;
     enum { count = 50000 };
     struct obj_fixture f;
     struct fmt_materials materials;
@@ -192,9 +179,8 @@ static void test_many_materials(void **state)
 
 /* ---- errors ---- */
 
-static void test_errors(void **state)
+TEST(test_errors)
 {
-    (void)state;
     static const struct {
         const char *text, *message;
     } cases[] = {
@@ -230,9 +216,8 @@ static void test_errors(void **state)
     obj_expect_error(utf16, sizeof utf16 - 1, "bad.obj:1: not a text file (zero byte)");
 }
 
-static void test_other_kinds_of_files_are_named(void **state)
+TEST(test_other_kinds_of_files_are_named)
 {
-    (void)state;
     static const struct {
         const char *bytes;
         size_t size;
@@ -251,9 +236,8 @@ static void test_other_kinds_of_files_are_named(void **state)
     obj_expect_error("PK", 2, "bad.obj:1: not an OBJ file: \"PK\" is no statement of that format");
 }
 
-static void test_names_are_recognised(void **state)
+TEST(test_names_are_recognised)
 {
-    (void)state;
     assert_true(fmt_mesh_recognise("a/scan.obj", "v 0 0 0\n", 8));
     assert_true(fmt_mesh_recognise("SCAN.OBJ", "", 0));
     assert_false(fmt_mesh_recognise("obj", "", 0));
@@ -262,9 +246,8 @@ static void test_names_are_recognised(void **state)
     assert_false(fmt_mesh_recognise("scan.gz", "\x1f\x8b", 2));
 }
 
-static void test_missing_file(void **state)
+TEST(test_missing_file)
 {
-    (void)state;
     struct obj_fixture f;
     const char *path = scratch_path("nothing.obj");
     obj_read_files(&f, 1, 1, &path);
@@ -273,9 +256,8 @@ static void test_missing_file(void **state)
     obj_close(&f);
 }
 
-static void test_fail_index(void **state)
+TEST(test_fail_index)
 {
-    (void)state;
     struct obj_fixture f;
     char expected[160];
     const char *paths[2] = {scratch_text("one.obj", "v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n"),
@@ -315,9 +297,8 @@ static int keep_numbers(void *arg, const struct fmt_mesh_block *block)
 }
 
 /* With objects, a number is a material and an object; equal names in two files are one object. */
-static void test_objects(void **state)
+TEST(test_objects)
 {
-    (void)state;
     static const struct {
         const char *material, *object;
     } expected[] = {{"", "a b"}, {"m", "a b"}, {"m", "c"}, {"m", ""}, {"m", "a b"}};
@@ -356,24 +337,4 @@ static void test_objects(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_vertices),
-        cmocka_unit_test(test_texcoords_and_normals),
-        cmocka_unit_test(test_face_forms),
-        cmocka_unit_test(test_relative_indices),
-        cmocka_unit_test(test_short_faces_and_unknown),
-        cmocka_unit_test(test_line_ends),
-        cmocka_unit_test(test_empty_files),
-        cmocka_unit_test(test_several_files),
-        cmocka_unit_test(test_many_materials),
-        cmocka_unit_test(test_errors),
-        cmocka_unit_test(test_other_kinds_of_files_are_named),
-        cmocka_unit_test(test_names_are_recognised),
-        cmocka_unit_test(test_missing_file),
-        cmocka_unit_test(test_fail_index),
-        cmocka_unit_test(test_objects),
-    };
-    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
-}
+RUN_TESTS(scratch_make, scratch_remove)

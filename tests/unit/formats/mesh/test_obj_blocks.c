@@ -7,7 +7,7 @@
 
 #include "formats/mesh/obj_internal.h"
 #include "tests/unit/formats/mesh/obj_fixture.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 /* ---- blocks ---- */
 
@@ -144,9 +144,8 @@ static void check_against_model(const struct obj_fixture *f, const struct model 
     }
 }
 
-static void test_random_files(void **state)
+TEST(test_random_files)
 {
-    (void)state;
     random_state = test_seed();
     uint64_t most_blocks = 0;
     for (int style = 0; style < 4; style++) {
@@ -173,9 +172,8 @@ static void test_random_files(void **state)
 
 /* A file of many blocks whose only error is in the last, and one with an error in each block: the
  * first line wins for any number of threads. */
-static void test_first_error_wins(void **state)
+TEST(test_first_error_wins)
 {
-    (void)state;
     const size_t lines = 300000;
     char *text = malloc(lines * 16);
     size_t size = 0;
@@ -187,9 +185,8 @@ static void test_first_error_wins(void **state)
 }
 
 /* Puts the border of two blocks at every position of the same lines. */
-static void test_block_borders(void **state)
+TEST(test_block_borders)
 {
-    (void)state;
     static const char tail[] =
         "v 1 2 3\r\nf 1 \\\r\n1 \\\n1\nusemtl m \\\nn\n#\\\nf 1 1 1\rg x\\\r\nv 4 5 6";
     char *text = malloc(OBJ_BLOCK_BYTES + 1024);
@@ -218,9 +215,8 @@ static const char small_file[] =
     "\xef\xbb\xbfmtllib a.mtl b.mtl\nv 0 0 0 1 0 0\nv 1.5 -2e-3 0\r\nv 1 1 0 1\nvt 0 1\nvn 0 0 1\n"
     "usemtl some name\ns 1\nf 1/1/1 2//1 \\\n -1 \nf 1 2 3 1 2 # end\nl 1 2\nv 123.456789 2 3\n";
 
-static void test_every_truncated_length(void **state)
+TEST(test_every_truncated_length)
 {
-    (void)state;
     for (size_t size = 0; size < sizeof small_file; size++) {
         struct obj_fixture f;
         const char *path = scratch_bytes("cut.obj", small_file, size);
@@ -230,9 +226,8 @@ static void test_every_truncated_length(void **state)
     }
 }
 
-static void test_every_budget(void **state)
+TEST(test_every_budget)
 {
-    (void)state;
     const char *path = scratch_bytes("small.obj", small_file, sizeof small_file - 1);
     bool enough = false;
     for (uint64_t budget = 1; !enough; budget += budget / 16 + 64) {
@@ -252,12 +247,4 @@ static void test_every_budget(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_random_files),  cmocka_unit_test(test_first_error_wins),
-        cmocka_unit_test(test_block_borders), cmocka_unit_test(test_every_truncated_length),
-        cmocka_unit_test(test_every_budget),
-    };
-    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
-}
+RUN_TESTS(scratch_make, scratch_remove)

@@ -6,7 +6,7 @@
 #include <string.h>
 
 #include "formats/mesh/obj_line.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 static uint64_t random_state; /* of test_random() */
 
@@ -96,9 +96,8 @@ static void random_shape(char *out, unsigned whole, unsigned fraction, int expon
     *out = '\0';
 }
 
-static void test_random_shapes(void **state)
+TEST(test_random_shapes)
 {
-    (void)state;
     static const struct {
         unsigned count, whole, fraction;
         int exponent;
@@ -117,9 +116,8 @@ static void test_random_shapes(void **state)
 }
 
 /* Doubles in the formats that programs print. */
-static void test_printed_doubles(void **state)
+TEST(test_printed_doubles)
 {
-    (void)state;
     static const char *const formats[] = {"%.17g", "%.9g", "%.15e", "%f", "%.6f", "%.12f", "%a"};
     char text[400];
     random_state = test_seed();
@@ -138,9 +136,8 @@ static void test_printed_doubles(void **state)
 
 /* Midpoints of neighbouring doubles round to even. One unit more or less in the last decimal place
  * rounds to the nearer double. */
-static void test_midpoints(void **state)
+TEST(test_midpoints)
 {
-    (void)state;
     char text[400];
     random_state = test_seed();
     for (int i = 0; i < 100000; i++) {
@@ -164,9 +161,8 @@ static void test_midpoints(void **state)
     }
 }
 
-static void test_other_locale(void **state)
+TEST(test_other_locale)
 {
-    (void)state;
     static const char *const comma_locales[] = {"de_DE.UTF-8", "fr_FR.UTF-8", "de_DE.utf8"};
     for (size_t i = 0; i < sizeof comma_locales / sizeof *comma_locales; i++)
         if (setlocale(LC_ALL, comma_locales[i]))
@@ -178,9 +174,8 @@ static void test_other_locale(void **state)
     setlocale(LC_ALL, "C");
 }
 
-static void test_shapes_in_the_wild(void **state)
+TEST(test_shapes_in_the_wild)
 {
-    (void)state;
     static const char *const texts[] = {"0",
                                         "-0",
                                         "-0.0",
@@ -213,9 +208,8 @@ static void test_shapes_in_the_wild(void **state)
             check(texts[i], delimiters[d]);
 }
 
-static void test_rejected(void **state)
+TEST(test_rejected)
 {
-    (void)state;
     static const char *const texts[] = {"",
                                         "-",
                                         "+",
@@ -261,9 +255,8 @@ static void test_rejected(void **state)
     }
 }
 
-static void test_integers(void **state)
+TEST(test_integers)
 {
-    (void)state;
     char buffer[96];
     uint64_t value;
     random_state = test_seed();
@@ -296,9 +289,8 @@ static void check_end(const char *end, const char *line, int length)
 }
 
 /* obj_three_indices() accepts "a b c" and a line feed, and returns NULL for any other text. */
-static void test_three_indices(void **state)
+TEST(test_three_indices)
 {
-    (void)state;
     random_state = test_seed();
     for (int i = 0; i < 1000000; i++) {
         char buffer[160] = {0};
@@ -360,9 +352,8 @@ static int any_coordinate(char *out, bool *plain)
 
 /* obj_three_numbers() accepts "x y z" and a line feed, rounds as strtod() does, and returns NULL
  * for any other text. */
-static void test_three_numbers(void **state)
+TEST(test_three_numbers)
 {
-    (void)state;
     random_state = test_seed();
     int accepted = 0;
     for (int i = 0; i < 1000000; i++) {
@@ -398,14 +389,4 @@ static void test_three_numbers(void **state)
     assert_true(accepted == 0 || accepted > 300000);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_shapes_in_the_wild), cmocka_unit_test(test_rejected),
-        cmocka_unit_test(test_random_shapes),      cmocka_unit_test(test_printed_doubles),
-        cmocka_unit_test(test_midpoints),          cmocka_unit_test(test_other_locale),
-        cmocka_unit_test(test_integers),           cmocka_unit_test(test_three_indices),
-        cmocka_unit_test(test_three_numbers),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

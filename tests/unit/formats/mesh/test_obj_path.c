@@ -1,15 +1,11 @@
 /* test_obj_path.c - files that OBJ and MTL files name in other spellings. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
 #include <stdio.h>
-#include <cmocka.h>
 
 #include <string.h>
 #include <sys/stat.h>
 
 #include "formats/mesh/mesh_text.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/formats/scratch.h"
 
 static void make_files(void)
@@ -32,9 +28,8 @@ static void make_files(void)
         scratch_text(files[i], "x");
 }
 
-static void test_spellings(void **state)
+TEST(test_spellings)
 {
-    (void)state;
     /* The path of the file, or after "!" that which messages name. */
     static const char *const cases[][2] = {
         {"textures/t.png", "textures/t.png"},
@@ -81,9 +76,8 @@ static void test_spellings(void **state)
 }
 
 /* Names that are longer than any path, with as many comments, end soon. */
-static void test_long_names(void **state)
+TEST(test_long_names)
 {
-    (void)state;
     enum { SIZE = 1 << 20 };
     static char name[SIZE + 1];
     struct bsq_ctx *ctx = test_context(1, 0);
@@ -107,11 +101,4 @@ static int set_up(void **state)
     return 0;
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_spellings),
-        cmocka_unit_test(test_long_names),
-    };
-    return cmocka_run_group_tests(tests, set_up, scratch_remove);
-}
+RUN_TESTS(set_up, scratch_remove)

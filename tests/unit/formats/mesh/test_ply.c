@@ -1,9 +1,4 @@
 /* test_ply.c - the PLY reader on every kind of element and property, in all three encodings. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -11,6 +6,7 @@
 
 #include "tests/unit/formats/mesh/obj_fixture.h"
 #include "tests/unit/formats/mesh/ply_builder.h"
+#include "tests/unit/test.h"
 
 #define XYZ   "property float x\nproperty float y\nproperty float z\n"
 #define FACES "property list uchar int vertex_indices\n"
@@ -37,9 +33,8 @@ static void put_vertices(struct ply_builder *b, int count)
 
 /* ---- vertices ---- */
 
-static void test_vertex_properties(void **state)
+TEST(test_vertex_properties)
 {
-    (void)state;
     for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
         struct obj_fixture f;
         struct ply_builder b;
@@ -98,9 +93,8 @@ static void check_colors(const char *type, const char *letters, double high, flo
     }
 }
 
-static void test_color_types(void **state)
+TEST(test_color_types)
 {
-    (void)state;
     check_colors("uchar", "CCC", 255, 255);
     check_colors("uint8", "CCC", 254, 254);
     check_colors("ushort", "SSS", 65535, 255);
@@ -113,9 +107,8 @@ static void test_color_types(void **state)
 /* ---- faces ---- */
 
 /* Indices of each integer type, and polygons. */
-static void test_index_types(void **state)
+TEST(test_index_types)
 {
-    (void)state;
     static const struct {
         const char *header, *letters;
     } types[] = {{"property list char char vertex_index\n", "cccc"},
@@ -159,9 +152,8 @@ static void test_index_types(void **state)
 }
 
 /* Texture coordinates of corners, with textures by number. */
-static void test_corner_texcoords(void **state)
+TEST(test_corner_texcoords)
 {
-    (void)state;
     for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
         struct obj_fixture f;
         struct ply_builder b;
@@ -197,9 +189,8 @@ static void test_corner_texcoords(void **state)
 }
 
 /* Colours of faces are materials, in order of appearance. */
-static void test_face_colors(void **state)
+TEST(test_face_colors)
 {
-    (void)state;
     static const double colors[5][3] = {
         {255, 0, 0}, {255, 0, 0}, {0, 0, 255}, {255, 0, 0}, {1, 2, 3}};
     for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
@@ -228,9 +219,8 @@ static void test_face_colors(void **state)
 
 /* ---- strips ---- */
 
-static void test_strips(void **state)
+TEST(test_strips)
 {
-    (void)state;
     for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
         struct obj_fixture f;
         struct ply_builder b;
@@ -249,9 +239,8 @@ static void test_strips(void **state)
 }
 
 /* Vertices and corners both with texture coordinates: those of corners count. */
-static void test_texcoords_of_vertices_and_corners(void **state)
+TEST(test_texcoords_of_vertices_and_corners)
 {
-    (void)state;
     for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
         struct obj_fixture f;
         struct ply_builder b;
@@ -274,9 +263,8 @@ static void test_texcoords_of_vertices_and_corners(void **state)
 }
 
 /* Strips beside faces with colours have none; in a file with textures they have the first. */
-static void test_materials_of_strips(void **state)
+TEST(test_materials_of_strips)
 {
-    (void)state;
     static const char *const colors = "property uchar red\nproperty uchar green\n"
                                       "property uchar blue\n";
     for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++)
@@ -316,9 +304,8 @@ static void test_materials_of_strips(void **state)
 }
 
 /* A strip that is much longer than a part; it begins anew now and then. */
-static void test_long_strip(void **state)
+TEST(test_long_strip)
 {
-    (void)state;
     enum { LENGTH = 400000 };
     for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
         struct obj_fixture f;
@@ -361,9 +348,8 @@ static void test_long_strip(void **state)
 }
 
 /* Blank lines between elements take no memory, however many they are. */
-static void test_blank_lines(void **state)
+TEST(test_blank_lines)
 {
-    (void)state;
     enum { BLANK_LINES = 4 << 20 };
     static const char start[] = "ply\nformat ascii 1.0\nelement vertex 3\n" XYZ
                                 "element face 1\nproperty list uchar int vertex_indices\n"
@@ -391,9 +377,8 @@ static void test_blank_lines(void **state)
 /* ---- files ---- */
 
 /* Unknown elements and lists are skipped; faces may come before vertices. */
-static void test_order_and_unknown(void **state)
+TEST(test_order_and_unknown)
 {
-    (void)state;
     for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
         struct obj_fixture f;
         struct ply_builder b;
@@ -426,9 +411,8 @@ static void test_order_and_unknown(void **state)
     }
 }
 
-static void test_line_ends(void **state)
+TEST(test_line_ends)
 {
-    (void)state;
     static const char *const ends[] = {"\n", "\r\n", "\r"};
     static const char *const lines[] = {"ply",
                                         "format ascii 1.0",
@@ -463,9 +447,8 @@ static void test_line_ends(void **state)
 
 /* A binary body may begin with any byte, also with one that looks like a line end. Lines of the
  * header may end in "\r", while the body has a "\n". */
-static void test_body_that_begins_with_a_line_end(void **state)
+TEST(test_body_that_begins_with_a_line_end)
 {
-    (void)state;
     for (int old = 0; old < 2; old++) {
         struct obj_fixture f;
         struct ply_builder b;
@@ -484,9 +467,8 @@ static void test_body_that_begins_with_a_line_end(void **state)
 }
 
 /* Many parts: blocks and messages are the same for any number of threads. */
-static void test_large(void **state)
+TEST(test_large)
 {
-    (void)state;
     enum { VERTICES = 90000 };
     for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
         struct obj_fixture one, three;
@@ -522,9 +504,8 @@ static void test_large(void **state)
 }
 
 /* Several files are one scan: indices count within their file. */
-static void test_several_files(void **state)
+TEST(test_several_files)
 {
-    (void)state;
     struct obj_fixture f;
     struct ply_builder b[2];
     const char *paths[2];
@@ -554,24 +535,4 @@ static void test_several_files(void **state)
     ply_free(&b[1]);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_vertex_properties),
-        cmocka_unit_test(test_color_types),
-        cmocka_unit_test(test_index_types),
-        cmocka_unit_test(test_corner_texcoords),
-        cmocka_unit_test(test_face_colors),
-        cmocka_unit_test(test_strips),
-        cmocka_unit_test(test_texcoords_of_vertices_and_corners),
-        cmocka_unit_test(test_materials_of_strips),
-        cmocka_unit_test(test_long_strip),
-        cmocka_unit_test(test_blank_lines),
-        cmocka_unit_test(test_order_and_unknown),
-        cmocka_unit_test(test_line_ends),
-        cmocka_unit_test(test_body_that_begins_with_a_line_end),
-        cmocka_unit_test(test_large),
-        cmocka_unit_test(test_several_files),
-    };
-    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
-}
+RUN_TESTS(scratch_make, scratch_remove)

@@ -1,15 +1,10 @@
 /* test_ply_damage.c - the PLY reader's messages for wrong files, and files cut at every length. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/formats/mesh/obj_fixture.h"
 #include "tests/unit/formats/mesh/ply_builder.h"
 
@@ -18,9 +13,8 @@
 #define TEXT  "ply\nformat ascii 1.0\n"
 #define SMALL TEXT "element vertex 1\n" XYZ "element face 1\n" FACES "end_header\n"
 
-static void test_headers(void **state)
+TEST(test_headers)
 {
-    (void)state;
     static const struct {
         const char *text, *message;
     } cases[] = {
@@ -68,9 +62,8 @@ static void test_headers(void **state)
         ply_expect_error(cases[i].text, strlen(cases[i].text), cases[i].message);
 }
 
-static void test_text(void **state)
+TEST(test_text)
 {
-    (void)state;
     static const struct {
         const char *text, *message;
     } cases[] = {
@@ -110,9 +103,8 @@ static void expect_binary_error(const char *header, const char *letters, double 
     ply_free(&file);
 }
 
-static void test_binary(void **state)
+TEST(test_binary)
 {
-    (void)state;
     static const char header[] = "element vertex 4\n" XYZ "element face 1\n" FACES;
     static const char shorts[] =
         "element vertex 4\n" XYZ "element face 1\nproperty list char int vertex_index\n";
@@ -124,9 +116,8 @@ static void test_binary(void **state)
 }
 
 /* An index beyond the vertices, in each encoding: the reader finds the face again. */
-static void test_index_out_of_range(void **state)
+TEST(test_index_out_of_range)
 {
-    (void)state;
     for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
         struct obj_fixture f;
         struct ply_builder b;
@@ -159,9 +150,8 @@ static void test_index_out_of_range(void **state)
 }
 
 /* Indices beyond 2^31 among plain triangles, signed and not. */
-static void test_large_indices(void **state)
+TEST(test_large_indices)
 {
-    (void)state;
     for (int is_signed = 0; is_signed < 2; is_signed++) {
         struct obj_fixture f;
         struct ply_builder b;
@@ -190,9 +180,8 @@ static void test_large_indices(void **state)
 }
 
 /* A file with everything, cut at each length: an error in one line, or the whole mesh. */
-static void test_every_length(void **state)
+TEST(test_every_length)
 {
-    (void)state;
     for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
         struct ply_builder b;
         ply_begin(&b, (enum ply_test_encoding)encoding,
@@ -230,9 +219,8 @@ static void test_every_length(void **state)
 }
 
 /* A header line may be long, but must fit the budget. */
-static void test_long_header_line(void **state)
+TEST(test_long_header_line)
 {
-    (void)state;
     static const char start[] = TEXT "comment ";
     static const char rest[] =
         "\nelement vertex 1\n" XYZ "element face 1\n" FACES "end_header\n0 0 0\n3 0 0 0\n";
@@ -261,9 +249,8 @@ static void note_warning(void *user, const char *line)
 }
 
 /* What is not read is said once, also if the file is read twice. */
-static void test_warnings(void **state)
+TEST(test_warnings)
 {
-    (void)state;
     char warnings[1000] = "";
     struct bsq_ctx_options options = {
         .threads = 1, .memory_bytes = 64 << 20, .on_warning = note_warning, .user = warnings};
@@ -289,13 +276,4 @@ static void test_warnings(void **state)
     test_context_end(ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_headers),          cmocka_unit_test(test_text),
-        cmocka_unit_test(test_binary),           cmocka_unit_test(test_index_out_of_range),
-        cmocka_unit_test(test_large_indices),    cmocka_unit_test(test_every_length),
-        cmocka_unit_test(test_long_header_line), cmocka_unit_test(test_warnings),
-    };
-    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
-}
+RUN_TESTS(scratch_make, scratch_remove)

@@ -1,15 +1,10 @@
 /* test_stl.c - the STL reader on text and binary files, colours, and wrong files. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/formats/mesh/obj_fixture.h"
 
 /* A binary file of `count` triangles. Corner k of triangle i is at (i, k, 0), but corner 0 is at
@@ -53,9 +48,8 @@ static void read_bytes(struct obj_fixture *f, const void *bytes, size_t size)
 }
 
 /* Equal vertices are one. The name at the start does not make a file text. */
-static void test_binary(void **state)
+TEST(test_binary)
 {
-    (void)state;
     static const char *const headers[] = {"a scan", "solid scan", "solid\nfacet normal"};
     for (int i = 0; i < 3; i++) {
         struct obj_fixture f;
@@ -85,9 +79,8 @@ static int read_unnamed(const void *bytes, size_t size)
 }
 
 /* Without a suffix, binary files are known by their triangles, as they come through a pipe. */
-static void test_without_suffix(void **state)
+TEST(test_without_suffix)
 {
-    (void)state;
     struct binary few = make_binary("a scan", 3, NULL), many = make_binary("", 8, NULL);
     const size_t first_corner = 84 + 12;
     assert_int_equal(read_unnamed(few.bytes, few.size), 0);
@@ -97,9 +90,8 @@ static void test_without_suffix(void **state)
     assert_int_equal(read_unnamed(few.bytes, few.size), BSQ_EDATA);
 }
 
-static void test_text(void **state)
+TEST(test_text)
 {
-    (void)state;
     struct obj_fixture f;
     const char *text = "solid one facet of many\r\n facet normal nan 0 1\n  outer loop\n"
                        "   vertex 0 0 0\n   vertex 1 0 0\n   vertex 0 1e0 0\n  endloop\n endfacet\n"
@@ -122,9 +114,8 @@ static void test_text(void **state)
 }
 
 /* Many parts give what one part gives, apart from vertices that are equal across parts. */
-static void test_large(void **state)
+TEST(test_large)
 {
-    (void)state;
     enum { TRIANGLES = 20000 };
     char *text = malloc(TRIANGLES * 160 + 100);
     unsigned char *binary = calloc(1, 84 + 50 * TRIANGLES);
@@ -164,9 +155,8 @@ static void test_large(void **state)
 }
 
 /* Statements may share one line, also that of the name. Such a text is cut like any other. */
-static void test_one_line(void **state)
+TEST(test_one_line)
 {
-    (void)state;
     enum { TRIANGLES = 20000 };
     static const char *const starts[] = {"solid facet normal endfacet facet ", "solid\n", "solid "};
     char *text = malloc(TRIANGLES * 160 + 100);
@@ -190,9 +180,8 @@ static void test_one_line(void **state)
 }
 
 /* Blank lines between facets take no memory, however many they are. */
-static void test_blank_lines(void **state)
+TEST(test_blank_lines)
 {
-    (void)state;
     enum { BLANK_LINES = 4 << 20 };
     static const char facet[] = "facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n"
                                 "vertex 0 1 0\nendloop\nendfacet";
@@ -220,9 +209,8 @@ static void assert_color(const struct obj_fixture *f, uint64_t corner, float r, 
 }
 
 /* VisCAM and SolidView: blue in the lowest bits; the highest bit is set if there is a colour. */
-static void test_viscam_colors(void **state)
+TEST(test_viscam_colors)
 {
-    (void)state;
     struct obj_fixture f;
     const unsigned attributes[3] = {0x8000 | 31, 0x8000 | 31 << 10 | 15 << 5, 31};
     struct binary b = make_binary("a scan", 3, attributes);
@@ -234,9 +222,8 @@ static void test_viscam_colors(void **state)
 }
 
 /* Magics: red in the lowest bits; the highest bit is set if a triangle has the object's colour. */
-static void test_magics_colors(void **state)
+TEST(test_magics_colors)
 {
-    (void)state;
     struct obj_fixture f;
     const unsigned attributes[3] = {31, 0x8000 | 31, 31 << 10};
     struct binary b = make_binary("made by hand COLOR=\012\024\036\377,MATERIAL=", 3, attributes);
@@ -259,9 +246,8 @@ static void expect_error(const void *bytes, size_t size, const char *message)
     obj_close(&f);
 }
 
-static void test_wrong_text(void **state)
+TEST(test_wrong_text)
 {
-    (void)state;
 #define START "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n"
     static const struct {
         const char *text, *message;
@@ -276,9 +262,8 @@ static void test_wrong_text(void **state)
         expect_error(cases[i].text, strlen(cases[i].text), cases[i].message);
 }
 
-static void test_wrong_binary(void **state)
+TEST(test_wrong_binary)
 {
-    (void)state;
     struct binary b = make_binary("a scan", 3, NULL);
     expect_error(b.bytes, 83, "bad.stl: truncated: 83 bytes are no STL file");
     expect_error(b.bytes, b.size - 1,
@@ -290,9 +275,8 @@ static void test_wrong_binary(void **state)
 }
 
 /* Every length of both kinds: an error in one line, or all triangles that the file still has. */
-static void test_every_length(void **state)
+TEST(test_every_length)
 {
-    (void)state;
     struct binary b = make_binary("a scan", 3, NULL);
     const char *text = START "vertex 1 0 0\nvertex 1 1 0\nendloop\nendfacet\nendsolid\n";
     for (size_t size = 0; size <= b.size; size++) {
@@ -339,9 +323,8 @@ static void check_warning(const void *bytes, size_t size, const char *expected)
     test_context_end(ctx);
 }
 
-static void test_warnings(void **state)
+TEST(test_warnings)
 {
-    (void)state;
     struct binary b = make_binary("a scan", 3, NULL);
     const char *text = START "vertex 1 0 0\nvertex 1 1 0\nendloop\nendfacet\n";
     check_warning(b.bytes, b.size + 8, "odd.stl: 8 bytes after the last triangle not read\n");
@@ -349,15 +332,4 @@ static void test_warnings(void **state)
                   "odd.stl: \"endsolid\" is missing: the file may be incomplete\n");
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_binary),        cmocka_unit_test(test_without_suffix),
-        cmocka_unit_test(test_text),          cmocka_unit_test(test_large),
-        cmocka_unit_test(test_one_line),      cmocka_unit_test(test_blank_lines),
-        cmocka_unit_test(test_viscam_colors), cmocka_unit_test(test_magics_colors),
-        cmocka_unit_test(test_wrong_text),    cmocka_unit_test(test_wrong_binary),
-        cmocka_unit_test(test_every_length),  cmocka_unit_test(test_warnings),
-    };
-    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
-}
+RUN_TESTS(scratch_make, scratch_remove)

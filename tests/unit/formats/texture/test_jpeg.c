@@ -1,10 +1,5 @@
 /* test_jpeg.c - JPEG textures that are damaged are refused, although libjpeg would make up for what
  * is missing. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -16,6 +11,7 @@
 #include "formats/texture/jpeg_check.h"
 #include "formats/texture/texture.h"
 #include "tests/unit/formats/scratch.h"
+#include "tests/unit/test.h"
 
 enum { SIDE = 600 };
 
@@ -74,9 +70,8 @@ static void expect(const void *bytes, size_t size, const char *reason)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_a_file_that_is_cut_off(void **state)
+TEST(test_a_file_that_is_cut_off)
 {
-    (void)state;
     static const struct {
         bool progressive;
         int restart_rows;
@@ -95,9 +90,8 @@ static void test_a_file_that_is_cut_off(void **state)
     }
 }
 
-static void test_zeros_in_the_middle(void **state)
+TEST(test_zeros_in_the_middle)
 {
-    (void)state;
     for (int progressive = 0; progressive < 2; progressive++) {
         struct jpeg jpeg = make_jpeg(progressive, 0);
         char message[FMT_JPEG_MESSAGE];
@@ -117,9 +111,8 @@ static void test_zeros_in_the_middle(void **state)
 }
 
 /* All rows are there, so nothing is lost. */
-static void test_a_careless_end(void **state)
+TEST(test_a_careless_end)
 {
-    (void)state;
     struct jpeg jpeg = make_jpeg(false, 0);
     unsigned char *copy = calloc(jpeg.size + 100, 1);
     assert_non_null(copy);
@@ -134,9 +127,8 @@ static void test_a_careless_end(void **state)
 }
 
 /* The image is a part of another file, as in glTF. */
-static void test_a_part_of_a_file(void **state)
+TEST(test_a_part_of_a_file)
 {
-    (void)state;
     struct jpeg jpeg = make_jpeg(false, 0);
     unsigned char *file = malloc(jpeg.size + 1000);
     assert_non_null(file);
@@ -184,9 +176,8 @@ static int check_failing(void *arg)
     return f->checks-- == 0 ? BSQ_EINTR : 0;
 }
 
-static void test_failures_of_the_source(void **state)
+TEST(test_failures_of_the_source)
 {
-    (void)state;
     for (int progressive = 0; progressive < 2; progressive++) {
         char message[FMT_JPEG_MESSAGE];
         struct failing f = {.jpeg = make_jpeg(progressive, 0), .reads = 0, .checks = -1};
@@ -204,12 +195,4 @@ static void test_failures_of_the_source(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_a_file_that_is_cut_off), cmocka_unit_test(test_zeros_in_the_middle),
-        cmocka_unit_test(test_a_careless_end),         cmocka_unit_test(test_a_part_of_a_file),
-        cmocka_unit_test(test_failures_of_the_source),
-    };
-    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
-}
+RUN_TESTS(scratch_make, scratch_remove)

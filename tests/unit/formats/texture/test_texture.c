@@ -1,9 +1,4 @@
 /* test_texture.c - compares texture lookups with averages computed by hand or by definition. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <fcntl.h>
 #include <inttypes.h>
 #include <math.h>
@@ -20,7 +15,7 @@
 #include "base/loss.h"
 #include "base/parallel.h"
 #include "formats/texture/texture.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/formats/scratch.h"
 
 /* ---- a replacement of a function of the C library ---- */
@@ -178,9 +173,8 @@ static void assert_sample(struct fixture *f, double u, double v, double du, doub
                      (double)out[c], expected[c]);
 }
 
-static void test_orientation(void **state)
+TEST(test_orientation)
 {
-    (void)state;
     /* Red at the top, green at the bottom; blue grows to the right. */
     static uint8_t texels[2][2][3] = {{{255, 0, 0}, {255, 0, 255}}, {{0, 255, 0}, {0, 255, 255}}};
     struct picture p = {2, 2, 3, &texels[0][0][0]};
@@ -204,9 +198,8 @@ static void test_orientation(void **state)
     close_fixture(&f);
 }
 
-static void test_checker_averages_in_linear_light(void **state)
+TEST(test_checker_averages_in_linear_light)
 {
-    (void)state;
     struct picture p = make_picture(256, 128, 1);
     for (int i = 0; i < 256 * 128; i++)
         p.texels[i] = (i + i / 256) % 2 ? 255 : 0;
@@ -260,9 +253,8 @@ static void compare_random_boxes(struct fixture *f, const struct picture *p, int
     }
 }
 
-static void test_random_boxes(void **state)
+TEST(test_random_boxes)
 {
-    (void)state;
     static const int shapes[][3] = {{200, 100, 3}, {65, 131, 4}, {127, 1, 1}, {1, 77, 3}};
     random_state = test_seed() * 2 + 1; /* not 0 */
     for (size_t i = 0; i < sizeof shapes / sizeof *shapes; i++) {
@@ -276,9 +268,8 @@ static void test_random_boxes(void **state)
 }
 
 /* Images larger than the cache are copied to tiled files; lookups must give the same. */
-static void test_image_larger_than_cache(void **state)
+TEST(test_image_larger_than_cache)
 {
-    (void)state;
     struct picture p = make_picture(3001, 2003, 3);
     struct fixture f;
     const char *path = write_png("large.png", &p);
@@ -303,9 +294,8 @@ static int look_up(void *arg, uint64_t index, unsigned worker)
                               (float)index * 0.619f, 0.003f, 0.004f, lookup->colors[index]);
 }
 
-static void test_threads_see_the_same(void **state)
+TEST(test_threads_see_the_same)
 {
-    (void)state;
     enum { count = 3000 };
     static float parallel[count][3], serial[count][3];
     struct picture p = make_picture(900, 700, 3);
@@ -323,9 +313,8 @@ static void test_threads_see_the_same(void **state)
 }
 
 /* A PFM file stores linear floats, lowest row first. */
-static void test_float_image_is_linear(void **state)
+TEST(test_float_image_is_linear)
 {
-    (void)state;
     static const float rows[2][3] = {{0.25f, 4, -1}, {0.5f, 0, 0}};
     const char *path = scratch_path("linear.pfm");
     FILE *file = fopen(path, "wb");
@@ -342,9 +331,8 @@ static void test_float_image_is_linear(void **state)
 }
 
 /* Two of 128 x 128 texels are not finite. They count as 0 in single texels and in all averages. */
-static void test_texels_that_are_not_finite(void **state)
+TEST(test_texels_that_are_not_finite)
 {
-    (void)state;
     enum { SIDE = 128 };
     const char *path = scratch_path("broken.pfm");
     FILE *file = fopen(path, "wb");
@@ -368,9 +356,8 @@ static void test_texels_that_are_not_finite(void **state)
     close_fixture(&f);
 }
 
-static void test_bad_files(void **state)
+TEST(test_bad_files)
 {
-    (void)state;
     struct fixture f;
     const char *path = scratch_path("missing.png");
     assert_int_equal(open_textures(&f, &path, 1, 0), BSQ_ENOINPUT);
@@ -411,9 +398,8 @@ static void expect_refusal(const char *path, int expected, const char *text)
     close_fixture(&f);
 }
 
-static void test_only_regular_files(void **state)
+TEST(test_only_regular_files)
 {
-    (void)state;
     const char *path = scratch_path("pipe.png");
     assert_int_equal(mkfifo(path, 0600), 0);
     expect_refusal(path, BSQ_ENOINPUT, "pipe.png: not a regular file");
@@ -422,9 +408,8 @@ static void test_only_regular_files(void **state)
 }
 
 /* OpenImageIO's plug-ins would open these, some of them as streams from a network. */
-static void test_other_formats_are_refused(void **state)
+TEST(test_other_formats_are_refused)
 {
-    (void)state;
     static const char *const texts[][2] = {
         {"list.png", "#EXTM3U\n#EXTINF:1,\nhttp://127.0.0.1:9/a.ts\n"},
         {"concat.jpg", "ffconcat version 1.0\nfile 'http://127.0.0.1:9/a.png'\n"},
@@ -442,9 +427,8 @@ static void test_other_formats_are_refused(void **state)
 }
 
 /* OpenImageIO takes minutes for a header of very many attributes. */
-static void test_excessive_exr_header(void **state)
+TEST(test_excessive_exr_header)
 {
-    (void)state;
     enum { ATTRIBUTES = 4097, EACH = 18 };
     static char bytes[8 + ATTRIBUTES * EACH] = "\x76\x2f\x31\x01\x02";
     for (unsigned i = 0; i < ATTRIBUTES; i++) {
@@ -457,9 +441,8 @@ static void test_excessive_exr_header(void **state)
 }
 
 /* Headers of images of 30000 x 30000 texels, which decoders would hold whole. */
-static void test_whole_images_beyond_the_budget(void **state)
+TEST(test_whole_images_beyond_the_budget)
 {
-    (void)state;
     static const char png[] =
         "\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\x75\x30\0\0\x75\x30\x08\x02\0\0\x01";
     static const char progressive[] =
@@ -521,9 +504,8 @@ static const char *write_png_rows(const char *name, const struct picture *p, int
     return path;
 }
 
-static void test_interlaced(void **state)
+TEST(test_interlaced)
 {
-    (void)state;
     struct picture p = make_picture(61, 43, 3);
     struct fixture f;
     open_one(&f, write_png_rows("interlaced.png", &p, 8, false, PNG_INTERLACE_ADAM7));
@@ -532,9 +514,8 @@ static void test_interlaced(void **state)
     free(p.texels);
 }
 
-static void test_sixteen_bits_of_linear_light(void **state)
+TEST(test_sixteen_bits_of_linear_light)
 {
-    (void)state;
     static uint8_t texels[] = {0x40, 0x00, 0xc0, 0x01}; /* 16384 and 49153 of 65535 */
     struct picture p = {2, 1, 1, texels};
     struct fixture f;
@@ -545,9 +526,8 @@ static void test_sixteen_bits_of_linear_light(void **state)
 }
 
 /* Damaged headers, whose numbers are no size, are no question of memory. */
-static void test_damaged_headers(void **state)
+TEST(test_damaged_headers)
 {
-    (void)state;
     static const char png[] =
         "\x89PNG\r\n\x1a\n\0\0\0\rIDAT\x75\x30\x75\x30\x75\x30\x75\x30\x08\x02\0\0\x01";
     static const char wide[] =
@@ -567,9 +547,8 @@ static void test_damaged_headers(void **state)
 }
 
 /* Bytes of a PNG file that are damaged, one at a time: libraries print nothing. */
-static void test_damage_prints_nothing(void **state)
+TEST(test_damage_prints_nothing)
 {
-    (void)state;
     struct picture p = make_picture(20, 30, 3);
     const char *path = write_png("damaged.png", &p), *log = scratch_path("stderr");
     uint8_t bytes[4096];
@@ -634,9 +613,8 @@ static int sample_up_and_down(struct fixture *f)
 }
 
 /* A file that gets another width at any opening but the first, with the same size and time. */
-static void test_image_that_is_turned(void **state)
+TEST(test_image_that_is_turned)
 {
-    (void)state;
     const char *path = scratch_path("turned.bmp");
     int failures = 0;
     swap = turn_image;
@@ -675,9 +653,8 @@ static void open_alpha(struct fixture *f, const char *path)
 }
 
 /* Alpha is data; an image without it gives its first channel. */
-static void test_alpha(void **state)
+TEST(test_alpha)
 {
-    (void)state;
     static uint8_t rgba[2][4] = {{255, 0, 0, 51}, {0, 255, 0, 204}}, rgb[2][3] = {{51}, {204}};
     static uint8_t grey[2] = {51, 204};
     const struct {
@@ -703,9 +680,8 @@ static void test_alpha(void **state)
 }
 
 /* Interlaced images are copied to temporary tiled files, which hold the alpha alone. */
-static void test_alpha_of_a_copy(void **state)
+TEST(test_alpha_of_a_copy)
 {
-    (void)state;
     uint8_t texels[3 * 2 * 4];
     for (int i = 0; i < 3 * 2; i++)
         memcpy(texels + 4 * i, (const uint8_t[]){9, 99, 199, (uint8_t)(51 * (i % 3))}, 4);
@@ -717,28 +693,4 @@ static void test_alpha_of_a_copy(void **state)
     close_fixture(&f);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_orientation),
-        cmocka_unit_test(test_checker_averages_in_linear_light),
-        cmocka_unit_test(test_random_boxes),
-        cmocka_unit_test(test_image_larger_than_cache),
-        cmocka_unit_test(test_threads_see_the_same),
-        cmocka_unit_test(test_float_image_is_linear),
-        cmocka_unit_test(test_texels_that_are_not_finite),
-        cmocka_unit_test(test_bad_files),
-        cmocka_unit_test(test_only_regular_files),
-        cmocka_unit_test(test_other_formats_are_refused),
-        cmocka_unit_test(test_excessive_exr_header),
-        cmocka_unit_test(test_whole_images_beyond_the_budget),
-        cmocka_unit_test(test_interlaced),
-        cmocka_unit_test(test_sixteen_bits_of_linear_light),
-        cmocka_unit_test(test_damaged_headers),
-        cmocka_unit_test(test_damage_prints_nothing),
-        cmocka_unit_test(test_image_that_is_turned),
-        cmocka_unit_test(test_alpha),
-        cmocka_unit_test(test_alpha_of_a_copy),
-    };
-    return cmocka_run_group_tests(tests, scratch_make, scratch_remove);
-}
+RUN_TESTS(scratch_make, scratch_remove)

@@ -1,24 +1,19 @@
 /* test_compare.c - colour differences against published values, figures against maps of known
  * errors. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
-#include <cmocka.h>
-
 #include "formats/image/image_writer.h"
 #include "libbake/compare/comparison.h"
+#include "tests/unit/test.h"
 
 /* Pairs and differences from table 1 of Sharma, Wu & Dalal 2005. */
-static void ciede2000_matches_published_values(void **state)
+TEST(ciede2000_matches_published_values)
 {
-    (void)state;
     static const double pairs[][7] = {
         {50.0000, 2.6772, -79.7751, 50.0000, 0.0000, -82.7485, 2.0425},
         {50.0000, 3.1571, -77.2803, 50.0000, 0.0000, -82.7485, 2.8615},
@@ -43,9 +38,8 @@ static void ciede2000_matches_published_values(void **state)
     }
 }
 
-static void lab_of_known_colours(void **state)
+TEST(lab_of_known_colours)
 {
-    (void)state;
     double lab[3];
     bake_lab((const float[3]){1, 1, 1}, lab);
     assert_true(fabs(lab[0] - 100) < 1e-6 && fabs(lab[1]) < 1e-6 && fabs(lab[2]) < 1e-6);
@@ -89,6 +83,7 @@ static int tear_down(void **state)
     free(f);
     return 0;
 }
+#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
 
 static char *path_in(const struct fixture *f, const char *name)
 {
@@ -161,7 +156,7 @@ static void grey(unsigned i, float *out)
     out[0] = out[1] = out[2] = 0.1842f;
 }
 
-static void angles_have_the_right_distribution(void **state)
+FIXTURE_TEST(angles_have_the_right_distribution)
 {
     struct fixture *f = *state;
     struct bake_compare_report r;
@@ -181,7 +176,7 @@ static void angles_have_the_right_distribution(void **state)
     free(a), free(b);
 }
 
-static void masks_give_the_agreement(void **state)
+FIXTURE_TEST(masks_give_the_agreement)
 {
     struct fixture *f = *state;
     struct bake_compare_report r;
@@ -200,7 +195,7 @@ static void masks_give_the_agreement(void **state)
     free(a), free(b), free(ma), free(mb);
 }
 
-static void data_has_absolute_and_relative_errors(void **state)
+FIXTURE_TEST(data_has_absolute_and_relative_errors)
 {
     struct fixture *f = *state;
     struct bake_compare_report r;
@@ -215,7 +210,7 @@ static void data_has_absolute_and_relative_errors(void **state)
     free(a), free(b);
 }
 
-static void equal_colours_have_no_noise(void **state)
+FIXTURE_TEST(equal_colours_have_no_noise)
 {
     struct fixture *f = *state;
     struct bake_compare_report r;
@@ -231,7 +226,7 @@ static void equal_colours_have_no_noise(void **state)
     free(a), free(heat), free(hist);
 }
 
-static void different_sizes_and_channels_are_refused(void **state)
+FIXTURE_TEST(different_sizes_and_channels_are_refused)
 {
     struct fixture *f = *state;
     struct bake_compare_report r;
@@ -262,7 +257,7 @@ static void never_finite(unsigned i, float *out)
     out[0] = out[1] = out[2] = i % 2 ? NAN : INFINITY;
 }
 
-static void values_that_are_not_finite_are_counted(void **state)
+FIXTURE_TEST(values_that_are_not_finite_are_counted)
 {
     struct fixture *f = *state;
     struct bake_compare_report r;
@@ -292,7 +287,7 @@ static void values_that_are_not_finite_are_counted(void **state)
 }
 
 /* Whatever the kind, maps without a finite value have infinite figures, or are an error. */
-static void maps_without_finite_values_have_no_figures(void **state)
+FIXTURE_TEST(maps_without_finite_values_have_no_figures)
 {
     struct fixture *f = *state;
     struct bake_compare_report r;
@@ -316,20 +311,4 @@ static void maps_without_finite_values_have_no_figures(void **state)
     free(a), free(b), free(heat), free(hist);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(ciede2000_matches_published_values),
-        cmocka_unit_test(lab_of_known_colours),
-        cmocka_unit_test_setup_teardown(angles_have_the_right_distribution, set_up, tear_down),
-        cmocka_unit_test_setup_teardown(masks_give_the_agreement, set_up, tear_down),
-        cmocka_unit_test_setup_teardown(data_has_absolute_and_relative_errors, set_up, tear_down),
-        cmocka_unit_test_setup_teardown(equal_colours_have_no_noise, set_up, tear_down),
-        cmocka_unit_test_setup_teardown(values_that_are_not_finite_are_counted, set_up, tear_down),
-        cmocka_unit_test_setup_teardown(maps_without_finite_values_have_no_figures, set_up,
-                                        tear_down),
-        cmocka_unit_test_setup_teardown(different_sizes_and_channels_are_refused, set_up,
-                                        tear_down),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

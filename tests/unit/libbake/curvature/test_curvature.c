@@ -6,7 +6,7 @@
 #include <unistd.h>
 
 #include "libbake/curvature/curvature.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/libbake/analytic_grid.h"
 #include "tests/unit/libbake/triangle_scan.h"
 
@@ -292,16 +292,14 @@ static void check_shape(const struct shape *shape, bool exact, double radius)
     test_context_end(ctx);
 }
 
-static void test_triangles_have_the_curvature_of_the_formula(void **state)
+TEST(test_triangles_have_the_curvature_of_the_formula)
 {
-    (void)state;
     for (int s = 0; s < SHAPES; s++)
         check_shape(&shapes[s], true, 2);
 }
 
-static void test_voxels_have_the_curvature_of_the_formula(void **state)
+TEST(test_voxels_have_the_curvature_of_the_formula)
 {
-    (void)state;
     for (int s = 0; s < SHAPES; s++)
         check_shape(&shapes[s], false, 2);
 }
@@ -362,9 +360,8 @@ static void measure_edge(const char *path, const float *distances, uint32_t coun
 
 /* A right angle is white or black beside the edge, and leaves no trace beyond the radius. The rays
  * that find the wall lean. */
-static void test_edges_are_found_on_both_sides(void **state)
+TEST(test_edges_are_found_on_both_sides)
 {
-    (void)state;
     static const float distances[] = {0.05f, 0.2f, 0.4f, 0.6f, 0.8f, 1.1f, 3};
     enum { COUNT = sizeof distances / sizeof *distances };
     char path[128];
@@ -387,9 +384,8 @@ static void test_edges_are_found_on_both_sides(void **state)
 
 /* On a sphere, any two points have its curvature, so the points that are found suffice. Far outside
  * the sphere, none are. */
-static void test_a_radius_that_leaves_the_scan_counts_texels_without_a_value(void **state)
+TEST(test_a_radius_that_leaves_the_scan_counts_texels_without_a_value)
 {
-    (void)state;
     static const double radii[] = {25, 200};
     static float found[WIDTH * HEIGHT];
     for (int i = 0; i < 2; i++) {
@@ -405,9 +401,8 @@ static void test_a_radius_that_leaves_the_scan_counts_texels_without_a_value(voi
 }
 
 /* Blocks of texels are traced one after another if memory is short. */
-static void test_values_depend_on_neither_threads_nor_memory(void **state)
+TEST(test_values_depend_on_neither_threads_nor_memory)
 {
-    (void)state;
     static const struct {
         unsigned threads;
         uint64_t memory;
@@ -427,14 +422,4 @@ static void test_values_depend_on_neither_threads_nor_memory(void **state)
         }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_triangles_have_the_curvature_of_the_formula),
-        cmocka_unit_test(test_voxels_have_the_curvature_of_the_formula),
-        cmocka_unit_test(test_edges_are_found_on_both_sides),
-        cmocka_unit_test(test_a_radius_that_leaves_the_scan_counts_texels_without_a_value),
-        cmocka_unit_test(test_values_depend_on_neither_threads_nor_memory),
-    };
-    return cmocka_run_group_tests(tests, make_scans, remove_scans);
-}
+RUN_TESTS(make_scans, remove_scans)

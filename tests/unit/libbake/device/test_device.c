@@ -1,15 +1,11 @@
 /* test_device.c - devices are found by name, and all trace the same maps. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include <cmocka.h>
-
 #include "tests/unit/libbake/device/traced_sheet.h"
+#include "tests/unit/test.h"
 
 /* OpenCL's division and square root may be off by 3 ulp, and so may positions. A ray that grazes a
  * voxel's edge may then hit its neighbour's plane. So nearly all texels must agree closely, the
@@ -18,7 +14,7 @@
 #define ROUGH          0.1f
 #define ROUGH_FRACTION 0.001
 
-static void test_native_map(void **state)
+TEST(test_native_map)
 {
     struct fixture *f = *state;
     struct sheet_texel *texels = traced_sheet_trace(f, "cpu", 0);
@@ -50,7 +46,7 @@ static void test_native_map(void **state)
     free(texels);
 }
 
-static void test_object_space(void **state)
+TEST(test_object_space)
 {
     struct fixture *f = *state;
     struct sheet_texel *tangent = traced_sheet_trace(f, "cpu", 0), *object;
@@ -81,7 +77,7 @@ static double difference(const struct sheet_texel *a, const struct sheet_texel *
     return worst / fmax(1, a->hits);
 }
 
-static void test_opencl_agrees(void **state)
+TEST(test_opencl_agrees)
 {
     struct fixture *f = *state;
     struct sheet_texel *native = traced_sheet_trace(f, "cpu", 0),
@@ -111,7 +107,7 @@ static void test_opencl_agrees(void **state)
 }
 
 /* Workers trace with their own buffers, and tiles may be smaller than the largest. */
-static void test_opencl_small_tile(void **state)
+TEST(test_opencl_small_tile)
 {
     struct fixture *f = *state;
     const struct bk_tile tile = {.x = 10, .y = 20, .width = 7, .height = 3};
@@ -140,7 +136,7 @@ static void test_opencl_small_tile(void **state)
 }
 
 /* Several launches trace a texel that has many samples. */
-static void test_opencl_batches_of_texels(void **state)
+TEST(test_opencl_batches_of_texels)
 {
     struct fixture *f = *state;
     uint64_t none, launches;
@@ -162,7 +158,7 @@ static void test_opencl_batches_of_texels(void **state)
     free(opencl);
 }
 
-static void test_names(void **state)
+TEST(test_names)
 {
     static const char *const bad[] = {"gpu",       "",          "opencl:",           "opencl:x",
                                       "opencl:0x", "opencl:-1", "opencl:4000000000", "cpu:0"};
@@ -199,7 +195,7 @@ static void on_device(void *arg, const struct bake_device_info *info)
     assert_true(info->name[0] && info->memory_bytes > 0);
 }
 
-static void test_list_and_auto(void **state)
+TEST(test_list_and_auto)
 {
     struct fixture *f = *state;
     struct listing listing = {0};
@@ -214,16 +210,4 @@ static void test_list_and_auto(void **state)
     bake_device_close(device);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_native_map),
-        cmocka_unit_test(test_object_space),
-        cmocka_unit_test(test_opencl_agrees),
-        cmocka_unit_test(test_opencl_small_tile),
-        cmocka_unit_test(test_opencl_batches_of_texels),
-        cmocka_unit_test(test_names),
-        cmocka_unit_test(test_list_and_auto),
-    };
-    return cmocka_run_group_tests(tests, traced_sheet_setup, traced_sheet_teardown);
-}
+RUN_TESTS(traced_sheet_setup, traced_sheet_teardown)

@@ -1,17 +1,12 @@
 /* test_trace_ray.c - single rays against voxel grids of analytic surfaces: hits are compared with
  * the surfaces themselves. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include <cmocka.h>
-
 #include "libbake/device/device.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
 #define PI 3.14159265358979323846
@@ -65,9 +60,8 @@ static double angle_degrees(const double a[3], const float b[3])
     return atan2(sqrt(cross), dot) * 180 / PI;
 }
 
-static void test_sphere(void **state)
+TEST(test_sphere)
 {
-    (void)state;
     enum { RAYS = 1000000 };
     const double centre[3] = {100.3, -57.2, 33.7}, radius = 60, away = 1.3 * radius;
     struct analytic_grid *source = analytic_grid_create();
@@ -209,9 +203,8 @@ static struct sine_errors trace_sine(double wavelength, uint32_t flags, uint32_t
  * by 9.6, 3.0, 0.83 and 0.27 at the 95th percentile; the planes' offsets must improve on that.
  * Means over voxels lower slopes by (2 pi / wavelength)^2 / 12: by 0.051, 0.013 and 0.003 from 8
  * voxels on. Only higher terms of this loss may remain. */
-static void test_sine_accuracy(void **state)
+TEST(test_sine_accuracy)
 {
-    (void)state;
     static const struct {
         double wavelength, average, p95, slack;
     } limits[] = {
@@ -224,9 +217,8 @@ static void test_sine_accuracy(void **state)
 }
 
 /* The facet-noise weight determines how much of that loss remains. */
-static void test_facet_noise(void **state)
+TEST(test_facet_noise)
 {
-    (void)state;
     for (uint32_t facet_noise = 3; facet_noise <= FMT_NVDB_FACET_NOISE_MAX; facet_noise += 2) {
         struct sine_errors errors = trace_sine(16, 0, facet_noise);
         double left = (2 * PI / 16) * (2 * PI / 16) / 12 * facet_noise / FMT_NVDB_FACET_NOISE_MAX;
@@ -235,9 +227,8 @@ static void test_facet_noise(void **state)
 }
 
 /* The normal of the nearest voxel errs by about the change of the slope over half a voxel. */
-static void test_sine_nearest(void **state)
+TEST(test_sine_nearest)
 {
-    (void)state;
     struct sine_errors errors = trace_sine(16, BK_NEAREST, 0);
     assert_true(errors.average > 1 && errors.average < 2.1 && errors.p95 < 4.4);
 }
@@ -245,9 +236,8 @@ static void test_sine_nearest(void **state)
 /* A ridge whose sides slope by 40 degrees, not aligned with the grid. A voxel on the ridge has the
  * normal of neither side. With the same weight as other voxels, it would make normals within two
  * voxels of the ridge err by 4.7 degrees on average, and 22 % of them by more than 5. */
-static void test_crease(void **state)
+TEST(test_crease)
 {
-    (void)state;
     enum { RAYS = 200000, CELLS = 480 };
     const double centre[3] = {100.3, -57.2, 33.7}, slope = tan(40 * PI / 180);
     const struct analytic_sine frame = analytic_sine_make(100, 20, centre);
@@ -307,9 +297,8 @@ static void add_plane(struct analytic_grid *grid, double z, double up, const flo
 /* A plate 0.4 voxels thick, red above and blue below. A hit has the colour and normal of the side
  * that the ray faces, even if the ray starts on the other side or inside. If the plate lies at a
  * border of its voxels, rounding can put a side just outside of them. */
-static void test_thin_plate(void **state)
+TEST(test_thin_plate)
 {
-    (void)state;
     static const float red[3] = {1, 0, 0}, blue[3] = {0, 0, 1};
     uint64_t seed = test_seed();
     struct bk_params params = {0};
@@ -363,9 +352,8 @@ static void test_thin_plate(void **state)
 }
 
 /* Hits outside [t_min, t_max] are ignored; of two sheets the nearer one is hit. */
-static void test_range(void **state)
+TEST(test_range)
 {
-    (void)state;
     struct analytic_grid *source = analytic_grid_create();
     struct bk_params params = {0};
     struct fmt_nvdb_grid grid;
@@ -399,9 +387,8 @@ static void test_range(void **state)
 }
 
 /* The difference of such an index and a ray's origin would overflow the kernel's integers. */
-static void test_voxels_at_the_ends_of_the_index_range_are_refused(void **state)
+TEST(test_voxels_at_the_ends_of_the_index_range_are_refused)
 {
-    (void)state;
     static const struct {
         double low, high;
         int status;
@@ -427,9 +414,8 @@ static void test_voxels_at_the_ends_of_the_index_range_are_refused(void **state)
 }
 
 /* Rays in groups have the hits of single rays, bit by bit, whatever their order. */
-static void test_groups_have_the_hits_of_single_rays(void **state)
+TEST(test_groups_have_the_hits_of_single_rays)
 {
-    (void)state;
     enum { RAYS = 1003 };
     static float rays[RAYS][6];
     static struct bk_hit hits[RAYS];
@@ -474,18 +460,4 @@ static void test_groups_have_the_hits_of_single_rays(void **state)
     fmt_nvdb_close(context, &grid);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_sphere),
-        cmocka_unit_test(test_sine_accuracy),
-        cmocka_unit_test(test_facet_noise),
-        cmocka_unit_test(test_sine_nearest),
-        cmocka_unit_test(test_crease),
-        cmocka_unit_test(test_thin_plate),
-        cmocka_unit_test(test_range),
-        cmocka_unit_test(test_voxels_at_the_ends_of_the_index_range_are_refused),
-        cmocka_unit_test(test_groups_have_the_hits_of_single_rays),
-    };
-    return cmocka_run_group_tests(tests, make_context, free_context);
-}
+RUN_TESTS(make_context, free_context)

@@ -1,15 +1,11 @@
 /* traced_sheet.c - makes and traces the sheet. */
+#include "tests/unit/fixture.h"
 #include "tests/unit/libbake/device/traced_sheet.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include <cmocka.h>
 
 #include "tests/unit/libbake/analytic_grid.h"
 

@@ -1,26 +1,21 @@
 /* test_exact.c - which hit wins, for any chunks, threads and budgets; damaged scans. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 #include "base/octahedral.h"
 #include "libbake/exact/exact_tree.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/libbake/exact/exact_fixture.h"
 
 /* ---- the curve ---- */
 
 /* Each cell of a cube has a place of its own, and neighbours on the curve are neighbours in space.
  */
-static void test_curve_goes_from_neighbour_to_neighbour(void **state)
+TEST(test_curve_goes_from_neighbour_to_neighbour)
 {
-    (void)state;
     enum { CELLS = 16, ALL = CELLS * CELLS * CELLS };
     static int cell_at[ALL];
     static const float low[3] = {-2, 5, 0};
@@ -45,9 +40,8 @@ static void test_curve_goes_from_neighbour_to_neighbour(void **state)
 
 /* ---- independence ---- */
 
-static void test_hits_do_not_depend_on_chunks_threads_or_budget(void **state)
+TEST(test_hits_do_not_depend_on_chunks_threads_or_budget)
 {
-    (void)state;
     enum { RAYS = 60000 };
     static const struct {
         uint32_t chunk;
@@ -87,9 +81,8 @@ static void test_hits_do_not_depend_on_chunks_threads_or_budget(void **state)
 
 /* ---- which hit wins ---- */
 
-static void test_facing(void **state)
+TEST(test_facing)
 {
-    (void)state;
     struct triangle_scan mesh = exact_square();
     struct exact_setup setup = {.threads = 1, .t_min = -1, .t_max = 1};
     exact_write_scan(&mesh, 1);
@@ -114,9 +107,8 @@ static void test_facing(void **state)
 }
 
 /* Vertex normals say which side is outside, whatever the winding. */
-static void test_normals_decide_on_the_outside(void **state)
+TEST(test_normals_decide_on_the_outside)
 {
-    (void)state;
     struct triangle_scan mesh = exact_square();
     struct exact_setup setup = {.threads = 1, .t_min = -1, .t_max = 1};
     mesh.attributes = FMT_TRIS_NORMALS;
@@ -132,9 +124,8 @@ static void test_normals_decide_on_the_outside(void **state)
 
 /* Of two sheets at the same distance, the one in front wins; of two at the same place, the first in
  * the file. */
-static void test_ties(void **state)
+TEST(test_ties)
 {
-    (void)state;
     struct triangle_scan mesh = triangle_scan_new(9, 3);
     for (uint32_t v = 0; v < 9; v++) {
         mesh.positions[v][0] = v % 3 == 1 ? 4.0f : 0.0f;
@@ -152,9 +143,8 @@ static void test_ties(void **state)
     triangle_scan_free(&mesh);
 }
 
-static void test_rays_without_direction_hit_nothing(void **state)
+TEST(test_rays_without_direction_hit_nothing)
 {
-    (void)state;
     struct triangle_scan mesh = exact_square();
     struct exact_setup setup = {.threads = 1, .two_sided = true, .t_min = -1, .t_max = 1};
     exact_write_scan(&mesh, 1);
@@ -168,9 +158,8 @@ static void test_rays_without_direction_hit_nothing(void **state)
 
 /* ---- failures ---- */
 
-static void test_damaged_chunk_is_reported(void **state)
+TEST(test_damaged_chunk_is_reported)
 {
-    (void)state;
     struct triangle_scan mesh = exact_torus(20, 20);
     exact_write_scan(&mesh, 100);
     FILE *file = fopen(exact_scan_path, "r+b");
@@ -200,15 +189,6 @@ static void test_damaged_chunk_is_reported(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_curve_goes_from_neighbour_to_neighbour),
-        cmocka_unit_test(test_hits_do_not_depend_on_chunks_threads_or_budget),
-        cmocka_unit_test(test_facing),
-        cmocka_unit_test(test_normals_decide_on_the_outside),
-        cmocka_unit_test(test_ties),
-        cmocka_unit_test(test_rays_without_direction_hit_nothing),
-        cmocka_unit_test(test_damaged_chunk_is_reported),
-    };
     print_message("seed %llu\n", (unsigned long long)exact_seed);
-    return cmocka_run_group_tests(tests, exact_make_directory, exact_remove_directory);
+    return test_run(exact_make_directory, exact_remove_directory);
 }

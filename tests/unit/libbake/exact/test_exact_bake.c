@@ -1,19 +1,15 @@
 /* test_exact_bake.c - whole bakes from triangles: a wavy sheet whose normals and colours are known
  * from a formula, and a square low-poly mesh below it. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
-#include <cmocka.h>
 
 #include "formats/image/exr_read.h"
 #include "libbake/bake.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/libbake/triangle_scan.h"
 #include "tests/unit/sanitized.h"
 
@@ -132,9 +128,8 @@ static double channel(const struct fmt_exr_image *image, uint32_t x, uint32_t y,
 /* ---- tests ---- */
 
 /* Tangent and object space are the same for this low-poly mesh. */
-static void test_maps_are_those_of_the_formula(void **state)
+TEST(test_maps_are_those_of_the_formula)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(2, 0);
     for (int space = 0; space < 2; space++) {
         struct bake_options options = options_for(1, in_directory("<MAP>.exr"));
@@ -188,9 +183,8 @@ static uint64_t file_hash(const char *path)
     return hash;
 }
 
-static void test_bytes_depend_on_neither_chunks_nor_threads_nor_budget(void **state)
+TEST(test_bytes_depend_on_neither_chunks_nor_threads_nor_budget)
 {
-    (void)state;
     static const struct {
         int scan;
         unsigned threads;
@@ -218,9 +212,8 @@ static void test_bytes_depend_on_neither_chunks_nor_threads_nor_budget(void **st
     }
 }
 
-static void test_flat_normals(void **state)
+TEST(test_flat_normals)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     struct bake_options options = options_for(0, in_directory("n.exr"));
     struct bake_report report;
@@ -257,9 +250,8 @@ static void expect_failure(const struct bake_options *options, int expected, con
     test_context_end(ctx);
 }
 
-static void test_errors_name_the_reason(void **state)
+TEST(test_errors_name_the_reason)
 {
-    (void)state;
     struct bake_options options = options_for(0, in_directory("<MAP>.exr"));
     options.sampling = BAKE_NEAREST;
     expect_failure(&options, BSQ_EUSAGE, "triangles");
@@ -283,9 +275,8 @@ static void test_errors_name_the_reason(void **state)
     unlink(in_directory("tiny.obj"));
 }
 
-static void test_scans_are_known_beforehand(void **state)
+TEST(test_scans_are_known_beforehand)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     struct bake_scan_info info;
     assert_int_equal(bake_inspect_scan(ctx, scan_paths[0], &info), 0);
@@ -294,14 +285,4 @@ static void test_scans_are_known_beforehand(void **state)
     test_context_end(ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_maps_are_those_of_the_formula),
-        cmocka_unit_test(test_bytes_depend_on_neither_chunks_nor_threads_nor_budget),
-        cmocka_unit_test(test_flat_normals),
-        cmocka_unit_test(test_errors_name_the_reason),
-        cmocka_unit_test(test_scans_are_known_beforehand),
-    };
-    return cmocka_run_group_tests(tests, make_scene, remove_scene);
-}
+RUN_TESTS(make_scene, remove_scene)

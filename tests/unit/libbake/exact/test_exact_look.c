@@ -3,16 +3,12 @@
 #include <embree3/rtcore.h>
 #include <float.h>
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 #include "libbake/kernel/bk_secondary.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/libbake/exact/exact_fixture.h"
 
 static const double pi = 3.14159265358979323846;
@@ -145,9 +141,8 @@ static void end_mesh(struct triangle_scan *mesh)
 }
 
 /* A floor beside a wall of height h: see the test of voxels in test_secondary.c. */
-static void test_a_wall_hides_half_of_a_floor(void **state)
+TEST(test_a_wall_hides_half_of_a_floor)
 {
-    (void)state;
     const double h = 150;
     const struct bk_params params = usual(4096);
     struct triangle_scan mesh = begin_mesh(2);
@@ -167,9 +162,8 @@ static void test_a_wall_hides_half_of_a_floor(void **state)
 }
 
 /* The floor's middle of a well sees the sky under r^2 / (r^2 + h^2). */
-static void test_a_tube_leaves_a_cone(void **state)
+TEST(test_a_tube_leaves_a_cone)
 {
-    (void)state;
     enum { SIDES = 360 };
     const double r = 40.3, h = 61;
     struct bk_params params = usual(4096);
@@ -193,9 +187,8 @@ static void test_a_tube_leaves_a_cone(void **state)
     assert_near((double)look_from(&params, 0, 0, 0).open, 1, 0, "with short rays");
 }
 
-static void test_falloff_is_linear(void **state)
+TEST(test_falloff_is_linear)
 {
-    (void)state;
     const double h = 20.4, l = 100, share = h / l;
     struct bk_params params = usual(4096);
     struct triangle_scan mesh = begin_mesh(2);
@@ -212,9 +205,8 @@ static void test_falloff_is_linear(void **state)
 }
 
 /* Two squares close to each other hide each other, also where coordinates are large. */
-static void test_a_narrow_gap_is_dark(void **state)
+TEST(test_a_narrow_gap_is_dark)
 {
-    (void)state;
     static const float places[] = {0, 8000};
     for (int i = 0; i < 2; i++) {
         const float x = places[i];
@@ -234,9 +226,8 @@ static void test_a_narrow_gap_is_dark(void **state)
 }
 
 /* A slab of height h, with rays of at most l: 2 h - h^2 / l. */
-static void test_a_slab_is_as_thick_as_it_is(void **state)
+TEST(test_a_slab_is_as_thick_as_it_is)
 {
-    (void)state;
     static const double heights[] = {0.001, 0.4, 3.3, 20.6};
     for (int i = 0; i < 4; i++) {
         const double h = heights[i], l = 60;
@@ -255,9 +246,8 @@ static void test_a_slab_is_as_thick_as_it_is(void **state)
 
 /* A ball of facets hides nothing of itself, although rays follow smooth normals. Its mean chord is
  * 4 r / 3. With both sides, a ball that is wound inwards is the same. */
-static void test_a_ball_is_open_and_thick(void **state)
+TEST(test_a_ball_is_open_and_thick)
 {
-    (void)state;
     enum { ACROSS = 40, ROWS = 20, POINTS = 300 };
     struct triangle_scan mesh = triangle_scan_new((ACROSS + 1) * (ROWS + 1), 2 * ACROSS * ROWS);
     const double r = 7;
@@ -337,9 +327,8 @@ static bool embree_occluded(RTCScene scene, const struct bake_exact_ray *ray, fl
 }
 
 /* One open ray from each hit has the same bit in Embree, which works in float. */
-static void test_rays_are_hidden_where_embree_hides_them(void **state)
+TEST(test_rays_are_hidden_where_embree_hides_them)
 {
-    (void)state;
     enum { RAYS = 30000 };
     static const float limits[] = {FLT_MAX, 0.3f};
     struct triangle_scan mesh = exact_torus(300, 200);
@@ -378,9 +367,8 @@ static void test_rays_are_hidden_where_embree_hides_them(void **state)
 
 /* Chunks pass through memory in groups if they do not fit, for one batch of places after another.
  */
-static void test_results_depend_on_neither_threads_nor_memory(void **state)
+TEST(test_results_depend_on_neither_threads_nor_memory)
 {
-    (void)state;
     enum { RAYS = 800, CHUNKS = 80 };
     static const struct {
         unsigned threads;
@@ -418,9 +406,8 @@ static void test_results_depend_on_neither_threads_nor_memory(void **state)
 }
 
 /* Chunks that short rays cannot reach are not loaded, if not all fit. */
-static void test_short_rays_load_few_chunks(void **state)
+TEST(test_short_rays_load_few_chunks)
 {
-    (void)state;
     enum { RAYS = 200 };
     struct triangle_scan mesh = exact_torus(300, 200);
     struct exact_setup setup = {
@@ -442,17 +429,6 @@ static void test_short_rays_load_few_chunks(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_a_wall_hides_half_of_a_floor),
-        cmocka_unit_test(test_a_tube_leaves_a_cone),
-        cmocka_unit_test(test_falloff_is_linear),
-        cmocka_unit_test(test_a_narrow_gap_is_dark),
-        cmocka_unit_test(test_a_slab_is_as_thick_as_it_is),
-        cmocka_unit_test(test_a_ball_is_open_and_thick),
-        cmocka_unit_test(test_rays_are_hidden_where_embree_hides_them),
-        cmocka_unit_test(test_results_depend_on_neither_threads_nor_memory),
-        cmocka_unit_test(test_short_rays_load_few_chunks),
-    };
     print_message("seed %llu\n", (unsigned long long)exact_seed);
-    return cmocka_run_group_tests(tests, exact_make_directory, exact_remove_directory);
+    return test_run(exact_make_directory, exact_remove_directory);
 }

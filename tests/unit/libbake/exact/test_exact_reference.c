@@ -2,15 +2,12 @@
  */
 #include <embree3/rtcore.h>
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 #include "tests/unit/libbake/exact/exact_fixture.h"
+#include "tests/unit/test.h"
 
 /* ---- brute force ---- */
 
@@ -71,9 +68,8 @@ static void check_by_force(const struct triangle_scan *mesh, const struct exact_
     assert_true(setup->two_sided || c.along != setup->facing_origin);
 }
 
-static void test_soup_agrees_with_brute_force(void **state)
+TEST(test_soup_agrees_with_brute_force)
 {
-    (void)state;
     enum { RAYS = 6000 };
     static struct bake_exact_ray rays[RAYS];
     static struct bake_exact_hit hits[RAYS];
@@ -120,9 +116,8 @@ static void embree_nearest(RTCScene scene, const struct bake_exact_ray *ray, dou
     }
 }
 
-static void test_whole_scan_in_embree_agrees(void **state)
+TEST(test_whole_scan_in_embree_agrees)
 {
-    (void)state;
     enum { RAYS = 100000 };
     struct bake_exact_ray *rays = calloc(RAYS, sizeof *rays);
     struct bake_exact_hit *hits = calloc(RAYS, sizeof *hits);
@@ -171,9 +166,8 @@ static void test_whole_scan_in_embree_agrees(void **state)
 /* ---- watertightness ---- */
 
 /* From inside the closed torus every ray must hit, also through vertices and points of edges. */
-static void test_no_ray_slips_through_edges_and_vertices(void **state)
+TEST(test_no_ray_slips_through_edges_and_vertices)
 {
-    (void)state;
     enum { RAYS = 1 << 20 };
     struct bake_exact_ray *rays = calloc(RAYS, sizeof *rays);
     struct bake_exact_hit *hits = calloc(RAYS, sizeof *hits);
@@ -204,9 +198,8 @@ static void test_no_ray_slips_through_edges_and_vertices(void **state)
 }
 
 /* Rays through the vertices and edges of a flat grid, without rounding. */
-static void test_rays_that_meet_edges_exactly_hit(void **state)
+TEST(test_rays_that_meet_edges_exactly_hit)
 {
-    (void)state;
     enum { SIDE = 64, STEPS = 4 * SIDE + 1, RAYS = STEPS * STEPS };
     static struct bake_exact_ray rays[RAYS];
     static struct bake_exact_hit hits[RAYS];
@@ -243,12 +236,6 @@ static void test_rays_that_meet_edges_exactly_hit(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_soup_agrees_with_brute_force),
-        cmocka_unit_test(test_whole_scan_in_embree_agrees),
-        cmocka_unit_test(test_no_ray_slips_through_edges_and_vertices),
-        cmocka_unit_test(test_rays_that_meet_edges_exactly_hit),
-    };
     print_message("seed %llu\n", (unsigned long long)exact_seed);
-    return cmocka_run_group_tests(tests, exact_make_directory, exact_remove_directory);
+    return test_run(exact_make_directory, exact_remove_directory);
 }

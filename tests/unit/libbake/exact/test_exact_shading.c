@@ -1,16 +1,12 @@
 /* test_exact_shading.c - normals and colours of hits. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 #include "base/octahedral.h"
 #include "formats/image/image_writer.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/libbake/exact/exact_fixture.h"
 
 /* ---- normals ---- */
@@ -36,9 +32,8 @@ static double (*smooth_normals(const struct triangle_scan *mesh))[3]
 }
 
 /* A hit at a vertex has its normal, even if the vertex lies on the border of chunks. */
-static void test_smooth_normals_across_borders(void **state)
+TEST(test_smooth_normals_across_borders)
 {
-    (void)state;
     struct triangle_scan mesh = exact_torus(60, 40);
     double(*expected)[3] = smooth_normals(&mesh);
     struct bake_exact_ray *rays = calloc(mesh.vertex_count, sizeof *rays);
@@ -69,9 +64,8 @@ static void test_smooth_normals_across_borders(void **state)
 }
 
 /* All weights, from chunks of every size: the same bits. */
-static void test_weights_of_smooth_normals(void **state)
+TEST(test_weights_of_smooth_normals)
 {
-    (void)state;
     struct triangle_scan mesh = exact_torus(30, 20);
     enum { WEIGHTS = BSQ_SCAN_NORMALS_FLAT };
     struct bake_exact_hit first[WEIGHTS], hit;
@@ -118,9 +112,8 @@ static struct triangle_scan make_roof(float height)
 }
 
 /* Seams repeat vertices with other attributes; normals must not show them. */
-static void test_smooth_normals_ignore_repeated_vertices(void **state)
+TEST(test_smooth_normals_ignore_repeated_vertices)
 {
-    (void)state;
     const float height = 0.25f;
     struct triangle_scan mesh = make_roof(height);
     struct exact_setup setup = {.threads = 1, .t_min = -2, .t_max = 2};
@@ -146,9 +139,8 @@ static void test_smooth_normals_ignore_repeated_vertices(void **state)
 }
 
 /* The sides of a steep roof keep their normals up to the ridge. */
-static void test_smooth_normals_end_at_creases(void **state)
+TEST(test_smooth_normals_end_at_creases)
 {
-    (void)state;
     struct triangle_scan mesh = make_roof(1);
     struct exact_setup setup = {.threads = 1, .t_min = -2, .t_max = 2};
     exact_write_scan(&mesh, 2);
@@ -160,9 +152,8 @@ static void test_smooth_normals_end_at_creases(void **state)
     triangle_scan_free(&mesh);
 }
 
-static void test_vertex_normals_are_interpolated(void **state)
+TEST(test_vertex_normals_are_interpolated)
 {
-    (void)state;
     struct triangle_scan mesh = exact_square();
     struct exact_setup setup = {.threads = 1, .t_min = -1, .t_max = 1};
     mesh.attributes = FMT_TRIS_NORMALS;
@@ -192,9 +183,8 @@ static void expect_color(const struct bake_exact_hit *hit, double r, double g, d
             fail_msg("channel %d is %g, not %g", k, (double)hit->color[k], expected[k]);
 }
 
-static void test_vertex_colors_mix_in_linear_light(void **state)
+TEST(test_vertex_colors_mix_in_linear_light)
 {
-    (void)state;
     struct triangle_scan mesh = exact_square();
     struct exact_setup setup = {.threads = 1, .color = true, .t_min = -1, .t_max = 1};
     mesh.attributes = FMT_TRIS_COLORS;
@@ -227,9 +217,8 @@ static void write_picture(uint32_t side)
     bsq_ctx_destroy(ctx);
 }
 
-static void test_textures_and_materials(void **state)
+TEST(test_textures_and_materials)
 {
-    (void)state;
     struct triangle_scan mesh = exact_square();
     struct bake_exact_footprint narrow = {{{0, 0, 0}, {0, 0, 0}}};
     struct bake_exact_footprint wide = {{{0.25f, 0, 0}, {0, 0.001f, 0}}};
@@ -264,15 +253,6 @@ static void test_textures_and_materials(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_smooth_normals_across_borders),
-        cmocka_unit_test(test_weights_of_smooth_normals),
-        cmocka_unit_test(test_smooth_normals_ignore_repeated_vertices),
-        cmocka_unit_test(test_smooth_normals_end_at_creases),
-        cmocka_unit_test(test_vertex_normals_are_interpolated),
-        cmocka_unit_test(test_vertex_colors_mix_in_linear_light),
-        cmocka_unit_test(test_textures_and_materials),
-    };
     print_message("seed %llu\n", (unsigned long long)exact_seed);
-    return cmocka_run_group_tests(tests, exact_make_directory, exact_remove_directory);
+    return test_run(exact_make_directory, exact_remove_directory);
 }

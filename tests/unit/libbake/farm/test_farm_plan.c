@@ -1,6 +1,6 @@
 /* test_farm_plan.c - the division of blocks among tasks, and plan files: what is written is read
  * back, and what is cut or changed is refused. */
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 #include <stdio.h>
 #include <string.h>
@@ -42,6 +42,7 @@ static int tear_down(void **state)
     test_context_end(*state);
     return 0;
 }
+#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
 
 static struct bake_options some_options(void)
 {
@@ -89,7 +90,7 @@ static struct bake_farm_plan *make_plan(struct bsq_ctx *ctx, const struct bake_o
 }
 
 /* Tasks have about as many samples, and each block has one task. */
-static void test_tasks_are_balanced(void **state)
+FIXTURE_TEST(test_tasks_are_balanced)
 {
     struct bsq_ctx *ctx = *state;
     const struct bake_options options = some_options();
@@ -119,9 +120,8 @@ static void test_tasks_are_balanced(void **state)
     bake_farm_plan_free(plan);
 }
 
-static void test_sides_suit_the_tasks(void **state)
+TEST(test_sides_suit_the_tasks)
 {
-    (void)state;
     const struct bake_baked_tile large = {.tile = 1001, .width = 16384, .height = 16384};
     const struct bake_baked_tile small = {.tile = 1001, .width = 20, .height = 20};
     assert_int_equal(bake_farm_block_side(&large, 1, 16), 256);
@@ -199,7 +199,7 @@ static struct bake_farm_plan *write_plan(struct bsq_ctx *ctx, const struct bake_
 
 static char bytes[1 << 16];
 
-static void test_a_plan_is_read_back(void **state)
+FIXTURE_TEST(test_a_plan_is_read_back)
 {
     struct bsq_ctx *ctx = *state;
     const struct bake_options options = some_options();
@@ -233,7 +233,7 @@ static bool is_fraction(size_t i)
     return i < start && bytes[i] == '.';
 }
 
-static void test_cut_and_changed_plans_are_refused(void **state)
+FIXTURE_TEST(test_cut_and_changed_plans_are_refused)
 {
     struct bsq_ctx *ctx = *state;
     const struct bake_options options = some_options();
@@ -258,7 +258,7 @@ static void test_cut_and_changed_plans_are_refused(void **state)
 }
 
 /* Such plans have a right id: only their options are wrong. */
-static void test_impossible_options_are_refused(void **state)
+FIXTURE_TEST(test_impossible_options_are_refused)
 {
     struct bsq_ctx *ctx = *state;
     for (int i = 0; i < 11; i++) {
@@ -286,7 +286,7 @@ static void test_impossible_options_are_refused(void **state)
     }
 }
 
-static void test_a_changed_input_is_named(void **state)
+FIXTURE_TEST(test_a_changed_input_is_named)
 {
     struct bsq_ctx *ctx = *state;
     const struct bake_options options = some_options();
@@ -300,15 +300,4 @@ static void test_a_changed_input_is_named(void **state)
     bake_farm_plan_free(plan);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test_setup_teardown(test_tasks_are_balanced, set_up, tear_down),
-        cmocka_unit_test(test_sides_suit_the_tasks),
-        cmocka_unit_test_setup_teardown(test_a_plan_is_read_back, set_up, tear_down),
-        cmocka_unit_test_setup_teardown(test_cut_and_changed_plans_are_refused, set_up, tear_down),
-        cmocka_unit_test_setup_teardown(test_impossible_options_are_refused, set_up, tear_down),
-        cmocka_unit_test_setup_teardown(test_a_changed_input_is_named, set_up, tear_down),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

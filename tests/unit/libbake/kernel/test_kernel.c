@@ -1,19 +1,14 @@
 /* test_kernel.c - compares the kernel's parts to naive versions of them. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include <cmocka.h>
 
 #include "base/octahedral.h"
 #include "libbake/device/job/job.h"
 #include "libbake/kernel/bk_sample.h"
 #include "libbake/kernel/bk_srgb.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
 #define PI 3.14159265358979323846
@@ -54,9 +49,8 @@ static double angle_degrees(const double a[3], const float b[3])
 
 /* ---- parts ---- */
 
-static void test_srgb_table(void **state)
+TEST(test_srgb_table)
 {
-    (void)state;
     for (int i = 0; i < 256; i++) {
         double c = i / 255.0, linear = c <= 0.04045 ? c / 12.92 : pow((c + 0.055) / 1.055, 2.4);
         assert_true(fabs(bk_srgb[i] - linear) <= 1e-7 * linear);
@@ -65,9 +59,8 @@ static void test_srgb_table(void **state)
 
 /* Decodes every word with the kernel's two decoders, for single words and for lanes. They may
  * differ from base/octahedral.h if a coordinate is -32768, which the encoder never writes. */
-static void test_decode_normal(void **state)
+TEST(test_decode_normal)
 {
-    (void)state;
     uint64_t seed = test_seed();
     for (int i = 0; i < 200000; i++) {
         uint32_t word = (uint32_t)(analytic_random(&seed) * 4294967296.0);
@@ -84,9 +77,8 @@ static void test_decode_normal(void **state)
 }
 
 /* m.x T + m.y B + m.z N, which a shader computes, must be parallel to the normal for any frame. */
-static void test_tangent_space(void **state)
+TEST(test_tangent_space)
 {
-    (void)state;
     uint64_t seed = test_seed();
     for (int i = 0; i < 100000; i++) {
         double n[3], t[3], target[3];
@@ -175,9 +167,8 @@ static void shader_frame(const bk_triangle *triangle, const double w[3], double 
  * rounded by at most 2^-12, so m is off by at most sqrt(3) 2^-11: 0.0485 degrees in an orthogonal
  * frame. Another frame may stretch the error more than the normal; the limit grows by that factor.
  */
-static void test_tangent_space_of_halves(void **state)
+TEST(test_tangent_space_of_halves)
 {
-    (void)state;
     const double rounding = sqrt(3) / 2048;
     uint64_t seed = test_seed();
     int mirrored = 0, skewed = 0;
@@ -245,9 +236,8 @@ static struct bk_grid kernel_grid(const struct fmt_nvdb_grid *grid, struct bk_pa
     return kernel;
 }
 
-static void test_lookup(void **state)
+TEST(test_lookup)
 {
-    (void)state;
     uint64_t seed = test_seed(), active = 0, seconds = 0;
     struct bk_params params = {0};
     struct fmt_nvdb_grid grid;
@@ -404,9 +394,8 @@ static struct naive naive_trace(const struct fmt_nvdb_grid *grid, const double o
     return result;
 }
 
-static void test_traversal(void **state)
+TEST(test_traversal)
 {
-    (void)state;
     uint64_t seed = test_seed();
     struct bk_params params = {.flags = BK_NEAREST};
     struct fmt_nvdb_grid grid;
@@ -456,9 +445,8 @@ static void test_traversal(void **state)
 }
 
 /* Invalid and far rays terminate. */
-static void test_degenerate_rays(void **state)
+TEST(test_degenerate_rays)
 {
-    (void)state;
     uint64_t seed = test_seed();
     struct bk_params params = {0};
     struct fmt_nvdb_grid grid;
@@ -482,13 +470,4 @@ static void test_degenerate_rays(void **state)
     fmt_nvdb_close(context, &grid);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_srgb_table),      cmocka_unit_test(test_decode_normal),
-        cmocka_unit_test(test_tangent_space),   cmocka_unit_test(test_tangent_space_of_halves),
-        cmocka_unit_test(test_lookup),          cmocka_unit_test(test_traversal),
-        cmocka_unit_test(test_degenerate_rays),
-    };
-    return cmocka_run_group_tests(tests, make_context, free_context);
-}
+RUN_TESTS(make_context, free_context)

@@ -1,18 +1,14 @@
 /* test_kernel_lanes.c - the kernel gives the same bits for any number of lanes and order of
  * samples, and for secondary rays that go through the tree of leaves. Compares groups of four,
  * eight and sixteen in Morton order to single samples, row by row. */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include <cmocka.h>
 
 #include "libbake/kernel/bk_sample.h"
 #include "libbake/device/native/native_code.h"
 #include "libbake/device/native/tree_rays.h"
 #include "tests/unit/libbake/analytic_grid.h"
+#include "tests/unit/test.h"
 
 /* No multiples of a square or a group; with three samples an axis, groups span texels. */
 enum { WIDTH = 45, HEIGHT = 27, SAMPLES = 3, TEXELS = WIDTH * HEIGHT, TRIANGLES = 40 };
@@ -163,7 +159,7 @@ static void compare_flags(const struct fixture *f, uint32_t flags)
     compare(f, &params, NULL);
 }
 
-static void test_lanes(void **state)
+TEST(test_lanes)
 {
     compare_flags(*state, 0);
     compare_flags(*state, BK_TWO_SIDED);
@@ -174,7 +170,7 @@ static void test_lanes(void **state)
 
 /* Secondary rays give the same bits through the tree of leaves. Their numbers are no multiples of a
  * group; the most are in two bundles, and all of a group in several streams. */
-static void test_rays_from_hits(void **state)
+TEST(test_rays_from_hits)
 {
     static const uint32_t counts[][2] = {{11, 5}, {1, 0}, {100, 64}};
     const struct fixture *f = *state;
@@ -200,9 +196,4 @@ static void test_rays_from_hits(void **state)
     bake_tree_free(f->ctx, &tree);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_lanes),
-                                       cmocka_unit_test(test_rays_from_hits)};
-    return cmocka_run_group_tests(tests, setup, teardown);
-}
+RUN_TESTS(setup, teardown)

@@ -1,16 +1,11 @@
 /* test_secondary.c - open shares, bent directions and thickness against formulas. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdio.h>
-
-#include <cmocka.h>
 
 #include "libbake/bake.h"
 #include "libbake/device/job/job.h"
 #include "libbake/kernel/bk_secondary.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
 #define PI 3.14159265358979323846
@@ -91,9 +86,8 @@ static void assert_near(double value, double expected, double tolerance, const c
 
 /* ---- directions ---- */
 
-static void directions_are_cosine_weighted(void **state)
+TEST(directions_are_cosine_weighted)
 {
-    (void)state;
     for (bk_uint seed = 0; seed < 100; seed++) {
         double mean[3] = {0}, square = 0;
         for (bk_uint i = 0; i < RAYS; i++) {
@@ -111,9 +105,8 @@ static void directions_are_cosine_weighted(void **state)
     }
 }
 
-static void cones_and_frames(void **state)
+TEST(cones_and_frames)
 {
-    (void)state;
     uint64_t seed = test_seed();
     for (int i = 0; i < 2000; i++) {
         double n[3];
@@ -138,9 +131,8 @@ static void cones_and_frames(void **state)
 /* A floor beside a wall of height h: the floor sees it from distance d under the form factor (1 - d
  * / sqrt(d^2 + h^2)) / 2 (Howell, "A Catalog of Radiation Heat Transfer Configuration Factors",
  * B-1), so a large wall hides one half. */
-static void a_wall_hides_half_of_a_floor(void **state)
+TEST(a_wall_hides_half_of_a_floor)
 {
-    (void)state;
     struct scene s = begin();
     const double h = 150;
     add_rectangle(&s, (double[]){60, 0.3, 0.1}, (double[]){60, 0, 0}, (double[]){0, 600, 0}, 1);
@@ -163,9 +155,8 @@ static void a_wall_hides_half_of_a_floor(void **state)
 
 /* The floor's middle of a round well sees the sky under the cone tan = r / h: r^2 / (r^2 + h^2).
  * Whole voxels of the rim, 73 voxels away, narrow it by up to one voxel. */
-static void a_tube_leaves_a_cone(void **state)
+TEST(a_tube_leaves_a_cone)
 {
-    (void)state;
     struct scene s = begin();
     const double r = 40.3, h = 61;
     const int rings = (int)(h / 0.4), steps = (int)(2 * PI * r / 0.4);
@@ -198,9 +189,8 @@ static void a_tube_leaves_a_cone(void **state)
 
 /* A ceiling at height h hides rays of length t = h / cos by 1 - t / limit. Their mean share under a
  * large ceiling is 2 (h / l) (1 - h / l) + (h / l)^2, with cosines below h / l open. */
-static void falloff_is_linear(void **state)
+TEST(falloff_is_linear)
 {
-    (void)state;
     struct scene s = begin();
     const double h = 20.4, l = 100;
     add_rectangle(&s, (double[]){0, 0, 0}, (double[]){4, 0, 0}, (double[]){0, 4, 0}, 1);
@@ -218,9 +208,8 @@ static void falloff_is_linear(void **state)
 
 /* A ray along a floor, a fifth of a voxel above it, does not cross it. From open_coarse on the
  * floor's voxels hide it: the first one that it enters there. */
-static void far_voxels_hide(void **state)
+TEST(far_voxels_hide)
 {
-    (void)state;
     struct scene s = begin();
     const bk_vec3w start = bk_v3w(-20.2f, 0.1f, 0.3f), along = bk_v3w(1, 0, 0);
     bk_rays rays = {.open = 1, .count = 1, .sine2 = 1, .limit = BK_FAR};
@@ -247,9 +236,8 @@ static void far_voxels_hide(void **state)
 /* ---- convex bodies, and thickness ---- */
 
 /* A ball does not hide itself, and the mean chord is 4 r / 3. */
-static void a_ball_is_open_and_thick(void **state)
+TEST(a_ball_is_open_and_thick)
 {
-    (void)state;
     static const double radii[] = {5.3, 12, 40.7};
     for (int i = 0; i < 3; i++) {
         struct scene s = begin();
@@ -276,9 +264,8 @@ static void a_ball_is_open_and_thick(void **state)
 }
 
 /* A slab of height h, with rays of at most l: 2 h - h^2 / l. Thin ones have two records a voxel. */
-static void a_slab_is_as_thick_as_it_is(void **state)
+TEST(a_slab_is_as_thick_as_it_is)
 {
-    (void)state;
     static const double heights[] = {0.4, 1.2, 3.3, 20.6};
     for (int i = 0; i < 4; i++) {
         struct scene s = begin();
@@ -295,17 +282,4 @@ static void a_slab_is_as_thick_as_it_is(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(directions_are_cosine_weighted),
-        cmocka_unit_test(cones_and_frames),
-        cmocka_unit_test(a_wall_hides_half_of_a_floor),
-        cmocka_unit_test(a_tube_leaves_a_cone),
-        cmocka_unit_test(falloff_is_linear),
-        cmocka_unit_test(far_voxels_hide),
-        cmocka_unit_test(a_ball_is_open_and_thick),
-        cmocka_unit_test(a_slab_is_as_thick_as_it_is),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

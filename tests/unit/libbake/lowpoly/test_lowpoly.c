@@ -2,18 +2,14 @@
  * in, and messages. */
 #include <float.h>
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
-#include <cmocka.h>
-
 #include "libbake/lowpoly/lowpoly.h"
+#include "tests/unit/test.h"
 
 struct fixture {
     struct bsq_ctx *ctx;
@@ -46,6 +42,7 @@ static int tear_down(void **state)
     free(f);
     return 0;
 }
+#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
 
 static int load_file(struct fixture *f, const char *path)
 {
@@ -120,7 +117,7 @@ static void write_sphere(FILE *file, const double centre[3], int columns, int ro
 }
 
 /* Compares normals with the radial direction. A row of the sphere spans 5.6 degrees. */
-static void test_missing_normals_are_smooth(void **state)
+FIXTURE_TEST(test_missing_normals_are_smooth)
 {
     struct fixture *f = *state;
     const double centre[3] = {3, -2, 7};
@@ -142,7 +139,7 @@ static void test_missing_normals_are_smooth(void **state)
 }
 
 /* On a sphere, tangents point along the circles of latitude, and rows of v go north. */
-static void test_tangents_of_a_sphere(void **state)
+FIXTURE_TEST(test_tangents_of_a_sphere)
 {
     struct fixture *f = *state;
     const double centre[3] = {0, 0, 0};
@@ -162,7 +159,7 @@ static void test_tangents_of_a_sphere(void **state)
 }
 
 /* At 5,000,000 m, neighbouring floats are 0.5 m apart: half of the sphere's radius. */
-static void test_tangents_far_from_the_origin(void **state)
+FIXTURE_TEST(test_tangents_far_from_the_origin)
 {
     struct fixture *f = *state;
     const double centre[3] = {5000000, 400000, 300};
@@ -179,7 +176,7 @@ static void test_tangents_far_from_the_origin(void **state)
     }
 }
 
-static void test_large_triangles_weigh_more(void **state)
+FIXTURE_TEST(test_large_triangles_weigh_more)
 {
     struct fixture *f = *state;
     /* Two triangles share vertices 1 and 2: one of area 3 that faces z, one of area 1 that faces
@@ -192,7 +189,7 @@ static void test_large_triangles_weigh_more(void **state)
     assert_vector(f->mesh.normals[1][2], 0, -1, 0);
 }
 
-static void test_attributes_of_the_file(void **state)
+FIXTURE_TEST(test_attributes_of_the_file)
 {
     struct fixture *f = *state;
     load_text(f, "v 0 0 0\nv 1 0 0\nv 1 1 0.25\nv 0 1 0\nvt 0.5 0.25\nvt 1 0.25\nvt 1 1\nvt 0.5 1\n"
@@ -213,7 +210,7 @@ static void test_attributes_of_the_file(void **state)
 }
 
 /* A zero normal is replaced by the face's normal; a corner without one gets the smooth normal. */
-static void test_zero_and_partly_missing_normals(void **state)
+FIXTURE_TEST(test_zero_and_partly_missing_normals)
 {
     struct fixture *f = *state;
     load_text(f, "v 0 0 0\nv 0 1 0\nv 0 0 1\nv 1 0 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 0\nvn 0 1 0\n"
@@ -225,7 +222,7 @@ static void test_zero_and_partly_missing_normals(void **state)
     assert_vector(f->mesh.normals[1][1], 0, 0, 1);
 }
 
-static void test_degenerate_triangle_has_a_unit_normal(void **state)
+FIXTURE_TEST(test_degenerate_triangle_has_a_unit_normal)
 {
     struct fixture *f = *state;
     load_text(f, "v 0 0 0\nv 1 0 0\nv 2 0 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 0\n"
@@ -249,7 +246,7 @@ static const char hard_edge[] =
     "f 1/1/1 2/2/1 3/3/1\nf 1/1/1 3/3/1 4/4/1\n"
     "f 5/1/2 6/2/2 8/4/2\nf 6/2/2 7/3/2 8/4/2\n";
 
-static void test_directions_are_smooth_over_hard_edges(void **state)
+FIXTURE_TEST(test_directions_are_smooth_over_hard_edges)
 {
     struct fixture *f = *state;
     const float half = (float)sqrt(0.5);
@@ -264,7 +261,7 @@ static void test_directions_are_smooth_over_hard_edges(void **state)
     assert_true(f->mesh.cage_distance == 0);
 }
 
-static void test_directions_of_the_mesh_and_of_faces(void **state)
+FIXTURE_TEST(test_directions_of_the_mesh_and_of_faces)
 {
     struct fixture *f = *state;
     f->rays = BAKE_RAYS_MESH;
@@ -283,7 +280,7 @@ static void test_directions_of_the_mesh_and_of_faces(void **state)
 }
 
 /* Normals that agree stay as they are, to the bit; so do those that cancel. */
-static void test_directions_keep_smooth_and_opposite_normals(void **state)
+FIXTURE_TEST(test_directions_keep_smooth_and_opposite_normals)
 {
     struct fixture *f = *state;
     const double centre[3] = {0};
@@ -322,7 +319,7 @@ static int load_with_cage(struct fixture *f, const char *text)
 #define CAGE_VERTICES "v 0 0 2\nv 2 0 2\nv 2 1 2\nv 0 1 2\nv 2 0 2\nv 4 0 0\nv 2 1 0\nv 2 1 2\n"
 #define CAGE_FACES    "f 1 2 3\nf 1 3 4\nf 5 6 8\n"
 
-static void test_cage(void **state)
+FIXTURE_TEST(test_cage)
 {
     struct fixture *f = *state;
     assert_int_equal(load_with_cage(f, CAGE_VERTICES CAGE_FACES "f 6 7 8\n"), 0);
@@ -333,7 +330,7 @@ static void test_cage(void **state)
     assert_int_equal(fclose(f->file), 0);
 }
 
-static void test_cages_of_other_meshes(void **state)
+FIXTURE_TEST(test_cages_of_other_meshes)
 {
     struct fixture *f = *state;
     assert_int_equal(load_with_cage(f, CAGE_VERTICES "f 1 2 3\nf 1 4 3\nf 5 6 8\nf 6 7 8\n"),
@@ -346,13 +343,13 @@ static void test_cages_of_other_meshes(void **state)
     assert_int_equal(fclose(f->file), 0);
 }
 
-static void test_no_texture_coordinates(void **state)
+FIXTURE_TEST(test_no_texture_coordinates)
 {
     fail_text(*state, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
               ": no texture coordinates: the low-poly mesh has to be unwrapped");
 }
 
-static void test_a_face_without_texture_coordinates(void **state)
+FIXTURE_TEST(test_a_face_without_texture_coordinates)
 {
     fail_text(*state,
               "# comment\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
@@ -360,7 +357,7 @@ static void test_a_face_without_texture_coordinates(void **state)
               ":11: face has no texture coordinates");
 }
 
-static void test_missing_file(void **state)
+FIXTURE_TEST(test_missing_file)
 {
     struct fixture *f = *state;
     fclose(f->file);
@@ -369,7 +366,7 @@ static void test_missing_file(void **state)
 }
 
 /* They used to become infinite. */
-static void test_texture_coordinates_beyond_float_are_the_largest_float(void **state)
+FIXTURE_TEST(test_texture_coordinates_beyond_float_are_the_largest_float)
 {
     struct fixture *f = *state;
     load_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 6e38 -1e300\nvt .5 .5\nvt -1 2\nf 1/1 2/2 3/3\n");
@@ -380,27 +377,4 @@ static void test_texture_coordinates_beyond_float_are_the_largest_float(void **s
             assert_true(isfinite(f->mesh.tangents[0][i][k]));
 }
 
-#define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
-
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        TEST(test_missing_normals_are_smooth),
-        TEST(test_tangents_of_a_sphere),
-        TEST(test_tangents_far_from_the_origin),
-        TEST(test_large_triangles_weigh_more),
-        TEST(test_attributes_of_the_file),
-        TEST(test_zero_and_partly_missing_normals),
-        TEST(test_degenerate_triangle_has_a_unit_normal),
-        TEST(test_directions_are_smooth_over_hard_edges),
-        TEST(test_directions_of_the_mesh_and_of_faces),
-        TEST(test_directions_keep_smooth_and_opposite_normals),
-        TEST(test_cage),
-        TEST(test_cages_of_other_meshes),
-        TEST(test_no_texture_coordinates),
-        TEST(test_a_face_without_texture_coordinates),
-        TEST(test_missing_file),
-        TEST(test_texture_coordinates_beyond_float_are_the_largest_float),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -1,18 +1,13 @@
 /* test_mikkt.c - tangents against those that Blender computed (tests/golden/mikkt), and properties
  * that hold for any mesh. Runs from the top of the source tree. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include <cmocka.h>
-
 #include "libbake/lowpoly/mikkt.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 struct soup {
     uint64_t count;
@@ -119,9 +114,8 @@ static const char *const golden_names[] = {
     "torus_seams",    "cube_hard_edges",      "split_normals", "mirrored",
     "degenerate_uvs", "degenerate_triangles", "non_manifold",  "soup"};
 
-static void test_golden(void **state)
+TEST(test_golden)
 {
-    (void)state;
     for (size_t n = 0; n < sizeof(golden_names) / sizeof(*golden_names); n++)
         golden(golden_names[n]);
 }
@@ -163,7 +157,7 @@ static void reorder(const char *name, unsigned seed)
     free_soup(&s);
 }
 
-static void test_order_does_not_matter(void **state)
+TEST(test_order_does_not_matter)
 {
     const unsigned seed = 7041;
     (void)state;
@@ -176,9 +170,8 @@ static void test_order_does_not_matter(void **state)
 }
 
 /* Mirroring the texture space in u negates tangents and signs. */
-static void test_mirroring_negates(void **state)
+TEST(test_mirroring_negates)
 {
-    (void)state;
     struct soup s = read_golden("torus_seams");
     compute(&s);
     memcpy(s.expected, s.tangents, s.count * sizeof(*s.expected));
@@ -195,9 +188,8 @@ static void test_mirroring_negates(void **state)
 }
 
 /* If the texture coordinates of a plane are its x and y, tangents are the x axis. */
-static void test_plane(void **state)
+TEST(test_plane)
 {
-    (void)state;
     static const float corners[2][3][2] = {{{0, 0}, {3, 0}, {3, 2}}, {{0, 0}, {3, 2}, {0, 2}}};
     struct soup s = new_soup(2);
     for (int t = 0; t < 2; t++) {
@@ -214,9 +206,8 @@ static void test_plane(void **state)
 }
 
 /* -0 and 0 are the same coordinate. */
-static void test_negative_zero_welds(void **state)
+TEST(test_negative_zero_welds)
 {
-    (void)state;
     struct soup s = read_golden("mirrored");
     compute(&s);
     memcpy(s.expected, s.tangents, s.count * sizeof(*s.expected));
@@ -233,18 +224,16 @@ static void test_negative_zero_welds(void **state)
     free_soup(&s);
 }
 
-static void test_empty(void **state)
+TEST(test_empty)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     assert_int_equal(bake_mikkt(ctx, 0, NULL, NULL, NULL, NULL), 0);
     bsq_ctx_destroy(ctx);
 }
 
 /* All triangles share one edge: time stays linear. */
-static void test_many_triangles_on_one_edge(void **state)
+TEST(test_many_triangles_on_one_edge)
 {
-    (void)state;
     const uint64_t count = 100000;
     struct soup s = new_soup(count);
     for (uint64_t t = 0; t < count; t++) {
@@ -263,9 +252,8 @@ static void test_many_triangles_on_one_edge(void **state)
 }
 
 /* Whichever allocation exceeds the budget, all memory is freed. */
-static void test_small_budgets_fail_cleanly(void **state)
+TEST(test_small_budgets_fail_cleanly)
 {
-    (void)state;
     struct soup s = read_golden("cube_hard_edges");
     int rc = BSQ_ENOMEM, failures = 0;
     for (uint64_t budget = 1; rc != 0; budget += 16) {
@@ -285,17 +273,4 @@ static void test_small_budgets_fail_cleanly(void **state)
     free_soup(&s);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_golden),
-        cmocka_unit_test(test_order_does_not_matter),
-        cmocka_unit_test(test_mirroring_negates),
-        cmocka_unit_test(test_plane),
-        cmocka_unit_test(test_negative_zero_welds),
-        cmocka_unit_test(test_empty),
-        cmocka_unit_test(test_small_budgets_fail_cleanly),
-        cmocka_unit_test(test_many_triangles_on_one_edge),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -1,16 +1,12 @@
 /* test_dilation.c - compares the nearest-texel transform with a search over all texels. */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <unistd.h>
-#include <cmocka.h>
 
 #include "base/parallel.h"
 #include "libbake/maps/dilation.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 static uint32_t next_random(uint32_t *state)
 {
@@ -117,9 +113,8 @@ static void check_image(struct bsq_ctx *ctx, const struct map *map, const int64_
     bake_image_free(image);
 }
 
-static void test_sources_are_the_nearest(void **state)
+TEST(test_sources_are_the_nearest)
 {
-    (void)state;
     uint32_t seed = (uint32_t)getpid();
     print_message("seed %u\n", seed);
     struct bsq_ctx *ctx = test_context(3, 0);
@@ -140,9 +135,8 @@ static void test_sources_are_the_nearest(void **state)
 }
 
 /* A single valid texel is carried over many bands. */
-static void test_padding_reaches_over_many_bands(void **state)
+TEST(test_padding_reaches_over_many_bands)
 {
-    (void)state;
     enum { WIDTH = 300, HEIGHT = 40 };
     struct bsq_ctx *ctx = test_context(2, 0);
     uint8_t *valid = calloc(WIDTH * HEIGHT, 1);
@@ -164,11 +158,4 @@ static void test_padding_reaches_over_many_bands(void **state)
     test_context_end(ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_sources_are_the_nearest),
-        cmocka_unit_test(test_padding_reaches_over_many_bands),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

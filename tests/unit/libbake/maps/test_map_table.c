@@ -1,18 +1,14 @@
 /* test_map_table.c - what every row of the table of maps must hold, so that a new map is checked
  * without a test of its own. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 #include "base/channels.h"
 #include "libbake/maps/map_encode.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 static struct bake_options options_for(uint32_t maps, const char *output)
 {
@@ -27,9 +23,8 @@ static struct bake_options options_for(uint32_t maps, const char *output)
 
 /* test_bake.sh reads names from --help and looks for them in the man page: lower-case letters,
  * digits and underscores. */
-static void test_names_are_unique_words(void **state)
+TEST(test_names_are_unique_words)
 {
-    (void)state;
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
         const char *name = bake_map_name(i);
         assert_non_null(name);
@@ -45,9 +40,8 @@ static void test_names_are_unique_words(void **state)
     assert_null(bake_map_summary(BK_MAP_COUNT));
 }
 
-static void test_a_bit_gives_the_file_of_its_name(void **state)
+TEST(test_a_bit_gives_the_file_of_its_name)
 {
-    (void)state;
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
         char expected[64];
         snprintf(expected, sizeof expected, "%s/a_%s.exr", bake_map_name(i), bake_map_name(i));
@@ -57,9 +51,8 @@ static void test_a_bit_gives_the_file_of_its_name(void **state)
     }
 }
 
-static void test_maps_fill_the_channels_they_declare(void **state)
+TEST(test_maps_fill_the_channels_they_declare)
 {
-    (void)state;
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
         const struct bake_map_row *row = &bake_map_table[i];
         const uint32_t values = bake_map_values(i);
@@ -92,9 +85,8 @@ static struct bake_encoder encoder_for(unsigned number, const struct bake_traced
     return encoder;
 }
 
-static void test_attributes_fit_their_list(void **state)
+TEST(test_attributes_fit_their_list)
 {
-    (void)state;
     const struct bake_traced traced = {.front = 0.125,
                                        .back = 1e-300,
                                        .sampling = "exact",
@@ -117,9 +109,8 @@ static void test_attributes_fit_their_list(void **state)
 
 /* A user who names only a map and a file name must get the map in at least one format. Messages
  * about the others name the map. */
-static void test_some_format_stores_each_map(void **state)
+TEST(test_some_format_stores_each_map)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
         bool stored = false;
@@ -138,9 +129,8 @@ static void test_some_format_stores_each_map(void **state)
     test_context_end(ctx);
 }
 
-static void test_defaults_need_no_colours(void **state)
+TEST(test_defaults_need_no_colours)
 {
-    (void)state;
     const struct bake_scan_facts without = {0}, with = {.has_color = true};
     uint32_t grey = bake_choose_maps(BAKE_MAPS_DEFAULT, &without);
     uint32_t colored = bake_choose_maps(BAKE_MAPS_DEFAULT, &with);
@@ -153,9 +143,8 @@ static void test_defaults_need_no_colours(void **state)
 }
 
 /* "All" leaves out what the scan lacks, but not what is named. */
-static void test_all_maps_are_those_that_the_scan_gives(void **state)
+TEST(test_all_maps_are_those_that_the_scan_gives)
 {
-    (void)state;
     const uint32_t every = (1u << BK_MAP_COUNT) - 1;
     const struct bake_scan_facts all = {.has_color = true, .has_ids = true};
     const struct bake_scan_facts grey = {.has_ids = true}, plain = {.has_color = true};
@@ -166,9 +155,8 @@ static void test_all_maps_are_those_that_the_scan_gives(void **state)
 }
 
 /* Maps that say how to decode their samples say it correctly, also if there is only one value. */
-static void test_encodings_decode_to_the_values(void **state)
+TEST(test_encodings_decode_to_the_values)
 {
-    (void)state;
     const struct bake_traced traced = {
         .scan_min = {-1, 5, 3}, .scan_max = {2, 5, 4}, .image_origin = {0.5, 4, 3}};
     static const double largest[] = {0.75, 0};
@@ -194,9 +182,8 @@ static void test_encodings_decode_to_the_values(void **state)
         }
 }
 
-static void test_samples_are_limited_to_halves(void **state)
+TEST(test_samples_are_limited_to_halves)
 {
-    (void)state;
     float samples[] = {0,        65504,     -65504, 65505, -65505,
                        INFINITY, -INFINITY, 1e30f,  6e-8f, (float)NAN};
     assert_int_equal(bake_limit_to_half(samples, 10), 5);
@@ -207,9 +194,8 @@ static void test_samples_are_limited_to_halves(void **state)
 }
 
 /* Three sums each, after those of the rows; files have the channels of the name. */
-static void test_transfer_maps_follow_the_rows(void **state)
+TEST(test_transfer_maps_follow_the_rows)
 {
-    (void)state;
     const struct bake_transfer transfers[] = {{.name = "roughness", .texture_path = "r.png"},
                                               {.name = "emission", .texture_path = "e.png"},
                                               {.name = "other", .texture_path = "o.png"}};
@@ -241,9 +227,8 @@ static void test_transfer_maps_follow_the_rows(void **state)
     assert_int_equal(bake_first_of(bake_selection(&options)), BK_MAP_COUNT);
 }
 
-static void test_unknown_maps_are_refused(void **state)
+TEST(test_unknown_maps_are_refused)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(1, 0);
     for (unsigned bit = BK_MAP_COUNT; bit < 32; ++bit) {
         if (1u << bit == BAKE_MAPS_ALL)
@@ -256,20 +241,4 @@ static void test_unknown_maps_are_refused(void **state)
     test_context_end(ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_names_are_unique_words),
-        cmocka_unit_test(test_a_bit_gives_the_file_of_its_name),
-        cmocka_unit_test(test_maps_fill_the_channels_they_declare),
-        cmocka_unit_test(test_attributes_fit_their_list),
-        cmocka_unit_test(test_some_format_stores_each_map),
-        cmocka_unit_test(test_defaults_need_no_colours),
-        cmocka_unit_test(test_all_maps_are_those_that_the_scan_gives),
-        cmocka_unit_test(test_encodings_decode_to_the_values),
-        cmocka_unit_test(test_samples_are_limited_to_halves),
-        cmocka_unit_test(test_transfer_maps_follow_the_rows),
-        cmocka_unit_test(test_unknown_maps_are_refused),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

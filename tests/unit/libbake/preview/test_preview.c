@@ -1,5 +1,5 @@
 /* test_preview.c - the preview's vertical axis, its views, and texels without a hit. */
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 #include <math.h>
 #include <string.h>
@@ -49,9 +49,8 @@ static int up_axis_of(double (*positions)[3][3], uint64_t count, enum bake_up up
     return bake_preview_up_axis(&preview);
 }
 
-static void test_mesh_stands_on_its_base(void **state)
+TEST(test_mesh_stands_on_its_base)
 {
-    (void)state;
     double pyramid[6][3][3];
     for (int axis = 1; axis < 3; axis++) {
         const uint64_t count = make_pyramid(axis, 2, pyramid);
@@ -69,9 +68,8 @@ static void test_mesh_stands_on_its_base(void **state)
 }
 
 /* An animal may have a flatter mouth than feet, but it does not stand on its mouth. */
-static void test_mesh_does_not_fall_over(void **state)
+TEST(test_mesh_does_not_fall_over)
 {
-    (void)state;
     double mesh[8][3][3];
     const uint64_t body = make_pyramid(1, 3, mesh);
     /* A flat triangle that faces down z, below the rest of the mesh: in front of it, then under its
@@ -94,9 +92,8 @@ static double dot(const double a[3], const double b[3])
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
-static void test_views_go_around_the_vertical_axis(void **state)
+TEST(test_views_go_around_the_vertical_axis)
 {
-    (void)state;
     double pyramid[6][3][3];
     struct bake_lowmesh mesh = {.triangle_count = make_pyramid(1, 2, pyramid),
                                 .positions = pyramid};
@@ -125,9 +122,8 @@ static void test_views_go_around_the_vertical_axis(void **state)
 
 /* ---- misses ---- */
 
-static void test_misses_are_averaged(void **state)
+TEST(test_misses_are_averaged)
 {
-    (void)state;
     enum { WIDTH = 8, HEIGHT = 130, CHANNELS = 2 };
     struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_image *image;
@@ -182,9 +178,8 @@ static struct bsq_vec3 shade_middle(const struct bake_thumbnail *missed)
     return mapped;
 }
 
-static void test_misses_are_red(void **state)
+TEST(test_misses_are_red)
 {
-    (void)state;
     float texels[1][3] = {{0, 1, 0}};
     struct bake_thumbnail missed = {1, 1, 1, 1, 1, texels};
     const struct bsq_vec3 hit = shade_middle(&missed);
@@ -247,9 +242,8 @@ static void check_front(struct bsq_ctx *ctx, const struct bake_preview *preview,
     bsq_free(ctx, front.starts);
 }
 
-static void test_rays_start_before_the_first_block(void **state)
+TEST(test_rays_start_before_the_first_block)
 {
-    (void)state;
     struct bsq_ctx *ctx = test_context(2, 0);
     static const double centres[2][3] = {{0, 0, 0}, {30, 21, 14}};
     struct analytic_grid *source = analytic_grid_create();
@@ -277,15 +271,4 @@ static void test_rays_start_before_the_first_block(void **state)
     test_context_end(ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_mesh_stands_on_its_base),
-        cmocka_unit_test(test_mesh_does_not_fall_over),
-        cmocka_unit_test(test_views_go_around_the_vertical_axis),
-        cmocka_unit_test(test_misses_are_averaged),
-        cmocka_unit_test(test_misses_are_red),
-        cmocka_unit_test(test_rays_start_before_the_first_block),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

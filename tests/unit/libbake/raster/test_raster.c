@@ -1,17 +1,13 @@
 /* test_raster.c - rasterisation against a naive reference in double, and properties that hold for
  * any mesh. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include <cmocka.h>
-
 #include "libbake/raster/raster.h"
+#include "tests/unit/test.h"
 
 #define SEED UINT64_C(20080611)
 
@@ -49,6 +45,7 @@ static int tear_down(void **state)
     free(f);
     return 0;
 }
+#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
 
 static double random_between(struct fixture *f, double low, double high)
 {
@@ -193,7 +190,7 @@ static void check_against_reference(const struct fixture *f, const struct map *m
     assert_true(unclear < (uint64_t)map->columns * map->rows / 5);
 }
 
-static void test_random_triangles(void **state)
+FIXTURE_TEST(test_random_triangles)
 {
     struct fixture *f = *state;
     print_message("seed %llu\n", (unsigned long long)SEED);
@@ -214,7 +211,7 @@ static void test_random_triangles(void **state)
 }
 
 /* Corners far outside, whose fixed-point coordinates do not fit 32 bits. */
-static void test_far_corners(void **state)
+FIXTURE_TEST(test_far_corners)
 {
     struct fixture *f = *state;
     const double distances[] = {10, 3e3, 1e6};
@@ -280,7 +277,7 @@ static void check_each_sample_once(struct fixture *f, uint32_t width, uint32_t h
     free(map.owners);
 }
 
-static void test_triangulated_square_is_covered_once(void **state)
+FIXTURE_TEST(test_triangulated_square_is_covered_once)
 {
     struct fixture *f = *state;
     const uint32_t cells[] = {1, 2, 7, 16, 61};
@@ -297,7 +294,7 @@ static void test_triangulated_square_is_covered_once(void **state)
 }
 
 /* Corners and edges that pass exactly through the samples' centres. */
-static void test_edges_on_sample_centres(void **state)
+FIXTURE_TEST(test_edges_on_sample_centres)
 {
     struct fixture *f = *state;
     for (uint32_t y = 0; y < 9; y++) {
@@ -311,7 +308,7 @@ static void test_edges_on_sample_centres(void **state)
 }
 
 /* Slivers: a fan from one corner of the square to many points on the opposite sides. */
-static void test_fan_of_slivers_is_covered_once(void **state)
+FIXTURE_TEST(test_fan_of_slivers_is_covered_once)
 {
     struct fixture *f = *state;
     const int count = 700;
@@ -328,7 +325,7 @@ static void test_fan_of_slivers_is_covered_once(void **state)
 
 /* ---- rules ---- */
 
-static void test_orientation_of_the_map(void **state)
+FIXTURE_TEST(test_orientation_of_the_map)
 {
     struct fixture *f = *state;
     add_quad(f, 0.5f, 0.75f, 1, 1); /* right half of the top quarter */
@@ -341,7 +338,7 @@ static void test_orientation_of_the_map(void **state)
 }
 
 /* A square between the centres of samples (1, 1) and (3, 3) owns its top and left edges only. */
-static void test_top_left_rule(void **state)
+FIXTURE_TEST(test_top_left_rule)
 {
     struct fixture *f = *state;
     add_quad(f, 1.5f / 8, 1 - 3.5f / 8, 3.5f / 8, 1 - 1.5f / 8);
@@ -354,7 +351,7 @@ static void test_top_left_rule(void **state)
     free(map.owners);
 }
 
-static void test_tile_size_does_not_matter(void **state)
+FIXTURE_TEST(test_tile_size_does_not_matter)
 {
     struct fixture *f = *state;
     const uint32_t sizes[] = {1, 5, 16, 31, 200};
@@ -372,7 +369,7 @@ static void test_tile_size_does_not_matter(void **state)
     free(expected.owners);
 }
 
-static void test_first_triangle_wins(void **state)
+FIXTURE_TEST(test_first_triangle_wins)
 {
     struct fixture *f = *state;
     add_quad(f, 0, 0, 0.5f, 1);
@@ -388,7 +385,7 @@ static void test_first_triangle_wins(void **state)
     free(map.owners);
 }
 
-static void test_mirrored_triangles_cover_the_same(void **state)
+FIXTURE_TEST(test_mirrored_triangles_cover_the_same)
 {
     struct fixture *f = *state;
     add_jittered_grid(f, 5);
@@ -405,7 +402,7 @@ static void test_mirrored_triangles_cover_the_same(void **state)
     free(expected.owners);
 }
 
-static void test_degenerate_triangles_are_counted(void **state)
+FIXTURE_TEST(test_degenerate_triangles_are_counted)
 {
     struct fixture *f = *state;
     const float inside[2] = {0.5f, 0.5f}, corner[2] = {1, 1}, edge[2] = {0, 0.25f};
@@ -428,7 +425,7 @@ static void test_degenerate_triangles_are_counted(void **state)
     free(map.owners);
 }
 
-static void test_empty_tiles_are_left_out(void **state)
+FIXTURE_TEST(test_empty_tiles_are_left_out)
 {
     struct fixture *f = *state;
     struct bake_raster_report report;
@@ -449,7 +446,7 @@ static void test_empty_tiles_are_left_out(void **state)
 }
 
 /* Time must not be the product of triangles and samples, which would be minutes. */
-static void test_many_triangles_over_the_same_texels(void **state)
+FIXTURE_TEST(test_many_triangles_over_the_same_texels)
 {
     struct fixture *f = *state;
     const float corners[3][2] = {{-1, -1}, {3, -1}, {-1, 3}};
@@ -466,7 +463,7 @@ static void test_many_triangles_over_the_same_texels(void **state)
     free(map.owners);
 }
 
-static void test_interruption(void **state)
+FIXTURE_TEST(test_interruption)
 {
     struct fixture *f = *state;
     static uint32_t owners[64 * 64];
@@ -486,7 +483,7 @@ static void test_interruption(void **state)
     bsq_clear_error(f->ctx);
 }
 
-static void test_senseless_options_are_refused(void **state)
+FIXTURE_TEST(test_senseless_options_are_refused)
 {
     struct fixture *f = *state;
     const struct bake_raster_options options[] = {{0, 64, 1, 16, 0, 0, NULL, {NULL, 0}},
@@ -508,7 +505,7 @@ static void test_senseless_options_are_refused(void **state)
 
 /* Rasters of two complementary sets of blocks have all tiles, each in one of them, with the same
  * samples; the blocks at the border are smaller. */
-static void test_blocks_divide_a_map(void **state)
+FIXTURE_TEST(test_blocks_divide_a_map)
 {
     struct fixture *f = *state;
     enum { WIDTH = 80, HEIGHT = 50, SIDE = 32, COLUMNS = 3, ROWS = 2, TILE = 8 };
@@ -547,7 +544,7 @@ static void test_blocks_divide_a_map(void **state)
 }
 
 /* Whichever allocation exceeds the budget, all memory is freed. */
-static void test_small_budgets_fail_cleanly(void **state)
+FIXTURE_TEST(test_small_budgets_fail_cleanly)
 {
     struct fixture *f = *state;
     int rc = BSQ_ENOMEM, failures = 0;
@@ -633,7 +630,7 @@ static struct bk_triangle *check_kernel_triangles(struct fixture *f, uint32_t wi
     return triangles;
 }
 
-static void test_kernel_triangles(void **state)
+FIXTURE_TEST(test_kernel_triangles)
 {
     struct fixture *f = *state;
     add_jittered_grid(f, 13);
@@ -645,7 +642,7 @@ static void test_kernel_triangles(void **state)
 
 /* Slivers along the map's diagonal, some thinner than a step of the sample grid: weights must not
  * extrapolate. Along 2000 samples, float weights are off by a few samples. */
-static void test_kernel_triangles_of_slivers(void **state)
+FIXTURE_TEST(test_kernel_triangles_of_slivers)
 {
     struct fixture *f = *state;
     const float a[2] = {0.01f, 0.013f}, b[2] = {0.97f, 0.96f};
@@ -661,7 +658,7 @@ static void test_kernel_triangles_of_slivers(void **state)
     free(check_kernel_triangles(f, 4096, 64, 4, 4));
 }
 
-static void test_kernel_triangles_without_area_are_zero(void **state)
+FIXTURE_TEST(test_kernel_triangles_without_area_are_zero)
 {
     struct fixture *f = *state;
     const float a[2] = {0.1f, 0.1f}, b[2] = {0.7f, 0.3f};
@@ -677,31 +674,4 @@ static void test_kernel_triangles_without_area_are_zero(void **state)
     bake_raster_free(raster);
 }
 
-#define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
-
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        TEST(test_random_triangles),
-        TEST(test_far_corners),
-        TEST(test_triangulated_square_is_covered_once),
-        TEST(test_edges_on_sample_centres),
-        TEST(test_fan_of_slivers_is_covered_once),
-        TEST(test_orientation_of_the_map),
-        TEST(test_top_left_rule),
-        TEST(test_tile_size_does_not_matter),
-        TEST(test_first_triangle_wins),
-        TEST(test_mirrored_triangles_cover_the_same),
-        TEST(test_degenerate_triangles_are_counted),
-        TEST(test_empty_tiles_are_left_out),
-        TEST(test_many_triangles_over_the_same_texels),
-        TEST(test_interruption),
-        TEST(test_senseless_options_are_refused),
-        TEST(test_blocks_divide_a_map),
-        TEST(test_small_budgets_fail_cleanly),
-        TEST(test_kernel_triangles),
-        TEST(test_kernel_triangles_of_slivers),
-        TEST(test_kernel_triangles_without_area_are_zero),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -1,5 +1,5 @@
 /* test_udim.c - the tiles that triangles lie in, the mesh sorted by tile, and messages. */
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 #include <math.h>
 #include <string.h>
@@ -41,6 +41,7 @@ static int tear_down(void **state)
     free(f);
     return 0;
 }
+#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
 
 /* Adds a triangle, whose other attributes hold its number. */
 static void add(struct fixture *f, const float uv[3][2])
@@ -102,7 +103,7 @@ static void expect_order(const struct fixture *f, uint64_t count, const uint32_t
 
 /* ---- tiles ---- */
 
-static void test_numbers(void **state)
+FIXTURE_TEST(test_numbers)
 {
     struct fixture *f = *state;
     add_corner(f, 0.25f, 0.25f, 0.5f);
@@ -116,7 +117,7 @@ static void test_numbers(void **state)
                                                       10 * bake_udim_row(f->udim.tiles[i].number));
 }
 
-static void test_one_tile_stays_as_it_is(void **state)
+FIXTURE_TEST(test_one_tile_stays_as_it_is)
 {
     struct fixture *f = *state;
     add(f, (const float[3][2]){{0, 0}, {1, 0}, {0, 1}}); /* touches three other tiles */
@@ -131,7 +132,7 @@ static void test_one_tile_stays_as_it_is(void **state)
     assert_int_equal(f->udim.outside_triangles, 0);
 }
 
-static void test_mesh_is_sorted_by_tile(void **state)
+FIXTURE_TEST(test_mesh_is_sorted_by_tile)
 {
     struct fixture *f = *state;
     add_corner(f, 1.25f, 0.25f, 0.25f);
@@ -153,7 +154,7 @@ static void test_mesh_is_sorted_by_tile(void **state)
     assert_int_equal(f->udim.outside_triangles, 0);
 }
 
-static void test_triangles_outside_the_selection_come_last(void **state)
+FIXTURE_TEST(test_triangles_outside_the_selection_come_last)
 {
     struct fixture *f = *state;
     add_corner(f, 1.25f, 0.25f, 0.25f);
@@ -171,7 +172,7 @@ static void test_triangles_outside_the_selection_come_last(void **state)
     assert_int_equal(f->udim.outside_triangles, 3);
 }
 
-static void test_overshoot_below_half_a_texel_is_no_tile(void **state)
+FIXTURE_TEST(test_overshoot_below_half_a_texel_is_no_tile)
 {
     struct fixture *f = *state;
     const float texel = 1.0f / SIZE;
@@ -200,7 +201,7 @@ static void test_overshoot_below_half_a_texel_is_no_tile(void **state)
     expect_tiles(f, 1, (const uint32_t[]){1001});
 }
 
-static void test_only_flat_triangles(void **state)
+FIXTURE_TEST(test_only_flat_triangles)
 {
     struct fixture *f = *state;
     add_corner(f, 3.5f, 3.5f, 0);
@@ -259,7 +260,7 @@ static bool has_tile(const struct fixture *f, uint32_t number)
     return false;
 }
 
-static void test_tiles_are_those_that_triangles_overlap(void **state)
+FIXTURE_TEST(test_tiles_are_those_that_triangles_overlap)
 {
     struct fixture *f = *state;
     uint64_t random = test_seed();
@@ -288,7 +289,7 @@ static void test_tiles_are_those_that_triangles_overlap(void **state)
 
 /* ---- messages ---- */
 
-static void test_messages(void **state)
+FIXTURE_TEST(test_messages)
 {
     struct fixture *f = *state;
     add_corner(f, 0.25f, 0.25f, 0.25f);
@@ -332,7 +333,7 @@ static void test_messages(void **state)
 }
 
 /* The first corner of each triangle lies in a tile. */
-static void test_the_corner_outside_of_all_tiles_is_named(void **state)
+FIXTURE_TEST(test_the_corner_outside_of_all_tiles_is_named)
 {
     struct fixture *f = *state;
     add_corner(f, 9.25f, 0.25f, 1.25f);
@@ -348,7 +349,7 @@ static void test_the_corner_outside_of_all_tiles_is_named(void **state)
                    "there are triangles in 1001");
 }
 
-static void test_long_lists_are_cut(void **state)
+FIXTURE_TEST(test_long_lists_are_cut)
 {
     struct fixture *f = *state;
     for (int v = 0; v < 10; v++)
@@ -359,7 +360,7 @@ static void test_long_lists_are_cut(void **state)
     assert_non_null(strstr(bsq_error(f->ctx), " more; to bake all"));
 }
 
-static void test_huge_coordinates_end(void **state)
+FIXTURE_TEST(test_huge_coordinates_end)
 {
     struct fixture *f = *state;
     const float far_away[][3][2] = {{{-3e38f, -3e38f}, {3e38f, -3e38f}, {0, 3e38f}},
@@ -376,21 +377,4 @@ static void test_huge_coordinates_end(void **state)
     expect_tiles(f, 1, (const uint32_t[]){1001});
 }
 
-int main(void)
-{
-#define TEST(f) cmocka_unit_test_setup_teardown(f, set_up, tear_down)
-    const struct CMUnitTest tests[] = {
-        TEST(test_numbers),
-        TEST(test_one_tile_stays_as_it_is),
-        TEST(test_mesh_is_sorted_by_tile),
-        TEST(test_triangles_outside_the_selection_come_last),
-        TEST(test_overshoot_below_half_a_texel_is_no_tile),
-        TEST(test_only_flat_triangles),
-        TEST(test_tiles_are_those_that_triangles_overlap),
-        TEST(test_messages),
-        TEST(test_the_corner_outside_of_all_tiles_is_named),
-        TEST(test_long_lists_are_cut),
-        TEST(test_huge_coordinates_end),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -3,14 +3,12 @@
 #include "libvoxel/chunk/gather_window.h"
 #include "libvoxel/partition/vertex_buckets.h"
 
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 #include "tests/unit/libvoxel/sort_grid.h"
+#include "tests/unit/test.h"
 
 #define VERTICES  100003u
 #define TEXCOORDS 40000u
@@ -68,6 +66,7 @@ static int tear_down(void **state)
     free(f);
     return 0;
 }
+#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
 
 /* ---- records ---- */
 
@@ -186,7 +185,7 @@ static void run_window(struct fixture *f, const struct record_layout *layout)
     free(records);
 }
 
-static void positions_alone_come_from_a_file(void **state)
+FIXTURE_TEST(positions_alone_come_from_a_file)
 {
     struct fixture *f = *state;
     struct record_layout layout;
@@ -201,7 +200,7 @@ static void positions_alone_come_from_a_file(void **state)
 }
 
 /* Tries each combination of streams in files. */
-static void columns_in_memory_stay_there(void **state)
+FIXTURE_TEST(columns_in_memory_stay_there)
 {
     struct fixture *f = *state;
     for (unsigned spilled = 1; spilled < 1 << SCAN_STREAM_COUNT; spilled++) {
@@ -246,7 +245,7 @@ static void expect_buckets(struct fixture *f, bool have_order)
     }
 }
 
-static void buckets_of_vertices_are_those_of_their_keys(void **state)
+FIXTURE_TEST(buckets_of_vertices_are_those_of_their_keys)
 {
     struct fixture *f = *state;
     for (int order = 0; order < 2; order++) {
@@ -272,13 +271,4 @@ static void buckets_of_vertices_are_those_of_their_keys(void **state)
     }
 }
 
-int main(void)
-{
-#define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
-    const struct CMUnitTest tests[] = {
-        TEST(positions_alone_come_from_a_file),
-        TEST(columns_in_memory_stay_there),
-        TEST(buckets_of_vertices_are_those_of_their_keys),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

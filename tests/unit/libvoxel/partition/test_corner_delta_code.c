@@ -2,10 +2,9 @@
  * bytes a triangle. */
 #include "libvoxel/partition/corner_delta_code.h"
 #include "formats/mesh/mesh_reader.h"
+#include "tests/unit/test.h"
 
-#include <setjmp.h>
 #include <stdlib.h>
-#include <cmocka.h>
 
 enum { COUNT = 3000 };
 
@@ -41,9 +40,8 @@ static uint64_t round_trip(const uint64_t (*triangles)[3], uint64_t count)
 }
 
 /* Codes random numbers, with extremes and repetitions among them. */
-static void any_indices_come_back(void **state)
+TEST(any_indices_come_back)
 {
-    (void)state;
     uint64_t(*triangles)[3] = malloc(COUNT * sizeof *triangles);
     for (uint64_t seed = 1; seed <= 50; seed++) {
         uint64_t random = seed;
@@ -75,9 +73,8 @@ static uint64_t (*make_grid(uint64_t n))[3]
 }
 
 /* Each triangle has one new corner, which is near the last one except at the ends of rows. */
-static void grids_take_two_bytes(void **state)
+TEST(grids_take_two_bytes)
 {
-    (void)state;
     enum { N = 50 };
     uint64_t(*triangles)[3] = make_grid(N), count = 2 * N * N;
     assert_in_range(round_trip((const uint64_t(*)[3])triangles, count), 2 * count,
@@ -88,9 +85,8 @@ static void grids_take_two_bytes(void **state)
 /* Shuffled triangles take nine bytes: control, widths, four bytes for the first corner, one for its
  * neighbour in the row, and two for the one in the next row, about 400 indices away. A few take
  * less, by chance. */
-static void grids_without_order_take_nine_bytes(void **state)
+TEST(grids_without_order_take_nine_bytes)
 {
-    (void)state;
     enum { N = 400 };
     uint64_t(*triangles)[3] = make_grid(N), count = 2 * N * N, random = 5;
     for (uint64_t t = count - 1; t > 0; t--) {
@@ -103,12 +99,4 @@ static void grids_without_order_take_nine_bytes(void **state)
     free(triangles);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(any_indices_come_back),
-        cmocka_unit_test(grids_take_two_bytes),
-        cmocka_unit_test(grids_without_order_take_nine_bytes),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -1,14 +1,13 @@
 /* Tests the check of disk space before sorting, with invented free space. */
 #include "libvoxel/partition/partition.h"
 #include "base/file.h"
+#include "tests/unit/test.h"
 
-#include <setjmp.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/statvfs.h>
 #include <unistd.h>
-#include <cmocka.h>
 
 #define MIB ((uint64_t)1 << 20)
 
@@ -79,6 +78,7 @@ static int tear_down(void **state)
     free(f);
     return status;
 }
+#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
 
 static int sort(struct fixture *f, const struct sort_limits *limits, struct vox_sort_report *report)
 {
@@ -104,7 +104,7 @@ static struct fmt_mesh_estimate estimate(struct fixture *f)
     return result;
 }
 
-static void estimates_are_near_the_truth(void **state)
+FIXTURE_TEST(estimates_are_near_the_truth)
 {
     struct fixture *f = *state;
     static const unsigned kinds[] = {0, COLORS, NORMALS, QUADS, QUADS | COLORS, TILES};
@@ -137,7 +137,7 @@ static void estimates_are_near_the_truth(void **state)
         }
 }
 
-static void a_full_disk_is_found_before_the_work(void **state)
+FIXTURE_TEST(a_full_disk_is_found_before_the_work)
 {
     struct fixture *f = *state;
     struct vox_sort_report report;
@@ -160,7 +160,7 @@ static void a_full_disk_is_found_before_the_work(void **state)
 }
 
 /* If temporary files are on the output's disk, it must have space for both. */
-static void outputs_and_temporary_files_share_a_disk(void **state)
+FIXTURE_TEST(outputs_and_temporary_files_share_a_disk)
 {
     struct fixture *f = *state;
     struct bsq_ctx_options elsewhere = {.tmpdir = "/proc"};
@@ -175,13 +175,4 @@ static void outputs_and_temporary_files_share_a_disk(void **state)
     assert_non_null(strstr(bsq_error(f->ctx), "/proc: 101 bytes are needed for temporary files"));
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test_setup_teardown(estimates_are_near_the_truth, set_up, tear_down),
-        cmocka_unit_test_setup_teardown(a_full_disk_is_found_before_the_work, set_up, tear_down),
-        cmocka_unit_test_setup_teardown(outputs_and_temporary_files_share_a_disk, set_up,
-                                        tear_down),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

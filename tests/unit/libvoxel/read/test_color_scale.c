@@ -1,11 +1,6 @@
 /* Tests which scale colours get, and that their order does not matter. */
 #include "libvoxel/read/scan.h"
-
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
-
-#include <cmocka.h>
+#include "tests/unit/test.h"
 
 static float scale_of(const float *values, uint64_t count)
 {
@@ -26,25 +21,22 @@ static float scale_of(const float *values, uint64_t count)
 #define SCALE(...)                                                                                 \
     (double)scale_of((const float[]){__VA_ARGS__}, sizeof((float[]){__VA_ARGS__}) / sizeof(float))
 
-static void black_and_pure_colors_do_not_tell(void **state)
+TEST(black_and_pure_colors_do_not_tell)
 {
-    (void)state;
     assert_true(SCALE(0) == 0);
     assert_true(SCALE(0, -0.0f, -1, -0.5f) == 0);
     assert_true(SCALE(0, 1, 0) == 0);
     assert_true(SCALE(2, 1) == 0);
 }
 
-static void whole_values_tell(void **state)
+TEST(whole_values_tell)
 {
-    (void)state;
     assert_true(SCALE(1, 0, 3) == 1);
     assert_true(SCALE(255, 0, 1, 1, 1, 1) == 1);
 }
 
-static void fractions_tell(void **state)
+TEST(fractions_tell)
 {
-    (void)state;
     assert_true(SCALE(0.5f) == 255);
     assert_true(SCALE(1, 1.0001f) == 255);
     assert_true(SCALE(0.5f, 3, 16) == 255); /* bright spots */
@@ -54,7 +46,7 @@ static void fractions_tell(void **state)
 }
 
 /* Values that are too large count if there is one for each thousand fractions. */
-static void damage_does_not_tell(void **state)
+TEST(damage_does_not_tell)
 {
     static float colors[5000][3];
     (void)state;
@@ -69,13 +61,4 @@ static void damage_does_not_tell(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(black_and_pure_colors_do_not_tell),
-        cmocka_unit_test(whole_values_tell),
-        cmocka_unit_test(fractions_tell),
-        cmocka_unit_test(damage_does_not_tell),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

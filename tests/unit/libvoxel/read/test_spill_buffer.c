@@ -1,16 +1,14 @@
 /* Tests spill buffers: appended bytes are read back, from memory and from a file, while another
  * thread prefaults memory; and memory is resident before it is filled. */
 #include "libvoxel/read/spill_buffer.h"
+#include "tests/unit/test.h"
 
 #include <pthread.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
 #include <unistd.h>
-#include <cmocka.h>
 
 #define MIB ((uint64_t)1 << 20)
 
@@ -67,9 +65,8 @@ static void *prefault(void *arg)
     return NULL;
 }
 
-static void content_stays_while_another_thread_prefaults(void **state)
+TEST(content_stays_while_another_thread_prefaults)
 {
-    (void)state;
     static const uint64_t segments[] = {100000, 5 * MIB + 4096, 6 * MIB};
     for (int s = 0; s < 3; s++)
         for (int spilled = 0; spilled < 2; spilled++) {
@@ -108,9 +105,8 @@ static uint64_t resident(uint8_t *at, uint64_t size)
 }
 
 /* Prefaults at most two huge pages ahead, because a scan does not fill its last segment. */
-static void memory_is_there_before_it_is_filled(void **state)
+TEST(memory_is_there_before_it_is_filled)
 {
-    (void)state;
     struct bsq_ctx *ctx = create();
     struct spill_buffer spill;
     uint8_t *at;
@@ -143,11 +139,4 @@ static void memory_is_there_before_it_is_filled(void **state)
     bsq_ctx_destroy(ctx);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(content_stays_while_another_thread_prefaults),
-        cmocka_unit_test(memory_is_there_before_it_is_filled),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

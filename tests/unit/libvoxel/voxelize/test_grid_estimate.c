@@ -2,16 +2,14 @@
 #include "libvoxel/voxelize/grid_estimate.h"
 #include "libvoxel/voxel.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
+#include "tests/unit/test.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/statvfs.h>
 #include <unistd.h>
-#include <cmocka.h>
 
 static uint64_t free_bytes;
 
@@ -64,6 +62,7 @@ static int tear_down(void **state)
     free(f);
     return 0;
 }
+#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
 
 static double estimate(const struct fixture *f, double voxel_size, uint64_t chunks_max)
 {
@@ -94,7 +93,7 @@ static int check(struct fixture *f, double voxel_size)
     return status;
 }
 
-static void test_estimates_are_those_of_grids(void **state)
+FIXTURE_TEST(test_estimates_are_those_of_grids)
 {
     struct fixture *f = *state;
     struct scan_mesh mesh = scan_sphere(10.0, 2.0);
@@ -129,7 +128,7 @@ static void write_quad(const struct fixture *f)
     scan_mesh_free(&mesh);
 }
 
-static void test_ordinary_grids_are_nothing_to_speak_of(void **state)
+FIXTURE_TEST(test_ordinary_grids_are_nothing_to_speak_of)
 {
     struct fixture *f = *state;
     write_quad(f);
@@ -137,7 +136,7 @@ static void test_ordinary_grids_are_nothing_to_speak_of(void **state)
     assert_int_equal(f->warnings, 0);
 }
 
-static void test_huge_grids_of_few_triangles_are_warned_of(void **state)
+FIXTURE_TEST(test_huge_grids_of_few_triangles_are_warned_of)
 {
     struct fixture *f = *state;
     write_quad(f);
@@ -149,7 +148,7 @@ static void test_huge_grids_of_few_triangles_are_warned_of(void **state)
 }
 
 /* Half of the estimate must be free, twice: the surface might overlap itself. */
-static void test_grids_larger_than_the_disk_are_refused(void **state)
+FIXTURE_TEST(test_grids_larger_than_the_disk_are_refused)
 {
     struct fixture *f = *state;
     write_quad(f);
@@ -167,7 +166,7 @@ static void test_grids_larger_than_the_disk_are_refused(void **state)
 }
 
 /* 2^32 leaves of 64 voxels are 2.7e11 voxels; an estimate may be twice that. */
-static void test_grids_that_no_file_can_hold_are_refused(void **state)
+FIXTURE_TEST(test_grids_that_no_file_can_hold_are_refused)
 {
     struct fixture *f = *state;
     write_quad(f);
@@ -177,15 +176,4 @@ static void test_grids_that_no_file_can_hold_are_refused(void **state)
     assert_int_equal(f->warnings, 0);
 }
 
-int main(void)
-{
-#define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
-    const struct CMUnitTest tests[] = {
-        TEST(test_estimates_are_those_of_grids),
-        TEST(test_ordinary_grids_are_nothing_to_speak_of),
-        TEST(test_huge_grids_of_few_triangles_are_warned_of),
-        TEST(test_grids_larger_than_the_disk_are_refused),
-        TEST(test_grids_that_no_file_can_hold_are_refused),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

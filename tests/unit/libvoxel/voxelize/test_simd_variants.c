@@ -4,13 +4,11 @@
 #include "libvoxel/voxelize/clip/accumulate.h"
 #include "base/octahedral.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
+#include "tests/unit/test.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 enum { LEVELS = BSQ_SIMD_AVX512 + 1 };
 
@@ -59,9 +57,8 @@ static struct fmt_nvdb_record expected_record(const struct vox_sum *sum)
     return record;
 }
 
-static void test_records(void **state)
+TEST(test_records)
 {
-    (void)state;
     uint64_t seed = 12;
     print_message("seed %llu\n", (unsigned long long)seed);
     struct vox_sum *sums = calloc(SUMS, sizeof *sums);
@@ -164,9 +161,8 @@ static void check_sums(struct bsq_ctx *ctx, const struct vox_chunk *chunk)
     vox_shading_free(ctx, &shading);
 }
 
-static void test_sums(void **state)
+TEST(test_sums)
 {
-    (void)state;
     struct bsq_ctx *ctx;
     struct bsq_ctx_options options = {.memory_bytes = 512 << 20, .threads = 1};
     assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
@@ -228,9 +224,8 @@ static struct vox_one_ring expected_ring(const struct fmt_tris_chunk *chunk, uin
 }
 
 /* Vertex 0 has no one-ring. */
-static void test_rings(void **state)
+TEST(test_rings)
 {
-    (void)state;
     uint64_t seed = 7;
     print_message("seed %llu\n", (unsigned long long)seed);
     float positions[RING_VERTICES][3];
@@ -277,12 +272,4 @@ static void test_rings(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_records),
-        cmocka_unit_test(test_sums),
-        cmocka_unit_test(test_rings),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

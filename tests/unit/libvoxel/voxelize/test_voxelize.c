@@ -3,13 +3,13 @@
 #include "base/octahedral.h"
 #include "tests/unit/sanitized.h"
 #include "voxelize_fixture.h"
+#include "tests/unit/test.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
-#include <cmocka.h>
+
+#define FIXTURE_TEST(name) TEST_EACH(name, vox_set_up, vox_tear_down)
 
 /* ---- the sphere ---- */
 
@@ -32,7 +32,7 @@ static uint64_t exact_sphere_voxels(int64_t n)
 /* A polyhedron inside the sphere gives the same voxels if no voxel corner fits between the two.
  * Corners next to the sphere are at least 1 / (2 R) from it. Triangles with edges of up to 1.5
  * voxels dip 1.5^2 / (6 R) below it. */
-static void test_sphere_touches_the_voxels_of_the_exact_one(void **state)
+FIXTURE_TEST(test_sphere_touches_the_voxels_of_the_exact_one)
 {
     struct vox_fixture *f = *state;
     static const struct {
@@ -57,7 +57,7 @@ static void test_sphere_touches_the_voxels_of_the_exact_one(void **state)
 }
 
 /* Compares normals and planes of a finely tessellated sphere with the sphere's. */
-static void test_sphere_records(void **state)
+FIXTURE_TEST(test_sphere_records)
 {
     struct vox_fixture *f = *state;
     const double radius = 40.0;
@@ -109,7 +109,7 @@ static void set_box(struct scan_mesh *mesh, uint32_t first_quad, double lo, doub
     }
 }
 
-static void test_box_that_ends_on_the_bounds(void **state)
+FIXTURE_TEST(test_box_that_ends_on_the_bounds)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(24, 12);
@@ -124,7 +124,7 @@ static void test_box_that_ends_on_the_bounds(void **state)
 }
 
 /* With a given voxel size every border belongs to the voxel above it. */
-static void test_box_on_multiples_of_a_voxel_size(void **state)
+FIXTURE_TEST(test_box_on_multiples_of_a_voxel_size)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(24, 12);
@@ -145,7 +145,7 @@ static void test_box_on_multiples_of_a_voxel_size(void **state)
     fmt_nvdb_close(f->ctx, &grid);
 }
 
-static void test_flat_scan(void **state)
+FIXTURE_TEST(test_flat_scan)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(4, 2);
@@ -169,7 +169,7 @@ static void test_flat_scan(void **state)
 
 /* ---- two sheets ---- */
 
-static void test_plate_thinner_than_a_voxel(void **state)
+FIXTURE_TEST(test_plate_thinner_than_a_voxel)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(8, 4);
@@ -201,7 +201,7 @@ static void test_plate_thinner_than_a_voxel(void **state)
 }
 
 /* The larger sheet is the first record in either order. A sheet below a hundredth is dropped. */
-static void test_second_sheet_is_the_smaller(void **state)
+FIXTURE_TEST(test_second_sheet_is_the_smaller)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(12, 6);
@@ -235,7 +235,7 @@ static void test_second_sheet_is_the_smaller(void **state)
 
 /* ---- sums ---- */
 
-static void test_a_million_triangles_in_one_voxel(void **state)
+FIXTURE_TEST(test_a_million_triangles_in_one_voxel)
 {
     struct vox_fixture *f = *state;
     /* Large triangles face up; tiny ones of the same total area lean. All must count. */
@@ -267,7 +267,7 @@ static void test_a_million_triangles_in_one_voxel(void **state)
 
 /* Voxels at both ends of the index range, across many root tiles: the space between takes no
  * memory. */
-static void test_sparse_and_huge(void **state)
+FIXTURE_TEST(test_sparse_and_huge)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(6, 2);
@@ -294,7 +294,7 @@ static void test_sparse_and_huge(void **state)
 }
 
 /* A large origin must not cost precision: voxels and records are the same as without it. */
-static void test_origin_only_moves_the_grid(void **state)
+FIXTURE_TEST(test_origin_only_moves_the_grid)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_sphere(10.0, 0.5);
@@ -320,7 +320,7 @@ static void test_origin_only_moves_the_grid(void **state)
 
 /* ---- errors ---- */
 
-static void test_bad_sizes(void **state)
+FIXTURE_TEST(test_bad_sizes)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(4, 2);
@@ -340,7 +340,7 @@ static void test_bad_sizes(void **state)
     assert_int_equal(vox_make(f, 0, 1.0).voxels, 1);
 }
 
-static void test_missing_and_damaged_input(void **state)
+FIXTURE_TEST(test_missing_and_damaged_input)
 {
     struct vox_fixture *f = *state;
     vox_expect_failure(f, 100, 0.0, BSQ_ENOINPUT, "scan.tris");
@@ -359,7 +359,7 @@ static void test_missing_and_damaged_input(void **state)
     vox_expect_failure(f, 100, 0.0, BSQ_EDATA, "scan.tris");
 }
 
-static void test_budget_too_small(void **state)
+FIXTURE_TEST(test_budget_too_small)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_sphere(10.0, 0.5);
@@ -384,24 +384,4 @@ static void test_budget_too_small(void **state)
     }
 }
 
-#define TEST(name) cmocka_unit_test_setup_teardown(name, vox_set_up, vox_tear_down)
-
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        TEST(test_sphere_touches_the_voxels_of_the_exact_one),
-        TEST(test_sphere_records),
-        TEST(test_box_that_ends_on_the_bounds),
-        TEST(test_box_on_multiples_of_a_voxel_size),
-        TEST(test_flat_scan),
-        TEST(test_plate_thinner_than_a_voxel),
-        TEST(test_second_sheet_is_the_smaller),
-        TEST(test_a_million_triangles_in_one_voxel),
-        TEST(test_sparse_and_huge),
-        TEST(test_origin_only_moves_the_grid),
-        TEST(test_bad_sizes),
-        TEST(test_missing_and_damaged_input),
-        TEST(test_budget_too_small),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -2,16 +2,16 @@
 #include "base/octahedral.h"
 #include "formats/image/image_writer.h"
 #include "voxelize_fixture.h"
+#include "tests/unit/test.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdlib.h>
-#include <cmocka.h>
+
+#define FIXTURE_TEST(name) TEST_EACH(name, vox_set_up, vox_tear_down)
 
 /* ---- attributes ---- */
 
-static void test_vertex_normals_are_interpolated(void **state)
+FIXTURE_TEST(test_vertex_normals_are_interpolated)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(4, 2);
@@ -60,7 +60,7 @@ static uint64_t count_inconsistent(struct vox_fixture *f, float lean)
     return count;
 }
 
-static void test_planes_that_normals_contradict_are_marked(void **state)
+FIXTURE_TEST(test_planes_that_normals_contradict_are_marked)
 {
     assert_int_equal(count_inconsistent(*state, 0.0f), 0);
     assert_int_equal(count_inconsistent(*state, 0.05f), 400);
@@ -95,7 +95,7 @@ static uint32_t noise_of_squares(struct vox_fixture *f, double side, bool with_n
 /* The squares of a triangle's edges are s^2, s^2 and 2 s^2. Their mean times 2.7 is the facet-noise
  * weight up to edges of 0.7 voxels, times 0.4 above; at most 1, which is 7 in the file. With the
  * scan's own normals the weight is 0. */
-static void test_facet_noise_weight_follows_the_triangles(void **state)
+FIXTURE_TEST(test_facet_noise_weight_follows_the_triangles)
 {
     static const struct {
         double side, share;
@@ -118,7 +118,7 @@ static double to_srgb(double linear)
     return linear <= 0.0031308 ? 12.92 * linear : 1.055 * pow(linear, 1.0 / 2.4) - 0.055;
 }
 
-static void test_vertex_colors_are_mixed_in_linear_light(void **state)
+FIXTURE_TEST(test_vertex_colors_are_mixed_in_linear_light)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(4, 2);
@@ -144,7 +144,7 @@ static void test_vertex_colors_are_mixed_in_linear_light(void **state)
     fmt_nvdb_close(f->ctx, &grid);
 }
 
-static void test_materials_color_what_has_no_other(void **state)
+FIXTURE_TEST(test_materials_color_what_has_no_other)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(8, 4);
@@ -193,7 +193,7 @@ static void write_ramp(const struct vox_fixture *f)
     assert_int_equal(fmt_image_commit(writer), 0);
 }
 
-static void test_texture_is_sampled_where_the_fragment_lies(void **state)
+FIXTURE_TEST(test_texture_is_sampled_where_the_fragment_lies)
 {
     struct vox_fixture *f = *state;
     write_ramp(f);
@@ -228,7 +228,7 @@ static void test_texture_is_sampled_where_the_fragment_lies(void **state)
     fmt_nvdb_close(f->ctx, &grid);
 }
 
-static void test_missing_texture(void **state)
+FIXTURE_TEST(test_missing_texture)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(4, 2);
@@ -241,18 +241,4 @@ static void test_missing_texture(void **state)
     vox_expect_failure(f, 10, 0.0, BSQ_ENOINPUT, "texture.png");
 }
 
-#define TEST(name) cmocka_unit_test_setup_teardown(name, vox_set_up, vox_tear_down)
-
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        TEST(test_vertex_normals_are_interpolated),
-        TEST(test_planes_that_normals_contradict_are_marked),
-        TEST(test_facet_noise_weight_follows_the_triangles),
-        TEST(test_vertex_colors_are_mixed_in_linear_light),
-        TEST(test_materials_color_what_has_no_other),
-        TEST(test_texture_is_sampled_where_the_fragment_lies),
-        TEST(test_missing_texture),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -1,13 +1,12 @@
 /* Tests that a grid has the same bytes for any budget, number of threads and division into
  * chunks. */
 #include "voxelize_fixture.h"
-#include "tests/unit/fixture.h"
+#include "tests/unit/test.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdlib.h>
-#include <cmocka.h>
+
+#define FIXTURE_TEST(name) TEST_EACH(name, vox_set_up, vox_tear_down)
 
 /* ---- same bytes ---- */
 
@@ -38,7 +37,7 @@ static void check_same_bytes(const struct vox_fixture *f, uint32_t resolution)
 }
 
 /* Triangles of all sizes fill most voxels, so that small budgets work in parts. */
-static void test_noise_gives_the_same_bytes(void **state)
+FIXTURE_TEST(test_noise_gives_the_same_bytes)
 {
     struct vox_fixture *f = *state;
     const uint32_t count = 40000;
@@ -64,7 +63,7 @@ static void test_noise_gives_the_same_bytes(void **state)
 
 /* Parallel sheets, one in every layer except that the last two share one: 2 million voxels in each
  * region, whose records alone exceed the budget. */
-static void test_solid_regions_in_little_memory(void **state)
+FIXTURE_TEST(test_solid_regions_in_little_memory)
 {
     struct vox_fixture *f = *state;
     const uint32_t size = 144;
@@ -99,7 +98,7 @@ static void test_solid_regions_in_little_memory(void **state)
     }
 }
 
-static void test_sphere_gives_the_same_bytes(void **state)
+FIXTURE_TEST(test_sphere_gives_the_same_bytes)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_sphere(100.0, 0.7);
@@ -110,14 +109,4 @@ static void test_sphere_gives_the_same_bytes(void **state)
     check_same_bytes(f, 40);
 }
 
-#define TEST(name) cmocka_unit_test_setup_teardown(name, vox_set_up, vox_tear_down)
-
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        TEST(test_noise_gives_the_same_bytes),
-        TEST(test_solid_regions_in_little_memory),
-        TEST(test_sphere_gives_the_same_bytes),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -2,13 +2,10 @@
 #include "base/file.h"
 #include "tests/unit/fixture.h"
 
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
-#include <cmocka.h>
 
 int vox_set_up(void **state)
 {

@@ -1,15 +1,11 @@
 /* test_launch_batches.c - launch batches follow measured times. */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
-
-#include <cmocka.h>
 
 #include "libbake/device/compute/launch_batches.h"
 #include "libbake/device/job/job.h"
+#include "tests/unit/test.h"
 
-static void test_batches_follow(void **state)
+TEST(test_batches_follow)
 {
     struct bake_batch_sizer sizer = {0};
     (void)state;
@@ -35,9 +31,8 @@ static void test_batches_follow(void **state)
 
 /* A launch never traces more samples of a texel than BAKE_BATCH_THREAD, and there are as few
  * launches as that allows. */
-static void test_batches_of_texels(void **state)
+TEST(test_batches_of_texels)
 {
-    (void)state;
     for (uint32_t n = 1; n <= BAKE_MAX_SAMPLES; n++) {
         const uint32_t lines = bake_batch_lines(n);
         assert_in_range(lines, 1, n);
@@ -46,11 +41,4 @@ static void test_batches_of_texels(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_batches_follow),
-        cmocka_unit_test(test_batches_of_texels),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

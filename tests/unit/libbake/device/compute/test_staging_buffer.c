@@ -1,15 +1,11 @@
 /* test_staging_buffer.c - data put into a staging buffer is sent in order and complete, also if
  * several threads fill it. */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include <cmocka.h>
-
 #include "base/context.h"
 #include "libbake/device/compute/staging_buffer.h"
+#include "tests/unit/test.h"
 
 enum { PIECE = (5 << 20) + 3, TOTAL = 24 << 20 };
 
@@ -80,15 +76,13 @@ static void put_in_parts(struct bsq_ctx *ctx)
     free(data);
 }
 
-static void test_one_thread(void **state)
+TEST(test_one_thread)
 {
-    (void)state;
     put_in_parts(NULL);
 }
 
-static void test_threads(void **state)
+TEST(test_threads)
 {
-    (void)state;
     for (unsigned threads = 1; threads <= 4; threads++) {
         struct bsq_ctx *ctx;
         assert_int_equal(bsq_ctx_create(&(struct bsq_ctx_options){.threads = threads}, &ctx), 0);
@@ -97,7 +91,7 @@ static void test_threads(void **state)
     }
 }
 
-static void test_refusal(void **state)
+TEST(test_refusal)
 {
     char *data = numbers();
     struct sink sink;
@@ -110,12 +104,4 @@ static void test_refusal(void **state)
     free(data);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_one_thread),
-        cmocka_unit_test(test_threads),
-        cmocka_unit_test(test_refusal),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

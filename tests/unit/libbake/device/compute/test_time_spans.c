@@ -1,16 +1,12 @@
 /* test_time_spans.c - unions of time spans. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
 
-#include <cmocka.h>
-
 #include "libbake/device/compute/time_spans.h"
+#include "tests/unit/test.h"
 
-static void test_overlaps_count_once(void **state)
+TEST(test_overlaps_count_once)
 {
     static struct bake_time_spans spans;
     (void)state;
@@ -27,7 +23,7 @@ static void test_overlaps_count_once(void **state)
 }
 
 /* Compares four streams with spans of random lengths to a raster of time. */
-static void test_many(void **state)
+TEST(test_many)
 {
     enum { QUEUES = 4, STEPS = 200000 };
     static struct bake_time_spans spans;
@@ -55,11 +51,4 @@ static void test_many(void **state)
     assert_true(bake_time_spans_seconds(&spans) == expected);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_overlaps_count_once),
-        cmocka_unit_test(test_many),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -2,22 +2,18 @@
  * the processor's bits, and failures have messages. */
 #include <dlfcn.h>
 #include <link.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include <cmocka.h>
-
 #include "libbake/device/cuda/cuda.h"
 #include "libbake/device/cuda/cuda_api.h"
 #include "libbake/device/driver/driver.h"
 #include "libbake/device/compute/launch_batches.h"
 #include "tests/unit/libbake/device/traced_sheet.h"
+#include "tests/unit/test.h"
 
 /* Opens the fake driver. A later dlopen() of "libcuda.so.1" finds it among the open libraries, and
  * bisque-devices finds it in LD_LIBRARY_PATH, beside an OpenCL library that starts CUDA. */
@@ -77,6 +73,7 @@ static int each_setup(void **state)
     restore();
     return 0;
 }
+#define FIXTURE_TEST(name) TEST_EACH(name, each_setup, NULL)
 
 static void assert_same(const struct sheet_texel *a, const struct sheet_texel *b, size_t count)
 {
@@ -94,7 +91,7 @@ static uint64_t grid_bytes(const struct fixture *f)
     return sum;
 }
 
-static void test_same_bits(void **state)
+FIXTURE_TEST(test_same_bits)
 {
     struct fixture *f = *state;
     static const uint32_t flags[] = {0, BK_OBJECT_SPACE, BK_NEAREST, BK_TWO_SIDED};
@@ -113,7 +110,7 @@ static void test_same_bits(void **state)
 }
 
 /* The PTX gives the same bits. */
-static void test_same_bits_with_ptx(void **state)
+FIXTURE_TEST(test_same_bits_with_ptx)
 {
     struct fixture *f = *state;
     uint64_t launches;
@@ -129,7 +126,7 @@ static void test_same_bits_with_ptx(void **state)
 }
 
 /* Workers trace with their own buffers, and tiles may be smaller than the largest. */
-static void test_small_tile(void **state)
+FIXTURE_TEST(test_small_tile)
 {
     struct fixture *f = *state;
     const struct bk_tile tile = {.x = 10, .y = 20, .width = 7, .height = 3};
@@ -169,7 +166,7 @@ static struct bake_device_times times_of(struct fixture *f, int tiles, struct sh
 }
 
 /* On a slow device a tile takes several launches of about BAKE_BATCH_SECONDS. */
-static void test_batches(void **state)
+FIXTURE_TEST(test_batches)
 {
     enum { TILES = 3 };
     struct fixture *f = *state;
@@ -193,7 +190,7 @@ static void test_batches(void **state)
 
 /* A tile's times are exact however long ago the device was opened, although the time between events
  * is a float. */
-static void test_times_after_days(void **state)
+FIXTURE_TEST(test_times_after_days)
 {
     struct fixture *f = *state;
     struct sheet_texel *cuda = calloc(TEXELS, sizeof *cuda);
@@ -208,7 +205,7 @@ static void test_times_after_days(void **state)
 }
 
 /* A grid that would take all of the memory is traced in passes, since the driver needs some. */
-static void test_memory_for_the_driver(void **state)
+FIXTURE_TEST(test_memory_for_the_driver)
 {
     struct fixture *f = *state;
     struct bake_device *device;
@@ -265,7 +262,7 @@ static uint64_t open_beside_others(struct fixture *f, struct bsq_ctx *ctx, const
 
 /* If another program takes memory after the grid was found to fit, passes trace the grid in the
  * rest. This holds whether or not the device was named. */
-static void test_memory_for_others(void **state)
+FIXTURE_TEST(test_memory_for_others)
 {
     struct fixture *f = *state;
     static const char *const names[] = {"cuda", "auto"};
@@ -288,7 +285,7 @@ static void test_memory_for_others(void **state)
 }
 
 /* Several launches trace a texel that has many samples. */
-static void test_batches_of_texels(void **state)
+FIXTURE_TEST(test_batches_of_texels)
 {
     enum { N = 33 /* calls of 7 lines, the last of 5 */ };
     uint64_t none, launches;
@@ -312,7 +309,7 @@ static void expect_failure(struct fixture *f, const char *device, const char *me
     restore();
 }
 
-static void test_absent(void **state)
+FIXTURE_TEST(test_absent)
 {
     struct fixture *f = *state;
 
@@ -332,7 +329,7 @@ static void test_absent(void **state)
                    "cuda driver combination)");
 }
 
-static void test_wrong_architecture(void **state)
+FIXTURE_TEST(test_wrong_architecture)
 {
     const char *target = strstr(bake_cuda_ptx, ".target sm_"); /* 5.0 by Clang, 7.5 by nvcc */
     char message[128];
@@ -346,7 +343,7 @@ static void test_wrong_architecture(void **state)
 }
 
 /* PTX that is newer than the driver is no error of the compiler. */
-static void test_old_driver(void **state)
+FIXTURE_TEST(test_old_driver)
 {
     static const int versions[][2] = {{40, 60},  {63, 100}, {70, 110}, {78, 118}, {80, 120},
                                       {85, 125}, {86, 127}, {88, 129}, {90, 130}, {91, 131}};
@@ -363,7 +360,7 @@ static void test_old_driver(void **state)
     bsq_clear_error(f->ctx);
 }
 
-static void test_compiler_refuses(void **state)
+FIXTURE_TEST(test_compiler_refuses)
 {
     setenv("FAKE_CUDA_FAIL", "cuModuleLoadDataEx:1:221", 1);
     expect_failure(*state, "cuda",
@@ -377,7 +374,7 @@ static void test_compiler_refuses(void **state)
         "failed)");
 }
 
-static void test_small_device(void **state)
+FIXTURE_TEST(test_small_device)
 {
     struct fixture *f = *state;
     struct bake_device *device;
@@ -389,7 +386,7 @@ static void test_small_device(void **state)
 }
 
 /* Each call that opens the device fails in turn; nothing is leaked. */
-static void test_opening_fails(void **state)
+FIXTURE_TEST(test_opening_fails)
 {
     static const char *const calls[] = {"cuDeviceGet",         "cuDeviceGetName",
                                         "cuDeviceTotalMem_v2", "cuDeviceGetAttribute",
@@ -417,7 +414,7 @@ static void test_opening_fails(void **state)
 /* Each call of a tile fails in turn, which is an error if the user named the device. The numbers
  * skip the calls that open the device: it uploads nine arrays through two halves of a staging
  * buffer. */
-static void test_tracing_fails(void **state)
+FIXTURE_TEST(test_tracing_fails)
 {
     static const char *const calls[] = {
         "cuCtxSetCurrent:3",      "cuStreamCreate:2",        "cuMemAlloc_v2:3",
@@ -448,7 +445,7 @@ static void test_tracing_fails(void **state)
 }
 
 /* "auto" prefers CUDA, and falls back to the processor if the GPU fails later. */
-static void test_auto(void **state)
+FIXTURE_TEST(test_auto)
 {
     struct fixture *f = *state;
     struct bsq_ctx *ctx = create_context(0);
@@ -476,7 +473,7 @@ static void test_auto(void **state)
 }
 
 /* "auto" takes the next GPU if one cannot be used. */
-static void test_auto_takes_the_next(void **state)
+FIXTURE_TEST(test_auto_takes_the_next)
 {
     struct fixture *f = *state;
     struct bsq_ctx *ctx = create_context(0);
@@ -494,7 +491,7 @@ static void test_auto_takes_the_next(void **state)
 }
 
 /* Page-locked memory counts for the budget. */
-static void test_budget(void **state)
+FIXTURE_TEST(test_budget)
 {
     struct fixture *f = *state;
     struct bsq_ctx *ctx = create_context(1 << 20);
@@ -518,7 +515,7 @@ static void on_device(void *arg, const struct bake_device_info *info)
     strcat(listed, "\n");
 }
 
-static void test_list(void **state)
+FIXTURE_TEST(test_list)
 {
     struct bsq_ctx *ctx = create_context(0);
     char listed[256] = "";
@@ -547,7 +544,7 @@ static void on_any_gpu(void *arg, const struct bake_device_info *info)
 
 /* Drivers are asked in a process that does not inherit a started CUDA, or else NVIDIA's OpenCL
  * driver and a second list would find no device. */
-static void test_list_after_cuda_started(void **state)
+FIXTURE_TEST(test_list_after_cuda_started)
 {
     struct fixture *f = *state;
     struct bsq_ctx *ctx = create_context(0);
@@ -567,7 +564,7 @@ static void test_list_after_cuda_started(void **state)
 }
 
 /* A caller that was forked after it had started CUDA is told so. */
-static void test_forked_caller(void **state)
+FIXTURE_TEST(test_forked_caller)
 {
     struct fixture *f = *state;
     struct bake_device *device;
@@ -585,7 +582,7 @@ static void test_forked_caller(void **state)
 }
 
 /* A driver that crashes is an error with a message for "cuda", a warning for "auto". */
-static void test_crash(void **state)
+FIXTURE_TEST(test_crash)
 {
     static const char crash[] = "CUDA cannot be used: a driver crashed when it was asked for its "
                                 "devices (Segmentation fault)";
@@ -606,7 +603,7 @@ static void test_crash(void **state)
 
 /* A driver's library is found in directories that the dynamic linker does not search; a file that
  * is no library is skipped. */
-static void test_directories(void **state)
+FIXTURE_TEST(test_directories)
 {
     static const char name[] = "libbisque-driver.so.1";
     char wrong[] = "/tmp/bisque-wrong-XXXXXX", right[] = "/tmp/bisque-right-XXXXXX", path[64];
@@ -655,36 +652,11 @@ static bool has_kernel(void)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test_setup(test_same_bits, each_setup),
-        cmocka_unit_test_setup(test_same_bits_with_ptx, each_setup),
-        cmocka_unit_test_setup(test_small_tile, each_setup),
-        cmocka_unit_test_setup(test_batches, each_setup),
-        cmocka_unit_test_setup(test_times_after_days, each_setup),
-        cmocka_unit_test_setup(test_memory_for_the_driver, each_setup),
-        cmocka_unit_test_setup(test_memory_for_others, each_setup),
-        cmocka_unit_test_setup(test_batches_of_texels, each_setup),
-        cmocka_unit_test_setup(test_absent, each_setup),
-        cmocka_unit_test_setup(test_wrong_architecture, each_setup),
-        cmocka_unit_test_setup(test_old_driver, each_setup),
-        cmocka_unit_test_setup(test_compiler_refuses, each_setup),
-        cmocka_unit_test_setup(test_small_device, each_setup),
-        cmocka_unit_test_setup(test_opening_fails, each_setup),
-        cmocka_unit_test_setup(test_tracing_fails, each_setup),
-        cmocka_unit_test_setup(test_auto, each_setup),
-        cmocka_unit_test_setup(test_auto_takes_the_next, each_setup),
-        cmocka_unit_test_setup(test_budget, each_setup),
-        cmocka_unit_test_setup(test_list, each_setup),
-        cmocka_unit_test_setup(test_list_after_cuda_started, each_setup),
-        cmocka_unit_test_setup(test_forked_caller, each_setup),
-        cmocka_unit_test_setup(test_crash, each_setup),
-        cmocka_unit_test_setup(test_directories, each_setup),
-    };
     if (open_fake() < 0)
         return 1;
     if (!has_kernel()) {
         puts("1..1\nok 1 - CUDA # skip built without it");
         return 0;
     }
-    return cmocka_run_group_tests(tests, traced_sheet_setup, traced_sheet_teardown);
+    return test_run(traced_sheet_setup, traced_sheet_teardown);
 }

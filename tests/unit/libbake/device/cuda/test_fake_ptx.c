@@ -1,17 +1,13 @@
 /* test_fake_ptx.c - the machine of the fake CUDA driver computes each instruction as PTX defines it
  * (NVIDIA, "PTX ISA", "Instruction Set"), and refuses what it does not know. */
 #include <dlfcn.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
-#include <cmocka.h>
-
 #include "tests/fake/ptx.h"
+#include "tests/unit/test.h"
 
 static struct ptx *(*ptx_read_text)(const char *text, const char *name);
 static bool (*ptx_run_kernel)(const struct ptx *ptx, struct ptx_launch *launch);
@@ -84,7 +80,7 @@ static void run(const char *instructions, const uint64_t inputs[4], uint64_t *wi
 }
 
 /* Instructions that differ from known ones in a type, a modifier, a width or an operand. */
-static void test_refused(void **state)
+TEST(test_refused)
 {
     static const char *const unknown[] = {"add.f32 %r0, %r1, %r2",
                                           "add.rz.f32 %r0, %r1, %r2",
@@ -167,7 +163,7 @@ static void test_refused(void **state)
 #define NAN_ 0x7fc00001u
 #define ALL  0xffffffffu
 
-static void test_computed(void **state)
+TEST(test_computed)
 {
     static const struct {
         const char *instructions;
@@ -273,7 +269,7 @@ static void test_computed(void **state)
 }
 
 /* Lines that differ only in what is not an instruction are refused too. */
-static void test_declarations(void **state)
+TEST(test_declarations)
 {
     static const char *const texts[] = {
         ".visible .entry two(\n\t.param .u64 two_param_0\n)\n{\n\tret;\n}\n",
@@ -285,12 +281,4 @@ static void test_declarations(void **state)
         assert_null(ptx_read_text(texts[i], "one"));
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_refused),
-        cmocka_unit_test(test_computed),
-        cmocka_unit_test(test_declarations),
-    };
-    return cmocka_run_group_tests(tests, open_fake, NULL);
-}
+RUN_TESTS(open_fake, NULL)

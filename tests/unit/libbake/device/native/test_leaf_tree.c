@@ -1,18 +1,14 @@
 /* test_leaf_tree.c - the tree of leaves contains all voxels, and rays through it find what
  * bk_look() finds, also if they go through edges and corners of voxels. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include <cmocka.h>
 
 #include "base/context.h"
 #include "libbake/device/job/job.h"
 #include "libbake/device/native/tree_rays.h"
 #include "tests/unit/libbake/analytic_grid.h"
+#include "tests/unit/test.h"
 
 enum { POINTS = 200, RAYS = BAKE_TREE_POINT_RAYS }; /* all rays that go together */
 
@@ -127,7 +123,7 @@ static uint64_t check_node(const struct fixture *f, uint64_t number, const struc
     return count;
 }
 
-static void test_all_voxels_are_in_the_tree(void **state)
+TEST(test_all_voxels_are_in_the_tree)
 {
     const double centres[][3] = {{2, 127, 4095}, {-3000, 500, -9}, {-1, -1, -1}, {60000, 3, 4}};
     uint64_t seed = 7;
@@ -143,7 +139,7 @@ static void test_all_voxels_are_in_the_tree(void **state)
     analytic_grid_free(grid);
 }
 
-static void test_one_voxel(void **state)
+TEST(test_one_voxel)
 {
     const double at[3] = {-7, 8, 100}, up[3] = {0, 0, 1};
     (void)state;
@@ -159,7 +155,7 @@ static void test_one_voxel(void **state)
 
 /* Without memory for the tree there is none, and nothing stays allocated. A grid that is too wide
  * has none either. */
-static void test_limits(void **state)
+TEST(test_limits)
 {
     const double far[3] = {BAKE_TREE_EXTENT + 1000.0, 0, 0}, centre[3] = {0, 0, 0};
     const double up[3] = {0, 0, 1};
@@ -246,7 +242,7 @@ static void compare_kinds(struct fixture *f, const bk_place_on_scan *points, flo
 
 /* A cone without width has all its rays along the normal. So rays start at corners and edges of
  * voxels and go along axes, diagonals of faces and of voxels: many borders have the same t. */
-static void test_edges_and_corners(void **state)
+TEST(test_edges_and_corners)
 {
     const double centre[3] = {3, -4, 5};
     static bk_place_on_scan points[POINTS];
@@ -287,7 +283,7 @@ static bk_place_on_scan random_point(const double centre[3], double half, uint64
 }
 
 /* Points in and around a grid, some far outside of it. */
-static void test_points_everywhere(void **state)
+TEST(test_points_everywhere)
 {
     const double centre[3] = {2, 127, 4095};
     static bk_place_on_scan points[POINTS];
@@ -322,7 +318,7 @@ static void test_points_everywhere(void **state)
 
 /* The widest grid with a tree: borders are steps of 2^14 voxels. Clutter at both ends; rays in
  * each. */
-static void test_wide_grid(void **state)
+TEST(test_wide_grid)
 {
     const double ends[2] = {128 - 0.5 * BAKE_TREE_EXTENT, 0.5 * BAKE_TREE_EXTENT - 128};
     static bk_place_on_scan points[POINTS];
@@ -345,13 +341,4 @@ static void test_wide_grid(void **state)
     analytic_grid_free(grid);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_all_voxels_are_in_the_tree),
-                                       cmocka_unit_test(test_one_voxel),
-                                       cmocka_unit_test(test_limits),
-                                       cmocka_unit_test(test_edges_and_corners),
-                                       cmocka_unit_test(test_points_everywhere),
-                                       cmocka_unit_test(test_wide_grid)};
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

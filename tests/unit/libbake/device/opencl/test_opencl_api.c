@@ -1,14 +1,9 @@
 /* test_opencl_api.c - the choice of work groups. */
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
-
-#include <cmocka.h>
-
 #include "libbake/device/opencl/opencl_api.h"
+#include "tests/unit/test.h"
 
 /* Work groups have sides that are powers of two, as large as kernels and devices allow. */
-static void test_groups(void **state)
+TEST(test_groups)
 {
     static const struct {
         size_t items, sides[2], expected[2];
@@ -26,8 +21,4 @@ static void test_groups(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_groups)};
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

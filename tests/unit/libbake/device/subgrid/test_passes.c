@@ -1,18 +1,14 @@
 /* test_passes.c - a piece of the map gets the same bits from a subgrid as from the whole grid, and
  * passes fit the memory that they are planned for. */
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include <cmocka.h>
 
 #include "libbake/kernel/bk_grid.h"
 #include "libbake/device/native/native_code.h"
 #include "libbake/device/subgrid/subgrid.h"
 #include "tests/unit/libbake/analytic_grid.h"
+#include "tests/unit/test.h"
 
 enum { WIDTH = 64, HEIGHT = 48, SAMPLES = 2, TEXELS = WIDTH * HEIGHT, TRIANGLES = 24 };
 
@@ -198,7 +194,7 @@ static uint64_t compare(const struct fixture *f, const struct bake_rectangle *r,
     return lowers;
 }
 
-static void test_same_bits(void **state)
+TEST(test_same_bits)
 {
     struct fixture *f = *state;
     static const uint32_t flags[] = {0, BK_TWO_SIDED, BK_NEAREST | BK_OBJECT_SPACE};
@@ -233,7 +229,7 @@ static void test_same_bits(void **state)
 }
 
 /* A set of all nodes gives the grid itself. */
-static void test_whole_set(void **state)
+TEST(test_whole_set)
 {
     struct fixture *f = *state;
     struct bake_lower_set set;
@@ -263,7 +259,7 @@ static void test_whole_set(void **state)
 }
 
 /* Counts of lower nodes are enough for any subgrid, and not much more. */
-static void test_counts(void **state)
+TEST(test_counts)
 {
     struct fixture *f = *state;
     uint64_t seed = 7, bytes[BAKE_SUBGRID_ARRAYS];
@@ -291,10 +287,4 @@ static void test_counts(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {cmocka_unit_test(test_same_bits),
-                                       cmocka_unit_test(test_whole_set),
-                                       cmocka_unit_test(test_counts)};
-    return cmocka_run_group_tests(tests, setup, teardown);
-}
+RUN_TESTS(setup, teardown)

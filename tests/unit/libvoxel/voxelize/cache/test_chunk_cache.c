@@ -1,16 +1,14 @@
 /* Tests which chunks a full cache evicts, and what it makes of chunks outside of a task. */
 #include "libvoxel/voxelize/cache/chunk_cache.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
+#include "tests/unit/test.h"
 
 #include <fcntl.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
-#include <cmocka.h>
 
 enum { LEFT, RIGHT, APART, CHUNKS };
 
@@ -83,6 +81,7 @@ static int tear_down(void **state)
     free(f);
     return 0;
 }
+#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
 
 /* Processes a region that needs the chunk. next: x of the origin of the next region that needs it,
  * 0: none. Returns the status of getting the chunk. */
@@ -116,7 +115,7 @@ static void damage(struct fixture *f, uint32_t chunk)
 
 /* The right chunk is lent to the left one before any region needs it. A former error took it for
  * the chunk needed first, so that chunks needed earlier were evicted. */
-static void a_chunk_lent_before_its_turn_is_not_kept_instead_of_others(void **state)
+FIXTURE_TEST(a_chunk_lent_before_its_turn_is_not_kept_instead_of_others)
 {
     struct fixture *f = *state;
     assert_int_equal(use(f, LEFT, 128), 0);
@@ -127,7 +126,7 @@ static void a_chunk_lent_before_its_turn_is_not_kept_instead_of_others(void **st
     assert_int_equal(use(f, RIGHT, 0), BSQ_EDATA); /* this one was evicted */
 }
 
-static void a_chunk_that_is_not_needed_any_more_goes_first(void **state)
+FIXTURE_TEST(a_chunk_that_is_not_needed_any_more_goes_first)
 {
     struct fixture *f = *state;
     assert_int_equal(use(f, APART, 0), 0);
@@ -138,13 +137,4 @@ static void a_chunk_that_is_not_needed_any_more_goes_first(void **state)
     assert_int_equal(use(f, APART, 0), BSQ_EDATA);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test_setup_teardown(a_chunk_lent_before_its_turn_is_not_kept_instead_of_others,
-                                        set_up, tear_down),
-        cmocka_unit_test_setup_teardown(a_chunk_that_is_not_needed_any_more_goes_first, set_up,
-                                        tear_down),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -1,11 +1,8 @@
 /* Tests when a scan's own normals contradict its triangles. */
 #include "libvoxel/voxelize/cache/scan_normals_check.h"
+#include "tests/unit/test.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
-#include <stddef.h>
-#include <cmocka.h>
 
 enum { SIDE = 32, VERTICES = (SIDE + 1) * (SIDE + 1), TRIANGLES = 2 * SIDE * SIDE };
 
@@ -47,9 +44,8 @@ static bool inconsistent(void)
 
 /* Triangles measure a quarter of a voxel to two voxels, on waves of 16 of them or more with slopes
  * up to 20 degrees. Their planes differ from the normals at the corners by up to 8 degrees. */
-static void test_normals_of_the_surface_are_consistent(void **state)
+TEST(test_normals_of_the_surface_are_consistent)
 {
-    (void)state;
     for (double edge = 0.25; edge <= 2.0; edge *= 2.0)
         for (double wave = 16.0; wave <= 64.0; wave *= 2.0) {
             const double turn = 6.283185307 / (wave * edge);
@@ -59,9 +55,8 @@ static void test_normals_of_the_surface_are_consistent(void **state)
 }
 
 /* Normals lean by 2 degrees, on a plane and on waves of 16 voxels. */
-static void test_leaning_normals_are_inconsistent(void **state)
+TEST(test_leaning_normals_are_inconsistent)
 {
-    (void)state;
     for (double edge = 0.25; edge <= 2.0; edge *= 2.0)
         for (double height = 0.0; height < 1.0; height += 0.9) {
             make_waves(edge, height, 6.283185307 / 16.0, 0.035, 0.0);
@@ -70,36 +65,23 @@ static void test_leaning_normals_are_inconsistent(void **state)
 }
 
 /* Two decimals round by up to a quarter of a degree; a voxel has many triangles. */
-static void test_rounding_is_no_contradiction(void **state)
+TEST(test_rounding_is_no_contradiction)
 {
-    (void)state;
     make_waves(0.25, 0.9, 6.283185307 / 16.0, 0.0, 0.01);
     assert_false(inconsistent());
 }
 
 /* With waves as short as 4 voxels, planes are worth more than 2 degrees. */
-static void test_planes_of_short_waves_are_kept(void **state)
+TEST(test_planes_of_short_waves_are_kept)
 {
-    (void)state;
     make_waves(0.25, 0.23, 6.283185307 / 4.0, 0.035, 0.0);
     assert_false(inconsistent());
 }
 
-static void test_no_area_is_no_contradiction(void **state)
+TEST(test_no_area_is_no_contradiction)
 {
-    (void)state;
     make_waves(0.0, 0.0, 1.0, 0.5, 0.0);
     assert_false(inconsistent());
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_normals_of_the_surface_are_consistent),
-        cmocka_unit_test(test_leaning_normals_are_inconsistent),
-        cmocka_unit_test(test_rounding_is_no_contradiction),
-        cmocka_unit_test(test_planes_of_short_waves_are_kept),
-        cmocka_unit_test(test_no_area_is_no_contradiction),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -2,15 +2,13 @@
 #include "base/smooth_normals.h"
 #include "libvoxel/voxelize/cache/smooth_normals.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
+#include "tests/unit/test.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
-#include <cmocka.h>
 
 enum { CHUNK_TRIANGLES = 200, CHUNKS_MAX = 64 };
 
@@ -185,9 +183,8 @@ static void check(struct fixture *f)
 /* ---- tests ---- */
 
 /* Octants have their own vertices at their borders, and so do chunks. */
-static void test_sphere(void **state)
+TEST(test_sphere)
 {
-    (void)state;
     for (unsigned w = BSQ_SCAN_NORMALS_AREA; w < BSQ_SCAN_NORMALS_FLAT; w++) {
         struct fixture f = {.mesh = scan_sphere(1.0, 0.1), .weights = (enum bsq_scan_normals)w};
         scan_sort(&f.mesh);
@@ -198,9 +195,8 @@ static void test_sphere(void **state)
 }
 
 /* Unordered triangles touch in vertices, lie in creases and stretch across all chunks. */
-static void test_soup(void **state)
+TEST(test_soup)
 {
-    (void)state;
     enum { VERTICES = 60, TRIANGLES = 700 };
     uint64_t seed = 11;
     print_message("seed %llu\n", (unsigned long long)seed);
@@ -235,9 +231,8 @@ static void put_fan(struct scan_mesh *mesh, uint32_t apex, uint32_t first_triang
 
 /* Each fan is closed and in its own chunk, so no edge shows that there is another one. One is
  * tilted. */
-static void test_two_closed_fans_with_one_apex(void **state)
+TEST(test_two_closed_fans_with_one_apex)
 {
-    (void)state;
     enum { CORNERS = 100 };
     const double at[3] = {2.0, 3.0, 0.5};
     double alone[3], both[3];
@@ -258,9 +253,8 @@ static void test_two_closed_fans_with_one_apex(void **state)
 }
 
 /* A triangle repeated in another chunk counts twice at its corners, even inside a surface. */
-static void test_repeated_triangle(void **state)
+TEST(test_repeated_triangle)
 {
-    (void)state;
     struct fixture f = {.mesh = scan_sphere(1.0, 0.2)};
     const uint32_t count = f.mesh.triangle_count;
     double once[3], twice[3];
@@ -279,9 +273,8 @@ static void test_repeated_triangle(void **state)
 }
 
 /* Two quads meet in an edge at x = 0, which one of them stores as -0; in one chunk and in two. */
-static void test_both_zeros_are_one_place(void **state)
+TEST(test_both_zeros_are_one_place)
 {
-    (void)state;
     for (uint32_t chunk_triangles = 2; chunk_triangles <= 4; chunk_triangles += 2) {
         struct fixture f = {.mesh = scan_mesh_new(12, 6)};
         scan_set_quad(&f.mesh, 0, (double[3]){0.0, 0.0, 0.0}, (double[3]){1.0, 0.0, 0.2},
@@ -300,14 +293,4 @@ static void test_both_zeros_are_one_place(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_sphere),
-        cmocka_unit_test(test_soup),
-        cmocka_unit_test(test_two_closed_fans_with_one_apex),
-        cmocka_unit_test(test_repeated_triangle),
-        cmocka_unit_test(test_both_zeros_are_one_place),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -3,14 +3,12 @@
 #include "libvoxel/voxelize/clip/clip.h"
 #include "libvoxel/voxelize/clip/divide_lanes.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
+#include "tests/unit/test.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 enum { MAX_FRAGMENTS = 20000 };
 
@@ -155,9 +153,8 @@ static void check_against_axes(const double (*c)[3])
             }
 }
 
-static void test_same_voxels_as_separating_axes(void **state)
+TEST(test_same_voxels_as_separating_axes)
 {
-    (void)state;
     uint64_t seed = 20240607;
     print_message("seed %llu\n", (unsigned long long)seed);
     static const double sizes[] = {0.3, 1.0, 3.0, 9.0};
@@ -188,9 +185,8 @@ static void check_division(const double (*c)[3], const struct fragments *fragmen
     assert_true(fabs(moment[0] - 1.0 / 3.0) < 1e-12 && fabs(moment[1] - 1.0 / 3.0) < 1e-12);
 }
 
-static void test_fragments_add_up(void **state)
+TEST(test_fragments_add_up)
 {
-    (void)state;
     uint64_t seed = 77;
     print_message("seed %llu\n", (unsigned long long)seed);
     for (int i = 0; i < 3000; i++) {
@@ -200,9 +196,8 @@ static void test_fragments_add_up(void **state)
     }
 }
 
-static void test_needles_add_up(void **state)
+TEST(test_needles_add_up)
 {
-    (void)state;
     uint64_t seed = 5;
     print_message("seed %llu\n", (unsigned long long)seed);
     for (int i = 0; i < 2000; i++) {
@@ -217,9 +212,8 @@ static void test_needles_add_up(void **state)
 
 /* ---- regions and windows ---- */
 
-static void test_window_does_not_change_fragments(void **state)
+TEST(test_window_does_not_change_fragments)
 {
-    (void)state;
     uint64_t seed = 99;
     print_message("seed %llu\n", (unsigned long long)seed);
     for (int i = 0; i < 500; i++) {
@@ -253,9 +247,8 @@ static void test_window_does_not_change_fragments(void **state)
     }
 }
 
-static void test_regions_share_a_triangle(void **state)
+TEST(test_regions_share_a_triangle)
 {
-    (void)state;
     uint64_t seed = 123;
     print_message("seed %llu\n", (unsigned long long)seed);
     for (int i = 0; i < 300; i++) {
@@ -331,9 +324,8 @@ static void check_lane(const double (*c)[3], int lane, const int planes[3],
 }
 
 /* Lanes hold different triangles of one kind. Few may be doubtful. */
-static void test_small_triangles_side_by_side(void **state)
+TEST(test_small_triangles_side_by_side)
 {
-    (void)state;
     uint64_t seed = 4711;
     print_message("seed %llu\n", (unsigned long long)seed);
     static double waiting[4][4][4][LANE_COUNT][3][3];
@@ -369,9 +361,8 @@ static void test_small_triangles_side_by_side(void **state)
 
 /* What half-open boxes decide is left to clip.h: corners and edges on planes, crossings on edges,
  * three planes that meet in the triangle. */
-static void test_touching_planes_is_doubtful(void **state)
+TEST(test_touching_planes_is_doubtful)
 {
-    (void)state;
     static const double table[][3][3] = {
         {{2.0, 2.0, 2.0}, {1.5, 1.25, 1.5}, {1.25, 1.5, 1.5}},
         {{1.0, 0.5, 0.5}, {1.0, 1.5, 0.5}, {0.5, 0.75, 0.25}},
@@ -392,9 +383,8 @@ static void test_touching_planes_is_doubtful(void **state)
 
 /* ---- borders ---- */
 
-static void test_plane_on_a_border_fills_the_upper_layer(void **state)
+TEST(test_plane_on_a_border_fills_the_upper_layer)
 {
-    (void)state;
     static const double c[3][3] = {{3.0, 0.5, 0.5}, {3.0, 4.5, 0.5}, {3.0, 0.5, 4.5}};
     for (int axis = 0; axis < 3; axis++) {
         double turned[3][3];
@@ -411,9 +401,8 @@ static void test_plane_on_a_border_fills_the_upper_layer(void **state)
 }
 
 /* The plane x = y runs through the edges of voxels (i, i) and lies inside these only. */
-static void test_diagonal_plane_fills_the_diagonal(void **state)
+TEST(test_diagonal_plane_fills_the_diagonal)
 {
-    (void)state;
     static const double c[3][3] = {{0.0, 0.0, 0.25}, {8.0, 8.0, 0.25}, {8.0, 8.0, 0.75}};
     const struct fragments *fragments = clip_all(c);
     for (uint32_t i = 0; i < fragments->count; i++)
@@ -423,9 +412,8 @@ static void test_diagonal_plane_fills_the_diagonal(void **state)
     assert_true(find(fragments, 8, 8, 0)->fraction == 0.0);
 }
 
-static void test_corner_that_touches(void **state)
+TEST(test_corner_that_touches)
 {
-    (void)state;
     /* The corner (2, 2, 2) belongs to voxel (2, 2, 2), the rest to (1, 1, 1). */
     static const double c[3][3] = {{2.0, 2.0, 2.0}, {1.5, 1.25, 1.5}, {1.25, 1.5, 1.5}};
     const struct fragments *fragments = clip_all(c);
@@ -435,9 +423,8 @@ static void test_corner_that_touches(void **state)
 }
 
 /* Corners at quarters of a voxel and weights in 64ths: every sum below is exact. */
-static void test_every_point_has_its_voxel(void **state)
+TEST(test_every_point_has_its_voxel)
 {
-    (void)state;
     uint64_t seed = 31337;
     print_message("seed %llu\n", (unsigned long long)seed);
     for (int n = 0; n < 200; n++) {
@@ -464,20 +451,4 @@ static void test_every_point_has_its_voxel(void **state)
     }
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_same_voxels_as_separating_axes),
-        cmocka_unit_test(test_fragments_add_up),
-        cmocka_unit_test(test_needles_add_up),
-        cmocka_unit_test(test_window_does_not_change_fragments),
-        cmocka_unit_test(test_regions_share_a_triangle),
-        cmocka_unit_test(test_small_triangles_side_by_side),
-        cmocka_unit_test(test_touching_planes_is_doubtful),
-        cmocka_unit_test(test_plane_on_a_border_fills_the_upper_layer),
-        cmocka_unit_test(test_diagonal_plane_fills_the_diagonal),
-        cmocka_unit_test(test_corner_that_touches),
-        cmocka_unit_test(test_every_point_has_its_voxel),
-    };
-    return cmocka_run_group_tests(tests, set_up, tear_down);
-}
+RUN_TESTS(set_up, tear_down)

@@ -3,11 +3,11 @@
  * the same bytes. */
 #include "libvoxel/voxelize/plan/plan.h"
 #include "tests/unit/libvoxel/voxelize/voxelize_fixture.h"
+#include "tests/unit/test.h"
 
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdlib.h>
-#include <cmocka.h>
+
+#define FIXTURE_TEST(name) TEST_EACH(name, vox_set_up, vox_tear_down)
 
 /* Makes clusters of small triangles anywhere in a cube of `size`. Each cluster has one triangle
  * more than the one before. */
@@ -119,7 +119,7 @@ static void check_cover(const struct made *made)
     free(scratch);
 }
 
-static void test_boxes_hold_every_triangle(void **state)
+FIXTURE_TEST(test_boxes_hold_every_triangle)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = make_clusters(60, 1e5, 31);
@@ -139,7 +139,7 @@ static void test_boxes_hold_every_triangle(void **state)
     scan_mesh_free(&mesh);
 }
 
-static void test_little_memory_makes_larger_boxes(void **state)
+FIXTURE_TEST(test_little_memory_makes_larger_boxes)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = make_clusters(60, 1e5, 32);
@@ -161,7 +161,7 @@ static void test_little_memory_makes_larger_boxes(void **state)
 
 /* A billion regions lie between these triangles. As chunks of their own they never reached across
  * them. */
-static void test_scattered_triangles_of_one_chunk(void **state)
+FIXTURE_TEST(test_scattered_triangles_of_one_chunk)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = make_clusters(8, 1.3e5, 33);
@@ -182,13 +182,4 @@ static void test_scattered_triangles_of_one_chunk(void **state)
     scan_mesh_free(&mesh);
 }
 
-int main(void)
-{
-#define TEST(name) cmocka_unit_test_setup_teardown(name, vox_set_up, vox_tear_down)
-    const struct CMUnitTest tests[] = {
-        TEST(test_boxes_hold_every_triangle),
-        TEST(test_little_memory_makes_larger_boxes),
-        TEST(test_scattered_triangles_of_one_chunk),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)

@@ -2,12 +2,10 @@
  * file's order. */
 #include "libvoxel/voxelize/plan/plan.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
+#include "tests/unit/test.h"
 
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 struct pair {
     int32_t origin[3];
@@ -129,23 +127,20 @@ static void check_random_boxes(uint32_t boxes_of_chunk)
         }
 }
 
-static void test_random_boxes(void **state)
+TEST(test_random_boxes)
 {
-    (void)state;
     check_random_boxes(1);
 }
 
 /* A region gets a chunk once, however many of its boxes touch it. */
-static void test_boxes_of_one_chunk(void **state)
+TEST(test_boxes_of_one_chunk)
 {
-    (void)state;
     check_random_boxes(20);
     check_random_boxes(3);
 }
 
-static void test_ends_of_the_index(void **state)
+TEST(test_ends_of_the_index)
 {
-    (void)state;
     const int32_t end = 1 << 30;
     struct vox_chunk_box boxes[2] = {
         {{{-end, -end, -end}, {-end + 200, -end, -end}}, 0},
@@ -154,20 +149,10 @@ static void test_ends_of_the_index(void **state)
     check_schedule(boxes, 2);
 }
 
-static void test_no_chunks(void **state)
+TEST(test_no_chunks)
 {
-    (void)state;
     struct vox_chunk_box none = {{{0, 0, 0}, {0, 0, 0}}, 0};
     check_schedule(&none, 0);
 }
 
-int main(void)
-{
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_random_boxes),
-        cmocka_unit_test(test_boxes_of_one_chunk),
-        cmocka_unit_test(test_ends_of_the_index),
-        cmocka_unit_test(test_no_chunks),
-    };
-    return cmocka_run_group_tests(tests, NULL, NULL);
-}
+RUN_TESTS(NULL, NULL)
