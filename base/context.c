@@ -10,7 +10,6 @@
 
 #include "base/context_internal.h"
 #include "base/escape.h"
-#include "base/job_files.h"
 #include "base/loss.h"
 
 /* The message if there is no memory to format one; never freed. */
@@ -75,13 +74,37 @@ int bsq_ctx_create(const struct bsq_ctx_options *options, struct bsq_ctx **out)
     return 0;
 }
 
+void *bsq_part_of(struct bsq_ctx *ctx, enum bsq_part part, size_t size,
+                  void (*free)(struct bsq_ctx *ctx, void *object))
+{
+    struct bsq_part_of_context *of = &ctx->parts[part];
+    if (!of->object)
+        *of = (struct bsq_part_of_context){calloc(1, size), free};
+    return of->object;
+}
+
+void bsq_drop_part(struct bsq_ctx *ctx, enum bsq_part part)
+{
+    const struct bsq_part_of_context of = ctx->parts[part];
+    ctx->parts[part].object = NULL;
+    if (of.object)
+        of.free(ctx, of.object);
+}
+
+void bsq_forget_files(struct bsq_ctx *ctx)
+{
+    pthread_mutex_lock(&ctx->files_lock);
+    bsq_drop_part(ctx, BSQ_SWEEPS);
+    bsq_drop_part(ctx, BSQ_JOB_FILES);
+    pthread_mutex_unlock(&ctx->files_lock);
+}
+
 void bsq_ctx_destroy(struct bsq_ctx *ctx)
 {
     if (!ctx)
         return;
-    bsq_pool_destroy(ctx->pool);
-    bsq_forget_files(ctx);
-    bsq_path_map_free(ctx, ctx->paths);
+    for (int part = 0; part < BSQ_PARTS; part++)
+        bsq_drop_part(ctx, (enum bsq_part)part);
     assert(atomic_load(&ctx->memory_used) == 0 && "memory of this context was not freed");
     bsq_clear_error(ctx);
     pthread_mutex_destroy(&ctx->error_lock);

@@ -9,11 +9,15 @@
 
 #include "base/context.h"
 
-struct bsq_pool;
 struct bsq_identity;
-struct job_files;
-struct bsq_path_map;
-struct bsq_sweeps;
+
+/* What other files of base keep in a context, in the order in which it is freed. */
+enum bsq_part { BSQ_POOL, BSQ_JOB_FILES, BSQ_SWEEPS, BSQ_PATH_MAP, BSQ_PARTS };
+
+struct bsq_part_of_context {
+    void *object; /* NULL: there is none */
+    void (*free)(struct bsq_ctx *ctx, void *object);
+};
 
 struct bsq_stage {
     const char *name, *unit; /* name is NULL between stages */
@@ -37,12 +41,8 @@ struct bsq_ctx {
     pthread_mutex_t callback_lock; /* held while on_progress or on_warning runs */
     struct bsq_stage stage;
 
-    pthread_mutex_t files_lock;
-    struct job_files *files;    /* NULL until the first is noted; guarded by files_lock */
-    struct bsq_path_map *paths; /* NULL: no rules; guarded by files_lock */
-    struct bsq_sweeps *sweeps;  /* directories of outputs; guarded by files_lock */
-
-    struct bsq_pool *pool; /* NULL until the first parallel call */
+    pthread_mutex_t files_lock; /* guards all parts but the pool, which one thread uses */
+    struct bsq_part_of_context parts[BSQ_PARTS];
 };
 
 /* What the machine and its control groups allow this process. */
@@ -57,20 +57,19 @@ void bsq_machine(struct bsq_machine *out);
  * machine, a directory with proc and sys for tests. */
 void bsq_apply_control_groups(const char *root, struct bsq_machine *machine);
 
+/* Gives a context a part of `size` bytes, all 0, unless it has one. Returns the part; NULL if there
+ * is no memory. */
+void *bsq_part_of(struct bsq_ctx *ctx, enum bsq_part part, size_t size,
+                  void (*free)(struct bsq_ctx *ctx, void *object));
+
+/* Frees a part, if the context has it. */
+void bsq_drop_part(struct bsq_ctx *ctx, enum bsq_part part);
+
 /* Returns the bytes of the budget that a block with a payload of `bytes` takes. */
 uint64_t bsq_block_cost(uint64_t bytes);
 
 /* Returns the code of the first failure, 0 if there was none. */
 int bsq_error_status(struct bsq_ctx *ctx);
-
-/* Stops and frees the threads; NULL is allowed. */
-void bsq_pool_destroy(struct bsq_pool *pool);
-
-/* Frees what is known of the directories of outputs; NULL is allowed. */
-void bsq_sweeps_free(struct bsq_ctx *ctx, struct bsq_sweeps *sweeps);
-
-/* Frees the rules of paths; NULL is allowed. */
-void bsq_path_map_free(struct bsq_ctx *ctx, struct bsq_path_map *map);
 
 /* Notes an input that was opened. Errors: BSQ_EIO if it is not what the first opening of this path
  * found; those of bsq_note_input(). */

@@ -20,16 +20,6 @@
 
 /* ---- descriptors ---- */
 
-int bsq_fd_above_standard(int fd)
-{
-    if (fd < 0 || fd > STDERR_FILENO)
-        return fd;
-    int above = fcntl(fd, F_DUPFD_CLOEXEC, STDERR_FILENO + 1), error = errno;
-    close(fd);
-    errno = error;
-    return above;
-}
-
 /* Counts the open files, or only the standard ones if /proc is not mounted. */
 static uint64_t count_open(void)
 {
@@ -55,23 +45,6 @@ int bsq_require_descriptors(struct bsq_ctx *ctx, const char *output, uint64_t co
                           "%s: %" PRIu64 " outputs must be open together with %" PRIu64
                           " other files, the limit is %" PRIu64,
                           output, count, open, (uint64_t)limit.rlim_cur);
-}
-
-/* A thread may have printed into a new file before its descriptor was moved. */
-int bsq_open(const char *path, int flags, mode_t mode)
-{
-    int first;
-    do
-        first = open(path, flags | O_CLOEXEC, mode);
-    while (first < 0 && errno == EINTR);
-    int fd = bsq_fd_above_standard(first);
-    bool is_new = (flags & O_EXCL) || (flags & O_TMPFILE) == O_TMPFILE;
-    if (fd == first || fd < 0 || !is_new || ftruncate(fd, 0) == 0)
-        return fd;
-    int error = errno;
-    close(fd);
-    errno = error;
-    return -1;
 }
 
 /* ---- input ---- */
@@ -209,24 +182,6 @@ int bsq_file_read(struct bsq_ctx *ctx, const struct bsq_file *file, void *buffer
     return status;
 }
 
-int bsq_pwrite_all(int fd, const void *buffer, uint64_t size, uint64_t offset)
-{
-    const char *bytes = buffer;
-    while (size > 0) {
-        ssize_t count = pwrite(fd, bytes, size, (off_t)offset);
-        if (count < 0 && errno == EINTR)
-            continue;
-        if (count < 0)
-            return errno;
-        if (count == 0)
-            return EIO;
-        bytes += count;
-        size -= (uint64_t)count;
-        offset += (uint64_t)count;
-    }
-    return 0;
-}
-
 int bsq_file_write(struct bsq_ctx *ctx, const struct bsq_file *file, const void *buffer,
                    uint64_t size, uint64_t offset)
 {
@@ -244,22 +199,6 @@ int bsq_file_append(struct bsq_ctx *ctx, struct bsq_file *file, const void *buff
     if (status == 0)
         file->size += size;
     return status;
-}
-
-/* ---- paths ---- */
-
-const char *bsq_file_name(const char *path)
-{
-    const char *slash = strrchr(path, '/');
-    return slash ? slash + 1 : path;
-}
-
-char *bsq_dirname(const char *path)
-{
-    const char *slash = strrchr(path, '/');
-    if (!slash)
-        return strdup(".");
-    return strndup(path, slash == path ? 1 : (size_t)(slash - path));
 }
 
 /* ---- temporary files ---- */

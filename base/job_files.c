@@ -88,11 +88,33 @@ static int fail_memory(struct bsq_ctx *ctx, const char *path)
     return BSQ_ENOMEM;
 }
 
+static void free_files(struct bsq_ctx *ctx, void *object)
+{
+    struct job_files *files = object;
+    for (uint64_t i = 0; i < files->input_paths.count; i++) {
+        free(files->inputs[i].role);
+        free(files->inputs[i].place.name);
+    }
+    for (uint64_t i = 0; i < files->output_paths.count; i++)
+        free(files->outputs[i].place.name);
+    bsq_texts_free(&files->input_paths);
+    bsq_texts_free(&files->output_paths);
+    bsq_tally_release(ctx, &files->tally);
+    free(files->inputs);
+    free(files->outputs);
+    free(files);
+}
+
 static struct job_files *get_files(struct bsq_ctx *ctx)
 {
-    if (!ctx->files)
-        ctx->files = calloc(1, sizeof *ctx->files);
-    return ctx->files;
+    struct job_files *files = bsq_part_of(ctx, BSQ_JOB_FILES, sizeof *files, free_files);
+    return files;
+}
+
+/* Returns NULL if no file was noted yet. */
+static struct job_files *noted_files(struct bsq_ctx *ctx)
+{
+    return ctx->parts[BSQ_JOB_FILES].object;
 }
 
 static int fail_overwrite(struct bsq_ctx *ctx, const char *output, const struct input *input)
@@ -130,7 +152,7 @@ static int add_input(struct bsq_ctx *ctx, const char *path, struct input **out)
  * under other names of the same file. */
 static int check_input(struct bsq_ctx *ctx, struct input *input)
 {
-    struct job_files *files = ctx->files;
+    struct job_files *files = noted_files(ctx);
     const struct output *same = NULL;
     for (uint64_t i = 0; i < files->output_paths.count; i++) {
         const struct output *output = &files->outputs[i];
@@ -154,7 +176,7 @@ static int set_role(struct bsq_ctx *ctx, struct input *input, const char *format
         input->role = NULL;
         return fail_memory(ctx, input->path);
     }
-    return bsq_tally_add(ctx, &ctx->files->tally, strlen(input->role) + 1);
+    return bsq_tally_add(ctx, &noted_files(ctx)->tally, strlen(input->role) + 1);
 }
 
 int bsq_note_input(struct bsq_ctx *ctx, const char *path, const char *format, ...)
@@ -206,7 +228,7 @@ int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, char **path, char **role
     int status = 0;
     *path = *role = NULL;
     pthread_mutex_lock(&ctx->files_lock);
-    const struct job_files *files = ctx->files;
+    const struct job_files *files = noted_files(ctx);
     for (; status == 0 && files && *next < files->input_paths.count; ++*next) {
         const struct input *input = &files->inputs[*next];
         if (!input->opened)
@@ -255,8 +277,8 @@ int bsq_note_output(struct bsq_ctx *ctx, const char *path)
         free(output->place.name);
         output->place = find_place(path);
         output->written = false;
-        for (uint64_t i = 0; status == 0 && i < ctx->files->input_paths.count; i++) {
-            const struct input *input = &ctx->files->inputs[i];
+        for (uint64_t i = 0; status == 0 && i < noted_files(ctx)->input_paths.count; i++) {
+            const struct input *input = &noted_files(ctx)->inputs[i];
             if (!input->own && same_place(&input->place, &output->place))
                 status = fail_overwrite(ctx, path, input);
         }
@@ -268,7 +290,7 @@ int bsq_note_output(struct bsq_ctx *ctx, const char *path)
 char *bsq_output_directory(struct bsq_ctx *ctx)
 {
     pthread_mutex_lock(&ctx->files_lock);
-    const struct job_files *files = ctx->files;
+    const struct job_files *files = noted_files(ctx);
     char *directory =
         bsq_dirname(files && files->output_paths.count > 0 ? files->output_paths.list[0] : "");
     pthread_mutex_unlock(&ctx->files_lock);
@@ -278,7 +300,7 @@ char *bsq_output_directory(struct bsq_ctx *ctx)
 void bsq_note_written(struct bsq_ctx *ctx, const char *path)
 {
     pthread_mutex_lock(&ctx->files_lock);
-    struct job_files *files = ctx->files;
+    struct job_files *files = noted_files(ctx);
     const uint64_t number = files ? bsq_texts_find(&files->output_paths, path) : 0;
     if (files && number < files->output_paths.count) {
         struct output *output = &files->outputs[number];
@@ -289,29 +311,4 @@ void bsq_note_written(struct bsq_ctx *ctx, const char *path)
     for (uint64_t i = 0; files && files->own_count > 0 && i < files->input_paths.count; i++)
         files->inputs[i].opened &= !files->inputs[i].own;
     pthread_mutex_unlock(&ctx->files_lock);
-}
-
-void bsq_forget_files(struct bsq_ctx *ctx)
-{
-    pthread_mutex_lock(&ctx->files_lock);
-    struct job_files *files = ctx->files;
-    struct bsq_sweeps *sweeps = ctx->sweeps;
-    ctx->files = NULL;
-    ctx->sweeps = NULL;
-    pthread_mutex_unlock(&ctx->files_lock);
-    bsq_sweeps_free(ctx, sweeps);
-    if (!files)
-        return;
-    for (uint64_t i = 0; i < files->input_paths.count; i++) {
-        free(files->inputs[i].role);
-        free(files->inputs[i].place.name);
-    }
-    for (uint64_t i = 0; i < files->output_paths.count; i++)
-        free(files->outputs[i].place.name);
-    bsq_texts_free(&files->input_paths);
-    bsq_texts_free(&files->output_paths);
-    bsq_tally_release(ctx, &files->tally);
-    free(files->inputs);
-    free(files->outputs);
-    free(files);
 }

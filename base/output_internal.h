@@ -28,10 +28,6 @@ struct bsq_output {
 /* Records that writing failed, so that the output cannot be committed. Returns BSQ_EIO. */
 int bsq_output_fail_write(struct bsq_output *output, int error);
 
-/* Sets *out to the name of the file that an output `path` would create or replace. Free it with
- * free(). Errors: BSQ_ECANTCREAT, BSQ_ENOMEM. */
-int bsq_output_target(struct bsq_ctx *ctx, const char *path, char **out);
-
 /* Gives the new file the mode, owner, group and access list of the file that it is going to
  * replace, as far as the process may. Whoever could not read the old file cannot read the new one.
  * Does nothing if there was and is no such file. Returns 0 or an errno. */

@@ -98,26 +98,10 @@ static void start_threads(struct bsq_pool *pool, unsigned count)
     }
 }
 
-/* Returns the context's pool; NULL if work is to run on the calling thread alone. */
-static struct bsq_pool *get_pool(struct bsq_ctx *ctx)
+static void destroy_pool(struct bsq_ctx *ctx, void *object)
 {
-    unsigned extra = bsq_threads(ctx) - 1;
-    if (ctx->pool || extra == 0)
-        return ctx->pool;
-    struct bsq_pool *pool = calloc(1, sizeof *pool + extra * sizeof pool->threads[0]);
-    if (!pool)
-        return NULL;
-    pthread_mutex_init(&pool->lock, NULL);
-    pthread_cond_init(&pool->wake, NULL);
-    pthread_cond_init(&pool->idle, NULL);
-    ctx->pool = pool;
-    return pool;
-}
-
-void bsq_pool_destroy(struct bsq_pool *pool)
-{
-    if (!pool)
-        return;
+    struct bsq_pool *pool = object;
+    (void)ctx;
     pthread_mutex_lock(&pool->lock);
     assert(!pool->busy);
     pool->quit = true;
@@ -131,10 +115,26 @@ void bsq_pool_destroy(struct bsq_pool *pool)
     free(pool);
 }
 
+/* Returns the context's pool; NULL if work is to run on the calling thread alone. */
+static struct bsq_pool *get_pool(struct bsq_ctx *ctx)
+{
+    const unsigned extra = bsq_threads(ctx) - 1;
+    const bool is_new = !ctx->parts[BSQ_POOL].object;
+    if (extra == 0)
+        return NULL;
+    struct bsq_pool *pool =
+        bsq_part_of(ctx, BSQ_POOL, sizeof *pool + extra * sizeof pool->threads[0], destroy_pool);
+    if (pool && is_new) {
+        pthread_mutex_init(&pool->lock, NULL);
+        pthread_cond_init(&pool->wake, NULL);
+        pthread_cond_init(&pool->idle, NULL);
+    }
+    return pool;
+}
+
 void bsq_threads_end(struct bsq_ctx *ctx)
 {
-    bsq_pool_destroy(ctx->pool);
-    ctx->pool = NULL;
+    bsq_drop_part(ctx, BSQ_POOL);
 }
 
 /* Runs fn on up to `workers` threads, the calling one as worker 0, and waits for all. */

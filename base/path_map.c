@@ -22,6 +22,19 @@ struct bsq_path_map {
     struct bsq_tally tally;  /* of these */
 };
 
+static void free_map(struct bsq_ctx *ctx, void *object)
+{
+    struct bsq_path_map *map = object;
+    for (size_t i = 0; i < map->rule_count; i++) {
+        free(map->rules[i].source);
+        free(map->rules[i].destination);
+    }
+    bsq_texts_free(&map->mapped);
+    bsq_tally_release(ctx, &map->tally);
+    free(map->rules);
+    free(map);
+}
+
 static bool is_separator(enum bsq_path_format format, char c)
 {
     return c == '/' || (format == BSQ_PATH_WINDOWS && c == '\\');
@@ -75,10 +88,8 @@ int bsq_add_path_rule(struct bsq_ctx *ctx, enum bsq_path_format format, const ch
     rule.source = strdup(source);
     rule.destination = strdup(destination);
     pthread_mutex_lock(&ctx->files_lock);
-    if (!ctx->paths)
-        ctx->paths = calloc(1, sizeof *ctx->paths);
-    const int error =
-        rule.source && rule.destination && ctx->paths ? add_rule(ctx->paths, &rule) : ENOMEM;
+    struct bsq_path_map *map = bsq_part_of(ctx, BSQ_PATH_MAP, sizeof *map, free_map);
+    const int error = rule.source && rule.destination && map ? add_rule(map, &rule) : ENOMEM;
     pthread_mutex_unlock(&ctx->files_lock);
     if (error == 0)
         return 0;
@@ -116,7 +127,7 @@ static char *replace(const struct rule *rule, const char *path)
 /* Sets *out to a kept copy of the mapped path. Errors: BSQ_ENOMEM. */
 static int keep(struct bsq_ctx *ctx, const struct rule *rule, const char *path, const char **out)
 {
-    struct bsq_path_map *map = ctx->paths;
+    struct bsq_path_map *map = ctx->parts[BSQ_PATH_MAP].object;
     char *mapped = replace(rule, path);
     uint64_t number = 0;
     int status = mapped ? bsq_texts_add(ctx, &map->tally, &map->mapped, mapped, &number)
@@ -130,7 +141,7 @@ const char *bsq_map_path(struct bsq_ctx *ctx, const char *name)
 {
     const char *out = name;
     pthread_mutex_lock(&ctx->files_lock);
-    const struct bsq_path_map *map = ctx->paths;
+    const struct bsq_path_map *map = ctx->parts[BSQ_PATH_MAP].object;
     size_t i = 0;
     while (map && i < map->rule_count && !fits(&map->rules[i], name))
         i++;
@@ -147,7 +158,7 @@ int bsq_path_rules_text(struct bsq_ctx *ctx, char **out)
     bool failed = false;
     *out = NULL;
     pthread_mutex_lock(&ctx->files_lock);
-    const struct bsq_path_map *map = ctx->paths;
+    const struct bsq_path_map *map = ctx->parts[BSQ_PATH_MAP].object;
     if (map && map->rule_count > 0)
         failed = !(stream = open_memstream(out, &size));
     for (size_t i = 0; stream && i < map->rule_count; i++) {
@@ -158,18 +169,4 @@ int bsq_path_rules_text(struct bsq_ctx *ctx, char **out)
     pthread_mutex_unlock(&ctx->files_lock);
     failed |= stream && fclose(stream) != 0;
     return failed ? bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "rules for paths") : 0;
-}
-
-void bsq_path_map_free(struct bsq_ctx *ctx, struct bsq_path_map *map)
-{
-    if (!map)
-        return;
-    for (size_t i = 0; i < map->rule_count; i++) {
-        free(map->rules[i].source);
-        free(map->rules[i].destination);
-    }
-    bsq_texts_free(&map->mapped);
-    bsq_tally_release(ctx, &map->tally);
-    free(map->rules);
-    free(map);
 }

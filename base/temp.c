@@ -232,28 +232,26 @@ static void remove_leftovers(const struct swept *swept, const char *directory, c
         close(fd);
 }
 
-int bsq_temp_sweep(struct bsq_ctx *ctx, const char *directory, const char *name)
+static void free_sweeps(struct bsq_ctx *ctx, void *object)
 {
-    const struct swept *swept = NULL;
-    pthread_mutex_lock(&ctx->files_lock);
-    if (!ctx->sweeps)
-        ctx->sweeps = calloc(1, sizeof *ctx->sweeps);
-    int error = ctx->sweeps ? find_swept(ctx, ctx->sweeps, directory, &swept) : ENOMEM;
-    if (error == 0 && swept)
-        remove_leftovers(swept, directory, name);
-    pthread_mutex_unlock(&ctx->files_lock);
-    return error;
-}
-
-void bsq_sweeps_free(struct bsq_ctx *ctx, struct bsq_sweeps *sweeps)
-{
-    if (!sweeps)
-        return;
+    struct bsq_sweeps *sweeps = object;
     for (uint64_t i = 0; i < sweeps->count; i++)
         bsq_texts_free(&sweeps->list[i].names);
     bsq_tally_release(ctx, &sweeps->tally);
     free(sweeps->list);
     free(sweeps);
+}
+
+int bsq_temp_sweep(struct bsq_ctx *ctx, const char *directory, const char *name)
+{
+    const struct swept *swept = NULL;
+    pthread_mutex_lock(&ctx->files_lock);
+    struct bsq_sweeps *sweeps = bsq_part_of(ctx, BSQ_SWEEPS, sizeof *sweeps, free_sweeps);
+    int error = sweeps ? find_swept(ctx, sweeps, directory, &swept) : ENOMEM;
+    if (error == 0 && swept)
+        remove_leftovers(swept, directory, name);
+    pthread_mutex_unlock(&ctx->files_lock);
+    return error;
 }
 
 /* ---- files ---- */
