@@ -39,7 +39,6 @@ struct commit {
 
 /* How upper and lower nodes differ. */
 struct node_kind {
-    int stream;
     enum nvdb_section section, child_section;
     uint64_t node_bytes, stub_bytes, child_bytes;
     uint64_t child_mask, table; /* offsets in the node */
@@ -47,7 +46,6 @@ struct node_kind {
 };
 
 static const struct node_kind upper_kind = {
-    .stream = STREAM_UPPERS,
     .section = NVDB_UPPERS,
     .child_section = NVDB_LOWERS,
     .node_bytes = sizeof(struct nvdb_upper),
@@ -58,7 +56,6 @@ static const struct node_kind upper_kind = {
     .words = 512,
 };
 static const struct node_kind lower_kind = {
-    .stream = STREAM_LOWERS,
     .section = NVDB_LOWERS,
     .child_section = NVDB_LEAVES,
     .node_bytes = sizeof(struct nvdb_lower),
@@ -79,21 +76,15 @@ static const struct node_kind *node_kind(int section)
     return section == NVDB_UPPERS ? &upper_kind : section == NVDB_LOWERS ? &lower_kind : NULL;
 }
 
-static struct nvdb_section_streams streams_of(const struct commit *commit)
-{
-    return fmt_nvdb_streams_of(commit->writer, commit->section);
-}
-
 /* Returns the section's size as it follows from its source. */
 static uint64_t source_bytes(const struct commit *commit)
 {
     const struct node_kind *kind = node_kind(commit->section);
-    const struct nvdb_section_streams streams = streams_of(commit);
-    if (kind)
-        return commit->writer->stream[kind->stream].size / kind->stub_bytes * kind->node_bytes;
-    if (streams.first)
-        return streams.first->size + (streams.second ? streams.second->size : 0);
-    return commit->layout.section[commit->section].size;
+    if (commit->section == NVDB_RECORD || !commit->writer->stream[commit->section][0].ctx)
+        return commit->layout.section[commit->section].size;
+    const struct nvdb_stream *streams = commit->writer->stream[commit->section];
+    return kind ? streams[0].size / kind->stub_bytes * kind->node_bytes
+                : streams[0].size + streams[1].size;
 }
 
 /* ---- the bytes of a section ----
@@ -146,7 +137,7 @@ static int read_stream(struct commit *commit, struct nvdb_stream *stream, void *
 /* Makes the next node in memory. */
 static int make_node(struct commit *commit, const struct node_kind *kind)
 {
-    struct nvdb_stream *stubs = &commit->writer->stream[kind->stream];
+    struct nvdb_stream *stubs = commit->writer->stream[kind->section];
     uint64_t number = commit->done / kind->node_bytes;
     uint64_t offset = commit->layout.section[kind->section].offset + commit->done;
     uint8_t stub[sizeof(struct nvdb_upper_stub)]; /* large enough for a lower node's too */
@@ -170,17 +161,16 @@ static int make_from_nodes(struct commit *commit, const struct node_kind *kind, 
 }
 
 /* The first stream was hashed when it was written. */
-static int make_from_streams(struct commit *commit, const struct nvdb_section_streams *streams,
-                             uint8_t *to, uint64_t *size)
+static int make_from_streams(struct commit *commit, struct nvdb_stream streams[2], uint8_t *to,
+                             uint64_t *size)
 {
-    const uint64_t first_bytes = streams->first->size;
+    const uint64_t first_bytes = streams[0].size;
     if (commit->done < first_bytes) {
         uint64_t left = first_bytes - commit->done;
         *size = *size < left ? *size : left;
-        return read_stream(commit, streams->first, to, *size, commit->done);
+        return read_stream(commit, &streams[0], to, *size, commit->done);
     }
-    assert(streams->second);
-    int status = read_stream(commit, streams->second, to, *size, commit->done - first_bytes);
+    int status = read_stream(commit, &streams[1], to, *size, commit->done - first_bytes);
     if (status == 0)
         XXH3_64bits_update(commit->hash, to, *size);
     return status;
@@ -189,16 +179,19 @@ static int make_from_streams(struct commit *commit, const struct nvdb_section_st
 static int make_from_section(struct commit *commit, uint8_t *to, uint64_t *size)
 {
     const struct node_kind *kind = node_kind(commit->section);
-    const struct nvdb_section_streams streams = streams_of(commit);
-    if (kind)
-        return make_from_nodes(commit, kind, to, size);
-    if (streams.first)
-        return make_from_streams(commit, &streams, to, size);
-    const void *memory = commit->section == NVDB_HEAD    ? (const void *)commit->head
-                         : commit->section == NVDB_BLIND ? (const void *)commit->blind
-                         : commit->section == NVDB_NAMES ? (const void *)commit->writer->names
-                                                         : (const void *)&commit->record;
-    return make_from_memory(commit, memory, to, size);
+    switch (commit->section) {
+    case NVDB_HEAD:
+        return make_from_memory(commit, commit->head, to, size);
+    case NVDB_BLIND:
+        return make_from_memory(commit, commit->blind, to, size);
+    case NVDB_NAMES:
+        return make_from_memory(commit, commit->writer->names, to, size);
+    case NVDB_RECORD:
+        return make_from_memory(commit, &commit->record, to, size);
+    default:
+        return kind ? make_from_nodes(commit, kind, to, size)
+                    : make_from_streams(commit, commit->writer->stream[commit->section], to, size);
+    }
 }
 
 /* ---- the file ---- */
@@ -206,18 +199,16 @@ static int make_from_section(struct commit *commit, uint8_t *to, uint64_t *size)
 static int begin_section(struct commit *commit)
 {
     const struct node_kind *kind = node_kind(commit->section);
-    const struct nvdb_stream *first = streams_of(commit).first;
     if (source_bytes(commit) != commit->layout.section[commit->section].size)
         return bsq_fail(commit->ctx, BSQ_EBUG, "%s: section %d has a wrong size",
                         commit->writer->path, commit->section);
-    if (first)
-        XXH3_copyState(commit->hash, first->written);
-    else
-        XXH3_64bits_reset(commit->hash);
+    XXH3_64bits_reset(commit->hash);
     if (kind)
         commit->child = commit->layout.section[kind->child_section].offset;
-    if (commit->section == NVDB_RECORD)
+    else if (commit->section == NVDB_RECORD)
         commit->record.record_checksum = fmt_nvdb_record_checksum(&commit->record);
+    else if (commit->writer->stream[commit->section][0].ctx)
+        XXH3_copyState(commit->hash, commit->writer->stream[commit->section][0].written);
     return 0;
 }
 
@@ -313,31 +304,31 @@ static void fill_record(const struct fmt_nvdb_writer *writer, struct nvdb_record
 static int set_up(struct commit *commit)
 {
     struct fmt_nvdb_writer *writer = commit->writer;
+    int status;
     fmt_nvdb_layout_compute(&writer->counts, &commit->layout);
     fmt_nvdb_fill_blind(&commit->layout, commit->blind);
     fill_record(writer, &commit->record);
-    int status = bsq_alloc(commit->ctx, "grid header", commit->layout.section[NVDB_HEAD].size, 1,
-                           &commit->head);
-    if (status == 0)
-        status = bsq_alloc(commit->ctx, "grid nodes", sizeof(struct nvdb_upper), 1, &commit->node);
-    if (status == 0)
-        status = bsq_alloc(commit->ctx, "grid blocks", BLOCK_COUNT, BLOCK_BYTES, &commit->buffer);
-    if (status)
-        return status;
+    BSQ_TRY(bsq_alloc(commit->ctx, "grid header", commit->layout.section[NVDB_HEAD].size, 1,
+                      &commit->head));
+    BSQ_TRY(bsq_alloc(commit->ctx, "grid nodes", sizeof(struct nvdb_upper), 1, &commit->node));
+    BSQ_TRY(bsq_alloc(commit->ctx, "grid blocks", BLOCK_COUNT, BLOCK_BYTES, &commit->buffer));
     fmt_nvdb_fill_head(&writer->info, &writer->counts, &commit->layout, writer->keys,
                        writer->bbox_min, writer->bbox_max, commit->head);
     commit->hash = XXH3_createState();
-    return commit->hash ? 0 : bsq_fail(commit->ctx, BSQ_ENOMEM, "no memory for a checksum");
+    if (!commit->hash)
+        status = bsq_fail(commit->ctx, BSQ_ENOMEM, "no memory for a checksum");
+done:
+    return status;
 }
 
 static int write_file(struct fmt_nvdb_writer *writer)
 {
     struct commit commit = {.writer = writer, .ctx = writer->ctx, .output = writer->output};
-    int status = set_up(&commit);
-    if (status == 0)
-        status = bsq_output_expect(commit.output, commit.layout.file_bytes);
-    if (status == 0)
-        status = write_blocks(&commit);
+    int status;
+    BSQ_TRY(set_up(&commit));
+    BSQ_TRY(bsq_output_expect(commit.output, commit.layout.file_bytes));
+    status = write_blocks(&commit);
+done:
     XXH3_freeState(commit.hash);
     bsq_free(commit.ctx, commit.buffer);
     bsq_free(commit.ctx, commit.node);
@@ -353,7 +344,7 @@ static int sync_or_close(void *arg, uint64_t index, unsigned worker)
     (void)worker;
     if (index == 0)
         return bsq_output_sync(writer->output);
-    fmt_nvdb_stream_close(&writer->stream[index - 1]);
+    fmt_nvdb_stream_close(&writer->stream[(index - 1) / 2][(index - 1) % 2]);
     return 0;
 }
 
@@ -374,17 +365,15 @@ static void fill_totals(const struct fmt_nvdb_writer *writer, struct fmt_nvdb_to
 int fmt_nvdb_finish(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals,
                     struct bsq_output **out)
 {
+    int status;
     *out = NULL;
-    int status = fmt_nvdb_writer_finish(writer);
-    if (status == 0)
-        status = write_file(writer);
-    if (status == 0)
-        status = bsq_parallel_for(writer->ctx, 1 + STREAM_COUNT, sync_or_close, writer);
-    if (status == 0) {
-        fill_totals(writer, totals);
-        *out = writer->output;
-        writer->output = NULL;
-    }
+    BSQ_TRY(fmt_nvdb_writer_finish(writer));
+    BSQ_TRY(write_file(writer));
+    BSQ_TRY(bsq_parallel_for(writer->ctx, 1 + 2 * NVDB_RECORD, sync_or_close, writer));
+    fill_totals(writer, totals);
+    *out = writer->output;
+    writer->output = NULL;
+done:
     fmt_nvdb_discard(writer);
     return status;
 }

@@ -14,18 +14,22 @@ enum { SEMANTIC_UNKNOWN = 0, SEMANTIC_COLOR = 2, SEMANTIC_NORMAL = 3 };
 
 const struct fmt_nvdb_channel *fmt_nvdb_channel(enum nvdb_section section)
 {
-    static const struct fmt_nvdb_channel channels[] = {
-        {"normal", SEMANTIC_NORMAL, TYPE_UINT32, 4},
-        {"plane", SEMANTIC_UNKNOWN, TYPE_UINT32, 4},
-        {"color", SEMANTIC_COLOR, TYPE_RGBA8, 4},
-        {"second", SEMANTIC_UNKNOWN, TYPE_UINT32, 4},
-        {"id", SEMANTIC_UNKNOWN, TYPE_UINT32, 4},
-        {"names", SEMANTIC_UNKNOWN, TYPE_UNKNOWN, 1},
-        {"channels", SEMANTIC_UNKNOWN, TYPE_UINT32, 4},
-        {"bisque", SEMANTIC_UNKNOWN, TYPE_UNKNOWN, 1},
+    static const struct fmt_nvdb_channel channels[NVDB_SECTION_COUNT] = {
+        [NVDB_HEAD] = {"header"},
+        [NVDB_UPPERS] = {"upper nodes", .what = "grid upper nodes"},
+        [NVDB_LOWERS] = {"lower nodes", .what = "grid lower nodes"},
+        [NVDB_LEAVES] = {"leaf nodes", .what = "grid leaves"},
+        [NVDB_BLIND] = {"blind metadata"},
+        [NVDB_NORMALS] = {"normal", SEMANTIC_NORMAL, TYPE_UINT32, 4, "grid normals"},
+        [NVDB_PLANES] = {"plane", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, "grid planes"},
+        [NVDB_COLORS] = {"color", SEMANTIC_COLOR, TYPE_RGBA8, 4, "grid colours"},
+        [NVDB_SECONDS] = {"second", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, "grid second words"},
+        [NVDB_IDS] = {"id", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, "grid ids"},
+        [NVDB_NAMES] = {"names", SEMANTIC_UNKNOWN, TYPE_UNKNOWN, 1},
+        [NVDB_CHANNELS] = {"channels", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, "grid channels"},
+        [NVDB_RECORD] = {"bisque", SEMANTIC_UNKNOWN, TYPE_UNKNOWN, 1},
     };
-    assert(section >= NVDB_NORMALS && section <= NVDB_RECORD);
-    return &channels[section - NVDB_NORMALS];
+    return &channels[section];
 }
 
 void fmt_nvdb_version(enum fmt_nvdb_type type, uint32_t version[3])

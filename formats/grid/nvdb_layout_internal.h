@@ -227,14 +227,22 @@ struct nvdb_layout {
     uint64_t file_bytes;
 };
 
-/* A channel in NanoVDB's terms. */
+/* A section: its name in messages, which from NVDB_NORMALS on is that of a channel, described in
+ * NanoVDB's terms. */
 struct fmt_nvdb_channel {
     const char *name;
     uint32_t semantic, data_type, value_bytes;
+    const char *what; /* what temporary files of the section hold; NULL: it does not grow */
 };
 
-/* Returns the description of a section from NVDB_NORMALS to NVDB_RECORD. */
 const struct fmt_nvdb_channel *fmt_nvdb_channel(enum nvdb_section section);
+
+/* Returns whether a section has values for each record: those of second records follow. */
+static inline bool nvdb_has_second(int section)
+{
+    return section == NVDB_NORMALS || section == NVDB_PLANES || section == NVDB_COLORS ||
+           section == NVDB_IDS || section == NVDB_CHANNELS;
+}
 
 /* Computes the offsets of all sections. Nothing overflows if voxels <= 512 * leaves, seconds <=
  * voxels, name_bytes is below 2^61 and channel_words at most BSQ_CHANNEL_VALUES_MAX. */

@@ -62,8 +62,6 @@ static int hash_section(const struct verify *v, const struct nvdb_range *range, 
 static int verify_section(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
-    static const char *const names[] = {"header", "upper nodes", "lower nodes", "leaf nodes",
-                                        "blind metadata"};
     const struct verify *v = arg;
     const struct nvdb_range *range = &v->layout.section[index];
     uint64_t hash = 0;
@@ -76,10 +74,9 @@ static int verify_section(void *arg, uint64_t index, unsigned worker)
         return status;
     if (hash !=
         (index == NVDB_CHANNELS ? v->record->channels_checksum : v->record->checksum[index]))
-        return bsq_fail(
-            v->ctx, BSQ_EDATA, "%s: damaged: wrong checksum of %s at byte %llu", v->grid->map.path,
-            index < NVDB_NORMALS ? names[index] : fmt_nvdb_channel((enum nvdb_section)index)->name,
-            (unsigned long long)range->offset);
+        return bsq_fail(v->ctx, BSQ_EDATA, "%s: damaged: wrong checksum of %s at byte %llu",
+                        v->grid->map.path, fmt_nvdb_channel((enum nvdb_section)index)->name,
+                        (unsigned long long)range->offset);
     return 0;
 }
 

@@ -7,39 +7,102 @@
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
+#include <xxhash.h>
 
 #include "base/channels.h"
 #include "formats/grid/nvdb_writer_internal.h"
 
-/* ---- creation ---- */
+/* ---- streams ---- */
 
-static const char *const stream_names[STREAM_COUNT] = {
-    "grid upper nodes",
-    "grid lower nodes",
-    "grid leaves",
-    "grid normals",
-    "grid planes",
-    "grid colours",
-    "grid second normals",
-    "grid second planes",
-    "grid second colours",
-    "grid second words",
-    "grid ids",
-    "grid second ids",
-    "grid channels",
-    "grid second channels",
-};
-
-static bool stream_used(const struct fmt_nvdb_writer *writer, int stream)
+static int open_stream(struct bsq_ctx *ctx, const char *beside, const char *what,
+                       struct nvdb_stream *stream)
 {
-    bool color = stream == STREAM_COLORS || stream == STREAM_SECOND_COLORS;
-    bool id = stream == STREAM_IDS || stream == STREAM_SECOND_IDS;
-    bool channels = stream == STREAM_CHANNELS || stream == STREAM_SECOND_CHANNELS;
-    return color      ? writer->info.has_color
-           : id       ? writer->info.ids != BSQ_IDS_NONE
-           : channels ? writer->counts.channel_words > 0
-                      : true;
+    *stream = (struct nvdb_stream){.ctx = ctx, .file = BSQ_FILE_CLOSED};
+    int status = bsq_alloc(ctx, "grid section buffer", NVDB_STREAM_BYTES, 1, &stream->buffer);
+    if (status)
+        return status;
+    stream->written = XXH3_createState();
+    stream->read = XXH3_createState();
+    if (!stream->written || !stream->read)
+        return bsq_fail(ctx, BSQ_ENOMEM, "no memory for a checksum");
+    XXH3_64bits_reset(stream->written);
+    XXH3_64bits_reset(stream->read);
+    return bsq_file_temp(ctx, beside, what, &stream->file);
 }
+
+void fmt_nvdb_stream_close(struct nvdb_stream *stream)
+{
+    if (!stream->ctx)
+        return;
+    bsq_file_close(stream->ctx, &stream->file);
+    bsq_free(stream->ctx, stream->buffer);
+    XXH3_freeState(stream->written);
+    XXH3_freeState(stream->read);
+    *stream = (struct nvdb_stream){0};
+}
+
+/* Hashes the buffer while it is in the cache, and appends it to the file. */
+static int flush(struct nvdb_stream *stream)
+{
+    if (stream->fill == 0)
+        return 0;
+    XXH3_64bits_update(stream->written, stream->buffer, (size_t)stream->fill);
+    int status = bsq_file_append(stream->ctx, &stream->file, stream->buffer, stream->fill);
+    stream->size += stream->fill;
+    stream->fill = 0;
+    return status;
+}
+
+/* Sets *out to space for `size` <= NVDB_STREAM_BYTES bytes. The caller adds what it writes there to
+ * stream->fill. */
+static int reserve(struct nvdb_stream *stream, uint64_t size, void *out)
+{
+    assert(size <= NVDB_STREAM_BYTES);
+    int status = stream->fill + size > NVDB_STREAM_BYTES ? flush(stream) : 0;
+    *(void **)out = stream->buffer + stream->fill;
+    return status;
+}
+
+static int put(struct nvdb_stream *stream, const void *bytes, uint64_t size)
+{
+    int status = 0;
+    for (uint64_t done = 0, n; done < size && status == 0; done += n) {
+        void *to;
+        n = size - done < NVDB_STREAM_BYTES ? size - done : NVDB_STREAM_BYTES;
+        status = reserve(stream, n, &to);
+        if (status)
+            break;
+        memcpy(to, (const uint8_t *)bytes + done, n);
+        stream->fill += n;
+    }
+    return status;
+}
+
+/* Writes the rest and frees the buffer; nothing can be added any more. */
+static int end_stream(struct nvdb_stream *stream)
+{
+    int status = flush(stream);
+    bsq_free(stream->ctx, stream->buffer);
+    stream->buffer = NULL;
+    return status;
+}
+
+/* Opens the streams of a section, unless the grid lacks the section or it does not grow. */
+static int open_streams(struct fmt_nvdb_writer *writer, int section)
+{
+    const struct nvdb_counts *counts = &writer->counts;
+    const char *what = fmt_nvdb_channel((enum nvdb_section)section)->what;
+    if (!what || (section == NVDB_COLORS && !counts->has_color) ||
+        (section == NVDB_IDS && !counts->has_ids) ||
+        (section == NVDB_CHANNELS && counts->channel_words == 0))
+        return 0;
+    int status = open_stream(writer->ctx, writer->path, what, &writer->stream[section][0]);
+    return status == 0 && nvdb_has_second(section)
+               ? open_stream(writer->ctx, writer->path, what, &writer->stream[section][1])
+               : status;
+}
+
+/* ---- creation ---- */
 
 /* Counts the values of channels, if the grid has any. */
 static int count_channels(struct fmt_nvdb_writer *writer)
@@ -61,18 +124,17 @@ static int begin_channels(struct fmt_nvdb_writer *writer)
     static const uint8_t zeros[NVDB_ALIGNMENT];
     const struct nvdb_channels_head head = {writer->counts.channel_words,
                                             writer->counts.channel_list_bytes};
-    struct nvdb_stream *stream = &writer->stream[STREAM_CHANNELS];
+    const uint64_t head_bytes = nvdb_channels_head_bytes(head.list_bytes);
+    struct nvdb_stream *stream = &writer->stream[NVDB_CHANNELS][0];
+    int status = 0;
     if (head.words == 0)
         return 0;
-    int status = fmt_nvdb_stream_put(stream, &head, sizeof head);
-    if (status == 0)
-        status = fmt_nvdb_stream_put(stream, writer->info.channels, head.list_bytes);
-    if (status == 0)
-        status = fmt_nvdb_stream_put(stream, zeros,
-                                     nvdb_channels_head_bytes(head.list_bytes) - sizeof head -
-                                         head.list_bytes);
-    for (uint32_t i = 0; i < head.words && status == 0; i++)
-        status = fmt_nvdb_stream_put(stream, zeros, sizeof(float));
+    BSQ_TRY(put(stream, &head, sizeof head));
+    BSQ_TRY(put(stream, writer->info.channels, head.list_bytes));
+    BSQ_TRY(put(stream, zeros, head_bytes - sizeof head - head.list_bytes));
+    for (uint32_t i = 0; i < head.words; i++)
+        BSQ_TRY(put(stream, zeros, sizeof(float)));
+done:
     return status;
 }
 
@@ -95,47 +157,31 @@ static int check_info(struct bsq_ctx *ctx, const char *path, const struct fmt_nv
 int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb_info *info,
                     struct fmt_nvdb_writer **out)
 {
+    struct fmt_nvdb_writer *writer = NULL;
+    const uint64_t path_bytes = strlen(path) + 1;
+    int status;
     *out = NULL;
-    struct fmt_nvdb_writer *writer;
-    int status = check_info(ctx, path, info);
-    if (status)
-        return status;
-    status = bsq_calloc(ctx, "grid writer", 1, sizeof(*writer), &writer);
-    if (status)
-        return status;
+    BSQ_TRY(check_info(ctx, path, info));
+    BSQ_TRY(bsq_calloc(ctx, "grid writer", 1, sizeof *writer, &writer));
     writer->ctx = ctx;
     writer->info = *info;
     writer->counts.type = info->type;
     writer->counts.has_color = info->has_color;
     writer->counts.has_ids = info->ids != BSQ_IDS_NONE;
     fmt_nvdb_bbox_clear(writer->bbox_min, writer->bbox_max);
-    uint64_t path_bytes = strlen(path) + 1;
-    status = bsq_alloc(ctx, "grid writer", path_bytes, 1, &writer->path);
-    if (status)
-        goto failed;
+    BSQ_TRY(bsq_alloc(ctx, "grid writer", path_bytes, 1, &writer->path));
     memcpy(writer->path, path, path_bytes);
-    status = count_channels(writer);
-    if (status)
-        goto failed;
-    status = bsq_calloc(ctx, "grid upper node", 1, sizeof(*writer->upper), &writer->upper);
-    if (status)
-        goto failed;
-    status = fmt_nvdb_set_names(writer, NULL, 0);
-    if (status)
-        goto failed;
-    status = bsq_output_open(ctx, path, &writer->output);
-    for (int i = 0; i < STREAM_COUNT && status == 0; i++) {
-        if (stream_used(writer, i))
-            status = fmt_nvdb_stream_open(ctx, path, stream_names[i], &writer->stream[i]);
-    }
-    if (status == 0)
-        status = begin_channels(writer);
+    BSQ_TRY(count_channels(writer));
+    BSQ_TRY(bsq_calloc(ctx, "grid upper node", 1, sizeof *writer->upper, &writer->upper));
+    BSQ_TRY(fmt_nvdb_set_names(writer, NULL, 0));
+    BSQ_TRY(bsq_output_open(ctx, path, &writer->output));
+    for (int section = 0; section < NVDB_RECORD; section++)
+        BSQ_TRY(open_streams(writer, section));
+    BSQ_TRY(begin_channels(writer));
     writer->info.channels = NULL; /* the caller's */
-    if (status)
-        goto failed;
     *out = writer;
     return 0;
-failed:
+done:
     fmt_nvdb_discard(writer);
     return status;
 }
@@ -146,36 +192,13 @@ void fmt_nvdb_discard(struct fmt_nvdb_writer *writer)
         return;
     struct bsq_ctx *ctx = writer->ctx;
     bsq_output_discard(writer->output);
-    for (int i = 0; i < STREAM_COUNT; i++)
-        fmt_nvdb_stream_close(&writer->stream[i]);
+    for (int i = 0; i < 2 * NVDB_RECORD; i++)
+        fmt_nvdb_stream_close(&writer->stream[i / 2][i % 2]);
     bsq_free(ctx, writer->keys);
     bsq_free(ctx, writer->names);
     bsq_free(ctx, writer->upper);
     bsq_free(ctx, writer->path);
     bsq_free(ctx, writer);
-}
-
-struct nvdb_section_streams fmt_nvdb_streams_of(struct fmt_nvdb_writer *writer, int section)
-{
-    static const struct {
-        enum nvdb_section section;
-        enum nvdb_writer_stream first, second; /* second: STREAM_COUNT if there is none */
-    } rows[] = {
-        {NVDB_LEAVES, STREAM_LEAVES, STREAM_COUNT},
-        {NVDB_NORMALS, STREAM_NORMALS, STREAM_SECOND_NORMALS},
-        {NVDB_PLANES, STREAM_PLANES, STREAM_SECOND_PLANES},
-        {NVDB_COLORS, STREAM_COLORS, STREAM_SECOND_COLORS},
-        {NVDB_IDS, STREAM_IDS, STREAM_SECOND_IDS},
-        {NVDB_CHANNELS, STREAM_CHANNELS, STREAM_SECOND_CHANNELS},
-        {NVDB_SECONDS, STREAM_SECOND_WORDS, STREAM_COUNT},
-    };
-    struct nvdb_stream *stream = writer->stream;
-    for (size_t i = 0; i < sizeof rows / sizeof *rows; i++)
-        if ((int)rows[i].section == section && stream_used(writer, rows[i].first))
-            return (struct nvdb_section_streams){
-                &stream[rows[i].first],
-                rows[i].second == STREAM_COUNT ? NULL : &stream[rows[i].second]};
-    return (struct nvdb_section_streams){0};
 }
 
 /* ---- regions ---- */
@@ -256,7 +279,7 @@ static int close_lower(struct fmt_nvdb_writer *writer)
         return 0;
     fmt_nvdb_bbox_extend(upper->bbox_min, upper->bbox_max, lower->bbox_min, lower->bbox_max);
     fmt_nvdb_bbox_extend(writer->bbox_min, writer->bbox_max, lower->bbox_min, lower->bbox_max);
-    return fmt_nvdb_stream_put(&writer->stream[STREAM_LOWERS], lower, sizeof(*lower));
+    return put(writer->stream[NVDB_LOWERS], lower, sizeof *lower);
 }
 
 /* Writes the stub of the open upper node. */
@@ -264,8 +287,7 @@ static int close_upper(struct fmt_nvdb_writer *writer)
 {
     if (writer->counts.uppers == 0)
         return 0;
-    return fmt_nvdb_stream_put(&writer->stream[STREAM_UPPERS], writer->upper,
-                               sizeof(*writer->upper));
+    return put(writer->stream[NVDB_UPPERS], writer->upper, sizeof *writer->upper);
 }
 
 /* Opens the upper node of a region unless it is open already. */
@@ -273,39 +295,36 @@ static int open_upper(struct fmt_nvdb_writer *writer, const int32_t origin[3])
 {
     uint32_t count = writer->counts.uppers;
     uint64_t key = nvdb_root_key(origin);
+    int status = 0;
     if (count > 0 && writer->keys[count - 1] == key)
         return 0;
-    int status = close_upper(writer);
-    if (status)
-        return status;
-    status = bsq_grow(writer->ctx, "grid root tiles", (uint64_t)count + 1, sizeof(*writer->keys),
-                      &writer->keys, &writer->keys_capacity);
-    if (status)
-        return status;
+    BSQ_TRY(close_upper(writer));
+    BSQ_TRY(bsq_grow(writer->ctx, "grid root tiles", (uint64_t)count + 1, sizeof *writer->keys,
+                     &writer->keys, &writer->keys_capacity));
     writer->keys[count] = key;
     writer->counts.uppers = count + 1;
-    memset(writer->upper, 0, sizeof(*writer->upper));
+    memset(writer->upper, 0, sizeof *writer->upper);
     fmt_nvdb_bbox_clear(writer->upper->bbox_min, writer->upper->bbox_max);
-    return 0;
+done:
+    return status;
 }
 
 /* Opens the nodes of a region unless they are open already. */
 static int open_region(struct fmt_nvdb_writer *writer, const int32_t origin[3])
 {
+    const uint32_t slot = nvdb_upper_slot(origin);
+    int status = 0;
     if (is_open(writer, origin))
         return 0;
-    int status = close_lower(writer);
-    if (status == 0)
-        status = open_upper(writer, origin);
-    if (status)
-        return status;
-    uint32_t slot = nvdb_upper_slot(origin);
+    BSQ_TRY(close_lower(writer));
+    BSQ_TRY(open_upper(writer, origin));
     writer->last_slot = slot;
     writer->upper->child_mask[slot >> 6] |= UINT64_C(1) << (slot & 63);
-    memset(&writer->lower, 0, sizeof(writer->lower));
+    memset(&writer->lower, 0, sizeof writer->lower);
     fmt_nvdb_bbox_clear(writer->lower.bbox_min, writer->lower.bbox_max);
     writer->counts.lowers++;
-    return 0;
+done:
+    return status;
 }
 
 static void leaf_origin(const int32_t region_origin[3], uint32_t id, int32_t origin[3])
@@ -320,10 +339,10 @@ static int append_leaves(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_r
 {
     struct nvdb_lower_stub *lower = &writer->lower;
     uint64_t value = 1 + writer->counts.voxels;
-    struct nvdb_stream *leaves = &writer->stream[STREAM_LEAVES];
+    struct nvdb_stream *leaves = writer->stream[NVDB_LEAVES];
     for (uint32_t i = 0; i < region->leaf_count; i++) {
         struct nvdb_leaf *leaf;
-        int status = fmt_nvdb_stream_reserve(leaves, sizeof(*leaf), &leaf);
+        int status = reserve(leaves, sizeof(*leaf), &leaf);
         if (status)
             return status;
         int32_t origin[3], bbox_max[3];
@@ -352,7 +371,7 @@ static int append_channel(struct nvdb_stream *stream, const struct fmt_nvdb_reco
     for (uint64_t done = 0; done < count;) {
         uint64_t n = count - done < most ? count - done : most;
         uint32_t *to;
-        int status = fmt_nvdb_stream_reserve(stream, n * sizeof *to, &to);
+        int status = reserve(stream, n * sizeof *to, &to);
         if (status)
             return status;
         stream->fill += n * sizeof *to;
@@ -363,47 +382,37 @@ static int append_channel(struct nvdb_stream *stream, const struct fmt_nvdb_reco
     return 0;
 }
 
-/* Splits records into channels: first or second records. */
+/* Splits first or second records into channels. values: those of further channels. */
 static int append_records(struct fmt_nvdb_writer *writer, bool second,
-                          const struct fmt_nvdb_record *records, uint64_t count)
+                          const struct fmt_nvdb_record *records, const float *values,
+                          uint64_t count)
 {
     static const struct {
-        enum nvdb_writer_stream first, second;
+        enum nvdb_section section;
         size_t member;
-    } channels[] = {
-        {STREAM_NORMALS, STREAM_SECOND_NORMALS, offsetof(struct fmt_nvdb_record, normal)},
-        {STREAM_PLANES, STREAM_SECOND_PLANES, offsetof(struct fmt_nvdb_record, plane)},
-        {STREAM_COLORS, STREAM_SECOND_COLORS, offsetof(struct fmt_nvdb_record, color)},
-        {STREAM_IDS, STREAM_SECOND_IDS, offsetof(struct fmt_nvdb_record, id)},
-    };
+    } members[] = {{NVDB_NORMALS, offsetof(struct fmt_nvdb_record, normal)},
+                   {NVDB_PLANES, offsetof(struct fmt_nvdb_record, plane)},
+                   {NVDB_COLORS, offsetof(struct fmt_nvdb_record, color)},
+                   {NVDB_IDS, offsetof(struct fmt_nvdb_record, id)}};
     int status = 0;
-    for (size_t c = 0; c < sizeof channels / sizeof *channels && status == 0; c++) {
-        const enum nvdb_writer_stream stream = second ? channels[c].second : channels[c].first;
-        if (stream_used(writer, stream))
-            status = append_channel(&writer->stream[stream], records, count, channels[c].member);
+    for (size_t i = 0; i < sizeof members / sizeof *members; i++) {
+        struct nvdb_stream *stream = &writer->stream[members[i].section][second];
+        if (stream->ctx)
+            BSQ_TRY(append_channel(stream, records, count, members[i].member));
     }
+    if (values)
+        status = put(&writer->stream[NVDB_CHANNELS][second], values,
+                     count * writer->counts.channel_words * sizeof *values);
+done:
     return status;
-}
-
-/* Appends the channels of a region. */
-static int append_channels(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
-{
-    const uint64_t bytes = writer->counts.channel_words * sizeof *region->channels;
-    if (bytes == 0)
-        return 0;
-    int status = fmt_nvdb_stream_put(&writer->stream[STREAM_CHANNELS], region->channels,
-                                     region->record_count * bytes);
-    return status ? status
-                  : fmt_nvdb_stream_put(&writer->stream[STREAM_SECOND_CHANNELS],
-                                        region->second_channels, region->second_count * bytes);
 }
 
 /* Writes the open entry of section NVDB_SECONDS. */
 static int end_entry(struct fmt_nvdb_writer *writer)
 {
     uint32_t *entry;
-    struct nvdb_stream *stream = &writer->stream[STREAM_SECOND_WORDS];
-    int status = fmt_nvdb_stream_reserve(stream, 8, &entry);
+    struct nvdb_stream *stream = writer->stream[NVDB_SECONDS];
+    int status = reserve(stream, 8, &entry);
     if (status)
         return status;
     entry[0] = writer->entry_bits;
@@ -443,29 +452,26 @@ static int append_seconds(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_
 static int append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
 {
     static const struct fmt_nvdb_record background = {0};
-    int status = bsq_check(writer->ctx);
-    if (status == 0)
-        status = check_region(writer, region);
-    if (status || region->leaf_count == 0)
-        return status;
-    status = check_limits(writer, region);
-    if (status == 0 && writer->counts.voxels == 0)
-        status = append_records(writer, false, &background, 1);
-    if (status == 0)
-        status = open_region(writer, region->origin);
-    if (status == 0)
-        status = append_leaves(writer, region);
-    if (status == 0)
-        status = append_records(writer, false, region->records, region->record_count);
-    if (status == 0)
-        status = append_records(writer, true, region->second, region->second_count);
-    if (status == 0)
-        status = append_channels(writer, region);
-    if (status == 0)
-        status = append_seconds(writer, region);
+    const bool channels = writer->counts.channel_words > 0;
+    int status;
+    BSQ_TRY(bsq_check(writer->ctx));
+    BSQ_TRY(check_region(writer, region));
+    if (region->leaf_count == 0)
+        return 0;
+    BSQ_TRY(check_limits(writer, region));
+    if (writer->counts.voxels == 0)
+        BSQ_TRY(append_records(writer, false, &background, NULL, 1));
+    BSQ_TRY(open_region(writer, region->origin));
+    BSQ_TRY(append_leaves(writer, region));
+    BSQ_TRY(append_records(writer, false, region->records, channels ? region->channels : NULL,
+                           region->record_count));
+    BSQ_TRY(append_records(writer, true, region->second, channels ? region->second_channels : NULL,
+                           region->second_count));
+    status = append_seconds(writer, region);
     writer->counts.leaves += region->leaf_count;
     writer->counts.voxels += region->record_count;
     writer->counts.seconds += region->second_count;
+done:
     return status;
 }
 
@@ -483,13 +489,12 @@ int fmt_nvdb_writer_finish(struct fmt_nvdb_writer *writer)
         return status;
     if (writer->counts.voxels == 0)
         return bsq_fail(writer->ctx, BSQ_EDATA, "%s: the grid has no voxels", writer->path);
-    status = end_entry(writer);
-    if (status == 0)
-        status = close_lower(writer);
-    if (status == 0)
-        status = close_upper(writer);
-    for (int i = 0; i < STREAM_COUNT && status == 0; i++)
-        if (stream_used(writer, i))
-            status = fmt_nvdb_stream_end(&writer->stream[i]);
+    BSQ_TRY(end_entry(writer));
+    BSQ_TRY(close_lower(writer));
+    BSQ_TRY(close_upper(writer));
+    for (int i = 0; i < 2 * NVDB_RECORD; i++)
+        if (writer->stream[i / 2][i % 2].ctx)
+            BSQ_TRY(end_stream(&writer->stream[i / 2][i % 2]));
+done:
     return status;
 }

@@ -9,7 +9,7 @@
 
 /* A part of a section that grows in a temporary file, through a buffer of NVDB_STREAM_BYTES. */
 struct nvdb_stream {
-    struct bsq_ctx *ctx;
+    struct bsq_ctx *ctx; /* NULL: not in use */
     struct bsq_file file;
     uint64_t size; /* bytes written so far */
     uint8_t *buffer;
@@ -18,21 +18,8 @@ struct nvdb_stream {
     void *written, *read;
 };
 
-/* ---- nvdb_stream.c ---- */
-
-/* Opens a stream in a temporary file. beside: path of the output. what: for messages. */
-int fmt_nvdb_stream_open(struct bsq_ctx *ctx, const char *beside, const char *what,
-                         struct nvdb_stream *stream);
-/* Sets *out to space for `size` <= NVDB_STREAM_BYTES bytes. The caller adds what it writes there to
- * stream->fill. */
-int fmt_nvdb_stream_reserve(struct nvdb_stream *stream, uint64_t size, void *out);
-int fmt_nvdb_stream_put(struct nvdb_stream *stream, const void *bytes, uint64_t size);
-/* Flushes and frees the buffer; nothing can be added any more. */
-int fmt_nvdb_stream_end(struct nvdb_stream *stream);
-/* Closes a stream and frees its memory; a zeroed stream is allowed. */
+/* Closes a stream and frees its memory. */
 void fmt_nvdb_stream_close(struct nvdb_stream *stream);
-
-/* ---- nvdb_writer.c ---- */
 
 /* Stubs: an internal node without its table, which needs the totals. */
 struct nvdb_lower_stub {
@@ -44,30 +31,14 @@ struct nvdb_upper_stub {
     uint64_t child_mask[512];
 };
 
-enum nvdb_writer_stream {
-    STREAM_UPPERS, /* stubs */
-    STREAM_LOWERS, /* stubs */
-    STREAM_LEAVES,
-    STREAM_NORMALS,
-    STREAM_PLANES,
-    STREAM_COLORS,
-    STREAM_SECOND_NORMALS, /* this and the next two: of second records */
-    STREAM_SECOND_PLANES,
-    STREAM_SECOND_COLORS,
-    STREAM_SECOND_WORDS,
-    STREAM_IDS,
-    STREAM_SECOND_IDS,      /* of second records */
-    STREAM_CHANNELS,        /* the head of the section, and values */
-    STREAM_SECOND_CHANNELS, /* of second records */
-    STREAM_COUNT
-};
-
 struct fmt_nvdb_writer {
     struct bsq_ctx *ctx;
     struct bsq_output *output;
     char *path;
     struct fmt_nvdb_info info;
-    struct nvdb_stream stream[STREAM_COUNT];
+    /* Of each section that grows with the grid: of upper and lower nodes the stubs; of values one a
+     * record, those of first records, then those of second records. */
+    struct nvdb_stream stream[NVDB_RECORD][2];
     int failed; /* status of the first failure; nothing can be committed after it */
 
     uint8_t *names; /* section NVDB_NAMES, counts.name_bytes; NULL: no ids */
@@ -83,12 +54,6 @@ struct fmt_nvdb_writer {
     int32_t bbox_min[3], bbox_max[3];
     uint32_t entry_bits, entry_rank; /* the open entry of section NVDB_SECONDS */
 };
-
-/* The streams of a section: its first part, and second records after it. Either may be NULL. */
-struct nvdb_section_streams {
-    struct nvdb_stream *first, *second;
-};
-struct nvdb_section_streams fmt_nvdb_streams_of(struct fmt_nvdb_writer *writer, int section);
 
 /* Closes the open nodes, writes all buffers to the temporary files and frees the buffers. */
 int fmt_nvdb_writer_finish(struct fmt_nvdb_writer *writer);

@@ -122,7 +122,7 @@ TEST(voxels_are_numbered_past_2_32)
     writer->counts.voxels = START;
     for (int i = 0; i < 3; i++)
         assert_int_equal(append_leaf(writer, 128 * i), 0);
-    const struct nvdb_stream *stream = &writer->stream[STREAM_LEAVES];
+    const struct nvdb_stream *stream = writer->stream[NVDB_LEAVES];
     assert_int_equal(stream->fill, 3 * sizeof(struct nvdb_leaf));
     const struct nvdb_leaf *leaves = (const void *)stream->buffer;
     for (uint64_t i = 0; i < 3; i++)
