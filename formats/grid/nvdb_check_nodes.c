@@ -19,8 +19,6 @@ struct check {
     struct bsq_ctx *ctx;
     const struct fmt_nvdb_grid *grid;
     const struct nvdb_tile *tiles;
-    const struct nvdb_upper *uppers;
-    const struct nvdb_lower *lowers;
     const struct nvdb_leaf *leaves;
     uint64_t entry_count;
 };
@@ -31,91 +29,56 @@ static int bad_node(const struct check *c, const char *level, uint64_t number, c
                     c->grid->map.path, level, number, what);
 }
 
-/* A node's children [first, end), numbered within the level below. */
-struct children {
-    uint64_t first, end;
-};
-
-/* Reads the children that a node's table names for the bits of its mask. Returns false if there are
- * none, or if they are not successive nodes of the level below. base: offset from the node to the
- * first node of that level. */
-static bool read_children(const uint64_t *child_mask, int words, const int64_t *table, int64_t base,
-                          uint64_t child_bytes, uint64_t child_count, struct children *out)
-{
-    uint64_t next = UINT64_MAX, first = 0;
-    for (int word = 0; word < words; word++) {
-        for (uint64_t bits = child_mask[word]; bits; bits &= bits - 1) {
-            /* Unsigned: a wrong offset wraps to a large number and fails the comparisons below. */
-            uint64_t distance = (uint64_t)table[64 * word + __builtin_ctzll(bits)] - (uint64_t)base;
-            if (next == UINT64_MAX) {
-                if (distance % child_bytes != 0 || distance / child_bytes >= child_count)
-                    return false;
-                first = next = distance / child_bytes;
-            } else if (next >= child_count || distance != next * child_bytes) {
-                return false;
-            }
-            next++;
-        }
-    }
-    if (next == UINT64_MAX)
-        return false;
-    *out = (struct children){first, next};
-    return true;
-}
-
-static bool all_zero(const uint64_t *words, int count)
+static bool all_zero(const uint64_t *words, uint32_t count)
 {
     uint64_t any = 0;
-    for (int i = 0; i < count; i++)
+    for (uint32_t i = 0; i < count; i++)
         any |= words[i];
     return any == 0;
 }
 
-static bool upper_children(const struct check *c, uint64_t number, struct children *out)
+/* ---- children ---- */
+
+static bool is_upper(const struct nvdb_level *level)
 {
-    const struct nvdb_upper *upper = &c->uppers[number];
-    return read_children(upper->child_mask, 512, upper->table,
-                         (const char *)c->lowers - (const char *)upper, sizeof(*c->lowers),
-                         c->grid->lower_count, out);
+    return level->section == NVDB_UPPERS;
 }
 
-static bool lower_children(const struct check *c, uint64_t number, struct children *out)
+static const struct nvdb_node *node_of(const struct check *c, const struct nvdb_level *level,
+                                       uint64_t number)
 {
-    const struct nvdb_lower *lower = &c->lowers[number];
-    return read_children(lower->child_mask, 64, lower->table,
-                         (const char *)c->leaves - (const char *)lower, sizeof(*c->leaves),
-                         c->grid->leaf_count, out);
+    const uint8_t *nodes = is_upper(level) ? c->grid->uppers : c->grid->lowers;
+    return (const void *)(nodes + number * level->node_bytes);
 }
 
-/* Returns a node's first child, UINT64_MAX if there is none or its offset is wrong. */
-static uint64_t first_child(const uint64_t *child_mask, int words, const int64_t *table,
-                            int64_t base, uint64_t child_bytes)
+static uint64_t child_count(const struct check *c, const struct nvdb_level *level)
 {
-    for (int word = 0; word < words; word++)
-        if (child_mask[word]) {
-            uint64_t distance =
-                (uint64_t)table[64 * word + __builtin_ctzll(child_mask[word])] - (uint64_t)base;
-            return distance % child_bytes == 0 ? distance / child_bytes : UINT64_MAX;
-        }
+    return is_upper(level) ? c->grid->lower_count : c->grid->leaf_count;
+}
+
+/* Returns the number, within the level below, of the child that a slot of the table names. A wrong
+ * offset gives a number that no child has. */
+static uint64_t child_of(const struct check *c, const struct nvdb_level *level,
+                         const struct nvdb_node *node, uint32_t slot)
+{
+    const uint8_t *below = is_upper(level) ? c->grid->lowers : c->grid->leaves;
+    const uint64_t base = (uint64_t)(below - (const uint8_t *)node);
+    const uint64_t distance = (uint64_t)nvdb_table(level, node)[slot] - base;
+    return distance % level->child_bytes == 0 ? distance / level->child_bytes : UINT64_MAX;
+}
+
+/* Returns the first child of a node, UINT64_MAX if it has none; after the last node, the number of
+ * all children. */
+static uint64_t first_child(const struct check *c, const struct nvdb_level *level, uint64_t number)
+{
+    if (number == (is_upper(level) ? c->grid->upper_count : c->grid->lower_count))
+        return child_count(c, level);
+    const struct nvdb_node *node = node_of(c, level, number);
+    const uint64_t *mask = nvdb_child_mask(level, node);
+    for (uint32_t word = 0; word < level->words; word++)
+        if (mask[word])
+            return child_of(c, level, node, 64 * word + (uint32_t)__builtin_ctzll(mask[word]));
     return UINT64_MAX;
-}
-
-static uint64_t upper_first_child(const struct check *c, uint64_t number)
-{
-    if (number == c->grid->upper_count)
-        return c->grid->lower_count;
-    const struct nvdb_upper *upper = &c->uppers[number];
-    return first_child(upper->child_mask, 512, upper->table,
-                       (const char *)c->lowers - (const char *)upper, sizeof(*c->lowers));
-}
-
-static uint64_t lower_first_child(const struct check *c, uint64_t number)
-{
-    if (number == c->grid->lower_count)
-        return c->grid->leaf_count;
-    const struct nvdb_lower *lower = &c->lowers[number];
-    return first_child(lower->child_mask, 64, lower->table,
-                       (const char *)c->leaves - (const char *)lower, sizeof(*c->leaves));
 }
 
 /* Sets the origin of a node with `dim` voxels along its edge: its lower bounds, rounded down. */
@@ -126,53 +89,19 @@ static void node_origin(const int32_t bbox_min[3], int32_t dim, int32_t origin[3
 }
 
 /* Sets the origin of the child in `slot` of a node at `origin`. */
-static void child_origin(const int32_t origin[3], uint32_t slot, int log2_slots, int32_t child_dim,
+static void child_origin(const struct nvdb_level *level, const int32_t origin[3], uint32_t slot,
                          int32_t out[3])
 {
-    uint32_t low = (1u << log2_slots) - 1;
-    uint32_t step[3] = {slot >> (2 * log2_slots), slot >> log2_slots & low, slot & low};
+    const uint32_t bits = level->log2_slots, low = (1u << bits) - 1;
+    const uint32_t step[3] = {slot >> 2 * bits, slot >> bits & low, slot & low};
     for (int axis = 0; axis < 3; axis++)
-        out[axis] = (int32_t)((uint32_t)origin[axis] + step[axis] * (uint32_t)child_dim);
+        out[axis] = (int32_t)((uint32_t)origin[axis] + step[axis] * (uint32_t)level->child_dim);
 }
 
 static bool same_box(const int32_t a_min[3], const int32_t a_max[3], const int32_t b_min[3],
                      const int32_t b_max[3])
 {
     return memcmp(a_min, b_min, 12) == 0 && memcmp(a_max, b_max, 12) == 0;
-}
-
-static int check_upper(const struct check *c, uint64_t number)
-{
-    const struct nvdb_upper *upper = &c->uppers[number];
-    struct children children;
-    if (!all_zero(upper->value_mask, 512) || !upper_children(c, number, &children) ||
-        (number == 0 && children.first != 0) || upper_first_child(c, number + 1) != children.end)
-        return bad_node(c, "upper", number, "child");
-    int32_t origin[3];
-    node_origin(upper->bbox_min, NVDB_UPPER_DIM, origin);
-    if (nvdb_root_key(origin) != c->tiles[number].key)
-        return bad_node(c, "upper", number, "place");
-
-    int32_t bbox_min[3], bbox_max[3];
-    fmt_nvdb_bbox_clear(bbox_min, bbox_max);
-    uint64_t child = children.first;
-    for (int word = 0; word < 512; word++) {
-        for (uint64_t bits = upper->child_mask[word]; bits; bits &= bits - 1, child++) {
-            if (child == children.end)
-                return bad_node(c, "upper", number, "child");
-            const struct nvdb_lower *lower = &c->lowers[child];
-            int32_t expected[3], found[3];
-            child_origin(origin, (uint32_t)(64 * word + __builtin_ctzll(bits)), 5, NVDB_LOWER_DIM,
-                         expected);
-            node_origin(lower->bbox_min, NVDB_LOWER_DIM, found);
-            if (memcmp(expected, found, sizeof(found)) != 0)
-                return bad_node(c, "lower", child, "place");
-            fmt_nvdb_bbox_extend(bbox_min, bbox_max, lower->bbox_min, lower->bbox_max);
-        }
-    }
-    if (!same_box(bbox_min, bbox_max, upper->bbox_min, upper->bbox_max))
-        return bad_node(c, "upper", number, "bounding box");
-    return 0;
 }
 
 /* Checks a leaf and extends the box of its parent. */
@@ -197,32 +126,61 @@ static int check_leaf(const struct check *c, uint64_t number, const int32_t orig
     return 0;
 }
 
-static int check_lower(const struct check *c, uint64_t number)
+/* Checks the place of a lower node and extends the box of its parent. */
+static int check_place(const struct check *c, uint64_t number, const int32_t origin[3],
+                       int32_t bbox_min[3], int32_t bbox_max[3])
 {
-    const struct nvdb_lower *lower = &c->lowers[number];
-    struct children children;
-    if (!all_zero(lower->value_mask, 64) || !lower_children(c, number, &children) ||
-        (number == 0 && children.first != 0) || lower_first_child(c, number + 1) != children.end)
-        return bad_node(c, "lower", number, "child");
-    int32_t origin[3], bbox_min[3], bbox_max[3];
-    node_origin(lower->bbox_min, NVDB_LOWER_DIM, origin);
+    const struct nvdb_node *lower = node_of(c, &fmt_nvdb_lower, number);
+    int32_t found[3];
+    node_origin(lower->bbox_min, NVDB_LOWER_DIM, found);
+    if (memcmp(origin, found, sizeof found) != 0)
+        return bad_node(c, "lower", number, "place");
+    fmt_nvdb_bbox_extend(bbox_min, bbox_max, lower->bbox_min, lower->bbox_max);
+    return 0;
+}
+
+/* Checks that the children of a node are successive nodes in their places, and that its box is
+ * theirs. */
+static int check_children(const struct check *c, const struct nvdb_level *level, uint64_t number,
+                          const int32_t origin[3])
+{
+    const struct nvdb_node *node = node_of(c, level, number);
+    const uint64_t *mask = nvdb_child_mask(level, node);
+    int32_t bbox_min[3], bbox_max[3];
+    uint64_t child = first_child(c, level, number);
     fmt_nvdb_bbox_clear(bbox_min, bbox_max);
-    uint64_t child = children.first;
-    for (int word = 0; word < 64; word++) {
-        for (uint64_t bits = lower->child_mask[word]; bits; bits &= bits - 1, child++) {
-            if (child == children.end)
-                return bad_node(c, "lower", number, "child");
-            int32_t leaf_origin[3];
-            child_origin(origin, (uint32_t)(64 * word + __builtin_ctzll(bits)), 4, NVDB_LEAF_DIM,
-                         leaf_origin);
-            int status = check_leaf(c, child, leaf_origin, bbox_min, bbox_max);
+    if (number == 0 && child != 0)
+        return bad_node(c, level->name, number, "child");
+    for (uint32_t word = 0; word < level->words; word++)
+        for (uint64_t bits = mask[word]; bits; bits &= bits - 1, child++) {
+            const uint32_t slot = 64 * word + (uint32_t)__builtin_ctzll(bits);
+            int32_t place[3];
+            if (child >= child_count(c, level) || child_of(c, level, node, slot) != child)
+                return bad_node(c, level->name, number, "child");
+            child_origin(level, origin, slot, place);
+            int status = is_upper(level) ? check_place(c, child, place, bbox_min, bbox_max)
+                                         : check_leaf(c, child, place, bbox_min, bbox_max);
             if (status)
                 return status;
         }
-    }
-    if (!same_box(bbox_min, bbox_max, lower->bbox_min, lower->bbox_max))
-        return bad_node(c, "lower", number, "bounding box");
+    if (first_child(c, level, number + 1) != child)
+        return bad_node(c, level->name, number, "child");
+    if (!same_box(bbox_min, bbox_max, node->bbox_min, node->bbox_max))
+        return bad_node(c, level->name, number, "bounding box");
     return 0;
+}
+
+static int check_node(const struct check *c, const struct nvdb_level *level, uint64_t number)
+{
+    const struct nvdb_node *node = node_of(c, level, number);
+    int32_t origin[3];
+    node_origin(node->bbox_min, level->dim, origin);
+    if (!all_zero(nvdb_value_mask(node), level->words) ||
+        first_child(c, level, number) == UINT64_MAX)
+        return bad_node(c, level->name, number, "child");
+    if (is_upper(level) && nvdb_root_key(origin) != c->tiles[number].key)
+        return bad_node(c, level->name, number, "place");
+    return check_children(c, level, number, origin);
 }
 
 /* Checks that ranks add up from entry to entry, and that bits are set for voxels only. */
@@ -262,7 +220,8 @@ static int check_root(const struct check *c)
             !all_zero(tile->values, 2))
             return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: root tile %" PRIu32 " is wrong",
                             grid->map.path, i);
-        fmt_nvdb_bbox_extend(bbox_min, bbox_max, c->uppers[i].bbox_min, c->uppers[i].bbox_max);
+        const struct nvdb_node *upper = node_of(c, &fmt_nvdb_upper, i);
+        fmt_nvdb_bbox_extend(bbox_min, bbox_max, upper->bbox_min, upper->bbox_max);
         child += sizeof(struct nvdb_upper);
     }
     if (!same_box(bbox_min, bbox_max, grid->index_min, grid->index_max))
@@ -276,10 +235,10 @@ static int check_task(void *arg, uint64_t index, unsigned worker)
     (void)worker;
     const struct check *c = arg;
     if (index < c->grid->lower_count)
-        return check_lower(c, index);
+        return check_node(c, &fmt_nvdb_lower, index);
     index -= c->grid->lower_count;
     if (index < c->grid->upper_count)
-        return check_upper(c, index);
+        return check_node(c, &fmt_nvdb_upper, index);
     return check_seconds(c, index - c->grid->upper_count);
 }
 
@@ -289,8 +248,6 @@ int fmt_nvdb_check_nodes(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
         .ctx = ctx,
         .grid = grid,
         .tiles = (const void *)grid->tiles,
-        .uppers = (const void *)grid->uppers,
-        .lowers = (const void *)grid->lowers,
         .leaves = (const void *)grid->leaves,
         .entry_count = grid->voxel_count / 32 + 1,
     };

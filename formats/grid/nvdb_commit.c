@@ -37,54 +37,26 @@ struct commit {
 
 /* ---- the sources of sections ---- */
 
-/* How upper and lower nodes differ. */
-struct node_kind {
-    enum nvdb_section section, child_section;
-    uint64_t node_bytes, stub_bytes, child_bytes;
-    uint64_t child_mask, table; /* offsets in the node */
-    int words;                  /* of the child mask */
-};
+/* Nodes and stubs begin with their bounds; a stub's mask follows. */
+enum { BOUNDS_BYTES = offsetof(struct nvdb_stub, child_mask) };
+static_assert(BOUNDS_BYTES == offsetof(struct nvdb_node, flags), "bounds");
 
-static const struct node_kind upper_kind = {
-    .section = NVDB_UPPERS,
-    .child_section = NVDB_LOWERS,
-    .node_bytes = sizeof(struct nvdb_upper),
-    .stub_bytes = sizeof(struct nvdb_upper_stub),
-    .child_bytes = sizeof(struct nvdb_lower),
-    .child_mask = offsetof(struct nvdb_upper, child_mask),
-    .table = offsetof(struct nvdb_upper, table),
-    .words = 512,
-};
-static const struct node_kind lower_kind = {
-    .section = NVDB_LOWERS,
-    .child_section = NVDB_LEAVES,
-    .node_bytes = sizeof(struct nvdb_lower),
-    .stub_bytes = sizeof(struct nvdb_lower_stub),
-    .child_bytes = sizeof(struct nvdb_leaf),
-    .child_mask = offsetof(struct nvdb_lower, child_mask),
-    .table = offsetof(struct nvdb_lower, table),
-    .words = 64,
-};
-
-/* Nodes and stubs of both kinds begin with their bounds; a stub's mask follows. */
-enum { BOUNDS_BYTES = 24 };
-static_assert(offsetof(struct nvdb_upper_stub, child_mask) == BOUNDS_BYTES, "stub");
-static_assert(offsetof(struct nvdb_lower_stub, child_mask) == BOUNDS_BYTES, "stub");
-
-static const struct node_kind *node_kind(int section)
+static const struct nvdb_level *level_of(int section)
 {
-    return section == NVDB_UPPERS ? &upper_kind : section == NVDB_LOWERS ? &lower_kind : NULL;
+    return section == NVDB_UPPERS   ? &fmt_nvdb_upper
+           : section == NVDB_LOWERS ? &fmt_nvdb_lower
+                                    : NULL;
 }
 
 /* Returns the section's size as it follows from its source. */
 static uint64_t source_bytes(const struct commit *commit)
 {
-    const struct node_kind *kind = node_kind(commit->section);
+    const struct nvdb_level *level = level_of(commit->section);
     if (commit->section == NVDB_RECORD || !commit->writer->stream[commit->section][0].ctx)
         return commit->layout.section[commit->section].size;
     const struct nvdb_stream *streams = commit->writer->stream[commit->section];
-    return kind ? streams[0].size / kind->stub_bytes * kind->node_bytes
-                : streams[0].size + streams[1].size;
+    return level ? streams[0].size / nvdb_stub_bytes(level) * level->node_bytes
+                 : streams[0].size + streams[1].size;
 }
 
 /* ---- the bytes of a section ----
@@ -100,20 +72,20 @@ static int make_from_memory(struct commit *commit, const void *section, uint8_t 
 
 /* Makes a node from its stub. *child is the offset in the file of the node's first child; it is
  * moved to the next node's first child. */
-static void expand_node(const struct node_kind *kind, uint64_t node_offset, const uint8_t *stub,
-                        uint8_t *node, uint64_t *child)
+static void expand_node(const struct nvdb_level *level, uint64_t node_offset,
+                        const struct nvdb_stub *stub, uint8_t *node, uint64_t *child)
 {
     static const uint64_t flags = NVDB_NODE_HAS_BBOX;
-    memset(node, 0, kind->node_bytes);
+    const uint64_t mask_bytes = level->words * sizeof *stub->child_mask;
+    int64_t *table = (int64_t *)(node + level->node_bytes) - 64 * level->words;
+    memset(node, 0, level->node_bytes);
     memcpy(node, stub, BOUNDS_BYTES);
     memcpy(node + BOUNDS_BYTES, &flags, sizeof(flags));
-    memcpy(node + kind->child_mask, stub + BOUNDS_BYTES, (size_t)kind->words * 8);
-    const uint64_t *mask = (const uint64_t *)(node + kind->child_mask);
-    int64_t *table = (int64_t *)(node + kind->table);
-    for (int word = 0; word < kind->words; word++) {
-        for (uint64_t bits = mask[word]; bits; bits &= bits - 1) {
-            table[64 * word + __builtin_ctzll(bits)] = (int64_t)(*child - node_offset);
-            *child += kind->child_bytes;
+    memcpy(node + sizeof(struct nvdb_node) + mask_bytes, stub->child_mask, mask_bytes);
+    for (uint32_t word = 0; word < level->words; word++) {
+        for (uint64_t bits = stub->child_mask[word]; bits; bits &= bits - 1) {
+            table[64 * word + (uint32_t)__builtin_ctzll(bits)] = (int64_t)(*child - node_offset);
+            *child += level->child_bytes;
         }
     }
 }
@@ -135,23 +107,24 @@ static int read_stream(struct commit *commit, struct nvdb_stream *stream, void *
 }
 
 /* Makes the next node in memory. */
-static int make_node(struct commit *commit, const struct node_kind *kind)
+static int make_node(struct commit *commit, const struct nvdb_level *level)
 {
-    struct nvdb_stream *stubs = commit->writer->stream[kind->section];
-    uint64_t number = commit->done / kind->node_bytes;
-    uint64_t offset = commit->layout.section[kind->section].offset + commit->done;
-    uint8_t stub[sizeof(struct nvdb_upper_stub)]; /* large enough for a lower node's too */
-    int status = read_stream(commit, stubs, stub, kind->stub_bytes, number * kind->stub_bytes);
+    struct nvdb_stream *stubs = commit->writer->stream[level->section];
+    uint64_t number = commit->done / level->node_bytes;
+    uint64_t offset = commit->layout.section[level->section].offset + commit->done;
+    struct nvdb_stub stub;
+    int status =
+        read_stream(commit, stubs, &stub, nvdb_stub_bytes(level), number * nvdb_stub_bytes(level));
     if (status == 0)
-        expand_node(kind, offset, stub, commit->node, &commit->child);
+        expand_node(level, offset, &stub, commit->node, &commit->child);
     return status;
 }
 
-static int make_from_nodes(struct commit *commit, const struct node_kind *kind, uint8_t *to,
+static int make_from_nodes(struct commit *commit, const struct nvdb_level *level, uint8_t *to,
                            uint64_t *size)
 {
-    uint64_t begun = commit->done % kind->node_bytes, left = kind->node_bytes - begun;
-    int status = begun == 0 ? make_node(commit, kind) : 0;
+    uint64_t begun = commit->done % level->node_bytes, left = level->node_bytes - begun;
+    int status = begun == 0 ? make_node(commit, level) : 0;
     if (status)
         return status;
     *size = *size < left ? *size : left;
@@ -178,7 +151,7 @@ static int make_from_streams(struct commit *commit, struct nvdb_stream streams[2
 
 static int make_from_section(struct commit *commit, uint8_t *to, uint64_t *size)
 {
-    const struct node_kind *kind = node_kind(commit->section);
+    const struct nvdb_level *level = level_of(commit->section);
     switch (commit->section) {
     case NVDB_HEAD:
         return make_from_memory(commit, commit->head, to, size);
@@ -189,8 +162,8 @@ static int make_from_section(struct commit *commit, uint8_t *to, uint64_t *size)
     case NVDB_RECORD:
         return make_from_memory(commit, &commit->record, to, size);
     default:
-        return kind ? make_from_nodes(commit, kind, to, size)
-                    : make_from_streams(commit, commit->writer->stream[commit->section], to, size);
+        return level ? make_from_nodes(commit, level, to, size)
+                     : make_from_streams(commit, commit->writer->stream[commit->section], to, size);
     }
 }
 
@@ -198,13 +171,13 @@ static int make_from_section(struct commit *commit, uint8_t *to, uint64_t *size)
 
 static int begin_section(struct commit *commit)
 {
-    const struct node_kind *kind = node_kind(commit->section);
+    const struct nvdb_level *level = level_of(commit->section);
     if (source_bytes(commit) != commit->layout.section[commit->section].size)
         return bsq_fail(commit->ctx, BSQ_EBUG, "%s: section %d has a wrong size",
                         commit->writer->path, commit->section);
     XXH3_64bits_reset(commit->hash);
-    if (kind)
-        commit->child = commit->layout.section[kind->child_section].offset;
+    if (level)
+        commit->child = commit->layout.section[level->child_section].offset;
     else if (commit->section == NVDB_RECORD)
         commit->record.record_checksum = fmt_nvdb_record_checksum(&commit->record);
     else if (commit->writer->stream[commit->section][0].ctx)

@@ -32,6 +32,29 @@ const struct fmt_nvdb_channel *fmt_nvdb_channel(enum nvdb_section section)
     return &channels[section];
 }
 
+const struct nvdb_level fmt_nvdb_upper = {
+    .name = "upper",
+    .section = NVDB_UPPERS,
+    .child_section = NVDB_LOWERS,
+    .words = 512,
+    .log2_slots = 5,
+    .dim = NVDB_UPPER_DIM,
+    .child_dim = NVDB_LOWER_DIM,
+    .node_bytes = sizeof(struct nvdb_upper),
+    .child_bytes = sizeof(struct nvdb_lower),
+};
+const struct nvdb_level fmt_nvdb_lower = {
+    .name = "lower",
+    .section = NVDB_LOWERS,
+    .child_section = NVDB_LEAVES,
+    .words = 64,
+    .log2_slots = 4,
+    .dim = NVDB_LOWER_DIM,
+    .child_dim = NVDB_LEAF_DIM,
+    .node_bytes = sizeof(struct nvdb_lower),
+    .child_bytes = sizeof(struct nvdb_leaf),
+};
+
 void fmt_nvdb_version(enum fmt_nvdb_type type, uint32_t version[3])
 {
     uint32_t packed = nvdb_version(type);

@@ -154,6 +154,8 @@ static_assert(sizeof(struct nvdb_root) == 28, "RootData");
 static_assert(sizeof(struct nvdb_tile) == 32, "RootData::Tile");
 static_assert(sizeof(struct nvdb_upper) == 270400, "InternalData<5>");
 static_assert(sizeof(struct nvdb_lower) == 33856, "InternalData<4>");
+static_assert(offsetof(struct nvdb_upper, table) == 64 + 16 * 512, "InternalData<5>");
+static_assert(offsetof(struct nvdb_lower, table) == 64 + 16 * 64, "InternalData<4>");
 static_assert(sizeof(struct nvdb_leaf) == FMT_NVDB_LEAF_BYTES, "LeafData");
 static_assert(sizeof(struct nvdb_blind) == 288, "GridBlindMetaData");
 
@@ -242,6 +244,43 @@ static inline bool nvdb_has_second(int section)
 {
     return section == NVDB_NORMALS || section == NVDB_PLANES || section == NVDB_COLORS ||
            section == NVDB_IDS || section == NVDB_CHANNELS;
+}
+
+/* Upper and lower nodes: both are a struct nvdb_node, and these words follow: the value mask and
+ * the child mask, four of statistics, and the table of children. */
+struct nvdb_level {
+    const char *name;
+    enum nvdb_section section, child_section;
+    uint32_t words;         /* of a mask */
+    uint32_t log2_slots;    /* children along the edge of a node */
+    int32_t dim, child_dim; /* voxels along the edge of a node, and of a child */
+    uint64_t node_bytes, child_bytes;
+};
+extern const struct nvdb_level fmt_nvdb_upper, fmt_nvdb_lower;
+
+struct nvdb_node {
+    int32_t bbox_min[3], bbox_max[3];
+    uint64_t flags;
+};
+
+static inline const uint64_t *nvdb_value_mask(const struct nvdb_node *node)
+{
+    return (const uint64_t *)(const void *)(node + 1);
+}
+static inline const uint64_t *nvdb_child_mask(const struct nvdb_level *level,
+                                              const struct nvdb_node *node)
+{
+    return nvdb_value_mask(node) + level->words;
+}
+static inline const uint64_t *nvdb_statistics(const struct nvdb_level *level,
+                                              const struct nvdb_node *node)
+{
+    return nvdb_value_mask(node) + 2 * level->words;
+}
+static inline const int64_t *nvdb_table(const struct nvdb_level *level,
+                                        const struct nvdb_node *node)
+{
+    return (const int64_t *)(const void *)(nvdb_statistics(level, node) + 4);
 }
 
 /* Computes the offsets of all sections. Nothing overflows if voxels <= 512 * leaves, seconds <=

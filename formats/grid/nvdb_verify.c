@@ -95,53 +95,34 @@ static int verify_padding(const struct verify *v)
 
 /* ---- nodes ---- */
 
-static int bad_node(const struct verify *v, const char *level, uint64_t number, const char *what)
-{
-    return bsq_fail(v->ctx, BSQ_EDATA, "%s: damaged: %s node %" PRIu64 " has a wrong %s",
-                    v->grid->map.path, level, number, what);
-}
-
 /* Returns what is wrong with bytes of a node that no reader of Bisque follows, or NULL. */
-static const char *fault_of_node(uint64_t flags, const uint64_t statistics[4],
-                                 const uint64_t *child_mask, const int64_t *table, uint32_t slots)
+static const char *fault_of_node(const struct nvdb_level *level, const struct nvdb_node *node)
 {
+    const uint64_t *mask = nvdb_child_mask(level, node), *of = nvdb_statistics(level, node);
+    const int64_t *table = nvdb_table(level, node);
     uint64_t unused = 0;
-    for (uint32_t i = 0; i < slots; i++)
-        unused |= child_mask[i / 64] >> (i % 64) & 1 ? 0 : (uint64_t)table[i];
-    if (flags != NVDB_NODE_HAS_BBOX)
+    for (uint32_t i = 0; i < 64 * level->words; i++)
+        unused |= mask[i / 64] >> (i % 64) & 1 ? 0 : (uint64_t)table[i];
+    if (node->flags != NVDB_NODE_HAS_BBOX)
         return "flag";
-    if (statistics[0] | statistics[1] | statistics[2] | statistics[3])
+    if (of[0] | of[1] | of[2] | of[3])
         return "statistic";
     return unused ? "offset without a child" : NULL;
 }
 
-static int verify_upper(void *arg, uint64_t index, unsigned worker)
+static int verify_node(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
     const struct verify *v = arg;
-    const struct nvdb_upper *node =
-        (const struct nvdb_upper *)(const void *)v->grid->uppers + index;
-    const char *fault =
-        fault_of_node(node->flags, node->statistics, node->child_mask, node->table, 32768);
-    return fault ? bad_node(v, "upper", index, fault) : bsq_check(v->ctx);
-}
-
-static int verify_lower(void *arg, uint64_t index, unsigned worker)
-{
-    (void)worker;
-    const struct verify *v = arg;
-    const struct nvdb_lower *node =
-        (const struct nvdb_lower *)(const void *)v->grid->lowers + index;
-    const char *fault =
-        fault_of_node(node->flags, node->statistics, node->child_mask, node->table, 4096);
-    forget_pages(v->grid, node, sizeof *node);
-    return fault ? bad_node(v, "lower", index, fault) : bsq_check(v->ctx);
-}
-
-static int verify_nodes(struct verify *v)
-{
-    int status = bsq_parallel_for(v->ctx, v->grid->upper_count, verify_upper, v);
-    return status ? status : bsq_parallel_for(v->ctx, v->grid->lower_count, verify_lower, v);
+    const bool upper = index < v->grid->upper_count;
+    const struct nvdb_level *level = upper ? &fmt_nvdb_upper : &fmt_nvdb_lower;
+    const uint64_t number = upper ? index : index - v->grid->upper_count;
+    const uint8_t *node = (upper ? v->grid->uppers : v->grid->lowers) + number * level->node_bytes;
+    const char *fault = fault_of_node(level, (const void *)node);
+    forget_pages(v->grid, node, level->node_bytes);
+    return fault ? bsq_fail(v->ctx, BSQ_EDATA, "%s: damaged: %s node %" PRIu64 " has a wrong %s",
+                            v->grid->map.path, level->name, number, fault)
+                 : bsq_check(v->ctx);
 }
 
 /* ---- records ---- */
@@ -206,12 +187,10 @@ static int verify_voxels(void *arg, uint64_t task, unsigned worker)
         end = grid->voxel_count + 1;
     for (uint64_t i = begin > 0 ? begin : 1; i < end && !status; i++)
         status = verify_voxel(v, i);
-    forget_pages(grid, grid->normals + begin, (end - begin) * 4);
-    forget_pages(grid, grid->planes + begin, (end - begin) * 4);
-    if (grid->colors)
-        forget_pages(grid, grid->colors + begin, (end - begin) * 4);
-    if (grid->ids)
-        forget_pages(grid, grid->ids + begin, (end - begin) * 4);
+    const uint32_t *const values[] = {grid->normals, grid->planes, grid->colors, grid->ids};
+    for (int i = 0; i < 4; i++)
+        if (values[i])
+            forget_pages(grid, values[i] + begin, (end - begin) * sizeof *values[i]);
     if (grid->channels)
         forget_pages(grid, grid->channels + begin * grid->channel_words,
                      (end - begin) * grid->channel_words * sizeof *grid->channels);
@@ -230,13 +209,15 @@ static int verify_records(struct verify *v)
 int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {
     struct verify v = {.ctx = ctx, .grid = grid, .file = grid->map.data};
+    int status;
     forget_pages(grid, grid->map.data, grid->map.size);
     fmt_nvdb_layout_of(grid, &v.layout);
     v.record = fmt_nvdb_record_of(grid, &v.layout);
-    int status = bsq_parallel_for(ctx, NVDB_RECORD, verify_section, &v);
-    if (status == 0)
-        status = verify_padding(&v);
-    if (status == 0)
-        status = verify_nodes(&v);
-    return status ? status : verify_records(&v);
+    BSQ_TRY(bsq_parallel_for(ctx, NVDB_RECORD, verify_section, &v));
+    BSQ_TRY(verify_padding(&v));
+    BSQ_TRY(
+        bsq_parallel_for(ctx, (uint64_t)grid->upper_count + grid->lower_count, verify_node, &v));
+    status = verify_records(&v);
+done:
+    return status;
 }

@@ -172,7 +172,6 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
     BSQ_TRY(bsq_alloc(ctx, "grid writer", path_bytes, 1, &writer->path));
     memcpy(writer->path, path, path_bytes);
     BSQ_TRY(count_channels(writer));
-    BSQ_TRY(bsq_calloc(ctx, "grid upper node", 1, sizeof *writer->upper, &writer->upper));
     BSQ_TRY(fmt_nvdb_set_names(writer, NULL, 0));
     BSQ_TRY(bsq_output_open(ctx, path, &writer->output));
     for (int section = 0; section < NVDB_RECORD; section++)
@@ -196,7 +195,6 @@ void fmt_nvdb_discard(struct fmt_nvdb_writer *writer)
         fmt_nvdb_stream_close(&writer->stream[i / 2][i % 2]);
     bsq_free(ctx, writer->keys);
     bsq_free(ctx, writer->names);
-    bsq_free(ctx, writer->upper);
     bsq_free(ctx, writer->path);
     bsq_free(ctx, writer);
 }
@@ -273,13 +271,13 @@ static int check_limits(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_re
 /* Writes the stub of the open lower node, and extends the boxes above it. */
 static int close_lower(struct fmt_nvdb_writer *writer)
 {
-    const struct nvdb_lower_stub *lower = &writer->lower;
-    struct nvdb_upper_stub *upper = writer->upper;
+    const struct nvdb_stub *lower = &writer->lower;
+    struct nvdb_stub *upper = &writer->upper;
     if (writer->counts.lowers == 0)
         return 0;
     fmt_nvdb_bbox_extend(upper->bbox_min, upper->bbox_max, lower->bbox_min, lower->bbox_max);
     fmt_nvdb_bbox_extend(writer->bbox_min, writer->bbox_max, lower->bbox_min, lower->bbox_max);
-    return put(writer->stream[NVDB_LOWERS], lower, sizeof *lower);
+    return put(writer->stream[NVDB_LOWERS], lower, nvdb_stub_bytes(&fmt_nvdb_lower));
 }
 
 /* Writes the stub of the open upper node. */
@@ -287,7 +285,7 @@ static int close_upper(struct fmt_nvdb_writer *writer)
 {
     if (writer->counts.uppers == 0)
         return 0;
-    return put(writer->stream[NVDB_UPPERS], writer->upper, sizeof *writer->upper);
+    return put(writer->stream[NVDB_UPPERS], &writer->upper, nvdb_stub_bytes(&fmt_nvdb_upper));
 }
 
 /* Opens the upper node of a region unless it is open already. */
@@ -303,8 +301,8 @@ static int open_upper(struct fmt_nvdb_writer *writer, const int32_t origin[3])
                      &writer->keys, &writer->keys_capacity));
     writer->keys[count] = key;
     writer->counts.uppers = count + 1;
-    memset(writer->upper, 0, sizeof *writer->upper);
-    fmt_nvdb_bbox_clear(writer->upper->bbox_min, writer->upper->bbox_max);
+    memset(&writer->upper, 0, sizeof writer->upper);
+    fmt_nvdb_bbox_clear(writer->upper.bbox_min, writer->upper.bbox_max);
 done:
     return status;
 }
@@ -319,7 +317,7 @@ static int open_region(struct fmt_nvdb_writer *writer, const int32_t origin[3])
     BSQ_TRY(close_lower(writer));
     BSQ_TRY(open_upper(writer, origin));
     writer->last_slot = slot;
-    writer->upper->child_mask[slot >> 6] |= UINT64_C(1) << (slot & 63);
+    writer->upper.child_mask[slot >> 6] |= UINT64_C(1) << (slot & 63);
     memset(&writer->lower, 0, sizeof writer->lower);
     fmt_nvdb_bbox_clear(writer->lower.bbox_min, writer->lower.bbox_max);
     writer->counts.lowers++;
@@ -337,7 +335,7 @@ static void leaf_origin(const int32_t region_origin[3], uint32_t id, int32_t ori
 /* Appends a region's leaves to the open lower node. */
 static int append_leaves(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region *region)
 {
-    struct nvdb_lower_stub *lower = &writer->lower;
+    struct nvdb_stub *lower = &writer->lower;
     uint64_t value = 1 + writer->counts.voxels;
     struct nvdb_stream *leaves = writer->stream[NVDB_LEAVES];
     for (uint32_t i = 0; i < region->leaf_count; i++) {

@@ -21,15 +21,17 @@ struct nvdb_stream {
 /* Closes a stream and frees its memory. */
 void fmt_nvdb_stream_close(struct nvdb_stream *stream);
 
-/* Stubs: an internal node without its table, which needs the totals. */
-struct nvdb_lower_stub {
+/* A stub: an internal node without its table, which needs the totals. */
+struct nvdb_stub {
     int32_t bbox_min[3], bbox_max[3];
-    uint64_t child_mask[64];
+    uint64_t child_mask[512]; /* of a lower node 64 */
 };
-struct nvdb_upper_stub {
-    int32_t bbox_min[3], bbox_max[3];
-    uint64_t child_mask[512];
-};
+
+/* Returns the bytes that a stub has in its stream. */
+static inline uint64_t nvdb_stub_bytes(const struct nvdb_level *level)
+{
+    return offsetof(struct nvdb_stub, child_mask) + level->words * sizeof(uint64_t);
+}
 
 struct fmt_nvdb_writer {
     struct bsq_ctx *ctx;
@@ -45,10 +47,11 @@ struct fmt_nvdb_writer {
 
     uint64_t *keys; /* of the root tiles so far */
     uint64_t keys_capacity;
-    struct nvdb_upper_stub *upper; /* the open upper node, of the last key */
-    uint32_t last_slot;            /* of the open lower node in the upper node */
-    struct nvdb_lower_stub lower;  /* the open lower node; valid if counts.lowers > 0 */
-    uint32_t last_leaf;            /* number of the last leaf in the lower node */
+    struct nvdb_stub upper,
+        lower;          /* the open nodes, if there are any; the upper one of the last key
+                         */
+    uint32_t last_slot; /* of the open lower node in the upper node */
+    uint32_t last_leaf; /* number of the last leaf in the lower node */
 
     struct nvdb_counts counts;
     int32_t bbox_min[3], bbox_max[3];
