@@ -7,6 +7,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/channels.h"
 #include "formats/grid/nvdb_layout_internal.h"
 
 struct head {
@@ -178,14 +179,33 @@ static bool find_channels(struct head *h, struct nvdb_counts *counts)
     return h->grid.blind_count >= 4 + channels && more - channels <= 3;
 }
 
-/* Reads the head of the section of channels. */
+/* Reads the head of the section of channels, at an offset in the file. */
+static bool find_channel_list(const struct head *h, uint64_t offset, struct nvdb_counts *counts)
+{
+    struct nvdb_channels_head head;
+    if (offset > h->size || h->size - offset < sizeof head)
+        return false;
+    memcpy(&head, h->file + offset, sizeof head);
+    const uint8_t *list = h->file + offset + sizeof head;
+    const uint64_t bytes = nvdb_channels_head_bytes(head.list_bytes);
+    if (h->size - offset < bytes || head.words == 0 ||
+        bsq_channel_list_values((const char *)list, head.list_bytes) != head.words)
+        return false;
+    for (uint64_t i = head.list_bytes; i < bytes - sizeof head; i++)
+        if (list[i] != 0)
+            return false;
+    counts->channel_words = head.words;
+    counts->channel_list_bytes = head.list_bytes;
+    return true;
+}
+
 static int read_channels(const struct head *h, struct nvdb_counts *counts)
 {
     struct nvdb_layout layout;
     if (!(h->record.flags & NVDB_RECORD_HAS_CHANNELS))
         return 0;
     fmt_nvdb_layout_compute(counts, &layout);
-    return fmt_nvdb_check_channels(h->file, h->size, layout.section[NVDB_CHANNELS].offset, counts)
+    return find_channel_list(h, layout.section[NVDB_CHANNELS].offset, counts)
                ? 0
                : damaged(h, "list of channels");
 }
@@ -258,10 +278,10 @@ static int check_fixed(const struct head *h, const struct nvdb_counts *counts,
 static int check_head(const struct head *h, const struct nvdb_counts *counts,
                       const struct nvdb_layout *layout)
 {
+    struct nvdb_blind blind[NVDB_SECTION_COUNT];
     int status = check_fixed(h, counts, layout);
     if (status)
         return status;
-    struct nvdb_blind blind[NVDB_SECTION_COUNT];
     fmt_nvdb_fill_blind(layout, blind);
     if (memcmp(h->file + layout->section[NVDB_BLIND].offset, blind,
                layout->section[NVDB_BLIND].size) != 0)
@@ -322,29 +342,26 @@ int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
     struct head h = {
         .ctx = ctx, .path = grid->map.path, .file = grid->map.data, .size = grid->map.size};
     const uint64_t tree = FMT_NVDB_GRID_OFFSET + sizeof(h.grid);
+    struct nvdb_counts counts = {0};
+    struct nvdb_layout layout;
     int status;
     copy_part(&h, 0, &h.header, sizeof(h.header));
     copy_part(&h, sizeof(h.header), &h.meta, sizeof(h.meta));
     copy_part(&h, FMT_NVDB_GRID_OFFSET, &h.grid, sizeof(h.grid));
     copy_part(&h, tree, &h.tree, sizeof(h.tree));
     copy_part(&h, tree + sizeof(h.tree), &h.root, sizeof(h.root));
-    status = check_file_header(&h);
-    if (status == 0)
-        status = check_grid_data(&h);
-    struct nvdb_counts counts = {0};
-    if (status == 0)
-        status = read_counts(&h, &counts);
-    if (status)
-        return status;
-    struct nvdb_layout layout;
+    BSQ_TRY(check_file_header(&h));
+    BSQ_TRY(check_grid_data(&h));
+    BSQ_TRY(read_counts(&h, &counts));
     fmt_nvdb_layout_compute(&counts, &layout);
     if (layout.file_bytes != h.size)
         return damaged(&h, "file size");
-    status = check_head(&h, &counts, &layout);
-    if (status)
-        return status;
+    BSQ_TRY(check_head(&h, &counts, &layout));
     fill_grid(&h, &counts, &layout, grid);
-    return counts.has_ids && !fmt_nvdb_check_names(grid) ? damaged(&h, "names of ids") : 0;
+    if (counts.has_ids && !fmt_nvdb_check_names(grid))
+        status = damaged(&h, "names of ids");
+done:
+    return status;
 }
 
 void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *layout)

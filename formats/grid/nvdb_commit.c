@@ -274,6 +274,23 @@ static void fill_record(const struct fmt_nvdb_writer *writer, struct nvdb_record
     memcpy(record->scan_max, info->scan_max, sizeof(record->scan_max));
 }
 
+/* Fills section NVDB_HEAD with its checksum. */
+static void fill_head(const struct fmt_nvdb_writer *writer, const struct nvdb_layout *layout,
+                      uint8_t *head)
+{
+    fmt_nvdb_fill_fixed(&writer->info, &writer->counts, layout, writer->bbox_min, writer->bbox_max,
+                        head);
+    uint64_t child = layout->section[NVDB_UPPERS].offset - layout->root;
+    for (uint32_t i = 0; i < writer->counts.uppers; i++) {
+        struct nvdb_tile tile = {.key = writer->keys[i], .child = (int64_t)child};
+        memcpy(head + layout->tiles + i * (uint64_t)sizeof(tile), &tile, sizeof(tile));
+        child += sizeof(struct nvdb_upper);
+    }
+    uint32_t checksum[2] = {fmt_nvdb_head_crc(head, layout), UINT32_MAX};
+    memcpy(head + FMT_NVDB_GRID_OFFSET + offsetof(struct nvdb_grid_data, checksum), checksum,
+           sizeof(checksum));
+}
+
 static int set_up(struct commit *commit)
 {
     struct fmt_nvdb_writer *writer = commit->writer;
@@ -285,8 +302,7 @@ static int set_up(struct commit *commit)
                       &commit->head));
     BSQ_TRY(bsq_alloc(commit->ctx, "grid nodes", sizeof(struct nvdb_upper), 1, &commit->node));
     BSQ_TRY(bsq_alloc(commit->ctx, "grid blocks", BLOCK_COUNT, BLOCK_BYTES, &commit->buffer));
-    fmt_nvdb_fill_head(&writer->info, &writer->counts, &commit->layout, writer->keys,
-                       writer->bbox_min, writer->bbox_max, commit->head);
+    fill_head(writer, &commit->layout, commit->head);
     commit->hash = XXH3_createState();
     if (!commit->hash)
         status = bsq_fail(commit->ctx, BSQ_ENOMEM, "no memory for a checksum");

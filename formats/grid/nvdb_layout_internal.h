@@ -341,10 +341,6 @@ void fmt_nvdb_fill_file_head(const struct nvdb_grid_data *grid, const struct nvd
 void fmt_nvdb_fill_fixed(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
                          const struct nvdb_layout *layout, const int32_t bbox_min[3],
                          const int32_t bbox_max[3], uint8_t *head);
-/* Fills section NVDB_HEAD with its checksum. keys: of the root tiles. bbox: of all voxels. */
-void fmt_nvdb_fill_head(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
-                        const struct nvdb_layout *layout, const uint64_t *keys,
-                        const int32_t bbox_min[3], const int32_t bbox_max[3], uint8_t *head);
 /* Fills section NVDB_BLIND. */
 void fmt_nvdb_fill_blind(const struct nvdb_layout *layout, struct nvdb_blind *blind);
 
@@ -369,11 +365,6 @@ static inline uint64_t nvdb_channels_head_bytes(uint32_t list_bytes)
 {
     return bsq_align_up(sizeof(struct nvdb_channels_head) + (uint64_t)list_bytes, NVDB_ALIGNMENT);
 }
-
-/* Reads the head of section NVDB_CHANNELS at an offset in a file of `size` bytes, and sets the
- * counts. Returns whether the head is as FORMATS.md describes. */
-bool fmt_nvdb_check_channels(const uint8_t *file, uint64_t size, uint64_t offset,
-                             struct nvdb_counts *counts);
 
 /* Returns the version of the record of a grid with these channels. */
 static inline int nvdb_record_version(bool has_ids, bool has_channels)

@@ -1,12 +1,21 @@
-/* nvdb_verify.c - checks a whole grid file: each section against its checksum, and each record.
+/* nvdb_verify.c - checks everything in a mapped grid that a traversal follows; and, to verify a
+ * whole file, each section against its checksum, and each record.
+ *
+ * The nodes of a level are contiguous, and so are their children. So each node is checked alone
+ * with its right neighbour: its children must be successive, and the neighbour's first child must
+ * follow its last one. With the first and last child of a level fixed, each child then has exactly
+ * one parent. This needs no memory and runs on all threads. Entries of the channel "second" are
+ * checked in the same way. A node is read more than once, and the file may change in between, so
+ * numbers of children are bounded where they are used.
  *
  * Only verifying checks records, and bytes of nodes that a traversal does not follow. The baker is
  * safe with any bits in a record, and reading all channels would take most of the time of opening a
- * grid. Voxels are checked in tasks of whole entries of the channel "second"; their ranks, which
- * fmt_nvdb_check_nodes() has checked, give the numbers of a task's second records. */
+ * grid. Voxels are checked in tasks of whole entries of the channel "second", whose ranks give the
+ * numbers of a task's second records. */
 #include <inttypes.h>
 #include <math.h>
 #include <stdlib.h>
+#include <string.h>
 #include <sys/mman.h>
 #include <unistd.h>
 #include <xxhash.h>
@@ -14,18 +23,262 @@
 #include "base/parallel.h"
 #include "formats/grid/nvdb_layout_internal.h"
 
+/* Entries of the channel "second" in a task. */
+enum { ENTRIES_PER_TASK = 1 << 16 };
 /* Bytes that are hashed between two checks for an interrupt. */
 #define HASH_BYTES (UINT64_C(4) << 20)
 /* Voxels of a task: 32 for each entry of the channel "second". */
 #define VOXELS_PER_TASK (UINT64_C(32) << 14)
 
-struct verify {
+struct check {
     struct bsq_ctx *ctx;
     const struct fmt_nvdb_grid *grid;
+    const struct nvdb_tile *tiles;
+    const struct nvdb_leaf *leaves;
+    uint64_t entry_count;
+    /* For verifying. */
     const uint8_t *file;
     struct nvdb_layout layout;
     const struct nvdb_record *record;
 };
+
+static int bad_node(const struct check *c, const char *level, uint64_t number, const char *what)
+{
+    return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: %s node %" PRIu64 " has a wrong %s",
+                    c->grid->map.path, level, number, what);
+}
+
+static bool all_zero(const uint64_t *words, uint32_t count)
+{
+    uint64_t any = 0;
+    for (uint32_t i = 0; i < count; i++)
+        any |= words[i];
+    return any == 0;
+}
+
+/* ---- children ---- */
+
+static bool is_upper(const struct nvdb_level *level)
+{
+    return level->section == NVDB_UPPERS;
+}
+
+static const struct nvdb_node *node_of(const struct check *c, const struct nvdb_level *level,
+                                       uint64_t number)
+{
+    const uint8_t *nodes = is_upper(level) ? c->grid->uppers : c->grid->lowers;
+    return (const void *)(nodes + number * level->node_bytes);
+}
+
+static uint64_t child_count(const struct check *c, const struct nvdb_level *level)
+{
+    return is_upper(level) ? c->grid->lower_count : c->grid->leaf_count;
+}
+
+/* Returns the number, within the level below, of the child that a slot of the table names. A wrong
+ * offset gives a number that no child has. */
+static uint64_t child_of(const struct check *c, const struct nvdb_level *level,
+                         const struct nvdb_node *node, uint32_t slot)
+{
+    const uint8_t *below = is_upper(level) ? c->grid->lowers : c->grid->leaves;
+    const uint64_t base = (uint64_t)(below - (const uint8_t *)node);
+    const uint64_t distance = (uint64_t)nvdb_table(level, node)[slot] - base;
+    return distance % level->child_bytes == 0 ? distance / level->child_bytes : UINT64_MAX;
+}
+
+/* Returns the first child of a node, UINT64_MAX if it has none; after the last node, the number of
+ * all children. */
+static uint64_t first_child(const struct check *c, const struct nvdb_level *level, uint64_t number)
+{
+    if (number == (is_upper(level) ? c->grid->upper_count : c->grid->lower_count))
+        return child_count(c, level);
+    const struct nvdb_node *node = node_of(c, level, number);
+    const uint64_t *mask = nvdb_child_mask(level, node);
+    for (uint32_t word = 0; word < level->words; word++)
+        if (mask[word])
+            return child_of(c, level, node, 64 * word + (uint32_t)__builtin_ctzll(mask[word]));
+    return UINT64_MAX;
+}
+
+/* Sets the origin of a node with `dim` voxels along its edge: its lower bounds, rounded down. */
+static void node_origin(const int32_t bbox_min[3], int32_t dim, int32_t origin[3])
+{
+    for (int axis = 0; axis < 3; axis++)
+        origin[axis] = (int32_t)((uint32_t)bbox_min[axis] & ~((uint32_t)dim - 1));
+}
+
+/* Sets the origin of the child in `slot` of a node at `origin`. */
+static void child_origin(const struct nvdb_level *level, const int32_t origin[3], uint32_t slot,
+                         int32_t out[3])
+{
+    const uint32_t bits = level->log2_slots, low = (1u << bits) - 1;
+    const uint32_t step[3] = {slot >> 2 * bits, slot >> bits & low, slot & low};
+    for (int axis = 0; axis < 3; axis++)
+        out[axis] = (int32_t)((uint32_t)origin[axis] + step[axis] * (uint32_t)level->child_dim);
+}
+
+static bool same_box(const int32_t a_min[3], const int32_t a_max[3], const int32_t b_min[3],
+                     const int32_t b_max[3])
+{
+    return memcmp(a_min, b_min, 12) == 0 && memcmp(a_max, b_max, 12) == 0;
+}
+
+/* Checks a leaf and extends the box of its parent. */
+static int check_leaf(const struct check *c, uint64_t number, const int32_t origin[3],
+                      int32_t bbox_min[3], int32_t bbox_max[3])
+{
+    const struct nvdb_leaf *leaf = &c->leaves[number];
+    int32_t leaf_min[3], leaf_max[3];
+    uint64_t count = fmt_nvdb_leaf_bounds(origin, leaf->mask, leaf_min, leaf_max);
+    if (count == 0)
+        return bad_node(c, "leaf", number, "mask");
+    for (int axis = 0; axis < 3; axis++)
+        if (leaf->bbox_min[axis] != leaf_min[axis] ||
+            leaf->bbox_dif[axis] != leaf_max[axis] - leaf_min[axis])
+            return bad_node(c, "leaf", number, "bounding box");
+    bool last = number + 1 == c->grid->leaf_count;
+    uint64_t end = last ? 1 + c->grid->voxel_count : leaf[1].offset;
+    if (leaf->prefix_sum != fmt_nvdb_prefix_sum(leaf->mask) || leaf->flags != NVDB_NODE_HAS_BBOX ||
+        (number == 0 && leaf->offset != 1) || leaf->offset > end || end - leaf->offset != count)
+        return bad_node(c, "leaf", number, "value index");
+    fmt_nvdb_bbox_extend(bbox_min, bbox_max, leaf_min, leaf_max);
+    return 0;
+}
+
+/* Checks the place of a lower node and extends the box of its parent. */
+static int check_place(const struct check *c, uint64_t number, const int32_t origin[3],
+                       int32_t bbox_min[3], int32_t bbox_max[3])
+{
+    const struct nvdb_node *lower = node_of(c, &fmt_nvdb_lower, number);
+    int32_t found[3];
+    node_origin(lower->bbox_min, NVDB_LOWER_DIM, found);
+    if (memcmp(origin, found, sizeof found) != 0)
+        return bad_node(c, "lower", number, "place");
+    fmt_nvdb_bbox_extend(bbox_min, bbox_max, lower->bbox_min, lower->bbox_max);
+    return 0;
+}
+
+/* Checks that the children of a node are successive nodes in their places, and that its box is
+ * theirs. */
+static int check_children(const struct check *c, const struct nvdb_level *level, uint64_t number,
+                          const int32_t origin[3])
+{
+    const struct nvdb_node *node = node_of(c, level, number);
+    const uint64_t *mask = nvdb_child_mask(level, node);
+    int32_t bbox_min[3], bbox_max[3];
+    uint64_t child = first_child(c, level, number);
+    fmt_nvdb_bbox_clear(bbox_min, bbox_max);
+    if (number == 0 && child != 0)
+        return bad_node(c, level->name, number, "child");
+    for (uint32_t word = 0; word < level->words; word++)
+        for (uint64_t bits = mask[word]; bits; bits &= bits - 1, child++) {
+            const uint32_t slot = 64 * word + (uint32_t)__builtin_ctzll(bits);
+            int32_t place[3];
+            if (child >= child_count(c, level) || child_of(c, level, node, slot) != child)
+                return bad_node(c, level->name, number, "child");
+            child_origin(level, origin, slot, place);
+            int status = is_upper(level) ? check_place(c, child, place, bbox_min, bbox_max)
+                                         : check_leaf(c, child, place, bbox_min, bbox_max);
+            if (status)
+                return status;
+        }
+    if (first_child(c, level, number + 1) != child)
+        return bad_node(c, level->name, number, "child");
+    if (!same_box(bbox_min, bbox_max, node->bbox_min, node->bbox_max))
+        return bad_node(c, level->name, number, "bounding box");
+    return 0;
+}
+
+static int check_node(const struct check *c, const struct nvdb_level *level, uint64_t number)
+{
+    const struct nvdb_node *node = node_of(c, level, number);
+    int32_t origin[3];
+    node_origin(node->bbox_min, level->dim, origin);
+    if (!all_zero(nvdb_value_mask(node), level->words) ||
+        first_child(c, level, number) == UINT64_MAX)
+        return bad_node(c, level->name, number, "child");
+    if (is_upper(level) && nvdb_root_key(origin) != c->tiles[number].key)
+        return bad_node(c, level->name, number, "place");
+    return check_children(c, level, number, origin);
+}
+
+/* Checks that ranks add up from entry to entry, and that bits are set for voxels only. */
+static int check_seconds(const struct check *c, uint64_t task)
+{
+    const struct fmt_nvdb_grid *grid = c->grid;
+    uint64_t begin = task * ENTRIES_PER_TASK, end = begin + ENTRIES_PER_TASK;
+    if (end > c->entry_count)
+        end = c->entry_count;
+    uint64_t seconds = grid->record_count - 1 - grid->voxel_count;
+    for (uint64_t i = begin; i < end; i++) {
+        uint32_t bits = grid->seconds[i][0], beyond = 0;
+        bool last = i + 1 == c->entry_count;
+        if (i == 0)
+            beyond |= 1;
+        if (last && grid->voxel_count % 32 != 31)
+            beyond |= UINT32_MAX << (grid->voxel_count % 32 + 1);
+        uint64_t next = last ? seconds : grid->seconds[i + 1][1];
+        if ((bits & beyond) || (i == 0 && grid->seconds[i][1] != 0) ||
+            (uint64_t)grid->seconds[i][1] + nvdb_popcount(bits) != next)
+            return bsq_fail(c->ctx, BSQ_EDATA,
+                            "%s: damaged: word %" PRIu64 " of channel \"second\" has a wrong rank",
+                            grid->map.path, i);
+    }
+    return 0;
+}
+
+static int check_root(const struct check *c)
+{
+    const struct fmt_nvdb_grid *grid = c->grid;
+    int32_t bbox_min[3], bbox_max[3];
+    fmt_nvdb_bbox_clear(bbox_min, bbox_max);
+    uint64_t child = (uint64_t)(grid->uppers - grid->root);
+    for (uint32_t i = 0; i < grid->tile_count; i++) {
+        const struct nvdb_tile *tile = &c->tiles[i];
+        if ((i > 0 && tile->key <= tile[-1].key) || tile->child != (int64_t)child ||
+            !all_zero(tile->values, 2))
+            return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: root tile %" PRIu32 " is wrong",
+                            grid->map.path, i);
+        const struct nvdb_node *upper = node_of(c, &fmt_nvdb_upper, i);
+        fmt_nvdb_bbox_extend(bbox_min, bbox_max, upper->bbox_min, upper->bbox_max);
+        child += sizeof(struct nvdb_upper);
+    }
+    if (!same_box(bbox_min, bbox_max, grid->index_min, grid->index_max))
+        return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: the root node has a wrong bounding box",
+                        grid->map.path);
+    return 0;
+}
+
+static int check_task(void *arg, uint64_t index, unsigned worker)
+{
+    (void)worker;
+    const struct check *c = arg;
+    if (index < c->grid->lower_count)
+        return check_node(c, &fmt_nvdb_lower, index);
+    index -= c->grid->lower_count;
+    if (index < c->grid->upper_count)
+        return check_node(c, &fmt_nvdb_upper, index);
+    return check_seconds(c, index - c->grid->upper_count);
+}
+
+int fmt_nvdb_check_nodes(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
+{
+    struct check c = {
+        .ctx = ctx,
+        .grid = grid,
+        .tiles = (const void *)grid->tiles,
+        .leaves = (const void *)grid->leaves,
+        .entry_count = grid->voxel_count / 32 + 1,
+    };
+    int status = check_root(&c);
+    if (status)
+        return status;
+    uint64_t tasks = (c.entry_count + ENTRIES_PER_TASK - 1) / ENTRIES_PER_TASK;
+    return bsq_parallel_for(ctx, (uint64_t)grid->lower_count + grid->upper_count + tasks,
+                            check_task, &c);
+}
+
+/* ---- verifying ---- */
 
 /* Returns pages of a mapped file to the system, so that few are resident at a time. Leaves a grid
  * alone that is in other memory, as in tests: its bytes would be lost. */
@@ -38,21 +291,21 @@ static void forget_pages(const struct fmt_nvdb_grid *grid, const void *from, uin
 
 /* ---- sections ---- */
 
-static int hash_section(const struct verify *v, const struct nvdb_range *range, uint64_t *hash)
+static int hash_section(const struct check *c, const struct nvdb_range *range, uint64_t *hash)
 {
     XXH3_state_t *state = XXH3_createState();
     if (!state)
-        return bsq_fail(v->ctx, BSQ_ENOMEM, "no memory for a checksum");
+        return bsq_fail(c->ctx, BSQ_ENOMEM, "no memory for a checksum");
     int status = 0;
     XXH3_64bits_reset(state);
-    const uint8_t *data = v->file + range->offset;
+    const uint8_t *data = c->file + range->offset;
     for (uint64_t done = 0; done < range->size && status == 0;) {
         uint64_t left = range->size - done, size = left < HASH_BYTES ? left : HASH_BYTES;
         XXH3_64bits_update(state, data + done, (size_t)size);
-        forget_pages(v->grid, data + done, size);
+        forget_pages(c->grid, data + done, size);
         done += size;
-        bsq_progress_add(v->ctx, size);
-        status = bsq_check(v->ctx);
+        bsq_progress_add(c->ctx, size);
+        status = bsq_check(c->ctx);
     }
     *hash = XXH3_64bits_digest(state);
     XXH3_freeState(state);
@@ -62,33 +315,33 @@ static int hash_section(const struct verify *v, const struct nvdb_range *range, 
 static int verify_section(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
-    const struct verify *v = arg;
-    const struct nvdb_range *range = &v->layout.section[index];
+    const struct check *c = arg;
+    const struct nvdb_range *range = &c->layout.section[index];
     uint64_t hash = 0;
-    if ((index == NVDB_IDS || index == NVDB_NAMES) && v->grid->info.ids == BSQ_IDS_NONE)
+    if ((index == NVDB_IDS || index == NVDB_NAMES) && c->grid->info.ids == BSQ_IDS_NONE)
         return 0;
-    if (index == NVDB_CHANNELS && v->grid->channel_words == 0)
+    if (index == NVDB_CHANNELS && c->grid->channel_words == 0)
         return 0;
-    int status = hash_section(v, range, &hash);
+    int status = hash_section(c, range, &hash);
     if (status)
         return status;
     if (hash !=
-        (index == NVDB_CHANNELS ? v->record->channels_checksum : v->record->checksum[index]))
-        return bsq_fail(v->ctx, BSQ_EDATA, "%s: damaged: wrong checksum of %s at byte %llu",
-                        v->grid->map.path, fmt_nvdb_channel((enum nvdb_section)index)->name,
+        (index == NVDB_CHANNELS ? c->record->channels_checksum : c->record->checksum[index]))
+        return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: wrong checksum of %s at byte %llu",
+                        c->grid->map.path, fmt_nvdb_channel((enum nvdb_section)index)->name,
                         (unsigned long long)range->offset);
     return 0;
 }
 
 /* Checks that the bytes between sections are zero. */
-static int verify_padding(const struct verify *v)
+static int verify_padding(const struct check *c)
 {
     for (int i = 1; i < NVDB_SECTION_COUNT; i++) {
-        const struct nvdb_range *before = &v->layout.section[i - 1];
-        for (uint64_t at = before->offset + before->size; at < v->layout.section[i].offset; at++)
-            if (v->file[at] != 0)
-                return bsq_fail(v->ctx, BSQ_EDATA, "%s: damaged: padding at byte %llu is not zero",
-                                v->grid->map.path, (unsigned long long)at);
+        const struct nvdb_range *before = &c->layout.section[i - 1];
+        for (uint64_t at = before->offset + before->size; at < c->layout.section[i].offset; at++)
+            if (c->file[at] != 0)
+                return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: padding at byte %llu is not zero",
+                                c->grid->map.path, (unsigned long long)at);
     }
     return 0;
 }
@@ -113,24 +366,22 @@ static const char *fault_of_node(const struct nvdb_level *level, const struct nv
 static int verify_node(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
-    const struct verify *v = arg;
-    const bool upper = index < v->grid->upper_count;
+    const struct check *c = arg;
+    const bool upper = index < c->grid->upper_count;
     const struct nvdb_level *level = upper ? &fmt_nvdb_upper : &fmt_nvdb_lower;
-    const uint64_t number = upper ? index : index - v->grid->upper_count;
-    const uint8_t *node = (upper ? v->grid->uppers : v->grid->lowers) + number * level->node_bytes;
-    const char *fault = fault_of_node(level, (const void *)node);
-    forget_pages(v->grid, node, level->node_bytes);
-    return fault ? bsq_fail(v->ctx, BSQ_EDATA, "%s: damaged: %s node %" PRIu64 " has a wrong %s",
-                            v->grid->map.path, level->name, number, fault)
-                 : bsq_check(v->ctx);
+    const uint64_t number = upper ? index : index - c->grid->upper_count;
+    const struct nvdb_node *node = node_of(c, level, number);
+    const char *fault = fault_of_node(level, node);
+    forget_pages(c->grid, node, level->node_bytes);
+    return fault ? bad_node(c, level->name, number, fault) : bsq_check(c->ctx);
 }
 
 /* ---- records ---- */
 
-static int bad_record(const struct verify *v, uint64_t number, const char *what)
+static int bad_record(const struct check *c, uint64_t number, const char *what)
 {
-    return bsq_fail(v->ctx, BSQ_EDATA, "%s: damaged: record %" PRIu64 " has a wrong %s",
-                    v->grid->map.path, number, what);
+    return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: record %" PRIu64 " has a wrong %s",
+                    c->grid->map.path, number, what);
 }
 
 /* Returns what is wrong with a record, or NULL. second: whether its voxel has a second record. */
@@ -165,28 +416,28 @@ static bool channels_begin_with_zeros(const struct fmt_nvdb_grid *grid)
     return zero;
 }
 
-static int verify_voxel(const struct verify *v, uint64_t index)
+static int verify_voxel(const struct check *c, uint64_t index)
 {
-    uint64_t second = fmt_nvdb_second(v->grid, index);
-    const char *fault = fault_of(v->grid, index, second != 0);
+    uint64_t second = fmt_nvdb_second(c->grid, index);
+    const char *fault = fault_of(c->grid, index, second != 0);
     if (fault)
-        return bad_record(v, index, fault);
-    if (second && (fault = fault_of(v->grid, second, false)))
-        return bad_record(v, second, fault);
+        return bad_record(c, index, fault);
+    if (second && (fault = fault_of(c->grid, second, false)))
+        return bad_record(c, second, fault);
     return 0;
 }
 
 static int verify_voxels(void *arg, uint64_t task, unsigned worker)
 {
     (void)worker;
-    const struct verify *v = arg;
-    const struct fmt_nvdb_grid *grid = v->grid;
+    const struct check *c = arg;
+    const struct fmt_nvdb_grid *grid = c->grid;
     uint64_t begin = task * VOXELS_PER_TASK, end = begin + VOXELS_PER_TASK;
-    int status = bsq_check(v->ctx);
+    int status = bsq_check(c->ctx);
     if (end > grid->voxel_count + 1)
         end = grid->voxel_count + 1;
     for (uint64_t i = begin > 0 ? begin : 1; i < end && !status; i++)
-        status = verify_voxel(v, i);
+        status = verify_voxel(c, i);
     const uint32_t *const values[] = {grid->normals, grid->planes, grid->colors, grid->ids};
     for (int i = 0; i < 4; i++)
         if (values[i])
@@ -197,27 +448,27 @@ static int verify_voxels(void *arg, uint64_t task, unsigned worker)
     return status;
 }
 
-static int verify_records(struct verify *v)
+static int verify_records(struct check *c)
 {
-    const struct fmt_nvdb_grid *grid = v->grid;
+    const struct fmt_nvdb_grid *grid = c->grid;
     if (grid->normals[0] || grid->planes[0] || (grid->colors && grid->colors[0]) ||
         (grid->ids && grid->ids[0]) || !channels_begin_with_zeros(grid))
-        return bad_record(v, 0, "value, as it is the background");
-    return bsq_parallel_for(v->ctx, grid->voxel_count / VOXELS_PER_TASK + 1, verify_voxels, v);
+        return bad_record(c, 0, "value, as it is the background");
+    return bsq_parallel_for(c->ctx, grid->voxel_count / VOXELS_PER_TASK + 1, verify_voxels, c);
 }
 
 int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {
-    struct verify v = {.ctx = ctx, .grid = grid, .file = grid->map.data};
+    struct check c = {.ctx = ctx, .grid = grid, .file = grid->map.data};
     int status;
     forget_pages(grid, grid->map.data, grid->map.size);
-    fmt_nvdb_layout_of(grid, &v.layout);
-    v.record = fmt_nvdb_record_of(grid, &v.layout);
-    BSQ_TRY(bsq_parallel_for(ctx, NVDB_RECORD, verify_section, &v));
-    BSQ_TRY(verify_padding(&v));
+    fmt_nvdb_layout_of(grid, &c.layout);
+    c.record = fmt_nvdb_record_of(grid, &c.layout);
+    BSQ_TRY(bsq_parallel_for(ctx, NVDB_RECORD, verify_section, &c));
+    BSQ_TRY(verify_padding(&c));
     BSQ_TRY(
-        bsq_parallel_for(ctx, (uint64_t)grid->upper_count + grid->lower_count, verify_node, &v));
-    status = verify_records(&v);
+        bsq_parallel_for(ctx, (uint64_t)grid->upper_count + grid->lower_count, verify_node, &c));
+    status = verify_records(&c);
 done:
     return status;
 }
