@@ -78,13 +78,9 @@ $(examples): $(BUILD)/%: %.c $(public_copies) $(archives)
 	    $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base) \
 	    $(LIBS.all) -pthread
 
-# Naive readers, written from formats/FORMATS.md. Without -I they cannot include Bisque's headers.
-naive := $(BUILD)/tests/naive-read-tris $(BUILD)/tests/naive-read-nvdb
-$(naive): $(BUILD)/tests/naive-read-%: tests/naive/read_%.c tests/naive/bytes.h
-	@mkdir -p $(@D)
-	$(CC) -std=c11 $(WARN) $(opt.$(config)) -o $@ $< -lxxhash -lm
+# Corrects checksums by hand.
 xxh3 := $(BUILD)/tests/xxh3
-$(xxh3): tests/naive/xxh3.c
+$(xxh3): tests/oracle/xxh3.c
 	@mkdir -p $(@D)
 	$(CC) -std=c11 $(WARN) $(opt.$(config)) -o $@ $< -lxxhash
 
@@ -163,7 +159,7 @@ fuzz-merge:
 unit: $(unit_bins) $(module_files) $(fakes)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
-tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) $(naive) $(xxh3) \
+tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) $(xxh3) \
     $(read_files) $(replays) $(fakes) $(faults)
 
 # The scripts take longest, so they start first.

@@ -179,6 +179,27 @@ sanitized()
     ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'
 }
 
+# need_oracle: skips the test if Python or its packages are missing, which oracle() needs. Another
+# Python than Debian's may come first in PATH, without Debian's packages.
+need_oracle()
+{
+    for python in python3 /usr/bin/python3; do
+        "$python" -c 'import numpy, xxhash' 2>/dev/null && return
+    done
+    skip "readers in Python" "python3-numpy or python3-xxhash is not installed"
+    finish
+    exit
+}
+
+# oracle PROGRAM ARGUMENT...: runs a program of tests/oracle, whose readers were written from
+# FORMATS.md alone; sets what run() sets.
+oracle()
+{
+    command=$* code=0 oracle=$1
+    shift
+    "$python" -B "$top/tests/oracle/$oracle.py" "$@" >"$out" 2>"$err" || code=$?
+}
+
 # A box [0, 1] x [0, 2] x [0, 3] of quads with texture coordinates, one UV chart for each face.
 write_box()
 {

@@ -1,18 +1,12 @@
 #!/bin/sh
-# test_formats.sh - files are as formats/FORMATS.md says. Two naive readers, written from that page
+# test_formats.sh - files are as formats/FORMATS.md says. Readers in Python, written from that page
 # alone, find in them what the programs report, what the OBJ file has, and what is known of a box.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
-# naive KIND ARGUMENT...: runs a naive reader; sets what run() sets.
-naive()
-{
-    command="naive-read-$*" code=0 reader=naive-read-$1
-    shift
-    "$TESTS/$reader" "$@" >"$out" 2>"$err" || code=$?
-}
+need_oracle
 
-# value NAME: prints the numbers that the last naive reader printed for NAME.
+# value NAME: prints the numbers that measure.py printed for NAME.
 value()
 {
     sed -n "s/^$1 //p" "$out"
@@ -44,7 +38,7 @@ voxelize()
     cp "$out" "$work/report.json"
 }
 
-# Prints the triangles of an OBJ file as naive-read-tris does: the least corner first, normals last.
+# Prints the triangles of an OBJ file as measure.py does: the least corner first, normals last.
 # Variables: uv, rgb, n are 1 to print these attributes; m is the material.
 cat >"$work/triangles.awk" <<'AWK'
 { gsub(/-0[.]000000/, "0.000000") }
@@ -78,7 +72,7 @@ same_triangles()
     obj=$1 tris=$2
     shift 2
     awk "$@" -f "$work/triangles.awk" "$obj" | sort >"$work/a"
-    naive tris --triangles "$tris"
+    oracle measure --triangles "$tris"
     sort "$out" >"$work/b"
     cut -d'|' -f1 "$work/a" >"$work/a.1"
     cut -d'|' -f1 "$work/b" >"$work/b.1"
@@ -112,7 +106,7 @@ measure()
 
 write_box >box.obj
 voxelize box.obj -o box.nvdb --resolution 24 --scan-normals flat
-naive tris box.tris
+oracle measure box.tris
 code 0
 is triangles 12 0
 is source_faces 6 0
@@ -126,7 +120,7 @@ is volume 6 1e-12
 # 8 x 16 x 24 voxels. 1048 have one face of the box, half a voxel from the centre, coverage 1. 168
 # have an edge: the mean of two faces is (1, 1) / sqrt 2 at a distance of sqrt 2 / 4. 8 have a
 # corner of three faces.
-naive nvdb box.nvdb
+oracle measure box.nvdb
 code 0
 is voxels 1224 0
 is second_records 0 0
@@ -144,7 +138,7 @@ is sum_normal "0 0 0" 1e-2 # rounding, 1224 times
 cp "$out" "$work/mask"
 run bisque-voxelize box.obj -o on.nvdb --resolution 24 --scan-normals flat --grid-type onindex --no-tris
 code 0
-naive nvdb on.nvdb
+oracle measure on.nvdb
 code 0
 sed 's/^type 8$/type 20/' "$work/mask" | cmp -s - "$out"
 check "an OnIndex grid has the same voxels" $?
@@ -157,7 +151,7 @@ check "an OnIndex grid has the same voxels" $?
 } >sheet.obj
 voxelize sheet.obj -o sheet.nvdb --resolution 16 --scan-normals flat
 printf '.5 .5 0\n.5 .5 .02\n.53125 .71875 0\n.3 .3 .5\n2 0 0\n-.1 -.1 0\n' >points
-naive nvdb sheet.nvdb points
+oracle measure sheet.nvdb points
 code 0
 is voxels 256 0
 is second_records 256 0
@@ -170,7 +164,7 @@ is points_from_plane 0 1e-4
 
 printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvn 1 0 1\nf 1//1 2//1 3//1 4//1\n' >lean.obj
 voxelize lean.obj -o lean.nvdb --resolution 8
-naive nvdb lean.nvdb
+oracle measure lean.nvdb
 code 0
 is voxels 64 0
 # Normals of the scan's own on triangles of eight voxels: all are inconsistent with their planes.
@@ -186,7 +180,7 @@ is sum_coverage "$lean" 2e-3
 eval "$(measure vase.obj)"
 voxelize vase.obj -o vase.nvdb --resolution 300
 same_triangles vase.obj vase.tris -v rgb=1 -v n=1
-naive tris vase.tris
+oracle measure vase.tris
 code 0
 is attributes 5 0
 is triangles "$faces" 0
@@ -205,7 +199,7 @@ hash=$(value hash)
 # Each vertex of the scan is in a voxel, near its plane, and has its colour. Triangles are about two
 # voxels wide.
 sed -n 's/^v //p' vase.obj >points
-naive nvdb vase.nvdb points
+oracle measure vase.nvdb points
 code 0
 is color 1 0
 is scan_min "$low" 1e-6
@@ -219,7 +213,7 @@ done
 
 "$TESTS/generate-scan" --triangles 150000 --colors --normals --shuffle 7 vase -o shuffled.obj
 run bisque-voxelize shuffled.obj -o shuffled.nvdb --resolution 300
-naive tris shuffled.tris
+oracle measure shuffled.tris
 [ "$(value hash)" = "$hash" ]
 check "shuffled faces are the same triangles" $?
 
@@ -235,7 +229,7 @@ printf 'newmtl glaze\nKd 0.2 0.4 0.6\nmap_Kd ramp.ppm\n' >vase.mtl
 } >textured.obj
 voxelize textured.obj -o textured.nvdb --resolution 300
 same_triangles textured.obj textured.tris -v uv=1 -v m=m0
-naive tris textured.tris
+oracle measure textured.tris
 code 0
 is attributes 10 0
 [ "$(sed -n 's/^material //p' "$out")" = "0.2 0.4 0.6 $PWD/ramp.ppm" ]
@@ -246,7 +240,7 @@ awk '$1 == "v" { p[++v] = $2 " " $3 " " $4 }
      $1 == "f" { split($2, k, "/"); i = k[2]
          if (u[i] > 0.05 && u[i] < 0.95 && w[i] > 0.05 && w[i] < 0.95) print p[k[1]], u[i], w[i], 128 / 255 }
     ' textured.obj >points
-naive nvdb textured.nvdb points
+oracle measure textured.nvdb points
 code 0
 is points_found "$(wc -l <points)" 0
 awk "BEGIN { exit !($(value points_from_color) < 2) }"
@@ -260,14 +254,14 @@ awk 'BEGIN { for (i = 0; i < 40000; i++) { x = 500000 + i % 200 / 4; y = 5000000
      for (i = 0; i < 40000; i++) print "f", 3 * i + 1, 3 * i + 2, 3 * i + 3 }' >far.obj
 voxelize far.obj -o far.nvdb --voxel-size 0.25
 same_triangles far.obj far.tris
-naive tris far.tris
+oracle measure far.tris
 is vertices 120000 0
 is chunks 1 0
 reports origin .scan.origin
 is min "500000 5000000 100" 0
 is max "500049.875 5000049.875 100.125" 0
 sed -n 's/^v //p' far.obj >points
-naive nvdb far.nvdb points
+oracle measure far.nvdb points
 is points_found 120000 0
 is index_min "2000000 20000000 400" 0
 reports index_min .grid.index_min
@@ -280,64 +274,30 @@ put()
     printf "\\$(printf %o "$3")" | dd of="$1" bs=1 seek="$2" conv=notrunc status=none
 }
 
-# damage KIND FILE OFFSET...: the naive reader refuses the file after any of these bytes is changed.
-damage()
-{
-    kind=$1 file=$2 unseen= count=0
-    shift 2
-    for offset; do
-        byte=$(od -An -tu1 -j "$offset" -N 1 "$file")
-        put "$file" "$offset" $((byte ^ 64))
-        naive "$kind" "$file"
-        [ "$code" -eq 65 ] || unseen="$unseen $offset"
-        put "$file" "$offset" "$byte"
-        count=$((count + 1))
-    done
-    naive "$kind" "$file"
-    [ "$code" -eq 0 ] && [ -z "$unseen" ]
-    check "each of $count damaged bytes of $file is found${unseen:+, not$unseen}" $?
-}
-
-# cut_off KIND FILE: the naive reader refuses shorter and longer files.
-cut_off()
-{
-    size=$(wc -c <"$2") unseen=
-    for length in 0 7 8 100 223 224 1000 $((size / 2)) $((size - 192)) $((size - 1)) $((size + 1)); do
-        [ "$length" -gt "$size" ] && { cat "$2"; echo; } >part || head -c "$length" "$2" >part
-        naive "$1" part
-        [ "$code" -eq 65 ] || unseen="$unseen $length"
-    done
-    rm part
-    [ -z "$unseen" ]
-    check "$2 of any other length is refused${unseen:+, not$unseen}" $?
-}
-
-end=$(wc -c <box.tris)
-damage tris box.tris $(seq 0 $((end - 1)))
-cut_off tris box.tris
-end=$(wc -c <box.nvdb)
-damage nvdb box.nvdb $(seq 0 11 1100) $(seq 1101 3001 $((end - 2200))) $(seq $((end - 2199)) 17 $((end - 1)))
-cut_off nvdb box.nvdb
+for file in box.tris:1 box.nvdb:3001; do
+    oracle measure --damage "${file%:*}" "${file#*:}"
+    code 0
+done
 
 # An unknown version is refused by name, also by Bisque.
 cp box.tris new.tris
 put new.tris 8 4
-naive tris new.tris
-err_like '^new\.tris: chunk file of version 4, '
+oracle measure new.tris
+err "new.tris: version 4"
 run bisque-voxelize new.tris -o new.nvdb
 err_like '^bisque-voxelize: new\.tris: chunk file of version 4, '
 "$TESTS/generate-scan" vase-low -o low.obj
 cp box.nvdb new.nvdb
 put new.nvdb 8 3
-naive nvdb new.nvdb
-err_like '^new\.nvdb: version 32\.4\.3 '
+oracle measure new.nvdb
+err "new.nvdb: version 32.4.3"
 run bisque-bake new.nvdb low.obj -o new.exr
 err_like '^bisque-bake: new\.nvdb: NanoVDB file of version 32\.4\.3: '
 for version in 1 5; do
     cp box.nvdb new.nvdb
-    put new.nvdb $((end - 184)) $version
-    naive nvdb new.nvdb
-    err_like "^new\\.nvdb: bisque record of version $version, "
+    put new.nvdb $(($(wc -c <box.nvdb) - 184)) $version
+    oracle measure new.nvdb
+    err "new.nvdb: bisque record of version $version"
     run bisque-bake new.nvdb low.obj -o new.exr
     err_like "^bisque-bake: new\\.nvdb: surface grid of version $version: "
 done

@@ -12,16 +12,7 @@ else
 fi
 keep=${KEEP:-$(dirname "$TESTS")/disagreements}
 
-# Another Python than Debian's may come first in PATH, without Debian's packages.
-python=
-for candidate in python3 /usr/bin/python3; do
-    [ -n "$python" ] || ! "$candidate" -c 'import numpy, xxhash' 2>/dev/null || python=$candidate
-done
-if [ -z "$python" ]; then
-    skip "readers in Python" "python3-numpy or python3-xxhash is not installed"
-    finish
-    exit
-fi
+need_oracle
 
 "$TESTS/generate-scan" --triangles 2000 --colors --normals --uvs vase -o vase.obj
 printf 'newmtl glaze\nKd .2 .4 .6\nmap_Kd dot.ppm\n' >vase.mtl
@@ -35,15 +26,12 @@ printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 0 .02\nv 1 0 .02\nv 1 1 .02\nf 3 2 1\nf 4
 run bisque-voxelize sheet.obj -o sheet.nvdb --resolution 16
 code 0
 
-command=read_file.py code=0
-"$python" -B "$top/tests/oracle/read_file.py" ./*.tris ./*.nvdb >"$out" 2>"$err" || code=$?
+oracle read_file ./*.tris ./*.nvdb
 [ "$code" -eq 0 ] && [ "$(grep -c ': ok$' "$out")" -eq 5 ]
 check "files of bisque-voxelize are as FORMATS.md says" $?
 
-command=compare.py code=0
-"$python" -B "$top/tests/oracle/compare.py" --count "$count" --seed "$seed" \
-    --keep "$keep" "$TESTS/read-files" ./*.tris ./*.nvdb "$top"/tests/fuzz/corpus/tris/* \
-    >"$out" 2>"$err" || code=$?
+oracle compare --count "$count" --seed "$seed" --keep "$keep" "$TESTS/read-files" \
+    ./*.tris ./*.nvdb "$top"/tests/fuzz/corpus/tris/*
 grep '^#' "$out"
 check "both readers agree on $count files of each kind; others are in $keep" "$code"
 finish

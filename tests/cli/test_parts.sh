@@ -2,6 +2,7 @@
 # test_parts.sh - several chunk files as one scan: the voxels of a scan that was sorted whole.
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
+need_oracle
 p=bisque-voxelize:
 
 # write_sheet FROM TO X EXTRA: a hilly sheet, of which only the columns FROM to TO are written, moved
@@ -286,7 +287,8 @@ for normals in smooth flat; do
     $noisy left.tris right.tris -o halves.nvdb --scan-normals $normals
     code 0
     for grid in noisy reversed halves; do
-        "$TESTS/naive-read-nvdb" $grid.nvdb | grep -E '^(voxels|second_records) ' >$grid.counts
+        oracle measure $grid.nvdb
+        grep -E '^(voxels|second_records) ' "$out" >$grid.counts
         run bisque-bake $grid.nvdb low.obj --size 128 --samples 1 --sampling nearest --two-sided \
             --maps normal,color,position --type float --front 1 --back 1 -o "${grid}_<MAP>.exr"
         code 0

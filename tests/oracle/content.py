@@ -52,7 +52,7 @@ def _records(grid, numbers):
     return numpy.stack([grid.channels.get(name, zeros)[numbers] for name in names], axis=1)
 
 
-def _second_numbers(grid):
+def second_numbers(grid):
     """Returns the number of the second record of each value index, or 0."""
     numbers = numpy.zeros(1 + grid.voxel_count, int)
     numbers[grid.second_of] = 1 + grid.voxel_count + numpy.arange(len(grid.second_of))
@@ -61,7 +61,7 @@ def _second_numbers(grid):
 
 def _add_voxels(total, grid):
     values = {tuple(ijk): 1 + i for i, ijk in enumerate(grid.voxels.tolist())}
-    seconds = _second_numbers(grid)
+    seconds = second_numbers(grid)
     for (x, y, z), v in values.items():
         beside = values.get((x + (x < INT32_MAX), y, z), 0)
         _add(total, "3iQQ", x, y, z, v, beside)

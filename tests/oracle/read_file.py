@@ -11,11 +11,15 @@ import read_tris
 from refusal import Refused
 
 
-def read(path, verify=True):
+def parse(path, data):
+    """Returns the content of a file of this name with these bytes, or raises Refused."""
+    return (read_tris if path.endswith(".tris") else read_nvdb).read(data, True)
+
+
+def read(path):
     """Returns the content of a file, or raises Refused."""
     with open(path, "rb") as file:
-        data = file.read()
-    return (read_tris if path.endswith(".tris") else read_nvdb).read(data, verify)
+        return parse(path, file.read())
 
 
 def main(paths):
