@@ -240,6 +240,7 @@ static int add_triangles(const struct parser *p, const struct window *w)
     uint64_t base[FMT_MESH_KIND_COUNT], v[3];
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         base[kind] = p->placement->base[kind] + p->primitive->base[kind];
+    p->arrays->vertex_bound = base[FMT_MESH_VERTEX] + vertices;
     for (uint64_t t = p->first; t < p->first + p->count; t++) {
         find_corners(p, w, t, v);
         for (int i = 0; i < 3; i++)

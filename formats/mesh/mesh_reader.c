@@ -390,8 +390,8 @@ bool fmt_mesh_check_vertices(const struct fmt_mesh_block *block, uint64_t end, u
                              uint64_t *index)
 {
     uint64_t f = 0, first = 0, corner = 0;
-    /* Neighbours in the file have similar indices, so the first test is enough for most blocks. */
-    if (or_all(block->corner_vertices, block->corner_count) < end ||
+    /* Neighbours in the file have similar indices, so the second test is enough for most blocks. */
+    if (block->vertex_bound <= end || or_all(block->corner_vertices, block->corner_count) < end ||
         fmt_mesh_all_below(block->corner_vertices, block->corner_count, end))
         return true;
     while (block->corner_vertices[corner] < end)

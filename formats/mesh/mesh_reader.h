@@ -69,6 +69,7 @@ struct fmt_mesh_block {
     const uint64_t *corner_vertices;
     const uint64_t *corner_texcoords;
     const uint64_t *corner_normals;
+    uint64_t vertex_bound; /* above all of corner_vertices; UINT64_MAX: not known */
 
     uint64_t material_change_count;
     const struct fmt_mesh_material_change *material_changes;

@@ -8,6 +8,7 @@
 #include "base/loss.h"
 #include "base/parallel.h"
 #include "formats/mesh/mesh_format.h"
+#include "formats/mesh/mesh_text.h"
 
 /* One call of fmt_stream_read(). */
 struct job {
@@ -82,6 +83,34 @@ int fmt_stream_load(struct stream_slot *slot)
     if (!status && !slot->loaded)
         status = fmt_input_read(slot->source->input, slot->bytes, part->size, part->offset);
     slot->loaded = !status;
+    return status;
+}
+
+int fmt_stream_cut_text(struct stream_slot *slot,
+                        uint64_t (*find)(struct stream_slot *, uint64_t, bool))
+{
+    struct stream_part *part = &slot->part;
+    uint64_t have = 0, wanted = STREAM_PART_BYTES;
+    bool at_end = false;
+    int status;
+    for (;;) {
+        BSQ_TRY(fmt_stream_extend(slot, have, wanted, &have, &at_end));
+        part->size = have > 0 ? find(slot, have, at_end) : 0;
+        if (part->size > 0 || at_end)
+            break;
+        BSQ_TRY(bsq_check(slot->ctx));
+        if (fmt_mesh_count_space(slot->bytes, have) < have) {
+            wanted *= 2;
+        } else { /* any number of blanks needs no memory */
+            part->offset += have;
+            part->first_line += part->lines;
+            have = part->lines = 0;
+        }
+    }
+    part->end = part->offset + part->size;
+    slot->loaded = true;
+    status = part->size > 0;
+done:
     return status;
 }
 
@@ -164,6 +193,7 @@ static void clear_slot(struct stream_slot *slot)
     memset(slot->odd, 0, sizeof slot->odd);
     a->late_color_count = a->face_count = a->corner_count = a->change_count = 0;
     a->has_colors = false;
+    a->vertex_bound = UINT64_MAX;
     slot->statement_count = slot->short_faces = 0;
     slot->local = 0;
     slot->balance = 0;
@@ -262,6 +292,8 @@ static void add_bases(struct stream_slot *slot)
             continue;
         for (uint64_t i = 0; kind == FMT_MESH_VERTEX && i < arrays->corner_count; i++)
             corners[i] += base; /* each corner has a vertex */
+        if (kind == FMT_MESH_VERTEX && arrays->vertex_bound < UINT64_MAX)
+            arrays->vertex_bound += base;
         for (uint64_t i = 0; kind != FMT_MESH_VERTEX && i < arrays->corner_count; i++)
             corners[i] = corners[i] == FMT_MESH_NONE ? FMT_MESH_NONE : corners[i] + base;
     }
@@ -342,6 +374,7 @@ static void show_arrays(const struct mesh_arrays *a, struct fmt_mesh_block *bloc
     block->corner_texcoords =
         a->has_corners[FMT_MESH_TEXCOORD] ? a->corners[FMT_MESH_TEXCOORD] : NULL;
     block->corner_normals = a->has_corners[FMT_MESH_NORMAL] ? a->corners[FMT_MESH_NORMAL] : NULL;
+    block->vertex_bound = a->vertex_bound;
     block->material_change_count = a->change_count;
     block->material_changes = a->changes;
 }

@@ -29,6 +29,16 @@ void fmt_mesh_quote(const char *text, const char *end, char *out, size_t size)
     out[length] = '\0';
 }
 
+struct mesh_quoted fmt_mesh_quote_word(const char *text)
+{
+    struct mesh_quoted quoted;
+    const char *end = text;
+    while (*end && !fmt_mesh_is_blank(*end) && *end != '\n' && *end != '\r')
+        end++;
+    fmt_mesh_quote(text, end, quoted.text, sizeof quoted.text);
+    return quoted;
+}
+
 size_t fmt_mesh_mark(const void *text, uint64_t size)
 {
     return size >= 3 && memcmp(text, "\xef\xbb\xbf", 3) == 0 ? 3 : 0;

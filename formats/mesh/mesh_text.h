@@ -21,6 +21,21 @@ static inline bool fmt_mesh_is_blank(char c)
     return c == ' ' || c == '\t';
 }
 
+/* Returns whether a character is a blank, a line end or another control character, but not zero. */
+static inline bool fmt_mesh_is_space(char c)
+{
+    return c != '\0' && (unsigned char)c <= ' ';
+}
+
+/* Returns the number of such characters at the start of a text. */
+static inline uint64_t fmt_mesh_count_space(const void *text, uint64_t size)
+{
+    uint64_t count = 0;
+    while (count < size && fmt_mesh_is_space(((const char *)text)[count]))
+        count++;
+    return count;
+}
+
 /* Returns the value of a hexadecimal digit, or -1. */
 int fmt_mesh_hex_digit(char c);
 
@@ -31,6 +46,11 @@ void fmt_mesh_tidy_name(char *text);
 
 /* Copies text of a file into `out` for a message: one line, printable, shortened. */
 void fmt_mesh_quote(const char *text, const char *end, char *out, size_t size);
+/* Returns the word at `text`, which a blank, a line end or a zero ends, for a message. */
+struct mesh_quoted {
+    char text[44];
+};
+struct mesh_quoted fmt_mesh_quote_word(const char *text);
 
 /* ---- obj_path.c ---- */
 

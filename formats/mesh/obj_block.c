@@ -58,21 +58,6 @@ static inline int line_end_size(const char *p)
     return *p == '\r' ? 1 + (p[1] == '\n') : 0;
 }
 
-/* A word of the text, shortened, for messages. */
-struct quoted {
-    char text[44];
-};
-
-static struct quoted quote_word(const struct parser *parser, const char *p)
-{
-    struct quoted quoted = {0};
-    const char *end = p, *limit = parser->end;
-    while (end < limit && !fmt_mesh_is_blank(*end) && !line_end_size(end))
-        end++;
-    fmt_mesh_quote(p, end, quoted.text, sizeof quoted.text);
-    return quoted;
-}
-
 /* Skips blanks and continued line ends, which it counts. */
 static inline const char *skip_blanks(struct parser *parser, const char *p)
 {
@@ -144,7 +129,7 @@ static inline const char *finish_line(struct parser *parser, const char *p)
         return skip_comment(parser, p);
     if (*p == '\0')
         return fail(parser, "not a text file (zero byte)");
-    return fail(parser, "unexpected \"%s\" at the end of the line", quote_word(parser, p).text);
+    return fail(parser, "unexpected \"%s\" at the end of the line", fmt_mesh_quote_word(p).text);
 }
 
 static inline bool at_line_end(char c)
@@ -164,7 +149,7 @@ static const char *fail_number(struct parser *parser, const char *p)
 {
     if (*p == '\0')
         return fail(parser, "not a text file (zero byte)");
-    return fail(parser, "\"%s\" is not a number", quote_word(parser, p).text);
+    return fail(parser, "\"%s\" is not a number", fmt_mesh_quote_word(p).text);
 }
 
 /* Counts the current line as odd. */
@@ -347,7 +332,7 @@ static inline const char *parse_index(struct parser *parser, const char *p, enum
     uint64_t value;
     const char *after = obj_integer(p + (negative || *p == '+'), &value);
     if (__builtin_expect(!after, 0))
-        return fail(parser, "\"%s\" is not a face corner", quote_word(parser, p).text);
+        return fail(parser, "\"%s\" is not a face corner", fmt_mesh_quote_word(p).text);
     if (__builtin_expect(value == 0, 0)) {
         if (kind == FMT_MESH_VERTEX)
             return fail(parser, "face refers to vertex 0, indices begin with 1");
@@ -419,7 +404,7 @@ static const char *parse_face(struct parser *parser, const char *p)
             if (!(p = parse_attributes(parser, p, corner)))
                 return NULL;
         if (__builtin_expect(!obj_is_delimiter(*p) && *p != '#', 0))
-            return fail(parser, "\"%s\" is not a face corner", quote_word(parser, word).text);
+            return fail(parser, "\"%s\" is not a face corner", fmt_mesh_quote_word(word).text);
         /* A single face may be as large as a scan. */
         if (corner % CORNERS_CHECKED == 0 && (parser->status = bsq_check(parser->ctx)) < 0)
             return NULL;
@@ -436,6 +421,7 @@ static const char *parse_face(struct parser *parser, const char *p)
         return NULL;
     a->face_sizes[a->face_count++] = (uint32_t)(corner - first);
     a->corner_count = corner;
+    a->vertex_bound = UINT64_MAX;
     return p;
 }
 
@@ -625,8 +611,9 @@ static const char *parse_plain_triangles(struct parser *parser, const char *p)
     if (limit <= first) /* the buffers may have no capacity at all yet */
         return p;
     uint64_t face = first, *corners = a->corners[FMT_MESH_VERTEX] + a->corner_count;
+    obj_most most = {0};
     while (p < end && face < limit && p[0] == 'f' && p[1] == ' ') {
-        const char *after = obj_three_indices(p + 2, corners);
+        const char *after = obj_three_indices(p + 2, corners, &most);
         if (!after)
             break;
         p = after;
@@ -635,6 +622,8 @@ static const char *parse_plain_triangles(struct parser *parser, const char *p)
     }
     a->face_count = face;
     a->corner_count += 3 * (face - first);
+    if (face > first && obj_bound_of(most) > a->vertex_bound)
+        a->vertex_bound = obj_bound_of(most);
     parser->slot->part.lines += face - first;
     return p;
 }
@@ -659,6 +648,7 @@ int fmt_obj_parse_text(struct stream_slot *slot, uint64_t begin, uint64_t size, 
                             .objects = objects};
     uint64_t line = 0;
     slot->part.lines = slot->part.carry_out = 0;
+    slot->arrays.vertex_bound = 0;
     /* Two line ends: the last line may lack its own and even end in a continuation. */
     memset(slot->bytes + begin + size, 0, STREAM_PADDING);
     memset(slot->bytes + begin + size, '\n', 2);

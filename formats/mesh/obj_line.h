@@ -132,10 +132,21 @@ static inline __m128i obj_two_integers(const char *a, unsigned a_count, const ch
     return _mm_madd_epi16(digits, _mm_set1_epi32(1 << 16 | 100));
 }
 
+/* The largest index of some triangles, in three of the lanes. */
+typedef __m128i obj_most;
+
+static inline uint64_t obj_bound_of(obj_most most)
+{
+    uint32_t lanes[4];
+    _mm_storeu_si128((__m128i *)(void *)lanes, most);
+    const uint32_t two = lanes[0] > lanes[1] ? lanes[0] : lanes[1];
+    return (two > lanes[2] ? two : lanes[2]) + UINT64_C(1);
+}
+
 /* Parses "1 22 333" and a line feed: three integers of 1 to 8 digits, not 0, with single blanks
- * between them. Stores each minus one. Returns the position after the line feed. Returns NULL for
- * any other text; *out then has no meaning. */
-static inline const char *obj_three_indices(const char *text, uint64_t out[3])
+ * between them. Stores each minus one, and adds them to *most. Returns the position after the line
+ * feed. Returns NULL for any other text; *out then has no meaning. */
+static inline const char *obj_three_indices(const char *text, uint64_t out[3], obj_most *most)
 {
     const __m128i zero = _mm_set1_epi8('0'), feed = _mm_set1_epi8('\n');
     const __m128i low = _mm_loadu_si128((const __m128i *)text);
@@ -159,6 +170,7 @@ static inline const char *obj_three_indices(const char *text, uint64_t out[3])
     __m128i values = _mm_sub_epi32(obj_join_groups(first, last), _mm_set1_epi32(1));
     if (__builtin_expect(_mm_movemask_ps(_mm_castsi128_ps(values)) & 7, 0))
         return NULL;
+    *most = _mm_max_epi32(*most, values);
     _mm_storeu_si128((__m128i *)out, _mm_cvtepu32_epi64(values));
     _mm_storel_epi64((__m128i *)(out + 2), _mm_cvtepu32_epi64(_mm_srli_si128(values, 8)));
     return text + length + 1;
@@ -172,9 +184,16 @@ static inline const char *obj_three_numbers(const char *text, double out[3])
     return NULL;
 }
 
-static inline const char *obj_three_indices(const char *text, uint64_t out[3])
+typedef uint64_t obj_most;
+
+static inline uint64_t obj_bound_of(obj_most most)
 {
-    (void)text, (void)out;
+    return most;
+}
+
+static inline const char *obj_three_indices(const char *text, uint64_t out[3], obj_most *most)
+{
+    (void)text, (void)out, (void)most;
     return NULL;
 }
 

@@ -10,6 +10,7 @@
 #ifndef FMT_MESH_OBJ_NUMBER_H
 #define FMT_MESH_OBJ_NUMBER_H
 
+#include <math.h>
 #include <stdbool.h>
 #include <stdint.h>
 #include <string.h>
@@ -92,6 +93,17 @@ static inline const char *obj_number(const char *text, double *out)
     }
 #endif
     return fmt_obj_number_general(text, out);
+}
+
+/* Parses a number as obj_number() does; words for numbers that are not finite give NaN. Returns the
+ * position after it, or NULL. */
+static inline const char *obj_real(const char *text, double *out)
+{
+    const char *after = obj_number(text, out);
+    if (__builtin_expect(after != NULL, 1))
+        return after;
+    *out = NAN;
+    return fmt_obj_not_finite(text);
 }
 
 /* Returns the value of `count` (1 to 8) decimal digits at `text`, where 8 bytes are readable.

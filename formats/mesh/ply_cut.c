@@ -6,6 +6,7 @@
  * the two indices before it. */
 #include <inttypes.h>
 
+#include "formats/mesh/mesh_text.h"
 #include "formats/mesh/ply_internal.h"
 
 /* The state of one cut. */
@@ -227,65 +228,32 @@ static int cut_piece(struct cutter *c, uint32_t run, uint64_t left)
 
 /* ---- text ---- */
 
-static bool is_blank(char c)
+/* Counts the elements in whole lines of the loaded text. Returns the bytes of these lines. */
+static uint64_t find_lines(struct stream_slot *slot, uint64_t have, bool at_file_end)
 {
-    return c == ' ' || c == '\t' || c == '\r' || c == '\n' || c == '\v' || c == '\f';
-}
-
-/* Returns whether a line of text has something. */
-static bool has_text(const char *from, const char *end)
-{
-    while (from < end && is_blank(*from))
-        from++;
-    return from < end;
-}
-
-/* Returns the number of elements in whole lines of the loaded text. *size: their bytes. */
-static uint64_t count_lines(struct cutter *c, uint64_t *size)
-{
-    const char *text = (const char *)c->slot->bytes, *from = text, *limit = text + c->have, *end;
-    uint64_t items = 0, lines = 0;
-    while (items < c->limit && from < limit) {
-        end = memchr(from, c->header->line_end, (size_t)(limit - from));
-        if (!end && !c->at_file_end)
+    const struct ply_header *header = &((struct ply_source *)slot->source->data)->header;
+    struct stream_part *part = &slot->part;
+    const uint64_t most = header->elements[part->kind].count - part->first_item;
+    const uint8_t *from = slot->bytes, *limit = from + have;
+    part->items = part->lines = 0;
+    while (part->items < most && from < limit) {
+        const uint8_t *end = memchr(from, header->line_end, (size_t)(limit - from));
+        if (!end && !at_file_end)
             break;
         end = end ? end : limit;
-        items += has_text(from, end);
-        lines++;
+        part->items += from + fmt_mesh_count_space(from, (uint64_t)(end - from)) < end;
+        part->lines++;
         from = end < limit ? end + 1 : end;
     }
-    c->part->lines = lines;
-    *size = (uint64_t)(from - text);
-    return items;
-}
-
-/* Begins the part after the loaded bytes, which are blank: any number of them needs no memory. */
-static void skip_blank(struct cutter *c)
-{
-    c->part->offset += c->have;
-    c->part->first_line += c->part->lines;
-    c->part->lines = 0;
-    c->have = 0;
+    return part->items > 0 ? (uint64_t)(from - slot->bytes) : 0;
 }
 
 static int cut_text(struct cutter *c)
 {
-    uint64_t size, items, wanted = STREAM_PART_BYTES;
-    for (;;) {
-        int status = load(c, wanted);
-        if (status)
-            return status;
-        items = count_lines(c, &size);
-        if (items > 0 || c->at_file_end)
-            break;
-        if ((status = bsq_check(c->ctx)))
-            return status;
-        if (has_text((const char *)c->slot->bytes, (const char *)c->slot->bytes + c->have))
-            wanted *= 2;
-        else
-            skip_blank(c);
-    }
-    return items > 0 ? take(c, items, size) : fail_truncated(c);
+    int status = fmt_stream_cut_text(c->slot, find_lines);
+    if (status != 0)
+        return status;
+    return fail_truncated(c);
 }
 
 /* ---- the next part ---- */

@@ -3,7 +3,7 @@
  *
  * The format is described by Turk, "The PLY Polygon File Format", 1994. Its header lists elements,
  * such as "vertex", with their number and properties. A property is a number or a list of numbers.
- * Everything else about meshes is custom: ply_roles.c knows the names that programs use. */
+ * Everything else about meshes is custom: ply_header.c knows the names that programs use. */
 #ifndef FMT_MESH_PLY_INTERNAL_H
 #define FMT_MESH_PLY_INTERNAL_H
 
@@ -92,30 +92,15 @@ struct ply_header {
     uint64_t element_capacity, property_capacity, texture_capacity;
 };
 
-/* Reads and checks the header of an open input. Errors: BSQ_EDATA with file, line and text. Free
- * *out with fmt_ply_header_free(), also after a failure. */
+/* Reads and checks the header of an open input: that it has a mesh and, if the file's size is
+ * known, that the file is long enough for the elements that its header counts. Sets the kinds and
+ * roles of all elements. Errors: BSQ_EDATA with file, line and text. Free *out with
+ * fmt_ply_header_free(), also after a failure. */
 int fmt_ply_header_read(struct bsq_ctx *ctx, struct fmt_input *input, struct ply_header *out);
 void fmt_ply_header_free(struct bsq_ctx *ctx, struct ply_header *header);
 
-/* Returns true if the element has properties with all roles from `first` to `last`. */
-static inline bool ply_has_roles(const struct ply_element *element, enum ply_role first,
-                                 enum ply_role last)
-{
-    for (int role = (int)first; role <= (int)last; role++)
-        if (!element->role[role])
-            return false;
-    return true;
-}
-
 /* Returns the element of this kind, or NULL. */
 const struct ply_element *fmt_ply_find_element(const struct ply_header *header, enum ply_kind kind);
-
-/* ---- ply_roles.c ---- */
-
-/* Sets kinds, roles and sizes of all elements. Checks that the file has a mesh and, if its
- * size is known, that it is long enough for the elements that its header counts. Errors: BSQ_EDATA.
- */
-int fmt_ply_find_roles(struct bsq_ctx *ctx, struct fmt_input *input, struct ply_header *header);
 
 /* Warns of elements and properties that are not read. */
 void fmt_ply_warn_unread(struct bsq_ctx *ctx, const char *path, const struct ply_header *header);
@@ -227,64 +212,12 @@ enum {
 /* This bit of a kind: a part of the list of one strip, which is longer than parts are. */
 #define PLY_PART_PIECE 0x40000000u
 
-/* ---- ply_cut.c ---- */
+/* ---- ply_cut.c, ply_parse.c ---- */
 
+/* Implements `cut` of struct fmt_mesh_format. */
 int fmt_ply_cut(const struct stream_part *before, struct stream_slot *slot);
 
-/* ---- ply_binary.c, ply_text.c: parse parts of elements that are read ---- */
-
-int fmt_ply_parse_binary(const struct ply_element *element, struct stream_slot *slot);
-int fmt_ply_parse_text(const struct ply_element *element, struct stream_slot *slot);
-
-/* ---- ply_element.c: what both do ---- */
-
-/* Ensures capacity for all vertices of the part, or for `most_items` items in lists of faces. */
-int fmt_ply_reserve(const struct ply_element *element, struct stream_slot *slot,
-                    uint64_t most_items);
-
-/* Stores the value of one property of vertex number `vertex` of the part. */
-void fmt_ply_store_vertex(struct mesh_arrays *arrays, uint64_t vertex,
-                          const struct ply_property *property, double value);
-/* Ends a part with this many vertices. What is not finite becomes missing, and is counted. */
-void fmt_ply_finish_vertices(const struct ply_element *element, struct stream_slot *slot,
-                             uint64_t count);
-
-/* A face while it is read. Its indices are stored after the last corner, its texture coordinates
- * after the last texture coordinate. */
-struct ply_face {
-    uint64_t size;      /* indices */
-    uint64_t texcoords; /* numbers in its list of texture coordinates */
-    int64_t texture;
-    double color[3]; /* 0 to 255 */
-    bool clamped;    /* a colour was not in this range */
-    uint64_t at;     /* line or byte */
-};
-
-/* Starts a face: without indices, with the first texture. */
-static inline struct ply_face ply_face_at(uint64_t at)
-{
-    return (struct ply_face){.at = at};
-}
-
-/* Adds one index. Returns false, with slot->error set, if no file can have it. */
-bool fmt_ply_add_index(struct stream_slot *slot, struct ply_face *face, int64_t index);
-/* Stores the number at position `i` of the face's list of texture coordinates. */
-void fmt_ply_add_texcoord(struct stream_slot *slot, uint64_t i, double value);
-/* Stores a number that decides the face's material. */
-void fmt_ply_set_material(struct ply_face *face, const struct ply_property *property, double value);
-/* Ends a face. Returns false if parsing must stop: at an error, or after slot->last_face. */
-bool fmt_ply_finish_face(const struct ply_source *source, struct stream_slot *slot,
-                         const struct ply_face *face);
-
-/* The state of a strip: the last two indices, and how many there are since it began or began anew.
- * From two on, only whether the number is odd counts. */
-struct ply_strip {
-    uint64_t last[2];
-    uint32_t run;
-};
-/* Continues a strip with one index; negative: it begins anew. Adds the triangle. Returns false if
- * parsing must stop. */
-bool fmt_ply_add_to_strip(const struct ply_source *source, struct stream_slot *slot,
-                          struct ply_strip *strip, int64_t index, uint64_t at);
+/* Parses a loaded part of an element that is read. */
+int fmt_ply_parse(const struct ply_element *element, struct stream_slot *slot);
 
 #endif

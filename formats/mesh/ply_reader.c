@@ -106,8 +106,7 @@ static int parse(struct stream_slot *slot)
         return 0;
     const struct ply_element *element = &header->elements[number];
     BSQ_TRY(fmt_stream_load(slot));
-    BSQ_TRY(header->encoding == PLY_ASCII ? fmt_ply_parse_text(element, slot)
-                                          : fmt_ply_parse_binary(element, slot));
+    BSQ_TRY(fmt_ply_parse(element, slot));
     slot->local = slot->arrays.count[FMT_MESH_TEXCOORD] > 0 && element->kind != PLY_VERTICES
                       ? 1u << FMT_MESH_TEXCOORD
                       : 0;
@@ -116,22 +115,15 @@ done:
     return status;
 }
 
-static bool is_blank(char c)
-{
-    return c == ' ' || c == '\t' || c == '\r' || c == '\n';
-}
-
 /* Warns of bytes after the last element, unless they are blank. */
 static int warn_rest(const struct stream_slot *slot)
 {
     const struct stream_source *source = slot->source;
     const uint64_t bytes = slot->part.end - slot->part.offset;
     char sample[256];
-    uint64_t got, blanks = 0;
+    uint64_t got;
     int status = fmt_input_read_some(source->input, sample, sizeof sample, slot->part.offset, &got);
-    while (!status && blanks < got && is_blank(sample[blanks]))
-        blanks++;
-    if (!status && blanks < bytes && !source->reader->read_before)
+    if (!status && fmt_mesh_count_space(sample, got) < bytes && !source->reader->read_before)
         status = bsq_warn_loss(source->ctx, "%s: %" PRIu64 " bytes after the last element not read",
                                source->path, bytes);
     return status;

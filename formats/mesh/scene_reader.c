@@ -196,6 +196,7 @@ static int copy_faces(struct stream_slot *slot)
            slot->part.items * sizeof *a->face_sizes);
     a->face_count = slot->part.items;
     a->corner_count = corners;
+    a->vertex_bound = s->vertex_count;
     a->change_count = 1;
     a->changes[0].face = 0;
     a->changes[0].material = slot->source->reader->objects        ? number

@@ -325,7 +325,9 @@ static int parse(struct stream_slot *slot)
     slot->local = 1u << FMT_MESH_VERTEX;
     if (status)
         return status;
-    return file->kind == STL_TEXT ? fmt_stl_parse_text(slot) : parse_binary(file, slot);
+    status = file->kind == STL_TEXT ? fmt_stl_parse_text(slot) : parse_binary(file, slot);
+    slot->arrays.vertex_bound = slot->arrays.count[FMT_MESH_VERTEX];
+    return status;
 }
 
 /* Warns of bytes after the last triangle. */

@@ -4,6 +4,7 @@
  * "facet normal", because some files are one line. Files are cut after a line that begins with
  * "endfacet", or between "endfacet" and "facet normal". */
 #include <math.h>
+#include <string.h>
 #include <strings.h>
 
 #include "formats/mesh/mesh_text.h"
@@ -22,9 +23,7 @@ static bool is_line_end(uint8_t c)
 /* Returns the position of the first character from `at` on that is no blank, at most `size`. */
 static uint64_t skip_blanks(const uint8_t *text, uint64_t at, uint64_t size)
 {
-    while (at < size && text[at] <= ' ' && text[at] != '\0')
-        at++;
-    return at;
+    return at + fmt_mesh_count_space(text + at, size - at);
 }
 
 static bool is_number(const uint8_t *text, uint64_t size)
@@ -70,41 +69,24 @@ static uint64_t find_cut(const uint8_t *text, uint64_t size)
     return 0;
 }
 
-static uint64_t count_lines(const uint8_t *text, uint64_t size)
+/* Returns the bytes of whole facets in loaded text; 0: there are none. */
+static uint64_t find_facets(struct stream_slot *slot, uint64_t have, bool at_file_end)
 {
+    const uint64_t size = at_file_end ? have : find_cut(slot->bytes, have);
+    const uint64_t counted = size > 0 ? size : have;
+    const uint8_t *text = slot->bytes;
     uint64_t lines = 0;
-    for (uint64_t i = 0; i < size; i++)
+    for (uint64_t i = 0; i < counted; i++)
         lines += text[i] == '\n';
-    return lines;
+    slot->part.lines = lines;
+    return size;
 }
 
 int fmt_stl_cut_text(const struct stream_part *before, struct stream_slot *slot)
 {
-    struct stream_part *part = &slot->part;
-    uint64_t have = 0, size = 0, wanted = STREAM_PART_BYTES;
-    bool at_file_end = false;
-    part->offset = before->end;
-    part->first_line = before->end == 0 ? 1 : before->first_line + before->lines;
-    while (size == 0) {
-        int status = fmt_stream_extend(slot, have, wanted, &have, &at_file_end);
-        if (!status)
-            status = bsq_check(slot->ctx);
-        if (status || (have == 0 && at_file_end))
-            return status;
-        size = at_file_end ? have : find_cut(slot->bytes, have);
-        if (size == 0 && skip_blanks(slot->bytes, 0, have) < have) {
-            wanted *= 2;
-        } else if (size == 0) { /* any number of blanks needs no memory */
-            part->offset += have;
-            part->first_line += count_lines(slot->bytes, have);
-            have = 0;
-        }
-    }
-    part->size = size;
-    part->end = part->offset + size;
-    part->lines = count_lines(slot->bytes, size);
-    slot->loaded = true;
-    return 1;
+    slot->part.offset = before->end;
+    slot->part.first_line = before->end == 0 ? 1 : before->first_line + before->lines;
+    return fmt_stream_cut_text(slot, find_facets);
 }
 
 /* ---- parsing ---- */
@@ -120,15 +102,11 @@ struct text {
 
 static bool fail_word(struct text *t, const char *what)
 {
-    const char *end = t->at;
-    char quoted[44];
-    while ((unsigned char)*end > ' ')
-        end++;
-    fmt_mesh_quote(t->at, end, quoted, sizeof quoted);
     if (t->at >= t->end)
         fmt_stream_fail(t->slot, t->line, "truncated: the file ends within a facet");
     else
-        fmt_stream_fail(t->slot, t->line, "\"%s\" is not %s", quoted, what);
+        fmt_stream_fail(t->slot, t->line, "\"%s\" is not %s", fmt_mesh_quote_word(t->at).text,
+                        what);
     return false;
 }
 
@@ -165,19 +143,14 @@ static bool read_vertex(struct text *t)
 {
     struct mesh_arrays *a = &t->slot->arrays;
     double position[3];
-    bool finite = true;
     for (int i = 0; i < 3; i++) {
         next_word(t);
-        const char *after = obj_number(t->at, &position[i]);
-        if (!after) {
-            after = fmt_obj_not_finite(t->at);
-            finite = false;
-        }
+        const char *after = obj_real(t->at, &position[i]);
         if (!after || t->at >= t->end)
             return fail_word(t, "a number");
         t->at = after;
     }
-    if (!finite)
+    if (isnan(position[0] + position[1] + position[2]))
         position[0] = position[1] = position[2] = NAN;
     const uint64_t corner = a->corner_count + t->size;
     t->status = FMT_RESERVE(t->ctx, corner + 1, a->corners[FMT_MESH_VERTEX],

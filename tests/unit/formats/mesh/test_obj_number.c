@@ -313,19 +313,26 @@ TEST(test_three_indices)
         }
         for (int k = 0; k < 32; k++)
             buffer[length + k] = "01 f\n"[below(5)];
-        const char *end = obj_three_indices(buffer, values);
+        obj_most most = {0};
+        const char *end = obj_three_indices(buffer, values, &most);
         if (!plain) {
             assert_null(end);
             continue;
         }
         check_end(end, buffer, length);
-        if (end)
-            assert_memory_equal(values, expected, sizeof values);
+        if (!end)
+            continue;
+        assert_memory_equal(values, expected, sizeof values);
+        uint64_t bound = 0;
+        for (int k = 0; k < 3; k++)
+            bound = values[k] >= bound ? values[k] + 1 : bound;
+        assert_int_equal(obj_bound_of(most), bound);
     }
     uint64_t values[3];
+    obj_most most = {0};
     static const char line[96] = "f 12345678 1 98765432\n";
-    check_end(obj_three_indices(line + 2, values), line, (int)strlen(line));
-    assert_null(obj_three_indices("1 0 3\n                          ", values));
+    check_end(obj_three_indices(line + 2, values, &most), line, (int)strlen(line));
+    assert_null(obj_three_indices("1 0 3\n                          ", values, &most));
 }
 
 /* Writes a number as "%.6f" prints it, or one with other numbers of digits, or other text. Clears
