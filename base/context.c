@@ -66,7 +66,7 @@ int bsq_ctx_create(const struct bsq_ctx_options *options, struct bsq_ctx **out)
     }
     pthread_mutex_init(&ctx->error_lock, NULL);
     pthread_mutex_init(&ctx->callback_lock, NULL);
-    pthread_mutex_init(&ctx->files_lock, NULL);
+    pthread_mutex_init(&ctx->parts_lock, NULL);
     if (ctx->options.threads < wanted_threads)
         bsq_warn(ctx, "%u threads are more than this machine can use: %u are used", wanted_threads,
                  ctx->options.threads);
@@ -93,10 +93,10 @@ void bsq_drop_part(struct bsq_ctx *ctx, enum bsq_part part)
 
 void bsq_forget_files(struct bsq_ctx *ctx)
 {
-    pthread_mutex_lock(&ctx->files_lock);
+    pthread_mutex_lock(&ctx->parts_lock);
     bsq_drop_part(ctx, BSQ_SWEEPS);
     bsq_drop_part(ctx, BSQ_JOB_FILES);
-    pthread_mutex_unlock(&ctx->files_lock);
+    pthread_mutex_unlock(&ctx->parts_lock);
 }
 
 void bsq_ctx_destroy(struct bsq_ctx *ctx)
@@ -109,7 +109,7 @@ void bsq_ctx_destroy(struct bsq_ctx *ctx)
     bsq_clear_error(ctx);
     pthread_mutex_destroy(&ctx->error_lock);
     pthread_mutex_destroy(&ctx->callback_lock);
-    pthread_mutex_destroy(&ctx->files_lock);
+    pthread_mutex_destroy(&ctx->parts_lock);
     free((char *)ctx->options.tmpdir);
     free(ctx);
 }

@@ -12,7 +12,7 @@
 struct bsq_identity;
 
 /* What other files of base keep in a context, in the order in which it is freed. */
-enum bsq_part { BSQ_POOL, BSQ_JOB_FILES, BSQ_SWEEPS, BSQ_PATH_MAP, BSQ_PARTS };
+enum bsq_part { BSQ_POOL, BSQ_JOB_FILES, BSQ_SWEEPS, BSQ_PATH_MAP, BSQ_SHARES, BSQ_PARTS };
 
 struct bsq_part_of_context {
     void *object; /* NULL: there is none */
@@ -41,7 +41,7 @@ struct bsq_ctx {
     pthread_mutex_t callback_lock; /* held while on_progress or on_warning runs */
     struct bsq_stage stage;
 
-    pthread_mutex_t files_lock; /* guards all parts but the pool, which one thread uses */
+    pthread_mutex_t parts_lock; /* guards the parts, but not the pool, which one thread uses */
     struct bsq_part_of_context parts[BSQ_PARTS];
 };
 

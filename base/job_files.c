@@ -184,13 +184,13 @@ int bsq_note_input(struct bsq_ctx *ctx, const char *path, const char *format, ..
     struct input *input;
     va_list arguments;
     va_start(arguments, format);
-    pthread_mutex_lock(&ctx->files_lock);
+    pthread_mutex_lock(&ctx->parts_lock);
     int status = add_input(ctx, path, &input);
     if (status == 0)
         status = set_role(ctx, input, format, arguments);
     if (status == 0)
         status = check_input(ctx, input);
-    pthread_mutex_unlock(&ctx->files_lock);
+    pthread_mutex_unlock(&ctx->parts_lock);
     va_end(arguments);
     return status;
 }
@@ -209,7 +209,7 @@ int bsq_fail_changed(struct bsq_ctx *ctx, const char *path)
 int bsq_hold_input(struct bsq_ctx *ctx, const char *path, const struct bsq_identity *found)
 {
     struct input *input;
-    pthread_mutex_lock(&ctx->files_lock);
+    pthread_mutex_lock(&ctx->parts_lock);
     int status = add_input(ctx, path, &input);
     if (status == 0)
         status = check_input(ctx, input);
@@ -219,7 +219,7 @@ int bsq_hold_input(struct bsq_ctx *ctx, const char *path, const struct bsq_ident
     } else if (status == 0 && !bsq_same_identity(&input->found, found)) {
         status = bsq_fail_changed(ctx, path);
     }
-    pthread_mutex_unlock(&ctx->files_lock);
+    pthread_mutex_unlock(&ctx->parts_lock);
     return status;
 }
 
@@ -227,7 +227,7 @@ int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, char **path, char **role
 {
     int status = 0;
     *path = *role = NULL;
-    pthread_mutex_lock(&ctx->files_lock);
+    pthread_mutex_lock(&ctx->parts_lock);
     const struct job_files *files = noted_files(ctx);
     for (; status == 0 && files && *next < files->input_paths.count; ++*next) {
         const struct input *input = &files->inputs[*next];
@@ -237,7 +237,7 @@ int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, char **path, char **role
         *role = strdup(input->role ? input->role : "");
         status = *path && *role ? 1 : fail_memory(ctx, input->path);
     }
-    pthread_mutex_unlock(&ctx->files_lock);
+    pthread_mutex_unlock(&ctx->parts_lock);
     if (status < 0) {
         free(*path);
         free(*role);
@@ -271,7 +271,7 @@ static int add_output(struct bsq_ctx *ctx, const char *path, struct output **out
 int bsq_note_output(struct bsq_ctx *ctx, const char *path)
 {
     struct output *output = NULL;
-    pthread_mutex_lock(&ctx->files_lock);
+    pthread_mutex_lock(&ctx->parts_lock);
     int status = add_output(ctx, path, &output);
     if (status == 0) {
         free(output->place.name);
@@ -283,23 +283,23 @@ int bsq_note_output(struct bsq_ctx *ctx, const char *path)
                 status = fail_overwrite(ctx, path, input);
         }
     }
-    pthread_mutex_unlock(&ctx->files_lock);
+    pthread_mutex_unlock(&ctx->parts_lock);
     return status;
 }
 
 char *bsq_output_directory(struct bsq_ctx *ctx)
 {
-    pthread_mutex_lock(&ctx->files_lock);
+    pthread_mutex_lock(&ctx->parts_lock);
     const struct job_files *files = noted_files(ctx);
     char *directory =
         bsq_dirname(files && files->output_paths.count > 0 ? files->output_paths.list[0] : "");
-    pthread_mutex_unlock(&ctx->files_lock);
+    pthread_mutex_unlock(&ctx->parts_lock);
     return directory;
 }
 
 void bsq_note_written(struct bsq_ctx *ctx, const char *path)
 {
-    pthread_mutex_lock(&ctx->files_lock);
+    pthread_mutex_lock(&ctx->parts_lock);
     struct job_files *files = noted_files(ctx);
     const uint64_t number = files ? bsq_texts_find(&files->output_paths, path) : 0;
     if (files && number < files->output_paths.count) {
@@ -310,5 +310,5 @@ void bsq_note_written(struct bsq_ctx *ctx, const char *path)
     }
     for (uint64_t i = 0; files && files->own_count > 0 && i < files->input_paths.count; i++)
         files->inputs[i].opened &= !files->inputs[i].own;
-    pthread_mutex_unlock(&ctx->files_lock);
+    pthread_mutex_unlock(&ctx->parts_lock);
 }

@@ -98,7 +98,7 @@ done:
 static uint32_t thumbnail_side(const struct bake_run *job)
 {
     uint32_t side = PREVIEW_TEXTURE;
-    uint64_t share = bsq_memory_left(job->ctx) / 8 / job->udim.count;
+    uint64_t share = bsq_memory_share(job->ctx, "textures of the preview", 8) / job->udim.count;
     while (side > 1 && (uint64_t)side * side * sizeof *job->tiles->normal.texels > share)
         side /= 2;
     return side;

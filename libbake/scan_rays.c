@@ -258,7 +258,8 @@ static void choose_rows(struct scan_rays *rays)
     const struct bake_scan_samples *samples = rays->samples;
     const uint64_t row = samples->width * (sizeof *rays->triangles + sizeof *rays->origins +
                                            bake_ray_state_bytes(&rays->params));
-    const uint64_t most = bsq_memory_left(samples->scene->ctx) / 4 / row;
+    const uint64_t most =
+        bsq_memory_share(samples->scene->ctx, "secondary rays of several scans", 4) / row;
     const uint32_t side = samples->tile->tile_size;
     rays->most_rows = most < samples->height ? (uint32_t)most : samples->height;
     /* Each tile of the raster is filled again for each batch that it is in. */

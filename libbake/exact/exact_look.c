@@ -353,7 +353,7 @@ int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *par
                            uint64_t places, struct bake_exact_look **out)
 {
     struct bsq_ctx *ctx = exact->ctx;
-    const uint64_t left = bsq_memory_left(ctx);
+    const uint64_t left = bsq_memory_share(ctx, "secondary rays of chunks", 1);
     struct bake_exact_look *look;
     *out = NULL;
     int status = bsq_calloc(ctx, "secondary rays", 1, sizeof *look, &look);

@@ -199,8 +199,9 @@ static int allocate(struct wave *wave, struct exact_buckets *buckets)
     struct bsq_ctx *ctx = wave->exact->ctx;
     const uint32_t chunks = wave->exact->chunk_count;
     buckets->capacity = EXACT_PAIRS_PER_RAY * wave->batch->count + chunks;
-    int status = bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact),
-                                         bsq_memory_left(ctx) / 2, &wave->memory);
+    int status =
+        bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact),
+                                bsq_memory_share(ctx, "chunks of a wave", 2), &wave->memory);
     if (status == 0)
         status = bsq_alloc(ctx, "rays by chunk", buckets->capacity, sizeof *buckets->rays,
                            &buckets->rays);

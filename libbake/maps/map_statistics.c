@@ -48,7 +48,7 @@ static void add_rows(const struct band *band, uint32_t rows, struct bake_statist
 /* Returns the rows that are read at a time: from a quarter of what is left of the budget. */
 static uint32_t choose_rows(struct bsq_ctx *ctx, uint64_t row_bytes)
 {
-    const uint64_t rows = bsq_memory_left(ctx) / 4 / row_bytes;
+    const uint64_t rows = bsq_memory_share(ctx, "rows that are measured", 4) / row_bytes;
     return rows < 1 ? 1 : rows < BAND_ROWS ? (uint32_t)rows : BAND_ROWS;
 }
 

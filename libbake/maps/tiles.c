@@ -19,7 +19,7 @@ uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, ui
                         uint32_t maps)
 {
     uint64_t threads = bsq_threads(ctx);
-    uint64_t share = bsq_memory_left(ctx) / 8 / threads;
+    uint64_t share = bsq_memory_share(ctx, "tiles that are traced", 8) / threads;
     uint64_t texels = (uint64_t)width * height;
     uint32_t side = LARGEST_TILE;
     while (side > USUAL_TILE && texels / side / side < TILES_A_THREAD * threads)

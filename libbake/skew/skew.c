@@ -36,7 +36,7 @@ int bake_skew_open(struct bsq_ctx *ctx, const char *path, const uint32_t *tiles,
 {
     struct fmt_texture_source *sources = NULL;
     struct bake_skew *skew;
-    uint64_t cache = bsq_memory_left(ctx) / 16;
+    uint64_t cache = bsq_memory_share(ctx, "skew map", 16);
     *out = NULL;
     int status = bsq_calloc(ctx, "skew map", 1, sizeof *skew, &skew);
     if (status < 0)

@@ -205,7 +205,7 @@ uint64_t bake_surface_capacity(const struct bake_surface *surface)
     if (surface->exact)
         return bake_exact_capacity(surface->exact, 0);
     const uint64_t ray = sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit);
-    const uint64_t most = bsq_memory_left(surface->ctx) / 8 / ray;
+    const uint64_t most = bsq_memory_share(surface->ctx, "rays of a batch", 8) / ray;
     return most < 1 ? 1 : most > MAX_GRID_RAYS ? MAX_GRID_RAYS : most;
 }
 

@@ -251,6 +251,8 @@ static int divide_memory(const struct reading *r, struct shares *out)
     out->pages = left > keep + limits->page_memory ? left - keep : limits->page_memory;
     out->pages = out->pages < limits->max_page_memory ? out->pages : limits->max_page_memory;
     out->fans = BLOCK_BYTES + (keep - table) / r->slot_count;
+    bsq_note_share(scan->ctx, "buckets", out->pages);
+    bsq_note_share(scan->ctx, "buckets of vertices", table);
     return 0;
 }
 

@@ -80,9 +80,9 @@ int vox_scan_use_alpha(struct scan *scan, const struct scan_textures *textures, 
     struct fmt_textures *images;
     if (!channel || scan_count(scan, SCAN_TEXCOORDS) == 0)
         return 0;
-    int status = fmt_textures_open_each(scan->ctx, materials->count, source_of,
-                                        &(struct color_textures){textures, path, materials},
-                                        bsq_memory_left(scan->ctx) / DECODING_SHARE, &images);
+    int status = fmt_textures_open_each(
+        scan->ctx, materials->count, source_of, &(struct color_textures){textures, path, materials},
+        bsq_memory_share(scan->ctx, "alpha of textures", DECODING_SHARE), &images);
     for (uint32_t i = 0; i < materials->count && status == 0 && images; i++) {
         struct fmt_material *material = &materials->list[i];
         const char *texture = color_texture(textures, path, material);

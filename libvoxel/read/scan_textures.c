@@ -105,7 +105,7 @@ static int check_file(struct bsq_ctx *ctx, struct candidate *candidate)
 static int decode(struct bsq_ctx *ctx, const struct fmt_texture_source *sources, uint32_t count)
 {
     struct fmt_textures *textures = NULL;
-    const uint64_t share = bsq_memory_left(ctx) / DECODING_SHARE;
+    const uint64_t share = bsq_memory_share(ctx, "check of textures", DECODING_SHARE);
     int status =
         fmt_textures_open(ctx, sources, count,
                           share > LEAST_DECODING_BYTES ? share : LEAST_DECODING_BYTES, &textures);

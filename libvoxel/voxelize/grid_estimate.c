@@ -88,7 +88,7 @@ static int sum_areas(void *arg, uint64_t index, unsigned worker)
 
 static unsigned choose_workers(const struct area_job *job)
 {
-    uint64_t fitting = bsq_memory_left(job->ctx) / 2 / job->scratch_bytes;
+    uint64_t fitting = bsq_memory_share(job->ctx, "estimate of voxels", 2) / job->scratch_bytes;
     unsigned threads = bsq_threads(job->ctx);
     return fitting >= threads ? threads : fitting > 0 ? (unsigned)fitting : 1;
 }

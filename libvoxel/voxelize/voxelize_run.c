@@ -91,6 +91,10 @@ static int make_plan(const struct vox_run *job, struct plan *plan)
     available -= job->workers * plan->accumulator_bytes;
     /* The other half is for results that grow while they are held, and for the writer. */
     plan->result_bytes = available / 2;
+    bsq_note_share(job->ctx, "textures", caches * plan->texture_bytes);
+    bsq_note_share(job->ctx, "chunks", plan->cache_slots * slot);
+    bsq_note_share(job->ctx, "sums of voxels", job->workers * plan->accumulator_bytes);
+    bsq_note_share(job->ctx, "results", plan->result_bytes);
     return 0;
 }
 
@@ -159,7 +163,8 @@ static int find_boxes(struct vox_run *job)
             vox_transform_box(&job->shared.transform, infos[i].bounds_min, infos[i].bounds_max);
     job->shared.bounds = job->bounds;
     return vox_chunk_boxes_create(job->ctx, job->file, &job->shared.transform, job->bounds,
-                                  bsq_memory_left(job->ctx) / 16, &job->boxes, &job->box_count);
+                                  bsq_memory_share(job->ctx, "boxes of chunks", 16), &job->boxes,
+                                  &job->box_count);
 }
 
 int vox_run_open(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,
@@ -184,9 +189,8 @@ static int make_smooth(struct vox_run *job)
     if ((job->header->attributes & FMT_TRIS_NORMALS) ||
         job->options->scan_normals == BSQ_SCAN_NORMALS_FLAT)
         return 0;
-    uint64_t available = bsq_memory_left(job->ctx);
     return vox_smooth_create(job->ctx, job->file, job->options->scan_normals, job->workers,
-                             available / 8, &job->smooth);
+                             bsq_memory_share(job->ctx, "smooth normals", 8), &job->smooth);
 }
 
 /* Chooses the slabs that regions are cut into. Few regions would not keep all workers busy. */

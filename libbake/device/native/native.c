@@ -75,7 +75,7 @@ static int make_tree(struct native *native)
 {
     const unsigned threads = bsq_threads(native->ctx);
     const uint64_t rays = (uint64_t)bk_open_rays(&native->params) + bk_solid_rays(&native->params);
-    const uint64_t limit = bsq_memory_left(native->ctx) / TREE_PART;
+    const uint64_t limit = bsq_memory_share(native->ctx, "tree around leaves", TREE_PART);
     uint64_t bytes;
 
     native->worker_results = BAKE_NATIVE_HITS * rays;
