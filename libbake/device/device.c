@@ -3,7 +3,9 @@
 
 #include <errno.h>
 #include <inttypes.h>
+#include <pthread.h>
 #include <stdatomic.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -26,10 +28,14 @@ struct bake_device {
     struct bsq_ctx *ctx;
     const struct bake_job *job;
     struct bake_backend *backend;
-    struct bake_backend *fallback; /* native, if the device was chosen automatically; else NULL */
+    bool automatic;                /* the backend may be replaced by the fallback */
+    pthread_mutex_t lock;          /* protects the opening of the fallback */
+    struct bake_backend *fallback; /* native; NULL until it is needed */
     atomic_bool lost;              /* the backend failed; the fallback goes on */
     unsigned slot;                 /* that tiles are traced from */
 };
+
+enum { ANY_DEVICE = -1 };
 
 /* Parses "KIND", or "KIND:N" if the kind numbers its devices. */
 static bool parse(const char *name, const struct bake_device_kind *kind, int64_t *index)
@@ -38,7 +44,7 @@ static bool parse(const char *name, const struct bake_device_kind *kind, int64_t
     char *end;
     unsigned long number;
 
-    *index = BAKE_ANY_DEVICE;
+    *index = ANY_DEVICE;
     if (strncmp(name, kind->name, length) != 0)
         return false;
     if (name[length] == '\0')
@@ -90,10 +96,10 @@ static int load_grid(struct bsq_ctx *ctx, const struct bake_job *job, struct bak
     return status < 0 ? bsq_fail(ctx, status, "%s: %s", backend->name, why) : 0;
 }
 
-static int open_loaded(struct bsq_ctx *ctx, const struct bake_device_kind *kind, int64_t index,
+static int open_loaded(struct bsq_ctx *ctx, const struct bake_device_kind *kind, uint32_t number,
                        const struct bake_job *job, struct bake_backend **out)
 {
-    int status = kind->open(ctx, index, job, out);
+    int status = kind->open(ctx, number, job, out);
 
     if (status == 0)
         status = load_grid(ctx, job, *out);
@@ -111,8 +117,11 @@ static int open_loaded(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
 static int list_kind(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
                      struct bake_device_list *out)
 {
-    *out = (struct bake_device_list){0};
-    return kind->drivers ? bake_probe(ctx, kind, out) : kind->list(ctx, out);
+    *out = (struct bake_device_list){.count = 0};
+    if (kind->drivers)
+        return bake_probe(ctx, kind, out);
+    kind->list(ctx, out);
+    return 0;
 }
 
 /* Lists the devices of a kind. Drivers that cannot be used are a warning. */
@@ -124,11 +133,20 @@ static int list_or_warn(struct bsq_ctx *ctx, const struct bake_device_kind *kind
     if (status == BSQ_ENODEVICE) {
         bsq_warn(ctx, "%s", bsq_error(ctx));
         bsq_clear_error(ctx);
+        *out = (struct bake_device_list){.count = 0};
         return 0;
     }
-    if (status == 0 && out->warning[0])
-        bsq_warn(ctx, "%s", out->warning);
+    if (status == 0 && out->faulty)
+        bsq_warn(ctx, "%s", out->why);
     return status;
+}
+
+/* Returns the number that a device's id ends with, 0 without one. */
+static uint32_t number_of(const struct bake_device_kind *kind, const struct bake_device_info *info)
+{
+    int64_t number;
+
+    return parse(info->id, kind, &number) && number != ANY_DEVICE ? (uint32_t)number : 0;
 }
 
 /* Opens the first GPU of a kind that works; *out stays NULL if there is none. */
@@ -138,23 +156,20 @@ static int open_gpu(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
     struct bake_device_list list;
     int status = list_or_warn(ctx, kind, &list);
 
-    for (uint64_t i = 0; i < list.count && status == 0 && !*out; i++) {
-        int64_t number;
-        if (!list.devices[i].is_gpu || !parse(list.devices[i].id, kind, &number))
+    for (uint32_t i = 0; i < list.count && status == 0 && !*out; i++) {
+        if (!list.devices[i].is_gpu)
             continue;
-        status = open_loaded(ctx, kind, number, job, out);
+        status = open_loaded(ctx, kind, number_of(kind, &list.devices[i]), job, out);
         if (status == BSQ_OK || status == BSQ_EINTR)
             continue;
         bsq_warn(ctx, "%s is not used: %s", list.devices[i].id, bsq_error(ctx));
         bsq_clear_error(ctx);
         status = 0;
     }
-    bake_device_list_free(ctx, &list);
     return status;
 }
 
-/* Opens the first GPU of any kind that works, and the processor as its fallback; without a GPU, the
- * processor alone. */
+/* Opens the first GPU of any kind that works; without one, the processor. */
 static int open_any(struct bake_device *device)
 {
     for (int i = 0; i < KINDS && !device->backend; i++) {
@@ -162,24 +177,51 @@ static int open_any(struct bake_device *device)
         if (status < 0)
             return status;
     }
-    return bake_native_kind.open(device->ctx, BAKE_ANY_DEVICE, device->job,
-                                 device->backend ? &device->fallback : &device->backend);
+    device->automatic = device->backend != NULL;
+    return device->backend ? 0
+                           : bake_native_kind.open(device->ctx, 0, device->job, &device->backend);
 }
 
-/* Asks the drivers first: they may crash or hang. What they answer otherwise, open() finds too. */
+/* Finds the device with a number in a list, or the one to prefer for ANY_DEVICE: a GPU if there is
+ * one. The error lists the devices that exist. */
+static int choose(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
+                  const struct bake_device_list *list, int64_t wanted, uint32_t *out)
+{
+    const struct bake_device_info *best = NULL;
+    char there[400] = "";
+
+    for (uint32_t i = 0; i < list->count; i++) {
+        const struct bake_device_info *info = &list->devices[i];
+        const size_t used = strlen(there);
+        if (wanted == ANY_DEVICE ? !best || (info->is_gpu && !best->is_gpu)
+                                 : number_of(kind, info) == wanted)
+            best = info;
+        snprintf(there + used, sizeof there - used, "%s %s %s", i ? "," : "", info->id, info->name);
+    }
+    if (!best && list->why[0])
+        return bsq_fail(ctx, BSQ_ENODEVICE, "%s", list->why);
+    if (!best)
+        return bsq_fail(ctx, BSQ_ENODEVICE, "there is no device %s:%" PRId64 "; there is%s",
+                        kind->name, wanted, there);
+    *out = number_of(kind, best);
+    return 0;
+}
+
 static int open_named(struct bake_device *device, const char *name)
 {
-    int64_t index;
-    const struct bake_device_kind *kind = find_kind(name, &index);
+    int64_t wanted;
+    const struct bake_device_kind *kind = find_kind(name, &wanted);
     struct bake_device_list list;
+    uint32_t number = 0;
     int status;
 
     if (!kind)
         return bsq_fail(device->ctx, BSQ_EUSAGE, "device \"%s\" is not " BAKE_DEVICE_NAMES, name);
-    status = list_kind(device->ctx, kind, &list);
-    bake_device_list_free(device->ctx, &list);
-    return status < 0 ? status
-                      : open_loaded(device->ctx, kind, index, device->job, &device->backend);
+    BSQ_TRY(list_kind(device->ctx, kind, &list));
+    BSQ_TRY(choose(device->ctx, kind, &list, wanted, &number));
+    status = open_loaded(device->ctx, kind, number, device->job, &device->backend);
+done:
+    return status;
 }
 
 int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_job *job,
@@ -194,6 +236,7 @@ int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_jo
         return status;
     device->ctx = ctx;
     device->job = job;
+    pthread_mutex_init(&device->lock, NULL);
     atomic_init(&device->lost, false);
     status = strcmp(name, "auto") == 0 ? open_any(device) : open_named(device, name);
     if (status < 0)
@@ -220,15 +263,21 @@ bool bake_device_holds_grid(const struct bake_device *device)
     return !device->backend->load || device->backend->holds_grid || atomic_load(&device->lost);
 }
 
-/* Goes on with the fallback from now on, after a warning. Returns false if there is none. */
+/* Opens the fallback and goes on with it from now on, after a warning. Returns false if the device
+ * was named, or the processor cannot be opened. */
 static bool fall_back(struct bake_device *device, const char *why)
 {
-    if (!device->fallback)
+    if (!device->automatic)
         return false;
-    if (!atomic_exchange(&device->lost, true))
+    pthread_mutex_lock(&device->lock);
+    if (!device->fallback &&
+        bake_native_kind.open(device->ctx, 0, device->job, &device->fallback) == 0) {
         bsq_warn(device->ctx, "%s: %s; going on with %s", device->backend->name, why,
                  device->fallback->name);
-    return true;
+        atomic_store(&device->lost, true);
+    }
+    pthread_mutex_unlock(&device->lock);
+    return atomic_load(&device->lost);
 }
 
 int bake_device_plan(struct bake_device *device, const struct bake_raster *raster,
@@ -310,6 +359,7 @@ void bake_device_close(struct bake_device *device)
         device->backend->close(device->backend);
     if (device->fallback)
         device->fallback->close(device->fallback);
+    pthread_mutex_destroy(&device->lock);
     bsq_free(device->ctx, device);
 }
 
@@ -321,22 +371,8 @@ int bake_list_devices(struct bsq_ctx *ctx,
     for (int i = 0; i < KINDS && status == 0; i++) {
         struct bake_device_list list;
         status = list_or_warn(ctx, kinds[i], &list);
-        for (uint64_t n = 0; n < list.count; n++)
+        for (uint32_t n = 0; n < list.count; n++)
             fn(arg, &list.devices[n]);
-        bake_device_list_free(ctx, &list);
     }
     return status;
-}
-
-void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                     const struct bake_ray_batch *rays, struct bk_hit *hits)
-{
-    bake_native_trace_rays(grid, params, rays, hits);
-}
-
-void bake_trace_places(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                       const struct bake_places *places, uint64_t begin, uint64_t end,
-                       struct bake_ray_states *states)
-{
-    bake_native_trace_places(grid, params, places, begin, end, states);
 }

@@ -2,17 +2,17 @@
  * libbake/kernel/ is the same for all.
  *
  * The public header of device/ for the rest of libbake. Takes a job (job/job.h); gives texels, and
- * for a grid that does not fit the device the passes to bake it in (subgrid/subgrid.h). */
+ * for a grid that does not fit the device the passes to bake it in (subgrid/subgrid.h). Single rays
+ * are traced on the processor (native/native.h). */
 #ifndef BAKE_DEVICE_DEVICE_H
 #define BAKE_DEVICE_DEVICE_H
 
 #include "libbake/device/backend/backend.h"
 #include "libbake/device/job/job.h"
+#include "libbake/device/native/native.h"
 #include "libbake/device/subgrid/subgrid.h"
 
 struct bake_device;
-struct bake_places;
-struct bake_ray_states;
 
 /* Opens a device by its name on the command line (BAKE_DEVICE_NAMES) and loads the grid if it fits.
  * "auto" takes the first GPU that works, else the processor. If the GPU fails later, the processor
@@ -44,17 +44,6 @@ void bake_device_use(struct bake_device *device, unsigned slot);
  * calling thread; a GPU has a stream and buffers for each worker. */
 int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
                       const uint32_t *sample_triangles, float *texels, unsigned worker);
-
-/* Traces rays on the calling thread, with the widest lanes of the processor. Each hit is the one of
- * bake_trace_ray(); a ray without direction has none. */
-void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                     const struct bake_ray_batch *rays, struct bk_hit *hits);
-
-/* Traces the rays of places begin to end - 1 on the calling thread, and notes in their states what
- * the grid adds to other parts of the surface. params: maps, counts and lengths of rays. */
-void bake_trace_places(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                       const struct bake_places *places, uint64_t begin, uint64_t end,
-                       struct bake_ray_states *states);
 
 /* Returns what the device did so far; zeros for the processor. Must not be called while tiles are
  * traced. */

@@ -74,9 +74,10 @@ static double memory_bandwidth(void)
 {
     struct bake_cuda_api api;
     struct bake_cuda_device device;
-    CUresult code;
+    char why[BAKE_WARNING_BYTES];
+    bool faulty;
     int devices, khz = 0, bits = 0;
-    if (bake_cuda_load(&api, &devices, &code) != BAKE_CUDA_WORKS ||
+    if (!bake_cuda_load(&api, &devices, why, &faulty) ||
         bake_cuda_device(&api, 0, &device) != CUDA_SUCCESS ||
         api.cuDeviceGetAttribute(&khz, MEMORY_CLOCK_RATE, device.device) != CUDA_SUCCESS ||
         api.cuDeviceGetAttribute(&bits, GLOBAL_MEMORY_BUS_WIDTH, device.device) != CUDA_SUCCESS)

@@ -50,22 +50,15 @@ struct bake_backend {
     void (*close)(struct bake_backend *backend);
 };
 
-/* Device number that stands for the kind's own choice. */
-enum { BAKE_ANY_DEVICE = -1 };
+enum { BAKE_DEVICES_MAX = 64, BAKE_WARNING_BYTES = 512 };
 
-enum { BAKE_WARNING_BYTES = 512 };
-
-/* The devices of a kind. */
+/* The devices of a kind; more than BAKE_DEVICES_MAX are left out. */
 struct bake_device_list {
-    struct bake_device_info *devices;
-    uint64_t count, capacity;
-    char warning[BAKE_WARNING_BYTES]; /* "", or why a driver that is installed cannot be used */
+    struct bake_device_info devices[BAKE_DEVICES_MAX];
+    uint32_t count;
+    char why[BAKE_WARNING_BYTES]; /* "", or why there are none, or fewer than there should be */
+    bool faulty;                  /* `why` is a fault of something that is installed */
 };
-
-/* Appends a device. Errors: BSQ_ENOMEM. */
-int bake_device_list_add(struct bsq_ctx *ctx, struct bake_device_list *list,
-                         const struct bake_device_info *device);
-void bake_device_list_free(struct bsq_ctx *ctx, struct bake_device_list *list);
 
 /* A kind of device. */
 struct bake_device_kind {
@@ -73,14 +66,14 @@ struct bake_device_kind {
     /* What its drivers are called in messages. NULL: it needs none and has a single device, which
      * is no GPU. */
     const char *drivers;
-    /* Opens device number `index` or BAKE_ANY_DEVICE for a job, without loading the grid.
-     * Errors: BSQ_ENODEVICE, BSQ_ENOMEM. */
-    int (*open)(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
+    /* Opens device `number`, which is in the list, for a job, without loading the grid. Errors:
+     * BSQ_ENODEVICE, BSQ_ENOMEM. */
+    int (*open)(struct bsq_ctx *ctx, uint32_t number, const struct bake_job *job,
                 struct bake_backend **out);
-    /* Fills an empty list with the devices in the order of their numbers; with none if no driver is
-     * installed. If the kind needs drivers, this runs in the program bisque-devices, and
-     * bake_probe() gets the list from there. Errors: BSQ_ENOMEM. */
-    int (*list)(struct bsq_ctx *ctx, struct bake_device_list *out);
+    /* Fills a zeroed list with the devices in the order of their numbers, which their ids end with.
+     * If the kind needs drivers, this runs in the program bisque-devices, with `ctx` NULL, and
+     * bake_probe() gets the list from there. */
+    void (*list)(struct bsq_ctx *ctx, struct bake_device_list *out);
 };
 
 #endif

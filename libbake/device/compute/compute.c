@@ -3,43 +3,39 @@
 
 #include <inttypes.h>
 #include <stdio.h>
+#include <string.h>
 
 #include "base/clock.h"
 #include "libbake/raster/raster.h"
 
-static const char *describe(const struct bake_compute *compute, int code, char *buffer)
-{
-    return compute->calls->describe(compute, code, buffer);
-}
+enum { STAGING_BYTES = 16 << 20 /* half of the staging buffer */ };
 
-int bake_compute_fail(const struct bake_compute *compute, const char *what, int code)
+int bake_compute_fail(const struct bake_compute *compute, struct bake_failure failure)
 {
     char text[BAKE_COMPUTE_TEXT];
-    return bsq_fail(compute->ctx, BSQ_ENODEVICE, "%s: %s: %s", compute->device_name, what,
-                    describe(compute, code, text));
+
+    if (failure.code == 0)
+        return 0;
+    return bsq_fail(compute->ctx, BSQ_ENODEVICE, "%s: %s: %s", compute->device_name, failure.call,
+                    compute->calls->describe(compute, failure.code, text));
 }
 
 /* ---- memory ---- */
 
-static uint64_t texel_samples(const struct bake_compute *compute)
+static uint64_t sample_bytes(const struct bake_compute *compute, uint64_t texels)
 {
-    return (uint64_t)compute->params.samples * compute->params.samples;
+    return texels * bake_raster_texel_entries(&compute->params) * sizeof(uint32_t);
 }
 
-uint64_t bake_compute_sample_bytes(const struct bake_compute *compute)
+static uint64_t texel_bytes(const struct bake_compute *compute, uint64_t texels)
 {
-    return compute->tile_texels * bake_raster_texel_entries(&compute->params) * sizeof(uint32_t);
-}
-
-uint64_t bake_compute_texel_bytes(const struct bake_compute *compute)
-{
-    return (uint64_t)compute->tile_texels * bk_texel_floats(compute->params.maps) * sizeof(float);
+    return texels * bk_texel_floats(compute->params.maps) * sizeof(float);
 }
 
 static uint64_t worker_bytes(const struct bake_compute *compute)
 {
-    return compute->worker_count *
-           (bake_compute_sample_bytes(compute) + bake_compute_texel_bytes(compute));
+    return compute->worker_count * (sample_bytes(compute, compute->tile_texels) +
+                                    texel_bytes(compute, compute->tile_texels));
 }
 
 static uint64_t triangle_bytes(const struct bake_job *job)
@@ -56,7 +52,8 @@ static uint64_t block_waste(const struct bake_compute *compute)
     return compute->calls->blocks ? BAKE_SLOTS * BAKE_SUBGRID_ARRAYS * ARRAY_ALIGNMENT : 0;
 }
 
-int bake_compute_reserve(struct bake_compute *compute, const char *what, uint64_t bytes)
+/* Reserves bytes of the host's budget until the device is closed. */
+static int reserve(struct bake_compute *compute, const char *what, uint64_t bytes)
 {
     int status = bsq_reserve(compute->ctx, what, bytes);
     if (status == 0)
@@ -64,10 +61,11 @@ int bake_compute_reserve(struct bake_compute *compute, const char *what, uint64_
     return status;
 }
 
-int bake_compute_share_memory(struct bake_compute *compute, const struct bake_job *job,
-                              uint64_t limit, uint64_t buffer_bytes)
+static int share_memory(struct bake_compute *compute, const struct bake_job *job, uint64_t limit,
+                        uint64_t buffer_bytes)
 {
-    const uint64_t samples = bake_compute_sample_bytes(compute), triangles = triangle_bytes(job);
+    const uint64_t samples = sample_bytes(compute, compute->tile_texels);
+    const uint64_t triangles = triangle_bytes(job);
     const uint64_t fixed = worker_bytes(compute) + triangles + block_waste(compute);
 
     if (job->device_memory && job->device_memory < limit)
@@ -88,29 +86,39 @@ int bake_compute_share_memory(struct bake_compute *compute, const struct bake_jo
     compute->base.other_bytes = fixed;
     compute->base.buffer_bytes = buffer_bytes;
     return compute->shares_memory
-               ? bake_compute_reserve(compute, "tiles on a device that shares host memory", fixed)
+               ? reserve(compute, "tiles on a device that shares host memory", fixed)
                : 0;
 }
 
 /* ---- the grid ---- */
 
+static struct bake_stream *upload_stream(const struct bake_compute *compute)
+{
+    return &compute->streams[compute->worker_count];
+}
+
+/* Keeps the failure of an upload. Returns BSQ_ENODEVICE; 0 if there is none. */
+static int note_failure(struct bake_compute *compute, struct bake_failure failure)
+{
+    compute->upload_failure = failure;
+    return failure.code ? BSQ_ENODEVICE : 0;
+}
+
 /* Sends a half of the staging buffer, see struct bake_staging_buffer. */
 static int send_half(void *device, unsigned half, uint64_t bytes)
 {
     struct bake_compute *compute = device;
+    struct bake_stream *stream = upload_stream(compute);
+    int status;
 
-    compute->calls->send_half(compute, half, bytes, compute->upload_to, compute->upload_at,
-                              &compute->upload_code);
+    BSQ_TRY(note_failure(compute,
+                         compute->calls->send(compute, stream, stream->host[half], bytes,
+                                              compute->upload_to, compute->upload_at, (int)half)));
     compute->upload_at += bytes;
-    if (compute->upload_code == 0)
-        compute->calls->wait_for_half(compute, half ^ 1, &compute->upload_code);
-    return compute->upload_code == 0 ? bsq_check(compute->ctx) : BSQ_ENODEVICE;
-}
-
-static int allocate(struct bake_compute *compute, uint64_t bytes, bake_memory *out)
-{
-    compute->calls->allocate(compute, bytes, out, &compute->upload_code);
-    return compute->upload_code == 0 ? 0 : BSQ_ENODEVICE;
+    BSQ_TRY(note_failure(compute, compute->calls->wait(compute, stream, (int)half ^ 1)));
+    status = bsq_check(compute->ctx);
+done:
+    return status;
 }
 
 /* Sends what is put into the staging buffer from now on to an array. */
@@ -122,26 +130,21 @@ static void begin_upload(struct bake_compute *compute, bake_memory to)
 
 static int finish_upload(struct bake_compute *compute)
 {
-    int status = bake_staging_flush(&compute->staging);
-
-    if (status == 0) {
-        compute->calls->finish_uploads(compute, &compute->upload_code);
-        status = compute->upload_code == 0 ? 0 : BSQ_ENODEVICE;
-    }
-    return status;
+    return note_failure(compute, compute->calls->finish(compute, upload_stream(compute)));
 }
 
-int bake_compute_send_triangles(struct bake_compute *compute, const struct bake_job *job)
+static int send_triangles(struct bake_compute *compute, const struct bake_job *job)
 {
-    int status = allocate(compute, triangle_bytes(job), &compute->triangles);
+    int status;
 
+    BSQ_TRY(note_failure(
+        compute, compute->calls->allocate(compute, triangle_bytes(job), &compute->triangles)));
     begin_upload(compute, compute->triangles);
-    if (status == 0)
-        status = bake_staging_put(&compute->staging, job->triangles, triangle_bytes(job));
-    if (status == 0)
-        status = finish_upload(compute);
-    return status == BSQ_ENODEVICE ? bake_compute_fail(compute, "triangles", compute->upload_code)
-                                   : status;
+    BSQ_TRY(bake_staging_put(&compute->staging, job->triangles, triangle_bytes(job)));
+    BSQ_TRY(bake_staging_flush(&compute->staging));
+    status = finish_upload(compute);
+done:
+    return status == BSQ_ENODEVICE ? bake_compute_fail(compute, compute->upload_failure) : status;
 }
 
 /* Frees a subgrid's arrays, except a block. */
@@ -156,57 +159,53 @@ static void unload_arrays(struct bake_compute *compute, struct bake_compute_subg
     subgrid->reserved_bytes = 0;
 }
 
-static void free_block(struct bake_compute *compute, struct bake_compute_subgrid *subgrid)
+static void unload_subgrid(struct bake_compute *compute, struct bake_compute_subgrid *subgrid)
 {
+    unload_arrays(compute, subgrid);
     if (subgrid->block)
         compute->calls->release(compute, subgrid->block);
     subgrid->block = subgrid->block_bytes = 0;
 }
 
-static void unload_subgrid(struct bake_compute *compute, struct bake_compute_subgrid *subgrid)
-{
-    unload_arrays(compute, subgrid);
-    free_block(compute, subgrid);
-}
-
+/* Replaces a block. */
 static int allocate_block(struct bake_compute *compute, struct bake_compute_subgrid *to,
                           uint64_t bytes)
 {
-    int status = allocate(compute, bytes, &to->block);
+    int status;
 
+    unload_subgrid(compute, to);
+    status = note_failure(compute, compute->calls->allocate(compute, bytes, &to->block));
     to->block_bytes = status == 0 ? bytes : 0;
     return status;
 }
 
-/* Provides a block of at least `bytes`. One for passes fits the subgrids of all passes, if there is
- * memory for it. */
-static int get_block(struct bake_compute *compute, struct bake_compute_subgrid *to, uint64_t bytes,
-                     bool whole)
+/* Provides memory for the arrays: for each alone, or in a block. A block for passes fits the
+ * subgrids of all passes, if there is memory for it. */
+static int allocate_arrays(struct bake_compute *compute, struct bake_compute_subgrid *to,
+                           const struct bake_subgrid *subgrid, const char **what)
 {
     const uint64_t pass = (compute->base.memory_bytes + block_waste(compute)) / BAKE_SLOTS;
-
-    if (bytes <= to->block_bytes)
-        return 0;
-    free_block(compute, to);
-    if (!whole && pass > bytes && allocate_block(compute, to, pass) == 0)
-        return 0;
-    compute->upload_code = 0;
-    return allocate_block(compute, to, bytes);
-}
-
-static int place_in_block(struct bake_compute *compute, struct bake_compute_subgrid *to,
-                          const struct bake_subgrid *subgrid)
-{
     uint64_t bytes = 0, at = 0;
-    int status;
+    int status = 0;
 
+    for (int i = 0; i < BAKE_SUBGRID_ARRAYS && !compute->calls->blocks; i++) {
+        *what = bake_subgrid_array_name(i);
+        BSQ_TRY(note_failure(compute,
+                             compute->calls->allocate(compute, subgrid->bytes[i], &to->arrays[i])));
+    }
+    if (!compute->calls->blocks)
+        return 0;
+    *what = "memory for the grid";
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
         bytes += bsq_align_up(subgrid->bytes[i], ARRAY_ALIGNMENT);
-    status = get_block(compute, to, bytes, subgrid->whole);
-    for (int i = 0; i < BAKE_SUBGRID_ARRAYS && status == 0; i++) {
+    if (bytes > to->block_bytes &&
+        (subgrid->whole || pass <= bytes || allocate_block(compute, to, pass) < 0))
+        BSQ_TRY(allocate_block(compute, to, bytes));
+    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++) {
         to->arrays[i] = subgrid->bytes[i] ? to->block + at : 0;
         at += bsq_align_up(subgrid->bytes[i], ARRAY_ALIGNMENT);
     }
+done:
     return status;
 }
 
@@ -225,33 +224,26 @@ static int reserve_subgrid(struct bake_compute *compute, struct bake_compute_sub
 static int load_subgrid(struct bake_compute *compute, struct bake_compute_subgrid *to,
                         const struct bake_subgrid *subgrid, const char **what)
 {
-    int status = 0;
+    int status;
 
-    compute->upload_code = 0;
+    *what = "grid";
     if (compute->calls->attach)
-        *what = compute->calls->attach(compute, &compute->upload_code);
-    if (compute->upload_code != 0)
-        return BSQ_ENODEVICE;
+        BSQ_TRY(note_failure(compute, compute->calls->attach(compute)));
     unload_arrays(compute, to);
     *what = "memory that the device shares";
     if (compute->shares_memory)
-        status = reserve_subgrid(compute, to, subgrid);
+        BSQ_TRY(reserve_subgrid(compute, to, subgrid));
     to->params = subgrid->params;
-    if (status == 0 && compute->calls->blocks) {
-        *what = "memory for the grid";
-        status = place_in_block(compute, to, subgrid);
-    }
-    for (int i = 0; i < BAKE_SUBGRID_ARRAYS && status == 0; i++) {
+    BSQ_TRY(allocate_arrays(compute, to, subgrid, what));
+    for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++) {
         *what = bake_subgrid_array_name(i);
-        if (!compute->calls->blocks)
-            status = allocate(compute, subgrid->bytes[i], &to->arrays[i]);
         begin_upload(compute, to->arrays[i]);
-        if (status == 0)
-            status = bake_subgrid_send(subgrid, i, bake_staging_put, &compute->staging);
-        if (status == 0)
-            status = bake_staging_flush(&compute->staging);
+        BSQ_TRY(bake_subgrid_send(subgrid, i, bake_staging_put, &compute->staging));
+        BSQ_TRY(bake_staging_flush(&compute->staging));
     }
-    return status == 0 ? finish_upload(compute) : status;
+    status = finish_upload(compute);
+done:
+    return status;
 }
 
 /* Lowers memory_bytes after the whole grid did not fit although it should have: other programs use
@@ -272,25 +264,34 @@ static void learn_memory(struct bake_compute *compute, const struct bake_subgrid
     base->lacked_memory = true;
 }
 
+/* Describes a failure in `why`, after the part of the work that it belongs to. */
+static void describe_failure(const struct bake_compute *compute, const char *what,
+                             struct bake_failure failure, char *why)
+{
+    char text[BAKE_COMPUTE_TEXT];
+
+    snprintf(why, BAKE_WHY_BYTES, "%s: %s", what,
+             failure.code ? compute->calls->describe(compute, failure.code, text)
+                          : bsq_error(compute->ctx));
+}
+
 static int compute_load(struct bake_backend *backend, unsigned slot,
                         const struct bake_subgrid *subgrid, char *why)
 {
     struct bake_compute *compute = (struct bake_compute *)backend;
     const double started = bsq_seconds_now();
-    char text[BAKE_COMPUTE_TEXT];
     const char *what;
-    int status, unused_code;
+    int status;
 
     /* A whole grid goes up before any tracing; subgrids while the other threads trace. */
     compute->staging.ctx = subgrid->whole ? compute->ctx : NULL;
+    compute->upload_failure = BAKE_NO_FAILURE;
     status = load_subgrid(compute, &compute->slots[slot], subgrid, &what);
     if (status < 0) {
-        compute->calls->finish_uploads(compute, &unused_code);
-        if (subgrid->whole && compute->calls->lacks_memory(compute->upload_code))
+        (void)compute->calls->finish(compute, upload_stream(compute));
+        if (subgrid->whole && compute->calls->lacks_memory(compute->upload_failure.code))
             learn_memory(compute, subgrid);
-        snprintf(why, BAKE_WHY_BYTES, "%s: %s", what,
-                 compute->upload_code == 0 ? bsq_error(compute->ctx)
-                                           : describe(compute, compute->upload_code, text));
+        describe_failure(compute, what, compute->upload_failure, why);
     }
     compute->upload_seconds += bsq_seconds_now() - started;
     return status;
@@ -303,94 +304,89 @@ static uint32_t min_u32(uint32_t a, uint32_t b)
     return a < b ? a : b;
 }
 
-/* Returns how many lines of a texel's samples one launch traces. */
-static uint32_t lines_of(const struct bake_compute *compute)
+static struct bake_failure launch_batches(struct bake_compute *compute, struct bake_stream *stream,
+                                          const struct bake_compute_subgrid *subgrid,
+                                          const struct bk_tile *tile)
 {
-    const uint32_t n = compute->params.samples;
-    return min_u32(n, bake_batch_lines(n * bake_sample_cost(&compute->params)));
-}
+    const uint32_t n = compute->params.samples, cost = bake_sample_cost(&compute->params);
+    const uint32_t lines = min_u32(n, bake_batch_lines(n * cost));
+    const uint32_t rows =
+        bake_batch_rows(&stream->sizer, (uint64_t)tile->width * n * lines * cost, tile->height);
 
-static const char *launch_batches(struct bake_compute *compute, unsigned worker,
-                                  const struct bake_compute_subgrid *subgrid,
-                                  const struct bk_tile *tile, int *code)
-{
-    struct bake_compute_worker *own = &compute->workers[worker];
-    const uint32_t n = compute->params.samples, lines = lines_of(compute);
-    const uint32_t rows = bake_batch_rows(
-        &own->sizer, (uint64_t)tile->width * n * lines * bake_sample_cost(&compute->params),
-        tile->height);
-    const char *call = "";
-
-    for (uint32_t line = 0; line < n && *code == 0; line += lines)
-        for (uint32_t row = 0; row < tile->height && *code == 0; row += rows) {
+    for (uint32_t line = 0; line < n; line += lines)
+        for (uint32_t row = 0; row < tile->height; row += rows) {
             const struct bake_launch_batch batch = {.first_row = row,
                                                     .end_row =
                                                         row + min_u32(rows, tile->height - row),
                                                     .first_line = line,
                                                     .end_line = line + min_u32(lines, n - line)};
-            call = compute->calls->launch(compute, worker, subgrid, tile, &batch, code);
-            own->launches++;
+            BAKE_TRY_CALL(compute->calls->launch(compute, stream, subgrid, tile, &batch));
+            stream->launches++;
         }
-    return call;
+    return BAKE_NO_FAILURE;
 }
 
-static void note_times(struct bake_compute *compute, const struct bake_tile_times *times)
+static void note_times(struct bake_compute *compute, struct bake_stream *stream, uint64_t samples)
 {
+    const struct bake_span *times = stream->times;
+
+    bake_batch_sizer_learn(&stream->sizer, samples * bake_sample_cost(&compute->params),
+                           times[BAKE_KERNELS].end - times[BAKE_KERNELS].start);
     pthread_mutex_lock(&compute->lock);
-    bake_time_spans_add(&compute->copies, times->samples.start, times->samples.end);
-    bake_time_spans_add(&compute->kernels, times->kernels.start, times->kernels.end);
-    bake_time_spans_add(&compute->copies, times->texels.start, times->texels.end);
+    bake_time_spans_add(&compute->copies, &times[BAKE_SAMPLES]);
+    bake_time_spans_add(&compute->kernels, &times[BAKE_KERNELS]);
+    bake_time_spans_add(&compute->copies, &times[BAKE_TEXELS]);
     pthread_mutex_unlock(&compute->lock);
 }
 
-/* Enqueues a tile's copies and kernels on the worker's stream and waits for them. */
-static const char *run_tile(struct bake_compute *compute, unsigned worker,
-                            const struct bake_compute_subgrid *subgrid, const struct bk_tile *tile,
-                            const uint32_t *sample_triangles, float *texels, int *code)
+static void close_stream(struct bake_compute *compute, struct bake_stream *stream)
 {
-    const uint64_t texel_count = (uint64_t)tile->width * tile->height;
-    const uint64_t samples = texel_count * texel_samples(compute);
-    struct bake_compute_worker *own = &compute->workers[worker];
-    const char *call = compute->calls->send_samples(
-        compute, worker, subgrid, tile, sample_triangles,
-        texel_count * bake_raster_texel_entries(&compute->params) * sizeof *sample_triangles, code);
-
-    if (*code == 0)
-        call = launch_batches(compute, worker, subgrid, tile, code);
-    if (*code == 0)
-        call = compute->calls->fetch_texels(
-            compute, worker, texels,
-            texel_count * bk_texel_floats(compute->params.maps) * sizeof *texels, code);
-    if (*code == 0)
-        call = compute->calls->times(compute, worker, &own->times, code);
-    if (*code == 0) {
-        bake_batch_sizer_learn(&own->sizer, samples * bake_sample_cost(&compute->params),
-                               own->times.kernels.end - own->times.kernels.start);
-        note_times(compute, &own->times);
-    }
-    return call;
+    compute->calls->close_stream(compute, stream);
+    if (stream->samples)
+        compute->calls->release(compute, stream->samples);
+    if (stream->texels)
+        compute->calls->release(compute, stream->texels);
+    stream->samples = stream->texels = 0;
+    stream->open = false;
 }
 
-static const char *trace_tile(struct bake_compute *compute, unsigned worker,
-                              const struct bake_compute_subgrid *subgrid,
-                              const struct bk_tile *tile, const uint32_t *sample_triangles,
-                              float *texels, int *code)
+static struct bake_failure open_worker(struct bake_compute *compute, struct bake_stream *stream)
 {
-    const char *call = "";
+    const struct bake_compute_calls *calls = compute->calls;
 
-    if (compute->calls->attach)
-        call = compute->calls->attach(compute, code);
-    if (*code == 0 && !compute->workers[worker].open) {
-        call = compute->calls->open_worker(compute, worker, code);
-        compute->workers[worker].open = *code == 0;
-        if (*code != 0)
-            compute->calls->close_worker(compute, worker);
-    }
-    if (*code != 0)
-        return call;
-    call = run_tile(compute, worker, subgrid, tile, sample_triangles, texels, code);
-    compute->calls->end_tile(compute, worker, *code);
-    return call;
+    BAKE_TRY_CALL(calls->open_stream(compute, stream));
+    BAKE_TRY_CALL(
+        calls->allocate(compute, sample_bytes(compute, compute->tile_texels), &stream->samples));
+    BAKE_TRY_CALL(
+        calls->allocate(compute, texel_bytes(compute, compute->tile_texels), &stream->texels));
+    stream->open = true;
+    return BAKE_NO_FAILURE;
+}
+
+/* Enqueues a tile's copies and kernels on the worker's stream and waits for them. */
+static struct bake_failure trace_tile(struct bake_compute *compute, struct bake_stream *stream,
+                                      const struct bake_compute_subgrid *subgrid,
+                                      const struct bk_tile *tile, const uint32_t *sample_triangles,
+                                      float *texels)
+{
+    const struct bake_compute_calls *calls = compute->calls;
+    const uint64_t texel_count = (uint64_t)tile->width * tile->height;
+    const uint64_t n = compute->params.samples, bytes = sample_bytes(compute, texel_count);
+
+    if (calls->attach)
+        BAKE_TRY_CALL(calls->attach(compute));
+    if (!stream->open)
+        BAKE_TRY_CALL(open_worker(compute, stream));
+    memcpy(stream->host[0], sample_triangles, bytes);
+    BAKE_TRY_CALL(
+        calls->send(compute, stream, stream->host[0], bytes, stream->samples, 0, BAKE_SAMPLES));
+    BAKE_TRY_CALL(launch_batches(compute, stream, subgrid, tile));
+    BAKE_TRY_CALL(calls->fetch(compute, stream, texel_bytes(compute, texel_count)));
+    BAKE_TRY_CALL(calls->wait(compute, stream, BAKE_TEXELS));
+    memcpy(texels, stream->host[0], texel_bytes(compute, texel_count));
+    BAKE_TRY_CALL(calls->times(compute, stream));
+    note_times(compute, stream, texel_count * n * n);
+    return BAKE_NO_FAILURE;
 }
 
 static int compute_trace(struct bake_backend *backend, unsigned slot, const struct bk_tile *tile,
@@ -398,9 +394,6 @@ static int compute_trace(struct bake_backend *backend, unsigned slot, const stru
                          char *why)
 {
     struct bake_compute *compute = (struct bake_compute *)backend;
-    char text[BAKE_COMPUTE_TEXT];
-    const char *call;
-    int code = 0;
 
     if (worker >= compute->worker_count ||
         (uint64_t)tile->width * tile->height > compute->tile_texels) {
@@ -408,11 +401,14 @@ static int compute_trace(struct bake_backend *backend, unsigned slot, const stru
                  (unsigned)tile->width, (unsigned)tile->height);
         return BSQ_EBUG;
     }
-    call =
-        trace_tile(compute, worker, &compute->slots[slot], tile, sample_triangles, texels, &code);
-    if (code == 0)
+    struct bake_stream *stream = &compute->streams[worker];
+    const struct bake_failure failure =
+        trace_tile(compute, stream, &compute->slots[slot], tile, sample_triangles, texels);
+    if (failure.code == 0)
         return 0;
-    snprintf(why, BAKE_WHY_BYTES, "%s: %s", call, describe(compute, code, text));
+    if (!stream->open)
+        close_stream(compute, stream);
+    describe_failure(compute, failure.call, failure, why);
     return BSQ_ENODEVICE;
 }
 
@@ -426,10 +422,10 @@ static void compute_times(struct bake_backend *backend, struct bake_device_times
                                       .copies = bake_time_spans_seconds(&compute->copies),
                                       .kernels = bake_time_spans_seconds(&compute->kernels)};
     for (unsigned i = 0; i < compute->worker_count; i++)
-        out->launches += compute->workers[i].launches;
+        out->launches += compute->streams[i].launches;
 }
 
-void bake_compute_init(struct bake_compute *compute, struct bsq_ctx *ctx,
+void bake_compute_init(struct bake_compute *compute, struct bsq_ctx *ctx, const char *device_name,
                        const struct bake_compute_calls *calls,
                        void (*close)(struct bake_backend *backend))
 {
@@ -439,25 +435,62 @@ void bake_compute_init(struct bake_compute *compute, struct bsq_ctx *ctx,
     compute->base.close = close;
     compute->ctx = ctx;
     compute->calls = calls;
-    compute->staging.send = send_half;
-    compute->staging.device = compute;
+    snprintf(compute->device_name, sizeof compute->device_name, "%s", device_name);
     pthread_mutex_init(&compute->lock, NULL);
 }
 
-int bake_compute_prepare(struct bake_compute *compute, const struct bake_job *job)
+/* Creates the streams' structures, and reserves their host memory. */
+static int create_streams(struct bake_compute *compute)
 {
+    const unsigned count = compute->worker_count + 1;
+    const uint64_t stream_bytes = compute->calls->stream_bytes;
+    const uint64_t samples = sample_bytes(compute, compute->tile_texels);
+    const uint64_t texels = texel_bytes(compute, compute->tile_texels);
+    const uint64_t host = samples > texels ? samples : texels;
+    int status;
+
+    BSQ_TRY(bsq_calloc(compute->ctx, "streams of the device", count, sizeof *compute->streams,
+                       &compute->streams));
+    BSQ_TRY(bsq_calloc(compute->ctx, "streams of the device", count, stream_bytes,
+                       &compute->stream_memory));
+    for (unsigned i = 0; i < count; i++)
+        compute->streams[i] = (struct bake_stream){
+            .own = compute->stream_memory + i * stream_bytes, .host_count = 1, .host_bytes = host};
+    upload_stream(compute)->host_count = 2;
+    upload_stream(compute)->host_bytes = STAGING_BYTES;
+    status = reserve(compute, "page-locked memory",
+                     compute->worker_count * host + 2 * (uint64_t)STAGING_BYTES);
+done:
+    return status;
+}
+
+int bake_compute_prepare(struct bake_compute *compute, const struct bake_job *job, uint64_t limit,
+                         uint64_t buffer_bytes)
+{
+    int status;
+
     compute->params = job->params;
     compute->tile_texels = job->tile_texels;
     compute->worker_count = bsq_threads(compute->ctx);
-    return bsq_calloc(compute->ctx, "workers of the device", compute->worker_count,
-                      sizeof *compute->workers, &compute->workers);
+    BSQ_TRY(create_streams(compute));
+    BSQ_TRY(share_memory(compute, job, limit, buffer_bytes));
+    struct bake_stream *upload = upload_stream(compute);
+    upload->open = true;
+    BSQ_TRY(bake_compute_fail(compute, compute->calls->open_stream(compute, upload)));
+    compute->staging = (struct bake_staging_buffer){.halves = {upload->host[0], upload->host[1]},
+                                                    .half_bytes = STAGING_BYTES,
+                                                    .send = send_half,
+                                                    .device = compute};
+    status = send_triangles(compute, job);
+done:
+    return status;
 }
 
 void bake_compute_unload(struct bake_compute *compute)
 {
-    for (unsigned i = 0; compute->workers && i < compute->worker_count; i++)
-        if (compute->workers[i].open)
-            compute->calls->close_worker(compute, i);
+    for (unsigned i = 0; compute->streams && i <= compute->worker_count; i++)
+        if (compute->streams[i].open)
+            close_stream(compute, &compute->streams[i]);
     for (int i = 0; i < BAKE_SLOTS; i++)
         unload_subgrid(compute, &compute->slots[i]);
     if (compute->triangles)
@@ -467,7 +500,8 @@ void bake_compute_unload(struct bake_compute *compute)
 void bake_compute_free(struct bake_compute *compute)
 {
     bsq_release(compute->ctx, compute->reserved_bytes);
-    bsq_free(compute->ctx, compute->workers);
+    bsq_free(compute->ctx, compute->streams);
+    bsq_free(compute->ctx, compute->stream_memory);
     pthread_mutex_destroy(&compute->lock);
     bsq_free(compute->ctx, compute);
 }

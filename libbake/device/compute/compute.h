@@ -9,9 +9,8 @@
 #include <pthread.h>
 
 #include "libbake/device/backend/backend.h"
-#include "libbake/device/compute/launch_batches.h"
+#include "libbake/device/compute/launches.h"
 #include "libbake/device/compute/staging_buffer.h"
-#include "libbake/device/compute/time_spans.h"
 
 /* Device memory, as the API names it; 0: none. */
 typedef uint64_t bake_memory;
@@ -25,68 +24,84 @@ struct bake_compute_subgrid {
     uint64_t reserved_bytes; /* of host memory, on devices that share it */
 };
 
-/* What the device did for a tile, on its own clock. */
-struct bake_tile_times {
-    struct bake_span samples, kernels, texels;
+/* Steps of a tile, in the order in which a stream does them. */
+enum { BAKE_SAMPLES, BAKE_KERNELS, BAKE_TEXELS, BAKE_STEPS };
+
+/* Work that the device does in order, with host memory that it reads and writes by itself. Each
+ * worker has a stream for its tiles, and uploads have one. */
+struct bake_stream {
+    void *own; /* the API's part: `stream_bytes`, zero at first */
+    /* The API allocates `host_count` pieces of host memory with host_bytes each. */
+    char *host[2];
+    unsigned host_count;
+    uint64_t host_bytes;
+    bool open;
+    /* Of a worker: samples and texels of its tile on the device. */
+    bake_memory samples, texels;
+    struct bake_batch_sizer sizer;
+    struct bake_span times[BAKE_STEPS]; /* of its last tile, on the device's clock */
+    uint64_t launches;
 };
+
+/* A call of the API that failed, and its error; code 0: none did. */
+struct bake_failure {
+    const char *call;
+    int code;
+};
+#define BAKE_NO_FAILURE ((struct bake_failure){NULL, 0})
+
+/* Returns the failure of a step from a function that returns a struct bake_failure. */
+#define BAKE_TRY_CALL(step)                                                                        \
+    do {                                                                                           \
+        const struct bake_failure failure_ = (step);                                               \
+        if (failure_.code)                                                                         \
+            return failure_;                                                                       \
+    } while (0)
 
 struct bake_compute;
 
 enum { BAKE_COMPUTE_TEXT = 192 };
 
-/* The API's part. A call with `code` sets it to 0 or to the API's error. A call that returns a
- * string names the API's function that failed. */
+/* The API's part. */
 struct bake_compute_calls {
     /* Returns an error's text. buffer: BAKE_COMPUTE_TEXT bytes. */
     const char *(*describe)(const struct bake_compute *compute, int code, char *buffer);
     /* Returns whether an error says that the device's memory is exhausted. */
     bool (*lacks_memory)(int code);
+    /* Returns the device memory that the job may still allocate. NULL: the API cannot tell. */
+    uint64_t (*free_bytes)(struct bake_compute *compute);
     /* Lets the calling thread use the device. NULL: every thread may. */
-    const char *(*attach)(struct bake_compute *compute, int *code);
+    struct bake_failure (*attach)(struct bake_compute *compute);
 
     /* Memory is a number, to which offsets can be added, and allocating or freeing it waits for the
      * device. Then all arrays of a slot are in one block, which later subgrids reuse. */
     bool blocks;
     /* `bytes` is 0 for arrays that the kernel does not read; not if `blocks` is set. */
-    void (*allocate)(struct bake_compute *compute, uint64_t bytes, bake_memory *out, int *code);
+    struct bake_failure (*allocate)(struct bake_compute *compute, uint64_t bytes, bake_memory *out);
     void (*release)(struct bake_compute *compute, bake_memory memory);
-    /* Returns the device memory that the job may still allocate. NULL: the API cannot tell. */
-    uint64_t (*free_bytes)(struct bake_compute *compute);
-    /* Starts to copy from a half of the staging buffer to `to` + `at`. */
-    void (*send_half)(struct bake_compute *compute, unsigned half, uint64_t bytes, bake_memory to,
-                      uint64_t at, int *code);
-    /* Waits until a half is copied and may be filled again; until all halves are. */
-    void (*wait_for_half)(struct bake_compute *compute, unsigned half, int *code);
-    void (*finish_uploads)(struct bake_compute *compute, int *code);
 
-    /* Creates a worker's stream and its memory for tiles. close_worker() follows, also after a
-     * failure. */
-    const char *(*open_worker)(struct bake_compute *compute, unsigned worker, int *code);
-    void (*close_worker)(struct bake_compute *compute, unsigned worker);
+    /* Creates a stream and its host memory. close_stream() follows, also after a failure; it waits
+     * for the stream's work. */
+    uint64_t stream_bytes;
+    struct bake_failure (*open_stream)(struct bake_compute *compute, struct bake_stream *stream);
+    void (*close_stream)(struct bake_compute *compute, struct bake_stream *stream);
 
-    /* Steps of a tile, in this order on the worker's stream; launch() once for each batch. */
-    const char *(*send_samples)(struct bake_compute *compute, unsigned worker,
-                                const struct bake_compute_subgrid *subgrid,
-                                const struct bk_tile *tile, const uint32_t *sample_triangles,
-                                uint64_t bytes, int *code);
-    const char *(*launch)(struct bake_compute *compute, unsigned worker,
-                          const struct bake_compute_subgrid *subgrid, const struct bk_tile *tile,
-                          const struct bake_launch_batch *batch, int *code);
-    /* Waits until the texels are in host memory. */
-    const char *(*fetch_texels)(struct bake_compute *compute, unsigned worker, float *texels,
-                                uint64_t bytes, int *code);
-    const char *(*times)(struct bake_compute *compute, unsigned worker, struct bake_tile_times *out,
-                         int *code);
-    /* Ends a tile, whose result was `code`: when it returns, the device no longer uses the caller's
-     * memory. */
-    void (*end_tile)(struct bake_compute *compute, unsigned worker, int code);
-};
-
-struct bake_compute_worker {
-    bool open;
-    struct bake_batch_sizer sizer;
-    struct bake_tile_times times; /* of its last tile */
-    uint64_t launches;
+    /* Steps on a stream, timed as step number `step`. Copies bytes of the stream's host memory to
+     * device memory from `at` on, and back. launch() runs once for each batch. */
+    struct bake_failure (*send)(struct bake_compute *compute, struct bake_stream *stream,
+                                const char *from, uint64_t bytes, bake_memory to, uint64_t at,
+                                int step);
+    struct bake_failure (*launch)(struct bake_compute *compute, struct bake_stream *stream,
+                                  const struct bake_compute_subgrid *subgrid,
+                                  const struct bk_tile *tile,
+                                  const struct bake_launch_batch *batch);
+    struct bake_failure (*fetch)(struct bake_compute *compute, struct bake_stream *stream,
+                                 uint64_t bytes);
+    /* Waits until the last copy with this number is over, asleep; until all steps are. */
+    struct bake_failure (*wait)(struct bake_compute *compute, struct bake_stream *stream, int step);
+    struct bake_failure (*finish)(struct bake_compute *compute, struct bake_stream *stream);
+    /* Sets stream->times after a tile. */
+    struct bake_failure (*times)(struct bake_compute *compute, struct bake_stream *stream);
 };
 
 /* An opened device; the API's structure begins with it. */
@@ -101,43 +116,34 @@ struct bake_compute {
     struct bk_params params;
     uint32_t tile_texels;
     unsigned worker_count;
-    struct bake_compute_worker *workers;
-    struct bake_staging_buffer staging; /* the API allocates its halves */
-    bake_memory upload_to;              /* array that is being sent, and the bytes sent so far */
+    struct bake_stream *streams; /* of the workers, and then that of uploads */
+    char *stream_memory;         /* the API's parts of them */
+    struct bake_staging_buffer staging;
+    bake_memory upload_to; /* array that is being sent, and the bytes sent so far */
     uint64_t upload_at;
-    int upload_code; /* of the call that failed */
+    struct bake_failure upload_failure;
     double upload_seconds;
     uint64_t reserved_bytes; /* of host memory, for the whole job */
     pthread_mutex_t lock;    /* protects copies and kernels */
     struct bake_time_spans copies, kernels;
 };
 
-/* Initialises a zeroed structure. `close` must end with bake_compute_free(), also after a failure.
- */
-void bake_compute_init(struct bake_compute *compute, struct bsq_ctx *ctx,
+/* Initialises a zeroed structure. `close` must call bake_compute_unload() and end with
+ * bake_compute_free(), also after a failure. */
+void bake_compute_init(struct bake_compute *compute, struct bsq_ctx *ctx, const char *device_name,
                        const struct bake_compute_calls *calls,
                        void (*close)(struct bake_backend *backend));
-/* Copies the job's parameters and allocates the workers. Errors: BSQ_ENOMEM. */
-int bake_compute_prepare(struct bake_compute *compute, const struct bake_job *job);
 
-/* Return the bytes of the largest tile's samples and texels. */
-uint64_t bake_compute_sample_bytes(const struct bake_compute *compute);
-uint64_t bake_compute_texel_bytes(const struct bake_compute *compute);
+/* Prepares an opened device for a job and uploads the low-poly mesh. Divides `limit` bytes of
+ * device memory: tiles and the mesh take their share, the grid gets the rest. buffer_bytes: limit
+ * for one array. Errors: BSQ_ENODEVICE if that is too little or a call fails; BSQ_ENOMEM. */
+int bake_compute_prepare(struct bake_compute *compute, const struct bake_job *job, uint64_t limit,
+                         uint64_t buffer_bytes);
 
-/* Divides `limit` bytes of device memory: tiles and the low-poly mesh take their share, the grid
- * gets the rest. buffer_bytes: limit for one array. Errors: BSQ_ENODEVICE if that is too little;
- * BSQ_ENOMEM. */
-int bake_compute_share_memory(struct bake_compute *compute, const struct bake_job *job,
-                              uint64_t limit, uint64_t buffer_bytes);
-/* Reserves bytes of the host's budget until the device is closed. */
-int bake_compute_reserve(struct bake_compute *compute, const char *what, uint64_t bytes);
-/* Uploads the low-poly mesh; the staging buffer must have its halves. */
-int bake_compute_send_triangles(struct bake_compute *compute, const struct bake_job *job);
+/* Records a failure while the device is being opened. Returns BSQ_ENODEVICE; 0 if there is none. */
+int bake_compute_fail(const struct bake_compute *compute, struct bake_failure failure);
 
-/* Records a failure while the device is being opened. Returns BSQ_ENODEVICE. */
-int bake_compute_fail(const struct bake_compute *compute, const char *what, int code);
-
-/* Releases workers and memory on the device. */
+/* Releases streams and memory on the device. */
 void bake_compute_unload(struct bake_compute *compute);
 /* Releases host memory, the structure included. */
 void bake_compute_free(struct bake_compute *compute);

@@ -7,7 +7,7 @@
 
 extern const struct bake_device_kind bake_cuda_kind;
 /* The kind's list(), for bisque-devices. */
-int bake_cuda_list(struct bsq_ctx *ctx, struct bake_device_list *out);
+void bake_cuda_list(struct bsq_ctx *ctx, struct bake_device_list *out);
 
 /* How kernels are launched. Benchmarks compare other values with the default. */
 struct bake_cuda_tuning {

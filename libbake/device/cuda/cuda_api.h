@@ -94,18 +94,11 @@ struct bake_cuda_api {
 #undef BAKE_CUDA_MEMBER
 };
 
-/* Whether CUDA can be used, or why not. */
-enum bake_cuda_state {
-    BAKE_CUDA_WORKS,
-    BAKE_CUDA_NOT_INSTALLED, /* no libcuda.so.1 */
-    BAKE_CUDA_TOO_OLD,       /* a function is missing: a driver before CUDA 11.0 */
-    BAKE_CUDA_NO_GPU,        /* a driver without a device */
-    BAKE_CUDA_BROKEN         /* the driver does not start, see *code */
-};
-
 /* Opens libcuda.so.1, from the dynamic linker's directories or else from bake_driver_directories,
- * and starts it. *count: number of devices. The library stays loaded. */
-enum bake_cuda_state bake_cuda_load(struct bake_cuda_api *api, int *count, CUresult *code);
+ * and starts it. The library stays loaded. *count: number of devices. Returns false if CUDA cannot
+ * be used, and writes to `why` (BAKE_WARNING_BYTES) why not; *faulty: the driver is there, but too
+ * old or does not start. */
+bool bake_cuda_load(struct bake_cuda_api *api, int *count, char *why, bool *faulty);
 
 enum { BAKE_CUDA_TEXT = 192 };
 /* Returns an error's name and text, "CUDA_ERROR_OUT_OF_MEMORY (out of memory)", in buffer
@@ -135,9 +128,8 @@ void bake_cuda_refusal(const struct bake_cuda_api *api, CUresult code, const cha
  * same form. */
 int bake_cuda_version_for_ptx(int ptx_version);
 
-/* Loads the driver and finds device number `index`, or the first for BAKE_ANY_DEVICE. Errors:
- * BSQ_ENODEVICE, with the devices that exist. */
-int bake_cuda_choose(struct bsq_ctx *ctx, int64_t index, struct bake_cuda_api *api,
-                     struct bake_cuda_device *out);
+/* Loads the driver and describes a device that can run the kernel. Errors: BSQ_ENODEVICE. */
+int bake_cuda_open(struct bsq_ctx *ctx, uint32_t number, struct bake_cuda_api *api,
+                   struct bake_cuda_device *out);
 
 #endif

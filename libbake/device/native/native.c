@@ -2,6 +2,7 @@
 #include "libbake/device/native/native.h"
 
 #include <stdio.h>
+#include <string.h>
 #include <unistd.h>
 
 #include "libbake/device/native/native_code.h"
@@ -93,8 +94,8 @@ static int make_tree(struct native *native)
     return status;
 }
 
-void bake_native_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                            const struct bake_ray_batch *rays, struct bk_hit *hits)
+void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                     const struct bake_ray_batch *rays, struct bk_hit *hits)
 {
     struct bk_grid native;
 
@@ -102,9 +103,9 @@ void bake_native_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_pa
     BSQ_SIMD_PICK(bsq_simd_best(), bake_native_rays)(&native, params, rays, hits);
 }
 
-void bake_native_trace_places(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                              const struct bake_places *places, uint64_t begin, uint64_t end,
-                              struct bake_ray_states *states)
+void bake_trace_places(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                       const struct bake_places *places, uint64_t begin, uint64_t end,
+                       struct bake_ray_states *states)
 {
     struct bk_grid native;
 
@@ -112,37 +113,30 @@ void bake_native_trace_places(const struct fmt_nvdb_grid *grid, const struct bk_
     BSQ_SIMD_PICK(bsq_simd_best(), bake_native_look)(&native, params, places, begin, end, states);
 }
 
-static void describe(struct bsq_ctx *ctx, struct bake_device_info *info)
+static void native_list(struct bsq_ctx *ctx, struct bake_device_list *out)
 {
-    long pages = sysconf(_SC_PHYS_PAGES), page_bytes = sysconf(_SC_PAGESIZE);
-    unsigned threads = bsq_threads(ctx);
+    const long pages = sysconf(_SC_PHYS_PAGES), page_bytes = sysconf(_SC_PAGESIZE);
+    const unsigned threads = bsq_threads(ctx);
+    struct bake_device_info *info = &out->devices[out->count++];
 
-    *info = (struct bake_device_info){.id = "cpu"};
+    strcpy(info->id, "cpu");
     snprintf(info->name, sizeof info->name, "%u thread%s", threads, threads == 1 ? "" : "s");
     if (pages > 0 && page_bytes > 0)
         info->memory_bytes = (uint64_t)pages * (uint64_t)page_bytes;
 }
 
-static int native_list(struct bsq_ctx *ctx, struct bake_device_list *out)
-{
-    struct bake_device_info info;
-
-    describe(ctx, &info);
-    return bake_device_list_add(ctx, out, &info);
-}
-
-static int native_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
+static int native_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_job *job,
                        struct bake_backend **out)
 {
-    struct bake_device_info info;
+    const unsigned threads = bsq_threads(ctx);
     struct native *native;
     int status = bsq_calloc(ctx, "native device", 1, sizeof *native, &native);
 
-    (void)index;
+    (void)number;
     if (status < 0)
         return status;
-    describe(ctx, &info);
-    snprintf(native->base.name, sizeof native->base.name, "cpu, %.100s", info.name);
+    snprintf(native->base.name, sizeof native->base.name, "cpu, %u thread%s", threads,
+             threads == 1 ? "" : "s");
     native->base.trace = native_trace;
     native->base.close = native_close;
     native->ctx = ctx;

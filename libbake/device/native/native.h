@@ -10,12 +10,15 @@ struct bake_ray_states;
 
 extern const struct bake_device_kind bake_native_kind;
 
-/* See bake_trace_rays(). */
-void bake_native_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                            const struct bake_ray_batch *rays, struct bk_hit *hits);
-/* See bake_trace_places(). */
-void bake_native_trace_places(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                              const struct bake_places *places, uint64_t begin, uint64_t end,
-                              struct bake_ray_states *states);
+/* Traces rays on the calling thread, with the widest lanes of the processor. Each hit is the one of
+ * bake_trace_ray(); a ray without direction has none. */
+void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                     const struct bake_ray_batch *rays, struct bk_hit *hits);
+
+/* Traces the rays of places begin to end - 1 on the calling thread, and notes in their states what
+ * the grid adds to other parts of the surface. params: maps, counts and lengths of rays. */
+void bake_trace_places(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                       const struct bake_places *places, uint64_t begin, uint64_t end,
+                       struct bake_ray_states *states);
 
 #endif

@@ -1,9 +1,8 @@
 /* opencl.c - runs the kernel on an OpenCL device.
  *
- * Each array of the grid is a buffer. Every worker has its own in-order queue, kernel object
- * (setting arguments is not thread-safe) and tile buffers, so workers overlap each other's copies
- * and kernels and never wait for a lock. */
-#include <inttypes.h>
+ * Each array of the grid is a buffer. Every stream has its own in-order queue, kernel object
+ * (setting arguments is not thread-safe) and mapped host memory, so workers overlap each other's
+ * copies and kernels and never wait for a lock. */
 #include <stdio.h>
 #include <string.h>
 
@@ -11,32 +10,16 @@
 #include "libbake/device/opencl/opencl.h"
 #include "libbake/device/opencl/opencl_api.h"
 
-enum {
-    STAGING_BYTES = 8 << 20 /* half of the staging buffer */
-};
+/* Events of a tile: of each step, that of the first kernel for BAKE_KERNELS, and of the last one.
+ */
+enum { LAST_KERNEL = BAKE_STEPS, EVENTS };
 
-enum {
-    ARG_TRIANGLES = BAKE_SUBGRID_ARRAYS,
-    ARG_PARAMS,
-    ARG_TILE,
-    ARG_FIRST_ROW,
-    ARG_END_ROW,
-    ARG_FIRST_LINE,
-    ARG_END_LINE,
-    ARG_SAMPLES,
-    ARG_TEXELS
-};
-
-/* Events of a tile, in the order of the queue. */
-enum { COPIED_SAMPLES, FIRST_KERNEL, LAST_KERNEL, COPIED_TEXELS, EVENTS };
-
-/* A worker's part; its first tile creates it. */
-struct worker {
+struct stream {
     cl_command_queue queue;
     cl_kernel kernel;
-    size_t
-        group[2]; /* sides of a work group; one for all tiles, as some drivers compile for each */
-    cl_mem samples, texels;
+    /* Sides of a work group; one for all tiles, as some drivers compile for each. */
+    size_t group[2];
+    cl_mem pinned[2]; /* the host memory, mapped */
     cl_event events[EVENTS];
 };
 
@@ -46,11 +29,16 @@ struct opencl {
     struct bake_opencl_device device;
     cl_context context;
     cl_program program;
-    cl_command_queue upload;
-    cl_mem pinned[2];  /* the halves of the staging buffer, mapped */
-    cl_event taken[2]; /* the device has copied this half */
-    struct worker *workers;
 };
+
+/* Returns a failure from a function that returns one. */
+#define CHECK(name, code_)                                                                         \
+    do {                                                                                           \
+        if ((code_) != CL_SUCCESS)                                                                 \
+            return (struct bake_failure){name, code_};                                             \
+    } while (0)
+/* Calls a function that returns a code. */
+#define CALL(name, ...) CHECK(#name, cl->api.name(__VA_ARGS__))
 
 static cl_mem buffer_of(bake_memory memory)
 {
@@ -73,13 +61,18 @@ static bool opencl_lacks_memory(int code)
 
 /* ---- memory ---- */
 
-static void opencl_allocate(struct bake_compute *compute, uint64_t bytes, bake_memory *out,
-                            int *code)
+static struct bake_failure opencl_allocate(struct bake_compute *compute, uint64_t bytes,
+                                           bake_memory *out)
 {
     struct opencl *cl = (struct opencl *)compute;
+    cl_int code;
     /* The kernel never reads an empty array, but an argument must be a buffer. */
-    *out = (uintptr_t)cl->api.clCreateBuffer(cl->context, CL_MEM_READ_ONLY, bytes ? bytes : 8, NULL,
-                                             code);
+    cl_mem memory =
+        cl->api.clCreateBuffer(cl->context, CL_MEM_READ_WRITE, bytes ? bytes : 8, NULL, &code);
+
+    CHECK("clCreateBuffer", code);
+    *out = (uintptr_t)memory;
+    return BAKE_NO_FAILURE;
 }
 
 static void opencl_release(struct bake_compute *compute, bake_memory memory)
@@ -87,267 +80,206 @@ static void opencl_release(struct bake_compute *compute, bake_memory memory)
     ((struct opencl *)compute)->api.clReleaseMemObject(buffer_of(memory));
 }
 
-static void opencl_send_half(struct bake_compute *compute, unsigned half, uint64_t bytes,
-                             bake_memory to, uint64_t at, int *code)
+/* ---- streams ---- */
+
+static void opencl_close_stream(struct bake_compute *compute, struct bake_stream *stream)
 {
-    struct opencl *cl = (struct opencl *)compute;
+    const struct bake_opencl_api *api = &((struct opencl *)compute)->api;
+    struct stream *own = stream->own;
 
-    *code = cl->api.clEnqueueWriteBuffer(cl->upload, buffer_of(to), CL_FALSE, at, bytes,
-                                         compute->staging.halves[half], 0, NULL, &cl->taken[half]);
-    if (*code == CL_SUCCESS)
-        *code = cl->api.clFlush(cl->upload);
-}
-
-static void opencl_wait_for_half(struct bake_compute *compute, unsigned half, int *code)
-{
-    struct opencl *cl = (struct opencl *)compute;
-
-    *code = CL_SUCCESS;
-    if (cl->taken[half]) {
-        *code = cl->api.clWaitForEvents(1, &cl->taken[half]);
-        cl->api.clReleaseEvent(cl->taken[half]);
-        cl->taken[half] = NULL;
+    if (own->queue)
+        api->clFinish(own->queue);
+    for (int i = 0; i < EVENTS; i++)
+        if (own->events[i])
+            api->clReleaseEvent(own->events[i]);
+    for (unsigned i = 0; i < stream->host_count; i++) {
+        if (stream->host[i])
+            api->clEnqueueUnmapMemObject(own->queue, own->pinned[i], stream->host[i], 0, NULL,
+                                         NULL);
+        if (own->pinned[i])
+            api->clReleaseMemObject(own->pinned[i]);
+        stream->host[i] = NULL;
     }
+    if (own->kernel)
+        api->clReleaseKernel(own->kernel);
+    if (own->queue) {
+        api->clFinish(own->queue);
+        api->clReleaseCommandQueue(own->queue);
+    }
+    *own = (struct stream){0};
 }
 
-static void opencl_finish_uploads(struct bake_compute *compute, int *code)
+/* Creates memory that the device can copy from by itself; drivers would first copy other memory. */
+static struct bake_failure open_host(struct opencl *cl, struct bake_stream *stream, unsigned number)
+{
+    struct stream *own = stream->own;
+    cl_int code;
+
+    own->pinned[number] =
+        cl->api.clCreateBuffer(cl->context, CL_MEM_ALLOC_HOST_PTR, stream->host_bytes, NULL, &code);
+    CHECK("clCreateBuffer", code);
+    stream->host[number] = cl->api.clEnqueueMapBuffer(own->queue, own->pinned[number], CL_TRUE,
+                                                      CL_MAP_READ | CL_MAP_WRITE, 0,
+                                                      stream->host_bytes, 0, NULL, NULL, &code);
+    CHECK("clEnqueueMapBuffer", code);
+    return BAKE_NO_FAILURE;
+}
+
+static struct bake_failure opencl_open_stream(struct bake_compute *compute,
+                                              struct bake_stream *stream)
 {
     struct opencl *cl = (struct opencl *)compute;
-    *code = cl->api.clFinish(cl->upload);
-}
-
-/* ---- tiles ---- */
-
-static void opencl_close_worker(struct bake_compute *compute, unsigned number)
-{
-    struct opencl *cl = (struct opencl *)compute;
-    struct worker *worker = &cl->workers[number];
-
-    if (worker->texels)
-        cl->api.clReleaseMemObject(worker->texels);
-    if (worker->samples)
-        cl->api.clReleaseMemObject(worker->samples);
-    if (worker->kernel)
-        cl->api.clReleaseKernel(worker->kernel);
-    if (worker->queue)
-        cl->api.clReleaseCommandQueue(worker->queue);
-    *worker = (struct worker){0};
-}
-
-/* Chooses the work group; a kernel with many registers may allow fewer work items than the device.
- */
-static int choose_group(const struct opencl *cl, struct worker *worker)
-{
+    struct stream *own = stream->own;
     size_t most = 0;
-    const int code = cl->api.clGetKernelWorkGroupInfo(
-        worker->kernel, cl->device.id, CL_KERNEL_WORK_GROUP_SIZE, sizeof most, &most, NULL);
+    cl_int code;
 
-    bake_opencl_group(most, cl->device.group_sides, worker->group);
-    return code;
+    own->queue =
+        cl->api.clCreateCommandQueue(cl->context, cl->device.id, CL_QUEUE_PROFILING_ENABLE, &code);
+    CHECK("clCreateCommandQueue", code);
+    own->kernel = cl->api.clCreateKernel(cl->program, "bake_tile", &code);
+    CHECK("clCreateKernel", code);
+    /* A kernel with many registers may allow fewer work items than the device. */
+    CALL(clGetKernelWorkGroupInfo, own->kernel, cl->device.id, CL_KERNEL_WORK_GROUP_SIZE,
+         sizeof most, &most, NULL);
+    bake_opencl_group(most, cl->device.group_sides, own->group);
+    for (unsigned i = 0; i < stream->host_count; i++)
+        BAKE_TRY_CALL(open_host(cl, stream, i));
+    return BAKE_NO_FAILURE;
 }
 
-static const char *opencl_open_worker(struct bake_compute *compute, unsigned number, int *code)
+/* Returns the place for an event, whose last one is released. */
+static cl_event *fresh_event(const struct opencl *cl, struct stream *own, int number)
+{
+    if (own->events[number])
+        cl->api.clReleaseEvent(own->events[number]);
+    own->events[number] = NULL;
+    return &own->events[number];
+}
+
+static struct bake_failure opencl_send(struct bake_compute *compute, struct bake_stream *stream,
+                                       const char *from, uint64_t bytes, bake_memory to,
+                                       uint64_t at, int step)
 {
     struct opencl *cl = (struct opencl *)compute;
-    struct worker *worker = &cl->workers[number];
+    struct stream *own = stream->own;
 
-    worker->queue =
-        cl->api.clCreateCommandQueue(cl->context, cl->device.id, CL_QUEUE_PROFILING_ENABLE, code);
-    if (*code != CL_SUCCESS)
-        return "clCreateCommandQueue";
-    worker->kernel = cl->api.clCreateKernel(cl->program, "bake_tile", code);
-    if (*code != CL_SUCCESS)
-        return "clCreateKernel";
-    *code = choose_group(cl, worker);
-    if (*code != CL_SUCCESS)
-        return "clGetKernelWorkGroupInfo";
-    worker->samples = cl->api.clCreateBuffer(cl->context, CL_MEM_READ_ONLY,
-                                             bake_compute_sample_bytes(compute), NULL, code);
-    if (*code != CL_SUCCESS)
-        return "clCreateBuffer";
-    worker->texels = cl->api.clCreateBuffer(cl->context, CL_MEM_READ_WRITE,
-                                            bake_compute_texel_bytes(compute), NULL, code);
-    if (*code != CL_SUCCESS)
-        return "clCreateBuffer";
-    return "";
+    CALL(clEnqueueWriteBuffer, own->queue, buffer_of(to), CL_FALSE, at, bytes, from, 0, NULL,
+         fresh_event(cl, own, step));
+    CALL(clFlush, own->queue);
+    return BAKE_NO_FAILURE;
 }
 
-/* Sets the arguments that are the same for all rows of a tile. */
-static int set_arguments(const struct opencl *cl, const struct worker *worker,
-                         const struct bake_compute_subgrid *subgrid, const struct bk_tile *tile)
-{
-    const cl_mem triangles = buffer_of(cl->compute.triangles);
-    cl_int code = CL_SUCCESS;
-
-    for (cl_uint i = 0; i < BAKE_SUBGRID_ARRAYS && code == CL_SUCCESS; i++) {
-        const cl_mem array = buffer_of(subgrid->arrays[i]);
-        code = cl->api.clSetKernelArg(worker->kernel, i, sizeof(cl_mem), &array);
-    }
-    if (code == CL_SUCCESS)
-        code = cl->api.clSetKernelArg(worker->kernel, ARG_TRIANGLES, sizeof(cl_mem), &triangles);
-    if (code == CL_SUCCESS)
-        code = cl->api.clSetKernelArg(worker->kernel, ARG_PARAMS, sizeof subgrid->params,
-                                      &subgrid->params);
-    if (code == CL_SUCCESS)
-        code =
-            cl->api.clSetKernelArg(worker->kernel, ARG_SAMPLES, sizeof(cl_mem), &worker->samples);
-    if (code == CL_SUCCESS)
-        code = cl->api.clSetKernelArg(worker->kernel, ARG_TEXELS, sizeof(cl_mem), &worker->texels);
-    if (code == CL_SUCCESS)
-        code = cl->api.clSetKernelArg(worker->kernel, ARG_TILE, sizeof *tile, tile);
-    return code;
-}
-
-static const char *opencl_send_samples(struct bake_compute *compute, unsigned number,
-                                       const struct bake_compute_subgrid *subgrid,
-                                       const struct bk_tile *tile, const uint32_t *sample_triangles,
-                                       uint64_t bytes, int *code)
+static struct bake_failure opencl_fetch(struct bake_compute *compute, struct bake_stream *stream,
+                                        uint64_t bytes)
 {
     struct opencl *cl = (struct opencl *)compute;
-    struct worker *worker = &cl->workers[number];
+    struct stream *own = stream->own;
 
-    *code = set_arguments(cl, worker, subgrid, tile);
-    if (*code != CL_SUCCESS)
-        return "clSetKernelArg";
-    *code =
-        cl->api.clEnqueueWriteBuffer(worker->queue, worker->samples, CL_FALSE, 0, bytes,
-                                     sample_triangles, 0, NULL, &worker->events[COPIED_SAMPLES]);
-    return "clEnqueueWriteBuffer";
+    CALL(clEnqueueReadBuffer, own->queue, buffer_of(stream->texels), CL_FALSE, 0, bytes,
+         stream->host[0], 0, NULL, fresh_event(cl, own, BAKE_TEXELS));
+    CALL(clFlush, own->queue);
+    return BAKE_NO_FAILURE;
 }
 
-static const char *opencl_launch(struct bake_compute *compute, unsigned number,
-                                 const struct bake_compute_subgrid *subgrid,
-                                 const struct bk_tile *tile, const struct bake_launch_batch *batch,
-                                 int *code)
+static struct bake_failure opencl_wait(struct bake_compute *compute, struct bake_stream *stream,
+                                       int step)
 {
     struct opencl *cl = (struct opencl *)compute;
-    struct worker *worker = &cl->workers[number];
-    const size_t size[2] = {bsq_align_up(tile->width, worker->group[0]),
-                            bsq_align_up(batch->end_row - batch->first_row, worker->group[1])};
-    const uint32_t bounds[] = {batch->first_row, batch->end_row, batch->first_line,
-                               batch->end_line};
+    const cl_event *event = &((struct stream *)stream->own)->events[step];
+
+    if (*event)
+        CALL(clWaitForEvents, 1, event);
+    return BAKE_NO_FAILURE;
+}
+
+static struct bake_failure opencl_finish(struct bake_compute *compute, struct bake_stream *stream)
+{
+    struct opencl *cl = (struct opencl *)compute;
+
+    CALL(clFinish, ((struct stream *)stream->own)->queue);
+    return BAKE_NO_FAILURE;
+}
+
+static struct bake_failure opencl_launch(struct bake_compute *compute, struct bake_stream *stream,
+                                         const struct bake_compute_subgrid *subgrid,
+                                         const struct bk_tile *tile,
+                                         const struct bake_launch_batch *batch)
+{
+    struct opencl *cl = (struct opencl *)compute;
+    struct stream *own = stream->own;
+    const cl_mem triangles = buffer_of(compute->triangles);
+    const cl_mem samples = buffer_of(stream->samples), texels = buffer_of(stream->texels);
+    const struct {
+        size_t bytes;
+        const void *value;
+    } arguments[] = {{sizeof triangles, &triangles},
+                     {sizeof subgrid->params, &subgrid->params},
+                     {sizeof *tile, tile},
+                     {sizeof batch->first_row, &batch->first_row},
+                     {sizeof batch->end_row, &batch->end_row},
+                     {sizeof batch->first_line, &batch->first_line},
+                     {sizeof batch->end_line, &batch->end_line},
+                     {sizeof samples, &samples},
+                     {sizeof texels, &texels}};
+    const size_t size[2] = {bsq_align_up(tile->width, own->group[0]),
+                            bsq_align_up(batch->end_row - batch->first_row, own->group[1])};
     const bool first = batch->first_row == 0 && batch->first_line == 0;
-    const bool last = batch->end_row == tile->height && batch->end_line == subgrid->params.samples;
-    cl_event *event = first  ? &worker->events[FIRST_KERNEL]
-                      : last ? &worker->events[LAST_KERNEL]
-                             : NULL;
+    cl_uint argument = 0;
 
-    *code = CL_SUCCESS;
-    for (cl_uint i = 0; i < 4 && *code == CL_SUCCESS; i++)
-        *code =
-            cl->api.clSetKernelArg(worker->kernel, ARG_FIRST_ROW + i, sizeof bounds[i], &bounds[i]);
-    if (*code != CL_SUCCESS)
-        return "clSetKernelArg";
-    *code = cl->api.clEnqueueNDRangeKernel(worker->queue, worker->kernel, 2, NULL, size,
-                                           worker->group, 0, NULL, event);
-    if (*code != CL_SUCCESS)
-        return "clEnqueueNDRangeKernel";
-    *code = cl->api.clFlush(worker->queue);
-    return "clFlush";
+    for (; argument < BAKE_SUBGRID_ARRAYS; argument++) {
+        const cl_mem array = buffer_of(subgrid->arrays[argument]);
+        CALL(clSetKernelArg, own->kernel, argument, sizeof array, &array);
+    }
+    for (size_t i = 0; i < sizeof arguments / sizeof *arguments; i++)
+        CALL(clSetKernelArg, own->kernel, argument++, arguments[i].bytes, arguments[i].value);
+    CALL(clEnqueueNDRangeKernel, own->queue, own->kernel, 2, NULL, size, own->group, 0, NULL,
+         fresh_event(cl, own, first ? BAKE_KERNELS : LAST_KERNEL));
+    CALL(clFlush, own->queue);
+    return BAKE_NO_FAILURE;
 }
 
-static const char *opencl_fetch_texels(struct bake_compute *compute, unsigned number, float *texels,
-                                       uint64_t bytes, int *code)
-{
-    struct opencl *cl = (struct opencl *)compute;
-    struct worker *worker = &cl->workers[number];
-
-    *code = cl->api.clEnqueueReadBuffer(worker->queue, worker->texels, CL_TRUE, 0, bytes, texels, 0,
-                                        NULL, &worker->events[COPIED_TEXELS]);
-    if (*code == CL_SUCCESS)
-        *code = cl->api.clWaitForEvents(1, &worker->events[COPIED_TEXELS]);
-    return "clEnqueueReadBuffer";
-}
-
-/* Returns the span from the start of the first event to the end of the last. */
-static struct bake_span span_of(const struct opencl *cl, cl_event first, cl_event last, int *code)
+/* Computes the span from the start of the first event to the end of the last. */
+static struct bake_failure span_of(const struct opencl *cl, cl_event first, cl_event last,
+                                   struct bake_span *out)
 {
     cl_ulong start = 0, end = 0;
 
-    if (*code == CL_SUCCESS)
-        *code = cl->api.clGetEventProfilingInfo(first, CL_PROFILING_COMMAND_START, sizeof start,
-                                                &start, NULL);
-    if (*code == CL_SUCCESS)
-        *code =
-            cl->api.clGetEventProfilingInfo(last, CL_PROFILING_COMMAND_END, sizeof end, &end, NULL);
-    return (struct bake_span){1e-9 * (double)start, 1e-9 * (double)end};
+    CALL(clGetEventProfilingInfo, first, CL_PROFILING_COMMAND_START, sizeof start, &start, NULL);
+    CALL(clGetEventProfilingInfo, last, CL_PROFILING_COMMAND_END, sizeof end, &end, NULL);
+    *out = (struct bake_span){1e-9 * (double)start, 1e-9 * (double)end};
+    return BAKE_NO_FAILURE;
 }
 
-static const char *opencl_times(struct bake_compute *compute, unsigned number,
-                                struct bake_tile_times *out, int *code)
+static struct bake_failure opencl_times(struct bake_compute *compute, struct bake_stream *stream)
 {
     struct opencl *cl = (struct opencl *)compute;
-    const cl_event *events = cl->workers[number].events;
-    /* A tile of one launch batch has one kernel. */
-    const cl_event last = events[LAST_KERNEL] ? events[LAST_KERNEL] : events[FIRST_KERNEL];
+    struct stream *own = stream->own;
 
-    out->samples = span_of(cl, events[COPIED_SAMPLES], events[COPIED_SAMPLES], code);
-    out->kernels = span_of(cl, events[FIRST_KERNEL], last, code);
-    out->texels = span_of(cl, events[COPIED_TEXELS], events[COPIED_TEXELS], code);
-    return "clGetEventProfilingInfo";
-}
-
-/* Waits after a failure: the device may use the caller's memory until the queue is empty. */
-static void opencl_end_tile(struct bake_compute *compute, unsigned number, int code)
-{
-    struct opencl *cl = (struct opencl *)compute;
-    struct worker *worker = &cl->workers[number];
-
-    if (code != CL_SUCCESS)
-        cl->api.clFinish(worker->queue);
-    for (int i = 0; i < EVENTS; i++) {
-        if (worker->events[i])
-            cl->api.clReleaseEvent(worker->events[i]);
-        worker->events[i] = NULL;
+    for (int i = 0; i < BAKE_STEPS; i++) {
+        /* A tile of one launch batch has one kernel. */
+        const bool several = i == BAKE_KERNELS && own->events[LAST_KERNEL];
+        BAKE_TRY_CALL(
+            span_of(cl, own->events[i], own->events[several ? LAST_KERNEL : i], &stream->times[i]));
     }
+    fresh_event(cl, own, LAST_KERNEL);
+    return BAKE_NO_FAILURE;
 }
 
 static const struct bake_compute_calls calls = {.describe = opencl_describe,
                                                 .lacks_memory = opencl_lacks_memory,
                                                 .allocate = opencl_allocate,
                                                 .release = opencl_release,
-                                                .send_half = opencl_send_half,
-                                                .wait_for_half = opencl_wait_for_half,
-                                                .finish_uploads = opencl_finish_uploads,
-                                                .open_worker = opencl_open_worker,
-                                                .close_worker = opencl_close_worker,
-                                                .send_samples = opencl_send_samples,
+                                                .stream_bytes = sizeof(struct stream),
+                                                .open_stream = opencl_open_stream,
+                                                .close_stream = opencl_close_stream,
+                                                .send = opencl_send,
                                                 .launch = opencl_launch,
-                                                .fetch_texels = opencl_fetch_texels,
-                                                .times = opencl_times,
-                                                .end_tile = opencl_end_tile};
+                                                .fetch = opencl_fetch,
+                                                .wait = opencl_wait,
+                                                .finish = opencl_finish,
+                                                .times = opencl_times};
 
 /* ---- opening and closing ---- */
-
-/* Finds the device asked for. The error lists the devices that exist. */
-static int choose(struct opencl *cl, int64_t index)
-{
-    struct bake_opencl_device device;
-    char there[400] = "";
-    uint32_t count = 0;
-    bool found = false;
-
-    if (!bake_opencl_load(&cl->api))
-        return bsq_fail(cl->compute.ctx, BSQ_ENODEVICE, "OpenCL is not installed (libOpenCL.so.1)");
-    for (; bake_opencl_device(&cl->api, count, &device); count++) {
-        size_t used = strlen(there);
-        bool wanted = index == BAKE_ANY_DEVICE ? !found || (device.is_gpu && !cl->device.is_gpu)
-                                               : (int64_t)count == index;
-        if (wanted) {
-            cl->device = device;
-            found = true;
-        }
-        snprintf(there + used, sizeof there - used, "%s opencl:%u %s", count ? "," : "",
-                 (unsigned)count, device.name);
-    }
-    if (count == 0)
-        return bsq_fail(cl->compute.ctx, BSQ_ENODEVICE,
-                        "OpenCL has no devices (no driver that works is installed)");
-    if (!found)
-        return bsq_fail(cl->compute.ctx, BSQ_ENODEVICE,
-                        "there is no device opencl:%" PRId64 "; there is%s", index, there);
-    return 0;
-}
 
 /* Returns the device memory that the job may use: not all, since drivers and the desktop need some
  * and OpenCL cannot tell how much is free. */
@@ -362,105 +294,45 @@ static uint64_t memory_limit(const struct opencl *cl)
     return limit;
 }
 
-/* Creates a half that the device can copy from by itself; drivers would first copy other memory. */
-static int open_half(struct opencl *cl, int half)
-{
-    cl_int code;
-
-    cl->pinned[half] =
-        cl->api.clCreateBuffer(cl->context, CL_MEM_ALLOC_HOST_PTR, STAGING_BYTES, NULL, &code);
-    if (code != CL_SUCCESS)
-        return bake_compute_fail(&cl->compute, "clCreateBuffer", code);
-    cl->compute.staging.halves[half] =
-        cl->api.clEnqueueMapBuffer(cl->upload, cl->pinned[half], CL_TRUE, CL_MAP_WRITE, 0,
-                                   STAGING_BYTES, 0, NULL, NULL, &code);
-    return code == CL_SUCCESS ? 0 : bake_compute_fail(&cl->compute, "clEnqueueMapBuffer", code);
-}
-
-static int open_upload(struct opencl *cl)
-{
-    cl_int code;
-    int status = bake_compute_reserve(&cl->compute, "staging of the grid", 2 * STAGING_BYTES);
-
-    cl->compute.staging.half_bytes = STAGING_BYTES;
-    if (status < 0)
-        return status;
-    cl->upload = cl->api.clCreateCommandQueue(cl->context, cl->device.id, 0, &code);
-    if (code != CL_SUCCESS)
-        return bake_compute_fail(&cl->compute, "clCreateCommandQueue", code);
-    for (int i = 0; i < 2 && status == 0; i++)
-        status = open_half(cl, i);
-    return status;
-}
-
-static void close_upload(struct opencl *cl)
-{
-    if (cl->upload)
-        cl->api.clFinish(cl->upload);
-    for (int i = 0; i < 2; i++) {
-        if (cl->taken[i])
-            cl->api.clReleaseEvent(cl->taken[i]);
-        if (cl->compute.staging.halves[i])
-            cl->api.clEnqueueUnmapMemObject(cl->upload, cl->pinned[i],
-                                            cl->compute.staging.halves[i], 0, NULL, NULL);
-        if (cl->pinned[i])
-            cl->api.clReleaseMemObject(cl->pinned[i]);
-    }
-    if (cl->upload) {
-        cl->api.clFinish(cl->upload);
-        cl->api.clReleaseCommandQueue(cl->upload);
-    }
-}
-
-static int open_context(struct opencl *cl)
+static struct bake_failure open_context(struct opencl *cl)
 {
     const cl_context_properties properties[] = {CL_CONTEXT_PLATFORM,
                                                 (cl_context_properties)cl->device.platform, 0};
     cl_int code;
 
     cl->context = cl->api.clCreateContext(properties, 1, &cl->device.id, NULL, NULL, &code);
-    return code == CL_SUCCESS ? 0 : bake_compute_fail(&cl->compute, "clCreateContext", code);
+    return (struct bake_failure){"clCreateContext", code};
 }
 
 static int prepare(struct opencl *cl, const struct bake_job *job)
 {
     struct bake_compute *compute = &cl->compute;
-    int status = bake_compute_prepare(compute, job);
+    int status;
 
-    snprintf(compute->device_name, sizeof compute->device_name, "%s", cl->device.name);
     snprintf(compute->base.name, sizeof compute->base.name, "%s", cl->device.name);
     compute->shares_memory = cl->device.host_memory;
-    if (status == 0)
-        status = bsq_calloc(compute->ctx, "OpenCL workers", compute->worker_count,
-                            sizeof *cl->workers, &cl->workers);
-    if (status == 0)
-        status = bake_compute_share_memory(compute, job, memory_limit(cl), cl->device.buffer_bytes);
+    BSQ_TRY(bake_compute_fail(compute, open_context(cl)));
+    BSQ_TRY(bake_opencl_build(compute->ctx, &cl->api, &cl->device, cl->context, &cl->program));
+    BSQ_TRY(bake_compute_prepare(compute, job, memory_limit(cl), cl->device.buffer_bytes));
     if (compute->base.buffer_bytes > BAKE_MAX_BUFFER_BYTES)
         compute->base.buffer_bytes = BAKE_MAX_BUFFER_BYTES;
-    if (status == 0)
-        status = open_context(cl);
-    if (status == 0)
-        status = bake_opencl_build(compute->ctx, &cl->api, &cl->device, cl->context, &cl->program);
-    if (status == 0)
-        status = open_upload(cl);
-    return status < 0 ? status : bake_compute_send_triangles(compute, job);
+done:
+    return status;
 }
 
 static void opencl_close(struct bake_backend *backend)
 {
     struct opencl *cl = (struct opencl *)backend;
 
-    close_upload(cl);
     bake_compute_unload(&cl->compute);
     if (cl->program)
         cl->api.clReleaseProgram(cl->program);
     if (cl->context)
         cl->api.clReleaseContext(cl->context);
-    bsq_free(cl->compute.ctx, cl->workers);
     bake_compute_free(&cl->compute);
 }
 
-static int opencl_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job *job,
+static int opencl_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_job *job,
                        struct bake_backend **out)
 {
     struct opencl *cl;
@@ -469,8 +341,9 @@ static int opencl_open(struct bsq_ctx *ctx, int64_t index, const struct bake_job
     *out = NULL;
     if (status < 0)
         return status;
-    bake_compute_init(&cl->compute, ctx, &calls, opencl_close);
-    status = choose(cl, index);
+    if (!bake_opencl_load(&cl->api) || !bake_opencl_device(&cl->api, number, &cl->device))
+        status = bsq_fail(ctx, BSQ_ENODEVICE, "opencl:%u: the device is gone", (unsigned)number);
+    bake_compute_init(&cl->compute, ctx, cl->device.name, &calls, opencl_close);
     if (status == 0)
         status = prepare(cl, job);
     if (status < 0)

@@ -6,6 +6,6 @@
 
 extern const struct bake_device_kind bake_opencl_kind;
 /* The kind's list(), for bisque-devices. */
-int bake_opencl_list(struct bsq_ctx *ctx, struct bake_device_list *out);
+void bake_opencl_list(struct bsq_ctx *ctx, struct bake_device_list *out);
 
 #endif

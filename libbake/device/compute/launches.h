@@ -1,4 +1,4 @@
-/* launch_batches.h - how much of a tile one kernel launch traces.
+/* launches.h - how much of a tile one kernel launch traces, and how long launches took.
  *
  * A device does nothing else during a launch, and desktop drivers abort launches that take seconds.
  * So a launch should take BAKE_BATCH_SECONDS. The cost of a ray depends on the device, the rays'
@@ -12,8 +12,8 @@
  * One thread of the device traces the samples of a texel one after another. Each takes about 30 us
  * on any device, and a texel has up to 4096. If a texel has more than BAKE_BATCH_THREAD samples, a
  * launch takes some lines of the samples of many texels, and later launches continue. */
-#ifndef BAKE_DEVICE_COMPUTE_LAUNCH_BATCHES_H
-#define BAKE_DEVICE_COMPUTE_LAUNCH_BATCHES_H
+#ifndef BAKE_DEVICE_COMPUTE_LAUNCHES_H
+#define BAKE_DEVICE_COMPUTE_LAUNCHES_H
 
 #include <stdint.h>
 
@@ -42,5 +42,28 @@ uint32_t bake_batch_rows(const struct bake_batch_sizer *sizer, uint64_t row_samp
 
 /* Learns that `samples` took `seconds` on the device. */
 void bake_batch_sizer_learn(struct bake_batch_sizer *sizer, uint64_t samples, double seconds);
+
+/* ---- times ---- */
+
+enum { BAKE_TIME_SPANS_MAX = 256 };
+
+struct bake_span {
+    double start, end; /* seconds on any one clock */
+};
+
+/* The union of time spans: kernels of several streams overlap, so their sum would exceed the time
+ * that passed. Zero at first. Not thread-safe. */
+struct bake_time_spans {
+    double closed; /* length of the spans that have left the list */
+    unsigned count;
+    struct bake_span spans[BAKE_TIME_SPANS_MAX];
+};
+
+/* Adds a span. Spans may come in any order, as long as none comes after more than
+ * BAKE_TIME_SPANS_MAX / 2 later ones that do not touch each other. */
+void bake_time_spans_add(struct bake_time_spans *spans, const struct bake_span *span);
+
+/* Returns the length of the union of all spans, in seconds. */
+double bake_time_spans_seconds(struct bake_time_spans *spans);
 
 #endif

@@ -1,9 +1,50 @@
-/* time_spans.c - a list of spans, merged whenever it is full. */
-#include "libbake/device/compute/time_spans.h"
+/* launches.c - the size of a launch follows the time that earlier ones took; a list of time spans
+ * is merged whenever it is full. */
+#include "libbake/device/compute/launches.h"
 
 #include <string.h>
 
 #include "base/sort_array.h"
+
+enum { MAX_GROWTH = 4 };
+
+static uint64_t current(const struct bake_batch_sizer *sizer)
+{
+    return sizer->samples ? sizer->samples : BAKE_BATCH_FIRST;
+}
+
+uint32_t bake_batch_lines(uint32_t n)
+{
+    if (n <= BAKE_BATCH_THREAD / n)
+        return n;
+    return n < BAKE_BATCH_THREAD ? BAKE_BATCH_THREAD / n : 1;
+}
+
+uint32_t bake_batch_rows(const struct bake_batch_sizer *sizer, uint64_t row_samples,
+                         uint32_t height)
+{
+    uint64_t rows = row_samples ? current(sizer) / row_samples : height;
+
+    if (rows > height)
+        return height;
+    return rows > 1 ? (uint32_t)rows : 1;
+}
+
+void bake_batch_sizer_learn(struct bake_batch_sizer *sizer, uint64_t samples, double seconds)
+{
+    /* Half of the range, so that sums of two cannot overflow. */
+    const double most = (double)(UINT64_MAX / 2);
+    double limit = (double)current(sizer) * MAX_GROWTH;
+    double wanted = seconds > 0 ? (double)samples * (BAKE_BATCH_SECONDS / seconds) : limit;
+
+    if (wanted > limit)
+        wanted = limit;
+    if (wanted > most)
+        wanted = most;
+    sizer->samples = wanted > BAKE_BATCH_LEAST ? (uint64_t)wanted : BAKE_BATCH_LEAST;
+}
+
+/* ---- times ---- */
 
 static int by_start(const void *a, const void *b)
 {
@@ -29,9 +70,9 @@ static void merge(struct bake_time_spans *spans)
     spans->count = kept;
 }
 
-void bake_time_spans_add(struct bake_time_spans *spans, double start, double end)
+void bake_time_spans_add(struct bake_time_spans *spans, const struct bake_span *span)
 {
-    if (!(end > start))
+    if (!(span->end > span->start))
         return;
     if (spans->count == BAKE_TIME_SPANS_MAX) {
         merge(spans);
@@ -43,7 +84,7 @@ void bake_time_spans_add(struct bake_time_spans *spans, double start, double end
             memmove(spans->spans, spans->spans + early, spans->count * sizeof *spans->spans);
         }
     }
-    spans->spans[spans->count++] = (struct bake_span){start, end};
+    spans->spans[spans->count++] = *span;
 }
 
 double bake_time_spans_seconds(struct bake_time_spans *spans)

@@ -1,9 +1,11 @@
-/* opencl_api.c - loads libOpenCL, describes its devices, names its errors. */
+/* opencl_driver.c - loads libOpenCL, lists its devices, compiles the kernel, and names errors. */
 #include "libbake/device/opencl/opencl_api.h"
 
 #include <dlfcn.h>
 #include <stdio.h>
 #include <string.h>
+
+#include "libbake/device/opencl/opencl.h"
 
 bool bake_opencl_load(struct bake_opencl_api *api)
 {
@@ -162,4 +164,73 @@ bool bake_opencl_device(const struct bake_opencl_api *api, uint32_t index,
         }
     }
     return false;
+}
+
+void bake_opencl_list(struct bsq_ctx *ctx, struct bake_device_list *out)
+{
+    struct bake_opencl_api api;
+    struct bake_opencl_device device;
+    const bool loaded = bake_opencl_load(&api);
+
+    (void)ctx;
+    while (loaded && out->count < BAKE_DEVICES_MAX &&
+           bake_opencl_device(&api, out->count, &device)) {
+        struct bake_device_info *info = &out->devices[out->count];
+        snprintf(info->id, sizeof info->id, "opencl:%u", (unsigned)out->count++);
+        snprintf(info->name, sizeof info->name, "%s", device.name);
+        info->memory_bytes = device.memory_bytes;
+        info->is_gpu = device.is_gpu;
+    }
+    if (out->count == 0)
+        snprintf(out->why, sizeof out->why, "%s",
+                 loaded ? "OpenCL has no devices (no driver that works is installed)"
+                        : "OpenCL is not installed (libOpenCL.so.1)");
+}
+
+/* ---- the kernel ---- */
+
+/* The flattened kernel source. Drivers keep what they compiled from one run to the next; see
+ * docs/decisions/0020-no-kernel-cache-of-our-own.md. */
+static const char kernel_source[] =
+#include "kernel_source.inc"
+    ;
+
+/* Records the build log from its first line with an error on, with " | " for line breaks. */
+static int fail_build(struct bsq_ctx *ctx, const struct bake_opencl_api *api,
+                      const struct bake_opencl_device *device, cl_program program, cl_int code)
+{
+    char *log = NULL, line[400] = "", number[32];
+    size_t bytes = 0, used = 0;
+
+    api->clGetProgramBuildInfo(program, device->id, CL_PROGRAM_BUILD_LOG, 0, NULL, &bytes);
+    if (bytes && bsq_calloc(ctx, "build log", bytes + 1, 1, &log) == 0)
+        api->clGetProgramBuildInfo(program, device->id, CL_PROGRAM_BUILD_LOG, bytes, log, NULL);
+    const char *from = log ? strstr(log, "error") : NULL;
+    while (from && from > log && from[-1] != '\n')
+        from--;
+    for (const char *c = from ? from : log; c && *c && used + 4 < sizeof line; c++) {
+        const char *piece = *c == '\n' ? " | " : (char[2]){*c, '\0'};
+        used += (size_t)snprintf(line + used, sizeof line - used, "%s", piece);
+    }
+    bsq_free(ctx, log);
+    return bsq_fail(ctx, BSQ_ENODEVICE, "%s: clBuildProgram: %s%s%s", device->name,
+                    bake_opencl_error(code, number), *line ? ": " : "", line);
+}
+
+int bake_opencl_build(struct bsq_ctx *ctx, const struct bake_opencl_api *api,
+                      const struct bake_opencl_device *device, cl_context context, cl_program *out)
+{
+    const char *source = kernel_source;
+    const char *options = device->rounds_correctly
+                              ? "-cl-std=CL1.2 -cl-fp32-correctly-rounded-divide-sqrt"
+                              : "-cl-std=CL1.2";
+    char number[32];
+    cl_int code;
+
+    *out = api->clCreateProgramWithSource(context, 1, &source, NULL, &code);
+    if (code != CL_SUCCESS)
+        return bsq_fail(ctx, BSQ_ENODEVICE, "%s: clCreateProgramWithSource: %s", device->name,
+                        bake_opencl_error(code, number));
+    code = api->clBuildProgram(*out, 1, &device->id, options, NULL, NULL);
+    return code == CL_SUCCESS ? 0 : fail_build(ctx, api, device, *out, code);
 }

@@ -1,4 +1,4 @@
-/* test_opencl_api.c - the choice of work groups. */
+/* test_opencl_driver.c - the choice of work groups. */
 #include "libbake/device/opencl/opencl_api.h"
 #include "tests/unit/test.h"
 
