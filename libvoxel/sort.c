@@ -14,7 +14,6 @@
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/stat.h>
 
 #define MIB ((uint64_t)1 << 20)
 
@@ -183,18 +182,13 @@ static bool names_tris(const struct vox_sort_options *options)
 }
 
 static int commit(const struct vox_sort_options *options, struct fmt_tris_writer *writer,
-                  struct vox_sort_report *report)
+                  struct bsq_ctx *ctx, struct vox_sort_report *report)
 {
-    if (options->temp_tris) {
-        int status = options->keeps_tris ? fmt_tris_commit_open(writer, &options->temp_tris->file)
-                                         : fmt_tris_keep_temp(writer, &options->temp_tris->file);
-        report->tris_bytes = options->temp_tris->file.size;
-        return status;
-    }
-    int status = fmt_tris_commit(writer);
-    struct stat info;
-    if (status == 0 && stat(options->tris_path, &info) == 0)
-        report->tris_bytes = (uint64_t)info.st_size;
+    struct bsq_file file, *out = options->temp_tris ? &options->temp_tris->file : &file;
+    int status = fmt_tris_commit(writer, out);
+    report->tris_bytes = out->size;
+    if (!options->temp_tris)
+        bsq_file_close(ctx, &file);
     return status;
 }
 
@@ -250,7 +244,7 @@ static int write_chunks(const struct scan *scan, const struct partition *partiti
         return status;
     }
     fmt_tris_skip(writer, batches.degenerate);
-    return commit(options, writer, report);
+    return commit(options, writer, scan->ctx, report);
 }
 
 static int sort_scan(const struct scan *scan, const struct vox_sort_options *options,

@@ -115,19 +115,14 @@ int fmt_tris_append(struct fmt_tris_writer *writer, const void *encoded, uint64_
                     const struct fmt_tris_chunk_info *info);
 /* Counts triangles that were left out. */
 void fmt_tris_skip(struct fmt_tris_writer *writer, uint64_t triangles);
-/* Writes materials, table and header, syncs and renames the file; frees the writer in any case. */
-int fmt_tris_commit(struct fmt_tris_writer *writer);
-/* Does the same, and opens the file for reading in *out, which the caller closes. It stays the file
- * of this writer if another job replaces it. */
-int fmt_tris_commit_open(struct fmt_tris_writer *writer, struct bsq_file *out);
-void fmt_tris_discard(struct fmt_tris_writer *writer); /* NULL is allowed */
-/* Completes a temporary file (bsq_file_temp()) instead, for chunks that only this process needs.
- * *out receives the complete file; the caller closes it. */
+/* Starts a temporary file (bsq_file_temp()) instead, for chunks that only this process needs. */
 int fmt_tris_create_temp(struct bsq_ctx *ctx, const char *beside,
                          const struct fmt_tris_header *header, struct fmt_tris_writer **out);
-int fmt_tris_keep_temp(struct fmt_tris_writer *writer, struct bsq_file *out);
-/* Returns the bytes written so far. */
-uint64_t fmt_tris_written(const struct fmt_tris_writer *writer);
+/* Writes materials, table and header, syncs and renames the file; frees the writer in any case.
+ * *out receives the complete file for reading; the caller closes it. It stays the file of this
+ * writer if another job replaces it. `out` may be NULL, unless the file is temporary. */
+int fmt_tris_commit(struct fmt_tris_writer *writer, struct bsq_file *out);
+void fmt_tris_discard(struct fmt_tris_writer *writer); /* NULL is allowed */
 
 /* ---- reading ---- */
 struct fmt_tris_file;
@@ -135,8 +130,7 @@ struct fmt_tris_file;
 /* Opens a file; checks header, materials and chunk table, and all sizes before memory is allocated.
  * Errors: BSQ_ENOINPUT; BSQ_EDATA naming what is wrong, and the version if it is unknown. */
 int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **out);
-/* Opens a file of fmt_tris_commit_open() or fmt_tris_keep_temp(); the caller may close *temp at any
- * time after that. */
+/* Opens a file of fmt_tris_commit(); the caller may close *temp at any time after that. */
 int fmt_tris_open_temp(struct bsq_ctx *ctx, const struct bsq_file *temp,
                        struct fmt_tris_file **out);
 /* Opens files as one scan, whose chunks follow each other. Their order does not matter. temp: NULL,

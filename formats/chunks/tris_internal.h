@@ -2,6 +2,8 @@
 #ifndef FMT_CHUNKS_TRIS_INTERNAL_H
 #define FMT_CHUNKS_TRIS_INTERNAL_H
 
+#include <string.h>
+
 #include "formats/chunks/tris.h"
 
 /* Structures are copied to and from the file as they are. */
@@ -79,16 +81,8 @@ struct tris_source_record { /* followed by path_bytes bytes */
 };
 _Static_assert(sizeof(struct tris_source_record) == 36, "the record has no padding");
 
-struct tris_table_entry {
-    uint64_t offset;
-    uint64_t size_bytes;
-    uint64_t first_triangle;
-    uint32_t triangle_count;
-    uint32_t vertex_count;
-    float bounds_min[3];
-    float bounds_max[3];
-};
-_Static_assert(sizeof(struct tris_table_entry) == 56, "the entry has no padding");
+/* Entries of the table are in the file as they are in memory. */
+_Static_assert(sizeof(struct fmt_tris_chunk_info) == 56, "the entry has no padding");
 
 struct tris_chunk_header {
     uint64_t checksum; /* of all bytes of the chunk after this field */
@@ -97,9 +91,32 @@ struct tris_chunk_header {
 };
 _Static_assert(sizeof(struct tris_chunk_header) == 16, "the chunk header has no padding");
 
+/* The attributes of a chunk, in the order of its arrays. */
+struct tris_attribute {
+    uint32_t flag;     /* of enum fmt_tris_attribute */
+    uint32_t bytes;    /* of a value */
+    bool of_triangles; /* a value for each triangle; else one for each vertex */
+    int absent;        /* each byte of the values of a part without the attribute */
+    size_t member;     /* the array's pointer in struct fmt_tris_chunk */
+};
+enum { TRIS_ATTRIBUTE_COUNT = 4 };
+extern const struct tris_attribute fmt_tris_attributes[TRIS_ATTRIBUTE_COUNT];
+
+static inline uint64_t tris_values_bytes(const struct tris_attribute *attribute, uint64_t triangles,
+                                         uint64_t vertices)
+{
+    return attribute->bytes * (attribute->of_triangles ? triangles : vertices);
+}
+
+static inline void tris_set_values(const struct tris_attribute *attribute,
+                                   struct fmt_tris_chunk *chunk, const void *values)
+{
+    memcpy((char *)chunk + attribute->member, &values, sizeof values);
+}
+
 /* Offsets of the arrays of a chunk, from its first byte; attributes it lacks take no bytes. */
 struct tris_layout {
-    uint64_t positions, normals, texcoords, colors, materials, triangles;
+    uint64_t positions, values[TRIS_ATTRIBUTE_COUNT], triangles;
     uint64_t end;   /* of the triangles */
     uint64_t bytes; /* end, rounded up to 8 */
     bool short_indices;
@@ -161,31 +178,31 @@ void fmt_tris_apply_welds(const struct fmt_tris_file *all, uint64_t chunk, float
 /* Report damage of an open file, or of one of its chunks; return BSQ_EDATA. */
 int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what);
 int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what);
-struct bsq_ctx *fmt_tris_context(const struct fmt_tris_file *file);
 
 /* Computes the layout of a chunk; nothing overflows, whatever the counts. */
 static inline struct tris_layout tris_chunk_layout(uint32_t attributes, uint32_t triangle_count,
                                                    uint32_t vertex_count)
 {
     uint64_t nv = vertex_count, nt = triangle_count;
-    struct tris_layout l;
-    l.short_indices = vertex_count <= TRIS_SHORT_VERTICES;
-    l.positions = sizeof(struct tris_chunk_header);
-    l.normals = l.positions + 12 * nv;
-    l.texcoords = l.normals + (attributes & FMT_TRIS_NORMALS ? 4 * nv : 0);
-    l.colors = l.texcoords + (attributes & FMT_TRIS_TEXCOORDS ? 8 * nv : 0);
-    l.materials = l.colors + (attributes & FMT_TRIS_COLORS ? 4 * nv : 0);
-    l.triangles = l.materials + (attributes & FMT_TRIS_MATERIALS ? 4 * nt : 0);
+    struct tris_layout l = {.short_indices = vertex_count <= TRIS_SHORT_VERTICES,
+                            .positions = sizeof(struct tris_chunk_header)};
+    l.triangles = l.positions + 12 * nv;
+    for (int i = 0; i < TRIS_ATTRIBUTE_COUNT; i++) {
+        const struct tris_attribute *attribute = &fmt_tris_attributes[i];
+        l.values[i] = l.triangles;
+        if (attributes & attribute->flag)
+            l.triangles += tris_values_bytes(attribute, nt, nv);
+    }
     l.end = l.triangles + (l.short_indices ? 6 : 12) * nt;
     l.bytes = bsq_align_up(l.end, 8);
     return l;
 }
 
+/* Returns the bytes of a chunk in memory: its indices are widened there. */
 static inline uint64_t tris_load_size(uint32_t attributes, const struct fmt_tris_chunk_info *info)
 {
     struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);
-    return l.short_indices ? bsq_align_up(l.triangles + 12 * (uint64_t)info->triangle_count, 8)
-                           : l.bytes;
+    return bsq_align_up(l.triangles + 12 * (uint64_t)info->triangle_count, 8);
 }
 
 #endif

@@ -35,11 +35,6 @@ int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what)
     return bsq_fail(file->ctx, BSQ_EDATA, "%s: damaged chunk file: %s", file->file.path, what);
 }
 
-struct bsq_ctx *fmt_tris_context(const struct fmt_tris_file *file)
-{
-    return file->ctx;
-}
-
 static int check_header(const struct fmt_tris_file *file, const struct tris_file_header *h)
 {
     if (h->version == __builtin_bswap32(FMT_TRIS_VERSION))
@@ -65,8 +60,8 @@ static int check_header(const struct fmt_tris_file *file, const struct tris_file
         h->file_bytes < h->table_offset || h->materials_offset % 8 != 0 || h->table_offset % 8 != 0)
         return fmt_tris_damaged(file, "parts of the file overlap");
     uint64_t table_bytes = h->file_bytes - h->table_offset;
-    if (table_bytes % sizeof(struct tris_table_entry) != 0 ||
-        table_bytes / sizeof(struct tris_table_entry) != h->chunk_count)
+    if (table_bytes % sizeof(struct fmt_tris_chunk_info) != 0 ||
+        table_bytes / sizeof(struct fmt_tris_chunk_info) != h->chunk_count)
         return fmt_tris_damaged(file, "the chunk table has another length");
     if ((h->table_offset - h->materials_offset) / sizeof(struct tris_material_record) <
         h->material_count)
@@ -93,17 +88,16 @@ static void copy_header(struct fmt_tris_header *to, const struct tris_file_heade
 static int read_tail(struct fmt_tris_file *file, const struct tris_file_header *h)
 {
     uint64_t bytes = h->file_bytes - h->materials_offset;
-    int status = bsq_alloc(file->ctx, "chunk table", bytes + 1, 1, &file->tail);
-    if (status < 0)
-        return status;
-    if ((status = fmt_tris_read_unchanged(file, file->tail, bytes, h->materials_offset)) < 0)
-        return status;
-    uint64_t materials_bytes = h->table_offset - h->materials_offset;
+    const uint64_t materials_bytes = h->table_offset - h->materials_offset;
+    int status;
+    BSQ_TRY(bsq_alloc(file->ctx, "chunk table", bytes + 1, 1, &file->tail));
+    BSQ_TRY(fmt_tris_read_unchanged(file, file->tail, bytes, h->materials_offset));
     if (XXH3_64bits(file->tail, materials_bytes) != h->materials_checksum)
         return fmt_tris_damaged(file, "the materials' checksum does not match");
     if (XXH3_64bits(file->tail + materials_bytes, bytes - materials_bytes) != h->table_checksum)
         return fmt_tris_damaged(file, "the chunk table's checksum does not match");
-    return 0;
+done:
+    return status;
 }
 
 /* Notes a texture among the job's inputs; for a part of a file, that file. */
@@ -219,16 +213,19 @@ static int parse_material(const struct fmt_tris_file *file, uint32_t version, st
                           struct fmt_tris_material *m)
 {
     struct tris_material_record record;
+    int status;
     if (!take(parts, &record, sizeof record))
         return fmt_tris_damaged(file, "the materials are cut off");
     memcpy(m->diffuse, record.diffuse, sizeof m->diffuse);
     if (!isfinite(m->diffuse[0]) || !isfinite(m->diffuse[1]) || !isfinite(m->diffuse[2]))
         return fmt_tris_damaged(file, "a material's colour is not finite");
-    int status = parse_path(file, parts, record.path_bytes, &m->texture_path);
-    if (status == 0 && version >= FMT_TRIS_VERSION_IDS)
-        status = parse_name(file, parts, m);
-    return status == 0 && version == FMT_TRIS_VERSION_CHANNELS ? parse_sources(file, parts, m)
-                                                               : status;
+    BSQ_TRY(parse_path(file, parts, record.path_bytes, &m->texture_path));
+    if (version >= FMT_TRIS_VERSION_IDS)
+        BSQ_TRY(parse_name(file, parts, m));
+    if (version == FMT_TRIS_VERSION_CHANNELS)
+        status = parse_sources(file, parts, m);
+done:
+    return status;
 }
 
 static int parse_ids(struct fmt_tris_file *file, uint32_t version, struct parts *parts)
@@ -268,37 +265,34 @@ static int parse_channels(struct fmt_tris_file *file, const struct tris_file_hea
         __builtin_mul_overflow(sources, sizeof(struct tris_source_record), &bytes) ||
         bytes > parts->bytes - parts->at)
         return fmt_tris_damaged(file, "the channels are cut off");
-    int status =
-        bsq_calloc(file->ctx, "channels", sources + 1, sizeof *file->sources, &file->sources);
-    if (status == 0)
-        status = bsq_calloc(file->ctx, "channels", (uint64_t)record.channel_count + 1,
-                            sizeof *file->header.channels, &file->header.channels);
-    for (uint32_t c = 0; c < record.channel_count && status == 0; c++)
-        status = parse_channel(file, parts);
+    int status;
+    BSQ_TRY(bsq_calloc(file->ctx, "channels", sources + 1, sizeof *file->sources, &file->sources));
+    BSQ_TRY(bsq_calloc(file->ctx, "channels", (uint64_t)record.channel_count + 1,
+                       sizeof *file->header.channels, &file->header.channels));
+    for (uint32_t c = 0; c < record.channel_count; c++)
+        BSQ_TRY(parse_channel(file, parts));
+done:
     return status;
 }
 
 static int parse_materials(struct fmt_tris_file *file, const struct tris_file_header *h)
 {
     const uint64_t bytes = h->table_offset - h->materials_offset;
+    struct parts parts = {.from = file->tail, .bytes = bytes};
     int status;
+    BSQ_TRY(bsq_calloc(file->ctx, "materials", (uint64_t)h->material_count + 1,
+                       sizeof *file->header.materials, &file->header.materials));
     /* Each path and name loses the record before it and gains a terminator, so all fit `bytes`. */
-    if ((status = bsq_calloc(file->ctx, "materials", (uint64_t)h->material_count + 1,
-                             sizeof *file->header.materials, &file->header.materials)) < 0 ||
-        (status = bsq_alloc(file->ctx, "materials", bytes + 1, 1, &file->paths)) < 0)
-        return status;
-    struct parts parts = {.from = file->tail, .bytes = bytes, .text = file->paths};
+    BSQ_TRY(bsq_alloc(file->ctx, "materials", bytes + 1, 1, &file->paths));
+    parts.text = file->paths;
     if (h->version >= FMT_TRIS_VERSION_IDS)
-        status = parse_ids(file, h->version, &parts);
-    if (h->version == FMT_TRIS_VERSION_CHANNELS && status == 0)
-        status = parse_channels(file, h, &parts);
-    for (uint32_t i = 0; i < h->material_count && status == 0; i++) {
-        status = i % 1024 == 0 ? bsq_check(file->ctx) : 0;
-        if (status == 0)
-            status = parse_material(file, h->version, &parts, &file->header.materials[i]);
+        BSQ_TRY(parse_ids(file, h->version, &parts));
+    if (h->version == FMT_TRIS_VERSION_CHANNELS)
+        BSQ_TRY(parse_channels(file, h, &parts));
+    for (uint32_t i = 0; i < h->material_count; i++) {
+        BSQ_TRY(i % 1024 == 0 ? bsq_check(file->ctx) : 0);
+        BSQ_TRY(parse_material(file, h->version, &parts, &file->header.materials[i]));
     }
-    if (status < 0)
-        return status;
     if (fmt_tris_version(&file->header) != h->version)
         return fmt_tris_damaged(file, "the version is higher than the content needs");
     if (bsq_align_up(parts.at, 8) != bytes)
@@ -306,7 +300,8 @@ static int parse_materials(struct fmt_tris_file *file, const struct tris_file_he
     while (parts.at < bytes)
         if (file->tail[parts.at++] != 0)
             return fmt_tris_damaged(file, "the padding after the materials is not zero");
-    return 0;
+done:
+    return status;
 }
 
 static bool bounds_valid(const float min[3], const float max[3])
@@ -331,19 +326,11 @@ static int parse_table(struct fmt_tris_file *file, const struct tris_file_header
                            &file->chunks);
     if (status < 0)
         return status;
-    const uint8_t *from = file->tail + (h->table_offset - h->materials_offset);
+    memcpy(file->chunks, file->tail + (h->table_offset - h->materials_offset),
+           h->chunk_count * sizeof *file->chunks);
     uint64_t offset = sizeof *h, triangles = 0;
     for (uint64_t i = 0; i < h->chunk_count; i++) {
-        struct tris_table_entry entry;
-        struct fmt_tris_chunk_info *info = &file->chunks[i];
-        memcpy(&entry, from + i * sizeof entry, sizeof entry);
-        info->offset = entry.offset;
-        info->size_bytes = entry.size_bytes;
-        info->first_triangle = entry.first_triangle;
-        info->triangle_count = entry.triangle_count;
-        info->vertex_count = entry.vertex_count;
-        memcpy(info->bounds_min, entry.bounds_min, sizeof info->bounds_min);
-        memcpy(info->bounds_max, entry.bounds_max, sizeof info->bounds_max);
+        const struct fmt_tris_chunk_info *info = &file->chunks[i];
         if (info->offset != offset || info->first_triangle != triangles ||
             !chunk_info_valid(h->attributes, info))
             return bsq_fail(file->ctx, BSQ_EDATA,
@@ -377,28 +364,27 @@ static int open_parts(struct fmt_tris_file *file)
 {
     struct tris_file_header h;
     uint64_t got;
-    int status = bsq_file_read_some(file->ctx, &file->file, &h, sizeof h, 0, &got);
-    if (status < 0)
-        return status;
+    int status;
+    BSQ_TRY(bsq_file_read_some(file->ctx, &file->file, &h, sizeof h, 0, &got));
     if (memcmp(h.magic, TRIS_MAGIC, got < sizeof h.magic ? got : sizeof h.magic) != 0)
         return bsq_fail(file->ctx, BSQ_EDATA, "%s: not a chunk file", file->file.path);
     if (got < sizeof h)
         return fmt_tris_damaged(file, "the header is cut off");
-    if ((status = check_header(file, &h)) < 0)
-        return status;
+    BSQ_TRY(check_header(file, &h));
     copy_header(&file->header, &h);
     file->checksum = h.header_checksum;
-    if ((status = read_tail(file, &h)) < 0 || (status = parse_materials(file, &h)) < 0 ||
-        (status = parse_table(file, &h)) < 0)
-        return status;
-    return check_bounds(file);
+    BSQ_TRY(read_tail(file, &h));
+    BSQ_TRY(parse_materials(file, &h));
+    BSQ_TRY(parse_table(file, &h));
+    status = check_bounds(file);
+done:
+    return status;
 }
 
 /* Takes ownership of `input`, also on failure. */
 static int open_file(struct bsq_ctx *ctx, struct bsq_file *input, struct fmt_tris_file **out)
 {
     struct fmt_tris_file *file;
-    *out = NULL;
     int status = bsq_calloc(ctx, "chunk file", 1, sizeof *file, &file);
     if (status < 0) {
         bsq_file_close(ctx, input);
@@ -406,14 +392,14 @@ static int open_file(struct bsq_ctx *ctx, struct bsq_file *input, struct fmt_tri
     }
     file->ctx = ctx;
     file->file = *input;
-    if ((status = open_parts(file)) < 0) {
-        fmt_tris_close(file);
-        return status;
-    }
+    status = open_parts(file);
     bsq_free(ctx, file->tail);
     file->tail = NULL;
-    *out = file;
-    return 0;
+    if (status < 0)
+        fmt_tris_close(file);
+    else
+        *out = file;
+    return status;
 }
 
 int fmt_tris_open(struct bsq_ctx *ctx, const char *path, struct fmt_tris_file **out)
@@ -443,7 +429,6 @@ void fmt_tris_close(struct fmt_tris_file *file)
     bsq_free(ctx, file->header.channels);
     bsq_free(ctx, file->sources);
     bsq_free(ctx, file->chunks);
-    bsq_free(ctx, file->tail);
     bsq_free(ctx, file->paths);
     bsq_free(ctx, file);
 }

@@ -10,7 +10,6 @@
 
 #include <errno.h>
 #include <math.h>
-#include <string.h>
 
 #include "base/channels.h"
 #include "base/job_files.h"
@@ -288,27 +287,25 @@ int fmt_tris_require_ids(const struct fmt_tris_file *file)
 static int join(struct fmt_tris_file *all)
 {
     uint64_t chunks = 0;
+    int status;
     for (uint32_t i = 0; i < all->part_count; i++)
         chunks += all->parts[i].file->header.chunk_count;
     begin_header(all);
-    int status = join_materials(all);
-    if (status == 0)
-        status = join_channels(all);
-    if (status == 0)
-        status = join_sources(all);
-    if (status == 0)
-        status = check_normals(all);
-    if (status == 0)
-        status = compare_colors(all);
-    if (status == 0)
-        status = bsq_alloc(all->ctx, "chunk table", chunks + 1, sizeof *all->chunks, &all->chunks);
-    for (uint32_t i = 0; i < all->part_count && status == 0; i++)
-        status = join_chunks(all, &all->parts[i]);
-    for (uint64_t i = 0; i < all->header.chunk_count && status == 0; i++) {
+    BSQ_TRY(join_materials(all));
+    BSQ_TRY(join_channels(all));
+    BSQ_TRY(join_sources(all));
+    BSQ_TRY(check_normals(all));
+    BSQ_TRY(compare_colors(all));
+    BSQ_TRY(bsq_alloc(all->ctx, "chunk table", chunks + 1, sizeof *all->chunks, &all->chunks));
+    for (uint32_t i = 0; i < all->part_count; i++)
+        BSQ_TRY(join_chunks(all, &all->parts[i]));
+    for (uint64_t i = 0; i < all->header.chunk_count; i++) {
         const uint64_t bytes = fmt_tris_load_size(all, i);
         all->load_size_max = bytes > all->load_size_max ? bytes : all->load_size_max;
     }
-    return status ? status : fmt_tris_weld_parts(all);
+    status = fmt_tris_weld_parts(all);
+done:
+    return status;
 }
 
 int fmt_tris_can_join(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count, bool *one)
@@ -361,13 +358,14 @@ int fmt_tris_open_parts(struct bsq_ctx *ctx, const char *const *paths, uint32_t 
         return status;
     all->ctx = ctx;
     all->file = (struct bsq_file)BSQ_FILE_CLOSED;
-    status = open_all(all, paths, path_count, temp);
-    if (status == 0) {
-        bsq_sort(all->parts, all->part_count, sizeof *all->parts, compare_parts);
-        all->file.path = strdup(all->parts[0].file->file.path);
-        status =
-            all->file.path ? join(all) : bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", paths[0]);
-    }
+    BSQ_TRY(open_all(all, paths, path_count, temp));
+    bsq_sort(all->parts, all->part_count, sizeof *all->parts, compare_parts);
+    all->file.path = strdup(all->parts[0].file->file.path);
+    if (!all->file.path)
+        status = bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", paths[0]);
+    else
+        status = join(all);
+done:
     if (status < 0)
         fmt_tris_close(all);
     else
@@ -399,44 +397,31 @@ static const struct tris_part *find_part(const struct fmt_tris_file *all, uint64
     return &all->parts[low];
 }
 
-/* Offsets of the attributes that a part lacks, after a chunk that is loaded. */
-struct added {
-    uint64_t colors, texcoords, materials, bytes;
-};
-
-static struct added place_added(const struct fmt_tris_file *all, const struct tris_part *part,
-                                uint64_t index)
+/* Places the attributes that a part lacks after a loaded chunk, and returns the bytes of all. Fills
+ * them in unless `chunk` is NULL: with white, and no material, as sorting does for vertices and
+ * faces without. */
+static uint64_t add_attributes(const struct fmt_tris_file *all, const struct tris_part *part,
+                               uint64_t index, uint8_t *scratch, struct fmt_tris_chunk *chunk)
 {
     const struct fmt_tris_chunk_info *info = &all->chunks[index];
     const uint32_t lacking = all->header.attributes & ~part->file->header.attributes;
-    struct added a = {
-        .colors = bsq_align_up(fmt_tris_load_size(part->file, index - part->first_chunk), 8)};
-    a.texcoords = bsq_align_up(
-        a.colors + (lacking & FMT_TRIS_COLORS ? 4 * (uint64_t)info->vertex_count : 0), 8);
-    a.materials =
-        a.texcoords + (lacking & FMT_TRIS_TEXCOORDS ? 8 * (uint64_t)info->vertex_count : 0);
-    a.bytes = bsq_align_up(
-        a.materials + (lacking & FMT_TRIS_MATERIALS ? 4 * (uint64_t)info->triangle_count : 0), 8);
-    return a;
+    uint64_t end = bsq_align_up(fmt_tris_load_size(part->file, index - part->first_chunk), 8);
+    for (int i = 0; i < TRIS_ATTRIBUTE_COUNT; i++) {
+        const struct tris_attribute *attribute = &fmt_tris_attributes[i];
+        const uint64_t bytes =
+            tris_values_bytes(attribute, info->triangle_count, info->vertex_count);
+        if (!(lacking & attribute->flag))
+            continue;
+        if (chunk)
+            tris_set_values(attribute, chunk, memset(scratch + end, attribute->absent, bytes));
+        end = bsq_align_up(end + bytes, 8);
+    }
+    return end;
 }
 
 uint64_t fmt_tris_part_load_size(const struct fmt_tris_file *all, uint64_t index)
 {
-    return place_added(all, find_part(all, index), index).bytes;
-}
-
-/* Adds white, and no material, as sorting does for vertices and faces without. */
-static void add_attributes(const struct fmt_tris_file *all, const struct tris_part *part,
-                           uint64_t index, uint8_t *scratch, struct fmt_tris_chunk *chunk)
-{
-    const uint32_t lacking = all->header.attributes & ~part->file->header.attributes;
-    const struct added a = place_added(all, part, index);
-    if (lacking & FMT_TRIS_COLORS)
-        chunk->colors = memset(scratch + a.colors, 0xff, 4 * (uint64_t)chunk->vertex_count);
-    if (lacking & FMT_TRIS_TEXCOORDS)
-        chunk->texcoords = memset(scratch + a.texcoords, 0, 8 * (uint64_t)chunk->vertex_count);
-    if (lacking & FMT_TRIS_MATERIALS)
-        chunk->materials = memset(scratch + a.materials, 0xff, 4 * (uint64_t)chunk->triangle_count);
+    return add_attributes(all, find_part(all, index), index, NULL, NULL);
 }
 
 /* Changes positions and materials, which lie in `scratch`. */
@@ -459,15 +444,14 @@ int fmt_tris_load_part(const struct fmt_tris_file *all, uint64_t index, void *sc
     struct fmt_tris_file open = *part->file;
     const bool named = open.file.fd < 0;
     memset(out, 0, sizeof *out);
-    int status = named ? bsq_file_open(all->ctx, part->file->file.path, &open.file) : 0;
-    if (status == 0)
-        status = fmt_tris_load(&open, index - part->first_chunk, scratch, out);
-    if (named)
-        bsq_file_close(all->ctx, &open.file);
-    if (status < 0)
-        return status;
+    int status;
+    BSQ_TRY(named ? bsq_file_open(all->ctx, part->file->file.path, &open.file) : 0);
+    BSQ_TRY(fmt_tris_load(&open, index - part->first_chunk, scratch, out));
     make_common(part, out);
     fmt_tris_apply_welds(all, index, (float(*)[3])out->positions);
     add_attributes(all, part, index, scratch, out);
-    return 0;
+done:
+    if (named)
+        bsq_file_close(all->ctx, &open.file);
+    return status;
 }

@@ -9,7 +9,6 @@
 
 #include <float.h>
 #include <math.h>
-#include <string.h>
 
 #include "base/positions.h"
 
@@ -162,24 +161,18 @@ static void match_cell(const struct welding *w, uint32_t vertex, const float cel
     }
 }
 
-static int match_chunk(struct welding *w)
+/* Compares an own vertex with those of the cells that its neighbourhood meets. */
+static void match_vertex(const struct welding *w, uint32_t vertex)
 {
-    int status = 0;
-    fill_cells(w);
-    for (uint32_t v = 0; v < w->own.vertex_count && status == 0; v++) {
-        float before[8][3];
-        for (unsigned mask = 0; mask < 8; mask++) {
-            bool again = false;
-            cell_of(w, w->own.positions[v], mask, before[mask]);
-            for (unsigned k = 0; k < mask; k++)
-                again |= is_same(before[k], before[mask]);
-            if (!again)
-                match_cell(w, v, before[mask]);
-        }
-        if (v % 4096 == 0)
-            status = bsq_check(w->all->ctx);
+    float before[8][3];
+    for (unsigned mask = 0; mask < 8; mask++) {
+        bool again = false;
+        cell_of(w, w->own.positions[vertex], mask, before[mask]);
+        for (unsigned k = 0; k < mask; k++)
+            again |= is_same(before[k], before[mask]);
+        if (!again)
+            match_cell(w, vertex, before[mask]);
     }
-    return status;
 }
 
 static int load_own(struct welding *w)
@@ -195,17 +188,19 @@ static int match_part(struct welding *w, const struct tris_part *other)
 {
     int status = 0;
     set_tolerances(w, other);
-    for (uint64_t i = 0; i < other->file->header.chunk_count && status == 0; i++) {
+    for (uint64_t i = 0; i < other->file->header.chunk_count; i++) {
         const uint64_t number = other->first_chunk + i;
         if (!touches(w, &w->all->chunks[number]))
             continue;
-        if (w->own.vertex_count == 0)
-            status = load_own(w);
-        if (status == 0)
-            status = fmt_tris_load_part(w->all, number, w->other_scratch, &w->other);
-        if (status == 0)
-            status = match_chunk(w);
+        BSQ_TRY(w->own.vertex_count == 0 ? load_own(w) : 0);
+        BSQ_TRY(fmt_tris_load_part(w->all, number, w->other_scratch, &w->other));
+        fill_cells(w);
+        for (uint32_t v = 0; v < w->own.vertex_count; v++) {
+            match_vertex(w, v);
+            BSQ_TRY(v % 4096 == 0 ? bsq_check(w->all->ctx) : 0);
+        }
     }
+done:
     return status;
 }
 
@@ -242,17 +237,16 @@ static int keep(const struct welding *w)
 
 static int weld_part(struct welding *w, uint32_t number)
 {
-    const struct tris_part *part = &w->all->parts[number];
     int status = 0;
-    w->part = part;
-    for (uint64_t i = 0; i < part->file->header.chunk_count && status == 0; i++) {
-        w->chunk = part->first_chunk + i;
+    w->part = &w->all->parts[number];
+    for (uint64_t i = 0; i < w->part->file->header.chunk_count; i++) {
+        w->chunk = w->part->first_chunk + i;
         w->own.vertex_count = 0;
-        for (uint32_t k = 0; k < number && status == 0; k++)
-            status = match_part(w, &w->all->parts[k]);
-        if (status == 0)
-            status = keep(w);
+        for (uint32_t k = 0; k < number; k++)
+            BSQ_TRY(match_part(w, &w->all->parts[k]));
+        BSQ_TRY(keep(w));
     }
+done:
     return status;
 }
 
@@ -274,34 +268,31 @@ static int allocate(struct welding *w)
     for (uint64_t i = 0; i < w->all->header.chunk_count; i++)
         most = w->all->chunks[i].vertex_count > most ? w->all->chunks[i].vertex_count : most;
     const uint32_t slots = bsq_positions_slots(most);
-    int status = bsq_alloc(ctx, what, w->all->load_size_max + 1, 1, &w->own_scratch);
-    if (status == 0)
-        status = bsq_alloc(ctx, what, w->all->load_size_max + 1, 1, &w->other_scratch);
-    if (status == 0)
-        status = bsq_alloc(ctx, what, slots, sizeof *c->table.slots, &c->table.slots);
-    if (status == 0)
-        status = bsq_alloc(ctx, what, most, sizeof *c->numbers, &c->numbers);
-    if (status == 0)
-        status = bsq_alloc(ctx, what, most, sizeof *c->positions, &c->positions);
-    if (status == 0)
-        status = bsq_alloc(ctx, what, most, sizeof *c->next, &c->next);
-    if (status == 0)
-        status = bsq_alloc(ctx, what, most, sizeof *w->nearest, &w->nearest);
-    if (status == 0)
-        status = bsq_alloc(ctx, what, most, sizeof *w->distances, &w->distances);
+    int status;
     c->table.mask = slots - 1;
+    BSQ_TRY(bsq_alloc(ctx, what, w->all->load_size_max + 1, 1, &w->own_scratch));
+    BSQ_TRY(bsq_alloc(ctx, what, w->all->load_size_max + 1, 1, &w->other_scratch));
+    BSQ_TRY(bsq_alloc(ctx, what, slots, sizeof *c->table.slots, &c->table.slots));
+    BSQ_TRY(bsq_alloc(ctx, what, most, sizeof *c->numbers, &c->numbers));
+    BSQ_TRY(bsq_alloc(ctx, what, most, sizeof *c->positions, &c->positions));
+    BSQ_TRY(bsq_alloc(ctx, what, most, sizeof *c->next, &c->next));
+    BSQ_TRY(bsq_alloc(ctx, what, most, sizeof *w->nearest, &w->nearest));
+    BSQ_TRY(bsq_alloc(ctx, what, most, sizeof *w->distances, &w->distances));
     c->table.positions = (const float(*)[3])c->numbers;
+done:
     return status;
 }
 
 int fmt_tris_weld_parts(struct fmt_tris_file *all)
 {
     struct welding w = {.all = all};
+    int status;
     if (!origins_differ(all))
         return 0;
-    int status = allocate(&w);
-    for (uint32_t i = 1; i < all->part_count && status == 0; i++)
-        status = weld_part(&w, i);
+    BSQ_TRY(allocate(&w));
+    for (uint32_t i = 1; i < all->part_count; i++)
+        BSQ_TRY(weld_part(&w, i));
+done:
     bsq_free(all->ctx, w.own_scratch);
     bsq_free(all->ctx, w.other_scratch);
     bsq_free(all->ctx, w.cells.table.slots);

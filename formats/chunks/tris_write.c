@@ -1,12 +1,22 @@
 /* tris_write.c - writes a chunk file: chunks in order, then materials and table, the header last.
  *
+ * Attributes are stored as successive arrays, so that a reader can use them in place. Only indices
+ * change: they are stored in 16 bits if the vertex count allows it. Encoding needs no state, so
+ * workers encode chunks while one thread appends them.
+ *
  * The chunks determine the header's counts and bounds, so the header is known only at the end.
  * Until then its place holds zeros, which no reader accepts. */
 #include "formats/chunks/tris_internal.h"
 
 #include <math.h>
-#include <string.h>
 #include <xxhash.h>
+
+const struct tris_attribute fmt_tris_attributes[TRIS_ATTRIBUTE_COUNT] = {
+    {FMT_TRIS_NORMALS, 4, false, 0, offsetof(struct fmt_tris_chunk, normals)},
+    {FMT_TRIS_TEXCOORDS, 8, false, 0, offsetof(struct fmt_tris_chunk, texcoords)},
+    {FMT_TRIS_COLORS, 4, false, 0xff, offsetof(struct fmt_tris_chunk, colors)},
+    {FMT_TRIS_MATERIALS, 4, true, 0xff, offsetof(struct fmt_tris_chunk, materials)},
+};
 
 uint32_t fmt_tris_version(const struct fmt_tris_header *header)
 {
@@ -26,64 +36,141 @@ uint32_t fmt_tris_find_channel(const struct fmt_tris_header *header, const char 
     return UINT32_MAX;
 }
 
+/* ---- chunks ---- */
+
+uint64_t fmt_tris_encoded_bound(uint32_t attributes, uint32_t triangle_count, uint32_t vertex_count)
+{
+    return tris_chunk_layout(attributes, triangle_count, vertex_count).bytes;
+}
+
+static int chunk_bounds(struct bsq_ctx *ctx, const struct fmt_tris_chunk *chunk,
+                        struct fmt_tris_chunk_info *info)
+{
+    for (int axis = 0; axis < 3; axis++) {
+        info->bounds_min[axis] = INFINITY;
+        info->bounds_max[axis] = -INFINITY;
+    }
+    float poison = 0.0f; /* becomes NaN with the first value that is not finite */
+    for (uint32_t v = 0; v < chunk->vertex_count; v++)
+        for (int axis = 0; axis < 3; axis++) {
+            float p = chunk->positions[v][axis];
+            poison += p * 0.0f;
+            info->bounds_min[axis] = p < info->bounds_min[axis] ? p : info->bounds_min[axis];
+            info->bounds_max[axis] = p > info->bounds_max[axis] ? p : info->bounds_max[axis];
+        }
+    if (poison != 0.0f)
+        return bsq_fail(ctx, BSQ_EBUG, "a chunk has a vertex position that is not finite");
+    return 0;
+}
+
+static int store_indices(struct bsq_ctx *ctx, const struct fmt_tris_chunk *chunk,
+                         const struct tris_layout *layout, uint8_t *to)
+{
+    const uint32_t *from = &chunk->triangles[0][0];
+    uint32_t count = 3 * chunk->triangle_count, max = 0;
+    for (uint32_t i = 0; i < count; i++)
+        max = from[i] > max ? from[i] : max;
+    if (max >= chunk->vertex_count)
+        return bsq_fail(ctx, BSQ_EBUG, "a chunk refers to vertex %u, it has %u", max,
+                        chunk->vertex_count);
+    if (layout->short_indices) {
+        uint16_t *indices = (uint16_t *)(void *)to;
+        for (uint32_t i = 0; i < count; i++)
+            indices[i] = (uint16_t)from[i];
+    } else {
+        memcpy(to, from, (size_t)count * 4);
+    }
+    return 0;
+}
+
+int fmt_tris_encode(struct bsq_ctx *ctx, uint32_t attributes, const struct fmt_tris_chunk *chunk,
+                    void *buffer, uint64_t *size, struct fmt_tris_chunk_info *info)
+{
+    uint32_t nt = chunk->triangle_count, nv = chunk->vertex_count;
+    if (nt == 0 || nt > FMT_TRIS_CHUNK_TRIANGLES || nv == 0 || nv > 3 * nt)
+        return bsq_fail(ctx, BSQ_EBUG, "a chunk of %u triangles and %u vertices", nt, nv);
+    struct tris_layout l = tris_chunk_layout(attributes, nt, nv);
+    uint8_t *bytes = buffer;
+    int status;
+    memset(info, 0, sizeof *info);
+    if ((status = chunk_bounds(ctx, chunk, info)) < 0)
+        return status;
+    memcpy(bytes + l.positions, chunk->positions, (size_t)12 * nv);
+    for (int i = 0; i < TRIS_ATTRIBUTE_COUNT; i++) {
+        const struct tris_attribute *attribute = &fmt_tris_attributes[i];
+        const void *values;
+        memcpy(&values, (const char *)chunk + attribute->member, sizeof values);
+        if (attributes & attribute->flag)
+            memcpy(bytes + l.values[i], values, tris_values_bytes(attribute, nt, nv));
+    }
+    if ((status = store_indices(ctx, chunk, &l, bytes + l.triangles)) < 0)
+        return status;
+    memset(bytes + l.end, 0, l.bytes - l.end);
+    struct tris_chunk_header header = {0, nt, nv};
+    memcpy(bytes, &header, sizeof header);
+    header.checksum = XXH3_64bits(bytes + 8, l.bytes - 8);
+    memcpy(bytes, &header, sizeof header);
+    info->size_bytes = *size = l.bytes;
+    info->triangle_count = nt;
+    info->vertex_count = nv;
+    return 0;
+}
+
+/* ---- the writer ---- */
+
 struct fmt_tris_writer {
     struct bsq_ctx *ctx;
     struct bsq_output *output;
+    bool temporary; /* the output is a temporary file */
     struct tris_file_header header;
     char *materials; /* as in the file */
-    uint64_t materials_bytes;
-    struct tris_table_entry *table;
+    uint64_t materials_bytes, materials_capacity;
+    struct fmt_tris_chunk_info *table;
     uint64_t table_capacity;
 };
 
-static void writer_free(struct fmt_tris_writer *writer)
+void fmt_tris_discard(struct fmt_tris_writer *writer)
 {
-    struct bsq_ctx *ctx = writer->ctx;
-    bsq_free(ctx, writer->materials);
-    bsq_free(ctx, writer->table);
-    bsq_free(ctx, writer);
+    if (!writer)
+        return;
+    bsq_output_discard(writer->output);
+    bsq_free(writer->ctx, writer->materials);
+    bsq_free(writer->ctx, writer->table);
+    bsq_free(writer->ctx, writer);
 }
 
-/* Copies bytes to *to and moves it past them. */
-static void put(char **to, const void *from, size_t bytes)
+/* ---- materials ---- */
+
+/* Appends bytes to the materials. */
+static int put(struct fmt_tris_writer *writer, const void *from, uint64_t bytes)
 {
-    if (bytes > 0)
-        memcpy(*to, from, bytes);
-    *to += bytes;
+    int status = bsq_grow(writer->ctx, "materials", writer->materials_bytes + bytes, 1,
+                          &writer->materials, &writer->materials_capacity);
+    if (status == 0 && bytes > 0)
+        memcpy(writer->materials + writer->materials_bytes, from, bytes);
+    writer->materials_bytes += status == 0 ? bytes : 0;
+    return status;
 }
 
-static size_t text_length(const char *text)
+static uint64_t text_bytes(const char *text)
 {
     return text ? strlen(text) : 0;
 }
 
-/* Sets *bytes to the size of the materials part without its padding. */
-static int measure_materials(const struct fmt_tris_writer *writer,
-                             const struct fmt_tris_header *header, uint64_t *bytes)
+/* Appends a record, which has the length of a text, and the text; NULL: "". */
+static int put_text(struct fmt_tris_writer *writer, const void *record, uint64_t bytes,
+                    const char *text)
 {
-    const bool channels = fmt_tris_version(header) == FMT_TRIS_VERSION_CHANNELS;
-    const bool ids = header->ids != BSQ_IDS_NONE || channels;
-    *bytes = ids ? sizeof(struct tris_ids_record) : 0;
-    *bytes += channels ? sizeof(struct tris_channels_record) : 0;
-    for (uint32_t c = 0; c < header->channel_count; c++)
-        *bytes += sizeof(uint32_t) + strlen(header->channels[c]);
-    for (uint32_t i = 0; i < header->material_count; i++) {
-        const size_t path = text_length(header->materials[i].texture_path);
-        const size_t name = text_length(header->materials[i].name);
-        if (path >= TRIS_NO_PATH || name >= UINT32_MAX)
-            return bsq_fail(writer->ctx, BSQ_EUSAGE, "a material's name or path has %zu bytes",
-                            path > name ? path : name);
-        *bytes += sizeof(struct tris_material_record) + path;
-        *bytes += ids ? sizeof(struct tris_name_record) + name : 0;
-        *bytes += channels ? sizeof(struct tris_uv_record) : 0;
-        for (uint32_t c = 0; c < header->channel_count; c++) {
-            const size_t source = text_length(header->materials[i].sources[c].texture_path);
-            if (source >= TRIS_NO_PATH)
-                return bsq_fail(writer->ctx, BSQ_EUSAGE, "a texture's path has %zu bytes", source);
-            *bytes += sizeof(struct tris_source_record) + source;
-        }
-    }
-    return 0;
+    if (text_bytes(text) >= TRIS_NO_PATH)
+        return bsq_fail(writer->ctx, BSQ_EUSAGE, "a material's name or path has %zu bytes",
+                        strlen(text));
+    int status = put(writer, record, bytes);
+    return status < 0 ? status : put(writer, text, text_bytes(text));
+}
+
+static uint32_t path_bytes(const char *path)
+{
+    return path ? (uint32_t)strlen(path) : TRIS_NO_PATH;
 }
 
 static struct tris_uv_record uv_record(const struct bsq_uv *uv)
@@ -94,84 +181,78 @@ static struct tris_uv_record uv_record(const struct bsq_uv *uv)
                      : same;
 }
 
-/* Writes what version 3 has after a material's name. */
-static void put_channels(const struct fmt_tris_header *header, const struct fmt_tris_material *m,
-                         char **to)
+/* Appends what version 3 has after a material's name. */
+static int put_channels(struct fmt_tris_writer *writer, const struct fmt_tris_material *m,
+                        uint32_t channel_count)
 {
     const struct tris_uv_record uv = uv_record(&m->uv);
-    put(to, &uv, sizeof uv);
-    for (uint32_t c = 0; c < header->channel_count; c++) {
+    int status;
+    BSQ_TRY(put(writer, &uv, sizeof uv));
+    for (uint32_t c = 0; c < channel_count; c++) {
         const struct fmt_tris_source *source = &m->sources[c];
-        const size_t path = text_length(source->texture_path);
         const struct tris_source_record record = {
             .value = {source->value[0], source->value[1], source->value[2]},
             .component = source->component,
             .uv = uv_record(&source->uv),
-            .path_bytes = source->texture_path ? (uint32_t)path : TRIS_NO_PATH};
-        put(to, &record, sizeof record);
-        put(to, source->texture_path, path);
+            .path_bytes = path_bytes(source->texture_path)};
+        BSQ_TRY(put_text(writer, &record, sizeof record, source->texture_path));
     }
+done:
+    return status;
 }
 
-/* named, channels: whether the file has names of materials, and values of channels. */
-static void put_material(const struct fmt_tris_header *header, const struct fmt_tris_material *m,
-                         bool named, bool channels, char **to)
+static int put_material(struct fmt_tris_writer *writer, const struct fmt_tris_material *m,
+                        uint32_t channel_count)
 {
-    const size_t path = text_length(m->texture_path), name = text_length(m->name);
     const struct tris_material_record record = {{m->diffuse[0], m->diffuse[1], m->diffuse[2]},
-                                                m->texture_path ? (uint32_t)path : TRIS_NO_PATH};
-    const struct tris_name_record name_record = {m->colorless ? TRIS_COLORLESS : 0, (uint32_t)name};
-    put(to, &record, sizeof record);
-    put(to, m->texture_path, path);
-    if (!named)
-        return;
-    put(to, &name_record, sizeof name_record);
-    put(to, m->name, name);
-    if (channels)
-        put_channels(header, m, to);
+                                                path_bytes(m->texture_path)};
+    const struct tris_name_record name = {m->colorless ? TRIS_COLORLESS : 0,
+                                          (uint32_t)text_bytes(m->name)};
+    const uint32_t version = writer->header.version;
+    int status;
+    BSQ_TRY(put_text(writer, &record, sizeof record, m->texture_path));
+    if (version >= FMT_TRIS_VERSION_IDS)
+        BSQ_TRY(put_text(writer, &name, sizeof name, m->name));
+    if (version == FMT_TRIS_VERSION_CHANNELS)
+        status = put_channels(writer, m, channel_count);
+done:
+    return status;
 }
 
 static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tris_header *header)
 {
+    static const char zeros[8];
     const struct tris_ids_record ids = {.ids = header->ids};
-    uint64_t bytes;
-    int status = measure_materials(writer, header, &bytes);
-    if (status < 0)
-        return status;
-    writer->materials_bytes = bsq_align_up(bytes, 8);
-    status =
-        bsq_calloc(writer->ctx, "materials", writer->materials_bytes + 1, 1, &writer->materials);
-    if (status < 0)
-        return status;
-    char *to = writer->materials;
     const struct tris_channels_record channels = {.channel_count = header->channel_count};
-    const bool has_channels = fmt_tris_version(header) == FMT_TRIS_VERSION_CHANNELS;
-    const bool has_names = ids.ids != BSQ_IDS_NONE || has_channels;
-    if (has_names)
-        put(&to, &ids, sizeof ids);
-    if (has_channels)
-        put(&to, &channels, sizeof channels);
+    int status = 0;
+    if (writer->header.version >= FMT_TRIS_VERSION_IDS)
+        BSQ_TRY(put(writer, &ids, sizeof ids));
+    if (writer->header.version == FMT_TRIS_VERSION_CHANNELS)
+        BSQ_TRY(put(writer, &channels, sizeof channels));
     for (uint32_t c = 0; c < header->channel_count; c++) {
         const uint32_t length = (uint32_t)strlen(header->channels[c]);
-        put(&to, &length, sizeof length);
-        put(&to, header->channels[c], length);
+        BSQ_TRY(put_text(writer, &length, sizeof length, header->channels[c]));
     }
     for (uint32_t i = 0; i < header->material_count; i++)
-        put_material(header, &header->materials[i], has_names, has_channels, &to);
-    return 0;
+        BSQ_TRY(put_material(writer, &header->materials[i], header->channel_count));
+    status = put(writer, zeros, bsq_align_up(writer->materials_bytes, 8) - writer->materials_bytes);
+done:
+    return status;
 }
+
+/* ---- the file ---- */
 
 /* Creates the file `path` or, if `path` is NULL, a temporary file beside the file `beside`. */
 static int create(struct bsq_ctx *ctx, const char *path, const char *beside,
                   const struct fmt_tris_header *header, struct fmt_tris_writer **out)
 {
     static const struct tris_file_header zeros;
-    struct fmt_tris_writer *writer;
+    struct fmt_tris_writer *writer = NULL;
+    int status;
     *out = NULL;
-    int status = bsq_calloc(ctx, "chunk file", 1, sizeof *writer, &writer);
-    if (status < 0)
-        return status;
+    BSQ_TRY(bsq_calloc(ctx, "chunk file", 1, sizeof *writer, &writer));
     writer->ctx = ctx;
+    writer->temporary = !path;
     struct tris_file_header *h = &writer->header;
     memcpy(h->magic, TRIS_MAGIC, sizeof h->magic);
     h->version = fmt_tris_version(header);
@@ -179,15 +260,15 @@ static int create(struct bsq_ctx *ctx, const char *path, const char *beside,
     h->source_faces = header->source_faces;
     h->material_count = header->material_count;
     memcpy(h->origin, header->origin, sizeof h->origin);
-    if ((status = encode_materials(writer, header)) < 0 ||
-        (status = path ? bsq_output_open(ctx, path, &writer->output)
-                       : bsq_output_open_temp(ctx, beside, "chunks", &writer->output)) < 0 ||
-        (status = bsq_output_write(writer->output, &zeros, sizeof zeros)) < 0) {
-        fmt_tris_discard(writer);
-        return status;
-    }
+    BSQ_TRY(encode_materials(writer, header));
+    BSQ_TRY(path ? bsq_output_open(ctx, path, &writer->output)
+                 : bsq_output_open_temp(ctx, beside, "chunks", &writer->output));
+    BSQ_TRY(bsq_output_write(writer->output, &zeros, sizeof zeros));
     *out = writer;
     return 0;
+done:
+    fmt_tris_discard(writer);
+    return status;
 }
 
 int fmt_tris_create(struct bsq_ctx *ctx, const char *path, const struct fmt_tris_header *header,
@@ -221,14 +302,11 @@ int fmt_tris_append(struct fmt_tris_writer *writer, const void *encoded, uint64_
                           &writer->table, &writer->table_capacity);
     if (status < 0)
         return status;
-    struct tris_table_entry *entry = &writer->table[h->chunk_count];
+    struct fmt_tris_chunk_info *entry = &writer->table[h->chunk_count];
+    *entry = *info;
     entry->offset = bsq_output_tell(writer->output);
     entry->size_bytes = size;
     entry->first_triangle = h->triangle_count;
-    entry->triangle_count = info->triangle_count;
-    entry->vertex_count = info->vertex_count;
-    memcpy(entry->bounds_min, info->bounds_min, sizeof entry->bounds_min);
-    memcpy(entry->bounds_max, info->bounds_max, sizeof entry->bounds_max);
     if ((status = bsq_output_write(writer->output, encoded, size)) < 0)
         return status;
     extend_bounds(h, info);
@@ -242,78 +320,39 @@ void fmt_tris_skip(struct fmt_tris_writer *writer, uint64_t triangles)
     writer->header.skipped_triangles += triangles;
 }
 
-uint64_t fmt_tris_written(const struct fmt_tris_writer *writer)
-{
-    return bsq_output_tell(writer->output);
-}
-
 /* Writes materials, table and header. */
 static int finish(struct fmt_tris_writer *writer)
 {
     struct tris_file_header *h = &writer->header;
-    uint64_t table_bytes = h->chunk_count * sizeof *writer->table;
+    const uint64_t table_bytes = h->chunk_count * sizeof *writer->table;
+    int status;
     h->materials_offset = bsq_output_tell(writer->output);
     h->table_offset = h->materials_offset + writer->materials_bytes;
     h->file_bytes = h->table_offset + table_bytes;
     h->materials_checksum = XXH3_64bits(writer->materials, writer->materials_bytes);
     h->table_checksum = XXH3_64bits(writer->table, table_bytes);
     h->header_checksum = XXH3_64bits(h, offsetof(struct tris_file_header, header_checksum));
+    BSQ_TRY(bsq_output_write(writer->output, writer->materials, writer->materials_bytes));
+    BSQ_TRY(bsq_output_write(writer->output, writer->table, table_bytes));
+    status = bsq_output_write_at(writer->output, h, sizeof *h, 0);
+done:
+    return status;
+}
+
+int fmt_tris_commit(struct fmt_tris_writer *writer, struct bsq_file *out)
+{
     int status;
-    if ((status = bsq_output_write(writer->output, writer->materials, writer->materials_bytes)) <
-            0 ||
-        (status = bsq_output_write(writer->output, writer->table, table_bytes)) < 0 ||
-        (status = bsq_output_write_at(writer->output, h, sizeof *h, 0)) < 0)
-        return status;
-    return 0;
-}
-
-int fmt_tris_commit(struct fmt_tris_writer *writer)
-{
-    int status = finish(writer);
-    if (status < 0) {
-        fmt_tris_discard(writer);
-        return status;
-    }
-    status = bsq_output_commit(writer->output);
-    writer_free(writer);
+    if (out)
+        *out = (struct bsq_file)BSQ_FILE_CLOSED;
+    BSQ_TRY(finish(writer));
+    if (out && !writer->temporary)
+        BSQ_TRY(bsq_output_read(writer->output, out));
+    status = writer->temporary ? bsq_output_keep_temp(writer->output, out)
+                               : bsq_output_commit(writer->output);
+    writer->output = NULL;
+    if (status < 0 && out)
+        bsq_file_close(writer->ctx, out);
+done:
+    fmt_tris_discard(writer);
     return status;
-}
-
-int fmt_tris_commit_open(struct fmt_tris_writer *writer, struct bsq_file *out)
-{
-    *out = (struct bsq_file)BSQ_FILE_CLOSED;
-    int status = finish(writer);
-    if (status == 0)
-        status = bsq_output_read(writer->output, out);
-    if (status < 0) {
-        fmt_tris_discard(writer);
-        return status;
-    }
-    struct bsq_ctx *ctx = writer->ctx;
-    status = bsq_output_commit(writer->output);
-    writer_free(writer);
-    if (status < 0)
-        bsq_file_close(ctx, out);
-    return status;
-}
-
-int fmt_tris_keep_temp(struct fmt_tris_writer *writer, struct bsq_file *out)
-{
-    *out = (struct bsq_file)BSQ_FILE_CLOSED;
-    int status = finish(writer);
-    if (status < 0) {
-        fmt_tris_discard(writer);
-        return status;
-    }
-    status = bsq_output_keep_temp(writer->output, out);
-    writer_free(writer);
-    return status;
-}
-
-void fmt_tris_discard(struct fmt_tris_writer *writer)
-{
-    if (!writer)
-        return;
-    bsq_output_discard(writer->output);
-    writer_free(writer);
 }

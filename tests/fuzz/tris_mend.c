@@ -5,7 +5,7 @@
 
 #include "formats/chunks/tris_internal.h"
 
-static void mend_chunk(uint8_t *data, uint64_t end, const struct tris_table_entry *entry)
+static void mend_chunk(uint8_t *data, uint64_t end, const struct fmt_tris_chunk_info *entry)
 {
     if (entry->offset > end || entry->size_bytes > end - entry->offset ||
         entry->size_bytes < sizeof(struct tris_chunk_header))
@@ -23,7 +23,7 @@ void tris_mend(uint8_t *data, size_t size)
     memcpy(&header, data, sizeof header);
     header.file_bytes = size;
     if (header.materials_offset <= header.table_offset && header.table_offset <= size) {
-        struct tris_table_entry entry;
+        struct fmt_tris_chunk_info entry;
         for (uint64_t at = header.table_offset; size - at >= sizeof entry; at += sizeof entry) {
             memcpy(&entry, data + at, sizeof entry);
             mend_chunk(data, header.materials_offset, &entry);

@@ -68,7 +68,7 @@ TEST(triangles_are_numbered_past_2_32)
     assert_int_equal(writer->table[0].first_triangle, START);
     assert_int_equal(writer->table[1].first_triangle, START + 20);
     assert_int_equal(writer->table[2].first_triangle, START + 40);
-    assert_int_equal(fmt_tris_commit(writer), 0);
+    assert_int_equal(fmt_tris_commit(writer, NULL), 0);
     struct tris_file_header written;
     FILE *file = fopen("a.tris", "rb");
     assert_non_null(file);

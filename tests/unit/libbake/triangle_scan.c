@@ -86,6 +86,6 @@ void triangle_scan_write(const struct triangle_scan *scan, const double origin[3
         uint32_t left = scan->triangle_count - t;
         append_chunk(ctx, writer, scan, t, left < chunk_triangles ? left : chunk_triangles);
     }
-    assert_int_equal(fmt_tris_commit(writer), 0);
+    assert_int_equal(fmt_tris_commit(writer, NULL), 0);
     bsq_ctx_destroy(ctx);
 }

@@ -251,7 +251,7 @@ void scan_write(struct bsq_ctx *ctx, const char *path, const struct scan_mesh *m
         write_chunk(ctx, writer, header.attributes, &part);
         scan_mesh_free(&part);
     }
-    assert_int_equal(fmt_tris_commit(writer), 0);
+    assert_int_equal(fmt_tris_commit(writer, NULL), 0);
     free(local);
     free(header.materials);
 }

@@ -175,7 +175,7 @@ FIXTURE_TEST(padding_of_materials_is_zero)
     struct fmt_tris_writer *writer;
     size_t size;
     assert_int_equal(fmt_tris_create(f->ctx, f->path, &header, &writer), 0);
-    assert_int_equal(fmt_tris_commit(writer), 0);
+    assert_int_equal(fmt_tris_commit(writer, NULL), 0);
     uint8_t *bytes = tris_read_bytes(f->path, &size);
     assert_int_equal(read_all(f), 0);
     for (size_t at = size - 6; at < size; at++) {
