@@ -1,14 +1,271 @@
-/* voxelize.c - makes the grid file from the regions of chunk files. */
+/* voxelize.c - makes the grid file from chunk files: input, memory and output. regions.c makes the
+ * voxels. */
+#include <inttypes.h>
 #include <string.h>
 
+#include "base/channels.h"
 #include "base/clock.h"
 #include "base/job_files.h"
+#include "libvoxel/float_precision.h"
+#include "libvoxel/temp_tris.h"
+#include "libvoxel/voxelize/grid_estimate.h"
 #include "libvoxel/voxelize/voxelize_run.h"
+
+/* More bytes of sums than this would not stay in a processor's cache; then regions are made in
+ * parts. */
+#define ACCUMULATOR_BYTES_USEFUL   (UINT64_C(48) << 20)
+#define TEXTURE_CACHE_BYTES_MIN    (UINT64_C(12) << 20)
+#define TEXTURE_CACHE_BYTES_USEFUL (UINT64_C(1) << 30)
+/* Least bytes for results of regions under way, for each worker. */
+#define RESULT_BYTES_MIN (UINT64_C(1) << 20)
+
+/* Units under way for each worker. Some regions take a hundred times as long as others. Meanwhile
+ * results of later regions wait in their slots, and no worker has to. */
+enum { UNITS_PER_WORKER = 8 };
+
+enum { SLABS_MAX = VOX_REGION_SIZE / 8 };
+
+/* ---- memory ---- */
+
+static uint64_t min64(uint64_t a, uint64_t b)
+{
+    return a < b ? a : b;
+}
+
+/* Returns the values of further channels in a record. */
+static uint32_t channel_values(const struct vox_run *run)
+{
+    const char *list = run->options->channels;
+    return list ? bsq_channel_list_values(list, strlen(list)) : 0;
+}
+
+/* Returns what accumulators sum, as vox_accumulator_create() takes it. */
+static unsigned sums_of(const struct vox_run *run)
+{
+    return (vox_shading_has_color(run->header) ? VOX_SUM_COLORS : 0u) +
+           (run->options->ids ? VOX_SUM_IDS : 0u) + VOX_SUM_CHANNEL_VALUE * channel_values(run);
+}
+
+/* Gives half of the free memory to the chunk cache and a quarter to the sums. The rest is left to
+ * the results under way and to the writer. Fails early if the minimum of all that does not fit. */
+static int divide_memory(const struct vox_run *run, struct vox_shares *shares)
+{
+    uint64_t available = bsq_memory_left(run->ctx);
+    uint64_t slot = vox_chunks_slot_bytes(run->file, run->smooth != NULL);
+    const unsigned sums = sums_of(run);
+    shares->texture_bytes = 0;
+    const uint64_t caches =
+        (vox_shading_needs_textures(run->header) ? 1u : 0u) +
+        (vox_shading_channels_need_textures(run->header, run->options->channels) ? 1u : 0u) +
+        (vox_shading_needs_normal_map(run->header, run->options->scan_normal_map) ? 1u : 0u);
+    if (caches > 0) {
+        shares->texture_bytes = min64(available / 4 / caches, TEXTURE_CACHE_BYTES_USEFUL);
+        if (shares->texture_bytes < TEXTURE_CACHE_BYTES_MIN)
+            shares->texture_bytes = TEXTURE_CACHE_BYTES_MIN;
+    }
+    uint64_t sums_min = vox_accumulator_bytes_min(sums),
+             blocks = run->workers * vox_fragment_block_bytes();
+    uint64_t need = caches * shares->texture_bytes + slot + blocks +
+                    run->workers * (sums_min + RESULT_BYTES_MIN);
+    if (available < need)
+        return bsq_fail(run->ctx, BSQ_ENOMEM,
+                        "%s: a memory budget of %" PRIu64 " bytes is too small: voxelizing with %u "
+                        "threads needs %" PRIu64 " bytes beside the %" PRIu64 " in use",
+                        run->options->tris_path, bsq_memory_limit(run->ctx), run->workers, need,
+                        bsq_memory_used(run->ctx));
+    available -= caches * shares->texture_bytes + blocks;
+    uint64_t slots = available / 2 / slot;
+    shares->cache_slots = slots < 1 ? 1 : min64(min64(slots, run->header->chunk_count), INT32_MAX);
+    available -= shares->cache_slots * slot;
+    uint64_t share = min64(available / 2 / run->workers, ACCUMULATOR_BYTES_USEFUL);
+    shares->accumulator_bytes = share > sums_min ? share : sums_min;
+    available -= run->workers * shares->accumulator_bytes;
+    /* The other half is for results that grow while they are held, and for the writer. */
+    shares->result_bytes = available / 2;
+    bsq_note_share(run->ctx, "textures", caches * shares->texture_bytes);
+    bsq_note_share(run->ctx, "chunks", shares->cache_slots * slot);
+    bsq_note_share(run->ctx, "sums of voxels", run->workers * shares->accumulator_bytes);
+    bsq_note_share(run->ctx, "results", shares->result_bytes);
+    return 0;
+}
+
+/* ---- opening ---- */
+
+static int check_channels(const struct vox_run *run)
+{
+    const char *list = run->options->channels;
+    uint32_t first;
+    if (list && channel_values(run) == 0)
+        return bsq_fail(run->ctx, BSQ_EUSAGE, "\"%.60s\" cannot be channels", list);
+    if (list && bsq_channel_list_find(list, strlen(list), BSQ_CHANNEL_NORMAL_MAP, &first))
+        return bsq_fail(run->ctx, BSQ_EUSAGE,
+                        "grids have no channel " BSQ_CHANNEL_NORMAL_MAP
+                        ": their normals contain it");
+    return 0;
+}
+
+static int open_input(struct vox_run *run)
+{
+    const char *path = run->options->tris_path;
+    const struct vox_temp_tris *temp = run->options->temp_tris;
+    const uint32_t parts = run->options->part_paths ? run->options->part_count : 0;
+    int status = temp || parts > 0 ? fmt_tris_open_parts(run->ctx, run->options->part_paths, parts,
+                                                         temp ? &temp->file : NULL, &run->file)
+                                   : fmt_tris_open(run->ctx, path, &run->file);
+    if (status < 0)
+        return status;
+    run->header = fmt_tris_get_header(run->file);
+    if (run->header->triangle_count == 0)
+        return bsq_fail(run->ctx, BSQ_EDATA, "%s: the scan has no triangles", path);
+    if (run->header->chunk_count >= UINT32_MAX)
+        return bsq_fail(run->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks are too many", path,
+                        run->header->chunk_count);
+    status = run->options->ids ? fmt_tris_require_ids(run->file) : 0;
+    if (status == 0)
+        status = check_channels(run);
+    return status < 0 ? status
+                      : vox_transform_init(run->ctx, run->header, path, run->options->resolution,
+                                           run->options->voxel_size, &run->transform);
+}
+
+/* Refuses a grid that does not fit on its disk or in the format, and warns of lost precision. */
+static int check_grid(struct vox_run *run)
+{
+    const unsigned further = (unsigned)vox_shading_has_color(run->header) +
+                             (unsigned)run->options->ids + channel_values(run);
+    int status =
+        vox_estimate_check(run->ctx, run->file, &run->transform, further, run->options->grid_path);
+    if (status == 0)
+        vox_precision_warn_grid(run->ctx, run->options->tris_path, run->header,
+                                fmt_tris_chunks(run->file), run->transform.h);
+    return status;
+}
+
+/* Finds the boxes of chunks in the regions that they touch. */
+static int find_boxes(struct vox_run *run)
+{
+    uint64_t count = run->header->chunk_count;
+    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(run->file);
+    int status = bsq_alloc(run->ctx, "chunk bounds", count, sizeof *run->bounds, &run->bounds);
+    if (status < 0)
+        return status;
+    for (uint64_t i = 0; i < count; i++)
+        run->bounds[i] =
+            vox_transform_box(&run->transform, infos[i].bounds_min, infos[i].bounds_max);
+    return vox_chunk_boxes_create(run->ctx, run->file, &run->transform, run->bounds,
+                                  bsq_memory_share(run->ctx, "boxes of chunks", 16), &run->boxes,
+                                  &run->box_count);
+}
+
+static int open_run(struct vox_run *run)
+{
+    int status;
+    for (int a = 0; a < 3; a++) {
+        run->index_min[a] = INT32_MAX;
+        run->index_max[a] = INT32_MIN;
+    }
+    BSQ_TRY(open_input(run));
+    BSQ_TRY(find_boxes(run));
+    status = check_grid(run);
+done:
+    return status;
+}
+
+/* ---- what the pipeline needs ---- */
+
+static int make_smooth(struct vox_run *run)
+{
+    if ((run->header->attributes & FMT_TRIS_NORMALS) ||
+        run->options->scan_normals == BSQ_SCAN_NORMALS_FLAT)
+        return 0;
+    return vox_smooth_create(run->ctx, run->file, run->options->scan_normals, run->workers,
+                             bsq_memory_share(run->ctx, "smooth normals", 8), &run->smooth);
+}
+
+/* Chooses the slabs that regions are cut into. Few regions would not keep all workers busy. */
+static uint32_t choose_slabs(double regions, unsigned workers)
+{
+    uint32_t slabs = 1;
+    if (workers == 1)
+        return 1;
+    while (slabs < SLABS_MAX && regions * slabs < 16.0 * workers)
+        slabs *= 2;
+    return slabs;
+}
+
+static int make_workers(struct vox_run *run)
+{
+    int status = bsq_calloc(run->ctx, "workers", run->workers, sizeof *run->own, &run->own);
+    for (unsigned i = 0; i < run->workers && status == 0; i++) {
+        struct vox_worker *own = &run->own[i];
+        status = vox_accumulator_create(run->ctx, run->shares.accumulator_bytes, sums_of(run),
+                                        &own->sums);
+        if (status == 0)
+            status = vox_fragment_block_create(run->ctx, &own->block);
+    }
+    if (status < 0)
+        return status;
+    uint64_t count = UINT64_C(1) * UNITS_PER_WORKER * run->workers;
+    if ((status = bsq_calloc(run->ctx, "workers", count, sizeof *run->units, &run->units)) < 0)
+        return status;
+    run->unit_count = (unsigned)count;
+    for (unsigned i = 0; i < run->unit_count; i++)
+        vox_leaves_init(&run->units[i].leaves, run->ctx);
+    return 0;
+}
+
+static int set_up(struct vox_run *run)
+{
+    const struct vox_voxelize_options *options = run->options;
+    struct vox_shading *shading = &run->shading;
+    int status = 0;
+    BSQ_TRY(vox_schedule_create(run->ctx, run->boxes, run->box_count, &run->schedule));
+    BSQ_TRY(make_smooth(run));
+    BSQ_TRY(divide_memory(run, &run->shares));
+    const uint64_t texture_bytes = run->shares.texture_bytes;
+    BSQ_TRY(vox_shading_init(run->ctx, run->header, texture_bytes, shading));
+    if (options->ids)
+        BSQ_TRY(vox_shading_use_ids(run->ctx, shading));
+    if (options->channels)
+        BSQ_TRY(vox_shading_use_channels(run->ctx, run->file, options->channels, texture_bytes,
+                                         shading));
+    BSQ_TRY(vox_shading_use_normal_map(run->ctx, options->tris_path, options->scan_normal_map,
+                                       texture_bytes, shading));
+    BSQ_TRY(vox_chunks_create(run->ctx, run->file, &run->transform, run->boxes, run->box_count,
+                              run->smooth, (uint32_t)run->shares.cache_slots, &run->chunks));
+    BSQ_TRY(make_workers(run));
+    run->slabs = choose_slabs(vox_region_count(&run->transform.voxels), run->workers);
+    run->next_slab = run->slabs;
+done:
+    return status;
+}
+
+/* Frees what the pipeline needed: joining the sections of a grid needs memory too. */
+static void tear_down(struct vox_run *run)
+{
+    for (unsigned i = 0; i < run->unit_count; i++) {
+        bsq_free(run->ctx, run->units[i].chunks);
+        vox_leaves_free(&run->units[i].leaves);
+    }
+    for (unsigned i = 0; run->own && i < run->workers; i++) {
+        vox_accumulator_destroy(run->own[i].sums);
+        vox_fragment_block_destroy(run->ctx, run->own[i].block);
+    }
+    bsq_free(run->ctx, run->units);
+    bsq_free(run->ctx, run->own);
+    bsq_free(run->ctx, run->current.chunks);
+    vox_chunks_destroy(run->chunks);
+    vox_smooth_destroy(run->smooth);
+    vox_schedule_destroy(run->schedule);
+    bsq_free(run->ctx, run->boxes);
+    run->boxes = NULL;
+    vox_shading_free(run->ctx, &run->shading);
+}
 
 /* ---- the grid file ---- */
 
-/* Gives the writer the names that ids stand for. */
-static int name_ids(const struct vox_run *run, struct fmt_nvdb_writer *writer)
+/* Gives the grid the names that ids stand for. */
+static int name_ids(const struct vox_run *run)
 {
     const uint64_t count = run->header->material_count;
     const char **names;
@@ -18,15 +275,15 @@ static int name_ids(const struct vox_run *run, struct fmt_nvdb_writer *writer)
     for (uint64_t i = 0; i < count; i++)
         names[i] = run->header->materials[i].name ? run->header->materials[i].name : "";
     names[count] = ""; /* triangles without a material */
-    status = fmt_nvdb_set_names(writer, names, count + 1);
+    status = fmt_nvdb_set_names(run->writer, names, count + 1);
     bsq_free(run->ctx, (void *)names);
     return status;
 }
 
 /* Starts the grid of a run. */
-static int create_grid(const struct vox_run *run, struct fmt_nvdb_writer **out)
+static int create_grid(struct vox_run *run)
 {
-    const struct vox_transform *transform = &run->shared.transform;
+    const struct vox_transform *transform = &run->transform;
     struct fmt_nvdb_info info = {
         .type = run->options->grid_type == VOX_GRID_ONINDEX ? FMT_NVDB_ONINDEX : FMT_NVDB_MASK,
         .voxel_size = transform->h,
@@ -40,15 +297,9 @@ static int create_grid(const struct vox_run *run, struct fmt_nvdb_writer **out)
         info.scan_min[a] = transform->origin[a] + (double)run->header->bounds_min[a];
         info.scan_max[a] = transform->origin[a] + (double)run->header->bounds_max[a];
     }
-    int status = fmt_nvdb_create(run->ctx, run->options->grid_path, &info, out);
-    if (status == 0 && info.ids != BSQ_IDS_NONE && info.ids != BSQ_IDS_COLOR) {
-        status = name_ids(run, *out);
-        if (status < 0) {
-            fmt_nvdb_discard(*out);
-            *out = NULL;
-        }
-    }
-    return status;
+    int status = fmt_nvdb_create(run->ctx, run->options->grid_path, &info, &run->writer);
+    return status == 0 && info.ids != BSQ_IDS_NONE && info.ids != BSQ_IDS_COLOR ? name_ids(run)
+                                                                                : status;
 }
 
 static void fill_report(const struct vox_run *run, const struct fmt_nvdb_totals *totals,
@@ -61,7 +312,7 @@ static void fill_report(const struct vox_run *run, const struct fmt_nvdb_totals 
     report->lowers = totals->lowers;
     report->uppers = totals->uppers;
     report->grid_bytes = totals->file_bytes;
-    report->voxel_size = run->shared.transform.h;
+    report->voxel_size = run->transform.h;
     report->has_color = vox_shading_has_color(run->header);
     report->has_ids = run->options->ids;
     memcpy(report->index_min, run->index_min, sizeof report->index_min);
@@ -83,17 +334,17 @@ static int export_vdb(struct bsq_ctx *ctx, const char *path, struct bsq_output *
     return status;
 }
 
-/* Completes the grid, whose writer it frees in any case, exports it as OpenVDB if that is asked
+/* Completes the grid, exports it as OpenVDB if that is asked
  * for, gives the files their names, and fills in the report except for the time. */
-static int commit_grid(const struct vox_run *run, struct fmt_nvdb_writer *writer,
-                       struct vox_voxelize_report *report)
+static int commit_grid(struct vox_run *run, struct vox_voxelize_report *report)
 {
     const char *vdb_path = run->options->vdb_path;
     struct bsq_output_group group = {0};
     struct bsq_output *grid = NULL, *vdb = NULL;
     struct fmt_nvdb_totals totals;
-    int status = 0;
-    BSQ_TRY(fmt_nvdb_finish(writer, &totals, &grid));
+    int status = fmt_nvdb_finish(run->writer, &totals, &grid);
+    run->writer = NULL;
+    BSQ_TRY(status);
     fill_report(run, &totals, report);
     BSQ_TRY(bsq_output_group_add(&group, grid));
     if (vdb_path) {
@@ -118,15 +369,12 @@ static int note_outputs(struct bsq_ctx *ctx, const struct vox_voxelize_options *
 
 /* ---- the whole ---- */
 
-static int make_grid(struct vox_run *run, struct vox_voxelize_report *report)
+static int make_regions(struct vox_run *run)
 {
-    struct fmt_nvdb_writer *writer = NULL;
-    int status = create_grid(run, &writer);
+    int status = set_up(run);
     if (status == 0)
-        status = vox_run_regions(run, writer);
-    if (status == 0)
-        return commit_grid(run, writer, report);
-    fmt_nvdb_discard(writer);
+        status = vox_run_regions(run);
+    tear_down(run);
     return status;
 }
 
@@ -143,15 +391,24 @@ void vox_voxelize_defaults(struct vox_voxelize_options *options)
 int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,
                  struct vox_voxelize_report *report)
 {
-    struct vox_run run = {0};
-    double start = bsq_seconds_now();
+    struct vox_run run = {
+        .options = options,
+        .ctx = ctx,
+        .workers = bsq_threads(ctx),
+        .gate = {.lock = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER}};
+    const double start = bsq_seconds_now();
+    int status;
     memset(report, 0, sizeof *report);
-    int status = 0;
     BSQ_TRY(note_outputs(ctx, options));
-    BSQ_TRY(vox_run_open(ctx, options, &run));
-    status = make_grid(&run, report);
+    BSQ_TRY(open_run(&run));
+    BSQ_TRY(create_grid(&run));
+    BSQ_TRY(make_regions(&run));
+    status = commit_grid(&run, report);
 done:
-    vox_run_close(&run);
+    fmt_nvdb_discard(run.writer);
+    bsq_free(ctx, run.boxes);
+    bsq_free(ctx, run.bounds);
+    fmt_tris_close(run.file);
     report->seconds = bsq_seconds_now() - start;
     return status;
 }

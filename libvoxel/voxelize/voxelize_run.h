@@ -1,41 +1,74 @@
-/* voxelize_run.h - makes the regions of a grid from chunk files. */
+/* voxelize_run.h - one call of vox_voxelize(), for the sources of this folder. */
 #ifndef VOX_VOXELIZE_VOXELIZE_RUN_H
 #define VOX_VOXELIZE_VOXELIZE_RUN_H
 
+#include <pthread.h>
+
 #include "formats/grid/nvdb.h"
 #include "libvoxel/voxel.h"
-#include "libvoxel/voxelize/region_work.h"
+#include "libvoxel/voxelize/clip/accumulate.h"
+
+/* How memory is divided among the steps. */
+struct vox_shares {
+    uint64_t texture_bytes; /* for colours, for further channels and for the normal map each */
+    uint64_t cache_slots, accumulator_bytes, result_bytes;
+};
+
+/* A unit of work: a region, or a slab of it along x. */
+struct vox_unit {
+    int32_t origin[3];     /* of the region */
+    struct vox_box window; /* the voxels of the region that this unit fills */
+    uint32_t *chunks;      /* chunks that touch the region, ascending */
+    uint64_t chunk_count, chunk_capacity;
+    struct vox_leaves leaves; /* the result */
+    uint64_t held_bytes;      /* bytes that the gate granted for it */
+    uint64_t sequence;
+};
+
+/* Memory of one worker. */
+struct vox_worker {
+    struct vox_accumulator *sums;
+    struct vox_fragment_block *block;
+};
+
+/* Bounds the memory of results that wait to be written. */
+struct vox_gate {
+    pthread_mutex_t lock;
+    pthread_cond_t changed;
+    uint64_t held; /* bytes */
+    uint64_t turn; /* sequence number of the unit that is written next */
+    int status;    /* of the first unit that failed */
+};
 
 struct vox_run {
     const struct vox_voxelize_options *options;
     struct bsq_ctx *ctx;
     struct fmt_tris_file *file;
     const struct fmt_tris_header *header;
-    struct vox_shared shared;
-    struct vox_smooth *smooth;   /* NULL: the scan has normals, or is to be flat */
+    struct vox_transform transform;
     struct vox_box *bounds;      /* voxels of each chunk's bounds */
     struct vox_chunk_box *boxes; /* of all chunks */
     uint64_t box_count;
+
+    struct vox_shares shares;
+    struct vox_shading shading;
+    struct vox_smooth *smooth; /* NULL: the scan has normals, or is to be flat */
     struct vox_schedule *schedule;
-    struct fmt_nvdb_writer *writer;
+    struct vox_chunks *chunks;
     struct vox_worker *own; /* one for each worker */
     struct vox_unit *units; /* the pipeline's slots */
     unsigned workers, unit_count;
+
+    struct fmt_nvdb_writer *writer;
+    struct vox_gate gate;
     uint32_t slabs;                     /* units that each region is cut into */
     uint32_t next_slab;                 /* next slab of the region in production */
     struct vox_unit current;            /* the region in production: its origin and chunks */
     int32_t index_min[3], index_max[3]; /* of voxels that were written; min > max: none */
-    bool gate_open;
 };
 
-/* Opens the input, places the voxels, finds the boxes of chunks in the regions that they touch, and
- * checks that the grid fits on its disk and in the format. Close the run also after a failure;
- * zeros are allowed. The options must outlive it. */
-int vox_run_open(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,
-                 struct vox_run *run);
-void vox_run_close(struct vox_run *run);
-
-/* Makes all regions and appends their voxels to the grid. Errors: those of reading and writing. */
-int vox_run_regions(struct vox_run *run, struct fmt_nvdb_writer *writer);
+/* Makes all regions of a run that is set up, and appends their voxels to its grid. Errors: those of
+ * reading and writing. */
+int vox_run_regions(struct vox_run *run);
 
 #endif

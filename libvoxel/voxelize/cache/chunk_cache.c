@@ -26,6 +26,7 @@ struct slot {
 struct use {
     struct vox_region_key next; /* next region that needs the chunk after the units under way */
     uint32_t expected;          /* units of work under way that need it */
+    uint32_t place;             /* in the list of expected chunks, if it is expected */
     int32_t slot;
 };
 
@@ -37,7 +38,9 @@ struct vox_chunks {
     pthread_cond_t freed;   /* a slot lost its last user */
     uint32_t chunk_count, slot_count, slots_used;
     struct slot *slots;
-    struct use *uses;    /* one a chunk */
+    struct use *uses;   /* one a chunk */
+    uint32_t *expected; /* chunks that units under way need */
+    uint32_t expected_count;
     uint64_t slot_bytes; /* enough for any chunk */
 };
 
@@ -71,24 +74,23 @@ int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                       uint64_t box_count, struct vox_smooth *smooth, uint32_t slot_count,
                       struct vox_chunks **out)
 {
-    struct vox_chunks *c;
-    uint32_t chunk_count = (uint32_t)fmt_tris_get_header(file)->chunk_count;
+    const uint32_t chunk_count = (uint32_t)fmt_tris_get_header(file)->chunk_count;
+    const char *what = "chunk cache";
+    struct vox_chunks *c = NULL;
+    int status;
     *out = NULL;
-    int status = bsq_calloc(ctx, "chunk cache", 1, sizeof *c, &c);
-    if (status < 0)
-        return status;
-    c->ctx = ctx;
-    c->from = (struct vox_chunk_source){file, transform, smooth};
-    c->chunk_count = chunk_count;
-    c->slot_count = slot_count;
-    c->slot_bytes = vox_chunks_slot_bytes(file, smooth != NULL);
-    if ((status = bsq_calloc(ctx, "chunk cache", slot_count, sizeof *c->slots, &c->slots)) < 0 ||
-        (status = bsq_calloc(ctx, "chunk cache", chunk_count, sizeof *c->uses, &c->uses)) < 0) {
-        bsq_free(ctx, c->slots);
-        bsq_free(ctx, c);
-        return status;
-    }
-    for (uint32_t i = 0; i < c->chunk_count; i++)
+    BSQ_TRY(bsq_calloc(ctx, what, 1, sizeof *c, &c));
+    *c = (struct vox_chunks){.ctx = ctx,
+                             .from = {file, transform, smooth},
+                             .lock = PTHREAD_MUTEX_INITIALIZER,
+                             .stepped = PTHREAD_COND_INITIALIZER,
+                             .freed = PTHREAD_COND_INITIALIZER,
+                             .slot_count = slot_count,
+                             .slot_bytes = vox_chunks_slot_bytes(file, smooth != NULL)};
+    BSQ_TRY(bsq_calloc(ctx, what, slot_count, sizeof *c->slots, &c->slots));
+    BSQ_TRY(bsq_alloc(ctx, what, chunk_count, sizeof *c->expected, &c->expected));
+    BSQ_TRY(bsq_calloc(ctx, what, chunk_count, sizeof *c->uses, &c->uses));
+    for (uint32_t i = 0; i < chunk_count; i++)
         c->uses[i] = (struct use){.next = VOX_REGION_KEY_NEVER, .slot = NO_SLOT};
     for (uint64_t i = 0; i < box_count; i++) {
         struct vox_region_key first = vox_region_first(&boxes[i].box);
@@ -96,23 +98,21 @@ int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
         if (vox_region_before(first, use->next))
             use->next = first;
     }
-    pthread_mutex_init(&c->lock, NULL);
-    pthread_cond_init(&c->stepped, NULL);
-    pthread_cond_init(&c->freed, NULL);
     *out = c;
     return 0;
+done:
+    vox_chunks_destroy(c);
+    return status;
 }
 
 void vox_chunks_destroy(struct vox_chunks *c)
 {
     if (!c)
         return;
-    for (uint32_t i = 0; i < c->slots_used; i++)
+    for (uint32_t i = 0; c->slots && i < c->slots_used; i++)
         bsq_free(c->ctx, c->slots[i].content.memory);
-    pthread_cond_destroy(&c->freed);
-    pthread_cond_destroy(&c->stepped);
-    pthread_mutex_destroy(&c->lock);
     bsq_free(c->ctx, c->slots);
+    bsq_free(c->ctx, c->expected);
     bsq_free(c->ctx, c->uses);
     bsq_free(c->ctx, c);
 }
@@ -120,16 +120,26 @@ void vox_chunks_destroy(struct vox_chunks *c)
 void vox_chunks_expect(struct vox_chunks *c, uint32_t chunk, uint32_t uses,
                        struct vox_region_key after)
 {
+    struct use *use = &c->uses[chunk];
     pthread_mutex_lock(&c->lock);
-    c->uses[chunk].next = after;
-    c->uses[chunk].expected += uses;
+    if (use->expected == 0) {
+        use->place = c->expected_count++;
+        c->expected[use->place] = chunk;
+    }
+    use->next = after;
+    use->expected += uses;
     pthread_mutex_unlock(&c->lock);
 }
 
 void vox_chunks_done(struct vox_chunks *c, uint32_t chunk)
 {
+    struct use *use = &c->uses[chunk];
     pthread_mutex_lock(&c->lock);
-    c->uses[chunk].expected--;
+    if (--use->expected == 0) {
+        const uint32_t last = c->expected[--c->expected_count];
+        c->expected[use->place] = last;
+        c->uses[last].place = use->place;
+    }
     pthread_mutex_unlock(&c->lock);
 }
 
@@ -148,7 +158,8 @@ static bool is_finished(const struct use *use)
 }
 
 /* Returns a slot to fill: one whose chunk is no longer needed, else a new one, else the one whose
- * chunk is needed last. Returns NULL while all are held. */
+ * chunk is needed last. Returns NULL while all are held. Looking at all slots takes some
+ * microseconds, and reading the chunk some milliseconds. */
 static struct slot *find_slot(struct vox_chunks *c)
 {
     struct slot *best = NULL;
@@ -183,13 +194,13 @@ static void give_slot(struct vox_chunks *c, struct slot *slot, uint32_t chunk)
  * public. */
 static void leave_slot(struct vox_chunks *c, struct slot *slot)
 {
-    if (--slot->users == 0) {
-        if (slot->status < 0) {
-            c->uses[slot->chunk].slot = NO_SLOT;
-            slot->chunk = NO_CHUNK;
-        }
-        pthread_cond_broadcast(&c->freed);
+    if (--slot->users > 0)
+        return;
+    if (slot->status < 0) {
+        c->uses[slot->chunk].slot = NO_SLOT;
+        slot->chunk = NO_CHUNK;
     }
+    pthread_cond_broadcast(&c->freed);
 }
 
 /* Brings a slot that is in use to a stage: does the step if it is `mine`, else waits until it is
@@ -256,17 +267,18 @@ static bool in_making(const struct slot *slot)
     return slot->status == 0 && slot->stage != STAGE_READ && slot->stage != STAGE_READY;
 }
 
-/* Returns the chunk needed first among those that are neither ready nor in the making; NO_CHUNK if
- * there is none. */
+/* Returns the chunk needed first among those that units under way need and that are neither ready
+ * nor in the making; NO_CHUNK if there is none. */
 static uint32_t next_unready(const struct vox_chunks *c)
 {
     uint32_t best = NO_CHUNK;
-    for (uint32_t i = 0; i < c->chunk_count; i++) {
-        const struct use *use = &c->uses[i];
-        if (is_finished(use) || (use->slot != NO_SLOT && c->slots[use->slot].stage != STAGE_READ))
+    for (uint32_t i = 0; i < c->expected_count; i++) {
+        const uint32_t chunk = c->expected[i];
+        const int32_t slot = c->uses[chunk].slot;
+        if (slot != NO_SLOT && c->slots[slot].stage != STAGE_READ)
             continue;
-        if (best == NO_CHUNK || needed_before(c, i, best))
-            best = i;
+        if (best == NO_CHUNK || needed_before(c, chunk, best))
+            best = chunk;
     }
     return best;
 }

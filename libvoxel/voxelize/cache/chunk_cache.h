@@ -6,8 +6,6 @@
 #ifndef VOX_VOXELIZE_CACHE_CHUNK_CACHE_H
 #define VOX_VOXELIZE_CACHE_CHUNK_CACHE_H
 
-#include "libvoxel/voxelize/cache/chunk_groups.h"
-#include "libvoxel/voxelize/plan/plan.h"
 #include "libvoxel/voxelize/cache/smooth_normals.h"
 
 struct vox_chunk {
@@ -27,6 +25,13 @@ struct vox_chunk {
     const bool *inconsistent;
     uint32_t group_count;
 };
+
+/* Returns the voxel of a point, and an arbitrary fourth number. Points are never below the grid;
+ * a point on its upper bounds is counted to the last voxel. */
+LANES_INLINE four_ints vox_cell(struct row point, const int32_t last_cell[4])
+{
+    return four_min(row_floor(point), four_load(last_cell));
+}
 
 struct vox_chunks;
 

@@ -5,7 +5,6 @@
 #include <string.h>
 
 #include "base/octahedral.h"
-#include "libvoxel/voxelize/cache/scan_normals_check.h"
 
 /* ---- layout ---- */
 
@@ -51,16 +50,192 @@ uint64_t vox_chunks_slot_bytes(const struct fmt_tris_file *file, bool smooth)
     return lay_out(file, smooth, fmt_tris_load_size_max(file), vertices, triangles).bytes;
 }
 
+/* ---- index space and groups ----
+ *
+ * Index space keeps the order of positions on each axis, so bounds are found among positions and
+ * then placed. */
+
+/* A voxel transform as rows. Loops keep it in registers: compilers load the members of the
+ * transform again for each point, as the points might overwrite them. */
+struct row_transform {
+    struct row origin, start, size;
+};
+
+LANES_INLINE struct row_transform row_transform_of(const struct vox_transform *transform)
+{
+    const double *origin = transform->origin, *start = transform->start, h = transform->h;
+    return (struct row_transform){row_of(origin[0], origin[1], origin[2], 0.0),
+                                  row_of(start[0], start[1], start[2], 0.0), row_of(h, h, h, h)};
+}
+
+/* Returns vox_transform_coordinate() of three axes, and 0. position: three numbers and 0. */
+LANES_INLINE struct row place(const struct row_transform *transform, struct row position)
+{
+    const struct row moved = row_sum(transform->origin, position);
+    return row_quotient(row_difference(moved, transform->start), transform->size);
+}
+
+/* Bounds of positions. The fourth number is arbitrary: that of a position is the next number in
+ * memory. */
+struct bounds {
+    four_floats least, most;
+};
+
+LANES_INLINE void widen_bounds(struct bounds *bounds, const float *position)
+{
+    const four_floats p = four_floats_load(position);
+    bounds->least = four_floats_min(p, bounds->least);
+    bounds->most = four_floats_max(p, bounds->most);
+}
+
+LANES_INLINE struct bounds begin_at(const float *position)
+{
+    const four_floats p = four_floats_load(position);
+    return (struct bounds){p, p};
+}
+
+LANES_INLINE four_ints cell_of(const struct row_transform *transform, four_floats position)
+{
+    float at[4];
+    memcpy(at, &position, sizeof at);
+    return row_floor(place(transform, row_of_floats(at)));
+}
+
+static struct vox_box box_of(const struct vox_transform *transform, const struct bounds *bounds)
+{
+    const int32_t *hi = transform->voxels.hi;
+    const four_ints last = {hi[0], hi[1], hi[2], INT32_MAX};
+    const struct row_transform rows = row_transform_of(transform);
+    const four_ints low = four_min(cell_of(&rows, bounds->least), last),
+                    high = four_min(cell_of(&rows, bounds->most), last);
+    struct vox_box box;
+    memcpy(box.lo, &low, sizeof box.lo);
+    memcpy(box.hi, &high, sizeof box.hi);
+    return box;
+}
+
+/* Returns the voxels of the bounds of triangles from `begin` to `end` > begin. */
+static struct vox_box triangle_box(const struct fmt_tris_chunk *chunk,
+                                   const struct vox_transform *transform, uint32_t begin,
+                                   uint32_t end)
+{
+    struct bounds bounds = begin_at(chunk->positions[chunk->triangles[begin][0]]);
+    for (uint32_t t = begin; t < end; t++)
+        for (int corner = 0; corner < 3; corner++)
+            widen_bounds(&bounds, chunk->positions[chunk->triangles[t][corner]]);
+    return box_of(transform, &bounds);
+}
+
+void vox_triangle_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
+                         struct vox_box *groups)
+{
+    for (uint32_t begin = 0; begin < chunk->triangle_count; begin += VOX_GROUP_TRIANGLES)
+        *groups++ = triangle_box(chunk, transform, begin,
+                                 vox_group_end(begin, chunk->triangle_count, VOX_GROUP_TRIANGLES));
+}
+
+void vox_vertex_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
+                       struct vox_box *groups)
+{
+    for (uint32_t begin = 0; begin < chunk->vertex_count; begin += VOX_GROUP_VERTICES) {
+        uint32_t end = vox_group_end(begin, chunk->vertex_count, VOX_GROUP_VERTICES);
+        struct bounds bounds = begin_at(chunk->positions[begin]);
+        for (uint32_t v = begin; v < end; v++)
+            widen_bounds(&bounds, chunk->positions[v]);
+        *groups++ = box_of(transform, &bounds);
+    }
+}
+
+/* ---- the scan's own normals ----
+ *
+ * Let an edge have the normals a and b at its ends. If curvature is constant, edge . (a + b) / 2 is
+ * 0: the surface rises by the mean of its slopes. The values found instead on the three edges are
+ * the coefficients of a Whitney form of degree 1 (Whitney, "Geometric Integration Theory", 1957).
+ * As a vector in the triangle's plane, that form is the part of the normals that contradicts the
+ * plane. Neither curvature nor the size of triangles counts as a contradiction.
+ *
+ * A record is a mean over its voxel, so contradictions are averaged over the area of a voxel's
+ * face. Those that differ from triangle to triangle cancel there, such as rounding and noise. */
+
+/* Square of the sine of half a degree, which is never too much: triangles as large as voxels err by
+ * that even if their normals are right. */
+#define INCONSISTENT_LEAST_SQUARE (0.0087 * 0.0087)
+/* Share of the normals' mean squared turn over a voxel that may contradict. Planes pull the blended
+ * normal by 1.3 times the contradiction. Without planes it errs by 0.83 times that square, in waves
+ * with slopes of 20 degrees. At this share both errors are equal. */
+#define INCONSISTENT_TURN_SHARE 0.64
+
+/* Sums over triangles: area times contradiction, and area. */
+struct contradiction {
+    double vector[3], area;
+};
+
+/* Sums over edges. */
+struct turn {
+    double normals, lengths; /* squares of the differences of normals, and of points */
+};
+
+static void add_triangle(const struct vox_own_normals *of, const uint32_t v[3],
+                         struct contradiction *sum, struct turn *turn)
+{
+    double edge[3][3], rise[3], across[3];
+    for (int i = 0; i < 3; i++) {
+        const double *p = of->points[v[i]], *q = of->points[v[(i + 1) % 3]];
+        const float *a = of->normals[v[i]], *b = of->normals[v[(i + 1) % 3]];
+        rise[i] = 0.0;
+        for (int k = 0; k < 3; k++) {
+            double change = (double)(b[k] - a[k]);
+            edge[i][k] = q[k] - p[k];
+            rise[i] += edge[i][k] * 0.5 * (double)(a[k] + b[k]);
+            turn->normals += change * change;
+            turn->lengths += edge[i][k] * edge[i][k];
+        }
+    }
+    for (int k = 0; k < 3; k++) {
+        int l = (k + 1) % 3, m = (k + 2) % 3;
+        across[k] = edge[0][l] * edge[1][m] - edge[0][m] * edge[1][l];
+        /* The form at the centroid, rotated by a right angle. */
+        sum->vector[k] += ((rise[1] - rise[2]) * edge[0][k] + (rise[2] - rise[0]) * edge[1][k] +
+                           (rise[0] - rise[1]) * edge[2][k]) /
+                          6.0;
+    }
+    sum->area += 0.5 * sqrt(across[0] * across[0] + across[1] * across[1] + across[2] * across[2]);
+}
+
+/* Returns the area times the square of the mean contradiction. */
+static double square_of(const struct contradiction *sum)
+{
+    const double *v = sum->vector;
+    return sum->area > 0.0 ? (v[0] * v[0] + v[1] * v[1] + v[2] * v[2]) / sum->area : 0.0;
+}
+
+bool vox_own_normals_inconsistent(const struct vox_own_normals *of, uint32_t begin, uint32_t end)
+{
+    struct contradiction sum = {.area = 0.0};
+    struct turn turn = {.normals = 0.0};
+    double squares = 0.0, area = 0.0;
+    for (uint32_t t = begin; t < end; t++) {
+        add_triangle(of, of->triangles[t], &sum, &turn);
+        if (sum.area < 1.0 && t + 1 < end)
+            continue;
+        squares += square_of(&sum);
+        area += sum.area;
+        sum = (struct contradiction){.area = 0.0};
+    }
+    double limit = INCONSISTENT_TURN_SHARE * turn.normals / fmax(turn.lengths, 1e-300);
+    return squares > area * fmax(limit * limit, INCONSISTENT_LEAST_SQUARE);
+}
+
 /* ---- the two steps ---- */
 
 /* Computes the points of all vertices. */
 static void place_points(const struct vox_transform *transform, struct vox_chunk_content *content)
 {
-    const struct vox_row_transform rows = vox_row_transform_of(transform);
+    const struct row_transform rows = row_transform_of(transform);
     const struct fmt_tris_chunk *source = &content->chunk.source;
     double(*points)[4] = (double(*)[4])(void *)(content->memory + content->layout.points_at);
     for (uint32_t v = 0; v < source->vertex_count; v++)
-        row_store(vox_place(&rows, row_of_floats(source->positions[v])), points[v]);
+        row_store(place(&rows, row_of_floats(source->positions[v])), points[v]);
     content->chunk.points = (const double(*)[4])points;
 }
 
@@ -102,17 +277,6 @@ static double mean_edge_square(const struct fmt_tris_chunk *source, double h)
     }
     return (row_number(sums, 0) + row_number(sums, 1) + row_number(sums, 2)) / (h * h) /
            (double)source->triangle_count;
-}
-
-/* Makes the normals of vertices. */
-static int make_normals(const struct vox_chunk_source *from, const struct vox_smooth_lender *lender,
-                        uint32_t number, const struct vox_chunk_content *content,
-                        float (*normals)[4])
-{
-    const struct vox_chunk *chunk = &content->chunk;
-    const struct vox_smooth_chunk smooth = {
-        .index = number, .decoded = {&chunk->source, chunk->groups, content->vertex_groups}};
-    return vox_smooth_normals(from->smooth, lender, &smooth, from->transform, normals);
 }
 
 /* Marks the groups whose normals are inconsistent with their triangles. large: marks all. */
@@ -178,7 +342,11 @@ int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smoot
         unpack_normals(source, normals);
         find_inconsistent(square > LARGE_EDGE_SQUARE, content);
     } else if (from->smooth && chunk->coarse) {
-        status = make_normals(from, lender, number, content, normals);
+        status = vox_smooth_normals(
+            from->smooth, lender,
+            &(struct vox_smooth_chunk){.index = number,
+                                       .decoded = {source, chunk->groups, content->vertex_groups}},
+            from->transform, normals);
     } else {
         chunk->normals = NULL;
     }

@@ -33,4 +33,21 @@ int vox_chunk_read(const struct vox_chunk_source *from, uint32_t number,
 int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smooth_lender *lender,
                      uint32_t number, struct vox_chunk_content *content);
 
+/* Computes the voxels of each group's bounds. */
+void vox_triangle_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
+                         struct vox_box *groups);
+void vox_vertex_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
+                       struct vox_box *groups);
+
+/* Triangles, and by vertex number: points in voxels and unit normals. */
+struct vox_own_normals {
+    const uint32_t (*triangles)[3];
+    const double (*points)[4];
+    const float (*normals)[4];
+};
+
+/* Returns whether the normals of the triangles from begin to end contradict the triangles' planes
+ * too much. Blending with the planes would then do more harm than good. */
+bool vox_own_normals_inconsistent(const struct vox_own_normals *of, uint32_t begin, uint32_t end);
+
 #endif

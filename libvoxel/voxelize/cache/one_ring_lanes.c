@@ -1,6 +1,6 @@
 /* one_ring_lanes.c - sums over the one-rings of vertices, and the normals that follow from them. */
 #define SIMD_FLOATS LANE_COUNT
-#include "libvoxel/voxelize/cache/one_ring.h"
+#include "libvoxel/voxelize/cache/smooth_normals.h"
 
 #include <math.h>
 

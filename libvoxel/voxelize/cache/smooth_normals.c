@@ -4,7 +4,6 @@
  * need normals, so chunk files do not store them. Instead the neighbours, found by their bounds,
  * are read again and matched by position. */
 #include "libvoxel/voxelize/cache/smooth_normals.h"
-#include "libvoxel/voxelize/cache/one_ring.h"
 
 #include <pthread.h>
 #include <string.h>
@@ -13,6 +12,7 @@
 
 /* Memory of one call. */
 struct workspace {
+    uint8_t *memory; /* of all arrays */
     bool busy;
     struct bsq_positions table; /* of the chunk's vertices that need normals */
     uint32_t *own_rings; /* for each vertex of the chunk: the number of its one-ring, which is that
@@ -42,54 +42,52 @@ static uint32_t largest_vertex_count(const struct fmt_tris_file *file)
     return largest;
 }
 
-static uint64_t workspace_bytes(const struct fmt_tris_file *file)
+/* Places the arrays of a workspace in `memory`, and returns the bytes of all. */
+static uint64_t lay_out(const struct fmt_tris_file *file, uint8_t *memory, struct workspace *w)
 {
-    uint32_t vertices = largest_vertex_count(file);
-    return sizeof(struct workspace) + (uint64_t)bsq_positions_slots(vertices) * sizeof(uint32_t) +
-           (uint64_t)vertices * 2 * sizeof(uint32_t) +
-           ((uint64_t)vertices + 1) * sizeof(struct vox_one_ring) + fmt_tris_load_size_max(file);
-}
-
-static int make_workspace(struct vox_smooth *s, struct workspace *d)
-{
-    uint32_t vertices = largest_vertex_count(s->file), slots = bsq_positions_slots(vertices);
-    int status;
-    if ((status = bsq_alloc(s->ctx, "smooth normals", slots, sizeof *d->table.slots,
-                            &d->table.slots)) < 0 ||
-        (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->own_rings,
-                            &d->own_rings)) < 0 ||
-        (status = bsq_alloc(s->ctx, "smooth normals", vertices, sizeof *d->neighbour_rings,
-                            &d->neighbour_rings)) < 0 ||
-        (status = bsq_alloc(s->ctx, "smooth normals", vertices + 1, sizeof *d->rings, &d->rings)) <
-            0)
-        return status;
-    return bsq_alloc(s->ctx, "smooth normals", fmt_tris_load_size_max(s->file), 1, &d->scratch);
+    const uint64_t vertices = largest_vertex_count(file);
+    uint64_t end = 0;
+    w->rings = (void *)memory;
+    end += bsq_align_up((vertices + 1) * sizeof *w->rings, BSQ_ALIGNMENT);
+    w->table.slots = (void *)(memory + end);
+    end += bsq_align_up(bsq_positions_slots((uint32_t)vertices) * sizeof *w->table.slots,
+                        BSQ_ALIGNMENT);
+    w->own_rings = (void *)(memory + end);
+    end += bsq_align_up(vertices * sizeof *w->own_rings, BSQ_ALIGNMENT);
+    w->neighbour_rings = (void *)(memory + end);
+    end += bsq_align_up(vertices * sizeof *w->neighbour_rings, BSQ_ALIGNMENT);
+    w->scratch = memory + end;
+    return end + fmt_tris_load_size_max(file);
 }
 
 int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                       enum bsq_scan_normals weights, unsigned calls, uint64_t bytes,
                       struct vox_smooth **out)
 {
-    struct vox_smooth *s;
-    uint64_t most = bytes / workspace_bytes(file);
+    struct workspace none;
+    struct vox_smooth *s = NULL;
+    const uint64_t each = lay_out(file, NULL, &none), most = bytes / (sizeof none + each);
+    int status;
     *out = NULL;
-    int status = bsq_calloc(ctx, "smooth normals", 1, sizeof *s, &s);
-    if (status < 0)
-        return status;
-    s->ctx = ctx;
-    s->file = file;
-    s->weights = weights;
-    s->workspace_count = most < 1 ? 1 : most < calls ? (unsigned)most : calls;
-    pthread_mutex_init(&s->lock, NULL);
-    pthread_cond_init(&s->freed, NULL);
-    status = bsq_calloc(ctx, "smooth normals", s->workspace_count, sizeof *s->workspaces,
-                        &s->workspaces);
-    for (unsigned i = 0; i < s->workspace_count && status == 0; i++)
-        status = make_workspace(s, &s->workspaces[i]);
-    if (status < 0)
-        vox_smooth_destroy(s);
-    else
-        *out = s;
+    BSQ_TRY(bsq_calloc(ctx, "smooth normals", 1, sizeof *s, &s));
+    *s = (struct vox_smooth){.ctx = ctx,
+                             .file = file,
+                             .weights = weights,
+                             .lock = PTHREAD_MUTEX_INITIALIZER,
+                             .freed = PTHREAD_COND_INITIALIZER,
+                             .workspace_count = most < 1       ? 1
+                                                : most < calls ? (unsigned)most
+                                                               : calls};
+    BSQ_TRY(bsq_calloc(ctx, "smooth normals", s->workspace_count, sizeof *s->workspaces,
+                       &s->workspaces));
+    for (unsigned i = 0; i < s->workspace_count; i++) {
+        BSQ_TRY(bsq_alloc(ctx, "smooth normals", each, 1, &s->workspaces[i].memory));
+        lay_out(file, s->workspaces[i].memory, &s->workspaces[i]);
+    }
+    *out = s;
+    return 0;
+done:
+    vox_smooth_destroy(s);
     return status;
 }
 
@@ -97,17 +95,9 @@ void vox_smooth_destroy(struct vox_smooth *s)
 {
     if (!s)
         return;
-    for (unsigned i = 0; s->workspaces && i < s->workspace_count; i++) {
-        struct workspace *d = &s->workspaces[i];
-        bsq_free(s->ctx, d->table.slots);
-        bsq_free(s->ctx, d->own_rings);
-        bsq_free(s->ctx, d->neighbour_rings);
-        bsq_free(s->ctx, d->rings);
-        bsq_free(s->ctx, d->scratch);
-    }
+    for (unsigned i = 0; s->workspaces && i < s->workspace_count; i++)
+        bsq_free(s->ctx, s->workspaces[i].memory);
     bsq_free(s->ctx, s->workspaces);
-    pthread_cond_destroy(&s->freed);
-    pthread_mutex_destroy(&s->lock);
     bsq_free(s->ctx, s);
 }
 
@@ -280,13 +270,6 @@ static int sum_normals(const struct vox_smooth *s, const struct vox_smooth_lende
     return status;
 }
 
-static void finish_normals(const struct workspace *d, const struct vox_smooth_chunk *of, double h,
-                           float (*normals)[4])
-{
-    vox_finish_one_rings_fn *const finish = BSQ_SIMD_PICK(bsq_simd_best(), vox_finish_one_rings);
-    finish(d->rings, d->own_rings, of->decoded.chunk->vertex_count, h, normals);
-}
-
 int vox_smooth_normals(struct vox_smooth *s, const struct vox_smooth_lender *lender,
                        const struct vox_smooth_chunk *chunk, const struct vox_transform *transform,
                        float (*normals)[4])
@@ -294,7 +277,9 @@ int vox_smooth_normals(struct vox_smooth *s, const struct vox_smooth_lender *len
     struct workspace *workspace = take_workspace(s);
     int status = sum_normals(s, lender, workspace, chunk, transform);
     if (status == 0)
-        finish_normals(workspace, chunk, transform->h, normals);
+        BSQ_SIMD_PICK(bsq_simd_best(), vox_finish_one_rings)
+    (workspace->rings, workspace->own_rings, chunk->decoded.chunk->vertex_count, transform->h,
+     normals);
     return_workspace(s, workspace);
     return status;
 }

@@ -1,8 +1,31 @@
-/* smooth_normals.h - vertex normals for scans that have none. */
+/* smooth_normals.h - vertex normals for scans that have none, and groups of a chunk's items. */
 #ifndef VOX_VOXELIZE_CACHE_SMOOTH_NORMALS_H
 #define VOX_VOXELIZE_CACHE_SMOOTH_NORMALS_H
 
-#include "libvoxel/voxelize/cache/chunk_groups.h"
+#include "base/smooth_normals.h"
+#include "libvoxel/voxelize/plan/plan.h"
+
+/* ---- groups ----
+ *
+ * Triangles of a chunk follow each other in space, and vertices are numbered in the order in which
+ * triangles use them, so groups of either have small bounds. Code that needs only part of a chunk
+ * skips the other groups. */
+
+enum { VOX_GROUP_TRIANGLES = 64, VOX_GROUP_VERTICES = 64 };
+
+static inline uint32_t vox_group_count(uint32_t count, uint32_t group)
+{
+    return (count + group - 1) / group;
+}
+
+/* Returns the index of the first item of the next group, for a group that starts at `begin` out of
+ * `count` items. */
+static inline uint32_t vox_group_end(uint32_t begin, uint32_t count, uint32_t group)
+{
+    return count - begin < group ? count : begin + group;
+}
+
+/* ---- smooth normals ---- */
 
 struct vox_smooth;
 
@@ -34,15 +57,33 @@ struct vox_smooth_chunk {
     struct vox_loan decoded;
 };
 
-/* Computes smooth normals of a chunk's vertices as if the scan were whole: vertices
- * at the same position are one, whichever chunk they are in.
- * normals: one entry for each vertex: a
- * unit normal, or zero at creases (BSQ_CREASE_SHARE), and a height in voxels: how far above the
- * vertex, along its normal, the surface lies that the interpolated normals describe; 0 at creases.
+/* Computes smooth normals of a chunk's vertices as if the scan were whole: vertices at the same
+ * position are one, whichever chunk they are in. normals: one entry for each vertex: a unit normal,
+ * or zero at creases (BSQ_CREASE_SHARE), and a height in voxels: how far above the vertex, along
+ * its normal, the surface lies that the interpolated normals describe; 0 at creases.
  * Sums run in the order of triangles in the file, so results do not depend on the order of calls.
  * Thread-safe; waits while no workspace is free. */
 int vox_smooth_normals(struct vox_smooth *smooth, const struct vox_smooth_lender *lender,
                        const struct vox_smooth_chunk *chunk, const struct vox_transform *transform,
                        float (*normals)[4]);
+
+/* ---- private to the cache: one-rings, for each instruction set ---- */
+
+/* Sums over the triangles around a vertex, in the form of base/smooth_normals.h. */
+struct vox_one_ring {
+    double normal[3], weight, moment[3], unused;
+};
+
+/* bsq_add_one_rings() of a chunk's triangles. */
+typedef void vox_add_one_rings_fn(const struct fmt_tris_chunk *chunk, uint32_t begin, uint32_t end,
+                                  const uint32_t *ring_of, enum bsq_scan_normals weights,
+                                  struct vox_one_ring *rings);
+BSQ_SIMD_DECLARE(vox_add_one_rings_fn, vox_add_one_rings);
+
+/* Sets the normals of `count` vertices from their one-rings, see vox_smooth_normals(). h: edge of a
+ * voxel. */
+typedef void vox_finish_one_rings_fn(const struct vox_one_ring *rings, const uint32_t *ring_of,
+                                     uint32_t count, double h, float (*normals)[4]);
+BSQ_SIMD_DECLARE(vox_finish_one_rings_fn, vox_finish_one_rings);
 
 #endif

@@ -1,6 +1,6 @@
 /* Tests that functions compiled for several instruction sets give the same bits, and the right
  * ones. */
-#include "libvoxel/voxelize/cache/one_ring.h"
+#include "libvoxel/voxelize/cache/smooth_normals.h"
 #include "libvoxel/voxelize/clip/accumulate.h"
 #include "base/octahedral.h"
 #include "tests/unit/libvoxel/scan_fixture.h"

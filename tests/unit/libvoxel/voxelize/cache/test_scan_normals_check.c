@@ -1,5 +1,5 @@
 /* Tests when a scan's own normals contradict its triangles. */
-#include "libvoxel/voxelize/cache/scan_normals_check.h"
+#include "libvoxel/voxelize/cache/chunk_content.h"
 #include "tests/unit/test.h"
 
 #include <math.h>
