@@ -306,7 +306,6 @@ struct bake_report {
     struct bake_baked_tile *tiles;    /**< The UDIM tiles that were baked, by set and number. */
     uint32_t tile_count;              /**< Entries of tiles. */
     uint32_t traced_tiles;            /**< Of these, the ones that this job or task traces. */
-    uint32_t trace_stages;            /**< Stages of progress in which it traces them. */
     uint64_t covered_texels;          /**< Texels with at least one sample inside a UV chart. */
     uint64_t samples;                 /**< Samples inside UV charts. */
     uint64_t hits;                    /**< Samples whose rays found the scan. */

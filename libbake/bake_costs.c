@@ -57,7 +57,7 @@ static bool looks_around(const struct bake_run *job)
 /* Returns whether secondary rays on a grid go through a tree of its leaves. */
 static bool has_tree(const struct share *task)
 {
-    return looks_around(task->job) && task->job->surface.part_count == 0;
+    return looks_around(task->job) && task->job->surface.scan_count == 1;
 }
 
 /* Returns the seconds of rays against one scan, without those of loading it. */
@@ -91,7 +91,7 @@ static double load_chunks_seconds(const struct share *task, const struct bake_ex
     return seconds + (looks_around(task->job) ? triangles * look_seconds : 0);
 }
 
-static double scan_seconds(const struct share *task, const struct bake_surface *scan)
+static double scan_seconds(const struct share *task, const struct bake_scan *scan)
 {
     if (scan->exact)
         return ray_seconds(task, &exact_speed) + load_chunks_seconds(task, scan->exact);
@@ -126,30 +126,19 @@ static uint64_t grid_bytes(const struct share *task, const struct fmt_nvdb_grid 
     return task->job->maps & BAKE_MAP_CURVATURE ? larger(tracing, CURVATURE_BYTES) : tracing;
 }
 
-/* Returns the bytes of the samples of several scans, for a texel; 0 for one scan. */
-static uint64_t sample_bytes(const struct bake_run *job)
-{
-    const uint64_t n = job->options->samples;
-    return job->surface.part_count > 0
-               ? 2 * n * n * bk_texel_floats(job->maps | BAKE_MAP_HEIGHT) * sizeof(float)
-               : 0;
-}
-
 /* Images are in memory if they fit half of the budget. */
-static void expect_cost(const struct share *task, uint64_t texel_bytes, struct bake_task_cost *cost)
+static void expect_cost(const struct share *task, struct bake_task_cost *cost)
 {
     const struct bake_surface *surface = &task->job->surface;
-    const uint32_t parts = surface->part_count;
     uint64_t bytes = 0;
     cost->cpu_seconds = start_seconds;
-    for (uint32_t i = 0; i < (parts > 0 ? parts : 1); i++) {
-        const struct bake_surface *scan = parts > 0 ? &surface->parts[i] : surface;
+    for (uint32_t i = 0; i < surface->scan_count; i++) {
+        const struct bake_scan *scan = &surface->scans[i];
         cost->cpu_seconds += scan_seconds(task, scan);
         bytes = larger(bytes, scan->exact ? exact_bytes(task, scan->exact)
                                           : grid_bytes(task, &scan->grid));
     }
-    cost->scratch_bytes =
-        cost->part_bytes + cost->part_bytes / texel_bytes * sample_bytes(task->job);
+    cost->scratch_bytes = cost->part_bytes;
     cost->memory_bytes = PROGRAM_BYTES + task->job->mesh.triangle_count * TRIANGLE_BYTES +
                          cost->scratch_bytes + larger(bytes, cost->scratch_bytes);
 }
@@ -169,6 +158,6 @@ void bake_expect_costs(const struct bake_run *job, struct bake_farm_plan *plan)
         const uint64_t texels = plan->costs[i].texels;
         const struct share task = {job, all > 0 ? (double)texels / (double)all : 0, texels,
                                    texels * samples};
-        expect_cost(&task, texel, &plan->costs[i]);
+        expect_cost(&task, &plan->costs[i]);
     }
 }

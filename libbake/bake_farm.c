@@ -32,16 +32,9 @@ struct count_job {
 /* Returns where a sample lies on the curve through the scan. */
 static uint64_t place_of(const struct count_job *count, uint32_t triangle, float x, float y)
 {
-    const struct bake_surface *surface = &count->job->surface;
     const bk_point point = bk_point_at(&count->job->triangles[triangle], x, y);
     const float at[3] = {point.position.x, point.position.y, point.position.z};
-    float low[3];
-    double side = 0;
-    for (int k = 0; k < 3; k++) {
-        low[k] = (float)((surface->scan_min[k] - surface->translation[k]) / surface->unit);
-        side = fmax(side, (surface->scan_max[k] - surface->scan_min[k]) / surface->unit);
-    }
-    return bake_exact_curve_place(at, low, side);
+    return bake_surface_curve_place(&count->job->surface, at);
 }
 
 /* Counts the samples of a block, and places it on the curve by its middle sample. */

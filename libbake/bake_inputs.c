@@ -1,7 +1,5 @@
 /* bake_inputs.c - opens the inputs of a bake, and sets the parameters of its rays. */
 #include <assert.h>
-#include <float.h>
-#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -11,13 +9,10 @@
 #include "libbake/bake_job.h"
 #include "libbake/bake_options.h"
 
-/* Maps of secondary rays. */
-enum { RAYS_FROM_HITS = BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS };
-
 /* Returns the first scan without colours. There must be one. */
-static const struct bake_surface *without_color(const struct bake_surface *surface)
+static const struct bake_scan *without_color(const struct bake_surface *surface)
 {
-    const struct bake_surface *scan = surface->parts ? surface->parts : surface;
+    const struct bake_scan *scan = surface->scans;
     while (scan->has_color)
         ++scan;
     return scan;
@@ -27,9 +22,9 @@ static const struct bake_surface *without_color(const struct bake_surface *surfa
 static int warn_of_lost_maps(const struct bake_surface *surface, uint32_t asked)
 {
     bool colors = false, ids = false;
-    for (uint32_t p = 0; p < surface->part_count; ++p) {
-        colors |= surface->parts[p].has_color;
-        ids |= surface->parts[p].ids != BSQ_IDS_NONE;
+    for (uint32_t s = 0; s < surface->scan_count && surface->scan_count > 1; ++s) {
+        colors |= surface->scans[s].has_color;
+        ids |= surface->scans[s].ids != BSQ_IDS_NONE;
     }
     int status = 0;
     if (colors && !surface->has_color)
@@ -100,22 +95,19 @@ int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint
 /* Reports why the scans have no ids together: one has none, or two tell different things apart. */
 static int fail_ids(const struct bake_run *job, const char *map)
 {
-    const struct bake_surface *whole = &job->surface, *lacking = whole->parts ? NULL : whole;
-    uint32_t other = 0;
-    assert(whole->parts || whole->part_count == 0);
-    for (uint32_t p = 0; p < whole->part_count; ++p) {
-        if (whole->parts[p].ids == BSQ_IDS_NONE && !lacking)
-            lacking = &whole->parts[p];
-        if (whole->parts[p].ids != whole->parts[0].ids && other == 0)
-            other = p;
+    const struct bake_scan *scans = job->surface.scans, *lacking = NULL, *other = scans;
+    for (const struct bake_scan *s = scans; s < scans + job->surface.scan_count; ++s) {
+        if (s->ids == BSQ_IDS_NONE && !lacking)
+            lacking = s;
+        if (s->ids != scans->ids && other == scans)
+            other = s;
     }
     if (lacking)
         return bsq_fail(job->ctx, BSQ_EDATA,
                         "%s has no ids for the map %s: make it with bisque-voxelize --channels id",
                         lacking->path, map);
     return bsq_fail(job->ctx, BSQ_EDATA, "%s has ids by %s, %s by %s: make both with one --id",
-                    whole->parts[0].path, bsq_ids_text(whole->parts[0].ids),
-                    whole->parts[other].path, bsq_ids_text(whole->parts[other].ids));
+                    scans->path, bsq_ids_text(scans->ids), other->path, bsq_ids_text(other->ids));
 }
 
 static int fail_color(const struct bake_run *job, const char *map)
@@ -298,14 +290,13 @@ done:
 
 /* ---- parameters ---- */
 
-static int choose_distances(struct bake_run *job)
+int bake_set_params(struct bake_run *job)
 {
     const struct bake_options *options = job->options;
-    struct bk_params *params = &job->traced.params;
     double front = options->front, back = options->back;
+    bake_surface_set_params(&job->surface, options, job->maps);
     if ((front < 0 && !options->cage_path) || back < 0) {
-        int status =
-            bake_measure_distances(&job->surface, params, &job->mesh, job->sees, &front, &back);
+        int status = bake_measure_distances(&job->surface, &job->mesh, &front, &back);
         if (status < 0)
             return status;
         if (options->front >= 0)
@@ -317,93 +308,6 @@ static int choose_distances(struct bake_run *job)
         front = job->mesh.cage_distance;
     job->report->front = front;
     job->report->back = back;
+    bake_surface_set_lengths(&job->surface, front, back);
     return 0;
-}
-
-/* Sets what secondary rays have in common, in the index space of a scan. */
-static void set_rays(const struct bake_run *job, const struct bake_surface *scan,
-                     struct bk_params *params)
-{
-    const struct bake_options *options = job->options;
-    const struct bake_surface *surface = &job->surface;
-    const double half = 0.5 * options->ao_spread * 0.017453292519943295;
-    const double thickness = bake_thickness_distance(options, surface->scan_min, surface->scan_max);
-    const float far = scan->exact ? FLT_MAX : BK_FAR;
-    params->open_rays = options->ao_rays;
-    params->thickness_rays = options->thickness_rays;
-    params->open_limit = far;
-    if (options->ao_distance > 0)
-        params->open_limit = fminf((float)(options->ao_distance / scan->unit), far);
-    params->open_coarse = options->ao_coarse > 0 ? fminf((float)options->ao_coarse, far) : far;
-    params->thickness_limit = fminf((float)(thickness / scan->unit), far);
-    params->open_sine2 = (float)(sin(half) * sin(half));
-    if (options->ao_falloff)
-        params->flags |= BK_OPEN_FALLOFF;
-}
-
-/* Sets all parameters for a scan, or for all of them, but the lengths of rays. */
-static void fill_params(const struct bake_run *job, const struct bake_surface *surface,
-                        struct bk_params *params)
-{
-    const struct bake_options *options = job->options;
-    if (!surface->exact && !surface->parts)
-        bake_params_from_grid(&surface->grid, params);
-    params->maps = job->maps;
-    params->samples = options->samples;
-    params->unit = (float)surface->unit;
-    if (options->normal_space == BAKE_OBJECT_SPACE)
-        params->flags |= BK_OBJECT_SPACE;
-    if (options->sampling == BAKE_NEAREST)
-        params->flags |= BK_NEAREST;
-    if (options->two_sided)
-        params->flags |= BK_TWO_SIDED;
-    if (options->cage_path)
-        params->flags |= BK_CAGE;
-    if (options->skew_path)
-        params->flags |= BK_SKEW;
-    set_rays(job, surface, params);
-}
-
-/* Sets the lengths of rays, in voxels. */
-static void set_lengths(const struct bake_run *job, const struct bake_surface *surface,
-                        struct bk_params *params)
-{
-    params->front = (float)(job->report->front / surface->unit);
-    params->back = (float)(job->report->back / surface->unit);
-}
-
-/* Returns the maps that several scans are traced for. The height tells which hit is nearest. Rays
- * from hits wait for the nearest hits of all scans, unless each object sees one scan. */
-static uint32_t part_maps(const struct bake_run *job)
-{
-    const uint32_t maps = job->maps | BAKE_MAP_HEIGHT;
-    if (!(maps & RAYS_FROM_HITS) || bake_sees_one_scan(job))
-        return maps;
-    return (maps & ~(uint32_t)RAYS_FROM_HITS) | BK_PLACE;
-}
-
-/* On several scans, each sample is traced as a texel, with lengths in voxels. */
-static int set_part_params(struct bake_run *job)
-{
-    const struct bake_surface *surface = &job->surface;
-    int status = bsq_calloc(job->ctx, "scans", surface->part_count, sizeof *job->part_params,
-                            &job->part_params);
-    for (uint32_t p = 0; p < surface->part_count && status == 0; ++p) {
-        fill_params(job, &surface->parts[p], &job->part_params[p]);
-        set_lengths(job, &surface->parts[p], &job->part_params[p]);
-        job->part_params[p].unit = 1;
-        job->part_params[p].samples = 1;
-        job->part_params[p].maps = part_maps(job);
-    }
-    return status;
-}
-
-int bake_set_params(struct bake_run *job)
-{
-    fill_params(job, &job->surface, &job->traced.params);
-    int status = choose_distances(job);
-    if (status < 0)
-        return status;
-    set_lengths(job, &job->surface, &job->traced.params);
-    return job->surface.part_count > 0 ? set_part_params(job) : 0;
 }

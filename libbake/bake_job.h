@@ -17,16 +17,16 @@ struct bake_run {
     struct bake_surface surface;
     struct bake_lowmesh mesh;
     struct bake_udim udim;
-    struct bake_tile *tiles; /* one for each tile of `udim` */
-    struct bake_skew *skew;  /* of these tiles; NULL: there is none */
-    struct bake_job traced;  /* what the device traces; of several scans, only the parameters */
-    struct bk_params *part_params; /* of each of several scans */
-    bool *sees;                    /* of each object, which scans it sees; NULL: all see all */
-    struct bk_triangle *triangles;
+    struct bake_tile *tiles;       /* one for each tile of `udim` */
+    struct bake_skew *skew;        /* of these tiles; NULL: there is none */
+    struct bake_job traced;        /* what the device traces, if there is one */
+    bool *sees;                    /* that of the surface */
+    struct bk_triangle *triangles; /* of the tiles to bake, the first ones of the mesh */
+    uint32_t triangle_count;
     char *scan_names;              /* of several scans, for the maps' headers; NULL: there is one */
     struct bake_measures measures; /* over all tiles */
     struct bake_curvature_counts curvature; /* over those that were traced */
-    struct bake_device *device;             /* NULL: the triangles of a chunk file are traced */
+    struct bake_device *device;             /* NULL: triangles or several scans are traced */
     struct bake_preview_tile *preview_tiles;
     struct bake_preview_file *preview_file;
 };
@@ -46,16 +46,12 @@ int bake_set_params(struct bake_run *job);
 /* Finds out which scans each object sees, by their names. Errors: BSQ_EUSAGE, with the names, if an
  * object sees none, or if none sees a scan. */
 int bake_match_names(struct bake_run *job);
-/* Returns whether each object sees one scan only. */
-bool bake_sees_one_scan(const struct bake_run *job);
 
 /* ---- tracing ---- */
 
 /* Sorts the triangles of the low-poly mesh by tile and rasterises them. */
 int bake_prepare_triangles(struct bake_run *job);
-/* Returns what tiles share, after the triangles are prepared. */
-struct bake_tile_scene bake_scene_of(const struct bake_run *job);
-/* Opens the device that traces, unless the scan is a chunk file. */
+/* Opens the device that traces, if there is a single grid. */
 int bake_open_device(struct bake_run *job);
 /* Traces all tiles that have rasters. */
 int bake_trace_maps(struct bake_run *job);

@@ -15,15 +15,9 @@ struct name {
 
 static struct name scan_name(const struct bake_run *job, uint32_t scan)
 {
-    const struct bake_surface *surface = &job->surface;
-    const char *path = surface->parts ? surface->parts[scan].path : surface->path;
+    const char *path = job->surface.scans[scan].path;
     const char *at = bsq_file_name(path), *dot = strrchr(at, '.');
     return (struct name){at, dot && dot > at ? (size_t)(dot - at) : strlen(at)};
-}
-
-static uint32_t scan_count(const struct bake_run *job)
-{
-    return job->surface.parts ? job->surface.part_count : 1;
 }
 
 /* Reads `text` at the start of a name, and advances the name past it. Returns whether it is there.
@@ -59,7 +53,7 @@ static bool match(const struct bake_options *options, const char *object, struct
  * scan of "body_arm_low", not another one of "body_low", if the suffixes allow both. */
 static void keep_longest(struct bake_run *job, uint32_t scan)
 {
-    const uint32_t scans = scan_count(job), objects = job->mesh.objects.count;
+    const uint32_t scans = job->surface.scan_count, objects = job->mesh.objects.count;
     size_t longest = 0;
     for (uint32_t o = 0; o < objects; o++) {
         const size_t stem = stem_length(job->options, job->mesh.objects.list[o]);
@@ -101,7 +95,7 @@ static const char *end_list(struct list *list)
 /* Reports the objects and scans that have no partner. */
 static int fail_alone(const struct bake_run *job, const bool *sees)
 {
-    const uint32_t scans = scan_count(job);
+    const uint32_t scans = job->surface.scan_count;
     struct list objects = {{0}, 0, 0}, others = {{0}, 0, 0};
     for (uint32_t o = 0; o < job->mesh.objects.count; o++)
         if (!memchr(sees + (uint64_t)o * scans, 1, scans))
@@ -126,7 +120,7 @@ static int fail_alone(const struct bake_run *job, const bool *sees)
 
 int bake_match_names(struct bake_run *job)
 {
-    const uint32_t scans = scan_count(job), objects = job->mesh.objects.count;
+    const uint32_t scans = job->surface.scan_count, objects = job->mesh.objects.count;
     int status = 0;
     BSQ_TRY(
         bsq_calloc(job->ctx, "matches", (uint64_t)objects * scans, sizeof *job->sees, &job->sees));
@@ -142,19 +136,7 @@ int bake_match_names(struct bake_run *job)
         keep_longest(job, s);
     }
     BSQ_TRY(fail_alone(job, job->sees));
+    job->surface.sees = job->sees;
 done:
     return status;
-}
-
-bool bake_sees_one_scan(const struct bake_run *job)
-{
-    const uint32_t scans = scan_count(job);
-    for (uint32_t o = 0; o < job->mesh.objects.count && job->sees; o++) {
-        uint32_t count = 0;
-        for (uint32_t s = 0; s < scans; s++)
-            count += job->sees[(uint64_t)o * scans + s];
-        if (count > 1)
-            return false;
-    }
-    return scans == 1 || job->sees;
 }

@@ -12,10 +12,7 @@ enum { PREVIEW_TEXTURE = 2048 /* largest side of a texture of the preview, in te
 static const char *sampling_of(const struct bake_run *job)
 {
     const struct bake_surface *surface = &job->surface;
-    bool grids = surface->part_count == 0 && !surface->exact;
-    for (uint32_t p = 0; p < surface->part_count; ++p)
-        grids |= surface->parts[p].exact == NULL;
-    if (!grids)
+    if (!bake_surface_has_grids(surface))
         return "exact";
     return bake_surface_has_triangles(surface)      ? "trilinear, exact"
            : job->options->sampling == BAKE_NEAREST ? "nearest"
@@ -160,7 +157,6 @@ int bake_write_preview(struct bake_run *job)
             job->udim.tiles[i], &job->tiles[i].normal, &job->tiles[i].color, &job->tiles[i].missed};
     const struct bake_preview preview = {.mesh = &job->mesh,
                                          .surface = &job->surface,
-                                         .params = &job->traced.params,
                                          .tiles = job->preview_tiles,
                                          .tile_count = job->udim.count,
                                          .normal_space = job->options->normal_space,

@@ -7,37 +7,17 @@
 #include "libbake/bake_job.h"
 #include "libbake/curvature/curvature.h"
 
-/* Returns the number of triangles that lie in tiles to bake. They are the first ones of the mesh.
- */
-static uint64_t tile_triangles(const struct bake_run *job)
-{
-    const struct bake_udim_tile *last = &job->udim.tiles[job->udim.count - 1];
-    return last->first + last->count;
-}
-
-struct bake_tile_scene bake_scene_of(const struct bake_run *job)
-{
-    return (struct bake_tile_scene){.ctx = job->ctx,
-                                    .surface = &job->surface,
-                                    .mesh = &job->mesh,
-                                    .params = &job->traced.params,
-                                    .triangles = job->triangles,
-                                    .triangle_count = (uint32_t)tile_triangles(job),
-                                    .device = job->device,
-                                    .part_params = job->part_params,
-                                    .sees = job->sees};
-}
-
 int bake_prepare_triangles(struct bake_run *job)
 {
     int status = 0;
     BSQ_TRY(bake_udim_arrange(job->ctx, job->options, &job->udim, &job->mesh));
-    BSQ_TRY(bsq_calloc(job->ctx, "triangles of the low-poly mesh", tile_triangles(job),
+    const struct bake_udim_tile *last = &job->udim.tiles[job->udim.count - 1];
+    job->triangle_count = (uint32_t)(last->first + last->count);
+    BSQ_TRY(bsq_calloc(job->ctx, "triangles of the low-poly mesh", job->triangle_count,
                        sizeof *job->triangles, &job->triangles));
-    const struct bake_tile_scene scene = bake_scene_of(job);
     for (uint32_t i = 0; i < job->udim.count; ++i)
         if (!job->tiles[i].in_blocks || job->tiles[i].blocks.count > 0)
-            BSQ_TRY(bake_tile_rasterise(&scene, &job->tiles[i], job->report));
+            BSQ_TRY(bake_tile_rasterise(job, &job->tiles[i]));
 done:
     return status;
 }
@@ -54,17 +34,18 @@ static uint32_t most_texels(const struct bake_run *job)
 
 int bake_open_device(struct bake_run *job)
 {
-    if (job->surface.exact || job->surface.parts) {
+    if (job->surface.scan_count > 1 || job->surface.scans->exact) {
         unsigned threads = bsq_threads(job->ctx);
         snprintf(job->report->device, sizeof job->report->device, "cpu, %u thread%s%s", threads,
-                 threads == 1 ? "" : "s", job->surface.exact ? ", exact" : "");
+                 threads == 1 ? "" : "s", bake_surface_has_grids(&job->surface) ? "" : ", exact");
         return 0;
     }
-    job->traced.grid = &job->surface.grid;
-    job->traced.triangles = job->triangles;
-    job->traced.triangle_count = (uint32_t)tile_triangles(job);
-    job->traced.tile_texels = most_texels(job);
-    job->traced.device_memory = job->options->gpu_memory_bytes;
+    job->traced = (struct bake_job){.grid = &job->surface.scans->grid,
+                                    .triangles = job->triangles,
+                                    .triangle_count = job->triangle_count,
+                                    .tile_texels = most_texels(job),
+                                    .device_memory = job->options->gpu_memory_bytes,
+                                    .params = job->surface.params};
     const char *name = job->options->device ? job->options->device : "auto";
     int status = bake_device_open(job->ctx, name, &job->traced, &job->device);
     if (status == 0)
@@ -121,30 +102,18 @@ static void note_device_times(struct bake_run *job)
     job->report->kernel_calls = times.launches;
 }
 
-/* Each of several scans is traced by itself, then the secondary rays of all. */
-static void count_stages(const struct bake_run *job)
-{
-    const uint32_t scans = job->surface.part_count;
-    const bool looks = (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS)) != 0;
-    struct bake_report *report = job->report;
-    for (uint32_t i = 0; i < job->udim.count; i++)
-        report->traced_tiles += job->tiles[i].raster != NULL;
-    report->trace_stages = report->traced_tiles * (scans > 0 ? scans + looks : 1);
-}
-
 /* Traces all tiles. Their images share half of the memory that is left in the budget, as writing
  * needs the rest. */
 int bake_trace_maps(struct bake_run *job)
 {
-    const struct bake_tile_scene scene = bake_scene_of(job);
     const uint64_t kept = bsq_memory_left(job->ctx) / 2;
     int status = 0;
-    count_stages(job);
+    for (uint32_t i = 0; i < job->udim.count; i++)
+        job->report->traced_tiles += job->tiles[i].raster != NULL;
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
         const uint64_t left = bsq_memory_left(job->ctx), share = left > kept ? left - kept : 0;
         if (job->tiles[i].raster)
-            status =
-                bake_tile_trace(&scene, &job->tiles[i], share / (job->udim.count - i), job->report);
+            status = bake_tile_trace(job, &job->tiles[i], share / (job->udim.count - i));
     }
     if (job->device)
         note_device_times(job);
@@ -164,19 +133,6 @@ void bake_choose_radius(struct bake_run *job)
                   : bake_curvature_radius(&job->surface, job->options, &job->mesh, &job->udim);
 }
 
-/* A tile whose texels curvature asks for their objects. */
-struct seen_tile {
-    struct bake_tile_scene scene;
-    const struct bake_tile *tile;
-};
-
-static int objects_of(const void *arg, uint32_t x, uint32_t y, uint32_t width, uint32_t height,
-                      uint32_t *out)
-{
-    const struct seen_tile *seen = arg;
-    return bake_tile_objects(&seen->scene, seen->tile, x, y, width, height, out);
-}
-
 /* The processor traces from here on, so the curvature is the same for all devices. */
 int bake_trace_curvature(struct bake_run *job)
 {
@@ -185,16 +141,14 @@ int bake_trace_curvature(struct bake_run *job)
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
         if (!job->tiles[i].image)
             continue;
-        const struct seen_tile seen = {bake_scene_of(job), &job->tiles[i]};
+        const struct bake_tile_of_job tile = {job, &job->tiles[i]};
         const struct bake_curvature curvature = {
             .surface = &job->surface,
-            .params = &job->traced.params,
             .image = job->tiles[i].image,
             .place = bake_place_of(job->maps, BK_MAP_curvature),
             .radius = job->measures.curvature_radius,
-            .objects = job->sees && job->tiles[i].raster ? objects_of : NULL,
-            .objects_arg = &seen,
-            .sees = job->sees};
+            .objects = job->sees && job->tiles[i].raster ? bake_tile_objects : NULL,
+            .objects_arg = &tile};
         status = bake_curvature_trace(job->ctx, &curvature, &job->curvature);
     }
     return status < 0
@@ -221,6 +175,4 @@ void bake_end_tracing(struct bake_run *job)
     job->device = NULL;
     bsq_free(job->ctx, job->triangles);
     job->triangles = NULL;
-    bsq_free(job->ctx, job->part_params);
-    job->part_params = NULL;
 }

@@ -1,5 +1,5 @@
 /* tile_bake.c - see tile_bake.h. */
-#include "libbake/tile_bake.h"
+#include "libbake/bake_job.h"
 
 #include <stdlib.h>
 #include <string.h>
@@ -31,7 +31,7 @@ void bake_tile_end(struct bsq_ctx *ctx, struct bake_tile *tile)
 {
     bake_raster_free(tile->raster);
     bake_image_free(tile->image);
-    bsq_free(ctx, (void *)(uintptr_t)tile->blocks.slots); /* sample_blocks has the same */
+    bsq_free(ctx, (void *)(uintptr_t)tile->blocks.slots);
     bake_map_files_discard(tile->files);
     bake_thumbnail_free(ctx, &tile->normal);
     bake_thumbnail_free(ctx, &tile->color);
@@ -41,45 +41,28 @@ void bake_tile_end(struct bsq_ctx *ctx, struct bake_tile *tile)
     memset(tile, 0, sizeof *tile);
 }
 
-int bake_tile_rasterise(const struct bake_tile_scene *scene, struct bake_tile *tile,
-                        struct bake_report *report)
+int bake_tile_rasterise(const struct bake_run *job, struct bake_tile *tile)
 {
     const struct bake_options *options = &tile->options;
-    /* On several scans, a sample of a texel is a texel of the raster. */
-    const uint32_t n = scene->surface->part_count > 0 ? options->samples : 1;
-    const uint32_t width = options->width * n, height = options->height * n;
-    const uint32_t samples = options->samples / n;
-    if (width / n != options->width || height / n != options->height)
-        return bsq_fail(
-            scene->ctx, BSQ_EUSAGE,
-            "a map of %u x %u texels is too large for %u x %u samples a texel of several scans",
-            options->width, options->height, n, n);
-    if (tile->in_blocks && tile->blocks.count > UINT32_MAX / n / tile->blocks.side)
-        return bsq_fail(scene->ctx, BSQ_EUSAGE,
-                        "a task has too many texels for %u x %u samples of several scans: make a "
-                        "plan of more tasks",
-                        n, n);
-    tile->tile_size = bake_tile_size(scene->ctx, width, height, samples, tile->maps);
-    tile->sample_blocks = tile->blocks;
-    tile->sample_blocks.side *= n;
-    while (tile->in_blocks && tile->sample_blocks.side % tile->tile_size != 0)
+    tile->tile_size =
+        bake_tile_size(job->ctx, options->width, options->height, options->samples, tile->maps);
+    while (tile->in_blocks && tile->blocks.side % tile->tile_size != 0)
         tile->tile_size /= 2;
-    const struct bake_raster_options raster = {.width = width,
-                                               .height = height,
-                                               .samples = samples,
+    const struct bake_raster_options raster = {.width = options->width,
+                                               .height = options->height,
+                                               .samples = options->samples,
                                                .tile_size = tile->tile_size,
                                                .first = tile->place.first,
                                                .count = tile->place.count,
-                                               .blocks =
-                                                   tile->in_blocks ? &tile->sample_blocks : NULL,
+                                               .blocks = tile->in_blocks ? &tile->blocks : NULL,
                                                .skew = tile->skew};
     struct bake_raster_report counts = {0};
-    int status = bake_raster_create(scene->ctx, scene->mesh, &raster, &counts, &tile->raster);
+    int status = bake_raster_create(job->ctx, &job->mesh, &raster, &counts, &tile->raster);
     if (status < 0)
         return status;
-    report->degenerate_uv_triangles += counts.degenerate_triangles;
-    bake_raster_kernel_triangles(tile->raster, scene->surface->translation, scene->surface->unit,
-                                 scene->triangles);
+    job->report->degenerate_uv_triangles += counts.degenerate_triangles;
+    bake_raster_kernel_triangles(tile->raster, job->surface.translation, job->surface.unit,
+                                 job->triangles);
     return 0;
 }
 
@@ -98,59 +81,78 @@ int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t
     return bake_image_create(ctx, &image, &tile->image);
 }
 
-static int trace_exact(const struct bake_tile_scene *scene, const struct bake_tiles *tiles,
-                       struct bake_report *report)
+int bake_tile_trace(const struct bake_run *job, struct bake_tile *tile, uint64_t memory_bytes)
 {
-    const struct bake_exact_tiles exact = {.tiles = *tiles,
-                                           .exact = scene->surface->exact,
-                                           .front = report->front,
-                                           .back = report->back};
-    return bake_exact_trace_tiles(scene->ctx, &exact, report);
-}
-
-int bake_tile_trace_grid(struct bsq_ctx *ctx, struct bake_device *device,
-                         const struct bake_surface *surface, const struct bake_tiles *tiles,
-                         struct bake_report *report)
-{
-    struct bake_plan plan;
-    int status = bake_device_plan(device, tiles->raster, &plan);
-    const struct bake_grid_tiles grid = {.tiles = *tiles,
-                                         .device = device,
-                                         .surface = surface,
-                                         .plan = plan.pass_count > 0 ? &plan : NULL};
-    const uint64_t passes = plan.pass_count > 0 ? plan.pass_count : 1;
-    if (passes > report->passes)
-        report->passes = passes;
-    if (status == 0)
-        status = bake_trace_grid_tiles(ctx, &grid, report);
-    bake_plan_free(ctx, &plan);
-    return status;
-}
-
-int bake_tile_trace(const struct bake_tile_scene *scene, struct bake_tile *tile,
-                    uint64_t memory_bytes, struct bake_report *report)
-{
-    const bool several = scene->surface->part_count > 0;
-    int status =
-        bake_tile_create_image(scene->ctx, tile, several ? memory_bytes / 2 : memory_bytes);
+    const bool several = job->surface.scan_count > 1;
+    const uint32_t *objects = job->sees && several ? job->mesh.object_of : NULL;
+    int status = bake_tile_create_image(job->ctx, tile, memory_bytes);
     if (status < 0)
         return status;
     const struct bake_tiles tiles = {.raster = tile->raster,
-                                     .triangles = scene->triangles,
-                                     .triangle_count = scene->triangle_count,
-                                     .params = scene->params,
+                                     .triangles = job->triangles,
+                                     .triangle_count = job->triangle_count,
+                                     .params = &job->surface.params,
                                      .image = tile->image,
                                      .tile_size = tile->tile_size};
-    if (several)
-        status = bake_tile_trace_scans(scene, tile, memory_bytes / 2, report);
-    else
-        status = scene->device ? bake_tile_trace_grid(scene->ctx, scene->device, scene->surface,
-                                                      &tiles, report)
-                               : trace_exact(scene, &tiles, report);
-    if (!several || !scene->sees || !(tile->maps & BAKE_MAP_CURVATURE)) {
+    status = job->device ? bake_trace_grid_tiles(&job->surface, job->device, &tiles, job->report)
+                         : bake_trace_ray_tiles(&job->surface, &tiles, objects, job->report);
+    if (!job->sees || !(tile->maps & BAKE_MAP_CURVATURE)) {
         bake_raster_free(tile->raster);
         tile->raster = NULL;
     }
+    return status;
+}
+
+/* ---- objects of texels ---- */
+
+/* A part of a tile's image whose objects are wanted. The raster is filled again for it: objects of
+ * all texels would need memory that grows with the map. */
+struct window {
+    const struct bake_run *job;
+    const struct bake_tile *tile;
+    uint32_t x, y, width, height; /* texels of the image */
+    uint32_t *objects;            /* of its texels, BAKE_NO_OBJECT until one is known */
+};
+
+/* Takes the samples of a tile of the raster, if it overlaps the window. */
+static int take_samples(const struct window *window, uint32_t index, uint32_t *triangles)
+{
+    const struct bake_tile *tile = window->tile;
+    const uint32_t n = tile->options.samples;
+    struct bk_tile place = bake_raster_tile(tile->raster, index);
+    uint64_t overlapping;
+    if (tile->in_blocks)
+        bake_blocks_to_image(&tile->blocks, &place.x, &place.y);
+    if (place.x >= window->x + window->width || place.x + place.width <= window->x ||
+        place.y >= window->y + window->height || place.y + place.height <= window->y)
+        return 0;
+    int status = bake_raster_fill(tile->raster, index, triangles, &overlapping);
+    for (uint64_t i = 0; i < (uint64_t)place.width * n * place.height * n && status == 0; i++) {
+        const uint32_t column = place.x + (uint32_t)(i % (place.width * n)) / n - window->x;
+        const uint32_t row = place.y + (uint32_t)(i / (place.width * n)) / n - window->y;
+        if (triangles[i] == BK_NO_TRIANGLE || column >= window->width || row >= window->height)
+            continue; /* before the window, numbers have wrapped around */
+        uint32_t *object = &window->objects[(uint64_t)row * window->width + column];
+        if (*object == BAKE_NO_OBJECT)
+            *object = window->job->mesh.object_of[triangles[i]];
+    }
+    return status;
+}
+
+int bake_tile_objects(const void *arg, uint32_t x, uint32_t y, uint32_t width, uint32_t height,
+                      uint32_t *out)
+{
+    const struct bake_tile_of_job *of = arg;
+    const struct window window = {of->job, of->tile, x, y, width, height, out};
+    const uint64_t texels = (uint64_t)of->tile->tile_size * of->tile->tile_size;
+    uint32_t *triangles;
+    memset(out, 0xff, (size_t)width * height * sizeof *out);
+    int status = bsq_alloc(of->job->ctx, "samples of a tile",
+                           texels * bake_raster_texel_entries(&of->job->surface.params),
+                           sizeof *triangles, &triangles);
+    for (uint32_t i = 0; i < bake_raster_tile_count(of->tile->raster) && status == 0; i++)
+        status = take_samples(&window, i, triangles);
+    bsq_free(of->job->ctx, triangles);
     return status;
 }
 

@@ -17,7 +17,6 @@ struct bake_tile {
     uint32_t tile_size; /* side of the raster's tiles in texels */
     bool in_blocks;     /* bakes `blocks` only, into an image of them */
     struct bake_blocks blocks;
-    struct bake_blocks sample_blocks; /* the same for the raster, whose texels may be samples */
     struct bake_skew_image skew;
     struct bake_raster *raster;
     struct bake_image *image;
@@ -25,26 +24,7 @@ struct bake_tile {
     struct bake_thumbnail normal, color, missed; /* `texels` is NULL if there is none */
 };
 
-/* Returns the entries that the raster writes for one of its tiles: triangles and, with a skew map,
- * skews. */
-static inline uint64_t bake_tile_entries(const struct bake_tile *tile)
-{
-    return (uint64_t)tile->tile_size * tile->tile_size * (tile->skew.skew ? 2 : 1);
-}
-
-/* What all tiles of a job share. */
-struct bake_tile_scene {
-    struct bsq_ctx *ctx;
-    const struct bake_surface *surface;
-    const struct bake_lowmesh *mesh; /* arranged by tile */
-    const struct bk_params *params;
-    struct bk_triangle *triangles; /* of all tiles */
-    uint32_t triangle_count;
-    struct bake_device *device; /* NULL: triangles of a chunk file, or several scans, are traced */
-    /* Of each part of the surface, if there are several. */
-    const struct bk_params *part_params;
-    const bool *sees; /* as in struct bake_surface_rays, for mesh->object_of; NULL: all see all */
-};
+struct bake_run;
 
 /* Sets the size and output path of a tile of a set; NULL: of the whole mesh. Call bake_tile_end()
  * also after a failure. Errors: BSQ_ENOMEM. */
@@ -53,30 +33,25 @@ int bake_tile_begin(struct bsq_ctx *ctx, const struct bake_options *options, uin
                     struct bake_tile *out);
 void bake_tile_end(struct bsq_ctx *ctx, struct bake_tile *tile); /* zeroed: allowed */
 
-/* Sorts the tile's triangles for sampling and writes them to scene->triangles. Adds to the report's
+/* Sorts the tile's triangles for sampling and writes them to job->triangles. Adds to the report's
  * degenerate_uv_triangles. Errors: those of bake_raster_create(). */
-int bake_tile_rasterise(const struct bake_tile_scene *scene, struct bake_tile *tile,
-                        struct bake_report *report);
-
-/* Traces a tile on all scans, of which each sample takes the nearest hit. Each scan is traced as if
- * it were alone, with a texel for each sample. Two images of samples are in a temporary file if
- * they are larger than `memory_bytes`. Errors: those of bake_tile_trace(). */
-int bake_tile_trace_scans(const struct bake_tile_scene *scene, struct bake_tile *tile,
-                          uint64_t memory_bytes, struct bake_report *report);
+int bake_tile_rasterise(const struct bake_run *job, struct bake_tile *tile);
 
 /* Traces all samples into the tile's image, which takes at most `memory_bytes`, or is in a
  * temporary file. Frees the raster, unless curvature needs objects of texels. Errors: those of
- * bake_image_create(), bake_exact_trace_tiles() and bake_trace_grid_tiles(). */
-int bake_tile_trace(const struct bake_tile_scene *scene, struct bake_tile *tile,
-                    uint64_t memory_bytes, struct bake_report *report);
+ * bake_image_create(), bake_trace_grid_tiles() and bake_trace_ray_tiles(). */
+int bake_tile_trace(const struct bake_run *job, struct bake_tile *tile, uint64_t memory_bytes);
 
+struct bake_tile_of_job {
+    const struct bake_run *job;
+    const struct bake_tile *tile;
+};
 /* Writes the object of each texel of a part of the tile's image: that of its first sample in a
- * triangle, BAKE_NO_OBJECT without one. The raster must be there, and one of its texels be a
- * sample, as on several scans. Must not be called from parallel work. Errors: those of
- * bake_raster_fill(); BSQ_ENOMEM. */
+ * triangle, BAKE_NO_OBJECT without one. arg: struct bake_tile_of_job, whose raster must be there.
+ * Must not be called from parallel work. Errors: those of bake_raster_fill(); BSQ_ENOMEM. */
 #define BAKE_NO_OBJECT UINT32_MAX
-int bake_tile_objects(const struct bake_tile_scene *scene, const struct bake_tile *tile, uint32_t x,
-                      uint32_t y, uint32_t width, uint32_t height, uint32_t *out);
+int bake_tile_objects(const void *arg, uint32_t x, uint32_t y, uint32_t width, uint32_t height,
+                      uint32_t *out);
 
 /* Creates the tile's image, which takes at most `memory_bytes`, or is in a temporary file. Errors:
  * those of bake_image_create(). */
@@ -88,11 +63,6 @@ unsigned bake_tile_file_count(const struct bake_tile *tile);
 /* Checks that the tile's files can be created, are no inputs, and are neither the preview nor the
  * file `other`, which may be NULL. Errors: BSQ_EUSAGE, BSQ_ECANTCREAT, BSQ_ENOMEM. */
 int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile, const char *other);
-
-/* Traces one grid into an image: opens a plan for the device. */
-int bake_tile_trace_grid(struct bsq_ctx *ctx, struct bake_device *device,
-                         const struct bake_surface *surface, const struct bake_tiles *tiles,
-                         struct bake_report *report);
 
 /* Creates the tile's files under temporary names, unless they are. Errors: those of
  * bake_map_files_open(). */

@@ -322,5 +322,4 @@ void bake_report_watch(struct cli *cli, const struct bake_report *report)
 {
     cli->stage_counts[CLI_EACH_TILE] = report ? &report->tile_count : NULL;
     cli->stage_counts[CLI_EACH_TRACED_TILE] = report ? &report->traced_tiles : NULL;
-    cli->stage_counts[CLI_EACH_TRACE] = report ? &report->trace_stages : NULL;
 }

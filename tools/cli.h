@@ -25,13 +25,7 @@ enum cli_progress {
 };
 
 /* How often a stage of progress comes. */
-enum cli_stage_count {
-    CLI_ONCE,
-    CLI_EACH_TILE,
-    CLI_EACH_TRACED_TILE,
-    CLI_EACH_TRACE,
-    CLI_STAGE_COUNTS
-};
+enum cli_stage_count { CLI_ONCE, CLI_EACH_TILE, CLI_EACH_TRACED_TILE, CLI_STAGE_COUNTS };
 
 struct cli {
     const char *program;

@@ -26,8 +26,7 @@ static const struct stage {
     {"bisque-voxelize", "voxelizing", 30, CLI_ONCE, false},
     {"bisque-voxelize", "reading parts", 9, CLI_ONCE, false},
     {"bisque-bake", "planning", 1, CLI_EACH_TILE, false},
-    {"bisque-bake", "tracing", 65, CLI_EACH_TRACE, false},
-    {"bisque-bake", "tracing secondary rays", 0, CLI_EACH_TRACE, true}, /* of several scans */
+    {"bisque-bake", "tracing", 65, CLI_EACH_TRACED_TILE, false},
     {"bisque-bake", "measuring curvature", 14, CLI_EACH_TRACED_TILE, false},
     {"bisque-bake", "reading parts", 4, CLI_ONCE, false},
     {"bisque-bake", "writing", 12, CLI_EACH_TILE, false},

@@ -138,14 +138,13 @@ static void set_object(const struct work *work, uint64_t ray, uint64_t probe)
 
 static int trace(const struct work *work, uint64_t count, double range)
 {
-    const struct bake_surface_rays rays = {.rays = work->rays,
-                                           .hits = work->hits,
-                                           .count = count,
-                                           .t_min = -range,
-                                           .t_max = range,
-                                           .objects = work->ray_objects,
-                                           .sees = work->job->sees};
-    return bake_surface_trace(work->job->surface, work->job->params, &rays);
+    const struct bake_surface_rays rays = {.batch = {.rays = work->rays,
+                                                     .hits = work->hits,
+                                                     .count = count,
+                                                     .t_min = -range,
+                                                     .t_max = range},
+                                           .objects = work->ray_objects};
+    return bake_surface_trace(work->job->surface, &rays);
 }
 
 /* ---- the first rays ---- */
@@ -377,7 +376,7 @@ static int allocate(struct work *work)
 {
     const struct bake_image *image = work->job->image;
     const uint64_t width = bake_image_width(image), all = width * bake_image_height(image);
-    const uint64_t fitting = bake_surface_capacity(work->job->surface) / 2 / PROBES;
+    const uint64_t fitting = bake_surface_capacity(work->job->surface, 0) / 2 / PROBES;
     work->channels = bake_image_channels(image);
     work->most_texels = fitting < 1 ? 1 : fitting < all ? fitting : all;
     const uint64_t rays = work->most_texels * PROBES;

@@ -18,15 +18,12 @@ typedef int bake_texel_objects(const void *arg, uint32_t x, uint32_t y, uint32_t
 
 struct bake_curvature {
     const struct bake_surface *surface;
-    const struct bk_params *params; /* used for grids only */
     struct bake_image *image;
     uint32_t place; /* of the map's first value in a texel of the image */
     double radius;  /* of the neighbourhood, in world units */
-    /* Of several scans, texels see those that `sees` sets for their object, as in struct
-     * bake_surface_rays. NULL: they see all. */
+    /* Gives the objects of texels, if surface->sees tells which scans they see; else NULL. */
     bake_texel_objects *objects;
     const void *objects_arg;
-    const bool *sees;
 };
 
 struct bake_curvature_counts {

@@ -24,17 +24,6 @@ static void add_areas(const struct bake_lowmesh *mesh, uint64_t triangle, double
     *texels += 0.5 * fabs(u[0] * v[1] - u[1] * v[0]) * texels_a_tile;
 }
 
-/* Returns whether all of the surface are triangles. */
-static bool is_exact(const struct bake_surface *surface)
-{
-    if (!surface->parts)
-        return surface->exact;
-    bool exact = true;
-    for (uint32_t p = 0; p < surface->part_count; ++p)
-        exact &= surface->parts[p].exact != NULL;
-    return exact;
-}
-
 double bake_curvature_radius(const struct bake_surface *surface, const struct bake_options *options,
                              const struct bake_lowmesh *mesh, const struct bake_udim *udim)
 {
@@ -47,6 +36,6 @@ double bake_curvature_radius(const struct bake_surface *surface, const struct ba
             add_areas(mesh, t, (double)width * (double)height, &world, &texels);
     }
     const double two_texels = texels > 0 ? 2.0 * sqrt(world / texels) : 0;
-    const double least = (is_exact(surface) ? 0.01 : 2.0) * surface->detail;
+    const double least = (!bake_surface_has_grids(surface) ? 0.01 : 2.0) * surface->detail;
     return isfinite(two_texels) ? fmax(two_texels, least) : least;
 }

@@ -1,6 +1,5 @@
 /* exact.h - traces rays against the triangles of a scan that need not fit into memory. Takes a
- * chunk file, and either batches of rays or the tiles of a map; gives each ray's nearest hit with
- * normal and colour, or the baked image.
+ * chunk file and batches of rays; gives each ray's nearest hit with normal and colour.
  *
  * A batch's rays are sorted into one bucket for each chunk that they cross. Each of these chunks is
  * loaded, gets a tree of boxes, and finds the nearest hits of its rays. A second pass over the
@@ -85,9 +84,10 @@ struct bake_exact_hit {
     float normal[3];   /* unit, object space; of a surface that faces away: turned round */
     float color[3];    /* linear RGB */
     uint32_t id;       /* as in struct bk_map_hit; 0 without ids */
-    /* Of triangles only: */
-    float facet[3]; /* unit normal of the triangle, on the side that counts as its front */
-    bool reversed;  /* that side is the scan's back */
+    float facet[3];    /* unit normal of the triangle, on the side that counts as its front; of a
+                          grid: zero */
+    bool reversed;     /* that side is the scan's back */
+    uint32_t scan;     /* of several scans: the one that was hit */
 };
 
 /* The distance between neighbouring rays, by which textures are filtered: the steps of the rays'
@@ -137,48 +137,24 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *ba
 struct bake_exact_look;
 struct bake_places;
 struct bake_ray_states;
-struct bk_surroundings;
 
-/* Hits that send rays. */
-struct bake_exact_places {
-    const struct bake_exact_ray *rays;
-    const struct bake_exact_hit *hits; /* of these rays; hits of nothing are allowed */
-    const uint32_t *seeds;             /* by which the directions are turned */
-    uint64_t count;
-    uint64_t progress; /* what all of them add to the context's progress */
-};
-
-/* Prepares secondary rays: takes up to half of what is left of the budget, for the chunks of the
- * scan and for the state of rays from at most `places` hits at a time. 0: the caller has the
- * states, and calls bake_exact_look_from() only. params: maps, counts and lengths of rays; must
- * outlive *out. Errors: BSQ_ENOMEM. */
+/* Prepares secondary rays: takes up to a third of what is left of the budget, for the chunks of the
+ * scan. params: maps, counts and lengths of rays; must outlive *out. Errors: BSQ_ENOMEM. */
 int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *params,
-                           uint64_t places, struct bake_exact_look **out);
+                           struct bake_exact_look **out);
 void bake_exact_look_free(struct bake_exact_look *look); /* NULL is allowed */
 
-/* Traces secondary rays as bk_secondary.h describes, but against triangles, and writes what they
- * found to out[], an entry for each place. Results do not depend on chunks, threads or memory. If
- * all chunks fit into memory, each is loaded once; otherwise once for each batch of places that
- * fits. Must not be called from parallel work. Errors: those of bake_exact_trace(). */
-int bake_exact_look_around(struct bake_exact_look *look, const struct bake_exact_places *places,
-                           struct bk_surroundings *out);
-
-/* Traces the rays of all places, and notes in their states what the scan adds to other parts of the
- * surface. Must not be called from parallel work. Errors: those of bake_exact_trace(). */
+/* Traces the rays of all places as bk_secondary.h describes, but against triangles, and notes in
+ * their states what the scan adds. Results do not depend on chunks, threads or memory. If all
+ * chunks fit into memory, they are loaded by the first call; otherwise each call loads those that
+ * its rays can reach. Adds the number of chunks loaded to *loads. Must not be called from parallel
+ * work. Errors: those of bake_exact_trace(). */
 int bake_exact_look_from(struct bake_exact_look *look, const struct bake_places *places,
-                         struct bake_ray_states *states);
+                         struct bake_ray_states *states, uint64_t *loads);
 
 /* Returns the distance above a triangle at which open rays start: more than the rounding errors of
  * a hit's position. */
 float bake_exact_lift(const struct bake_exact *exact);
-
-/* Returns how many chunks have been loaded for secondary rays, counted again each time. */
-uint64_t bake_exact_look_loads(const struct bake_exact_look *look);
-
-/* Computes open ray `number` of a place. */
-struct bake_exact_ray bake_exact_open_ray(const struct bake_exact_look *look,
-                                          const struct bake_exact_places *places, uint64_t place,
-                                          uint32_t number);
 
 /* Warns of tiles of textures that are missing where rays have hit, and of textures with texels that
  * are not finite, each once. Errors: BSQ_EDATA in a strict job. */
@@ -191,18 +167,5 @@ bool bake_exact_wants_footprints(const struct bake_exact *exact);
  * bits. Points outside are clamped into the cube. Batches of rays that follow the curve cross few
  * chunks. */
 uint64_t bake_exact_curve_place(const float point[3], const float low[3], double side);
-
-/* ---- maps ---- */
-
-struct bake_exact_tiles {
-    struct bake_tiles tiles; /* index space: the scan's units, relative to its origin */
-    struct bake_exact *exact;
-    double front, back; /* ray lengths */
-};
-
-/* Traces and resolves all tiles of a map into its image. Adds to the report what
- * bake_tile_workers_end() adds. Errors: those of bake_exact_trace() and bake_image_write(). */
-int bake_exact_trace_tiles(struct bsq_ctx *ctx, const struct bake_exact_tiles *tiles,
-                           struct bake_report *report);
 
 #endif

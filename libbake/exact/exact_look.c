@@ -25,54 +25,22 @@ enum { BLOCK = 64 /* places that a thread traces at a time */ };
 struct bake_exact_look {
     struct bake_exact *exact;
     const struct bk_params *params;
-    float lift; /* start of open rays above the triangle */
     struct exact_slots memory;
     struct exact_group group; /* the chunks in memory */
     uint32_t loaded;          /* of them */
     bool whole;               /* they are all of the scan's */
     struct exact_box *boxes;  /* of the slots' chunks */
     void *tree_memory, *tree_scratch;
-    uint32_t *reached;             /* chunks that the current batch can reach */
-    struct bake_ray_states states; /* of a batch of bake_exact_look_around() */
-    uint64_t loads;
+    uint32_t *reached; /* chunks that the current places can reach */
 };
 
-/* What a batch has in common. */
+/* Places that are traced through one group of chunks after the other. */
 struct pass {
     struct bake_exact_look *look;
     const struct bake_places *places;
-    struct bake_ray_states *states; /* of the batch's places */
-    struct bk_surroundings *out;    /* of all places */
-    uint64_t first, count;          /* of the batch's places */
-    uint64_t steps, step; /* of the progress: groups of the batch; those before this one */
+    struct bake_ray_states *states;
+    uint64_t steps, step; /* of the progress: groups of chunks; those before this one */
 };
-
-/* ---- places ---- */
-
-/* Hits, and who looks around from them. */
-struct hit_places {
-    const struct bake_exact_look *look;
-    const struct bake_exact_places *hits;
-};
-
-static bool get_place(const void *arg, uint64_t index, struct bake_place *out)
-{
-    const struct hit_places *from = arg;
-    const struct bake_exact_ray *ray = &from->hits->rays[index];
-    const struct bake_exact_hit *hit = &from->hits->hits[index];
-    if (hit->triangle == BAKE_EXACT_NONE)
-        return false;
-    for (int k = 0; k < 3; k++) {
-        const double p = (double)ray->origin[k] + hit->t * (double)ray->direction[k];
-        out->solid_from[k] = (float)p;
-        out->open_from[k] = (float)(p + (double)from->look->lift * (double)hit->facet[k]);
-    }
-    memcpy(out->normal, hit->normal, sizeof out->normal);
-    memcpy(out->facet, hit->facet, sizeof out->facet);
-    out->reversed = hit->reversed;
-    out->seed = from->hits->seeds[index];
-    return true;
-}
 
 static struct bake_exact_ray ray_of(const struct bake_exact_look *look,
                                     const struct bake_place *place, bool open, uint32_t number)
@@ -80,16 +48,6 @@ static struct bake_exact_ray ray_of(const struct bake_exact_look *look,
     struct bake_exact_ray ray = {0};
     bake_place_ray(look->params, place, open, number, ray.origin, ray.direction);
     return ray;
-}
-
-struct bake_exact_ray bake_exact_open_ray(const struct bake_exact_look *look,
-                                          const struct bake_exact_places *places, uint64_t place,
-                                          uint32_t number)
-{
-    const struct hit_places from = {look, places};
-    struct bake_place at = {0};
-    get_place(&from, place, &at);
-    return ray_of(look, &at, true, number);
 }
 
 /* ---- tracing ---- */
@@ -131,13 +89,11 @@ static void trace_nearest(const struct pass *pass, const struct bake_place *plac
 /* Spreads the progress of the places evenly over blocks and groups. */
 static void add_progress(const struct pass *pass, uint64_t begin, uint64_t end)
 {
-    const double each = (double)pass->places->progress / (double)pass->places->count;
-    const double rays = (double)pass->count / (double)pass->steps;
-    const double before = (double)pass->first + rays * (double)pass->step;
-    const double share = 1 / (double)pass->steps;
-    bsq_progress_add(pass->look->exact->ctx,
-                     (uint64_t)(each * (before + share * (double)end)) -
-                         (uint64_t)(each * (before + share * (double)begin)));
+    const double each =
+        (double)pass->places->progress / (double)pass->places->count / (double)pass->steps;
+    const double before = (double)pass->places->count * (double)pass->step;
+    bsq_progress_add(pass->look->exact->ctx, (uint64_t)(each * (before + (double)end)) -
+                                                 (uint64_t)(each * (before + (double)begin)));
 }
 
 static int trace_block(void *arg, uint64_t index, unsigned worker)
@@ -145,11 +101,11 @@ static int trace_block(void *arg, uint64_t index, unsigned worker)
     (void)worker;
     const struct pass *pass = arg;
     const struct bake_ray_states *states = pass->states;
-    const uint64_t begin = index * BLOCK, left = pass->count - begin;
+    const uint64_t begin = index * BLOCK, left = pass->places->count - begin;
     const uint64_t end = begin + (left < BLOCK ? left : BLOCK);
     for (uint64_t i = begin; i < end; i++) {
         struct bake_place place;
-        if (!pass->places->get(pass->places->arg, pass->first + i, &place))
+        if (!pass->places->get(pass->places->arg, i, &place))
             continue;
         if (states->words > 0)
             trace_open(pass, &place, bake_hidden_rays(states, i));
@@ -158,27 +114,6 @@ static int trace_block(void *arg, uint64_t index, unsigned worker)
         trace_nearest(pass, &place, false, states->solids, bake_ray_distances(states, i, false));
     }
     add_progress(pass, begin, end);
-    return 0;
-}
-
-static int sum_block(void *arg, uint64_t index, unsigned worker)
-{
-    (void)worker;
-    const struct pass *pass = arg;
-    const struct fmt_tris_header *header = pass->look->exact->header;
-    const uint64_t begin = index * BLOCK, left = pass->count - begin;
-    double low[3], high[3];
-    for (int k = 0; k < 3; k++) {
-        low[k] = (double)header->bounds_min[k];
-        high[k] = (double)header->bounds_max[k];
-    }
-    for (uint64_t i = begin; i < begin + (left < BLOCK ? left : BLOCK); i++) {
-        struct bk_surroundings *out = &pass->out[pass->first + i];
-        struct bake_place place;
-        *out = bk_no_surroundings();
-        if (pass->places->get(pass->places->arg, pass->first + i, &place))
-            *out = bake_sum_rays(pass->states, pass->look->params, &place, i, low, high);
-    }
     return 0;
 }
 
@@ -191,9 +126,9 @@ static uint32_t find_reached(const struct pass *pass)
     const float open = pass->states->opens > 0 ? look->params->open_limit : 0.0f;
     const float solid = pass->states->solids > 0 ? look->params->thickness_limit : 0.0f;
     /* Directions are unit vectors up to rounding. */
-    const float far = 1.001f * fmaxf(open, solid) + 2.0f * look->lift;
+    const float far = 1.001f * fmaxf(open, solid) + 2.0f * bake_exact_lift(look->exact);
     struct exact_box box = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
-    for (uint64_t i = pass->first; i < pass->first + pass->count; i++) {
+    for (uint64_t i = 0; i < pass->places->count; i++) {
         struct bake_place place;
         if (!pass->places->get(pass->places->arg, i, &place))
             continue;
@@ -234,29 +169,15 @@ static int load_group(struct bake_exact_look *look, const uint32_t *chunks, uint
     if (status < 0)
         return status;
     look->loaded = count;
-    look->loads += count;
     bake_exact_tree_build(&look->group.tree, count, look->boxes, look->tree_memory,
                           look->tree_scratch);
     return 0;
 }
 
-static int trace_group(struct pass *pass, const uint32_t *chunks, uint32_t count)
+int bake_exact_look_from(struct bake_exact_look *look, const struct bake_places *places,
+                         struct bake_ray_states *states, uint64_t *loads)
 {
-    struct bake_exact_look *look = pass->look;
-    int status = 0;
-    if (!look->whole || look->loaded == 0)
-        status = load_group(look, chunks, count);
-    if (status == 0)
-        status = bsq_parallel_for(look->exact->ctx, (pass->count + BLOCK - 1) / BLOCK, trace_block,
-                                  pass);
-    pass->step++;
-    return status;
-}
-
-/* Traces the rays of a batch through all chunks that they can reach. */
-static int trace_places(struct pass *pass)
-{
-    struct bake_exact_look *look = pass->look;
+    struct pass pass = {.look = look, .places = places, .states = states};
     const uint32_t slots = look->memory.count;
     uint32_t count = look->exact->chunk_count;
     int status = 0;
@@ -264,51 +185,19 @@ static int trace_places(struct pass *pass)
         for (uint32_t c = 0; c < count; c++)
             look->reached[c] = c;
     else
-        count = find_reached(pass);
-    pass->step = 0;
-    pass->steps = (count + slots - 1) / slots;
-    for (uint32_t c = 0; c < count && status == 0; c += slots)
-        status = trace_group(pass, look->reached + c, count - c < slots ? count - c : slots);
-    return status;
-}
-
-int bake_exact_look_from(struct bake_exact_look *look, const struct bake_places *places,
-                         struct bake_ray_states *states)
-{
-    struct pass pass = {.look = look, .places = places, .states = states, .count = places->count};
-    return trace_places(&pass);
-}
-
-int bake_exact_look_around(struct bake_exact_look *look, const struct bake_exact_places *hits,
-                           struct bk_surroundings *out)
-{
-    const struct hit_places from = {look, hits};
-    const struct bake_places places = {.get = get_place,
-                                       .arg = &from,
-                                       .count = hits->count,
-                                       .unit = 1,
-                                       .progress = hits->progress};
-    int status = 0;
-    for (uint64_t at = 0; at < places.count && status == 0; at += look->states.capacity) {
-        const uint64_t left = places.count - at;
-        struct pass pass = {.look = look,
-                            .places = &places,
-                            .states = &look->states,
-                            .out = out,
-                            .first = at,
-                            .count = left < look->states.capacity ? left : look->states.capacity};
-        bake_ray_states_clear(pass.states, pass.count);
-        status = trace_places(&pass);
-        if (status == 0)
-            status = bsq_parallel_for(look->exact->ctx, (pass.count + BLOCK - 1) / BLOCK, sum_block,
-                                      &pass);
+        count = find_reached(&pass);
+    pass.steps = (count + slots - 1) / slots;
+    for (uint32_t c = 0; c < count; c += slots, pass.step++) {
+        const uint32_t loaded = count - c < slots ? count - c : slots;
+        if (!look->whole || look->loaded == 0) {
+            BSQ_TRY(load_group(look, look->reached + c, loaded));
+            *loads += loaded;
+        }
+        BSQ_TRY(bsq_parallel_for(look->exact->ctx, (places->count + BLOCK - 1) / BLOCK, trace_block,
+                                 &pass));
     }
+done:
     return status;
-}
-
-uint64_t bake_exact_look_loads(const struct bake_exact_look *look)
-{
-    return look->loads;
 }
 
 /* ---- memory ---- */
@@ -324,51 +213,35 @@ float bake_exact_lift(const struct bake_exact *exact)
     return (float)(most * 0x1p-22);
 }
 
-/* Returns how many places fit `memory` bytes. */
-static uint64_t choose_capacity(const struct bk_params *params, uint64_t places, uint64_t memory)
-{
-    const uint64_t bytes = bake_ray_state_bytes(params);
-    const uint64_t capacity = bytes == 0 || places < memory / bytes ? places : memory / bytes;
-    return capacity < 1 ? 1 : capacity;
-}
-
-static int allocate_tree(struct bake_exact_look *look)
+static int allocate(struct bake_exact_look *look)
 {
     struct bsq_ctx *ctx = look->exact->ctx;
+    int status = 0;
+    BSQ_TRY(bake_exact_slots_create(look->exact, look->exact->chunk_count,
+                                    bsq_memory_share(ctx, "chunks for secondary rays", 3),
+                                    &look->memory));
     const uint32_t slots = look->memory.count;
-    int status =
-        bsq_alloc(ctx, "tree of chunks", bake_exact_tree_bytes(slots), 1, &look->tree_memory);
-    if (status == 0)
-        status = bsq_alloc(ctx, "tree of chunks", bake_exact_tree_scratch_bytes(slots), 1,
-                           &look->tree_scratch);
-    if (status == 0)
-        status = bsq_alloc(ctx, "tree of chunks", slots, sizeof *look->boxes, &look->boxes);
-    if (status == 0)
-        status = bsq_alloc(ctx, "chunks near rays", look->exact->chunk_count, sizeof *look->reached,
-                           &look->reached);
+    BSQ_TRY(bsq_alloc(ctx, "tree of chunks", bake_exact_tree_bytes(slots), 1, &look->tree_memory));
+    BSQ_TRY(bsq_alloc(ctx, "tree of chunks", bake_exact_tree_scratch_bytes(slots), 1,
+                      &look->tree_scratch));
+    BSQ_TRY(bsq_alloc(ctx, "tree of chunks", slots, sizeof *look->boxes, &look->boxes));
+    BSQ_TRY(bsq_alloc(ctx, "chunks near rays", look->exact->chunk_count, sizeof *look->reached,
+                      &look->reached));
+done:
     return status;
 }
 
 int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *params,
-                           uint64_t places, struct bake_exact_look **out)
+                           struct bake_exact_look **out)
 {
-    struct bsq_ctx *ctx = exact->ctx;
-    const uint64_t left = bsq_memory_share(ctx, "secondary rays of chunks", 1);
     struct bake_exact_look *look;
     *out = NULL;
-    int status = bsq_calloc(ctx, "secondary rays", 1, sizeof *look, &look);
+    int status = bsq_calloc(exact->ctx, "secondary rays", 1, sizeof *look, &look);
     if (status < 0)
         return status;
     look->exact = exact;
     look->params = params;
-    look->lift = bake_exact_lift(exact);
-    if (places > 0)
-        status = bake_ray_states_create(ctx, params, choose_capacity(params, places, left / 8),
-                                        &look->states);
-    if (status == 0)
-        status = bake_exact_slots_create(exact, exact->chunk_count, left / 3, &look->memory);
-    if (status == 0)
-        status = allocate_tree(look);
+    status = allocate(look);
     look->group = (struct exact_group){.exact = exact, .slots = look->memory.slots};
     look->whole = look->memory.count == exact->chunk_count;
     if (status < 0)
@@ -388,6 +261,5 @@ void bake_exact_look_free(struct bake_exact_look *look)
     bsq_free(ctx, look->tree_scratch);
     bsq_free(ctx, look->boxes);
     bsq_free(ctx, look->reached);
-    bake_ray_states_free(ctx, &look->states);
     bsq_free(ctx, look);
 }

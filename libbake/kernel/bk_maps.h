@@ -4,8 +4,8 @@
  * the number of samples inside a chart, the number of those that hit, and the sums of each selected
  * map, in the order of BK_MAPS. The host resolves them, see libbake/maps/map_table.c.
  *
- * A new map takes a row of BK_MAPS and its functions bk_add_NAME() and bk_take_NAME() here, and a
- * row of bake_map_table[] in libbake/maps/map_table.c. */
+ * A new map takes a row of BK_MAPS and its function bk_add_NAME() here, and a row of
+ * bake_map_table[] in libbake/maps/map_table.c. */
 #ifndef BAKE_KERNEL_BK_MAPS_H
 #define BAKE_KERNEL_BK_MAPS_H
 
@@ -31,10 +31,6 @@
 #define BK_MAP_NUMBER(name, sums) BK_MAP_##name,
 enum { BK_MAPS(BK_MAP_NUMBER) BK_MAP_COUNT };
 
-/* Bit of bk_params.maps that is no map: samples of several scans keep from where rays from their
- * hits start, because these rays are traced when the nearest hits of all scans are known. */
-enum { BK_PLACE = 1 << BK_MAP_COUNT, BK_PLACE_FLOATS = 10 };
-
 /* Transfer maps show further channels of the scan. A selection of maps has the bits of BK_MAPS and,
  * from bit BK_TRANSFER_SHIFT on, the number of transfer maps. Each has three sums, after those of
  * all other maps. */
@@ -58,10 +54,6 @@ typedef struct bk_map_hit {
     float map_normal[3]; /* the same in the space of the normal map */
     float color[3];      /* linear RGB, 0 to 1 */
     bk_uint id;          /* of the region: a colour, red in bits 0-7, green 8-15, blue 16-23 */
-    /* For BK_PLACE: */
-    float place[3]; /* position in the index space of the scan */
-    float facet[3]; /* unit normal of the triangle, in front of it; zero: the hit is of a grid */
-    float side;     /* 1, or -1 if the scan's own normal points into the solid */
     /* For maps that need them: */
     float open;      /* share of the hemisphere that is open */
     float bent[3];   /* mean open direction in the space of the normal map, with its weight */
@@ -75,33 +67,14 @@ BK_FN void bk_add3(BK_GLOBAL float *sums, const float v[3])
     sums[2] += v[2];
 }
 
-/* bk_take_NAME() does the reverse of bk_add_NAME() for the sums of one sample. Bakes of several
- * scans compare and add up hits of samples that were traced before. */
-BK_FN void bk_take3(BK_GLOBAL const float *sums, float v[3])
-{
-    v[0] = sums[0];
-    v[1] = sums[1];
-    v[2] = sums[2];
-}
-
 BK_FN void bk_add_normal(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     bk_add3(sums, hit->map_normal);
 }
 
-BK_FN void bk_take_normal(BK_GLOBAL const float *sums, bk_map_hit *hit)
-{
-    bk_take3(sums, hit->map_normal);
-}
-
 BK_FN void bk_add_color(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     bk_add3(sums, hit->color);
-}
-
-BK_FN void bk_take_color(BK_GLOBAL const float *sums, bk_map_hit *hit)
-{
-    bk_take3(sums, hit->color);
 }
 
 /* Adds nothing: BK_HITS and BK_COVERED are enough for the share of samples that hit. */
@@ -111,20 +84,9 @@ BK_FN void bk_add_mask(const bk_map_hit *hit, BK_GLOBAL float *sums)
     (void)sums;
 }
 
-BK_FN void bk_take_mask(BK_GLOBAL const float *sums, bk_map_hit *hit)
-{
-    (void)sums;
-    (void)hit;
-}
-
 BK_FN void bk_add_height(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     sums[0] += hit->t;
-}
-
-BK_FN void bk_take_height(BK_GLOBAL const float *sums, bk_map_hit *hit)
-{
-    hit->t = sums[0];
 }
 
 /* Sums three values and, after them, what rounding added to their sums (Kahan, "Further Remarks on
@@ -143,11 +105,6 @@ BK_FN void bk_add_position(const bk_map_hit *hit, BK_GLOBAL float *sums)
     }
 }
 
-BK_FN void bk_take_position(BK_GLOBAL const float *sums, bk_map_hit *hit)
-{
-    bk_take3(sums, hit->position);
-}
-
 /* Sums where the hits are and how they are oriented; libbake/curvature/ looks around them. */
 BK_FN void bk_add_curvature(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
@@ -155,20 +112,9 @@ BK_FN void bk_add_curvature(const bk_map_hit *hit, BK_GLOBAL float *sums)
     bk_add3(sums + 6, hit->normal);
 }
 
-BK_FN void bk_take_curvature(BK_GLOBAL const float *sums, bk_map_hit *hit)
-{
-    bk_take3(sums, hit->position);
-    bk_take3(sums + 6, hit->normal);
-}
-
 BK_FN void bk_add_ao(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     sums[0] += hit->open;
-}
-
-BK_FN void bk_take_ao(BK_GLOBAL const float *sums, bk_map_hit *hit)
-{
-    hit->open = sums[0];
 }
 
 BK_FN void bk_add_bent(const bk_map_hit *hit, BK_GLOBAL float *sums)
@@ -176,19 +122,9 @@ BK_FN void bk_add_bent(const bk_map_hit *hit, BK_GLOBAL float *sums)
     bk_add3(sums, hit->bent);
 }
 
-BK_FN void bk_take_bent(BK_GLOBAL const float *sums, bk_map_hit *hit)
-{
-    bk_take3(sums, hit->bent);
-}
-
 BK_FN void bk_add_thickness(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     sums[0] += hit->thickness;
-}
-
-BK_FN void bk_take_thickness(BK_GLOBAL const float *sums, bk_map_hit *hit)
-{
-    hit->thickness = sums[0];
 }
 
 /* Counts the samples of each id: a slot is a count and an id. If a sample finds all slots taken by
@@ -216,27 +152,6 @@ BK_FN void bk_add_id(const bk_map_hit *hit, BK_GLOBAL float *sums)
         sums[2 * i] -= 1.0f;
 }
 
-BK_FN void bk_take_id(BK_GLOBAL const float *sums, bk_map_hit *hit)
-{
-    hit->id = (bk_uint)sums[1]; /* after its count, 1 */
-}
-
-BK_FN void bk_add_place(const bk_map_hit *hit, BK_GLOBAL float *sums)
-{
-    bk_add3(sums, hit->place);
-    bk_add3(sums + 3, hit->normal);
-    bk_add3(sums + 6, hit->facet);
-    sums[9] += hit->side;
-}
-
-BK_FN void bk_take_place(BK_GLOBAL const float *sums, bk_map_hit *hit)
-{
-    bk_take3(sums, hit->place);
-    bk_take3(sums + 3, hit->normal);
-    bk_take3(sums + 6, hit->facet);
-    hit->side = sums[9];
-}
-
 /* Floats of a texel with these maps. */
 BK_FN bk_uint bk_texel_floats(bk_uint maps)
 {
@@ -244,8 +159,13 @@ BK_FN bk_uint bk_texel_floats(bk_uint maps)
 
 #define BK_MAP_FLOATS(name, sums) count += maps >> BK_MAP_##name & 1u ? (bk_uint)(sums) : 0u;
     BK_MAPS(BK_MAP_FLOATS)
-    count += maps & BK_PLACE ? (bk_uint)BK_PLACE_FLOATS : 0u;
     return count + BK_TRANSFER_VALUES * bk_transfers(maps);
+}
+
+/* Returns the place of the transfer maps' sums in a texel. */
+BK_FN bk_uint bk_transfer_sums(bk_uint maps)
+{
+    return bk_texel_floats(maps) - BK_TRANSFER_VALUES * bk_transfers(maps);
 }
 
 BK_FN void bk_clear_texel(bk_uint maps, BK_GLOBAL float *texel)
@@ -269,34 +189,17 @@ BK_FN void bk_add_to_maps(bk_uint maps, const bk_map_hit *hit, BK_GLOBAL float *
         sums += count;                                                                             \
     }
     BK_MAPS(BK_MAP_ADD)
-    if (maps & BK_PLACE)
-        bk_add_place(hit, sums);
 }
 
 /* Adds the values of a hit's channels, three for each transfer map. */
 BK_FN void bk_add_transfers(bk_uint maps, const float *values, BK_GLOBAL float *texel)
 {
     const bk_uint count = BK_TRANSFER_VALUES * bk_transfers(maps);
-    BK_GLOBAL float *sums = texel + (bk_texel_floats(maps) - count);
+    BK_GLOBAL float *sums = texel + bk_transfer_sums(maps);
     bk_uint i;
 
     for (i = 0; i < count; i++)
         sums[i] += values[i];
-}
-
-/* Sets the members of a hit that the selected maps need from the sums of one sample. */
-BK_FN void bk_take_from_maps(bk_uint maps, BK_GLOBAL const float *texel, bk_map_hit *hit)
-{
-    BK_GLOBAL const float *sums = texel + BK_SUMS;
-
-#define BK_MAP_TAKE(name, count)                                                                   \
-    if (maps >> BK_MAP_##name & 1u) {                                                              \
-        bk_take_##name(sums, hit);                                                                 \
-        sums += count;                                                                             \
-    }
-    BK_MAPS(BK_MAP_TAKE)
-    if (maps & BK_PLACE)
-        bk_take_place(sums, hit);
 }
 
 #endif

@@ -171,7 +171,6 @@ typedef struct bk_map_hits {
     bk_iw id;
     bk_fw open, thickness; /* 0 unless bk_surroundings_for_maps() has set them */
     bk_vec3w bent;
-    bk_vec3w facet; /* as in bk_map_hit */
 } bk_map_hits;
 
 /* Turns hits of rays into hits for maps. Rays from a cage end at params->back behind the low-poly
@@ -197,7 +196,6 @@ BK_FN void bk_hits_for_maps(const bk_params *params, const bk_point *points, con
     out->id = hits->id;
     out->open = out->thickness = bk_splat(0.0f);
     out->bent = out->map_normal;
-    out->facet = bk_v3w(bk_splat(0.0f), bk_splat(0.0f), bk_splat(0.0f));
 }
 
 /* Turns what secondary rays found, lane by lane, into values for maps. A bent direction has the
@@ -239,6 +237,7 @@ BK_FN void bk_trace_hits(const bk_grid *grid, const bk_params *params, bk_cache 
                          bk_traced *traced, bk_map_hits *out)
 {
     const bk_uint cage = params->flags & BK_CAGE;
+    const bk_uint transfers = bk_transfer_sums(params->maps);
     bk_lines lines;
     bk_uint lane;
 
@@ -252,7 +251,7 @@ BK_FN void bk_trace_hits(const bk_grid *grid, const bk_params *params, bk_cache 
     lines.t_max = cage ? params->front + params->back : params->front;
     lines.height = traced->start.height;
     for (lane = 0; lane < BK_WIDTH; lane++)
-        lines.texel[lane] = samples->texel[lane];
+        lines.sums[lane] = samples->texel[lane] + transfers;
     bk_trace(grid, params, cache, &lines, &traced->hits);
     bk_hits_for_maps(params, &traced->points, &traced->start, &traced->hits, out);
 }
@@ -318,9 +317,6 @@ BK_FN void bk_add_sample(const bk_params *params, const bk_map_hits *hits, bk_ui
     bk_copy_lane(&hits->map_normal, lane, hit.map_normal);
     bk_copy_lane(&hits->color, lane, hit.color);
     bk_copy_lane(&hits->bent, lane, hit.bent);
-    bk_copy_lane(&hits->position, lane, hit.place); /* several scans are traced with unit 1 */
-    bk_copy_lane(&hits->facet, lane, hit.facet);
-    hit.side = hits->reversed >> lane & 1u ? -1.0f : 1.0f;
     hit.id = (bk_uint)bk_lane(hits->id, lane);
     hit.open = bk_lane(hits->open, lane);
     hit.thickness = bk_lane(hits->thickness, lane);

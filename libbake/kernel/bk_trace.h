@@ -262,10 +262,10 @@ typedef struct bk_lines {
     bk_vec3w origin, direction, facing;
     bk_fw t_min;
     float t_max;
-    /* Sums of texels, to which the values of transfer maps at hits are added; the first is NULL:
-     * there are none. With BK_CAGE only hits count that are at most params->back below `height`. */
+    /* Sums of transfer maps, to which their values at hits are added; the first is NULL: there are
+     * none. With BK_CAGE only hits count that are at most params->back below `height`. */
     bk_fw height;
-    BK_GLOBAL float *texel[BK_WIDTH];
+    BK_GLOBAL float *sums[BK_WIDTH];
 } bk_lines;
 
 /* Their hits. */
@@ -278,15 +278,14 @@ typedef struct bk_hits {
     bk_iw id;         /* of the record that was hit; 0 without BK_HAS_IDS */
 } bk_hits;
 
-/* Adds the channels of record `number`, times a weight, to the sums of a texel's transfer maps. */
-BK_FN void bk_add_channels(const bk_grid *grid, const bk_params *params, BK_GLOBAL float *texel,
+/* Adds the channels of record `number`, times a weight, to the sums of transfer maps. */
+BK_FN void bk_add_channels(const bk_grid *grid, const bk_params *params, BK_GLOBAL float *sums,
                            bk_ulong number, float weight)
 {
     const bk_uint count = bk_transfers(params->maps);
     const BK_GLOBAL void *words =
         grid->colors + grid->channel_offset + number * grid->channel_words;
     const BK_GLOBAL float *values = (const BK_GLOBAL float *)words;
-    BK_GLOBAL float *sums = texel + (bk_texel_floats(params->maps) - BK_TRANSFER_VALUES * count);
     bk_uint i;
 
     BK_ROLLED
@@ -303,7 +302,7 @@ BK_FN void bk_add_channels(const bk_grid *grid, const bk_params *params, BK_GLOB
 /* Returns the lanes of hits that transfer maps get. */
 BK_FN bk_uint bk_kept(const bk_params *params, const bk_lines *lines, const bk_hits *hits)
 {
-    if (bk_transfers(params->maps) == 0 || !lines->texel[0])
+    if (bk_transfers(params->maps) == 0 || !lines->sums[0])
         return 0;
     if (params->flags & BK_CAGE)
         return hits->found & ~bk_bits(bk_less(lines->height + params->back, hits->t));
@@ -369,7 +368,7 @@ BK_FN bk_uint bk_blend_hits(const bk_grid *grid, const bk_params *params, bk_cac
         BK_ROLLED
         for (i = 0; i < 8 && kept >> lane & 1u; i++)
             if (bk_lane(tents[i], lane) > 0.0f)
-                bk_add_channels(grid, params, lines->texel[lane], cell.numbers[i][lane],
+                bk_add_channels(grid, params, lines->sums[lane], cell.numbers[i][lane],
                                 bk_lane(tents[i], lane) / bk_lane(blend.weight, lane));
     }
     return bk_bits(blend.found);
@@ -426,7 +425,7 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
     single &= bk_kept(params, lines, hits);
     for (lane = 0; lane < BK_WIDTH && single; lane++)
         if (single >> lane & 1u)
-            bk_add_channels(grid, params, lines->texel[lane], bk_crossing_record(&crossing, lane),
+            bk_add_channels(grid, params, lines->sums[lane], bk_crossing_record(&crossing, lane),
                             1.0f);
     hits->reversed = params->flags & BK_TWO_SIDED ? hits->found & bk_bits(back) : 0;
     if (hits->reversed) {

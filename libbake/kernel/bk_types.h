@@ -76,9 +76,11 @@ typedef struct bk_tile {
 /* What a ray found. */
 typedef struct bk_hit {
     bk_uint found;
-    float t;         /* signed distance in voxels along the direction */
-    float normal[3]; /* unit, object space */
-    float color[3];  /* linear RGB, 0..1 */
+    float t;          /* signed distance in voxels along the direction */
+    float normal[3];  /* unit, object space */
+    float color[3];   /* linear RGB, 0..1 */
+    bk_uint id;       /* 0 without BK_HAS_IDS */
+    bk_uint reversed; /* the scan's own normal points into the solid */
 } bk_hit;
 
 #endif

@@ -208,8 +208,7 @@ struct bake_tiles {
     uint32_t triangle_count;
     const struct bk_params *params;
     struct bake_image *image; /* of bake_image_channels_for(params->maps) channels */
-    bool sums; /* the image gets sums as the kernel makes them: bk_texel_floats() channels */
-    uint32_t tile_size; /* side in texels */
+    uint32_t tile_size;       /* side in texels */
 };
 
 /* Returns a side for tiles: large if there is work for all threads, small if memory is short.
@@ -230,19 +229,12 @@ struct bake_tile_workers {
     uint32_t channels;                /* of the image */
     uint32_t texel_floats;
     uint32_t maps; /* bits of enum bake_map */
-    bool sums;     /* as in struct bake_tiles */
 };
 
 /* Creates zeroed counts and buffers, with sums of `texel_count` texels, and begins the progress
  * "tracing" with the texels of all tiles. Call bake_tile_workers_end() also after a failure. */
 int bake_tile_workers_begin(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
                             uint64_t texel_count, struct bake_tile_workers *out);
-
-/* Creates zeroed counts and buffers for rows of `width` texels of these maps. The caller begins a
- * progress, which bake_tile_workers_end() ends. Call
- * bake_tile_workers_end() also after a failure. */
-int bake_row_workers_begin(struct bsq_ctx *ctx, uint32_t maps, uint32_t width,
-                           struct bake_tile_workers *out);
 
 /* Adds the worker's first `count` texels to its counts, and writes them to `out` as the image
  * stores them. */

@@ -1,6 +1,4 @@
 /* tiles.c - tile size, workers and resolving of a map's tiles, for grids and for triangles. */
-#include <string.h>
-
 #include "base/parallel.h"
 #include "libbake/maps/maps.h"
 
@@ -47,9 +45,8 @@ static int create_workers(struct bsq_ctx *ctx, uint64_t samples, uint64_t texels
     int status = bsq_calloc(ctx, "workers", bsq_threads(ctx), sizeof *out->workers, &out->workers);
     for (unsigned w = 0; status == 0 && w < bsq_threads(ctx); w++) {
         struct bake_tile_worker *worker = &out->workers[w];
-        if (samples > 0)
-            status = bsq_alloc(ctx, "samples of a tile", samples, sizeof(uint32_t),
-                               &worker->sample_triangles);
+        status = bsq_alloc(ctx, "samples of a tile", samples, sizeof(uint32_t),
+                           &worker->sample_triangles);
         if (status == 0)
             status = bsq_alloc(ctx, "texels of a tile", texels, out->texel_floats * sizeof(float),
                                &worker->texels);
@@ -65,23 +62,12 @@ int bake_tile_workers_begin(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
 {
     const uint64_t side = tiles->tile_size;
     const uint32_t maps = tiles->params->maps;
-    *out = (struct bake_tile_workers){.channels = tiles->sums ? bk_texel_floats(maps)
-                                                              : bake_image_channels_for(maps),
-                                      .texel_floats = bk_texel_floats(maps),
-                                      .maps = maps,
-                                      .sums = tiles->sums};
-    bsq_progress_begin(ctx, "tracing", "texels", count_texels(tiles->raster));
-    return create_workers(ctx, side * side * bake_raster_texel_entries(tiles->params), texel_count,
-                          side * side, out);
-}
-
-int bake_row_workers_begin(struct bsq_ctx *ctx, uint32_t maps, uint32_t width,
-                           struct bake_tile_workers *out)
-{
     *out = (struct bake_tile_workers){.channels = bake_image_channels_for(maps),
                                       .texel_floats = bk_texel_floats(maps),
                                       .maps = maps};
-    return create_workers(ctx, 0, width, width, out);
+    bsq_progress_begin(ctx, "tracing", "texels", count_texels(tiles->raster));
+    return create_workers(ctx, side * side * bake_raster_texel_entries(tiles->params), texel_count,
+                          side * side, out);
 }
 
 /* Writes a texel of the image: its share of hits and the values of the selected maps. */
@@ -115,10 +101,7 @@ void bake_tile_worker_resolve(const struct bake_tile_workers *workers,
         worker->covered_texels += texel[BK_COVERED] > 0;
         worker->samples += (uint64_t)texel[BK_COVERED];
         worker->hits += (uint64_t)texel[BK_HITS];
-        if (workers->sums)
-            memcpy(out, texel, workers->texel_floats * sizeof *out);
-        else
-            resolve_texel(texel, workers->maps, out);
+        resolve_texel(texel, workers->maps, out);
     }
 }
 

@@ -20,7 +20,6 @@ struct bake_preview_tile {
 struct bake_preview {
     const struct bake_lowmesh *mesh;
     const struct bake_surface *surface;
-    const struct bk_params *params;        /* for a voxel grid */
     const struct bake_preview_tile *tiles; /* by number */
     uint32_t tile_count;
     enum bake_normal_space normal_space; /* of the normal map */

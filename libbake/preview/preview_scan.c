@@ -111,18 +111,18 @@ static int shade_row(void *arg, uint64_t index, unsigned worker)
 static int render_strip(struct strip *strip)
 {
     struct bsq_ctx *ctx = strip->preview->surface->ctx;
-    struct bk_params params = *strip->preview->params;
-    params.flags &= ~(bk_uint)BK_NEAREST; /* the reference is as accurate as possible */
-    const struct bake_surface_rays rays = {.rays = strip->rays,
-                                           .hits = strip->hits,
-                                           .count = (uint64_t)strip->rows * strip->row_rays,
-                                           .t_min = 0,
-                                           .t_max = strip->view->scan_span,
-                                           .starts = strip->starts,
-                                           .facing_origin = true};
+    const struct bake_surface_rays rays = {
+        .batch = {.rays = strip->rays,
+                  .hits = strip->hits,
+                  .count = (uint64_t)strip->rows * strip->row_rays,
+                  .t_min = 0,
+                  .t_max = strip->view->scan_span,
+                  .facing_origin = true},
+        .starts = strip->starts,
+        .best = true}; /* the reference is as accurate as possible */
     int status = 0;
     BSQ_TRY(bsq_parallel_for(ctx, strip->view->samples / COLUMN, cast_column, strip));
-    BSQ_TRY(bake_surface_trace(strip->preview->surface, &params, &rays));
+    BSQ_TRY(bake_surface_trace(strip->preview->surface, &rays));
     BSQ_TRY(bsq_parallel_for(ctx, strip->rows, shade_row, strip));
 done:
     return status;
@@ -135,7 +135,7 @@ int bake_preview_scan_panel(const struct bake_preview *preview, const struct pre
     const uint32_t side = view->side, row_rays = view->samples * PREVIEW_GRID;
     struct strip strip = {
         .preview = preview, .view = view, .row_rays = row_rays, .pixels = pixels, .stride = stride};
-    uint64_t most = bake_surface_capacity(preview->surface) / row_rays;
+    uint64_t most = bake_surface_capacity(preview->surface, 0) / row_rays;
     most = most < 1 ? 1 : most > side ? side : most;
     int status = 0;
     BSQ_TRY(bsq_alloc(ctx, "preview", most, row_rays * sizeof *strip.rays, &strip.rays));

@@ -13,7 +13,10 @@
 
 struct trace {
     struct bsq_ctx *ctx;
-    const struct bake_grid_tiles *grid;
+    const struct bake_surface *surface;
+    struct bake_device *device;
+    const struct bake_tiles *tiles;
+    struct bake_plan plan; /* without passes: the device holds the grid */
     struct bake_tile_workers workers;
     uint64_t pass; /* the current pass; 0 without a plan */
 };
@@ -42,7 +45,7 @@ static void crop(const struct bk_params *params, uint32_t *samples, const struct
 
 static int trace_piece(struct trace *trace, const struct bake_piece *piece, unsigned number)
 {
-    const struct bake_tiles *tiles = &trace->grid->tiles;
+    const struct bake_tiles *tiles = trace->tiles;
     struct bake_tile_worker *worker = &trace->workers.workers[number];
     const struct bk_tile whole = bake_raster_tile(tiles->raster, piece->tile);
     const struct bake_rectangle *texels = &piece->texels;
@@ -55,10 +58,10 @@ static int trace_piece(struct trace *trace, const struct bake_piece *piece, unsi
     /* The overlaps of the whole tile are counted with its first piece. */
     worker->overlaps += texels->x == 0 && texels->y == 0 ? overlaps : 0;
     crop(tiles->params, worker->sample_triangles, &whole, texels);
-    status = bake_device_trace(trace->grid->device, &tile, worker->sample_triangles, worker->texels,
-                               number);
+    status =
+        bake_device_trace(trace->device, &tile, worker->sample_triangles, worker->texels, number);
     if (status == 0)
-        status = bake_surface_check(trace->grid->surface);
+        status = bake_surface_check(trace->surface);
     if (status < 0)
         return status;
     const uint32_t count = tile.width * tile.height;
@@ -70,15 +73,14 @@ static int trace_piece(struct trace *trace, const struct bake_piece *piece, unsi
 static int trace_tile(void *arg, uint64_t index, unsigned number)
 {
     struct trace *trace = arg;
-    const struct bk_tile tile = bake_raster_tile(trace->grid->tiles.raster, (uint32_t)index);
+    const struct bk_tile tile = bake_raster_tile(trace->tiles->raster, (uint32_t)index);
     const struct bake_piece piece = {(uint32_t)index, {0, 0, tile.width, tile.height}};
     return trace_piece(trace, &piece, number);
 }
 
 static int load_pass(const struct trace *trace, uint64_t pass)
 {
-    return bake_device_load(trace->grid->device, pass % BAKE_SLOTS,
-                            &trace->grid->plan->passes[pass].subgrid);
+    return bake_device_load(trace->device, pass % BAKE_SLOTS, &trace->plan.passes[pass].subgrid);
 }
 
 /* Does one step of a pass. Step 0 uploads the subgrid of the next pass, each other step traces a
@@ -86,7 +88,7 @@ static int load_pass(const struct trace *trace, uint64_t pass)
 static int do_step(void *arg, uint64_t index, unsigned number)
 {
     struct trace *trace = arg;
-    const struct bake_plan *plan = trace->grid->plan;
+    const struct bake_plan *plan = &trace->plan;
     if (index > 0)
         return trace_piece(trace, &plan->pieces[plan->passes[trace->pass].first_piece + index - 1],
                            number);
@@ -95,26 +97,34 @@ static int do_step(void *arg, uint64_t index, unsigned number)
 
 static int run_passes(struct trace *trace)
 {
-    const struct bake_plan *plan = trace->grid->plan;
-    int status = plan->pass_count > 0 ? load_pass(trace, 0) : 0;
+    const struct bake_plan *plan = &trace->plan;
+    int status = load_pass(trace, 0);
     for (trace->pass = 0; trace->pass < plan->pass_count && status == 0; trace->pass++) {
-        bake_device_use(trace->grid->device, trace->pass % BAKE_SLOTS);
+        bake_device_use(trace->device, trace->pass % BAKE_SLOTS);
         status =
             bsq_parallel_for(trace->ctx, plan->passes[trace->pass].piece_count + 1, do_step, trace);
     }
     return status;
 }
 
-int bake_trace_grid_tiles(struct bsq_ctx *ctx, const struct bake_grid_tiles *grid,
-                          struct bake_report *report)
+int bake_trace_grid_tiles(const struct bake_surface *surface, struct bake_device *device,
+                          const struct bake_tiles *tiles, struct bake_report *report)
 {
-    struct trace trace = {.ctx = ctx, .grid = grid};
-    const uint64_t side = grid->tiles.tile_size;
-    int status = bake_tile_workers_begin(ctx, &grid->tiles, side * side, &trace.workers);
-    if (status == 0)
-        status = grid->plan ? run_passes(&trace)
-                            : bsq_parallel_for(ctx, bake_raster_tile_count(grid->tiles.raster),
-                                               trace_tile, &trace);
-    bake_tile_workers_end(ctx, &trace.workers, report);
+    struct bsq_ctx *ctx = surface->ctx;
+    struct trace trace = {.ctx = ctx, .surface = surface, .device = device, .tiles = tiles};
+    const uint64_t side = tiles->tile_size;
+    int status = bake_device_plan(device, tiles->raster, &trace.plan);
+    const uint64_t passes = trace.plan.pass_count;
+    if (report->passes < (passes > 0 ? passes : 1))
+        report->passes = passes > 0 ? passes : 1;
+    if (status == 0) {
+        status = bake_tile_workers_begin(ctx, tiles, side * side, &trace.workers);
+        if (status == 0)
+            status = passes > 0 ? run_passes(&trace)
+                                : bsq_parallel_for(ctx, bake_raster_tile_count(tiles->raster),
+                                                   trace_tile, &trace);
+        bake_tile_workers_end(ctx, &trace.workers, report);
+    }
+    bake_plan_free(ctx, &trace.plan);
     return status;
 }

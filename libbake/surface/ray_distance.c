@@ -123,9 +123,29 @@ static size_t take_distances(const struct bake_exact_hit *hits, float *distances
     return count;
 }
 
-int bake_measure_distances(const struct bake_surface *surface, const struct bk_params *params,
-                           const struct bake_lowmesh *mesh, const bool *sees, double *front,
-                           double *back)
+/* Traces the probes, as many at a time as memory allows. */
+static int trace_probes(const struct bake_surface *surface, double limit,
+                        const struct bake_exact_ray *rays, const uint32_t *objects,
+                        struct bake_exact_hit *hits)
+{
+    int status = 0;
+    for (uint64_t at = 0; at < PROBES && status == 0;) {
+        const uint64_t most = bake_surface_capacity(surface, 0), left = PROBES - at;
+        const struct bake_surface_rays probes = {.batch = {.rays = rays + at,
+                                                           .hits = hits + at,
+                                                           .count = left < most ? left : most,
+                                                           .t_min = -limit,
+                                                           .t_max = limit,
+                                                           .distances_only = true},
+                                                 .objects = objects ? objects + at : NULL};
+        status = bake_surface_trace(surface, &probes);
+        at += probes.batch.count;
+    }
+    return status;
+}
+
+int bake_measure_distances(const struct bake_surface *surface, const struct bake_lowmesh *mesh,
+                           double *front, double *back)
 {
     struct bsq_ctx *ctx = surface->ctx;
     const double diagonal = scan_diagonal(surface), limit = 0.1 * diagonal + 2.0 * surface->detail;
@@ -138,18 +158,10 @@ int bake_measure_distances(const struct bake_surface *surface, const struct bk_p
     BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *rays, &rays));
     BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *hits, &hits));
     BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *distances, &distances));
-    if (sees)
+    if (surface->sees)
         BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *objects, &objects));
     place_probes(surface, mesh, rays, objects);
-    struct bake_surface_rays probes = {.rays = rays,
-                                       .hits = hits,
-                                       .count = PROBES,
-                                       .t_min = -limit,
-                                       .t_max = limit,
-                                       .distances_only = true,
-                                       .objects = objects,
-                                       .sees = sees};
-    BSQ_TRY(bake_surface_trace(surface, params, &probes));
+    BSQ_TRY(trace_probes(surface, limit, rays, objects, hits));
     size_t count = take_distances(hits, distances);
     if (count >= PROBES / 100) {
         *front = side_length(distances, count, 1, surface->detail);

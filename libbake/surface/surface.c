@@ -1,9 +1,10 @@
-/* surface.c - opens grids and chunk files, of which several may be one surface.
+/* surface.c - opens the scans of a bake, and sets the parameters of rays.
  *
  * Each of several scans has an index space of its own. Rays are given in the space of the scan with
  * the least origin, which does not depend on the order of scans. */
 #include "libbake/surface/surface.h"
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -12,68 +13,79 @@
 
 enum { DETAILS = 2048 /* along the longest side of a scan: the usual resolution of a grid */ };
 
-static int open_grid(struct bake_surface *surface, const struct bake_options *options)
+/* Returns whether the options leave tracing to the processor. */
+static bool on_processor(const struct bake_options *options)
+{
+    return !options->device || strcmp(options->device, "auto") == 0 ||
+           strcmp(options->device, "cpu") == 0;
+}
+
+static int open_grid(struct bake_scan *scan, const struct bake_options *options)
 {
     if (options->scan_normals != BSQ_SCAN_NORMALS_SMOOTH)
-        return bsq_fail(surface->ctx, BSQ_EUSAGE,
+        return bsq_fail(scan->ctx, BSQ_EUSAGE,
                         "%s: a grid has its own normals; choose them for triangles only",
-                        options->scan_path);
-    int status = fmt_nvdb_open(surface->ctx, options->scan_path, &surface->grid);
+                        scan->path);
+    int status = fmt_nvdb_open(scan->ctx, scan->path, &scan->grid);
     if (status < 0)
         return status;
-    status = bake_check_grid(surface->ctx, &surface->grid);
+    status = bake_check_grid(scan->ctx, &scan->grid);
     if (status < 0) {
-        fmt_nvdb_close(surface->ctx, &surface->grid);
+        fmt_nvdb_close(scan->ctx, &scan->grid);
         return status;
     }
-    const struct fmt_nvdb_info *info = &surface->grid.info;
-    surface->has_color = info->has_color;
-    surface->ids = info->ids;
-    memcpy(surface->scan_min, info->scan_min, sizeof surface->scan_min);
-    memcpy(surface->scan_max, info->scan_max, sizeof surface->scan_max);
-    memcpy(surface->translation, info->translation, sizeof surface->translation);
-    surface->unit = surface->detail = info->voxel_size;
+    const struct fmt_nvdb_info *info = &scan->grid.info;
+    scan->has_color = info->has_color;
+    scan->ids = info->ids;
+    memcpy(scan->scan_min, info->scan_min, sizeof scan->scan_min);
+    memcpy(scan->scan_max, info->scan_max, sizeof scan->scan_max);
+    memcpy(scan->translation, info->translation, sizeof scan->translation);
+    scan->unit = scan->detail = info->voxel_size;
     return 0;
 }
 
-static int check_exact(struct bsq_ctx *ctx, const struct bake_options *options)
+/* Checks options for triangles. */
+static int check_exact(const struct bake_scan *scan, const struct bake_options *options)
 {
-    const char *device = options->device ? options->device : "auto";
     if (options->sampling == BAKE_NEAREST)
-        return bsq_fail(ctx, BSQ_EUSAGE,
-                        "%s has triangles: nearest-voxel sampling needs a voxel grid",
-                        options->scan_path);
-    if (strcmp(device, "auto") != 0 && strcmp(device, "cpu") != 0)
-        return bsq_fail(ctx, BSQ_EUSAGE, "%s: triangles are traced on the cpu, not on %s",
-                        options->scan_path, device);
+        return bsq_fail(scan->ctx, BSQ_EUSAGE,
+                        "%s has triangles: nearest-voxel sampling needs a voxel grid", scan->path);
+    if (!on_processor(options))
+        return bsq_fail(scan->ctx, BSQ_EUSAGE, "%s: triangles are traced on the cpu, not on %s",
+                        scan->path, options->device);
     return 0;
 }
 
-/* Opens a chunk file, or surface->joined. */
-static int open_exact(struct bake_surface *surface, const struct bake_options *options)
+/* Opens chunk files that are one scan. */
+static int open_exact(struct bake_scan *scan, const char *const *paths, uint32_t count,
+                      const struct bake_options *options)
 {
-    const struct bake_exact_options exact = {
-        .paths = surface->joined ? surface->joined : &surface->path,
-        .path_count = surface->joined ? options->more_scan_count + 1 : 1,
-        .normals = options->scan_normals,
-        .two_sided = options->two_sided};
-    int status = check_exact(surface->ctx, options);
+    const struct bake_exact_options exact = {.paths = paths,
+                                             .path_count = count,
+                                             .normals = options->scan_normals,
+                                             .two_sided = options->two_sided};
+    int status = check_exact(scan, options);
     if (status == 0)
-        status = bake_exact_open(surface->ctx, &exact, &surface->exact);
+        status = bake_exact_open(scan->ctx, &exact, &scan->exact);
     if (status < 0)
         return status;
-    const struct bake_exact_info *info = bake_exact_get_info(surface->exact);
+    const struct bake_exact_info *info = bake_exact_get_info(scan->exact);
     double side = 0;
     for (int k = 0; k < 3; k++)
         side = fmax(side, info->scan_max[k] - info->scan_min[k]);
-    surface->has_color = info->has_color;
-    surface->ids = info->ids;
-    memcpy(surface->scan_min, info->scan_min, sizeof surface->scan_min);
-    memcpy(surface->scan_max, info->scan_max, sizeof surface->scan_max);
-    memcpy(surface->translation, info->origin, sizeof surface->translation);
-    surface->unit = 1.0;
-    surface->detail = side / DETAILS;
+    scan->has_color = info->has_color;
+    scan->ids = info->ids;
+    memcpy(scan->scan_min, info->scan_min, sizeof scan->scan_min);
+    memcpy(scan->scan_max, info->scan_max, sizeof scan->scan_max);
+    memcpy(scan->translation, info->origin, sizeof scan->translation);
+    scan->unit = 1.0;
+    scan->detail = side / DETAILS;
     return 0;
+}
+
+static const char *scan_path(const struct bake_options *options, uint32_t index)
+{
+    return index == 0 ? options->scan_path : options->more_scan_paths[index - 1];
 }
 
 /* Sets surface->joined to the paths of all scans if they are chunk files that are parts of one
@@ -86,7 +98,7 @@ static int join_chunk_files(struct bake_surface *surface, const struct bake_opti
     int status = bsq_alloc(surface->ctx, "scans", count, sizeof *paths, &paths);
     for (uint32_t i = 0; i < count && status == 0 && one; i++) {
         enum fmt_kind kind;
-        paths[i] = i == 0 ? options->scan_path : options->more_scan_paths[i - 1];
+        paths[i] = scan_path(options, i);
         status = fmt_recognise_scan(surface->ctx, paths[i], &kind);
         one = kind == FMT_KIND_TRIS;
     }
@@ -99,10 +111,10 @@ static int join_chunk_files(struct bake_surface *surface, const struct bake_opti
     return status;
 }
 
-/* ---- several scans ---- */
+/* ---- all scans ---- */
 
 /* Returns whether the index space of a scan comes before another's. */
-static bool comes_first(const struct bake_surface *a, const struct bake_surface *b)
+static bool comes_first(const struct bake_scan *a, const struct bake_scan *b)
 {
     for (int k = 0; k < 3; k++)
         if (a->translation[k] != b->translation[k])
@@ -111,147 +123,144 @@ static bool comes_first(const struct bake_surface *a, const struct bake_surface 
 }
 
 /* Sets what is known of all scans from what is known of each. */
-static void join_parts(struct bake_surface *surface)
+static void join_scans(struct bake_surface *surface)
 {
-    const struct bake_surface *first = &surface->parts[0];
+    const struct bake_scan *first = &surface->scans[0];
     surface->has_color = true;
     surface->ids = first->ids;
     for (int k = 0; k < 3; k++) {
         surface->scan_min[k] = INFINITY;
         surface->scan_max[k] = -INFINITY;
     }
-    for (uint32_t p = 0; p < surface->part_count; p++) {
-        const struct bake_surface *part = &surface->parts[p];
-        surface->has_color &= part->has_color;
-        if (part->ids != surface->ids)
+    for (uint32_t s = 0; s < surface->scan_count; s++) {
+        const struct bake_scan *scan = &surface->scans[s];
+        surface->has_color &= scan->has_color;
+        if (scan->ids != surface->ids)
             surface->ids = BSQ_IDS_NONE;
-        surface->detail = fmax(surface->detail, part->detail);
+        surface->detail = fmax(surface->detail, scan->detail);
         for (int k = 0; k < 3; k++) {
-            surface->scan_min[k] = fmin(surface->scan_min[k], part->scan_min[k]);
-            surface->scan_max[k] = fmax(surface->scan_max[k], part->scan_max[k]);
+            surface->scan_min[k] = fmin(surface->scan_min[k], scan->scan_min[k]);
+            surface->scan_max[k] = fmax(surface->scan_max[k], scan->scan_max[k]);
         }
-        if (comes_first(part, first))
-            first = part;
+        if (comes_first(scan, first))
+            first = scan;
     }
     memcpy(surface->translation, first->translation, sizeof surface->translation);
     surface->unit = first->unit;
 }
 
-static int open_parts(struct bake_surface *surface, const struct bake_options *options)
+/* Opens scan number `index` of the options. */
+static int open_scan(struct bake_surface *surface, const struct bake_options *options,
+                     uint32_t index)
 {
-    struct bake_options one = *options;
-    const uint32_t count = options->more_scan_count + 1;
-    one.more_scan_count = 0;
-    int status = bsq_calloc(surface->ctx, "scans", count, sizeof *surface->parts, &surface->parts);
-    for (uint32_t p = 0; p < count && status == 0; p++) {
-        if (p > 0)
-            one.scan_path = options->more_scan_paths[p - 1];
-        status = bake_surface_open(surface->ctx, &one, &surface->parts[p]);
-        surface->part_count += status == 0;
-    }
+    struct bake_scan *scan = &surface->scans[index];
+    enum fmt_kind kind = FMT_KIND_TRIS;
+    *scan = (struct bake_scan){.ctx = surface->ctx, .path = scan_path(options, index)};
+    if (surface->joined)
+        return open_exact(scan, surface->joined, options->more_scan_count + 1, options);
+    int status = fmt_recognise_scan(surface->ctx, scan->path, &kind);
     if (status < 0)
-        bake_surface_close(surface);
-    else
-        join_parts(surface);
-    return status;
+        return status;
+    return kind == FMT_KIND_TRIS ? open_exact(scan, &scan->path, 1, options)
+                                 : open_grid(scan, options);
 }
-
-/* ---- all kinds ---- */
 
 int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
                       struct bake_surface *out)
 {
-    memset(out, 0, sizeof *out);
-    out->ctx = ctx;
-    out->path = options->scan_path;
-    int status = options->more_scan_count > 0 ? join_chunk_files(out, options) : 0;
-    if (status == 0 && options->more_scan_count > 0 && !out->joined)
-        return open_parts(out, options);
-    enum fmt_kind kind = FMT_KIND_TRIS;
-    if (status == 0 && !out->joined)
-        status = fmt_recognise_scan(ctx, options->scan_path, &kind);
-    if (status == 0)
-        status = kind == FMT_KIND_TRIS ? open_exact(out, options) : open_grid(out, options);
-    if (status < 0) {
-        bsq_free(ctx, out->joined);
-        memset(out, 0, sizeof *out);
-    }
+    int status = 0;
+    *out = (struct bake_surface){.ctx = ctx};
+    if (options->more_scan_count > 0)
+        BSQ_TRY(join_chunk_files(out, options));
+    const uint32_t count = out->joined ? 1 : options->more_scan_count + 1;
+    if (count > 1 && !on_processor(options))
+        BSQ_TRY(bsq_fail(ctx, BSQ_EUSAGE, "several scans are traced on the cpu, not on %s",
+                         options->device));
+    BSQ_TRY(bsq_calloc(ctx, "scans", count, sizeof *out->scans, &out->scans));
+    for (; out->scan_count < count; out->scan_count++)
+        BSQ_TRY(open_scan(out, options, out->scan_count));
+    join_scans(out);
+done:
+    if (status < 0)
+        bake_surface_close(out);
     return status;
-}
-
-static void close_parts(struct bake_surface *surface)
-{
-    for (uint32_t p = 0; p < surface->part_count; p++)
-        bake_surface_close(&surface->parts[p]);
-    bsq_free(surface->ctx, surface->parts);
-}
-
-bool bake_surface_has_triangles(const struct bake_surface *surface)
-{
-    bool some = surface->exact != NULL;
-    for (uint32_t p = 0; p < surface->part_count; p++)
-        some |= surface->parts[p].exact != NULL;
-    return some;
 }
 
 void bake_surface_close(struct bake_surface *surface)
 {
-    if (surface->parts)
-        close_parts(surface);
-    else if (surface->exact)
-        bake_exact_close(surface->exact);
-    else if (surface->ctx) {
-        bsq_free(surface->ctx, surface->transfer_words);
-        fmt_nvdb_close(surface->ctx, &surface->grid);
+    for (uint32_t s = 0; s < surface->scan_count; s++) {
+        struct bake_scan *scan = &surface->scans[s];
+        bsq_free(surface->ctx, scan->transfer_words);
+        if (scan->exact)
+            bake_exact_close(scan->exact);
+        else
+            fmt_nvdb_close(surface->ctx, &scan->grid);
     }
-    if (surface->joined)
+    if (surface->ctx) {
+        bsq_free(surface->ctx, surface->scans);
         bsq_free(surface->ctx, surface->joined);
+    }
     memset(surface, 0, sizeof *surface);
+}
+
+bool bake_surface_has_triangles(const struct bake_surface *surface)
+{
+    bool some = false;
+    for (uint32_t s = 0; s < surface->scan_count; s++)
+        some |= surface->scans[s].exact != NULL;
+    return some;
+}
+
+bool bake_surface_has_grids(const struct bake_surface *surface)
+{
+    bool some = false;
+    for (uint32_t s = 0; s < surface->scan_count; s++)
+        some |= surface->scans[s].exact == NULL;
+    return some;
 }
 
 int bake_surface_check(const struct bake_surface *surface)
 {
     int status = 0;
-    for (uint32_t p = 0; p < surface->part_count && status == 0; p++)
-        status = bake_surface_check(&surface->parts[p]);
-    return surface->parts || surface->exact ? status
-                                            : bsq_map_check(surface->ctx, &surface->grid.map);
+    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++)
+        if (!surface->scans[s].exact)
+            status = bsq_map_check(surface->ctx, &surface->scans[s].grid.map);
+    return status;
 }
 
 int bake_surface_explain(const struct bake_surface *surface, int status)
 {
-    for (uint32_t p = 0; p < surface->part_count; p++)
-        status = bake_surface_explain(&surface->parts[p], status);
-    return surface->parts || surface->exact || !surface->ctx
-               ? status
-               : bsq_map_explain(surface->ctx, &surface->grid.map, status);
+    for (uint32_t s = 0; s < surface->scan_count; s++)
+        if (!surface->scans[s].exact)
+            status = bsq_map_explain(surface->ctx, &surface->scans[s].grid.map, status);
+    return status;
 }
 
 int bake_surface_use_color(struct bake_surface *surface)
 {
     int status = 0;
-    for (uint32_t p = 0; p < surface->part_count && status == 0; p++)
-        status = bake_surface_use_color(&surface->parts[p]);
-    return surface->exact && surface->has_color ? bake_exact_use_color(surface->exact) : status;
+    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++)
+        if (surface->scans[s].exact && surface->scans[s].has_color)
+            status = bake_exact_use_color(surface->scans[s].exact);
+    return status;
 }
 
 int bake_surface_use_normal_map(struct bake_surface *surface, const struct bake_options *options)
 {
     const char *path = options->scan_normal_map;
     int status = 0;
-    if (path && surface->parts)
+    if (path && surface->scan_count > 1)
         return bsq_fail(surface->ctx, BSQ_EUSAGE,
                         "%s is the normal map of one scan, but there are %u scans", path,
                         options->more_scan_count + 1);
-    for (uint32_t p = 0; p < surface->part_count && status == 0; p++)
-        status = bake_surface_use_normal_map(&surface->parts[p], options);
-    if (surface->exact)
-        return bake_exact_use_normal_map(surface->exact, path);
-    if (path && !surface->parts)
+    if (path && !surface->scans[0].exact)
         return bsq_fail(surface->ctx, BSQ_EUSAGE,
                         "%s: a grid has no texture coordinates for the normal map %s; bake from "
                         "the chunk file, or give the image to bisque-voxelize",
-                        surface->path, path);
+                        surface->scans[0].path, path);
+    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++)
+        if (surface->scans[s].exact)
+            status = bake_exact_use_normal_map(surface->scans[s].exact, path);
     return status;
 }
 
@@ -270,10 +279,76 @@ int bake_inspect_scan(struct bsq_ctx *ctx, const char *path, struct bake_scan_in
     int status = bake_surface_open(ctx, &options, &surface);
     if (status < 0)
         return status;
-    *out = (struct bake_scan_info){.is_grid = !surface.exact,
-                                   .has_normals = !surface.exact ||
-                                                  bake_exact_get_info(surface.exact)->has_normals,
+    const struct bake_exact *exact = surface.scans[0].exact;
+    *out = (struct bake_scan_info){.is_grid = !exact,
+                                   .has_normals = !exact || bake_exact_get_info(exact)->has_normals,
                                    .has_color = surface.has_color};
     bake_surface_close(&surface);
     return 0;
+}
+
+/* ---- parameters ---- */
+
+/* Sets the parameters of secondary rays. thickness: their length into the solid, world units; far:
+ * the longest, in the scan's index space. */
+static void set_secondary(const struct bake_options *options, double unit, double thickness,
+                          float far, struct bk_params *params)
+{
+    const double half = 0.5 * options->ao_spread * 0.017453292519943295;
+    params->open_rays = options->ao_rays;
+    params->thickness_rays = options->thickness_rays;
+    params->open_limit = far;
+    if (options->ao_distance > 0)
+        params->open_limit = fminf((float)(options->ao_distance / unit), far);
+    params->open_coarse = options->ao_coarse > 0 ? fminf((float)options->ao_coarse, far) : far;
+    params->thickness_limit = fminf((float)(thickness / unit), far);
+    params->open_sine2 = (float)(sin(half) * sin(half));
+    if (options->ao_falloff)
+        params->flags |= BK_OPEN_FALLOFF;
+}
+
+static void set_params(const struct bake_options *options, uint32_t maps, double unit,
+                       struct bk_params *params)
+{
+    params->maps = maps;
+    params->samples = options->samples;
+    params->unit = (float)unit;
+    if (options->normal_space == BAKE_OBJECT_SPACE)
+        params->flags |= BK_OBJECT_SPACE;
+    if (options->sampling == BAKE_NEAREST)
+        params->flags |= BK_NEAREST;
+    if (options->two_sided)
+        params->flags |= BK_TWO_SIDED;
+    if (options->cage_path)
+        params->flags |= BK_CAGE;
+    if (options->skew_path)
+        params->flags |= BK_SKEW;
+}
+
+void bake_surface_set_params(struct bake_surface *surface, const struct bake_options *options,
+                             uint32_t maps)
+{
+    const double thickness = bake_thickness_distance(options, surface->scan_min, surface->scan_max);
+    for (uint32_t s = 0; s < surface->scan_count; s++) {
+        struct bake_scan *scan = &surface->scans[s];
+        if (!scan->exact)
+            bake_params_from_grid(&scan->grid, &scan->params);
+        set_params(options, maps, scan->unit, &scan->params);
+        set_secondary(options, scan->unit, thickness, scan->exact ? FLT_MAX : BK_FAR,
+                      &scan->params);
+    }
+    if (surface->scan_count == 1) {
+        surface->params = surface->scans[0].params;
+    } else {
+        set_params(options, maps, surface->unit, &surface->params);
+        set_secondary(options, surface->unit, thickness, BK_FAR, &surface->params);
+    }
+}
+
+void bake_surface_set_lengths(struct bake_surface *surface, double front, double back)
+{
+    surface->front = front;
+    surface->back = back;
+    surface->params.front = (float)(front / surface->unit);
+    surface->params.back = (float)(back / surface->unit);
 }

@@ -1,8 +1,6 @@
-/* surface.h - the surface that rays are traced against. Takes a scan file, either a voxel grid or
- * the triangles of a chunk file; gives hits of rays. The caller need not know which of the two it
- * is, nor that a surface may consist of several scans. Maps are traced tile by tile: on a grid by
- * bake_trace_grid_tiles(), which gives the rays to a device, and on triangles by
- * bake_exact_trace_tiles(). */
+/* surface.h - the surface that rays are traced against. Takes the scans of a bake, voxel grids or
+ * triangles of chunk files; gives hits of rays, and traced maps. The caller need not know of what
+ * kind the scans are, nor how many there are. */
 #ifndef BAKE_SURFACE_SURFACE_H
 #define BAKE_SURFACE_SURFACE_H
 
@@ -10,52 +8,79 @@
 #include "libbake/exact/exact.h"
 #include "libbake/lowpoly/lowpoly.h"
 #include "libbake/maps/maps.h"
+#include "libbake/secondary/secondary.h"
 
-struct bake_surface {
+/* One scan. */
+struct bake_scan {
     struct bsq_ctx *ctx;
-    /* The scans, if there are several. Then there are neither triangles nor a grid here, and the
-     * other members are those of all scans. */
-    struct bake_surface *parts;
-    uint32_t part_count;
-    const char *path;          /* of the scan */
-    const char **joined;       /* all paths, if several chunk files are one scan; else NULL */
-    struct bake_exact *exact;  /* the triangles; NULL: the surface is a grid */
+    const char *path;
+    struct bake_exact *exact;  /* the triangles; NULL: the scan is a grid */
     struct fmt_nvdb_grid grid; /* open if `exact` is NULL */
     uint32_t *transfer_words;  /* grid.transfers */
     bool has_color;
-    enum bsq_ids ids;                /* of several scans: BSQ_IDS_NONE unless they agree */
+    enum bsq_ids ids;
     double scan_min[3], scan_max[3]; /* world */
     /* Index space, where rays are: (world - translation) / unit. For triangles, unit is 1. */
     double translation[3], unit;
     /* Size of a voxel, or for triangles 1/2048 of the longest side of the scan; world units. */
     double detail;
+    struct bk_params params; /* of rays in its index space */
 };
 
-/* Opens the scans of the options; the content of each file decides which kind of surface it is. The
- * surface of several scans has the index space of one of them; the order of the scans does not
- * matter. Chunk files that can be one scan (bake_exact_can_join()) are one, unless the options
- * match names. *out must not be moved. Errors: those of fmt_nvdb_open(), bake_check_grid() and
- * bake_exact_open(); BSQ_EUSAGE for options that do not apply to this kind of surface. */
+/* All scans of a bake. */
+struct bake_surface {
+    struct bsq_ctx *ctx;
+    struct bake_scan *scans;
+    uint32_t scan_count;
+    const char **joined;             /* all paths, if several chunk files are one scan; else NULL */
+    bool has_color;                  /* all scans have */
+    enum bsq_ids ids;                /* BSQ_IDS_NONE unless all scans agree */
+    double scan_min[3], scan_max[3]; /* world */
+    double translation[3], unit;     /* index space: that of one of the scans */
+    double detail;                   /* the coarsest */
+    struct bk_params params;         /* of rays in its index space */
+    double front, back;              /* ray lengths of maps, world units */
+    /* Objects of the low-poly mesh, and the rays from them, see scan s if sees[scan_count * object
+     * + s] is set. NULL: all see all. The caller's. */
+    const bool *sees;
+};
+
+/* Opens the scans of the options; the content of each file decides of which kind it is. The
+ * surface's index space does not depend on the order of the scans. Chunk files that can be one scan
+ * (bake_exact_can_join()) are one, unless the options match names. Several scans are traced on the
+ * processor. *out must not be moved while it is open. Errors: those of fmt_nvdb_open(),
+ * bake_check_grid() and bake_exact_open(); BSQ_EUSAGE for options that do not apply to these scans.
+ */
 int bake_surface_open(struct bsq_ctx *ctx, const struct bake_options *options,
                       struct bake_surface *out);
 void bake_surface_close(struct bake_surface *surface); /* a zeroed surface is allowed */
 
-/* Checks the file of a grid: returns BSQ_EIO if it has been truncated or written to since it was
+/* Sets the parameters of rays for a selection of maps, but not the lengths of the first rays. */
+void bake_surface_set_params(struct bake_surface *surface, const struct bake_options *options,
+                             uint32_t maps);
+/* Sets the lengths of the first rays, in world units. */
+void bake_surface_set_lengths(struct bake_surface *surface, double front, double back);
+
+/* Return whether some of the scans are triangles, and whether some are grids. */
+bool bake_surface_has_triangles(const struct bake_surface *surface);
+bool bake_surface_has_grids(const struct bake_surface *surface);
+
+/* Checks the files of grids: returns BSQ_EIO if one has been truncated or written to since it was
  * opened, so that hits cannot be trusted. Thread-safe. */
 int bake_surface_check(const struct bake_surface *surface);
-/* Returns what an open scan can give. */
+/* Returns what the scans can give. */
 struct bake_scan_facts bake_surface_facts(const struct bake_surface *surface);
 /* Returns the cause of a job's status: that of bake_surface_check() if it fails, else `status`. For
  * the end of a job, see bsq_map_explain(). */
 int bake_surface_explain(const struct bake_surface *surface, int status);
 
-/* Makes later hits carry colours, if the scan has any. Call it at most once, not from parallel
+/* Makes later hits carry colours, if the scans have any. Call it at most once, not from parallel
  * work. Errors: those of bake_exact_use_color(). */
 int bake_surface_use_color(struct bake_surface *surface);
 
-/* Calls fn for the name of each channel that an open scan, or each of several, has, but not for
- * that of its normal map. Warns of channels that only some of several scans have. A status below 0
- * ends the list and is returned. Errors: BSQ_ENOMEM; BSQ_EDATA in a strict job. */
+/* Calls fn for the name of each channel that all scans have, but not for that of a normal map.
+ * Warns of channels that only some of several scans have. A status below 0 ends the list and is
+ * returned. Errors: BSQ_ENOMEM; BSQ_EDATA in a strict job. */
 int bake_surface_list_channels(const struct bake_surface *surface,
                                int (*fn)(void *arg, const char *name), void *arg);
 
@@ -70,7 +95,7 @@ int bake_surface_use_transfers(struct bake_surface *surface, const struct bake_o
  * bake_exact_use_normal_map(); BSQ_EUSAGE for an image and a grid, or several scans. */
 int bake_surface_use_normal_map(struct bake_surface *surface, const struct bake_options *options);
 
-/* Makes later hits carry ids, if `use` is set and the scan has any; otherwise devices do not get
+/* Makes later hits carry ids, if `use` is set and the scans have any; otherwise devices do not get
  * the channel. Call it at most once, not from parallel work. Errors: BSQ_ENOMEM. */
 int bake_surface_use_ids(struct bake_surface *surface, bool use);
 /* Lists the names that the ids of all scans stand for: sorted, each once, allocated with malloc().
@@ -78,23 +103,28 @@ int bake_surface_use_ids(struct bake_surface *surface, bool use);
  * BSQ_EIO. */
 int bake_surface_report_ids(const struct bake_surface *surface, struct bake_report *report);
 
+/* ---- rays ---- */
+
 struct bake_surface_rays {
-    const struct bake_exact_ray *rays; /* index space */
-    struct bake_exact_hit *hits;       /* out; `count` entries; a grid's hits have triangle 0 */
-    uint64_t count;
-    double t_min, t_max; /* world units, as the hits' t */
-    const float *starts; /* distances, in world units, before which rays have no hits, at least
-                            t_min; saves steps through grids. NULL: none are known */
-    bool distances_only, facing_origin; /* as in struct bake_exact_batch */
-    /* Of several scans, a ray hits part p if sees[part_count * object + p] is set, for the object
-     * in objects[] of the ray. NULL: all rays hit all scans. */
-    const uint32_t *objects;
-    const bool *sees;
+    /* In the surface's index space; a grid's hits have triangle 0. t_min and t_max are in world
+     * units, as the hits' t. */
+    struct bake_exact_batch batch;
+    const float *starts;     /* distances, in world units, before which rays have no hits, at least
+                                t_min; saves steps through grids. NULL: none are known */
+    bool best;               /* blends on grids also if the options ask for the nearest voxel */
+    const uint32_t *objects; /* of each ray; NULL: all rays see all scans */
 };
-/* Traces any number of rays on all threads. params: used for grids only. Must not be called from
- * parallel work. Errors: those of bake_exact_trace(). */
-int bake_surface_trace(const struct bake_surface *surface, const struct bk_params *params,
-                       const struct bake_surface_rays *rays);
+/* Traces rays on all threads, of which there should be bake_surface_capacity() at most. Must not be
+ * called from parallel work. Errors: those of bake_exact_trace(); BSQ_ENOMEM. */
+int bake_surface_trace(const struct bake_surface *surface, const struct bake_surface_rays *rays);
+
+/* Returns the number of rays, with their hits, that a caller should hold at a time, at least 1.
+ * more_bytes: what else the caller allocates for each. */
+uint64_t bake_surface_capacity(const struct bake_surface *surface, uint64_t more_bytes);
+
+/* Returns the place of a point of the index space on a Hilbert curve through the scans; 33 bits.
+ * Batches of rays that follow the curve cross few chunks. */
+uint64_t bake_surface_curve_place(const struct bake_surface *surface, const float point[3]);
 
 /* Calls visit() for each group of 16^3 blocks of 8^3 voxels of the surface's grids; bit
  * x << 8 | y << 4 | z of `mask` is set if that block is occupied. origin: of the group's lowest
@@ -104,27 +134,36 @@ typedef void bake_surface_visit(void *arg, const double origin[3], double unit,
 void bake_surface_each_block(const struct bake_surface *surface, bake_surface_visit *visit,
                              void *arg);
 
-struct bake_places;
-struct bake_ray_states;
+/* ---- secondary rays ---- */
 
-/* Traces the rays of all places against one scan, and notes in their states what it adds to other
- * scans; adds to *chunk_loads. params: maps, counts and lengths of rays. Must not be called from
+/* Hits from which secondary rays start. */
+struct bake_look_hits {
+    const struct bake_exact_ray *rays; /* surface's index space */
+    const struct bake_exact_hit *hits; /* of these rays; hits of nothing are allowed */
+    const uint32_t *seeds;             /* by which the directions are turned */
+    const uint32_t *objects;           /* as in struct bake_surface_rays */
+    uint64_t count;
+    uint64_t progress; /* what all of them add to the context's progress */
+};
+
+struct bake_look;
+
+/* Prepares secondary rays: takes up to half of what is left of the budget, for the state of rays
+ * from at most `most` hits at a time and for the chunks of a scan of triangles. Free *out with
+ * bake_look_free(). Errors: BSQ_ENOMEM. */
+int bake_look_create(const struct bake_surface *surface, uint64_t most, struct bake_look **out);
+void bake_look_free(struct bake_look *look); /* NULL is allowed */
+
+/* Traces secondary rays as bk_secondary.h describes through all scans that the objects see, and
+ * writes what they found, with lengths in the surface's index space, to out[], an entry for each
+ * hit. Results depend on neither memory nor threads nor the order of scans. Must not be called from
  * parallel work. Errors: those of bake_exact_look_from() and bake_surface_check(). */
-int bake_surface_look(const struct bake_surface *surface, const struct bk_params *params,
-                      const struct bake_places *places, struct bake_ray_states *states,
-                      uint64_t *chunk_loads);
+int bake_look_around(struct bake_look *look, const struct bake_look_hits *hits,
+                     struct bk_surroundings *out);
+/* Returns how many chunks have been loaded for secondary rays, counted again each time. */
+uint64_t bake_look_loads(const struct bake_look *look);
 
-/* Returns the distance above a hit at which open rays start, so that one scan does not hide itself;
- * world units. */
-double bake_surface_lift(const struct bake_surface *surface);
-
-/* Returns whether some of the surface are triangles. */
-bool bake_surface_has_triangles(const struct bake_surface *surface);
-
-/* Returns the number of rays, with their hits, that a caller should hold at a time, at least 1. */
-uint64_t bake_surface_capacity(const struct bake_surface *surface);
-
-/* ---- ray lengths ---- */
+/* ---- maps ---- */
 
 /* Chooses ray lengths in world units, along the low-poly mesh's normals (front) and against them
  * (back):
@@ -132,26 +171,19 @@ uint64_t bake_surface_capacity(const struct bake_surface *surface);
  *      normals, up to a tenth of the diagonal of the scan's bounds.
  *   2. Takes the 99.9th percentile of the distances of the hits on either side.
  *   3. Returns one and a half times that percentile plus two details (struct bake_surface).
- * sees: as in struct bake_surface_rays, for mesh->object_of, or NULL.
  * If fewer than one ray in a hundred hits, both are a twentieth of the diagonal. Deterministic.
- * Errors: BSQ_ENOMEM, and those of bake_surface_trace(). */
-int bake_measure_distances(const struct bake_surface *surface, const struct bk_params *params,
-                           const struct bake_lowmesh *mesh, const bool *sees, double *front,
-                           double *back);
+ * Errors: those of bake_surface_trace(). */
+int bake_measure_distances(const struct bake_surface *surface, const struct bake_lowmesh *mesh,
+                           double *front, double *back);
 
-/* ---- maps ---- */
-
-struct bake_grid_tiles {
-    struct bake_tiles tiles;
-    struct bake_device *device;
-    const struct bake_surface *surface; /* that the device traces; checked after every tile */
-    const struct bake_plan *plan;       /* NULL: the device holds the grid */
-};
-
-/* Traces and resolves all tiles of a map into its image. Adds to the report what
- * bake_tile_workers_end() adds. Errors: those of the device, bake_surface_check() and
- * bake_image_write(). */
-int bake_trace_grid_tiles(struct bsq_ctx *ctx, const struct bake_grid_tiles *grid,
-                          struct bake_report *report);
+/* Trace and resolve all tiles of a map into its image: on a device, of the only scan, a grid; or in
+ * batches of rays, on the processor. tiles->triangles are in the surface's index space,
+ * tiles->params are the surface's. object_of: of each triangle; NULL unless surface->sees is set.
+ * Add to the report what bake_tile_workers_end() adds, passes and chunk_loads. Errors: those of the
+ * device, bake_surface_trace() and bake_image_write(). */
+int bake_trace_grid_tiles(const struct bake_surface *surface, struct bake_device *device,
+                          const struct bake_tiles *tiles, struct bake_report *report);
+int bake_trace_ray_tiles(const struct bake_surface *surface, const struct bake_tiles *tiles,
+                         const uint32_t *object_of, struct bake_report *report);
 
 #endif

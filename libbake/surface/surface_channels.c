@@ -7,7 +7,7 @@
 #include "libbake/surface/surface.h"
 
 /* Returns whether a single scan has a channel. */
-static bool has_own_channel(const struct bake_surface *scan, const char *name)
+static bool has_own_channel(const struct bake_scan *scan, const char *name)
 {
     const struct fmt_nvdb_grid *grid = &scan->grid;
     uint32_t first;
@@ -21,13 +21,11 @@ static bool has_own_channel(const struct bake_surface *scan, const char *name)
     return false;
 }
 
-/* Returns whether an open scan, or each of several, has a channel. */
+/* Returns whether each scan has a channel. */
 static bool has_channel(const struct bake_surface *surface, const char *name)
 {
-    if (!surface->parts)
-        return has_own_channel(surface, name);
-    for (uint32_t p = 0; p < surface->part_count; p++)
-        if (!has_own_channel(&surface->parts[p], name))
+    for (uint32_t s = 0; s < surface->scan_count; s++)
+        if (!has_own_channel(&surface->scans[s], name))
             return false;
     return true;
 }
@@ -35,7 +33,7 @@ static bool has_channel(const struct bake_surface *surface, const char *name)
 /* What each channel of the scans is given to. */
 struct listing {
     const struct bake_surface *all;
-    const struct bake_surface *scan; /* the one whose channels are listed */
+    const struct bake_scan *scan; /* the one whose channels are listed */
     int (*fn)(void *arg, const char *name);
     void *arg;
 };
@@ -43,7 +41,7 @@ struct listing {
 /* Returns whether a scan before the listed one has a channel. */
 static bool was_listed(const struct listing *listing, const char *name)
 {
-    for (const struct bake_surface *s = listing->all->parts; s && s < listing->scan; s++)
+    for (const struct bake_scan *s = listing->all->scans; s < listing->scan; s++)
         if (has_own_channel(s, name))
             return true;
     return false;
@@ -92,21 +90,20 @@ static int list_scan(const struct listing *listing)
 int bake_surface_list_channels(const struct bake_surface *surface,
                                int (*fn)(void *arg, const char *name), void *arg)
 {
-    const uint32_t count = surface->parts ? surface->part_count : 1;
-    struct listing listing = {surface, surface->parts ? surface->parts : surface, fn, arg};
+    struct listing listing = {surface, surface->scans, fn, arg};
     int status = 0;
-    for (uint32_t i = 0; i < count && status == 0; i++, listing.scan++)
+    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++, listing.scan++)
         status = list_scan(&listing);
     return status;
 }
 
 /* Finds the channels of transfer maps in a grid. */
-static int use_channels(struct bake_surface *surface, const struct bake_transfer *transfers,
+static int use_channels(struct bake_scan *scan, const struct bake_transfer *transfers,
                         uint32_t count)
 {
-    struct fmt_nvdb_grid *grid = &surface->grid;
-    int status = bsq_alloc(surface->ctx, "transfer maps", count, sizeof *surface->transfer_words,
-                           &surface->transfer_words);
+    struct fmt_nvdb_grid *grid = &scan->grid;
+    int status = bsq_alloc(scan->ctx, "transfer maps", count, sizeof *scan->transfer_words,
+                           &scan->transfer_words);
     for (uint32_t i = 0; i < count && status == 0; i++) {
         uint32_t first = 0;
         const struct bsq_channel *channel =
@@ -114,54 +111,45 @@ static int use_channels(struct bake_surface *surface, const struct bake_transfer
                                                    transfers[i].name, &first)
                            : NULL;
         if (transfers[i].texture_path)
-            status = bsq_fail(surface->ctx, BSQ_EDATA,
+            status = bsq_fail(scan->ctx, BSQ_EDATA,
                               "%s is a grid, which cannot use %s: make it with bisque-voxelize "
                               "--channels %s=%s",
-                              surface->path, transfers[i].texture_path, transfers[i].name,
+                              scan->path, transfers[i].texture_path, transfers[i].name,
                               transfers[i].texture_path);
         else if (!channel)
-            status = bsq_fail(surface->ctx, BSQ_EDATA,
+            status = bsq_fail(scan->ctx, BSQ_EDATA,
                               "%s has no channel %s: make it with bisque-voxelize --channels %s",
-                              surface->path, transfers[i].name, transfers[i].name);
+                              scan->path, transfers[i].name, transfers[i].name);
         else if (first + channel->values > grid->channel_words) /* another process changed it */
-            status =
-                bsq_fail(surface->ctx, BSQ_EIO, "%s: was changed while it was read", surface->path);
+            status = bsq_fail(scan->ctx, BSQ_EIO, "%s: was changed while it was read", scan->path);
         else
-            surface->transfer_words[i] = first << 2 | channel->values;
+            scan->transfer_words[i] = first << 2 | channel->values;
     }
     if (status == 0) {
-        grid->transfers = surface->transfer_words;
+        grid->transfers = scan->transfer_words;
         grid->transfer_count = count;
     }
     return status;
 }
 
-/* Lets grids leave out channels that no map needs. */
-static void drop_channels(struct bake_surface *surface)
-{
-    for (uint32_t p = 0; p < surface->part_count; p++)
-        drop_channels(&surface->parts[p]);
-    surface->grid.channels = NULL;
-}
-
 int bake_surface_use_transfers(struct bake_surface *surface, const struct bake_options *options)
 {
     const struct bake_transfer *transfers = options->transfers;
+    const uint32_t count = options->transfer_count;
     int status = 0;
-    if (options->transfer_count == 0) {
-        drop_channels(surface);
-        return 0;
-    }
-    for (uint32_t i = 0; i < options->transfer_count && options->more_scan_count > 0; i++)
+    for (uint32_t i = 0; i < count && options->more_scan_count > 0; i++)
         if (transfers[i].texture_path)
             return bsq_fail(surface->ctx, BSQ_EUSAGE,
                             "%s is a texture of one scan, but there are %u scans",
                             transfers[i].texture_path, options->more_scan_count + 1);
-    for (uint32_t p = 0; p < surface->part_count && status == 0; p++)
-        status = bake_surface_use_transfers(&surface->parts[p], options);
-    if (surface->parts)
-        return status;
-    if (!surface->exact)
-        return use_channels(surface, transfers, options->transfer_count);
-    return bake_exact_use_transfers(surface->exact, transfers, options->transfer_count);
+    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++) {
+        struct bake_scan *scan = &surface->scans[s];
+        if (count == 0)
+            scan->grid.channels = NULL; /* grids leave out channels that no map needs */
+        else if (scan->exact)
+            status = bake_exact_use_transfers(scan->exact, transfers, count);
+        else
+            status = use_channels(scan, transfers, count);
+    }
+    return status;
 }

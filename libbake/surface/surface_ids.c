@@ -9,15 +9,14 @@
 int bake_surface_use_ids(struct bake_surface *surface, bool use)
 {
     int status = 0;
-    for (uint32_t p = 0; p < surface->part_count && status == 0; p++)
-        status = bake_surface_use_ids(&surface->parts[p], use);
-    if (surface->parts)
-        return status;
-    if (use && surface->exact && surface->ids != BSQ_IDS_NONE)
-        return bake_exact_use_ids(surface->exact);
-    if (!use && !surface->exact)
-        surface->grid.ids = NULL;
-    return 0;
+    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++) {
+        struct bake_scan *scan = &surface->scans[s];
+        if (use && scan->exact && scan->ids != BSQ_IDS_NONE)
+            status = bake_exact_use_ids(scan->exact);
+        if (!use && !scan->exact)
+            scan->grid.ids = NULL;
+    }
+    return status;
 }
 
 /* The report's list while it grows. */
@@ -80,10 +79,10 @@ static int list_exact(struct listing *list, const struct bake_exact *exact)
 }
 
 /* Lists the names of one scan, each once and ascending. */
-static int list_scan(struct listing *list, const struct bake_surface *surface)
+static int list_scan(struct listing *list, const struct bake_scan *scan)
 {
-    return surface->exact ? list_exact(list, surface->exact)
-                          : fmt_nvdb_read_names(list->ctx, &surface->grid, add_name, list);
+    return scan->exact ? list_exact(list, scan->exact)
+                       : fmt_nvdb_read_names(list->ctx, &scan->grid, add_name, list);
 }
 
 static int by_id_name(const void *a, const void *b)
@@ -111,10 +110,9 @@ int bake_surface_report_ids(const struct bake_surface *surface, struct bake_repo
     report->id_source = bsq_ids_text(surface->ids);
     if (surface->ids == BSQ_IDS_COLOR)
         return 0;
-    if (!surface->parts)
-        return list_scan(&list, surface);
-    for (uint32_t p = 0; p < surface->part_count && status == 0; p++)
-        status = list_scan(&list, &surface->parts[p]);
-    join_names(report);
+    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++)
+        status = list_scan(&list, &surface->scans[s]);
+    if (surface->scan_count > 1)
+        join_names(report);
     return status;
 }

@@ -1,5 +1,4 @@
-/* surface_rays.c - traces rays against a surface: primary and secondary ones, against grids,
- * triangles or several scans. */
+/* surface_rays.c - traces batches of rays against the scans of a surface. */
 #include "libbake/surface/surface.h"
 
 #include <assert.h>
@@ -7,266 +6,246 @@
 #include <string.h>
 
 #include "base/parallel.h"
-#include "libbake/kernel/bk_grid.h"
-#include "libbake/kernel/bk_secondary.h"
-#include "libbake/secondary/secondary.h"
 
-enum { RAYS_A_TASK = 256, MOVED_RAYS_A_TASK = 4096, PLACES_A_TASK = 64, MAX_GRID_RAYS = 1 << 18 };
+enum { RAYS_A_TASK = 256, MOVED_RAYS_A_TASK = 4096, MAX_GRID_RAYS = 1 << 18 };
 
 /* ---- one scan ---- */
 
 struct grid_trace {
-    const struct bake_surface *surface;
-    const struct bk_params *params;
+    const struct bake_scan *scan;
     const struct bake_surface_rays *rays;
+    struct bk_params params;
 };
 
 _Static_assert(sizeof(struct bake_exact_ray) == 6 * sizeof(float), "rays are read as floats");
+
+/* Spreads the progress of a batch evenly over its rays. */
+static void add_progress(struct bsq_ctx *ctx, const struct bake_exact_batch *batch, uint64_t begin,
+                         uint64_t end)
+{
+    const double each = (double)batch->progress / (double)batch->count;
+    bsq_progress_add(ctx, (uint64_t)(each * (double)end) - (uint64_t)(each * (double)begin));
+}
 
 static int trace_grid_rays(void *arg, uint64_t task, unsigned worker)
 {
     (void)worker;
     const struct grid_trace *trace = arg;
-    const struct bake_surface_rays *rays = trace->rays;
-    const double unit = trace->surface->unit;
-    const uint64_t begin = task * RAYS_A_TASK, left = rays->count - begin;
-    struct bake_ray_batch lines = {
-        .rays = (const float(*)[6])(const void *)(rays->rays + begin),
-        .count = left < RAYS_A_TASK ? left : RAYS_A_TASK,
-        .t_min = (float)(rays->t_min / unit),
-        .t_max = (float)(rays->t_max / unit),
-        .facing = rays->facing_origin ? -1.0f : 1.0f,
-    };
+    const struct bake_exact_batch *batch = &trace->rays->batch;
+    const double unit = trace->scan->unit;
+    const uint64_t begin = task * RAYS_A_TASK, left = batch->count - begin;
+    const uint64_t channels = (uint64_t)BK_TRANSFER_VALUES * bk_transfers(trace->params.maps);
+    struct bake_ray_batch lines = {.rays = (const float(*)[6])(const void *)(batch->rays + begin),
+                                   .count = left < RAYS_A_TASK ? left : RAYS_A_TASK,
+                                   .t_min = (float)(batch->t_min / unit),
+                                   .t_max = (float)(batch->t_max / unit),
+                                   .facing = batch->facing_origin ? -1.0f : 1.0f,
+                                   .channels =
+                                       batch->channels ? batch->channels + begin * channels : NULL};
     float starts[RAYS_A_TASK];
     struct bk_hit hits[RAYS_A_TASK];
-    if (rays->starts) {
+    if (trace->rays->starts) {
         for (uint64_t i = 0; i < lines.count; i++)
-            starts[i] = (float)((double)rays->starts[begin + i] / unit);
+            starts[i] = (float)((double)trace->rays->starts[begin + i] / unit);
         lines.starts = starts;
     }
-    bake_trace_rays(&trace->surface->grid, trace->params, &lines, hits);
+    if (lines.channels)
+        memset(lines.channels, 0, lines.count * channels * sizeof *lines.channels);
+    bake_trace_rays(&trace->scan->grid, &trace->params, &lines, hits);
     for (uint64_t i = 0; i < lines.count; i++) {
-        struct bake_exact_hit *out = &rays->hits[begin + i];
+        struct bake_exact_hit *out = &batch->hits[begin + i];
         *out = (struct bake_exact_hit){.triangle = hits[i].found ? 0 : BAKE_EXACT_NONE,
-                                       .t = (double)hits[i].t * unit};
+                                       .t = (double)hits[i].t * unit,
+                                       .id = hits[i].id,
+                                       .reversed = hits[i].reversed};
         memcpy(out->normal, hits[i].normal, sizeof out->normal);
         memcpy(out->color, hits[i].color, sizeof out->color);
     }
+    add_progress(trace->scan->ctx, batch, begin, begin + lines.count);
     return 0;
 }
 
-static int trace_exact(const struct bake_surface *surface, const struct bake_surface_rays *rays)
+/* Traces rays in the index space of a scan. */
+static int trace_scan(const struct bake_scan *scan, const struct bake_surface_rays *rays)
 {
-    int status = 0;
-    for (uint64_t at = 0; status == 0 && at < rays->count;) {
-        const uint64_t most = bake_exact_capacity(surface->exact, 0), left = rays->count - at;
-        const struct bake_exact_batch batch = {.rays = rays->rays + at,
-                                               .hits = rays->hits + at,
-                                               .count = left < most ? left : most,
-                                               .t_min = rays->t_min,
-                                               .t_max = rays->t_max,
-                                               .distances_only = rays->distances_only,
-                                               .facing_origin = rays->facing_origin};
-        status = bake_exact_trace(surface->exact, &batch);
-        at += batch.count;
-    }
-    return status;
+    if (scan->exact)
+        return bake_exact_trace(scan->exact, &rays->batch);
+    struct grid_trace trace = {scan, rays, scan->params};
+    trace.params.flags &= ~(bk_uint)(BK_CAGE | (rays->best ? BK_NEAREST : 0));
+    return bsq_parallel_for(scan->ctx, (rays->batch.count + RAYS_A_TASK - 1) / RAYS_A_TASK,
+                            trace_grid_rays, &trace);
 }
 
 /* ---- several scans ---- */
 
-struct parts_trace {
+struct scans_trace {
     const struct bake_surface *surface;
     const struct bake_surface_rays *rays;
-    uint32_t part;
-    struct bake_exact_ray *part_rays; /* in the part's index space */
-    struct bake_exact_hit *part_hits;
+    uint32_t scan; /* the current one */
+    /* Of this scan, in its index space: */
+    struct bake_exact_ray *own_rays;
+    struct bake_exact_hit *own_hits;
+    float *own_channels;
 };
 
-static uint64_t moved_end(const struct parts_trace *trace, uint64_t task)
+static uint64_t moved_end(const struct scans_trace *trace, uint64_t task)
 {
-    const uint64_t end = (task + 1) * MOVED_RAYS_A_TASK;
-    return end < trace->rays->count ? end : trace->rays->count;
+    const uint64_t end = (task + 1) * MOVED_RAYS_A_TASK, count = trace->rays->batch.count;
+    return end < count ? end : count;
 }
 
-/* Returns whether a part is hidden from a ray. */
-static bool is_hidden(const struct parts_trace *trace, uint64_t ray)
+/* Returns whether the current scan is hidden from a ray. */
+static bool is_hidden(const struct scans_trace *trace, uint64_t ray)
 {
-    const struct bake_surface_rays *rays = trace->rays;
-    return rays->objects &&
-           !rays->sees[(uint64_t)trace->surface->part_count * rays->objects[ray] + trace->part];
+    const struct bake_surface *surface = trace->surface;
+    const uint32_t *objects = trace->rays->objects;
+    return objects && !surface->sees[(uint64_t)surface->scan_count * objects[ray] + trace->scan];
 }
 
-/* Moves rays to the index space of a part. Those that do not see it get no direction. */
+/* Moves rays to the index space of the scan. Those that do not see it get no direction. */
 static int move_rays(void *arg, uint64_t task, unsigned worker)
 {
     (void)worker;
-    const struct parts_trace *trace = arg;
-    const struct bake_surface *whole = trace->surface, *part = &whole->parts[trace->part];
+    const struct scans_trace *trace = arg;
+    const struct bake_surface *surface = trace->surface;
+    const struct bake_scan *scan = &surface->scans[trace->scan];
     const uint64_t end = moved_end(trace, task);
     for (uint64_t i = task * MOVED_RAYS_A_TASK; i < end; i++) {
-        struct bake_exact_ray *ray = &trace->part_rays[i];
-        *ray = trace->rays->rays[i];
+        struct bake_exact_ray *ray = &trace->own_rays[i];
+        *ray = trace->rays->batch.rays[i];
         for (int k = 0; k < 3; k++) {
-            const double shift = whole->translation[k] - part->translation[k];
-            ray->origin[k] = (float)(((double)ray->origin[k] * whole->unit + shift) / part->unit);
+            const double shift = surface->translation[k] - scan->translation[k];
+            ray->origin[k] = (float)(((double)ray->origin[k] * surface->unit + shift) / scan->unit);
             ray->direction[k] = is_hidden(trace, i) ? 0.0f : ray->direction[k];
         }
     }
     return 0;
 }
 
-/* Returns whether a hit is nearer than another. */
-static bool is_nearer(const struct bake_exact_hit *hit, const struct bake_exact_hit *other)
+_Static_assert(offsetof(struct bake_exact_hit, facet) - offsetof(struct bake_exact_hit, normal) ==
+                   6 * sizeof(float) + sizeof(uint32_t),
+               "what a hit carries is compared as bytes");
+
+/* Returns whether a hit comes before another one: the nearer, then the one in front. Of hits in the
+ * same place, any is as good, but it must not depend on the order of scans. size: of channels. */
+static bool is_nearer(const struct bake_exact_hit *hit, const float *channels,
+                      const struct bake_exact_hit *other, const float *other_channels, size_t size)
 {
     if (hit->triangle == BAKE_EXACT_NONE || other->triangle == BAKE_EXACT_NONE)
         return hit->triangle != BAKE_EXACT_NONE;
     if (fabs(hit->t) != fabs(other->t))
         return fabs(hit->t) < fabs(other->t);
-    return hit->t > other->t;
+    if (hit->t != other->t)
+        return hit->t > other->t;
+    const int order =
+        memcmp(hit->normal, other->normal,
+               offsetof(struct bake_exact_hit, reversed) - offsetof(struct bake_exact_hit, normal));
+    return order ? order < 0 : size > 0 && memcmp(channels, other_channels, size) < 0;
 }
 
 static int keep_nearest(void *arg, uint64_t task, unsigned worker)
 {
     (void)worker;
-    const struct parts_trace *trace = arg;
+    const struct scans_trace *trace = arg;
+    const struct bake_exact_batch *batch = &trace->rays->batch;
+    const uint64_t floats =
+        trace->own_channels ? BK_TRANSFER_VALUES * bk_transfers(trace->surface->params.maps) : 0;
     const uint64_t end = moved_end(trace, task);
-    for (uint64_t i = task * MOVED_RAYS_A_TASK; i < end; i++)
-        if (trace->part == 0 || is_nearer(&trace->part_hits[i], &trace->rays->hits[i]))
-            trace->rays->hits[i] = trace->part_hits[i];
+    for (uint64_t i = task * MOVED_RAYS_A_TASK; i < end; i++) {
+        const float *own = floats > 0 ? trace->own_channels + i * floats : NULL;
+        float *channels = floats > 0 ? batch->channels + i * floats : NULL;
+        if (trace->scan > 0 &&
+            !is_nearer(&trace->own_hits[i], own, &batch->hits[i], channels, floats * sizeof *own))
+            continue;
+        batch->hits[i] = trace->own_hits[i];
+        batch->hits[i].scan = trace->scan;
+        if (floats > 0)
+            memcpy(channels, own, floats * sizeof *own);
+    }
     return 0;
 }
 
-static int trace_part(struct parts_trace *trace, const struct bk_params *params)
+/* Traces the current scan, and keeps its hits that are the nearest. */
+static int trace_next(const struct scans_trace *trace)
 {
-    const struct bake_surface *part = &trace->surface->parts[trace->part];
-    const uint64_t tasks = (trace->rays->count + MOVED_RAYS_A_TASK - 1) / MOVED_RAYS_A_TASK;
-    struct bk_params own = *params;
-    struct bake_surface_rays rays = *trace->rays;
-    rays.rays = trace->part_rays;
-    rays.hits = trace->part_hits;
-    rays.objects = NULL;
-    own.unit = (float)part->unit;
-    if (!part->exact)
-        bake_params_from_grid(&part->grid, &own);
+    const struct bake_surface *surface = trace->surface;
+    const uint32_t n = surface->scan_count, s = trace->scan;
+    const uint64_t count = trace->rays->batch.count, progress = trace->rays->batch.progress;
+    const uint64_t tasks = (count + MOVED_RAYS_A_TASK - 1) / MOVED_RAYS_A_TASK;
+    struct bake_surface_rays own = *trace->rays;
+    own.batch.rays = trace->own_rays;
+    own.batch.hits = trace->own_hits;
+    own.batch.channels = trace->own_channels;
+    own.batch.progress = progress * (s + 1) / n - progress * s / n;
     int status = 0;
-    BSQ_TRY(bsq_parallel_for(part->ctx, tasks, move_rays, trace));
-    BSQ_TRY(bake_surface_trace(part, &own, &rays));
-    BSQ_TRY(bsq_parallel_for(part->ctx, tasks, keep_nearest, trace));
+    BSQ_TRY(bsq_parallel_for(surface->ctx, tasks, move_rays, (void *)(uintptr_t)trace));
+    BSQ_TRY(trace_scan(&surface->scans[s], &own));
+    BSQ_TRY(bsq_parallel_for(surface->ctx, tasks, keep_nearest, (void *)(uintptr_t)trace));
 done:
     return status;
 }
 
-static int trace_parts(const struct bake_surface *surface, const struct bk_params *params,
-                       const struct bake_surface_rays *rays)
+static int trace_scans(const struct bake_surface *surface, const struct bake_surface_rays *rays)
 {
-    struct parts_trace trace = {.surface = surface, .rays = rays};
+    const uint64_t floats = BK_TRANSFER_VALUES * bk_transfers(surface->params.maps);
+    const uint64_t count = rays->batch.count;
+    struct scans_trace trace = {.surface = surface, .rays = rays};
     struct bsq_ctx *ctx = surface->ctx;
     int status = 0;
-    BSQ_TRY(bsq_alloc(ctx, "rays", rays->count, sizeof *trace.part_rays, &trace.part_rays));
-    BSQ_TRY(bsq_alloc(ctx, "hits", rays->count, sizeof *trace.part_hits, &trace.part_hits));
-    for (; trace.part < surface->part_count; trace.part++)
-        BSQ_TRY(trace_part(&trace, params));
+    BSQ_TRY(bsq_alloc(ctx, "rays", count, sizeof *trace.own_rays, &trace.own_rays));
+    BSQ_TRY(bsq_alloc(ctx, "hits", count, sizeof *trace.own_hits, &trace.own_hits));
+    if (rays->batch.channels)
+        BSQ_TRY(bsq_alloc(ctx, "hits", count, floats * sizeof(float), &trace.own_channels));
+    for (; trace.scan < surface->scan_count; trace.scan++)
+        BSQ_TRY(trace_next(&trace));
 done:
-    bsq_free(ctx, trace.part_hits);
-    bsq_free(ctx, trace.part_rays);
+    bsq_free(ctx, trace.own_channels);
+    bsq_free(ctx, trace.own_hits);
+    bsq_free(ctx, trace.own_rays);
     return status;
 }
 
-/* The rays and hits of a part take as much as the caller's, and tracing needs the rest. */
-static uint64_t parts_capacity(const struct bake_surface *surface)
+int bake_surface_trace(const struct bake_surface *surface, const struct bake_surface_rays *rays)
+{
+    return surface->scan_count == 1 ? trace_scan(surface->scans, rays) : trace_scans(surface, rays);
+}
+
+static uint64_t scan_capacity(const struct bake_scan *scan, uint64_t more_bytes)
+{
+    if (scan->exact)
+        return bake_exact_capacity(scan->exact, more_bytes);
+    const uint64_t ray = sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit) + more_bytes;
+    const uint64_t most = bsq_memory_share(scan->ctx, "rays of a batch", 8) / ray;
+    return most < MAX_GRID_RAYS ? most : MAX_GRID_RAYS;
+}
+
+uint64_t bake_surface_capacity(const struct bake_surface *surface, uint64_t more_bytes)
 {
     uint64_t least = UINT64_MAX;
-    for (uint32_t p = 0; p < surface->part_count; p++) {
-        const uint64_t rays = bake_surface_capacity(&surface->parts[p]) / 3;
+    for (uint32_t s = 0; s < surface->scan_count; s++) {
+        const uint64_t rays = scan_capacity(&surface->scans[s], more_bytes);
         least = rays < least ? rays : least;
     }
+    /* The rays and hits of each scan take as much as the caller's, and tracing needs the rest. */
+    least = surface->scan_count > 1 ? least / 3 : least;
     return least < 1 ? 1 : least;
 }
 
-/* ---- all kinds ---- */
-
-int bake_surface_trace(const struct bake_surface *surface, const struct bk_params *params,
-                       const struct bake_surface_rays *rays)
+uint64_t bake_surface_curve_place(const struct bake_surface *surface, const float point[3])
 {
-    struct grid_trace trace = {surface, params, rays};
-    if (surface->parts)
-        return trace_parts(surface, params, rays);
-    if (surface->exact)
-        return trace_exact(surface, rays);
-    return bsq_parallel_for(surface->ctx, (rays->count + RAYS_A_TASK - 1) / RAYS_A_TASK,
-                            trace_grid_rays, &trace);
-}
-
-uint64_t bake_surface_capacity(const struct bake_surface *surface)
-{
-    if (surface->parts)
-        return parts_capacity(surface);
-    if (surface->exact)
-        return bake_exact_capacity(surface->exact, 0);
-    const uint64_t ray = sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit);
-    const uint64_t most = bsq_memory_share(surface->ctx, "rays of a batch", 8) / ray;
-    return most < 1 ? 1 : most > MAX_GRID_RAYS ? MAX_GRID_RAYS : most;
-}
-
-/* ---- secondary rays ---- */
-
-struct look {
-    const struct bake_surface *surface;
-    const struct bk_params *params;
-    const struct bake_places *places;
-    struct bake_ray_states *states;
-};
-
-static int look_task(void *arg, uint64_t task, unsigned worker)
-{
-    (void)worker;
-    const struct look *look = arg;
-    const struct bake_places *places = look->places;
-    const uint64_t begin = task * PLACES_A_TASK, left = places->count - begin;
-    const uint64_t end = begin + (left < PLACES_A_TASK ? left : PLACES_A_TASK);
-    const double each = (double)places->progress / (double)places->count;
-    bake_trace_places(&look->surface->grid, look->params, places, begin, end, look->states);
-    bsq_progress_add(look->surface->ctx,
-                     (uint64_t)(each * (double)end) - (uint64_t)(each * (double)begin));
-    return 0;
-}
-
-static int look_exact(const struct look *look, uint64_t *chunk_loads)
-{
-    struct bake_exact_look *exact;
-    int status = bake_exact_look_create(look->surface->exact, look->params, 0, &exact);
-    if (status < 0)
-        return status;
-    status = bake_exact_look_from(exact, look->places, look->states);
-    *chunk_loads += bake_exact_look_loads(exact);
-    bake_exact_look_free(exact);
-    return status;
-}
-
-int bake_surface_look(const struct bake_surface *surface, const struct bk_params *params,
-                      const struct bake_places *places, struct bake_ray_states *states,
-                      uint64_t *chunk_loads)
-{
-    struct look look = {surface, params, places, states};
-    if (surface->exact)
-        return look_exact(&look, chunk_loads);
-    int status = bsq_parallel_for(surface->ctx, (places->count + PLACES_A_TASK - 1) / PLACES_A_TASK,
-                                  look_task, &look);
-    return status < 0 ? status : bake_surface_check(surface);
-}
-
-/* Positions of hits on triangles were rounded again, so they get four times the distance. */
-double bake_surface_lift(const struct bake_surface *surface)
-{
-    return surface->exact ? 4 * (double)bake_exact_lift(surface->exact)
-                          : (double)BK_LIFT * surface->unit;
+    float low[3];
+    double side = 0;
+    for (int k = 0; k < 3; k++) {
+        low[k] = (float)((surface->scan_min[k] - surface->translation[k]) / surface->unit);
+        side = fmax(side, (surface->scan_max[k] - surface->scan_min[k]) / surface->unit);
+    }
+    return bake_exact_curve_place(point, low, side);
 }
 
 /* ---- occupied blocks ---- */
 
 struct blocks {
-    const struct bake_surface *part;
+    const struct bake_scan *scan;
     bake_surface_visit *visit;
     void *arg;
 };
@@ -274,22 +253,21 @@ struct blocks {
 static int visit_node(void *arg, uint32_t lower, const int32_t origin[3])
 {
     const struct blocks *blocks = arg;
-    const struct bake_surface *part = blocks->part;
+    const struct bake_scan *scan = blocks->scan;
     double corner[3];
     for (int k = 0; k < 3; k++)
-        corner[k] = part->translation[k] + (origin[k] - 0.5) * part->unit;
-    blocks->visit(blocks->arg, corner, part->unit, bake_lower_children(&part->grid, lower));
+        corner[k] = scan->translation[k] + (origin[k] - 0.5) * scan->unit;
+    blocks->visit(blocks->arg, corner, scan->unit, bake_lower_children(&scan->grid, lower));
     return 0;
 }
 
 void bake_surface_each_block(const struct bake_surface *surface, bake_surface_visit *visit,
                              void *arg)
 {
-    const uint32_t count = surface->parts ? surface->part_count : 1;
     assert(!bake_surface_has_triangles(surface));
-    for (uint32_t p = 0; p < count; p++) {
-        struct blocks blocks = {surface->parts ? &surface->parts[p] : surface, visit, arg};
-        const struct fmt_nvdb_grid *grid = &blocks.part->grid;
+    for (uint32_t s = 0; s < surface->scan_count; s++) {
+        struct blocks blocks = {&surface->scans[s], visit, arg};
+        const struct fmt_nvdb_grid *grid = &blocks.scan->grid;
         (void)bake_visit_nodes(grid, grid->index_min, grid->index_max, visit_node, &blocks);
     }
 }

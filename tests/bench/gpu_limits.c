@@ -60,7 +60,7 @@ static int count(struct rays_scene *scene, bk_counts *out)
     *out = (bk_counts){0};
     if (status < 0)
         return status;
-    bake_kernel_grid(&scene->surface.grid, &scene->job.params, &counter.grid);
+    bake_kernel_grid(&scene->surface.scans->grid, &scene->job.params, &counter.grid);
     status = rays_for_tiles(scene, count_tile, &counter);
     for (unsigned w = 0; w < bsq_threads(scene->ctx); w++)
         add(out, &counter.workers[w]);

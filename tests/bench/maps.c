@@ -43,7 +43,7 @@ static int trace(struct bench *bench, uint32_t maps, struct rays_cost *cost)
     struct bake_device *device;
     struct bk_params *params = &bench->scene.job.params;
     params->maps = maps;
-    bake_params_from_grid(&bench->scene.surface.grid, params);
+    bake_params_from_grid(&bench->scene.surface.scans->grid, params);
     if (!(maps & BAKE_MAP_ID)) /* then bakes read no ids */
         params->flags &= ~(bk_uint)BK_HAS_IDS;
     int status = bake_device_open(bench->ctx, "cpu", &bench->scene.job, &device);

@@ -10,13 +10,11 @@
 
 static int choose_distances(struct rays_scene *scene)
 {
-    struct bk_params *params = &scene->job.params;
     double front, back;
-    int status = bake_measure_distances(&scene->surface, params, &scene->mesh, NULL, &front, &back);
-    if (status == 0) {
-        params->front = (float)(front / scene->surface.unit);
-        params->back = (float)(back / scene->surface.unit);
-    }
+    int status = bake_measure_distances(&scene->surface, &scene->mesh, &front, &back);
+    if (status == 0)
+        bake_surface_set_lengths(&scene->surface, front, back);
+    scene->job.params = scene->surface.params;
     return status;
 }
 
@@ -51,20 +49,18 @@ int rays_open(struct bsq_ctx *ctx, const char *scan, const char *mesh, uint32_t 
     bake_defaults(&options);
     options.scan_path = scan;
     int status = bake_surface_open(ctx, &options, &out->surface);
-    if (status == 0 && out->surface.exact)
+    if (status == 0 && out->surface.scans->exact)
         status = bsq_fail(ctx, BSQ_EDATA, "%s is not a grid", scan);
     if (status == 0)
         status = bake_lowmesh_load(ctx, &(struct bake_lowmesh_options){.path = mesh}, &out->mesh);
     if (status < 0)
         return status;
-    bake_params_from_grid(&out->surface.grid, &out->job.params);
-    out->job.params.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR;
-    out->job.params.unit = (float)out->surface.unit;
-    out->job.params.samples = samples;
+    options.samples = samples;
+    bake_surface_set_params(&out->surface, &options, BAKE_MAP_NORMAL | BAKE_MAP_COLOR);
     status = choose_distances(out);
     if (status == 0)
         status = make_raster(out, size);
-    out->job.grid = &out->surface.grid;
+    out->job.grid = &out->surface.scans->grid;
     out->job.triangles = out->triangles;
     out->job.triangle_count = (uint32_t)out->mesh.triangle_count;
     out->job.tile_texels = out->tile_size * out->tile_size;

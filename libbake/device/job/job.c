@@ -106,7 +106,9 @@ void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *pa
     *hit = (struct bk_hit){.found = hits.found,
                            .t = hits.t,
                            .normal = {hits.normal.x, hits.normal.y, hits.normal.z},
-                           .color = {hits.color.x, hits.color.y, hits.color.z}};
+                           .color = {hits.color.x, hits.color.y, hits.color.z},
+                           .id = (bk_uint)hits.id,
+                           .reversed = hits.reversed};
 }
 
 /* ---- nodes ---- */

@@ -53,6 +53,9 @@ struct bake_ray_batch {
     float t_min, t_max;
     const float *starts; /* a t_min for each ray; NULL: that above */
     float facing;        /* 1: surfaces must face along the ray; -1: against it */
+    /* Of each ray, BK_TRANSFER_VALUES sums for each transfer map of params->maps, to which the
+     * values at its hit are added. NULL: none. */
+    float *channels;
 };
 
 /* ---- nodes of a grid ---- */

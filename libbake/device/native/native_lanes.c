@@ -181,12 +181,15 @@ static void get_hit(const bk_hits *hits, bk_uint lane, struct bk_hit *out)
     out->t = bk_lane(hits->t, lane);
     bk_copy_lane(&hits->normal, lane, out->normal);
     bk_copy_lane(&hits->color, lane, out->color);
+    out->id = (bk_uint)bk_lane(hits->id, lane);
+    out->reversed = hits->reversed >> lane & 1;
 }
 
 void BSQ_SIMD_NAME(bake_native_rays)(const struct bk_grid *grid, const struct bk_params *params,
                                      const struct bake_ray_batch *rays, struct bk_hit *hits)
 {
     const bk_fw zero = bk_splat(0.0f);
+    const uint64_t channels = (uint64_t)BK_TRANSFER_VALUES * bk_transfers(params->maps);
     bk_cache cache = bk_cache_empty();
     bk_hits found;
 
@@ -203,6 +206,8 @@ void BSQ_SIMD_NAME(bake_native_rays)(const struct bk_grid *grid, const struct bk
             bk_set_lane3(&lines.direction, lane, bk_v3(ray[3], ray[4], ray[5]));
             if (rays->starts)
                 bk_set_lane(lines.t_min, lane, rays->starts[first + lane]);
+            if (rays->channels)
+                lines.sums[lane] = rays->channels + (first + lane) * channels;
         }
         if (!bk_bits(bk_less(zero, bk_dotw(lines.direction, lines.direction)))) {
             memset(&hits[first], 0, lines.count * sizeof *hits);

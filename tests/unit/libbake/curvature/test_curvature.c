@@ -237,17 +237,15 @@ static struct bake_curvature_counts measure(struct bsq_ctx *ctx, const struct sh
 {
     struct bake_options options;
     struct bake_surface surface;
-    struct bk_params params = {.unit = 1};
     struct bake_curvature_counts counts = {0};
     float row[WIDTH * CHANNELS];
     bake_defaults(&options);
     options.scan_path = path_of(shape, exact);
     assert_int_equal(bake_surface_open(ctx, &options, &surface), 0);
-    if (!exact)
-        bake_params_from_grid(&surface.grid, &params);
+    bake_surface_set_params(&surface, &options, BAKE_MAP_CURVATURE);
     struct bake_image *image = make_image(ctx, shape, &surface, in_memory);
     const struct bake_curvature job = {
-        .surface = &surface, .params = &params, .image = image, .place = 1, .radius = radius};
+        .surface = &surface, .image = image, .place = 1, .radius = radius};
     assert_int_equal(bake_curvature_trace(ctx, &job, &counts), 0);
     for (uint32_t y = 0; y < HEIGHT; y++) {
         const float *rows;
@@ -329,7 +327,6 @@ static void measure_edge(const char *path, const float *distances, uint32_t coun
     struct bsq_ctx *ctx = test_context(1, 0);
     struct bake_options options;
     struct bake_surface surface;
-    const struct bk_params params = {.unit = 1};
     const struct bake_image_options shape = {.width = count,
                                              .height = 1,
                                              .channels = CHANNELS,
@@ -348,7 +345,7 @@ static void measure_edge(const char *path, const float *distances, uint32_t coun
         assert_int_equal(bake_image_write(image, i, 0, 1, 1, texel), 0);
     }
     const struct bake_curvature job = {
-        .surface = &surface, .params = &params, .image = image, .place = 1, .radius = 1};
+        .surface = &surface, .image = image, .place = 1, .radius = 1};
     assert_int_equal(bake_curvature_trace(ctx, &job, &counts), 0);
     assert_int_equal(bake_image_rows(image, 0, 1, NULL, &texels), 0);
     for (uint32_t i = 0; i < count; i++)

@@ -222,15 +222,15 @@ static void check_front(struct bsq_ctx *ctx, const struct bake_preview *preview,
         rays[i] = front_ray(view, x, y);
         starts[i] = front.starts[y / PREVIEW_CELL * front.cells + x / PREVIEW_CELL];
     }
-    struct bake_surface_rays batch = {.rays = rays,
-                                      .hits = hits[0],
-                                      .count = FRONT_SAMPLES * FRONT_SAMPLES,
-                                      .t_max = view->scan_span,
-                                      .facing_origin = true};
-    assert_int_equal(bake_surface_trace(preview->surface, preview->params, &batch), 0);
-    batch.hits = hits[1];
+    struct bake_surface_rays batch = {.batch = {.rays = rays,
+                                                .hits = hits[0],
+                                                .count = FRONT_SAMPLES * FRONT_SAMPLES,
+                                                .t_max = view->scan_span,
+                                                .facing_origin = true}};
+    assert_int_equal(bake_surface_trace(preview->surface, &batch), 0);
+    batch.batch.hits = hits[1];
     batch.starts = starts;
-    assert_int_equal(bake_surface_trace(preview->surface, preview->params, &batch), 0);
+    assert_int_equal(bake_surface_trace(preview->surface, &batch), 0);
     assert_memory_equal(hits[0], hits[1], sizeof hits[0]);
     for (uint32_t i = 0; i < FRONT_SAMPLES * FRONT_SAMPLES; i++) {
         const bool hit = hits[0][i].triangle != BAKE_EXACT_NONE;
@@ -247,27 +247,27 @@ TEST(test_rays_start_before_the_first_block)
     struct bsq_ctx *ctx = test_context(2, 0);
     static const double centres[2][3] = {{0, 0, 0}, {30, 21, 14}};
     struct analytic_grid *source = analytic_grid_create();
-    struct bake_surface surface = {.ctx = ctx, .unit = 1, .detail = 1};
-    struct bk_params params = {0};
+    struct bake_scan scan = {.ctx = ctx, .unit = 1};
+    struct bake_surface surface = {
+        .ctx = ctx, .scans = &scan, .scan_count = 1, .unit = 1, .detail = 1};
     double box[6][3][3];
     struct bake_lowmesh mesh = {.positions = box, .triangle_count = make_pyramid(1, 60, box)};
     for (int i = 0; i < 2; i++)
         analytic_sphere(source, centres[i], 15, 2);
-    analytic_grid_open(ctx, source, false, &surface.grid);
+    analytic_grid_open(ctx, source, false, &scan.grid);
     analytic_grid_free(source);
-    bake_params_from_grid(&surface.grid, &params);
+    bake_params_from_grid(&scan.grid, &scan.params);
     for (int k = 0; k < 3; k++) {
         surface.scan_min[k] = -16;
         surface.scan_max[k] = centres[1][k] + 16;
     }
-    const struct bake_preview preview = {
-        .mesh = &mesh, .surface = &surface, .params = &params, .view_count = 3};
+    const struct bake_preview preview = {.mesh = &mesh, .surface = &surface, .view_count = 3};
     for (uint32_t i = 0; i < preview.view_count; i++) {
         struct preview_view view;
         bake_preview_view_set(&preview, i, 1, FRONT_SIDE, &view);
         check_front(ctx, &preview, &view);
     }
-    fmt_nvdb_close(ctx, &surface.grid);
+    fmt_nvdb_close(ctx, &scan.grid);
     test_context_end(ctx);
 }
 

@@ -1,4 +1,4 @@
-/* test_exact_look.c - secondary rays on triangles: against formulas, against Embree with the same
+/* test_surface_look.c - secondary rays on triangles: against formulas, against Embree with the same
  * rays, and with any number of threads and any budget. */
 #include <embree3/rtcore.h>
 #include <float.h>
@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "libbake/kernel/bk_secondary.h"
+#include "libbake/surface/surface.h"
 #include "tests/unit/test.h"
 #include "tests/unit/libbake/exact/exact_fixture.h"
 
@@ -58,32 +59,54 @@ static struct bk_params usual(uint32_t rays)
                               .open_sine2 = 1};
 }
 
+/* Returns the first open ray of a hit. */
+static struct bake_exact_ray open_ray(const struct bake_exact *exact,
+                                      const struct bk_params *params, const struct view *view,
+                                      uint64_t i)
+{
+    const struct bake_exact_hit *hit = &view->hits[i];
+    const double lift = (double)bake_exact_lift(exact);
+    struct bake_place place = {.seed = view->seeds[i]};
+    struct bake_exact_ray ray;
+    for (int k = 0; k < 3; k++)
+        place.open_from[k] =
+            (float)((double)view->rays[i].origin[k] + hit->t * (double)view->rays[i].direction[k] +
+                    lift * (double)hit->facet[k]);
+    memcpy(place.normal, hit->normal, sizeof place.normal);
+    memcpy(place.facet, hit->facet, sizeof place.facet);
+    bake_place_ray(params, &place, true, 0, ray.origin, ray.direction);
+    return ray;
+}
+
 static void look(const struct exact_setup *setup, const struct bk_params *params, struct view *view)
 {
     struct bsq_ctx *ctx = test_context(setup->threads, setup->memory);
-    const char *path = exact_scan_path;
-    const struct bake_exact_options options = {
-        .paths = &path, .path_count = 1, .normals = setup->normals, .two_sided = setup->two_sided};
     const struct bake_exact_batch batch = {.rays = view->rays,
                                            .hits = view->hits,
                                            .count = view->count,
                                            .t_min = setup->t_min,
                                            .t_max = setup->t_max,
                                            .facing_origin = setup->facing_origin};
-    const struct bake_exact_places places = {
+    const struct bake_look_hits hits = {
         .rays = view->rays, .hits = view->hits, .seeds = view->seeds, .count = view->count};
-    struct bake_exact *exact;
-    struct bake_exact_look *looking;
-    assert_int_equal(bake_exact_open(ctx, &options, &exact), 0);
-    assert_int_equal(bake_exact_look_create(exact, params, view->count, &looking), 0);
-    assert_int_equal(bake_exact_trace(exact, &batch), 0);
-    assert_int_equal(bake_exact_look_around(looking, &places, view->found), 0);
+    struct bake_options options;
+    struct bake_surface surface;
+    struct bake_look *looking;
+    bake_defaults(&options);
+    options.scan_path = exact_scan_path;
+    options.scan_normals = setup->normals;
+    options.two_sided = setup->two_sided;
+    assert_int_equal(bake_surface_open(ctx, &options, &surface), 0);
+    surface.params = surface.scans->params = *params;
+    assert_int_equal(bake_look_create(&surface, view->count, &looking), 0);
+    assert_int_equal(bake_exact_trace(surface.scans->exact, &batch), 0);
+    assert_int_equal(bake_look_around(looking, &hits, view->found), 0);
     for (uint64_t i = 0; i < view->count; i++)
         if (view->hits[i].triangle != BAKE_EXACT_NONE)
-            view->open[i] = bake_exact_open_ray(looking, &places, i, 0);
-    view->loads = bake_exact_look_loads(looking);
-    bake_exact_look_free(looking);
-    bake_exact_close(exact);
+            view->open[i] = open_ray(surface.scans->exact, params, view, i);
+    view->loads = bake_look_loads(looking);
+    bake_look_free(looking);
+    bake_surface_close(&surface);
     assert_int_equal(bsq_memory_used(ctx), 0);
     assert_true(setup->memory == 0 || bsq_memory_high(ctx) <= setup->memory);
     bsq_ctx_destroy(ctx);

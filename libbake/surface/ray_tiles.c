@@ -1,18 +1,17 @@
-/* exact_tiles.c - traces the samples of a map as batches of exact rays.
+/* ray_tiles.c - traces the samples of a map as batches of rays, against triangles and several
+ * scans.
  *
  * The tiles of a map form batches, each as large as the budget allows. Tiles are ordered along a
  * curve through the scan, not through the map. So the rays that cross a chunk are in few batches,
  * whatever the layout of the charts. Each of the three passes over a tile rasterises it again,
  * which costs less than keeping the triangle of every sample. Rays and sums are computed by the
  * kernel's functions. */
-#include "libbake/exact/exact.h"
+#include "libbake/surface/surface.h"
 
-#include <math.h>
 #include <string.h>
 
 #include "base/parallel.h"
 #include "base/sort_array.h"
-#include "libbake/exact/exact_tree.h"
 #include "libbake/kernel/bk_sample.h"
 
 struct tile {
@@ -23,8 +22,9 @@ struct tile {
 
 struct job {
     struct bsq_ctx *ctx;
-    const struct bake_exact_tiles *exact_tiles;
-    const struct bake_tiles *tiles;   /* of exact_tiles */
+    const struct bake_surface *surface;
+    const struct bake_tiles *tiles;
+    const uint32_t *object_of;        /* of each triangle; NULL: not needed */
     struct bake_tile_workers workers; /* with sums for one row of texels */
     struct tile *order;
     uint32_t tile_count;
@@ -34,11 +34,11 @@ struct job {
     uint64_t *starts; /* tile_count + 1: first ray of order[i], counted over all batches */
     struct bake_exact_ray *rays;
     struct bake_exact_hit *hits;
-    uint32_t *footprints;
+    uint32_t *footprints, *objects;
     float *channels; /* of each hit: values of transfer maps; NULL: there are none */
     uint64_t capacity;
     /* For maps of secondary rays; else NULL. */
-    struct bake_exact_look *look;
+    struct bake_look *look;
     uint32_t *seeds;
     struct bk_surroundings *surroundings;
 };
@@ -48,16 +48,11 @@ struct job {
 /* Returns where the centre of a triangle of the low-poly mesh lies on the curve. */
 static uint64_t place_of(const struct job *job, uint32_t triangle)
 {
-    const struct bake_exact_info *info = bake_exact_get_info(job->exact_tiles->exact);
     const struct bk_triangle *t = &job->tiles->triangles[triangle];
-    float centre[3], low[3];
-    double side = 0;
-    for (int k = 0; k < 3; k++) {
+    float centre[3];
+    for (int k = 0; k < 3; k++)
         centre[k] = (t->position[0][k] + t->position[1][k] + t->position[2][k]) / 3.0f;
-        low[k] = (float)(info->scan_min[k] - info->origin[k]);
-        side = fmax(side, info->scan_max[k] - info->scan_min[k]);
-    }
-    return bake_exact_curve_place(centre, low, side);
+    return bake_surface_curve_place(job->surface, centre);
 }
 
 static uint32_t tile_samples(const struct job *job, const struct bk_tile *tile)
@@ -177,6 +172,8 @@ static void cast_sample(struct job *job, const struct sample *sample, float *tex
                                 {start.direction.x, start.direction.y, start.direction.z}};
     if (job->footprints)
         job->footprints[sample->ray] = sample->triangle;
+    if (job->objects)
+        job->objects[sample->ray] = job->object_of[sample->triangle];
 }
 
 /* Writes the rays of a tile to the batch. */
@@ -187,7 +184,7 @@ static int cast_tile(void *arg, uint64_t index, unsigned number)
 
 static void measure_footprints(const struct job *job)
 {
-    const float step = 1.0f / (float)job->tiles->params->samples;
+    const float step = job->tiles->params->unit / (float)job->tiles->params->samples;
     for (uint32_t t = 0; t < job->tiles->triangle_count; t++) {
         const struct bk_triangle *triangle = &job->tiles->triangles[t];
         for (int s = 0; s < 2; s++)
@@ -207,14 +204,13 @@ static bk_map_hits place_hit(const struct job *job, const bk_point *point,
 {
     const bk_hits hits = {.found = hit->triangle != BAKE_EXACT_NONE,
                           .reversed = hit->reversed,
-                          .t = (float)hit->t,
+                          .t = (float)(hit->t / job->surface->unit),
                           .normal = {hit->normal[0], hit->normal[1], hit->normal[2]},
                           .color = {hit->color[0], hit->color[1], hit->color[2]},
                           .id = (bk_int)hit->id};
     const bk_start start = bk_start_at(job->tiles->params, point);
     bk_map_hits placed;
     bk_hits_for_maps(job->tiles->params, point, &start, &hits, &placed);
-    placed.facet = bk_v3w(hit->facet[0], hit->facet[1], hit->facet[2]);
     return placed;
 }
 
@@ -287,15 +283,16 @@ static int seed_tile(void *arg, uint64_t index, unsigned number)
 }
 
 /* Traces the rays from all hits of the batch. */
-static int look_around(struct job *job, const struct bake_exact_batch *batch, uint64_t progress)
+static int look_around(struct job *job, uint64_t count, uint64_t progress)
 {
-    const struct bake_exact_places places = {.rays = batch->rays,
-                                             .hits = batch->hits,
-                                             .seeds = job->seeds,
-                                             .count = batch->count,
-                                             .progress = progress};
+    const struct bake_look_hits hits = {.rays = job->rays,
+                                        .hits = job->hits,
+                                        .seeds = job->seeds,
+                                        .objects = job->objects,
+                                        .count = count,
+                                        .progress = progress};
     int status = bsq_parallel_for(job->ctx, job->count, seed_tile, job);
-    return status < 0 ? status : bake_exact_look_around(job->look, &places, job->surroundings);
+    return status < 0 ? status : bake_look_around(job->look, &hits, job->surroundings);
 }
 
 /* ---- batches ---- */
@@ -325,28 +322,31 @@ static uint32_t sample_cost(const struct bk_params *params)
 
 static int run_batch(struct job *job, uint64_t texels)
 {
-    const struct bake_exact_tiles *tiles = job->exact_tiles;
+    const struct bake_surface *surface = job->surface;
     const bool cage = job->tiles->params->flags & BK_CAGE;
+    const uint64_t count = job->starts[job->first + job->count] - job->starts[job->first];
     /* The share of the progress that the first rays have. */
     const uint64_t first_texels = texels / sample_cost(job->tiles->params);
-    const struct bake_exact_batch batch = {.rays = job->rays,
-                                           .hits = job->hits,
-                                           .count = job->starts[job->first + job->count] -
-                                                    job->starts[job->first],
-                                           .t_min = cage ? 0 : -tiles->back,
-                                           .t_max = tiles->front + (cage ? tiles->back : 0),
-                                           .facing_origin = cage,
-                                           .footprints = job->footprints,
-                                           .footprint_table = job->footprint_table,
-                                           .channels = job->channels,
-                                           .progress = first_texels};
-    int status = bsq_parallel_for(job->ctx, job->count, cast_tile, job);
-    if (status == 0)
-        status = bake_exact_trace(job->exact_tiles->exact, &batch);
-    if (status == 0 && job->look)
-        status = look_around(job, &batch, texels - first_texels);
-    if (status == 0)
-        status = bsq_parallel_for(job->ctx, job->count, resolve_tile, job);
+    const struct bake_surface_rays rays = {
+        .batch = {.rays = job->rays,
+                  .hits = job->hits,
+                  .count = count,
+                  .t_min = cage ? 0 : -surface->back,
+                  .t_max = surface->front + (cage ? surface->back : 0),
+                  .facing_origin = cage,
+                  .footprints = job->footprints,
+                  .footprint_table = job->footprint_table,
+                  .channels = job->channels,
+                  .progress = first_texels},
+        .objects = job->objects};
+    int status = 0;
+    BSQ_TRY(bsq_parallel_for(job->ctx, job->count, cast_tile, job));
+    BSQ_TRY(bake_surface_trace(surface, &rays));
+    BSQ_TRY(bake_surface_check(surface));
+    if (job->look && count > 0)
+        BSQ_TRY(look_around(job, count, texels - first_texels));
+    BSQ_TRY(bsq_parallel_for(job->ctx, job->count, resolve_tile, job));
+done:
     return status;
 }
 
@@ -366,17 +366,21 @@ static int run_batches(struct job *job)
 
 static int allocate_tiles(struct job *job)
 {
+    bool wanted = false;
+    int status = 0;
     job->tile_count = bake_raster_tile_count(job->tiles->raster);
-    int status = bsq_alloc(job->ctx, "tiles", job->tile_count, sizeof *job->order, &job->order);
-    if (status == 0)
-        status = bsq_alloc(job->ctx, "tiles", (uint64_t)job->tile_count + 1, sizeof *job->starts,
-                           &job->starts);
-    if (status == 0 && bake_exact_wants_footprints(job->exact_tiles->exact)) {
-        status = bsq_alloc(job->ctx, "footprints", job->tiles->triangle_count,
-                           sizeof *job->footprint_table, &job->footprint_table);
-        if (status == 0)
-            measure_footprints(job);
+    BSQ_TRY(bsq_alloc(job->ctx, "tiles", job->tile_count, sizeof *job->order, &job->order));
+    BSQ_TRY(bsq_alloc(job->ctx, "tiles", (uint64_t)job->tile_count + 1, sizeof *job->starts,
+                      &job->starts));
+    for (uint32_t s = 0; s < job->surface->scan_count; s++)
+        wanted |= job->surface->scans[s].exact &&
+                  bake_exact_wants_footprints(job->surface->scans[s].exact);
+    if (wanted) {
+        BSQ_TRY(bsq_alloc(job->ctx, "footprints", job->tiles->triangle_count,
+                          sizeof *job->footprint_table, &job->footprint_table));
+        measure_footprints(job);
     }
+done:
     return status;
 }
 
@@ -384,66 +388,76 @@ static int allocate_tiles(struct job *job)
 static int allocate_rays(struct job *job)
 {
     const uint64_t all = job->starts[job->tile_count];
-    const uint64_t around = sizeof *job->seeds + sizeof *job->surroundings;
-    job->capacity = bake_exact_capacity(job->exact_tiles->exact, job->look ? around : 0);
+    const uint64_t look = job->look ? sizeof *job->seeds + sizeof *job->surroundings : 0;
+    const uint64_t object = job->object_of ? sizeof *job->objects : 0;
+    const uint64_t channels = transfer_floats(job) * sizeof *job->channels;
+    struct bsq_ctx *ctx = job->ctx;
+    int status = 0;
+    job->capacity = bake_surface_capacity(job->surface, look + object);
     for (uint32_t i = 0; i < job->tile_count; i++)
         if (job->order[i].samples > job->capacity)
             job->capacity = job->order[i].samples;
     if (job->capacity > all)
         job->capacity = all;
-    int status = bsq_alloc(job->ctx, "rays", job->capacity, sizeof *job->rays, &job->rays);
-    if (status == 0)
-        status = bsq_alloc(job->ctx, "hits", job->capacity, sizeof *job->hits, &job->hits);
-    if (status == 0 && job->look)
-        status =
-            bsq_alloc(job->ctx, "secondary rays", job->capacity, sizeof *job->seeds, &job->seeds);
-    if (status == 0 && job->look)
-        status = bsq_alloc(job->ctx, "secondary rays", job->capacity, sizeof *job->surroundings,
-                           &job->surroundings);
-    if (status == 0 && job->footprint_table)
-        status = bsq_alloc(job->ctx, "footprints", job->capacity, sizeof *job->footprints,
-                           &job->footprints);
-    if (status == 0 && transfer_floats(job) > 0)
-        status = bsq_alloc(job->ctx, "channels of hits", job->capacity,
-                           transfer_floats(job) * sizeof *job->channels, &job->channels);
+    const uint64_t n = job->capacity;
+    BSQ_TRY(bsq_alloc(ctx, "rays", n, sizeof *job->rays, &job->rays));
+    BSQ_TRY(bsq_alloc(ctx, "hits", n, sizeof *job->hits, &job->hits));
+    if (job->look) {
+        BSQ_TRY(bsq_alloc(ctx, "secondary rays", n, sizeof *job->seeds, &job->seeds));
+        BSQ_TRY(bsq_alloc(ctx, "secondary rays", n, sizeof *job->surroundings, &job->surroundings));
+    }
+    if (job->footprint_table)
+        BSQ_TRY(bsq_alloc(ctx, "footprints", n, sizeof *job->footprints, &job->footprints));
+    if (object > 0)
+        BSQ_TRY(bsq_alloc(ctx, "objects of rays", n, object, &job->objects));
+    if (channels > 0)
+        BSQ_TRY(bsq_alloc(ctx, "channels of hits", n, channels, &job->channels));
+done:
     return status;
 }
 
 static void release(struct job *job, struct bake_report *report)
 {
     bake_tile_workers_end(job->ctx, &job->workers, report);
+    if (job->look)
+        report->chunk_loads += bake_look_loads(job->look);
+    bake_look_free(job->look);
     bsq_free(job->ctx, job->order);
     bsq_free(job->ctx, job->starts);
     bsq_free(job->ctx, job->footprint_table);
     bsq_free(job->ctx, job->rays);
     bsq_free(job->ctx, job->hits);
     bsq_free(job->ctx, job->footprints);
+    bsq_free(job->ctx, job->objects);
     bsq_free(job->ctx, job->channels);
-    if (job->look)
-        report->chunk_loads += bake_exact_look_loads(job->look);
-    bake_exact_look_free(job->look);
     bsq_free(job->ctx, job->seeds);
     bsq_free(job->ctx, job->surroundings);
 }
 
-int bake_exact_trace_tiles(struct bsq_ctx *ctx, const struct bake_exact_tiles *tiles,
-                           struct bake_report *report)
+static int tell_losses(const struct bake_surface *surface)
 {
-    struct job job = {.ctx = ctx, .exact_tiles = tiles, .tiles = &tiles->tiles};
-    int status = bake_tile_workers_begin(ctx, &tiles->tiles, tiles->tiles.tile_size, &job.workers);
-    if (status == 0)
-        status = allocate_tiles(&job);
-    if (status == 0)
-        status = order_tiles(&job);
-    if (status == 0 && tiles->tiles.params->maps & BK_SECONDARY_MAPS)
-        status = bake_exact_look_create(tiles->exact, tiles->tiles.params,
-                                        job.starts[job.tile_count], &job.look);
-    if (status == 0)
-        status = allocate_rays(&job);
-    if (status == 0)
-        status = run_batches(&job);
-    if (status == 0)
-        status = bake_exact_tell_losses(tiles->exact);
+    int status = 0;
+    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++)
+        if (surface->scans[s].exact)
+            status = bake_exact_tell_losses(surface->scans[s].exact);
+    return status;
+}
+
+int bake_trace_ray_tiles(const struct bake_surface *surface, const struct bake_tiles *tiles,
+                         const uint32_t *object_of, struct bake_report *report)
+{
+    struct job job = {
+        .ctx = surface->ctx, .surface = surface, .tiles = tiles, .object_of = object_of};
+    int status = 0;
+    BSQ_TRY(bake_tile_workers_begin(job.ctx, tiles, tiles->tile_size, &job.workers));
+    BSQ_TRY(allocate_tiles(&job));
+    BSQ_TRY(order_tiles(&job));
+    if (tiles->params->maps & BK_SECONDARY_MAPS)
+        BSQ_TRY(bake_look_create(surface, job.starts[job.tile_count], &job.look));
+    BSQ_TRY(allocate_rays(&job));
+    BSQ_TRY(run_batches(&job));
+    BSQ_TRY(tell_losses(surface));
+done:
     release(&job, report);
     return status;
 }
