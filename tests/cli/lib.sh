@@ -3,6 +3,7 @@
 # the programs.
 #
 #   run PROGRAM ARGUMENT...   runs it; sets $code, $command, and the files $out and $err
+#   ok run PROGRAM ...        runs it; its exit code must be 0
 #   code N, err LINE, ...     check the last run, see below
 #   finish                    prints the counts; the exit status is 1 after a failed check
 
@@ -73,11 +74,23 @@ out_like()
     check "output like: $1" $?
 }
 
-# refused CODE LINE: both, and no file is left.
+# ok COMMAND...: a command such as run, after which the exit code is 0.
+ok()
+{
+    "$@"
+    code 0
+}
+
+# refused CODE LINE, refused_like CODE PATTERN: the exit code, and err or err_like.
 refused()
 {
     code "$1"
     err "$2"
+}
+refused_like()
+{
+    code "$1"
+    err_like "$2"
 }
 
 # json EXPRESSION: standard output is JSON, and jq finds the expression true.

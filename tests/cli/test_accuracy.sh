@@ -108,21 +108,17 @@ if sanitized; then
 fi
 "$TESTS/generate-scan" --triangles $triangles --normals vase -o vase.obj
 "$TESTS/generate-scan" vase-low -o low.obj
-run bisque-voxelize vase.obj -o vase.nvdb --resolution $resolution
-code 0
+ok run bisque-voxelize vase.obj -o vase.nvdb --resolution $resolution
 options="--maps normal,mask --size 256 --samples 2 --normal-space object --type float"
-run bisque-bake vase.tris low.obj $options -o 'exact_<MAP>.exr'
-code 0
+ok run bisque-bake vase.tris low.obj $options -o 'exact_<MAP>.exr'
 holds "exact maps have the formula's normals" check-vase -s 2 -e 7 -m 0.2 -p 0.5 -h 1 exact_normal.exr \
     exact_mask.exr
 for setting in "--threads 1 --memory 96M" "--threads 3 --memory 1G"; do
-    run bisque-bake vase.tris low.obj $options $setting -o 'other_<MAP>.exr'
-    code 0
+    ok run bisque-bake vase.tris low.obj $options $setting -o 'other_<MAP>.exr'
     same exact_normal.exr other_normal.exr
     same exact_mask.exr other_mask.exr
 done
-run bisque-bake vase.nvdb low.obj $options -o 'voxel_<MAP>.exr'
-code 0
+ok run bisque-bake vase.nvdb low.obj $options -o 'voxel_<MAP>.exr'
 # A texel is 6 voxels wide; the limit is the goal for voxels of at most half a texel.
 sanitized || within "voxels against exact maps" voxel_normal.exr exact_normal.exr --mask-a voxel_mask.exr \
     --mask-b exact_mask.exr --max-mean 0.4 --max-p95 1 --max-p99 1.5 --min-agreement 0.999
@@ -131,8 +127,7 @@ sanitized || within "voxels against exact maps" voxel_normal.exr exact_normal.ex
 
 around="--maps ao,thickness,mask --size 64 --samples 1 --rays ao=32 --rays thickness=32"
 for scan in tris nvdb; do
-    run bisque-bake vase.$scan low.obj $around -o "${scan}_<MAP>.exr"
-    code 0
+    ok run bisque-bake vase.$scan low.obj $around -o "${scan}_<MAP>.exr"
 done
 if sanitized; then
     limits="0.02 0.005"
@@ -158,8 +153,7 @@ half_texels()
     what=$1 limit=$2 times=$3 wavelength=$4
     shift 4
     "$TESTS/generate-scan" "$@" --wavelength "$wavelength" sine -o sine.obj
-    run bisque-voxelize sine.obj -o sine.nvdb --voxel-size 0.78125
-    code 0
+    ok run bisque-voxelize sine.obj -o sine.nvdb --voxel-size 0.78125
     options="--maps normal,mask --size 64 --samples 4 --normal-space object --type float --padding 0"
     run bisque-bake sine.tris sine_low.obj $options -o 'exact_<MAP>.exr'
     for sampling in trilinear nearest; do
@@ -184,8 +178,7 @@ half_texels "triangles of 2.6 voxels with the formula's normals" 0.4 1 20 --tria
 # ---- tangent space, decoded as a shader does, compared with object space ----
 
 write_box >box.obj
-run bisque-voxelize box.obj -o box.nvdb --resolution 96
-code 0
+ok run bisque-voxelize box.obj -o box.nvdb --resolution 96
 awk '$1 == "vt" { $2 = 1 - $2 } { print }' low.obj >low_mirrored.obj
 # The box has no normals in its file, so smooth normals at its corners differ much over each face,
 # and frames are far from orthogonal. In an orthogonal frame, rounding to half precision turns a
@@ -197,8 +190,7 @@ for mesh in low low_mirrored box; do
     esac
     for source in nvdb tris; do
         bake="run bisque-bake $scan.$source $mesh.obj --size 256 --samples 1 --device cpu"
-        $bake --maps normal,mask --normal-space object --type float -o 'object_<MAP>.exr'
-        code 0
+        ok $bake --maps normal,mask --normal-space object --type float -o 'object_<MAP>.exr'
         $bake --maps normal --type float -o tangent.exr
         holds "$mesh from $scan.$source: tangent space of floats is object space" check-tangent -x 0.01 -h 0.5 \
             $mesh.obj tangent.exr object_normal.exr object_mask.exr

@@ -7,13 +7,11 @@ write_box >low.obj
 # The same box as a scan with vertex colours.
 awk '/^v / { print $0, ($2 + 0.0), ($3 / 2), ($4 / 3); next } { print }' low.obj >colored.obj
 for scan in low colored; do
-    run bisque-voxelize $scan.obj -o $scan.nvdb --no-tris --resolution 48
-    code 0
+    ok run bisque-voxelize $scan.obj -o $scan.nvdb --no-tris --resolution 48
 done
 mv low.nvdb plain.nvdb
 rm colored.obj
-run bisque-voxelize low.obj -o box.nvdb --resolution 8
-code 0
+ok run bisque-voxelize low.obj -o box.nvdb --resolution 8
 rm box.nvdb
 start="box.tris colored.nvdb low.obj plain.nvdb"
 files $start
@@ -37,8 +35,7 @@ is_png()
 # ---- help, version, devices ----
 
 help_and_man_page bisque-bake
-$bake --help
-code 0
+ok $bake --help
 maps=$(sed -n '/^Maps:$/,$s/^ \{6\}\([a-z_0-9:]*\)  .*/\1/p' "$out")
 [ -n "$maps" ]
 check "the help lists maps" $?
@@ -47,15 +44,12 @@ for map in $maps; do
     grep -q "^\.It Cm $map\$" "$top/man/bisque-bake.1"
     check "the man page describes map $map" $?
 done
-$bake --version
-code 0
+ok $bake --version
 out_like '^bisque-bake [0-9]+\.[0-9]+\.[0-9]+$'
-$bake --list devices
-code 0
+ok $bake --list devices
 grep -q '^cpu ' "$out"
 check "the processor is a device" $?
-$bake --list devices --json
-code 0
+ok $bake --list devices --json
 json '.devices | map(.id) | contains(["cpu"])'
 
 # ---- usage ----
@@ -161,22 +155,19 @@ refused 66 "$p none.obj: No such file or directory"
 $bake low.obj plain.nvdb -o a.exr
 refused 65 "$p low.obj: neither a chunk file nor a NanoVDB file; bisque-voxelize makes both from a mesh"
 $bake plain.nvdb low.obj -o 'a_<MAP>.exr' --maps normal,color
-code 65
-err_like '^bisque-bake: plain\.nvdb.*colour'
+refused_like 65 '^bisque-bake: plain\.nvdb.*colour'
 sed 's,/[0-9]*,,g; /^vt/d' low.obj >bare.obj
 $bake plain.nvdb bare.obj -o a.exr
 refused 65 "$p bare.obj: no texture coordinates: the low-poly mesh has to be unwrapped"
 sed '$s,/[0-9]*,,g' low.obj >bare.obj
 $bake plain.nvdb bare.obj -o a.exr
-code 65
-err_like "^bisque-bake: bare\.obj:$(wc -l <bare.obj): face has no texture coordinates"
+refused_like 65 "^bisque-bake: bare\.obj:$(wc -l <bare.obj): face has no texture coordinates"
 grep '^v' low.obj >points.obj
 $bake plain.nvdb points.obj -o a.exr
 refused 65 "$p points.obj: no faces, only points or lines"
 head -c 5000 plain.nvdb >short.nvdb
 $bake short.nvdb low.obj -o a.exr
-code 65
-err_like '^bisque-bake: short\.nvdb: truncated'
+refused_like 65 '^bisque-bake: short\.nvdb: truncated'
 rm bare.obj points.obj short.nvdb
 files $start
 
@@ -210,35 +201,28 @@ files $start
 if "$BIN/bisque-bake" --list devices --json --progress none | jq -e '.devices | map(.id) | contains(["opencl:0"])' \
     >/dev/null; then
     awk '/^v / { print "v", $2 + 9, $3 + 9, $4 + 9; next } { print }' low.obj >moved.obj
-    run bisque-voxelize moved.obj -o large.nvdb --no-tris --resolution 1300
-    code 0
+    ok run bisque-voxelize moved.obj -o large.nvdb --no-tris --resolution 1300
     tenth=$(($(wc -c <large.nvdb) / 10))
     passes="--device opencl:0 --size 160 --threads 2 large.nvdb moved.obj"
-    $bake $passes -o one.exr --json
-    code 0
+    ok $bake $passes -o one.exr --json
     json '.passes == 1'
-    $bake $passes -o many.exr --json --gpu-memory $tenth
-    code 0
+    ok $bake $passes -o many.exr --json --gpu-memory $tenth
     json '.passes >= 10'
     same many.exr one.exr
     # The processor reads the grid from its file: no passes.
-    $bake --size 160 large.nvdb moved.obj --device cpu -o many.exr --json --gpu-memory 1M
-    code 0
+    ok $bake --size 160 large.nvdb moved.obj --device cpu -o many.exr --json --gpu-memory 1M
     json '.passes == 1'
     # Enough for the tiles, but not for the voxels that the rays of a single texel can reach.
     $bake $passes -o few.exr --gpu-memory 600K
-    code 69
-    err_like '^bisque-bake: the device.s memory leaves [0-9]+ bytes for a part of the grid, a texel.s rays reach [0-9]+'
+    refused_like 69 '^bisque-bake: the device.s memory leaves [0-9]+ bytes for a part of the grid, a texel.s rays reach [0-9]+'
     least=$(sed -n 's/.*--gpu-memory \([0-9]*\).*/\1/p' "$err")
     # The message names the least size that works.
     $bake $passes -o few.exr --gpu-memory "$((${least:-1} - 2))"
     code 69
-    $bake $passes -o few.exr --json --gpu-memory "${least:-600K}"
-    code 0
+    ok $bake $passes -o few.exr --json --gpu-memory "${least:-600K}"
     same few.exr one.exr
     $bake $passes -o few2.exr --gpu-memory 1000
-    code 69
-    err_like '^bisque-bake: .*tiles and the low-poly mesh take [0-9]+ bytes'
+    refused_like 69 '^bisque-bake: .*tiles and the low-poly mesh take [0-9]+ bytes'
     rm large.nvdb moved.obj one.exr many.exr few.exr
 else
     echo "# skipped: passes: there is no OpenCL device"
@@ -248,8 +232,7 @@ files $start
 # ---- maps ----
 
 small="--device cpu --size 96 --samples 1"
-$bake $small colored.nvdb low.obj -o 'c_<MAP>.exr' --json
-code 0
+ok $bake $small colored.nvdb low.obj -o 'c_<MAP>.exr' --json
 json '.program == "bisque-bake" and .maps == {"normal": "c_normal.exr", "color": "c_color.exr"}'
 json '.width == 96 and .height == 96 and .samples_per_axis == 1 and .low_triangles == 12'
 json '.hits + .misses == .samples and .misses * 100 < .samples and .overlapping_samples == 0'
@@ -264,8 +247,7 @@ is_exr c_normal.exr
 
 # The same maps for any number of threads.
 for threads in 1 5; do
-    $bake $small --threads $threads colored.nvdb low.obj -o "t${threads}_<MAP>.exr"
-    code 0
+    ok $bake $small --threads $threads colored.nvdb low.obj -o "t${threads}_<MAP>.exr"
     out_like '^low\.obj: 12 triangles, [0-9,]+ of 96x96 texels covered$'
     same t${threads}_normal.exr c_normal.exr
     same t${threads}_color.exr c_color.exr
@@ -273,28 +255,23 @@ done
 rm t?_*.exr c_*.exr
 
 # Of a grid without colours only normals are baked by default.
-$bake $small plain.nvdb low.obj -o 'p_<MAP>.exr'
-code 0
+ok $bake $small plain.nvdb low.obj -o 'p_<MAP>.exr'
 files p_normal.exr $start
 cp p_normal.exr half.exr
-$bake $small plain.nvdb low.obj -o float.exr --type float
-code 0
+ok $bake $small plain.nvdb low.obj -o float.exr --type float
 [ "$(wc -c <float.exr)" -gt "$(wc -c <half.exr)" ]
 check "float samples take more bytes than half" $?
 rm p_normal.exr half.exr float.exr
 
-$bake --device cpu --size 96x48 plain.nvdb low.obj -o n.png --preview look.png --maps normal
-code 0
+ok $bake --device cpu --size 96x48 plain.nvdb low.obj -o n.png --preview look.png --maps normal
 out_like '^look\.png: preview$'
 is_png n.png 96 48 16
 is_png look.png 1160 1548 8
-$bake --device cpu --size 96x48 colored.nvdb low.obj -o n.png --preview grey.png --maps normal
-code 0
+ok $bake --device cpu --size 96x48 colored.nvdb low.obj -o n.png --preview grey.png --maps normal
 cmp -s look.png grey.png
 check "without a colour map the preview shows the scan without colours" $?
-$bake --device cpu --size 96x48 plain.nvdb low.obj -o n.png --preview grey.png --maps normal \
+ok $bake --device cpu --size 96x48 plain.nvdb low.obj -o n.png --preview grey.png --maps normal \
     --view count=1,up=z
-code 0
 is_png grey.png 2312 768 8
 for value in 0 361 -1 many; do
     $bake $small plain.nvdb low.obj -o n.png --preview grey.png --view count=$value
@@ -303,52 +280,42 @@ done
 $bake $small plain.nvdb low.obj -o n.png --preview grey.png --view up=x
 code 64
 rm grey.png
-$bake $small plain.nvdb low.obj -o lines.exr --maps normal
-code 0
-$bake $small plain.nvdb low.obj -o tiles.exr --maps normal --exr-tiles 40
-code 0
-run bisque-compare lines.exr tiles.exr --max-error 0
-code 0
+ok $bake $small plain.nvdb low.obj -o lines.exr --maps normal
+ok $bake $small plain.nvdb low.obj -o tiles.exr --maps normal --exr-tiles 40
+ok run bisque-compare lines.exr tiles.exr --max-error 0
 cmp -s lines.exr tiles.exr
 check "tiles make another file" $((! $?))
 rm lines.exr tiles.exr
 $bake $small plain.nvdb low.obj -o n.png --maps normal --exr-tiles 40
-code 64
-err_like 'PNG files have no tiles'
+refused_like 64 'PNG files have no tiles'
 for value in 7 8193 0; do
     $bake $small plain.nvdb low.obj -o n.exr --maps normal --exr-tiles $value
     code 64
 done
-$bake $small plain.nvdb low.obj -o n8.png --type 8 --maps normal
-code 0
+ok $bake $small plain.nvdb low.obj -o n8.png --type 8 --maps normal
 is_png n8.png 96 96 8
-$bake $small plain.nvdb low.obj -o m.png --maps mask
-code 0
+ok $bake $small plain.nvdb low.obj -o m.png --maps mask
 files look.png m.png n.png n8.png $start
 rm look.png m.png n.png
 
 # "all" is every map that the scan gives; "opacity" is the mask.
-$bake $small plain.nvdb low.obj -o 'all_<MAP>.exr' --maps all --json
-code 0
+ok $bake $small plain.nvdb low.obj -o 'all_<MAP>.exr' --maps all --json
 files all_ao.exr all_bent.exr all_curvature.exr all_height.exr all_mask.exr all_normal.exr all_position.exr \
     all_thickness.exr n8.png $start
 json '.encodings | keys == ["curvature", "height", "position", "thickness"]'
 json '.encodings.curvature | .unit == "1 / mesh unit" and .radius > 0 and .range > 0'
 json '.encodings.position | .unit == "mesh unit" and .scale == [1, 1, 1] and .offset == [0, 0, 0] and .origin == [0, 0, 0]'
-$bake $small colored.nvdb low.obj -o 'all_<MAP>.png' --maps all,color --range position=box --range height=2 --json
-code 0
+ok $bake $small colored.nvdb low.obj -o 'all_<MAP>.png' --maps all,color --range position=box --range height=2 --json
 json '.maps | keys == ["ao", "bent", "color", "curvature", "height", "mask", "normal", "position", "thickness"]'
 json '.encodings.height == {"unit": "mesh unit", "radius": 0, "range": 2, "scale": [4], "offset": [-2], "origin": [0]}'
 json '.encodings.position | .scale == [1, 2, 3] and .offset == [0, 0, 0] and .range == 1.5'
 # Curvature of a radius that is given, with a range that is given.
-$bake $small plain.nvdb low.obj -o 'curved.png' --maps curvature --distance curvature=0.25 --range curvature=8 --json
-code 0
+ok $bake $small plain.nvdb low.obj -o 'curved.png' --maps curvature --distance curvature=0.25 --range curvature=8 --json
 json '.encodings.curvature == {"unit": "1 / mesh unit", "radius": 0.25, "range": 8, "scale": [16], "offset": [-8],
     "origin": [0]}'
 is_png curved.png 96 96 16
 # A radius larger than the scan finds nothing around the hits.
-$bake $small plain.nvdb low.obj -o curved.png --maps curvature --distance curvature=100
-code 0
+ok $bake $small plain.nvdb low.obj -o curved.png --maps curvature --distance curvature=100
 grep -Eq 'warning: map curvature: no surface around the hits of ([0-9]+) of \1 texels, at a radius of 100; they became 0' "$err"
 check "all texels of unknown curvature are counted" $?
 rm curved.png
@@ -359,33 +326,25 @@ check "no map of unknown curvature in a strict bake" $?
 is_png all_height.png 96 96 16
 is_png all_position.png 96 96 16
 rm all_*
-$bake $small plain.nvdb low.obj -o '<MAP>.exr' --maps opacity,mask
-code 0
+ok $bake $small plain.nvdb low.obj -o '<MAP>.exr' --maps opacity,mask
 files mask.exr n8.png $start
-$bake $small plain.nvdb low.obj -o h.exr --maps height
-code 0
+ok $bake $small plain.nvdb low.obj -o h.exr --maps height
 out_like '^h\.exr: height map, range [0-9.e-]+ \(mesh unit\)$'
 rm mask.exr h.exr
 
 # A box is convex: all of it is open, and bent normals are its normals. From triangles too, in groups of chunks.
-$bake $small box.tris low.obj -o 'exact_<MAP>.exr' --maps all --json
-code 0
+ok $bake $small box.tris low.obj -o 'exact_<MAP>.exr' --maps all --json
 json '(.maps | keys == ["ao", "bent", "curvature", "height", "mask", "normal", "position", "thickness"]) and .chunk_loads > 0'
-run bisque-compare exact_bent.exr exact_normal.exr --mask exact_mask.exr --force --type normal --max-mean 3
-code 0
+ok run bisque-compare exact_bent.exr exact_normal.exr --mask exact_mask.exr --force --type normal --max-mean 3
 rm exact_*
 hits="$small plain.nvdb low.obj --maps ao,bent,thickness,normal,mask"
-$bake $hits -o '1_<MAP>.exr' --threads 1
-code 0
-$bake $hits -o '2_<MAP>.exr' --threads 3 --memory 64M
-code 0
+ok $bake $hits -o '1_<MAP>.exr' --threads 1
+ok $bake $hits -o '2_<MAP>.exr' --threads 3 --memory 64M
 for map in ao bent thickness; do
     same 1_$map.exr 2_$map.exr
 done
-run bisque-compare 1_bent.exr 1_normal.exr --mask 1_mask.exr --force --type normal --max-mean 3
-code 0
-$bake $hits -o '3_<MAP>.png' --rays ao=16 --distance thickness=2 --json
-code 0
+ok run bisque-compare 1_bent.exr 1_normal.exr --mask 1_mask.exr --force --type normal --max-mean 3
+ok $bake $hits -o '3_<MAP>.png' --rays ao=16 --distance thickness=2 --json
 json '.encodings.thickness | .unit == "mesh unit" and .scale == [2] and .offset == [0] and .range == 1'
 is_png 3_ao.png 96 96 16
 for bad in '--rays ao=0' '--rays ao=4097' '--ao spread=181' '--ao spread=0' '--ao falloff=square' '--distance ao=0' \
@@ -398,27 +357,23 @@ rm [123]_*
 # UDIM tiles share a range: that of the side which is farther from the scan. A tile alone has its own.
 awk '/^v / && $2 == 1 { $2 = 0.9 } /^vt / && ++corner > 20 { $2 += 1 } { print }' low.obj >tiles.obj
 heights="--maps height --front 0.3 --back 0.3"
-$bake $small $heights plain.nvdb tiles.obj -o 'both_<UDIM>.png' --json
-code 0
+ok $bake $small $heights plain.nvdb tiles.obj -o 'both_<UDIM>.png' --json
 range=$(jq .encodings.height.range "$out")
 $bake $small $heights plain.nvdb tiles.obj -o 'alone_<UDIM>.png' --tiles 1001 --json
 first=$(jq .encodings.height.range "$out")
 $bake $small $heights plain.nvdb tiles.obj -o 'alone_<UDIM>.png' --tiles 1002 --json
 json ".encodings.height.range as \$second | $range == ([$first, \$second] | max) and $first != \$second"
 for tile in 1001 1002; do
-    $bake $small $heights plain.nvdb tiles.obj -o 'given_<UDIM>.png' --tiles $tile --range height="$range"
-    code 0
+    ok $bake $small $heights plain.nvdb tiles.obj -o 'given_<UDIM>.png' --tiles $tile --range height="$range"
     same given_$tile.png both_$tile.png
 done
 rm both_* alone_* given_* tiles.obj
 
 # The scan of a flat square is the same square: what heights and curvature it has are rounding errors, which are grey.
 printf 'v 0 0 0\nv 1 0 0.1\nv 1 1 0.3\nv 0 1 0.2\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n' >flat.obj
-run bisque-voxelize flat.obj -o flat.nvdb --resolution 64
-code 0
+ok run bisque-voxelize flat.obj -o flat.nvdb --resolution 64
 for scan in flat.nvdb flat.tris; do
-    $bake $small $scan flat.obj -o 'flat_<MAP>.png' --maps height,curvature --json
-    code 0
+    ok $bake $small $scan flat.obj -o 'flat_<MAP>.png' --maps height,curvature --json
     json '.encodings | (.height.range * 65536 / (2.09 | sqrt) - 1 | fabs) < 1e-6
         and (.curvature.range * 100 * (2.09 | sqrt) - 1 | fabs) < 1e-6'
 done
@@ -426,11 +381,9 @@ rm flat*
 
 # Far from 0, positions have an origin, the same from a grid and from triangles.
 awk '/^v / { printf "v %.4f %.4f %.4f\n", $2 + 500000.25, $3 + 4400000.5, $4; next } { print }' low.obj >far.obj
-run bisque-voxelize far.obj -o far.nvdb --resolution 96
-code 0
+ok run bisque-voxelize far.obj -o far.nvdb --resolution 96
 for surface in nvdb tris; do
-    $bake --device cpu --size 96 far.$surface far.obj -o "${surface}_<MAP>.exr" --maps height,position --json
-    code 0
+    ok $bake --device cpu --size 96 far.$surface far.obj -o "${surface}_<MAP>.exr" --maps height,position --json
     json '.encodings.position.origin == [500000.75, 4400001.5, 1.5]'
 done
 # Voxels are 0.031 wide, and the maps differ by less than half of that at edges. Without an origin, steps of float32 would be 0.5.
@@ -440,15 +393,13 @@ run bisque-compare nvdb_position.exr tris_position.exr --max-median 1e-5 --max-e
 check "positions from a grid and from triangles agree" "$code"
 $bake $small plain.nvdb low.obj -o near.exr --maps position
 run bisque-compare near.exr nvdb_position.exr
-code 65
-err_like '^bisque-compare: near\.exr has bisque:origin "0 0 0", nvdb_position\.exr has "500000\.75 4400001\.5 1\.5"'
+refused_like 65 '^bisque-compare: near\.exr has bisque:origin "0 0 0", nvdb_position\.exr has "500000\.75 4400001\.5 1\.5"'
 rm far.* nvdb_* tris_* near.exr
 
 # Options change the map.
 for option in "--green up" "--green down" "--normal-space object" "--padding 0" "--padding all" \
     "--sampling nearest" "--samples 3"; do
-    $bake $small $option plain.nvdb low.obj -o b.png --type 8 --maps normal
-    code 0
+    ok $bake $small $option plain.nvdb low.obj -o b.png --type 8 --maps normal
     case $option in
     "--green up")
         same b.png n8.png
@@ -466,8 +417,7 @@ rm b.png n8.png
 
 # After a move along x, short rays do not reach the two sides across x.
 awk '/^v / { $2 += 0.0625 } { print }' low.obj >moved.obj
-$bake $small plain.nvdb moved.obj -o moved.exr --front 0.03125 --back 0.03125 --json
-code 0
+ok $bake $small plain.nvdb moved.obj -o moved.exr --front 0.03125 --back 0.03125 --json
 json '.misses * 4 > .samples and .misses * 2 < .samples'
 json '.front == 0.03125 and .back == 0.03125'
 grep -q '^bisque-bake: warning: .* % of the samples found no surface within 0.03125 in front and 0.03125 behind: ' "$err"
@@ -484,8 +434,7 @@ without_hit()
     text=$3
     shift 3
     $bake $small plain.nvdb away.obj -o a.exr --front 0.0625 --back 0.0625 "$@"
-    code 65
-    err_like "^$p $spans.*$text\$"
+    refused_like 65 "^$p $spans.*$text\$"
 }
 without_hit 0.75 0 ': try a larger --front and --back, or --two-sided if the scan.s faces are wound inwards'
 without_hit 0.75 0 ': try a larger --front and --back' --two-sided
@@ -499,14 +448,12 @@ files $start
 
 # All six sides in one place.
 awk '/^vt / { $2 = NR % 4 < 2 ? .25 : .75; $3 = NR % 4 == 1 || NR % 4 == 2 ? .25 : .75 } { print }' low.obj >stacked.obj
-$bake $small plain.nvdb stacked.obj -o charts.exr --json
-code 0
+ok $bake $small plain.nvdb stacked.obj -o charts.exr --json
 json '.overlapping_samples == .samples'
 grep -q "^$p warning: 100\.0 % of the samples lie in several triangles, because charts overlap: " "$err"
 check "a hint at charts that overlap" $?
 # Layouts with mirrored charts are intended.
-$bake $small plain.nvdb stacked.obj -o charts.exr --strict
-code 0
+ok $bake $small plain.nvdb stacked.obj -o charts.exr --strict
 rm charts.exr stacked.obj
 
 # ---- UDIM tiles ----
@@ -514,44 +461,35 @@ rm charts.exr stacked.obj
 # The charts in two tiles: 1002, and 1011 from half the height of the map on.
 awk '/^vt / { $2 += 1; $3 *= 2 } { print }' low.obj >two.obj
 for words in two.obj "$small plain.nvdb two.obj -o m_<MAP>.<UDIM>.exr"; do
-    $bake --list tiles $words
-    code 0
+    ok $bake --list tiles $words
     [ "$(cat "$out")" = "1002
 1012" ]
     check "tiles are listed" $?
 done
-$bake --list tiles two.obj --json --size '1012=64x32,*=16'
-code 0
+ok $bake --list tiles two.obj --json --size '1012=64x32,*=16'
 json '[.tiles[] | [.tile, .width, .height]] == [[1002, 16, 16], [1012, 64, 32]]'
 $bake --list tiles two.obj --size '5=64'
-code 64
-err_like "^$p a size for tile 5: UDIM tiles are 1001 to "
+refused_like 64 "^$p a size for tile 5: UDIM tiles are 1001 to "
 for words in "" plain.nvdb; do
     $bake --list tiles $words
-    code 64
-    err "$p --list tiles takes files: LOW.obj..."
+    refused 64 "$p --list tiles takes files: LOW.obj..."
 done
 $bake $small plain.nvdb two.obj -o 'one_<MAP>.exr'
-code 64
-err_like "^$p two\.obj is in several UDIM tiles: 1002, 1012; to bake all, put \"<UDIM>\" into the output's name; "
+refused_like 64 "^$p two\.obj is in several UDIM tiles: 1002, 1012; to bake all, put \"<UDIM>\" into the output's name; "
 files two.obj $start
-$bake $small --padding 0 plain.nvdb two.obj -o 'm_<MAP>.<UDIM>.exr' --preview look.png --json
-code 0
+ok $bake $small --padding 0 plain.nvdb two.obj -o 'm_<MAP>.<UDIM>.exr' --preview look.png --json
 json '.maps == {"normal": "m_normal.<UDIM>.exr"} and [.tiles[].maps.normal] == ["m_normal.1002.exr", "m_normal.1012.exr"]'
 json '[.tiles[].tile] == [1002, 1012] and .outside_uv_triangles == 0 and .misses * 100 < .samples'
 files look.png m_normal.1002.exr m_normal.1012.exr two.obj $start
 # Each tile alone is the same, also under another name.
-$bake $small --padding 0 plain.nvdb two.obj -o n.exr --tiles 1012 --json
-code 0
+ok $bake $small --padding 0 plain.nvdb two.obj -o n.exr --tiles 1012 --json
 json '.outside_uv_triangles > 0 and (.tiles | length) == 1'
 same n.exr m_normal.1012.exr
-$bake $small --padding 0 --threads 1 --memory 16M plain.nvdb two.obj -o 'b_<UVTILE>.exr' --tiles 1001-1009
-code 0
+ok $bake $small --padding 0 --threads 1 --memory 16M plain.nvdb two.obj -o 'b_<UVTILE>.exr' --tiles 1001-1009
 out_like '^b_u2_v1\.exr: normal map$'
 same b_u2_v1.exr m_normal.1002.exr
 # Tiles of two sizes, from triangles.
-$bake $small box.tris two.obj -o '<UDIM>.png' --size '1002=32x48,*=64'
-code 0
+ok $bake $small box.tris two.obj -o '<UDIM>.png' --size '1002=32x48,*=64'
 out_like '^two\.obj: 12 triangles, [0-9,]+ texels covered in 2 tiles$'
 is_png 1002.png 32 48 16
 is_png 1012.png 64 64 16
@@ -567,11 +505,9 @@ awk 'BEGIN {
     }
 }' >many.obj
 mkdir many
-$bake --device cpu --threads 1 --size 64 --samples 1 --maps normal plain.nvdb many.obj -o 'many/<UDIM>.exr' --memory 3M
-code 0
-$bake --device cpu --threads 1 --size 64 --samples 1 --maps normal plain.nvdb many.obj -o 'many/<UDIM>.exr' \
+ok $bake --device cpu --threads 1 --size 64 --samples 1 --maps normal plain.nvdb many.obj -o 'many/<UDIM>.exr' --memory 3M
+ok $bake --device cpu --threads 1 --size 64 --samples 1 --maps normal plain.nvdb many.obj -o 'many/<UDIM>.exr' \
     --preview many/look.png --memory 16M
-code 0
 rm -r many many.obj
 # A picture that is also a map of a tile, and directories of tiles that do not exist, are found
 # before the work.
@@ -582,12 +518,10 @@ $bake $small plain.nvdb two.obj -o 'd/<UDIM>/n.exr' --maps normal --progress jso
 code 73
 ! grep -q tracing "$err"
 check "nothing was traced" $?
-$bake $small plain.nvdb two.obj -o 'd/<UDIM>/n.exr' --maps normal --tiles 1002
-code 0
+ok $bake $small plain.nvdb two.obj -o 'd/<UDIM>/n.exr' --maps normal --tiles 1002
 # Images that do not fit in memory go to a directory of maps.
 mkdir d/normal d/mask
-$bake --device cpu --samples 1 --memory 20M --size 2048 plain.nvdb low.obj -o 'd/<MAP>/n.exr' --maps normal,mask
-code 0
+ok $bake --device cpu --samples 1 --memory 20M --size 2048 plain.nvdb low.obj -o 'd/<MAP>/n.exr' --maps normal,mask
 [ -s d/mask/n.exr ]
 check "maps are in their directories" $?
 rm -r d
@@ -595,37 +529,29 @@ rm -r d
 for mesh in low two; do
     awk '/^v / { for (i = 2; i < 5; i++) $i *= 100000 } { print }' $mesh.obj >huge_$mesh.obj
 done
-run bisque-voxelize huge_low.obj -o huge.tris
-code 0
+ok run bisque-voxelize huge_low.obj -o huge.tris
 huge="$small huge.tris huge_two.obj --maps position,mask"
-$bake $huge --type half -o 'huge_<MAP>.<UDIM>.exr'
-code 0
+ok $bake $huge --type half -o 'huge_<MAP>.<UDIM>.exr'
 [ "$(sed 's/bits: [1-9][0-9]*;/bits: N;/' "$err")" = "$p warning: map position: samples too large for 16 bits: N; \
 they became 65504 or -65504: --type float holds them" ]
 check "one warning of large samples" $?
-$bake $huge --type float -o 'float_<MAP>.<UDIM>.exr'
-code 0
+ok $bake $huge --type float -o 'float_<MAP>.<UDIM>.exr'
 [ ! -s "$err" ]
 check "no warning of 32-bit samples" $?
-run bisque-compare --type data --max-error 234500 huge_position.1002.exr float_position.1002.exr
-code 0
+ok run bisque-compare --type data --max-error 234500 huge_position.1002.exr float_position.1002.exr
 $bake $huge --type half -o 'strict_<MAP>.<UDIM>.exr' --strict
-code 65
-err_like "^$p map position: samples too large for 16 bits: "
+refused_like 65 "^$p map position: samples too large for 16 bits: "
 [ ! -e strict_mask.1002.exr ]
 check "no map of a strict job" $?
 rm huge* float_*
 # The size of other tiles may be given before.
-$bake --list tiles two.obj --json --size 16 --size 1012=64x32
-code 0
+ok $bake --list tiles two.obj --json --size 16 --size 1012=64x32
 json '[.tiles[] | [.tile, .width, .height]] == [[1002, 16, 16], [1012, 64, 32]]'
 # What lies in no tile is an error, unless it is left out on purpose.
 awk '/^vt / { $2 -= 0.5 } { print }' low.obj >outside.obj
 $bake $small plain.nvdb outside.obj -o n.exr
-code 64
-err_like "^$p outside\.obj: [0-9]+ triangles have texture coordinates outside of all UDIM tiles, the first at \(-"
-$bake $small plain.nvdb outside.obj -o n.exr --tiles 1001
-code 0
+refused_like 64 "^$p outside\.obj: [0-9]+ triangles have texture coordinates outside of all UDIM tiles, the first at \(-"
+ok $bake $small plain.nvdb outside.obj -o n.exr --tiles 1001
 out_like '^left out: [0-9]+ triangles reaching out of the baked tiles$'
 for list in 1000 1001-1000 10001 x 1001, 1001- 1001x; do
     $bake $small plain.nvdb two.obj -o n.exr --tiles $list
@@ -640,8 +566,7 @@ rm look.png *_normal.10??.exr n.exr b_u2_v1.exr 10?2.png outside.obj two.obj
 # Inputs are files.
 for inputs in 'plain.nvdb -' '- low.obj' '- plain.nvdb low.obj'; do
     $bake $inputs -o n.exr </dev/null
-    code 64
-    err 'bisque-bake: -: standard input is not read: scans and low-poly meshes must be files'
+    refused 64 'bisque-bake: -: standard input is not read: scans and low-poly meshes must be files'
 done
 
 # ---- failures on the way ----
@@ -649,8 +574,7 @@ done
 command="bisque-bake with a file size limit" code=0
 (ulimit -f 8 && exec "$BIN/bisque-bake" --device cpu --size 1024 --type float plain.nvdb low.obj \
     --padding all -o a.exr) >"$out" 2>"$err" || code=$?
-code 74
-err_like '^bisque-bake: a\.exr: '
+refused_like 74 '^bisque-bake: a\.exr: '
 files $start
 
 interrupted TERM tracing bisque-bake --device cpu --size 16384 --samples 8 plain.nvdb low.obj -o a.exr

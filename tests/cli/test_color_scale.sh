@@ -8,16 +8,14 @@ expect()
 {
     name=$1
     shift
-    $vox "$@" -o "$name.nvdb"
-    code 0
+    ok $vox "$@" -o "$name.nvdb"
     same bytes.nvdb "$name.nvdb"
     rm -f "$name.nvdb"
 }
 
 for kind in late_bytes late_units twice; do
     python3 "$top/tests/cli/color_scale.py" $kind .
-    $vox bytes.ply -o bytes.nvdb
-    code 0
+    ok $vox bytes.ply -o bytes.nvdb
     expect obj scan.obj
     expect text text.ply
     expect binary binary.ply
@@ -40,17 +38,14 @@ for white in 1 255; do
     awk -v w=$white 'BEGIN { for (i = 0; i < 9; i++) { c = i < 6 ? 0 : w
         print "v", i % 3, int(i / 3), 0, c, c, c }
         print "f 1 2 5 4\nf 2 3 6 5\nf 4 5 8 7\nf 5 6 9 8" }' >white.$white.obj
-    run bisque-voxelize --voxel-size 0.5 --no-tris white.$white.obj -o white.$white.nvdb
-    code 0
+    ok run bisque-voxelize --voxel-size 0.5 --no-tris white.$white.obj -o white.$white.nvdb
 done
 same white.1.nvdb white.255.nvdb
 # A file of pure colours takes the scale of the first file that tells its own, also of the last one.
 printf 'v 9 0 0 1 0 0\nv 9 1 0 1 0 1\nv 9 0 1 0 1 0\nf -3 -2 -1\n' >dark.obj
 cat white.255.obj dark.obj >one.obj
-$vox one.obj -o one.nvdb
-code 0
-$vox dark.obj white.255.obj -o two.nvdb
-code 0
+ok $vox one.obj -o one.nvdb
+ok $vox dark.obj white.255.obj -o two.nvdb
 same one.nvdb two.nvdb
 
 # Each file has the scale of its own colours, in any order; one that does not tell takes the first
@@ -70,8 +65,7 @@ apart()
 {
     name=$1
     shift
-    run bisque-voxelize --voxel-size 0.5 --no-tris "$@" -o "$name.nvdb"
-    code 0
+    ok run bisque-voxelize --voxel-size 0.5 --no-tris "$@" -o "$name.nvdb"
     [ ! -s "$err" ]
     check "no warning: $command" $?
 }

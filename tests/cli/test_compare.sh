@@ -6,23 +6,18 @@ compare="run bisque-compare"
 p=bisque-compare:
 write_box >low.obj
 run bisque-voxelize low.obj -o box.nvdb --no-tris --resolution 48
-run bisque-bake box.nvdb low.obj --size 64 --maps normal,mask --normal-space object --type float -o 'a_<MAP>.exr'
-code 0
-run bisque-bake box.nvdb low.obj --size 32 --maps normal --type float -o small.exr
-code 0
+ok run bisque-bake box.nvdb low.obj --size 64 --maps normal,mask --normal-space object --type float -o 'a_<MAP>.exr'
+ok run bisque-bake box.nvdb low.obj --size 32 --maps normal --type float -o small.exr
 start="a_mask.exr a_normal.exr box.nvdb low.obj small.exr"
 
 help_and_man_page bisque-compare
 
-$compare a_normal.exr a_normal.exr
-code 0
+ok $compare a_normal.exr a_normal.exr
 out_like 'compared as normal$'
 out_like '^degrees: mean 0, rms 0, median 0, p95 0, p99 0, max 0 at '
-$compare a_mask.exr a_mask.exr --json
-code 0
+ok $compare a_mask.exr a_mask.exr --json
 json '.type == "data" and .max == 0 and .agreement == 1 and .within_limits'
-$compare a_normal.exr a_normal.exr --type color --json
-code 0
+ok $compare a_normal.exr a_normal.exr --type color --json
 json '.psnr == null and .mean == 0'
 
 # Maps of tangent and object space are refused; with --force they are far apart, and a limit fails.
@@ -34,8 +29,7 @@ code 1
 json '.mean > 20 and (.within_limits | not)'
 grep -q "^$p mean .* is above --max-mean 1$" "$err"
 check "the limit that does not hold is named" $?
-$compare t.exr a_normal.exr --force --max-mean 180
-code 0
+ok $compare t.exr a_normal.exr --force --max-mean 180
 
 # Maps with green up and green down, or a mask and a normal map, differ in meaning, not by some degrees.
 run bisque-bake box.nvdb low.obj --size 64 --maps normal --green down --type float -o d.exr
@@ -43,16 +37,13 @@ $compare t.exr d.exr
 refused 65 "$p t.exr has bisque:green \"up\", d.exr has \"down\": these maps cannot be compared"
 $compare d.exr t.exr --type data
 refused 65 "$p d.exr has bisque:green \"down\", t.exr has \"up\": these maps cannot be compared"
-$compare d.exr t.exr --force
-code 0
-$compare d.exr d.exr
-code 0
+ok $compare d.exr t.exr --force
+ok $compare d.exr d.exr
 $compare a_mask.exr a_normal.exr
 refused 65 "$p a_mask.exr has bisque:map \"mask\", a_normal.exr has \"normal\": these maps cannot be compared"
 rm d.exr
 
-$compare a_normal.exr a_normal.exr --mask-a a_mask.exr --mask-b a_mask.exr --heatmap h.png --histogram g.png
-code 0
+ok $compare a_normal.exr a_normal.exr --mask-a a_mask.exr --mask-b a_mask.exr --heatmap h.png --histogram g.png
 out_like '^hit agreement: 100.0000 %'
 [ "$(od -An -tx1 -N 4 h.png | tr -d ' \n')" = 89504e47 ] && [ -s g.png ]
 check "pictures are PNG files" $?
@@ -95,8 +86,7 @@ map nan.exr "$nan" "$nan" "$nan" "$nan"
 map some.exr "$one" "$nan" "$one" "$inf"
 
 # NaN and infinite values are outside of every limit, in either map.
-$compare ones.exr ones.exr --max-error 0
-code 0
+ok $compare ones.exr ones.exr --max-error 0
 for pair in 'nan.exr nan.exr' 'nan.exr ones.exr' 'ones.exr nan.exr' 'some.exr ones.exr' 'ones.exr some.exr'; do
     for limit in --max-error --max-mean --max-median --max-p95 --max-p99; do
         $compare $pair $limit 1000
@@ -104,18 +94,15 @@ for pair in 'nan.exr nan.exr' 'nan.exr ones.exr' 'ones.exr nan.exr' 'some.exr on
         grep -Eq "^$p [24] texels are NaN or infinite: outside of every limit$" "$err"
         check "they are named" $?
     done
-    $compare $pair
-    code 0
+    ok $compare $pair
     out_like '^NaN or infinite: [24] texels'
 done
 $compare some.exr ones.exr --json --max-error 0
 code 1
 json '.compared == 2 and .not_finite == 2 and .not_finite_a == 2 and .not_finite_b == 0 and .max == 0 and (.within_limits | not)'
-$compare nan.exr ones.exr --json
-code 0
+ok $compare nan.exr ones.exr --json
 json '.compared == 0 and .not_finite == 4 and .mean == null and .max == null and .within_limits'
-$compare some.exr ones.exr --json --max-error 0 --ignore-nan
-code 0
+ok $compare some.exr ones.exr --json --max-error 0 --ignore-nan
 json '.compared == 2 and .not_finite == 2 and .within_limits'
 $compare nan.exr ones.exr --ignore-nan
 refused 65 "$p no texel is covered by both nan.exr and ones.exr and finite in both"
@@ -123,8 +110,7 @@ $compare ones.exr ones.exr --mask some.exr --max-error 0
 code 1
 $compare ones.exr ones.exr --mask-a ones.exr --mask-b some.exr --min-agreement 0.5
 code 1
-$compare ones.exr ones.exr --mask some.exr --max-error 0 --ignore-nan
-code 0
+ok $compare ones.exr ones.exr --mask some.exr --max-error 0 --ignore-nan
 
 # Other channels, other sizes.
 map wide.exr "$one" "$one" "$one" "$one" "$one"

@@ -33,8 +33,7 @@ all_combinations()
         shift
     done
     shift
-    run "$@"
-    code 0
+    ok run "$@"
     [ -z "$outputs" ] || sha256sum $outputs >whole.txt
     [ -s "$err" ] || [ -z "$outputs" ] || [ "$1" = bisque-compare ]
     check "writes to standard error: $*" $?
@@ -67,8 +66,7 @@ all_combinations()
         for output in $outputs; do
             case $output in
             *.tris | *.nvdb)
-                run bisque-voxelize --verify "$output"
-                code 0
+                ok run bisque-voxelize --verify "$output"
                 ;;
             esac
         done
@@ -86,8 +84,7 @@ all_combinations a.nvdb a.tris -- bisque-voxelize $grid
 all_combinations a.nvdb a.vdb -- bisque-voxelize $grid --no-tris --texture large.ppm --memory 64M --vdb a.vdb --json
 rm large.ppm
 all_combinations -- bisque-voxelize --parse-only scan.obj
-run bisque-voxelize scan.obj -o scan.nvdb --resolution 32
-code 0
+ok run bisque-voxelize scan.obj -o scan.nvdb --resolution 32
 all_combinations -- bisque-voxelize --verify scan.tris scan.nvdb
 
 maps="low.obj --device cpu --size 32 --samples 1 --threads 2 --progress json"

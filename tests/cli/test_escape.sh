@@ -31,8 +31,7 @@ bad=$(printf 'a\033[31mb\302\233c\377d') shown='a\x1b[31mb\xc2\x9bc\xffd'
 
 for program in bisque-voxelize bisque-bake bisque-compare; do
     checked $program "--$bad"
-    code 64
-    err "$program: unrecognized option '--$shown'"
+    refused 64 "$program: unrecognized option '--$shown'"
     checked $program "--memory=$bad" x
     code 64
     clean
@@ -41,8 +40,7 @@ for program in bisque-voxelize bisque-bake bisque-compare; do
     clean
 done
 checked bisque-voxelize "$bad.obj" -o a.nvdb
-code 66
-err "bisque-voxelize: $shown.obj: No such file or directory"
+refused 66 "bisque-voxelize: $shown.obj: No such file or directory"
 checked bisque-compare "$bad.exr" "$bad.exr"
 code 66
 clean

@@ -10,8 +10,7 @@ write_box >box.obj
 awk '/^v / { print $0, $2, $3 / 2, $4 / 3; next } { print }' box.obj >scan.obj
 # The charts in two tiles: 1002, and 1012 from half the height of the map on.
 awk '/^vt / { $2 += 1; $3 *= 2 } { print }' box.obj >low.obj
-run bisque-voxelize scan.obj -o scan.nvdb --resolution 40
-code 0
+ok run bisque-voxelize scan.obj -o scan.nvdb --resolution 40
 rm scan.obj box.obj
 size="--size 1002=90x70,*=64 --padding 5"
 mkdir one farm
@@ -23,8 +22,7 @@ alike()
     mkdir one farm
     scan=$1 tasks=$2
     shift 2
-    $bake "$scan" low.obj $size "$@"
-    code 0
+    ok $bake "$scan" low.obj $size "$@"
     (
         cd farm
         "$BIN/bisque-bake" "../$scan" ../low.obj $size "$@" --tasks "$tasks" --write-plan plan.json >"$out" 2>"$err"
@@ -37,8 +35,7 @@ alike()
         [ "$code" -eq 0 ] || break
     done
     check "tasks: $*" "$code"
-    $bake --plan farm/plan.json --merge
-    code 0
+    ok $bake --plan farm/plan.json --merge
     for map in *.exr *.png; do
         [ ! -e "$map" ] || same "$map" "farm/$map"
         rm -f "$map"
@@ -64,19 +61,16 @@ mkdir farm
 (cd farm && "$BIN/bisque-bake" ../scan.nvdb ../low.obj -o 'c_<UDIM>.png' --size 32 --maps curvature --distance curvature=100 \
     --tasks 3 --write-plan plan.json) >"$out" 2>"$err"
 check "a plan of unknown curvature" $?
-$bake --plan farm/plan.json --task 0-2
-code 0
+ok $bake --plan farm/plan.json --task 0-2
 texels=$(sed -n 's/.* around the hits of \([0-9]*\) of .*/\1/p' "$err" | awk '{ sum += $1 } END { print sum }')
 $bake --plan farm/plan.json --merge --strict
 code 65
 [ ! -e farm/c_1002.png ]
 check "a strict merge writes no map of unknown curvature" $?
-$bake --plan farm/plan.json --merge
-code 0
+ok $bake --plan farm/plan.json --merge
 grep -q "warning: map curvature: no surface around the hits of $texels of $texels texels, at a radius of 100" "$err"
 check "a merge warns of unknown curvature" $?
-$bake --plan farm/plan.json --merge
-code 0
+ok $bake --plan farm/plan.json --merge
 grep -q "of $texels texels, at a radius of 100" "$err"
 check "a merge that is kept warns of it too" $?
 $bake --plan farm/plan.json --merge --strict
@@ -100,8 +94,7 @@ awk '/^v / { $2 += 0.5 } { print }' low.obj >aside.obj
 (cd farm && "$BIN/bisque-bake" ../scan.nvdb ../aside.obj -o 'm_<UDIM>.png' --size 32 --maps mask --front 0.1 --back 0.1 \
     --max-missed 5 --tasks 2 --write-plan plan.json) >"$out" 2>"$err"
 check "a plan with --max-missed" $?
-$bake --plan farm/plan.json --task 0-1
-code 0
+ok $bake --plan farm/plan.json --task 0-1
 for again in 1 2; do
     $bake --plan farm/plan.json --merge
     code 1
@@ -110,8 +103,7 @@ for again in 1 2; do
 done
 [ -s farm/m_1002.png ]
 check "the maps are there" $?
-$bake --plan farm/plan.json --merge --max-missed 99
-code 0
+ok $bake --plan farm/plan.json --merge --max-missed 99
 $bake --plan farm/plan.json --merge --max-missed 0
 code 1
 rm aside.obj
@@ -131,10 +123,8 @@ alike_several()
     check "a plan of $tasks tasks: $*" $?
     $bake --plan "farm/a <UDIM> plan.json" --task 1-$((tasks - 1)) --memory 60M
     code 0
-    $bake --plan "farm/a <UDIM> plan.json" --task 0 --threads 1
-    code 0
-    $bake --plan "farm/a <UDIM> plan.json" --merge
-    code 0
+    ok $bake --plan "farm/a <UDIM> plan.json" --task 0 --threads 1
+    ok $bake --plan "farm/a <UDIM> plan.json" --merge
     (cd one && ls) >maps
     (cd farm && ls | grep '\.exr$') | cmp -s - maps
     check "all maps are there: $*" $?
@@ -155,8 +145,7 @@ check "all scans are inputs of the plan" $?
 cp lid_high.tris keep
 run bisque-voxelize box_low.obj -o lid_high.nvdb --resolution 33
 $bake --plan "farm/a <UDIM> plan.json" --task 0
-code 65
-err_like '^bisque-bake: farm/\.\./lid_high\.tris: a scan is not the file that the plan|^bisque-bake: lid_high\.tris: a scan is not'
+refused_like 65 '^bisque-bake: farm/\.\./lid_high\.tris: a scan is not the file that the plan|^bisque-bake: lid_high\.tris: a scan is not'
 mv keep lid_high.tris
 run bisque-voxelize lid_high.tris -o lid_high.nvdb --resolution 33
 # Objects see scans of their names, and have maps of their own.
@@ -187,8 +176,7 @@ rm forty.* m_*
 plan="bisque-bake scan.nvdb low.obj $size -o maps/<MAP>.<UDIM>.exr --maps normal,height --tasks 3 --write-plan farm/plan.json"
 mkdir maps
 rm -rf one farm/*
-run $plan
-code 0
+ok run $plan
 out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels$'
 run $plan
 out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels, was there already$'
@@ -205,8 +193,7 @@ check "a plan writes no maps" $?
 for scan in scan.nvdb scan.tris; do
     need="bisque-bake $scan low.obj --tiles 1002 --size 512 --samples 1 -o m.exr --maps normal --tasks 1 --write-plan need.json"
     rm -f need.*
-    run $need --threads 1 --memory 60M
-    code 0
+    ok run $need --threads 1 --memory 60M
     run $need --threads 3 --memory 1G
     out_like '^need\.json: 1 task for [0-9,]+ texels, was there already$'
     out_like '^a task: about [0-9.]+ MiB of memory with eight threads, [0-9.]+ MiB of temporary files with less, 0\.[0-9]+ s of one core$'
@@ -219,48 +206,36 @@ rm need.*
 
 p="bisque-bake:"
 $bake --plan farm/plan.json --merge
-code 66
-err "$p farm/plan.0000.part: missing; 3 of 3 parts are missing: those of tasks 0, 1, 2"
+refused 66 "$p farm/plan.0000.part: missing; 3 of 3 parts are missing: those of tasks 0, 1, 2"
 for task in 0 2; do
-    $bake --plan farm/plan.json --task $task
-    code 0
+    ok $bake --plan farm/plan.json --task $task
 done
 $bake --plan farm/plan.json --merge
-code 66
-err "$p farm/plan.0001.part: missing; 1 of 3 parts are missing: those of task 1"
+refused 66 "$p farm/plan.0001.part: missing; 1 of 3 parts are missing: those of task 1"
 $bake --plan farm/plan.json --task 3
-code 64
-err "$p farm/plan.json: there is no task 3: tasks are 0 to 2"
-$bake --plan farm/plan.json
-code 0
+refused 64 "$p farm/plan.json: there is no task 3: tasks are 0 to 2"
+ok $bake --plan farm/plan.json
 out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels$'
-$bake --plan farm/plan.json --json
-code 0
+ok $bake --plan farm/plan.json --json
 json '.tasks == 3 and .task_memory_bytes > 0 and .parts_bytes > 0'
-$bake --plan farm/plan.json --task 1 --json
-code 0
+ok $bake --plan farm/plan.json --task 1 --json
 json '.task == 1 and (.kept | not) and .samples > 0'
 before=$(stat -c %i.%y farm/plan.0001.part)
-$bake --plan farm/plan.json --task 1
-code 0
+ok $bake --plan farm/plan.json --task 1
 out_like '^farm/plan\.0001\.part: this part is complete already, kept$'
 [ "$(stat -c %i.%y farm/plan.0001.part)" = "$before" ]
 check "a complete part is not touched" $?
-$bake --plan farm/plan.json --task 1 --force
-code 0
+ok $bake --plan farm/plan.json --task 1 --force
 [ "$(stat -c %i.%y farm/plan.0001.part)" != "$before" ]
 check "--force bakes it again" $?
-$bake --plan farm/plan.json --merge
-code 0
+ok $bake --plan farm/plan.json --merge
 out_like '^maps/normal\.1002\.exr: normal map$'
-$bake --plan farm/plan.json --merge
-code 0
+ok $bake --plan farm/plan.json --merge
 out_like '^farm/plan\.json: the merge of this plan is complete already, kept$'
 echo x >>maps/height.1012.exr
 $bake --plan farm/plan.json --merge --json
 json '.samples > 0 and .samples == .hits + .misses'
-$bake --plan farm/plan.json --merge --force
-code 0
+ok $bake --plan farm/plan.json --merge --force
 out_like '^maps/normal\.1002\.exr: normal map$'
 rm farm/plan.json.merged maps/*
 mkdir farm/plan.json.merged
@@ -269,19 +244,15 @@ code 73
 [ -z "$(ls maps)" ]
 check "no maps if the note of the merge cannot be written" $?
 rmdir farm/plan.json.merged
-$bake --plan farm/plan.json --merge
-code 0
+ok $bake --plan farm/plan.json --merge
 
 # A plan without ".json" at the end of its name has parts of its own.
 cp farm/plan.0000.part keep
-$bake scan.nvdb low.obj $size -o 'other_<MAP>.<UDIM>.exr' --maps mask --tasks 1 --write-plan farm/plan
-code 0
-$bake --plan farm/plan --task 0
-code 0
+ok $bake scan.nvdb low.obj $size -o 'other_<MAP>.<UDIM>.exr' --maps mask --tasks 1 --write-plan farm/plan
+ok $bake --plan farm/plan --task 0
 out_like '^farm/plan\.part\.0000: task 0, '
 same keep farm/plan.0000.part
-$bake --plan farm/plan --merge
-code 0
+ok $bake --plan farm/plan --merge
 rm farm/plan farm/plan.part.0000 farm/plan.merged other_* keep
 
 # A folder can move, with all that a plan names below it or beside it.
@@ -308,11 +279,9 @@ damaged()
 for place in 0 8 12 17 33 45 50 90 99 5000 -1; do
     damaged 0001 $place
     $bake --plan farm/plan.json --merge --force
-    code 65
-    err_like "^$p farm/plan\.0001\.part: .*: run this task again$"
+    refused_like 65 "^$p farm/plan\.0001\.part: .*: run this task again$"
     if [ $place = 5000 ]; then # the task itself notices, too
-        $bake --plan farm/plan.json --task 1
-        code 0
+        ok $bake --plan farm/plan.json --task 1
         out_like '^farm/plan\.0001\.part: task 1, '
         same keep farm/plan.0001.part
     fi
@@ -321,12 +290,10 @@ done
 cp farm/plan.0002.part keep
 head -c 5000 keep >farm/plan.0002.part
 $bake --plan farm/plan.json --merge --force
-code 65
-err "$p farm/plan.0002.part: damaged: its size is wrong: run this task again"
+refused 65 "$p farm/plan.0002.part: damaged: its size is wrong: run this task again"
 cp farm/plan.0001.part farm/plan.0002.part
 $bake --plan farm/plan.json --merge --force
-code 65
-err "$p farm/plan.0002.part: the part of another task: run this task again"
+refused 65 "$p farm/plan.0002.part: the part of another task: run this task again"
 : >farm/plan.0002.part
 $bake --plan farm/plan.json --merge --force
 err "$p farm/plan.0002.part: not a part of a bake: run this task again"
@@ -354,12 +321,10 @@ fi
 cp farm/plan.json plan.good
 sed 's/"samples": 2/"samples": 3/' plan.good >farm/plan.json
 $bake --plan farm/plan.json --task 0
-code 65
-err "$p farm/plan.json: damaged plan: its id does not fit the rest"
+refused 65 "$p farm/plan.json: damaged plan: its id does not fit the rest"
 sed 's/"program_version": "[^"]*"/"program_version": "0.1.9"/' plan.good >farm/plan.json
 $bake --plan farm/plan.json --task 0
-code 65
-err_like "^$p farm/plan\.json: this plan is of Bisque 0\.1\.9, this program is .*: all tasks need one version$"
+refused_like 65 "^$p farm/plan\.json: this plan is of Bisque 0\.1\.9, this program is .*: all tasks need one version$"
 for size_kept in 0 1 100 700 1500; do
     head -c $size_kept plan.good >farm/plan.json
     $bake --plan farm/plan.json --task 0
@@ -373,18 +338,14 @@ cp low.obj low.good
 sed 's/^v 1 2 3/v 1 2 3.1/' low.good >low.obj
 for step in "--task 0 --force" "--task 0" --merge; do # the last two are complete already
     $bake --plan farm/plan.json $step
-    code 65
-    err "$p low.obj: the low-poly mesh is not the file that the plan farm/plan.json was made with: make a new plan"
+    refused 65 "$p low.obj: the low-poly mesh is not the file that the plan farm/plan.json was made with: make a new plan"
 done
 mv low.good low.obj
 # A plan with another option has another id.
-run $plan --samples 1
-code 0
+ok run $plan --samples 1
 $bake --plan farm/plan.json --merge
-code 65
-err "$p farm/plan.0000.part: a part of another plan: run this task again"
-$bake --plan farm/plan.json --task 0
-code 0
+refused 65 "$p farm/plan.0000.part: a part of another plan: run this task again"
+ok $bake --plan farm/plan.json --task 0
 out_like '^farm/plan\.0000\.part: task 0, '
 
 # ---- paths ----
@@ -403,18 +364,15 @@ cat >rules.json <<JSON
 {"source_path_format": "POSIX", "source_path": "/mnt/farm", "destination_path": "$PWD/here"},
 {"source_path_format": "POSIX", "source_path": "/mnt", "destination_path": "/nowhere"}]}
 JSON
-run bisque-voxelize /mnt/farm/skin.obj -o here/skin.nvdb --resolution 24 --path-map rules.json
-code 0
+ok run bisque-voxelize /mnt/farm/skin.obj -o here/skin.nvdb --resolution 24 --path-map rules.json
 grep -aq "$PWD/here/textures/skin.ppm" here/skin.tris
 check "the texture is found by the rules" $?
-$bake /mnt/farm/skin.tris low.obj $size -o "$PWD/here/<MAP>.<UDIM>.exr" --maps color --tasks 2 --write-plan here/plan.json \
+ok $bake /mnt/farm/skin.tris low.obj $size -o "$PWD/here/<MAP>.<UDIM>.exr" --maps color --tasks 2 --write-plan here/plan.json \
     --path-map rules.json
-code 0
 jq -e '[.inputs[].path] | sort == ["../low.obj", "skin.tris", "textures/skin.ppm"]' here/plan.json >"$work/jq"
 check "inputs below the plan and beside it have relative paths" $?
-$bake ./here/skin.tris here/../low.obj $size -o './here/../<MAP>.<UDIM>.exr' --maps color --tasks 2 --write-plan here/dots.json \
+ok $bake ./here/skin.tris here/../low.obj $size -o './here/../<MAP>.<UDIM>.exr' --maps color --tasks 2 --write-plan here/dots.json \
     --path-map rules.json
-code 0
 jq -e '[.inputs[].path, .options.output_path] | sort ==
     ["../<MAP>.<UDIM>.exr", "../low.obj", "skin.tris", "textures/skin.ppm"]' here/dots.json >"$work/jq"
 check "paths with . and .. are relative to the plan, too" $?
@@ -426,24 +384,18 @@ jq -c --arg here "$PWD/here" '{version: "pathmapping-1.0", path_mapping_rules: [
     source_path: $here, destination_path: ($here | sub("here$"; "other"))}]}' -n >moved.json
 mv here gone
 for task in 0 1; do
-    $bake --plan other/plan.json --task $task --path-map moved.json
-    code 0
+    ok $bake --plan other/plan.json --task $task --path-map moved.json
 done
-$bake --plan other/plan.json --merge --path-map moved.json
-code 0
-$bake gone/skin.tris low.obj $size -o 'skin.<UDIM>.exr' --maps color --path-map moved.json
-code 0
+ok $bake --plan other/plan.json --merge --path-map moved.json
+ok $bake gone/skin.tris low.obj $size -o 'skin.<UDIM>.exr' --maps color --path-map moved.json
 for tile in 1002 1012; do
     same skin.$tile.exr other/color.$tile.exr
 done
 # All tasks in one process: threads do not keep what they know of the textures of a task before.
-$bake gone/skin.tris low.obj $size -o 'many.<UDIM>.exr' --maps color --tasks 12 --write-plan many.json \
+ok $bake gone/skin.tris low.obj $size -o 'many.<UDIM>.exr' --maps color --tasks 12 --write-plan many.json \
     --path-map moved.json
-code 0
-$bake --plan many.json --task 0-11 --threads 2 --path-map moved.json
-code 0
-$bake --plan many.json --merge --path-map moved.json
-code 0
+ok $bake --plan many.json --task 0-11 --threads 2 --path-map moved.json
+ok $bake --plan many.json --merge --path-map moved.json
 for tile in 1002 1012; do
     same skin.$tile.exr many.$tile.exr
 done
@@ -452,8 +404,7 @@ for bad in '{' '[]' '{"version": "pathmapping-2.0"}' '{"version": "pathmapping-1
     '{"version": "pathmapping-1.0", "path_mapping_rules": [{"source_path_format": "DOS", "source_path": "/a", "destination_path": "/b"}]}'; do
     echo "$bad" >bad.json
     $bake --plan farm/plan.json --task 0 --path-map bad.json
-    code 65
-    err_like "^$p bad\.json: no rules of pathmapping-1\.0: "
+    refused_like 65 "^$p bad\.json: no rules of pathmapping-1\.0: "
 done
 # What the parser would allocate is reserved from the budget: here about 100 bytes for each byte.
 awk 'BEGIN { printf "["; for (i = 0; i < 300000; i++) printf "{},"; print "{}]" }' >wide.json
@@ -464,22 +415,18 @@ code 71
 rm wide.json
 for none in '{"version": "pathmapping-1.0"}' '{}'; do
     echo "$none" >none.json
-    $bake --plan farm/plan.json --task 0 --path-map none.json
-    code 0
+    ok $bake --plan farm/plan.json --task 0 --path-map none.json
 done
 
 # ---- progress ----
 
-$bake scan.nvdb low.obj $size -o 'maps/<MAP>.<UDIM>.exr' --maps normal,curvature --progress openjd
-code 0
+ok $bake scan.nvdb low.obj $size -o 'maps/<MAP>.<UDIM>.exr' --maps normal,curvature --progress openjd
 percentages 's/^openjd_progress: \([0-9.]*\)$/\1/p' && grep -q '^openjd_status: tracing$' "$out" && [ ! -s "$err" ]
 check "progress for Open Job Description rises from 0 to 100, also with two UDIM tiles" $?
-$bake --plan farm/plan.json --task 0 --force --progress alf
-code 0
+ok $bake --plan farm/plan.json --task 0 --force --progress alf
 percentages 's/^ALF_PROGRESS \([0-9]*\)%$/\1/p'
 check "progress of a task rises from 0 to 100" $?
-$bake --plan farm/plan.json --task 0-2 --force --progress openjd
-code 0
+ok $bake --plan farm/plan.json --task 0-2 --force --progress openjd
 percentages 's/^openjd_progress: \([0-9.]*\)$/\1/p' && grep -qx 'openjd_progress: 33.3' "$out" && grep -q '^farm/plan\.0002\.part: task 2' "$out"
 check "progress of three tasks rises from 0 to 100 once" $?
 $bake --plan farm/plan.json --task 9 --progress openjd
@@ -521,12 +468,10 @@ $bake --plan farm/plan.json --force
 err "$p --force needs --task or --merge"
 for tasks in 2-1 1- -1 1-2-3 0x1 1-65536 '1 ' ''; do
     $bake --plan farm/plan.json --task "$tasks"
-    code 64
-    err_like "^$p --task: \"$tasks\""
+    refused_like 64 "^$p --task: \"$tasks\""
 done
 $bake --plan farm/plan.json --task 1-3
-code 64
-err "$p farm/plan.json: there is no task 3: tasks are 0 to 2"
+refused 64 "$p farm/plan.json: there is no task 3: tasks are 0 to 2"
 $bake --plan farm/plan.json --max-missed 3
 err "$p --max-missed is for the bake of all texels: give it to --merge"
 $bake --plan farm/plan.json --task 0 --max-missed 3
@@ -555,8 +500,7 @@ $bake scan.nvdb low.obj $size -o './o.<UDIM>.exr' --maps height --tasks 2 --writ
 refused 64 "$p ./o.1012.exr: two outputs have this name"
 $bake scan.nvdb low.obj -o o.exr --maps mask --tasks 2 --preview o.png --write-plan ./o.png
 refused 64 "$p ./o.png: the plan and the preview have this name"
-$bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 1 --write-plan o.json
-code 0
+ok $bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 1 --write-plan o.json
 cp o.json o.exr
 $bake --plan o.exr --merge
 code 64
@@ -629,8 +573,7 @@ for bad in "" "bake --tasks 0 -- a b -o c" "bake --tasks 5" "bake --chunk 0 -- a
     command="bisque-slurm $bad" code=0
     # shellcheck disable=SC2086 # $bad is several words
     "$slurm" $bad >"$out" 2>"$err" || code=$?
-    code 64
-    err_like '^bisque-slurm: '
+    refused_like 64 '^bisque-slurm: '
 done
 rm list twice gap empty
 
@@ -660,8 +603,7 @@ for bad in "" "asset parts" what "asset --chunk 0" "asset --cpus" "asset --memor
     command="bisque-openjd $bad" code=0
     # shellcheck disable=SC2086 # $bad is several words
     "$openjd" $bad >"$out" 2>"$err" || code=$?
-    code 64
-    err_like '^bisque-openjd: '
+    refused_like 64 '^bisque-openjd: '
 done
 
 # ---- other devices than the plan's ----
@@ -669,27 +611,22 @@ done
 # The plan is made without a GPU. One task has one, which tests/fake/fake_cuda.c simulates, and the others have not.
 rm -rf farm color.*.exr
 mkdir farm
-$bake scan.nvdb low.obj $size -o '<MAP>.<UDIM>.exr' --maps color --device cpu
-code 0
-$bake scan.nvdb low.obj $size -o 'farm/<MAP>.<UDIM>.exr' --maps color --device cuda --tasks 3 --write-plan farm/plan.json
-code 0
+ok $bake scan.nvdb low.obj $size -o '<MAP>.<UDIM>.exr' --maps color --device cpu
+ok $bake scan.nvdb low.obj $size -o 'farm/<MAP>.<UDIM>.exr' --maps color --device cuda --tasks 3 --write-plan farm/plan.json
 LD_LIBRARY_PATH=$TESTS/fake $bake --plan farm/plan.json --task 0 --json
 json '.device == "Fake GPU 0 (CUDA)"'
 $bake --plan farm/plan.json --task 1 --device cpu --json
 json '.device | startswith("cpu")'
 $bake --plan farm/plan.json --task 2 --device opencl:99
 code 69
-$bake --plan farm/plan.json --task 2 --device auto
-code 0
-$bake --plan farm/plan.json --merge
-code 0
+ok $bake --plan farm/plan.json --task 2 --device auto
+ok $bake --plan farm/plan.json --merge
 for map in color.*.exr; do
     same "$map" "farm/$map"
 done
 for step in --merge ""; do
     $bake --plan farm/plan.json $step --device cpu
-    code 64
-    err "$p --plan has the device of the tasks: give --device to --task only"
+    refused 64 "$p --plan has the device of the tasks: give --device to --task only"
 done
 
 # ---- killed, interrupted, twice at once ----
@@ -702,15 +639,13 @@ fi
 
 run $plan --force # not with --write-plan
 code 64
-run $plan
-code 0
+ok run $plan
 begin_faults bisque-bake
 killed_at open write sync name
 rm -f $part
 command="bisque-bake --task 2 interrupted" code=0
 faulty_task write interrupt 0 || code=$?
-code 75
-err "$p interrupted"
+refused 75 "$p interrupted"
 [ ! -e $part ]
 check "an interrupted task leaves no part" $?
 
@@ -725,8 +660,7 @@ no_temporary_files
 
 rm -rf farm color.*.exr
 mkdir farm
-$bake scan.nvdb low.obj $size -o '<MAP>.<UDIM>.exr' --maps color
-code 0
+ok $bake scan.nvdb low.obj $size -o '<MAP>.<UDIM>.exr' --maps color
 plainly "$BIN/bisque-bake" scan.nvdb low.obj $size -o 'farm/<MAP>.<UDIM>.exr' --maps color --tasks 2 --write-plan farm/plan.json
 plainly "$BIN/bisque-bake" --plan farm/plan.json --task 0-1
 plainly "$BIN/bisque-bake" --plan farm/plan.json --merge

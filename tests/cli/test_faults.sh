@@ -88,12 +88,9 @@ if [ -d /dev/shm ] && [ -w /dev/shm ] && memory=$(mktemp -d /dev/shm/bisque-cli.
 fi
 "$TESTS/generate-scan" --triangles 2000 --colors vase -o scan.obj
 "$TESTS/generate-scan" vase-low -o low.obj
-run bisque-voxelize scan.obj -o scan.nvdb --resolution 32
-code 0
-run bisque-bake scan.nvdb low.obj --device cpu --size 32 --samples 1 --maps normal -o grid.exr
-code 0
-run bisque-bake scan.tris low.obj --size 32 --samples 1 --maps normal -o exact.exr
-code 0
+ok run bisque-voxelize scan.obj -o scan.nvdb --resolution 32
+ok run bisque-bake scan.nvdb low.obj --device cpu --size 32 --samples 1 --maps normal -o grid.exr
+ok run bisque-bake scan.tris low.obj --size 32 --samples 1 --maps normal -o exact.exr
 small="--size 32 --samples 1 --threads 2"
 
 # ---- each tool, every call ----
@@ -153,8 +150,7 @@ torture -m 10 EINTR
 torture -m 5 -n 20 kill
 
 # The image is too large for its cache, so it is copied to a temporary tiled file.
-run bisque-bake scan.nvdb low.obj --device cpu --size 2048 --samples 1 --maps color --type 8 --padding 0 -o wood.png
-code 0
+ok run bisque-bake scan.nvdb low.obj --device cpu --size 2048 --samples 1 --maps color --type 8 --padding 0 -o wood.png
 cat >square.obj <<'OBJ'
 v 0 0 0
 v 1 0 0
@@ -204,8 +200,7 @@ together 1 yes # all the time with a name
 
 # A chunk file that is replaced between sorting and voxelizing: the grid is made of the job's own.
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >other.obj
-run bisque-voxelize other.obj -o other.nvdb --resolution 4
-code 0
+ok run bisque-voxelize other.obj -o other.nvdb --resolution 4
 rm -f flag
 LD_PRELOAD=$FAULTS FAULT_UNDER=$(pwd -P) FAULT_CALLS=name FAULT_PATH=a.tris.job FAULT_AT=1 FAULT_DO=pause FAULT_FLAG=flag \
     "$BIN/bisque-voxelize" scan.obj -o a.nvdb --resolution 32 >"$out" 2>"$err" &

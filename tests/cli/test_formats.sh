@@ -33,8 +33,7 @@ reports()
 
 voxelize()
 {
-    run bisque-voxelize "$@" --json
-    code 0
+    ok run bisque-voxelize "$@" --json
     cp "$out" "$work/report.json"
 }
 
@@ -106,8 +105,7 @@ measure()
 
 write_box >box.obj
 voxelize box.obj -o box.nvdb --resolution 24 --scan-normals flat
-oracle measure box.tris
-code 0
+ok oracle measure box.tris
 is triangles 12 0
 is source_faces 6 0
 is vertices 8 0
@@ -120,8 +118,7 @@ is volume 6 1e-12
 # 8 x 16 x 24 voxels. 1048 have one face of the box, half a voxel from the centre, coverage 1. 168
 # have an edge: the mean of two faces is (1, 1) / sqrt 2 at a distance of sqrt 2 / 4. 8 have a
 # corner of three faces.
-oracle measure box.nvdb
-code 0
+ok oracle measure box.nvdb
 is voxels 1224 0
 is second_records 0 0
 is shaded 0 0
@@ -136,10 +133,8 @@ is sum_offset "$(awk 'BEGIN { print 1048 / 2 + 168 * sqrt(2) / 4 + 8 * sqrt(3) /
 is sum_coverage "$(awk 'BEGIN { print 1048 + 168 / sqrt(2) + 8 / sqrt(3) }')" 1e-3
 is sum_normal "0 0 0" 1e-2 # rounding, 1224 times
 cp "$out" "$work/mask"
-run bisque-voxelize box.obj -o on.nvdb --resolution 24 --scan-normals flat --grid-type onindex --no-tris
-code 0
-oracle measure on.nvdb
-code 0
+ok run bisque-voxelize box.obj -o on.nvdb --resolution 24 --scan-normals flat --grid-type onindex --no-tris
+ok oracle measure on.nvdb
 sed 's/^type 8$/type 20/' "$work/mask" | cmp -s - "$out"
 check "an OnIndex grid has the same voxels" $?
 
@@ -151,8 +146,7 @@ check "an OnIndex grid has the same voxels" $?
 } >sheet.obj
 voxelize sheet.obj -o sheet.nvdb --resolution 16 --scan-normals flat
 printf '.5 .5 0\n.5 .5 .02\n.53125 .71875 0\n.3 .3 .5\n2 0 0\n-.1 -.1 0\n' >points
-oracle measure sheet.nvdb points
-code 0
+ok oracle measure sheet.nvdb points
 is voxels 256 0
 is second_records 256 0
 reports second_records .grid.second_records
@@ -164,8 +158,7 @@ is points_from_plane 0 1e-4
 
 printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvn 1 0 1\nf 1//1 2//1 3//1 4//1\n' >lean.obj
 voxelize lean.obj -o lean.nvdb --resolution 8
-oracle measure lean.nvdb
-code 0
+ok oracle measure lean.nvdb
 is voxels 64 0
 # Normals of the scan's own on triangles of eight voxels: all are inconsistent with their planes.
 is shaded 64 0
@@ -180,8 +173,7 @@ is sum_coverage "$lean" 2e-3
 eval "$(measure vase.obj)"
 voxelize vase.obj -o vase.nvdb --resolution 300
 same_triangles vase.obj vase.tris -v rgb=1 -v n=1
-oracle measure vase.tris
-code 0
+ok oracle measure vase.tris
 is attributes 5 0
 is triangles "$faces" 0
 is area "$area" 1e-6
@@ -199,8 +191,7 @@ hash=$(value hash)
 # Each vertex of the scan is in a voxel, near its plane, and has its colour. Triangles are about two
 # voxels wide.
 sed -n 's/^v //p' vase.obj >points
-oracle measure vase.nvdb points
-code 0
+ok oracle measure vase.nvdb points
 is color 1 0
 is scan_min "$low" 1e-6
 is scan_max "$high" 1e-6
@@ -229,8 +220,7 @@ printf 'newmtl glaze\nKd 0.2 0.4 0.6\nmap_Kd ramp.ppm\n' >vase.mtl
 } >textured.obj
 voxelize textured.obj -o textured.nvdb --resolution 300
 same_triangles textured.obj textured.tris -v uv=1 -v m=m0
-oracle measure textured.tris
-code 0
+ok oracle measure textured.tris
 is attributes 10 0
 [ "$(sed -n 's/^material //p' "$out")" = "0.2 0.4 0.6 $PWD/ramp.ppm" ]
 check "the material is that of the MTL file: $(value material)" $?
@@ -240,8 +230,7 @@ awk '$1 == "v" { p[++v] = $2 " " $3 " " $4 }
      $1 == "f" { split($2, k, "/"); i = k[2]
          if (u[i] > 0.05 && u[i] < 0.95 && w[i] > 0.05 && w[i] < 0.95) print p[k[1]], u[i], w[i], 128 / 255 }
     ' textured.obj >points
-oracle measure textured.nvdb points
-code 0
+ok oracle measure textured.nvdb points
 is points_found "$(wc -l <points)" 0
 awk "BEGIN { exit !($(value points_from_color) < 2) }"
 check "vertices are $(value points_from_color) / 255 off the texture" $?
@@ -275,8 +264,7 @@ put()
 }
 
 for file in box.tris:1 box.nvdb:3001; do
-    oracle measure --damage "${file%:*}" "${file#*:}"
-    code 0
+    ok oracle measure --damage "${file%:*}" "${file#*:}"
 done
 
 # An unknown version is refused by name, also by Bisque.
@@ -316,19 +304,16 @@ header()
     done
 }
 
-run bisque-bake vase.nvdb low.obj --maps normal,color,mask --size 32x16 --front 0.05 --back 0.025 --green down \
+ok run bisque-bake vase.nvdb low.obj --maps normal,color,mask --size 32x16 --front 0.05 --back 0.025 --green down \
     -o 'map_<MAP>.exr'
-code 0
 header map_normal.exr colorInteropID=data oiio:ColorSpace=Raw bisque:map=normal bisque:normalSpace=tangent \
     bisque:tangents=MikkTSpace bisque:green=down "bisque:encoding=n / 2 + 1/2" "bisque:samples=2 x 2" \
     bisque:sampling=trilinear bisque:rays=smooth bisque:front=0.05 bisque:back=0.025
 header map_color.exr colorInteropID=lin_rec709_scene oiio:ColorSpace=Linear bisque:map=color
 header map_mask.exr colorInteropID=data oiio:ColorSpace=Raw bisque:map=mask
-run bisque-bake vase.tris low.obj --maps normal --size 32x16 --normal-space object -o exact.exr
-code 0
+ok run bisque-bake vase.tris low.obj --maps normal --size 32x16 --normal-space object -o exact.exr
 header exact.exr bisque:normalSpace=object bisque:tangents=none bisque:green=up bisque:sampling=exact
-run bisque-bake vase.nvdb low.obj --maps normal,color,mask --size 32x16 -o 'map_<MAP>.png'
-code 0
+ok run bisque-bake vase.nvdb low.obj --maps normal,color,mask --size 32x16 -o 'map_<MAP>.png'
 # IHDR: width, height, 16 bits, colour type 2 (RGB) or 0 (grey), no interlacing.
 for map in normal:02 color:02 mask:00; do
     [ "$(od -An -tx1 -j 16 -N 13 "map_${map%:*}.png")" = " 00 00 00 20 00 00 00 10 10 ${map#*:} 00 00 00" ]

@@ -45,16 +45,12 @@ few_differ()
 # ---- names and colours ----
 
 for kind in material object color; do
-    $vox sheet.obj -o $kind.nvdb --resolution 80 --channels id --id $kind --json
-    code 0
+    ok $vox sheet.obj -o $kind.nvdb --resolution 80 --channels id --id $kind --json
     json '.grid.has_ids'
-    $vox --verify $kind.tris $kind.nvdb
-    code 0
-    oracle read_file $kind.tris $kind.nvdb
-    code 0
+    ok $vox --verify $kind.tris $kind.nvdb
+    ok oracle read_file $kind.tris $kind.nvdb
     for scan in tris nvdb; do
-        $bake $kind.$scan low.obj -o ${kind}_$scan.png --maps id --json
-        code 0
+        ok $bake $kind.$scan low.obj -o ${kind}_$scan.png --maps id --json
         json ".ids.source == \"$kind\""
         cp "$out" ${kind}_$scan.json
     done
@@ -82,26 +78,20 @@ done
 
 # Beside each other, grids and triangles mixed; below, a third one that no ray should reach.
 for scan in left right below; do
-    $vox $scan.obj -o $scan.nvdb --voxel-size 0.0125 --channels id
-    code 0
+    ok $vox $scan.obj -o $scan.nvdb --voxel-size 0.0125 --channels id
 done
 rays="--front 0.5 --back 0.5"
-$bake left.tris right.tris below.tris low.obj $rays -o several.png --maps id --json
-code 0
+ok $bake left.tris right.tris below.tris low.obj $rays -o several.png --maps id --json
 json '[.ids.names[].name] == ["", "brick wall", "floor", "gläs", "stone"]'
 few_differ several.png material_tris.png 0
-$bake left.nvdb right.tris below.nvdb low.obj $rays -o several.png --maps id
-code 0
+ok $bake left.nvdb right.tris below.nvdb low.obj $rays -o several.png --maps id
 few_differ several.png material_tris.png 3
-$bake below.nvdb left.nvdb right.tris low.obj $rays -o order.png --maps id
-code 0
+ok $bake below.nvdb left.nvdb right.tris low.obj $rays -o order.png --maps id
 same several.png order.png
 $bake left.nvdb object.nvdb low.obj -o x.png --maps id
 refused 65 "bisque-bake: left.nvdb has ids by material, object.nvdb by object: make both with one --id"
-$vox left.tris right.tris -o parts.nvdb --resolution 80 --channels id
-code 0
-$bake parts.nvdb low.obj -o parts.png --maps id
-code 0
+ok $vox left.tris right.tris -o parts.nvdb --resolution 80 --channels id
+ok $bake parts.nvdb low.obj -o parts.png --maps id
 few_differ parts.png material_nvdb.png 0.5
 $vox right.tris object.tris -o x.nvdb --channels id
 refused 65 "bisque-voxelize: object.tris has ids by object, right.tris by material: make both with one --id"
@@ -109,14 +99,11 @@ refused 65 "bisque-voxelize: object.tris has ids by object, right.tris by materi
 # ---- tasks ----
 
 for scan in tris nvdb; do
-    $bake material.$scan low.obj -o 'tasks_<MAP>.png' --maps id,normal --tasks 2 --write-plan plan.json
-    code 0
+    ok $bake material.$scan low.obj -o 'tasks_<MAP>.png' --maps id,normal --tasks 2 --write-plan plan.json
     for task in 1 0; do
-        run bisque-bake --plan plan.json --task $task
-        code 0
+        ok run bisque-bake --plan plan.json --task $task
     done
-    run bisque-bake --plan plan.json --merge --json
-    code 0
+    ok run bisque-bake --plan plan.json --merge --json
     json '[.ids.names[].name] == ["", "brick wall", "gläs", "stone"]'
     same tasks_id.png material_$scan.png
     rm plan.json* tasks*
@@ -125,31 +112,24 @@ done
 # ---- devices, threads, budgets ----
 
 for device in $("$BIN/bisque-bake" --list devices --json | jq -r '.devices[].id' | grep opencl: | head -n 1); do
-    $bake material.nvdb low.obj -o other.png --maps id --device "$device"
-    code 0
+    ok $bake material.nvdb low.obj -o other.png --maps id --device "$device"
     same material_nvdb.png other.png
 done
 # A grid in passes: ids and colours are renumbered.
-$vox material.tris -o fine.nvdb --resolution 600 --channels id
-code 0
+ok $vox material.tris -o fine.nvdb --resolution 600 --channels id
 bake="run bisque-bake --size 16 --samples 2 --maps id,color fine.nvdb low.obj"
-$bake -o 'cpu_<MAP>.png'
-code 0
+ok $bake -o 'cpu_<MAP>.png'
 for memory in 64M 5M; do
-    LD_LIBRARY_PATH=$TESTS/fake FAKE_CUDA_PTX=1 $bake -o 'cuda_<MAP>.png' --device cuda --gpu-memory $memory --json
-    code 0
+    LD_LIBRARY_PATH=$TESTS/fake FAKE_CUDA_PTX=1 ok $bake -o 'cuda_<MAP>.png' --device cuda --gpu-memory $memory --json
     json ".passes $([ $memory = 5M ] && echo '>' || echo '==') 1"
     same cpu_id.png cuda_id.png
     same cpu_color.png cuda_color.png
 done
-$vox sheet.obj -o again.nvdb --resolution 80 --channels id --threads 3 --memory 80M
-code 0
+ok $vox sheet.obj -o again.nvdb --resolution 80 --channels id --threads 3 --memory 80M
 same material.tris again.tris
 same material.nvdb again.nvdb
-$vox material.tris -o other.nvdb --resolution 80
-code 0
-$vox sheet.obj -o plain.nvdb --resolution 80
-code 0
+ok $vox material.tris -o other.nvdb --resolution 80
+ok $vox sheet.obj -o plain.nvdb --resolution 80
 same other.nvdb plain.nvdb
 
 # ---- what has no ids ----
@@ -175,8 +155,7 @@ refused 64 "bisque-voxelize: material.tris is already a chunk file: leave out --
 $vox sheet.obj -o x.nvdb --channels id,Gloss
 refused 64 'bisque-voxelize: --channels: "Gloss" is not a channel'
 printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n' >bare.obj
-$vox bare.obj -o bare.nvdb --resolution 8 --channels id --id object
-code 0
+ok $vox bare.obj -o bare.nvdb --resolution 8 --channels id --id object
 grep -q '^bisque-voxelize: warning: bare.obj: no faces with objects or groups: all have the same id$' "$err"
 check "a warning says that there are no objects" $?
 finish

@@ -10,8 +10,7 @@ bake="run bisque-bake --device cpu --size 16 --samples 1"
 # the texture.
 write_box >low.obj
 $vox low.obj -o low.nvdb
-$bake low.nvdb low.obj --maps mask -o box_color.png
-code 0
+ok $bake low.nvdb low.obj --maps mask -o box_color.png
 { echo 'mtllib box.mtl'; write_box | sed 's/^f /usemtl skin\nf /'; } >box.obj
 printf 'newmtl skin\nKd 1 1 1\nmap_Kd box_color.png\n' >box.mtl
 rm low.nvdb low.tris
@@ -62,8 +61,7 @@ refused 64 "$p missing.png: this output would overwrite the texture that box2.mt
 unchanged
 
 # The chunk file names its textures.
-$vox box.obj -o box.nvdb
-code 0
+ok $vox box.obj -o box.nvdb
 start=$(ls -A)
 for maps in color,normal normal,color mask,color; do
     $bake box.tris low.obj --maps $maps -o 'box_<MAP>.png'
@@ -95,17 +93,14 @@ start=$(ls -A)
 for name in pipe.png /dev/zero; do
     printf 'newmtl skin\nmap_Kd %s\n' "$name" >hostile.mtl
     $vox hostile.obj -o a.nvdb --no-tris --strict
-    code 65
-    err_like "^bisque-voxelize: hostile\.mtl:2: $name: not a regular file: "
+    refused_like 65 "^bisque-voxelize: hostile\.mtl:2: $name: not a regular file: "
 done
 rm hostile.mtl
 printf 'newmtl skin\nmap_Kd stream.png\n' >hostile.mtl
 $vox hostile.obj -o a.nvdb --no-tris --strict
-code 65
-err_like '^bisque-voxelize: .*stream\.png: not a readable image: it is no PNG'
+refused_like 65 '^bisque-voxelize: .*stream\.png: not a readable image: it is no PNG'
 printf 'newmtl skin\nmap_Kd http://127.0.0.1:9/a.png\n' >hostile.mtl
-$vox hostile.obj -o a.nvdb --no-tris
-code 0
+ok $vox hostile.obj -o a.nvdb --no-tris
 grep -q 'no such texture' "$err"
 check "a URL is no texture" $?
 rm a.nvdb hostile.mtl
@@ -128,10 +123,8 @@ else
         refused 71 "$p OpenVDB files need 8 threads, of which the system starts only $most"
     done
     export FAULT_THREADS=20
-    $vox box.obj -o a.nvdb --no-tris --threads 1
-    code 0
-    $vox low.obj -o a.nvdb --no-tris --threads 1
-    code 0
+    ok $vox box.obj -o a.nvdb --no-tris --threads 1
+    ok $vox low.obj -o a.nvdb --no-tris --threads 1
     unset LD_PRELOAD FAULT_THREADS
     rm a.nvdb
 fi

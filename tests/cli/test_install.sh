@@ -64,19 +64,15 @@ write_box >box.obj
 printf 'P3\n1 1\n255\n255 0 0\n' >red.ppm
 BIN=$PWD
 voxelize="voxelize_scan box.obj box.tris box.nvdb 32"
-run $voxelize
-code 0
+ok run $voxelize
 out_like '^12 triangles, [0-9]* voxels, no color$'
-run voxelize_scan-shared box.obj shared.tris shared.nvdb 32 red.ppm
-code 0
+ok run voxelize_scan-shared box.obj shared.tris shared.nvdb 32 red.ppm
 out_like ', color$'
-run bake_maps box.nvdb box.obj 'box_<MAP>.png' 64
-code 0
+ok run bake_maps box.nvdb box.obj 'box_<MAP>.png' 64
 out_like '^hits on '
 [ -s box_normal.png ] && [ ! -e box_color.png ]
 check "maps of a scan without colours" $?
-run $voxelize red.ppm box.vdb
-code 0
+ok run $voxelize red.ppm box.vdb
 out_like ', color$'
 run bake_maps box.nvdb box.obj 'box_<MAP>.png' 64
 [ -s box_color.png ] && [ -s box.vdb ]
@@ -92,8 +88,7 @@ mv bin/voxelize_scan . && mv bin/* "$prefix/lib/bisque"
 # ---- modules that are missing, broken, or of another build ----
 cp -r "$prefix" moved
 rm "$prefix"/lib/bisque/*
-run $voxelize
-code 0
+ok run $voxelize
 run $voxelize red.ppm
 places="$PWD, ${PWD%/*}/lib/bisque or $prefix/lib/bisque"
 refused 66 "textures need the module bisque-texture.so, which is not in $places"
@@ -103,15 +98,13 @@ refused 66 "OpenVDB files need the module bisque-openvdb.so, which is not in $pl
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >one.obj
 command="bisque-voxelize --vdb without its module" code=0
 "$prefix/bin/bisque-voxelize" one.obj -o one.nvdb --vdb one.vdb >"$out" 2>"$err" || code=$?
-code 66
-err_like '^bisque-voxelize: OpenVDB files need the module bisque-openvdb\.so'
+refused_like 66 '^bisque-voxelize: OpenVDB files need the module bisque-openvdb\.so'
 [ ! -e one.tris ] && [ ! -e one.nvdb ]
 check "nothing was done before the module was missed" $?
 module=$prefix/lib/bisque/bisque-texture.so
 printf 'no library\n' >"$module"
 run $voxelize red.ppm
-code 66
-err_like "^textures need the module $module, which cannot be opened: "
+refused_like 66 "^textures need the module $module, which cannot be opened: "
 stamp=$(grep -aEo '[0-9]+\.[0-9]+\.[0-9]+-[0-9]{6,}' moved/lib/bisque/bisque-texture.so | head -n 1)
 other=$(echo "$stamp" | tr 0-9 1-90)
 sed "s/$stamp/$other/g" moved/lib/bisque/bisque-texture.so >"$module"
@@ -120,8 +113,7 @@ refused 66 "textures need the module $module, which is of build $other; this pro
 
 # ---- a moved installation, and programs that open no more than they need ----
 BIN=$PWD/moved/bin
-run bisque-voxelize box.obj --texture red.ppm --vdb moved.vdb -o moved.nvdb --resolution 32
-code 0
+ok run bisque-voxelize box.obj --texture red.ppm --vdb moved.vdb -o moved.nvdb --resolution 32
 command="bisque-voxelize --vdb" code=0
 cmp -s box.vdb moved.vdb
 check "the same OpenVDB file from a moved installation" $?

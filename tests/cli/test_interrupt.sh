@@ -76,8 +76,7 @@ write_polygon $size >polygon.obj
 write_materials $size
 write_covering $size >covering.obj
 write_box >box.obj
-run bisque-voxelize box.obj -o box.nvdb --resolution 64
-code 0
+ok run bisque-voxelize box.obj -o box.nvdb --resolution 64
 
 stops "one polygon as a scan" bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 --no-tris
 stops "one polygon in little memory" bisque-voxelize polygon.obj -o slow.nvdb --resolution 1024 --no-tris \

@@ -26,8 +26,7 @@ warns()
 {
     line=$1
     shift
-    $vox "$@" -o a.nvdb --resolution 8
-    code 0
+    ok $vox "$@" -o a.nvdb --resolution 8
     [ "$(cat "$err")" = "$p warning: $line" ]
     check "warning: $line" $?
     rm a.*
@@ -75,8 +74,7 @@ code 65
 [ "$(sed -n 1p "$err" | cut -d' ' -f 2-3)" = "warning: scan.mtl:3:" ] && [ "$(sed -n 2p "$err")" = "$p wrong.obj:8: \"x\" is not a number" ]
 check "the texture comes first" $?
 $vox wrong.obj -o a.nvdb --texture text.png
-code 65
-err_like "^$p text\\.png: not a readable image"
+refused_like 65 "^$p text\\.png: not a readable image"
 
 # A library that only a late part of the file names is checked after reading.
 { sed 1d scan.obj; awk 'BEGIN { for (i = 0; i < 30000; i++) print "# a comment of some length" }'; echo 'mtllib scan.mtl'; } >late.obj
@@ -100,8 +98,7 @@ warns "later.obj:$(wc -l <later.obj): none.mtl: No such file or directory: its m
 
 # Text of another kind.
 printf '<!DOCTYPE html>\n<html>\n# Kd\n</html>\n' >scan.mtl
-$vox scan.obj -o a.nvdb --resolution 8
-code 0
+ok $vox scan.obj -o a.nvdb --resolution 8
 [ "$(sed -n 1p "$err")" = "$p warning: scan.mtl:1: lines with statements that are not of the format: 3; this is the first" ]
 check "a page instead of a library" $?
 $vox scan.obj -o a.nvdb --resolution 8 --strict
@@ -119,8 +116,7 @@ rm scan.mtl
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl x\nf 1 2 3\nusemtl y\nf 1 2 3\n' >bare.obj
 warns 'bare.obj: no material library is named; materials without a colour, such as "x": 2 (see --texture)' bare.obj
 sed 's/^v .*/& 0 1 0/' bare.obj >vertex.obj
-$vox vertex.obj -o a.nvdb
-code 0
+ok $vox vertex.obj -o a.nvdb
 [ ! -s "$err" ]
 check "no warning: $command" $?
 
@@ -155,13 +151,11 @@ printf "${points}vt 0 0\nusemtl a\nf 1/1 2/1 3/1\nf 1/1 2 3/1\nusemtl b\nf 1 2 3
 warns "some.obj: faces without texture coordinates: 1; their texture, such as $texture, is not used" some.obj
 warns "some.obj: faces without texture coordinates: 2; their texture, such as $texture, is not used" some.obj --texture "$texture"
 printf "${points}vt 0 0\nusemtl a\nf 1/1 2/1 3/1\nusemtl b\nf 1 2 3\n" >none.obj
-$vox none.obj -o a.nvdb
-code 0
+ok $vox none.obj -o a.nvdb
 [ ! -s "$err" ]
 check "no warning: $command" $?
 sed 's/^v .*/& 0 1 0/' some.obj >vertex.obj
-$vox vertex.obj -o a.nvdb
-code 0
+ok $vox vertex.obj -o a.nvdb
 [ ! -s "$err" ]
 check "no warning: $command" $?
 # Faces without a material beside a material with a colour or a texture.
@@ -174,8 +168,7 @@ printf "${points}vt 0 0\nf 1/1 2/1 3/1\nusemtl a\nf 1/1 2/1 3/1\nusemtl\nf 3 2 1
 warns "textured.obj: $lacks" textured.obj
 printf 'newmtl a\nPr 0.5\n' >gray.mtl
 printf "mtllib gray.mtl\n${points#*.mtl?n}$triangles" a >gray.obj
-$vox plain.obj gray.obj -o a.nvdb --resolution 8
-code 0
+ok $vox plain.obj gray.obj -o a.nvdb --resolution 8
 grep -Fqx "$p warning: plain.obj: $lacks" "$err"
 check "only faces of files with colours count" $?
 # They are white.
@@ -183,8 +176,7 @@ printf 'newmtl b\nKd 1 0 0\nnewmtl white\nKd 1 1 1\n' >scan.mtl
 printf "${points}v 1 1 1\nf 2 3 4\nusemtl b\nf 1 2 3\n" >plain.obj
 sed 's/^f 2 3 4/usemtl white\n&/' plain.obj >white.obj
 for name in plain white; do
-    $vox $name.obj -o $name.nvdb --resolution 8
-    code 0
+    ok $vox $name.obj -o $name.nvdb --resolution 8
 done
 same white.nvdb plain.nvdb
 rm scan.mtl
@@ -208,8 +200,7 @@ warns "blocks.obj: vertices without a colour: 6; $lacks" blocks.obj
 printf "mtllib scan.mtl\n$(grep '^v' colored.obj)\nv 5 5 5\n$faces" >all.obj
 { grep '^v' hidden.obj; echo 'f 1 2 3'; } >plain.obj
 for name in all plain; do
-    $vox $name.obj -o a.nvdb --resolution 8
-    code 0
+    ok $vox $name.obj -o a.nvdb --resolution 8
     [ ! -s "$err" ]
     check "no warning: $command" $?
 done
@@ -223,8 +214,7 @@ warns 'bright.obj: colours out of range were clamped at 1 vertex' bright.obj
 # Each file is checked with its own library: the first has none here.
 sed '/mtllib/d' scan.obj >bare.obj
 printf 'newmtl b\nKd 1 0 0\n' >scan.mtl
-$vox bare.obj scan.obj -o a.nvdb --resolution 8
-code 0
+ok $vox bare.obj scan.obj -o a.nvdb --resolution 8
 [ "$(cat "$err")" = "$p warning: bare.obj: no material library is named; materials without a colour, such as \"a\": 1 (see --texture)
 $p warning: scan.obj: no material library describes \"a\"; materials without a colour: 1 (see --texture)" ]
 check "each file has a warning of its own" $?
@@ -234,8 +224,7 @@ rm scan.mtl
 printf 'newmtl a\nKd 1 0 0\n' >one.mtl
 mkfifo folder/pipe.obj
 sed 's/scan.mtl/none.mtl one.mtl/' scan.obj >folder/pipe.obj &
-run bisque-voxelize --progress none folder/pipe.obj -o a.nvdb --tris a.tris --resolution 8
-code 0
+ok run bisque-voxelize --progress none folder/pipe.obj -o a.nvdb --tris a.tris --resolution 8
 wait
 grep -q 'with colour' "$out"
 check "the library of a pipe is found" $?
@@ -245,8 +234,7 @@ rm a.nvdb a.tris
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\nf 1/1/1 2/2/1 3/3/7\n' >low.obj
 $vox lost.obj -o lost.nvdb --no-tris --resolution 8
 line='low.obj:8: corners that refer to a normal that the file does not have: 1; this is the first'
-run bisque-bake lost.nvdb low.obj -o map.exr --size 8 --device cpu --progress none
-code 0
+ok run bisque-bake lost.nvdb low.obj -o map.exr --size 8 --device cpu --progress none
 [ "$(cat "$err")" = "bisque-bake: warning: $line" ]
 check "warning: $line" $?
 rm map.exr

@@ -10,8 +10,7 @@ if sanitized; then
 fi
 
 "$TESTS/generate-scan" --triangles 2000000 --colors vase -o vase.obj
-run bisque-voxelize vase.obj -o vase.nvdb --resolution 512 --threads 2
-code 0
+ok run bisque-voxelize vase.obj -o vase.nvdb --resolution 512 --threads 2
 
 # ---- memory ----
 
@@ -37,34 +36,27 @@ rm -f small.nvdb small.tris
 
 # A budget above the limit fails with one line and leaves no file.
 limited -d 40960 bisque-voxelize vase.obj -o small.nvdb --resolution 512 --memory 1G --threads 2
-code 71
-err_like '^bisque-voxelize: the system has no memory left: '
+refused_like 71 '^bisque-voxelize: the system has no memory left: '
 files vase.nvdb vase.obj vase.tris
 
 run bisque-voxelize vase.obj -o small.nvdb --memory 16M --threads 2
-code 71
-err_like '^bisque-voxelize: --memory: 16.0 MiB is too small, 2 threads need at least [0-9]*MiB$'
+refused_like 71 '^bisque-voxelize: --memory: 16.0 MiB is too small, 2 threads need at least [0-9]*MiB$'
 least=$(sed -n 's/.*at least \([0-9]*\)MiB$/\1/p' "$err")
-run bisque-voxelize vase.obj -o small.nvdb --resolution 512 --memory "${least}M" --threads 2
-code 0
+ok run bisque-voxelize vase.obj -o small.nvdb --resolution 512 --memory "${least}M" --threads 2
 same vase.nvdb small.nvdb
 rm -f small.nvdb small.tris
 
 # Too little memory has one exit code in all programs.
 "$TESTS/generate-scan" vase-low -o low.obj
-run bisque-bake vase.nvdb low.obj -o normal.exr --maps normal --device cpu --size 64
-code 0
+ok run bisque-bake vase.nvdb low.obj -o normal.exr --maps normal --device cpu --size 64
 for scan in vase.nvdb vase.tris; do
     run bisque-bake $scan low.obj -o small.exr --maps normal --device cpu --size 64 --memory 1k
-    code 71
-    err_like '^bisque-bake: the memory budget is too small: '
+    refused_like 71 '^bisque-bake: the memory budget is too small: '
 done
 run bisque-compare normal.exr normal.exr --memory 1k
-code 71
-err_like '^bisque-compare: the memory budget is too small: '
+refused_like 71 '^bisque-compare: the memory budget is too small: '
 run bisque-voxelize vase.tris -o small.nvdb --memory 1k
-code 71
-err_like '^bisque-voxelize: --memory: 1.0 KiB is too small, '
+refused_like 71 '^bisque-voxelize: --memory: 1.0 KiB is too small, '
 files low.obj normal.exr vase.nvdb vase.obj vase.tris
 rm -f low.obj normal.exr
 
@@ -90,22 +82,19 @@ mkdir disk
 if unshare --map-root-user --mount mount -t tmpfs -o size=1m tmpfs disk 2>/dev/null; then
     # 2 million triangles take 12 bytes each, and a million vertices four more for colours.
     small_disk 8 vase.obj -o disk/a.nvdb --resolution 512
-    code 74
-    err_like '^bisque-voxelize: disk: 2[0-9]{7} bytes are needed for outputs, 8388608 are free$'
+    refused_like 74 '^bisque-voxelize: disk: 2[0-9]{7} bytes are needed for outputs, 8388608 are free$'
     [ ! -s here.txt ]
     check "nothing was written" $?
 
     # The grid's size is estimated when the chunk file is complete; that file stays, for --resume.
     small_disk 50 vase.obj -o disk/a.nvdb --resolution 512
-    code 74
-    err_like '^bisque-voxelize: disk: [0-9]* bytes are needed for outputs and temporary files, [0-9]* are free$'
+    refused_like 74 '^bisque-voxelize: disk: [0-9]* bytes are needed for outputs and temporary files, [0-9]* are free$'
     [ "$(tr '\n' ' ' <here.txt)" = "a.tris a.tris.job " ]
     check "the chunk file and its record are left" $?
 
     # Temporary files need space in their own directory.
     small_disk 8 vase.obj -o a.nvdb --tmpdir disk --resolution 512 --memory "${least}M" --threads 2
-    code 74
-    err_like '^bisque-voxelize: disk: [0-9]* bytes are needed for temporary files, 8388608 are free$'
+    refused_like 74 '^bisque-voxelize: disk: [0-9]* bytes are needed for temporary files, 8388608 are free$'
     [ ! -s here.txt ] && [ ! -e a.tris ]
     check "nothing was written" $?
 

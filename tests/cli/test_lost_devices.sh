@@ -12,8 +12,7 @@ fake=$TESTS/fake
     "$BIN/bisque-voxelize" --resolution 500 vase.obj -o vase.nvdb >/dev/null || exit 1
 maps="--threads 2 --size 48x32 --type float --maps normal,mask vase.nvdb low.obj"
 
-run bisque-bake --device cpu $maps -o 'cpu_<MAP>.exr'
-code 0
+ok run bisque-bake --device cpu $maps -o 'cpu_<MAP>.exr'
 
 cuda() { LD_LIBRARY_PATH=$fake run bisque-bake "$@"; }
 opencl() { LD_LIBRARY_PATH=$fake/opencl run bisque-bake "$@"; }

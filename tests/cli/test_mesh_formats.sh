@@ -8,8 +8,7 @@ compare()
 {
     for suffix in obj ply big.ply text.ply; do
         "$TESTS/generate-scan" --triangles 20000 "$@" vase -o "scan.$suffix"
-        run bisque-voxelize "scan.$suffix" -o "scan.$suffix.nvdb" --resolution 100
-        code 0
+        ok run bisque-voxelize "scan.$suffix" -o "scan.$suffix.nvdb" --resolution 100
     done
     for suffix in ply big.ply text.ply; do
         same scan.obj.tris "scan.$suffix.tris"
@@ -23,14 +22,12 @@ for order in "" "--shuffle 7"; do
     for suffix in obj stl; do
         # shellcheck disable=SC2086 # the order is no option or two words
         "$TESTS/generate-scan" --triangles 20000 $order vase -o "scan.$suffix"
-        run bisque-voxelize "scan.$suffix" -o "scan.$suffix.nvdb" --resolution 200
-        code 0
+        ok run bisque-voxelize "scan.$suffix" -o "scan.$suffix.nvdb" --resolution 200
     done
     same scan.obj.tris scan.stl.tris
     same scan.obj.nvdb scan.stl.nvdb
 done
-run bisque-voxelize scan.stl -o small.nvdb --resolution 200 --memory 64M --threads 1
-code 0
+ok run bisque-voxelize scan.stl -o small.nvdb --resolution 200 --memory 64M --threads 1
 same scan.obj.nvdb small.nvdb
 
 # GLB files of positions and normals.
@@ -39,14 +36,12 @@ for normals in "" "--normals --shuffle 3"; do
     "$TESTS/generate-scan" --triangles 20000 $normals vase -o scan.obj
     python3 "$top/tests/scan/write_glb.py" scan.obj scan.glb
     for suffix in obj glb; do
-        run bisque-voxelize "scan.$suffix" -o "scan.$suffix.nvdb" --resolution 200
-        code 0
+        ok run bisque-voxelize "scan.$suffix" -o "scan.$suffix.nvdb" --resolution 200
     done
     same scan.obj.tris scan.glb.tris
     same scan.obj.nvdb scan.glb.nvdb
 done
-run bisque-voxelize scan.glb -o small.nvdb --resolution 200 --memory 64M --threads 1
-code 0
+ok run bisque-voxelize scan.glb -o small.nvdb --resolution 200 --memory 64M --threads 1
 same scan.obj.nvdb small.nvdb
 
 compare --colors --normals --uvs --shuffle 1
@@ -70,11 +65,9 @@ done
 
 # Files that other programs wrote.
 for kind in plain colors faces linear twice; do
-    run bisque-voxelize "$top/tests/meshes/$kind.obj" -o "$kind.nvdb" --voxel-size 0.02
-    code 0
+    ok run bisque-voxelize "$top/tests/meshes/$kind.obj" -o "$kind.nvdb" --voxel-size 0.02
     for file in "$top/tests/meshes/$kind".*.*; do
-        run bisque-voxelize "$file" -o other.nvdb --tris other.tris --voxel-size 0.02
-        code 0
+        ok run bisque-voxelize "$file" -o other.nvdb --tris other.tris --voxel-size 0.02
         same "$kind.nvdb" other.nvdb
         if [ $kind != faces ]; then # colours of vertices in STL files, materials in others
             same "$kind.tris" other.tris
@@ -82,15 +75,13 @@ for kind in plain colors faces linear twice; do
     done
 done
 
-run bisque-voxelize "$top/tests/meshes/plain.obj" -o plain.nvdb --voxel-size 0.02
-code 0
+ok run bisque-voxelize "$top/tests/meshes/plain.obj" -o plain.nvdb --voxel-size 0.02
 python=
 for candidate in python3 /usr/bin/python3; do
     [ -n "$python" ] || ! "$candidate" -c 'import numpy, xxhash' 2>/dev/null || python=$candidate
 done
 for file in "$top/tests/meshes"/packed.*; do
-    run bisque-voxelize "$file" -o packed.nvdb --voxel-size 0.02
-    code 0
+    ok run bisque-voxelize "$file" -o packed.nvdb --voxel-size 0.02
     if [ -n "$python" ]; then
         "$python" -B "$top/tests/meshes/same_triangles.py" 0.00002 plain.tris packed.tris
         check "the triangles of $file" $?
@@ -99,10 +90,8 @@ for file in "$top/tests/meshes"/packed.*; do
     fi
 done
 
-run bisque-voxelize "$top/tests/meshes/twice.obj" -o twice.nvdb --voxel-size 0.02
-code 0
-run bisque-voxelize "$top/tests/meshes/draco.blender.glb" -o draco.nvdb --voxel-size 0.02
-code 0
+ok run bisque-voxelize "$top/tests/meshes/twice.obj" -o twice.nvdb --voxel-size 0.02
+ok run bisque-voxelize "$top/tests/meshes/draco.blender.glb" -o draco.nvdb --voxel-size 0.02
 if [ -n "$python" ]; then
     "$python" -B "$top/tests/meshes/same_triangles.py" 0.00003 twice.tris draco.tris
     check "the triangles of a mesh that Draco compressed" $?
@@ -120,20 +109,16 @@ for file in packed.gltfpack.meshopt.glb draco.blender.glb; do
 done
 python3 "$top/tests/meshes/damage.py" "$top/tests/meshes/draco.blender.glb" large
 run bisque-voxelize --parse-only large.glb --memory 64M
-code 71
-err_like '^bisque-voxelize: the memory budget is too small: .* needs [0-9]* bytes'
+refused_like 71 '^bisque-voxelize: the memory budget is too small: .* needs [0-9]* bytes'
 # Counts that the compressed bytes cannot hold need no memory.
 python3 "$top/tests/meshes/damage.py" "$top/tests/meshes/draco.blender.glb" huge
 run bisque-voxelize --parse-only huge.glb --memory 64M
-code 65
-err_like '^bisque-voxelize: huge.glb: .*: [0-9]* compressed bytes cannot hold [0-9]* triangles$'
+refused_like 65 '^bisque-voxelize: huge.glb: .*: [0-9]* compressed bytes cannot hold [0-9]* triangles$'
 
 # Views that are compressed do not need their fallback.
 python3 "$top/tests/meshes/damage.py" "$top/tests/meshes/packed.gltfpack.meshopt.glb" fallback
-run bisque-voxelize "$top/tests/meshes/packed.gltfpack.meshopt.glb" -o packed.nvdb --voxel-size 0.02
-code 0
-run bisque-voxelize fallback.glb -o fallback.nvdb --voxel-size 0.02
-code 0
+ok run bisque-voxelize "$top/tests/meshes/packed.gltfpack.meshopt.glb" -o packed.nvdb --voxel-size 0.02
+ok run bisque-voxelize fallback.glb -o fallback.nvdb --voxel-size 0.02
 same packed.nvdb fallback.nvdb
 
 # Colours of faces and textures, as from MTL files.
@@ -218,13 +203,11 @@ property uchar blue'
 sed '/^property float [st]$/d; s/^\([01] [01] 0\) [01] [01]$/\1/' vertices.ply >bare.ply
 loses()
 {
-    run bisque-voxelize $1 -o lost.tris
-    code 0
+    ok run bisque-voxelize $1 -o lost.tris
     grep -q "^bisque-voxelize: warning: $1: $2\$" "$err"
     check "warning: $2" $?
     run bisque-voxelize $1 -o lost.tris --strict
-    code 65
-    err_like "bisque-voxelize: $1: $2"
+    refused_like 65 "bisque-voxelize: $1: $2"
 }
 loses bare.ply 'no texture coordinates, so the texture .*image.ppm is not used'
 awk -v colors="$colors" '{ print } /^property list uchar int/ { print colors }' vertices.ply |
@@ -238,8 +221,7 @@ loses twice.ply 'colours of faces are not used beside those of vertices'
 sed 's/^property list uchar float texcoord/&\nproperty int texnumber/
     s/^3 0 1 2 .*/& 0/; s/^3 0 2 3 .*/& 0\n3 0 1 3 0 -1\n3 1 2 3 0 1\n3 1 3 2 0 4294967297/
     s/^element face 2/element face 5/' texture.ply >beyond.ply
-run bisque-voxelize beyond.ply -o beyond.nvdb --resolution 16
-code 0
+ok run bisque-voxelize beyond.ply -o beyond.nvdb --resolution 16
 grep -qxF 'bisque-voxelize: warning: beyond.ply:20: faces whose texnumber, from 0, is not below the number of textures that the file names; they have no texture: 2; this is the first' "$err"
 check 'a warning of textures beyond the file' $?
 run bisque-voxelize beyond.ply -o beyond.nvdb --resolution 16 --strict
@@ -254,19 +236,15 @@ awk 'BEGIN {
         print 3, 0, 1, 2, i % 256, int(i / 256) % 256, int(i / 65536)
 }' >many.ply
 run bisque-voxelize many.ply -o many.nvdb --resolution 16 --memory 56M --threads 1
-code 71
-err_like 'the memory budget is too small: a table of materials and of colours of faces needs [0-9]* bytes'
-run bisque-voxelize many.ply -o many.nvdb --resolution 16 --memory 256M --threads 1
-code 0
+refused_like 71 'the memory budget is too small: a table of materials and of colours of faces needs [0-9]* bytes'
+ok run bisque-voxelize many.ply -o many.nvdb --resolution 16 --memory 256M --threads 1
 
 for name in faces texture; do
-    run bisque-voxelize $name.obj -o $name.nvdb --resolution 64
-    code 0
+    ok run bisque-voxelize $name.obj -o $name.nvdb --resolution 64
     out_like 'voxels'
     for file in $name.ply vertices.ply; do
         if [ $name.$file != faces.vertices.ply ]; then
-            run bisque-voxelize $file -o other.nvdb --tris other.tris --resolution 64
-            code 0
+            ok run bisque-voxelize $file -o other.nvdb --tris other.tris --resolution 64
             same $name.nvdb other.nvdb
         fi
     done
@@ -274,26 +252,20 @@ done
 
 # The same texture in glTF files: beside the file, in a data URI, and in the binary chunk.
 python3 "$top/tests/scan/write_square.py"
-run bisque-voxelize texture.obj -o texture.nvdb --resolution 64
-code 0
+ok run bisque-voxelize texture.obj -o texture.nvdb --resolution 64
 for file in beside.gltf inside.gltf image.glb; do
-    run bisque-voxelize $file -o other.nvdb --tris other.tris --resolution 64
-    code 0
+    ok run bisque-voxelize $file -o other.nvdb --tris other.tris --resolution 64
     out_like 'with colour'
     same texture.nvdb other.nvdb
-    run bisque-voxelize other.tris -o again.nvdb --resolution 64
-    code 0
+    ok run bisque-voxelize other.tris -o again.nvdb --resolution 64
     same texture.nvdb again.nvdb
 done
 run bisque-voxelize beside.gltf -o a.nvdb --tris image.ppm
-code 64
-err 'bisque-voxelize: image.ppm: this output would overwrite the texture that beside.gltf names'
+refused 64 'bisque-voxelize: image.ppm: this output would overwrite the texture that beside.gltf names'
 run bisque-voxelize beside.gltf -o a.nvdb --tris square.bin
-code 64
-err 'bisque-voxelize: square.bin: this output would overwrite the buffer that beside.gltf names'
+refused 64 'bisque-voxelize: square.bin: this output would overwrite the buffer that beside.gltf names'
 run bisque-voxelize other.tris -o image.glb --resolution 64
-code 64
-err_like '^bisque-voxelize: image.glb: this output would overwrite .*, the texture that other.tris names$'
+refused_like 64 '^bisque-voxelize: image.glb: this output would overwrite .*, the texture that other.tris names$'
 
 # Textures and geometry that are not read are a loss. A packed file's own textures cannot be named.
 gzip -c image.glb >packed.glb.gz
@@ -317,13 +289,11 @@ for case in 'color_1.gltf primitives have COLOR_1 or the like without COLOR_0, w
     'factor.gltf materials have a texture, so their colour factor is not used' \
     'outside.gltf nodes with meshes are not in the scene and are not read'; do
     file=${case%% *} line="${case%% *}: 1 ${case#* }"
-    run bisque-voxelize "$file" -o a.nvdb --resolution 16
-    code 0
+    ok run bisque-voxelize "$file" -o a.nvdb --resolution 16
     grep -qxF "bisque-voxelize: warning: $line" "$err"
     check "warning: $line" $?
     run bisque-voxelize "$file" -o a.nvdb --resolution 16 --strict
-    code 65
-    err "bisque-voxelize: $line"
+    refused 65 "bisque-voxelize: $line"
 done
 
 # Vertex colours out of range are clamped, which is told.
@@ -350,8 +320,7 @@ write_colors 1.5 -1 1e30 1 >beyond.gltf
 write_colors -1 -1 -1 1 >negative.gltf
 write_colors 2 0 2 0.5 >halved.gltf
 for name in within beyond negative halved; do
-    run bisque-voxelize $name.gltf -o $name.nvdb --resolution 16
-    code 0
+    ok run bisque-voxelize $name.gltf -o $name.nvdb --resolution 16
     clamped=$(grep -c "$name.gltf: colours out of range were clamped at 3 vertices" "$err")
     case $name in
     beyond | negative) check "$name.gltf: $clamped warnings" $((clamped != 1)) ;;
@@ -377,28 +346,23 @@ done
 # A buffer is never replaced by another file of its name.
 sed 's/"square.bin"/"tile7\/square.bin"/' beside.gltf >tile.gltf
 run bisque-voxelize tile.gltf -o a.nvdb
-code 66
-err 'bisque-voxelize: tile7/square.bin: no such buffer, which tile.gltf names'
+refused 66 'bisque-voxelize: tile7/square.bin: no such buffer, which tile.gltf names'
 
 mkfifo fifo.bin
 for other in fifo.bin .; do
     sed "s/\"square.bin\"/\"$other\"/" beside.gltf >tile.gltf
     run bisque-voxelize tile.gltf -o a.nvdb
-    code 66
-    err "bisque-voxelize: $other: not a regular file, which tile.gltf names as a buffer"
+    refused 66 "bisque-voxelize: $other: not a regular file, which tile.gltf names as a buffer"
 done
 
 # A texture is an input: no output may replace it.
 run bisque-voxelize texture.ply -o a.nvdb --tris image.ppm
-code 64
-err 'bisque-voxelize: image.ppm: this output would overwrite the texture that texture.ply names'
+refused 64 'bisque-voxelize: image.ppm: this output would overwrite the texture that texture.ply names'
 
 # A budget that puts vertices into a file.
 "$TESTS/generate-scan" --triangles 2000000 vase -o large.ply
-run bisque-voxelize large.ply -o large.nvdb --resolution 100
-code 0
-run bisque-voxelize large.ply -o small.nvdb --resolution 100 --memory 64M --threads 1
-code 0
+ok run bisque-voxelize large.ply -o large.nvdb --resolution 100
+ok run bisque-voxelize large.ply -o small.nvdb --resolution 100 --memory 64M --threads 1
 same large.nvdb small.nvdb
 same large.tris small.tris
 
@@ -407,8 +371,7 @@ same large.tris small.tris
 run bisque-voxelize scan.ply -o scan.nvdb --resolution 100
 for suffix in obj ply big.ply text.ply; do
     "$TESTS/generate-scan" vase-low -o "low.$suffix"
-    run bisque-bake scan.nvdb "low.$suffix" -o "low.$suffix.<MAP>.exr" --maps normal,color --size 64
-    code 0
+    ok run bisque-bake scan.nvdb "low.$suffix" -o "low.$suffix.<MAP>.exr" --maps normal,color --size 64
 done
 for suffix in ply big.ply text.ply; do
     same low.obj.normal.exr "low.$suffix.normal.exr"
@@ -416,14 +379,12 @@ for suffix in ply big.ply text.ply; do
 done
 
 # The textures of a low-poly mesh are not read, so its maps may take their names.
-run bisque-bake texture.nvdb beside.gltf -o image.png --maps normal --size 16
-code 0
+ok run bisque-bake texture.nvdb beside.gltf -o image.png --maps normal --size 16
 mv image.png beside.png
 sed 's/image.ppm/beside.png/' beside.gltf >again.gltf
 sed 's/image.ppm/beside.png/' texture.ply >again.ply
 for low in again.gltf again.ply; do
-    run bisque-bake texture.nvdb $low -o beside.png --maps normal --size 16
-    code 0
+    ok run bisque-bake texture.nvdb $low -o beside.png --maps normal --size 16
 done
 
 # GLB files split vertices at texture seams. Normals that are missing stay smooth there.
@@ -431,11 +392,9 @@ grep -v '^vn' low.obj | sed 's|/[0-9]*\( \)|\1|g; s|/[0-9]*$||' >low.plain.obj
 for kind in low low.plain; do
     python3 "$top/tests/scan/write_glb.py" "$kind.obj" "$kind.glb"
     for suffix in obj glb; do
-        run bisque-bake scan.nvdb "$kind.$suffix" -o "$kind.$suffix.exr" --maps normal --size 128
-        code 0
+        ok run bisque-bake scan.nvdb "$kind.$suffix" -o "$kind.$suffix.exr" --maps normal --size 128
     done
-    run bisque-compare --type normal "$kind.obj.exr" "$kind.glb.exr" --max-mean 0.01
-    code 0
+    ok run bisque-compare --type normal "$kind.obj.exr" "$kind.glb.exr" --max-mean 0.01
 done
 for attribute in '' ',"TANGENT":0'; do
     printf '{"asset":{"version":"2.0"},"buffers":[{"uri":"square.bin","byteLength":86}],
@@ -443,8 +402,7 @@ for attribute in '' ',"TANGENT":0'; do
 {"bufferView":0,"componentType":5126,"count":3,"type":"VEC3"},
 {"bufferView":0,"byteOffset":48,"componentType":5126,"count":3,"type":"VEC2"}],
 "meshes":[{"primitives":[{"attributes":{"POSITION":0,"TEXCOORD_0":1%s}}]}]}' "$attribute" >low.gltf
-    run bisque-bake scan.nvdb low.gltf -o a.exr --maps normal --size 16
-    code 0
+    ok run bisque-bake scan.nvdb low.gltf -o a.exr --maps normal --size 16
     [ "$(grep -c "low.gltf: the file's tangents are not used: they are computed" "$err")" -eq \
         $((${#attribute} > 0)) ]
     check "warning of tangents: '$attribute'" $?
@@ -452,31 +410,25 @@ done
 
 # FBX, COLLADA and such files, which Assimp reads. In 3DS files squares are cut along other diagonals.
 meshes=$top/tests/meshes
-run bisque-voxelize "$meshes/uv.obj" -o uv.nvdb --voxel-size 0.02
-code 0
-run bisque-bake uv.nvdb "$meshes/uv.obj" -o uv.exr --maps normal --size 64
-code 0
+ok run bisque-voxelize "$meshes/uv.obj" -o uv.nvdb --voxel-size 0.02
+ok run bisque-bake uv.nvdb "$meshes/uv.obj" -o uv.exr --maps normal --size 64
 for suffix in blender.fbx assimp.dae assimp.x assimp.3ds; do
-    run bisque-voxelize "$meshes/uv.$suffix" -o other.nvdb --tris other.tris --voxel-size 0.02
-    code 0
+    ok run bisque-voxelize "$meshes/uv.$suffix" -o other.nvdb --tris other.tris --voxel-size 0.02
     out_like ', 72 triangles,'
     if [ -n "$python" ] && [ $suffix != assimp.3ds ]; then
         "$python" -B "$meshes/same_triangles.py" 0.00001 uv.tris other.tris
         check "the triangles of uv.$suffix" $?
     fi
-    run bisque-bake uv.nvdb "$meshes/uv.$suffix" -o other.exr --maps normal --size 64
-    code 0
+    ok run bisque-bake uv.nvdb "$meshes/uv.$suffix" -o other.exr --maps normal --size 64
     case $suffix in
     assimp.dae | assimp.x) # the others have normals of flat faces
-        run bisque-compare --type normal uv.exr other.exr --max-error 0.01
-        code 0
+        ok run bisque-compare --type normal uv.exr other.exr --max-error 0.01
         ;;
     esac
 done
 # Nodes are objects.
 for suffix in blender.fbx assimp.dae; do
-    run bisque-bake uv.nvdb "$meshes/uv.$suffix" -o 'object_<OBJECT>.exr' --maps normal --size 16
-    code 0
+    ok run bisque-bake uv.nvdb "$meshes/uv.$suffix" -o 'object_<OBJECT>.exr' --maps normal --size 16
     [ -e object_patch.exr ]
     check "the object of uv.$suffix has a name" $?
     rm -f object_*.exr
@@ -488,23 +440,18 @@ sed 's/<node id="patch" name="patch"/<node id="patch" name="a patch"/
 sed 's/<node id="patch" name="patch"/<node id="patch"/; s/name="patch"/name="a patch"/' \
     "$meshes/uv.assimp.dae" >unnamed.dae
 for name in named unnamed; do
-    run bisque-bake uv.nvdb $name.dae -o 'object_<OBJECT>.exr' --maps normal --size 64
-    code 0
+    ok run bisque-bake uv.nvdb $name.dae -o 'object_<OBJECT>.exr' --maps normal --size 64
     [ "$(grep -c "$name.dae: the file's tangents are not used" "$err")" -eq $((${#name} == 5)) ]
     check "warning of tangents: $name.dae" $?
-    run bisque-compare --type normal uv.exr 'object_a patch.exr' --max-error 0.01
-    code 0
+    ok run bisque-compare --type normal uv.exr 'object_a patch.exr' --max-error 0.01
     rm -f object_*.exr
 done
 head -c 3000 "$meshes/uv.blender.fbx" >cut.fbx
 run bisque-bake uv.nvdb cut.fbx -o other.exr --maps normal
-code 65
-err_like '^bisque-bake: cut.fbx: cannot be read: '
+refused_like 65 '^bisque-bake: cut.fbx: cannot be read: '
 gzip -c "$meshes/uv.assimp.dae" >uv.dae.gz
-run bisque-bake uv.nvdb uv.dae.gz -o other.exr --maps normal --size 64
-code 0
-run bisque-compare --type normal uv.exr other.exr --max-error 0.01
-code 0
+ok run bisque-bake uv.nvdb uv.dae.gz -o other.exr --maps normal --size 64
+ok run bisque-compare --type normal uv.exr other.exr --max-error 0.01
 run bisque-bake uv.nvdb "$meshes/uv.assimp.dae" -o other.exr --maps normal --memory 300K
 code 71
 
@@ -512,11 +459,9 @@ code 71
 printf 'ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n' >points.ply
 printf 'property float z\nend_header\n0 0 0\n' >>points.ply
 run bisque-voxelize points.ply -o a.nvdb
-code 65
-err 'bisque-voxelize: points.ply: a point cloud of 1 points without faces; make a mesh of it'
+refused 65 'bisque-voxelize: points.ply: a point cloud of 1 points without faces; make a mesh of it'
 head -c 100000 scan.ply >cut.ply
 run bisque-voxelize cut.ply -o a.nvdb
-code 65
-err_like '^bisque-voxelize: cut\.ply: truncated: .*vertex'
+refused_like 65 '^bisque-voxelize: cut\.ply: truncated: .*vertex'
 
 finish

@@ -18,8 +18,7 @@ sheet()
 }
 sheet red.obj 0 1 0
 sheet green.obj 2 0 1
-run bisque-voxelize red.obj green.obj -o scan.nvdb --voxel-size 0.03125
-code 0
+ok run bisque-voxelize red.obj green.obj -o scan.nvdb --voxel-size 0.03125
 
 # square X STATEMENT FIRST [U]: a square above one of the sheets, after a statement. Its first
 # vertex has the number FIRST; its chart begins at U.
@@ -45,8 +44,7 @@ small="--device cpu --size 16 --samples 2 --maps color --front 0.1 --back 0.1 --
 # alone NAME: a map of a single mesh.
 alone()
 {
-    $bake $small scan.nvdb "$1.obj" -o "alone_$1.exr"
-    code 0
+    ok $bake $small scan.nvdb "$1.obj" -o "alone_$1.exr"
 }
 alone left
 alone right
@@ -54,8 +52,7 @@ alone right
 # ---- maps of their own ----
 
 for mesh in low.obj "left.obj right.obj"; do
-    $bake $small scan.nvdb $mesh -o 'own_<OBJECT>.exr' --json
-    code 0
+    ok $bake $small scan.nvdb $mesh -o 'own_<OBJECT>.exr' --json
     json '[.tiles[].object] == ["left", "right"] and [.tiles[].maps.color] ==
         ["own_left.exr", "own_right.exr"] and .misses == 0 and .overlapping_samples == 0'
     same own_left.exr alone_left.exr
@@ -63,48 +60,40 @@ for mesh in low.obj "left.obj right.obj"; do
     rm own_*.exr
 done
 json '.mesh_path == "left.obj" and .mesh_paths == ["left.obj", "right.obj"]'
-$bake $small scan.nvdb materials.obj -o 'own_<MATERIAL>.exr' --json
-code 0
+ok $bake $small scan.nvdb materials.obj -o 'own_<MATERIAL>.exr' --json
 json '[.tiles[].material] == ["paint", "rust"] and [.tiles[].object] == [null, null]'
 same own_paint.exr alone_left.exr
 same own_rust.exr alone_right.exr
-$bake $small scan.nvdb materials.obj left.obj -o '<OBJECT>.<MATERIAL>.exr'
-code 0
+ok $bake $small scan.nvdb materials.obj left.obj -o '<OBJECT>.<MATERIAL>.exr'
 same materials.paint.exr alone_left.exr
 same materials.rust.exr alone_right.exr
 same left.none.exr alone_left.exr
 gzip -c left.obj >packed.obj.gz
-$bake $small scan.nvdb packed.obj.gz -o '<OBJECT>.<MATERIAL>.exr'
-code 0
+ok $bake $small scan.nvdb packed.obj.gz -o '<OBJECT>.<MATERIAL>.exr'
 same packed.none.exr alone_left.exr
 
 # Objects with one name are one object, whose tiles are named too.
-$bake $small scan.nvdb a.obj b.obj -o '<OBJECT>_<UDIM>.exr'
-code 0
+ok $bake $small scan.nvdb a.obj b.obj -o '<OBJECT>_<UDIM>.exr'
 same same_1001.exr alone_left.exr
 same same_1002.exr alone_right.exr
 $bake $small scan.nvdb a.obj b.obj -o 'own_<OBJECT>.exr'
 refused 64 "$p: the low-poly mesh is in several UDIM tiles: 1001, 1002; to bake all, put \"<UDIM>\" into the output's name; to bake one, select it (--tiles)"
-$bake $small scan.nvdb low.obj b.obj -o '<OBJECT>.exr' --tiles 1002 --json
-code 0
+ok $bake $small scan.nvdb low.obj b.obj -o '<OBJECT>.exr' --tiles 1002 --json
 json '[.tiles[] | [.object, .tile]] == [["same", 1002]]'
 same same.exr alone_right.exr
 
 # ---- shared maps ----
 
 # Two charts in one place: the first takes the samples, and all of them are counted.
-$bake $small scan.nvdb left.obj right.obj -o shared.exr --json
-code 0
+ok $bake $small scan.nvdb left.obj right.obj -o shared.exr --json
 json '.overlapping_samples == .samples and .samples == 1024'
 same shared.exr alone_left.exr
 grep -q '100.0 % of the samples lie in several triangles' "$err"
 check "overlapping meshes are said" $?
-$bake $small scan.nvdb a.obj b.obj -o 'shared_<UDIM>.exr'
-code 0
+ok $bake $small scan.nvdb a.obj b.obj -o 'shared_<UDIM>.exr'
 same shared_1001.exr alone_left.exr
 same shared_1002.exr alone_right.exr
-$bake --list tiles a.obj b.obj
-code 0
+ok $bake --list tiles a.obj b.obj
 [ "$(cat "$out")" = "$(printf '1001\n1002')" ]
 check "tiles of several meshes" $?
 
@@ -112,8 +101,7 @@ check "tiles of several meshes" $?
 
 mkdir inner
 { square 0 "o ../evil" 1; square 2 "o <MAP>" 5; } >names.obj
-$bake $small scan.nvdb names.obj -o 'inner/<OBJECT>.exr'
-code 0
+ok $bake $small scan.nvdb names.obj -o 'inner/<OBJECT>.exr'
 same inner/_._evil.exr alone_left.exr
 same inner/_MAP_.exr alone_right.exr
 { square 0 "o a/b" 1; square 2 "o a<b" 5; } >twins.obj
@@ -127,8 +115,7 @@ refused 64 "$p: twin_twins_a_b.exr: two outputs have this name: those of object 
 $bake $small scan.nvdb low.obj -o 'own_<OBJECT>.png' --preview own_right.png
 refused 64 "$p: own_right.png: two outputs have this name"
 $bake $small scan.nvdb low.obj red.obj -o 'own_<OBJECT>.exr'
-code 65
-err_like 'red.obj: no texture coordinates'
+refused_like 65 'red.obj: no texture coordinates'
 
 # ---- arguments ----
 

@@ -46,12 +46,10 @@ done
 
 # ---- the same scan ----
 
-$vox s0.obj s1.obj s2.obj s3.obj -o obj.nvdb
-code 0
+ok $vox s0.obj s1.obj s2.obj s3.obj -o obj.nvdb
 gzip -c s3.ply >s3.ply.gz
 while read -r files; do
-    $vox $files -o mixed.nvdb
-    code 0
+    ok $vox $files -o mixed.nvdb
     same obj.nvdb mixed.nvdb
     same obj.tris mixed.tris
 done <<'CASES'
@@ -60,50 +58,41 @@ s0.glb s1.glb s2.obj s3.ply.gz
 s0.ply s1.obj s2.ply s3.glb --threads 1 --memory 64M
 CASES
 # Positions of a file are moved before the files are put together.
-$vox s0.obj s0.ply s0.glb s3.obj --translate 0,0,0 --translate 0,1,0 --translate 0,2,0 \
+ok $vox s0.obj s0.ply s0.glb s3.obj --translate 0,0,0 --translate 0,1,0 --translate 0,2,0 \
     --translate 0,0,0 -o moved.nvdb
-code 0
-$vox s0.obj s0.obj s0.obj s3.obj --translate 0,0,0 --translate 0,1,0 --translate 0,2,0 \
+ok $vox s0.obj s0.obj s0.obj s3.obj --translate 0,0,0 --translate 0,1,0 --translate 0,2,0 \
     --translate 0,0,0 -o plain.nvdb
-code 0
 same plain.nvdb moved.nvdb
 # Faces are checked against the vertices of their own file.
 printf 'v 0 0 0\nv 1 0 0\nf 1 2 3\nv 0 1 0\nf 1 2 4294967297\n' >beyond.obj
 run bisque-voxelize --parse-only s1.ply beyond.obj
-code 65
-err 'bisque-voxelize: beyond.obj:5: face refers to vertex 4294967297, file has 3'
+refused 65 'bisque-voxelize: beyond.obj:5: face refers to vertex 4294967297, file has 3'
 
-run bisque-voxelize --parse-only s0.obj s1.ply
-code 0
+ok run bisque-voxelize --parse-only s0.obj s1.ply
 # Files that Assimp reads, two of one kind beside another one.
 meshes=$top/tests/meshes
 for up in '' '--up z'; do
     # shellcheck disable=SC2086 # two words
-    $vox s0.obj "$meshes/uv.assimp.dae" "$meshes/uv.blender.fbx" $up -o assimp.nvdb
-    code 0
+    ok $vox s0.obj "$meshes/uv.assimp.dae" "$meshes/uv.blender.fbx" $up -o assimp.nvdb
     grep -q ', 224 triangles,' "$out"
     check "all triangles are there" $?
 done
-$vox "$meshes/uv.assimp.dae" "$meshes/uv.assimp.dae" -o assimp.nvdb
-code 0
+ok $vox "$meshes/uv.assimp.dae" "$meshes/uv.assimp.dae" -o assimp.nvdb
 
 # ---- indices belong to their file ----
 
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n' >bad.obj
 for other in s0.obj s0.ply; do
     $vox bad.obj $other -o bad.nvdb
-    code 65
-    err "$p bad.obj:4: face refers to vertex 4, file has 3"
+    refused 65 "$p bad.obj:4: face refers to vertex 4, file has 3"
     $vox $other bad.obj s1.glb -o bad.nvdb
-    code 65
-    err "$p bad.obj:4: face refers to vertex 4, file has 3"
+    refused 65 "$p bad.obj:4: face refers to vertex 4, file has 3"
 done
 
 # Two formats, and then a file whose format nobody can tell.
 gzip -c s2.obj | head -c 9 >cut.obj.gz
 $vox s0.obj s1.ply cut.obj.gz -o bad.nvdb
-code 65
-err_like "^$p cut.obj.gz: byte 9: truncated"
+refused_like 65 "^$p cut.obj.gz: byte 9: truncated"
 
 # ---- files that add nothing ----
 
@@ -115,8 +104,7 @@ printf 'solid a\nendsolid a\n' >none.stl
 nothing='it adds nothing to the scan; files like this:'
 while read -r files_and_line; do
     files=${files_and_line%%:*} line=${files_and_line#*:}
-    $vox $files -o empty.nvdb
-    code 0
+    ok $vox $files -o empty.nvdb
     grep -Fqx "$p warning: $line" "$err"
     check "warning: $line" $?
     $vox $files -o strict.nvdb --strict
@@ -140,13 +128,11 @@ done
 # ---- attributes that some files lack ----
 
 grep -v '^vn' s1.obj | sed 's,//[0-9]*,,g' >bare.obj
-$vox s0.ply bare.obj -o bare.nvdb
-code 0
+ok $vox s0.ply bare.obj -o bare.nvdb
 grep -Fqx "$p warning: bare.obj: no normals, so its facets stay flat; other files of the scan have normals; files like this: 1" "$err"
 check "warning of normals" $?
 to_ply s0.obj '10 20 30' >color.ply
-$vox color.ply s1.obj s2.glb -o white.nvdb --strict
-code 0
+ok $vox color.ply s1.obj s2.glb -o white.nvdb --strict
 grep -Fqx "$p warning: s1.obj: no vertex colours, so what has no texture is white; other files of the scan have vertex colours; files like this: 2" "$err"
 check "warning of colours" $?
 printf 'newmtl red\nKd 1 0 0\n' >red.mtl
@@ -155,22 +141,18 @@ printf 'newmtl red\nKd 1 0 0\n' >red.mtl
     echo 'usemtl red'
     cat s1.obj
 } >red.obj
-$vox color.ply red.obj -o lost.nvdb
-code 0
+ok $vox color.ply red.obj -o lost.nvdb
 lost='red.obj: colours of materials are not used, because other files of the scan have vertex colours; files like this: 1'
 grep -Fqx "$p warning: $lost" "$err"
 check "warning of lost colours" $?
 $vox color.ply red.obj -o strict.nvdb --strict
-code 65
-err "$p $lost"
+refused 65 "$p $lost"
 printf '#MRGB ff102030ff102030ff102030\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' |
     awk '/^v/ { print; next } /^#/ { paint = $0; next } { print paint; print }' >paint.obj
-$vox paint.obj s1.ply -o paint.nvdb
-code 0
+ok $vox paint.obj s1.ply -o paint.nvdb
 grep -q "warning: paint.obj: ZBrush's polypaint is not used beside files without it" "$err"
 check "warning of polypaint" $?
-$vox paint.obj color.ply -o paint.nvdb --strict
-code 0
+ok $vox paint.obj color.ply -o paint.nvdb --strict
 $vox color.ply paint.obj -o paint.nvdb --strict
 code 65
 finish

@@ -12,11 +12,9 @@ voxelize()
 {
     name=$1
     shift
-    run bisque-voxelize "$name.obj" -o "$name.nvdb" --json "$@"
-    code 0
+    ok run bisque-voxelize "$name.obj" -o "$name.nvdb" --json "$@"
     cp "$err" "$work/warnings"
-    run bisque-voxelize --verify "$name.tris" "$name.nvdb" --json
-    code 0
+    ok run bisque-voxelize --verify "$name.tris" "$name.nvdb" --json
 }
 
 # moved SCALE X Y FILE: prints an OBJ file with vertices scaled, then moved.
@@ -31,9 +29,8 @@ moved()
 maps()
 {
     for kind in nvdb tris; do
-        run bisque-bake "$1.$kind" "$1_low.obj" --size 64 --maps normal,mask --normal-space object --device cpu --type float \
+        ok run bisque-bake "$1.$kind" "$1_low.obj" --size 64 --maps normal,mask --normal-space object --device cpu --type float \
             -o "$1_${kind}_<MAP>.exr" --json
-        code 0
         jq -r '"\(.front) \(.back)"' "$out" >"$1_$kind.rays"
     done
 }
@@ -44,9 +41,8 @@ alike()
     a=$1 b=$2
     shift 2
     for kind in nvdb tris; do
-        run bisque-compare "${a}_${kind}_normal.exr" "${b}_${kind}_normal.exr" --mask-a "${a}_${kind}_mask.exr" \
+        ok run bisque-compare "${a}_${kind}_normal.exr" "${b}_${kind}_normal.exr" --mask-a "${a}_${kind}_mask.exr" \
             --mask-b "${b}_${kind}_mask.exr" "$@"
-        code 0
     done
 }
 
@@ -90,13 +86,11 @@ awk 'BEGIN { print "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3"; n = 4
     for (i = 0; i < 20; i++) for (j = 0; j < 20; j++) { x = 999 + i * 1e-6; y = 999 + j * 1e-6
         printf "v %.6f %.6f 0\nv %.6f %.6f 0\nv %.6f %.6f 0\nf %d %d %d\n", x, y, x + 1e-6, y, x, y + 1e-6, n, n + 1, n + 2
         n += 3 } }' >km.obj
-run bisque-voxelize km.obj -o km.nvdb --resolution 64
-code 0
+ok run bisque-voxelize km.obj -o km.nvdb --resolution 64
 grep -Eq "^$p warning: km\.obj: [0-9]+ vertices fell together with the one before: positions are kept to 6\.1e-05 of the scan's units" "$err"
 check "merged vertices are named, with the precision" $?
 printf 'v 1000 0 0\nv 1000.001 0 0\nv 1000 .001 0\nf 1 2 3\nv 0 0 0\nv .001 0 0\nv 0 .001 0\nf 4 5 6\n' >tiny.obj
-run bisque-voxelize tiny.obj -o tiny.nvdb --voxel-size .0005
-code 0
+ok run bisque-voxelize tiny.obj -o tiny.nvdb --voxel-size .0005
 grep -qx "$p warning: tiny\.tris: positions are kept to 6\.1e-05 of the scan's units, which is coarse for voxels of 0\.0005" "$err"
 check "voxels that are too fine for the scan's precision are named" $?
 
@@ -127,18 +121,15 @@ refuses 1e-60 ": the scan's only triangle has no area"
 run bisque-voxelize plain.tris -o bad.nvdb --voxel-size 1e38
 refused 64 "$p plain.tris: voxels of 1e+38 are beyond the 32-bit numbers of a NanoVDB grid, 1.17549e-38 to 8.50706e+37"
 run bisque-voxelize plain.tris -o bad.nvdb --voxel-size 1e-40
-code 64
-err_like 'plain\.tris: with a voxel size of 1e-40 the scan reaches from index .* beyond the limit of '
+refused_like 64 'plain\.tris: with a voxel size of 1e-40 the scan reaches from index .* beyond the limit of '
 printf 'v 0 0 0\nv 1e-42 0 0\nv 0 1e-42 0\nf 1 2 3\n' >denormal.obj
 run bisque-voxelize denormal.obj -o denormal.nvdb --resolution 64
-code 65
-err_like 'denormal\.tris: voxels of 1\.5.*e-44 are beyond the 32-bit numbers'
+refused_like 65 'denormal\.tris: voxels of 1\.5.*e-44 are beyond the 32-bit numbers'
 
 # ---- a stray triangle far away leaves the scan few voxels ----
 
 { cat plain.obj; printf 'v 5000 0 0\nv 5001 0 0\nv 5000 1 0\nf -3 -2 -1\n'; } >stray.obj
-run bisque-voxelize stray.obj -o stray.nvdb --resolution 1000 --json
-code 0
+ok run bisque-voxelize stray.obj -o stray.nvdb --resolution 1000 --json
 json '.grid.voxels < 1000'
 grep -Eq "^$p warning: stray\.nvdb: only [0-9]+ voxels in a grid of 1000 along the longest side: " "$err"
 check "a hint at what lies far away" $?

@@ -12,36 +12,29 @@ $maps glass || exit 1
 
 # ---- alpha of the colour texture ----
 
-$vox plane.obj --texture glass.png -o plane.nvdb
-code 0
+ok $vox plane.obj --texture glass.png -o plane.nvdb
 for scan in tris nvdb; do
     tolerance=$([ $scan = tris ] && echo 0.002 || echo 0.01)
-    $bake plane.$scan low.obj --maps color,mask:opacity -o "${scan}_<MAP>.png" --json
-    code 0
+    ok $bake plane.$scan low.obj --maps color,mask:opacity -o "${scan}_<MAP>.png" --json
     json '.maps | keys == ["color", "mask"]'
     values ${scan}_mask.png slope $tolerance
     values ${scan}_color.png light 0.02
-    $bake plane.$scan low.obj --maps mask:opacity,transfer:opacity -o "${scan}_both_<MAP>.png"
-    code 0
+    ok $bake plane.$scan low.obj --maps mask:opacity,transfer:opacity -o "${scan}_both_<MAP>.png"
     values ${scan}_both_opacity.png slope $tolerance
     cmp -s ${scan}_mask.png ${scan}_both_mask.png
     check "a file of opacity changes no mask from $scan" $?
-    run bisque-bake --size 48 plane.$scan low.obj --maps mask -o ${scan}_plain.png
-    code 0
+    ok run bisque-bake --size 48 plane.$scan low.obj --maps mask -o ${scan}_plain.png
     values ${scan}_plain.png whole 0
 done
-run bisque-voxelize --verify plane.tris
-code 0
+ok run bisque-voxelize --verify plane.tris
 oracle measure plane.tris
 grep -q 'component 3' "$out"
 check "another reader finds alpha in plane.tris" $?
 
 # A mask from tasks has the same bytes.
-$bake plane.tris low.obj --maps color,mask:opacity -o 'task_<MAP>.png' --tasks 2 --write-plan plan.json
-code 0
+ok $bake plane.tris low.obj --maps color,mask:opacity -o 'task_<MAP>.png' --tasks 2 --write-plan plan.json
 for part in '--task 0-1' --merge; do
-    run bisque-bake --plan plan.json $part
-    code 0
+    ok run bisque-bake --plan plan.json $part
 done
 cmp -s tris_mask.png task_mask.png && [ ! -e task_opacity.png ]
 check "tasks give the same mask" $?
@@ -55,10 +48,8 @@ material()
     shift 2
     printf '%s\n' 'newmtl m' "$@" >$name.mtl
     sed "1imtllib $name.mtl\nusemtl m" plane.obj >$name.obj
-    run bisque-voxelize --channels opacity $name.obj -o $name.tris
-    code 0
-    $bake $name.tris low.obj --maps mask:opacity -o $name.png
-    code 0
+    ok run bisque-voxelize --channels opacity $name.obj -o $name.tris
+    ok $bake $name.tris low.obj --maps mask:opacity -o $name.png
     values $name.png $function 0.002
 }
 material own slope 'map_Kd glass.png'
@@ -79,12 +70,10 @@ lost()
     shift 3
     printf '%s\n' 'newmtl m' "$@" >lost.mtl
     sed "1imtllib lost.mtl\nusemtl m" plane.obj >lost.obj
-    run bisque-voxelize --progress none --channels opacity $options lost.obj -o lost.tris
-    code 0
+    ok run bisque-voxelize --progress none --channels opacity $options lost.obj -o lost.tris
     grep -Eq "^bisque-voxelize: warning: lost.mtl:2: (gone.png: no such texture|text.png: not a readable image: .*): material \"m\" goes without it$" "$err"
     check "a warning tells of the texture ($name)" $?
-    $bake lost.tris low.obj --maps mask:opacity -o lost.png
-    code 0
+    ok $bake lost.tris low.obj --maps mask:opacity -o lost.png
     values lost.png $function 0.002
     run bisque-voxelize --channels opacity $options lost.obj -o strict.tris --strict
     code 65
@@ -97,29 +86,23 @@ lost value '' half 'map_d gone.png' 'map_Kd light.png' 'd 0.5'
 lost unreadable '' half 'map_d text.png' 'Tr 0.5'
 lost opaque '' whole 'map_d gone.png'
 material both ramp 'map_d ramp.png'
-run bisque-voxelize --channels opacity --texture glass.png both.obj -o both.tris
-code 0
-$bake both.tris low.obj --maps mask:opacity -o both.png
-code 0
+ok run bisque-voxelize --channels opacity --texture glass.png both.obj -o both.tris
+ok $bake both.tris low.obj --maps mask:opacity -o both.png
 values both.png ramp 0.002
 
 # Two materials, which change at x = 0.6, and one without opacity, which is opaque.
 printf 'newmtl left\nd 0.5\nnewmtl right\nTr 0.25\n' >two.mtl
-$vox --resolution 80 two.obj -o two.nvdb
-code 0
+ok $vox --resolution 80 two.obj -o two.nvdb
 for scan in tris nvdb; do
-    $bake two.$scan low.obj --maps mask:opacity -o two.png
-    code 0
+    ok $bake two.$scan low.obj --maps mask:opacity -o two.png
     values two.png two_opacity 0.002
 done
 sed 's/usemtl right/usemtl none/; s/usemtl left/usemtl right/' two.obj >rest.obj
 awk '$1 == "usemtl" { name = $2; print; next } $1 != "f" || name == "none" { print }' rest.obj >none.obj
 printf 'f 1 2 3\nusemtl right\nf 1 2 3\n' >>none.obj
-$vox none.obj -o none.nvdb
-code 0
+ok $vox none.obj -o none.nvdb
 for scan in tris nvdb; do
-    $bake none.$scan low.obj --maps mask:opacity --samples 1 --back 0.01 --front 0.01 -o none_$scan.png
-    code 0
+    ok $bake none.$scan low.obj --maps mask:opacity --samples 1 --back 0.01 --front 0.01 -o none_$scan.png
     python3 -B -c 'import sys; sys.path.insert(0, sys.argv[2]); import png
 rows = png.read(sys.argv[1])[3]; sys.exit(rows[8][24][0] != 65535)' none_$scan.png "$top/tests/cli"
     check "faces without a material are opaque, from $scan" $?
@@ -127,64 +110,49 @@ done
 
 # ---- glTF ----
 
-$vox blend.gltf -o blend.nvdb
-code 0
-$bake blend.tris low.obj --maps mask:opacity -o blend.png
-code 0
+ok $vox blend.gltf -o blend.nvdb
+ok $bake blend.tris low.obj --maps mask:opacity -o blend.png
 values blend.png slope 0.002
 $vox thin.gltf -o thin.nvdb --strict
-code 65
-err_like 'material "material 0": opacity: its value is not used, but the alpha of its texture'
+refused_like 65 'material "material 0": opacity: its value is not used, but the alpha of its texture'
 # A cutoff shows or hides.
 while read -r name function; do
-    $vox $name.gltf -o $name.nvdb
-    code 0
+    ok $vox $name.gltf -o $name.nvdb
     [ ! -s "$err" ]
     check "no warning about $name.gltf" $?
-    $bake $name.tris low.obj --maps mask:opacity -o $name.png
-    code 0
+    ok $bake $name.tris low.obj --maps mask:opacity -o $name.png
     values $name.png "$function" 0
 done <<'CASES'
 mask upper
 faint upper
 gone none
 CASES
-$bake mask.nvdb low.obj --maps mask:opacity -o mask.png
-code 0
+ok $bake mask.nvdb low.obj --maps mask:opacity -o mask.png
 values mask.png upper 0
 oracle measure faint.tris
 grep -q 'source 0.5 0.5 0.5 component 4' "$out"
 check "another reader finds the cutoff in faint.tris" $?
-run bisque-voxelize --verify mask.tris
-code 0
+ok run bisque-voxelize --verify mask.tris
 $vox opaque.gltf -o opaque.nvdb
-code 65
-err_like 'opaque.gltf: no material has a value or a texture of opacity'
+refused_like 65 'opaque.gltf: no material has a value or a texture of opacity'
 
 # ---- an image of the options ----
 
-run bisque-voxelize --resolution 40 plane.obj --channels opacity=glass.png -o given.nvdb
-code 0
-$bake given.tris low.obj --maps mask:opacity -o given.png
-code 0
+ok run bisque-voxelize --resolution 40 plane.obj --channels opacity=glass.png -o given.nvdb
+ok $bake given.tris low.obj --maps mask:opacity -o given.png
 values given.png slope 0.002
-run bisque-voxelize --resolution 40 plane.obj --texture light.png -o light.nvdb
-code 0
-$bake light.tris low.obj --maps mask:opacity,transfer:opacity --texture opacity=glass.png -o 'light_<MAP>.png'
-code 0
+ok run bisque-voxelize --resolution 40 plane.obj --texture light.png -o light.nvdb
+ok $bake light.tris low.obj --maps mask:opacity,transfer:opacity --texture opacity=glass.png -o 'light_<MAP>.png'
 values light_mask.png slope 0.002
 
 # ---- what is refused ----
 
 $bake light.tris low.obj --maps mask:opacity -o x.png
-code 65
-err_like 'light.tris has no channel opacity: make it with bisque-voxelize --channels opacity'
+refused_like 65 'light.tris has no channel opacity: make it with bisque-voxelize --channels opacity'
 $bake light.nvdb low.obj --maps mask:opacity -o x.png
-code 65
-err_like 'light.nvdb has no channel opacity: make it with bisque-voxelize --channels opacity'
+refused_like 65 'light.nvdb has no channel opacity: make it with bisque-voxelize --channels opacity'
 $bake --mask-opacity plane.tris low.obj --maps normal -o x.png
-code 64
-err_like 'opacity is part of the mask, which is not baked'
+refused_like 64 'opacity is part of the mask, which is not baked'
 $vox light.nvdb -o x.nvdb
 code 65
 [ ! -e x.png ] && [ ! -e x.nvdb ]

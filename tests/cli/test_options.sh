@@ -6,8 +6,7 @@ p=bisque-bake:
 
 "$TESTS/generate-scan" -n 2000 vase -o vase_high.obj
 "$TESTS/generate-scan" vase-low -o vase_low.obj
-run bisque-voxelize vase_high.obj -o vase_high.nvdb --resolution 16
-code 0
+ok run bisque-voxelize vase_high.obj -o vase_high.nvdb --resolution 16
 
 # plan FILE OPTION...: writes a plan of a bake with these options, and its options to FILE.
 plan()
@@ -15,9 +14,8 @@ plan()
     to=$1
     shift
     rm -f plan.json
-    run bisque-bake vase_high.nvdb vase_low.obj -o 'a_<MAP>.exr' --size 8 --maps all --preview a.png --tasks 1 \
+    ok run bisque-bake vase_high.nvdb vase_low.obj -o 'a_<MAP>.exr' --size 8 --maps all --preview a.png --tasks 1 \
         --write-plan plan.json --progress none "$@"
-    code 0
     jq .options plan.json >"$to"
 }
 
@@ -55,24 +53,21 @@ if command -v jq >/dev/null; then
 else
     skip "options of plans" "jq is not installed"
 fi
-run bisque-bake vase_high.nvdb vase_low.obj -o a.png --maps normal --size 8 --png-bits 8
-code 0
+ok run bisque-bake vase_high.nvdb vase_low.obj -o a.png --maps normal --size 8 --png-bits 8
 [ "$(od -An -tu1 -j24 -N1 a.png | tr -d ' ')" = 8 ]
 check "--png-bits 8 gives 8 bits" $?
 for list in devices tiles; do
     files=
     [ $list = devices ] || files=vase_low.obj
     # shellcheck disable=SC2086 # one file or none
-    run bisque-bake --list $list $files
-    code 0
+    ok run bisque-bake --list $list $files
     cp "$out" new
     # shellcheck disable=SC2086
     run bisque-bake --list-$list $files
     cmp -s "$out" new
     check "--list-$list is --list $list" $?
 done
-run bisque-bake --verify vase_high.nvdb
-code 0
+ok run bisque-bake --verify vase_high.nvdb
 out_like '^vase_high.nvdb: ok '
 
 # What is wrong with a value is said with the name that was given.

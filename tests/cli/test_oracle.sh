@@ -18,13 +18,10 @@ need_oracle
 printf 'newmtl glaze\nKd .2 .4 .6\nmap_Kd dot.ppm\n' >vase.mtl
 printf 'P3 1 1 255 9 9 9\n' >dot.ppm
 { printf 'mtllib vase.mtl\nusemtl glaze\n'; cat vase.obj; } >full.obj
-run bisque-voxelize full.obj -o full.nvdb --resolution 30
-code 0
-run bisque-voxelize full.tris -o on.nvdb --grid-type onindex --resolution 20
-code 0
+ok run bisque-voxelize full.obj -o full.nvdb --resolution 30
+ok run bisque-voxelize full.tris -o on.nvdb --grid-type onindex --resolution 20
 printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 0 .02\nv 1 0 .02\nv 1 1 .02\nf 3 2 1\nf 4 5 6\n' >sheet.obj
-run bisque-voxelize sheet.obj -o sheet.nvdb --resolution 16
-code 0
+ok run bisque-voxelize sheet.obj -o sheet.nvdb --resolution 16
 
 oracle read_file ./*.tris ./*.nvdb
 [ "$code" -eq 0 ] && [ "$(grep -c ': ok$' "$out")" -eq 5 ]

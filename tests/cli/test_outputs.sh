@@ -7,8 +7,7 @@ p=bisque-voxelize:
 
 "$TESTS/generate-scan" -n 20000 --colors vase -o scan.obj
 "$TESTS/generate-scan" vase-low -o low.obj
-run bisque-voxelize scan.obj -o scan.nvdb --resolution 48
-code 0
+ok run bisque-voxelize scan.obj -o scan.nvdb --resolution 48
 voxelize() { run bisque-voxelize scan.tris --resolution 48 "$@"; }
 bake() { run bisque-bake scan.nvdb low.obj --device cpu --size 32 --samples 1 "$@"; }
 inputs=$(ls)
@@ -139,8 +138,7 @@ none_left
 # ---- all outputs of a job, or none ----
 
 run bisque-voxelize scan.tris -o a.nvdb --resolution 400 --vdb a.vdb --memory 64M --threads 1
-code 71
-err_like "the OpenVDB export"
+refused_like 71 "the OpenVDB export"
 none_left
 echo old >a.nvdb
 run bisque-voxelize scan.tris -o a.nvdb --resolution 400 --vdb a.vdb --memory 64M --threads 1

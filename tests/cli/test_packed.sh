@@ -14,8 +14,7 @@ awk 'BEGIN {
         i = y * 61 + x + 1; printf "f %d %d %d %d\n", i, i + 1, i + 62, i + 61 }
 }' >scan.obj
 printf 'newmtl clay\nKd 0.5 0.4 0.3\n' >clay.mtl
-$vox scan.obj -o plain.nvdb
-code 0
+ok $vox scan.obj -o plain.nvdb
 
 # ---- packed files ----
 
@@ -25,8 +24,7 @@ tail -c +300001 scan.obj | gzip -1 -c >>two.gz
 command -v zstd >/dev/null && zstd -q -c scan.obj >scan.obj.zst
 for name in scan.obj.gz two.gz scan.obj.zst; do
     [ -e $name ] || continue
-    $vox $name -o packed.nvdb
-    code 0
+    ok $vox $name -o packed.nvdb
     same plain.nvdb packed.nvdb
 done
 # The content decides, not the name.
@@ -36,8 +34,7 @@ code 65
 run bisque-voxelize --parse-only two.gz
 out_like '^two.gz: 3,721 vertices, 3,600 faces'
 # Packed files have the same chunks, too, also for the smallest budget.
-run bisque-voxelize --resolution 24 --threads 1 --memory 52MiB scan.obj.gz -o packed.nvdb
-code 0
+ok run bisque-voxelize --resolution 24 --threads 1 --memory 52MiB scan.obj.gz -o packed.nvdb
 same plain.nvdb packed.nvdb
 rm packed.*
 
@@ -52,15 +49,12 @@ code=$? command="bisque-voxelize - <plain.numpy.stl"
 code 0
 mkfifo pipe
 cat scan.obj >pipe &
-$vox pipe -o piped.nvdb
-code 0
+ok $vox pipe -o piped.nvdb
 same plain.nvdb piped.nvdb
 $vox - - -o piped.nvdb
-code 64
-err "$p -: a pipe can be read only once"
+refused 64 "$p -: a pipe can be read only once"
 $vox pipe ./pipe -o piped.nvdb
-code 64
-err "$p ./pipe: a pipe can be read only once"
+refused 64 "$p ./pipe: a pipe can be read only once"
 # Nobody writes: a signal ends the wait.
 command="bisque-voxelize pipe ended by SIGTERM" code=0
 env --default-signal=TERM "$BIN/bisque-voxelize" pipe -o piped.nvdb >"$out" 2>"$err" &
@@ -69,45 +63,38 @@ sent=$(date +%s%N)
 kill -TERM $!
 wait $! || code=$?
 late=$((($(date +%s%N) - sent) / 1000000))
-code 75
-err "$p interrupted"
+refused 75 "$p interrupted"
 [ "$late" -lt 2000 ]
 check "it ended after $late ms" $?
 mkfifo low.obj
 run bisque-bake plain.nvdb low.obj --maps normal -o map.exr
-code 66
-err "bisque-bake: low.obj: not a regular file"
+refused 66 "bisque-bake: low.obj: not a regular file"
 rm low.obj pipe piped.nvdb
 
 # ---- damage ----
 
 head -c 20000 scan.obj.gz >cut.obj.gz
 $vox cut.obj.gz -o cut.nvdb
-code 65
-err "$p cut.obj.gz: byte 20000: truncated: the packed data end too early"
+refused 65 "$p cut.obj.gz: byte 20000: truncated: the packed data end too early"
 for size in 2 3; do
     printf '\037\213\010' | head -c $size >short.gz
     printf '\050\265\057' | head -c $size >short.zst
     for name in short.gz short.zst; do
         run bisque-voxelize --parse-only $name
-        code 65
-        err "$p $name: byte $size: truncated: the packed data end too early"
+        refused 65 "$p $name: byte $size: truncated: the packed data end too early"
     done
 done
 for stray in x xyz; do # even if they are fewer than a member's head
     { cat scan.obj.gz && printf $stray; } >stray.obj.gz
     $vox stray.obj.gz -o cut.nvdb
-    code 65
-    err "$p stray.obj.gz: byte $(stat -c %s scan.obj.gz): bytes after the packed data that are no gzip member"
+    refused 65 "$p stray.obj.gz: byte $(stat -c %s scan.obj.gz): bytes after the packed data that are no gzip member"
 done
 { head -c 9000 scan.obj.gz; printf '\252\125\252\125'; tail -c +9005 scan.obj.gz; } >bad.obj.gz
 $vox bad.obj.gz -o cut.nvdb
-code 65
-err_like "^$p bad.obj.gz: byte [0-9]*: damaged: |^$p bad.obj.gz:[0-9]*: "
+refused_like 65 "^$p bad.obj.gz: byte [0-9]*: damaged: |^$p bad.obj.gz:[0-9]*: "
 gzip -c scan.obj.gz >twice.gz
 $vox twice.gz -o cut.nvdb
-code 65
-err "$p twice.gz: cannot read a file packed by gzip twice: unpack it first"
+refused 65 "$p twice.gz: cannot read a file packed by gzip twice: unpack it first"
 gzip -c plain.nvdb >grid.gz
 $vox grid.gz -o cut.nvdb
 code 65
@@ -119,10 +106,8 @@ check "no output" $?
 for mesh in plain.trimesh.glb plain.trimesh.gltf; do
     cp "$meshes/$mesh" "$meshes"/*.bin .
     gzip -c $mesh >$mesh.gz
-    $vox $mesh -o a.nvdb
-    code 0
-    $vox $mesh.gz -o b.nvdb
-    code 0
+    ok $vox $mesh -o a.nvdb
+    ok $vox $mesh.gz -o b.nvdb
     same a.nvdb b.nvdb
 done
 for mesh in "$meshes"/*.ply "$meshes"/*.stl; do
@@ -130,8 +115,7 @@ for mesh in "$meshes"/*.ply "$meshes"/*.stl; do
     jq -c '[.scan.vertices, .scan.triangles]' "$out" >plain.json
     gzip -c "$mesh" >mesh.gz
     mv mesh.gz "$(basename "$mesh")"
-    run bisque-voxelize --parse-only --json "$(basename "$mesh")"
-    code 0
+    ok run bisque-voxelize --parse-only --json "$(basename "$mesh")"
     jq -c '[.scan.vertices, .scan.triangles]' "$out" >packed.json
     same plain.json packed.json
 done
@@ -143,8 +127,7 @@ write_box >box.obj
 gzip -c box.obj >box.obj.gz
 run bisque-voxelize box.obj --resolution 16 -o box.nvdb
 run bisque-bake box.nvdb box.obj --size 32 --maps normal -o a.exr
-run bisque-bake box.nvdb box.obj.gz --size 32 --maps normal -o b.exr
-code 0
+ok run bisque-bake box.nvdb box.obj.gz --size 32 --maps normal -o b.exr
 same a.exr b.exr
 
 # ---- text in UTF-16 ----
@@ -166,25 +149,21 @@ printf 'P3\n2 1\n255\n255 0 0  0 0 255\n' >"wide/$(printf 'b\303\274ld.ppm')"
 for order in LE BE; do
     cp wide.obj wide/plain.obj
     cp wide.mtl "wide/$(printf 't\303\266n.mtl')"
-    $vox wide/plain.obj -o plain.nvdb --strict
-    code 0
+    ok $vox wide/plain.obj -o plain.nvdb --strict
     utf16 $order wide.obj >wide/utf16.obj
     utf16 $order wide.mtl >"wide/$(printf 't\303\266n.mtl')"
-    $vox wide/utf16.obj -o wide.nvdb --strict
-    code 0
+    ok $vox wide/utf16.obj -o wide.nvdb --strict
     out_like 'with colour'
     same plain.nvdb wide.nvdb
     gzip -c wide/utf16.obj >wide/utf16.obj.gz
-    $vox wide/utf16.obj.gz -o wide.nvdb --strict
-    code 0
+    ok $vox wide/utf16.obj.gz -o wide.nvdb --strict
     same plain.nvdb wide.nvdb
     "$BIN/bisque-voxelize" - --parse-only <wide/utf16.obj >"$out" 2>"$err"
     code=$? command='bisque-voxelize - <wide/utf16.obj'
     code 0
 done
 printf 'x' >>"wide/$(printf 't\303\266n.mtl')"
-$vox wide/plain.obj -o wide.nvdb
-code 0
+ok $vox wide/plain.obj -o wide.nvdb
 grep -q 'warning: .*: truncated: text in UTF-16 ends in the middle of a character: its materials are missing$' "$err"
 check "a damaged MTL file is a warning" $?
 
@@ -211,6 +190,5 @@ same first.nvdb job.nvdb
 record scan.obj.gz
 "$BIN/bisque-voxelize" - --resolution 24 --resume -o job.nvdb <two.gz >"$out" 2>"$err"
 code=$? command="bisque-voxelize - --resume <two.gz"
-code 65
-err "$p - has changed since job.tris was made from it: this job cannot be resumed"
+refused 65 "$p - has changed since job.tris was made from it: this job cannot be resumed"
 finish

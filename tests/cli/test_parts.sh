@@ -24,15 +24,12 @@ write_sheet()
 for columns in '0 40 whole' '0 11 a' '11 23 b' '23 40 c'; do
     set -- $columns
     write_sheet "$1" "$2" 0 '' >"$3.obj"
-    run bisque-voxelize "$3.obj" --resolution 8 -o x.nvdb --tris "$3.tris"
-    code 0
+    ok run bisque-voxelize "$3.obj" --resolution 8 -o x.nvdb --tris "$3.tris"
 done
 vox="run bisque-voxelize --resolution 300"
-$vox whole.tris -o whole.nvdb --json
-code 0
+ok $vox whole.tris -o whole.nvdb --json
 jq -c '[.grid.voxels, .grid.leaves, .grid.index_min, .grid.index_max]' "$out" >whole.json
-$vox a.tris b.tris c.tris -o parts.nvdb --json
-code 0
+ok $vox a.tris b.tris c.tris -o parts.nvdb --json
 jq -c '[.grid.voxels, .grid.leaves, .grid.index_min, .grid.index_max]' "$out" >parts.json
 same whole.json parts.json
 
@@ -49,14 +46,11 @@ vt 0 1
 f 1/1 2/2 3/3 4/4
 OBJ
 for grid in whole parts; do
-    run bisque-bake $grid.nvdb low.obj --size 256 --samples 1 --maps normal,position \
+    ok run bisque-bake $grid.nvdb low.obj --size 256 --samples 1 --maps normal,position \
         --front 1 --back 1 -o "${grid}_<MAP>.exr"
-    code 0
 done
-run bisque-compare --type normal whole_normal.exr parts_normal.exr --max-error 0.05
-code 0
-run bisque-compare --type data whole_position.exr parts_position.exr --max-error 1e-5
-code 0
+ok run bisque-compare --type normal whole_normal.exr parts_normal.exr --max-error 0.05
+ok run bisque-compare --type data whole_position.exr parts_position.exr --max-error 1e-5
 # Without the other parts, normals at a seam are wrong by degrees.
 $vox b.tris -o alone.nvdb
 run bisque-bake alone.nvdb low.obj --size 256 --samples 1 --maps normal,mask --front 1 --back 1 \
@@ -65,12 +59,10 @@ run bisque-compare --type normal whole_normal.exr alone_normal.exr --mask alone_
 code 1
 
 # Neither the order nor threads nor the budget change a byte.
-$vox c.tris a.tris b.tris -o other.nvdb --threads 1 --memory 60MiB
-code 0
+ok $vox c.tris a.tris b.tris -o other.nvdb --threads 1 --memory 60MiB
 same parts.nvdb other.nvdb
 cp b.tris elsewhere.tris
-$vox elsewhere.tris c.tris a.tris -o other.nvdb --threads 3
-code 0
+ok $vox elsewhere.tris c.tris a.tris -o other.nvdb --threads 3
 same parts.nvdb other.nvdb
 
 # More parts than descriptors.
@@ -85,8 +77,7 @@ code 0
 write_sheet 11 23 0 color >d.obj
 run bisque-voxelize d.obj --resolution 8 -o x.nvdb
 cp x.tris d.tris
-$vox a.tris d.tris c.tris -o colored.nvdb --json
-code 0
+ok $vox a.tris d.tris c.tris -o colored.nvdb --json
 json '.grid.has_color'
 jq -c '[.grid.voxels, .grid.leaves, .grid.index_min, .grid.index_max]' "$out" >parts.json
 same whole.json parts.json
@@ -94,13 +85,11 @@ write_sheet 0 11 500000 '' >far_a.obj
 write_sheet 11 40 500000 '' >far_b.obj
 write_sheet 0 40 500000 '' >far.obj
 for name in far far_a far_b; do
-    run bisque-voxelize $name.obj --resolution 8 -o x.nvdb --tris $name.tris
-    code 0
+    ok run bisque-voxelize $name.obj --resolution 8 -o x.nvdb --tris $name.tris
 done
 $vox far.tris -o far.nvdb --json
 jq -c '[.grid.index_min, .grid.index_max]' "$out" >whole.json
-$vox far_a.tris far_b.tris -o far_parts.nvdb --json
-code 0
+ok $vox far_a.tris far_b.tris -o far_parts.nvdb --json
 jq -c '[.grid.index_min, .grid.index_max]' "$out" >parts.json
 same whole.json parts.json
 
@@ -125,20 +114,16 @@ write_ball()
 for columns in '0 48 ball' '0 15 p1' '15 31 p2' '31 48 p3'; do
     set -- $columns
     write_ball "$1" "$2" >"$3.obj"
-    run bisque-voxelize "$3.obj" --resolution 8 -o x.nvdb --tris "$3.tris"
-    code 0
+    ok run bisque-voxelize "$3.obj" --resolution 8 -o x.nvdb --tris "$3.tris"
 done
 [ "$(od -An -v -t x1 -j 48 -N 24 p1.tris)" != "$(od -An -v -t x1 -j 48 -N 24 p2.tris)" ]
 check "the origins of the parts differ" $?
-$vox ball.tris -o ball.nvdb --json
-code 0
+ok $vox ball.tris -o ball.nvdb --json
 jq -c '[.grid.voxels, .grid.index_min, .grid.index_max]' "$out" >whole.json
-$vox p1.tris p2.tris p3.tris -o ball_parts.nvdb --json
-code 0
+ok $vox p1.tris p2.tris p3.tris -o ball_parts.nvdb --json
 jq -c '[.grid.voxels, .grid.index_min, .grid.index_max]' "$out" >parts.json
 same whole.json parts.json
-$vox p3.tris p1.tris p2.tris -o other.nvdb --threads 1 --memory 60MiB
-code 0
+ok $vox p3.tris p1.tris p2.tris -o other.nvdb --threads 1 --memory 60MiB
 same ball_parts.nvdb other.nvdb
 cat >above.obj <<'OBJ'
 v 500023 4000221 160
@@ -153,38 +138,30 @@ f 1/1 2/2 3/3 4/4
 OBJ
 above="above.obj --size 128 --samples 1 --maps normal --front 1 --back 150"
 for grid in ball ball_parts; do
-    run bisque-bake $grid.nvdb $above -o $grid.exr
-    code 0
+    ok run bisque-bake $grid.nvdb $above -o $grid.exr
 done
 # A crease at the seams is 3 degrees.
-run bisque-compare --type normal ball.exr ball_parts.exr --max-error 0.2
-code 0
+ok run bisque-compare --type normal ball.exr ball_parts.exr --max-error 0.2
 # Exact maps of the parts are those of the whole, in any order.
 run bisque-bake ball.tris $above -o ball.exr
-run bisque-bake p1.tris p2.tris p3.tris $above -o exact.exr
-code 0
-run bisque-compare --type normal ball.exr exact.exr --max-error 0.2
-code 0
-run bisque-bake p3.tris p1.tris p2.tris $above -o other.exr --threads 1
-code 0
+ok run bisque-bake p1.tris p2.tris p3.tris $above -o exact.exr
+ok run bisque-compare --type normal ball.exr exact.exr --max-error 0.2
+ok run bisque-bake p3.tris p1.tris p2.tris $above -o other.exr --threads 1
 same exact.exr other.exr
 
 # ---- misuse ----
 
 sed 's/^v .*/&\nvn 0 0 1/; s/ \([0-9]*\)/ \1/g' a.obj | awk '/^f/ { print $1, $2 "//" 1, $3 "//" 1,
     $4 "//" 1; next } { print }' >n.obj
-run bisque-voxelize n.obj --resolution 8 -o x.nvdb --tris n.tris
-code 0
+ok run bisque-voxelize n.obj --resolution 8 -o x.nvdb --tris n.tris
 $vox n.tris b.tris -o y.nvdb
-code 65
-err_like "^$p n.tris has normals, b.tris has none: such parts cannot be one scan\$"
+refused_like 65 "^$p n.tris has normals, b.tris has none: such parts cannot be one scan\$"
 # ---- chunk files beside meshes ----
 
 # The meshes are sorted to a temporary part, so the bytes are those of chunk files alone.
 for inputs in "a.tris b.obj c.tris" "b.obj c.tris a.tris --threads 1 --memory 60MiB --no-tris"; do
     # shellcheck disable=SC2086 # several words
-    $vox $inputs -o other.nvdb --json
-    code 0
+    ok $vox $inputs -o other.nvdb --json
     json '.scan.triangles == 960 and .tris_path == null'
     same parts.nvdb other.nvdb
     [ ! -e other.tris ]
@@ -196,8 +173,7 @@ code 0
 same parts.nvdb other.nvdb
 run bisque-voxelize b.obj c.obj --resolution 8 -o x.nvdb --tris bc.tris
 $vox a.tris bc.tris -o two.nvdb
-$vox b.obj a.tris c.obj -o other.nvdb --tris kept.tris
-code 0
+ok $vox b.obj a.tris c.obj -o other.nvdb --tris kept.tris
 grep -q '^2 files: .* 2,320 triangles' "$out" && grep -q '^kept.tris: ' "$out"
 check "the report tells which files were sorted" $?
 same two.nvdb other.nvdb
@@ -208,13 +184,11 @@ command='bisque-voxelize with a limit of files' code=0
 (ulimit -f 200 && exec "$BIN/bisque-voxelize" --resolution 300 b.obj a.tris c.obj -o resumed.nvdb \
     --tris kept.tris) >"$out" 2>"$err" || code=$?
 code 74
-$vox b.obj a.tris c.obj -o resumed.nvdb --tris kept.tris --resume --json
-code 0
+ok $vox b.obj a.tris c.obj -o resumed.nvdb --tris kept.tris --resume --json
 json '.resumed and .scan == null and .tris_path == "kept.tris"'
 same two.nvdb resumed.nvdb
 $vox n.tris b.obj -o y.nvdb
-code 65
-err_like "^$p n.tris has normals, .* has none: such parts cannot be one scan\$"
+refused_like 65 "^$p n.tris has normals, .* has none: such parts cannot be one scan\$"
 while read -r options; do
     # shellcheck disable=SC2086 # several words
     $vox a.tris b.obj $options
@@ -233,8 +207,7 @@ a.tris: --parse-only reads meshes
 CASES
 head -c 5000 b.tris >cut.tris
 $vox a.tris cut.tris -o y.nvdb
-code 65
-err_like "^$p cut.tris: damaged chunk file: "
+refused_like 65 "^$p cut.tris: damaged chunk file: "
 $vox a.tris none.tris -o y.nvdb
 code 66
 cp a.tris victim.tris
@@ -279,30 +252,24 @@ write_noisy 1 0 29 >left.obj
 write_noisy 1 30 59 >right.obj
 for normals in smooth flat; do
     for part in left right; do
-        run bisque-voxelize $part.obj -o $part.tris
-        code 0
+        ok run bisque-voxelize $part.obj -o $part.tris
     done
     $noisy noisy.obj -o noisy.nvdb --scan-normals $normals
     $noisy reversed.obj -o reversed.nvdb --scan-normals $normals
-    $noisy left.tris right.tris -o halves.nvdb --scan-normals $normals
-    code 0
+    ok $noisy left.tris right.tris -o halves.nvdb --scan-normals $normals
     for grid in noisy reversed halves; do
         oracle measure $grid.nvdb
         grep -E '^(voxels|second_records) ' "$out" >$grid.counts
-        run bisque-bake $grid.nvdb low.obj --size 128 --samples 1 --sampling nearest --two-sided \
+        ok run bisque-bake $grid.nvdb low.obj --size 128 --samples 1 --sampling nearest --two-sided \
             --maps normal,color,position --type float --front 1 --back 1 -o "${grid}_<MAP>.exr"
-        code 0
     done
     [ "$(sed -n 's/^second_records //p' noisy.counts)" -gt 100 ]
     check "$normals normals: many voxels have two records" $?
     for grid in reversed halves; do
         same noisy.counts $grid.counts
-        run bisque-compare --type normal noisy_normal.exr ${grid}_normal.exr --max-error 0.05
-        code 0
-        run bisque-compare --type data noisy_position.exr ${grid}_position.exr --max-error 1e-4
-        code 0
-        run bisque-compare --type data noisy_color.exr ${grid}_color.exr --max-error 0.01
-        code 0
+        ok run bisque-compare --type normal noisy_normal.exr ${grid}_normal.exr --max-error 0.05
+        ok run bisque-compare --type data noisy_position.exr ${grid}_position.exr --max-error 1e-4
+        ok run bisque-compare --type data noisy_color.exr ${grid}_color.exr --max-error 0.01
     done
 done
 
@@ -312,27 +279,22 @@ write_sheet 0 23 3 color >vertex.obj
 printf 'newmtl red\nKd 1 0 0\n' >red.mtl
 { printf 'mtllib red.mtl\nusemtl red\n' && cat a.obj; } >red.obj
 for part in vertex red; do
-    run bisque-voxelize $part.obj -o $part.tris
-    code 0
+    ok run bisque-voxelize $part.obj -o $part.tris
 done
 plain='no vertex colours, so what has no texture is white; other parts of the scan have vertex colours; parts like this: 2'
-$vox vertex.tris b.tris c.tris -o white.nvdb --strict
-code 0
+ok $vox vertex.tris b.tris c.tris -o white.nvdb --strict
 grep -Eqx "$p warning: [bc].tris: $plain" "$err"
 check "warning of white parts" $?
 lost='red.tris: colours of materials are not used, because other parts of the scan have vertex colours; parts like this: 1'
-$vox vertex.tris red.tris -o lost.nvdb
-code 0
+ok $vox vertex.tris red.tris -o lost.nvdb
 [ "$(cat "$err")" = "$p warning: $lost" ]
 check "warning of lost colours" $?
 $vox vertex.tris red.tris -o strict.nvdb --strict
 refused 65 "$p $lost"
-run bisque-bake vertex.tris red.tris low.obj --size 16 --samples 1 --front 1 --back 1 -o 'lost_<MAP>.png'
-code 0
+ok run bisque-bake vertex.tris red.tris low.obj --size 16 --samples 1 --front 1 --back 1 -o 'lost_<MAP>.png'
 [ "$(grep -c 'colours of materials are not used' "$err")" -eq 1 ]
 check "a bake that chooses its maps warns once" $?
-$vox red.tris b.tris -o red.nvdb
-code 0
+ok $vox red.tris b.tris -o red.nvdb
 [ ! -s "$err" ]
 check "no warning of materials alone" $?
 

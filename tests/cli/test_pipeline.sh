@@ -30,11 +30,9 @@ fi
 
 "$TESTS/generate-scan" --triangles $triangles --colors vase -o vase.obj
 "$TESTS/generate-scan" vase-low -o low.obj
-run bisque-voxelize vase.obj -o vase.nvdb --resolution $resolution
-code 0
-run bisque-bake vase.nvdb low.obj --maps normal,color,mask --normal-space object --type float --size 512 \
+ok run bisque-voxelize vase.obj -o vase.nvdb --resolution $resolution
+ok run bisque-bake vase.nvdb low.obj --maps normal,color,mask --normal-space object --type float --size 512 \
     --samples 1 -o 'object_<MAP>.exr'
-code 0
 # The finest relief is 14 voxels and 11 triangles long. The normal at a vertex is a mean over its
 # triangles, which flattens a wave of n triangles by about (2 pi / n)^2 / 6 of its slope: 5 % here.
 # Facets would be off by 1.8 degrees.
@@ -43,8 +41,7 @@ truth "vase: normals and colours are the analytic ones" check-vase -m 0.9 -p 1.8
 
 # Voxels add little to the error of the triangles' own normals.
 mean() { "$TESTS/check-vase" "$1" object_mask.exr | sed -n 's/.*mean angle: \([0-9.e-]*\).*/\1/p'; }
-run bisque-bake vase.tris low.obj --maps normal --normal-space object --type float --size 512 --samples 1 -o exact.exr
-code 0
+ok run bisque-bake vase.tris low.obj --maps normal --normal-space object --type float --size 512 --samples 1 -o exact.exr
 if sanitized; then
     skip "vase: normals from voxels are as good as those from triangles" "the scan is smaller under sanitizers"
 else
@@ -53,9 +50,8 @@ else
 fi
 
 # Lookup of the nearest voxel is blockier: the option must make the result worse.
-run bisque-bake vase.nvdb low.obj --maps normal,mask --normal-space object --type float --size 512 \
+ok run bisque-bake vase.nvdb low.obj --maps normal,mask --normal-space object --type float --size 512 \
     --samples 1 --sampling nearest -o 'nearest_<MAP>.exr'
-code 0
 if sanitized; then
     skip "vase: blending over neighbours beats the nearest voxel" "the scan is smaller under sanitizers"
 else
@@ -65,21 +61,17 @@ fi
 
 # The same scan in other forms gives the same voxels: shuffled, geo-referenced, from the chunk file.
 "$TESTS/generate-scan" --triangles $triangles --colors --offset 500000,5000000,100 vase -o far.obj
-run bisque-voxelize far.obj -o far.nvdb --resolution $resolution --no-tris
-code 0
+ok run bisque-voxelize far.obj -o far.nvdb --resolution $resolution --no-tris
 "$TESTS/generate-scan" --offset 500000,5000000,100 vase-low -o far_low.obj
-run bisque-bake far.nvdb far_low.obj --maps normal,color,mask --normal-space object --type float --size 512 \
+ok run bisque-bake far.nvdb far_low.obj --maps normal,color,mask --normal-space object --type float --size 512 \
     --samples 1 -o 'far_<MAP>.exr'
-code 0
 truth "vase 5000 km away: normals and colours keep their detail" check-vase -m 0.9 -p 1.8 -h 0.9999 -c 0.01 \
     far_normal.exr far_mask.exr far_color.exr
-run bisque-voxelize vase.tris -o again.nvdb --resolution $resolution
-code 0
+ok run bisque-voxelize vase.tris -o again.nvdb --resolution $resolution
 same vase.nvdb again.nvdb
 
 # The files do not depend on the budget or the number of threads.
-run bisque-voxelize vase.obj -o small.nvdb --resolution $resolution --memory 96M --threads 3 --json
-code 0
+ok run bisque-voxelize vase.obj -o small.nvdb --resolution $resolution --memory 96M --threads 3 --json
 json '.cost.memory_high_bytes <= .cost.memory_budget_bytes'
 if sanitized; then
     skip "two million triangles stay within 96 MiB" "sanitizers need memory of their own"
@@ -102,19 +94,15 @@ fi
 # ---- real scans ----
 
 if [ -n "$SCANS" ] && ! sanitized; then
-    run bisque-voxelize "$SCANS/bunny.obj" -o bunny.nvdb --resolution 1024 --scan-normals flat
-    code 0
-    run bisque-bake bunny.nvdb "$SCANS/bunny_low.obj" --maps normal,mask --normal-space object --type float \
+    ok run bisque-voxelize "$SCANS/bunny.obj" -o bunny.nvdb --resolution 1024 --scan-normals flat
+    ok run bisque-bake bunny.nvdb "$SCANS/bunny_low.obj" --maps normal,mask --normal-space object --type float \
         --size 1024 --samples 1 -o 'bunny_<MAP>.exr'
-    code 0
     truth "bunny: face normals of exact rays" check-mesh -e 997 -m 1.0 -p 5.0 -h 0.999 "$SCANS/bunny.obj" \
         "$SCANS/bunny_low.obj" bunny_normal.exr bunny_mask.exr
-    run bisque-voxelize "$SCANS/spot.obj" --texture "$SCANS/spot.png" -o spot.nvdb --resolution 1024 \
+    ok run bisque-voxelize "$SCANS/spot.obj" --texture "$SCANS/spot.png" -o spot.nvdb --resolution 1024 \
         --scan-normals flat
-    code 0
-    run bisque-bake spot.nvdb "$SCANS/spot_low.obj" --maps normal,color,mask --normal-space object --type float \
+    ok run bisque-bake spot.nvdb "$SCANS/spot_low.obj" --maps normal,color,mask --normal-space object --type float \
         --size 1024 --samples 1 -o 'spot_<MAP>.exr'
-    code 0
     truth "Spot: colours of the texture at exact hits" check-mesh -e 397 -m 1.0 -p 3.0 -h 0.999 -c 0.005 \
         -t "$SCANS/spot.png" "$SCANS/spot.obj" "$SCANS/spot_low.obj" spot_normal.exr spot_mask.exr spot_color.exr
 else

@@ -25,12 +25,10 @@ write_moved 'x, -z, y' 'x, -z, y' >z.obj
 write_moved '4 * x + 8, 4 * z - 16, -4 * y + 0.5' 'x, z, -y' >all.obj
 write_moved 'x + 500000, y + 4000000, z' 'x, y, z' >far.obj
 for name in plain scaled y z all; do
-    $vox $name.obj -o $name.nvdb
-    code 0
+    ok $vox $name.obj -o $name.nvdb
 done
 while read -r name options; do
-    $vox plain.obj $options -o moved.nvdb
-    code 0
+    ok $vox plain.obj $options -o moved.nvdb
     same $name.nvdb moved.nvdb
 done <<'CASES'
 scaled --scale 4
@@ -40,18 +38,15 @@ all --scale 4 --up y --translate 8,-16,0.5
 plain --scale 1 --translate 0,0,0
 CASES
 # Doubles up to the choice of the origin: a scan far away loses nothing.
-$vox far.obj --translate=-500000,-4000000,0 -o moved.nvdb
-code 0
+ok $vox far.obj --translate=-500000,-4000000,0 -o moved.nvdb
 same plain.nvdb moved.nvdb
 
 # Each file has its own place.
 gzip -c plain.obj >packed.obj.gz
-$vox plain.obj packed.obj.gz --scale 1 --scale 4 --translate 0,0,0 --translate 8,-16,0.5 -o moved.nvdb \
+ok $vox plain.obj packed.obj.gz --scale 1 --scale 4 --translate 0,0,0 --translate 8,-16,0.5 -o moved.nvdb \
     --json
-code 0
 write_moved '4 * x + 8, 4 * y - 16, 4 * z + 0.5' 'x, y, z' >second.obj
-$vox plain.obj second.obj -o both.nvdb
-code 0
+ok $vox plain.obj second.obj -o both.nvdb
 same both.nvdb moved.nvdb
 
 # ---- every format ----
@@ -61,15 +56,13 @@ meshes=$top/tests/meshes
 cp "$meshes"/*.mtl .
 while read -r kind scale up translation; do
     python3 "$top/tests/cli/place.py" "$meshes/$kind.obj" "$scale" "$up" "$translation" moved.obj
-    $vox moved.obj -o expected.nvdb
-    code 0
+    ok $vox moved.obj -o expected.nvdb
     turn="--up $up"
     [ $up != keep ] || turn=
     for file in "$meshes/$kind".obj "$meshes/$kind".*.*; do
         case $file in *.3ds | *.fbx) continue ;; esac # their triangles are others
         # shellcheck disable=SC2086 # the turn is no option or two words
-        $vox --scale "$scale" "$file" $turn -o moved.nvdb --translate="$translation"
-        code 0
+        ok $vox --scale "$scale" "$file" $turn -o moved.nvdb --translate="$translation"
         same expected.nvdb moved.nvdb
     done
 done <<'CASES'
@@ -89,19 +82,15 @@ done
 python3 "$top/tests/scan/write_glb.py" vase.obj vase.glb
 for up in y z; do
     python3 "$top/tests/cli/place.py" vase.obj 4 $up 0,0,0 moved.obj
-    run bisque-voxelize moved.obj -o expected.nvdb --resolution 40
-    code 0
+    ok run bisque-voxelize moved.obj -o expected.nvdb --resolution 40
     for file in vase.obj vase.ply vase.big.ply vase.text.ply vase.glb; do
-        $vox $file --up $up --scale 4 -o moved.nvdb
-        code 0
+        ok $vox $file --up $up --scale 4 -o moved.nvdb
         same expected.nvdb moved.nvdb
     done
     # The chunk file is where the scan was moved to.
-    run bisque-voxelize vase.ply --up $up --scale 4 -o moved.tris
-    code 0
+    ok run bisque-voxelize vase.ply --up $up --scale 4 -o moved.tris
     same expected.tris moved.tris
-    $vox moved.tris -o moved.nvdb
-    code 0
+    ok $vox moved.tris -o moved.nvdb
     same expected.nvdb moved.nvdb
 done
 
@@ -112,12 +101,10 @@ for i in 1 2 3 4; do
     case $i in 1) scale=1 at=0,0,0 ;; 2) scale=4 at=8,0,-2 ;; 3) scale=0.5 at=-8,0.5,0 ;; 4) scale=2 at=1e3,0,1 ;; esac
     python3 "$top/tests/cli/place.py" "$meshes/plain.obj" $scale z $at $i.obj
 done
-$vox 1.obj 2.obj 3.obj 4.obj -o expected.nvdb
-code 0
-$vox --scale 1 "$meshes/plain.blender.ply" --translate 0,0,0 --scale 4 "$meshes/plain.trimesh.glb" \
+ok $vox 1.obj 2.obj 3.obj 4.obj -o expected.nvdb
+ok $vox --scale 1 "$meshes/plain.blender.ply" --translate 0,0,0 --scale 4 "$meshes/plain.trimesh.glb" \
     "$meshes/plain.numpy.stl" --up z --translate=8,0,-2 --scale 0.5 --translate=-8,0.5,0 \
     "$meshes/plain.obj" -o moved.nvdb --translate 1e3,0,1 --scale 2
-code 0
 same expected.nvdb moved.nvdb
 command="bisque-voxelize ... - ..." code=0
 "$BIN/bisque-voxelize" --resolution 40 --no-tris "$meshes/plain.numpy.stl" - "$meshes/plain.open3d.ply" \
@@ -129,17 +116,13 @@ same expected.nvdb moved.nvdb
 # Normals too.
 python3 "$top/tests/cli/place.py" vase.obj 2 y 0,0,0 1.obj
 python3 "$top/tests/cli/place.py" vase.obj 1 z 0,0,0 2.obj
-$vox 1.obj 2.obj 1.obj -o expected.nvdb
-code 0
-$vox vase.ply vase.glb vase.obj --up y --up z --up y --scale 2 --scale 1 --scale 2 -o moved.nvdb
-code 0
+ok $vox 1.obj 2.obj 1.obj -o expected.nvdb
+ok $vox vase.ply vase.glb vase.obj --up y --up z --up y --scale 2 --scale 1 --scale 2 -o moved.nvdb
 same expected.nvdb moved.nvdb
 $vox 1.obj 2.obj 3.obj --scale 1 --scale 2 -o bad.nvdb
-code 64
-err "$p --scale is given 2 times for 3 files: give it once, or once for each file"
+refused 64 "$p --scale is given 2 times for 3 files: give it once, or once for each file"
 $vox 1.obj --translate 1,2,3 --translate 4,5,6 -o bad.nvdb
-code 64
-err "$p --translate is given 2 times for 1 file: give it once, or once for each file"
+refused 64 "$p --translate is given 2 times for 1 file: give it once, or once for each file"
 
 # ---- resuming needs the same place ----
 
@@ -147,15 +130,12 @@ run bisque-voxelize plain.obj --scale 4 --voxel-size 1e-7 -o job.nvdb
 [ -e job.tris.job ]
 check "the record is there" $?
 run bisque-voxelize plain.obj --scale 2 --resolution 40 -o job.nvdb --resume
-code 64
-err_like "^$p job.tris was made from scale 4, up unchanged, translate 0,0,0, not from scale 2, up unchanged, .*: this job cannot be resumed\$"
+refused_like 64 "^$p job.tris was made from scale 4, up unchanged, translate 0,0,0, not from scale 2, up unchanged, .*: this job cannot be resumed\$"
 run bisque-voxelize plain.obj --scale 4 --up z --resolution 40 -o job.nvdb --resume
-code 64
-err_like " not from scale 4, up z, translate 0,0,0: this job cannot be resumed\$"
+refused_like 64 " not from scale 4, up z, translate 0,0,0: this job cannot be resumed\$"
 run bisque-voxelize plain.obj --resolution 40 -o job.nvdb --resume
 code 64
-run bisque-voxelize plain.obj --scale 4 --resolution 40 -o job.nvdb --resume --json
-code 0
+ok run bisque-voxelize plain.obj --scale 4 --resolution 40 -o job.nvdb --resume --json
 json .resumed
 same scaled.nvdb job.nvdb
 
@@ -186,8 +166,7 @@ done <<'CASES'
 --scale 1 --scale 2
 CASES
 $vox job.tris --scale 2 -o bad.nvdb
-code 64
-err "$p job.tris is a chunk file: --scale, --up and --translate are for meshes"
+refused 64 "$p job.tris is a chunk file: --scale, --up and --translate are for meshes"
 run bisque-voxelize plain.obj --parse-only --up y
 code 64
 $vox plain.obj --scale 1e300 --translate 0,0,0 -o bad.nvdb

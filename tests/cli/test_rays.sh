@@ -30,17 +30,14 @@ square above.obj 0.4375
 square above_cage.obj 0.5
 awk '/^f/ { print "f 2 3 4 1"; next } { print }' high_cage.obj >turned.obj
 for scan in red green; do
-    run bisque-voxelize $scan.obj -o $scan.nvdb --voxel-size 0.03125
-    code 0
+    ok run bisque-voxelize $scan.obj -o $scan.nvdb --voxel-size 0.03125
 done
-run bisque-voxelize red.obj green.obj -o both.nvdb --voxel-size 0.03125
-code 0
+ok run bisque-voxelize red.obj green.obj -o both.nvdb --voxel-size 0.03125
 
 # same_color A B: the colour maps show one sheet.
 same_color()
 {
-    run bisque-compare "$1" "$2" --max-error 0.01
-    code 0
+    ok run bisque-compare "$1" "$2" --max-error 0.01
 }
 
 # ---- cages ----
@@ -48,35 +45,27 @@ same_color()
 small="--device cpu --size 32 --samples 1 --maps color --back 0.0625"
 for kind in nvdb tris; do
     for scan in red green; do
-        $bake $small --front 0.625 $scan.$kind low.obj -o $scan.exr
-        code 0
+        ok $bake $small --front 0.625 $scan.$kind low.obj -o $scan.exr
     done
     # Without a cage the nearer sheet wins, from a cage the outer one.
-    $bake $small --front 0.625 both.$kind low.obj -o near.exr
-    code 0
+    ok $bake $small --front 0.625 both.$kind low.obj -o near.exr
     same_color near.exr red.exr
-    $bake $small both.$kind low.obj --cage high_cage.obj -o cage.exr --json
-    code 0
+    ok $bake $small both.$kind low.obj --cage high_cage.obj -o cage.exr --json
     json '.misses == 0 and .front == 0.5'
     same_color cage.exr green.exr
     # The cage ends the rays in front.
-    $bake $small both.$kind low.obj --cage low_cage.obj -o cage.exr
-    code 0
+    ok $bake $small both.$kind low.obj --cage low_cage.obj -o cage.exr
     same_color cage.exr red.exr
     # Behind the low-poly mesh they end at --back.
-    $bake $small both.$kind above.obj --cage above_cage.obj -o cage.exr --back 0.09375
-    code 0
+    ok $bake $small both.$kind above.obj --cage above_cage.obj -o cage.exr --back 0.09375
     same_color cage.exr green.exr
     $bake $small both.$kind above.obj --cage above_cage.obj -o cage.exr --back 0.03125
-    code 65
-    err_like "^$p: no ray hit "
+    refused_like 65 "^$p: no ray hit "
 done
 $bake $small both.nvdb low.obj --cage turned.obj -o cage.exr
-code 65
-err_like "^$p: turned\.obj:9: face has other vertices than the same face of the low-poly mesh\$"
+refused_like 65 "^$p: turned\.obj:9: face has other vertices than the same face of the low-poly mesh\$"
 # A cage that touches the low-poly mesh: rays still have a direction, and go back from there.
-$bake $small both.nvdb above.obj --cage above.obj -o cage.exr --back 0.09375
-code 0
+ok $bake $small both.nvdb above.obj --cage above.obj -o cage.exr --back 0.09375
 same_color cage.exr green.exr
 cp high_cage.obj cage.exr
 $bake $small both.nvdb low.obj --cage cage.exr -o cage.exr
@@ -89,8 +78,7 @@ code 64
 $bake $small both.nvdb low.obj --cage high_cage.obj --ray-directions mesh -o cage.exr
 code 64
 if "$BIN/bisque-bake" --list devices | grep -q '^opencl:0 '; then
-    $bake $small both.nvdb low.obj --cage high_cage.obj --device opencl:0 -o cage.exr
-    code 0
+    ok $bake $small both.nvdb low.obj --cage high_cage.obj --device opencl:0 -o cage.exr
     same_color cage.exr green.exr
 else
     echo "# skipped: a cage on OpenCL: there is no OpenCL device"
@@ -104,19 +92,15 @@ write_box >box.obj
     printf 'vn %s\n' '0 0 -1' '0 0 1' '0 -1 0' '0 1 0' '-1 0 0' '1 0 0'
     awk '/^f/ { n++; for (i = 2; i <= NF; i++) $i = $i "/" n } { print }' box.obj
 } >hard.obj
-run bisque-voxelize box.obj -o box.nvdb --resolution 64 --no-tris
-code 0
+ok run bisque-voxelize box.obj -o box.nvdb --resolution 64 --no-tris
 for rays in smooth mesh face; do
-    $bake --device cpu --size 64 --samples 1 --maps normal box.nvdb hard.obj -o $rays.exr --ray-directions $rays
-    code 0
+    ok $bake --device cpu --size 64 --samples 1 --maps normal box.nvdb hard.obj -o $rays.exr --ray-directions $rays
 done
 # Along hard normals and along faces rays are the same; smooth ones differ.
-run bisque-compare mesh.exr face.exr --max-error 0
-code 0
+ok run bisque-compare mesh.exr face.exr --max-error 0
 ! cmp -s smooth.exr mesh.exr
 check "smooth directions differ from hard normals" $?
-$bake --device cpu --size 64 --samples 1 --maps normal box.nvdb hard.obj -o default.exr
-code 0
+ok $bake --device cpu --size 64 --samples 1 --maps normal box.nvdb hard.obj -o default.exr
 same default.exr smooth.exr
 $bake box.nvdb hard.obj -o a.exr --ray-directions up
 refused 64 "$p: --ray-directions: \"up\" is not smooth, mesh or face"
@@ -133,30 +117,24 @@ grey grey.pgm 100
 grey white.pgm 255
 turned="$bake --size 64 --samples 1 --maps normal box.nvdb hard.obj"
 for value in black grey white; do
-    $turned --device cpu --skew $value.pgm -o skew_$value.exr
-    code 0
+    ok $turned --device cpu --skew $value.pgm -o skew_$value.exr
 done
 # Black leaves rays smooth; white leads them along the faces' normals.
 same skew_black.exr smooth.exr
-run bisque-compare skew_white.exr face.exr --max-error 0.01
-code 0
+ok run bisque-compare skew_white.exr face.exr --max-error 0.01
 ! cmp -s skew_grey.exr smooth.exr && ! cmp -s skew_grey.exr skew_white.exr
 check "grey is neither" $?
 if "$BIN/bisque-bake" --list devices | grep -q '^opencl:0 '; then
-    $turned --device opencl:0 --skew grey.pgm -o opencl.exr
-    code 0
-    run bisque-compare opencl.exr skew_grey.exr --max-error 0.1
-    code 0
+    ok $turned --device opencl:0 --skew grey.pgm -o opencl.exr
+    ok run bisque-compare opencl.exr skew_grey.exr --max-error 0.1
 else
     echo "# skipped: a skew map on OpenCL: there is no OpenCL device"
 fi
 # Secondary rays make a tile of the raster so dear that it is traced in bands of rows. Maps without
 # them, of the same tile in one band, have the same bytes.
 bands="$bake --size 256 --samples 2 --device cpu --front 0.5 --skew grey.pgm box.nvdb hard.obj"
-$bands --maps height,normal -o 'whole_<MAP>.exr'
-code 0
-$bands --maps height,normal,ao,thickness -o 'bands_<MAP>.exr'
-code 0
+ok $bands --maps height,normal -o 'whole_<MAP>.exr'
+ok $bands --maps height,normal,ao,thickness -o 'bands_<MAP>.exr'
 for map in height normal; do
     same whole_$map.exr bands_$map.exr
 done
@@ -169,11 +147,9 @@ done
 } >tiles.obj
 cp white.pgm skew.1001.pgm
 $bake --size 16 --maps mask red.nvdb tiles.obj --skew 'skew.<UDIM>.pgm' -o 'tile.<UDIM>.exr'
-code 66
-err_like '^bisque-bake: skew\.1002\.pgm: '
+refused_like 66 '^bisque-bake: skew\.1002\.pgm: '
 cp black.pgm skew.1002.pgm
-$bake --size 16 --maps mask red.nvdb tiles.obj --skew 'skew.<UDIM>.pgm' -o 'tile.<UDIM>.exr'
-code 0
+ok $bake --size 16 --maps mask red.nvdb tiles.obj --skew 'skew.<UDIM>.pgm' -o 'tile.<UDIM>.exr'
 # It is an input: outputs do not overwrite it.
 cp white.pgm skew.exr
 $turned --skew skew.exr -o skew.exr

@@ -19,8 +19,7 @@ write_box >box.obj
 printf 'newmtl red\nKd .8 .1 .1\n' >box.mtl
 { printf 'mtllib box.mtl missing.mtl\nusemtl red\n'; cat box.obj; } >a.obj
 mkdir whole
-$voxelize a.obj -o whole/box.nvdb --resolution 32
-code 0
+ok $voxelize a.obj -o whole/box.nvdb --resolution 32
 [ "$(ls -A whole)" = 'box.nvdb
 box.tris' ]
 check "a finished job leaves no record" $?
@@ -31,8 +30,7 @@ stopped a.obj -o box.nvdb --resolution 32
 start="a.obj box.mtl box.obj box.tris box.tris.job whole"
 files $start
 cp box.tris.job job
-$voxelize a.obj -o box.nvdb --resolution 32 --resume --json
-code 0
+ok $voxelize a.obj -o box.nvdb --resolution 32 --resume --json
 json '.resumed and .scan == null and .grid.voxels > 0'
 same box.nvdb whole/box.nvdb
 same box.tris whole/box.tris
@@ -40,8 +38,7 @@ files a.obj box.mtl box.nvdb box.obj box.tris job whole
 # With the record again (a job that is killed just before its end), and other options of the grid: only that is made.
 cp job box.tris.job
 rm box.nvdb
-$voxelize a.obj -o box.nvdb --resolution 40 --resume --memory 100M --threads 1
-code 0
+ok $voxelize a.obj -o box.nvdb --resolution 40 --resume --memory 100M --threads 1
 grep -q '^box\.tris: complete from the run before, reading and sorting were skipped$' "$out" && ! grep -q vertices "$out"
 check "it says what it skipped" $?
 $voxelize whole/box.tris -o forty.nvdb --resolution 40
@@ -50,8 +47,7 @@ rm box.nvdb forty.nvdb
 
 # ---- nothing to go on from: the whole job ----
 
-$voxelize a.obj -o box.nvdb --resolution 32 --resume --json
-code 0
+ok $voxelize a.obj -o box.nvdb --resolution 32 --resume --json
 json '.resumed == false and .scan.triangles == 12'
 same box.nvdb whole/box.nvdb
 # A record without its last null byte, with a right checksum.
@@ -65,8 +61,7 @@ for damage in 'rm box.tris' ': >box.tris' 'cp other.tris box.tris' 'head -c 200 
     $voxelize other.obj -o other.nvdb --resolution 4
     cp job box.tris.job
     sh -c "$damage"
-    $voxelize a.obj -o box.nvdb --resolution 32 --resume --json
-    code 0
+    ok $voxelize a.obj -o box.nvdb --resolution 32 --resume --json
     json '.resumed == false and .scan.triangles == 12'
     same box.tris whole/box.tris
 done
@@ -146,8 +141,7 @@ odd='100% of
 it .obj'
 cp box.obj "$odd"
 stopped "$odd" -o odd.nvdb
-$voxelize "$odd" -o odd.nvdb --resume --json
-code 0
+ok $voxelize "$odd" -o odd.nvdb --resume --json
 json .resumed
 
 # A texture of the name "-", which does not exist, is not taken for a second pipe.
@@ -162,8 +156,7 @@ refused 64 "$p piped.tris was made from $here/dot.ppm, not from -: this job cann
 
 rm -rf *
 "$TESTS/generate-scan" --triangles 100000 vase -o vase.obj
-$voxelize vase.obj -o whole.nvdb --resolution 1500
-code 0
+ok $voxelize vase.obj -o whole.nvdb --resolution 1500
 "$BIN/bisque-voxelize" vase.obj -o vase.nvdb --resolution 1500 >/dev/null 2>&1 &
 tries=0
 while [ $tries -lt 1000 ] && [ ! -e vase.tris.job ]; do
@@ -174,8 +167,7 @@ kill -9 $!
 wait $! 2>/dev/null
 [ ! -e vase.nvdb ]
 check "killed before the grid was there" $?
-$voxelize vase.obj -o vase.nvdb --resolution 1500 --resume --json
-code 0
+ok $voxelize vase.obj -o vase.nvdb --resolution 1500 --resume --json
 json .resumed
 same vase.nvdb whole.nvdb
 same vase.tris whole.tris

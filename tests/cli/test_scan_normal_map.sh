@@ -12,13 +12,11 @@ printf 'newmtl left\nnorm tilt.png\nnewmtl right\nPr 1\n' >two.mtl
 # ---- images ----
 
 for scan in plane left_plane; do
-    $vox $scan.obj --scan-normal-map tilt.png -o $scan.nvdb
-    code 0
+    ok $vox $scan.obj --scan-normal-map tilt.png -o $scan.nvdb
     [ ! -s "$err" ]
     check "no message about the normal map of $scan" $?
     for surface in nvdb tris; do
-        $bake $scan.$surface low.obj -o n_${scan}_$surface.png
-        code 0
+        ok $bake $scan.$surface low.obj -o n_${scan}_$surface.png
     done
 done
 values n_plane_tris.png tilted 0.00003
@@ -26,48 +24,38 @@ values n_plane_nvdb.png tilted 0.0002
 values n_left_plane_tris.png tilted_left 0.00003
 values n_left_plane_nvdb.png tilted_left 0.0002
 # Heights stay: planes lean, but not by much of a voxel.
-$bake plane.nvdb low.obj --maps height -o h.png --json
-code 0
+ok $bake plane.nvdb low.obj --maps height -o h.png --json
 json '.encodings.height.range < 0.1 / 160'
 
 # An image that is given later does the same.
-$vox plane.obj --channels coat=three.png --tris later.tris -o plain.nvdb
-code 0
-$bake later.tris low.obj --scan-normal-map tilt.png -o n_later.png
-code 0
+ok $vox plane.obj --channels coat=three.png --tris later.tris -o plain.nvdb
+ok $bake later.tris low.obj --scan-normal-map tilt.png -o n_later.png
 cmp -s n_later.png n_plane_tris.png
 check "bisque-bake adds the image alike" $?
-$vox later.tris --scan-normal-map tilt.png -o later.nvdb
-code 0
+ok $vox later.tris --scan-normal-map tilt.png -o later.nvdb
 cmp -s later.nvdb plane.nvdb
 check "bisque-voxelize adds the image to a chunk file alike" $?
-$vox later.tris --channels coat -o without.nvdb
-code 0
+ok $vox later.tris --channels coat -o without.nvdb
 cmp -s without.nvdb plain.nvdb
 check "without the image there is none" $?
 
 # ---- tasks ----
 
-$bake later.tris low.obj --scan-normal-map tilt.png --tasks 2 --write-plan n.json -o n_tasks.png
-code 0
+ok $bake later.tris low.obj --scan-normal-map tilt.png --tasks 2 --write-plan n.json -o n_tasks.png
 for part in '--task 0-1' --merge; do
-    run bisque-bake --plan n.json $part
-    code 0
+    ok run bisque-bake --plan n.json $part
 done
 cmp -s n_plane_tris.png n_tasks.png
 check "tasks give the bytes of normals with the scan's map" $?
 
 # ---- materials ----
 
-$vox two.obj --channels normal_map -o two.nvdb --threads 1
-code 0
-$vox two.tris -o two_again.nvdb --threads 2
-code 0
+ok $vox two.obj --channels normal_map -o two.nvdb --threads 1
+ok $vox two.tris -o two_again.nvdb --threads 2
 cmp -s two.nvdb two_again.nvdb
 check "a chunk file keeps its normal map" $?
 for surface in nvdb tris; do
-    $bake two.$surface low.obj -o two_$surface.png
-    code 0
+    ok $bake two.$surface low.obj -o two_$surface.png
     values two_$surface.png half_tilted 0.0002
 done
 # Chunk files that are one scan: those of the left side have the map.
@@ -75,71 +63,52 @@ for side in left right; do
     awk -v side=$side '/^usemtl/ { keep = $2 == side } !/^f/ || keep { print }' two.obj >$side.obj
     channel=normal_map
     [ $side = left ] || channel=roughness
-    run bisque-voxelize $side.obj --channels $channel -o $side.tris
-    code 0
+    ok run bisque-voxelize $side.obj --channels $channel -o $side.tris
 done
-$vox left.tris right.tris -o parts.nvdb
-code 0
-$bake parts.nvdb low.obj -o parts.png
-code 0
+ok $vox left.tris right.tris -o parts.nvdb
+ok $bake parts.nvdb low.obj -o parts.png
 values parts.png half_tilted 0.0002
 
 # The same in a glTF file, whose base colour moves texture coordinates.
 $maps gltf two.obj || exit 1
 jq '.images += [{"uri": "tilt.png"}] | .textures += [{"source": 3}] |
     .materials[0].normalTexture = (.materials[0].occlusionTexture | .index = 3)' two.gltf >map.gltf
-$vox map.gltf --channels normal_map -o map.nvdb
-code 0
+ok $vox map.gltf --channels normal_map -o map.nvdb
 [ ! -s "$err" ]
 check "no warning about the normal map of a glTF file" $?
-$bake map.tris low.obj -o map.png
-code 0
+ok $bake map.tris low.obj -o map.png
 values map.png half_tilted 0.00003
 jq '.materials[0].normalTexture.scale = 0.5' map.gltf >scaled.gltf
-$vox scaled.gltf --channels normal_map -o scaled.nvdb
-code 0
+ok $vox scaled.gltf --channels normal_map -o scaled.nvdb
 grep -q 'material "left": normal_map: its texture has a factor, which is not used$' "$err"
 check "a factor of a normal map is told" $?
-$vox two.obj -o none.nvdb
-code 0
-$bake none.tris low.obj -o none.png
-code 0
+ok $vox two.obj -o none.nvdb
+ok $bake none.tris low.obj -o none.png
 values none.png flat 0.00003
 
 # ---- what is refused ----
 
 $bake plain.nvdb low.obj --scan-normal-map tilt.png -o x.png
-code 64
-err_like 'plain.nvdb: a grid has no texture coordinates for the normal map tilt.png; bake from the chunk file'
-$vox bare.obj -o bare.nvdb
-code 0
+refused_like 64 'plain.nvdb: a grid has no texture coordinates for the normal map tilt.png; bake from the chunk file'
+ok $vox bare.obj -o bare.nvdb
 $bake bare.tris low.obj --scan-normal-map tilt.png -o x.png
-code 65
-err_like 'bare.tris has no texture coordinates for the map normal_map'
+refused_like 65 'bare.tris has no texture coordinates for the map normal_map'
 $vox bare.tris --scan-normal-map tilt.png -o x.nvdb
-code 65
-err_like 'bare.tris has no texture coordinates for the normal map tilt.png'
+refused_like 65 'bare.tris has no texture coordinates for the normal map tilt.png'
 $bake later.tris low.obj --scan-normal-map missing.png -o x.png
-code 66
-err_like 'missing.png'
+refused_like 66 'missing.png'
 $vox later.tris --scan-normal-map missing.png -o x.nvdb
-code 66
-err_like 'missing.png'
+refused_like 66 'missing.png'
 $bake later.tris low.obj --scan-normal-map tilt.png -o tilt.png
-code 64
-err_like 'tilt.png'
+refused_like 64 'tilt.png'
 $bake later.tris plain.nvdb low.obj --scan-normal-map tilt.png -o x.png
-code 64
-err_like 'tilt.png is the normal map of one scan, but there are 2 scans'
+refused_like 64 'tilt.png is the normal map of one scan, but there are 2 scans'
 $bake two.tris low.obj --maps transfer:normal_map -o x.png
-code 64
-err_like 'normal_map: directions in tangent space cannot be transferred'
+refused_like 64 'normal_map: directions in tangent space cannot be transferred'
 $vox two.tris --channels normal_map -o x.nvdb
-code 64
-err_like 'two.tris is already a chunk file: leave out the channel normal_map'
+refused_like 64 'two.tris is already a chunk file: leave out the channel normal_map'
 $vox two.obj --channels normal_map --scan-normal-map tilt.png -o x.nvdb
-code 64
-err_like '--scan-normal-map and --channels normal_map exclude each other'
+refused_like 64 '--scan-normal-map and --channels normal_map exclude each other'
 
 [ ! -e x.png ] && [ ! -e x.nvdb ]
 check "nothing was written" $?

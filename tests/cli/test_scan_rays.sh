@@ -34,8 +34,7 @@ scan()
 {
     name=$1 voxel=$2
     shift 2
-    run bisque-voxelize "${@:-$name.obj}" -o "$name.nvdb" --voxel-size "$voxel"
-    code 0
+    ok run bisque-voxelize "${@:-$name.obj}" -o "$name.nvdb" --voxel-size "$voxel"
 }
 # value MAP.exr EXPECTED TOLERANCE: all texels are near a value. The mask beside the map is 1.
 value()
@@ -55,46 +54,38 @@ scan wall 0.05
 scan far 0.05
 scan both 0.0625 floor.obj wall.obj
 usual="--size 8 --device cpu --front 0.5 --back 0.125 --padding 0"
-$bake $usual --maps mask floor.tris foot.obj -o mask.exr
-code 0
+ok $bake $usual --maps mask floor.tris foot.obj -o mask.exr
 # Beside the middle of a wall of height 4 and width 8, at the distance d from 1/16 to 3/16: a
 # rectangle at a right angle hides (atan(4 / d) - d / s atan(4 / s)) / pi, with s^2 = d^2 + 4^2
 # (Howell, "A Catalog of Radiation Heat Transfer Configuration Factors", B-4). Its mean over the
 # square is 0.4822.
 for scans in "floor.nvdb wall.nvdb" "wall.nvdb floor.tris" "floor.nvdb wall.tris"; do
-    $bake $usual --maps ao,bent $scans foot.obj -o 'foot_<MAP>.exr'
-    code 0
+    ok $bake $usual --maps ao,bent $scans foot.obj -o 'foot_<MAP>.exr'
     value foot_ao.exr 0.5178 0.01
     # The mean open direction leans away from the wall by atan(2 / pi) = 32.48 degrees.
     $bake $usual --maps bent both.tris foot.obj -o both.exr
-    run bisque-compare both.exr foot_bent.exr --max-error 4 --max-mean 1
-    code 0
+    ok run bisque-compare both.exr foot_bent.exr --max-error 4 --max-mean 1
 done
-$bake $usual --maps ao floor.nvdb far.nvdb foot.obj -o far.exr
-code 0
+ok $bake $usual --maps ao floor.nvdb far.nvdb foot.obj -o far.exr
 value far.exr 1 0.0001
 # A scan that no ray reaches changes nothing.
 $bake $usual --maps ao both.nvdb foot.obj -o one.exr
 $bake $usual --maps ao far.nvdb both.nvdb foot.obj -o two.exr
-run bisque-compare one.exr two.exr --max-error 0
-code 0
+ok run bisque-compare one.exr two.exr --max-error 0
 # The wall hides less the farther away it is: 1 - t / 2.
 $bake $usual --maps ao --distance ao=2 --ao falloff=linear wall.nvdb floor.tris foot.obj -o one.exr
 $bake $usual --maps ao --distance ao=2 --ao falloff=linear both.tris foot.obj -o two.exr
-run bisque-compare one.exr two.exr --type data --max-mean 0.01 --max-error 0.05
-code 0
+ok run bisque-compare one.exr two.exr --type data --max-mean 0.01 --max-error 0.05
 # Whole voxels of the wall hide more than its surface does, in one grid and in several: half a voxel
 # of its height of 64 or more, and half of one towards the floor, are a share of 0.004 each. Farther
 # away than anything in the scans, they hide nothing more.
 for scans in "both.nvdb" "floor.nvdb wall.nvdb"; do
     for from in none 2 1000; do
-        $bake $usual --maps ao --ao coarse=$from $scans foot.obj -o from_$from.exr
-        code 0
+        ok $bake $usual --maps ao --ao coarse=$from $scans foot.obj -o from_$from.exr
     done
     run bisque-compare from_none.exr from_2.exr --force --type data --json
     json '.mean > 0.004 and .mean < 0.02'
-    run bisque-compare from_none.exr from_1000.exr --type data --max-error 0
-    code 0
+    ok run bisque-compare from_none.exr from_1000.exr --type data --max-error 0
 done
 
 # ---- the other side of a slab is another scan ----
@@ -104,12 +95,10 @@ patch below 0 -4 -0.5 0 8 0 4 0 0
 square middle 1.9375 -0.0625 0.125 -0.0625
 scan below 0.0625
 for scans in "floor.nvdb below.nvdb" "below.nvdb floor.tris" "floor.nvdb below.tris"; do
-    $bake $usual --maps thickness --distance thickness=1.5 $scans middle.obj -o slab.exr
-    code 0
+    ok $bake $usual --maps thickness --distance thickness=1.5 $scans middle.obj -o slab.exr
     value slab.exr 0.8333 0.01
 done
-$bake $usual --maps thickness --distance thickness=1.5 floor.nvdb far.nvdb middle.obj -o slab.exr
-code 0
+ok $bake $usual --maps thickness --distance thickness=1.5 floor.nvdb far.nvdb middle.obj -o slab.exr
 value slab.exr 1.5 0.0001
 
 # ---- a scan in two parts ----
@@ -123,20 +112,15 @@ scan groove_scan 0.03125 left.obj right.obj
 maps="--maps ao,bent,thickness --distance thickness=1"
 usual="--size 24 --device cpu --front 1 --back 1 --padding 0"
 for parts in "left.nvdb right.nvdb" "left.nvdb right.tris"; do
-    $bake $usual $maps groove_scan.nvdb groove.obj -o 'whole_<MAP>.exr'
-    code 0
-    $bake $usual $maps $parts groove.obj -o 'parts_<MAP>.exr' --threads 1
-    code 0
+    ok $bake $usual $maps groove_scan.nvdb groove.obj -o 'whole_<MAP>.exr'
+    ok $bake $usual $maps $parts groove.obj -o 'parts_<MAP>.exr' --threads 1
     for map in ao thickness; do
-        run bisque-compare whole_$map.exr parts_$map.exr --max-mean 0.005 --max-p95 0.02
-        code 0
+        ok run bisque-compare whole_$map.exr parts_$map.exr --max-mean 0.005 --max-p95 0.02
     done
-    run bisque-compare whole_bent.exr parts_bent.exr --max-mean 0.5 --max-p95 2
-    code 0
+    ok run bisque-compare whole_bent.exr parts_bent.exr --max-mean 0.5 --max-p95 2
     # Any order, threads and memory.
-    $bake $usual $maps ${parts#* } ${parts% *} groove.obj -o 'other_<MAP>.exr' --threads 3 \
+    ok $bake $usual $maps ${parts#* } ${parts% *} groove.obj -o 'other_<MAP>.exr' --threads 3 \
         --memory 1900K --json
-    code 0
     [ "$parts" = "left.nvdb right.nvdb" ] || json '.chunk_loads > 1'
     for map in ao bent thickness; do
         same parts_$map.exr other_$map.exr
@@ -156,9 +140,8 @@ awk '/^f/ { next } { print }' foot.obj >pair.obj
 printf 'o a_low\nf 1/1 2/2 3/3 4/4\no b_low\nf 1/1 2/2 3/3 4/4\n' >>pair.obj
 usual="--size 8 --device cpu --front 0.5 --back 0.125 --padding 0"
 for kind in nvdb tris; do
-    $bake $usual --maps ao --match name a_high.$kind b_high.$kind a_high_wall.$kind pair.obj \
+    ok $bake $usual --maps ao --match name a_high.$kind b_high.$kind a_high_wall.$kind pair.obj \
         -o '<OBJECT>.exr'
-    code 0
     value a_low.exr 0.5178 0.01
     value b_low.exr 1 0.0001
 done
@@ -172,24 +155,19 @@ printf 'o a_low\nf 1/1 2/5 3/6 4/4\no b_low\nf 1/5 2/7 3/8 4/6\n' >>shared.obj
 awk '/^o a_low/ { getline; next } { print }' shared.obj >b.obj
 usual="--size 8 --device cpu --front 0.5 --back 0.125 --padding 0 --distance curvature=0.25"
 for kind in nvdb tris; do
-    $bake $usual --maps curvature --match name a_high.$kind b_high.$kind a_high_wall.$kind pair.obj \
+    ok $bake $usual --maps curvature --match name a_high.$kind b_high.$kind a_high_wall.$kind pair.obj \
         -o 'own_<OBJECT>.exr'
-    code 0
-    $bake $usual --maps curvature --match name a_high.$kind b_high.$kind a_high_wall.$kind shared.obj \
+    ok $bake $usual --maps curvature --match name a_high.$kind b_high.$kind a_high_wall.$kind shared.obj \
         --samples 3 --threads 1 -o shared_one.exr
-    code 0
-    $bake $usual --maps curvature --match name a_high_wall.$kind b_high.$kind a_high.$kind shared.obj \
+    ok $bake $usual --maps curvature --match name a_high_wall.$kind b_high.$kind a_high.$kind shared.obj \
         --samples 3 --threads 3 --memory 24M -o shared.exr
-    code 0
     same shared.exr shared_one.exr
     $bake $usual --maps curvature floor.$kind pair.obj -o alone.exr
-    run bisque-compare --type data own_b_low.exr alone.exr --max-error 0.0001
-    code 0
+    ok run bisque-compare --type data own_b_low.exr alone.exr --max-error 0.0001
     run bisque-compare --type data own_a_low.exr alone.exr --max-error 0.0001
     code 1
     $bake $usual --maps curvature,mask --samples 3 floor.$kind b.obj -o 'b_<MAP>.exr'
-    run bisque-compare --type data shared.exr b_curvature.exr --mask b_mask.exr --max-error 0.0001
-    code 0
+    ok run bisque-compare --type data shared.exr b_curvature.exr --mask b_mask.exr --max-error 0.0001
 done
 
 finish

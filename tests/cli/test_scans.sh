@@ -37,11 +37,9 @@ square cage 0.125 0.75 0.5
 for scan in left right above far plain; do
     size=0.03125
     [ $scan = right ] && size=0.025
-    run bisque-voxelize $scan.obj -o $scan.nvdb --voxel-size $size
-    code 0
+    ok run bisque-voxelize $scan.obj -o $scan.nvdb --voxel-size $size
 done
-run bisque-voxelize left.obj right.obj -o merged.tris
-code 0
+ok run bisque-voxelize left.obj right.obj -o merged.tris
 size="--device cpu --size 32x16"
 all="--maps normal,color,mask,height,position,curvature --distance curvature=0.0625"
 rays="--front 0.5 --back 0.125"
@@ -49,19 +47,16 @@ rays="--front 0.5 --back 0.125"
 # same_values A B: no sample of the maps differs.
 same_values()
 {
-    run bisque-compare "$1" "$2" --max-error 0
-    code 0
+    ok run bisque-compare "$1" "$2" --max-error 0
 }
 
 # ---- the nearest hit ----
 
-$bake $size --maps color merged.tris wide.obj -o merged.exr --front 0.5 --back 0.125 --padding 0
-code 0
+ok $bake $size --maps color merged.tris wide.obj -o merged.exr --front 0.5 --back 0.125 --padding 0
 for kind in nvdb tris; do
     # Beside each other: each half of the map has a colour, and no sample is missed.
-    $bake $size --maps color,height wide.obj left.$kind right.$kind -o 'both_<MAP>.exr' \
+    ok $bake $size --maps color,height wide.obj left.$kind right.$kind -o 'both_<MAP>.exr' \
         $rays --padding 0 --json
-    code 0
     json '.misses == 0 and .samples == 2048 and .scan_path == "left.'$kind'" and
         .scan_paths == ["left.'$kind'", "right.'$kind'"] and
         (.encodings.height.range - 0.0625 | fabs) < 1e-6'
@@ -73,16 +68,13 @@ for kind in nvdb tris; do
     # Above each other: the nearer one wins without a cage, the outer one from a cage.
     $bake $size --maps color left.$kind low.obj -o near.exr $rays
     $bake $size --maps color above.$kind low.obj -o far.exr $rays
-    $bake $size --maps color left.$kind above.$kind low.obj -o two.exr $rays
-    code 0
+    ok $bake $size --maps color left.$kind above.$kind low.obj -o two.exr $rays
     same_values two.exr near.exr
-    $bake $size --maps color left.$kind above.$kind low.obj -o cage.exr --cage cage.obj --back 0.125
-    code 0
+    ok $bake $size --maps color left.$kind above.$kind low.obj -o cage.exr --cage cage.obj --back 0.125
     same_values cage.exr far.exr
     # A scan that no ray reaches changes nothing.
     $bake $size $all --samples 1 left.$kind low.obj -o 'alone_<MAP>.exr' $rays
-    $bake $size $all --samples 1 far.$kind left.$kind low.obj -o 'more_<MAP>.exr' $rays
-    code 0
+    ok $bake $size $all --samples 1 far.$kind left.$kind low.obj -o 'more_<MAP>.exr' $rays
     for map in normal color mask height position; do
         same_values alone_$map.exr more_$map.exr
     done
@@ -93,10 +85,8 @@ done
 for scans in "left.nvdb right.nvdb above.nvdb" "left.tris right.tris above.tris" \
     "left.nvdb right.tris above.nvdb"; do
     set -- $scans
-    $bake $size $all $1 $2 $3 wide.obj -o 'one_<MAP>.exr' --threads 1
-    code 0
-    $bake $size $all $3 $1 $2 wide.obj -o 'other_<MAP>.exr' --threads 3 --memory 96M
-    code 0
+    ok $bake $size $all $1 $2 $3 wide.obj -o 'one_<MAP>.exr' --threads 1
+    ok $bake $size $all $3 $1 $2 wide.obj -o 'other_<MAP>.exr' --threads 3 --memory 96M
     for map in normal color mask height position curvature; do
         same one_$map.exr other_$map.exr
     done
@@ -106,8 +96,7 @@ done
 
 small="--device cpu --size 8 --maps normal --view count=1"
 $bake $small left.nvdb above.tris low.obj -o x.exr --preview one.png
-$bake $small above.tris left.nvdb low.obj -o x.exr --preview other.png
-code 0
+ok $bake $small above.tris left.nvdb low.obj -o x.exr --preview other.png
 same one.png other.png
 rm x.exr
 
@@ -133,8 +122,7 @@ awk 'BEGIN {
 sed 's/_low/_L/' pair.obj >letters.obj
 for kind in nvdb tris; do
     high="scans/body_high_1.$kind scans/belt_high.$kind scans/body_high_2.$kind"
-    $bake $size --maps color $high pair.obj -o '<OBJECT>.exr' $rays --padding 0 --match name
-    code 0
+    ok $bake $size --maps color $high pair.obj -o '<OBJECT>.exr' $rays --padding 0 --match name
     # Each object alone, with its scan alone.
     for pair in "body body_high_1" "belt belt_high"; do
         set -- $pair
@@ -145,27 +133,23 @@ for kind in nvdb tris; do
     run bisque-compare body_low.exr belt_low.exr --max-error 1
     code 1
     # In one map, with automatic lengths of rays: no sample takes the other scan.
-    $bake $size --maps height,color $high pair.obj -o 'match_<MAP>.exr' --padding 0 --match name --json
-    code 0
+    ok $bake $size --maps height,color $high pair.obj -o 'match_<MAP>.exr' --padding 0 --match name --json
     json '.misses == 0 and (.encodings.height.range - 0.3125 | fabs) < 0.001 and .front > 0.3125'
     $bake $size --maps height $high pair.obj -o any.exr --padding 0 --json
     json '(.encodings.height.range - 0.0625 | fabs) < 0.001'
 done
 # Secondary rays see the only scan of each object.
-$bake $size --maps ao scans/body_high_1.nvdb scans/belt_high.nvdb pair.obj -o ao.exr \
+ok $bake $size --maps ao scans/body_high_1.nvdb scans/belt_high.nvdb pair.obj -o ao.exr \
     $rays --padding 0 --match name --rays ao=16 --json
-code 0
 # Suffixes.
-$bake $size --maps mask scans/body_high_1.nvdb scans/belt_high.nvdb letters.obj -o x.exr \
+ok $bake $size --maps mask scans/body_high_1.nvdb scans/belt_high.nvdb letters.obj -o x.exr \
     --match _L,_high --front 1 --back 0
-code 0
 rm x.exr
 # A scan belongs to the object that shares most of its name.
 cp scans/body_high_1.nvdb body.nvdb
 cp scans/belt_high.nvdb body_belt.nvdb
 sed 's/belt_low/body_belt_low/' pair.obj >nested.obj
-$bake $size --maps height body.nvdb body_belt.nvdb nested.obj -o nested.exr $rays --padding 0 --match _low, --json
-code 0
+ok $bake $size --maps height body.nvdb body_belt.nvdb nested.obj -o nested.exr $rays --padding 0 --match _low, --json
 json '.misses == 0 and (.encodings.height.range - 0.3125 | fabs) < 0.001'
 rm body.nvdb body_belt.nvdb nested.*
 $bake $size --maps mask left.nvdb scans/belt_high.nvdb pair.obj -o x.exr --match name
@@ -177,15 +161,12 @@ refused 64 "$p: --match: \"colour\" is not name or LOW,HIGH"
 
 # ---- what is refused ----
 
-$bake $size --maps all left.nvdb right.nvdb wide.obj -o 'all_<MAP>.exr' --rays ao=4 \
+ok $bake $size --maps all left.nvdb right.nvdb wide.obj -o 'all_<MAP>.exr' --rays ao=4 \
     --rays thickness=4 --json
-code 0
 json '.maps | has("ao") and has("bent") and has("thickness") and has("curvature")'
 $bake $size --maps color left.nvdb plain.nvdb wide.obj -o x.exr
-code 65
-err_like "^$p: plain\.nvdb has no colour; leave color out of --maps"
-$bake $size left.nvdb plain.nvdb wide.obj -o default.exr --json
-code 0
+refused_like 65 "^$p: plain\.nvdb has no colour; leave color out of --maps"
+ok $bake $size left.nvdb plain.nvdb wide.obj -o default.exr --json
 json '.maps | keys == ["normal"]'
 lost="plain.nvdb has no colour, and other scans have: no map color is baked"
 [ "$(grep -c "^$p: warning: $lost\$" "$err")" -eq 1 ]
@@ -193,15 +174,12 @@ check "one warning tells that colours get lost" $?
 $bake $size left.nvdb plain.nvdb wide.obj -o x.exr --strict
 refused 65 "$p: $lost"
 mkdir ids
-run bisque-voxelize left.obj -o ids/left.nvdb --voxel-size 0.03125 --channels id --id color
-code 0
-$bake $size ids/left.nvdb right.nvdb wide.obj -o 'x_<MAP>.exr' --maps all --rays ao=1 --rays thickness=1
-code 0
+ok run bisque-voxelize left.obj -o ids/left.nvdb --voxel-size 0.03125 --channels id --id color
+ok $bake $size ids/left.nvdb right.nvdb wide.obj -o 'x_<MAP>.exr' --maps all --rays ao=1 --rays thickness=1
 grep -q "^$p: warning: the scans do not all have ids of one kind: no map id is baked$" "$err"
 check "a warning tells that ids get lost" $?
 rm x_*.exr
-$bake $size left.nvdb right.nvdb wide.obj -o 'x_<MAP>.exr' --maps all --rays ao=1 --rays thickness=1
-code 0
+ok $bake $size left.nvdb right.nvdb wide.obj -o 'x_<MAP>.exr' --maps all --rays ao=1 --rays thickness=1
 [ ! -s "$err" ] && rm x_*.exr
 check "nothing is told if no scan has ids" $?
 $bake $size left.nvdb missing.nvdb wide.obj -o x.exr

@@ -66,42 +66,34 @@ write_dae TEXCOORD "$texture" >image.dae
 write_dae COLOR "$color" >colors.dae
 gzip -c image.dae >image.packed.dae.gz
 for name in paint image colors; do
-    run bisque-voxelize $name.obj -o $name.nvdb --resolution 32
-    code 0
+    ok run bisque-voxelize $name.obj -o $name.nvdb --resolution 32
     for file in "$name".*dae*; do
-        run bisque-voxelize "$file" -o other.nvdb --tris other.tris --resolution 32 --strict
-        code 0
+        ok run bisque-voxelize "$file" -o other.nvdb --tris other.tris --resolution 32 --strict
         out_like 'with colour'
         same $name.nvdb other.nvdb
     done
 done
 run bisque-voxelize image.dae -o a.nvdb --tris image.ppm
-code 64
-err 'bisque-voxelize: image.ppm: this output would overwrite ./image.ppm, the texture that image.dae names'
+refused 64 'bisque-voxelize: image.ppm: this output would overwrite ./image.ppm, the texture that image.dae names'
 
 # What is not used is told, for scans only.
 write_dae 'TEXCOORD COLOR' "$texture" >both.dae
-run bisque-voxelize both.dae -o both.nvdb --resolution 32
-code 0
+ok run bisque-voxelize both.dae -o both.nvdb --resolution 32
 grep -qxF 'bisque-voxelize: warning: both.dae: 1 meshes have a texture, so their vertex colours are not used' "$err"
 check 'a warning of vertex colours beside a texture' $?
 run bisque-voxelize both.dae -o other.nvdb --resolution 32 --strict
 code 65
 same image.nvdb both.nvdb
-run bisque-bake image.nvdb both.dae -o low.exr --maps color --size 16 --strict
-code 0
+ok run bisque-bake image.nvdb both.dae -o low.exr --maps color --size 16 --strict
 write_dae TEXCOORD '<color>0.2 1.5 0.6 1</color>' >bright.dae
-run bisque-voxelize bright.dae -o bright.nvdb --resolution 32
-code 0
+ok run bisque-voxelize bright.dae -o bright.nvdb --resolution 32
 grep -qxF 'bisque-voxelize: warning: bright.dae: 1 meshes have a diffuse colour out of range, which was clamped' "$err"
 check 'a warning of a diffuse colour out of range' $?
 write_dae COLOR '<color>0.2 1.5 0.6 1</color>' >bright.dae
-run bisque-voxelize bright.dae -o bright.nvdb --resolution 32 --strict
-code 0
+ok run bisque-voxelize bright.dae -o bright.nvdb --resolution 32 --strict
 same colors.nvdb bright.nvdb
 mkdir without
 cp image.dae without
-run bisque-voxelize without/image.dae -o other.nvdb --resolution 32
-code 0
+ok run bisque-voxelize without/image.dae -o other.nvdb --resolution 32
 grep -q 'warning: without/image.dae: without/./image.ppm: no such texture: ' "$err"
 check 'a warning of a missing texture' $?

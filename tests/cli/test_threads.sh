@@ -9,31 +9,24 @@ TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 "$TESTS/generate-scan" vase-low -o low.obj
 
 # Any image can be a texture; here it is a map.
-run bisque-voxelize vase.obj -o plain.nvdb --resolution 64 --no-tris
-code 0
-run bisque-bake plain.nvdb low.obj -o texture.png --maps normal --size 128 --device cpu
-code 0
+ok run bisque-voxelize vase.obj -o plain.nvdb --resolution 64 --no-tris
+ok run bisque-bake plain.nvdb low.obj -o texture.png --maps normal --size 128 --device cpu
 
 for threads in 1 8; do
     mkdir $threads
-    run bisque-voxelize vase.obj --texture texture.png -o $threads/vase.nvdb --resolution 200 --threads $threads
-    code 0
-    run bisque-voxelize $threads/vase.tris -o $threads/smooth.nvdb --resolution 140 --grid-type onindex \
+    ok run bisque-voxelize vase.obj --texture texture.png -o $threads/vase.nvdb --resolution 200 --threads $threads
+    ok run bisque-voxelize $threads/vase.tris -o $threads/smooth.nvdb --resolution 140 --grid-type onindex \
         --threads $threads
-    code 0
     for scan in vase.nvdb vase.tris; do
         to=$threads/${scan#*.}
-        run bisque-bake $threads/$scan low.obj -o "${to}_<MAP>.exr" --maps normal,color,mask --size 100x75 \
+        ok run bisque-bake $threads/$scan low.obj -o "${to}_<MAP>.exr" --maps normal,color,mask --size 100x75 \
             --samples 2 --preview "${to}_preview.png" --device cpu --threads $threads
-        code 0
-        run bisque-bake $threads/$scan low.obj -o "${to}_<MAP>.png" --maps normal,color --size 100x75 \
+        ok run bisque-bake $threads/$scan low.obj -o "${to}_<MAP>.png" --maps normal,color --size 100x75 \
             --samples 1 --type 8 --device cpu --threads $threads
-        code 0
     done
-    run bisque-compare $threads/nvdb_normal.exr $threads/tris_normal.exr --mask-a $threads/nvdb_mask.exr \
+    ok run bisque-compare $threads/nvdb_normal.exr $threads/tris_normal.exr --mask-a $threads/nvdb_mask.exr \
         --mask-b $threads/tris_mask.exr --heatmap $threads/heat.png --histogram $threads/histogram.png --json \
         --threads $threads
-    code 0
     jq -S 'del(.cost) | walk(if type == "string" then sub("^[18]/"; "") else . end)' "$out" \
         >$threads/compared.json
 done

@@ -7,18 +7,15 @@ need_oracle
 . "$top/tests/cli/texture_lib.sh"
 vox="run bisque-voxelize --resolution 40" bake="run bisque-bake --size 48"
 
-$vox plane.obj --texture light.png -o plane.nvdb
-code 0
-$vox bare.obj -o bare.nvdb
-code 0
+ok $vox plane.obj --texture light.png -o plane.nvdb
+ok $vox bare.obj -o bare.nvdb
 
 # ---- values from triangles ----
 
 four=transfer:roughness,transfer:metallic,transfer:emission,transfer:coat
 textures="--texture roughness=ramp.png --texture metallic=slope.png --texture emission=light.png
     --texture coat=three.png"
-$bake plane.tris low.obj --maps color,$four $textures -o 't_<MAP>.png' --json
-code 0
+ok $bake plane.tris low.obj --maps color,$four $textures -o 't_<MAP>.png' --json
 json '.maps | keys == ["coat", "color", "emission", "metallic", "roughness"]'
 json '.maps.coat == "t_coat.png"'
 values t_roughness.png ramp 0.00003
@@ -28,21 +25,17 @@ values t_coat.png three 0.00003
 cmp -s t_color.png t_emission.png
 check "a transferred colour is that of the map color" $?
 
-$bake plane.tris low.obj --maps transfer:roughness --texture roughness=ramp.png -o one.png --type 8
-code 0
+ok $bake plane.tris low.obj --maps transfer:roughness --texture roughness=ramp.png -o one.png --type 8
 values one.png ramp 0.004
-$bake plane.tris low.obj --maps transfer:emission --texture emission=light.png -o e.exr
-code 0
+ok $bake plane.tris low.obj --maps transfer:emission --texture emission=light.png -o e.exr
 grep -aq 'bisque:transfer.*emission' e.exr && grep -aq lin_rec709_scene e.exr
 check "the file says what it shows" $?
 
 # "all" leaves out what only one of two scans has, and says so once, whichever comes first.
-$vox plane.obj --channels dirt=ramp.png -o dirty.nvdb --tris dirty.tris
-code 0
+ok $vox plane.obj --channels dirt=ramp.png -o dirty.nvdb --tris dirty.tris
 for scans in 'dirty.nvdb plane.nvdb' 'plane.nvdb dirty.nvdb' 'plane.tris dirty.tris'; do
     # shellcheck disable=SC2086 # names
-    $bake $scans low.obj --maps all --rays ao=1 --rays thickness=1 -o 'a_<MAP>.exr'
-    code 0
+    ok $bake $scans low.obj --maps all --rays ao=1 --rays thickness=1 -o 'a_<MAP>.exr'
     [ "$(grep -c "warning: the scans do not all have the channel dirt: no map transfer:dirt is baked" "$err")" -eq 1 ]
     check "a warning of a lost channel: $scans" $?
     # shellcheck disable=SC2086 # names
@@ -69,20 +62,15 @@ Ke 0.2 0.4 0.6
 map_Kd $moved
 map_Ps none.png
 END
-$vox two.obj --channels id,roughness,metallic,emission,coat=three.png -o two.nvdb
-code 0
+ok $vox two.obj --channels id,roughness,metallic,emission,coat=three.png -o two.nvdb
 [ ! -s "$err" ]
 check "no message about channels that nobody asked for" $?
-run bisque-voxelize --verify two.tris
-code 0
-oracle read_file two.tris
-code 0
-$bake two.tris low.obj --maps id,color,$four -o 'two_<MAP>.png'
-code 0
+ok run bisque-voxelize --verify two.tris
+ok oracle read_file two.tris
+ok $bake two.tris low.obj --maps id,color,$four -o 'two_<MAP>.png'
 values two_roughness.png two_rough 0.00003
 for scan in two.tris two.nvdb; do
-    $bake $scan low.obj --maps all --json -o 'all_<MAP>.png' --rays ao=1 --rays thickness=1
-    code 0
+    ok $bake $scan low.obj --maps all --json -o 'all_<MAP>.png' --rays ao=1 --rays thickness=1
     json '.maps | (keys - ["ao", "bent", "curvature", "height", "mask", "normal", "position", "thickness"])
         == ["coat", "color", "emission", "id", "metallic", "roughness"]'
 done
@@ -90,17 +78,14 @@ values two_metallic.png two_metal 0.00003
 values two_emission.png two_light 0.00003
 values two_coat.png three 0.00003
 values two_color.png moved_light 0.00003
-$bake two.nvdb low.obj --maps color -o two_grid.png
-code 0
+ok $bake two.nvdb low.obj --maps color -o two_grid.png
 values two_grid.png moved_light 0.02
 
 # Without channels only textures whose coordinates move need a new version.
 sed 's/-s .*-o 0.25 0.75//' two.mtl >plain.mtl
 sed 's/two.mtl/plain.mtl/' two.obj >plain.obj
-$vox two.obj -o moved.nvdb
-code 0
-$vox plain.obj -o plain.nvdb
-code 0
+ok $vox two.obj -o moved.nvdb
+ok $vox plain.obj -o plain.nvdb
 for file in two=3 moved=3 plain=1; do
     [ "$(od -An -tu1 -j8 -N1 ${file%=*}.tris | tr -d ' ')" = ${file#*=} ]
     check "version of ${file%=*}.tris" $?
@@ -126,32 +111,27 @@ END
 $maps gltf two.obj || exit 1
 pbr=transfer:roughness,transfer:metallic,transfer:emission,transfer:occlusion
 for scan in pbr.obj two.gltf; do
-    $vox $scan --channels roughness,metallic,emission,occlusion -o pbr.nvdb
-    code 0
+    ok $vox $scan --channels roughness,metallic,emission,occlusion -o pbr.nvdb
     [ ! -s "$err" ]
     check "no warning about channels of $scan" $?
-    $bake pbr.tris low.obj --maps $pbr -o "pbr_$scan.<MAP>.png"
-    code 0
+    ok $bake pbr.tris low.obj --maps $pbr -o "pbr_$scan.<MAP>.png"
     values pbr_$scan.roughness.png pbr_rough 0.00003
     values pbr_$scan.metallic.png two_metal 0.00003
     values pbr_$scan.emission.png two_light 0.00003
     values pbr_$scan.occlusion.png slope 0.00003
 done
 $vox two.gltf --channels clearcoat -o x.nvdb
-code 65
-err_like 'two.gltf: no material has a value or a texture of clearcoat'
+refused_like 65 'two.gltf: no material has a value or a texture of clearcoat'
 
 # What cannot be used is told, if the channel is kept.
 jq '(.materials[0].occlusionTexture.texCoord) = 1 | .materials[1].occlusionTexture.strength = 0.5 |
     .materials[0].pbrMetallicRoughness.roughnessFactor = 0.5 |
     .materials[0].emissiveTexture.extensions.KHR_texture_transform.rotation = 0.5 |
     .materials[0].emissiveFactor = [0, 0, 0]' two.gltf >odd.gltf
-$vox odd.gltf --channels metallic,emission -o odd.nvdb
-code 0
+ok $vox odd.gltf --channels metallic,emission -o odd.nvdb
 [ ! -s "$err" ]
 check "no warning about channels that nobody asked for, or are black" $?
-$vox odd.gltf --channels roughness,occlusion -o odd.nvdb
-code 0
+ok $vox odd.gltf --channels roughness,occlusion -o odd.nvdb
 grep -q 'material "left": roughness: its texture has a factor, which is not used$' "$err" &&
     grep -q 'material "left": occlusion: its texture has other texture coordinates .* (the same or similar for other' "$err"
 check "textures of channels that cannot be used are told" $?
@@ -161,31 +141,24 @@ code 65
 # ---- channels of grids ----
 
 # Borders of materials are as exact as two voxels.
-$vox --resolution 160 two.tris --channels metallic,coat,emission,roughness -o fine.nvdb
-code 0
-run bisque-voxelize --verify fine.nvdb
-code 0
+ok $vox --resolution 160 two.tris --channels metallic,coat,emission,roughness -o fine.nvdb
+ok run bisque-voxelize --verify fine.nvdb
 out_like 'surface grid of version 4'
-oracle read_file fine.nvdb
-code 0
-$bake fine.nvdb low.obj --maps $four --device cpu -o 'fine_<MAP>.png'
-code 0
+ok oracle read_file fine.nvdb
+ok $bake fine.nvdb low.obj --maps $four --device cpu -o 'fine_<MAP>.png'
 values fine_roughness.png two_rough 0.0001
 values fine_metallic.png two_metal 0.0001
 values fine_emission.png two_light 0.0001
 values fine_coat.png three 0.0001
-$bake fine.nvdb low.obj --maps $four --sampling nearest -o 'near_<MAP>.png'
-code 0
+ok $bake fine.nvdb low.obj --maps $four --sampling nearest -o 'near_<MAP>.png'
 values near_coat.png three 0.005
 
 # A sphere of radius 1 whose image shows its position: a function of it, by triangles and by voxels.
 $maps sphere || exit 1
-$vox --resolution 100 ball.obj --channels place=ball.png,roughness=ball.png -o ball.nvdb
-code 0
+ok $vox --resolution 100 ball.obj --channels place=ball.png,roughness=ball.png -o ball.nvdb
 for scan in nvdb tris; do
-    run bisque-bake ball.$scan ball_low.obj --size 64 --samples 2 \
+    ok run bisque-bake ball.$scan ball_low.obj --size 64 --samples 2 \
         --maps normal,transfer:place,transfer:roughness --normal-space object -o "ball_${scan}_<MAP>.png"
-    code 0
     $maps on_sphere ball_${scan}_place.png ball_${scan}_roughness.png ball_${scan}_normal.png 0.01 >"$out"
     check "channels of the sphere are functions of its position, from $scan" $?
 done
@@ -193,9 +166,8 @@ done
 # The kernel for devices gives the same bytes, also if the device holds parts of the grid.
 if [ -s "$(ls "$BIN"/../gen/kernel-*.ptx 2>/dev/null | head -n 1)" ]; then
     for memory in 1G 3M; do
-        LD_LIBRARY_PATH=$TESTS/fake $bake fine.nvdb low.obj --maps $four --device cuda \
+        LD_LIBRARY_PATH=$TESTS/fake ok $bake fine.nvdb low.obj --maps $four --device cuda \
             --gpu-memory $memory -o 'cuda_<MAP>.png'
-        code 0
         for map in roughness metallic emission coat; do
             cmp -s fine_$map.png cuda_$map.png
             check "$map from a device with $memory" $?
@@ -204,26 +176,21 @@ if [ -s "$(ls "$BIN"/../gen/kernel-*.ptx 2>/dev/null | head -n 1)" ]; then
 fi
 
 # From the chunk file, with other threads and budgets, a grid has the same bytes.
-$vox --resolution 160 two.tris --channels metallic,coat,emission,roughness -o again.nvdb --threads 1 \
+ok $vox --resolution 160 two.tris --channels metallic,coat,emission,roughness -o again.nvdb --threads 1 \
     --memory 150M
-code 0
 cmp -s fine.nvdb again.nvdb
 check "a grid with channels has the same bytes for any threads and budget" $?
 $bake two.nvdb low.obj --maps transfer:sheen -o x.png
-code 65
-err_like 'two.nvdb has no channel sheen: make it with bisque-voxelize --channels sheen'
+refused_like 65 'two.nvdb has no channel sheen: make it with bisque-voxelize --channels sheen'
 run bisque-voxelize --resolution 40 two.tris --channels sheen -o x.nvdb
-code 65
-err_like 'two.tris has no channel sheen: make it with bisque-voxelize --channels sheen'
+refused_like 65 'two.tris has no channel sheen: make it with bisque-voxelize --channels sheen'
 
 # Beside each other as two scans.
 for side in left right; do
     awk -v side=$side '/^usemtl/ { keep = $2 == side } !/^f/ || keep { print }' two.obj >$side.obj
-    $vox $side.obj --channels roughness,emission,metallic -o $side.nvdb
-    code 0
+    ok $vox $side.obj --channels roughness,emission,metallic -o $side.nvdb
 done
-$bake left.tris right.tris low.obj --maps transfer:roughness,transfer:emission -o 'sides_<MAP>.png'
-code 0
+ok $bake left.tris right.tris low.obj --maps transfer:roughness,transfer:emission -o 'sides_<MAP>.png'
 values sides_roughness.png two_rough 0.00003
 values sides_emission.png two_light 0.00003
 
@@ -233,8 +200,7 @@ grep -q 'two.mtl:12: .*none.png: no such texture: material "right" goes without 
     grep -q 'two.obj: no material has a value or a texture of sheen' "$err"
 check "a channel that nothing gives is refused" $?
 $vox bare.obj --channels coat=three.png -o coat.nvdb
-code 65
-err_like 'bare.obj: no texture coordinates for the channel coat of three.png'
+refused_like 65 'bare.obj: no texture coordinates for the channel coat of three.png'
 [ ! -e sheen.nvdb ] && [ ! -e coat.nvdb ]
 check "and no grid is made" $?
 
@@ -248,18 +214,15 @@ done
 printf 'newmtl tiles\nmap_Kd udim.<UDIM>.png\n' >udim.mtl
 cp udim.1001.png uv_u1_v1.png
 cp udim.1002.png uv_u2_v1.png
-$vox udim2.obj --channels 'emission=uv_<UVTILE>.png' -o udim2.nvdb
-code 0
+ok $vox udim2.obj --channels 'emission=uv_<UVTILE>.png' -o udim2.nvdb
 [ ! -s "$err" ]
 check "no message about tiles that nobody needs" $?
 for scan in tris nvdb; do
-    $bake udim2.$scan low.obj --maps color -o udim_$scan.png
-    code 0
+    ok $bake udim2.$scan low.obj --maps color -o udim_$scan.png
 done
 values udim_tris.png two_tiles_light 0.001 # footprints are wider than a texel
 values udim_nvdb.png two_tiles_light 0.02
-$bake udim2.tris low.obj --maps transfer:emission -o udim_e.png
-code 0
+ok $bake udim2.tris low.obj --maps transfer:emission -o udim_e.png
 cmp -s udim_e.png udim_tris.png
 check "<UVTILE> is another name of the tiles" $?
 # Tokens stand anywhere in the path.
@@ -268,14 +231,11 @@ cp udim.1001.png tiles/1001/u1_v1.png
 cp udim.1002.png tiles/1002/u2_v1.png
 printf 'newmtl tiles\nmap_Kd tiles/<UDIM>/<UVTILE>.png\n' >folders.mtl
 sed 's/udim.mtl/folders.mtl/' udim2.obj >folders.obj
-$vox folders.obj -o folders.nvdb --strict
-code 0
-$bake folders.tris low.obj --maps color -o folders.png
-code 0
+ok $vox folders.obj -o folders.nvdb --strict
+ok $bake folders.tris low.obj --maps color -o folders.png
 cmp -s folders.png udim_tris.png
 check "tokens in folders and names" $?
-$vox udim3.obj -o udim3.nvdb
-code 0
+ok $vox udim3.obj -o udim3.nvdb
 told='udim.<UDIM>.png: 1 tile has no file that can be read: 1003; the scan is black there'
 [ "$(grep -c "$told" "$err")" = 1 ] && [ "$(wc -l <"$err")" = 1 ]
 check "the tile that is missing is told once" $?
@@ -283,14 +243,12 @@ $bake udim3.tris low.obj --maps color -o udim3.png --strict
 code 65
 grep -q "$told" "$err"
 check "and refused by a strict job" $?
-$vox udim3.obj --channels 'emission=udim.<UDIM>.png,a=udim.<UDIM>.png' -o udim3.nvdb
-code 0
+ok $vox udim3.obj --channels 'emission=udim.<UDIM>.png,a=udim.<UDIM>.png' -o udim3.nvdb
 [ "$(cat "$err")" = "bisque-voxelize: warning: $(pwd -P)/$told" ]
 check "also if it is missing for colours and for channels" $?
 # Many missing tiles are one line. A damaged one is lost alone, whatever is wrong with it.
 awk '/^vt/ { $2 *= 20 } { print }' udim3.obj >udim60.obj
-$vox udim60.obj -o udim60.nvdb
-code 0
+ok $vox udim60.obj -o udim60.nvdb
 grep -q 'udim.<UDIM>.png: [0-9]* tiles have no file that can be read: 1003, 1004, 1005, 1006, 1007, ...; the scan' "$err"
 check "the first of many missing tiles" $?
 [ "$(wc -l <"$err")" = 2 ] && grep -q 'where it lies outside of all tiles' "$err"
@@ -306,8 +264,7 @@ for damage in fifo folder cut; do
     folder) mkdir bad.1002.png ;;
     cut) head -c 60 udim.1002.png >bad.1002.png ;;
     esac
-    $vox bad.obj -o bad.nvdb
-    code 0
+    ok $vox bad.obj -o bad.nvdb
     same alone.nvdb bad.nvdb
     black='bad.<UDIM>.png: 1 tile has no file that can be read: 1002; the scan is black there'
     grep -q "$black" "$err"
@@ -316,14 +273,12 @@ done
 grep -q 'bad.<UDIM>.png: 1 tile is not used; the first: .*bad.1002.png: ' "$err" &&
     [ "$(wc -l <"$err")" = 2 ]
 check "what is wrong with it" $?
-$bake bad.tris low.obj --maps color -o bad.png
-code 0
+ok $bake bad.tris low.obj --maps color -o bad.png
 grep -q "$black" "$err"
 check "a bake tells of the tile too" $?
 head -c 60 udim.1002.png >bad.1001.png
 rm -r bad.1002.png
-$vox bad.obj -o bad.nvdb
-code 0
+ok $vox bad.obj -o bad.nvdb
 grep -q 'bad.1001.png: .*: material "tiles" goes without it' "$err"
 check "all tiles are damaged" $?
 # A texture whose first texel is not finite, for colours and for two channels.
@@ -332,16 +287,13 @@ check "all tiles are damaged" $?
     head -c 3068 /dev/zero
 } >broken.pfm
 broken='broken.pfm: texels that are not finite: 1; they count as 0'
-$vox plane.obj --texture broken.pfm --channels emission=broken.pfm,a=broken.pfm -o broken.nvdb
-code 0
+ok $vox plane.obj --texture broken.pfm --channels emission=broken.pfm,a=broken.pfm -o broken.nvdb
 [ "$(cat "$err")" = "bisque-voxelize: warning: $(pwd -P)/$broken" ]
 check "a damaged texture is told once" $?
-$bake broken.tris low.obj --maps color,transfer:emission,transfer:a -o 'broken_<MAP>.exr'
-code 0
+ok $bake broken.tris low.obj --maps color,transfer:emission,transfer:a -o 'broken_<MAP>.exr'
 [ "$(cat "$err")" = "bisque-bake: warning: $(pwd -P)/$broken" ]
 check "also by a bake" $?
-run bisque-voxelize plane.obj --texture broken.pfm -o sorted.tris --strict
-code 0
+ok run bisque-voxelize plane.obj --texture broken.pfm -o sorted.tris --strict
 for job in "$vox sorted.tris -o x.nvdb" "$bake sorted.tris low.obj --maps color -o x.exr"; do
     $job --strict
     code 65
@@ -349,25 +301,21 @@ for job in "$vox sorted.tris -o x.nvdb" "$bake sorted.tris low.obj --maps color 
     check "a job that uses the texels tells: $job" $?
 done
 $vox udim2.obj --texture 'none.<UDIM>.png' -o x.nvdb
-code 66
-err_like 'none.<UDIM>.png: no tile of this texture exists'
+refused_like 66 'none.<UDIM>.png: no tile of this texture exists'
 
 # ---- the same bytes ----
 
 for how in '--threads 1' '--memory 100M'; do
-    $bake plane.tris low.obj --maps color,$four $textures -o 's_<MAP>.png' $how
-    code 0
+    ok $bake plane.tris low.obj --maps color,$four $textures -o 's_<MAP>.png' $how
     for map in color roughness metallic emission coat; do
         cmp -s t_$map.png s_$map.png || echo "$map differs" >>differ
     done
 done
 [ ! -e differ ]
 check "maps have the same bytes with other options of the work" $?
-$bake plane.tris low.obj --maps color,$four $textures -o 'p_<MAP>.png' --tasks 2 --write-plan plan.json
-code 0
+ok $bake plane.tris low.obj --maps color,$four $textures -o 'p_<MAP>.png' --tasks 2 --write-plan plan.json
 for step in '--task 0' '--task 1' '--merge'; do
-    run bisque-bake --plan plan.json $step
-    code 0
+    ok run bisque-bake --plan plan.json $step
 done
 for map in color roughness metallic emission coat; do
     cmp -s t_$map.png p_$map.png
@@ -377,60 +325,43 @@ done
 # ---- what is refused ----
 
 $bake plane.tris low.obj --maps transfer:gloss -o x.png
-code 65
-err_like 'plane.tris has no channel gloss: make it with bisque-voxelize --channels gloss'
+refused_like 65 'plane.tris has no channel gloss: make it with bisque-voxelize --channels gloss'
 $bake plane.tris moved.tris low.obj --maps transfer:a --texture a=ramp.png -o x.png
-code 64
-err_like 'ramp.png is a texture of one scan, but there are 2 scans'
+refused_like 64 'ramp.png is a texture of one scan, but there are 2 scans'
 $vox two.tris --channels coat=three.png -o x.nvdb
-code 64
-err_like 'two.tris is already a chunk file: leave out the images of --channels'
+refused_like 64 'two.tris is already a chunk file: leave out the images of --channels'
 $vox two.obj --channels Rough -o x.nvdb
-code 64
-err_like '"Rough" is not a channel'
+refused_like 64 '"Rough" is not a channel'
 for name in normal id all transfer; do
     run bisque-voxelize two.obj -o bad.nvdb --channels roughness,$name=three.png
     refused 64 "bisque-voxelize: --channels: \"$name=three.png\": there is a map of this name"
 done
 $vox two.obj --channels a,a -o x.nvdb
-code 64
-err_like 'channel a is named twice'
+refused_like 64 'channel a is named twice'
 $bake plane.tris low.obj --maps normal --texture gloss=ramp.png -o x.png
-code 64
-err_like -- '--maps does not have transfer:gloss'
+refused_like 64 -- '--maps does not have transfer:gloss'
 $bake plane.tris low.obj --maps transfer:Gloss --texture Gloss=ramp.png -o x.png
-code 64
-err_like 'cannot be a transfer map'
+refused_like 64 'cannot be a transfer map'
 $bake plane.tris low.obj --maps transfer:normal --texture normal=ramp.png -o x.png
-code 64
-err_like 'another map of this name'
+refused_like 64 'another map of this name'
 $bake plane.tris low.obj --maps transfer:a,transfer:a --texture a=ramp.png -o 'x_<MAP>.png'
-code 64
-err_like 'transfer:a is named twice'
+refused_like 64 'transfer:a is named twice'
 $bake plane.tris low.obj --maps transfer:a --texture a=ramp.png --texture a=ramp.png -o x.png
-code 64
-err_like '"a" is given twice'
+refused_like 64 '"a" is given twice'
 $bake plane.tris low.obj --maps transfer:a --texture ramp.png -o x.png
-code 64
-err_like '"ramp.png" is not NAME=FILE'
+refused_like 64 '"ramp.png" is not NAME=FILE'
 $bake plane.tris low.obj --maps transfer:a,mask --texture a=ramp.png -o x.png
-code 64
-err_like 'several maps need'
+refused_like 64 'several maps need'
 $bake plane.tris low.obj --maps transfer:ramp --texture ramp=ramp.png -o '<MAP>.png'
-code 64
-err_like 'ramp.png'
+refused_like 64 'ramp.png'
 $bake plane.nvdb low.obj --maps transfer:a --texture a=ramp.png -o x.png
-code 65
-err_like 'plane.nvdb is a grid, which cannot use ramp.png: make it with bisque-voxelize --channels a=ramp.png'
+refused_like 65 'plane.nvdb is a grid, which cannot use ramp.png: make it with bisque-voxelize --channels a=ramp.png'
 $bake bare.tris low.obj --maps transfer:a --texture a=ramp.png -o x.png
-code 65
-err_like 'has no texture coordinates'
+refused_like 65 'has no texture coordinates'
 $bake plane.tris low.obj --maps transfer:a --texture a=none.png -o x.png
-code 66
-err_like 'none.png'
+refused_like 66 'none.png'
 $bake plane.tris low.obj --maps transfer:a --texture a=plane.obj -o x.png
-code 65
-err_like 'plane.obj: not a readable image'
+refused_like 65 'plane.obj: not a readable image'
 [ ! -e x.png ] && [ ! -e x_a.png ]
 check "nothing was written" $?
 finish

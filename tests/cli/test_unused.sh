@@ -5,13 +5,11 @@ TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 
 "$TESTS/generate-scan" -n 2000 vase -o scan.obj
 "$TESTS/generate-scan" vase-low -o vase-low.obj
-run bisque-voxelize scan.obj -o vase-high.nvdb --resolution 16
-code 0
+ok run bisque-voxelize scan.obj -o vase-high.nvdb --resolution 16
 sed 's/^f .*//' scan.obj >with.obj # the same scan with normals, of which all point up
 echo 'vn 0 0 1' >>with.obj
 sed -n 's/^f \([0-9]*\)[^ ]* \([0-9]*\)[^ ]* \([0-9]*\).*/f \1\/\/1 \2\/\/1 \3\/\/1/p' scan.obj >>with.obj
-run bisque-voxelize with.obj -o with.tris
-code 0
+ok run bisque-voxelize with.obj -o with.tris
 bake() { run bisque-bake vase-high.nvdb vase-low.obj --progress none --size 4 --samples 1 "$@"; }
 
 # unused NEEDS OPTION VALUE -- USE...: the option has no effect alone, and has one beside USE.
@@ -60,8 +58,7 @@ nothing()
 {
     needs=$1 option=$2 scan=$3
     shift 2
-    run bisque-bake "$@" vase-low.obj --progress none --size 4 --samples 1 -o '<MAP>.exr'
-    code 0
+    ok run bisque-bake "$@" vase-low.obj --progress none --size 4 --samples 1 -o '<MAP>.exr'
     [ "$(cat "$err")" = "bisque-bake: warning: $option has no effect: it needs $needs" ]
     check "a warning of $option on $scan" $?
 }
@@ -69,9 +66,8 @@ for words in "--ao coarse=none" "--sampling trilinear" "--gpu-memory 1G"; do
     # shellcheck disable=SC2086 # an option and its value
     nothing "a grid" "${words%[ =]*}" vase-high.tris --maps ao $words
     # shellcheck disable=SC2086
-    run bisque-bake vase-high.tris vase-high.nvdb vase-low.obj --progress none --size 4 --samples 1 --maps ao \
+    ok run bisque-bake vase-high.tris vase-high.nvdb vase-low.obj --progress none --size 4 --samples 1 --maps ao \
         $words -o map.exr
-    code 0
     [ ! -s "$err" ]
     check "none of $words for a grid beside triangles" $?
 done
@@ -80,8 +76,7 @@ nothing "triangles without normals" --scan-normals vase-high.nvdb --scan-normals
 nothing "--normal-space tangent" --green vase-high.nvdb --green up --normal-space object
 bake --scan-normals flat -o '<MAP>.exr'
 code 64
-run bisque-bake vase-high.tris vase-low.obj --progress none --size 4 --samples 1 --scan-normals flat -o '<MAP>.exr'
-code 0
+ok run bisque-bake vase-high.tris vase-low.obj --progress none --size 4 --samples 1 --scan-normals flat -o '<MAP>.exr'
 [ ! -s "$err" ]
 check "none of --scan-normals for triangles without normals" $?
 unused "a map other than mask" --padding 3 -- --maps mask,height -o '<MAP>.png'
@@ -97,8 +92,7 @@ bake --maps mask --rays ao=2 -o map.exr --tasks 1 --write-plan plan.json
 code 0
 grep -q "warning: --rays ao has no effect" "$err"
 check "a warning of the plan" $?
-run bisque-bake --plan plan.json --task 0 --progress none
-code 0
+ok run bisque-bake --plan plan.json --task 0 --progress none
 [ ! -s "$err" ]
 check "none of the task" $?
 finish

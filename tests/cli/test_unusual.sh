@@ -6,11 +6,9 @@ vox="run bisque-voxelize --resolution 8 --no-tris"
 tab=$(printf '\t')
 
 python3 -B "$top/tests/cli/unusual.py" . || exit 1
-$vox plain.obj -o plain.nvdb
-code 0
+ok $vox plain.obj -o plain.nvdb
 while IFS=$tab read -r name warning; do
-    $vox "$name" -o other.nvdb
-    code 0
+    ok $vox "$name" -o other.nvdb
     same plain.nvdb other.nvdb
     [ "$(cat "$err")" = "${warning:+$p warning: $name: $warning}" ] ||
         [ "$(cat "$err")" = "${warning:+$p warning: $name:$warning}" ]
@@ -42,14 +40,11 @@ end_header
 3 0 1 2
 3 1 3 2
 END
-$vox faces.ply -o other.nvdb
-code 0
+ok $vox faces.ply -o other.nvdb
 [ "$(cat "$err")" = "$p warning: faces.ply: 1 colours of faces are out of range and were clamped; real numbers range to 1" ]
 check "colours of faces out of range" $?
 
 # Factors beyond all colours make no damaged files.
-run bisque-voxelize --resolution 8 huge.gltf -o huge.nvdb --channels opacity,roughness,emission
-code 0
-run bisque-voxelize --verify huge.tris huge.nvdb
-code 0
+ok run bisque-voxelize --resolution 8 huge.gltf -o huge.nvdb --channels opacity,roughness,emission
+ok run bisque-voxelize --verify huge.tris huge.nvdb
 finish

@@ -25,39 +25,33 @@ byte()
 
 write_box >box.obj
 run bisque-voxelize box.obj -o box.nvdb --resolution 24 --scan-normals flat
-run bisque-voxelize box.tris -o on.nvdb --resolution 24 --grid-type onindex
-code 0
+ok run bisque-voxelize box.tris -o on.nvdb --resolution 24 --grid-type onindex
 
 # ---- valid files, alone and together, by both programs ----
 
 tris_line="box.tris: ok (chunk file of version 1: 12 triangles and 8 vertices in 1 chunk, $(wc -c <box.tris) B)"
 for program in bisque-voxelize bisque-bake; do
-    run $program --verify box.tris
-    code 0
+    ok run $program --verify box.tris
     [ "$(cat "$out")" = "$tris_line" ] && [ ! -s "$err" ]
     check "$program: $tris_line" $?
 done
-$verify box.nvdb on.nvdb box.tris
-code 0
+ok $verify box.nvdb on.nvdb box.tris
 out_like '^box\.nvdb: ok \(surface grid of version 2, NanoVDB 32\.4\.2 mask: 1,224 voxels and 0 second records of 12 triangles, '
 out_like '^on\.nvdb: ok \(surface grid of version 2, NanoVDB 32\.6\.0 onindex: 1,224 voxels and 0 second records of 12 triangles, '
 out_like '^box\.tris: ok '
-$verify box.tris box.nvdb --json
-code 0
+ok $verify box.tris box.nvdb --json
 json '.files | map(.ok) == [true, true]'
 json '.files[0] | .kind == "tris" and .version == 1 and .triangles == 12 and .vertices == 8 and .chunks == 1'
 json '.files[1] | .kind == "nvdb" and .nanovdb_version == [32, 4, 2] and .voxels == 1224 and .voxel_size == 0.125'
 files box.obj box.nvdb box.tris on.nvdb
 
 # Threads that the machine has no use for are not started.
-$verify box.nvdb --json --threads 65536
-code 0
+ok $verify box.nvdb --json --threads 65536
 used=$(jq .cost.threads "$out")
 [ "$used" -ge 64 ] && [ "$used" -lt 65536 ] &&
     [ "$(cat "$err")" = "$p warning: 65536 threads are more than this machine can use: $used are used" ]
 check "a warning says that $used of 65536 threads are used" $?
-$verify box.nvdb --json --threads 64
-code 0
+ok $verify box.nvdb --json --threads 64
 json '.cost.threads == 64'
 
 # Attributes, several chunks, second records; memory for one chunk is enough.
@@ -65,15 +59,12 @@ json '.cost.threads == 64'
 printf 'newmtl glaze\nKd .2 .4 .6\nmap_Kd dot.ppm\n' >vase.mtl
 printf 'P3 1 1 255 9 9 9\n' >dot.ppm
 { printf 'mtllib vase.mtl\nusemtl glaze\n'; cat vase.obj; } >full.obj
-run bisque-voxelize full.obj -o full.nvdb --resolution 300 --vdb full.vdb
-code 0
-$verify full.tris full.nvdb --json --threads 4 --memory 12M
-code 0
+ok run bisque-voxelize full.obj -o full.nvdb --resolution 300 --vdb full.vdb
+ok $verify full.tris full.nvdb --json --threads 4 --memory 12M
 json '.files[0].chunks > 2 and .files[1].has_color and .cost.memory_high_bytes < 12 * 1048576'
 printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 0 .02\nv 1 0 .02\nv 1 1 .02\nf 3 2 1\nf 4 5 6\n' >sheet.obj
 run bisque-voxelize sheet.obj -o sheet.nvdb --resolution 16
-$verify sheet.nvdb
-code 0
+ok $verify sheet.nvdb
 out_like ' and [1-9][0-9]* second records of 2 triangles, '
 
 # ---- all damaged files are reported; the exit code is that of the first ----

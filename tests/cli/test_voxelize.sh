@@ -8,8 +8,7 @@ write_box >box.obj
 # ---- help and version ----
 
 help_and_man_page bisque-voxelize
-$vox --version
-code 0
+ok $vox --version
 out_like '^bisque-voxelize [0-9]+\.[0-9]+\.[0-9]+$'
 
 command="bisque-voxelize --version >/dev/full" code=0
@@ -57,8 +56,7 @@ done
 $vox box.obj -o a.nvdb --threads 0
 refused 64 "$p --threads: \"0\" is not a whole number from 1 to 65536"
 $vox box.obj -o a.nvdb --threads 1 --memory 1k
-code 71
-err_like '^bisque-voxelize: --memory: 1.0 KiB is too small, 1 thread needs at least [0-9]+MiB$'
+refused_like 71 '^bisque-voxelize: --memory: 1.0 KiB is too small, 1 thread needs at least [0-9]+MiB$'
 least=$(sed 's/.*at least //' "$err")
 files box.obj
 
@@ -74,8 +72,7 @@ refused 66 "$p dir: Is a directory"
 rmdir dir
 : >empty.obj
 $vox empty.obj -o a.nvdb
-code 65
-err_like 'empty\.obj.*no faces'
+refused_like 65 'empty\.obj.*no faces'
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\np 1 2 3\n' >points.obj
 $vox points.obj -o a.nvdb
 refused 65 "$p points.obj: no faces, only points or lines"
@@ -89,12 +86,10 @@ refused 65 "$p warning: nan.obj:3: vertices without a finite position: 1; this i
 $p nan.obj:4: 1 of 1 faces have a vertex without a finite position, more than 1 %; this is the first"
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0\n' >zero.obj
 $vox zero.obj -o a.nvdb
-code 65
-err_like '^bisque-voxelize: zero\.obj:4: '
+refused_like 65 '^bisque-voxelize: zero\.obj:4: '
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 1 1\n' >flat.obj
 $vox flat.obj -o a.nvdb
-code 65
-err_like '^bisque-voxelize: flat\.obj: '
+refused_like 65 '^bisque-voxelize: flat\.obj: '
 files box.obj empty.obj flat.obj nan.obj range.obj zero.obj
 rm empty.obj flat.obj nan.obj range.obj zero.obj
 
@@ -109,8 +104,7 @@ refused 73 "$p none/a.tris: cannot be created: No such file or directory"
 $vox box.obj -o /dev/null --tris a.tris
 refused 73 "$p /dev/null: exists and is not a regular file"
 $vox box.obj -o a.nvdb --no-tris --tmpdir none
-code 73
-err_like '^bisque-voxelize: none: temporary file for .*: No such file or directory$'
+refused_like 73 '^bisque-voxelize: none: temporary file for .*: No such file or directory$'
 $vox box.obj -o box.obj
 refused 64 "$p box.obj: this output would overwrite the scan"
 $vox box.obj -o ./../here/box.obj
@@ -119,15 +113,13 @@ $vox box.obj -o a.nvdb --vdb box.obj
 refused 64 "$p box.obj: this output would overwrite the scan"
 $vox box.obj -o a.nvdb --vdb ./a.nvdb
 refused 64 "$p ./a.nvdb: two outputs have this name"
-$vox box.obj -o a.grid --resolution 24
-code 0
+ok $vox box.obj -o a.grid --resolution 24
 rm a.grid a.grid.tris
 files box.obj
 
 # ---- a box of 8 x 16 x 24 voxels: its surface is 8 * 16 * 24 - 6 * 14 * 22 voxels ----
 
-$vox box.obj -o box.nvdb --resolution 24 --json --tmpdir .
-code 0
+ok $vox box.obj -o box.nvdb --resolution 24 --json --tmpdir .
 json '.program == "bisque-voxelize" and .inputs == ["box.obj"]'
 json '.grid_path == "box.nvdb" and .tris_path == "box.tris" and .vdb_path == null'
 json '.scan.vertices == 8 and .scan.faces == 6 and .scan.triangles == 12'
@@ -140,8 +132,7 @@ json '.cost.max_rss_bytes > 0 and .cost.seconds > 0'
 json ".grid.grid_bytes == $(wc -c <box.nvdb) and .scan.tris_bytes == $(wc -c <box.tris)"
 files box.nvdb box.obj box.tris
 
-$vox box.obj -o again.nvdb --resolution 24
-code 0
+ok $vox box.obj -o again.nvdb --resolution 24
 out_like '^box\.obj: 8 vertices, 6 faces, 12 triangles, '
 out_like '^again\.nvdb: 1,224 voxels in 8 x 16 x 24, voxel size 0\.125, '
 out_like '^memory: .* of a budget of '
@@ -149,26 +140,21 @@ same box.nvdb again.nvdb
 same box.tris again.tris
 rm again.*
 
-$vox box.tris -o again.nvdb --resolution 24 --json
-code 0
+ok $vox box.tris -o again.nvdb --resolution 24 --json
 json '.scan == null and .grid.voxels == 1224'
 same box.nvdb again.nvdb
-$vox box.tris -o again.nvdb --voxel-size 0.125 --no-tris
-code 0
+ok $vox box.tris -o again.nvdb --voxel-size 0.125 --no-tris
 files again.nvdb box.nvdb box.obj box.tris
 rm again.nvdb
 
-$vox box.obj -o one.nvdb --resolution 24 --threads 1 --memory "$least" --json
-code 0
+ok $vox box.obj -o one.nvdb --resolution 24 --threads 1 --memory "$least" --json
 json '.cost.memory_high_bytes <= .cost.memory_budget_bytes and .cost.threads == 1'
-$vox box.obj -o eight.nvdb --resolution 24 --threads 8
-code 0
+ok $vox box.obj -o eight.nvdb --resolution 24 --threads 8
 same one.nvdb eight.nvdb
 same one.tris eight.tris
 rm one.* eight.*
 
-$vox box.obj -o on.nvdb --resolution 24 --grid-type onindex --no-tris
-code 0
+ok $vox box.obj -o on.nvdb --resolution 24 --grid-type onindex --no-tris
 [ "$(wc -c <on.nvdb)" -eq "$(wc -c <box.nvdb)" ] && ! cmp -s on.nvdb box.nvdb
 check "an OnIndex grid differs in its header" $?
 files box.nvdb box.obj box.tris on.nvdb
@@ -181,8 +167,7 @@ else
     skip "nanovdb_validate accepts the grid" "not installed"
 fi
 
-$vox box.obj -o a.nvdb --no-tris --resolution 24 --vdb a.vdb --json
-code 0
+ok $vox box.obj -o a.nvdb --no-tris --resolution 24 --vdb a.vdb --json
 json '.vdb_path == "a.vdb" and .tris_path == null'
 files a.nvdb a.vdb box.nvdb box.obj box.tris
 if command -v vdb_print >/dev/null; then
@@ -205,31 +190,25 @@ $vox box.tris -o box.tris
 refused 64 "$p box.tris: only meshes can be sorted, and an input is a chunk file"
 head -c 100 box.tris >short.tris
 $vox short.tris -o a.nvdb
-code 65
-err_like '^bisque-voxelize: short\.tris: '
+refused_like 65 '^bisque-voxelize: short\.tris: '
 $vox box.nvdb -o a.nvdb
-code 65
-err_like '^bisque-voxelize: box\.nvdb'
+refused_like 65 '^bisque-voxelize: box\.nvdb'
 rm short.tris
 files box.nvdb box.obj box.tris
 
 # ---- variants of OBJ files ----
 
-$vox --parse-only box.obj
-code 0
+ok $vox --parse-only box.obj
 out_like '^box\.obj: 8 vertices, 6 faces, '
-$vox --parse-only box.obj box.obj --json
-code 0
+ok $vox --parse-only box.obj box.obj --json
 json '.scan.vertices == 16 and .scan.faces == 12 and .grid == null and .grid_path == null'
 
 sed 's/$/\r/' box.obj >crlf.obj
-$vox crlf.obj -o crlf.nvdb --resolution 24
-code 0
+ok $vox crlf.obj -o crlf.nvdb --resolution 24
 same crlf.nvdb box.nvdb
 # Without comments and blank lines at the end, with tabs, continued lines and exponents.
 sed 's/ /\t/; s/ 2 0$/ 2e0 \\\n0/' box.obj | head -c -1 >odd.obj
-$vox odd.obj -o odd.nvdb --resolution 24
-code 0
+ok $vox odd.obj -o odd.nvdb --resolution 24
 same odd.nvdb box.nvdb
 rm crlf.* odd.*
 
@@ -238,8 +217,7 @@ head -n 8 box.obj >first.obj
 cp first.obj second.obj
 printf 'f 4 3 2 1\nf 5 6 7 8\nf 1 2 6 5\n' >>first.obj
 printf 'f -6 -5 -1 -2\nf -8 -4 -1 -5\nf -7 -6 -2 -3\n' >>second.obj
-$vox first.obj second.obj -o two.nvdb --resolution 24 --json
-code 0
+ok $vox first.obj second.obj -o two.nvdb --resolution 24 --json
 json '.inputs == ["first.obj", "second.obj"]'
 json '.scan.triangles == 12 and .grid.voxels == 1224'
 rm first.obj second.obj two.*
@@ -249,12 +227,10 @@ rm first.obj second.obj two.*
     cat box.obj
     printf 'v 0.5 0.5 0.5\nv 0.6 0.6 0.6\nf 1 1 2\nf 1 2 3 3\nf 1 2\nnonsense\ng group\n# end\n'
 } >extra.obj
-$vox extra.obj -o extra.nvdb --resolution 24 --json
-code 0
+ok $vox extra.obj -o extra.nvdb --resolution 24 --json
 json '.scan.degenerate_triangles == 2 and .scan.short_faces == 1'
 json '.scan.unused_vertices == 2 and .scan.skipped_lines == 1 and .grid.voxels == 1224'
-$vox extra.obj -o extra.nvdb --resolution 24
-code 0
+ok $vox extra.obj -o extra.nvdb --resolution 24
 grep -q '^left out: 2 degenerate triangles, 1 face with fewer than three corners, 2 unused vertices' "$out"
 check "what is left out" $?
 line=$(($(wc -l <box.obj) + 6))
@@ -264,8 +240,7 @@ rm extra.*
 
 # A file name with special characters.
 cp box.obj "a box.obj"
-$vox "a box.obj" -o "a box.nvdb" --resolution 24
-code 0
+ok $vox "a box.obj" -o "a box.nvdb" --resolution 24
 same "a box.nvdb" box.nvdb
 rm "a box."*
 
@@ -284,22 +259,18 @@ rm old.nvdb
 
 # ---- progress ----
 
-$vox box.obj -o a.nvdb --resolution 24 --progress json --json
-code 0
+ok $vox box.obj -o a.nvdb --resolution 24 --progress json --json
 json '.grid.voxels > 0'
 jq -es 'length > 0 and all(has("stage") and has("unit") and .done <= .total)' "$err" >"$work/jq"
 check "progress as JSON lines" $?
-$vox box.obj -o a.nvdb --resolution 24 --progress bar
-code 0
+ok $vox box.obj -o a.nvdb --resolution 24 --progress bar
 grep -q "$(printf '\033')\\[K\$" "$err"
 check "the bar is taken away in the end" $?
-$vox box.obj -o a.nvdb --resolution 24 --progress percent
-code 0
+ok $vox box.obj -o a.nvdb --resolution 24 --progress percent
 [ ! -s "$err" ] && percentages 's/^Progress: \([0-9]*\)%$/\1/p'
 check "percentages on standard output rise from 0 to 100" $?
 $vox box.obj -o a.nvdb --resolution 24 --progress percent --json
-code 64
-err "$p --json and this --progress both write to standard output"
+refused 64 "$p --json and this --progress both write to standard output"
 rm a.*
 
 # ---- colours in comments (ZBrush) are those of the vertices ----
@@ -313,34 +284,27 @@ paint()
         { print }' colored.obj >"$1"
 }
 vertices=$(grep -c '^v ' colored.obj)
-$vox colored.obj -o colored.nvdb --resolution 24
-code 0
+ok $vox colored.obj -o colored.nvdb --resolution 24
 paint zbrush.obj "$vertices"
-$vox zbrush.obj -o zbrush.nvdb --resolution 24
-code 0
+ok $vox zbrush.obj -o zbrush.nvdb --resolution 24
 [ ! -s "$err" ]
 check "no warning of polypaint" $?
 same zbrush.nvdb colored.nvdb
 same zbrush.tris colored.tris
 # The comments may follow the faces.
 { grep -v '#MRGB' zbrush.obj; grep '#MRGB' zbrush.obj; } >after.obj
-$vox after.obj -o after.nvdb --resolution 24
-code 0
+ok $vox after.obj -o after.nvdb --resolution 24
 same after.tris colored.tris
 # Each of two files has its own colours.
 $vox colored.obj colored.obj -o two.nvdb --resolution 24
-$vox colored.obj zbrush.obj -o mixed.nvdb --resolution 24
-code 0
-$vox zbrush.obj after.obj -o painted.nvdb --resolution 24
-code 0
+ok $vox colored.obj zbrush.obj -o mixed.nvdb --resolution 24
+ok $vox zbrush.obj after.obj -o painted.nvdb --resolution 24
 same painted.tris two.tris
-$vox zbrush.obj colored.obj -o mixed.nvdb --resolution 24
-code 0
+ok $vox zbrush.obj colored.obj -o mixed.nvdb --resolution 24
 same mixed.tris two.tris
 # Colours of vertices' own lines win.
 { cat colored.obj; grep '#MRGB' zbrush.obj | tr 0-9 9; } >both.obj
-$vox both.obj -o both.nvdb --resolution 24
-code 0
+ok $vox both.obj -o both.nvdb --resolution 24
 [ ! -s "$err" ]
 check "no warning where there are colours" $?
 same both.tris colored.tris
@@ -352,8 +316,7 @@ for count in $((vertices - 1)) $((vertices + 1)) text; do
     else
         paint wrong.obj "$count"
     fi
-    $vox wrong.obj -o wrong.nvdb --resolution 24
-    code 0
+    ok $vox wrong.obj -o wrong.nvdb --resolution 24
     [ "$(cat "$err")" = "$p warning: wrong.obj: ZBrush's polypaint is not used, as it is not one colour for each vertex: export a texture of it for --texture" ]
     check "a warning of $count colours for $vertices vertices" $?
     same wrong.tris plain.tris
@@ -365,8 +328,7 @@ awk 'BEGIN { n = 250
 paint zbrush.obj 62500
 $vox colored.obj -o colored.nvdb --resolution 24
 for options in '--threads 1' '--threads 3 --memory 100MiB'; do
-    $vox zbrush.obj -o zbrush.nvdb --resolution 24 $options
-    code 0
+    ok $vox zbrush.obj -o zbrush.nvdb --resolution 24 $options
     same zbrush.tris colored.tris
 done
 rm zbrush.* colored.* after.* two.* mixed.* painted.* both.* plain.* wrong.*
@@ -374,8 +336,7 @@ rm zbrush.* colored.* after.* two.* mixed.* painted.* both.* plain.* wrong.*
 # ---- singular and plural ----
 
 printf 'v 0 0 0 1 1 300\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >one.obj
-$vox one.obj -o one.nvdb --resolution 1
-code 0
+ok $vox one.obj -o one.nvdb --resolution 1
 grep -Eq '^one\.obj: 3 vertices, 1 face, 1 triangle, 40 B, ' "$out" && grep -Eq '^one\.tris: 1 chunk, ' "$out" &&
     grep -Eq '^one\.nvdb: 1 voxel in 1 x 1 x 1, ' "$out" &&
     [ "$(cat "$err")" = "$p warning: one.obj: colours out of range were clamped at 1 vertex" ]
@@ -385,21 +346,18 @@ rm one.*
 # ---- failures during the work leave no partial output ----
 
 $vox box.obj -o a.nvdb --no-tris --voxel-size 1e-12
-code 64
-err_like '^bisque-voxelize: .*voxel size of 1e-12'
+refused_like 64 '^bisque-voxelize: .*voxel size of 1e-12'
 files box.nvdb box.obj box.tris
 # A grid that would take years is refused at once.
 $vox box.obj -o a.nvdb --no-tris --voxel-size 1e-8
-code 64
-err "$p a.nvdb: about 2.2e+17 voxels of 1e-08 would be in the grid, which has no more than 4294967295 leaves of 8x8x8; \
+refused 64 "$p a.nvdb: about 2.2e+17 voxels of 1e-08 would be in the grid, which has no more than 4294967295 leaves of 8x8x8; \
 choose larger voxels"
 files box.nvdb box.obj box.tris
 
 command="bisque-voxelize with a file size limit" code=0
 (ulimit -f 8 && exec "$BIN/bisque-voxelize" box.obj -o a.nvdb --no-tris --resolution 512) \
     >"$out" 2>"$err" || code=$?
-code 74
-err_like '^bisque-voxelize: .*File too large$'
+refused_like 74 '^bisque-voxelize: .*File too large$'
 files box.nvdb box.obj box.tris
 
 for signal in TERM HUP; do
