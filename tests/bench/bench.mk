@@ -1,21 +1,12 @@
 # bench.mk - builds and runs the benchmarks. Part of the Makefile.
 BENCH ?= medium
-packages_bench := libtinyobjloader-dev
-bench_bins := $(addprefix $(BUILD)/tests/,measure baseline-embree baseline-assimp \
-    $(if $(wildcard /usr/include/tiny_obj_loader.h),baseline-tinyobj))
+bench_bins := $(addprefix $(BUILD)/tests/,measure baseline-embree)
 $(BUILD)/tests/measure: $(BUILD)/obj/tests/bench/measure.c.o
 	@mkdir -p $(@D)
 	$(CC) $(common) -o $@ $^
 $(BUILD)/tests/baseline-embree: $(BUILD)/obj/tests/bench/baseline_embree.c.o
 	@mkdir -p $(@D)
 	$(CC) $(common) -o $@ $^ -lembree3
-$(BUILD)/tests/baseline-assimp: $(BUILD)/obj/tests/bench/baseline_assimp.cc.o
-	@mkdir -p $(@D)
-	$(CXX) $(common) -o $@ $^ -lassimp
-$(BUILD)/tests/baseline-tinyobj: $(BUILD)/obj/tests/bench/baseline_tinyobj.cc.o
-	@mkdir -p $(@D)
-	$(CXX) $(common) -o $@ $^ -ltinyobjloader
-
 rays_archives := $(archive.libbake) $(archive.formats) $(archive.base)
 rays_objs = $(patsubst %,$(BUILD)/obj/tests/bench/%.c.o,rays_scene $(1))
 $(BUILD)/tests/bench-rays: $(call rays_objs,rays rays_embree) $(rays_archives) \
@@ -46,11 +37,10 @@ $(BUILD)/tests/bench-rays-counters: $(call rays_objs) \
 .PHONY: bench bench-build
 bench-build: all $(generator) $(bench_bins)
 
-## bench: compare stage 1 with other programs, BENCH=small, medium (default) or large
+## bench: compare stage 1 with Embree, BENCH=small, medium (default) or large
 bench: deps
-	@tests/install-packages.sh $(packages_bench) || echo "bench: continues without tinyobjloader"
 	@$(MAKE) --no-print-directory -j$(jobs) bench-build >&2
-	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/run.sh $(BENCH)
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/stage1.py $(BENCH)
 
 .PHONY: bench-bake
 ## bench-bake: compare rays a second with Embree on each device, BENCH=small or medium (default)
@@ -70,14 +60,6 @@ bench-maps: deps
 bench-accuracy: deps
 	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(checkers) >&2
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/accuracy.sh $(BENCH)
-
-.PHONY: bench-normals
-## bench-normals: compare the weights of vertex normals on analytic surfaces
-$(BUILD)/tests/bench-normals: $(BUILD)/obj/tests/bench/normals.c.o
-	@mkdir -p $(@D)
-	$(CC) $(common) -o $@ $^ -lm
-bench-normals: $(BUILD)/tests/bench-normals
-	@$< $(BENCH_CELLS)
 
 .PHONY: bench-blender
 ## bench-blender: compare maps, and the cost of whole jobs, with Blender's, BENCH=small or medium (default)
