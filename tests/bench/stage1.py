@@ -102,7 +102,8 @@ class Scan:
         say(f"{self.label}, round {self.round}: {title}")
         subprocess.run(["cat", path], check=True, stdout=subprocess.DEVNULL)
         os.sync()
-        with open(self.work / "out", "wb") as out, open(self.work / "err", "wb") as err:
+        report = self.work / "out" if isinstance(command[0], Path) else os.devnull
+        with open(report, "wb") as out, open(self.work / "err", "wb") as err:
             subprocess.run([TESTS / "measure", "--at-hand", str(at_hand), self.work / "report",
                             *command], stdout=out, stderr=err, check=False)
         pairs = (pair.split("=") for pair in (self.work / "report").read_text().split())

@@ -245,10 +245,8 @@ static int read_page(void *arg, uint64_t page, unsigned worker)
 
 TEST(test_map_that_shrinks)
 {
-    struct bsq_ctx_options options = {.threads = 4};
-    struct bsq_ctx *ctx;
     struct bsq_map map;
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    struct bsq_ctx *ctx = test_context(4, 0);
     put_pages("in");
     assert_int_equal(bsq_map_open(ctx, "in", &map), 0);
     assert_int_equal(bsq_map_check(ctx, &map), 0);

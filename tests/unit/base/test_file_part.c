@@ -38,8 +38,7 @@ TEST(test_base64)
     static const char *const texts[] = {"",         "/w==",     "/wE=",    "/wEC",
                                         "/wECAw==", "/wECAwQ=", "/wECAwQF"};
     static const unsigned char bytes[] = {255, 1, 2, 3, 4, 5};
-    struct bsq_ctx *ctx;
-    assert_int_equal(bsq_ctx_create(NULL, &ctx), 0);
+    struct bsq_ctx *ctx = test_context(0, 0);
     for (uint64_t size = 0; size <= 6; size++) {
         struct bsq_file file;
         assert_int_equal(bsq_file_temp(ctx, NULL, "base64", &file), 0);
@@ -77,7 +76,7 @@ TEST(test_copies)
     assert_non_null(out);
     fputs("0123456789", out);
     fclose(out);
-    assert_int_equal(bsq_ctx_create(NULL, &ctx), 0);
+    ctx = test_context(0, 0);
     assert_int_equal(bsq_part_extract(ctx, part_path, &copy), 0);
     assert_int_equal(copy.size, 4);
     assert_int_equal(bsq_file_read(ctx, &copy, read, 4, 0), 0);

@@ -294,8 +294,7 @@ TEST(test_pipeline_keeps_order)
             assert_int_equal(shared.finished, shared.has_second_stage ? shared.count : 0);
             assert_int_equal(shared.sum, expected);
         }
-        assert_int_equal(bsq_memory_used(ctx), 0);
-        bsq_ctx_destroy(ctx);
+        test_context_end(ctx);
     }
 }
 
@@ -355,9 +354,7 @@ TEST(test_pipeline_is_interrupted)
 
 TEST(test_pipeline_needs_budget)
 {
-    struct bsq_ctx *ctx;
-    struct bsq_ctx_options options = {.threads = 2, .memory_bytes = 3};
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    struct bsq_ctx *ctx = test_context(2, 3);
     struct pipe_state shared = {.ctx = ctx, .threads = 2, .slot_count = 4, .count = 10};
     assert_int_equal(run(&shared), BSQ_ENOMEM);
     assert_int_equal(shared.produced, 0);

@@ -72,8 +72,7 @@ static void append_chunk(struct bsq_ctx *ctx, struct fmt_tris_writer *writer,
 void triangle_scan_write(const struct triangle_scan *scan, const double origin[3],
                          uint32_t chunk_triangles, const char *path)
 {
-    struct bsq_ctx *ctx;
-    assert_int_equal(bsq_ctx_create(NULL, &ctx), 0);
+    struct bsq_ctx *ctx = test_context(0, 0);
     struct fmt_tris_header header = {.attributes = scan->attributes,
                                      .source_faces = scan->triangle_count,
                                      .origin = {origin[0], origin[1], origin[2]},

@@ -51,8 +51,7 @@ int tris_setup(void **state)
     snprintf(f->dir, sizeof f->dir, "/tmp/test_tris_XXXXXX");
     assert_non_null(mkdtemp(f->dir));
     snprintf(f->path, sizeof f->path, "%s/scan.tris", f->dir);
-    struct bsq_ctx_options options = {.memory_bytes = 64 << 20, .threads = 1};
-    assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
+    f->ctx = test_context(1, 64 << 20);
     for (int i = 0; i < 2; i++)
         f->samples[i] = calloc(1, sizeof *f->samples[i]);
     *state = f;
@@ -62,8 +61,7 @@ int tris_setup(void **state)
 int tris_teardown(void **state)
 {
     struct tris_fixture *f = *state;
-    assert_int_equal(bsq_memory_used(f->ctx), 0);
-    bsq_ctx_destroy(f->ctx);
+    test_context_end(f->ctx);
     for (int i = 0; i < 2; i++)
         free(f->samples[i]);
     unlink(f->path);

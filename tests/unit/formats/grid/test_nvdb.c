@@ -134,8 +134,7 @@ static void round_trip(uint64_t seed, unsigned per_cluster, enum fmt_nvdb_type t
     assert_ok(ctx, fmt_nvdb_verify(ctx, &grid));
     fmt_nvdb_close(ctx, &grid);
     scene_free(&scene);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
 }
 
 TEST(test_round_trip)

@@ -48,8 +48,7 @@ static void assert_refused(const struct fmt_nvdb_region *first,
     struct fmt_nvdb_totals totals;
     assert_int_equal(fmt_nvdb_commit(writer, &totals), BSQ_EBUG);
     assert_int_equal(access(nvdb_path, F_OK), -1);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
 }
 
 /* A region appended in one call and in two calls gives the same file. */
@@ -245,8 +244,7 @@ TEST(test_unwritable)
     bsq_clear_error(ctx);
     info.voxel_size = 0;
     assert_int_equal(fmt_nvdb_create(ctx, nvdb_path, &info, &writer), BSQ_EUSAGE);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
 }
 
 RUN_TESTS(nvdb_make_directory, nvdb_remove_directory)

@@ -90,8 +90,7 @@ TEST(test_ranges_in_any_order)
         assert_int_equal(fmt_input_close(input), 0);
     }
     fmt_input_free(input);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
 }
 
 /* ---- a file that unpacks to more than is kept ---- */
@@ -237,8 +236,7 @@ TEST(test_no_more_is_unpacked_than_is_read)
     assert_true(bsq_memory_high(ctx) <= 40 << 20);
     assert_true(bsq_temp_bytes(ctx) < 64 << 20);
     fmt_mesh_close(reader);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
 }
 
 /* A packed file that ends too early is damaged, unless it was written to under way. */
@@ -338,8 +336,7 @@ TEST(test_pipe_is_read_once)
     assert_int_equal(got, hash);
     pthread_join(w.thread, NULL);
     free(p.data);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
 }
 
 static void *interrupt(void *arg)

@@ -88,9 +88,7 @@ static void (*const makers[])(struct packed *, const uint8_t *) = {make_gzip, ma
 
 static struct bsq_ctx *make_context(uint64_t memory)
 {
-    struct bsq_ctx *ctx;
-    struct bsq_ctx_options options = {.memory_bytes = memory, .threads = 1};
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    struct bsq_ctx *ctx = test_context(1, memory);
     return ctx;
 }
 
@@ -116,8 +114,7 @@ TEST(test_members_side_by_side_in_any_pieces)
             }
         free(p.data);
     }
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
 }
 
 /* A stream that is cut off is an error, unless the cut is between two members. */
@@ -172,8 +169,7 @@ TEST(test_every_flipped_bit)
         assert_true(found > 8 * (p.size - 24)); /* all but the time and such */
         free(p.data);
     }
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
 }
 
 TEST(test_bytes_after_the_last_member)
@@ -211,14 +207,12 @@ TEST(test_windows_are_reserved)
     assert_int_equal(unpack(ctx, p.data, p.size, 1 << 20, 4096, out, TEXT + 1, &size, error),
                      BSQ_ENOMEM);
     assert_non_null(strstr(bsq_error(ctx), "the window of a Zstandard file"));
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
     ctx = make_context(256 << 20);
     assert_int_equal(unpack(ctx, p.data, p.size, 1 << 20, 4096, out, TEXT + 1, &size, error), 0);
     assert_memory_equal(out, text, TEXT);
     assert_true(bsq_memory_high(ctx) > 128 << 20);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
     free(p.data);
 }
 

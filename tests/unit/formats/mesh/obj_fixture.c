@@ -83,10 +83,9 @@ void obj_free_scan(struct obj_scan *scan)
 void obj_read_files(struct obj_fixture *f, unsigned threads, uint32_t count,
                     const char *const *paths)
 {
-    struct bsq_ctx_options options = {.threads = threads, .memory_bytes = 64 << 20};
     struct fmt_mesh_totals totals = {0};
     memset(f, 0, sizeof *f);
-    assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
+    f->ctx = test_context(threads, 64 << 20);
     f->status = fmt_mesh_open(f->ctx, paths, count, &f->reader);
     if (!f->status)
         f->status = fmt_mesh_read(f->reader, keep_block, &f->scan, &totals);
@@ -99,8 +98,7 @@ void obj_close(struct obj_fixture *f)
 {
     obj_free_scan(&f->scan);
     fmt_mesh_close(f->reader);
-    assert_int_equal(bsq_memory_used(f->ctx), 0);
-    bsq_ctx_destroy(f->ctx);
+    test_context_end(f->ctx);
 }
 
 void obj_read_text(struct obj_fixture *f, const char *text)

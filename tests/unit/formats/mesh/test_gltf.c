@@ -545,8 +545,7 @@ TEST(test_objects)
     }
     fmt_materials_free(ctx, &parts);
     fmt_mesh_close(reader);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
     ply_free(&b);
 }
 

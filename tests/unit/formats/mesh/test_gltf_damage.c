@@ -219,11 +219,9 @@ TEST(test_deep_hierarchy)
 /* Reads a file in a context with a budget in MiB. Whatever happens, all memory is returned. */
 static int read_within(const char *path, uint64_t mib)
 {
-    const struct bsq_ctx_options options = {.threads = 1, .memory_bytes = mib << 20};
-    struct bsq_ctx *ctx;
     struct fmt_mesh_reader *reader = NULL;
     struct fmt_mesh mesh;
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    struct bsq_ctx *ctx = test_context(1, mib << 20);
     int status = fmt_mesh_open(ctx, &path, 1, &reader);
     if (!status)
         status = fmt_mesh_read(reader, NULL, NULL, NULL);

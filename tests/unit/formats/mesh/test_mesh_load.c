@@ -8,7 +8,7 @@ static void load_mesh(struct obj_fixture *f, struct fmt_mesh *mesh, const char *
 {
     const char *path = scratch_text("mesh.obj", text);
     memset(f, 0, sizeof *f);
-    assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
+    f->ctx = test_context(0, 0);
     f->status = fmt_mesh_load(f->ctx, path, mesh);
 }
 

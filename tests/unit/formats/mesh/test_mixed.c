@@ -109,10 +109,8 @@ TEST(test_memory)
     make_files(paths);
     int failures = 0;
     for (uint64_t kib = 1; kib < 4096; kib += kib / 4 + 1) {
-        struct bsq_ctx_options options = {.threads = 1, .memory_bytes = kib << 10};
         struct fmt_mesh_reader *reader = NULL;
-        struct bsq_ctx *ctx;
-        assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+        struct bsq_ctx *ctx = test_context(1, kib << 10);
         int status = fmt_mesh_open(ctx, paths, FILES, &reader);
         if (status == 0)
             status = fmt_mesh_read(reader, NULL, NULL, NULL);

@@ -69,8 +69,7 @@ static void open_fixture(struct fixture *f)
 static void close_fixture(struct fixture *f)
 {
     fmt_materials_free(f->ctx, &f->materials);
-    assert_int_equal(bsq_memory_used(f->ctx), 0);
-    bsq_ctx_destroy(f->ctx);
+    test_context_end(f->ctx);
 }
 
 static void read_text(struct fixture *f, const char *text)

@@ -309,10 +309,8 @@ TEST(test_objects)
                      "mtllib m.mtl\nf 1 1 1\no \"a b\" # x\nf 1 1 1\nusemtl m\nf 1 1 1\ng c\n"
                      "f 1 1 1\ng a b\nf 1 1 1\n"),
         scratch_text("2.obj", "usemtl m\nf 1 1 1\no a b\nf 1 1 1\n")};
-    struct bsq_ctx_options options = {.threads = 2, .memory_bytes = 64 << 20};
-    struct bsq_ctx *ctx;
     struct fmt_mesh_reader *reader;
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    struct bsq_ctx *ctx = test_context(2, 64 << 20);
     assert_int_equal(fmt_mesh_open(ctx, paths, 2, &reader), 0);
     fmt_mesh_use_objects(reader);
     for (int reading = 0; reading < 2; reading++) {
@@ -333,8 +331,7 @@ TEST(test_objects)
         fmt_materials_free(ctx, &materials);
     }
     fmt_mesh_close(reader);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
 }
 
 RUN_TESTS(scratch_make, scratch_remove)

@@ -231,10 +231,8 @@ TEST(test_every_budget)
     const char *path = scratch_bytes("small.obj", small_file, sizeof small_file - 1);
     bool enough = false;
     for (uint64_t budget = 1; !enough; budget += budget / 16 + 64) {
-        struct bsq_ctx_options options = {.threads = 1, .memory_bytes = budget};
-        struct bsq_ctx *ctx;
         struct fmt_mesh mesh;
-        assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+        struct bsq_ctx *ctx = test_context(1, budget);
         int status = fmt_mesh_load(ctx, path, &mesh);
         if (status)
             assert_int_equal(status, BSQ_ENOMEM);

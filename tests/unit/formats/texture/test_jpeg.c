@@ -66,8 +66,7 @@ static void expect(const void *bytes, size_t size, const char *reason)
         assert_string_equal(bsq_error(ctx), expected);
     }
     fmt_textures_close(textures);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
 }
 
 TEST(test_a_file_that_is_cut_off)

@@ -156,8 +156,7 @@ static void open_one(struct fixture *f, const char *path)
 static void close_fixture(struct fixture *f)
 {
     fmt_textures_close(f->textures);
-    assert_int_equal(bsq_memory_used(f->ctx), 0);
-    bsq_ctx_destroy(f->ctx);
+    test_context_end(f->ctx);
 }
 
 static void assert_sample(struct fixture *f, double u, double v, double du, double dv, double r,

@@ -67,7 +67,7 @@ int traced_sheet_setup(void **state)
     struct analytic_grid *grid = analytic_grid_create();
     const uint32_t row = WIDTH * SAMPLES;
 
-    assert_int_equal(bsq_ctx_create(&(struct bsq_ctx_options){.threads = 2}, &f->ctx), 0);
+    f->ctx = test_context(2, 0);
     add_sheet(grid, &sine);
     analytic_grid_open(f->ctx, grid, true, &f->grid);
     analytic_grid_free(grid);
@@ -97,8 +97,7 @@ int traced_sheet_teardown(void **state)
 {
     struct fixture *f = *state;
     fmt_nvdb_close(f->ctx, &f->grid);
-    assert_int_equal(bsq_memory_used(f->ctx), 0);
-    bsq_ctx_destroy(f->ctx);
+    test_context_end(f->ctx);
     free(f->samples);
     free(f);
     return 0;

@@ -182,8 +182,7 @@ TEST(test_damaged_chunk_is_reported)
     assert_int_equal(bake_exact_trace(exact, &batch), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(ctx), "checksum"));
     bake_exact_close(exact);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
     triangle_scan_free(&mesh);
 }
 

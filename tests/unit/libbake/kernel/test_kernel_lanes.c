@@ -74,7 +74,7 @@ static int setup(void **state)
 {
     struct fixture *f = calloc(1, sizeof *f);
     uint64_t seed = 20080312;
-    assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
+    f->ctx = test_context(0, 0);
     fill(f, &seed);
     bake_params_from_grid(&f->file, &f->params);
     f->params.maps = MAPS;

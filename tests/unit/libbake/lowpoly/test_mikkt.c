@@ -46,8 +46,7 @@ static void compute(struct soup *s)
                                 (const float(*)[3][3])s->normals,
                                 (const float(*)[3][2])s->texcoords, s->tangents),
                      0);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
 }
 
 static void read_corner(FILE *file, struct soup *s, uint64_t corner)
@@ -266,8 +265,7 @@ TEST(test_small_budgets_fail_cleanly)
                         s.tangents);
         assert_true(rc == 0 || rc == BSQ_ENOMEM);
         failures += rc != 0;
-        assert_int_equal(bsq_memory_used(ctx), 0);
-        bsq_ctx_destroy(ctx);
+        test_context_end(ctx);
     }
     assert_true(failures > 8);
     free_soup(&s);

@@ -563,8 +563,7 @@ FIXTURE_TEST(test_small_budgets_fail_cleanly)
         assert_true(bsq_memory_high(ctx) <= budget);
         failures += rc != 0;
         bake_raster_free(raster);
-        assert_int_equal(bsq_memory_used(ctx), 0);
-        bsq_ctx_destroy(ctx);
+        test_context_end(ctx);
     }
     assert_true(failures > 4);
 }

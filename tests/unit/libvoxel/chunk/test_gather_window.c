@@ -61,8 +61,7 @@ static int tear_down(void **state)
 {
     struct fixture *f = *state;
     vox_scan_free(&f->scan);
-    assert_int_equal(bsq_memory_used(f->ctx), 0);
-    bsq_ctx_destroy(f->ctx);
+    test_context_end(f->ctx);
     free(f);
     return 0;
 }

@@ -84,9 +84,8 @@ static int sort(struct fixture *f, const struct sort_limits *limits, struct vox_
 {
     const char *paths[1] = {f->obj};
     struct vox_sort_options options = {.scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
-    struct bsq_ctx_options ctx_options = {.memory_bytes = 128 * MIB, .threads = 2};
     bsq_ctx_destroy(f->ctx);
-    assert_int_equal(bsq_ctx_create(&ctx_options, &f->ctx), 0);
+    f->ctx = test_context(2, 128 * MIB);
     bsq_forget_files(f->ctx);
     return vox_sort_with_limits(f->ctx, &options, limits, report);
 }
@@ -97,7 +96,7 @@ static struct fmt_mesh_estimate estimate(struct fixture *f)
     struct fmt_mesh_reader *reader;
     struct fmt_mesh_estimate result;
     bsq_ctx_destroy(f->ctx);
-    assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
+    f->ctx = test_context(0, 0);
     assert_int_equal(fmt_mesh_open(f->ctx, paths, 1, &reader), 0);
     assert_int_equal(fmt_mesh_estimate(reader, &result), 0);
     fmt_mesh_close(reader);
@@ -165,7 +164,7 @@ FIXTURE_TEST(outputs_and_temporary_files_share_a_disk)
     struct fixture *f = *state;
     struct bsq_ctx_options elsewhere = {.tmpdir = "/proc"};
     free_bytes = 100;
-    assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
+    f->ctx = test_context(0, 0);
     assert_int_equal(bsq_require_space(f->ctx, f->tris, 60, 40), 0);
     assert_int_equal(bsq_require_space(f->ctx, f->tris, 60, 41), BSQ_EIO);
     bsq_ctx_destroy(f->ctx);

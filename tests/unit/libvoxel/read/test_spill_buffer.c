@@ -85,8 +85,7 @@ TEST(content_stays_while_another_thread_prefaults)
             assert_int_equal(vox_spill_finish(&spill), 0);
             expect_content(&spill, 20 * MIB);
             vox_spill_free(&spill);
-            assert_int_equal(bsq_memory_used(ctx), 0);
-            bsq_ctx_destroy(ctx);
+            test_context_end(ctx);
         }
 }
 

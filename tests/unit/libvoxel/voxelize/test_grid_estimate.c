@@ -54,8 +54,7 @@ static int set_up(void **state)
 static int tear_down(void **state)
 {
     struct fixture *f = *state;
-    assert_int_equal(bsq_memory_used(f->ctx), 0);
-    bsq_ctx_destroy(f->ctx);
+    test_context_end(f->ctx);
     unlink(f->tris);
     unlink(f->grid);
     assert_int_equal(rmdir(f->directory), 0);

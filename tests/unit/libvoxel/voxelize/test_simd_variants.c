@@ -163,9 +163,7 @@ static void check_sums(struct bsq_ctx *ctx, const struct vox_chunk *chunk)
 
 TEST(test_sums)
 {
-    struct bsq_ctx *ctx;
-    struct bsq_ctx_options options = {.memory_bytes = 512 << 20, .threads = 1};
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    struct bsq_ctx *ctx = test_context(1, 512 << 20);
     struct soup *soup = calloc(1, sizeof *soup);
     assert_non_null(soup);
     make_soup(soup);

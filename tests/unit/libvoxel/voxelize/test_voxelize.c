@@ -366,9 +366,7 @@ FIXTURE_TEST(test_budget_too_small)
     vox_write_scan(f, &mesh);
     scan_mesh_free(&mesh);
     for (uint64_t kib = 64; kib <= 16384; kib *= 2) {
-        struct bsq_ctx *ctx;
-        struct bsq_ctx_options options = {.memory_bytes = kib << 10, .threads = 2};
-        assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+        struct bsq_ctx *ctx = test_context(2, kib << 10);
         struct vox_voxelize_options what = {
             .tris_path = f->tris, .grid_path = f->other, .resolution = 100};
         struct vox_voxelize_report report;
@@ -379,8 +377,7 @@ FIXTURE_TEST(test_budget_too_small)
             assert_int_equal(status, 0);
         if (status != 0)
             assert_non_null(strstr(bsq_error(ctx), "budget"));
-        assert_int_equal(bsq_memory_used(ctx), 0);
-        bsq_ctx_destroy(ctx);
+        test_context_end(ctx);
     }
 }
 

@@ -29,8 +29,7 @@ static void check_same_bytes(const struct vox_fixture *f, uint32_t resolution)
             print_message("%s\n", bsq_error(ctx));
         assert_int_equal(status, 0);
         assert_true(bsq_memory_high(ctx) <= ways[i].mebibytes << 20);
-        assert_int_equal(bsq_memory_used(ctx), 0);
-        bsq_ctx_destroy(ctx);
+        test_context_end(ctx);
         if (i > 0)
             expect_same_bytes(f->grid, f->other);
     }

@@ -466,8 +466,7 @@ FIXTURE_TEST(test_auto)
                         "Fake GPU 0 (CUDA): cuLaunchKernel: CUDA_ERROR_LAUNCH_FAILED (unspecified "
                         "launch failure); going on with cpu, 2 threads\n");
     bake_device_close(device);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
     free(native);
     free(texels);
 }
@@ -486,8 +485,7 @@ FIXTURE_TEST(test_auto_takes_the_next)
     assert_non_null(strstr(warnings, "cuda:0 is not used: Fake GPU 0: compiling"));
     assert_non_null(strstr(warnings, "cuda:1 is not used: Fake GPU 1: compiling"));
     bake_device_close(device);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
 }
 
 /* Page-locked memory counts for the budget. */
@@ -498,8 +496,7 @@ FIXTURE_TEST(test_budget)
     struct bake_device *device;
 
     assert_int_equal(bake_device_open(ctx, "cuda", &f->job, &device), BSQ_ENOMEM);
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
 }
 
 static void on_device(void *arg, const struct bake_device_info *info)
@@ -559,8 +556,7 @@ FIXTURE_TEST(test_list_after_cuda_started)
     assert_int_equal(bake_list_devices(ctx, on_any_gpu, listed), 0);
     assert_string_equal(listed, "cuda:0 opencl:0 ");
     assert_string_equal(warnings, "");
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
+    test_context_end(ctx);
 }
 
 /* A caller that was forked after it had started CUDA is told so. */

@@ -22,7 +22,7 @@ struct fixture {
 
 static void open_fixture(struct fixture *f, const struct analytic_grid *grid)
 {
-    assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
+    f->ctx = test_context(0, 0);
     analytic_grid_open(f->ctx, grid, false, &f->file);
     memset(&f->params, 0, sizeof f->params);
     bake_params_from_grid(&f->file, &f->params);

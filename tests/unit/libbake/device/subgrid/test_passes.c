@@ -81,7 +81,7 @@ static int setup(void **state)
 {
     struct fixture *f = calloc(1, sizeof *f);
     uint64_t seed = 20080312;
-    assert_int_equal(bsq_ctx_create(NULL, &f->ctx), 0);
+    f->ctx = test_context(0, 0);
     fill(f, &seed);
     for (int i = 0; i < TRIANGLES; i++)
         make_triangle(&f->triangles[i], &seed);
@@ -108,8 +108,7 @@ static int teardown(void **state)
 {
     struct fixture *f = *state;
     fmt_nvdb_close(f->ctx, &f->grid);
-    assert_int_equal(bsq_memory_used(f->ctx), 0);
-    bsq_ctx_destroy(f->ctx);
+    test_context_end(f->ctx);
     free(f);
     return 0;
 }

@@ -45,8 +45,7 @@ static int set_up(void **state)
     strcpy(f->directory, "/tmp/test_scan_chunks_XXXXXX");
     assert_non_null(mkdtemp(f->directory));
     snprintf(f->tris, sizeof f->tris, "%s/scan.tris", f->directory);
-    struct bsq_ctx_options options = {.memory_bytes = 64 << 20, .threads = 1};
-    assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
+    f->ctx = test_context(1, 64 << 20);
     struct scan_mesh mesh = scan_mesh_new(4 * CHUNKS, 2 * CHUNKS);
     put_square(&mesh, LEFT, 0.0f);
     put_square(&mesh, RIGHT, 1.0f);

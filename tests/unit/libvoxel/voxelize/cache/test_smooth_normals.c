@@ -70,8 +70,7 @@ static void begin(struct fixture *f, uint32_t chunk_triangles)
     strcpy(f->directory, "/tmp/test_smooth_normals_XXXXXX");
     assert_non_null(mkdtemp(f->directory));
     snprintf(f->tris, sizeof f->tris, "%s/scan.tris", f->directory);
-    struct bsq_ctx_options options = {.memory_bytes = 64 << 20, .threads = 1};
-    assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
+    f->ctx = test_context(1, 64 << 20);
     scan_write(f->ctx, f->tris, &f->mesh, (double[3]){0, 0, 0}, NULL, 0, chunk_triangles);
     assert_int_equal(fmt_tris_open(f->ctx, f->tris, &f->file), 0);
     const struct fmt_tris_header *header = fmt_tris_get_header(f->file);

@@ -67,10 +67,8 @@ static void check_schedule(const struct vox_chunk_box *boxes, uint32_t count)
     assert_non_null(pairs);
     uint64_t n = list_pairs(boxes, count, pairs, room), at = 0;
 
-    struct bsq_ctx *ctx;
     struct vox_schedule *schedule;
-    struct bsq_ctx_options options = {.memory_bytes = 1 << 20, .threads = 1};
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    struct bsq_ctx *ctx = test_context(1, 1 << 20);
     assert_int_equal(vox_schedule_create(ctx, boxes, count, &schedule), 0);
     struct vox_region_key key, after, due[20];
     uint32_t chunk;
