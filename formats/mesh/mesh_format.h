@@ -194,7 +194,7 @@ struct fmt_mesh_format {
      * reader's read_before is not set. May be NULL. */
     int (*finish)(struct stream_source *source);
     /* Adds a file to the estimate. bytes: of the unpacked file, exactly if it is plain. */
-    int (*estimate)(const struct stream_source *source, uint64_t bytes, bool plain,
+    int (*estimate)(struct stream_source *source, uint64_t bytes, bool plain,
                     struct fmt_mesh_estimate *out);
     /* Append what is known of a file's materials to the list: in the order of source->numbers, and
      * as fmt_mesh_preview_materials() does. NULL: the format has no materials. */

@@ -320,7 +320,7 @@ int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_esti
     int status = 0;
     *out = (struct fmt_mesh_estimate){.faces_come_last = reader->source_count == 1};
     for (uint32_t i = 0; i < reader->source_count; i++) {
-        const struct stream_source *source = &reader->sources[i];
+        struct stream_source *source = &reader->sources[i];
         uint64_t bytes = 0;
         bool plain;
         BSQ_TRY(fmt_input_guess(source->input, &bytes, &plain));

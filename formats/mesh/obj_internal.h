@@ -69,14 +69,9 @@ struct obj_file {
  * and g statements. Errors: BSQ_ENOMEM, BSQ_EINTR. */
 int fmt_obj_parse_text(struct stream_slot *slot, uint64_t begin, uint64_t size, bool objects);
 
-/* ---- obj_sample.c ---- */
-
-/* This and the functions below on struct stream_source implement struct fmt_mesh_format. */
-int fmt_obj_estimate(const struct stream_source *source, uint64_t bytes, bool plain,
-                     struct fmt_mesh_estimate *out);
-
 /* ---- obj_material.c ---- */
 
+/* The functions on struct stream_source implement struct fmt_mesh_format. */
 int fmt_obj_read_materials(struct stream_source *source, struct fmt_materials *out);
 int fmt_obj_preview_materials(struct stream_source *source, struct fmt_materials *out);
 const char *fmt_obj_dependency(const struct stream_source *source, uint32_t index);

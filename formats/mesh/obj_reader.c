@@ -342,6 +342,75 @@ static int finish(struct stream_source *source)
     return check_is_obj(source, 0);
 }
 
+/* ---- estimating ---- */
+
+/* Samples of a plain file. Of others, the start is sampled. */
+enum { SAMPLES = 32, SAMPLE_BYTES = 8192 };
+
+/* Parses the whole lines of a sample, from part.offset of the file. Returns in *parsed their bytes,
+ * and in *follows whether elements follow faces of earlier samples. */
+static int parse_sample(struct stream_slot *slot, uint64_t size, uint64_t *parsed, bool *follows)
+{
+    const struct mesh_arrays *a = &slot->arrays;
+    const uint64_t faces = a->face_count, elements = a->count[0] + a->count[1] + a->count[2];
+    const uint8_t *end = memrchr(slot->bytes, '\n', size), *begin = slot->bytes;
+    if (slot->part.offset > 0)
+        begin = memchr(slot->bytes, '\n', size);
+    begin += slot->part.offset > 0 && begin;
+    *parsed = 0;
+    if (!begin || !end || end < begin)
+        return 0;
+    *parsed = (uint64_t)(end - begin) + 1;
+    int status = fmt_obj_parse_text(slot, (uint64_t)(begin - slot->bytes), *parsed, false);
+    *follows = faces > 0 && a->count[0] + a->count[1] + a->count[2] > elements;
+    return status;
+}
+
+/* Adds what the elements in `parsed` bytes tell of a file. In most scans the start has only
+ * vertices; if no more is known, faces are taken for two triangles a vertex, as closed surfaces
+ * have. */
+static void add_estimate(const struct mesh_arrays *a, bool only_start, uint64_t bytes,
+                         uint64_t parsed, struct fmt_mesh_estimate *out)
+{
+    const uint64_t bytes_of_face = 24, vertices = a->count[FMT_MESH_VERTEX];
+    const bool guess = only_start && a->face_count == 0;
+    const uint64_t faces = guess ? 2 * vertices : a->face_count;
+    const double all = (double)(parsed + (guess ? faces * bytes_of_face : 0));
+    const double scale = all > 0.0 ? (double)bytes / all : 0.0;
+    out->vertices += (uint64_t)(scale * (double)vertices);
+    out->texcoords += (uint64_t)(scale * (double)a->count[FMT_MESH_TEXCOORD]);
+    out->normals += (uint64_t)(scale * (double)a->count[FMT_MESH_NORMAL]);
+    out->faces += (uint64_t)(scale * (double)faces);
+    out->corners += (uint64_t)(scale * (double)(guess ? 3 * faces : a->corner_count));
+    out->has_colors |= a->has_colors || a->late_color_count > 0;
+}
+
+static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
+                    struct fmt_mesh_estimate *out)
+{
+    struct stream_slot slot = {.ctx = source->ctx, .source = source, .last_face = UINT64_MAX};
+    const uint64_t size = plain ? SAMPLE_BYTES : FMT_INPUT_SAMPLE_BYTES;
+    const uint64_t step = bytes / SAMPLES > size ? bytes / SAMPLES : size;
+    uint64_t got, parsed = 0, more = 0;
+    bool follows = false;
+    int status = fmt_input_open(source->input);
+    if (status)
+        return status;
+    do {
+        BSQ_TRY(fmt_stream_reserve(&slot, size));
+        BSQ_TRY(fmt_input_read_some(source->input, slot.bytes, size, slot.part.offset, &got));
+        BSQ_TRY(parse_sample(&slot, got, &more, &follows));
+        parsed += more;
+        out->faces_come_last &= !follows;
+        slot.part.offset += step;
+    } while (plain && slot.part.offset < bytes);
+    add_estimate(&slot.arrays, !plain && got == size, bytes, parsed, out);
+done:
+    fmt_stream_free_slot(&slot);
+    const int closed = fmt_input_close(source->input);
+    return status ? status : closed;
+}
+
 const struct fmt_mesh_format fmt_obj_format = {
     .name = "OBJ",
     .suffix = ".obj",
@@ -360,7 +429,7 @@ const struct fmt_mesh_format fmt_obj_format = {
     .parse = parse,
     .pass = pass,
     .finish = finish,
-    .estimate = fmt_obj_estimate,
+    .estimate = estimate,
     .read_materials = fmt_obj_read_materials,
     .preview_materials = fmt_obj_preview_materials,
     .dependency = fmt_obj_dependency,

@@ -270,7 +270,7 @@ static int finish(struct stream_source *source)
 }
 
 /* Faces are taken for triangles. */
-static int estimate(const struct stream_source *source, uint64_t bytes, bool plain,
+static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
                     struct fmt_mesh_estimate *out)
 {
     const struct ply_source *file = source->data;

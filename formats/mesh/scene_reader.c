@@ -261,7 +261,7 @@ static int finish(struct stream_source *source)
     return fmt_stream_warn_unread(source, kinds, sizeof kinds / sizeof *kinds);
 }
 
-static int estimate(const struct stream_source *source, uint64_t bytes, bool plain,
+static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
                     struct fmt_mesh_estimate *out)
 {
     const struct fmt_scene *s = &((struct scene_file *)source->data)->scene;

@@ -352,7 +352,7 @@ static int finish(struct stream_source *source)
 }
 
 /* A triangle of text takes about 250 bytes. Vertices are counted as if none were equal. */
-static int estimate(const struct stream_source *source, uint64_t bytes, bool plain,
+static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
                     struct fmt_mesh_estimate *out)
 {
     const struct stl_source *file = source->data;
