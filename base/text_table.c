@@ -6,6 +6,18 @@
 
 #include "base/text_table.h"
 
+int bsq_text_copy(struct bsq_ctx *ctx, const char *text, char **out)
+{
+    *out = NULL;
+    if (!text)
+        return 0;
+    const size_t size = strlen(text) + 1;
+    int status = bsq_alloc(ctx, "names", size, 1, out);
+    if (status == 0)
+        memcpy(*out, text, size);
+    return status;
+}
+
 enum { FIRST_CAPACITY = 32 };
 
 static int fail_memory(struct bsq_ctx *ctx)

@@ -17,6 +17,9 @@ int bsq_tally_add(struct bsq_ctx *ctx, struct bsq_tally *tally, uint64_t bytes);
 /* Returns all bytes to the budget. */
 void bsq_tally_release(struct bsq_ctx *ctx, struct bsq_tally *tally);
 
+/* Copies a text; NULL gives NULL. Free *out with bsq_free(). Errors: BSQ_ENOMEM. */
+int bsq_text_copy(struct bsq_ctx *ctx, const char *text, char **out);
+
 /* Texts in the order in which they were added. All zeros: empty. Free it with bsq_texts_free(). */
 struct bsq_texts {
     char **list; /* each stays where it is */

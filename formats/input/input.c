@@ -22,6 +22,7 @@
 #include <unistd.h>
 #include <xxhash.h>
 
+#include "base/text_table.h"
 #include "formats/input/unpack.h"
 
 /* Bytes that are unpacked at once, and kept. Fuzz targets unpack their small files in several steps
@@ -269,15 +270,6 @@ static int unpack_until(struct fmt_input *input, uint64_t end)
 
 /* ---- creating ---- */
 
-static int copy_text(struct bsq_ctx *ctx, const char *text, char **out)
-{
-    const size_t size = strlen(text) + 1;
-    int status = bsq_alloc(ctx, "name of an input", size, 1, out);
-    if (status == 0)
-        memcpy(*out, text, size);
-    return status;
-}
-
 /* Opens a file for a moment, to learn its size and whether it is packed. */
 static int examine(struct fmt_input *input)
 {
@@ -309,9 +301,8 @@ int fmt_input_create(struct bsq_ctx *ctx, const char *path, const char *beside, 
     input->file = input->temp = (struct bsq_file)BSQ_FILE_CLOSED;
     pthread_mutex_init(&input->lock, NULL);
     pthread_rwlock_init(&input->stored_lock, NULL);
-    BSQ_TRY(copy_text(ctx, path, &input->path));
-    if (beside)
-        BSQ_TRY(copy_text(ctx, beside, &input->beside));
+    BSQ_TRY(bsq_text_copy(ctx, path, &input->path));
+    BSQ_TRY(bsq_text_copy(ctx, beside, &input->beside));
     BSQ_TRY(pipes && fmt_input_is_pipe(path) ? open_pipe(input) : examine(input));
     *out = input;
 done:

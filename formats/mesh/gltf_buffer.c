@@ -70,7 +70,7 @@ int fmt_gltf_uri_path(struct bsq_ctx *ctx, const char *beside, const char *uri, 
         return status ? status : 1;
     bsq_free(ctx, *out);
     *out = NULL;
-    status = fmt_string_copy(ctx, uri, &decoded);
+    status = bsq_text_copy(ctx, uri, &decoded);
     if (!status) {
         decode_percent(decoded);
         status = find(ctx, beside, decoded, out, exists);

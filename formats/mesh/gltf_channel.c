@@ -132,7 +132,7 @@ static int read_texture(const struct gltf_place *place, struct gltf_source *sour
         BSQ_TRY(read_uv(place, material, info, out));
     if (out->texture_path && bsq_part_parse(out->texture_path, &part) == 0)
         BSQ_TRY(
-            fmt_string_copy(place->document->ctx, place->document->file.path, &out->texture_place));
+            bsq_text_copy(place->document->ctx, place->document->file.path, &out->texture_place));
 done:
     return status;
 }

@@ -185,7 +185,7 @@ static int read_name(const struct gltf_place *place, char **out)
     const char *name = fmt_gltf_string(place->object, "name");
     char number[40];
     snprintf(number, sizeof number, "material %lu", (unsigned long)place->index);
-    return fmt_string_copy(place->document->ctx, name ? name : number, out);
+    return bsq_text_copy(place->document->ctx, name ? name : number, out);
 }
 
 /* Reads how alpha hides a material. `alpha` is for faces without texture, and multiplies the
@@ -233,7 +233,7 @@ int fmt_gltf_read_material(const struct gltf_place *place, struct gltf_source *s
     if (texture != GLTF_NONE)
         BSQ_TRY(fmt_gltf_find_texture(d, source, texture, &m->texture_path));
     if (m->texture_path && bsq_part_parse(m->texture_path, &part) == 0)
-        BSQ_TRY(fmt_string_copy(d->ctx, d->file.path, &m->texture_place));
+        BSQ_TRY(bsq_text_copy(d->ctx, d->file.path, &m->texture_place));
     BSQ_TRY(fmt_gltf_read_texcoord(place, find_texture_info(place, base), &out->texcoord,
                                    out->uv_matrix));
     BSQ_TRY(fmt_gltf_read_channels(place, source, out));

@@ -273,8 +273,8 @@ static int add_part(const struct stream_source *source, const struct gltf_placem
     if (material != GLTF_NONE)
         BSQ_TRY(fmt_material_copy(source->ctx, &file->materials[material].described, part));
     else
-        BSQ_TRY(fmt_string_copy(source->ctx, "", &part->name));
-    status = fmt_string_copy(source->ctx, placement->name, &part->object);
+        BSQ_TRY(bsq_text_copy(source->ctx, "", &part->name));
+    status = bsq_text_copy(source->ctx, placement->name, &part->object);
 done:
     return status;
 }

@@ -108,7 +108,7 @@ static int copy_name(const struct gltf_place *place, uint32_t mesh, char **out)
     const char *name = fmt_gltf_string(place->object, "name");
     if (!name || !name[0])
         name = fmt_gltf_string(mesh_place.object, "name");
-    return fmt_string_copy(place->document->ctx, name ? name : "", out);
+    return bsq_text_copy(place->document->ctx, name ? name : "", out);
 }
 
 /* Returns whether morph targets change the shape of a mesh: a weight of the node, or else of the

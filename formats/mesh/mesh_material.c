@@ -78,9 +78,9 @@ int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
     out->name = out->texture_path = out->texture_place = out->object = NULL;
     out->channels = NULL;
     out->channel_count = 0;
-    BSQ_TRY(fmt_string_copy(ctx, from->name, &out->name));
-    BSQ_TRY(fmt_string_copy(ctx, from->texture_path, &out->texture_path));
-    BSQ_TRY(fmt_string_copy(ctx, from->texture_place, &out->texture_place));
+    BSQ_TRY(bsq_text_copy(ctx, from->name, &out->name));
+    BSQ_TRY(bsq_text_copy(ctx, from->texture_path, &out->texture_path));
+    BSQ_TRY(bsq_text_copy(ctx, from->texture_place, &out->texture_place));
     if (from->channel_count > 0)
         BSQ_TRY(bsq_calloc(ctx, "materials", from->channel_count, sizeof *out->channels,
                            &out->channels));
@@ -88,8 +88,8 @@ int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
         struct fmt_material_channel *copy = &out->channels[out->channel_count++];
         *copy = from->channels[i];
         copy->texture_path = copy->texture_place = NULL;
-        BSQ_TRY(fmt_string_copy(ctx, from->channels[i].texture_path, &copy->texture_path));
-        BSQ_TRY(fmt_string_copy(ctx, from->channels[i].texture_place, &copy->texture_place));
+        BSQ_TRY(bsq_text_copy(ctx, from->channels[i].texture_path, &copy->texture_path));
+        BSQ_TRY(bsq_text_copy(ctx, from->channels[i].texture_place, &copy->texture_place));
     }
 done:
     return status;

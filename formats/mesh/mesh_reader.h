@@ -35,7 +35,8 @@ struct fmt_mesh_material_change {
 };
 
 /* One block. The arrays belong to the reader and live until the last step for this block returns.
- * Bases count the elements of all earlier blocks of the scan. */
+ * The second step may change those of faces. Bases count the elements of all earlier blocks of the
+ * scan. */
 struct fmt_mesh_block {
     uint64_t sequence;
     uint32_t file;        /* number of the input file */
@@ -61,18 +62,16 @@ struct fmt_mesh_block {
     const float (*normals)[3]; /* as written, not normalised; 0, 0, 0 if not finite */
 
     uint64_t face_count, face_base;
-    const uint32_t *face_sizes; /* corners of each face, >= 3 */
+    uint32_t *face_sizes; /* corners of each face, >= 3 */
     uint64_t corner_count;
     /* Per corner, 0-based over the whole scan. FMT_MESH_NONE: the corner has no texture coordinate
      * or normal. NULL: no corner of the block has any. An index may refer to an element of a later
      * block, or to none at all: check it against the totals at the end. */
-    const uint64_t *corner_vertices;
-    const uint64_t *corner_texcoords;
-    const uint64_t *corner_normals;
+    uint64_t *corner_vertices, *corner_texcoords, *corner_normals;
     uint64_t vertex_bound; /* above all of corner_vertices; UINT64_MAX: not known */
 
     uint64_t material_change_count;
-    const struct fmt_mesh_material_change *material_changes;
+    struct fmt_mesh_material_change *material_changes;
     uint32_t material_at_start; /* before the first change; FMT_MESH_NO_MATERIAL if none */
 };
 

@@ -3,18 +3,6 @@
 
 #include <string.h>
 
-int fmt_string_copy(struct bsq_ctx *ctx, const char *text, char **out)
-{
-    *out = NULL;
-    if (!text)
-        return 0;
-    size_t size = strlen(text) + 1;
-    int status = bsq_alloc(ctx, "names", size, 1, out);
-    if (!status)
-        memcpy(*out, text, size);
-    return status;
-}
-
 void fmt_mesh_quote(const char *text, const char *end, char *out, size_t size)
 {
     size_t length = 0;

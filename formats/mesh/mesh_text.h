@@ -4,9 +4,6 @@
 
 #include "base/context.h"
 
-/* Copies a string; NULL gives NULL. Free *out with bsq_free(). */
-int fmt_string_copy(struct bsq_ctx *ctx, const char *text, char **out);
-
 /* Returns the bytes of the byte order mark that text in UTF-8 may begin with: 3, or 0. */
 size_t fmt_mesh_mark(const void *text, uint64_t size);
 

@@ -91,7 +91,7 @@ static int begin_material(struct reader *reader, char *name)
     trim_end(name);
     int status = fmt_materials_add(reader->ctx, reader->materials, &material);
     reader->has_current = !status;
-    return status ? status : fmt_string_copy(reader->ctx, name, &material->name);
+    return status ? status : bsq_text_copy(reader->ctx, name, &material->name);
 }
 
 /* Reads "r g b" or one number, which stands for all three; at most `most` after clamping. Sets
@@ -461,7 +461,7 @@ static int check_readable(const struct reader *reader, bool *readable)
 static int warn_damaged(const struct reader *reader)
 {
     char *why;
-    int status = fmt_string_copy(reader->ctx, bsq_error(reader->ctx), &why);
+    int status = bsq_text_copy(reader->ctx, bsq_error(reader->ctx), &why);
     if (status)
         return status;
     bsq_clear_error(reader->ctx);

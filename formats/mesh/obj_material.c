@@ -89,7 +89,7 @@ int fmt_obj_enter_libraries(struct stream_source *source, uint64_t line, const c
     BSQ_TRY(enter_library(source, line, text, true, &exists));
     if (exists)
         return 0;
-    BSQ_TRY(fmt_string_copy(source->ctx, text, &names));
+    BSQ_TRY(bsq_text_copy(source->ctx, text, &names));
     BSQ_TRY(any_library(source, names, &any));
     if (!any)
         BSQ_TRY(enter_library(source, line, text, false, &exists));
@@ -154,7 +154,7 @@ struct loose_names {
 /* Copies a name without quotes, comment and capitals. */
 static int copy_loosely(struct bsq_ctx *ctx, const char *name, enum loose_form form, char **out)
 {
-    int status = fmt_string_copy(ctx, name, out);
+    int status = bsq_text_copy(ctx, name, out);
     if (status)
         return status;
     if (form == LOOSE_TIDY)
@@ -270,7 +270,7 @@ static int name_others(struct stream_source *source, struct fmt_materials *out)
             continue;
         if (readable || file->libraries.count == 0)
             add_colorless(readable ? &reader->lost : &reader->bare, source, 1, name);
-        int status = fmt_string_copy(source->ctx, name, &out->list[i].name);
+        int status = bsq_text_copy(source->ctx, name, &out->list[i].name);
         if (status)
             return status;
     }
@@ -379,7 +379,7 @@ static int list_parts(struct stream_source *source, struct fmt_materials *out)
         BSQ_TRY(fmt_materials_add(source->ctx, out, &part));
         BSQ_TRY(fmt_material_copy(
             source->ctx, material < materials.count ? &materials.list[material] : &none, part));
-        BSQ_TRY(fmt_string_copy(source->ctx, parts->list[i] + OBJ_PART_DIGITS, &part->object));
+        BSQ_TRY(bsq_text_copy(source->ctx, parts->list[i] + OBJ_PART_DIGITS, &part->object));
     }
 done:
     fmt_materials_free(source->ctx, &materials);

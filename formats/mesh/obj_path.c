@@ -8,6 +8,7 @@
 
 #include "base/file.h"
 #include "base/path_map.h"
+#include "base/text_table.h"
 #include "base/tile_files.h"
 #include "formats/mesh/mesh_text.h"
 
@@ -159,7 +160,7 @@ static bool cut_comment(char *text)
 static int try_form(struct search *search, const char *name, enum form form)
 {
     char *text;
-    int status = fmt_string_copy(search->ctx, name, &text);
+    int status = bsq_text_copy(search->ctx, name, &text);
     if (status)
         return status;
     status = try_text(search, text, form);
@@ -176,7 +177,7 @@ static int name_missing(struct search *search, const char *name)
 {
     const char *mapped;
     char *text;
-    int status = fmt_string_copy(search->ctx, name, &text);
+    int status = bsq_text_copy(search->ctx, name, &text);
     if (status)
         return status;
     if (text[0] != '"' || !fmt_mesh_plain_name(text))

@@ -169,7 +169,7 @@ static int read_element(struct lines *l, char *rest)
     *element = (struct ply_element){.first_property = header->property_count};
     if (!parse_count(count, &element->count))
         return fail_line(l, "not a number of elements:", count);
-    status = fmt_string_copy(l->ctx, name, &element->name);
+    status = bsq_text_copy(l->ctx, name, &element->name);
     header->element_count += status == 0;
     return status;
 }
@@ -203,7 +203,7 @@ static int read_property(struct lines *l, char *rest)
         bsq_grow(l->ctx, "header of a PLY file", header->property_count + 1,
                  sizeof *header->properties, &header->properties, &header->property_capacity);
     if (!status)
-        status = fmt_string_copy(l->ctx, next_word(&rest), &property.name);
+        status = bsq_text_copy(l->ctx, next_word(&rest), &property.name);
     if (status)
         return status;
     header->properties[header->property_count++] = property;
@@ -224,7 +224,7 @@ static int read_comment(struct lines *l, char *rest)
     int status = bsq_grow(l->ctx, "header of a PLY file", header->texture_count + 1,
                           sizeof *header->textures, &header->textures, &header->texture_capacity);
     if (!status)
-        status = fmt_string_copy(l->ctx, rest, &header->textures[header->texture_count]);
+        status = bsq_text_copy(l->ctx, rest, &header->textures[header->texture_count]);
     header->texture_count += status == 0;
     return status;
 }

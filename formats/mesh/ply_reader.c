@@ -211,10 +211,10 @@ static int describe_texture(const struct stream_source *source, const char *name
 {
     bool exists;
     int status;
-    BSQ_TRY(fmt_string_copy(source->ctx, name, &out->name));
+    BSQ_TRY(bsq_text_copy(source->ctx, name, &out->name));
     BSQ_TRY(fmt_path_find(source->ctx, fmt_input_beside(source->input), name, &out->texture_path,
                           &exists));
-    status = fmt_string_copy(source->ctx, source->path, &out->texture_place);
+    status = bsq_text_copy(source->ctx, source->path, &out->texture_place);
 done:
     return status;
 }
@@ -226,7 +226,7 @@ static int describe_color(struct bsq_ctx *ctx, const char *name, struct fmt_mate
     for (int c = 0; c < 3; c++)
         out->diffuse[c] = (float)color[c] / 255.0f;
     out->has_diffuse = true;
-    return fmt_string_copy(ctx, name, &out->name);
+    return bsq_text_copy(ctx, name, &out->name);
 }
 
 /* Lists the textures that comments name, and then the colours of faces. */

@@ -35,8 +35,7 @@ static bool recognise(const char *head, size_t size)
 static int name_for_format(struct bsq_ctx *ctx, const char *path, const char *head, size_t size,
                            char **out)
 {
-    int status =
-        fmt_string_copy(ctx, recognise(head, size) ? "mesh.fbx" : bsq_file_name(path), out);
+    int status = bsq_text_copy(ctx, recognise(head, size) ? "mesh.fbx" : bsq_file_name(path), out);
     if (!status)
         (*out)[fmt_mesh_unpacked_length(*out)] = '\0';
     return status;
@@ -286,10 +285,10 @@ static int list_parts(struct stream_source *source, struct fmt_materials *out)
     for (uint64_t i = 0; i < s->part_count; i++) {
         const uint32_t material = s->parts[i].material;
         BSQ_TRY(fmt_materials_add(source->ctx, out, &part));
-        BSQ_TRY(fmt_string_copy(source->ctx,
-                                material < s->material_count ? s->materials[material].name : "",
-                                &part->name));
-        BSQ_TRY(fmt_string_copy(source->ctx, s->parts[i].object, &part->object));
+        BSQ_TRY(bsq_text_copy(source->ctx,
+                              material < s->material_count ? s->materials[material].name : "",
+                              &part->name));
+        BSQ_TRY(bsq_text_copy(source->ctx, s->parts[i].object, &part->object));
     }
 done:
     return status;
@@ -304,12 +303,12 @@ static int describe_material(const struct stream_source *source,
         out->diffuse[k] = fminf(fmaxf(from->diffuse[k], 0), 1);
     out->has_diffuse = from->has_diffuse;
     out->uv = from->uv;
-    BSQ_TRY(fmt_string_copy(source->ctx, from->name, &out->name));
+    BSQ_TRY(bsq_text_copy(source->ctx, from->name, &out->name));
     if (!from->texture)
         return 0;
     BSQ_TRY(fmt_path_find(source->ctx, fmt_input_beside(source->input), from->texture,
                           &out->texture_path, NULL));
-    status = fmt_string_copy(source->ctx, source->path, &out->texture_place);
+    status = bsq_text_copy(source->ctx, source->path, &out->texture_place);
 done:
     return status;
 }

@@ -20,7 +20,6 @@
 struct block_slot {
     struct triangulator triangulator;
     struct scan_face_check check;
-    struct scan_clean_faces clean;
 };
 
 struct reading {
@@ -305,15 +304,13 @@ static int follow(void *arg, const struct fmt_mesh_block *block, unsigned number
         vox_scan_prefault(r->scan);
     if (!r->faces || block->face_count == 0)
         return 0;
-    int status = vox_scan_check_faces(r->scan, block, &slot->clean, &slot->check);
-    if (status < 0)
-        return status;
+    vox_scan_check_faces(r->scan, block, &slot->check);
     if (slot->check.max_size > MAX_CORNERS)
         return bsq_fail(r->scan->ctx, BSQ_EDATA, "%s: a face has %u corners, more than %u",
                         r->scan->paths[block->file], slot->check.max_size, MAX_CORNERS);
     if (slot->check.bad_index.found)
         return 0;
-    return vox_triangulate_block(&slot->triangulator, slot->check.block, slot->check.max_size);
+    return vox_triangulate_block(&slot->triangulator, &slot->check.faces, slot->check.max_size);
 }
 
 /* Copies runs to their buckets. Nothing more is kept after an index that is out of range: the scan
@@ -337,12 +334,6 @@ static int finish(void *arg, const struct fmt_mesh_block *block, unsigned number
 }
 
 /* ---- reading ---- */
-
-static void free_slot(struct bsq_ctx *ctx, struct block_slot *slot)
-{
-    vox_triangulator_free(&slot->triangulator);
-    vox_scan_clean_free(ctx, &slot->clean);
-}
 
 static int read_pass(struct reading *r, struct fmt_mesh_reader *reader, bool elements, bool faces)
 {
@@ -376,7 +367,7 @@ int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const 
                                           : read_pass(&r, reader, false, true);
 done:
     for (unsigned i = 0; r.slots && i < r.slot_count; i++)
-        free_slot(scan->ctx, &r.slots[i]);
+        vox_triangulator_free(&r.slots[i].triangulator);
     vox_vertex_buckets_free(scan, &r.vertex_buckets);
     bsq_free(scan->ctx, r.slots);
     return status;

@@ -46,21 +46,11 @@ struct scan_loss {
     uint64_t count, face;
 };
 
-/* A copy of a block's faces, without faces and indices whose elements do not exist. The buffers are
- * reused. All zero at first; free it with vox_scan_clean_free(). */
-struct scan_clean_faces {
-    struct fmt_mesh_block block; /* the copy; its other fields are those of the original */
-    uint32_t *sizes;
-    uint64_t *corners[FMT_MESH_KIND_COUNT];
-    struct fmt_mesh_material_change *changes;
-    uint64_t size_capacity, corner_capacity[FMT_MESH_KIND_COUNT], change_capacity;
-};
-
 /* Some programs write values from 0 to 1 with bright spots above that. */
 #define COLOR_UNIT   2.0f
 #define COLOR_BRIGHT 16.0f
 
-/* Numbers of colours that have some such component, see scan_scale.c. */
+/* Numbers of colours that have some such component. */
 struct color_votes {
     uint64_t nonzero;    /* above 0 */
     uint64_t fractional; /* above 0 and at most COLOR_BRIGHT, but not whole */
@@ -100,8 +90,8 @@ struct scan_material_use {
 
 /* Facts about the faces of one block. */
 struct scan_face_check {
-    const struct fmt_mesh_block *block; /* the faces to use: the block itself or its clean copy */
-    uint32_t max_size;                  /* corners of the largest face, at least 3 */
+    struct fmt_mesh_block faces; /* the block, without faces and indices that name nothing */
+    uint32_t max_size;           /* corners of the largest face, at least 3 */
     bool lacks_texcoord, has_normals, has_texcoords;
     struct scan_bad_index bad_index; /* the first one of a vertex */
     /* By kind: faces left out for lack of a position, and corners that refer to a texture
@@ -186,12 +176,10 @@ void vox_scan_free(struct scan *scan);
 
 /* Returns whether a block has vertices, texture coordinates, normals or late colours. */
 bool vox_scan_has_elements(const struct fmt_mesh_block *block);
-/* Appends a block's elements to the streams. Serial, in the order of the file. Errors: BSQ_RETRY as
- * vox_scan_find_color_scale(), unless the scan is read again; BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA. */
+/* Appends a block's elements to the streams. Serial, in the order of the file. Errors: BSQ_RETRY,
+ * with misread_colors, if earlier blocks of the first reading got another scale of colours;
+ * BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA. */
 int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block);
-/* Finds the factor from a block's colours to 0..255, from the colours of its file so far. Returns
- * BSQ_RETRY and sets misread_colors if earlier blocks of the first reading got another one. */
-int vox_scan_find_color_scale(struct scan *scan, const struct fmt_mesh_block *block, float *scale);
 /* Returns BSQ_RETRY and sets misread_colors if colours of a file have another scale than they were
  * stored with. */
 int vox_scan_check_color_scales(struct scan *scan);
@@ -206,16 +194,10 @@ int vox_scan_finish_streams(struct scan *scan);
 /* Returns the bytes that streams have in memory. */
 uint64_t vox_scan_stream_memory(const struct scan *scan);
 
-/* Checks a block's faces after all elements are known. `clean` gets a copy if something in the
- * block refers to nothing. From any thread. Errors: BSQ_ENOMEM. */
-int vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *block,
-                         struct scan_clean_faces *clean, struct scan_face_check *out);
-void vox_scan_clean_free(struct bsq_ctx *ctx, struct scan_clean_faces *clean);
-/* Notes which elements of a block are missing. Serial. Errors: BSQ_ENOMEM. */
-int vox_scan_note_missing(struct scan *scan, const struct fmt_mesh_block *block);
-/* Notes which vertices lack a colour, if others of the file have one. Serial, before the block is
- * counted for its file. Errors: BSQ_ENOMEM. */
-int vox_scan_note_missing_colors(struct scan *scan, const struct fmt_mesh_block *block);
+/* Checks a block's faces after all elements are known. Faces and indices whose elements do not
+ * exist are removed from the block's arrays. From any thread. */
+void vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *block,
+                          struct scan_face_check *out);
 /* Returns the bytes that notes on missing elements take. */
 uint64_t vox_scan_missing_memory(const struct scan *scan);
 /* Adds the result to the scan. Serial, in the order of the file. Errors: BSQ_ENOMEM. */
@@ -241,12 +223,6 @@ int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *material
 bool vox_textures_have(const struct scan_textures *textures, const char *path);
 void vox_textures_free(struct bsq_ctx *ctx, struct scan_textures *textures);
 
-/* If the scan keeps opacity, makes the alpha channels of colour textures the opacity of their
- * materials, unless a material names another good texture of opacity. Decodes these textures. path:
- * the colour texture of all materials; NULL: their own ones, if these were checked and are good. */
-int vox_scan_use_alpha(struct scan *scan, const struct scan_textures *textures, const char *path,
-                       struct fmt_materials *materials);
-
 /* Reads the MTL files and decides on attributes and materials. texture_path: an image for all faces
  * instead, or NULL. ids: those to keep; by name, each material has its name. Errors: BSQ_EDATA for
  * ids by colour of a scan without colours. */
@@ -254,10 +230,6 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                             const char *texture_path, struct scan_textures *textures,
                             enum bsq_ids ids);
 
-/* Notes that blocks of a file come. Serial. */
-void vox_scan_enter_file(struct scan *scan, uint32_t number);
-/* Notes what faces of a file have, whose elements have been noted. Serial. Errors: BSQ_ENOMEM. */
-int vox_scan_note_file_faces(struct scan *scan, const struct scan_face_check *check);
 /* Warns of files without faces, and of attributes that some files have and others lack, in a scan
  * of several files. Called after vox_scan_find_materials(). */
 int vox_scan_compare_files(struct scan *scan, const char *texture_path);

@@ -1,107 +1,17 @@
-/* scan_faces.c - what a block's faces say of the scan, and whether their indices are in range.
+/* scan_faces.c - what faces say of the scan and of each of its files, and whether their indices are
+ * in range.
  *
- * A block with something that refers to nothing is copied. A corner whose texture coordinate or
- * normal does not exist loses it. A face with a vertex that has no position is left out. */
+ * A corner whose texture coordinate or normal does not exist loses it. A face with a vertex that
+ * has no position is left out. Files may lack faces or attributes that others have: a file without
+ * faces among several may be a download that failed, so it is a loss. One without vertex colours is
+ * white beside files with such colours, and its facets are flat beside files with normals. Users
+ * learn of both, because they may not expect it. */
+#include "base/loss.h"
 #include "libvoxel/read/scan.h"
 
-#include <math.h>
 #include <string.h>
 
-/* ---- missing elements ---- */
-
-/* Makes the bits long enough for `count` elements. */
-static int extend(struct bsq_ctx *ctx, struct scan_missing *missing, uint64_t count)
-{
-    const uint64_t words = count / 64 + 1;
-    if (words <= missing->words)
-        return 0;
-    int status = bsq_grow(ctx, "elements that are missing", words, sizeof *missing->bits,
-                          &missing->bits, &missing->capacity);
-    if (status < 0)
-        return status;
-    memset(missing->bits + missing->words, 0, (words - missing->words) * sizeof *missing->bits);
-    missing->words = words;
-    return 0;
-}
-
-static void mark(struct scan_missing *missing, uint64_t index)
-{
-    missing->bits[index / 64] |= (uint64_t)1 << index % 64;
-}
-
-int vox_scan_note_missing(struct scan *scan, const struct fmt_mesh_block *block)
-{
-    struct scan_missing *vertices = &scan->missing[FMT_MESH_VERTEX];
-    struct scan_missing *texcoords = &scan->missing[FMT_MESH_TEXCOORD];
-    int status = 0;
-    if (block->missing_positions > 0)
-        status = extend(scan->ctx, vertices, block->vertex_base + block->vertex_count);
-    if (status == 0 && block->missing_texcoords > 0)
-        status = extend(scan->ctx, texcoords, block->texcoord_base + block->texcoord_count);
-    if (status < 0)
-        return status;
-    for (uint64_t i = 0; block->missing_positions > 0 && i < block->vertex_count; i++)
-        if (isnan(block->positions[i][0]))
-            mark(vertices, block->vertex_base + i);
-    for (uint64_t i = 0; block->missing_texcoords > 0 && i < block->texcoord_count; i++)
-        if (isnan(block->texcoords[i][0]))
-            mark(texcoords, block->texcoord_base + i);
-    return 0;
-}
-
-static bool is_colored(const struct fmt_mesh_block *block, uint64_t vertex)
-{
-    return block->colors && scan_color_given(block->colors[vertex]);
-}
-
-int vox_scan_note_missing_colors(struct scan *scan, const struct fmt_mesh_block *block)
-{
-    const bool colored_before = scan->files[block->file].has_colors;
-    const uint64_t base = block->vertex_base, end = base + block->vertex_count;
-    /* The first colours of a file show that all vertices before them lack one. */
-    uint64_t first = base, vertex = 0;
-    if (block->color_white > 0.0f || (!block->colors && !colored_before))
-        return 0;
-    if (!colored_before)
-        first = block->file > 0 ? scan->files[block->file - 1].ends[FMT_MESH_VERTEX] : 0;
-    while (vertex < block->vertex_count && is_colored(block, vertex))
-        vertex++;
-    if (first == base && vertex == block->vertex_count)
-        return 0;
-    int status = extend(scan->ctx, &scan->missing_colors, end);
-    for (uint64_t i = first; status == 0 && i < base; i++)
-        mark(&scan->missing_colors, i);
-    for (; status == 0 && vertex < block->vertex_count; vertex++)
-        if (!is_colored(block, vertex))
-            mark(&scan->missing_colors, base + vertex);
-    return status;
-}
-
-uint64_t vox_scan_missing_memory(const struct scan *scan)
-{
-    uint64_t words = scan->missing_colors.capacity;
-    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
-        words += scan->missing[kind].capacity;
-    return words * sizeof(uint64_t);
-}
-
-/* ---- copying ---- */
-
-static int reserve(struct bsq_ctx *ctx, const struct fmt_mesh_block *block,
-                   const uint64_t *const indices[FMT_MESH_KIND_COUNT],
-                   struct scan_clean_faces *clean)
-{
-    int status = bsq_grow(ctx, "faces", block->face_count, sizeof *clean->sizes, &clean->sizes,
-                          &clean->size_capacity);
-    for (int kind = 0; status == 0 && kind < FMT_MESH_KIND_COUNT; kind++)
-        if (indices[kind])
-            status = bsq_grow(ctx, "faces", block->corner_count, sizeof *clean->corners[kind],
-                              &clean->corners[kind], &clean->corner_capacity[kind]);
-    if (status == 0 && block->material_change_count > 0)
-        status = bsq_grow(ctx, "faces", block->material_change_count, sizeof *clean->changes,
-                          &clean->changes, &clean->change_capacity);
-    return status;
-}
+/* ---- what refers to nothing ---- */
 
 static void count_loss(struct scan_loss *loss, uint64_t face)
 {
@@ -118,71 +28,53 @@ static bool lacks_position(const struct scan_missing *missing, const uint64_t *c
     return false;
 }
 
-/* Copies the indices of one kind of a face, and drops indices that name nothing. The reader has
- * counted indices of missing elements. */
-static void copy_indices(const struct scan *scan, const uint64_t *from, uint32_t size, int kind,
-                         uint64_t face, uint64_t *to, struct scan_face_check *check)
+/* Drops indices of one kind of a face that name nothing. The reader has counted indices of missing
+ * elements. */
+static void drop_indices(const struct scan *scan, enum fmt_mesh_kind kind, uint64_t *indices,
+                         uint32_t size, uint64_t face, struct scan_face_check *check)
 {
-    const uint64_t end = scan_file_end(scan, check->block->file, (enum fmt_mesh_kind)kind);
+    const uint64_t end = scan_file_end(scan, check->faces.file, kind);
     for (uint32_t i = 0; i < size; i++) {
-        to[i] = from[i];
-        if (from[i] == FMT_MESH_NONE)
+        if (indices[i] == FMT_MESH_NONE)
             continue;
-        if (from[i] >= end)
+        if (indices[i] >= end)
             count_loss(&check->lost[kind], face);
-        if (from[i] >= end || scan_is_missing(&scan->missing[kind], from[i]))
-            to[i] = FMT_MESH_NONE;
+        if (indices[i] >= end || scan_is_missing(&scan->missing[kind], indices[i]))
+            indices[i] = FMT_MESH_NONE;
     }
 }
 
-/* Makes the copy, and counts what it lacks in *check. Vertex indices are in range. */
-static int clean_faces(const struct scan *scan, const struct fmt_mesh_block *block,
-                       struct scan_clean_faces *clean, struct scan_face_check *check)
+/* Removes faces and indices whose elements do not exist, and counts them. Vertex indices are in
+ * range. */
+static void clean_faces(const struct scan *scan, struct scan_face_check *check)
 {
-    const uint64_t *const indices[FMT_MESH_KIND_COUNT] = {
-        block->corner_vertices, block->corner_texcoords, block->corner_normals};
-    int status = reserve(scan->ctx, block, indices, clean);
-    if (status < 0)
-        return status;
+    struct fmt_mesh_block *b = &check->faces;
+    uint64_t *const indices[FMT_MESH_KIND_COUNT] = {b->corner_vertices, b->corner_texcoords,
+                                                    b->corner_normals};
     uint64_t corner = 0, faces = 0, corners = 0, change = 0;
-    for (uint64_t f = 0; f < block->face_count; corner += block->face_sizes[f++]) {
-        const uint32_t size = block->face_sizes[f];
-        const uint64_t face = block->face_base + f;
-        for (; change < block->material_change_count && block->material_changes[change].face <= f;
-             change++)
-            clean->changes[change] = (struct fmt_mesh_material_change){
-                .face = faces, .material = block->material_changes[change].material};
-        if (lacks_position(&scan->missing[FMT_MESH_VERTEX], indices[0] + corner, size)) {
+    for (uint64_t f = 0; f < b->face_count; f++) {
+        const uint32_t size = b->face_sizes[f];
+        const uint64_t face = b->face_base + f, first = corner;
+        corner += size;
+        for (; change < b->material_change_count && b->material_changes[change].face <= f; change++)
+            b->material_changes[change].face = faces;
+        if (lacks_position(&scan->missing[FMT_MESH_VERTEX], indices[0] + first, size)) {
             count_loss(&check->lost[FMT_MESH_VERTEX], face);
             continue;
         }
-        memcpy(clean->corners[0] + corners, indices[0] + corner, size * sizeof(uint64_t));
-        for (int kind = FMT_MESH_TEXCOORD; kind <= FMT_MESH_NORMAL; kind++)
+        for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
+            if (indices[kind] && kind != FMT_MESH_VERTEX)
+                drop_indices(scan, (enum fmt_mesh_kind)kind, indices[kind] + first, size, face,
+                             check);
             if (indices[kind])
-                copy_indices(scan, indices[kind] + corner, size, kind, face,
-                             clean->corners[kind] + corners, check);
-        clean->sizes[faces++] = size;
+                memmove(indices[kind] + corners, indices[kind] + first, size * sizeof(uint64_t));
+        }
+        b->face_sizes[faces++] = size;
         corners += size;
     }
-    clean->block = *block;
-    clean->block.face_count = faces;
-    clean->block.corner_count = corners;
-    clean->block.face_sizes = clean->sizes;
-    clean->block.corner_vertices = clean->corners[0];
-    clean->block.corner_texcoords = indices[1] ? clean->corners[1] : NULL;
-    clean->block.corner_normals = indices[2] ? clean->corners[2] : NULL;
-    clean->block.material_changes = clean->changes;
-    clean->block.material_change_count = change;
-    return 0;
-}
-
-void vox_scan_clean_free(struct bsq_ctx *ctx, struct scan_clean_faces *clean)
-{
-    bsq_free(ctx, clean->sizes);
-    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
-        bsq_free(ctx, clean->corners[kind]);
-    bsq_free(ctx, clean->changes);
-    memset(clean, 0, sizeof *clean);
+    b->face_count = faces;
+    b->corner_count = corners;
+    b->material_change_count = change;
 }
 
 /* ---- checking ---- */
@@ -231,30 +123,103 @@ static bool any_lost(const struct scan *scan, uint32_t file, enum fmt_mesh_kind 
            (!fmt_mesh_all_below(indices, count, end) || any_missing(scan, kind, indices, count));
 }
 
-int vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *block,
-                         struct scan_clean_faces *clean, struct scan_face_check *out)
+void vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *block,
+                          struct scan_face_check *out)
 {
     const uint64_t vertices = scan_file_end(scan, block->file, FMT_MESH_VERTEX);
     const uint64_t all = block->corner_count;
-    *out = (struct scan_face_check){.block = block, .max_size = 3};
+    const uint64_t *texcoords = block->corner_texcoords, *normals = block->corner_normals;
+    *out = (struct scan_face_check){.faces = *block, .max_size = 3};
     struct scan_bad_index *bad = &out->bad_index;
     bad->found = !fmt_mesh_check_vertices(block, vertices, &bad->face, &bad->index);
     if (bad->found)
-        return 0;
+        return;
     if (any_missing(scan, FMT_MESH_VERTEX, block->corner_vertices, all) ||
-        any_lost(scan, block->file, FMT_MESH_TEXCOORD, block->corner_texcoords, all) ||
-        any_lost(scan, block->file, FMT_MESH_NORMAL, block->corner_normals, all)) {
-        int status = clean_faces(scan, block, clean, out);
-        if (status < 0)
-            return status;
-        out->block = block = &clean->block;
-    }
-    const uint64_t *texcoords = block->corner_texcoords, *normals = block->corner_normals;
-    out->max_size = largest_face(block);
-    out->lacks_texcoord = !texcoords || any_none(texcoords, block->corner_count);
-    out->has_texcoords = texcoords && any_index(texcoords, block->corner_count);
-    out->has_normals = normals && any_index(normals, block->corner_count);
+        any_lost(scan, block->file, FMT_MESH_TEXCOORD, texcoords, all) ||
+        any_lost(scan, block->file, FMT_MESH_NORMAL, normals, all))
+        clean_faces(scan, out);
+    const struct fmt_mesh_block *faces = &out->faces;
+    out->max_size = largest_face(faces);
+    out->lacks_texcoord = !texcoords || any_none(texcoords, faces->corner_count);
+    out->has_texcoords = texcoords && any_index(texcoords, faces->corner_count);
+    out->has_normals = normals && any_index(normals, faces->corner_count);
+}
+
+/* ---- what faces of each file have ---- */
+
+/* Sets *out to the entry of a material, or to the entry of faces without one. */
+static int enter_material(struct scan *scan, uint32_t material, struct scan_material_use **out)
+{
+    const uint64_t before = scan->material_use_count, count = (uint64_t)material + 1;
+    *out = &scan->without_material;
+    if (material == FMT_MESH_NO_MATERIAL)
+        return 0;
+    int status = 0;
+    if (count > before)
+        status = bsq_grow(scan->ctx, "materials", count, sizeof *scan->material_uses,
+                          &scan->material_uses, &scan->material_use_capacity);
+    if (status < 0)
+        return status;
+    for (uint64_t i = before; i < count; i++)
+        scan->material_uses[i] = (struct scan_material_use){.file = UINT32_MAX};
+    scan->material_use_count = count > before ? count : before;
+    *out = &scan->material_uses[material];
     return 0;
+}
+
+/* Notes which file uses a material, and counts its faces, and those without texture coordinates. */
+static int note_material(struct scan *scan, uint32_t material, uint32_t file, uint64_t faces,
+                         uint64_t bare_faces)
+{
+    struct scan_material_use *use;
+    int status = enter_material(scan, material, &use);
+    if (status < 0)
+        return status;
+    use->file = file;
+    use->faces += faces;
+    use->bare_faces += bare_faces;
+    return 0;
+}
+
+/* Counts the faces from `begin` to `end` with a corner that has no texture coordinate. *corner: the
+ * first one of these faces; becomes the one after them. */
+static uint64_t count_bare(const struct fmt_mesh_block *block, uint64_t begin, uint64_t end,
+                           uint64_t *corner)
+{
+    uint64_t count = 0;
+    if (!block->corner_texcoords)
+        return end - begin;
+    for (uint64_t f = begin; f < end; f++) {
+        bool bare = false;
+        for (uint32_t k = 0; k < block->face_sizes[f]; k++)
+            bare |= block->corner_texcoords[(*corner)++] == FMT_MESH_NONE;
+        count += bare;
+    }
+    return count;
+}
+
+/* Notes what faces of a file have, whose elements have been noted. */
+static int note_file_faces(struct scan *scan, const struct scan_face_check *check)
+{
+    const struct fmt_mesh_block *block = &check->faces;
+    /* A file with faces has elements too: otherwise all its indices are out of range. */
+    struct scan_file *file = &scan->files[block->file];
+    file->has_faces = true;
+    file->has_normals |= check->has_normals;
+    file->has_texcoords |= check->has_texcoords;
+    const struct fmt_mesh_material_change *changes = block->material_changes;
+    const uint64_t change_count = block->material_change_count;
+    uint32_t material = block->material_at_start;
+    uint64_t begin = 0, corner = 0;
+    int status = 0;
+    for (uint64_t i = 0; i <= change_count && status == 0; i++) {
+        const uint64_t end = i < change_count ? changes[i].face : block->face_count;
+        const uint64_t bare = check->lacks_texcoord ? count_bare(block, begin, end, &corner) : 0;
+        status = note_material(scan, material, block->file, end - begin, bare);
+        material = i < change_count ? changes[i].material : material;
+        begin = end;
+    }
+    return status;
 }
 
 static void add_loss(struct scan_loss *to, const struct scan_loss *loss)
@@ -274,5 +239,107 @@ int vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check)
     scan->has_normals |= check->has_normals;
     scan->max_face_size =
         check->max_size > scan->max_face_size ? check->max_size : scan->max_face_size;
-    return vox_scan_note_file_faces(scan, check);
+    return note_file_faces(scan, check);
+}
+
+/* ---- comparing ---- */
+
+/* Files that lack something, and the first of them. */
+struct lacking {
+    uint64_t count;
+    uint32_t first;
+};
+
+static void add(struct lacking *lacking, uint64_t file)
+{
+    if (lacking->count++ == 0)
+        lacking->first = (uint32_t)file;
+}
+
+/* Warns of `lacking` files, unless there are none. loss: data of the scan is not used. */
+static int warn(const struct scan *scan, const struct lacking *lacking, bool loss, const char *what)
+{
+    const char *path = scan->paths[lacking->first];
+    if (lacking->count == 0)
+        return 0;
+    if (loss)
+        return bsq_warn_loss(scan->ctx, "%s: %s; files like this: %llu", path, what,
+                             (unsigned long long)lacking->count);
+    bsq_warn(scan->ctx, "%s: %s; files like this: %llu", path, what,
+             (unsigned long long)lacking->count);
+    return 0;
+}
+
+/* Warns of colours. Files are white if they have none of their own. */
+static int compare_colors(const struct scan *scan)
+{
+    struct lacking materials = {0}, vertices = {0}, paint = {0};
+    for (uint64_t i = 0; i < scan->file_count; i++) {
+        const struct scan_file *file = &scan->files[i];
+        const bool own = file->has_colors || file->paint == SCAN_PAINT_USED;
+        if (file->paint != SCAN_PAINT_NONE && !scan->totals.unread_colors && !file->has_colors &&
+            (!scan->has_colors || file->paint == SCAN_PAINT_LOST))
+            add(&paint, i);
+        if (!scan->has_colors || own || !file->has_faces)
+            continue;
+        add(file->has_material_colors ? &materials : &vertices, i);
+    }
+    int status;
+    BSQ_TRY(
+        warn(scan, &paint, true,
+             "ZBrush's polypaint is not used beside files without it: export a texture of it, or "
+             "vertex colours"));
+    BSQ_TRY(warn(scan, &materials, true,
+                 "colours of materials are not used, because other files of the scan have vertex "
+                 "colours"));
+    status =
+        warn(scan, &vertices, false,
+             "no vertex colours, so what has no texture is white; other files of the scan have "
+             "vertex colours");
+done:
+    return status;
+}
+
+/* Warns of files without faces, which add nothing to the scan. */
+static int report_faceless(const struct scan *scan)
+{
+    struct lacking bytes = {0}, points = {0}, faces = {0};
+    for (uint64_t i = 0; i < scan->file_count; i++) {
+        const struct scan_file *file = &scan->files[i];
+        const uint64_t before = i > 0 ? file[-1].ends[FMT_MESH_VERTEX] : 0;
+        if (!file->has_faces)
+            add(file->bytes == 0                       ? &bytes
+                : file->ends[FMT_MESH_VERTEX] > before ? &points
+                                                       : &faces,
+                i);
+    }
+    int status;
+    BSQ_TRY(warn(scan, &bytes, true, "an empty file, it adds nothing to the scan"));
+    BSQ_TRY(warn(scan, &points, true, "no faces, only vertices; it adds nothing to the scan"));
+    status = warn(scan, &faces, true, "no faces; it adds nothing to the scan");
+done:
+    return status;
+}
+
+int vox_scan_compare_files(struct scan *scan, const char *texture_path)
+{
+    struct lacking normals = {0}, texcoords = {0};
+    if (scan->file_count < 2)
+        return 0;
+    for (uint64_t i = 0; i < scan->file_count; i++) {
+        const struct scan_file *file = &scan->files[i];
+        if (file->has_faces && scan->has_normals && !file->has_normals)
+            add(&normals, i);
+        if (file->has_faces && texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0 &&
+            !file->has_texcoords)
+            add(&texcoords, i);
+    }
+    int status;
+    BSQ_TRY(report_faceless(scan));
+    BSQ_TRY(compare_colors(scan));
+    BSQ_TRY(warn(scan, &texcoords, true, "no texture coordinates, --texture is not used"));
+    status = warn(scan, &normals, false,
+                  "no normals, so its facets stay flat; other files of the scan have normals");
+done:
+    return status;
 }

@@ -1,4 +1,4 @@
-/* scan_read.c - appends parsed blocks to attribute streams.
+/* scan_read.c - appends parsed blocks to attribute streams, and finds the scale of their colours.
  *
  * This runs in the reader's serial step, while workers parse other blocks. So it only converts and
  * appends. */
@@ -53,6 +53,14 @@ void vox_scan_free(struct scan *scan)
 }
 
 /* ---- memory ---- */
+
+uint64_t vox_scan_missing_memory(const struct scan *scan)
+{
+    uint64_t words = scan->missing_colors.capacity;
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        words += scan->missing[kind].capacity;
+    return words * sizeof(uint64_t);
+}
 
 uint64_t vox_scan_stream_memory(const struct scan *scan)
 {
@@ -276,7 +284,196 @@ static bool late_colors_fit(const struct scan *scan)
     return count > 0 && count == scan_count(scan, SCAN_POSITIONS) && !scan->totals.unread_colors;
 }
 
+/* ---- the scale of vertex colours: from 0 to 1, or from 0 to 255 ----
+ *
+ * OBJ files, and PLY files with real numbers, do not say it. All colours of a file vote, so the
+ * result depends neither on their order nor on how a file is packed.
+ *
+ * Colours are stored as they come, with the scale that those before them tell. If later ones tell
+ * another scale, the scan is read again. Black has no scale, so a file may begin with any number of
+ * black vertices. A file of black, pure and white colours alone does not tell, so it takes the
+ * scale of the first file that does. */
+
+/* A damaged value in a thousand colours must not turn a scan black. */
+enum { FRACTIONAL_PER_BRIGHT = 1000 };
+
+/* Returns whether a component is a fraction above 0 and at most COLOR_BRIGHT. */
+static uint32_t is_fractional(float value)
+{
+    value = value > 0.0f ? value : 0.0f;
+    value = value < COLOR_BRIGHT ? value : COLOR_BRIGHT;
+    return value != (float)(int32_t)value;
+}
+
+void vox_color_votes_add(struct color_votes *votes, const float (*colors)[3], uint64_t count)
+{
+    enum { RUN = 1 << 16 }; /* whose numbers fit in 32 bits, for vector instructions */
+    while (count > 0) {
+        const uint32_t run = count < RUN ? (uint32_t)count : RUN;
+        uint32_t nonzero = 0, fractional = 0, large = 0, bright = 0;
+        for (uint32_t v = 0; v < run; v++) {
+            const float r = colors[v][0], g = colors[v][1], b = colors[v][2];
+            const float of_two = r > g ? r : g, most = of_two > b ? of_two : b;
+            nonzero += most > 0.0f;
+            large += most > COLOR_UNIT;
+            bright += most > COLOR_BRIGHT;
+            fractional += is_fractional(r) | is_fractional(g) | is_fractional(b);
+        }
+        votes->nonzero += nonzero;
+        votes->large += large;
+        votes->bright += bright;
+        votes->fractional += fractional;
+        colors += run;
+        count -= run;
+    }
+}
+
+/* Bytes are whole, so any whole value above 2 is one. Among fractions, values above 2 are bright
+ * spots of colours from 0 to 1, unless many are too large for that. */
+float vox_color_votes_scale(const struct color_votes *votes)
+{
+    if (votes->fractional == 0)
+        return votes->large > 0 ? 1.0f : 0.0f;
+    return votes->bright > votes->fractional / FRACTIONAL_PER_BRIGHT ? 1.0f : 255.0f;
+}
+
+/* Returns the scale of a file's colours so far: 255 or 1. */
+static float scale_of(const struct scan *scan, const struct scan_file *file)
+{
+    const float own = vox_color_votes_scale(&file->color_votes);
+    if (own > 0.0f || !scan->has_telling_file)
+        return own > 0.0f ? own : 255.0f;
+    return vox_color_votes_scale(&scan->files[scan->telling_file].color_votes);
+}
+
+/* Returns whether a file's colours were stored with another scale than they have. */
+static bool is_misread(const struct scan *scan, const struct scan_file *file)
+{
+    return file->color_votes.nonzero > 0 && file->color_scale != scale_of(scan, file);
+}
+
+/* Finds the factor from a block's colours to 0..255, from the colours of its file so far. Returns
+ * BSQ_RETRY and sets misread_colors if earlier blocks of the first reading got another one. */
+static int find_color_scale(struct scan *scan, const struct fmt_mesh_block *block, float *scale)
+{
+    struct scan_file *file = &scan->files[block->file];
+    if (!block->colors || block->color_white > 0.0f) {
+        *scale = block->colors ? 255.0f / block->color_white : 0.0f;
+        return 0;
+    }
+    vox_color_votes_add(&file->color_votes, block->colors, block->vertex_count);
+    if (!scan->has_telling_file && vox_color_votes_scale(&file->color_votes) > 0.0f) {
+        scan->has_telling_file = true;
+        scan->telling_file = block->file;
+    }
+    if (file->color_scale == 0.0f && block->file < scan->known_count)
+        file->color_scale = scan->known_scales[block->file];
+    if (file->color_scale == 0.0f && file->color_votes.nonzero > 0)
+        file->color_scale = scale_of(scan, file);
+    *scale = file->color_scale > 0.0f ? file->color_scale : 255.0f;
+    scan->misread_colors = !scan->reads_again && is_misread(scan, file);
+    return scan->misread_colors ? BSQ_RETRY : 0;
+}
+
+int vox_scan_check_color_scales(struct scan *scan)
+{
+    for (uint64_t i = 0; i < scan->file_count; i++)
+        scan->misread_colors |= is_misread(scan, &scan->files[i]);
+    return scan->misread_colors ? BSQ_RETRY : 0;
+}
+
+int vox_scan_list_color_scales(const struct scan *scan, float **out)
+{
+    int status = bsq_calloc(scan->ctx, "files of a scan", scan->file_count + 1, sizeof **out, out);
+    for (uint64_t i = 0; status == 0 && i < scan->file_count; i++)
+        if (scan->files[i].color_votes.nonzero > 0)
+            (*out)[i] = scale_of(scan, &scan->files[i]);
+    return status;
+}
+
+/* ---- missing elements ---- */
+
+/* Makes the bits long enough for `count` elements. */
+static int extend(struct bsq_ctx *ctx, struct scan_missing *missing, uint64_t count)
+{
+    const uint64_t words = count / 64 + 1;
+    if (words <= missing->words)
+        return 0;
+    int status = bsq_grow(ctx, "elements that are missing", words, sizeof *missing->bits,
+                          &missing->bits, &missing->capacity);
+    if (status < 0)
+        return status;
+    memset(missing->bits + missing->words, 0, (words - missing->words) * sizeof *missing->bits);
+    missing->words = words;
+    return 0;
+}
+
+static void mark(struct scan_missing *missing, uint64_t index)
+{
+    missing->bits[index / 64] |= (uint64_t)1 << index % 64;
+}
+
+/* Notes which elements of a block are missing. */
+static int note_missing(struct scan *scan, const struct fmt_mesh_block *block)
+{
+    struct scan_missing *vertices = &scan->missing[FMT_MESH_VERTEX];
+    struct scan_missing *texcoords = &scan->missing[FMT_MESH_TEXCOORD];
+    int status = 0;
+    if (block->missing_positions > 0)
+        status = extend(scan->ctx, vertices, block->vertex_base + block->vertex_count);
+    if (status == 0 && block->missing_texcoords > 0)
+        status = extend(scan->ctx, texcoords, block->texcoord_base + block->texcoord_count);
+    if (status < 0)
+        return status;
+    for (uint64_t i = 0; block->missing_positions > 0 && i < block->vertex_count; i++)
+        if (isnan(block->positions[i][0]))
+            mark(vertices, block->vertex_base + i);
+    for (uint64_t i = 0; block->missing_texcoords > 0 && i < block->texcoord_count; i++)
+        if (isnan(block->texcoords[i][0]))
+            mark(texcoords, block->texcoord_base + i);
+    return 0;
+}
+
+static bool is_colored(const struct fmt_mesh_block *block, uint64_t vertex)
+{
+    return block->colors && scan_color_given(block->colors[vertex]);
+}
+
+/* Notes which vertices lack a colour, if others of the file have one. Called before the block is
+ * counted for its file. */
+static int note_missing_colors(struct scan *scan, const struct fmt_mesh_block *block)
+{
+    const bool colored_before = scan->files[block->file].has_colors;
+    const uint64_t base = block->vertex_base, end = base + block->vertex_count;
+    /* The first colours of a file show that all vertices before them lack one. */
+    uint64_t first = base, vertex = 0;
+    if (block->color_white > 0.0f || (!block->colors && !colored_before))
+        return 0;
+    if (!colored_before)
+        first = block->file > 0 ? scan->files[block->file - 1].ends[FMT_MESH_VERTEX] : 0;
+    while (vertex < block->vertex_count && is_colored(block, vertex))
+        vertex++;
+    if (first == base && vertex == block->vertex_count)
+        return 0;
+    int status = extend(scan->ctx, &scan->missing_colors, end);
+    for (uint64_t i = first; status == 0 && i < base; i++)
+        mark(&scan->missing_colors, i);
+    for (; status == 0 && vertex < block->vertex_count; vertex++)
+        if (!is_colored(block, vertex))
+            mark(&scan->missing_colors, base + vertex);
+    return status;
+}
+
 /* ---- blocks ---- */
+
+/* Notes that blocks of a file come. */
+static void enter_file(struct scan *scan, uint32_t number)
+{
+    for (; scan->file_count <= number; scan->file_count++)
+        if (scan->file_count > 0)
+            memcpy(scan->files[scan->file_count].ends, scan->files[scan->file_count - 1].ends,
+                   sizeof scan->files->ends);
+}
 
 static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
 {
@@ -291,8 +488,8 @@ static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
             vox_precision_count_merged(block->positions, block->vertex_count, scan->origin);
     if (!scan->has_colors)
         return 0;
-    BSQ_TRY(vox_scan_note_missing_colors(scan, block));
-    BSQ_TRY(vox_scan_find_color_scale(scan, block, &scan->block_scale));
+    BSQ_TRY(note_missing_colors(scan, block));
+    BSQ_TRY(find_color_scale(scan, block, &scan->block_scale));
     status = append(scan, block, SCAN_COLORS, end, convert_colors);
 done:
     return status;
@@ -316,14 +513,14 @@ bool vox_scan_has_elements(const struct fmt_mesh_block *block)
 
 int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block)
 {
-    vox_scan_enter_file(scan, block->file);
+    enter_file(scan, block->file);
     scan->files[block->file].bytes += block->byte_size;
     if (!vox_scan_has_elements(block))
         return 0;
     const uint64_t texcoords = block->texcoord_base + block->texcoord_count;
     const uint64_t normals = block->normal_base + block->normal_count;
     int status;
-    BSQ_TRY(vox_scan_note_missing(scan, block));
+    BSQ_TRY(note_missing(scan, block));
     if (block->vertex_count > 0)
         BSQ_TRY(add_vertices(scan, block));
     BSQ_TRY(append(scan, block, SCAN_TEXCOORDS, texcoords, convert_texcoords));
@@ -356,7 +553,7 @@ int vox_scan_finish(struct scan *scan, struct fmt_mesh_reader *reader)
     const struct scan_bad_index *bad = &scan->bad_index;
     int status;
     BSQ_TRY(vox_scan_finish_streams(scan));
-    vox_scan_enter_file(scan, scan->path_count - 1); /* the last files may be empty */
+    enter_file(scan, scan->path_count - 1); /* the last files may be empty */
     scan->has_colors |= late_colors_fit(scan);
     if (scan->clamped_colors > 0)
         BSQ_TRY(bsq_warn_loss(scan->ctx, "%s: colours out of range were clamped at %llu %s",
