@@ -5,7 +5,7 @@
  * measurements. */
 #include <math.h>
 
-#include "libbake/bake_job.h"
+#include "libbake/job/job.h"
 #include "libbake/exact/exact.h"
 #include "libbake/farm/farm.h"
 #include "libbake/kernel/bk_sample.h"
@@ -44,12 +44,12 @@ enum {
 
 /* A task, as far as scans are concerned. */
 struct share {
-    const struct bake_run *job;
+    const struct bake_work *job;
     double part; /* of all texels */
     uint64_t texels, samples;
 };
 
-static bool looks_around(const struct bake_run *job)
+static bool looks_around(const struct bake_work *job)
 {
     return (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS)) != 0;
 }
@@ -63,7 +63,7 @@ static bool has_tree(const struct share *task)
 /* Returns the seconds of rays against one scan, without those of loading it. */
 static double ray_seconds(const struct share *task, const struct speed *speed)
 {
-    const struct bake_run *job = task->job;
+    const struct bake_work *job = task->job;
     const struct bake_options *options = job->options;
     double sample = speed->sample, texel = 0;
     if (looks_around(job))
@@ -143,7 +143,7 @@ static void expect_cost(const struct share *task, struct bake_task_cost *cost)
                          cost->scratch_bytes + larger(bytes, cost->scratch_bytes);
 }
 
-void bake_expect_costs(const struct bake_run *job, struct bake_farm_plan *plan)
+void bake_expect_costs(const struct bake_work *job, struct bake_farm_plan *plan)
 {
     const uint64_t texel = bake_image_channels_for(job->maps) * sizeof(float);
     const uint64_t block = (uint64_t)plan->block_side * plan->block_side * texel;

@@ -11,9 +11,8 @@
 #include "base/output.h"
 #include "base/parallel.h"
 #include "formats/farm/farm.h"
-#include "libbake/bake_job.h"
-#include "libbake/bake_options.h"
-#include "libbake/curvature/curvature.h"
+#include "libbake/job/job.h"
+#include "libbake/options/options.h"
 #include "libbake/exact/exact.h"
 #include "libbake/farm/farm.h"
 #include "libbake/kernel/bk_sample.h"
@@ -21,7 +20,7 @@
 /* ---- the work in each block ---- */
 
 struct count_job {
-    const struct bake_run *job;
+    const struct bake_work *job;
     const struct bake_raster *raster; /* with one sample a texel; its tiles are blocks */
     const struct bake_farm_tile *tile;
     struct bake_farm_block *blocks; /* out, one for each tile of the raster */
@@ -60,7 +59,7 @@ static int count_block(void *arg, uint64_t index, unsigned worker)
     return status;
 }
 
-static int create_count_raster(const struct bake_run *job, const struct bake_farm_plan *plan,
+static int create_count_raster(const struct bake_work *job, const struct bake_farm_plan *plan,
                                uint32_t tile, struct bake_raster **out)
 {
     const struct bake_tile *from = &job->tiles[tile];
@@ -80,7 +79,7 @@ struct block_list {
 };
 
 /* Adds the blocks of a tile that have samples to a list. */
-static int count_tile(const struct bake_run *job, const struct bake_farm_plan *plan, uint32_t tile,
+static int count_tile(const struct bake_work *job, const struct bake_farm_plan *plan, uint32_t tile,
                       uint32_t **samples, struct block_list *list)
 {
     struct bake_raster *raster = NULL;
@@ -104,7 +103,7 @@ static int count_tile(const struct bake_run *job, const struct bake_farm_plan *p
 }
 
 /* Divides the blocks of all tiles by the work in them. */
-static int divide(const struct bake_run *job, struct bake_farm_plan *plan)
+static int divide(const struct bake_work *job, struct bake_farm_plan *plan)
 {
     const unsigned workers = bsq_threads(job->ctx);
     const uint64_t texels = (uint64_t)plan->block_side * plan->block_side;
@@ -127,7 +126,7 @@ static int divide(const struct bake_run *job, struct bake_farm_plan *plan)
 /* ---- the plan ---- */
 
 /* Opens all inputs, sets the parameters and prepares the triangles. */
-static int open_job(struct bake_run *job)
+static int open_job(struct bake_work *job)
 {
     int status = bake_open_inputs(job);
     if (status == 0)
@@ -136,7 +135,7 @@ static int open_job(struct bake_run *job)
 }
 
 /* Checks the files of the plan and of all maps. */
-static int check_files(struct bake_run *job, const char *plan_path)
+static int check_files(struct bake_work *job, const char *plan_path)
 {
     int status = bsq_output_check(job->ctx, plan_path);
     for (uint32_t i = 0; i < job->udim.count && status == 0; i++)
@@ -145,7 +144,7 @@ static int check_files(struct bake_run *job, const char *plan_path)
 }
 
 /* Returns the job's options with all that its tasks must share. */
-static struct bake_options shared_options(const struct bake_run *job)
+static struct bake_options shared_options(const struct bake_work *job)
 {
     struct bake_options shared = *job->options;
     shared.maps = job->maps & ((1u << BK_MAP_COUNT) - 1u);
@@ -185,7 +184,7 @@ static int check_named_inputs(const struct bake_farm_plan *plan, const struct ba
     return status == 0 && options->cage_path ? check_input(plan, options->cage_path) : status;
 }
 
-static int make_plan(struct bake_run *job, struct bake_farm_plan *plan, bool *kept)
+static int make_plan(struct bake_work *job, struct bake_farm_plan *plan, bool *kept)
 {
     const struct bake_report *report = job->report;
     plan->degenerate_triangles = report->degenerate_uv_triangles;
@@ -205,7 +204,7 @@ static int make_plan(struct bake_run *job, struct bake_farm_plan *plan, bool *ke
     return status < 0 ? status : bake_farm_plan_write(plan, kept);
 }
 
-static int plan_job(struct bake_run *job, uint32_t tasks, const char *path, bool *kept)
+static int plan_job(struct bake_work *job, uint32_t tasks, const char *path, bool *kept)
 {
     struct bake_farm_plan *plan = NULL;
     int status = open_job(job);
@@ -227,7 +226,7 @@ static int plan_job(struct bake_run *job, uint32_t tasks, const char *path, bool
 int bake_write_plan(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t tasks,
                     const char *path, bool *kept, struct bake_report *report)
 {
-    struct bake_run *job;
+    struct bake_work *job;
     *kept = false;
     if (tasks < 1 || tasks > BAKE_MAX_TASKS)
         return bsq_fail(ctx, BSQ_EUSAGE, "%u tasks: must be 1 to %d", tasks, BAKE_MAX_TASKS);
@@ -292,7 +291,7 @@ static bool is_same_tile(const struct bake_baked_tile *a, const struct bake_farm
 }
 
 /* Checks that the inputs are those of the plan, opens them, and checks that they give its tiles. */
-static int open_planned(struct bake_run *job, const struct bake_farm_plan *plan)
+static int open_planned(struct bake_work *job, const struct bake_farm_plan *plan)
 {
     int status = fmt_farm_check_inputs(&plan->base);
     if (status == 0)
@@ -308,7 +307,7 @@ static int open_planned(struct bake_run *job, const struct bake_farm_plan *plan)
 }
 
 /* Makes each tile bake the blocks of a task only. Returns the number of blocks, or an error. */
-static int choose_blocks(struct bake_run *job, const struct bake_farm_plan *plan, uint32_t task,
+static int choose_blocks(struct bake_work *job, const struct bake_farm_plan *plan, uint32_t task,
                          uint64_t *blocks)
 {
     int status = 0;
@@ -321,7 +320,7 @@ static int choose_blocks(struct bake_run *job, const struct bake_farm_plan *plan
     return status;
 }
 
-static int trace_task(struct bake_run *job)
+static int trace_task(struct bake_work *job)
 {
     int status = bake_prepare_triangles(job);
     if (status == 0)
@@ -334,7 +333,7 @@ static int trace_task(struct bake_run *job)
     return status < 0 ? status : bake_surface_check(&job->surface);
 }
 
-static int write_part(const struct bake_run *job, const struct bake_farm_plan *plan, uint32_t task)
+static int write_part(const struct bake_work *job, const struct bake_farm_plan *plan, uint32_t task)
 {
     const struct bake_report *report = job->report;
     const struct bake_farm_counts counts = {report->covered_texels, report->samples,
@@ -350,7 +349,7 @@ static int write_part(const struct bake_run *job, const struct bake_farm_plan *p
     return status;
 }
 
-static int run_task(struct bake_run *job, const struct bake_farm_plan *plan, uint32_t task)
+static int run_task(struct bake_work *job, const struct bake_farm_plan *plan, uint32_t task)
 {
     uint64_t blocks = 0;
     int status = fmt_farm_check_part_output(&plan->base, task);
@@ -366,7 +365,7 @@ static int run_task(struct bake_run *job, const struct bake_farm_plan *plan, uin
 int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32_t task, bool force,
                   bool *kept, struct bake_report *report)
 {
-    struct bake_run *job;
+    struct bake_work *job;
     struct bake_options options = plan->options;
     *kept = false;
     memset(report, 0, sizeof *report);
@@ -390,7 +389,7 @@ int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32
 
 /* Creates the images of all tiles, which share half of the memory that is left, as in a bake
  * without tasks. */
-static int create_images(struct bake_run *job)
+static int create_images(struct bake_work *job)
 {
     const uint64_t kept = bsq_memory_left(job->ctx) / 2;
     int status = 0;
@@ -402,7 +401,7 @@ static int create_images(struct bake_run *job)
 }
 
 /* Reads the texels that all tasks traced. */
-static int read_parts(struct bake_run *job, const struct bake_farm_plan *plan)
+static int read_parts(struct bake_work *job, const struct bake_farm_plan *plan)
 {
     struct bake_farm_counts counts = {0};
     struct bake_farm_image *images = NULL;
@@ -426,7 +425,7 @@ static int read_parts(struct bake_run *job, const struct bake_farm_plan *plan)
     return bake_check_hits(job);
 }
 
-static int write_outputs(struct bake_run *job)
+static int write_outputs(struct bake_work *job)
 {
     int status = bake_write_maps(job);
     if (status == 0)
@@ -436,7 +435,7 @@ static int write_outputs(struct bake_run *job)
     return status < 0 ? status : bake_commit_outputs(job);
 }
 
-static int merge(struct bake_run *job, const struct bake_farm_plan *plan)
+static int merge(struct bake_work *job, const struct bake_farm_plan *plan)
 {
     int status = bake_farm_parts_check(plan);
     if (status == 0)
@@ -518,7 +517,7 @@ static bool recall_found(const char *found, struct bake_report *report,
 static int merge_and_note(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, char **paths,
                           uint64_t count, struct bake_report *report)
 {
-    struct bake_run *job;
+    struct bake_work *job;
     char found[FMT_FARM_FOUND_BYTES] = "";
     int status = bake_begin_job(ctx, &plan->options, report, &job);
     if (status < 0)

@@ -1,15 +1,35 @@
-/* bake_job.h - what the files of a bake share; private to libbake/. bake.c runs a job,
- * bake_inputs.c opens its inputs, bake_trace.c traces its maps and bake_outputs.c writes them.
- * bake_farm.c divides it into tasks, and bake_costs.c estimates what these need. */
-#ifndef BAKE_BAKE_JOB_H
-#define BAKE_BAKE_JOB_H
+/* job.h - the steps of a bake, in their order. Takes options; gives map files and a report.
+ *
+ * bake_run() takes all of the steps; libbake/bake_farm.c takes them apart to divide a bake into
+ * tasks. Steps end at the first failure. */
+#ifndef BAKE_JOB_JOB_H
+#define BAKE_JOB_JOB_H
 
 #include "libbake/bake.h"
 #include "libbake/curvature/curvature.h"
 #include "libbake/preview/preview.h"
-#include "libbake/tile_bake.h"
+#include "libbake/skew/skew.h"
 
-struct bake_run {
+/* The maps of one UDIM tile. */
+struct bake_tile {
+    struct bake_udim_tile place;
+    const char *object, *material; /* that have maps of their own, or NULL */
+    struct bake_options options;   /* the job's, with the size and output path of this tile */
+    uint32_t maps;
+    char *output_path;
+    char *beside;       /* the path of one map; temporary files go to its directory */
+    uint32_t tile_size; /* side of the raster's tiles in texels */
+    bool in_blocks;     /* bakes `blocks` only, into an image of them */
+    struct bake_blocks blocks;
+    struct bake_skew_image skew;
+    struct bake_raster *raster;
+    struct bake_image *image;
+    struct bake_map_files *files;
+    struct bake_thumbnail normal, color, missed; /* `texels` is NULL if there is none */
+};
+
+/* A bake. */
+struct bake_work {
     struct bsq_ctx *ctx;
     const struct bake_options *options;
     struct bake_report *report;
@@ -33,56 +53,62 @@ struct bake_run {
 
 /* Begins and ends a job. The report must be empty; a job that failed frees it. */
 int bake_begin_job(struct bsq_ctx *ctx, const struct bake_options *options,
-                   struct bake_report *report, struct bake_run **out);
-int bake_end_job(struct bake_run *job, int status); /* returns the status, explained */
+                   struct bake_report *report, struct bake_work **out);
+int bake_end_job(struct bake_work *job, int status); /* returns the status, explained */
 
 /* ---- inputs ---- */
 
 /* Opens the scan and the low-poly mesh, chooses the maps and finds the tiles. */
-int bake_open_inputs(struct bake_run *job);
+int bake_open_inputs(struct bake_work *job);
 /* Sets the parameters of rays, for which it measures distances if they are not given. */
-int bake_set_params(struct bake_run *job);
+int bake_set_params(struct bake_work *job);
 
 /* Finds out which scans each object sees, by their names. Errors: BSQ_EUSAGE, with the names, if an
  * object sees none, or if none sees a scan. */
-int bake_match_names(struct bake_run *job);
+int bake_match_names(struct bake_work *job);
 
 /* ---- tracing ---- */
 
 /* Sorts the triangles of the low-poly mesh by tile and rasterises them. */
-int bake_prepare_triangles(struct bake_run *job);
+int bake_prepare_triangles(struct bake_work *job);
 /* Opens the device that traces, if there is a single grid. */
-int bake_open_device(struct bake_run *job);
+int bake_open_device(struct bake_work *job);
 /* Traces all tiles that have rasters. */
-int bake_trace_maps(struct bake_run *job);
+int bake_trace_maps(struct bake_work *job);
 /* Fails with BSQ_EDATA and a reason if no ray of the report hit. */
-int bake_check_hits(struct bake_run *job);
+int bake_check_hits(struct bake_work *job);
 /* Chooses the radius in which curvature is measured. */
-void bake_choose_radius(struct bake_run *job);
+void bake_choose_radius(struct bake_work *job);
 /* Replaces positions and normals in the images by the curvature there, and counts. */
-int bake_trace_curvature(struct bake_run *job);
+int bake_trace_curvature(struct bake_work *job);
 /* Warns of texels whose curvature is unknown, as a radius larger than the scan makes all. Errors:
  * BSQ_EDATA in a strict job. */
 int bake_warn_of_radius(struct bsq_ctx *ctx, const struct bake_curvature_counts *counts,
                         double radius);
 /* Frees what is needed for tracing only; may be called twice. */
-void bake_end_tracing(struct bake_run *job);
+void bake_end_tracing(struct bake_work *job);
 
 /* ---- tasks ---- */
 
 /* Sets what each task of a plan needs. The plan must have its tiles, blocks and texels. */
-void bake_expect_costs(const struct bake_run *job, struct bake_farm_plan *plan);
+void bake_expect_costs(const struct bake_work *job, struct bake_farm_plan *plan);
 
 /* ---- outputs ---- */
 
 /* Checks the files of all tiles before the work, and creates those of the first and the preview's.
  * Those of other tiles are created when they are written. */
-int bake_open_outputs(struct bake_run *job);
+int bake_open_outputs(struct bake_work *job);
+/* Creates the image of a tile, which takes at most `memory_bytes`, or is in a temporary file.
+ * Errors: those of bake_image_create(). */
+int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t memory_bytes);
+/* Checks that the tile's files can be created, are no inputs, and are neither the preview nor the
+ * file `other`, which may be NULL. Errors: BSQ_EUSAGE, BSQ_ECANTCREAT, BSQ_ENOMEM. */
+int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile, const char *other);
 /* Encodes and writes all maps under temporary names. */
-int bake_write_maps(struct bake_run *job);
+int bake_write_maps(struct bake_work *job);
 /* Renders and writes the preview, if one is asked for. */
-int bake_write_preview(struct bake_run *job);
+int bake_write_preview(struct bake_work *job);
 /* Gives all outputs their names. */
-int bake_commit_outputs(struct bake_run *job);
+int bake_commit_outputs(struct bake_work *job);
 
 #endif

@@ -1,4 +1,4 @@
-/* bake.c - runs a bake: inputs, ray lengths, tracing, files, preview.
+/* job.c - runs a bake: inputs, ray lengths, tracing, files, preview.
  *
  * Errors in the arguments, in the inputs and in the output's directory are found before the first
  * ray. The files get their final names at the very end, one after another. */
@@ -6,10 +6,10 @@
 #include <string.h>
 
 #include "base/clock.h"
-#include "libbake/bake_job.h"
-#include "libbake/bake_options.h"
+#include "libbake/job/job.h"
+#include "libbake/options/options.h"
 
-static int run(struct bake_run *job)
+static int run(struct bake_work *job)
 {
     double started = bsq_seconds_now();
     int status = 0;
@@ -38,11 +38,25 @@ done:
     return status;
 }
 
-static void end(struct bake_run *job)
+static void end_tile(struct bsq_ctx *ctx, struct bake_tile *tile)
+{
+    bake_raster_free(tile->raster);
+    bake_image_free(tile->image);
+    bsq_free(ctx, (void *)(uintptr_t)tile->blocks.slots);
+    bake_map_files_discard(tile->files);
+    bake_thumbnail_free(ctx, &tile->normal);
+    bake_thumbnail_free(ctx, &tile->color);
+    bake_thumbnail_free(ctx, &tile->missed);
+    free(tile->output_path);
+    free(tile->beside);
+    memset(tile, 0, sizeof *tile);
+}
+
+static void end(struct bake_work *job)
 {
     bake_end_tracing(job);
     for (uint32_t i = 0; job->tiles && i < job->udim.count; ++i)
-        bake_tile_end(job->ctx, &job->tiles[i]);
+        end_tile(job->ctx, &job->tiles[i]);
     bsq_free(job->ctx, job->tiles);
     bake_preview_discard(job->preview_file);
     bsq_free(job->ctx, job->preview_tiles);
@@ -55,10 +69,10 @@ static void end(struct bake_run *job)
 }
 
 int bake_begin_job(struct bsq_ctx *ctx, const struct bake_options *options,
-                   struct bake_report *report, struct bake_run **out)
+                   struct bake_report *report, struct bake_work **out)
 {
     memset(report, 0, sizeof *report);
-    struct bake_run *job; /* on the heap for its size */
+    struct bake_work *job; /* on the heap for its size */
     int status = bsq_calloc(ctx, "job", 1, sizeof *job, &job);
     *out = job;
     if (status < 0)
@@ -69,7 +83,7 @@ int bake_begin_job(struct bsq_ctx *ctx, const struct bake_options *options,
     return 0;
 }
 
-int bake_end_job(struct bake_run *job, int status)
+int bake_end_job(struct bake_work *job, int status)
 {
     struct bsq_ctx *ctx = job->ctx;
     if (status < 0)
@@ -83,7 +97,7 @@ int bake_end_job(struct bake_run *job, int status)
 
 int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bake_report *report)
 {
-    struct bake_run *job;
+    struct bake_work *job;
     int status = bake_begin_job(ctx, options, report, &job);
     return status < 0 ? status : bake_end_job(job, run(job));
 }

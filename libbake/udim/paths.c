@@ -1,5 +1,5 @@
 /* paths.c - see paths.h. */
-#include "libbake/paths.h"
+#include "libbake/udim/paths.h"
 
 #include <stdio.h>
 #include <stdlib.h>

@@ -1,9 +1,9 @@
-/* bake_match.c - finds out which scans each object of the low-poly mesh sees, by their names. */
+/* match.c - finds out which scans each object of the low-poly mesh sees, by their names. */
 #include <stdio.h>
 #include <string.h>
 
 #include "base/file.h"
-#include "libbake/bake_job.h"
+#include "libbake/job/job.h"
 
 enum { LIST_BYTES = 300 /* of names in a message */ };
 
@@ -13,7 +13,7 @@ struct name {
     size_t length;
 };
 
-static struct name scan_name(const struct bake_run *job, uint32_t scan)
+static struct name scan_name(const struct bake_work *job, uint32_t scan)
 {
     const char *path = job->surface.scans[scan].path;
     const char *at = bsq_file_name(path), *dot = strrchr(at, '.');
@@ -51,7 +51,7 @@ static bool match(const struct bake_options *options, const char *object, struct
 
 /* Lets a scan be seen only by the objects that share most of its name with it: "body_arm_high" is a
  * scan of "body_arm_low", not another one of "body_low", if the suffixes allow both. */
-static void keep_longest(struct bake_run *job, uint32_t scan)
+static void keep_longest(struct bake_work *job, uint32_t scan)
 {
     const uint32_t scans = job->surface.scan_count, objects = job->mesh.objects.count;
     size_t longest = 0;
@@ -93,7 +93,7 @@ static const char *end_list(struct list *list)
 }
 
 /* Reports the objects and scans that have no partner. */
-static int fail_alone(const struct bake_run *job, const bool *sees)
+static int fail_alone(const struct bake_work *job, const bool *sees)
 {
     const uint32_t scans = job->surface.scan_count;
     struct list objects = {{0}, 0, 0}, others = {{0}, 0, 0};
@@ -118,7 +118,7 @@ static int fail_alone(const struct bake_run *job, const bool *sees)
 
 /* ---- all objects ---- */
 
-int bake_match_names(struct bake_run *job)
+int bake_match_names(struct bake_work *job)
 {
     const uint32_t scans = job->surface.scan_count, objects = job->mesh.objects.count;
     int status = 0;

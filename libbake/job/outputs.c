@@ -1,15 +1,18 @@
-/* bake_outputs.c - writes the maps and the preview of a bake. They get their names together. */
+/* outputs.c - writes the maps and the preview of a bake. They get their names together. */
+#include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
 #include "base/clock.h"
 #include "base/file.h"
 #include "base/ids.h"
+#include "base/output.h"
 #include "base/sort_array.h"
-#include "libbake/bake_job.h"
+#include "libbake/job/job.h"
 
 enum { PREVIEW_TEXTURE = 2048 /* largest side of a texture of the preview, in texels */ };
 
-static const char *sampling_of(const struct bake_run *job)
+static const char *sampling_of(const struct bake_work *job)
 {
     const struct bake_surface *surface = &job->surface;
     if (!bake_surface_has_grids(surface))
@@ -26,7 +29,7 @@ static int compare_names(const void *a, const void *b)
 }
 
 /* Joins the names of several scans, sorted, so that their order does not show. */
-static int name_scans(struct bake_run *job)
+static int name_scans(struct bake_work *job)
 {
     const struct bake_options *options = job->options;
     const char **paths = NULL;
@@ -48,7 +51,7 @@ done:
     return status;
 }
 
-static struct bake_traced traced_of(const struct bake_run *job)
+static struct bake_traced traced_of(const struct bake_work *job)
 {
     struct bake_traced traced = {.front = job->report->front,
                                  .back = job->report->back,
@@ -61,18 +64,69 @@ static struct bake_traced traced_of(const struct bake_run *job)
     return traced;
 }
 
+/* Returns whether two paths have the same name in the same directory. */
+static bool is_same_path(const char *a, const char *b)
+{
+    const char *const paths[] = {a, b}, *const names[] = {bsq_file_name(a), bsq_file_name(b)};
+    struct stat info[2];
+    if (strcmp(names[0], names[1]) != 0)
+        return false;
+    for (int i = 0; i < 2; ++i) {
+        const size_t length = (size_t)(names[i] - paths[i]);
+        char *directory = length > 0 ? strndup(paths[i], length) : NULL;
+        int result = stat(directory ? directory : ".", &info[i]);
+        free(directory);
+        if (result != 0)
+            return false;
+    }
+    return info[0].st_dev == info[1].st_dev && info[0].st_ino == info[1].st_ino;
+}
+
+static unsigned file_count(const struct bake_tile *tile)
+{
+    unsigned count = 0;
+    for (unsigned i = 0; i < bake_selection_end(tile->maps); ++i)
+        count += bake_has_file(&tile->options, tile->maps, i);
+    return count;
+}
+
+int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile, const char *other)
+{
+    const char *preview = tile->options.preview_path;
+    int status = 0;
+    for (unsigned i = 0; i < bake_selection_end(tile->maps) && status == 0; ++i) {
+        if (!bake_has_file(&tile->options, tile->maps, i))
+            continue;
+        char *path = bake_path_of(&tile->options, i);
+        if (!path)
+            return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", tile->output_path);
+        if ((preview && is_same_path(path, preview)) || (other && is_same_path(path, other)))
+            status = bsq_fail(ctx, BSQ_EUSAGE, "%s: two outputs have this name", path);
+        if (status == 0)
+            status = bsq_output_check(ctx, path);
+        free(path);
+    }
+    return status;
+}
+
 /* All outputs stay open until they get their names together. */
-static int require_descriptors(const struct bake_run *job)
+static int require_descriptors(const struct bake_work *job)
 {
     uint64_t count = job->options->preview_path != NULL;
     for (uint32_t i = 0; i < job->udim.count; ++i)
-        count += bake_tile_file_count(&job->tiles[i]);
+        count += file_count(&job->tiles[i]);
     return bsq_require_descriptors(job->ctx, job->options->output_path, count);
+}
+
+static int open_files(struct bsq_ctx *ctx, struct bake_tile *tile, const struct bake_traced *traced)
+{
+    return tile->files ? 0
+                       : bake_map_files_open(ctx, &tile->options, tile->maps, traced, &tile->files);
 }
 
 /* Checks the files of all tiles before the work, and creates those of the first. Those of other
  * tiles are created when they are written. */
-int bake_open_outputs(struct bake_run *job)
+int bake_open_outputs(struct bake_work *job)
 {
     int status = 0;
     if (job->options->more_scan_count > 0)
@@ -81,7 +135,7 @@ int bake_open_outputs(struct bake_run *job)
     BSQ_TRY(require_descriptors(job));
     for (uint32_t i = 0; i < job->udim.count; ++i)
         BSQ_TRY(bake_tile_check_files(job->ctx, &job->tiles[i], NULL));
-    BSQ_TRY(bake_tile_open_files(job->ctx, &job->tiles[0], &traced));
+    BSQ_TRY(open_files(job->ctx, &job->tiles[0], &traced));
     if (job->options->preview_path)
         BSQ_TRY(bake_preview_open(job->ctx, job->options->preview_path, job->options->preview_views,
                                   &job->preview_file));
@@ -92,7 +146,7 @@ done:
 /* Returns the side of thumbnails. Those of one map in all tiles may take an eighth of what is left
  * in the budget; with thousands of tiles, a thumbnail may be a single texel. So the picture, unlike
  * the maps, can depend on a small budget. */
-static uint32_t thumbnail_side(const struct bake_run *job)
+static uint32_t thumbnail_side(const struct bake_work *job)
 {
     uint32_t side = PREVIEW_TEXTURE;
     uint64_t share = bsq_memory_share(job->ctx, "textures of the preview", 8) / job->udim.count;
@@ -101,14 +155,46 @@ static uint32_t thumbnail_side(const struct bake_run *job)
     return side;
 }
 
-static int write_tile(struct bake_run *job, struct bake_tile *tile, uint32_t side,
+static int create_thumbnail(struct bsq_ctx *ctx, struct bake_tile *tile, enum bake_map map,
+                            uint32_t side, struct bake_thumbnail *out)
+{
+    if (!(tile->maps & (uint32_t)map))
+        return 0;
+    bake_map_files_set_thumbnail(tile->files, map, out);
+    return bake_thumbnail_create(ctx, tile->options.width, tile->options.height, side, out);
+}
+
+static int create_thumbnails(struct bsq_ctx *ctx, struct bake_tile *tile, uint32_t side)
+{
+    int status = 0;
+    BSQ_TRY(create_thumbnail(ctx, tile, BAKE_MAP_NORMAL, side, &tile->normal));
+    BSQ_TRY(create_thumbnail(ctx, tile, BAKE_MAP_COLOR, side, &tile->color));
+    BSQ_TRY(bake_thumbnail_of_missed(ctx, tile->image, side, &tile->missed));
+done:
+    return status;
+}
+
+int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t memory_bytes)
+{
+    const struct bake_blocks *blocks = &tile->blocks;
+    const struct bake_image_options image = {
+        .width = tile->in_blocks ? blocks->side : tile->options.width,
+        .height = tile->in_blocks ? blocks->side * blocks->count : tile->options.height,
+        .channels = bake_image_channels_for(tile->maps),
+        .memory_bytes = memory_bytes,
+        .beside = tile->beside,
+        .blocks = tile->in_blocks ? blocks : NULL};
+    return bake_image_create(ctx, &image, &tile->image);
+}
+
+static int write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side,
                       uint64_t *limited)
 {
     const struct bake_traced traced = traced_of(job);
     int status = 0;
-    BSQ_TRY(bake_tile_open_files(job->ctx, tile, &traced));
+    BSQ_TRY(open_files(job->ctx, tile, &traced));
     if (job->preview_file)
-        BSQ_TRY(bake_tile_create_thumbnails(job->ctx, tile, side));
+        BSQ_TRY(create_thumbnails(job->ctx, tile, side));
     BSQ_TRY(bake_map_files_write(tile->files, tile->image, &job->measures, limited, job->report));
 done:
     bake_image_free(tile->image);
@@ -117,7 +203,7 @@ done:
 }
 
 /* Measures the values of all tiles, since they share the ranges of the maps. */
-static int measure_maps(struct bake_run *job)
+static int measure_maps(struct bake_work *job)
 {
     const double start = bsq_seconds_now();
     int status = 0;
@@ -129,7 +215,7 @@ done:
     return status;
 }
 
-int bake_write_maps(struct bake_run *job)
+int bake_write_maps(struct bake_work *job)
 {
     const uint32_t side = thumbnail_side(job);
     uint64_t *limited = NULL;
@@ -144,7 +230,7 @@ done:
     return status;
 }
 
-int bake_write_preview(struct bake_run *job)
+int bake_write_preview(struct bake_work *job)
 {
     if (!job->preview_file)
         return 0;
@@ -167,7 +253,7 @@ int bake_write_preview(struct bake_run *job)
     return bake_preview_write(job->preview_file, &preview);
 }
 
-int bake_commit_outputs(struct bake_run *job)
+int bake_commit_outputs(struct bake_work *job)
 {
     struct bsq_output_group group = {0};
     struct bsq_output *preview;

@@ -1,8 +1,8 @@
 /* paths.h - the names of map files: an output path whose tokens are replaced; private to libbake/.
  *
  * All return a path that the caller frees; NULL if there is no memory. */
-#ifndef BAKE_PATHS_H
-#define BAKE_PATHS_H
+#ifndef BAKE_UDIM_PATHS_H
+#define BAKE_UDIM_PATHS_H
 
 #include <stdint.h>
 

@@ -1,4 +1,4 @@
-/* bake_inputs.c - opens the inputs of a bake, and sets the parameters of its rays. */
+/* inputs.c - opens the inputs of a bake, and sets the parameters of its rays. */
 #include <assert.h>
 #include <stdlib.h>
 #include <string.h>
@@ -6,8 +6,8 @@
 #include "base/ids.h"
 #include "base/loss.h"
 #include "base/sort_array.h"
-#include "libbake/bake_job.h"
-#include "libbake/bake_options.h"
+#include "libbake/job/job.h"
+#include "libbake/options/options.h"
 
 /* Returns the first scan without colours. There must be one. */
 static const struct bake_scan *without_color(const struct bake_surface *surface)
@@ -93,7 +93,7 @@ int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint
 }
 
 /* Reports why the scans have no ids together: one has none, or two tell different things apart. */
-static int fail_ids(const struct bake_run *job, const char *map)
+static int fail_ids(const struct bake_work *job, const char *map)
 {
     const struct bake_scan *scans = job->surface.scans, *lacking = NULL, *other = scans;
     for (const struct bake_scan *s = scans; s < scans + job->surface.scan_count; ++s) {
@@ -110,14 +110,14 @@ static int fail_ids(const struct bake_run *job, const char *map)
                     scans->path, bsq_ids_text(scans->ids), other->path, bsq_ids_text(other->ids));
 }
 
-static int fail_color(const struct bake_run *job, const char *map)
+static int fail_color(const struct bake_work *job, const char *map)
 {
     return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave %s out of --maps",
                     without_color(&job->surface)->path, map);
 }
 
 /* Checks that the scan can give a map. Errors: BSQ_EDATA if it lacks something. */
-static int check_map(const struct bake_run *job, unsigned map, const struct bake_scan_facts *scan)
+static int check_map(const struct bake_work *job, unsigned map, const struct bake_scan_facts *scan)
 {
     const struct bake_map_row *row = &bake_map_table[map];
     const char *name = bake_map_names[map];
@@ -129,7 +129,7 @@ static int check_map(const struct bake_run *job, unsigned map, const struct bake
 }
 
 /* Chooses the maps, after the scan was opened. */
-static int choose_maps(struct bake_run *job)
+static int choose_maps(struct bake_work *job)
 {
     const struct bake_scan_facts scan = bake_surface_facts(&job->surface);
     int status = 0;
@@ -146,7 +146,7 @@ done:
 }
 
 /* Makes hits carry what the maps need. */
-static int use_attributes(struct bake_run *job)
+static int use_attributes(struct bake_work *job)
 {
     const bool ids = job->maps & BAKE_MAP_ID;
     int status = 0;
@@ -161,8 +161,30 @@ static int use_attributes(struct bake_run *job)
     return status == 0 && ids ? bake_surface_report_ids(&job->surface, job->report) : status;
 }
 
+/* ---- tiles ---- */
+
+/* Sets the size and output path of a tile of a set; NULL: of the whole mesh. */
+static int begin_tile(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
+                      const struct bake_low_set *set, const struct bake_udim_tile *place,
+                      struct bake_tile *out)
+{
+    *out = (struct bake_tile){.place = *place,
+                              .options = *options,
+                              .maps = maps,
+                              .object = set ? set->object : NULL,
+                              .material = set ? set->material : NULL};
+    bake_tile_size_of(options, place->number, &out->options.width, &out->options.height);
+    char *path = bake_object_path(options->output_path, out->object, out->material);
+    out->output_path = path ? bake_tile_path(path, place->number) : NULL;
+    free(path);
+    out->options.output_path = out->output_path;
+    if (out->output_path)
+        out->beside = bake_path_of(&out->options, bake_first_of(maps));
+    return out->beside ? 0 : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
+}
+
 /* Notes the tiles and their sizes in the report. */
-static int report_tiles(struct bake_run *job)
+static int report_tiles(struct bake_work *job)
 {
     struct bake_report *report = job->report;
     assert(job->udim.count > 0);
@@ -195,7 +217,7 @@ static int compare_paths(const void *a, const void *b)
 
 /* Reports two sets of maps whose names became one, such as "a/b" and "a<b", which
  * both become "a_b". */
-static int fail_twice(const struct bake_run *job, const struct bake_tile *a,
+static int fail_twice(const struct bake_work *job, const struct bake_tile *a,
                       const struct bake_tile *b)
 {
     if (a->object && a->material)
@@ -210,7 +232,7 @@ static int fail_twice(const struct bake_run *job, const struct bake_tile *a,
 }
 
 /* Checks that names of objects and materials are different also as parts of file names. */
-static int check_tile_paths(struct bake_run *job)
+static int check_tile_paths(struct bake_work *job)
 {
     const struct bake_tile **tiles;
     int status = bsq_alloc(job->ctx, "names of maps", job->udim.count, sizeof(void *), &tiles);
@@ -226,16 +248,16 @@ static int check_tile_paths(struct bake_run *job)
     return status;
 }
 
-static int begin_tiles(struct bake_run *job)
+static int begin_tiles(struct bake_work *job)
 {
     const struct bake_low_set *sets = job->mesh.sets;
     int status = 0;
     BSQ_TRY(bake_udim_find(job->ctx, job->options, &job->mesh, &job->udim));
     BSQ_TRY(bsq_calloc(job->ctx, "tiles", job->udim.count, sizeof *job->tiles, &job->tiles));
     for (uint32_t i = 0; i < job->udim.count; ++i)
-        BSQ_TRY(bake_tile_begin(job->ctx, job->options, job->maps,
-                                sets ? &sets[job->udim.tiles[i].set] : NULL, &job->udim.tiles[i],
-                                &job->tiles[i]));
+        BSQ_TRY(begin_tile(job->ctx, job->options, job->maps,
+                           sets ? &sets[job->udim.tiles[i].set] : NULL, &job->udim.tiles[i],
+                           &job->tiles[i]));
     BSQ_TRY(check_tile_paths(job));
     job->report->outside_uv_triangles = job->udim.outside_triangles;
     BSQ_TRY(report_tiles(job));
@@ -244,7 +266,7 @@ done:
 }
 
 /* Opens the skew maps of all tiles. */
-static int open_skew(struct bake_run *job)
+static int open_skew(struct bake_work *job)
 {
     const uint32_t count = job->udim.count;
     uint32_t *numbers;
@@ -262,7 +284,7 @@ static int open_skew(struct bake_run *job)
     return status;
 }
 
-int bake_open_inputs(struct bake_run *job)
+int bake_open_inputs(struct bake_work *job)
 {
     int status = 0;
     BSQ_TRY(bake_check_options(job->ctx, job->options));
@@ -290,7 +312,7 @@ done:
 
 /* ---- parameters ---- */
 
-int bake_set_params(struct bake_run *job)
+int bake_set_params(struct bake_work *job)
 {
     const struct bake_options *options = job->options;
     double front = options->front, back = options->back;

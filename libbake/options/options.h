@@ -1,6 +1,6 @@
-/* bake_options.h - checks of a bake's options; private to libbake/. */
-#ifndef BAKE_BAKE_OPTIONS_H
-#define BAKE_BAKE_OPTIONS_H
+/* options.h - checks of a bake's options; private to libbake/. */
+#ifndef BAKE_OPTIONS_OPTIONS_H
+#define BAKE_OPTIONS_OPTIONS_H
 
 #include "libbake/maps/maps.h"
 

@@ -1,13 +1,39 @@
-/* bake_trace.c - traces the maps of a bake. */
+/* trace.c - traces the maps of a bake. */
 #include <inttypes.h>
 #include <math.h>
 #include <stdio.h>
+#include <string.h>
 
 #include "base/loss.h"
-#include "libbake/bake_job.h"
-#include "libbake/curvature/curvature.h"
+#include "libbake/job/job.h"
 
-int bake_prepare_triangles(struct bake_run *job)
+/* Sorts the tile's triangles for sampling and writes them to job->triangles. */
+static int rasterise(const struct bake_work *job, struct bake_tile *tile)
+{
+    const struct bake_options *options = &tile->options;
+    tile->tile_size =
+        bake_tile_size(job->ctx, options->width, options->height, options->samples, tile->maps);
+    while (tile->in_blocks && tile->blocks.side % tile->tile_size != 0)
+        tile->tile_size /= 2;
+    const struct bake_raster_options raster = {.width = options->width,
+                                               .height = options->height,
+                                               .samples = options->samples,
+                                               .tile_size = tile->tile_size,
+                                               .first = tile->place.first,
+                                               .count = tile->place.count,
+                                               .blocks = tile->in_blocks ? &tile->blocks : NULL,
+                                               .skew = tile->skew};
+    struct bake_raster_report counts = {0};
+    int status = bake_raster_create(job->ctx, &job->mesh, &raster, &counts, &tile->raster);
+    if (status < 0)
+        return status;
+    job->report->degenerate_uv_triangles += counts.degenerate_triangles;
+    bake_raster_kernel_triangles(tile->raster, job->surface.translation, job->surface.unit,
+                                 job->triangles);
+    return 0;
+}
+
+int bake_prepare_triangles(struct bake_work *job)
 {
     int status = 0;
     BSQ_TRY(bake_udim_arrange(job->ctx, job->options, &job->udim, &job->mesh));
@@ -17,13 +43,13 @@ int bake_prepare_triangles(struct bake_run *job)
                        sizeof *job->triangles, &job->triangles));
     for (uint32_t i = 0; i < job->udim.count; ++i)
         if (!job->tiles[i].in_blocks || job->tiles[i].blocks.count > 0)
-            BSQ_TRY(bake_tile_rasterise(job, &job->tiles[i]));
+            BSQ_TRY(rasterise(job, &job->tiles[i]));
 done:
     return status;
 }
 
 /* Returns the most texels of a raster's tile. */
-static uint32_t most_texels(const struct bake_run *job)
+static uint32_t most_texels(const struct bake_work *job)
 {
     uint32_t most = 0;
     for (uint32_t i = 0; i < job->udim.count; ++i)
@@ -32,7 +58,7 @@ static uint32_t most_texels(const struct bake_run *job)
     return most * most;
 }
 
-int bake_open_device(struct bake_run *job)
+int bake_open_device(struct bake_work *job)
 {
     if (job->surface.scan_count > 1 || job->surface.scans->exact) {
         unsigned threads = bsq_threads(job->ctx);
@@ -68,7 +94,7 @@ static bool in_same_place(const struct bake_surface *scan, const struct bake_low
     return low_side < 4 * scan_side && scan_side < 4 * low_side && gap < 0.1 * scan_side;
 }
 
-static int fail_without_hit(const struct bake_run *job)
+static int fail_without_hit(const struct bake_work *job)
 {
     const struct bake_surface *scan = &job->surface;
     const struct bake_lowmesh *low = &job->mesh;
@@ -92,7 +118,7 @@ static int fail_without_hit(const struct bake_run *job)
                                     "if the scan's faces are wound inwards");
 }
 
-static void note_device_times(struct bake_run *job)
+static void note_device_times(struct bake_work *job)
 {
     struct bake_device_times times;
     bake_device_times(job->device, &times);
@@ -102,9 +128,33 @@ static void note_device_times(struct bake_run *job)
     job->report->kernel_calls = times.launches;
 }
 
+/* Traces all samples of a tile into its image. Frees the raster, unless curvature needs objects of
+ * texels. */
+static int trace_tile(const struct bake_work *job, struct bake_tile *tile, uint64_t memory_bytes)
+{
+    const bool several = job->surface.scan_count > 1;
+    const uint32_t *objects = job->sees && several ? job->mesh.object_of : NULL;
+    int status = bake_tile_create_image(job->ctx, tile, memory_bytes);
+    if (status < 0)
+        return status;
+    const struct bake_tiles tiles = {.raster = tile->raster,
+                                     .triangles = job->triangles,
+                                     .triangle_count = job->triangle_count,
+                                     .params = &job->surface.params,
+                                     .image = tile->image,
+                                     .tile_size = tile->tile_size};
+    status = job->device ? bake_trace_grid_tiles(&job->surface, job->device, &tiles, job->report)
+                         : bake_trace_ray_tiles(&job->surface, &tiles, objects, job->report);
+    if (!job->sees || !(tile->maps & BAKE_MAP_CURVATURE)) {
+        bake_raster_free(tile->raster);
+        tile->raster = NULL;
+    }
+    return status;
+}
+
 /* Traces all tiles. Their images share half of the memory that is left in the budget, as writing
  * needs the rest. */
-int bake_trace_maps(struct bake_run *job)
+int bake_trace_maps(struct bake_work *job)
 {
     const uint64_t kept = bsq_memory_left(job->ctx) / 2;
     int status = 0;
@@ -113,19 +163,82 @@ int bake_trace_maps(struct bake_run *job)
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
         const uint64_t left = bsq_memory_left(job->ctx), share = left > kept ? left - kept : 0;
         if (job->tiles[i].raster)
-            status = bake_tile_trace(job, &job->tiles[i], share / (job->udim.count - i));
+            status = trace_tile(job, &job->tiles[i], share / (job->udim.count - i));
     }
     if (job->device)
         note_device_times(job);
     return status;
 }
 
-int bake_check_hits(struct bake_run *job)
+int bake_check_hits(struct bake_work *job)
 {
     return job->report->hits == 0 ? fail_without_hit(job) : 0;
 }
 
-void bake_choose_radius(struct bake_run *job)
+/* ---- curvature ---- */
+
+#define NO_OBJECT UINT32_MAX
+
+/* A tile whose texels curvature asks for their objects. */
+struct seen_tile {
+    const struct bake_work *job;
+    const struct bake_tile *tile;
+};
+
+/* A part of a tile's image whose objects are wanted. The raster is filled again for it: objects of
+ * all texels would need memory that grows with the map. */
+struct window {
+    const struct bake_work *job;
+    const struct bake_tile *tile;
+    uint32_t x, y, width, height; /* texels of the image */
+    uint32_t *objects;            /* of its texels, NO_OBJECT until one is known */
+};
+
+/* Takes the samples of a tile of the raster, if it overlaps the window. */
+static int take_samples(const struct window *window, uint32_t index, uint32_t *triangles)
+{
+    const struct bake_tile *tile = window->tile;
+    const uint32_t n = tile->options.samples;
+    struct bk_tile place = bake_raster_tile(tile->raster, index);
+    uint64_t overlapping;
+    if (tile->in_blocks)
+        bake_blocks_to_image(&tile->blocks, &place.x, &place.y);
+    if (place.x >= window->x + window->width || place.x + place.width <= window->x ||
+        place.y >= window->y + window->height || place.y + place.height <= window->y)
+        return 0;
+    int status = bake_raster_fill(tile->raster, index, triangles, &overlapping);
+    for (uint64_t i = 0; i < (uint64_t)place.width * n * place.height * n && status == 0; i++) {
+        const uint32_t column = place.x + (uint32_t)(i % (place.width * n)) / n - window->x;
+        const uint32_t row = place.y + (uint32_t)(i / (place.width * n)) / n - window->y;
+        if (triangles[i] == BK_NO_TRIANGLE || column >= window->width || row >= window->height)
+            continue; /* before the window, numbers have wrapped around */
+        uint32_t *object = &window->objects[(uint64_t)row * window->width + column];
+        if (*object == NO_OBJECT)
+            *object = window->job->mesh.object_of[triangles[i]];
+    }
+    return status;
+}
+
+/* Writes the object of each texel of a part of the tile's image: that of its first sample in a
+ * triangle. */
+static int objects_of(const void *arg, uint32_t x, uint32_t y, uint32_t width, uint32_t height,
+                      uint32_t *out)
+{
+    const struct seen_tile *of = arg;
+    const struct window window = {of->job, of->tile, x, y, width, height, out};
+    const uint64_t texels = (uint64_t)of->tile->tile_size * of->tile->tile_size;
+    uint32_t *triangles;
+    memset(out, 0xff, (size_t)width * height * sizeof *out);
+    int status = bsq_alloc(of->job->ctx, "samples of a tile",
+                           texels * bake_raster_texel_entries(&of->job->surface.params),
+                           sizeof *triangles, &triangles);
+    for (uint32_t i = 0; i < bake_raster_tile_count(of->tile->raster) && status == 0; i++)
+        status = take_samples(&window, i, triangles);
+    bsq_free(of->job->ctx, triangles);
+    return status;
+}
+
+void bake_choose_radius(struct bake_work *job)
 {
     const double given = job->options->curvature_radius;
     job->measures.curvature_radius =
@@ -134,20 +247,20 @@ void bake_choose_radius(struct bake_run *job)
 }
 
 /* The processor traces from here on, so the curvature is the same for all devices. */
-int bake_trace_curvature(struct bake_run *job)
+int bake_trace_curvature(struct bake_work *job)
 {
     int status = 0;
     bake_choose_radius(job);
     for (uint32_t i = 0; i < job->udim.count && status == 0; ++i) {
         if (!job->tiles[i].image)
             continue;
-        const struct bake_tile_of_job tile = {job, &job->tiles[i]};
+        const struct seen_tile tile = {job, &job->tiles[i]};
         const struct bake_curvature curvature = {
             .surface = &job->surface,
             .image = job->tiles[i].image,
             .place = bake_place_of(job->maps, BK_MAP_curvature),
             .radius = job->measures.curvature_radius,
-            .objects = job->sees && job->tiles[i].raster ? bake_tile_objects : NULL,
+            .objects = job->sees && job->tiles[i].raster ? objects_of : NULL,
             .objects_arg = &tile};
         status = bake_curvature_trace(job->ctx, &curvature, &job->curvature);
     }
@@ -169,7 +282,7 @@ int bake_warn_of_radius(struct bsq_ctx *ctx, const struct bake_curvature_counts 
 }
 
 /* Frees what is needed for tracing only. */
-void bake_end_tracing(struct bake_run *job)
+void bake_end_tracing(struct bake_work *job)
 {
     bake_device_close(job->device);
     job->device = NULL;

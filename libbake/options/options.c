@@ -1,5 +1,5 @@
-/* bake_options.c - the table of a bake's options, and checks of them. */
-#include "libbake/bake_options.h"
+/* options.c - the table of a bake's options, and checks of them. */
+#include "libbake/options/options.h"
 
 #include <float.h>
 #include <stdio.h>
