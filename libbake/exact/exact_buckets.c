@@ -15,10 +15,11 @@
 
 enum { GROUP = 64, SEGMENTS_A_THREAD = 4 };
 
+/* Buffers of a thread. */
 struct worker {
     uint32_t *candidates;     /* chunks */
-    struct exact_box8 *boxes; /* of the candidates */
     uint32_t *crossed;        /* candidates of a ray */
+    struct exact_box8 *boxes; /* of the candidates */
 };
 
 struct sorting {
@@ -30,7 +31,8 @@ struct sorting {
     /* segments x chunk_count: pairs of each segment and chunk; in the second pass the place of the
      * segment's next ray in the bucket. */
     uint32_t *counts;
-    struct worker *workers;
+    uint32_t *numbers;        /* candidates and crossed ones of all workers */
+    struct exact_box8 *boxes; /* likewise */
     struct exact_buckets *buckets;
     bool writing; /* the second pass */
 };
@@ -53,8 +55,8 @@ static uint64_t number_count(const struct bake_exact *exact)
 
 uint64_t bake_exact_buckets_scratch_bytes(const struct bake_exact *exact)
 {
-    uint64_t worker = number_count(exact) * sizeof(uint32_t) +
-                      box8_count(exact) * sizeof(struct exact_box8) + sizeof(struct worker);
+    uint64_t worker =
+        number_count(exact) * sizeof(uint32_t) + box8_count(exact) * sizeof(struct exact_box8);
     return segments_of(exact) * (uint64_t)exact->chunk_count * sizeof(uint32_t) +
            bsq_threads(exact->ctx) * worker;
 }
@@ -79,7 +81,7 @@ static void add_ray(struct exact_box *box, const struct bake_exact_ray *ray,
 /* Finds the chunks that rays [begin, end) may cross, and gathers their boxes by eights. Returns
  * their count. */
 static uint32_t find_candidates(const struct sorting *s, uint64_t begin, uint64_t end,
-                                struct worker *worker)
+                                const struct worker *worker)
 {
     struct exact_box box = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
     struct exact_line line;
@@ -120,16 +122,18 @@ static void sort_ray(const struct sorting *s, uint64_t ray, uint32_t candidates,
 static int sort_segment(void *arg, uint64_t segment, unsigned number)
 {
     const struct sorting *s = arg;
-    struct worker *worker = &s->workers[number];
+    uint32_t *numbers = s->numbers + number * number_count(s->exact);
+    const struct worker worker = {numbers, numbers + s->exact->chunk_count,
+                                  s->boxes + number * box8_count(s->exact)};
     uint64_t begin = segment * s->segment_rays, end = begin + s->segment_rays;
     end = end < s->count ? end : s->count;
     uint32_t *counts = s->counts + segment * s->exact->chunk_count;
     int status = 0;
     for (; begin < end && (status = bsq_check(s->exact->ctx)) == 0; begin += GROUP) {
         uint64_t stop = begin + GROUP < end ? begin + GROUP : end;
-        uint32_t candidates = find_candidates(s, s->first + begin, s->first + stop, worker);
+        uint32_t candidates = find_candidates(s, s->first + begin, s->first + stop, &worker);
         for (uint64_t r = begin; candidates > 0 && r < stop; r++)
-            sort_ray(s, s->first + r, candidates, worker, counts);
+            sort_ray(s, s->first + r, candidates, &worker, counts);
     }
     return status;
 }
@@ -191,50 +195,29 @@ static int sort_rays(struct sorting *s)
     return run_segments(s);
 }
 
-static int allocate(struct sorting *s)
-{
-    const struct bake_exact *exact = s->exact;
-    unsigned threads = bsq_threads(exact->ctx);
-    int status = bsq_alloc(exact->ctx, "counts of rays", s->segments,
-                           exact->chunk_count * sizeof *s->counts, &s->counts);
-    if (status == 0)
-        status = bsq_calloc(exact->ctx, "workers", threads, sizeof *s->workers, &s->workers);
-    for (unsigned w = 0; status == 0 && w < threads; w++) {
-        status = bsq_alloc(exact->ctx, "chunks near rays", number_count(exact), sizeof(uint32_t),
-                           &s->workers[w].candidates);
-        if (status < 0)
-            return status;
-        s->workers[w].crossed = s->workers[w].candidates + exact->chunk_count;
-        status = bsq_alloc(exact->ctx, "chunks near rays", box8_count(exact),
-                           sizeof *s->workers[w].boxes, &s->workers[w].boxes);
-    }
-    return status;
-}
-
-static void release(struct sorting *s)
-{
-    struct bsq_ctx *ctx = s->exact->ctx;
-    for (unsigned w = 0; s->workers && w < bsq_threads(ctx); w++) {
-        bsq_free(ctx, s->workers[w].candidates);
-        bsq_free(ctx, s->workers[w].boxes);
-    }
-    bsq_free(ctx, s->workers);
-    bsq_free(ctx, s->counts);
-}
-
 int bake_exact_sort_rays(const struct bake_exact *exact, const struct bake_exact_batch *batch,
                          uint64_t first, uint64_t *count, struct exact_buckets *buckets)
 {
+    struct bsq_ctx *ctx = exact->ctx;
+    const unsigned threads = bsq_threads(ctx);
     struct sorting s = {.exact = exact,
                         .batch = batch,
                         .first = first,
                         .count = *count,
                         .segments = segments_of(exact),
                         .buckets = buckets};
-    int status = allocate(&s);
-    if (status == 0)
-        status = sort_rays(&s);
-    release(&s);
+    int status = 0;
+    BSQ_TRY(bsq_alloc(ctx, "counts of rays", s.segments, exact->chunk_count * sizeof *s.counts,
+                      &s.counts));
+    BSQ_TRY(bsq_alloc(ctx, "chunks near rays", threads, number_count(exact) * sizeof *s.numbers,
+                      &s.numbers));
+    BSQ_TRY(
+        bsq_alloc(ctx, "chunks near rays", threads, box8_count(exact) * sizeof *s.boxes, &s.boxes));
+    BSQ_TRY(sort_rays(&s));
+done:
+    bsq_free(ctx, s.boxes);
+    bsq_free(ctx, s.numbers);
+    bsq_free(ctx, s.counts);
     *count = s.count;
     return status;
 }

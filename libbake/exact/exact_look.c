@@ -146,14 +146,11 @@ static uint32_t find_reached(const struct pass *pass)
 static int load_slot(void *arg, uint64_t index, unsigned worker)
 {
     struct bake_exact_look *look = arg;
-    struct exact_slot *slot = &look->memory.slots[index];
-    const struct fmt_tris_chunk_info *chunk = &look->exact->chunks[slot->number];
-    /* If there are fewer scratches than threads, there are as many as slots. */
-    const bool one_each = look->memory.preparers < bsq_threads(look->exact->ctx);
-    int status = bake_exact_slot_load(look->exact, slot->number, slot);
+    const struct fmt_tris_chunk_info *chunk =
+        &look->exact->chunks[look->memory.slots[index].number];
+    int status = bake_exact_slot_prepare(look->exact, &look->memory, index, worker);
     if (status < 0)
         return status;
-    bake_exact_slot_build(slot, &look->memory.scratches[one_each ? index : worker]);
     memcpy(look->boxes[index].low, chunk->bounds_min, sizeof look->boxes[index].low);
     memcpy(look->boxes[index].high, chunk->bounds_max, sizeof look->boxes[index].high);
     return 0;

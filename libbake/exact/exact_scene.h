@@ -121,8 +121,14 @@ void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots);
 
 /* Loads a chunk into a slot. */
 int bake_exact_slot_load(const struct bake_exact *exact, uint32_t number, struct exact_slot *slot);
-/* Builds the tree of the loaded chunk. */
-void bake_exact_slot_build(struct exact_slot *slot, const struct exact_scratch *scratch);
+/* Loads the chunk of a slot, and builds the tree of its triangles. Workers may prepare different
+ * slots at the same time. */
+int bake_exact_slot_prepare(const struct bake_exact *exact, const struct exact_slots *slots,
+                            uint64_t index, unsigned worker);
+/* Returns the buffers of a worker that prepares a slot. */
+const struct exact_scratch *bake_exact_scratch(const struct bake_exact *exact,
+                                               const struct exact_slots *slots, uint64_t slot,
+                                               unsigned worker);
 
 /* The nearest hit of a ray so far. */
 struct exact_best {

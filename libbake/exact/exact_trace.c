@@ -76,16 +76,11 @@ static int prepare_slot(void *arg, uint64_t index, unsigned worker)
 {
     struct wave *wave = arg;
     struct exact_slot *slot = &wave->memory.slots[index];
-    /* If there are fewer scratches than threads, there are as many as slots. */
-    const bool one_each = wave->memory.preparers < bsq_threads(wave->exact->ctx);
-    const struct exact_scratch *scratch = &wave->memory.scratches[one_each ? index : worker];
     slot->loaded = false;
-    if (wave->shading)
-        return prepare_shading(wave, slot, scratch);
-    int status = bake_exact_slot_load(wave->exact, slot->number, slot);
-    if (status == 0)
-        bake_exact_slot_build(slot, scratch);
-    return status;
+    return wave->shading
+               ? prepare_shading(wave, slot,
+                                 bake_exact_scratch(wave->exact, &wave->memory, index, worker))
+               : bake_exact_slot_prepare(wave->exact, &wave->memory, index, worker);
 }
 
 static void trace_ray(struct wave *wave, const struct exact_slot *slot, uint32_t ray)
@@ -167,12 +162,12 @@ static int list_blocks(struct wave *wave)
 static int run_wave(struct wave *wave)
 {
     struct bsq_ctx *ctx = wave->exact->ctx;
-    int status = bsq_parallel_for(ctx, wave->used, prepare_slot, wave);
-    if (status == 0)
-        status = list_blocks(wave);
-    if (status == 0)
-        status = bsq_parallel_for(ctx, wave->block_count, run_block, wave);
+    int status = 0;
+    BSQ_TRY(bsq_parallel_for(ctx, wave->used, prepare_slot, wave));
+    BSQ_TRY(list_blocks(wave));
+    BSQ_TRY(bsq_parallel_for(ctx, wave->block_count, run_block, wave));
     wave->used = 0;
+done:
     return status;
 }
 
@@ -198,34 +193,19 @@ static int allocate(struct wave *wave, struct exact_buckets *buckets)
 {
     struct bsq_ctx *ctx = wave->exact->ctx;
     const uint32_t chunks = wave->exact->chunk_count;
+    int status = 0;
     buckets->capacity = EXACT_PAIRS_PER_RAY * wave->batch->count + chunks;
-    int status =
-        bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact),
-                                bsq_memory_share(ctx, "chunks of a wave", 2), &wave->memory);
-    if (status == 0)
-        status = bsq_alloc(ctx, "rays by chunk", buckets->capacity, sizeof *buckets->rays,
-                           &buckets->rays);
-    if (status == 0)
-        status = bsq_alloc(ctx, "rays by chunk", (uint64_t)chunks + 1, sizeof *buckets->starts,
-                           &buckets->starts);
-    if (status == 0)
-        status = bsq_alloc(ctx, "locks", EXACT_LOCKS, sizeof *wave->locks, &wave->locks);
-    if (status == 0)
-        for (int i = 0; i < EXACT_LOCKS; i++)
-            pthread_mutex_init(&wave->locks[i], NULL);
+    BSQ_TRY(bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact),
+                                    bsq_memory_share(ctx, "chunks of a wave", 2), &wave->memory));
+    BSQ_TRY(
+        bsq_alloc(ctx, "rays by chunk", buckets->capacity, sizeof *buckets->rays, &buckets->rays));
+    BSQ_TRY(bsq_alloc(ctx, "rays by chunk", (uint64_t)chunks + 1, sizeof *buckets->starts,
+                      &buckets->starts));
+    BSQ_TRY(bsq_alloc(ctx, "locks", EXACT_LOCKS, sizeof *wave->locks, &wave->locks));
+    for (int i = 0; i < EXACT_LOCKS; i++)
+        pthread_mutex_init(&wave->locks[i], NULL);
+done:
     return status;
-}
-
-static void release(struct wave *wave, struct exact_buckets *buckets)
-{
-    struct bsq_ctx *ctx = wave->exact->ctx;
-    for (int i = 0; wave->locks && i < EXACT_LOCKS; i++)
-        pthread_mutex_destroy(&wave->locks[i]);
-    bsq_free(ctx, wave->locks);
-    bsq_free(ctx, wave->blocks);
-    bsq_free(ctx, buckets->rays);
-    bsq_free(ctx, buckets->starts);
-    bake_exact_slots_free(ctx, &wave->memory);
 }
 
 static int clear_hits(void *arg, uint64_t index, unsigned worker)
@@ -241,18 +221,20 @@ static int clear_hits(void *arg, uint64_t index, unsigned worker)
 /* Traces the next part of the batch: as many rays as fit the buckets. Adds their count to *done. */
 static int trace_part(struct wave *wave, struct exact_buckets *buckets, uint64_t *done)
 {
+    int status = 0;
     wave->ray_count = wave->batch->count - *done;
-    int status = bake_exact_sort_rays(wave->exact, wave->batch, *done, &wave->ray_count, buckets);
-    if (status == 0)
-        status = run_waves(wave, false);
-    if (status == 0 && !wave->batch->distances_only)
-        status = run_waves(wave, true);
+    BSQ_TRY(bake_exact_sort_rays(wave->exact, wave->batch, *done, &wave->ray_count, buckets));
+    BSQ_TRY(run_waves(wave, false));
+    if (!wave->batch->distances_only)
+        BSQ_TRY(run_waves(wave, true));
     *done += wave->ray_count;
+done:
     return status;
 }
 
 int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *batch)
 {
+    struct bsq_ctx *ctx = exact->ctx;
     struct exact_buckets buckets = {0};
     struct wave wave = {.exact = exact,
                         .batch = batch,
@@ -261,14 +243,21 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *ba
                                    .t_max = batch->t_max,
                                    .facing_origin = batch->facing_origin,
                                    .two_sided = exact->options.two_sided}};
+    int status = 0;
     if (batch->count == 0)
         return 0;
-    int status = allocate(&wave, &buckets);
-    if (status == 0)
-        status = bsq_parallel_for(exact->ctx, (batch->count - 1) / BLOCK + 1, clear_hits,
-                                  (void *)(uintptr_t)batch);
-    for (uint64_t done = 0; status == 0 && done < batch->count;)
-        status = trace_part(&wave, &buckets, &done);
-    release(&wave, &buckets);
+    BSQ_TRY(allocate(&wave, &buckets));
+    BSQ_TRY(bsq_parallel_for(ctx, (batch->count - 1) / BLOCK + 1, clear_hits,
+                             (void *)(uintptr_t)batch));
+    for (uint64_t done = 0; done < batch->count;)
+        BSQ_TRY(trace_part(&wave, &buckets, &done));
+done:
+    for (int i = 0; wave.locks && i < EXACT_LOCKS; i++)
+        pthread_mutex_destroy(&wave.locks[i]);
+    bsq_free(ctx, wave.locks);
+    bsq_free(ctx, wave.blocks);
+    bsq_free(ctx, buckets.rays);
+    bsq_free(ctx, buckets.starts);
+    bake_exact_slots_free(ctx, &wave.memory);
     return status;
 }

@@ -79,14 +79,13 @@ static int smooth_directions(struct bsq_ctx *ctx, uint64_t count, const float (*
                                       .positions = (const float(*)[3])positions};
     uint32_t *firsts = NULL;
     struct place *places = NULL;
-    int status = bsq_alloc(ctx, "corners in one place", corners, sizeof *firsts, &firsts);
-    if (status == 0)
-        status = bsq_calloc(ctx, "corners in one place", corners, sizeof *places, &places);
-    if (status == 0)
-        status = bake_mikkt_weld(ctx, &input, firsts);
-    if (status == 0)
-        status = smooth(ctx, corners, (const float(*)[3])positions, (const float(*)[3])normals,
-                        firsts, places, (float(*)[3])out);
+    int status = 0;
+    BSQ_TRY(bsq_alloc(ctx, "corners in one place", corners, sizeof *firsts, &firsts));
+    BSQ_TRY(bsq_calloc(ctx, "corners in one place", corners, sizeof *places, &places));
+    BSQ_TRY(bake_mikkt_weld(ctx, &input, firsts));
+    BSQ_TRY(smooth(ctx, corners, (const float(*)[3])positions, (const float(*)[3])normals, firsts,
+                   places, (float(*)[3])out));
+done:
     bsq_free(ctx, places);
     bsq_free(ctx, firsts);
     return status;

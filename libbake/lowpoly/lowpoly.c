@@ -39,22 +39,68 @@ static bool store_unit(const double v[3], float unit[3])
     return true;
 }
 
+/* ---- arrays ---- */
+
+/* An array of a mesh, with the bytes of a triangle. */
+struct array {
+    const char *what;
+    void *at;
+    size_t size;
+};
+
+enum { ARRAYS = 6 };
+
+/* Lists the arrays of a mesh. The last one is absent unless it is wanted. */
+static void list_arrays(struct bake_lowmesh *mesh, struct array out[ARRAYS])
+{
+    out[0] = (struct array){"low-poly mesh positions", &mesh->positions, sizeof *mesh->positions};
+    out[1] = (struct array){"low-poly mesh normals", &mesh->normals, sizeof *mesh->normals};
+    out[2] = (struct array){"low-poly mesh texture coordinates", &mesh->texcoords,
+                            sizeof *mesh->texcoords};
+    out[3] = (struct array){"low-poly mesh tangents", &mesh->tangents, sizeof *mesh->tangents};
+    out[4] = (struct array){"ray directions", &mesh->directions, sizeof *mesh->directions};
+    out[5] = (struct array){"objects of triangles", &mesh->object_of, sizeof *mesh->object_of};
+}
+
+static char *start_of(const struct array *array)
+{
+    char *start;
+    memcpy(&start, array->at, sizeof start);
+    return start;
+}
+
+/* Replaces an array by one of `count` triangles that `from` points at: those in `order`, or if it
+ * is NULL the first `kept` of them and then those of another array. */
+static int replace_array(struct bsq_ctx *ctx, const struct array *array, const uint32_t *order,
+                         uint64_t count, uint64_t kept, const char *others)
+{
+    char *from = start_of(array), *to;
+    const size_t size = array->size;
+    int status = bsq_alloc(ctx, array->what, count, size, &to);
+    if (status < 0)
+        return status;
+    for (uint64_t i = 0; i < count && order; i++)
+        memcpy(to + i * size, from + order[i] * size, size);
+    if (!order && kept > 0)
+        memcpy(to, from, kept * size);
+    if (!order && others)
+        memcpy(to + kept * size, others, (count - kept) * size);
+    bsq_free(ctx, from);
+    memcpy(array->at, &to, sizeof to);
+    return 0;
+}
+
 static int allocate(struct bsq_ctx *ctx, uint64_t count, struct bake_lowmesh *out)
 {
-    int rc =
-        bsq_alloc(ctx, "low-poly mesh positions", count, sizeof(*out->positions), &out->positions);
-    if (rc == 0)
-        rc = bsq_alloc(ctx, "low-poly mesh normals", count, sizeof(*out->normals), &out->normals);
-    if (rc == 0)
-        rc = bsq_alloc(ctx, "low-poly mesh texture coordinates", count, sizeof(*out->texcoords),
-                       &out->texcoords);
-    if (rc == 0)
-        rc =
-            bsq_alloc(ctx, "low-poly mesh tangents", count, sizeof(*out->tangents), &out->tangents);
-    if (rc == 0)
-        rc = bsq_alloc(ctx, "ray directions", count, sizeof(*out->directions), &out->directions);
-    return rc;
+    struct array arrays[ARRAYS];
+    int status = 0;
+    list_arrays(out, arrays);
+    for (int i = 0; i < ARRAYS - 1 && status == 0; i++)
+        status = replace_array(ctx, &arrays[i], NULL, count, 0, NULL);
+    return status;
 }
+
+/* ---- one file ---- */
 
 static void copy_positions(const struct fmt_mesh *mesh, struct bake_lowmesh *out)
 {
@@ -131,24 +177,24 @@ static int join_split_vertices(struct bsq_ctx *ctx, const struct fmt_mesh *mesh,
 
     while (mask / 2 < mesh->vertex_count)
         mask = 2 * mask + 1;
-    int rc = bsq_alloc(ctx, "vertices by position", mask + 1, sizeof(*slots), &slots);
-    if (rc)
-        return rc;
+    int status = bsq_alloc(ctx, "vertices by position", mask + 1, sizeof(*slots), &slots);
+    if (status)
+        return status;
     memset(slots, 0xff, (mask + 1) * sizeof(*slots));
-    for (uint32_t v = 0; v < mesh->vertex_count && rc == 0; v++) {
+    for (uint32_t v = 0; v < mesh->vertex_count && status == 0; v++) {
         uint32_t *slot = find_position(mesh, slots, mask, v);
         if (*slot == UINT32_MAX)
             *slot = v;
         else
             row_add(sums[*slot], row_of(sums[v][0], sums[v][1], sums[v][2], sums[v][3]));
-        rc = v % 64 == 0 ? bsq_check(ctx) : 0; /* hashes can be made to collide */
+        status = v % 64 == 0 ? bsq_check(ctx) : 0; /* hashes can be made to collide */
     }
-    for (uint32_t v = 0; v < mesh->vertex_count && rc == 0; v++) {
+    for (uint32_t v = 0; v < mesh->vertex_count && status == 0; v++) {
         memcpy(sums[v], sums[*find_position(mesh, slots, mask, v)], sizeof(*sums));
-        rc = v % 64 == 0 ? bsq_check(ctx) : 0; /* hashes can be made to collide */
+        status = v % 64 == 0 ? bsq_check(ctx) : 0; /* hashes can be made to collide */
     }
     bsq_free(ctx, slots);
-    return rc;
+    return status;
 }
 
 /* Sums the one-rings (base/smooth_normals.h) by position index. *out stays NULL if none are needed.
@@ -160,9 +206,9 @@ static int sum_vertex_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh,
 
     if (!lacks_normals(mesh))
         return 0;
-    int rc = bsq_calloc(ctx, "smooth normals", mesh->vertex_count, sizeof(*sums), &sums);
-    if (rc)
-        return rc;
+    int status = bsq_calloc(ctx, "smooth normals", mesh->vertex_count, sizeof(*sums), &sums);
+    if (status)
+        return status;
     for (uint64_t t = 0; t < mesh->triangle_count; t++) {
         struct row vector = face_vector(low, t);
         for (int i = 0; i < 3; i++)
@@ -194,10 +240,10 @@ static int fill_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, struct
 {
     double(*smooth)[4] = NULL;
 
-    int rc = sum_vertex_normals(ctx, mesh, out, &smooth);
-    if (rc == 0)
-        rc = bsq_check(ctx);
-    for (uint64_t t = 0; t < mesh->triangle_count && rc == 0; t++) {
+    int status = sum_vertex_normals(ctx, mesh, out, &smooth);
+    if (status == 0)
+        status = bsq_check(ctx);
+    for (uint64_t t = 0; t < mesh->triangle_count && status == 0; t++) {
         float face_normal[3] = {0, 0, 1};
         double vector[4];
         row_store(face_vector(out, t), vector);
@@ -206,7 +252,7 @@ static int fill_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, struct
             choose_normal(mesh, (const double(*)[4])smooth, face_normal, t, i, out->normals[t][i]);
     }
     bsq_free(ctx, smooth);
-    return rc;
+    return status;
 }
 
 /* Chooses the origin of the float positions from which tangents are computed. The convention works
@@ -231,10 +277,10 @@ static int compute_frames(struct bsq_ctx *ctx, const struct bake_lowmesh_options
     float(*positions)[3][3] = NULL;
     double origin[3];
 
-    int rc =
+    int status =
         bsq_alloc(ctx, "tangent positions", mesh->triangle_count, sizeof(*positions), &positions);
-    if (rc < 0)
-        return rc;
+    if (status < 0)
+        return status;
     choose_origin(mesh, origin);
     for (uint64_t t = 0; t < mesh->triangle_count; t++) {
         for (int i = 0; i < 3; i++) {
@@ -242,15 +288,15 @@ static int compute_frames(struct bsq_ctx *ctx, const struct bake_lowmesh_options
                 positions[t][i][k] = (float)(mesh->positions[t][i][k] - origin[k]);
         }
     }
-    rc = bake_mikkt(ctx, mesh->triangle_count, (const float(*)[3][3])positions,
-                    (const float(*)[3][3])mesh->normals, (const float(*)[3][2])mesh->texcoords,
-                    mesh->tangents);
-    if (rc == 0 && !options->cage_path)
-        rc = bake_ray_directions(ctx, options->rays, mesh->triangle_count,
-                                 (const float(*)[3][3])positions,
-                                 (const float(*)[3][3])mesh->normals, mesh->directions);
+    status = bake_mikkt(ctx, mesh->triangle_count, (const float(*)[3][3])positions,
+                        (const float(*)[3][3])mesh->normals, (const float(*)[3][2])mesh->texcoords,
+                        mesh->tangents);
+    if (status == 0 && !options->cage_path)
+        status = bake_ray_directions(ctx, options->rays, mesh->triangle_count,
+                                     (const float(*)[3][3])positions,
+                                     (const float(*)[3][3])mesh->normals, mesh->directions);
     bsq_free(ctx, positions);
-    return rc;
+    return status;
 }
 
 /* Loads one file, whose bounds are those of its triangles. */
@@ -261,85 +307,29 @@ static int load_file(struct bsq_ctx *ctx, const struct bake_lowmesh_options *opt
     struct fmt_mesh mesh = {0};
 
     memset(out, 0, sizeof(*out));
-    int rc = named ? fmt_mesh_load_parts(ctx, path, &mesh) : fmt_mesh_load(ctx, path, &mesh);
-    if (rc < 0)
-        return rc;
+    int status = named ? fmt_mesh_load_parts(ctx, path, &mesh) : fmt_mesh_load(ctx, path, &mesh);
+    if (status < 0)
+        return status;
     if (mesh.has_tangents)
         bsq_warn(ctx, "%s: the file's tangents are not used: they are computed (MikkTSpace)",
                  options->path);
-    rc = allocate(ctx, mesh.triangle_count, out);
-    if (rc < 0)
-        goto done;
+    BSQ_TRY(allocate(ctx, mesh.triangle_count, out));
     out->triangle_count = mesh.triangle_count;
     copy_positions(&mesh, out);
-    rc = bsq_check(ctx);
-    if (rc == 0)
-        rc = copy_texcoords(ctx, path, &mesh, out);
-    if (rc == 0)
-        rc = fill_normals(ctx, &mesh, out);
-    if (rc == 0 && options->cage_path)
-        rc = bake_cage_directions(ctx, path, &mesh, options->cage_path, out);
-    if (rc == 0 && named)
-        rc = bake_parts_add(ctx, parts, path, &mesh);
+    BSQ_TRY(bsq_check(ctx));
+    BSQ_TRY(copy_texcoords(ctx, path, &mesh, out));
+    BSQ_TRY(fill_normals(ctx, &mesh, out));
+    if (options->cage_path)
+        BSQ_TRY(bake_cage_directions(ctx, path, &mesh, options->cage_path, out));
+    if (named)
+        BSQ_TRY(bake_parts_add(ctx, parts, path, &mesh));
+    BSQ_TRY(bsq_check(ctx));
 done:
     fmt_mesh_free(ctx, &mesh);
-    if (rc == 0)
-        rc = bsq_check(ctx);
-    if (rc == 0)
-        rc = compute_frames(ctx, options, out);
-    return rc;
+    return status < 0 ? status : compute_frames(ctx, options, out);
 }
 
 /* ---- several files ---- */
-
-/* An array of a mesh, with the bytes of a triangle. */
-struct array {
-    const char *what;
-    void *at;
-    size_t size;
-};
-
-enum { ARRAYS = 6 };
-
-/* Lists the arrays of a mesh. The last one may be absent. */
-static void list_arrays(struct bake_lowmesh *mesh, struct array out[ARRAYS])
-{
-    out[0] = (struct array){"low-poly mesh positions", &mesh->positions, sizeof *mesh->positions};
-    out[1] = (struct array){"low-poly mesh normals", &mesh->normals, sizeof *mesh->normals};
-    out[2] = (struct array){"low-poly mesh texture coordinates", &mesh->texcoords,
-                            sizeof *mesh->texcoords};
-    out[3] = (struct array){"low-poly mesh tangents", &mesh->tangents, sizeof *mesh->tangents};
-    out[4] = (struct array){"ray directions", &mesh->directions, sizeof *mesh->directions};
-    out[5] = (struct array){"objects of triangles", &mesh->object_of, sizeof *mesh->object_of};
-}
-
-static char *start_of(const struct array *array)
-{
-    char *start;
-    memcpy(&start, array->at, sizeof start);
-    return start;
-}
-
-/* Replaces an array by one of `count` triangles that `from` points at: those in `order`, or if it
- * is NULL the first `kept` of them and then those of another array. */
-static int replace_array(struct bsq_ctx *ctx, const struct array *array, const uint32_t *order,
-                         uint64_t count, uint64_t kept, const char *others)
-{
-    char *from = start_of(array), *to;
-    const size_t size = array->size;
-    int status = bsq_alloc(ctx, array->what, count, size, &to);
-    if (status < 0)
-        return status;
-    for (uint64_t i = 0; i < count && order; i++)
-        memcpy(to + i * size, from + order[i] * size, size);
-    if (!order && kept > 0)
-        memcpy(to, from, kept * size);
-    if (!order && others)
-        memcpy(to + kept * size, others, (count - kept) * size);
-    bsq_free(ctx, from);
-    memcpy(array->at, &to, sizeof to);
-    return 0;
-}
 
 int bake_lowmesh_reorder(struct bsq_ctx *ctx, const uint32_t *order, uint64_t count,
                          struct bake_lowmesh *mesh)

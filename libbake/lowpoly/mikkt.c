@@ -158,15 +158,15 @@ static void make_fan(struct tangents *s, uint32_t seed)
 
 static int make_fans(struct bsq_ctx *ctx, struct tangents *s)
 {
-    int rc = 0;
-    for (uint32_t c = 0; c < s->input.corner_count && rc == 0; c++) {
+    int status = 0;
+    for (uint32_t c = 0; c < s->input.corner_count && status == 0; c++) {
         uint8_t flags = s->flags[c / 3];
         if (!(flags & (FLAG_DEGENERATE | FLAG_FLAT | (FLAG_JOINED << c % 3))))
             make_fan(s, c);
         if (c % MIKKT_CORNERS_A_CHECK == 0)
-            rc = bsq_check(ctx);
+            status = bsq_check(ctx);
     }
-    return rc;
+    return status;
 }
 
 /* ---- triangles with coincident corners ---- */
@@ -192,37 +192,23 @@ static void fill_degenerate(struct tangents *s, uint32_t *donors)
 
 /* ---- all ---- */
 
-static int allocate(struct bsq_ctx *ctx, struct tangents *s)
-{
-    const uint64_t corners = s->input.corner_count;
-
-    int rc = bsq_alloc(ctx, "welded vertices", corners, sizeof(*s->vertices), &s->vertices);
-    if (rc == 0)
-        rc = bsq_alloc(ctx, "edge twins", corners, sizeof(*s->twins), &s->twins);
-    if (rc == 0)
-        rc = bsq_alloc(ctx, "triangle flags", corners / 3, sizeof(*s->flags), &s->flags);
-    if (rc == 0)
-        rc = bsq_alloc(ctx, "triangle tangents", corners / 3, sizeof(*s->tangents), &s->tangents);
-    return rc;
-}
-
 static int compute(struct bsq_ctx *ctx, struct tangents *s)
 {
     static const float unreached[4] = {1, 0, 0, -1};
 
-    int rc = bsq_check(ctx);
-    for (uint32_t t = 0; t < s->input.corner_count / 3 && rc == 0; t++) {
+    int status = bsq_check(ctx);
+    for (uint32_t t = 0; t < s->input.corner_count / 3 && status == 0; t++) {
         init_triangle(s, t);
         if (t % MIKKT_CORNERS_A_CHECK == 0)
-            rc = bsq_check(ctx);
+            status = bsq_check(ctx);
     }
     for (uint32_t c = 0; c < s->input.corner_count; c++)
         memcpy(s->out[c], unreached, sizeof(unreached));
-    if (rc == 0)
-        rc = make_fans(ctx, s);
-    if (rc == 0)
+    if (status == 0)
+        status = make_fans(ctx, s);
+    if (status == 0)
         fill_degenerate(s, s->twins); /* twins are no longer needed */
-    return rc;
+    return status;
 }
 
 int bake_mikkt(struct bsq_ctx *ctx, uint64_t count, const float (*positions)[3][3],
@@ -238,16 +224,19 @@ int bake_mikkt(struct bsq_ctx *ctx, uint64_t count, const float (*positions)[3][
                                    .normals = normals[0],
                                    .texcoords = texcoords[0]},
                          .out = out[0]};
-    int rc = allocate(ctx, &s);
-    if (rc == 0)
-        rc = bake_mikkt_weld(ctx, &s.input, s.vertices);
-    if (rc == 0)
-        rc = bake_mikkt_find_twins(ctx, &s.input, s.vertices, s.twins);
-    if (rc == 0)
-        rc = compute(ctx, &s);
+    const uint64_t corners = s.input.corner_count;
+    int status = 0;
+    BSQ_TRY(bsq_alloc(ctx, "welded vertices", corners, sizeof(*s.vertices), &s.vertices));
+    BSQ_TRY(bsq_alloc(ctx, "edge twins", corners, sizeof(*s.twins), &s.twins));
+    BSQ_TRY(bsq_alloc(ctx, "triangle flags", count, sizeof(*s.flags), &s.flags));
+    BSQ_TRY(bsq_alloc(ctx, "triangle tangents", count, sizeof(*s.tangents), &s.tangents));
+    BSQ_TRY(bake_mikkt_weld(ctx, &s.input, s.vertices));
+    BSQ_TRY(bake_mikkt_find_twins(ctx, &s.input, s.vertices, s.twins));
+    BSQ_TRY(compute(ctx, &s));
+done:
     bsq_free(ctx, s.tangents);
     bsq_free(ctx, s.flags);
     bsq_free(ctx, s.twins);
     bsq_free(ctx, s.vertices);
-    return rc;
+    return status;
 }

@@ -51,23 +51,23 @@ int bake_mikkt_weld(struct bsq_ctx *ctx, const struct mikkt_input *input, uint32
 
     while (capacity < 2 * (uint64_t)input->corner_count)
         capacity *= 2;
-    int rc = bsq_alloc(ctx, "vertex table", capacity, sizeof(*table), &table);
-    if (rc < 0)
-        return rc;
+    int status = bsq_alloc(ctx, "vertex table", capacity, sizeof(*table), &table);
+    if (status < 0)
+        return status;
     memset(table, 0xff, capacity * sizeof(*table));
-    for (uint32_t c = 0; c < input->corner_count && rc == 0; c++) {
+    for (uint32_t c = 0; c < input->corner_count && status == 0; c++) {
         uint64_t slot = hash_corner(input, c) & (capacity - 1);
-        for (; table[slot] != MIKKT_NONE && !equal_corners(input, table[slot], c) && rc == 0;
+        for (; table[slot] != MIKKT_NONE && !equal_corners(input, table[slot], c) && status == 0;
              slot = (slot + 1) & (capacity - 1))
-            rc = ++steps % MIKKT_CORNERS_A_CHECK == 0 ? bsq_check(ctx) : 0;
+            status = ++steps % MIKKT_CORNERS_A_CHECK == 0 ? bsq_check(ctx) : 0;
         if (table[slot] == MIKKT_NONE)
             table[slot] = c;
         vertices[c] = table[slot];
-        if (rc == 0 && ++steps % MIKKT_CORNERS_A_CHECK == 0)
-            rc = bsq_check(ctx);
+        if (status == 0 && ++steps % MIKKT_CORNERS_A_CHECK == 0)
+            status = bsq_check(ctx);
     }
     bsq_free(ctx, table);
-    return rc;
+    return status;
 }
 
 /* ---- twins ---- */
@@ -144,24 +144,19 @@ int bake_mikkt_find_twins(struct bsq_ctx *ctx, const struct mikkt_input *input,
     const uint32_t corner_count = input->corner_count;
     uint32_t *by_high = NULL, *by_both = NULL, *starts = NULL;
 
-    int rc = bsq_alloc(ctx, "edge order", corner_count, sizeof(*by_high), &by_high);
-    if (rc == 0)
-        rc = bsq_alloc(ctx, "edge order", corner_count, sizeof(*by_both), &by_both);
-    if (rc == 0)
-        rc = bsq_alloc(ctx, "edge order", (uint64_t)corner_count + 1, sizeof(*starts), &starts);
-    if (rc)
-        goto done;
+    int status = 0;
+    BSQ_TRY(bsq_alloc(ctx, "edge order", corner_count, sizeof(*by_high), &by_high));
+    BSQ_TRY(bsq_alloc(ctx, "edge order", corner_count, sizeof(*by_both), &by_both));
+    BSQ_TRY(bsq_alloc(ctx, "edge order", (uint64_t)corner_count + 1, sizeof(*starts), &starts));
     sort_edges(corner_count, vertices, true, NULL, by_high, starts);
-    if ((rc = bsq_check(ctx)) < 0)
-        goto done;
+    BSQ_TRY(bsq_check(ctx));
     sort_edges(corner_count, vertices, false, by_high, by_both, starts);
-    if ((rc = bsq_check(ctx)) < 0)
-        goto done;
+    BSQ_TRY(bsq_check(ctx));
     memset(twins, 0xff, (size_t)corner_count * sizeof(*twins));
     pair_sorted(input, vertices, by_both, twins);
 done:
     bsq_free(ctx, starts);
     bsq_free(ctx, by_both);
     bsq_free(ctx, by_high);
-    return rc;
+    return status;
 }

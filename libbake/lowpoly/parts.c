@@ -69,15 +69,13 @@ int bake_parts_add(struct bsq_ctx *ctx, struct bake_parts *parts, const char *pa
 {
     char *stem = NULL;
     uint32_t(*numbers)[2] = NULL;
-    int status = copy_stem(ctx, path, &stem);
-    if (status == 0)
-        status =
-            bsq_alloc(ctx, "names", mesh->parts.count + UINT64_C(1), sizeof *numbers, &numbers);
-    if (status == 0)
-        status = bsq_grow(ctx, "names of triangles", parts->count + mesh->triangle_count,
-                          sizeof *parts->of, &parts->of, &parts->capacity);
-    if (status == 0)
-        status = add_triangles(ctx, parts, stem, mesh, numbers);
+    int status = 0;
+    BSQ_TRY(copy_stem(ctx, path, &stem));
+    BSQ_TRY(bsq_alloc(ctx, "names", mesh->parts.count + UINT64_C(1), sizeof *numbers, &numbers));
+    BSQ_TRY(bsq_grow(ctx, "names of triangles", parts->count + mesh->triangle_count,
+                     sizeof *parts->of, &parts->of, &parts->capacity));
+    BSQ_TRY(add_triangles(ctx, parts, stem, mesh, numbers));
+done:
     bsq_free(ctx, numbers);
     bsq_free(ctx, stem);
     return status;
@@ -134,20 +132,19 @@ static int sort_by_set(struct bsq_ctx *ctx, const struct bake_lowmesh_options *o
     const uint64_t count = mesh->triangle_count;
     struct place *places = NULL;
     uint32_t *order = NULL;
-    int status = bsq_alloc(ctx, "sets of maps", count, sizeof *places, &places);
-    if (status == 0)
-        status = bsq_alloc(ctx, "sets of maps", count, sizeof *order, &order);
-    for (uint64_t t = 0; t < count && status == 0; t++)
+    int status = 0;
+    BSQ_TRY(bsq_alloc(ctx, "sets of maps", count, sizeof *places, &places));
+    BSQ_TRY(bsq_alloc(ctx, "sets of maps", count, sizeof *order, &order));
+    for (uint64_t t = 0; t < count; t++)
         places[t] = (struct place){options->object_maps ? parts->of[t][0] : 0,
                                    options->material_maps ? parts->of[t][1] : 0, (uint32_t)t};
-    if (status == 0) {
-        bsq_sort(places, count, sizeof *places, compare_places);
-        status = make_sets(ctx, options, places, count, mesh);
-    }
-    for (uint64_t t = 0; t < count && status == 0; t++)
+    bsq_sort(places, count, sizeof *places, compare_places);
+    BSQ_TRY(make_sets(ctx, options, places, count, mesh));
+    for (uint64_t t = 0; t < count; t++)
         order[t] = places[t].triangle;
-    if (status == 0 && mesh->set_count > 1)
-        status = bake_lowmesh_reorder(ctx, order, count, mesh);
+    if (mesh->set_count > 1)
+        BSQ_TRY(bake_lowmesh_reorder(ctx, order, count, mesh));
+done:
     bsq_free(ctx, order);
     bsq_free(ctx, places);
     return status;

@@ -1,5 +1,10 @@
-/* exact_memory.c - divides the memory budget between chunks, their preparation and rays. */
+/* exact_slots.c - chunks in memory: divides the budget between them, their preparation and rays,
+ * loads them, and builds the trees of their triangles. */
 #include "libbake/exact/exact_scene.h"
+
+#include "base/octahedral.h"
+
+/* ---- memory ---- */
 
 /* Sizes in bytes of the buffers of a slot and of a scratch, which fit every chunk. */
 struct sizes {
@@ -103,14 +108,11 @@ int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint6
     const struct sizes sizes = buffer_sizes(exact);
     const struct plan plan = plan_slots(exact, most, bsq_threads(ctx), memory);
     *out = (struct exact_slots){.count = plan.slots, .preparers = plan.preparers};
-    int status = bsq_calloc(ctx, "chunks in memory", plan.slots, sizeof *out->slots, &out->slots);
-    if (status == 0)
-        status = bsq_calloc(ctx, "chunks in memory", plan.preparers, sizeof *out->scratches,
-                            &out->scratches);
-    if (status == 0)
-        status = bsq_alloc(ctx, "chunks in memory", plan.bytes, 1, &out->memory);
-    if (status < 0)
-        return status;
+    int status = 0;
+    BSQ_TRY(bsq_calloc(ctx, "chunks in memory", plan.slots, sizeof *out->slots, &out->slots));
+    BSQ_TRY(bsq_calloc(ctx, "chunks in memory", plan.preparers, sizeof *out->scratches,
+                       &out->scratches));
+    BSQ_TRY(bsq_alloc(ctx, "chunks in memory", plan.bytes, 1, &out->memory));
     char *at = out->memory;
     for (uint32_t s = 0; s < plan.slots; s++, at += slot_bytes(&sizes)) {
         out->slots[s].chunk_memory = at;
@@ -123,7 +125,8 @@ int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint6
         scratch->map = (uint32_t *)(void *)(at + sizes.neighbour);
         scratch->near = (uint32_t *)(void *)(at + sizes.neighbour + sizes.map);
     }
-    return 0;
+done:
+    return status;
 }
 
 void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots)
@@ -131,4 +134,80 @@ void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots)
     bsq_free(ctx, slots->memory);
     bsq_free(ctx, slots->slots);
     bsq_free(ctx, slots->scratches);
+}
+
+/* ---- chunks ---- */
+
+int bake_exact_slot_load(const struct bake_exact *exact, uint32_t number, struct exact_slot *slot)
+{
+    slot->number = number;
+    slot->loaded = false;
+    int status = fmt_tris_load(exact->file, number, slot->chunk_memory, &slot->chunk);
+    slot->loaded = status == 0;
+    return status;
+}
+
+static struct exact_box triangle_box(const float *a, const float *b, const float *c)
+{
+    struct exact_box box;
+    for (int k = 0; k < 3; k++) {
+        float low = a[k] < b[k] ? a[k] : b[k], high = a[k] > b[k] ? a[k] : b[k];
+        box.low[k] = c[k] < low ? c[k] : low;
+        box.high[k] = c[k] > high ? c[k] : high;
+    }
+    return box;
+}
+
+/* Builds the tree of the loaded chunk. */
+static void build_tree(struct exact_slot *slot, const struct exact_scratch *scratch)
+{
+    const struct fmt_tris_chunk *chunk = &slot->chunk;
+    struct exact_box *boxes = scratch->boxes;
+    for (uint32_t t = 0; t < chunk->triangle_count; t++) {
+        const uint32_t *v = chunk->triangles[t];
+        boxes[t] =
+            triangle_box(chunk->positions[v[0]], chunk->positions[v[1]], chunk->positions[v[2]]);
+    }
+    bake_exact_tree_build(&slot->tree, chunk->triangle_count, boxes, slot->tree_memory,
+                          scratch->keys);
+}
+
+const struct exact_scratch *bake_exact_scratch(const struct bake_exact *exact,
+                                               const struct exact_slots *slots, uint64_t slot,
+                                               unsigned worker)
+{
+    /* If there are fewer scratches than threads, there are as many as slots. */
+    return &slots->scratches[slots->preparers < bsq_threads(exact->ctx) ? slot : worker];
+}
+
+int bake_exact_slot_prepare(const struct bake_exact *exact, const struct exact_slots *slots,
+                            uint64_t index, unsigned worker)
+{
+    struct exact_slot *slot = &slots->slots[index];
+    int status = bake_exact_slot_load(exact, slot->number, slot);
+    if (status == 0)
+        build_tree(slot, bake_exact_scratch(exact, slots, index, worker));
+    return status;
+}
+
+bool bake_exact_wound_backwards(const struct fmt_tris_chunk *chunk, uint32_t triangle)
+{
+    if (!chunk->normals)
+        return false;
+    const uint32_t *v = chunk->triangles[triangle];
+    const float *a = chunk->positions[v[0]], *b = chunk->positions[v[1]],
+                *c = chunk->positions[v[2]];
+    struct bsq_vec3 n0 = bsq_oct_unpack(chunk->normals[v[0]]),
+                    n1 = bsq_oct_unpack(chunk->normals[v[1]]),
+                    n2 = bsq_oct_unpack(chunk->normals[v[2]]);
+    const double n[3] = {(double)n0.x + (double)n1.x + (double)n2.x,
+                         (double)n0.y + (double)n1.y + (double)n2.y,
+                         (double)n0.z + (double)n1.z + (double)n2.z};
+    double dot = 0;
+    for (int k = 0; k < 3; k++) {
+        int i = (k + 1) % 3, j = (k + 2) % 3;
+        dot += n[k] * (((double)b[i] - (double)a[i]) * ((double)c[j] - (double)a[j]) -
+                       ((double)b[j] - (double)a[j]) * ((double)c[i] - (double)a[i]));
+    }
+    return dot < 0;
 }
