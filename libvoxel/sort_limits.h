@@ -17,7 +17,7 @@ struct sort_limits {
     uint64_t page_bytes;   /* one page of a bucket, at most */
     uint64_t page_memory;  /* pages in memory, at least; includes the page that each bucket fills */
     uint64_t max_page_memory;     /* pages in memory, at most */
-    uint64_t vertex_bucket_bytes; /* table of vertices' buckets, at most (vertex_buckets.h) */
+    uint64_t vertex_bucket_bytes; /* table of vertices' buckets, at most (triangulate.h) */
     uint64_t reserve_bytes;       /* left free when batches take the rest */
     uint64_t batch_triangles;     /* sorted at a time, at most; more than in a chunk */
     uint32_t

@@ -1,5 +1,5 @@
 /* cli_verify.c - the option --verify: checks files and reports on each. */
-#include "formats/verify.h"
+#include "formats/file_kind.h"
 #include "tools/cli.h"
 
 static void print_content(const char *path, const struct fmt_verify_report *r)
@@ -7,7 +7,7 @@ static void print_content(const char *path, const struct fmt_verify_report *r)
     char triangles[CLI_TEXT], parts[CLI_TEXT], more[CLI_TEXT], size[CLI_TEXT];
     cli_counted_text(r->triangles, "triangle", "triangles", triangles);
     cli_size_text(r->file_bytes, size);
-    if (r->kind == FMT_VERIFY_TRIS)
+    if (r->kind == FMT_KIND_TRIS)
         cli_print("%s: ok (chunk file of version %u: %s and %s in %s, %s)\n", path, r->version,
                   triangles, cli_counted_text(r->vertices, "vertex", "vertices", more),
                   cli_counted_text(r->chunks, "chunk", "chunks", parts), size);
@@ -23,7 +23,7 @@ static void print_content(const char *path, const struct fmt_verify_report *r)
 
 static json_t *content_json(const char *path, const struct fmt_verify_report *r)
 {
-    if (r->kind == FMT_VERIFY_TRIS)
+    if (r->kind == FMT_KIND_TRIS)
         return json_pack("{s:o, s:b, s:s, s:i, s:I, s:I, s:I, s:I}", "path", cli_json_text(path),
                          "ok", 1, "kind", "tris", "version", (int)r->version, "file_bytes",
                          (json_int_t)r->file_bytes, "triangles", (json_int_t)r->triangles,

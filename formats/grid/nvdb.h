@@ -101,8 +101,6 @@ int fmt_nvdb_append(struct fmt_nvdb_writer *writer, const struct fmt_nvdb_region
  * has no voxels; BSQ_EIO, BSQ_EINTR. */
 int fmt_nvdb_finish(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals,
                     struct bsq_output **out);
-/* Does the same and commits the output. */
-int fmt_nvdb_commit(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals);
 void fmt_nvdb_discard(struct fmt_nvdb_writer *writer); /* NULL is allowed */
 
 /* ---- reading ---- */
@@ -167,13 +165,8 @@ int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
 int fmt_nvdb_read_names(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid,
                         int (*fn)(void *arg, const char *name), void *arg);
 
-/* Returns the value index of the voxel at index coordinates, at most voxel_count; 0 if it is not
- * active. */
-uint64_t fmt_nvdb_find(const struct fmt_nvdb_grid *grid, const int32_t ijk[3]);
 /* Returns the version of a grid's record "bisque". */
 int fmt_nvdb_record_version(const struct fmt_nvdb_grid *grid);
-/* Returns record number `index`, from 1 to record_count - 1. */
-struct fmt_nvdb_record fmt_nvdb_get(const struct fmt_nvdb_grid *grid, uint64_t index);
 /* Returns the number of the second record of the voxel with value index v, 0 if it has none. */
 uint64_t fmt_nvdb_second(const struct fmt_nvdb_grid *grid, uint64_t v);
 

@@ -366,10 +366,3 @@ done:
     fmt_nvdb_discard(writer);
     return status;
 }
-
-int fmt_nvdb_commit(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals)
-{
-    struct bsq_output *output;
-    int status = fmt_nvdb_finish(writer, totals, &output);
-    return status == 0 ? bsq_output_commit(output) : status;
-}

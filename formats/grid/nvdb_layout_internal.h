@@ -299,21 +299,11 @@ static inline uint64_t nvdb_root_key(const int32_t ijk[3])
            (uint64_t)((uint32_t)ijk[2] >> 12);
 }
 
-/* Return the slot of a voxel's lower node in its upper node, of its leaf in its lower node, of the
- * voxel in its leaf. */
+/* Returns the slot of a voxel's lower node in its upper node. */
 static inline uint32_t nvdb_upper_slot(const int32_t ijk[3])
 {
     return ((uint32_t)ijk[0] >> 7 & 31) << 10 | ((uint32_t)ijk[1] >> 7 & 31) << 5 |
            ((uint32_t)ijk[2] >> 7 & 31);
-}
-static inline uint32_t nvdb_lower_slot(const int32_t ijk[3])
-{
-    return ((uint32_t)ijk[0] >> 3 & 15) << 8 | ((uint32_t)ijk[1] >> 3 & 15) << 4 |
-           ((uint32_t)ijk[2] >> 3 & 15);
-}
-static inline uint32_t nvdb_leaf_slot(const int32_t ijk[3])
-{
-    return ((uint32_t)ijk[0] & 7) << 6 | ((uint32_t)ijk[1] & 7) << 3 | ((uint32_t)ijk[2] & 7);
 }
 
 static inline uint32_t nvdb_popcount(uint64_t bits)

@@ -1,7 +1,4 @@
-/* nvdb_reader.c - recognises and opens grid files, and looks up voxels.
- *
- * The lookup descends through root, upper node, lower node and leaf. It is the reference for the
- * kernel's traversal, and like that it bounds every offset and rank that it follows. */
+/* nvdb_reader.c - recognises and opens grid files. */
 #include <string.h>
 
 #include "formats/grid/nvdb_layout_internal.h"
@@ -48,80 +45,9 @@ void fmt_nvdb_close(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
     memset(grid, 0, sizeof(*grid));
 }
 
-/* Returns the tile with a key, or NULL; tiles are sorted. */
-static const struct nvdb_tile *find_tile(const struct fmt_nvdb_grid *grid, uint64_t key)
-{
-    const struct nvdb_tile *tiles = (const struct nvdb_tile *)grid->tiles;
-    uint32_t low = 0, high = grid->tile_count;
-    while (low < high) {
-        uint32_t middle = low + (high - low) / 2;
-        if (tiles[middle].key < key)
-            low = middle + 1;
-        else
-            high = middle;
-    }
-    return low < grid->tile_count && tiles[low].key == key ? &tiles[low] : NULL;
-}
-
-/* Returns node number `offset` / `bytes` of a level, or NULL if the level has fewer. */
-static const void *node_at(const uint8_t *level, uint64_t offset, uint64_t bytes, uint64_t count)
-{
-    return offset / bytes < count ? level + offset / bytes * bytes : NULL;
-}
-
-/* Return the children of a node whose tables name these offsets, or NULL. */
-static const struct nvdb_upper *upper_of(const struct fmt_nvdb_grid *grid, int64_t child)
-{
-    return node_at(grid->uppers, (uint64_t)child - (uint64_t)(grid->uppers - grid->root),
-                   sizeof(struct nvdb_upper), grid->upper_count);
-}
-
-static const struct nvdb_lower *lower_of(const struct fmt_nvdb_grid *grid,
-                                         const struct nvdb_upper *upper, uint32_t slot)
-{
-    uint64_t base = (uint64_t)((const uint8_t *)upper - grid->lowers);
-    if (!(upper->child_mask[slot >> 6] >> (slot & 63) & 1))
-        return NULL;
-    return node_at(grid->lowers, base + (uint64_t)upper->table[slot], sizeof(struct nvdb_lower),
-                   grid->lower_count);
-}
-
-static const struct nvdb_leaf *leaf_of(const struct fmt_nvdb_grid *grid,
-                                       const struct nvdb_lower *lower, uint32_t slot)
-{
-    uint64_t base = (uint64_t)((const uint8_t *)lower - grid->leaves);
-    if (!(lower->child_mask[slot >> 6] >> (slot & 63) & 1))
-        return NULL;
-    return node_at(grid->leaves, base + (uint64_t)lower->table[slot], sizeof(struct nvdb_leaf),
-                   grid->leaf_count);
-}
-
-uint64_t fmt_nvdb_find(const struct fmt_nvdb_grid *grid, const int32_t ijk[3])
-{
-    const struct nvdb_tile *tile = find_tile(grid, nvdb_root_key(ijk));
-    const struct nvdb_upper *upper = tile ? upper_of(grid, tile->child) : NULL;
-    const struct nvdb_lower *lower = upper ? lower_of(grid, upper, nvdb_upper_slot(ijk)) : NULL;
-    const struct nvdb_leaf *leaf = lower ? leaf_of(grid, lower, nvdb_lower_slot(ijk)) : NULL;
-    uint32_t slot = nvdb_leaf_slot(ijk), word = slot >> 6;
-    uint64_t bit = UINT64_C(1) << (slot & 63);
-    if (!leaf || !(leaf->mask[word] & bit))
-        return 0;
-    uint64_t before = word ? leaf->prefix_sum >> (9 * (word - 1)) & 511 : 0;
-    uint64_t value = leaf->offset + before + nvdb_popcount(leaf->mask[word] & (bit - 1));
-    return value <= grid->voxel_count ? value : 0;
-}
-
 int fmt_nvdb_record_version(const struct fmt_nvdb_grid *grid)
 {
     return nvdb_record_version(grid->info.ids != BSQ_IDS_NONE, grid->channel_words > 0);
-}
-
-struct fmt_nvdb_record fmt_nvdb_get(const struct fmt_nvdb_grid *grid, uint64_t index)
-{
-    assert(index > 0 && index < grid->record_count);
-    return (struct fmt_nvdb_record){grid->normals[index], grid->planes[index],
-                                    grid->colors ? grid->colors[index] : 0,
-                                    grid->ids ? grid->ids[index] : 0};
 }
 
 uint64_t fmt_nvdb_second(const struct fmt_nvdb_grid *grid, uint64_t v)

@@ -43,23 +43,21 @@ int vox_chunk_builder_init(struct chunk_builder *b, const struct scan *scan,
     uint64_t bound = fmt_tris_encoded_bound(attributes, FMT_TRIS_CHUNK_TRIANGLES, MAX_VERTICES);
     int status;
     *b = (struct chunk_builder){.ctx = scan->ctx, .scan = scan, .layout = layout, .used = used};
-    if ((status = bsq_alloc(b->ctx, what, MAX_VERTICES, 12, &b->positions)) < 0 ||
-        (status = bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, 12, &b->triangles)) < 0 ||
-        (status = bsq_alloc(b->ctx, what, (uint64_t)1 << MAX_TABLE_BITS, 4, &b->table)) < 0 ||
-        (status = bsq_alloc(b->ctx, what, (uint64_t)1 << CACHE_BITS, sizeof *b->cache, &b->cache)) <
-            0 ||
-        (status = bsq_alloc(b->ctx, what, (uint64_t)1 << PLAIN_CACHE_BITS, sizeof *b->plain,
-                            &b->plain)) < 0 ||
-        (status = bsq_alloc(b->ctx, what, bound, 1, &b->encoded)) < 0)
-        return status;
+    BSQ_TRY(bsq_alloc(b->ctx, what, MAX_VERTICES, 12, &b->positions));
+    BSQ_TRY(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, 12, &b->triangles));
+    BSQ_TRY(bsq_alloc(b->ctx, what, (uint64_t)1 << MAX_TABLE_BITS, 4, &b->table));
+    BSQ_TRY(bsq_alloc(b->ctx, what, (uint64_t)1 << CACHE_BITS, sizeof *b->cache, &b->cache));
+    BSQ_TRY(bsq_alloc(b->ctx, what, (uint64_t)1 << PLAIN_CACHE_BITS, sizeof *b->plain, &b->plain));
+    BSQ_TRY(bsq_alloc(b->ctx, what, bound, 1, &b->encoded));
     if (attributes & FMT_TRIS_NORMALS)
-        status = bsq_alloc(b->ctx, what, MAX_VERTICES, 4, &b->normals);
-    if (status == 0 && attributes & FMT_TRIS_TEXCOORDS)
-        status = bsq_alloc(b->ctx, what, MAX_VERTICES, 8, &b->texcoords);
-    if (status == 0 && attributes & FMT_TRIS_COLORS)
-        status = bsq_alloc(b->ctx, what, MAX_VERTICES, 4, &b->colors);
-    if (status == 0 && attributes & FMT_TRIS_MATERIALS)
-        status = bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, 4, &b->materials);
+        BSQ_TRY(bsq_alloc(b->ctx, what, MAX_VERTICES, 4, &b->normals));
+    if (attributes & FMT_TRIS_TEXCOORDS)
+        BSQ_TRY(bsq_alloc(b->ctx, what, MAX_VERTICES, 8, &b->texcoords));
+    if (attributes & FMT_TRIS_COLORS)
+        BSQ_TRY(bsq_alloc(b->ctx, what, MAX_VERTICES, 4, &b->colors));
+    if (attributes & FMT_TRIS_MATERIALS)
+        BSQ_TRY(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, 4, &b->materials));
+done:
     return status;
 }
 

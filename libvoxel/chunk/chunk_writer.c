@@ -162,14 +162,13 @@ static int write_batch(struct batches *b)
                                           .slots = b->slots,
                                           .slot_size = sizeof *b->slots,
                                           .slot_count = b->slot_count};
-    int status = vox_batch_sort(&b->batch);
-    if (status == 0)
-        status = bsq_pipeline_run(b->ctx, &pipeline);
-    if (status < 0)
-        return status;
+    int status;
+    BSQ_TRY(vox_batch_sort(&b->batch));
+    BSQ_TRY(bsq_pipeline_run(b->ctx, &pipeline));
     vox_batch_carry_over(&b->batch, b->cut);
     b->cut = 0;
-    return 0;
+done:
+    return status;
 }
 
 /* ---- buckets in order ---- */
@@ -261,22 +260,19 @@ static int add_buckets(struct batches *b, const struct buckets *buckets, uint32_
 static int add_large_bucket(struct batches *b, const struct batch_part *whole)
 {
     uint32_t levels = whole->levels + CHILD_LEVELS;
-    struct buckets children;
+    struct buckets children = {0};
     if (whole->levels == MORTON_AXIS_BITS)
         return add_in_parts(b, whole);
     if (levels > MORTON_AXIS_BITS)
         levels = MORTON_AXIS_BITS;
-    int status = b->batch.part_count > 0 ? write_batch(b) : 0;
-    if (status < 0)
-        return status;
-    status = vox_buckets_init(&children, b->ctx, b->beside, 1u << 3 * (levels - whole->levels),
-                              CHILD_PAGE_BYTES, 0);
-    if (status == 0)
-        status = divide_bucket(b, whole, levels, &children);
-    if (status == 0)
-        status = add_buckets(b, &children, levels);
-    if (status == 0)
-        status = write_batch(b); /* it reads the children */
+    int status;
+    BSQ_TRY(b->batch.part_count > 0 ? write_batch(b) : 0);
+    BSQ_TRY(vox_buckets_init(&children, b->ctx, b->beside, 1u << 3 * (levels - whole->levels),
+                             CHILD_PAGE_BYTES, 0));
+    BSQ_TRY(divide_bucket(b, whole, levels, &children));
+    BSQ_TRY(add_buckets(b, &children, levels));
+    status = write_batch(b); /* it reads the children */
+done:
     vox_buckets_free(&children);
     return status;
 }

@@ -2,7 +2,17 @@
  * order of their buckets, so together they are one sorted sequence. */
 #include "libvoxel/chunk/sort_batch.h"
 #include "base/parallel.h"
-#include "libvoxel/chunk/triangle_area.h"
+#include "base/polygon.h"
+
+#include <math.h>
+
+/* Buffers for one polygon. */
+struct fan_buffer {
+    double positions[FAN_CORNERS][3];
+    uint32_t triangles[FAN_CORNERS][3];
+    uint8_t corners[FAN_CORNERS * CORNER_BYTES_MAX];
+    void *scratch;
+};
 
 /* ---- memory ---- */
 
@@ -21,7 +31,7 @@ uint64_t vox_batch_fixed_bytes(const struct scan *scan, const struct partition *
     if (layout->gathered)
         bytes += vox_gather_bytes(scan, threads);
     if (layout->fans)
-        bytes += (threads + 1) * vox_fan_buffer_bytes(layout);
+        bytes += (threads + 1) * (sizeof(struct fan_buffer) + bsq_triangulate_scratch(FAN_CORNERS));
     return bytes;
 }
 
@@ -50,14 +60,16 @@ static int open_readers(struct batch *b)
 {
     const struct record_layout *layout = &b->partition->layout;
     b->reader_count = bsq_threads(b->ctx) + 1;
-    int status = bsq_calloc(b->ctx, "sorting", b->reader_count, sizeof *b->readers, &b->readers);
-    for (unsigned i = 0; status == 0 && i < b->reader_count; i++)
-        status = vox_run_reader_init(&b->readers[i], b->scan, layout);
-    if (status == 0 && layout->fans)
-        status =
-            bsq_calloc(b->ctx, "sorting", b->reader_count, sizeof *b->fan_buffers, &b->fan_buffers);
-    for (unsigned i = 0; status == 0 && b->fan_buffers && i < b->reader_count; i++)
-        status = vox_fan_buffer_init(&b->fan_buffers[i], b->ctx, layout);
+    int status;
+    BSQ_TRY(bsq_calloc(b->ctx, "sorting", b->reader_count, sizeof *b->readers, &b->readers));
+    for (unsigned i = 0; i < b->reader_count; i++)
+        BSQ_TRY(vox_run_reader_init(&b->readers[i], b->scan, layout));
+    if (!layout->fans)
+        return 0;
+    BSQ_TRY(bsq_alloc(b->ctx, "sorting", b->reader_count, sizeof *b->fan_buffers, &b->fan_buffers));
+    status = bsq_alloc(b->ctx, "sorting", b->reader_count, bsq_triangulate_scratch(FAN_CORNERS),
+                       &b->fan_scratch);
+done:
     return status;
 }
 
@@ -72,26 +84,24 @@ int vox_batch_open(struct batch *b, const struct scan *scan, const struct partit
                         .used = partition->used,
                         .gathered = partition->layout.gathered,
                         .capacity = capacity};
-    int status = b->gathered ? open_window(b) : 0;
-    if (status < 0 ||
-        (status = bsq_alloc(b->ctx, what, capacity * bytes + RECORD_SLACK, 1, &b->records)) < 0 ||
-        (status = bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, bytes, &b->spare_records)) <
-            0 ||
-        (status = bsq_alloc(b->ctx, what, capacity, sizeof *b->entries, &b->entries)) < 0 ||
-        (status = bsq_alloc(b->ctx, what, capacity, sizeof *b->scratch, &b->scratch)) < 0)
-        return status;
+    int status;
+    BSQ_TRY(b->gathered ? open_window(b) : 0);
+    BSQ_TRY(bsq_alloc(b->ctx, what, capacity * bytes + RECORD_SLACK, 1, &b->records));
+    BSQ_TRY(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, bytes, &b->spare_records));
+    BSQ_TRY(bsq_alloc(b->ctx, what, capacity, sizeof *b->entries, &b->entries));
+    BSQ_TRY(bsq_alloc(b->ctx, what, capacity, sizeof *b->scratch, &b->scratch));
     memset(b->records + capacity * bytes, 0, RECORD_SLACK);
-    return open_readers(b);
+    status = open_readers(b);
+done:
+    return status;
 }
 
 void vox_batch_close(struct batch *b)
 {
     for (unsigned i = 0; b->readers && i < b->reader_count; i++)
         vox_run_reader_free(&b->readers[i]);
-    for (unsigned i = 0; b->fan_buffers && i < b->reader_count; i++)
-        vox_fan_buffer_free(&b->fan_buffers[i], b->ctx);
-    void *parts[] = {b->readers, b->fan_buffers,   b->parts,  b->scratch,
-                     b->entries, b->spare_records, b->records};
+    void *parts[] = {b->readers, b->fan_buffers, b->fan_scratch,   b->parts,
+                     b->scratch, b->entries,     b->spare_records, b->records};
     for (size_t i = 0; b->ctx && i < sizeof parts / sizeof *parts; i++)
         bsq_free(b->ctx, parts[i]);
     vox_gather_close(&b->window);
@@ -99,6 +109,36 @@ void vox_batch_close(struct batch *b)
 }
 
 /* ---- entries ---- */
+
+/* Returns whether x - y, a component of u x v, is not zero in spite of float32 rounding. */
+static inline bool area_differs(float x, float y)
+{
+    float size = fabsf(x) + fabsf(y);
+    return fabsf(x - y) > 1e-5f * size && size > 1e-30f;
+}
+
+/* Returns whether float32 is enough to see that the triangle has an area. */
+static inline bool area_is_sure(const float *a, const float *b, const float *c)
+{
+    float u0 = b[0] - a[0], u1 = b[1] - a[1], u2 = b[2] - a[2];
+    float v0 = c[0] - a[0], v1 = c[1] - a[1], v2 = c[2] - a[2];
+    return area_differs(u1 * v2, u2 * v1) || area_differs(u2 * v0, u0 * v2) ||
+           area_differs(u0 * v1, u1 * v0);
+}
+
+/* Returns whether the corners are repeated or collinear. Exact for coordinates of similar size:
+ * products of their differences are exact in double. */
+static inline bool area_is_zero(const float *a, const float *b, const float *c)
+{
+    if (area_is_sure(a, b, c))
+        return false;
+    double u[3], v[3];
+    for (int i = 0; i < 3; i++) {
+        u[i] = (double)b[i] - a[i];
+        v[i] = (double)c[i] - a[i];
+    }
+    return u[1] * v[2] == u[2] * v[1] && u[2] * v[0] == u[0] * v[2] && u[0] * v[1] == u[1] * v[0];
+}
 
 static void mark_record(const struct batch *b, const uint8_t *record)
 {
@@ -164,6 +204,98 @@ static void enter_records(struct batch *b, struct batch_part *part, uint64_t don
                                              : make_entries(b, records, first, count, to);
 }
 
+/* ---- fans ----
+ *
+ * A polygon whose positions were in a file when it was partitioned is a fan of triangles around its
+ * first corner, in each bucket that has one of its corners. After a batch has gathered the
+ * positions, the polygon is triangulated. Each bucket keeps the triangles whose first corner it
+ * has. */
+
+/* Returns the number of records of the fan that begins at `records`. */
+static uint32_t fan_length(const struct record_layout *layout, const uint8_t *records,
+                           uint64_t count)
+{
+    uint32_t length = 1;
+    while (length < count &&
+           record_continues_fan(layout, records + (uint64_t)length * layout->bytes))
+        length++;
+    return length;
+}
+
+/* Collects the corners of a fan: two of its first triangle, and the third of each triangle. */
+static void collect_corners(const struct record_layout *layout, const uint8_t *records,
+                            uint32_t length, uint8_t *corners)
+{
+    const uint32_t bytes = layout->corner_bytes;
+    memcpy(corners, records, 2 * bytes);
+    for (uint32_t t = 0; t < length; t++)
+        memcpy(corners + (t + 2) * bytes, records + (uint64_t)t * layout->bytes + 2 * bytes, bytes);
+}
+
+static int triangulate(const struct batch *b, struct fan_buffer *buffer, uint32_t corners)
+{
+    const struct gather_window *window = &b->window;
+    for (uint32_t c = 0; c < corners; c++) {
+        const uint8_t *corner = buffer->corners + c * window->layout->corner_bytes;
+        const float *p = gather_position(window, record_vertex_index(window->layout, corner));
+        for (int axis = 0; axis < 3; axis++)
+            buffer->positions[c][axis] = p[axis];
+    }
+    return bsq_triangulate(b->ctx, (const double(*)[3])buffer->positions, corners,
+                           buffer->triangles[0], buffer->scratch);
+}
+
+static bool is_own(const struct batch *b, const struct fan_buffer *buffer,
+                   const struct batch_part *part, const uint32_t triangle[3])
+{
+    const double *p = buffer->positions[triangle[0]];
+    const float first[3] = {(float)p[0], (float)p[1], (float)p[2]};
+    return morton_cell(&b->partition->cube, part->levels, first) == part->bucket;
+}
+
+static void put_triangle(const struct record_layout *layout, const struct fan_buffer *buffer,
+                         const uint32_t triangle[3], const uint8_t *material, uint8_t *to)
+{
+    const uint32_t bytes = layout->corner_bytes;
+    for (uint32_t k = 0; k < 3; k++)
+        memcpy(to + k * bytes, buffer->corners + triangle[k] * bytes, bytes);
+    memmove(to + 3 * bytes, material, layout->material_bytes);
+}
+
+/* Replaces the fans among records of a bucket by their triangles, without those of other buckets,
+ * and updates *count. The records are whole runs with the scan's indices, and the window has
+ * fetched their vertices. Children of a divided bucket have only their own. Errors: BSQ_EINTR. */
+static int keep_own(struct batch *b, const struct batch_part *part, uint8_t *records,
+                    uint64_t *count, unsigned worker)
+{
+    const struct record_layout *layout = &b->partition->layout;
+    uint8_t *to = records;
+    int status = 0;
+    if (!b->fan_buffers || part->buckets != &b->partition->buckets)
+        return 0;
+    struct fan_buffer *buffer = &b->fan_buffers[worker];
+    buffer->scratch = b->fan_scratch + worker * bsq_triangulate_scratch(FAN_CORNERS);
+    for (uint64_t t = 0; t < *count && status == 0;) {
+        uint8_t *from = records + t * layout->bytes, *material = from + 3 * layout->corner_bytes;
+        const uint32_t length = fan_length(layout, from, *count - t);
+        t += length;
+        if (length == 1) {
+            memmove(to, from, layout->bytes);
+            to += layout->bytes;
+            continue;
+        }
+        collect_corners(layout, from, length, buffer->corners);
+        status = triangulate(b, buffer, length + 2);
+        for (uint32_t i = 0; i < length && status == 0; i++)
+            if (is_own(b, buffer, part, buffer->triangles[i])) {
+                put_triangle(layout, buffer, buffer->triangles[i], material, to);
+                to += layout->bytes;
+            }
+    }
+    *count = (uint64_t)(to - records) / layout->bytes;
+    return status;
+}
+
 /* ---- parts ---- */
 
 bool vox_batch_fits(const struct batch *b, uint64_t triangles)
@@ -210,18 +342,6 @@ static int read_part(void *arg, uint64_t index, unsigned worker)
         done += count;
     }
     return 0;
-}
-
-/* Triangulates the fans of a bucket and keeps its own triangles; updates *count. Children of a
- * divided bucket have only their own. */
-static int keep_own(struct batch *b, const struct batch_part *part, uint8_t *records,
-                    uint64_t *count, unsigned worker)
-{
-    const struct partition *partition = b->partition;
-    if (!b->fan_buffers || part->buckets != &partition->buckets)
-        return 0;
-    return vox_fans_triangulate(b->ctx, &b->window, &b->fan_buffers[worker], &partition->cube,
-                                part->levels, part->bucket, records, count);
 }
 
 /* Returns scratch memory to sort a part. A worker uses the same memory for all its parts, so it

@@ -8,7 +8,7 @@
 #ifndef VOX_CHUNK_SORT_BATCH_H
 #define VOX_CHUNK_SORT_BATCH_H
 
-#include "libvoxel/chunk/polygon_fans.h"
+#include "libvoxel/chunk/gather_window.h"
 #include "libvoxel/chunk/radix_sort.h"
 #include "libvoxel/partition/partition.h"
 
@@ -43,6 +43,7 @@ struct batch {
     struct entry *scratch;
     struct run_reader *readers;     /* one for each thread, and one for the caller */
     struct fan_buffer *fan_buffers; /* the same, or NULL without fans */
+    uint8_t *fan_scratch;           /* the same; bsq_triangulate_scratch() of the largest fan */
     unsigned reader_count;
     struct batch_part *parts;
     uint64_t part_count, part_capacity;

@@ -18,10 +18,12 @@
 /* ---- records ---- */
 
 #define RECORD_SLACK 8
+/* Most bytes of a corner. */
+#define CORNER_BYTES_MAX (8u * FMT_MESH_KIND_COUNT)
 
 struct record_layout {
     bool gathered; /* attribute streams are in files; each batch gathers its elements */
-    /* Polygons are fans (polygon_fans.h), because positions are in a file. The highest bit of a
+    /* Polygons are fans (chunk/sort_batch.c), because positions are in a file. The highest bit of a
      * record's first vertex index says that the triangle continues the previous record's fan. */
     bool fans;
     bool plain; /* a record is three four-byte vertex indices, and a vertex is a position */

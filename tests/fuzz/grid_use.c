@@ -6,6 +6,7 @@
 
 #include "libbake/device/device.h"
 #include "tests/fuzz/fuzz_file.h"
+#include "tests/grid_lookup.h"
 
 enum { SIDE = 6 }; /* texels of the tile that is traced */
 
@@ -55,15 +56,15 @@ void grid_use_look_up(const struct fmt_nvdb_grid *grid)
             int64_t extent = (int64_t)grid->index_max[k] - grid->index_min[k];
             at[k] = (int32_t)(uint32_t)(grid->index_min[k] + extent * step / 32);
         }
-        uint64_t value = fmt_nvdb_find(grid, at);
+        uint64_t value = grid_find(grid, at);
         require(value <= grid->voxel_count, "a value index out of range");
         if (!value)
             continue;
-        fmt_nvdb_get(grid, value);
+        grid_get(grid, value);
         uint64_t second = fmt_nvdb_second(grid, value);
         require(second < grid->record_count, "a second record out of range");
         if (second)
-            fmt_nvdb_get(grid, second);
+            grid_get(grid, second);
     }
 }
 

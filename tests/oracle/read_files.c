@@ -8,7 +8,8 @@
 #include <string.h>
 #include <xxhash.h>
 
-#include "formats/verify.h"
+#include "formats/file_kind.h"
+#include "tests/grid_lookup.h"
 
 enum { LEAF_MASK = 16 }; /* offset of the mask in a leaf */
 
@@ -152,7 +153,7 @@ static void add_grid(struct reading *r, const struct fmt_nvdb_grid *g)
 
 static void add_record(struct reading *r, const struct fmt_nvdb_grid *g, uint64_t index)
 {
-    struct fmt_nvdb_record record = fmt_nvdb_get(g, index);
+    struct fmt_nvdb_record record = grid_get(g, index);
     add_u32(r, record.normal);
     add_u32(r, record.plane);
     add_u32(r, record.color);
@@ -163,10 +164,10 @@ static void add_record(struct reading *r, const struct fmt_nvdb_grid *g, uint64_
 static void add_voxel(struct reading *r, const struct fmt_nvdb_grid *g, const int32_t ijk[3])
 {
     const int32_t next[3] = {ijk[0] + (ijk[0] < INT32_MAX), ijk[1], ijk[2]};
-    uint64_t value = fmt_nvdb_find(g, ijk), second = fmt_nvdb_second(g, value);
+    uint64_t value = grid_find(g, ijk), second = fmt_nvdb_second(g, value);
     add(r, ijk, 3 * sizeof *ijk);
     add_u64(r, value);
-    add_u64(r, fmt_nvdb_find(g, next));
+    add_u64(r, grid_find(g, next));
     if (value)
         add_record(r, g, value);
     add_u64(r, second);

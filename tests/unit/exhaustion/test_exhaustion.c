@@ -15,7 +15,7 @@
 #include <zstd.h>
 
 #include "formats/mesh/mesh_reader.h"
-#include "formats/verify.h"
+#include "formats/file_kind.h"
 #include "libbake/bake.h"
 #include "libbake/compare.h"
 #include "libvoxel/voxel.h"

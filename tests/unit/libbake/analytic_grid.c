@@ -1,5 +1,6 @@
 /* analytic_grid.c - collects samples in a hash table of voxels. Aborts without memory. */
 #include "tests/unit/libbake/analytic_grid.h"
+#include "tests/grid_lookup.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -217,7 +218,7 @@ void analytic_grid_open(struct bsq_ctx *ctx, const struct analytic_grid *grid, b
             end++;
         append_region(writer, cells + begin, end - begin, has_color, grid->facet_noise);
     }
-    if (fmt_nvdb_commit(writer, &totals) < 0 || fmt_nvdb_open(ctx, path, out) < 0) {
+    if (grid_commit(writer, &totals) < 0 || fmt_nvdb_open(ctx, path, out) < 0) {
         fprintf(stderr, "%s\n", bsq_error(ctx));
         abort();
     }

@@ -7,6 +7,7 @@
 
 #include "base/channels.h"
 #include "tests/unit/formats/grid/nvdb_scene.h"
+#include "tests/grid_lookup.h"
 
 uint64_t scene_next(uint64_t *state)
 {
@@ -220,5 +221,5 @@ int scene_write(struct bsq_ctx *ctx, const char *path, const struct scene *scene
         fmt_nvdb_discard(writer);
         return status;
     }
-    return fmt_nvdb_commit(writer, totals);
+    return grid_commit(writer, totals);
 }

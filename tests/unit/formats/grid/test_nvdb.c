@@ -11,13 +11,14 @@
 #include "tests/unit/test.h"
 #include "tests/unit/formats/grid/nvdb_files.h"
 #include "tests/unit/formats/grid/nvdb_scene.h"
+#include "tests/grid_lookup.h"
 
 /* ---- round trips ---- */
 
 static void assert_record(const struct fmt_nvdb_grid *grid, uint64_t index,
                           const struct fmt_nvdb_record *expected)
 {
-    struct fmt_nvdb_record record = fmt_nvdb_get(grid, index);
+    struct fmt_nvdb_record record = grid_get(grid, index);
     assert_int_equal(record.normal, expected->normal);
     assert_int_equal(record.plane, expected->plane);
     assert_int_equal(record.color, grid->info.has_color ? expected->color : 0);
@@ -39,7 +40,7 @@ static void compare_with_scene(const struct fmt_nvdb_grid *grid, const struct sc
     uint64_t seconds = 0;
     for (uint64_t i = 0; i < scene->count; i++) {
         const struct scene_voxel *v = &scene->voxels[i];
-        uint64_t index = fmt_nvdb_find(grid, v->ijk);
+        uint64_t index = grid_find(grid, v->ijk);
         assert_int_equal(index, i + 1);
         assert_record(grid, index, &v->first);
         assert_channels(grid, index, v->ijk, false);
@@ -59,7 +60,7 @@ static void compare_with_scene(const struct fmt_nvdb_grid *grid, const struct sc
         for (int axis = 0; axis < 3; axis++)
             ijk[axis] = (int32_t)((uint32_t)near[axis] + (uint32_t)(scene_next(&seed) % 9) - 4);
         uint64_t expected = scene_find(scene, ijk);
-        assert_int_equal(fmt_nvdb_find(grid, ijk), expected == UINT64_MAX ? 0 : expected + 1);
+        assert_int_equal(grid_find(grid, ijk), expected == UINT64_MAX ? 0 : expected + 1);
     }
 }
 

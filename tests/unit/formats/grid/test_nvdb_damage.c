@@ -11,6 +11,7 @@
 #include "tests/unit/formats/grid/nvdb_files.h"
 #include "tests/unit/formats/grid/nvdb_scene.h"
 #include "tests/unit/sanitized.h"
+#include "tests/grid_lookup.h"
 
 /* ---- damaged files ---- */
 
@@ -36,12 +37,12 @@ static int open_bytes(struct bsq_ctx *ctx, const uint8_t *bytes, uint64_t size,
 static void look_up(const struct fmt_nvdb_grid *grid, const struct scene *scene, bool right)
 {
     for (uint64_t i = 0; i < scene->count; i++) {
-        uint64_t index = fmt_nvdb_find(grid, scene->voxels[i].ijk);
+        uint64_t index = grid_find(grid, scene->voxels[i].ijk);
         if (right)
             assert_int_equal(index, i + 1);
         assert_true(index < grid->record_count);
         if (index > 0) {
-            struct fmt_nvdb_record record = fmt_nvdb_get(grid, index);
+            struct fmt_nvdb_record record = grid_get(grid, index);
             (void)record;
         }
         assert_true(fmt_nvdb_second(grid, index) < grid->record_count);

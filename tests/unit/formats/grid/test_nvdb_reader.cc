@@ -1,4 +1,4 @@
-// test_nvdb_reader.cc - NanoVDB's C++ reader reads files of fmt_nvdb_commit(), and fmt_nvdb_open()
+// test_nvdb_reader.cc - NanoVDB's C++ reader reads files of the writer, and fmt_nvdb_open()
 // reads files of NanoVDB.
 #include <cstdint>
 #include <cstdio>

@@ -9,6 +9,7 @@
 #include "formats/grid/nvdb_writer_internal.h"
 #include "tests/unit/test.h"
 #include "tests/unit/formats/grid/nvdb_files.h"
+#include "tests/grid_lookup.h"
 
 /* ---- wrong use of the writer ---- */
 
@@ -46,7 +47,7 @@ static void assert_refused(const struct fmt_nvdb_region *first,
     assert_int_equal(fmt_nvdb_append(writer, second), BSQ_EBUG);
     assert_non_null(strstr(bsq_error(ctx), expected));
     struct fmt_nvdb_totals totals;
-    assert_int_equal(fmt_nvdb_commit(writer, &totals), BSQ_EBUG);
+    assert_int_equal(grid_commit(writer, &totals), BSQ_EBUG);
     assert_int_equal(access(nvdb_path, F_OK), -1);
     test_context_end(ctx);
 }
@@ -88,7 +89,7 @@ TEST(test_region_in_parts)
         if (parts)
             assert_ok(ctx, fmt_nvdb_append(writer, &rest));
         assert_ok(ctx, fmt_nvdb_append(writer, &after));
-        assert_ok(ctx, fmt_nvdb_commit(writer, &totals));
+        assert_ok(ctx, grid_commit(writer, &totals));
         assert_int_equal(totals.lowers, 2);
         assert_int_equal(totals.leaves, 3 + after.leaf_count);
         if (!parts)
@@ -163,7 +164,7 @@ TEST(test_nothing_to_write)
     struct fmt_nvdb_region nothing = {.origin = {0, 0, 0}};
     assert_ok(ctx, fmt_nvdb_append(writer, &nothing));
     struct fmt_nvdb_totals totals;
-    assert_int_equal(fmt_nvdb_commit(writer, &totals), BSQ_EDATA);
+    assert_int_equal(grid_commit(writer, &totals), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(ctx), "no voxels"));
     assert_int_equal(access(nvdb_path, F_OK), -1);
     bsq_ctx_destroy(ctx);
@@ -197,7 +198,7 @@ TEST(test_damaged_temporary_files)
         struct fmt_nvdb_totals totals;
         assert_ok(ctx, fmt_nvdb_append(writer, &region));
         reads_until_damage = damaged;
-        status = fmt_nvdb_commit(writer, &totals);
+        status = grid_commit(writer, &totals);
         assert_int_equal(status == 0, reads_until_damage >= 0);
         if (status != 0) {
             assert_int_equal(status, BSQ_EIO);

@@ -10,6 +10,7 @@
 #include "libbake/kernel/bk_srgb.h"
 #include "tests/unit/test.h"
 #include "tests/unit/libbake/analytic_grid.h"
+#include "tests/grid_lookup.h"
 
 #define PI 3.14159265358979323846
 
@@ -253,7 +254,7 @@ TEST(test_lookup)
             at[k] = corner[k] - 6 + (int32_t)(26 * analytic_random(&seed));
         if (i % 100 == 0)
             at[i / 100 % 3] += 1 << (i / 300 % 30);
-        uint64_t expected = fmt_nvdb_find(&grid, at), found = 0;
+        uint64_t expected = grid_find(&grid, at), found = 0;
         uint32_t level = bk_locate(&kernel, &cache, at[0], at[1], at[2]);
         if (level == 0)
             found = bk_leaf_value(&kernel, cache.leaf, at[0], at[1], at[2]);
@@ -267,7 +268,7 @@ TEST(test_lookup)
         bk_uint present = bk_cell_values(&kernel, &cache, at[0], at[1], at[2], corner_values);
         for (int c = 0; c < 8; c++) {
             int32_t near[3] = {at[0] + (c >> 2), at[1] + (c >> 1 & 1), at[2] + (c & 1)};
-            assert_int_equal(corner_values[c], fmt_nvdb_find(&grid, near));
+            assert_int_equal(corner_values[c], grid_find(&grid, near));
             assert_int_equal(present >> c & 1, corner_values[c] != 0);
         }
     }
@@ -331,7 +332,7 @@ static struct naive naive_trace(const struct fmt_nvdb_grid *grid, const double o
         }
         for (int k = 0; k < 3; k++)
             at[k] = (int32_t)floor(origin[k] + middle * direction[k] + 0.5);
-        uint64_t v = fmt_nvdb_find(grid, at), numbers[2] = {v, 0};
+        uint64_t v = grid_find(grid, at), numbers[2] = {v, 0};
         int before = side;
         double below = outside, next = ahead, reach = margin;
         side = BK_APART;
@@ -340,7 +341,7 @@ static struct naive naive_trace(const struct fmt_nvdb_grid *grid, const double o
         for (int r = 0; v && r < 2; r++) {
             if (!numbers[r])
                 continue;
-            struct fmt_nvdb_record record = fmt_nvdb_get(grid, numbers[r]);
+            struct fmt_nvdb_record record = grid_get(grid, numbers[r]);
             struct bsq_vec3 u = bsq_oct_unpack(record.normal);
             double n[3] = {u.x, u.y, u.z}, f = -(int16_t)record.plane / 32767.0;
             double slope = 0, facing_dot = 0, t;

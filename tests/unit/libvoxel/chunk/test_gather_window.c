@@ -1,7 +1,7 @@
 /* Tests gather windows: the elements that records refer to are read from files and renumbered, and
  * records get their old indices back. */
 #include "libvoxel/chunk/gather_window.h"
-#include "libvoxel/partition/vertex_buckets.h"
+#include "libvoxel/partition/triangulate.h"
 
 #include <stdio.h>
 #include <stdlib.h>

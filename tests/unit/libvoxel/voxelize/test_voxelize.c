@@ -4,6 +4,7 @@
 #include "tests/unit/sanitized.h"
 #include "voxelize_fixture.h"
 #include "tests/unit/test.h"
+#include "tests/grid_lookup.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -74,11 +75,11 @@ FIXTURE_TEST(test_sphere_records)
     for (int32_t x = 0; x < 80; x++)
         for (int32_t y = 0; y < 80; y++)
             for (int32_t z = 0; z < 80; z++) {
-                uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){x, y, z});
+                uint64_t index = grid_find(&grid, (int32_t[3]){x, y, z});
                 if (index == 0)
                     continue;
                 found++;
-                struct fmt_nvdb_record record = fmt_nvdb_get(&grid, index);
+                struct fmt_nvdb_record record = grid_get(&grid, index);
                 double p[3] = {x + 0.5 - radius, y + 0.5 - radius, z + 0.5 - radius};
                 double r = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]);
                 struct bsq_vec3 n = bsq_oct_unpack(record.normal);
@@ -157,8 +158,7 @@ FIXTURE_TEST(test_flat_scan)
     assert_int_equal(report.index_max[2], 0);
     struct fmt_nvdb_grid grid;
     assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
-    struct fmt_nvdb_record record =
-        fmt_nvdb_get(&grid, fmt_nvdb_find(&grid, (int32_t[3]){3, 3, 0}));
+    struct fmt_nvdb_record record = grid_get(&grid, grid_find(&grid, (int32_t[3]){3, 3, 0}));
     struct bsq_vec3 n = bsq_oct_unpack(record.normal);
     assert_true(n.z > 0.99999f);
     /* The plane lies on the voxel's lower face. */
@@ -186,12 +186,12 @@ FIXTURE_TEST(test_plate_thinner_than_a_voxel)
     assert_int_equal(report.second_records, 4 * 8 + 5);
     struct fmt_nvdb_grid grid;
     assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
-    uint64_t two = fmt_nvdb_find(&grid, (int32_t[3]){2, 5, 0});
-    uint64_t one = fmt_nvdb_find(&grid, (int32_t[3]){6, 5, 0});
+    uint64_t two = grid_find(&grid, (int32_t[3]){2, 5, 0});
+    uint64_t one = grid_find(&grid, (int32_t[3]){6, 5, 0});
     assert_int_equal(fmt_nvdb_second(&grid, one), 0);
     uint64_t second = fmt_nvdb_second(&grid, two);
     assert_int_not_equal(second, 0);
-    struct fmt_nvdb_record up = fmt_nvdb_get(&grid, two), down = fmt_nvdb_get(&grid, second);
+    struct fmt_nvdb_record up = grid_get(&grid, two), down = grid_get(&grid, second);
     /* Equal areas: the first sheet is the first record. */
     assert_true(bsq_oct_unpack(up.normal).z > 0.99999f);
     assert_true(bsq_oct_unpack(down.normal).z < -0.99999f);
@@ -216,8 +216,8 @@ FIXTURE_TEST(test_second_sheet_is_the_smaller)
     struct fmt_nvdb_grid grid;
     const int32_t origin[3] = {0, 0, 0};
     assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
-    uint64_t index = fmt_nvdb_find(&grid, origin);
-    assert_true(bsq_oct_unpack(fmt_nvdb_get(&grid, index).normal).z < -0.99999f);
+    uint64_t index = grid_find(&grid, origin);
+    assert_true(bsq_oct_unpack(grid_get(&grid, index).normal).z < -0.99999f);
     assert_int_not_equal(fmt_nvdb_second(&grid, index), 0);
     fmt_nvdb_close(f->ctx, &grid);
 
@@ -227,8 +227,8 @@ FIXTURE_TEST(test_second_sheet_is_the_smaller)
     scan_mesh_free(&mesh);
     vox_make(f, 0, 1.0);
     assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
-    index = fmt_nvdb_find(&grid, origin);
-    assert_true(bsq_oct_unpack(fmt_nvdb_get(&grid, index).normal).z < -0.99999f);
+    index = grid_find(&grid, origin);
+    assert_true(bsq_oct_unpack(grid_get(&grid, index).normal).z < -0.99999f);
     assert_int_equal(fmt_nvdb_second(&grid, index), 0);
     fmt_nvdb_close(f->ctx, &grid);
 }
@@ -254,8 +254,7 @@ FIXTURE_TEST(test_a_million_triangles_in_one_voxel)
     vox_make(f, 0, 1.0);
     struct fmt_nvdb_grid grid;
     assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
-    struct fmt_nvdb_record record =
-        fmt_nvdb_get(&grid, fmt_nvdb_find(&grid, (int32_t[3]){0, 0, 0}));
+    struct fmt_nvdb_record record = grid_get(&grid, grid_find(&grid, (int32_t[3]){0, 0, 0}));
     struct bsq_vec3 n = bsq_oct_unpack(record.normal);
     /* The mean of two unit vectors 45 degrees apart leans by 22.5. */
     assert_true(fabs(atan2((double)n.x, (double)n.z) - acos(-1.0) / 8.0) < 1e-3);
@@ -286,8 +285,8 @@ FIXTURE_TEST(test_sparse_and_huge)
     assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
     for (int s = 0; s < 2; s++) {
         int32_t at = (int32_t)floor((double)mesh.positions[3 * s][0] * 1024.0);
-        assert_int_not_equal(fmt_nvdb_find(&grid, (int32_t[3]){at, at, at}), 0);
-        assert_int_equal(fmt_nvdb_find(&grid, (int32_t[3]){at, at, at + 1}), 0);
+        assert_int_not_equal(grid_find(&grid, (int32_t[3]){at, at, at}), 0);
+        assert_int_equal(grid_find(&grid, (int32_t[3]){at, at, at + 1}), 0);
     }
     scan_mesh_free(&mesh);
     fmt_nvdb_close(f->ctx, &grid);

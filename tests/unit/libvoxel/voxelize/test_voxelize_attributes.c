@@ -3,6 +3,7 @@
 #include "formats/image/image_writer.h"
 #include "voxelize_fixture.h"
 #include "tests/unit/test.h"
+#include "tests/grid_lookup.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -26,8 +27,8 @@ FIXTURE_TEST(test_vertex_normals_are_interpolated)
     struct fmt_nvdb_grid grid;
     assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
     for (int32_t x = 0; x < 10; x++) {
-        uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){x, 4, 0});
-        struct bsq_vec3 n = bsq_oct_unpack(fmt_nvdb_get(&grid, index).normal);
+        uint64_t index = grid_find(&grid, (int32_t[3]){x, 4, 0});
+        struct bsq_vec3 n = bsq_oct_unpack(grid_get(&grid, index).normal);
         /* Both ends have the same length, so the slope x / z is linear. */
         assert_true(fabsf(n.x / n.z - ((float)x + 0.5f - 5.0f) / 10.0f) < 1e-3f);
     }
@@ -53,8 +54,8 @@ static uint64_t count_inconsistent(struct vox_fixture *f, float lean)
     uint64_t count = 0;
     assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
     for (int32_t i = 0; i < SIDE * SIDE / 4; i++) {
-        uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){i % (SIDE / 2), i / (SIDE / 2), 0});
-        count += (fmt_nvdb_get(&grid, index).plane & FMT_NVDB_PLANE_INCONSISTENT) != 0;
+        uint64_t index = grid_find(&grid, (int32_t[3]){i % (SIDE / 2), i / (SIDE / 2), 0});
+        count += (grid_get(&grid, index).plane & FMT_NVDB_PLANE_INCONSISTENT) != 0;
     }
     fmt_nvdb_close(f->ctx, &grid);
     return count;
@@ -85,9 +86,9 @@ static uint32_t noise_of_squares(struct vox_fixture *f, double side, bool with_n
     struct fmt_nvdb_grid grid;
     assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
     int32_t middle = (int32_t)(COUNT / 2 * side);
-    uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){middle, middle, 0});
+    uint64_t index = grid_find(&grid, (int32_t[3]){middle, middle, 0});
     assert_true(index > 0);
-    uint32_t plane = fmt_nvdb_get(&grid, index).plane;
+    uint32_t plane = grid_get(&grid, index).plane;
     fmt_nvdb_close(f->ctx, &grid);
     return plane >> FMT_NVDB_FACET_NOISE_SHIFT;
 }
@@ -134,8 +135,8 @@ FIXTURE_TEST(test_vertex_colors_are_mixed_in_linear_light)
     assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
     for (int32_t x = 0; x < 10; x++)
         for (int32_t y = 0; y < 10; y++) {
-            uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){x, y, 0});
-            uint32_t color = fmt_nvdb_get(&grid, index).color;
+            uint64_t index = grid_find(&grid, (int32_t[3]){x, y, 0});
+            uint32_t color = grid_get(&grid, index).color;
             /* Red rises linearly in light along x. A voxel on the diagonal has two fragments. */
             double expected = 255.0 * to_srgb((x + 0.5) / 10.0);
             assert_true(fabs((double)(color & 0xff) - expected) <= 0.51);
@@ -162,14 +163,14 @@ FIXTURE_TEST(test_materials_color_what_has_no_other)
     assert_true(vox_make(f, 0, 1.0).has_color);
     struct fmt_nvdb_grid grid;
     assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
-    uint32_t mixed = fmt_nvdb_get(&grid, fmt_nvdb_find(&grid, (int32_t[3]){0, 0, 0})).color;
+    uint32_t mixed = grid_get(&grid, grid_find(&grid, (int32_t[3]){0, 0, 0})).color;
     for (int k = 0; k < 3; k++) {
         double linear = 0.5 * (to_linear((double)materials[0].diffuse[k]) +
                                to_linear((double)materials[1].diffuse[k]));
         assert_true(fabs((double)(mixed >> (8 * k) & 0xff) - 255.0 * to_srgb(linear)) <= 0.51);
     }
     assert_int_equal(mixed >> 24, 255);
-    assert_int_equal(fmt_nvdb_get(&grid, fmt_nvdb_find(&grid, (int32_t[3]){2, 0, 0})).color, 0);
+    assert_int_equal(grid_get(&grid, grid_find(&grid, (int32_t[3]){2, 0, 0})).color, 0);
     fmt_nvdb_close(f->ctx, &grid);
 }
 
@@ -218,8 +219,8 @@ FIXTURE_TEST(test_texture_is_sampled_where_the_fragment_lies)
              * ends. */
             if (x == y && (x == 0 || x == 9))
                 continue;
-            uint64_t index = fmt_nvdb_find(&grid, (int32_t[3]){x, y, 0});
-            uint32_t color = fmt_nvdb_get(&grid, index).color;
+            uint64_t index = grid_find(&grid, (int32_t[3]){x, y, 0});
+            uint32_t color = grid_get(&grid, index).color;
             const double linear[3] = {(x + 0.5) / 10.0, (y + 0.5) / 10.0, 0.25};
             for (int k = 0; k < 3; k++)
                 assert_true(fabs((double)(color >> (8 * k) & 0xff) - 255.0 * to_srgb(linear[k])) <
