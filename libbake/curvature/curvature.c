@@ -22,7 +22,7 @@
 enum {
     PROBES = 8, /* of a texel: 2 k and 2 k + 1 are on opposite sides */
     TEXELS_A_TASK = 256,
-    RETRIES_A_TASK = 1024,
+    PROBES_A_TASK = 1024,
     NORMAL = 3 /* the place of the normal behind the position in a texel's values */
 };
 
@@ -54,10 +54,9 @@ struct work {
     uint32_t *ray_objects; /* likewise, of the rays */
     struct bake_exact_ray *rays;
     struct bake_exact_hit *hits;
-    struct probe *probes; /* PROBES a texel */
-    uint32_t *missed;     /* numbers of the probes to repeat */
-    uint64_t missed_count, most_texels;
-    uint64_t first_missed; /* of the rays in memory */
+    struct probe *probes;               /* PROBES a texel */
+    uint32_t *listed;                   /* numbers of the probes to trace */
+    uint64_t most_texels, block_texels; /* texels of the largest block, and of the current one */
 };
 
 /* ---- rays ---- */
@@ -128,35 +127,19 @@ static void take_hit(const struct work *work, uint64_t probe, const struct bake_
         true};
 }
 
-/* Sets the object of a ray of a probe. Texels without a hit have no object, and rays without a
- * direction. */
-static void set_object(const struct work *work, uint64_t ray, uint64_t probe)
-{
-    if (work->objects)
-        work->ray_objects[ray] = is_valid(work, probe / PROBES) ? work->objects[probe / PROBES] : 0;
-}
-
-static int trace(const struct work *work, uint64_t count, double range)
-{
-    const struct bake_surface_rays rays = {.batch = {.rays = work->rays,
-                                                     .hits = work->hits,
-                                                     .count = count,
-                                                     .t_min = -range,
-                                                     .t_max = range},
-                                           .objects = work->ray_objects};
-    return bake_surface_trace(work->job->surface, &rays);
-}
-
-/* ---- the first rays ---- */
+/* ---- listed probes ---- */
 
 static uint64_t block_texels(const struct block *block)
 {
     return (uint64_t)block->width * block->height;
 }
 
+/* Probes whose rays are in memory. */
 struct task {
     struct work *work;
-    uint64_t texels;
+    const uint32_t *probes;
+    uint64_t count;
+    uint32_t each; /* rays: 1, or 2 that lean outwards and inwards */
 };
 
 static uint64_t task_end(uint64_t index, uint64_t size, uint64_t count)
@@ -164,100 +147,60 @@ static uint64_t task_end(uint64_t index, uint64_t size, uint64_t count)
     return (index + 1) * size < count ? (index + 1) * size : count;
 }
 
-static int cast_texels(void *arg, uint64_t index, unsigned worker)
+static int cast_probes(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
     const struct task *task = arg;
-    struct work *work = task->work;
-    const uint64_t end = task_end(index, TEXELS_A_TASK, task->texels) * PROBES;
-    for (uint64_t i = index * TEXELS_A_TASK * PROBES; i < end; ++i) {
-        work->rays[i] = is_valid(work, i / PROBES) ? probe_ray(work, i, 0.0f)
-                                                   : (struct bake_exact_ray){{0}, {0}};
-        set_object(work, i, i);
+    const struct work *work = task->work;
+    const uint64_t end = task_end(index, PROBES_A_TASK, task->count) * task->each;
+    for (uint64_t i = index * PROBES_A_TASK * task->each; i < end; ++i) {
+        const uint32_t probe = task->probes[i / task->each];
+        work->rays[i] = probe_ray(work, probe, task->each == 1 ? 0.0f : i & 1 ? -1.0f : 1.0f);
+        if (work->objects)
+            work->ray_objects[i] = work->objects[probe / PROBES];
     }
     return 0;
 }
 
-static int take_texels(void *arg, uint64_t index, unsigned worker)
+static int take_probes(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
     const struct task *task = arg;
-    struct work *work = task->work;
-    const uint64_t end = task_end(index, TEXELS_A_TASK, task->texels) * PROBES;
-    for (uint64_t i = index * TEXELS_A_TASK * PROBES; i < end; ++i) {
-        work->probes[i].found = false;
-        take_hit(work, i, &work->rays[i], &work->hits[i]);
+    const struct work *work = task->work;
+    const uint64_t end = task_end(index, PROBES_A_TASK, task->count);
+    for (uint64_t i = index * PROBES_A_TASK; i < end; ++i) {
+        const struct bake_exact_hit *hits = &work->hits[task->each * i];
+        const bool inner =
+            task->each == 2 && hits[1].triangle != BAKE_EXACT_NONE &&
+            (hits[0].triangle == BAKE_EXACT_NONE || fabs(hits[1].t) < fabs(hits[0].t));
+        take_hit(work, task->probes[i], &work->rays[task->each * i + inner], &hits[inner]);
     }
     return 0;
 }
 
-static int trace_texels(struct work *work, uint64_t texels)
+/* Traces the probes of valid texels that have found nothing yet. range: how far their rays reach on
+ * either side. */
+static int trace_missing(struct work *work, uint64_t texels, uint32_t each, double range)
 {
-    struct task task = {work, texels};
-    const uint64_t tasks = (texels + TEXELS_A_TASK - 1) / TEXELS_A_TASK;
+    const uint64_t most = work->most_texels * PROBES / each;
+    uint64_t listed = 0;
     int status = 0;
-    BSQ_TRY(bsq_parallel_for(work->ctx, tasks, cast_texels, &task));
-    BSQ_TRY(trace(work, texels * PROBES, work->job->radius));
-    BSQ_TRY(bsq_parallel_for(work->ctx, tasks, take_texels, &task));
-done:
-    return status;
-}
-
-/* ---- rays that lean, two for each probe that found nothing ---- */
-
-static void list_missed(struct work *work, uint64_t texels)
-{
-    work->missed_count = 0;
     for (uint64_t i = 0; i < texels * PROBES; ++i)
         if (!work->probes[i].found && is_valid(work, i / PROBES))
-            work->missed[work->missed_count++] = (uint32_t)i;
-}
-
-static int cast_missed(void *arg, uint64_t index, unsigned worker)
-{
-    (void)worker;
-    const struct task *task = arg;
-    struct work *work = task->work;
-    const uint64_t end = task_end(index, RETRIES_A_TASK, task->texels);
-    for (uint64_t i = index * RETRIES_A_TASK; i < end; ++i) {
-        const uint32_t probe = work->missed[work->first_missed + i];
-        work->rays[2 * i] = probe_ray(work, probe, 1.0f);
-        work->rays[2 * i + 1] = probe_ray(work, probe, -1.0f);
-        set_object(work, 2 * i, probe);
-        set_object(work, 2 * i + 1, probe);
-    }
-    return 0;
-}
-
-static int take_missed(void *arg, uint64_t index, unsigned worker)
-{
-    (void)worker;
-    const struct task *task = arg;
-    struct work *work = task->work;
-    const uint64_t end = task_end(index, RETRIES_A_TASK, task->texels);
-    for (uint64_t i = index * RETRIES_A_TASK; i < end; ++i) {
-        const struct bake_exact_hit *hits = &work->hits[2 * i];
-        const bool inner =
-            hits[1].triangle != BAKE_EXACT_NONE &&
-            (hits[0].triangle == BAKE_EXACT_NONE || fabs(hits[1].t) < fabs(hits[0].t));
-        take_hit(work, work->missed[work->first_missed + i], &work->rays[2 * i + inner],
-                 &hits[inner]);
-    }
-    return 0;
-}
-
-static int trace_missed(struct work *work)
-{
-    const uint64_t most = work->most_texels * PROBES / 2;
-    int status = 0;
-    for (uint64_t at = 0; at < work->missed_count; at += most) {
-        const uint64_t left = work->missed_count - at;
-        struct task task = {work, left < most ? left : most};
-        const uint64_t tasks = (task.texels + RETRIES_A_TASK - 1) / RETRIES_A_TASK;
-        work->first_missed = at;
-        BSQ_TRY(bsq_parallel_for(work->ctx, tasks, cast_missed, &task));
-        BSQ_TRY(trace(work, 2 * task.texels, sqrt(2.0) * work->job->radius));
-        BSQ_TRY(bsq_parallel_for(work->ctx, tasks, take_missed, &task));
+            work->listed[listed++] = (uint32_t)i;
+    for (uint64_t at = 0; at < listed; at += most) {
+        const uint64_t left = listed - at;
+        struct task task = {work, work->listed + at, left < most ? left : most, each};
+        const uint64_t tasks = (task.count + PROBES_A_TASK - 1) / PROBES_A_TASK;
+        const struct bake_surface_rays rays = {.batch = {.rays = work->rays,
+                                                         .hits = work->hits,
+                                                         .count = task.count * each,
+                                                         .t_min = -range,
+                                                         .t_max = range},
+                                               .objects = work->ray_objects};
+        BSQ_TRY(bsq_parallel_for(work->ctx, tasks, cast_probes, &task));
+        BSQ_TRY(bake_surface_trace(work->job->surface, &rays));
+        BSQ_TRY(bsq_parallel_for(work->ctx, tasks, take_probes, &task));
     }
 done:
     return status;
@@ -305,9 +248,8 @@ static void count_texels(const struct work *work, uint64_t texels)
 static int resolve_texels(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
-    const struct task *task = arg;
-    struct work *work = task->work;
-    const uint64_t end = task_end(index, TEXELS_A_TASK, task->texels);
+    const struct work *work = arg;
+    const uint64_t end = task_end(index, TEXELS_A_TASK, work->block_texels);
     for (uint64_t i = index * TEXELS_A_TASK; i < end; ++i)
         if (is_valid(work, i))
             work->texels[i * work->channels + work->job->place] = curvature_of(work, i);
@@ -331,18 +273,18 @@ static int read_block(struct work *work, const struct block *block)
 static int trace_block(struct work *work, const struct block *block)
 {
     const uint64_t texels = block_texels(block);
-    struct task task = {work, texels};
     int status = 0;
+    work->block_texels = texels;
+    memset(work->probes, 0, texels * PROBES * sizeof *work->probes);
     BSQ_TRY(read_block(work, block));
     if (work->objects)
         BSQ_TRY(work->job->objects(work->job->objects_arg, block->x, block->y, block->width,
                                    block->height, work->objects));
-    BSQ_TRY(trace_texels(work, texels));
-    list_missed(work, texels);
-    BSQ_TRY(trace_missed(work));
+    BSQ_TRY(trace_missing(work, texels, 1, work->job->radius));
+    BSQ_TRY(trace_missing(work, texels, 2, sqrt(2.0) * work->job->radius));
     count_texels(work, texels);
     BSQ_TRY(bsq_parallel_for(work->ctx, (texels + TEXELS_A_TASK - 1) / TEXELS_A_TASK,
-                             resolve_texels, &task));
+                             resolve_texels, work));
     BSQ_TRY(bake_surface_check(work->job->surface));
     bsq_progress_add(work->ctx, texels);
     BSQ_TRY(bake_image_write(work->job->image, block->x, block->y, block->width, block->height,
@@ -385,7 +327,7 @@ static int allocate(struct work *work)
     BSQ_TRY(bsq_alloc(work->ctx, "rays", rays, sizeof *work->rays, &work->rays));
     BSQ_TRY(bsq_alloc(work->ctx, "hits", rays, sizeof *work->hits, &work->hits));
     BSQ_TRY(bsq_alloc(work->ctx, "points", rays, sizeof *work->probes, &work->probes));
-    BSQ_TRY(bsq_alloc(work->ctx, "points", rays, sizeof *work->missed, &work->missed));
+    BSQ_TRY(bsq_alloc(work->ctx, "points", rays, sizeof *work->listed, &work->listed));
     BSQ_TRY(bsq_alloc(work->ctx, "texels", work->most_texels, work->channels * sizeof(float),
                       &work->texels));
     if (work->job->objects) {
@@ -416,7 +358,7 @@ done:
     bsq_free(ctx, work.texels);
     bsq_free(ctx, work.ray_objects);
     bsq_free(ctx, work.objects);
-    bsq_free(ctx, work.missed);
+    bsq_free(ctx, work.listed);
     bsq_free(ctx, work.probes);
     bsq_free(ctx, work.hits);
     bsq_free(ctx, work.rays);
@@ -429,20 +371,13 @@ done:
 static void add_areas(const struct bake_lowmesh *mesh, uint64_t triangle, double texels_a_tile,
                       double *world, double *texels)
 {
-    double(*p)[3] = mesh->positions[triangle];
     float(*t)[2] = mesh->texcoords[triangle];
-    double a[3], b[3], u[2], v[2];
-    for (int k = 0; k < 3; ++k) {
-        a[k] = p[1][k] - p[0][k];
-        b[k] = p[2][k] - p[0][k];
-    }
+    double u[2], v[2];
     for (int k = 0; k < 2; ++k) {
         u[k] = (double)t[1][k] - (double)t[0][k];
         v[k] = (double)t[2][k] - (double)t[0][k];
     }
-    const double x = a[1] * b[2] - a[2] * b[1], y = a[2] * b[0] - a[0] * b[2];
-    const double z = a[0] * b[1] - a[1] * b[0];
-    *world += 0.5 * sqrt(x * x + y * y + z * z);
+    *world += bake_lowmesh_area(mesh, triangle);
     *texels += 0.5 * fabs(u[0] * v[1] - u[1] * v[0]) * texels_a_tile;
 }
 

@@ -13,6 +13,7 @@
 #include <xxhash.h>
 
 #include "base/smooth_normals.h"
+#include "base/vec.h"
 #include "libbake/lowpoly/directions.h"
 #include "libbake/lowpoly/mikkt.h"
 #include "libbake/lowpoly/parts.h"
@@ -387,6 +388,17 @@ int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_lowmesh_options *op
     if (status < 0)
         bake_lowmesh_free(ctx, out);
     return status;
+}
+
+double bake_lowmesh_area(const struct bake_lowmesh *mesh, uint64_t triangle)
+{
+    double(*p)[3] = mesh->positions[triangle], a[3], b[3], cross[3];
+    for (int k = 0; k < 3; k++) {
+        a[k] = p[1][k] - p[0][k];
+        b[k] = p[2][k] - p[0][k];
+    }
+    bsq_crossd(a, b, cross);
+    return 0.5 * sqrt(bsq_dotd(cross, cross));
 }
 
 void bake_lowmesh_free(struct bsq_ctx *ctx, struct bake_lowmesh *mesh)

@@ -51,6 +51,8 @@ int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_lowmesh_options *op
  * as they are. */
 int bake_lowmesh_reorder(struct bsq_ctx *ctx, const uint32_t *order, uint64_t count,
                          struct bake_lowmesh *mesh);
+/* Returns the area of a triangle. */
+double bake_lowmesh_area(const struct bake_lowmesh *mesh, uint64_t triangle);
 /* A zeroed mesh is allowed. */
 void bake_lowmesh_free(struct bsq_ctx *ctx, struct bake_lowmesh *mesh);
 

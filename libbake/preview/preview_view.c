@@ -65,13 +65,7 @@ static void find_centroid(const struct bake_lowmesh *mesh, double out[3])
     double sum[3] = {0}, area = 0;
     for (uint64_t t = 0; t < mesh->triangle_count; ++t) {
         const double(*p)[3] = mesh->positions[t];
-        double a[3], b[3], normal[3];
-        for (int k = 0; k < 3; ++k) {
-            a[k] = p[1][k] - p[0][k];
-            b[k] = p[2][k] - p[0][k];
-        }
-        bsq_crossd(a, b, normal);
-        const double weight = sqrt(bsq_dotd(normal, normal));
+        const double weight = bake_lowmesh_area(mesh, t);
         area += weight;
         for (int k = 0; k < 3; ++k)
             sum[k] += weight * (p[0][k] + p[1][k] + p[2][k]) / 3;

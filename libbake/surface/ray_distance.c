@@ -16,19 +16,6 @@ struct probe {
     float weights[3]; /* barycentric */
 };
 
-static double triangle_area(const struct bake_lowmesh *mesh, uint64_t triangle)
-{
-    double(*p)[3] = mesh->positions[triangle];
-    double a[3], b[3];
-    for (int k = 0; k < 3; ++k) {
-        a[k] = p[1][k] - p[0][k];
-        b[k] = p[2][k] - p[0][k];
-    }
-    double x = a[1] * b[2] - a[2] * b[1], y = a[2] * b[0] - a[0] * b[2],
-           z = a[0] * b[1] - a[1] * b[0];
-    return 0.5 * sqrt(x * x + y * y + z * z);
-}
-
 static float fraction(double v)
 {
     return (float)(v - floor(v));
@@ -67,10 +54,10 @@ static void place_probes(const struct bake_surface *surface, const struct bake_l
 {
     double total = 0, passed = 0;
     for (uint64_t t = 0; t < mesh->triangle_count; ++t)
-        total += triangle_area(mesh, t);
+        total += bake_lowmesh_area(mesh, t);
     uint64_t next = 0;
     for (uint64_t t = 0; t < mesh->triangle_count; ++t) {
-        passed += triangle_area(mesh, t);
+        passed += bake_lowmesh_area(mesh, t);
         bool last = t + 1 == mesh->triangle_count;
         for (; next < PROBES && (last || (double)next + 0.5 < passed / total * PROBES); ++next) {
             float u = fraction(0.7548776662466927 * (double)next);
