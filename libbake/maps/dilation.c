@@ -129,26 +129,20 @@ static int load_band(struct bake_dilation *dilation, uint32_t band)
                            dilation->band_buffer, &dilation->rows);
 }
 
-/* Fills `carried`, from the lowest band to the highest. */
+/* Fills `carried`, from the lowest band to the highest; nothing is above the first. */
 static int find_below(struct bake_dilation *dilation)
 {
-    memset(dilation->below_buffer, 0,
-           (size_t)dilation->width * dilation->channels * sizeof *dilation->below_buffer);
+    int status = 0;
     for (uint32_t band = dilation->band_count; band-- > 0;) {
-        int status = bake_image_write(dilation->carried, 0, band, dilation->width, 1,
-                                      dilation->below_buffer);
-        if (status < 0)
-            return status;
+        BSQ_TRY(bake_image_write(dilation->carried, 0, band, dilation->width, 1,
+                                 dilation->below_buffer));
         if (band == 0)
-            break; /* nothing is above */
-        status = load_band(dilation, band);
-        if (status < 0)
-            return status;
-        status = bsq_parallel_for(dilation->ctx, strip_count(dilation), carry_up, dilation);
-        if (status < 0)
-            return status;
+            break;
+        BSQ_TRY(load_band(dilation, band));
+        BSQ_TRY(bsq_parallel_for(dilation->ctx, strip_count(dilation), carry_up, dilation));
     }
-    return 0;
+done:
+    return status;
 }
 
 /* ---- columns ---- */
@@ -323,21 +317,18 @@ int bake_dilation_next_band(struct bake_dilation *dilation, uint32_t *first_row,
     int status = 0;
     *row_count = 0;
     if (dilation->band > 0) /* the rows of the previous band are still loaded */
-        status = bsq_parallel_for(dilation->ctx, strip_count(dilation), carry_down, dilation);
-    if (status < 0 || dilation->band == dilation->band_count)
-        return status;
-    status = load_band(dilation, dilation->band);
-    if (status == 0)
-        status = bake_image_rows(dilation->carried, dilation->band, 1, dilation->below_buffer,
-                                 &dilation->below);
-    if (status == 0)
-        status = bsq_parallel_for(dilation->ctx, strip_count(dilation), sweep_strip, dilation);
-    if (status < 0)
-        return status;
+        BSQ_TRY(bsq_parallel_for(dilation->ctx, strip_count(dilation), carry_down, dilation));
+    if (dilation->band == dilation->band_count)
+        return 0;
+    BSQ_TRY(load_band(dilation, dilation->band));
+    BSQ_TRY(bake_image_rows(dilation->carried, dilation->band, 1, dilation->below_buffer,
+                            &dilation->below));
+    BSQ_TRY(bsq_parallel_for(dilation->ctx, strip_count(dilation), sweep_strip, dilation));
     ++dilation->band;
     *first_row = dilation->first_row;
     *row_count = dilation->row_count;
-    return 0;
+done:
+    return status;
 }
 
 uint64_t bake_dilation_row_bytes(const struct bake_image *image)
@@ -351,48 +342,42 @@ uint64_t bake_dilation_row_bytes(const struct bake_image *image)
 static int allocate(struct bake_dilation *dilation, const char *beside)
 {
     struct bsq_ctx *ctx = dilation->ctx;
-    unsigned workers = bsq_threads(ctx);
-    uint64_t row_bytes = (uint64_t)dilation->width * dilation->channels * sizeof(float);
-    bool in_memory = bake_image_in_memory(dilation->image);
-    struct bake_image_options carried = {.width = dilation->width,
-                                         .height = dilation->band_count,
-                                         .channels = dilation->channels,
-                                         .memory_bytes = in_memory ? UINT64_MAX : 0,
-                                         .beside = beside};
-    int status = bake_image_create(ctx, &carried, &dilation->carried);
-    if (status == 0)
-        status = bsq_alloc(ctx, "padding", 1, row_bytes, &dilation->below_buffer);
-    if (status == 0)
-        status = bsq_calloc(ctx, "padding", 1, row_bytes, &dilation->above);
-    if (status == 0 && !in_memory)
-        status = bsq_alloc(ctx, "band of the map", dilation->band_rows, row_bytes,
-                           &dilation->band_buffer);
-    if (status == 0)
-        status = bsq_alloc(ctx, "padding", (uint64_t)dilation->band_rows * dilation->width,
-                           sizeof *dilation->slots, &dilation->slots);
-    if (status == 0)
-        status = bsq_calloc(ctx, "padding", workers, sizeof *dilation->scratch, &dilation->scratch);
-    for (unsigned w = 0; status == 0 && w < workers; ++w) {
+    const uint32_t width = dilation->width;
+    const uint64_t row_bytes = (uint64_t)width * dilation->channels * sizeof(float);
+    const bool in_memory = bake_image_in_memory(dilation->image);
+    const struct bake_image_options carried = {.width = width,
+                                               .height = dilation->band_count,
+                                               .channels = dilation->channels,
+                                               .memory_bytes = in_memory ? UINT64_MAX : 0,
+                                               .beside = beside};
+    int status;
+    BSQ_TRY(bake_image_create(ctx, &carried, &dilation->carried));
+    BSQ_TRY(bsq_calloc(ctx, "padding", 1, row_bytes, &dilation->below_buffer));
+    BSQ_TRY(bsq_calloc(ctx, "padding", 1, row_bytes, &dilation->above));
+    if (!in_memory)
+        BSQ_TRY(bsq_alloc(ctx, "band of the map", dilation->band_rows, row_bytes,
+                          &dilation->band_buffer));
+    BSQ_TRY(bsq_alloc(ctx, "padding", (uint64_t)dilation->band_rows * width,
+                      sizeof *dilation->slots, &dilation->slots));
+    BSQ_TRY(bsq_calloc(ctx, "padding", bsq_threads(ctx), sizeof *dilation->scratch,
+                       &dilation->scratch));
+    for (unsigned w = 0; w < bsq_threads(ctx); ++w) {
         struct scratch *scratch = &dilation->scratch[w];
-        status = bsq_alloc(ctx, "padding", dilation->width, sizeof *scratch->site, &scratch->site);
-        if (status == 0)
-            status =
-                bsq_alloc(ctx, "padding", dilation->width, sizeof *scratch->start, &scratch->start);
-        if (status == 0)
-            status = bsq_alloc(ctx, "padding", dilation->width, sizeof *scratch->sources,
-                               &scratch->sources);
+        BSQ_TRY(bsq_alloc(ctx, "padding", width, sizeof *scratch->site, &scratch->site));
+        BSQ_TRY(bsq_alloc(ctx, "padding", width, sizeof *scratch->start, &scratch->start));
+        BSQ_TRY(bsq_alloc(ctx, "padding", width, sizeof *scratch->sources, &scratch->sources));
     }
+done:
     return status;
 }
 
 int bake_dilation_create(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t band_rows,
                          uint32_t padding, const char *beside, struct bake_dilation **out)
 {
+    struct bake_dilation *dilation = NULL;
+    int status;
     *out = NULL;
-    struct bake_dilation *dilation;
-    int status = bsq_calloc(ctx, "padding", 1, sizeof *dilation, &dilation);
-    if (status < 0)
-        return status;
+    BSQ_TRY(bsq_calloc(ctx, "padding", 1, sizeof *dilation, &dilation));
     dilation->ctx = ctx;
     dilation->image = image;
     dilation->width = bake_image_width(image);
@@ -401,13 +386,12 @@ int bake_dilation_create(struct bsq_ctx *ctx, const struct bake_image *image, ui
     dilation->band_rows = band_rows < dilation->height ? band_rows : dilation->height;
     dilation->band_count = (dilation->height - 1) / dilation->band_rows + 1;
     dilation->limit = padding == UINT32_MAX ? UINT64_MAX : (uint64_t)padding * padding;
-    status = allocate(dilation, beside);
-    if (status == 0)
-        status = find_below(dilation);
-    if (status < 0)
-        bake_dilation_free(dilation);
-    else
-        *out = dilation;
+    BSQ_TRY(allocate(dilation, beside));
+    BSQ_TRY(find_below(dilation));
+    *out = dilation;
+    dilation = NULL;
+done:
+    bake_dilation_free(dilation);
     return status;
 }
 

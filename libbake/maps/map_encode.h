@@ -1,5 +1,5 @@
-/* map_encode.h - encodes texels of the image as rows of a map's file, describes the map in the
- * file's header, and makes thumbnails; private to this folder. */
+/* map_encode.h - encodes texels of the image as rows of a map's file, and describes the map in the
+ * file's header; private to this folder. */
 #ifndef BAKE_MAPS_MAP_ENCODE_H
 #define BAKE_MAPS_MAP_ENCODE_H
 
@@ -32,9 +32,5 @@ void bake_describe_map(const struct bake_options *options, unsigned number,
 /* Lists the attributes that decode the samples of a map whose values have a unit; otherwise none.
  */
 void bake_describe_encoding(const struct bake_encoder *encoder, struct bake_attributes *out);
-
-/* Adds rows of the map, three samples a texel. Every row must be added exactly once. */
-int bake_thumbnail_add(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail, uint32_t first_row,
-                       uint32_t rows, const float *samples);
 
 #endif

@@ -31,7 +31,7 @@ struct bake_map_files {
     const struct bake_options *options;
     struct bake_traced traced;
     char *beside; /* path of an output; temporary files go to its directory */
-    uint32_t width, height, padding, maps;
+    uint32_t maps;
     uint32_t count;
     struct map_file *files;
     struct bake_dilation *dilation; /* while writing */
@@ -107,18 +107,17 @@ static int check_tokens(struct bsq_ctx *ctx, const char *path)
 int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps)
 {
     const char *path = options->output_path;
-    int status = check_tokens(ctx, path);
     unsigned count = 0;
-    for (unsigned i = 0; status == 0 && i < bake_selection_end(maps); ++i) {
+    int status;
+    BSQ_TRY(check_tokens(ctx, path));
+    for (unsigned i = 0; i < bake_selection_end(maps); ++i) {
         const struct fmt_image_format *format;
         enum fmt_sample_type type;
         if (!bake_has_file(options, maps, i))
             continue;
         count++;
-        status = choose_format(ctx, options, i, &format, &type);
+        BSQ_TRY(choose_format(ctx, options, i, &format, &type));
     }
-    if (status < 0)
-        return status;
     if (count > 1 && !strstr(path, BAKE_MAP_TOKEN))
         return bsq_fail(ctx, BSQ_EUSAGE,
                         "%s: several maps need \"" BAKE_MAP_TOKEN "\" in the output's name", path);
@@ -127,7 +126,8 @@ int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options
         return bsq_fail(ctx, BSQ_EUSAGE,
                         "a map of %u x %u texels: its sides must be from 1 to %u texels",
                         options->width, options->height, BAKE_MAX_SIDE);
-    return 0;
+done:
+    return status;
 }
 
 /* ---- opening ---- */
@@ -165,35 +165,29 @@ static int open_file(struct bsq_ctx *ctx, const struct bake_options *options, un
 int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
                         const struct bake_traced *traced, struct bake_map_files **out)
 {
+    struct bake_map_files *files = NULL;
+    int status;
     *out = NULL;
-    struct bake_map_files *files;
-    int status = bsq_calloc(ctx, "map files", 1, sizeof *files, &files);
-    if (status < 0)
-        return status;
+    BSQ_TRY(bsq_calloc(ctx, "map files", 1, sizeof *files, &files));
     files->ctx = ctx;
     files->options = options;
     files->traced = *traced;
     files->maps = maps;
-    files->width = options->width;
-    files->height = options->height;
-    files->padding = options->padding;
     files->beside = bake_path_of(options, bake_first_of(maps));
     if (!files->beside)
-        status = bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
-    if (status == 0)
-        status = bsq_calloc(ctx, "map files", bake_selection_end(maps), sizeof *files->files,
-                            &files->files);
-    for (unsigned i = 0; status == 0 && i < bake_selection_end(maps); ++i) {
-        if (!bake_has_file(options, maps, i))
-            continue;
-        struct map_file *file = &files->files[files->count++];
-        file->number = i;
-        status = open_file(ctx, options, i, traced, file);
-    }
-    if (status < 0)
-        bake_map_files_discard(files);
-    else
-        *out = files;
+        BSQ_TRY(bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path));
+    BSQ_TRY(bsq_calloc(ctx, "map files", bake_selection_end(maps), sizeof *files->files,
+                       &files->files));
+    for (unsigned i = 0; i < bake_selection_end(maps); ++i)
+        if (bake_has_file(options, maps, i)) {
+            struct map_file *file = &files->files[files->count++];
+            file->number = i;
+            BSQ_TRY(open_file(ctx, options, i, traced, file));
+        }
+    *out = files;
+    files = NULL;
+done:
+    bake_map_files_discard(files);
     return status;
 }
 
@@ -253,7 +247,7 @@ static int choose_encodings(struct bake_map_files *files, const struct bake_meas
 
 static uint32_t row_samples(const struct bake_map_files *files, uint32_t file)
 {
-    return files->width * files->files[file].encoder.row->channels;
+    return files->options->width * files->files[file].encoder.row->channels;
 }
 
 static int encode_row(void *arg, uint64_t row, unsigned worker)
@@ -265,8 +259,8 @@ static int encode_row(void *arg, uint64_t row, unsigned worker)
     for (uint32_t i = 0; i < files->count; ++i) {
         struct map_file *file = &files->files[i];
         float *samples = file->rows + row * row_samples(files, i);
-        bake_encode_row(&file->encoder, sources, texels, files->image_channels, files->width,
-                        samples);
+        bake_encode_row(&file->encoder, sources, texels, files->image_channels,
+                        files->options->width, samples);
         const uint32_t beyond = file->half ? bake_limit_to_half(samples, row_samples(files, i)) : 0;
         if (beyond > 0)
             atomic_fetch_add_explicit(&file->limited, beyond, memory_order_relaxed);
@@ -277,13 +271,13 @@ static int encode_row(void *arg, uint64_t row, unsigned worker)
 static int write_band(struct bake_map_files *files, uint32_t first_row, uint32_t rows)
 {
     int status = 0;
-    for (uint32_t i = 0; status == 0 && i < files->count; ++i) {
+    for (uint32_t i = 0; i < files->count; ++i) {
         struct map_file *file = &files->files[i];
         if (file->thumbnail)
-            status = bake_thumbnail_add(files->ctx, file->thumbnail, first_row, rows, file->rows);
-        if (status == 0)
-            status = fmt_image_write_rows(file->writer, file->rows, rows);
+            BSQ_TRY(bake_thumbnail_add(files->ctx, file->thumbnail, first_row, rows, file->rows));
+        BSQ_TRY(fmt_image_write_rows(file->writer, file->rows, rows));
     }
+done:
     return status;
 }
 
@@ -298,25 +292,47 @@ static uint32_t choose_band_rows(const struct bake_map_files *files, const struc
     if (bytes > BAND_BYTES)
         bytes = BAND_BYTES;
     uint64_t rows = bytes / row_bytes;
-    if (rows >= files->height)
-        return files->height;
+    if (rows >= files->options->height)
+        return files->options->height;
     return rows > BAND_STEP ? (uint32_t)(rows - rows % BAND_STEP) : rows < 16 ? 16 : (uint32_t)rows;
 }
 
-static int allocate_rows(struct bake_map_files *files, uint32_t band_rows)
+/* Ends a phase of the work: adds the seconds since *start, and starts the next one. */
+static void end_phase(double *start, double *seconds)
 {
-    int status = 0;
-    for (uint32_t i = 0; status == 0 && i < files->count; ++i)
-        status = bsq_alloc(files->ctx, "rows of a map", band_rows,
-                           row_samples(files, i) * sizeof(float), &files->files[i].rows);
-    return status;
+    const double now = bsq_seconds_now();
+    *seconds += now - *start;
+    *start = now;
 }
 
-static int finish_files(struct bake_map_files *files)
+/* Dilates, encodes and writes all bands of an image. */
+static int write_bands(struct bake_map_files *files, const struct bake_image *image,
+                       struct bake_report *report)
 {
-    int status = 0;
-    for (uint32_t i = 0; status == 0 && i < files->count; ++i)
-        status = fmt_image_finish(files->files[i].writer);
+    const uint32_t band_rows = choose_band_rows(files, image);
+    uint32_t first_row, rows;
+    double start = bsq_seconds_now();
+    int status;
+    for (uint32_t i = 0; i < files->count; ++i)
+        BSQ_TRY(bsq_alloc(files->ctx, "rows of a map", band_rows,
+                          row_samples(files, i) * sizeof(float), &files->files[i].rows));
+    BSQ_TRY(bake_dilation_create(files->ctx, image, band_rows, files->options->padding,
+                                 files->beside, &files->dilation));
+    for (;;) {
+        BSQ_TRY(bake_dilation_next_band(files->dilation, &first_row, &rows));
+        if (rows == 0)
+            break;
+        end_phase(&start, &report->seconds_padding);
+        BSQ_TRY(bsq_parallel_for(files->ctx, rows, encode_row, files));
+        end_phase(&start, &report->seconds_resolve);
+        BSQ_TRY(write_band(files, first_row, rows));
+        end_phase(&start, &report->seconds_write);
+        bsq_progress_add(files->ctx, rows);
+    }
+    for (uint32_t i = 0; i < files->count; ++i)
+        BSQ_TRY(fmt_image_finish(files->files[i].writer));
+    end_phase(&start, &report->seconds_write);
+done:
     return status;
 }
 
@@ -328,29 +344,8 @@ int bake_map_files_write(struct bake_map_files *files, const struct bake_image *
     if (status < 0)
         return status;
     files->image_channels = bake_image_channels(image);
-    uint32_t band_rows = choose_band_rows(files, image);
-    double start = bsq_seconds_now();
-    status = allocate_rows(files, band_rows);
-    if (status == 0)
-        status = bake_dilation_create(files->ctx, image, band_rows, files->padding, files->beside,
-                                      &files->dilation);
-    uint32_t first_row = 0, rows = 1;
-    bsq_progress_begin(files->ctx, "writing", "rows", files->height);
-    while (status == 0) {
-        status = bake_dilation_next_band(files->dilation, &first_row, &rows);
-        if (status < 0 || rows == 0)
-            break;
-        double padded = bsq_seconds_now();
-        report->seconds_padding += padded - start;
-        status = bsq_parallel_for(files->ctx, rows, encode_row, files);
-        double encoded = bsq_seconds_now();
-        report->seconds_resolve += encoded - padded;
-        if (status == 0)
-            status = write_band(files, first_row, rows);
-        start = bsq_seconds_now();
-        report->seconds_write += start - encoded;
-        bsq_progress_add(files->ctx, rows);
-    }
+    bsq_progress_begin(files->ctx, "writing", "rows", files->options->height);
+    status = write_bands(files, image, report);
     bsq_progress_end(files->ctx);
     bake_dilation_free(files->dilation);
     files->dilation = NULL;
@@ -359,9 +354,6 @@ int bake_map_files_write(struct bake_map_files *files, const struct bake_image *
         files->files[i].rows = NULL;
         limited[files->files[i].number] += atomic_load(&files->files[i].limited);
     }
-    if (status == 0)
-        status = finish_files(files);
-    report->seconds_write += bsq_seconds_now() - start;
     return status;
 }
 

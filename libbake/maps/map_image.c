@@ -1,13 +1,15 @@
-/* map_image.c - the image that is baked, in memory or in a temporary file.
+/* map_image.c - the image that is baked, in memory or in a temporary file, and statistics of it.
  *
  * The file holds texels in row order. A tile is written as short runs, which the page cache
  * gathers; a band is read at once. Texels that were never written are holes of the file and read as
  * zeros. */
 #include "libbake/maps/maps.h"
 
+#include <math.h>
 #include <string.h>
 
 #include "base/file.h"
+#include "base/parallel.h"
 
 struct bake_image {
     struct bsq_ctx *ctx;
@@ -137,4 +139,90 @@ int bake_image_rows(const struct bake_image *image, uint32_t y, uint32_t count, 
     memset((char *)buffer + got, 0, size - got); /* the file ends after the last texel written */
     *rows = buffer;
     return 0;
+}
+
+int bake_image_bands(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t band_rows,
+                     bake_band_fn *fn, void *arg)
+{
+    const uint64_t row_bytes = image->width * image->texel_bytes;
+    const uint64_t most = bsq_memory_share(ctx, "rows of a map", 4) / row_bytes;
+    const uint32_t step = most < 1 ? 1 : most < band_rows ? (uint32_t)most : band_rows;
+    const float *texels;
+    float *buffer = NULL;
+    int status = 0;
+    if (!image->samples)
+        BSQ_TRY(bsq_alloc(ctx, "rows of a map", step, row_bytes, &buffer));
+    for (uint32_t y = 0; y < image->height; y += step) {
+        const uint32_t rows = image->height - y < step ? image->height - y : step;
+        BSQ_TRY(bake_image_rows(image, y, rows, buffer, &texels));
+        BSQ_TRY(fn(arg, y, rows, texels));
+    }
+done:
+    bsq_free(ctx, buffer);
+    return status;
+}
+
+/* ---- statistics ---- */
+
+/* Floating-point sums depend on their order. So each row is summed alone, and the sums of the rows
+ * are added from top to bottom, whatever the number of threads and of rows that are read at a time.
+ */
+enum { BAND_ROWS = 256 };
+
+struct measuring {
+    struct bsq_ctx *ctx;
+    const struct bake_image *image;
+    uint32_t place; /* of the map's value in a texel */
+    const float *texels;
+    struct bake_statistics rows[BAND_ROWS], *out;
+};
+
+static int measure_row(void *arg, uint64_t row, unsigned worker)
+{
+    (void)worker;
+    struct measuring *measuring = arg;
+    const uint32_t width = measuring->image->width, channels = measuring->image->channels;
+    const float *texel = measuring->texels + row * width * channels;
+    struct bake_statistics sums = {0};
+    for (uint32_t x = 0; x < width; ++x, texel += channels) {
+        if (!(texel[0] > 0.0f))
+            continue;
+        const double magnitude = fabs((double)texel[measuring->place]);
+        ++sums.count;
+        sums.largest = fmax(sums.largest, magnitude);
+        sums.sum += magnitude;
+        sums.squares += magnitude * magnitude;
+    }
+    measuring->rows[row] = sums;
+    return 0;
+}
+
+static int measure_band(void *arg, uint32_t first_row, uint32_t rows, const float *texels)
+{
+    struct measuring *measuring = arg;
+    struct bake_statistics *out = measuring->out;
+    (void)first_row;
+    measuring->texels = texels;
+    int status = bsq_parallel_for(measuring->ctx, rows, measure_row, measuring);
+    for (uint32_t row = 0; row < rows && status == 0; ++row) {
+        out->count += measuring->rows[row].count;
+        out->largest = fmax(out->largest, measuring->rows[row].largest);
+        out->sum += measuring->rows[row].sum;
+        out->squares += measuring->rows[row].squares;
+    }
+    return status;
+}
+
+int bake_image_measure(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t maps,
+                       struct bake_statistics statistics[BK_MAP_COUNT])
+{
+    int status = 0;
+    for (unsigned i = 0; status == 0 && i < BK_MAP_COUNT; ++i) {
+        struct measuring measuring = {.ctx = ctx, .image = image, .out = &statistics[i]};
+        if (!(maps & 1u << i && bake_map_table[i].measured))
+            continue;
+        measuring.place = bake_place_of(maps, i);
+        status = bake_image_bands(ctx, image, BAND_ROWS, measure_band, &measuring);
+    }
+    return status;
 }

@@ -194,6 +194,12 @@ int bake_image_write_tile(struct bake_image *image, const struct bk_tile *tile,
 int bake_image_rows(const struct bake_image *image, uint32_t y, uint32_t count, float *buffer,
                     const float **rows);
 
+/* Calls fn for bands of at most `band_rows` rows of an image, from top to bottom. Returns the first
+ * failure. Errors: BSQ_ENOMEM, BSQ_EIO, and those of fn. */
+typedef int bake_band_fn(void *arg, uint32_t first_row, uint32_t rows, const float *texels);
+int bake_image_bands(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t band_rows,
+                     bake_band_fn *fn, void *arg);
+
 /* Adds the magnitudes of the values of maps whose rows are `measured`. The sums do not depend on
  * the number of threads or the budget, but on the order of images. Errors: BSQ_ENOMEM, BSQ_EIO. */
 int bake_image_measure(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t maps,
@@ -266,6 +272,10 @@ int bake_thumbnail_create(struct bsq_ctx *ctx, uint32_t full_width, uint32_t ful
 int bake_thumbnail_of_missed(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t side,
                              struct bake_thumbnail *out);
 void bake_thumbnail_free(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail);
+
+/* Adds rows of the map, three samples a texel. Every row must be added exactly once. */
+int bake_thumbnail_add(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail, uint32_t first_row,
+                       uint32_t rows, const float *samples);
 
 /* Returns the bilinear mean at texture coordinates (v upwards), clamped at the borders. */
 void bake_thumbnail_sample(const struct bake_thumbnail *thumbnail, float u, float v, float out[3]);

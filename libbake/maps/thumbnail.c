@@ -1,8 +1,6 @@
 /* thumbnail.c - box-filtered copies of maps, summed while the rows of the maps are written, and of
  * the texels without a hit. */
-#include "libbake/maps/map_encode.h"
-
-#include <math.h>
+#include "libbake/maps/maps.h"
 
 #include "base/parallel.h"
 
@@ -25,7 +23,10 @@ void bake_thumbnail_free(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail)
 }
 
 struct addition {
+    struct bsq_ctx *ctx;
     struct bake_thumbnail *thumbnail;
+    bool missed; /* the samples are texels of an image, of which misses are shown */
+    uint32_t channels;
     uint32_t first_row, rows;
     const float *samples;
 };
@@ -52,77 +53,49 @@ static int add_row(void *arg, uint64_t index, unsigned worker)
         end = addition->first_row + addition->rows;
     uint32_t cell_rows = texels_in(cell_y, factor, thumbnail->full_height);
     for (uint32_t y = begin; y < end; ++y) {
-        const float *in =
-            addition->samples + (size_t)(y - addition->first_row) * thumbnail->full_width * 3;
+        const float *in = addition->samples + (size_t)(y - addition->first_row) *
+                                                  thumbnail->full_width * addition->channels;
         float(*out)[3] = thumbnail->texels + (size_t)cell_y * thumbnail->width;
         for (uint32_t cell_x = 0; cell_x < thumbnail->width; ++cell_x) {
             uint32_t columns = texels_in(cell_x, factor, thumbnail->full_width);
             float weight = 1.0f / ((float)columns * (float)cell_rows);
-            for (uint32_t x = 0; x < columns; ++x, in += 3)
+            for (uint32_t x = 0; x < columns; ++x, in += addition->channels) {
+                const float marks[3] = {in[0] == BAKE_MISSED, in[0] > BAKE_OUTSIDE, 0.0f};
+                const float *samples = addition->missed ? marks : in;
                 for (int c = 0; c < 3; ++c)
-                    out[cell_x][c] += weight * in[c];
+                    out[cell_x][c] += weight * samples[c];
+            }
         }
     }
     return 0;
 }
 
+static int add_rows(void *arg, uint32_t first_row, uint32_t rows, const float *samples)
+{
+    struct addition *addition = arg;
+    uint32_t first = first_row / addition->thumbnail->factor;
+    uint32_t last = (first_row + rows - 1) / addition->thumbnail->factor;
+    addition->first_row = first_row;
+    addition->rows = rows;
+    addition->samples = samples;
+    return bsq_parallel_for(addition->ctx, last - first + 1, add_row, addition);
+}
+
 int bake_thumbnail_add(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail, uint32_t first_row,
                        uint32_t rows, const float *samples)
 {
-    struct addition addition = {thumbnail, first_row, rows, samples};
-    uint32_t first = first_row / thumbnail->factor;
-    uint32_t last = (first_row + rows - 1) / thumbnail->factor;
-    return bsq_parallel_for(ctx, last - first + 1, add_row, &addition);
-}
-
-/* ---- misses ---- */
-
-struct missed_rows {
-    const float *texels; /* of the image */
-    float *marks;        /* 3 a texel */
-    uint32_t width, channels;
-};
-
-static int mark_row(void *arg, uint64_t row, unsigned worker)
-{
-    (void)worker;
-    const struct missed_rows *rows = arg;
-    const float *texel = rows->texels + row * rows->width * rows->channels;
-    float *out = rows->marks + row * rows->width * 3;
-    for (uint32_t x = 0; x < rows->width; ++x, texel += rows->channels, out += 3) {
-        out[0] = texel[0] == BAKE_MISSED ? 1.0f : 0.0f;
-        out[1] = texel[0] > BAKE_OUTSIDE ? 1.0f : 0.0f;
-        out[2] = 0.0f;
-    }
-    return 0;
+    struct addition addition = {.ctx = ctx, .thumbnail = thumbnail, .channels = 3};
+    return add_rows(&addition, first_row, rows, samples);
 }
 
 int bake_thumbnail_of_missed(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t side,
                              struct bake_thumbnail *out)
 {
-    enum { STEP = 64 };
-    const uint32_t height = bake_image_height(image);
-    struct missed_rows rows = {.width = bake_image_width(image),
-                               .channels = bake_image_channels(image)};
-    float *buffer = NULL;
-    int status = bake_thumbnail_create(ctx, rows.width, height, side, out);
-    if (status == 0)
-        status =
-            bsq_alloc(ctx, "preview", STEP, (uint64_t)rows.width * 3 * sizeof(float), &rows.marks);
-    if (status == 0 && !bake_image_in_memory(image))
-        status = bsq_alloc(ctx, "preview", STEP,
-                           (uint64_t)rows.width * rows.channels * sizeof(float), &buffer);
-    for (uint32_t y = 0; status == 0 && y < height; y += STEP) {
-        const uint32_t count = height - y < STEP ? height - y : STEP;
-        status = bake_image_rows(image, y, count, buffer, &rows.texels);
-        if (status == 0)
-            status = bsq_parallel_for(ctx, count, mark_row, &rows);
-        if (status == 0)
-            status = bake_thumbnail_add(ctx, out, y, count, rows.marks);
-    }
-    bsq_free(ctx, buffer);
-    bsq_free(ctx, rows.marks);
-    return status;
+    struct addition addition = {
+        .ctx = ctx, .thumbnail = out, .missed = true, .channels = bake_image_channels(image)};
+    int status =
+        bake_thumbnail_create(ctx, bake_image_width(image), bake_image_height(image), side, out);
+    return status < 0 ? status : bake_image_bands(ctx, image, 256, add_rows, &addition);
 }
 
 /* ---- sampling ---- */

@@ -37,37 +37,29 @@ static uint64_t count_texels(const struct bake_raster *raster)
     return texels;
 }
 
-/* Creates the workers. Each has buffers for `samples` samples, the sums of `texels` texels and
- * `resolved` texels of the image. */
-static int create_workers(struct bsq_ctx *ctx, uint64_t samples, uint64_t texels, uint64_t resolved,
-                          struct bake_tile_workers *out)
-{
-    int status = bsq_calloc(ctx, "workers", bsq_threads(ctx), sizeof *out->workers, &out->workers);
-    for (unsigned w = 0; status == 0 && w < bsq_threads(ctx); w++) {
-        struct bake_tile_worker *worker = &out->workers[w];
-        status = bsq_alloc(ctx, "samples of a tile", samples, sizeof(uint32_t),
-                           &worker->sample_triangles);
-        if (status == 0)
-            status = bsq_alloc(ctx, "texels of a tile", texels, out->texel_floats * sizeof(float),
-                               &worker->texels);
-        if (status == 0)
-            status = bsq_alloc(ctx, "texels of a tile", resolved, out->channels * sizeof(float),
-                               &worker->resolved);
-    }
-    return status;
-}
-
 int bake_tile_workers_begin(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
                             uint64_t texel_count, struct bake_tile_workers *out)
 {
-    const uint64_t side = tiles->tile_size;
+    const uint64_t texels = (uint64_t)tiles->tile_size * tiles->tile_size;
     const uint32_t maps = tiles->params->maps;
+    int status;
     *out = (struct bake_tile_workers){.channels = bake_image_channels_for(maps),
                                       .texel_floats = bk_texel_floats(maps),
                                       .maps = maps};
     bsq_progress_begin(ctx, "tracing", "texels", count_texels(tiles->raster));
-    return create_workers(ctx, side * side * bake_raster_texel_entries(tiles->params), texel_count,
-                          side * side, out);
+    BSQ_TRY(bsq_calloc(ctx, "workers", bsq_threads(ctx), sizeof *out->workers, &out->workers));
+    for (unsigned w = 0; w < bsq_threads(ctx); w++) {
+        struct bake_tile_worker *worker = &out->workers[w];
+        BSQ_TRY(bsq_alloc(ctx, "samples of a tile",
+                          texels * bake_raster_texel_entries(tiles->params), sizeof(uint32_t),
+                          &worker->sample_triangles));
+        BSQ_TRY(bsq_alloc(ctx, "texels of a tile", texel_count, out->texel_floats * sizeof(float),
+                          &worker->texels));
+        BSQ_TRY(bsq_alloc(ctx, "texels of a tile", texels, out->channels * sizeof(float),
+                          &worker->resolved));
+    }
+done:
+    return status;
 }
 
 /* Writes a texel of the image: its share of hits and the values of the selected maps. */

@@ -1,9 +1,14 @@
-/* raster.c - sorts triangles into tiles.
+/* raster.c - sorts triangles into tiles, and finds the triangle of each sample of a tile.
  *
  * One array holds the lists of all tiles, each in the order of the mesh. One pass counts, a second
  * one writes the lists. Snapped triangles are not stored: computing them again costs less than the
- * memory traffic. */
-#include "libbake/raster/raster_index.h"
+ * memory traffic.
+ *
+ * The first triangle in the order of the mesh takes a sample. Painting only detects whether any
+ * samples overlap. A second pass counts them, for the few tiles that have some: it needs a mark for
+ * each sample. Both stop as soon as no triangle can change the result, so that thousands of
+ * triangles over the same texels cost no more than a few. */
+#include "libbake/raster/raster_internal.h"
 
 #include <string.h>
 
@@ -76,41 +81,45 @@ static uint64_t triangles_end(const struct bake_raster *raster)
     return raster->options.first + raster->options.count;
 }
 
-/* Counts the triangles that may have samples in each tile. */
-static int count_triangles(const struct bake_raster *raster, uint64_t *counts)
+/* Counts the triangles that may have samples in each tile or, after number_tiles(), writes the
+ * lists. cursors[tile]: the count, or the index of the next entry of its list. */
+static int sort_triangles(struct bake_raster *raster, uint64_t *cursors)
 {
     struct raster_window tiles;
-    int rc = 0;
+    int status = 0;
 
-    for (uint64_t t = raster->options.first; t < triangles_end(raster) && rc == 0; t++) {
+    for (uint64_t t = raster->options.first; t < triangles_end(raster); t++) {
         if (t % TRIANGLES_A_CHECK == 0)
-            rc = bsq_check(raster->ctx);
+            BSQ_TRY(bsq_check(raster->ctx));
         if (!overlapped_tiles(raster, t, &tiles))
             continue;
-        for (uint32_t y = tiles.begin_y; y < tiles.end_y; y++) {
-            for (uint32_t x = tiles.begin_x; x < tiles.end_x; x++)
-                counts[(uint64_t)y * raster->tile_columns + x] += is_selected(raster, x, y);
-        }
+        for (uint32_t y = tiles.begin_y; y < tiles.end_y; y++)
+            for (uint32_t x = tiles.begin_x; x < tiles.end_x; x++) {
+                if (!is_selected(raster, x, y))
+                    continue;
+                const uint64_t entry = cursors[(uint64_t)y * raster->tile_columns + x]++;
+                if (raster->triangles)
+                    raster->triangles[entry] = (uint32_t)t;
+            }
     }
-    return rc;
+done:
+    return status;
 }
 
 /* Lists the tiles that have triangles, and turns counts[] into the start of each tile's list. */
 static int number_tiles(struct bake_raster *raster, uint64_t *counts)
 {
     const uint64_t places = (uint64_t)raster->tile_columns * raster->tile_rows;
+    uint64_t sum = 0;
+    uint32_t tile = 0;
+    int status;
 
     for (uint64_t p = 0; p < places; p++)
         raster->tile_count += counts[p] > 0;
-    int rc = bsq_alloc(raster->ctx, "tile numbers", raster->tile_count,
-                       sizeof(*raster->tile_numbers), &raster->tile_numbers);
-    if (rc == 0)
-        rc = bsq_alloc(raster->ctx, "tile lists", (uint64_t)raster->tile_count + 1,
-                       sizeof(*raster->starts), &raster->starts);
-    if (rc < 0)
-        return rc;
-    uint64_t sum = 0;
-    uint32_t tile = 0;
+    BSQ_TRY(bsq_alloc(raster->ctx, "tile numbers", raster->tile_count, sizeof *raster->tile_numbers,
+                      &raster->tile_numbers));
+    BSQ_TRY(bsq_alloc(raster->ctx, "tile lists", (uint64_t)raster->tile_count + 1,
+                      sizeof *raster->starts, &raster->starts));
     for (uint64_t p = 0; p < places; p++) {
         uint64_t count = counts[p];
         counts[p] = sum;
@@ -121,49 +130,26 @@ static int number_tiles(struct bake_raster *raster, uint64_t *counts)
         sum += count;
     }
     raster->starts[tile] = sum;
-    return bsq_alloc(raster->ctx, "tile lists", sum, sizeof(*raster->triangles),
-                     &raster->triangles);
-}
-
-/* Writes the lists. cursors[tile]: index of its next entry. */
-static int place_triangles(struct bake_raster *raster, uint64_t *cursors)
-{
-    struct raster_window tiles;
-    int rc = 0;
-
-    for (uint64_t t = raster->options.first; t < triangles_end(raster) && rc == 0; t++) {
-        if (t % TRIANGLES_A_CHECK == 0)
-            rc = bsq_check(raster->ctx);
-        if (!overlapped_tiles(raster, t, &tiles))
-            continue;
-        for (uint32_t y = tiles.begin_y; y < tiles.end_y; y++) {
-            for (uint32_t x = tiles.begin_x; x < tiles.end_x; x++) {
-                if (!is_selected(raster, x, y))
-                    continue;
-                uint64_t *cursor = &cursors[(uint64_t)y * raster->tile_columns + x];
-                raster->triangles[(*cursor)++] = (uint32_t)t;
-            }
-        }
-    }
-    return rc;
+    status =
+        bsq_alloc(raster->ctx, "tile lists", sum, sizeof *raster->triangles, &raster->triangles);
+done:
+    return status;
 }
 
 static int sort_into_tiles(struct bake_raster *raster)
 {
     uint64_t *counts = NULL;
+    int status;
 
-    int rc =
-        bsq_calloc(raster->ctx, "tile counts", (uint64_t)raster->tile_columns * raster->tile_rows,
-                   sizeof(*counts), &counts);
-    if (rc < 0)
-        return rc;
-    rc = count_triangles(raster, counts);
-    if (rc == 0)
-        rc = number_tiles(raster, counts);
-    if (rc == 0)
-        rc = place_triangles(raster, counts);
+    BSQ_TRY(bsq_calloc(raster->ctx, "tile counts",
+                       (uint64_t)raster->tile_columns * raster->tile_rows, sizeof *counts,
+                       &counts));
+    BSQ_TRY(sort_triangles(raster, counts));
+    BSQ_TRY(number_tiles(raster, counts));
+    status = raster->tile_count > 0 ? sort_triangles(raster, counts) : 0;
+done:
     bsq_free(raster->ctx, counts);
-    return rc;
+    return status;
 }
 
 /* ---- creation ---- */
@@ -221,29 +207,23 @@ int bake_raster_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
                        struct bake_raster **out)
 {
     struct bake_raster *raster = NULL;
+    int status;
 
     *out = NULL;
-    int rc = check_options(ctx, mesh, options);
-    if (rc == 0)
-        rc = bsq_calloc(ctx, "raster", 1, sizeof(*raster), &raster);
-    if (rc)
-        return rc;
+    BSQ_TRY(check_options(ctx, mesh, options));
+    BSQ_TRY(bsq_calloc(ctx, "raster", 1, sizeof *raster, &raster));
     raster->ctx = ctx;
     raster->mesh = mesh;
     raster->options = *options;
-    rc = lay_out_tiles(raster);
-    if (rc == 0) {
-        inspect(raster, report);
-        rc = bsq_check(ctx);
-        if (rc == 0)
-            rc = sort_into_tiles(raster);
-    }
-    if (rc < 0) {
-        bake_raster_free(raster);
-        return rc;
-    }
+    BSQ_TRY(lay_out_tiles(raster));
+    inspect(raster, report);
+    BSQ_TRY(bsq_check(ctx));
+    BSQ_TRY(sort_into_tiles(raster));
     *out = raster;
-    return 0;
+    raster = NULL;
+done:
+    bake_raster_free(raster);
+    return status;
 }
 
 void bake_raster_free(struct bake_raster *raster)
@@ -255,4 +235,187 @@ void bake_raster_free(struct bake_raster *raster)
     bsq_free(ctx, raster->starts);
     bsq_free(ctx, raster->tile_numbers);
     bsq_free(ctx, raster);
+}
+
+/* ---- tiles ---- */
+
+uint32_t bake_raster_tile_count(const struct bake_raster *raster)
+{
+    return raster->tile_count;
+}
+
+struct bk_tile bake_raster_tile(const struct bake_raster *raster, uint32_t index)
+{
+    const struct bake_raster_options *o = &raster->options;
+    const uint32_t number = raster->tile_numbers[index];
+    const uint32_t x = number % raster->tile_columns * o->tile_size;
+    const uint32_t y = number / raster->tile_columns * o->tile_size;
+    struct bk_tile tile = {.x = x, .y = y};
+
+    tile.width = o->width - x < o->tile_size ? o->width - x : o->tile_size;
+    tile.height = o->height - y < o->tile_size ? o->height - y : o->tile_size;
+    return tile;
+}
+
+static struct raster_window tile_window(const struct bake_raster *raster, uint32_t index)
+{
+    const struct bk_tile tile = bake_raster_tile(raster, index);
+    const uint32_t n = raster->options.samples;
+    return (struct raster_window){tile.x * n, tile.y * n, (tile.x + tile.width) * n,
+                                  (tile.y + tile.height) * n};
+}
+
+/* Gives the free samples of a span to a triangle. Returns the number of those that are not free. */
+static uint32_t paint_span(uint32_t *samples, uint32_t count, uint32_t triangle)
+{
+    uint32_t taken = 0;
+
+    for (uint32_t i = 0; i < count; i++) {
+        uint32_t owner = samples[i];
+        taken += owner != BK_NO_TRIANGLE;
+        samples[i] = owner == BK_NO_TRIANGLE ? triangle : owner;
+    }
+    return taken;
+}
+
+/* Paints the triangles of a tile in the order of the mesh. Sets *overlap if any samples overlap. */
+static int paint_tile(const struct bake_raster *raster, uint32_t index, uint32_t *samples,
+                      bool *overlap)
+{
+    const struct raster_window window = tile_window(raster, index);
+    const uint64_t stride = window.end_x - window.begin_x;
+    struct raster_triangle snapped;
+    struct raster_spans spans;
+    uint64_t free = stride * (window.end_y - window.begin_y);
+    uint32_t row, begin, end;
+    int status = 0;
+
+    *overlap = false;
+    for (uint64_t k = raster->starts[index];
+         k < raster->starts[index + 1] && !(free == 0 && *overlap); k++) {
+        BSQ_TRY(bsq_check(raster->ctx));
+        if (!raster_snap_triangle(raster, raster->triangles[k], &snapped))
+            continue;
+        bake_raster_spans_begin(&raster->grid, &snapped, window, &spans);
+        while (bake_raster_spans_next(&spans, &row, &begin, &end)) {
+            uint32_t *first = samples + (row - window.begin_y) * stride + (begin - window.begin_x);
+            uint32_t taken = paint_span(first, end - begin, raster->triangles[k]);
+            free -= end - begin - taken;
+            *overlap |= taken > 0;
+        }
+    }
+done:
+    return status;
+}
+
+/* ---- overlaps ---- */
+
+#define MARK_SIDE 256 /* samples; their marks, one bit each, fit 8 KiB */
+
+/* Marks the samples x, begin <= x < end, that another triangle owns. Returns how many were not
+ * marked before. */
+static uint32_t mark_span(const uint32_t *owners, uint64_t *bits, uint32_t begin, uint32_t end,
+                          uint32_t triangle)
+{
+    uint32_t count = 0;
+
+    for (uint32_t x = begin; x < end; x++) {
+        const uint64_t overlapped = owners[x] != triangle, unmarked = ~bits[x / 64] >> x % 64;
+        bits[x / 64] |= overlapped << x % 64;
+        count += (uint32_t)(overlapped & unmarked);
+    }
+    return count;
+}
+
+/* Adds to *count the samples of a painted tile that lie inside more than one triangle: those inside
+ * a triangle that does not own them. The window has at most MARK_SIDE x MARK_SIDE samples. */
+static int count_overlaps_in(const struct bake_raster *raster, uint32_t index,
+                             const uint32_t *samples, struct raster_window window, uint64_t *count)
+{
+    const struct raster_window tile = tile_window(raster, index);
+    const uint64_t stride = tile.end_x - tile.begin_x;
+    uint64_t marks[MARK_SIDE][MARK_SIDE / 64] = {{0}};
+    uint64_t unmarked = (uint64_t)(window.end_x - window.begin_x) * (window.end_y - window.begin_y);
+    struct raster_triangle snapped;
+    struct raster_spans spans;
+    uint32_t row, begin, end;
+    int status = 0;
+
+    for (uint64_t k = raster->starts[index]; k < raster->starts[index + 1] && unmarked > 0; k++) {
+        BSQ_TRY(bsq_check(raster->ctx));
+        if (!raster_snap_triangle(raster, raster->triangles[k], &snapped))
+            continue;
+        bake_raster_spans_begin(&raster->grid, &snapped, window, &spans);
+        while (bake_raster_spans_next(&spans, &row, &begin, &end)) {
+            const uint32_t *owners = samples + (row - tile.begin_y) * stride;
+            uint32_t added =
+                mark_span(owners + (window.begin_x - tile.begin_x), marks[row - window.begin_y],
+                          begin - window.begin_x, end - window.begin_x, raster->triangles[k]);
+            unmarked -= added;
+            *count += added;
+        }
+    }
+done:
+    return status;
+}
+
+static int count_overlaps(const struct bake_raster *raster, uint32_t index, const uint32_t *samples,
+                          uint64_t *count)
+{
+    const struct raster_window tile = tile_window(raster, index);
+    int status = 0;
+
+    for (uint32_t y = tile.begin_y; y < tile.end_y; y += MARK_SIDE)
+        for (uint32_t x = tile.begin_x; x < tile.end_x; x += MARK_SIDE) {
+            struct raster_window window = {x, y, tile.end_x, tile.end_y};
+            if (tile.end_x - x > MARK_SIDE)
+                window.end_x = x + MARK_SIDE;
+            if (tile.end_y - y > MARK_SIDE)
+                window.end_y = y + MARK_SIDE;
+            BSQ_TRY(count_overlaps_in(raster, index, samples, window, count));
+        }
+done:
+    return status;
+}
+
+/* ---- skews ---- */
+
+/* Writes the skews of the samples that have triangles. */
+static int fill_skews(const struct bake_raster *raster, const struct raster_window *window,
+                      const uint32_t *samples, uint32_t *skews)
+{
+    const struct bake_raster_options *o = &raster->options;
+    const float du = 1.0F / (float)(o->width * o->samples);
+    const float dv = 1.0F / (float)(o->height * o->samples);
+    const uint32_t columns = window->end_x - window->begin_x;
+    const size_t count = (size_t)columns * (window->end_y - window->begin_y);
+    int status = 0;
+    for (size_t i = 0; i < count && status == 0; i++) {
+        const float x = (float)(window->begin_x + (uint32_t)(i % columns)) + 0.5F;
+        const float y = (float)(window->begin_y + (uint32_t)(i / columns)) + 0.5F;
+        skews[i] = 0;
+        if (samples[i] != BK_NO_TRIANGLE)
+            status = bake_skew_sample(&o->skew, x * du, 1.0F - y * dv, du, dv, &skews[i]);
+    }
+    return status;
+}
+
+int bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t *sample_triangles,
+                     uint64_t *overlaps)
+{
+    const struct raster_window window = tile_window(raster, index);
+    const size_t count = (size_t)(window.end_x - window.begin_x) * (window.end_y - window.begin_y);
+
+    bool overlap;
+    int status;
+
+    memset(sample_triangles, 0xff, count * sizeof *sample_triangles); /* BK_NO_TRIANGLE */
+    *overlaps = 0;
+    BSQ_TRY(paint_tile(raster, index, sample_triangles, &overlap));
+    if (overlap)
+        BSQ_TRY(count_overlaps(raster, index, sample_triangles, overlaps));
+    if (raster->options.skew.skew)
+        status = fill_skews(raster, &window, sample_triangles, sample_triangles + count);
+done:
+    return status;
 }

@@ -3,7 +3,7 @@
  * The kernel works in float. To keep precision, barycentric weights are affine functions of the
  * offset from a texel near the triangle, and positions are in the index space of the grid. Both are
  * computed in double. */
-#include "libbake/raster/raster_index.h"
+#include "libbake/raster/raster_internal.h"
 
 #include <math.h>
 #include <string.h>

@@ -10,7 +10,7 @@
  *
  * Numerators are products of two coordinates. They do not overflow 128 bits, even for triangles
  * that extend far beyond the map. */
-#include "libbake/raster/raster_spans.h"
+#include "libbake/raster/raster_internal.h"
 
 #include <math.h>
 

@@ -43,7 +43,7 @@ enum { CHECKED = 4096, CHECKED_LOWERS = 64 };
 
 struct builder {
     struct bsq_ctx *ctx;
-    const struct bk_grid *grid;
+    const struct fmt_nvdb_grid *grid;
     uint64_t limit; /* bytes */
     struct lower_node *lowers;
     uint64_t lower_count;
@@ -85,57 +85,22 @@ static int by_morton_order(const void *left, const void *right)
 
 /* ---- the list of leaves ---- */
 
-/* Appends the lower nodes of an upper node. */
-static void add_lowers(struct builder *builder, uint32_t upper, const int32_t corner[3])
+static int add_lower(void *arg, uint32_t lower, const int32_t origin[3])
 {
-    const struct bk_grid *grid = builder->grid;
-    const uint64_t node = (uint64_t)upper * BK_UPPER_WORDS;
-    for (uint32_t n = 0; n < 1u << 15; n++) {
-        if (!(grid->uppers[node + BK_UPPER_CHILD_MASK + (n >> 6)] >> (n & 63) & 1))
-            continue;
-        const uint64_t child =
-            node * 8 + grid->uppers[node + BK_UPPER_TABLE + n] - grid->lower_offset;
-        const uint64_t lower = child / (BK_LOWER_WORDS * 8u);
-        if (builder->lower_count == grid->lower_count)
-            return; /* the file is damaged */
-        if (lower >= grid->lower_count)
-            continue;
-        builder->lowers[builder->lower_count++] =
-            (struct lower_node){.corner = {corner[0] + (int32_t)(n >> 10 << BK_LOWER_LOG2),
-                                           corner[1] + (int32_t)((n >> 5 & 31) << BK_LOWER_LOG2),
-                                           corner[2] + (int32_t)((n & 31) << BK_LOWER_LOG2)},
-                                .lower = (uint32_t)lower};
-    }
-}
-
-/* Returns the coordinate that 21 bits of a root tile's key stand for. */
-static int32_t key_corner(uint64_t key)
-{
-    return (int32_t)((uint32_t)(key & 0x1fffff) << BK_UPPER_LOG2);
-}
-
-/* Returns whether a coordinate is one of a grid that can be traced. Others are in damaged files. */
-static bool is_index(int32_t v)
-{
-    return v >= -BAKE_INDEX_LIMIT && v < BAKE_INDEX_LIMIT;
+    struct builder *builder = arg;
+    if (builder->lower_count == builder->grid->lower_count)
+        return 0; /* the file is damaged */
+    builder->lowers[builder->lower_count++] =
+        (struct lower_node){{origin[0], origin[1], origin[2]}, lower};
+    return builder->lower_count % CHECKED_LOWERS ? 0 : bsq_check(builder->ctx);
 }
 
 static int list_lowers(struct builder *builder)
 {
-    const struct bk_grid *grid = builder->grid;
-    for (uint32_t i = 0; i < grid->tile_count; i++) {
-        int status = i % CHECKED_LOWERS ? 0 : bsq_check(builder->ctx);
-        if (status < 0)
-            return status;
-        const uint64_t *tile = &grid->tiles[(uint64_t)i * BK_TILE_WORDS];
-        const uint64_t key = tile[0];
-        const int32_t corner[3] = {key_corner(key >> 42), key_corner(key >> 21), key_corner(key)};
-        const uint32_t upper = bk_find_upper(grid, corner[0], corner[1], corner[2]);
-        if (upper != BK_NONE && is_index(corner[0]) && is_index(corner[1]) && is_index(corner[2]))
-            add_lowers(builder, upper, corner);
-    }
+    const struct fmt_nvdb_grid *grid = builder->grid;
+    int status = bake_visit_nodes(grid, grid->index_min, grid->index_max, add_lower, builder);
     bsq_sort(builder->lowers, builder->lower_count, sizeof *builder->lowers, by_morton_order);
-    return 0;
+    return status;
 }
 
 /* Returns every third of the lowest twelve bits. */
@@ -146,7 +111,7 @@ static uint32_t third_bits(uint32_t code)
 
 static int list_leaves(struct builder *builder)
 {
-    const struct bk_grid *grid = builder->grid;
+    const struct fmt_nvdb_grid *grid = builder->grid;
     for (uint64_t b = 0; b < builder->lower_count; b++) {
         const struct lower_node *lower = &builder->lowers[b];
         int status = b % CHECKED_LOWERS ? 0 : bsq_check(builder->ctx);
@@ -154,24 +119,19 @@ static int list_leaves(struct builder *builder)
             return status;
         if (b > 0 && by_morton_order(lower - 1, lower) == 0)
             continue; /* the file is damaged */
-        const uint64_t node = (uint64_t)lower->lower * BK_LOWER_WORDS;
         for (uint32_t code = 0; code < 1u << 12; code++) {
             const uint32_t x = third_bits(code >> 2), y = third_bits(code >> 1);
-            const uint32_t z = third_bits(code), n = x << 8 | y << 4 | z;
-            if (!(grid->lowers[node + BK_LOWER_CHILD_MASK + (n >> 6)] >> (n & 63) & 1))
+            const uint32_t z = third_bits(code);
+            const uint32_t leaf = bake_lower_leaf(grid, lower->lower, x << 8 | y << 4 | z);
+            if (leaf == BK_NONE)
                 continue;
-            const uint64_t child =
-                node * 8 + grid->lowers[node + BK_LOWER_TABLE + n] - grid->leaf_offset;
-            const uint64_t leaf = child / (BK_LEAF_WORDS * 8u);
             if (builder->leaf_count == grid->leaf_count)
                 return 0; /* the file is damaged */
-            if (leaf >= grid->leaf_count)
-                continue;
             builder->leaves[builder->leaf_count++] =
                 (struct leaf){.corner = {lower->corner[0] + (int32_t)(x << BK_LEAF_LOG2),
                                          lower->corner[1] + (int32_t)(y << BK_LEAF_LOG2),
                                          lower->corner[2] + (int32_t)(z << BK_LEAF_LOG2)},
-                              .number = (uint32_t)leaf};
+                              .number = leaf};
         }
     }
     return 0;
@@ -284,9 +244,10 @@ static int add_children(struct builder *builder, uint64_t number, bool *fits)
 /* ---- boxes ---- */
 
 /* Returns the occupied voxels of a block of a leaf. */
-static uint64_t occupied_voxels(const struct bk_grid *grid, uint64_t leaf, uint32_t block)
+static uint64_t occupied_voxels(const struct fmt_nvdb_grid *grid, uint64_t leaf, uint32_t block)
 {
-    const uint64_t *words = grid->leaves + leaf * BK_LEAF_WORDS + BK_LEAF_MASK + (block & 4);
+    const uint64_t *words = (const uint64_t *)(const void *)grid->leaves + leaf * BK_LEAF_WORDS +
+                            BK_LEAF_MASK + (block & 4);
     const uint32_t shift = (block & 2) << 4 | (block & 1) << 2;
     uint64_t all = 0;
     for (uint32_t x = 0; x < 4; x++) {
@@ -306,7 +267,7 @@ static void bit_range(uint32_t bits, uint32_t from, uint8_t *low, uint8_t *high)
 }
 
 /* Makes the boxes of a leaf's blocks. */
-static void make_blocks(const struct bk_grid *grid, const struct bake_tree *tree,
+static void make_blocks(const struct fmt_nvdb_grid *grid, const struct bake_tree *tree,
                         struct bake_tree_node *node)
 {
     for (uint32_t block = 0; block < BAKE_TREE_WIDTH; block++) {
@@ -394,21 +355,20 @@ static int add_nodes(struct builder *builder, bool *fits)
 {
     struct bake_tree *tree = builder->tree;
     const struct range all = {0, builder->leaf_count};
-    int status = reserve(builder, 1, fits);
-    if (status < 0 || !*fits)
-        return status;
-    append(tree, &all);
-    for (uint64_t i = 0; i < tree->count; i++) {
-        status = i % CHECKED ? 0 : bsq_check(builder->ctx);
-        if (status == 0)
-            status = add_children(builder, i, fits);
-        if (status < 0 || !*fits)
-            return status;
+    int status;
+    BSQ_TRY(reserve(builder, 1, fits));
+    if (*fits)
+        append(tree, &all);
+    for (uint64_t i = 0; *fits && i < tree->count; i++) {
+        if (i % CHECKED == 0)
+            BSQ_TRY(bsq_check(builder->ctx));
+        BSQ_TRY(add_children(builder, i, fits));
     }
+    if (!*fits)
+        return 0;
     for (uint64_t i = tree->count; i-- > 0;) {
-        status = i % CHECKED ? 0 : bsq_check(builder->ctx);
-        if (status < 0)
-            return status;
+        if (i % CHECKED == 0)
+            BSQ_TRY(bsq_check(builder->ctx));
         if (bake_tree_is_leaf(&tree->nodes[i]))
             make_blocks(builder->grid, tree, &tree->nodes[i]);
         else
@@ -417,7 +377,8 @@ static int add_nodes(struct builder *builder, bool *fits)
     const struct box whole = node_box(&tree->nodes[0]);
     memcpy(tree->low, whole.low, sizeof tree->low);
     memcpy(tree->high, whole.high, sizeof tree->high);
-    return 0;
+done:
+    return status;
 }
 
 /* Returns whether the leaves are within BAKE_TREE_EXTENT of each other. */
@@ -438,38 +399,31 @@ static bool is_narrow(const struct builder *builder)
     return true;
 }
 
-int bake_tree_build(struct bsq_ctx *ctx, const struct bk_grid *grid, uint64_t limit,
+int bake_tree_build(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, uint64_t limit,
                     struct bake_tree *tree)
 {
-    const uint64_t lists =
-        grid->leaf_count * sizeof(struct leaf) + grid->lower_count * sizeof(struct lower_node);
-    const uint64_t blocks = grid->leaf_count * sizeof *tree->blocks;
+    const uint64_t lists = grid->leaf_count * sizeof(struct leaf) +
+                           grid->lower_count * (uint64_t)sizeof(struct lower_node);
+    const uint64_t blocks = grid->leaf_count * (uint64_t)sizeof *tree->blocks;
     struct builder builder = {.ctx = ctx, .grid = grid, .tree = tree};
-    bool fits = lists + blocks < limit;
+    bool fits = lists + blocks < limit && grid->leaf_count > 0 && grid->lower_count > 0;
     int status = 0;
 
     *tree = (struct bake_tree){0};
-    if (!fits || grid->leaf_count == 0 || grid->lower_count == 0)
+    if (!fits)
         return 0;
     builder.limit = limit - lists - blocks;
-    status =
-        bsq_alloc(ctx, "lower nodes", grid->lower_count, sizeof *builder.lowers, &builder.lowers);
-    if (status == 0)
-        status =
-            bsq_alloc(ctx, "leaves", grid->leaf_count, sizeof *builder.leaves, &builder.leaves);
-    if (status < 0)
-        goto done;
-    status = list_lowers(&builder);
-    if (status == 0)
-        status = list_leaves(&builder);
-    if (status < 0)
-        goto done;
+    BSQ_TRY(
+        bsq_alloc(ctx, "lower nodes", grid->lower_count, sizeof *builder.lowers, &builder.lowers));
+    BSQ_TRY(bsq_alloc(ctx, "leaves", grid->leaf_count, sizeof *builder.leaves, &builder.leaves));
+    BSQ_TRY(list_lowers(&builder));
+    BSQ_TRY(list_leaves(&builder));
     fits = builder.leaf_count > 0 && is_narrow(&builder);
-    if (fits)
-        status = bsq_alloc(ctx, "blocks of leaves", grid->leaf_count, sizeof *tree->blocks,
-                           &tree->blocks);
-    if (fits && status == 0)
-        status = add_nodes(&builder, &fits);
+    if (!fits)
+        goto done;
+    BSQ_TRY(
+        bsq_alloc(ctx, "blocks of leaves", grid->leaf_count, sizeof *tree->blocks, &tree->blocks));
+    status = add_nodes(&builder, &fits);
 done:
     bsq_free(ctx, builder.lowers);
     bsq_free(ctx, builder.leaves);

@@ -17,6 +17,7 @@
 #include "libbake/kernel/bk_grid.h"
 
 struct bsq_ctx;
+struct fmt_nvdb_grid;
 
 enum { BAKE_TREE_WIDTH = 8 };
 
@@ -51,7 +52,7 @@ struct bake_tree {
 /* Builds the tree of a grid. Without leaves, or if the grid is too wide or the tree would need more
  * than `limit` bytes, there is none: tree->nodes stays NULL. The caller frees it. Errors:
  * BSQ_EINTR, BSQ_ENOMEM. */
-int bake_tree_build(struct bsq_ctx *ctx, const struct bk_grid *grid, uint64_t limit,
+int bake_tree_build(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, uint64_t limit,
                     struct bake_tree *tree);
 void bake_tree_free(struct bsq_ctx *ctx, struct bake_tree *tree);
 

@@ -72,7 +72,7 @@ static void native_close(struct bake_backend *backend)
 }
 
 /* Makes the tree of leaves, if there are secondary rays and memory for it. */
-static int make_tree(struct native *native)
+static int make_tree(struct native *native, const struct fmt_nvdb_grid *grid)
 {
     const unsigned threads = bsq_threads(native->ctx);
     const uint64_t rays = (uint64_t)bk_open_rays(&native->params) + bk_solid_rays(&native->params);
@@ -83,7 +83,7 @@ static int make_tree(struct native *native)
     bytes = threads * (sizeof *native->streams + native->worker_results * sizeof(float));
     if (rays == 0 || bytes > limit)
         return 0;
-    int status = bake_tree_build(native->ctx, &native->grid, limit - bytes, &native->tree);
+    int status = bake_tree_build(native->ctx, grid, limit - bytes, &native->tree);
     if (status < 0 || !native->tree.nodes)
         return status;
     status = bsq_alloc(native->ctx, "results of rays", threads * native->worker_results,
@@ -144,7 +144,7 @@ static int native_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_j
     native->params = job->params;
     native->triangles = job->triangles;
     native->tile = BSQ_SIMD_PICK(bsq_simd_best(), bake_native_tile);
-    status = make_tree(native);
+    status = make_tree(native, job->grid);
     if (status < 0)
         native_close(&native->base);
     else

@@ -176,7 +176,7 @@ TEST(test_rays_from_hits)
     const struct fixture *f = *state;
     struct bk_params params = f->params;
     struct bake_tree tree;
-    assert_int_equal(bake_tree_build(f->ctx, &f->grid, UINT64_MAX, &tree), 0);
+    assert_int_equal(bake_tree_build(f->ctx, &f->file, UINT64_MAX, &tree), 0);
     assert_non_null(tree.nodes);
     params.flags |= BK_TWO_SIDED;
     params.open_sine2 = 1;

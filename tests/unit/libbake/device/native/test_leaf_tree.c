@@ -27,7 +27,7 @@ static void open_fixture(struct fixture *f, const struct analytic_grid *grid)
     memset(&f->params, 0, sizeof f->params);
     bake_params_from_grid(&f->file, &f->params);
     bake_kernel_grid(&f->file, &f->params, &f->grid);
-    assert_int_equal(bake_tree_build(f->ctx, &f->grid, UINT64_MAX, &f->tree), 0);
+    assert_int_equal(bake_tree_build(f->ctx, &f->file, UINT64_MAX, &f->tree), 0);
 }
 
 static void close_fixture(struct fixture *f)
@@ -170,7 +170,7 @@ TEST(test_limits)
     const uint64_t used = bsq_memory_used(f.ctx);
     bool some = false, none = false;
     for (uint64_t limit = 0; limit < 400 * all; limit += 5 * all + 1) {
-        assert_int_equal(bake_tree_build(f.ctx, &f.grid, limit, &tree), 0);
+        assert_int_equal(bake_tree_build(f.ctx, &f.file, limit, &tree), 0);
         assert_true(!tree.nodes || tree.count == all);
         some |= tree.nodes != NULL;
         none |= tree.nodes == NULL;
@@ -179,7 +179,7 @@ TEST(test_limits)
     }
     assert_true(some && none);
     bsq_interrupt(f.ctx);
-    assert_int_equal(bake_tree_build(f.ctx, &f.grid, UINT64_MAX, &tree), BSQ_EINTR);
+    assert_int_equal(bake_tree_build(f.ctx, &f.file, UINT64_MAX, &tree), BSQ_EINTR);
     assert_null(tree.nodes);
     assert_int_equal(bsq_memory_used(f.ctx), used);
     close_fixture(&f);

@@ -1,14 +1,13 @@
-/* raster_spans.h - converts a triangle in texture space into spans of samples; private to this
- * folder.
+/* raster_internal.h - the triangles of each tile, and triangles in texture space as spans of
+ * samples; private to this folder.
  *
  * A map has width * N by height * N samples; sample i has its centre at i + 1/2. Corners are
  * snapped to fixed-point coordinates with `shift` fractional bits. From there on all arithmetic is
  * exact. */
-#ifndef BAKE_RASTER_RASTER_SPANS_H
-#define BAKE_RASTER_RASTER_SPANS_H
+#ifndef BAKE_RASTER_RASTER_INTERNAL_H
+#define BAKE_RASTER_RASTER_INTERNAL_H
 
-#include <stdbool.h>
-#include <stdint.h>
+#include "libbake/raster/raster.h"
 
 struct sample_grid {
     uint32_t columns, rows; /* samples of the whole map */
@@ -70,5 +69,26 @@ void bake_raster_spans_begin(const struct sample_grid *grid, const struct raster
 /* Finds the next row that has samples, begin <= x < end. Returns false after the last one. */
 bool bake_raster_spans_next(struct raster_spans *spans, uint32_t *row, uint32_t *begin,
                             uint32_t *end);
+
+struct bake_raster {
+    struct bsq_ctx *ctx;
+    const struct bake_lowmesh *mesh;
+    struct bake_raster_options options;
+    struct sample_grid grid;
+    uint32_t tile_columns, tile_rows;
+    uint32_t tile_count;    /* tiles that a triangle overlaps */
+    uint32_t *tile_numbers; /* of each of them: row * tile_columns + column */
+    uint64_t *starts;       /* tile_count + 1; where the list of each begins in `triangles` */
+    uint32_t *triangles;
+};
+
+/* Snaps a triangle of the mesh to the sample grid. Returns false if it can cover no sample. */
+static inline bool raster_snap_triangle(const struct bake_raster *raster, uint64_t triangle,
+                                        struct raster_triangle *out)
+{
+    return bake_raster_snap(&raster->grid, (const float(*)[2])raster->mesh->texcoords[triangle],
+                            out) &&
+           bake_raster_has_area(out);
+}
 
 #endif
