@@ -1,6 +1,4 @@
 /* exact.c - opens a chunk file: tree of its chunks, materials, textures. */
-#include "base/ids.h"
-#include "base/srgb.h"
 #include "libbake/exact/exact_scene.h"
 
 #include <inttypes.h>
@@ -55,6 +53,10 @@ static int open_file(struct bake_exact *exact)
     if (status < 0)
         return status;
     exact->header = fmt_tris_get_header(exact->file);
+    exact->shading = (struct fmt_shading){.ctx = exact->ctx,
+                                          .path = exact->options.paths[0],
+                                          .file = exact->file,
+                                          .header = exact->header};
     exact->chunks = fmt_tris_chunks(exact->file);
     if (exact->header->chunk_count == 0 || exact->header->chunk_count > EXACT_TREE_BOXES)
         return bsq_fail(exact->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks: must be 1 to %" PRIu32,
@@ -94,10 +96,7 @@ void bake_exact_close(struct bake_exact *exact)
     if (!exact)
         return;
     struct bsq_ctx *ctx = exact->ctx;
-    fmt_textures_close(exact->textures);
-    bake_exact_transfers_free(exact);
-    bsq_free(ctx, exact->diffuse);
-    bsq_free(ctx, exact->ids);
+    fmt_shading_close(&exact->shading);
     bsq_free(ctx, exact->tree_memory);
     fmt_tris_close(exact->file);
     bsq_free(ctx, exact);
@@ -108,49 +107,41 @@ const struct bake_exact_info *bake_exact_get_info(const struct bake_exact *exact
     return &exact->info;
 }
 
-/* ---- colour ---- */
+/* ---- attributes ---- */
 
-/* The colour texture of a material. */
-static void source_of(const void *header, uint64_t material, struct fmt_texture_source *out)
+/* Returns the bytes that a cache of textures may take. */
+static uint64_t cache_bytes(const struct bake_exact *exact)
 {
-    out->path = ((const struct fmt_tris_header *)header)->materials[material].texture_path;
+    const uint64_t least = UINT64_C(12) << 20, most = UINT64_C(64) << 20;
+    const uint64_t bytes = bsq_memory_share(exact->ctx, "textures", 4);
+    return bytes < least ? least : bytes > most ? most : bytes;
 }
 
-int bake_exact_use_color(struct bake_exact *exact)
+int bake_exact_use(struct bake_exact *exact, const struct bake_exact_attributes *attributes)
 {
-    const struct fmt_tris_header *h = exact->header;
-    exact->color = exact->info.has_color;
-    if (!(h->attributes & FMT_TRIS_MATERIALS) || h->material_count == 0)
-        return 0;
-    int status = bsq_alloc(exact->ctx, "material colours", h->material_count,
-                           sizeof *exact->diffuse, &exact->diffuse);
-    if (status < 0)
-        return status;
-    for (uint32_t m = 0; m < h->material_count; m++)
-        for (int k = 0; k < 3; k++)
-            exact->diffuse[m][k] = (float)bsq_srgb_to_linear((double)h->materials[m].diffuse[k]);
-    return h->attributes & FMT_TRIS_TEXCOORDS
-               ? fmt_textures_open_each(exact->ctx, h->material_count, source_of, h,
-                                        exact_cache_bytes(exact), &exact->textures)
-               : 0;
+    struct fmt_shading *shading = &exact->shading;
+    int status = 0;
+    if (attributes->color)
+        BSQ_TRY(fmt_shading_add_color(shading));
+    for (uint32_t i = 0; i < attributes->transfer_count; i++)
+        BSQ_TRY(fmt_shading_add_channel(shading, attributes->transfers[i].name,
+                                        attributes->transfers[i].texture_path));
+    BSQ_TRY(fmt_shading_add_normal_map(shading, attributes->normal_map));
+    if (attributes->ids && exact->header->ids != BSQ_IDS_NONE)
+        BSQ_TRY(fmt_shading_add_ids(shading));
+    status = fmt_shading_open_textures(shading, cache_bytes(exact));
+done:
+    return status;
+}
+
+int bake_exact_tell_losses(const struct bake_exact *exact)
+{
+    return fmt_shading_tell_losses(&exact->shading);
 }
 
 bool bake_exact_wants_footprints(const struct bake_exact *exact)
 {
-    return exact->textures || exact->transfers.textures || exact->normal_map.textures;
-}
-
-/* ---- ids ---- */
-
-int bake_exact_use_ids(struct bake_exact *exact)
-{
-    const uint64_t count = exact->header->material_count;
-    int status = bsq_alloc(exact->ctx, "ids", count + 1, sizeof *exact->ids, &exact->ids);
-    for (uint64_t m = 0; m <= count && status == 0; m++) {
-        const char *name = m < count ? exact->header->materials[m].name : NULL;
-        exact->ids[m] = bsq_name_id(name ? name : "");
-    }
-    return status;
+    return exact->shading.textures != NULL;
 }
 
 const char *bake_exact_id_name(const struct bake_exact *exact, uint32_t number)

@@ -44,27 +44,21 @@ void bake_exact_close(struct bake_exact *exact); /* NULL is allowed */
 /* Returns what the scan is like; valid until the scan is closed. */
 const struct bake_exact_info *bake_exact_get_info(const struct bake_exact *exact);
 
-/* Makes later batches evaluate colours, and opens the scan's textures, if it has any. Call it at
- * most once, not from parallel work. Errors: those of fmt_textures_open(), BSQ_ENOMEM. */
-int bake_exact_use_color(struct bake_exact *exact);
+/* What hits have besides a normal. All must live until bake_exact_close(). */
+struct bake_exact_attributes {
+    bool color, ids; /* if the scan has them */
+    /* Further channels of the scan, three values for each. A channel without a texture of the
+     * options must be in the chunk file. */
+    const struct bake_transfer *transfers;
+    uint32_t transfer_count;
+    /* The image of a normal map (base/normal_map.h) that is added to the scan's normals; NULL: what
+     * the chunk file keeps, if anything. What lies in no tile of it adds nothing. */
+    const char *normal_map;
+};
 
-/* Makes later batches evaluate further channels of the scan, three values for each of `count`
- * transfers, and opens their textures. A channel without a texture of the options must be in the
- * chunk file. The transfers must live until bake_exact_close(). Call it at most once, not from
- * parallel work. Errors: BSQ_EDATA for a scan without the channel or texture coordinates; those of
- * fmt_textures_open(), BSQ_ENOMEM. */
-int bake_exact_use_transfers(struct bake_exact *exact, const struct bake_transfer *transfers,
-                             uint32_t count);
-
-/* Makes later batches add a tangent-space normal map (base/normal_map.h) to the scan's normals.
- * What lies in no tile adds nothing. path: its image; NULL: what the chunk file keeps, if anything.
- * The path must live until bake_exact_close(). Call it at most once, not from parallel work.
- * Errors: those of bake_exact_use_transfers(). */
-int bake_exact_use_normal_map(struct bake_exact *exact, const char *path);
-
-/* Makes later batches evaluate ids. Call it at most once, not from parallel work, and only if the
- * scan has ids. Errors: BSQ_ENOMEM. */
-int bake_exact_use_ids(struct bake_exact *exact);
+/* Makes later batches evaluate attributes, and opens their textures. Call it at most once, not from
+ * parallel work. Errors: those of fmt_shading_add_channel() and fmt_shading_open_textures(). */
+int bake_exact_use(struct bake_exact *exact, const struct bake_exact_attributes *attributes);
 
 /* Returns the name of entry `number` of the scan's materials, by which ids tell triangles apart;
  * NULL after the last. Names may repeat. */
@@ -156,11 +150,10 @@ int bake_exact_look_from(struct bake_exact_look *look, const struct bake_places 
  * a hit's position. */
 float bake_exact_lift(const struct bake_exact *exact);
 
-/* Warns of tiles of textures that are missing where rays have hit, and of textures with texels that
- * are not finite, each once. Errors: BSQ_EDATA in a strict job. */
-int bake_exact_tell_losses(struct bake_exact *exact);
+/* Warns of textures as fmt_shading_tell_losses() does. */
+int bake_exact_tell_losses(const struct bake_exact *exact);
 
-/* Returns whether footprints have an effect: only if colours come from textures. */
+/* Returns whether footprints have an effect: only if something comes from textures. */
 bool bake_exact_wants_footprints(const struct bake_exact *exact);
 
 /* Returns the place of a point on a Hilbert curve through the cube at `low` with this side; 33

@@ -9,20 +9,9 @@
 #include "base/positions.h"
 #include "base/simd/simd.h"
 #include "base/smooth_normals.h"
-#include "formats/texture/texture.h"
-#include "formats/chunks/tris.h"
+#include "formats/shading/shading.h"
 #include "libbake/exact/exact.h"
 #include "libbake/exact/exact_tree.h"
-
-/* Further channels of the scan. Image numbers of their textures are those of `sources`. */
-struct exact_transfers {
-    uint32_t count;
-    const struct bake_transfer *list;
-    const struct bsq_channel **rows; /* of each, what is known by its name */
-    struct fmt_textures *textures;   /* NULL: no channel has a texture */
-    /* For each transfer, that of each material, then of triangles without one. */
-    struct fmt_tris_source *sources;
-};
 
 struct bake_exact {
     struct bsq_ctx *ctx;
@@ -35,28 +24,14 @@ struct bake_exact {
     enum bsq_simd simd;     /* instructions for tracing */
     struct exact_tree tree; /* over the chunks' bounds */
     void *tree_memory;
-    bool color; /* hits have colours */
-    struct fmt_textures *textures;
-    float (*diffuse)[3]; /* linear light of each material */
-    uint32_t *ids;       /* of each material, then of triangles without one; NULL: not used */
-    struct exact_transfers transfers;
-    /* One channel, or none: the scan's normal map in tangent space. */
-    struct exact_transfers normal_map;
-    struct bake_transfer normal_map_source; /* its list */
+    struct fmt_shading shading; /* its channels are those of transfer maps */
 };
-
-/* Returns the bytes that a cache of textures may take. */
-static inline uint64_t exact_cache_bytes(const struct bake_exact *exact)
-{
-    const uint64_t least = UINT64_C(12) << 20, most = UINT64_C(64) << 20;
-    const uint64_t bytes = bsq_memory_share(exact->ctx, "textures", 4);
-    return bytes < least ? least : bytes > most ? most : bytes;
-}
 
 /* Returns the number of values that the channels of a hit have. */
 static inline uint64_t exact_transfer_floats(const struct bake_exact *exact)
 {
-    return (uint64_t)BK_TRANSFER_VALUES * exact->transfers.count;
+    const uint32_t count = exact->shading.attribute_count;
+    return count > 0 ? (uint64_t)BK_TRANSFER_VALUES * (count - FMT_SHADING_CHANNELS) : 0;
 }
 
 /* Locks over the hits, and bucket entries per ray. If rays cross more chunks than that, the batch
@@ -212,28 +187,6 @@ void bake_exact_smooth_begin(struct exact_slot *slot);
 void bake_exact_smooth_need(struct exact_slot *slot, uint32_t vertex);
 int bake_exact_smooth_sum(const struct bake_exact *exact, struct exact_slot *slot,
                           const struct exact_scratch *scratch);
-
-/* Frees what bake_exact_use_transfers() has opened. */
-void bake_exact_transfers_free(struct bake_exact *exact);
-
-/* Where a hit lies on the textures of its triangle: coordinates, and the widths of its footprint.
- */
-struct exact_texture_place {
-    float u, v, du, dv;
-    uint32_t material; /* of the triangle; UINT32_MAX: none */
-};
-
-/* Samples a texture whose coordinates are moved. */
-int bake_exact_sample(struct fmt_textures *textures, uint32_t image,
-                      const struct exact_texture_place *at, const struct bsq_uv *uv, float out[3]);
-
-/* Samples the scan's normal map, which there is, at a hit; black if its material has none. */
-int bake_exact_sample_normal_map(const struct bake_exact *exact,
-                                 const struct exact_texture_place *at, float out[3]);
-
-/* Evaluates the channels of a hit. at: as found for the scan's texture coordinates. */
-int bake_exact_shade_channels(const struct bake_exact *exact, const struct exact_texture_place *at,
-                              float *out);
 
 /* Evaluates the normal and colour of a ray's hit, which must lie in the slot's chunk. Tracing left
  * its barycentric weights in normal[0] and normal[1]. */

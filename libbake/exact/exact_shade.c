@@ -76,12 +76,12 @@ static void shade_normal(const struct bake_exact *exact, const struct place *pla
 
 /* Adds the scan's normal map to a unit normal. */
 static int add_normal_map(const struct bake_exact *exact, const struct place *place,
-                          const struct exact_texture_place *at, float normal[3])
+                          const struct fmt_shading_place *at, float normal[3])
 {
     const float(*texcoords)[2] = place->slot->chunk.texcoords;
     double n[3] = {(double)normal[0], (double)normal[1], (double)normal[2]}, uv[2][2];
     float texel[3];
-    int status = bake_exact_sample_normal_map(exact, at, texel);
+    int status = fmt_shade_attribute(&exact->shading, FMT_SHADING_NORMAL_MAP, at, texel);
     for (int e = 0; e < 2; e++)
         for (int k = 0; k < 2; k++)
             uv[e][k] = (double)texcoords[place->v[e + 1]][k] - (double)texcoords[place->v[0]][k];
@@ -147,12 +147,19 @@ static void footprint(const struct place *place, const struct bake_exact_ray *ra
     width[1] = sqrt(width[1]);
 }
 
-static struct exact_texture_place texture_place(const struct place *place,
-                                                const struct bake_exact_batch *batch, uint64_t ray)
+/* Finds where a hit lies on the textures of its triangle. Without texture coordinates, that is
+ * their origin. */
+static struct fmt_shading_place texture_place(const struct bake_exact *exact,
+                                              const struct place *place,
+                                              const struct bake_exact_batch *batch, uint64_t ray)
 {
     const struct fmt_tris_chunk *chunk = &place->slot->chunk;
+    struct fmt_shading_place out = {
+        .material = fmt_shading_material(&exact->shading, chunk, place->triangle)};
     double width[2] = {0, 0}, at[2] = {0, 0};
     float uv[3][2];
+    if (!chunk->texcoords || !exact->shading.textures)
+        return out;
     for (int i = 0; i < 3; i++)
         for (int k = 0; k < 2; k++) {
             uv[i][k] = chunk->texcoords[place->v[i]][k];
@@ -161,87 +168,55 @@ static struct exact_texture_place texture_place(const struct place *place,
     if (batch->footprints)
         footprint(place, &batch->rays[ray], &batch->footprint_table[batch->footprints[ray]],
                   (const float(*)[2])uv, width);
-    return (struct exact_texture_place){
-        .u = (float)at[0], .v = (float)at[1], .du = (float)width[0], .dv = (float)width[1]};
-}
-
-static int shade_texture(const struct bake_exact *exact, const struct place *place,
-                         uint32_t material, const struct bake_exact_batch *batch, uint64_t ray,
-                         float out[3])
-{
-    const struct exact_texture_place at = texture_place(place, batch, ray);
-    return bake_exact_sample(exact->textures, material, &at, &exact->header->materials[material].uv,
-                             out);
+    for (int k = 0; k < 2; k++) {
+        out.at[k] = (float)at[k];
+        out.width[k] = (float)width[k];
+    }
+    return out;
 }
 
 /* Evaluates the colour, in this order of precedence: texture, vertex colours, colour of the
  * material. Black if the scan has none of them. */
 static int shade_color(const struct bake_exact *exact, const struct place *place,
-                       const struct bake_exact_batch *batch, uint64_t ray, float out[3])
+                       const struct fmt_shading_place *at, float out[3])
 {
     const struct fmt_tris_chunk *chunk = &place->slot->chunk;
-    uint32_t material =
-        chunk->materials && exact->diffuse ? chunk->materials[place->triangle] : UINT32_MAX;
-    if (material != UINT32_MAX && exact->header->materials[material].colorless)
-        material = UINT32_MAX;
-    if (material != UINT32_MAX && exact->textures && chunk->texcoords &&
-        exact->header->materials[material].texture_path)
-        return shade_texture(exact, place, material, batch, ray, out);
+    if (fmt_shading_is_textured(&exact->shading, FMT_SHADING_COLOR, at->material))
+        return fmt_shade_attribute(&exact->shading, FMT_SHADING_COLOR, at, out);
+    const double *diffuse = fmt_shading_diffuse(&exact->shading, at->material);
     double sum[3] = {0, 0, 0};
     for (int i = 0; chunk->colors && i < 3; i++)
         for (int k = 0; k < 3; k++)
             sum[k] += place->w[i] * (double)bk_srgb[chunk->colors[place->v[i]] >> (8 * k) & 0xff];
     for (int k = 0; k < 3; k++)
-        out[k] = (float)sum[k];
-    if (!chunk->colors && material != UINT32_MAX)
-        memcpy(out, exact->diffuse[material], 3 * sizeof *out);
+        out[k] = (float)(!chunk->colors && diffuse ? diffuse[k] : sum[k]);
     return 0;
-}
-
-/* ---- ids ---- */
-
-/* Returns the id of the triangle's region or, if ids are colours, that of the nearest corner; the
- * first of several. */
-static uint32_t shade_id(const struct bake_exact *exact, const struct place *place)
-{
-    const struct fmt_tris_chunk *chunk = &place->slot->chunk;
-    int nearest = 0;
-    for (int i = 1; i < 3; i++)
-        nearest = place->w[i] > place->w[nearest] ? i : nearest;
-    if (exact->header->ids == BSQ_IDS_COLOR)
-        return chunk->colors ? chunk->colors[place->v[nearest]] : 0;
-    const uint32_t none = exact->header->material_count;
-    const uint32_t material = chunk->materials ? chunk->materials[place->triangle] : none;
-    return exact->ids[material < none ? material : none];
 }
 
 int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *slot,
                      const struct bake_exact_batch *batch, uint64_t ray)
 {
+    const struct fmt_shading *shading = &exact->shading;
     struct bake_exact_hit *hit = &batch->hits[ray];
-    const uint64_t first = exact->chunks[slot->number].first_triangle;
     struct place place;
-    set_place(&place, slot, (uint32_t)(hit->triangle - first), hit);
+    int status = 0;
+    set_place(&place, slot, (uint32_t)(hit->triangle - exact->chunks[slot->number].first_triangle),
+              hit);
     shade_normal(exact, &place, hit->normal);
-    const struct fmt_tris_chunk *chunk = &slot->chunk;
-    struct exact_texture_place at = {0};
-    const bool mapped = chunk->texcoords && exact->normal_map.textures;
-    if (chunk->texcoords && (batch->channels || mapped))
-        at = texture_place(&place, batch, ray);
-    at.material = chunk->materials ? chunk->materials[place.triangle] : UINT32_MAX;
-    int status = mapped ? add_normal_map(exact, &place, &at, hit->normal) : 0;
-    if (status < 0)
-        return status;
+    const struct fmt_shading_place at = texture_place(exact, &place, batch, ray);
+    if (slot->chunk.texcoords &&
+        fmt_shading_is_textured(shading, FMT_SHADING_NORMAL_MAP, at.material))
+        BSQ_TRY(add_normal_map(exact, &place, &at, hit->normal));
     set_side(exact, &place, batch, ray);
-    if (hit->reversed)
-        for (int k = 0; k < 3; k++)
-            hit->normal[k] = -hit->normal[k];
-    hit->id = exact->ids ? shade_id(exact, &place) : 0;
-    if (batch->channels) {
-        status = bake_exact_shade_channels(exact, &at,
-                                           batch->channels + ray * exact_transfer_floats(exact));
-        if (status < 0)
-            return status;
-    }
-    return exact->color ? shade_color(exact, &place, batch, ray, hit->color) : 0;
+    for (int k = 0; hit->reversed && k < 3; k++)
+        hit->normal[k] = -hit->normal[k];
+    hit->id = shading->ids ? fmt_shade_id(shading, &slot->chunk, place.triangle, place.w) : 0;
+    for (uint32_t a = FMT_SHADING_CHANNELS; batch->channels && a < shading->attribute_count; a++)
+        BSQ_TRY(fmt_shade_attribute(shading, a, &at,
+                                    batch->channels + ray * exact_transfer_floats(exact) +
+                                        (a - FMT_SHADING_CHANNELS) * BK_TRANSFER_VALUES));
+    if (shading->diffuse)
+        status = shade_color(exact, &place, &at, hit->color);
+done:
+    return status;
 }

@@ -148,17 +148,10 @@ done:
 /* Makes hits carry what the maps need. */
 static int use_attributes(struct bake_work *job)
 {
-    const bool ids = job->maps & BAKE_MAP_ID;
-    int status = 0;
-    if (job->maps & BAKE_MAP_COLOR)
-        status = bake_surface_use_color(&job->surface);
-    if (status == 0)
-        status = bake_surface_use_transfers(&job->surface, job->options);
-    if (status == 0)
-        status = bake_surface_use_normal_map(&job->surface, job->options);
-    if (status == 0)
-        status = bake_surface_use_ids(&job->surface, ids);
-    return status == 0 && ids ? bake_surface_report_ids(&job->surface, job->report) : status;
+    int status = bake_surface_use(&job->surface, job->options, job->maps);
+    return status == 0 && job->maps & BAKE_MAP_ID
+               ? bake_surface_report_ids(&job->surface, job->report)
+               : status;
 }
 
 /* ---- tiles ---- */

@@ -236,34 +236,6 @@ int bake_surface_explain(const struct bake_surface *surface, int status)
     return status;
 }
 
-int bake_surface_use_color(struct bake_surface *surface)
-{
-    int status = 0;
-    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++)
-        if (surface->scans[s].exact && surface->scans[s].has_color)
-            status = bake_exact_use_color(surface->scans[s].exact);
-    return status;
-}
-
-int bake_surface_use_normal_map(struct bake_surface *surface, const struct bake_options *options)
-{
-    const char *path = options->scan_normal_map;
-    int status = 0;
-    if (path && surface->scan_count > 1)
-        return bsq_fail(surface->ctx, BSQ_EUSAGE,
-                        "%s is the normal map of one scan, but there are %u scans", path,
-                        options->more_scan_count + 1);
-    if (path && !surface->scans[0].exact)
-        return bsq_fail(surface->ctx, BSQ_EUSAGE,
-                        "%s: a grid has no texture coordinates for the normal map %s; bake from "
-                        "the chunk file, or give the image to bisque-voxelize",
-                        surface->scans[0].path, path);
-    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++)
-        if (surface->scans[s].exact)
-            status = bake_exact_use_normal_map(surface->scans[s].exact, path);
-    return status;
-}
-
 struct bake_scan_facts bake_surface_facts(const struct bake_surface *surface)
 {
     return (struct bake_scan_facts){.has_color = surface->has_color,

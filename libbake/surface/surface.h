@@ -74,30 +74,20 @@ struct bake_scan_facts bake_surface_facts(const struct bake_surface *surface);
  * the end of a job, see bsq_map_explain(). */
 int bake_surface_explain(const struct bake_surface *surface, int status);
 
-/* Makes later hits carry colours, if the scans have any. Call it at most once, not from parallel
- * work. Errors: those of bake_exact_use_color(). */
-int bake_surface_use_color(struct bake_surface *surface);
-
 /* Calls fn for the name of each channel that all scans have, but not for that of a normal map.
  * Warns of channels that only some of several scans have. A status below 0 ends the list and is
  * returned. Errors: BSQ_ENOMEM; BSQ_EDATA in a strict job. */
 int bake_surface_list_channels(const struct bake_surface *surface,
                                int (*fn)(void *arg, const char *name), void *arg);
 
-/* Makes later hits of maps carry the channels of transfer maps, if there are any. The options must
- * live until bake_surface_close(). Call it at most once, not from parallel work. Errors: those of
- * bake_exact_use_transfers(); BSQ_EDATA for a grid without a channel; BSQ_EUSAGE for a texture of
- * several scans. */
-int bake_surface_use_transfers(struct bake_surface *surface, const struct bake_options *options);
-
-/* Makes later hits have normals with the scan's normal map: the image of the options, or those that
- * chunk files keep. Call it at most once, not from parallel work. Errors: those of
- * bake_exact_use_normal_map(); BSQ_EUSAGE for an image and a grid, or several scans. */
-int bake_surface_use_normal_map(struct bake_surface *surface, const struct bake_options *options);
-
-/* Makes later hits carry ids, if `use` is set and the scans have any; otherwise devices do not get
- * the channel. Call it at most once, not from parallel work. Errors: BSQ_ENOMEM. */
-int bake_surface_use_ids(struct bake_surface *surface, bool use);
+/* Makes later hits carry what maps need: colours and ids if `maps` has their bits and the scans
+ * have any, the channels of transfer maps, and normals with the scan's normal map, which is the
+ * image of the options or that of chunk files. Devices do not get what is not needed. The options
+ * must live until bake_surface_close(). Call it at most once, not from parallel work. Errors: those
+ * of bake_exact_use(); BSQ_EDATA for a grid without a channel; BSQ_EUSAGE for an image and a grid,
+ * or several scans. */
+int bake_surface_use(struct bake_surface *surface, const struct bake_options *options,
+                     uint32_t maps);
 /* Lists the names that the ids of all scans stand for: sorted, each once, allocated with malloc().
  * Adds to the report's ids, which the caller frees also after a failure. Errors: BSQ_ENOMEM,
  * BSQ_EIO. */

@@ -311,5 +311,5 @@ int vox_run_regions(struct vox_run *run)
     bsq_progress_begin(run->ctx, "voxelizing", "triangles", run->header->triangle_count);
     int status = bsq_pipeline_run(run->ctx, &pipeline);
     bsq_progress_end(run->ctx);
-    return status < 0 ? status : vox_shading_tell_losses(&run->shading);
+    return status < 0 ? status : fmt_shading_tell_losses(&run->shading.scan);
 }

@@ -42,8 +42,16 @@ static uint32_t channel_values(const struct vox_run *run)
 /* Returns what accumulators sum, as vox_accumulator_create() takes it. */
 static unsigned sums_of(const struct vox_run *run)
 {
-    return (vox_shading_has_color(run->header) ? VOX_SUM_COLORS : 0u) +
+    return (fmt_tris_has_color(run->header) ? VOX_SUM_COLORS : 0u) +
            (run->options->ids ? VOX_SUM_IDS : 0u) + VOX_SUM_CHANNEL_VALUE * channel_values(run);
+}
+
+/* Returns whether voxels get something from textures, for which the scan needs texture coordinates.
+ */
+static bool uses_textures(const struct vox_run *run)
+{
+    return (run->header->attributes & FMT_TRIS_TEXCOORDS) &&
+           fmt_shading_needs_textures(&run->shading.scan);
 }
 
 /* Gives half of the free memory to the chunk cache and a quarter to the sums. The rest is left to
@@ -54,26 +62,22 @@ static int divide_memory(const struct vox_run *run, struct vox_shares *shares)
     uint64_t slot = vox_chunks_slot_bytes(run->file, run->smooth != NULL);
     const unsigned sums = sums_of(run);
     shares->texture_bytes = 0;
-    const uint64_t caches =
-        (vox_shading_needs_textures(run->header) ? 1u : 0u) +
-        (vox_shading_channels_need_textures(run->header, run->options->channels) ? 1u : 0u) +
-        (vox_shading_needs_normal_map(run->header, run->options->scan_normal_map) ? 1u : 0u);
-    if (caches > 0) {
-        shares->texture_bytes = min64(available / 4 / caches, TEXTURE_CACHE_BYTES_USEFUL);
+    if (uses_textures(run)) {
+        shares->texture_bytes = min64(available / 4, TEXTURE_CACHE_BYTES_USEFUL);
         if (shares->texture_bytes < TEXTURE_CACHE_BYTES_MIN)
             shares->texture_bytes = TEXTURE_CACHE_BYTES_MIN;
     }
     uint64_t sums_min = vox_accumulator_bytes_min(sums),
              blocks = run->workers * vox_fragment_block_bytes();
-    uint64_t need = caches * shares->texture_bytes + slot + blocks +
-                    run->workers * (sums_min + RESULT_BYTES_MIN);
+    uint64_t need =
+        shares->texture_bytes + slot + blocks + run->workers * (sums_min + RESULT_BYTES_MIN);
     if (available < need)
         return bsq_fail(run->ctx, BSQ_ENOMEM,
                         "%s: a memory budget of %" PRIu64 " bytes is too small: voxelizing with %u "
                         "threads needs %" PRIu64 " bytes beside the %" PRIu64 " in use",
                         run->options->tris_path, bsq_memory_limit(run->ctx), run->workers, need,
                         bsq_memory_used(run->ctx));
-    available -= caches * shares->texture_bytes + blocks;
+    available -= shares->texture_bytes + blocks;
     uint64_t slots = available / 2 / slot;
     shares->cache_slots = slots < 1 ? 1 : min64(min64(slots, run->header->chunk_count), INT32_MAX);
     available -= shares->cache_slots * slot;
@@ -82,7 +86,7 @@ static int divide_memory(const struct vox_run *run, struct vox_shares *shares)
     available -= run->workers * shares->accumulator_bytes;
     /* The other half is for results that grow while they are held, and for the writer. */
     shares->result_bytes = available / 2;
-    bsq_note_share(run->ctx, "textures", caches * shares->texture_bytes);
+    bsq_note_share(run->ctx, "textures", shares->texture_bytes);
     bsq_note_share(run->ctx, "chunks", shares->cache_slots * slot);
     bsq_note_share(run->ctx, "sums of voxels", run->workers * shares->accumulator_bytes);
     bsq_note_share(run->ctx, "results", shares->result_bytes);
@@ -131,7 +135,7 @@ static int open_input(struct vox_run *run)
 /* Refuses a grid that does not fit on its disk or in the format, and warns of lost precision. */
 static int check_grid(struct vox_run *run)
 {
-    const unsigned further = (unsigned)vox_shading_has_color(run->header) +
+    const unsigned further = (unsigned)fmt_tris_has_color(run->header) +
                              (unsigned)run->options->ids + channel_values(run);
     int status =
         vox_estimate_check(run->ctx, run->file, &run->transform, further, run->options->grid_path);
@@ -214,23 +218,56 @@ static int make_workers(struct vox_run *run)
     return 0;
 }
 
-static int set_up(struct vox_run *run)
+/* Adds the channels of a list, each of which must be there once only. */
+static int add_channels(const struct vox_run *run, struct fmt_shading *shading)
+{
+    const char *list = run->options->channels;
+    const uint64_t bytes = strlen(list);
+    uint32_t values = 0, first;
+    char *names;
+    int status = bsq_alloc(run->ctx, "names of channels", bytes + 1, 1, &names);
+    if (status < 0)
+        return status;
+    char *rest = memcpy(names, list, bytes + 1);
+    for (char *name = strsep(&rest, ","); name && status == 0; name = strsep(&rest, ",")) {
+        const struct bsq_channel *row = bsq_channel_list_find(list, bytes, name, &first);
+        status = fmt_shading_add_channel(shading, name, NULL);
+        if (status == 0 && first != values)
+            status = bsq_fail(run->ctx, BSQ_EUSAGE, "\"%.60s\" names a channel twice", list);
+        values += row->values;
+    }
+    bsq_free(run->ctx, names);
+    return status;
+}
+
+static int add_attributes(struct vox_run *run)
 {
     const struct vox_voxelize_options *options = run->options;
+    struct fmt_shading *shading = &run->shading.scan;
+    int status = 0;
+    *shading = (struct fmt_shading){
+        .ctx = run->ctx, .path = options->tris_path, .file = run->file, .header = run->header};
+    BSQ_TRY(fmt_shading_add_color(shading));
+    if (options->ids)
+        BSQ_TRY(fmt_shading_add_ids(shading));
+    if (options->channels)
+        BSQ_TRY(add_channels(run, shading));
+    status = fmt_shading_add_normal_map(shading, options->scan_normal_map);
+done:
+    return status;
+}
+
+static int set_up(struct vox_run *run)
+{
     struct vox_shading *shading = &run->shading;
     int status = 0;
     BSQ_TRY(vox_schedule_create(run->ctx, run->boxes, run->box_count, &run->schedule));
     BSQ_TRY(make_smooth(run));
+    BSQ_TRY(add_attributes(run));
     BSQ_TRY(divide_memory(run, &run->shares));
-    const uint64_t texture_bytes = run->shares.texture_bytes;
-    BSQ_TRY(vox_shading_init(run->ctx, run->header, texture_bytes, shading));
-    if (options->ids)
-        BSQ_TRY(vox_shading_use_ids(run->ctx, shading));
-    if (options->channels)
-        BSQ_TRY(vox_shading_use_channels(run->ctx, run->file, options->channels, texture_bytes,
-                                         shading));
-    BSQ_TRY(vox_shading_use_normal_map(run->ctx, options->tris_path, options->scan_normal_map,
-                                       texture_bytes, shading));
+    if (run->shares.texture_bytes > 0)
+        BSQ_TRY(fmt_shading_open_textures(&shading->scan, run->shares.texture_bytes));
+    BSQ_TRY(vox_shading_prepare(shading));
     BSQ_TRY(vox_chunks_create(run->ctx, run->file, &run->transform, run->boxes, run->box_count,
                               run->smooth, (uint32_t)run->shares.cache_slots, &run->chunks));
     BSQ_TRY(make_workers(run));
@@ -259,7 +296,7 @@ static void tear_down(struct vox_run *run)
     vox_schedule_destroy(run->schedule);
     bsq_free(run->ctx, run->boxes);
     run->boxes = NULL;
-    vox_shading_free(run->ctx, &run->shading);
+    vox_shading_free(&run->shading);
 }
 
 /* ---- the grid file ---- */
@@ -287,7 +324,7 @@ static int create_grid(struct vox_run *run)
     struct fmt_nvdb_info info = {
         .type = run->options->grid_type == VOX_GRID_ONINDEX ? FMT_NVDB_ONINDEX : FMT_NVDB_MASK,
         .voxel_size = transform->h,
-        .has_color = vox_shading_has_color(run->header),
+        .has_color = fmt_tris_has_color(run->header),
         .ids = run->options->ids ? run->header->ids : BSQ_IDS_NONE,
         .channels = run->options->channels,
         .source_triangles = run->header->triangle_count,
@@ -313,7 +350,7 @@ static void fill_report(const struct vox_run *run, const struct fmt_nvdb_totals 
     report->uppers = totals->uppers;
     report->grid_bytes = totals->file_bytes;
     report->voxel_size = run->transform.h;
-    report->has_color = vox_shading_has_color(run->header);
+    report->has_color = fmt_tris_has_color(run->header);
     report->has_ids = run->options->ids;
     memcpy(report->index_min, run->index_min, sizeof report->index_min);
     memcpy(report->index_max, run->index_max, sizeof report->index_max);

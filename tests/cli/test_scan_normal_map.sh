@@ -92,7 +92,7 @@ $bake plain.nvdb low.obj --scan-normal-map tilt.png -o x.png
 refused_like 64 'plain.nvdb: a grid has no texture coordinates for the normal map tilt.png; bake from the chunk file'
 ok $vox bare.obj -o bare.nvdb
 $bake bare.tris low.obj --scan-normal-map tilt.png -o x.png
-refused_like 65 'bare.tris has no texture coordinates for the map normal_map'
+refused_like 65 'bare.tris has no texture coordinates for the normal map tilt.png'
 $vox bare.tris --scan-normal-map tilt.png -o x.nvdb
 refused_like 65 'bare.tris has no texture coordinates for the normal map tilt.png'
 $bake later.tris low.obj --scan-normal-map missing.png -o x.png

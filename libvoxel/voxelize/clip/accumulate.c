@@ -1,5 +1,14 @@
-/* accumulate.c - the memory of fragments; accumulate_lanes.c does the work. */
+/* accumulate.c - what the fragments of triangles have in common, and the memory of fragments;
+ * accumulate_lanes.c adds them.
+ *
+ * What is linear over a triangle is interpolated at a fragment's centroid, which gives the
+ * fragment's mean exactly (shade_lanes.h). A texture is averaged over the fragment's extent
+ * instead. */
 #include "libvoxel/voxelize/clip/fragment_block.h"
+
+#include <string.h>
+
+/* ---- memory ---- */
 
 uint64_t vox_fragment_block_bytes(void)
 {
@@ -14,4 +23,104 @@ int vox_fragment_block_create(struct bsq_ctx *ctx, struct vox_fragment_block **o
 void vox_fragment_block_destroy(struct bsq_ctx *ctx, struct vox_fragment_block *block)
 {
     bsq_free(ctx, block);
+}
+
+/* ---- materials ---- */
+
+/* Sets the channels of a material. */
+static void set_channels(struct vox_shading *shading, uint32_t material)
+{
+    double *to = shading->channels + (uint64_t)material * shading->channel_words;
+    for (uint32_t a = FMT_SHADING_CHANNELS; a < shading->scan.attribute_count; a++) {
+        const struct fmt_attribute *attribute = &shading->scan.attributes[a];
+        for (uint32_t k = 0; k < attribute->row->values; k++)
+            *to++ = (double)attribute->sources[material].value[k];
+    }
+}
+
+int vox_shading_prepare(struct vox_shading *shading)
+{
+    const struct fmt_shading *scan = &shading->scan;
+    const uint32_t materials = scan->header->material_count;
+    int status = 0;
+    vox_color_tables_init(&shading->tables);
+    for (uint32_t a = FMT_SHADING_CHANNELS; a < scan->attribute_count; a++)
+        shading->channel_words += scan->attributes[a].row->values;
+    if (shading->channel_words > 0)
+        BSQ_TRY(bsq_alloc(scan->ctx, "channels", materials + UINT64_C(1),
+                          shading->channel_words * sizeof *shading->channels, &shading->channels));
+    if (scan->textures)
+        BSQ_TRY(bsq_calloc(scan->ctx, "textured materials", materials + UINT64_C(1),
+                           sizeof *shading->textured, &shading->textured));
+    for (uint64_t m = 0; m <= materials; m++) {
+        if (shading->channels)
+            set_channels(shading, (uint32_t)m);
+        for (uint32_t a = 0; shading->textured && a < scan->attribute_count; a++)
+            shading->textured[m] |= fmt_shading_is_textured(scan, a, (uint32_t)m);
+    }
+done:
+    return status;
+}
+
+void vox_shading_free(struct vox_shading *shading)
+{
+    if (shading->scan.ctx) {
+        bsq_free(shading->scan.ctx, shading->channels);
+        bsq_free(shading->scan.ctx, shading->textured);
+    }
+    shading->channels = NULL;
+    shading->textured = NULL;
+    fmt_shading_close(&shading->scan);
+}
+
+/* ---- triangles ---- */
+
+bool vox_shade_corners(const struct vox_shading *shading, const struct fmt_tris_chunk *chunk,
+                       uint32_t triangle, double rgb[3][3])
+{
+    const uint32_t *v = chunk->triangles[triangle];
+    const double *diffuse =
+        fmt_shading_diffuse(&shading->scan, fmt_shading_material(&shading->scan, chunk, triangle));
+    if (!chunk->colors && !diffuse) {
+        memset(rgb, 0, sizeof(double[3][3]));
+        return false;
+    }
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++)
+            rgb[i][k] = chunk->colors
+                            ? shading->tables.to_linear[chunk->colors[v[i]] >> (8 * k) & 0xff]
+                            : diffuse[k];
+    return true;
+}
+
+/* Sets the further channels of a fragment. */
+static int shade_channels(const struct fmt_shading *scan, const struct fmt_shading_place *place,
+                          double *out)
+{
+    int status = 0;
+    for (uint32_t a = FMT_SHADING_CHANNELS; a < scan->attribute_count && status == 0; a++) {
+        float values[3] = {0};
+        status = fmt_shade_attribute(scan, a, place, values);
+        for (uint32_t k = 0; k < scan->attributes[a].row->values; k++)
+            *out++ = (double)values[k];
+    }
+    return status;
+}
+
+int vox_shade_textures(const struct fmt_shading *scan, const struct fmt_shading_place *place,
+                       double *rgb, double *channels, float *texel)
+{
+    float color[3];
+    int status = 0;
+    if (rgb) {
+        BSQ_TRY(fmt_shade_attribute(scan, FMT_SHADING_COLOR, place, color));
+        for (int k = 0; k < 3; k++)
+            rgb[k] = (double)color[k];
+    }
+    if (channels)
+        BSQ_TRY(shade_channels(scan, place, channels));
+    if (texel)
+        status = fmt_shade_attribute(scan, FMT_SHADING_NORMAL_MAP, place, texel);
+done:
+    return status;
 }

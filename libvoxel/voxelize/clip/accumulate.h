@@ -1,11 +1,29 @@
 /* accumulate.h - adds the triangles of a chunk to the voxels of a region.
  *
- * Takes a chunk from the cache, the sources of colour, and the voxels to fill. Gives sums of the
- * triangles' fragments, one fragment for each voxel that a triangle touches, in an accumulator. */
+ * Takes a chunk from the cache, the attributes of the scan, and the voxels to fill. Gives sums of
+ * the triangles' fragments, one fragment for each voxel that a triangle touches, in an accumulator.
+ */
 #ifndef VOX_VOXELIZE_CLIP_ACCUMULATE_H
 #define VOX_VOXELIZE_CLIP_ACCUMULATE_H
 
-#include "libvoxel/voxelize/clip/shade.h"
+#include "formats/shading/shading.h"
+#include "libvoxel/voxelize/cache/chunk_cache.h"
+#include "libvoxel/voxelize/records/region.h"
+
+/* The attributes of a scan, and tables of what the fragments of a triangle share. */
+struct vox_shading {
+    struct fmt_shading scan;
+    struct vox_color_tables tables;
+    uint32_t channel_words; /* values of all further channels */
+    double *channels; /* of each material, then of triangles without one, without textures; NULL:
+                         none */
+    bool *textured;   /* likewise: something comes from textures; NULL: nothing does */
+};
+
+/* Makes the tables, after attributes are added and textures are opened. Free also after a failure;
+ * zeros are allowed. Errors: BSQ_ENOMEM. */
+int vox_shading_prepare(struct vox_shading *shading);
+void vox_shading_free(struct vox_shading *shading);
 
 /* Memory for triangles and their fragments on the way to the sums. Each worker has one. */
 struct vox_fragment_block;

@@ -73,6 +73,26 @@ static __attribute__((noinline)) void add_normal_map(const struct block_facts *f
     *normal = row_of(weight * n[0], weight * n[1], weight * n[2], area * VOX_INCONSISTENT);
 }
 
+/* Returns the id of a fragment of the triangle at this place. */
+LANES_INLINE uint32_t id_of(const struct source *from, uint32_t place,
+                            const struct block_fragment *fragment)
+{
+    const double *moment = fragment->moment;
+    const double weights[3] = {fragment->area - moment[0] - moment[1], moment[0], moment[1]};
+    return fmt_shade_id(&from->job->shading->scan, &from->job->chunk->source,
+                        from->block->triangles[place].number, weights) |
+           0xff000000u;
+}
+
+/* Returns the channels of the triangle at this place, without textures. */
+LANES_INLINE const double *channels_of(const struct source *from, uint32_t place)
+{
+    const struct vox_shading *shading = from->job->shading;
+    const uint32_t material = fmt_shading_material(&shading->scan, &from->job->chunk->source,
+                                                   from->block->triangles[place].number);
+    return shading->channels + (uint64_t)material * shading->channel_words;
+}
+
 /* Adds a fragment of the triangle at this place. cell: lower corner of its voxel, relative to that
  * of the triangle's lowest. */
 LANES_INLINE int add_fragment(const struct source *from, uint32_t place,
@@ -102,15 +122,10 @@ LANES_INLINE int add_fragment(const struct source *from, uint32_t place,
         sum.color = shade_mean(shade_rows(facts, ROW_COLOR), fragment);
     else
         sum.color = (struct row){0};
-    sum.id = 0;
-    if (from->has_ids)
-        sum.id =
-            vox_shade_id(from->job->shading, from->job->chunk, from->block->triangles[place].number,
-                         fragment->area, fragment->moment);
+    sum.id = from->has_ids ? id_of(from, place, fragment) : 0;
     sum.channels = textured ? textured->channels : NULL;
     if (from->has_channels && !sum.channels)
-        sum.channels = vox_shade_channels(from->job->shading, from->job->chunk,
-                                          from->block->triangles[place].number);
+        sum.channels = channels_of(from, place);
     vox_accumulator_add(from->sums, number, &sum, from->has_color, from->has_ids,
                         from->has_channels);
     return 0;
@@ -210,9 +225,8 @@ struct single {
     struct source from;
     double cells[LANE_COUNT][4], rgb[LANE_COUNT][4];
     float texels[LANE_COUNT][3]; /* of the normal map */
-    uint32_t place, image;       /* image: UINT32_MAX: no texture */
-    bool channels;               /* further channels have textures */
-    bool normal_map;
+    uint32_t place, material;
+    bool color, channels, normal_map; /* have textures */
 };
 
 static int add_waiting(struct single *s)
@@ -222,7 +236,7 @@ static int add_waiting(struct single *s)
     put_queue(&s->triangles, &s->queue, s->job->block);
     for (uint32_t i = 0; i < s->queue.count && status == 0; i++) {
         const struct textured textured = {
-            .rgb = s->image != UINT32_MAX ? s->rgb[i] : NULL,
+            .rgb = s->color ? s->rgb[i] : NULL,
             .channels = channels ? channels + i * s->from.sums->channel_words : NULL,
             .texel = s->normal_map ? s->texels[i] : NULL,
             .uv_edge = (const double(*)[2])s->uv_edge,
@@ -234,29 +248,28 @@ static int add_waiting(struct single *s)
     return status;
 }
 
-/* Samples the textures of fragment i. */
-static int sample_textures(const struct single *s, const struct vox_fragment *fragment, double *rgb,
-                           double *channels, float texel[3])
+/* Samples the textures of a fragment, which waits at place i. */
+static int sample_textures(struct single *s, const struct vox_fragment *fragment, uint32_t i)
 {
-    const double(*uv)[2] = (const double(*)[2])s->uv;
-    const struct vox_shading *shading = s->job->shading;
-    const uint32_t triangle = s->job->block->triangles[s->place].number;
-    int status = 0;
-    if (s->image != UINT32_MAX)
-        status = vox_shade_texture(shading, s->image, uv, fragment->b, fragment->uv_extent, rgb);
-    if (status == 0 && s->channels)
-        status = vox_shade_channel_textures(shading, s->job->chunk, triangle, uv, fragment->b,
-                                            fragment->uv_extent, channels);
-    if (status == 0 && s->normal_map)
-        status = vox_shade_normal_map(shading, s->job->chunk, triangle, uv, fragment->b,
-                                      fragment->uv_extent, texel);
-    return status;
+    const struct vox_accumulator *sums = s->from.sums;
+    const double *b = fragment->b;
+    struct fmt_shading_place place = {.material = s->material};
+    if (!s->color && !s->channels && !s->normal_map)
+        return 0;
+    for (int k = 0; k < 2; k++) {
+        place.at[k] = (float)(s->uv[0][k] + b[0] * (s->uv[1][k] - s->uv[0][k]) +
+                              b[1] * (s->uv[2][k] - s->uv[0][k]));
+        place.width[k] = (float)fragment->uv_extent[k];
+    }
+    return vox_shade_textures(
+        &s->job->shading->scan, &place, s->color ? s->rgb[i] : NULL,
+        s->channels ? sums->fragment_channels + (uint64_t)i * sums->channel_words : NULL,
+        s->normal_map ? s->texels[i] : NULL);
 }
 
 static int take_fragment(void *arg, const struct vox_fragment *fragment)
 {
     struct single *s = arg;
-    const struct vox_accumulator *sums = s->from.sums;
     const int32_t *origin = s->job->region->lo;
     uint32_t i = s->queue.count++, at[3];
     double area = s->area * fragment->fraction;
@@ -270,9 +283,7 @@ static int take_fragment(void *arg, const struct vox_fragment *fragment)
     }
     s->queue.number[i] = vox_voxel_number(at[0], at[1], at[2]) | s->triangles.class_bits[0] |
                          (long long)(BLOCK_FRAGMENTS + i) << NUMBER_PLACE;
-    double *channels =
-        s->channels ? sums->fragment_channels + (uint64_t)i * sums->channel_words : NULL;
-    int status = sample_textures(s, fragment, s->rgb[i], channels, s->texels[i]);
+    int status = sample_textures(s, fragment, i);
     if (status < 0)
         return status;
     return s->queue.count == LANE_COUNT ? add_waiting(s) : 0;
@@ -287,6 +298,19 @@ static void set_uv(struct single *s, const struct vox_chunk *chunk, const uint32
         for (int e = 0; e < 2; e++)
             s->uv_edge[e][k] = s->uv[e + 1][k] - s->uv[0][k];
     }
+}
+
+/* Finds what of a triangle comes from textures. Returns whether something does. */
+static bool find_textures(struct single *s, const struct vox_shading *shading,
+                          const struct fmt_tris_chunk *chunk, uint32_t triangle)
+{
+    s->material = fmt_shading_material(&shading->scan, chunk, triangle);
+    const bool any = shading->textured && shading->textured[s->material];
+    s->color = any && fmt_shading_is_textured(&shading->scan, FMT_SHADING_COLOR, s->material);
+    s->normal_map =
+        any && fmt_shading_is_textured(&shading->scan, FMT_SHADING_NORMAL_MAP, s->material);
+    s->channels = any && s->from.has_channels;
+    return any;
 }
 
 static __attribute__((noinline)) int add_alone(const struct vox_accumulation *job, uint32_t place)
@@ -317,11 +341,7 @@ static __attribute__((noinline)) int add_alone(const struct vox_accumulation *jo
     }
     load_triangles(job, places, &s.triangles, lowest);
     s.area = s.triangles.area[0];
-    s.image = vox_shade_image(job->shading, chunk, triangle->number);
-    s.channels =
-        s.from.has_channels && vox_shade_has_textures(job->shading, chunk, triangle->number);
-    s.normal_map = vox_shade_has_normal_map(job->shading, chunk, triangle->number);
-    if (s.image != UINT32_MAX || s.channels || s.normal_map) {
+    if (find_textures(&s, job->shading, &chunk->source, triangle->number)) {
         set_uv(&s, chunk, v);
         clip.uv = (const double(*)[2])s.uv;
     }
@@ -392,10 +412,8 @@ enum { PREFETCH_AHEAD = 12 };
 LANES_INLINE bool is_textured(const struct vox_accumulation *job, uint32_t triangle)
 {
     const struct vox_shading *shading = job->shading;
-    return (shading->textures && vox_shade_image(shading, job->chunk, triangle) != UINT32_MAX) ||
-           (shading->channels.textures && vox_shade_has_textures(shading, job->chunk, triangle)) ||
-           (shading->normal_map.textures &&
-            vox_shade_has_normal_map(shading, job->chunk, triangle));
+    return shading->textured &&
+           shading->textured[fmt_shading_material(&shading->scan, &job->chunk->source, triangle)];
 }
 
 /* Puts the triangles from begin to end that meet the window into the block. capacity: fragments

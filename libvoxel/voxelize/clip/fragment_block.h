@@ -77,4 +77,17 @@ struct vox_fragment_block {
     _Alignas(64) struct block_fragment fragments[BLOCK_NOWHERE + 1];
 };
 
+/* ---- accumulate.c ---- */
+
+/* Sets the colours, in linear light, at the corners of a triangle without a texture. Returns false
+ * if the triangle has no colour. */
+bool vox_shade_corners(const struct vox_shading *shading, const struct fmt_tris_chunk *chunk,
+                       uint32_t triangle, double rgb[3][3]);
+
+/* Set what a fragment of a material with textures has from them: its colour in linear light, its
+ * further channels, and the texel of its normal map; NULL: not wanted. Errors: those of
+ * fmt_shade_attribute(). */
+int vox_shade_textures(const struct fmt_shading *scan, const struct fmt_shading_place *place,
+                       double *rgb, double *channels, float *texel);
+
 #endif

@@ -65,7 +65,7 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *job,
     }
     for (int l = 0; t->has_color && l < LANE_COUNT; l++) {
         double rgb[3][3];
-        t->colored[l] = vox_shade_corners(job->shading, chunk, triangle[l]->number, rgb);
+        t->colored[l] = vox_shade_corners(job->shading, &chunk->source, triangle[l]->number, rgb);
         for (int i = 0; i < 3; i++)
             for (int k = 0; k < 3; k++)
                 t->rgb[i][k][l] = rgb[i][k];

@@ -9,6 +9,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/srgb.h"
+
 /* A second record below this share of the first one's area is noise. */
 static const double second_share = 0.01;
 
@@ -157,6 +159,34 @@ bool vox_accumulator_open_brick(struct vox_accumulator *a, uint32_t *brick)
 
 /* ---- records ---- */
 
+void vox_color_tables_init(struct vox_color_tables *tables)
+{
+    for (int i = 0; i < 256; i++)
+        tables->to_linear[i] = bsq_srgb_to_linear(i / 255.0);
+    for (int i = 0; i < 255; i++)
+        tables->boundary[i] = bsq_srgb_to_linear((i + 0.5) / 255.0);
+    uint8_t code = 0;
+    for (int i = 0; i <= VOX_COLOR_STEPS; i++) {
+        while (code < 255 && (double)i / VOX_COLOR_STEPS >= tables->boundary[code])
+            code++;
+        tables->start[i] = code;
+    }
+}
+
+/* Returns the nearest 8-bit sRGB code of a linear value. Values outside of [0, 1] are clamped; NaN
+ * gives 0. */
+static inline uint32_t encode_srgb(const struct vox_color_tables *t, double linear)
+{
+    if (!(linear > 0.0))
+        return 0;
+    if (linear >= 1.0)
+        return 255;
+    uint32_t code = t->start[(uint32_t)(linear * VOX_COLOR_STEPS)];
+    while (code < 255 && linear >= t->boundary[code])
+        code++;
+    return code;
+}
+
 static uint32_t encode_color(const struct vox_color_sum *color,
                              const struct vox_color_tables *tables)
 {
@@ -164,7 +194,7 @@ static uint32_t encode_color(const struct vox_color_sum *color,
         return 0;
     uint32_t packed = 0xff000000u;
     for (int k = 0; k < 3; k++)
-        packed |= vox_color_encode(tables, color->rgb[k] / color->area) << (8 * k);
+        packed |= encode_srgb(tables, color->rgb[k] / color->area) << (8 * k);
     return packed;
 }
 

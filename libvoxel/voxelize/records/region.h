@@ -16,7 +16,6 @@
 
 #include "formats/grid/nvdb.h"
 #include "base/simd/simd.h"
-#include "libvoxel/voxelize/records/voxel_color.h"
 
 enum {
     VOX_BRICKS = 4096,      /* 16^3 bricks in a region */
@@ -111,6 +110,19 @@ struct vox_leaves {
     uint64_t id_capacity, mask_capacity, record_capacity, second_capacity;
     uint32_t voxel_min[3], voxel_max[3]; /* in the region; min > max: no voxels */
 };
+
+enum { VOX_COLOR_STEPS = 4096 };
+
+/* Tables that convert between 8-bit sRGB and linear light (IEC 61966-2-1), and replace pow() by a
+ * search: a coarse table gives a code that is not too high, and the exact boundaries do the rest.
+ */
+struct vox_color_tables {
+    double to_linear[256];
+    double boundary[255]; /* linear value of the sRGB value halfway between codes i and i + 1 */
+    uint8_t start[VOX_COLOR_STEPS + 1]; /* code of the linear value i / VOX_COLOR_STEPS */
+};
+
+void vox_color_tables_init(struct vox_color_tables *tables);
 
 /* Optional sums of an accumulator: flags, plus VOX_SUM_CHANNEL_VALUE for each value of further
  * channels. */

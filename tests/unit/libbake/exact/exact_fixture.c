@@ -109,8 +109,8 @@ void exact_trace(const struct exact_setup *setup, const struct bake_exact_ray *r
         .paths = &path, .path_count = 1, .normals = setup->normals, .two_sided = setup->two_sided};
     struct bake_exact *exact;
     assert_int_equal(bake_exact_open(ctx, &options, &exact), 0);
-    if (setup->color)
-        assert_int_equal(bake_exact_use_color(exact), 0);
+    assert_int_equal(bake_exact_use(exact, &(struct bake_exact_attributes){.color = setup->color}),
+                     0);
     assert_int_equal(bake_exact_wants_footprints(exact), setup->footprint != NULL);
     uint32_t *footprints = setup->footprint ? calloc(count, 4) : NULL;
     uint64_t capacity = bake_exact_capacity(exact, 0);

@@ -130,12 +130,13 @@ static void make_soup(struct soup *soup)
 static void check_sums(struct bsq_ctx *ctx, const struct vox_chunk *chunk)
 {
     struct fmt_tris_header header = {.attributes = FMT_TRIS_COLORS};
-    struct vox_shading shading;
+    struct vox_shading shading = {.scan = {.ctx = ctx, .header = &header}};
     struct vox_box region = {{0, 0, 0}, {127, 127, 127}}, window = {{0, 8, 0}, {127, 119, 127}};
     struct vox_accumulator *sums[LEVELS];
     struct vox_fragment_block *block;
     const size_t count = level_count();
-    assert_int_equal(vox_shading_init(ctx, &header, 0, &shading), 0);
+    assert_int_equal(fmt_shading_add_color(&shading.scan), 0);
+    assert_int_equal(vox_shading_prepare(&shading), 0);
     assert_int_equal(vox_fragment_block_create(ctx, &block), 0);
     for (size_t c = 0; c < count; c++) {
         uint64_t counted = 0;
@@ -158,7 +159,7 @@ static void check_sums(struct bsq_ctx *ctx, const struct vox_chunk *chunk)
     for (size_t c = 0; c < count; c++)
         vox_accumulator_destroy(sums[c]);
     vox_fragment_block_destroy(ctx, block);
-    vox_shading_free(ctx, &shading);
+    vox_shading_free(&shading);
 }
 
 TEST(test_sums)

@@ -1,0 +1,198 @@
+/* shading.c - the sources of a scan's attributes, and their values.
+ *
+ * All textures are one set, in which image a * (materials + 1) + m is that of attribute a and
+ * material m. */
+#include "formats/shading/shading.h"
+
+#include <string.h>
+
+#include "base/ids.h"
+#include "base/srgb.h"
+#include "formats/texture/texture.h"
+
+/* Returns the number of sources that an attribute has. */
+static uint64_t source_count(const struct fmt_shading *shading)
+{
+    return shading->header->material_count + UINT64_C(1);
+}
+
+/* Makes attribute `number` used, with sources of zeros. */
+static int add(struct fmt_shading *shading, uint32_t number, const struct bsq_channel *row,
+               struct fmt_tris_source **sources)
+{
+    struct bsq_ctx *ctx = shading->ctx;
+    const uint32_t count = number < FMT_SHADING_CHANNELS ? FMT_SHADING_CHANNELS : number + 1;
+    int status = 0;
+    BSQ_TRY(bsq_grow(ctx, "attributes", count, sizeof *shading->attributes, &shading->attributes,
+                     &shading->attribute_capacity));
+    for (; shading->attribute_count < count; shading->attribute_count++)
+        shading->attributes[shading->attribute_count] = (struct fmt_attribute){0};
+    BSQ_TRY(bsq_calloc(ctx, "attributes", source_count(shading), sizeof **sources, sources));
+    shading->attributes[number] = (struct fmt_attribute){.row = row, .sources = *sources};
+done:
+    return status;
+}
+
+int fmt_shading_add_color(struct fmt_shading *shading)
+{
+    static const struct bsq_channel row = {.name = "color", .values = 3, .color = true};
+    const struct fmt_tris_header *header = shading->header;
+    struct fmt_tris_source *sources;
+    int status = 0;
+    if (!fmt_tris_has_color(header))
+        return 0;
+    BSQ_TRY(add(shading, FMT_SHADING_COLOR, &row, &sources));
+    BSQ_TRY(bsq_calloc(shading->ctx, "material colours", source_count(shading),
+                       sizeof *shading->diffuse, &shading->diffuse));
+    for (uint32_t m = 0; m < header->material_count; m++) {
+        const struct fmt_tris_material *material = &header->materials[m];
+        for (int k = 0; k < 3; k++)
+            shading->diffuse[m][k] = bsq_srgb_to_linear((double)material->diffuse[k]);
+        if ((header->attributes & FMT_TRIS_TEXCOORDS) && !material->colorless)
+            sources[m] = (struct fmt_tris_source){.texture_path = material->texture_path,
+                                                  .uv = material->uv};
+    }
+done:
+    return status;
+}
+
+/* Adds an attribute that an image gives, for all triangles, or else a channel of the chunk file. */
+static int add_channel(struct fmt_shading *shading, uint32_t number, const char *name,
+                       const char *path)
+{
+    const struct fmt_tris_header *header = shading->header;
+    const struct bsq_channel *row = bsq_channel_find(name);
+    const uint32_t channel = fmt_tris_find_channel(header, name), none = header->material_count;
+    struct fmt_tris_source *sources;
+    int status = add(shading, number, row, &sources);
+    if (status < 0)
+        return status;
+    for (uint64_t m = 0; path && m <= none; m++)
+        sources[m] = (struct fmt_tris_source){.texture_path = (char *)(uintptr_t)path,
+                                              .component = row->component};
+    for (uint32_t m = 0; !path && m < none; m++)
+        sources[m] = header->materials[m].sources[channel];
+    for (int k = 0; !path && k < 3; k++)
+        sources[none].value[k] = row->usual;
+    return 0;
+}
+
+int fmt_shading_add_normal_map(struct fmt_shading *shading, const char *path)
+{
+    static const char name[] = BSQ_CHANNEL_NORMAL_MAP;
+    if (!path && fmt_tris_find_channel(shading->header, name) == UINT32_MAX)
+        return 0;
+    if (path && !(shading->header->attributes & FMT_TRIS_TEXCOORDS))
+        return bsq_fail(shading->ctx, BSQ_EDATA,
+                        "%s has no texture coordinates for the normal map %s: make it again, with "
+                        "--scan-normal-map",
+                        shading->path, path);
+    return add_channel(shading, FMT_SHADING_NORMAL_MAP, name, path);
+}
+
+int fmt_shading_add_channel(struct fmt_shading *shading, const char *name, const char *path)
+{
+    const uint32_t count = shading->attribute_count;
+    if (path && !(shading->header->attributes & FMT_TRIS_TEXCOORDS))
+        return bsq_fail(shading->ctx, BSQ_EDATA,
+                        "%s has no texture coordinates for the map %s: make it with "
+                        "bisque-voxelize --channels %s=%s",
+                        shading->path, name, name, path);
+    int status = path ? 0 : fmt_tris_require_channel(shading->file, name);
+    return status < 0 ? status
+                      : add_channel(shading, count > 0 ? count : FMT_SHADING_CHANNELS, name, path);
+}
+
+int fmt_shading_add_ids(struct fmt_shading *shading)
+{
+    const uint64_t count = source_count(shading);
+    int status = bsq_alloc(shading->ctx, "ids", count, sizeof *shading->ids, &shading->ids);
+    for (uint64_t m = 0; m < count && status == 0; m++) {
+        const char *name = m + 1 < count ? shading->header->materials[m].name : NULL;
+        shading->ids[m] = bsq_name_id(name ? name : "");
+    }
+    return status;
+}
+
+/* ---- textures ---- */
+
+/* Sets what fmt_textures_open() needs of an image. */
+static void image_of(const void *arg, uint64_t image, struct fmt_texture_source *out)
+{
+    const struct fmt_shading *shading = arg;
+    const struct fmt_attribute *attribute = &shading->attributes[image / source_count(shading)];
+    if (!attribute->sources)
+        return;
+    const struct fmt_tris_source *source = &attribute->sources[image % source_count(shading)];
+    out->path = source->texture_path;
+    out->data = !attribute->row->color;
+    out->alpha = bsq_channel_needs_alpha(source->component);
+}
+
+bool fmt_shading_needs_textures(const struct fmt_shading *shading)
+{
+    for (uint32_t a = 0; a < shading->attribute_count; a++)
+        for (uint64_t m = 0; shading->attributes[a].sources && m < source_count(shading); m++)
+            if (shading->attributes[a].sources[m].texture_path)
+                return true;
+    return false;
+}
+
+int fmt_shading_open_textures(struct fmt_shading *shading, uint64_t cache_bytes)
+{
+    return fmt_textures_open_each(shading->ctx, shading->attribute_count * source_count(shading),
+                                  image_of, shading, cache_bytes, &shading->textures);
+}
+
+int fmt_shading_tell_losses(const struct fmt_shading *shading)
+{
+    return fmt_textures_tell_losses(&shading->textures, 1);
+}
+
+void fmt_shading_close(struct fmt_shading *shading)
+{
+    fmt_textures_close(shading->textures);
+    for (uint32_t a = 0; a < shading->attribute_count; a++)
+        bsq_free(shading->ctx, shading->attributes[a].sources);
+    if (shading->ctx) {
+        bsq_free(shading->ctx, shading->attributes);
+        bsq_free(shading->ctx, shading->diffuse);
+        bsq_free(shading->ctx, shading->ids);
+    }
+    *shading = (struct fmt_shading){0};
+}
+
+/* ---- triangles ---- */
+
+uint32_t fmt_shade_id(const struct fmt_shading *shading, const struct fmt_tris_chunk *chunk,
+                      uint32_t triangle, const double weights[3])
+{
+    int nearest = 0;
+    if (shading->header->ids != BSQ_IDS_COLOR)
+        return shading->ids[fmt_shading_material(shading, chunk, triangle)];
+    for (int i = 1; i < 3; i++)
+        nearest = weights[i] > weights[nearest] ? i : nearest;
+    return chunk->colors ? chunk->colors[chunk->triangles[triangle][nearest]] : 0;
+}
+
+int fmt_shade_attribute(const struct fmt_shading *shading, uint32_t attribute,
+                        const struct fmt_shading_place *place, float out[3])
+{
+    const struct fmt_attribute *of = &shading->attributes[attribute];
+    const struct fmt_tris_source *source = &of->sources[place->material];
+    const uint64_t image = attribute * source_count(shading) + place->material;
+    float at[2], width[2];
+    if (!shading->textures || !source->texture_path) {
+        memcpy(out, source->value, sizeof source->value);
+        return 0;
+    }
+    for (int k = 0; k < 2; k++) {
+        at[k] = bsq_uv_apply(&source->uv, k, place->at[k]);
+        width[k] = bsq_uv_width(&source->uv, k, place->width[k]);
+    }
+    int status = fmt_texture_sample(shading->textures, (uint32_t)image, at[0], at[1], width[0],
+                                    width[1], out);
+    if (status == 0)
+        bsq_channel_pick(of->row, source->component, source->value[0], out);
+    return status;
+}

@@ -1,0 +1,288 @@
+/* surface_attributes.c - what hits have besides a position and a normal: colours, ids and the names
+ * that they stand for, and further channels, such as roughness, for transfer maps. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/channels.h"
+#include "base/ids.h"
+#include "base/loss.h"
+#include "base/sort_array.h"
+#include "libbake/surface/surface.h"
+
+/* ---- further channels ---- */
+
+/* Returns whether a single scan has a channel. */
+static bool has_own_channel(const struct bake_scan *scan, const char *name)
+{
+    const struct fmt_nvdb_grid *grid = &scan->grid;
+    uint32_t first;
+    if (!scan->exact)
+        return grid->channels &&
+               bsq_channel_list_find(grid->channel_list, grid->channel_list_bytes, name, &first);
+    const struct bake_exact_info *info = bake_exact_get_info(scan->exact);
+    for (uint32_t c = 0; c < info->channel_count; c++)
+        if (strcmp(info->channels[c], name) == 0)
+            return true;
+    return false;
+}
+
+/* Returns whether each scan has a channel. */
+static bool has_channel(const struct bake_surface *surface, const char *name)
+{
+    for (uint32_t s = 0; s < surface->scan_count; s++)
+        if (!has_own_channel(&surface->scans[s], name))
+            return false;
+    return true;
+}
+
+/* What each channel of the scans is given to. */
+struct listing {
+    const struct bake_surface *all;
+    const struct bake_scan *scan; /* the one whose channels are listed */
+    int (*fn)(void *arg, const char *name);
+    void *arg;
+};
+
+/* Returns whether a scan before the listed one has a channel. */
+static bool was_listed(const struct listing *listing, const char *name)
+{
+    for (const struct bake_scan *s = listing->all->scans; s < listing->scan; s++)
+        if (has_own_channel(s, name))
+            return true;
+    return false;
+}
+
+static int list_channel(const struct listing *listing, const char *name)
+{
+    /* A normal map belongs to the scan's normals. */
+    if (strcmp(name, BSQ_CHANNEL_NORMAL_MAP) == 0 || was_listed(listing, name))
+        return 0;
+    if (has_channel(listing->all, name))
+        return listing->fn(listing->arg, name);
+    return bsq_warn_loss(listing->all->ctx,
+                         "the scans do not all have the channel %s: no map transfer:%s is baked",
+                         name, name);
+}
+
+static int list_grid(const struct listing *listing, const struct fmt_nvdb_grid *grid)
+{
+    const char *at = grid->channel_list, *end = at + grid->channel_list_bytes;
+    int status = 0;
+    while (grid->channels && at < end && status == 0) {
+        const char *comma = memchr(at, ',', (size_t)(end - at));
+        const size_t length = (size_t)((comma ? comma : end) - at);
+        char *name = strndup(at, length);
+        status =
+            name ? list_channel(listing, name)
+                 : bsq_fail(listing->all->ctx, BSQ_ENOMEM, "out of memory for names of channels");
+        free(name);
+        at += length + 1;
+    }
+    return status;
+}
+
+static int list_scan(const struct listing *listing)
+{
+    if (!listing->scan->exact)
+        return list_grid(listing, &listing->scan->grid);
+    const struct bake_exact_info *info = bake_exact_get_info(listing->scan->exact);
+    int status = 0;
+    for (uint32_t c = 0; c < info->channel_count && status == 0; c++)
+        status = list_channel(listing, info->channels[c]);
+    return status;
+}
+
+int bake_surface_list_channels(const struct bake_surface *surface,
+                               int (*fn)(void *arg, const char *name), void *arg)
+{
+    struct listing listing = {surface, surface->scans, fn, arg};
+    int status = 0;
+    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++, listing.scan++)
+        status = list_scan(&listing);
+    return status;
+}
+
+/* ---- use ---- */
+
+/* Finds the channel of a transfer map in a grid. */
+static int find_channel(const struct bake_scan *scan, const struct bake_transfer *transfer,
+                        uint32_t *word)
+{
+    const struct fmt_nvdb_grid *grid = &scan->grid;
+    const char *name = transfer->name, *texture = transfer->texture_path;
+    uint32_t first = 0;
+    const struct bsq_channel *channel =
+        grid->channels
+            ? bsq_channel_list_find(grid->channel_list, grid->channel_list_bytes, name, &first)
+            : NULL;
+    if (texture)
+        return bsq_fail(scan->ctx, BSQ_EDATA,
+                        "%s is a grid, which cannot use %s: make it with bisque-voxelize "
+                        "--channels %s=%s",
+                        scan->path, texture, name, texture);
+    if (!channel)
+        return bsq_fail(scan->ctx, BSQ_EDATA,
+                        "%s has no channel %s: make it with bisque-voxelize --channels %s",
+                        scan->path, name, name);
+    if (first + channel->values > grid->channel_words) /* another process changed it */
+        return bsq_fail(scan->ctx, BSQ_EIO, "%s: was changed while it was read", scan->path);
+    *word = first << 2 | channel->values;
+    return 0;
+}
+
+/* Finds the channels of transfer maps, and lets devices leave out what no map needs. */
+static int use_grid(struct bake_scan *scan, const struct bake_options *options, bool ids)
+{
+    struct fmt_nvdb_grid *grid = &scan->grid;
+    const uint32_t count = options->transfer_count;
+    int status = 0;
+    if (options->scan_normal_map)
+        return bsq_fail(scan->ctx, BSQ_EUSAGE,
+                        "%s: a grid has no texture coordinates for the normal map %s; bake from "
+                        "the chunk file, or give the image to bisque-voxelize",
+                        scan->path, options->scan_normal_map);
+    if (!ids)
+        grid->ids = NULL;
+    if (count == 0)
+        grid->channels = NULL;
+    if (count > 0)
+        BSQ_TRY(bsq_alloc(scan->ctx, "transfer maps", count, sizeof *scan->transfer_words,
+                          &scan->transfer_words));
+    for (uint32_t i = 0; i < count; i++)
+        BSQ_TRY(find_channel(scan, &options->transfers[i], &scan->transfer_words[i]));
+    grid->transfers = scan->transfer_words;
+    grid->transfer_count = count;
+done:
+    return status;
+}
+
+static int use_scan(struct bake_scan *scan, const struct bake_options *options, uint32_t maps)
+{
+    const bool ids = maps & BAKE_MAP_ID;
+    const struct bake_exact_attributes attributes = {.color = maps & BAKE_MAP_COLOR,
+                                                     .ids = ids,
+                                                     .transfers = options->transfers,
+                                                     .transfer_count = options->transfer_count,
+                                                     .normal_map = options->scan_normal_map};
+    return scan->exact ? bake_exact_use(scan->exact, &attributes) : use_grid(scan, options, ids);
+}
+
+int bake_surface_use(struct bake_surface *surface, const struct bake_options *options,
+                     uint32_t maps)
+{
+    const uint32_t scans = options->more_scan_count + 1;
+    const char *normal_map = options->scan_normal_map;
+    int status = 0;
+    for (uint32_t i = 0; i < options->transfer_count && scans > 1; i++)
+        if (options->transfers[i].texture_path)
+            return bsq_fail(surface->ctx, BSQ_EUSAGE,
+                            "%s is a texture of one scan, but there are %u scans",
+                            options->transfers[i].texture_path, scans);
+    if (normal_map && surface->scan_count > 1)
+        return bsq_fail(surface->ctx, BSQ_EUSAGE,
+                        "%s is the normal map of one scan, but there are %u scans", normal_map,
+                        scans);
+    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++)
+        status = use_scan(&surface->scans[s], options, maps);
+    return status;
+}
+
+/* ---- names of ids ---- */
+
+/* The report's list while it grows. */
+struct id_names {
+    struct bsq_ctx *ctx;
+    struct bake_report *report;
+    uint64_t capacity;
+};
+
+/* Makes space for one more entry. */
+static bool reserve(struct id_names *list)
+{
+    if (list->report->id_count < list->capacity)
+        return true;
+    const uint64_t capacity = 2 * list->capacity + 16;
+    struct bake_id *grown = realloc(list->report->ids, capacity * sizeof *grown);
+    if (!grown)
+        return false;
+    list->report->ids = grown;
+    list->capacity = capacity;
+    return true;
+}
+
+static int add_name(void *arg, const char *name)
+{
+    struct id_names *list = arg;
+    const uint32_t id = bsq_name_id(name);
+    char *copy = reserve(list) ? strdup(name) : NULL;
+    if (!copy)
+        return bsq_fail(list->ctx, BSQ_ENOMEM, "no memory for the names of ids");
+    list->report->ids[list->report->id_count++] =
+        (struct bake_id){copy, {(uint8_t)id, (uint8_t)(id >> 8), (uint8_t)(id >> 16)}};
+    return bsq_check(list->ctx);
+}
+
+static int by_name(const void *a, const void *b)
+{
+    return strcmp(*(const char *const *)a, *(const char *const *)b);
+}
+
+/* Lists the names of materials of a chunk file, which may repeat. */
+static int name_exact(struct id_names *list, const struct bake_exact *exact)
+{
+    const char **names;
+    uint64_t count = 0, end = 0;
+    while (bake_exact_id_name(exact, (uint32_t)end))
+        end++;
+    int status = bsq_alloc(list->ctx, "names of ids", end + 1, sizeof *names, &names);
+    if (status < 0)
+        return status;
+    for (; count < end; count++)
+        names[count] = bake_exact_id_name(exact, (uint32_t)count);
+    names[count++] = ""; /* triangles without a material */
+    bsq_sort(names, count, sizeof *names, by_name);
+    for (uint64_t i = 0; i < count && status == 0; i++)
+        if (i == 0 || strcmp(names[i], names[i - 1]) != 0)
+            status = add_name(list, names[i]);
+    bsq_free(list->ctx, (void *)names);
+    return status;
+}
+
+/* Lists the names of one scan, each once and ascending. */
+static int name_scan(struct id_names *list, const struct bake_scan *scan)
+{
+    return scan->exact ? name_exact(list, scan->exact)
+                       : fmt_nvdb_read_names(list->ctx, &scan->grid, add_name, list);
+}
+
+static int by_id_name(const void *a, const void *b)
+{
+    return strcmp(((const struct bake_id *)a)->name, ((const struct bake_id *)b)->name);
+}
+
+/* Joins the lists of several scans: sorts the names, and keeps each once. */
+static void join_names(struct bake_report *report)
+{
+    uint64_t kept = 0;
+    bsq_sort(report->ids, report->id_count, sizeof *report->ids, by_id_name);
+    for (uint64_t i = 0; i < report->id_count; i++)
+        if (kept > 0 && strcmp(report->ids[kept - 1].name, report->ids[i].name) == 0)
+            free(report->ids[i].name);
+        else
+            report->ids[kept++] = report->ids[i];
+    report->id_count = kept;
+}
+
+int bake_surface_report_ids(const struct bake_surface *surface, struct bake_report *report)
+{
+    struct id_names list = {.ctx = surface->ctx, .report = report};
+    int status = 0;
+    report->id_source = bsq_ids_text(surface->ids);
+    if (surface->ids == BSQ_IDS_COLOR)
+        return 0;
+    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++)
+        status = name_scan(&list, &surface->scans[s]);
+    if (surface->scan_count > 1)
+        join_names(report);
+    return status;
+}
