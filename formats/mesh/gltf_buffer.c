@@ -1,4 +1,5 @@
-/* gltf_buffer.c - buffers and buffer views of glTF files: ranges of bytes of files.
+/* gltf_buffer.c - buffers, buffer views and accessors of glTF files: ranges of bytes of files, and
+ * the elements in them.
  *
  * A buffer is the binary chunk of a GLB file, another file, or a data URI. None is ever held in
  * memory. */
@@ -254,4 +255,342 @@ int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, u
     const struct gltf_buffer *buffer = &source->buffers[from->buffer];
     return bsq_part_read(ctx, buffer->path ? &buffer->file : &source->own, &buffer->part, to, size,
                          from->offset + offset);
+}
+
+/* ---- accessors: elements of all types, also sparse ones ---- */
+
+uint32_t fmt_gltf_component_bytes(enum gltf_component component)
+{
+    switch (component) {
+    case GLTF_INT8:
+    case GLTF_UINT8:
+        return 1;
+    case GLTF_INT16:
+    case GLTF_UINT16:
+        return 2;
+    default:
+        return 4;
+    }
+}
+
+static int read_component(const struct gltf_place *place, const json_t *object,
+                          enum gltf_component *out)
+{
+    uint64_t code = GLTF_REQUIRED;
+    int status = fmt_gltf_number(place, object, "componentType", INT32_MAX, &code);
+    if (!status && (code < GLTF_INT8 || code > GLTF_FLOAT || code == 5124))
+        status = fmt_gltf_fail(place, "unknown componentType %" PRIu64, code);
+    *out = status ? GLTF_UINT8 : (enum gltf_component)code;
+    return status;
+}
+
+static int read_type(const struct gltf_place *place, uint32_t *components)
+{
+    static const struct {
+        const char *name;
+        uint32_t components;
+    } types[] = {{"SCALAR", 1}, {"VEC2", 2}, {"VEC3", 3}, {"VEC4", 4},
+                 {"MAT2", 0},   {"MAT3", 0}, {"MAT4", 0}};
+    const char *name = fmt_gltf_string(place->object, "type");
+    for (size_t i = 0; name && i < sizeof types / sizeof *types; i++)
+        if (strcmp(name, types[i].name) == 0) {
+            *components = types[i].components;
+            return 0;
+        }
+    return fmt_gltf_fail(place, "unknown type \"%.20s\"", name ? name : "");
+}
+
+/* Checks that `count` elements of `bytes` bytes, `stride` apart, lie in the view. */
+static int check_range(const struct gltf_place *place, const struct gltf_source *source,
+                       const struct gltf_array *array, uint64_t count, uint64_t stride,
+                       uint64_t bytes)
+{
+    const uint64_t size = source->views[array->view].size;
+    if (count == 0)
+        return 0;
+    if (array->offset > size || bytes > size - array->offset ||
+        count - 1 > (size - array->offset - bytes) / stride)
+        return fmt_gltf_fail(place,
+                             "%" PRIu64 " elements of %" PRIu64
+                             " bytes are too many for bufferViews[%" PRIu32 "], which has %" PRIu64
+                             " bytes",
+                             count, bytes, array->view, size);
+    return 0;
+}
+
+/* Reads where elements of a sparse accessor are. They follow each other. */
+static int read_sparse_array(const struct gltf_place *place, const struct gltf_source *source,
+                             const json_t *object, uint64_t count, uint32_t components,
+                             struct gltf_array *out)
+{
+    out->offset = 0;
+    int status;
+    BSQ_TRY(fmt_gltf_index(place, object, "bufferView", "bufferViews", &out->view));
+    if (out->view == GLTF_NONE)
+        BSQ_TRY(fmt_gltf_fail(place, "\"sparse\" has no bufferView"));
+    BSQ_TRY(fmt_gltf_number(place, object, "byteOffset", INT64_MAX / 4, &out->offset));
+    const uint64_t bytes = (uint64_t)components * fmt_gltf_component_bytes(out->component);
+    status = check_range(place, source, out, count, bytes, bytes);
+done:
+    return status;
+}
+
+static int read_sparse(const struct gltf_place *place, const struct gltf_source *source,
+                       struct gltf_accessor *out)
+{
+    const json_t *sparse = json_object_get(place->object, "sparse");
+    const json_t *indices = json_object_get(sparse, "indices");
+    uint64_t count = GLTF_REQUIRED;
+    if (!sparse || out->components == 0)
+        return 0;
+    int status = fmt_gltf_number(place, sparse, "count", out->count, &count);
+    if (!status)
+        status = read_component(place, indices, &out->sparse_indices.component);
+    if (!status)
+        status = read_sparse_array(place, source, indices, count, 1, &out->sparse_indices);
+    out->sparse_values.component = out->elements.component;
+    if (!status)
+        status = read_sparse_array(place, source, json_object_get(sparse, "values"), count,
+                                   out->components, &out->sparse_values);
+    out->sparse_count = status ? 0 : count;
+    return status;
+}
+
+/* Such an accessor stands for zeros. There may be as many of them as the file has bytes, so that a
+ * small file cannot stand for endless work. */
+int fmt_gltf_check_zeros(const struct gltf_place *place, const struct gltf_source *source,
+                         uint32_t number)
+{
+    const struct gltf_accessor *accessor = &source->accessors[number];
+    if (accessor->elements.view == GLTF_NONE && accessor->count > source->bytes)
+        return fmt_gltf_fail(place,
+                             "accessors[%" PRIu32 "] has %" PRIu64
+                             " elements without data, which are too many",
+                             number, accessor->count);
+    return 0;
+}
+
+static int check_elements(const struct gltf_place *place, const struct gltf_source *source,
+                          const struct gltf_accessor *accessor)
+{
+    if (accessor->elements.view == GLTF_NONE || accessor->components == 0)
+        return 0;
+    return check_range(
+        place, source, &accessor->elements, accessor->count, fmt_gltf_stride(source, accessor),
+        (uint64_t)accessor->components * fmt_gltf_component_bytes(accessor->elements.component));
+}
+
+int fmt_gltf_read_accessor(const struct gltf_place *place, struct gltf_source *source,
+                           void *element)
+{
+    struct gltf_accessor *out = element;
+    int status;
+    out->count = GLTF_REQUIRED;
+    BSQ_TRY(fmt_gltf_index(place, place->object, "bufferView", "bufferViews", &out->elements.view));
+    BSQ_TRY(
+        fmt_gltf_number(place, place->object, "byteOffset", INT64_MAX / 4, &out->elements.offset));
+    BSQ_TRY(fmt_gltf_number(place, place->object, "count", INT64_MAX / 4, &out->count));
+    BSQ_TRY(read_component(place, place->object, &out->elements.component));
+    BSQ_TRY(read_type(place, &out->components));
+    out->normalized = json_is_true(json_object_get(place->object, "normalized"));
+    BSQ_TRY(check_elements(place, source, out));
+    status = read_sparse(place, source, out);
+done:
+    return status;
+}
+
+/* ---- decoding ---- */
+
+uint64_t fmt_gltf_stride(const struct gltf_source *source, const struct gltf_accessor *accessor)
+{
+    const uint64_t own =
+        (uint64_t)accessor->components * fmt_gltf_component_bytes(accessor->elements.component);
+    if (accessor->elements.view == GLTF_NONE)
+        return own;
+    const uint64_t stride = source->views[accessor->elements.view].stride;
+    return stride > 0 ? stride : own;
+}
+
+/* Converts elements that are `stride` bytes apart; divides them by `limit`. */
+#define CONVERT(TYPE)                                                                              \
+    for (uint64_t i = 0; i < count; i++)                                                           \
+        for (uint32_t c = 0; c < components; c++) {                                                \
+            TYPE value;                                                                            \
+            memcpy(&value, from + i * stride + c * sizeof value, sizeof value);                    \
+            to[i * components + c] = (double)value;                                                \
+        }
+
+static void convert(const uint8_t *from, uint64_t stride, enum gltf_component component,
+                    uint32_t components, uint64_t count, double *to)
+{
+    switch (component) {
+    case GLTF_INT8:
+        CONVERT(int8_t);
+        break;
+    case GLTF_UINT8:
+        CONVERT(uint8_t);
+        break;
+    case GLTF_INT16:
+        CONVERT(int16_t);
+        break;
+    case GLTF_UINT16:
+        CONVERT(uint16_t);
+        break;
+    case GLTF_UINT32:
+        CONVERT(uint32_t);
+        break;
+    case GLTF_FLOAT:
+        CONVERT(float);
+        break;
+    }
+}
+
+/* Makes integers numbers from 0 or -1 to 1. */
+static void normalize(const struct gltf_accessor *accessor, double *values, uint64_t count)
+{
+    static const double limits[] = {127, 255, 32767, 65535, 1, 4294967295.0, 1};
+    if (!accessor->normalized || accessor->elements.component == GLTF_FLOAT)
+        return;
+    const double limit = limits[accessor->elements.component - GLTF_INT8];
+    for (uint64_t i = 0; i < count; i++)
+        values[i] = values[i] / limit < -1 ? -1 : values[i] / limit;
+}
+
+/* Reads elements [first, first + count) of an array to slot->bytes, and converts them. */
+static int decode_array(const struct gltf_decoder *d, const struct gltf_array *array,
+                        uint64_t stride, uint32_t components, uint64_t first, uint64_t count,
+                        double *to)
+{
+    const uint64_t element = (uint64_t)components * fmt_gltf_component_bytes(array->component);
+    if (count == 0)
+        return 0;
+    const uint64_t size = (count - 1) * stride + element;
+    int status = fmt_stream_reserve(d->slot, size);
+    if (!status)
+        status = fmt_gltf_read_bytes(d->ctx, d->source, array->view, array->offset + first * stride,
+                                     d->slot->bytes, size);
+    if (!status)
+        convert(d->slot->bytes, stride, array->component, components, count, to);
+    return status;
+}
+
+/* ---- sparse accessors ---- */
+
+/* Reads sparse indices [first, first + count). */
+static int read_sparse_indices(const struct gltf_decoder *d, const struct gltf_accessor *accessor,
+                               uint64_t first, uint64_t count, double *to)
+{
+    return decode_array(d, &accessor->sparse_indices,
+                        fmt_gltf_component_bytes(accessor->sparse_indices.component), 1, first,
+                        count, to);
+}
+
+/* Finds the first sparse element whose index is at least `index`. */
+static int find_sparse(const struct gltf_decoder *d, const struct gltf_accessor *accessor,
+                       uint64_t index, uint64_t *out)
+{
+    uint64_t low = 0, high = accessor->sparse_count;
+    int status = 0;
+    while (low < high && !status) {
+        const uint64_t middle = low + (high - low) / 2;
+        double found = 0;
+        status = read_sparse_indices(d, accessor, middle, 1, &found);
+        if (found < (double)index)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    *out = low;
+    return status;
+}
+
+enum { SPARSE_BLOCK = 256 };
+
+/* Replaces elements of [first, first + count), which are in `to`. */
+static int apply_sparse(const struct gltf_decoder *d, const struct gltf_accessor *accessor,
+                        uint64_t first, uint64_t count, double *to)
+{
+    const uint32_t n = accessor->components;
+    const uint64_t bytes = (uint64_t)n * fmt_gltf_component_bytes(accessor->elements.component);
+    double indices[SPARSE_BLOCK] = {0}, values[4 * SPARSE_BLOCK];
+    uint64_t next = 0;
+    int status;
+    BSQ_TRY(find_sparse(d, accessor, first, &next));
+    while (next < accessor->sparse_count) {
+        const uint64_t left = accessor->sparse_count - next;
+        const uint64_t block = left < SPARSE_BLOCK ? left : SPARSE_BLOCK;
+        BSQ_TRY(read_sparse_indices(d, accessor, next, block, indices));
+        BSQ_TRY(decode_array(d, &accessor->sparse_values, bytes, n, next, block, values));
+        for (uint64_t i = 0; i < block; i++) {
+            if (!(indices[i] >= (double)first && indices[i] < (double)(first + count)))
+                return 0;
+            memcpy(to + ((uint64_t)indices[i] - first) * n, values + i * n, n * sizeof *to);
+        }
+        next += block;
+    }
+done:
+    return status;
+}
+
+static int check_sparse(const struct gltf_decoder *d, const struct gltf_place *place,
+                        const struct gltf_accessor *accessor)
+{
+    double indices[SPARSE_BLOCK] = {0}, last = -1;
+    int status = 0;
+    for (uint64_t at = 0; at < accessor->sparse_count; at += SPARSE_BLOCK) {
+        const uint64_t left = accessor->sparse_count - at;
+        const uint64_t block = left < SPARSE_BLOCK ? left : SPARSE_BLOCK;
+        BSQ_TRY(bsq_check(d->ctx));
+        BSQ_TRY(read_sparse_indices(d, accessor, at, block, indices));
+        for (uint64_t i = 0; i < block; last = indices[i++])
+            if (!(indices[i] > last && indices[i] < (double)accessor->count))
+                BSQ_TRY(fmt_gltf_fail(place,
+                                      "its sparse index %" PRIu64 " is %.0f: it is no element, or "
+                                      "not above the one before it",
+                                      at + i, indices[i]));
+    }
+done:
+    return status;
+}
+
+int fmt_gltf_check_sparse(struct bsq_ctx *ctx, const struct gltf_source *source)
+{
+    struct stream_slot slot = {.ctx = ctx};
+    struct gltf_document document = {.ctx = ctx, .file = source->own}; /* for messages */
+    const struct gltf_decoder decoder = {ctx, source, &slot};
+    int status = 0;
+    for (uint32_t i = 0; i < source->accessor_count && !status; i++)
+        if (source->accessors[i].sparse_count > 0) {
+            const struct gltf_place place = {&document, "accessors", i, NULL};
+            status = check_sparse(&decoder, &place, &source->accessors[i]);
+        }
+    fmt_stream_free_slot(&slot);
+    return status;
+}
+
+/* ---- decoding accessors ---- */
+
+int fmt_gltf_decode(const struct gltf_decoder *d, uint32_t number, uint64_t first, uint64_t count,
+                    const double **out)
+{
+    const struct gltf_accessor *accessor = &d->source->accessors[number];
+    struct stream_slot *slot = d->slot;
+    const uint64_t values = count * accessor->components, bytes = values * sizeof(double);
+    int status = bytes <= slot->work_capacity
+                     ? 0
+                     : bsq_grow(d->ctx, "elements", bytes, 1, &slot->work, &slot->work_capacity);
+    if (status)
+        return status;
+    double *to = (double *)(void *)slot->work;
+    *out = to;
+    if (accessor->elements.view == GLTF_NONE)
+        memset(to, 0, bytes);
+    else
+        status = decode_array(d, &accessor->elements, fmt_gltf_stride(d->source, accessor),
+                              accessor->components, first, count, to);
+    if (!status && accessor->sparse_count > 0)
+        status = apply_sparse(d, accessor, first, count, to);
+    if (!status)
+        normalize(accessor, to, values);
+    return status;
 }

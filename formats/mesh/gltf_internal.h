@@ -233,8 +233,6 @@ int fmt_gltf_read_draco(const struct gltf_place *place, struct gltf_source *sour
 /* Decompresses everything to a temporary file, unless that is done. */
 int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source);
 
-/* ---- gltf_accessor.c ---- */
-
 uint32_t fmt_gltf_component_bytes(enum gltf_component component);
 
 int fmt_gltf_read_accessor(const struct gltf_place *place, struct gltf_source *source,
@@ -255,13 +253,10 @@ struct gltf_decoder {
  * *out lies in slot->work until the next call. */
 int fmt_gltf_decode(const struct gltf_decoder *decoder, uint32_t accessor, uint64_t first,
                     uint64_t count, const double **out);
-/* Decodes indices into `to`. */
-int fmt_gltf_decode_indices(const struct gltf_decoder *decoder, uint32_t accessor, uint64_t first,
-                            uint64_t count, uint32_t *to);
 /* Returns the bytes from one element of an accessor to the next. */
 uint64_t fmt_gltf_stride(const struct gltf_source *source, const struct gltf_accessor *accessor);
 
-/* ---- gltf_mesh.c, gltf_scene.c, gltf_material.c ---- */
+/* ---- gltf_scene.c, gltf_material.c ---- */
 
 /* Allocates the primitives of all meshes. */
 int fmt_gltf_allocate_primitives(struct gltf_document *document, struct gltf_source *source);
@@ -270,27 +265,5 @@ int fmt_gltf_read_scene(struct gltf_document *document, struct gltf_source *sour
 int fmt_gltf_read_material(const struct gltf_place *place, struct gltf_source *source,
                            void *element);
 int fmt_gltf_check_extensions(struct gltf_document *document);
-
-/* Sets *out to the path or name of the image of a texture, which the caller frees; NULL if there is
- * none that can be read, which is counted. */
-int fmt_gltf_find_texture(struct gltf_document *document, struct gltf_source *source,
-                          uint32_t texture, char **out);
-/* Reads which texture coordinates a texture uses: the number of their set, and the matrix of
- * KHR_texture_transform. `info` refers to the texture; NULL: set 0. */
-int fmt_gltf_read_texcoord(const struct gltf_place *place, const json_t *info, uint32_t *set,
-                           double matrix[2][3]);
-
-/* ---- gltf_channel.c ---- */
-
-/* Reads the further channels of a material whose texture coordinates are known. */
-int fmt_gltf_read_channels(const struct gltf_place *place, struct gltf_source *source,
-                           struct gltf_material *material);
-
-/* ---- gltf_parse.c ---- */
-
-/* Parses a part: see `parse` of struct stream_format. */
-int fmt_gltf_parse(struct stream_slot *slot);
-/* What a part holds: stream_part.kind is its placement, .carry its primitive, .carry_out this. */
-enum { GLTF_VERTICES, GLTF_FACES };
 
 #endif

@@ -250,9 +250,6 @@ struct fmt_mesh_reader {
 
 /* ---- mesh_stream.c ---- */
 
-/* Reads as fmt_mesh_read_steps() does. */
-int fmt_stream_read(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps, void *arg,
-                    struct fmt_mesh_totals *totals);
 /* Frees what the reader keeps of the sources and the sources. */
 void fmt_stream_free(struct fmt_mesh_reader *reader);
 

@@ -280,15 +280,6 @@ unsigned fmt_mesh_max_slots(const struct fmt_mesh_reader *reader)
     return fmt_mesh_slots_for(bsq_memory_limit(reader->ctx), bsq_threads(reader->ctx));
 }
 
-int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps,
-                        void *arg, struct fmt_mesh_totals *totals)
-{
-    struct fmt_mesh_totals unused = {0};
-    totals = totals ? totals : &unused;
-    memset(totals, 0, sizeof *totals);
-    return fmt_stream_read(reader, steps, arg, totals);
-}
-
 int fmt_mesh_read(struct fmt_mesh_reader *reader,
                   int (*on_block)(void *arg, const struct fmt_mesh_block *block), void *arg,
                   struct fmt_mesh_totals *totals)
@@ -368,30 +359,11 @@ bool fmt_mesh_all_below(const uint64_t *indices, uint64_t count, uint64_t end)
     return differences >> 63 == 0;
 }
 
-/* Returns the bitwise or of all indices. Vectors of arrays from bsq_alloc() are read at once. */
-static uint64_t or_all(const uint64_t *indices, uint64_t count)
-{
-    typedef uint64_t two __attribute__((vector_size(16), may_alias));
-    const two *at = (const two *)(const void *)indices;
-    const two *end = at + ((uintptr_t)indices % sizeof *at == 0 ? count / 16 * 8 : 0);
-    two a = {0}, b = {0};
-    for (; at < end; at += 8) {
-        a |= at[0], b |= at[1], a |= at[2], b |= at[3];
-        a |= at[4], b |= at[5], a |= at[6], b |= at[7];
-    }
-    a |= b;
-    uint64_t all = a[0] | a[1];
-    for (const uint64_t *rest = (const uint64_t *)end; rest < indices + count; rest++)
-        all |= *rest;
-    return all;
-}
-
 bool fmt_mesh_check_vertices(const struct fmt_mesh_block *block, uint64_t end, uint64_t *face,
                              uint64_t *index)
 {
     uint64_t f = 0, first = 0, corner = 0;
-    /* Neighbours in the file have similar indices, so the second test is enough for most blocks. */
-    if (block->vertex_bound <= end || or_all(block->corner_vertices, block->corner_count) < end ||
+    if (block->vertex_bound <= end ||
         fmt_mesh_all_below(block->corner_vertices, block->corner_count, end))
         return true;
     while (block->corner_vertices[corner] < end)

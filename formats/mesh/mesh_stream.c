@@ -10,7 +10,7 @@
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"
 
-/* One call of fmt_stream_read(). */
+/* One call of fmt_mesh_read_steps(). */
 struct job {
     struct fmt_mesh_reader *reader;
     const struct fmt_mesh_steps *steps;
@@ -547,11 +547,13 @@ static int warn_oddities(const struct fmt_mesh_reader *reader)
     return status;
 }
 
-int fmt_stream_read(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps, void *arg,
-                    struct fmt_mesh_totals *totals)
+int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps,
+                        void *arg, struct fmt_mesh_totals *totals)
 {
     struct job job = {.reader = reader, .steps = steps, .arg = arg};
-    reader->totals = totals;
+    struct fmt_mesh_totals unused;
+    reader->totals = totals ? totals : &unused;
+    *reader->totals = (struct fmt_mesh_totals){0};
     reader->place_count = reader->note_count = 0;
     reader->painted = reader->unpainted = false;
     int status = run_job(&job);

@@ -1,7 +1,16 @@
 /* mesh_text.c - see mesh_text.h. */
 #include "formats/mesh/mesh_text.h"
 
+#include <dirent.h>
+#include <limits.h>
 #include <string.h>
+#include <strings.h>
+#include <sys/stat.h>
+
+#include "base/file.h"
+#include "base/path_map.h"
+#include "base/text_table.h"
+#include "base/tile_files.h"
 
 void fmt_mesh_quote(const char *text, const char *end, char *out, size_t size)
 {
@@ -72,4 +81,198 @@ int fmt_mesh_hex_digit(char c)
     if (c >= '0' && c <= '9')
         return c - '0';
     return lower >= 'a' && lower <= 'f' ? lower - 'a' + 10 : -1;
+}
+
+/* ---- the files that mesh and material files name ---- */
+
+/* Ways to read a name, in the order of the trials. */
+enum form { AS_WRITTEN, WITH_SLASHES, LAST_COMPONENT, FORM_COUNT };
+
+struct search {
+    struct bsq_ctx *ctx;
+    const char *beside;
+    char *path; /* the file, when it is found; owned */
+};
+
+/* Returns the length of the directory of a file, with its slash. */
+static size_t directory_length(const char *path)
+{
+    return (size_t)(bsq_file_name(path) - path);
+}
+
+int fmt_path_beside(struct bsq_ctx *ctx, const char *beside, const char *path, char **out)
+{
+    const size_t directory = path[0] == '/' ? 0 : directory_length(beside);
+    int status = bsq_alloc(ctx, "names", directory + strlen(path) + 1, 1, out);
+    if (status)
+        return status;
+    memcpy(*out, beside, directory);
+    strcpy(*out + directory, path);
+    return 0;
+}
+
+/* Checks that a path is a regular file, or that a texture of tiles has a tile. */
+static int check_file(struct bsq_ctx *ctx, const char *path, bool *is_file)
+{
+    struct bsq_tile_files tiles = {0};
+    struct stat info;
+    int status = 0;
+    if (bsq_has_tiles(path)) {
+        status = bsq_tile_files_find(ctx, path, &tiles);
+        *is_file = tiles.count > 0;
+        bsq_tile_files_free(ctx, &tiles);
+    } else {
+        *is_file = stat(path, &info) == 0 && S_ISREG(info.st_mode);
+    }
+    return status;
+}
+
+/* ---- capitals ---- */
+
+/* Replaces the last component of `path`, which begins at `name`, by an entry of its directory that
+ * differs in its capitals. Takes the first one in the order of bytes. Returns whether there is one.
+ */
+static bool find_entry(char *path, char *name)
+{
+    char best[NAME_MAX + 1] = "";
+    const char first = *name;
+    *name = '\0';
+    DIR *directory = opendir(name == path ? "." : path);
+    *name = first;
+    for (struct dirent *entry; directory && (entry = readdir(directory)) != NULL;)
+        if (strcasecmp(entry->d_name, name) == 0 && (!*best || strcmp(entry->d_name, best) < 0))
+            strcpy(best, entry->d_name);
+    if (directory)
+        closedir(directory);
+    memcpy(name, best, strlen(best));
+    return *best != '\0';
+}
+
+/* Gives the components of `path` from byte `from` on the capitals of folders and files that exist;
+ * those that exist as they are stay so, and the token of a texture of tiles. Returns whether all
+ * exist. */
+static bool match_capitals(char *path, size_t from)
+{
+    struct stat info;
+    bool found = true;
+    for (char *name = path + from, *next; *name && found; name = next) {
+        char *end = strchrnul(name, '/');
+        next = end + (*end == '/');
+        const char end_byte = *end, next_byte = *next;
+        *next = '\0'; /* a path that ends in a slash is a folder */
+        found = end == name || stat(path, &info) == 0 || (!end_byte && bsq_has_tiles(path));
+        *next = next_byte;
+        if (found)
+            continue;
+        *end = '\0';
+        found = find_entry(path, name);
+        *end = end_byte;
+    }
+    return found;
+}
+
+/* ---- trials ---- */
+
+/* Looks for the file `name`. Sets search->path if it exists. */
+static int try_path(struct search *search, const char *name, enum form form)
+{
+    const size_t directory = name[0] == '/' ? 0 : directory_length(search->beside);
+    char *path;
+    bool found = false;
+    int status = fmt_path_beside(search->ctx, search->beside, name, &path);
+    if (status)
+        return status;
+    for (char *c = path + directory; *c && form == WITH_SLASHES; c++)
+        *c = *c == '\\' ? '/' : *c;
+    status = check_file(search->ctx, path, &found);
+    if (!status && !found && match_capitals(path, directory))
+        status = check_file(search->ctx, path, &found);
+    if (!status && found)
+        search->path = path;
+    else
+        bsq_free(search->ctx, path);
+    return status;
+}
+
+/* Tries a text as a name. */
+static int try_text(struct search *search, const char *text, enum form form)
+{
+    const char *mapped = bsq_map_path(search->ctx, text), *name = mapped;
+    if (!mapped)
+        return BSQ_ENOMEM;
+    if (form == LAST_COMPONENT) {
+        name = bsq_file_name(mapped);
+        const char *backslash = strrchr(name, '\\');
+        name = backslash ? backslash + 1 : name;
+    }
+    const bool tried =
+        (form == WITH_SLASHES && !strchr(name, '\\')) || (form == LAST_COMPONENT && name == mapped);
+    if (!*name || tried)
+        return 0;
+    int status = bsq_check(search->ctx); /* directories may be long */
+    return status ? status : try_path(search, name, form);
+}
+
+/* Cuts a text before its last "#" after a blank. Returns whether there is one. What is longer than
+ * a path can be is cut off too. */
+static bool cut_comment(char *text)
+{
+    size_t at = strnlen(text, PATH_MAX);
+    do
+        at -= at > 0;
+    while (at > 0 && !(text[at] == '#' && fmt_mesh_is_blank(text[at - 1])));
+    if (at == 0)
+        return false;
+    while (at > 0 && fmt_mesh_is_blank(text[at - 1]))
+        at--;
+    text[at] = '\0';
+    return true;
+}
+
+/* Tries a name as it is, and without its quotes or else without comments, the shortest first. */
+static int try_form(struct search *search, const char *name, enum form form)
+{
+    char *text;
+    int status = bsq_text_copy(search->ctx, name, &text);
+    if (status)
+        return status;
+    status = try_text(search, text, form);
+    if (!status && !search->path && text[0] == '"' && fmt_mesh_plain_name(text))
+        status = try_text(search, text, form);
+    while (!status && !search->path && name[0] != '"' && cut_comment(text))
+        status = try_text(search, text, form);
+    bsq_free(search->ctx, text);
+    return status;
+}
+
+/* Sets search->path to the path of a file that does not exist, for messages. */
+static int name_missing(struct search *search, const char *name)
+{
+    const char *mapped;
+    char *text;
+    int status = bsq_text_copy(search->ctx, name, &text);
+    if (status)
+        return status;
+    if (text[0] != '"' || !fmt_mesh_plain_name(text))
+        fmt_mesh_tidy_name(text);
+    mapped = bsq_map_path(search->ctx, text);
+    status =
+        mapped ? fmt_path_beside(search->ctx, search->beside, mapped, &search->path) : BSQ_ENOMEM;
+    bsq_free(search->ctx, text);
+    return status;
+}
+
+int fmt_path_find(struct bsq_ctx *ctx, const char *beside, const char *name, char **out,
+                  bool *exists)
+{
+    struct search search = {.ctx = ctx, .beside = beside};
+    int status = 0;
+    for (enum form form = AS_WRITTEN; form < FORM_COUNT && !status && !search.path; form++)
+        status = try_form(&search, name, form);
+    if (exists)
+        *exists = search.path != NULL;
+    if (!status && !search.path)
+        status = name_missing(&search, name);
+    *out = search.path;
+    return status;
 }

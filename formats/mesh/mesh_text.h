@@ -1,4 +1,4 @@
-/* mesh_text.h - private to formats/mesh: copies of names, and file text for messages. */
+/* mesh_text.h - private to formats/mesh: names, text for messages, and files that others name. */
 #ifndef FMT_MESH_TEXT_H
 #define FMT_MESH_TEXT_H
 
@@ -48,8 +48,6 @@ struct mesh_quoted {
     char text[44];
 };
 struct mesh_quoted fmt_mesh_quote_word(const char *text);
-
-/* ---- obj_path.c ---- */
 
 /* Joins the directory of the file `beside` and a path; an absolute path stays as it is. Free *out
  * with bsq_free(). Errors: BSQ_ENOMEM. */

@@ -34,6 +34,7 @@ struct parser {
     const char *end; /* of the text */
     bool objects;    /* keep o and g statements */
     int status;
+    uint64_t vertices;   /* the bits of all indices of vertices, from 1 */
     unsigned not_finite; /* a bit for each number of the line that is not finite */
 };
 
@@ -340,6 +341,8 @@ static inline const char *parse_index(struct parser *parser, const char *p, enum
         return after;
     }
     *out = value - 1;
+    if (kind == FMT_MESH_VERTEX)
+        parser->vertices |= negative ? UINT64_MAX : value;
     if (negative) {
         *out = OBJ_RELATIVE_ZERO + a->count[kind] - value;
         parser->slot->part.carry_out |= 1u << kind;
@@ -421,7 +424,6 @@ static const char *parse_face(struct parser *parser, const char *p)
         return NULL;
     a->face_sizes[a->face_count++] = (uint32_t)(corner - first);
     a->corner_count = corner;
-    a->vertex_bound = UINT64_MAX;
     return p;
 }
 
@@ -662,6 +664,8 @@ int fmt_obj_parse_text(struct stream_slot *slot, uint64_t begin, uint64_t size, 
         parser.not_finite = 0;
         p = parse_line(&parser, skip_blanks(&parser, p));
     }
+    if (parser.vertices > slot->arrays.vertex_bound)
+        slot->arrays.vertex_bound = parser.vertices;
     slot->at = line + (slot->part.first_line ? slot->part.first_line : 1);
     return parser.status;
 }

@@ -212,10 +212,7 @@ enum {
 /* This bit of a kind: a part of the list of one strip, which is longer than parts are. */
 #define PLY_PART_PIECE 0x40000000u
 
-/* ---- ply_cut.c, ply_parse.c ---- */
-
-/* Implements `cut` of struct fmt_mesh_format. */
-int fmt_ply_cut(const struct stream_part *before, struct stream_slot *slot);
+/* ---- ply_parse.c ---- */
 
 /* Parses a loaded part of an element that is read. */
 int fmt_ply_parse(const struct ply_element *element, struct stream_slot *slot);

@@ -2,15 +2,39 @@
  *
  * Understood: several solids in a text, polygons of any size, binary files that begin with "solid",
  * and the colours of two dialects (https://en.wikipedia.org/wiki/STL_(file_format)#Color). Normals
- * of facets are ignored, because they follow from the corners. */
+ * of facets are ignored, because they follow from the corners.
+ *
+ * STL files repeat each vertex for each triangle. Vertices of a part that are equal are made one
+ * here, which leaves about one vertex for a triangle; the rest is left to later stages, which match
+ * vertices by position (docs/decisions). So memory does not grow with the file. */
 #include <inttypes.h>
 #include <math.h>
 #include <string.h>
 #include <strings.h>
 
 #include "base/loss.h"
+#include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"
-#include "formats/mesh/stl_internal.h"
+#include "formats/mesh/obj_number.h"
+
+enum stl_kind {
+    STL_TEXT,
+    STL_BINARY,        /* colours as in VisCAM and SolidView */
+    STL_BINARY_MAGICS, /* colours as in Materialise Magics */
+    STL_BINARY_MESHLAB /* colours as in MeshLab, which differs from Magics in the highest bit */
+};
+
+/* Bytes of a binary file before its triangles, and of a triangle. */
+#define STL_HEADER_BYTES   ((uint64_t)84)
+#define STL_TRIANGLE_BYTES ((uint64_t)50)
+
+/* What the reader keeps of a file: source->data. */
+struct stl_source {
+    enum stl_kind kind;
+    float object_color[3]; /* of STL_BINARY_MAGICS */
+    uint64_t triangles;    /* of a binary file, by its size or its header */
+    int64_t open_solids;   /* "solid" without "endsolid", of one reading */
+};
 
 /* ---- opening ---- */
 
@@ -144,7 +168,8 @@ struct weld {
     uint32_t slots[];
 };
 
-int fmt_stl_begin_weld(struct stream_slot *slot, uint64_t most)
+/* Prepares slot->work and slot->arrays for a part of up to `most` vertices. */
+static int begin_weld(struct stream_slot *slot, uint64_t most)
 {
     struct mesh_arrays *a = &slot->arrays;
     uint64_t entries = 1024;
@@ -186,7 +211,9 @@ static bool is_same(const struct mesh_arrays *a, uint64_t vertex, const double p
     /* NOLINTEND(bugprone-suspicious-memory-comparison) */
 }
 
-uint64_t fmt_stl_weld(struct stream_slot *slot, const double position[3], const float *color)
+/* Returns the number, in the part, of the vertex at this position; adds it if it is new. position:
+ * finite, or all NAN. color: NULL unless slot->arrays.has_colors. */
+static uint64_t weld_vertex(struct stream_slot *slot, const double position[3], const float *color)
 {
     struct weld *weld = (struct weld *)(void *)slot->work;
     struct mesh_arrays *a = &slot->arrays;
@@ -285,7 +312,7 @@ static bool add_triangle(const struct stl_source *file, struct stream_slot *slot
     for (uint64_t k = 0; k < 3; k++) {
         read_corner(triangle + 12 * (k + 1), position);
         a->corners[FMT_MESH_VERTEX][3 * i + k] =
-            fmt_stl_weld(slot, position, a->has_colors ? color : NULL);
+            weld_vertex(slot, position, a->has_colors ? color : NULL);
     }
     a->face_sizes[i] = 3;
     a->corner_count += 3;
@@ -299,7 +326,7 @@ static int parse_binary(const struct stl_source *file, struct stream_slot *slot)
     int status;
     a->has_colors = any_color(file, slot);
     slot->color_white = 255.0f;
-    BSQ_TRY(fmt_stl_begin_weld(slot, 3 * count));
+    BSQ_TRY(begin_weld(slot, 3 * count));
     BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->face_sizes, a->size_capacity));
     BSQ_TRY(FMT_RESERVE(slot->ctx, 3 * count, a->corners[FMT_MESH_VERTEX],
                         a->corner_capacity[FMT_MESH_VERTEX]));
@@ -310,12 +337,248 @@ done:
     return status;
 }
 
+/* ---- text ----
+ *
+ * There may be any number of solids, and words in any case and on any line. Only "vertex" and the
+ * ends of loops matter. The name of a solid ends with its line, or before "facet normal", because
+ * some files are one line. Files are cut after a line that begins with "endfacet", or between
+ * "endfacet" and "facet normal". */
+
+static bool is_line_end(uint8_t c)
+{
+    return c == '\n' || c == '\r';
+}
+
+/* Returns the position of the first character from `at` on that is no blank, at most `size`. */
+static uint64_t skip_blanks(const uint8_t *text, uint64_t at, uint64_t size)
+{
+    return at + fmt_mesh_count_space(text + at, size - at);
+}
+
+static bool is_number(const uint8_t *text, uint64_t size)
+{
+    static const char first[13] = "+-.0123456789";
+    return size >= 3 && (memchr(first, text[0], sizeof first) ||
+                         strncasecmp((const char *)text, "nan", 3) == 0 ||
+                         strncasecmp((const char *)text, "inf", 3) == 0);
+}
+
+/* Returns whether the `size` bytes have "facet normal" and a number at `at`. */
+static bool is_facet_normal(const uint8_t *text, uint64_t at, uint64_t size)
+{
+    if (size - at < 5 || strncasecmp((const char *)text + at, "facet", 5) != 0)
+        return false;
+    const uint64_t normal = skip_blanks(text, at + 5, size);
+    if (normal == at + 5 || size - normal < 6 ||
+        strncasecmp((const char *)text + normal, "normal", 6) != 0)
+        return false;
+    const uint64_t number = skip_blanks(text, normal + 6, size);
+    return number > normal + 6 && is_number(text + number, size - number);
+}
+
+/* Returns whether a facet ends with the word "endfacet" at `at`, which ends before a blank. */
+static bool is_end_of_facet(const uint8_t *text, uint64_t at, uint64_t size)
+{
+    if ((text[at] | 32) != 'e' || strncasecmp((const char *)text + at, "endfacet", 8) != 0 ||
+        (at > 0 && text[at - 1] > ' '))
+        return false;
+    if (is_facet_normal(text, skip_blanks(text, at + 8, size), size))
+        return true;
+    while (at > 0 && (text[at - 1] == ' ' || text[at - 1] == '\t'))
+        at--;
+    return at == 0 || is_line_end(text[at - 1]);
+}
+
+/* Returns the position after the last facet in `size` bytes; 0: there is none. */
+static uint64_t find_cut(const uint8_t *text, uint64_t size)
+{
+    for (uint64_t at = size; at >= 9; at--)
+        if (text[at - 1] <= ' ' && is_end_of_facet(text, at - 9, size))
+            return at - 1;
+    return 0;
+}
+
+/* Returns the bytes of whole facets in loaded text; 0: there are none. */
+static uint64_t find_facets(struct stream_slot *slot, uint64_t have, bool at_file_end)
+{
+    const uint64_t size = at_file_end ? have : find_cut(slot->bytes, have);
+    const uint64_t counted = size > 0 ? size : have;
+    const uint8_t *text = slot->bytes;
+    uint64_t lines = 0;
+    for (uint64_t i = 0; i < counted; i++)
+        lines += text[i] == '\n';
+    slot->part.lines = lines;
+    return size;
+}
+
+static int cut_text(const struct stream_part *before, struct stream_slot *slot)
+{
+    slot->part.offset = before->end;
+    slot->part.first_line = before->end == 0 ? 1 : before->first_line + before->lines;
+    return fmt_stream_cut_text(slot, find_facets);
+}
+
+struct text {
+    struct bsq_ctx *ctx;
+    struct stream_slot *slot;
+    const char *at, *end;
+    uint64_t line, facet_line;
+    uint64_t size; /* corners of the current loop */
+    int status;
+};
+
+static bool fail_word(struct text *t, const char *what)
+{
+    if (t->at >= t->end)
+        fmt_stream_fail(t->slot, t->line, "truncated: the file ends within a facet");
+    else
+        fmt_stream_fail(t->slot, t->line, "\"%s\" is not %s", fmt_mesh_quote_word(t->at).text,
+                        what);
+    return false;
+}
+
+/* Moves to the next word. Returns false at the end of the part. */
+static bool next_word(struct text *t)
+{
+    for (; t->at < t->end && (unsigned char)*t->at <= ' ' && *t->at != '\0'; t->at++)
+        t->line += *t->at == '\n';
+    return t->at < t->end;
+}
+
+/* Skips the word at the current position if it is `word`. */
+static bool take(struct text *t, const char *word)
+{
+    const size_t size = strlen(word);
+    if (strncasecmp(t->at, word, size) != 0 || (unsigned char)t->at[size] > ' ')
+        return false;
+    t->at += size;
+    return true;
+}
+
+static bool skip_numbers(struct text *t, int count)
+{
+    for (int i = 0; i < count; i++) {
+        if (!next_word(t))
+            return fail_word(t, "");
+        while ((unsigned char)*t->at > ' ')
+            t->at++;
+    }
+    return true;
+}
+
+static bool read_vertex(struct text *t)
+{
+    struct mesh_arrays *a = &t->slot->arrays;
+    double position[3];
+    for (int i = 0; i < 3; i++) {
+        next_word(t);
+        const char *after = obj_real(t->at, &position[i]);
+        if (!after || t->at >= t->end)
+            return fail_word(t, "a number");
+        t->at = after;
+    }
+    if (isnan(position[0] + position[1] + position[2]))
+        position[0] = position[1] = position[2] = NAN;
+    const uint64_t corner = a->corner_count + t->size;
+    t->status = FMT_RESERVE(t->ctx, corner + 1, a->corners[FMT_MESH_VERTEX],
+                            a->corner_capacity[FMT_MESH_VERTEX]);
+    if (t->status)
+        return false;
+    a->corners[FMT_MESH_VERTEX][corner] = weld_vertex(t->slot, position, NULL);
+    t->size++;
+    return true;
+}
+
+/* Ends a loop. Returns false if parsing must stop. */
+static bool finish_loop(struct text *t)
+{
+    struct mesh_arrays *a = &t->slot->arrays;
+    const uint64_t size = t->size;
+    t->size = 0;
+    if (size < 3) {
+        t->slot->short_faces++;
+        return true;
+    }
+    t->status = FMT_RESERVE(t->ctx, a->face_count + 1, a->face_sizes, a->size_capacity);
+    if (t->status || size > UINT32_MAX)
+        return false;
+    a->face_sizes[a->face_count] = (uint32_t)size;
+    a->corner_count += size;
+    t->slot->at = t->facet_line;
+    return a->face_count++ != t->slot->last_face;
+}
+
+/* Skips the name of a solid: the rest of the line, or what comes before "facet normal". */
+static bool skip_name(struct text *t, int solids)
+{
+    const uint8_t *text = (const uint8_t *)t->at;
+    const uint64_t size = (uint64_t)(t->end - t->at);
+    uint64_t at = 0;
+    t->slot->balance += solids;
+    while (at < size && !is_line_end(text[at]) &&
+           !(text[at] <= ' ' && is_facet_normal(text, at + 1, size)))
+        at++;
+    t->at += at;
+    return true;
+}
+
+/* Reads the statement at the current position. Returns false if parsing must stop. */
+static bool read_statement(struct text *t)
+{
+    if (take(t, "vertex"))
+        return read_vertex(t);
+    if (take(t, "facet")) {
+        t->facet_line = t->line;
+        return true;
+    }
+    if (take(t, "normal"))
+        return skip_numbers(t, 3);
+    if (take(t, "outer")) {
+        t->size = 0;
+        return true;
+    }
+    if (take(t, "loop") || take(t, "endfacet"))
+        return true;
+    if (take(t, "endloop"))
+        return finish_loop(t);
+    if (take(t, "solid"))
+        return skip_name(t, 1);
+    return take(t, "endsolid") ? skip_name(t, -1) : fail_word(t, "a word of STL files");
+}
+
+static int parse_text(struct stream_slot *slot)
+{
+    /* "vertex 0 0 0" takes 13 bytes. */
+    int status = begin_weld(slot, slot->part.size / 13 + 1);
+    if (status)
+        return status;
+    memset(slot->bytes + slot->part.size, 0, STREAM_PADDING);
+    slot->bytes[slot->part.size] = '\n';
+    struct text t = {.ctx = slot->ctx,
+                     .slot = slot,
+                     .at = (const char *)slot->bytes,
+                     .end = (const char *)slot->bytes + slot->part.size,
+                     .line = slot->part.first_line};
+    enum { STATEMENTS_A_CHECK = 4096 };
+    bool more = true;
+    if (slot->part.offset == 0)
+        t.at += fmt_mesh_mark(t.at, slot->part.size);
+    for (uint64_t i = 0; more && next_word(&t); i++) {
+        if (i % STATEMENTS_A_CHECK == 0 && (t.status = bsq_check(slot->ctx)) != 0)
+            return t.status;
+        more = read_statement(&t);
+    }
+    if (more && t.size > 0)
+        fail_word(&t, "");
+    return t.status;
+}
+
 /* ---- reading ---- */
 
 static int cut(const struct stream_part *before, struct stream_slot *slot)
 {
     const struct stl_source *file = slot->source->data;
-    return file->kind == STL_TEXT ? fmt_stl_cut_text(before, slot) : cut_binary(file, before, slot);
+    return file->kind == STL_TEXT ? cut_text(before, slot) : cut_binary(file, before, slot);
 }
 
 static int parse(struct stream_slot *slot)
@@ -325,7 +588,7 @@ static int parse(struct stream_slot *slot)
     slot->local = 1u << FMT_MESH_VERTEX;
     if (status)
         return status;
-    status = file->kind == STL_TEXT ? fmt_stl_parse_text(slot) : parse_binary(file, slot);
+    status = file->kind == STL_TEXT ? parse_text(slot) : parse_binary(file, slot);
     slot->arrays.vertex_bound = slot->arrays.count[FMT_MESH_VERTEX];
     return status;
 }
