@@ -583,42 +583,20 @@ done:
     return status;
 }
 
-/* Adds the material and the object of a primitive at a node. */
-static int add_part(const struct stream_source *source, const struct gltf_placement *placement,
-                    uint32_t material, struct fmt_materials *out)
+/* Parts are the primitives of each placement, in the order of their numbers. */
+static const char *find_part(const struct stream_source *source, uint64_t number,
+                             uint32_t *material)
 {
     const struct gltf_source *file = source->data;
-    struct fmt_material *part;
-    int status;
-    BSQ_TRY(fmt_materials_add(source->ctx, out, &part));
-    if (material != GLTF_NONE)
-        BSQ_TRY(fmt_material_copy(source->ctx, &file->materials[material].described, part));
-    else
-        BSQ_TRY(bsq_text_copy(source->ctx, "", &part->name));
-    status = bsq_text_copy(source->ctx, placement->name, &part->object);
-done:
-    return status;
-}
-
-/* Lists the parts: the primitives of each placement, in the order of their numbers. */
-static int list_parts(struct stream_source *source, struct fmt_materials *out)
-{
-    const struct gltf_source *file = source->data;
-    int status = 0;
-    for (uint32_t i = 0; i < file->placement_count; i++) {
-        const struct gltf_placement *placement = &file->placements[i];
-        const struct gltf_mesh *mesh = &file->meshes[placement->mesh];
-        BSQ_TRY(bsq_check(source->ctx));
-        for (uint32_t k = 0; k < mesh->count; k++)
-            BSQ_TRY(add_part(source, placement, file->primitives[mesh->first + k].material, out));
+    uint64_t low = 0, high = file->placement_count;
+    while (high - low > 1) {
+        const uint64_t middle = low + (high - low) / 2;
+        *(file->placements[middle].part_base <= number ? &low : &high) = middle;
     }
-done:
-    return status;
-}
-
-static int read_materials(struct stream_source *source, struct fmt_materials *out)
-{
-    return source->reader->objects ? list_parts(source, out) : list_materials(source, out);
+    const struct gltf_placement *placement = &file->placements[low];
+    const uint32_t first = file->meshes[placement->mesh].first;
+    *material = file->primitives[first + (number - placement->part_base)].material;
+    return placement->name;
 }
 
 static const char *dependency(const struct stream_source *source, uint32_t index)
@@ -650,7 +628,8 @@ const struct fmt_mesh_format fmt_gltf_format = {
     .pass = pass,
     .finish = finish,
     .estimate = estimate,
-    .read_materials = read_materials,
+    .read_materials = list_materials,
     .preview_materials = list_materials,
+    .find_part = find_part,
     .dependency = dependency,
 };

@@ -196,10 +196,14 @@ struct fmt_mesh_format {
     /* Adds a file to the estimate. bytes: of the unpacked file, exactly if it is plain. */
     int (*estimate)(struct stream_source *source, uint64_t bytes, bool plain,
                     struct fmt_mesh_estimate *out);
-    /* Append what is known of a file's materials to the list: in the order of source->numbers, and
-     * as fmt_mesh_preview_materials() does. NULL: the format has no materials. */
+    /* Append what is known of a file's materials to the list: in the order in which the file counts
+     * them, and as fmt_mesh_preview_materials() does. NULL: the format has no materials. */
     int (*read_materials)(struct stream_source *source, struct fmt_materials *out);
     int (*preview_materials)(struct stream_source *source, struct fmt_materials *out);
+    /* Returns the name of the object of a part of the file, and in *material the number of its
+     * material in the file, or a number that no material has. NULL: the format has no objects. */
+    const char *(*find_part)(const struct stream_source *source, uint64_t number,
+                             uint32_t *material);
     /* Returns as fmt_mesh_dependency() does, for one file. NULL: the format refers to no files. */
     const char *(*dependency)(const struct stream_source *source, uint32_t index);
 };
@@ -282,6 +286,8 @@ int fmt_stream_load(struct stream_slot *slot);
 /* Makes all numbers of a vector NaN if one is not finite, for `count` vectors of `size` numbers.
  * Returns how many there are. */
 uint64_t fmt_stream_clear_bad(double *numbers, uint64_t count, unsigned size);
+/* Sets vectors that are not finite to `missing`. Returns how many there are. */
+uint64_t fmt_stream_replace_bad(float (*vectors)[3], uint64_t count, float missing);
 
 /* Describes what is wrong with a part, at a line or byte of its file; 0: the text says where.
  * Returns 0, so that a parse function can return it. Only the first description of a part is kept.

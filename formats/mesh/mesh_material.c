@@ -16,6 +16,53 @@ static void place_materials(const struct stream_source *source, struct fmt_mater
     }
 }
 
+int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
+                      struct fmt_material *out)
+{
+    int status;
+    *out = *from;
+    out->name = out->texture_path = out->texture_place = out->object = NULL;
+    out->channels = NULL;
+    out->channel_count = 0;
+    BSQ_TRY(bsq_text_copy(ctx, from->name, &out->name));
+    BSQ_TRY(bsq_text_copy(ctx, from->texture_path, &out->texture_path));
+    BSQ_TRY(bsq_text_copy(ctx, from->texture_place, &out->texture_place));
+    if (from->channel_count > 0)
+        BSQ_TRY(bsq_calloc(ctx, "materials", from->channel_count, sizeof *out->channels,
+                           &out->channels));
+    for (uint32_t i = 0; i < from->channel_count; i++) {
+        struct fmt_material_channel *copy = &out->channels[out->channel_count++];
+        *copy = from->channels[i];
+        copy->texture_path = copy->texture_place = NULL;
+        BSQ_TRY(bsq_text_copy(ctx, from->channels[i].texture_path, &copy->texture_path));
+        BSQ_TRY(bsq_text_copy(ctx, from->channels[i].texture_place, &copy->texture_place));
+    }
+done:
+    return status;
+}
+
+/* Turns the list of a file's materials into one of its parts. */
+static int list_parts(const struct stream_source *source, struct fmt_materials *list)
+{
+    static const struct fmt_material none = {.name = "", .diffuse = {0.8f, 0.8f, 0.8f}};
+    struct fmt_materials parts = {0};
+    struct fmt_material *part;
+    uint32_t material;
+    int status = 0;
+    for (uint64_t i = 0; i < source->number_count; i++) {
+        const char *object = source->format->find_part(source, i, &material);
+        BSQ_TRY(i % 256 ? 0 : bsq_check(source->ctx));
+        BSQ_TRY(fmt_materials_add(source->ctx, &parts, &part));
+        BSQ_TRY(fmt_material_copy(source->ctx,
+                                  material < list->count ? &list->list[material] : &none, part));
+        BSQ_TRY(bsq_text_copy(source->ctx, object, &part->object));
+    }
+done:
+    fmt_materials_free(source->ctx, list);
+    *list = parts;
+    return status;
+}
+
 int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out)
 {
     struct fmt_materials own = {0};
@@ -32,6 +79,8 @@ int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials
             continue;
         BSQ_TRY(bsq_check(reader->ctx));
         BSQ_TRY(source->format->read_materials(source, &own));
+        if (reader->objects && source->format->find_part)
+            BSQ_TRY(list_parts(source, &own));
         place_materials(source, &own, out);
         fmt_materials_free(reader->ctx, &own);
     }
@@ -69,31 +118,6 @@ int fmt_materials_add(struct bsq_ctx *ctx, struct fmt_materials *list, struct fm
 }
 
 /* ---- one material ---- */
-
-int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
-                      struct fmt_material *out)
-{
-    int status;
-    *out = *from;
-    out->name = out->texture_path = out->texture_place = out->object = NULL;
-    out->channels = NULL;
-    out->channel_count = 0;
-    BSQ_TRY(bsq_text_copy(ctx, from->name, &out->name));
-    BSQ_TRY(bsq_text_copy(ctx, from->texture_path, &out->texture_path));
-    BSQ_TRY(bsq_text_copy(ctx, from->texture_place, &out->texture_place));
-    if (from->channel_count > 0)
-        BSQ_TRY(bsq_calloc(ctx, "materials", from->channel_count, sizeof *out->channels,
-                           &out->channels));
-    for (uint32_t i = 0; i < from->channel_count; i++) {
-        struct fmt_material_channel *copy = &out->channels[out->channel_count++];
-        *copy = from->channels[i];
-        copy->texture_path = copy->texture_place = NULL;
-        BSQ_TRY(bsq_text_copy(ctx, from->channels[i].texture_path, &copy->texture_path));
-        BSQ_TRY(bsq_text_copy(ctx, from->channels[i].texture_place, &copy->texture_place));
-    }
-done:
-    return status;
-}
 
 void fmt_material_free(struct bsq_ctx *ctx, struct fmt_material *material)
 {

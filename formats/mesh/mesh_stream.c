@@ -154,6 +154,19 @@ uint64_t fmt_stream_clear_bad(double *numbers, uint64_t count, unsigned size)
     return bad;
 }
 
+uint64_t fmt_stream_replace_bad(float (*vectors)[3], uint64_t count, float missing)
+{
+    uint64_t bad = 0;
+    for (uint64_t i = 0; i < count; i++) {
+        float *v = vectors[i];
+        if (v[0] * 0.0f + v[1] * 0.0f + v[2] * 0.0f == 0.0f)
+            continue;
+        v[0] = v[1] = v[2] = missing;
+        bad++;
+    }
+    return bad;
+}
+
 /* ---- cutting and parsing ---- */
 
 static int produce(void *arg, void *slot_memory, uint64_t sequence)

@@ -74,6 +74,8 @@ int fmt_obj_parse_text(struct stream_slot *slot, uint64_t begin, uint64_t size, 
 /* The functions on struct stream_source implement struct fmt_mesh_format. */
 int fmt_obj_read_materials(struct stream_source *source, struct fmt_materials *out);
 int fmt_obj_preview_materials(struct stream_source *source, struct fmt_materials *out);
+const char *fmt_obj_find_part(const struct stream_source *source, uint64_t number,
+                              uint32_t *material);
 const char *fmt_obj_dependency(const struct stream_source *source, uint32_t index);
 
 /* Copies the text of a statement: continuations become blanks, trailing blanks go. The caller frees

@@ -342,7 +342,7 @@ done:
 /* ---- lists of materials ---- */
 
 /* Describes all materials of usemtl statements. */
-static int list_materials(struct stream_source *source, struct fmt_materials *out)
+int fmt_obj_read_materials(struct stream_source *source, struct fmt_materials *out)
 {
     const struct obj_file *file = source->data;
     struct fmt_materials found = {0};
@@ -363,32 +363,13 @@ done:
     return status;
 }
 
-/* Describes the material and the object of each part. */
-static int list_parts(struct stream_source *source, struct fmt_materials *out)
+const char *fmt_obj_find_part(const struct stream_source *source, uint64_t number,
+                              uint32_t *material)
 {
-    static const struct fmt_material none = {.name = "", .diffuse = {0.8f, 0.8f, 0.8f}};
-    const struct bsq_texts *parts = &((struct obj_file *)source->data)->parts;
-    struct fmt_materials materials = {0};
-    struct fmt_material *part;
-    int status;
-    BSQ_TRY(list_materials(source, &materials));
-    for (uint64_t i = 0; i < parts->count; i++) {
-        uint32_t material = 0;
-        sscanf(parts->list[i], "%8" SCNx32, &material); /* OBJ_PART_DIGITS */
-        BSQ_TRY(bsq_check(source->ctx));
-        BSQ_TRY(fmt_materials_add(source->ctx, out, &part));
-        BSQ_TRY(fmt_material_copy(
-            source->ctx, material < materials.count ? &materials.list[material] : &none, part));
-        BSQ_TRY(bsq_text_copy(source->ctx, parts->list[i] + OBJ_PART_DIGITS, &part->object));
-    }
-done:
-    fmt_materials_free(source->ctx, &materials);
-    return status;
-}
-
-int fmt_obj_read_materials(struct stream_source *source, struct fmt_materials *out)
-{
-    return source->reader->objects ? list_parts(source, out) : list_materials(source, out);
+    const char *part = ((struct obj_file *)source->data)->parts.list[number];
+    *material = FMT_MESH_NO_MATERIAL;
+    sscanf(part, "%8" SCNx32, material); /* OBJ_PART_DIGITS */
+    return part + OBJ_PART_DIGITS;
 }
 
 /* ---- before the first reading ---- */

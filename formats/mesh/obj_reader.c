@@ -432,5 +432,6 @@ const struct fmt_mesh_format fmt_obj_format = {
     .estimate = estimate,
     .read_materials = fmt_obj_read_materials,
     .preview_materials = fmt_obj_preview_materials,
+    .find_part = fmt_obj_find_part,
     .dependency = fmt_obj_dependency,
 };

@@ -263,20 +263,6 @@ static bool read_vertex(struct cursor *c, const struct ply_element *element, uin
     return true;
 }
 
-/* Sets vectors that are not finite to `missing`; returns their number. */
-static uint64_t replace_bad(float (*vectors)[3], uint64_t count, float missing)
-{
-    uint64_t bad = 0;
-    for (uint64_t i = 0; i < count; i++) {
-        float *v = vectors[i];
-        if (v[0] * 0.0f + v[1] * 0.0f + v[2] * 0.0f == 0.0f)
-            continue;
-        v[0] = v[1] = v[2] = missing;
-        bad++;
-    }
-    return bad;
-}
-
 /* Ends a part with this many vertices. What is not finite becomes missing, and is counted. */
 static void finish_vertices(const struct cursor *c, const struct ply_element *element,
                             uint64_t count)
@@ -287,7 +273,7 @@ static void finish_vertices(const struct cursor *c, const struct ply_element *el
     slot->odd[STREAM_NO_POSITION].count = fmt_stream_clear_bad(&a->positions[0][0], count, 3);
     if (c->source->vertex_normals) {
         a->count[FMT_MESH_NORMAL] = count;
-        slot->odd[STREAM_NO_NORMAL].count += replace_bad(a->normals, count, 0.0f);
+        slot->odd[STREAM_NO_NORMAL].count += fmt_stream_replace_bad(a->normals, count, 0.0f);
     }
     if (c->source->vertex_texcoords) {
         a->count[FMT_MESH_TEXCOORD] = count;
@@ -297,7 +283,7 @@ static void finish_vertices(const struct cursor *c, const struct ply_element *el
         a->has_colors = true;
         slot->color_white = ply_is_real(element->role[PLY_RED]->type) ? 0.0f : 255.0f;
         if (slot->color_white == 0.0f)
-            slot->odd[STREAM_NO_COLOR].count += replace_bad(a->colors, count, -1.0f);
+            slot->odd[STREAM_NO_COLOR].count += fmt_stream_replace_bad(a->colors, count, -1.0f);
     }
 }
 

@@ -167,17 +167,6 @@ std::vector<Place> find_places(const aiScene &scene)
 
 // ---- copying ----
 
-// Makes all numbers of a vector NaN if one is not finite. Returns whether it did.
-bool clear_bad(double *values, int count)
-{
-    bool bad = false;
-    for (int k = 0; k < count; k++)
-        bad |= !std::isfinite(values[k]);
-    for (int k = 0; k < count && bad; k++)
-        values[k] = NAN;
-    return bad;
-}
-
 // Sets the inverse transpose of a matrix, times a positive number. Returns whether it mirrors.
 bool invert_for_normals(const Matrix &matrix, double out[3][3])
 {
@@ -207,26 +196,15 @@ void copy_vertex(const Place &place, const double normals[3][3], unsigned v, fmt
             m[k][0] * double(p.x) + m[k][1] * double(p.y) + m[k][2] * double(p.z) + m[k][3];
         out->normals[to][k] = 0;
     }
-    out->missing_positions += clear_bad(out->positions[to], 3);
     out->texcoords[to][0] = out->texcoords[to][1] = 0;
-    if (place.mesh->HasTextureCoords(0)) {
-        out->texcoords[to][0] = double(place.mesh->mTextureCoords[0][v].x);
-        out->texcoords[to][1] = double(place.mesh->mTextureCoords[0][v].y);
-        out->missing_texcoords += clear_bad(out->texcoords[to], 2);
-    }
-    if (!place.mesh->HasNormals())
-        return;
-    const aiVector3D &n = place.mesh->mNormals[v];
-    bool finite = true;
-    for (int k = 0; k < 3; k++) {
+    for (unsigned k = 0; k < 2 && place.mesh->HasTextureCoords(0); k++)
+        out->texcoords[to][k] = double(place.mesh->mTextureCoords[0][v][k]);
+    for (int k = 0; k < 3 && place.mesh->HasNormals(); k++) {
+        const aiVector3D &n = place.mesh->mNormals[v];
         const double value =
             normals[k][0] * double(n.x) + normals[k][1] * double(n.y) + normals[k][2] * double(n.z);
-        finite &= std::fabs(value) < 3e38;
-        out->normals[to][k] = float(value);
+        out->normals[to][k] = std::fabs(value) < 3e38 ? float(value) : NAN;
     }
-    out->missing_normals += !finite;
-    for (int k = 0; k < 3 && !finite; k++)
-        out->normals[to][k] = 0;
 }
 
 // Copies polygons, turned round if the node mirrors. Returns false if an index is out of range.
@@ -263,10 +241,8 @@ void copy_colors(const aiMesh &mesh, fmt_scene *out)
     out->hidden_colors += material.texture && mesh.HasTextureCoords(0);
     for (unsigned v = 0; v < mesh.mNumVertices; v++) {
         const aiColor4D &c = mesh.mColors[0][v];
-        const float values[3] = {float(c.r), float(c.g), float(c.b)}, none[3] = {-1, -1, -1};
-        const bool finite = std::isfinite(c.r) && std::isfinite(c.g) && std::isfinite(c.b);
-        std::copy_n(finite ? values : none, 3, out->colors[out->vertex_count + v]);
-        out->missing_colors += !finite;
+        const float values[3] = {float(c.r), float(c.g), float(c.b)};
+        std::copy_n(values, 3, out->colors[out->vertex_count + v]);
     }
 }
 
@@ -275,7 +251,8 @@ bool copy_place(const Place &place, fmt_scene *out)
     double normals[3][3];
     const bool mirrored = invert_for_normals(place.matrix, normals);
     const uint64_t first = out->vertex_count;
-    out->parts[out->part_count++] = {out->face_count,
+    out->parts[out->part_count++] = {first,
+                                     out->face_count,
                                      out->corner_count,
                                      place.mesh->mMaterialIndex,
                                      place.mesh->HasNormals(),
@@ -418,7 +395,8 @@ int copy_scene(const Source &s, const aiScene &scene, fmt_scene *out)
     }
     if (status != 0)
         return status;
-    out->parts[out->part_count] = {out->face_count, out->corner_count, 0, false, false, nullptr};
+    out->parts[out->part_count] = {
+        out->vertex_count, out->face_count, out->corner_count, 0, false, false, nullptr};
     return copy_objects(s, places, out);
 }
 

@@ -12,7 +12,7 @@ extern "C" {
 
 /* A mesh at a node. */
 struct fmt_scene_part {
-    uint64_t first_face, first_corner;
+    uint64_t first_vertex, first_face, first_corner;
     uint32_t material;
     bool has_normals, has_texcoords;
     char *object; /* name of the node, which may be ""; NULL only after the last part */
@@ -29,23 +29,19 @@ struct fmt_scene_material {
 
 /* All meshes of a file, at the places of their nodes. Arrays are from the context's budget; the
  * caller frees them, also after a failure. Normals and texture coordinates have the numbers of
- * their vertices; they are 0 if a mesh has none. */
+ * their vertices; they are 0 if a mesh has none. Values are as in the file, finite or not. */
 struct fmt_scene {
     double (*positions)[3];
     double (*texcoords)[2]; /* the first set; v upwards */
     float (*normals)[3];
-    float (*colors)[3]; /* as written; -1 if not finite; NULL: no mesh has any. A mesh without has
-                           the colour of its material. */
+    float (*colors)[3]; /* NULL: no mesh has any. A mesh without has the colour of its material. */
     uint32_t *face_sizes;
     uint64_t *corners;
-    struct fmt_scene_part *parts; /* and one more, with the counts of all */
+    struct fmt_scene_part *parts; /* in the order of the arrays; and one more, at their ends */
     struct fmt_scene_material *materials;
     uint64_t vertex_count, face_count, corner_count, part_count, material_count;
-    uint64_t short_faces;                          /* points and lines, left out */
-    uint64_t missing_positions, missing_texcoords; /* not finite: NaN */
-    uint64_t missing_normals;                      /* not finite: 0 */
-    uint64_t missing_colors;                       /* not finite: -1 */
-    uint64_t inner_textures;                       /* inside of the file, not read */
+    uint64_t short_faces;     /* points and lines, left out */
+    uint64_t inner_textures;  /* inside of the file, not read */
     uint64_t turned_textures; /* rotated, or for further texture coordinates, which is ignored */
     uint64_t hidden_colors;   /* meshes with vertex colours beside a texture, which hides them */
     bool has_tangents;

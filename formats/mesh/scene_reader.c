@@ -14,9 +14,6 @@
 /* Assimp's memory for a byte of a file. Text of positions takes less, compressed FBX files more. */
 enum { MEMORY_PER_BYTE = 40 };
 
-/* Elements of a block. */
-enum { BLOCK_ELEMENTS = 16384 };
-
 /* What the reader keeps of a file: source->data. */
 struct scene_file {
     struct fmt_scene scene;
@@ -100,105 +97,69 @@ static int begin(struct stream_source *source)
 
 /* ---- reading ---- */
 
-static uint64_t smaller(uint64_t a, uint64_t b)
-{
-    return a < b ? a : b;
-}
-
-/* Counts vectors of `size` numbers that are NaN. */
-static uint64_t count_missing(const double *values, uint64_t count, unsigned size)
-{
-    uint64_t missing = 0;
-    for (uint64_t i = 0; i < count; i++)
-        missing += isnan(values[i * size]) != 0;
-    return missing;
-}
-
-/* Parts with vertices come first, and then those with faces of each part of the scene, whose number
- * is part.kind - 1. The first one has all bytes of the file, also if there are no vertices. */
+/* Each mesh at a node is a part. The first part has all bytes of the file, also if there is none.
+ */
 static int cut(const struct stream_part *before, struct stream_slot *slot)
 {
     const struct scene_file *file = slot->source->data;
-    const struct fmt_scene *s = &file->scene;
-    struct stream_part *part = &slot->part;
-    part->kind = before->kind;
-    part->first_item = before->first_item + before->items;
-    part->carry_out = 0;
-    part->end = file->bytes;
-    if (part->kind == 0 && part->first_item == s->vertex_count && before->end > 0)
-        part->first_item = 0, part->kind = 1;
-    while (part->kind > 0 && part->kind <= s->part_count &&
-           part->first_item == s->parts[part->kind].first_face)
-        part->kind++;
-    if (part->kind > s->part_count && before->end > 0)
-        return 0;
-    if (part->kind == 0) {
-        part->items = smaller(s->vertex_count - part->first_item, BLOCK_ELEMENTS);
-        return 1;
-    }
-    /* part->left: the first corner */
-    part->left = before->kind == 0 ? 0 : before->left + before->size;
-    for (uint64_t f = part->first_item;
-         f < s->parts[part->kind].first_face && part->size < 3 * BLOCK_ELEMENTS; f++, part->items++)
-        part->size += s->face_sizes[f];
-    return 1;
+    slot->part.kind = before->end > 0 ? before->kind + 1 : 0;
+    slot->part.end = file->bytes;
+    return slot->part.kind < file->scene.part_count || before->end == 0;
 }
 
-static int copy_vertices(struct stream_slot *slot)
+static int copy_vertices(struct stream_slot *slot, uint64_t first, uint64_t count)
 {
     const struct fmt_scene *s = &((struct scene_file *)slot->source->data)->scene;
-    const uint64_t first = slot->part.first_item, count = slot->part.items;
     struct mesh_arrays *a = &slot->arrays;
     int status;
     BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->positions, a->position_capacity));
     BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->texcoords, a->texcoord_capacity));
     BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->normals, a->normal_capacity));
-    if (s->colors)
-        BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->colors, a->color_capacity));
-    if (count == 0)
-        return 0;
     memcpy(a->positions, s->positions + first, count * sizeof *a->positions);
     memcpy(a->texcoords, s->texcoords + first, count * sizeof *a->texcoords);
     memcpy(a->normals, s->normals + first, count * sizeof *a->normals);
-    if (s->colors)
-        memcpy(a->colors, s->colors + first, count * sizeof *a->colors);
-    a->has_colors = s->colors != NULL;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         a->count[kind] = count;
+    slot->odd[STREAM_NO_POSITION].count = fmt_stream_clear_bad(&a->positions[0][0], count, 3);
+    slot->odd[STREAM_NO_TEXCOORD].count = fmt_stream_clear_bad(&a->texcoords[0][0], count, 2);
+    slot->odd[STREAM_NO_NORMAL].count = fmt_stream_replace_bad(a->normals, count, 0.0f);
+    if (!s->colors)
+        return 0;
+    BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->colors, a->color_capacity));
+    memcpy(a->colors, s->colors + first, count * sizeof *a->colors);
+    a->has_colors = true;
     slot->color_white = 1;
-    slot->odd[STREAM_NO_POSITION].count = count_missing(&a->positions[0][0], count, 3);
-    slot->odd[STREAM_NO_TEXCOORD].count = count_missing(&a->texcoords[0][0], count, 2);
+    const uint64_t bad = fmt_stream_replace_bad(a->colors, count, -1.0f);
+    slot->odd[STREAM_NO_COLOR].count = slot->source->reader->uses_colors ? bad : 0;
 done:
     return status;
 }
 
-static int copy_faces(struct stream_slot *slot)
+static int copy_faces(struct stream_slot *slot, const struct fmt_scene_part *part)
 {
     const struct fmt_scene *s = &((struct scene_file *)slot->source->data)->scene;
-    const uint32_t number = slot->part.kind - 1;
-    const struct fmt_scene_part *part = &s->parts[number];
-    const uint64_t corners = slot->part.size;
+    const uint64_t corners = part[1].first_corner - part->first_corner;
+    const uint64_t faces = part[1].first_face - part->first_face;
     const bool has[FMT_MESH_KIND_COUNT] = {[FMT_MESH_VERTEX] = true,
                                            [FMT_MESH_TEXCOORD] = part->has_texcoords,
                                            [FMT_MESH_NORMAL] = part->has_normals};
     struct mesh_arrays *a = &slot->arrays;
     int status;
-    BSQ_TRY(FMT_RESERVE(slot->ctx, slot->part.items, a->face_sizes, a->size_capacity));
+    BSQ_TRY(FMT_RESERVE(slot->ctx, faces, a->face_sizes, a->size_capacity));
     BSQ_TRY(FMT_RESERVE(slot->ctx, 1, a->changes, a->change_capacity));
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         if (!(a->has_corners[kind] = has[kind]))
             continue;
         BSQ_TRY(FMT_RESERVE(slot->ctx, corners, a->corners[kind], a->corner_capacity[kind]));
-        memcpy(a->corners[kind], s->corners + slot->part.left, corners * sizeof(uint64_t));
+        memcpy(a->corners[kind], s->corners + part->first_corner, corners * sizeof(uint64_t));
     }
-    memcpy(a->face_sizes, s->face_sizes + slot->part.first_item,
-           slot->part.items * sizeof *a->face_sizes);
-    a->face_count = slot->part.items;
+    memcpy(a->face_sizes, s->face_sizes + part->first_face, faces * sizeof *a->face_sizes);
+    a->face_count = faces;
     a->corner_count = corners;
     a->vertex_bound = s->vertex_count;
     a->change_count = 1;
     a->changes[0].face = 0;
-    a->changes[0].material = slot->source->reader->objects        ? number
+    a->changes[0].material = slot->source->reader->objects        ? slot->part.kind
                              : part->material < s->material_count ? part->material
                                                                   : FMT_MESH_NO_MATERIAL;
 done:
@@ -207,7 +168,17 @@ done:
 
 static int parse(struct stream_slot *slot)
 {
-    return slot->part.kind == 0 ? copy_vertices(slot) : copy_faces(slot);
+    const struct fmt_scene *s = &((struct scene_file *)slot->source->data)->scene;
+    const struct fmt_scene_part *part = &s->parts[slot->part.kind];
+    int status = 0;
+    if (slot->part.kind >= s->part_count)
+        return 0;
+    if (part[1].first_vertex > part->first_vertex)
+        BSQ_TRY(copy_vertices(slot, part->first_vertex, part[1].first_vertex - part->first_vertex));
+    if (part[1].first_face > part->first_face)
+        BSQ_TRY(copy_faces(slot, part));
+done:
+    return status;
 }
 
 static int pass(struct stream_slot *slot)
@@ -217,7 +188,7 @@ static int pass(struct stream_slot *slot)
     fmt_stream_number_materials(slot);
     totals->has_tangents |= s->has_tangents;
     totals->split_vertices = true;
-    if (slot->part.kind == 0 && slot->part.first_item == 0)
+    if (slot->part.kind == 0)
         totals->short_faces += s->short_faces;
     return 0;
 }
@@ -239,15 +210,12 @@ static uint64_t count_clamped(const struct fmt_scene *s)
     return count;
 }
 
-/* Warns of what is not read, or not finite. Colours matter only if the caller uses them. */
+/* Warns of what is not read. Colours matter only if the caller uses them. */
 static int finish(struct stream_source *source)
 {
     const struct fmt_scene *s = &((struct scene_file *)source->data)->scene;
     const bool colors = source->reader->uses_colors;
     const struct stream_unread kinds[] = {
-        {s->missing_positions + s->missing_texcoords + s->missing_normals, true,
-         "values are not finite and were left out"},
-        {colors ? s->missing_colors : 0, true, "colours are not finite and were left out"},
         {colors ? s->inner_textures : 0, true,
          "textures are inside of the file and are not read: save them and use --texture"},
         {colors ? s->turned_textures : 0, true,
@@ -275,24 +243,6 @@ static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
 }
 
 /* ---- materials ---- */
-
-/* Lists the parts with the names of their materials and objects. */
-static int list_parts(struct stream_source *source, struct fmt_materials *out)
-{
-    const struct fmt_scene *s = &((struct scene_file *)source->data)->scene;
-    struct fmt_material *part;
-    int status = 0;
-    for (uint64_t i = 0; i < s->part_count; i++) {
-        const uint32_t material = s->parts[i].material;
-        BSQ_TRY(fmt_materials_add(source->ctx, out, &part));
-        BSQ_TRY(bsq_text_copy(source->ctx,
-                              material < s->material_count ? s->materials[material].name : "",
-                              &part->name));
-        BSQ_TRY(bsq_text_copy(source->ctx, s->parts[i].object, &part->object));
-    }
-done:
-    return status;
-}
 
 /* Describes a material. Its texture is looked for beside the file, as those of MTL files are. */
 static int describe_material(const struct stream_source *source,
@@ -326,15 +276,24 @@ done:
     return status;
 }
 
-static int read_materials(struct stream_source *source, struct fmt_materials *out)
+static const char *find_part(const struct stream_source *source, uint64_t number,
+                             uint32_t *material)
 {
-    return source->reader->objects ? list_parts(source, out) : list_materials(source, out);
+    const struct fmt_scene *s = &((struct scene_file *)source->data)->scene;
+    *material = s->parts[number].material;
+    return s->parts[number].object;
 }
+
+static const char left_out[] = "values are not finite and were left out";
 
 const struct fmt_mesh_format fmt_scene_format = {
     .name = "FBX, COLLADA or the like",
     .suffix = ".fbx .dae .3ds .x",
     .data_bytes = sizeof(struct scene_file),
+    .oddities = {[STREAM_NO_POSITION] = left_out,
+                 [STREAM_NO_TEXCOORD] = left_out,
+                 [STREAM_NO_NORMAL] = left_out,
+                 [STREAM_NO_COLOR] = "colours are not finite and were left out"},
     .recognise = recognise,
     .begin = begin,
     .end = end,
@@ -343,6 +302,7 @@ const struct fmt_mesh_format fmt_scene_format = {
     .pass = pass,
     .finish = finish,
     .estimate = estimate,
-    .read_materials = read_materials,
+    .read_materials = list_materials,
     .preview_materials = list_materials,
+    .find_part = find_part,
 };

@@ -131,27 +131,12 @@ std::unique_ptr<aiScene> make_scene(Bytes &bytes)
     return scene;
 }
 
-bool finite_or_missing(const double *values, int count)
-{
-    int finite = 0;
-    for (int k = 0; k < count; k++)
-        finite += std::isfinite(values[k]);
-    return finite == count || (finite == 0 && std::isnan(values[0]));
-}
-
 void check_scene(const fmt_scene &scene)
 {
     uint64_t corners = 0, faces = 0;
-    for (uint64_t v = 0; v < scene.vertex_count; v++) {
-        require(finite_or_missing(scene.positions[v], 3), "a position is partly finite");
-        require(finite_or_missing(scene.texcoords[v], 2), "texture coordinates are partly finite");
-        for (const float n : scene.normals[v])
-            require(std::isfinite(n), "a normal is not finite");
-        for (int k = 0; scene.colors && k < 3; k++)
-            require(std::isfinite(scene.colors[v][k]), "a colour is not finite");
-    }
     for (uint64_t p = 0; p < scene.part_count; p++) {
         require(scene.parts[p].first_face == faces && scene.parts[p].first_corner == corners &&
+                    scene.parts[p].first_vertex <= scene.parts[p + 1].first_vertex &&
                     scene.parts[p].object,
                 "a part does not follow the one before");
         for (; faces < scene.parts[p + 1].first_face; faces++) {
