@@ -39,8 +39,8 @@ CXXFLAGS += -std=c++17 -Wall -Wextra $(common)
 # A program loads only the shared libraries that it calls.
 LDFLAGS  += -Wl,--as-needed
 
-pc_formats := OpenEXR libpng libxxhash jansson libisal libzstd libdeflate
-pc_texture := OpenImageIO Imath libpng libjpeg
+pc_formats := OpenEXR libpng libjpeg libxxhash jansson libisal libzstd libdeflate
+pc_texture := OpenImageIO Imath
 pc_tools   := jansson
 # Expanded only when something is compiled: `make help` and `make deps` work without the packages.
 formats_cppflags = $(shell pkg-config --cflags $(pc_formats) $(pc_texture))
@@ -75,9 +75,7 @@ shared   := $(BUILD)/lib/libbisque.so.0
 # Parts of formats that are opened at their first use, see formats/module/module.h. The stamp holds
 # the version and a checksum of the headers that a module shares with its host.
 modules      := texture openvdb gltf scene
-src.texture  := $(addprefix formats/texture/,texture_oiio.cc texture_pass.cc texture_lookup.cc \
-    texture_pyramid.cc held_input.cc texture_formats.cc jpeg_check.c png_rows.c) \
-    formats/exr_header.c
+src.texture  := formats/texture/oiio_rows.cc
 src.gltf     := formats/mesh/gltf_decode.cc
 src.scene    := formats/mesh/scene_assimp.cc
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
@@ -88,7 +86,7 @@ module_headers  := $(addprefix base/,version.h context.h file.h file_part.h outp
     parallel.h) \
     $(addprefix formats/,module/module.h mesh/gltf_module.h mesh/scene_module.h \
     $(addprefix grid/,nvdb.h nvdb_layout_internal.h vdb_module.h) \
-    texture/texture.h texture/texture_module.h)
+    texture/image_rows.h)
 directory_cppflags = -DFMT_MODULE_DIRECTORY='"$(prefix)/lib/bisque"'
 stamp_cppflags = \
     -DFMT_MODULE_STAMP='"$(VERSION)-$(firstword $(shell cat $(module_headers) | cksum))"'
@@ -170,8 +168,7 @@ $(BUILD)/gen/libbisque.map: $(public_headers)
 	{ echo 'BISQUE_0 {'; echo 'global:'; cat $^ | $(CC) -E -P -fpreprocessed - | sed '/^#/d' | \
 	    grep -oE '\b(bsq|vox|bake)_[a-z_0-9]+\(' | sort -u | tr '(' ';'; echo 'local: *;'; \
 	    echo '};'; } > $@
-# Two sources need libraries of the module for textures, which has them.
-all_objects := $(filter-out %/jpeg_check.c.o %/png_rows.c.o,$(foreach l,$(libs),$(call objs,$(l))))
+all_objects := $(foreach l,$(libs),$(call objs,$(l)))
 link_shared  = $(CC) $(common) $(LDFLAGS) -shared $(no_undefined) -Wl,-soname,$(notdir $(shared)) \
     -Wl,--version-script=$(BUILD)/gen/libbisque.map
 $(shared): $(BUILD)/gen/libbisque.map $(all_objects)

@@ -132,11 +132,6 @@ static struct bsq_pool *get_pool(struct bsq_ctx *ctx)
     return pool;
 }
 
-void bsq_threads_end(struct bsq_ctx *ctx)
-{
-    bsq_drop_part(ctx, BSQ_POOL);
-}
-
 /* Runs fn on up to `workers` threads, the calling one as worker 0, and waits for all. */
 static void pool_run(struct bsq_ctx *ctx, unsigned workers, pool_fn *fn, void *arg)
 {

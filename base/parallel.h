@@ -44,10 +44,6 @@ struct bsq_pipeline {
 /* Runs the pipeline to its end. Returns 0 or the first failure (in time). Must not be nested. */
 int bsq_pipeline_run(struct bsq_ctx *ctx, const struct bsq_pipeline *pipeline);
 
-/* Ends the context's threads; the next loop or pipeline starts others. Call it before something is
- * freed for which a library keeps state in each thread. Must not be called from a loop. */
-void bsq_threads_end(struct bsq_ctx *ctx);
-
 /* Starts a thread that runs fn(arg). Signals are blocked in it, so that the program's own threads
  * get them. Returns false if the system refuses a thread. The caller joins *out. */
 bool bsq_thread_start(pthread_t *out, void *(*fn)(void *arg), void *arg);

@@ -1,240 +1,285 @@
 /* texture.c - textures of one file or of a file for each tile.
  *
- * Passes files on to the module bisque-texture.so. A lookup in a texture of tiles stays in the tile
- * of its centre, at whose border texels repeat: the neighbour may show another part of the scan. */
-#include "formats/texture/texture_module.h"
+ * All images are decoded at once, each on one thread. One that fails is decoded again alone: a
+ * context keeps the message of its first failure only, and memory may have been short because
+ * others were decoded.
+ *
+ * A lookup in a texture of tiles stays in the tile of its centre, at whose border texels repeat:
+ * the neighbour may show another part of the scan. */
+#include "formats/texture/texture.h"
 
 #include <inttypes.h>
 #include <math.h>
 #include <stdatomic.h>
-#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "base/loss.h"
 #include "base/parallel.h"
+#include "base/sort_array.h"
 #include "base/tile_files.h"
+#include "formats/texture/image_rows.h"
+#include "formats/texture/pyramid.h"
 
 enum { ALL_TILES = BSQ_TILE_COLUMNS * BSQ_TILE_ROWS };
 
-/* The tiles of a path. Their images are numbers `first` and on, in the order of `files`. */
-struct tiles {
-    char *path;
-    bool data, alpha; /* as in struct fmt_texture_source */
-    bool listed;      /* `first` is set */
-    uint32_t first;
-    struct bsq_tile_files files; /* without damaged ones */
-    uint64_t damaged;            /* files that cannot be read */
-    char *damage;                /* what is wrong with the first one; NULL: nothing */
-    /* Of each tile: 1 if a lookup found it missing, 2 if that was told. */
-    atomic_uchar missing[ALL_TILES];
-    atomic_uchar outside; /* the same for lookups outside of all tiles */
+/* The image of a file. */
+struct image {
+    const char *path; /* owned by the texture */
+    uint32_t texture;
+    int status;   /* 0, or why the file cannot be read */
+    char *damage; /* the message then */
+    bool has_alpha, told;
+    struct fmt_pyramid pyramid;
+};
+
+/* What a source is, and all that are equal to it. */
+struct texture {
+    struct fmt_texture_source source; /* with a path of its own */
+    uint32_t first;                   /* image; more images follow, in the order of `files` */
+    struct bsq_tile_files files;      /* empty for a texture of one file */
+    /* Of each tile, and at last of what lies outside of all: 1 if a lookup found it missing, 2 if
+     * that was told. NULL: the texture has one file. */
+    atomic_uchar *missing;
 };
 
 struct fmt_textures {
     struct bsq_ctx *ctx;
-    const struct fmt_texture_module *module;
-    struct fmt_texture_images *images;
-    uint32_t count, image_count;
-    uint32_t *image_of;      /* image of each source without tiles */
-    struct tiles **tiles_of; /* NULL: without */
-    struct tiles **tiles;    /* each once */
-    uint64_t tiles_count, tiles_capacity;
-};
-
-/* ---- opening ---- */
-
-/* Sources for the module, of files only. */
-struct list {
-    struct fmt_texture_source *list;
+    struct fmt_blocks blocks;
+    bool keeps;           /* texels are kept for lookups */
+    uint32_t *texture_of; /* of each source; UINT32_MAX: it has no path */
+    struct texture *list;
     uint64_t count, capacity;
+    struct image *images;
+    uint64_t image_count, image_capacity;
 };
 
-/* Adds a file for a source. */
-static int add_source(struct bsq_ctx *ctx, struct list *list, const char *path,
-                      const struct fmt_texture_source *source)
+/* ---- listing ---- */
+
+/* A source as it is sorted. */
+struct entry {
+    const struct fmt_texture_source *source;
+    uint32_t number;
+};
+
+static int compare_sources(const struct fmt_texture_source *a, const struct fmt_texture_source *b)
 {
-    int status = list->count < UINT32_MAX
-                     ? bsq_grow(ctx, "texture paths", list->count + 1, sizeof *list->list,
-                                &list->list, &list->capacity)
-                     : bsq_fail(ctx, BSQ_EDATA, "%s: too many textures", path ? path : "");
+    const int order = strcmp(a->path, b->path);
+    return order ? order : 2 * (a->data - b->data) + (a->alpha - b->alpha);
+}
+
+static int compare_entries(const void *a, const void *b)
+{
+    const struct entry *x = a, *y = b;
+    const int order = compare_sources(x->source, y->source);
+    return order ? order : (x->number > y->number) - (x->number < y->number);
+}
+
+static int add_image(struct fmt_textures *t, const char *path)
+{
+    int status = t->image_count < UINT32_MAX
+                     ? bsq_grow(t->ctx, "texture images", t->image_count + 1, sizeof *t->images,
+                                &t->images, &t->image_capacity)
+                     : bsq_fail(t->ctx, BSQ_EDATA, "%s: too many textures", path);
     if (status == 0)
-        list->list[list->count++] = (struct fmt_texture_source){path, source->data, source->alpha};
+        t->images[t->image_count++] =
+            (struct image){.path = path, .texture = (uint32_t)(t->count - 1)};
     return status;
 }
 
-/* Finds the tiles of a path. */
-static int enter_tiles(struct fmt_textures *textures, const struct fmt_texture_source *source,
-                       struct tiles **out)
+/* Adds a texture and its images. */
+static int add_texture(struct fmt_textures *t, const struct fmt_texture_source *source)
 {
-    struct bsq_ctx *ctx = textures->ctx;
-    for (uint64_t i = 0; i < textures->tiles_count; i++)
-        if (textures->tiles[i]->data == source->data &&
-            textures->tiles[i]->alpha == source->alpha &&
-            strcmp(textures->tiles[i]->path, source->path) == 0) {
-            *out = textures->tiles[i];
-            return 0;
-        }
-    struct tiles *tiles;
-    int status = bsq_grow(ctx, "texture tiles", textures->tiles_count + 1, sizeof(void *),
-                          &textures->tiles, &textures->tiles_capacity);
-    if (status == 0)
-        status = bsq_calloc(ctx, "texture tiles", 1, sizeof *tiles, &tiles);
-    if (status != 0)
-        return status;
-    textures->tiles[textures->tiles_count++] = *out = tiles;
-    tiles->data = source->data;
-    tiles->alpha = source->alpha;
-    tiles->path = strdup(source->path);
-    status = tiles->path ? bsq_tile_files_find(ctx, source->path, &tiles->files)
-                         : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", source->path);
-    if (status == 0 && tiles->files.count == 0)
-        status = bsq_fail(ctx, BSQ_ENOINPUT, "%s: no tile of this texture exists", source->path);
+    struct bsq_ctx *ctx = t->ctx;
+    char *path = NULL;
+    int status;
+    BSQ_TRY(bsq_grow(ctx, "textures", t->count + 1, sizeof *t->list, &t->list, &t->capacity));
+    BSQ_TRY(bsq_alloc(ctx, "texture path", strlen(source->path) + 1, 1, &path));
+    strcpy(path, source->path);
+    struct texture *texture = &t->list[t->count++];
+    *texture = (struct texture){.source = *source, .first = (uint32_t)t->image_count};
+    texture->source.path = path;
+    if (!bsq_has_tiles(path))
+        return add_image(t, path);
+    BSQ_TRY(bsq_calloc(ctx, "texture tiles", ALL_TILES + 1, 1, &texture->missing));
+    BSQ_TRY(bsq_tile_files_find(ctx, path, &texture->files));
+    if (texture->files.count == 0)
+        return bsq_fail(ctx, BSQ_ENOINPUT, "%s: no tile of this texture exists", path);
+    for (uint64_t i = 0; i < texture->files.count; i++)
+        BSQ_TRY(add_image(t, texture->files.list[i].path));
+done:
     return status;
 }
 
-/* Adds the files of tiles to the list, once. */
-static int list_tiles(struct bsq_ctx *ctx, const struct fmt_texture_source *source,
-                      struct tiles *tiles, struct list *list)
+/* Lists each distinct source once, in the order of the sources: materials often share a file. */
+static int list_textures(struct fmt_textures *t, const struct fmt_texture_source *sources,
+                         uint32_t count)
 {
-    int status = 0;
-    if (tiles->listed)
-        return 0;
-    tiles->listed = true;
-    tiles->first = (uint32_t)list->count;
-    for (uint64_t i = 0; i < tiles->files.count && status == 0; i++)
-        status = add_source(ctx, list, tiles->files.list[i].path, source);
-    return status;
-}
-
-/* Lists all files. */
-static int list_files(struct fmt_textures *textures, const struct fmt_texture_source *sources,
-                      struct list *list)
-{
-    int status = 0;
-    list->count = 0;
-    for (uint64_t i = 0; i < textures->tiles_count; i++)
-        textures->tiles[i]->listed = false;
-    for (uint32_t i = 0; i < textures->count && status == 0; i++) {
-        textures->image_of[i] = (uint32_t)list->count;
-        status = textures->tiles_of[i]
-                     ? list_tiles(textures->ctx, &sources[i], textures->tiles_of[i], list)
-                     : add_source(textures->ctx, list, sources[i].path, &sources[i]);
+    struct entry *entries = NULL;
+    uint32_t used = 0;
+    int status;
+    BSQ_TRY(bsq_alloc(t->ctx, "textures", count + UINT64_C(1), sizeof *entries, &entries));
+    for (uint32_t i = 0; i < count; i++) {
+        t->texture_of[i] = UINT32_MAX;
+        if (sources[i].path)
+            entries[used++] = (struct entry){&sources[i], i};
     }
+    bsq_sort(entries, used, sizeof *entries, compare_entries);
+    /* First the number of the first source that is equal, then that of its texture. */
+    for (uint32_t i = 0; i < used; i++) {
+        const bool again = i > 0 && compare_sources(entries[i - 1].source, entries[i].source) == 0;
+        t->texture_of[entries[i].number] =
+            again ? t->texture_of[entries[i - 1].number] : entries[i].number;
+    }
+    for (uint32_t i = 0; i < count; i++) {
+        if (t->texture_of[i] == i)
+            BSQ_TRY(add_texture(t, &sources[i]));
+        if (t->texture_of[i] != UINT32_MAX)
+            t->texture_of[i] =
+                t->texture_of[i] == i ? (uint32_t)(t->count - 1) : t->texture_of[t->texture_of[i]];
+    }
+done:
+    bsq_free(t->ctx, entries);
     return status;
 }
 
-static int open_list(struct fmt_textures *textures, const struct list *list, uint64_t cache_bytes)
+/* ---- decoding ---- */
+
+/* Moves the channels that a pyramid keeps to the front of a row. */
+static void keep_channels(const struct fmt_rows_info *info, uint32_t first, uint32_t channels,
+                          uint8_t *row)
 {
-    textures->image_count = (uint32_t)list->count;
-    return textures->module->open(&fmt_host_functions, textures->ctx, list->list,
-                                  textures->image_count, cache_bytes, &textures->images);
+    const size_t texel = info->channels * info->sample_bytes, kept = channels * info->sample_bytes;
+    const uint8_t *from = row + first * info->sample_bytes;
+    for (uint32_t x = 0; kept < texel && x < info->width; x++, from += texel, row += kept)
+        memmove(row, from, kept);
 }
 
-/* ---- damaged tiles ---- */
-
-/* Opens one file alone. *damaged: it cannot be read; this is no error then. */
-static int probe(struct fmt_textures *textures, struct tiles *tiles, const char *path,
-                 uint64_t cache_bytes, bool *damaged)
+/* Reads all rows of an image, and keeps them if lookups are wanted. */
+static int read_rows(struct fmt_textures *t, struct image *image, struct fmt_rows *rows,
+                     uint8_t *row)
 {
-    struct bsq_ctx *ctx = textures->ctx;
-    const struct fmt_texture_source source = {path, tiles->data, tiles->alpha};
-    struct fmt_texture_images *images = NULL;
-    int status = textures->module->open(&fmt_host_functions, ctx, &source, 1, cache_bytes, &images);
-    if (images)
-        textures->module->close(images);
-    *damaged = status == BSQ_EDATA || status == BSQ_ENOINPUT;
-    if (!*damaged || bsq_check(ctx) != 0)
-        return status;
-    if (!tiles->damage && !(tiles->damage = strdup(bsq_error(ctx))))
-        return status;
-    bsq_clear_error(ctx);
-    return 0;
-}
-
-/* Leaves out the tiles that cannot be read. Those of other textures are kept, and so is one file of
- * each texture at least: its error is that of the texture. */
-static int leave_damaged(struct fmt_textures *textures, struct tiles *tiles, uint64_t cache_bytes)
-{
-    struct bsq_tile_files *files = &tiles->files;
-    uint64_t kept = 0;
+    const struct fmt_texture_source *source = &t->list[image->texture].source;
+    const struct fmt_rows_info *info = &rows->info;
+    const uint32_t first = source->alpha && info->alpha > 0 ? (uint32_t)info->alpha : 0;
+    struct fmt_pyramid *pyramid = &image->pyramid;
     int status = 0;
-    for (uint64_t i = 0; i < files->count; i++) {
-        bool damaged = false;
-        if (status == 0)
-            status = probe(textures, tiles, files->list[i].path, cache_bytes, &damaged);
-        if (!damaged || status != 0 || (kept == 0 && i + 1 == files->count)) {
-            files->list[kept++] = files->list[i];
+    *pyramid = (struct fmt_pyramid){.blocks = &t->blocks,
+                                    .width = info->width,
+                                    .height = info->height,
+                                    .channels = info->channels >= 3 && !source->alpha ? 3 : 1,
+                                    .sample_bytes = info->sample_bytes};
+    if (t->keeps)
+        BSQ_TRY(fmt_pyramid_begin(pyramid, source->data || source->alpha ? 1 : info->gamma));
+    for (uint32_t y = 0; y < info->height; y++) {
+        BSQ_TRY(bsq_check(t->ctx));
+        BSQ_TRY(rows->decoder->read(rows->state, row));
+        if (!t->keeps)
             continue;
-        }
-        bsq_free(textures->ctx, files->list[i].path);
-        tiles->damaged++;
+        keep_channels(info, first, pyramid->channels, row);
+        BSQ_TRY(fmt_pyramid_add_row(pyramid, row));
     }
-    files->count = kept;
+done:
+    fmt_pyramid_end(pyramid);
     return status;
 }
 
-/* Opens all files, without tiles that are damaged if there are such. */
-static int open_files(struct fmt_textures *textures, const struct fmt_texture_source *sources,
-                      uint64_t cache_bytes, struct list *list)
+static int decode(struct fmt_textures *t, struct image *image)
 {
-    struct bsq_ctx *ctx = textures->ctx;
-    int status = list_files(textures, sources, list);
-    if (status == 0)
-        status = open_list(textures, list, cache_bytes);
-    if ((status != BSQ_EDATA && status != BSQ_ENOINPUT) || textures->tiles_count == 0 ||
-        bsq_check(ctx) != 0)
-        return status;
-    bsq_clear_error(ctx);
-    status = 0;
-    for (uint64_t i = 0; i < textures->tiles_count && status == 0; i++)
-        status = leave_damaged(textures, textures->tiles[i], cache_bytes);
-    if (status == 0)
-        status = list_files(textures, sources, list);
-    return status == 0 ? open_list(textures, list, cache_bytes) : status;
+    struct fmt_rows rows;
+    uint8_t *row = NULL;
+    int status;
+    BSQ_TRY(fmt_rows_open(t->ctx, image->path, &rows));
+    image->has_alpha = rows.info.alpha >= 0;
+    BSQ_TRY(bsq_alloc(t->ctx, "texture rows", rows.info.width,
+                      (uint64_t)rows.info.channels * rows.info.sample_bytes, &row));
+    BSQ_TRY(read_rows(t, image, &rows, row));
+    BSQ_TRY(bsq_file_check(t->ctx, &rows.input.file));
+done:
+    bsq_free(t->ctx, row);
+    fmt_rows_close(&rows);
+    if (status < 0)
+        fmt_pyramid_free(&image->pyramid);
+    return status;
+}
+
+static bool is_fault_of_image(const struct image *image)
+{
+    return image->status == BSQ_EDATA || image->status == BSQ_ENOINPUT;
+}
+
+static int decode_image(void *arg, uint64_t index, unsigned worker)
+{
+    struct fmt_textures *t = arg;
+    struct image *image = &t->images[index];
+    (void)worker;
+    image->status = decode(t, image);
+    const bool may_have_been_short = image->status == BSQ_ENOMEM && t->image_count > 1;
+    return is_fault_of_image(image) || may_have_been_short ? 0 : image->status;
+}
+
+/* Decodes an image again that failed. What is wrong with its file may be left for later: a tile
+ * less, or a texture that is not kept. */
+static int decode_again(struct fmt_textures *t, struct image *image)
+{
+    const bool may_fail = !t->keeps || t->list[image->texture].missing;
+    bsq_clear_error(t->ctx);
+    image->status = decode(t, image);
+    if (!is_fault_of_image(image) || !may_fail || bsq_check(t->ctx) < 0)
+        return image->status;
+    image->damage = strdup(bsq_error(t->ctx));
+    bsq_clear_error(t->ctx);
+    return image->damage ? 0 : bsq_fail(t->ctx, BSQ_ENOMEM, "%s: out of memory", image->path);
+}
+
+/* Returns the image of a texture whose damage is that of the texture, as all its files are damaged;
+ * otherwise NULL. */
+static const struct image *damaged_image(const struct fmt_textures *t,
+                                         const struct texture *texture)
+{
+    const uint64_t count = texture->missing ? texture->files.count : 1;
+    for (uint64_t i = 0; i < count; i++)
+        if (!t->images[texture->first + i].damage)
+            return NULL;
+    return &t->images[texture->first + count - 1];
+}
+
+static int decode_all(struct fmt_textures *t)
+{
+    int status;
+    BSQ_TRY(bsq_parallel_for(t->ctx, t->image_count, decode_image, t));
+    for (uint64_t i = 0; i < t->image_count; i++)
+        if (t->images[i].status < 0)
+            BSQ_TRY(decode_again(t, &t->images[i]));
+    for (uint64_t i = 0; i < t->count && t->keeps; i++) {
+        const struct image *damaged = damaged_image(t, &t->list[i]);
+        if (damaged)
+            return bsq_fail(t->ctx, damaged->status, "%s", damaged->damage);
+    }
+    BSQ_TRY(fmt_blocks_finish(&t->blocks));
+done:
+    return status;
 }
 
 /* ---- opening and closing ---- */
 
-/* Finds the tiles of all sources. */
-static int find_tiles(struct fmt_textures *textures, const struct fmt_texture_source *sources)
-{
-    int status = 0;
-    for (uint32_t i = 0; i < textures->count && status == 0; i++)
-        if (sources[i].path && bsq_has_tiles(sources[i].path))
-            status = enter_tiles(textures, &sources[i], &textures->tiles_of[i]);
-    return status;
-}
-
 int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sources, uint32_t count,
                       uint64_t cache_bytes, struct fmt_textures **out)
 {
-    const struct fmt_module *module;
-    struct fmt_textures *textures = NULL;
-    struct list list = {0};
-    int status = fmt_module_open(ctx, "texture", "textures", &module);
+    struct fmt_textures *t = NULL;
+    int status;
     *out = NULL;
-    if (status == 0)
-        status = bsq_calloc(ctx, "textures", 1, sizeof *textures, &textures);
-    if (status != 0)
-        return status;
-    textures->ctx = ctx;
-    textures->module = (const struct fmt_texture_module *)module;
-    textures->count = count;
-    status = bsq_calloc(ctx, "textures", count + UINT64_C(1), sizeof *textures->image_of,
-                        &textures->image_of);
-    if (status == 0)
-        status =
-            bsq_calloc(ctx, "textures", count + UINT64_C(1), sizeof(void *), &textures->tiles_of);
-    if (status == 0)
-        status = find_tiles(textures, sources);
-    if (status == 0)
-        status = open_files(textures, sources, cache_bytes, &list);
-    bsq_free(ctx, list.list);
+    BSQ_TRY(bsq_calloc(ctx, "textures", 1, sizeof *t, &t));
+    t->ctx = ctx;
+    t->keeps = cache_bytes > 0;
+    fmt_blocks_create(ctx, cache_bytes, &t->blocks);
+    BSQ_TRY(bsq_alloc(ctx, "textures", count + UINT64_C(1), sizeof *t->texture_of, &t->texture_of));
+    BSQ_TRY(list_textures(t, sources, count));
+    BSQ_TRY(decode_all(t));
+    *out = t;
+done:
     if (status < 0)
-        fmt_textures_close(textures);
-    else
-        *out = textures;
+        fmt_textures_close(t);
     return status;
 }
 
@@ -261,45 +306,52 @@ done:
     return status;
 }
 
-void fmt_textures_close(struct fmt_textures *textures)
+void fmt_textures_close(struct fmt_textures *t)
 {
-    if (!textures)
+    if (!t)
         return;
-    struct bsq_ctx *ctx = textures->ctx;
-    /* OpenImageIO keeps the last tiles and files of a cache in each thread. A later cache at the
-     * same address would find them. */
-    bsq_threads_end(ctx);
-    if (textures->images)
-        textures->module->close(textures->images);
-    for (uint64_t i = 0; i < textures->tiles_count; i++) {
-        bsq_tile_files_free(ctx, &textures->tiles[i]->files);
-        free(textures->tiles[i]->path);
-        free(textures->tiles[i]->damage);
-        bsq_free(ctx, textures->tiles[i]);
+    struct bsq_ctx *ctx = t->ctx;
+    for (uint64_t i = 0; i < t->image_count; i++) {
+        fmt_pyramid_free(&t->images[i].pyramid);
+        free(t->images[i].damage);
     }
-    bsq_free(ctx, textures->tiles);
-    bsq_free(ctx, textures->tiles_of);
-    bsq_free(ctx, textures->image_of);
-    bsq_free(ctx, textures);
+    for (uint64_t i = 0; i < t->count; i++) {
+        bsq_tile_files_free(ctx, &t->list[i].files);
+        bsq_free(ctx, t->list[i].missing);
+        bsq_free(ctx, (char *)t->list[i].source.path);
+    }
+    fmt_blocks_free(&t->blocks);
+    bsq_free(ctx, t->images);
+    bsq_free(ctx, t->list);
+    bsq_free(ctx, t->texture_of);
+    bsq_free(ctx, t);
 }
 
 /* ---- lookups ---- */
 
-void fmt_texture_size(const struct fmt_textures *textures, uint32_t image, uint32_t *width,
+void fmt_texture_size(const struct fmt_textures *t, uint32_t source, uint32_t *width,
                       uint32_t *height)
 {
-    textures->module->size(textures->images, textures->image_of[image], width, height);
+    const struct fmt_pyramid *pyramid = &t->images[t->list[t->texture_of[source]].first].pyramid;
+    *width = pyramid->width;
+    *height = pyramid->height;
 }
 
-bool fmt_texture_has_alpha(const struct fmt_textures *textures, uint32_t image)
+bool fmt_texture_has_alpha(const struct fmt_textures *t, uint32_t source)
 {
-    const struct tiles *tiles = textures->tiles_of[image];
-    const uint32_t first = tiles ? tiles->first : textures->image_of[image];
-    const uint64_t count = tiles ? tiles->files.count : 1;
+    const struct texture *texture = &t->list[t->texture_of[source]];
+    const uint64_t count = texture->missing ? texture->files.count : 1;
     bool any = false;
     for (uint64_t i = 0; i < count && !any; i++)
-        any = textures->module->has_alpha(textures->images, first + (uint32_t)i);
+        any = t->images[texture->first + i].has_alpha;
     return any;
+}
+
+int fmt_texture_problem(const struct fmt_textures *t, uint32_t source, const char **text)
+{
+    const struct image *damaged = damaged_image(t, &t->list[t->texture_of[source]]);
+    *text = damaged ? damaged->damage : NULL;
+    return damaged ? damaged->status : 0;
 }
 
 /* Moves a coordinate to the border between tiles that it misses by rounding only. */
@@ -328,183 +380,171 @@ static int compare_numbers(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-static const struct bsq_tile_file *find_file(const struct tiles *tiles, uint32_t number)
+/* Returns the image of a tile, or NULL. */
+static const struct image *find_image(const struct fmt_textures *t, const struct texture *texture,
+                                      uint32_t number)
 {
-    return tiles->files.count > 0 ? bsearch(&number, tiles->files.list, tiles->files.count,
-                                            sizeof *tiles->files.list, compare_numbers)
-                                  : NULL;
+    const struct bsq_tile_files *files = &texture->files;
+    const struct bsq_tile_file *file =
+        bsearch(&number, files->list, files->count, sizeof *files->list, compare_numbers);
+    const struct image *image = file ? &t->images[texture->first + (file - files->list)] : NULL;
+    return image && !image->damage ? image : NULL;
 }
 
 /* Moves an interval of this width into the unit interval, if it is not wider. */
-static float keep_inside(double centre, float width, float texel)
+static double keep_inside(double centre, float width, uint32_t texels)
 {
-    const double half = 0.5 * fmin(fmax((double)width, (double)texel), 1.0);
-    return (float)fmin(fmax(centre, half), 1.0 - half);
+    const double texel = (double)(1.0f / (float)texels);
+    const double half = 0.5 * fmin(fmax((double)width, texel), 1.0);
+    return (double)(float)fmin(fmax(centre, half), 1.0 - half);
 }
 
-/* Finds the tile of a point: the one that it is in, or that ends there if there is no such file. */
-static const struct bsq_tile_file *find_tile(struct tiles *tiles, double u, double v,
-                                             double corner[2])
+static int sample(const struct image *image, double u, double v, float du, float dv, float out[3])
 {
-    const struct bsq_tile_file *file = NULL;
-    for (int i = 0; i < 4 && !file; i++) {
-        corner[0] = floor(u) - (double)(i & 1);
-        corner[1] = floor(v) - (double)(i >> 1);
-        if (u - corner[0] <= 1 && v - corner[1] <= 1)
-            file = find_file(tiles, tile_number(corner[0], corner[1]));
-    }
-    return file;
+    const struct fmt_pyramid *p = &image->pyramid;
+    /* Reduce to one period before scaling, so that large coordinates keep their precision in
+     * texels. */
+    return fmt_pyramid_average(p, (u - floor(u)) * p->width, (ceil(v) - v) * p->height,
+                               (double)du * p->width, (double)dv * p->height, out);
 }
 
-static int sample_tiles(struct fmt_textures *textures, struct tiles *tiles, double u, double v,
+/* Looks up the tile that a point is in, or that ends there if there is no such file. */
+static int sample_tiles(struct fmt_textures *t, struct texture *texture, double u, double v,
                         float du, float dv, float out[3])
 {
-    double corner[2];
-    uint32_t width, height;
-    const struct bsq_tile_file *file = find_tile(tiles, u, v, corner);
-    if (!file) {
-        const uint32_t number = tile_number(corner_of(u), corner_of(v));
-        atomic_uchar *missing = number < ALL_TILES ? &tiles->missing[number] : &tiles->outside;
-        if (atomic_load_explicit(missing, memory_order_relaxed) == 0)
-            atomic_store_explicit(missing, 1, memory_order_relaxed);
-        out[0] = out[1] = out[2] = 0;
-        return 0;
+    const struct image *image = NULL;
+    double left = 0, lower = 0;
+    for (int i = 0; i < 4 && !image; i++) {
+        left = floor(u) - (double)(i & 1);
+        lower = floor(v) - (double)(i >> 1);
+        if (u - left <= 1 && v - lower <= 1)
+            image = find_image(t, texture, tile_number(left, lower));
     }
-    const uint32_t image = tiles->first + (uint32_t)(file - tiles->files.list);
-    textures->module->size(textures->images, image, &width, &height);
-    return textures->module->sample(
-        textures->images, image, keep_inside(u - corner[0], du, 1.0f / (float)width),
-        keep_inside(v - corner[1], dv, 1.0f / (float)height), du, dv, out);
+    if (image)
+        return sample(image, keep_inside(u - left, du, image->pyramid.width),
+                      keep_inside(v - lower, dv, image->pyramid.height), du, dv, out);
+    atomic_uchar *missing = &texture->missing[tile_number(corner_of(u), corner_of(v))];
+    if (atomic_load_explicit(missing, memory_order_relaxed) == 0)
+        atomic_store_explicit(missing, 1, memory_order_relaxed);
+    out[0] = out[1] = out[2] = 0;
+    return 0;
 }
 
-int fmt_texture_sample(struct fmt_textures *textures, uint32_t image, float u, float v, float du,
+int fmt_texture_sample(struct fmt_textures *t, uint32_t source, float u, float v, float du,
                        float dv, float out[3])
 {
-    struct tiles *tiles = textures->tiles_of[image];
-    return tiles ? sample_tiles(textures, tiles, settle(u), settle(v), du, dv, out)
-                 : textures->module->sample(textures->images, textures->image_of[image], u, v, du,
-                                            dv, out);
+    struct texture *texture = &t->list[t->texture_of[source]];
+    return texture->missing ? sample_tiles(t, texture, settle(u), settle(v), du, dv, out)
+                            : sample(&t->images[texture->first], (double)u, (double)v, du, dv, out);
 }
 
 /* ---- losses ---- */
 
-/* Sets of textures that are told together, and the files whose texels were told. */
-struct losses {
-    struct fmt_textures *const *sets; /* entries may be NULL */
+int fmt_textures_tell_damage(const struct fmt_textures *t)
+{
+    int status = 0;
+    for (uint64_t i = 0; i < t->count && status == 0; i++) {
+        const struct texture *texture = &t->list[i];
+        const char *first = NULL;
+        uint64_t count = 0;
+        for (uint64_t f = 0; f < texture->files.count && !damaged_image(t, texture); f++) {
+            const char *damage = t->images[texture->first + f].damage;
+            first = first ? first : damage;
+            count += damage != NULL;
+        }
+        if (count > 0)
+            status = bsq_warn_loss(t->ctx, "%s: %" PRIu64 " %s not used; the first: %s",
+                                   texture->source.path, count,
+                                   count == 1 ? "tile is" : "tiles are", first);
+    }
+    return status;
+}
+
+/* Sets of textures that are told together; entries may be NULL. */
+struct sets {
+    struct fmt_textures *const *list;
     uint32_t count;
-    const char **told;
-    uint64_t told_count, told_capacity;
 };
 
-static bool was_told(const struct losses *losses, const char *path)
+/* Warns of texels of a file that are not finite, once for all images of this file. */
+static int tell_broken(const struct sets *sets, struct bsq_ctx *ctx, const struct image *image)
 {
-    bool told = false;
-    for (uint64_t i = 0; i < losses->told_count && !told; i++)
-        told = strcmp(losses->told[i], path) == 0;
-    return told;
-}
-
-static int tell_broken(struct losses *losses, struct fmt_textures *textures, uint32_t image)
-{
-    const char *path;
-    const uint64_t texels = textures->module->take_broken(textures->images, image, &path);
-    if (texels == 0 || was_told(losses, path))
+    if (image->pyramid.broken == 0 || image->told)
         return 0;
-    int status = bsq_grow(textures->ctx, "texture paths", losses->told_count + 1,
-                          sizeof *losses->told, &losses->told, &losses->told_capacity);
-    if (status < 0)
-        return status;
-    losses->told[losses->told_count++] = path;
-    return bsq_warn_loss(textures->ctx,
-                         "%s: texels that are not finite: %" PRIu64 "; they count as 0", path,
-                         texels);
+    for (uint32_t s = 0; s < sets->count; s++)
+        for (uint64_t i = 0; sets->list[s] && i < sets->list[s]->image_count; i++) {
+            struct image *other = &sets->list[s]->images[i];
+            other->told |= strcmp(other->path, image->path) == 0;
+        }
+    return bsq_warn_loss(ctx, "%s: texels that are not finite: %" PRIu64 "; they count as 0",
+                         image->path, image->pyramid.broken);
 }
 
-/* tile: ALL_TILES for what lies outside of all tiles. */
-static atomic_uchar *missing_of(struct tiles *tiles, uint32_t tile)
-{
-    return tile < ALL_TILES ? &tiles->missing[tile] : &tiles->outside;
-}
-
-/* Marks a missing tile as told in all entries of this path. Returns whether it was told before. */
-static bool mark_told(const struct losses *losses, const char *path, uint32_t tile)
+/* Marks a missing tile as told in all textures of this path. Returns whether it was told before. */
+static bool mark_told(const struct sets *sets, const char *path, uint32_t tile)
 {
     bool before = false;
-    for (uint32_t s = 0; s < losses->count; s++)
-        for (uint64_t i = 0; losses->sets[s] && i < losses->sets[s]->tiles_count; i++) {
-            struct tiles *tiles = losses->sets[s]->tiles[i];
-            if (strcmp(tiles->path, path) != 0)
+    for (uint32_t s = 0; s < sets->count; s++)
+        for (uint64_t i = 0; sets->list[s] && i < sets->list[s]->count; i++) {
+            struct texture *texture = &sets->list[s]->list[i];
+            if (!texture->missing || strcmp(texture->source.path, path) != 0)
                 continue;
-            before = before || *missing_of(tiles, tile) == 2;
-            *missing_of(tiles, tile) = 2;
+            before |= texture->missing[tile] == 2;
+            texture->missing[tile] = 2;
         }
     return before;
 }
 
 /* Takes the tiles that were found missing and not told yet. Writes the first numbers to `names`.
  * Returns how many there are. */
-static uint32_t take_missing(const struct losses *losses, struct tiles *tiles, char *names,
+static uint32_t take_missing(const struct sets *sets, const struct texture *texture, char *names,
                              size_t size)
 {
     enum { SHOWN = 5 };
     uint32_t count = 0;
     size_t length = 0;
-    for (uint32_t t = 0; t < ALL_TILES; t++) {
-        if (*missing_of(tiles, t) != 1 || mark_told(losses, tiles->path, t))
+    for (uint32_t tile = 0; tile < ALL_TILES; tile++) {
+        if (texture->missing[tile] != 1 || mark_told(sets, texture->source.path, tile))
             continue;
         if (count++ < SHOWN)
             length += (size_t)snprintf(names + length, size - length, "%s%u",
-                                       length > 0 ? ", " : "", 1001 + t);
+                                       length > 0 ? ", " : "", 1001 + tile);
         else if (count == SHOWN + 1)
             snprintf(names + length, size - length, ", ...");
     }
     return count;
 }
 
-static int tell_missing(const struct losses *losses, struct bsq_ctx *ctx, struct tiles *tiles)
+static int tell_missing(const struct sets *sets, struct bsq_ctx *ctx, const struct texture *texture)
 {
     char names[80] = "";
-    const uint32_t count = take_missing(losses, tiles, names, sizeof names);
-    int status =
-        count == 0
-            ? 0
-            : bsq_warn_loss(ctx, "%s: %u %s no file that can be read: %s; the scan is black there",
-                            tiles->path, count, count == 1 ? "tile has" : "tiles have", names);
-    if (status == 0 && tiles->outside == 1 && !mark_told(losses, tiles->path, ALL_TILES))
-        status = bsq_warn_loss(ctx, "%s: the scan is black where it lies outside of all tiles",
-                               tiles->path);
-    return status;
-}
-
-int fmt_textures_tell_damage(const struct fmt_textures *textures)
-{
     int status = 0;
-    for (uint64_t i = 0; i < textures->tiles_count && status == 0; i++) {
-        const struct tiles *tiles = textures->tiles[i];
-        if (tiles->damaged > 0)
-            status = bsq_warn_loss(textures->ctx, "%s: %" PRIu64 " %s not used; the first: %s",
-                                   tiles->path, tiles->damaged,
-                                   tiles->damaged == 1 ? "tile is" : "tiles are", tiles->damage);
-    }
+    if (!texture->missing)
+        return 0;
+    const char *path = texture->source.path;
+    const uint32_t count = take_missing(sets, texture, names, sizeof names);
+    if (count > 0)
+        BSQ_TRY(bsq_warn_loss(ctx,
+                              "%s: %u %s no file that can be read: %s; the scan is black there",
+                              path, count, count == 1 ? "tile has" : "tiles have", names));
+    if (texture->missing[ALL_TILES] == 1 && !mark_told(sets, path, ALL_TILES))
+        BSQ_TRY(
+            bsq_warn_loss(ctx, "%s: the scan is black where it lies outside of all tiles", path));
+done:
     return status;
 }
 
-int fmt_textures_tell_losses(struct fmt_textures *const *sets, uint32_t count)
+int fmt_textures_tell_losses(struct fmt_textures *const *list, uint32_t count)
 {
-    struct losses losses = {.sets = sets, .count = count};
-    struct bsq_ctx *ctx = NULL;
+    const struct sets sets = {list, count};
     int status = 0;
     for (uint32_t s = 0; s < count; s++) {
-        struct fmt_textures *textures = sets[s];
-        if (!textures)
-            continue;
-        ctx = textures->ctx;
-        for (uint32_t i = 0; i < textures->image_count && status == 0; i++)
-            status = tell_broken(&losses, textures, i);
-        for (uint64_t i = 0; i < textures->tiles_count && status == 0; i++)
-            status = tell_missing(&losses, ctx, textures->tiles[i]);
+        const struct fmt_textures *t = list[s];
+        for (uint64_t i = 0; t && i < t->image_count; i++)
+            BSQ_TRY(tell_broken(&sets, t->ctx, &t->images[i]));
+        for (uint64_t i = 0; t && i < t->count; i++)
+            BSQ_TRY(tell_missing(&sets, t->ctx, &t->list[i]));
     }
-    if (losses.told)
-        bsq_free(ctx, losses.told);
+done:
     return status;
 }

@@ -2,10 +2,8 @@
  *
  * Takes paths of image files and a share of the memory budget, which holds whatever the size of the
  * images. Gives colours in linear light: texels are converted (from sRGB unless the file says
- * otherwise) before they are averaged. Texels of data, such as roughness, are not converted. Images
- * are read by OpenImageIO, PNG files by libpng, in a module that is opened at its first use. JPEG
- * files are checked with libjpeg before.
- * texture_formats.cc lists the formats. */
+ * otherwise) before they are averaged. Texels of data, such as roughness, are not converted. Each
+ * image is decoded once. image_rows.c lists the formats. */
 #ifndef FMT_TEXTURE_TEXTURE_H
 #define FMT_TEXTURE_TEXTURE_H
 
@@ -27,11 +25,15 @@ struct fmt_texture_source {
 /* Opens `count` images. A path may have tokens for UDIM tiles (base/tile_files.h), each of which is
  * a file. What lies in no tile is black, and so are tiles whose file cannot be read, unless all of
  * a texture cannot. A source that occurs twice is opened once. Reads each image through once, on
- * all threads, so it must not be called from parallel work. Reserves `cache_bytes` (at least 12
- * MiB) from the budget, or less if the images are small; files stored in rows that exceed it are
- * copied to temporary tiled files. Errors: BSQ_ENOINPUT or BSQ_EDATA for a file that is missing, no
- * image, or damaged; BSQ_ENOMEM.
- */
+ * all threads, so it must not be called from parallel work. The images and their cache take at most
+ * cache_bytes (1 MiB if it is less); those that exceed it are copied to a temporary file. Decoders
+ * take memory beside that.
+ *
+ * 0 cache_bytes: keeps no texels, so there are no lookups. Files that cannot be read are no failure
+ * then, see fmt_texture_problem().
+ *
+ * Errors: BSQ_ENOINPUT or BSQ_EDATA for a file that is missing, no image, or damaged; BSQ_EIO,
+ * BSQ_ENOMEM. */
 int fmt_textures_open(struct bsq_ctx *ctx, const struct fmt_texture_source *sources, uint32_t count,
                       uint64_t cache_bytes, struct fmt_textures **out);
 void fmt_textures_close(struct fmt_textures *textures); /* NULL is allowed */
@@ -57,6 +59,10 @@ int fmt_textures_tell_losses(struct fmt_textures *const *sets, uint32_t count);
 /* Returns whether an image has an alpha channel; of one in tiles, whether any tile has. */
 bool fmt_texture_has_alpha(const struct fmt_textures *textures, uint32_t image);
 
+/* Returns BSQ_ENOINPUT or BSQ_EDATA, and sets the message, if the file of an image, or each of its
+ * tiles, cannot be read; 0 if all is well. The textures own the message. */
+int fmt_texture_problem(const struct fmt_textures *textures, uint32_t image, const char **text);
+
 /* Sets the size in texels of an image of one file. */
 void fmt_texture_size(const struct fmt_textures *textures, uint32_t image, uint32_t *width,
                       uint32_t *height);
@@ -66,7 +72,7 @@ void fmt_texture_size(const struct fmt_textures *textures, uint32_t image, uint3
  * bilinear interpolation) and limited to the whole image. out: RGB, not clamped; linear light or,
  * of data, the values. A value of a texel that is not finite counts as 0. An image of one or two
  * channels gives the first one three times, and a source of alpha gives that. Thread-safe. Errors:
- * BSQ_EDATA if the file can no longer be read, BSQ_EIO. */
+ * BSQ_EIO. */
 int fmt_texture_sample(struct fmt_textures *textures, uint32_t image, float u, float v, float du,
                        float dv, float out[3]);
 

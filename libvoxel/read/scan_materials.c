@@ -22,9 +22,6 @@
 
 /* ---- alpha channels of colour textures as opacity ---- */
 
-/* Memory for decoding an image, as a share of what is left. */
-enum { DECODING_SHARE = 2 };
-
 /* Returns the channel that the alpha of a colour texture gives, if the scan keeps it and no image
  * of the options gives it; else NULL. */
 static const struct bsq_channel *wanted_channel(const struct scan *scan)
@@ -97,13 +94,15 @@ static int use_alpha(struct scan *scan, const struct scan_textures *textures, co
     struct fmt_textures *images;
     if (!channel || scan_count(scan, SCAN_TEXCOORDS) == 0)
         return 0;
-    int status = fmt_textures_open_each(
-        scan->ctx, materials->count, source_of, &(struct color_textures){textures, path, materials},
-        bsq_memory_share(scan->ctx, "alpha of textures", DECODING_SHARE), &images);
+    int status =
+        fmt_textures_open_each(scan->ctx, materials->count, source_of,
+                               &(struct color_textures){textures, path, materials}, 0, &images);
     for (uint32_t i = 0; i < materials->count && status == 0 && images; i++) {
         struct fmt_material *material = &materials->list[i];
-        const char *texture = color_texture(textures, path, material);
-        if (texture && fmt_texture_has_alpha(images, i))
+        const char *texture = color_texture(textures, path, material), *text;
+        if (texture && (status = fmt_texture_problem(images, i, &text)) < 0)
+            bsq_fail(scan->ctx, status, "%s", text);
+        else if (texture && fmt_texture_has_alpha(images, i))
             status = add_alpha(scan->ctx, textures, channel, texture,
                                path ? &unmoved : &material->uv, material, &lost);
     }

@@ -16,10 +16,6 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-/* Memory for decoding, as a share of what is left. */
-enum { DECODING_SHARE = 2 };
-#define LEAST_DECODING_BYTES ((uint64_t)12 << 20)
-
 /* A texture of a material that is to be checked. */
 struct candidate {
     const struct fmt_material *material;
@@ -102,55 +98,32 @@ static int check_file(struct bsq_ctx *ctx, struct candidate *candidate)
     return access(path, R_OK) ? warn_bad(ctx, candidate, path, ": not readable") : 0;
 }
 
-static int decode(struct bsq_ctx *ctx, const struct fmt_texture_source *sources, uint32_t count)
+static void source_of(const void *list, uint64_t index, struct fmt_texture_source *out)
 {
-    struct fmt_textures *textures = NULL;
-    const uint64_t share = bsq_memory_share(ctx, "check of textures", DECODING_SHARE);
-    int status =
-        fmt_textures_open(ctx, sources, count,
-                          share > LEAST_DECODING_BYTES ? share : LEAST_DECODING_BYTES, &textures);
-    if (!status)
-        status = fmt_textures_tell_damage(textures);
-    fmt_textures_close(textures);
-    return status;
+    const struct candidate *candidate = (const struct candidate *)list + index;
+    out->path = candidate->good ? candidate->path : NULL;
 }
 
-/* Decodes each of the good candidates, one by one, and warns of those that are damaged. */
-static int decode_each(struct bsq_ctx *ctx, struct candidate *list, uint64_t count)
-{
-    int status = 0;
-    for (uint64_t i = 0; i < count && !status; i++) {
-        if (!list[i].good)
-            continue;
-        status = decode(ctx, &(struct fmt_texture_source){.path = list[i].path}, 1);
-        if (status != BSQ_EDATA)
-            continue;
-        char *text = strdup(bsq_error(ctx));
-        if ((status = bsq_check(ctx)) == 0 && text) {
-            bsq_clear_error(ctx);
-            status = warn_bad(ctx, &list[i], text, "");
-        }
-        free(text);
-    }
-    return status;
-}
-
-/* Decodes all good candidates. */
+/* Decodes all good candidates, and warns of those that are damaged. One without a material must be
+ * good. */
 static int decode_all(struct bsq_ctx *ctx, struct candidate *list, uint64_t count)
 {
-    struct fmt_texture_source *sources = NULL;
-    uint32_t good = 0;
-    int status = bsq_calloc(ctx, "texture paths", count, sizeof *sources, &sources);
-    for (uint64_t i = 0; i < count && !status; i++)
-        if (list[i].good)
-            sources[good++].path = list[i].path;
-    if (!status && good > 0)
-        status = decode(ctx, sources, good);
-    bsq_free(ctx, sources);
-    if (status != BSQ_EDATA || bsq_check(ctx))
-        return status;
-    bsq_clear_error(ctx);
-    return decode_each(ctx, list, count);
+    struct fmt_textures *textures = NULL;
+    int status;
+    BSQ_TRY(fmt_textures_open_each(ctx, count, source_of, list, 0, &textures));
+    if (textures)
+        BSQ_TRY(fmt_textures_tell_damage(textures));
+    for (uint64_t i = 0; i < count; i++) {
+        const char *text = NULL;
+        const int damage = list[i].good ? fmt_texture_problem(textures, (uint32_t)i, &text) : 0;
+        if (damage == BSQ_EDATA && list[i].material)
+            BSQ_TRY(warn_bad(ctx, &list[i], text, ""));
+        else if (damage < 0)
+            BSQ_TRY(bsq_fail(ctx, damage, "%s", text));
+    }
+done:
+    fmt_textures_close(textures);
+    return status;
 }
 
 /* ---- the list ---- */
@@ -266,8 +239,9 @@ int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *material
 static int check_given(struct bsq_ctx *ctx, const char *path, const struct scan_textures *textures)
 {
     int status = bsq_note_texture(ctx, path, "the texture");
-    return !status && textures->decode ? decode(ctx, &(struct fmt_texture_source){.path = path}, 1)
-                                       : status;
+    return !status && textures->decode
+               ? decode_all(ctx, &(struct candidate){.path = path, .good = true}, 1)
+               : status;
 }
 
 /* Returns what of a channel of a material cannot be used, or NULL. */

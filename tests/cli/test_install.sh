@@ -91,7 +91,7 @@ rm "$prefix"/lib/bisque/*
 ok run $voxelize
 run $voxelize red.ppm
 places="$PWD, ${PWD%/*}/lib/bisque or $prefix/lib/bisque"
-refused 66 "textures need the module bisque-texture.so, which is not in $places"
+refused 66 "textures of this format need the module bisque-texture.so, which is not in $places"
 run $voxelize '' box.vdb
 refused 66 "OpenVDB files need the module bisque-openvdb.so, which is not in $places"
 # The error comes before any work.
@@ -104,12 +104,12 @@ check "nothing was done before the module was missed" $?
 module=$prefix/lib/bisque/bisque-texture.so
 printf 'no library\n' >"$module"
 run $voxelize red.ppm
-refused_like 66 "^textures need the module $module, which cannot be opened: "
+refused_like 66 "^textures of this format need the module $module, which cannot be opened: "
 stamp=$(grep -aEo '[0-9]+\.[0-9]+\.[0-9]+-[0-9]{6,}' moved/lib/bisque/bisque-texture.so | head -n 1)
 other=$(echo "$stamp" | tr 0-9 1-90)
 sed "s/$stamp/$other/g" moved/lib/bisque/bisque-texture.so >"$module"
 run $voxelize red.ppm
-refused 66 "textures need the module $module, which is of build $other; this program is of $stamp"
+refused 66 "textures of this format need the module $module, which is of build $other; this program is of $stamp"
 
 # ---- a moved installation, and programs that open no more than they need ----
 BIN=$PWD/moved/bin

@@ -8,7 +8,6 @@
 
 #include <jpeglib.h>
 
-#include "formats/texture/jpeg_check.h"
 #include "formats/texture/texture.h"
 #include "tests/unit/formats/scratch.h"
 #include "tests/unit/test.h"
@@ -93,7 +92,7 @@ TEST(test_zeros_in_the_middle)
 {
     for (int progressive = 0; progressive < 2; progressive++) {
         struct jpeg jpeg = make_jpeg(progressive, 0);
-        char message[FMT_JPEG_MESSAGE];
+        char message[256];
         memset(jpeg.bytes + jpeg.size / 2, 0, 200);
         struct bsq_ctx *ctx;
         struct bsq_ctx_options options = {.threads = 1, .tmpdir = scratch_directory};
@@ -149,49 +148,6 @@ TEST(test_a_part_of_a_file)
     }
     free(file);
     free(jpeg.bytes);
-}
-
-/* ---- failures of the source ---- */
-
-struct failing {
-    struct jpeg jpeg;
-    int reads, checks; /* until one fails; below 0: never */
-};
-
-static int read_failing(void *arg, uint64_t offset, void *to, uint64_t size, uint64_t *got)
-{
-    struct failing *f = arg;
-    const uint64_t left = offset < f->jpeg.size ? f->jpeg.size - offset : 0;
-    *got = size < left ? size : left;
-    if (f->reads-- == 0)
-        return BSQ_EIO;
-    memcpy(to, f->jpeg.bytes + offset, *got);
-    return 0;
-}
-
-static int check_failing(void *arg)
-{
-    struct failing *f = arg;
-    return f->checks-- == 0 ? BSQ_EINTR : 0;
-}
-
-TEST(test_failures_of_the_source)
-{
-    for (int progressive = 0; progressive < 2; progressive++) {
-        char message[FMT_JPEG_MESSAGE];
-        struct failing f = {.jpeg = make_jpeg(progressive, 0), .reads = 0, .checks = -1};
-        const struct fmt_jpeg_source source = {read_failing, check_failing, &f};
-        assert_int_equal(fmt_jpeg_check(&source, message), BSQ_EIO);
-        f.reads = 1;
-        assert_int_equal(fmt_jpeg_check(&source, message), BSQ_EIO);
-        f.reads = -1;
-        f.checks = 3;
-        assert_int_equal(fmt_jpeg_check(&source, message), BSQ_EINTR);
-        f.checks = -1;
-        assert_int_equal(fmt_jpeg_check(&source, message), 0);
-        assert_string_equal(message, "");
-        free(f.jpeg.bytes);
-    }
 }
 
 RUN_TESTS(scratch_make, scratch_remove)

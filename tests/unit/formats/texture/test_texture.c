@@ -1,4 +1,5 @@
 /* test_texture.c - compares texture lookups with averages computed by hand or by definition. */
+#include <errno.h>
 #include <fcntl.h>
 #include <inttypes.h>
 #include <math.h>
@@ -12,6 +13,9 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
+#include <jpeglib.h>
+
+#include "base/file.h"
 #include "base/loss.h"
 #include "base/parallel.h"
 #include "formats/texture/texture.h"
@@ -20,20 +24,23 @@
 
 /* ---- a replacement of a function of the C library ---- */
 
-static const char *watched_path; /* NULL: none */
-static int openings, swap_at;
-static void (*swap)(void);
+static int reads_left = -1; /* reads until on_read() is called; below 0: never */
+static ssize_t (*on_read)(void);
 
-/* Calls swap() before opening number swap_at of the watched file. */
-int open(const char *path, int flags, ...)
+ssize_t pread64(int fd, void *to, size_t size, off_t offset)
 {
-    va_list arguments;
-    va_start(arguments, flags);
-    unsigned mode = flags & (O_CREAT | O_TMPFILE) ? va_arg(arguments, unsigned) : 0;
-    va_end(arguments);
-    if (watched_path && strcmp(path, watched_path) == 0 && ++openings == swap_at)
-        swap();
-    return (int)syscall(SYS_openat, AT_FDCWD, path, flags, mode);
+    if (reads_left >= 0 && reads_left-- == 0) {
+        const ssize_t result = on_read();
+        if (result < 0)
+            return result;
+    }
+    return syscall(SYS_pread64, fd, to, size, offset);
+}
+
+static ssize_t fail_read(void)
+{
+    errno = EIO;
+    return -1;
 }
 
 /* A test image: `channels` bytes a texel, row 0 at the top. */
@@ -79,6 +86,33 @@ static const char *write_png(const char *name, const struct picture *p)
                                  : p->channels == 3 ? PNG_FORMAT_RGB
                                                     : PNG_FORMAT_RGBA};
     assert_true(png_image_write_to_file(&image, path, 0, p->texels, 0, NULL));
+    return path;
+}
+
+static const char *write_jpeg(const char *name, const struct picture *p, bool progressive)
+{
+    const char *path = scratch_path(name);
+    struct jpeg_compress_struct jpeg;
+    struct jpeg_error_mgr errors;
+    FILE *file = fopen(path, "wb");
+    jpeg.err = jpeg_std_error(&errors);
+    jpeg_create_compress(&jpeg);
+    jpeg_stdio_dest(&jpeg, file);
+    jpeg.image_width = (JDIMENSION)p->width;
+    jpeg.image_height = (JDIMENSION)p->height;
+    jpeg.input_components = p->channels;
+    jpeg.in_color_space = p->channels == 1 ? JCS_GRAYSCALE : JCS_RGB;
+    jpeg_set_defaults(&jpeg);
+    if (progressive)
+        jpeg_simple_progression(&jpeg);
+    jpeg_start_compress(&jpeg, TRUE);
+    for (int y = 0; y < p->height; y++) {
+        JSAMPROW row = p->texels + (size_t)(y * p->width * p->channels);
+        jpeg_write_scanlines(&jpeg, &row, 1);
+    }
+    jpeg_finish_compress(&jpeg);
+    jpeg_destroy_compress(&jpeg);
+    assert_int_equal(fclose(file), 0);
     return path;
 }
 
@@ -266,7 +300,7 @@ TEST(test_random_boxes)
     }
 }
 
-/* Images larger than the cache are copied to tiled files; lookups must give the same. */
+/* Images larger than the cache are copied to a file; lookups must give the same. */
 TEST(test_image_larger_than_cache)
 {
     struct picture p = make_picture(3001, 2003, 3);
@@ -359,7 +393,7 @@ TEST(test_bad_files)
 {
     struct fixture f;
     const char *path = scratch_path("missing.png");
-    assert_int_equal(open_textures(&f, &path, 1, 0), BSQ_ENOINPUT);
+    assert_int_equal(open_textures(&f, &path, 1, 1), BSQ_ENOINPUT);
     assert_non_null(strstr(bsq_error(f.ctx), "missing.png"));
     close_fixture(&f);
 
@@ -368,7 +402,7 @@ TEST(test_bad_files)
     assert_non_null(file);
     fputs("this is no picture", file);
     fclose(file);
-    assert_int_equal(open_textures(&f, &path, 1, 0), BSQ_EDATA);
+    assert_int_equal(open_textures(&f, &path, 1, 1), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(f.ctx), "text.png"));
     assert_null(strchr(bsq_error(f.ctx), '\n'));
     close_fixture(&f);
@@ -378,7 +412,7 @@ TEST(test_bad_files)
     assert_non_null(file);
     fprintf(file, "P6\n300 300\n255\n%050000d", 0);
     fclose(file);
-    assert_int_equal(open_textures(&f, &path, 1, 0), BSQ_EDATA);
+    assert_int_equal(open_textures(&f, &path, 1, 1), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(f.ctx), "cut.ppm"));
     assert_null(strchr(bsq_error(f.ctx), '\n'));
     close_fixture(&f);
@@ -443,13 +477,14 @@ TEST(test_excessive_exr_header)
 TEST(test_whole_images_beyond_the_budget)
 {
     static const char png[] =
-        "\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\x75\x30\0\0\x75\x30\x08\x02\0\0\x01";
+        "\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\x75\x30\0\0\x75\x30\x08\x02\0\0\x01\x9e\x42\x5f\x7b"
+        "\0\0\0\x0aIDAT";
     static const char progressive[] =
         "\xff\xd8\xff\xc2\0\x11\x08\x75\x30\x75\x30\x03\x01\x22\0\x02\x11\x01\x03\x11\x01\xff\xda\0\x0c"
-        "\x03";
+        "\x03\x01\0\x02\0\x03\0\0\0\0";
     static const char separate[] = /* a baseline file with a scan for each component */
         "\xff\xd8\xff\xc0\0\x11\x08\x75\x30\x75\x30\x03\x01\x22\0\x02\x11\x01\x03\x11\x01\xff\xda\0\x08"
-        "\x01";
+        "\x01\x01\0\0\x3f\0";
     static const char jp2[] = "\xff\x4f\xff\x51\0\x2f\0\0\0\0\x75\x30\0\0\x75\x30\0\0\0\0\0\0\0\0"
                               "\0\0\x75\x30\0\0\x75\x30\0\0\0\0\0\0\0\0\0\x03";
     static const char targa[] = "\0\0\x0a\0\0\0\0\0\0\0\0\0\x30\x75\x30\x75\x18\0\0";
@@ -459,7 +494,7 @@ TEST(test_whole_images_beyond_the_budget)
         size_t size;
         unsigned mebibytes;
     } cases[] = {
-        {"i.png", png, sizeof png, 3434},
+        {"i.png", png, sizeof png, 2575},
         {"p.jpg", progressive, sizeof progressive, 2575},
         {"s.jpg", separate, sizeof separate, 2575},
         {"j.jp2", jp2, sizeof jp2, 12875},
@@ -575,70 +610,71 @@ TEST(test_damage_prints_nothing)
     free(p.texels);
 }
 
-/* Writes a BMP file of 32 bits a texel, whose size depends on the number of texels only. */
-static void write_bmp(const char *path, uint32_t width, uint32_t height)
-{
-    uint8_t header[54] = "BM";
-    uint32_t fields[] = {54 + 4 * width * height, 0, 54, 40, width, height, 1 | 32 << 16};
-    memcpy(header + 2, fields, sizeof fields);
-    FILE *file = fopen(path, "wb");
-    fwrite(header, sizeof header, 1, file);
-    for (uint32_t i = 0; i < 4 * width * height; i++)
-        putc((int)(i % 251), file);
-    assert_int_equal(fclose(file), 0);
-}
+/* ---- reads that fail, files that change ---- */
 
-/* Overwrites the watched file in place; its size and time stay the same. */
-static void turn_image(void)
+/* An image that does not fit in memory is read from a temporary file. A failed read is told to who
+ * asked, and to nobody else. */
+TEST(test_failed_lookup)
 {
-    struct stat info;
-    const char *path = watched_path;
-    watched_path = NULL;
-    assert_int_equal(stat(path, &info), 0);
-    write_bmp(path, 2048, 32);
-    const struct timespec times[2] = {info.st_atim, info.st_mtim};
-    assert_int_equal(utimensat(AT_FDCWD, path, times, 0), 0);
-    watched_path = path;
-}
-
-static int sample_up_and_down(struct fixture *f)
-{
+    struct picture p = make_picture(2000, 1000, 3);
+    struct fixture f;
+    const char *path = write_png("large.png", &p);
     float color[3];
-    int status = 0;
-    for (int i = 0; i < 60 && status == 0; i++)
-        status = fmt_texture_sample(f->textures, 0, 0.5f, (float)(i < 30 ? i : 60 - i) / 31.0f, 0,
-                                    0, color);
-    return status;
+    assert_int_equal(open_textures(&f, &path, 1, 1), 0);
+    assert_true(bsq_temp_bytes(f.ctx) > 6000000);
+    on_read = fail_read;
+    reads_left = 0;
+    assert_int_equal(fmt_texture_sample(f.textures, 0, 0.5f, 0.5f, 0, 0, color), BSQ_EIO);
+    assert_non_null(strstr(bsq_error(f.ctx), "Input/output error"));
+    bsq_clear_error(f.ctx);
+    compare_random_boxes(&f, &p, 40);
+    assert_true(bsq_memory_high(f.ctx) < 3 << 20);
+    close_fixture(&f);
+    free(p.texels);
 }
 
-/* A file that gets another width at any opening but the first, with the same size and time. */
-TEST(test_image_that_is_turned)
+/* Each read of each kind of file fails once. */
+TEST(test_failed_reads)
 {
-    const char *path = scratch_path("turned.bmp");
-    int failures = 0;
-    swap = turn_image;
-    openings = 2;
-    /* Opening 2 is the first that reads the layout. Later runs have as many openings as the file is
-     * opened if it never changes. */
-    for (swap_at = 2; openings >= swap_at - 1; swap_at++) {
-        struct fixture f;
-        write_bmp(path, 32, 2048);
-        watched_path = path;
-        openings = 0;
-        int status = open_textures(&f, &path, 1, 12 << 20);
-        if (status == 0)
-            status = sample_up_and_down(&f);
-        watched_path = NULL;
-        if (openings >= swap_at && swap_at > 2) {
-            assert_int_equal(status, BSQ_EIO);
-            assert_non_null(strstr(bsq_error(f.ctx), "turned.bmp: was changed while it was read"));
-            failures++;
-        } else {
-            assert_int_equal(status, 0);
+    struct picture p = make_picture(60, 40, 3);
+    const char *paths[] = {write_png("fails.png", &p), write_jpeg("fails.jpg", &p, false),
+                           write_jpeg("progressive.jpg", &p, true)};
+    on_read = fail_read;
+    for (size_t i = 0; i < sizeof paths / sizeof *paths; i++)
+        for (int read = 0, status = BSQ_EIO; status < 0; read++) {
+            struct fixture f;
+            reads_left = read;
+            status = open_textures(&f, &paths[i], 1, 1);
+            assert_true(read > 1 || status < 0);
+            if (status < 0) {
+                assert_int_equal(status, BSQ_EIO);
+                assert_non_null(strstr(bsq_error(f.ctx), "Input/output error"));
+            }
+            close_fixture(&f);
         }
-        close_fixture(&f);
-    }
-    assert_true(failures >= 2); /* the pass over all rows, and the cache */
+    reads_left = -1;
+    free(p.texels);
+}
+
+static const char *changing_path;
+
+static ssize_t append_byte(void)
+{
+    FILE *file = fopen(changing_path, "ab");
+    putc(0, file);
+    assert_int_equal(fclose(file), 0);
+    return 0;
+}
+
+TEST(test_file_that_changes)
+{
+    struct picture p = make_picture(200, 200, 3);
+    changing_path = write_png("changes.png", &p);
+    on_read = append_byte;
+    reads_left = 2;
+    expect_refusal(changing_path, BSQ_EIO, "changes.png: was changed while it was read");
+    assert_int_equal(reads_left, -1);
+    free(p.texels);
 }
 
 /* Opens an image as a source of alpha. */
@@ -678,8 +714,8 @@ TEST(test_alpha)
     close_fixture(&f);
 }
 
-/* Interlaced images are copied to temporary tiled files, which hold the alpha alone. */
-TEST(test_alpha_of_a_copy)
+/* The same of an image that is decoded whole. */
+TEST(test_alpha_of_an_interlaced_image)
 {
     uint8_t texels[3 * 2 * 4];
     for (int i = 0; i < 3 * 2; i++)

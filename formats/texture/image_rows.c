@@ -1,0 +1,372 @@
+/* image_rows.c - recognises images by their content, and opens the decoder of their format.
+ *
+ * A file's first bytes choose a row of the table. OpenImageIO opens many more files, among them
+ * videos, streams from the network and plain text; it sees none of them. Some of its plug-ins
+ * decode the whole image when they open a file, so the memory for that is found from the header
+ * here. The factors were measured with OpenImageIO 2.4.7 (docs/decisions/0095). */
+#include "formats/texture/image_rows.h"
+
+#include <inttypes.h>
+#include <string.h>
+
+#include "formats/exr_header.h"
+
+/* An image in an open file, and its first bytes; zeros follow after a short image. */
+struct probe {
+    struct bsq_ctx *ctx;
+    const struct bsq_file *file;
+    int status; /* of the first read that failed, or 0 */
+    uint8_t head[64];
+};
+
+/* An image that is decoded whole: its size in texels (0: unknown), and the bytes that this takes.
+ */
+struct whole {
+    uint64_t width, height, bytes;
+};
+
+struct format {
+    const char *plugin; /* OpenImageIO's name; NULL: `decoder` reads it */
+    const char *name;   /* for messages */
+    const struct fmt_rows_decoder *decoder;
+    bool (*recognise)(struct probe *probe);
+    struct whole (*whole)(struct probe *probe); /* NULL: the decoder tells */
+    /* Returns what is too much in the header, or NULL. May be NULL. */
+    const char *(*excess)(struct probe *probe);
+};
+
+static uint32_t big16(const uint8_t *p)
+{
+    return (uint32_t)p[0] << 8 | p[1];
+}
+
+static uint32_t big32(const uint8_t *p)
+{
+    return big16(p) << 16 | big16(p + 2);
+}
+
+static uint32_t little16(const uint8_t *p)
+{
+    return (uint32_t)p[1] << 8 | p[0];
+}
+
+static uint32_t little24(const uint8_t *p)
+{
+    return (uint32_t)p[2] << 16 | little16(p);
+}
+
+static uint32_t little32(const uint8_t *p)
+{
+    return little16(p + 2) << 16 | little16(p);
+}
+
+/* Reads `size` bytes; zeros follow after the end of the file. */
+static void read_at(struct probe *probe, uint64_t offset, uint8_t *to, uint64_t size)
+{
+    uint64_t got;
+    memset(to, 0, size);
+    const int status = bsq_file_read_some(probe->ctx, probe->file, to, size, offset, &got);
+    probe->status = probe->status < 0 ? probe->status : status;
+}
+
+static bool begins(struct probe *probe, const char *magic, size_t size)
+{
+    return memcmp(probe->head, magic, size) == 0;
+}
+
+static struct whole by_texels(uint64_t width, uint64_t height, uint64_t texel_bytes)
+{
+    struct whole out = {width, height, 0};
+    if (__builtin_mul_overflow(width, height, &out.bytes) ||
+        __builtin_mul_overflow(out.bytes, texel_bytes, &out.bytes))
+        out.bytes = UINT64_MAX;
+    return out;
+}
+
+/* ---- formats ---- */
+
+static bool is_png(struct probe *probe)
+{
+    return begins(probe, "\x89PNG\r\n\x1a\n", 8);
+}
+
+static bool is_jpeg(struct probe *probe)
+{
+    return begins(probe, "\xff\xd8\xff", 3);
+}
+
+static bool is_tiff(struct probe *probe)
+{
+    return begins(probe, "II*\0", 4) || begins(probe, "MM\0*", 4) || begins(probe, "II+\0", 4) ||
+           begins(probe, "MM\0+", 4);
+}
+
+static bool is_exr(struct probe *probe)
+{
+    return begins(probe, "\x76\x2f\x31\x01", 4);
+}
+
+static uint64_t read_exr_header(void *arg, uint64_t offset, void *to, uint64_t size)
+{
+    struct probe *probe = arg;
+    read_at(probe, offset, to, size);
+    const uint64_t left =
+        probe->file->size - (offset < probe->file->size ? offset : probe->file->size);
+    return size < left ? size : left;
+}
+
+static const char *exr_excess(struct probe *probe)
+{
+    return fmt_exr_header_excess(read_exr_header, probe);
+}
+
+static bool is_jpeg2000(struct probe *probe)
+{
+    return begins(probe, "\0\0\0\x0cjP  \r\n\x87\n", 12) || begins(probe, "\xff\x4f\xff\x51", 4);
+}
+
+/* Returns where the code stream begins (ISO/IEC 15444-1, Annex I), or the end of the file. */
+static uint64_t find_codestream(struct probe *probe)
+{
+    const uint64_t end = probe->file->size;
+    uint64_t offset = probe->head[0] == 0xff ? 0 : 12;
+    while (offset > 0 && offset < end) {
+        uint8_t box[16];
+        read_at(probe, offset, box, sizeof box);
+        uint64_t size = big32(box);
+        const uint64_t header = size == 1 ? 16 : 8;
+        if (memcmp(box + 4, "jp2c", 4) == 0)
+            return offset + header;
+        if (size == 1)
+            size = (uint64_t)big32(box + 8) << 32 | big32(box + 12);
+        if (size < header || size > end - offset)
+            return end;
+        offset += size;
+    }
+    return offset;
+}
+
+/* OpenJPEG decodes all samples to 4 bytes. It refuses files without a size. */
+static struct whole jpeg2000_whole(struct probe *probe)
+{
+    uint8_t size[42];
+    read_at(probe, find_codestream(probe), size, sizeof size);
+    if (memcmp(size, "\xff\x4f\xff\x51", 4) != 0)
+        return (struct whole){0};
+    const uint32_t right = big32(size + 8), left = big32(size + 16);
+    const uint32_t bottom = big32(size + 12), top = big32(size + 20);
+    return by_texels(right > left ? right - left : 0, bottom > top ? bottom - top : 0,
+                     5 * (uint64_t)big16(size + 40));
+}
+
+static bool is_bmp(struct probe *probe)
+{
+    return begins(probe, "BM", 2);
+}
+
+static struct whole bmp_whole(struct probe *probe)
+{
+    const uint8_t *h = probe->head;
+    const bool packed = little32(h + 14) >= 40 && (little32(h + 30) == 1 || little32(h + 30) == 2);
+    uint64_t height = little32(h + 22);
+    if (height > INT32_MAX) /* the rows are stored from the top */
+        height = (UINT64_C(1) << 32) - height;
+    return by_texels(little32(h + 18), height, packed ? 4 : 0);
+}
+
+static bool is_hdr(struct probe *probe)
+{
+    return begins(probe, "#?RADIANCE", 10) || begins(probe, "#?RGBE", 6);
+}
+
+static bool is_pnm(struct probe *probe)
+{
+    const uint8_t *h = probe->head;
+    const bool kind = (h[1] >= '1' && h[1] <= '6') || h[1] == 'F' || h[1] == 'f';
+    return h[0] == 'P' && kind && (h[2] == ' ' || (h[2] >= '\t' && h[2] <= '\r') || h[2] == '#');
+}
+
+static struct whole pnm_whole(struct probe *probe)
+{
+    return (struct whole){0, 0, probe->file->size};
+}
+
+static bool is_webp(struct probe *probe)
+{
+    return begins(probe, "RIFF", 4) && memcmp(probe->head + 8, "WEBP", 4) == 0;
+}
+
+static struct whole webp_whole(struct probe *probe)
+{
+    const uint8_t *h = probe->head;
+    uint32_t width = little16(h + 26) & 0x3fff, height = little16(h + 28) & 0x3fff;
+    if (memcmp(h + 12, "VP8X", 4) == 0) {
+        width = little24(h + 24) + 1;
+        height = little24(h + 27) + 1;
+    } else if (memcmp(h + 12, "VP8L", 4) == 0) {
+        width = (little32(h + 21) & 0x3fff) + 1;
+        height = (little32(h + 21) >> 14 & 0x3fff) + 1;
+    }
+    struct whole whole = by_texels(width, height, 4);
+    whole.bytes += probe->file->size;
+    return whole;
+}
+
+/* Only version 2 has a mark, at the file's end. The header of version 1 has few values that are
+ * possible. */
+static bool is_targa(struct probe *probe)
+{
+    static const char mark[] = "TRUEVISION-XFILE.";
+    const uint8_t *h = probe->head;
+    uint8_t end[sizeof mark] = {0};
+    if (probe->file->size >= 44)
+        read_at(probe, probe->file->size - sizeof mark, end, sizeof end);
+    const bool type = (h[2] >= 1 && h[2] <= 3) || (h[2] >= 9 && h[2] <= 11);
+    const bool bits = h[16] == 8 || h[16] == 15 || h[16] == 16 || h[16] == 24 || h[16] == 32;
+    const bool possible = h[1] <= 1 && type && bits && little16(h + 12) > 0 && little16(h + 14) > 0;
+    return possible && (memcmp(end, mark, sizeof mark) == 0 || !(h[17] & 0xc0));
+}
+
+static struct whole targa_whole(struct probe *probe)
+{
+    return by_texels(little16(probe->head + 12), little16(probe->head + 14), 4);
+}
+
+#define FORMAT_NAMES "PNG, JPEG, TIFF, OpenEXR, JPEG 2000, WebP, BMP, Radiance HDR, PNM or TGA"
+
+/* Returns the format of a file, or NULL. */
+static const struct format *find_format(struct probe *probe)
+{
+    static const struct format formats[] = {
+        {NULL, "PNG", &fmt_png_rows, is_png, NULL, NULL},
+        {NULL, "JPEG", &fmt_jpeg_rows, is_jpeg, NULL, NULL},
+        {"tiff", "TIFF", NULL, is_tiff, NULL, NULL},
+        {"openexr", "OpenEXR", NULL, is_exr, NULL, exr_excess},
+        {"jpeg2000", "JPEG 2000", NULL, is_jpeg2000, jpeg2000_whole, NULL},
+        {"webp", "WebP", NULL, is_webp, webp_whole, NULL},
+        {"bmp", "BMP", NULL, is_bmp, bmp_whole, NULL},
+        {"hdr", "Radiance HDR", NULL, is_hdr, NULL, NULL},
+        {"pnm", "PNM", NULL, is_pnm, pnm_whole, NULL},
+        {"targa", "TGA", NULL, is_targa, targa_whole,
+         NULL}, /* matches loosely, so it is the last */
+    };
+    for (size_t i = 0; i < sizeof formats / sizeof *formats; i++)
+        if (formats[i].recognise(probe))
+            return &formats[i];
+    return NULL;
+}
+
+/* ---- opening ---- */
+
+int fmt_rows_unreadable(const struct fmt_rows_input *input, const char *reason)
+{
+    return input->status < 0 ? input->status
+                             : bsq_fail(input->ctx, BSQ_EDATA, "%s: not a readable image: %s",
+                                        input->path, reason);
+}
+
+int fmt_rows_damaged(const struct fmt_rows_input *input, const char *reason)
+{
+    return input->status < 0
+               ? input->status
+               : bsq_fail(input->ctx, BSQ_EDATA, "%s: damaged image: %s", input->path, reason);
+}
+
+static ssize_t read_stream(void *cookie, char *to, size_t size)
+{
+    struct fmt_rows_input *input = cookie;
+    uint64_t got = 0;
+    const int status = bsq_file_read_some(input->ctx, &input->file, to, size, input->offset, &got);
+    input->offset += got;
+    if (status < 0)
+        input->status = status;
+    return status < 0 ? -1 : (ssize_t)got;
+}
+
+/* Reserves memory for decoding. */
+static int reserve(struct fmt_rows *rows, const struct format *format, struct whole need)
+{
+    struct bsq_ctx *ctx = rows->input.ctx;
+    const uint64_t left = bsq_memory_left(ctx);
+    char size[64] = "image needs";
+    int status;
+    if (need.bytes > left) {
+        if (need.width > 0)
+            snprintf(size, sizeof size, "%" PRIu64 " x %" PRIu64 " texels need", need.width,
+                     need.height);
+        return bsq_fail(ctx, BSQ_ENOMEM,
+                        "%s: this kind of %s file is decoded whole; its %s %" PRIu64
+                        " MiB of memory, %" PRIu64 " MiB are left: convert it to tiled TIFF "
+                        "(oiiotool IN --tile 64 64 -o OUT.tif)",
+                        rows->input.path, format->name, size, (need.bytes >> 20) + 1, left >> 20);
+    }
+    BSQ_TRY(bsq_reserve(ctx, "decoding a texture", need.bytes));
+    rows->reserved_bytes += need.bytes;
+done:
+    return status;
+}
+
+static int open_decoder(struct fmt_rows *rows, const struct format *format, struct whole whole)
+{
+    struct bsq_ctx *ctx = rows->input.ctx;
+    const struct fmt_rows_info *info = &rows->info;
+    const struct fmt_module *module;
+    int status;
+    BSQ_TRY(reserve(rows, format, whole));
+    rows->input.plugin = format->plugin;
+    if (format->plugin) {
+        BSQ_TRY(fmt_module_open(ctx, "texture", "textures of this format", &module));
+        rows->decoder = &((const struct fmt_rows_module *)module)->decoder;
+    } else {
+        rows->decoder = format->decoder;
+        rows->input.stream =
+            fopencookie(&rows->input, "r", (cookie_io_functions_t){.read = read_stream});
+        if (!rows->input.stream)
+            return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", rows->input.path);
+    }
+    BSQ_TRY(rows->decoder->open(&rows->input, &rows->info, &rows->state));
+    if (info->width < 1 || info->height < 1 || info->channels < 1)
+        return fmt_rows_unreadable(&rows->input, "it has no texels");
+    BSQ_TRY(info->whole
+                ? reserve(rows, format, (struct whole){info->width, info->height, info->bytes})
+                : bsq_reserve(ctx, "decoding a texture", info->bytes));
+    rows->reserved_bytes += info->whole ? 0 : info->bytes;
+done:
+    return status;
+}
+
+int fmt_rows_open(struct bsq_ctx *ctx, const char *path, struct fmt_rows *rows)
+{
+    struct bsq_part part;
+    struct probe probe = {.ctx = ctx, .file = &rows->input.file};
+    int status;
+    *rows = (struct fmt_rows){
+        .input = {.ctx = ctx, .host = &fmt_host_functions, .path = path, .file = BSQ_FILE_CLOSED}};
+    if (bsq_part_parse(path, &part) > 0)
+        BSQ_TRY(bsq_part_extract(ctx, path, &rows->input.file));
+    else
+        BSQ_TRY(bsq_file_open(ctx, path, &rows->input.file));
+    read_at(&probe, 0, probe.head, sizeof probe.head);
+    const struct format *format = find_format(&probe);
+    const struct whole whole =
+        format && format->whole ? format->whole(&probe) : (struct whole){0, 0, 0};
+    const char *excess = format && format->excess ? format->excess(&probe) : NULL;
+    BSQ_TRY(probe.status);
+    if (!format || excess)
+        return fmt_rows_unreadable(&rows->input, excess ? excess : "it is no " FORMAT_NAMES);
+    BSQ_TRY(open_decoder(rows, format, whole));
+done:
+    return status;
+}
+
+void fmt_rows_close(struct fmt_rows *rows)
+{
+    if (!rows->input.ctx)
+        return;
+    if (rows->state)
+        rows->decoder->close(rows->state);
+    if (rows->input.stream)
+        fclose(rows->input.stream);
+    bsq_release(rows->input.ctx, rows->reserved_bytes);
+    bsq_file_close(rows->input.ctx, &rows->input.file);
+}

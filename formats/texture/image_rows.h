@@ -1,0 +1,78 @@
+/* image_rows.h - reads image files as a stream of rows; private to this folder.
+ *
+ * PNG and JPEG files are decoded here. Other formats are decoded by OpenImageIO, in the
+ * module bisque-texture.so, which is opened at its first use. */
+#ifndef FMT_TEXTURE_IMAGE_ROWS_H
+#define FMT_TEXTURE_IMAGE_ROWS_H
+
+#include <stdio.h>
+
+#include "formats/module/module.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* What a decoder tells of an image. */
+struct fmt_rows_info {
+    uint32_t width, height;
+    uint32_t channels;     /* interleaved in each row */
+    uint32_t sample_bytes; /* 1, 2: integers in the machine's byte order; 4: floats */
+    int32_t alpha;         /* the channel with the alpha; below 0: none */
+    double gamma;          /* exponent that turns integers into linear light; 0: the sRGB curve */
+    uint64_t bytes;        /* memory that reading rows takes; small buffers are not counted */
+    bool whole;            /* the image is decoded whole, in `bytes` */
+};
+
+/* Where a decoder reads. */
+struct fmt_rows_input {
+    struct bsq_ctx *ctx;
+    const struct fmt_host *host;
+    const char *path; /* for messages */
+    struct bsq_file file;
+    const char *plugin; /* OpenImageIO's name of the format; NULL: it is decoded here */
+    FILE *stream;       /* the file, for decoders here */
+    uint64_t offset;    /* of the stream */
+    int status;         /* of a failed read of the stream, or 0 */
+};
+
+/* A decoder. Errors: BSQ_EDATA, BSQ_EIO, BSQ_EINTR, BSQ_ENOMEM. */
+struct fmt_rows_decoder {
+    /* Reads the header. `input` must stay. Sets *state also after a failure; NULL: nothing. */
+    int (*open)(struct fmt_rows_input *input, struct fmt_rows_info *info, void **state);
+    int (*read)(void *state, void *row); /* reads the next row from the top */
+    void (*close)(void *state);
+};
+
+extern const struct fmt_rows_decoder fmt_png_rows, fmt_jpeg_rows;
+
+/* The table of the module. */
+struct fmt_rows_module {
+    struct fmt_module module;
+    struct fmt_rows_decoder decoder;
+};
+
+/* An image that is being read. */
+struct fmt_rows {
+    struct fmt_rows_input input;
+    struct fmt_rows_info info;
+    const struct fmt_rows_decoder *decoder;
+    void *state;
+    uint64_t reserved_bytes;
+};
+
+/* Opens an image, of a file or of a part of a file (base/file_part.h). The content tells the
+ * format. Reserves the memory for decoding. `rows` must not move. Close it, also after a failure.
+ * Errors: those of bsq_file_open() and of decoders. */
+int fmt_rows_open(struct bsq_ctx *ctx, const char *path, struct fmt_rows *rows);
+void fmt_rows_close(struct fmt_rows *rows); /* zeros are allowed */
+
+/* Reports what a decoder says of a file, for decoders here, unless the file could not be read.
+ * Returns BSQ_EDATA or the status of the failed read. */
+int fmt_rows_unreadable(const struct fmt_rows_input *input, const char *reason);
+int fmt_rows_damaged(const struct fmt_rows_input *input, const char *reason);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
