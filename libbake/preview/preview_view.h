@@ -7,7 +7,6 @@
 
 enum {
     PREVIEW_GRID = 2, /* samples along a pixel's side */
-    PREVIEW_CELL = 2, /* samples along the side of a cell of struct preview_front */
     PREVIEW_BAND = 8  /* pixel rows that a worker renders at a time; divides a panel's side */
 };
 
@@ -70,17 +69,6 @@ void bake_preview_mesh_band(const struct bake_preview *preview, const struct pre
 void bake_preview_mesh_sample(const struct bake_preview *preview, const struct preview_view *view,
                               uint32_t triangle, double x, double y, struct bsq_vec3 *plain,
                               struct bsq_vec3 *mapped);
-
-/* The distances from where camera rays begin to the first voxels that they can meet, for each cell
- * of a panel. INFINITY: there are none. */
-struct preview_front {
-    uint32_t cells; /* along a panel's side */
-    float *starts;  /* world units; NULL: unknown, as the surface has triangles */
-};
-
-/* Fills *out; the caller frees out->starts with bsq_free(). Errors: BSQ_ENOMEM. */
-int bake_preview_front_create(struct bsq_ctx *ctx, const struct bake_surface *surface,
-                              const struct preview_view *view, struct preview_front *out);
 
 /* Renders the scan's panel on all threads: view->side rows of RGB, `stride` floats apart. Adds
  * view->side to the progress. Must not be called from parallel work. Errors: those of

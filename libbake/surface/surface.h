@@ -99,8 +99,6 @@ struct bake_surface_rays {
     /* In the surface's index space; a grid's hits have triangle 0. t_min and t_max are in world
      * units, as the hits' t. */
     struct bake_exact_batch batch;
-    const float *starts;     /* distances, in world units, before which rays have no hits, at least
-                                t_min; saves steps through grids. NULL: none are known */
     bool best;               /* blends on grids also if the options ask for the nearest voxel */
     const uint32_t *objects; /* of each ray; NULL: all rays see all scans */
 };
@@ -115,14 +113,6 @@ uint64_t bake_surface_capacity(const struct bake_surface *surface, uint64_t more
 /* Returns the place of a point of the index space on a Hilbert curve through the scans; 33 bits.
  * Batches of rays that follow the curve cross few chunks. */
 uint64_t bake_surface_curve_place(const struct bake_surface *surface, const float point[3]);
-
-/* Calls visit() for each group of 16^3 blocks of 8^3 voxels of the surface's grids; bit
- * x << 8 | y << 4 | z of `mask` is set if that block is occupied. origin: of the group's lowest
- * corner, unit: the size of a voxel; both in world units. The surface must have no triangles. */
-typedef void bake_surface_visit(void *arg, const double origin[3], double unit,
-                                const uint64_t mask[BAKE_MASK_WORDS]);
-void bake_surface_each_block(const struct bake_surface *surface, bake_surface_visit *visit,
-                             void *arg);
 
 /* ---- secondary rays ---- */
 

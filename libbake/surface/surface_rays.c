@@ -1,7 +1,6 @@
 /* surface_rays.c - traces batches of rays against the scans of a surface. */
 #include "libbake/surface/surface.h"
 
-#include <assert.h>
 #include <math.h>
 #include <string.h>
 
@@ -42,13 +41,7 @@ static int trace_grid_rays(void *arg, uint64_t task, unsigned worker)
                                    .facing = batch->facing_origin ? -1.0f : 1.0f,
                                    .channels =
                                        batch->channels ? batch->channels + begin * channels : NULL};
-    float starts[RAYS_A_TASK];
     struct bk_hit hits[RAYS_A_TASK];
-    if (trace->rays->starts) {
-        for (uint64_t i = 0; i < lines.count; i++)
-            starts[i] = (float)((double)trace->rays->starts[begin + i] / unit);
-        lines.starts = starts;
-    }
     if (lines.channels)
         memset(lines.channels, 0, lines.count * channels * sizeof *lines.channels);
     bake_trace_rays(&trace->scan->grid, &trace->params, &lines, hits);
@@ -240,34 +233,4 @@ uint64_t bake_surface_curve_place(const struct bake_surface *surface, const floa
         side = fmax(side, (surface->scan_max[k] - surface->scan_min[k]) / surface->unit);
     }
     return bake_exact_curve_place(point, low, side);
-}
-
-/* ---- occupied blocks ---- */
-
-struct blocks {
-    const struct bake_scan *scan;
-    bake_surface_visit *visit;
-    void *arg;
-};
-
-static int visit_node(void *arg, uint32_t lower, const int32_t origin[3])
-{
-    const struct blocks *blocks = arg;
-    const struct bake_scan *scan = blocks->scan;
-    double corner[3];
-    for (int k = 0; k < 3; k++)
-        corner[k] = scan->translation[k] + (origin[k] - 0.5) * scan->unit;
-    blocks->visit(blocks->arg, corner, scan->unit, bake_lower_children(&scan->grid, lower));
-    return 0;
-}
-
-void bake_surface_each_block(const struct bake_surface *surface, bake_surface_visit *visit,
-                             void *arg)
-{
-    assert(!bake_surface_has_triangles(surface));
-    for (uint32_t s = 0; s < surface->scan_count; s++) {
-        struct blocks blocks = {&surface->scans[s], visit, arg};
-        const struct fmt_nvdb_grid *grid = &blocks.scan->grid;
-        (void)bake_visit_nodes(grid, grid->index_min, grid->index_max, visit_node, &blocks);
-    }
 }

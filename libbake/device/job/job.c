@@ -85,32 +85,6 @@ void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *
     out->srgb = bk_srgb;
 }
 
-void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                    const float origin[3], const float direction[3], float t_min, float t_max,
-                    const float facing[3], struct bk_hit *hit)
-{
-    struct bk_grid native;
-    struct bk_cache cache = bk_cache_empty();
-
-    const bk_vec3w d = bk_v3w(direction[0], direction[1], direction[2]);
-    const bk_lines line = {.count = 1,
-                           .origin = bk_v3w(origin[0], origin[1], origin[2]),
-                           .direction = d,
-                           .facing = bk_v3w(facing[0], facing[1], facing[2]),
-                           .t_min = bk_splat(t_min),
-                           .t_max = t_max};
-    bk_hits hits;
-
-    bake_kernel_grid(grid, params, &native);
-    bk_trace(&native, params, &cache, &line, &hits);
-    *hit = (struct bk_hit){.found = hits.found,
-                           .t = hits.t,
-                           .normal = {hits.normal.x, hits.normal.y, hits.normal.z},
-                           .color = {hits.color.x, hits.color.y, hits.color.z},
-                           .id = (bk_uint)hits.id,
-                           .reversed = hits.reversed};
-}
-
 /* ---- nodes ---- */
 
 /* Returns the number of child n of a node; its level's first node is `distance` bytes before that

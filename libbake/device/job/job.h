@@ -38,21 +38,14 @@ void bake_params_from_grid(const struct fmt_nvdb_grid *grid, struct bk_params *p
 void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
                       struct bk_grid *out);
 
-/* Traces one ray on the calling thread with the kernel's code, for previews and tests.
- * origin and unit direction are in index space. Of the hits with t in [t_min, t_max] the one with
- * the smallest |t| wins. Ignores surfaces whose normal has no positive dot product with the unit
- * vector `facing`, unless params->flags has BK_TWO_SIDED, which turns their normals round. */
-void bake_trace_ray(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                    const float origin[3], const float direction[3], float t_min, float t_max,
-                    const float facing[3], struct bk_hit *hit);
-
-/* Rays of a grid with one range of t and one facing rule. */
+/* Rays of a grid with one range of t and one facing rule: of the hits with t in [t_min, t_max] the
+ * one with the smallest |t| wins. Surfaces that face the other way are ignored, unless
+ * params->flags has BK_TWO_SIDED, which turns their normals round. */
 struct bake_ray_batch {
     const float (*rays)[6]; /* origin and unit direction of each, in index space */
     uint64_t count;
     float t_min, t_max;
-    const float *starts; /* a t_min for each ray; NULL: that above */
-    float facing;        /* 1: surfaces must face along the ray; -1: against it */
+    float facing; /* 1: surfaces must face along the ray; -1: against it */
     /* Of each ray, BK_TRANSFER_VALUES sums for each transfer map of params->maps, to which the
      * values at its hit are added. NULL: none. */
     float *channels;

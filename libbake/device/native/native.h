@@ -10,8 +10,8 @@ struct bake_ray_states;
 
 extern const struct bake_device_kind bake_native_kind;
 
-/* Traces rays on the calling thread, with the widest lanes of the processor. Each hit is the one of
- * bake_trace_ray(); a ray without direction has none. */
+/* Traces rays on the calling thread, with the widest lanes of the processor. A ray without
+ * direction has no hit. params: flags and maps. */
 void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
                      const struct bake_ray_batch *rays, struct bk_hit *hits);
 

@@ -204,8 +204,6 @@ void BSQ_SIMD_NAME(bake_native_rays)(const struct bk_grid *grid, const struct bk
             const float *ray = rays->rays[first + lane];
             bk_set_lane3(&lines.origin, lane, bk_v3(ray[0], ray[1], ray[2]));
             bk_set_lane3(&lines.direction, lane, bk_v3(ray[3], ray[4], ray[5]));
-            if (rays->starts)
-                bk_set_lane(lines.t_min, lane, rays->starts[first + lane]);
             if (rays->channels)
                 lines.sums[lane] = rays->channels + (first + lane) * channels;
         }

@@ -320,3 +320,16 @@ void analytic_random_unit(uint64_t *state, double unit[3])
     unit[1] = s * sin(angle);
     unit[2] = z;
 }
+
+struct bk_hit analytic_trace(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                             const float origin[3], const float direction[3], float t_min,
+                             float t_max, float facing)
+{
+    const float ray[6] = {origin[0],    origin[1],    origin[2],
+                          direction[0], direction[1], direction[2]};
+    const struct bake_ray_batch batch = {
+        .rays = &ray, .count = 1, .t_min = t_min, .t_max = t_max, .facing = facing};
+    struct bk_hit hit;
+    bake_trace_rays(grid, params, &batch, &hit);
+    return hit;
+}

@@ -4,6 +4,7 @@
 #define TEST_ANALYTIC_GRID_H
 
 #include "formats/grid/nvdb.h"
+#include "libbake/device/device.h"
 
 struct analytic_grid;
 
@@ -45,6 +46,11 @@ double analytic_sine_height(const struct analytic_sine *sine, double u, double v
 void analytic_sine_normal(const struct analytic_sine *sine, double u, double v, double normal[3]);
 void analytic_sine_point(const struct analytic_sine *sine, double u, double v, double w,
                          double point[3]);
+
+/* Traces one ray, as bake_trace_rays() traces many. */
+struct bk_hit analytic_trace(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                             const float origin[3], const float direction[3], float t_min,
+                             float t_max, float facing);
 
 /* Returns a deterministic random number in [0, 1). */
 double analytic_random(uint64_t *state);

@@ -433,7 +433,7 @@ TEST(test_traversal)
         struct naive expected = naive_trace(&grid, origin, direction, limit, direction);
         if (expected.doubtful)
             continue;
-        bake_trace_ray(&grid, &params, o, d, 0, (float)limit, d, &hit);
+        hit = analytic_trace(&grid, &params, o, d, 0, (float)limit, 1);
         compared++;
         found += expected.found;
         assert_int_equal(hit.found, expected.found);
@@ -464,7 +464,7 @@ TEST(test_degenerate_rays)
             v[k] = odd[(int)(ODD * analytic_random(&seed))];
         t_min = odd[(int)(ODD * analytic_random(&seed))];
         t_max = odd[(int)(ODD * analytic_random(&seed))];
-        bake_trace_ray(&grid, &params, v, v + 3, t_min, t_max, v + 3, &hit);
+        hit = analytic_trace(&grid, &params, v, v + 3, t_min, t_max, 1);
         if (hit.found)
             assert_true(isfinite(hit.t) && isfinite(hit.normal[0]));
     }

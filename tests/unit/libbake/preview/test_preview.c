@@ -5,7 +5,6 @@
 #include <string.h>
 
 #include "libbake/preview/preview_view.h"
-#include "tests/unit/libbake/analytic_grid.h"
 
 /* ---- the vertical axis ---- */
 
@@ -191,84 +190,5 @@ TEST(test_misses_are_red)
 }
 
 /* ---- where camera rays start ---- */
-
-enum { FRONT_SIDE = 64, FRONT_SAMPLES = FRONT_SIDE * PREVIEW_GRID };
-
-static struct bake_exact_ray front_ray(const struct preview_view *view, uint32_t x, uint32_t y)
-{
-    const double right = (x + 0.5 - 0.5 * FRONT_SAMPLES) / view->scale;
-    const double up = (0.5 * FRONT_SAMPLES - y - 0.5) / view->scale;
-    struct bake_exact_ray ray;
-    for (int k = 0; k < 3; k++) {
-        ray.origin[k] = (float)(view->centre[k] + right * view->right[k] + up * view->up[k] +
-                                view->scan_depth * view->toward[k]);
-        ray.direction[k] = -(float)view->toward[k];
-    }
-    return ray;
-}
-
-/* Checks the starts of a view, and that hits from there are those from the ray's origin. */
-static void check_front(struct bsq_ctx *ctx, const struct bake_preview *preview,
-                        const struct preview_view *view)
-{
-    static struct bake_exact_ray rays[FRONT_SAMPLES * FRONT_SAMPLES];
-    static struct bake_exact_hit hits[2][FRONT_SAMPLES * FRONT_SAMPLES];
-    static float starts[FRONT_SAMPLES * FRONT_SAMPLES];
-    struct preview_front front;
-    uint64_t empty = 0, near = 0;
-    assert_int_equal(bake_preview_front_create(ctx, preview->surface, view, &front), 0);
-    for (uint32_t i = 0; i < FRONT_SAMPLES * FRONT_SAMPLES; i++) {
-        const uint32_t x = i % FRONT_SAMPLES, y = i / FRONT_SAMPLES;
-        rays[i] = front_ray(view, x, y);
-        starts[i] = front.starts[y / PREVIEW_CELL * front.cells + x / PREVIEW_CELL];
-    }
-    struct bake_surface_rays batch = {.batch = {.rays = rays,
-                                                .hits = hits[0],
-                                                .count = FRONT_SAMPLES * FRONT_SAMPLES,
-                                                .t_max = view->scan_span,
-                                                .facing_origin = true}};
-    assert_int_equal(bake_surface_trace(preview->surface, &batch), 0);
-    batch.batch.hits = hits[1];
-    batch.starts = starts;
-    assert_int_equal(bake_surface_trace(preview->surface, &batch), 0);
-    assert_memory_equal(hits[0], hits[1], sizeof hits[0]);
-    for (uint32_t i = 0; i < FRONT_SAMPLES * FRONT_SAMPLES; i++) {
-        const bool hit = hits[0][i].triangle != BAKE_EXACT_NONE;
-        assert_true(!hit || hits[0][i].t >= (double)starts[i]);
-        near += hit && hits[0][i].t - (double)starts[i] < 20;
-        empty += starts[i] == INFINITY;
-    }
-    assert_true(near > FRONT_SAMPLES && empty > FRONT_SAMPLES);
-    bsq_free(ctx, front.starts);
-}
-
-TEST(test_rays_start_before_the_first_block)
-{
-    struct bsq_ctx *ctx = test_context(2, 0);
-    static const double centres[2][3] = {{0, 0, 0}, {30, 21, 14}};
-    struct analytic_grid *source = analytic_grid_create();
-    struct bake_scan scan = {.ctx = ctx, .unit = 1};
-    struct bake_surface surface = {
-        .ctx = ctx, .scans = &scan, .scan_count = 1, .unit = 1, .detail = 1};
-    double box[6][3][3];
-    struct bake_lowmesh mesh = {.positions = box, .triangle_count = make_pyramid(1, 60, box)};
-    for (int i = 0; i < 2; i++)
-        analytic_sphere(source, centres[i], 15, 2);
-    analytic_grid_open(ctx, source, false, &scan.grid);
-    analytic_grid_free(source);
-    bake_params_from_grid(&scan.grid, &scan.params);
-    for (int k = 0; k < 3; k++) {
-        surface.scan_min[k] = -16;
-        surface.scan_max[k] = centres[1][k] + 16;
-    }
-    const struct bake_preview preview = {.mesh = &mesh, .surface = &surface, .view_count = 3};
-    for (uint32_t i = 0; i < preview.view_count; i++) {
-        struct preview_view view;
-        bake_preview_view_set(&preview, i, 1, FRONT_SIDE, &view);
-        check_front(ctx, &preview, &view);
-    }
-    fmt_nvdb_close(ctx, &scan.grid);
-    test_context_end(ctx);
-}
 
 RUN_TESTS(NULL, NULL)
