@@ -81,7 +81,7 @@ static double ray_seconds(const struct share *task, const struct speed *speed)
  * chunks, it touches (sqrt(n) + 1)^2. */
 static double load_chunks_seconds(const struct share *task, const struct bake_exact *exact)
 {
-    const double triangles = (double)bake_exact_get_info(exact)->triangle_count;
+    const double triangles = (double)bake_exact_header(exact)->triangle_count;
     const double chunks = bake_exact_expect(exact, THREADS).chunk_count;
     const double own = triangles * task->part, side = sqrt(chunks * task->part) + 1;
     const double loaded = triangles * fmin(side * side / chunks, 1);

@@ -7,23 +7,6 @@
 
 /* ---- opening ---- */
 
-static void set_info(struct bake_exact *exact)
-{
-    const struct fmt_tris_header *h = exact->header;
-    struct bake_exact_info *info = &exact->info;
-    info->triangle_count = h->triangle_count;
-    info->ids = h->ids;
-    info->has_color = fmt_tris_has_color(h);
-    info->has_normals = h->attributes & FMT_TRIS_NORMALS;
-    info->channels = h->channels;
-    info->channel_count = h->channel_count;
-    for (int k = 0; k < 3; k++) {
-        info->origin[k] = h->origin[k];
-        info->scan_min[k] = h->origin[k] + (double)h->bounds_min[k];
-        info->scan_max[k] = h->origin[k] + (double)h->bounds_max[k];
-    }
-}
-
 static int build_chunk_tree(struct bake_exact *exact)
 {
     struct bsq_ctx *ctx = exact->ctx;
@@ -63,14 +46,7 @@ static int open_file(struct bake_exact *exact)
                         exact->options.paths[0], exact->header->chunk_count, EXACT_TREE_BOXES);
     exact->chunk_count = (uint32_t)exact->header->chunk_count;
     exact->simd = bsq_simd_best();
-    set_info(exact);
     return build_chunk_tree(exact);
-}
-
-int bake_exact_can_join(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
-                        bool *one)
-{
-    return fmt_tris_can_join(ctx, paths, path_count, one);
 }
 
 int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *options,
@@ -102,9 +78,9 @@ void bake_exact_close(struct bake_exact *exact)
     bsq_free(ctx, exact);
 }
 
-const struct bake_exact_info *bake_exact_get_info(const struct bake_exact *exact)
+const struct fmt_tris_header *bake_exact_header(const struct bake_exact *exact)
 {
-    return &exact->info;
+    return exact->header;
 }
 
 /* ---- attributes ---- */
@@ -142,12 +118,4 @@ int bake_exact_tell_losses(const struct bake_exact *exact)
 bool bake_exact_wants_footprints(const struct bake_exact *exact)
 {
     return exact->shading.textures != NULL;
-}
-
-const char *bake_exact_id_name(const struct bake_exact *exact, uint32_t number)
-{
-    if (number >= exact->header->material_count)
-        return NULL;
-    const char *name = exact->header->materials[number].name;
-    return name ? name : "";
 }

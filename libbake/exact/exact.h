@@ -9,8 +9,7 @@
 #ifndef BAKE_EXACT_EXACT_H
 #define BAKE_EXACT_EXACT_H
 
-#include "base/context.h"
-#include "base/ids.h"
+#include "formats/chunks/tris.h"
 #include "libbake/bake.h"
 #include "libbake/maps/maps.h"
 
@@ -23,26 +22,13 @@ struct bake_exact_options {
     bool two_sided;                /* also hit surfaces that face away; turns their normals */
 };
 
-struct bake_exact_info {
-    double origin[3];                /* world = origin + position */
-    double scan_min[3], scan_max[3]; /* world */
-    uint64_t triangle_count;
-    bool has_color, has_normals;
-    enum bsq_ids ids;      /* what its ids tell apart */
-    char *const *channels; /* names of further channels that the whole scan has */
-    uint32_t channel_count;
-};
-
-/* Sets *one: whether chunk files can be one scan; see fmt_tris_can_join(). */
-int bake_exact_can_join(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_count,
-                        bool *one);
 /* Opens a scan; close *out with bake_exact_close(). Errors: those of fmt_tris_open(), BSQ_ENOMEM.
  */
 int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *options,
                     struct bake_exact **out);
 void bake_exact_close(struct bake_exact *exact); /* NULL is allowed */
-/* Returns what the scan is like; valid until the scan is closed. */
-const struct bake_exact_info *bake_exact_get_info(const struct bake_exact *exact);
+/* Returns what the chunk files say of the scan; valid until it is closed. */
+const struct fmt_tris_header *bake_exact_header(const struct bake_exact *exact);
 
 /* What hits have besides a normal. All must live until bake_exact_close(). */
 struct bake_exact_attributes {
@@ -59,10 +45,6 @@ struct bake_exact_attributes {
 /* Makes later batches evaluate attributes, and opens their textures. Call it at most once, not from
  * parallel work. Errors: those of fmt_shading_add_channel() and fmt_shading_open_textures(). */
 int bake_exact_use(struct bake_exact *exact, const struct bake_exact_attributes *attributes);
-
-/* Returns the name of entry `number` of the scan's materials, by which ids tell triangles apart;
- * NULL after the last. Names may repeat. */
-const char *bake_exact_id_name(const struct bake_exact *exact, uint32_t number);
 
 /* ---- rays ---- */
 

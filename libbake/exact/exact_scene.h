@@ -16,7 +16,6 @@
 struct bake_exact {
     struct bsq_ctx *ctx;
     struct bake_exact_options options;
-    struct bake_exact_info info;
     struct fmt_tris_file *file;
     const struct fmt_tris_header *header;
     const struct fmt_tris_chunk_info *chunks;

@@ -40,8 +40,7 @@ static int warn_of_lost_maps(const struct bake_surface *surface, uint32_t asked)
 /* Finds the maps that `asked` stands for. Errors: BSQ_EDATA in a strict job. */
 static int choose_from(const struct bake_surface *surface, uint32_t asked, uint32_t *out)
 {
-    const struct bake_scan_facts facts = bake_surface_facts(surface);
-    *out = bake_choose_maps(asked, &facts);
+    *out = bake_choose_maps(asked, surface->has_color, surface->ids != BSQ_IDS_NONE);
     return warn_of_lost_maps(surface, asked);
 }
 
@@ -110,28 +109,20 @@ static int fail_ids(const struct bake_work *job, const char *map)
                     scans->path, bsq_ids_text(scans->ids), other->path, bsq_ids_text(other->ids));
 }
 
-static int fail_color(const struct bake_work *job, const char *map)
-{
-    return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave %s out of --maps",
-                    without_color(&job->surface)->path, map);
-}
-
-/* Checks that the scan can give a map. Errors: BSQ_EDATA if it lacks something. */
-static int check_map(const struct bake_work *job, unsigned map, const struct bake_scan_facts *scan)
+/* Checks that the scans can give a map. Errors: BSQ_EDATA if one lacks something. */
+static int check_map(const struct bake_work *job, unsigned map)
 {
     const struct bake_map_row *row = &bake_map_table[map];
-    const char *name = bake_map_names[map];
-    if (row->needs_color && !scan->has_color)
-        return fail_color(job, name);
-    if (row->needs_ids && !scan->has_ids)
-        return fail_ids(job, name);
-    return 0;
+    const struct bake_surface *surface = &job->surface;
+    if (row->needs_color && !surface->has_color)
+        return bsq_fail(job->ctx, BSQ_EDATA, "%s has no colour; leave %s out of --maps",
+                        without_color(surface)->path, bake_map_names[map]);
+    return row->needs_ids && surface->ids == BSQ_IDS_NONE ? fail_ids(job, bake_map_names[map]) : 0;
 }
 
 /* Chooses the maps, after the scan was opened. */
 static int choose_maps(struct bake_work *job)
 {
-    const struct bake_scan_facts scan = bake_surface_facts(&job->surface);
     int status = 0;
     struct bake_options chosen = *job->options;
     if (leaves_choice(job->options))
@@ -139,7 +130,7 @@ static int choose_maps(struct bake_work *job)
     job->maps = bake_selection(&chosen);
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
         if (job->maps & 1u << i)
-            BSQ_TRY(check_map(job, i, &scan));
+            BSQ_TRY(check_map(job, i));
     BSQ_TRY(bake_check_maps(job->ctx, job->options, job->maps));
 done:
     return status;

@@ -413,14 +413,14 @@ const char *bake_map_summary(unsigned number)
     return number < BK_MAP_COUNT ? bake_map_table[number].summary : NULL;
 }
 
-uint32_t bake_choose_maps(uint32_t asked, const struct bake_scan_facts *scan)
+uint32_t bake_choose_maps(uint32_t asked, bool has_color, bool has_ids)
 {
     const bool all = asked & BAKE_MAPS_ALL;
     uint32_t maps = asked & ~(uint32_t)BAKE_MAPS_ALL;
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
         if ((all || (asked == BAKE_MAPS_DEFAULT && bake_map_table[i].by_default)) &&
-            (scan->has_color || !bake_map_table[i].needs_color) &&
-            (scan->has_ids || !bake_map_table[i].needs_ids))
+            (has_color || !bake_map_table[i].needs_color) &&
+            (has_ids || !bake_map_table[i].needs_ids))
             maps |= 1u << i;
     return maps;
 }

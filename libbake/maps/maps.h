@@ -133,13 +133,9 @@ extern const uint32_t bake_map_sums[BK_MAP_COUNT];
 
 void bake_add_attribute(struct bake_attributes *attributes, const char *name, const char *value);
 
-/* What a scan can give. */
-struct bake_scan_facts {
-    bool has_color, has_ids;
-};
-
-/* Returns the maps to bake: those asked for, all, or the default ones. Leaves transfer maps out. */
-uint32_t bake_choose_maps(uint32_t asked, const struct bake_scan_facts *scan);
+/* Returns the maps to bake: those asked for, all that a scan with these attributes can give, or the
+ * default ones. Leaves transfer maps out. */
+uint32_t bake_choose_maps(uint32_t asked, bool has_color, bool has_ids);
 
 /* Returns the length of rays into the solid, in mesh units. */
 double bake_thickness_distance(const struct bake_options *options, const double scan_min[3],

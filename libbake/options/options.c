@@ -377,7 +377,7 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
     /* The default maps depend on the scan; they are checked again after it was opened. */
     struct bake_options chosen = *options;
     if (options->transfer_count == 0 || options->maps != BAKE_MAPS_DEFAULT)
-        chosen.maps = bake_choose_maps(options->maps, &(struct bake_scan_facts){0});
+        chosen.maps = bake_choose_maps(options->maps, false, false);
     status = bake_check_maps(ctx, options, bake_selection(&chosen));
 done:
     return status;

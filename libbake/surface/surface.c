@@ -69,15 +69,16 @@ static int open_exact(struct bake_scan *scan, const char *const *paths, uint32_t
         status = bake_exact_open(scan->ctx, &exact, &scan->exact);
     if (status < 0)
         return status;
-    const struct bake_exact_info *info = bake_exact_get_info(scan->exact);
+    const struct fmt_tris_header *header = bake_exact_header(scan->exact);
     double side = 0;
-    for (int k = 0; k < 3; k++)
-        side = fmax(side, info->scan_max[k] - info->scan_min[k]);
-    scan->has_color = info->has_color;
-    scan->ids = info->ids;
-    memcpy(scan->scan_min, info->scan_min, sizeof scan->scan_min);
-    memcpy(scan->scan_max, info->scan_max, sizeof scan->scan_max);
-    memcpy(scan->translation, info->origin, sizeof scan->translation);
+    for (int k = 0; k < 3; k++) {
+        scan->translation[k] = header->origin[k];
+        scan->scan_min[k] = header->origin[k] + (double)header->bounds_min[k];
+        scan->scan_max[k] = header->origin[k] + (double)header->bounds_max[k];
+        side = fmax(side, scan->scan_max[k] - scan->scan_min[k]);
+    }
+    scan->has_color = fmt_tris_has_color(header);
+    scan->ids = header->ids;
     scan->unit = 1.0;
     scan->detail = side / DETAILS;
     return 0;
@@ -103,7 +104,7 @@ static int join_chunk_files(struct bake_surface *surface, const struct bake_opti
         one = kind == FMT_KIND_TRIS;
     }
     if (status == 0 && one)
-        status = bake_exact_can_join(surface->ctx, paths, count, &one);
+        status = fmt_tris_can_join(surface->ctx, paths, count, &one);
     if (status == 0 && one)
         surface->joined = paths;
     else
@@ -236,12 +237,6 @@ int bake_surface_explain(const struct bake_surface *surface, int status)
     return status;
 }
 
-struct bake_scan_facts bake_surface_facts(const struct bake_surface *surface)
-{
-    return (struct bake_scan_facts){.has_color = surface->has_color,
-                                    .has_ids = surface->ids != BSQ_IDS_NONE};
-}
-
 int bake_inspect_scan(struct bsq_ctx *ctx, const char *path, struct bake_scan_info *out)
 {
     struct bake_options options;
@@ -253,7 +248,8 @@ int bake_inspect_scan(struct bsq_ctx *ctx, const char *path, struct bake_scan_in
         return status;
     const struct bake_exact *exact = surface.scans[0].exact;
     *out = (struct bake_scan_info){.is_grid = !exact,
-                                   .has_normals = !exact || bake_exact_get_info(exact)->has_normals,
+                                   .has_normals = !exact || bake_exact_header(exact)->attributes &
+                                                                FMT_TRIS_NORMALS,
                                    .has_color = surface.has_color};
     bake_surface_close(&surface);
     return 0;

@@ -47,7 +47,7 @@ struct bake_surface {
 
 /* Opens the scans of the options; the content of each file decides of which kind it is. The
  * surface's index space does not depend on the order of the scans. Chunk files that can be one scan
- * (bake_exact_can_join()) are one, unless the options match names. Several scans are traced on the
+ * (fmt_tris_can_join()) are one, unless the options match names. Several scans are traced on the
  * processor. *out must not be moved while it is open. Errors: those of fmt_nvdb_open(),
  * bake_check_grid() and bake_exact_open(); BSQ_EUSAGE for options that do not apply to these scans.
  */
@@ -68,8 +68,6 @@ bool bake_surface_has_grids(const struct bake_surface *surface);
 /* Checks the files of grids: returns BSQ_EIO if one has been truncated or written to since it was
  * opened, so that hits cannot be trusted. Thread-safe. */
 int bake_surface_check(const struct bake_surface *surface);
-/* Returns what the scans can give. */
-struct bake_scan_facts bake_surface_facts(const struct bake_surface *surface);
 /* Returns the cause of a job's status: that of bake_surface_check() if it fails, else `status`. For
  * the end of a job, see bsq_map_explain(). */
 int bake_surface_explain(const struct bake_surface *surface, int status);

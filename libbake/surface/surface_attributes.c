@@ -19,11 +19,7 @@ static bool has_own_channel(const struct bake_scan *scan, const char *name)
     if (!scan->exact)
         return grid->channels &&
                bsq_channel_list_find(grid->channel_list, grid->channel_list_bytes, name, &first);
-    const struct bake_exact_info *info = bake_exact_get_info(scan->exact);
-    for (uint32_t c = 0; c < info->channel_count; c++)
-        if (strcmp(info->channels[c], name) == 0)
-            return true;
-    return false;
+    return fmt_tris_find_channel(bake_exact_header(scan->exact), name) != UINT32_MAX;
 }
 
 /* Returns whether each scan has a channel. */
@@ -85,10 +81,10 @@ static int list_scan(const struct listing *listing)
 {
     if (!listing->scan->exact)
         return list_grid(listing, &listing->scan->grid);
-    const struct bake_exact_info *info = bake_exact_get_info(listing->scan->exact);
+    const struct fmt_tris_header *header = bake_exact_header(listing->scan->exact);
     int status = 0;
-    for (uint32_t c = 0; c < info->channel_count && status == 0; c++)
-        status = list_channel(listing, info->channels[c]);
+    for (uint32_t c = 0; c < header->channel_count && status == 0; c++)
+        status = list_channel(listing, header->channels[c]);
     return status;
 }
 
@@ -222,37 +218,16 @@ static int add_name(void *arg, const char *name)
     return bsq_check(list->ctx);
 }
 
-static int by_name(const void *a, const void *b)
-{
-    return strcmp(*(const char *const *)a, *(const char *const *)b);
-}
-
-/* Lists the names of materials of a chunk file, which may repeat. */
-static int name_exact(struct id_names *list, const struct bake_exact *exact)
-{
-    const char **names;
-    uint64_t count = 0, end = 0;
-    while (bake_exact_id_name(exact, (uint32_t)end))
-        end++;
-    int status = bsq_alloc(list->ctx, "names of ids", end + 1, sizeof *names, &names);
-    if (status < 0)
-        return status;
-    for (; count < end; count++)
-        names[count] = bake_exact_id_name(exact, (uint32_t)count);
-    names[count++] = ""; /* triangles without a material */
-    bsq_sort(names, count, sizeof *names, by_name);
-    for (uint64_t i = 0; i < count && status == 0; i++)
-        if (i == 0 || strcmp(names[i], names[i - 1]) != 0)
-            status = add_name(list, names[i]);
-    bsq_free(list->ctx, (void *)names);
-    return status;
-}
-
-/* Lists the names of one scan, each once and ascending. */
+/* Lists the names of one scan, which may repeat. */
 static int name_scan(struct id_names *list, const struct bake_scan *scan)
 {
-    return scan->exact ? name_exact(list, scan->exact)
-                       : fmt_nvdb_read_names(list->ctx, &scan->grid, add_name, list);
+    if (!scan->exact)
+        return fmt_nvdb_read_names(list->ctx, &scan->grid, add_name, list);
+    const struct fmt_tris_header *header = bake_exact_header(scan->exact);
+    int status = add_name(list, ""); /* triangles without a material */
+    for (uint32_t m = 0; m < header->material_count && status == 0; m++)
+        status = add_name(list, header->materials[m].name ? header->materials[m].name : "");
+    return status;
 }
 
 static int by_id_name(const void *a, const void *b)
@@ -260,7 +235,7 @@ static int by_id_name(const void *a, const void *b)
     return strcmp(((const struct bake_id *)a)->name, ((const struct bake_id *)b)->name);
 }
 
-/* Joins the lists of several scans: sorts the names, and keeps each once. */
+/* Sorts the names, and keeps each once. */
 static void join_names(struct bake_report *report)
 {
     uint64_t kept = 0;
@@ -282,7 +257,6 @@ int bake_surface_report_ids(const struct bake_surface *surface, struct bake_repo
         return 0;
     for (uint32_t s = 0; s < surface->scan_count && status == 0; s++)
         status = name_scan(&list, &surface->scans[s]);
-    if (surface->scan_count > 1)
-        join_names(report);
+    join_names(report);
     return status;
 }

@@ -131,14 +131,13 @@ TEST(test_some_format_stores_each_map)
 
 TEST(test_defaults_need_no_colours)
 {
-    const struct bake_scan_facts without = {0}, with = {.has_color = true};
-    uint32_t grey = bake_choose_maps(BAKE_MAPS_DEFAULT, &without);
-    uint32_t colored = bake_choose_maps(BAKE_MAPS_DEFAULT, &with);
+    uint32_t grey = bake_choose_maps(BAKE_MAPS_DEFAULT, false, false);
+    uint32_t colored = bake_choose_maps(BAKE_MAPS_DEFAULT, true, false);
     assert_int_equal(grey, BAKE_MAP_NORMAL);
     assert_int_equal(colored, BAKE_MAP_NORMAL | BAKE_MAP_COLOR);
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
         assert_false(grey & 1u << i && bake_map_table[i].needs_color);
-        assert_int_equal(bake_choose_maps(1u << i, &without), 1u << i);
+        assert_int_equal(bake_choose_maps(1u << i, false, false), 1u << i);
     }
 }
 
@@ -146,12 +145,11 @@ TEST(test_defaults_need_no_colours)
 TEST(test_all_maps_are_those_that_the_scan_gives)
 {
     const uint32_t every = (1u << BK_MAP_COUNT) - 1;
-    const struct bake_scan_facts all = {.has_color = true, .has_ids = true};
-    const struct bake_scan_facts grey = {.has_ids = true}, plain = {.has_color = true};
-    assert_int_equal(bake_choose_maps(BAKE_MAPS_ALL, &all), every);
-    assert_int_equal(bake_choose_maps(BAKE_MAPS_ALL, &grey), every & ~(uint32_t)BAKE_MAP_COLOR);
-    assert_int_equal(bake_choose_maps(BAKE_MAPS_ALL | BAKE_MAP_COLOR, &grey), every);
-    assert_int_equal(bake_choose_maps(BAKE_MAPS_ALL, &plain), every & ~(uint32_t)BAKE_MAP_ID);
+    assert_int_equal(bake_choose_maps(BAKE_MAPS_ALL, true, true), every);
+    assert_int_equal(bake_choose_maps(BAKE_MAPS_ALL, false, true),
+                     every & ~(uint32_t)BAKE_MAP_COLOR);
+    assert_int_equal(bake_choose_maps(BAKE_MAPS_ALL | BAKE_MAP_COLOR, false, true), every);
+    assert_int_equal(bake_choose_maps(BAKE_MAPS_ALL, true, false), every & ~(uint32_t)BAKE_MAP_ID);
 }
 
 /* Maps that say how to decode their samples say it correctly, also if there is only one value. */
