@@ -21,6 +21,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <unistd.h>
 
 #include "formats/module/module.h"
@@ -150,7 +151,7 @@ static int find_module(struct bsq_ctx *ctx, const char *name, const char *purpos
     return status;
 }
 
-/* ---- threads ---- */
+/* ---- threads and memory ---- */
 
 /* The libraries of a module start threads when they are opened: log4cplus, which OpenVDB brings,
  * starts four. If the system refuses one, they end the process. */
@@ -183,21 +184,49 @@ static int check_threads(struct bsq_ctx *ctx, const char *purpose)
                     purpose, THREADS_NEEDED, count);
 }
 
+/* The libraries of a module take some 400 MiB of addresses. Some end the process if they cannot
+ * start in what is left. */
+static int check_addresses(struct bsq_ctx *ctx, const char *purpose)
+{
+    const size_t needed = (size_t)512 << 20;
+    void *addresses = mmap(NULL, needed, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+    if (addresses == MAP_FAILED)
+        return bsq_fail(ctx, BSQ_ENOMEM, "%s need %zu MiB of addresses for their libraries",
+                        purpose, needed >> 20);
+    munmap(addresses, needed);
+    return 0;
+}
+
+/* Opens a library that may be open already. Sets *out to NULL if the dynamic linker fails. */
+static int open_library(struct bsq_ctx *ctx, const char *path, const char *purpose, void **out)
+{
+    static pthread_mutex_t one_at_a_time = PTHREAD_MUTEX_INITIALIZER;
+    const int flags = RTLD_NOW | RTLD_LOCAL | RTLD_NODELETE;
+    int status = 0;
+
+    pthread_mutex_lock(&one_at_a_time);
+    *out = dlopen(path, flags | RTLD_NOLOAD);
+    if (!*out) {
+        BSQ_TRY(check_addresses(ctx, purpose));
+        BSQ_TRY(check_threads(ctx, purpose));
+        *out = dlopen(path, flags);
+    }
+done:
+    pthread_mutex_unlock(&one_at_a_time);
+    return status;
+}
+
 int fmt_module_open(struct bsq_ctx *ctx, const char *name, const char *purpose,
                     const struct fmt_module **out)
 {
     const struct fmt_module *module = NULL;
+    void *library;
     char *path;
-    int status = find_module(ctx, name, purpose, &path);
+    int status;
 
     *out = NULL;
-    if (status == 0)
-        status = check_threads(ctx, purpose);
-    if (status != 0) {
-        free(path);
-        return status;
-    }
-    void *library = dlopen(path, RTLD_NOW | RTLD_LOCAL | RTLD_NODELETE);
+    BSQ_TRY(find_module(ctx, name, purpose, &path));
+    BSQ_TRY(open_library(ctx, path, purpose, &library));
     if (library)
         module = dlsym(library, "bisque_module");
     if (!module)
@@ -209,6 +238,7 @@ int fmt_module_open(struct bsq_ctx *ctx, const char *name, const char *purpose,
                           purpose, path, module->stamp, fmt_module_stamp);
     else
         *out = module;
+done:
     free(path);
     return status;
 }

@@ -46,6 +46,17 @@ ok run bisque-voxelize vase.obj -o small.nvdb --resolution 512 --memory "${least
 same vase.nvdb small.nvdb
 rm -f small.nvdb small.tris
 
+# RLIMIT_AS counts addresses too, of which the libraries for textures of some formats take many.
+printf 'P6\n1 1\n255\nabc' >abc.ppm
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n' >face.obj
+textured="bisque-voxelize face.obj --texture abc.ppm -o small.nvdb --no-tris --resolution 32 --memory 100M --threads 2"
+limited -v 552960 $textured
+code 0
+rm small.nvdb
+limited -v 460800 $textured
+refused_like 71 '^bisque-voxelize: textures of this format need 512 MiB of addresses for their libraries$'
+rm abc.ppm face.obj
+
 # Too little memory has one exit code in all programs.
 "$TESTS/generate-scan" vase-low -o low.obj
 ok run bisque-bake vase.nvdb low.obj -o normal.exr --maps normal --device cpu --size 64
