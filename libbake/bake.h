@@ -252,7 +252,7 @@ const struct bsq_option *bake_option_rows(size_t *count);
 
 /** Warns of each option that was given and has no effect on the maps of this bake, and names what
  * it needs. given: a flag for each row of bake_option_rows(). bake_find_maps() must have set the
- * maps. Errors: those of bake_inspect_scan(). */
+ * maps. Returns the errors of opening a scan. */
 int bake_warn_unused(struct bsq_ctx *ctx, const struct bake_options *options, const bool *given);
 
 /** How the samples of a file stand for values with a unit: value = origin + offset + scale *
@@ -434,16 +434,6 @@ struct bake_tile_info {
  * mesh; BSQ_EUSAGE as in bake_run(). */
 int bake_list_tiles(struct bsq_ctx *ctx, const struct bake_options *options,
                     void (*fn)(void *arg, const struct bake_tile_info *tile), void *arg);
-
-/** What a scan is. */
-struct bake_scan_info {
-    bool is_grid;     /**< A voxel grid; else a chunk file. */
-    bool has_normals; /**< Normals of its own, as all grids have. */
-    bool has_color;   /**< Colours. */
-};
-
-/** Says what a grid or chunk file is. Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_EIO. */
-int bake_inspect_scan(struct bsq_ctx *ctx, const char *path, struct bake_scan_info *out);
 
 /** A device that can trace rays. */
 struct bake_device_info {

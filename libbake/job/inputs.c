@@ -91,6 +91,22 @@ int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint
     return status;
 }
 
+int bake_warn_unused(struct bsq_ctx *ctx, const struct bake_options *options, const bool *given)
+{
+    struct bake_surface surface;
+    int status = open_scans(ctx, options, &surface);
+    struct bake_scans_seen scans = {.normals = true};
+    for (uint32_t s = 0; s < surface.scan_count; s++) {
+        const struct bake_exact *exact = surface.scans[s].exact;
+        scans.grid |= exact == NULL;
+        scans.normals &= !exact || bake_exact_header(exact)->attributes & FMT_TRIS_NORMALS;
+    }
+    if (status == 0)
+        bake_warn_of_options(ctx, options, given, &scans);
+    bake_surface_close(&surface);
+    return status;
+}
+
 /* Reports why the scans have no ids together: one has none, or two tell different things apart. */
 static int fail_ids(const struct bake_work *job, const char *map)
 {

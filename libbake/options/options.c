@@ -31,10 +31,9 @@ static bool has_padding(const struct bake_options *options)
     return padded;
 }
 
-/* Returns what a single bit of `needs` asks for if the bake does not have it, or NULL. scans: what
- * any of them is. */
+/* Returns what a single bit of `needs` asks for if the bake does not have it, or NULL. */
 static const char *lacks(uint32_t need, const struct bake_options *options,
-                         const struct bake_scan_info *scans)
+                         const struct bake_scans_seen *scans)
 {
     switch (need) {
     case PADDED_MAP:
@@ -46,11 +45,11 @@ static const char *lacks(uint32_t need, const struct bake_options *options,
     case GPU:
         return strcmp(options->device, "cpu") != 0 ? NULL : "a device other than cpu";
     case GRID_TO_SAMPLE: /* the nearest voxel of triangles is an error later */
-        return scans->is_grid || options->sampling == BAKE_NEAREST ? NULL : "a grid";
+        return scans->grid || options->sampling == BAKE_NEAREST ? NULL : "a grid";
     case GRID:
-        return scans->is_grid ? NULL : "a grid";
+        return scans->grid ? NULL : "a grid";
     case BARE_TRIANGLES:
-        return scans->has_normals ? "triangles without normals" : NULL;
+        return scans->normals ? "triangles without normals" : NULL;
     default:
         return NULL;
     }
@@ -209,22 +208,6 @@ void bake_defaults(struct bake_options *options)
 
 /* ---- options without effect ---- */
 
-/* Finds out what any of the scans is. */
-static int inspect_scans(struct bsq_ctx *ctx, const struct bake_options *options,
-                         struct bake_scan_info *any)
-{
-    int status = 0;
-    for (uint32_t i = 0; i <= options->more_scan_count; i++) {
-        struct bake_scan_info info;
-        BSQ_TRY(bake_inspect_scan(ctx, i ? options->more_scan_paths[i - 1] : options->scan_path,
-                                  &info));
-        any->is_grid |= info.is_grid;
-        any->has_normals &= info.has_normals;
-    }
-done:
-    return status;
-}
-
 static void warn(struct bsq_ctx *ctx, const struct bsq_option *row, const char *what)
 {
     bsq_warn(ctx, "--%s%s%s has no effect: it needs %s", row->name, row->key ? " " : "",
@@ -243,15 +226,9 @@ static void warn_of_maps(struct bsq_ctx *ctx, const struct bsq_option *row, uint
     warn(ctx, row, text);
 }
 
-int bake_warn_unused(struct bsq_ctx *ctx, const struct bake_options *options, const bool *given)
+void bake_warn_of_options(struct bsq_ctx *ctx, const struct bake_options *options,
+                          const bool *given, const struct bake_scans_seen *scans)
 {
-    struct bake_scan_info scans = {.has_normals = true};
-    uint32_t needs = 0;
-    int status = 0;
-    for (unsigned i = 0; i < ROWS; i++)
-        needs |= given[i] ? table[i].needs : 0;
-    if (needs & (GRID | GRID_TO_SAMPLE | BARE_TRIANGLES))
-        BSQ_TRY(inspect_scans(ctx, options, &scans));
     for (const struct bsq_option *row = table; row < table + ROWS; row++) {
         const uint32_t maps = row->needs & (PADDED_MAP - 1);
         if (!given[row - table])
@@ -259,11 +236,9 @@ int bake_warn_unused(struct bsq_ctx *ctx, const struct bake_options *options, co
         if (maps && !(maps & options->maps))
             warn_of_maps(ctx, row, maps);
         for (uint32_t need = PADDED_MAP; need <= BARE_TRIANGLES; need <<= 1)
-            if (row->needs & need && lacks(need, options, &scans))
-                warn(ctx, row, lacks(need, options, &scans));
+            if (row->needs & need && lacks(need, options, scans))
+                warn(ctx, row, lacks(need, options, scans));
     }
-done:
-    return status;
 }
 
 /* ---- checks ---- */

@@ -10,4 +10,12 @@ int bake_check_maps(struct bsq_ctx *ctx, const struct bake_options *options, uin
 /* Checks that ranges and sizes are of tiles that exist. Errors: BSQ_EUSAGE. */
 int bake_check_tile_numbers(struct bsq_ctx *ctx, const struct bake_options *options);
 
+/* What the scans of a bake are. */
+struct bake_scans_seen {
+    bool grid, normals; /* one is a grid; all have normals of their own, as grids do */
+};
+/* Warns of options without effect, see bake_warn_unused(). */
+void bake_warn_of_options(struct bsq_ctx *ctx, const struct bake_options *options,
+                          const bool *given, const struct bake_scans_seen *scans);
+
 #endif

@@ -237,24 +237,6 @@ int bake_surface_explain(const struct bake_surface *surface, int status)
     return status;
 }
 
-int bake_inspect_scan(struct bsq_ctx *ctx, const char *path, struct bake_scan_info *out)
-{
-    struct bake_options options;
-    struct bake_surface surface;
-    bake_defaults(&options);
-    options.scan_path = path;
-    int status = bake_surface_open(ctx, &options, &surface);
-    if (status < 0)
-        return status;
-    const struct bake_exact *exact = surface.scans[0].exact;
-    *out = (struct bake_scan_info){.is_grid = !exact,
-                                   .has_normals = !exact || bake_exact_header(exact)->attributes &
-                                                                FMT_TRIS_NORMALS,
-                                   .has_color = surface.has_color};
-    bake_surface_close(&surface);
-    return 0;
-}
-
 /* ---- parameters ---- */
 
 /* Sets the parameters of secondary rays. thickness: their length into the solid, world units; far:

@@ -52,14 +52,21 @@ static bool overlaps(const struct shape *s, const double centre[2], const double
     return true;
 }
 
-/* Adds a triangle to a tile. Returns whether the tile is selected. */
-static bool add_to_tile(struct bake_tile_sorter *sorter, uint32_t tile, uint64_t triangle)
+/* Tiles that a triangle was added to. */
+struct added {
+    uint32_t selected, others;
+};
+
+/* Adds a triangle to a tile. */
+static void add_to_tile(struct bake_tile_sorter *sorter, uint32_t tile, uint64_t triangle,
+                        struct added *added)
 {
     const bool selected = sorter->selected[tile];
     if (sorter->order && selected)
         sorter->order[sorter->places[tile]] = (uint32_t)triangle;
     sorter->places[tile]++;
-    return selected;
+    added->selected += selected;
+    added->others += !selected;
 }
 
 /* Returns the whole numbers first <= i < end below `limit` whose unit interval [i, i + 1] overlaps
@@ -69,17 +76,6 @@ static void overlapped_units(double low, double high, uint32_t limit, uint32_t *
 {
     *first = low > 0 ? (uint32_t)fmin(floor(low), limit) : 0;
     *end = high > 0 ? (uint32_t)fmin(ceil(high), limit) : 0;
-}
-
-/* Tiles that a triangle was added to. */
-struct added {
-    uint32_t selected, others;
-};
-
-static void count_added(struct added *added, bool selected)
-{
-    added->selected += selected;
-    added->others += !selected;
 }
 
 /* Finds the part of a tile that is farther than half a texel of its neighbours from them. */
@@ -98,10 +94,9 @@ static void shrink_tile(const struct bake_tile_sorter *sorter, uint32_t column, 
 }
 
 /* Adds a triangle to the tiles that it overlaps by half a texel of their neighbours. */
-static struct added add_to_overlapped(struct bake_tile_sorter *sorter, const struct shape *shape,
-                                      uint64_t triangle)
+static void add_to_overlapped(struct bake_tile_sorter *sorter, const struct shape *shape,
+                              uint64_t triangle, struct added *added)
 {
-    struct added added = {0};
     uint32_t first[2], end[2];
     overlapped_units(shape->low[0], shape->high[0], COLUMNS, &first[0], &end[0]);
     overlapped_units(shape->low[1], shape->high[1], ROWS, &first[1], &end[1]);
@@ -110,9 +105,8 @@ static struct added add_to_overlapped(struct bake_tile_sorter *sorter, const str
             double centre[2], half[2];
             shrink_tile(sorter, column, row, centre, half);
             if (overlaps(shape, centre, half))
-                count_added(&added, add_to_tile(sorter, row * COLUMNS + column, triangle));
+                add_to_tile(sorter, row * COLUMNS + column, triangle, added);
         }
-    return added;
 }
 
 /* Returns the tile that is nearest to the centre of a triangle. */
@@ -123,15 +117,6 @@ static uint32_t nearest_tile(const struct shape *shape)
     const uint32_t column = u > 0 ? (uint32_t)fmin(u, COLUMNS - 1) : 0;
     const uint32_t row = v > 0 ? (uint32_t)fmin(v, ROWS - 1) : 0;
     return row * COLUMNS + column;
-}
-
-/* Adds a triangle that overlaps no tile by half a texel to the tile of its centre. */
-static struct added add_to_nearest(struct bake_tile_sorter *sorter, const struct shape *shape,
-                                   uint64_t triangle)
-{
-    struct added added = {0};
-    count_added(&added, add_to_tile(sorter, nearest_tile(shape), triangle));
-    return added;
 }
 
 /* Returns whether a triangle leaves the square of all tiles by half a texel or more. */
@@ -155,18 +140,18 @@ static bool fits_tile(const struct shape *s, uint32_t *tile)
     return fits;
 }
 
+/* Adds a triangle to its tiles. One that overlaps none by half a texel is in that of its centre. */
 static struct added add_to_tiles(struct bake_tile_sorter *sorter, const struct shape *shape,
                                  uint64_t triangle, bool stray)
 {
     struct added added = {0};
-    uint32_t tile;
-    if (fits_tile(shape, &tile)) {
-        count_added(&added, add_to_tile(sorter, tile, triangle));
-        return added;
-    }
-    added = add_to_overlapped(sorter, shape, triangle);
-    return added.selected + added.others > 0 || stray ? added
-                                                      : add_to_nearest(sorter, shape, triangle);
+    uint32_t tile = 0;
+    const bool fits = fits_tile(shape, &tile);
+    if (!fits)
+        add_to_overlapped(sorter, shape, triangle, &added);
+    if (fits || (added.selected + added.others == 0 && !stray))
+        add_to_tile(sorter, fits ? tile : nearest_tile(shape), triangle, &added);
+    return added;
 }
 
 int bake_tile_sort(struct bake_tile_sorter *sorter, uint32_t first_tile, uint64_t *rest)
@@ -181,7 +166,7 @@ int bake_tile_sort(struct bake_tile_sorter *sorter, uint32_t first_tile, uint64_
             if (sorter->order && first_tile == TILES)
                 sorter->order[(*rest)++] = (uint32_t)t;
             else if (sorter->order)
-                add_to_tile(sorter, first_tile, t);
+                add_to_tile(sorter, first_tile, t, &(struct added){0});
             continue;
         }
         const bool stray = is_stray(sorter, &shape);

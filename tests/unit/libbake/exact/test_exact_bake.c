@@ -275,14 +275,4 @@ TEST(test_errors_name_the_reason)
     unlink(in_directory("tiny.obj"));
 }
 
-TEST(test_scans_are_known_beforehand)
-{
-    struct bsq_ctx *ctx = test_context(1, 0);
-    struct bake_scan_info info;
-    assert_int_equal(bake_inspect_scan(ctx, scan_paths[0], &info), 0);
-    assert_true(info.has_color && !info.is_grid && !info.has_normals);
-    assert_int_equal(bake_inspect_scan(ctx, "/nonexistent.tris", &info), BSQ_ENOINPUT);
-    test_context_end(ctx);
-}
-
 RUN_TESTS(make_scene, remove_scene)
