@@ -247,7 +247,7 @@ int bsq_output_open_temp(struct bsq_ctx *ctx, const char *beside, const char *wh
 
 /* ---- writing ---- */
 
-/* Starts writing to the disk after this many bytes. */
+/* Starts writing to the disk after this many bytes, and at once what is a sixteenth of that. */
 #define SEND_BYTES ((uint64_t)4 << 20)
 
 /* Starts writing the appended bytes to the disk, so that the final sync has little left to do.
@@ -269,17 +269,27 @@ int bsq_output_fail_write(struct bsq_output *output, int error)
     return status;
 }
 
-int bsq_output_write_at(struct bsq_output *output, const void *buffer, uint64_t size,
-                        uint64_t offset)
+static int write_range(struct bsq_output *output, const void *buffer, uint64_t size,
+                       uint64_t offset)
 {
     atomic_store_explicit(&output->synced, false, memory_order_relaxed);
     int error = bsq_pwrite_all(output->fd, buffer, size, offset);
+    atomic_fetch_add_explicit(&output->written, size, memory_order_relaxed);
     return error ? bsq_output_fail_write(output, error) : 0;
+}
+
+int bsq_output_write_at(struct bsq_output *output, const void *buffer, uint64_t size,
+                        uint64_t offset)
+{
+    int status = write_range(output, buffer, size, offset);
+    if (size >= SEND_BYTES / 16)
+        sync_file_range(output->fd, (off64_t)offset, (off64_t)size, SYNC_FILE_RANGE_WRITE);
+    return status;
 }
 
 int bsq_output_write(struct bsq_output *output, const void *buffer, uint64_t size)
 {
-    int status = bsq_output_write_at(output, buffer, size, output->position);
+    int status = write_range(output, buffer, size, output->position);
     if (status == 0) {
         output->position += size;
         send_to_disk(output);
@@ -321,10 +331,11 @@ uint64_t bsq_output_tell(const struct bsq_output *output)
 static int check_written(struct bsq_output *output)
 {
     int status = atomic_load(&output->status);
-    if (status == 0 && output->position < output->expected)
+    const uint64_t written = atomic_load(&output->written);
+    if (status == 0 && written < output->expected)
         status = bsq_fail(output->ctx, BSQ_EBUG,
                           "%s: %" PRIu64 " bytes were written, %" PRIu64 " were expected",
-                          output->path, output->position, output->expected);
+                          output->path, written, output->expected);
     return status;
 }
 

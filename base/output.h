@@ -34,7 +34,7 @@ int bsq_output_open_temp(struct bsq_ctx *ctx, const char *beside, const char *wh
 int bsq_output_keep_temp(struct bsq_output *output, struct bsq_file *out);
 
 /* Reserves disk space for a file of `size` bytes (> 0) if the file system can: a full disk is
- * noticed at once, and writing takes less time. At least `size` bytes must be appended before the
+ * noticed at once, and writing takes less time. At least `size` bytes must be written before the
  * file is synced, committed or kept; otherwise that is BSQ_EBUG. Errors: BSQ_EIO, BSQ_EINTR. */
 int bsq_output_expect(struct bsq_output *output, uint64_t size);
 

@@ -1,74 +1,42 @@
 /* nvdb_commit.c - writes the finished grid file from a writer's temporary files.
  *
- * All counts are known by now, and they determine all offsets: the file is written once, from front
- * to back. It is made in blocks. Writing takes longest, so the next blocks are made while one is
- * written. The tables of internal nodes are filled in here. The children of a level are contiguous:
- * the set bits of all nodes of the level above, in order, are its nodes 0, 1, 2, ... */
+ * All counts are known by now, and they determine all offsets. So each section is written by one
+ * worker, and several at a time. The tables of internal nodes are filled in here. The children of a
+ * level are contiguous: the set bits of all nodes of the level above, in order, are its nodes 0, 1,
+ * 2, ... */
 #include <string.h>
 #include <xxhash.h>
 
 #include "base/parallel.h"
 #include "formats/grid/nvdb_writer_internal.h"
 
-/* Larger blocks cost less per byte to write, as long as they stay in the processor's cache. */
-enum { BLOCK_BYTES = 1 << 20, BLOCK_COUNT = 3 };
-
-struct block {
-    uint8_t *bytes; /* BLOCK_BYTES */
-    uint64_t size;
-};
+/* Larger parts cost less per byte to write, as long as they stay in the processor's cache. A part
+ * has space for an upper node. */
+enum { PART_BYTES = 1 << 19 };
 
 struct commit {
     struct fmt_nvdb_writer *writer;
-    struct bsq_ctx *ctx;
-    struct bsq_output *output;
     struct nvdb_layout layout;
-    uint64_t at;        /* offset in the file of the next byte */
-    int section;        /* the section that is being made */
-    uint64_t done;      /* its bytes made so far */
-    XXH3_state_t *hash; /* of these bytes */
-    uint8_t *head;      /* section NVDB_HEAD */
+    uint8_t *head; /* section NVDB_HEAD */
     struct nvdb_blind blind[NVDB_SECTION_COUNT];
     struct nvdb_record record;
-    uint8_t *node;   /* the internal node that is being made */
-    uint64_t child;  /* offset in the file of the next node's first child */
-    uint8_t *buffer; /* of all blocks */
+    uint8_t *parts; /* PART_BYTES for each worker */
 };
 
-/* ---- the sources of sections ---- */
+/* A section that is being written. */
+struct section {
+    struct commit *commit;
+    int number;
+    uint64_t at; /* offset in the file of the next byte */
+    XXH3_state_t *hash;
+    uint8_t *part;
+};
+
+/* ---- nodes ---- */
 
 /* Nodes and stubs begin with their bounds; a stub's mask follows. */
 enum { BOUNDS_BYTES = offsetof(struct nvdb_stub, child_mask) };
 static_assert(BOUNDS_BYTES == offsetof(struct nvdb_node, flags), "bounds");
-
-static const struct nvdb_level *level_of(int section)
-{
-    return section == NVDB_UPPERS   ? &fmt_nvdb_upper
-           : section == NVDB_LOWERS ? &fmt_nvdb_lower
-                                    : NULL;
-}
-
-/* Returns the section's size as it follows from its source. */
-static uint64_t source_bytes(const struct commit *commit)
-{
-    const struct nvdb_level *level = level_of(commit->section);
-    if (commit->section == NVDB_RECORD || !commit->writer->stream[commit->section][0].ctx)
-        return commit->layout.section[commit->section].size;
-    const struct nvdb_stream *streams = commit->writer->stream[commit->section];
-    return level ? streams[0].size / nvdb_stub_bytes(level) * level->node_bytes
-                 : streams[0].size + streams[1].size;
-}
-
-/* ---- the bytes of a section ----
- *
- * Each function makes the next bytes of the section: up to *size, which it sets to their number. */
-
-static int make_from_memory(struct commit *commit, const void *section, uint8_t *to, uint64_t *size)
-{
-    memcpy(to, (const uint8_t *)section + commit->done, *size);
-    XXH3_64bits_update(commit->hash, to, *size);
-    return 0;
-}
 
 /* Makes a node from its stub. *child is the offset in the file of the node's first child; it is
  * moved to the next node's first child. */
@@ -92,170 +60,125 @@ static void expand_node(const struct nvdb_level *level, uint64_t node_offset,
 
 /* Reads the next bytes of a stream. At its end, checks that all were as they were written: the grid
  * must not hold anything else that got into the temporary file. */
-static int read_stream(struct commit *commit, struct nvdb_stream *stream, void *to, uint64_t size,
-                       uint64_t offset)
+static int read_stream(struct nvdb_stream *stream, void *to, uint64_t size, uint64_t offset)
 {
-    int status = bsq_file_read(commit->ctx, &stream->file, to, size, offset);
+    int status = bsq_file_read(stream->ctx, &stream->file, to, size, offset);
     if (status)
         return status;
     XXH3_64bits_update(stream->read, to, size);
     if (offset + size == stream->size &&
         XXH3_64bits_digest(stream->read) != XXH3_64bits_digest(stream->written))
-        return bsq_fail(commit->ctx, BSQ_EIO, "%s: holds other bytes than were written",
+        return bsq_fail(stream->ctx, BSQ_EIO, "%s: holds other bytes than were written",
                         stream->file.path);
     return 0;
 }
 
-/* Makes the next node in memory. */
-static int make_node(struct commit *commit, const struct nvdb_level *level)
+/* ---- sections ---- */
+
+static int write_bytes(struct section *s, const void *bytes, uint64_t size)
 {
-    struct nvdb_stream *stubs = commit->writer->stream[level->section];
-    uint64_t number = commit->done / level->node_bytes;
-    uint64_t offset = commit->layout.section[level->section].offset + commit->done;
-    struct nvdb_stub stub;
-    int status =
-        read_stream(commit, stubs, &stub, nvdb_stub_bytes(level), number * nvdb_stub_bytes(level));
-    if (status == 0)
-        expand_node(level, offset, &stub, commit->node, &commit->child);
-    return status;
+    int status = bsq_output_write_at(s->commit->writer->output, bytes, size, s->at);
+    s->at += size;
+    return status ? status : bsq_check(s->commit->writer->ctx);
 }
 
-static int make_from_nodes(struct commit *commit, const struct nvdb_level *level, uint8_t *to,
-                           uint64_t *size)
+static int write_hashed(struct section *s, const void *bytes, uint64_t size)
 {
-    uint64_t begun = commit->done % level->node_bytes, left = level->node_bytes - begun;
-    int status = begun == 0 ? make_node(commit, level) : 0;
-    if (status)
-        return status;
-    *size = *size < left ? *size : left;
-    memcpy(to, commit->node + begun, *size);
-    XXH3_64bits_update(commit->hash, to, *size);
-    return 0;
+    XXH3_64bits_update(s->hash, bytes, size);
+    return write_bytes(s, bytes, size);
+}
+
+static int write_nodes(struct section *s, const struct nvdb_level *level)
+{
+    struct nvdb_stream *stubs = s->commit->writer->stream[s->number];
+    const uint64_t stub_bytes = nvdb_stub_bytes(level);
+    uint64_t child = s->commit->layout.section[level->child_section].offset, fill = 0;
+    int status = 0;
+    for (uint64_t at = 0; at < stubs->size; at += stub_bytes) {
+        struct nvdb_stub stub;
+        BSQ_TRY(read_stream(stubs, &stub, stub_bytes, at));
+        if (fill + level->node_bytes > PART_BYTES) {
+            BSQ_TRY(write_hashed(s, s->part, fill));
+            fill = 0;
+        }
+        expand_node(level, s->at + fill, &stub, s->part + fill, &child);
+        fill += level->node_bytes;
+    }
+    status = write_hashed(s, s->part, fill);
+done:
+    return status;
 }
 
 /* The first stream was hashed when it was written. */
-static int make_from_streams(struct commit *commit, struct nvdb_stream streams[2], uint8_t *to,
-                             uint64_t *size)
+static int write_streams(struct section *s, struct nvdb_stream streams[2])
 {
-    const uint64_t first_bytes = streams[0].size;
-    if (commit->done < first_bytes) {
-        uint64_t left = first_bytes - commit->done;
-        *size = *size < left ? *size : left;
-        return read_stream(commit, &streams[0], to, *size, commit->done);
-    }
-    int status = read_stream(commit, &streams[1], to, *size, commit->done - first_bytes);
-    if (status == 0)
-        XXH3_64bits_update(commit->hash, to, *size);
+    int status = 0;
+    XXH3_copyState(s->hash, streams[0].written);
+    for (int i = 0; i < 2; i++)
+        for (uint64_t at = 0, size; at < streams[i].size; at += size) {
+            size = streams[i].size - at < PART_BYTES ? streams[i].size - at : PART_BYTES;
+            BSQ_TRY(read_stream(&streams[i], s->part, size, at));
+            BSQ_TRY(i == 0 ? write_bytes(s, s->part, size) : write_hashed(s, s->part, size));
+        }
+done:
     return status;
 }
 
-static int make_from_section(struct commit *commit, uint8_t *to, uint64_t *size)
+static int write_content(struct section *s)
 {
-    const struct nvdb_level *level = level_of(commit->section);
-    switch (commit->section) {
+    struct commit *commit = s->commit;
+    const uint64_t size = commit->layout.section[s->number].size;
+    switch (s->number) {
     case NVDB_HEAD:
-        return make_from_memory(commit, commit->head, to, size);
+        return write_hashed(s, commit->head, size);
+    case NVDB_UPPERS:
+        return write_nodes(s, &fmt_nvdb_upper);
+    case NVDB_LOWERS:
+        return write_nodes(s, &fmt_nvdb_lower);
     case NVDB_BLIND:
-        return make_from_memory(commit, commit->blind, to, size);
+        return write_hashed(s, commit->blind, size);
     case NVDB_NAMES:
-        return make_from_memory(commit, commit->writer->names, to, size);
+        return write_hashed(s, commit->writer->names, size);
     case NVDB_RECORD:
-        return make_from_memory(commit, &commit->record, to, size);
+        commit->record.record_checksum = fmt_nvdb_record_checksum(&commit->record);
+        return write_bytes(s, &commit->record, size);
     default:
-        return level ? make_from_nodes(commit, level, to, size)
-                     : make_from_streams(commit, commit->writer->stream[commit->section], to, size);
+        return write_streams(s, commit->writer->stream[s->number]);
     }
+}
+
+/* Writes a section and the padding before it, and notes its checksum. */
+static int write_section(void *arg, uint64_t number, unsigned worker)
+{
+    static const uint8_t zeros[NVDB_ALIGNMENT];
+    struct commit *commit = arg;
+    const struct nvdb_range *range = &commit->layout.section[number];
+    const uint64_t before = number > 0 ? range[-1].offset + range[-1].size : 0;
+    struct section s = {.commit = commit,
+                        .number = (int)number,
+                        .at = before,
+                        .part = commit->parts + worker * (uint64_t)PART_BYTES,
+                        .hash = XXH3_createState()};
+    int status = 0;
+    if (!s.hash)
+        return bsq_fail(commit->writer->ctx, BSQ_ENOMEM, "no memory for a checksum");
+    XXH3_64bits_reset(s.hash);
+    BSQ_TRY(write_bytes(&s, zeros, range->offset - before));
+    if (range->size > 0)
+        BSQ_TRY(write_content(&s));
+    if (s.at != range->offset + range->size)
+        status = bsq_fail(commit->writer->ctx, BSQ_EBUG, "%s: section %d has a wrong size",
+                          commit->writer->path, s.number);
+    if (number < NVDB_CHANNELS && (range->size > 0 || !nvdb_is_of_ids(s.number)))
+        commit->record.checksum[number] = XXH3_64bits_digest(s.hash);
+    else if (number == NVDB_CHANNELS && range->size > 0)
+        commit->record.channels_checksum = XXH3_64bits_digest(s.hash);
+done:
+    XXH3_freeState(s.hash);
+    return status;
 }
 
 /* ---- the file ---- */
-
-static int begin_section(struct commit *commit)
-{
-    const struct nvdb_level *level = level_of(commit->section);
-    if (source_bytes(commit) != commit->layout.section[commit->section].size)
-        return bsq_fail(commit->ctx, BSQ_EBUG, "%s: section %d has a wrong size",
-                        commit->writer->path, commit->section);
-    XXH3_64bits_reset(commit->hash);
-    if (level)
-        commit->child = commit->layout.section[level->child_section].offset;
-    else if (commit->section == NVDB_RECORD)
-        commit->record.record_checksum = fmt_nvdb_record_checksum(&commit->record);
-    else if (commit->writer->stream[commit->section][0].ctx)
-        XXH3_copyState(commit->hash, commit->writer->stream[commit->section][0].written);
-    return 0;
-}
-
-static void end_section(struct commit *commit)
-{
-    bool of_ids = commit->section == NVDB_IDS || commit->section == NVDB_NAMES;
-    if (commit->section == NVDB_CHANNELS && commit->writer->counts.channel_words > 0)
-        commit->record.channels_checksum = XXH3_64bits_digest(commit->hash);
-    if (commit->section < NVDB_CHANNELS && (commit->writer->counts.has_ids || !of_ids))
-        commit->record.checksum[commit->section] = XXH3_64bits_digest(commit->hash);
-    commit->section++;
-    commit->done = 0;
-}
-
-/* Makes up to *size bytes; sets *size to their number. */
-static int make_bytes(struct commit *commit, uint8_t *to, uint64_t *size)
-{
-    const struct nvdb_range *range = &commit->layout.section[commit->section];
-    uint64_t padding = commit->at < range->offset ? range->offset - commit->at : 0;
-    if (padding > 0) {
-        *size = *size < padding ? *size : padding;
-        memset(to, 0, *size);
-        return 0;
-    }
-    int status = commit->done == 0 ? begin_section(commit) : 0;
-    if (status)
-        return status;
-    uint64_t left = range->size - commit->done;
-    *size = *size < left ? *size : left;
-    if (*size > 0)
-        status = make_from_section(commit, to, size);
-    commit->done += *size;
-    if (commit->done == range->size)
-        end_section(commit);
-    return status;
-}
-
-static int make_block(void *arg, void *slot, uint64_t sequence)
-{
-    struct commit *commit = arg;
-    struct block *block = slot;
-    int status = 0;
-    block->bytes = commit->buffer + sequence % BLOCK_COUNT * BLOCK_BYTES;
-    block->size = 0;
-    while (status == 0 && block->size < BLOCK_BYTES && commit->section < NVDB_SECTION_COUNT) {
-        uint64_t size = BLOCK_BYTES - block->size;
-        status = make_bytes(commit, block->bytes + block->size, &size);
-        block->size += size;
-        commit->at += size;
-    }
-    return status ? status : block->size > 0;
-}
-
-static int write_block(void *arg, void *slot, uint64_t sequence)
-{
-    struct commit *commit = arg;
-    const struct block *block = slot;
-    (void)sequence;
-    return bsq_output_write(commit->output, block->bytes, block->size);
-}
-
-static int write_blocks(struct commit *commit)
-{
-    struct block blocks[BLOCK_COUNT];
-    struct bsq_pipeline pipeline = {
-        .produce = make_block,
-        .emit = write_block,
-        .arg = commit,
-        .slots = blocks,
-        .slot_size = sizeof(blocks[0]),
-        .slot_count = BLOCK_COUNT,
-    };
-    return bsq_pipeline_run(commit->ctx, &pipeline);
-}
 
 /* Fills in the record "bisque" except for its checksums. */
 static void fill_record(const struct fmt_nvdb_writer *writer, struct nvdb_record *record)
@@ -291,37 +214,25 @@ static void fill_head(const struct fmt_nvdb_writer *writer, const struct nvdb_la
            sizeof(checksum));
 }
 
-static int set_up(struct commit *commit)
-{
-    struct fmt_nvdb_writer *writer = commit->writer;
-    int status;
-    fmt_nvdb_layout_compute(&writer->counts, &commit->layout);
-    fmt_nvdb_fill_blind(&commit->layout, commit->blind);
-    fill_record(writer, &commit->record);
-    BSQ_TRY(bsq_alloc(commit->ctx, "grid header", commit->layout.section[NVDB_HEAD].size, 1,
-                      &commit->head));
-    BSQ_TRY(bsq_alloc(commit->ctx, "grid nodes", sizeof(struct nvdb_upper), 1, &commit->node));
-    BSQ_TRY(bsq_alloc(commit->ctx, "grid blocks", BLOCK_COUNT, BLOCK_BYTES, &commit->buffer));
-    fill_head(writer, &commit->layout, commit->head);
-    commit->hash = XXH3_createState();
-    if (!commit->hash)
-        status = bsq_fail(commit->ctx, BSQ_ENOMEM, "no memory for a checksum");
-done:
-    return status;
-}
-
 static int write_file(struct fmt_nvdb_writer *writer)
 {
-    struct commit commit = {.writer = writer, .ctx = writer->ctx, .output = writer->output};
+    struct commit commit = {.writer = writer};
+    const struct nvdb_layout *layout = &commit.layout;
     int status;
-    BSQ_TRY(set_up(&commit));
-    BSQ_TRY(bsq_output_expect(commit.output, commit.layout.file_bytes));
-    status = write_blocks(&commit);
+    fmt_nvdb_layout_compute(&writer->counts, &commit.layout);
+    fmt_nvdb_fill_blind(layout, commit.blind);
+    fill_record(writer, &commit.record);
+    BSQ_TRY(
+        bsq_alloc(writer->ctx, "grid header", layout->section[NVDB_HEAD].size, 1, &commit.head));
+    BSQ_TRY(bsq_alloc(writer->ctx, "grid sections", bsq_threads(writer->ctx), PART_BYTES,
+                      &commit.parts));
+    fill_head(writer, layout, commit.head);
+    BSQ_TRY(bsq_output_expect(writer->output, layout->file_bytes));
+    BSQ_TRY(bsq_parallel_for(writer->ctx, NVDB_RECORD, write_section, &commit));
+    status = write_section(&commit, NVDB_RECORD, 0);
 done:
-    XXH3_freeState(commit.hash);
-    bsq_free(commit.ctx, commit.buffer);
-    bsq_free(commit.ctx, commit.node);
-    bsq_free(commit.ctx, commit.head);
+    bsq_free(writer->ctx, commit.parts);
+    bsq_free(writer->ctx, commit.head);
     return status;
 }
 

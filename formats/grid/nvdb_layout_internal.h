@@ -246,6 +246,12 @@ static inline bool nvdb_has_second(int section)
            section == NVDB_IDS || section == NVDB_CHANNELS;
 }
 
+/* Returns whether a section is of ids: it has no checksum if the grid has none. */
+static inline bool nvdb_is_of_ids(int section)
+{
+    return section == NVDB_IDS || section == NVDB_NAMES;
+}
+
 /* Upper and lower nodes: both are a struct nvdb_node, and these words follow: the value mask and
  * the child mask, four of statistics, and the table of children. */
 struct nvdb_level {
