@@ -17,6 +17,41 @@
 
 #define MIB ((uint64_t)1 << 20)
 
+/* ---- memory ---- */
+
+uint64_t vox_memory_min(unsigned threads)
+{
+    return 44 * MIB + 8 * MIB * threads;
+}
+
+void vox_sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *limits)
+{
+    uint64_t least = vox_memory_min(threads);
+    uint64_t rest = budget > least ? budget - least : 0;
+    *limits = (struct sort_limits){
+        .stream_bytes = 8 * MIB + rest / 4 * 3,
+        .stream_shift = rest >= 256 * MIB ? STREAM_LARGE_SHIFT : STREAM_SMALL_SHIFT,
+        .page_memory = 8 * MIB + (rest < 64 * MIB ? rest / 8 : 8 * MIB),
+        .max_page_memory = UINT64_MAX,
+        .vertex_bucket_bytes = UINT64_MAX,
+        .reserve_bytes = 8 * MIB + MIB / 2 * threads,
+        .batch_triangles = 2 << 20,
+        .page_bytes = 32768,
+        .bucket_levels = 5,
+        .index_bytes = 4,
+        .slots = 2 * threads,
+    };
+}
+
+uint64_t vox_sort_memory_for(uint64_t stream_bytes, unsigned threads)
+{
+    /* The last segment of each stream may have only one element. */
+    const uint64_t segments = (uint64_t)(12 + 4 + 8 + 4) << STREAM_LARGE_SHIFT;
+    return vox_memory_min(threads) + (stream_bytes + segments) / 3 * 4;
+}
+
+/* ---- reading ---- */
+
 static void report_totals(struct vox_sort_report *report, const struct fmt_mesh_totals *totals)
 {
     report->bytes_read = totals->bytes;
@@ -25,8 +60,6 @@ static void report_totals(struct vox_sort_report *report, const struct fmt_mesh_
     report->short_faces = totals->short_faces;
     report->skipped_lines = totals->skipped_lines;
 }
-
-/* ---- sorting ---- */
 
 static int check_disk(struct bsq_ctx *ctx, const struct fmt_mesh_estimate *scan,
                       const struct sort_limits *limits, const char *tris_path)
@@ -45,15 +78,13 @@ static int read_blocks(struct scan *scan, struct fmt_mesh_reader *reader,
                        passes == PARTITION_TWO_PASSES ? 2 * bytes : bytes);
     int status = vox_partition_read(scan, reader, options->tris_path, passes, out);
     bsq_progress_end(scan->ctx);
-    if (status == 0)
-        status = vox_scan_finish(scan, reader);
-    if (status == 0)
-        status = vox_scan_find_materials(scan, reader, options->texture_path, textures,
-                                         (enum bsq_ids)options->ids);
-    if (status == 0)
-        status = vox_scan_compare_files(scan, options->texture_path);
-    if (status == 0)
-        vox_partition_finish(scan, out);
+    BSQ_TRY(status);
+    BSQ_TRY(vox_scan_finish(scan, reader));
+    BSQ_TRY(vox_scan_find_materials(scan, reader, options->texture_path, textures,
+                                    (enum bsq_ids)options->ids));
+    BSQ_TRY(vox_scan_compare_files(scan, options->texture_path));
+    vox_partition_finish(scan, out);
+done:
     return status;
 }
 
@@ -124,46 +155,8 @@ static int copy_placements(struct bsq_ctx *ctx, const struct vox_sort_options *o
     return status;
 }
 
-static int read_scan(struct scan *scan, const struct sort_limits *limits,
-                     const struct vox_sort_options *options, struct vox_sort_report *report,
-                     struct partition *out)
+static void report_scan(const struct scan *scan, struct vox_sort_report *report)
 {
-    struct fmt_mesh_reader *reader;
-    struct bsq_ctx *ctx = scan->ctx;
-    struct fmt_mesh_estimate estimate = {0};
-    struct scan_textures textures = {.decode = options->check_textures,
-                                     .channels = options->channels,
-                                     .channel_count = options->channel_count,
-                                     .only_channels = options->texture_path != NULL};
-    double start = bsq_seconds_now();
-    struct fmt_mesh_placement *placements = NULL;
-    int status = copy_placements(ctx, options, &placements);
-    if (status < 0)
-        return status;
-    const struct fmt_mesh_inputs inputs = {.paths = options->scan_paths,
-                                           .path_count = options->scan_count,
-                                           .placements = placements,
-                                           .beside = options->tris_path,
-                                           .pipes = true};
-    status = fmt_mesh_open_inputs(ctx, &inputs, &reader);
-    bsq_free(ctx, placements);
-    if (status < 0)
-        return status;
-    if (options->ids == VOX_IDS_OBJECT)
-        fmt_mesh_use_objects(reader);
-    status = fmt_mesh_estimate(reader, &estimate);
-    if (status == 0)
-        status = check_disk(ctx, &estimate, limits, options->tris_path);
-    if (status == 0)
-        status = vox_textures_preview(ctx, reader, options->texture_path, estimate.texcoords > 0,
-                                      &textures);
-    if (status == 0)
-        status = read_passes(scan, reader, options, estimate.faces_come_last && !limits->two_passes,
-                             &textures, out);
-    vox_textures_free(ctx, &textures);
-    if (status == 0 && options->job)
-        status = vox_job_add_inputs(options->job, reader);
-    fmt_mesh_close(reader);
     report_totals(report, &scan->totals);
     report->broken_faces = scan->lost[FMT_MESH_VERTEX].count;
     report->lost_corners = scan->lost[FMT_MESH_TEXCOORD].count + scan->lost[FMT_MESH_NORMAL].count;
@@ -171,9 +164,49 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     report->has_colors = (scan->attributes & FMT_TRIS_COLORS) != 0;
     report->has_normals = (scan->attributes & FMT_TRIS_NORMALS) != 0;
     report->has_texcoords = (scan->attributes & FMT_TRIS_TEXCOORDS) != 0;
+}
+
+static int read_scan(struct scan *scan, const struct sort_limits *limits,
+                     const struct vox_sort_options *options, struct vox_sort_report *report,
+                     struct partition *out)
+{
+    struct fmt_mesh_reader *reader = NULL;
+    struct bsq_ctx *ctx = scan->ctx;
+    struct fmt_mesh_estimate estimate = {0};
+    struct scan_textures textures = {.decode = options->check_textures,
+                                     .channels = options->channels,
+                                     .channel_count = options->channel_count,
+                                     .only_channels = options->texture_path != NULL};
+    const double start = bsq_seconds_now();
+    struct fmt_mesh_placement *placements = NULL;
+    int status;
+    BSQ_TRY(copy_placements(ctx, options, &placements));
+    const struct fmt_mesh_inputs inputs = {.paths = options->scan_paths,
+                                           .path_count = options->scan_count,
+                                           .placements = placements,
+                                           .beside = options->tris_path,
+                                           .pipes = true};
+    BSQ_TRY(fmt_mesh_open_inputs(ctx, &inputs, &reader));
+    if (options->ids == VOX_IDS_OBJECT)
+        fmt_mesh_use_objects(reader);
+    BSQ_TRY(fmt_mesh_estimate(reader, &estimate));
+    BSQ_TRY(check_disk(ctx, &estimate, limits, options->tris_path));
+    BSQ_TRY(vox_textures_preview(ctx, reader, options->texture_path, estimate.texcoords > 0,
+                                 &textures));
+    BSQ_TRY(read_passes(scan, reader, options, estimate.faces_come_last && !limits->two_passes,
+                        &textures, out));
+    if (options->job)
+        status = vox_job_add_inputs(options->job, reader);
+done:
+    bsq_free(ctx, placements);
+    vox_textures_free(ctx, &textures);
+    fmt_mesh_close(reader);
+    report_scan(scan, report);
     report->seconds_read = bsq_seconds_now() - start;
     return status;
 }
+
+/* ---- sorting ---- */
 
 /* Returns whether the chunk file gets the name tris_path. */
 static bool names_tris(const struct vox_sort_options *options)
@@ -218,33 +251,31 @@ static int write_chunks(const struct scan *scan, const struct partition *partiti
         .ids = scan->ids,
         .channel_count = scan->channel_count,
     };
-    struct fmt_tris_writer *writer;
-    int status = bsq_calloc(scan->ctx, "channels", scan->channel_count + UINT64_C(1),
-                            sizeof *header.channels, &header.channels);
-    for (uint32_t c = 0; c < scan->channel_count && status == 0; c++)
+    struct fmt_tris_writer *writer = NULL;
+    struct batches_report batches = {0};
+    int status;
+    BSQ_TRY(bsq_calloc(scan->ctx, "channels", scan->channel_count + UINT64_C(1),
+                       sizeof *header.channels, &header.channels));
+    for (uint32_t c = 0; c < scan->channel_count; c++)
         header.channels[c] = (char *)(uintptr_t)scan->channels[c].name;
-    if (status == 0)
-        status = names_tris(options)
-                     ? fmt_tris_create(scan->ctx, options->tris_path, &header, &writer)
-                     : fmt_tris_create_temp(scan->ctx, options->tris_path, &header, &writer);
-    bsq_free(scan->ctx, header.channels);
-    if (status != 0)
-        return status;
-    struct batches_report batches;
+    BSQ_TRY(names_tris(options)
+                ? fmt_tris_create(scan->ctx, options->tris_path, &header, &writer)
+                : fmt_tris_create_temp(scan->ctx, options->tris_path, &header, &writer));
     status = vox_write_chunks(scan, partition, options->tris_path, writer, &batches);
     report->chunks = batches.chunks;
     report->triangles = batches.triangles;
     report->degenerate_triangles = batches.degenerate;
-    if (status == 0 && batches.triangles == 0)
-        status = fail_without_area(scan, batches.degenerate);
-    if (status == 0)
-        status = vox_partition_warn_colorless(scan, partition);
-    if (status < 0) {
-        fmt_tris_discard(writer);
-        return status;
-    }
+    BSQ_TRY(status);
+    if (batches.triangles == 0)
+        BSQ_TRY(fail_without_area(scan, batches.degenerate));
+    BSQ_TRY(vox_partition_warn_colorless(scan, partition));
     fmt_tris_skip(writer, batches.degenerate);
-    return commit(options, writer, scan->ctx, report);
+    status = commit(options, writer, scan->ctx, report);
+    writer = NULL;
+done:
+    fmt_tris_discard(writer);
+    bsq_free(scan->ctx, header.channels);
+    return status;
 }
 
 static int sort_scan(const struct scan *scan, const struct vox_sort_options *options,
@@ -285,15 +316,13 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     struct partition partition = {0};
     uint64_t temp_before = bsq_temp_bytes(ctx);
     memset(report, 0, sizeof *report);
-    int status = begin_scan(&scan, ctx, options, limits);
-    if (status == 0)
-        status = check_channels(ctx, options);
-    if (status == 0)
-        status = names_tris(options) ? bsq_note_output(ctx, options->tris_path) : 0;
-    if (status == 0)
-        status = read_scan(&scan, limits, options, report, &partition);
-    if (status == 0)
-        status = sort_scan(&scan, options, &partition, report);
+    int status;
+    BSQ_TRY(begin_scan(&scan, ctx, options, limits));
+    BSQ_TRY(check_channels(ctx, options));
+    BSQ_TRY(names_tris(options) ? bsq_note_output(ctx, options->tris_path) : 0);
+    BSQ_TRY(read_scan(&scan, limits, options, report, &partition));
+    status = sort_scan(&scan, options, &partition, report);
+done:
     vox_partition_free(&scan, &partition);
     vox_scan_free(&scan);
     report->temp_bytes = bsq_temp_bytes(ctx) - temp_before;

@@ -212,11 +212,6 @@ LANES_INLINE four_ints four_min(four_ints a, four_ints b)
     return (four_ints)_mm_min_epi32((__m128i)a, (__m128i)b);
 }
 
-LANES_INLINE four_ints four_max(four_ints a, four_ints b)
-{
-    return (four_ints)_mm_max_epi32((__m128i)a, (__m128i)b);
-}
-
 LANES_INLINE bool four_any(four_ints mask)
 {
     return _mm_movemask_epi8((__m128i)mask) != 0;
@@ -228,12 +223,6 @@ LANES_INLINE four_ints four_min(four_ints a, four_ints b)
 {
     four_ints less = a < b;
     return (less & a) | (~less & b);
-}
-
-LANES_INLINE four_ints four_max(four_ints a, four_ints b)
-{
-    four_ints more = a > b;
-    return (more & a) | (~more & b);
 }
 
 LANES_INLINE bool four_any(four_ints mask)

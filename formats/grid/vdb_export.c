@@ -40,28 +40,22 @@ int fmt_vdb_export(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const 
                    struct bsq_output **out)
 {
     const struct fmt_module *module;
-    *out = NULL;
     struct bsq_output *output = NULL;
-    int status = open_module(ctx, &module);
-    if (status == 0)
-        status = bsq_output_open(ctx, path, &output);
-    if (status != 0)
-        return status;
-
+    int status;
+    *out = NULL;
+    BSQ_TRY(open_module(ctx, &module));
+    BSQ_TRY(bsq_output_open(ctx, path, &output));
     const struct fmt_vdb_module *vdb = (const struct fmt_vdb_module *)module;
-    uint64_t bytes = vdb->memory(grid);
-    status = bsq_reserve(ctx, "the grids of the OpenVDB export", bytes);
-    if (status == 0) {
-        status = vdb->write(&fmt_host_functions, ctx, grid, output, path);
-        bsq_release(ctx, bytes);
-    }
-    if (status == 0)
-        status = replace_uuid(output, grid);
-    if (status == 0)
-        status = bsq_map_check(ctx, &grid->map);
-    if (status == 0)
-        *out = output;
-    else
-        bsq_output_discard(output);
+    const uint64_t bytes = vdb->memory(grid);
+    BSQ_TRY(bsq_reserve(ctx, "the grids of the OpenVDB export", bytes));
+    status = vdb->write(&fmt_host_functions, ctx, grid, output, path);
+    bsq_release(ctx, bytes);
+    BSQ_TRY(status);
+    BSQ_TRY(replace_uuid(output, grid));
+    BSQ_TRY(bsq_map_check(ctx, &grid->map));
+    *out = output;
+    output = NULL;
+done:
+    bsq_output_discard(output);
     return status;
 }

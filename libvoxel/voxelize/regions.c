@@ -85,7 +85,7 @@ static struct vox_box region_box(const int32_t origin[3])
 static int begin_region(struct vox_run *run)
 {
     struct vox_unit *region = &run->current;
-    struct vox_region_key key, after;
+    vox_region_key key, after;
     uint32_t chunk;
     if (!vox_schedule_next(run->schedule, &key))
         return 0;

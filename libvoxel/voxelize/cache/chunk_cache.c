@@ -24,9 +24,9 @@ struct slot {
 };
 
 struct use {
-    struct vox_region_key next; /* next region that needs the chunk after the units under way */
-    uint32_t expected;          /* units of work under way that need it */
-    uint32_t place;             /* in the list of expected chunks, if it is expected */
+    vox_region_key next; /* next region that needs the chunk after the units under way */
+    uint32_t expected;   /* units of work under way that need it */
+    uint32_t place;      /* in the list of expected chunks, if it is expected */
     int32_t slot;
 };
 
@@ -93,9 +93,9 @@ int vox_chunks_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
     for (uint32_t i = 0; i < chunk_count; i++)
         c->uses[i] = (struct use){.next = VOX_REGION_KEY_NEVER, .slot = NO_SLOT};
     for (uint64_t i = 0; i < box_count; i++) {
-        struct vox_region_key first = vox_region_first(&boxes[i].box);
+        vox_region_key first = vox_region_first(&boxes[i].box);
         struct use *use = &c->uses[boxes[i].chunk];
-        if (vox_region_before(first, use->next))
+        if (first < use->next)
             use->next = first;
     }
     *out = c;
@@ -117,8 +117,7 @@ void vox_chunks_destroy(struct vox_chunks *c)
     bsq_free(c->ctx, c);
 }
 
-void vox_chunks_expect(struct vox_chunks *c, uint32_t chunk, uint32_t uses,
-                       struct vox_region_key after)
+void vox_chunks_expect(struct vox_chunks *c, uint32_t chunk, uint32_t uses, vox_region_key after)
 {
     struct use *use = &c->uses[chunk];
     pthread_mutex_lock(&c->lock);
@@ -149,12 +148,12 @@ static bool needed_before(const struct vox_chunks *c, uint32_t a, uint32_t b)
     const struct use *ua = &c->uses[a], *ub = &c->uses[b];
     if ((ua->expected == 0) != (ub->expected == 0))
         return ua->expected != 0;
-    return vox_region_before(ua->next, ub->next);
+    return ua->next < ub->next;
 }
 
 static bool is_finished(const struct use *use)
 {
-    return use->expected == 0 && use->next.tile == UINT64_MAX;
+    return use->expected == 0 && use->next == VOX_REGION_KEY_NEVER;
 }
 
 /* Returns a slot to fill: one whose chunk is no longer needed, else a new one, else the one whose

@@ -51,7 +51,7 @@ void vox_chunks_destroy(struct vox_chunks *chunks); /* NULL is allowed */
 /* vox_chunks_expect() announces `uses` units of work that need `chunk`, and the region that needs
  * it next. vox_chunks_done() ends the need of one of these units. Both only guide what is kept. */
 void vox_chunks_expect(struct vox_chunks *chunks, uint32_t chunk, uint32_t uses,
-                       struct vox_region_key after);
+                       vox_region_key after);
 void vox_chunks_done(struct vox_chunks *chunks, uint32_t chunk);
 
 /* Loads or finds a chunk; *out is valid until it is released. A worker holds one chunk at a time.

@@ -87,25 +87,17 @@ enum { VOX_REGION_LOG2 = 7, VOX_REGION_SIZE = 1 << VOX_REGION_LOG2 };
 
 /* A region's place in the order of fmt_nvdb_append(): by tile of 4096^3 voxels, then inside the
  * tile. */
-struct vox_region_key {
-    uint64_t tile;
-    uint32_t region;
-};
-#define VOX_REGION_KEY_NEVER ((struct vox_region_key){UINT64_MAX, UINT32_MAX})
-
-static inline bool vox_region_before(struct vox_region_key a, struct vox_region_key b)
-{
-    return a.tile != b.tile ? a.tile < b.tile : a.region < b.region;
-}
+typedef unsigned __int128 vox_region_key;
+#define VOX_REGION_KEY_NEVER (~(vox_region_key)0)
 
 /* Sets the index of the region's first voxel. */
-void vox_region_origin(struct vox_region_key key, int32_t origin[3]);
+void vox_region_origin(vox_region_key key, int32_t origin[3]);
 
 /* Returns the number of regions that a box of voxels touches; it may be inexact above 2^53. */
 double vox_region_count(const struct vox_box *box);
 
 /* Returns the first region that a box of voxels touches. */
-struct vox_region_key vox_region_first(const struct vox_box *box);
+vox_region_key vox_region_first(const struct vox_box *box);
 
 struct vox_schedule;
 
@@ -119,10 +111,9 @@ void vox_schedule_destroy(struct vox_schedule *schedule); /* NULL is allowed */
 uint64_t vox_schedule_entry_bytes(void);
 
 /* Starts the next region. Returns false at the end. */
-bool vox_schedule_next(struct vox_schedule *schedule, struct vox_region_key *key);
+bool vox_schedule_next(struct vox_schedule *schedule, vox_region_key *key);
 /* Gives the next chunk of that region, in ascending order. Returns false after the last one. after:
  * the next region that the chunk's boxes touch, VOX_REGION_KEY_NEVER if there is none. */
-bool vox_schedule_chunk(struct vox_schedule *schedule, uint32_t *chunk,
-                        struct vox_region_key *after);
+bool vox_schedule_chunk(struct vox_schedule *schedule, uint32_t *chunk, vox_region_key *after);
 
 #endif

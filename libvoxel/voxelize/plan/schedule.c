@@ -11,7 +11,7 @@
 enum { TILE_LOG2 = 5, TILE_BITS = 19 };
 
 struct entry {
-    struct vox_region_key key;
+    vox_region_key key;
     uint64_t box;
 };
 
@@ -19,36 +19,38 @@ struct vox_schedule {
     struct bsq_ctx *ctx;
     const struct vox_chunk_box *boxes;
     struct entry *heap;
-    struct vox_region_key *keys; /* of each box: its next region */
+    vox_region_key *keys; /* of each box: its next region */
     uint64_t count, box_count;
-    struct vox_region_key current;
+    vox_region_key current;
 };
 
 /* ---- keys ---- */
 
-static struct vox_region_key make_key(const int32_t region[3])
+static vox_region_key make_key(const int32_t region[3])
 {
     const uint32_t tile_mask = (1u << TILE_BITS) - 1, in_tile = (1u << TILE_LOG2) - 1;
-    struct vox_region_key key = {0, 0};
-    for (int a = 0; a < 3; a++) {
-        key.tile = key.tile << TILE_BITS | ((uint32_t)(region[a] >> TILE_LOG2) & tile_mask);
-        key.region = key.region << TILE_LOG2 | ((uint32_t)region[a] & in_tile);
-    }
+    vox_region_key key = 0;
+    for (int a = 0; a < 3; a++)
+        key = key << TILE_BITS | ((uint32_t)(region[a] >> TILE_LOG2) & tile_mask);
+    for (int a = 0; a < 3; a++)
+        key = key << TILE_LOG2 | ((uint32_t)region[a] & in_tile);
     return key;
 }
 
-static void split_key(struct vox_region_key key, int32_t region[3])
+static void split_key(vox_region_key key, int32_t region[3])
 {
+    uint32_t places = (uint32_t)key & ((1u << 3 * TILE_LOG2) - 1);
+    uint64_t tiles = (uint64_t)(key >> 3 * TILE_LOG2);
     for (int a = 2; a >= 0; a--) {
-        uint32_t bits = (uint32_t)key.tile & ((1u << TILE_BITS) - 1);
+        uint32_t bits = (uint32_t)tiles & ((1u << TILE_BITS) - 1);
         int32_t tile = (int32_t)bits - (bits >> (TILE_BITS - 1) ? 1 << TILE_BITS : 0);
-        region[a] = tile * (1 << TILE_LOG2) + (int32_t)(key.region & ((1u << TILE_LOG2) - 1));
-        key.tile >>= TILE_BITS;
-        key.region >>= TILE_LOG2;
+        region[a] = tile * (1 << TILE_LOG2) + (int32_t)(places & ((1u << TILE_LOG2) - 1));
+        tiles >>= TILE_BITS;
+        places >>= TILE_LOG2;
     }
 }
 
-void vox_region_origin(struct vox_region_key key, int32_t origin[3])
+void vox_region_origin(vox_region_key key, int32_t origin[3])
 {
     split_key(key, origin);
     for (int a = 0; a < 3; a++)
@@ -105,7 +107,7 @@ static int32_t enter_tile(const struct vox_box *box, int axis, int32_t tile)
     return max32(region_of(box->lo[axis]), tile * (1 << TILE_LOG2));
 }
 
-struct vox_region_key vox_region_first(const struct vox_box *box)
+vox_region_key vox_region_first(const struct vox_box *box)
 {
     int32_t region[3];
     for (int a = 0; a < 3; a++)
@@ -114,7 +116,7 @@ struct vox_region_key vox_region_first(const struct vox_box *box)
     return make_key(region);
 }
 
-static struct vox_region_key region_after(const struct vox_box *box, struct vox_region_key key)
+static vox_region_key region_after(const struct vox_box *box, vox_region_key key)
 {
     int32_t region[3];
     split_key(key, region);
@@ -142,9 +144,7 @@ static struct vox_region_key region_after(const struct vox_box *box, struct vox_
 
 static bool entry_before(const struct entry *a, const struct entry *b)
 {
-    if (vox_region_before(a->key, b->key))
-        return true;
-    return !vox_region_before(b->key, a->key) && a->box < b->box;
+    return a->key != b->key ? a->key < b->key : a->box < b->box;
 }
 
 /* Puts `entry` into the hole at `at` and moves smaller children up. */
@@ -162,7 +162,7 @@ static void sift_down(struct vox_schedule *s, uint64_t at, struct entry entry)
 
 uint64_t vox_schedule_entry_bytes(void)
 {
-    return sizeof(struct entry) + sizeof(struct vox_region_key);
+    return sizeof(struct entry) + sizeof(vox_region_key);
 }
 
 int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_chunk_box *boxes, uint64_t box_count,
@@ -202,7 +202,7 @@ void vox_schedule_destroy(struct vox_schedule *s)
     bsq_free(s->ctx, s);
 }
 
-bool vox_schedule_next(struct vox_schedule *s, struct vox_region_key *key)
+bool vox_schedule_next(struct vox_schedule *s, vox_region_key *key)
 {
     if (s->count == 0)
         return false;
@@ -216,33 +216,32 @@ static void advance(struct vox_schedule *s)
     struct entry entry = s->heap[0];
     const struct vox_box *box = &s->boxes[entry.box].box;
     entry.key = s->keys[entry.box] = region_after(box, entry.key);
-    if (entry.key.tile == UINT64_MAX)
+    if (entry.key == VOX_REGION_KEY_NEVER)
         entry = s->heap[--s->count];
     if (s->count > 0)
         sift_down(s, 0, entry);
 }
 
 /* Returns the next region of the chunk that box `i` belongs to. */
-static struct vox_region_key next_of_chunk(const struct vox_schedule *s, uint64_t i)
+static vox_region_key next_of_chunk(const struct vox_schedule *s, uint64_t i)
 {
     const uint32_t chunk = s->boxes[i].chunk;
-    struct vox_region_key next = VOX_REGION_KEY_NEVER;
+    vox_region_key next = VOX_REGION_KEY_NEVER;
     while (i > 0 && s->boxes[i - 1].chunk == chunk)
         i--;
     for (; i < s->box_count && s->boxes[i].chunk == chunk; i++)
-        if (vox_region_before(s->keys[i], next))
+        if (s->keys[i] < next)
             next = s->keys[i];
     return next;
 }
 
-bool vox_schedule_chunk(struct vox_schedule *s, uint32_t *chunk, struct vox_region_key *after)
+bool vox_schedule_chunk(struct vox_schedule *s, uint32_t *chunk, vox_region_key *after)
 {
-    if (s->count == 0 || vox_region_before(s->current, s->heap[0].key))
+    if (s->count == 0 || s->current < s->heap[0].key)
         return false;
     const uint64_t box = s->heap[0].box;
     *chunk = s->boxes[box].chunk;
-    while (s->count > 0 && !vox_region_before(s->current, s->heap[0].key) &&
-           s->boxes[s->heap[0].box].chunk == *chunk)
+    while (s->count > 0 && s->heap[0].key <= s->current && s->boxes[s->heap[0].box].chunk == *chunk)
         advance(s);
     *after = next_of_chunk(s, box);
     return true;

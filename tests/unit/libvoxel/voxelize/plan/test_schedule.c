@@ -54,11 +54,6 @@ static uint64_t list_pairs(const struct vox_chunk_box *boxes, uint32_t count, st
     return distinct;
 }
 
-static bool same_region(struct vox_region_key a, struct vox_region_key b)
-{
-    return a.tile == b.tile && a.region == b.region;
-}
-
 /* Checks that the schedule yields the pairs of the list, and each chunk in the region announced. */
 static void check_schedule(const struct vox_chunk_box *boxes, uint32_t count)
 {
@@ -70,14 +65,14 @@ static void check_schedule(const struct vox_chunk_box *boxes, uint32_t count)
     struct vox_schedule *schedule;
     struct bsq_ctx *ctx = test_context(1, 1 << 20);
     assert_int_equal(vox_schedule_create(ctx, boxes, count, &schedule), 0);
-    struct vox_region_key key, after, due[20];
+    vox_region_key key, after, due[20];
     uint32_t chunk;
     assert_true(count <= 20);
     for (uint32_t i = 0; i < count; i++)
         due[i] = VOX_REGION_KEY_NEVER;
     for (uint32_t i = 0; i < count; i++) {
-        struct vox_region_key first = vox_region_first(&boxes[i].box);
-        if (vox_region_before(first, due[boxes[i].chunk]))
+        vox_region_key first = vox_region_first(&boxes[i].box);
+        if (first < due[boxes[i].chunk])
             due[boxes[i].chunk] = first;
     }
     while (vox_schedule_next(schedule, &key)) {
@@ -88,8 +83,8 @@ static void check_schedule(const struct vox_chunk_box *boxes, uint32_t count)
             assert_true(at < n);
             assert_memory_equal(origin, pairs[at].origin, sizeof origin);
             assert_int_equal(chunk, pairs[at].chunk);
-            assert_true(vox_region_before(key, after));
-            assert_true(same_region(key, due[chunk]));
+            assert_true(key < after);
+            assert_true(key == due[chunk]);
             due[chunk] = after;
             at++;
         }
@@ -97,7 +92,7 @@ static void check_schedule(const struct vox_chunk_box *boxes, uint32_t count)
     }
     assert_int_equal(at, n);
     for (uint32_t i = 0; i < count; i++)
-        assert_true(same_region(due[i], VOX_REGION_KEY_NEVER));
+        assert_true(due[i] == VOX_REGION_KEY_NEVER);
     vox_schedule_destroy(schedule);
     bsq_ctx_destroy(ctx);
     free(pairs);
