@@ -9,6 +9,7 @@
 #include "libvoxel/chunk/chunk_writer.h"
 #include "libvoxel/job_record.h"
 #include "libvoxel/partition/partition.h"
+#include "libvoxel/sort_limits.h"
 #include "libvoxel/temp_tris.h"
 
 #include <errno.h>
