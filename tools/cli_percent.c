@@ -19,18 +19,17 @@ static const struct stage {
     const char *program, *name;
     unsigned share; /* percent of the program's time */
     enum cli_stage_count count;
-    bool joins; /* is counted as the stage before it */
 } stages[] = {
-    {"bisque-voxelize", "reading", 45, CLI_ONCE, false},
-    {"bisque-voxelize", "writing", 15, CLI_ONCE, false},
-    {"bisque-voxelize", "voxelizing", 30, CLI_ONCE, false},
-    {"bisque-voxelize", "reading parts", 9, CLI_ONCE, false},
-    {"bisque-bake", "planning", 1, CLI_EACH_TILE, false},
-    {"bisque-bake", "tracing", 65, CLI_EACH_TRACED_TILE, false},
-    {"bisque-bake", "measuring curvature", 14, CLI_EACH_TRACED_TILE, false},
-    {"bisque-bake", "reading parts", 4, CLI_ONCE, false},
-    {"bisque-bake", "writing", 12, CLI_EACH_TILE, false},
-    {"bisque-bake", "preview", 3, CLI_ONCE, false},
+    {"bisque-voxelize", "reading", 45, CLI_ONCE},
+    {"bisque-voxelize", "writing", 15, CLI_ONCE},
+    {"bisque-voxelize", "voxelizing", 30, CLI_ONCE},
+    {"bisque-voxelize", "reading parts", 9, CLI_ONCE},
+    {"bisque-bake", "planning", 1, CLI_EACH_TILE},
+    {"bisque-bake", "tracing", 65, CLI_EACH_TRACED_TILE},
+    {"bisque-bake", "measuring curvature", 14, CLI_EACH_TRACED_TILE},
+    {"bisque-bake", "reading parts", 4, CLI_ONCE},
+    {"bisque-bake", "writing", 12, CLI_EACH_TILE},
+    {"bisque-bake", "preview", 3, CLI_ONCE},
 };
 enum { STAGES = sizeof stages / sizeof *stages };
 
@@ -41,15 +40,14 @@ static struct {
     pthread_t thread;
     bool running, stopping;
     const struct cli *cli;
-    const char *name; /* of the stage that runs; NULL: none */
-    const char *last; /* the stage that was begun last in this turn; NULL: none */
-    const struct stage
-        *row;             /* of that stage in the table, or of the one that it joins; NULL: none */
-    uint32_t times;       /* how often it was begun before */
-    uint32_t turn, turns; /* a job that is done several times, and how often; 0: once */
-    double percent;       /* of all stages */
-    double printed;       /* in the last line; < 0: none yet */
-    struct timespec at;   /* when the last line was printed */
+    const char *name;        /* of the stage that runs; NULL: none */
+    const char *last;        /* the stage that was begun last in this turn; NULL: none */
+    const struct stage *row; /* of that stage in the table; NULL: none */
+    uint32_t times;          /* how often it was begun before */
+    uint32_t turn, turns;    /* a job that is done several times, and how often; 0: once */
+    double percent;          /* of all stages */
+    double printed;          /* in the last line; < 0: none yet */
+    struct timespec at;      /* when the last line was printed */
 } state = {.lock = PTHREAD_MUTEX_INITIALIZER, .printed = -1};
 
 bool cli_prints_percent(const struct cli *cli)
@@ -83,12 +81,12 @@ static void print_if_new(const struct cli *cli)
 
 /* ---- the percentage ---- */
 
-/* Returns the row of a stage, or of the stage that it joins. NULL: it is not in the table. */
+/* Returns the row of a stage. NULL: it is not in the table. */
 static const struct stage *row_of(const struct cli *cli, const char *name)
 {
     for (const struct stage *row = stages; row < stages + STAGES; row++)
         if (strcmp(row->program, cli->program) == 0 && strcmp(row->name, name) == 0)
-            return row->joins ? row - 1 : row;
+            return row;
     return NULL;
 }
 
@@ -111,11 +109,10 @@ static double percent_at(const struct cli *cli, double part)
 static void enter_stage(const struct cli *cli, const struct bsq_progress *progress)
 {
     const bool same = state.last && strcmp(state.last, progress->stage) == 0;
-    const struct stage *row = row_of(cli, progress->stage);
     if (state.name)
         return;
-    state.times = same || (state.last && row && row == state.row) ? state.times + 1 : 0;
-    state.row = row;
+    state.times = same ? state.times + 1 : 0;
+    state.row = row_of(cli, progress->stage);
     state.name = state.last = progress->stage;
     if (cli->progress == CLI_PROGRESS_OPENJD && !same) {
         printf("openjd_status: %s\n", progress->stage);

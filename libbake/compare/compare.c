@@ -26,19 +26,19 @@ static int check_same_size(struct bsq_ctx *ctx, const char *path, const struct f
 static int load(struct bsq_ctx *ctx, const struct bake_compare_options *o,
                 struct bake_comparison *c)
 {
-    int status = fmt_exr_read(ctx, o->a_path, &c->a);
-    if (!status)
-        status = fmt_exr_read(ctx, o->b_path, &c->b);
-    if (!status)
-        status = check_same_size(ctx, o->a_path, &c->a, o->b_path, &c->b);
-    if (!status && o->a_mask_path)
-        status = fmt_exr_read(ctx, o->a_mask_path, &c->a_mask);
-    if (!status && o->a_mask_path)
-        status = check_same_size(ctx, o->a_mask_path, &c->a_mask, o->a_path, &c->a);
-    if (!status && o->b_mask_path)
-        status = fmt_exr_read(ctx, o->b_mask_path, &c->b_mask);
-    if (!status && o->b_mask_path)
-        status = check_same_size(ctx, o->b_mask_path, &c->b_mask, o->b_path, &c->b);
+    int status = 0;
+    BSQ_TRY(fmt_exr_read(ctx, o->a_path, &c->a));
+    BSQ_TRY(fmt_exr_read(ctx, o->b_path, &c->b));
+    BSQ_TRY(check_same_size(ctx, o->a_path, &c->a, o->b_path, &c->b));
+    if (o->a_mask_path) {
+        BSQ_TRY(fmt_exr_read(ctx, o->a_mask_path, &c->a_mask));
+        BSQ_TRY(check_same_size(ctx, o->a_mask_path, &c->a_mask, o->a_path, &c->a));
+    }
+    if (o->b_mask_path) {
+        BSQ_TRY(fmt_exr_read(ctx, o->b_mask_path, &c->b_mask));
+        BSQ_TRY(check_same_size(ctx, o->b_mask_path, &c->b_mask, o->b_path, &c->b));
+    }
+done:
     return status;
 }
 

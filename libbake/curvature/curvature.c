@@ -393,6 +393,6 @@ double bake_curvature_radius(const struct bake_surface *surface, const struct ba
             add_areas(mesh, t, (double)width * (double)height, &world, &texels);
     }
     const double two_texels = texels > 0 ? 2.0 * sqrt(world / texels) : 0;
-    const double least = (!bake_surface_has_grids(surface) ? 0.01 : 2.0) * surface->detail;
+    const double least = (!surface->grids ? 0.01 : 2.0) * surface->detail;
     return isfinite(two_texels) ? fmax(two_texels, least) : least;
 }

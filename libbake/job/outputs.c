@@ -15,9 +15,9 @@ enum { PREVIEW_TEXTURE = 2048 /* largest side of a texture of the preview, in te
 static const char *sampling_of(const struct bake_work *job)
 {
     const struct bake_surface *surface = &job->surface;
-    if (!bake_surface_has_grids(surface))
+    if (!surface->grids)
         return "exact";
-    return bake_surface_has_triangles(surface)      ? "trilinear, exact"
+    return surface->triangles      ? "trilinear, exact"
            : job->options->sampling == BAKE_NEAREST ? "nearest"
                                                     : "trilinear";
 }

@@ -63,7 +63,7 @@ int bake_open_device(struct bake_work *job)
     if (job->surface.scan_count > 1 || job->surface.scans->exact) {
         unsigned threads = bsq_threads(job->ctx);
         snprintf(job->report->device, sizeof job->report->device, "cpu, %u thread%s%s", threads,
-                 threads == 1 ? "" : "s", bake_surface_has_grids(&job->surface) ? "" : ", exact");
+                 threads == 1 ? "" : "s", job->surface.grids ? "" : ", exact");
         return 0;
     }
     job->traced = (struct bake_job){.grid = &job->surface.scans->grid,

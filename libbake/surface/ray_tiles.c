@@ -25,6 +25,7 @@ struct job {
     const struct bake_surface *surface;
     const struct bake_tiles *tiles;
     const uint32_t *object_of;        /* of each triangle; NULL: not needed */
+    double units_a_length;            /* of the surface, a world unit: 1 for triangles alone */
     struct bake_tile_workers workers; /* with sums for one row of texels */
     struct tile *order;
     uint32_t tile_count;
@@ -204,7 +205,7 @@ static bk_map_hits place_hit(const struct job *job, const bk_point *point,
 {
     const bk_hits hits = {.found = hit->triangle != BAKE_EXACT_NONE,
                           .reversed = hit->reversed,
-                          .t = (float)(hit->t / job->surface->unit),
+                          .t = (float)(hit->t * job->units_a_length),
                           .normal = {hit->normal[0], hit->normal[1], hit->normal[2]},
                           .color = {hit->color[0], hit->color[1], hit->color[2]},
                           .id = (bk_int)hit->id};
@@ -446,8 +447,11 @@ static int tell_losses(const struct bake_surface *surface)
 int bake_trace_ray_tiles(const struct bake_surface *surface, const struct bake_tiles *tiles,
                          const uint32_t *object_of, struct bake_report *report)
 {
-    struct job job = {
-        .ctx = surface->ctx, .surface = surface, .tiles = tiles, .object_of = object_of};
+    struct job job = {.ctx = surface->ctx,
+                      .surface = surface,
+                      .tiles = tiles,
+                      .object_of = object_of,
+                      .units_a_length = 1 / surface->unit};
     int status = 0;
     BSQ_TRY(bake_tile_workers_begin(job.ctx, tiles, tiles->tile_size, &job.workers));
     BSQ_TRY(allocate_tiles(&job));

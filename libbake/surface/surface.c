@@ -135,6 +135,8 @@ static void join_scans(struct bake_surface *surface)
     }
     for (uint32_t s = 0; s < surface->scan_count; s++) {
         const struct bake_scan *scan = &surface->scans[s];
+        surface->grids |= scan->exact == NULL;
+        surface->triangles |= scan->exact != NULL;
         surface->has_color &= scan->has_color;
         if (scan->ids != surface->ids)
             surface->ids = BSQ_IDS_NONE;
@@ -202,22 +204,6 @@ void bake_surface_close(struct bake_surface *surface)
         bsq_free(surface->ctx, surface->joined);
     }
     memset(surface, 0, sizeof *surface);
-}
-
-bool bake_surface_has_triangles(const struct bake_surface *surface)
-{
-    bool some = false;
-    for (uint32_t s = 0; s < surface->scan_count; s++)
-        some |= surface->scans[s].exact != NULL;
-    return some;
-}
-
-bool bake_surface_has_grids(const struct bake_surface *surface)
-{
-    bool some = false;
-    for (uint32_t s = 0; s < surface->scan_count; s++)
-        some |= surface->scans[s].exact == NULL;
-    return some;
 }
 
 int bake_surface_check(const struct bake_surface *surface)

@@ -33,6 +33,7 @@ struct bake_surface {
     struct bake_scan *scans;
     uint32_t scan_count;
     const char **joined;             /* all paths, if several chunk files are one scan; else NULL */
+    bool grids, triangles;           /* there are such scans */
     bool has_color;                  /* all scans have */
     enum bsq_ids ids;                /* BSQ_IDS_NONE unless all scans agree */
     double scan_min[3], scan_max[3]; /* world */
@@ -60,10 +61,6 @@ void bake_surface_set_params(struct bake_surface *surface, const struct bake_opt
                              uint32_t maps);
 /* Sets the lengths of the first rays, in world units. */
 void bake_surface_set_lengths(struct bake_surface *surface, double front, double back);
-
-/* Return whether some of the scans are triangles, and whether some are grids. */
-bool bake_surface_has_triangles(const struct bake_surface *surface);
-bool bake_surface_has_grids(const struct bake_surface *surface);
 
 /* Checks the files of grids: returns BSQ_EIO if one has been truncated or written to since it was
  * opened, so that hits cannot be trusted. Thread-safe. */
