@@ -112,6 +112,23 @@ uint32_t bsq_channel_list_values(const char *list, uint64_t bytes)
     return values;
 }
 
+int bsq_channel_list_split(struct bsq_ctx *ctx, const char *list, uint64_t bytes, char ***names,
+                           uint32_t *count)
+{
+    uint64_t most = 1;
+    for (uint64_t i = 0; i < bytes; i++)
+        most += list[i] == ',';
+    *count = 0;
+    int status = bsq_calloc(ctx, "names of channels", most * sizeof **names + bytes + 1, 1, names);
+    if (status < 0)
+        return status;
+    char *rest = (char *)(*names + most);
+    memcpy(rest, list, bytes);
+    while (rest)
+        (*names)[(*count)++] = strsep(&rest, ",");
+    return 0;
+}
+
 const struct bsq_channel *bsq_channel_list_find(const char *list, uint64_t bytes, const char *name,
                                                 uint32_t *first)
 {

@@ -4,8 +4,7 @@
 #ifndef BSQ_CHANNELS_H
 #define BSQ_CHANNELS_H
 
-#include <stdbool.h>
-#include <stdint.h>
+#include "base/context.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -77,6 +76,10 @@ enum { BSQ_CHANNEL_VALUES_MAX = 65535 };
 /* Returns the number of values of all channels of a list of `bytes` bytes; 0 if it is no list of
  * names, or has more than BSQ_CHANNEL_VALUES_MAX values. */
 uint32_t bsq_channel_list_values(const char *list, uint64_t bytes);
+/* Splits a list into its names. Free *names, which has the names too, with bsq_free(). Errors:
+ * BSQ_ENOMEM. */
+int bsq_channel_list_split(struct bsq_ctx *ctx, const char *list, uint64_t bytes, char ***names,
+                           uint32_t *count);
 /* Finds the first channel of this name in a list. Sets *first to the number of values before its
  * own. Returns its row, or NULL. */
 const struct bsq_channel *bsq_channel_list_find(const char *list, uint64_t bytes, const char *name,

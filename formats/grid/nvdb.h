@@ -67,8 +67,8 @@ struct fmt_nvdb_writer;
 int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb_info *info,
                     struct fmt_nvdb_writer **out);
 
-/* Sets the names that ids by name stand for, in any order; equal ones count once. Without this call
- * there are none. Errors: BSQ_EUSAGE for names of 4 GiB together; BSQ_ENOMEM, BSQ_EINTR. */
+/* Sets the names that ids by name stand for: ascending, each once. Without this call there are
+ * none. Errors: BSQ_EUSAGE for names of 4 GiB together; BSQ_ENOMEM. */
 int fmt_nvdb_set_names(struct fmt_nvdb_writer *writer, const char *const *names, uint64_t count);
 
 struct fmt_nvdb_totals {

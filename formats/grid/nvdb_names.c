@@ -1,30 +1,16 @@
 /* nvdb_names.c - the section of names that ids stand for: a sorted table without repetitions. */
 #include <string.h>
 
-#include "base/sort_array.h"
 #include "formats/grid/nvdb_writer_internal.h"
 
 /* ---- writing ---- */
 
-static int by_bytes(const void *a, const void *b)
+int fmt_nvdb_set_names(struct fmt_nvdb_writer *writer, const char *const *names, uint64_t count)
 {
-    return strcmp(*(const char *const *)a, *(const char *const *)b);
-}
-
-/* Moves the first of equal names to the front of a sorted list. Returns their number. */
-static uint64_t drop_repetitions(const char **names, uint64_t count)
-{
-    uint64_t kept = 0;
-    for (uint64_t i = 0; i < count; i++)
-        if (kept == 0 || strcmp(names[kept - 1], names[i]) != 0)
-            names[kept++] = names[i];
-    return kept;
-}
-
-/* Makes the section from a sorted list. */
-static int encode(struct fmt_nvdb_writer *writer, const char *const *names, uint64_t count)
-{
-    uint64_t bytes = sizeof(struct nvdb_names_head);
+    const struct nvdb_names_head head = {writer->info.ids, (uint32_t)count};
+    uint64_t bytes = sizeof head;
+    if (writer->info.ids == BSQ_IDS_NONE)
+        return 0;
     for (uint64_t i = 0; i < count; i++)
         bytes += sizeof(uint32_t) + strlen(names[i]);
     if (bytes > UINT32_MAX)
@@ -34,7 +20,6 @@ static int encode(struct fmt_nvdb_writer *writer, const char *const *names, uint
     int status = bsq_alloc(writer->ctx, "names of ids", bytes, 1, &writer->names);
     if (status)
         return status;
-    const struct nvdb_names_head head = {writer->info.ids, (uint32_t)count};
     uint8_t *to = writer->names;
     memcpy(to, &head, sizeof head);
     to += sizeof head;
@@ -46,24 +31,6 @@ static int encode(struct fmt_nvdb_writer *writer, const char *const *names, uint
     }
     writer->counts.name_bytes = bytes;
     return 0;
-}
-
-int fmt_nvdb_set_names(struct fmt_nvdb_writer *writer, const char *const *names, uint64_t count)
-{
-    const char **sorted;
-    if (writer->info.ids == BSQ_IDS_NONE)
-        return 0;
-    int status = bsq_alloc(writer->ctx, "names of ids", count + 1, sizeof *sorted, &sorted);
-    if (status)
-        return status;
-    if (count > 0)
-        memcpy(sorted, names, count * sizeof *sorted);
-    bsq_sort(sorted, count, sizeof *sorted, by_bytes);
-    status = bsq_check(writer->ctx);
-    if (status == 0)
-        status = encode(writer, sorted, drop_repetitions(sorted, count));
-    bsq_free(writer->ctx, (void *)sorted);
-    return status;
 }
 
 /* ---- reading ---- */

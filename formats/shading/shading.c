@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "base/ids.h"
+#include "base/sort_array.h"
 #include "base/srgb.h"
 #include "formats/texture/texture.h"
 
@@ -103,15 +104,42 @@ int fmt_shading_add_channel(struct fmt_shading *shading, const char *name, const
                       : add_channel(shading, count > 0 ? count : FMT_SHADING_CHANNELS, name, path);
 }
 
+/* Returns the name that tells apart triangles of a material, or those without one. */
+static const char *name_of(const struct fmt_tris_header *header, uint64_t material)
+{
+    const bool named = material < header->material_count && header->materials[material].name;
+    return named ? header->materials[material].name : "";
+}
+
 int fmt_shading_add_ids(struct fmt_shading *shading)
 {
     const uint64_t count = source_count(shading);
     int status = bsq_alloc(shading->ctx, "ids", count, sizeof *shading->ids, &shading->ids);
-    for (uint64_t m = 0; m < count && status == 0; m++) {
-        const char *name = m + 1 < count ? shading->header->materials[m].name : NULL;
-        shading->ids[m] = bsq_name_id(name ? name : "");
-    }
+    for (uint64_t m = 0; m < count && status == 0; m++)
+        shading->ids[m] = bsq_name_id(name_of(shading->header, m));
     return status;
+}
+
+static int by_bytes(const void *a, const void *b)
+{
+    return strcmp(*(const char *const *)a, *(const char *const *)b);
+}
+
+int fmt_shading_id_names(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
+                         const char ***names, uint64_t *count)
+{
+    const uint64_t all = header->material_count + UINT64_C(1);
+    *count = 0;
+    int status = bsq_alloc(ctx, "names of ids", all, sizeof **names, names);
+    if (status < 0)
+        return status;
+    for (uint64_t m = 0; m < all; m++)
+        (*names)[m] = name_of(header, m);
+    bsq_sort(*names, all, sizeof **names, by_bytes);
+    for (uint64_t m = 0; m < all; m++)
+        if (*count == 0 || strcmp((*names)[*count - 1], (*names)[m]) != 0)
+            (*names)[(*count)++] = (*names)[m];
+    return bsq_check(ctx);
 }
 
 /* ---- textures ---- */

@@ -49,6 +49,11 @@ int fmt_shading_add_channel(struct fmt_shading *shading, const char *name, const
 /* Makes ids available. The scan must have some. Errors: BSQ_ENOMEM. */
 int fmt_shading_add_ids(struct fmt_shading *shading);
 
+/* Lists the names that ids by name stand for: ascending, each once. Free *names with bsq_free(),
+ * also after a failure; the names are the header's. Errors: BSQ_ENOMEM, BSQ_EINTR. */
+int fmt_shading_id_names(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
+                         const char ***names, uint64_t *count);
+
 /* Returns whether some attribute of some material comes from a texture. */
 bool fmt_shading_needs_textures(const struct fmt_shading *shading);
 /* Opens the textures of all attributes, if there are any, with a cache of this size. Until then,

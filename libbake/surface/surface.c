@@ -30,6 +30,10 @@ static int open_grid(struct bake_scan *scan, const struct bake_options *options)
     if (status < 0)
         return status;
     status = bake_check_grid(scan->ctx, &scan->grid);
+    if (status == 0 && scan->grid.channels)
+        status = bsq_channel_list_split(scan->ctx, scan->grid.channel_list,
+                                        scan->grid.channel_list_bytes, &scan->own_channels,
+                                        &scan->channel_count);
     if (status < 0) {
         fmt_nvdb_close(scan->ctx, &scan->grid);
         return status;
@@ -41,6 +45,7 @@ static int open_grid(struct bake_scan *scan, const struct bake_options *options)
     memcpy(scan->scan_max, info->scan_max, sizeof scan->scan_max);
     memcpy(scan->translation, info->translation, sizeof scan->translation);
     scan->unit = scan->detail = info->voxel_size;
+    scan->channels = scan->own_channels;
     return 0;
 }
 
@@ -80,6 +85,8 @@ static int open_exact(struct bake_scan *scan, const char *const *paths, uint32_t
     scan->has_color = fmt_tris_has_color(header);
     scan->ids = header->ids;
     scan->unit = 1.0;
+    scan->channels = header->channels;
+    scan->channel_count = header->channel_count;
     scan->detail = side / DETAILS;
     return 0;
 }
@@ -194,6 +201,7 @@ void bake_surface_close(struct bake_surface *surface)
     for (uint32_t s = 0; s < surface->scan_count; s++) {
         struct bake_scan *scan = &surface->scans[s];
         bsq_free(surface->ctx, scan->transfer_words);
+        bsq_free(surface->ctx, scan->own_channels);
         if (scan->exact)
             bake_exact_close(scan->exact);
         else

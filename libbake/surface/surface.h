@@ -17,6 +17,9 @@ struct bake_scan {
     struct bake_exact *exact;  /* the triangles; NULL: the scan is a grid */
     struct fmt_nvdb_grid grid; /* open if `exact` is NULL */
     uint32_t *transfer_words;  /* grid.transfers */
+    char *const *channels;     /* names of further channels */
+    char **own_channels;       /* their memory if the scan is a grid */
+    uint32_t channel_count;
     bool has_color;
     enum bsq_ids ids;
     double scan_min[3], scan_max[3]; /* world */

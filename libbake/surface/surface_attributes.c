@@ -7,94 +7,39 @@
 #include "base/ids.h"
 #include "base/loss.h"
 #include "base/sort_array.h"
+#include "formats/shading/shading.h"
 #include "libbake/surface/surface.h"
 
 /* ---- further channels ---- */
 
-/* Returns whether a single scan has a channel. */
-static bool has_own_channel(const struct bake_scan *scan, const char *name)
+/* Returns how many of the first `end` scans have a channel. */
+static uint32_t scans_with(const struct bake_surface *surface, uint32_t end, const char *name)
 {
-    const struct fmt_nvdb_grid *grid = &scan->grid;
-    uint32_t first;
-    if (!scan->exact)
-        return grid->channels &&
-               bsq_channel_list_find(grid->channel_list, grid->channel_list_bytes, name, &first);
-    return fmt_tris_find_channel(bake_exact_header(scan->exact), name) != UINT32_MAX;
-}
-
-/* Returns whether each scan has a channel. */
-static bool has_channel(const struct bake_surface *surface, const char *name)
-{
-    for (uint32_t s = 0; s < surface->scan_count; s++)
-        if (!has_own_channel(&surface->scans[s], name))
-            return false;
-    return true;
-}
-
-/* What each channel of the scans is given to. */
-struct listing {
-    const struct bake_surface *all;
-    const struct bake_scan *scan; /* the one whose channels are listed */
-    int (*fn)(void *arg, const char *name);
-    void *arg;
-};
-
-/* Returns whether a scan before the listed one has a channel. */
-static bool was_listed(const struct listing *listing, const char *name)
-{
-    for (const struct bake_scan *s = listing->all->scans; s < listing->scan; s++)
-        if (has_own_channel(s, name))
-            return true;
-    return false;
-}
-
-static int list_channel(const struct listing *listing, const char *name)
-{
-    /* A normal map belongs to the scan's normals. */
-    if (strcmp(name, BSQ_CHANNEL_NORMAL_MAP) == 0 || was_listed(listing, name))
-        return 0;
-    if (has_channel(listing->all, name))
-        return listing->fn(listing->arg, name);
-    return bsq_warn_loss(listing->all->ctx,
-                         "the scans do not all have the channel %s: no map transfer:%s is baked",
-                         name, name);
-}
-
-static int list_grid(const struct listing *listing, const struct fmt_nvdb_grid *grid)
-{
-    const char *at = grid->channel_list, *end = at + grid->channel_list_bytes;
-    int status = 0;
-    while (grid->channels && at < end && status == 0) {
-        const char *comma = memchr(at, ',', (size_t)(end - at));
-        const size_t length = (size_t)((comma ? comma : end) - at);
-        char *name = strndup(at, length);
-        status =
-            name ? list_channel(listing, name)
-                 : bsq_fail(listing->all->ctx, BSQ_ENOMEM, "out of memory for names of channels");
-        free(name);
-        at += length + 1;
-    }
-    return status;
-}
-
-static int list_scan(const struct listing *listing)
-{
-    if (!listing->scan->exact)
-        return list_grid(listing, &listing->scan->grid);
-    const struct fmt_tris_header *header = bake_exact_header(listing->scan->exact);
-    int status = 0;
-    for (uint32_t c = 0; c < header->channel_count && status == 0; c++)
-        status = list_channel(listing, header->channels[c]);
-    return status;
+    uint32_t count = 0;
+    for (const struct bake_scan *s = surface->scans; s < surface->scans + end; s++)
+        for (uint32_t c = 0, has = 0; c < s->channel_count && !has; c++)
+            count += has = strcmp(s->channels[c], name) == 0;
+    return count;
 }
 
 int bake_surface_list_channels(const struct bake_surface *surface,
                                int (*fn)(void *arg, const char *name), void *arg)
 {
-    struct listing listing = {surface, surface->scans, fn, arg};
     int status = 0;
-    for (uint32_t s = 0; s < surface->scan_count && status == 0; s++, listing.scan++)
-        status = list_scan(&listing);
+    for (uint32_t s = 0; s < surface->scan_count; s++)
+        for (uint32_t c = 0; c < surface->scans[s].channel_count && status == 0; c++) {
+            const char *name = surface->scans[s].channels[c];
+            /* A normal map belongs to the scan's normals. */
+            if (strcmp(name, BSQ_CHANNEL_NORMAL_MAP) == 0 || scans_with(surface, s, name) > 0)
+                continue;
+            if (scans_with(surface, surface->scan_count, name) == surface->scan_count)
+                status = fn(arg, name);
+            else
+                status = bsq_warn_loss(surface->ctx,
+                                       "the scans do not all have the channel %s: no map "
+                                       "transfer:%s is baked",
+                                       name, name);
+        }
     return status;
 }
 
@@ -218,15 +163,17 @@ static int add_name(void *arg, const char *name)
     return bsq_check(list->ctx);
 }
 
-/* Lists the names of one scan, which may repeat. */
+/* Lists the names of one scan, each once. */
 static int name_scan(struct id_names *list, const struct bake_scan *scan)
 {
+    const char **names;
+    uint64_t count;
     if (!scan->exact)
         return fmt_nvdb_read_names(list->ctx, &scan->grid, add_name, list);
-    const struct fmt_tris_header *header = bake_exact_header(scan->exact);
-    int status = add_name(list, ""); /* triangles without a material */
-    for (uint32_t m = 0; m < header->material_count && status == 0; m++)
-        status = add_name(list, header->materials[m].name ? header->materials[m].name : "");
+    int status = fmt_shading_id_names(list->ctx, bake_exact_header(scan->exact), &names, &count);
+    for (uint64_t i = 0; i < count && status == 0; i++)
+        status = add_name(list, names[i]);
+    bsq_free(list->ctx, (void *)names);
     return status;
 }
 

@@ -222,19 +222,14 @@ static int make_workers(struct vox_run *run)
 static int add_channels(const struct vox_run *run, struct fmt_shading *shading)
 {
     const char *list = run->options->channels;
-    const uint64_t bytes = strlen(list);
-    uint32_t values = 0, first;
-    char *names;
-    int status = bsq_alloc(run->ctx, "names of channels", bytes + 1, 1, &names);
-    if (status < 0)
-        return status;
-    char *rest = memcpy(names, list, bytes + 1);
-    for (char *name = strsep(&rest, ","); name && status == 0; name = strsep(&rest, ",")) {
-        const struct bsq_channel *row = bsq_channel_list_find(list, bytes, name, &first);
-        status = fmt_shading_add_channel(shading, name, NULL);
-        if (status == 0 && first != values)
-            status = bsq_fail(run->ctx, BSQ_EUSAGE, "\"%.60s\" names a channel twice", list);
-        values += row->values;
+    char **names;
+    uint32_t count;
+    int status = bsq_channel_list_split(run->ctx, list, strlen(list), &names, &count);
+    for (uint32_t i = 0; i < count && status == 0; i++) {
+        status = fmt_shading_add_channel(shading, names[i], NULL);
+        for (uint32_t k = 0; k < i && status == 0; k++)
+            if (strcmp(names[k], names[i]) == 0)
+                status = bsq_fail(run->ctx, BSQ_EUSAGE, "\"%.60s\" names a channel twice", list);
     }
     bsq_free(run->ctx, names);
     return status;
@@ -304,15 +299,11 @@ static void tear_down(struct vox_run *run)
 /* Gives the grid the names that ids stand for. */
 static int name_ids(const struct vox_run *run)
 {
-    const uint64_t count = run->header->material_count;
     const char **names;
-    int status = bsq_alloc(run->ctx, "names of ids", count + 1, sizeof *names, &names);
-    if (status < 0)
-        return status;
-    for (uint64_t i = 0; i < count; i++)
-        names[i] = run->header->materials[i].name ? run->header->materials[i].name : "";
-    names[count] = ""; /* triangles without a material */
-    status = fmt_nvdb_set_names(run->writer, names, count + 1);
+    uint64_t count;
+    int status = fmt_shading_id_names(run->ctx, run->header, &names, &count);
+    if (status == 0)
+        status = fmt_nvdb_set_names(run->writer, names, count);
     bsq_free(run->ctx, (void *)names);
     return status;
 }
