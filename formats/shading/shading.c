@@ -174,7 +174,7 @@ int fmt_shading_open_textures(struct fmt_shading *shading, uint64_t cache_bytes)
 
 int fmt_shading_tell_losses(const struct fmt_shading *shading)
 {
-    return fmt_textures_tell_losses(&shading->textures, 1);
+    return fmt_textures_tell_losses(shading->textures);
 }
 
 void fmt_shading_close(struct fmt_shading *shading)

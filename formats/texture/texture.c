@@ -460,51 +460,41 @@ int fmt_textures_tell_damage(const struct fmt_textures *t)
     return status;
 }
 
-/* Sets of textures that are told together; entries may be NULL. */
-struct sets {
-    struct fmt_textures *const *list;
-    uint32_t count;
-};
-
 /* Warns of texels of a file that are not finite, once for all images of this file. */
-static int tell_broken(const struct sets *sets, struct bsq_ctx *ctx, const struct image *image)
+static int tell_broken(struct fmt_textures *t, const struct image *image)
 {
     if (image->pyramid.broken == 0 || image->told)
         return 0;
-    for (uint32_t s = 0; s < sets->count; s++)
-        for (uint64_t i = 0; sets->list[s] && i < sets->list[s]->image_count; i++) {
-            struct image *other = &sets->list[s]->images[i];
-            other->told |= strcmp(other->path, image->path) == 0;
-        }
-    return bsq_warn_loss(ctx, "%s: texels that are not finite: %" PRIu64 "; they count as 0",
+    for (uint64_t i = 0; i < t->image_count; i++)
+        t->images[i].told |= strcmp(t->images[i].path, image->path) == 0;
+    return bsq_warn_loss(t->ctx, "%s: texels that are not finite: %" PRIu64 "; they count as 0",
                          image->path, image->pyramid.broken);
 }
 
 /* Marks a missing tile as told in all textures of this path. Returns whether it was told before. */
-static bool mark_told(const struct sets *sets, const char *path, uint32_t tile)
+static bool mark_told(struct fmt_textures *t, const char *path, uint32_t tile)
 {
     bool before = false;
-    for (uint32_t s = 0; s < sets->count; s++)
-        for (uint64_t i = 0; sets->list[s] && i < sets->list[s]->count; i++) {
-            struct texture *texture = &sets->list[s]->list[i];
-            if (!texture->missing || strcmp(texture->source.path, path) != 0)
-                continue;
-            before |= texture->missing[tile] == 2;
-            texture->missing[tile] = 2;
-        }
+    for (uint64_t i = 0; i < t->count; i++) {
+        struct texture *texture = &t->list[i];
+        if (!texture->missing || strcmp(texture->source.path, path) != 0)
+            continue;
+        before |= texture->missing[tile] == 2;
+        texture->missing[tile] = 2;
+    }
     return before;
 }
 
 /* Takes the tiles that were found missing and not told yet. Writes the first numbers to `names`.
  * Returns how many there are. */
-static uint32_t take_missing(const struct sets *sets, const struct texture *texture, char *names,
+static uint32_t take_missing(struct fmt_textures *t, const struct texture *texture, char *names,
                              size_t size)
 {
     enum { SHOWN = 5 };
     uint32_t count = 0;
     size_t length = 0;
     for (uint32_t tile = 0; tile < ALL_TILES; tile++) {
-        if (texture->missing[tile] != 1 || mark_told(sets, texture->source.path, tile))
+        if (texture->missing[tile] != 1 || mark_told(t, texture->source.path, tile))
             continue;
         if (count++ < SHOWN)
             length += (size_t)snprintf(names + length, size - length, "%s%u",
@@ -515,36 +505,32 @@ static uint32_t take_missing(const struct sets *sets, const struct texture *text
     return count;
 }
 
-static int tell_missing(const struct sets *sets, struct bsq_ctx *ctx, const struct texture *texture)
+static int tell_missing(struct fmt_textures *t, const struct texture *texture)
 {
     char names[80] = "";
     int status = 0;
     if (!texture->missing)
         return 0;
     const char *path = texture->source.path;
-    const uint32_t count = take_missing(sets, texture, names, sizeof names);
+    const uint32_t count = take_missing(t, texture, names, sizeof names);
     if (count > 0)
-        BSQ_TRY(bsq_warn_loss(ctx,
+        BSQ_TRY(bsq_warn_loss(t->ctx,
                               "%s: %u %s no file that can be read: %s; the scan is black there",
                               path, count, count == 1 ? "tile has" : "tiles have", names));
-    if (texture->missing[ALL_TILES] == 1 && !mark_told(sets, path, ALL_TILES))
-        BSQ_TRY(
-            bsq_warn_loss(ctx, "%s: the scan is black where it lies outside of all tiles", path));
+    if (texture->missing[ALL_TILES] == 1 && !mark_told(t, path, ALL_TILES))
+        BSQ_TRY(bsq_warn_loss(t->ctx, "%s: the scan is black where it lies outside of all tiles",
+                              path));
 done:
     return status;
 }
 
-int fmt_textures_tell_losses(struct fmt_textures *const *list, uint32_t count)
+int fmt_textures_tell_losses(struct fmt_textures *t)
 {
-    const struct sets sets = {list, count};
     int status = 0;
-    for (uint32_t s = 0; s < count; s++) {
-        const struct fmt_textures *t = list[s];
-        for (uint64_t i = 0; t && i < t->image_count; i++)
-            BSQ_TRY(tell_broken(&sets, t->ctx, &t->images[i]));
-        for (uint64_t i = 0; t && i < t->count; i++)
-            BSQ_TRY(tell_missing(&sets, t->ctx, &t->list[i]));
-    }
+    for (uint64_t i = 0; t && i < t->image_count; i++)
+        BSQ_TRY(tell_broken(t, &t->images[i]));
+    for (uint64_t i = 0; t && i < t->count; i++)
+        BSQ_TRY(tell_missing(t, &t->list[i]));
 done:
     return status;
 }

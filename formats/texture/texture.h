@@ -51,10 +51,9 @@ int fmt_textures_open_each(struct bsq_ctx *ctx, uint64_t count,
 int fmt_textures_tell_damage(const struct fmt_textures *textures);
 
 /* Warns of files with texels that are not finite, and of tiles without a readable file that lookups
- * have asked for, each once, also if a file is in several of the sets. sets: all textures of a
- * scan; entries may be NULL. Must not be called during lookups. Errors: BSQ_EDATA in a strict job,
- * BSQ_ENOMEM. */
-int fmt_textures_tell_losses(struct fmt_textures *const *sets, uint32_t count);
+ * have asked for, each once. NULL is allowed. Must not be called during lookups. Errors: BSQ_EDATA
+ * in a strict job. */
+int fmt_textures_tell_losses(struct fmt_textures *textures);
 
 /* Returns whether an image has an alpha channel; of one in tiles, whether any tile has. */
 bool fmt_texture_has_alpha(const struct fmt_textures *textures, uint32_t image);

@@ -49,7 +49,7 @@ int bake_skew_open(struct bsq_ctx *ctx, const char *path, const uint32_t *tiles,
     if (status == 0)
         status = fmt_textures_open(ctx, sources, count, cache, &skew->textures);
     if (status == 0)
-        status = fmt_textures_tell_losses(&skew->textures, 1);
+        status = fmt_textures_tell_losses(skew->textures);
     for (uint32_t i = 0; sources && i < count; i++)
         free((void *)(uintptr_t)sources[i].path);
     bsq_free(ctx, sources);
