@@ -116,6 +116,24 @@ static void release(struct batches *b)
 
 /* ---- chunks ---- */
 
+/* Returns the number of entries of the first chunk, from half of FMT_TRIS_CHUNK_TRIANGLES to all of
+ * it. Cuts at the end of the largest Morton cell: between the two neighbours whose keys differ in
+ * the highest bit, or the first such pair. There must be more than FMT_TRIS_CHUNK_TRIANGLES sorted
+ * entries. */
+static uint32_t count_of_first(const struct entry *entries)
+{
+    uint64_t highest = 0; /* all bits up to the highest one that differed so far */
+    uint32_t at = FMT_TRIS_CHUNK_TRIANGLES / 2;
+    for (uint32_t i = FMT_TRIS_CHUNK_TRIANGLES / 2; i <= FMT_TRIS_CHUNK_TRIANGLES; i++) {
+        uint64_t difference = entries[i - 1].key ^ entries[i].key;
+        if (difference > highest) {
+            highest = UINT64_MAX >> __builtin_clzll(difference);
+            at = i;
+        }
+    }
+    return at;
+}
+
 static int produce(void *arg, void *slot_arg, uint64_t sequence)
 {
     struct batches *b = arg;
@@ -126,7 +144,7 @@ static int produce(void *arg, void *slot_arg, uint64_t sequence)
         return 0;
     slot->first = b->cut;
     slot->count = left <= FMT_TRIS_CHUNK_TRIANGLES ? (uint32_t)left
-                                                   : vox_radix_cut(b->batch.entries + b->cut);
+                                                   : count_of_first(b->batch.entries + b->cut);
     b->cut += slot->count;
     return 1;
 }
@@ -208,8 +226,7 @@ static int add_in_parts(struct batches *b, const struct batch_part *whole)
 static int divide_run(struct batches *b, const uint8_t *records, uint32_t count, uint32_t levels,
                       uint8_t *coded, struct buckets *children)
 {
-    const struct record_layout *layout = &b->partition->layout;
-    const uint32_t bytes = layout->bytes, mask = children->bucket_count - 1;
+    const uint32_t bytes = b->partition->layout.bytes, mask = children->bucket_count - 1;
     int status = 0;
     for (uint32_t first = 0, end; status == 0 && first < count; first = end) {
         uint32_t child = BUCKET_NONE;
@@ -221,10 +238,12 @@ static int divide_run(struct batches *b, const uint8_t *records, uint32_t count,
                 break;
             child = number;
         }
-        uint8_t *coded_end =
-            vox_run_put_records(layout, records + first * bytes, end - first, coded);
-        status =
-            vox_buckets_add(children, child, coded, (uint64_t)(coded_end - coded), end - first);
+        const struct run_header header = {.bytes = (end - first) * bytes,
+                                          .triangles = (uint16_t)(end - first),
+                                          .form = RUN_RECORDS};
+        memcpy(coded, &header, sizeof header);
+        memcpy(coded + sizeof header, records + first * bytes, header.bytes);
+        status = vox_buckets_add(children, child, coded, sizeof header + header.bytes, end - first);
     }
     return status;
 }

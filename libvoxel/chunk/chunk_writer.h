@@ -3,6 +3,7 @@
 #ifndef VOX_CHUNK_CHUNK_WRITER_H
 #define VOX_CHUNK_CHUNK_WRITER_H
 
+#include "formats/chunks/tris.h"
 #include "libvoxel/partition/partition.h"
 
 struct batches_report {

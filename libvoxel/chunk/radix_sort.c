@@ -5,7 +5,6 @@
  * surface has about 4^7 occupied cells. Such entries are sorted by insertion, or by their next bits
  * if many. */
 #include "libvoxel/chunk/radix_sort.h"
-#include "formats/chunks/tris.h"
 
 #include <stdbool.h>
 #include <string.h>
@@ -88,18 +87,4 @@ void vox_radix_sort(struct entry *entries, struct entry *scratch, uint64_t n, ui
         if (end - begin > 1)
             vox_radix_sort(entries + begin, scratch, end - begin, shift);
     }
-}
-
-uint32_t vox_radix_cut(const struct entry *entries)
-{
-    uint64_t highest = 0; /* all bits up to the highest one that differed so far */
-    uint32_t at = FMT_TRIS_CHUNK_TRIANGLES / 2;
-    for (uint32_t i = FMT_TRIS_CHUNK_TRIANGLES / 2; i <= FMT_TRIS_CHUNK_TRIANGLES; i++) {
-        uint64_t difference = entries[i - 1].key ^ entries[i].key;
-        if (difference > highest) {
-            highest = UINT64_MAX >> __builtin_clzll(difference);
-            at = i;
-        }
-    }
-    return at;
 }

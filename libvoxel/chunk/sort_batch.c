@@ -147,44 +147,24 @@ static void mark_record(const struct batch *b, const uint8_t *record)
         used_mark(b->used, record_vertex_index(layout, record + k * layout->corner_bytes));
 }
 
-/* Makes entries for the records with an area and returns their count. */
-static uint32_t make_entries(const struct batch *b, const uint8_t *records, uint64_t first,
-                             uint32_t count, struct entry *entries)
-{
-    const struct record_layout *layout = &b->partition->layout;
-    const struct morton_cube cube = b->partition->cube;
-    uint32_t kept = 0;
-    for (uint32_t i = 0; i < count; i++) {
-        const uint8_t *record = records + (uint64_t)i * layout->bytes;
-        const float *p[3];
-        for (uint32_t k = 0; k < 3; k++)
-            p[k] = record_position(layout, b->scan, record + k * layout->corner_bytes);
-        if (area_is_zero(p[0], p[1], p[2]))
-            mark_record(b, record);
-        else
-            entries[kept++] = (struct entry){.key = morton_point_key(&cube, p[0]),
-                                             .record = (uint32_t)(first + i)};
-    }
-    return kept;
-}
-
-/* Does the same for plain records (record_layout). Faster, because widths and offsets are
- * constants. */
-static uint32_t make_plain_entries(const struct batch *b, const uint8_t *records, uint64_t first,
-                                   uint32_t count, struct entry *entries)
+/* Makes entries for the records with an area and returns their count. Inlined, so that widths and
+ * offsets of a constant layout are constants. */
+static inline __attribute__((always_inline)) uint32_t
+make_entries(const struct batch *b, const struct record_layout *layout, const uint8_t *records,
+             uint64_t first, uint32_t count, struct entry *entries)
 {
     /* Local copies, so that the compiler knows that writes to `entries` cannot change them. */
     const struct morton_cube cube = b->partition->cube;
     const struct attribute_stream positions = b->scan->streams[SCAN_POSITIONS];
     uint32_t kept = 0;
     for (uint32_t i = 0; i < count; i++) {
-        uint32_t index[3];
+        const uint8_t *record = records + (uint64_t)i * layout->bytes;
         const float *p[3];
-        memcpy(index, records + 12 * (uint64_t)i, sizeof index);
         for (uint32_t k = 0; k < 3; k++)
-            p[k] = stream_at(&positions, index[k], 12);
+            p[k] = stream_at(&positions,
+                             record_vertex_index(layout, record + k * layout->corner_bytes), 12);
         if (area_is_zero(p[0], p[1], p[2]))
-            mark_record(b, records + 12 * (uint64_t)i);
+            mark_record(b, record);
         else
             entries[kept++] = (struct entry){.key = morton_point_key(&cube, p[0]),
                                              .record = (uint32_t)(first + i)};
@@ -195,13 +175,16 @@ static uint32_t make_plain_entries(const struct batch *b, const uint8_t *records
 /* Makes entries for `count` records of a part, from its record `done` on. */
 static void enter_records(struct batch *b, struct batch_part *part, uint64_t done, uint32_t count)
 {
+    static const struct record_layout plain = {
+        .index_bytes = {[FMT_MESH_VERTEX] = 4}, .corner_bytes = 4, .bytes = 12};
     const uint64_t first = part->record + done;
     uint8_t *records = b->records + first * b->partition->layout.bytes;
     struct entry *to = b->entries + part->at + part->kept;
     if (b->gathered)
         vox_gather_number(&b->window, records, count);
-    part->kept += b->partition->layout.plain ? make_plain_entries(b, records, first, count, to)
-                                             : make_entries(b, records, first, count, to);
+    part->kept += b->partition->layout.plain
+                      ? make_entries(b, &plain, records, first, count, to)
+                      : make_entries(b, &b->partition->layout, records, first, count, to);
 }
 
 /* ---- fans ----

@@ -45,11 +45,6 @@ void vox_partition_free(const struct scan *scan, struct partition *partition)
     memset(partition, 0, sizeof *partition);
 }
 
-void vox_partition_finish(const struct scan *scan, struct partition *partition)
-{
-    vox_record_layout_for(scan, &partition->layout);
-}
-
 uint64_t vox_partition_unused(const struct scan *scan, const struct partition *partition)
 {
     uint64_t vertices = scan_count(scan, SCAN_POSITIONS);

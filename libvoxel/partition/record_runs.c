@@ -62,18 +62,6 @@ void vox_record_vertex(const struct record_layout *layout, const struct scan *sc
     }
 }
 
-/* ---- runs ---- */
-
-uint8_t *vox_run_put_records(const struct record_layout *layout, const uint8_t *records,
-                             uint32_t count, uint8_t *to)
-{
-    struct run_header header = {
-        .bytes = count * layout->bytes, .triangles = (uint16_t)count, .form = RUN_RECORDS};
-    memcpy(to, &header, sizeof header);
-    memcpy(to + sizeof header, records, header.bytes);
-    return to + sizeof header + header.bytes;
-}
-
 /* ---- the buffer ---- */
 
 /* Size of the largest run: delta codes of all kinds of indices. Plain records are never larger. */

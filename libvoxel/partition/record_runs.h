@@ -131,10 +131,6 @@ static inline uint32_t run_material(uint32_t usemtl, bool lacks_texcoord)
     return (usemtl + 1) << 1 | lacks_texcoord; /* FMT_MESH_NO_MATERIAL becomes 0 */
 }
 
-/* Writes a run of up to RUN_TRIANGLES records and returns its end. */
-uint8_t *vox_run_put_records(const struct record_layout *layout, const uint8_t *records,
-                             uint32_t count, uint8_t *to);
-
 /* Reads the runs of a bucket in sequence. Each thread has its own reader. */
 struct run_reader {
     const struct scan *scan;
