@@ -10,7 +10,7 @@
 #include "formats/image/image_writer.h"
 #include "libbake/bake.h"
 #include "libbake/kernel/bk_maps.h"
-#include "libbake/udim/paths.h"
+#include "libbake/udim/udim.h"
 #include "libbake/raster/raster.h"
 
 /* ---- the table of maps ---- */

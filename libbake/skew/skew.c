@@ -8,7 +8,7 @@
 #include "formats/texture/texture.h"
 #include "libbake/bake.h"
 #include "libbake/kernel/bk_types.h"
-#include "libbake/udim/paths.h"
+#include "libbake/udim/udim.h"
 
 enum { LEAST_CACHE = 12 << 20, MOST_CACHE = 256 << 20 };
 

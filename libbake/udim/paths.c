@@ -1,11 +1,9 @@
-/* paths.c - see paths.h. */
-#include "libbake/udim/paths.h"
+/* paths.c - names of map files: an output path whose tokens are replaced. */
+#include "libbake/udim/udim.h"
 
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-
-#include "libbake/bake.h"
 
 /* Returns a copy of `path` with each `token` replaced by `value`; NULL if there is no memory. The
  * caller frees it. A NULL path is allowed and gives NULL. */

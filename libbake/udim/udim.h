@@ -49,4 +49,14 @@ uint32_t bake_udim_row(uint32_t number);
 void bake_tile_size_of(const struct bake_options *options, uint32_t tile, uint32_t *width,
                        uint32_t *height);
 
+/* ---- names of map files ---- */
+
+/* Replace tokens of an output path: "<MAP>" by the name of a map; "<OBJECT>" and "<MATERIAL>" by
+ * names, in which characters that could lead to another folder become '_' (NULL keeps a token);
+ * "<UDIM>" and "<UVTILE>" for a tile. Return a path that the caller frees; NULL if there is no
+ * memory. */
+char *bake_map_path(const char *path, const char *name);
+char *bake_object_path(const char *path, const char *object, const char *material);
+char *bake_tile_path(const char *path, uint32_t tile);
+
 #endif
