@@ -10,8 +10,9 @@ enum { MOST_ATTRIBUTES = 4096, MOST_CHANNELS = 16384, MOST_BYTES = 1 << 20 };
 enum { NAME_BYTES = 256, CHANNEL_BYTES = 16, MULTI_PART = 1 << 12 };
 
 struct walk {
-    fmt_exr_read_at read;
-    void *arg;
+    struct bsq_ctx *ctx;
+    const struct bsq_file *file;
+    int status; /* of a failed read, or 0 */
     uint64_t at;
     uint32_t attributes, channels;
     const char *excess;
@@ -22,10 +23,19 @@ static uint32_t little32(const unsigned char *p)
     return p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16 | (uint32_t)p[3] << 24;
 }
 
+/* Reads up to `size` bytes. Returns their number. */
+static uint64_t read_at(struct walk *walk, uint64_t offset, void *to, uint64_t size)
+{
+    uint64_t got = 0;
+    const int status = bsq_file_read_some(walk->ctx, walk->file, to, size, offset, &got);
+    walk->status = walk->status < 0 ? walk->status : status;
+    return status < 0 ? 0 : got;
+}
+
 /* Reads a name and moves behind the null byte at its end. Returns false if there is none. */
 static bool read_name(struct walk *walk, char name[NAME_BYTES])
 {
-    const uint64_t got = walk->read(walk->arg, walk->at, name, NAME_BYTES);
+    const uint64_t got = read_at(walk, walk->at, name, NAME_BYTES);
     const char *end = memchr(name, '\0', got);
     if (end)
         walk->at += (uint64_t)(end - name) + 1;
@@ -54,7 +64,7 @@ static bool pass_attribute(struct walk *walk)
 {
     char type[NAME_BYTES];
     unsigned char size[4];
-    if (!read_name(walk, type) || walk->read(walk->arg, walk->at, size, 4) < 4)
+    if (!read_name(walk, type) || read_at(walk, walk->at, size, 4) < 4)
         return false;
     const uint64_t end = walk->at + 4 + little32(size);
     walk->at += 4;
@@ -69,21 +79,21 @@ static bool pass_attribute(struct walk *walk)
 }
 
 /* A file has one header, or one for each part and an empty one at the end. */
-const char *fmt_exr_header_excess(fmt_exr_read_at read, void *arg)
+int fmt_exr_header_excess(struct bsq_ctx *ctx, const struct bsq_file *file, const char **out)
 {
-    struct walk walk = {.read = read, .arg = arg, .at = 8};
-    unsigned char version[4];
+    struct walk walk = {.ctx = ctx, .file = file, .at = 8};
+    unsigned char version[4] = {0};
     char name[NAME_BYTES];
-    if (read(arg, 4, version, 4) < 4)
-        return NULL;
-    const bool parts = little32(version) & MULTI_PART;
     bool empty = true;
-    while (read_name(&walk, name)) {
+    const bool found = read_at(&walk, 4, version, 4) == 4;
+    const bool parts = little32(version) & MULTI_PART;
+    while (found && read_name(&walk, name)) {
         if (!name[0] && (!parts || empty))
             break;
         if (name[0] && !pass_attribute(&walk))
             break;
         empty = !name[0];
     }
-    return walk.excess;
+    *out = walk.excess;
+    return walk.status;
 }

@@ -58,28 +58,17 @@ static int64_t file_size(exr_const_context_t file, void *user)
 
 /* ---- header ---- */
 
-static uint64_t read_header(void *arg, uint64_t offset, void *to, uint64_t size)
+static int refuse(const struct reader *reader, const char *why)
 {
-    struct reader *reader = arg;
-    uint64_t got;
-    fmt_exr_set_status(&reader->stream, bsq_file_read_some(reader->stream.ctx, &reader->input, to,
-                                                           size, offset, &got));
-    return got;
+    return bsq_fail(reader->stream.ctx, BSQ_EDATA, "%s: %s", reader->stream.path, why);
 }
 
 /* Checks what OpenEXR would take much time and memory for. */
 static int check_header(struct reader *reader)
 {
-    const char *excess = fmt_exr_header_excess(read_header, reader);
-    int status = atomic_load(&reader->stream.status);
-    if (status == 0 && excess)
-        status = bsq_fail(reader->stream.ctx, BSQ_EDATA, "%s: %s", reader->stream.path, excess);
-    return status;
-}
-
-static int refuse(const struct reader *reader, const char *why)
-{
-    return bsq_fail(reader->stream.ctx, BSQ_EDATA, "%s: %s", reader->stream.path, why);
+    const char *excess = NULL;
+    int status = fmt_exr_header_excess(reader->stream.ctx, &reader->input, &excess);
+    return status == 0 && excess ? refuse(reader, excess) : status;
 }
 
 static int read_layout(struct reader *reader)

@@ -31,8 +31,6 @@ struct format {
     const struct fmt_rows_decoder *decoder;
     bool (*recognise)(struct probe *probe);
     struct whole (*whole)(struct probe *probe); /* NULL: the decoder tells */
-    /* Returns what is too much in the header, or NULL. May be NULL. */
-    const char *(*excess)(struct probe *probe);
 };
 
 static uint32_t big16(const uint8_t *p)
@@ -104,20 +102,6 @@ static bool is_tiff(struct probe *probe)
 static bool is_exr(struct probe *probe)
 {
     return begins(probe, "\x76\x2f\x31\x01", 4);
-}
-
-static uint64_t read_exr_header(void *arg, uint64_t offset, void *to, uint64_t size)
-{
-    struct probe *probe = arg;
-    read_at(probe, offset, to, size);
-    const uint64_t left =
-        probe->file->size - (offset < probe->file->size ? offset : probe->file->size);
-    return size < left ? size : left;
-}
-
-static const char *exr_excess(struct probe *probe)
-{
-    return fmt_exr_header_excess(read_exr_header, probe);
 }
 
 static bool is_jpeg2000(struct probe *probe)
@@ -238,17 +222,16 @@ static struct whole targa_whole(struct probe *probe)
 static const struct format *find_format(struct probe *probe)
 {
     static const struct format formats[] = {
-        {NULL, "PNG", &fmt_png_rows, is_png, NULL, NULL},
-        {NULL, "JPEG", &fmt_jpeg_rows, is_jpeg, NULL, NULL},
-        {"tiff", "TIFF", NULL, is_tiff, NULL, NULL},
-        {"openexr", "OpenEXR", NULL, is_exr, NULL, exr_excess},
-        {"jpeg2000", "JPEG 2000", NULL, is_jpeg2000, jpeg2000_whole, NULL},
-        {"webp", "WebP", NULL, is_webp, webp_whole, NULL},
-        {"bmp", "BMP", NULL, is_bmp, bmp_whole, NULL},
-        {"hdr", "Radiance HDR", NULL, is_hdr, NULL, NULL},
-        {"pnm", "PNM", NULL, is_pnm, pnm_whole, NULL},
-        {"targa", "TGA", NULL, is_targa, targa_whole,
-         NULL}, /* matches loosely, so it is the last */
+        {NULL, "PNG", &fmt_png_rows, is_png, NULL},
+        {NULL, "JPEG", &fmt_jpeg_rows, is_jpeg, NULL},
+        {"tiff", "TIFF", NULL, is_tiff, NULL},
+        {"openexr", "OpenEXR", NULL, is_exr, NULL},
+        {"jpeg2000", "JPEG 2000", NULL, is_jpeg2000, jpeg2000_whole},
+        {"webp", "WebP", NULL, is_webp, webp_whole},
+        {"bmp", "BMP", NULL, is_bmp, bmp_whole},
+        {"hdr", "Radiance HDR", NULL, is_hdr, NULL},
+        {"pnm", "PNM", NULL, is_pnm, pnm_whole},
+        {"targa", "TGA", NULL, is_targa, targa_whole}, /* matches loosely, so it is the last */
     };
     for (size_t i = 0; i < sizeof formats / sizeof *formats; i++)
         if (formats[i].recognise(probe))
@@ -350,8 +333,10 @@ int fmt_rows_open(struct bsq_ctx *ctx, const char *path, struct fmt_rows *rows)
     const struct format *format = find_format(&probe);
     const struct whole whole =
         format && format->whole ? format->whole(&probe) : (struct whole){0, 0, 0};
-    const char *excess = format && format->excess ? format->excess(&probe) : NULL;
+    const char *excess = NULL;
     BSQ_TRY(probe.status);
+    if (format && format->recognise == is_exr)
+        BSQ_TRY(fmt_exr_header_excess(ctx, &rows->input.file, &excess));
     if (!format || excess)
         return fmt_rows_unreadable(&rows->input, excess ? excess : "it is no " FORMAT_NAMES);
     BSQ_TRY(open_decoder(rows, format, whole));
