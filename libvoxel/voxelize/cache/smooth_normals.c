@@ -42,31 +42,46 @@ static uint32_t largest_vertex_count(const struct fmt_tris_file *file)
     return largest;
 }
 
-/* Places the arrays of a workspace in `memory`, and returns the bytes of all. */
-static uint64_t lay_out(const struct fmt_tris_file *file, uint8_t *memory, struct workspace *w)
+/* Offsets of the arrays in a workspace's memory; the one-rings come first. */
+struct layout {
+    uint64_t slots_at, own_at, neighbour_at, scratch_at, bytes;
+};
+
+static struct layout lay_out(const struct fmt_tris_file *file)
 {
     const uint64_t vertices = largest_vertex_count(file);
-    uint64_t end = 0;
-    w->rings = (void *)memory;
-    end += bsq_align_up((vertices + 1) * sizeof *w->rings, BSQ_ALIGNMENT);
-    w->table.slots = (void *)(memory + end);
-    end += bsq_align_up(bsq_positions_slots((uint32_t)vertices) * sizeof *w->table.slots,
-                        BSQ_ALIGNMENT);
-    w->own_rings = (void *)(memory + end);
-    end += bsq_align_up(vertices * sizeof *w->own_rings, BSQ_ALIGNMENT);
-    w->neighbour_rings = (void *)(memory + end);
-    end += bsq_align_up(vertices * sizeof *w->neighbour_rings, BSQ_ALIGNMENT);
-    w->scratch = memory + end;
-    return end + fmt_tris_load_size_max(file);
+    const uint64_t numbers = bsq_align_up(vertices * sizeof(uint32_t), BSQ_ALIGNMENT);
+    struct layout to;
+    to.slots_at = bsq_align_up((vertices + 1) * sizeof(struct vox_one_ring), BSQ_ALIGNMENT);
+    to.own_at =
+        to.slots_at +
+        bsq_align_up(bsq_positions_slots((uint32_t)vertices) * sizeof(uint32_t), BSQ_ALIGNMENT);
+    to.neighbour_at = to.own_at + numbers;
+    to.scratch_at = to.neighbour_at + numbers;
+    to.bytes = to.scratch_at + fmt_tris_load_size_max(file);
+    return to;
+}
+
+static int make_workspace(struct bsq_ctx *ctx, const struct layout *at, struct workspace *w)
+{
+    int status = bsq_alloc(ctx, "smooth normals", at->bytes, 1, &w->memory);
+    if (status < 0)
+        return status;
+    w->rings = (void *)w->memory;
+    w->table.slots = (void *)(w->memory + at->slots_at);
+    w->own_rings = (void *)(w->memory + at->own_at);
+    w->neighbour_rings = (void *)(w->memory + at->neighbour_at);
+    w->scratch = w->memory + at->scratch_at;
+    return 0;
 }
 
 int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                       enum bsq_scan_normals weights, unsigned calls, uint64_t bytes,
                       struct vox_smooth **out)
 {
-    struct workspace none;
     struct vox_smooth *s = NULL;
-    const uint64_t each = lay_out(file, NULL, &none), most = bytes / (sizeof none + each);
+    const struct layout at = lay_out(file);
+    const uint64_t most = bytes / (sizeof(struct workspace) + at.bytes);
     int status;
     *out = NULL;
     BSQ_TRY(bsq_calloc(ctx, "smooth normals", 1, sizeof *s, &s));
@@ -80,10 +95,8 @@ int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                                                                : calls};
     BSQ_TRY(bsq_calloc(ctx, "smooth normals", s->workspace_count, sizeof *s->workspaces,
                        &s->workspaces));
-    for (unsigned i = 0; i < s->workspace_count; i++) {
-        BSQ_TRY(bsq_alloc(ctx, "smooth normals", each, 1, &s->workspaces[i].memory));
-        lay_out(file, s->workspaces[i].memory, &s->workspaces[i]);
-    }
+    for (unsigned i = 0; i < s->workspace_count; i++)
+        BSQ_TRY(make_workspace(ctx, &at, &s->workspaces[i]));
     *out = s;
     return 0;
 done:
