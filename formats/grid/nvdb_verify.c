@@ -318,7 +318,7 @@ static int verify_section(void *arg, uint64_t index, unsigned worker)
     const struct check *c = arg;
     const struct nvdb_range *range = &c->layout.section[index];
     uint64_t hash = 0;
-    if ((index == NVDB_IDS || index == NVDB_NAMES) && c->grid->info.ids == BSQ_IDS_NONE)
+    if (nvdb_is_of_ids((int)index) && c->grid->info.ids == BSQ_IDS_NONE)
         return 0;
     if (index == NVDB_CHANNELS && c->grid->channel_words == 0)
         return 0;

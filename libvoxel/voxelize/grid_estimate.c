@@ -6,7 +6,7 @@
  *
  * The estimate is too high only if triangles share voxels. So a grid is refused only if its
  * estimate is more than twice what fits. */
-#include "libvoxel/voxelize/grid_estimate.h"
+#include "libvoxel/voxelize/voxelize_run.h"
 
 #include <inttypes.h>
 #include <math.h>
@@ -102,19 +102,19 @@ int vox_estimate_voxels(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                            .scratch_bytes = (fmt_tris_load_size_max(file) + 63) & ~UINT64_C(63)};
     job.count = header->chunk_count < chunks_max ? header->chunk_count : chunks_max;
     job.workers = choose_workers(&job);
-    int status = bsq_calloc(ctx, "areas of chunks", job.count, sizeof *job.samples, &job.samples);
-    if (status == 0)
-        status = bsq_alloc(ctx, "areas of chunks", job.workers, job.scratch_bytes, &job.scratch);
-    if (status == 0)
-        status = bsq_parallel_for(ctx, job.workers, sum_areas, &job);
     double area = 0.0, triangles = 0.0;
-    for (uint64_t i = 0; i < job.count && status == 0; i++) {
+    int status;
+    *voxels = 0.0;
+    BSQ_TRY(bsq_calloc(ctx, "areas of chunks", job.count, sizeof *job.samples, &job.samples));
+    BSQ_TRY(bsq_alloc(ctx, "areas of chunks", job.workers, job.scratch_bytes, &job.scratch));
+    BSQ_TRY(bsq_parallel_for(ctx, job.workers, sum_areas, &job));
+    for (uint64_t i = 0; i < job.count; i++) {
         area += job.samples[i].area;
         triangles += job.samples[i].triangles;
     }
-    *voxels = triangles > 0.0 ? area * ((double)header->triangle_count / triangles) / transform->h /
-                                    transform->h
-                              : 0.0;
+    if (triangles > 0.0)
+        *voxels = area * ((double)header->triangle_count / triangles) / transform->h / transform->h;
+done:
     bsq_free(ctx, job.scratch);
     bsq_free(ctx, job.samples);
     return status;

@@ -8,7 +8,6 @@
 #include "base/job_files.h"
 #include "libvoxel/float_precision.h"
 #include "libvoxel/temp_tris.h"
-#include "libvoxel/voxelize/grid_estimate.h"
 #include "libvoxel/voxelize/voxelize_run.h"
 
 /* More bytes of sums than this would not stay in a processor's cache; then regions are made in

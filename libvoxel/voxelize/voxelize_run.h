@@ -7,6 +7,7 @@
 #include "formats/grid/nvdb.h"
 #include "libvoxel/voxel.h"
 #include "libvoxel/voxelize/clip/accumulate.h"
+#include "libvoxel/voxelize/plan/plan.h"
 
 /* How memory is divided among the steps. */
 struct vox_shares {
@@ -70,5 +71,25 @@ struct vox_run {
 /* Makes all regions of a run that is set up, and appends their voxels to its grid. Errors: those of
  * reading and writing. */
 int vox_run_regions(struct vox_run *run);
+
+/* ---- how large a grid will be ---- */
+
+/* Estimates the number of voxels that the triangles touch, to some percent if triangles are larger
+ * than voxels. Surfaces that pass through the same voxels count more than once. Reads up to
+ * chunks_max chunks (UINT64_MAX: all) on as many threads as the budget allows. Errors: those of
+ * reading. */
+int vox_estimate_voxels(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                        const struct vox_transform *transform, uint64_t chunks_max, double *voxels);
+
+/* Returns the estimated size in bytes of a file of that many voxels. */
+double vox_estimate_bytes(double voxels, unsigned channels);
+
+/* Refuses a grid that does not fit on its disk (BSQ_EIO, with the bytes needed and free) or has
+ * more leaves than a file can number (BSQ_EUSAGE). Warns if the grid will be huge and far finer
+ * than the triangles. Samples a few chunks; reads all if their bounds allow a billion voxels.
+ * Requires less space than estimated, so that no grid is refused that would have fitted. */
+int vox_estimate_check(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
+                       const struct vox_transform *transform, unsigned channels,
+                       const char *grid_path);
 
 #endif

@@ -1,5 +1,5 @@
 /* Compares estimates of a grid's size with grids that are made. Tests warnings and refusals. */
-#include "libvoxel/voxelize/grid_estimate.h"
+#include "libvoxel/voxelize/voxelize_run.h"
 #include "libvoxel/voxel.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
 #include "tests/unit/test.h"
