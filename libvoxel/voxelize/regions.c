@@ -151,12 +151,12 @@ static int write_unit(struct vox_run *run, const struct vox_unit *unit)
         .leaf_count = leaves->leaf_count,
         .leaf_ids = leaves->ids,
         .masks = (const uint64_t(*)[8])leaves->masks,
-        .record_count = leaves->record_count,
-        .second_count = leaves->second_count,
-        .records = leaves->records,
-        .second = leaves->second,
-        .channels = leaves->channels,
-        .second_channels = leaves->second_channels,
+        .record_count = leaves->sides[0].count,
+        .second_count = leaves->sides[1].count,
+        .records = leaves->sides[0].records,
+        .second = leaves->sides[1].records,
+        .channels = leaves->sides[0].channels,
+        .second_channels = leaves->sides[1].channels,
     };
     memcpy(region.origin, unit->origin, sizeof region.origin);
     widen_index(run, unit);

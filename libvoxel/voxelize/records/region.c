@@ -61,16 +61,6 @@ static void set_capacities(struct vox_accumulator *a, uint64_t bytes, unsigned s
     a->sum_capacity = (uint32_t)(count < SUMS_MIN ? SUMS_MIN : count > SUMS_MAX ? SUMS_MAX : count);
 }
 
-static int allocate_channels(struct vox_accumulator *a)
-{
-    const uint64_t bytes = a->channel_words * sizeof *a->channels;
-    int status =
-        bsq_alloc(a->ctx, "voxel sums", (uint64_t)a->sum_capacity + 1, bytes, &a->channels);
-    return status < 0
-               ? status
-               : bsq_alloc(a->ctx, "voxel sums", VOX_FRAGMENT_LANES, bytes, &a->fragment_channels);
-}
-
 int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, unsigned sums,
                            struct vox_accumulator **out)
 {
@@ -83,6 +73,7 @@ int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, unsigned sums,
     a->channel_words = sums / VOX_SUM_CHANNEL_VALUE;
     set_capacities(a, bytes, sums);
     const uint64_t count = (uint64_t)a->sum_capacity + 1;
+    const uint64_t channel_bytes = a->channel_words * sizeof *a->channels;
     BSQ_TRY(bsq_alloc(ctx, "voxel sums", (uint64_t)a->brick_capacity + 1, sizeof *a->bricks,
                       &a->bricks));
     BSQ_TRY(bsq_alloc(ctx, "voxel sums", count, sizeof *a->sums, &a->sums));
@@ -92,8 +83,11 @@ int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, unsigned sums,
         BSQ_TRY(bsq_alloc(ctx, "voxel sums", count, sizeof *a->colors, &a->colors));
     if (sums & VOX_SUM_IDS)
         BSQ_TRY(bsq_alloc(ctx, "voxel sums", count, sizeof *a->votes, &a->votes));
-    if (a->channel_words > 0)
-        BSQ_TRY(allocate_channels(a));
+    if (channel_bytes > 0) {
+        BSQ_TRY(bsq_alloc(ctx, "voxel sums", count, channel_bytes, &a->channels));
+        BSQ_TRY(
+            bsq_alloc(ctx, "voxel sums", VOX_FRAGMENT_LANES, channel_bytes, &a->fragment_channels));
+    }
     memset(&a->bricks[0], 0, sizeof a->bricks[0]);
     *out = a;
 done:
@@ -228,10 +222,9 @@ static void widen(struct vox_leaves *leaves, uint32_t brick, const uint64_t mask
     }
 }
 
-/* The records of a brick's voxels, as numbers of their sums. */
+/* The first and second records of a brick's voxels, as numbers of their sums. */
 struct brick_records {
-    uint32_t first_count, second_count;
-    uint32_t first[VOX_BRICK_VOXELS], second[VOX_BRICK_VOXELS];
+    uint32_t count[2], numbers[2][VOX_BRICK_VOXELS];
     bool has_second[VOX_BRICK_VOXELS];
 };
 
@@ -256,20 +249,10 @@ static void choose_records(const struct vox_accumulator *a, uint32_t number,
         other = smaller;
     }
     bool keep = other != 0 && a->sums[other].area >= second_share * a->sums[number].area;
-    chosen->has_second[chosen->first_count] = keep;
-    chosen->first[chosen->first_count++] = number;
+    chosen->has_second[chosen->count[0]] = keep;
+    chosen->numbers[0][chosen->count[0]++] = number;
     if (keep)
-        chosen->second[chosen->second_count++] = other;
-}
-
-static void make_records(const struct vox_accumulator *a, const uint32_t *numbers, uint32_t count,
-                         const struct vox_color_tables *tables, struct fmt_nvdb_record *records)
-{
-    BSQ_SIMD_PICK(bsq_simd_best(), vox_make_records)(a->sums, numbers, count, records);
-    for (uint32_t i = 0; a->colors && i < count; i++)
-        records[i].color = encode_color(&a->colors[numbers[i]], tables);
-    for (uint32_t i = 0; a->votes && i < count; i++)
-        records[i].id = a->votes[numbers[i]].id;
+        chosen->numbers[1][chosen->count[1]++] = other;
 }
 
 /* Writes the means of channels. Values too large for float32 become the largest one. */
@@ -283,6 +266,20 @@ static void make_channels(const struct vox_accumulator *a, const uint32_t *numbe
         for (uint32_t c = 0; c < words; c++)
             *out++ = (float)fmin(fmax(sums[c] / area, -FLT_MAX), FLT_MAX);
     }
+}
+
+static void append_records(const struct vox_accumulator *a, const uint32_t *numbers, uint32_t count,
+                           const struct vox_color_tables *tables, struct vox_records *to)
+{
+    struct fmt_nvdb_record *records = to->records + to->count;
+    BSQ_SIMD_PICK(bsq_simd_best(), vox_make_records)(a->sums, numbers, count, records);
+    for (uint32_t i = 0; a->colors && i < count; i++)
+        records[i].color = encode_color(&a->colors[numbers[i]], tables);
+    for (uint32_t i = 0; a->votes && i < count; i++)
+        records[i].id = a->votes[numbers[i]].id;
+    if (a->channels)
+        make_channels(a, numbers, count, to->channels + to->count * a->channel_words);
+    to->count += count;
 }
 
 /* Finds the touched voxels of a brick, and prefetches their sums, which lie in the order in which
@@ -305,72 +302,58 @@ static void finish_brick(const struct vox_accumulator *a, uint32_t brick,
     const uint32_t *slots = a->bricks[a->brick_of[brick]];
     uint64_t *mask = leaves->masks[leaves->leaf_count];
     struct brick_records chosen;
-    chosen.first_count = chosen.second_count = 0;
+    chosen.count[0] = chosen.count[1] = 0;
     find_voxels(a, slots, mask);
     for (uint32_t word = 0; word < 8; word++)
         for (uint64_t bits = mask[word]; bits; bits &= bits - 1)
             choose_records(a, slots[64 * word + (uint32_t)__builtin_ctzll(bits)] & VOX_LINK_NUMBER,
                            &chosen);
 
-    struct fmt_nvdb_record *records = leaves->records + leaves->record_count;
-    make_records(a, chosen.first, chosen.first_count, tables, records);
-    for (uint32_t i = 0; chosen.second_count > 0 && i < chosen.first_count; i++)
+    struct fmt_nvdb_record *records = leaves->sides[0].records + leaves->sides[0].count;
+    for (int s = 0; s < 2; s++)
+        if (chosen.count[s] > 0)
+            append_records(a, chosen.numbers[s], chosen.count[s], tables, &leaves->sides[s]);
+    for (uint32_t i = 0; chosen.count[1] > 0 && i < chosen.count[0]; i++)
         records[i].plane |= chosen.has_second[i] ? FMT_NVDB_PLANE_SECOND : 0;
-    if (chosen.second_count > 0)
-        make_records(a, chosen.second, chosen.second_count, tables,
-                     leaves->second + leaves->second_count);
-    if (a->channel_words > 0) {
-        make_channels(a, chosen.first, chosen.first_count,
-                      leaves->channels + leaves->record_count * a->channel_words);
-        make_channels(a, chosen.second, chosen.second_count,
-                      leaves->second_channels + leaves->second_count * a->channel_words);
-    }
-    leaves->record_count += chosen.first_count;
-    leaves->second_count += chosen.second_count;
     leaves->ids[leaves->leaf_count++] = (uint16_t)brick;
     widen(leaves, brick, mask);
 }
 
-/* Ensures capacity for this many more leaves and records. */
-static int grow_leaves(struct vox_leaves *l, uint64_t leaves, uint64_t records, uint64_t second)
+/* Ensures capacity for this many more leaves, and records of either side. */
+static int grow_leaves(struct vox_leaves *l, uint64_t leaves, const uint64_t records[2])
 {
-    int status;
+    const char *what = "voxel records";
+    const uint64_t bytes = l->channel_words * sizeof *l->sides->channels;
+    int status = 0;
     leaves += l->leaf_count;
-    records += l->record_count;
-    second += l->second_count;
-    if ((status = bsq_grow(l->ctx, "voxel records", leaves, sizeof *l->ids, &l->ids,
-                           &l->id_capacity)) < 0 ||
-        (status = bsq_grow(l->ctx, "voxel records", leaves, sizeof *l->masks, &l->masks,
-                           &l->mask_capacity)) < 0 ||
-        (status = bsq_grow(l->ctx, "voxel records", records, sizeof *l->records, &l->records,
-                           &l->record_capacity)) < 0)
-        return status;
-    status = bsq_grow(l->ctx, "voxel records", second, sizeof *l->second, &l->second,
-                      &l->second_capacity);
-    const uint64_t bytes = l->channel_words * sizeof *l->channels;
-    if (status == 0 && bytes > 0)
-        status =
-            bsq_grow(l->ctx, "voxel records", records, bytes, &l->channels, &l->channel_capacity);
-    if (status == 0 && bytes > 0)
-        status = bsq_grow(l->ctx, "voxel records", second, bytes, &l->second_channels,
-                          &l->second_channel_capacity);
+    BSQ_TRY(bsq_grow(l->ctx, what, leaves, sizeof *l->ids, &l->ids, &l->id_capacity));
+    BSQ_TRY(bsq_grow(l->ctx, what, leaves, sizeof *l->masks, &l->masks, &l->mask_capacity));
+    for (int s = 0; s < 2; s++) {
+        struct vox_records *side = &l->sides[s];
+        const uint64_t count = side->count + records[s];
+        BSQ_TRY(
+            bsq_grow(l->ctx, what, count, sizeof *side->records, &side->records, &side->capacity));
+        if (bytes > 0)
+            BSQ_TRY(bsq_grow(l->ctx, what, count, bytes, &side->channels, &side->channel_capacity));
+    }
+done:
     return status;
 }
 
 uint64_t vox_accumulator_result_bytes(const struct vox_accumulator *a, const struct vox_leaves *l)
 {
     uint64_t leaves = (uint64_t)l->leaf_count + a->brick_count;
-    uint64_t records = l->record_count + l->second_count + a->sum_count - a->spare_count;
+    uint64_t records = l->sides[0].count + l->sides[1].count + a->sum_count - a->spare_count;
     return leaves * (sizeof *l->ids + sizeof *l->masks) +
-           records * (sizeof *l->records + a->channel_words * sizeof *l->channels);
+           records * (sizeof *l->sides->records + a->channel_words * sizeof *l->sides->channels);
 }
 
 int vox_accumulator_finish(const struct vox_accumulator *a, const struct vox_color_tables *tables,
                            struct vox_leaves *l)
 {
-    const uint64_t firsts = a->sum_count - a->spare_count - a->second_count;
+    const uint64_t records[2] = {a->sum_count - a->spare_count - a->second_count, a->second_count};
     l->channel_words = a->channel_words;
-    int status = grow_leaves(l, a->brick_count, firsts, a->second_count);
+    int status = grow_leaves(l, a->brick_count, records);
     if (status < 0)
         return status;
     if (a->brick_count > 0)
@@ -392,7 +375,7 @@ void vox_leaves_init(struct vox_leaves *leaves, struct bsq_ctx *ctx)
 void vox_leaves_clear(struct vox_leaves *leaves)
 {
     leaves->leaf_count = 0;
-    leaves->record_count = leaves->second_count = 0;
+    leaves->sides[0].count = leaves->sides[1].count = 0;
     for (int a = 0; a < 3; a++) {
         leaves->voxel_min[a] = UINT32_MAX;
         leaves->voxel_max[a] = 0;
@@ -403,9 +386,9 @@ void vox_leaves_free(struct vox_leaves *leaves)
 {
     bsq_free(leaves->ctx, leaves->ids);
     bsq_free(leaves->ctx, leaves->masks);
-    bsq_free(leaves->ctx, leaves->records);
-    bsq_free(leaves->ctx, leaves->second);
-    bsq_free(leaves->ctx, leaves->channels);
-    bsq_free(leaves->ctx, leaves->second_channels);
+    for (int s = 0; s < 2; s++) {
+        bsq_free(leaves->ctx, leaves->sides[s].records);
+        bsq_free(leaves->ctx, leaves->sides[s].channels);
+    }
     vox_leaves_init(leaves, leaves->ctx);
 }

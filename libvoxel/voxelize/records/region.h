@@ -96,18 +96,20 @@ static inline uint32_t vox_voxel_number(uint32_t x, uint32_t y, uint32_t z)
     return (x >> 3) << 17 | (y >> 3) << 13 | (z >> 3) << 9 | (x & 7) << 6 | (y & 7) << 3 | (z & 7);
 }
 
+struct vox_records {
+    uint64_t count, capacity, channel_capacity;
+    struct fmt_nvdb_record *records;
+    float *channels; /* values of further channels, channel_words for each record */
+};
+
 /* Finished voxels in the layout of fmt_nvdb_append(). */
 struct vox_leaves {
     struct bsq_ctx *ctx;
-    uint32_t leaf_count;
-    uint64_t record_count, second_count;
+    uint32_t leaf_count, channel_words;
     uint16_t *ids;
     uint64_t (*masks)[8];
-    struct fmt_nvdb_record *records, *second;
-    uint32_t channel_words; /* values of further channels in a record */
-    float *channels, *second_channels;
-    uint64_t channel_capacity, second_channel_capacity;
-    uint64_t id_capacity, mask_capacity, record_capacity, second_capacity;
+    uint64_t id_capacity, mask_capacity;
+    struct vox_records sides[2];         /* the first records of voxels, and the second ones */
     uint32_t voxel_min[3], voxel_max[3]; /* in the region; min > max: no voxels */
 };
 
