@@ -6,11 +6,10 @@
  * Text in UTF-16 with a byte order mark, also if it is packed, gives UTF-8 without a mark. In this
  * folder, such text counts as packed.
  *
- * A packed file, or a pipe, is unpacked by a thread of its own into a temporary file without a
- * name, while readers parse what is there already. Who reads a range waits until it has arrived.
- * Of a packed file the last 128 MiB are kept; who goes back farther has it unpacked again.
- * The thread goes only a little ahead of what readers have requested. So a reader that fails stops
- * it, and a small file that unpacks to a huge one takes no more disk than its reader wants. */
+ * A packed file, or a pipe, is unpacked into a temporary file without a name, by the threads that
+ * want its bytes and only as far as they want them. So a small file that unpacks to a huge one
+ * takes no more disk than its reader wants. Of a packed file the last 128 MiB are kept; who goes
+ * back farther has it unpacked again. */
 #ifndef FMT_INPUT_INPUT_H
 #define FMT_INPUT_INPUT_H
 
@@ -28,7 +27,7 @@ struct fmt_input;
  * only once. Errors: BSQ_ENOINPUT, BSQ_EIO, BSQ_ENOMEM. */
 int fmt_input_create(struct bsq_ctx *ctx, const char *path, const char *beside, bool pipes,
                      struct fmt_input **out);
-/* Stops the thread and frees the input; NULL is allowed. */
+/* Frees the input; NULL is allowed. */
 void fmt_input_free(struct fmt_input *input);
 
 /* Returns the path as given, for messages. */
@@ -52,21 +51,21 @@ int fmt_input_open(struct fmt_input *input);
  */
 int fmt_input_close(struct fmt_input *input);
 
-/* Waits until `end` bytes are there, or all if there are fewer. *size: as fmt_input_size() after
+/* Unpacks until `end` bytes are there, or all if there are fewer. *size: as fmt_input_size() after
  * that; if it is UINT64_MAX, there are at least `end` bytes. Errors: as fmt_input_read(). */
 int fmt_input_reach(struct fmt_input *input, uint64_t end, uint64_t *size);
 
-/* Reads exactly `size` bytes at `offset`. Waits for them. Errors: BSQ_EDATA if there are fewer, and
- * for damaged or truncated packed files, with the byte of the packed file; BSQ_EIO, also if
- * the disk has too little space for unpacked bytes; BSQ_ENOMEM; BSQ_EINTR. */
+/* Reads exactly `size` bytes at `offset`. Errors: BSQ_EDATA if there are fewer, and for damaged or
+ * truncated packed files, with the byte of the packed file; BSQ_EIO, also if the disk has too
+ * little space for unpacked bytes; BSQ_ENOMEM; BSQ_EINTR. */
 int fmt_input_read(struct fmt_input *input, void *buffer, uint64_t size, uint64_t offset);
 /* Reads up to `size` bytes at `offset`; *got < size only at the end. Errors: as fmt_input_read().
  */
 int fmt_input_read_some(struct fmt_input *input, void *buffer, uint64_t size, uint64_t offset,
                         uint64_t *got);
 
-/* Gives an open file with all bytes, for readers that jump about. Waits until all have come. The
- * caller closes *out, and keeps the input open until then. Errors: as fmt_input_read(). */
+/* Gives an open file with all bytes, for readers that jump about. The caller closes *out, and keeps
+ * the input open until then. Errors: as fmt_input_read(). */
 int fmt_input_whole(struct fmt_input *input, struct bsq_file *out);
 /* Returns true for a plain file: bytes of it can be named by their place in the file. */
 bool fmt_input_is_plain(const struct fmt_input *input);

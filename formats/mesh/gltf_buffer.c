@@ -457,36 +457,35 @@ static void normalize(const struct gltf_accessor *accessor, double *values, uint
 }
 
 /* Reads elements [first, first + count) of an array to slot->bytes, and converts them. */
-static int decode_array(const struct gltf_decoder *d, const struct gltf_array *array,
-                        uint64_t stride, uint32_t components, uint64_t first, uint64_t count,
-                        double *to)
+static int decode_array(struct stream_slot *slot, const struct gltf_array *array, uint64_t stride,
+                        uint32_t components, uint64_t first, uint64_t count, double *to)
 {
     const uint64_t element = (uint64_t)components * fmt_gltf_component_bytes(array->component);
     if (count == 0)
         return 0;
     const uint64_t size = (count - 1) * stride + element;
-    int status = fmt_stream_reserve(d->slot, size);
+    int status = fmt_stream_reserve(slot, size);
     if (!status)
-        status = fmt_gltf_read_bytes(d->ctx, d->source, array->view, array->offset + first * stride,
-                                     d->slot->bytes, size);
+        status = fmt_gltf_read_bytes(slot->ctx, slot->source->data, array->view,
+                                     array->offset + first * stride, slot->bytes, size);
     if (!status)
-        convert(d->slot->bytes, stride, array->component, components, count, to);
+        convert(slot->bytes, stride, array->component, components, count, to);
     return status;
 }
 
 /* ---- sparse accessors ---- */
 
 /* Reads sparse indices [first, first + count). */
-static int read_sparse_indices(const struct gltf_decoder *d, const struct gltf_accessor *accessor,
+static int read_sparse_indices(struct stream_slot *slot, const struct gltf_accessor *accessor,
                                uint64_t first, uint64_t count, double *to)
 {
-    return decode_array(d, &accessor->sparse_indices,
+    return decode_array(slot, &accessor->sparse_indices,
                         fmt_gltf_component_bytes(accessor->sparse_indices.component), 1, first,
                         count, to);
 }
 
 /* Finds the first sparse element whose index is at least `index`. */
-static int find_sparse(const struct gltf_decoder *d, const struct gltf_accessor *accessor,
+static int find_sparse(struct stream_slot *slot, const struct gltf_accessor *accessor,
                        uint64_t index, uint64_t *out)
 {
     uint64_t low = 0, high = accessor->sparse_count;
@@ -494,7 +493,7 @@ static int find_sparse(const struct gltf_decoder *d, const struct gltf_accessor 
     while (low < high && !status) {
         const uint64_t middle = low + (high - low) / 2;
         double found = 0;
-        status = read_sparse_indices(d, accessor, middle, 1, &found);
+        status = read_sparse_indices(slot, accessor, middle, 1, &found);
         if (found < (double)index)
             low = middle + 1;
         else
@@ -507,7 +506,7 @@ static int find_sparse(const struct gltf_decoder *d, const struct gltf_accessor 
 enum { SPARSE_BLOCK = 256 };
 
 /* Replaces elements of [first, first + count), which are in `to`. */
-static int apply_sparse(const struct gltf_decoder *d, const struct gltf_accessor *accessor,
+static int apply_sparse(struct stream_slot *slot, const struct gltf_accessor *accessor,
                         uint64_t first, uint64_t count, double *to)
 {
     const uint32_t n = accessor->components;
@@ -515,12 +514,12 @@ static int apply_sparse(const struct gltf_decoder *d, const struct gltf_accessor
     double indices[SPARSE_BLOCK] = {0}, values[4 * SPARSE_BLOCK];
     uint64_t next = 0;
     int status;
-    BSQ_TRY(find_sparse(d, accessor, first, &next));
+    BSQ_TRY(find_sparse(slot, accessor, first, &next));
     while (next < accessor->sparse_count) {
         const uint64_t left = accessor->sparse_count - next;
         const uint64_t block = left < SPARSE_BLOCK ? left : SPARSE_BLOCK;
-        BSQ_TRY(read_sparse_indices(d, accessor, next, block, indices));
-        BSQ_TRY(decode_array(d, &accessor->sparse_values, bytes, n, next, block, values));
+        BSQ_TRY(read_sparse_indices(slot, accessor, next, block, indices));
+        BSQ_TRY(decode_array(slot, &accessor->sparse_values, bytes, n, next, block, values));
         for (uint64_t i = 0; i < block; i++) {
             if (!(indices[i] >= (double)first && indices[i] < (double)(first + count)))
                 return 0;
@@ -532,7 +531,7 @@ done:
     return status;
 }
 
-static int check_sparse(const struct gltf_decoder *d, const struct gltf_place *place,
+static int check_sparse(struct stream_slot *slot, const struct gltf_place *place,
                         const struct gltf_accessor *accessor)
 {
     double indices[SPARSE_BLOCK] = {0}, last = -1;
@@ -540,8 +539,8 @@ static int check_sparse(const struct gltf_decoder *d, const struct gltf_place *p
     for (uint64_t at = 0; at < accessor->sparse_count; at += SPARSE_BLOCK) {
         const uint64_t left = accessor->sparse_count - at;
         const uint64_t block = left < SPARSE_BLOCK ? left : SPARSE_BLOCK;
-        BSQ_TRY(bsq_check(d->ctx));
-        BSQ_TRY(read_sparse_indices(d, accessor, at, block, indices));
+        BSQ_TRY(bsq_check(slot->ctx));
+        BSQ_TRY(read_sparse_indices(slot, accessor, at, block, indices));
         for (uint64_t i = 0; i < block; last = indices[i++])
             if (!(indices[i] > last && indices[i] < (double)accessor->count))
                 BSQ_TRY(fmt_gltf_fail(place,
@@ -553,32 +552,30 @@ done:
     return status;
 }
 
-int fmt_gltf_check_sparse(struct bsq_ctx *ctx, const struct gltf_source *source)
+int fmt_gltf_check_sparse(struct stream_source *source)
 {
-    struct stream_slot slot = {.ctx = ctx};
-    struct gltf_document document = {.ctx = ctx, .file = source->own}; /* for messages */
-    const struct gltf_decoder decoder = {ctx, source, &slot};
+    const struct gltf_source *file = source->data;
+    struct stream_slot slot = {.ctx = source->ctx, .source = source};
+    struct gltf_document document = {.ctx = source->ctx, .file = file->own}; /* for messages */
     int status = 0;
-    for (uint32_t i = 0; i < source->accessor_count && !status; i++)
-        if (source->accessors[i].sparse_count > 0) {
+    for (uint32_t i = 0; i < file->accessor_count && !status; i++)
+        if (file->accessors[i].sparse_count > 0) {
             const struct gltf_place place = {&document, "accessors", i, NULL};
-            status = check_sparse(&decoder, &place, &source->accessors[i]);
+            status = check_sparse(&slot, &place, &file->accessors[i]);
         }
     fmt_stream_free_slot(&slot);
     return status;
 }
 
-/* ---- decoding accessors ---- */
-
-int fmt_gltf_decode(const struct gltf_decoder *d, uint32_t number, uint64_t first, uint64_t count,
+int fmt_gltf_decode(struct stream_slot *slot, uint32_t number, uint64_t first, uint64_t count,
                     const double **out)
 {
-    const struct gltf_accessor *accessor = &d->source->accessors[number];
-    struct stream_slot *slot = d->slot;
+    const struct gltf_source *source = slot->source->data;
+    const struct gltf_accessor *accessor = &source->accessors[number];
     const uint64_t values = count * accessor->components, bytes = values * sizeof(double);
     int status = bytes <= slot->work_capacity
                      ? 0
-                     : bsq_grow(d->ctx, "elements", bytes, 1, &slot->work, &slot->work_capacity);
+                     : bsq_grow(slot->ctx, "elements", bytes, 1, &slot->work, &slot->work_capacity);
     if (status)
         return status;
     double *to = (double *)(void *)slot->work;
@@ -586,10 +583,10 @@ int fmt_gltf_decode(const struct gltf_decoder *d, uint32_t number, uint64_t firs
     if (accessor->elements.view == GLTF_NONE)
         memset(to, 0, bytes);
     else
-        status = decode_array(d, &accessor->elements, fmt_gltf_stride(d->source, accessor),
+        status = decode_array(slot, &accessor->elements, fmt_gltf_stride(source, accessor),
                               accessor->components, first, count, to);
     if (!status && accessor->sparse_count > 0)
-        status = apply_sparse(d, accessor, first, count, to);
+        status = apply_sparse(slot, accessor, first, count, to);
     if (!status)
         normalize(accessor, to, values);
     return status;

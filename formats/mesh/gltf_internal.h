@@ -241,18 +241,12 @@ int fmt_gltf_read_accessor(const struct gltf_place *place, struct gltf_source *s
 int fmt_gltf_check_zeros(const struct gltf_place *place, const struct gltf_source *source,
                          uint32_t accessor);
 /* Checks that the indices of sparse accessors ascend and are in range. */
-int fmt_gltf_check_sparse(struct bsq_ctx *ctx, const struct gltf_source *source);
+int fmt_gltf_check_sparse(struct stream_source *source);
 
-/* What decoding works with: memory of a slot. */
-struct gltf_decoder {
-    struct bsq_ctx *ctx;
-    const struct gltf_source *source;
-    struct stream_slot *slot;
-};
 /* Decodes elements [first, first + count) of an accessor to doubles, components next to each other.
  * *out lies in slot->work until the next call. */
-int fmt_gltf_decode(const struct gltf_decoder *decoder, uint32_t accessor, uint64_t first,
-                    uint64_t count, const double **out);
+int fmt_gltf_decode(struct stream_slot *slot, uint32_t accessor, uint64_t first, uint64_t count,
+                    const double **out);
 /* Returns the bytes from one element of an accessor to the next. */
 uint64_t fmt_gltf_stride(const struct gltf_source *source, const struct gltf_accessor *accessor);
 

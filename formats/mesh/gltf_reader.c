@@ -182,7 +182,7 @@ static int cut(const struct stream_part *before, struct stream_slot *slot)
 
 /* What a part belongs to. */
 struct parser {
-    struct gltf_decoder decoder;
+    struct stream_slot *slot;
     const struct gltf_source *source;
     const struct gltf_placement *placement;
     const struct gltf_primitive *primitive;
@@ -198,13 +198,13 @@ __attribute__((format(printf, 2, 3))) static int fail_primitive(const struct par
     va_start(arguments, format);
     vsnprintf(text, sizeof text, format, arguments);
     va_end(arguments);
-    return fmt_stream_fail(p->decoder.slot, 0, "meshes[%" PRIu32 "], primitive %" PRIu32 ": %s",
+    return fmt_stream_fail(p->slot, 0, "meshes[%" PRIu32 "], primitive %" PRIu32 ": %s",
                            p->primitive->mesh, p->primitive->number, text);
 }
 
 static int decode(const struct parser *p, uint32_t accessor, const double **out)
 {
-    return fmt_gltf_decode(&p->decoder, accessor, p->first, p->count, out);
+    return fmt_gltf_decode(p->slot, accessor, p->first, p->count, out);
 }
 
 /* ---- vertices ---- */
@@ -213,23 +213,18 @@ static int parse_positions(struct parser *p)
 {
     const double(*m)[4] = p->placement->matrix;
     const double *from;
-    double poison = 0;
     int status =
-        FMT_RESERVE(p->decoder.ctx, p->count, p->arrays->positions, p->arrays->position_capacity);
+        FMT_RESERVE(p->slot->ctx, p->count, p->arrays->positions, p->arrays->position_capacity);
     if (!status)
         status = decode(p, p->primitive->position, &from);
     if (status)
         return status;
     for (uint64_t i = 0; i < p->count; i++, from += 3)
-        for (int k = 0; k < 3; k++) {
-            const double value =
+        for (int k = 0; k < 3; k++)
+            p->arrays->positions[i][k] =
                 m[k][0] * from[0] + m[k][1] * from[1] + m[k][2] * from[2] + m[k][3];
-            p->arrays->positions[i][k] = value;
-            poison += value * 0;
-        }
-    if (poison != 0)
-        p->decoder.slot->odd[STREAM_NO_POSITION].count =
-            fmt_stream_clear_bad(&p->arrays->positions[0][0], p->count, 3);
+    p->slot->odd[STREAM_NO_POSITION].count =
+        fmt_stream_clear_bad(&p->arrays->positions[0][0], p->count, 3);
     p->arrays->count[FMT_MESH_VERTEX] = p->count;
     return 0;
 }
@@ -239,24 +234,18 @@ static int parse_normals(struct parser *p)
     const double(*m)[3] = p->placement->normal_matrix;
     const double *from;
     int status =
-        FMT_RESERVE(p->decoder.ctx, p->count, p->arrays->normals, p->arrays->normal_capacity);
+        FMT_RESERVE(p->slot->ctx, p->count, p->arrays->normals, p->arrays->normal_capacity);
     if (!status)
         status = decode(p, p->primitive->normal, &from);
     if (status)
         return status;
-    for (uint64_t i = 0; i < p->count; i++, from += 3) {
-        float *to = p->arrays->normals[i];
-        float poison = 0;
+    for (uint64_t i = 0; i < p->count; i++, from += 3)
         for (int k = 0; k < 3; k++) {
             const double value = m[k][0] * from[0] + m[k][1] * from[1] + m[k][2] * from[2];
-            to[k] = fabs(value) <= 3e38 ? (float)value : NAN;
-            poison += to[k] * 0;
+            p->arrays->normals[i][k] = fabs(value) <= 3e38 ? (float)value : NAN;
         }
-        if (poison != 0) {
-            p->decoder.slot->odd[STREAM_NO_NORMAL].count++;
-            memset(to, 0, sizeof *p->arrays->normals);
-        }
-    }
+    p->slot->odd[STREAM_NO_NORMAL].count =
+        fmt_stream_replace_bad(p->arrays->normals, p->count, 0.0f);
     p->arrays->count[FMT_MESH_NORMAL] = p->count;
     return 0;
 }
@@ -270,9 +259,8 @@ static int parse_texcoords(struct parser *p)
                               ? plain
                               : (const double(*)[3])p->source->materials[material].uv_matrix;
     const double *from;
-    double poison = 0;
     int status =
-        FMT_RESERVE(p->decoder.ctx, p->count, p->arrays->texcoords, p->arrays->texcoord_capacity);
+        FMT_RESERVE(p->slot->ctx, p->count, p->arrays->texcoords, p->arrays->texcoord_capacity);
     if (!status)
         status = decode(p, p->primitive->texcoord, &from);
     if (status)
@@ -281,11 +269,9 @@ static int parse_texcoords(struct parser *p)
         double *to = p->arrays->texcoords[i];
         to[0] = m[0][0] * from[0] + m[0][1] * from[1] + m[0][2];
         to[1] = 1 - (m[1][0] * from[0] + m[1][1] * from[1] + m[1][2]);
-        poison += to[0] * 0 + to[1] * 0;
     }
-    if (poison != 0)
-        p->decoder.slot->odd[STREAM_NO_TEXCOORD].count =
-            fmt_stream_clear_bad(&p->arrays->texcoords[0][0], p->count, 2);
+    p->slot->odd[STREAM_NO_TEXCOORD].count =
+        fmt_stream_clear_bad(&p->arrays->texcoords[0][0], p->count, 2);
     p->arrays->count[FMT_MESH_TEXCOORD] = p->count;
     return 0;
 }
@@ -307,23 +293,19 @@ static int parse_colors(struct parser *p)
     const double *factor = material == GLTF_NONE ? white : p->source->materials[material].color;
     const double *from = white;
     const uint32_t step = accessor == GLTF_NONE ? 0 : p->source->accessors[accessor].components;
-    int status =
-        FMT_RESERVE(p->decoder.ctx, p->count, p->arrays->colors, p->arrays->color_capacity);
+    int status = FMT_RESERVE(p->slot->ctx, p->count, p->arrays->colors, p->arrays->color_capacity);
     if (!status && step > 0)
         status = decode(p, accessor, &from);
-    for (uint64_t i = 0; i < p->count && !status; i++, from += step) {
-        bool good = true;
-        for (int k = 0; k < 3; k++) {
-            p->arrays->colors[i][k] = display_color(from[k] * factor[k]);
-            good &= isfinite(from[k]);
-        }
-        for (int k = 0; k < 3 && !good; k++)
-            p->arrays->colors[i][k] = -1;
-        p->decoder.slot->odd[STREAM_NO_COLOR].count += !good;
-    }
+    if (status)
+        return status;
+    for (uint64_t i = 0; i < p->count; i++, from += step)
+        for (int k = 0; k < 3; k++)
+            p->arrays->colors[i][k] = isfinite(from[k]) ? display_color(from[k] * factor[k]) : NAN;
+    p->slot->odd[STREAM_NO_COLOR].count =
+        fmt_stream_replace_bad(p->arrays->colors, p->count, -1.0f);
     p->arrays->has_colors = true;
-    p->decoder.slot->color_white = 1;
-    return status;
+    p->slot->color_white = 1;
+    return 0;
 }
 
 static int parse_vertices(struct parser *p)
@@ -334,7 +316,7 @@ static int parse_vertices(struct parser *p)
         BSQ_TRY(parse_normals(p));
     if (p->primitive->texcoord != GLTF_NONE)
         BSQ_TRY(parse_texcoords(p));
-    if (p->decoder.slot->source->reader->gltf_colors)
+    if (p->slot->source->reader->gltf_colors)
         BSQ_TRY(parse_colors(p));
 done:
     return status;
@@ -359,11 +341,11 @@ static int load_window(const struct parser *p, struct window *w)
     if (primitive->index == GLTF_NONE)
         return 0;
     if (primitive->mode == 6) {
-        status = fmt_gltf_decode(&p->decoder, primitive->index, 0, 1, &w->values);
+        status = fmt_gltf_decode(p->slot, primitive->index, 0, 1, &w->values);
         w->start = status ? 0 : (uint64_t)w->values[0];
     }
     return status ? status
-                  : fmt_gltf_decode(&p->decoder, primitive->index, w->first, w->count, &w->values);
+                  : fmt_gltf_decode(p->slot, primitive->index, w->first, w->count, &w->values);
 }
 
 static uint64_t entry(const struct window *w, uint64_t i)
@@ -441,15 +423,15 @@ static int reserve_faces(const struct parser *p)
         [FMT_MESH_NORMAL] = p->primitive->normal != GLTF_NONE};
     struct mesh_arrays *a = p->arrays;
     int status;
-    BSQ_TRY(FMT_RESERVE(p->decoder.ctx, p->count, a->face_sizes, a->size_capacity));
+    BSQ_TRY(FMT_RESERVE(p->slot->ctx, p->count, a->face_sizes, a->size_capacity));
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         if (!wanted[kind])
             continue;
         BSQ_TRY(
-            FMT_RESERVE(p->decoder.ctx, 3 * p->count, a->corners[kind], a->corner_capacity[kind]));
+            FMT_RESERVE(p->slot->ctx, 3 * p->count, a->corners[kind], a->corner_capacity[kind]));
         a->has_corners[kind] = true;
     }
-    status = FMT_RESERVE(p->decoder.ctx, 1, a->changes, a->change_capacity);
+    status = FMT_RESERVE(p->slot->ctx, 1, a->changes, a->change_capacity);
 done:
     return status;
 }
@@ -464,9 +446,9 @@ static int parse_faces(struct parser *p)
     p->arrays->change_count = p->arrays->face_count > 0;
     p->arrays->changes[0] = (struct fmt_mesh_material_change){
         .face = 0,
-        .material = p->decoder.slot->source->reader->objects ? part_of(p)
-                    : p->primitive->material == GLTF_NONE    ? FMT_MESH_NO_MATERIAL
-                                                             : p->primitive->material};
+        .material = p->slot->source->reader->objects      ? part_of(p)
+                    : p->primitive->material == GLTF_NONE ? FMT_MESH_NO_MATERIAL
+                                                          : p->primitive->material};
 done:
     return status;
 }
@@ -477,7 +459,7 @@ static int parse(struct stream_slot *slot)
 {
     const struct gltf_source *source = slot->source->data;
     struct parser p = {
-        .decoder = {slot->ctx, source, slot},
+        .slot = slot,
         .source = source,
         .first = slot->part.first_item,
         .count = slot->part.items,
@@ -501,7 +483,7 @@ static int enter(struct stream_source *source)
         BSQ_TRY(fmt_input_whole(source->input, &file->own));
     BSQ_TRY(fmt_gltf_open_buffers(source->ctx, file));
     BSQ_TRY(fmt_gltf_unpack(source->ctx, file));
-    status = fmt_gltf_check_sparse(source->ctx, file);
+    status = fmt_gltf_check_sparse(source);
 done:
     return status;
 }

@@ -316,7 +316,7 @@ done:
     return status;
 }
 
-static int load_mesh(struct bsq_ctx *ctx, const char *path, bool parts, struct fmt_mesh *out)
+int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, bool parts, struct fmt_mesh *out)
 {
     struct loader loader = {.ctx = ctx, .mesh = out, .parts = parts};
     memset(out, 0, sizeof *out);
@@ -331,16 +331,6 @@ static int load_mesh(struct bsq_ctx *ctx, const char *path, bool parts, struct f
     if (status)
         fmt_mesh_free(ctx, out);
     return status;
-}
-
-int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, struct fmt_mesh *out)
-{
-    return load_mesh(ctx, path, false, out);
-}
-
-int fmt_mesh_load_parts(struct bsq_ctx *ctx, const char *path, struct fmt_mesh *out)
-{
-    return load_mesh(ctx, path, true, out);
 }
 
 void fmt_mesh_free(struct bsq_ctx *ctx, struct fmt_mesh *mesh)

@@ -296,17 +296,15 @@ struct fmt_mesh {
     uint64_t *face_keys; /* of each polygon: a hash of its vertices in order */
     uint64_t face_count;
     bool has_tangents, split_vertices; /* as in struct fmt_mesh_totals */
-    /* From fmt_mesh_load_parts(): the materials with their objects, and the number of each
-     * polygon's, or FMT_MESH_NO_MATERIAL. */
+    /* If they are wanted: the materials with their objects, and the number of each polygon's, or
+     * FMT_MESH_NO_MATERIAL. */
     struct fmt_materials parts;
     uint32_t *face_parts;
 };
 
-/* Loads a mesh whole (at most 2^32 - 2 vertices). Checks all indices. A file without faces is
- * BSQ_EDATA. Free with fmt_mesh_free(). */
-int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, struct fmt_mesh *out);
-/* Loads a mesh in the same way, and the names of its materials and objects. */
-int fmt_mesh_load_parts(struct bsq_ctx *ctx, const char *path, struct fmt_mesh *out);
+/* Loads a mesh whole (at most 2^32 - 2 vertices). Checks all indices. parts: with the names of its
+ * materials and objects. A file without faces is BSQ_EDATA. Free with fmt_mesh_free(). */
+int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, bool parts, struct fmt_mesh *out);
 void fmt_mesh_free(struct bsq_ctx *ctx, struct fmt_mesh *mesh);
 
 /* Describes what is wrong with polygon number `face` of a loaded mesh, with file and line, for

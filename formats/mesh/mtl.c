@@ -21,6 +21,7 @@
 /* Larger values, scales and offsets would exceed the range of float in sums and products. */
 static const double most_number = 1e30;
 
+static const char unnamed_material[] = "no newmtl before this, ignored";
 static const char unused_option[] = "texture is used without this option";
 
 struct reader {
@@ -80,11 +81,6 @@ static struct fmt_material *current(struct reader *reader)
     return reader->has_current ? &reader->materials->list[reader->materials->count - 1] : NULL;
 }
 
-static int warn_without_material(struct reader *reader, const char *statement)
-{
-    return warn(reader, "no newmtl before this, ignored", statement);
-}
-
 static int begin_material(struct reader *reader, char *name)
 {
     struct fmt_material *material;
@@ -117,15 +113,6 @@ static int read_values(struct reader *reader, char *p, double most, float out[3]
     }
     *known = true;
     return clamped ? warn(reader, "out of range, clamped", p) : 0;
-}
-
-/* Reads "Kd r g b" or "Kd grey". */
-static int read_diffuse(struct reader *reader, char *p)
-{
-    struct fmt_material *material = current(reader);
-    if (!material)
-        return warn_without_material(reader, "Kd");
-    return read_values(reader, p, 1, material->diffuse, &material->has_diffuse);
 }
 
 enum option_effect {
@@ -266,31 +253,41 @@ static int read_texture(struct reader *reader, const char *statement, char *p,
     return note_place(reader, texture->place);
 }
 
-static int read_map(struct reader *reader, char *p)
+/* ---- properties: the diffuse colour, and further channels ---- */
+
+/* Returns whether a statement is about a property. Sets its channel; NULL: the diffuse colour. */
+static bool find_property(const char *p, const struct bsq_channel **channel, bool *is_map)
 {
-    struct fmt_material *material = current(reader);
-    if (!material)
-        return warn_without_material(reader, "map_Kd");
-    struct texture texture = {.path = &material->texture_path, .place = &material->texture_place};
-    int status = read_texture(reader, "map_Kd", p, &texture);
-    if (texture.found)
-        material->uv = texture.uv;
-    return status;
+    *channel = NULL;
+    *is_map = word_is(p, "map_Kd");
+    if (*is_map || word_is(p, "Kd"))
+        return true;
+    for (unsigned i = 0; (*channel = bsq_channel_at(i)) != NULL; i++) {
+        const struct bsq_channel *row = *channel;
+        *is_map = row->mtl_map && word_is(p, row->mtl_map);
+        if (*is_map || (row->mtl_value && word_is(p, row->mtl_value)) ||
+            (row->mtl_inverse && word_is(p, row->mtl_inverse)))
+            return true;
+    }
+    return false;
 }
 
-/* ---- further channels ---- */
-
-/* Returns the channel that a statement is about, or NULL. */
-static const struct bsq_channel *find_channel(const char *p, bool *is_map)
+/* Reads the texture of the diffuse colour or, unless that is NULL, of a channel. */
+static int read_map(struct reader *reader, char *rest, struct fmt_material_channel *entry)
 {
-    const struct bsq_channel *channel;
-    for (unsigned i = 0; (channel = bsq_channel_at(i)); i++) {
-        *is_map = channel->mtl_map && word_is(p, channel->mtl_map);
-        if (*is_map || (channel->mtl_value && word_is(p, channel->mtl_value)) ||
-            (channel->mtl_inverse && word_is(p, channel->mtl_inverse)))
-            return channel;
-    }
-    return NULL;
+    struct fmt_material *material = current(reader);
+    struct texture texture = {.path = &material->texture_path, .place = &material->texture_place};
+    if (entry)
+        texture = (struct texture){.path = &entry->texture_path,
+                                   .place = &entry->texture_place,
+                                   .component = entry->channel->component,
+                                   .scalar = entry->channel->values == 1};
+    int status = read_texture(reader, entry ? entry->channel->mtl_map : "map_Kd", rest, &texture);
+    if (texture.found)
+        *(entry ? &entry->uv : &material->uv) = texture.uv;
+    if (texture.found && entry)
+        entry->component = texture.component;
+    return status;
 }
 
 /* Reads the value of a channel from the statement at `p`. */
@@ -306,27 +303,26 @@ static int read_channel_value(struct reader *reader, char *p, char *rest,
     return status;
 }
 
-/* Reads a statement at `p` about a channel: its value, or its texture. */
-static int read_channel(struct reader *reader, const struct bsq_channel *channel, bool is_map,
-                        char *p, char *rest)
+/* Reads a statement at `p` about a property: its value, or its texture. */
+static int read_property(struct reader *reader, const struct bsq_channel *channel, bool is_map,
+                         char *p, char *rest)
 {
-    struct fmt_material_channel *entry;
-    if (!current(reader))
-        return warn_without_material(reader, is_map ? channel->mtl_map : channel->mtl_value);
-    int status = fmt_material_enter_channel(reader->ctx, current(reader), channel, &entry);
-    if (status)
-        return status;
-    if (!is_map)
-        return read_channel_value(reader, p, rest, entry);
-    struct texture texture = {.path = &entry->texture_path,
-                              .place = &entry->texture_place,
-                              .component = channel->component,
-                              .scalar = channel->values == 1};
-    status = read_texture(reader, channel->mtl_map, rest, &texture);
-    if (texture.found) {
-        entry->uv = texture.uv;
-        entry->component = texture.component;
-    }
+    struct fmt_material *material = current(reader);
+    struct fmt_material_channel *entry = NULL;
+    int status = 0;
+    if (!material && !channel)
+        return warn(reader, unnamed_material, is_map ? "map_Kd" : "Kd");
+    if (!material)
+        return warn(reader, unnamed_material, is_map ? channel->mtl_map : channel->mtl_value);
+    if (channel)
+        BSQ_TRY(fmt_material_enter_channel(reader->ctx, material, channel, &entry));
+    if (is_map)
+        status = read_map(reader, rest, entry);
+    else if (entry)
+        status = read_channel_value(reader, p, rest, entry);
+    else
+        status = read_values(reader, rest, 1, material->diffuse, &material->has_diffuse);
+done:
     return status;
 }
 
@@ -354,14 +350,10 @@ static int read_line(struct reader *reader, char *line)
     char *rest = skip_blanks(p + word_length(p));
     if (word_is(p, "newmtl"))
         return begin_material(reader, rest);
-    bool is_map = false;
-    const struct bsq_channel *channel = find_channel(p, &is_map);
-    if (channel)
-        return read_channel(reader, channel, is_map, p, rest);
-    if (word_is(p, "map_Kd"))
-        return read_map(reader, rest);
-    if (word_is(p, "Kd"))
-        return read_diffuse(reader, rest);
+    bool is_map;
+    const struct bsq_channel *channel;
+    if (find_property(p, &channel, &is_map))
+        return read_property(reader, channel, is_map, p, rest);
     if (!is_ignored(p))
         note_unknown(reader);
     return 0;

@@ -144,62 +144,66 @@ static const struct fmt_material *describe(const struct obj_file *file, struct f
 /* Forms of a name: without an obvious comment, then without anything that may be a comment. */
 enum loose_form { LOOSE_TIDY, LOOSE_PLAIN, LOOSE_FORMS };
 
-/* The names of a library's materials in a form; `from` has the material of each. */
+/* The names of a library's materials in both forms; `from` has the material of each. */
 struct loose_names {
     struct bsq_texts names;
     struct bsq_tally tally;
     const struct fmt_material **from;
 };
 
-/* Copies a name without quotes, comment and capitals. */
+/* Makes a text of a name without quotes, comment and capitals, and of the form. */
 static int copy_loosely(struct bsq_ctx *ctx, const char *name, enum loose_form form, char **out)
 {
-    int status = bsq_text_copy(ctx, name, out);
+    const size_t size = strlen(name) + 2;
+    int status = bsq_alloc(ctx, "names", size, 1, out);
     if (status)
         return status;
+    char *text = *out + 1;
+    memcpy(text, name, size - 1);
     if (form == LOOSE_TIDY)
-        fmt_mesh_tidy_name(*out);
+        fmt_mesh_tidy_name(text);
     else
-        fmt_mesh_plain_name(*out);
-    for (char *c = *out; *c; c++)
+        fmt_mesh_plain_name(text);
+    for (char *c = text; *c; c++)
         *c = *c >= 'A' && *c <= 'Z' ? (char)(*c + 'a' - 'A') : *c;
+    **out = (char)('1' + form);
     return 0;
 }
 
 /* Enters the loose forms of a material's name, unless they are there. */
-static int enter_loosely(struct bsq_ctx *ctx, struct loose_names loose[LOOSE_FORMS],
+static int enter_loosely(struct bsq_ctx *ctx, struct loose_names *loose,
                          const struct fmt_material *from)
 {
+    char *text = NULL;
     int status = 0;
     for (enum loose_form form = LOOSE_TIDY; form < LOOSE_FORMS && !status; form++) {
-        struct loose_names *names = &loose[form];
-        const uint64_t before = names->names.count;
-        char *copy = NULL;
-        uint64_t number = 0;
-        status = copy_loosely(ctx, from->name, form, &copy);
+        const uint64_t before = loose->names.count;
+        uint64_t number;
+        status = copy_loosely(ctx, from->name, form, &text);
         if (!status)
-            status = bsq_texts_add(ctx, &names->tally, &names->names, copy, &number);
-        if (!status && names->names.count > before)
-            names->from[number] = from;
-        bsq_free(ctx, copy);
+            status = bsq_texts_add(ctx, &loose->tally, &loose->names, text, &number);
+        if (!status && loose->names.count > before)
+            loose->from[number] = from;
+        bsq_free(ctx, text);
+        text = NULL;
     }
     return status;
 }
 
 /* Describes a material that no library names exactly, but with quotes, a comment or other capitals.
  */
-static int describe_loosely(struct bsq_ctx *ctx, const struct loose_names loose[LOOSE_FORMS],
-                            const char *name, struct fmt_material *out)
+static int describe_loosely(struct bsq_ctx *ctx, const struct loose_names *loose, const char *name,
+                            struct fmt_material *out)
 {
     for (enum loose_form form = LOOSE_TIDY; form < LOOSE_FORMS; form++) {
-        char *copy = NULL;
-        int status = copy_loosely(ctx, name, form, &copy);
+        char *text;
+        int status = copy_loosely(ctx, name, form, &text);
         if (status)
             return status;
-        const uint64_t number = bsq_texts_find(&loose[form].names, copy);
-        bsq_free(ctx, copy);
-        if (number < loose[form].names.count)
-            return fmt_material_copy(ctx, loose[form].from[number], out);
+        const uint64_t number = bsq_texts_find(&loose->names, text);
+        bsq_free(ctx, text);
+        if (number < loose->names.count)
+            return fmt_material_copy(ctx, loose->from[number], out);
     }
     return 0;
 }
@@ -210,25 +214,22 @@ static int describe_all(const struct stream_source *source, struct fmt_materials
 {
     struct bsq_ctx *ctx = source->ctx;
     const struct obj_file *file = source->data;
-    struct loose_names loose[LOOSE_FORMS] = {0};
-    int status = 0;
-    for (int form = 0; form < LOOSE_FORMS; form++)
-        BSQ_TRY(bsq_alloc(ctx, "materials", (uint64_t)found->count + 1, sizeof(void *),
-                          &loose[form].from));
+    struct loose_names loose = {0};
+    int status;
+    BSQ_TRY(bsq_alloc(ctx, "materials", LOOSE_FORMS * (uint64_t)found->count + 1, sizeof(void *),
+                      &loose.from));
     for (uint32_t i = 0; i < found->count; i++) {
         if (i % 1024 == 0)
             BSQ_TRY(bsq_check(ctx));
-        BSQ_TRY(enter_loosely(ctx, loose, describe(file, &found->list[i], out)));
+        BSQ_TRY(enter_loosely(ctx, &loose, describe(file, &found->list[i], out)));
     }
     for (uint32_t i = 0; i < out->count; i++)
         if (!out->list[i].name)
-            BSQ_TRY(describe_loosely(ctx, loose, file->materials.list[i], &out->list[i]));
+            BSQ_TRY(describe_loosely(ctx, &loose, file->materials.list[i], &out->list[i]));
 done:
-    for (int form = 0; form < LOOSE_FORMS; form++) {
-        bsq_texts_free(&loose[form].names);
-        bsq_tally_release(ctx, &loose[form].tally);
-        bsq_free(ctx, loose[form].from);
-    }
+    bsq_texts_free(&loose.names);
+    bsq_tally_release(ctx, &loose.tally);
+    bsq_free(ctx, loose.from);
     return status;
 }
 

@@ -151,7 +151,7 @@ int bake_cage_directions(struct bsq_ctx *ctx, const char *path, const struct fmt
     struct fmt_mesh cage;
     const float least = least_distance(out);
     double longest = 0;
-    int status = fmt_mesh_load(ctx, cage_path, &cage);
+    int status = fmt_mesh_load(ctx, cage_path, false, &cage);
     if (status < 0)
         return status;
     status = check_topology(ctx, path, mesh, cage_path, &cage);

@@ -308,7 +308,7 @@ static int load_file(struct bsq_ctx *ctx, const struct bake_lowmesh_options *opt
     struct fmt_mesh mesh = {0};
 
     memset(out, 0, sizeof(*out));
-    int status = named ? fmt_mesh_load_parts(ctx, path, &mesh) : fmt_mesh_load(ctx, path, &mesh);
+    int status = fmt_mesh_load(ctx, path, named, &mesh);
     if (status < 0)
         return status;
     if (mesh.has_tangents)

@@ -12,7 +12,7 @@ struct bake_parts {
     uint64_t count, capacity;
 };
 
-/* Adds the triangles of a file, which fmt_mesh_load_parts() loaded. A triangle without an object
+/* Adds the triangles of a file, which fmt_mesh_load() loaded. A triangle without an object
  * belongs to one with the file's name, without folder and suffix. */
 int bake_parts_add(struct bsq_ctx *ctx, struct bake_parts *parts, const char *path,
                    const struct fmt_mesh *mesh);

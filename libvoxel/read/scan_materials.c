@@ -293,63 +293,6 @@ static bool keeps_materials(const struct scan *scan)
     return by_name(scan) || scan->channel_count > 0;
 }
 
-/* What faces without a material have. */
-static const struct fmt_material no_material = {.name = "", .diffuse = {0.8f, 0.8f, 0.8f}};
-
-/* Adds one entry with the image for all materials; with names or channels, one for each material.
- * The last of `found` is what faces without a material have. */
-static int add_single_texture(struct scan *scan, const char *path,
-                              const struct scan_textures *textures,
-                              const struct fmt_materials *found)
-{
-    static const float white[3] = {1.0f, 1.0f, 1.0f};
-    int status = 0;
-    for (uint32_t i = 0; i <= scan->usemtl_count; i++) {
-        uint32_t *map = &scan->material_map[2 * (uint64_t)i];
-        const uint32_t last = found->count - 1;
-        const struct fmt_material *from = &found->list[i < last ? i : last];
-        const char *name = name_of(scan, from);
-        BSQ_TRY(bsq_check(scan->ctx));
-        if (i == 0 || keeps_materials(scan)) {
-            BSQ_TRY(add_material(scan, path, white, true, name, &map[0]));
-            BSQ_TRY(add_sources(scan, textures, from, true, map[0]));
-        } else {
-            map[0] = scan->material_map[0];
-        }
-        if (keeps_materials(scan) && scan->lacks_texcoord) {
-            BSQ_TRY(add_material(scan, NULL, white, false, name, &map[1]));
-            BSQ_TRY(add_sources(scan, textures, from, false, map[1]));
-        }
-    }
-done:
-    return status;
-}
-
-/* Faces whose texture cannot be used, as they have no texture coordinates. */
-struct bare_faces {
-    uint64_t count;
-    const char *texture_path; /* of some of them */
-};
-
-static void add_bare(uint64_t count, const char *texture_path, struct bare_faces *bare)
-{
-    if (count == 0 || !texture_path)
-        return;
-    bare->count += count;
-    bare->texture_path = texture_path;
-}
-
-/* Warns of faces that lose the colour of their texture. Vertex colours stand in for it. */
-static int warn_of_bare_faces(const struct scan *scan, const struct bare_faces *bare)
-{
-    return bare->count == 0 || scan->has_colors
-               ? 0
-               : bsq_warn_loss(scan->ctx,
-                               "%s: faces without texture coordinates: %" PRIu64
-                               "; their texture, such as %s, is not used",
-                               scan->paths[0], bare->count, bare->texture_path);
-}
-
 /* Returns whether the table has a colour or a texture of it. */
 static bool has_colored_material(const struct scan *scan)
 {
@@ -398,43 +341,14 @@ static int whiten_colorless(struct scan *scan)
     return status;
 }
 
-/* Uses one image for all triangles with texture coordinates. */
-static int use_single_texture(struct scan *scan, struct fmt_mesh_reader *reader,
-                              const char *texture_path, struct scan_textures *textures)
-{
-    struct fmt_materials found = {0};
-    struct fmt_material *rest;
-    struct bare_faces bare = {0};
-    int status;
-    BSQ_TRY(bsq_note_texture(scan->ctx, texture_path, "the texture"));
-    if (keeps_materials(scan))
-        BSQ_TRY(fmt_mesh_read_materials(reader, &found));
-    BSQ_TRY(fmt_materials_add(scan->ctx, &found, &rest)); /* faces without a material */
-    if (scan->channel_count > 0)
-        BSQ_TRY(vox_textures_check(scan->ctx, &found, true, textures));
-    BSQ_TRY(use_alpha(scan, textures, texture_path, &found));
-    if (scan->channel_count > 0) /* again, for the alpha of the image */
-        BSQ_TRY(vox_textures_check(scan->ctx, &found, true, textures));
-    BSQ_TRY(add_single_texture(scan, texture_path, textures, &found));
-    add_bare(scan->without_material.bare_faces, texture_path, &bare);
-    for (uint64_t i = 0; i < scan->material_use_count; i++)
-        add_bare(scan->material_uses[i].bare_faces, texture_path, &bare);
-    if (scan->file_count == 1) /* vox_scan_compare_files() warns of several */
-        status = warn_of_bare_faces(scan, &bare);
-done:
-    fmt_materials_free(scan->ctx, &found);
-    return status;
-}
-
 /* Adds the entries of a material: one for triangles with texture coordinates if a texture needs
- * them, and one for all others. */
-static int add_own_material(struct scan *scan, const struct scan_textures *textures,
-                            const struct fmt_material *from, uint32_t usemtl)
+ * them, and one for all others. given: its texture comes from the options. */
+static int add_entries(struct scan *scan, const struct scan_textures *textures,
+                       const struct fmt_material *from, bool given, uint32_t map[2])
 {
-    uint32_t *map = &scan->material_map[2 * (uint64_t)usemtl];
     const char *name = name_of(scan, from);
-    const bool colored = from->texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0 &&
-                         vox_textures_have(textures, from->texture_path);
+    const bool colored = given || (from->texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0 &&
+                                   vox_textures_have(textures, from->texture_path));
     const bool textured = colored || any_channel_texture(scan, textures, from);
     const bool plain = from->has_diffuse || name || scan->channel_count > 0;
     int status = 0;
@@ -455,27 +369,78 @@ done:
     return status;
 }
 
-static int use_own_materials(struct scan *scan, struct fmt_mesh_reader *reader,
-                             struct scan_textures *textures)
+/* Adds the entries of all materials. The last of `found` is what faces without a material have.
+ * image: the texture of all of them, or NULL. With an image, materials without names and channels
+ * share an entry. */
+static int add_all(struct scan *scan, const struct scan_textures *textures,
+                   const struct fmt_materials *found, const char *image)
+{
+    int status = 0;
+    for (uint32_t i = 0; i <= scan->usemtl_count; i++) {
+        const uint32_t last = found->count - 1;
+        uint32_t *map = &scan->material_map[2 * (uint64_t)i];
+        struct fmt_material from = found->list[i < last ? i : last];
+        if (image) {
+            from.texture_path = (char *)image;
+            from.diffuse[0] = from.diffuse[1] = from.diffuse[2] = 1.0f;
+            from.has_diffuse = false;
+            from.uv = (struct bsq_uv){0};
+        }
+        BSQ_TRY(bsq_check(scan->ctx));
+        if (image && i > 0 && !keeps_materials(scan))
+            map[0] = scan->material_map[0];
+        else if (image || i < scan->usemtl_count || scan->channel_count > 0)
+            BSQ_TRY(add_entries(scan, textures, &from, image != NULL, map));
+    }
+done:
+    return status;
+}
+
+/* Warns of faces that lose the colour of their texture, as they have no texture coordinates. Vertex
+ * colours stand in for it. vox_scan_compare_files() warns of an image for several files. */
+static int warn_of_bare_faces(const struct scan *scan, const struct scan_textures *textures,
+                              const struct fmt_materials *found, const char *image)
 {
     const bool has_texcoords = scan_count(scan, SCAN_TEXCOORDS) > 0;
-    struct fmt_materials found = {0};
-    struct bare_faces bare = {0};
-    int status;
-    BSQ_TRY(fmt_mesh_read_materials(reader, &found));
-    BSQ_TRY(vox_textures_check(scan->ctx, &found, has_texcoords, textures));
-    BSQ_TRY(use_alpha(scan, textures, NULL, &found));
-    for (uint32_t i = 0; i < scan->usemtl_count; i++) {
-        BSQ_TRY(bsq_check(scan->ctx));
-        BSQ_TRY(add_own_material(scan, textures, &found.list[i], i));
-        const char *texture = found.list[i].texture_path;
-        if (texture && i < scan->material_use_count &&
-            (!has_texcoords || vox_textures_have(textures, texture)))
-            add_bare(scan->material_uses[i].bare_faces, texture, &bare);
+    uint64_t count = image ? scan->without_material.bare_faces : 0;
+    const char *example = image;
+    for (uint64_t i = 0; i < scan->material_use_count; i++) {
+        const char *own = !image && i < scan->usemtl_count ? found->list[i].texture_path : NULL;
+        const bool good = own && (!has_texcoords || vox_textures_have(textures, own));
+        if (scan->material_uses[i].bare_faces == 0 || (!image && !good))
+            continue;
+        count += scan->material_uses[i].bare_faces;
+        example = image ? image : own;
     }
-    BSQ_TRY(warn_of_bare_faces(scan, &bare));
-    if (scan->channel_count > 0)
-        BSQ_TRY(add_own_material(scan, textures, &no_material, scan->usemtl_count));
+    if (count == 0 || scan->has_colors || (image && scan->file_count > 1))
+        return 0;
+    return bsq_warn_loss(scan->ctx,
+                         "%s: faces without texture coordinates: %" PRIu64
+                         "; their texture, such as %s, is not used",
+                         scan->paths[0], count, example);
+}
+
+/* Makes the table of materials. image: the texture of all faces; NULL: materials have their own. */
+static int use_materials(struct scan *scan, struct fmt_mesh_reader *reader, const char *image,
+                         struct scan_textures *textures)
+{
+    const bool has_texcoords = scan_count(scan, SCAN_TEXCOORDS) > 0;
+    const bool checks = !image || scan->channel_count > 0;
+    struct fmt_materials found = {0};
+    struct fmt_material *rest;
+    int status = 0;
+    if (image)
+        BSQ_TRY(bsq_note_texture(scan->ctx, image, "the texture"));
+    if (!image || keeps_materials(scan))
+        BSQ_TRY(fmt_mesh_read_materials(reader, &found));
+    BSQ_TRY(fmt_materials_add(scan->ctx, &found, &rest)); /* of faces without a material */
+    if (checks)
+        BSQ_TRY(vox_textures_check(scan->ctx, &found, has_texcoords, textures));
+    BSQ_TRY(use_alpha(scan, textures, image, &found));
+    if (checks && image) /* again, for its alpha */
+        BSQ_TRY(vox_textures_check(scan->ctx, &found, has_texcoords, textures));
+    BSQ_TRY(add_all(scan, textures, &found, image));
+    status = warn_of_bare_faces(scan, textures, &found, image);
 done:
     fmt_materials_free(scan->ctx, &found);
     return status;
@@ -537,10 +502,8 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
     scan->ids = ids;
     BSQ_TRY(check_ids(scan));
     BSQ_TRY(allocate_tables(scan, scan->totals.materials));
-    if (!texture_path)
-        BSQ_TRY(use_own_materials(scan, reader, textures));
-    else if (scan_count(scan, SCAN_TEXCOORDS) > 0)
-        BSQ_TRY(use_single_texture(scan, reader, texture_path, textures));
+    if (!texture_path || scan_count(scan, SCAN_TEXCOORDS) > 0)
+        BSQ_TRY(use_materials(scan, reader, texture_path, textures));
     else
         BSQ_TRY(bsq_warn_loss(scan->ctx, "%s: no texture coordinates, %s is not used",
                               scan->paths[0], texture_path));

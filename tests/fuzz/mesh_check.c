@@ -28,7 +28,7 @@ int fuzz_mesh(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
 {
     struct fmt_mesh mesh;
     require(count == 1, "more than one file");
-    int status = fmt_mesh_load(ctx, paths[0], &mesh);
+    int status = fmt_mesh_load(ctx, paths[0], false, &mesh);
     if (status)
         return status;
     check_mesh(&mesh);

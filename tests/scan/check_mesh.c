@@ -187,7 +187,8 @@ static void load_texture(struct check *c, const char *path)
 
 static void load_meshes(struct check *c, struct bsq_ctx *ctx, char **paths)
 {
-    if (fmt_mesh_load(ctx, paths[0], &c->scan) || fmt_mesh_load(ctx, paths[1], &c->low)) {
+    if (fmt_mesh_load(ctx, paths[0], false, &c->scan) ||
+        fmt_mesh_load(ctx, paths[1], false, &c->low)) {
         fprintf(stderr, "check-mesh: %s\n", bsq_error(ctx));
         exit(65);
     }

@@ -188,7 +188,7 @@ static int parse_packed(struct bsq_ctx *ctx)
 static int load_mesh(struct bsq_ctx *ctx)
 {
     struct fmt_mesh mesh;
-    int status = fmt_mesh_load(ctx, "scan.obj", &mesh);
+    int status = fmt_mesh_load(ctx, "scan.obj", false, &mesh);
     if (status == 0) {
         assert_int_equal(mesh.triangle_count, 2 * SIDE * SIDE);
         fmt_mesh_free(ctx, &mesh);

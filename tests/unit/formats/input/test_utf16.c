@@ -148,7 +148,7 @@ TEST(test_every_truncated_length)
         struct bsq_ctx *ctx = make_context();
         const char *path = scratch_bytes("cut.obj", bytes, size);
         struct fmt_mesh mesh;
-        const int status = fmt_mesh_load(ctx, path, &mesh);
+        const int status = fmt_mesh_load(ctx, path, false, &mesh);
         assert_true(status == 0 || status == BSQ_EDATA);
         if (size % 2 == 1 && size > 2) {
             assert_non_null(strstr(bsq_error(ctx), "ends in the middle of a character"));

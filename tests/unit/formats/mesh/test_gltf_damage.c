@@ -227,7 +227,7 @@ static int read_within(const char *path, uint64_t mib)
         status = fmt_mesh_read(reader, NULL, NULL, NULL);
     fmt_mesh_close(reader);
     if (!status)
-        status = fmt_mesh_load(ctx, path, &mesh);
+        status = fmt_mesh_load(ctx, path, false, &mesh);
     if (!status)
         fmt_mesh_free(ctx, &mesh);
     assert_int_equal(bsq_memory_used(ctx), 0);

@@ -9,7 +9,7 @@ static void load_mesh(struct obj_fixture *f, struct fmt_mesh *mesh, const char *
     const char *path = scratch_text("mesh.obj", text);
     memset(f, 0, sizeof *f);
     f->ctx = test_context(0, 0);
-    f->status = fmt_mesh_load(f->ctx, path, mesh);
+    f->status = fmt_mesh_load(f->ctx, path, false, mesh);
 }
 
 TEST(test_mesh)

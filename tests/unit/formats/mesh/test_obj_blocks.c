@@ -233,7 +233,7 @@ TEST(test_every_budget)
     for (uint64_t budget = 1; !enough; budget += budget / 16 + 64) {
         struct fmt_mesh mesh;
         struct bsq_ctx *ctx = test_context(1, budget);
-        int status = fmt_mesh_load(ctx, path, &mesh);
+        int status = fmt_mesh_load(ctx, path, false, &mesh);
         if (status)
             assert_int_equal(status, BSQ_ENOMEM);
         else

@@ -138,7 +138,7 @@ TEST(test_index_out_of_range)
         const char *path = scratch_bytes("bad.ply", b.bytes, b.size);
         struct fmt_mesh mesh;
         struct bsq_ctx *ctx = test_context(2, 64 << 20);
-        assert_int_equal(fmt_mesh_load(ctx, path, &mesh), BSQ_EDATA);
+        assert_int_equal(fmt_mesh_load(ctx, path, false, &mesh), BSQ_EDATA);
         assert_string_equal(bsq_error(ctx) + strlen(path) + (encoding == PLY_TEST_ASCII ? 1 : 7),
                             message);
         test_context_end(ctx);
@@ -233,11 +233,11 @@ TEST(test_long_header_line)
     const char *path = scratch_bytes("long.ply", text, sizeof start + blanks + sizeof rest - 2);
     struct bsq_ctx *ctx = test_context(1, (uint64_t)200 << 20);
     struct fmt_mesh mesh;
-    assert_int_equal(fmt_mesh_load(ctx, path, &mesh), 0);
+    assert_int_equal(fmt_mesh_load(ctx, path, false, &mesh), 0);
     fmt_mesh_free(ctx, &mesh);
     test_context_end(ctx);
     ctx = test_context(1, (uint64_t)32 << 20);
-    assert_int_equal(fmt_mesh_load(ctx, path, &mesh), BSQ_ENOMEM);
+    assert_int_equal(fmt_mesh_load(ctx, path, false, &mesh), BSQ_ENOMEM);
     test_context_end(ctx);
     free(text);
 }
