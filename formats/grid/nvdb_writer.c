@@ -185,6 +185,34 @@ done:
     return status;
 }
 
+int fmt_nvdb_set_names(struct fmt_nvdb_writer *writer, const char *const *names, uint64_t count)
+{
+    const struct nvdb_names_head head = {writer->info.ids, (uint32_t)count};
+    uint64_t bytes = sizeof head;
+    if (writer->info.ids == BSQ_IDS_NONE)
+        return 0;
+    for (uint64_t i = 0; i < count; i++)
+        bytes += sizeof(uint32_t) + strlen(names[i]);
+    if (bytes > UINT32_MAX)
+        return bsq_fail(writer->ctx, BSQ_EUSAGE, "%s: the names of ids have 4 GiB", writer->path);
+    bsq_free(writer->ctx, writer->names);
+    writer->names = NULL;
+    int status = bsq_alloc(writer->ctx, "names of ids", bytes, 1, &writer->names);
+    if (status)
+        return status;
+    uint8_t *to = writer->names;
+    memcpy(to, &head, sizeof head);
+    to += sizeof head;
+    for (uint64_t i = 0; i < count; i++) {
+        const uint32_t length = (uint32_t)strlen(names[i]);
+        memcpy(to, &length, sizeof length);
+        memcpy(to + sizeof length, names[i], length);
+        to += sizeof length + length;
+    }
+    writer->counts.name_bytes = bytes;
+    return 0;
+}
+
 void fmt_nvdb_discard(struct fmt_nvdb_writer *writer)
 {
     if (!writer)
