@@ -260,7 +260,9 @@ BK_FN bk_uint bk_load_records(const bk_grid *grid, bk_uint bits, const bk_ulong 
         low[lane] = (bk_int)(bk_uint)number;
         high[lane] = (bk_int)(bk_uint)(number >> 32);
     }
-    bk_decode_record(bk_load_lanes(normals), bk_load_lanes(planes), record);
+    record->normal = bk_decode_normalw(bk_load_lanes(normals));
+    record->offset = bk_snorm16w(bk_load_lanes(planes));
+    record->margin = bk_margin(bk_load_lanes(planes));
     record->low = bk_load_lanes(low);
     record->high = bk_load_lanes(high);
     *seconds = bk_bits((bk_load_lanes(planes) & BK_PLANE_SECOND) != 0);

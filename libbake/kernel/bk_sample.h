@@ -87,18 +87,6 @@ typedef struct bk_samples {
     BK_GLOBAL float *texel[BK_WIDTH]; /* sums of the texels; transfer maps are added by tracing */
 } bk_samples;
 
-/* Turns the directions of rays by the skews of the samples. */
-BK_FN void bk_skew_points(const BK_GLOBAL bk_triangle *triangles, const bk_samples *samples,
-                          bk_point *points)
-{
-    bk_uint lane;
-
-    for (lane = 0; lane < samples->count; lane++)
-        bk_set_lane3(&points->direction, lane,
-                     bk_skewed(&triangles[samples->triangle[lane]],
-                               bk_lane3(&points->direction, lane), samples->skew[lane]));
-}
-
 /* Returns the points of the low-poly mesh that the samples lie on. Mostly all are on one
  * triangle. */
 BK_FN bk_point bk_points_at(const bk_params *params, const BK_GLOBAL bk_triangle *triangles,
@@ -126,8 +114,10 @@ BK_FN bk_point bk_points_at(const bk_params *params, const BK_GLOBAL bk_triangle
         bk_set_lane3(&points.tangent, lane, bk_lane3(&point.tangent, lane));
         bk_set_lane(points.handedness, lane, bk_lane(point.handedness, lane));
     }
-    if (params->flags & BK_SKEW)
-        bk_skew_points(triangles, samples, &points);
+    for (lane = 0; lane < samples->count && params->flags & BK_SKEW; lane++)
+        bk_set_lane3(&points.direction, lane,
+                     bk_skewed(&triangles[samples->triangle[lane]],
+                               bk_lane3(&points.direction, lane), samples->skew[lane]));
     return points;
 }
 

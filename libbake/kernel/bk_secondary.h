@@ -178,22 +178,6 @@ BK_FN void bk_enter_blocks(const bk_grid *grid, bk_cache caches[BK_WIDTH], bk_ui
     place->leaf = bk_load_lanes(leaves);
 }
 
-/* Tests the records of the occupied voxels that lanes are in from t to t_out. Returns the lanes
- * whose run has ended, for bk_end_run(): no sheet there faces the right way. */
-BK_FN bk_mask bk_meet_records(const bk_grid *grid, bk_cache *cache, const bk_ray *ray,
-                              bk_walk *walk, bk_uint occupied, const bk_ulong values[BK_WIDTH],
-                              const bk_place *place, bk_fw t, bk_fw t_out)
-{
-    const bk_mask below = walk->side == BK_BELOW, here = bk_mask_of(occupied);
-    bk_mask over;
-
-    bk_cross_voxels(grid, cache, walk, ray, occupied, values, place, t,
-                    bk_minw(t_out, walk->t_limit));
-    over = here & below & (walk->side == BK_APART) & bk_not(walk->hit.found);
-    walk->side = bk_selecti(over, bk_splati(BK_BELOW), walk->side);
-    return over;
-}
-
 /* Ends walks at t, at any surface. */
 BK_FN void bk_stop(bk_walk *walk, bk_mask lanes, bk_fw t)
 {
@@ -228,34 +212,15 @@ BK_FN void bk_meet_voxels(const bk_grid *grid, bk_cache *cache, const bk_ray *ra
         bk_end_run(walk, ended);
 }
 
-/* Starts walks at walk->t_start. Returns the lanes that are inside the grid's bounds. */
-BK_FN bk_uint bk_begin_walk(const bk_params *params, const bk_ray *ray, bk_walk *walk, bk_fw t_near,
-                            bk_fw t_end, bk_fw *t, bk_place *place)
-{
-    const bk_int *low = params->index_min, *high = params->index_max;
-    const bk_vec3w o = ray->start, d = ray->direction;
-    bk_mask walked;
-
-    *t = bk_maxw(walk->t_start, t_near);
-    walked = ray->valid & bk_not(bk_less(t_end, *t));
-    *t = bk_keep(walked, *t);
-    bk_clear_walk(walk);
-    place->x = bk_voxel_at(o.x, d.x, *t, ray->bx, bk_splati(low[0]), bk_splati(high[0]));
-    place->y = bk_voxel_at(o.y, d.y, *t, ray->by, bk_splati(low[1]), bk_splati(high[1]));
-    place->z = bk_voxel_at(o.z, d.z, *t, ray->bz, bk_splati(low[2]), bk_splati(high[2]));
-    place->mask = place->apart = place->leaf = bk_splati(0);
-    place->node_x = place->node_y = place->node_z = bk_splati(0);
-    return bk_bits(walked);
-}
-
 /* Returns the layer of an axis in which rays are at t_event, when they cross a border of another
- * axis. They were in layer `from` before. Borders of this axis are crossed if their t is smaller
- * and, in the lanes of `ties`, if it is equal. up: of bk_upwards(). The position at t_event may be
- * rounded into the next layer, so the borders decide. */
-BK_FN bk_iw bk_layer_at(bk_iw from, bk_iw up, bk_mask ties, bk_fw start, bk_fw direction,
-                        bk_fw inverse, bk_fw t_event, bk_iw base)
+ * axis. They were in layer `from` before, and stay in the aligned block around it; mask = side - 1.
+ * Borders of this axis are crossed if their t is smaller and, in the lanes of `ties`, if it is
+ * equal. up: of bk_upwards(). The position at t_event may be rounded into the next layer, so the
+ * borders decide. */
+BK_FN bk_iw bk_layer_in(bk_iw from, bk_iw mask, bk_iw up, bk_mask ties, bk_fw start,
+                        bk_fw direction, bk_fw inverse, bk_fw t_event, bk_iw base)
 {
-    const bk_iw at = base + bk_to_iw(bk_floorw(start + direction * t_event));
+    const bk_iw low = from & ~mask, at = base + bk_to_iw(bk_floorw(start + direction * t_event));
     const bk_iw crossed = bk_maxi(bk_selecti(up != 0, at - from, from - at), bk_splati(0));
     /* Borders number `crossed` and the next one, counted along the ray. */
     const bk_iw layer = bk_selecti(up != 0, from + crossed, from - crossed + 1);
@@ -267,17 +232,7 @@ BK_FN bk_iw bk_layer_at(bk_iw from, bk_iw up, bk_mask ties, bk_fw start, bk_fw d
     const bk_iw more = bk_selecti(under, bk_splati(1), bk_splati(0));
     const bk_iw steps = crossed - less + more;
 
-    return bk_selecti(up != 0, from + steps, from - steps);
-}
-
-/* Returns bk_layer_at(), clamped to the aligned block around v; mask = side - 1. */
-BK_FN bk_iw bk_layer_in(bk_iw v, bk_iw mask, bk_iw up, bk_mask ties, bk_fw start, bk_fw direction,
-                        bk_fw inverse, bk_fw t_event, bk_iw base)
-{
-    const bk_iw low = v & ~mask;
-    const bk_iw layer = bk_layer_at(v, up, ties, start, direction, inverse, t_event, base);
-
-    return bk_mini(bk_maxi(layer, low), low + mask);
+    return bk_mini(bk_maxi(bk_selecti(up != 0, from + steps, from - steps), low), low + mask);
 }
 
 /* Walks rays from walk->t_start to walk->t_limit, like bk_walk_rays(), but in other steps: a step

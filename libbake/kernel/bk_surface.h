@@ -105,14 +105,6 @@ BK_FN bk_fw bk_margin(bk_iw planes)
            BK_MARGIN_FOLD * bk_sqrtw(bk_maxw(0.98f - coverage * coverage, bk_splat(0.0f)));
 }
 
-/* Decodes all but the number. */
-BK_FN void bk_decode_record(bk_iw normals, bk_iw planes, bk_record *record)
-{
-    record->normal = bk_decode_normalw(normals);
-    record->offset = bk_snorm16w(planes);
-    record->margin = bk_margin(planes);
-}
-
 /* ---- blending ---- */
 
 /* The records of the cell around a point, for each lane. Corners are in the order (x, y, z) = 000,

@@ -93,15 +93,40 @@ BK_FN void bk_rank_voxels(const bk_grid *grid, bk_uint occupied, const bk_place 
     }
 }
 
-/* Returns the lanes of `bits` whose voxel is occupied. values: its value index, 0 in other lanes.
- */
-BK_FN bk_uint bk_occupied(const bk_grid *grid, bk_uint bits, const bk_place *place,
-                          bk_ulong values[BK_WIDTH])
+/* Tests the records of the occupied voxels that lanes are in from t to t_out. Returns the lanes
+ * whose run has ended, for bk_end_run(): no sheet there faces the right way. */
+BK_FN bk_mask bk_meet_records(const bk_grid *grid, bk_cache *cache, const bk_ray *ray,
+                              bk_walk *walk, bk_uint occupied, const bk_ulong values[BK_WIDTH],
+                              const bk_place *place, bk_fw t, bk_fw t_out)
 {
-    const bk_uint occupied = bk_find_occupied(grid, bits, place);
+    const bk_mask below = walk->side == BK_BELOW, here = bk_mask_of(occupied);
+    bk_mask over;
 
-    bk_rank_voxels(grid, occupied, place, values);
-    return occupied;
+    bk_cross_voxels(grid, cache, walk, ray, occupied, values, place, t,
+                    bk_minw(t_out, walk->t_limit));
+    over = here & below & (walk->side == BK_APART) & bk_not(walk->hit.found);
+    walk->side = bk_selecti(over, bk_splati(BK_BELOW), walk->side);
+    return over;
+}
+
+/* Starts walks at walk->t_start. Returns the lanes that are inside the grid's bounds. */
+BK_FN bk_uint bk_begin_walk(const bk_params *params, const bk_ray *ray, bk_walk *walk, bk_fw t_near,
+                            bk_fw t_end, bk_fw *t, bk_place *place)
+{
+    const bk_int *low = params->index_min, *high = params->index_max;
+    const bk_vec3w o = ray->start, d = ray->direction;
+    bk_mask walked;
+
+    *t = bk_maxw(walk->t_start, t_near);
+    walked = ray->valid & bk_not(bk_less(t_end, *t));
+    *t = bk_keep(walked, *t);
+    bk_clear_walk(walk);
+    place->x = bk_voxel_at(o.x, d.x, *t, ray->bx, bk_splati(low[0]), bk_splati(high[0]));
+    place->y = bk_voxel_at(o.y, d.y, *t, ray->by, bk_splati(low[1]), bk_splati(high[1]));
+    place->z = bk_voxel_at(o.z, d.z, *t, ray->bz, bk_splati(low[2]), bk_splati(high[2]));
+    place->mask = place->apart = place->leaf = bk_splati(0);
+    place->node_x = place->node_y = place->node_z = bk_splati(0);
+    return bk_bits(walked);
 }
 
 /* Returns the layer through whose lower face a ray leaves an aligned node; mask = side - 1. up: all
@@ -131,27 +156,19 @@ BK_FN bk_iw bk_upwards(bk_fw inverse)
 BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                         const bk_ray *ray, bk_walk *walk, bk_fw t_near, bk_fw t_far, bk_fw t_stop)
 {
-    const bk_int *low = params->index_min, *high = params->index_max;
     const bk_vec3w start = ray->start, direction = ray->direction, inverse = ray->inverse;
     const bk_iw up_x = bk_upwards(inverse.x);
     const bk_iw up_y = bk_upwards(inverse.y);
     const bk_iw up_z = bk_upwards(inverse.z);
     const bk_fw t_end = bk_minw(t_stop, bk_minw(walk->t_limit, t_far));
-    bk_fw t = bk_maxw(walk->t_start, t_near);
-    const bk_mask walked = ray->valid & bk_not(bk_less(t_end, t));
     bk_ulong values[BK_WIDTH];
     bk_place place;
-    bk_uint active = bk_bits(walked);
+    bk_fw t;
+    bk_uint active = bk_begin_walk(params, ray, walk, t_near, t_end, &t, &place);
+    const bk_mask walked = bk_mask_of(active);
 
-    bk_clear_walk(walk);
     if (!active)
         return;
-    t = bk_keep(walked, t);
-    place.x = bk_voxel_at(start.x, direction.x, t, ray->bx, bk_splati(low[0]), bk_splati(high[0]));
-    place.y = bk_voxel_at(start.y, direction.y, t, ray->by, bk_splati(low[1]), bk_splati(high[1]));
-    place.z = bk_voxel_at(start.z, direction.z, t, ray->bz, bk_splati(low[2]), bk_splati(high[2]));
-    place.mask = place.apart = place.leaf = bk_splati(0);
-    place.node_x = place.node_y = place.node_z = bk_splati(0);
     bk_enter(grid, cache, active, &place);
     do {
         const bk_iw mask = place.mask;
@@ -166,21 +183,16 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
         const bk_mask along_x = bk_not(bk_less(ty, tx)) & bk_not(bk_less(tz, tx));
         const bk_mask along_y = bk_not(along_x) & bk_not(bk_less(tz, ty));
         const bk_mask along_z = bk_not(along_x) & bk_not(along_y);
-        const bk_uint occupied = bk_occupied(grid, in_leaf, &place, values);
+        const bk_uint occupied = bk_find_occupied(grid, in_leaf, &place);
         bk_mask ended = bk_mask_of(active & ~occupied);
 
         BK_COUNT(cache, steps, bk_popcount32(in_leaf));
         BK_COUNT(cache, skips, bk_popcount32(active & ~in_leaf));
         BK_COUNT(cache, rounds, 1);
         if (occupied) {
-            const bk_mask below = walk->side == BK_BELOW, here = bk_mask_of(occupied);
-            bk_mask over;
-            bk_cross_voxels(grid, cache, walk, ray, occupied, values, &place, t,
-                            bk_minw(t_out, walk->t_limit));
-            /* No sheet here faces the right way, so the run of the previous sheet has ended. */
-            over = here & below & (walk->side == BK_APART) & bk_not(walk->hit.found);
-            walk->side = bk_selecti(over, bk_splati(BK_BELOW), walk->side);
-            ended = ended | over;
+            bk_rank_voxels(grid, occupied, &place, values);
+            ended =
+                ended | bk_meet_records(grid, cache, ray, walk, occupied, values, &place, t, t_out);
         }
         if (bk_bits(ended & (walk->side != BK_APART)))
             bk_end_run(walk, ended);

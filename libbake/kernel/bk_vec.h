@@ -58,11 +58,6 @@ BK_FN float bk_max(float a, float b)
     return a > b ? a : b;
 }
 
-BK_FN bk_int bk_clamp_int(bk_int v, bk_int low, bk_int high)
-{
-    return v < low ? low : v > high ? high : v;
-}
-
 /* ---- BK_WIDTH vectors at a time ---- */
 
 typedef struct bk_vec3w {

@@ -54,17 +54,6 @@ void bake_blocks_to_image(const struct bake_blocks *blocks, uint32_t *x, uint32_
     *y = blocks->slots[block] * blocks->side + *y % blocks->side;
 }
 
-void bake_blocks_to_map(const struct bake_blocks *blocks, uint32_t *x, uint32_t *y)
-{
-    const uint64_t count = (uint64_t)blocks->columns * blocks->rows;
-    const uint32_t slot = *y / blocks->side;
-    uint64_t block = 0;
-    while (block < count && blocks->slots[block] != slot)
-        block++;
-    *x += (uint32_t)(block % blocks->columns) * blocks->side;
-    *y = (uint32_t)(block / blocks->columns) * blocks->side + *y % blocks->side;
-}
-
 /* Returns whether a tile lies in a block to bake. */
 static bool is_selected(const struct bake_raster *raster, uint32_t column, uint32_t row)
 {

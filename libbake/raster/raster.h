@@ -21,8 +21,6 @@ struct bake_blocks {
 /* Converts the place of a texel in the map to the place in an image that holds the blocks to bake
  * one below the other. The texel must lie in such a block. */
 void bake_blocks_to_image(const struct bake_blocks *blocks, uint32_t *x, uint32_t *y);
-/* Converts a place in such an image to the map. Takes time linear in all blocks. */
-void bake_blocks_to_map(const struct bake_blocks *blocks, uint32_t *x, uint32_t *y);
 
 /* The triangles of a mesh in texture space, indexed by tile. */
 struct bake_raster;

@@ -1,4 +1,4 @@
-/* job.c - prepares a grid file for the kernel, traces single rays through it, and finds its nodes.
+/* job.c - prepares a grid file for the kernel, and finds its nodes.
  *
  * The file may change while it is read, so every number of a node is bounded here, as in the
  * kernel: children with wrong numbers count as missing. */
@@ -7,7 +7,7 @@
 #include <assert.h>
 
 #include "libbake/kernel/bk_srgb.h"
-#include "libbake/kernel/bk_trace.h"
+#include "libbake/kernel/bk_grid.h"
 
 _Static_assert(sizeof(struct bk_triangle) == 188, "layout shared with devices");
 _Static_assert(sizeof(struct bk_tile) == 16, "layout shared with devices");
