@@ -54,7 +54,23 @@ static struct bsq_identity identity_of(const struct stat *info)
     return (struct bsq_identity){.device = info->st_dev,
                                  .inode = info->st_ino,
                                  .size = (uint64_t)info->st_size,
-                                 .modified = info->st_mtim};
+                                 .modified = info->st_mtim,
+                                 .changed = info->st_ctim};
+}
+
+struct bsq_identity bsq_find_identity(const char *path)
+{
+    struct stat info;
+    return stat(path, &info) == 0 && S_ISREG(info.st_mode) ? identity_of(&info)
+                                                           : (struct bsq_identity){0};
+}
+
+void bsq_identity_text(const struct bsq_identity *identity, char text[BSQ_IDENTITY_BYTES])
+{
+    snprintf(text, BSQ_IDENTITY_BYTES, "%" PRIu64 " %" PRIu64 " %jd.%09ld %jd.%09ld",
+             identity->inode, identity->size, (intmax_t)identity->modified.tv_sec,
+             identity->modified.tv_nsec, (intmax_t)identity->changed.tv_sec,
+             identity->changed.tv_nsec);
 }
 
 /* Only an open descriptor shows for sure what kind of file it is. */

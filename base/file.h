@@ -15,8 +15,16 @@ extern "C" {
 /* What tells that a file is still the same and was not written to. */
 struct bsq_identity {
     uint64_t device, inode, size;
-    struct timespec modified;
+    struct timespec modified, changed; /* the last write; the last change of content or inode */
 };
+
+/* Writes inode, size and times as a text that machines of one file server agree on. A later file
+ * with this text has the same content: the system changes the last of the times with every write,
+ * and no program can set it. Only a file that is not SETTLED yet may change without a new time. */
+enum { BSQ_IDENTITY_BYTES = 112, BSQ_SETTLED_SECONDS = 3 };
+void bsq_identity_text(const struct bsq_identity *identity, char text[BSQ_IDENTITY_BYTES]);
+/* Returns the identity of the file of a path; all zeros if there is no regular file. */
+struct bsq_identity bsq_find_identity(const char *path);
 
 struct bsq_file {
     int fd;                       /* -1 when closed */
@@ -25,7 +33,7 @@ struct bsq_file {
     struct bsq_identity identity; /* input: when opened */
 };
 /* clang-format off */
-#define BSQ_FILE_CLOSED {-1, 0, NULL, {0, 0, 0, {0, 0}}}
+#define BSQ_FILE_CLOSED {-1, 0, NULL, {0, 0, 0, {0, 0}, {0, 0}}}
 /* clang-format on */
 
 /* Returns a descriptor of 3 or more for the open file `fd`, and closes `fd` if it is less. In a

@@ -23,25 +23,24 @@ struct place {
     char *name;             /* in that directory; owned; NULL if the file exists */
 };
 
-struct input {
+/* An input or an output. */
+struct noted {
     const char *path;
-    char *role; /* NULL: nobody said */
+    char *role; /* of an input; NULL: nobody said */
     struct place place;
-    bool opened, own; /* own: this job wrote it before */
-    struct bsq_identity found;
+    bool opened, own;          /* of an input; own: this job wrote it before */
+    bool written;              /* of an output */
+    struct bsq_identity found; /* of an input that was opened */
 };
 
-struct output {
-    const char *path;
-    struct place place;
-    bool written;
+struct list {
+    struct bsq_texts paths;
+    struct noted *files; /* numbered as their paths */
+    uint64_t capacity;
 };
 
 struct job_files {
-    struct bsq_texts input_paths, output_paths;
-    struct input *inputs;   /* numbered as their paths */
-    struct output *outputs; /* numbered as their paths */
-    uint64_t input_capacity, output_capacity;
+    struct list inputs, outputs;
     uint64_t own_count; /* of inputs that this job wrote before */
     struct bsq_tally tally;
 };
@@ -80,7 +79,7 @@ static bool same_place(const struct place *a, const struct place *b)
            a->inode == b->inode && (a->exists || strcmp(a->name, b->name) == 0);
 }
 
-/* ---- the list ---- */
+/* ---- the lists ---- */
 
 static int fail_memory(struct bsq_ctx *ctx, const char *path)
 {
@@ -88,36 +87,7 @@ static int fail_memory(struct bsq_ctx *ctx, const char *path)
     return BSQ_ENOMEM;
 }
 
-static void free_files(struct bsq_ctx *ctx, void *object)
-{
-    struct job_files *files = object;
-    for (uint64_t i = 0; i < files->input_paths.count; i++) {
-        free(files->inputs[i].role);
-        free(files->inputs[i].place.name);
-    }
-    for (uint64_t i = 0; i < files->output_paths.count; i++)
-        free(files->outputs[i].place.name);
-    bsq_texts_free(&files->input_paths);
-    bsq_texts_free(&files->output_paths);
-    bsq_tally_release(ctx, &files->tally);
-    free(files->inputs);
-    free(files->outputs);
-    free(files);
-}
-
-static struct job_files *get_files(struct bsq_ctx *ctx)
-{
-    struct job_files *files = bsq_part_of(ctx, BSQ_JOB_FILES, sizeof *files, free_files);
-    return files;
-}
-
-/* Returns NULL if no file was noted yet. */
-static struct job_files *noted_files(struct bsq_ctx *ctx)
-{
-    return ctx->parts[BSQ_JOB_FILES].object;
-}
-
-static int fail_overwrite(struct bsq_ctx *ctx, const char *output, const struct input *input)
+static int fail_overwrite(struct bsq_ctx *ctx, const char *output, const struct noted *input)
 {
     const char *role = input->role ? input->role : "an input";
     if (strcmp(output, input->path) == 0)
@@ -126,36 +96,65 @@ static int fail_overwrite(struct bsq_ctx *ctx, const char *output, const struct 
                     role);
 }
 
-/* ---- inputs ---- */
-
-/* Sets *out to the input with this path, which is added if it is new. */
-static int add_input(struct bsq_ctx *ctx, const char *path, struct input **out)
+static void free_list(struct list *list)
 {
-    struct job_files *files = get_files(ctx);
-    if (!files)
-        return fail_memory(ctx, path);
-    const uint64_t count = files->input_paths.count;
-    uint64_t number = 0;
-    int status = bsq_tally_grow(ctx, &files->tally, count + 1, sizeof *files->inputs,
-                                &files->inputs, &files->input_capacity);
-    if (status == 0)
-        status = bsq_texts_add(ctx, &files->tally, &files->input_paths, path, &number);
-    if (status < 0)
-        return status;
-    *out = &files->inputs[number];
-    if (number == count)
-        **out = (struct input){.path = files->input_paths.list[number], .place = find_place(path)};
-    return 0;
+    for (uint64_t i = 0; i < list->paths.count; i++) {
+        free(list->files[i].role);
+        free(list->files[i].place.name);
+    }
+    bsq_texts_free(&list->paths);
+    free(list->files);
 }
+
+static void free_files(struct bsq_ctx *ctx, void *object)
+{
+    struct job_files *files = object;
+    free_list(&files->inputs);
+    free_list(&files->outputs);
+    bsq_tally_release(ctx, &files->tally);
+    free(files);
+}
+
+/* Makes the lists if there are none. */
+static int begin(struct bsq_ctx *ctx, const char *path)
+{
+    const struct job_files *files = bsq_part_of(ctx, BSQ_JOB_FILES, sizeof *files, free_files);
+    return files ? 0 : fail_memory(ctx, path);
+}
+
+/* Returns the lists, or NULL if no file was noted yet. */
+static struct job_files *files_of(struct bsq_ctx *ctx)
+{
+    return ctx->parts[BSQ_JOB_FILES].object;
+}
+
+/* Sets *out to the file with this path, which is added if it is new. */
+static int add(struct bsq_ctx *ctx, struct list *list, const char *path, struct noted **out)
+{
+    struct bsq_tally *tally = &files_of(ctx)->tally;
+    const uint64_t count = list->paths.count;
+    uint64_t number = 0;
+    int status = 0;
+    BSQ_TRY(
+        bsq_tally_grow(ctx, tally, count + 1, sizeof *list->files, &list->files, &list->capacity));
+    BSQ_TRY(bsq_texts_add(ctx, tally, &list->paths, path, &number));
+    *out = &list->files[number];
+    if (number == count)
+        **out = (struct noted){.path = list->paths.list[number], .place = find_place(path)};
+done:
+    return status;
+}
+
+/* ---- inputs ---- */
 
 /* Compares an input with all outputs. One that was written counts before others that were noted
  * under other names of the same file. */
-static int check_input(struct bsq_ctx *ctx, struct input *input)
+static int check_input(struct bsq_ctx *ctx, struct noted *input)
 {
-    struct job_files *files = noted_files(ctx);
-    const struct output *same = NULL;
-    for (uint64_t i = 0; i < files->output_paths.count; i++) {
-        const struct output *output = &files->outputs[i];
+    const struct list *outputs = &files_of(ctx)->outputs;
+    const struct noted *same = NULL;
+    for (uint64_t i = 0; i < outputs->paths.count; i++) {
+        const struct noted *output = &outputs->files[i];
         if (same_place(&input->place, &output->place) && (!same || output->written))
             same = output;
     }
@@ -163,12 +162,12 @@ static int check_input(struct bsq_ctx *ctx, struct input *input)
         return 0;
     if (!same->written)
         return fail_overwrite(ctx, same->path, input);
-    files->own_count += !input->own;
+    files_of(ctx)->own_count += !input->own;
     input->own = true;
     return 0;
 }
 
-static int set_role(struct bsq_ctx *ctx, struct input *input, const char *format, va_list arguments)
+static int set_role(struct bsq_ctx *ctx, struct noted *input, const char *format, va_list arguments)
 {
     if (input->role)
         return 0;
@@ -176,20 +175,21 @@ static int set_role(struct bsq_ctx *ctx, struct input *input, const char *format
         input->role = NULL;
         return fail_memory(ctx, input->path);
     }
-    return bsq_tally_add(ctx, &noted_files(ctx)->tally, strlen(input->role) + 1);
+    return bsq_tally_add(ctx, &files_of(ctx)->tally, strlen(input->role) + 1);
 }
 
 int bsq_note_input(struct bsq_ctx *ctx, const char *path, const char *format, ...)
 {
-    struct input *input;
+    struct noted *input;
     va_list arguments;
+    int status;
     va_start(arguments, format);
     pthread_mutex_lock(&ctx->parts_lock);
-    int status = add_input(ctx, path, &input);
-    if (status == 0)
-        status = set_role(ctx, input, format, arguments);
-    if (status == 0)
-        status = check_input(ctx, input);
+    BSQ_TRY(begin(ctx, path));
+    BSQ_TRY(add(ctx, &files_of(ctx)->inputs, path, &input));
+    BSQ_TRY(set_role(ctx, input, format, arguments));
+    BSQ_TRY(check_input(ctx, input));
+done:
     pthread_mutex_unlock(&ctx->parts_lock);
     va_end(arguments);
     return status;
@@ -208,81 +208,75 @@ int bsq_fail_changed(struct bsq_ctx *ctx, const char *path)
 
 int bsq_hold_input(struct bsq_ctx *ctx, const char *path, const struct bsq_identity *found)
 {
-    struct input *input;
+    struct noted *input;
+    int status;
     pthread_mutex_lock(&ctx->parts_lock);
-    int status = add_input(ctx, path, &input);
-    if (status == 0)
-        status = check_input(ctx, input);
-    if (status == 0 && !input->opened) {
+    BSQ_TRY(begin(ctx, path));
+    BSQ_TRY(add(ctx, &files_of(ctx)->inputs, path, &input));
+    BSQ_TRY(check_input(ctx, input));
+    if (!input->opened) {
         input->opened = true;
         input->found = *found;
-    } else if (status == 0 && !bsq_same_identity(&input->found, found)) {
+    } else if (!bsq_same_identity(&input->found, found)) {
         status = bsq_fail_changed(ctx, path);
     }
+done:
     pthread_mutex_unlock(&ctx->parts_lock);
     return status;
 }
 
-int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, char **path, char **role)
+int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, struct bsq_noted_input *out)
 {
     int status = 0;
-    *path = *role = NULL;
+    *out = (struct bsq_noted_input){0};
     pthread_mutex_lock(&ctx->parts_lock);
-    const struct job_files *files = noted_files(ctx);
-    for (; status == 0 && files && *next < files->input_paths.count; ++*next) {
-        const struct input *input = &files->inputs[*next];
-        if (!input->opened)
-            continue;
-        *path = strdup(input->path);
-        *role = strdup(input->role ? input->role : "");
-        status = *path && *role ? 1 : fail_memory(ctx, input->path);
+    const struct job_files *files = files_of(ctx);
+    if (files && *next < files->inputs.paths.count) {
+        const struct noted *input = &files->inputs.files[(*next)++];
+        *out = (struct bsq_noted_input){.path = strdup(input->path),
+                                        .role = strdup(input->role ? input->role : ""),
+                                        .opened = input->opened,
+                                        .own = input->own,
+                                        .found = input->found};
+        status = out->path && out->role ? 1 : fail_memory(ctx, input->path);
     }
     pthread_mutex_unlock(&ctx->parts_lock);
-    if (status < 0) {
-        free(*path);
-        free(*role);
-        *path = *role = NULL;
-    }
+    if (status < 0)
+        bsq_noted_input_free(out);
     return status;
+}
+
+void bsq_noted_input_free(struct bsq_noted_input *input)
+{
+    free(input->path);
+    free(input->role);
+    *input = (struct bsq_noted_input){0};
 }
 
 /* ---- outputs ---- */
 
-/* Sets *out to the output with this path, which is added if it is new. */
-static int add_output(struct bsq_ctx *ctx, const char *path, struct output **out)
+/* Finds out again where an output's path leads. */
+static void look_again(struct noted *output, bool written)
 {
-    struct job_files *files = get_files(ctx);
-    if (!files)
-        return fail_memory(ctx, path);
-    const uint64_t count = files->output_paths.count;
-    uint64_t number = 0;
-    int status = bsq_tally_grow(ctx, &files->tally, count + 1, sizeof *files->outputs,
-                                &files->outputs, &files->output_capacity);
-    if (status == 0)
-        status = bsq_texts_add(ctx, &files->tally, &files->output_paths, path, &number);
-    if (status < 0)
-        return status;
-    *out = &files->outputs[number];
-    if (number == count)
-        **out = (struct output){.path = files->output_paths.list[number]};
-    return 0;
+    free(output->place.name);
+    output->place = find_place(output->path);
+    output->written = written;
 }
 
 int bsq_note_output(struct bsq_ctx *ctx, const char *path)
 {
-    struct output *output = NULL;
+    struct noted *output;
+    int status;
     pthread_mutex_lock(&ctx->parts_lock);
-    int status = add_output(ctx, path, &output);
-    if (status == 0) {
-        free(output->place.name);
-        output->place = find_place(path);
-        output->written = false;
-        for (uint64_t i = 0; status == 0 && i < noted_files(ctx)->input_paths.count; i++) {
-            const struct input *input = &noted_files(ctx)->inputs[i];
-            if (!input->own && same_place(&input->place, &output->place))
-                status = fail_overwrite(ctx, path, input);
-        }
+    BSQ_TRY(begin(ctx, path));
+    BSQ_TRY(add(ctx, &files_of(ctx)->outputs, path, &output));
+    look_again(output, false);
+    for (uint64_t i = 0; i < files_of(ctx)->inputs.paths.count; i++) {
+        const struct noted *input = &files_of(ctx)->inputs.files[i];
+        if (!input->own && same_place(&input->place, &output->place))
+            BSQ_TRY(fail_overwrite(ctx, path, input));
     }
+done:
     pthread_mutex_unlock(&ctx->parts_lock);
     return status;
 }
@@ -290,9 +284,9 @@ int bsq_note_output(struct bsq_ctx *ctx, const char *path)
 char *bsq_output_directory(struct bsq_ctx *ctx)
 {
     pthread_mutex_lock(&ctx->parts_lock);
-    const struct job_files *files = noted_files(ctx);
-    char *directory =
-        bsq_dirname(files && files->output_paths.count > 0 ? files->output_paths.list[0] : "");
+    const struct job_files *files = files_of(ctx);
+    const bool any = files && files->outputs.paths.count > 0;
+    char *directory = bsq_dirname(any ? files->outputs.paths.list[0] : "");
     pthread_mutex_unlock(&ctx->parts_lock);
     return directory;
 }
@@ -300,15 +294,11 @@ char *bsq_output_directory(struct bsq_ctx *ctx)
 void bsq_note_written(struct bsq_ctx *ctx, const char *path)
 {
     pthread_mutex_lock(&ctx->parts_lock);
-    struct job_files *files = noted_files(ctx);
-    const uint64_t number = files ? bsq_texts_find(&files->output_paths, path) : 0;
-    if (files && number < files->output_paths.count) {
-        struct output *output = &files->outputs[number];
-        free(output->place.name);
-        output->place = find_place(path);
-        output->written = true;
-    }
-    for (uint64_t i = 0; files && files->own_count > 0 && i < files->input_paths.count; i++)
-        files->inputs[i].opened &= !files->inputs[i].own;
+    struct job_files *files = files_of(ctx);
+    const uint64_t number = files ? bsq_texts_find(&files->outputs.paths, path) : 0;
+    if (files && number < files->outputs.paths.count)
+        look_again(&files->outputs.files[number], true);
+    for (uint64_t i = 0; files && files->own_count > 0 && i < files->inputs.paths.count; i++)
+        files->inputs.files[i].opened &= !files->inputs.files[i].own;
     pthread_mutex_unlock(&ctx->parts_lock);
 }

@@ -24,10 +24,18 @@ int bsq_note_input(struct bsq_ctx *ctx, const char *path, const char *format, ..
  * if the job reads this file; BSQ_ENOMEM. */
 int bsq_note_output(struct bsq_ctx *ctx, const char *path);
 
-/* Sets *path and *role to copies, which the caller frees, of the next opened input from number
- * *next on, and *next to the number after it. The role is "" if nobody said what it is. Inputs keep
- * their order. Returns 1; 0 after the last one. Errors: BSQ_ENOMEM. */
-int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, char **path, char **role);
+/* An input that was noted. */
+struct bsq_noted_input {
+    char *path, *role;         /* owned; the role is "" if nobody said what it is */
+    bool opened;               /* by bsq_file_open() */
+    bool own;                  /* this job wrote it before */
+    struct bsq_identity found; /* when it was opened first */
+};
+
+/* Sets *out to input number *next, and adds 1 to *next. Inputs keep their order. Returns 1; 0 after
+ * the last one. Free *out with bsq_noted_input_free(). Errors: BSQ_ENOMEM. */
+int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, struct bsq_noted_input *out);
+void bsq_noted_input_free(struct bsq_noted_input *input);
 
 /* Notes that the output that was noted under this path has its final name now, and that later
  * openings may find another file. */

@@ -399,6 +399,8 @@ const struct bake_options *bake_plan_options(const struct bake_farm_plan *plan);
 void bake_plan_use_device(struct bake_farm_plan *plan, const char *device);
 /** Returns the number of tasks. */
 uint32_t bake_plan_task_count(const struct bake_farm_plan *plan);
+/** Returns the number of UDIM tiles, counted for each object or material with maps of its own. */
+uint32_t bake_plan_tile_count(const struct bake_farm_plan *plan);
 /** Returns what task number `task`, from 0 on, is expected to need. */
 const struct bake_task_cost *bake_plan_task_cost(const struct bake_farm_plan *plan, uint32_t task);
 /** Returns the path of the part file of a task, which the caller frees with free(); NULL if there
@@ -412,14 +414,19 @@ char *bake_plan_part_path(const struct bake_farm_plan *plan, uint32_t task);
 int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32_t task, bool force,
                   bool *kept, struct bake_report *report);
 
-/** Writes the maps of a plan from all part files. The maps have the bytes that bake_run() would
- * write. Without `force`, maps that were merged from this plan before and were not touched since
- * stay as they are, and *kept is set; the report then has their samples, hits and misses. Fills in
- * the report; the caller frees it with bake_report_free(). Errors: those of bake_run();
- * BSQ_ENOINPUT, which names the missing parts; BSQ_EDATA for a part that is damaged or of another
- * plan. */
-int bake_merge_plan(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, bool force, bool *kept,
-                    struct bake_report *report);
+/** Stands for all tiles of a plan. */
+#define BAKE_ALL_TILES UINT32_MAX
+
+/** Writes maps of a plan from all part files: those of UDIM tile number `tile`, from 0 on, or with
+ * BAKE_ALL_TILES all maps and the preview. The maps have the bytes that bake_run() would write.
+ * Tiles may be merged at once on several machines; after them, BAKE_ALL_TILES writes the preview
+ * and what is missing. Without `force`, maps that were merged from this plan before and were not
+ * touched since stay as they are, and *kept is set if all are; the report then has their samples,
+ * hits and misses. Fills in the report; the caller frees it with bake_report_free(). Errors: those
+ * of bake_run(); BSQ_ENOINPUT, which names the missing parts; BSQ_EDATA for a part that is damaged
+ * or of another plan; BSQ_EUSAGE if there is no such tile. */
+int bake_merge_plan(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32_t tile,
+                    bool force, bool *kept, struct bake_report *report);
 
 /** A UDIM tile that triangles of a low-poly mesh lie in. */
 struct bake_tile_info {

@@ -11,6 +11,7 @@ static const char usage[] =
     "       bisque-bake [OPTION]... SCAN.tris LOW.obj... -o OUT_<MAP>.exr\n"
     "       bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr --tasks N --write-plan PLAN\n"
     "       bisque-bake --plan PLAN --task I\n"
+    "       bisque-bake --plan PLAN --merge-tile I\n"
     "       bisque-bake --plan PLAN --merge\n"
     "       bisque-bake --plan PLAN\n"
     "       bisque-bake --list devices\n"
@@ -360,7 +361,9 @@ static int take_option(struct cli *cli, void *arg, const struct bsq_option *row,
                    : cli_usage(cli, "--device: \"%s\" is not " BAKE_DEVICE_NAMES, text);
     }
     if (strcmp(name, "task") == 0)
-        return bake_tasks_parse_range(cli, &arguments->farm, text);
+        return bake_farm_parse(cli, name, text, &arguments->farm.task);
+    if (strcmp(name, "merge-tile") == 0)
+        return bake_farm_parse(cli, name, text, &arguments->farm.merge_tile);
     if (strcmp(name, "list") == 0)
         return parse_list(cli, arguments, text);
     if (strcmp(name, "png-bits") == 0)
@@ -421,11 +424,11 @@ static int check_tasks(struct cli *cli, struct bake_arguments *arguments, int in
     const struct bake_tasks *farm = &arguments->farm;
     const struct cli_table table = bake_table(arguments);
     const struct bsq_option *row = cli_given(&table, false);
-    if (farm->plan && !farm->task_given && bake_arguments_has(arguments, "device"))
+    if (farm->plan && !farm->task.given && bake_arguments_has(arguments, "device"))
         return cli_usage(cli, "--plan has the device of the tasks: give --device to --task only");
     if (farm->plan && !farm->merge && bake_arguments_has(arguments, "max_missed"))
         return cli_usage(cli, "--max-missed is for the bake of all texels: give it to --merge");
-    return bake_tasks_check(cli, farm, row ? row->name : NULL, inputs);
+    return bake_farm_check(cli, farm, row ? row->name : NULL, inputs);
 }
 
 static int check_arguments(struct cli *cli, struct bake_arguments *arguments)

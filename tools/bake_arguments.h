@@ -3,7 +3,7 @@
 #define BAKE_ARGUMENTS_H
 
 #include "libbake/bake.h"
-#include "tools/bake_tasks.h"
+#include "tools/bake_farm.h"
 
 enum { BAKE_MOST_ROWS = 64 };
 

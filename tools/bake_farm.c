@@ -1,82 +1,129 @@
 /* bake_farm.c - see bake_farm.h. */
 #include "tools/bake_farm.h"
-#include "tools/bake_report.h"
 
-#include <math.h>
 #include <stdlib.h>
-#include <string.h>
 
-int bake_farm_say_merged(struct cli *cli, const struct bake_arguments *arguments)
+#include "tools/bake_report.h"
+#include "tools/cli_percent.h"
+
+/* ---- options ---- */
+
+#define MEMBER(kind, member) BSQ_MEMBER(kind, struct bake_tasks, member)
+
+const struct bsq_option bake_task_rows[BAKE_TASK_ROWS] = {
+    {.name = "tasks",
+     .argument = "N",
+     .heading = "Tasks for several machines",
+     MEMBER(COUNT, tasks),
+     BSQ_RANGE(1, BAKE_MAX_TASKS, 0),
+     .help = "with --write-plan: divide the work into N tasks (default: none)"},
+    {.name = "write-plan",
+     .argument = "FILE",
+     MEMBER(OUTPUT, write_plan),
+     .help = "write a plan of the tasks, and do nothing else"},
+    {.name = "plan",
+     .argument = "FILE",
+     MEMBER(INPUT, plan),
+     .help = "take inputs, output and options from a plan\n"
+             "alone: print how many tasks it has, and what each needs"},
+    {.name = "task",
+     .argument = "I | I-J",
+     .own_syntax = true,
+     .kind = BSQ_OPTION_NONE,
+     .help = "do task I, or I to J, of the plan, from 0 on, into part files"},
+    {.name = "merge",
+     MEMBER(FLAG, merge),
+     .help = "write all maps from the parts of the plan, and the preview"},
+    {.name = "merge-tile",
+     .argument = "I | I-J",
+     .own_syntax = true,
+     .kind = BSQ_OPTION_NONE,
+     .help = "write the maps of UDIM tile I, or I to J, of the plan, from 0 on;\n"
+             "then --merge writes what is missing"},
+    {.name = "force",
+     MEMBER(FLAG, force),
+     .help = "do it again if the part or the outputs are there already"},
+};
+
+int bake_farm_parse(struct cli *cli, const char *option, const char *text, struct bake_numbers *out)
 {
-    return cli_say_kept(cli, arguments->farm.plan, "the merge of this plan");
+    unsigned long long number[2] = {0};
+    const char *at = text;
+    char *end;
+    for (int i = 0; i < 2; i++) {
+        number[i] = strtoull(at, &end, 10);
+        if (*at < '0' || *at > '9' || number[i] >= BAKE_MAX_TASKS || (*end && (*end != '-' || i)))
+            return cli_usage(cli, "--%s: \"%s\" is no number from 0 to %d, and no range of them",
+                             option, text, BAKE_MAX_TASKS - 1);
+        at = *end ? end + 1 : at;
+    }
+    *out = (struct bake_numbers){true, (uint32_t)number[0], (uint32_t)number[1]};
+    return out->first <= out->last
+               ? 0
+               : cli_usage(cli, "--%s: \"%s\": the first number comes after the last one", option,
+                           text);
+}
+
+int bake_farm_check(struct cli *cli, const struct bake_tasks *tasks, const char *work_option,
+                    int files)
+{
+    const int works = tasks->task.given + tasks->merge + tasks->merge_tile.given;
+    if (!tasks->write_plan != !tasks->tasks)
+        return cli_usage(cli, "--tasks and --write-plan need each other");
+    if (works > 0 && !tasks->plan)
+        return cli_usage(cli, "--task and --merge need --plan");
+    if (tasks->force && works == 0)
+        return cli_usage(cli, "--force needs --task or --merge");
+    if (!tasks->plan)
+        return 0;
+    if (works > 1)
+        return cli_usage(cli, "--task, --merge-tile and --merge exclude each other");
+    if (tasks->write_plan)
+        return cli_usage(cli, "--plan and --write-plan exclude each other");
+    if (work_option)
+        return cli_usage(cli, "--plan has the options of the work: leave out --%s", work_option);
+    return files == 0 ? 0 : cli_usage(cli, "--plan names the inputs: leave out the files");
 }
 
 /* ---- the plan ---- */
 
-/* The costs of a plan: the largest of any task, and the sums of all. */
-struct plan_costs {
-    uint32_t tasks;
-    uint64_t texels;                                /* of all */
-    uint64_t task_memory_bytes, task_scratch_bytes; /* largest */
-    double task_cpu_seconds;                        /* largest */
-    uint64_t parts_bytes;                           /* of all */
-    double cpu_seconds;                             /* of all */
-};
-
-static uint64_t larger(uint64_t a, uint64_t b)
-{
-    return a > b ? a : b;
-}
-
-static void add_cost(struct plan_costs *costs, const struct bake_task_cost *cost)
-{
-    costs->tasks++;
-    costs->texels += cost->texels;
-    costs->task_memory_bytes = larger(costs->task_memory_bytes, cost->memory_bytes);
-    costs->task_scratch_bytes = larger(costs->task_scratch_bytes, cost->scratch_bytes);
-    costs->task_cpu_seconds = fmax(costs->task_cpu_seconds, cost->cpu_seconds);
-    costs->parts_bytes += cost->part_bytes;
-    costs->cpu_seconds += cost->cpu_seconds;
-}
-
-/* kept: the plan was to be written, but was there already. */
-static int print_costs(struct cli *cli, const char *path, bool kept, const struct plan_costs *costs)
+int bake_farm_print(struct cli *cli, const char *path, const struct bake_farm_plan *plan, bool kept)
 {
     char memory[CLI_TEXT], scratch[CLI_TEXT], parts[CLI_TEXT], texels[CLI_TEXT];
+    const uint32_t tasks = bake_plan_task_count(plan), tiles = bake_plan_tile_count(plan);
+    struct bake_task_cost most = {0}, all = {0}; /* of any task; of all */
+    for (uint32_t i = 0; i < tasks; i++) {
+        const struct bake_task_cost *cost = bake_plan_task_cost(plan, i);
+        if (cost->memory_bytes > most.memory_bytes)
+            most.memory_bytes = cost->memory_bytes;
+        if (cost->scratch_bytes > most.scratch_bytes)
+            most.scratch_bytes = cost->scratch_bytes;
+        if (cost->cpu_seconds > most.cpu_seconds)
+            most.cpu_seconds = cost->cpu_seconds;
+        all.texels += cost->texels;
+        all.part_bytes += cost->part_bytes;
+        all.cpu_seconds += cost->cpu_seconds;
+    }
     if (cli->json)
-        return cli_print_json(
-            cli, json_pack("{s:o, s:b, s:i, s:I, s:I, s:I, s:I, s:f, s:f}", "path",
-                           cli_json_text(path), "kept", (int)kept, "tasks", (int)costs->tasks,
-                           "texels", (json_int_t)costs->texels, "task_memory_bytes",
-                           (json_int_t)costs->task_memory_bytes, "task_scratch_bytes",
-                           (json_int_t)costs->task_scratch_bytes, "parts_bytes",
-                           (json_int_t)costs->parts_bytes, "task_cpu_seconds",
-                           costs->task_cpu_seconds, "cpu_seconds", costs->cpu_seconds));
-    cli_print("%s: %s for %s%s\n", path, cli_counted_text(costs->tasks, "task", "tasks", memory),
-              cli_counted_text(costs->texels, "texel", "texels", texels),
+        return cli_print_json(cli, json_pack("{s:o, s:b, s:i, s:i, s:I, s:I, s:I, s:I, s:f, s:f}",
+                                             "path", cli_json_text(path), "kept", (int)kept,
+                                             "tasks", (int)tasks, "tiles", (int)tiles, "texels",
+                                             (json_int_t)all.texels, "task_memory_bytes",
+                                             (json_int_t)most.memory_bytes, "task_scratch_bytes",
+                                             (json_int_t)most.scratch_bytes, "parts_bytes",
+                                             (json_int_t)all.part_bytes, "task_cpu_seconds",
+                                             most.cpu_seconds, "cpu_seconds", all.cpu_seconds));
+    cli_print("%s: %s for %s", path, cli_counted_text(tasks, "task", "tasks", memory),
+              cli_counted_text(all.texels, "texel", "texels", texels));
+    cli_print(" in %s%s\n", cli_counted_text(tiles, "tile", "tiles", texels),
               kept ? ", was there already" : "");
     cli_print("a task: about %s of memory with eight threads, ",
-              cli_size_text(costs->task_memory_bytes, memory));
-    if (costs->task_scratch_bytes > 0)
-        cli_print("%s of temporary files with less, ",
-                  cli_size_text(costs->task_scratch_bytes, scratch));
-    cli_print("%.3g s of one core\n", costs->task_cpu_seconds);
-    cli_print("all parts: at most %s\n", cli_size_text(costs->parts_bytes, parts));
+              cli_size_text(most.memory_bytes, memory));
+    if (most.scratch_bytes > 0)
+        cli_print("%s of temporary files with less, ", cli_size_text(most.scratch_bytes, scratch));
+    cli_print("%.3g s of one core\n", most.cpu_seconds);
+    cli_print("all parts: at most %s\n", cli_size_text(all.part_bytes, parts));
     return 0;
-}
-
-static int print_plan(struct cli *cli, const char *path, const struct bake_farm_plan *plan,
-                      bool kept)
-{
-    struct plan_costs costs = {0};
-    for (uint32_t i = 0; i < bake_plan_task_count(plan); i++)
-        add_cost(&costs, bake_plan_task_cost(plan, i));
-    return print_costs(cli, path, kept, &costs);
-}
-
-int bake_farm_print(struct cli *cli, const char *path, const struct bake_farm_plan *plan)
-{
-    return print_plan(cli, path, plan, false);
 }
 
 int bake_farm_plan(struct cli *cli, const struct bake_arguments *arguments,
@@ -85,12 +132,12 @@ int bake_farm_plan(struct cli *cli, const struct bake_arguments *arguments,
     struct bake_farm_plan *plan = NULL;
     const char *path = arguments->farm.write_plan;
     bool kept = false;
-    int status =
-        bake_write_plan(cli->ctx, &arguments->bake, arguments->farm.tasks, path, &kept, report);
-    if (status == 0)
-        status = bake_open_plan(cli->ctx, path, &plan);
-    if (status == 0)
-        status = print_plan(cli, path, plan, kept);
+    int status;
+    BSQ_TRY(
+        bake_write_plan(cli->ctx, &arguments->bake, arguments->farm.tasks, path, &kept, report));
+    BSQ_TRY(bake_open_plan(cli->ctx, path, &plan));
+    status = bake_farm_print(cli, path, plan, kept);
+done:
     bake_close_plan(plan);
     return status;
 }
@@ -118,23 +165,17 @@ static int print_task(struct cli *cli, const char *path, uint32_t task,
     return 0;
 }
 
-struct task_job {
-    const struct bake_arguments *arguments;
-    const struct bake_farm_plan *plan;
-};
-
-static int run_task(struct cli *cli, void *arg, uint32_t task)
+static int run_task(struct cli *cli, const struct bake_arguments *arguments,
+                    const struct bake_farm_plan *plan, uint32_t task)
 {
-    const struct task_job *job = arg;
-    const struct bake_arguments *arguments = job->arguments;
-    const struct bake_farm_plan *plan = job->plan;
     struct bake_report report = {0};
     bool kept = false;
+    char *path = bake_plan_part_path(plan, task);
+    int status =
+        path ? 0 : bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", arguments->farm.plan);
     bake_report_watch(cli, &report);
-    int status = bake_run_task(cli->ctx, plan, task, arguments->farm.force, &kept, &report);
-    char *path = status == 0 ? bake_plan_part_path(plan, task) : NULL;
-    if (status == 0 && !path)
-        status = bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", arguments->farm.plan);
+    if (status == 0)
+        status = bake_run_task(cli->ctx, plan, task, arguments->farm.force, &kept, &report);
     if (status == 0)
         status = kept ? cli_say_kept(cli, path, "this part") : print_task(cli, path, task, &report);
     free(path);
@@ -146,8 +187,17 @@ static int run_task(struct cli *cli, void *arg, uint32_t task)
 int bake_farm_tasks(struct cli *cli, const struct bake_arguments *arguments,
                     struct bake_farm_plan *plan)
 {
-    struct task_job job = {arguments, plan};
+    const struct bake_numbers *range = &arguments->farm.task;
+    const uint32_t count = bake_plan_task_count(plan);
+    int status = 0;
     bake_plan_use_device(plan,
                          bake_arguments_has(arguments, "device") ? arguments->bake.device : NULL);
-    return bake_tasks_run(cli, &arguments->farm, bake_plan_task_count(plan), run_task, &job);
+    if (range->last >= count)
+        return bsq_fail(cli->ctx, BSQ_EUSAGE, "%s: there is no task %u: tasks are 0 to %u",
+                        arguments->farm.plan, range->last, count - 1);
+    for (uint32_t task = range->first; task <= range->last && status == 0; task++) {
+        cli_percent_turn(cli, task - range->first, range->last - range->first + 1);
+        status = run_task(cli, arguments, plan, task);
+    }
+    return status;
 }

@@ -307,6 +307,22 @@ int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
     return cli->json ? print_json(cli, arguments, report) : print_report(cli, arguments, report);
 }
 
+int bake_report_print_tile(struct cli *cli, const struct bake_arguments *arguments,
+                           struct bake_report *report, uint32_t tile)
+{
+    const struct bake_options *bake = &arguments->bake;
+    const struct bake_baked_tile *of = &report->tiles[tile];
+    if (cli->json)
+        return cli_print_json(cli, json_pack("{s:o, s:b, s:i, s:i, s:o}", "path",
+                                             cli_json_text(arguments->farm.plan), "kept", 0,
+                                             "merge_tile", (int)tile, "tile", (int)of->tile, "maps",
+                                             maps_json(cli, bake, of)));
+    int status = bake_list_files(cli->ctx, bake, of, print_map, report);
+    if (status == 0)
+        cli_print_cost(cli);
+    return status;
+}
+
 bool bake_report_too_many_missed(const struct cli *cli, const struct bake_arguments *arguments,
                                  const struct bake_report *report)
 {

@@ -8,6 +8,7 @@
 #include "base/tile_files.h"
 #include "tools/bake_farm.h"
 #include "tools/bake_report.h"
+#include "tools/cli_percent.h"
 
 /* ---- checks before the work ---- */
 
@@ -98,27 +99,61 @@ done:
     return status;
 }
 
+/* Merges a tile of a plan, or all. Sets *missed as bake_maps() does, for all. */
+static int merge_tile(struct cli *cli, const struct bake_arguments *arguments,
+                      const struct bake_farm_plan *plan, uint32_t tile, bool *missed)
+{
+    const bool all = tile == BAKE_ALL_TILES;
+    struct bake_report report = {0};
+    bool kept = false;
+    int status;
+    bake_report_watch(cli, &report);
+    BSQ_TRY(bake_merge_plan(cli->ctx, plan, tile, arguments->farm.force, &kept, &report));
+    if (kept)
+        status = cli_say_kept(cli, arguments->farm.plan,
+                              all ? "the merge of this plan" : "the merge of this tile");
+    else
+        status = all ? bake_report_print(cli, arguments, &report)
+                     : bake_report_print_tile(cli, arguments, &report, tile);
+    if (status == 0 && all)
+        *missed = bake_report_too_many_missed(cli, arguments, &report);
+done:
+    bake_report_watch(cli, NULL);
+    bake_report_free(&report);
+    return status;
+}
+
+/* Merges tiles. A scheduler need not know how many there are. */
+static int merge_tiles(struct cli *cli, const struct bake_arguments *arguments,
+                       const struct bake_farm_plan *plan)
+{
+    const struct bake_numbers *range = &arguments->farm.merge_tile;
+    const uint32_t count = bake_plan_tile_count(plan);
+    int status = 0;
+    for (uint32_t tile = range->first; tile <= range->last && status == 0; tile++) {
+        cli_percent_turn(cli, tile - range->first, range->last - range->first + 1);
+        if (tile < count)
+            status = merge_tile(cli, arguments, plan, tile, NULL);
+        else
+            cli_print("%s: there is no tile %u, nothing to do\n", arguments->farm.plan, tile);
+    }
+    return status;
+}
+
 /* Merges the parts of a plan. Sets *missed as bake_maps() does. */
 static int merge(struct cli *cli, struct bake_arguments *arguments,
                  const struct bake_farm_plan *plan, bool *missed)
 {
-    struct bake_report report = {0};
-    bool kept = false;
-    int status = 0;
-    bake_report_watch(cli, &report);
+    int status;
     const double max_missed = bake_arguments_has(arguments, "max_missed")
                                   ? arguments->bake.max_missed
                                   : bake_plan_options(plan)->max_missed;
     arguments->bake = *bake_plan_options(plan);
     arguments->bake.max_missed = max_missed;
     BSQ_TRY(check_outputs(cli, &arguments->bake, NULL));
-    BSQ_TRY(bake_merge_plan(cli->ctx, plan, arguments->farm.force, &kept, &report));
-    BSQ_TRY(kept ? bake_farm_say_merged(cli, arguments)
-                 : bake_report_print(cli, arguments, &report));
-    *missed = bake_report_too_many_missed(cli, arguments, &report);
+    status = arguments->farm.merge ? merge_tile(cli, arguments, plan, BAKE_ALL_TILES, missed)
+                                   : merge_tiles(cli, arguments, plan);
 done:
-    bake_report_watch(cli, NULL);
-    bake_report_free(&report);
     /* The plan owns what these point to. */
     arguments->bake.transfers = NULL;
     arguments->bake.transfer_count = 0;
@@ -136,9 +171,12 @@ static int work_by_plan(struct cli *cli, struct bake_arguments *arguments, bool 
     BSQ_TRY(bake_open_plan(cli->ctx, arguments->farm.plan, &plan));
     if (bake_plan_options(plan)->strict)
         bsq_set_strict(cli->ctx, true);
-    status = arguments->farm.merge        ? merge(cli, arguments, plan, missed)
-             : arguments->farm.task_given ? bake_farm_tasks(cli, arguments, plan)
-                                          : bake_farm_print(cli, arguments->farm.plan, plan);
+    if (arguments->farm.task.given)
+        status = bake_farm_tasks(cli, arguments, plan);
+    else if (arguments->farm.merge || arguments->farm.merge_tile.given)
+        status = merge(cli, arguments, plan, missed);
+    else
+        status = bake_farm_print(cli, arguments->farm.plan, plan, false);
 done:
     bake_close_plan(plan);
     return status;

@@ -1,8 +1,8 @@
 /* farm.h - a bake as tasks: the plan, and the part that each task makes.
  *
  * In: a bake's options, with all that tasks must share, and the blocks of its maps. Out: a plan
- * file, which says what each task bakes, and part files, which hold the texels of blocks.
- * FORMATS.md describes both files.
+ * file, which names all inputs with checksums and says what each task bakes, and part files, which
+ * hold the texels of blocks. FORMATS.md describes both files.
  *
  * A block is a square of texels of one UDIM tile. Tasks get blocks along a curve through the scan,
  * so that the rays of a task cross few chunks that other tasks read too. A texel does not depend
@@ -10,42 +10,60 @@
 #ifndef BAKE_FARM_FARM_H
 #define BAKE_FARM_FARM_H
 
-#include "formats/farm/farm.h"
 #include "libbake/bake.h"
 #include "libbake/maps/maps.h"
 
 /* ---- the plan ---- */
 
+/* Members have the names that they have in the file. */
+
+/* A file that the bake reads. All texts are owned. */
+struct bake_farm_input {
+    char *path, *role;         /* the role is for messages */
+    uint64_t bytes;            /* of struct fmt_fingerprint, like the next two */
+    char *xxh3_128, *identity; /* the identity may be "": unknown */
+};
+
 /* A UDIM tile, of one object or material if these have maps of their own, and its blocks. */
 struct bake_farm_tile {
-    uint32_t number, width, height; /* texels */
-    char *object, *material;        /* owned; or NULL */
-    uint32_t columns, rows;         /* of blocks */
-    uint32_t *tasks;                /* for each block: the task that bakes it */
+    uint32_t tile, width, height; /* number; texels */
+    uint32_t columns, rows;       /* of blocks */
+    uint32_t *task_of;            /* for each block: the task that bakes it */
 };
 
 struct bake_farm_plan {
-    struct fmt_farm_plan base;
+    struct bsq_ctx *ctx;
+    char *path;                  /* of the plan file */
+    char id[33];                 /* a checksum of what is in the file, in hexadecimal digits */
     struct bake_options options; /* with distances, maps and radius as all tasks use them */
-    const char *task_device;     /* traces the rays of tasks; NULL: that of the options */
     bool owns_options;           /* the strings and arrays in them */
-    uint32_t block_side;
-    struct bake_farm_tile *tiles;
-    uint32_t tile_count;
-    struct bake_task_cost *costs; /* one a task */
+    const char *task_device;     /* traces the rays of tasks; NULL: that of the options */
+    uint32_t tasks, block_side;
     uint64_t degenerate_triangles;
+    struct bake_farm_input *inputs;
+    struct bake_farm_tile *tiles;
+    struct bake_task_cost *expected; /* one a task */
+    uint32_t input_count, tile_count, expected_count;
 };
 
 /* Makes a plan without inputs and tiles. The strings and arrays of `options` must outlive it. Free
  * *out with bake_farm_plan_free(). Errors: BSQ_ENOMEM. */
 int bake_farm_plan_create(struct bsq_ctx *ctx, const char *path, const struct bake_options *options,
-                          uint32_t task_count, struct bake_farm_plan **out);
+                          uint32_t tasks, struct bake_farm_plan **out);
 void bake_farm_plan_free(struct bake_farm_plan *plan); /* NULL is allowed */
 
-/* Adds tiles with the numbers, names, sizes and blocks that options and block_side give. No block
- * has a task yet. Errors: BSQ_ENOMEM. */
+/* Adds tiles with the numbers and sizes that options and block_side give. No block has a task yet.
+ * Errors: BSQ_ENOMEM. */
 int bake_farm_add_tiles(struct bake_farm_plan *plan, const struct bake_baked_tile *tiles,
                         uint32_t count);
+
+/* Adds each file that the job has opened as input, with its fingerprint. Errors: those of
+ * fmt_fingerprint(). */
+int bake_farm_add_inputs(struct bake_farm_plan *plan);
+
+/* Checks that all inputs are those of the plan. Errors: BSQ_EDATA, which names the first that is
+ * not; those of fmt_is_same(). */
+int bake_farm_check_inputs(const struct bake_farm_plan *plan);
 
 /* Writes the plan file, computes its id, and sets *kept if the same plan was there already. Errors:
  * BSQ_EUSAGE for a file name that is not UTF-8; BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
@@ -66,10 +84,10 @@ struct bake_farm_block {
 
 /* Returns a side for blocks: smaller if many tasks share few texels. */
 uint32_t bake_farm_block_side(const struct bake_baked_tile *tiles, uint32_t tile_count,
-                              uint32_t task_count);
+                              uint32_t tasks);
 
 /* Gives each block of the plan's tiles to a task, so that all have about as many samples. `blocks`
- * lists those with samples and is sorted. Errors: BSQ_ENOMEM. */
+ * lists those with samples and is sorted. Errors: BSQ_EINTR. */
 int bake_farm_divide(struct bake_farm_plan *plan, struct bake_farm_block *blocks, uint64_t count);
 
 /* Makes the list of a tile's blocks that a task bakes. The caller frees blocks->slots with
@@ -85,30 +103,64 @@ struct bake_farm_counts {
     uint64_t curvature_texels, curvature_alone; /* of struct bake_curvature_counts */
 };
 
+/* And what the ranges of maps follow from. */
+struct bake_farm_found {
+    struct bake_farm_counts counts;
+    struct bake_statistics statistics[BK_MAP_COUNT];
+};
+
 /* The texels of one tile. */
 struct bake_farm_image {
     struct bake_blocks blocks; /* those of a task; unused when parts are merged */
     struct bake_image *image;  /* NULL: the task has no blocks in this tile */
 };
 
+/* Returns the path of a task's part ("part") or of a tile's note ("merged"), which the caller
+ * frees; NULL if there is no memory. */
+char *bake_farm_path(const struct bake_farm_plan *plan, const char *kind, uint32_t number);
+
 /* Writes the part of a task: one image for each tile of the plan. Blocks without covered texels are
  * left out. Tries again if another task of the same number took the file away. Errors: BSQ_EIO,
  * BSQ_ECANTCREAT, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_farm_part_write(const struct bake_farm_plan *plan, uint32_t task,
-                         const struct bake_farm_image *images,
-                         const struct bake_farm_counts *counts);
+                         const struct bake_farm_image *images, const struct bake_farm_found *found);
 
 /* Sets *out if the part of a task is there, complete and of this plan. Errors: BSQ_ENOMEM,
  * BSQ_EINTR. */
 int bake_farm_part_is_there(const struct bake_farm_plan *plan, uint32_t task, bool *out);
 
-/* Checks that all parts are there and of this plan. Errors: BSQ_ENOINPUT, which names the missing
- * ones; BSQ_EDATA. */
-int bake_farm_parts_check(const struct bake_farm_plan *plan);
+/* Checks all but the texels of all parts, and adds up what was found. Errors: BSQ_ENOINPUT, which
+ * names the missing ones; BSQ_EDATA; BSQ_EINTR. */
+int bake_farm_parts_check(const struct bake_farm_plan *plan, struct bake_farm_found *found);
 
-/* Copies all parts into images, one for each tile of the plan, and adds up their counts. Errors:
- * those of bake_farm_parts_check() and bake_image_write(). */
-int bake_farm_parts_read(const struct bake_farm_plan *plan, const struct bake_farm_image *images,
-                         struct bake_farm_counts *counts);
+/* Copies a tile's texels from all parts into an image. Errors: those of bake_farm_parts_check() and
+ * bake_image_write(). */
+int bake_farm_parts_read(const struct bake_farm_plan *plan, uint32_t tile,
+                         struct bake_image *image);
+
+/* ---- notes ---- */
+
+/* The note that a tile is merged, so that doing it again costs nothing. The note of the preview has
+ * the number after the last tile. */
+struct bake_farm_note {
+    uint32_t number;
+    char **paths; /* the files that the merge wrote */
+    uint32_t path_count;
+    struct bake_farm_counts counts; /* of the whole bake */
+    /* The note keeps the tile's thumbnails for the preview, which another process renders: normals,
+     * colours and misses. Some may have no texels; when a note is read, all have none at first. */
+    bool with_thumbnails;
+    struct bake_thumbnail *thumbnails[3];
+    uint32_t most_side; /* in texels; larger thumbnails are not read */
+};
+
+/* Writes the note, with the sizes and times of the files. Errors: BSQ_EIO, BSQ_ECANTCREAT,
+ * BSQ_ENOMEM. */
+int bake_farm_note_write(const struct bake_farm_plan *plan, const struct bake_farm_note *note);
+
+/* Sets *kept if there is a note that these files were merged from the plan, and they were not
+ * touched since. Then sets the counts, and the thumbnails if they are asked for. Errors:
+ * BSQ_ENOMEM, BSQ_EINTR. */
+int bake_farm_note_read(const struct bake_farm_plan *plan, struct bake_farm_note *note, bool *kept);
 
 #endif

@@ -22,11 +22,11 @@ static uint64_t blocks_of(const struct bake_baked_tile *tiles, uint32_t tile_cou
 }
 
 uint32_t bake_farm_block_side(const struct bake_baked_tile *tiles, uint32_t tile_count,
-                              uint32_t task_count)
+                              uint32_t tasks)
 {
     uint32_t side = LARGEST_SIDE;
     while (side > SMALLEST_SIDE &&
-           blocks_of(tiles, tile_count, side) < (uint64_t)BLOCKS_A_TASK * task_count)
+           blocks_of(tiles, tile_count, side) < (uint64_t)BLOCKS_A_TASK * tasks)
         side /= 2;
     return side;
 }
@@ -53,9 +53,9 @@ static void fill_rest(struct bake_farm_tile *tile)
 {
     uint32_t task = 0;
     for (uint64_t b = 0; b < (uint64_t)tile->columns * tile->rows; b++) {
-        if (tile->tasks[b] == NO_TASK)
-            tile->tasks[b] = task;
-        task = tile->tasks[b];
+        if (tile->task_of[b] == NO_TASK)
+            tile->task_of[b] = task;
+        task = tile->task_of[b];
     }
 }
 
@@ -65,20 +65,20 @@ int bake_farm_divide(struct bake_farm_plan *plan, struct bake_farm_block *blocks
     bsq_sort(blocks, count, sizeof *blocks, compare_blocks);
     for (uint32_t t = 0; t < plan->tile_count; t++)
         for (uint64_t b = 0; b < (uint64_t)plan->tiles[t].columns * plan->tiles[t].rows; b++)
-            plan->tiles[t].tasks[b] = NO_TASK;
+            plan->tiles[t].task_of[b] = NO_TASK;
     for (uint64_t i = 0; i < count; i++)
         all += weight_of(plan, &blocks[i]);
     for (uint64_t i = 0; i < count; i++) {
         const uint64_t weight = weight_of(plan, &blocks[i]);
         const uint32_t task =
-            (uint32_t)((unsigned __int128)(before + weight / 2) * plan->base.task_count / all);
-        plan->tiles[blocks[i].tile].tasks[blocks[i].block] = task;
-        plan->costs[task].texels += blocks[i].samples;
+            (uint32_t)((unsigned __int128)(before + weight / 2) * plan->tasks / all);
+        plan->tiles[blocks[i].tile].task_of[blocks[i].block] = task;
+        plan->expected[task].texels += blocks[i].samples;
         before += weight;
     }
     for (uint32_t t = 0; t < plan->tile_count; t++)
         fill_rest(&plan->tiles[t]);
-    return bsq_check(plan->base.ctx);
+    return bsq_check(plan->ctx);
 }
 
 int bake_farm_task_blocks(const struct bake_farm_plan *plan, uint32_t tile, uint32_t task,
@@ -88,15 +88,15 @@ int bake_farm_task_blocks(const struct bake_farm_plan *plan, uint32_t tile, uint
     const uint64_t blocks = (uint64_t)t->columns * t->rows;
     uint32_t *slots;
     *out = (struct bake_blocks){.side = plan->block_side, .columns = t->columns, .rows = t->rows};
-    int status = bsq_alloc(plan->base.ctx, "blocks of a tile", blocks, sizeof *slots, &slots);
+    int status = bsq_alloc(plan->ctx, "blocks of a tile", blocks, sizeof *slots, &slots);
     if (status < 0)
         return status;
     out->slots = slots;
     for (uint64_t b = 0; b < blocks; b++)
-        slots[b] = t->tasks[b] == task ? out->count++ : BAKE_NO_SLOT;
+        slots[b] = t->task_of[b] == task ? out->count++ : BAKE_NO_SLOT;
     if (out->count > UINT32_MAX / plan->block_side)
-        return bsq_fail(plan->base.ctx, BSQ_EUSAGE,
-                        "%s: task %u has too many texels: make a plan of more tasks",
-                        plan->base.path, task);
+        return bsq_fail(plan->ctx, BSQ_EUSAGE,
+                        "%s: task %u has too many texels: make a plan of more tasks", plan->path,
+                        task);
     return 0;
 }

@@ -1,6 +1,6 @@
 /* job.h - the steps of a bake, in their order. Takes options; gives map files and a report.
  *
- * bake_run() takes all of the steps; libbake/bake_farm.c takes them apart to divide a bake into
+ * bake_run() takes all of the steps; libbake/farm takes them apart to divide a bake into
  * tasks. Steps end at the first failure. */
 #ifndef BAKE_JOB_JOB_H
 #define BAKE_JOB_JOB_H
@@ -19,6 +19,7 @@ struct bake_tile {
     char *output_path;
     char *beside;       /* the path of one map; temporary files go to its directory */
     uint32_t tile_size; /* side of the raster's tiles in texels */
+    bool kept;          /* its maps are there already: they are not written */
     bool in_blocks;     /* bakes `blocks` only, into an image of them */
     struct bake_blocks blocks;
     struct bake_skew_image skew;
@@ -49,6 +50,7 @@ struct bake_work {
     struct bake_device *device;             /* NULL: triangles or several scans are traced */
     struct bake_preview_tile *preview_tiles;
     struct bake_preview_file *preview_file;
+    bool keeps_preview; /* it is there already, or another process renders it */
 };
 
 /* Begins and ends a job. The report must be empty; a job that failed frees it. */
@@ -88,16 +90,18 @@ int bake_warn_of_radius(struct bsq_ctx *ctx, const struct bake_curvature_counts 
 /* Frees what is needed for tracing only; may be called twice. */
 void bake_end_tracing(struct bake_work *job);
 
-/* ---- tasks ---- */
-
-/* Sets what each task of a plan needs. The plan must have its tiles, blocks and texels. */
-void bake_expect_costs(const struct bake_work *job, struct bake_farm_plan *plan);
-
 /* ---- outputs ---- */
 
 /* Checks the files of all tiles before the work, and creates those of the first and the preview's.
- * Those of other tiles are created when they are written. */
+ * Those of other tiles are created when they are written. What is kept is left out. */
 int bake_open_outputs(struct bake_work *job);
+/* Returns the side of thumbnails for the preview, so that those of one map in all tiles take at
+ * most an eighth of what is left in the budget. */
+uint32_t bake_thumbnail_side(const struct bake_work *job);
+/* Encodes and writes the maps of a tile, and frees its image. The measures of all tiles must be
+ * known. limited: see bake_map_files_write(). */
+int bake_write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side,
+                    uint64_t *limited);
 /* Creates the image of a tile, which takes at most `memory_bytes`, or is in a temporary file.
  * Errors: those of bake_image_create(). */
 int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t memory_bytes);

@@ -114,7 +114,7 @@ static int require_descriptors(const struct bake_work *job)
 {
     uint64_t count = job->options->preview_path != NULL;
     for (uint32_t i = 0; i < job->udim.count; ++i)
-        count += file_count(&job->tiles[i]);
+        count += job->tiles[i].kept ? 0 : file_count(&job->tiles[i]);
     return bsq_require_descriptors(job->ctx, job->options->output_path, count);
 }
 
@@ -133,20 +133,25 @@ int bake_open_outputs(struct bake_work *job)
         BSQ_TRY(name_scans(job));
     const struct bake_traced traced = traced_of(job);
     BSQ_TRY(require_descriptors(job));
-    for (uint32_t i = 0; i < job->udim.count; ++i)
-        BSQ_TRY(bake_tile_check_files(job->ctx, &job->tiles[i], NULL));
-    BSQ_TRY(open_files(job->ctx, &job->tiles[0], &traced));
-    if (job->options->preview_path)
+    struct bake_tile *first = NULL;
+    for (uint32_t i = job->udim.count; i-- > 0;) {
+        if (job->tiles[i].kept)
+            continue;
+        first = &job->tiles[i];
+        BSQ_TRY(bake_tile_check_files(job->ctx, first, NULL));
+    }
+    if (first)
+        BSQ_TRY(open_files(job->ctx, first, &traced));
+    if (job->options->preview_path && !job->keeps_preview)
         BSQ_TRY(bake_preview_open(job->ctx, job->options->preview_path, job->options->preview_views,
                                   &job->preview_file));
 done:
     return status;
 }
 
-/* Returns the side of thumbnails. Those of one map in all tiles may take an eighth of what is left
- * in the budget; with thousands of tiles, a thumbnail may be a single texel. So the picture, unlike
- * the maps, can depend on a small budget. */
-static uint32_t thumbnail_side(const struct bake_work *job)
+/* With thousands of tiles, a thumbnail may be a single texel. So the picture, unlike the maps, can
+ * depend on a small budget. */
+uint32_t bake_thumbnail_side(const struct bake_work *job)
 {
     uint32_t side = PREVIEW_TEXTURE;
     uint64_t share = bsq_memory_share(job->ctx, "textures of the preview", 8) / job->udim.count;
@@ -187,13 +192,12 @@ int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t
     return bake_image_create(ctx, &image, &tile->image);
 }
 
-static int write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side,
-                      uint64_t *limited)
+int bake_write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side, uint64_t *limited)
 {
     const struct bake_traced traced = traced_of(job);
     int status = 0;
     BSQ_TRY(open_files(job->ctx, tile, &traced));
-    if (job->preview_file)
+    if (job->options->preview_path)
         BSQ_TRY(create_thumbnails(job->ctx, tile, side));
     BSQ_TRY(bake_map_files_write(tile->files, tile->image, &job->measures, limited, job->report));
 done:
@@ -217,13 +221,13 @@ done:
 
 int bake_write_maps(struct bake_work *job)
 {
-    const uint32_t side = thumbnail_side(job);
+    const uint32_t side = bake_thumbnail_side(job);
     uint64_t *limited = NULL;
     int status = 0;
     BSQ_TRY(bsq_calloc(job->ctx, "maps", bake_selection_end(job->maps), sizeof *limited, &limited));
     BSQ_TRY(measure_maps(job));
     for (uint32_t i = 0; i < job->udim.count; ++i)
-        BSQ_TRY(write_tile(job, &job->tiles[i], side, limited));
+        BSQ_TRY(bake_write_tile(job, &job->tiles[i], side, limited));
     BSQ_TRY(bake_warn_limited(job->ctx, job->options, job->maps, limited));
 done:
     bsq_free(job->ctx, limited);
@@ -261,7 +265,8 @@ int bake_commit_outputs(struct bake_work *job)
     for (uint32_t i = 0; i < job->udim.count; ++i) {
         struct bake_map_files *files = job->tiles[i].files;
         job->tiles[i].files = NULL;
-        BSQ_TRY(bake_map_files_hand_over(files, &group));
+        if (files)
+            BSQ_TRY(bake_map_files_hand_over(files, &group));
     }
     if (job->preview_file) {
         struct bake_preview_file *file = job->preview_file;

@@ -161,9 +161,9 @@ static bool resolve_curvature(const float *sums, uint32_t channels, float weight
 static void encode_curvature(const struct bake_encoding_facts *facts, struct bake_encoding *out)
 {
     const struct bake_statistics *statistics = &facts->statistics;
-    const double given = facts->options->curvature_range, count = (double)statistics->count;
-    const double mean = count > 0 ? statistics->sum / count : 0;
-    const double variance = count > 0 ? statistics->squares / count - mean * mean : 0;
+    const double given = facts->options->curvature_range;
+    const double mean = bake_statistics_mean(statistics);
+    const double variance = bake_statistics_mean_square(statistics) - mean * mean;
     out->radius = facts->curvature_radius;
     const double diagonal = scan_diagonal(facts);
     const double least = diagonal > 0 ? LEAST_CURVATURE / diagonal : 0;

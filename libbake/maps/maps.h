@@ -25,11 +25,21 @@ struct bake_encoding {
     float background[3]; /* samples of texels without a value */
 };
 
-/* Statistics of the magnitudes of a map's values, over the valid texels of all its files. */
+/* Statistics of the magnitudes of a map's values, over the valid texels of all its files. The sums
+ * are exact: whole numbers of many digits, in units of the smallest float and of its square. So
+ * they do not depend on the order of the values, nor on who adds which of them. */
 struct bake_statistics {
     uint64_t count;
-    double largest, sum, squares;
+    double largest;
+    uint64_t sum[5], squares[10];
 };
+
+/* Add a value; the statistics of other texels. */
+void bake_statistics_add_value(struct bake_statistics *to, float value);
+void bake_statistics_add(struct bake_statistics *to, const struct bake_statistics *more);
+/* Return the mean of the magnitudes, and of their squares; 0 without texels. */
+double bake_statistics_mean(const struct bake_statistics *statistics);
+double bake_statistics_mean_square(const struct bake_statistics *statistics);
 
 /* What is known when all images of a mesh are complete. */
 struct bake_measures {
@@ -196,8 +206,8 @@ typedef int bake_band_fn(void *arg, uint32_t first_row, uint32_t rows, const flo
 int bake_image_bands(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t band_rows,
                      bake_band_fn *fn, void *arg);
 
-/* Adds the magnitudes of the values of maps whose rows are `measured`. The sums do not depend on
- * the number of threads or the budget, but on the order of images. Errors: BSQ_ENOMEM, BSQ_EIO. */
+/* Adds the magnitudes of the values of maps whose rows are `measured`. Errors: BSQ_ENOMEM, BSQ_EIO.
+ */
 int bake_image_measure(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t maps,
                        struct bake_statistics statistics[BK_MAP_COUNT]);
 

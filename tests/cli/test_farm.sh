@@ -177,9 +177,9 @@ plan="bisque-bake scan.nvdb low.obj $size -o maps/<MAP>.<UDIM>.exr --maps normal
 mkdir maps
 rm -rf one farm/*
 ok run $plan
-out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels$'
+out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels in 2 tiles$'
 run $plan
-out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels, was there already$'
+out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels in 2 tiles, was there already$'
 run $plan --json
 json '.tasks == 3 and .kept and .task_memory_bytes > 0 and .parts_bytes > 0'
 # Nothing but the plan is written, and no map.
@@ -195,7 +195,7 @@ for scan in scan.nvdb scan.tris; do
     rm -f need.*
     ok run $need --threads 1 --memory 60M
     run $need --threads 3 --memory 1G
-    out_like '^need\.json: 1 task for [0-9,]+ texels, was there already$'
+    out_like '^need\.json: 1 task for [0-9,]+ texels in 1 tile, was there already$'
     out_like '^a task: about [0-9.]+ MiB of memory with eight threads, [0-9.]+ MiB of temporary files with less, 0\.[0-9]+ s of one core$'
     $bake --plan need.json --task 0 --threads 8 --memory 1G --device cpu --json
     jq -e --slurpfile plan need.json '.cost.memory_high_bytes as $high | $plan[0].expected[0].memory_bytes |
@@ -215,7 +215,7 @@ refused 66 "$p farm/plan.0001.part: missing; 1 of 3 parts are missing: those of 
 $bake --plan farm/plan.json --task 3
 refused 64 "$p farm/plan.json: there is no task 3: tasks are 0 to 2"
 ok $bake --plan farm/plan.json
-out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels$'
+out_like '^farm/plan\.json: 3 tasks for [0-9,]+ texels in 2 tiles$'
 ok $bake --plan farm/plan.json --json
 json '.tasks == 3 and .task_memory_bytes > 0 and .parts_bytes > 0'
 ok $bake --plan farm/plan.json --task 1 --json
@@ -237,14 +237,52 @@ $bake --plan farm/plan.json --merge --json
 json '.samples > 0 and .samples == .hits + .misses'
 ok $bake --plan farm/plan.json --merge --force
 out_like '^maps/normal\.1002\.exr: normal map$'
-rm farm/plan.json.merged maps/*
-mkdir farm/plan.json.merged
+rm farm/plan.*.merged maps/*
+mkdir farm/plan.0001.merged
 $bake --plan farm/plan.json --merge
 code 73
 [ -z "$(ls maps)" ]
 check "no maps if the note of the merge cannot be written" $?
-rmdir farm/plan.json.merged
+rmdir farm/plan.0001.merged
 ok $bake --plan farm/plan.json --merge
+
+# ---- tiles are merged by themselves, on several machines ----
+
+mkdir one
+(cd one && "$BIN/bisque-bake" ../scan.nvdb ../low.obj $size -o '<MAP>.<UDIM>.png' --maps normal,height,curvature \
+    --preview look.png) >"$out" 2>"$err"
+check "one bake with a preview" $?
+(cd one && "$BIN/bisque-bake" ../scan.nvdb ../low.obj $size -o '../maps/<MAP>.<UDIM>.png' --maps normal,height,curvature \
+    --preview ../maps/look.png --tasks 4 --write-plan ../farm/tiles.json) >"$out" 2>"$err"
+check "a plan with a preview" $?
+ok $bake --plan farm/tiles.json --json
+json '.tiles == 2'
+$bake --plan farm/tiles.json --merge-tile 1
+code 66
+ok $bake --plan farm/tiles.json --task 0-3
+ok $bake --plan farm/tiles.json --merge-tile 1 --memory 60M
+out_like '^maps/height\.1012\.png: height map, range '
+[ "$(ls maps/*.png | tr '\n' ' ')" = 'maps/curvature.1012.png maps/height.1012.png maps/normal.1012.png ' ]
+check "the maps of one tile, and no preview" $?
+ok $bake --plan farm/tiles.json --merge-tile 1
+out_like '^farm/tiles\.json: the merge of this tile is complete already, kept$'
+ok $bake --plan farm/tiles.json --merge-tile 0-7 # a scheduler need not know how many there are
+before=$(stat -c %i.%y maps/*.png)
+ok $bake --plan farm/tiles.json --merge
+[ "$(stat -c %i.%y maps/[!l]*.png)" = "$before" ]
+check "the last step writes the preview only" $?
+for map in one/*; do
+    same "$map" "maps/${map#one/}"
+done
+ok $bake --plan farm/tiles.json --merge
+out_like '^farm/tiles\.json: the merge of this plan is complete already, kept$'
+rm maps/height.1002.png
+: >farm/tiles.0001.merged # a damaged note: the tile is merged again
+ok $bake --plan farm/tiles.json --merge
+for map in one/*; do
+    same "$map" "maps/${map#one/}"
+done
+rm -r one maps/*.png farm/tiles.*
 
 # A plan without ".json" at the end of its name has parts of its own.
 cp farm/plan.0000.part keep
@@ -253,7 +291,7 @@ ok $bake --plan farm/plan --task 0
 out_like '^farm/plan\.part\.0000: task 0, '
 same keep farm/plan.0000.part
 ok $bake --plan farm/plan --merge
-rm farm/plan farm/plan.part.0000 farm/plan.merged other_* keep
+rm farm/plan farm/plan.part.0000 farm/plan.merged.000? other_* keep
 
 # A folder can move, with all that a plan names below it or beside it.
 mkdir moved
@@ -453,7 +491,11 @@ fi
 # ---- options ----
 
 $bake --plan farm/plan.json --task 0 --merge
-err "$p --task and --merge exclude each other"
+err "$p --task, --merge-tile and --merge exclude each other"
+for tiles in 2-1 x; do
+    $bake --plan farm/plan.json --merge-tile $tiles
+    code 64
+done
 $bake --plan farm/plan.json --task 0 --samples 4
 err "$p --plan has the options of the work: leave out --samples"
 $bake --plan farm/plan.json --task 0 low.obj

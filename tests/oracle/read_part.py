@@ -11,13 +11,13 @@ import numpy
 from parts import check_parts, read_json_plan
 from refusal import array, checksum, fields, need
 
-HEADER_BYTES, ENTRY_BYTES = 120, 16
+HEADER_BYTES, ENTRY_BYTES = 1496, 16
 SIDES = (16, 32, 64, 128, 256)
 
 
 def read_plan(path):
     """Returns the plan, with the tasks of each tile's blocks as lists in "blocks"."""
-    plan = read_json_plan(path, "Bisque bake plan", 4)
+    plan = read_json_plan(path, "Bisque bake plan", 5)
     need(plan["block_side"] in SIDES, "side")
     side = plan["block_side"]
     for tile in plan["tiles"]:
@@ -32,12 +32,13 @@ def read_plan(path):
 def read(plan, data):
     """Returns the task and its blocks, (tile, block, texels) each."""
     need(len(data) >= HEADER_BYTES and data[:8] == b"BSQPART\n", "not a part")
-    version, channels, high, low, task, tasks, side, reserved, count = fields(data, 8, "IIQQIIIIQ")
-    table_checksum, header_checksum = fields(data, 104, "QQ")
-    need(version == 3, "version")
-    need(header_checksum == checksum(data[:112]), "header_checksum")
+    version, channels = fields(data, 8, "II")
+    task, tasks, side, reserved, count = fields(data, 48, "IIIIQ")
+    table_checksum, header_checksum = fields(data, HEADER_BYTES - 16, "QQ")
+    need(version == 4, "version")
+    need(header_checksum == checksum(data[:HEADER_BYTES - 8]), "header_checksum")
     need(reserved == 0 and channels >= 1, "reserved or channels")
-    need(f"{high:016x}{low:016x}" == plan["id"], "plan_id")
+    need(data[16:48].decode("latin-1") == plan["id"], "plan_id")
     need(tasks == plan["tasks"] and task < tasks and side == plan["block_side"], "not of the plan")
     size = side * side * channels * 4
     need(len(data) == HEADER_BYTES + count * (size + ENTRY_BYTES), "length")
@@ -63,7 +64,7 @@ def accept(plan, data):
     """Checks a part, and the sum in its header. Returns its task."""
     task, blocks = read(plan, data)
     covered = sum(int(numpy.count_nonzero(t[:, :, 0])) for _, _, t in blocks)
-    need(covered == fields(data, 56, "Q")[0], "covered_texels")
+    need(covered == fields(data, 72, "Q")[0], "covered_texels")
     return task
 
 

@@ -76,13 +76,39 @@ static struct bake_encoder encoder_for(unsigned number, const struct bake_traced
                                        bool integers, double largest)
 {
     const struct bake_options options = options_for(1u << number, "a.exr");
-    const struct bake_encoding_facts facts = {.options = &options,
-                                              .traced = traced,
-                                              .statistics = {1, largest, largest, 0},
-                                              .integers = integers};
+    struct bake_encoding_facts facts = {
+        .options = &options, .traced = traced, .integers = integers};
     struct bake_encoder encoder;
+    bake_statistics_add_value(&facts.statistics, (float)largest);
     bake_encoder_init(&facts, 1u << number, number, &encoder);
     return encoder;
+}
+
+/* Sums are exact: also of values of very different sizes, in any order, and in parts. */
+TEST(test_statistics_do_not_depend_on_the_order)
+{
+    static const float values[] = {1e30f, -3.5f, 1e-40f, 0.1f, -1e30f, 3e38f, 1.0f / 3, 0.0f};
+    enum { COUNT = sizeof values / sizeof *values };
+    struct bake_statistics all = {0}, parts[2] = {0};
+    long double sum = 0, squares = 0;
+    for (int i = 0; i < COUNT; ++i) {
+        bake_statistics_add_value(&all, values[i]);
+        bake_statistics_add_value(&parts[i % 2], values[COUNT - 1 - i]);
+        sum += fabsl((long double)values[i]);
+        squares += (long double)values[i] * values[i];
+    }
+    bake_statistics_add(&parts[1], &parts[0]);
+    assert_memory_equal(&all, &parts[1], sizeof all);
+    assert_int_equal(all.count, COUNT);
+    assert_true(all.largest == 3e38f);
+    assert_true(bake_statistics_mean(&all) == (double)sum / COUNT);
+    assert_true(bake_statistics_mean_square(&all) == (double)squares / COUNT);
+    /* The smallest digits are there as well. */
+    struct bake_statistics small = {0};
+    for (int i = 0; i < 1 << 20; ++i)
+        bake_statistics_add_value(&small, 1e-45f);
+    assert_true(bake_statistics_mean(&small) == (double)1e-45f);
+    assert_true(bake_statistics_mean_square(&small) == (double)1e-45f * (double)1e-45f);
 }
 
 TEST(test_attributes_fit_their_list)

@@ -1,13 +1,12 @@
-/* bake_costs.c - estimates what each task of a plan needs: memory, temporary files, time.
+/* farm_costs.c - estimates what each task of a plan needs: memory, temporary files, time.
  *
  * The plan's id covers these numbers. So they follow from the inputs and options alone, not from
  * the budget and the threads of the program that writes the plan. decisions/0073 and 0078 have the
  * measurements. */
 #include <math.h>
 
-#include "libbake/job/job.h"
 #include "libbake/exact/exact.h"
-#include "libbake/farm/farm.h"
+#include "libbake/farm/farm_steps.h"
 #include "libbake/kernel/bk_sample.h"
 
 /* Seconds of one core. */
@@ -151,13 +150,13 @@ void bake_expect_costs(const struct bake_work *job, struct bake_farm_plan *plan)
     uint64_t all = 0;
     for (uint32_t t = 0; t < plan->tile_count; t++)
         for (uint64_t b = 0; b < (uint64_t)plan->tiles[t].columns * plan->tiles[t].rows; b++)
-            plan->costs[plan->tiles[t].tasks[b]].part_bytes += block;
-    for (uint32_t i = 0; i < plan->base.task_count; i++)
-        all += plan->costs[i].texels;
-    for (uint32_t i = 0; i < plan->base.task_count; i++) {
-        const uint64_t texels = plan->costs[i].texels;
+            plan->expected[plan->tiles[t].task_of[b]].part_bytes += block;
+    for (uint32_t i = 0; i < plan->tasks; i++)
+        all += plan->expected[i].texels;
+    for (uint32_t i = 0; i < plan->tasks; i++) {
+        const uint64_t texels = plan->expected[i].texels;
         const struct share task = {job, all > 0 ? (double)texels / (double)all : 0, texels,
                                    texels * samples};
-        expect_cost(&task, &plan->costs[i]);
+        expect_cost(&task, &plan->expected[i]);
     }
 }

@@ -1,0 +1,218 @@
+/* farm_merge.c - merges the parts of a bake in tasks: each UDIM tile alone, or all that are not
+ * merged yet, and then the preview.
+ *
+ * The ranges of maps follow from all texels. The parts have exact sums of them in their headers, so
+ * a tile needs the texels of no other tile. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "libbake/farm/farm_steps.h"
+
+struct merge {
+    struct bake_work *job;
+    const struct bake_farm_plan *plan;
+    uint32_t tile; /* BAKE_ALL_TILES: all, and the preview */
+    bool force;
+    struct bake_farm_counts counts;
+};
+
+static bool is_whole(const struct merge *merge)
+{
+    return merge->tile == BAKE_ALL_TILES;
+}
+
+/* ---- what was merged before ---- */
+
+static void free_paths(struct bake_farm_note *note)
+{
+    for (uint32_t i = 0; i < note->path_count; i++)
+        free(note->paths[i]);
+    free(note->paths);
+}
+
+/* Prepares the note of a tile or, after the last tile, of the preview. Free it with free_paths().
+ */
+static int begin_note(const struct merge *merge, uint32_t number, struct bake_farm_note *note)
+{
+    struct bake_work *job = merge->job;
+    struct bake_tile *tile = number < job->udim.count ? &job->tiles[number] : NULL;
+    const unsigned end = tile ? bake_selection_end(job->maps) : 1;
+    bool good;
+    *note = (struct bake_farm_note){.number = number, .paths = calloc(end, sizeof *note->paths)};
+    good = note->paths != NULL;
+    for (unsigned i = 0; good && i < end; i++)
+        if (!tile || bake_has_file(&tile->options, job->maps, i))
+            good = (note->paths[note->path_count++] =
+                        tile ? bake_path_of(&tile->options, i)
+                             : strdup(merge->plan->options.preview_path)) != NULL;
+    if (tile) {
+        note->thumbnails[0] = &tile->normal;
+        note->thumbnails[1] = &tile->color;
+        note->thumbnails[2] = &tile->missed;
+    }
+    return good ? 0 : bsq_fail(job->ctx, BSQ_ENOMEM, "%s: out of memory", merge->plan->path);
+}
+
+/* Sets *kept: whether a tile or the preview was merged before. side: of thumbnails that the preview
+ * needs, or 0. */
+static int find_kept(struct merge *merge, uint32_t number, uint32_t side, bool *kept)
+{
+    struct bake_farm_note note;
+    int status = begin_note(merge, number, &note);
+    note.most_side = side;
+    note.with_thumbnails = side > 0;
+    *kept = false;
+    if (status == 0 && !merge->force)
+        status = bake_farm_note_read(merge->plan, &note, kept);
+    if (*kept)
+        merge->counts = note.counts;
+    for (int i = 0; i < 3 && !*kept && note.thumbnails[i]; i++)
+        bake_thumbnail_free(merge->job->ctx, note.thumbnails[i]);
+    free_paths(&note);
+    return status;
+}
+
+/* Finds out what is to be done. *all: nothing is. */
+static int find_all_kept(struct merge *merge, bool *all)
+{
+    struct bake_work *job = merge->job;
+    uint32_t side = 0;
+    int status = 0;
+    job->keeps_preview = !job->options->preview_path || !is_whole(merge);
+    if (!job->keeps_preview)
+        BSQ_TRY(find_kept(merge, job->udim.count, 0, &job->keeps_preview));
+    *all = job->keeps_preview;
+    if (!job->keeps_preview)
+        side = bake_thumbnail_side(job);
+    for (uint32_t i = 0; i < job->udim.count; i++) {
+        job->tiles[i].kept = !is_whole(merge) && i != merge->tile;
+        if (!job->tiles[i].kept)
+            BSQ_TRY(find_kept(merge, i, side, &job->tiles[i].kept));
+        *all &= job->tiles[i].kept;
+    }
+done:
+    return status;
+}
+
+/* Notes what was written. keeps_preview: the preview was kept. */
+static int note_merged(const struct merge *merge)
+{
+    const struct bake_work *job = merge->job;
+    int status = 0;
+    for (uint32_t i = 0; i <= job->udim.count && status == 0; i++) {
+        struct bake_farm_note note;
+        if (i < job->udim.count ? job->tiles[i].kept : job->keeps_preview)
+            continue;
+        status = begin_note(merge, i, &note);
+        note.counts = merge->counts;
+        note.with_thumbnails = !is_whole(merge) && job->options->preview_path;
+        if (status == 0)
+            status = bake_farm_note_write(merge->plan, &note);
+        free_paths(&note);
+    }
+    return status;
+}
+
+/* ---- merging ---- */
+
+/* Checks the parts, and notes what all tasks found. */
+static int use_parts(struct merge *merge)
+{
+    struct bake_work *job = merge->job;
+    struct bake_report *report = job->report;
+    struct bake_farm_found found;
+    int status = bake_farm_parts_check(merge->plan, &found);
+    merge->counts = found.counts;
+    memcpy(job->measures.statistics, found.statistics, sizeof found.statistics);
+    report->degenerate_uv_triangles = merge->plan->degenerate_triangles;
+    report->covered_texels = found.counts.covered_texels;
+    report->overlapping_samples = found.counts.overlapping_samples;
+    snprintf(report->device, sizeof report->device, "%u tasks", merge->plan->tasks);
+    return status;
+}
+
+/* Sets what a merge reports also if it is kept, and warns as a bake does. */
+static int report_counts(const struct merge *merge)
+{
+    struct bake_work *job = merge->job;
+    const struct bake_farm_counts *counts = &merge->counts;
+    const struct bake_curvature_counts curvature = {counts->curvature_texels,
+                                                    counts->curvature_alone};
+    job->report->samples = counts->samples;
+    job->report->hits = counts->hits;
+    job->report->misses = counts->samples - counts->hits;
+    int status = bake_check_hits(job);
+    bake_choose_radius(job);
+    return status < 0 ? status
+                      : bake_warn_of_radius(job->ctx, &curvature, job->measures.curvature_radius);
+}
+
+/* Writes the maps of a tile. Its image takes at most half of the memory that is left, as in a bake
+ * without tasks. */
+static int merge_tile(struct merge *merge, uint32_t number, uint32_t side, uint64_t *limited)
+{
+    struct bake_work *job = merge->job;
+    struct bake_tile *tile = &job->tiles[number];
+    int status;
+    BSQ_TRY(
+        bake_tile_create_image(job->ctx, tile, bsq_memory_share(job->ctx, "image of a tile", 2)));
+    BSQ_TRY(bake_farm_parts_read(merge->plan, number, tile->image));
+    status = bake_write_tile(job, tile, side, limited);
+done:
+    return status;
+}
+
+static int write_maps(struct merge *merge)
+{
+    struct bake_work *job = merge->job;
+    const uint32_t side = job->options->preview_path ? bake_thumbnail_side(job) : 0;
+    uint64_t *limited = NULL;
+    int status;
+    BSQ_TRY(bsq_calloc(job->ctx, "maps", bake_selection_end(job->maps), sizeof *limited, &limited));
+    for (uint32_t i = 0; i < job->udim.count; i++)
+        if (!job->tiles[i].kept)
+            BSQ_TRY(merge_tile(merge, i, side, limited));
+    status = bake_warn_limited(job->ctx, job->options, job->maps, limited);
+done:
+    bsq_free(job->ctx, limited);
+    return status;
+}
+
+static int merge_parts(struct merge *merge, bool *kept)
+{
+    struct bake_work *job = merge->job;
+    int status;
+    BSQ_TRY(bake_farm_open_job(job, merge->plan));
+    BSQ_TRY(find_all_kept(merge, kept));
+    if (!*kept)
+        BSQ_TRY(use_parts(merge));
+    BSQ_TRY(report_counts(merge));
+    if (*kept)
+        goto done;
+    for (uint32_t i = 0; i < job->udim.count; i++)
+        if (!job->tiles[i].kept)
+            BSQ_TRY(bake_farm_check_output(merge->plan, "merged", i));
+    BSQ_TRY(bake_open_outputs(job));
+    BSQ_TRY(bake_udim_arrange(job->ctx, job->options, &job->udim, &job->mesh));
+    BSQ_TRY(write_maps(merge));
+    BSQ_TRY(bake_write_preview(job));
+    BSQ_TRY(bake_surface_check(&job->surface));
+    BSQ_TRY(bake_commit_outputs(job));
+    status = note_merged(merge);
+done:
+    return status;
+}
+
+int bake_merge_plan(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32_t tile,
+                    bool force, bool *kept, struct bake_report *report)
+{
+    struct merge merge = {.plan = plan, .tile = tile, .force = force};
+    *kept = false;
+    memset(report, 0, sizeof *report);
+    if (tile != BAKE_ALL_TILES && tile >= plan->tile_count)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%s: there is no tile %u: tiles are 0 to %u", plan->path,
+                        tile, plan->tile_count - 1);
+    int status = bake_begin_job(ctx, &plan->options, report, &merge.job);
+    return status < 0 ? status : bake_end_job(merge.job, merge_parts(&merge, kept));
+}
