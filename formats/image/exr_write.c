@@ -1,14 +1,11 @@
 /* exr_write.c - streaming EXR writer.
  *
- * OpenEXR compresses blocks of 16 lines, or tiles, independently. Each slot of a pipeline owns an
- * encoder. The slots compress in parallel, and the pipeline writes their bytes from top to bottom.
- * So the file is the same for any number of threads. */
+ * OpenEXR compresses blocks of 16 lines, or tiles, independently. */
 #include "formats/image/image_writer.h"
 
 #include <string.h>
 
 #include "base/output.h"
-#include "base/parallel.h"
 #include "formats/image/exr_internal.h"
 #include "formats/image/exr_zip.h"
 
@@ -17,13 +14,12 @@ enum {
     ENCODER_BYTES = 4096 /* that OpenEXR allocates for an encoder beside the chunk's samples */
 };
 
-struct slot {
-    exr_encode_pipeline_t encoder;
-    bool ready;           /* the encoder was initialised */
-    uint32_t column, row; /* of a tile in tiles, of a block of lines in lines */
-    const float *samples;
+struct encoder {
+    exr_encode_pipeline_t pipeline;
+    bool ready; /* the pipeline was initialised */
     struct fmt_exr_zip zip;
-    const void *packed; /* compressed block, in the memory of the encoder or of zip */
+    uint64_t reserved_bytes;
+    const void *packed; /* compressed block, in the memory of the pipeline or of zip */
     uint64_t packed_bytes;
 };
 
@@ -37,11 +33,7 @@ struct exr_writer {
     exr_context_t file;
     const char *const *channels;   /* names in the order of the samples */
     uint16_t order[MOST_CHANNELS]; /* sample number of each of the file's channels */
-    uint32_t rows_written;         /* rows given to encoders */
-    uint32_t tile_side;            /* 0: blocks of lines */
-    struct slot *slots;
-    unsigned slot_count;
-    uint64_t reserved_bytes;
+    uint64_t chunk_bytes;          /* of the samples of a block in the file */
 };
 
 /* ---- callbacks of OpenEXR ---- */
@@ -59,15 +51,15 @@ static int64_t write_bytes(exr_const_context_t file, void *user, const void *buf
 
 /* Replaces the encoder's own compression. Readers take a block of the size of its samples as not
  * compressed. The pipeline writes the blocks in order, in place of the encoder's write step. */
-static exr_result_t compress(exr_encode_pipeline_t *encoder)
+static exr_result_t compress(exr_encode_pipeline_t *pipeline)
 {
-    struct slot *slot = encoder->encoding_user_data;
-    slot->packed_bytes =
-        fmt_exr_zip_pack(&slot->zip, encoder->packed_buffer, encoder->packed_bytes);
-    slot->packed = slot->zip.packed;
-    if (slot->packed_bytes == 0) {
-        slot->packed = encoder->packed_buffer;
-        slot->packed_bytes = encoder->packed_bytes;
+    struct encoder *encoder = pipeline->encoding_user_data;
+    encoder->packed_bytes =
+        fmt_exr_zip_pack(&encoder->zip, pipeline->packed_buffer, pipeline->packed_bytes);
+    encoder->packed = encoder->zip.packed;
+    if (encoder->packed_bytes == 0) {
+        encoder->packed = pipeline->packed_buffer;
+        encoder->packed_bytes = pipeline->packed_bytes;
     }
     return EXR_ERR_SUCCESS;
 }
@@ -156,137 +148,95 @@ static int map_channels(struct exr_writer *writer)
 
 /* ---- compression ---- */
 
-struct batch {
-    struct exr_writer *writer;
-    const float *samples;
-    uint32_t rows, rows_taken, columns_taken; /* columns: of tiles */
-};
-
-static int take_chunk(void *arg, void *slot_memory, uint64_t sequence)
+static int create_encoder(struct fmt_image_writer *base, void *memory)
 {
-    (void)sequence;
-    struct batch *batch = arg;
-    struct slot *slot = slot_memory;
-    struct exr_writer *writer = batch->writer;
-    const uint32_t side = writer->tile_side, width = writer->base.width;
-    if (batch->rows_taken == batch->rows)
-        return 0;
-    slot->column = batch->columns_taken;
-    slot->row = side > 0 ? writer->rows_written / side : writer->rows_written;
-    slot->samples =
-        batch->samples + ((size_t)batch->rows_taken * width + (size_t)slot->column * side) *
-                             writer->base.channel_count;
-    if (side > 0 && ++batch->columns_taken <= (width - 1) / side)
-        return 1;
-    uint32_t left = batch->rows - batch->rows_taken;
-    uint32_t rows = left < writer->base.block_rows ? left : writer->base.block_rows;
-    batch->columns_taken = 0;
-    batch->rows_taken += rows;
-    writer->rows_written += rows;
-    return 1;
+    struct encoder *encoder = memory;
+    const uint64_t chunk_bytes = ((struct exr_writer *)base)->chunk_bytes;
+    int status;
+    BSQ_TRY(fmt_exr_zip_create(base->ctx, chunk_bytes, &encoder->zip));
+    BSQ_TRY(bsq_reserve(base->ctx, "EXR encoders", chunk_bytes + ENCODER_BYTES));
+    encoder->reserved_bytes = chunk_bytes + ENCODER_BYTES;
+done:
+    return status;
 }
 
-static exr_result_t prepare_encoder(struct exr_writer *writer, struct slot *slot)
+static void free_encoder(struct fmt_image_writer *base, void *memory)
 {
-    exr_encode_pipeline_t *encoder = &slot->encoder;
+    struct encoder *encoder = memory;
+    if (encoder->ready)
+        exr_encoding_destroy(((struct exr_writer *)base)->file, &encoder->pipeline);
+    fmt_exr_zip_free(base->ctx, &encoder->zip);
+    bsq_release(base->ctx, encoder->reserved_bytes);
+}
+
+/* Returns the number of a block among the rows of tiles, or that of its first line. */
+static int row_of(const struct fmt_image_writer *base, const struct fmt_image_block *block)
+{
+    return (int)(base->tile_side > 0 ? block->first_row / base->tile_side : block->first_row);
+}
+
+static exr_result_t prepare(struct exr_writer *writer, struct encoder *encoder,
+                            const struct fmt_image_block *block)
+{
+    exr_encode_pipeline_t *pipeline = &encoder->pipeline;
+    const int row = row_of(&writer->base, block);
     exr_chunk_info_t chunk;
-    exr_result_t r = writer->tile_side > 0
-                         ? exr_write_tile_chunk_info(writer->file, 0, (int)slot->column,
-                                                     (int)slot->row, 0, 0, &chunk)
-                         : exr_write_scanline_chunk_info(writer->file, 0, (int)slot->row, &chunk);
+    exr_result_t r =
+        writer->base.tile_side > 0
+            ? exr_write_tile_chunk_info(writer->file, 0, (int)block->column, row, 0, 0, &chunk)
+            : exr_write_scanline_chunk_info(writer->file, 0, row, &chunk);
     if (r != EXR_ERR_SUCCESS)
         return r;
-    if (slot->ready)
-        r = exr_encoding_update(writer->file, 0, &chunk, encoder);
+    if (encoder->ready)
+        r = exr_encoding_update(writer->file, 0, &chunk, pipeline);
     else
-        r = exr_encoding_initialize(writer->file, 0, &chunk, encoder);
-    for (int c = 0; r == EXR_ERR_SUCCESS && c < encoder->channel_count; ++c) {
-        exr_coding_channel_info_t *channel = &encoder->channels[c];
+        r = exr_encoding_initialize(writer->file, 0, &chunk, pipeline);
+    for (int c = 0; r == EXR_ERR_SUCCESS && c < pipeline->channel_count; ++c) {
+        exr_coding_channel_info_t *channel = &pipeline->channels[c];
         channel->user_bytes_per_element = sizeof(float);
         channel->user_data_type = EXR_PIXEL_FLOAT;
         channel->user_pixel_stride = (int32_t)(writer->base.channel_count * sizeof(float));
         channel->user_line_stride =
             (int32_t)(writer->base.width * writer->base.channel_count * sizeof(float));
-        channel->encode_from_ptr = (const uint8_t *)(slot->samples + writer->order[c]);
+        channel->encode_from_ptr = (const uint8_t *)(block->samples + writer->order[c]);
     }
-    if (r == EXR_ERR_SUCCESS && !slot->ready) {
-        slot->ready = true;
-        r = exr_encoding_choose_default_routines(writer->file, 0, encoder);
-        encoder->encoding_user_data = slot;
-        encoder->yield_until_ready_fn = NULL;
-        encoder->compress_fn = compress;
-        encoder->write_fn = NULL;
+    if (r == EXR_ERR_SUCCESS && !encoder->ready) {
+        encoder->ready = true;
+        r = exr_encoding_choose_default_routines(writer->file, 0, pipeline);
+        pipeline->encoding_user_data = encoder;
+        pipeline->yield_until_ready_fn = NULL;
+        pipeline->compress_fn = compress;
+        pipeline->write_fn = NULL;
     }
     return r;
 }
 
-static int compress_chunk(void *arg, void *slot_memory, uint64_t sequence, unsigned worker)
-{
-    (void)sequence;
-    (void)worker;
-    struct exr_writer *writer = ((struct batch *)arg)->writer;
-    struct slot *slot = slot_memory;
-    exr_result_t r = prepare_encoder(writer, slot);
-    if (r == EXR_ERR_SUCCESS)
-        r = exr_encoding_run(writer->file, 0, &slot->encoder);
-    return fmt_exr_status(&writer->stream, r);
-}
-
-static int write_chunk(void *arg, void *slot_memory, uint64_t sequence)
-{
-    (void)sequence;
-    struct exr_writer *writer = ((struct batch *)arg)->writer;
-    const struct slot *slot = slot_memory;
-    exr_result_t r = writer->tile_side > 0
-                         ? exr_write_tile_chunk(writer->file, 0, (int)slot->column, (int)slot->row,
-                                                0, 0, slot->packed, slot->packed_bytes)
-                         : exr_write_scanline_chunk(writer->file, 0, (int)slot->row, slot->packed,
-                                                    slot->packed_bytes);
-    return fmt_exr_status(&writer->stream, r);
-}
-
-static int write_rows(struct fmt_image_writer *base, const float *samples, uint32_t rows)
+static int encode_block(struct fmt_image_writer *base, void *memory,
+                        const struct fmt_image_block *block)
 {
     struct exr_writer *writer = (struct exr_writer *)base;
-    struct batch batch = {.writer = writer, .samples = samples, .rows = rows};
-    struct bsq_pipeline pipeline = {.produce = take_chunk,
-                                    .work = compress_chunk,
-                                    .emit = write_chunk,
-                                    .arg = &batch,
-                                    .slots = writer->slots,
-                                    .slot_size = sizeof *writer->slots,
-                                    .slot_count = writer->slot_count};
-    return bsq_pipeline_run(base->ctx, &pipeline);
+    struct encoder *encoder = memory;
+    exr_result_t r = prepare(writer, encoder, block);
+    if (r == EXR_ERR_SUCCESS)
+        r = exr_encoding_run(writer->file, 0, &encoder->pipeline);
+    return fmt_exr_status(&writer->stream, r);
+}
+
+static int emit_block(struct fmt_image_writer *base, void *memory,
+                      const struct fmt_image_block *block)
+{
+    struct exr_writer *writer = (struct exr_writer *)base;
+    const struct encoder *encoder = memory;
+    const int row = row_of(base, block);
+    exr_result_t r = base->tile_side > 0
+                         ? exr_write_tile_chunk(writer->file, 0, (int)block->column, row, 0, 0,
+                                                encoder->packed, encoder->packed_bytes)
+                         : exr_write_scanline_chunk(writer->file, 0, row, encoder->packed,
+                                                    encoder->packed_bytes);
+    return fmt_exr_status(&writer->stream, r);
 }
 
 /* ---- from creating to ending ---- */
-
-static int allocate(struct exr_writer *writer, enum fmt_sample_type type)
-{
-    struct bsq_ctx *ctx = writer->base.ctx;
-    const uint32_t side = writer->tile_side;
-    const uint32_t columns = side > 0 ? (writer->base.width - 1) / side + 1 : 1;
-    writer->base.block_rows = side > 0 ? side : ZIP_ROWS;
-    const uint64_t chunk_bytes = (uint64_t)writer->base.block_rows *
-                                 (side > 0 ? side : writer->base.width) *
-                                 writer->base.channel_count * (type == FMT_HALF ? 2 : 4);
-    uint64_t chunks = (((uint64_t)writer->base.height - 1) / writer->base.block_rows + 1) * columns;
-    writer->slot_count = 2 * bsq_threads(ctx);
-    if (writer->slot_count > chunks)
-        writer->slot_count = (unsigned)chunks;
-    int status =
-        bsq_calloc(ctx, "EXR encoders", writer->slot_count, sizeof *writer->slots, &writer->slots);
-    if (status < 0)
-        return status;
-    for (unsigned i = 0; status == 0 && i < writer->slot_count; ++i)
-        status = fmt_exr_zip_create(ctx, chunk_bytes, &writer->slots[i].zip);
-    const uint64_t bytes = writer->slot_count * (chunk_bytes + ENCODER_BYTES);
-    if (status == 0)
-        status = bsq_reserve(ctx, "EXR encoders", bytes);
-    if (status == 0)
-        writer->reserved_bytes = bytes;
-    return status;
-}
 
 static int create_image(struct fmt_image_writer *base, const struct fmt_image_options *options)
 {
@@ -298,7 +248,10 @@ static int create_image(struct fmt_image_writer *base, const struct fmt_image_op
                         base->path, options->width, options->height);
     writer->stream.ctx = base->ctx;
     writer->stream.path = base->path;
-    writer->tile_side = options->tile_side;
+    const uint32_t side = options->tile_side;
+    base->block_rows = side > 0 ? side : ZIP_ROWS;
+    writer->chunk_bytes = (uint64_t)base->block_rows * (side > 0 ? side : base->width) *
+                          base->channel_count * (options->type == FMT_HALF ? 2 : 4);
     writer->channels = options->channel_count == 1 ? grey_name : color_names;
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
     init.error_handler_fn = leave_to_caller;
@@ -308,37 +261,22 @@ static int create_image(struct fmt_image_writer *base, const struct fmt_image_op
     if (r == EXR_ERR_SUCCESS)
         r = make_header(writer, options);
     int status = fmt_exr_status(&writer->stream, r);
-    if (status == 0)
-        status = allocate(writer, options->type);
     return status < 0 ? status : map_channels(writer);
 }
 
-/* Closes the file, which writes its line table. Returns an error for an unfinished file; the
- * failure that left it unfinished is recorded already. */
-static exr_result_t close_file(struct exr_writer *writer)
-{
-    for (unsigned i = 0; writer->slots && i < writer->slot_count; ++i) {
-        if (writer->slots[i].ready)
-            exr_encoding_destroy(writer->file, &writer->slots[i].encoder);
-        writer->slots[i].ready = false;
-    }
-    return writer->file ? exr_finish(&writer->file) : EXR_ERR_SUCCESS;
-}
-
+/* Closes the file, which writes its line table. Fails for an unfinished file; the failure that left
+ * it unfinished is recorded already. */
 static int finish_image(struct fmt_image_writer *base)
 {
     struct exr_writer *writer = (struct exr_writer *)base;
-    return fmt_exr_status(&writer->stream, close_file(writer));
+    return fmt_exr_status(&writer->stream, exr_finish(&writer->file));
 }
 
 static void free_image(struct fmt_image_writer *base)
 {
     struct exr_writer *writer = (struct exr_writer *)base;
-    close_file(writer);
-    for (unsigned i = 0; writer->slots && i < writer->slot_count; ++i)
-        fmt_exr_zip_free(base->ctx, &writer->slots[i].zip);
-    bsq_release(base->ctx, writer->reserved_bytes);
-    bsq_free(base->ctx, writer->slots);
+    if (writer->file)
+        exr_finish(&writer->file);
 }
 
 const struct fmt_image_format fmt_exr_format = {
@@ -348,10 +286,14 @@ const struct fmt_image_format fmt_exr_format = {
     .usual_type = FMT_HALF,
     .tiles = true,
     .writer_bytes = sizeof(struct exr_writer),
+    .encoder_bytes = sizeof(struct encoder),
     .create = create_image,
+    .create_encoder = create_encoder,
+    .free_encoder = free_encoder,
     .describe = describe_image,
     .start = start_image,
-    .write_rows = write_rows,
+    .encode = encode_block,
+    .emit = emit_block,
     .finish = finish_image,
     .free = free_image,
 };

@@ -1,8 +1,19 @@
 /* image_writer.c - the table of formats, and the parts of writing that they share: names, temporary
- * files, and rows that wait until they fill a block. */
+ * files, rows that wait until they fill a block, and the pipeline that encodes blocks.
+ *
+ * Each slot of the pipeline owns an encoder. The slots encode in parallel, and the pipeline writes
+ * their bytes from top to bottom. So the file is the same for any number of threads. */
 #include "formats/image/image_writer.h"
 
+#include <stddef.h>
 #include <string.h>
+
+#include "base/parallel.h"
+
+struct slot {
+    struct fmt_image_block block;
+    max_align_t encoder[]; /* of the format */
+};
 
 const struct fmt_image_format *const fmt_image_formats[] = {&fmt_exr_format, &fmt_png_format, NULL};
 
@@ -41,21 +52,48 @@ int fmt_image_check_tiles(struct bsq_ctx *ctx, const struct fmt_image_format *fo
 
 /* ---- creating ---- */
 
+/* Returns the number of columns of blocks. */
+static uint32_t columns_of(const struct fmt_image_writer *writer)
+{
+    return writer->tile_side > 0 ? (writer->width - 1) / writer->tile_side + 1 : 1;
+}
+
+static struct slot *slot_at(const struct fmt_image_writer *writer, unsigned i)
+{
+    return (struct slot *)((char *)writer->slots + i * writer->slot_bytes);
+}
+
+static int create_encoders(struct fmt_image_writer *writer)
+{
+    const uint64_t blocks =
+        ((uint64_t)(writer->height - 1) / writer->block_rows + 1) * columns_of(writer);
+    const unsigned most = 2 * bsq_threads(writer->ctx);
+    const unsigned count = most < blocks ? most : (unsigned)blocks;
+    int status;
+    writer->slot_bytes =
+        bsq_align_up(sizeof(struct slot) + writer->format->encoder_bytes, _Alignof(max_align_t));
+    BSQ_TRY(bsq_calloc(writer->ctx, "image encoders", count, writer->slot_bytes, &writer->slots));
+    while (writer->slot_count < count)
+        BSQ_TRY(
+            writer->format->create_encoder(writer, slot_at(writer, writer->slot_count++)->encoder));
+done:
+    return status;
+}
+
 static int start(struct fmt_image_writer *writer, const char *path,
                  const struct fmt_image_options *options)
 {
     struct bsq_ctx *ctx = writer->ctx;
     size_t path_bytes = strlen(path) + 1;
-    int status = bsq_alloc(ctx, "path", path_bytes, 1, &writer->path);
-    if (status < 0)
-        return status;
+    int status;
+    BSQ_TRY(bsq_alloc(ctx, "path", path_bytes, 1, &writer->path));
     memcpy(writer->path, path, path_bytes);
-    status = bsq_output_open(ctx, path, &writer->output);
-    if (status == 0)
-        status = writer->format->create(writer, options);
-    if (status == 0)
-        status = bsq_alloc(ctx, "image rows", (uint64_t)writer->block_rows * writer->width,
-                           writer->channel_count * sizeof(float), &writer->pending);
+    BSQ_TRY(bsq_output_open(ctx, path, &writer->output));
+    BSQ_TRY(writer->format->create(writer, options));
+    BSQ_TRY(create_encoders(writer));
+    BSQ_TRY(bsq_alloc(ctx, "image rows", (uint64_t)writer->block_rows * writer->width,
+                      writer->channel_count * sizeof(float), &writer->pending));
+done:
     return status;
 }
 
@@ -81,6 +119,7 @@ int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format,
     writer->width = options->width;
     writer->height = options->height;
     writer->channel_count = options->channel_count;
+    writer->tile_side = options->tile_side;
     status = start(writer, path, options);
     if (status < 0)
         fmt_image_discard(writer);
@@ -89,12 +128,79 @@ int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format,
     return status;
 }
 
-/* ---- rows ---- */
+/* ---- blocks ---- */
 
 static uint64_t row_samples(const struct fmt_image_writer *writer)
 {
     return (uint64_t)writer->width * writer->channel_count;
 }
+
+struct batch {
+    struct fmt_image_writer *writer;
+    const float *samples;
+    uint32_t rows, rows_taken, columns_taken;
+};
+
+static int take_block(void *arg, void *slot, uint64_t sequence)
+{
+    (void)sequence;
+    struct batch *batch = arg;
+    struct fmt_image_writer *writer = batch->writer;
+    struct fmt_image_block *block = &((struct slot *)slot)->block;
+    const uint32_t left = batch->rows - batch->rows_taken;
+    const float *row = batch->samples + batch->rows_taken * row_samples(writer);
+    if (left == 0)
+        return 0;
+    block->rows = left < writer->block_rows ? left : writer->block_rows;
+    block->first_row = writer->rows_encoded;
+    block->column = batch->columns_taken;
+    block->samples = row + (size_t)block->column * writer->tile_side * writer->channel_count;
+    block->above = batch->rows_taken > 0  ? row - row_samples(writer)
+                   : block->first_row > 0 ? writer->above
+                                          : NULL;
+    if (++batch->columns_taken < columns_of(writer))
+        return 1;
+    batch->columns_taken = 0;
+    batch->rows_taken += block->rows;
+    writer->rows_encoded += block->rows;
+    return 1;
+}
+
+static int encode_block(void *arg, void *slot, uint64_t sequence, unsigned worker)
+{
+    (void)sequence;
+    (void)worker;
+    struct fmt_image_writer *writer = ((struct batch *)arg)->writer;
+    return writer->format->encode(writer, ((struct slot *)slot)->encoder,
+                                  &((struct slot *)slot)->block);
+}
+
+static int emit_block(void *arg, void *slot, uint64_t sequence)
+{
+    (void)sequence;
+    struct fmt_image_writer *writer = ((struct batch *)arg)->writer;
+    return writer->format->emit(writer, ((struct slot *)slot)->encoder,
+                                &((struct slot *)slot)->block);
+}
+
+static int encode_rows(struct fmt_image_writer *writer, const float *samples, uint32_t rows)
+{
+    struct batch batch = {.writer = writer, .samples = samples, .rows = rows};
+    const struct bsq_pipeline pipeline = {.produce = take_block,
+                                          .work = encode_block,
+                                          .emit = emit_block,
+                                          .arg = &batch,
+                                          .slots = writer->slots,
+                                          .slot_size = writer->slot_bytes,
+                                          .slot_count = writer->slot_count};
+    const int status = bsq_pipeline_run(writer->ctx, &pipeline);
+    if (writer->above)
+        memcpy(writer->above, samples + (rows - 1) * row_samples(writer),
+               row_samples(writer) * sizeof *samples);
+    return status;
+}
+
+/* ---- rows ---- */
 
 /* Adds rows to the pending block, and writes the block if it is full or the image's last. Returns
  * the number of rows taken, or a failure. */
@@ -110,7 +216,7 @@ static int64_t fill_block(struct fmt_image_writer *writer, const float *samples,
         return taken;
     uint32_t block = writer->pending_rows;
     writer->pending_rows = 0;
-    int status = writer->format->write_rows(writer, writer->pending, block);
+    int status = encode_rows(writer, writer->pending, block);
     return status < 0 ? status : (int64_t)taken;
 }
 
@@ -144,7 +250,7 @@ int fmt_image_write_rows(struct fmt_image_writer *writer, const float *samples, 
         writer->rows_taken + rows == writer->height ? rows : rows - rows % writer->block_rows;
     if (whole > 0) {
         writer->rows_taken += whole;
-        int status = writer->format->write_rows(writer, samples, whole);
+        int status = encode_rows(writer, samples, whole);
         if (status < 0)
             return status;
     }
@@ -155,15 +261,25 @@ int fmt_image_write_rows(struct fmt_image_writer *writer, const float *samples, 
 
 /* ---- ending ---- */
 
+static void free_encoders(struct fmt_image_writer *writer)
+{
+    for (unsigned i = 0; i < writer->slot_count; ++i)
+        writer->format->free_encoder(writer, slot_at(writer, i)->encoder);
+    writer->slot_count = 0;
+    bsq_free(writer->ctx, writer->slots);
+    writer->slots = NULL;
+}
+
 /* Frees all but the output. A job may have thousands of finished files. */
 static void free_coding(struct fmt_image_writer *writer)
 {
     if (writer->freed)
         return;
     writer->freed = true;
+    free_encoders(writer);
     writer->format->free(writer);
     bsq_free(writer->ctx, writer->pending);
-    writer->pending = NULL;
+    bsq_free(writer->ctx, writer->above);
 }
 
 int fmt_image_finish(struct fmt_image_writer *writer)
@@ -173,6 +289,7 @@ int fmt_image_finish(struct fmt_image_writer *writer)
     if (writer->rows_taken != writer->height)
         return bsq_fail(writer->ctx, BSQ_EBUG, "%s: %u of %u rows were written", writer->path,
                         writer->rows_taken, writer->height);
+    free_encoders(writer);
     int status = writer->format->finish(writer);
     if (status == 0)
         status = bsq_output_sync(writer->output);

@@ -46,24 +46,40 @@ struct fmt_image_options {
 
 struct fmt_image_writer;
 
+/* A part of an image that is encoded alone: some rows, or a tile. */
+struct fmt_image_block {
+    const float *samples; /* of the first texel; lines have the samples of a row of the image */
+    const float *above;   /* samples of the row above `samples`, if the format keeps it; or NULL */
+    uint32_t first_row, rows;
+    uint32_t column; /* of tiles */
+};
+
 struct fmt_image_format {
     const char *name;      /* for messages: "PNG" */
     const char *suffix;    /* of its files, with the dot; case does not matter */
     uint32_t sample_types; /* that it can store: FMT_SAMPLE_BIT() or-ed */
     enum fmt_sample_type usual_type;
-    bool tiles;            /* files may be made of tiles */
-    uint64_t writer_bytes; /* of the format's own structure, which begins with the writer */
+    bool tiles;             /* files may be made of tiles */
+    uint64_t writer_bytes;  /* of the format's own structure, which begins with the writer */
+    uint64_t encoder_bytes; /* of what encodes a block, zeros at first */
 
     /* The functions below return 0 or a failure that they have recorded. create() gets a zeroed
-     * structure with an open output; it sets block_rows, and a failure is followed by free(). */
+     * structure with an open output; it sets block_rows and, if blocks need the row above, `above`.
+     * A failure is followed by free(). */
     int (*create)(struct fmt_image_writer *writer, const struct fmt_image_options *options);
+    int (*create_encoder)(struct fmt_image_writer *writer, void *encoder);
+    void (*free_encoder)(struct fmt_image_writer *writer, void *encoder); /* or of zeros */
     /* Adds attributes to the header, which start() writes before the first row. */
     int (*describe)(struct fmt_image_writer *writer, const struct fmt_image_attribute *attributes,
                     uint32_t count);
     int (*start)(struct fmt_image_writer *writer);
-    /* Writes the next rows. Their number is a multiple of block_rows, except at the bottom. */
-    int (*write_rows)(struct fmt_image_writer *writer, const float *samples, uint32_t rows);
-    /* Completes the output after the last row. */
+    /* Encodes a block; several at the same time, with an encoder each. */
+    int (*encode)(struct fmt_image_writer *writer, void *encoder,
+                  const struct fmt_image_block *block);
+    /* Writes what was encoded, one block after the other. */
+    int (*emit)(struct fmt_image_writer *writer, void *encoder,
+                const struct fmt_image_block *block);
+    /* Completes the output after the last row, when the encoders are freed. */
     int (*finish)(struct fmt_image_writer *writer);
     /* Frees what create() made, also for a file that is not complete; records nothing. */
     void (*free)(struct fmt_image_writer *writer);
@@ -76,10 +92,15 @@ struct fmt_image_writer {
     struct bsq_output *output;
     char *path; /* the final name, for messages */
     uint32_t width, height, channel_count;
+    uint32_t tile_side;  /* 0: blocks are rows */
     uint32_t block_rows; /* rows that the format compresses together */
-    uint32_t rows_taken;
+    uint32_t rows_taken, rows_encoded;
     uint32_t pending_rows;
-    float *pending;                /* rows that do not fill a block yet */
+    float *pending; /* rows that do not fill a block yet */
+    float *above;   /* the last row that was encoded; NULL: the format needs none */
+    void *slots;    /* a block and its encoder each */
+    uint64_t slot_bytes;
+    unsigned slot_count;
     bool started, finished, freed; /* freed: what coding needs, see free() of the format */
 };
 

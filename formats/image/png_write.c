@@ -1,36 +1,292 @@
 /* png_write.c - streaming PNG writer (docs/decisions/0024-png-bands-in-parallel.md).
  *
  * libpng writes the header and the framing of chunks. Compression takes nearly all of the time, and
- * libpng does it on one thread. So png_encode.c filters and deflates bands of rows independently,
- * on all threads, and this file joins them to one stream. The stream is the same for any number of
- * threads. */
+ * libpng does it on one thread. So bands of rows are filtered and deflated independently, on all
+ * threads, and joined to one stream.
+ *
+ * 8-bit samples are dithered with the additive recurrence of Roberts, "The Unreasonable
+ * Effectiveness of Quasirandom Sequences", 2018: threshold = frac(x / g + y / g^2), where g is the
+ * plastic number. In 32-bit fixed point it is exact on every machine and has no visible period. It
+ * averages to one half over every neighbourhood, so gradients keep their mean and do not band.
+ *
+ * Each row takes the filter whose bytes, read as signed numbers, have the smallest sum of absolute
+ * values (PNG specification, section 12.8). The first row of a band needs the bytes of the row
+ * above. They are computed again from the samples of that row, so bands do not wait for each other.
+ */
+#include <math.h>
 #include <png.h>
+#include <stdlib.h>
 #include <string.h>
+#include <zlib.h>
 
 #include "base/output.h"
-#include "base/parallel.h"
-#include "formats/image/png_internal.h"
+#include "formats/image/image_writer.h"
 
 #define BAND_BYTES (UINT64_C(512) << 10) /* larger bands would hardly make files smaller */
 
-static const uint8_t zlib_header[2] = {0x78, 0x5e}; /* deflate, 32 KiB window, level 5 */
-
-struct slot {
-    struct fmt_png_encoder encoder;
-    struct fmt_png_band band;
+enum {
+    DEFLATE_LEVEL = 5, /* 9 takes several times as long and saves a few per cent of the size */
+    WINDOW_BITS = 15,
+    MEMORY_LEVEL = 9,
+    DEFLATE_BYTES = 1 << 19 /* memory of deflate with these settings, rounded up */
 };
+
+enum { FILTER_NONE, FILTER_SUB, FILTER_UP, FILTER_AVERAGE, FILTER_PAETH, FILTERS };
+
+static const uint8_t zlib_header[2] = {0x78, 0x5e}; /* deflate, 32 KiB window, level 5 */
 
 struct png_writer {
     struct fmt_image_writer base;
-    struct fmt_png_layout layout;
+    uint32_t bits; /* 8 or 16 */
+    bool labels;   /* do not dither */
+    bool srgb; /* samples are linear light: encode and tag them as sRGB; otherwise they are data,
+                * tagged with gamma 1.0 */
+    size_t row_bytes, step; /* bytes of a row and of a pixel */
     png_structp png;
     png_infop info;
-    uint32_t rows_written; /* rows given to encoders */
-    float *above;          /* samples of the last row of the previous batch */
-    uint32_t checksum;     /* Adler-32 of the filtered bytes written so far */
-    struct slot *slots;
-    unsigned slot_count;
+    uint32_t checksum; /* Adler-32 of the filtered bytes written so far */
 };
+
+/* Encodes one band of rows at a time. */
+struct encoder {
+    z_stream deflate;
+    bool ready;        /* `deflate` is initialised */
+    uint8_t *rows[2];  /* the current row as bytes, and the row above it */
+    uint8_t *trial;    /* a row, filtered */
+    uint8_t *filtered; /* the band: for each row the filter's number and the filtered bytes */
+    uint8_t *packed;   /* the band, deflated */
+    uint64_t packed_capacity, packed_bytes;
+    uint64_t filtered_bytes;
+    uint32_t checksum; /* Adler-32 of the filtered bytes */
+};
+
+/* ---- samples to bytes ---- */
+
+/* Encodes linear light as sRGB (IEC 61966-2-1). */
+static float srgb_from_linear(float v)
+{
+    return v <= 0.0031308f ? 12.92f * v : 1.055f * powf(v, 1.0f / 2.4f) - 0.055f;
+}
+
+/* Returns a threshold in [0, 1). Channels are a third apart, so that grey does not dither in step.
+ */
+static float dither_threshold(uint32_t x, uint32_t y, uint32_t channel)
+{
+    uint32_t turn = x * 3242174889u + y * 2447445414u + channel * 1431655765u;
+    return (float)(turn >> 8) * 0x1p-24f;
+}
+
+static void quantise_row(const struct png_writer *writer, const float *in, uint32_t y, uint8_t *out)
+{
+    uint32_t channels = writer->base.channel_count;
+    uint32_t colors = channels == 4 ? 3 : channels; /* alpha is linear */
+    float linear = 0.0f, encoded = 0.0f;            /* the last value; grey has three alike */
+    for (uint32_t x = 0; x < writer->base.width; ++x) {
+        for (uint32_t c = 0; c < channels; ++c) {
+            float v = *in++;
+            v = v > 0.0f ? (v < 1.0f ? v : 1.0f) : 0.0f; /* NaN becomes 0 */
+            if (writer->srgb && c < colors) {
+                if (v != linear)
+                    encoded = srgb_from_linear(v);
+                linear = v;
+                v = encoded;
+            }
+            if (writer->bits == 8) {
+                float threshold = writer->labels ? 0.5f : dither_threshold(x, y, c);
+                uint32_t level = (uint32_t)(v * 255.0f + threshold);
+                *out++ = (uint8_t)(level < 255 ? level : 255);
+            } else {
+                uint32_t level = (uint32_t)(v * 65535.0f + 0.5f);
+                *out++ = (uint8_t)(level >> 8);
+                *out++ = (uint8_t)level;
+            }
+        }
+    }
+}
+
+/* ---- filters ---- */
+
+static uint8_t paeth(int left, int above, int corner)
+{
+    int to_left = abs(above - corner), to_above = abs(left - corner);
+    int to_corner = abs(left + above - 2 * corner);
+    if (to_left <= to_above && to_left <= to_corner)
+        return (uint8_t)left;
+    return (uint8_t)(to_above <= to_corner ? above : corner);
+}
+
+/* Filters the bytes [begin, end) of a row. step: bytes of a pixel; begin must be at least `step`.
+ */
+static void filter_bytes(int filter, const uint8_t *row, const uint8_t *above, size_t begin,
+                         size_t end, size_t step, uint8_t *out)
+{
+    switch (filter) {
+    case FILTER_SUB:
+        for (size_t i = begin; i < end; ++i)
+            out[i] = (uint8_t)(row[i] - row[i - step]);
+        break;
+    case FILTER_UP:
+        for (size_t i = begin; i < end; ++i)
+            out[i] = (uint8_t)(row[i] - above[i]);
+        break;
+    case FILTER_AVERAGE:
+        for (size_t i = begin; i < end; ++i)
+            out[i] = (uint8_t)(row[i] - (row[i - step] + above[i]) / 2);
+        break;
+    case FILTER_PAETH:
+        for (size_t i = begin; i < end; ++i)
+            out[i] = (uint8_t)(row[i] - paeth(row[i - step], above[i], above[i - step]));
+        break;
+    default:
+        memcpy(out + begin, row + begin, end - begin);
+        break;
+    }
+}
+
+/* Filters a row. In the first pixel, the bytes to the left count as 0. */
+static void filter_row(int filter, const uint8_t *row, const uint8_t *above, size_t bytes,
+                       size_t step, uint8_t *out)
+{
+    for (size_t i = 0; i < step; ++i) {
+        int up = filter == FILTER_UP || filter == FILTER_PAETH ? above[i]
+                 : filter == FILTER_AVERAGE                    ? above[i] / 2
+                                                               : 0;
+        out[i] = (uint8_t)(row[i] - up);
+    }
+    filter_bytes(filter, row, above, step, bytes, step, out);
+}
+
+/* Returns the sum of the absolute values of signed bytes. */
+static uint64_t cost(const uint8_t *bytes, size_t count)
+{
+    uint64_t sum = 0;
+    for (size_t i = 0; i < count; ++i)
+        sum += (uint64_t)abs((int8_t)bytes[i]);
+    return sum;
+}
+
+/* Writes the number of the best filter and the filtered row. above: NULL in the first row of the
+ * image, which only tries filters that need no row above. */
+static void write_row(struct encoder *encoder, const uint8_t *row, const uint8_t *above,
+                      size_t bytes, size_t step, uint8_t *out)
+{
+    uint64_t least = UINT64_MAX;
+    for (int filter = FILTER_NONE; filter < (above ? FILTERS : FILTER_UP); ++filter) {
+        filter_row(filter, row, above, bytes, step, encoder->trial);
+        uint64_t sum = cost(encoder->trial, bytes);
+        if (sum < least) {
+            least = sum;
+            out[0] = (uint8_t)filter;
+            memcpy(out + 1, encoder->trial, bytes);
+        }
+    }
+}
+
+/* ---- bands ---- */
+
+static int start_deflate(struct bsq_ctx *ctx, struct encoder *encoder)
+{
+    int status = bsq_reserve(ctx, "PNG compression", DEFLATE_BYTES);
+    if (status < 0)
+        return status;
+    if (deflateInit2(&encoder->deflate, DEFLATE_LEVEL, Z_DEFLATED, -WINDOW_BITS, MEMORY_LEVEL,
+                     Z_FILTERED) != Z_OK) {
+        bsq_release(ctx, DEFLATE_BYTES);
+        return bsq_fail(ctx, BSQ_ENOMEM, "the system has no memory left for PNG compression");
+    }
+    encoder->ready = true;
+    return 0;
+}
+
+static int create_encoder(struct fmt_image_writer *base, void *memory)
+{
+    struct encoder *encoder = memory;
+    struct bsq_ctx *ctx = base->ctx;
+    const uint64_t row_bytes = ((struct png_writer *)base)->row_bytes;
+    int status;
+    BSQ_TRY(start_deflate(ctx, encoder));
+    /* Includes space for the flush that ends a band. */
+    encoder->packed_capacity =
+        deflateBound(&encoder->deflate, base->block_rows * (row_bytes + 1)) + 64;
+    BSQ_TRY(bsq_alloc(ctx, "PNG band", 1, encoder->packed_capacity, &encoder->packed));
+    BSQ_TRY(bsq_alloc(ctx, "PNG band", base->block_rows, row_bytes + 1, &encoder->filtered));
+    BSQ_TRY(bsq_alloc(ctx, "PNG row", 1, row_bytes, &encoder->trial));
+    for (int i = 0; i < 2; ++i)
+        BSQ_TRY(bsq_alloc(ctx, "PNG row", 1, row_bytes, &encoder->rows[i]));
+done:
+    return status;
+}
+
+static void free_encoder(struct fmt_image_writer *base, void *memory)
+{
+    struct encoder *encoder = memory;
+    struct bsq_ctx *ctx = base->ctx;
+    if (encoder->ready) {
+        deflateEnd(&encoder->deflate);
+        bsq_release(ctx, DEFLATE_BYTES);
+    }
+    bsq_free(ctx, encoder->packed);
+    bsq_free(ctx, encoder->filtered);
+    bsq_free(ctx, encoder->trial);
+    bsq_free(ctx, encoder->rows[0]);
+    bsq_free(ctx, encoder->rows[1]);
+}
+
+static int deflate_band(struct bsq_ctx *ctx, struct encoder *encoder, bool last)
+{
+    z_stream *stream = &encoder->deflate;
+    encoder->packed_bytes = 0;
+    uint64_t taken = 0;
+    deflateReset(stream);
+    for (;;) {
+        /* zlib counts in 32 bits. */
+        uint64_t input = encoder->filtered_bytes - taken;
+        uint64_t left = encoder->packed_capacity - encoder->packed_bytes;
+        bool whole = input <= (1u << 30);
+        uint32_t given = whole ? (uint32_t)input : 1u << 30;
+        uint32_t space = left < (1u << 30) ? (uint32_t)left : 1u << 30;
+        stream->next_in = encoder->filtered + taken;
+        stream->avail_in = given;
+        stream->next_out = encoder->packed + encoder->packed_bytes;
+        stream->avail_out = space;
+        int result = deflate(stream, !whole ? Z_NO_FLUSH : last ? Z_FINISH : Z_SYNC_FLUSH);
+        taken += given - stream->avail_in;
+        encoder->packed_bytes += space - stream->avail_out;
+        if (whole && stream->avail_out > 0)
+            return result == (last ? Z_STREAM_END : Z_OK)
+                       ? 0
+                       : bsq_fail(ctx, BSQ_EBUG, "deflate: unexpected result %d", result);
+        if (encoder->packed_bytes == encoder->packed_capacity)
+            return bsq_fail(ctx, BSQ_EBUG, "deflate: a band needs more than its bound");
+    }
+}
+
+/* Encodes a band as a part of a deflate stream. The parts of all bands in order make the stream,
+ * which the band with the image's last row ends. */
+static int encode_band(struct fmt_image_writer *base, void *memory,
+                       const struct fmt_image_block *band)
+{
+    const struct png_writer *writer = (const struct png_writer *)base;
+    struct encoder *encoder = memory;
+    const size_t row_bytes = writer->row_bytes;
+    const size_t row_samples = (size_t)base->width * base->channel_count;
+    uint8_t *row = encoder->rows[0], *above = NULL;
+    if (band->above) {
+        above = encoder->rows[1];
+        quantise_row(writer, band->above, band->first_row - 1, above);
+    }
+    for (uint32_t r = 0; r < band->rows; ++r) {
+        quantise_row(writer, band->samples + r * row_samples, band->first_row + r, row);
+        write_row(encoder, row, above, row_bytes, writer->step,
+                  encoder->filtered + r * (row_bytes + 1));
+        above = row;
+        row = encoder->rows[row == encoder->rows[0]];
+    }
+    encoder->filtered_bytes = band->rows * (row_bytes + 1);
+    encoder->checksum =
+        (uint32_t)adler32_z(1, encoder->filtered, (z_size_t)encoder->filtered_bytes);
+    return deflate_band(base->ctx, encoder, band->first_row + band->rows == base->height);
+}
 
 /* ---- callbacks of libpng, which ends a failed call by longjmp ---- */
 
@@ -99,18 +355,18 @@ static int add_text(struct png_writer *writer, const struct fmt_image_attribute 
 
 static int write_header(struct png_writer *writer)
 {
-    const struct fmt_png_layout *layout = &writer->layout;
-    int type = layout->channel_count == 1   ? PNG_COLOR_TYPE_GRAY
-               : layout->channel_count == 3 ? PNG_COLOR_TYPE_RGB
-                                            : PNG_COLOR_TYPE_RGB_ALPHA;
+    const uint32_t channels = writer->base.channel_count;
+    const int type = channels == 1   ? PNG_COLOR_TYPE_GRAY
+                     : channels == 3 ? PNG_COLOR_TYPE_RGB
+                                     : PNG_COLOR_TYPE_RGB_ALPHA;
     png_structp png = writer->png;
     if (setjmp(png_jmpbuf(png)))
         return BSQ_EIO;
     png_set_user_limits(png, PNG_UINT_31_MAX, PNG_UINT_31_MAX); /* the default is a million */
     png_set_write_fn(png, writer, write_bytes, flush_bytes);
-    png_set_IHDR(png, writer->info, layout->width, layout->height, (int)layout->bits, type,
-                 PNG_INTERLACE_NONE, PNG_COMPRESSION_TYPE_DEFAULT, PNG_FILTER_TYPE_DEFAULT);
-    if (layout->srgb)
+    png_set_IHDR(png, writer->info, writer->base.width, writer->base.height, (int)writer->bits,
+                 type, PNG_INTERLACE_NONE, PNG_COMPRESSION_TYPE_DEFAULT, PNG_FILTER_TYPE_DEFAULT);
+    if (writer->srgb)
         png_set_sRGB_gAMA_and_cHRM(png, writer->info, PNG_sRGB_INTENT_PERCEPTUAL);
     else
         png_set_gAMA(png, writer->info, 1.0);
@@ -118,108 +374,36 @@ static int write_header(struct png_writer *writer)
     return 0;
 }
 
-/* ---- bands ---- */
-
-struct batch {
-    struct png_writer *writer;
-    const float *samples;
-    uint32_t rows, rows_taken;
-};
-
-static int take_band(void *arg, void *slot_memory, uint64_t sequence)
+static int write_band(struct fmt_image_writer *base, void *memory,
+                      const struct fmt_image_block *band)
 {
-    (void)sequence;
-    struct batch *batch = arg;
-    struct slot *slot = slot_memory;
-    struct png_writer *writer = batch->writer;
-    uint32_t left = batch->rows - batch->rows_taken;
-    if (left == 0)
-        return 0;
-    struct fmt_png_band *band = &slot->band;
-    size_t row_samples = (size_t)writer->layout.width * writer->layout.channel_count;
-    band->rows = left < writer->base.block_rows ? left : writer->base.block_rows;
-    band->first_row = writer->rows_written;
-    band->samples = batch->samples + batch->rows_taken * row_samples;
-    band->above = batch->rows_taken > 0 ? band->samples - row_samples
-                  : band->first_row > 0 ? writer->above
-                                        : NULL;
-    batch->rows_taken += band->rows;
-    writer->rows_written += band->rows;
-    return 1;
-}
-
-static int encode_band(void *arg, void *slot_memory, uint64_t sequence, unsigned worker)
-{
-    (void)sequence;
-    (void)worker;
-    const struct png_writer *writer = ((struct batch *)arg)->writer;
-    struct slot *slot = slot_memory;
-    return fmt_png_encode(writer->base.ctx, &slot->encoder, &writer->layout, &slot->band);
-}
-
-static int write_band(void *arg, void *slot_memory, uint64_t sequence)
-{
-    (void)sequence;
-    struct png_writer *writer = ((struct batch *)arg)->writer;
-    const struct fmt_png_encoder *encoder = &((const struct slot *)slot_memory)->encoder;
+    struct png_writer *writer = (struct png_writer *)base;
+    const struct encoder *encoder = memory;
+    (void)band;
     writer->checksum = (uint32_t)adler32_combine(writer->checksum, encoder->checksum,
                                                  (z_off_t)encoder->filtered_bytes);
     return write_chunk(writer, "IDAT", encoder->packed, encoder->packed_bytes);
 }
 
-static int write_rows(struct fmt_image_writer *base, const float *samples, uint32_t rows)
-{
-    struct png_writer *writer = (struct png_writer *)base;
-    struct batch batch = {.writer = writer, .samples = samples, .rows = rows};
-    struct bsq_pipeline pipeline = {.produce = take_band,
-                                    .work = encode_band,
-                                    .emit = write_band,
-                                    .arg = &batch,
-                                    .slots = writer->slots,
-                                    .slot_size = sizeof *writer->slots,
-                                    .slot_count = writer->slot_count};
-    int status = bsq_pipeline_run(base->ctx, &pipeline);
-    size_t row_samples = (size_t)base->width * base->channel_count;
-    memcpy(writer->above, samples + (rows - 1) * row_samples, row_samples * sizeof *samples);
-    return status;
-}
-
 /* ---- from creating to ending ---- */
-
-static int allocate_slots(struct png_writer *writer)
-{
-    const struct fmt_png_layout *layout = &writer->layout;
-    uint64_t rows = BAND_BYTES / fmt_png_row_bytes(layout);
-    uint32_t band_rows = rows == 0 ? 1 : rows < layout->height ? (uint32_t)rows : layout->height;
-    uint32_t bands = (layout->height - 1) / band_rows + 1;
-    unsigned slots = 2 * bsq_threads(writer->base.ctx);
-    slots = slots < bands ? slots : bands;
-    writer->base.block_rows = band_rows;
-    int status = bsq_alloc(writer->base.ctx, "PNG row", layout->width,
-                           layout->channel_count * sizeof(float), &writer->above);
-    if (status == 0)
-        status = bsq_calloc(writer->base.ctx, "PNG encoders", slots, sizeof *writer->slots,
-                            &writer->slots);
-    while (status == 0 && writer->slot_count < slots)
-        status = fmt_png_encoder_create(writer->base.ctx, layout, band_rows,
-                                        &writer->slots[writer->slot_count++].encoder);
-    return status;
-}
 
 static int prepare(struct png_writer *writer)
 {
-    int status = allocate_slots(writer);
-    if (status < 0)
-        return status;
+    struct fmt_image_writer *base = &writer->base;
+    const uint64_t rows = BAND_BYTES / writer->row_bytes;
+    int status;
+    base->block_rows = rows == 0 ? 1 : rows < base->height ? (uint32_t)rows : base->height;
+    BSQ_TRY(bsq_alloc(base->ctx, "PNG row", base->width, base->channel_count * sizeof(float),
+                      &base->above));
     writer->checksum = 1;
     writer->png = png_create_write_struct_2(PNG_LIBPNG_VER_STRING, writer, on_error, on_warning,
                                             writer, allocate_bytes, free_bytes);
     if (writer->png)
         writer->info = png_create_info_struct(writer->png);
     if (!writer->info)
-        return bsq_fail(writer->base.ctx, BSQ_ENOMEM, "%s: no memory for the PNG writer",
-                        writer->base.path);
-    return 0;
+        return bsq_fail(base->ctx, BSQ_ENOMEM, "%s: no memory for the PNG writer", base->path);
+done:
+    return status;
 }
 
 static int describe_image(struct fmt_image_writer *base,
@@ -248,12 +432,11 @@ static int create_image(struct fmt_image_writer *base, const struct fmt_image_op
     if (options->channel_count != 1 && options->channel_count != 3 && options->channel_count != 4)
         return bsq_fail(base->ctx, BSQ_EUSAGE, "%s: PNG files cannot have %u channels", base->path,
                         options->channel_count);
-    writer->layout = (struct fmt_png_layout){.width = options->width,
-                                             .height = options->height,
-                                             .channel_count = options->channel_count,
-                                             .bits = options->type == FMT_UINT16 ? 16 : 8,
-                                             .labels = options->labels,
-                                             .srgb = options->color};
+    writer->bits = options->type == FMT_UINT16 ? 16 : 8;
+    writer->labels = options->labels;
+    writer->srgb = options->color;
+    writer->step = base->channel_count * (writer->bits / 8);
+    writer->row_bytes = base->width * writer->step;
     return prepare(writer);
 }
 
@@ -272,10 +455,6 @@ static void free_image(struct fmt_image_writer *base)
     struct png_writer *writer = (struct png_writer *)base;
     if (writer->png)
         png_destroy_write_struct(&writer->png, &writer->info);
-    for (unsigned i = 0; i < writer->slot_count; ++i)
-        fmt_png_encoder_free(base->ctx, &writer->slots[i].encoder);
-    bsq_free(base->ctx, writer->slots);
-    bsq_free(base->ctx, writer->above);
 }
 
 const struct fmt_image_format fmt_png_format = {
@@ -284,10 +463,14 @@ const struct fmt_image_format fmt_png_format = {
     .sample_types = FMT_SAMPLE_BIT(FMT_UINT8) | FMT_SAMPLE_BIT(FMT_UINT16),
     .usual_type = FMT_UINT16,
     .writer_bytes = sizeof(struct png_writer),
+    .encoder_bytes = sizeof(struct encoder),
     .create = create_image,
+    .create_encoder = create_encoder,
+    .free_encoder = free_encoder,
     .describe = describe_image,
     .start = start_image,
-    .write_rows = write_rows,
+    .encode = encode_band,
+    .emit = write_band,
     .finish = finish_image,
     .free = free_image,
 };
