@@ -74,9 +74,12 @@ static void shade_normal(const struct bake_exact *exact, const struct place *pla
         out[k] = (float)(n[k] / length);
 }
 
-/* Adds the scan's normal map to a unit normal. */
-static int add_normal_map(const struct bake_exact *exact, const struct place *place,
-                          const struct fmt_shading_place *at, float normal[3])
+/* Adds the scan's normal map to a unit normal. Not inlined: GCC 12 would join the conversions of
+ * two of the normal's numbers to float, in shade_normal(), and back, without rounding them. */
+static __attribute__((noinline)) int add_normal_map(const struct bake_exact *exact,
+                                                    const struct place *place,
+                                                    const struct fmt_shading_place *at,
+                                                    float normal[3])
 {
     const float(*texcoords)[2] = place->slot->chunk.texcoords;
     double n[3] = {(double)normal[0], (double)normal[1], (double)normal[2]}, uv[2][2];
