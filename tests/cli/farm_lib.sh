@@ -56,8 +56,7 @@ twice()
         tries=$((tries + 1))
         sleep 0.02
     done
-    [ -e flag ]
-    check "$1: the task stops" $?
+    holds "$1: the task stops" [ -e flag ]
     eval "$2"
     rm -f flag
     wait $! || code=$?
@@ -71,12 +70,10 @@ plainly()
     command="$* without O_TMPFILE and flock" code=0
     LD_PRELOAD=$TESTS/faults.so FAULT_PLAIN=1 FAULT_LOCKS=$(pwd -P)/locks "$@" >"$out" 2>"$err" || code=$?
     code 0
-    [ -s locks ]
-    check "$command: it asked for a lock" $?
+    holds "$command: it asked for a lock" [ -s locks ]
 }
 
 no_temporary_files()
 {
-    [ -z "$(ls -A farm | grep tmp)" ]
-    check "no temporary file is left" $?
+    holds "no temporary file is left" [ -z "$(ls -A farm | grep tmp)" ]
 }

@@ -1,6 +1,6 @@
 # lib.sh - shared by the tests of the programs. Each test_*.sh sources it, runs in an empty
-# directory of its own, and prints a line "ok" or "not ok" for each check. BIN is the directory of
-# the programs.
+# directory of its own, and prints a line "ok" or "not ok" for each check. BIN and TESTS are the
+# directories of the programs and of the test programs.
 #
 #   run PROGRAM ARGUMENT...   runs it; sets $code, $command, and the files $out and $err
 #   ok run PROGRAM ...        runs it; its exit code must be 0
@@ -12,6 +12,7 @@ LC_ALL=C
 export LC_ALL
 unset TMPDIR POSIXLY_CORRECT
 BIN=$(cd "${BIN:?is the directory with the programs}" && pwd) || exit 1
+TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 top=$(cd "$(dirname "$0")/../.." && pwd) || exit 1
 work=$(mktemp -d /tmp/bisque-cli.XXXXXX) || exit 1
 out=$work/out err=$work/err
@@ -35,6 +36,15 @@ check()
         sed 's/^/# stdout: /' "$out" | head -n 20
         sed 's/^/# stderr: /' "$err" | head -n 20
     fi
+}
+
+# holds NAME COMMAND...: the check passes if the command succeeds.
+holds()
+{
+    held=$1
+    shift
+    "$@"
+    check "$held" $?
 }
 
 run()

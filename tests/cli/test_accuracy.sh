@@ -1,11 +1,10 @@
 #!/bin/sh
 # test_accuracy.sh - errors of maps: thin plates, exact maps compared with a formula and with
 # voxels, tangent space compared with object space.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
-# holds NAME CHECKER ARGUMENT...: the results are within the checker's limits.
-holds()
+# accurate NAME CHECKER ARGUMENT...: the results are within the checker's limits.
+accurate()
 {
     name=$1 checker=$2
     if sanitized; then
@@ -111,7 +110,7 @@ fi
 ok run bisque-voxelize vase.obj -o vase.nvdb --resolution $resolution
 options="--maps normal,mask --size 256 --samples 2 --normal-space object --type float"
 ok run bisque-bake vase.tris low.obj $options -o 'exact_<MAP>.exr'
-holds "exact maps have the formula's normals" check-vase -s 2 -e 7 -m 0.2 -p 0.5 -h 1 exact_normal.exr \
+accurate "exact maps have the formula's normals" check-vase -s 2 -e 7 -m 0.2 -p 0.5 -h 1 exact_normal.exr \
     exact_mask.exr
 for setting in "--threads 1 --memory 96M" "--threads 3 --memory 1G"; do
     ok run bisque-bake vase.tris low.obj $options $setting -o 'other_<MAP>.exr'
@@ -192,10 +191,10 @@ for mesh in low low_mirrored box; do
         bake="run bisque-bake $scan.$source $mesh.obj --size 256 --samples 1 --device cpu"
         ok $bake --maps normal,mask --normal-space object --type float -o 'object_<MAP>.exr'
         $bake --maps normal --type float -o tangent.exr
-        holds "$mesh from $scan.$source: tangent space of floats is object space" check-tangent -x 0.01 -h 0.5 \
+        accurate "$mesh from $scan.$source: tangent space of floats is object space" check-tangent -x 0.01 -h 0.5 \
             $mesh.obj tangent.exr object_normal.exr object_mask.exr
         $bake --maps normal --type half -o tangent.exr
-        holds "$mesh from $scan.$source: tangent space of halves is object space" check-tangent -x $limit -m 0.03 \
+        accurate "$mesh from $scan.$source: tangent space of halves is object space" check-tangent -x $limit -m 0.03 \
             -h 0.5 $mesh.obj tangent.exr object_normal.exr object_mask.exr
     done
 done

@@ -22,8 +22,7 @@ magic()
 }
 is_exr()
 {
-    [ "$(magic "$1" 4)" = 762f3101 ]
-    check "$1 is an OpenEXR file" $?
+    holds "$1 is an OpenEXR file" [ "$(magic "$1" 4)" = 762f3101 ]
 }
 # is_png FILE WIDTH HEIGHT BITS
 is_png()
@@ -37,18 +36,15 @@ is_png()
 help_and_man_page bisque-bake
 ok $bake --help
 maps=$(sed -n '/^Maps:$/,$s/^ \{6\}\([a-z_0-9:]*\)  .*/\1/p' "$out")
-[ -n "$maps" ]
-check "the help lists maps" $?
+holds "the help lists maps" [ -n "$maps" ]
 # The man page describes each map that the help lists.
 for map in $maps; do
-    grep -q "^\.It Cm $map\$" "$top/man/bisque-bake.1"
-    check "the man page describes map $map" $?
+    holds "the man page describes map $map" grep -q "^\.It Cm $map\$" "$top/man/bisque-bake.1"
 done
 ok $bake --version
 out_like '^bisque-bake [0-9]+\.[0-9]+\.[0-9]+$'
 ok $bake --list devices
-grep -q '^cpu ' "$out"
-check "the processor is a device" $?
+holds "the processor is a device" grep -q '^cpu ' "$out"
 ok $bake --list devices --json
 json '.devices | map(.id) | contains(["cpu"])'
 
@@ -259,8 +255,7 @@ ok $bake $small plain.nvdb low.obj -o 'p_<MAP>.exr'
 files p_normal.exr $start
 cp p_normal.exr half.exr
 ok $bake $small plain.nvdb low.obj -o float.exr --type float
-[ "$(wc -c <float.exr)" -gt "$(wc -c <half.exr)" ]
-check "float samples take more bytes than half" $?
+holds "float samples take more bytes than half" [ "$(wc -c <float.exr)" -gt "$(wc -c <half.exr)" ]
 rm p_normal.exr half.exr float.exr
 
 ok $bake --device cpu --size 96x48 plain.nvdb low.obj -o n.png --preview look.png --maps normal
@@ -268,8 +263,7 @@ out_like '^look\.png: preview$'
 is_png n.png 96 48 16
 is_png look.png 1160 1548 8
 ok $bake --device cpu --size 96x48 colored.nvdb low.obj -o n.png --preview grey.png --maps normal
-cmp -s look.png grey.png
-check "without a colour map the preview shows the scan without colours" $?
+holds "without a colour map the preview shows the scan without colours" cmp -s look.png grey.png
 ok $bake --device cpu --size 96x48 plain.nvdb low.obj -o n.png --preview grey.png --maps normal \
     --view count=1,up=z
 is_png grey.png 2312 768 8
@@ -321,8 +315,7 @@ check "all texels of unknown curvature are counted" $?
 rm curved.png
 $bake $small plain.nvdb low.obj -o curved.png --maps curvature --distance curvature=100 --strict
 code 65
-[ ! -e curved.png ]
-check "no map of unknown curvature in a strict bake" $?
+holds "no map of unknown curvature in a strict bake" [ ! -e curved.png ]
 is_png all_height.png 96 96 16
 is_png all_position.png 96 96 16
 rm all_*
@@ -522,8 +515,7 @@ ok $bake $small plain.nvdb two.obj -o 'd/<UDIM>/n.exr' --maps normal --tiles 100
 # Images that do not fit in memory go to a directory of maps.
 mkdir d/normal d/mask
 ok $bake --device cpu --samples 1 --memory 20M --size 2048 plain.nvdb low.obj -o 'd/<MAP>/n.exr' --maps normal,mask
-[ -s d/mask/n.exr ]
-check "maps are in their directories" $?
+holds "maps are in their directories" [ -s d/mask/n.exr ]
 rm -r d
 # Half-float samples stay finite. One warning holds for both tiles. The box is 300000 units high.
 for mesh in low two; do
@@ -536,13 +528,11 @@ ok $bake $huge --type half -o 'huge_<MAP>.<UDIM>.exr'
 they became 65504 or -65504: --type float holds them" ]
 check "one warning of large samples" $?
 ok $bake $huge --type float -o 'float_<MAP>.<UDIM>.exr'
-[ ! -s "$err" ]
-check "no warning of 32-bit samples" $?
+holds "no warning of 32-bit samples" [ ! -s "$err" ]
 ok run bisque-compare --type data --max-error 234500 huge_position.1002.exr float_position.1002.exr
 $bake $huge --type half -o 'strict_<MAP>.<UDIM>.exr' --strict
 refused_like 65 "^$p map position: samples too large for 16 bits: "
-[ ! -e strict_mask.1002.exr ]
-check "no map of a strict job" $?
+holds "no map of a strict job" [ ! -e strict_mask.1002.exr ]
 rm huge* float_*
 # The size of other tiles may be given before.
 ok $bake --list tiles two.obj --json --size 16 --size 1012=64x32

@@ -30,8 +30,7 @@ for kind in late_bytes late_units twice; do
 done
 # Nothing but the values that are too large is warned of, once.
 $vox text.ply -o text.nvdb
-[ "$(cat "$err")" = "bisque-voxelize: warning: text.ply: colours out of range were clamped at 1 vertex" ]
-check "one warning" $?
+holds "one warning" [ "$(cat "$err")" = "bisque-voxelize: warning: text.ply: colours out of range were clamped at 1 vertex" ]
 
 # Black has any scale, and white is 1 if nothing is above.
 for white in 1 255; do
@@ -66,8 +65,7 @@ apart()
     name=$1
     shift
     ok run bisque-voxelize --voxel-size 0.5 --no-tris "$@" -o "$name.nvdb"
-    [ ! -s "$err" ]
-    check "no warning: $command" $?
+    holds "no warning: $command" [ ! -s "$err" ]
 }
 apart right unit.obj byte_as_unit.obj pure.obj
 apart a unit.obj byte.obj pure.obj

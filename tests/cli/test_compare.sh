@@ -27,8 +27,7 @@ refused 65 "$p t.exr has bisque:normalSpace \"tangent\", a_normal.exr has \"obje
 $compare t.exr a_normal.exr --mask a_mask.exr --force --max-mean 1 --max-p95 5 --json
 code 1
 json '.mean > 20 and (.within_limits | not)'
-grep -q "^$p mean .* is above --max-mean 1$" "$err"
-check "the limit that does not hold is named" $?
+holds "the limit that does not hold is named" grep -q "^$p mean .* is above --max-mean 1$" "$err"
 ok $compare t.exr a_normal.exr --force --max-mean 180
 
 # Maps with green up and green down, or a mask and a normal map, differ in meaning, not by some degrees.
@@ -91,8 +90,7 @@ for pair in 'nan.exr nan.exr' 'nan.exr ones.exr' 'ones.exr nan.exr' 'some.exr on
     for limit in --max-error --max-mean --max-median --max-p95 --max-p99; do
         $compare $pair $limit 1000
         code 1
-        grep -Eq "^$p [24] texels are NaN or infinite: outside of every limit$" "$err"
-        check "they are named" $?
+        holds "they are named" grep -Eq "^$p [24] texels are NaN or infinite: outside of every limit$" "$err"
     done
     ok $compare $pair
     out_like '^NaN or infinite: [24] texels'

@@ -1,7 +1,6 @@
 #!/bin/sh
 # test_descriptors.sh - programs that start with standard descriptors closed, as some daemons and
 # schedulers start them. Outputs have the same bytes, and no message gets into a file.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
 # A scan with warnings about its material library, a texture, its colours and its precision.
@@ -54,8 +53,7 @@ all_combinations()
         '<&-' | '2>&-' | '<&- 2>&-') ;;
         *) expected=74 ;;
         esac
-        [ "$code" -eq $expected ]
-        check "exit code $expected: $command" $?
+        holds "exit code $expected: $command" [ "$code" -eq $expected ]
         [ -z "$outputs" ] || sha256sum --quiet -c whole.txt >/dev/null 2>&1
         check "the same outputs: $command" $?
         case $closing in

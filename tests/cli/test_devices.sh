@@ -1,7 +1,6 @@
 #!/bin/sh
 # Devices of bisque-bake: lists, errors, the same maps from all devices, drivers that misbehave, the kernel's PTX.
 # tests/fake/fake_cuda.c is the CUDA driver.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 p=bisque-bake:
 fake=$TESTS/fake
@@ -12,8 +11,7 @@ cuda() { LD_LIBRARY_PATH=$fake bake "$@"; }
 # warned LINE: checks that standard error has exactly this line.
 warned()
 {
-    grep -Fqx -- "$1" "$err"
-    check "warning: $1" $?
+    holds "warning: $1" grep -Fqx -- "$1" "$err"
 }
 
 # ---- inputs ----
@@ -52,13 +50,11 @@ if [ -s "$ptx" ]; then
     # A GPU fails during the job: "auto" falls back to the processor and makes the same map, "cuda" fails.
     FAKE_CUDA_FAIL=cuLaunchKernel:2:719 cuda $maps -o 'lost_<MAP>.exr'
     code 0
-    grep -q "going on with cpu" "$err"
-    check "the GPU's loss is a warning" $?
+    holds "the GPU's loss is a warning" grep -q "going on with cpu" "$err"
     same cpu_normal.exr lost_normal.exr
     FAKE_CUDA_FAIL=cuLaunchKernel:2:719 cuda --device cuda $maps -o 'gone_<MAP>.exr'
     refused 69 "$p Fake GPU 0 (CUDA): cuLaunchKernel: CUDA_ERROR_LAUNCH_FAILED (unspecified launch failure)"
-    [ -z "$(ls gone_* 2>/dev/null)" ]
-    check "no map of a failed job" $?
+    holds "no map of a failed job" [ -z "$(ls gone_* 2>/dev/null)" ]
 
     # In passes: the next subgrid must go up while this one is traced, or the first kernel would never end. The fake
     # driver refuses kernels and copies that do not wait for each other.
@@ -158,8 +154,7 @@ if [ -s "$ptx" ]; then
     check "the PTX rounds as the processor does" "$code"
     # Drivers take PTX up to their own version. CUDA 11.0, the oldest with all functions, takes up to 7.0.
     version=$(sed -n 's/^\.version \([0-9]*\)\.\([0-9]*\)$/\1\2/p' "$ptx")
-    [ "${version:-99}" -le 70 ]
-    check "the PTX is for drivers since CUDA 11.0" $?
+    holds "the PTX is for drivers since CUDA 11.0" [ "${version:-99}" -le 70 ]
     for bad in 'fma.rn.f32 %f1, %f2, %f3, %f4;' 'mul.f32 %f1, %f2, %f3;' 'div.full.f32 %f1, %f2, %f3;' \
         'sqrt.approx.f32 %f1, %f2;' 'add.rn.ftz.f32 %f1, %f2, %f3;' 'add.rn.f64 %fd1, %fd2, %fd3;'; do
         { cat "$ptx"; printf '\t%s\n' "$bad"; } >bad.ptx

@@ -1,7 +1,6 @@
 #!/bin/sh
 # test_farm.sh - a bake as tasks: plans, parts and merges have the bytes of a single run; what is
 # missing, damaged or foreign is refused by name; tasks may be killed, repeated and run twice.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 . "$top/tests/cli/farm_lib.sh"
 

@@ -2,7 +2,6 @@
 # test_faults.sh - killed jobs and failing system calls: no partial file is left, each failure is
 # reported. tests/faults/ has the library that makes calls fail, and the program that repeats runs.
 # LONG=1 repeats more runs.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 export FAULTS="$TESTS/faults.so"
 if ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'; then
@@ -191,8 +190,7 @@ together()
     wait $! || code=$?
     code 0
     same a.nvdb scan.nvdb
-    [ -z "$(ls -A | grep '^\.a\.nvdb')" ]
-    check "two jobs with one output leave nothing" $?
+    holds "two jobs with one output leave nothing" [ -z "$(ls -A | grep '^\.a\.nvdb')" ]
 }
 together 1 ''  # before its file gets a name
 together 2 ''  # between that and its final name
@@ -238,8 +236,7 @@ shrink()
     command="bisque-bake of a grid cut to $1 bytes" code=0
     wait $! || code=$?
     refused 74 "bisque-bake: cut.nvdb: shrank from $size to $1 bytes while it was read"
-    [ -z "$(ls -A | grep '^\.*a_')" ]
-    check "no map of a grid that shrank" $?
+    holds "no map of a grid that shrank" [ -z "$(ls -A | grep '^\.*a_')" ]
 }
 size=$(wc -c <scan.nvdb)
 for bytes in 0 4096 $((size / 4)) $((size / 2)) $((size - 8192)); do

@@ -1,7 +1,6 @@
 #!/bin/sh
 # test_formats.sh - files are as formats/FORMATS.md says. Readers in Python, written from that page
 # alone, find in them what the programs report, what the OBJ file has, and what is known of a box.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
 need_oracle
@@ -184,8 +183,7 @@ reports triangles .scan.triangles
 reports chunks .scan.chunks
 reports source_faces .scan.faces
 reports skipped .scan.degenerate_triangles
-[ "$(value chunks)" -gt 2 ]
-check "several chunks" $?
+holds "several chunks" [ "$(value chunks)" -gt 2 ]
 hash=$(value hash)
 
 # Each vertex of the scan is in a voxel, near its plane, and has its colour. Triangles are about two
@@ -205,8 +203,7 @@ done
 "$TESTS/generate-scan" --triangles 150000 --colors --normals --shuffle 7 vase -o shuffled.obj
 run bisque-voxelize shuffled.obj -o shuffled.nvdb --resolution 300
 oracle measure shuffled.tris
-[ "$(value hash)" = "$hash" ]
-check "shuffled faces are the same triangles" $?
+holds "shuffled faces are the same triangles" [ "$(value hash)" = "$hash" ]
 
 # ---- a textured vase: red grows with u, green with v (0 at the lower edge of the image) ----
 
@@ -232,8 +229,7 @@ awk '$1 == "v" { p[++v] = $2 " " $3 " " $4 }
     ' textured.obj >points
 ok oracle measure textured.nvdb points
 is points_found "$(wc -l <points)" 0
-awk "BEGIN { exit !($(value points_from_color) < 2) }"
-check "vertices are $(value points_from_color) / 255 off the texture" $?
+holds "vertices are $(value points_from_color) / 255 off the texture" awk "BEGIN { exit !($(value points_from_color) < 2) }"
 
 # ---- separate triangles far from zero: more vertices than 16 bits count, and an origin ----
 
@@ -299,8 +295,7 @@ header()
     shift
     head -c 1500 "$file" | tr -d '\000-\037' >"$out"
     for attribute; do
-        grep -aqF "${attribute%%=*}string${attribute#*=}" "$out"
-        check "$file: $attribute" $?
+        holds "$file: $attribute" grep -aqF "${attribute%%=*}string${attribute#*=}" "$out"
     done
 }
 

@@ -1,7 +1,6 @@
 #!/bin/sh
 # test_ids.sh - maps of ids: from triangles, grids, several scans, tasks and all devices; never
 # blended, with a table of names.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 need_oracle
 vox="run bisque-voxelize" bake="run bisque-bake --size 32 --samples 3"
@@ -65,8 +64,7 @@ $ids name stone 'brick wall' 'gläs' left right floor >all
 } >expected
 for scan in tris nvdb; do
     $ids colors material_$scan.png object_$scan.png color_$scan.png >"$out"
-    cmp -s expected "$out"
-    check "maps of $scan have the expected ids and no other colour" $?
+    holds "maps of $scan have the expected ids and no other colour" cmp -s expected "$out"
     for kind in material object; do
         jq -r '.ids.names[] | select(.name != "").color' ${kind}_$scan.json | sort | paste -sd ' '
     done >"$out"

@@ -1,6 +1,5 @@
 #!/bin/sh
 # test_inputs.sh - inputs that are outputs too, that change under way, or that are no regular files.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 p=bisque-voxelize:
 vox="run bisque-voxelize --resolution 16"
@@ -24,8 +23,7 @@ start=$(ls -A)
 # unchanged: no input was written to, and no file is new.
 unchanged()
 {
-    [ "$(sums)" = "$before" ]
-    check "no input was changed by $command" $?
+    holds "no input was changed by $command" [ "$(sums)" = "$before" ]
     files $start
 }
 
@@ -101,8 +99,7 @@ $vox hostile.obj -o a.nvdb --no-tris --strict
 refused_like 65 '^bisque-voxelize: .*stream\.png: not a readable image: it is no PNG'
 printf 'newmtl skin\nmap_Kd http://127.0.0.1:9/a.png\n' >hostile.mtl
 ok $vox hostile.obj -o a.nvdb --no-tris
-grep -q 'no such texture' "$err"
-check "a URL is no texture" $?
+holds "a URL is no texture" grep -q 'no such texture' "$err"
 rm a.nvdb hostile.mtl
 files $(echo $start | tr ' ' '\n' | grep -v '^hostile.mtl$')
 rm hostile.obj pipe.png stream.png

@@ -22,8 +22,7 @@ make_top()
 is_there()
 {
     for file; do
-        [ -s "$prefix/$file" ]
-        check "$file is installed" $?
+        holds "$file is installed" [ -s "$prefix/$file" ]
     done
 }
 
@@ -115,8 +114,7 @@ refused 66 "textures of this format need the module $module, which is of build $
 BIN=$PWD/moved/bin
 ok run bisque-voxelize box.obj --texture red.ppm --vdb moved.vdb -o moved.nvdb --resolution 32
 command="bisque-voxelize --vdb" code=0
-cmp -s box.vdb moved.vdb
-check "the same OpenVDB file from a moved installation" $?
+holds "the same OpenVDB file from a moved installation" cmp -s box.vdb moved.vdb
 for program in bisque-voxelize bisque-bake bisque-compare; do
     command="ldd $program" code=0
     ldd "$BIN/$program" >"$out" 2>"$err"

@@ -2,7 +2,6 @@
 # test_interrupt.sh - SIGTERM ends the programs on inputs that are made to be slow: a scan with very
 # many materials, one polygon with very many corners, and low-poly triangles that all cover the
 # whole map. Each is interrupted at several moments, which fall into all stages.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
 # A star-shaped polygon with texture coordinates, and random radii.

@@ -27,8 +27,7 @@ warns()
     line=$1
     shift
     ok $vox "$@" -o a.nvdb --resolution 8
-    [ "$(cat "$err")" = "$p warning: $line" ]
-    check "warning: $line" $?
+    holds "warning: $line" [ "$(cat "$err")" = "$p warning: $line" ]
     rm a.*
     $vox "$@" -o a.nvdb --resolution 8 --strict
     refused 65 "$p $line"
@@ -117,8 +116,7 @@ printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl x\nf 1 2 3\nusemtl y\nf 1 2 3\n' >bare
 warns 'bare.obj: no material library is named; materials without a colour, such as "x": 2 (see --texture)' bare.obj
 sed 's/^v .*/& 0 1 0/' bare.obj >vertex.obj
 ok $vox vertex.obj -o a.nvdb
-[ ! -s "$err" ]
-check "no warning: $command" $?
+holds "no warning: $command" [ ! -s "$err" ]
 
 # A file of zero bytes, such as a download that failed, has no line end. It is not read whole.
 truncate -s 1G zero.obj
@@ -152,12 +150,10 @@ warns "some.obj: faces without texture coordinates: 1; their texture, such as $t
 warns "some.obj: faces without texture coordinates: 2; their texture, such as $texture, is not used" some.obj --texture "$texture"
 printf "${points}vt 0 0\nusemtl a\nf 1/1 2/1 3/1\nusemtl b\nf 1 2 3\n" >none.obj
 ok $vox none.obj -o a.nvdb
-[ ! -s "$err" ]
-check "no warning: $command" $?
+holds "no warning: $command" [ ! -s "$err" ]
 sed 's/^v .*/& 0 1 0/' some.obj >vertex.obj
 ok $vox vertex.obj -o a.nvdb
-[ ! -s "$err" ]
-check "no warning: $command" $?
+holds "no warning: $command" [ ! -s "$err" ]
 # Faces without a material beside a material with a colour or a texture.
 triangles='o x\nf 1 2 3\nf 3 2 1\nusemtl %s\nf 1 2 3\n'
 printf "${points}$triangles" b >plain.obj
@@ -169,8 +165,7 @@ warns "textured.obj: $lacks" textured.obj
 printf 'newmtl a\nPr 0.5\n' >gray.mtl
 printf "mtllib gray.mtl\n${points#*.mtl?n}$triangles" a >gray.obj
 ok $vox plain.obj gray.obj -o a.nvdb --resolution 8
-grep -Fqx "$p warning: plain.obj: $lacks" "$err"
-check "only faces of files with colours count" $?
+holds "only faces of files with colours count" grep -Fqx "$p warning: plain.obj: $lacks" "$err"
 # They are white.
 printf 'newmtl b\nKd 1 0 0\nnewmtl white\nKd 1 1 1\n' >scan.mtl
 printf "${points}v 1 1 1\nf 2 3 4\nusemtl b\nf 1 2 3\n" >plain.obj
@@ -201,8 +196,7 @@ printf "mtllib scan.mtl\n$(grep '^v' colored.obj)\nv 5 5 5\n$faces" >all.obj
 { grep '^v' hidden.obj; echo 'f 1 2 3'; } >plain.obj
 for name in all plain; do
     ok $vox $name.obj -o a.nvdb --resolution 8
-    [ ! -s "$err" ]
-    check "no warning: $command" $?
+    holds "no warning: $command" [ ! -s "$err" ]
 done
 rm scan.mtl a.*
 
@@ -226,8 +220,7 @@ mkfifo folder/pipe.obj
 sed 's/scan.mtl/none.mtl one.mtl/' scan.obj >folder/pipe.obj &
 ok run bisque-voxelize --progress none folder/pipe.obj -o a.nvdb --tris a.tris --resolution 8
 wait
-grep -q 'with colour' "$out"
-check "the library of a pipe is found" $?
+holds "the library of a pipe is found" grep -q 'with colour' "$out"
 rm a.nvdb a.tris
 
 # The low-poly mesh of a bake.
@@ -235,8 +228,7 @@ printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\nf 1/1/1 2/2
 $vox lost.obj -o lost.nvdb --no-tris --resolution 8
 line='low.obj:8: corners that refer to a normal that the file does not have: 1; this is the first'
 ok run bisque-bake lost.nvdb low.obj -o map.exr --size 8 --device cpu --progress none
-[ "$(cat "$err")" = "bisque-bake: warning: $line" ]
-check "warning: $line" $?
+holds "warning: $line" [ "$(cat "$err")" = "bisque-bake: warning: $line" ]
 rm map.exr
 run bisque-bake lost.nvdb low.obj -o map.exr --size 8 --device cpu --strict
 refused 65 "bisque-bake: $line"

@@ -1,7 +1,6 @@
 #!/bin/sh
 # test_limits.sh - bisque-voxelize under limits of the system: a hard limit on memory, and a disk
 # that is too small.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 if sanitized; then
     skip "limits of the system" "sanitizers need memory of their own"
@@ -94,14 +93,12 @@ if unshare --map-root-user --mount mount -t tmpfs -o size=1m tmpfs disk 2>/dev/n
     # 2 million triangles take 12 bytes each, and a million vertices four more for colours.
     small_disk 8 vase.obj -o disk/a.nvdb --resolution 512
     refused_like 74 '^bisque-voxelize: disk: 2[0-9]{7} bytes are needed for outputs, 8388608 are free$'
-    [ ! -s here.txt ]
-    check "nothing was written" $?
+    holds "nothing was written" [ ! -s here.txt ]
 
     # The grid's size is estimated when the chunk file is complete; that file stays, for --resume.
     small_disk 50 vase.obj -o disk/a.nvdb --resolution 512
     refused_like 74 '^bisque-voxelize: disk: [0-9]* bytes are needed for outputs and temporary files, [0-9]* are free$'
-    [ "$(tr '\n' ' ' <here.txt)" = "a.tris a.tris.job " ]
-    check "the chunk file and its record are left" $?
+    holds "the chunk file and its record are left" [ "$(tr '\n' ' ' <here.txt)" = "a.tris a.tris.job " ]
 
     # Temporary files need space in their own directory.
     small_disk 8 vase.obj -o a.nvdb --tmpdir disk --resolution 512 --memory "${least}M" --threads 2

@@ -2,7 +2,6 @@
 # GPUs that fail under way: bisque-bake finishes the same maps with the processor and says so once,
 # or ends with one line if the user named the device. The drivers are tests/fake/fake_cuda.c and
 # tests/fake/opencl_gpu.c.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 p=bisque-bake:
 fake=$TESTS/fake
@@ -54,8 +53,7 @@ if [ -s "$ptx" ]; then
             survives "$call:$number"
         done
     done
-    [ "$warned" -ge 15 ]
-    check "most failures were reached: $warned" $?
+    holds "most failures were reached: $warned" [ "$warned" -ge 15 ]
     FAKE_CUDA_FAIL=cuStreamQuery:3:719 cuda --device cuda $maps --gpu-memory $memory -o 'x_<MAP>.exr'
     code 69
     refused 69 "$p Fake GPU 0 (CUDA): cuLaunchKernel: CUDA_ERROR_LAUNCH_FAILED (unspecified launch failure)"
@@ -78,8 +76,7 @@ if [ -n "$FAKE_OPENCL_REAL" ] && opencl --list devices && grep -q '^opencl:0' "$
         FAKE_OPENCL_FAIL=$failure:-5 opencl $maps --gpu-memory $memory -o 'x_<MAP>.exr'
         survives "$failure"
     done
-    [ "$warned" -ge 8 ]
-    check "most failures were reached: $warned" $?
+    holds "most failures were reached: $warned" [ "$warned" -ge 8 ]
     # A device that has less memory than it says: the codes that drivers give.
     for code_of_driver in -4 -5 -6 -61; do
         FAKE_OPENCL_FAIL=clCreateBuffer:5:$code_of_driver:once opencl $maps -o 'x_<MAP>.exr' --json

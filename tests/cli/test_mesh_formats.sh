@@ -1,6 +1,5 @@
 #!/bin/sh
 # test_mesh_formats.sh - the same mesh in each format gives the same chunks, grid and maps.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
 # compare OPTION...: writes the vase in all formats and voxelizes each.
@@ -204,8 +203,7 @@ sed '/^property float [st]$/d; s/^\([01] [01] 0\) [01] [01]$/\1/' vertices.ply >
 loses()
 {
     ok run bisque-voxelize $1 -o lost.tris
-    grep -q "^bisque-voxelize: warning: $1: $2\$" "$err"
-    check "warning: $2" $?
+    holds "warning: $2" grep -q "^bisque-voxelize: warning: $1: $2\$" "$err"
     run bisque-voxelize $1 -o lost.tris --strict
     refused_like 65 "bisque-voxelize: $1: $2"
 }
@@ -290,8 +288,7 @@ for case in 'color_1.gltf primitives have COLOR_1 or the like without COLOR_0, w
     'outside.gltf nodes with meshes are not in the scene and are not read'; do
     file=${case%% *} line="${case%% *}: 1 ${case#* }"
     ok run bisque-voxelize "$file" -o a.nvdb --resolution 16
-    grep -qxF "bisque-voxelize: warning: $line" "$err"
-    check "warning: $line" $?
+    holds "warning: $line" grep -qxF "bisque-voxelize: warning: $line" "$err"
     run bisque-voxelize "$file" -o a.nvdb --resolution 16 --strict
     refused 65 "bisque-voxelize: $line"
 done
@@ -339,8 +336,7 @@ for file in inside.gltf image.glb; do
     (ulimit -f 200 && exec "$BIN/bisque-voxelize" no_image/$file -o a.tris) \
         >"$out" 2>"$err" || code=$?
     code 0
-    grep -q "#b.*: not a readable image: it is no PNG, JPEG" "$err"
-    check "$file: the image is no image" $?
+    holds "$file: the image is no image" grep -q "#b.*: not a readable image: it is no PNG, JPEG" "$err"
 done
 
 # A buffer is never replaced by another file of its name.
@@ -429,8 +425,7 @@ done
 # Nodes are objects.
 for suffix in blender.fbx assimp.dae; do
     ok run bisque-bake uv.nvdb "$meshes/uv.$suffix" -o 'object_<OBJECT>.exr' --maps normal --size 16
-    [ -e object_patch.exr ]
-    check "the object of uv.$suffix has a name" $?
+    holds "the object of uv.$suffix has a name" [ -e object_patch.exr ]
     rm -f object_*.exr
 done
 # COLLADA: names, which may differ from ids, or else names of meshes. Tangents without bitangents.

@@ -88,14 +88,12 @@ same same.exr alone_right.exr
 ok $bake $small scan.nvdb left.obj right.obj -o shared.exr --json
 json '.overlapping_samples == .samples and .samples == 1024'
 same shared.exr alone_left.exr
-grep -q '100.0 % of the samples lie in several triangles' "$err"
-check "overlapping meshes are said" $?
+holds "overlapping meshes are said" grep -q '100.0 % of the samples lie in several triangles' "$err"
 ok $bake $small scan.nvdb a.obj b.obj -o 'shared_<UDIM>.exr'
 same shared_1001.exr alone_left.exr
 same shared_1002.exr alone_right.exr
 ok $bake --list tiles a.obj b.obj
-[ "$(cat "$out")" = "$(printf '1001\n1002')" ]
-check "tiles of several meshes" $?
+holds "tiles of several meshes" [ "$(cat "$out")" = "$(printf '1001\n1002')" ]
 
 # ---- names that would lead elsewhere ----
 
@@ -125,7 +123,6 @@ $bake $small scan.nvdb left.obj right.obj --cage left.obj -o x.exr
 refused 64 "$p: left.obj: a cage needs a single low-poly file, not 2 of them"
 $bake $small scan.nvdb left.obj missing.obj -o x.exr
 code 66
-[ ! -e x.exr ]
-check "no map is left" $?
+holds "no map is left" [ ! -e x.exr ]
 
 finish

@@ -74,8 +74,7 @@ meshes=$top/tests/meshes
 for up in '' '--up z'; do
     # shellcheck disable=SC2086 # two words
     ok $vox s0.obj "$meshes/uv.assimp.dae" "$meshes/uv.blender.fbx" $up -o assimp.nvdb
-    grep -q ', 224 triangles,' "$out"
-    check "all triangles are there" $?
+    holds "all triangles are there" grep -q ', 224 triangles,' "$out"
 done
 ok $vox "$meshes/uv.assimp.dae" "$meshes/uv.assimp.dae" -o assimp.nvdb
 
@@ -105,8 +104,7 @@ nothing='it adds nothing to the scan; files like this:'
 while read -r files_and_line; do
     files=${files_and_line%%:*} line=${files_and_line#*:}
     ok $vox $files -o empty.nvdb
-    grep -Fqx "$p warning: $line" "$err"
-    check "warning: $line" $?
+    holds "warning: $line" grep -Fqx "$p warning: $line" "$err"
     $vox $files -o strict.nvdb --strict
     refused 65 "$p $line"
 done <<CASES
@@ -143,15 +141,13 @@ printf 'newmtl red\nKd 1 0 0\n' >red.mtl
 } >red.obj
 ok $vox color.ply red.obj -o lost.nvdb
 lost='red.obj: colours of materials are not used, because other files of the scan have vertex colours; files like this: 1'
-grep -Fqx "$p warning: $lost" "$err"
-check "warning of lost colours" $?
+holds "warning of lost colours" grep -Fqx "$p warning: $lost" "$err"
 $vox color.ply red.obj -o strict.nvdb --strict
 refused 65 "$p $lost"
 printf '#MRGB ff102030ff102030ff102030\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' |
     awk '/^v/ { print; next } /^#/ { paint = $0; next } { print paint; print }' >paint.obj
 ok $vox paint.obj s1.ply -o paint.nvdb
-grep -q "warning: paint.obj: ZBrush's polypaint is not used beside files without it" "$err"
-check "warning of polypaint" $?
+holds "warning of polypaint" grep -q "warning: paint.obj: ZBrush's polypaint is not used beside files without it" "$err"
 ok $vox paint.obj color.ply -o paint.nvdb --strict
 $vox color.ply paint.obj -o paint.nvdb --strict
 code 65

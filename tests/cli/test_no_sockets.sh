@@ -1,7 +1,6 @@
 #!/bin/sh
 # test_no_sockets.sh - the programs open no socket: they run under a filter that kills them if they,
 # or a process that they start, make a system call about sockets (tests/faults/no-sockets.c).
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 filter=$TESTS/no-sockets
 

@@ -1,7 +1,6 @@
 #!/bin/sh
 # test_opacity.sh - opacity of scans: alpha of textures, values and textures of MTL and glTF files,
 # and masks that are multiplied by it.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 need_oracle
 . "$top/tests/cli/texture_lib.sh"
@@ -21,15 +20,13 @@ for scan in tris nvdb; do
     values ${scan}_color.png light 0.02
     ok $bake plane.$scan low.obj --maps mask:opacity,transfer:opacity -o "${scan}_both_<MAP>.png"
     values ${scan}_both_opacity.png slope $tolerance
-    cmp -s ${scan}_mask.png ${scan}_both_mask.png
-    check "a file of opacity changes no mask from $scan" $?
+    holds "a file of opacity changes no mask from $scan" cmp -s ${scan}_mask.png ${scan}_both_mask.png
     ok run bisque-bake --size 48 plane.$scan low.obj --maps mask -o ${scan}_plain.png
     values ${scan}_plain.png whole 0
 done
 ok run bisque-voxelize --verify plane.tris
 oracle measure plane.tris
-grep -q 'component 3' "$out"
-check "another reader finds alpha in plane.tris" $?
+holds "another reader finds alpha in plane.tris" grep -q 'component 3' "$out"
 
 # A mask from tasks has the same bytes.
 ok $bake plane.tris low.obj --maps color,mask:opacity -o 'task_<MAP>.png' --tasks 2 --write-plan plan.json
@@ -77,8 +74,7 @@ lost()
     values lost.png $function 0.002
     run bisque-voxelize --channels opacity $options lost.obj -o strict.tris --strict
     code 65
-    [ ! -e strict.tris ]
-    check "no file with --strict" $?
+    holds "no file with --strict" [ ! -e strict.tris ]
 }
 lost alpha '' slope 'map_d gone.png' 'map_Kd glass.png'
 lost 'alpha of all' '--texture glass.png' slope 'map_d text.png'
@@ -118,8 +114,7 @@ refused_like 65 'material "material 0": opacity: its value is not used, but the 
 # A cutoff shows or hides.
 while read -r name function; do
     ok $vox $name.gltf -o $name.nvdb
-    [ ! -s "$err" ]
-    check "no warning about $name.gltf" $?
+    holds "no warning about $name.gltf" [ ! -s "$err" ]
     ok $bake $name.tris low.obj --maps mask:opacity -o $name.png
     values $name.png "$function" 0
 done <<'CASES'
@@ -130,8 +125,7 @@ CASES
 ok $bake mask.nvdb low.obj --maps mask:opacity -o mask.png
 values mask.png upper 0
 oracle measure faint.tris
-grep -q 'source 0.5 0.5 0.5 component 4' "$out"
-check "another reader finds the cutoff in faint.tris" $?
+holds "another reader finds the cutoff in faint.tris" grep -q 'source 0.5 0.5 0.5 component 4' "$out"
 ok run bisque-voxelize --verify mask.tris
 $vox opaque.gltf -o opaque.nvdb
 refused_like 65 'opaque.gltf: no material has a value or a texture of opacity'

@@ -1,6 +1,5 @@
 #!/bin/sh
 # test_options.sh - options by key, and options by the names of an earlier release.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 p=bisque-bake:
 
@@ -54,8 +53,7 @@ else
     skip "options of plans" "jq is not installed"
 fi
 ok run bisque-bake vase_high.nvdb vase_low.obj -o a.png --maps normal --size 8 --png-bits 8
-[ "$(od -An -tu1 -j24 -N1 a.png | tr -d ' ')" = 8 ]
-check "--png-bits 8 gives 8 bits" $?
+holds "--png-bits 8 gives 8 bits" [ "$(od -An -tu1 -j24 -N1 a.png | tr -d ' ')" = 8 ]
 for list in devices tiles; do
     files=
     [ $list = devices ] || files=vase_low.obj
@@ -64,8 +62,7 @@ for list in devices tiles; do
     cp "$out" new
     # shellcheck disable=SC2086
     run bisque-bake --list-$list $files
-    cmp -s "$out" new
-    check "--list-$list is --list $list" $?
+    holds "--list-$list is --list $list" cmp -s "$out" new
 done
 ok run bisque-bake --verify vase_high.nvdb
 out_like '^vase_high.nvdb: ok '

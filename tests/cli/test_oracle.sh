@@ -3,7 +3,6 @@
 # from FORMATS.md alone, accept the same files and read the same content. Compares COUNT files of each
 # kind, made from SEED; LONG=1 takes many from a new seed. Files on which they differ are kept in
 # KEEP; tests/oracle/read_file.py and --verify repeat the verdicts.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 if [ -n "${LONG-}" ]; then
     count=${COUNT:-40000} seed=${SEED:-$(date +%s)}

@@ -1,7 +1,6 @@
 #!/bin/sh
 # test_outputs.sh - outputs that exist, are links, devices or other outputs; all outputs of a job or
 # none; few descriptors.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 p=bisque-voxelize:
 
@@ -15,8 +14,7 @@ inputs=$(ls)
 # none_left: there are only the inputs.
 none_left()
 {
-    [ "$(ls -A)" = "$inputs" ]
-    check "nothing is left: $command" $?
+    holds "nothing is left: $command" [ "$(ls -A)" = "$inputs" ]
 }
 
 # ---- what cannot be replaced ----
@@ -130,8 +128,7 @@ voxelize -o loop-a
 refused 73 "$p loop-a: cannot be created: Too many levels of symbolic links"
 rm loop-a loop-b
 (umask 077 && "$BIN/bisque-voxelize" scan.tris -o new.nvdb --resolution 16 >"$out" 2>"$err")
-[ "$(stat -c %a new.nvdb)" = 600 ]
-check "a new output has the mode that the umask leaves" $?
+holds "a new output has the mode that the umask leaves" [ "$(stat -c %a new.nvdb)" = 600 ]
 rm new.nvdb
 none_left
 
@@ -143,8 +140,7 @@ none_left
 echo old >a.nvdb
 run bisque-voxelize scan.tris -o a.nvdb --resolution 400 --vdb a.vdb --memory 64M --threads 1
 code 71
-[ "$(cat a.nvdb)" = old ]
-check "the old grid stays if the export fails" $?
+holds "the old grid stays if the export fails" [ "$(cat a.nvdb)" = old ]
 rm a.nvdb
 none_left
 
@@ -154,8 +150,7 @@ for name in .a.nvdb.backup.tmp .a.nvdb.abc123.tmp .a.nvdb.0123456789ab.tmp .a.nv
     echo "a user's" >$name
     voxelize -o a.nvdb
     code 0
-    [ "$(cat $name)" = "a user's" ]
-    check "$name is not removed" $?
+    holds "$name is not removed" [ "$(cat $name)" = "a user's" ]
     rm $name
 done
 rm a.nvdb
@@ -183,8 +178,7 @@ few()
         }
     done
     code 0
-    [ "$limit" -gt 4 ]
-    check "some limit was too small: $command" $?
+    holds "some limit was too small: $command" [ "$limit" -gt 4 ]
 }
 few bisque-voxelize scan.obj -o a.nvdb --resolution 48 --no-tris --threads 2
 same a.nvdb scan.nvdb

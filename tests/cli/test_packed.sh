@@ -64,8 +64,7 @@ kill -TERM $!
 wait $! || code=$?
 late=$((($(date +%s%N) - sent) / 1000000))
 refused 75 "$p interrupted"
-[ "$late" -lt 2000 ]
-check "it ended after $late ms" $?
+holds "it ended after $late ms" [ "$late" -lt 2000 ]
 mkfifo low.obj
 run bisque-bake plain.nvdb low.obj --maps normal -o map.exr
 refused 66 "bisque-bake: low.obj: not a regular file"
@@ -98,8 +97,7 @@ refused 65 "$p twice.gz: cannot read a file packed by gzip twice: unpack it firs
 gzip -c plain.nvdb >grid.gz
 $vox grid.gz -o cut.nvdb
 code 65
-[ ! -e cut.nvdb ]
-check "no output" $?
+holds "no output" [ ! -e cut.nvdb ]
 
 # ---- other formats ----
 
@@ -177,8 +175,7 @@ record()
     rm -f job.*
     command="bisque-voxelize - <$1, which fails after sorting" code=0
     "$BIN/bisque-voxelize" - --voxel-size 1e-7 -o job.nvdb <"$1" >"$out" 2>"$err" || code=$?
-    [ -e job.tris.job ]
-    check "the record is there" $?
+    holds "the record is there" [ -e job.tris.job ]
 }
 record scan.obj.gz
 "$BIN/bisque-voxelize" - --resolution 24 --resume --json -o job.nvdb <scan.obj.gz >"$out" \

@@ -1,6 +1,5 @@
 #!/bin/sh
 # test_parts.sh - several chunk files as one scan: the voxels of a scan that was sorted whole.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 need_oracle
 p=bisque-voxelize:
@@ -116,8 +115,7 @@ for columns in '0 48 ball' '0 15 p1' '15 31 p2' '31 48 p3'; do
     write_ball "$1" "$2" >"$3.obj"
     ok run bisque-voxelize "$3.obj" --resolution 8 -o x.nvdb --tris "$3.tris"
 done
-[ "$(od -An -v -t x1 -j 48 -N 24 p1.tris)" != "$(od -An -v -t x1 -j 48 -N 24 p2.tris)" ]
-check "the origins of the parts differ" $?
+holds "the origins of the parts differ" [ "$(od -An -v -t x1 -j 48 -N 24 p1.tris)" != "$(od -An -v -t x1 -j 48 -N 24 p2.tris)" ]
 ok $vox ball.tris -o ball.nvdb --json
 jq -c '[.grid.voxels, .grid.index_min, .grid.index_max]' "$out" >whole.json
 ok $vox p1.tris p2.tris p3.tris -o ball_parts.nvdb --json
@@ -164,8 +162,7 @@ for inputs in "a.tris b.obj c.tris" "b.obj c.tris a.tris --threads 1 --memory 60
     ok $vox $inputs -o other.nvdb --json
     json '.scan.triangles == 960 and .tris_path == null'
     same parts.nvdb other.nvdb
-    [ ! -e other.tris ]
-    check "no chunk file has the name of the whole" $?
+    holds "no chunk file has the name of the whole" [ ! -e other.tris ]
 done
 command='bisque-voxelize a.tris - c.tris' code=0
 "$BIN/bisque-voxelize" --resolution 300 a.tris - c.tris -o other.nvdb <b.obj >"$out" 2>"$err" || code=$?
@@ -213,10 +210,8 @@ code 66
 cp a.tris victim.tris
 $vox a.tris victim.tris -o victim.tris
 code 64
-cmp -s a.tris victim.tris
-check "an input is not overwritten" $?
-[ ! -e y.nvdb ]
-check "no output" $?
+holds "an input is not overwritten" cmp -s a.tris victim.tris
+holds "no output" [ ! -e y.nvdb ]
 
 # ---- a noisy scan: which records its voxels have depends neither on parts nor on the order of faces ----
 
@@ -263,8 +258,7 @@ for normals in smooth flat; do
         ok run bisque-bake $grid.nvdb low.obj --size 128 --samples 1 --sampling nearest --two-sided \
             --maps normal,color,position --type float --front 1 --back 1 -o "${grid}_<MAP>.exr"
     done
-    [ "$(sed -n 's/^second_records //p' noisy.counts)" -gt 100 ]
-    check "$normals normals: many voxels have two records" $?
+    holds "$normals normals: many voxels have two records" [ "$(sed -n 's/^second_records //p' noisy.counts)" -gt 100 ]
     for grid in reversed halves; do
         same noisy.counts $grid.counts
         ok run bisque-compare --type normal noisy_normal.exr ${grid}_normal.exr --max-error 0.05
@@ -283,19 +277,15 @@ for part in vertex red; do
 done
 plain='no vertex colours, so what has no texture is white; other parts of the scan have vertex colours; parts like this: 2'
 ok $vox vertex.tris b.tris c.tris -o white.nvdb --strict
-grep -Eqx "$p warning: [bc].tris: $plain" "$err"
-check "warning of white parts" $?
+holds "warning of white parts" grep -Eqx "$p warning: [bc].tris: $plain" "$err"
 lost='red.tris: colours of materials are not used, because other parts of the scan have vertex colours; parts like this: 1'
 ok $vox vertex.tris red.tris -o lost.nvdb
-[ "$(cat "$err")" = "$p warning: $lost" ]
-check "warning of lost colours" $?
+holds "warning of lost colours" [ "$(cat "$err")" = "$p warning: $lost" ]
 $vox vertex.tris red.tris -o strict.nvdb --strict
 refused 65 "$p $lost"
 ok run bisque-bake vertex.tris red.tris low.obj --size 16 --samples 1 --front 1 --back 1 -o 'lost_<MAP>.png'
-[ "$(grep -c 'colours of materials are not used' "$err")" -eq 1 ]
-check "a bake that chooses its maps warns once" $?
+holds "a bake that chooses its maps warns once" [ "$(grep -c 'colours of materials are not used' "$err")" -eq 1 ]
 ok $vox red.tris b.tris -o red.nvdb
-[ ! -s "$err" ]
-check "no warning of materials alone" $?
+holds "no warning of materials alone" [ ! -s "$err" ]
 
 finish

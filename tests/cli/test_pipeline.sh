@@ -3,7 +3,6 @@
 # its analytic normals and colours; the bunny and Spot, if SCANS is a folder with them, with exact
 # rays.
 SCANS=$(cd "${SCANS:-../shared/scans}" 2>/dev/null && pwd) || SCANS=
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
 # truth NAME CHECKER ARGUMENT...: the results are within the checker's limits.

@@ -1,6 +1,5 @@
 #!/bin/sh
 # test_placement.sh - --scale, --up and --translate: the grid of a scan that was moved by its writer.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 p=bisque-voxelize:
 vox="run bisque-voxelize --resolution 40 --no-tris"
@@ -127,8 +126,7 @@ refused 64 "$p --translate is given 2 times for 1 file: give it once, or once fo
 # ---- resuming needs the same place ----
 
 run bisque-voxelize plain.obj --scale 4 --voxel-size 1e-7 -o job.nvdb
-[ -e job.tris.job ]
-check "the record is there" $?
+holds "the record is there" [ -e job.tris.job ]
 run bisque-voxelize plain.obj --scale 2 --resolution 40 -o job.nvdb --resume
 refused_like 64 "^$p job.tris was made from scale 4, up unchanged, translate 0,0,0, not from scale 2, up unchanged, .*: this job cannot be resumed\$"
 run bisque-voxelize plain.obj --scale 4 --up z --resolution 40 -o job.nvdb --resume
@@ -171,6 +169,5 @@ run bisque-voxelize plain.obj --parse-only --up y
 code 64
 $vox plain.obj --scale 1e300 --translate 0,0,0 -o bad.nvdb
 code 65
-[ ! -e bad.nvdb ]
-check "no output" $?
+holds "no output" [ ! -e bad.nvdb ]
 finish

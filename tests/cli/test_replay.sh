@@ -1,6 +1,5 @@
 #!/bin/sh
 # test_replay.sh - runs each fuzz target on its seeds and on inputs that failed before.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 corpus=$(cd "$(dirname "$0")/../fuzz/corpus" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 for directory in "$corpus"/*/; do

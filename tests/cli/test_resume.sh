@@ -1,6 +1,5 @@
 #!/bin/sh
 # test_resume.sh - --resume: what a job had finished when it was killed is used again, and only for the same job.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
 p=bisque-voxelize:
@@ -11,8 +10,7 @@ stopped()
 {
     command="bisque-voxelize $*" code=0
     (ulimit -f 200 && exec "$BIN/bisque-voxelize" "$@") >"$out" 2>"$err" || code=$?
-    [ "$code" -eq 74 ]
-    check "stopped after sorting" $?
+    holds "stopped after sorting" [ "$code" -eq 74 ]
 }
 
 write_box >box.obj
@@ -165,14 +163,12 @@ while [ $tries -lt 1000 ] && [ ! -e vase.tris.job ]; do
 done
 kill -9 $!
 wait $! 2>/dev/null
-[ ! -e vase.nvdb ]
-check "killed before the grid was there" $?
+holds "killed before the grid was there" [ ! -e vase.nvdb ]
 ok $voxelize vase.obj -o vase.nvdb --resolution 1500 --resume --json
 json .resumed
 same vase.nvdb whole.nvdb
 same vase.tris whole.tris
-[ ! -e vase.tris.job ]
-check "the record is gone" $?
+holds "the record is gone" [ ! -e vase.tris.job ]
 
 # ---- usage ----
 

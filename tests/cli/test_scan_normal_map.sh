@@ -1,7 +1,6 @@
 #!/bin/sh
 # test_scan_normal_map.sh - tangent-space normal maps of scans: values by formula in maps from grids
 # and triangles, from an image and from materials, tasks, and what is refused.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 . "$top/tests/cli/texture_lib.sh"
 vox="run bisque-voxelize --resolution 160" bake="run bisque-bake --size 48 --maps normal --normal-space object"
@@ -13,8 +12,7 @@ printf 'newmtl left\nnorm tilt.png\nnewmtl right\nPr 1\n' >two.mtl
 
 for scan in plane left_plane; do
     ok $vox $scan.obj --scan-normal-map tilt.png -o $scan.nvdb
-    [ ! -s "$err" ]
-    check "no message about the normal map of $scan" $?
+    holds "no message about the normal map of $scan" [ ! -s "$err" ]
     for surface in nvdb tris; do
         ok $bake $scan.$surface low.obj -o n_${scan}_$surface.png
     done
@@ -30,14 +28,11 @@ json '.encodings.height.range < 0.1 / 160'
 # An image that is given later does the same.
 ok $vox plane.obj --channels coat=three.png --tris later.tris -o plain.nvdb
 ok $bake later.tris low.obj --scan-normal-map tilt.png -o n_later.png
-cmp -s n_later.png n_plane_tris.png
-check "bisque-bake adds the image alike" $?
+holds "bisque-bake adds the image alike" cmp -s n_later.png n_plane_tris.png
 ok $vox later.tris --scan-normal-map tilt.png -o later.nvdb
-cmp -s later.nvdb plane.nvdb
-check "bisque-voxelize adds the image to a chunk file alike" $?
+holds "bisque-voxelize adds the image to a chunk file alike" cmp -s later.nvdb plane.nvdb
 ok $vox later.tris --channels coat -o without.nvdb
-cmp -s without.nvdb plain.nvdb
-check "without the image there is none" $?
+holds "without the image there is none" cmp -s without.nvdb plain.nvdb
 
 # ---- tasks ----
 
@@ -45,15 +40,13 @@ ok $bake later.tris low.obj --scan-normal-map tilt.png --tasks 2 --write-plan n.
 for part in '--task 0-1' --merge; do
     ok run bisque-bake --plan n.json $part
 done
-cmp -s n_plane_tris.png n_tasks.png
-check "tasks give the bytes of normals with the scan's map" $?
+holds "tasks give the bytes of normals with the scan's map" cmp -s n_plane_tris.png n_tasks.png
 
 # ---- materials ----
 
 ok $vox two.obj --channels normal_map -o two.nvdb --threads 1
 ok $vox two.tris -o two_again.nvdb --threads 2
-cmp -s two.nvdb two_again.nvdb
-check "a chunk file keeps its normal map" $?
+holds "a chunk file keeps its normal map" cmp -s two.nvdb two_again.nvdb
 for surface in nvdb tris; do
     ok $bake two.$surface low.obj -o two_$surface.png
     values two_$surface.png half_tilted 0.0002
@@ -74,8 +67,7 @@ $maps gltf two.obj || exit 1
 jq '.images += [{"uri": "tilt.png"}] | .textures += [{"source": 3}] |
     .materials[0].normalTexture = (.materials[0].occlusionTexture | .index = 3)' two.gltf >map.gltf
 ok $vox map.gltf --channels normal_map -o map.nvdb
-[ ! -s "$err" ]
-check "no warning about the normal map of a glTF file" $?
+holds "no warning about the normal map of a glTF file" [ ! -s "$err" ]
 ok $bake map.tris low.obj -o map.png
 values map.png half_tilted 0.00003
 jq '.materials[0].normalTexture.scale = 0.5' map.gltf >scaled.gltf

@@ -63,8 +63,7 @@ for kind in nvdb tris; do
     # The voxels at an edge reach over it, by up to a texel here.
     run bisque-compare both_color.exr merged.exr --max-error 0.01
     [ $kind = nvdb ] || code 0
-    grep -Eq 'share above 1: (0|3.125) %' "$out"
-    check "only a column at the edge differs" $?
+    holds "only a column at the edge differs" grep -Eq 'share above 1: (0|3.125) %' "$out"
     # Above each other: the nearer one wins without a cage, the outer one from a cage.
     $bake $size --maps color left.$kind low.obj -o near.exr $rays
     $bake $size --maps color above.$kind low.obj -o far.exr $rays
@@ -90,8 +89,7 @@ for scans in "left.nvdb right.nvdb above.nvdb" "left.tris right.tris above.tris"
     for map in normal color mask height position curvature; do
         same one_$map.exr other_$map.exr
     done
-    grep -aq 'bisque:scans.*above.* left.* right' one_color.exr
-    check "the map names its scans" $?
+    holds "the map names its scans" grep -aq 'bisque:scans.*above.* left.* right' one_color.exr
 done
 
 small="--device cpu --size 8 --maps normal --view count=1"
@@ -169,8 +167,7 @@ refused_like 65 "^$p: plain\.nvdb has no colour; leave color out of --maps"
 ok $bake $size left.nvdb plain.nvdb wide.obj -o default.exr --json
 json '.maps | keys == ["normal"]'
 lost="plain.nvdb has no colour, and other scans have: no map color is baked"
-[ "$(grep -c "^$p: warning: $lost\$" "$err")" -eq 1 ]
-check "one warning tells that colours get lost" $?
+holds "one warning tells that colours get lost" [ "$(grep -c "^$p: warning: $lost\$" "$err")" -eq 1 ]
 $bake $size left.nvdb plain.nvdb wide.obj -o x.exr --strict
 refused 65 "$p: $lost"
 mkdir ids
@@ -188,7 +185,6 @@ $bake $size --sampling nearest left.nvdb left.tris wide.obj -o x.exr
 code 64
 $bake $size left.nvdb right.nvdb low.obj -o left.nvdb
 code 64
-[ ! -e x.exr ]
-check "no map is left" $?
+holds "no map is left" [ ! -e x.exr ]
 
 finish

@@ -2,7 +2,6 @@
 # test_threads.sh - the programs write the same bytes on one thread and on eight: both stages of a
 # textured scan with several chunks and regions, previews, comparisons. With config=tsan it finds
 # races.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
 "$TESTS/generate-scan" --triangles 100000 --uvs vase -o vase.obj
@@ -34,10 +33,8 @@ done
 for name in $(cat names); do
     same 1/$name 8/$name
 done
-[ "$(wc -l <names)" -eq 18 ]
-check "all files were compared: $(tr '\n' ' ' <names)" $?
+holds "all files were compared: $(tr '\n' ' ' <names)" [ "$(wc -l <names)" -eq 18 ]
 # The files are not empty: a share of texels was hit, and the colours are those of the texture.
 cmp -s 1/nvdb_normal.exr 1/tris_normal.exr
-[ $? -eq 1 ]
-check "the grid's map is not that of the triangles" $?
+holds "the grid's map is not that of the triangles" [ $? -eq 1 ]
 finish

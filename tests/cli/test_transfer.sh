@@ -1,7 +1,6 @@
 #!/bin/sh
 # test_transfer.sh - maps of further textures of a scan: values by formula, colour or data, tasks,
 # the same bytes for any threads, budget and tiles, and what is refused.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 need_oracle
 . "$top/tests/cli/texture_lib.sh"
@@ -22,8 +21,7 @@ values t_roughness.png ramp 0.00003
 values t_metallic.png slope 0.002
 values t_emission.png light 0.00003
 values t_coat.png three 0.00003
-cmp -s t_color.png t_emission.png
-check "a transferred colour is that of the map color" $?
+holds "a transferred colour is that of the map color" cmp -s t_color.png t_emission.png
 
 ok $bake plane.tris low.obj --maps transfer:roughness --texture roughness=ramp.png -o one.png --type 8
 values one.png ramp 0.004
@@ -63,8 +61,7 @@ map_Kd $moved
 map_Ps none.png
 END
 ok $vox two.obj --channels id,roughness,metallic,emission,coat=three.png -o two.nvdb
-[ ! -s "$err" ]
-check "no message about channels that nobody asked for" $?
+holds "no message about channels that nobody asked for" [ ! -s "$err" ]
 ok run bisque-voxelize --verify two.tris
 ok oracle read_file two.tris
 ok $bake two.tris low.obj --maps id,color,$four -o 'two_<MAP>.png'
@@ -112,8 +109,7 @@ $maps gltf two.obj || exit 1
 pbr=transfer:roughness,transfer:metallic,transfer:emission,transfer:occlusion
 for scan in pbr.obj two.gltf; do
     ok $vox $scan --channels roughness,metallic,emission,occlusion -o pbr.nvdb
-    [ ! -s "$err" ]
-    check "no warning about channels of $scan" $?
+    holds "no warning about channels of $scan" [ ! -s "$err" ]
     ok $bake pbr.tris low.obj --maps $pbr -o "pbr_$scan.<MAP>.png"
     values pbr_$scan.roughness.png pbr_rough 0.00003
     values pbr_$scan.metallic.png two_metal 0.00003
@@ -129,8 +125,7 @@ jq '(.materials[0].occlusionTexture.texCoord) = 1 | .materials[1].occlusionTextu
     .materials[0].emissiveTexture.extensions.KHR_texture_transform.rotation = 0.5 |
     .materials[0].emissiveFactor = [0, 0, 0]' two.gltf >odd.gltf
 ok $vox odd.gltf --channels metallic,emission -o odd.nvdb
-[ ! -s "$err" ]
-check "no warning about channels that nobody asked for, or are black" $?
+holds "no warning about channels that nobody asked for, or are black" [ ! -s "$err" ]
 ok $vox odd.gltf --channels roughness,occlusion -o odd.nvdb
 grep -q 'material "left": roughness: its texture has a factor, which is not used$' "$err" &&
     grep -q 'material "left": occlusion: its texture has other texture coordinates .* (the same or similar for other' "$err"
@@ -169,8 +164,7 @@ if [ -s "$(ls "$BIN"/../gen/kernel-*.ptx 2>/dev/null | head -n 1)" ]; then
         LD_LIBRARY_PATH=$TESTS/fake ok $bake fine.nvdb low.obj --maps $four --device cuda \
             --gpu-memory $memory -o 'cuda_<MAP>.png'
         for map in roughness metallic emission coat; do
-            cmp -s fine_$map.png cuda_$map.png
-            check "$map from a device with $memory" $?
+            holds "$map from a device with $memory" cmp -s fine_$map.png cuda_$map.png
         done
     done
 fi
@@ -178,8 +172,7 @@ fi
 # From the chunk file, with other threads and budgets, a grid has the same bytes.
 ok $vox --resolution 160 two.tris --channels metallic,coat,emission,roughness -o again.nvdb --threads 1 \
     --memory 150M
-cmp -s fine.nvdb again.nvdb
-check "a grid with channels has the same bytes for any threads and budget" $?
+holds "a grid with channels has the same bytes for any threads and budget" cmp -s fine.nvdb again.nvdb
 $bake two.nvdb low.obj --maps transfer:sheen -o x.png
 refused_like 65 'two.nvdb has no channel sheen: make it with bisque-voxelize --channels sheen'
 run bisque-voxelize --resolution 40 two.tris --channels sheen -o x.nvdb
@@ -215,16 +208,14 @@ printf 'newmtl tiles\nmap_Kd udim.<UDIM>.png\n' >udim.mtl
 cp udim.1001.png uv_u1_v1.png
 cp udim.1002.png uv_u2_v1.png
 ok $vox udim2.obj --channels 'emission=uv_<UVTILE>.png' -o udim2.nvdb
-[ ! -s "$err" ]
-check "no message about tiles that nobody needs" $?
+holds "no message about tiles that nobody needs" [ ! -s "$err" ]
 for scan in tris nvdb; do
     ok $bake udim2.$scan low.obj --maps color -o udim_$scan.png
 done
 values udim_tris.png two_tiles_light 0.001 # footprints are wider than a texel
 values udim_nvdb.png two_tiles_light 0.02
 ok $bake udim2.tris low.obj --maps transfer:emission -o udim_e.png
-cmp -s udim_e.png udim_tris.png
-check "<UVTILE> is another name of the tiles" $?
+holds "<UVTILE> is another name of the tiles" cmp -s udim_e.png udim_tris.png
 # Tokens stand anywhere in the path.
 mkdir -p tiles/1001 tiles/1002
 cp udim.1001.png tiles/1001/u1_v1.png
@@ -233,19 +224,16 @@ printf 'newmtl tiles\nmap_Kd tiles/<UDIM>/<UVTILE>.png\n' >folders.mtl
 sed 's/udim.mtl/folders.mtl/' udim2.obj >folders.obj
 ok $vox folders.obj -o folders.nvdb --strict
 ok $bake folders.tris low.obj --maps color -o folders.png
-cmp -s folders.png udim_tris.png
-check "tokens in folders and names" $?
+holds "tokens in folders and names" cmp -s folders.png udim_tris.png
 ok $vox udim3.obj -o udim3.nvdb
 told='udim.<UDIM>.png: 1 tile has no file that can be read: 1003; the scan is black there'
 [ "$(grep -c "$told" "$err")" = 1 ] && [ "$(wc -l <"$err")" = 1 ]
 check "the tile that is missing is told once" $?
 $bake udim3.tris low.obj --maps color -o udim3.png --strict
 code 65
-grep -q "$told" "$err"
-check "and refused by a strict job" $?
+holds "and refused by a strict job" grep -q "$told" "$err"
 ok $vox udim3.obj --channels 'emission=udim.<UDIM>.png,a=udim.<UDIM>.png' -o udim3.nvdb
-[ "$(cat "$err")" = "bisque-voxelize: warning: $(pwd -P)/$told" ]
-check "also if it is missing for colours and for channels" $?
+holds "also if it is missing for colours and for channels" [ "$(cat "$err")" = "bisque-voxelize: warning: $(pwd -P)/$told" ]
 # Many missing tiles are one line. A damaged one is lost alone, whatever is wrong with it.
 awk '/^vt/ { $2 *= 20 } { print }' udim3.obj >udim60.obj
 ok $vox udim60.obj -o udim60.nvdb
@@ -267,20 +255,17 @@ for damage in fifo folder cut; do
     ok $vox bad.obj -o bad.nvdb
     same alone.nvdb bad.nvdb
     black='bad.<UDIM>.png: 1 tile has no file that can be read: 1002; the scan is black there'
-    grep -q "$black" "$err"
-    check "one tile: $damage" $?
+    holds "one tile: $damage" grep -q "$black" "$err"
 done
 grep -q 'bad.<UDIM>.png: 1 tile is not used; the first: .*bad.1002.png: ' "$err" &&
     [ "$(wc -l <"$err")" = 2 ]
 check "what is wrong with it" $?
 ok $bake bad.tris low.obj --maps color -o bad.png
-grep -q "$black" "$err"
-check "a bake tells of the tile too" $?
+holds "a bake tells of the tile too" grep -q "$black" "$err"
 head -c 60 udim.1002.png >bad.1001.png
 rm -r bad.1002.png
 ok $vox bad.obj -o bad.nvdb
-grep -q 'bad.1001.png: .*: material "tiles" goes without it' "$err"
-check "all tiles are damaged" $?
+holds "all tiles are damaged" grep -q 'bad.1001.png: .*: material "tiles" goes without it' "$err"
 # A texture whose first texel is not finite, for colours and for two channels.
 {
     printf 'PF\n16 16\n-1.0\n\0\0\300\177'
@@ -288,17 +273,14 @@ check "all tiles are damaged" $?
 } >broken.pfm
 broken='broken.pfm: texels that are not finite: 1; they count as 0'
 ok $vox plane.obj --texture broken.pfm --channels emission=broken.pfm,a=broken.pfm -o broken.nvdb
-[ "$(cat "$err")" = "bisque-voxelize: warning: $(pwd -P)/$broken" ]
-check "a damaged texture is told once" $?
+holds "a damaged texture is told once" [ "$(cat "$err")" = "bisque-voxelize: warning: $(pwd -P)/$broken" ]
 ok $bake broken.tris low.obj --maps color,transfer:emission,transfer:a -o 'broken_<MAP>.exr'
-[ "$(cat "$err")" = "bisque-bake: warning: $(pwd -P)/$broken" ]
-check "also by a bake" $?
+holds "also by a bake" [ "$(cat "$err")" = "bisque-bake: warning: $(pwd -P)/$broken" ]
 ok run bisque-voxelize plane.obj --texture broken.pfm -o sorted.tris --strict
 for job in "$vox sorted.tris -o x.nvdb" "$bake sorted.tris low.obj --maps color -o x.exr"; do
     $job --strict
     code 65
-    grep -q "$broken" "$err"
-    check "a job that uses the texels tells: $job" $?
+    holds "a job that uses the texels tells: $job" grep -q "$broken" "$err"
 done
 $vox udim2.obj --texture 'none.<UDIM>.png' -o x.nvdb
 refused_like 66 'none.<UDIM>.png: no tile of this texture exists'
@@ -311,15 +293,13 @@ for how in '--threads 1' '--memory 100M'; do
         cmp -s t_$map.png s_$map.png || echo "$map differs" >>differ
     done
 done
-[ ! -e differ ]
-check "maps have the same bytes with other options of the work" $?
+holds "maps have the same bytes with other options of the work" [ ! -e differ ]
 ok $bake plane.tris low.obj --maps color,$four $textures -o 'p_<MAP>.png' --tasks 2 --write-plan plan.json
 for step in '--task 0' '--task 1' '--merge'; do
     ok run bisque-bake --plan plan.json $step
 done
 for map in color roughness metallic emission coat; do
-    cmp -s t_$map.png p_$map.png
-    check "tasks give the bytes of $map" $?
+    holds "tasks give the bytes of $map" cmp -s t_$map.png p_$map.png
 done
 
 # ---- what is refused ----

@@ -1,6 +1,5 @@
 #!/bin/sh
 # test_unused.sh - options that have no effect on a bake are named, and those that have one are not.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
 "$TESTS/generate-scan" -n 2000 vase -o scan.obj
@@ -28,13 +27,11 @@ unused()
     # shellcheck disable=SC2086 # a value is a word
     bake --maps mask --device cpu -o map.exr $option $values
     code 0
-    [ "$(cat "$err")" = "bisque-bake: warning: $name has no effect: it needs $needs" ]
-    check "a warning of $name" $?
+    holds "a warning of $name" [ "$(cat "$err")" = "bisque-bake: warning: $name has no effect: it needs $needs" ]
     # shellcheck disable=SC2086
     bake --device cpu $option $values "$@"
     code 0
-    [ ! -s "$err" ]
-    check "none of $option beside $*" $?
+    holds "none of $option beside $*" [ ! -s "$err" ]
 }
 
 unused "the map height" --range height=1 -- --maps height -o map.png
@@ -59,8 +56,7 @@ nothing()
     needs=$1 option=$2 scan=$3
     shift 2
     ok run bisque-bake "$@" vase-low.obj --progress none --size 4 --samples 1 -o '<MAP>.exr'
-    [ "$(cat "$err")" = "bisque-bake: warning: $option has no effect: it needs $needs" ]
-    check "a warning of $option on $scan" $?
+    holds "a warning of $option on $scan" [ "$(cat "$err")" = "bisque-bake: warning: $option has no effect: it needs $needs" ]
 }
 for words in "--ao coarse=none" "--sampling trilinear" "--gpu-memory 1G"; do
     # shellcheck disable=SC2086 # an option and its value
@@ -68,8 +64,7 @@ for words in "--ao coarse=none" "--sampling trilinear" "--gpu-memory 1G"; do
     # shellcheck disable=SC2086
     ok run bisque-bake vase-high.tris vase-high.nvdb vase-low.obj --progress none --size 4 --samples 1 --maps ao \
         $words -o map.exr
-    [ ! -s "$err" ]
-    check "none of $words for a grid beside triangles" $?
+    holds "none of $words for a grid beside triangles" [ ! -s "$err" ]
 done
 nothing "triangles without normals" --scan-normals with.tris --scan-normals flat --two-sided
 nothing "triangles without normals" --scan-normals vase-high.nvdb --scan-normals smooth
@@ -77,22 +72,18 @@ nothing "--normal-space tangent" --green vase-high.nvdb --green up --normal-spac
 bake --scan-normals flat -o '<MAP>.exr'
 code 64
 ok run bisque-bake vase-high.tris vase-low.obj --progress none --size 4 --samples 1 --scan-normals flat -o '<MAP>.exr'
-[ ! -s "$err" ]
-check "none of --scan-normals for triangles without normals" $?
+holds "none of --scan-normals for triangles without normals" [ ! -s "$err" ]
 unused "a map other than mask" --padding 3 -- --maps mask,height -o '<MAP>.png'
 
 # An option that needs two others is named for the one that lacks.
 bake --maps mask --distance ao=1 --ao falloff=linear -o map.exr
 code 0
-[ "$(grep -c "has no effect: it needs the map ao or bent" "$err")" -eq 2 ]
-check "both options of ao" $?
+holds "both options of ao" [ "$(grep -c "has no effect: it needs the map ao or bent" "$err")" -eq 2 ]
 
 # A plan warns when it is written, and its tasks do not.
 bake --maps mask --rays ao=2 -o map.exr --tasks 1 --write-plan plan.json
 code 0
-grep -q "warning: --rays ao has no effect" "$err"
-check "a warning of the plan" $?
+holds "a warning of the plan" grep -q "warning: --rays ao has no effect" "$err"
 ok run bisque-bake --plan plan.json --task 0 --progress none
-[ ! -s "$err" ]
-check "none of the task" $?
+holds "none of the task" [ ! -s "$err" ]
 finish

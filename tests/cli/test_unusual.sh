@@ -14,8 +14,7 @@ while IFS=$tab read -r name warning; do
         [ "$(cat "$err")" = "${warning:+$p warning: $name:$warning}" ]
     check "$name: ${warning:-no warning}" $?
 done <cases
-[ "$(wc -l <cases)" -gt 60 ]
-check "there are cases" $?
+holds "there are cases" [ "$(wc -l <cases)" -gt 60 ]
 
 # What is no surface of polygons is an error with --strict.
 $vox surface.obj -o other.nvdb --strict

@@ -1,7 +1,6 @@
 #!/bin/sh
 # test_verify.sh - --verify of both programs: valid files, damage anywhere, other versions, and
 # files of other machines and programs.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/lib.sh"
 
 p=bisque-voxelize:
@@ -115,8 +114,7 @@ for file in box.tris box.nvdb; do
         $verify part
         [ "$code" -eq 65 ] || unseen="$unseen $length"
     done
-    [ -z "$unseen" ]
-    check "$file of any other length is refused${unseen:+, not$unseen}" $?
+    holds "$file of any other length is refused${unseen:+, not$unseen}" [ -z "$unseen" ]
 done
 
 # ---- files of other kinds: messages say what they are ----

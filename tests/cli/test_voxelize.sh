@@ -249,12 +249,10 @@ echo old >old.nvdb
 chmod 600 old.nvdb
 (umask 022 && "$BIN/bisque-voxelize" box.obj -o old.nvdb --resolution 24 --no-tris >"$out")
 same old.nvdb box.nvdb
-[ "$(stat -c %a old.nvdb)" = 600 ]
-check "permissions of a replaced file" $?
+holds "permissions of a replaced file" [ "$(stat -c %a old.nvdb)" = 600 ]
 rm old.nvdb
 (umask 022 && "$BIN/bisque-voxelize" box.obj -o old.nvdb --resolution 24 --no-tris >"$out")
-[ "$(stat -c %a old.nvdb)" = 644 ]
-check "permissions of a new file" $?
+holds "permissions of a new file" [ "$(stat -c %a old.nvdb)" = 644 ]
 rm old.nvdb
 
 # ---- progress ----
@@ -264,8 +262,7 @@ json '.grid.voxels > 0'
 jq -es 'length > 0 and all(has("stage") and has("unit") and .done <= .total)' "$err" >"$work/jq"
 check "progress as JSON lines" $?
 ok $vox box.obj -o a.nvdb --resolution 24 --progress bar
-grep -q "$(printf '\033')\\[K\$" "$err"
-check "the bar is taken away in the end" $?
+holds "the bar is taken away in the end" grep -q "$(printf '\033')\\[K\$" "$err"
 ok $vox box.obj -o a.nvdb --resolution 24 --progress percent
 [ ! -s "$err" ] && percentages 's/^Progress: \([0-9]*\)%$/\1/p'
 check "percentages on standard output rise from 0 to 100" $?
@@ -287,8 +284,7 @@ vertices=$(grep -c '^v ' colored.obj)
 ok $vox colored.obj -o colored.nvdb --resolution 24
 paint zbrush.obj "$vertices"
 ok $vox zbrush.obj -o zbrush.nvdb --resolution 24
-[ ! -s "$err" ]
-check "no warning of polypaint" $?
+holds "no warning of polypaint" [ ! -s "$err" ]
 same zbrush.nvdb colored.nvdb
 same zbrush.tris colored.tris
 # The comments may follow the faces.
@@ -305,8 +301,7 @@ same mixed.tris two.tris
 # Colours of vertices' own lines win.
 { cat colored.obj; grep '#MRGB' zbrush.obj | tr 0-9 9; } >both.obj
 ok $vox both.obj -o both.nvdb --resolution 24
-[ ! -s "$err" ]
-check "no warning where there are colours" $?
+holds "no warning where there are colours" [ ! -s "$err" ]
 same both.tris colored.tris
 # Colours that do not fit the vertices are not used.
 $vox box.obj -o plain.nvdb --resolution 24

@@ -1,7 +1,6 @@
 #!/bin/sh
 # check_openjd.sh - the templates for Open Job Description are valid, and openjd runs them: the maps
 # have the bytes of a single run. OPENJD is the command of openjd-cli.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 openjd=$(cd "$(dirname "${OPENJD:?is the command of openjd-cli}")" && pwd)/openjd || exit 1
 . "$(dirname "$0")/../cli/lib.sh"
 . "$top/tests/farm/parts.sh"

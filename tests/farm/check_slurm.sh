@@ -4,7 +4,6 @@
 # of one task, another task is requeued, a third runs twice at once. The grid and the maps have the
 # bytes of a single run.
 # SECONDS_LIMIT: the longest wait for a job.
-TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd) || exit 1
 . "$(dirname "$0")/../cli/lib.sh"
 . "$top/tests/farm/slurm_cluster.sh"
 . "$top/tests/farm/parts.sh"

@@ -1,12 +1,18 @@
-/* fixture.h - contexts and random seeds for the tests of all libraries. */
+/* fixture.h - contexts and random seeds for the tests of all libraries, and the headers of the
+ * system that most of them use. */
 #ifndef TEST_FIXTURE_H
 #define TEST_FIXTURE_H
 
+#include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
+#include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
 #ifdef __cplusplus
 extern "C" {
 #include <cmocka.h>

@@ -1,10 +1,6 @@
 /* test_context.c - errors, warnings, interruption, the memory budget, progress, octahedral normals.
  */
 #include <errno.h>
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <time.h>
 
 #include "base/context_internal.h"

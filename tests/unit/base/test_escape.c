@@ -1,6 +1,4 @@
 /* test_escape.c - text that reaches terminals and logs. */
-#include <string.h>
-
 #include "base/escape.h"
 #include "tests/unit/test.h"
 

@@ -1,9 +1,5 @@
 /* test_file_part.c - parts of files that have names of their own. */
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <sys/stat.h>
-#include <unistd.h>
 
 #include "base/file_part.h"
 #include "tests/unit/test.h"

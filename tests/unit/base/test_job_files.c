@@ -1,13 +1,8 @@
 /* test_job_files.c - inputs that are changed under way, and outputs that are inputs. */
 #include <fcntl.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/un.h>
-#include <unistd.h>
 
 #include "base/job_files.h"
 #include "base/output.h"

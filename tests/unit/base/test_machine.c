@@ -1,6 +1,4 @@
 /* test_machine.c - limits of control groups, from files as systems and containers show them. */
-#include <stdio.h>
-#include <string.h>
 #include <sys/stat.h>
 
 #include "base/context_internal.h"

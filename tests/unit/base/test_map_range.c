@@ -1,8 +1,6 @@
 /* test_map_range.c - what the signal handler of base/map.c finds while another thread reuses an
  * entry of its list. The moment is too short to be met from outside, so this includes the source.
  */
-#include <stdint.h>
-
 #include "base/map.c"
 #include "tests/unit/test.h"
 

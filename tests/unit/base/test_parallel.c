@@ -1,11 +1,7 @@
 /* test_parallel.c - loops and pipelines with 1 to 8 threads, random work, failures at every stage.
  */
 #include <stdatomic.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <time.h>
-#include <unistd.h>
 
 #include "base/parallel.h"
 #include "tests/unit/test.h"

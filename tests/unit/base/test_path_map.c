@@ -1,9 +1,6 @@
 /* test_path_map.c - rules that replace the beginnings of paths. */
 #include "tests/unit/test.h"
 
-#include <stdlib.h>
-#include <string.h>
-
 #include "base/path_map.h"
 
 static void expect(struct bsq_ctx *ctx, const char *name, const char *path)

@@ -1,9 +1,4 @@
 /* test_polygon.c - triangles cover their polygon, with its orientation, for any simple polygon. */
-#include <math.h>
-#include <stdbool.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "base/polygon.h"
 #include "tests/unit/test.h"
 

@@ -2,8 +2,6 @@
 #include "base/positions.h"
 #include "tests/unit/test.h"
 
-#include <stdlib.h>
-
 enum { KNOWN = 300, OTHERS = 203 };
 
 /* Returns one of few positions, so that many are equal. Some have -0 for 0. */

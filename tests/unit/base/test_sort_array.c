@@ -3,7 +3,6 @@
 #include "tests/unit/test.h"
 
 #include <malloc.h>
-#include <stdlib.h>
 
 /* Items of more than the 64 bytes that are swapped at a time. */
 struct item {

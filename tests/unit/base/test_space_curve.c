@@ -1,6 +1,4 @@
 /* test_space_curve.c - both curves number each cell of a cube once, in their documented order. */
-#include <stdlib.h>
-
 #include "base/space_curve.h"
 #include "tests/unit/test.h"
 

@@ -1,9 +1,6 @@
 /* test_tile_files.c - which files are tiles of a texture. */
 #include <fcntl.h>
-#include <stdio.h>
-#include <string.h>
 #include <sys/stat.h>
-#include <unistd.h>
 
 #include "base/tile_files.h"
 #include "tests/unit/test.h"

@@ -5,12 +5,6 @@
  * If later allocations fail too, the job mostly ends at the first. So only every fourth allocation
  * is tried in this way, unless LONG is set. */
 #include <dirent.h>
-#include <math.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
 #include <zlib.h>
 #include <zstd.h>
 

@@ -1,7 +1,4 @@
 
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 
 #include "tests/unit/fixture.h"
 #include "tests/unit/formats/scratch.h"

@@ -1,12 +1,6 @@
 /* test_counts.c - counts and offsets near and far above 2^32. Writing billions of triangles takes
  * too long for a test, so counts are set in the state of writers. The chunk writer's state is
  * private, so its source is included here. */
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
-
 #include "formats/grid/nvdb_writer_internal.h"
 #include "formats/chunks/tris_write.c"
 #include "tests/unit/test.h"

@@ -1,12 +1,5 @@
 /* test_bake.c - whole bakes of a wavy sheet, compared with the formula of its normals and colours.
  */
-#include <math.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
-
 #include "formats/image/exr_read.h"
 #include "libbake/bake.h"
 #include "tests/unit/test.h"

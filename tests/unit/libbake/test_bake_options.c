@@ -2,9 +2,6 @@
  * all members, and its rows agree with themselves. */
 #include "tests/unit/test.h"
 
-#include <math.h>
-#include <string.h>
-
 #include "libbake/bake.h"
 
 static void cover(unsigned char *bytes, size_t offset, size_t count)

@@ -1,10 +1,6 @@
 /* test_bake_values.c - maps of lengths and positions: a sphere is baked onto a smaller sphere of
  * facets, from voxels and from triangles, and compared with the formula. */
-#include <math.h>
 #include <png.h>
-#include <stdio.h>
-#include <string.h>
-#include <unistd.h>
 
 #include "formats/image/exr_read.h"
 #include "formats/image/image_writer.h"

@@ -2,9 +2,6 @@
 #include "tests/unit/fixture.h"
 #include "tests/unit/libbake/triangle_scan.h"
 
-#include <stdlib.h>
-#include <string.h>
-
 struct triangle_scan triangle_scan_new(uint32_t vertices, uint32_t triangles)
 {
     return (struct triangle_scan){.vertex_count = vertices,

@@ -1,10 +1,6 @@
 #include "scan_fixture.h"
 #include "tests/unit/fixture.h"
 
-#include <math.h>
-#include <stdlib.h>
-#include <string.h>
-
 static void *must_alloc(uint64_t count, uint64_t size)
 {
     void *memory = calloc(count ? count : 1, size);

@@ -1,12 +1,6 @@
 #include "sort_fixture.h"
 #include "tests/unit/fixture.h"
 
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
-
 /* ---- fixture ---- */
 
 static void keep_warning(void *user, const char *line)

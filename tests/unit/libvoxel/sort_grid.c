@@ -2,11 +2,6 @@
 #include "base/octahedral.h"
 #include "tests/unit/fixture.h"
 
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 uint32_t sort_random(uint64_t *seed)
 {
     *seed = *seed * 6364136223846793005u + 1442695040888963407u;

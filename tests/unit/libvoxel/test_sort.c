@@ -3,11 +3,6 @@
 #include "sort_grid.h"
 #include "tests/unit/test.h"
 
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #define FIXTURE_TEST(name) TEST_EACH(name, sort_set_up, sort_tear_down)
 
 /* ---- every triangle, once ---- */

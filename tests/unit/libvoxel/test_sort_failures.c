@@ -3,10 +3,6 @@
 #include "sort_grid.h"
 #include "tests/unit/test.h"
 
-#include <stdio.h>
-#include <string.h>
-#include <unistd.h>
-
 #define FIXTURE_TEST(name) TEST_EACH(name, sort_set_up, sort_tear_down)
 
 /* ---- bad input ---- */

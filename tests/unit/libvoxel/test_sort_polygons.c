@@ -4,10 +4,6 @@
 #include "sort_grid.h"
 #include "tests/unit/test.h"
 
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #define FIXTURE_TEST(name) TEST_EACH(name, sort_set_up, sort_tear_down)
 
 enum {

@@ -4,9 +4,6 @@
 #include "formats/file_kind.h"
 #include "tests/unit/test.h"
 
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
 #include <xxhash.h>
 
 #define FIXTURE_TEST(name) TEST_EACH(name, tris_setup, tris_teardown)

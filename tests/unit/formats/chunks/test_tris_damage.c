@@ -6,11 +6,7 @@
 #include "tests/unit/test.h"
 
 #include <fcntl.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <sys/stat.h>
-#include <unistd.h>
 #include <xxhash.h>
 
 #define FIXTURE_TEST(name) TEST_EACH(name, tris_setup, tris_teardown)

@@ -1,10 +1,6 @@
 #include "tris_samples.h"
 #include "tests/unit/fixture.h"
 
-#include <stdio.h>
-#include <stdlib.h>
-#include <unistd.h>
-
 static uint32_t next(uint64_t *seed)
 {
     *seed = *seed * 6364136223846793005u + 1442695040888963407u;

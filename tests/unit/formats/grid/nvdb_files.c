@@ -1,8 +1,4 @@
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
 #include <sys/stat.h>
-#include <unistd.h>
 
 #include "tests/unit/fixture.h"
 #include "tests/unit/formats/grid/nvdb_files.h"

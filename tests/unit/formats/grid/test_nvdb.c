@@ -1,12 +1,6 @@
 /* test_nvdb.c - compares written grids with a plain list of voxels, and runs NanoVDB's tools on
  * them.
  */
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
-
 #include "formats/grid/nvdb_writer_internal.h"
 #include "tests/unit/test.h"
 #include "tests/unit/formats/grid/nvdb_files.h"

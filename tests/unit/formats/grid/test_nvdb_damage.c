@@ -1,9 +1,4 @@
 /* test_nvdb_damage.c - grid files that are truncated, changed, forged or of another kind. */
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
 #include <xxhash.h>
 
 #include "formats/grid/nvdb_writer_internal.h"

@@ -1,10 +1,6 @@
 /* test_nvdb_writer.c - regions in parts, wrong regions, too many regions, and outputs that cannot
  * be written. */
-#include <stdint.h>
-#include <stdio.h>
-#include <string.h>
 #include <sys/syscall.h>
-#include <unistd.h>
 
 #include "formats/grid/nvdb_writer_internal.h"
 #include "tests/unit/test.h"

@@ -2,14 +2,7 @@
  * tests exact rounding to half and damaged files. */
 #include <ImfCRgbaFile.h>
 #include <fcntl.h>
-#include <math.h>
-#include <stdbool.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <sys/stat.h>
-#include <unistd.h>
 #include <zlib.h>
 
 #include "base/job_files.h"

@@ -1,12 +1,6 @@
 /* test_png.c - reads PNG files with libpng; compares colours with the sRGB formula, and dithered
  * samples with the mean that they must keep. */
-#include <math.h>
 #include <png.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
 
 #include "formats/image/image_writer.h"
 #include "tests/unit/test.h"

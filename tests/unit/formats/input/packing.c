@@ -2,8 +2,6 @@
 #include "tests/unit/fixture.h"
 #include "tests/unit/formats/input/packing.h"
 
-#include <stdlib.h>
-#include <string.h>
 #include <zlib.h>
 #include <zstd.h>
 

@@ -1,9 +1,5 @@
 /* test_unpack.c - gzip and Zstandard streams: members side by side in pieces of every size, every
  * truncation, every damaged byte, and how much memory they may ask for. */
-#include <stdlib.h>
-#include <stdio.h>
-#include <string.h>
-
 #include "formats/input/unpack.h"
 #include "tests/unit/formats/input/packing.h"
 #include "tests/unit/test.h"

@@ -1,8 +1,4 @@
 /* test_utf16.c - text in UTF-16 with a byte order mark is read as UTF-8. */
-#include <stdint.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
 #include "tests/unit/test.h"

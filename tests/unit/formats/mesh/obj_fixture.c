@@ -1,6 +1,4 @@
 
-#include <stdlib.h>
-#include <string.h>
 
 #include "formats/mesh/mesh_format.h"
 #include "tests/unit/fixture.h"

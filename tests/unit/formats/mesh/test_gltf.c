@@ -1,9 +1,4 @@
 /* test_gltf.c - the glTF reader on every kind of element, node and buffer. */
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "tests/unit/formats/mesh/gltf_builder.h"
 #include "tests/unit/test.h"
 

@@ -1,8 +1,4 @@
 /* test_gltf_damage.c - the glTF reader's messages for wrong files, and damaged files. */
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <sys/stat.h>
 
 #include "tests/unit/formats/mesh/gltf_builder.h"

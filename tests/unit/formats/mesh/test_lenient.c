@@ -1,11 +1,6 @@
 /* test_lenient.c - what mesh files have without meaning: numbers that are not finite, attributes
  * that do not exist, names in other spellings. It is missing, and a warning names the first place.
  */
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_number.h"
 #include "tests/unit/test.h"

@@ -1,6 +1,4 @@
 /* test_mesh_load.c - fmt_mesh_load() on OBJ files. */
-#include <string.h>
-
 #include "tests/unit/formats/mesh/obj_fixture.h"
 #include "tests/unit/test.h"
 

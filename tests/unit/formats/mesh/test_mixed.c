@@ -1,6 +1,4 @@
 /* test_mixed.c - files of several formats as one scan: numbers of elements, faces and materials. */
-#include <string.h>
-
 #include "tests/unit/test.h"
 #include "tests/unit/formats/mesh/obj_fixture.h"
 

@@ -1,9 +1,5 @@
 /* test_mtl.c - MTL files in the forms that programs write. */
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <sys/stat.h>
-#include <unistd.h>
 
 #include "formats/mesh/obj_internal.h"
 #include "tests/unit/test.h"

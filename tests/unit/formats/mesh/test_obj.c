@@ -1,8 +1,4 @@
 /* test_obj.c - the OBJ reader on every form of valid text, and its messages for invalid text. */
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "tests/unit/formats/mesh/obj_fixture.h"
 #include "tests/unit/test.h"
 

@@ -1,9 +1,6 @@
 /* test_obj_blocks.c - results do not depend on where blocks begin or on the number of threads;
  * files that are truncated anywhere, and too little memory, give errors. */
 #include <inttypes.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 
 #include "formats/mesh/obj_internal.h"
 #include "tests/unit/formats/mesh/obj_fixture.h"

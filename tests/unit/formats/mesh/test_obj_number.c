@@ -1,9 +1,5 @@
 /* test_obj_number.c - numbers are rounded exactly as strtod() rounds them in the C locale. */
 #include <locale.h>
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 
 #include "formats/mesh/obj_line.h"
 #include "tests/unit/test.h"

@@ -1,7 +1,4 @@
 /* test_obj_path.c - files that OBJ and MTL files name in other spellings. */
-#include <stdio.h>
-
-#include <string.h>
 #include <sys/stat.h>
 
 #include "formats/mesh/mesh_text.h"

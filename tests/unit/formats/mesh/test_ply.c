@@ -1,9 +1,4 @@
 /* test_ply.c - the PLY reader on every kind of element and property, in all three encodings. */
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "tests/unit/formats/mesh/obj_fixture.h"
 #include "tests/unit/formats/mesh/ply_builder.h"
 #include "tests/unit/test.h"

@@ -1,9 +1,4 @@
 /* test_ply_damage.c - the PLY reader's messages for wrong files, and files cut at every length. */
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "tests/unit/test.h"
 #include "tests/unit/formats/mesh/obj_fixture.h"
 #include "tests/unit/formats/mesh/ply_builder.h"

@@ -1,9 +1,4 @@
 /* test_stl.c - the STL reader on text and binary files, colours, and wrong files. */
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "tests/unit/test.h"
 #include "tests/unit/formats/mesh/obj_fixture.h"
 

@@ -1,11 +1,6 @@
 /* test_jpeg.c - JPEG textures that are damaged are refused, although libjpeg would make up for what
  * is missing. */
-#include <stdbool.h>
-#include <stdint.h>
 #include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include <jpeglib.h>
 
 #include "formats/texture/texture.h"

@@ -1,12 +1,5 @@
 /* test_compare.c - colour differences against published values, figures against maps of known
  * errors. */
-#include <math.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
-
 #include "formats/image/image_writer.h"
 #include "libbake/compare/comparison.h"
 #include "tests/unit/test.h"

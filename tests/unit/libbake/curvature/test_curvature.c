@@ -1,10 +1,5 @@
 /* test_curvature.c - the mean curvature of surfaces that have a formula, from voxels and from
  * triangles: a sphere, a cylinder, a saddle and a torus. */
-#include <math.h>
-#include <stdio.h>
-#include <string.h>
-#include <unistd.h>
-
 #include "libbake/curvature/curvature.h"
 #include "tests/unit/test.h"
 #include "tests/unit/libbake/analytic_grid.h"

@@ -1,9 +1,4 @@
 /* test_device.c - devices are found by name, and all trace the same maps. */
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "tests/unit/libbake/device/traced_sheet.h"
 #include "tests/unit/test.h"
 

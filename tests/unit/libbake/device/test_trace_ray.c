@@ -1,10 +1,5 @@
 /* test_trace_ray.c - single rays against voxel grids of analytic surfaces: hits are compared with
  * the surfaces themselves. */
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "libbake/device/device.h"
 #include "tests/unit/test.h"
 #include "tests/unit/libbake/analytic_grid.h"

@@ -2,11 +2,6 @@
 #include "tests/unit/fixture.h"
 #include "tests/unit/libbake/device/traced_sheet.h"
 
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "tests/unit/libbake/analytic_grid.h"
 
 void traced_sheet_color(double u, double v, float color[3])

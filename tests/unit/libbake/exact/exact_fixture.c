@@ -1,9 +1,3 @@
-#include <math.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
 
 #include "tests/unit/fixture.h"
 #include "tests/unit/libbake/exact/exact_fixture.h"

@@ -1,10 +1,4 @@
 /* test_exact.c - which hit wins, for any chunks, threads and budgets; damaged scans. */
-#include <math.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "base/octahedral.h"
 #include "libbake/exact/exact_tree.h"
 #include "tests/unit/test.h"

@@ -1,12 +1,5 @@
 /* test_exact_bake.c - whole bakes from triangles: a wavy sheet whose normals and colours are known
  * from a formula, and a square low-poly mesh below it. */
-#include <math.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
-
 #include "formats/image/exr_read.h"
 #include "libbake/bake.h"
 #include "tests/unit/test.h"

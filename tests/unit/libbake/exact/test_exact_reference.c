@@ -1,10 +1,6 @@
 /* test_exact_reference.c - hits against brute force and against Embree, and at edges and vertices.
  */
 #include <embree3/rtcore.h>
-#include <math.h>
-#include <stdint.h>
-#include <stdlib.h>
-#include <string.h>
 
 #include "tests/unit/libbake/exact/exact_fixture.h"
 #include "tests/unit/test.h"

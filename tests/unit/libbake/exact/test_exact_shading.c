@@ -1,9 +1,4 @@
 /* test_exact_shading.c - normals and colours of hits. */
-#include <math.h>
-#include <stdint.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "base/octahedral.h"
 #include "formats/image/image_writer.h"
 #include "tests/unit/test.h"

@@ -2,10 +2,6 @@
  * rays, and with any number of threads and any budget. */
 #include <embree3/rtcore.h>
 #include <float.h>
-#include <math.h>
-#include <stdint.h>
-#include <stdlib.h>
-#include <string.h>
 
 #include "libbake/kernel/bk_secondary.h"
 #include "libbake/surface/surface.h"

@@ -2,10 +2,6 @@
  * back, and what is cut or changed is refused. */
 #include "tests/unit/test.h"
 
-#include <stdio.h>
-#include <string.h>
-#include <unistd.h>
-
 #include "libbake/farm/farm.h"
 
 enum { TASKS = 7, TILES = 2 };

@@ -1,9 +1,4 @@
 /* test_kernel.c - compares the kernel's parts to naive versions of them. */
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "base/octahedral.h"
 #include "libbake/device/job/job.h"
 #include "libbake/kernel/bk_sample.h"

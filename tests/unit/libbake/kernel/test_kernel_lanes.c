@@ -1,9 +1,6 @@
 /* test_kernel_lanes.c - the kernel gives the same bits for any number of lanes and order of
  * samples, and for secondary rays that go through the tree of leaves. Compares groups of four,
  * eight and sixteen in Morton order to single samples, row by row. */
-#include <stdlib.h>
-#include <string.h>
-
 #include "libbake/kernel/bk_sample.h"
 #include "libbake/device/native/native_code.h"
 #include "libbake/device/native/tree_rays.h"

@@ -1,7 +1,4 @@
 /* test_secondary.c - open shares, bent directions and thickness against formulas. */
-#include <math.h>
-#include <stdio.h>
-
 #include "libbake/bake.h"
 #include "libbake/device/job/job.h"
 #include "libbake/kernel/bk_secondary.h"

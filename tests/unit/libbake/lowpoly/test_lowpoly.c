@@ -1,12 +1,6 @@
 /* test_lowpoly.c - loading of the low-poly mesh: attributes of the file, attributes that are filled
  * in, and messages. */
 #include <float.h>
-#include <math.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
 
 #include "libbake/lowpoly/lowpoly.h"
 #include "tests/unit/test.h"

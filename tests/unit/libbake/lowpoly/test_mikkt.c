@@ -1,11 +1,5 @@
 /* test_mikkt.c - tangents against those that Blender computed (tests/golden/mikkt), and properties
  * that hold for any mesh. Runs from the top of the source tree. */
-#include <math.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "libbake/lowpoly/mikkt.h"
 #include "tests/unit/test.h"
 

@@ -1,9 +1,4 @@
 /* test_dilation.c - compares the nearest-texel transform with a search over all texels. */
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <unistd.h>
-
 #include "base/parallel.h"
 #include "libbake/maps/dilation.h"
 #include "tests/unit/test.h"

@@ -1,11 +1,5 @@
 /* test_map_table.c - what every row of the table of maps must hold, so that a new map is checked
  * without a test of its own. */
-#include <math.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "base/channels.h"
 #include "libbake/maps/map_encode.h"
 #include "tests/unit/test.h"

@@ -1,9 +1,6 @@
 /* test_preview.c - the preview's vertical axis, its views, and texels without a hit. */
 #include "tests/unit/test.h"
 
-#include <math.h>
-#include <string.h>
-
 #include "libbake/preview/preview_view.h"
 
 /* ---- the vertical axis ---- */

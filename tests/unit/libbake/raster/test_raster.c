@@ -1,11 +1,5 @@
 /* test_raster.c - rasterisation against a naive reference in double, and properties that hold for
  * any mesh. */
-#include <math.h>
-#include <stdint.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "libbake/raster/raster.h"
 #include "tests/unit/test.h"
 

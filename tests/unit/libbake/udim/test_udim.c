@@ -1,9 +1,6 @@
 /* test_udim.c - the tiles that triangles lie in, the mesh sorted by tile, and messages. */
 #include "tests/unit/test.h"
 
-#include <math.h>
-#include <string.h>
-
 #include "libbake/udim/udim.h"
 
 enum { SIZE = 100, MOST = 400 }; /* texels along a map's side; triangles */

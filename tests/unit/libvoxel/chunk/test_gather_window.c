@@ -3,10 +3,6 @@
 #include "libvoxel/chunk/gather_window.h"
 #include "libvoxel/partition/triangulate.h"
 
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "tests/unit/libvoxel/sort_grid.h"
 #include "tests/unit/test.h"
 

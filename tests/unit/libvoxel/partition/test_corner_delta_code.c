@@ -4,8 +4,6 @@
 #include "formats/mesh/mesh_reader.h"
 #include "tests/unit/test.h"
 
-#include <stdlib.h>
-
 enum { COUNT = 3000 };
 
 static uint64_t next(uint64_t *seed)

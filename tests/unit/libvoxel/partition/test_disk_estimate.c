@@ -3,11 +3,7 @@
 #include "base/file.h"
 #include "tests/unit/test.h"
 
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <sys/statvfs.h>
-#include <unistd.h>
 
 #define MIB ((uint64_t)1 << 20)
 

@@ -4,12 +4,7 @@
 #include "tests/unit/libvoxel/scan_fixture.h"
 #include "tests/unit/test.h"
 
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <sys/statvfs.h>
-#include <unistd.h>
 
 static uint64_t free_bytes;
 

@@ -6,10 +6,6 @@
 #include "tests/unit/libvoxel/scan_fixture.h"
 #include "tests/unit/test.h"
 
-#include <math.h>
-#include <stdlib.h>
-#include <string.h>
-
 enum { LEVELS = BSQ_SIMD_AVX512 + 1 };
 
 /* Returns how many levels this processor can run, from BSQ_SIMD_BASE on. */

@@ -6,10 +6,6 @@
 #include "tests/unit/test.h"
 #include "tests/grid_lookup.h"
 
-#include <math.h>
-#include <stdio.h>
-#include <string.h>
-
 #define FIXTURE_TEST(name) TEST_EACH(name, vox_set_up, vox_tear_down)
 
 /* ---- the sphere ---- */

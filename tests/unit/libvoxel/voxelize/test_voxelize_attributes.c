@@ -5,9 +5,6 @@
 #include "tests/unit/test.h"
 #include "tests/grid_lookup.h"
 
-#include <math.h>
-#include <stdlib.h>
-
 #define FIXTURE_TEST(name) TEST_EACH(name, vox_set_up, vox_tear_down)
 
 /* ---- attributes ---- */

@@ -3,9 +3,6 @@
 #include "voxelize_fixture.h"
 #include "tests/unit/test.h"
 
-#include <math.h>
-#include <stdlib.h>
-
 #define FIXTURE_TEST(name) TEST_EACH(name, vox_set_up, vox_tear_down)
 
 /* ---- same bytes ---- */

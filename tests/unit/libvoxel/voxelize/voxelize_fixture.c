@@ -2,11 +2,6 @@
 #include "base/file.h"
 #include "tests/unit/fixture.h"
 
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
-
 int vox_set_up(void **state)
 {
     struct vox_fixture *f = calloc(1, sizeof *f);

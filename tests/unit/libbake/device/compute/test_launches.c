@@ -1,7 +1,4 @@
 /* test_launches.c - launch batches follow measured times; unions of time spans. */
-#include <stdint.h>
-#include <stdlib.h>
-
 #include "libbake/device/compute/launches.h"
 #include "libbake/device/job/job.h"
 #include "tests/unit/test.h"

@@ -1,8 +1,5 @@
 /* test_staging_buffer.c - data put into a staging buffer is sent in order and complete, also if
  * several threads fill it. */
-#include <stdlib.h>
-#include <string.h>
-
 #include "base/context.h"
 #include "libbake/device/compute/staging_buffer.h"
 #include "tests/unit/test.h"

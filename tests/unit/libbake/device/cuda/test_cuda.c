@@ -2,11 +2,7 @@
  * the processor's bits, and failures have messages. */
 #include <dlfcn.h>
 #include <link.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <sys/wait.h>
-#include <unistd.h>
 
 #include "libbake/device/cuda/cuda.h"
 #include "libbake/device/cuda/cuda_api.h"

@@ -1,10 +1,6 @@
 /* test_fake_ptx.c - the machine of the fake CUDA driver computes each instruction as PTX defines it
  * (NVIDIA, "PTX ISA", "Instruction Set"), and refuses what it does not know. */
 #include <dlfcn.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
 
 #include "tests/fake/ptx.h"
 #include "tests/unit/test.h"

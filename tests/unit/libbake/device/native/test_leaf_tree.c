@@ -1,9 +1,5 @@
 /* test_leaf_tree.c - the tree of leaves contains all voxels, and rays through it find what
  * bk_look() finds, also if they go through edges and corners of voxels. */
-#include <math.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "base/context.h"
 #include "libbake/device/job/job.h"
 #include "libbake/device/native/tree_rays.h"

@@ -1,9 +1,5 @@
 /* test_passes.c - a piece of the map gets the same bits from a subgrid as from the whole grid, and
  * passes fit the memory that they are planned for. */
-#include <math.h>
-#include <stdlib.h>
-#include <string.h>
-
 #include "libbake/kernel/bk_grid.h"
 #include "libbake/device/native/native_code.h"
 #include "libbake/device/subgrid/subgrid.h"

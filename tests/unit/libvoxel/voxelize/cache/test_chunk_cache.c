@@ -4,11 +4,7 @@
 #include "tests/unit/test.h"
 
 #include <fcntl.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
 #include <sys/stat.h>
-#include <unistd.h>
 
 enum { LEFT, RIGHT, APART, CHUNKS };
 

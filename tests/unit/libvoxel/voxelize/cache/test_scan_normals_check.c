@@ -2,8 +2,6 @@
 #include "libvoxel/voxelize/cache/chunk_content.h"
 #include "tests/unit/test.h"
 
-#include <math.h>
-
 enum { SIDE = 32, VERTICES = (SIDE + 1) * (SIDE + 1), TRIANGLES = 2 * SIDE * SIDE };
 
 static double points[VERTICES][4];

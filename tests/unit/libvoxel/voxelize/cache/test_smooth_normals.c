@@ -4,12 +4,6 @@
 #include "tests/unit/libvoxel/scan_fixture.h"
 #include "tests/unit/test.h"
 
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
-
 enum { CHUNK_TRIANGLES = 200, CHUNKS_MAX = 64 };
 
 /* A decoded chunk, and what a cache keeps with it. */

@@ -5,11 +5,6 @@
 #include "tests/unit/libvoxel/scan_fixture.h"
 #include "tests/unit/test.h"
 
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-
 enum { MAX_FRAGMENTS = 20000 };
 
 struct fragments {

@@ -5,8 +5,6 @@
 #include "tests/unit/libvoxel/voxelize/voxelize_fixture.h"
 #include "tests/unit/test.h"
 
-#include <stdlib.h>
-
 #define FIXTURE_TEST(name) TEST_EACH(name, vox_set_up, vox_tear_down)
 
 /* Makes clusters of small triangles anywhere in a cube of `size`. Each cluster has one triangle

@@ -4,9 +4,6 @@
 #include "tests/unit/libvoxel/scan_fixture.h"
 #include "tests/unit/test.h"
 
-#include <stdlib.h>
-#include <string.h>
-
 struct pair {
     int32_t origin[3];
     uint32_t chunk;
