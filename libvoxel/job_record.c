@@ -1,5 +1,5 @@
 /* job_record.c - records which inputs and options a chunk file was made from, so that a job can
- * resume from it (docs/decisions/0008).
+ * resume from it (docs/decisions/0006).
  *
  * The record is a file of lines beside the chunk file, each of which ends with a null byte, as
  * paths may contain anything else. It exists only while the job is unfinished, and beside a chunk

@@ -1,4 +1,4 @@
-/* png_write.c - streaming PNG writer (docs/decisions/0024-png-bands-in-parallel.md).
+/* png_write.c - streaming PNG writer (docs/decisions/0018-images-are-compressed-in-parallel.md).
  *
  * libpng writes the header and the framing of chunks. Compression takes nearly all of the time, and
  * libpng does it on one thread. So bands of rows are filtered and deflated independently, on all

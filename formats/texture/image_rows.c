@@ -3,7 +3,7 @@
  * A file's first bytes choose a row of the table. OpenImageIO opens many more files, among them
  * videos, streams from the network and plain text; it sees none of them. Some of its plug-ins
  * decode the whole image when they open a file, so the memory for that is found from the header
- * here. The factors were measured with OpenImageIO 2.4.7 (docs/decisions/0095). */
+ * here. The factors were measured with OpenImageIO 2.4.7 (docs/decisions/0035). */
 #include "formats/texture/image_rows.h"
 
 #include <inttypes.h>

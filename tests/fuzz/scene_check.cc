@@ -1,7 +1,7 @@
 // scene_check.cc - makes scenes of Assimp's structures from bytes, and copies them as the module
 // for Assimp's files does.
 //
-// Assimp's own importers are not fuzzed: some never end for damaged files (docs/decisions/0052).
+// Assimp's own importers are not fuzzed: some never end for damaged files (docs/decisions/0031).
 // What they may hand over is tested here, and more than their validation lets through.
 #include "tests/fuzz/scene_check.h"
 

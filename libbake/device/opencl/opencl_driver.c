@@ -190,7 +190,7 @@ void bake_opencl_list(struct bsq_ctx *ctx, struct bake_device_list *out)
 /* ---- the kernel ---- */
 
 /* The flattened kernel source. Drivers keep what they compiled from one run to the next; see
- * docs/decisions/0020-no-kernel-cache-of-our-own.md. */
+ * docs/decisions/0014-drivers-that-misbehave.md. */
 static const char kernel_source[] =
 #include "kernel_source.inc"
     ;

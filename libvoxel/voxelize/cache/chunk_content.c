@@ -251,7 +251,7 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
 }
 
 /* Mean square of an edge, in voxels, above which a chunk gets smooth vertex normals
- * (docs/decisions/0021-when-voxels-need-planes-or-normals.md). */
+ * (docs/decisions/0009-when-vertex-normals-count.md). */
 #define COARSE_EDGE_SQUARE 0.5
 /* Above this mean square the scan's own normals are trusted more than its facets' planes, even if
  * the two contradict each other. */
@@ -260,7 +260,7 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
  * far. */
 #define WIDE_EDGE_SQUARE 6.0
 
-/* Facet-noise weight of records per square of an edge in voxels (docs/decisions/0021): of facets
+/* Facet-noise weight of records per square of an edge in voxels (docs/decisions/0009): of facets
  * without vertex normals, and of triangles with smooth ones. */
 #define NOISE_OF_FACETS   2.7
 #define NOISE_OF_VERTICES 0.4

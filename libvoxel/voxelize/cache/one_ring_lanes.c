@@ -13,7 +13,7 @@ void BSQ_SIMD_NAME(vox_add_one_rings)(const struct fmt_tris_chunk *chunk, uint32
 }
 
 /* Share of the height of a one-ring's centroid above its vertex, by which the surface rises
- * (docs/decisions/0021-when-voxels-need-planes-or-normals.md). */
+ * (docs/decisions/0009-when-vertex-normals-count.md). */
 #define RISE_SHARE (9.0 / 8.0)
 
 /* Rounds to float. */

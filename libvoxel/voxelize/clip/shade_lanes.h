@@ -100,7 +100,7 @@ LANES_INLINE void shade_measure_normals(struct shade_triangles *t)
 
 /* Limits of the arc over an edge and of the rise above a corner, in voxels, so that lifted
  * fragments stay with their voxel. The second one holds for triangles close to the size of a voxel
- * (docs/decisions/0021-when-voxels-need-planes-or-normals.md). */
+ * (docs/decisions/0009-when-vertex-normals-count.md). */
 #define SHADE_LIFT_LIMIT       0.1
 #define SHADE_LIFT_LIMIT_CLOSE 0.2
 

@@ -7,7 +7,7 @@
  * reuses it for every region.
  *
  * The order of fragments changes sums by rounding only
- * (docs/decisions/0082-sides-are-found-from-sums.md).
+ * (docs/decisions/0010-two-records-for-thin-walls.md).
  *
  * About every fourth fragment is the first in its voxel, which no processor can predict. So sums
  * are cleared ahead of need, and adding takes no branch for that. */
