@@ -563,6 +563,12 @@ for line in "'--array=0-8%4' '--gres=gpu:1'" "'--dependency=afterok:<bisque-plan
     grep -qF -- "$(printf '%b' "$line")" "$out"
     check "submitted: $line" $?
 done
+command="bisque-slurm bake --tiles --dry-run" code=0
+"$slurm" bake --dry-run --tiles 3 -- s.nvdb low.obj -o 'o_<UDIM>.exr' >"$out" 2>"$err" || code=$?
+code 0
+[ "$(grep -c '^sbatch ' "$out")" -eq 4 ] && grep -qF "'--array=0-2'" "$out" &&
+    grep -qF " --merge-tile \$SLURM_ARRAY_TASK_ID" "$out" && grep -qF "'--dependency=afterok:<bisque-tile>'" "$out"
+check "tiles are merged in an array, before the last job" $?
 # The printed commands give sbatch the same script as a submission does.
 mkdir fake
 printf '#!/bin/sh\ncat >>"scripts.$RUN"\necho 7\n' >fake/sbatch
@@ -631,8 +637,8 @@ for line in 'extensions: [TASK_CHUNKING]' '    default: 2' '          type: CHUN
     check "the template has \"$line\"" $?
 done
 memory=$("$BIN/bisque-bake" --plan farm/plan.json --json | jq '.task_memory_bytes / 1048576 | ceil')
-[ "$(grep -c "amount.worker.memory, min: $memory}" "$out")" -eq 2 ]
-check "tasks and merge ask for the plan's memory" $?
+[ "$(grep -c "amount.worker.memory, min: $memory}" "$out")" -eq 3 ]
+check "tasks and merges ask for the plan's memory" $?
 for template in asset parts assets bake; do # without options, it is the template itself
     "$openjd" $template | cmp -s - "$top/tools/farm/$template.openjd.yaml"
     check "bisque-openjd $template" $?
