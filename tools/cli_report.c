@@ -154,14 +154,14 @@ static json_t *cost_json(const struct cli *cli)
 {
     struct rusage usage = {0};
     getrusage(RUSAGE_SELF, &usage);
-    return json_pack(
-        "{s:i, s:I, s:I, s:o, s:I, s:I, s:f, s:f, s:f}", "threads", (int)bsq_threads(cli->ctx),
-        "memory_budget_bytes", (json_int_t)bsq_memory_limit(cli->ctx), "memory_high_bytes",
-        (json_int_t)bsq_memory_high(cli->ctx), "memory_shares_bytes", shares_json(cli),
-        "max_rss_bytes", (json_int_t)cli_max_rss_bytes(),
-        "bytes_read", (json_int_t)(bytes_by_calls() + bsq_mapped_bytes(cli->ctx)), "seconds",
-        cli_seconds(&cli->started), "seconds_user", seconds_of(usage.ru_utime), "seconds_system",
-        seconds_of(usage.ru_stime));
+    return json_pack("{s:i, s:I, s:I, s:o, s:I, s:I, s:f, s:f, s:f}", "threads",
+                     (int)bsq_threads(cli->ctx), "memory_budget_bytes",
+                     (json_int_t)bsq_memory_limit(cli->ctx), "memory_high_bytes",
+                     (json_int_t)bsq_memory_high(cli->ctx), "memory_shares_bytes", shares_json(cli),
+                     "max_rss_bytes", (json_int_t)cli_max_rss_bytes(), "bytes_read",
+                     (json_int_t)(bytes_by_calls() + bsq_mapped_bytes(cli->ctx)), "seconds",
+                     cli_seconds(&cli->started), "seconds_user", seconds_of(usage.ru_utime),
+                     "seconds_system", seconds_of(usage.ru_stime));
 }
 
 int cli_print_json(struct cli *cli, json_t *root)

@@ -17,7 +17,7 @@ static const char *sampling_of(const struct bake_work *job)
     const struct bake_surface *surface = &job->surface;
     if (!surface->grids)
         return "exact";
-    return surface->triangles      ? "trilinear, exact"
+    return surface->triangles                       ? "trilinear, exact"
            : job->options->sampling == BAKE_NEAREST ? "nearest"
                                                     : "trilinear";
 }
