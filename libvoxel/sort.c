@@ -218,7 +218,8 @@ static bool names_tris(const struct vox_sort_options *options)
 static int commit(const struct vox_sort_options *options, struct fmt_tris_writer *writer,
                   struct bsq_ctx *ctx, struct vox_sort_report *report)
 {
-    struct bsq_file file, *out = options->temp_tris ? &options->temp_tris->file : &file;
+    struct bsq_file file = BSQ_FILE_CLOSED,
+                    *out = options->temp_tris ? &options->temp_tris->file : &file;
     int status = fmt_tris_commit(writer, out);
     report->tris_bytes = out->size;
     if (!options->temp_tris)

@@ -564,7 +564,7 @@ int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_st
                         void *arg, struct fmt_mesh_totals *totals)
 {
     struct job job = {.reader = reader, .steps = steps, .arg = arg};
-    struct fmt_mesh_totals unused;
+    struct fmt_mesh_totals unused = {0};
     reader->totals = totals ? totals : &unused;
     *reader->totals = (struct fmt_mesh_totals){0};
     reader->place_count = reader->note_count = 0;

@@ -28,7 +28,7 @@ void fmt_mesh_quote(const char *text, const char *end, char *out, size_t size)
 
 struct mesh_quoted fmt_mesh_quote_word(const char *text)
 {
-    struct mesh_quoted quoted;
+    struct mesh_quoted quoted = {""};
     const char *end = text;
     while (*end && !fmt_mesh_is_blank(*end) && *end != '\n' && *end != '\r')
         end++;

@@ -356,9 +356,11 @@ static int parse_sample(struct stream_slot *slot, uint64_t size, uint64_t *parse
     const uint8_t *end = memrchr(slot->bytes, '\n', size), *begin = slot->bytes;
     if (slot->part.offset > 0)
         begin = memchr(slot->bytes, '\n', size);
-    begin += slot->part.offset > 0 && begin;
     *parsed = 0;
-    if (!begin || !end || end < begin)
+    if (!begin)
+        return 0;
+    begin += slot->part.offset > 0;
+    if (!end || end < begin)
         return 0;
     *parsed = (uint64_t)(end - begin) + 1;
     int status = fmt_obj_parse_text(slot, (uint64_t)(begin - slot->bytes), *parsed, false);

@@ -408,20 +408,21 @@ static int copy_block(void *arg, uint64_t i, unsigned worker)
 
 /* Copies the blocks of a tile, which follow each other in a part. */
 static int copy_part(const struct bake_farm_plan *plan, uint32_t task, uint32_t tile,
-                     struct reading *reading)
+                     const struct reading *shared)
 {
+    struct reading reading = *shared;
     struct part part;
     uint64_t end;
     int status = open_part(plan, task, &part);
     if (status == 0) {
-        reading->part = &part;
-        for (reading->first = 0; reading->first < part.header.block_count; reading->first++)
-            if (part.entries[reading->first].tile == tile)
+        reading.part = &part;
+        for (reading.first = 0; reading.first < part.header.block_count; reading.first++)
+            if (part.entries[reading.first].tile == tile)
                 break;
-        for (end = reading->first; end < part.header.block_count; end++)
+        for (end = reading.first; end < part.header.block_count; end++)
             if (part.entries[end].tile != tile)
                 break;
-        status = bsq_parallel_for(plan->ctx, end - reading->first, copy_block, reading);
+        status = bsq_parallel_for(plan->ctx, end - reading.first, copy_block, &reading);
     }
     close_part(&part);
     return status;

@@ -112,7 +112,7 @@ CUresult bake_cuda_device(const struct bake_cuda_api *api, int index, struct bak
 
 void bake_cuda_list(struct bsq_ctx *ctx, struct bake_device_list *out)
 {
-    struct bake_cuda_api api;
+    struct bake_cuda_api api = {0};
     char text[BAKE_CUDA_TEXT];
     int count;
 
