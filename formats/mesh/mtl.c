@@ -247,6 +247,7 @@ static int read_texture(struct reader *reader, const char *statement, char *p,
     }
     if (status)
         return status;
+    /* NOLINTNEXTLINE(clang-analyzer-core.NullDereference): only textures that a member takes */
     bsq_free(reader->ctx, *texture->path);
     *texture->path = path;
     texture->found = true;

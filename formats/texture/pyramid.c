@@ -392,10 +392,10 @@ static double overlap(double first, double extent, double a, double b)
  * Inlined for each type of samples. */
 static inline __attribute__((always_inline)) void
 add_cells(const struct fmt_pyramid *p, const struct level *level, unsigned sample_bytes,
-          const uint8_t *block, const struct cells *cells, const struct rectangle *r, double sum[3])
+          const void *block, const struct cells *cells, const struct rectangle *r, double sum[3])
 {
     const double size = (double)(UINT64_C(1) << level->shift);
-    const uint32_t channels = p->channels;
+    const uint32_t channels = p->channels == 3 ? 3 : 1;
     for (uint32_t y = cells->y0; y < cells->y1; y++) {
         size_t i = ((size_t)(y % level->block_rows) * BLOCK_COLUMNS + cells->x0 % BLOCK_COLUMNS) *
                    channels;
@@ -405,7 +405,7 @@ add_cells(const struct fmt_pyramid *p, const struct level *level, unsigned sampl
                 overlap(x * size, cell_extent(x, level->shift, p->width), r->x0, r->x1);
             for (uint32_t c = 0; c < channels; c++, i++)
                 line[c] +=
-                    weight * (double)(sample_bytes == 1   ? p->table[block[i]]
+                    weight * (double)(sample_bytes == 1   ? p->table[((const uint8_t *)block)[i]]
                                       : sample_bytes == 2 ? p->table[((const uint16_t *)block)[i]]
                                                           : ((const float *)block)[i]);
         }

@@ -84,7 +84,7 @@ done:
 int bake_farm_note_write(const struct bake_farm_plan *plan, const struct bake_farm_note *note)
 {
     struct bsq_output *output = NULL;
-    struct head head;
+    struct head head = {0};
     char *path = bake_farm_path(plan, "merged", note->number);
     int status = path ? 0 : bsq_fail(plan->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);
     if (path && !begin(plan, note, &head))
@@ -129,7 +129,7 @@ done:
 int bake_farm_note_read(const struct bake_farm_plan *plan, struct bake_farm_note *note, bool *kept)
 {
     struct bsq_file file = BSQ_FILE_CLOSED;
-    struct head head, now;
+    struct head head, now = {0};
     const bool all = begin(plan, note, &now);
     char *path = bake_farm_path(plan, "merged", note->number);
     int status = path ? 0 : bsq_fail(plan->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);

@@ -131,6 +131,7 @@ static bool is_nearer(const struct bake_exact_hit *hit, const float *channels,
     if (hit->t != other->t)
         return hit->t > other->t;
     const int order =
+        /* NOLINTNEXTLINE(bugprone-suspicious-memory-comparison): any order of bits will do */
         memcmp(hit->normal, other->normal,
                offsetof(struct bake_exact_hit, reversed) - offsetof(struct bake_exact_hit, normal));
     return order ? order < 0 : size > 0 && memcmp(channels, other_channels, size) < 0;

@@ -212,15 +212,15 @@ static struct bake_failure opencl_launch(struct bake_compute *compute, struct ba
     const struct {
         size_t bytes;
         const void *value;
-    } arguments[] = {{sizeof triangles, &triangles},
+    } arguments[] = {{sizeof(cl_mem), &triangles},
                      {sizeof subgrid->params, &subgrid->params},
                      {sizeof *tile, tile},
                      {sizeof batch->first_row, &batch->first_row},
                      {sizeof batch->end_row, &batch->end_row},
                      {sizeof batch->first_line, &batch->first_line},
                      {sizeof batch->end_line, &batch->end_line},
-                     {sizeof samples, &samples},
-                     {sizeof texels, &texels}};
+                     {sizeof(cl_mem), &samples},
+                     {sizeof(cl_mem), &texels}};
     const size_t size[2] = {bsq_align_up(tile->width, own->group[0]),
                             bsq_align_up(batch->end_row - batch->first_row, own->group[1])};
     const bool first = batch->first_row == 0 && batch->first_line == 0;
@@ -228,7 +228,7 @@ static struct bake_failure opencl_launch(struct bake_compute *compute, struct ba
 
     for (; argument < BAKE_SUBGRID_ARRAYS; argument++) {
         const cl_mem array = buffer_of(subgrid->arrays[argument]);
-        CALL(clSetKernelArg, own->kernel, argument, sizeof array, &array);
+        CALL(clSetKernelArg, own->kernel, argument, sizeof(cl_mem), &array);
     }
     for (size_t i = 0; i < sizeof arguments / sizeof *arguments; i++)
         CALL(clSetKernelArg, own->kernel, argument++, arguments[i].bytes, arguments[i].value);
