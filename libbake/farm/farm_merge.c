@@ -142,10 +142,11 @@ static int report_counts(const struct merge *merge)
     job->report->samples = counts->samples;
     job->report->hits = counts->hits;
     job->report->misses = counts->samples - counts->hits;
-    int status = bake_check_hits(job);
-    bake_choose_radius(job);
-    return status < 0 ? status
-                      : bake_warn_of_radius(job->ctx, &curvature, job->measures.curvature_radius);
+    const int status = bake_check_hits(job);
+    if (status < 0 || !(job->maps & BAKE_MAP_CURVATURE))
+        return status;
+    bake_choose_radius(job); /* which the plan has */
+    return bake_warn_of_radius(job->ctx, &curvature, job->measures.curvature_radius);
 }
 
 /* Writes the maps of a tile. Its image takes at most half of the memory that is left, as in a bake
