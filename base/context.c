@@ -83,7 +83,8 @@ void *bsq_part_of(struct bsq_ctx *ctx, enum bsq_part part, size_t size,
     return of->object;
 }
 
-void bsq_drop_part(struct bsq_ctx *ctx, enum bsq_part part)
+/* Frees a part, if the context has it. */
+static void drop_part(struct bsq_ctx *ctx, enum bsq_part part)
 {
     const struct bsq_part_of_context of = ctx->parts[part];
     ctx->parts[part].object = NULL;
@@ -94,8 +95,8 @@ void bsq_drop_part(struct bsq_ctx *ctx, enum bsq_part part)
 void bsq_forget_files(struct bsq_ctx *ctx)
 {
     pthread_mutex_lock(&ctx->parts_lock);
-    bsq_drop_part(ctx, BSQ_SWEEPS);
-    bsq_drop_part(ctx, BSQ_JOB_FILES);
+    drop_part(ctx, BSQ_SWEEPS);
+    drop_part(ctx, BSQ_JOB_FILES);
     pthread_mutex_unlock(&ctx->parts_lock);
 }
 
@@ -104,7 +105,7 @@ void bsq_ctx_destroy(struct bsq_ctx *ctx)
     if (!ctx)
         return;
     for (int part = 0; part < BSQ_PARTS; part++)
-        bsq_drop_part(ctx, (enum bsq_part)part);
+        drop_part(ctx, (enum bsq_part)part);
     assert(atomic_load(&ctx->memory_used) == 0 && "memory of this context was not freed");
     bsq_clear_error(ctx);
     pthread_mutex_destroy(&ctx->error_lock);

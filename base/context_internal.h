@@ -62,9 +62,6 @@ void bsq_apply_control_groups(const char *root, struct bsq_machine *machine);
 void *bsq_part_of(struct bsq_ctx *ctx, enum bsq_part part, size_t size,
                   void (*free)(struct bsq_ctx *ctx, void *object));
 
-/* Frees a part, if the context has it. */
-void bsq_drop_part(struct bsq_ctx *ctx, enum bsq_part part);
-
 /* Returns the bytes of the budget that a block with a payload of `bytes` takes. */
 uint64_t bsq_block_cost(uint64_t bytes);
 

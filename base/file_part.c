@@ -149,11 +149,35 @@ int bsq_part_read(struct bsq_ctx *ctx, const struct bsq_file *file, const struct
 
 /* ---- copies ---- */
 
-static int copy_part(struct bsq_ctx *ctx, const struct bsq_file *file, const struct bsq_part *part,
+int bsq_part_open(struct bsq_ctx *ctx, const char *name, struct bsq_part *part,
+                  struct bsq_file *out)
+{
+    const size_t length = bsq_part_parse(name, part);
+    char *path = NULL;
+    if (length == 0) {
+        int status = bsq_file_open(ctx, name, out);
+        *part = (struct bsq_part){.size = out->size};
+        return status;
+    }
+    *out = (struct bsq_file)BSQ_FILE_CLOSED;
+    int status = bsq_alloc(ctx, "names", length + 1, 1, &path);
+    if (status)
+        return status;
+    memcpy(path, name, length);
+    path[length] = '\0';
+    status = bsq_file_open(ctx, path, out);
+    bsq_free(ctx, path);
+    return status;
+}
+
+int bsq_part_extract(struct bsq_ctx *ctx, const struct bsq_file *file, const struct bsq_part *part,
                      struct bsq_file *out)
 {
     uint8_t buffer[16384];
-    int status = 0;
+    int status = bsq_file_temp(ctx, NULL, "an embedded image", out);
+    /* A part that claims to be larger than its file cannot be copied whole. */
+    if (!status)
+        status = bsq_require_disk(ctx, NULL, part->size < file->size ? part->size : file->size);
     for (uint64_t at = 0; at < part->size && !status; at += sizeof buffer) {
         uint64_t left = part->size - at, size = left < sizeof buffer ? left : sizeof buffer;
         status = bsq_check(ctx);
@@ -162,35 +186,8 @@ static int copy_part(struct bsq_ctx *ctx, const struct bsq_file *file, const str
         if (!status)
             status = bsq_file_append(ctx, out, buffer, size);
     }
-    return status;
-}
-
-int bsq_part_extract(struct bsq_ctx *ctx, const char *name, struct bsq_file *out)
-{
-    struct bsq_file file = BSQ_FILE_CLOSED;
-    struct bsq_part part;
-    char *path = NULL;
-    const size_t length = bsq_part_parse(name, &part);
-    *out = (struct bsq_file)BSQ_FILE_CLOSED;
-    if (length == 0)
-        return bsq_fail(ctx, BSQ_EBUG, "%s: no part of a file", name);
-    int status = bsq_alloc(ctx, "names", length + 1, 1, &path);
-    if (status)
-        return status;
-    memcpy(path, name, length);
-    path[length] = '\0';
-    status = bsq_file_open(ctx, path, &file);
     if (!status)
-        status = bsq_file_temp(ctx, NULL, "an embedded image", out);
-    /* A part that claims to be larger than its file cannot be copied whole. */
-    if (!status)
-        status = bsq_require_disk(ctx, NULL, part.size < file.size ? part.size : file.size);
-    if (!status)
-        status = copy_part(ctx, &file, &part, out);
-    if (!status)
-        status = bsq_file_check(ctx, &file);
-    bsq_file_close(ctx, &file);
-    bsq_free(ctx, path);
+        status = bsq_file_check(ctx, file);
     if (status)
         bsq_file_close(ctx, out);
     return status;

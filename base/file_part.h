@@ -35,9 +35,15 @@ int bsq_part_name(struct bsq_ctx *ctx, const char *path, const struct bsq_part *
 int bsq_part_read(struct bsq_ctx *ctx, const struct bsq_file *file, const struct bsq_part *part,
                   void *to, uint64_t size, uint64_t at);
 
-/* Copies the part of this name to an unnamed temporary file. Errors: those of bsq_file_open(),
- * bsq_file_temp() and bsq_part_read(). */
-int bsq_part_extract(struct bsq_ctx *ctx, const char *name, struct bsq_file *out);
+/* Opens the file that `name` names, or the one that a part is in, and sets *part; its size is that
+ * of the file, and it begins at 0, if `name` is no part. Errors: those of bsq_file_open(). */
+int bsq_part_open(struct bsq_ctx *ctx, const char *name, struct bsq_part *part,
+                  struct bsq_file *out);
+
+/* Copies a part of a file to an unnamed temporary file. Errors: those of bsq_file_temp() and
+ * bsq_part_read(). */
+int bsq_part_extract(struct bsq_ctx *ctx, const struct bsq_file *file, const struct bsq_part *part,
+                     struct bsq_file *out);
 
 #ifdef __cplusplus
 }

@@ -9,16 +9,14 @@
 #include <inttypes.h>
 #include <string.h>
 
-#include "base/text_table.h"
 #include "formats/exr_header.h"
 
 /* An image in an open file, and its first bytes; zeros follow after a short image. */
 struct probe {
     struct bsq_ctx *ctx;
     const struct bsq_file *file;
-    const struct bsq_part *part; /* of the file, to look only there; NULL: the whole file */
-    uint64_t size;
-    int status; /* of the first read that failed, or 0 */
+    const struct bsq_part *part; /* of the file: only this is looked at */
+    int status;                  /* of the first read that failed, or 0 */
     uint8_t head[64];
 };
 
@@ -64,12 +62,10 @@ static uint32_t little32(const uint8_t *p)
 /* Reads `size` bytes; zeros follow after the end of the file. */
 static void read_at(struct probe *probe, uint64_t offset, uint8_t *to, uint64_t size)
 {
-    const uint64_t left = probe->size > offset ? probe->size - offset : 0;
+    const uint64_t left = probe->part->size > offset ? probe->part->size - offset : 0;
     memset(to, 0, size);
     size = size < left ? size : left;
-    const int status = probe->part
-                           ? bsq_part_read(probe->ctx, probe->file, probe->part, to, size, offset)
-                           : bsq_file_read(probe->ctx, probe->file, to, size, offset);
+    const int status = bsq_part_read(probe->ctx, probe->file, probe->part, to, size, offset);
     probe->status = probe->status < 0 ? probe->status : status;
 }
 
@@ -118,7 +114,7 @@ static bool is_jpeg2000(struct probe *probe)
 /* Returns where the code stream begins (ISO/IEC 15444-1, Annex I), or the end of the file. */
 static uint64_t find_codestream(struct probe *probe)
 {
-    const uint64_t end = probe->size;
+    const uint64_t end = probe->part->size;
     uint64_t offset = probe->head[0] == 0xff ? 0 : 12;
     while (offset > 0 && offset < end) {
         uint8_t box[16];
@@ -178,7 +174,7 @@ static bool is_pnm(struct probe *probe)
 
 static struct whole pnm_whole(struct probe *probe)
 {
-    return (struct whole){0, 0, probe->size};
+    return (struct whole){0, 0, probe->part->size};
 }
 
 static bool is_webp(struct probe *probe)
@@ -198,7 +194,7 @@ static struct whole webp_whole(struct probe *probe)
         height = (little32(h + 21) >> 14 & 0x3fff) + 1;
     }
     struct whole whole = by_texels(width, height, 4);
-    whole.bytes += probe->size;
+    whole.bytes += probe->part->size;
     return whole;
 }
 
@@ -209,8 +205,8 @@ static bool is_targa(struct probe *probe)
     static const char mark[] = "TRUEVISION-XFILE.";
     const uint8_t *h = probe->head;
     uint8_t end[sizeof mark] = {0};
-    if (probe->size >= 44)
-        read_at(probe, probe->size - sizeof mark, end, sizeof end);
+    if (probe->part->size >= 44)
+        read_at(probe, probe->part->size - sizeof mark, end, sizeof end);
     const bool type = (h[2] >= 1 && h[2] <= 3) || (h[2] >= 9 && h[2] <= 11);
     const bool bits = h[16] == 8 || h[16] == 15 || h[16] == 16 || h[16] == 24 || h[16] == 32;
     const bool possible = h[1] <= 1 && type && bits && little16(h + 12) > 0 && little16(h + 14) > 0;
@@ -325,48 +321,33 @@ done:
     return status;
 }
 
-/* Copies a part of a file to a temporary file, if it looks like an image: it may be large. `length`
- * of its name is the path of the file. */
-static int extract(struct fmt_rows *rows, size_t length, const struct bsq_part *part)
+/* Replaces the file by a copy of the part that is the image, unless that is all of it. */
+static int extract(struct fmt_rows *rows, const struct bsq_part *part)
 {
-    struct bsq_ctx *ctx = rows->input.ctx;
-    struct bsq_file file = BSQ_FILE_CLOSED;
-    struct probe probe = {.ctx = ctx, .file = &file, .part = part, .size = part->size};
-    char *path = NULL;
-    int status;
-    BSQ_TRY(bsq_text_copy(ctx, rows->input.path, &path));
-    path[length] = '\0';
-    BSQ_TRY(bsq_file_open(ctx, path, &file));
-    read_at(&probe, 0, probe.head, sizeof probe.head);
-    const bool is_image = find_format(&probe) != NULL;
-    BSQ_TRY(probe.status);
-    status = is_image ? bsq_part_extract(ctx, rows->input.path, &rows->input.file)
-                      : fmt_rows_unreadable(&rows->input, no_format);
-done:
-    bsq_file_close(ctx, &file);
-    bsq_free(ctx, path);
+    struct bsq_file whole = rows->input.file;
+    if (part->offset == 0 && part->size == whole.size && !part->base64)
+        return 0;
+    const int status = bsq_part_extract(rows->input.ctx, &whole, part, &rows->input.file);
+    bsq_file_close(rows->input.ctx, &whole);
     return status;
 }
 
 int fmt_rows_open(struct bsq_ctx *ctx, const char *path, struct fmt_rows *rows)
 {
     struct bsq_part part;
-    struct probe probe = {.ctx = ctx, .file = &rows->input.file};
+    struct probe probe = {.ctx = ctx, .file = &rows->input.file, .part = &part};
+    const char *excess = NULL;
     int status;
     *rows = (struct fmt_rows){
         .input = {.ctx = ctx, .host = &fmt_host_functions, .path = path, .file = BSQ_FILE_CLOSED}};
-    const size_t length = bsq_part_parse(path, &part);
-    if (length > 0)
-        BSQ_TRY(extract(rows, length, &part));
-    else
-        BSQ_TRY(bsq_file_open(ctx, path, &rows->input.file));
-    probe.size = rows->input.file.size;
+    BSQ_TRY(bsq_part_open(ctx, path, &part, &rows->input.file));
     read_at(&probe, 0, probe.head, sizeof probe.head);
     const struct format *format = find_format(&probe);
     const struct whole whole =
         format && format->whole ? format->whole(&probe) : (struct whole){0, 0, 0};
-    const char *excess = NULL;
     BSQ_TRY(probe.status);
+    if (format) /* what is no image is not copied: it may be large */
+        BSQ_TRY(extract(rows, &part));
     if (format && format->recognise == is_exr)
         BSQ_TRY(fmt_exr_header_excess(ctx, &rows->input.file, &excess));
     if (!format || excess)

@@ -40,7 +40,7 @@ struct bake_surface {
     bool has_color;                  /* all scans have */
     enum bsq_ids ids;                /* BSQ_IDS_NONE unless all scans agree */
     double scan_min[3], scan_max[3]; /* world */
-    double translation[3], unit;     /* index space: that of one of the scans */
+    double translation[3], unit;     /* of the index space in which rays are given */
     double detail;                   /* the coarsest */
     struct bk_params params;         /* of rays in its index space */
     double front, back;              /* ray lengths of maps, world units */

@@ -57,6 +57,17 @@ TEST(test_base64)
     bsq_ctx_destroy(ctx);
 }
 
+/* Copies the part of this name. */
+static int copy_part(struct bsq_ctx *ctx, const char *name, struct bsq_file *copy)
+{
+    struct bsq_file file;
+    struct bsq_part part;
+    assert_int_equal(bsq_part_open(ctx, name, &part, &file), 0);
+    const int status = bsq_part_extract(ctx, &file, &part, copy);
+    bsq_file_close(ctx, &file);
+    return status;
+}
+
 /* A copy of a part; a file with the whole name is no part. */
 TEST(test_copies)
 {
@@ -73,17 +84,21 @@ TEST(test_copies)
     fputs("0123456789", out);
     fclose(out);
     ctx = test_context(0, 0);
-    assert_int_equal(bsq_part_extract(ctx, part_path, &copy), 0);
+    assert_int_equal(copy_part(ctx, part_path, &copy), 0);
     assert_int_equal(copy.size, 4);
     assert_int_equal(bsq_file_read(ctx, &copy, read, 4, 0), 0);
     assert_string_equal(read, "2345");
     bsq_file_close(ctx, &copy);
     part_path[strlen(part_path) - 1] = '9'; /* beyond the file's end */
-    assert_int_equal(bsq_part_extract(ctx, part_path, &copy), BSQ_EDATA);
+    assert_int_equal(copy_part(ctx, part_path, &copy), BSQ_EDATA);
     out = fopen(part_path, "w");
     assert_non_null(out);
     fclose(out);
     assert_int_equal(bsq_part_parse(part_path, &part), 0);
+    assert_int_equal(bsq_part_open(ctx, part_path, &part, &copy), 0);
+    assert_int_equal(copy.size, 0);
+    assert_int_equal(part.size, 0);
+    bsq_file_close(ctx, &copy);
     unlink(part_path);
     unlink(path);
     rmdir(directory);
