@@ -13,7 +13,9 @@
 
 static const double least_spacings = 16.0;
 
-double vox_precision_spacing(const float min[3], const float max[3])
+/* Returns the distance between neighbouring float32 numbers at the largest coordinate of the
+ * bounds. */
+static double spacing_at(const float min[3], const float max[3])
 {
     float largest = 0.0f;
     for (int axis = 0; axis < 3; axis++)
@@ -64,7 +66,7 @@ int vox_precision_warn_merged(struct bsq_ctx *ctx, const char *path, uint64_t me
         "%s: %llu %s fell together with the one before: positions are kept to %.2g of the scan's units, as "
         "32-bit numbers are at its size",
         path, (unsigned long long)merged, merged == 1 ? "vertex" : "vertices",
-        vox_precision_spacing(min, max));
+        spacing_at(min, max));
 }
 
 /* Estimates the mean edge of a chunk's triangles: their surface is about as large as its bounds. */
@@ -84,10 +86,10 @@ void vox_precision_warn_grid(struct bsq_ctx *ctx, const char *path,
 {
     uint64_t coarse = 0;
     for (uint64_t i = 0; i < header->chunk_count; i++) {
-        double spacing = vox_precision_spacing(chunks[i].bounds_min, chunks[i].bounds_max);
+        double spacing = spacing_at(chunks[i].bounds_min, chunks[i].bounds_max);
         coarse += edge_of(&chunks[i]) < least_spacings * spacing ? chunks[i].triangle_count : 0;
     }
-    double spacing = vox_precision_spacing(header->bounds_min, header->bounds_max);
+    double spacing = spacing_at(header->bounds_min, header->bounds_max);
     if (2 * coarse > header->triangle_count)
         bsq_warn(
             ctx,

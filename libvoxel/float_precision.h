@@ -5,10 +5,6 @@
 
 #include "formats/chunks/tris.h"
 
-/* Returns the distance between neighbouring float32 numbers at the largest coordinate of the
- * bounds. */
-double vox_precision_spacing(const float min[3], const float max[3]);
-
 /* Chooses the origin from the bounds of a part of a scan, for each axis. It is 0 in ordinary scans,
  * whose part may be any small patch. In geo-referenced scans it is near the bounds' centre: if that
  * is at least 8192, and 64 times their half size, away from 0. Such an origin is a multiple of a

@@ -134,8 +134,12 @@ static int merge_tiles(struct cli *cli, const struct bake_arguments *arguments,
         cli_percent_turn(cli, tile - range->first, range->last - range->first + 1);
         if (tile < count)
             status = merge_tile(cli, arguments, plan, tile, NULL);
-        else
+        else if (!cli->json)
             cli_print("%s: there is no tile %u, nothing to do\n", arguments->farm.plan, tile);
+        else
+            status = cli_print_json(cli, json_pack("{s:o, s:b, s:i}", "path",
+                                                   cli_json_text(arguments->farm.plan), "kept", 0,
+                                                   "merge_tile", (int)tile));
     }
     return status;
 }

@@ -161,9 +161,8 @@ int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_st
                         void *arg, struct fmt_mesh_totals *totals);
 unsigned fmt_mesh_max_slots(const struct fmt_mesh_reader *reader);
 /* Returns how many blocks a reader holds at most, for a budget in bytes and a number of threads. A
- * block takes up to FMT_MESH_SLOT_BYTES, as a rule. */
+ * block takes up to 4 MiB, as a rule. */
 unsigned fmt_mesh_slots_for(uint64_t memory_bytes, unsigned threads);
-#define FMT_MESH_SLOT_BYTES ((uint64_t)4 << 20)
 
 /* Estimated size of a scan, within some percent for ordinary files. */
 struct fmt_mesh_estimate {

@@ -266,6 +266,8 @@ check "the maps of one tile, and no preview" $?
 ok $bake --plan farm/tiles.json --merge-tile 1
 out_like '^farm/tiles\.json: the merge of this tile is complete already, kept$'
 ok $bake --plan farm/tiles.json --merge-tile 0-7 # a scheduler need not know how many there are
+$bake --plan farm/tiles.json --merge-tile 7 --json
+json '.merge_tile == 7 and .kept == false'
 before=$(stat -c %i.%y maps/*.png)
 ok $bake --plan farm/tiles.json --merge
 [ "$(stat -c %i.%y maps/[!l]*.png)" = "$before" ]

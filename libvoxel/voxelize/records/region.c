@@ -45,11 +45,6 @@ uint64_t vox_accumulator_bytes_min(unsigned sums)
     return capacity_bytes(1, SUMS_MIN, sums);
 }
 
-uint64_t vox_accumulator_bytes_max(unsigned sums)
-{
-    return capacity_bytes(VOX_BRICKS, SUMS_MAX, sums);
-}
-
 /* A surface leaves about 80 records in a brick, so records get most of the memory. */
 static void set_capacities(struct vox_accumulator *a, uint64_t bytes, unsigned sums)
 {

@@ -135,8 +135,6 @@ enum { VOX_FRAGMENT_LANES = 8 };
 
 /* Returns the fewest bytes an accumulator with these sums works with: the voxels of one brick. */
 uint64_t vox_accumulator_bytes_min(unsigned sums);
-/* Returns the most bytes it can use. */
-uint64_t vox_accumulator_bytes_max(unsigned sums);
 /* Creates an empty accumulator of about `bytes`. */
 int vox_accumulator_create(struct bsq_ctx *ctx, uint64_t bytes, unsigned sums,
                            struct vox_accumulator **out);
