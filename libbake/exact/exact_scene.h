@@ -52,7 +52,7 @@ static inline bool exact_needs_smooth(const struct bake_exact *exact)
 
 /* ---- a chunk in memory ---- */
 
-/* Sums of normals by position; see exact_smooth.c. */
+/* Sums of normals by position; see exact_trace.c. */
 struct exact_smooth {
     struct bsq_positions table;
     uint32_t *entry_of; /* of each vertex of the chunk: index into sums[]; 0: not needed */
@@ -180,12 +180,6 @@ uint64_t bake_exact_buckets_scratch_bytes(const struct bake_exact *exact);
 
 /* Returns the bytes of smooth_memory for a chunk with this many vertices. */
 uint64_t bake_exact_smooth_bytes(uint32_t vertices);
-/* Prepares the slot; then adds each vertex whose normal is needed; then sums their normals. Summing
- * fails as fmt_tris_load() does. */
-void bake_exact_smooth_begin(struct exact_slot *slot);
-void bake_exact_smooth_need(struct exact_slot *slot, uint32_t vertex);
-int bake_exact_smooth_sum(const struct bake_exact *exact, struct exact_slot *slot,
-                          const struct exact_scratch *scratch);
 
 /* Evaluates the normal and colour of a ray's hit, which must lie in the slot's chunk. Tracing left
  * its barycentric weights in normal[0] and normal[1]. */

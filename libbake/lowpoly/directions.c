@@ -1,5 +1,5 @@
-/* directions.c - see directions.h. */
-#include "libbake/lowpoly/directions.h"
+/* directions.c - see lowpoly_internal.h. */
+#include "libbake/lowpoly/lowpoly_internal.h"
 
 #include <math.h>
 #include <string.h>

@@ -14,9 +14,8 @@
 
 #include "base/smooth_normals.h"
 #include "base/vec.h"
-#include "libbake/lowpoly/directions.h"
+#include "libbake/lowpoly/lowpoly_internal.h"
 #include "libbake/lowpoly/mikkt.h"
-#include "libbake/lowpoly/parts.h"
 
 /* Returns the area vector and the area of a triangle, both doubled. */
 static struct row face_vector(const struct bake_lowmesh *mesh, uint64_t triangle)

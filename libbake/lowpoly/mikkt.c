@@ -13,7 +13,12 @@
  *
  * A triangle has two edges at a vertex, so a fan is a path or a cycle. It is found by walking in
  * both directions. Values that are tested against zero are computed in float, as in the reference
- * code: the result decides whether a sliver is mirrored or flat. */
+ * code: the result decides whether a sliver is mirrored or flat.
+ *
+ * A corner is numbered 3 * triangle + i; the edge with the same number runs from that corner to the
+ * next one of its triangle. Corners are welded with a hash table, and edges are paired with two
+ * counting sorts: both are linear in the number of corners for any mesh, also with poles of many
+ * triangles and edges that many triangles share. */
 #include "libbake/lowpoly/mikkt.h"
 
 #include <float.h>
@@ -21,6 +26,193 @@
 #include <string.h>
 
 #include "base/vec.h"
+
+#define NONE UINT32_MAX
+
+/* Loops over corners or triangles check for an interruption after this many iterations. */
+enum { CORNERS_A_CHECK = 1 << 18 };
+
+static uint32_t next_corner(uint32_t corner)
+{
+    return corner % 3 == 2 ? corner - 2 : corner + 1;
+}
+static uint32_t previous_corner(uint32_t corner)
+{
+    return corner % 3 == 0 ? corner + 2 : corner - 1;
+}
+
+/* Checks whether two corners coincide: the triangle then has no tangent and no place in the
+ * topology. */
+static bool is_degenerate(const struct mikkt_input *input, uint32_t triangle)
+{
+    const float(*p)[3] = input->positions + 3 * (uint64_t)triangle;
+    for (int i = 0; i < 3; i++) {
+        const float *a = p[i], *b = p[(i + 1) % 3];
+        if (a[0] == b[0] && a[1] == b[1] && a[2] == b[2])
+            return true;
+    }
+    return false;
+}
+
+/* ---- welding ---- */
+
+static uint64_t mix_floats(uint64_t hash, const float *values, int count)
+{
+    for (int k = 0; k < count; k++) {
+        float value = values[k] + 0.0f; /* -0 becomes 0 */
+        uint32_t bits;
+        memcpy(&bits, &value, sizeof(bits));
+        hash = (hash ^ bits) * 0x9e3779b97f4a7c15u;
+        hash ^= hash >> 32;
+    }
+    return hash;
+}
+
+static uint64_t hash_corner(const struct mikkt_input *input, uint32_t corner)
+{
+    uint64_t hash = mix_floats(1, input->positions[corner], 3);
+    if (input->normals)
+        hash = mix_floats(hash, input->normals[corner], 3);
+    return input->texcoords ? mix_floats(hash, input->texcoords[corner], 2) : hash;
+}
+
+static bool equal_floats(const float *a, const float *b, int count)
+{
+    for (int k = 0; k < count; k++) {
+        if (!(a[k] == b[k]))
+            return false;
+    }
+    return true;
+}
+
+static bool equal_corners(const struct mikkt_input *input, uint32_t a, uint32_t b)
+{
+    return equal_floats(input->positions[a], input->positions[b], 3) &&
+           (!input->normals || equal_floats(input->normals[a], input->normals[b], 3)) &&
+           (!input->texcoords || equal_floats(input->texcoords[a], input->texcoords[b], 2));
+}
+
+int bake_mikkt_weld(struct bsq_ctx *ctx, const struct mikkt_input *input, uint32_t *vertices)
+{
+    uint32_t *table = NULL;
+    uint64_t capacity = 16, steps = 0; /* a mesh can be made so that hashes collide */
+
+    while (capacity < 2 * (uint64_t)input->corner_count)
+        capacity *= 2;
+    int status = bsq_alloc(ctx, "vertex table", capacity, sizeof(*table), &table);
+    if (status < 0)
+        return status;
+    memset(table, 0xff, capacity * sizeof(*table));
+    for (uint32_t c = 0; c < input->corner_count && status == 0; c++) {
+        uint64_t slot = hash_corner(input, c) & (capacity - 1);
+        for (; table[slot] != NONE && !equal_corners(input, table[slot], c) && status == 0;
+             slot = (slot + 1) & (capacity - 1))
+            status = ++steps % CORNERS_A_CHECK == 0 ? bsq_check(ctx) : 0;
+        if (table[slot] == NONE)
+            table[slot] = c;
+        vertices[c] = table[slot];
+        if (status == 0 && ++steps % CORNERS_A_CHECK == 0)
+            status = bsq_check(ctx);
+    }
+    bsq_free(ctx, table);
+    return status;
+}
+
+/* ---- twins ---- */
+
+struct edge_ends {
+    uint32_t low, high; /* vertices, ordered by number */
+};
+
+static struct edge_ends ends_of(const uint32_t *vertices, uint32_t edge)
+{
+    uint32_t a = vertices[edge], b = vertices[next_corner(edge)];
+    return a < b ? (struct edge_ends){a, b} : (struct edge_ends){b, a};
+}
+
+/* Sorts edge numbers by their higher or lower vertex with a stable counting sort. from NULL: all
+ * edges in order. starts: scratch memory of count + 1 entries; vertices are numbered by corners. */
+static void sort_edges(uint32_t count, const uint32_t *vertices, bool by_high, const uint32_t *from,
+                       uint32_t *to, uint32_t *starts)
+{
+    memset(starts, 0, ((size_t)count + 1) * sizeof(*starts));
+    for (uint32_t e = 0; e < count; e++) {
+        struct edge_ends ends = ends_of(vertices, e);
+        starts[(by_high ? ends.high : ends.low) + 1]++;
+    }
+    for (uint32_t v = 0; v < count; v++)
+        starts[v + 1] += starts[v];
+    for (uint32_t n = 0; n < count; n++) {
+        uint32_t e = from ? from[n] : n;
+        struct edge_ends ends = ends_of(vertices, e);
+        to[starts[by_high ? ends.high : ends.low]++] = e;
+    }
+}
+
+/* Pairs edges that all connect the same two vertices. Each edge is paired with the first unpaired
+ * one of the opposite direction. Unpaired edges all have the same direction, so one cursor does. */
+static void pair_edges(const uint32_t *edges, uint32_t count, const uint32_t *vertices,
+                       uint32_t *twins)
+{
+    uint32_t unpaired = 0;
+
+    for (uint32_t n = 0; n < count; n++) {
+        while (unpaired < n && twins[edges[unpaired]] != NONE)
+            unpaired++;
+        if (unpaired < n && vertices[edges[unpaired]] != vertices[edges[n]]) {
+            twins[edges[unpaired]] = edges[n];
+            twins[edges[n]] = edges[unpaired];
+        }
+    }
+}
+
+static void pair_sorted(const struct mikkt_input *input, const uint32_t *vertices, uint32_t *order,
+                        uint32_t *twins)
+{
+    uint32_t kept = 0;
+
+    for (uint32_t n = 0; n < input->corner_count; n++) {
+        if (!is_degenerate(input, order[n] / 3))
+            order[kept++] = order[n];
+    }
+    for (uint32_t begin = 0, end; begin < kept; begin = end) {
+        struct edge_ends ends = ends_of(vertices, order[begin]);
+        for (end = begin + 1; end < kept; end++) {
+            struct edge_ends other = ends_of(vertices, order[end]);
+            if (other.low != ends.low || other.high != ends.high)
+                break;
+        }
+        pair_edges(order + begin, end - begin, vertices, twins);
+    }
+}
+
+/* Sets twins[edge] to the edge between the same two vertices in the opposite direction, or to
+ * NONE. If more than two triangles meet at an edge, pairs are made in the order of edge
+ * numbers. Degenerate triangles get no twins. Errors: BSQ_ENOMEM, BSQ_EINTR. */
+static int find_twins(struct bsq_ctx *ctx, const struct mikkt_input *input,
+                      const uint32_t *vertices, uint32_t *twins)
+{
+    const uint32_t corner_count = input->corner_count;
+    uint32_t *by_high = NULL, *by_both = NULL, *starts = NULL;
+
+    int status = 0;
+    BSQ_TRY(bsq_alloc(ctx, "edge order", corner_count, sizeof(*by_high), &by_high));
+    BSQ_TRY(bsq_alloc(ctx, "edge order", corner_count, sizeof(*by_both), &by_both));
+    BSQ_TRY(bsq_alloc(ctx, "edge order", (uint64_t)corner_count + 1, sizeof(*starts), &starts));
+    sort_edges(corner_count, vertices, true, NULL, by_high, starts);
+    BSQ_TRY(bsq_check(ctx));
+    sort_edges(corner_count, vertices, false, by_high, by_both, starts);
+    BSQ_TRY(bsq_check(ctx));
+    memset(twins, 0xff, (size_t)corner_count * sizeof(*twins));
+    pair_sorted(input, vertices, by_both, twins);
+done:
+    bsq_free(ctx, starts);
+    bsq_free(ctx, by_both);
+    bsq_free(ctx, by_high);
+    return status;
+}
+
+/* ---- tangents ---- */
 
 enum {
     FLAG_DEGENERATE = 1, /* two corners coincide */
@@ -76,7 +268,7 @@ static void init_triangle(struct tangents *s, uint32_t triangle)
     if (!not_zero(area) || !not_zero(bsq_length3(along_u) / fabsf(area)) ||
         !not_zero(bsq_length3(along_v) / fabsf(area)))
         flags |= FLAG_FLAT;
-    if (mikkt_is_degenerate(&s->input, triangle))
+    if (is_degenerate(&s->input, triangle))
         flags |= FLAG_DEGENERATE;
     s->flags[triangle] = flags;
     s->tangents[triangle] = bsq_unit3(bsq_scale3(along_u, area > 0 ? 1.0f : -1.0f));
@@ -85,15 +277,15 @@ static void init_triangle(struct tangents *s, uint32_t triangle)
 /* ---- fans ---- */
 
 /* Each returns the corner at the same vertex in the next triangle of the fan on one side, or
- * MIKKT_NONE. */
+ * NONE. */
 static uint32_t step_left(const struct tangents *s, uint32_t corner)
 {
     uint32_t twin = s->twins[corner];
-    return twin == MIKKT_NONE ? MIKKT_NONE : mikkt_next(twin);
+    return twin == NONE ? NONE : next_corner(twin);
 }
 static uint32_t step_right(const struct tangents *s, uint32_t corner)
 {
-    return s->twins[mikkt_previous(corner)];
+    return s->twins[previous_corner(corner)];
 }
 
 /* Adds a corner to a fan if it belongs to none and its triangle has the fan's winding. Returns
@@ -118,8 +310,8 @@ static struct bsq_vec3 weighted_tangent(const struct tangents *s, uint32_t corne
 {
     const struct bsq_vec3 normal = load3(s->input.normals[corner]);
     const struct bsq_vec3 p = load3(s->input.positions[corner]);
-    const struct bsq_vec3 a = load3(s->input.positions[mikkt_previous(corner)]);
-    const struct bsq_vec3 b = load3(s->input.positions[mikkt_next(corner)]);
+    const struct bsq_vec3 a = load3(s->input.positions[previous_corner(corner)]);
+    const struct bsq_vec3 b = load3(s->input.positions[next_corner(corner)]);
     const float cosine =
         bsq_dot3(project_unit(bsq_sub3(a, p), normal), project_unit(bsq_sub3(b, p), normal));
     const float angle = acosf(fminf(1.0f, fmaxf(-1.0f, cosine)));
@@ -136,11 +328,11 @@ static void make_fan(struct tangents *s, uint32_t seed)
     struct bsq_vec3 sum = {0, 0, 0};
 
     join(s, seed, upright);
-    for (uint32_t c = step_left(s, seed); c != MIKKT_NONE && join(s, c, upright); size++) {
+    for (uint32_t c = step_left(s, seed); c != NONE && join(s, c, upright); size++) {
         first = c;
         c = step_left(s, c);
     }
-    for (uint32_t c = step_right(s, seed); c != MIKKT_NONE && join(s, c, upright); size++)
+    for (uint32_t c = step_right(s, seed); c != NONE && join(s, c, upright); size++)
         c = step_right(s, c);
 
     for (uint32_t n = 0, c = first; n < size; n++, c = step_right(s, c)) {
@@ -163,7 +355,7 @@ static int make_fans(struct bsq_ctx *ctx, struct tangents *s)
         uint8_t flags = s->flags[c / 3];
         if (!(flags & (FLAG_DEGENERATE | FLAG_FLAT | (FLAG_JOINED << c % 3))))
             make_fan(s, c);
-        if (c % MIKKT_CORNERS_A_CHECK == 0)
+        if (c % CORNERS_A_CHECK == 0)
             status = bsq_check(ctx);
     }
     return status;
@@ -180,12 +372,12 @@ static void fill_degenerate(struct tangents *s, uint32_t *donors)
     memset(donors, 0xff, (size_t)count * sizeof(*donors));
     for (uint32_t c = 0; c < count; c++) {
         uint32_t *donor = &donors[s->vertices[c]];
-        if (*donor == MIKKT_NONE && !(s->flags[c / 3] & FLAG_DEGENERATE))
+        if (*donor == NONE && !(s->flags[c / 3] & FLAG_DEGENERATE))
             *donor = c;
     }
     for (uint32_t c = 0; c < count; c++) {
         uint32_t donor = donors[s->vertices[c]];
-        if (donor != MIKKT_NONE && (s->flags[c / 3] & FLAG_DEGENERATE))
+        if (donor != NONE && (s->flags[c / 3] & FLAG_DEGENERATE))
             memcpy(s->out[c], s->out[donor], sizeof(s->out[c]));
     }
 }
@@ -199,7 +391,7 @@ static int compute(struct bsq_ctx *ctx, struct tangents *s)
     int status = bsq_check(ctx);
     for (uint32_t t = 0; t < s->input.corner_count / 3 && status == 0; t++) {
         init_triangle(s, t);
-        if (t % MIKKT_CORNERS_A_CHECK == 0)
+        if (t % CORNERS_A_CHECK == 0)
             status = bsq_check(ctx);
     }
     for (uint32_t c = 0; c < s->input.corner_count; c++)
@@ -231,7 +423,7 @@ int bake_mikkt(struct bsq_ctx *ctx, uint64_t count, const float (*positions)[3][
     BSQ_TRY(bsq_alloc(ctx, "triangle flags", count, sizeof(*s.flags), &s.flags));
     BSQ_TRY(bsq_alloc(ctx, "triangle tangents", count, sizeof(*s.tangents), &s.tangents));
     BSQ_TRY(bake_mikkt_weld(ctx, &s.input, s.vertices));
-    BSQ_TRY(bake_mikkt_find_twins(ctx, &s.input, s.vertices, s.twins));
+    BSQ_TRY(find_twins(ctx, &s.input, s.vertices, s.twins));
     BSQ_TRY(compute(ctx, &s));
 done:
     bsq_free(ctx, s.tangents);

@@ -1,5 +1,5 @@
-/* parts.c - see parts.h. Objects with one name are one object, also in several files. */
-#include "libbake/lowpoly/parts.h"
+/* parts.c - see lowpoly_internal.h. Objects with one name are one object, also in several files. */
+#include "libbake/lowpoly/lowpoly_internal.h"
 
 #include <string.h>
 

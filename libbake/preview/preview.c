@@ -11,8 +11,7 @@ enum {
     PANELS = 3,
     SEPARATOR = 4,
     SIDE_ALONE = 768, /* of the panels of a single view */
-    SIDE = 384,       /* of the panels of each of several views: four take the time of one */
-    EXTENTS_A_TASK = 4096
+    SIDE = 384        /* of the panels of each of several views: four take the time of one */
 };
 _Static_assert(SIDE_ALONE % PREVIEW_BAND == 0 && SIDE % PREVIEW_BAND == 0, "bands fill a panel");
 
@@ -29,7 +28,6 @@ struct rendering {
     const struct bake_preview *preview;
     uint32_t side, width; /* as in struct bake_preview_file */
     struct preview_view view;
-    struct preview_extent *extents;
     struct preview_band *bands; /* one a worker */
     float *pixels;              /* of a view: side x width x 3 */
 };
@@ -57,17 +55,6 @@ int bake_preview_open(struct bsq_ctx *ctx, const char *path, uint32_t view_count
     else
         *out = file;
     return status;
-}
-
-static int measure_extents(void *arg, uint64_t task, unsigned worker)
-{
-    (void)worker;
-    struct rendering *r = arg;
-    uint64_t first = task * EXTENTS_A_TASK;
-    uint64_t left = r->preview->mesh->triangle_count - first;
-    bake_preview_mesh_extents(r->preview, &r->view, first,
-                              left < EXTENTS_A_TASK ? left : EXTENTS_A_TASK, r->extents);
-    return 0;
 }
 
 /* Computes the colours of a sample in the mesh's two panels. x, y: in samples; band_y: y inside the
@@ -116,7 +103,7 @@ static int render_band(void *arg, uint64_t index, unsigned worker)
     struct rendering *r = arg;
     struct preview_band *band = &r->bands[worker];
     uint32_t first_row = (uint32_t)index * PREVIEW_BAND;
-    bake_preview_mesh_band(r->preview, &r->view, r->extents, first_row * PREVIEW_GRID, band);
+    bake_preview_mesh_band(r->preview, &r->view, first_row * PREVIEW_GRID, band);
     for (uint32_t row = first_row; row < first_row + PREVIEW_BAND; ++row)
         render_panel_row(r, band, row, r->pixels + (size_t)row * r->width * 3);
     bsq_progress_add(r->ctx, PREVIEW_BAND);
@@ -130,8 +117,6 @@ static int allocate(struct rendering *r)
     int status = 0;
     BSQ_TRY(
         bsq_calloc(ctx, "preview", (uint64_t)r->width * r->side, 3 * sizeof(float), &r->pixels));
-    BSQ_TRY(bsq_alloc(ctx, "preview", r->preview->mesh->triangle_count, sizeof *r->extents,
-                      &r->extents));
     BSQ_TRY(bsq_calloc(ctx, "preview", bsq_threads(ctx), sizeof *r->bands, &r->bands));
     for (unsigned w = 0; w < bsq_threads(ctx); ++w) {
         BSQ_TRY(bsq_alloc(ctx, "preview", samples, sizeof(float), &r->bands[w].depth));
@@ -148,16 +133,13 @@ static void release(struct rendering *r)
         bsq_free(r->ctx, r->bands[w].triangle);
     }
     bsq_free(r->ctx, r->bands);
-    bsq_free(r->ctx, r->extents);
     bsq_free(r->ctx, r->pixels);
 }
 
 /* Renders the panels of r->view. */
 static int render_view(struct rendering *r)
 {
-    const uint64_t tasks = (r->preview->mesh->triangle_count - 1) / EXTENTS_A_TASK + 1;
     int status = 0;
-    BSQ_TRY(bsq_parallel_for(r->ctx, tasks, measure_extents, r));
     BSQ_TRY(bsq_parallel_for(r->ctx, r->side / PREVIEW_BAND, render_band, r));
     BSQ_TRY(bake_preview_scan_panel(r->preview, &r->view,
                                     r->pixels + (size_t)PANEL_SCAN * (r->side + SEPARATOR) * 3,

@@ -25,17 +25,6 @@ static void project_triangle(const struct bake_preview *preview, const struct pr
         project(view, preview->mesh->positions[triangle][c], out[c]);
 }
 
-void bake_preview_mesh_extents(const struct bake_preview *preview, const struct preview_view *view,
-                               uint64_t first, uint64_t count, struct preview_extent *extents)
-{
-    for (uint64_t t = first; t < first + count; ++t) {
-        double p[3][3];
-        project_triangle(preview, view, t, p);
-        extents[t].top = (float)fmin(p[0][1], fmin(p[1][1], p[2][1])) - 0.01f;
-        extents[t].bottom = (float)fmax(p[0][1], fmax(p[1][1], p[2][1])) + 0.01f;
-    }
-}
-
 /* Returns twice the signed area of a, b and the point; its sign says on which side the point is. */
 static double edge(const double a[3], const double b[3], double x, double y)
 {
@@ -86,17 +75,12 @@ static void draw_triangle(double (*p)[3], uint32_t triangle, uint32_t samples, u
 }
 
 void bake_preview_mesh_band(const struct bake_preview *preview, const struct preview_view *view,
-                            const struct preview_extent *extents, uint32_t first_row,
-                            struct preview_band *band)
+                            uint32_t first_row, struct preview_band *band)
 {
-    const uint32_t rows = PREVIEW_BAND * PREVIEW_GRID;
-    float top = (float)first_row, bottom = (float)(first_row + rows);
-    for (size_t i = 0; i < (size_t)rows * view->samples; ++i)
+    double p[3][3];
+    for (size_t i = 0; i < (size_t)PREVIEW_BAND * PREVIEW_GRID * view->samples; ++i)
         band->triangle[i] = UINT32_MAX;
     for (uint64_t t = 0; t < preview->mesh->triangle_count; ++t) {
-        if (extents[t].bottom < top || extents[t].top > bottom)
-            continue;
-        double p[3][3];
         project_triangle(preview, view, t, p);
         draw_triangle(p, (uint32_t)t, view->samples, first_row, band);
     }

@@ -7,7 +7,7 @@
 
 enum {
     PREVIEW_GRID = 2, /* samples along a pixel's side */
-    PREVIEW_BAND = 8  /* pixel rows that a worker renders at a time; divides a panel's side */
+    PREVIEW_BAND = 32 /* pixel rows that a worker renders at a time; divides a panel's side */
 };
 
 /* A parallel projection. With half = samples / 2, a point p is on the panel at
@@ -51,19 +51,9 @@ struct preview_band {
     uint32_t *triangle; /* UINT32_MAX: none */
 };
 
-/* Rows of samples that a triangle may cover. */
-struct preview_extent {
-    float top, bottom;
-};
-
-/* Computes the extents of `count` triangles from `first` on. Thread-safe for distinct triangles. */
-void bake_preview_mesh_extents(const struct bake_preview *preview, const struct preview_view *view,
-                               uint64_t first, uint64_t count, struct preview_extent *extents);
-
 /* Rasterises the mesh into a band. first_row: in samples. */
 void bake_preview_mesh_band(const struct bake_preview *preview, const struct preview_view *view,
-                            const struct preview_extent *extents, uint32_t first_row,
-                            struct preview_band *band);
+                            uint32_t first_row, struct preview_band *band);
 
 /* Computes the colours of a sample of `triangle`, without and with maps. x, y: in samples. */
 void bake_preview_mesh_sample(const struct bake_preview *preview, const struct preview_view *view,
