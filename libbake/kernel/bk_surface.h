@@ -33,22 +33,6 @@
 /* Longest correction of a unit normal by the planes' offsets. */
 #define BK_CORRECTION_MAX 0.5f
 
-/* Decodes the signed normalised 16-bit integer in the low half of a word. */
-BK_FN float bk_snorm16(bk_uint word)
-{
-    return (float)((bk_int)((word & 0xffffu) ^ 0x8000u) - 0x8000) * (1.0f / 32767.0f);
-}
-
-/* Decodes an octahedral unit vector (Meyer et al. 2010; Cigolle et al. 2014). */
-BK_FN bk_vec3 bk_decode_normal(bk_uint packed)
-{
-    float x = bk_snorm16(packed), y = bk_snorm16(packed >> 16);
-    float z = 1.0f - bk_abs(x) - bk_abs(y);
-    float fold = bk_max(-z, 0.0f);
-
-    return bk_unit(bk_v3(x >= 0.0f ? x - fold : x + fold, y >= 0.0f ? y - fold : y + fold, z));
-}
-
 /* Returns the linear colour of record `number`. */
 BK_FN bk_vec3 bk_color_of(const bk_grid *grid, bk_ulong number)
 {
@@ -60,12 +44,13 @@ BK_FN bk_vec3 bk_color_of(const bk_grid *grid, bk_ulong number)
 
 /* ---- BK_WIDTH records at a time ---- */
 
+/* Decodes the signed normalised 16-bit integer in the low half of each word. */
 BK_FN bk_fw bk_snorm16w(bk_iw words)
 {
     return bk_to_fw(((words & 0xffff) ^ 0x8000) - 0x8000) * (1.0f / 32767.0f);
 }
 
-/* Returns bk_decode_normal() of each lane. */
+/* Decodes octahedral unit vectors (Meyer et al. 2010; Cigolle et al. 2014). */
 BK_FN bk_vec3w bk_decode_normalw(bk_iw packed)
 {
     const bk_fw zero = bk_splat(0.0f);
@@ -118,14 +103,14 @@ typedef struct bk_cell {
 /* Returns the number of that record of value index v whose orientation is closer to `normal`. */
 BK_FN bk_ulong bk_choose_record(const bk_grid *grid, bk_ulong v, bk_vec3 normal)
 {
-    bk_ulong second = bk_second(grid, v);
-    float a, b;
+    const bk_ulong second = bk_second(grid, v);
+    bk_vec3w a, b;
 
     if (second == 0)
         return v;
-    a = bk_dot(bk_decode_normal(grid->normals[v]), normal);
-    b = bk_dot(bk_decode_normal(grid->normals[second]), normal);
-    return b > a ? second : v;
+    a = bk_decode_normalw(bk_splati((bk_int)grid->normals[v]));
+    b = bk_decode_normalw(bk_splati((bk_int)grid->normals[second]));
+    return bk_dot(bk_lane3(&b, 0), normal) > bk_dot(bk_lane3(&a, 0), normal) ? second : v;
 }
 
 /* Finds the value indices of voxels `bit` and `bit` + 1 (z and z + 1) of a layer of a leaf. Returns

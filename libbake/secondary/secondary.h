@@ -13,8 +13,6 @@
 #include "base/context.h"
 #include "libbake/kernel/bk_types.h"
 
-struct bk_surroundings;
-
 /* A place on the surface, in the index space of what is traced. */
 struct bake_place {
     float open_from[3];  /* where open rays start: above the surface */
@@ -41,7 +39,7 @@ struct bake_places {
 void bake_place_ray(const struct bk_params *params, const struct bake_place *place, bool open,
                     uint32_t number, float origin[3], float direction[3]);
 
-/* What is known of the rays of `capacity` places. */
+/* What is known of the rays of `capacity` places. surface_look.c makes it and sums it up. */
 struct bake_ray_states {
     uint32_t opens, solids;  /* rays of a place */
     uint32_t words, lengths; /* entries below for a place */
@@ -50,15 +48,6 @@ struct bake_ray_states {
     float *distances; /* of nearest hits, world units: open rays if they fall off, rays into the
                          solid */
 };
-
-/* Returns the bytes that a place takes. */
-uint64_t bake_ray_state_bytes(const struct bk_params *params);
-/* Allocates states; free them also after a failure. Errors: BSQ_ENOMEM. */
-int bake_ray_states_create(struct bsq_ctx *ctx, const struct bk_params *params, uint64_t capacity,
-                           struct bake_ray_states *out);
-void bake_ray_states_free(struct bsq_ctx *ctx, struct bake_ray_states *states);
-/* Forgets what is known of the first `count` places. */
-void bake_ray_states_clear(struct bake_ray_states *states, uint64_t count);
 
 /* Return the state of a place: its bits, and the distances of its open rays or of those into the
  * solid. */
@@ -72,12 +61,5 @@ static inline float *bake_ray_distances(const struct bake_ray_states *states, ui
     return states->distances + index * states->lengths +
            (open || states->words > 0 ? 0 : states->opens);
 }
-
-/* Returns what the rays of a place found. index: of its state. low, high: bounds of all that was
- * traced; a ray into the solid that leaves them within its limit has missed the solid's other side,
- * and is not counted. The place, the bounds and the lengths of params are in world units. */
-struct bk_surroundings bake_sum_rays(const struct bake_ray_states *states,
-                                     const struct bk_params *params, const struct bake_place *place,
-                                     uint64_t index, const double low[3], const double high[3]);
 
 #endif

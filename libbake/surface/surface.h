@@ -125,6 +125,7 @@ struct bake_look_hits {
 };
 
 struct bake_look;
+struct bk_surroundings;
 
 /* Prepares secondary rays: takes up to half of what is left of the budget, for the state of rays
  * from at most `most` hits at a time and for the chunks of a scan of triangles. Free *out with

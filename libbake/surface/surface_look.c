@@ -131,6 +131,54 @@ static int look_at_scan(struct view *view, uint64_t progress)
                                           look_task, view);
 }
 
+/* ---- sums ---- */
+
+/* Returns the t at which a ray from inside the bounds leaves them. */
+static double leaving(const float origin[3], const float direction[3], const double low[3],
+                      const double high[3])
+{
+    double t = INFINITY;
+    for (int k = 0; k < 3; k++)
+        if (direction[k] != 0.0f)
+            t = fmin(t, ((direction[k] > 0 ? high : low)[k] - (double)origin[k]) /
+                            (double)direction[k]);
+    return t;
+}
+
+/* Returns what is known of ray `number` of a place, as bk_look() returns it. A ray into the solid
+ * that leaves the bounds of all scans within its limit has missed the solid's other side. */
+static float found_by(const struct bake_ray_states *states, const bk_rays *kind, uint64_t index,
+                      uint32_t number, double leaves)
+{
+    if (kind->open && states->words > 0)
+        return bake_hidden_rays(states, index)[number / 64] >> (number % 64) & 1 ? 0.0f : -1.0f;
+    const float t = bake_ray_distances(states, index, kind->open)[number];
+    if (t < INFINITY)
+        return kind->open ? t : fminf(t, kind->limit);
+    return kind->open || leaves < (double)kind->limit ? -1.0f : kind->limit;
+}
+
+/* Sums what the rays of a place found. index: of its state. low, high: bounds of all scans that it
+ * sees. The place, the bounds and the lengths of params are in world units. */
+static struct bk_surroundings sum_rays(const struct bake_look *look, const struct bake_place *place,
+                                       uint64_t index, const double low[3], const double high[3])
+{
+    struct bk_surroundings sums = bk_no_surroundings();
+    uint32_t counted = 0;
+    for (uint32_t open = 2; open-- > 0;) {
+        const bk_rays kind = bk_rays_of(&look->params, open);
+        for (uint32_t r = 0; r < kind.count; r++) {
+            float from[3], d[3];
+            bake_place_ray(&look->params, place, open, r, from, d);
+            const double leaves = open ? 0 : leaving(from, d, low, high);
+            bk_add_looks(&look->params, &kind, 1, found_by(&look->states, &kind, index, r, leaves),
+                         bk_v3w(d[0], d[1], d[2]), &sums, &counted);
+        }
+    }
+    bk_mean_surroundings(&look->params, look->states.opens, counted, &sums);
+    return sums;
+}
+
 /* ---- all scans ---- */
 
 static int sum_task(void *arg, uint64_t task, unsigned worker)
@@ -152,11 +200,18 @@ static int sum_task(void *arg, uint64_t task, unsigned worker)
                 high[k] = fmax(high[k], surface->scans[s].scan_max[k] - surface->translation[k]);
             }
         set_place(view, index, surface->translation, 1, 0, &place);
-        view->out[index] =
-            bake_sum_rays(&view->look->states, &view->look->params, &place, i, low, high);
+        view->out[index] = sum_rays(view->look, &place, i, low, high);
         view->out[index].thickness /= (float)surface->unit;
     }
     return 0;
+}
+
+/* Forgets what is known of the first `count` places. */
+static void clear_states(struct bake_ray_states *states, uint64_t count)
+{
+    memset(states->hidden, 0, count * states->words * sizeof *states->hidden);
+    for (uint64_t i = 0; i < count * states->lengths; i++)
+        states->distances[i] = INFINITY;
 }
 
 /* Traces the rays of the view's hits through all scans, and sums what they found. */
@@ -165,7 +220,7 @@ static int look_at_all(struct view *view, uint64_t progress)
     struct bake_look *look = view->look;
     const uint32_t n = look->surface->scan_count;
     int status = 0;
-    bake_ray_states_clear(&look->states, view->count);
+    clear_states(&look->states, view->count);
     for (view->scan = 0; view->scan < n; view->scan++)
         BSQ_TRY(look_at_scan(view, progress * (view->scan + 1) / n - progress * view->scan / n));
     BSQ_TRY(bsq_parallel_for(look->surface->ctx, (view->count + HITS_A_TASK - 1) / HITS_A_TASK,
@@ -201,10 +256,24 @@ uint64_t bake_look_loads(const struct bake_look *look)
 static int create_states(struct bake_look *look, uint64_t most)
 {
     struct bsq_ctx *ctx = look->surface->ctx;
-    const uint64_t bytes = bake_ray_state_bytes(&look->params);
+    struct bake_ray_states *states = &look->states;
+    const bool falls_off = look->params.flags & BK_OPEN_FALLOFF;
+    int status;
+    states->opens = bk_open_rays(&look->params);
+    states->solids = bk_solid_rays(&look->params);
+    states->words = falls_off ? 0 : (states->opens + 63) / 64;
+    states->lengths = states->solids + (falls_off ? states->opens : 0);
+    const uint64_t bytes =
+        states->words * sizeof *states->hidden + states->lengths * sizeof *states->distances;
     const uint64_t share = bsq_memory_share(ctx, "secondary rays", 8);
-    const uint64_t capacity = bytes == 0 || most < share / bytes ? most : share / bytes;
-    return bake_ray_states_create(ctx, &look->params, capacity < 1 ? 1 : capacity, &look->states);
+    const uint64_t fitting = bytes == 0 || most < share / bytes ? most : share / bytes;
+    states->capacity = fitting < 1 ? 1 : fitting;
+    BSQ_TRY(bsq_alloc(ctx, "secondary rays", states->capacity * states->words + 1,
+                      sizeof *states->hidden, &states->hidden));
+    status = bsq_alloc(ctx, "secondary rays", states->capacity * states->lengths + 1,
+                       sizeof *states->distances, &states->distances);
+done:
+    return status;
 }
 
 int bake_look_create(const struct bake_surface *surface, uint64_t most, struct bake_look **out)
@@ -236,6 +305,7 @@ void bake_look_free(struct bake_look *look)
         return;
     struct bsq_ctx *ctx = look->surface->ctx;
     bake_exact_look_free(look->kept);
-    bake_ray_states_free(ctx, &look->states);
+    bsq_free(ctx, look->states.hidden);
+    bsq_free(ctx, look->states.distances);
     bsq_free(ctx, look);
 }

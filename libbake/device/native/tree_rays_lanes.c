@@ -15,7 +15,7 @@
 
 #include "base/simd/simd.h"
 #define BK_WIDTH SIMD_FLOATS
-#include "libbake/device/native/tree_tracer.h"
+#include "libbake/device/native/tree_rays.h"
 
 /* At most this many rays of a point are tested against a node one by one. */
 enum { SINGLE_RAYS_MOST = 16 };

@@ -15,7 +15,7 @@
 
 #include "base/simd/simd.h"
 #define BK_WIDTH SIMD_FLOATS
-#include "libbake/device/native/tree_tracer.h"
+#include "libbake/device/native/tree_rays.h"
 
 enum { BLOCK_VOXELS = 64 };
 
