@@ -1,4 +1,4 @@
-/* exr_internal.h - errors and memory of the EXR writer and reader; private to this folder. */
+/* exr_internal.h - errors of the EXR writer and reader; private to this folder. */
 #ifndef FMT_IMAGE_EXR_INTERNAL_H
 #define FMT_IMAGE_EXR_INTERNAL_H
 
@@ -22,12 +22,5 @@ int fmt_exr_status(const struct fmt_exr_stream *stream, exr_result_t result);
 /* Keeps the status of a failed callback, if it is the first; the callback has recorded the message.
  */
 void fmt_exr_set_status(struct fmt_exr_stream *stream, int status);
-
-/* Records OpenEXR's message with the file's name, except for EXR_ERR_CORRUPT_CHUNK. The error
- * callback of files that are read. */
-void fmt_exr_on_error(exr_const_context_t file, exr_result_t result, const char *message);
-
-/* Returns the bytes that OpenEXR allocates to code one chunk: packed, compressed and scratch. */
-uint64_t fmt_exr_coding_bytes(uint64_t chunk_bytes);
 
 #endif

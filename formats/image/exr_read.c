@@ -36,7 +36,56 @@ struct target {
     float *samples;
 };
 
+/* ---- errors ---- */
+
+/* EXR_ERR_READ_IO is bad data: the file ends too early. Callbacks record failures of the disk. */
+static int status_of(exr_result_t result)
+{
+    switch (result) {
+    case EXR_ERR_SUCCESS:
+        return BSQ_OK;
+    case EXR_ERR_OUT_OF_MEMORY:
+        return BSQ_ENOMEM;
+    case EXR_ERR_WRITE_IO:
+    case EXR_ERR_FILE_ACCESS:
+        return BSQ_EIO;
+    default:
+        return BSQ_EDATA;
+    }
+}
+
+int fmt_exr_status(const struct fmt_exr_stream *stream, exr_result_t result)
+{
+    if (result == EXR_ERR_SUCCESS)
+        return BSQ_OK;
+    int described = atomic_load(&stream->status);
+    if (described < 0)
+        return described;
+    return bsq_fail(stream->ctx, status_of(result), "%s: %s", stream->path,
+                    exr_get_default_error_message(result));
+}
+
+void fmt_exr_set_status(struct fmt_exr_stream *stream, int status)
+{
+    int none = 0;
+    if (status < 0)
+        atomic_compare_exchange_strong(&stream->status, &none, status);
+}
+
 /* ---- callbacks of OpenEXR ---- */
+
+/* Records OpenEXR's message with the file's name, except for EXR_ERR_CORRUPT_CHUNK. */
+static void describe_failure(exr_const_context_t file, exr_result_t result, const char *message)
+{
+    void *user = NULL;
+    if (result == EXR_ERR_CORRUPT_CHUNK) /* the caller may try again, and describes it */
+        return;
+    if (!file || exr_get_user_data(file, &user) != EXR_ERR_SUCCESS || !user)
+        return;
+    struct fmt_exr_stream *stream = user;
+    fmt_exr_set_status(stream, status_of(result));
+    bsq_fail(stream->ctx, status_of(result), "%s: %s", stream->path, message);
+}
 
 static int64_t read_bytes(exr_const_context_t file, void *user, void *buffer, uint64_t size,
                           uint64_t offset, exr_stream_error_func_ptr_t on_error)
@@ -61,14 +110,6 @@ static int64_t file_size(exr_const_context_t file, void *user)
 static int refuse(const struct reader *reader, const char *why)
 {
     return bsq_fail(reader->stream.ctx, BSQ_EDATA, "%s: %s", reader->stream.path, why);
-}
-
-/* Checks what OpenEXR would take much time and memory for. */
-static int check_header(struct reader *reader)
-{
-    const char *excess = NULL;
-    int status = fmt_exr_header_excess(reader->stream.ctx, &reader->input, &excess);
-    return status == 0 && excess ? refuse(reader, excess) : status;
 }
 
 static int read_layout(struct reader *reader)
@@ -106,47 +147,39 @@ static int read_layout(struct reader *reader)
     return 0;
 }
 
+static int copy_text(struct bsq_ctx *ctx, const char *text, size_t length, char **out)
+{
+    int status = bsq_alloc(ctx, "EXR text", length + 1, 1, out);
+    if (status < 0)
+        return status;
+    memcpy(*out, text, length);
+    (*out)[length] = '\0';
+    return 0;
+}
+
 static int read_channels(struct reader *reader)
 {
     struct bsq_ctx *ctx = reader->stream.ctx;
     struct fmt_exr_image *image = reader->image;
     const exr_attr_chlist_t *list;
-    int status = fmt_exr_status(&reader->stream, exr_get_channels(reader->file, 0, &list));
-    if (status < 0)
-        return status;
+    int status;
+    BSQ_TRY(fmt_exr_status(&reader->stream, exr_get_channels(reader->file, 0, &list)));
     if (list->num_channels < 1)
         return refuse(reader, "there are no channels");
     uint32_t count = (uint32_t)list->num_channels;
     if ((uint64_t)count * image->width > INT32_MAX / sizeof(float))
         return refuse(reader, "a row of the image is longer than 2 GiB");
-    status = bsq_calloc(ctx, "EXR channel names", count, sizeof *image->channels, &image->channels);
-    if (status < 0)
-        return status;
+    BSQ_TRY(bsq_calloc(ctx, "EXR channel names", count, sizeof *image->channels, &image->channels));
     image->channel_count = count;
     for (uint32_t c = 0; c < count; ++c) {
         const exr_attr_chlist_entry_t *entry = &list->entries[c];
         if (entry->x_sampling != 1 || entry->y_sampling != 1)
             return refuse(reader, "subsampled channels are not supported");
         reader->pixel_bytes += entry->pixel_type == EXR_PIXEL_HALF ? 2 : 4;
-        size_t bytes = strlen(entry->name.str) + 1;
-        status = bsq_alloc(ctx, "EXR channel name", bytes, 1, &image->channels[c]);
-        if (status < 0)
-            return status;
-        memcpy(image->channels[c], entry->name.str, bytes);
+        BSQ_TRY(copy_text(ctx, entry->name.str, strlen(entry->name.str), &image->channels[c]));
     }
-    return 0;
-}
-
-static int copy_text(struct bsq_ctx *ctx, const char *text, size_t length, const char **out)
-{
-    char *copy;
-    int status = bsq_alloc(ctx, "EXR attribute", length + 1, 1, &copy);
-    if (status < 0)
-        return status;
-    memcpy(copy, text, length);
-    copy[length] = '\0';
-    *out = copy;
-    return 0;
+done:
+    return status;
 }
 
 static int read_attributes(struct reader *reader)
@@ -161,17 +194,17 @@ static int read_attributes(struct reader *reader)
                         &image->attributes);
     for (int32_t i = 0; status == 0 && i < count; ++i) {
         const exr_attribute_t *attribute;
-        status = fmt_exr_status(
+        BSQ_TRY(fmt_exr_status(
             &reader->stream,
-            exr_get_attribute_by_index(reader->file, 0, EXR_ATTR_LIST_FILE_ORDER, i, &attribute));
-        if (status < 0 || attribute->type != EXR_ATTR_STRING || !attribute->string->str)
+            exr_get_attribute_by_index(reader->file, 0, EXR_ATTR_LIST_FILE_ORDER, i, &attribute)));
+        if (attribute->type != EXR_ATTR_STRING || !attribute->string->str)
             continue;
         struct fmt_exr_attribute *copy = &image->attributes[image->attribute_count++];
-        status = copy_text(ctx, attribute->name, strlen(attribute->name), &copy->name);
-        if (status == 0)
-            status = copy_text(ctx, attribute->string->str, (size_t)attribute->string->length,
-                               &copy->value);
+        BSQ_TRY(copy_text(ctx, attribute->name, strlen(attribute->name), &copy->name));
+        status =
+            copy_text(ctx, attribute->string->str, (size_t)attribute->string->length, &copy->value);
     }
+done:
     return status;
 }
 
@@ -292,51 +325,47 @@ static int allocate(struct reader *reader)
     struct fmt_exr_image *image = reader->image;
     unsigned workers = bsq_threads(ctx);
     uint64_t chunk_bytes;
-    int status =
-        fmt_exr_status(&reader->stream, exr_get_chunk_unpacked_size(reader->file, 0, &chunk_bytes));
-    if (status < 0)
-        return status;
+    int status;
+    BSQ_TRY(fmt_exr_status(&reader->stream,
+                           exr_get_chunk_unpacked_size(reader->file, 0, &chunk_bytes)));
     if (chunk_bytes > UINT64_MAX / 4 / workers)
         return refuse(reader, "a block is too large");
-    uint64_t bytes = workers * fmt_exr_coding_bytes(chunk_bytes);
-    status = bsq_reserve(ctx, "EXR decoding", bytes);
-    if (status < 0)
-        return status;
+    /* OpenEXR allocates packed, unpacked and scratch bytes for each chunk. */
+    uint64_t bytes = workers * (3 * chunk_bytes + chunk_bytes / 50 + 4096);
+    BSQ_TRY(bsq_reserve(ctx, "EXR decoding", bytes));
     reader->reserved_bytes = bytes;
-    status = bsq_calloc(ctx, "EXR decoders", workers, sizeof *reader->decoders, &reader->decoders);
-    if (status < 0)
-        return status;
-    status = bsq_calloc(ctx, "EXR decoders", workers, sizeof *reader->ready, &reader->ready);
-    if (status < 0)
-        return status;
-    return bsq_alloc(ctx, "EXR image", (uint64_t)image->width * image->height,
-                     image->channel_count * sizeof(float), &image->samples);
+    BSQ_TRY(bsq_calloc(ctx, "EXR decoders", workers, sizeof *reader->decoders, &reader->decoders));
+    BSQ_TRY(bsq_calloc(ctx, "EXR decoders", workers, sizeof *reader->ready, &reader->ready));
+    status = bsq_alloc(ctx, "EXR image", (uint64_t)image->width * image->height,
+                       image->channel_count * sizeof(float), &image->samples);
+done:
+    return status;
 }
 
 static int read_image(struct reader *reader)
 {
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
-    init.error_handler_fn = fmt_exr_on_error;
+    init.error_handler_fn = describe_failure;
     init.user_data = reader;
     init.read_fn = read_bytes;
     init.size_fn = file_size;
     init.flags = EXR_CONTEXT_FLAG_DISABLE_CHUNK_RECONSTRUCTION;
-    int status = check_header(reader);
-    if (status == 0)
-        status = fmt_exr_status(&reader->stream,
-                                exr_start_read(&reader->file, reader->stream.path, &init));
-    if (status == 0)
-        status = read_layout(reader);
-    if (status == 0)
-        status = read_channels(reader);
-    if (status == 0)
-        status = read_attributes(reader);
-    if (status == 0)
-        status = allocate(reader);
-    if (status < 0)
-        return status;
-    uint64_t chunks = (uint64_t)reader->chunks_across * reader->chunks_down;
-    return bsq_parallel_for(reader->stream.ctx, chunks, decode_chunk, reader);
+    const char *excess = NULL;
+    int status;
+    BSQ_TRY(fmt_exr_header_excess(reader->stream.ctx, &reader->input, &excess));
+    if (excess)
+        return refuse(reader, excess);
+    BSQ_TRY(
+        fmt_exr_status(&reader->stream, exr_start_read(&reader->file, reader->stream.path, &init)));
+    BSQ_TRY(read_layout(reader));
+    BSQ_TRY(read_channels(reader));
+    BSQ_TRY(read_attributes(reader));
+    BSQ_TRY(allocate(reader));
+    status =
+        bsq_parallel_for(reader->stream.ctx, (uint64_t)reader->chunks_across * reader->chunks_down,
+                         decode_chunk, reader);
+done:
+    return status;
 }
 
 int fmt_exr_read(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *out)
@@ -367,8 +396,8 @@ void fmt_exr_image_free(struct bsq_ctx *ctx, struct fmt_exr_image *image)
         bsq_free(ctx, image->channels[c]);
     bsq_free(ctx, image->channels);
     for (uint32_t a = 0; image->attributes && a < image->attribute_count; ++a) {
-        bsq_free(ctx, (void *)image->attributes[a].name);
-        bsq_free(ctx, (void *)image->attributes[a].value);
+        bsq_free(ctx, image->attributes[a].name);
+        bsq_free(ctx, image->attributes[a].value);
     }
     bsq_free(ctx, image->attributes);
     bsq_free(ctx, image->samples);

@@ -13,7 +13,7 @@ extern "C" {
 #endif
 
 struct fmt_exr_attribute { /* a string attribute of the header */
-    const char *name, *value;
+    char *name, *value;
 };
 
 struct fmt_exr_image {

@@ -277,7 +277,8 @@ static void free_coding(struct fmt_image_writer *writer)
         return;
     writer->freed = true;
     free_encoders(writer);
-    writer->format->free(writer);
+    if (writer->format->free)
+        writer->format->free(writer);
     bsq_free(writer->ctx, writer->pending);
     bsq_free(writer->ctx, writer->above);
 }
@@ -317,13 +318,6 @@ int fmt_image_hand_over(struct fmt_image_writer *writer, struct bsq_output **out
     *out = writer->output;
     free_writer(writer);
     return 0;
-}
-
-int fmt_image_commit(struct fmt_image_writer *writer)
-{
-    struct bsq_output *output;
-    int status = fmt_image_hand_over(writer, &output);
-    return status == 0 ? bsq_output_commit(output) : status;
 }
 
 void fmt_image_discard(struct fmt_image_writer *writer)

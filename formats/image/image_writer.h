@@ -16,8 +16,7 @@
 extern "C" {
 #endif
 
-/* How a file stores a sample. Integers hold 0 to 1; FMT_UINT8 is dithered,
- * unless the samples are labels. */
+/* How a file stores a sample. Integers hold 0 to 1; FMT_UINT8 is dithered, unless it is rounded. */
 enum fmt_sample_type { FMT_UINT8, FMT_UINT16, FMT_HALF, FMT_FLOAT };
 #define FMT_SAMPLE_BIT(type) (1u << (type))
 
@@ -37,8 +36,7 @@ struct fmt_image_options {
     bool color;
     /* Side of the tiles that the file is made of, to FMT_MAX_TILE_SIDE; 0: it is made of rows. */
     uint32_t tile_side;
-    /* Samples tell things apart: a value between two of them means nothing, so none is dithered. */
-    bool labels;
+    bool rounded; /* 8-bit samples are rounded to nearest, and not dithered */
     /* A format may leave them out, as PNG does. See also fmt_image_describe(). */
     const struct fmt_image_attribute *attributes;
     uint32_t attribute_count;
@@ -81,7 +79,8 @@ struct fmt_image_format {
                 const struct fmt_image_block *block);
     /* Completes the output after the last row, when the encoders are freed. */
     int (*finish)(struct fmt_image_writer *writer);
-    /* Frees what create() made, also for a file that is not complete; records nothing. */
+    /* Frees what create() made, also for a file that is not complete; records nothing. NULL: it
+     * made nothing. */
     void (*free)(struct fmt_image_writer *writer);
 };
 
@@ -134,8 +133,6 @@ int fmt_image_finish(struct fmt_image_writer *writer);
 /* Completes the file; frees the writer in any case. *out: the output, for the caller to commit
  * together with others. */
 int fmt_image_hand_over(struct fmt_image_writer *writer, struct bsq_output **out);
-/* Completes the file and gives it its final name; frees the writer in any case. */
-int fmt_image_commit(struct fmt_image_writer *writer);
 void fmt_image_discard(struct fmt_image_writer *writer); /* NULL is allowed */
 
 #ifdef __cplusplus

@@ -1,8 +1,8 @@
 /* png_write.c - streaming PNG writer (docs/decisions/0018-images-are-compressed-in-parallel.md).
  *
- * libpng writes the header and the framing of chunks. Compression takes nearly all of the time, and
- * libpng does it on one thread. So bands of rows are filtered and deflated independently, on all
- * threads, and joined to one stream.
+ * Compression takes nearly all of the time, and libpng does it on one thread. So bands of rows are
+ * filtered and deflated independently, on all threads, and joined to one stream. The chunks around
+ * it need no library.
  *
  * 8-bit samples are dithered with the additive recurrence of Roberts, "The Unreasonable
  * Effectiveness of Quasirandom Sequences", 2018: threshold = frac(x / g + y / g^2), where g is the
@@ -14,7 +14,6 @@
  * above. They are computed again from the samples of that row, so bands do not wait for each other.
  */
 #include <math.h>
-#include <png.h>
 #include <stdlib.h>
 #include <string.h>
 #include <zlib.h>
@@ -37,14 +36,11 @@ static const uint8_t zlib_header[2] = {0x78, 0x5e}; /* deflate, 32 KiB window, l
 
 struct png_writer {
     struct fmt_image_writer base;
-    uint32_t bits; /* 8 or 16 */
-    bool labels;   /* do not dither */
-    bool srgb; /* samples are linear light: encode and tag them as sRGB; otherwise they are data,
-                * tagged with gamma 1.0 */
+    uint32_t bits;          /* 8 or 16 */
+    bool rounded;           /* do not dither */
+    bool srgb;              /* samples are linear light: encode and tag them as sRGB */
     size_t row_bytes, step; /* bytes of a row and of a pixel */
-    png_structp png;
-    png_infop info;
-    uint32_t checksum; /* Adler-32 of the filtered bytes written so far */
+    uint32_t checksum;      /* Adler-32 of the filtered bytes written so far */
 };
 
 /* Encodes one band of rows at a time. */
@@ -76,6 +72,11 @@ static float dither_threshold(uint32_t x, uint32_t y, uint32_t channel)
     return (float)(turn >> 8) * 0x1p-24f;
 }
 
+/* Values up to a 32nd of a level below the middle between two levels are rounded up. So a component
+ * of a normal that is 0 but for rounding, or for the precision of a grid, is always 128, as
+ * programs expect it of flat parts, and never 127. */
+#define HALF_UP (0.5f + 0x1p-5f)
+
 static void quantise_row(const struct png_writer *writer, const float *in, uint32_t y, uint8_t *out)
 {
     uint32_t channels = writer->base.channel_count;
@@ -92,7 +93,7 @@ static void quantise_row(const struct png_writer *writer, const float *in, uint3
                 v = encoded;
             }
             if (writer->bits == 8) {
-                float threshold = writer->labels ? 0.5f : dither_threshold(x, y, c);
+                float threshold = writer->rounded ? HALF_UP : dither_threshold(x, y, c);
                 uint32_t level = (uint32_t)(v * 255.0f + threshold);
                 *out++ = (uint8_t)(level < 255 ? level : 255);
             } else {
@@ -288,90 +289,73 @@ static int encode_band(struct fmt_image_writer *base, void *memory,
     return deflate_band(base->ctx, encoder, band->first_row + band->rows == base->height);
 }
 
-/* ---- callbacks of libpng, which ends a failed call by longjmp ---- */
+/* ---- chunks ---- */
 
-static void on_error(png_structp png, png_const_charp message)
+static void store_u32(uint8_t *to, uint32_t value)
 {
-    struct png_writer *writer = png_get_error_ptr(png);
-    bsq_fail(writer->base.ctx, BSQ_EIO, "%s: %s", writer->base.path, message);
-    png_longjmp(png, 1);
+    for (int i = 0; i < 4; ++i)
+        to[i] = (uint8_t)(value >> (24 - 8 * i));
 }
 
-static void on_warning(png_structp png, png_const_charp message)
-{
-    struct png_writer *writer = png_get_error_ptr(png);
-    bsq_warn(writer->base.ctx, "%s: %s", writer->base.path, message);
-}
-
-static void write_bytes(png_structp png, png_bytep data, png_size_t size)
-{
-    struct png_writer *writer = png_get_io_ptr(png);
-    if (bsq_output_write(writer->base.output, data, size) < 0)
-        png_error(png, "writing failed");
-}
-
-static void flush_bytes(png_structp png)
-{
-    (void)png;
-}
-
-static png_voidp allocate_bytes(png_structp png, png_alloc_size_t size)
-{
-    struct png_writer *writer = png_get_mem_ptr(png);
-    void *memory;
-    return bsq_alloc(writer->base.ctx, "PNG writer", size, 1, &memory) < 0 ? NULL : memory;
-}
-
-static void free_bytes(png_structp png, png_voidp memory)
-{
-    struct png_writer *writer = png_get_mem_ptr(png);
-    bsq_free(writer->base.ctx, memory);
-}
-
-/* ---- chunks; nothing between setjmp and longjmp changes a local variable ---- */
-
-static int write_chunk(struct png_writer *writer, const char *name, const uint8_t *data,
+static int write_chunk(const struct png_writer *writer, const char *name, const uint8_t *data,
                        size_t size)
 {
-    if (setjmp(png_jmpbuf(writer->png)))
-        return BSQ_EIO;
-    png_write_chunk(writer->png, (png_const_bytep)name, data, size);
-    return 0;
+    struct bsq_output *output = writer->base.output;
+    uint8_t head[8], end[4];
+    int status;
+    store_u32(head, (uint32_t)size);
+    memcpy(head + 4, name, 4);
+    const uLong sum = crc32(0, head + 4, 4);
+    store_u32(end, (uint32_t)(size > 0 ? crc32_z(sum, data, size) : sum));
+    BSQ_TRY(bsq_output_write(output, head, sizeof head));
+    BSQ_TRY(bsq_output_write(output, data, size));
+    status = bsq_output_write(output, end, sizeof end);
+done:
+    return status;
 }
 
-/* Adds a tEXt chunk to the header. */
-static int add_text(struct png_writer *writer, const struct fmt_image_attribute *attribute)
+/* Writes what comes before the texts. Data has no colour space: programs that see one transform the
+ * values. Colours have what the specification recommends beside sRGB (section 11.3.2.5). */
+static int write_header(const struct png_writer *writer)
 {
-    /* libpng does not change the texts. */
-    png_text chunk = {.compression = PNG_TEXT_COMPRESSION_NONE,
-                      .key = (png_charp)(uintptr_t)attribute->name,
-                      .text = (png_charp)(uintptr_t)attribute->value,
-                      .text_length = strlen(attribute->value)};
-    if (setjmp(png_jmpbuf(writer->png)))
-        return BSQ_ENOMEM; /* nothing else can fail */
-    png_set_text(writer->png, writer->info, &chunk, 1);
-    return 0;
+    static const uint8_t signature[8] = {0x89, 'P', 'N', 'G', '\r', '\n', 0x1a, '\n'};
+    static const uint8_t perceptual[1] = {0};
+    static const uint32_t chromaticities[8] = {31270, 32900, 64000, 33000,
+                                               30000, 60000, 15000, 6000};
+    static const uint8_t color_types[5] = {[1] = 0, [3] = 2, [4] = 6};
+    uint8_t header[13] = {0}, gamma[4], white_and_primaries[32];
+    int status;
+    store_u32(header, writer->base.width);
+    store_u32(header + 4, writer->base.height);
+    header[8] = (uint8_t)writer->bits;
+    header[9] = color_types[writer->base.channel_count];
+    BSQ_TRY(bsq_output_write(writer->base.output, signature, sizeof signature));
+    BSQ_TRY(write_chunk(writer, "IHDR", header, sizeof header));
+    if (!writer->srgb)
+        return 0;
+    store_u32(gamma, 45455);
+    for (int i = 0; i < 8; ++i)
+        store_u32(white_and_primaries + 4 * i, chromaticities[i]);
+    BSQ_TRY(write_chunk(writer, "gAMA", gamma, sizeof gamma));
+    BSQ_TRY(write_chunk(writer, "sRGB", perceptual, sizeof perceptual));
+    status = write_chunk(writer, "cHRM", white_and_primaries, sizeof white_and_primaries);
+done:
+    return status;
 }
 
-static int write_header(struct png_writer *writer)
+/* Writes a tEXt chunk: the name, a zero, and the value. */
+static int write_text(const struct png_writer *writer, const struct fmt_image_attribute *attribute)
 {
-    const uint32_t channels = writer->base.channel_count;
-    const int type = channels == 1   ? PNG_COLOR_TYPE_GRAY
-                     : channels == 3 ? PNG_COLOR_TYPE_RGB
-                                     : PNG_COLOR_TYPE_RGB_ALPHA;
-    png_structp png = writer->png;
-    if (setjmp(png_jmpbuf(png)))
-        return BSQ_EIO;
-    png_set_user_limits(png, PNG_UINT_31_MAX, PNG_UINT_31_MAX); /* the default is a million */
-    png_set_write_fn(png, writer, write_bytes, flush_bytes);
-    png_set_IHDR(png, writer->info, writer->base.width, writer->base.height, (int)writer->bits,
-                 type, PNG_INTERLACE_NONE, PNG_COMPRESSION_TYPE_DEFAULT, PNG_FILTER_TYPE_DEFAULT);
-    if (writer->srgb)
-        png_set_sRGB_gAMA_and_cHRM(png, writer->info, PNG_sRGB_INTENT_PERCEPTUAL);
-    else
-        png_set_gAMA(png, writer->info, 1.0);
-    png_write_info(png, writer->info);
-    return 0;
+    const size_t name = strlen(attribute->name) + 1, value = strlen(attribute->value);
+    uint8_t *text = NULL;
+    int status;
+    BSQ_TRY(bsq_alloc(writer->base.ctx, "PNG text", name + value, 1, &text));
+    memcpy(text, attribute->name, name);
+    memcpy(text + name, attribute->value, value);
+    status = write_chunk(writer, "tEXt", text, name + value);
+done:
+    bsq_free(writer->base.ctx, text);
+    return status;
 }
 
 static int write_band(struct fmt_image_writer *base, void *memory,
@@ -387,74 +371,49 @@ static int write_band(struct fmt_image_writer *base, void *memory,
 
 /* ---- from creating to ending ---- */
 
-static int prepare(struct png_writer *writer)
-{
-    struct fmt_image_writer *base = &writer->base;
-    const uint64_t rows = BAND_BYTES / writer->row_bytes;
-    int status;
-    base->block_rows = rows == 0 ? 1 : rows < base->height ? (uint32_t)rows : base->height;
-    BSQ_TRY(bsq_alloc(base->ctx, "PNG row", base->width, base->channel_count * sizeof(float),
-                      &base->above));
-    writer->checksum = 1;
-    writer->png = png_create_write_struct_2(PNG_LIBPNG_VER_STRING, writer, on_error, on_warning,
-                                            writer, allocate_bytes, free_bytes);
-    if (writer->png)
-        writer->info = png_create_info_struct(writer->png);
-    if (!writer->info)
-        return bsq_fail(base->ctx, BSQ_ENOMEM, "%s: no memory for the PNG writer", base->path);
-done:
-    return status;
-}
-
 static int describe_image(struct fmt_image_writer *base,
                           const struct fmt_image_attribute *attributes, uint32_t count)
 {
-    struct png_writer *writer = (struct png_writer *)base;
     int status = 0;
     for (uint32_t a = 0; status == 0 && a < count; ++a)
-        status = add_text(writer, &attributes[a]);
+        status = write_text((const struct png_writer *)base, &attributes[a]);
     return status;
 }
 
 static int start_image(struct fmt_image_writer *base)
 {
-    struct png_writer *writer = (struct png_writer *)base;
-    int status = write_header(writer);
-    return status < 0 ? status : write_chunk(writer, "IDAT", zlib_header, sizeof zlib_header);
+    return write_chunk((const struct png_writer *)base, "IDAT", zlib_header, sizeof zlib_header);
 }
 
 static int create_image(struct fmt_image_writer *base, const struct fmt_image_options *options)
 {
     struct png_writer *writer = (struct png_writer *)base;
-    if (options->width > PNG_UINT_31_MAX / 8 || options->height > PNG_UINT_31_MAX)
+    if (options->width > INT32_MAX / 8 || options->height > INT32_MAX)
         return bsq_fail(base->ctx, BSQ_EUSAGE, "%s: %u x %u texels is too large for a PNG file",
                         base->path, options->width, options->height);
     if (options->channel_count != 1 && options->channel_count != 3 && options->channel_count != 4)
         return bsq_fail(base->ctx, BSQ_EUSAGE, "%s: PNG files cannot have %u channels", base->path,
                         options->channel_count);
     writer->bits = options->type == FMT_UINT16 ? 16 : 8;
-    writer->labels = options->labels;
+    writer->rounded = options->rounded;
     writer->srgb = options->color;
     writer->step = base->channel_count * (writer->bits / 8);
     writer->row_bytes = base->width * writer->step;
-    return prepare(writer);
+    writer->checksum = 1;
+    const uint64_t rows = BAND_BYTES / writer->row_bytes;
+    base->block_rows = rows == 0 ? 1 : rows < base->height ? (uint32_t)rows : base->height;
+    int status = bsq_alloc(base->ctx, "PNG row", base->width, base->channel_count * sizeof(float),
+                           &base->above);
+    return status < 0 ? status : write_header(writer);
 }
 
 static int finish_image(struct fmt_image_writer *base)
 {
     struct png_writer *writer = (struct png_writer *)base;
-    uint32_t sum = writer->checksum;
-    const uint8_t trailer[4] = {(uint8_t)(sum >> 24), (uint8_t)(sum >> 16), (uint8_t)(sum >> 8),
-                                (uint8_t)sum};
+    uint8_t trailer[4];
+    store_u32(trailer, writer->checksum);
     int status = write_chunk(writer, "IDAT", trailer, sizeof trailer);
     return status < 0 ? status : write_chunk(writer, "IEND", NULL, 0);
-}
-
-static void free_image(struct fmt_image_writer *base)
-{
-    struct png_writer *writer = (struct png_writer *)base;
-    if (writer->png)
-        png_destroy_write_struct(&writer->png, &writer->info);
 }
 
 const struct fmt_image_format fmt_png_format = {
@@ -472,5 +431,4 @@ const struct fmt_image_format fmt_png_format = {
     .encode = encode_band,
     .emit = write_band,
     .finish = finish_image,
-    .free = free_image,
 };

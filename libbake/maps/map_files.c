@@ -144,7 +144,7 @@ static int open_file(struct bsq_ctx *ctx, const struct bake_options *options, un
         .channel_count = row->channels,
         .color = row->color,
         .tile_side = options->exr_tile_side,
-        .labels = row->labels,
+        .rounded = row->rounded,
         .attributes = attributes.list,
         .attribute_count = attributes.count,
     };

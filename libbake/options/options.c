@@ -106,7 +106,7 @@ static const struct bsq_option table[] = {
     {OPTION("tiles", "LIST", "UDIM tiles to bake, such as 1001-1003,1011 (default: all in use)"),
      .own_syntax = true, BSQ_LIST(struct bake_options, tile_ranges, tile_range_count, range_rows)},
     {OPTION("type", "TYPE",
-            "of samples: half or float in OpenEXR, 16 or 8 (dithered) in PNG\n"
+            "of samples: half or float in OpenEXR, 16 or 8 in PNG\n"
             "(default: auto, by the map)"),
      CHOICE(sample_type, "auto 8 16 half float")},
     {OPTION("exr-tiles", "N", "make OpenEXR files of tiles of N x N texels (default: of lines)"),

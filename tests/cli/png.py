@@ -36,6 +36,18 @@ def read(path):
     return width, height, 2**bits - 1, rows
 
 
+def chunks(path):
+    """Returns the kinds of the chunks as a text; each kind once."""
+    data, at, kinds = open(path, "rb").read(), 8, []
+    while at < len(data):
+        length, kind = struct.unpack_from(">I4s", data, at)
+        assert zlib.crc32(data[at + 4:at + 8 + length]) == \
+            struct.unpack_from(">I", data, at + 8 + length)[0], kind
+        kinds += [kind.decode()] if kind.decode() not in kinds else []
+        at += 12 + length
+    return " ".join(kinds)
+
+
 def write(path, bits, rows):
     """Writes rows of texels, which are tuples of 1, 3 or 4 samples: grey, RGB or RGBA."""
     def chunk(kind, data):

@@ -3,8 +3,8 @@
 #include <png.h>
 
 #include "formats/image/exr_read.h"
-#include "formats/image/image_writer.h"
 #include "libbake/bake.h"
+#include "tests/unit/image_file.h"
 #include "tests/unit/test.h"
 #include "tests/unit/libbake/analytic_grid.h"
 #include "tests/unit/libbake/triangle_scan.h"
@@ -314,7 +314,7 @@ static void write_skew(void)
             assert_int_equal(fmt_image_write_rows(image, row, 1), 0);
     }
     assert_int_equal(fmt_image_finish(image), 0);
-    assert_int_equal(fmt_image_commit(image), 0);
+    assert_int_equal(test_commit_image(image), 0);
     bsq_ctx_destroy(ctx);
 }
 

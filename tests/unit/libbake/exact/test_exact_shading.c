@@ -1,6 +1,6 @@
 /* test_exact_shading.c - normals and colours of hits. */
 #include "base/octahedral.h"
-#include "formats/image/image_writer.h"
+#include "tests/unit/image_file.h"
 #include "tests/unit/test.h"
 #include "tests/unit/libbake/exact/exact_fixture.h"
 
@@ -207,7 +207,7 @@ static void write_picture(uint32_t side)
         assert_int_equal(fmt_image_write_rows(png, row, 1), 0);
     }
     assert_int_equal(fmt_image_finish(png), 0);
-    assert_int_equal(fmt_image_commit(png), 0);
+    assert_int_equal(test_commit_image(png), 0);
     free(row);
     bsq_ctx_destroy(ctx);
 }

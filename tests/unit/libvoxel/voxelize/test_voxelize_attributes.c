@@ -1,6 +1,6 @@
 /* Tests how normals, colours, materials and textures of a scan reach the records of its grid. */
 #include "base/octahedral.h"
-#include "formats/image/image_writer.h"
+#include "tests/unit/image_file.h"
 #include "voxelize_fixture.h"
 #include "tests/unit/test.h"
 #include "tests/grid_lookup.h"
@@ -188,7 +188,7 @@ static void write_ramp(const struct vox_fixture *f)
         }
     assert_int_equal(fmt_image_create(f->ctx, &fmt_png_format, f->image, &options, &writer), 0);
     assert_int_equal(fmt_image_write_rows(writer, &texel[0][0][0], SIZE), 0);
-    assert_int_equal(fmt_image_commit(writer), 0);
+    assert_int_equal(test_commit_image(writer), 0);
 }
 
 FIXTURE_TEST(test_texture_is_sampled_where_the_fragment_lies)
