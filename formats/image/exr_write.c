@@ -12,6 +12,7 @@
  * (RFC 1951, section 3.2.4) of that half, and compressed blocks of the other half follow. */
 #include "formats/image/image_writer.h"
 
+#include <half.h>
 #include <libdeflate.h>
 #include <string.h>
 
@@ -20,11 +21,13 @@
 
 /* ---- packing ---- */
 
-/* Working memory for one chunk at a time. */
-struct zip {
+/* Encodes one block at a time. */
+struct encoder {
     struct libdeflate_compressor *compressor;
-    uint8_t *ordered, *packed; /* a chunk each */
-    uint64_t reserved_bytes;   /* of the compressor */
+    uint64_t reserved_bytes;             /* of the compressor */
+    uint8_t *chunk, *ordered, *deflated; /* a block each: its samples, ordered, and compressed */
+    const uint8_t *packed;               /* what is written: one of these */
+    size_t packed_bytes;
 };
 
 enum {
@@ -44,22 +47,6 @@ enum {
 /* Deflate with a window of 32 KiB, packed fast; a multiple of 31. */
 static const uint8_t zlib_header[2] = {0x78, 0x01};
 
-/* Makes working memory for chunks of up to chunk_bytes. free_zip() frees it, also after a
- * failure. */
-static int create_zip(struct bsq_ctx *ctx, uint64_t chunk_bytes, struct zip *zip)
-{
-    int status;
-    BSQ_TRY(bsq_reserve(ctx, "EXR compression", COMPRESSOR_BYTES));
-    zip->reserved_bytes = COMPRESSOR_BYTES;
-    BSQ_TRY(bsq_alloc(ctx, "EXR compression", chunk_bytes, 1, &zip->ordered));
-    BSQ_TRY(bsq_alloc(ctx, "EXR compression", chunk_bytes, 1, &zip->packed));
-    zip->compressor = libdeflate_alloc_compressor(LEVEL);
-    if (!zip->compressor)
-        status = bsq_fail(ctx, BSQ_ENOMEM, "the system has no memory left for EXR compression");
-done:
-    return status;
-}
-
 /* Separates even and odd bytes and takes differences. */
 static void order(const uint8_t *chunk, size_t size, uint8_t *out)
 {
@@ -78,7 +65,7 @@ static void order(const uint8_t *chunk, size_t size, uint8_t *out)
 /* Checks that compression would save less than about 1/16 of the bytes. The probability that two
  * bytes are equal bounds the gain of Huffman codes: the entropy is at least -log2 of it (Renyi
  * 1961). The limit 3/2 * 2^-8 stands for 7.4 of 8 bits. A trial finds repetitions. */
-static bool is_noise(struct zip *zip, const uint8_t *bytes, size_t size)
+static bool is_noise(struct encoder *encoder, const uint8_t *bytes, size_t size)
 {
     if (size < TESTED_BYTES)
         return false;
@@ -91,7 +78,7 @@ static bool is_noise(struct zip *zip, const uint8_t *bytes, size_t size)
     if (equal > counted * counted / 512 * 3)
         return false;
     const size_t tried = size / TRIED_PART;
-    return libdeflate_deflate_compress(zip->compressor, bytes, tried, zip->packed,
+    return libdeflate_deflate_compress(encoder->compressor, bytes, tried, encoder->deflated,
                                        tried - tried / 16) == 0;
 }
 
@@ -111,74 +98,54 @@ static uint8_t *store(const uint8_t *bytes, size_t size, uint8_t *out)
     return out;
 }
 
-/* Packs zip->ordered as pack() does; the first `stored` bytes become stored blocks. */
-static size_t pack_after_stored(struct zip *zip, size_t stored, size_t size)
+/* Compresses encoder->ordered as deflate_chunk() does; the first `stored` bytes become stored
+ * blocks. */
+static size_t pack_after_stored(struct encoder *encoder, size_t stored, size_t size)
 {
     const size_t blocks = (stored + STORED_BYTES - 1) / STORED_BYTES;
     const size_t fixed = stored + blocks * BLOCK_HEADER_BYTES + STREAM_BYTES;
     if (fixed >= size)
         return 0;
-    memcpy(zip->packed, zlib_header, sizeof zlib_header);
-    uint8_t *out = store(zip->ordered, stored, zip->packed + sizeof zlib_header);
-    size_t packed = libdeflate_deflate_compress(zip->compressor, zip->ordered + stored,
+    memcpy(encoder->deflated, zlib_header, sizeof zlib_header);
+    uint8_t *out = store(encoder->ordered, stored, encoder->deflated + sizeof zlib_header);
+    size_t packed = libdeflate_deflate_compress(encoder->compressor, encoder->ordered + stored,
                                                 size - stored, out, size - 1 - fixed);
     if (packed == 0)
         return 0;
-    const uint32_t sum = libdeflate_adler32(1, zip->ordered, size);
+    const uint32_t sum = libdeflate_adler32(1, encoder->ordered, size);
     const uint8_t checksum[4] = {(uint8_t)(sum >> 24), (uint8_t)(sum >> 16), (uint8_t)(sum >> 8),
                                  (uint8_t)sum};
     memcpy(out + packed, checksum, sizeof checksum);
     return fixed + packed;
 }
 
-/* Packs a chunk of `size` bytes into zip->packed, where it stays until the next call. Returns its
- * packed bytes, or 0 if they would not be fewer than `size`. */
-static size_t pack(struct zip *zip, const uint8_t *chunk, size_t size)
+/* Compresses the `size` bytes of encoder->chunk into encoder->deflated. Returns the bytes there, or
+ * 0 if they would not be fewer than `size`. */
+static size_t deflate_chunk(struct encoder *encoder, size_t size)
 {
     if (size == 0)
         return 0;
-    order(chunk, size, zip->ordered);
-    const size_t half = (size + 1) / 2;
-    if (is_noise(zip, zip->ordered, half))
-        return pack_after_stored(zip, half, size);
-    return libdeflate_zlib_compress(zip->compressor, zip->ordered, size, zip->packed, size - 1);
-}
-
-static void free_zip(struct bsq_ctx *ctx, struct zip *zip)
-{
-    libdeflate_free_compressor(zip->compressor);
-    bsq_free(ctx, zip->ordered);
-    bsq_free(ctx, zip->packed);
-    bsq_release(ctx, zip->reserved_bytes);
+    order(encoder->chunk, size, encoder->ordered);
+    const size_t even = (size + 1) / 2;
+    if (is_noise(encoder, encoder->ordered, even))
+        return pack_after_stored(encoder, even, size);
+    return libdeflate_zlib_compress(encoder->compressor, encoder->ordered, size, encoder->deflated,
+                                    size - 1);
 }
 
 /* ---- the writer ---- */
 
-enum {
-    ZIP_ROWS = 16,       /* of a block */
-    ENCODER_BYTES = 4096 /* that OpenEXR allocates for an encoder beside the chunk's samples */
-};
-
-struct encoder {
-    exr_encode_pipeline_t pipeline;
-    bool ready; /* the pipeline was initialised */
-    struct zip zip;
-    uint64_t reserved_bytes;
-    const void *packed; /* compressed block, in the memory of the pipeline or of zip */
-    uint64_t packed_bytes;
-};
+enum { ZIP_ROWS = 16 /* of a block */ };
 
 enum { MOST_CHANNELS = 4 };
+/* In the order of samples. OpenEXR sorts them by name, so files have them in reverse order. */
 static const char *const color_names[MOST_CHANNELS] = {"R", "G", "B", "A"};
-static const char *const grey_name[] = {"Y"};
 
 struct exr_writer {
     struct fmt_image_writer base;
     struct fmt_exr_stream stream;
     exr_context_t file;
-    const char *const *channels;   /* names in the order of the samples */
-    uint16_t order[MOST_CHANNELS]; /* sample number of each of the file's channels */
-    uint64_t chunk_bytes;          /* of the samples of a block in the file */
+    bool as_half;
 };
 
 /* ---- callbacks of OpenEXR ---- */
@@ -192,20 +159,6 @@ static int64_t write_bytes(exr_const_context_t file, void *user, const void *buf
     int status = bsq_output_write_at(writer->base.output, buffer, size, offset);
     fmt_exr_set_status(&writer->stream, status);
     return status < 0 ? -1 : (int64_t)size;
-}
-
-/* Replaces the encoder's own compression. Readers take a block of the size of its samples as not
- * compressed. The pipeline writes the blocks in order, in place of the encoder's write step. */
-static exr_result_t compress(exr_encode_pipeline_t *pipeline)
-{
-    struct encoder *encoder = pipeline->encoding_user_data;
-    encoder->packed_bytes = pack(&encoder->zip, pipeline->packed_buffer, pipeline->packed_bytes);
-    encoder->packed = encoder->zip.packed;
-    if (encoder->packed_bytes == 0) {
-        encoder->packed = pipeline->packed_buffer;
-        encoder->packed_bytes = pipeline->packed_bytes;
-    }
-    return EXR_ERR_SUCCESS;
 }
 
 /* Does nothing. OpenEXR calls it while it holds the file's lock, so that asking the file for its
@@ -242,9 +195,8 @@ static exr_result_t set_attributes(exr_context_t file, const struct fmt_image_at
     return r;
 }
 
-static exr_result_t make_header(struct exr_writer *writer, const struct fmt_image_options *options)
+static exr_result_t make_header(exr_context_t file, const struct fmt_image_options *options)
 {
-    exr_context_t file = writer->file;
     int part;
     const uint32_t side = options->tile_side;
     exr_result_t r =
@@ -256,7 +208,8 @@ static exr_result_t make_header(struct exr_writer *writer, const struct fmt_imag
         r = exr_set_tile_descriptor(file, 0, side, side, EXR_TILE_ONE_LEVEL, EXR_TILE_ROUND_DOWN);
     exr_pixel_type_t type = options->type == FMT_HALF ? EXR_PIXEL_HALF : EXR_PIXEL_FLOAT;
     for (uint32_t c = 0; r == EXR_ERR_SUCCESS && c < options->channel_count; ++c)
-        r = exr_add_channel(file, 0, writer->channels[c], type, EXR_PERCEPTUALLY_LOGARITHMIC, 1, 1);
+        r = exr_add_channel(file, 0, options->channel_count == 1 ? "Y" : color_names[c], type,
+                            EXR_PERCEPTUALLY_LOGARITHMIC, 1, 1);
     if (r == EXR_ERR_SUCCESS)
         r = set_color_attributes(file, !options->color);
     if (r == EXR_ERR_SUCCESS)
@@ -277,29 +230,25 @@ static int start_image(struct fmt_image_writer *base)
     return fmt_exr_status(&writer->stream, exr_write_header(writer->file));
 }
 
-/* Finds the sample of each of the file's channels, which OpenEXR sorts by name. */
-static int map_channels(struct exr_writer *writer)
-{
-    const exr_attr_chlist_t *list;
-    int status = fmt_exr_status(&writer->stream, exr_get_channels(writer->file, 0, &list));
-    for (int i = 0; status == 0 && i < list->num_channels; ++i) {
-        for (uint32_t c = 0; c < writer->base.channel_count; ++c)
-            if (strcmp(list->entries[i].name.str, writer->channels[c]) == 0)
-                writer->order[i] = (uint16_t)c;
-    }
-    return status;
-}
-
-/* ---- compression ---- */
+/* ---- blocks ---- */
 
 static int create_encoder(struct fmt_image_writer *base, void *memory)
 {
     struct encoder *encoder = memory;
-    const uint64_t chunk_bytes = ((struct exr_writer *)base)->chunk_bytes;
+    struct bsq_ctx *ctx = base->ctx;
+    const uint64_t texels =
+        (uint64_t)base->block_rows * (base->tile_side > 0 ? base->tile_side : base->width);
+    const uint64_t bytes =
+        texels * base->channel_count * (((struct exr_writer *)base)->as_half ? 2 : sizeof(float));
     int status;
-    BSQ_TRY(create_zip(base->ctx, chunk_bytes, &encoder->zip));
-    BSQ_TRY(bsq_reserve(base->ctx, "EXR encoders", chunk_bytes + ENCODER_BYTES));
-    encoder->reserved_bytes = chunk_bytes + ENCODER_BYTES;
+    BSQ_TRY(bsq_alloc(ctx, "EXR block", bytes, 1, &encoder->chunk));
+    BSQ_TRY(bsq_alloc(ctx, "EXR block", bytes, 1, &encoder->ordered));
+    BSQ_TRY(bsq_alloc(ctx, "EXR block", bytes, 1, &encoder->deflated));
+    BSQ_TRY(bsq_reserve(ctx, "EXR compression", COMPRESSOR_BYTES));
+    encoder->reserved_bytes = COMPRESSOR_BYTES;
+    encoder->compressor = libdeflate_alloc_compressor(LEVEL);
+    if (!encoder->compressor)
+        status = bsq_fail(ctx, BSQ_ENOMEM, "the system has no memory left for EXR compression");
 done:
     return status;
 }
@@ -307,63 +256,45 @@ done:
 static void free_encoder(struct fmt_image_writer *base, void *memory)
 {
     struct encoder *encoder = memory;
-    if (encoder->ready)
-        exr_encoding_destroy(((struct exr_writer *)base)->file, &encoder->pipeline);
-    free_zip(base->ctx, &encoder->zip);
+    libdeflate_free_compressor(encoder->compressor);
+    bsq_free(base->ctx, encoder->chunk);
+    bsq_free(base->ctx, encoder->ordered);
+    bsq_free(base->ctx, encoder->deflated);
     bsq_release(base->ctx, encoder->reserved_bytes);
 }
 
-/* Returns the number of a block among the rows of tiles, or that of its first line. */
-static int row_of(const struct fmt_image_writer *base, const struct fmt_image_block *block)
+/* Stores each `stride`-th sample of a line. Returns the end of what it stored. */
+static uint8_t *store_line(const float *samples, uint32_t width, size_t stride, bool as_half,
+                           uint8_t *to)
 {
-    return (int)(base->tile_side > 0 ? block->first_row / base->tile_side : block->first_row);
+    for (uint32_t x = 0; as_half && x < width; ++x, to += sizeof(imath_half_bits_t)) {
+        const imath_half_bits_t bits = imath_float_to_half(samples[x * stride]);
+        memcpy(to, &bits, sizeof bits);
+    }
+    for (uint32_t x = 0; !as_half && x < width; ++x, to += sizeof(float))
+        memcpy(to, &samples[x * stride], sizeof(float));
+    return to;
 }
 
-static exr_result_t prepare(struct exr_writer *writer, struct encoder *encoder,
-                            const struct fmt_image_block *block)
-{
-    exr_encode_pipeline_t *pipeline = &encoder->pipeline;
-    const int row = row_of(&writer->base, block);
-    exr_chunk_info_t chunk;
-    exr_result_t r =
-        writer->base.tile_side > 0
-            ? exr_write_tile_chunk_info(writer->file, 0, (int)block->column, row, 0, 0, &chunk)
-            : exr_write_scanline_chunk_info(writer->file, 0, row, &chunk);
-    if (r != EXR_ERR_SUCCESS)
-        return r;
-    if (encoder->ready)
-        r = exr_encoding_update(writer->file, 0, &chunk, pipeline);
-    else
-        r = exr_encoding_initialize(writer->file, 0, &chunk, pipeline);
-    for (int c = 0; r == EXR_ERR_SUCCESS && c < pipeline->channel_count; ++c) {
-        exr_coding_channel_info_t *channel = &pipeline->channels[c];
-        channel->user_bytes_per_element = sizeof(float);
-        channel->user_data_type = EXR_PIXEL_FLOAT;
-        channel->user_pixel_stride = (int32_t)(writer->base.channel_count * sizeof(float));
-        channel->user_line_stride =
-            (int32_t)(writer->base.width * writer->base.channel_count * sizeof(float));
-        channel->encode_from_ptr = (const uint8_t *)(block->samples + writer->order[c]);
-    }
-    if (r == EXR_ERR_SUCCESS && !encoder->ready) {
-        encoder->ready = true;
-        r = exr_encoding_choose_default_routines(writer->file, 0, pipeline);
-        pipeline->encoding_user_data = encoder;
-        pipeline->yield_until_ready_fn = NULL;
-        pipeline->compress_fn = compress;
-        pipeline->write_fn = NULL;
-    }
-    return r;
-}
-
+/* In a block, each line has its channels one after the other. Readers take a block of the size of
+ * its samples as not compressed. */
 static int encode_block(struct fmt_image_writer *base, void *memory,
                         const struct fmt_image_block *block)
 {
-    struct exr_writer *writer = (struct exr_writer *)base;
     struct encoder *encoder = memory;
-    exr_result_t r = prepare(writer, encoder, block);
-    if (r == EXR_ERR_SUCCESS)
-        r = exr_encoding_run(writer->file, 0, &encoder->pipeline);
-    return fmt_exr_status(&writer->stream, r);
+    const uint32_t channels = base->channel_count, side = base->tile_side;
+    const uint32_t left = base->width - block->column * side;
+    const uint32_t width = side > 0 && side < left ? side : left;
+    uint8_t *to = encoder->chunk;
+    for (uint32_t y = 0; y < block->rows; ++y)
+        for (uint32_t c = channels; c-- > 0;)
+            to = store_line(block->samples + (size_t)y * base->width * channels + c, width,
+                            channels, ((struct exr_writer *)base)->as_half, to);
+    const size_t size = (size_t)(to - encoder->chunk);
+    const size_t deflated = deflate_chunk(encoder, size);
+    encoder->packed = deflated > 0 ? encoder->deflated : encoder->chunk;
+    encoder->packed_bytes = deflated > 0 ? deflated : size;
+    return 0;
 }
 
 static int emit_block(struct fmt_image_writer *base, void *memory,
@@ -371,12 +302,12 @@ static int emit_block(struct fmt_image_writer *base, void *memory,
 {
     struct exr_writer *writer = (struct exr_writer *)base;
     const struct encoder *encoder = memory;
-    const int row = row_of(base, block);
-    exr_result_t r = base->tile_side > 0
-                         ? exr_write_tile_chunk(writer->file, 0, (int)block->column, row, 0, 0,
-                                                encoder->packed, encoder->packed_bytes)
-                         : exr_write_scanline_chunk(writer->file, 0, row, encoder->packed,
-                                                    encoder->packed_bytes);
+    const uint32_t side = base->tile_side;
+    exr_result_t r = side > 0 ? exr_write_tile_chunk(writer->file, 0, (int)block->column,
+                                                     (int)(block->first_row / side), 0, 0,
+                                                     encoder->packed, encoder->packed_bytes)
+                              : exr_write_scanline_chunk(writer->file, 0, (int)block->first_row,
+                                                         encoder->packed, encoder->packed_bytes);
     return fmt_exr_status(&writer->stream, r);
 }
 
@@ -392,20 +323,16 @@ static int create_image(struct fmt_image_writer *base, const struct fmt_image_op
                         base->path, options->width, options->height);
     writer->stream.ctx = base->ctx;
     writer->stream.path = base->path;
-    const uint32_t side = options->tile_side;
-    base->block_rows = side > 0 ? side : ZIP_ROWS;
-    writer->chunk_bytes = (uint64_t)base->block_rows * (side > 0 ? side : base->width) *
-                          base->channel_count * (options->type == FMT_HALF ? 2 : 4);
-    writer->channels = options->channel_count == 1 ? grey_name : color_names;
+    writer->as_half = options->type == FMT_HALF;
+    base->block_rows = options->tile_side > 0 ? options->tile_side : ZIP_ROWS;
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
     init.error_handler_fn = leave_to_caller;
     init.user_data = writer;
     init.write_fn = write_bytes;
     exr_result_t r = exr_start_write(&writer->file, base->path, EXR_WRITE_FILE_DIRECTLY, &init);
     if (r == EXR_ERR_SUCCESS)
-        r = make_header(writer, options);
-    int status = fmt_exr_status(&writer->stream, r);
-    return status < 0 ? status : map_channels(writer);
+        r = make_header(writer->file, options);
+    return fmt_exr_status(&writer->stream, r);
 }
 
 /* Closes the file, which writes its line table. Fails for an unfinished file; the failure that left
