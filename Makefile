@@ -74,17 +74,16 @@ shared   := $(BUILD)/lib/libbisque.so.0
 
 # Parts of formats that are opened at their first use, see formats/module/module.h. The stamp holds
 # the version and a checksum of the headers that a module shares with its host.
-modules      := texture openvdb gltf scene
+modules      := texture openvdb gltf
 src.texture  := formats/texture/oiio_rows.cc
 src.gltf     := formats/mesh/gltf_decode.cc
-src.scene    := formats/mesh/scene_assimp.cc
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
 module_stamp := formats/module/module_stamp.c
 $(foreach m,$(modules),$(eval src.$(m) += $(module_stamp)))
 module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)
 module_headers  := $(addprefix base/,version.h context.h file.h file_part.h output.h \
     parallel.h) \
-    $(addprefix formats/,module/module.h mesh/gltf_module.h mesh/scene_module.h \
+    $(addprefix formats/,module/module.h mesh/gltf_module.h mesh/scene_file.h \
     $(addprefix grid/,nvdb.h nvdb_layout_internal.h vdb_module.h) \
     texture/image_rows.h)
 directory_cppflags = -DFMT_MODULE_DIRECTORY='"$(prefix)/lib/bisque"'
@@ -93,12 +92,13 @@ stamp_cppflags = \
 
 programs := bisque-voxelize bisque-bake bisque-compare
 bins     := $(addprefix $(BUILD)/bin/,$(programs))
-# Asks drivers for their devices; installed beside the modules and found like them.
-helper   := $(BUILD)/lib/bisque/bisque-devices
+# Programs that are installed beside the modules and found like them, for code that may crash: one
+# asks drivers for their devices, one reads files by Assimp.
+helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices scene)
 
 .PHONY: all
 ## all: build the libraries, modules and programs (default), into build/$(config)/
-all: $(archives) $(shared) $(module_files) $(helper) $(bins)
+all: $(archives) $(shared) $(module_files) $(helpers) $(bins)
 
 # Debug information names the folder of the sources. With this name, builds in different folders have
 # the same bytes; debuggers find the sources if they are started there.
@@ -218,9 +218,13 @@ $(BUILD)/bin/bisque-$(1): $(patsubst %,$(BUILD)/obj/%.o,tools/bisque-$(1).c \
 endef
 $(foreach p,$(programs:bisque-%=%),$(eval $(call program,$(p))))
 
-$(helper): $(BUILD)/obj/$(src.helper).o $(archives)
+$(BUILD)/lib/bisque/bisque-devices: $(BUILD)/obj/$(src.helper).o $(archives)
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $< $(archive.libbake) $(archive.formats) $(archive.base) \
+	    $(LIBS.all)
+$(BUILD)/lib/bisque/bisque-scene: $(BUILD)/obj/formats/mesh/scene_assimp.cc.o $(archives)
+	@mkdir -p $(@D)
+	$(CXX) $(common) $(LDFLAGS) -o $@ $< $(archive.formats) $(archive.base) $(LIBS.scene) \
 	    $(LIBS.all)
 
 # A folder with the installed headers and no others, for examples/ and `make doc`.

@@ -23,7 +23,7 @@ define unit_rule
 $(call unit_bin,$(1)): $(BUILD)/obj/$(1).o $(needs.$(call unit_lib,$(1))) \
     $(helpers.$(call unit_lib,$(1))) \
     | $(if $(filter base,$(call unit_lib,$(1))),,$(module_files) $(BUILD)/tests/lib) \
-    $(if $(filter libbake exhaustion,$(call unit_lib,$(1))),$(helper))
+    $(if $(filter libbake exhaustion,$(call unit_lib,$(1))),$(helpers))
 	@mkdir -p $$(@D)
 	$$(CXX) $$(common) $$(LDFLAGS) -o $$@ $$(filter %.o,$$^) $(needs.$(call unit_lib,$(1))) -lcmocka \
 	    $(if $(filter base,$(call unit_lib,$(1))),,$$(LIBS.formats) $$(LIBS.bake) $$(LIBS.tests)) \

@@ -1,126 +1,35 @@
-// scene_assimp.cc - reads meshes of many formats by Assimp.
+// scene_assimp.cc - the program bisque-scene, which reads meshes of many formats by Assimp.
 //
-// Assimp sees one file, through a descriptor that is open already. For all other names it is told
-// that there is no file, so what a file refers to is never opened.
+// scene_reader.c runs it: damaged files make Assimp crash, loop, or take any amount of memory. So
+// it has limits of memory and time, and can open no file: what the file refers to is never read.
+// The file is its standard input, and what scene_file.h describes its standard output.
 #include <algorithm>
+#include <cerrno>
 #include <cmath>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <new>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
-#include <assimp/IOStream.hpp>
-#include <assimp/IOSystem.hpp>
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
 #include <assimp/Importer.hpp>
-#include <assimp/ProgressHandler.hpp>
 #include <assimp/config.h>
 #include <assimp/material.h>
 #include <assimp/postprocess.h>
 #include <assimp/scene.h>
 
-#include "formats/mesh/scene_module.h"
+#include "formats/mesh/scene_file.h"
 
 namespace
 {
-
-// ---- the file ----
-
-struct Source {
-    const struct fmt_host *host;
-    struct bsq_ctx *ctx;
-    const struct bsq_file *file;
-    std::string name;
-};
-
-class Stream final : public Assimp::IOStream
-{
-  public:
-    explicit Stream(const Source &source) : source(source)
-    {
-    }
-    size_t Read(void *to, size_t size, size_t count) override
-    {
-        uint64_t got = 0;
-        if (size == 0 || count > UINT64_MAX / size ||
-            source.host->file_read_some(source.ctx, source.file, to, size * count, at, &got) != 0)
-            return 0;
-        got -= got % size;
-        at += got;
-        return got / size;
-    }
-    size_t Write(const void *, size_t, size_t) override
-    {
-        return 0;
-    }
-    aiReturn Seek(size_t offset, aiOrigin origin) override
-    {
-        const uint64_t from = origin == aiOrigin_SET   ? 0
-                              : origin == aiOrigin_CUR ? at
-                                                       : source.file->size;
-        if (offset > source.file->size - std::min<uint64_t>(from, source.file->size))
-            return aiReturn_FAILURE;
-        at = from + offset;
-        return aiReturn_SUCCESS;
-    }
-    size_t Tell() const override
-    {
-        return at;
-    }
-    size_t FileSize() const override
-    {
-        return source.file->size;
-    }
-    void Flush() override
-    {
-    }
-
-  private:
-    const Source &source;
-    uint64_t at = 0;
-};
-
-class OneFile final : public Assimp::IOSystem
-{
-  public:
-    explicit OneFile(const Source &source) : source(source)
-    {
-    }
-    bool Exists(const char *name) const override
-    {
-        return source.name == name;
-    }
-    char getOsSeparator() const override
-    {
-        return '/';
-    }
-    Assimp::IOStream *Open(const char *name, const char *mode) override
-    {
-        return source.name == name && mode[0] == 'r' ? new Stream(source) : nullptr;
-    }
-    void Close(Assimp::IOStream *stream) override
-    {
-        delete stream;
-    }
-
-  private:
-    const Source &source;
-};
-
-class Interruption final : public Assimp::ProgressHandler
-{
-  public:
-    explicit Interruption(const Source &source) : source(source)
-    {
-    }
-    bool Update(float) override
-    {
-        return source.host->check(source.ctx) == 0;
-    }
-
-  private:
-    const Source &source;
-};
 
 // ---- places of meshes ----
 
@@ -144,7 +53,7 @@ struct Place {
     const aiNode *node;
 };
 
-// Returns the meshes with triangles or polygons, node by node.
+// Returns the meshes, node by node.
 std::vector<Place> find_places(const aiScene &scene)
 {
     std::vector<Place> places;
@@ -165,7 +74,13 @@ std::vector<Place> find_places(const aiScene &scene)
     return places;
 }
 
-// ---- copying ----
+// ---- writing ----
+
+void put(FILE *to, const void *from, size_t size)
+{
+    if (size > 0)
+        fwrite(from, size, 1, to);
+}
 
 // Sets the inverse transpose of a matrix, times a positive number. Returns whether it mirrors.
 bool invert_for_normals(const Matrix &matrix, double out[3][3])
@@ -186,93 +101,102 @@ bool invert_for_normals(const Matrix &matrix, double out[3][3])
     return determinant < 0;
 }
 
-void copy_vertex(const Place &place, const double normals[3][3], unsigned v, fmt_scene *out)
+void write_positions(FILE *to, const Place &place)
 {
     const auto &m = place.matrix.m;
-    const aiVector3D &p = place.mesh->mVertices[v];
-    const uint64_t to = out->vertex_count++;
-    for (int k = 0; k < 3; k++) {
-        out->positions[to][k] =
-            m[k][0] * double(p.x) + m[k][1] * double(p.y) + m[k][2] * double(p.z) + m[k][3];
-        out->normals[to][k] = 0;
-    }
-    out->texcoords[to][0] = out->texcoords[to][1] = 0;
-    for (unsigned k = 0; k < 2 && place.mesh->HasTextureCoords(0); k++)
-        out->texcoords[to][k] = double(place.mesh->mTextureCoords[0][v][k]);
-    for (int k = 0; k < 3 && place.mesh->HasNormals(); k++) {
-        const aiVector3D &n = place.mesh->mNormals[v];
-        const double value =
-            normals[k][0] * double(n.x) + normals[k][1] * double(n.y) + normals[k][2] * double(n.z);
-        out->normals[to][k] = std::fabs(value) < 3e38 ? float(value) : NAN;
+    for (unsigned v = 0; v < place.mesh->mNumVertices; v++) {
+        const aiVector3D &p = place.mesh->mVertices[v];
+        double position[3];
+        for (int k = 0; k < 3; k++)
+            position[k] =
+                m[k][0] * double(p.x) + m[k][1] * double(p.y) + m[k][2] * double(p.z) + m[k][3];
+        put(to, position, sizeof position);
     }
 }
 
-// Copies polygons, turned round if the node mirrors. Returns false if an index is out of range.
-bool copy_faces(const aiMesh &mesh, bool mirrored, uint64_t first_vertex, fmt_scene *out)
+void write_texcoords(FILE *to, const Place &place)
 {
-    for (unsigned f = 0; f < mesh.mNumFaces; f++) {
-        const aiFace &face = mesh.mFaces[f];
+    for (unsigned v = 0; v < place.mesh->mNumVertices; v++) {
+        double texcoord[2] = {0, 0};
+        for (unsigned k = 0; k < 2 && place.mesh->HasTextureCoords(0); k++)
+            texcoord[k] = double(place.mesh->mTextureCoords[0][v][k]);
+        put(to, texcoord, sizeof texcoord);
+    }
+}
+
+void write_normals(FILE *to, const Place &place)
+{
+    double m[3][3];
+    invert_for_normals(place.matrix, m);
+    for (unsigned v = 0; v < place.mesh->mNumVertices; v++) {
+        float normal[3] = {0, 0, 0};
+        for (int k = 0; k < 3 && place.mesh->HasNormals(); k++) {
+            const aiVector3D &n = place.mesh->mNormals[v];
+            const double value =
+                m[k][0] * double(n.x) + m[k][1] * double(n.y) + m[k][2] * double(n.z);
+            normal[k] = std::fabs(value) < 3e38 ? float(value) : NAN;
+        }
+        put(to, normal, sizeof normal);
+    }
+}
+
+// A mesh without colours has that of its material.
+void write_colors(FILE *to, const Place &place, const std::vector<fmt_scene_material> &materials)
+{
+    const aiMesh &mesh = *place.mesh;
+    const bool known =
+        mesh.mMaterialIndex < materials.size() && materials[mesh.mMaterialIndex].has_diffuse;
+    for (unsigned v = 0; v < mesh.mNumVertices; v++) {
+        float color[3] = {1, 1, 1};
+        if (mesh.HasVertexColors(0)) {
+            const aiColor4D &c = mesh.mColors[0][v];
+            color[0] = float(c.r), color[1] = float(c.g), color[2] = float(c.b);
+        } else if (known) {
+            std::copy_n(materials[mesh.mMaterialIndex].diffuse, 3, color);
+        }
+        put(to, color, sizeof color);
+    }
+}
+
+// Polygons are turned round if the node mirrors.
+void write_corners(FILE *to, const Place &place, uint64_t first_vertex)
+{
+    double unused[3][3];
+    const bool mirrored = invert_for_normals(place.matrix, unused);
+    for (unsigned f = 0; f < place.mesh->mNumFaces; f++) {
+        const aiFace &face = place.mesh->mFaces[f];
         const unsigned size = face.mNumIndices;
-        if (size < 3)
-            continue;
-        out->face_sizes[out->face_count++] = size;
-        for (unsigned i = 0; i < size; i++) {
-            const unsigned index = face.mIndices[mirrored && i > 0 ? size - i : i];
-            if (index >= mesh.mNumVertices)
-                return false;
-            out->corners[out->corner_count++] = first_vertex + index;
+        for (unsigned i = 0; i < size && size > 2; i++) {
+            const uint64_t vertex = first_vertex + face.mIndices[mirrored && i > 0 ? size - i : i];
+            put(to, &vertex, sizeof vertex);
         }
     }
-    return true;
 }
 
-// Copies the colours of the vertices that copy_vertex() is about to copy.
-void copy_colors(const aiMesh &mesh, fmt_scene *out)
+void write_face_sizes(FILE *to, const Place &place)
 {
-    static const fmt_scene_material white = {nullptr, true, {1, 1, 1}, nullptr, {}};
-    const bool known = mesh.mMaterialIndex < out->material_count;
-    const fmt_scene_material &material = known ? out->materials[mesh.mMaterialIndex] : white;
-    if (!mesh.HasVertexColors(0)) {
-        for (unsigned v = 0; v < mesh.mNumVertices; v++)
-            std::copy_n(material.has_diffuse ? material.diffuse : white.diffuse, 3,
-                        out->colors[out->vertex_count + v]);
-        return;
+    for (unsigned f = 0; f < place.mesh->mNumFaces; f++)
+        if (place.mesh->mFaces[f].mNumIndices > 2)
+            put(to, &place.mesh->mFaces[f].mNumIndices, sizeof(uint32_t));
+}
+
+// ---- describing ----
+
+// What comes before the arrays in the file, and the names after them.
+struct Tables {
+    fmt_scene_head head;
+    std::vector<fmt_scene_part> parts;
+    std::vector<fmt_scene_material> materials;
+    std::string texts;
+
+    // Returns the place of a name.
+    uint64_t enter(const aiString &name)
+    {
+        const uint64_t at = texts.size();
+        texts.append(name.C_Str(), std::strlen(name.C_Str()) + 1);
+        return at;
     }
-    out->hidden_colors += material.texture && mesh.HasTextureCoords(0);
-    for (unsigned v = 0; v < mesh.mNumVertices; v++) {
-        const aiColor4D &c = mesh.mColors[0][v];
-        const float values[3] = {float(c.r), float(c.g), float(c.b)};
-        std::copy_n(values, 3, out->colors[out->vertex_count + v]);
-    }
-}
-
-bool copy_place(const Place &place, fmt_scene *out)
-{
-    double normals[3][3];
-    const bool mirrored = invert_for_normals(place.matrix, normals);
-    const uint64_t first = out->vertex_count;
-    out->parts[out->part_count++] = {first,
-                                     out->face_count,
-                                     out->corner_count,
-                                     place.mesh->mMaterialIndex,
-                                     place.mesh->HasNormals(),
-                                     place.mesh->HasTextureCoords(0),
-                                     nullptr};
-    if (out->colors)
-        copy_colors(*place.mesh, out);
-    for (unsigned v = 0; v < place.mesh->mNumVertices; v++)
-        copy_vertex(place, normals, v, out);
-    return copy_faces(*place.mesh, mirrored, first, out);
-}
-
-int copy_name(const Source &s, const aiString &name, char **out)
-{
-    const size_t size = std::strlen(name.C_Str()) + 1;
-    const int status = s.host->alloc(s.ctx, "names", size, 1, out);
-    if (status == 0)
-        std::memcpy(*out, name.C_Str(), size);
-    return status;
-}
+};
 
 // Returns the name of a node or, if it has none, of its mesh.
 const aiString &name_of(const Place &place)
@@ -295,19 +219,20 @@ void copy_diffuse(const aiMaterial &from, fmt_scene_material *to)
         to->diffuse[k] = float(color[k]);
 }
 
-// Copies the name of the diffuse texture, and how it moves texture coordinates.
-int copy_texture(const Source &s, const aiMaterial &from, fmt_scene_material *to, fmt_scene *out)
+// Describes the diffuse texture, and how it moves texture coordinates.
+void copy_texture(const aiMaterial &from, fmt_scene_material *to, Tables *out)
 {
     aiString name;
     aiUVTransform transform;
     unsigned type = aiTextureType_DIFFUSE, set = 0;
+    to->texture = UINT64_MAX;
     if (from.GetTextureCount(aiTextureType_DIFFUSE) == 0)
         type = aiTextureType_BASE_COLOR;
     if (from.Get(AI_MATKEY_TEXTURE(type, 0), name) != aiReturn_SUCCESS || name.length == 0)
-        return 0;
+        return;
     if (name.data[0] == '*') { // the number of an embedded texture
-        out->inner_textures++;
-        return 0;
+        out->head.inner_textures++;
+        return;
     }
     from.Get(AI_MATKEY_UVWSRC(type, 0), set);
     from.Get(AI_MATKEY_UVTRANSFORM(type, 0), transform);
@@ -317,88 +242,84 @@ int copy_texture(const Source &s, const aiMaterial &from, fmt_scene_material *to
         to->uv = {scale.x != 1 || scale.y != 1 || offset.x != 0 || offset.y != 0,
                   {float(scale.x), float(scale.y)},
                   {float(offset.x), float(offset.y)}};
-    out->turned_textures += set != 0 || transform.mRotation != 0;
-    return copy_name(s, name, &to->texture);
+    out->head.turned_textures += set != 0 || transform.mRotation != 0;
+    to->texture = out->enter(name);
 }
 
-int copy_materials(const Source &s, const aiScene &scene, fmt_scene *out)
+// Counts a mesh, and checks its indices.
+void count_mesh(const aiMesh &mesh, Tables *out)
 {
-    int status = 0;
-    for (unsigned i = 0; i < scene.mNumMaterials && status == 0; i++) {
-        const aiMaterial &from = *scene.mMaterials[i];
+    fmt_scene_head *head = &out->head;
+    const bool textured = mesh.mMaterialIndex < out->materials.size() &&
+                          out->materials[mesh.mMaterialIndex].texture != UINT64_MAX;
+    head->vertex_count += mesh.mNumVertices;
+    head->has_colors |= mesh.HasVertexColors(0);
+    head->hidden_colors += mesh.HasVertexColors(0) && textured && mesh.HasTextureCoords(0);
+    for (unsigned f = 0; f < mesh.mNumFaces; f++) {
+        const aiFace &face = mesh.mFaces[f];
+        const bool whole = face.mNumIndices > 2;
+        head->face_count += whole;
+        head->short_faces += !whole;
+        head->corner_count += whole ? face.mNumIndices : 0;
+        for (unsigned i = 0; i < face.mNumIndices && whole; i++)
+            if (face.mIndices[i] >= mesh.mNumVertices)
+                throw std::runtime_error("a face refers to a vertex that does not exist");
+    }
+}
+
+Tables describe(const aiScene &scene, const std::vector<Place> &places)
+{
+    Tables out = {};
+    fmt_scene_head *head = &out.head;
+    std::strncpy(head->stamp, fmt_module_stamp, sizeof head->stamp - 1);
+    for (unsigned i = 0; i < scene.mNumMaterials; i++) {
         fmt_scene_material material = {};
-        copy_diffuse(from, &material);
-        status = copy_name(s, from.GetName(), &material.name);
-        if (status == 0)
-            status = copy_texture(s, from, &material, out);
-        out->materials[out->material_count++] = material;
+        copy_diffuse(*scene.mMaterials[i], &material);
+        material.name = out.enter(scene.mMaterials[i]->GetName());
+        copy_texture(*scene.mMaterials[i], &material, &out);
+        out.materials.push_back(material);
     }
-    return status;
-}
-
-int copy_objects(const Source &s, const std::vector<Place> &places, fmt_scene *out)
-{
-    int status = 0;
-    for (size_t i = 0; i < places.size() && status == 0; i++)
-        status = copy_name(s, name_of(places[i]), &out->parts[i].object);
-    return status;
-}
-
-int allocate(const Source &s, const aiScene &scene, const std::vector<Place> &places,
-             fmt_scene *out)
-{
-    uint64_t vertices = 0, faces = 0, corners = 0;
-    bool colored = false;
     for (const Place &place : places) {
-        colored |= place.mesh->HasVertexColors(0);
-        vertices += place.mesh->mNumVertices;
-        for (unsigned f = 0; f < place.mesh->mNumFaces; f++) {
-            const unsigned size = place.mesh->mFaces[f].mNumIndices;
-            faces += size > 2;
-            corners += size > 2 ? size : 0;
-            out->short_faces += size <= 2;
-        }
+        out.parts.push_back({head->vertex_count, head->face_count, head->corner_count,
+                             out.enter(name_of(place)), place.mesh->mMaterialIndex,
+                             place.mesh->HasNormals(), place.mesh->HasTextureCoords(0), 0});
+        count_mesh(*place.mesh, &out);
     }
-    const struct {
-        uint64_t count, size;
-        void *to;
-    } arrays[] = {{vertices, sizeof *out->positions, &out->positions},
-                  {vertices, sizeof *out->texcoords, &out->texcoords},
-                  {vertices, sizeof *out->normals, &out->normals},
-                  {faces, sizeof *out->face_sizes, &out->face_sizes},
-                  {corners, sizeof *out->corners, &out->corners},
-                  {places.size() + 1, sizeof *out->parts, &out->parts},
-                  {scene.mNumMaterials, sizeof *out->materials, &out->materials}};
-    int status = 0;
-    for (const auto &array : arrays)
-        if (status == 0)
-            status = s.host->alloc(s.ctx, "a scene", array.count + 1, array.size, array.to);
-    if (status == 0 && colored)
-        status = s.host->alloc(s.ctx, "a scene", vertices, sizeof *out->colors, &out->colors);
-    return status;
+    out.texts += '\0';
+    out.parts.push_back({head->vertex_count, head->face_count, head->corner_count,
+                         out.texts.size() - 1, 0, 0, 0, 0});
+    head->part_count = places.size();
+    head->material_count = out.materials.size();
+    head->text_bytes = out.texts.size();
+    return out;
 }
 
-int copy_scene(const Source &s, const aiScene &scene, fmt_scene *out)
+void write_scene(const aiScene &scene, bool has_tangents, uint64_t memory_bytes, FILE *to)
 {
     const std::vector<Place> places = find_places(scene);
-    int status = allocate(s, scene, places, out);
-    if (status == 0)
-        status = copy_materials(s, scene, out);
-    for (const Place &place : places) {
-        if (status == 0)
-            status = s.host->check(s.ctx);
-        if (status == 0 && !copy_place(place, out))
-            status = s.host->fail(s.ctx, BSQ_EDATA,
-                                  "%s: a face refers to a vertex that does not "
-                                  "exist",
-                                  s.file->path);
-    }
-    if (status != 0)
-        return status;
-    out->parts[out->part_count] = {
-        out->vertex_count, out->face_count, out->corner_count, 0, false, false, nullptr};
-    return copy_objects(s, places, out);
+    Tables t = describe(scene, places);
+    t.head.memory_bytes = memory_bytes;
+    t.head.has_tangents = has_tangents;
+    put(to, &t.head, sizeof t.head);
+    put(to, t.parts.data(), t.parts.size() * sizeof t.parts[0]);
+    put(to, t.materials.data(), t.materials.size() * sizeof t.materials[0]);
+    for (const Place &place : places)
+        write_positions(to, place);
+    for (const Place &place : places)
+        write_texcoords(to, place);
+    for (size_t i = 0; i < places.size(); i++)
+        write_corners(to, places[i], t.parts[i].first_vertex);
+    for (const Place &place : places)
+        write_normals(to, place);
+    for (const Place &place : places)
+        if (t.head.has_colors)
+            write_colors(to, place, t.materials);
+    for (const Place &place : places)
+        write_face_sizes(to, place);
+    put(to, t.texts.data(), t.texts.size());
 }
+
+// ---- reading ----
 
 // Removes the tangents of all meshes, which nothing uses: the validation refuses a mesh that has
 // tangents but no bitangents. Returns whether there were any.
@@ -417,45 +338,82 @@ bool drop_tangents(const aiScene &scene)
     return any;
 }
 
-int import(const Source &s, fmt_scene *out)
+// Returns the memory that the process has taken at most, in bytes.
+uint64_t peak_memory()
 {
+    struct rusage usage;
+    getrusage(RUSAGE_SELF, &usage);
+    return uint64_t(usage.ru_maxrss) * 1024;
+}
+
+// Limits memory to `memory` bytes more than the process has now, time to `seconds` of a processor,
+// and files to those that are open.
+void set_limits(uint64_t memory, uint64_t seconds)
+{
+    unsigned long pages = 0;
+    FILE *statm = fopen("/proc/self/statm", "r");
+    const bool known = statm && fscanf(statm, "%lu", &pages) == 1;
+    if (statm)
+        fclose(statm);
+    const uint64_t all = pages * uint64_t(sysconf(_SC_PAGESIZE)) + memory;
+    const struct rlimit space = {all, all}, time = {seconds, seconds + 1}, files = {0, 0};
+#ifndef __SANITIZE_ADDRESS__ // which takes addresses for each allocation
+    if (known && all > memory)
+        setrlimit(RLIMIT_AS, &space);
+#endif
+    setrlimit(RLIMIT_CPU, &time);
+    setrlimit(RLIMIT_NOFILE, &files);
+}
+
+// Reads a file whose format `suffix` tells, and writes its scene. Throws what is wrong.
+void convert(const void *file, size_t size, const char *suffix, FILE *to)
+{
+    const uint64_t before = peak_memory();
     Assimp::Importer importer;
-    Interruption interruption(s);
-    importer.SetIOHandler(new OneFile(s));
-    importer.SetProgressHandler(&interruption);
     importer.SetPropertyBool(AI_CONFIG_IMPORT_FBX_READ_ANIMATIONS, false);
     importer.SetPropertyBool(AI_CONFIG_IMPORT_FBX_READ_CAMERAS, false);
     importer.SetPropertyBool(AI_CONFIG_IMPORT_FBX_READ_LIGHTS, false);
     importer.SetPropertyBool(AI_CONFIG_IMPORT_COLLADA_USE_COLLADA_NAMES, true);
-    const aiScene *scene = importer.ReadFile(s.name, 0);
+    const aiScene *scene = importer.ReadFileFromMemory(file, size, 0, suffix);
+    bool has_tangents = false;
     if (scene) {
-        out->has_tangents = drop_tangents(*scene);
+        has_tangents = drop_tangents(*scene);
         scene = importer.ApplyPostProcessing(aiProcess_ValidateDataStructure);
     }
-    std::string reason = importer.GetErrorString();
-    importer.SetProgressHandler(nullptr);
-    int status = s.host->check(s.ctx);
-    std::replace_if(
-        reason.begin(), reason.end(), [](char c) { return c == '\n' || c == '\r'; }, ' ');
-    if (status == 0 && !scene)
-        status = s.host->fail(s.ctx, BSQ_EDATA, "%s: cannot be read: %.200s", s.file->path,
-                              reason.c_str());
-    return status != 0 ? status : copy_scene(s, *scene, out);
+    if (!scene)
+        throw std::runtime_error(importer.GetErrorString());
+    write_scene(*scene, has_tangents, peak_memory() - before, to);
 }
 
-int read_scene(const struct fmt_host *host, struct bsq_ctx *ctx, const struct bsq_file *file,
-               const char *name, struct fmt_scene *out)
+[[noreturn]] void fail_memory()
 {
-    try {
-        return import({host, ctx, file, name}, out);
-    } catch (const std::bad_alloc &) {
-        return host->fail(ctx, BSQ_ENOMEM, "%s: no memory to read it", file->path);
-    } catch (const std::exception &error) {
-        return host->fail(ctx, BSQ_EDATA, "%s: cannot be read: %.200s", file->path, error.what());
-    }
+    _exit(-BSQ_ENOMEM);
 }
 
 } // namespace
 
-extern "C" const struct fmt_scene_module bisque_module;
-const struct fmt_scene_module bisque_module = {{fmt_module_stamp}, read_scene};
+// Arguments: the suffix of the format, bytes of memory, seconds of a processor. Ends without
+// destructors, which need time, and may crash for damaged scenes.
+int main(int argument_count, char **arguments)
+{
+    struct stat info;
+    if (argument_count != 4 || fstat(STDIN_FILENO, &info) != 0 || !S_ISREG(info.st_mode)) {
+        fputs("bisque-scene: is run by Bisque for files that Assimp reads\n", stderr);
+        return -BSQ_EUSAGE;
+    }
+    fmt_program_isolate();
+    const size_t size = size_t(info.st_size);
+    const void *file = size ? mmap(nullptr, size, PROT_READ, MAP_PRIVATE, STDIN_FILENO, 0) : "";
+    if (file == MAP_FAILED)
+        fail_memory();
+    set_limits(strtoull(arguments[2], nullptr, 10), strtoull(arguments[3], nullptr, 10));
+    std::set_new_handler(fail_memory);
+    try {
+        convert(file, size, arguments[1], stdout);
+    } catch (const std::exception &error) {
+        std::printf("%.200s", error.what());
+        fflush(stdout);
+        _exit(-BSQ_EDATA);
+    }
+    _exit(fflush(stdout) == 0 && !ferror(stdout) ? 0 : -BSQ_EIO);
+}

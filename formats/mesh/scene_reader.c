@@ -1,24 +1,37 @@
 /* scene_reader.c - reads FBX, COLLADA and other files, which Assimp reads whole.
  *
- * Meant for low-poly meshes. The memory that Assimp takes is not known before; it is counted as a
- * multiple of the file. */
+ * Meant for low-poly meshes. Assimp runs in the program bisque-scene, because damaged files make it
+ * crash, loop or take any amount of memory. Its meshes come back in a temporary file, which is
+ * mapped. */
 #include <inttypes.h>
 #include <math.h>
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
 
 #include "base/file.h"
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"
-#include "formats/mesh/scene_module.h"
+#include "formats/mesh/scene_file.h"
 
-/* Assimp's memory for a byte of a file. Text of positions takes less, compressed FBX files more. */
-enum { MEMORY_PER_BYTE = 40 };
+/* Seconds of a processor that Assimp may take for a file, and one more for each of so many bytes.
+ * Machines read a hundred times as many. */
+enum { LEAST_SECONDS = 20, BYTES_A_SECOND = 1 << 18 };
 
 /* What the reader keeps of a file: source->data. */
 struct scene_file {
-    struct fmt_scene scene;
-    uint64_t bytes; /* of the file */
+    struct bsq_map map;
+    struct fmt_scene scene; /* of the map */
+    uint64_t bytes;         /* of the file */
 };
+
+static const struct fmt_scene *scene_of(const struct stream_source *source)
+{
+    return &((const struct scene_file *)source->data)->scene;
+}
 
 /* ---- opening ---- */
 
@@ -28,59 +41,154 @@ static bool recognise(const char *head, size_t size)
     return size >= sizeof magic && memcmp(head, magic, sizeof magic - 1) == 0;
 }
 
-/* Returns a name whose suffix tells the format: the file's, without the suffix of a packed file. */
-static int name_for_format(struct bsq_ctx *ctx, const char *path, const char *head, size_t size,
-                           char **out)
+/* Takes an array of `count` elements of `size` bytes from the start of the rest of a file. Returns
+ * false if the rest is shorter. */
+static bool take(const char **at, uint64_t *left, uint64_t count, uint64_t size, void *out)
 {
-    int status = bsq_text_copy(ctx, recognise(head, size) ? "mesh.fbx" : bsq_file_name(path), out);
-    if (!status)
-        (*out)[fmt_mesh_unpacked_length(*out)] = '\0';
+    const bool fits = count <= *left / size;
+    memcpy(out, at, sizeof *at);
+    *at += fits ? count * size : 0;
+    *left -= fits ? count * size : 0;
+    return fits;
+}
+
+/* Checks that parts follow each other and that their names are in the file. */
+static bool check_tables(const struct fmt_scene *s)
+{
+    const struct fmt_scene_head *head = s->head;
+    const struct fmt_scene_part *last = &s->parts[head->part_count];
+    bool good = s->texts[head->text_bytes - 1] == '\0' &&
+                last->first_vertex == head->vertex_count && last->first_face == head->face_count &&
+                last->first_corner == head->corner_count;
+    for (const struct fmt_scene_part *p = s->parts; p < last && good; p++)
+        good = p->object < head->text_bytes && p[0].first_vertex <= p[1].first_vertex &&
+               p[0].first_face <= p[1].first_face && p[0].first_corner <= p[1].first_corner;
+    for (uint64_t i = 0; i < head->material_count && good; i++)
+        good =
+            s->materials[i].name < head->text_bytes &&
+            (s->materials[i].texture < head->text_bytes || s->materials[i].texture == UINT64_MAX);
+    return good;
+}
+
+bool fmt_scene_view(const void *file, uint64_t size, struct fmt_scene *out)
+{
+    const char *at = file;
+    const struct fmt_scene_head *head = file;
+    if (!take(&at, &size, 1, sizeof *head, &out->head) || head->part_count > size)
+        return false;
+    return strncmp(head->stamp, fmt_module_stamp, sizeof head->stamp) == 0 &&
+           take(&at, &size, head->part_count + 1, sizeof *out->parts, &out->parts) &&
+           take(&at, &size, head->material_count, sizeof *out->materials, &out->materials) &&
+           take(&at, &size, head->vertex_count, sizeof *out->positions, &out->positions) &&
+           take(&at, &size, head->vertex_count, sizeof *out->texcoords, &out->texcoords) &&
+           take(&at, &size, head->corner_count, sizeof *out->corners, &out->corners) &&
+           take(&at, &size, head->vertex_count, sizeof *out->normals, &out->normals) &&
+           take(&at, &size, head->has_colors ? head->vertex_count : 0, sizeof *out->colors,
+                &out->colors) &&
+           take(&at, &size, head->face_count, sizeof *out->face_sizes, &out->face_sizes) &&
+           take(&at, &size, head->text_bytes, 1, &out->texts) && size == 0 &&
+           head->text_bytes > 0 && check_tables(out);
+}
+
+/* Returns the suffix that tells the format: the file's, without that of a packed file. */
+static const char *find_suffix(char *path, const char *head, size_t size)
+{
+    path[fmt_mesh_unpacked_length(path)] = '\0';
+    const char *point = strrchr(bsq_file_name(path), '.');
+    return recognise(head, size) ? "fbx" : point ? point + 1 : "";
+}
+
+/* Reports that the program did not read the file. text: its output. */
+static int fail(struct stream_source *source, const char *program, char *text,
+                const struct fmt_program_end *end, uint64_t seconds)
+{
+    struct bsq_ctx *ctx = source->ctx;
+    const char *path = source->path;
+    const int code = end->state >= 0 && WIFEXITED(end->state) ? WEXITSTATUS(end->state) : -1;
+    const int signal = end->state >= 0 && WIFSIGNALED(end->state) ? WTERMSIG(end->state) : 0;
+    for (char *c = text; *c; c++)
+        *c = (unsigned char)*c < ' ' || *c == 127 ? ' ' : *c;
+    if (end->error)
+        return bsq_fail_errno(ctx, BSQ_ENOINPUT, end->error, "%s: %s does not start", path,
+                              program);
+    if (code == -BSQ_EDATA)
+        return bsq_fail(ctx, BSQ_EDATA, "%s: cannot be read: %s", path, text);
+    if (code == -BSQ_ENOMEM)
+        return bsq_fail(ctx, BSQ_ENOMEM,
+                        "%s: Assimp needs more memory than the %" PRIu64 " bytes that are left of "
+                        "--memory: raise it, unless the file is damaged",
+                        path, bsq_memory_left(ctx));
+    if (code == -BSQ_EIO)
+        return bsq_fail(ctx, BSQ_EIO, "%s: its meshes cannot be written to a temporary file", path);
+    if (signal == SIGXCPU)
+        return bsq_fail(ctx, BSQ_EDATA,
+                        "%s: cannot be read: Assimp has not read it in %" PRIu64 " seconds", path,
+                        seconds);
+    return bsq_fail(ctx, BSQ_EDATA,
+                    "%s: cannot be read: Assimp crashed (%s): the file is damaged, or not of the "
+                    "format that its name tells",
+                    path, signal ? strsignal(signal) : "it ended the program");
+}
+
+/* Takes the program's output over. */
+static int open_scene(struct stream_source *source, const char *program, struct bsq_file *output)
+{
+    struct scene_file *file = source->data;
+    struct stat info;
+    int status;
+    if (fstat(output->fd, &info) == 0)
+        output->size = (uint64_t)info.st_size;
+    BSQ_TRY(bsq_map_file(source->ctx, output, &file->map));
+    if (!fmt_scene_view(file->map.data, file->map.size, &file->scene))
+        return bsq_fail(source->ctx, BSQ_ENOINPUT,
+                        "%s: %s is not of this program's build, or does not work", source->path,
+                        program);
+    /* The program had the memory that is left. Now the largest amount is known. */
+    BSQ_TRY(bsq_reserve(source->ctx, "reading a file by Assimp", file->scene.head->memory_bytes));
+    bsq_release(source->ctx, file->scene.head->memory_bytes);
+done:
     return status;
 }
 
 static int read_whole(struct stream_source *source, const struct bsq_file *file)
 {
     struct bsq_ctx *ctx = source->ctx;
-    struct scene_file *scene = source->data;
-    const struct fmt_module *module;
-    char head[64], *name = NULL;
-    uint64_t got = 0, memory;
+    struct bsq_file output = BSQ_FILE_CLOSED;
+    struct fmt_program_end end;
+    const uint64_t seconds = LEAST_SECONDS + file->size / BYTES_A_SECOND;
+    char head[64], text[201] = "", memory[24], time[24], *path = NULL, *program = NULL;
+    uint64_t got = 0;
     int status;
-    scene->bytes = file->size;
-    if (__builtin_mul_overflow(file->size, (uint64_t)MEMORY_PER_BYTE, &memory))
-        return bsq_fail(ctx, BSQ_ENOMEM, "%s: too large", source->path);
-    BSQ_TRY(fmt_module_open(ctx, "scene", "FBX, COLLADA and such files", &module));
+    ((struct scene_file *)source->data)->bytes = file->size;
+    BSQ_TRY(fmt_module_find(ctx, "the program bisque-scene", "bisque-scene",
+                            "FBX, COLLADA and such files", &program));
     BSQ_TRY(bsq_file_read_some(ctx, file, head, sizeof head, 0, &got));
-    BSQ_TRY(name_for_format(ctx, source->path, head, got, &name));
-    BSQ_TRY(bsq_reserve(ctx, "reading a file whole by Assimp", memory));
-    status = ((const struct fmt_scene_module *)module)
-                 ->read(&fmt_host_functions, ctx, file, name, &scene->scene);
-    bsq_release(ctx, memory);
+    BSQ_TRY(bsq_text_copy(ctx, source->path, &path));
+    BSQ_TRY(bsq_file_temp(ctx, NULL, "the meshes of a file", &output));
+    snprintf(memory, sizeof memory, "%" PRIu64, bsq_memory_left(ctx));
+    snprintf(time, sizeof time, "%" PRIu64, seconds);
+    char *const arguments[] = {program, (char *)find_suffix(path, head, got), memory, time, NULL};
+    BSQ_TRY(fmt_program_run(ctx, arguments, file->fd, output.fd, INFINITY, &end));
+    if (end.error == 0 && end.state == 0) {
+        status = open_scene(source, program, &output);
+    } else {
+        BSQ_TRY(bsq_file_read_some(ctx, &output, text, sizeof text - 1, 0, &got));
+        status = fail(source, program, text, &end, seconds);
+    }
 done:
-    bsq_free(ctx, name);
+    bsq_file_close(ctx, &output);
+    bsq_free(ctx, path);
+    free(program);
     return status;
 }
 
 static void end(struct stream_source *source)
 {
-    struct bsq_ctx *ctx = source->ctx;
-    struct fmt_scene *s = &((struct scene_file *)source->data)->scene;
-    void *memory[] = {s->positions, s->texcoords, s->normals, s->colors, s->face_sizes, s->corners};
-    for (size_t i = 0; i < sizeof memory / sizeof *memory; i++)
-        bsq_free(ctx, memory[i]);
-    for (uint64_t i = 0; i < s->part_count; i++)
-        bsq_free(ctx, s->parts[i].object);
-    bsq_free(ctx, s->parts);
-    for (uint64_t i = 0; i < s->material_count; i++) {
-        bsq_free(ctx, s->materials[i].name);
-        bsq_free(ctx, s->materials[i].texture);
-    }
-    bsq_free(ctx, s->materials);
+    bsq_map_close(source->ctx, &((struct scene_file *)source->data)->map);
 }
 
 static int begin(struct stream_source *source)
 {
-    const struct fmt_scene *scene = &((struct scene_file *)source->data)->scene;
     struct bsq_file file = BSQ_FILE_CLOSED;
     int status = fmt_input_open(source->input);
     if (status)
@@ -90,9 +198,12 @@ static int begin(struct stream_source *source)
         status = read_whole(source, &file);
     bsq_file_close(source->ctx, &file);
     const int closed = fmt_input_close(source->input);
-    source->material_count = scene->material_count;
-    source->part_count = scene->part_count;
-    return status ? status : closed;
+    status = status ? status : closed;
+    if (!status) {
+        source->material_count = scene_of(source)->head->material_count;
+        source->part_count = scene_of(source)->head->part_count;
+    }
+    return status;
 }
 
 /* ---- reading ---- */
@@ -104,12 +215,12 @@ static int cut(const struct stream_part *before, struct stream_slot *slot)
     const struct scene_file *file = slot->source->data;
     slot->part.kind = before->end > 0 ? before->kind + 1 : 0;
     slot->part.end = file->bytes;
-    return slot->part.kind < file->scene.part_count || before->end == 0;
+    return slot->part.kind < file->scene.head->part_count || before->end == 0;
 }
 
 static int copy_vertices(struct stream_slot *slot, uint64_t first, uint64_t count)
 {
-    const struct fmt_scene *s = &((struct scene_file *)slot->source->data)->scene;
+    const struct fmt_scene *s = scene_of(slot->source);
     struct mesh_arrays *a = &slot->arrays;
     int status;
     BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->positions, a->position_capacity));
@@ -123,7 +234,7 @@ static int copy_vertices(struct stream_slot *slot, uint64_t first, uint64_t coun
     slot->odd[STREAM_NO_POSITION].count = fmt_stream_clear_bad(&a->positions[0][0], count, 3);
     slot->odd[STREAM_NO_TEXCOORD].count = fmt_stream_clear_bad(&a->texcoords[0][0], count, 2);
     slot->odd[STREAM_NO_NORMAL].count = fmt_stream_replace_bad(a->normals, count, 0.0f);
-    if (!s->colors)
+    if (!s->head->has_colors)
         return 0;
     BSQ_TRY(FMT_RESERVE(slot->ctx, count, a->colors, a->color_capacity));
     memcpy(a->colors, s->colors + first, count * sizeof *a->colors);
@@ -137,13 +248,14 @@ done:
 
 static int copy_faces(struct stream_slot *slot, const struct fmt_scene_part *part)
 {
-    const struct fmt_scene *s = &((struct scene_file *)slot->source->data)->scene;
+    const struct fmt_scene *s = scene_of(slot->source);
     const uint64_t corners = part[1].first_corner - part->first_corner;
     const uint64_t faces = part[1].first_face - part->first_face;
     const bool has[FMT_MESH_KIND_COUNT] = {[FMT_MESH_VERTEX] = true,
                                            [FMT_MESH_TEXCOORD] = part->has_texcoords,
                                            [FMT_MESH_NORMAL] = part->has_normals};
     struct mesh_arrays *a = &slot->arrays;
+    uint64_t counted = 0;
     int status;
     BSQ_TRY(FMT_RESERVE(slot->ctx, faces, a->face_sizes, a->size_capacity));
     BSQ_TRY(FMT_RESERVE(slot->ctx, 1, a->changes, a->change_capacity));
@@ -154,24 +266,27 @@ static int copy_faces(struct stream_slot *slot, const struct fmt_scene_part *par
         memcpy(a->corners[kind], s->corners + part->first_corner, corners * sizeof(uint64_t));
     }
     memcpy(a->face_sizes, s->face_sizes + part->first_face, faces * sizeof *a->face_sizes);
+    for (uint64_t f = 0; f < faces; f++)
+        counted += a->face_sizes[f] < 3 ? corners + 1 : a->face_sizes[f];
+    if (counted != corners)
+        return bsq_fail(slot->ctx, BSQ_EBUG, "bisque-scene wrote wrong sizes of faces");
     a->face_count = faces;
     a->corner_count = corners;
-    a->vertex_bound = s->vertex_count;
     a->change_count = 1;
     a->changes[0].face = 0;
-    a->changes[0].material = slot->source->reader->objects        ? slot->part.kind
-                             : part->material < s->material_count ? part->material
-                                                                  : FMT_MESH_NO_MATERIAL;
+    a->changes[0].material = slot->source->reader->objects              ? slot->part.kind
+                             : part->material < s->head->material_count ? part->material
+                                                                        : FMT_MESH_NO_MATERIAL;
 done:
     return status;
 }
 
 static int parse(struct stream_slot *slot)
 {
-    const struct fmt_scene *s = &((struct scene_file *)slot->source->data)->scene;
+    const struct fmt_scene *s = scene_of(slot->source);
     const struct fmt_scene_part *part = &s->parts[slot->part.kind];
     int status = 0;
-    if (slot->part.kind >= s->part_count)
+    if (slot->part.kind >= s->head->part_count)
         return 0;
     if (part[1].first_vertex > part->first_vertex)
         BSQ_TRY(copy_vertices(slot, part->first_vertex, part[1].first_vertex - part->first_vertex));
@@ -183,13 +298,13 @@ done:
 
 static int pass(struct stream_slot *slot)
 {
-    const struct fmt_scene *s = &((struct scene_file *)slot->source->data)->scene;
+    const struct fmt_scene *s = scene_of(slot->source);
     struct fmt_mesh_totals *totals = slot->source->reader->totals;
     fmt_stream_number_materials(slot);
-    totals->has_tangents |= s->has_tangents;
+    totals->has_tangents |= s->head->has_tangents;
     totals->split_vertices = true;
     if (slot->part.kind == 0)
-        totals->short_faces += s->short_faces;
+        totals->short_faces += s->head->short_faces;
     return 0;
 }
 
@@ -198,12 +313,12 @@ static int pass(struct stream_slot *slot)
 static uint64_t count_clamped(const struct fmt_scene *s)
 {
     uint64_t count = 0;
-    for (uint64_t i = 0; i < s->part_count && !s->colors; i++) {
+    for (uint64_t i = 0; i < s->head->part_count && !s->head->has_colors; i++) {
         const uint32_t number = s->parts[i].material;
         const struct fmt_scene_material *m =
-            number < s->material_count ? &s->materials[number] : NULL;
+            number < s->head->material_count ? &s->materials[number] : NULL;
         bool clamped = false;
-        for (int k = 0; k < 3 && m && m->has_diffuse && !m->texture; k++)
+        for (int k = 0; k < 3 && m && m->has_diffuse && m->texture == UINT64_MAX; k++)
             clamped |= m->diffuse[k] < 0 || m->diffuse[k] > 1;
         count += clamped;
     }
@@ -213,14 +328,14 @@ static uint64_t count_clamped(const struct fmt_scene *s)
 /* Warns of what is not read. Colours matter only if the caller uses them. */
 static int finish(struct stream_source *source)
 {
-    const struct fmt_scene *s = &((struct scene_file *)source->data)->scene;
+    const struct fmt_scene *s = scene_of(source);
     const bool colors = source->reader->uses_colors;
     const struct stream_unread kinds[] = {
-        {colors ? s->inner_textures : 0, true,
+        {colors ? s->head->inner_textures : 0, true,
          "textures are inside of the file and are not read: save them and use --texture"},
-        {colors ? s->turned_textures : 0, true,
+        {colors ? s->head->turned_textures : 0, true,
          "textures are turned, or use further texture coordinates, which is not applied"},
-        {colors ? s->hidden_colors : 0, true,
+        {colors ? s->head->hidden_colors : 0, true,
          "meshes have a texture, so their vertex colours are not used"},
         {colors ? count_clamped(s) : 0, true,
          "meshes have a diffuse colour out of range, which was clamped"},
@@ -231,14 +346,14 @@ static int finish(struct stream_source *source)
 static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
                     struct fmt_mesh_estimate *out)
 {
-    const struct fmt_scene *s = &((struct scene_file *)source->data)->scene;
+    const struct fmt_scene *s = scene_of(source);
     (void)bytes, (void)plain;
-    out->vertices += s->vertex_count;
-    out->texcoords += s->vertex_count;
-    out->normals += s->vertex_count;
-    out->faces += s->face_count;
-    out->corners += s->corner_count;
-    out->has_colors |= s->colors != NULL;
+    out->vertices += s->head->vertex_count;
+    out->texcoords += s->head->vertex_count;
+    out->normals += s->head->vertex_count;
+    out->faces += s->head->face_count;
+    out->corners += s->head->corner_count;
+    out->has_colors |= s->head->has_colors;
     return 0;
 }
 
@@ -248,15 +363,16 @@ static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
 static int describe_material(const struct stream_source *source,
                              const struct fmt_scene_material *from, struct fmt_material *out)
 {
+    const char *texts = scene_of(source)->texts;
     int status;
     for (int k = 0; k < 3; k++)
         out->diffuse[k] = fminf(fmaxf(from->diffuse[k], 0), 1);
     out->has_diffuse = from->has_diffuse;
     out->uv = from->uv;
-    BSQ_TRY(bsq_text_copy(source->ctx, from->name, &out->name));
-    if (!from->texture)
+    BSQ_TRY(bsq_text_copy(source->ctx, texts + from->name, &out->name));
+    if (from->texture == UINT64_MAX)
         return 0;
-    BSQ_TRY(fmt_path_find(source->ctx, fmt_input_beside(source->input), from->texture,
+    BSQ_TRY(fmt_path_find(source->ctx, fmt_input_beside(source->input), texts + from->texture,
                           &out->texture_path, NULL));
     status = bsq_text_copy(source->ctx, source->path, &out->texture_place);
 done:
@@ -265,10 +381,10 @@ done:
 
 static int list_materials(struct stream_source *source, struct fmt_materials *out)
 {
-    const struct fmt_scene *s = &((struct scene_file *)source->data)->scene;
+    const struct fmt_scene *s = scene_of(source);
     struct fmt_material *material;
     int status = 0;
-    for (uint64_t i = 0; i < s->material_count; i++) {
+    for (uint64_t i = 0; i < s->head->material_count; i++) {
         BSQ_TRY(fmt_materials_add(source->ctx, out, &material));
         BSQ_TRY(describe_material(source, &s->materials[i], material));
     }
@@ -279,9 +395,9 @@ done:
 static const char *find_part(const struct stream_source *source, uint64_t number,
                              uint32_t *material)
 {
-    const struct fmt_scene *s = &((struct scene_file *)source->data)->scene;
+    const struct fmt_scene *s = scene_of(source);
     *material = s->parts[number].material;
-    return s->parts[number].object;
+    return s->texts + s->parts[number].object;
 }
 
 static const char left_out[] = "values are not finite and were left out";

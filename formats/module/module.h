@@ -1,5 +1,5 @@
 /* module.h - opens modules: shared libraries that are loaded at their first use, because each
- * brings some 250 other libraries with it.
+ * brings some 250 other libraries with it; and runs programs that are installed beside them.
  *
  * Takes the name of a module; gives its table of functions. A module exports one object,
  * `bisque_module`, whose type its folder declares and which begins with a struct fmt_module. It
@@ -65,6 +65,23 @@ int fmt_module_open(struct bsq_ctx *ctx, const char *name, const char *purpose,
  * file as `what`: "PURPOSE need WHAT, which is not in ...". Errors: BSQ_ENOINPUT, BSQ_ENOMEM. */
 int fmt_module_find(struct bsq_ctx *ctx, const char *what, const char *file, const char *purpose,
                     char **out);
+
+/* How a program ended. */
+struct fmt_program_end {
+    int error; /* the errno because of which it did not start; 0: it started */
+    bool late; /* it was killed after its time */
+    int state; /* as waitpid() gives it; -1: not known */
+};
+
+/* Runs the program arguments[0] to its end. Its standard input is the descriptor `from` (-1:
+ * nothing), its standard output is `to`. It has no other descriptors, and what it prints as errors
+ * is lost. It is killed after `seconds`, or if the context is interrupted. If the system cannot end
+ * it, it is left behind. Returns 0, also if the program failed, or BSQ_EINTR. */
+int fmt_program_run(struct bsq_ctx *ctx, char *const arguments[], int from, int to, double seconds,
+                    struct fmt_program_end *out);
+/* The first step of such a program: ends with its caller, dumps no core, and dies of crashes, also
+ * with sanitizers, which would exit instead. */
+void fmt_program_isolate(void);
 
 /* The directory that modules are installed in; compiled in. */
 extern const char fmt_module_directory[];

@@ -10,11 +10,11 @@ $(BUILD)/tests/baseline-embree: $(BUILD)/obj/tests/bench/baseline_embree.c.o
 rays_archives := $(archive.libbake) $(archive.formats) $(archive.base)
 rays_objs = $(patsubst %,$(BUILD)/obj/tests/bench/%.c.o,rays_scene $(1))
 $(BUILD)/tests/bench-rays: $(call rays_objs,rays rays_embree) $(rays_archives) \
-    | $(module_files) $(helper) $(BUILD)/tests/lib
+    | $(module_files) $(helpers) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
 $(BUILD)/tests/bench-maps: $(call rays_objs,maps rays_embree) $(rays_archives) \
-    | $(module_files) $(helper) $(BUILD)/tests/lib
+    | $(module_files) $(helpers) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
 # The native device with counters. Its objects come before the library's when linking.
@@ -24,7 +24,7 @@ $(BUILD)/counted/%.c.o: %.c
 	$(CC) $(CPPFLAGS) $(CFLAGS) -c $< -o $@
 $(BUILD)/counted/tests/bench/rays_counters.c.o: tests/bench/rays_counters.c
 $(BUILD)/tests/bench-gpu-trace: $(call rays_objs,gpu_trace gpu_limits) $(rays_archives) \
-    | $(module_files) $(helper) $(BUILD)/tests/lib
+    | $(module_files) $(helpers) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all)
 $(BUILD)/tests/bench-rays-counters: $(call rays_objs) \
@@ -86,11 +86,11 @@ bench-gpu: gpu-bundle
 	@tests/bench/gpu.sh $(if $(filter small,$(BENCH)),small,full)
 
 ## gpu-bundle: collect what bench-gpu needs on a machine that cannot build, in build/gpu
-gpu-bundle: $(bins) $(generator) $(BUILD)/tests/bench-gpu-trace $(helper)
+gpu-bundle: $(bins) $(generator) $(BUILD)/tests/bench-gpu-trace $(helpers)
 	rm -rf $(gpu_bundle)
 	@mkdir -p $(gpu_bundle)/bin $(gpu_bundle)/lib/bisque
-	cp $(filter-out $(helper),$^) $(gpu_bundle)/bin
-	cp $(helper) $(gpu_bundle)/lib/bisque
+	cp $(filter-out $(helpers),$^) $(gpu_bundle)/bin
+	cp $(helpers) $(gpu_bundle)/lib/bisque
 	strip $(gpu_bundle)/bin/* $(gpu_bundle)/lib/bisque/*
 	ldd $(gpu_bundle)/bin/* | awk '$$2 == "=>" && $$3 ~ /^\// { print $$3 }' | sort -u | \
 	    grep -Ev '/(libc|libm|libdl|libpthread|librt|libgcc_s|libstdc[+][+])[.]so' | \

@@ -449,6 +449,37 @@ ok run bisque-bake uv.nvdb uv.dae.gz -o other.exr --maps normal --size 64
 ok run bisque-compare --type normal uv.exr other.exr --max-error 0.01
 run bisque-bake uv.nvdb "$meshes/uv.assimp.dae" -o other.exr --maps normal --memory 300K
 code 71
+# Damaged files for which Assimp asks for 6 GB, or takes memory in a loop without end.
+printf 'xof 0302txt 0064\nMesh a {\n 500000000;\n 0;0;0;,\n' >huge.x
+sed 's/ 131 132/ 13} 132/' "$meshes/uv.assimp.dae" >endless.dae
+for name in huge.x endless.dae; do
+    run bisque-voxelize --parse-only $name --memory 32M
+    refused_like 71 "^bisque-voxelize: $name: Assimp needs more memory than the [0-9]* bytes that are"
+done
+# The program that calls Assimp ends after its time.
+"$BIN/../lib/bisque/bisque-scene" dae 4000000000 1 <endless.dae >answer 2>&1
+check "an endless loop is ended" $(($? != 128 + 24))
+# Its death is a line.
+mkdir -p moved/bin moved/lib/bisque
+cp "$BIN/bisque-voxelize" moved/bin
+scene=moved/lib/bisque/bisque-scene
+real_bin=$BIN BIN=$PWD/moved/bin
+run bisque-voxelize --parse-only "$meshes/uv.assimp.x"
+refused_like 66 "^bisque-voxelize: FBX, COLLADA and such files need the program bisque-scene, which is not in $PWD/moved"
+while read -r line what; do
+    printf '#!/bin/sh\n%s\n' "$(echo "$line" | tr _ ' ')" >$scene
+    chmod +x $scene
+    run bisque-voxelize --parse-only "$meshes/uv.assimp.x"
+    refused_like "${what%% *}" "^bisque-voxelize: [^ ]*/uv.assimp.x: ${what#* }"
+done <<'END'
+kill_-SEGV_$$ 65 cannot be read: Assimp crashed .Segmentation fault.: the file is damaged, or not of
+kill_-XCPU_$$ 65 cannot be read: Assimp has not read it in 20 seconds$
+exit_3 65 cannot be read: Assimp crashed .it ended the program.
+echo_no;_exit_65 65 cannot be read: no $
+exit_74 74 its meshes cannot be written
+echo_other 66 [^ ]*/bisque-scene is not of this program's build, or does not work$
+END
+BIN=$real_bin
 
 # Messages.
 printf 'ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n' >points.ply

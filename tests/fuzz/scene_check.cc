@@ -1,5 +1,5 @@
-// scene_check.cc - makes scenes of Assimp's structures from bytes, and copies them as the module
-// for Assimp's files does.
+// scene_check.cc - makes scenes of Assimp's structures from bytes, writes them as the program
+// bisque-scene does, and reads what it wrote.
 //
 // Assimp's own importers are not fuzzed: some never end for damaged files (docs/decisions/0031).
 // What they may hand over is tested here, and more than their validation lets through.
@@ -8,8 +8,10 @@
 #include <cassert>
 #include <memory>
 
-// Its functions have no other door than the module's table, which takes files.
+// Its functions have no other door than the program, which takes files.
+#define main scene_main
 #include "formats/mesh/scene_assimp.cc"
+#undef main
 
 #include "tests/fuzz/fuzz_file.h"
 
@@ -134,33 +136,18 @@ std::unique_ptr<aiScene> make_scene(Bytes &bytes)
 void check_scene(const fmt_scene &scene)
 {
     uint64_t corners = 0, faces = 0;
-    for (uint64_t p = 0; p < scene.part_count; p++) {
-        require(scene.parts[p].first_face == faces && scene.parts[p].first_corner == corners &&
-                    scene.parts[p].first_vertex <= scene.parts[p + 1].first_vertex &&
-                    scene.parts[p].object,
+    for (uint64_t p = 0; p < scene.head->part_count; p++) {
+        require(scene.parts[p].first_face == faces && scene.parts[p].first_corner == corners,
                 "a part does not follow the one before");
         for (; faces < scene.parts[p + 1].first_face; faces++) {
             require(scene.face_sizes[faces] >= 3, "a face has fewer than three corners");
             corners += scene.face_sizes[faces];
         }
     }
-    require(faces == scene.face_count && corners == scene.corner_count, "faces are lost");
+    require(faces == scene.head->face_count && corners == scene.head->corner_count,
+            "faces are lost");
     for (uint64_t c = 0; c < corners; c++)
-        require(scene.corners[c] < scene.vertex_count, "a corner is out of range");
-}
-
-void free_scene(struct bsq_ctx *ctx, const fmt_scene &scene)
-{
-    for (uint64_t i = 0; i < scene.part_count; i++)
-        bsq_free(ctx, scene.parts[i].object);
-    for (uint64_t i = 0; i < scene.material_count; i++) {
-        bsq_free(ctx, scene.materials[i].name);
-        bsq_free(ctx, scene.materials[i].texture);
-    }
-    void *const arrays[] = {scene.positions, scene.texcoords, scene.normals,   scene.face_sizes,
-                            scene.corners,   scene.parts,     scene.materials, scene.colors};
-    for (void *array : arrays)
-        bsq_free(ctx, array);
+        require(scene.corners[c] < scene.head->vertex_count, "a corner is out of range");
 }
 
 } // namespace
@@ -168,14 +155,24 @@ void free_scene(struct bsq_ctx *ctx, const fmt_scene &scene)
 extern "C" int fuzz_scene(struct bsq_ctx *ctx, const uint8_t *data, size_t size)
 {
     Bytes bytes = {data, size};
-    char path[] = "fuzz.fbx";
     const std::unique_ptr<aiScene> made = make_scene(bytes);
-    struct bsq_file file = BSQ_FILE_CLOSED;
-    file.path = path;
+    char *file = nullptr;
+    size_t file_size = 0;
+    FILE *to = open_memstream(&file, &file_size);
+    int status = 0;
+    try {
+        write_scene(*made, false, 0, to);
+    } catch (const std::exception &error) {
+        status = bsq_fail(ctx, BSQ_EDATA, "%s", error.what());
+    }
+    fclose(to);
     fmt_scene scene = {};
-    const int status = copy_scene({&fmt_host_functions, ctx, &file, path}, *made, &scene);
-    if (status == 0)
+    const bool whole = fmt_scene_view(file, file_size, &scene);
+    require(whole == (status == 0), "a file that was written cannot be read");
+    if (whole)
         check_scene(scene);
-    free_scene(ctx, scene);
+    if (file_size > 0)
+        require(!fmt_scene_view(file, file_size - 1, &scene), "a truncated file is read");
+    free(file);
     return status;
 }

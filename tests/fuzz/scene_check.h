@@ -8,7 +8,7 @@
 extern "C" {
 #endif
 
-/* Makes a scene from the input, copies it and checks the copy. Errors: those of the module. */
+/* Makes a scene from the input, writes it, and checks what was written. Errors: BSQ_EDATA. */
 int fuzz_scene(struct bsq_ctx *ctx, const uint8_t *data, size_t size);
 
 #ifdef __cplusplus

@@ -20,7 +20,7 @@ install: all
 	install -m 755 $(farm_programs) $(farmdir)
 	install -m 644 $(filter-out $(farm_programs),$(wildcard tools/farm/*)) $(farmdir)
 	install -m 644 $(module_files) $(moddir)
-	install -m 755 $(helper) $(moddir)
+	install -m 755 $(helpers) $(moddir)
 	$(here) $(CC) $(CPPFLAGS) $(directory_cppflags) $(CFLAGS) -c formats/module/module_directory.c \
 	    -o $(arcdir)/module_directory.c.o
 	rm -f $(arcdir)/libbisque.a

@@ -1,20 +1,17 @@
-/* driver.c - opens drivers' libraries; starts bisque-devices and reads its answer from a pipe. */
+/* driver.c - opens drivers' libraries; starts bisque-devices and reads its answer from a file in
+ * memory. */
 #include "libbake/device/driver/driver.h"
 
 #include <dlfcn.h>
 #include <errno.h>
-#include <fcntl.h>
 #include <limits.h>
-#include <poll.h>
-#include <signal.h>
-#include <spawn.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include "base/clock.h"
 #include "base/file.h"
 #include "base/version.h"
 #include "formats/module/module.h"
@@ -53,11 +50,7 @@ void *bake_driver_library(const char *name, int flags, const char *const directo
 
 /* ---- bisque-devices ---- */
 
-enum {
-    TIMEOUT_SECONDS = 30,
-    POLL_MILLISECONDS = 100, /* an interruption is noticed after so long */
-    END_SECONDS = 1          /* for a killed process; one that a driver blocks may never end */
-};
+enum { TIMEOUT_SECONDS = 30 };
 
 struct answer {
     char version[32]; /* of the program; first in all versions */
@@ -68,140 +61,56 @@ struct answer {
 bool bake_probe_answer(int to, const struct bake_device_list *list)
 {
     struct answer answer;
-    const char *at = (const char *)&answer;
-
     memset(&answer, 0, sizeof answer); /* padding too */
     strcpy(answer.version, BSQ_VERSION);
     answer.bytes = sizeof answer;
     answer.list = *list;
-    for (size_t left = sizeof answer; left > 0;) {
-        ssize_t wrote = write(to, at, left);
-        if (wrote < 0 && errno == EINTR)
-            continue;
-        if (wrote <= 0)
-            return false;
-        at += wrote;
-        left -= (size_t)wrote;
-    }
-    return true;
+    return write(to, &answer, sizeof answer) == sizeof answer;
 }
 
 /* ---- its caller ---- */
 
-/* The process that was started. */
-struct child {
-    pid_t process;
-    int pipe;
-    double deadline;
-    bool late;
-};
-
-/* Starts a program whose standard output is `to`. It has no other descriptor, and hides what
- * drivers print. Returns 0 or an errno. */
-static int spawn(const char *path, const char *argument, int to, pid_t *out)
+/* Runs the program, and reads its answer as far as there is one. Also without memory for a process,
+ * the job can go on without GPUs. Returns the bytes read or a status. */
+static int ask(struct bsq_ctx *ctx, const struct bake_device_kind *kind, char *path,
+               struct answer *out, struct fmt_program_end *end)
 {
-    char *const arguments[] = {(char *)path, (char *)argument, NULL};
-    posix_spawn_file_actions_t actions;
-    int code = posix_spawn_file_actions_init(&actions);
-
-    if (code != 0)
-        return code;
-    if ((code = posix_spawn_file_actions_adddup2(&actions, to, STDOUT_FILENO)) == 0 &&
-        (code = posix_spawn_file_actions_addopen(&actions, STDIN_FILENO, "/dev/null", O_RDWR, 0)) ==
-            0 &&
-        (code = posix_spawn_file_actions_adddup2(&actions, STDIN_FILENO, STDERR_FILENO)) == 0 &&
-        (code = posix_spawn_file_actions_addclosefrom_np(&actions, STDERR_FILENO + 1)) == 0)
-        code = posix_spawn(out, path, &actions, NULL, arguments, environ);
-    posix_spawn_file_actions_destroy(&actions);
-    return code;
-}
-
-/* Also without memory for a process, the job can go on without GPUs. */
-static int start(struct bsq_ctx *ctx, const struct bake_device_kind *kind, const char *path,
-                 struct child *out)
-{
-    int ends[2] = {-1, -1}, code = 0;
-
-    if (pipe2(ends, O_CLOEXEC) < 0) {
-        code = errno;
-    } else {
-        ends[0] = bsq_fd_above_standard(ends[0]);
-        ends[1] = bsq_fd_above_standard(ends[1]);
-        code =
-            ends[0] < 0 || ends[1] < 0 ? EMFILE : spawn(path, kind->name, ends[1], &out->process);
-    }
-    if (ends[1] >= 0)
-        close(ends[1]);
-    out->pipe = ends[0];
-    out->deadline = bsq_seconds_now() + TIMEOUT_SECONDS;
-    if (code == 0)
-        return 0;
-    if (ends[0] >= 0)
-        close(ends[0]);
-    return bsq_fail(ctx, BSQ_ENODEVICE, "%s cannot be used: %s does not start: %s", kind->drivers,
-                    path, strerror(code));
-}
-
-/* Reads an answer until it is whole, the pipe ends or the deadline has passed. Returns the bytes
- * read, or BSQ_EINTR. */
-static int read_answer(struct bsq_ctx *ctx, struct child *child, struct answer *out)
-{
-    size_t bytes = 0;
-
+    char *const arguments[] = {path, (char *)kind->name, NULL};
+    const int file = bsq_fd_above_standard(memfd_create("devices", MFD_CLOEXEC));
+    int status = 0;
     memset(out, 0, sizeof *out);
-    while (bytes < sizeof *out && !child->late) {
-        struct pollfd ready = {.fd = child->pipe, .events = POLLIN};
-        int polled = poll(&ready, 1, POLL_MILLISECONDS);
-        ssize_t got = polled > 0 ? read(child->pipe, (char *)out + bytes, sizeof *out - bytes) : -1;
-        int status = bsq_check(ctx);
-        if (status < 0)
-            return status;
-        if (got == 0)
-            break;
-        bytes += got > 0 ? (size_t)got : 0;
-        child->late = got < 0 && bsq_seconds_now() > child->deadline;
-    }
+    *end = (struct fmt_program_end){.error = file < 0 ? errno : 0};
+    if (file >= 0)
+        status = fmt_program_run(ctx, arguments, -1, file, TIMEOUT_SECONDS, end);
+    if (!status && end->error)
+        status = bsq_fail(ctx, BSQ_ENODEVICE, "%s cannot be used: %s does not start: %s",
+                          kind->drivers, path, strerror(end->error));
+    if (!status)
+        status = (int)pread(file, out, sizeof *out, 0);
+    if (file >= 0)
+        close(file);
     out->version[sizeof out->version - 1] = '\0';
-    return (int)bytes;
-}
-
-/* Waits until the process has ended, and kills it first unless it has answered. A process that a
- * driver blocks in the kernel is left behind. Returns its wait status, or -1. */
-static int end(struct child *child, bool answered)
-{
-    const struct timespec pause = {.tv_nsec = 1000000};
-    int ended = -1;
-    pid_t got;
-
-    close(child->pipe);
-    if (!answered)
-        kill(child->process, SIGKILL);
-    child->deadline = bsq_seconds_now() + END_SECONDS;
-    while ((got = waitpid(child->process, &ended, WNOHANG)) == 0 &&
-           bsq_seconds_now() < child->deadline)
-        nanosleep(&pause, NULL);
-    if (got == 0 && answered)
-        kill(child->process, SIGKILL);
-    return got == child->process ? ended : -1;
+    return status;
 }
 
 /* Reports an answer that did not come or is of another version. */
 static int fail_answer(struct bsq_ctx *ctx, const struct bake_device_kind *kind, const char *path,
-                       const struct answer *answer, const struct child *child, int ended)
+                       const struct answer *answer, const struct fmt_program_end *end)
 {
     if (answer->version[0] && strcmp(answer->version, BSQ_VERSION) != 0)
         return bsq_fail(ctx, BSQ_ENODEVICE,
                         "%s cannot be used: %s is of version %s, this program is of " BSQ_VERSION,
                         kind->drivers, path, answer->version);
-    if (child->late)
+    if (end->late)
         return bsq_fail(ctx, BSQ_ENODEVICE,
                         "%s cannot be used: its drivers have not named their devices for %d "
                         "seconds",
                         kind->drivers, TIMEOUT_SECONDS);
-    return bsq_fail(
-        ctx, BSQ_ENODEVICE,
-        "%s cannot be used: a driver crashed when it was asked for its devices (%s)", kind->drivers,
-        ended >= 0 && WIFSIGNALED(ended) ? strsignal(WTERMSIG(ended)) : "it ended the process");
+    return bsq_fail(ctx, BSQ_ENODEVICE,
+                    "%s cannot be used: a driver crashed when it was asked for its devices (%s)",
+                    kind->drivers,
+                    end->state >= 0 && WIFSIGNALED(end->state) ? strsignal(WTERMSIG(end->state))
+                                                               : "it ended the process");
 }
 
 /* Takes over a whole answer, and ends its texts. Returns false if it is damaged. */
@@ -236,23 +145,17 @@ static int find_program(struct bsq_ctx *ctx, const struct bake_device_kind *kind
 int bake_probe(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
                struct bake_device_list *out)
 {
-    struct child child = {0};
+    struct fmt_program_end end;
     struct answer answer;
     char *path = NULL;
     int status;
 
     BSQ_TRY(find_program(ctx, kind, &path));
-    BSQ_TRY(start(ctx, kind, path, &child));
-    const int bytes = read_answer(ctx, &child, &answer);
-    const bool answered = bytes == (int)sizeof answer && answer.bytes == sizeof answer &&
+    BSQ_TRY(ask(ctx, kind, path, &answer, &end));
+    const bool answered = status == (int)sizeof answer && answer.bytes == sizeof answer &&
                           strcmp(answer.version, BSQ_VERSION) == 0 && take_over(&answer, out);
-    const int ended = end(&child, answered);
-    BSQ_TRY(bytes);
-    if (!answered) {
-        BSQ_TRY(bsq_check(ctx)); /* a signal may have ended the process first */
-        status = fail_answer(ctx, kind, path, &answer, &child, ended);
-    }
+    status = answered ? 0 : fail_answer(ctx, kind, path, &answer, &end);
 done:
     free(path);
-    return status < 0 ? status : 0;
+    return status;
 }

@@ -24,7 +24,7 @@ void *bake_driver_library(const char *name, int flags, const char *const directo
 int bake_probe(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
                struct bake_device_list *out);
 
-/* The part of bisque-devices: writes a list to the pipe `to`, for bake_probe(). Returns false if it
+/* The part of bisque-devices: writes a list to the file `to`, for bake_probe(). Returns false if it
  * cannot. */
 bool bake_probe_answer(int to, const struct bake_device_list *list);
 

@@ -1,13 +1,11 @@
 /* bisque-devices.c - lists the devices of one kind, for bake_probe(). The libraries start this
  * program because drivers may crash, hang or print; users call bisque-bake --list devices. */
 #include <fcntl.h>
-#include <signal.h>
 #include <stdio.h>
 #include <string.h>
-#include <sys/prctl.h>
-#include <sys/resource.h>
 #include <unistd.h>
 
+#include "formats/module/module.h"
 #include "libbake/device/cuda/cuda.h"
 #include "libbake/device/driver/driver.h"
 #include "libbake/device/opencl/opencl.h"
@@ -23,20 +21,13 @@ static const struct {
 };
 enum { KINDS = sizeof kinds / sizeof kinds[0] };
 
-/* Ends with the caller, dumps no core, and hides what drivers print. Crashes by signals, also with
- * sanitizers, which would exit instead. Returns a descriptor of what
- * was the standard output. */
+/* Hides what drivers print. Returns a descriptor of what was the standard output. */
 static int isolate(void)
 {
-    static const int crashes[] = {SIGABRT, SIGSEGV, SIGBUS, SIGFPE, SIGILL};
-    const struct rlimit none = {0, 0};
     int answer = fcntl(STDOUT_FILENO, F_DUPFD_CLOEXEC, STDERR_FILENO + 1);
 
-    for (size_t i = 0; i < sizeof crashes / sizeof crashes[0]; i++)
-        signal(crashes[i], SIG_DFL);
-    prctl(PR_SET_PDEATHSIG, SIGKILL);
+    fmt_program_isolate();
     alarm(LIFE_SECONDS); /* if the caller ended before that call */
-    setrlimit(RLIMIT_CORE, &none);
     dup2(STDERR_FILENO, STDOUT_FILENO);
     return answer;
 }

@@ -1,0 +1,79 @@
+/* program.c - runs programs that are installed beside the modules: for code of others that may
+ * crash, hang or take any amount of memory. */
+#include <errno.h>
+#include <fcntl.h>
+#include <signal.h>
+#include <spawn.h>
+#include <sys/prctl.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "base/clock.h"
+#include "formats/module/module.h"
+
+/* Of a process that was killed; one that a driver blocks in the kernel may never end. */
+enum { END_SECONDS = 1 };
+
+void fmt_program_isolate(void)
+{
+    static const int crashes[] = {SIGABRT, SIGSEGV, SIGBUS, SIGFPE, SIGILL};
+    const struct rlimit none = {0, 0};
+    for (size_t i = 0; i < sizeof crashes / sizeof *crashes; i++)
+        signal(crashes[i], SIG_DFL);
+    prctl(PR_SET_PDEATHSIG, SIGKILL);
+    setrlimit(RLIMIT_CORE, &none);
+}
+
+/* Returns 0 or an errno. */
+static int start(char *const arguments[], int from, int to, pid_t *out)
+{
+    posix_spawn_file_actions_t actions;
+    int error = posix_spawn_file_actions_init(&actions);
+    if (error != 0)
+        return error;
+    error = posix_spawn_file_actions_addopen(&actions, STDERR_FILENO, "/dev/null", O_RDWR, 0);
+    if (error == 0)
+        error = posix_spawn_file_actions_adddup2(&actions, from < 0 ? STDERR_FILENO : from,
+                                                 STDIN_FILENO);
+    if (error == 0)
+        error = posix_spawn_file_actions_adddup2(&actions, to, STDOUT_FILENO);
+    if (error == 0)
+        error = posix_spawn_file_actions_addclosefrom_np(&actions, STDERR_FILENO + 1);
+    if (error == 0)
+        error = posix_spawn(out, arguments[0], &actions, NULL, arguments, environ);
+    posix_spawn_file_actions_destroy(&actions);
+    return error;
+}
+
+/* Waits until the process ends, the deadline has passed, or the context, unless it is NULL, is
+ * interrupted. Returns whether it has ended. */
+static bool await(struct bsq_ctx *ctx, pid_t process, double deadline, int *state)
+{
+    struct timespec pause = {.tv_nsec = 100000};
+    pid_t got;
+    while ((got = waitpid(process, state, WNOHANG)) == 0 && bsq_seconds_now() < deadline &&
+           !(ctx && bsq_check(ctx) < 0)) {
+        nanosleep(&pause, NULL);
+        pause.tv_nsec += pause.tv_nsec < 10000000 ? pause.tv_nsec : 0;
+    }
+    if (got != process)
+        *state = -1;
+    return got != 0;
+}
+
+int fmt_program_run(struct bsq_ctx *ctx, char *const arguments[], int from, int to, double seconds,
+                    struct fmt_program_end *out)
+{
+    pid_t process;
+    *out = (struct fmt_program_end){.state = -1};
+    out->error = start(arguments, from, to, &process);
+    if (out->error != 0)
+        return 0;
+    if (!await(ctx, process, bsq_seconds_now() + seconds, &out->state)) {
+        out->late = true;
+        kill(process, SIGKILL);
+        await(NULL, process, bsq_seconds_now() + END_SECONDS, &out->state);
+    }
+    return bsq_check(ctx); /* a signal may have ended the process first */
+}
