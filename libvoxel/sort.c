@@ -168,8 +168,8 @@ static void report_scan(const struct scan *scan, struct vox_sort_report *report)
 }
 
 static int read_scan(struct scan *scan, const struct sort_limits *limits,
-                     const struct vox_sort_options *options, struct vox_sort_report *report,
-                     struct partition *out)
+                     const struct vox_sort_options *options, struct job_record *record,
+                     struct vox_sort_report *report, struct partition *out)
 {
     struct fmt_mesh_reader *reader = NULL;
     struct bsq_ctx *ctx = scan->ctx;
@@ -196,8 +196,7 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
                                  &textures));
     BSQ_TRY(read_passes(scan, reader, options, estimate.faces_come_last && !limits->two_passes,
                         &textures, out));
-    if (options->job)
-        status = vox_job_add_inputs(options->job, reader);
+    status = vox_record_add_libraries(record, reader);
 done:
     bsq_free(ctx, placements);
     vox_textures_free(ctx, &textures);
@@ -208,6 +207,15 @@ done:
 }
 
 /* ---- sorting ---- */
+
+/* Opens the chunk file that an earlier job completed. */
+static int take_chunks(struct bsq_ctx *ctx, const struct vox_sort_options *options)
+{
+    bsq_note_written(ctx, options->tris_path);
+    return options->temp_tris ? bsq_file_open_as(ctx, options->tris_path, BSQ_OPEN_OTHER,
+                                                 &options->temp_tris->file)
+                              : 0;
+}
 
 /* Returns whether the chunk file gets the name tris_path. */
 static bool names_tris(const struct vox_sort_options *options)
@@ -316,15 +324,24 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
 {
     struct scan scan;
     struct partition partition = {0};
+    struct job_record record = {0};
     uint64_t temp_before = bsq_temp_bytes(ctx);
     memset(report, 0, sizeof *report);
     int status;
     BSQ_TRY(begin_scan(&scan, ctx, options, limits));
     BSQ_TRY(check_channels(ctx, options));
     BSQ_TRY(names_tris(options) ? bsq_note_output(ctx, options->tris_path) : 0);
-    BSQ_TRY(read_scan(&scan, limits, options, report, &partition));
-    status = sort_scan(&scan, options, &partition, report);
+    BSQ_TRY(vox_record_open(ctx, options, &record));
+    BSQ_TRY(vox_record_check(&record, options->record, &report->resumed));
+    if (report->resumed)
+        BSQ_TRY(take_chunks(ctx, options));
+    else {
+        BSQ_TRY(read_scan(&scan, limits, options, &record, report, &partition));
+        BSQ_TRY(sort_scan(&scan, options, &partition, report));
+        status = vox_record_write(&record);
+    }
 done:
+    vox_record_free(&record);
     vox_partition_free(&scan, &partition);
     vox_scan_free(&scan);
     report->temp_bytes = bsq_temp_bytes(ctx) - temp_before;

@@ -22,8 +22,6 @@
 extern "C" {
 #endif
 
-struct vox_job;
-
 /** What ids tell apart, see docs/maps.md. */
 enum vox_ids {
     VOX_IDS_NONE,     /**< There are no ids. */
@@ -63,6 +61,17 @@ struct vox_channel {
                                  materials have. */
 };
 
+/** How vox_sort() uses the record beside the chunk file, tris_path + ".job", which says what it was
+ * made from. It lets a job that was interrupted after sorting go on with the chunk file. */
+enum vox_record {
+    VOX_RECORD_NONE,  /**< There is none. */
+    VOX_RECORD_WRITE, /**< Sorts and writes the record. Jobs that read pipes have none. */
+    VOX_RECORD_REUSE, /**< Keeps the chunk file if sorting would write the same one again; sorts and
+                         writes the record otherwise. */
+    VOX_RECORD_RESUME /**< The same, but refuses a chunk file that was made from other inputs
+                         (BSQ_EUSAGE) or before an input has changed (BSQ_EDATA), and pipes. */
+};
+
 /** What vox_sort() reads and writes. The caller owns all strings and handles. */
 struct vox_sort_options {
     /** Mesh files, read as one scan. They may be packed by gzip or Zstandard. A FIFO, or "-" for
@@ -86,15 +95,16 @@ struct vox_sort_options {
     /** Decode all textures before the scan is read, to find damaged ones. Otherwise these are found
      * when the grid is made. */
     bool check_textures;
-    struct vox_job *job; /**< NULL, or a job that records the files that the scan refers to. */
+    enum vox_record record; /**< Use of the record beside the chunk file. */
 };
 
 /** What vox_sort() did. */
 struct vox_sort_report {
-    uint64_t bytes_read;           /**< Bytes of the mesh files, unpacked. */
-    uint64_t vertices;             /**< Vertices of the scan. */
-    uint64_t faces;                /**< Faces of the scan, polygons included. */
-    uint64_t triangles;            /**< Triangles in the chunk file. */
+    bool resumed;        /**< The chunk file was complete; nothing was read, and the rest is 0. */
+    uint64_t bytes_read; /**< Bytes of the mesh files, unpacked. */
+    uint64_t vertices;   /**< Vertices of the scan. */
+    uint64_t faces;      /**< Faces of the scan, polygons included. */
+    uint64_t triangles;  /**< Triangles in the chunk file. */
     uint64_t degenerate_triangles; /**< Triangles without area; left out. */
     uint64_t short_faces;          /**< Faces with fewer than three corners; left out. */
     uint64_t broken_faces; /**< Faces with a vertex whose position is not finite; left out. */
@@ -129,45 +139,8 @@ int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
 int vox_parse(struct bsq_ctx *ctx, const struct vox_sort_options *options,
               struct vox_sort_report *report);
 
-/** @name Resuming a job
- *
- * A job that was interrupted after sorting can continue with its chunk file. A record beside it,
- * tris_path + ".job", says what the chunk file was made from. It exists from the end of sorting to
- * the end of the job, and stays if sorting is the whole job. The calls in order:
- *
- *     vox_job_open(), vox_job_resume();
- *     unless sorted: vox_sort(), vox_job_record();
- *     vox_voxelize(), vox_job_finish(), vox_job_close()
- *
- * A job belongs to one thread at a time.
- * @{ */
-
-/** Opens a job in *out, which the caller owns, and notes the inputs' sizes and times. Copies the
- * options. Errors: BSQ_ENOINPUT, BSQ_ENOMEM. */
-int vox_job_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, struct vox_job **out);
-
-/** Frees a job; NULL is allowed. The record stays. */
-void vox_job_close(struct vox_job *job);
-
-/** Sets *sorted if the chunk file is complete and is what vox_sort() would write. Clears it if
- * there is no record or the record is about another chunk file. Errors: BSQ_EDATA if an input has
- * changed since, or a program of another version or other sources wrote the record; BSQ_EUSAGE if
- * the inputs or the texture are not the recorded ones. */
-int vox_job_resume(struct vox_job *job, bool *sorted);
-
-/** The same for sorting alone, whose record stays: sets *done if vox_sort() would write the same
- * file again. Another record, or none, is no error. Jobs that read pipes are never done. Errors:
- * BSQ_ENOMEM, BSQ_EINTR. */
-int vox_job_is_done(struct vox_job *job, bool *done);
-
-/** Writes the record; to be called after vox_sort(). If an input has changed since vox_job_open(),
- * warns and writes none. Errors: BSQ_ECANTCREAT, BSQ_EIO. */
-int vox_job_record(struct vox_job *job);
-
-/** Removes the record. NULL is allowed. */
-void vox_job_finish(struct vox_job *job);
-
-/** @} */
+/** Removes the record of a chunk file, when the job that needed it is finished. */
+void vox_sort_finish(const char *tris_path);
 
 /** Returns the smallest budget in bytes that vox_sort() and vox_voxelize() accept, for a number of
  * threads. */

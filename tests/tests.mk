@@ -78,12 +78,6 @@ $(examples): $(BUILD)/%: %.c $(public_copies) $(archives)
 	    $(archive.libvoxel) $(archive.libbake) $(archive.formats) $(archive.base) \
 	    $(LIBS.all) -pthread
 
-# Corrects checksums by hand.
-xxh3 := $(BUILD)/tests/xxh3
-$(xxh3): tests/oracle/xxh3.c
-	@mkdir -p $(@D)
-	$(CC) -std=c11 $(WARN) $(opt.$(config)) -o $@ $< -lxxhash
-
 # Says how Bisque's readers judge files, for the readers of tests/oracle.
 read_files := $(BUILD)/tests/read-files
 $(read_files): $(BUILD)/obj/tests/oracle/read_files.c.o $(archive.formats) $(archive.base)
@@ -159,7 +153,7 @@ fuzz-merge:
 unit: $(unit_bins) $(module_files) $(fakes)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
-tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) $(xxh3) \
+tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) \
     $(read_files) $(replays) $(fakes) $(faults)
 
 # The scripts take longest, so they start first.

@@ -36,8 +36,7 @@ static int recognise_inputs(struct voxelize_job *job)
     const struct voxelize_arguments *arguments = job->arguments;
     int status = 0;
     job->meshes = calloc(arguments->input_count, sizeof *job->meshes);
-    /* And one for what the meshes were sorted to by an earlier run. */
-    job->parts = calloc((size_t)arguments->input_count + 1, sizeof *job->parts);
+    job->parts = calloc(arguments->input_count, sizeof *job->parts);
     if (!job->meshes || !job->parts)
         return bsq_fail_errno(job->cli->ctx, BSQ_ENOMEM, ENOMEM, "%s", arguments->inputs[0]);
     for (uint32_t i = 0; i < arguments->input_count; i++)
@@ -154,18 +153,12 @@ static int sort_scan(struct voxelize_job *job)
     options->keeps_tris = !job->temporary_tris;
     options->check_textures = true;
     /* A temporary chunk file is always removed, so such a job cannot be resumed. */
-    if (!job->temporary_tris)
-        BSQ_TRY(vox_job_open(ctx, options, &job->record));
-    if (arguments->resume)
-        BSQ_TRY(vox_job_resume(job->record, &job->resumed));
-    else if (arguments->sort_only && !arguments->force && !job->cli->strict)
-        BSQ_TRY(vox_job_is_done(job->record, &job->resumed));
-    if (job->resumed)
-        return 0;
-    options->job = job->record;
-    BSQ_TRY(vox_sort(ctx, options, &job->sort));
-    if (job->record)
-        BSQ_TRY(vox_job_record(job->record));
+    options->record = job->temporary_tris ? VOX_RECORD_NONE
+                      : arguments->resume ? VOX_RECORD_RESUME
+                      : arguments->sort_only && !arguments->force && !job->cli->strict
+                          ? VOX_RECORD_REUSE
+                          : VOX_RECORD_WRITE;
+    status = vox_sort(ctx, options, &job->sort);
 done:
     return status;
 }
@@ -173,12 +166,10 @@ done:
 static int make_grid(struct voxelize_job *job)
 {
     struct vox_voxelize_options *options = &job->arguments->grid;
-    if (job->resumed && job->part_count > 0) /* there is no open file of this run */
-        job->parts[job->part_count++] = job->tris_path;
     options->tris_path = job->tris_path;
     options->part_paths = job->part_count > 0 ? job->parts : NULL;
     options->part_count = job->part_count;
-    options->temp_tris = job->resumed ? NULL : job->temp_tris;
+    options->temp_tris = job->temp_tris;
     return vox_voxelize(job->cli->ctx, options, &job->grid);
 }
 
@@ -203,7 +194,8 @@ static int do_work(struct voxelize_job *job)
     if (arguments->sort_only)
         return 0;
     BSQ_TRY(make_grid(job));
-    vox_job_finish(job->record);
+    if (job->mesh_count > 0 && !job->temporary_tris)
+        vox_sort_finish(job->tris_path);
 done:
     return status;
 }
@@ -220,7 +212,7 @@ static int run(struct voxelize_job *job)
     BSQ_TRY(note_images(cli->ctx, arguments));
     BSQ_TRY(recognise_inputs(job));
     BSQ_TRY(do_work(job));
-    if (arguments->sort_only && job->resumed)
+    if (arguments->sort_only && job->sort.resumed)
         status = cli_say_kept(cli, job->tris_path, "this chunk file");
     else
         status = voxelize_report_print(job);
@@ -238,7 +230,6 @@ int main(int argc, char **argv)
     if (status == 0)
         status = run(&job);
     vox_temp_tris_close(job.temp_tris);
-    vox_job_close(job.record);
     free(job.tris_path);
     free(job.meshes);
     free(job.parts);

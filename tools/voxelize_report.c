@@ -35,7 +35,7 @@ static void print_read(const struct voxelize_job *job)
 static void print_tris(const struct voxelize_job *job)
 {
     char size[CLI_TEXT], chunks[CLI_TEXT];
-    if (job->mesh_count > 0 && !job->resumed && !job->temporary_tris)
+    if (job->mesh_count > 0 && !job->sort.resumed && !job->temporary_tris)
         cli_print("%s: %s, %s, %.2f s\n", job->tris_path,
                   cli_counted_text(job->sort.chunks, "chunk", "chunks", chunks),
                   cli_size_text(job->sort.tris_bytes, size), job->sort.seconds_sort);
@@ -96,11 +96,11 @@ static int print_json(const struct voxelize_job *job)
     for (uint32_t i = 0; i < arguments->input_count; i++)
         cli_json_append(&inputs, cli_json_text(arguments->inputs[i]));
     json_t *root = json_pack(
-        "{s:o, s:b, s:o, s:o, s:o, s:o, s:o}", "inputs", inputs, "resumed", (int)job->resumed,
+        "{s:o, s:b, s:o, s:o, s:o, s:o, s:o}", "inputs", inputs, "resumed", (int)job->sort.resumed,
         "grid_path", cli_json_text(no_grid ? NULL : arguments->grid.grid_path), "tris_path",
         cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
         cli_json_text(arguments->grid.vdb_path), "scan",
-        job->mesh_count == 0 || job->resumed ? json_null() : sort_json(&job->sort), "grid",
+        job->mesh_count == 0 || job->sort.resumed ? json_null() : sort_json(&job->sort), "grid",
         no_grid ? json_null() : voxelize_report_grid_json(&job->grid));
     return cli_print_json(job->cli, root);
 }
@@ -129,7 +129,7 @@ int voxelize_report_print(const struct voxelize_job *job)
     warn_of_stray_parts(job);
     if (job->cli->json)
         return print_json(job);
-    if (job->resumed)
+    if (job->sort.resumed)
         cli_print("%s: complete from the run before, reading and sorting were skipped\n",
                   job->tris_path);
     else if (job->mesh_count > 0)

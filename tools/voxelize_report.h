@@ -9,8 +9,6 @@ struct voxelize_job {
     struct voxelize_arguments *arguments;
     const char **meshes, **parts; /* the inputs: mesh files, and chunk files; owned */
     uint32_t mesh_count, part_count;
-    bool resumed;                    /* an earlier run wrote the chunk file, see --resume */
-    struct vox_job *record;          /* for --resume; NULL if the job cannot be resumed */
     char *tris_path;                 /* of the chunk file; owned */
     bool temporary_tris;             /* the chunk file is temporary: there is no file tris_path */
     struct vox_temp_tris *temp_tris; /* the chunk file that this job writes, or NULL; owned */

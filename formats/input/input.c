@@ -20,7 +20,6 @@
 #include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
-#include <xxhash.h>
 
 #include "base/text_table.h"
 #include "formats/input/unpack.h"
@@ -48,8 +47,7 @@ struct fmt_input {
     struct bsq_file file; /* open while there are users; not for pipes */
     /* Of a pipe: from the first use on; of a packed file: while open. */
     struct unpacker *unpacker;
-    uint64_t taken;     /* packed bytes that were read */
-    XXH3_state_t *hash; /* of these, for pipes */
+    uint64_t taken; /* packed bytes that were read */
 
     pthread_rwlock_t stored_lock; /* written to with `lock` held; guards all below */
     struct bsq_file temp;
@@ -117,45 +115,7 @@ static int read_packed(void *arg, void *buffer, uint64_t size, uint64_t *got)
     int status = is_pipe(input) ? read_pipe(input, buffer, size, got)
                                 : bsq_file_read_some(input->ctx, &input->file, buffer, size,
                                                      input->taken, got);
-    if (status < 0)
-        return status;
-    input->taken += *got;
-    if (input->hash)
-        XXH3_64bits_update(input->hash, buffer, *got);
-    return 0;
-}
-
-static int start_hash(struct fmt_input *input)
-{
-    input->hash = XXH3_createState();
-    if (!input->hash)
-        return bsq_fail_errno(input->ctx, BSQ_ENOMEM, ENOMEM, "%s", input->path);
-    XXH3_64bits_reset(input->hash);
-    return 0;
-}
-
-bool fmt_input_given(const struct fmt_input *input, uint64_t *bytes, uint64_t *hash)
-{
-    if (!input->hash || input->size == UINT64_MAX)
-        return false;
-    *bytes = input->taken;
-    *hash = XXH3_64bits_digest(input->hash);
-    return true;
-}
-
-int fmt_input_drain(struct bsq_ctx *ctx, const char *path, uint64_t *bytes, uint64_t *hash)
-{
-    struct fmt_input *input = NULL;
-    uint8_t buffer[16384];
-    int status = 0;
-    BSQ_TRY(fmt_input_create(ctx, path, NULL, true, &input));
-    BSQ_TRY(start_hash(input));
-    for (uint64_t got = 1; got > 0;)
-        BSQ_TRY(read_packed(input, buffer, sizeof buffer, &got));
-    input->size = input->taken;
-    fmt_input_given(input, bytes, hash);
-done:
-    fmt_input_free(input);
+    input->taken += status == 0 ? *got : 0;
     return status;
 }
 
@@ -325,7 +285,6 @@ void fmt_input_free(struct fmt_input *input)
     if (!input)
         return;
     end_use(input);
-    XXH3_freeState(input->hash);
     if (is_pipe(input))
         close(input->pipe_fd);
     pthread_rwlock_destroy(&input->stored_lock);
@@ -357,8 +316,6 @@ static int begin_use(struct fmt_input *input)
     int status = 0;
     if (!is_pipe(input))
         BSQ_TRY(bsq_file_open(input->ctx, input->path, &input->file));
-    if (is_pipe(input) && !input->hash)
-        BSQ_TRY(start_hash(input));
     if (!fmt_input_is_plain(input) && !input->unpacker)
         BSQ_TRY(start_unpacking(input, is_pipe(input)));
 done:

@@ -76,13 +76,6 @@ bool fmt_input_is_plain(const struct fmt_input *input);
 int fmt_input_guess(struct fmt_input *input, uint64_t *bytes, bool *plain);
 #define FMT_INPUT_SAMPLE_BYTES ((uint64_t)1 << 20)
 
-/* What came through a pipe, as it came: its number of bytes and their XXH3 hash. Returns false for
- * a file, and for a pipe that was not read to its end. */
-bool fmt_input_given(const struct fmt_input *input, uint64_t *bytes, uint64_t *hash);
-
-/* Reads the pipe `path` to its end and gives the same as fmt_input_given(). */
-int fmt_input_drain(struct bsq_ctx *ctx, const char *path, uint64_t *bytes, uint64_t *hash);
-
 /* Reads a small file of text whole, with `padding` zeros after its end. The caller frees *text with
  * bsq_free(). Errors: as fmt_input_read(), and BSQ_ENOINPUT. */
 int fmt_input_text(struct bsq_ctx *ctx, const char *path, uint64_t padding, char **text,

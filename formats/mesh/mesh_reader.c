@@ -249,15 +249,6 @@ uint64_t fmt_mesh_bytes(const struct fmt_mesh_reader *reader)
     return bytes;
 }
 
-bool fmt_mesh_given(const struct fmt_mesh_reader *reader, const char *path, uint64_t *bytes,
-                    uint64_t *hash)
-{
-    for (uint32_t i = 0; i < reader->source_count; i++)
-        if (strcmp(reader->sources[i].path, path) == 0)
-            return fmt_input_given(reader->sources[i].input, bytes, hash);
-    return false;
-}
-
 /* ---- reading ---- */
 
 /* Two slots a thread keep all threads busy as a rule. Four outlast a serial step that sometimes

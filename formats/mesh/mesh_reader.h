@@ -122,10 +122,6 @@ int fmt_mesh_open_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *inpu
                          struct fmt_mesh_reader **out);
 /* Returns the bytes of all files; 0 if some of them are packed, or pipes. */
 uint64_t fmt_mesh_bytes(const struct fmt_mesh_reader *reader);
-/* Sets the number of bytes that were read from the pipe `path`, before unpacking, and their XXH3
- * hash. Returns false for a file, and for a pipe that was not read to its end. */
-bool fmt_mesh_given(const struct fmt_mesh_reader *reader, const char *path, uint64_t *bytes,
-                    uint64_t *hash);
 
 /* Returns true if a format of the registry recognises the file by its first bytes or its name.
  * `size` may be less than FMT_MESH_HEAD_BYTES only if the file is shorter. */

@@ -165,27 +165,4 @@ ok $vox wide/plain.obj -o wide.nvdb
 grep -q 'warning: .*: truncated: text in UTF-16 ends in the middle of a character: its materials are missing$' "$err"
 check "a damaged MTL file is a warning" $?
 
-# ---- resuming ----
-
-run bisque-voxelize scan.obj.gz --resolution 24 -o job.nvdb
-cp job.nvdb first.nvdb
-# record INPUT: makes the chunk file and its record, as if the job had ended after sorting.
-record()
-{
-    rm -f job.*
-    command="bisque-voxelize - <$1, which fails after sorting" code=0
-    "$BIN/bisque-voxelize" - --voxel-size 1e-7 -o job.nvdb <"$1" >"$out" 2>"$err" || code=$?
-    holds "the record is there" [ -e job.tris.job ]
-}
-record scan.obj.gz
-"$BIN/bisque-voxelize" - --resolution 24 --resume --json -o job.nvdb <scan.obj.gz >"$out" \
-    2>"$err"
-code=$? command="bisque-voxelize - --resume <scan.obj.gz"
-code 0
-json '.resumed'
-same first.nvdb job.nvdb
-record scan.obj.gz
-"$BIN/bisque-voxelize" - --resolution 24 --resume -o job.nvdb <two.gz >"$out" 2>"$err"
-code=$? command="bisque-voxelize - --resume <two.gz"
-refused 65 "$p - has changed since job.tris was made from it: this job cannot be resumed"
 finish

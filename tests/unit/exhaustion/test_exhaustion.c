@@ -213,18 +213,16 @@ static int record(struct bsq_ctx *ctx)
     const char *path = "scan.obj";
     struct vox_sort_options options = {
         .scan_paths = &path, .scan_count = 1, .tris_path = "scan.tris"};
-    struct vox_job *job;
-    bool sorted = false;
-    int status = vox_job_open(ctx, &options, &job);
-    if (status == 0)
-        status = vox_job_record(job);
-    if (status == 0)
-        status = vox_job_resume(job, &sorted);
-    if (status == 0) {
-        assert_true(sorted);
-        vox_job_finish(job);
+    struct vox_sort_report report;
+    int status = 0;
+    for (int i = 0; i < 2 && status == 0; i++) {
+        options.record = i == 0 ? VOX_RECORD_WRITE : VOX_RECORD_RESUME;
+        status = vox_sort(ctx, &options, &report);
     }
-    vox_job_close(job);
+    if (status == 0) {
+        assert_true(report.resumed);
+        vox_sort_finish("scan.tris");
+    }
     return status;
 }
 

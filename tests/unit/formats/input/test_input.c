@@ -301,7 +301,7 @@ TEST(test_pipe_is_read_once)
 {
     struct fmt_input *input;
     struct packed p = {0};
-    uint64_t bytes, hash, got;
+    uint64_t got;
     uint32_t first[100];
     pack_gzip(&p, numbers, BYTES, 1);
     struct writer w = {.path = make_fifo("fifo"), .bytes = p.data, .size = p.size};
@@ -315,22 +315,13 @@ TEST(test_pipe_is_read_once)
     assert_int_equal(fmt_input_peek(input, first, sizeof first, &got), 0);
     assert_int_equal(got, sizeof first);
     assert_memory_equal(first, numbers, sizeof first);
-    assert_false(fmt_input_given(input, &bytes, &hash));
     for (int round = 0; round < 2; round++) {
         assert_int_equal(fmt_input_open(input), 0);
         expect_range(input, 1000, BYTES);
         assert_int_equal(fmt_input_close(input), 0);
     }
-    assert_true(fmt_input_given(input, &bytes, &hash));
-    assert_int_equal(bytes, p.size);
-    assert_int_equal(hash, XXH3_64bits(p.data, p.size));
     pthread_join(w.thread, NULL);
     fmt_input_free(input);
-    pthread_create(&w.thread, NULL, write_pipe, &w);
-    assert_int_equal(fmt_input_drain(ctx, w.path, &bytes, &got), 0);
-    assert_int_equal(bytes, p.size);
-    assert_int_equal(got, hash);
-    pthread_join(w.thread, NULL);
     free(p.data);
     test_context_end(ctx);
 }
