@@ -247,7 +247,7 @@ int bsq_output_open_temp(struct bsq_ctx *ctx, const char *beside, const char *wh
 
 /* ---- writing ---- */
 
-/* Starts writing to the disk after this many bytes, and at once what is a sixteenth of that. */
+/* Starts writing to the disk after this many bytes. */
 #define SEND_BYTES ((uint64_t)4 << 20)
 
 /* Starts writing the appended bytes to the disk, so that the final sync has little left to do.
@@ -278,12 +278,16 @@ static int write_range(struct bsq_output *output, const void *buffer, uint64_t s
     return error ? bsq_output_fail_write(output, error) : 0;
 }
 
+/* Whoever completes SEND_BYTES starts writing these to the disk. What another thread has not
+ * written yet of them is left to the final sync. */
 int bsq_output_write_at(struct bsq_output *output, const void *buffer, uint64_t size,
                         uint64_t offset)
 {
+    const uint64_t from = offset - offset % SEND_BYTES,
+                   end = offset + size - (offset + size) % SEND_BYTES;
     int status = write_range(output, buffer, size, offset);
-    if (size >= SEND_BYTES / 16)
-        sync_file_range(output->fd, (off64_t)offset, (off64_t)size, SYNC_FILE_RANGE_WRITE);
+    if (end > offset)
+        sync_file_range(output->fd, (off64_t)from, (off64_t)(end - from), SYNC_FILE_RANGE_WRITE);
     return status;
 }
 

@@ -8,6 +8,7 @@
 
 #include <assert.h>
 #include <math.h>
+#include <stddef.h>
 
 #include "base/normal_map.h"
 #include "libvoxel/voxelize/clip/clip.h"
@@ -17,6 +18,8 @@ static_assert(sizeof(struct vox_sum) == 64, "sums are two rows of four");
 static_assert(sizeof(struct vox_color_sum) == 32, "a colour is a row of four");
 static_assert(LANE_COUNT <= VOX_FRAGMENT_LANES, "channels of waiting fragments have space");
 static_assert(sizeof(struct block_fragment) == 64, "a fragment begins with a row of four");
+static_assert(sizeof(struct vox_fragment_block) / sizeof(double) < BLOCK_RUN_FACTS,
+              "entries of runs hold two offsets");
 
 /* ---- fragments ---- */
 
@@ -73,59 +76,62 @@ static __attribute__((noinline)) void add_normal_map(const struct block_facts *f
     *normal = row_of(weight * n[0], weight * n[1], weight * n[2], area * VOX_INCONSISTENT);
 }
 
-/* Returns the id of a fragment of the triangle at this place. */
-LANES_INLINE uint32_t id_of(const struct source *from, uint32_t place,
+/* Returns the number of the triangle with these facts. */
+LANES_INLINE uint32_t triangle_of(const struct source *from, const struct block_facts *facts)
+{
+    return from->block->triangles[facts - from->block->facts].number;
+}
+
+/* Returns the id of a fragment of a triangle. */
+LANES_INLINE uint32_t id_of(const struct source *from, uint32_t triangle,
                             const struct block_fragment *fragment)
 {
     const double *moment = fragment->moment;
     const double weights[3] = {fragment->area - moment[0] - moment[1], moment[0], moment[1]};
-    return fmt_shade_id(&from->job->shading->scan, &from->job->chunk->source,
-                        from->block->triangles[place].number, weights) |
+    return fmt_shade_id(&from->job->shading->scan, &from->job->chunk->source, triangle, weights) |
            0xff000000u;
 }
 
-/* Returns the channels of the triangle at this place, without textures. */
-LANES_INLINE const double *channels_of(const struct source *from, uint32_t place)
+/* Returns the channels of a triangle without textures. */
+LANES_INLINE const double *channels_of(const struct source *from, uint32_t triangle)
 {
     const struct vox_shading *shading = from->job->shading;
-    const uint32_t material = fmt_shading_material(&shading->scan, &from->job->chunk->source,
-                                                   from->block->triangles[place].number);
+    const uint32_t material =
+        fmt_shading_material(&shading->scan, &from->job->chunk->source, triangle);
     return shading->channels + (uint64_t)material * shading->channel_words;
 }
 
-/* Adds a fragment of the triangle at this place. cell: lower corner of its voxel, relative to that
- * of the triangle's lowest. */
-LANES_INLINE int add_fragment(const struct source *from, uint32_t place,
+/* Adds a fragment of the triangle with these facts. cell: lower corner of its voxel, relative to
+ * that of the triangle's lowest. */
+LANES_INLINE int add_fragment(const struct source *from, const struct block_facts *facts,
                               const struct block_fragment *fragment, const double cell[4],
                               const struct textured *textured)
 {
-    const struct block_facts *facts = &from->block->facts[place];
     const bool mapped = textured && textured->texel; /* the class follows from the normal map */
-    const uint32_t voxel = fragment->voxel & VOX_LINK_NUMBER;
-    uint32_t number = 0;
+    uint32_t number;
     struct vox_fragment_sum sum;
-    if (!mapped)
-        number = vox_accumulator_sum(from->sums, voxel, fragment->voxel ^ voxel);
-    if (from->smooth && !(fragment->cell & FRAGMENT_FLAT))
+    if (!mapped && !vox_accumulator_sum(from->sums, fragment->voxel, &number))
+        return VOX_REGION_FULL;
+    if (from->smooth && !(fragment->lane & FRAGMENT_FLAT))
         shade_smooth(facts, fragment, cell, from->marked, from->curved, &sum);
     else
         shade_flat(facts, fragment, cell, &sum);
     if (mapped) {
+        const uint32_t voxel = fragment->voxel & VOX_LINK_NUMBER;
         add_normal_map(facts, textured, fragment->area, &sum.normal);
-        number = vox_accumulator_sum(from->sums, voxel, vox_class_bits(sum.normal));
+        if (!vox_accumulator_sum(from->sums, voxel | vox_class_bits(sum.normal), &number))
+            return VOX_REGION_FULL;
     }
-    if (number == 0)
-        return VOX_REGION_FULL;
     if (textured && textured->rgb)
         sum.color = row_times(fragment->area, row_load(textured->rgb));
     else if (from->has_color)
         sum.color = shade_mean(shade_rows(facts, ROW_COLOR), fragment);
     else
         sum.color = (struct row){0};
-    sum.id = from->has_ids ? id_of(from, place, fragment) : 0;
+    sum.id = from->has_ids ? id_of(from, triangle_of(from, facts), fragment) : 0;
     sum.channels = textured ? textured->channels : NULL;
     if (from->has_channels && !sum.channels)
-        sum.channels = channels_of(from, place);
+        sum.channels = channels_of(from, triangle_of(from, facts));
     vox_accumulator_add(from->sums, number, &sum, from->has_color, from->has_ids,
                         from->has_channels);
     return 0;
@@ -133,14 +139,12 @@ LANES_INLINE int add_fragment(const struct source *from, uint32_t place,
 
 LANES_INLINE int add_run(const struct source *from, const uint32_t *run, uint32_t count)
 {
+    const double *block = (const void *)from->block;
     int status = vox_accumulator_reserve(from->sums);
-    if (status != 0)
-        return status;
-    for (uint32_t i = 0; i < count; i++) {
-        const struct block_fragment *fragment =
-            &from->block->fragments[run[i] % BLOCK_RUN_TRIANGLE];
-        status |= add_fragment(from, run[i] / BLOCK_RUN_TRIANGLE, fragment,
-                               shade_cells[fragment->cell % FRAGMENT_FLAT], NULL);
+    for (uint32_t i = 0; i < count && status == 0; i++) {
+        const struct block_fragment *fragment = (const void *)(block + run[i] % BLOCK_RUN_FACTS);
+        status = add_fragment(from, (const void *)(block + run[i] / BLOCK_RUN_FACTS), fragment,
+                              shade_cells + fragment->cell, NULL);
     }
     return status;
 }
@@ -172,6 +176,9 @@ LANES_INLINE int add_fragments(const struct vox_accumulation *job, uint32_t coun
         return add_runs(&from, count);
     }
     from.smooth = true;
+    if (!from.curved)
+        return add_runs(&from, count);
+    from.marked = from.curved = true;
     return add_runs(&from, count);
 }
 
@@ -182,12 +189,18 @@ typedef uint32_t run_step __attribute__((vector_size(4 * BLOCK_RUN_STEP)));
 LANES_INLINE uint32_t append_fragments(struct vox_fragment_block *block, uint32_t place,
                                        uint32_t count)
 {
+    enum {
+        NEXT_FACTS = sizeof *block->facts / sizeof(double),
+        NEXT = sizeof *block->fragments / sizeof(double),
+        FIRST = offsetof(struct vox_fragment_block, facts) / sizeof(double) * BLOCK_RUN_FACTS +
+                offsetof(struct vox_fragment_block, fragments) / sizeof(double)
+    };
     const struct block_triangle *triangle = &block->triangles[place];
-    run_step entries =
-        place * BLOCK_RUN_TRIANGLE + triangle->first + (run_step){0, 1, 2, 3, 4, 5, 6, 7};
+    run_step entries = FIRST + place * NEXT_FACTS * BLOCK_RUN_FACTS + NEXT * triangle->first +
+                       NEXT * (run_step){0, 1, 2, 3, 4, 5, 6, 7};
     for (uint32_t done = 0; done < triangle->count || done == 0; done += BLOCK_RUN_STEP) {
         memcpy(&block->run[count + done], &entries, sizeof entries);
-        entries += BLOCK_RUN_STEP;
+        entries += NEXT * BLOCK_RUN_STEP;
     }
     return count + triangle->count;
 }
@@ -241,8 +254,9 @@ static int add_waiting(struct single *s)
             .texel = s->normal_map ? s->texels[i] : NULL,
             .uv_edge = (const double(*)[2])s->uv_edge,
         };
-        status = add_fragment(&s->from, s->place, &s->job->block->fragments[BLOCK_FRAGMENTS + i],
-                              s->cells[i], &textured);
+        status =
+            add_fragment(&s->from, &s->job->block->facts[s->place],
+                         &s->job->block->fragments[BLOCK_FRAGMENTS + i], s->cells[i], &textured);
     }
     s->queue.count = 0;
     return status;

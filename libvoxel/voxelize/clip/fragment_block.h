@@ -8,7 +8,7 @@ enum {
     BLOCK_TRIANGLES = 256,
     BLOCK_FRAGMENTS = 3072,
     BLOCK_LANES_MAX = 8,
-    BLOCK_RUN_TRIANGLE = 1 << 16, /* factor of the triangle's place in an entry of `run` */
+    BLOCK_RUN_FACTS = 1 << 16, /* factor of the offset of facts in an entry of `run` */
     BLOCK_RUN_STEP = 8,
     BLOCK_NOWHERE = BLOCK_FRAGMENTS + BLOCK_LANES_MAX
 };
@@ -46,7 +46,7 @@ struct block_facts {
     double row[ROW_COUNT][4];
 };
 
-/* Bit of a fragment's cell: the fragment has the triangle's own normal, because those of the
+/* Bit of a fragment's lane: the fragment has the triangle's own normal, because those of the
  * corners cancel. */
 enum { FRAGMENT_FLAT = 64 };
 
@@ -55,9 +55,9 @@ struct block_fragment {
     double area;      /* in voxel faces */
     double moment[2]; /* area times weight of the second and of the third corner at the centroid */
     uint32_t voxel;   /* number in the region; above VOX_LINK_CLASS the class of its triangle */
-    uint8_t cell;     /* relative to the lowest voxel of the triangle, two bits for each axis;
-                         FRAGMENT_FLAT */
-    uint8_t lane;     /* of the triangle, while several are divided side by side */
+    uint8_t cell;     /* place in shade_cells: relative to the lowest voxel of the triangle, 4 times
+                         two bits for each axis */
+    uint8_t lane;     /* of the triangle, while several are divided side by side; FRAGMENT_FLAT */
     uint16_t place;   /* of the fragment in the block */
     double normal_weight; /* factor of area times interpolated normal in the sum of normals */
     double center_weight; /* and in the sum of centroids */
@@ -68,8 +68,8 @@ struct vox_fragment_block {
     uint32_t triangle_count, fragment_count;
     struct block_triangle triangles[BLOCK_TRIANGLES];
     uint16_t order[BLOCK_TRIANGLES]; /* places of triangles, by kind */
-    /* Fragments in the order in which they are added: place of the triangle times
-     * BLOCK_RUN_TRIANGLE, plus place of the fragment. */
+    /* Fragments in the order in which they are added: offset of the triangle's facts times
+     * BLOCK_RUN_FACTS, plus offset of the fragment, both in doubles from the start of the block. */
     uint32_t run[BLOCK_FRAGMENTS + BLOCK_RUN_STEP];
     _Alignas(64) struct block_facts facts[BLOCK_TRIANGLES];
     /* At the end: fragments of a triangle that is clipped alone, and one that takes what is not

@@ -276,16 +276,12 @@ LANES_INLINE struct row shade_mean(struct shade_rows rows, const struct block_fr
                    row_times(fragment->moment[1], rows.row[2]));
 }
 
-/* Lower corners of voxels relative to the lowest voxel, by the number in block_fragment.cell. */
-#define SHADE_CELLS_Z(x, y)                                                                        \
-    {x, y, 0, 0}, {x, y, 1, 0}, {x, y, 2, 0},                                                      \
-    {                                                                                              \
-        x, y, 3, 0                                                                                 \
-    }
+/* Lower corners of voxels relative to the lowest voxel, four numbers each. */
+#define SHADE_CELLS_Z(x, y) x, y, 0, 0, x, y, 1, 0, x, y, 2, 0, x, y, 3, 0
 #define SHADE_CELLS_Y(x)                                                                           \
     SHADE_CELLS_Z(x, 0), SHADE_CELLS_Z(x, 1), SHADE_CELLS_Z(x, 2), SHADE_CELLS_Z(x, 3)
-static const double shade_cells[64][4] = {SHADE_CELLS_Y(0), SHADE_CELLS_Y(1), SHADE_CELLS_Y(2),
-                                          SHADE_CELLS_Y(3)};
+static const double shade_cells[64 * 4] = {SHADE_CELLS_Y(0), SHADE_CELLS_Y(1), SHADE_CELLS_Y(2),
+                                           SHADE_CELLS_Y(3)};
 
 /* Returns the area times the centroid, relative to the centre of the voxel with the lower corner
  * `cell`. */

@@ -88,7 +88,7 @@ enum { NUMBER_CELL = 32, NUMBER_LANE = 40, NUMBER_PLACE = 48 };
 LANES_INLINE void number_cells(const struct vox_accumulation *job, doubles low, int axis,
                                int planes, struct cell_numbers *numbers)
 {
-    const int shift = 14 - 4 * axis, inner = 6 - 3 * axis, cell = NUMBER_CELL + 4 - 2 * axis;
+    const int shift = 14 - 4 * axis, inner = 6 - 3 * axis, cell = NUMBER_CELL + 6 - 2 * axis;
     const doubles lo = lanes_all(job->window->lo[axis]), hi = lanes_all(job->window->hi[axis]);
     for (int i = 0; i <= planes; i++) {
         doubles at = low + (double)i;
@@ -167,7 +167,7 @@ LANES_INLINE void put_queue(const struct shade_triangles *t, struct queue *queue
             lane_mask cancels;
             shade_weigh(&of, t->curved, area, moment, &normal, &center, &cancels);
             number = lanes_set_bits(cancels, number,
-                                    lanes_all_bits((uint64_t)FRAGMENT_FLAT << NUMBER_CELL));
+                                    lanes_all_bits((uint64_t)FRAGMENT_FLAT << NUMBER_LANE));
             const doubles in[6] = {area, moment[0], moment[1], (doubles)number, normal, center};
             lanes_scatter_six(in, fragments);
         } else {

@@ -224,23 +224,27 @@ static inline void vox_add_channels(struct vox_accumulator *a, uint32_t number,
         sums[i] += area * values[i];
 }
 
-/* Returns the number of the sum that takes a fragment of this class in a voxel, 0 if there is no
- * brick left. class_bits: class of its direction, above VOX_LINK_CLASS. Called before the fragment
- * is shaded, so that its rows need not be kept across the call that few fragments make. */
-LANES_INLINE uint32_t vox_accumulator_sum(struct vox_accumulator *a, uint32_t voxel,
-                                          uint32_t class_bits)
+/* Sets *number to the sum that takes a fragment. class_and_voxel: its voxel, and the class of its
+ * direction above VOX_LINK_CLASS. Returns false if there is no brick left. Called before the
+ * fragment is shaded, so that its rows need not be kept across the call that few fragments make. */
+LANES_INLINE bool vox_accumulator_sum(struct vox_accumulator *a, uint32_t class_and_voxel,
+                                      uint32_t *number)
 {
+    const uint32_t voxel = class_and_voxel & VOX_LINK_NUMBER;
     uint32_t *brick = &a->brick_of[voxel / VOX_BRICK_VOXELS];
     if (*brick == 0 && !vox_accumulator_open_brick(a, brick))
-        return 0;
+        return false;
     uint32_t *slot = &a->bricks[*brick][voxel % VOX_BRICK_VOXELS], link = *slot;
-    uint32_t fresh = link == 0, next = a->sum_count + 1;
-    link |= (next | class_bits) & (0 - fresh); /* no branch */
+    const uint32_t next = a->sum_count + 1,
+                   class_bits = class_and_voxel & ~(uint32_t)VOX_LINK_NUMBER;
+    const uint32_t fresh = (uint32_t)(((uint64_t)link - 1) >> 32); /* no branch: all ones or 0 */
+    link |= (next | class_bits) & fresh;
     *slot = link;
-    a->sum_count += fresh;
-    if (__builtin_expect((link ^ class_bits) > VOX_LINK_NUMBER, 0))
-        return vox_accumulator_find(a, link, class_bits);
-    return link & VOX_LINK_NUMBER;
+    a->sum_count -= fresh;
+    *number = link & VOX_LINK_NUMBER;
+    if (__builtin_expect((link ^ class_and_voxel) > VOX_LINK_NUMBER, 0))
+        *number = vox_accumulator_find(a, link, class_bits);
+    return true;
 }
 
 /* Adds one fragment, of an area above 0, to a sum. has_color, has_ids, has_channels: whether the
