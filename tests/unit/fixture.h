@@ -1,5 +1,5 @@
-/* fixture.h - contexts and random seeds for the tests of all libraries, and the headers of the
- * system that most of them use. */
+/* fixture.h - contexts, files and random seeds for the tests of all libraries, and the headers of
+ * the system that most of them use. */
 #ifndef TEST_FIXTURE_H
 #define TEST_FIXTURE_H
 
@@ -38,6 +38,49 @@ static inline void test_context_end(struct bsq_ctx *ctx)
     bsq_ctx_destroy(ctx);
 }
 #endif
+
+/* Writes a file; returns its name. */
+static inline const char *test_bytes(const char *name, const void *bytes, size_t size)
+{
+    FILE *file = fopen(name, "wb");
+    assert_non_null(file);
+    assert_int_equal(fwrite(bytes, 1, size, file), size);
+    assert_int_equal(fclose(file), 0);
+    return name;
+}
+
+static inline const char *test_text(const char *name, const char *text)
+{
+    return test_bytes(name, text, strlen(text));
+}
+
+/* Returns the bytes of a whole file, and a zero after them; free() them. */
+static inline uint8_t *test_read(const char *name, size_t *size)
+{
+    FILE *file = fopen(name, "rb");
+    assert_non_null(file);
+    assert_int_equal(fseek(file, 0, SEEK_END), 0);
+    *size = (size_t)ftell(file);
+    rewind(file);
+    uint8_t *bytes = (uint8_t *)calloc(*size + 1, 1);
+    assert_non_null(bytes);
+    assert_int_equal(fread(bytes, 1, *size, file), *size);
+    fclose(file);
+    return bytes;
+}
+
+/* Returns a checksum of a file (Fowler, Noll & Vo, FNV-1a), and removes the file. */
+static inline uint64_t test_take_hash(const char *name)
+{
+    size_t size;
+    uint8_t *bytes = test_read(name, &size);
+    uint64_t hash = UINT64_C(1469598103934665603);
+    for (size_t i = 0; i < size; i++)
+        hash = (hash ^ bytes[i]) * UINT64_C(1099511628211);
+    free(bytes);
+    unlink(name);
+    return hash;
+}
 
 /* Returns a seed for random numbers and prints it. BSQ_TEST_SEED sets it, to repeat a failure. */
 static inline uint64_t test_seed(void)

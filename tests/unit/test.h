@@ -1,5 +1,6 @@
 /* test.h - tests that register themselves: TEST(name) { ... }, and RUN_TESTS at the end of the
- * file. For the source of a test program, not for its helpers. */
+ * file. For the source of a test program, not for its helpers. Files of tests have plain names, as
+ * each program runs in a directory of its own. */
 #ifndef TEST_TEST_H
 #define TEST_TEST_H
 
@@ -7,6 +8,9 @@
 
 static struct CMUnitTest unit_tests[64];
 static size_t unit_count;
+/* The directory of the test program, and the one in which it was started. */
+static char test_directory[] = "/tmp/bisque-unit.XXXXXX";
+static char test_start[4096] __attribute__((unused));
 
 static inline void test_add(const char *name, CMUnitTestFunction test, CMFixtureFunction set_up,
                             CMFixtureFunction tear_down)
@@ -30,10 +34,21 @@ static inline void test_add(const char *name, CMUnitTestFunction test, CMFixture
     static void name(__attribute__((unused)) void **state)
 #define TEST(name) TEST_EACH(name, NULL, NULL)
 
-/* Runs the tests in the order of the file, between set_up and tear_down, which may be NULL. */
+/* Runs the tests in the order of the file, between set_up and tear_down, which may be NULL, in an
+ * empty directory of their own. It is a failure if they leave a temporary file of an output there.
+ */
 static inline int test_run(CMFixtureFunction set_up, CMFixtureFunction tear_down)
 {
-    return _cmocka_run_group_tests("tests", unit_tests, unit_count, set_up, tear_down);
+    char command[160];
+    if (!getcwd(test_start, sizeof test_start) || !mkdtemp(test_directory) ||
+        chdir(test_directory) != 0)
+        return 1;
+    const int failed = _cmocka_run_group_tests("tests", unit_tests, unit_count, set_up, tear_down);
+    snprintf(command, sizeof command,
+             "cd / && left=$(find %s -name '*.tmp') && rm -rf %s && test -z \"$left\" || { echo "
+             "\"not ok - left: $left\"; false; }",
+             test_directory, test_directory);
+    return system(command) != 0 || failed;
 }
 #define RUN_TESTS(set_up, tear_down)                                                               \
     int main(void)                                                                                 \

@@ -39,19 +39,11 @@ int linkat(int from_directory, const char *from, int to_directory, const char *t
     return (int)syscall(SYS_linkat, from_directory, from, to_directory, to, flags);
 }
 
-static char directory[] = "/tmp/bisque-test-file.XXXXXX";
-
-static int enter_directory(void **state)
+static int ignore_size_signals(void **state)
 {
     (void)state;
     signal(SIGXFSZ, SIG_IGN);
-    return mkdtemp(directory) && chdir(directory) == 0 ? 0 : -1;
-}
-
-static int leave_directory(void **state)
-{
-    (void)state;
-    return chdir("/") == 0 && rmdir(directory) == 0 ? 0 : -1; /* fails if a test left a file */
+    return 0;
 }
 
 static struct bsq_ctx *create(const char *tmpdir)
@@ -60,14 +52,6 @@ static struct bsq_ctx *create(const char *tmpdir)
     struct bsq_ctx_options options = {.threads = 1, .tmpdir = tmpdir};
     assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
     return ctx;
-}
-
-static void put(const char *path, const char *text)
-{
-    FILE *file = fopen(path, "w");
-    assert_non_null(file);
-    assert_true(fputs(text, file) >= 0);
-    assert_int_equal(fclose(file), 0);
 }
 
 static void assert_content(const char *path, const char *text, size_t size)
@@ -96,7 +80,7 @@ static unsigned files_here(void)
 TEST(test_reading)
 {
     struct bsq_ctx *ctx = create(NULL);
-    put("in", "0123456789");
+    test_text("in", "0123456789");
     struct bsq_file file;
     char buffer[32];
     uint64_t got;
@@ -119,7 +103,7 @@ TEST(test_reading)
 
 TEST(test_every_truncated_length)
 {
-    put("in", "0123456789");
+    test_text("in", "0123456789");
     for (int length = 9; length >= 0; length--) {
         struct bsq_ctx *ctx = create(NULL);
         struct bsq_file file;
@@ -160,14 +144,14 @@ TEST(test_maps)
 {
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_map map;
-    put("in", "0123456789");
+    test_text("in", "0123456789");
     assert_int_equal(bsq_map_open(ctx, "in", &map), 0);
     assert_int_equal(map.size, 10);
     assert_int_equal((uintptr_t)map.data % 4096, 0);
     assert_memory_equal(map.data, "0123456789", 10);
     assert_string_equal(map.path, "in");
     bsq_map_close(ctx, &map);
-    put("in", "");
+    test_text("in", "");
     bsq_forget_files(ctx);
     assert_int_equal(bsq_map_open(ctx, "in", &map), 0);
     assert_null(map.data);
@@ -188,7 +172,7 @@ TEST(test_standard_descriptors_are_not_used)
     struct bsq_output *output;
     struct bsq_map map;
     int saved[3], found[5], statuses[5];
-    put("in", "0123456789");
+    test_text("in", "0123456789");
     for (int fd = 0; fd < 3; fd++) {
         saved[fd] = fcntl(fd, F_DUPFD_CLOEXEC, 3);
         close(fd);
@@ -359,14 +343,14 @@ TEST(test_temporary_files_beside_the_output)
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_file file;
     char output[64];
-    snprintf(output, sizeof output, "%s/out.nvdb", directory);
+    snprintf(output, sizeof output, "%s/out.nvdb", test_directory);
     assert_int_equal(chdir("/proc"), 0); /* nobody can create files here */
     assert_int_equal(bsq_file_temp(ctx, NULL, "testing", &file), BSQ_ECANTCREAT);
     bsq_clear_error(ctx);
     assert_int_equal(bsq_note_output(ctx, output), 0);
     assert_int_equal(bsq_file_temp(ctx, NULL, "testing", &file), 0);
     bsq_file_close(ctx, &file);
-    assert_int_equal(chdir(directory), 0);
+    assert_int_equal(chdir(test_directory), 0);
     bsq_ctx_destroy(ctx);
 }
 
@@ -385,7 +369,7 @@ TEST(test_output_appears_on_commit)
 {
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_output *output;
-    put("out", "old");
+    test_text("out", "old");
     assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
     assert_int_equal(bsq_output_write(output, "0123", 4), 0);
     assert_int_equal(bsq_output_write_at(output, "AB", 2, 1), 0);
@@ -435,7 +419,7 @@ TEST(test_output_long_name_and_link)
     char name[256];
     memset(name, 'n', 255);
     name[255] = '\0';
-    put(name, "old");
+    test_text(name, "old");
     assert_int_equal(symlink(name, "link"), 0);
     assert_int_equal(bsq_output_open(ctx, "link", &output), 0);
     assert_int_equal(bsq_output_write(output, "new", 3), 0);
@@ -652,4 +636,4 @@ TEST(test_copying_to_a_name_fails)
     bsq_ctx_destroy(ctx);
 }
 
-RUN_TESTS(enter_directory, leave_directory)
+RUN_TESTS(ignore_size_signals, NULL)

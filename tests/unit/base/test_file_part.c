@@ -71,18 +71,12 @@ static int copy_part(struct bsq_ctx *ctx, const char *name, struct bsq_file *cop
 /* A copy of a part; a file with the whole name is no part. */
 TEST(test_copies)
 {
-    char directory[] = "/tmp/test_part.XXXXXX", path[64], part_path[64];
+    char part_path[] = "a#bytes=2+4";
     struct bsq_ctx *ctx;
     struct bsq_file copy;
     struct bsq_part part;
     char read[5] = "";
-    assert_non_null(mkdtemp(directory));
-    snprintf(path, sizeof path, "%s/a", directory);
-    snprintf(part_path, sizeof part_path, "%s/a#bytes=2+4", directory);
-    FILE *out = fopen(path, "w");
-    assert_non_null(out);
-    fputs("0123456789", out);
-    fclose(out);
+    test_text("a", "0123456789");
     ctx = test_context(0, 0);
     assert_int_equal(copy_part(ctx, part_path, &copy), 0);
     assert_int_equal(copy.size, 4);
@@ -91,17 +85,12 @@ TEST(test_copies)
     bsq_file_close(ctx, &copy);
     part_path[strlen(part_path) - 1] = '9'; /* beyond the file's end */
     assert_int_equal(copy_part(ctx, part_path, &copy), BSQ_EDATA);
-    out = fopen(part_path, "w");
-    assert_non_null(out);
-    fclose(out);
+    test_text(part_path, "");
     assert_int_equal(bsq_part_parse(part_path, &part), 0);
     assert_int_equal(bsq_part_open(ctx, part_path, &part, &copy), 0);
     assert_int_equal(copy.size, 0);
     assert_int_equal(part.size, 0);
     bsq_file_close(ctx, &copy);
-    unlink(part_path);
-    unlink(path);
-    rmdir(directory);
     bsq_ctx_destroy(ctx);
 }
 

@@ -16,20 +16,6 @@ int stat(const char *path, struct stat *out)
     return fstatat(AT_FDCWD, path, out, 0);
 }
 
-static char directory[] = "/tmp/bisque-test-job-files.XXXXXX";
-
-static int enter_directory(void **state)
-{
-    (void)state;
-    return mkdtemp(directory) && chdir(directory) == 0 ? 0 : -1;
-}
-
-static int leave_directory(void **state)
-{
-    (void)state;
-    return chdir("/") == 0 && rmdir(directory) == 0 ? 0 : -1;
-}
-
 static int create(void **state)
 {
     struct bsq_ctx_options options = {.memory_bytes = 64 << 20, .threads = 1};
@@ -45,14 +31,6 @@ static int destroy(void **state)
     return 0;
 }
 #define FIXTURE_TEST(name) TEST_EACH(name, create, destroy)
-
-static void put(const char *path, const char *text)
-{
-    FILE *file = fopen(path, "w");
-    assert_non_null(file);
-    assert_true(fputs(text, file) >= 0);
-    assert_int_equal(fclose(file), 0);
-}
 
 static void assert_fails(struct bsq_ctx *ctx, int status, int expected, const char *message)
 {
@@ -76,10 +54,10 @@ static const char changed[] = "in: was changed while it was read";
 FIXTURE_TEST(test_replaced_between_openings)
 {
     struct bsq_ctx *ctx = *state;
-    put("in", "first");
+    test_text("in", "first");
     assert_int_equal(reopen(ctx, "in"), 0);
     assert_int_equal(reopen(ctx, "in"), 0);
-    put("other", "other");
+    test_text("other", "other");
     assert_int_equal(rename("other", "in"), 0);
     assert_fails(ctx, reopen(ctx, "in"), BSQ_EIO, changed);
     bsq_forget_files(ctx);
@@ -92,8 +70,8 @@ FIXTURE_TEST(test_replaced_with_the_same_size_and_time)
 {
     struct bsq_ctx *ctx = *state;
     const struct timespec times[2] = {{1000, 5}, {1000, 5}};
-    put("in", "first");
-    put("other", "other");
+    test_text("in", "first");
+    test_text("other", "other");
     assert_int_equal(utimensat(AT_FDCWD, "in", times, 0), 0);
     assert_int_equal(utimensat(AT_FDCWD, "other", times, 0), 0);
     assert_int_equal(reopen(ctx, "in"), 0);
@@ -107,7 +85,7 @@ FIXTURE_TEST(test_written_to_in_place)
     struct bsq_ctx *ctx = *state;
     struct timespec times[2] = {{1000, 5}, {1000, 5}};
     struct bsq_file file;
-    put("in", "first");
+    test_text("in", "first");
     assert_int_equal(utimensat(AT_FDCWD, "in", times, 0), 0);
     assert_int_equal(bsq_file_open(ctx, "in", &file), 0);
     assert_int_equal(bsq_file_check(ctx, &file), 0);
@@ -152,7 +130,7 @@ FIXTURE_TEST(test_links_and_spellings)
 {
     struct bsq_ctx *ctx = *state;
     char message[200];
-    put("in", "first");
+    test_text("in", "first");
     assert_int_equal(link("in", "hard"), 0);
     assert_int_equal(symlink("in", "soft"), 0);
     assert_int_equal(symlink(".", "here"), 0);
@@ -249,7 +227,7 @@ FIXTURE_TEST(test_own_output_with_two_names)
 {
     struct bsq_ctx *ctx = *state;
     assert_int_equal(symlink("out", "link"), 0);
-    put("out", "old");
+    test_text("out", "old");
     assert_int_equal(bsq_output_check(ctx, "link"), 0);
     assert_int_equal(bsq_output_check(ctx, "out"), 0);
     assert_int_equal(write_output(ctx, "link"), 0);
@@ -279,4 +257,4 @@ FIXTURE_TEST(test_many_inputs)
     assert_int_equal(bsq_memory_used(ctx), 0);
 }
 
-RUN_TESTS(enter_directory, leave_directory)
+RUN_TESTS(NULL, NULL)

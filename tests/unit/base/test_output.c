@@ -20,20 +20,6 @@ DIR *opendir(const char *path)
     return fd < 0 ? NULL : fdopendir(fd);
 }
 
-static char directory[] = "/tmp/bisque-test-output.XXXXXX";
-
-static int enter_directory(void **state)
-{
-    (void)state;
-    return mkdtemp(directory) && chdir(directory) == 0 ? 0 : -1;
-}
-
-static int leave_directory(void **state)
-{
-    (void)state;
-    return chdir("/") == 0 && rmdir(directory) == 0 ? 0 : -1; /* fails if a test left a file */
-}
-
 static int begin(void **state)
 {
     struct bsq_ctx *ctx;
@@ -50,14 +36,6 @@ static int end(void **state)
     return 0;
 }
 #define FIXTURE_TEST(name) TEST_EACH(name, begin, end)
-
-static void put(const char *path, const char *text)
-{
-    FILE *file = fopen(path, "w");
-    assert_non_null(file);
-    assert_true(fputs(text, file) >= 0);
-    assert_int_equal(fclose(file), 0);
-}
 
 static void assert_content(const char *path, const char *text)
 {
@@ -121,7 +99,7 @@ FIXTURE_TEST(test_dangling_links_are_followed)
     unlink("target");
 
     char absolute[200];
-    snprintf(absolute, sizeof absolute, "%s/target", directory);
+    snprintf(absolute, sizeof absolute, "%s/target", test_directory);
     assert_int_equal(symlink(absolute, "link"), 0);
     write_new(*state, "link");
     assert_content("target", "new");
@@ -159,7 +137,7 @@ FIXTURE_TEST(test_loops_of_links)
 FIXTURE_TEST(test_links_to_files_without_a_name)
 {
     char path[40], message[100];
-    put("gone", "old");
+    test_text("gone", "old");
     int fd = open("gone", O_RDWR | O_CLOEXEC);
     unlink("gone");
     snprintf(path, sizeof path, "/proc/self/fd/%d", fd);
@@ -181,7 +159,7 @@ FIXTURE_TEST(test_mode_is_kept)
 {
     static const mode_t modes[] = {0600, 0640, 0666, 0777, 0400, 0604};
     for (size_t i = 0; i < sizeof modes / sizeof *modes; i++) {
-        put("out", "old");
+        test_text("out", "old");
         assert_int_equal(chmod("out", modes[i]), 0);
         write_new(*state, "out");
         assert_mode("out", modes[i]);
@@ -189,7 +167,7 @@ FIXTURE_TEST(test_mode_is_kept)
         unlink("out");
     }
     /* The user takes rights away while the job runs. */
-    put("out", "old");
+    test_text("out", "old");
     struct bsq_output *output = start(*state, "out");
     assert_int_equal(bsq_output_sync(output), 0);
     assert_int_equal(chmod("out", 0600), 0);
@@ -212,7 +190,7 @@ static mode_t mode_now(struct bsq_output *output)
 /* Before the new file has the old one's group, its group is another one. */
 FIXTURE_TEST(test_private_until_it_is_complete)
 {
-    put("out", "old");
+    test_text("out", "old");
     assert_int_equal(chmod("out", 0644), 0);
     struct bsq_output *output = start(*state, "out");
     assert_int_equal(mode_now(output), 0600);
@@ -232,7 +210,7 @@ FIXTURE_TEST(test_owner_is_kept)
     struct stat info;
     if (geteuid() != 0)
         skip();
-    put("out", "old");
+    test_text("out", "old");
     assert_int_equal(chown("out", 12345, 23456), 0);
     assert_int_equal(chmod("out", 0640), 0);
     write_new(*state, "out");
@@ -247,7 +225,7 @@ FIXTURE_TEST(test_rights_without_the_group)
     /* Not root: the file belongs to a group of which this process is no member. */
     if (geteuid() != 0)
         skip();
-    put("out", "old");
+    test_text("out", "old");
     assert_int_equal(chown("out", 12345, 23456), 0);
     assert_int_equal(chmod("out", 0664), 0);
     assert_int_equal(chmod(".", 0777), 0);
@@ -280,7 +258,7 @@ static const struct access_list list_for_12345 = {2,
 FIXTURE_TEST(test_access_list_is_kept)
 {
     struct access_list got = {0};
-    put("out", "old");
+    test_text("out", "old");
     if (setxattr("out", "system.posix_acl_access", &list_for_12345, sizeof got, 0) != 0) {
         unlink("out");
         skip();
@@ -300,7 +278,7 @@ FIXTURE_TEST(test_default_access_list)
         rmdir("sub");
         skip();
     }
-    put("sub/out", "old");
+    test_text("sub/out", "old");
     assert_int_equal(removexattr("sub/out", "system.posix_acl_access"), 0);
     assert_int_equal(chmod("sub/out", 0660), 0);
     write_new(*state, "sub/out");
@@ -338,7 +316,7 @@ FIXTURE_TEST(test_sweep_removes_own_files_only)
     static const char *const names[] = {".out.backup.tmp", ".out.abc123.tmp", ".out.tmp",
                                         ".out.abcdefghijkl.tmp", ".out..............tmp"};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
-        put(names[i], "");
+        test_text(names[i], "");
         setxattr(names[i], "user.bisque.temporary", "", 0, 0);
         bsq_forget_files(*state);
         bsq_output_discard(start(*state, "out"));
@@ -350,7 +328,7 @@ FIXTURE_TEST(test_sweep_removes_own_files_only)
     assert_true(stays(*state, "", false, true));
     /* Killed between open() and the mark. */
     assert_false(stays(*state, "", false, false));
-    put("attributes", "");
+    test_text("attributes", "");
     bool can_mark = setxattr("attributes", "user.test", "", 0, 0) == 0;
     unlink("attributes");
     assert_int_equal(stays(*state, "a user's", false, false), can_mark);
@@ -386,7 +364,7 @@ FIXTURE_TEST(test_directories_are_read_once)
 
 FIXTURE_TEST(test_outputs_have_no_mark)
 {
-    put("out", "old");
+    test_text("out", "old");
     write_new(*state, "out");
     assert_int_equal(getxattr("out", "user.bisque.temporary", NULL, 0), -1);
     unlink("out");
@@ -405,7 +383,7 @@ static struct bsq_output_group start_group(struct bsq_ctx *ctx)
 
 FIXTURE_TEST(test_group_appears)
 {
-    put("b", "old");
+    test_text("b", "old");
     assert_int_equal(link("b", "other"), 0);
     struct bsq_output_group group = start_group(*state);
     assert_int_equal(files_here(), 2);
@@ -431,7 +409,7 @@ FIXTURE_TEST(test_group_appears)
 static void assert_none(struct bsq_ctx *ctx, const char *blocked)
 {
     char message[100];
-    put("b", "old");
+    test_text("b", "old");
     struct bsq_output_group group = start_group(ctx);
     if (strcmp(blocked, "b") == 0)
         unlink("b");
@@ -470,4 +448,4 @@ FIXTURE_TEST(test_reading_before_the_commit)
     assert_int_equal(files_here(), 0);
 }
 
-RUN_TESTS(enter_directory, leave_directory)
+RUN_TESTS(NULL, NULL)

@@ -5,8 +5,6 @@
 #include "base/tile_files.h"
 #include "tests/unit/test.h"
 
-static char directory[] = "/tmp/bisque-test-tile-files.XXXXXX";
-
 static const char *const files[] = {"a.1001.png",
                                     "a.1012.png",
                                     "a.9990.png",
@@ -34,11 +32,9 @@ static const char *const folders[] = {"t1001", "t1001/c", "t1002",     "t1002/c"
                                       "t1003", "t1003/c", "d.1001.png"};
 enum { FOLDERS = sizeof folders / sizeof *folders };
 
-static int enter_directory(void **state)
+static int make_files(void **state)
 {
     (void)state;
-    if (!mkdtemp(directory) || chdir(directory) != 0)
-        return -1;
     for (int i = 0; i < FOLDERS; i++)
         if (mkdir(folders[i], 0700) != 0)
             return -1;
@@ -47,17 +43,6 @@ static int enter_directory(void **state)
     for (int i = 0; i < FILES; i++)
         close(open(files[i], O_CREAT | O_WRONLY, 0600));
     return 0;
-}
-
-static int leave_directory(void **state)
-{
-    (void)state;
-    for (int i = 0; i < FILES; i++)
-        unlink(files[i]);
-    unlink("d.1002.png");
-    for (int i = FOLDERS; i-- > 0;)
-        rmdir(folders[i]);
-    return chdir("/") == 0 && rmdir(directory) == 0 ? 0 : -1;
 }
 
 /* Checks that a path has these tiles, by number and file name. */
@@ -83,7 +68,7 @@ TEST(numbers_of_tiles_are_found)
     char path[64];
     (void)state;
     check_tiles("a.<UDIM>.png", udim, 3);
-    snprintf(path, sizeof path, "%s/a.<UDIM>.png", directory);
+    snprintf(path, sizeof path, "%s/a.<UDIM>.png", test_directory);
     check_tiles(path, udim, 3);
     check_tiles("c.<UDIM>.png", NULL, 0);
     check_tiles("none/a.<UDIM>.png", NULL, 0);
@@ -107,9 +92,9 @@ TEST(tokens_stand_anywhere)
     (void)state;
     check_tiles("t<UDIM>/c/<UDIM>.<UDIM>.png", two, 2);
     check_tiles("./t<UDIM>//c/<UVTILE>.<UDIM>.png", three, 1);
-    snprintf(path, sizeof path, "%s/t<UDIM>/c/<UDIM>.<UDIM>.png", directory);
+    snprintf(path, sizeof path, "%s/t<UDIM>/c/<UDIM>.<UDIM>.png", test_directory);
     check_tiles(path, two, 2);
-    assert_int_equal(bsq_tile_folder(path), strlen(directory) + 1);
+    assert_int_equal(bsq_tile_folder(path), strlen(test_directory) + 1);
     check_tiles("t<UDIM>/none/<UDIM>.png", NULL, 0);
     check_tiles(
         "t<UDIM>/c/1002.1002.png",
@@ -130,4 +115,4 @@ TEST(only_names_with_a_token_have_tiles)
     assert_false(bsq_has_tiles("a.<udim>.png"));
 }
 
-RUN_TESTS(enter_directory, leave_directory)
+RUN_TESTS(make_files, NULL)

@@ -1,12 +1,7 @@
 /* analytic_grid.c - collects samples in a hash table of voxels. Aborts without memory. */
 #include "tests/unit/libbake/analytic_grid.h"
 #include "tests/grid_lookup.h"
-
-#include <math.h>
-#include <stdio.h>
-#include <stdlib.h>
-#include <string.h>
-#include <unistd.h>
+#include "tests/unit/fixture.h"
 
 #include "base/octahedral.h"
 
@@ -192,10 +187,8 @@ static void append_region(struct fmt_nvdb_writer *writer, struct cell *const *ce
     free(masks);
 }
 
-void analytic_grid_open(struct bsq_ctx *ctx, const struct analytic_grid *grid, bool has_color,
-                        struct fmt_nvdb_grid *out)
+void analytic_grid_write(const struct analytic_grid *grid, bool has_color, const char *path)
 {
-    char path[] = "/tmp/analytic-XXXXXX.nvdb";
     struct fmt_nvdb_info info = {.type = FMT_NVDB_MASK, .voxel_size = 1, .has_color = has_color};
     struct fmt_nvdb_writer *writer;
     struct fmt_nvdb_totals totals;
@@ -210,7 +203,7 @@ void analytic_grid_open(struct bsq_ctx *ctx, const struct analytic_grid *grid, b
         info.scan_min[k] = grid->min[k];
         info.scan_max[k] = grid->max[k];
     }
-    close(mkstemps(path, 5));
+    struct bsq_ctx *ctx = test_context(1, 0);
     if (fmt_nvdb_create(ctx, path, &info, &writer) < 0)
         abort();
     for (uint64_t begin = 0, end; begin < count; begin = end) {
@@ -218,12 +211,18 @@ void analytic_grid_open(struct bsq_ctx *ctx, const struct analytic_grid *grid, b
             end++;
         append_region(writer, cells + begin, end - begin, has_color, grid->facet_noise);
     }
-    if (grid_commit(writer, &totals) < 0 || fmt_nvdb_open(ctx, path, out) < 0) {
-        fprintf(stderr, "%s\n", bsq_error(ctx));
-        abort();
-    }
-    unlink(path);
+    assert_int_equal(grid_commit(writer, &totals), 0);
     free(cells);
+    test_context_end(ctx);
+}
+
+void analytic_grid_open(struct bsq_ctx *ctx, const struct analytic_grid *grid, bool has_color,
+                        struct fmt_nvdb_grid *out)
+{
+    analytic_grid_write(grid, has_color, "analytic.nvdb");
+    bsq_forget_files(ctx);
+    assert_int_equal(fmt_nvdb_open(ctx, "analytic.nvdb", out), 0);
+    unlink("analytic.nvdb");
 }
 
 void analytic_sphere(struct analytic_grid *grid, const double centre[3], double radius,

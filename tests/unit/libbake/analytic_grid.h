@@ -19,9 +19,9 @@ void analytic_grid_set_facet_noise(struct analytic_grid *grid, uint32_t facet_no
 void analytic_grid_add(struct analytic_grid *grid, const double position[3], const double normal[3],
                        double area, const float color[3]);
 
-/* Writes the samples to a temporary file and opens it as a grid with voxel size 1 and no
- * translation.
- */
+/* Writes the samples to a file, as a grid with voxel size 1 and no translation. */
+void analytic_grid_write(const struct analytic_grid *grid, bool has_color, const char *path);
+/* Writes them to a temporary file, and opens it. */
 void analytic_grid_open(struct bsq_ctx *ctx, const struct analytic_grid *grid, bool has_color,
                         struct fmt_nvdb_grid *out);
 

@@ -23,7 +23,7 @@ void sort_open_context(struct sort_fixture *f, uint64_t memory, unsigned threads
 {
     struct bsq_ctx_options options = {.memory_bytes = memory,
                                       .threads = threads,
-                                      .tmpdir = f->dir,
+                                      .tmpdir = ".",
                                       .on_progress = keep_progress,
                                       .on_warning = keep_warning,
                                       .user = f};
@@ -38,11 +38,6 @@ void sort_open_context(struct sort_fixture *f, uint64_t memory, unsigned threads
 int sort_set_up(void **state)
 {
     struct sort_fixture *f = calloc(1, sizeof *f);
-    snprintf(f->dir, sizeof f->dir, "/tmp/test_sort_XXXXXX");
-    assert_non_null(mkdtemp(f->dir));
-    snprintf(f->obj, sizeof f->obj, "%s/scan.obj", f->dir);
-    snprintf(f->obj2, sizeof f->obj2, "%s/more.obj", f->dir);
-    snprintf(f->tris, sizeof f->tris, "%s/scan.tris", f->dir);
     sort_open_context(f, 256 * MIB, 2);
     *state = f;
     return 0;
@@ -51,33 +46,19 @@ int sort_set_up(void **state)
 int sort_tear_down(void **state)
 {
     struct sort_fixture *f = *state;
-    char path[128];
     sort_open_context(f, MIB, 1);
     bsq_ctx_destroy(f->ctx);
-    unlink(f->obj);
-    unlink(f->obj2);
-    unlink(f->tris);
-    snprintf(path, sizeof path, "%s/scan.mtl", f->dir);
-    unlink(path);
-    snprintf(path, sizeof path, "%s/wall.png", f->dir);
-    unlink(path);
-    assert_int_equal(rmdir(f->dir), 0); /* fails if another file is left */
+    unlink("scan.obj");
+    unlink("more.obj");
+    unlink("scan.tris");
     free(f);
     return 0;
-}
-
-void sort_write_text(const char *path, const char *text)
-{
-    FILE *file = fopen(path, "wb");
-    assert_non_null(file);
-    assert_true(fputs(text, file) >= 0);
-    assert_int_equal(fclose(file), 0);
 }
 
 int sort_files(struct sort_fixture *f, const char *const *paths, uint32_t count)
 {
     struct vox_sort_options options = {
-        .scan_paths = paths, .scan_count = count, .tris_path = f->tris};
+        .scan_paths = paths, .scan_count = count, .tris_path = "scan.tris"};
     bsq_clear_error(f->ctx);
     bsq_forget_files(f->ctx);
     return vox_sort(f->ctx, &options, &f->report);
@@ -85,8 +66,8 @@ int sort_files(struct sort_fixture *f, const char *const *paths, uint32_t count)
 
 int sort_text(struct sort_fixture *f, const char *text)
 {
-    const char *paths[1] = {f->obj};
-    sort_write_text(f->obj, text);
+    const char *paths[1] = {"scan.obj"};
+    test_text("scan.obj", text);
     return sort_files(f, paths, 1);
 }
 
@@ -175,7 +156,7 @@ void read_sorted(struct sort_fixture *f, struct sorted_triangles *out,
 {
     struct fmt_tris_file *file;
     void *scratch;
-    if (fmt_tris_open(f->ctx, f->tris, &file) < 0)
+    if (fmt_tris_open(f->ctx, "scan.tris", &file) < 0)
         fail_msg("%s", bsq_error(f->ctx));
     const struct fmt_tris_header *h = fmt_tris_get_header(file);
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(file);
@@ -200,17 +181,4 @@ void read_sorted(struct sort_fixture *f, struct sorted_triangles *out,
     }
     bsq_free(f->ctx, scratch);
     fmt_tris_close(file);
-}
-
-uint8_t *sort_read_bytes(const char *path, size_t *size)
-{
-    FILE *file = fopen(path, "rb");
-    assert_non_null(file);
-    fseek(file, 0, SEEK_END);
-    *size = (size_t)ftell(file);
-    rewind(file);
-    uint8_t *bytes = malloc(*size + 1);
-    assert_int_equal(fread(bytes, 1, *size, file), *size);
-    fclose(file);
-    return bytes;
 }

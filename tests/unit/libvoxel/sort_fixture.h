@@ -8,7 +8,6 @@
 #define MIB ((uint64_t)1 << 20)
 
 struct sort_fixture {
-    char dir[64], obj[96], obj2[96], tris[96];
     struct bsq_ctx *ctx;
     char warning[256], warning_before[256]; /* the last one, and the one before it */
     unsigned warnings;
@@ -20,10 +19,8 @@ struct sort_fixture {
 /* Opens a context. Closes the previous one and checks that all its memory was freed. */
 void sort_open_context(struct sort_fixture *f, uint64_t memory, unsigned threads);
 int sort_set_up(void **state);
-/* Checks that only the files named in the fixture are left, and removes them. */
 int sort_tear_down(void **state);
-void sort_write_text(const char *path, const char *text);
-/* Sorts files to f->tris and fills f->report. */
+/* Sorts files to "scan.tris" and fills f->report. */
 int sort_files(struct sort_fixture *f, const char *const *paths, uint32_t count);
 int sort_text(struct sort_fixture *f, const char *text);
 void expect_sorted(struct sort_fixture *f, int status);
@@ -50,7 +47,5 @@ void expect_same_triangles(struct sorted_triangles *got, struct sorted_triangles
 /* Reads the whole sorted file. *header gets its header without materials, unless it is NULL. */
 void read_sorted(struct sort_fixture *f, struct sorted_triangles *out,
                  struct fmt_tris_header *header);
-/* Reads a whole file. Free the result with free(). */
-uint8_t *sort_read_bytes(const char *path, size_t *size);
 
 #endif

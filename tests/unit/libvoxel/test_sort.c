@@ -10,12 +10,12 @@
 FIXTURE_TEST(every_triangle_of_a_grid_comes_out_once)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     for (unsigned flags = 0; flags < 8; flags++) {
         struct sort_grid g;
         struct sorted_triangles got = {0}, expected = {0};
         sort_grid_make(&g, 150, 11 + flags);
-        sort_grid_write(&g, f->obj, flags, 5);
+        sort_grid_write(&g, "scan.obj", flags, 5);
         expect_sorted(f, sort_files(f, paths, 1));
         assert_int_equal(f->report.triangles, 2 * 150 * 150);
         assert_int_equal(f->report.faces, 2 * 150 * 150);
@@ -36,10 +36,10 @@ FIXTURE_TEST(every_triangle_of_a_grid_comes_out_once)
 FIXTURE_TEST(every_triangle_of_a_soup_comes_out_once)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     struct sorted_triangles got = {0}, expected = {0};
     uint64_t seed = 77;
-    FILE *file = fopen(f->obj, "wb");
+    FILE *file = fopen("scan.obj", "wb");
     for (uint32_t t = 0; t < 90000; t++) {
         struct sorted_triangle one;
         memset(&one, 0, sizeof one);
@@ -67,10 +67,10 @@ struct reference {
     size_t size;
 };
 
-static void expect_same_file(struct sort_fixture *f, struct reference *reference)
+static void expect_same_file(struct reference *reference)
 {
     size_t size;
-    uint8_t *bytes = sort_read_bytes(f->tris, &size);
+    uint8_t *bytes = test_read("scan.tris", &size);
     if (!reference->bytes) {
         *reference = (struct reference){bytes, size};
         return;
@@ -83,18 +83,18 @@ static void expect_same_file(struct sort_fixture *f, struct reference *reference
 FIXTURE_TEST(budgets_and_threads_do_not_change_the_file)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     static const unsigned threads[] = {1, 2, 5};
     struct reference reference = {0};
     struct sort_grid g;
     sort_grid_make(&g, 320, 3);
-    sort_grid_write(&g, f->obj, GRID_SHUFFLED | GRID_COLORS, 8);
+    sort_grid_write(&g, "scan.obj", GRID_SHUFFLED | GRID_COLORS, 8);
     for (int t = 0; t < 3; t++)
         for (int b = 0; b < 3; b++) {
             uint64_t least = vox_memory_min(threads[t]);
             sort_open_context(f, b == 0 ? least : b == 1 ? 2 * least : 1024 * MIB, threads[t]);
             expect_sorted(f, sort_files(f, paths, 1));
-            expect_same_file(f, &reference);
+            expect_same_file(&reference);
         }
     free(reference.bytes);
     sort_grid_free(&g);
@@ -119,18 +119,18 @@ FIXTURE_TEST(spilling_does_not_change_the_file)
 {
     struct sort_fixture *f = *state;
     static const unsigned kinds[] = {GRID_SHUFFLED | GRID_COLORS | GRID_NORMALS, GRID_SHUFFLED, 0};
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     static const uint32_t sizes[] = {320, 190, 190};
     for (int k = 0; k < 3; k++) {
         struct reference reference = {0};
         struct sort_grid g;
         sort_grid_make(&g, sizes[k], 4);
-        sort_grid_write(&g, f->obj, kinds[k], 9);
-        append_flat_triangles(f->obj, &g, 3000);
+        sort_grid_write(&g, "scan.obj", kinds[k], 9);
+        append_flat_triangles("scan.obj", &g, 3000);
         for (unsigned variant = 0; variant < 12; variant++) {
             struct sort_limits limits;
             struct vox_sort_options options = {
-                .scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
+                .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
             sort_open_context(f, 128 * MIB, variant % 2 ? 2 : 3);
             vox_sort_limits_for(128 * MIB, 2, &limits);
             limits.two_passes = variant % 3 == 1;
@@ -156,7 +156,7 @@ FIXTURE_TEST(spilling_does_not_change_the_file)
             if (variant != 4) /* small parts of buckets stay in memory */
                 assert_int_equal(f->report.temp_bytes > 0,
                                  variant == 2 || variant == 3 || variant >= 7);
-            expect_same_file(f, &reference);
+            expect_same_file(&reference);
         }
         free(reference.bytes);
         sort_grid_free(&g);
@@ -168,13 +168,13 @@ FIXTURE_TEST(spilling_does_not_change_the_file)
 FIXTURE_TEST(vertices_after_faces_are_found_late)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     struct reference reference = {0};
     struct sort_grid g;
     sort_grid_make(&g, 190, 4);
     for (int late = 0; late < 3; late++) {
-        sort_grid_write(&g, f->obj, 0, 9);
-        FILE *file = fopen(f->obj, "ab");
+        sort_grid_write(&g, "scan.obj", 0, 9);
+        FILE *file = fopen("scan.obj", "ab");
         for (int i = 0; i < 40000; i++) /* the last sample ends before the next line */
             fputs("f 1 2 3\n", file);
         fputs(late == 0 ? "f 36482 1 2\nv 9 9 9\n" : "v 9 9 9\nf 36482 1 2\n", file);
@@ -183,7 +183,7 @@ FIXTURE_TEST(vertices_after_faces_are_found_late)
         fclose(file);
         struct sort_limits limits;
         struct vox_sort_options options = {
-            .scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
+            .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
         vox_sort_limits_for(256 * MIB, 2, &limits);
         limits.two_passes = late == 2;
         bsq_forget_files(f->ctx);
@@ -191,7 +191,7 @@ FIXTURE_TEST(vertices_after_faces_are_found_late)
         assert_int_equal(f->report.triangles, 2 * g.n * g.n + 40401);
         assert_int_equal(f->report.vertices, (g.n + 1) * (g.n + 1) + 1);
         if (late > 0)
-            expect_same_file(f, &reference);
+            expect_same_file(&reference);
     }
     free(reference.bytes);
     sort_grid_free(&g);
@@ -201,9 +201,9 @@ FIXTURE_TEST(vertices_after_faces_are_found_late)
 FIXTURE_TEST(many_triangles_in_one_place_are_sorted)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     struct reference reference = {0};
-    FILE *file = fopen(f->obj, "wb");
+    FILE *file = fopen("scan.obj", "wb");
     fputs("v -1 -1 0\nv 1 0 0\nv 0 1 0\nv 100 100 100\nv 101 100 100\nv 100 101 100\nf 4 5 6\n",
           file);
     for (int i = 0; i < 140000; i++)
@@ -212,7 +212,7 @@ FIXTURE_TEST(many_triangles_in_one_place_are_sorted)
     for (int small = 0; small < 2; small++) {
         struct sort_limits limits;
         struct vox_sort_options options = {
-            .scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
+            .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
         vox_sort_limits_for(256 * MIB, 2, &limits);
         if (small)
             limits.batch_triangles = 70000;
@@ -221,7 +221,7 @@ FIXTURE_TEST(many_triangles_in_one_place_are_sorted)
         assert_int_equal(f->report.triangles, 140001);
         assert_int_equal(f->report.chunks,
                          4); /* all keys are equal: 3 x 32768 triangles and the rest */
-        expect_same_file(f, &reference);
+        expect_same_file(&reference);
         read_sorted(f, NULL, NULL);
     }
     free(reference.bytes);
@@ -261,15 +261,15 @@ static void expect_morton_order(const struct fmt_tris_chunk *chunk,
 FIXTURE_TEST(triangles_are_in_morton_order)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     struct sort_grid g;
     struct fmt_tris_file *file;
     struct fmt_tris_chunk chunk;
     uint64_t before = 0;
     sort_grid_make(&g, 250, 5);
-    sort_grid_write(&g, f->obj, GRID_SHUFFLED, 6);
+    sort_grid_write(&g, "scan.obj", GRID_SHUFFLED, 6);
     expect_sorted(f, sort_files(f, paths, 1));
-    assert_int_equal(fmt_tris_open(f->ctx, f->tris, &file), 0);
+    assert_int_equal(fmt_tris_open(f->ctx, "scan.tris", &file), 0);
     const struct fmt_tris_header *header = fmt_tris_get_header(file);
     assert_true(header->chunk_count > 1);
     void *scratch = malloc(fmt_tris_load_size_max(file));
@@ -286,10 +286,10 @@ FIXTURE_TEST(triangles_are_in_morton_order)
 FIXTURE_TEST(ordinary_meshes_take_14_bytes_a_triangle)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     struct sort_grid g;
     sort_grid_make(&g, 400, 5);
-    sort_grid_write(&g, f->obj, 0, 6);
+    sort_grid_write(&g, "scan.obj", 0, 6);
     expect_sorted(f, sort_files(f, paths, 1));
     assert_true(f->report.tris_bytes <= 14 * f->report.triangles);
     assert_true(f->report.tris_bytes >= 12 * f->report.triangles);

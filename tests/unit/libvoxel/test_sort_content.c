@@ -41,10 +41,10 @@ FIXTURE_TEST(concave_polygons_keep_their_area)
 FIXTURE_TEST(a_polygon_of_any_size_is_split)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     struct sorted_triangles got = {0};
     const int n = 70000;
-    FILE *file = fopen(f->obj, "wb");
+    FILE *file = fopen("scan.obj", "wb");
     for (int i = 0; i < n; i++)
         fprintf(file, "v %.7f %.7f 0\n", 10 * cos(2 * M_PI * i / n), 10 * sin(2 * M_PI * i / n));
     fputs("f 1 2 3\nf", file);
@@ -102,10 +102,10 @@ FIXTURE_TEST(colors_are_of_zero_to_one_or_of_bytes)
 FIXTURE_TEST(colors_of_a_later_file_do_not_shift)
 {
     struct sort_fixture *f = *state;
-    const char *paths[2] = {f->obj, f->obj2};
+    const char *paths[2] = {"scan.obj", "more.obj"};
     struct sorted_triangles got = {0};
-    sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
-    sort_write_text(f->obj2, "v 5 0 0 1 0 0\nv 6 0 0 0 1 0\nv 5 1 0 0 0 1\nf 1 2 -1\n");
+    test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    test_text("more.obj", "v 5 0 0 1 0 0\nv 6 0 0 0 1 0\nv 5 1 0 0 0 1\nf 1 2 -1\n");
     expect_sorted(f, sort_files(f, paths, 2));
     assert_int_equal(f->report.triangles, 2);
     read_sorted(f, &got, NULL);
@@ -162,18 +162,14 @@ FIXTURE_TEST(ordinary_scans_have_no_origin)
 
 /* ---- materials ---- */
 
-static void write_library(struct sort_fixture *f, const char *text)
+static void write_library(const char *text)
 {
-    char path[128];
-    snprintf(path, sizeof path, "%s/scan.mtl", f->dir);
-    sort_write_text(path, text);
+    test_text("scan.mtl", text);
 }
 
-static void write_texture(struct sort_fixture *f)
+static void write_texture(void)
 {
-    char path[128];
-    snprintf(path, sizeof path, "%s/wall.png", f->dir);
-    sort_write_text(path, "only its name matters here");
+    test_text("wall.png", "only its name matters here");
 }
 
 static const char materials_obj[] =
@@ -196,9 +192,9 @@ FIXTURE_TEST(materials_come_from_the_library)
     struct sorted_triangles got = {0};
     struct fmt_tris_header header;
     struct fmt_tris_file *file;
-    write_texture(f);
-    write_library(f, "newmtl red\nKd 1 0 0\nnewmtl wall\nKd 0.5 0.5 0.5\nmap_Kd wall.png\n"
-                     "newmtl unused\nmap_Kd missing.png\n");
+    write_texture();
+    write_library("newmtl red\nKd 1 0 0\nnewmtl wall\nKd 0.5 0.5 0.5\nmap_Kd wall.png\n"
+                  "newmtl unused\nmap_Kd missing.png\n");
     expect_sorted(f, sort_text(f, materials_obj));
     assert_true(f->report.has_texcoords);
     read_sorted(f, &got, &header);
@@ -214,7 +210,7 @@ FIXTURE_TEST(materials_come_from_the_library)
                 const struct sorted_corner *c = &got.list[i].corners[k];
                 assert_true(c->texcoord[0] == (c->position[0] == 1.0f ? 0.5f : 0.25f));
             }
-    assert_int_equal(fmt_tris_open(f->ctx, f->tris, &file), 0);
+    assert_int_equal(fmt_tris_open(f->ctx, "scan.tris", &file), 0);
     const struct fmt_tris_material *m = fmt_tris_get_header(file)->materials;
     assert_int_equal(m[0].texture_path[0], '/');
     assert_non_null(strstr(m[0].texture_path, "/wall.png"));
@@ -232,7 +228,7 @@ FIXTURE_TEST(a_missing_texture_leaves_the_diffuse_colour)
     struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
     struct fmt_tris_header header;
-    write_library(f, "newmtl wall\nKd 0.5 0.5 0.5\nmap_Kd gone.png\n");
+    write_library("newmtl wall\nKd 0.5 0.5 0.5\nmap_Kd gone.png\n");
     expect_sorted(f, sort_text(f, materials_obj));
     read_sorted(f, &got, &header);
     assert_int_equal(header.attributes, FMT_TRIS_MATERIALS);
@@ -255,15 +251,14 @@ FIXTURE_TEST(without_materials_texture_coordinates_go)
 FIXTURE_TEST(one_texture_can_be_given_for_all)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
-    char texture[128];
+    const char *paths[1] = {"scan.obj"};
+    char texture[32] = "wall.png";
     struct sorted_triangles got = {0};
     struct vox_sort_options options = {
-        .scan_paths = paths, .scan_count = 1, .tris_path = f->tris, .texture_path = texture};
-    snprintf(texture, sizeof texture, "%s/wall.png", f->dir);
-    write_texture(f);
-    sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.5 0\nf 1/1 2/1 3/1\nusemtl a\n"
-                            "f 1/1 3/1 2/1\nf 1 2 3\nf 1/1 2/1 3\n");
+        .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris", .texture_path = texture};
+    write_texture();
+    test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.5 0\nf 1/1 2/1 3/1\nusemtl a\n"
+                          "f 1/1 3/1 2/1\nf 1 2 3\nf 1/1 2/1 3\n");
     expect_sorted(f, vox_sort(f->ctx, &options, &f->report));
     read_sorted(f, &got, NULL);
     assert_int_equal(count_material(&got, 0), 2);
@@ -278,10 +273,10 @@ FIXTURE_TEST(one_texture_can_be_given_for_all)
 FIXTURE_TEST(normals_of_faces_left_out_do_not_count)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     const struct vox_sort_options options = {
-        .scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
-    sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1\nf 1 2 3\n");
+        .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
+    test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1\nf 1 2 3\n");
     for (int two = 0; two < 2; two++) {
         struct sort_limits limits;
         vox_sort_limits_for(64 * MIB, 1, &limits);

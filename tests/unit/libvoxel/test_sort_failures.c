@@ -23,8 +23,8 @@ FIXTURE_TEST(indices_out_of_range_are_located)
         assert_int_equal(sort_text(f, cases[i].text), BSQ_EDATA);
         if (!strstr(bsq_error(f->ctx), cases[i].message))
             fail_msg("\"%s\" is not in \"%s\"", cases[i].message, bsq_error(f->ctx));
-        assert_non_null(strstr(bsq_error(f->ctx), f->obj));
-        assert_int_not_equal(access(f->tris, F_OK), 0);
+        assert_non_null(strstr(bsq_error(f->ctx), "scan.obj"));
+        assert_int_not_equal(access("scan.tris", F_OK), 0);
     }
 }
 
@@ -34,7 +34,7 @@ FIXTURE_TEST(scans_without_faces_are_refused)
     static const char *const texts[] = {"", "v 0 0 0\n", "v 0 0 0\nv 1 0 0\nf 1 2\n"};
     for (int i = 0; i < 3; i++) {
         assert_int_equal(sort_text(f, texts[i]), BSQ_EDATA);
-        assert_non_null(strstr(bsq_error(f->ctx), f->obj));
+        assert_non_null(strstr(bsq_error(f->ctx), "scan.obj"));
     }
 }
 
@@ -53,7 +53,7 @@ FIXTURE_TEST(a_scan_without_area_is_refused)
     assert_non_null(strstr(bsq_error(f->ctx), "the scan's only triangle has no area"));
     assert_int_equal(sort_text(f, "v 1 2 3\nf 1 1 1\nf 1 1 1\n"), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(f->ctx), "none of the scan's 2 triangles has an area"));
-    assert_int_not_equal(access(f->tris, F_OK), 0);
+    assert_int_not_equal(access("scan.tris", F_OK), 0);
 }
 
 FIXTURE_TEST(too_little_memory_is_refused)
@@ -70,13 +70,14 @@ FIXTURE_TEST(too_little_memory_is_refused)
 FIXTURE_TEST(too_many_vertices_are_refused)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
-    struct vox_sort_options options = {.scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
+    const char *paths[1] = {"scan.obj"};
+    struct vox_sort_options options = {
+        .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
     struct sort_limits limits;
     struct sort_grid g;
     unsigned long long vertices, needed, available;
     sort_grid_make(&g, 600, 5);
-    sort_grid_write(&g, f->obj, 0, 6);
+    sort_grid_write(&g, "scan.obj", 0, 6);
     vox_sort_limits_for(60 * MIB, 2, &limits);
     limits.stream_bytes = 0;
     limits.reserve_bytes = 34 * MIB;
@@ -103,12 +104,13 @@ FIXTURE_TEST(too_many_vertices_are_refused)
 FIXTURE_TEST(memory_may_run_out_anywhere)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     struct sort_grid g;
-    struct vox_sort_options options = {.scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
+    struct vox_sort_options options = {
+        .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
     unsigned failures = 0;
     sort_grid_make(&g, 60, 5);
-    sort_grid_write(&g, f->obj, GRID_COLORS | GRID_NORMALS, 6);
+    sort_grid_write(&g, "scan.obj", GRID_COLORS | GRID_NORMALS, 6);
     for (unsigned spilled = 0; spilled < 3; spilled++)
         for (uint64_t memory = 1000; memory < 80 * MIB; memory += memory / 5) {
             struct sort_limits limits;
@@ -121,8 +123,8 @@ FIXTURE_TEST(memory_may_run_out_anywhere)
             failures += status < 0;
             assert_true(status == 0 || status == BSQ_ENOMEM);
             assert_int_equal(bsq_memory_used(f->ctx), 0);
-            assert_int_equal(access(f->tris, F_OK) == 0, status == 0);
-            unlink(f->tris);
+            assert_int_equal(access("scan.tris", F_OK) == 0, status == 0);
+            unlink("scan.tris");
         }
     assert_true(failures > 60);
     sort_grid_free(&g);
@@ -131,22 +133,23 @@ FIXTURE_TEST(memory_may_run_out_anywhere)
 FIXTURE_TEST(an_unwritable_place_is_refused)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     struct vox_sort_options options = {
         .scan_paths = paths, .scan_count = 1, .tris_path = "/nowhere/at/all.tris"};
-    sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
     assert_int_equal(vox_sort(f->ctx, &options, &f->report), BSQ_ECANTCREAT);
 }
 
 FIXTURE_TEST(an_interrupt_stops_and_leaves_nothing)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {f->obj};
-    struct vox_sort_options options = {.scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
-    sort_write_text(f->obj, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    const char *paths[1] = {"scan.obj"};
+    struct vox_sort_options options = {
+        .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
+    test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
     bsq_interrupt(f->ctx);
     assert_int_equal(vox_sort(f->ctx, &options, &f->report), BSQ_EINTR);
-    assert_int_not_equal(access(f->tris, F_OK), 0);
+    assert_int_not_equal(access("scan.tris", F_OK), 0);
 }
 
 RUN_TESTS(NULL, NULL)

@@ -116,13 +116,11 @@ static struct losses write_scan(const char *path, bool damaged)
 /* Way 0 keeps everything in memory. Textures make sorting keep texture coordinates. */
 static void sort_it(struct sort_fixture *f, unsigned way)
 {
-    const char *paths[1] = {f->obj};
-    char texture[128];
+    const char *paths[1] = {"scan.obj"};
     struct sort_limits limits;
-    snprintf(texture, sizeof texture, "%s/wall.png", f->dir);
-    sort_write_text(texture, "only its name matters here");
+    const char *texture = test_text("wall.png", "only its name matters here");
     const struct vox_sort_options options = {
-        .scan_paths = paths, .scan_count = 1, .tris_path = f->tris, .texture_path = texture};
+        .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris", .texture_path = texture};
     vox_sort_limits_for(128 * MIB, 2, &limits);
     limits.two_passes = way % 2;
     sort_open_context(f, way == 3 ? 100 * MIB : 128 * MIB, way % 3 + 1);
@@ -138,28 +136,28 @@ FIXTURE_TEST(what_refers_to_nothing_is_left_out)
     struct fmt_tris_header header;
     size_t size, expected_size = 0;
     uint8_t *expected_bytes = NULL;
-    write_scan(f->obj, false);
+    write_scan("scan.obj", false);
     sort_it(f, 0);
     char bare_faces[sizeof f->warning]; /* they have no texture coordinates, in both scans */
     memcpy(bare_faces, f->warning, sizeof bare_faces);
     assert_int_equal(f->warnings, 1);
     assert_non_null(strstr(bare_faces, ": faces without texture coordinates: "));
     read_sorted(f, &expected, &header);
-    const struct losses losses = write_scan(f->obj, true);
+    const struct losses losses = write_scan("scan.obj", true);
     assert_true(losses.faces > 4 && losses.corners > 100);
     for (unsigned way = 0; way < 4; way++) {
         char message[160];
         sort_it(f, way);
         snprintf(message, sizeof message,
-                 "%s:%llu: corners that refer to a normal that the file does not have: ", f->obj,
-                 (unsigned long long)losses.first_normal);
+                 "%s:%llu: corners that refer to a normal that the file does not have: ",
+                 "scan.obj", (unsigned long long)losses.first_normal);
         assert_int_equal(f->warnings, 7);
         assert_int_equal(strncmp(f->warning_before, message, strlen(message)), 0);
         assert_string_equal(f->warning, bare_faces);
         assert_int_equal(f->report.broken_faces, losses.faces);
         assert_int_equal(f->report.lost_corners, losses.corners);
         assert_int_equal(f->report.faces, (SIDE - 1) * (SIDE - 1));
-        uint8_t *bytes = sort_read_bytes(f->tris, &size);
+        uint8_t *bytes = test_read("scan.tris", &size);
         if (way == 0) {
             expected_bytes = bytes;
             expected_size = size;
@@ -178,7 +176,7 @@ FIXTURE_TEST(what_refers_to_nothing_is_left_out)
 FIXTURE_TEST(a_block_may_lose_all_its_faces)
 {
     struct sort_fixture *f = *state;
-    FILE *file = fopen(f->obj, "wb");
+    FILE *file = fopen("scan.obj", "wb");
     for (int i = 0; i < 90000; i++)
         fprintf(file, "v nan 0 0\n");
     fprintf(file, "v 5 0 0\nv 6 0 0\nv 5 1 0\n");
@@ -187,7 +185,7 @@ FIXTURE_TEST(a_block_may_lose_all_its_faces)
     for (int i = 0; i < 70000; i++)
         fprintf(file, "f 90001 90002 90003\n");
     assert_int_equal(fclose(file), 0);
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     sort_open_context(f, 128 * MIB, 2);
     expect_sorted(f, sort_files(f, paths, 1));
     assert_int_equal(f->report.broken_faces, 700);
@@ -201,13 +199,13 @@ FIXTURE_TEST(dark_beginnings_stay_dark)
 {
     struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
-    FILE *file = fopen(f->obj, "wb");
+    FILE *file = fopen("scan.obj", "wb");
     assert_non_null(file);
     for (uint32_t i = 0; i < 288000; i++)
         fprintf(file, "v %u %u 0 %u 1 0\n", i % 400, i / 400, i < 144000 ? i % 2 : i % 256);
     fprintf(file, "f 1 2 402\nf 287998 287999 287598\n");
     assert_int_equal(fclose(file), 0);
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     for (unsigned threads = 1; threads < 4; threads += 2) {
         sort_open_context(f, 128 * MIB, threads);
         f->warnings = 0;

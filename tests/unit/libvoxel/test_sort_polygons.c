@@ -127,14 +127,12 @@ static void choose_limits(unsigned way, struct sort_limits *limits)
 
 static int sort_polygons(struct sort_fixture *f, unsigned flags, unsigned way)
 {
-    const char *paths[1] = {f->obj};
-    char texture[128];
+    const char *paths[1] = {"scan.obj"};
     struct sort_limits limits;
-    snprintf(texture, sizeof texture, "%s/wall.png", f->dir);
-    sort_write_text(texture, "only its name matters here");
+    const char *texture = test_text("wall.png", "only its name matters here");
     const struct vox_sort_options options = {.scan_paths = paths,
                                              .scan_count = 1,
-                                             .tris_path = f->tris,
+                                             .tris_path = "scan.tris",
                                              .texture_path = flags & TEXCOORDS ? texture : NULL};
     choose_limits(way, &limits);
     sort_open_context(f, 128 * MIB, way % 2 ? 2 : 3);
@@ -144,7 +142,7 @@ static int sort_polygons(struct sort_fixture *f, unsigned flags, unsigned way)
 
 static void expect_the_same_for_all_ways(struct sort_fixture *f, unsigned flags)
 {
-    const uint64_t triangles = write_polygons(f->obj, flags, 17 + flags);
+    const uint64_t triangles = write_polygons("scan.obj", flags, 17 + flags);
     size_t sizes[2];
     uint8_t *expected = NULL;
     for (unsigned way = 0; way < 9; way++) {
@@ -155,7 +153,7 @@ static void expect_the_same_for_all_ways(struct sort_fixture *f, unsigned flags)
         assert_int_equal(f->progress.done, f->progress.total);
         assert_false(f->beyond_total);
         assert_int_equal(f->report.temp_bytes > 0, way > 0);
-        uint8_t *bytes = sort_read_bytes(f->tris, &sizes[way > 0]);
+        uint8_t *bytes = test_read("scan.tris", &sizes[way > 0]);
         if (way == 0) {
             expected = bytes;
             continue;
@@ -173,9 +171,9 @@ static void expect_refused_with_vertices_in_a_file(struct sort_fixture *f, unsig
                                                    unsigned corners)
 {
     char message[192];
-    const uint64_t triangles = write_polygons(f->obj, flags, 17 + flags);
+    const uint64_t triangles = write_polygons("scan.obj", flags, 17 + flags);
     snprintf(message, sizeof message, "%s: splitting a polygon of %u corners needs all vertices",
-             f->obj, corners);
+             "scan.obj", corners);
     expect_sorted(f, sort_polygons(f, flags, 0));
     assert_int_equal(f->report.triangles + f->report.degenerate_triangles, triangles);
     for (unsigned way = 1; way < 3; way++) {

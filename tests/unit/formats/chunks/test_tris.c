@@ -37,9 +37,9 @@ static void expect_file(struct tris_fixture *f, uint32_t chunk_count)
 {
     struct fmt_tris_file *file;
     enum fmt_kind kind;
-    assert_int_equal(fmt_recognise(f->ctx, f->path, &kind), 0);
+    assert_int_equal(fmt_recognise(f->ctx, tris_path, &kind), 0);
     assert_int_equal(kind, FMT_KIND_TRIS);
-    assert_int_equal(fmt_tris_open(f->ctx, f->path, &file), 0);
+    assert_int_equal(fmt_tris_open(f->ctx, tris_path, &file), 0);
     const struct fmt_tris_header *h = fmt_tris_get_header(file);
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(file);
     assert_int_equal(h->chunk_count, chunk_count);
@@ -97,7 +97,7 @@ FIXTURE_TEST(large_chunks_come_back)
         tris_fill(f->samples[0], 0, FMT_TRIS_CHUNK_TRIANGLES, 65536 + i, 9);
         tris_write_samples(f, 0, 1);
         expect_file(f, 1);
-        free(tris_read_bytes(f->path, &sizes[i]));
+        free(test_read(tris_path, &sizes[i]));
     }
     assert_true(sizes[1] - sizes[0] > 6 * 65536);
     tris_fill(f->samples[0], 15, FMT_TRIS_CHUNK_TRIANGLES, MAX_VERTICES, 10);
@@ -135,7 +135,7 @@ FIXTURE_TEST(bytes_are_those_of_the_specification)
     size_t size;
     tris_fill(s, 15, 5, 7, 4);
     tris_write_samples(f, 15, 1);
-    uint8_t *b = tris_read_bytes(f->path, &size);
+    uint8_t *b = test_read(tris_path, &size);
     assert_memory_equal(b, "\x42\x53\x51\x54\x52\x49\x53\x0a", 8);
     assert_int_equal(u32_at(b, 8), 1);
     assert_int_equal(u32_at(b, 12), 15);
@@ -194,7 +194,7 @@ FIXTURE_TEST(names_of_ids_come_back)
     size_t size;
     uint8_t *bytes = tris_write_ids(f, &size);
     assert_int_equal(bytes[8], 2);
-    assert_int_equal(fmt_tris_open(f->ctx, f->path, &file), 0);
+    assert_int_equal(fmt_tris_open(f->ctx, tris_path, &file), 0);
     const struct fmt_tris_header *h = fmt_tris_get_header(file);
     assert_int_equal(h->ids, BSQ_IDS_OBJECT);
     assert_int_equal(h->material_count, 3);
@@ -214,7 +214,7 @@ FIXTURE_TEST(channels_come_back)
     size_t size;
     uint8_t *bytes = tris_write_channels(f, &size);
     assert_int_equal(bytes[8], 3);
-    assert_int_equal(fmt_tris_open(f->ctx, f->path, &file), 0);
+    assert_int_equal(fmt_tris_open(f->ctx, tris_path, &file), 0);
     const struct fmt_tris_header *h = fmt_tris_get_header(file);
     assert_int_equal(h->ids, BSQ_IDS_NONE);
     assert_int_equal(fmt_tris_find_channel(h, "b_2"), 1);
@@ -239,9 +239,9 @@ FIXTURE_TEST(nothing_remains_of_a_discarded_file)
     struct tris_fixture *f = *state;
     struct fmt_tris_header header = {.attributes = 0};
     struct fmt_tris_writer *writer;
-    assert_int_equal(fmt_tris_create(f->ctx, f->path, &header, &writer), 0);
+    assert_int_equal(fmt_tris_create(f->ctx, tris_path, &header, &writer), 0);
     fmt_tris_discard(writer);
-    assert_int_not_equal(access(f->path, F_OK), 0);
+    assert_int_not_equal(access(tris_path, F_OK), 0);
     fmt_tris_discard(NULL);
 }
 

@@ -18,7 +18,7 @@ static int read_all(struct tris_fixture *f)
     void *scratch = NULL;
     bsq_clear_error(f->ctx);
     bsq_forget_files(f->ctx); /* tests damage the file again and again */
-    int status = fmt_tris_open(f->ctx, f->path, &file);
+    int status = fmt_tris_open(f->ctx, tris_path, &file);
     if (status < 0)
         return status;
     status = bsq_alloc(f->ctx, "test", fmt_tris_load_size_max(file) + 1, 1, &scratch);
@@ -38,16 +38,16 @@ FIXTURE_TEST(every_truncated_length_is_found)
     tris_fill(f->samples[0], 15, 5, 7, 4);
     tris_fill(f->samples[1], 15, 9, 4, 5);
     tris_write_samples(f, 15, 2);
-    uint8_t *bytes = tris_read_bytes(f->path, &size);
+    uint8_t *bytes = test_read(tris_path, &size);
     for (size_t length = 0; length < size; length++) {
-        tris_write_bytes(f->path, bytes, length);
+        test_bytes(tris_path, bytes, length);
         assert_int_equal(read_all(f), BSQ_EDATA);
-        assert_non_null(strstr(bsq_error(f->ctx), f->path));
+        assert_non_null(strstr(bsq_error(f->ctx), tris_path));
     }
     bytes[size] = 0;
-    tris_write_bytes(f->path, bytes, size + 1);
+    test_bytes(tris_path, bytes, size + 1);
     assert_int_equal(read_all(f), BSQ_EDATA);
-    tris_write_bytes(f->path, bytes, size);
+    test_bytes(tris_path, bytes, size);
     assert_int_equal(read_all(f), 0);
     free(bytes);
 }
@@ -64,16 +64,16 @@ FIXTURE_TEST(a_file_that_changes_is_not_read)
     size_t size;
     tris_fill(f->samples[0], 15, 5, 7, 4);
     tris_write_samples(f, 15, 1);
-    assert_int_equal(utimensat(AT_FDCWD, f->path, past, 0), 0);
-    assert_int_equal(fmt_tris_open(f->ctx, f->path, &file), 0);
+    assert_int_equal(utimensat(AT_FDCWD, tris_path, past, 0), 0);
+    assert_int_equal(fmt_tris_open(f->ctx, tris_path, &file), 0);
     assert_int_equal(bsq_alloc(f->ctx, "chunk", 1, fmt_tris_load_size_max(file) + 8, &scratch), 0);
     assert_int_equal(fmt_tris_load(file, 0, scratch, &chunk), 0);
-    uint8_t *bytes = tris_read_bytes(f->path, &size);
+    uint8_t *bytes = test_read(tris_path, &size);
     for (int cut = 0; cut < 2; cut++) {
-        tris_write_bytes(f->path, bytes, cut ? size / 2 : size);
+        test_bytes(tris_path, bytes, cut ? size / 2 : size);
         bsq_clear_error(f->ctx);
         assert_int_equal(fmt_tris_load(file, 0, scratch, &chunk), BSQ_EIO);
-        snprintf(expected, sizeof expected, "%s: was changed while it was read", f->path);
+        snprintf(expected, sizeof expected, "%s: was changed while it was read", tris_path);
         assert_string_equal(bsq_error(f->ctx), expected);
     }
     free(bytes);
@@ -88,10 +88,10 @@ FIXTURE_TEST(every_flipped_bit_is_found)
     tris_fill(f->samples[0], 15, 5, 7, 4);
     tris_fill(f->samples[1], 15, 3, 4, 5);
     tris_write_samples(f, 15, 2);
-    uint8_t *bytes = tris_read_bytes(f->path, &size);
+    uint8_t *bytes = test_read(tris_path, &size);
     for (size_t bit = 0; bit < 8 * size; bit++) {
         bytes[bit / 8] ^= (uint8_t)(1u << bit % 8);
-        tris_write_bytes(f->path, bytes, size);
+        test_bytes(tris_path, bytes, size);
         assert_int_equal(read_all(f), BSQ_EDATA);
         bytes[bit / 8] ^= (uint8_t)(1u << bit % 8);
     }
@@ -122,7 +122,7 @@ FIXTURE_TEST(sizes_are_compared_with_the_file)
     tris_fill(f->samples[0], 15, 5, 7, 4);
     tris_fill(f->samples[1], 15, 9, 4, 5);
     tris_write_samples(f, 15, 2);
-    uint8_t *good = tris_read_bytes(f->path, &size), *bytes = malloc(size);
+    uint8_t *good = test_read(tris_path, &size), *bytes = malloc(size);
     const size_t table = tris_u64_at(good, 104);
     for (size_t at = 8; at < size; at = at + 4 == 152 ? table : at + 4)
         for (size_t i = 0; i < sizeof values / sizeof *values; i++) {
@@ -132,7 +132,7 @@ FIXTURE_TEST(sizes_are_compared_with_the_file)
                 sign(bytes, size);
             uint64_t sum = XXH3_64bits(bytes, 144);
             memcpy(bytes + 144, &sum, 8);
-            tris_write_bytes(f->path, bytes, size);
+            test_bytes(tris_path, bytes, size);
             read_all(f);
         }
     assert_true(size < 1024);
@@ -148,13 +148,13 @@ FIXTURE_TEST(padding_is_zero)
     size_t size;
     tris_fill(f->samples[0], 0, 3, 4, 5);
     tris_write_samples(f, 0, 1);
-    uint8_t *bytes = tris_read_bytes(f->path, &size);
+    uint8_t *bytes = test_read(tris_path, &size);
     const size_t end = tris_u64_at(bytes, 96);
     for (size_t at = end - 6; at < end; at++) {
         assert_int_equal(bytes[at], 0);
         bytes[at] = 64;
         sign(bytes, size);
-        tris_write_bytes(f->path, bytes, size);
+        test_bytes(tris_path, bytes, size);
         assert_int_equal(read_all(f), BSQ_EDATA);
         assert_non_null(strstr(bsq_error(f->ctx), "its padding is not zero"));
         bytes[at] = 0;
@@ -170,9 +170,9 @@ FIXTURE_TEST(padding_of_materials_is_zero)
     const struct fmt_tris_header header = {.material_count = 1, .materials = &material};
     struct fmt_tris_writer *writer;
     size_t size;
-    assert_int_equal(fmt_tris_create(f->ctx, f->path, &header, &writer), 0);
+    assert_int_equal(fmt_tris_create(f->ctx, tris_path, &header, &writer), 0);
     assert_int_equal(fmt_tris_commit(writer, NULL), 0);
-    uint8_t *bytes = tris_read_bytes(f->path, &size);
+    uint8_t *bytes = test_read(tris_path, &size);
     assert_int_equal(read_all(f), 0);
     for (size_t at = size - 6; at < size; at++) {
         assert_int_equal(bytes[at], 0);
@@ -181,7 +181,7 @@ FIXTURE_TEST(padding_of_materials_is_zero)
         memcpy(bytes + 128, &sum, 8);
         sum = XXH3_64bits(bytes, 144);
         memcpy(bytes + 144, &sum, 8);
-        tris_write_bytes(f->path, bytes, size);
+        test_bytes(tris_path, bytes, size);
         assert_int_equal(read_all(f), BSQ_EDATA);
         assert_non_null(strstr(bsq_error(f->ctx), "after the materials is not zero"));
         bytes[at] = 0;
@@ -223,7 +223,7 @@ FIXTURE_TEST(damaged_names_of_ids_are_found)
         memcpy(changed, bytes, size);
         memcpy(changed + cases[i].at, &cases[i].value, 4);
         sign_materials(changed, size);
-        tris_write_bytes(f->path, changed, size);
+        test_bytes(tris_path, changed, size);
         assert_int_equal(read_all(f), BSQ_EDATA);
         if (!strstr(bsq_error(f->ctx), cases[i].message))
             fail_msg("\"%s\" is not in \"%s\"", cases[i].message, bsq_error(f->ctx));
@@ -260,7 +260,7 @@ FIXTURE_TEST(damaged_channels_are_found)
         memcpy(changed, bytes, size);
         memcpy(changed + cases[i].at, &cases[i].value, 4);
         sign_materials(changed, size);
-        tris_write_bytes(f->path, changed, size);
+        test_bytes(tris_path, changed, size);
         assert_int_equal(read_all(f), BSQ_EDATA);
         if (!strstr(bsq_error(f->ctx), cases[i].message))
             fail_msg("\"%s\" is not in \"%s\"", cases[i].message, bsq_error(f->ctx));
@@ -295,12 +295,12 @@ FIXTURE_TEST(values_out_of_range_are_found)
     size_t size;
     tris_fill(f->samples[0], 15, 5, 7, 4);
     tris_write_samples(f, 15, 1);
-    uint8_t *bytes = tris_read_bytes(f->path, &size), *changed = malloc(size);
+    uint8_t *bytes = test_read(tris_path, &size), *changed = malloc(size);
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         memcpy(changed, bytes, size);
         memcpy(changed + cases[i].at, &cases[i].value, 4);
         sign(changed, size);
-        tris_write_bytes(f->path, changed, size);
+        test_bytes(tris_path, changed, size);
         assert_int_equal(read_all(f), BSQ_EDATA);
         if (!strstr(bsq_error(f->ctx), cases[i].message))
             fail_msg("\"%s\" is not in \"%s\"", cases[i].message, bsq_error(f->ctx));
@@ -309,7 +309,7 @@ FIXTURE_TEST(values_out_of_range_are_found)
     memcpy(changed, bytes, size);
     memset(changed + tris_u64_at(bytes, 104) + 24, 0xff, 4);
     sign(changed, size);
-    tris_write_bytes(f->path, changed, size);
+    test_bytes(tris_path, changed, size);
     assert_int_equal(read_all(f), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(f->ctx), "entry 0 of the table"));
     free(changed);
@@ -321,7 +321,7 @@ FIXTURE_TEST(short_files_are_damaged)
 {
     struct tris_fixture *f = *state;
     for (uint64_t size = 0; size <= 8; size++) {
-        tris_write_bytes(f->path, "BSQTRIS\n", size);
+        test_bytes(tris_path, "BSQTRIS\n", size);
         assert_int_equal(read_all(f), BSQ_EDATA);
         assert_non_null(strstr(bsq_error(f->ctx), "damaged chunk file: the header is cut off"));
         bsq_clear_error(f->ctx);
@@ -336,14 +336,14 @@ FIXTURE_TEST(other_files_are_refused)
 {
     struct tris_fixture *f = *state;
     enum fmt_kind kind;
-    tris_write_bytes(f->path, "v 0 0 0\n", 8);
-    assert_int_equal(fmt_recognise(f->ctx, f->path, &kind), 0);
+    test_bytes(tris_path, "v 0 0 0\n", 8);
+    assert_int_equal(fmt_recognise(f->ctx, tris_path, &kind), 0);
     assert_int_equal(kind, FMT_KIND_OTHER);
     assert_int_equal(read_all(f), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(f->ctx), "not a chunk file"));
-    unlink(f->path);
+    unlink(tris_path);
     bsq_clear_error(f->ctx);
-    assert_int_equal(fmt_recognise(f->ctx, f->path, &kind), BSQ_ENOINPUT);
+    assert_int_equal(fmt_recognise(f->ctx, tris_path, &kind), BSQ_ENOINPUT);
     assert_int_equal(kind, FMT_KIND_OTHER);
     assert_int_equal(read_all(f), BSQ_ENOINPUT);
 }

@@ -44,9 +44,6 @@ void tris_fill(struct tris_sample *s, uint32_t attributes, uint32_t triangles, u
 int tris_setup(void **state)
 {
     struct tris_fixture *f = calloc(1, sizeof *f);
-    snprintf(f->dir, sizeof f->dir, "/tmp/test_tris_XXXXXX");
-    assert_non_null(mkdtemp(f->dir));
-    snprintf(f->path, sizeof f->path, "%s/scan.tris", f->dir);
     f->ctx = test_context(1, 64 << 20);
     for (int i = 0; i < 2; i++)
         f->samples[i] = calloc(1, sizeof *f->samples[i]);
@@ -60,8 +57,7 @@ int tris_teardown(void **state)
     test_context_end(f->ctx);
     for (int i = 0; i < 2; i++)
         free(f->samples[i]);
-    unlink(f->path);
-    assert_int_equal(rmdir(f->dir), 0);
+    unlink(tris_path);
     free(f);
     return 0;
 }
@@ -79,7 +75,7 @@ void tris_write_samples(struct tris_fixture *f, uint32_t attributes, uint32_t ch
         .materials = materials,
     };
     struct fmt_tris_writer *writer;
-    assert_int_equal(fmt_tris_create(f->ctx, f->path, &header, &writer), 0);
+    assert_int_equal(fmt_tris_create(f->ctx, tris_path, &header, &writer), 0);
     fmt_tris_skip(writer, 2);
     fmt_tris_skip(writer, 3);
     for (uint32_t i = 0; i < chunk_count; i++) {
@@ -95,27 +91,6 @@ void tris_write_samples(struct tris_fixture *f, uint32_t attributes, uint32_t ch
         bsq_free(f->ctx, buffer);
     }
     assert_int_equal(fmt_tris_commit(writer, NULL), 0);
-}
-
-uint8_t *tris_read_bytes(const char *path, size_t *size)
-{
-    FILE *file = fopen(path, "rb");
-    assert_non_null(file);
-    fseek(file, 0, SEEK_END);
-    *size = (size_t)ftell(file);
-    rewind(file);
-    uint8_t *bytes = malloc(*size + 1);
-    assert_int_equal(fread(bytes, 1, *size, file), *size);
-    fclose(file);
-    return bytes;
-}
-
-void tris_write_bytes(const char *path, const void *bytes, size_t size)
-{
-    FILE *file = fopen(path, "wb");
-    assert_non_null(file);
-    assert_int_equal(fwrite(bytes, 1, size, file), size);
-    assert_int_equal(fclose(file), 0);
 }
 
 uint64_t tris_u64_at(const uint8_t *bytes, size_t at)
@@ -135,9 +110,9 @@ uint8_t *tris_write_ids(struct tris_fixture *f, size_t *size)
     const struct fmt_tris_header header = {
         .material_count = 3, .materials = materials, .ids = BSQ_IDS_OBJECT};
     struct fmt_tris_writer *writer;
-    assert_int_equal(fmt_tris_create(f->ctx, f->path, &header, &writer), 0);
+    assert_int_equal(fmt_tris_create(f->ctx, tris_path, &header, &writer), 0);
     assert_int_equal(fmt_tris_commit(writer, NULL), 0);
-    return tris_read_bytes(f->path, size);
+    return test_read(tris_path, size);
 }
 
 uint8_t *tris_write_channels(struct tris_fixture *f, size_t *size)
@@ -155,7 +130,7 @@ uint8_t *tris_write_channels(struct tris_fixture *f, size_t *size)
     const struct fmt_tris_header header = {
         .material_count = 2, .materials = materials, .channel_count = 2, .channels = channels};
     struct fmt_tris_writer *writer;
-    assert_int_equal(fmt_tris_create(f->ctx, f->path, &header, &writer), 0);
+    assert_int_equal(fmt_tris_create(f->ctx, tris_path, &header, &writer), 0);
     assert_int_equal(fmt_tris_commit(writer, NULL), 0);
-    return tris_read_bytes(f->path, size);
+    return test_read(tris_path, size);
 }

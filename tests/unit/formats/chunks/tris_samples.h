@@ -16,13 +16,15 @@ struct tris_sample {
     uint32_t triangles[FMT_TRIS_CHUNK_TRIANGLES][3], materials[FMT_TRIS_CHUNK_TRIANGLES];
 };
 
+/* The file of each test. */
+#define tris_path "scan.tris"
+
 struct tris_fixture {
-    char dir[64], path[128];
     struct bsq_ctx *ctx;
     struct tris_sample *samples[2];
 };
 
-/* Make and remove a directory, a context and samples; *state is the fixture. */
+/* Make and remove a context and samples; *state is the fixture. */
 int tris_setup(void **state);
 int tris_teardown(void **state);
 
@@ -30,7 +32,7 @@ int tris_teardown(void **state);
 void tris_fill(struct tris_sample *s, uint32_t attributes, uint32_t triangles, uint32_t vertices,
                uint64_t seed);
 
-/* Writes the first samples of a fixture as the chunks of f->path. */
+/* Writes the first samples of a fixture as the chunks of tris_path. */
 void tris_write_samples(struct tris_fixture *f, uint32_t attributes, uint32_t chunk_count);
 
 /* Writes a file without chunks that has ids by object, and returns its bytes, which the caller
@@ -40,10 +42,6 @@ uint8_t *tris_write_ids(struct tris_fixture *f, size_t *size);
 /* Writes a file without chunks that has two channels, and returns its bytes, which the caller
  * frees. */
 uint8_t *tris_write_channels(struct tris_fixture *f, size_t *size);
-
-/* Returns the bytes of a file and space for one more; the caller frees them. */
-uint8_t *tris_read_bytes(const char *path, size_t *size);
-void tris_write_bytes(const char *path, const void *bytes, size_t size);
 
 /* Returns a little-endian number. */
 uint64_t tris_u64_at(const uint8_t *bytes, size_t at);

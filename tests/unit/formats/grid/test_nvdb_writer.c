@@ -244,4 +244,4 @@ TEST(test_unwritable)
     test_context_end(ctx);
 }
 
-RUN_TESTS(nvdb_make_directory, nvdb_remove_directory)
+RUN_TESTS(NULL, NULL)

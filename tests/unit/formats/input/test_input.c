@@ -11,7 +11,6 @@
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
 #include "tests/unit/formats/input/packing.h"
-#include "tests/unit/formats/scratch.h"
 #include "tests/unit/test.h"
 
 enum { NUMBERS = 3 << 20, BYTES = 4 * NUMBERS };
@@ -20,23 +19,24 @@ static uint32_t *numbers; /* each has its index, so that every range is known */
 
 static int make_numbers(void **state)
 {
+    (void)state;
     numbers = malloc(BYTES);
     for (uint32_t i = 0; numbers && i < NUMBERS; i++)
         numbers[i] = i;
-    return numbers ? scratch_make(state) : -1;
+    return numbers ? 0 : -1;
 }
 
 static int free_numbers(void **state)
 {
+    (void)state;
     free(numbers);
-    return scratch_remove(state);
+    return 0;
 }
 
 static struct bsq_ctx *make_context(uint64_t memory, unsigned threads)
 {
     struct bsq_ctx *ctx;
-    struct bsq_ctx_options options = {
-        .memory_bytes = memory, .threads = threads, .tmpdir = scratch_directory};
+    struct bsq_ctx_options options = {.memory_bytes = memory, .threads = threads, .tmpdir = "."};
     assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
     return ctx;
 }
@@ -46,7 +46,7 @@ static const char *write_packed(const char *name)
     struct packed p = {0};
     pack_zstd(&p, numbers, BYTES / 2, 0);
     pack_zstd(&p, numbers + NUMBERS / 2, BYTES / 2, 0);
-    const char *path = scratch_bytes(name, p.data, p.size);
+    const char *path = test_bytes(name, p.data, p.size);
     free(p.data);
     return path;
 }
@@ -110,7 +110,7 @@ static const char *write_large(const char *name)
             copy[i] = large_number((uint64_t)k * NUMBERS + i);
         pack_zstd(&p, copy, BYTES, 0);
     }
-    const char *path = scratch_bytes(name, p.data, p.size);
+    const char *path = test_bytes(name, p.data, p.size);
     free(p.data);
     free(copy);
     return path;
@@ -222,7 +222,7 @@ TEST(test_no_more_is_unpacked_than_is_read)
     assert_non_null(bomb);
     memset(bomb, ' ', blanks);
     pack_zstd(&p, bomb, blanks, 20);
-    const char *path = scratch_bytes("bomb.obj.zst", p.data, p.size);
+    const char *path = test_bytes("bomb.obj.zst", p.data, p.size);
     assert_true(p.size < 100000);
     free(bomb);
     free(p.data);
@@ -292,7 +292,7 @@ static void *write_pipe(void *arg)
 
 static const char *make_fifo(const char *name)
 {
-    const char *path = scratch_path(name);
+    const char *path = name;
     assert_int_equal(mkfifo(path, 0600), 0);
     return path;
 }

@@ -3,13 +3,11 @@
 #include "formats/mesh/mesh_reader.h"
 #include "tests/unit/test.h"
 #include "tests/unit/formats/input/packing.h"
-#include "tests/unit/formats/scratch.h"
 
 static struct bsq_ctx *make_context(void)
 {
     struct bsq_ctx *ctx;
-    struct bsq_ctx_options options = {
-        .memory_bytes = 64 << 20, .threads = 2, .tmpdir = scratch_directory};
+    struct bsq_ctx_options options = {.memory_bytes = 64 << 20, .threads = 2, .tmpdir = "."};
     assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
     return ctx;
 }
@@ -39,7 +37,7 @@ static size_t put_ascii(const char *text, bool big_endian, uint8_t *to)
 static void expect_text(const void *bytes, size_t size, const char *expected)
 {
     struct bsq_ctx *ctx = make_context();
-    const char *path = scratch_bytes("text", bytes, size);
+    const char *path = test_bytes("text", bytes, size);
     struct fmt_input *input;
     char *text, buffer[64] = "";
     uint64_t length, got;
@@ -116,7 +114,7 @@ static void expect_pairs(unsigned shift, bool packed)
     for (int i = 0; i < PAIRS; i++)
         used += put_units(pair, 2, false, bytes + used);
     (packed ? pack_gzip(&file, bytes, used, 1) : pack_bytes(&file, bytes, used));
-    const char *path = scratch_bytes("pairs", file.data, file.size);
+    const char *path = test_bytes("pairs", file.data, file.size);
     assert_int_equal(fmt_input_text(ctx, path, 0, &text, &size), 0);
     assert_int_equal(size, shift + 4 * PAIRS);
     for (int i = 0; i < PAIRS; i++)
@@ -142,7 +140,7 @@ TEST(test_every_truncated_length)
     int read = 0, cut = 0;
     for (size_t size = 0; size <= whole; size++) {
         struct bsq_ctx *ctx = make_context();
-        const char *path = scratch_bytes("cut.obj", bytes, size);
+        const char *path = test_bytes("cut.obj", bytes, size);
         struct fmt_mesh mesh;
         const int status = fmt_mesh_load(ctx, path, false, &mesh);
         assert_true(status == 0 || status == BSQ_EDATA);
@@ -161,4 +159,4 @@ TEST(test_every_truncated_length)
     assert_int_not_equal(cut, 0);
 }
 
-RUN_TESTS(scratch_make, scratch_remove)
+RUN_TESTS(NULL, NULL)

@@ -27,15 +27,22 @@ static char *expand(const char *json, const struct ply_builder *bytes)
     return text;
 }
 
+/* Returns a file's name; the last eight stay valid. */
+static const char *file_name(const char *name, const char *extension)
+{
+    static char names[8][64];
+    static unsigned next;
+    char *file = names[next++ % 8];
+    snprintf(file, sizeof names[0], "%s.%s", name, extension);
+    return file;
+}
+
 const char *gltf_write(const char *name, const char *json, const struct ply_builder *bytes)
 {
-    char file[64];
     char *text = expand(json, bytes);
-    snprintf(file, sizeof file, "%s.bin", name);
     if (bytes)
-        scratch_bytes(file, bytes->bytes ? bytes->bytes : "", bytes->size);
-    snprintf(file, sizeof file, "%s.gltf", name);
-    const char *path = scratch_text(file, text);
+        test_bytes(file_name(name, "bin"), bytes->bytes ? bytes->bytes : "", bytes->size);
+    const char *path = test_text(file_name(name, "gltf"), text);
     free(text);
     return path;
 }
@@ -70,11 +77,9 @@ char *gltf_make_glb(const char *json, const struct ply_builder *bytes, size_t *s
 
 const char *gltf_write_glb(const char *name, const char *json, const struct ply_builder *bytes)
 {
-    char file[64];
     size_t size;
     char *content = gltf_make_glb(json, bytes, &size);
-    snprintf(file, sizeof file, "%s.glb", name);
-    const char *path = scratch_bytes(file, content, size);
+    const char *path = test_bytes(file_name(name, "glb"), content, size);
     free(content);
     return path;
 }
@@ -90,10 +95,8 @@ void gltf_read(struct obj_fixture *f, const char *path)
 void gltf_expect_error(const char *path, const char *message)
 {
     struct obj_fixture f;
-    char expected[400];
     obj_read_files(&f, 2, 1, &path);
-    snprintf(expected, sizeof expected, "%s/%s", scratch_directory, message);
-    assert_string_equal(bsq_error(f.ctx), expected);
+    assert_string_equal(bsq_error(f.ctx), message);
     assert_int_equal(f.status, BSQ_EDATA);
     obj_close(&f);
 }

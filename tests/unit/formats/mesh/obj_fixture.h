@@ -3,7 +3,7 @@
 #define TEST_OBJ_FIXTURE_H
 
 #include "formats/mesh/mesh_reader.h"
-#include "tests/unit/formats/scratch.h"
+#include "tests/unit/fixture.h"
 
 /* The blocks of a scan, joined. The fields are those of struct fmt_mesh_block. */
 struct obj_scan {

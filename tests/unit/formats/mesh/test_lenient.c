@@ -33,7 +33,7 @@ TEST(test_words)
 
 static void note_warning(void *user, const char *line)
 {
-    strcat(user, line + strlen(scratch_directory) + 1);
+    strcat(user, line);
     strcat(user, "\n");
 }
 
@@ -76,7 +76,7 @@ TEST(test_numbers)
     assert_memory_equal(f.scan.normals, normals, sizeof normals);
     obj_close(&f);
     expect_warnings(
-        scratch_path("scan.obj"), 2,
+        "scan.obj", 2,
         "scan.obj:4: vertices without a finite position: 2; this is the first\n"
         "scan.obj:8: texture coordinates without finite numbers: 3; this is the first\n"
         "scan.obj:12: normals without three finite numbers: 2; this is the first\n"
@@ -92,7 +92,7 @@ TEST(test_first_line_in_a_late_block)
     char *text = malloc(LINES * 10 + 1), *to = text;
     for (int i = 0; i < LINES; i++)
         to += sprintf(to, i == 150000 || i == 190000 ? "v 1 n\x61n 3\n" : "v 1 2 %d\n", i % 10);
-    const char *path = scratch_text("late.obj", text);
+    const char *path = test_text("late.obj", text);
     for (unsigned threads = 1; threads < 5; threads++)
         expect_warnings(path, threads,
                         "late.obj:150001: vertices without a finite position: 2; this is the "
@@ -118,10 +118,10 @@ TEST(test_names)
 {
     struct obj_fixture f;
     struct fmt_materials m;
-    scratch_text("My Lib.mtl", "newmtl Wood # brown\nKd 1 0 0\nmap_Kd \"Tex A.png\" # c\n"
-                               "newmtl \"two words\"\nKd 0 1 0\nnewmtl # 5\nKd 0 0 1\n"
-                               "newmtl oak # 2\nKd 1 1 0\nnewmtl OAK\nKd 0 1 1\n");
-    scratch_text("tex a.PNG", "an image");
+    test_text("My Lib.mtl", "newmtl Wood # brown\nKd 1 0 0\nmap_Kd \"Tex A.png\" # c\n"
+                            "newmtl \"two words\"\nKd 0 1 0\nnewmtl # 5\nKd 0 0 1\n"
+                            "newmtl oak # 2\nKd 1 1 0\nnewmtl OAK\nKd 0 1 1\n");
+    test_text("tex a.PNG", "an image");
     obj_read_text(&f, "mtllib \"my lib.mtl\" # comment\nv 0 0 0\nusemtl wood\nf 1 1 1\n"
                       "usemtl \"Two Words\" # c\nf 1 1 1\nusemtl # 5\nf 1 1 1\nusemtl oak # 2\n"
                       "f 1 1 1\nusemtl Oak\nf 1 1 1\nusemtl OAK\nf 1 1 1\nusemtl none\nf 1 1 1\n");
@@ -134,7 +134,7 @@ TEST(test_names)
     assert_string_equal(m.list[0].name, "Wood"); /* as in the library, without its comment */
     assert_string_equal(m.list[1].name, "two words");
     assert_string_equal(m.list[2].name, "# 5");
-    assert_string_equal(m.list[0].texture_path, scratch_path("tex a.PNG"));
+    assert_string_equal(m.list[0].texture_path, "tex a.PNG");
     assert_string_equal(m.list[3].name, "oak");
     assert_string_equal(m.list[4].name, "oak");
     assert_false(m.list[6].has_diffuse);
@@ -147,8 +147,8 @@ TEST(test_numbered_names)
 {
     struct obj_fixture f;
     struct fmt_materials m;
-    scratch_text("wall.mtl", "newmtl wall #1\nKd 1 0 0\nnewmtl wall #2\nKd 0 1 0\n"
-                             "newmtl floor\nKd 0 0 1\n");
+    test_text("wall.mtl", "newmtl wall #1\nKd 1 0 0\nnewmtl wall #2\nKd 0 1 0\n"
+                          "newmtl floor\nKd 0 0 1\n");
     obj_read_text(&f, "mtllib wall.mtl\nv 0 0 0\nusemtl Wall #2 # left\nf 1 1 1\n"
                       "usemtl wall #1\t#\nf 1 1 1\nusemtl floor #wood\nf 1 1 1\n");
     assert_int_equal(fmt_mesh_read_materials(f.reader, &m), 0);
@@ -186,7 +186,7 @@ TEST(test_missing_libraries)
 {
     struct obj_fixture f;
     obj_read_text(&f, "mtllib no such lib.mtl # c\nv 0 0 0\nf 1 1 1\n");
-    assert_string_equal(fmt_mesh_dependency(f.reader, 0), scratch_path("no such lib.mtl"));
+    assert_string_equal(fmt_mesh_dependency(f.reader, 0), "no such lib.mtl");
     assert_null(fmt_mesh_dependency(f.reader, 1));
     obj_close(&f);
 }
@@ -230,7 +230,7 @@ TEST(test_ply)
         }
         ply_put(&b, "Ciii", 3.0, 0.0, 1.0, 3.0);
         ply_end(&b);
-        const char *path = scratch_bytes("odd.ply", b.bytes, b.size);
+        const char *path = test_bytes("odd.ply", b.bytes, b.size);
         obj_read_files(&f, 2, 1, &path);
         assert_int_equal(f.status, 0);
         for (int i = 0; i < 4; i++) {
@@ -255,12 +255,11 @@ TEST(test_stl)
     for (int i = 0; i < 2; i++)
         memcpy(binary + 84 + 50 * i + 12, corners[i], sizeof corners[i]);
     const char *paths[2] = {
-        scratch_bytes("odd.stl", binary, sizeof binary),
-        scratch_text("text.stl",
-                     "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n"
-                     "vertex 1 nan 0\nvertex 0 1 0\nendloop\nendfacet\nfacet\nouter loop\n"
-                     "vertex 0 0 0\nvertex 1.#IND 0 0\nvertex 1 1 1\nendloop\nendfacet\n"
-                     "endsolid\n")};
+        test_bytes("odd.stl", binary, sizeof binary),
+        test_text("text.stl", "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\n"
+                              "vertex 1 nan 0\nvertex 0 1 0\nendloop\nendfacet\nfacet\nouter loop\n"
+                              "vertex 0 0 0\nvertex 1.#IND 0 0\nvertex 1 1 1\nendloop\nendfacet\n"
+                              "endsolid\n")};
     for (int i = 0; i < 2; i++) {
         struct obj_fixture f;
         obj_read_files(&f, 1, 1, &paths[i]);
@@ -273,4 +272,4 @@ TEST(test_stl)
     }
 }
 
-RUN_TESTS(scratch_make, scratch_remove)
+RUN_TESTS(NULL, NULL)

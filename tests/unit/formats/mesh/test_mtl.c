@@ -4,41 +4,15 @@
 #include "formats/mesh/obj_internal.h"
 #include "tests/unit/test.h"
 
-static char directory[64];
-
-static const char *write_file(const char *name, const char *text, size_t size)
-{
-    static char path[160];
-    snprintf(path, sizeof path, "%s/%s", directory, name);
-    FILE *file = fopen(path, "wb");
-    assert_non_null(file);
-    assert_int_equal(fwrite(text, 1, size, file), size);
-    fclose(file);
-    return path;
-}
-
-static int make_directory(void **state)
+static int make_files(void **state)
 {
     (void)state;
-    char path[96];
-    strcpy(directory, "/tmp/test_mtl.XXXXXX");
-    if (!mkdtemp(directory))
+    if (mkdir("sub dir", 0777))
         return -1;
-    snprintf(path, sizeof path, "%s/sub dir", directory);
-    if (mkdir(path, 0777))
-        return -1;
-    write_file("sub dir/wood grain.png", "x", 1);
-    write_file("back\\slash.png", "x", 1);
-    write_file("here.png", "x", 1);
+    test_text("sub dir/wood grain.png", "x");
+    test_text("back\\slash.png", "x");
+    test_text("here.png", "x");
     return 0;
-}
-
-static int remove_directory(void **state)
-{
-    (void)state;
-    char command[128];
-    snprintf(command, sizeof command, "rm -r %s", directory);
-    return system(command);
 }
 
 struct fixture {
@@ -71,7 +45,7 @@ static void close_fixture(struct fixture *f)
 static void read_text(struct fixture *f, const char *text)
 {
     open_fixture(f);
-    const char *path = write_file("test.mtl", text, strlen(text));
+    const char *path = test_text("test.mtl", text);
     assert_int_equal(fmt_mtl_read(f->ctx, path, "a.obj:1", false, &f->materials), 0);
 }
 
@@ -125,11 +99,10 @@ TEST(test_map_paths)
     };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         struct fixture f;
-        char text[300], expected[300];
+        char text[300];
         snprintf(text, sizeof text, "newmtl a\n%s\n", cases[i].statement);
-        snprintf(expected, sizeof expected, "%s/%s", directory, cases[i].expected);
         read_text(&f, text);
-        assert_string_equal(f.materials.list[0].texture_path, expected);
+        assert_string_equal(f.materials.list[0].texture_path, cases[i].expected);
         assert_int_equal(f.warnings, 0);
         close_fixture(&f);
     }
@@ -179,7 +152,7 @@ TEST(test_warnings)
         struct fixture f;
         read_text(&f, cases[i].text);
         assert_int_equal(f.warnings, 1);
-        assert_string_equal(f.warning + strlen(directory) + 1, cases[i].warning);
+        assert_string_equal(f.warning, cases[i].warning);
         close_fixture(&f);
     }
 }
@@ -215,11 +188,11 @@ TEST(test_zero_bytes)
     static const char text[] = "newmtl a\nKd 0 1 0\nnew\0mtl b\nnewmtl c\n";
     struct fixture f;
     open_fixture(&f);
-    const char *path = write_file("test.mtl", text, sizeof text - 1);
+    const char *path = test_bytes("test.mtl", text, sizeof text - 1);
     assert_int_equal(fmt_mtl_read(f.ctx, path, "a.obj:1", false, &f.materials), 0);
     assert_int_equal(f.materials.count, 1);
     assert_int_equal(f.warnings, 1);
-    assert_string_equal(f.warning + strlen(directory) + 1,
+    assert_string_equal(f.warning,
                         "test.mtl:3: not a text file (zero byte): not read from here on");
     close_fixture(&f);
 }
@@ -238,7 +211,7 @@ TEST(test_files_append)
 {
     struct fixture f;
     read_text(&f, "newmtl a\nnewmtl b\n");
-    const char *path = write_file("more.mtl", "\xef\xbb\xbfnewmtl c\nKd 0 1 0", 20);
+    const char *path = test_bytes("more.mtl", "\xef\xbb\xbfnewmtl c\nKd 0 1 0", 20);
     assert_int_equal(fmt_mtl_read(f.ctx, path, "a.obj:1", false, &f.materials), 0);
     assert_int_equal(f.materials.count, 3);
     assert_string_equal(f.materials.list[2].name, "c");
@@ -251,10 +224,10 @@ TEST(test_every_truncated_length)
     for (size_t size = 0; size < sizeof text; size++) {
         struct fixture f;
         open_fixture(&f);
-        const char *path = write_file("cut.mtl", text, size);
+        const char *path = test_bytes("cut.mtl", text, size);
         assert_int_equal(fmt_mtl_read(f.ctx, path, "a.obj:1", false, &f.materials), 0);
         close_fixture(&f);
     }
 }
 
-RUN_TESTS(make_directory, remove_directory)
+RUN_TESTS(make_files, NULL)

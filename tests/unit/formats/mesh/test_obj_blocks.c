@@ -148,7 +148,7 @@ TEST(test_random_files)
     for (int style = 0; style < 4; style++) {
         struct model m;
         make_model(&m, style);
-        const char *path = scratch_bytes("random.obj", m.text, m.size);
+        const char *path = test_bytes("random.obj", m.text, m.size);
         for (unsigned threads = 1; threads <= 4; threads++) {
             struct obj_fixture f;
             obj_read_files(&f, threads, 1, &path);
@@ -194,7 +194,7 @@ TEST(test_block_borders)
         text[0] = '#';
         text[pad - 1] = shift % 2 ? '\n' : '\r';
         memcpy(text + pad, tail, sizeof tail - 1);
-        const char *path = scratch_bytes("border.obj", text, pad + sizeof tail - 1);
+        const char *path = test_bytes("border.obj", text, pad + sizeof tail - 1);
         struct obj_fixture f;
         obj_read_files(&f, 2, 1, &path);
         assert_int_equal(f.status, 0);
@@ -216,7 +216,7 @@ TEST(test_every_truncated_length)
 {
     for (size_t size = 0; size < sizeof small_file; size++) {
         struct obj_fixture f;
-        const char *path = scratch_bytes("cut.obj", small_file, size);
+        const char *path = test_bytes("cut.obj", small_file, size);
         obj_read_files(&f, 1, 1, &path);
         assert_true(f.status == 0 || f.status == BSQ_EDATA);
         obj_close(&f);
@@ -225,7 +225,7 @@ TEST(test_every_truncated_length)
 
 TEST(test_every_budget)
 {
-    const char *path = scratch_bytes("small.obj", small_file, sizeof small_file - 1);
+    const char *path = test_bytes("small.obj", small_file, sizeof small_file - 1);
     bool enough = false;
     for (uint64_t budget = 1; !enough; budget += budget / 16 + 64) {
         struct fmt_mesh mesh;
@@ -242,4 +242,4 @@ TEST(test_every_budget)
     }
 }
 
-RUN_TESTS(scratch_make, scratch_remove)
+RUN_TESTS(NULL, NULL)

@@ -57,7 +57,7 @@ TEST(test_headers)
         ply_expect_error(cases[i].text, strlen(cases[i].text), cases[i].message);
 }
 
-TEST(test_text)
+TEST(test_text_elements)
 {
     static const struct {
         const char *text, *message;
@@ -130,7 +130,7 @@ TEST(test_index_out_of_range)
                  encoding == PLY_TEST_ASCII ? 15 : b.size);
         ply_put(&b, "Ciii", 3.0, 0.0, 1.0, 3.0);
         ply_end(&b);
-        const char *path = scratch_bytes("bad.ply", b.bytes, b.size);
+        const char *path = test_bytes("bad.ply", b.bytes, b.size);
         struct fmt_mesh mesh;
         struct bsq_ctx *ctx = test_context(2, 64 << 20);
         assert_int_equal(fmt_mesh_load(ctx, path, false, &mesh), BSQ_EDATA);
@@ -158,7 +158,7 @@ TEST(test_large_indices)
             ply_put(&b, "f", 0.0);
         ply_put(&b, "CiiiCIIICiii", 3.0, 0.0, 1.0, 2.0, 3.0, 0.0, is_signed ? -2.0 : 4294967294.0,
                 2.0, 3.0, 2.0, 1.0, 0.0);
-        const char *path = scratch_bytes("bad.ply", b.bytes, b.size);
+        const char *path = test_bytes("bad.ply", b.bytes, b.size);
         obj_read_files(&f, 1, 1, &path);
         if (is_signed) {
             assert_int_equal(f.status, BSQ_EDATA);
@@ -197,7 +197,7 @@ TEST(test_every_length)
         const size_t whole = encoding == PLY_TEST_ASCII ? b.size - 2 : b.size;
         for (size_t size = 0; size <= b.size; size++) {
             struct obj_fixture f;
-            const char *path = scratch_bytes("cut.ply", b.bytes, size);
+            const char *path = test_bytes("cut.ply", b.bytes, size);
             obj_read_files(&f, 1, 1, &path);
             if (size < whole) {
                 assert_int_equal(f.status, BSQ_EDATA);
@@ -225,7 +225,7 @@ TEST(test_long_header_line)
     memcpy(text, start, sizeof start - 1);
     memset(text + sizeof start - 1, 'x', blanks);
     memcpy(text + sizeof start - 1 + blanks, rest, sizeof rest - 1);
-    const char *path = scratch_bytes("long.ply", text, sizeof start + blanks + sizeof rest - 2);
+    const char *path = test_bytes("long.ply", text, sizeof start + blanks + sizeof rest - 2);
     struct bsq_ctx *ctx = test_context(1, (uint64_t)200 << 20);
     struct fmt_mesh mesh;
     assert_int_equal(fmt_mesh_load(ctx, path, false, &mesh), 0);
@@ -239,7 +239,7 @@ TEST(test_long_header_line)
 
 static void note_warning(void *user, const char *line)
 {
-    strcat(user, line + strlen(scratch_directory) + 1);
+    strcat(user, line);
     strcat(user, "\n");
 }
 
@@ -251,7 +251,7 @@ TEST(test_warnings)
         .threads = 1, .memory_bytes = 64 << 20, .on_warning = note_warning, .user = warnings};
     struct bsq_ctx *ctx;
     struct fmt_mesh_reader *reader;
-    const char *path = scratch_text(
+    const char *path = test_text(
         "odd.ply",
         TEXT "element vertex 3\n" XYZ "property float quality\nproperty int flags\n"
              "property float nx\nproperty float ny\nproperty float nz\nelement face 1\n" FACES
@@ -271,4 +271,4 @@ TEST(test_warnings)
     test_context_end(ctx);
 }
 
-RUN_TESTS(scratch_make, scratch_remove)
+RUN_TESTS(NULL, NULL)

@@ -4,7 +4,6 @@
 #include <jpeglib.h>
 
 #include "formats/texture/texture.h"
-#include "tests/unit/formats/scratch.h"
 #include "tests/unit/test.h"
 
 enum { SIDE = 600 };
@@ -48,9 +47,9 @@ static struct jpeg make_jpeg(bool progressive, int restart_rows)
 static void expect(const void *bytes, size_t size, const char *reason)
 {
     struct bsq_ctx *ctx;
-    struct bsq_ctx_options options = {.threads = 2, .tmpdir = scratch_directory};
+    struct bsq_ctx_options options = {.threads = 2, .tmpdir = "."};
     struct fmt_textures *textures = NULL;
-    const struct fmt_texture_source source = {.path = scratch_bytes("a.jpg", bytes, size)};
+    const struct fmt_texture_source source = {.path = test_bytes("a.jpg", bytes, size)};
     char expected[300];
     assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
     const int status = fmt_textures_open(ctx, &source, 1, 12 << 20, &textures);
@@ -90,10 +89,10 @@ TEST(test_zeros_in_the_middle)
         char message[256];
         memset(jpeg.bytes + jpeg.size / 2, 0, 200);
         struct bsq_ctx *ctx;
-        struct bsq_ctx_options options = {.threads = 1, .tmpdir = scratch_directory};
+        struct bsq_ctx_options options = {.threads = 1, .tmpdir = "."};
         struct fmt_textures *textures;
-        const struct fmt_texture_source source = {
-            .path = scratch_bytes("a.jpg", jpeg.bytes, jpeg.size)};
+        const struct fmt_texture_source source = {.path =
+                                                      test_bytes("a.jpg", jpeg.bytes, jpeg.size)};
         assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
         assert_int_equal(fmt_textures_open(ctx, &source, 1, 12 << 20, &textures), BSQ_EDATA);
         snprintf(message, sizeof message, "%s: damaged image: Corrupt JPEG data: ", source.path);
@@ -127,11 +126,11 @@ TEST(test_a_part_of_a_file)
     assert_non_null(file);
     memset(file, 'x', 1000);
     memcpy(file + 1000, jpeg.bytes, jpeg.size);
-    const char *path = scratch_bytes("a.glb", file, jpeg.size + 1000);
+    const char *path = test_bytes("a.glb", file, jpeg.size + 1000);
     for (int whole = 0; whole < 2; whole++) {
         char part[200];
         struct bsq_ctx *ctx;
-        struct bsq_ctx_options options = {.threads = 1, .tmpdir = scratch_directory};
+        struct bsq_ctx_options options = {.threads = 1, .tmpdir = "."};
         struct fmt_textures *textures = NULL;
         const struct fmt_texture_source source = {.path = part};
         snprintf(part, sizeof part, "%s#bytes=1000+%lu", path, whole ? jpeg.size : jpeg.size / 4);
@@ -145,4 +144,4 @@ TEST(test_a_part_of_a_file)
     free(jpeg.bytes);
 }
 
-RUN_TESTS(scratch_make, scratch_remove)
+RUN_TESTS(NULL, NULL)

@@ -14,7 +14,6 @@
 #include "base/parallel.h"
 #include "formats/texture/texture.h"
 #include "tests/unit/test.h"
-#include "tests/unit/formats/scratch.h"
 
 /* ---- a replacement of a function of the C library ---- */
 
@@ -72,7 +71,7 @@ static struct picture make_picture(int width, int height, int channels)
 
 static const char *write_png(const char *name, const struct picture *p)
 {
-    const char *path = scratch_path(name);
+    const char *path = name;
     png_image image = {.version = PNG_IMAGE_VERSION,
                        .width = (png_uint_32)p->width,
                        .height = (png_uint_32)p->height,
@@ -85,7 +84,7 @@ static const char *write_png(const char *name, const struct picture *p)
 
 static const char *write_jpeg(const char *name, const struct picture *p, bool progressive)
 {
-    const char *path = scratch_path(name);
+    const char *path = name;
     struct jpeg_compress_struct jpeg;
     struct jpeg_error_mgr errors;
     FILE *file = fopen(path, "wb");
@@ -161,8 +160,7 @@ struct fixture {
 static int open_textures(struct fixture *f, const char *const *paths, uint32_t count,
                          uint64_t cache)
 {
-    struct bsq_ctx_options options = {
-        .threads = 3, .memory_bytes = 256 << 20, .tmpdir = scratch_directory};
+    struct bsq_ctx_options options = {.threads = 3, .memory_bytes = 256 << 20, .tmpdir = "."};
     struct fmt_texture_source *sources = calloc(count, sizeof *sources);
     assert_non_null(sources);
     for (uint32_t i = 0; i < count; i++)
@@ -343,7 +341,7 @@ TEST(test_threads_see_the_same)
 TEST(test_float_image_is_linear)
 {
     static const float rows[2][3] = {{0.25f, 4, -1}, {0.5f, 0, 0}};
-    const char *path = scratch_path("linear.pfm");
+    const char *path = "linear.pfm";
     FILE *file = fopen(path, "wb");
     assert_non_null(file);
     fprintf(file, "PF\n1 2\n-1.0\n");
@@ -361,7 +359,7 @@ TEST(test_float_image_is_linear)
 TEST(test_texels_that_are_not_finite)
 {
     enum { SIDE = 128 };
-    const char *path = scratch_path("broken.pfm");
+    const char *path = "broken.pfm";
     FILE *file = fopen(path, "wb");
     assert_non_null(file);
     fprintf(file, "PF\n%d %d\n-1.0\n", SIDE, SIDE);
@@ -386,23 +384,20 @@ TEST(test_texels_that_are_not_finite)
 TEST(test_bad_files)
 {
     struct fixture f;
-    const char *path = scratch_path("missing.png");
+    const char *path = "missing.png";
     assert_int_equal(open_textures(&f, &path, 1, 1), BSQ_ENOINPUT);
     assert_non_null(strstr(bsq_error(f.ctx), "missing.png"));
     close_fixture(&f);
 
-    path = scratch_path("text.png");
-    FILE *file = fopen(path, "wb");
-    assert_non_null(file);
-    fputs("this is no picture", file);
-    fclose(file);
+    path = "text.png";
+    test_text(path, "this is no picture");
     assert_int_equal(open_textures(&f, &path, 1, 1), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(f.ctx), "text.png"));
     assert_null(strchr(bsq_error(f.ctx), '\n'));
     close_fixture(&f);
 
-    path = scratch_path("cut.ppm");
-    file = fopen(path, "wb");
+    path = "cut.ppm";
+    FILE *file = fopen(path, "wb");
     assert_non_null(file);
     fprintf(file, "P6\n300 300\n255\n%050000d", 0);
     fclose(file);
@@ -427,10 +422,10 @@ static void expect_refusal(const char *path, int expected, const char *text)
 
 TEST(test_only_regular_files)
 {
-    const char *path = scratch_path("pipe.png");
+    const char *path = "pipe.png";
     assert_int_equal(mkfifo(path, 0600), 0);
     expect_refusal(path, BSQ_ENOINPUT, "pipe.png: not a regular file");
-    expect_refusal(scratch_directory, BSQ_ENOINPUT, "Is a directory");
+    expect_refusal(".", BSQ_ENOINPUT, "Is a directory");
     expect_refusal("/dev/zero", BSQ_ENOINPUT, "/dev/zero: not a regular file");
 }
 
@@ -448,7 +443,7 @@ TEST(test_other_formats_are_refused)
         {"empty.png", ""},
     };
     for (size_t i = 0; i < sizeof texts / sizeof *texts; i++)
-        expect_refusal(scratch_text(texts[i][0], texts[i][1]), BSQ_EDATA,
+        expect_refusal(test_text(texts[i][0], texts[i][1]), BSQ_EDATA,
                        "not a readable image: it is no PNG, JPEG, TIFF");
     expect_refusal("http://127.0.0.1:9/a.png", BSQ_ENOINPUT, "No such file or directory");
 }
@@ -463,7 +458,7 @@ TEST(test_excessive_exr_header)
         snprintf(to, EACH, "a%04x", i);
         memcpy(to + 6, "int\0\4", 6);
     }
-    expect_refusal(scratch_bytes("many.exr", bytes, sizeof bytes), BSQ_EDATA,
+    expect_refusal(test_bytes("many.exr", bytes, sizeof bytes), BSQ_EDATA,
                    "not a readable image: the header has more than 4096 attributes");
 }
 
@@ -501,8 +496,7 @@ TEST(test_whole_images_beyond_the_budget)
         snprintf(text, sizeof text,
                  "its 30000 x 30000 texels need %u MiB of memory, 255 MiB are left",
                  cases[i].mebibytes);
-        expect_refusal(scratch_bytes(cases[i].name, cases[i].bytes, cases[i].size), BSQ_ENOMEM,
-                       text);
+        expect_refusal(test_bytes(cases[i].name, cases[i].bytes, cases[i].size), BSQ_ENOMEM, text);
     }
 }
 
@@ -510,7 +504,7 @@ TEST(test_whole_images_beyond_the_budget)
 static const char *write_png_rows(const char *name, const struct picture *p, int bits,
                                   bool linear_light, int interlace)
 {
-    const char *path = scratch_path(name);
+    const char *path = name;
     FILE *file = fopen(path, "wb");
     png_structp png = png_create_write_struct(PNG_LIBPNG_VER_STRING, NULL, NULL, NULL);
     png_infop info = png_create_info_struct(png);
@@ -570,7 +564,7 @@ TEST(test_damaged_headers)
     } cases[] = {
         {"d.png", png, sizeof png}, {"w.png", wide, sizeof wide}, {"d.jp2", jp2, sizeof jp2}};
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++)
-        expect_refusal(scratch_bytes(cases[i].name, cases[i].bytes, cases[i].size), BSQ_EDATA,
+        expect_refusal(test_bytes(cases[i].name, cases[i].bytes, cases[i].size), BSQ_EDATA,
                        "not a readable image: ");
 }
 
@@ -578,7 +572,7 @@ TEST(test_damaged_headers)
 TEST(test_damage_prints_nothing)
 {
     struct picture p = make_picture(20, 30, 3);
-    const char *path = write_png("damaged.png", &p), *log = scratch_path("stderr");
+    const char *path = write_png("damaged.png", &p), *log = "stderr";
     uint8_t bytes[4096];
     FILE *file = fopen(path, "rb");
     size_t size = fread(bytes, 1, sizeof bytes, file);
@@ -590,7 +584,7 @@ TEST(test_damage_prints_nothing)
     for (size_t at = 8; at < size; at += 7) {
         bytes[at] ^= 0x5a;
         struct fixture f;
-        path = scratch_bytes("damaged.png", bytes, at % 2 ? size : at);
+        path = test_bytes("damaged.png", bytes, at % 2 ? size : at);
         refused += open_textures(&f, &path, 1, 12 << 20) != 0;
         close_fixture(&f);
         bytes[at] ^= 0x5a;
@@ -674,8 +668,7 @@ TEST(test_file_that_changes)
 /* Opens an image as a source of alpha. */
 static void open_alpha(struct fixture *f, const char *path)
 {
-    const struct bsq_ctx_options options = {
-        .threads = 2, .memory_bytes = 256 << 20, .tmpdir = scratch_directory};
+    const struct bsq_ctx_options options = {.threads = 2, .memory_bytes = 256 << 20, .tmpdir = "."};
     const struct fmt_texture_source source = {.path = path, .alpha = true};
     assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
     assert_int_equal(fmt_textures_open(f->ctx, &source, 1, 32 << 20, &f->textures), 0);
@@ -702,7 +695,7 @@ TEST(test_alpha)
         close_fixture(&f);
     }
     struct fixture f; /* colours are not multiplied by alpha */
-    open_one(&f, scratch_path("rgba.png"));
+    open_one(&f, "rgba.png");
     assert_true(fmt_texture_has_alpha(f.textures, 0));
     assert_sample(&f, 0.25, 0.5, 0, 0, 1, 0, 0, 1e-6);
     close_fixture(&f);
@@ -722,4 +715,4 @@ TEST(test_alpha_of_an_interlaced_image)
     close_fixture(&f);
 }
 
-RUN_TESTS(scratch_make, scratch_remove)
+RUN_TESTS(NULL, NULL)

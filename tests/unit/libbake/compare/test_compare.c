@@ -49,48 +49,25 @@ TEST(lab_of_known_colours)
 
 /* ---- maps of known errors ---- */
 
-struct fixture {
-    struct bsq_ctx *ctx;
-    char directory[32];
-};
-
 static int set_up(void **state)
 {
-    struct fixture *f = calloc(1, sizeof *f);
-    snprintf(f->directory, sizeof f->directory, "/tmp/bsq-compare-XXXXXX");
-    assert_non_null(mkdtemp(f->directory));
-    assert_int_equal(
-        bsq_ctx_create(&(struct bsq_ctx_options){.memory_bytes = 64 << 20, .threads = 2}, &f->ctx),
-        0);
-    *state = f;
+    *state = test_context(2, 64 << 20);
     return 0;
 }
 
 static int tear_down(void **state)
 {
-    struct fixture *f = *state;
-    char command[64];
-    bsq_ctx_destroy(f->ctx);
-    snprintf(command, sizeof command, "rm -r %s", f->directory);
-    assert_int_equal(system(command), 0);
-    free(f);
+    bsq_ctx_destroy(*state);
     return 0;
 }
 #define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
 
-static char *path_in(const struct fixture *f, const char *name)
-{
-    char *path;
-    assert_true(asprintf(&path, "%s/%s", f->directory, name) > 0);
-    return path;
-}
-
 enum { WIDTH = 10, HEIGHT = 10 };
 
 /* Writes a map whose texel i holds value(i), with `map` as its attribute bisque:map unless NULL.
- * Returns its path; free() it. */
-static char *write_map(struct fixture *f, const char *name, uint32_t channels,
-                       void (*value)(unsigned i, float *out), const char *map)
+ * Returns its path. */
+static const char *write_map(struct bsq_ctx *ctx, const char *name, uint32_t channels,
+                             void (*value)(unsigned i, float *out), const char *map)
 {
     const struct fmt_image_attribute attribute = {"bisque:map", map};
     const struct fmt_image_options options = {.width = WIDTH,
@@ -101,13 +78,12 @@ static char *write_map(struct fixture *f, const char *name, uint32_t channels,
                                               .attribute_count = map ? 1 : 0};
     struct fmt_image_writer *writer;
     float samples[WIDTH * HEIGHT * 3];
-    char *path = path_in(f, name);
     for (unsigned i = 0; i < WIDTH * HEIGHT; i++)
         value(i, samples + i * channels);
-    assert_int_equal(fmt_image_create(f->ctx, &fmt_exr_format, path, &options, &writer), 0);
+    assert_int_equal(fmt_image_create(ctx, &fmt_exr_format, name, &options, &writer), 0);
     assert_int_equal(fmt_image_write_rows(writer, samples, HEIGHT), 0);
     assert_int_equal(test_commit_image(writer), 0);
-    return path;
+    return name;
 }
 
 static void upright(unsigned i, float *out)
@@ -151,12 +127,12 @@ static void grey(unsigned i, float *out)
 
 FIXTURE_TEST(angles_have_the_right_distribution)
 {
-    struct fixture *f = *state;
+    struct bsq_ctx *ctx = *state;
     struct bake_compare_report r;
-    char *a = write_map(f, "a.exr", 3, tilted, "normal"),
-         *b = write_map(f, "b.exr", 3, upright, "normal");
+    const char *a = write_map(ctx, "a.exr", 3, tilted, "normal"),
+               *b = write_map(ctx, "b.exr", 3, upright, "normal");
     assert_int_equal(
-        bake_compare(f->ctx, &(struct bake_compare_options){.a_path = a, .b_path = b}, &r), 0);
+        bake_compare(ctx, &(struct bake_compare_options){.a_path = a, .b_path = b}, &r), 0);
     assert_int_equal(r.kind, BAKE_COMPARE_NORMAL);
     assert_int_equal(r.compared, 100);
     assert_true(fabs(r.mean - 4.95) < 1e-3);
@@ -166,72 +142,68 @@ FIXTURE_TEST(angles_have_the_right_distribution)
     assert_true(fabs(r.max - 9.9) < 1e-3);
     assert_true(r.max_x == 9 && r.max_y == 9);
     assert_true(fabs(r.above_5 - 0.49) < 0.011); /* 5.0 itself may round to either side */
-    free(a), free(b);
 }
 
 FIXTURE_TEST(masks_give_the_agreement)
 {
-    struct fixture *f = *state;
+    struct bsq_ctx *ctx = *state;
     struct bake_compare_report r;
-    char *a = write_map(f, "a.exr", 3, tilted, NULL), *b = write_map(f, "b.exr", 3, upright, NULL);
-    char *ma = write_map(f, "ma.exr", 1, upper_half, NULL),
-         *mb = write_map(f, "mb.exr", 1, lower_half, NULL);
+    const char *a = write_map(ctx, "a.exr", 3, tilted, NULL),
+               *b = write_map(ctx, "b.exr", 3, upright, NULL);
+    const char *ma = write_map(ctx, "ma.exr", 1, upper_half, NULL),
+               *mb = write_map(ctx, "mb.exr", 1, lower_half, NULL);
     struct bake_compare_options options = {
         .a_path = a, .b_path = b, .a_mask_path = ma, .b_mask_path = mb};
-    assert_int_equal(bake_compare(f->ctx, &options, &r), 0);
+    assert_int_equal(bake_compare(ctx, &options, &r), 0);
     assert_int_equal(r.kind, BAKE_COMPARE_NORMAL); /* recognised by the values */
     assert_int_equal(r.compared, 20);
     assert_int_equal(r.only_a, 40);
     assert_int_equal(r.only_b, 40);
     assert_true(fabs(r.agreement - 0.2) < 1e-12);
     assert_true(fabs(r.mean - 4.95) < 1e-3); /* 4.0 .. 5.9 */
-    free(a), free(b), free(ma), free(mb);
 }
 
 FIXTURE_TEST(data_has_absolute_and_relative_errors)
 {
-    struct fixture *f = *state;
+    struct bsq_ctx *ctx = *state;
     struct bake_compare_report r;
-    char *a = write_map(f, "a.exr", 1, steeper_ramp, NULL),
-         *b = write_map(f, "b.exr", 1, ramp, NULL);
+    const char *a = write_map(ctx, "a.exr", 1, steeper_ramp, NULL),
+               *b = write_map(ctx, "b.exr", 1, ramp, NULL);
     assert_int_equal(
-        bake_compare(f->ctx, &(struct bake_compare_options){.a_path = a, .b_path = b}, &r), 0);
+        bake_compare(ctx, &(struct bake_compare_options){.a_path = a, .b_path = b}, &r), 0);
     assert_int_equal(r.kind, BAKE_COMPARE_DATA);
     assert_true(fabs(r.mean - 49.5) < 1e-9);
     assert_true(fabs(r.relative_max - 0.5) < 1e-9);
     assert_true(fabs(r.relative_mean - 0.5 * 99 / 100) < 1e-9);
-    free(a), free(b);
 }
 
 FIXTURE_TEST(equal_colours_have_no_noise)
 {
-    struct fixture *f = *state;
+    struct bsq_ctx *ctx = *state;
     struct bake_compare_report r;
-    char *a = write_map(f, "a.exr", 3, grey, "color"), *heat = path_in(f, "heat.png"),
-         *hist = path_in(f, "hist.png");
+    const char *a = write_map(ctx, "a.exr", 3, grey, "color"), *heat = "heat.png",
+               *hist = "hist.png";
     struct bake_compare_options options = {
         .a_path = a, .b_path = a, .heatmap_path = heat, .histogram_path = hist};
-    assert_int_equal(bake_compare(f->ctx, &options, &r), 0);
+    assert_int_equal(bake_compare(ctx, &options, &r), 0);
     assert_int_equal(r.kind, BAKE_COMPARE_COLOR);
     assert_true(r.max == 0 && isinf(r.psnr));
     assert_int_equal(access(heat, R_OK), 0);
     assert_int_equal(access(hist, R_OK), 0);
-    free(a), free(heat), free(hist);
 }
 
 FIXTURE_TEST(different_sizes_and_channels_are_refused)
 {
-    struct fixture *f = *state;
+    struct bsq_ctx *ctx = *state;
     struct bake_compare_report r;
-    char *a = write_map(f, "a.exr", 3, grey, NULL), *b = write_map(f, "b.exr", 1, ramp, NULL);
+    const char *a = write_map(ctx, "a.exr", 3, grey, NULL),
+               *b = write_map(ctx, "b.exr", 1, ramp, NULL);
     assert_int_equal(
-        bake_compare(f->ctx, &(struct bake_compare_options){.a_path = a, .b_path = b}, &r),
-        BSQ_EDATA);
-    bsq_clear_error(f->ctx);
+        bake_compare(ctx, &(struct bake_compare_options){.a_path = a, .b_path = b}, &r), BSQ_EDATA);
+    bsq_clear_error(ctx);
     struct bake_compare_options options = {
         .a_path = a, .b_path = a, .a_mask_path = b, .b_mask_path = "/nowhere.exr"};
-    assert_int_equal(bake_compare(f->ctx, &options, &r), BSQ_ENOINPUT);
-    free(a), free(b);
+    assert_int_equal(bake_compare(ctx, &options, &r), BSQ_ENOINPUT);
 }
 
 /* A ramp in which NaN and both infinities stand at 10, 20 and 30. */
@@ -252,15 +224,15 @@ static void never_finite(unsigned i, float *out)
 
 FIXTURE_TEST(values_that_are_not_finite_are_counted)
 {
-    struct fixture *f = *state;
+    struct bsq_ctx *ctx = *state;
     struct bake_compare_report r;
-    char *a = write_map(f, "a.exr", 1, spoiled_ramp, NULL), *heat = path_in(f, "heat.png");
-    char *b = write_map(f, "b.exr", 1, ramp, NULL);
-    char *mask = write_map(f, "m.exr", 1, spoiled_mask, NULL);
+    const char *a = write_map(ctx, "a.exr", 1, spoiled_ramp, NULL), *heat = "heat.png";
+    const char *b = write_map(ctx, "b.exr", 1, ramp, NULL);
+    const char *mask = write_map(ctx, "m.exr", 1, spoiled_mask, NULL);
     struct bake_compare_options options = {.a_path = a, .b_path = b, .heatmap_path = heat};
     for (int i = 0; i < 2; i++) {
         options.ignore_nan = i == 1;
-        assert_int_equal(bake_compare(f->ctx, &options, &r), 0);
+        assert_int_equal(bake_compare(ctx, &options, &r), 0);
         assert_int_equal(r.compared, 97);
         assert_int_equal(r.not_finite, 3);
         assert_int_equal(r.not_finite_a, 3);
@@ -269,39 +241,37 @@ FIXTURE_TEST(values_that_are_not_finite_are_counted)
         assert_true(isfinite(r.relative_mean) && r.relative_max == 1);
     }
     options.b_mask_path = mask;
-    assert_int_equal(bake_compare(f->ctx, &options, &r), 0);
+    assert_int_equal(bake_compare(ctx, &options, &r), 0);
     assert_int_equal(r.compared, 46);
     assert_int_equal(r.not_finite, 4);
     assert_int_equal(r.not_finite_a, 3);
     assert_int_equal(r.not_finite_b, 1);
     assert_int_equal(r.only_a, 50);
     assert_true(r.agreement == 0.5);
-    free(a), free(b), free(mask), free(heat);
 }
 
 /* Whatever the kind, maps without a finite value have infinite figures, or are an error. */
 FIXTURE_TEST(maps_without_finite_values_have_no_figures)
 {
-    struct fixture *f = *state;
+    struct bsq_ctx *ctx = *state;
     struct bake_compare_report r;
-    char *a = write_map(f, "a.exr", 3, never_finite, NULL),
-         *b = write_map(f, "b.exr", 3, grey, NULL);
-    char *heat = path_in(f, "heat.png"), *hist = path_in(f, "hist.png");
+    const char *a = write_map(ctx, "a.exr", 3, never_finite, NULL),
+               *b = write_map(ctx, "b.exr", 3, grey, NULL);
+    const char *heat = "heat.png", *hist = "hist.png";
     for (int kind = BAKE_COMPARE_AUTO; kind <= BAKE_COMPARE_DATA; kind++) {
         struct bake_compare_options options = {.a_path = kind % 2 ? a : b,
                                                .b_path = kind % 2 ? b : a,
                                                .heatmap_path = heat,
                                                .histogram_path = hist,
                                                .kind = (enum bake_compare_kind)kind};
-        assert_int_equal(bake_compare(f->ctx, &options, &r), 0);
+        assert_int_equal(bake_compare(ctx, &options, &r), 0);
         assert_true(r.compared == 0 && r.not_finite == 100);
         assert_true(isinf(r.mean) && isinf(r.median) && isinf(r.max) && isinf(r.relative_max));
         assert_true(r.psnr < 0 && isinf(r.psnr) && r.agreement == 1);
         options.ignore_nan = true;
-        assert_int_equal(bake_compare(f->ctx, &options, &r), BSQ_EDATA);
-        bsq_clear_error(f->ctx);
+        assert_int_equal(bake_compare(ctx, &options, &r), BSQ_EDATA);
+        bsq_clear_error(ctx);
     }
-    free(a), free(b), free(heat), free(hist);
 }
 
 RUN_TESTS(NULL, NULL)

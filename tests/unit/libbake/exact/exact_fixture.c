@@ -2,9 +2,6 @@
 #include "tests/unit/fixture.h"
 #include "tests/unit/libbake/exact/exact_fixture.h"
 
-static char directory[64];
-char exact_scan_path[96], exact_picture_path[96];
-
 /* ---- random numbers ---- */
 
 uint64_t exact_seed = 20081;
@@ -149,25 +146,4 @@ struct bake_exact_hit exact_trace_one(const struct exact_setup *setup, float x, 
     struct bake_exact_hit hit;
     exact_trace(setup, &ray, 1, &hit);
     return hit;
-}
-
-/* ---- files ---- */
-
-int exact_make_directory(void **state)
-{
-    (void)state;
-    strcpy(directory, "/tmp/bsq-exact-XXXXXX");
-    if (!mkdtemp(directory))
-        return -1;
-    snprintf(exact_scan_path, sizeof exact_scan_path, "%s/scan.tris", directory);
-    snprintf(exact_picture_path, sizeof exact_picture_path, "%s/picture.png", directory);
-    return 0;
-}
-
-int exact_remove_directory(void **state)
-{
-    (void)state;
-    unlink(exact_scan_path);
-    unlink(exact_picture_path);
-    return rmdir(directory);
 }

@@ -6,10 +6,7 @@
 #include "libbake/exact/exact.h"
 #include "tests/unit/libbake/triangle_scan.h"
 
-/* Files in a directory of the test program, which these create and remove for cmocka. */
-extern char exact_scan_path[96], exact_picture_path[96];
-int exact_make_directory(void **state);
-int exact_remove_directory(void **state);
+#define exact_scan_path "scan.tris"
 
 /* State of the random numbers; main prints it as the seed. */
 extern uint64_t exact_seed;

@@ -183,5 +183,5 @@ TEST(test_damaged_chunk_is_reported)
 int main(void)
 {
     print_message("seed %llu\n", (unsigned long long)exact_seed);
-    return test_run(exact_make_directory, exact_remove_directory);
+    return test_run(NULL, NULL);
 }

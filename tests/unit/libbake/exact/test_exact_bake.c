@@ -9,8 +9,9 @@
 enum { SIZE = 96, SIDE = 300 /* quads of the sheet */ };
 static const double origin[3] = {500000.25, -31, 7};
 
-static char directory[64], low_path[96];
-static char scan_paths[3][96]; /* the same sheet in chunks of different sizes */
+static const char low_path[] = "low.obj";
+static const char *const scan_paths[] = {
+    "scan0.tris", "scan1.tris", "scan2.tris"}; /* the same sheet in chunks of different sizes */
 static const uint32_t chunk_sizes[3] = {60000, 7001, 500};
 
 /* The low-poly mesh spans 0 .. 1 x 0 .. 1 at height 0, the sheet 0.1 more on each side. */
@@ -54,40 +55,17 @@ static struct triangle_scan make_sheet(void)
 static int make_scene(void **state)
 {
     (void)state;
-    strcpy(directory, "/tmp/bsq-exact-bake-XXXXXX");
-    if (!mkdtemp(directory))
-        return -1;
     struct triangle_scan sheet = make_sheet();
     for (int i = 0; i < 3; i++) {
-        snprintf(scan_paths[i], sizeof scan_paths[i], "%s/scan%d.tris", directory, i);
         triangle_scan_write(&sheet, origin, chunk_sizes[i], scan_paths[i]);
     }
     triangle_scan_free(&sheet);
-    snprintf(low_path, sizeof low_path, "%s/low.obj", directory);
     FILE *file = fopen(low_path, "w");
     for (int i = 0; i < 4; i++)
         fprintf(file, "v %.17g %.17g %.17g\nvt %d %d\n", origin[0] + (i & 1), origin[1] + (i >> 1),
                 origin[2], i & 1, i >> 1);
     fprintf(file, "f 1/1 2/2 4/4 3/3\n");
     return fclose(file);
-}
-
-static int remove_scene(void **state)
-{
-    (void)state;
-    for (int i = 0; i < 3; i++)
-        unlink(scan_paths[i]);
-    unlink(low_path);
-    return rmdir(directory); /* fails if a bake left files */
-}
-
-static const char *in_directory(const char *name)
-{
-    static char path[4][128];
-    static int next;
-    char *out = path[next = (next + 1) % 4];
-    snprintf(out, sizeof path[0], "%s/%s", directory, name);
-    return out;
 }
 
 static struct bake_options options_for(int scan, const char *output)
@@ -125,7 +103,7 @@ TEST(test_maps_are_those_of_the_formula)
 {
     struct bsq_ctx *ctx = test_context(2, 0);
     for (int space = 0; space < 2; space++) {
-        struct bake_options options = options_for(1, in_directory("<MAP>.exr"));
+        struct bake_options options = options_for(1, "<MAP>.exr");
         struct bake_report report;
         struct fmt_exr_image normal, color;
         double worst = 0, worst_color = 0;
@@ -138,8 +116,8 @@ TEST(test_maps_are_those_of_the_formula)
         /* 1.5 times the largest height, and two details of 1.2 / 2048. */
         assert_true(report.front > 0.07 * 1.49 && report.front < 0.07 * 1.5 + 0.0012);
         assert_non_null(strstr(report.device, "exact"));
-        assert_int_equal(fmt_exr_read(ctx, in_directory("normal.exr"), &normal), 0);
-        assert_int_equal(fmt_exr_read(ctx, in_directory("color.exr"), &color), 0);
+        assert_int_equal(fmt_exr_read(ctx, "normal.exr", &normal), 0);
+        assert_int_equal(fmt_exr_read(ctx, "color.exr", &color), 0);
         assert_string_equal(fmt_exr_image_attribute(&normal, "bisque:sampling"), "exact");
         for (uint32_t i = 0; i < SIZE * SIZE; i++) {
             uint32_t column = i % SIZE, row = i / SIZE;
@@ -158,22 +136,10 @@ TEST(test_maps_are_those_of_the_formula)
         assert_true(worst_color < 5e-3);
         fmt_exr_image_free(ctx, &normal);
         fmt_exr_image_free(ctx, &color);
-        unlink(in_directory("normal.exr"));
-        unlink(in_directory("color.exr"));
+        unlink("normal.exr");
+        unlink("color.exr");
     }
     test_context_end(ctx);
-}
-
-static uint64_t file_hash(const char *path)
-{
-    FILE *file = fopen(path, "rb");
-    uint64_t hash = UINT64_C(1469598103934665603);
-    assert_non_null(file);
-    for (int c; (c = fgetc(file)) != EOF;)
-        hash = (hash ^ (uint64_t)c) * UINT64_C(1099511628211);
-    fclose(file);
-    unlink(path);
-    return hash;
 }
 
 TEST(test_bytes_depend_on_neither_chunks_nor_threads_nor_budget)
@@ -187,16 +153,16 @@ TEST(test_bytes_depend_on_neither_chunks_nor_threads_nor_budget)
     for (unsigned c = 0; c < sizeof cases / sizeof *cases; c++) {
         static const char *const names[3] = {"normal.exr", "color.exr", "look.png"};
         struct bsq_ctx *ctx = test_context(cases[c].threads, cases[c].memory);
-        struct bake_options options = options_for(cases[c].scan, in_directory("<MAP>.exr"));
+        struct bake_options options = options_for(cases[c].scan, "<MAP>.exr");
         struct bake_report report;
         options.samples = TEST_SANITIZED ? 1 : 3;
         if (cases[c].memory == 0 || cases[c].memory > 16 << 20)
-            options.preview_path = in_directory("look.png");
+            options.preview_path = "look.png";
         bake(ctx, &options, &report);
         if (cases[c].memory > 0)
             assert_true(bsq_memory_high(ctx) <= cases[c].memory);
         for (int i = 0; i < (options.preview_path ? 3 : 2); i++) {
-            uint64_t hash = file_hash(in_directory(names[i]));
+            uint64_t hash = test_take_hash(names[i]);
             if (c == 0)
                 expected[i] = hash;
             assert_true(hash == expected[i]);
@@ -208,14 +174,14 @@ TEST(test_bytes_depend_on_neither_chunks_nor_threads_nor_budget)
 TEST(test_flat_normals)
 {
     struct bsq_ctx *ctx = test_context(1, 0);
-    struct bake_options options = options_for(0, in_directory("n.exr"));
+    struct bake_options options = options_for(0, "n.exr");
     struct bake_report report;
     struct fmt_exr_image image;
     options.maps = BAKE_MAP_NORMAL;
     options.samples = 1;
     options.scan_normals = BSQ_SCAN_NORMALS_FLAT;
     bake(ctx, &options, &report);
-    assert_int_equal(fmt_exr_read(ctx, in_directory("n.exr"), &image), 0);
+    assert_int_equal(fmt_exr_read(ctx, "n.exr", &image), 0);
     /* Finds the quad and the triangle that texel (10, 20) lies in. */
     double x = 10.5 / SIZE, y = 1 - 20.5 / SIZE, step = 1.2 / SIDE;
     double i = floor((x + 0.1) / step), j = floor((y + 0.1) / step);
@@ -229,7 +195,7 @@ TEST(test_flat_normals)
     assert_true(fabs(2 * channel(&image, 10, 20, "R") - 1 - n[0] / length) < 1e-4);
     assert_true(fabs(2 * channel(&image, 10, 20, "G") - 1 - n[1] / length) < 1e-4);
     fmt_exr_image_free(ctx, &image);
-    unlink(in_directory("n.exr"));
+    unlink("n.exr");
     test_context_end(ctx);
 }
 
@@ -245,27 +211,27 @@ static void expect_failure(const struct bake_options *options, int expected, con
 
 TEST(test_errors_name_the_reason)
 {
-    struct bake_options options = options_for(0, in_directory("<MAP>.exr"));
+    struct bake_options options = options_for(0, "<MAP>.exr");
     options.sampling = BAKE_NEAREST;
     expect_failure(&options, BSQ_EUSAGE, "triangles");
-    options = options_for(0, in_directory("<MAP>.exr"));
+    options = options_for(0, "<MAP>.exr");
     options.device = "opencl:0";
     expect_failure(&options, BSQ_EUSAGE, "opencl:0");
-    options = options_for(0, in_directory("<MAP>.exr"));
+    options = options_for(0, "<MAP>.exr");
     options.front = options.back = 0.001;
     expect_failure(&options, BSQ_EDATA, "no ray hit");
-    options = options_for(0, in_directory("<MAP>.exr"));
+    options = options_for(0, "<MAP>.exr");
     options.scan_path = low_path;
     expect_failure(&options, BSQ_EDATA, "low.obj");
     /* A chart that is too small to contain a sample. */
-    FILE *file = fopen(in_directory("tiny.obj"), "w");
+    FILE *file = fopen("tiny.obj", "w");
     fprintf(file, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.5 0.5\nvt 0.5001 0.5\nvt 0.5 0.5001\n"
                   "f 1/1 2/2 3/3\n");
     fclose(file);
-    options = options_for(0, in_directory("<MAP>.exr"));
-    options.mesh_path = in_directory("tiny.obj");
+    options = options_for(0, "<MAP>.exr");
+    options.mesh_path = "tiny.obj";
     expect_failure(&options, BSQ_EDATA, "no texel lies in a triangle");
-    unlink(in_directory("tiny.obj"));
+    unlink("tiny.obj");
 }
 
-RUN_TESTS(make_scene, remove_scene)
+RUN_TESTS(make_scene, NULL)

@@ -12,27 +12,16 @@ static const char *const more_meshes[] = {"/scans/m.ply"};
 static const struct bake_tile_size size_option = {1012, 64, 300};
 static const struct bake_tile_range range_option = {1001, 1012};
 
-static char directory[64];
-
-static const char *in_directory(const char *name)
-{
-    static char path[128];
-    snprintf(path, sizeof path, "%s/%s", directory, name);
-    return path;
-}
-
 static int set_up(void **state)
 {
-    snprintf(directory, sizeof directory, "/tmp/bisque-farm.XXXXXX");
     *state = test_context(2, 0);
-    return mkdtemp(directory) ? 0 : -1;
+    return 0;
 }
 
 static int tear_down(void **state)
 {
-    unlink(in_directory("plan.json"));
-    unlink(in_directory("input"));
-    rmdir(directory);
+    unlink("plan.json");
+    unlink("input");
     test_context_end(*state);
     return 0;
 }
@@ -68,8 +57,7 @@ static struct bake_farm_plan *make_plan(struct bsq_ctx *ctx, const struct bake_o
                                         uint32_t tasks)
 {
     struct bake_farm_plan *plan;
-    assert_int_equal(bake_farm_plan_create(ctx, in_directory("plan.json"), options, tasks, &plan),
-                     0);
+    assert_int_equal(bake_farm_plan_create(ctx, "plan.json", options, tasks, &plan), 0);
     plan->block_side = 16;
     assert_int_equal(bake_farm_add_tiles(plan, sizes, TILES), 0);
     static struct bake_farm_block blocks[512];
@@ -156,14 +144,6 @@ static void assert_same(const struct bake_farm_plan *a, const struct bake_farm_p
                             sizeof *a->tiles[t].task_of * a->tiles[t].columns * a->tiles[t].rows);
 }
 
-static void write_file(const char *path, const char *bytes, size_t size)
-{
-    FILE *file = fopen(path, "wb");
-    assert_non_null(file);
-    assert_int_equal(fwrite(bytes, 1, size, file), size);
-    fclose(file);
-}
-
 /* Writes a plan with one input, and returns it and the bytes of its file. */
 static struct bake_farm_plan *write_plan(struct bsq_ctx *ctx, const struct bake_options *options,
                                          char *bytes, size_t most, size_t *size)
@@ -171,14 +151,14 @@ static struct bake_farm_plan *write_plan(struct bsq_ctx *ctx, const struct bake_
     struct bake_farm_plan *plan = make_plan(ctx, options, TASKS);
     struct bsq_file input;
     bool kept = true;
-    write_file(in_directory("input"), "some bytes", 10);
-    assert_int_equal(bsq_file_open(ctx, in_directory("input"), &input), 0);
+    test_bytes("input", "some bytes", 10);
+    assert_int_equal(bsq_file_open(ctx, "input", &input), 0);
     bsq_file_close(ctx, &input);
     assert_int_equal(bake_farm_add_inputs(plan), 0);
     assert_int_equal(plan->input_count, 1);
     assert_int_equal(bake_farm_plan_write(plan, &kept), 0);
     assert_false(kept);
-    FILE *file = fopen(in_directory("plan.json"), "rb");
+    FILE *file = fopen("plan.json", "rb");
     assert_non_null(file);
     *size = fread(bytes, 1, most, file);
     assert_true(*size < most);
@@ -197,7 +177,7 @@ FIXTURE_TEST(test_a_plan_is_read_back)
     struct bake_farm_plan *plan = write_plan(ctx, &options, bytes, sizeof bytes, &size), *read;
     assert_int_equal(bake_farm_plan_write(plan, &kept), 0);
     assert_true(kept);
-    assert_int_equal(bake_farm_plan_read(ctx, in_directory("plan.json"), &read), 0);
+    assert_int_equal(bake_farm_plan_read(ctx, "plan.json", &read), 0);
     assert_same(plan, read);
     assert_int_equal(bake_farm_check_inputs(read), 0);
     bake_farm_plan_free(read);
@@ -225,7 +205,7 @@ static void assert_refused(struct bsq_ctx *ctx)
 {
     struct bake_farm_plan *plan;
     bsq_clear_error(ctx);
-    assert_int_equal(bake_farm_plan_read(ctx, in_directory("plan.json"), &plan), BSQ_EDATA);
+    assert_int_equal(bake_farm_plan_read(ctx, "plan.json", &plan), BSQ_EDATA);
     assert_null(plan);
     assert_non_null(strstr(bsq_error(ctx), "plan.json"));
 }
@@ -248,7 +228,7 @@ FIXTURE_TEST(test_cut_and_changed_plans_are_refused)
     while (bytes[size - 1] != '}')
         size--;
     for (size_t length = 0; length < size; length += 1 + length / 64) {
-        write_file(in_directory("plan.json"), bytes, length);
+        test_bytes("plan.json", bytes, length);
         assert_refused(ctx);
     }
     for (size_t i = 0; i < size; i += 1 + i / 512) {
@@ -256,7 +236,7 @@ FIXTURE_TEST(test_cut_and_changed_plans_are_refused)
         if (was == ' ' || was == '\n' || is_fraction(i))
             continue;
         bytes[i] = was == '7' ? '3' : '7';
-        write_file(in_directory("plan.json"), bytes, size);
+        test_bytes("plan.json", bytes, size);
         assert_refused(ctx);
         bytes[i] = was;
     }
@@ -285,7 +265,7 @@ FIXTURE_TEST(test_impossible_options_are_refused)
         bake_farm_plan_free(write_plan(ctx, &options, bytes, sizeof bytes, &size));
         assert_int_equal(bake_check_options(ctx, &options), BSQ_EUSAGE);
         bsq_clear_error(ctx);
-        assert_int_equal(bake_open_plan(ctx, in_directory("plan.json"), &read), BSQ_EUSAGE);
+        assert_int_equal(bake_open_plan(ctx, "plan.json", &read), BSQ_EUSAGE);
         assert_null(read);
         bsq_clear_error(ctx);
         bsq_forget_files(ctx);
@@ -299,7 +279,7 @@ FIXTURE_TEST(test_a_changed_input_is_named)
     size_t size;
     struct bake_farm_plan *plan = write_plan(ctx, &options, bytes, sizeof bytes, &size);
     bsq_forget_files(ctx);
-    write_file(in_directory("input"), "some other", 10);
+    test_bytes("input", "some other", 10);
     assert_int_equal(bake_farm_check_inputs(plan), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(ctx), "input"));
     bsq_clear_error(ctx);

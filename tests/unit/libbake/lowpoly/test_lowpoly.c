@@ -7,7 +7,6 @@
 
 struct fixture {
     struct bsq_ctx *ctx;
-    char path[64];
     FILE *file;
     struct bake_lowmesh mesh;
     enum bake_rays rays;
@@ -18,9 +17,7 @@ static int set_up(void **state)
     struct fixture *f = calloc(1, sizeof(*f));
     if (f == NULL || bsq_ctx_create(&(struct bsq_ctx_options){.threads = 1}, &f->ctx) < 0)
         return -1;
-    strcpy(f->path, "/tmp/test_lowmesh_XXXXXX.obj");
-    int fd = mkstemps(f->path, 4);
-    f->file = fd < 0 ? NULL : fdopen(fd, "w");
+    f->file = fopen("low.obj", "w");
     *state = f;
     return f->file ? 0 : -1;
 }
@@ -28,7 +25,6 @@ static int set_up(void **state)
 static int tear_down(void **state)
 {
     struct fixture *f = *state;
-    unlink(f->path);
     bake_lowmesh_free(f->ctx, &f->mesh);
     if (bsq_memory_used(f->ctx) > 0)
         return -1;
@@ -47,7 +43,7 @@ static int load_file(struct fixture *f, const char *path)
 static void load(struct fixture *f)
 {
     assert_int_equal(fclose(f->file), 0);
-    if (load_file(f, f->path) < 0)
+    if (load_file(f, "low.obj") < 0)
         fail_msg("%s", bsq_error(f->ctx));
 }
 
@@ -64,8 +60,8 @@ static void fail_text(struct fixture *f, const char *text, const char *message)
 
     fputs(text, f->file);
     assert_int_equal(fclose(f->file), 0);
-    assert_int_equal(load_file(f, f->path), BSQ_EDATA);
-    snprintf(expected, sizeof(expected), "%s%s", f->path, message);
+    assert_int_equal(load_file(f, "low.obj"), BSQ_EDATA);
+    snprintf(expected, sizeof expected, "low.obj%s", message);
     assert_string_equal(bsq_error(f->ctx), expected);
     assert_null(f->mesh.positions);
     assert_int_equal(bsq_memory_used(f->ctx), 0);
@@ -264,7 +260,7 @@ FIXTURE_TEST(test_directions_of_the_mesh_and_of_faces)
     bake_lowmesh_free(f->ctx, &f->mesh);
     f->rays = BAKE_RAYS_FACE;
     bsq_forget_files(f->ctx);
-    assert_non_null(f->file = fopen(f->path, "w"));
+    assert_non_null(f->file = fopen("low.obj", "w"));
     load_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 1 0 0\n"
                  "f 1/1/1 2/2/1 3/3/1\nf 1/1/1 2/2/1 2/2/1\n");
     for (int i = 0; i < 3; i++) {
@@ -284,7 +280,7 @@ FIXTURE_TEST(test_directions_keep_smooth_and_opposite_normals)
                         f->mesh.triangle_count * sizeof *f->mesh.normals);
     bake_lowmesh_free(f->ctx, &f->mesh);
     bsq_forget_files(f->ctx);
-    assert_non_null(f->file = fopen(f->path, "w"));
+    assert_non_null(f->file = fopen("low.obj", "w"));
     load_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 1\nvn 0 0 -1\n"
                  "f 1/1/1 2/2/1 3/3/1\nf 1/1/2 3/3/2 2/2/2\n");
     assert_vector(f->mesh.directions[0][0], 0, 0, 1);
@@ -294,19 +290,13 @@ FIXTURE_TEST(test_directions_keep_smooth_and_opposite_normals)
 /* Loads the hard edge with a cage of this text. */
 static int load_with_cage(struct fixture *f, const char *text)
 {
-    char cage[80];
-    snprintf(cage, sizeof cage, "%s.cage.obj", f->path);
-    FILE *file = fopen(cage, "w");
-    assert_non_null(file);
-    fputs(text, file);
-    fclose(file);
+    test_text("cage.obj", text);
     bsq_forget_files(f->ctx);
-    assert_non_null(f->file = freopen(f->path, "w", f->file));
+    assert_non_null(f->file = freopen("low.obj", "w", f->file));
     fputs(hard_edge, f->file);
     fflush(f->file);
-    const struct bake_lowmesh_options options = {.path = f->path, .cage_path = cage};
+    const struct bake_lowmesh_options options = {.path = "low.obj", .cage_path = "cage.obj"};
     int status = bake_lowmesh_load(f->ctx, &options, &f->mesh);
-    unlink(cage);
     return status;
 }
 
@@ -329,7 +319,7 @@ FIXTURE_TEST(test_cages_of_other_meshes)
     struct fixture *f = *state;
     assert_int_equal(load_with_cage(f, CAGE_VERTICES "f 1 2 3\nf 1 4 3\nf 5 6 8\nf 6 7 8\n"),
                      BSQ_EDATA);
-    assert_non_null(strstr(bsq_error(f->ctx), ".cage.obj:10: face has other vertices than the same "
+    assert_non_null(strstr(bsq_error(f->ctx), "cage.obj:10: face has other vertices than the same "
                                               "face of the low-poly mesh"));
     bsq_clear_error(f->ctx);
     assert_int_equal(load_with_cage(f, CAGE_VERTICES CAGE_FACES), BSQ_EDATA);

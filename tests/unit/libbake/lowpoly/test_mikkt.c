@@ -54,10 +54,10 @@ static void read_corner(FILE *file, struct soup *s, uint64_t corner)
 
 static struct soup read_golden(const char *name)
 {
-    char path[256], line[256];
+    char path[sizeof test_start + 64], line[256];
     uint64_t lines = 0;
 
-    snprintf(path, sizeof(path), "tests/golden/mikkt/%s.csv", name);
+    snprintf(path, sizeof(path), "%s/tests/golden/mikkt/%s.csv", test_start, name);
     FILE *file = fopen(path, "r");
     if (file == NULL)
         fail_msg("cannot open %s", path);

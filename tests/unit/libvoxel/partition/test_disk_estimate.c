@@ -49,17 +49,12 @@ static void write_scan(const char *path, unsigned n, unsigned flags)
 }
 
 struct fixture {
-    char directory[40], obj[60], tris[60];
     struct bsq_ctx *ctx;
 };
 
 static int set_up(void **state)
 {
     struct fixture *f = calloc(1, sizeof *f);
-    strcpy(f->directory, "/tmp/bisque-test.XXXXXX");
-    assert_non_null(mkdtemp(f->directory));
-    snprintf(f->obj, sizeof f->obj, "%s/scan.obj", f->directory);
-    snprintf(f->tris, sizeof f->tris, "%s/scan.tris", f->directory);
     *state = f;
     return 0;
 }
@@ -68,18 +63,18 @@ static int tear_down(void **state)
 {
     struct fixture *f = *state;
     bsq_ctx_destroy(f->ctx);
-    unlink(f->obj);
-    unlink(f->tris);
-    int status = rmdir(f->directory); /* fails if a file is left */
+    unlink("scan.obj");
+    unlink("scan.tris");
     free(f);
-    return status;
+    return 0;
 }
 #define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
 
 static int sort(struct fixture *f, const struct sort_limits *limits, struct vox_sort_report *report)
 {
-    const char *paths[1] = {f->obj};
-    struct vox_sort_options options = {.scan_paths = paths, .scan_count = 1, .tris_path = f->tris};
+    const char *paths[1] = {"scan.obj"};
+    struct vox_sort_options options = {
+        .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
     bsq_ctx_destroy(f->ctx);
     f->ctx = test_context(2, 128 * MIB);
     bsq_forget_files(f->ctx);
@@ -88,7 +83,7 @@ static int sort(struct fixture *f, const struct sort_limits *limits, struct vox_
 
 static struct fmt_mesh_estimate estimate(struct fixture *f)
 {
-    const char *paths[1] = {f->obj};
+    const char *paths[1] = {"scan.obj"};
     struct fmt_mesh_reader *reader;
     struct fmt_mesh_estimate result;
     bsq_ctx_destroy(f->ctx);
@@ -109,7 +104,7 @@ FIXTURE_TEST(estimates_are_near_the_truth)
             const unsigned n = 300;
             struct vox_sort_report report;
             struct sort_limits limits;
-            write_scan(f->obj, n, kinds[k]);
+            write_scan("scan.obj", n, kinds[k]);
             vox_sort_limits_for(128 * MIB, 2, &limits);
             if (spilled)
                 limits.stream_bytes = limits.page_memory = limits.max_page_memory = 0;
@@ -139,7 +134,7 @@ FIXTURE_TEST(a_full_disk_is_found_before_the_work)
     struct sort_limits limits;
     char needed[60], available[60];
     vox_sort_limits_for(128 * MIB, 2, &limits);
-    write_scan(f->obj, 300, 0);
+    write_scan("scan.obj", 300, 0);
     struct fmt_mesh_estimate scan = estimate(f);
     uint64_t bytes = vox_disk_estimate(&scan, &limits).output_bytes;
     free_bytes = bytes - 1;
@@ -149,7 +144,7 @@ FIXTURE_TEST(a_full_disk_is_found_before_the_work)
     assert_non_null(strstr(bsq_error(f->ctx), needed));
     assert_non_null(strstr(bsq_error(f->ctx), available));
     assert_int_equal(report.vertices, 0); /* the scan was not read */
-    assert_int_equal(access(f->tris, F_OK), -1);
+    assert_int_equal(access("scan.tris", F_OK), -1);
     free_bytes = bytes;
     assert_int_equal(sort(f, &limits, &report), 0);
 }
@@ -161,12 +156,12 @@ FIXTURE_TEST(outputs_and_temporary_files_share_a_disk)
     struct bsq_ctx_options elsewhere = {.tmpdir = "/proc"};
     free_bytes = 100;
     f->ctx = test_context(0, 0);
-    assert_int_equal(bsq_require_space(f->ctx, f->tris, 60, 40), 0);
-    assert_int_equal(bsq_require_space(f->ctx, f->tris, 60, 41), BSQ_EIO);
+    assert_int_equal(bsq_require_space(f->ctx, "scan.tris", 60, 40), 0);
+    assert_int_equal(bsq_require_space(f->ctx, "scan.tris", 60, 41), BSQ_EIO);
     bsq_ctx_destroy(f->ctx);
     assert_int_equal(bsq_ctx_create(&elsewhere, &f->ctx), 0);
-    assert_int_equal(bsq_require_space(f->ctx, f->tris, 60, 41), 0);
-    assert_int_equal(bsq_require_space(f->ctx, f->tris, 60, 101), BSQ_EIO);
+    assert_int_equal(bsq_require_space(f->ctx, "scan.tris", 60, 41), 0);
+    assert_int_equal(bsq_require_space(f->ctx, "scan.tris", 60, 101), BSQ_EIO);
     assert_non_null(strstr(bsq_error(f->ctx), "/proc: 101 bytes are needed for temporary files"));
 }
 

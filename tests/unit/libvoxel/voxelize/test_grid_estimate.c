@@ -17,7 +17,6 @@ int statvfs(const char *path, struct statvfs *info)
 }
 
 struct fixture {
-    char directory[64], tris[96], grid[96];
     struct bsq_ctx *ctx;
     unsigned warnings;
     char warning[512];
@@ -36,10 +35,6 @@ static int set_up(void **state)
     struct bsq_ctx_options options = {
         .memory_bytes = 256 << 20, .threads = 2, .on_warning = keep_warning, .user = f};
     assert_non_null(f);
-    strcpy(f->directory, "/tmp/test_estimate_XXXXXX");
-    assert_non_null(mkdtemp(f->directory));
-    snprintf(f->tris, sizeof f->tris, "%s/scan.tris", f->directory);
-    snprintf(f->grid, sizeof f->grid, "%s/scan.nvdb", f->directory);
     assert_int_equal(bsq_ctx_create(&options, &f->ctx), 0);
     free_bytes = UINT64_C(1) << 60;
     *state = f;
@@ -50,9 +45,8 @@ static int tear_down(void **state)
 {
     struct fixture *f = *state;
     test_context_end(f->ctx);
-    unlink(f->tris);
-    unlink(f->grid);
-    assert_int_equal(rmdir(f->directory), 0);
+    unlink("scan.tris");
+    unlink("scan.nvdb");
     free(f);
     return 0;
 }
@@ -63,10 +57,10 @@ static double estimate(const struct fixture *f, double voxel_size, uint64_t chun
     struct fmt_tris_file *file;
     struct vox_transform transform;
     double voxels;
-    assert_int_equal(fmt_tris_open(f->ctx, f->tris, &file), 0);
-    assert_int_equal(
-        vox_transform_init(f->ctx, fmt_tris_get_header(file), f->tris, 0, voxel_size, &transform),
-        0);
+    assert_int_equal(fmt_tris_open(f->ctx, "scan.tris", &file), 0);
+    assert_int_equal(vox_transform_init(f->ctx, fmt_tris_get_header(file), "scan.tris", 0,
+                                        voxel_size, &transform),
+                     0);
     assert_int_equal(vox_estimate_voxels(f->ctx, file, &transform, chunks_max, &voxels), 0);
     fmt_tris_close(file);
     return voxels;
@@ -78,11 +72,11 @@ static int check(struct fixture *f, double voxel_size)
     struct vox_transform transform;
     f->warnings = 0;
     bsq_clear_error(f->ctx);
-    assert_int_equal(fmt_tris_open(f->ctx, f->tris, &file), 0);
-    assert_int_equal(
-        vox_transform_init(f->ctx, fmt_tris_get_header(file), f->tris, 0, voxel_size, &transform),
-        0);
-    int status = vox_estimate_check(f->ctx, file, &transform, false, f->grid);
+    assert_int_equal(fmt_tris_open(f->ctx, "scan.tris", &file), 0);
+    assert_int_equal(vox_transform_init(f->ctx, fmt_tris_get_header(file), "scan.tris", 0,
+                                        voxel_size, &transform),
+                     0);
+    int status = vox_estimate_check(f->ctx, file, &transform, false, "scan.nvdb");
     fmt_tris_close(file);
     return status;
 }
@@ -92,13 +86,13 @@ FIXTURE_TEST(test_estimates_are_those_of_grids)
     struct fixture *f = *state;
     struct scan_mesh mesh = scan_sphere(10.0, 2.0);
     scan_sort(&mesh);
-    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, mesh.triangle_count / 40);
+    scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, mesh.triangle_count / 40);
     scan_mesh_free(&mesh);
     /* A ball's surface crosses 1.5 voxels per unit on average. */
     assert_true(fabs(estimate(f, 0.5, UINT64_MAX) / (1.5 * 4 * M_PI * 400) - 1) < 0.02);
     for (double size = 0.5; size > 0.03; size /= 2) {
         struct vox_voxelize_options options = {
-            .tris_path = f->tris, .grid_path = f->grid, .voxel_size = size};
+            .tris_path = "scan.tris", .grid_path = "scan.nvdb", .voxel_size = size};
         struct vox_voxelize_report report;
         assert_int_equal(vox_voxelize(f->ctx, &options, &report), 0);
         double voxels = estimate(f, size, UINT64_MAX);
@@ -118,7 +112,7 @@ static void write_quad(const struct fixture *f)
     struct scan_mesh mesh = scan_mesh_new(4, 2);
     memcpy(mesh.positions, corners, sizeof corners);
     memcpy(mesh.triangles, triangles, sizeof triangles);
-    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 2);
+    scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, 2);
     scan_mesh_free(&mesh);
 }
 

@@ -41,7 +41,7 @@ FIXTURE_TEST(test_sphere_touches_the_voxels_of_the_exact_one)
     for (size_t i = 0; i < count; i++) {
         assert_int_equal(exact_sphere_voxels(table[i].resolution), table[i].voxels);
         struct scan_mesh mesh = scan_sphere(table[i].resolution / 2.0, 1.5);
-        scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 30000);
+        scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, 30000);
         struct vox_voxelize_report report = vox_make(f, table[i].resolution, 0.0);
         assert_int_equal(report.voxels, table[i].voxels);
         assert_int_equal(report.triangles, mesh.triangle_count);
@@ -66,7 +66,7 @@ FIXTURE_TEST(test_sphere_records)
     assert_false(report.has_color);
 
     struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     uint64_t found = 0;
     for (int32_t x = 0; x < 80; x++)
         for (int32_t y = 0; y < 80; y++)
@@ -136,7 +136,7 @@ FIXTURE_TEST(test_box_on_multiples_of_a_voxel_size)
     }
     assert_int_equal(report.voxels, 11 * 11 * 11 - 9 * 9 * 9);
     struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     for (int a = 0; a < 3; a++)
         assert_true(grid.info.translation[a] == 0.25);
     fmt_nvdb_close(f->ctx, &grid);
@@ -153,7 +153,7 @@ FIXTURE_TEST(test_flat_scan)
     assert_int_equal(report.voxels, 16 * 8);
     assert_int_equal(report.index_max[2], 0);
     struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     struct fmt_nvdb_record record = grid_get(&grid, grid_find(&grid, (int32_t[3]){3, 3, 0}));
     struct bsq_vec3 n = bsq_oct_unpack(record.normal);
     assert_true(n.z > 0.99999f);
@@ -181,7 +181,7 @@ FIXTURE_TEST(test_plate_thinner_than_a_voxel)
     assert_int_equal(report.voxels, 9 * 9);
     assert_int_equal(report.second_records, 4 * 8 + 5);
     struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     uint64_t two = grid_find(&grid, (int32_t[3]){2, 5, 0});
     uint64_t one = grid_find(&grid, (int32_t[3]){6, 5, 0});
     assert_int_equal(fmt_nvdb_second(&grid, one), 0);
@@ -211,7 +211,7 @@ FIXTURE_TEST(test_second_sheet_is_the_smaller)
     vox_make(f, 0, 1.0);
     struct fmt_nvdb_grid grid;
     const int32_t origin[3] = {0, 0, 0};
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     uint64_t index = grid_find(&grid, origin);
     assert_true(bsq_oct_unpack(grid_get(&grid, index).normal).z < -0.99999f);
     assert_int_not_equal(fmt_nvdb_second(&grid, index), 0);
@@ -222,7 +222,7 @@ FIXTURE_TEST(test_second_sheet_is_the_smaller)
     vox_write_scan(f, &mesh);
     scan_mesh_free(&mesh);
     vox_make(f, 0, 1.0);
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     index = grid_find(&grid, origin);
     assert_true(bsq_oct_unpack(grid_get(&grid, index).normal).z < -0.99999f);
     assert_int_equal(fmt_nvdb_second(&grid, index), 0);
@@ -245,11 +245,11 @@ FIXTURE_TEST(test_a_million_triangles_in_one_voxel)
     scan_set_vertex(&mesh, 6, 0.5 - side / sqrt(2.0), 0.5, 0.5 + side / sqrt(2.0));
     for (uint32_t i = 0; i < tiny; i++)
         scan_set_triangle(&mesh, 2 + i, 4, 5, 6);
-    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 65536);
+    scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, 65536);
     scan_mesh_free(&mesh);
     vox_make(f, 0, 1.0);
     struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     struct fmt_nvdb_record record = grid_get(&grid, grid_find(&grid, (int32_t[3]){0, 0, 0}));
     struct bsq_vec3 n = bsq_oct_unpack(record.normal);
     /* The mean of two unit vectors 45 degrees apart leans by 22.5. */
@@ -275,10 +275,10 @@ FIXTURE_TEST(test_sparse_and_huge)
         scan_set_triangle(&mesh, (uint32_t)s, 3 * (uint32_t)s, 3 * (uint32_t)s + 1,
                           3 * (uint32_t)s + 2);
     }
-    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 1);
+    scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, 1);
     vox_make(f, 0, 1.0 / 1024.0);
     struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     for (int s = 0; s < 2; s++) {
         int32_t at = (int32_t)floor((double)mesh.positions[3 * s][0] * 1024.0);
         assert_int_not_equal(grid_find(&grid, (int32_t[3]){at, at, at}), 0);
@@ -294,18 +294,18 @@ FIXTURE_TEST(test_origin_only_moves_the_grid)
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_sphere(10.0, 0.5);
     const double origin[3] = {500000.0, -4000000.0, 1024.0};
-    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 4000);
+    scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, 4000);
     struct vox_voxelize_report plain = vox_make(f, 64, 0.0);
     struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     double translation[3];
     memcpy(translation, grid.info.translation, sizeof translation);
     fmt_nvdb_close(f->ctx, &grid);
-    scan_write(f->ctx, f->tris, &mesh, origin, NULL, 0, 4000);
+    scan_write(f->ctx, "scan.tris", &mesh, origin, NULL, 0, 4000);
     scan_mesh_free(&mesh);
     struct vox_voxelize_report moved = vox_make(f, 64, 0.0);
     assert_int_equal(plain.voxels, moved.voxels);
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     for (int a = 0; a < 3; a++) {
         assert_true(fabs(grid.info.translation[a] - translation[a] - origin[a]) < 1e-9);
         assert_true(fabs(grid.info.scan_max[a] - origin[a] - 10.0) < 1e-9);
@@ -344,7 +344,7 @@ FIXTURE_TEST(test_missing_and_damaged_input)
     scan_mesh_free(&mesh);
     /* Damages a byte in the middle of a chunk. This is found when the chunk is loaded, after the
      * output was begun. */
-    FILE *file = fopen(f->tris, "r+b");
+    FILE *file = fopen("scan.tris", "r+b");
     assert_non_null(file);
     assert_int_equal(fseek(file, 5000, SEEK_SET), 0);
     int byte = fgetc(file);
@@ -363,7 +363,7 @@ FIXTURE_TEST(test_budget_too_small)
     for (uint64_t kib = 64; kib <= 16384; kib *= 2) {
         struct bsq_ctx *ctx = test_context(2, kib << 10);
         struct vox_voxelize_options what = {
-            .tris_path = f->tris, .grid_path = f->other, .resolution = 100};
+            .tris_path = "scan.tris", .grid_path = "other.nvdb", .resolution = 100};
         struct vox_voxelize_report report;
         int status = vox_voxelize(ctx, &what, &report);
         if (kib == 64)

@@ -22,7 +22,7 @@ FIXTURE_TEST(test_vertex_normals_are_interpolated)
     scan_mesh_free(&mesh);
     vox_make(f, 0, 1.0);
     struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     for (int32_t x = 0; x < 10; x++) {
         uint64_t index = grid_find(&grid, (int32_t[3]){x, 4, 0});
         struct bsq_vec3 n = bsq_oct_unpack(grid_get(&grid, index).normal);
@@ -49,7 +49,7 @@ static uint64_t count_inconsistent(struct vox_fixture *f, float lean)
     vox_make(f, 0, 1.0);
     struct fmt_nvdb_grid grid;
     uint64_t count = 0;
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     for (int32_t i = 0; i < SIDE * SIDE / 4; i++) {
         uint64_t index = grid_find(&grid, (int32_t[3]){i % (SIDE / 2), i / (SIDE / 2), 0});
         count += (grid_get(&grid, index).plane & FMT_NVDB_PLANE_INCONSISTENT) != 0;
@@ -81,7 +81,7 @@ static uint32_t noise_of_squares(struct vox_fixture *f, double side, bool with_n
     scan_mesh_free(&mesh);
     vox_make(f, 0, 1.0);
     struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     int32_t middle = (int32_t)(COUNT / 2 * side);
     uint64_t index = grid_find(&grid, (int32_t[3]){middle, middle, 0});
     assert_true(index > 0);
@@ -129,7 +129,7 @@ FIXTURE_TEST(test_vertex_colors_are_mixed_in_linear_light)
     struct vox_voxelize_report report = vox_make(f, 0, 1.0);
     assert_true(report.has_color);
     struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     for (int32_t x = 0; x < 10; x++)
         for (int32_t y = 0; y < 10; y++) {
             uint64_t index = grid_find(&grid, (int32_t[3]){x, y, 0});
@@ -155,11 +155,11 @@ FIXTURE_TEST(test_materials_color_what_has_no_other)
     mesh.materials = calloc(4, sizeof *mesh.materials);
     mesh.materials[1] = 1;
     mesh.materials[2] = mesh.materials[3] = UINT32_MAX;
-    scan_write(f->ctx, f->tris, &mesh, NULL, materials, 2, 4000);
+    scan_write(f->ctx, "scan.tris", &mesh, NULL, materials, 2, 4000);
     scan_mesh_free(&mesh);
     assert_true(vox_make(f, 0, 1.0).has_color);
     struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     uint32_t mixed = grid_get(&grid, grid_find(&grid, (int32_t[3]){0, 0, 0})).color;
     for (int k = 0; k < 3; k++) {
         double linear = 0.5 * (to_linear((double)materials[0].diffuse[k]) +
@@ -186,7 +186,8 @@ static void write_ramp(const struct vox_fixture *f)
             texel[row][column][1] = 1.0f - ((float)row + 0.5f) / SIZE;
             texel[row][column][2] = 0.25f;
         }
-    assert_int_equal(fmt_image_create(f->ctx, &fmt_png_format, f->image, &options, &writer), 0);
+    assert_int_equal(fmt_image_create(f->ctx, &fmt_png_format, "texture.png", &options, &writer),
+                     0);
     assert_int_equal(fmt_image_write_rows(writer, &texel[0][0][0], SIZE), 0);
     assert_int_equal(test_commit_image(writer), 0);
 }
@@ -204,12 +205,14 @@ FIXTURE_TEST(test_texture_is_sampled_where_the_fragment_lies)
     }
     mesh.colors = calloc(4, sizeof *mesh.colors); /* the texture takes precedence */
     mesh.materials = calloc(2, sizeof *mesh.materials);
-    struct fmt_tris_material material = {.texture_path = f->image, .diffuse = {1.0f, 0.0f, 0.0f}};
-    scan_write(f->ctx, f->tris, &mesh, NULL, &material, 1, 4000);
+    char path[64];
+    snprintf(path, sizeof path, "%s/texture.png", test_directory);
+    struct fmt_tris_material material = {.texture_path = path, .diffuse = {1.0f, 0.0f, 0.0f}};
+    scan_write(f->ctx, "scan.tris", &mesh, NULL, &material, 1, 4000);
     scan_mesh_free(&mesh);
     assert_true(vox_make(f, 0, 1.0).has_color);
     struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, f->grid, &grid), 0);
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     for (int32_t x = 0; x < 10; x++)
         for (int32_t y = 0; y < 10; y++) {
             /* The boxes of the two fragments on the diagonal reach over the texture's edge at its
@@ -233,8 +236,10 @@ FIXTURE_TEST(test_missing_texture)
     scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){10, 0, 0}, (double[3]){0, 10, 0});
     mesh.texcoords = calloc(4, sizeof *mesh.texcoords);
     mesh.materials = calloc(2, sizeof *mesh.materials);
-    struct fmt_tris_material material = {.texture_path = f->image, .diffuse = {1.0f, 0.0f, 0.0f}};
-    scan_write(f->ctx, f->tris, &mesh, NULL, &material, 1, 4000);
+    char path[64];
+    snprintf(path, sizeof path, "%s/texture.png", test_directory);
+    struct fmt_tris_material material = {.texture_path = path, .diffuse = {1.0f, 0.0f, 0.0f}};
+    scan_write(f->ctx, "scan.tris", &mesh, NULL, &material, 1, 4000);
     scan_mesh_free(&mesh);
     vox_expect_failure(f, 10, 0.0, BSQ_ENOINPUT, "texture.png");
 }

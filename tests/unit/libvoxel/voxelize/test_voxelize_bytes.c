@@ -7,7 +7,7 @@
 
 /* ---- same bytes ---- */
 
-static void check_same_bytes(const struct vox_fixture *f, uint32_t resolution)
+static void check_same_bytes(uint32_t resolution)
 {
     static const struct {
         uint64_t mebibytes;
@@ -16,8 +16,8 @@ static void check_same_bytes(const struct vox_fixture *f, uint32_t resolution)
     for (size_t i = 0; i < sizeof ways / sizeof ways[0]; i++) {
         struct bsq_ctx *ctx = test_context(ways[i].threads, ways[i].mebibytes << 20);
         struct vox_voxelize_options options = {
-            .tris_path = f->tris,
-            .grid_path = i == 0 ? f->grid : f->other,
+            .tris_path = "scan.tris",
+            .grid_path = i == 0 ? "scan.nvdb" : "other.nvdb",
             .resolution = resolution,
         };
         struct vox_voxelize_report report;
@@ -28,7 +28,7 @@ static void check_same_bytes(const struct vox_fixture *f, uint32_t resolution)
         assert_true(bsq_memory_high(ctx) <= ways[i].mebibytes << 20);
         test_context_end(ctx);
         if (i > 0)
-            expect_same_bytes(f->grid, f->other);
+            expect_same_bytes("scan.nvdb", "other.nvdb");
     }
 }
 
@@ -54,7 +54,7 @@ FIXTURE_TEST(test_noise_gives_the_same_bytes)
     }
     vox_write_scan(f, &mesh);
     scan_mesh_free(&mesh);
-    check_same_bytes(f, 100);
+    check_same_bytes(100);
 }
 
 /* Parallel sheets, one in every layer except that the last two share one: 2 million voxels in each
@@ -67,7 +67,7 @@ FIXTURE_TEST(test_solid_regions_in_little_memory)
     for (uint32_t i = 0; i < size; i++)
         scan_set_quad(&mesh, i, (double[3]){0, 0, i + 0.5}, (double[3]){size, 0, 0},
                       (double[3]){0, size, 0});
-    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 64);
+    scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, 64);
     scan_mesh_free(&mesh);
     static const struct {
         uint64_t mebibytes;
@@ -76,8 +76,8 @@ FIXTURE_TEST(test_solid_regions_in_little_memory)
     for (size_t i = 0; i < sizeof ways / sizeof ways[0]; i++) {
         struct bsq_ctx *ctx = test_context(ways[i].threads, ways[i].mebibytes << 20);
         struct vox_voxelize_options options = {
-            .tris_path = f->tris,
-            .grid_path = i == 0 ? f->grid : f->other,
+            .tris_path = "scan.tris",
+            .grid_path = i == 0 ? "scan.nvdb" : "other.nvdb",
             .resolution = size,
         };
         struct vox_voxelize_report report;
@@ -90,7 +90,7 @@ FIXTURE_TEST(test_solid_regions_in_little_memory)
         assert_true(bsq_memory_high(ctx) <= ways[i].mebibytes << 20);
         bsq_ctx_destroy(ctx);
         if (i > 0)
-            expect_same_bytes(f->grid, f->other);
+            expect_same_bytes("scan.nvdb", "other.nvdb");
     }
 }
 
@@ -101,8 +101,8 @@ FIXTURE_TEST(test_sphere_gives_the_same_bytes)
     scan_sort(&mesh);
     vox_write_scan(f, &mesh);
     scan_mesh_free(&mesh);
-    check_same_bytes(f, 300);
-    check_same_bytes(f, 40);
+    check_same_bytes(300);
+    check_same_bytes(40);
 }
 
 RUN_TESTS(NULL, NULL)

@@ -6,12 +6,6 @@ int vox_set_up(void **state)
 {
     struct vox_fixture *f = calloc(1, sizeof *f);
     assert_non_null(f);
-    strcpy(f->directory, "/tmp/test_voxelize_XXXXXX");
-    assert_non_null(mkdtemp(f->directory));
-    snprintf(f->tris, sizeof f->tris, "%s/scan.tris", f->directory);
-    snprintf(f->grid, sizeof f->grid, "%s/scan.nvdb", f->directory);
-    snprintf(f->other, sizeof f->other, "%s/other.nvdb", f->directory);
-    snprintf(f->image, sizeof f->image, "%s/texture.png", f->directory);
     f->ctx = test_context(2, 512 << 20);
     *state = f;
     return 0;
@@ -21,11 +15,10 @@ int vox_tear_down(void **state)
 {
     struct vox_fixture *f = *state;
     bsq_ctx_destroy(f->ctx);
-    unlink(f->tris);
-    unlink(f->grid);
-    unlink(f->other);
-    unlink(f->image);
-    assert_int_equal(rmdir(f->directory), 0); /* nothing else was left behind */
+    unlink("scan.tris");
+    unlink("scan.nvdb");
+    unlink("other.nvdb");
+    unlink("texture.png");
     free(f);
     return 0;
 }
@@ -34,8 +27,8 @@ static int voxelize(const struct vox_fixture *f, uint32_t resolution, double vox
                     struct vox_voxelize_report *report)
 {
     struct vox_voxelize_options options = {
-        .tris_path = f->tris,
-        .grid_path = f->grid,
+        .tris_path = "scan.tris",
+        .grid_path = "scan.nvdb",
         .resolution = resolution,
         .voxel_size = voxel_size,
     };
@@ -62,13 +55,13 @@ void vox_expect_failure(struct vox_fixture *f, uint32_t resolution, double voxel
     if (!strstr(bsq_error(f->ctx), text))
         print_message("%s\n", bsq_error(f->ctx));
     assert_non_null(strstr(bsq_error(f->ctx), text));
-    assert_int_equal(access(f->grid, F_OK), -1);
+    assert_int_equal(access("scan.nvdb", F_OK), -1);
     bsq_clear_error(f->ctx);
 }
 
 void vox_write_scan(const struct vox_fixture *f, const struct scan_mesh *mesh)
 {
-    scan_write(f->ctx, f->tris, mesh, NULL, NULL, 0, 4000);
+    scan_write(f->ctx, "scan.tris", mesh, NULL, NULL, 0, 4000);
 }
 
 double record_plane(struct fmt_nvdb_record record)

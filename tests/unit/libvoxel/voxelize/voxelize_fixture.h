@@ -1,4 +1,4 @@
-/* voxelize_fixture.h - for tests of the voxelizer: files in a directory of their own, and the
+/* voxelize_fixture.h - for tests of the voxelizer: their context, and the
  * contents of records. */
 #ifndef TEST_VOXELIZE_FIXTURE_H
 #define TEST_VOXELIZE_FIXTURE_H
@@ -8,7 +8,6 @@
 #include "tests/unit/libvoxel/scan_fixture.h"
 
 struct vox_fixture {
-    char directory[64], tris[96], grid[96], other[96], image[96];
     struct bsq_ctx *ctx;
 };
 

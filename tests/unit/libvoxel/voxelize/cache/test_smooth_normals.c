@@ -14,7 +14,6 @@ struct decoded {
 };
 
 struct fixture {
-    char directory[64], tris[96];
     struct bsq_ctx *ctx;
     struct fmt_tris_file *file;
     struct vox_transform transform;
@@ -61,16 +60,13 @@ static void take_back(void *arg, uint32_t index)
 /* Writes the fixture's mesh in chunks of up to chunk_triangles, and reads all of them. */
 static void begin(struct fixture *f, uint32_t chunk_triangles)
 {
-    strcpy(f->directory, "/tmp/test_smooth_normals_XXXXXX");
-    assert_non_null(mkdtemp(f->directory));
-    snprintf(f->tris, sizeof f->tris, "%s/scan.tris", f->directory);
     f->ctx = test_context(1, 64 << 20);
-    scan_write(f->ctx, f->tris, &f->mesh, (double[3]){0, 0, 0}, NULL, 0, chunk_triangles);
-    assert_int_equal(fmt_tris_open(f->ctx, f->tris, &f->file), 0);
+    scan_write(f->ctx, "scan.tris", &f->mesh, (double[3]){0, 0, 0}, NULL, 0, chunk_triangles);
+    assert_int_equal(fmt_tris_open(f->ctx, "scan.tris", &f->file), 0);
     const struct fmt_tris_header *header = fmt_tris_get_header(f->file);
     f->chunk_count = (uint32_t)header->chunk_count;
     assert_true(f->chunk_count > 1 && f->chunk_count <= CHUNKS_MAX);
-    assert_int_equal(vox_transform_init(f->ctx, header, f->tris, 100, 0.0, &f->transform), 0);
+    assert_int_equal(vox_transform_init(f->ctx, header, "scan.tris", 100, 0.0, &f->transform), 0);
     assert_int_equal(vox_smooth_create(f->ctx, f->file, f->weights, 1, 1 << 20, &f->smooth), 0);
     for (uint32_t i = 0; i < f->chunk_count; i++)
         decode(f, i);
@@ -86,8 +82,7 @@ static void end(struct fixture *f)
     vox_smooth_destroy(f->smooth);
     fmt_tris_close(f->file);
     bsq_ctx_destroy(f->ctx);
-    unlink(f->tris);
-    assert_int_equal(rmdir(f->directory), 0);
+    unlink("scan.tris");
     scan_mesh_free(&f->mesh);
 }
 

@@ -72,11 +72,11 @@ struct made {
 static void make_boxes(const struct vox_fixture *f, double voxel_size, uint64_t bytes,
                        struct made *made)
 {
-    assert_int_equal(fmt_tris_open(f->ctx, f->tris, &made->file), 0);
+    assert_int_equal(fmt_tris_open(f->ctx, "scan.tris", &made->file), 0);
     const struct fmt_tris_header *header = fmt_tris_get_header(made->file);
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(made->file);
-    assert_int_equal(vox_transform_init(f->ctx, header, f->tris, 0, voxel_size, &made->transform),
-                     0);
+    assert_int_equal(
+        vox_transform_init(f->ctx, header, "scan.tris", 0, voxel_size, &made->transform), 0);
     made->bounds = calloc(header->chunk_count, sizeof *made->bounds);
     for (uint64_t i = 0; i < header->chunk_count; i++)
         made->bounds[i] =
@@ -121,7 +121,7 @@ FIXTURE_TEST(test_boxes_hold_every_triangle)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = make_clusters(60, 1e5, 31);
-    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 700);
+    scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, 700);
     /* A triangle of size 1 is less than 3 regions wide with voxels of 1/256. */
     static const double sizes[] = {1e6, 1000.0, 1.0, 1.0 / 256};
     for (int i = 0; i < 4; i++) {
@@ -141,7 +141,7 @@ FIXTURE_TEST(test_little_memory_makes_larger_boxes)
 {
     struct vox_fixture *f = *state;
     struct scan_mesh mesh = make_clusters(60, 1e5, 32);
-    scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, 700);
+    scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, 700);
     struct made made;
     for (uint64_t bytes = 0; bytes <= 2000; bytes += 500) {
         make_boxes(f, 1.0, bytes, &made);
@@ -165,18 +165,18 @@ FIXTURE_TEST(test_scattered_triangles_of_one_chunk)
     struct scan_mesh mesh = make_clusters(8, 1.3e5, 33);
     uint64_t voxels[2];
     for (uint32_t i = 0; i < 2; i++) {
-        struct vox_voxelize_options options = {.tris_path = f->tris,
-                                               .grid_path = i ? f->other : f->grid,
+        struct vox_voxelize_options options = {.tris_path = "scan.tris",
+                                               .grid_path = i ? "other.nvdb" : "scan.nvdb",
                                                .voxel_size = 1.0,
                                                .scan_normals = BSQ_SCAN_NORMALS_FLAT};
         struct vox_voxelize_report report;
-        scan_write(f->ctx, f->tris, &mesh, NULL, NULL, 0, i ? 1 : mesh.triangle_count);
+        scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, i ? 1 : mesh.triangle_count);
         assert_int_equal(vox_voxelize(f->ctx, &options, &report), 0);
         voxels[i] = report.voxels;
     }
     assert_int_equal(voxels[0], voxels[1]);
     assert_true(voxels[0] >= 8);
-    expect_same_bytes(f->grid, f->other);
+    expect_same_bytes("scan.nvdb", "other.nvdb");
     scan_mesh_free(&mesh);
 }
 
