@@ -185,11 +185,12 @@ static int join_sources(struct fmt_tris_file *all)
     return status;
 }
 
-static int fail_without_channel(struct bsq_ctx *ctx, const char *path, const char *name)
+/* Fails for lack of a channel, or of ids: "id". */
+static int fail_without(struct bsq_ctx *ctx, const char *path, const char *channel)
 {
-    return bsq_fail(ctx, BSQ_EDATA,
-                    "%s has no channel %s: make it with bisque-voxelize --channels %s", path, name,
-                    name);
+    const bool is_channel = strcmp(channel, "id") != 0;
+    return bsq_fail(ctx, BSQ_EDATA, "%s has no %s%s: make it with bisque-voxelize --channels %s",
+                    path, is_channel ? "channel " : "ids", is_channel ? channel : "", channel);
 }
 
 int fmt_tris_require_channel(const struct fmt_tris_file *file, const char *name)
@@ -198,8 +199,8 @@ int fmt_tris_require_channel(const struct fmt_tris_file *file, const char *name)
         return 0;
     for (uint32_t i = 0; i < file->part_count; i++)
         if (fmt_tris_find_channel(&file->parts[i].file->header, name) == UINT32_MAX)
-            return fail_without_channel(file->ctx, file->parts[i].file->file.path, name);
-    return fail_without_channel(file->ctx, file->file.path, name);
+            return fail_without(file->ctx, file->parts[i].file->file.path, name);
+    return fail_without(file->ctx, file->file.path, name);
 }
 
 /* Moves a position of a part to the common origin. Keeps the order of positions, so that bounds
@@ -259,23 +260,17 @@ static void begin_header(struct fmt_tris_file *all)
     }
 }
 
-static int fail_without_ids(struct bsq_ctx *ctx, const char *path)
-{
-    return bsq_fail(ctx, BSQ_EDATA, "%s has no ids: make it with bisque-voxelize --channels id",
-                    path);
-}
-
 int fmt_tris_require_ids(const struct fmt_tris_file *file)
 {
     if (file->header.ids != BSQ_IDS_NONE)
         return 0;
     if (file->part_count == 0)
-        return fail_without_ids(file->ctx, file->file.path);
+        return fail_without(file->ctx, file->file.path, "id");
     const struct fmt_tris_file *first = file->parts[0].file, *other = first;
     for (uint32_t i = 0; i < file->part_count; i++) {
         const struct fmt_tris_file *part = file->parts[i].file;
         if (part->header.ids == BSQ_IDS_NONE)
-            return fail_without_ids(file->ctx, part->file.path);
+            return fail_without(file->ctx, part->file.path, "id");
         if (part->header.ids != first->header.ids)
             other = part;
     }

@@ -2,8 +2,7 @@
 #ifndef VOX_CHUNK_CHUNK_BUILD_H
 #define VOX_CHUNK_CHUNK_BUILD_H
 
-#include "libvoxel/chunk/radix_sort.h"
-#include "libvoxel/partition/partition.h"
+#include "libvoxel/chunk/sort_batch.h"
 
 /* An entry of the cache of recent corners: the corner's bytes, at most 16, and its vertex. */
 struct corner_tag {

@@ -9,8 +9,14 @@
 #define VOX_CHUNK_SORT_BATCH_H
 
 #include "libvoxel/chunk/gather_window.h"
-#include "libvoxel/chunk/radix_sort.h"
 #include "libvoxel/partition/partition.h"
+
+/* A triangle with an area, by which batches are sorted. */
+struct entry {
+    uint64_t key;
+    uint32_t record; /* number in the batch */
+    uint32_t unused;
+};
 
 /* Triangles of one bucket, or a part of them. */
 struct batch_part {

@@ -13,7 +13,6 @@
 /* More bytes of sums than this would not stay in a processor's cache; then regions are made in
  * parts. */
 #define ACCUMULATOR_BYTES_USEFUL   (UINT64_C(48) << 20)
-#define TEXTURE_CACHE_BYTES_MIN    (UINT64_C(12) << 20)
 #define TEXTURE_CACHE_BYTES_USEFUL (UINT64_C(1) << 30)
 /* Least bytes for results of regions under way, for each worker. */
 #define RESULT_BYTES_MIN (UINT64_C(1) << 20)
@@ -60,12 +59,8 @@ static int divide_memory(const struct vox_run *run, struct vox_shares *shares)
     uint64_t available = bsq_memory_left(run->ctx);
     uint64_t slot = vox_chunks_slot_bytes(run->file, run->smooth != NULL);
     const unsigned sums = sums_of(run);
-    shares->texture_bytes = 0;
-    if (uses_textures(run)) {
-        shares->texture_bytes = min64(available / 4, TEXTURE_CACHE_BYTES_USEFUL);
-        if (shares->texture_bytes < TEXTURE_CACHE_BYTES_MIN)
-            shares->texture_bytes = TEXTURE_CACHE_BYTES_MIN;
-    }
+    shares->texture_bytes =
+        uses_textures(run) ? min64(available / 4, TEXTURE_CACHE_BYTES_USEFUL) : 0;
     uint64_t sums_min = vox_accumulator_bytes_min(sums),
              blocks = run->workers * vox_fragment_block_bytes();
     uint64_t need =
