@@ -352,10 +352,6 @@ uint64_t fmt_nvdb_record_checksum(const struct nvdb_record *record);
 int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid);
 int fmt_nvdb_check_nodes(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
 
-/* Returns whether the names of a mapped grid are as FORMATS.md describes, and sets grid->info.ids.
- */
-bool fmt_nvdb_check_names(struct fmt_nvdb_grid *grid);
-
 /* Returns the bytes of section NVDB_CHANNELS before its values. */
 static inline uint64_t nvdb_channels_head_bytes(uint32_t list_bytes)
 {

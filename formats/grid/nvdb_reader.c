@@ -1,7 +1,447 @@
-/* nvdb_reader.c - recognises and opens grid files, and reads the names that ids stand for. */
+/* nvdb_reader.c - checks that Bisque wrote a file, finds its sections, and opens it.
+ *
+ * A few counts determine the layout. They are read first and bounded by the file's size. Then the
+ * layout is computed from them, and every offset and count in the file must agree with it. All
+ * checks and results are of a copy of the header, because the file may change meanwhile. */
+#include <inttypes.h>
+#include <math.h>
 #include <string.h>
 
+#include "base/channels.h"
 #include "formats/grid/nvdb_layout_internal.h"
+
+struct head {
+    struct bsq_ctx *ctx;
+    const char *path;
+    const uint8_t *file;
+    uint64_t size;
+    /* Copies, with zeros after the end of the file. */
+    struct nvdb_file_header header;
+    struct nvdb_file_meta meta;
+    struct nvdb_grid_data grid;
+    struct nvdb_tree_data tree;
+    struct nvdb_root root;
+    struct nvdb_record record; /* valid after read_counts() */
+};
+
+/* Copies bytes of the file; those after its end stay as they are. */
+static void copy_part(const struct head *h, uint64_t offset, void *to, uint64_t bytes)
+{
+    uint64_t left = offset < h->size ? h->size - offset : 0;
+    if (left > 0)
+        memcpy(to, h->file + offset, left < bytes ? left : bytes);
+}
+
+static int damaged(const struct head *h, const char *what)
+{
+    return bsq_fail(h->ctx, BSQ_EDATA, "%s: damaged: wrong %s", h->path, what);
+}
+
+static int fail_version(const struct head *h)
+{
+    uint32_t v = h->header.version;
+    return bsq_fail(h->ctx, BSQ_EDATA,
+                    "%s: NanoVDB file of version %" PRIu32 ".%" PRIu32 ".%" PRIu32
+                    ": Bisque reads 32.4.2 (mask) and 32.6.0 (onindex)",
+                    h->path, v >> 21, v >> 10 & 2047, v & 1023);
+}
+
+/* Copies a name for a message; characters that are not printable ASCII become '?'. */
+static void copy_name(const char *from, uint64_t size, char out[64])
+{
+    uint64_t n = 0;
+    while (n < size && n < 63 && from[n] != 0) {
+        unsigned char c = (unsigned char)from[n];
+        out[n++] = c >= 32 && c < 127 ? (char)c : '?';
+    }
+    out[n] = 0;
+}
+
+/* Reports a grid that another NanoVDB program wrote, with its name and type. */
+static int fail_foreign(const struct head *h)
+{
+    static const char *const types[] = {
+        "?",      "float", "double", "int16", "int32",   "int64",     "Vec3f",      "Vec3d",
+        "Mask",   "Half",  "uint32", "bool",  "RGBA8",   "Float4",    "Float8",     "Float16",
+        "FloatN", "Vec4f", "Vec4d",  "Index", "OnIndex", "IndexMask", "OnIndexMask"};
+    char name[64];
+    uint64_t start = sizeof(h->header) + sizeof(h->meta);
+    uint64_t available = h->size - start;
+    copy_name((const char *)h->file + start,
+              h->meta.name_bytes < available ? h->meta.name_bytes : available, name);
+    uint32_t type = h->meta.grid_type;
+    if (type == 0 || type >= sizeof(types) / sizeof(*types))
+        return bsq_fail(h->ctx, BSQ_EDATA,
+                        "%s: grid \"%s\" of type number %" PRIu32 " is not a Bisque surface grid",
+                        h->path, name, type);
+    return bsq_fail(h->ctx, BSQ_EDATA, "%s: grid \"%s\" of type %s is not a Bisque surface grid",
+                    h->path, name, types[type]);
+}
+
+/* Reports a file that another program compressed: it cannot be used in place. */
+static int fail_compressed(const struct head *h)
+{
+    static const char *const codecs[] = {"none", "ZIP", "BLOSC"};
+    uint16_t codec = h->header.codec;
+    return bsq_fail(h->ctx, BSQ_EDATA,
+                    "%s: compressed NanoVDB file (codec %s): Bisque reads uncompressed ones",
+                    h->path, codec < 3 ? codecs[codec] : "unknown");
+}
+
+/* Checks magic, version, type and codec. Files that fail here are mostly not damaged: they are of
+ * another kind, and the messages name it. */
+static int check_file_header(struct head *h)
+{
+    if (h->size >= sizeof(uint64_t) && (__builtin_bswap64(h->header.magic) == NVDB_MAGIC ||
+                                        __builtin_bswap64(h->header.magic) == NVDB_MAGIC_FILE))
+        return bsq_fail(h->ctx, BSQ_EDATA,
+                        "%s: NanoVDB file of a big-endian machine: Bisque reads little-endian ones",
+                        h->path);
+    if (h->size < sizeof(uint64_t) ||
+        (h->header.magic != NVDB_MAGIC && h->header.magic != NVDB_MAGIC_GRID &&
+         h->header.magic != NVDB_MAGIC_FILE))
+        return bsq_fail(h->ctx, BSQ_EDATA, "%s: not a NanoVDB file", h->path);
+    uint64_t least =
+        FMT_NVDB_GRID_OFFSET + sizeof(h->grid) + sizeof(h->tree) + NVDB_ROOT_BYTES_MASK;
+    if (h->size < least)
+        return bsq_fail(h->ctx, BSQ_EDATA, "%s: truncated: %" PRIu64 " bytes are too few", h->path,
+                        h->size);
+    if (h->header.magic == NVDB_MAGIC_GRID)
+        return bsq_fail(h->ctx, BSQ_EDATA, "%s: a NanoVDB grid without file header", h->path);
+    if (h->header.magic == NVDB_MAGIC_FILE || h->header.version >> 21 != 32)
+        return fail_version(h);
+    if (h->header.grid_count != 1)
+        return bsq_fail(h->ctx, BSQ_EDATA, "%s: %u grids: a Bisque surface grid stands alone",
+                        h->path, h->header.grid_count);
+    uint32_t type = h->meta.grid_type;
+    if (type != FMT_NVDB_MASK && type != FMT_NVDB_ONINDEX)
+        return fail_foreign(h);
+    if (h->header.codec != 0)
+        return fail_compressed(h);
+    if (h->meta.name_bytes != NVDB_NAME_BYTES)
+        return fail_foreign(h);
+    if (h->header.version != nvdb_version((enum fmt_nvdb_type)type))
+        return fail_version(h);
+    return 0;
+}
+
+/* Checks the numbers that the rest of the head is computed from, see check_head(). */
+static int check_grid_data(const struct head *h)
+{
+    const struct nvdb_grid_data *grid = &h->grid;
+    if (grid->grid_bytes != h->size - FMT_NVDB_GRID_OFFSET)
+        return bsq_fail(h->ctx, BSQ_EDATA,
+                        "%s: truncated or damaged: the grid has %" PRIu64
+                        " bytes, the file has %" PRIu64 " for it",
+                        h->path, grid->grid_bytes, h->size - FMT_NVDB_GRID_OFFSET);
+    if (grid->version != h->header.version || grid->grid_type != h->meta.grid_type)
+        return damaged(h, "version or type of the grid");
+    if (strncmp(grid->name, NVDB_GRID_NAME, sizeof(grid->name)) != 0)
+        return fail_foreign(h);
+    double size = grid->map.matrix[0];
+    if (!(size > 0.0) || !isfinite(size) || !isfinite(1.0 / size))
+        return damaged(h, "voxel size");
+    for (int axis = 0; axis < 3; axis++)
+        if (!isfinite(grid->map.translation[axis]) ||
+            h->root.bbox_min[axis] > h->root.bbox_max[axis])
+            return damaged(h, "translation or bounds");
+    return 0;
+}
+
+/* Checks the record "bisque" except for its bounds. */
+static bool is_record_valid(const struct nvdb_record *record, const struct nvdb_counts *counts)
+{
+    const bool ids = counts->has_ids, channels = record->flags & NVDB_RECORD_HAS_CHANNELS;
+    const uint64_t later = record->checksum[NVDB_IDS] | record->checksum[NVDB_NAMES];
+    const uint32_t flags = (counts->has_color ? NVDB_RECORD_HAS_COLOR : 0) |
+                           (counts->has_ids ? NVDB_RECORD_HAS_IDS : 0) |
+                           (channels ? NVDB_RECORD_HAS_CHANNELS : 0);
+    return record->flags == flags &&
+           record->version == (uint32_t)nvdb_record_version(ids, channels) &&
+           (ids ? record->name_bytes >> 61 == 0 : (later | record->name_bytes) == 0) &&
+           record->second_count <= counts->voxels && record->second_count <= UINT32_MAX &&
+           (channels || record->channels_checksum == 0) &&
+           record->record_checksum == fmt_nvdb_record_checksum(record);
+}
+
+/* Sets which channels the grid has by their number, and by the record if it is whole. Further
+ * channels have at least one value; read_channels() sets how many. */
+static bool find_channels(struct head *h, struct nvdb_counts *counts)
+{
+    struct nvdb_record *record = &h->record;
+    memcpy(record, h->file + h->size - sizeof(*record), sizeof(*record));
+    const bool whole = record->record_checksum == fmt_nvdb_record_checksum(record);
+    const uint32_t more = h->grid.blind_count - 4, flags = whole ? record->flags : 0;
+    const uint32_t channels = flags & NVDB_RECORD_HAS_CHANNELS ? 1 : 0;
+    counts->has_color = (more - channels) & 1;
+    counts->has_ids = (more - channels) & 2;
+    counts->channel_words = channels;
+    return h->grid.blind_count >= 4 + channels && more - channels <= 3;
+}
+
+/* Reads the head of the section of channels, at an offset in the file. */
+static bool find_channel_list(const struct head *h, uint64_t offset, struct nvdb_counts *counts)
+{
+    struct nvdb_channels_head head;
+    if (offset > h->size || h->size - offset < sizeof head)
+        return false;
+    memcpy(&head, h->file + offset, sizeof head);
+    const uint8_t *list = h->file + offset + sizeof head;
+    const uint64_t bytes = nvdb_channels_head_bytes(head.list_bytes);
+    if (h->size - offset < bytes || head.words == 0 ||
+        bsq_channel_list_values((const char *)list, head.list_bytes) != head.words)
+        return false;
+    for (uint64_t i = head.list_bytes; i < bytes - sizeof head; i++)
+        if (list[i] != 0)
+            return false;
+    counts->channel_words = head.words;
+    counts->channel_list_bytes = head.list_bytes;
+    return true;
+}
+
+static int read_channels(const struct head *h, struct nvdb_counts *counts)
+{
+    struct nvdb_layout layout;
+    if (!(h->record.flags & NVDB_RECORD_HAS_CHANNELS))
+        return 0;
+    fmt_nvdb_layout_compute(counts, &layout);
+    return find_channel_list(h, layout.section[NVDB_CHANNELS].offset, counts)
+               ? 0
+               : damaged(h, "list of channels");
+}
+
+/* Reads the counts that determine the layout; checks each against the file's size. */
+static int read_counts(struct head *h, struct nvdb_counts *counts)
+{
+    counts->type = (enum fmt_nvdb_type)h->grid.grid_type;
+    counts->leaves = h->tree.node_count[0];
+    counts->lowers = h->tree.node_count[1];
+    counts->uppers = h->tree.node_count[2];
+    counts->voxels = h->tree.voxel_count;
+    counts->seconds = 0;
+    if (!find_channels(h, counts))
+        return fail_foreign(h);
+    if (counts->uppers == 0 || counts->lowers < counts->uppers || counts->leaves < counts->lowers ||
+        counts->voxels < counts->leaves || counts->voxels / 512 > counts->leaves)
+        return damaged(h, "node counts");
+
+    struct nvdb_layout layout;
+    fmt_nvdb_layout_compute(counts, &layout);
+    if (layout.file_bytes > h->size)
+        return damaged(h, "node counts");
+    struct nvdb_record *record = &h->record;
+    if (memcmp(record->magic, NVDB_RECORD_MAGIC, sizeof(record->magic)) != 0)
+        return fail_foreign(h);
+    if (record->version < FMT_NVDB_RECORD_VERSION ||
+        record->version > FMT_NVDB_RECORD_VERSION_CHANNELS)
+        return bsq_fail(
+            h->ctx, BSQ_EDATA,
+            "%s: surface grid of version %" PRIu32 ": this Bisque reads versions %d to %d", h->path,
+            record->version, FMT_NVDB_RECORD_VERSION, FMT_NVDB_RECORD_VERSION_CHANNELS);
+    if (!is_record_valid(record, counts))
+        return damaged(h, "\"bisque\" record");
+    for (int axis = 0; axis < 3; axis++)
+        if (!isfinite(record->scan_min[axis]) || !isfinite(record->scan_max[axis]))
+            return damaged(h, "scan bounds");
+    counts->seconds = record->second_count;
+    counts->name_bytes = record->name_bytes;
+    return read_channels(h, counts);
+}
+
+/* Compares the file up to the root's tiles, except for the CRC-32, with what a writer would write
+ * for these counts, this transform and these bounds. */
+static int check_fixed(const struct head *h, const struct nvdb_counts *counts,
+                       const struct nvdb_layout *layout)
+{
+    const uint64_t crc_at = FMT_NVDB_GRID_OFFSET + offsetof(struct nvdb_grid_data, checksum);
+    const struct {
+        uint64_t end;
+        const char *name;
+    } parts[] = {{FMT_NVDB_GRID_OFFSET, "file header"},
+                 {FMT_NVDB_GRID_OFFSET + sizeof(h->grid), "GridData"},
+                 {layout->root, "TreeData"},
+                 {layout->tiles, "RootData"}};
+    uint8_t expected[NVDB_FIXED_BYTES_MAX];
+    struct fmt_nvdb_info info = {.voxel_size = h->grid.map.matrix[0]};
+    memcpy(info.translation, h->grid.map.translation, sizeof(info.translation));
+    fmt_nvdb_fill_fixed(&info, counts, layout, h->root.bbox_min, h->root.bbox_max, expected);
+    memcpy(expected + crc_at, h->file + crc_at, sizeof(h->grid.checksum[0]));
+    memset(expected + crc_at + 4, 0xff, sizeof(h->grid.checksum[1]));
+    uint64_t begin = 0;
+    for (int i = 0; i < 4; begin = parts[i++].end)
+        if (memcmp(h->file + begin, expected + begin, parts[i].end - begin) != 0)
+            return damaged(h, parts[i].name);
+    return 0;
+}
+
+/* Compares offsets, sizes and all that can be computed with the file. */
+static int check_head(const struct head *h, const struct nvdb_counts *counts,
+                      const struct nvdb_layout *layout)
+{
+    struct nvdb_blind blind[NVDB_SECTION_COUNT];
+    int status = check_fixed(h, counts, layout);
+    if (status)
+        return status;
+    fmt_nvdb_fill_blind(layout, blind);
+    if (memcmp(h->file + layout->section[NVDB_BLIND].offset, blind,
+               layout->section[NVDB_BLIND].size) != 0)
+        return damaged(h, "channel descriptions");
+    if (fmt_nvdb_head_crc(h->file, layout) != h->grid.checksum[0])
+        return damaged(h, "checksum of the grid's header");
+    return 0;
+}
+
+static void fill_grid(const struct head *h, const struct nvdb_counts *counts,
+                      const struct nvdb_layout *layout, struct fmt_nvdb_grid *grid)
+{
+    const struct nvdb_record *record = &h->record;
+    grid->info.type = counts->type;
+    grid->info.has_color = counts->has_color;
+    grid->info.voxel_size = h->grid.map.matrix[0];
+    grid->info.source_triangles = record->source_triangles;
+    memcpy(grid->info.translation, h->grid.map.translation, sizeof(grid->info.translation));
+    memcpy(grid->info.scan_min, record->scan_min, sizeof(grid->info.scan_min));
+    memcpy(grid->info.scan_max, record->scan_max, sizeof(grid->info.scan_max));
+    memcpy(grid->index_min, h->root.bbox_min, sizeof(grid->index_min));
+    memcpy(grid->index_max, h->root.bbox_max, sizeof(grid->index_max));
+    grid->grid = h->file + FMT_NVDB_GRID_OFFSET;
+    grid->grid_bytes = h->grid.grid_bytes;
+    grid->root = h->file + layout->root;
+    grid->tiles = h->file + layout->tiles;
+    grid->uppers = h->file + layout->section[NVDB_UPPERS].offset;
+    grid->lowers = h->file + layout->section[NVDB_LOWERS].offset;
+    grid->leaves = h->file + layout->section[NVDB_LEAVES].offset;
+    grid->tile_count = grid->upper_count = counts->uppers;
+    grid->lower_count = counts->lowers;
+    grid->leaf_count = counts->leaves;
+    grid->upper_bytes = sizeof(struct nvdb_upper);
+    grid->lower_bytes = sizeof(struct nvdb_lower);
+    grid->voxel_count = counts->voxels;
+    grid->record_count = layout->record_count;
+    grid->normals = (const void *)(h->file + layout->section[NVDB_NORMALS].offset);
+    grid->planes = (const void *)(h->file + layout->section[NVDB_PLANES].offset);
+    if (counts->has_color)
+        grid->colors = (const void *)(h->file + layout->section[NVDB_COLORS].offset);
+    grid->seconds = (const void *)(h->file + layout->section[NVDB_SECONDS].offset);
+    grid->channel_words = counts->channel_words;
+    grid->channel_list_bytes = counts->channel_list_bytes;
+    if (counts->channel_words > 0) {
+        const uint8_t *at = h->file + layout->section[NVDB_CHANNELS].offset;
+        grid->channel_list = (const char *)at + sizeof(struct nvdb_channels_head);
+        grid->channels = (const void *)(at + nvdb_channels_head_bytes(counts->channel_list_bytes));
+    }
+    if (!counts->has_ids)
+        return;
+    grid->ids = (const void *)(h->file + layout->section[NVDB_IDS].offset);
+    grid->names = h->file + layout->section[NVDB_NAMES].offset;
+    grid->name_bytes = counts->name_bytes;
+}
+
+/* ---- names ---- */
+
+/* A name in the file: bytes that another process may change. */
+struct name {
+    const uint8_t *bytes;
+    uint32_t length;
+};
+
+/* Finds the name at byte *at of the section and moves *at past it. Returns false if it is cut off.
+ */
+static bool next_name(const struct fmt_nvdb_grid *grid, uint64_t *at, struct name *out)
+{
+    const uint64_t left = grid->name_bytes - *at;
+    if (left < sizeof out->length)
+        return false;
+    memcpy(&out->length, grid->names + *at, sizeof out->length);
+    if (left - sizeof out->length < out->length)
+        return false;
+    out->bytes = grid->names + *at + sizeof out->length;
+    *at += sizeof out->length + out->length;
+    return true;
+}
+
+static bool is_before(const struct name *a, const struct name *b)
+{
+    const uint32_t both = a->length < b->length ? a->length : b->length;
+    const int order = memcmp(a->bytes, b->bytes, both);
+    return order != 0 ? order < 0 : a->length < b->length;
+}
+
+/* Returns whether the names of a mapped grid are as FORMATS.md describes, and sets grid->info.ids.
+ */
+static bool check_names(struct fmt_nvdb_grid *grid)
+{
+    struct nvdb_names_head head;
+    struct name last = {0}, name;
+    uint64_t at = sizeof head;
+    if (grid->name_bytes < sizeof head)
+        return false;
+    memcpy(&head, grid->names, sizeof head);
+    if (head.ids < BSQ_IDS_MATERIAL || head.ids > BSQ_IDS_COLOR ||
+        (head.ids == BSQ_IDS_COLOR && head.count > 0))
+        return false;
+    for (uint32_t i = 0; i < head.count; i++) {
+        if (!next_name(grid, &at, &name) || memchr(name.bytes, 0, name.length) ||
+            (i > 0 && !is_before(&last, &name)))
+            return false;
+        last = name;
+    }
+    grid->info.ids = (enum bsq_ids)head.ids;
+    return at == grid->name_bytes;
+}
+
+int fmt_nvdb_check_header(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
+{
+    struct head h = {
+        .ctx = ctx, .path = grid->map.path, .file = grid->map.data, .size = grid->map.size};
+    const uint64_t tree = FMT_NVDB_GRID_OFFSET + sizeof(h.grid);
+    struct nvdb_counts counts = {0};
+    struct nvdb_layout layout;
+    int status;
+    copy_part(&h, 0, &h.header, sizeof(h.header));
+    copy_part(&h, sizeof(h.header), &h.meta, sizeof(h.meta));
+    copy_part(&h, FMT_NVDB_GRID_OFFSET, &h.grid, sizeof(h.grid));
+    copy_part(&h, tree, &h.tree, sizeof(h.tree));
+    copy_part(&h, tree + sizeof(h.tree), &h.root, sizeof(h.root));
+    BSQ_TRY(check_file_header(&h));
+    BSQ_TRY(check_grid_data(&h));
+    BSQ_TRY(read_counts(&h, &counts));
+    fmt_nvdb_layout_compute(&counts, &layout);
+    if (layout.file_bytes != h.size)
+        return damaged(&h, "file size");
+    BSQ_TRY(check_head(&h, &counts, &layout));
+    fill_grid(&h, &counts, &layout, grid);
+    if (counts.has_ids && !check_names(grid))
+        status = damaged(&h, "names of ids");
+done:
+    return status;
+}
+
+void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *layout)
+{
+    struct nvdb_counts counts = {
+        .type = grid->info.type,
+        .has_color = grid->info.has_color,
+        .has_ids = grid->info.ids != BSQ_IDS_NONE,
+        .name_bytes = grid->name_bytes,
+        .channel_words = grid->channel_words,
+        .channel_list_bytes = grid->channel_list_bytes,
+        .uppers = grid->upper_count,
+        .lowers = grid->lower_count,
+        .leaves = grid->leaf_count,
+        .voxels = grid->voxel_count,
+        .seconds = grid->record_count - 1 - grid->voxel_count,
+    };
+    fmt_nvdb_layout_compute(&counts, layout);
+}
+
+const struct nvdb_record *fmt_nvdb_record_of(const struct fmt_nvdb_grid *grid,
+                                             const struct nvdb_layout *layout)
+{
+    return (const void *)((const uint8_t *)grid->map.data + layout->section[NVDB_RECORD].offset);
+}
+
+/* ---- opening ---- */
 
 bool fmt_nvdb_recognise(const char first[8])
 {
@@ -57,57 +497,6 @@ uint64_t fmt_nvdb_second(const struct fmt_nvdb_grid *grid, uint64_t v)
     uint32_t bit = UINT32_C(1) << (v % 32);
     uint64_t second = 1 + grid->voxel_count + word[1] + nvdb_popcount(word[0] & (bit - 1));
     return word[0] & bit && second < grid->record_count ? second : 0;
-}
-
-/* ---- names ---- */
-
-/* A name in the file: bytes that another process may change. */
-struct name {
-    const uint8_t *bytes;
-    uint32_t length;
-};
-
-/* Finds the name at byte *at of the section and moves *at past it. Returns false if it is cut off.
- */
-static bool next_name(const struct fmt_nvdb_grid *grid, uint64_t *at, struct name *out)
-{
-    const uint64_t left = grid->name_bytes - *at;
-    if (left < sizeof out->length)
-        return false;
-    memcpy(&out->length, grid->names + *at, sizeof out->length);
-    if (left - sizeof out->length < out->length)
-        return false;
-    out->bytes = grid->names + *at + sizeof out->length;
-    *at += sizeof out->length + out->length;
-    return true;
-}
-
-static bool is_before(const struct name *a, const struct name *b)
-{
-    const uint32_t both = a->length < b->length ? a->length : b->length;
-    const int order = memcmp(a->bytes, b->bytes, both);
-    return order != 0 ? order < 0 : a->length < b->length;
-}
-
-bool fmt_nvdb_check_names(struct fmt_nvdb_grid *grid)
-{
-    struct nvdb_names_head head;
-    struct name last = {0}, name;
-    uint64_t at = sizeof head;
-    if (grid->name_bytes < sizeof head)
-        return false;
-    memcpy(&head, grid->names, sizeof head);
-    if (head.ids < BSQ_IDS_MATERIAL || head.ids > BSQ_IDS_COLOR ||
-        (head.ids == BSQ_IDS_COLOR && head.count > 0))
-        return false;
-    for (uint32_t i = 0; i < head.count; i++) {
-        if (!next_name(grid, &at, &name) || memchr(name.bytes, 0, name.length) ||
-            (i > 0 && !is_before(&last, &name)))
-            return false;
-        last = name;
-    }
-    grid->info.ids = (enum bsq_ids)head.ids;
-    return at == grid->name_bytes;
 }
 
 int fmt_nvdb_read_names(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid,

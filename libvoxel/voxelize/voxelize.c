@@ -199,7 +199,7 @@ static int make_workers(struct vox_run *run)
         status = vox_accumulator_create(run->ctx, run->shares.accumulator_bytes, sums_of(run),
                                         &own->sums);
         if (status == 0)
-            status = vox_fragment_block_create(run->ctx, &own->block);
+            status = bsq_alloc(run->ctx, "fragments", vox_fragment_block_bytes(), 1, &own->block);
     }
     if (status < 0)
         return status;
@@ -275,7 +275,7 @@ static void tear_down(struct vox_run *run)
     }
     for (unsigned i = 0; run->own && i < run->workers; i++) {
         vox_accumulator_destroy(run->own[i].sums);
-        vox_fragment_block_destroy(run->ctx, run->own[i].block);
+        bsq_free(run->ctx, run->own[i].block);
     }
     bsq_free(run->ctx, run->units);
     bsq_free(run->ctx, run->own);

@@ -1,5 +1,4 @@
-/* accumulate.c - what the fragments of triangles have in common, and the memory of fragments;
- * accumulate_lanes.c adds them.
+/* accumulate.c - what the fragments of triangles have in common; accumulate_lanes.c adds them.
  *
  * What is linear over a triangle is interpolated at a fragment's centroid, which gives the
  * fragment's mean exactly (shade_lanes.h). A texture is averaged over the fragment's extent
@@ -8,21 +7,9 @@
 
 #include <string.h>
 
-/* ---- memory ---- */
-
 uint64_t vox_fragment_block_bytes(void)
 {
     return sizeof(struct vox_fragment_block);
-}
-
-int vox_fragment_block_create(struct bsq_ctx *ctx, struct vox_fragment_block **out)
-{
-    return bsq_alloc(ctx, "fragments", sizeof **out, 1, out);
-}
-
-void vox_fragment_block_destroy(struct bsq_ctx *ctx, struct vox_fragment_block *block)
-{
-    bsq_free(ctx, block);
 }
 
 /* ---- materials ---- */

@@ -25,13 +25,10 @@ struct vox_shading {
 int vox_shading_prepare(struct vox_shading *shading);
 void vox_shading_free(struct vox_shading *shading);
 
-/* Memory for triangles and their fragments on the way to the sums. Each worker has one. */
+/* Memory for triangles and their fragments on the way to the sums. Each worker has one. Needs no
+ * initialisation. */
 struct vox_fragment_block;
-
 uint64_t vox_fragment_block_bytes(void);
-int vox_fragment_block_create(struct bsq_ctx *ctx, struct vox_fragment_block **out);
-void vox_fragment_block_destroy(struct bsq_ctx *ctx,
-                                struct vox_fragment_block *block); /* NULL is allowed */
 
 /* Which triangles are added, and to which voxels. */
 struct vox_accumulation {

@@ -133,7 +133,7 @@ static void check_sums(struct bsq_ctx *ctx, const struct vox_chunk *chunk)
     const size_t count = level_count();
     assert_int_equal(fmt_shading_add_color(&shading.scan), 0);
     assert_int_equal(vox_shading_prepare(&shading), 0);
-    assert_int_equal(vox_fragment_block_create(ctx, &block), 0);
+    assert_int_equal(bsq_alloc(ctx, "fragments", vox_fragment_block_bytes(), 1, &block), 0);
     for (size_t c = 0; c < count; c++) {
         uint64_t counted = 0;
         assert_int_equal(vox_accumulator_create(ctx, 64 << 20, true, &sums[c]), 0);
@@ -154,7 +154,7 @@ static void check_sums(struct bsq_ctx *ctx, const struct vox_chunk *chunk)
     }
     for (size_t c = 0; c < count; c++)
         vox_accumulator_destroy(sums[c]);
-    vox_fragment_block_destroy(ctx, block);
+    bsq_free(ctx, block);
     vox_shading_free(&shading);
 }
 
