@@ -64,14 +64,12 @@ ok $bake --plan farm/plan.json --task 0-2
 texels=$(sed -n 's/.* around the hits of \([0-9]*\) of .*/\1/p' "$err" | awk '{ sum += $1 } END { print sum }')
 $bake --plan farm/plan.json --merge --strict
 code 65
-[ ! -e farm/c_1002.png ]
-check "a strict merge writes no map of unknown curvature" $?
+holds "a strict merge writes no map of unknown curvature" [ ! -e farm/c_1002.png ]
 ok $bake --plan farm/plan.json --merge
 grep -q "warning: map curvature: no surface around the hits of $texels of $texels texels, at a radius of 100" "$err"
 check "a merge warns of unknown curvature" $?
 ok $bake --plan farm/plan.json --merge
-grep -q "of $texels texels, at a radius of 100" "$err"
-check "a merge that is kept warns of it too" $?
+holds "a merge that is kept warns of it too" grep -q "of $texels texels, at a radius of 100" "$err"
 $bake --plan farm/plan.json --merge --strict
 code 65
 
@@ -100,8 +98,7 @@ for again in 1 2; do
     grep -q ' % of the samples found no surface, more than --max-missed 5$' "$err"
     check "merge $again says what is wrong" $?
 done
-[ -s farm/m_1002.png ]
-check "the maps are there" $?
+holds "the maps are there" [ -s farm/m_1002.png ]
 ok $bake --plan farm/plan.json --merge --max-missed 99
 $bake --plan farm/plan.json --merge --max-missed 0
 code 1
@@ -152,22 +149,19 @@ inputs="../box_high.nvdb ../lid_high.nvdb ../box_low.obj ../lid_low.obj"
 sed -i 's/^o .*/o lid_low/' lid_low.obj
 sed -i 's/^o .*/o box_low/' box_low.obj
 alike_several 4 --maps normal,ao,position --rays ao=2 --match name -o '<OBJECT>_<MAP>.<UDIM>.exr'
-[ "$(ls farm/*.exr | wc -l)" -eq 12 ]
-check "maps of two objects in two tiles" $?
+holds "maps of two objects in two tiles" [ "$(ls farm/*.exr | wc -l)" -eq 12 ]
 inputs="../scan.nvdb ../box_low.obj ../lid_low.obj"
 alike_several 2 --maps mask -o '<MATERIAL>.<UDIM>.exr' --samples 1
 
 # The percentage counts the tiles that a task traces.
 run bisque-bake box_high.nvdb lid_high.nvdb box_low.obj $size -o 'm_<MAP>.<UDIM>.exr' --maps ao --rays ao=1 --progress openjd
 for percent in 33.5 66.0; do # after each tile
-    grep -qx "openjd_progress: $percent" "$out"
-    check "progress of $percent" $?
+    holds "progress of $percent" grep -qx "openjd_progress: $percent" "$out"
 done
 run bisque-bake scan.nvdb low.obj $size -o 'm_<MAP>.<UDIM>.exr' --maps mask --tasks 40 --write-plan forty.json
 task=$(jq '[.tiles[].blocks | [scan("[*]([0-9]+)")[0]]] | .[1] - .[0] | .[0] | tonumber' forty.json) # of one of two tiles
 $bake --plan forty.json --task "$task" --progress openjd
-grep -qx 'openjd_progress: 66.0' "$out"
-check "it counts this tile alone" $?
+holds "it counts this tile alone" grep -qx 'openjd_progress: 66.0' "$out"
 rm forty.* m_*
 
 # ---- the same again ----
@@ -222,11 +216,9 @@ json '.task == 1 and (.kept | not) and .samples > 0'
 before=$(stat -c %i.%y farm/plan.0001.part)
 ok $bake --plan farm/plan.json --task 1
 out_like '^farm/plan\.0001\.part: this part is complete already, kept$'
-[ "$(stat -c %i.%y farm/plan.0001.part)" = "$before" ]
-check "a complete part is not touched" $?
+holds "a complete part is not touched" [ "$(stat -c %i.%y farm/plan.0001.part)" = "$before" ]
 ok $bake --plan farm/plan.json --task 1 --force
-[ "$(stat -c %i.%y farm/plan.0001.part)" != "$before" ]
-check "--force bakes it again" $?
+holds "--force bakes it again" [ "$(stat -c %i.%y farm/plan.0001.part)" != "$before" ]
 ok $bake --plan farm/plan.json --merge
 out_like '^maps/normal\.1002\.exr: normal map$'
 ok $bake --plan farm/plan.json --merge
@@ -240,8 +232,7 @@ rm farm/plan.*.merged maps/*
 mkdir farm/plan.0001.merged
 $bake --plan farm/plan.json --merge
 code 73
-[ -z "$(ls maps)" ]
-check "no maps if the note of the merge cannot be written" $?
+holds "no maps if the note of the merge cannot be written" [ -z "$(ls maps)" ]
 rmdir farm/plan.0001.merged
 ok $bake --plan farm/plan.json --merge
 
@@ -270,8 +261,7 @@ $bake --plan farm/tiles.json --merge-tile 7 --json
 json '.merge_tile == 7 and .kept == false'
 before=$(stat -c %i.%y maps/*.png)
 ok $bake --plan farm/tiles.json --merge
-[ "$(stat -c %i.%y maps/[!l]*.png)" = "$before" ]
-check "the last step writes the preview only" $?
+holds "the last step writes the preview only" [ "$(stat -c %i.%y maps/[!l]*.png)" = "$before" ]
 for map in one/*; do
     same "$map" "maps/${map#one/}"
 done
@@ -404,8 +394,7 @@ cat >rules.json <<JSON
 {"source_path_format": "POSIX", "source_path": "/mnt", "destination_path": "/nowhere"}]}
 JSON
 ok run bisque-voxelize /mnt/farm/skin.obj -o here/skin.nvdb --resolution 24 --path-map rules.json
-grep -aq "$PWD/here/textures/skin.ppm" here/skin.tris
-check "the texture is found by the rules" $?
+holds "the texture is found by the rules" grep -aq "$PWD/here/textures/skin.ppm" here/skin.tris
 ok $bake /mnt/farm/skin.tris low.obj $size -o "$PWD/here/<MAP>.<UDIM>.exr" --maps color --tasks 2 --write-plan here/plan.json \
     --path-map rules.json
 jq -e '[.inputs[].path] | sort == ["../low.obj", "skin.tris", "textures/skin.ppm"]' here/plan.json >"$work/jq"
@@ -485,8 +474,7 @@ if [ -n "${LONG-}" ]; then # it takes half a minute
     rm flag
     wait $! || code=$?
     code 0
-    [ "$(cat "$work/lines")" -ge 2 ]
-    check "a line of progress at least every 30 s" $?
+    holds "a line of progress at least every 30 s" [ "$(cat "$work/lines")" -ge 2 ]
 fi
 
 # ---- options ----
@@ -527,8 +515,7 @@ check "no plan for a mesh from a pipe" $?
 kill $! 2>"$work/kill"
 $bake scan.nvdb low.obj $size -o "$(printf 'x\377_<MAP>.<UDIM>.exr')" --tasks 4 --write-plan p.json
 code 64
-[ ! -e p.json ]
-check "no plan with a name that is not UTF-8" $?
+holds "no plan with a name that is not UTF-8" [ ! -e p.json ]
 $bake scan.nvdb low.obj $size -o 'x_<MAP>.<UDIM>.exr' --tasks 4 --write-plan nowhere/p.json
 code 73
 for tasks in 0 65537 x; do
@@ -557,13 +544,11 @@ command="bisque-slurm bake --dry-run" code=0
 "$slurm" bake --dry-run --tasks 9 --at-most 4 --gpu --partition fast -- "a scan.nvdb" low.obj -o "o'<MAP>.exr" \
     >"$out" 2>"$err" || code=$?
 code 0
-[ "$(grep -c '^sbatch ' "$out")" -eq 3 ]
-check "three jobs" $?
+holds "three jobs" [ "$(grep -c '^sbatch ' "$out")" -eq 3 ]
 for line in "'--array=0-8%4' '--gres=gpu:1'" "'--dependency=afterok:<bisque-plan>' '--kill-on-invalid-dep=yes'" \
     "'--dependency=afterok:<bisque-task>' '--kill-on-invalid-dep=yes'" "'--output=logs/%A_%a.log'" "'--partition=fast'" \
     "'a scan.nvdb' 'low.obj' '-o' 'o'\\\\''<MAP>.exr' '--tasks' '9'"; do
-    grep -qF -- "$(printf '%b' "$line")" "$out"
-    check "submitted: $line" $?
+    holds "submitted: $line" grep -qF -- "$(printf '%b' "$line")" "$out"
 done
 command="bisque-slurm bake --tiles --dry-run" code=0
 "$slurm" bake --dry-run --tiles 3 -- s.nvdb low.obj -o 'o_<UDIM>.exr' >"$out" 2>"$err" || code=$?
@@ -635,8 +620,7 @@ code 0
 for line in 'extensions: [TASK_CHUNKING]' '    default: 2' '          type: CHUNK[INT]' \
     '          chunks: {defaultTaskCount: 2, rangeConstraint: CONTIGUOUS}' '        - {name: amount.worker.vcpu, min: 8}' \
     '        - {name: amount.worker.gpu, min: 1}'; do
-    grep -qxF -- "$line" "$out"
-    check "the template has \"$line\"" $?
+    holds "the template has \"$line\"" grep -qxF -- "$line" "$out"
 done
 memory=$("$BIN/bisque-bake" --plan farm/plan.json --json | jq '.task_memory_bytes / 1048576 | ceil')
 [ "$(grep -c "amount.worker.memory, min: $memory}" "$out")" -eq 3 ]
@@ -695,8 +679,7 @@ rm -f $part
 command="bisque-bake --task 2 interrupted" code=0
 faulty_task write interrupt 0 || code=$?
 refused 75 "$p interrupted"
-[ ! -e $part ]
-check "an interrupted task leaves no part" $?
+holds "an interrupted task leaves no part" [ ! -e $part ]
 
 second='"$faulted" --plan farm/plan.json --task 2 >"$work/second"'
 twice "the same task completes meanwhile" "$second"

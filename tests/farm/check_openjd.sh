@@ -28,8 +28,7 @@ for template in asset parts assets bake; do
     check "host requirements of $template" $?
     for file in "$farm/$template.openjd.yaml" $template.chunks.yaml; do
         openjd check "$file"
-        grep -q 'passes validation checks' "$out"
-        check "${file##*/} is valid" $?
+        holds "${file##*/} is valid" grep -q 'passes validation checks' "$out"
     done
 done
 
@@ -48,8 +47,7 @@ for map in normal height color; do
     same map_$map.1001.exr maps/map_$map.1001.exr
 done
 same scan.nvdb maps/scan.nvdb
-[ "$(ls maps/*.part | wc -l)" -eq 5 ]
-check "there are five parts" $?
+holds "there are five parts" [ "$(ls maps/*.part | wc -l)" -eq 5 ]
 
 # One task again, and a scan that lies elsewhere on this machine.
 rm maps/plan.0003.part maps/map_*
@@ -108,8 +106,7 @@ openjd $compare -p Reference=reference -p CompareOptions='--max-error 0'
 rises && grep -q 'openjd_progress: 50' "$out"
 check "the progress of two comparisons rises to 100" $?
 openjd $compare
-grep -q 'no reference given' "$out"
-check "no reference, no comparison" $?
+holds "no reference, no comparison" grep -q 'no reference given' "$out"
 run bisque-bake scan.nvdb low.obj -o 'reference/map_<MAP>.<UDIM>.exr' --maps normal --size 160x96 --green down --device cpu
 code 0
 command="openjd $compare" code=0
@@ -125,8 +122,7 @@ run bisque-bake parts.nvdb low.obj -o 'part_<MAP>.<UDIM>.exr' $options
 code 0
 openjd run parts.chunks.yaml --step Compare --run-dependencies -p Root=. -p List=parts.txt -p LastPart=7 -p Low=low.obj \
     -p OutputDir=parts -p LastTask=4 -p Resolution=128 -p BakeOptions="$options" -p BinDir="$BIN"
-[ "$(ls parts/*.tris | wc -l)" -eq 8 ]
-check "there are eight chunk files" $?
+holds "there are eight chunk files" [ "$(ls parts/*.tris | wc -l)" -eq 8 ]
 same parts.nvdb parts/scan.nvdb
 for map in normal height color; do
     same part_$map.1001.exr parts/map_$map.1001.exr
@@ -174,6 +170,5 @@ kill -INT $pid
 wait $pid || code=$?
 [ "$code" -ne 0 ] && grep -q 'openjd_fail: interrupted' "$out" && grep -q 'exited with code: 75 ' "$out"
 check "a cancelation interrupts the program" $?
-[ -z "$(ls -A | grep '^asset._ao\|tmp$')" ]
-check "and nothing of its maps is left" $?
+holds "and nothing of its maps is left" [ -z "$(ls -A | grep '^asset._ao\|tmp$')" ]
 finish

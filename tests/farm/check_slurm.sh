@@ -71,8 +71,7 @@ disturb()
 
 submit parts --tasks 8 --at-most 4 --cpus 1 --memory 400 --bin "$BIN" --plan farm.json --resolution 300 parts.txt -- \
     low.obj -o 'farm_<MAP>.exr' $options --preview farm.png
-[ "$(grep -c ': job [0-9]*$' "$out")" -eq 5 ]
-check "the numbers of five jobs are printed" $?
+holds "the numbers of five jobs are printed" [ "$(grep -c ': job [0-9]*$' "$out")" -eq 5 ]
 sort=$(sed -n 's/^bisque-sort: job //p' "$out")
 plan=$(sed -n 's/^bisque-plan: job //p' "$out") task=$(sed -n 's/^bisque-task: job //p' "$out")
 merge=$(sed -n 's/^bisque-merge: job //p' "$out")
@@ -87,8 +86,7 @@ lose_node "$lost_node"
 set -- $(squeue -h -t R -j "$task" -o '%N %A %K' | grep -v "^$lost_node " | head -n 1)
 again=${3-none} queued=${2-}
 twice=$(squeue -h -t R -j "$task" -o '%N %K' | grep -v "^$lost_node \| $again$" | sed -n 's/.* //p' | head -n 1)
-[ -n "$twice" ]
-check "a third task runs" $?
+holds "a third task runs" [ -n "$twice" ]
 "$BIN/bisque-bake" --plan farm.json --task "${twice:-7}" --force --threads 1 >"$work/double" 2>&1 &
 double=$!
 [ -z "$queued" ] || scontrol requeue "$queued"
@@ -99,8 +97,7 @@ wait_until "$limit" 'rm -f "$work/held"; [ "$(jobs_left)" -eq 0 ]'
 preload=
 check "all jobs end" $?
 for job in $plan $merge; do
-    [ "$(completed "$job")" = " 1 COMPLETED" ]
-    check "job $job is completed" $?
+    holds "job $job is completed" [ "$(completed "$job")" = " 1 COMPLETED" ]
 done
 sed 's/^/# /' logs/*.log | grep -i 'error\|bisque-bake:' | head
 for map in normal color height curvature ao; do
@@ -108,8 +105,7 @@ for map in normal color height curvature ao; do
 done
 same one.png farm.png
 same parts.nvdb farm.nvdb
-[ "$(ls part_?.tris | wc -l)" -eq 8 ]
-check "eight chunk files" $?
+holds "eight chunk files" [ "$(ls part_?.tris | wc -l)" -eq 8 ]
 [ "$(grep -c '^Progress: 0%$' logs/"${task}_$lost.log")" -ge 2 ] && grep -q '^Progress: 100%$' logs/"${task}_$lost.log"
 check "the task whose node was lost was started again, in the same log" $?
 [ "$(scontrol show node "$lost_node" | sed -n 's/.*State=\(DOWN\).*/\1/p')" = DOWN ]
@@ -134,8 +130,7 @@ done
 
 submit bake --tasks 3 --cpus 1 --memory 400 --bin "$BIN" -- parts.nvdb low.obj -o 'three_<MAP>.exr' --maps normal --size 64 \
     --device cpu
-[ "$(grep -c ': job [0-9]*$' "$out")" -eq 3 ]
-check "the numbers of three jobs are printed" $?
+holds "the numbers of three jobs are printed" [ "$(grep -c ': job [0-9]*$' "$out")" -eq 3 ]
 wait_until "$limit" '[ "$(jobs_left)" -eq 0 ]'
 run bisque-bake parts.nvdb low.obj -o 'whole_<MAP>.exr' --maps normal --size 64 --device cpu
 code 0

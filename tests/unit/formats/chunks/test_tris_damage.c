@@ -112,6 +112,15 @@ static void sign(uint8_t *bytes, size_t size)
     memcpy(bytes + 144, &header, 8);
 }
 
+/* Makes the checksums of a file without chunks right. */
+static void sign_materials(uint8_t *bytes, size_t size)
+{
+    uint64_t sum = XXH3_64bits(bytes + 152, size - 152);
+    memcpy(bytes + 128, &sum, 8);
+    sum = XXH3_64bits(bytes, 144);
+    memcpy(bytes + 144, &sum, 8);
+}
+
 /* With wrong sizes in header or table but correct checksums, a reader must not allocate more than a
  * few times the size of the file. */
 FIXTURE_TEST(sizes_are_compared_with_the_file)
@@ -177,10 +186,7 @@ FIXTURE_TEST(padding_of_materials_is_zero)
     for (size_t at = size - 6; at < size; at++) {
         assert_int_equal(bytes[at], 0);
         bytes[at] = 1;
-        uint64_t sum = XXH3_64bits(bytes + 152, size - 152);
-        memcpy(bytes + 128, &sum, 8);
-        sum = XXH3_64bits(bytes, 144);
-        memcpy(bytes + 144, &sum, 8);
+        sign_materials(bytes, size);
         test_bytes(tris_path, bytes, size);
         assert_int_equal(read_all(f), BSQ_EDATA);
         assert_non_null(strstr(bsq_error(f->ctx), "after the materials is not zero"));
@@ -189,22 +195,34 @@ FIXTURE_TEST(padding_of_materials_is_zero)
     free(bytes);
 }
 
-/* Makes the checksums of a file without chunks right. */
-static void sign_materials(uint8_t *bytes, size_t size)
+/* A number that replaces one of the file, whose checksums are made right, and what is said of it.
+ */
+struct damage {
+    size_t at;
+    uint32_t value;
+    const char *message;
+};
+
+static void expect_damage(struct tris_fixture *f, const uint8_t *bytes, size_t size,
+                          const struct damage *cases, size_t count,
+                          void (*make_right)(uint8_t *bytes, size_t size))
 {
-    uint64_t sum = XXH3_64bits(bytes + 152, size - 152);
-    memcpy(bytes + 128, &sum, 8);
-    sum = XXH3_64bits(bytes, 144);
-    memcpy(bytes + 144, &sum, 8);
+    uint8_t *changed = malloc(size);
+    for (size_t i = 0; i < count; i++) {
+        memcpy(changed, bytes, size);
+        memcpy(changed + cases[i].at, &cases[i].value, 4);
+        make_right(changed, size);
+        test_bytes(tris_path, changed, size);
+        assert_int_equal(read_all(f), BSQ_EDATA);
+        if (!strstr(bsq_error(f->ctx), cases[i].message))
+            fail_msg("\"%s\" is not in \"%s\"", cases[i].message, bsq_error(f->ctx));
+    }
+    free(changed);
 }
 
 FIXTURE_TEST(damaged_names_of_ids_are_found)
 {
-    static const struct {
-        uint64_t at;
-        uint32_t value;
-        const char *message;
-    } cases[] = {
+    static const struct damage cases[] = {
         {152, 0, "unknown ids"},
         {152, 4, "unknown ids"},
         {156, 1, "unknown ids"},
@@ -217,28 +235,15 @@ FIXTURE_TEST(damaged_names_of_ids_are_found)
     };
     struct tris_fixture *f = *state;
     size_t size;
-    uint8_t *bytes = tris_write_ids(f, &size), *changed = malloc(size);
+    uint8_t *bytes = tris_write_ids(f, &size);
     assert_int_equal(read_all(f), 0);
-    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
-        memcpy(changed, bytes, size);
-        memcpy(changed + cases[i].at, &cases[i].value, 4);
-        sign_materials(changed, size);
-        test_bytes(tris_path, changed, size);
-        assert_int_equal(read_all(f), BSQ_EDATA);
-        if (!strstr(bsq_error(f->ctx), cases[i].message))
-            fail_msg("\"%s\" is not in \"%s\"", cases[i].message, bsq_error(f->ctx));
-    }
-    free(changed);
+    expect_damage(f, bytes, size, cases, sizeof cases / sizeof *cases, sign_materials);
     free(bytes);
 }
 
 FIXTURE_TEST(damaged_channels_are_found)
 {
-    static const struct {
-        uint64_t at;
-        uint32_t value;
-        const char *message;
-    } cases[] = {
+    static const struct damage cases[] = {
         {8, 2, "unknown ids"},
         {152, 4, "unknown ids"},
         {160, 3, "channel"},
@@ -254,28 +259,15 @@ FIXTURE_TEST(damaged_channels_are_found)
     };
     struct tris_fixture *f = *state;
     size_t size;
-    uint8_t *bytes = tris_write_channels(f, &size), *changed = malloc(size);
+    uint8_t *bytes = tris_write_channels(f, &size);
     assert_int_equal(read_all(f), 0);
-    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
-        memcpy(changed, bytes, size);
-        memcpy(changed + cases[i].at, &cases[i].value, 4);
-        sign_materials(changed, size);
-        test_bytes(tris_path, changed, size);
-        assert_int_equal(read_all(f), BSQ_EDATA);
-        if (!strstr(bsq_error(f->ctx), cases[i].message))
-            fail_msg("\"%s\" is not in \"%s\"", cases[i].message, bsq_error(f->ctx));
-    }
-    free(changed);
+    expect_damage(f, bytes, size, cases, sizeof cases / sizeof *cases, sign_materials);
     free(bytes);
 }
 
 FIXTURE_TEST(values_out_of_range_are_found)
 {
-    static const struct {
-        size_t at;
-        uint32_t value;
-        const char *message;
-    } cases[] = {
+    static const struct damage cases[] = {
         {8, 4, "version 4"},
         {12, 31, "unknown attributes"},
         {24, 0x10000000, "another length"},
@@ -295,24 +287,11 @@ FIXTURE_TEST(values_out_of_range_are_found)
     size_t size;
     tris_fill(f->samples[0], 15, 5, 7, 4);
     tris_write_samples(f, 15, 1);
-    uint8_t *bytes = test_read(tris_path, &size), *changed = malloc(size);
-    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
-        memcpy(changed, bytes, size);
-        memcpy(changed + cases[i].at, &cases[i].value, 4);
-        sign(changed, size);
-        test_bytes(tris_path, changed, size);
-        assert_int_equal(read_all(f), BSQ_EDATA);
-        if (!strstr(bsq_error(f->ctx), cases[i].message))
-            fail_msg("\"%s\" is not in \"%s\"", cases[i].message, bsq_error(f->ctx));
-    }
+    uint8_t *bytes = test_read(tris_path, &size);
+    expect_damage(f, bytes, size, cases, sizeof cases / sizeof *cases, sign);
     /* A table entry that claims more triangles than a chunk may have. */
-    memcpy(changed, bytes, size);
-    memset(changed + tris_u64_at(bytes, 104) + 24, 0xff, 4);
-    sign(changed, size);
-    test_bytes(tris_path, changed, size);
-    assert_int_equal(read_all(f), BSQ_EDATA);
-    assert_non_null(strstr(bsq_error(f->ctx), "entry 0 of the table"));
-    free(changed);
+    const struct damage entry = {tris_u64_at(bytes, 104) + 24, UINT32_MAX, "entry 0 of the table"};
+    expect_damage(f, bytes, size, &entry, 1, sign);
     free(bytes);
 }
 

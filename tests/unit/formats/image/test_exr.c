@@ -63,19 +63,6 @@ static void write_image(struct bsq_ctx *ctx, uint32_t width, uint32_t height,
     assert_int_equal(test_commit_image(writer), 0);
 }
 
-static uint8_t *read_bytes(const char *name, size_t *size)
-{
-    FILE *file = fopen(name, "rb");
-    assert_non_null(file);
-    fseek(file, 0, SEEK_END);
-    *size = (size_t)ftell(file);
-    rewind(file);
-    uint8_t *bytes = malloc(*size);
-    assert_int_equal(fread(bytes, 1, *size, file), *size);
-    fclose(file);
-    return bytes;
-}
-
 /* ---- blocks that hardly compress ---- */
 
 enum { NOISE_WIDTH = 24, NOISE_ROWS = 16, NOISE_SAMPLES = NOISE_WIDTH * NOISE_ROWS };
@@ -154,7 +141,7 @@ static size_t pack_halves(const uint8_t *ordered, bool *stored)
     /* The table with the place of the block is just before it. */
     size_t size, at = HEADER;
     uint64_t place = 0;
-    uint8_t *file = read_bytes(path, &size);
+    uint8_t *file = test_read(path, &size);
     for (; place != at && at + HEADER < size; at += place != at)
         memcpy(&place, file + at - sizeof place, sizeof place);
     const uint8_t *block = file + at + HEADER;
@@ -231,7 +218,7 @@ TEST(test_stored_halves_read_back)
     assert_int_equal(fmt_image_create(ctx, &fmt_exr_format, path, &options, &writer), 0);
     assert_int_equal(fmt_image_write_rows(writer, samples, HEIGHT), 0);
     assert_int_equal(test_commit_image(writer), 0);
-    free(read_bytes(path, &size));
+    free(test_read(path, &size));
     assert_in_range(size, COUNT * 2, COUNT * 2 + COUNT / 2); /* two bytes of four stay */
     assert_int_equal(fmt_exr_read(ctx, path, &image), 0);
     assert_memory_equal(image.samples, samples, COUNT * sizeof *samples);
@@ -344,7 +331,7 @@ static void compare_threads(uint32_t tile_side)
         struct bsq_ctx *ctx = test_context(threads, 0);
         write_image(ctx, WIDTH, HEIGHT, FMT_HALF, samples, 10 * threads + 1, tile_side);
         size_t size;
-        uint8_t *bytes = read_bytes(path, &size);
+        uint8_t *bytes = test_read(path, &size);
         if (first) {
             assert_int_equal(size, first_size);
             assert_memory_equal(bytes, first, size);
@@ -435,7 +422,7 @@ TEST(test_truncated_files_are_refused)
     float *samples = random_samples(20 * 40 * 3, 3);
     write_image(ctx, 20, 40, FMT_HALF, samples, 40, 0);
     size_t size;
-    free(read_bytes(path, &size));
+    free(test_read(path, &size));
     for (size_t length = size; length-- > 0;) {
         assert_int_equal(truncate(path, (off_t)length), 0);
         expect_damage(ctx, "length", length);
@@ -454,7 +441,7 @@ TEST(test_flipped_bytes_do_no_harm)
     float *samples = random_samples(20 * 40 * 3, 3);
     write_image(ctx, 20, 40, FMT_FLOAT, samples, 40, 0);
     size_t size;
-    uint8_t *bytes = read_bytes(path, &size);
+    uint8_t *bytes = test_read(path, &size);
     for (int round = 0; round < 1000; ++round) {
         /* Most rounds hit the header, where the sizes are. */
         size_t range = round % 4 ? 600 : size;
@@ -480,7 +467,7 @@ TEST(test_sizes_are_held_against_the_budget)
     float *samples = random_samples(64 * 64 * 3, 3);
     write_image(ctx, 64, 64, FMT_HALF, samples, 64, 0);
     size_t size;
-    uint8_t *bytes = read_bytes(path, &size);
+    uint8_t *bytes = test_read(path, &size);
     /* The attribute is "dataWindow\0box2i\0", a length, and four int32; xMax is the third. */
     static const char name[] = "dataWindow\0box2i";
     uint8_t *window = memmem(bytes, size, name, sizeof name);
@@ -504,7 +491,7 @@ TEST(test_a_table_of_blocks_is_held_against_the_file)
     float *samples = random_samples(64 * 64 * 3, 3);
     write_image(ctx, 64, 64, FMT_HALF, samples, 64, 0);
     size_t size;
-    uint8_t *bytes = read_bytes(path, &size);
+    uint8_t *bytes = test_read(path, &size);
     static const char name[] = "dataWindow\0box2i";
     uint8_t *window = memmem(bytes, size, name, sizeof name);
     assert_non_null(window);

@@ -163,3 +163,25 @@ void obj_expect_text_error(const char *text, const char *message)
 {
     obj_expect_error(text, strlen(text), message);
 }
+
+static void note_warning(void *user, const char *line)
+{
+    strcat(user, line);
+    strcat(user, "\n");
+}
+
+void mesh_expect_warnings(const char *path, unsigned threads, const char *expected)
+{
+    char warnings[2000] = "";
+    struct bsq_ctx_options options = {
+        .threads = threads, .memory_bytes = 64 << 20, .on_warning = note_warning, .user = warnings};
+    struct fmt_mesh_reader *reader;
+    struct bsq_ctx *ctx;
+    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
+    assert_int_equal(fmt_mesh_open(ctx, &path, 1, &reader), 0);
+    for (int i = 0; i < 2; i++)
+        assert_int_equal(fmt_mesh_read(reader, NULL, NULL, NULL), 0);
+    fmt_mesh_close(reader);
+    assert_string_equal(warnings, expected);
+    test_context_end(ctx);
+}

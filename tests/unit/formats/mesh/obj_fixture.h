@@ -38,9 +38,11 @@ uint64_t obj_line_of_face(const struct obj_fixture *f, uint64_t face);
 void obj_assert_material(const struct obj_fixture *f, uint32_t material, const char *name);
 /* Checks the indices of a kind of all `count` corners, given as int. Below 0: a corner has none. */
 void obj_assert_corners(const struct obj_fixture *f, int kind, uint64_t count, ...);
-/* Checks that reading `text` fails with "DIRECTORY/" and `message`. */
+/* Checks that reading `text` fails with `message`. */
 void obj_expect_error(const char *text, size_t size, const char *message);
 void ply_expect_error(const char *text, size_t size, const char *message);
 void obj_expect_text_error(const char *text, const char *message);
+/* Reads a file twice, and checks the warnings, which must come once, each as a line. */
+void mesh_expect_warnings(const char *path, unsigned threads, const char *expected);
 
 #endif

@@ -31,29 +31,6 @@ TEST(test_words)
 
 /* ---- OBJ ---- */
 
-static void note_warning(void *user, const char *line)
-{
-    strcat(user, line);
-    strcat(user, "\n");
-}
-
-/* Reads a file twice, and checks the warnings, which must come once. */
-static void expect_warnings(const char *path, unsigned threads, const char *expected)
-{
-    char warnings[2000] = "";
-    struct bsq_ctx_options options = {
-        .threads = threads, .memory_bytes = 64 << 20, .on_warning = note_warning, .user = warnings};
-    struct fmt_mesh_reader *reader;
-    struct bsq_ctx *ctx;
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    assert_int_equal(fmt_mesh_open(ctx, &path, 1, &reader), 0);
-    for (int i = 0; i < 2; i++)
-        assert_int_equal(fmt_mesh_read(reader, NULL, NULL, NULL), 0);
-    fmt_mesh_close(reader);
-    assert_string_equal(warnings, expected);
-    test_context_end(ctx);
-}
-
 TEST(test_numbers)
 {
     struct obj_fixture f;
@@ -75,7 +52,7 @@ TEST(test_numbers)
     const float normals[4][3] = {{0, 0, 0}, {0, 0, 0}, {1, 2, 3}, {1, 2, 3}};
     assert_memory_equal(f.scan.normals, normals, sizeof normals);
     obj_close(&f);
-    expect_warnings(
+    mesh_expect_warnings(
         "scan.obj", 2,
         "scan.obj:4: vertices without a finite position: 2; this is the first\n"
         "scan.obj:8: texture coordinates without finite numbers: 3; this is the first\n"
@@ -94,9 +71,9 @@ TEST(test_first_line_in_a_late_block)
         to += sprintf(to, i == 150000 || i == 190000 ? "v 1 n\x61n 3\n" : "v 1 2 %d\n", i % 10);
     const char *path = test_text("late.obj", text);
     for (unsigned threads = 1; threads < 5; threads++)
-        expect_warnings(path, threads,
-                        "late.obj:150001: vertices without a finite position: 2; this is the "
-                        "first\n");
+        mesh_expect_warnings(path, threads,
+                             "late.obj:150001: vertices without a finite position: 2; this is the "
+                             "first\n");
     free(text);
 }
 
@@ -238,10 +215,11 @@ TEST(test_ply)
             assert_int_equal(isnan(f.scan.texcoords[i][0]), i == 1);
         }
         obj_close(&f);
-        expect_warnings(path, 2,
-                        "odd.ply: 1 positions are not finite or incomplete and were left out\n"
-                        "odd.ply: 1 texture coordinates are not finite or incomplete and were left "
-                        "out\n");
+        mesh_expect_warnings(
+            path, 2,
+            "odd.ply: 1 positions are not finite or incomplete and were left out\n"
+            "odd.ply: 1 texture coordinates are not finite or incomplete and were left "
+            "out\n");
         ply_free(&b);
     }
 }

@@ -237,38 +237,20 @@ TEST(test_long_header_line)
     free(text);
 }
 
-static void note_warning(void *user, const char *line)
-{
-    strcat(user, line);
-    strcat(user, "\n");
-}
-
 /* What is not read is said once, also if the file is read twice. */
 TEST(test_warnings)
 {
-    char warnings[1000] = "";
-    struct bsq_ctx_options options = {
-        .threads = 1, .memory_bytes = 64 << 20, .on_warning = note_warning, .user = warnings};
-    struct bsq_ctx *ctx;
-    struct fmt_mesh_reader *reader;
-    const char *path = test_text(
-        "odd.ply",
-        TEXT "element vertex 3\n" XYZ "property float quality\nproperty int flags\n"
-             "property float nx\nproperty float ny\nproperty float nz\nelement face 1\n" FACES
-             "property uchar weight\nelement camera 2\nproperty float a\nend_header\n"
-             "0 0 0 1 2 0 0 1\n0 0 1 1 2 0 0 1e99\n0 1 0 1 2 0 0 1\n3 0 1 2 7\n5\n6\n\n rest\n");
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    assert_int_equal(fmt_mesh_open(ctx, &path, 1, &reader), 0);
-    for (int i = 0; i < 2; i++)
-        assert_int_equal(fmt_mesh_read(reader, NULL, NULL, NULL), 0);
-    fmt_mesh_close(reader);
-    assert_string_equal(warnings,
-                        "odd.ply: 7 bytes after the last element not read\n"
-                        "odd.ply: 2 properties of \"vertex\" not read: quality, flags\n"
-                        "odd.ply: 1 property of \"face\" not read: weight\n"
-                        "odd.ply: 2 elements \"camera\" not read\n"
-                        "odd.ply: 1 normals are not finite or incomplete and were left out\n");
-    test_context_end(ctx);
+    test_text("odd.ply", TEXT
+              "element vertex 3\n" XYZ "property float quality\nproperty int flags\n"
+              "property float nx\nproperty float ny\nproperty float nz\nelement face 1\n" FACES
+              "property uchar weight\nelement camera 2\nproperty float a\nend_header\n"
+              "0 0 0 1 2 0 0 1\n0 0 1 1 2 0 0 1e99\n0 1 0 1 2 0 0 1\n3 0 1 2 7\n5\n6\n\n rest\n");
+    mesh_expect_warnings("odd.ply", 1,
+                         "odd.ply: 7 bytes after the last element not read\n"
+                         "odd.ply: 2 properties of \"vertex\" not read: quality, flags\n"
+                         "odd.ply: 1 property of \"face\" not read: weight\n"
+                         "odd.ply: 2 elements \"camera\" not read\n"
+                         "odd.ply: 1 normals are not finite or incomplete and were left out\n");
 }
 
 RUN_TESTS(NULL, NULL)

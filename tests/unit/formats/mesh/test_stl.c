@@ -295,36 +295,14 @@ TEST(test_every_length)
     }
 }
 
-static void note_warning(void *user, const char *line)
-{
-    strcat(user, line);
-    strcat(user, "\n");
-}
-
-static void check_warning(const void *bytes, size_t size, const char *expected)
-{
-    char warnings[300] = "";
-    struct bsq_ctx_options options = {
-        .threads = 1, .memory_bytes = 64 << 20, .on_warning = note_warning, .user = warnings};
-    struct bsq_ctx *ctx;
-    struct fmt_mesh_reader *reader;
-    const char *path = test_bytes("odd.stl", bytes, size);
-    assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
-    assert_int_equal(fmt_mesh_open(ctx, &path, 1, &reader), 0);
-    for (int i = 0; i < 2; i++)
-        assert_int_equal(fmt_mesh_read(reader, NULL, NULL, NULL), 0);
-    fmt_mesh_close(reader);
-    assert_string_equal(warnings, expected);
-    test_context_end(ctx);
-}
-
 TEST(test_warnings)
 {
     struct binary b = make_binary("a scan", 3, NULL);
     const char *text = START "vertex 1 0 0\nvertex 1 1 0\nendloop\nendfacet\n";
-    check_warning(b.bytes, b.size + 8, "odd.stl: 8 bytes after the last triangle not read\n");
-    check_warning(text, strlen(text),
-                  "odd.stl: \"endsolid\" is missing: the file may be incomplete\n");
+    mesh_expect_warnings(test_bytes("odd.stl", b.bytes, b.size + 8), 1,
+                         "odd.stl: 8 bytes after the last triangle not read\n");
+    mesh_expect_warnings(test_text("odd.stl", text), 1,
+                         "odd.stl: \"endsolid\" is missing: the file may be incomplete\n");
 }
 
 RUN_TESTS(NULL, NULL)

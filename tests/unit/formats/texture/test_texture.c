@@ -573,10 +573,8 @@ TEST(test_damage_prints_nothing)
 {
     struct picture p = make_picture(20, 30, 3);
     const char *path = write_png("damaged.png", &p), *log = "stderr";
-    uint8_t bytes[4096];
-    FILE *file = fopen(path, "rb");
-    size_t size = fread(bytes, 1, sizeof bytes, file);
-    fclose(file);
+    size_t size;
+    uint8_t *bytes = test_read(path, &size);
     fflush(stderr);
     int before = dup(STDERR_FILENO), here = open(log, O_RDWR | O_CREAT | O_TRUNC, 0600);
     dup2(here, STDERR_FILENO);
@@ -595,6 +593,7 @@ TEST(test_damage_prints_nothing)
     close(here);
     close(before);
     assert_true(refused > 20);
+    free(bytes);
     free(p.texels);
 }
 
