@@ -156,12 +156,11 @@ static int read_whole(struct stream_source *source, const struct bsq_file *file)
     struct bsq_file output = BSQ_FILE_CLOSED;
     struct fmt_program_end end;
     const uint64_t seconds = LEAST_SECONDS + file->size / BYTES_A_SECOND;
-    char head[64], text[201] = "", memory[24], time[24], *path = NULL, *program = NULL;
+    char head[64], text[201] = "", memory[24], time[24], program[PATH_MAX], *path = NULL;
     uint64_t got = 0;
     int status;
     ((struct scene_file *)source->data)->bytes = file->size;
-    BSQ_TRY(fmt_module_find(ctx, "the program bisque-scene", "bisque-scene",
-                            "FBX, COLLADA and such files", &program));
+    BSQ_TRY(fmt_module_find(ctx, "bisque-scene", "FBX, COLLADA and such files", program));
     BSQ_TRY(bsq_file_read_some(ctx, file, head, sizeof head, 0, &got));
     BSQ_TRY(bsq_text_copy(ctx, source->path, &path));
     BSQ_TRY(bsq_file_temp(ctx, NULL, "the meshes of a file", &output));
@@ -178,7 +177,6 @@ static int read_whole(struct stream_source *source, const struct bsq_file *file)
 done:
     bsq_file_close(ctx, &output);
     bsq_free(ctx, path);
-    free(program);
     return status;
 }
 

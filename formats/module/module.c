@@ -16,6 +16,7 @@
  * file's directory, for moved installations and the build tree; in the installation directory.
  * Modules are never closed, because the libraries that they load own threads and exit handlers. */
 #include <dlfcn.h>
+#include <limits.h>
 #include <link.h>
 #include <pthread.h>
 #include <stdio.h>
@@ -34,17 +35,6 @@ const struct fmt_host fmt_host_functions = {
 
 enum { PLACES = 3 };
 
-/* Directories to look in; an entry may be NULL. */
-struct places {
-    char *directories[PLACES];
-};
-
-static void places_free(struct places *places)
-{
-    for (int i = 0; i < PLACES; i++)
-        free(places->directories[i]);
-}
-
 static void cut_last_name(char *path)
 {
     char *slash = strrchr(path, '/');
@@ -53,102 +43,43 @@ static void cut_last_name(char *path)
         *slash = '\0';
 }
 
-/* Returns the path of the file that this code was loaded from; the caller frees it. Returns NULL if
- * that file no longer exists. */
-static char *own_path(void)
+/* Finds the directories to look in. Returns their number, at least 1. */
+static int find_places(char places[PLACES][PATH_MAX])
 {
     struct link_map *object = NULL;
+    char own[PATH_MAX];
     Dl_info info;
-
-    /* The main program has an empty l_name, and info.dli_fname is argv[0], not always a path. */
-    if (!dladdr1(&fmt_host_functions, &info, (void **)&object, RTLD_DL_LINKMAP) || !object ||
-        !object->l_name[0])
-        return realpath("/proc/self/exe", NULL);
-    return realpath(object->l_name, NULL);
-}
-
-static int find_places(struct bsq_ctx *ctx, struct places *places)
-{
-    char *own = own_path(), *near = NULL;
-    int status = 0;
-
-    *places = (struct places){{NULL}};
-    if (own) {
-        cut_last_name(own);
-        places->directories[0] = strdup(own);
-        cut_last_name(own);
-        if (!places->directories[0] || asprintf(&near, "%s/lib/bisque", own) < 0)
-            status = BSQ_ENOMEM;
-        else
-            places->directories[1] = near;
-    }
-    if (status == 0 && !(near && strcmp(near, fmt_module_directory) == 0)) {
-        places->directories[2] = strdup(fmt_module_directory);
-        if (!places->directories[2])
-            status = BSQ_ENOMEM;
-    }
-    free(own);
-    if (status < 0) {
-        places_free(places);
-        bsq_fail(ctx, status, "no memory to look for modules");
-    }
-    return status;
-}
-
-/* Reports a file that is in none of the places. */
-static int fail_missing(struct bsq_ctx *ctx, const char *what, const char *purpose,
-                        const struct places *places)
-{
-    const char *listed[PLACES] = {"", "", ""};
     int count = 0;
 
-    for (int i = 0; i < PLACES; i++)
-        if (places->directories[i])
-            listed[count++] = places->directories[i];
-    return bsq_fail(ctx, BSQ_ENOINPUT, "%s need %s, which is not in %s%s%s%s%s", purpose, what,
-                    listed[0], count > 2 ? ", " : "", count > 2 ? listed[1] : "",
-                    count > 1 ? " or " : "", count > 1 ? listed[count - 1] : "");
+    /* The main program has an empty l_name, and info.dli_fname is argv[0], not always a path. */
+    const bool shared = dladdr1(&fmt_host_functions, &info, (void **)&object, RTLD_DL_LINKMAP) &&
+                        object && object->l_name[0];
+    if (realpath(shared ? object->l_name : "/proc/self/exe", own)) {
+        cut_last_name(own);
+        strcpy(places[count++], own);
+        cut_last_name(own);
+        if (snprintf(places[count], PATH_MAX, "%s/lib/bisque", own) < PATH_MAX)
+            count++;
+    }
+    if (count == 0 || strcmp(places[count - 1], fmt_module_directory) != 0)
+        snprintf(places[count++], PATH_MAX, "%s", fmt_module_directory);
+    return count;
 }
 
 /* The first place that has the file decides: one further down the list was not installed with this
  * program. */
-int fmt_module_find(struct bsq_ctx *ctx, const char *what, const char *file, const char *purpose,
-                    char **out)
+int fmt_module_find(struct bsq_ctx *ctx, const char *file, const char *purpose, char out[PATH_MAX])
 {
-    struct places places;
-    int status = find_places(ctx, &places);
+    char places[PLACES][PATH_MAX];
+    const int count = find_places(places);
 
-    *out = NULL;
-    if (status != 0)
-        return status;
-    for (int i = 0; i < PLACES && !*out && status == 0; i++) {
-        if (!places.directories[i])
-            continue;
-        if (asprintf(out, "%s/%s", places.directories[i], file) < 0) {
-            *out = NULL;
-            status = bsq_fail(ctx, BSQ_ENOMEM, "no memory to look for modules");
-        } else if (access(*out, F_OK) != 0) {
-            free(*out);
-            *out = NULL;
-        }
-    }
-    if (status == 0 && !*out)
-        status = fail_missing(ctx, what, purpose, &places);
-    places_free(&places);
-    return status;
-}
-
-static int find_module(struct bsq_ctx *ctx, const char *name, const char *purpose, char **out)
-{
-    char *what = NULL;
-    int status;
-
-    *out = NULL;
-    if (asprintf(&what, "the module bisque-%s.so", name) < 0)
-        return bsq_fail(ctx, BSQ_ENOMEM, "no memory to look for modules");
-    status = fmt_module_find(ctx, what, strrchr(what, ' ') + 1, purpose, out);
-    free(what);
-    return status;
+    for (int i = 0; i < count; i++)
+        if (snprintf(out, PATH_MAX, "%s/%s", places[i], file) < PATH_MAX && access(out, F_OK) == 0)
+            return 0;
+    return bsq_fail(ctx, BSQ_ENOINPUT, "%s need the %s %s, which is not in %s%s%s%s%s", purpose,
+                    strstr(file, ".so") ? "module" : "program", file, places[0],
+                    count > 2 ? ", " : "", count > 2 ? places[1] : "", count > 1 ? " or " : "",
+                    count > 1 ? places[count - 1] : "");
 }
 
 /* ---- threads and memory ---- */
@@ -220,12 +151,13 @@ int fmt_module_open(struct bsq_ctx *ctx, const char *name, const char *purpose,
                     const struct fmt_module **out)
 {
     const struct fmt_module *module = NULL;
+    char file[64], path[PATH_MAX];
     void *library;
-    char *path;
     int status;
 
     *out = NULL;
-    BSQ_TRY(find_module(ctx, name, purpose, &path));
+    snprintf(file, sizeof file, "bisque-%s.so", name);
+    BSQ_TRY(fmt_module_find(ctx, file, purpose, path));
     BSQ_TRY(open_library(ctx, path, purpose, &library));
     if (library)
         module = dlsym(library, "bisque_module");
@@ -239,6 +171,5 @@ int fmt_module_open(struct bsq_ctx *ctx, const char *name, const char *purpose,
     else
         *out = module;
 done:
-    free(path);
     return status;
 }

@@ -7,10 +7,10 @@
 #ifndef FMT_MODULE_MODULE_H
 #define FMT_MODULE_MODULE_H
 
+#include <limits.h>
+
 #include "base/file.h"
-#include "base/file_part.h"
 #include "base/output.h"
-#include "base/parallel.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -22,20 +22,6 @@ extern "C" {
     X(fail_errno)                                                                                  \
     X(check)                                                                                       \
     X(threads)                                                                                     \
-    X(alloc)                                                                                       \
-    X(free)                                                                                        \
-    X(reserve)                                                                                     \
-    X(release)                                                                                     \
-    X(parallel_for)                                                                                \
-    X(memory_left)                                                                                 \
-    X(file_open)                                                                                   \
-    X(file_temp)                                                                                   \
-    X(file_close)                                                                                  \
-    X(file_read_some)                                                                              \
-    X(part_parse)                                                                                  \
-    X(part_read)                                                                                   \
-    X(part_extract)                                                                                \
-    X(file_write)                                                                                  \
     X(output_write_at)
 
 struct fmt_host {
@@ -61,10 +47,9 @@ struct fmt_module {
 int fmt_module_open(struct bsq_ctx *ctx, const char *name, const char *purpose,
                     const struct fmt_module **out);
 
-/* Finds a file that is installed beside the modules; *out is its path, free() it. Errors name the
- * file as `what`: "PURPOSE need WHAT, which is not in ...". Errors: BSQ_ENOINPUT, BSQ_ENOMEM. */
-int fmt_module_find(struct bsq_ctx *ctx, const char *what, const char *file, const char *purpose,
-                    char **out);
+/* Finds a module or program that is installed, and sets its path. An error says who needs it:
+ * "PURPOSE need the program FILE, which is not in ...". Errors: BSQ_ENOINPUT. */
+int fmt_module_find(struct bsq_ctx *ctx, const char *file, const char *purpose, char out[PATH_MAX]);
 
 /* How a program ended. */
 struct fmt_program_end {

@@ -7,6 +7,7 @@
 
 #include <stdio.h>
 
+#include "base/file_part.h"
 #include "formats/module/module.h"
 
 #ifdef __cplusplus

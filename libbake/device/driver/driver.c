@@ -126,13 +126,14 @@ static bool take_over(const struct answer *answer, struct bake_device_list *out)
 }
 
 /* Finds bisque-devices. Without it there are no devices, rather than no input. */
-static int find_program(struct bsq_ctx *ctx, const struct bake_device_kind *kind, char **path)
+static int find_program(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
+                        char path[PATH_MAX])
 {
     char purpose[32];
     int status;
 
     snprintf(purpose, sizeof purpose, "%s devices", kind->drivers);
-    status = fmt_module_find(ctx, "the program bisque-devices", "bisque-devices", purpose, path);
+    status = fmt_module_find(ctx, "bisque-devices", purpose, path);
     if (status != BSQ_ENOINPUT)
         return status;
     char *why = strdup(bsq_error(ctx));
@@ -147,15 +148,14 @@ int bake_probe(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
 {
     struct fmt_program_end end;
     struct answer answer;
-    char *path = NULL;
+    char path[PATH_MAX];
     int status;
 
-    BSQ_TRY(find_program(ctx, kind, &path));
+    BSQ_TRY(find_program(ctx, kind, path));
     BSQ_TRY(ask(ctx, kind, path, &answer, &end));
     const bool answered = status == (int)sizeof answer && answer.bytes == sizeof answer &&
                           strcmp(answer.version, BSQ_VERSION) == 0 && take_over(&answer, out);
     status = answered ? 0 : fail_answer(ctx, kind, path, &answer, &end);
 done:
-    free(path);
     return status;
 }
