@@ -53,14 +53,37 @@ struct Place {
     const aiNode *node;
 };
 
+// Returns how the axes and the unit of an FBX file become x to the right, y upwards, and metres, as
+// Assimp does for other formats. Its factor counts in centimetres.
+Matrix find_axes(const aiMetadata *data)
+{
+    static const char *const names[] = {"CoordAxis", "UpAxis", "FrontAxis"};
+    Matrix out = {{{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}}}, turned = {};
+    double unit = 0;
+    int used = 0;
+    for (int i = 0; data && i < 3; i++) {
+        int32_t axis = 0, sign = 0;
+        if (data->Get(names[i], axis) && data->Get(std::string(names[i]) + "Sign", sign) &&
+            axis >= 0 && axis < 3 && (sign == 1 || sign == -1)) {
+            turned.m[i][axis] = sign;
+            used |= 1 << axis;
+        }
+    }
+    if (used == 7)
+        out = turned;
+    if (data && data->Get("UnitScaleFactor", unit) && std::isfinite(unit) && unit > 0)
+        for (auto &row : out.m)
+            std::transform(row, row + 3, row, [=](double value) { return value * unit / 100; });
+    return out;
+}
+
 // Returns the meshes, node by node.
 std::vector<Place> find_places(const aiScene &scene)
 {
     std::vector<Place> places;
     std::vector<std::pair<const aiNode *, Matrix>> stack;
-    const Matrix identity = {{{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}}};
     if (scene.mRootNode)
-        stack.emplace_back(scene.mRootNode, identity);
+        stack.emplace_back(scene.mRootNode, find_axes(scene.mMetaData));
     while (!stack.empty()) {
         const aiNode *node = stack.back().first;
         const Matrix matrix = multiply(stack.back().second, node->mTransformation);
@@ -374,6 +397,8 @@ void convert(const void *file, size_t size, const char *suffix, FILE *to)
     importer.SetPropertyBool(AI_CONFIG_IMPORT_FBX_READ_CAMERAS, false);
     importer.SetPropertyBool(AI_CONFIG_IMPORT_FBX_READ_LIGHTS, false);
     importer.SetPropertyBool(AI_CONFIG_IMPORT_COLLADA_USE_COLLADA_NAMES, true);
+    // Versions after 5.2.5 would turn the scene; find_axes() does.
+    importer.SetPropertyBool("AI_CONFIG_IMPORT_FBX_IGNORE_UP_DIRECTION", true);
     const aiScene *scene = importer.ReadFileFromMemory(file, size, 0, suffix);
     bool has_tangents = false;
     if (scene) {

@@ -422,6 +422,22 @@ for suffix in blender.fbx assimp.dae assimp.x assimp.3ds; do
         ;;
     esac
 done
+# FBX files tell their axes, here z upwards, and the centimetres of their unit.
+if [ -n "$python" ]; then
+    "$python" -c '
+import struct, sys
+data = bytearray(open(sys.argv[1], "rb").read())
+for name, code, value in (("UnitScaleFactor", "d", 1), ("UpAxis", "i", 2), ("FrontAxis", "i", 1),
+                          ("FrontAxisSign", "i", -1)):
+    at = data.index(name.encode() + b"S")
+    at = data.index(b"S\0\0\0\0" + code.upper().encode(), at) + 6
+    struct.pack_into("<" + code, data, at, value)
+open("axes.fbx", "wb").write(data)' "$meshes/uv.blender.fbx"
+    ok run bisque-voxelize "$meshes/uv.obj" --scale 0.01 --up y -o a.nvdb --tris a.tris --resolution 16
+    ok run bisque-voxelize axes.fbx -o b.nvdb --tris b.tris --resolution 16
+    "$python" -B "$meshes/same_triangles.py" 0.0000001 a.tris b.tris
+    check "axes and unit of an FBX file" $?
+fi
 # Nodes are objects.
 for suffix in blender.fbx assimp.dae; do
     ok run bisque-bake uv.nvdb "$meshes/uv.$suffix" -o 'object_<OBJECT>.exr' --maps normal --size 16
