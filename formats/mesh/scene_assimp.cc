@@ -59,7 +59,7 @@ Matrix find_axes(const aiMetadata *data)
 {
     static const char *const names[] = {"CoordAxis", "UpAxis", "FrontAxis"};
     Matrix out = {{{1, 0, 0, 0}, {0, 1, 0, 0}, {0, 0, 1, 0}}}, turned = {};
-    double unit = 0;
+    float unit = 0;
     int used = 0;
     for (int i = 0; data && i < 3; i++) {
         int32_t axis = 0, sign = 0;
@@ -73,7 +73,8 @@ Matrix find_axes(const aiMetadata *data)
         out = turned;
     if (data && data->Get("UnitScaleFactor", unit) && std::isfinite(unit) && unit > 0)
         for (auto &row : out.m)
-            std::transform(row, row + 3, row, [=](double value) { return value * unit / 100; });
+            std::transform(row, row + 3, row,
+                           [=](double value) { return value * double(unit) / 100; });
     return out;
 }
 
