@@ -1,7 +1,9 @@
 /* bisque-compare.c - measures how far apart two maps are, and checks the figures against limits. */
 #include <float.h>
 #include <math.h>
+#include <stddef.h>
 #include <stdio.h>
+#include <string.h>
 
 #include "base/job_files.h"
 #include "libbake/compare.h"
@@ -15,17 +17,20 @@ static const char usage[] =
 
 enum limit { MAX_MEAN, MAX_MEDIAN, MAX_P95, MAX_P99, MAX_ERROR, MIN_PSNR, MIN_AGREEMENT, LIMITS };
 
+#define FIGURE(member) offsetof(struct bake_compare_report, member)
+
 static const struct {
-    const char *option, *figure;
+    const char *option, *name;
+    size_t figure; /* place of a double in the report */
     bool smallest; /* a lower limit */
-} limit_names[LIMITS] = {
-    [MAX_MEAN] = {"--max-mean", "mean", false},
-    [MAX_MEDIAN] = {"--max-median", "median", false},
-    [MAX_P95] = {"--max-p95", "95th percentile", false},
-    [MAX_P99] = {"--max-p99", "99th percentile", false},
-    [MAX_ERROR] = {"--max-error", "maximum", false},
-    [MIN_PSNR] = {"--min-psnr", "PSNR", true},
-    [MIN_AGREEMENT] = {"--min-agreement", "hit agreement", true},
+} limit_rows[LIMITS] = {
+    [MAX_MEAN] = {"--max-mean", "mean", FIGURE(mean), false},
+    [MAX_MEDIAN] = {"--max-median", "median", FIGURE(median), false},
+    [MAX_P95] = {"--max-p95", "95th percentile", FIGURE(p95), false},
+    [MAX_P99] = {"--max-p99", "99th percentile", FIGURE(p99), false},
+    [MAX_ERROR] = {"--max-error", "maximum", FIGURE(max), false},
+    [MIN_PSNR] = {"--min-psnr", "PSNR", FIGURE(psnr), true},
+    [MIN_AGREEMENT] = {"--min-agreement", "hit agreement", FIGURE(agreement), true},
 };
 
 static const char *const kind_names[] = {"auto", "normal", "color", "data", NULL};
@@ -107,42 +112,21 @@ static int check_outputs(struct cli *cli, const struct bake_compare_options *com
     const char *inputs[] = {compare->a_path, compare->b_path, compare->a_mask_path,
                             compare->b_mask_path};
     int status = 0;
-    for (int i = 0; i < 4 && status == 0; i++)
+    for (int i = 0; i < 4; i++)
         if (inputs[i])
-            status = bsq_note_input(cli->ctx, inputs[i], i < 2 ? "a map" : "a mask");
-    if (status < 0)
-        return status;
+            BSQ_TRY(bsq_note_input(cli->ctx, inputs[i], i < 2 ? "a map" : "a mask"));
     if (compare->heatmap_path && compare->histogram_path &&
         cli_same_file(compare->heatmap_path, compare->histogram_path))
         return cli_usage(cli, "%s: two outputs have this name", compare->histogram_path);
     if (compare->heatmap_path)
-        status = cli_check_picture(cli, compare->heatmap_path);
-    if (status == 0 && compare->histogram_path)
-        status = cli_check_picture(cli, compare->histogram_path);
+        BSQ_TRY(cli_check_picture(cli, compare->heatmap_path));
+    if (compare->histogram_path)
+        BSQ_TRY(cli_check_picture(cli, compare->histogram_path));
+done:
     return status;
 }
 
 /* ---- results ---- */
-
-static double figure(const struct bake_compare_report *report, enum limit limit)
-{
-    switch (limit) {
-    case MAX_MEAN:
-        return report->mean;
-    case MAX_MEDIAN:
-        return report->median;
-    case MAX_P95:
-        return report->p95;
-    case MAX_P99:
-        return report->p99;
-    case MAX_ERROR:
-        return report->max;
-    case MIN_PSNR:
-        return report->psnr;
-    default:
-        return report->agreement;
-    }
-}
 
 /* Reports the limits that do not hold on standard error; returns their number. */
 static int count_failures(struct cli *cli, const struct arguments *arguments,
@@ -152,13 +136,14 @@ static int count_failures(struct cli *cli, const struct arguments *arguments,
     char texels[CLI_TEXT];
     int failures = 0;
     for (int i = 0; i < LIMITS; i++) {
-        double limit = arguments->limits[i], value = figure(report, (enum limit)i);
-        bool holds = limit_names[i].smallest ? value >= limit : value <= limit;
+        double limit = arguments->limits[i], value;
+        memcpy(&value, (const char *)report + limit_rows[i].figure, sizeof value);
+        bool holds = limit_rows[i].smallest ? value >= limit : value <= limit;
         failures += !isnan(limit) && (spoiled || !holds);
         if (isnan(limit) || holds)
             continue;
-        fprintf(stderr, "%s: %s %.6g is %s %s %g\n", cli->program, limit_names[i].figure, value,
-                limit_names[i].smallest ? "below" : "above", limit_names[i].option, limit);
+        fprintf(stderr, "%s: %s %.6g is %s %s %g\n", cli->program, limit_rows[i].name, value,
+                limit_rows[i].smallest ? "below" : "above", limit_rows[i].option, limit);
     }
     if (spoiled && failures > 0)
         fprintf(stderr, "%s: %s NaN or infinite: outside of every limit\n", cli->program,
@@ -228,30 +213,22 @@ static int print_json(struct cli *cli, const struct arguments *arguments,
     return cli_print_json(cli, root);
 }
 
-static int check_limits(struct cli *cli, const struct arguments *arguments,
-                        const struct bake_compare_report *report)
-{
-    if (!isnan(arguments->limits[MIN_PSNR]) && report->kind != BAKE_COMPARE_COLOR)
-        return cli_usage(cli, "--min-psnr is for colours, these maps were compared as %s",
-                         kind_names[report->kind]);
-    return 0;
-}
-
 static int compare_maps(struct cli *cli, const struct arguments *arguments, int *failures)
 {
     struct bake_compare_report report = {0};
-    int status = check_outputs(cli, &arguments->compare);
-    if (status == 0)
-        status = bake_compare(cli->ctx, &arguments->compare, &report);
-    if (status == 0)
-        status = check_limits(cli, arguments, &report);
-    if (status < 0)
-        return status;
+    int status;
+    BSQ_TRY(check_outputs(cli, &arguments->compare));
+    BSQ_TRY(bake_compare(cli->ctx, &arguments->compare, &report));
+    if (!isnan(arguments->limits[MIN_PSNR]) && report.kind != BAKE_COMPARE_COLOR)
+        return cli_usage(cli, "--min-psnr is for colours, these maps were compared as %s",
+                         kind_names[report.kind]);
     *failures = count_failures(cli, arguments, &report);
     if (cli->json)
-        return print_json(cli, arguments, &report, *failures);
-    print_report(arguments, &report);
-    return 0;
+        status = print_json(cli, arguments, &report, *failures);
+    else
+        print_report(arguments, &report);
+done:
+    return status;
 }
 
 /* Applies the rules for paths to the inputs, and gives both maps the mask that they share. */
