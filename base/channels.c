@@ -26,13 +26,14 @@ static const struct bsq_channel channels[] = {
     {DATA("shininess", "map_Ns", NULL)},
     {DATA("opacity", "map_d", "d"), .mtl_inverse = "Tr", .component = BSQ_CHANNEL_ALPHA,
      .usual = 1},
-    {DATA("occlusion", "map_ao", NULL), .gltf = {"", "occlusionTexture", NULL, 0, 1}},
+    {DATA("occlusion", "map_ao", NULL), .neutral = 1, .gltf = {"", "occlusionTexture", NULL, 0, 1}},
     {DATA("displacement", "disp", NULL)},
     {COLOR("specular", "map_Ks", "Ks")},
     {COLOR("emission", "map_Ke", "Ke"), .gltf = {"", "emissiveTexture", "emissiveFactor", 0, 0}},
     {.name = BSQ_CHANNEL_NORMAL_MAP,
      .values = 3,
      .mtl_map = "norm",
+     .neutral = 0.5f,
      .gltf = {"", "normalTexture", NULL, 0, 0}},
 };
 enum { CHANNELS = sizeof channels / sizeof *channels };
@@ -90,6 +91,14 @@ void bsq_channel_pick(const struct bsq_channel *channel, uint32_t component, flo
         picked = picked >= value ? 1.0f : 0.0f;
     if (channel->values == 1)
         sample[0] = sample[1] = sample[2] = picked;
+}
+
+void bsq_channel_scale(const struct bsq_channel *channel, const float factor[3], float sample[3])
+{
+    const bool normals = strcmp(channel->name, BSQ_CHANNEL_NORMAL_MAP) == 0;
+    for (int k = 0; k < (normals ? 2 : 3); k++)
+        if (factor[k] != 1.0f)
+            sample[k] = channel->neutral + factor[k] * (sample[k] - channel->neutral);
 }
 
 /* Returns the length of the name at the start of the rest of a list. */

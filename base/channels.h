@@ -34,6 +34,7 @@ struct bsq_channel {
     const char *mtl_inverse; /* a statement of 1 - value; NULL: none */
     uint32_t component;      /* of a texture, unless the file names another one */
     float usual;             /* the value of what has neither a texture nor a value */
+    float neutral;           /* a factor of a texture scales the distance from it */
     struct bsq_channel_gltf gltf;
 };
 
@@ -67,6 +68,9 @@ bool bsq_is_map_name(const char *name);
  */
 void bsq_channel_pick(const struct bsq_channel *channel, uint32_t component, float value,
                       float sample[3]);
+/* Applies the factor of a texture to its sample: neutral + factor * (sample - neutral). The third
+ * value of a normal map stays as it is. */
+void bsq_channel_scale(const struct bsq_channel *channel, const float factor[3], float sample[3]);
 
 /* ---- lists: names separated by commas, as in "roughness,emission" ---- */
 

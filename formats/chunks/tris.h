@@ -22,10 +22,12 @@ enum fmt_tris_attribute {
 };
 
 /* Version 2 has what version 1 has, and ids. Version 3 has further channels and textures whose
- * coordinates move, and may have ids. A file has the least version that it needs. */
+ * coordinates move, and may have ids. Version 4 also has textures with a factor, or that do not
+ * repeat. A file has the least version that it needs. */
 #define FMT_TRIS_VERSION          1u
 #define FMT_TRIS_VERSION_IDS      2u
 #define FMT_TRIS_VERSION_CHANNELS 3u
+#define FMT_TRIS_VERSION_FACTORS  4u
 
 /* Triangles of the largest chunk; small enough for 16-bit indices in ordinary meshes. */
 #define FMT_TRIS_CHUNK_TRIANGLES 65536u
@@ -33,7 +35,9 @@ enum fmt_tris_attribute {
 /* A channel of a material. All zero: the value is 0. */
 struct fmt_tris_source {
     char *texture_path; /* absolute, or NULL: the value is used */
-    float value[3];     /* of colours, linear light; a single value three times */
+    /* Of colours, linear light; a single value three times. It is the factor of a texture, see
+     * bsq_channel_scale(), but for BSQ_CHANNEL_CUTOUT. */
+    float value[3];
     uint32_t component; /* of the texture, see BSQ_CHANNEL_ALPHA, for channels with one value */
     struct bsq_uv uv;
 };
@@ -44,6 +48,7 @@ struct fmt_tris_material {
     struct fmt_tris_source *sources; /* one for each channel of the header; NULL: there are none */
     float diffuse[3];                /* sRGB 0...1; used if there is no texture */
     bool colorless;                  /* `diffuse` is no colour of the scan */
+    bool tinted;                     /* colours of vertices multiply this texture */
     char *name;                      /* by which ids tell triangles apart; NULL: "" */
 };
 

@@ -51,7 +51,9 @@ struct tris_ids_record {
 };
 _Static_assert(sizeof(struct tris_ids_record) == 8, "the record has no padding");
 
-enum { TRIS_COLORLESS = 1 };
+/* Version 4 has TRIS_TINTED. There, the flags, and the component of a source, also have how the
+ * image wraps: enum bsq_wrap of u and v, in two bits each from this one on. */
+enum { TRIS_COLORLESS = 1, TRIS_TINTED = 2, TRIS_WRAP_SHIFT = 8 };
 
 struct tris_name_record { /* followed by name_bytes bytes */
     uint32_t flags;

@@ -42,11 +42,11 @@ static int check_header(const struct fmt_tris_file *file, const struct tris_file
             file->ctx, BSQ_EDATA,
             "%s: chunk file with its bytes in big-endian order: Bisque reads little-endian ones",
             file->file.path);
-    if (h->version < FMT_TRIS_VERSION || h->version > FMT_TRIS_VERSION_CHANNELS)
+    if (h->version < FMT_TRIS_VERSION || h->version > FMT_TRIS_VERSION_FACTORS)
         return bsq_fail(file->ctx, BSQ_EDATA,
                         "%s: chunk file of version %" PRIu32
                         ", this program reads versions %u to %u",
-                        file->file.path, h->version, FMT_TRIS_VERSION, FMT_TRIS_VERSION_CHANNELS);
+                        file->file.path, h->version, FMT_TRIS_VERSION, FMT_TRIS_VERSION_FACTORS);
     if (XXH3_64bits(h, offsetof(struct tris_file_header, header_checksum)) != h->header_checksum)
         return fmt_tris_damaged(file, "the header's checksum does not match");
     if (h->file_bytes != file->file.size)
@@ -157,45 +157,63 @@ static int parse_path(const struct fmt_tris_file *file, struct parts *parts, uin
     return *out ? note_texture(file, *out) : BSQ_ENOMEM;
 }
 
+/* Takes how an image wraps out of the bits that version 4 has it in. Returns false if there are
+ * unknown bits. */
+static bool take_wrap(uint32_t version, uint32_t *bits, struct bsq_uv *out)
+{
+    const uint32_t wraps = *bits >> TRIS_WRAP_SHIFT;
+    *bits &= (1u << TRIS_WRAP_SHIFT) - 1;
+    out->wrap[0] = wraps & 3;
+    out->wrap[1] = wraps >> 2 & 3;
+    return wraps < (version < FMT_TRIS_VERSION_FACTORS ? 1 : 16) && out->wrap[0] < BSQ_WRAPS &&
+           out->wrap[1] < BSQ_WRAPS;
+}
+
 /* Reads what version 2 has after a material's path. */
-static int parse_name(const struct fmt_tris_file *file, struct parts *parts,
+static int parse_name(const struct fmt_tris_file *file, uint32_t version, struct parts *parts,
                       struct fmt_tris_material *m)
 {
     struct tris_name_record record;
     if (!take(parts, &record, sizeof record) || !take_text(parts, record.name_bytes, &m->name))
         return fmt_tris_damaged(file, "a material's name is cut off");
-    if ((record.flags & ~(uint32_t)TRIS_COLORLESS) != 0)
-        return fmt_tris_damaged(file, "a material has unknown flags");
     m->colorless = record.flags & TRIS_COLORLESS;
+    m->tinted = record.flags & TRIS_TINTED;
+    if (!take_wrap(version, &record.flags, &m->uv) ||
+        record.flags >
+            (version < FMT_TRIS_VERSION_FACTORS ? TRIS_COLORLESS : TRIS_COLORLESS | TRIS_TINTED))
+        return fmt_tris_damaged(file, "a material has unknown flags");
     return 0;
 }
 
 static bool take_uv(const struct tris_uv_record *record, struct bsq_uv *out)
 {
     const float *scale = record->scale, *offset = record->offset;
-    *out =
-        (struct bsq_uv){.moves = scale[0] != 1 || scale[1] != 1 || offset[0] != 0 || offset[1] != 0,
-                        .scale = {scale[0], scale[1]},
-                        .offset = {offset[0], offset[1]}};
+    out->moves = scale[0] != 1 || scale[1] != 1 || offset[0] != 0 || offset[1] != 0;
+    memcpy(out->scale, scale, sizeof out->scale);
+    memcpy(out->offset, offset, sizeof out->offset);
     return isfinite(scale[0]) && isfinite(scale[1]) && isfinite(offset[0]) && isfinite(offset[1]);
 }
 
-static int parse_source(const struct fmt_tris_file *file, struct parts *parts,
+static int parse_source(const struct fmt_tris_file *file, uint32_t version, struct parts *parts,
                         struct fmt_tris_source *out)
 {
     struct tris_source_record record;
     if (!take(parts, &record, sizeof record))
         return fmt_tris_damaged(file, "the channels of a material are cut off");
     memcpy(out->value, record.value, sizeof out->value);
+    const bool good = take_wrap(version, &record.component, &out->uv);
     out->component = record.component;
-    if (!isfinite(out->value[0]) || !isfinite(out->value[1]) || !isfinite(out->value[2]) ||
+    if (version < FMT_TRIS_VERSION_FACTORS && record.path_bytes != TRIS_NO_PATH &&
+        out->component != BSQ_CHANNEL_CUTOUT)
+        out->value[0] = out->value[1] = out->value[2] = 1;
+    if (!good || !isfinite(out->value[0]) || !isfinite(out->value[1]) || !isfinite(out->value[2]) ||
         out->component >= BSQ_CHANNEL_COMPONENTS || !take_uv(&record.uv, &out->uv))
         return fmt_tris_damaged(file, "a channel of a material has a wrong value");
     return parse_path(file, parts, record.path_bytes, &out->texture_path);
 }
 
 /* Reads what version 3 has after a material's name. */
-static int parse_sources(const struct fmt_tris_file *file, struct parts *parts,
+static int parse_sources(const struct fmt_tris_file *file, uint32_t version, struct parts *parts,
                          struct fmt_tris_material *m)
 {
     const uint32_t count = file->header.channel_count;
@@ -205,7 +223,7 @@ static int parse_sources(const struct fmt_tris_file *file, struct parts *parts,
     m->sources = count > 0 ? file->sources + (m - file->header.materials) * (ptrdiff_t)count : NULL;
     int status = 0;
     for (uint32_t c = 0; c < count && status == 0; c++)
-        status = parse_source(file, parts, &m->sources[c]);
+        status = parse_source(file, version, parts, &m->sources[c]);
     return status;
 }
 
@@ -221,9 +239,9 @@ static int parse_material(const struct fmt_tris_file *file, uint32_t version, st
         return fmt_tris_damaged(file, "a material's colour is not finite");
     BSQ_TRY(parse_path(file, parts, record.path_bytes, &m->texture_path));
     if (version >= FMT_TRIS_VERSION_IDS)
-        BSQ_TRY(parse_name(file, parts, m));
-    if (version == FMT_TRIS_VERSION_CHANNELS)
-        status = parse_sources(file, parts, m);
+        BSQ_TRY(parse_name(file, version, parts, m));
+    if (version >= FMT_TRIS_VERSION_CHANNELS)
+        status = parse_sources(file, version, parts, m);
 done:
     return status;
 }
@@ -287,7 +305,7 @@ static int parse_materials(struct fmt_tris_file *file, const struct tris_file_he
     parts.text = file->paths;
     if (h->version >= FMT_TRIS_VERSION_IDS)
         BSQ_TRY(parse_ids(file, h->version, &parts));
-    if (h->version == FMT_TRIS_VERSION_CHANNELS)
+    if (h->version >= FMT_TRIS_VERSION_CHANNELS)
         BSQ_TRY(parse_channels(file, h, &parts));
     for (uint32_t i = 0; i < h->material_count; i++) {
         BSQ_TRY(i % 1024 == 0 ? bsq_check(file->ctx) : 0);

@@ -6,6 +6,7 @@
  *
  * The chunks determine the header's counts and bounds, so the header is known only at the end.
  * Until then its place holds zeros, which no reader accepts. */
+#include "base/channels.h"
 #include "formats/chunks/tris_internal.h"
 
 #include <math.h>
@@ -18,14 +19,33 @@ const struct tris_attribute fmt_tris_attributes[TRIS_ATTRIBUTE_COUNT] = {
     {FMT_TRIS_MATERIALS, 4, true, 0xff, offsetof(struct fmt_tris_chunk, materials)},
 };
 
+static uint32_t wrap_bits(const struct bsq_uv *uv)
+{
+    return (uint32_t)(uv->wrap[0] | uv->wrap[1] << 2) << TRIS_WRAP_SHIFT;
+}
+
+/* Returns whether the value of a source changes its texture. */
+static bool has_factor(const struct fmt_tris_source *source)
+{
+    const float *value = source->value;
+    return source->texture_path && source->component != BSQ_CHANNEL_CUTOUT &&
+           (value[0] != 1 || value[1] != 1 || value[2] != 1);
+}
+
 uint32_t fmt_tris_version(const struct fmt_tris_header *header)
 {
-    bool moves = false;
-    for (uint32_t i = 0; i < header->material_count; i++)
-        moves |= header->materials[i].uv.moves;
-    return header->channel_count > 0 || moves ? FMT_TRIS_VERSION_CHANNELS
-           : header->ids != BSQ_IDS_NONE      ? FMT_TRIS_VERSION_IDS
-                                              : FMT_TRIS_VERSION;
+    bool moves = false, factors = false;
+    for (uint32_t i = 0; i < header->material_count; i++) {
+        const struct fmt_tris_material *m = &header->materials[i];
+        moves |= m->uv.moves;
+        factors |= m->tinted || wrap_bits(&m->uv) > 0;
+        for (uint32_t c = 0; c < header->channel_count; c++)
+            factors |= has_factor(&m->sources[c]) || wrap_bits(&m->sources[c].uv) > 0;
+    }
+    return factors                              ? FMT_TRIS_VERSION_FACTORS
+           : header->channel_count > 0 || moves ? FMT_TRIS_VERSION_CHANNELS
+           : header->ids != BSQ_IDS_NONE        ? FMT_TRIS_VERSION_IDS
+                                                : FMT_TRIS_VERSION;
 }
 
 uint32_t fmt_tris_find_channel(const struct fmt_tris_header *header, const char *name)
@@ -192,7 +212,7 @@ static int put_channels(struct fmt_tris_writer *writer, const struct fmt_tris_ma
         const struct fmt_tris_source *source = &m->sources[c];
         const struct tris_source_record record = {
             .value = {source->value[0], source->value[1], source->value[2]},
-            .component = source->component,
+            .component = source->component | wrap_bits(&source->uv),
             .uv = uv_record(&source->uv),
             .path_bytes = path_bytes(source->texture_path)};
         BSQ_TRY(put_text(writer, &record, sizeof record, source->texture_path));
@@ -206,14 +226,14 @@ static int put_material(struct fmt_tris_writer *writer, const struct fmt_tris_ma
 {
     const struct tris_material_record record = {{m->diffuse[0], m->diffuse[1], m->diffuse[2]},
                                                 path_bytes(m->texture_path)};
-    const struct tris_name_record name = {m->colorless ? TRIS_COLORLESS : 0,
-                                          (uint32_t)text_bytes(m->name)};
+    const uint32_t flags = (m->colorless ? TRIS_COLORLESS : 0u) | (m->tinted ? TRIS_TINTED : 0u);
+    const struct tris_name_record name = {flags | wrap_bits(&m->uv), (uint32_t)text_bytes(m->name)};
     const uint32_t version = writer->header.version;
     int status;
     BSQ_TRY(put_text(writer, &record, sizeof record, m->texture_path));
     if (version >= FMT_TRIS_VERSION_IDS)
         BSQ_TRY(put_text(writer, &name, sizeof name, m->name));
-    if (version == FMT_TRIS_VERSION_CHANNELS)
+    if (version >= FMT_TRIS_VERSION_CHANNELS)
         status = put_channels(writer, m, channel_count);
 done:
     return status;
@@ -227,7 +247,7 @@ static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tri
     int status = 0;
     if (writer->header.version >= FMT_TRIS_VERSION_IDS)
         BSQ_TRY(put(writer, &ids, sizeof ids));
-    if (writer->header.version == FMT_TRIS_VERSION_CHANNELS)
+    if (writer->header.version >= FMT_TRIS_VERSION_CHANNELS)
         BSQ_TRY(put(writer, &channels, sizeof channels));
     for (uint32_t c = 0; c < header->channel_count; c++) {
         const uint32_t length = (uint32_t)strlen(header->channels[c]);

@@ -170,8 +170,8 @@ struct gltf_material {
 
 /* What is not read, counted for warnings. */
 struct gltf_unread {
-    uint64_t points, bare, rest, outside, unplaced, skins, morphs, texture_factors, texture_colors,
-        images, packed_images, instances, hidden, other_colors, variants;
+    uint64_t points, bare, rest, outside, unplaced, skins, morphs, images, packed_images, instances,
+        hidden, other_colors, variants;
 };
 
 /* What the reader keeps of a file: source->data. */
@@ -194,8 +194,9 @@ struct gltf_source {
     uint32_t placement_count;
     uint64_t part_count; /* primitives of all placements */
     uint64_t total[FMT_MESH_KIND_COUNT], triangles;
-    uint64_t bytes; /* of the file and its buffers */
-    bool has_colors, has_tangents;
+    uint64_t bytes;  /* of the file and its buffers */
+    bool has_colors; /* of vertices, or factors of textures, which vertices get as colours */
+    bool has_tangents;
     struct gltf_unread unread;
 };
 

@@ -50,6 +50,8 @@ int fmt_gltf_check_extensions(struct gltf_document *document)
 
 /* ---- images ---- */
 
+enum { GLTF_CLAMP = 33071, GLTF_MIRROR = 33648 };
+
 /* Describes the data of a view: bytes of a file. Returns its path, NULL if it is packed. */
 static const char *part_of_view(const struct gltf_document *document,
                                 const struct gltf_source *source, uint32_t number,
@@ -99,13 +101,29 @@ static int find_image(const struct gltf_place *place, struct gltf_source *source
     return found < 0 ? found : 0;
 }
 
+/* Finds out how a texture wraps beyond its image. Repeats if its sampler is missing or odd. */
+static void read_wrap(const struct gltf_place *texture, uint8_t wrap[2])
+{
+    static const char *const keys[] = {"wrapS", "wrapT"};
+    uint64_t number, mode;
+    if (!fmt_gltf_whole(json_object_get(texture->object, "sampler"), INT32_MAX, &number))
+        return;
+    const json_t *sampler = fmt_gltf_element(texture->document, "samplers", number).object;
+    for (int k = 0; k < 2; k++)
+        if (fmt_gltf_whole(json_object_get(sampler, keys[k]), INT32_MAX, &mode))
+            wrap[k] = mode == GLTF_CLAMP    ? BSQ_WRAP_CLAMP
+                      : mode == GLTF_MIRROR ? BSQ_WRAP_MIRROR
+                                            : BSQ_WRAP_REPEAT;
+}
+
 /* Sets *out to the path or name of the image of a texture, which the caller frees; NULL if there is
  * none that can be read, which is counted. */
 static int find_texture(struct gltf_document *document, struct gltf_source *source,
-                        uint32_t texture, char **out)
+                        uint32_t texture, uint8_t wrap[2], char **out)
 {
     const struct gltf_place place = fmt_gltf_element(document, "textures", texture);
     uint32_t image;
+    read_wrap(&place, wrap);
     int status = fmt_gltf_index(&place, place.object, "source", "images", &image);
     if (!status && image == GLTF_NONE)
         status = fmt_gltf_index(&place, fmt_gltf_extension(place.object, "EXT_texture_webp"),
@@ -203,9 +221,11 @@ static bool relate(const double base[2][3], const double own[2][3], struct bsq_u
     const double least = 1e-6 * (fabs(scale[0][0]) + fabs(scale[1][1]));
     if (!(fabs(scale[0][1]) <= least && fabs(scale[1][0]) <= least))
         return false;
-    *out = (struct bsq_uv){.moves = true,
-                           .scale = {(float)scale[0][0], (float)scale[1][1]},
-                           .offset = {(float)offset[0], (float)(1 - scale[1][1] - offset[1])}};
+    out->moves = true;
+    for (int i = 0; i < 2; i++)
+        out->scale[i] = (float)scale[i][i];
+    out->offset[0] = (float)offset[0];
+    out->offset[1] = (float)(1 - scale[1][1] - offset[1]);
     return isfinite(out->scale[0] + out->scale[1] + out->offset[0] + out->offset[1]);
 }
 
@@ -230,46 +250,41 @@ static int read_uv(const struct gltf_place *place, const struct gltf_material *m
 /* Larger factors would exceed the range of float. */
 static const double most_factor = 1e30;
 
-/* Reads the value, or the factor of a texture, into `linear`. */
-static int read_factor(const struct gltf_place *place, const json_t *object,
-                       struct fmt_material_channel *out, double linear[3])
+/* Reads a member that is a number, at most `most_factor`; `usual` if there is none. */
+static double read_real(const json_t *object, const char *key, double usual)
 {
-    const struct bsq_channel_gltf *row = &out->channel->gltf;
-    const json_t *value = row->factor ? json_object_get(object, row->factor) : NULL;
-    int status = 0;
-    for (int k = 0; k < 3; k++)
-        linear[k] = (double)row->usual;
-    if (value && out->channel->values == 3)
-        status = fmt_gltf_numbers(place, object, row->factor, 3, linear);
-    else if (value && json_is_number(value))
-        linear[0] = linear[1] = linear[2] = json_number_value(value);
-    for (int k = 0; k < 3; k++)
-        linear[k] = fmin(linear[k], most_factor);
-    /* A material is as rough and metallic as it says, or entirely. */
-    out->has_value =
-        value || (row->usual > 0 && row->factor &&
-                  !fmt_gltf_extension(place->object, "KHR_materials_pbrSpecularGlossiness"));
-    for (int k = 0; k < 3; k++)
-        out->value[k] =
-            (float)(out->channel->color ? bsq_linear_to_srgb(linear[k]) : fmax(linear[k], 0));
-    return status < 0 ? status : 0;
+    const json_t *value = key ? json_object_get(object, key) : NULL;
+    return json_is_number(value) ? fmin(json_number_value(value), most_factor) : usual;
 }
 
-/* Returns what else the file says of the values of a texture, which is not used. */
-static const char *find_loss(const struct gltf_place *place, const json_t *info,
-                             const struct fmt_material_channel *channel, const double factor[3])
+/* Reads the value, which is also the factor of a texture. `info` refers to that; NULL: none. */
+static int read_factor(const struct gltf_place *place, const json_t *object, const json_t *info,
+                       struct fmt_material_channel *out)
 {
-    const json_t *strength = json_object_get(info, "strength");
-    const json_t *emission = json_object_get(
-        fmt_gltf_extension(place->object, "KHR_materials_emissive_strength"), "emissiveStrength");
-    const json_t *scale = json_object_get(info, "scale");
-    bool scaled = (json_is_number(strength) && json_number_value(strength) != 1) ||
-                  (json_is_number(scale) && json_number_value(scale) != 1);
-    for (int k = 0; k < 3 && channel->channel->gltf.factor; k++)
-        scaled |= info && factor[k] != 1;
-    if (channel->channel->color && json_is_number(emission) && json_number_value(emission) != 1)
-        return "its strength is not used";
-    return scaled ? "its texture has a factor, which is not used" : NULL;
+    const struct bsq_channel_gltf *row = &out->channel->gltf;
+    const bool given = row->factor && json_object_get(object, row->factor);
+    const double usual = (double)row->usual, one = read_real(object, row->factor, usual);
+    const double light =
+        out->channel->color
+            ? read_real(fmt_gltf_extension(place->object, "KHR_materials_emissive_strength"),
+                        "emissiveStrength", 1)
+            : 1;
+    double linear[3] = {one, one, one};
+    int status = given && out->channel->values == 3
+                     ? fmt_gltf_numbers(place, object, row->factor, 3, linear)
+                     : 0;
+    /* A material is as rough and metallic as it says, or entirely. */
+    out->has_value =
+        given || (row->usual > 0 && row->factor &&
+                  !fmt_gltf_extension(place->object, "KHR_materials_pbrSpecularGlossiness"));
+    for (int k = 0; k < 3; k++) {
+        linear[k] = fmax(fmin(linear[k] * light, most_factor), 0);
+        out->value[k] = (float)(out->channel->color ? bsq_linear_to_srgb(linear[k]) : linear[k]);
+        out->factor[k] =
+            (float)(row->factor ? linear[k]
+                                : read_real(info, "scale", read_real(info, "strength", 1)));
+    }
+    return status < 0 ? status : 0;
 }
 
 static int read_channel_texture(const struct gltf_place *place, struct gltf_source *source,
@@ -282,7 +297,7 @@ static int read_channel_texture(const struct gltf_place *place, struct gltf_sour
     int status;
     BSQ_TRY(fmt_gltf_index(place, info, "index", "textures", &texture));
     if (texture != GLTF_NONE)
-        BSQ_TRY(find_texture(place->document, source, texture, &out->texture_path));
+        BSQ_TRY(find_texture(place->document, source, texture, out->uv.wrap, &out->texture_path));
     source->unread = before; /* these counts are of colours */
     if (!out->texture_path)
         out->loss = "its texture has a format or an address that is not read";
@@ -300,12 +315,10 @@ static int read_channel(const struct gltf_place *place, struct gltf_source *sour
 {
     const struct bsq_channel_gltf *row = &out->channel->gltf;
     const json_t *object = object_of(place, row), *info = json_object_get(object, row->texture);
-    double factor[3];
-    int status = read_factor(place, object, out, factor);
+    int status = read_factor(place, object, info, out);
     out->component = row->component;
-    if (status || (row->factor && factor[0] == 0 && factor[1] == 0 && factor[2] == 0))
+    if (status || (row->factor && !(out->factor[0] + out->factor[1] + out->factor[2] > 0)))
         return status; /* nothing is left of a texture */
-    out->loss = find_loss(place, info, out, factor);
     return info ? read_channel_texture(place, source, material, info, out) : 0;
 }
 
@@ -374,6 +387,7 @@ static int read_opacity(const struct gltf_place *place, double alpha, struct fmt
         return status;
     opacity->value[0] = out->cutout ? (float)(alpha >= cutoff) : (float)alpha;
     opacity->has_value = true;
+    opacity->factor[0] = opacity->factor[1] = opacity->factor[2] = (float)alpha;
     /* 2 is above the alpha of all textures. */
     out->cutoff = alpha > 0.0 ? (float)fmin(fmax(cutoff / alpha, 0.0), 2.0)
                               : 2.0f * (1.0f - opacity->value[0]);
@@ -399,13 +413,11 @@ int fmt_gltf_read_material(const struct gltf_place *place, struct gltf_source *s
     if (base)
         BSQ_TRY(fmt_gltf_index(place, base, "index", "textures", &texture));
     if (texture != GLTF_NONE)
-        BSQ_TRY(find_texture(d, source, texture, &m->texture_path));
+        BSQ_TRY(find_texture(d, source, texture, m->uv.wrap, &m->texture_path));
     if (m->texture_path && bsq_part_parse(m->texture_path, &part) == 0)
         BSQ_TRY(bsq_text_copy(d->ctx, d->file.path, &m->texture_place));
     BSQ_TRY(read_texcoord(place, find_texture_info(place, base), &out->texcoord, out->uv_matrix));
     BSQ_TRY(read_channels(place, source, out));
-    source->unread.texture_factors +=
-        m->texture_path && (out->color[0] != 1 || out->color[1] != 1 || out->color[2] != 1);
     status = read_opacity(place, alpha, m);
 done:
     return status;

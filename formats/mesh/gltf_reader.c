@@ -285,7 +285,8 @@ static float display_color(double linear)
 }
 
 /* Colours are linear, and factors of the material's. If any vertex of the scan has a colour, the
- * others get that of their material, because colours of vertices hide those of materials. */
+ * others get that of their material, because colours of vertices hide those of materials, or
+ * multiply their textures. */
 static int parse_colors(struct parser *p)
 {
     static const double white[3] = {1, 1, 1};
@@ -524,10 +525,6 @@ static int finish(struct stream_source *source)
          "textures have a format or an address that is not read"},
         {colors ? unread->packed_images : 0, true,
          "textures are inside of a packed file or a pipe: unpack it"},
-        {colors ? unread->texture_factors : 0, true,
-         "materials have a texture, so their colour factor is not used"},
-        {colors ? unread->texture_colors : 0, true,
-         "primitives have a texture, so their vertex colours are not used"},
         {colors ? unread->other_colors : 0, true,
          "primitives have COLOR_1 or the like without COLOR_0, which is not read"},
         {colors ? unread->variants : 0, true,
@@ -560,6 +557,7 @@ static int list_materials(struct stream_source *source, struct fmt_materials *ou
     for (uint32_t i = 0; i < file->material_count; i++) {
         BSQ_TRY(fmt_materials_add(source->ctx, out, &material));
         BSQ_TRY(fmt_material_copy(source->ctx, &file->materials[i].described, material));
+        material->tinted = material->texture_path && source->reader->gltf_colors;
     }
 done:
     return status;

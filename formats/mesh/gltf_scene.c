@@ -117,6 +117,15 @@ static bool has_other_colors(const json_t *primitive)
     return false;
 }
 
+/* Returns whether the colour of a primitive's material changes its texture. */
+static bool has_texture_factor(const struct gltf_source *source, const struct gltf_primitive *p)
+{
+    if (p->material == GLTF_NONE || p->texcoord == GLTF_NONE)
+        return false;
+    const struct gltf_material *m = &source->materials[p->material];
+    return m->described.texture_path && (m->color[0] != 1 || m->color[1] != 1 || m->color[2] != 1);
+}
+
 /* Reads a primitive. Leaves its `triangles` 0 if it has none that can be read. */
 static int read_primitive(const struct gltf_place *place, struct gltf_source *source,
                           const json_t *object, struct gltf_primitive *out)
@@ -144,12 +153,9 @@ static int read_primitive(const struct gltf_place *place, struct gltf_source *so
         source->accessors[out->color].normalized = true;
     source->has_tangents |=
         json_object_get(json_object_get(object, "attributes"), "TANGENT") != NULL;
-    source->has_colors |= out->color != GLTF_NONE;
+    source->has_colors |= out->color != GLTF_NONE || has_texture_factor(source, out);
     source->unread.other_colors += out->color == GLTF_NONE && has_other_colors(object);
     source->unread.variants += fmt_gltf_extension(object, "KHR_materials_variants") != NULL;
-    source->unread.texture_colors += out->color != GLTF_NONE && out->texcoord != GLTF_NONE &&
-                                     out->material != GLTF_NONE &&
-                                     source->materials[out->material].described.texture_path;
     return 0;
 }
 

@@ -155,7 +155,8 @@ int fmt_material_enter_channel(struct bsq_ctx *ctx, struct fmt_material *materia
     if (status)
         return status;
     *out = &material->channels[material->channel_count++];
-    **out = (struct fmt_material_channel){
-        .channel = channel, .value = {channel->usual, channel->usual, channel->usual}};
+    **out = (struct fmt_material_channel){.channel = channel,
+                                          .value = {channel->usual, channel->usual, channel->usual},
+                                          .factor = {1, 1, 1}};
     return 0;
 }

@@ -191,6 +191,7 @@ struct fmt_material_channel {
     char *texture_path;  /* as in struct fmt_material, or NULL */
     char *texture_place; /* likewise */
     struct bsq_uv uv;
+    float factor[3];    /* of the texture, see bsq_channel_scale(); of colours, in linear light */
     uint32_t component; /* of the texture, see BSQ_CHANNEL_ALPHA, for channels with one value */
     const char *loss;   /* what of the channel cannot be used, for a warning; or NULL */
 };
@@ -204,6 +205,7 @@ struct fmt_material {
      * part of the scan's own file. */
     char *texture_place;
     struct bsq_uv uv; /* of this texture */
+    bool tinted;      /* colours of vertices multiply this texture */
     bool opaque;      /* the alpha of this texture has no meaning */
     bool cutout;      /* it hides what is below the cutoff, and shows the rest whole */
     float cutoff;

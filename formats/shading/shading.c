@@ -50,8 +50,8 @@ int fmt_shading_add_color(struct fmt_shading *shading)
         for (int k = 0; k < 3; k++)
             shading->diffuse[m][k] = bsq_srgb_to_linear((double)material->diffuse[k]);
         if ((header->attributes & FMT_TRIS_TEXCOORDS) && !material->colorless)
-            sources[m] = (struct fmt_tris_source){.texture_path = material->texture_path,
-                                                  .uv = material->uv};
+            sources[m] = (struct fmt_tris_source){
+                .texture_path = material->texture_path, .value = {1, 1, 1}, .uv = material->uv};
     }
 done:
     return status;
@@ -70,6 +70,7 @@ static int add_channel(struct fmt_shading *shading, uint32_t number, const char 
         return status;
     for (uint64_t m = 0; path && m <= none; m++)
         sources[m] = (struct fmt_tris_source){.texture_path = (char *)(uintptr_t)path,
+                                              .value = {1, 1, 1},
                                               .component = row->component};
     for (uint32_t m = 0; !path && m < none; m++)
         sources[m] = header->materials[m].sources[channel];
@@ -218,9 +219,12 @@ int fmt_shade_attribute(const struct fmt_shading *shading, uint32_t attribute,
         at[k] = bsq_uv_apply(&source->uv, k, place->at[k]);
         width[k] = bsq_uv_width(&source->uv, k, place->width[k]);
     }
-    int status = fmt_texture_sample(shading->textures, (uint32_t)image, at[0], at[1], width[0],
-                                    width[1], out);
-    if (status == 0)
-        bsq_channel_pick(of->row, source->component, source->value[0], out);
-    return status;
+    int status = fmt_texture_sample(shading->textures, (uint32_t)image, source->uv.wrap, at[0],
+                                    at[1], width[0], width[1], out);
+    if (status < 0)
+        return status;
+    bsq_channel_pick(of->row, source->component, source->value[0], out);
+    if (source->component != BSQ_CHANNEL_CUTOUT)
+        bsq_channel_scale(of->row, source->value, out);
+    return 0;
 }

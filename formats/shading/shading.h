@@ -94,6 +94,13 @@ static inline bool fmt_shading_is_textured(const struct fmt_shading *shading, ui
            shading->attributes[attribute].sources[material].texture_path;
 }
 
+/* Returns whether colours of vertices multiply the texture of a material. */
+static inline bool fmt_shading_is_tinted(const struct fmt_shading *shading, uint32_t material)
+{
+    const struct fmt_tris_header *header = shading->header;
+    return material < header->material_count && header->materials[material].tinted;
+}
+
 /* Returns the id of a point of a triangle: that of its material's name or, if ids are colours, the
  * colour of the corner with the largest weight, the first of several; 0 without vertex colours. */
 uint32_t fmt_shade_id(const struct fmt_shading *shading, const struct fmt_tris_chunk *chunk,

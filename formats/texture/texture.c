@@ -329,14 +329,6 @@ void fmt_textures_close(struct fmt_textures *t)
 
 /* ---- lookups ---- */
 
-void fmt_texture_size(const struct fmt_textures *t, uint32_t source, uint32_t *width,
-                      uint32_t *height)
-{
-    const struct fmt_pyramid *pyramid = &t->images[t->list[t->texture_of[source]].first].pyramid;
-    *width = pyramid->width;
-    *height = pyramid->height;
-}
-
 bool fmt_texture_has_alpha(const struct fmt_textures *t, uint32_t source)
 {
     const struct texture *texture = &t->list[t->texture_of[source]];
@@ -430,12 +422,24 @@ static int sample_tiles(struct fmt_textures *t, struct texture *texture, double 
     return 0;
 }
 
-int fmt_texture_sample(struct fmt_textures *t, uint32_t source, float u, float v, float du,
-                       float dv, float out[3])
+/* Returns a coordinate in the image that has the same texel. */
+static double unwrap(enum bsq_wrap wrap, float u, float width, uint32_t texels)
+{
+    const double x = (double)u;
+    if (wrap == BSQ_WRAP_REPEAT)
+        return x;
+    return keep_inside(wrap == BSQ_WRAP_MIRROR ? fabs(x - 2 * rint(x / 2)) : x, width, texels);
+}
+
+int fmt_texture_sample(struct fmt_textures *t, uint32_t source, const uint8_t wrap[2], float u,
+                       float v, float du, float dv, float out[3])
 {
     struct texture *texture = &t->list[t->texture_of[source]];
+    const struct image *image = &t->images[texture->first];
+    const struct fmt_pyramid *p = &image->pyramid;
     return texture->missing ? sample_tiles(t, texture, settle(u), settle(v), du, dv, out)
-                            : sample(&t->images[texture->first], (double)u, (double)v, du, dv, out);
+                            : sample(image, unwrap((enum bsq_wrap)wrap[0], u, du, p->width),
+                                     unwrap((enum bsq_wrap)wrap[1], v, dv, p->height), du, dv, out);
 }
 
 /* ---- losses ---- */

@@ -8,6 +8,7 @@
 #define FMT_TEXTURE_TEXTURE_H
 
 #include "base/context.h"
+#include "base/uv.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -62,18 +63,15 @@ bool fmt_texture_has_alpha(const struct fmt_textures *textures, uint32_t image);
  * tiles, cannot be read; 0 if all is well. The textures own the message. */
 int fmt_texture_problem(const struct fmt_textures *textures, uint32_t image, const char **text);
 
-/* Sets the size in texels of an image of one file. */
-void fmt_texture_size(const struct fmt_textures *textures, uint32_t image, uint32_t *width,
-                      uint32_t *height);
-
-/* Averages `image` over an axis-aligned box centred at (u, v). Coordinates are OBJ's: v points up,
- * both wrap. `du` and `dv` are the box's full widths in UV units, raised to one texel (so 0 gives
- * bilinear interpolation) and limited to the whole image. out: RGB, not clamped; linear light or,
- * of data, the values. A value of a texel that is not finite counts as 0. An image of one or two
- * channels gives the first one three times, and a source of alpha gives that. Thread-safe. Errors:
- * BSQ_EIO. */
-int fmt_texture_sample(struct fmt_textures *textures, uint32_t image, float u, float v, float du,
-                       float dv, float out[3]);
+/* Averages `image` over an axis-aligned box centred at (u, v). Coordinates are OBJ's: v points up.
+ * `wrap` says for both what is beyond the image; tiles do not use it. Unless it repeats, the box is
+ * moved into the image. `du` and `dv` are the box's full widths in UV units, raised to one texel
+ * (so 0 gives bilinear interpolation) and limited to the whole image. out: RGB, not clamped; linear
+ * light or, of data, the values. A value of a texel that is not finite counts as 0. An image of one
+ * or two channels gives the first one three times, and a source of alpha gives that. Thread-safe.
+ * Errors: BSQ_EIO. */
+int fmt_texture_sample(struct fmt_textures *textures, uint32_t image, const uint8_t wrap[2],
+                       float u, float v, float du, float dv, float out[3]);
 
 #ifdef __cplusplus
 }

@@ -179,20 +179,26 @@ static struct fmt_shading_place texture_place(const struct bake_exact *exact,
 }
 
 /* Evaluates the colour, in this order of precedence: texture, vertex colours, colour of the
- * material. Black if the scan has none of them. */
+ * material. Vertex colours may multiply the texture. Black if the scan has none of them. */
 static int shade_color(const struct bake_exact *exact, const struct place *place,
                        const struct fmt_shading_place *at, float out[3])
 {
     const struct fmt_tris_chunk *chunk = &place->slot->chunk;
-    if (fmt_shading_is_textured(&exact->shading, FMT_SHADING_COLOR, at->material))
-        return fmt_shade_attribute(&exact->shading, FMT_SHADING_COLOR, at, out);
+    const bool textured = fmt_shading_is_textured(&exact->shading, FMT_SHADING_COLOR, at->material);
+    const int status =
+        textured ? fmt_shade_attribute(&exact->shading, FMT_SHADING_COLOR, at, out) : 0;
+    if (status < 0 ||
+        (textured && !(chunk->colors && fmt_shading_is_tinted(&exact->shading, at->material))))
+        return status;
     const double *diffuse = fmt_shading_diffuse(&exact->shading, at->material);
     double sum[3] = {0, 0, 0};
     for (int i = 0; chunk->colors && i < 3; i++)
         for (int k = 0; k < 3; k++)
             sum[k] += place->w[i] * (double)bk_srgb[chunk->colors[place->v[i]] >> (8 * k) & 0xff];
     for (int k = 0; k < 3; k++)
-        out[k] = (float)(!chunk->colors && diffuse ? diffuse[k] : sum[k]);
+        out[k] = (float)(textured                    ? (double)out[k] * sum[k]
+                         : !chunk->colors && diffuse ? diffuse[k]
+                                                     : sum[k]);
     return 0;
 }
 

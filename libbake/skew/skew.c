@@ -68,22 +68,12 @@ void bake_skew_close(struct bake_skew *skew)
     bsq_free(skew->ctx, skew);
 }
 
-/* Returns x moved so that the box around it, of at least a texel, stays inside of the image. */
-static float inside(float x, float width, uint32_t texels)
-{
-    const float margin = 0.5F * fminf(fmaxf(width, 1.0F / (float)texels), 1.0F);
-    return fminf(fmaxf(x, margin), 1.0F - margin);
-}
-
 int bake_skew_sample(const struct bake_skew_image *image, float u, float v, float du, float dv,
                      uint32_t *out)
 {
-    struct fmt_textures *textures = image->skew->textures;
-    uint32_t width, height;
+    static const uint8_t wrap[2] = {BSQ_WRAP_CLAMP, BSQ_WRAP_CLAMP};
     float rgb[3];
-    fmt_texture_size(textures, image->number, &width, &height);
-    int status = fmt_texture_sample(textures, image->number, inside(u, du, width),
-                                    inside(v, dv, height), du, dv, rgb);
+    int status = fmt_texture_sample(image->skew->textures, image->number, wrap, u, v, du, dv, rgb);
     const float value = rgb[0] > 0 ? fminf(rgb[0], 1.0F) : 0; /* not a number: 0 */
     *out = status == 0 ? (uint32_t)(value * (float)BK_SKEW_ONE + 0.5F) : 0;
     return status;

@@ -50,7 +50,7 @@ static int add_alpha(struct bsq_ctx *ctx, const struct scan_textures *textures,
     status = bsq_text_copy(ctx, path, &entry->texture_path);
     if (status < 0)
         return status;
-    if (entry->has_value && entry->value[0] != 1.0f && !material->cutout)
+    if (entry->has_value && entry->value[0] != entry->factor[0] && !material->cutout)
         *lost = material;
     entry->component = material->cutout ? BSQ_CHANNEL_CUTOUT : BSQ_CHANNEL_ALPHA;
     entry->uv = *uv;
@@ -231,9 +231,12 @@ static int add_sources(struct scan *scan, const struct scan_textures *textures,
         if (path)
             status = resolve_texture(scan, path, &source->texture_path);
         source->component = path ? channel->component : 0;
-        if (own && path == own->texture_path) {
+        if (path)
+            source->value[0] = source->value[1] = source->value[2] = 1;
+        if (own && path && path == own->texture_path) {
             source->uv = own->uv;
             source->component = own->component;
+            memcpy(source->value, own->factor, sizeof source->value);
         }
         if (source->component == BSQ_CHANNEL_CUTOUT)
             source->value[0] = source->value[1] = source->value[2] = from->cutoff;
@@ -359,6 +362,8 @@ static int add_entries(struct scan *scan, const struct scan_textures *textures,
         BSQ_TRY(add_sources(scan, textures, from, true, map[0]));
     if (colored)
         scan->materials[map[0]].uv = from->uv;
+    if (colored)
+        scan->materials[map[0]].tinted = from->tinted;
     if (plain && (!textured || scan->lacks_texcoord)) {
         BSQ_TRY(add_material(scan, NULL, from->diffuse, from->has_diffuse, name, &map[1]));
         BSQ_TRY(add_sources(scan, textures, from, false, map[1]));
@@ -383,7 +388,7 @@ static int add_all(struct scan *scan, const struct scan_textures *textures,
         if (image) {
             from.texture_path = (char *)image;
             from.diffuse[0] = from.diffuse[1] = from.diffuse[2] = 1.0f;
-            from.has_diffuse = false;
+            from.has_diffuse = from.tinted = false;
             from.uv = (struct bsq_uv){0};
         }
         BSQ_TRY(bsq_check(scan->ctx));

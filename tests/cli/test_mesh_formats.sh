@@ -269,7 +269,6 @@ refused_like 64 '^bisque-voxelize: image.glb: this output would overwrite .*, th
 gzip -c image.glb >packed.glb.gz
 sed 's/"image.ppm"/"https:\/\/example.org\/image.ppm"/' beside.gltf >web.gltf
 sed 's/"source": 0/"sampler": 0/' beside.gltf >basisu.gltf
-sed 's/"pbrMetallicRoughness": {/&"baseColorFactor": [1, 0.5, 1, 1], /' beside.gltf >factor.gltf
 sed 's/"nodes": \[{"mesh": 0}/&, {"mesh": 0}/' beside.gltf >outside.gltf
 jq '.meshes += .meshes' beside.gltf >unplaced.gltf
 jq '.meshes[0].primitives += [{"attributes": {}}]' beside.gltf >bare.gltf
@@ -284,7 +283,6 @@ for case in 'color_1.gltf primitives have COLOR_1 or the like without COLOR_0, w
     'packed.glb.gz textures are inside of a packed file or a pipe: unpack it' \
     'web.gltf textures have a format or an address that is not read' \
     'basisu.gltf textures have a format or an address that is not read' \
-    'factor.gltf materials have a texture, so their colour factor is not used' \
     'outside.gltf nodes with meshes are not in the scene and are not read'; do
     file=${case%% *} line="${case%% *}: 1 ${case#* }"
     ok run bisque-voxelize "$file" -o a.nvdb --resolution 16

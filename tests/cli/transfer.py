@@ -36,6 +36,7 @@ def light(u, v):
 FUNCTIONS = {
     "ramp": lambda u, v: (u,),
     "slope": lambda u, v: (0.25 + 0.5 * v,),
+    "half_slope": lambda u, v: (0.125 + 0.25 * v,),
     "three": lambda u, v: (u, v, 0.5 + 0.25 * u - 0.5 * v),
     "light": light,
     "moved_light": lambda u, v: light(0.25 + 0.5 * u, 0.75 - 0.5 * v),

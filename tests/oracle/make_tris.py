@@ -35,12 +35,18 @@ def _moved(random):
     return (1, 1, 0, 0) if same else tuple(random.choice([1, -2.5, 0.125, 0], 4))
 
 
-def _sources(random, materials, channels):
-    """Gives materials what version 3 adds."""
+def _wraps(random, factors):
+    """Wrap modes of u and v, for version 4."""
+    return int(random.integers(0, 3) << 8 | random.integers(0, 3) << 10) if factors else 0
+
+
+def _sources(random, materials, channels, factors):
+    """Gives materials what version 3 adds, or version 4."""
     paths = [None, b"/r.png"]
-    return [(*m, _moved(random),
-             [(random.random(3), int(random.integers(0, 3)), _moved(random),
-               paths[random.integers(0, 2)]) for _ in channels]) for m in materials]
+    return [(*m[:2], m[2] | 2 * factors | _wraps(random, factors), m[3], _moved(random),
+             [(random.random(3), int(random.integers(0, 3)) | _wraps(random, factors),
+               _moved(random), paths[random.integers(0, 2)]) for _ in channels])
+            for m in materials]
 
 
 def _make_chunk(random, attributes, material_count):
@@ -73,14 +79,16 @@ def make(random):
     materials = [(random.random(3), random.choice([None, b"/a.png", b"/textures/\xc3\xa9 b.jpg"]))
                  for _ in range(random.integers(0, 4))]
     ids = int(random.choice([0, 0, 1, 2, 3]))
-    channels = None
+    channels, factors = None, False
     if random.random() < 0.3:
+        factors = bool(materials) and random.random() < 0.5
         channels = list(random.permutation([b"roughness", b"a", b"x_1"])[:random.integers(1, 4)])
         channels = [bytes(c) for c in channels]
-        materials = _sources(random, _names(random, materials), channels)
+        materials = _sources(random, _names(random, materials), channels, factors)
     elif ids:
         materials = _names(random, materials)
     return {"attributes": attributes, "ids": ids, "channels": channels, "materials": materials,
+            "factors": factors,
             "origin": random.choice([0.0, 5e5, -1e300], 3),
             "counts": random.integers(0, 1 << 62, 2),
             "chunks": [_make_chunk(random, attributes, len(materials))
@@ -125,7 +133,7 @@ def _encode_materials(ids, channels, materials):
 
 
 def _version(scan):
-    return 3 if scan["channels"] is not None else 2 if scan["ids"] else 1
+    return 4 if scan.get("factors") else 3 if scan["channels"] is not None else 2 if scan["ids"] else 1
 
 
 def encode(scan):

@@ -36,6 +36,11 @@ static void add_u64(struct reading *r, uint64_t value)
 
 /* ---- chunk files ---- */
 
+static uint32_t wrap_bits(const struct bsq_uv *uv)
+{
+    return (uint32_t)(uv->wrap[0] | uv->wrap[1] << 2) << 8;
+}
+
 static void add_uv(struct reading *r, const struct bsq_uv *uv)
 {
     static const float same[4] = {1, 1, 0, 0};
@@ -47,7 +52,7 @@ static void add_source(struct reading *r, const struct fmt_tris_source *source)
 {
     const char *path = source->texture_path ? source->texture_path : "none";
     add(r, source->value, sizeof source->value);
-    add_u32(r, source->component);
+    add_u32(r, source->component | wrap_bits(&source->uv));
     add_uv(r, &source->uv);
     add(r, path, strlen(path));
 }
@@ -72,7 +77,8 @@ static void add_header(struct reading *r, const struct fmt_tris_header *h)
         add(r, h->materials[i].diffuse, sizeof h->materials[i].diffuse);
         add_u32(r, path ? (uint32_t)strlen(path) : UINT32_MAX);
         add(r, path, path ? strlen(path) : 0);
-        add_u32(r, h->materials[i].colorless);
+        add_u32(r, h->materials[i].colorless | h->materials[i].tinted << 1 |
+                       wrap_bits(&h->materials[i].uv));
         add_u32(r, name ? (uint32_t)strlen(name) : 0);
         add(r, name, name ? strlen(name) : 0);
         add_uv(r, &h->materials[i].uv);

@@ -73,7 +73,7 @@ def _read_header(data):
     need(len(data) >= HEADER_BYTES and data[:8] == b"BSQTRIS\n", "not a chunk file")
     n = fields(data, 8, "IIQQQQ3d3f3fQQQIIQQQ")
     header = Header(*n[:6], n[6:9], n[9:12], n[12:15], *n[15:])
-    need(header.version in (1, 2, 3), f"version {header.version}")
+    need(header.version in (1, 2, 3, 4), f"version {header.version}")
     need(header.header_checksum == checksum(data[:144]), "checksum of the header")
     need(header.file_bytes == len(data), "length of the file")
     need(header.attributes < 16, "unknown attributes")
@@ -120,18 +120,35 @@ def _read_channels(part, at):
     return names, at
 
 
-def _read_sources(part, at, channels):
-    """Returns what version 3 adds to a material, and its end."""
+def _are_flags(flags, version, count):
+    """Whether flags are below `count`, and in version 4 have two wrap modes from bit 8 on."""
+    wraps = flags >> 8
+    return flags & 255 < count and (
+        wraps == 0 or version > 3 and wraps < 16 and wraps & 3 < 3 and wraps >> 2 < 3)
+
+
+def _read_sources(part, at, channels, version):
+    """Returns what version 3 adds to a material, and its end. Textures have no factor before
+    version 4."""
     need(len(part) - at >= 16, "coordinates beyond their part")
     moved, sources, at = fields(part, at, "4f"), [], at + 16
     need(is_finite(moved), "coordinates are not finite")
     for _ in channels:
         need(len(part) - at >= 36, "channels of a material beyond their part")
         *value, component, a, b, c, d, path_bytes = fields(part, at, "3fI4fI")
-        need(is_finite(value) and is_finite((a, b, c, d)) and component < 5, "value of a channel")
+        need(is_finite(value) and is_finite((a, b, c, d)) and _are_flags(component, version, 5),
+             "value of a channel")
         path, at = _read_path(part, at + 36, path_bytes)
+        if version == 3 and path and component != 4:
+            value = (1, 1, 1)
         sources.append((tuple(value), component, (a, b, c, d), path))
     return (tuple(moved), sources), at
+
+
+def _needs_factors(material):
+    return material[2] > 1 or any(
+        component > 4 or path and component != 4 and value != (1, 1, 1)
+        for value, component, _, path in material[5])
 
 
 def _read_materials(data, header):
@@ -143,7 +160,7 @@ def _read_materials(data, header):
         ids, zero = fields(part, 0, "II")
         need(3 - header.version <= ids <= 3 and zero == 0, "unknown ids")
         at = 8
-    if header.version == 3:
+    if header.version >= 3:
         channels, at = _read_channels(part, at)
     for _ in range(header.material_count):
         need(len(part) - at >= MATERIAL_BYTES, "materials beyond their part")
@@ -156,19 +173,21 @@ def _read_materials(data, header):
             need(len(part) - at >= 8, "names beyond their part")
             flags, name_bytes = fields(part, at, "II")
             at += 8
-            need(flags < 2, "flags of a material")
+            need(_are_flags(flags, header.version, 2 if header.version < 4 else 4),
+                 "flags of a material")
             need(len(part) - at >= name_bytes, "name beyond the materials")
             name = bytes(part[at:at + name_bytes])
             need(0 not in name, "zero byte in a name")
             at += name_bytes
             material += (flags, name)
-        if header.version == 3:
-            more, at = _read_sources(part, at, channels)
+        if header.version >= 3:
+            more, at = _read_sources(part, at, channels, header.version)
             material += more
         materials.append(material)
     need(len(part) - at < 8 and is_zero(part[at:]), "materials do not fill their part")
-    need(header.version < 3 or channels or any(m[4] != SAME for m in materials),
+    need(header.version != 3 or channels or any(m[4] != SAME for m in materials),
          "no need of version 3")
+    need(header.version < 4 or any(_needs_factors(m) for m in materials), "no need of version 4")
     return ids, channels, materials
 
 

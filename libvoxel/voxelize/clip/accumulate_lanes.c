@@ -237,9 +237,11 @@ struct single {
     double area, uv[3][2], uv_edge[2][2];
     struct source from;
     double cells[LANE_COUNT][4], rgb[LANE_COUNT][4];
+    double tint[3][3];           /* colours of the corners, which multiply the texture */
     float texels[LANE_COUNT][3]; /* of the normal map */
     uint32_t place, material;
     bool color, channels, normal_map; /* have textures */
+    bool tinted;
 };
 
 static int add_waiting(struct single *s)
@@ -275,10 +277,14 @@ static int sample_textures(struct single *s, const struct vox_fragment *fragment
                               b[1] * (s->uv[2][k] - s->uv[0][k]));
         place.width[k] = (float)fragment->uv_extent[k];
     }
-    return vox_shade_textures(
+    int status = vox_shade_textures(
         &s->job->shading->scan, &place, s->color ? s->rgb[i] : NULL,
         s->channels ? sums->fragment_channels + (uint64_t)i * sums->channel_words : NULL,
         s->normal_map ? s->texels[i] : NULL);
+    for (int k = 0; k < 3 && s->tinted; k++)
+        s->rgb[i][k] *= s->tint[0][k] + b[0] * (s->tint[1][k] - s->tint[0][k]) +
+                        b[1] * (s->tint[2][k] - s->tint[0][k]);
+    return status;
 }
 
 static int take_fragment(void *arg, const struct vox_fragment *fragment)
@@ -324,6 +330,9 @@ static bool find_textures(struct single *s, const struct vox_shading *shading,
     s->normal_map =
         any && fmt_shading_is_textured(&shading->scan, FMT_SHADING_NORMAL_MAP, s->material);
     s->channels = any && s->from.has_channels;
+    s->tinted = s->color && chunk->colors && fmt_shading_is_tinted(&shading->scan, s->material);
+    if (s->tinted)
+        vox_shade_corners(shading, chunk, triangle, s->tint);
     return any;
 }
 

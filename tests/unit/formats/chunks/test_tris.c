@@ -234,6 +234,40 @@ FIXTURE_TEST(channels_come_back)
     free(bytes);
 }
 
+/* Version 4 is written if a texture has a factor, is tinted, or does not repeat. */
+FIXTURE_TEST(factors_and_wrap_modes_come_back)
+{
+    struct tris_fixture *f = *state;
+    char *channels[] = {(char *)"roughness"};
+    for (int i = 0; i < 5; i++) {
+        struct fmt_tris_source source = {.texture_path = (char *)"/r.png", .value = {1, 1, 1}};
+        struct fmt_tris_material material = {
+            .sources = &source, .texture_path = (char *)"/a.png", .colorless = i == 4};
+        const struct fmt_tris_header header = {
+            .material_count = 1, .materials = &material, .channel_count = 1, .channels = channels};
+        struct fmt_tris_writer *writer;
+        struct fmt_tris_file *file;
+        size_t size;
+        source.value[1] = i == 1 ? 0.5f : 1;
+        source.uv.wrap[1] = i == 2 ? BSQ_WRAP_MIRROR : BSQ_WRAP_REPEAT;
+        material.uv.wrap[0] = i == 3 ? BSQ_WRAP_CLAMP : BSQ_WRAP_REPEAT;
+        material.tinted = i == 4;
+        assert_int_equal(fmt_tris_create(f->ctx, tris_path, &header, &writer), 0);
+        assert_int_equal(fmt_tris_commit(writer, NULL), 0);
+        uint8_t *bytes = test_read(tris_path, &size);
+        assert_int_equal(bytes[8], i == 0 ? 3 : 4);
+        free(bytes);
+        assert_int_equal(fmt_tris_open(f->ctx, tris_path, &file), 0);
+        const struct fmt_tris_material *m = fmt_tris_get_header(file)->materials;
+        assert_true(m->sources->value[0] == 1 && m->sources->value[1] == source.value[1]);
+        assert_memory_equal(m->sources->uv.wrap, source.uv.wrap, 2);
+        assert_memory_equal(m->uv.wrap, material.uv.wrap, 2);
+        assert_int_equal(m->tinted, material.tinted);
+        assert_int_equal(m->colorless, material.colorless);
+        fmt_tris_close(file);
+    }
+}
+
 FIXTURE_TEST(nothing_remains_of_a_discarded_file)
 {
     struct tris_fixture *f = *state;

@@ -120,9 +120,10 @@ uint8_t *tris_write_channels(struct tris_fixture *f, size_t *size)
     struct fmt_tris_source sources[] = {
         {.value = {0.25f, 0.25f, 0.25f}},
         {.texture_path = (char *)"/e.png",
+         .value = {1, 1, 1},
          .component = 2,
          .uv = {.moves = true, .scale = {2, 1}, .offset = {0, -0.5f}}},
-        {.texture_path = (char *)"/r.png"},
+        {.texture_path = (char *)"/r.png", .value = {1, 1, 1}},
         {.value = {1, 2, 3}}};
     struct fmt_tris_material materials[] = {
         {.sources = sources}, {.sources = sources + 2, .texture_path = (char *)"/a.png"}};

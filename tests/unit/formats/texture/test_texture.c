@@ -155,11 +155,13 @@ static void reference(const struct picture *p, double u, double v, double width,
 struct fixture {
     struct bsq_ctx *ctx;
     struct fmt_textures *textures;
+    uint8_t wrap[2];
 };
 
 static int open_textures(struct fixture *f, const char *const *paths, uint32_t count,
                          uint64_t cache)
 {
+    f->wrap[0] = f->wrap[1] = BSQ_WRAP_REPEAT;
     struct bsq_ctx_options options = {.threads = 3, .memory_bytes = 256 << 20, .tmpdir = "."};
     struct fmt_texture_source *sources = calloc(count, sizeof *sources);
     assert_non_null(sources);
@@ -190,7 +192,8 @@ static void assert_sample(struct fixture *f, double u, double v, double du, doub
 {
     const double expected[3] = {r, g, b};
     float out[3];
-    int status = fmt_texture_sample(f->textures, 0, (float)u, (float)v, (float)du, (float)dv, out);
+    int status =
+        fmt_texture_sample(f->textures, 0, f->wrap, (float)u, (float)v, (float)du, (float)dv, out);
     assert_int_equal(status, 0);
     for (int c = 0; c < 3; c++)
         if (!(fabs((double)out[c] - expected[c]) <= tolerance))
@@ -204,11 +207,7 @@ TEST(test_orientation)
     static uint8_t texels[2][2][3] = {{{255, 0, 0}, {255, 0, 255}}, {{0, 255, 0}, {0, 255, 255}}};
     struct picture p = {2, 2, 3, &texels[0][0][0]};
     struct fixture f;
-    uint32_t width, height;
     open_one(&f, write_png("small.png", &p));
-    fmt_texture_size(f.textures, 0, &width, &height);
-    assert_int_equal(width, 2);
-    assert_int_equal(height, 2);
     assert_sample(&f, 0.25, 0.75, 0, 0, 1, 0, 0, 1e-6);
     assert_sample(&f, 0.75, 0.75, 0, 0, 1, 0, 1, 1e-6);
     assert_sample(&f, 0.25, 0.25, 0, 0, 0, 1, 0, 1e-6);
@@ -220,6 +219,37 @@ TEST(test_orientation)
     assert_sample(&f, 0.75, 0, 0, 0, 0.5, 0.5, 1, 1e-6);
     assert_sample(&f, -2.75, 5.75, 0, 0, 1, 0, 0, 1e-6);
     assert_sample(&f, 0.3, 0.9, 7, 9, 0.5, 0.5, 0.5, 1e-6);
+    close_fixture(&f);
+}
+
+TEST(test_wrap_modes)
+{
+    /* Four columns of grey: 0, 85, 170, 255, as linear light by the formula of sRGB. */
+    static uint8_t texels[4] = {0, 85, 170, 255};
+    static const double light[4] = {0, 0.090841711, 0.401977780, 1};
+    struct picture p = {4, 1, 1, texels};
+    struct fixture f;
+    open_one(&f, write_png("row.png", &p));
+    for (int texel = -9; texel <= 9; texel++) {
+        const double u = (texel + 0.5) / 4;
+        const int period = ((texel % 8) + 8) % 8;
+        const double expected[BSQ_WRAPS] = {light[period % 4],
+                                            light[texel < 0   ? 0
+                                                  : texel > 3 ? 3
+                                                              : texel],
+                                            light[period < 4 ? period : 7 - period]};
+        for (uint8_t mode = 0; mode < BSQ_WRAPS; mode++) {
+            const double e = expected[mode];
+            f.wrap[0] = mode;
+            assert_sample(&f, u, 0.5, 0, 0, e, e, e, 1e-6);
+        }
+    }
+    /* At a border, half of a bilinear lookup is of the texel beyond it. */
+    for (uint8_t mode = 0; mode < BSQ_WRAPS; mode++) {
+        const double e = mode == BSQ_WRAP_REPEAT ? 0.5 : 1;
+        f.wrap[0] = mode;
+        assert_sample(&f, 1, 0.5, 0, 0, e, e, e, 1e-6);
+    }
     close_fixture(&f);
 }
 
@@ -266,7 +296,7 @@ static void compare_random_boxes(struct fixture *f, const struct picture *p, int
         double height = fmin(fmax((double)dv * p->height, 1), p->height);
         double expected[3], least = fmin(width, height);
         float out[3];
-        assert_int_equal(fmt_texture_sample(f->textures, 0, u, v, du, dv, out), 0);
+        assert_int_equal(fmt_texture_sample(f->textures, 0, f->wrap, u, v, du, dv, out), 0);
         reference(p, (double)u, (double)v, width, height, 1, expected);
         if (least >= 16 && !is_near(out, expected, tolerance))
             reference(p, (double)u, (double)v, width, height,
@@ -315,8 +345,9 @@ static int look_up(void *arg, uint64_t index, unsigned worker)
 {
     struct lookup *lookup = arg;
     (void)worker;
-    return fmt_texture_sample(lookup->f->textures, (uint32_t)(index % 2), (float)index * 0.377f,
-                              (float)index * 0.619f, 0.003f, 0.004f, lookup->colors[index]);
+    return fmt_texture_sample(lookup->f->textures, (uint32_t)(index % 2), lookup->f->wrap,
+                              (float)index * 0.377f, (float)index * 0.619f, 0.003f, 0.004f,
+                              lookup->colors[index]);
 }
 
 TEST(test_threads_see_the_same)
@@ -611,7 +642,7 @@ TEST(test_failed_lookup)
     assert_true(bsq_temp_bytes(f.ctx) > 6000000);
     on_read = fail_read;
     reads_left = 0;
-    assert_int_equal(fmt_texture_sample(f.textures, 0, 0.5f, 0.5f, 0, 0, color), BSQ_EIO);
+    assert_int_equal(fmt_texture_sample(f.textures, 0, f.wrap, 0.5f, 0.5f, 0, 0, color), BSQ_EIO);
     assert_non_null(strstr(bsq_error(f.ctx), "Input/output error"));
     bsq_clear_error(f.ctx);
     compare_random_boxes(&f, &p, 40);

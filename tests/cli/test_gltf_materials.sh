@@ -1,0 +1,26 @@
+#!/bin/sh
+# test_gltf_materials.sh - factors, vertex colours and wrap modes of glTF files, as viewers show them.
+. "$(dirname "$0")/lib.sh"
+squares="python3 $top/tests/cli/gltf_materials.py"
+channels=roughness,metallic,occlusion
+
+# values NAME TOLERANCE: the maps NAME.<map>.png have the values of the specification.
+values()
+{
+    command="$squares check $*"
+    holds "the maps $1 are what viewers show" $squares check "$@"
+}
+
+$squares make || exit 1
+ok run bisque-voxelize squares.gltf --channels $channels,normal_map --resolution 1200 -o scan.nvdb
+holds "nothing is lost" [ ! -s "$err" ]
+for scan in scan.tris scan.nvdb; do
+    ok run bisque-bake $scan low.obj --size 576x96 -o "$scan.<MAP>.png" \
+        --maps normal,color,transfer:roughness,transfer:metallic,transfer:occlusion
+    for map in roughness metallic occlusion; do
+        [ -f $scan.$map.png ] || mv "$scan.transfer_$map.png" $scan.$map.png
+    done
+done
+values scan.tris 0.004
+values scan.nvdb 0.01
+finish
