@@ -139,6 +139,8 @@ struct bake_options {
     /** Input: a mesh with the vertices and faces of the low-poly mesh around it and the scan, or
      * NULL. Rays start at it, go through the low-poly mesh and take the first surface. */
     const char *cage_path;
+    double
+        extrude; /**< Distance of a cage along the smooth normals, instead of a mesh; < 0: none. */
     /** A grey image in the texture space of the low-poly meshes, or NULL. White turns rays to the
      * normals of the faces, black leaves them. BAKE_UDIM_TOKEN and BAKE_UVTILE_TOKEN stand for each
      * baked tile; without them, all tiles have the same image. */

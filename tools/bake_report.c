@@ -80,7 +80,9 @@ static void hint_at_misses(struct cli *cli, const struct bake_arguments *argumen
              "%.1f %% of the samples found no surface within %g in front and %g behind: "
              "try a larger %s%s",
              percent(report->misses, samples), report->front, report->back,
-             arguments->bake.cage_path ? "cage or --back" : "--front and --back",
+             arguments->bake.cage_path     ? "cage or --back"
+             : arguments->bake.extrude > 0 ? "--extrude or --back"
+                                           : "--front and --back",
              arguments->bake.two_sided ? ""
                                        : ", or --two-sided if the scan's faces are wound inwards");
 }

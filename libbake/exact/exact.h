@@ -4,8 +4,8 @@
  * A batch's rays are sorted into one bucket for each chunk that they cross. Each of these chunks is
  * loaded, gets a tree of boxes, and finds the nearest hits of its rays. A second pass over the
  * chunks that have hits evaluates normals and colours. Results do not depend on chunks, threads or
- * memory: the hit with the smallest (|t|, t < 0, triangle number) wins, and all three are computed
- * alike in any order. */
+ * memory: the hit with the smallest (bake_ray_cost(t), -t, triangle number) wins, and all three are
+ * computed alike in any order. */
 #ifndef BAKE_EXACT_EXACT_H
 #define BAKE_EXACT_EXACT_H
 
@@ -72,11 +72,21 @@ struct bake_exact_footprint {
     float step[2][3];
 };
 
+/* Returns how far a hit is on the way of a ray, which is in the unit of t: from t = reach inwards,
+ * against its direction, and from there outwards. So up to its reach the outermost hit counts, and
+ * beyond, on either side, the one with the smallest |t|. */
+static inline double bake_ray_cost(double t, double reach)
+{
+    return t <= reach ? reach - t : reach + t;
+}
+
 struct bake_exact_batch {
     const struct bake_exact_ray *rays;
     struct bake_exact_hit *hits; /* out */
     uint64_t count;              /* of rays and hits; below 2^32 */
     double t_min, t_max;         /* range of the hits' t */
+    const float *reaches;        /* of each ray, see bake_ray_cost(); NULL: 0 */
+    bool from_reach;             /* hits with a larger t than the reach do not count */
     bool distances_only;         /* do not evaluate normals and colours */
     /* Surfaces must face the ray's origin, as for a camera. Otherwise they must face its end, as
      * for rays along the low-poly mesh's normals. */

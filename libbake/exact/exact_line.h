@@ -66,12 +66,12 @@ static inline struct exact_span exact_span_of(double begin, double end)
 }
 
 /* Returns a bit mask of the boxes that the line crosses within the span, and sets distances[] to
- * the smallest |t| inside each. Never misses a box: subtraction, reciprocal and product are each
- * rounded once, so parameters are off by less than 3 * 2^-24 of their size, and are widened by more
- * (Ize, "Robust BVH Ray Traversal", JCGT 2(2), 2013). */
+ * the smallest |t - from| inside each. Never misses a box: subtraction, reciprocal and product are
+ * each rounded once, so parameters are off by less than 3 * 2^-24 of their size, and are widened by
+ * more (Ize, "Robust BVH Ray Traversal", JCGT 2(2), 2013). */
 static inline unsigned exact_line_crosses(const struct exact_line *line,
                                           const struct exact_box8 *boxes, struct exact_span span,
-                                          eights *distances)
+                                          float from, eights *distances)
 {
     const eights less = eights_splat(1.0f - 4.8e-7f), more = eights_splat(1.0f + 4.8e-7f);
     eights in = eights_splat(-INFINITY), out = eights_splat(INFINITY);
@@ -83,7 +83,7 @@ static inline unsigned exact_line_crosses(const struct exact_line *line,
     }
     in = eights_max(eights_min(in * less, in * more), eights_splat(span.begin));
     out = eights_min(eights_max(out * less, out * more), eights_splat(span.end));
-    *distances = eights_max(eights_max(in, -out), eights_splat(0.0f));
+    *distances = eights_max(eights_max(in - from, from - out), eights_splat(0.0f));
     return eights_not_above(in, out);
 }
 

@@ -104,21 +104,22 @@ const struct exact_scratch *bake_exact_scratch(const struct bake_exact *exact,
                                                const struct exact_slots *slots, uint64_t slot,
                                                unsigned worker);
 
-/* The nearest hit of a ray so far. */
+/* The hit of a ray that wins so far. */
 struct exact_best {
     double t;
     uint64_t triangle;
     float w1, w2; /* barycentric weights of the second and third corner */
+    double reach; /* of the ray */
 };
-/* Returns whether a hit wins over another: the nearer one, then the one in front, then the one with
- * the lower triangle number. */
-static inline bool exact_wins(double t, uint64_t triangle, double other_t, uint64_t other_triangle)
+/* Returns whether a hit wins over another: that with the lower bake_ray_cost(), then the outer one,
+ * then the one with the lower triangle number. */
+static inline bool exact_wins(double t, uint64_t triangle, double other_t, uint64_t other_triangle,
+                              double reach)
 {
-    if (fabs(t) != fabs(other_t))
-        return fabs(t) < fabs(other_t);
-    if ((t < 0) != (other_t < 0))
-        return other_t < 0;
-    return triangle < other_triangle;
+    const double cost = bake_ray_cost(t, reach), other_cost = bake_ray_cost(other_t, reach);
+    if (cost != other_cost)
+        return cost < other_cost;
+    return t != other_t ? t > other_t : triangle < other_triangle;
 }
 
 /* Limits that a hit must meet to count. */
@@ -126,7 +127,13 @@ struct exact_limits {
     double t_min, t_max;
     bool facing_origin, two_sided; /* as in struct bake_exact_batch and bake_exact_options */
     bool any;                      /* the first hit that is found will do */
+    bool from_reach;               /* as in struct bake_exact_batch */
 };
+/* Returns the largest t of a ray's hits. */
+static inline double exact_most(const struct exact_limits *limits, double reach)
+{
+    return limits->from_reach ? fmin(limits->t_max, reach) : limits->t_max;
+}
 
 /* Replaces *best by the nearest hit among the chunk's triangles, if that wins. Returns whether it
  * did. first: number of the chunk's first triangle. */

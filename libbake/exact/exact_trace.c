@@ -217,13 +217,14 @@ static void trace_ray(struct wave *wave, const struct exact_slot *slot, uint32_t
     best.t = hit->t;
     best.triangle = hit->triangle;
     pthread_mutex_unlock(lock);
+    best.reach = wave->batch->reaches ? (double)wave->batch->reaches[ray] : 0;
     if (!BSQ_SIMD_PICK(wave->exact->simd, bake_exact_slot_trace)(
             slot, wave->exact->chunks[slot->number].first_triangle, &wave->batch->rays[ray],
             &wave->limits, &best))
         return;
     pthread_mutex_lock(lock);
     if (hit->triangle == BAKE_EXACT_NONE ||
-        exact_wins(best.t, best.triangle, hit->t, hit->triangle)) {
+        exact_wins(best.t, best.triangle, hit->t, hit->triangle, best.reach)) {
         hit->t = best.t;
         hit->triangle = best.triangle;
         hit->normal[0] = best.w1;
@@ -367,6 +368,7 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *ba
                         .limits = {.t_min = batch->t_min,
                                    .t_max = batch->t_max,
                                    .facing_origin = batch->facing_origin,
+                                   .from_reach = batch->from_reach,
                                    .two_sided = exact->options.two_sided}};
     int status = 0;
     if (batch->count == 0)

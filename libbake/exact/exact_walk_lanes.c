@@ -16,6 +16,8 @@ struct trace {
     struct exact_shear shear; /* set for the first triangle: many rays meet none */
     bool sheared;
     struct exact_span span; /* where a hit would win; shrinks with each hit */
+    float reach;            /* best->reach, from which distances to boxes count */
+    float farthest;         /* distance up to which a hit could win */
     struct exact_best *best;
     bool improved, done;             /* done: no better hit is needed */
     const struct exact_group *group; /* whose slots are walked one after another */
@@ -24,13 +26,18 @@ struct trace {
 static void set_span(struct trace *trace)
 {
     const struct exact_limits *limits = trace->limits;
-    double begin = limits->t_min, end = limits->t_max;
-    if (trace->best->triangle != BAKE_EXACT_NONE) {
-        double nearest = fabs(trace->best->t);
-        begin = begin > -nearest ? begin : -nearest;
-        end = end < nearest ? end : nearest;
+    const struct exact_best *best = trace->best;
+    double begin = limits->t_min, end = exact_most(limits, best->reach);
+    if (best->triangle != BAKE_EXACT_NONE) {
+        const bool within = best->t <= best->reach;
+        begin = fmax(begin, within ? best->t : -best->t);
+        end = fmin(end, within ? fmax(best->reach, -best->t) : best->t);
     }
+    trace->reach = (float)best->reach;
     trace->span = exact_span_of(begin, end);
+    /* With more than the differences here and of the distances are rounded by. */
+    trace->farthest =
+        fmaxf(trace->span.end - trace->reach, trace->reach - trace->span.begin) * (1.0f + 4.8e-7f);
 }
 
 /* Tests a triangle, and takes its hit if that wins. */
@@ -47,17 +54,17 @@ static void try_triangle(struct trace *trace, uint32_t triangle)
     trace->sheared = true;
     if (!exact_cross_triangle(&trace->shear, chunk->positions[v[0]], chunk->positions[v[1]],
                               chunk->positions[v[2]], &crossing) ||
-        !(crossing.t >= limits->t_min && crossing.t <= limits->t_max))
+        !(crossing.t >= limits->t_min && crossing.t <= exact_most(limits, best->reach)))
         return;
     if (best->triangle != BAKE_EXACT_NONE &&
-        !exact_wins(crossing.t, number, best->t, best->triangle))
+        !exact_wins(crossing.t, number, best->t, best->triangle, best->reach))
         return;
     if (!limits->two_sided) {
         const bool along = crossing.along != bake_exact_wound_backwards(chunk, triangle);
         if (along == limits->facing_origin)
             return;
     }
-    *best = (struct exact_best){crossing.t, number, crossing.w1, crossing.w2};
+    *best = (struct exact_best){crossing.t, number, crossing.w1, crossing.w2, best->reach};
     trace->improved = true;
     trace->done = limits->any;
     set_span(trace);
@@ -88,11 +95,6 @@ static uint32_t push_children(struct entry *stack, uint32_t depth, uint32_t leve
     return depth;
 }
 
-static bool too_far(const struct exact_span *span, float distance)
-{
-    return distance > span->end && distance > -span->begin;
-}
-
 /* Calls `visit` for the boxes of a tree that the ray crosses where a hit would win, near ones
  * first.
  */
@@ -108,10 +110,11 @@ static inline void walk_tree(struct trace *trace, const struct exact_tree *tree,
     stack[0] = (struct entry){0, tree->levels - 1, 0};
     while (depth > 0 && !trace->done) {
         const struct entry top = stack[--depth];
-        if (too_far(&trace->span, top.distance))
+        if (top.distance > trace->farthest)
             continue;
         const struct exact_box8 *boxes = &tree->nodes[tree->first[top.level] + top.node];
-        unsigned bits = exact_line_crosses(&trace->line, boxes, trace->span, &crossed);
+        unsigned bits =
+            exact_line_crosses(&trace->line, boxes, trace->span, trace->reach, &crossed);
         memcpy(distances, &crossed, sizeof distances);
         if (top.level > 0) {
             depth = push_children(stack, depth, top.level, top.node, bits, distances);
@@ -119,7 +122,7 @@ static inline void walk_tree(struct trace *trace, const struct exact_tree *tree,
         }
         for (; bits && !trace->done; bits &= bits - 1) {
             const unsigned c = (unsigned)__builtin_ctz(bits);
-            if (!too_far(&trace->span, distances[c]))
+            if (distances[c] <= trace->farthest)
                 visit(trace, tree->order[8 * top.node + c]);
         }
     }
@@ -175,7 +178,7 @@ uint32_t BSQ_SIMD_NAME(bake_exact_crossed)(const struct bake_exact_ray *ray, dou
     if (!exact_line_set(&line, ray->origin, ray->direction))
         return 0;
     for (uint32_t i = 0; i < count; i += 8) {
-        const unsigned bits = exact_line_crosses(&line, &boxes[i / 8], span, &distances);
+        const unsigned bits = exact_line_crosses(&line, &boxes[i / 8], span, 0, &distances);
         eights_store_set(bits, i, out + found);
         found += (uint32_t)__builtin_popcount(bits);
     }

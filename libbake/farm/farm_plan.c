@@ -13,7 +13,7 @@
 #include "libbake/farm/farm_json.h"
 
 static const char format[] = "Bisque bake plan";
-enum { FORMAT_VERSION = 5 };
+enum { FORMAT_VERSION = 6 };
 
 /* ---- the members ---- */
 

@@ -137,7 +137,7 @@ static struct bake_options shared_options(const struct bake_work *job)
 {
     struct bake_options shared = *job->options;
     shared.maps = job->maps & ((1u << BK_MAP_COUNT) - 1u);
-    if (!shared.cage_path)
+    if (!bake_has_cage(&shared))
         shared.front = job->report->front;
     shared.back = job->report->back;
     if (job->maps & BAKE_MAP_CURVATURE)

@@ -299,6 +299,7 @@ int bake_open_inputs(struct bake_work *job)
                                              .object_maps = strstr(output, BAKE_OBJECT_TOKEN),
                                              .material_maps = strstr(output, BAKE_MATERIAL_TOKEN),
                                              .cage_path = job->options->cage_path,
+                                             .extrude = job->options->extrude,
                                              .rays = job->options->rays};
     BSQ_TRY(bake_lowmesh_load(job->ctx, &low, &job->mesh));
     job->report->low_triangles = job->mesh.triangle_count;
@@ -317,7 +318,7 @@ int bake_set_params(struct bake_work *job)
     const struct bake_options *options = job->options;
     double front = options->front, back = options->back;
     bake_surface_set_params(&job->surface, options, job->maps);
-    if ((front < 0 && !options->cage_path) || back < 0) {
+    if ((front < 0 && !bake_has_cage(options)) || back < 0) {
         int status = bake_measure_distances(&job->surface, &job->mesh, &front, &back);
         if (status < 0)
             return status;
@@ -326,7 +327,7 @@ int bake_set_params(struct bake_work *job)
         if (options->back >= 0)
             back = options->back;
     }
-    if (options->cage_path)
+    if (bake_has_cage(options))
         front = job->mesh.cage_distance;
     job->report->front = front;
     job->report->back = back;

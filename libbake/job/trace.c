@@ -111,11 +111,11 @@ static int fail_without_hit(const struct bake_work *job)
         scan->scan_min[2], scan->scan_max[0], scan->scan_max[1], scan->scan_max[2],
         low->bounds_min[0], low->bounds_min[1], low->bounds_min[2], low->bounds_max[0],
         low->bounds_max[1], low->bounds_max[2],
-        !in_same_place(scan, low) ? "are they in the same place and units?"
-        : job->options->cage_path ? "try a larger cage, or a larger --back"
-        : job->options->two_sided ? "try a larger --front and --back"
-                                  : "try a larger --front and --back, or --two-sided "
-                                    "if the scan's faces are wound inwards");
+        !in_same_place(scan, low)     ? "are they in the same place and units?"
+        : bake_has_cage(job->options) ? "try a larger cage, or a larger --back"
+        : job->options->two_sided     ? "try a larger --front and --back"
+                                      : "try a larger --front and --back, or --two-sided "
+                                        "if the scan's faces are wound inwards");
 }
 
 static void note_device_times(struct bake_work *job)

@@ -216,8 +216,9 @@ BK_FN void bk_cross_record(bk_walk *walk, const bk_ray *ray, bk_mask lanes, cons
     begun = bk_not(same & (side != BK_APART)) & bk_less(f_in, slope) &
             bk_less(walk->t_start, t_in) & bk_not(bk_less(record->margin, f_in));
     at = bk_select(sloped, bk_maxw(t_in, bk_minw(t_out, -f / slope)), t_in);
-    t = bk_select(crossed, at,
-                  bk_select(same & (side == BK_BELOW), t_in, bk_maxw(t_in - f_in / slope, zero)));
+    t = bk_select(
+        crossed, at,
+        bk_select(same & (side == BK_BELOW), t_in, bk_maxw(t_in - f_in / slope, walk->t_start)));
     bk_take(walk, tested & (crossed | (above & ((same & (side == BK_BELOW)) | begun))), t, record);
     outside = bk_select(bk_less(-f_out, slope), -f_out, bk_splat(1.0f));
     /* A voxel may have two sheets. If the ray has not reached the plane of one of them yet, that

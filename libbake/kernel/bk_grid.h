@@ -73,7 +73,6 @@ typedef struct bk_cache {
     bk_int x, y, z;
     bk_uint upper, lower, leaf;
     bk_uint level, side; /* result of the last lookup; log2 of the side of the node it ended in */
-    bk_uint inward;      /* the last ray's hit was against its direction */
 #ifdef BK_COUNTERS
     bk_counts *counts;
 #endif
@@ -105,7 +104,7 @@ BK_FN bk_cache bk_cache_empty(void)
 {
     bk_cache cache;
     cache.x = cache.y = cache.z = 0x7fffffff; /* outside of every grid */
-    cache.level = cache.side = cache.inward = 0;
+    cache.level = cache.side = 0;
     cache.upper = cache.lower = cache.leaf = BK_NONE;
 #ifdef BK_COUNTERS
     cache.counts = bk_counts_of_thread();

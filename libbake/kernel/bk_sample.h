@@ -7,7 +7,7 @@
 /* Points of the low-poly mesh. Vectors are interpolated, so they are not unit vectors. */
 typedef struct bk_point {
     bk_vec3w position, direction, normal, tangent;
-    bk_fw handedness;
+    bk_fw handedness, reach;
 } bk_point;
 
 BK_FN bk_vec3w bk_mix(const BK_GLOBAL float *a, const BK_GLOBAL float *b, const BK_GLOBAL float *c,
@@ -35,6 +35,7 @@ BK_FN bk_point bk_point_at(const BK_GLOBAL bk_triangle *triangle, bk_fw x, bk_fw
     point.tangent =
         bk_mix(triangle->tangent[0], triangle->tangent[1], triangle->tangent[2], w0, w1, w2);
     point.handedness = bk_splat(triangle->tangent[0][3]);
+    point.reach = (w0 * triangle->reach[0] + w1 * triangle->reach[1]) + w2 * triangle->reach[2];
     return point;
 }
 
@@ -113,6 +114,7 @@ BK_FN bk_point bk_points_at(const bk_params *params, const BK_GLOBAL bk_triangle
         bk_set_lane3(&points.normal, lane, bk_lane3(&point.normal, lane));
         bk_set_lane3(&points.tangent, lane, bk_lane3(&point.tangent, lane));
         bk_set_lane(points.handedness, lane, bk_lane(point.handedness, lane));
+        bk_set_lane(points.reach, lane, bk_lane(point.reach, lane));
     }
     for (lane = 0; lane < samples->count && params->flags & BK_SKEW; lane++)
         bk_set_lane3(&points.direction, lane,
@@ -121,11 +123,11 @@ BK_FN bk_point bk_points_at(const bk_params *params, const BK_GLOBAL bk_triangle
     return points;
 }
 
-/* Where rays start, in index space. Without a cage they start at the low-poly mesh and go both
- * ways. From a cage they go through the low-poly mesh. */
+/* Where rays start, in index space: `reach` outside of the low-poly mesh. They go inwards from
+ * there, through the mesh, and without a cage also outwards, to t_max. */
 typedef struct bk_start {
-    bk_vec3w origin, direction, facing; /* unit; `facing`: outwards */
-    bk_fw height;                       /* of the origin over the low-poly mesh */
+    bk_vec3w origin, direction; /* on the mesh; unit, outwards */
+    bk_fw reach, t_max;
 } bk_start;
 
 BK_FN bk_start bk_start_at(const bk_params *params, const bk_point *points)
@@ -133,14 +135,11 @@ BK_FN bk_start bk_start_at(const bk_params *params, const bk_point *points)
     bk_start start;
 
     start.origin = points->position;
-    start.direction = start.facing = bk_unitw(points->direction);
-    start.height = bk_splat(0.0f);
-    if (params->flags & BK_CAGE) {
-        const bk_vec3w out = start.facing;
-        start.height = bk_dotw(points->direction, out);
-        start.origin = bk_add_scaledw(points->position, start.height, out);
-        start.direction = bk_v3w(-out.x, -out.y, -out.z);
-    }
+    start.direction = bk_unitw(points->direction);
+    start.reach = points->reach;
+    start.t_max = bk_splat(params->front);
+    if (params->flags & BK_CAGE)
+        start.reach = start.t_max = bk_dotw(points->direction, start.direction);
     return start;
 }
 
@@ -163,8 +162,7 @@ typedef struct bk_map_hits {
     bk_vec3w bent;
 } bk_map_hits;
 
-/* Turns hits of rays into hits for maps. Rays from a cage end at params->back behind the low-poly
- * mesh, each at a length of its own. */
+/* Turns hits of rays into hits for maps. */
 BK_FN void bk_hits_for_maps(const bk_params *params, const bk_point *points, const bk_start *start,
                             const bk_hits *hits, bk_map_hits *out)
 {
@@ -173,11 +171,6 @@ BK_FN void bk_hits_for_maps(const bk_params *params, const bk_point *points, con
     out->found = hits->found;
     out->reversed = hits->reversed;
     out->t = hits->t * unit;
-    if (params->flags & BK_CAGE) {
-        const bk_fw end = start->height + bk_splat(params->back);
-        out->found &= ~bk_bits(bk_less(end, hits->t));
-        out->t = (start->height - hits->t) * unit;
-    }
     out->position = bk_scalew(bk_add_scaledw(start->origin, hits->t, start->direction), unit);
     out->normal = out->map_normal = hits->normal;
     if (!(params->flags & BK_OBJECT_SPACE))
@@ -226,7 +219,6 @@ BK_FN void bk_trace_hits(const bk_grid *grid, const bk_params *params, bk_cache 
                          const BK_GLOBAL bk_triangle *triangles, const bk_samples *samples,
                          bk_traced *traced, bk_map_hits *out)
 {
-    const bk_uint cage = params->flags & BK_CAGE;
     const bk_uint transfers = bk_transfer_sums(params->maps);
     bk_lines lines;
     bk_uint lane;
@@ -235,11 +227,10 @@ BK_FN void bk_trace_hits(const bk_grid *grid, const bk_params *params, bk_cache 
     traced->start = bk_start_at(params, &traced->points);
     lines.count = samples->count;
     lines.origin = traced->start.origin;
-    lines.direction = traced->start.direction;
-    lines.facing = traced->start.facing;
-    lines.t_min = bk_splat(cage ? 0.0f : -params->back);
-    lines.t_max = cage ? params->front + params->back : params->front;
-    lines.height = traced->start.height;
+    lines.direction = lines.facing = traced->start.direction;
+    lines.reach = traced->start.reach;
+    lines.t_min = -params->back;
+    lines.t_max = traced->start.t_max;
     for (lane = 0; lane < BK_WIDTH; lane++)
         lines.sums[lane] = samples->texel[lane] + transfers;
     bk_trace(grid, params, cache, &lines, &traced->hits);

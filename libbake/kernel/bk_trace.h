@@ -14,9 +14,6 @@
 /* Cosine below which a ray is too flat for its hit to be moved onto the blended surface. */
 #define BK_GRAZING 0.1f
 
-/* A hit is less than this many voxels after the border at which it was found. */
-#define BK_BEHIND 1.001f
-
 /* ---- walking ---- */
 
 /* Looks up the leaves or empty nodes of lanes that have left theirs. Lanes in the same node share a
@@ -150,17 +147,16 @@ BK_FN bk_iw bk_upwards(bk_fw inverse)
     return bk_selecti(bk_less(inverse, bk_splat(0.0f)), bk_splati(0), bk_splati(-1));
 }
 
-/* Walks half rays from walk->t_start to walk->t_limit, or to `t_stop` if that is nearer. The result
- * is walk->hit. t_near, t_far: the part inside the grid's bounds. A step goes through a voxel, or
- * through an empty node. */
+/* Walks half rays from walk->t_start to walk->t_limit. The result is walk->hit. t_near, t_far: the
+ * part inside the grid's bounds. A step goes through a voxel, or through an empty node. */
 BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                        const bk_ray *ray, bk_walk *walk, bk_fw t_near, bk_fw t_far, bk_fw t_stop)
+                        const bk_ray *ray, bk_walk *walk, bk_fw t_near, bk_fw t_far)
 {
     const bk_vec3w start = ray->start, direction = ray->direction, inverse = ray->inverse;
     const bk_iw up_x = bk_upwards(inverse.x);
     const bk_iw up_y = bk_upwards(inverse.y);
     const bk_iw up_z = bk_upwards(inverse.z);
-    const bk_fw t_end = bk_minw(t_stop, bk_minw(walk->t_limit, t_far));
+    const bk_fw t_end = bk_minw(walk->t_limit, t_far);
     bk_ulong values[BK_WIDTH];
     bk_place place;
     bk_fw t;
@@ -210,77 +206,81 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
     bk_end_run(walk, walked);
 }
 
-/* Walks the half of lines along their direction or, in the lanes of `inward`, against it. */
-BK_FN void bk_walk_half(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                        const bk_ray *ray, bk_mask inward, bk_fw t_min, float t_max, bk_fw t_stop,
-                        bk_walk *walk)
-{
-    const bk_fw zero = bk_splat(0.0f);
-    bk_fw t_near, t_far;
-
-    bk_bounds(ray, params, &t_near, &t_far);
-    walk->t_start = bk_maxw(bk_select(inward, bk_splat(-t_max), t_min), zero);
-    walk->t_limit = bk_select(inward, -t_min, bk_splat(t_max));
-    walk->two_sided = bk_mask_of(params->flags & BK_TWO_SIDED ? ~0u : 0u);
-    bk_walk_rays(grid, params, cache, ray, walk, t_near, t_far, t_stop);
-}
-
-/* Reverses rays in these lanes. */
-BK_FN void bk_turn(bk_ray *ray, bk_mask lanes)
+/* Reverses rays. */
+BK_FN void bk_turn(bk_ray *ray)
 {
     const bk_vec3w d = ray->direction, i = ray->inverse;
 
-    ray->direction = bk_select3(lanes, bk_v3w(-d.x, -d.y, -d.z), d);
-    ray->inverse = bk_select3(lanes, bk_v3w(-i.x, -i.y, -i.z), i);
+    ray->direction = bk_v3w(-d.x, -d.y, -d.z);
+    ray->inverse = bk_v3w(-i.x, -i.y, -i.z);
 }
 
-/* Returns the crossings with the smallest |t| in [t_min, t_max], and |t| as their t. Of two at the
- * same distance it takes the outward one. Walks lines from their origins both ways, first the way
- * on which the last lines' crossing was: that is usually right again, and limits the other walk.
- * Ignores surfaces whose normal has no positive dot product with `facing`, unless BK_TWO_SIDED is
- * set. On return the rays point to the crossings; *inward: lanes where that is against their
- * direction. */
-BK_FN bk_crossing bk_nearest(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                             bk_fw t_min, float t_max, bk_ray *ray, bk_mask *inward)
+/* Lines to trace, in index space: lanes 0 to count - 1. A line is walked from t = reach inwards,
+ * against its direction, and then from there outwards: see bk_nearest(). */
+typedef struct bk_lines {
+    bk_uint count;
+    bk_vec3w origin, direction, facing;
+    bk_fw reach, t_max;
+    float t_min;
+    /* Sums of transfer maps, to which their values at hits are added; the first is NULL: there are
+     * none. */
+    BK_GLOBAL float *sums[BK_WIDTH];
+} bk_lines;
+
+/* Walks these rays of lines from t_start to t_limit. */
+BK_FN void bk_walk_half(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                        const bk_ray *ray, bk_fw t_start, bk_fw t_limit, bk_walk *walk)
 {
-    const bk_mask guess = bk_mask_of(cache->inward ? ~0u : 0u), all = bk_mask_of(~0u);
-    bk_crossing first, second;
-    bk_mask better;
+    bk_fw t_near, t_far;
+
+    bk_bounds(ray, params, &t_near, &t_far);
+    walk->t_start = t_start;
+    walk->t_limit = t_limit;
+    walk->two_sided = bk_mask_of(params->flags & BK_TWO_SIDED ? ~0u : 0u);
+    bk_walk_rays(grid, params, cache, ray, walk, t_near, t_far);
+}
+
+/* Returns the first crossings inwards from t = reach, or outwards from there if those have a
+ * smaller t than the first ones have -t. So up to `reach` the outermost surface counts, and beyond
+ * it, on either side, the one that is nearest to the lines' origins; of two at the same distance
+ * the outward one. t is in [t_min, t_max]. Ignores surfaces whose normal has no positive dot
+ * product with `facing`, unless BK_TWO_SIDED is set. On return the rays, which pointed along the
+ * lines, point to the crossings, whose t is along the rays; *inward: lanes whose ray was reversed.
+ */
+BK_FN bk_crossing bk_nearest(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                             const bk_lines *lines, bk_ray *ray, bk_mask *inward)
+{
+    const bk_mask valid = ray->valid;
+    const bk_fw t_min = bk_splat(lines->t_min);
+    const bk_fw reach = bk_maxw(bk_minw(lines->reach, lines->t_max), t_min);
+    bk_crossing first;
+    bk_mask better, farther;
+    bk_ray outward;
     bk_walk walk;
 
-    bk_turn(ray, guess);
-    bk_walk_half(grid, params, cache, ray, guess, t_min, t_max, bk_splat(BK_FAR), &walk);
+    outward = *ray;
+    bk_turn(ray);
+    bk_walk_half(grid, params, cache, ray, -reach, -t_min, &walk);
     first = walk.hit;
-    bk_turn(ray, all);
-    bk_walk_half(grid, params, cache, ray, bk_not(guess), t_min, t_max,
-                 bk_select(first.found, first.t + BK_BEHIND, bk_splat(BK_FAR)), &walk);
-    second = walk.hit;
-    better = bk_less(second.t, first.t) | (guess & bk_not(bk_less(first.t, second.t)));
-    better = second.found & (better | bk_not(first.found));
-    bk_turn(ray, bk_not(better));
-    *inward = guess ^ better;
-    first = bk_select_crossing(better, &second, &first);
-    better = first.found & *inward;
-    if (bk_bits(first.found))
-        cache->inward = 2u * bk_popcount32(bk_bits(better)) > bk_popcount32(bk_bits(first.found));
-    return first;
+    *inward = bk_mask_of(~0u);
+    /* Of the lines whose first crossing is farther than `reach`. */
+    farther = bk_less(reach, lines->t_max) &
+              (bk_not(first.found) | bk_less(bk_maxw(reach, bk_splat(0.0f)), first.t));
+    outward.valid = valid & farther;
+    if (!bk_bits(outward.valid))
+        return first;
+    bk_walk_half(grid, params, cache, &outward, reach,
+                 bk_select(first.found, bk_minw(first.t, lines->t_max), lines->t_max), &walk);
+    better = walk.hit.found;
+    ray->direction = bk_select3(better, outward.direction, ray->direction);
+    ray->inverse = bk_select3(better, outward.inverse, ray->inverse);
+    *inward = bk_not(better);
+    return bk_select_crossing(better, &walk.hit, &first);
 }
 
 /* ---- tracing ---- */
 
-/* Lines to trace, in index space: lanes 0 to count - 1. */
-typedef struct bk_lines {
-    bk_uint count;
-    bk_vec3w origin, direction, facing;
-    bk_fw t_min;
-    float t_max;
-    /* Sums of transfer maps, to which their values at hits are added; the first is NULL: there are
-     * none. With BK_CAGE only hits count that are at most params->back below `height`. */
-    bk_fw height;
-    BK_GLOBAL float *sums[BK_WIDTH];
-} bk_lines;
-
-/* Their hits. */
+/* Hits of lines. */
 typedef struct bk_hits {
     bk_uint found;    /* one bit a lane */
     bk_uint reversed; /* alike: BK_TWO_SIDED let the ray hit the back of the scan's surface */
@@ -314,11 +314,7 @@ BK_FN void bk_add_channels(const bk_grid *grid, const bk_params *params, BK_GLOB
 /* Returns the lanes of hits that transfer maps get. */
 BK_FN bk_uint bk_kept(const bk_params *params, const bk_lines *lines, const bk_hits *hits)
 {
-    if (bk_transfers(params->maps) == 0 || !lines->sums[0])
-        return 0;
-    if (params->flags & BK_CAGE)
-        return hits->found & ~bk_bits(bk_less(lines->height + params->back, hits->t));
-    return hits->found;
+    return bk_transfers(params->maps) == 0 || !lines->sums[0] ? 0 : hits->found;
 }
 
 /* Returns the number of the record that a crossing is of. */
@@ -399,7 +395,7 @@ BK_FN void bk_read_ids(const bk_grid *grid, const bk_crossing *crossing, bk_hits
         }
 }
 
-/* Traces lines to the surfaces nearest to their origins. */
+/* Traces lines to the surfaces that bk_nearest() chooses. */
 BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                     const bk_lines *lines, bk_hits *hits)
 {
@@ -407,8 +403,7 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
     bk_ray ray = bk_ray_along(lines->origin, lines->direction, lines->facing,
                               bk_mask_of((1u << lines->count) - 1u));
     bk_mask inward;
-    const bk_crossing crossing =
-        bk_nearest(grid, params, cache, lines->t_min, lines->t_max, &ray, &inward);
+    const bk_crossing crossing = bk_nearest(grid, params, cache, lines, &ray, &inward);
     const bk_fw sign = bk_select(inward, bk_splat(-1.0f), bk_splat(1.0f));
     const bk_mask back = bk_less(bk_dotw(crossing.normal, lines->facing), zero);
     bk_uint lane, single;

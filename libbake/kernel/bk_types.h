@@ -23,6 +23,7 @@ typedef struct bk_triangle {
     float b1[3], b2[3];
     float position[3][3];  /* index space */
     float direction[3][3]; /* of rays, outwards: unit; BK_CAGE: the way to the cage's corner */
+    float reach[3];        /* without BK_CAGE: where rays start, see struct bk_start; voxels */
     float normal[3][3];    /* unit, per corner */
     float tangent[3][4];   /* MikkTSpace: unit xyz, w = sign of the bitangent */
 } bk_triangle;
@@ -32,7 +33,7 @@ enum {
     BK_NEAREST = 2,      /* no blending over neighbours */
     BK_TWO_SIDED = 4,    /* surfaces that face away count too */
     BK_HAS_COLOR = 8,
-    BK_CAGE = 16,         /* rays start at a cage and take the first surface */
+    BK_CAGE = 16,         /* rays start at a cage */
     BK_OPEN_FALLOFF = 32, /* a surface hides less, the farther away it is */
     BK_HAS_IDS = 64,
     BK_SKEW = 128 /* samples have skews */

@@ -12,6 +12,14 @@ enum { CORNERS_A_CHECK = 1 << 14 };
 /* Below this share of the weights' sum, normals cancel each other. */
 #define LEAST_SUM 0x1p-10
 
+/* Normals that turn by more than 60 degrees along an edge belong to a corner of the model, not to a
+ * round surface. */
+#define LEAST_COSINE 0.5
+
+/* Rays start this many rises of the surface outside of the mesh: triangles are not quite as round
+ * as their edges, and low-poly meshes do not touch the scan with every vertex. */
+#define RISES 1.5
+
 static struct bsq_vec3 vector(const float v[3])
 {
     return bsq_v3(v[0], v[1], v[2]);
@@ -32,6 +40,7 @@ static double corner_angle(const float (*p)[3], int i)
 struct place {
     double sum[3], weights;
     bool normals_differ;
+    double rise; /* of the surface over the triangles there */
 };
 
 static void add_corner(struct place *place, const float normal[3], const float first_normal[3],
@@ -71,24 +80,39 @@ static int smooth(struct bsq_ctx *ctx, uint32_t count, const float (*positions)[
     return status;
 }
 
-static int smooth_directions(struct bsq_ctx *ctx, uint64_t count, const float (*positions)[3][3],
-                             const float (*normals)[3][3], float (*out)[3][3])
+/* ---- reaches ---- */
+
+/* Returns how far a round surface with these unit normals at the ends of an edge rises over the
+ * edge: the height of a circle's arc over its chord, or in the direction along the axis of a
+ * cylinder nothing. 0 if the surface sinks below the edge. */
+static double rise_over(const float a[3], const float b[3], const float normal_a[3],
+                        const float normal_b[3])
 {
-    const uint32_t corners = (uint32_t)(3 * count);
-    const struct mikkt_input input = {.corner_count = corners,
-                                      .positions = (const float(*)[3])positions};
-    uint32_t *firsts = NULL;
-    struct place *places = NULL;
-    int status = 0;
-    BSQ_TRY(bsq_alloc(ctx, "corners in one place", corners, sizeof *firsts, &firsts));
-    BSQ_TRY(bsq_calloc(ctx, "corners in one place", corners, sizeof *places, &places));
-    BSQ_TRY(bake_mikkt_weld(ctx, &input, firsts));
-    BSQ_TRY(smooth(ctx, corners, (const float(*)[3])positions, (const float(*)[3])normals, firsts,
-                   places, (float(*)[3])out));
-done:
-    bsq_free(ctx, places);
-    bsq_free(ctx, firsts);
-    return status;
+    const struct bsq_vec3 edge = bsq_sub3(vector(b), vector(a));
+    const struct bsq_vec3 turn = bsq_sub3(vector(normal_b), vector(normal_a));
+    const double cosine = (double)bsq_dot3(vector(normal_a), vector(normal_b));
+    const double bend = (double)bsq_dot3(turn, edge);
+    if (!(cosine >= LEAST_COSINE && bend > 0))
+        return 0;
+    /* A chord of angle 2 x and radius r has bend 4 r sin(x)^2 and height r (1 - cos(x)). */
+    return bend / (4 * (1 + sqrt((1 + cosine) / 2)));
+}
+
+/* Sets where rays start. Neighbours share the highest rise, so that reaches are continuous. */
+static void set_reaches(uint64_t count, const float (*positions)[3][3],
+                        const float (*normals)[3][3], const uint32_t *firsts, struct place *places,
+                        float (*out)[3])
+{
+    for (uint64_t t = 0; t < count; t++) {
+        double rise = 0;
+        for (int i = 0, j = 2; i < 3; j = i++)
+            rise = fmax(rise,
+                        rise_over(positions[t][j], positions[t][i], normals[t][j], normals[t][i]));
+        for (int i = 0; i < 3; i++)
+            places[firsts[3 * t + i]].rise = fmax(places[firsts[3 * t + i]].rise, rise);
+    }
+    for (uint64_t c = 0; c < 3 * count; c++)
+        out[c / 3][c % 3] = (float)(RISES * places[firsts[c]].rise);
 }
 
 /* ---- all kinds ---- */
@@ -104,14 +128,29 @@ static void face_directions(const float (*p)[3], const float (*normals)[3], floa
 
 int bake_ray_directions(struct bsq_ctx *ctx, enum bake_rays rays, uint64_t count,
                         const float (*positions)[3][3], const float (*normals)[3][3],
-                        float (*out)[3][3])
+                        float (*out)[3][3], float (*reaches)[3])
 {
-    if (rays == BAKE_RAYS_SMOOTH)
-        return smooth_directions(ctx, count, positions, normals, out);
+    const uint32_t corners = (uint32_t)(3 * count);
+    const struct mikkt_input input = {.corner_count = corners,
+                                      .positions = (const float(*)[3])positions};
+    uint32_t *firsts = NULL;
+    struct place *places = NULL;
+    int status = 0;
+    BSQ_TRY(bsq_alloc(ctx, "corners in one place", corners, sizeof *firsts, &firsts));
+    BSQ_TRY(bsq_calloc(ctx, "corners in one place", corners, sizeof *places, &places));
+    BSQ_TRY(bake_mikkt_weld(ctx, &input, firsts));
     memcpy(out, normals, count * sizeof *out);
+    if (rays == BAKE_RAYS_SMOOTH)
+        BSQ_TRY(smooth(ctx, corners, (const float(*)[3])positions, (const float(*)[3])normals,
+                       firsts, places, (float(*)[3])out));
     for (uint64_t t = 0; t < count && rays == BAKE_RAYS_FACE; t++)
         face_directions(positions[t], normals[t], out[t]);
-    return bsq_check(ctx);
+    set_reaches(count, positions, normals, firsts, places, reaches);
+    status = bsq_check(ctx);
+done:
+    bsq_free(ctx, places);
+    bsq_free(ctx, firsts);
+    return status;
 }
 
 /* ---- cages ---- */
@@ -155,6 +194,7 @@ int bake_cage_directions(struct bsq_ctx *ctx, const char *path, const struct fmt
     if (status < 0)
         return status;
     status = check_topology(ctx, path, mesh, cage_path, &cage);
+    memset(out->reaches, 0, mesh->triangle_count * sizeof *out->reaches);
     for (uint64_t t = 0; t < mesh->triangle_count && status == 0; t++)
         for (int i = 0; i < 3; i++) {
             const uint32_t v = mesh->vertices[t][i];
@@ -171,4 +211,15 @@ int bake_cage_directions(struct bsq_ctx *ctx, const char *path, const struct fmt
     out->cage_distance = fmax(longest, (double)least);
     fmt_mesh_free(ctx, &cage);
     return status;
+}
+
+void bake_extrude(double distance, struct bake_lowmesh *mesh)
+{
+    for (uint64_t t = 0; t < mesh->triangle_count; t++)
+        for (int i = 0; i < 3; i++) {
+            for (int k = 0; k < 3; k++)
+                mesh->directions[t][i][k] *= (float)distance;
+            mesh->reaches[t][i] = 0;
+        }
+    mesh->cage_distance = distance;
 }

@@ -48,7 +48,7 @@ struct array {
     size_t size;
 };
 
-enum { ARRAYS = 6 };
+enum { ARRAYS = 7 };
 
 /* Lists the arrays of a mesh. The last one is absent unless it is wanted. */
 static void list_arrays(struct bake_lowmesh *mesh, struct array out[ARRAYS])
@@ -59,7 +59,8 @@ static void list_arrays(struct bake_lowmesh *mesh, struct array out[ARRAYS])
                             sizeof *mesh->texcoords};
     out[3] = (struct array){"low-poly mesh tangents", &mesh->tangents, sizeof *mesh->tangents};
     out[4] = (struct array){"ray directions", &mesh->directions, sizeof *mesh->directions};
-    out[5] = (struct array){"objects of triangles", &mesh->object_of, sizeof *mesh->object_of};
+    out[5] = (struct array){"reaches of rays", &mesh->reaches, sizeof *mesh->reaches};
+    out[6] = (struct array){"objects of triangles", &mesh->object_of, sizeof *mesh->object_of};
 }
 
 static char *start_of(const struct array *array)
@@ -292,9 +293,11 @@ static int compute_frames(struct bsq_ctx *ctx, const struct bake_lowmesh_options
                         (const float(*)[3][3])mesh->normals, (const float(*)[3][2])mesh->texcoords,
                         mesh->tangents);
     if (status == 0 && !options->cage_path)
-        status = bake_ray_directions(ctx, options->rays, mesh->triangle_count,
-                                     (const float(*)[3][3])positions,
-                                     (const float(*)[3][3])mesh->normals, mesh->directions);
+        status = bake_ray_directions(
+            ctx, options->rays, mesh->triangle_count, (const float(*)[3][3])positions,
+            (const float(*)[3][3])mesh->normals, mesh->directions, mesh->reaches);
+    if (status == 0 && options->extrude > 0)
+        bake_extrude(options->extrude, mesh);
     bsq_free(ctx, positions);
     return status;
 }
@@ -407,6 +410,7 @@ void bake_lowmesh_free(struct bsq_ctx *ctx, struct bake_lowmesh *mesh)
     bsq_free(ctx, mesh->texcoords);
     bsq_free(ctx, mesh->tangents);
     bsq_free(ctx, mesh->directions);
+    bsq_free(ctx, mesh->reaches);
     bsq_free(ctx, mesh->object_of);
     bsq_free(ctx, mesh->sets);
     bsq_texts_free(&mesh->objects);

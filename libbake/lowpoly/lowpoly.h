@@ -22,6 +22,7 @@ struct bake_lowmesh {
     float (*texcoords)[3][2];  /* OBJ convention: v upwards; clamped to finite floats */
     float (*tangents)[3][4];   /* MikkTSpace; w is the sign of the bitangent */
     float (*directions)[3][3]; /* of rays, outwards: unit; with a cage, the way to its corner */
+    float (*reaches)[3];       /* of corners: where rays start outside of the mesh, world units */
     double cage_distance;      /* of the farthest corner of the cage; 0: there is no cage */
     double bounds_min[3], bounds_max[3];
     struct bake_low_set *sets; /* none: all triangles share maps */
@@ -37,7 +38,8 @@ struct bake_lowmesh_options {
     uint32_t more_count;
     bool objects;                    /* the objects of triangles are wanted */
     bool object_maps, material_maps; /* each object, or each material, has maps of its own */
-    const char *cage_path;           /* of the only file; NULL: no cage */
+    const char *cage_path;           /* of the only file; NULL: no such cage */
+    double extrude;                  /* distance of a cage along smooth directions; <= 0: none */
     enum bake_rays rays;             /* without a cage */
 };
 

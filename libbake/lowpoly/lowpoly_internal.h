@@ -7,23 +7,29 @@
 
 /* ---- directions ---- */
 
-/* Writes the unit directions of `count` triangles' corners to `out`. `positions` and unit `normals`
- * are per corner.
+/* Writes the unit directions of `count` triangles' corners to `out`, and their reaches. `positions`
+ * and unit `normals` are per corner.
  *
  * BAKE_RAYS_SMOOTH: corners in one place share a direction, the mean of their normals weighted by
  * the corners' angles, so that no split of the mesh tears a gap between rays. Corners whose normals
  * agree keep them to the bit, and so do corners whose normals cancel. BAKE_RAYS_MESH: the normals.
  * BAKE_RAYS_FACE: the triangle's own normal, or the corners' if it has no area.
+ *
+ * A reach is how far outside of the mesh the surface may lie that it stands for: one and a half
+ * times the height of the arcs that have the normals at the ends of the edges around it.
  * Errors: BSQ_ENOMEM, BSQ_EINTR. */
 int bake_ray_directions(struct bsq_ctx *ctx, enum bake_rays rays, uint64_t count,
                         const float (*positions)[3][3], const float (*normals)[3][3],
-                        float (*out)[3][3]);
+                        float (*out)[3][3], float (*reaches)[3]);
 
 /* Replaces the directions of a low-poly mesh, loaded from `path`, by the way from each corner to
  * the same corner of the cage mesh at `cage_path`. Errors: those of fmt_mesh_load(); BSQ_EDATA,
  * with the first face that differs, if the two have not the same faces. */
 int bake_cage_directions(struct bsq_ctx *ctx, const char *path, const struct fmt_mesh *mesh,
                          const char *cage_path, struct bake_lowmesh *out);
+
+/* Turns unit directions into the way to a cage at this distance. */
+void bake_extrude(double distance, struct bake_lowmesh *mesh);
 
 /* ---- parts ---- */
 

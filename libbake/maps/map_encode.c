@@ -86,7 +86,7 @@ static const char *rays_text(const struct bake_options *options)
 {
     static const char *const names[] = {
         [BAKE_RAYS_SMOOTH] = "smooth", [BAKE_RAYS_MESH] = "mesh", [BAKE_RAYS_FACE] = "face"};
-    return options->cage_path ? "cage" : names[options->rays];
+    return bake_has_cage(options) ? "cage" : names[options->rays];
 }
 
 void bake_describe_map(const struct bake_options *options, unsigned number,

@@ -115,6 +115,11 @@ uint32_t bake_map_values(unsigned i);
 
 /* Returns the options' maps, without defaults, and transfer maps as a selection. */
 uint32_t bake_selection(const struct bake_options *options);
+/* Returns whether rays start at a cage. */
+static inline bool bake_has_cage(const struct bake_options *options)
+{
+    return options->cage_path || options->extrude > 0;
+}
 /* Returns the first number above those of all maps of a selection. */
 static inline unsigned bake_selection_end(uint32_t maps)
 {

@@ -133,6 +133,8 @@ static const struct bsq_option table[] = {
     {OPTION("back", "D", "length of the rays inwards"), .words = "auto", NUMBER(back, DBL_MAX, -1)},
     {OPTION("cage", "FILE", "start rays at this mesh, with the vertices and faces of LOW.obj"),
      MEMBER(INPUT, cage_path)},
+    {OPTION("extrude", "D", "start rays D outside of the low-poly mesh, along smooth normals"),
+     .words = "none", NUMBER(extrude, MOST_LENGTH, -1), .positive = true},
     {OPTION("skew", "FILE", "grey map: white turns rays towards the faces' normals"),
      MEMBER(INPUT, skew_path)},
     {OPTION("ray-directions", "D", "smooth, mesh (its normals) or face"),
@@ -337,7 +339,11 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
                         "rays of length 0 find nothing: front and back must not both be 0");
     if (options->ao_falloff && options->ao_distance <= 0)
         return bsq_fail(ctx, BSQ_EUSAGE, "a falloff of ambient occlusion needs its distance");
-    if (options->cage_path && (options->front >= 0 || options->rays != BAKE_RAYS_SMOOTH))
+    if (options->cage_path && options->extrude > 0)
+        return bsq_fail(ctx, BSQ_EUSAGE,
+                        "%s: rays start at a cage or at an extruded mesh, not both",
+                        options->cage_path);
+    if (bake_has_cage(options) && (options->front >= 0 || options->rays != BAKE_RAYS_SMOOTH))
         return bsq_fail(ctx, BSQ_EUSAGE,
                         "a cage gives the rays' directions and their length in front");
     if (options->skew_path && options->rays == BAKE_RAYS_FACE)

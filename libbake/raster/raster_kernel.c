@@ -100,11 +100,13 @@ static void set_weights(const struct bake_raster *raster, uint64_t triangle,
     set_weight(&w2, x0, y0, out->b2);
 }
 
-/* Copies the directions of rays; the way to a cage is a length in voxels. */
+/* Copies where rays start and go; the way to a cage is a length in voxels. */
 static void set_directions(const struct bake_lowmesh *mesh, uint64_t triangle, double voxel_size,
                            struct bk_triangle *out)
 {
     memcpy(out->direction, mesh->directions[triangle], sizeof(out->direction));
+    for (int c = 0; c < 3; c++)
+        out->reach[c] = (float)((double)mesh->reaches[triangle][c] / voxel_size);
     for (int c = 0; c < 3 && mesh->cage_distance > 0; c++)
         for (int k = 0; k < 3; k++)
             out->direction[c][k] = (float)((double)out->direction[c][k] / voxel_size);

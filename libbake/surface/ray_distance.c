@@ -1,7 +1,11 @@
 /* ray_distance.c - chooses ray lengths by the distance between the low-poly mesh and the scan.
  *
  * Lengths follow a percentile, not the largest distance: through a hole in the scan, a ray hits
- * some other surface far away. Such rays are few, and short rays keep these hits out of the map. */
+ * some other surface far away. Such rays are few, and short rays keep these hits out of the map.
+ *
+ * A part of the scan may stand out farther than rays are tried at first, as a tower does from a
+ * plane. Then most of the rays that found nothing find it farther outwards. Holes of the scan look
+ * different: rays through them go inwards. */
 #include "libbake/surface/surface.h"
 
 #include <math.h>
@@ -11,9 +15,16 @@
 
 enum { PROBES = 16384 };
 
-struct probe {
-    uint64_t triangle;
-    float weights[3]; /* barycentric */
+/* Shares of the diagonal of the scan's bounds. */
+#define USUAL_LIMIT 0.1
+#define FAR_LIMIT   0.5
+
+struct probes {
+    uint32_t count;
+    struct bake_exact_ray *rays;
+    struct bake_exact_hit *hits;
+    float *reaches, *distances;
+    uint32_t *objects; /* NULL: all see all scans */
 };
 
 static float fraction(double v)
@@ -21,55 +32,55 @@ static float fraction(double v)
     return (float)(v - floor(v));
 }
 
-static struct bake_exact_ray probe_ray(const struct bake_surface *surface,
-                                       const struct bake_lowmesh *mesh, const struct probe *probe)
+/* Adds a probe of a triangle. weights: barycentric. */
+static void add_probe(const struct bake_surface *surface, const struct bake_lowmesh *mesh,
+                      uint64_t triangle, const float weights[3], struct probes *out)
 {
-    double(*positions)[3] = mesh->positions[probe->triangle];
-    float(*directions)[3] = mesh->directions[probe->triangle];
-    struct bake_exact_ray ray;
-    float normal[3];
+    double(*positions)[3] = mesh->positions[triangle];
+    float(*directions)[3] = mesh->directions[triangle], normal[3], reach = 0;
+    struct bake_exact_ray *ray = &out->rays[out->count];
     for (int k = 0; k < 3; ++k) {
         double p = 0, n = 0;
         for (int c = 0; c < 3; ++c) {
             /* Subtracts the translation first: far from the origin, the rounding of the weights'
              * sum would move the point by a long way. */
-            p += (double)probe->weights[c] * (positions[c][k] - surface->translation[k]);
-            n += (double)probe->weights[c] * (double)directions[c][k];
+            p += (double)weights[c] * (positions[c][k] - surface->translation[k]);
+            n += (double)weights[c] * (double)directions[c][k];
         }
-        ray.origin[k] = (float)(p / surface->unit);
+        ray->origin[k] = (float)(p / surface->unit);
         normal[k] = (float)n;
+        reach += weights[k] * mesh->reaches[triangle][k];
     }
-    struct bsq_vec3 unit = bsq_unit3(bsq_v3(normal[0], normal[1], normal[2]));
-    ray.direction[0] = unit.x;
-    ray.direction[1] = unit.y;
-    ray.direction[2] = unit.z;
-    return ray;
+    const struct bsq_vec3 unit = bsq_unit3(bsq_v3(normal[0], normal[1], normal[2]));
+    ray->direction[0] = unit.x;
+    ray->direction[1] = unit.y;
+    ray->direction[2] = unit.z;
+    out->reaches[out->count] = reach;
+    if (out->objects)
+        out->objects[out->count] = mesh->object_of[triangle];
+    out->count++;
 }
 
-/* Writes rays and, unless `objects` is NULL, the objects that they start at. Spreads the probes
- * over the triangles in equal steps of area, and inside them by a low-discrepancy sequence
- * (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018). */
+/* Spreads the probes over the triangles in equal steps of area, and inside them by a
+ * low-discrepancy sequence (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences",
+ * 2018). */
 static void place_probes(const struct bake_surface *surface, const struct bake_lowmesh *mesh,
-                         struct bake_exact_ray *rays, uint32_t *objects)
+                         struct probes *out)
 {
     double total = 0, passed = 0;
     for (uint64_t t = 0; t < mesh->triangle_count; ++t)
         total += bake_lowmesh_area(mesh, t);
-    uint64_t next = 0;
     for (uint64_t t = 0; t < mesh->triangle_count; ++t) {
         passed += bake_lowmesh_area(mesh, t);
-        bool last = t + 1 == mesh->triangle_count;
-        for (; next < PROBES && (last || (double)next + 0.5 < passed / total * PROBES); ++next) {
-            float u = fraction(0.7548776662466927 * (double)next);
-            float v = fraction(0.5698402909980532 * (double)next);
+        const bool last = t + 1 == mesh->triangle_count;
+        while (out->count < PROBES && (last || out->count + 0.5 < passed / total * PROBES)) {
+            float u = fraction(0.7548776662466927 * out->count);
+            float v = fraction(0.5698402909980532 * out->count);
             if (u + v > 1.0f) {
                 u = 1.0f - u;
                 v = 1.0f - v;
             }
-            struct probe probe = {.triangle = t, .weights = {1.0f - u - v, u, v}};
-            rays[next] = probe_ray(surface, mesh, &probe);
-            if (objects)
-                objects[next] = mesh->object_of[t];
+            add_probe(surface, mesh, t, (const float[3]){1.0f - u - v, u, v}, out);
         }
     }
 }
@@ -99,35 +110,59 @@ static double scan_diagonal(const struct bake_surface *surface)
     return sqrt(square);
 }
 
-/* Copies the distances of the hits and sorts them; returns their number. */
-static size_t take_distances(const struct bake_exact_hit *hits, float *distances)
+/* Traces the probes, as many at a time as memory allows. Appends the distances of the hits to the
+ * `found` that there are, and keeps the probes that hit nothing. */
+static int trace_probes(const struct bake_surface *surface, double t_min, double t_max,
+                        struct probes *probes, size_t *found)
 {
-    size_t count = 0;
-    for (size_t i = 0; i < PROBES; ++i)
-        if (hits[i].triangle != BAKE_EXACT_NONE)
-            distances[count++] = (float)hits[i].t;
-    bsq_sort(distances, count, sizeof *distances, compare_floats);
-    return count;
+    const uint64_t count = probes->count;
+    int status = 0;
+    for (uint64_t at = 0; at < count && status == 0;) {
+        const uint64_t most = bake_surface_capacity(surface, 0), left = count - at;
+        const struct bake_surface_rays rays = {.batch = {.rays = probes->rays + at,
+                                                         .hits = probes->hits + at,
+                                                         .count = left < most ? left : most,
+                                                         .t_min = t_min,
+                                                         .t_max = t_max,
+                                                         .reaches = probes->reaches + at,
+                                                         .distances_only = true},
+                                               .objects =
+                                                   probes->objects ? probes->objects + at : NULL};
+        status = bake_surface_trace(surface, &rays);
+        at += rays.batch.count;
+    }
+    probes->count = 0;
+    for (uint64_t i = 0; i < count; i++) {
+        if (probes->hits[i].triangle != BAKE_EXACT_NONE) {
+            probes->distances[(*found)++] = (float)probes->hits[i].t;
+            continue;
+        }
+        probes->rays[probes->count] = probes->rays[i];
+        probes->reaches[probes->count] = probes->reaches[i];
+        if (probes->objects)
+            probes->objects[probes->count] = probes->objects[i];
+        probes->count++;
+    }
+    return status;
 }
 
-/* Traces the probes, as many at a time as memory allows. */
-static int trace_probes(const struct bake_surface *surface, double limit,
-                        const struct bake_exact_ray *rays, const uint32_t *objects,
-                        struct bake_exact_hit *hits)
+/* Looks farther outwards from where nothing was found. Takes what is there if most of these probes
+ * find something. */
+static int look_farther(const struct bake_surface *surface, double limit, struct probes *probes,
+                        size_t *found)
 {
-    int status = 0;
-    for (uint64_t at = 0; at < PROBES && status == 0;) {
-        const uint64_t most = bake_surface_capacity(surface, 0), left = PROBES - at;
-        const struct bake_surface_rays probes = {.batch = {.rays = rays + at,
-                                                           .hits = hits + at,
-                                                           .count = left < most ? left : most,
-                                                           .t_min = -limit,
-                                                           .t_max = limit,
-                                                           .distances_only = true},
-                                                 .objects = objects ? objects + at : NULL};
-        status = bake_surface_trace(surface, &probes);
-        at += probes.batch.count;
-    }
+    const size_t near = *found;
+    const uint32_t missing = probes->count;
+    if (missing < PROBES / 1000 || near < PROBES / 100)
+        return 0;
+    const int status = trace_probes(surface, limit, FAR_LIMIT / USUAL_LIMIT * limit, probes, found);
+    if (2 * (*found - near) < missing)
+        *found = near;
+    else
+        bsq_warn(surface->ctx,
+                 "%.1f %% of the low-poly mesh lies more than a tenth of the scan's diagonal below "
+                 "the scan: rays go as far as they need to, unless --front limits them",
+                 100.0 * (double)(*found - near) / PROBES);
     return status;
 }
 
@@ -135,29 +170,31 @@ int bake_measure_distances(const struct bake_surface *surface, const struct bake
                            double *front, double *back)
 {
     struct bsq_ctx *ctx = surface->ctx;
-    const double diagonal = scan_diagonal(surface), limit = 0.1 * diagonal + 2.0 * surface->detail;
-    struct bake_exact_ray *rays = NULL;
-    struct bake_exact_hit *hits = NULL;
-    float *distances = NULL;
-    uint32_t *objects = NULL;
+    const double diagonal = scan_diagonal(surface);
+    const double limit = USUAL_LIMIT * diagonal + 2.0 * surface->detail;
+    struct probes probes = {0};
+    size_t found = 0;
     *front = *back = 0.05 * diagonal;
     int status = 0;
-    BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *rays, &rays));
-    BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *hits, &hits));
-    BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *distances, &distances));
+    BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *probes.rays, &probes.rays));
+    BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *probes.hits, &probes.hits));
+    BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *probes.reaches, &probes.reaches));
+    BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *probes.distances, &probes.distances));
     if (surface->sees)
-        BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *objects, &objects));
-    place_probes(surface, mesh, rays, objects);
-    BSQ_TRY(trace_probes(surface, limit, rays, objects, hits));
-    size_t count = take_distances(hits, distances);
-    if (count >= PROBES / 100) {
-        *front = side_length(distances, count, 1, surface->detail);
-        *back = side_length(distances, count, -1, surface->detail);
+        BSQ_TRY(bsq_alloc(ctx, "distances", PROBES, sizeof *probes.objects, &probes.objects));
+    place_probes(surface, mesh, &probes);
+    BSQ_TRY(trace_probes(surface, -limit, limit, &probes, &found));
+    BSQ_TRY(look_farther(surface, limit, &probes, &found));
+    if (found >= PROBES / 100) {
+        bsq_sort(probes.distances, found, sizeof *probes.distances, compare_floats);
+        *front = side_length(probes.distances, found, 1, surface->detail);
+        *back = side_length(probes.distances, found, -1, surface->detail);
     }
 done:
-    bsq_free(ctx, objects);
-    bsq_free(ctx, distances);
-    bsq_free(ctx, hits);
-    bsq_free(ctx, rays);
+    bsq_free(ctx, probes.objects);
+    bsq_free(ctx, probes.distances);
+    bsq_free(ctx, probes.reaches);
+    bsq_free(ctx, probes.hits);
+    bsq_free(ctx, probes.rays);
     return status;
 }

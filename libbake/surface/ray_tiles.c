@@ -35,6 +35,7 @@ struct job {
     uint64_t *starts; /* tile_count + 1: first ray of order[i], counted over all batches */
     struct bake_exact_ray *rays;
     struct bake_exact_hit *hits;
+    float *reaches;
     uint32_t *footprints, *objects;
     float *channels; /* of each hit: values of transfer maps; NULL: there are none */
     uint64_t capacity;
@@ -171,6 +172,7 @@ static void cast_sample(struct job *job, const struct sample *sample, float *tex
     job->rays[sample->ray] =
         (struct bake_exact_ray){{start.origin.x, start.origin.y, start.origin.z},
                                 {start.direction.x, start.direction.y, start.direction.z}};
+    job->reaches[sample->ray] = start.reach * job->tiles->params->unit;
     if (job->footprints)
         job->footprints[sample->ray] = sample->triangle;
     if (job->objects)
@@ -268,12 +270,10 @@ static int resolve_tile(void *arg, uint64_t index, unsigned number)
 
 /* ---- secondary rays ---- */
 
-/* Sets the seed of a sample, and takes back its hit if that is beyond the ray's end. */
+/* Sets the seed of a sample. */
 static void seed_sample(struct job *job, const struct sample *sample, float *texels)
 {
     (void)texels;
-    if (!place_hit(job, &sample->point, &job->hits[sample->ray]).found)
-        job->hits[sample->ray].triangle = BAKE_EXACT_NONE;
     job->seeds[sample->ray] = bk_sample_seed(sample->x, sample->y, job->tiles->params->samples);
 }
 
@@ -324,7 +324,6 @@ static uint32_t sample_cost(const struct bk_params *params)
 static int run_batch(struct job *job, uint64_t texels)
 {
     const struct bake_surface *surface = job->surface;
-    const bool cage = job->tiles->params->flags & BK_CAGE;
     const uint64_t count = job->starts[job->first + job->count] - job->starts[job->first];
     /* The share of the progress that the first rays have. */
     const uint64_t first_texels = texels / sample_cost(job->tiles->params);
@@ -332,9 +331,10 @@ static int run_batch(struct job *job, uint64_t texels)
         .batch = {.rays = job->rays,
                   .hits = job->hits,
                   .count = count,
-                  .t_min = cage ? 0 : -surface->back,
-                  .t_max = surface->front + (cage ? surface->back : 0),
-                  .facing_origin = cage,
+                  .t_min = -surface->back,
+                  .t_max = surface->front,
+                  .reaches = job->reaches,
+                  .from_reach = job->tiles->params->flags & BK_CAGE,
                   .footprints = job->footprints,
                   .footprint_table = job->footprint_table,
                   .channels = job->channels,
@@ -394,7 +394,7 @@ static int allocate_rays(struct job *job)
     const uint64_t channels = transfer_floats(job) * sizeof *job->channels;
     struct bsq_ctx *ctx = job->ctx;
     int status = 0;
-    job->capacity = bake_surface_capacity(job->surface, look + object);
+    job->capacity = bake_surface_capacity(job->surface, look + object + sizeof *job->reaches);
     for (uint32_t i = 0; i < job->tile_count; i++)
         if (job->order[i].samples > job->capacity)
             job->capacity = job->order[i].samples;
@@ -403,6 +403,7 @@ static int allocate_rays(struct job *job)
     const uint64_t n = job->capacity;
     BSQ_TRY(bsq_alloc(ctx, "rays", n, sizeof *job->rays, &job->rays));
     BSQ_TRY(bsq_alloc(ctx, "hits", n, sizeof *job->hits, &job->hits));
+    BSQ_TRY(bsq_alloc(ctx, "rays", n, sizeof *job->reaches, &job->reaches));
     if (job->look) {
         BSQ_TRY(bsq_alloc(ctx, "secondary rays", n, sizeof *job->seeds, &job->seeds));
         BSQ_TRY(bsq_alloc(ctx, "secondary rays", n, sizeof *job->surroundings, &job->surroundings));
@@ -428,6 +429,7 @@ static void release(struct job *job, struct bake_report *report)
     bsq_free(job->ctx, job->footprint_table);
     bsq_free(job->ctx, job->rays);
     bsq_free(job->ctx, job->hits);
+    bsq_free(job->ctx, job->reaches);
     bsq_free(job->ctx, job->footprints);
     bsq_free(job->ctx, job->objects);
     bsq_free(job->ctx, job->channels);

@@ -263,7 +263,7 @@ static void set_params(const struct bake_options *options, uint32_t maps, double
         params->flags |= BK_NEAREST;
     if (options->two_sided)
         params->flags |= BK_TWO_SIDED;
-    if (options->cage_path)
+    if (bake_has_cage(options))
         params->flags |= BK_CAGE;
     if (options->skew_path)
         params->flags |= BK_SKEW;

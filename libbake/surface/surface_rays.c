@@ -34,14 +34,19 @@ static int trace_grid_rays(void *arg, uint64_t task, unsigned worker)
     const double unit = trace->scan->unit;
     const uint64_t begin = task * RAYS_A_TASK, left = batch->count - begin;
     const uint64_t channels = (uint64_t)BK_TRANSFER_VALUES * bk_transfers(trace->params.maps);
+    float reaches[RAYS_A_TASK];
     struct bake_ray_batch lines = {.rays = (const float(*)[6])(const void *)(batch->rays + begin),
                                    .count = left < RAYS_A_TASK ? left : RAYS_A_TASK,
                                    .t_min = (float)(batch->t_min / unit),
                                    .t_max = (float)(batch->t_max / unit),
                                    .facing = batch->facing_origin ? -1.0f : 1.0f,
+                                   .reaches = batch->reaches ? reaches : NULL,
+                                   .from_reach = batch->from_reach,
                                    .channels =
                                        batch->channels ? batch->channels + begin * channels : NULL};
     struct bk_hit hits[RAYS_A_TASK];
+    for (uint64_t i = 0; i < lines.count && batch->reaches; i++)
+        reaches[i] = (float)((double)batch->reaches[begin + i] / unit);
     if (lines.channels)
         memset(lines.channels, 0, lines.count * channels * sizeof *lines.channels);
     bake_trace_rays(&trace->scan->grid, &trace->params, &lines, hits);
@@ -64,7 +69,7 @@ static int trace_scan(const struct bake_scan *scan, const struct bake_surface_ra
     if (scan->exact)
         return bake_exact_trace(scan->exact, &rays->batch);
     struct grid_trace trace = {scan, rays, scan->params};
-    trace.params.flags &= ~(bk_uint)(BK_CAGE | (rays->best ? BK_NEAREST : 0));
+    trace.params.flags &= ~(bk_uint)(rays->best ? BK_NEAREST : 0);
     return bsq_parallel_for(scan->ctx, (rays->batch.count + RAYS_A_TASK - 1) / RAYS_A_TASK,
                             trace_grid_rays, &trace);
 }
@@ -119,15 +124,17 @@ _Static_assert(offsetof(struct bake_exact_hit, facet) - offsetof(struct bake_exa
                    6 * sizeof(float) + sizeof(uint32_t),
                "what a hit carries is compared as bytes");
 
-/* Returns whether a hit comes before another one: the nearer, then the one in front. Of hits in the
+/* Returns whether a hit of a ray comes before another one, as exact_wins() does. Of hits in the
  * same place, any is as good, but it must not depend on the order of scans. size: of channels. */
-static bool is_nearer(const struct bake_exact_hit *hit, const float *channels,
-                      const struct bake_exact_hit *other, const float *other_channels, size_t size)
+static bool comes_before(const struct bake_exact_hit *hit, const float *channels,
+                         const struct bake_exact_hit *other, const float *other_channels,
+                         size_t size, double reach)
 {
+    const double cost = bake_ray_cost(hit->t, reach), other_cost = bake_ray_cost(other->t, reach);
     if (hit->triangle == BAKE_EXACT_NONE || other->triangle == BAKE_EXACT_NONE)
         return hit->triangle != BAKE_EXACT_NONE;
-    if (fabs(hit->t) != fabs(other->t))
-        return fabs(hit->t) < fabs(other->t);
+    if (cost != other_cost)
+        return cost < other_cost;
     if (hit->t != other->t)
         return hit->t > other->t;
     const int order =
@@ -137,7 +144,7 @@ static bool is_nearer(const struct bake_exact_hit *hit, const float *channels,
     return order ? order < 0 : size > 0 && memcmp(channels, other_channels, size) < 0;
 }
 
-static int keep_nearest(void *arg, uint64_t task, unsigned worker)
+static int keep_best(void *arg, uint64_t task, unsigned worker)
 {
     (void)worker;
     const struct scans_trace *trace = arg;
@@ -148,8 +155,9 @@ static int keep_nearest(void *arg, uint64_t task, unsigned worker)
     for (uint64_t i = task * MOVED_RAYS_A_TASK; i < end; i++) {
         const float *own = floats > 0 ? trace->own_channels + i * floats : NULL;
         float *channels = floats > 0 ? batch->channels + i * floats : NULL;
-        if (trace->scan > 0 &&
-            !is_nearer(&trace->own_hits[i], own, &batch->hits[i], channels, floats * sizeof *own))
+        const double reach = batch->reaches ? (double)batch->reaches[i] : 0;
+        if (trace->scan > 0 && !comes_before(&trace->own_hits[i], own, &batch->hits[i], channels,
+                                             floats * sizeof *own, reach))
             continue;
         batch->hits[i] = trace->own_hits[i];
         batch->hits[i].scan = trace->scan;
@@ -159,7 +167,7 @@ static int keep_nearest(void *arg, uint64_t task, unsigned worker)
     return 0;
 }
 
-/* Traces the current scan, and keeps its hits that are the nearest. */
+/* Traces the current scan, and keeps its hits that come before those of the others. */
 static int trace_next(const struct scans_trace *trace)
 {
     const struct bake_surface *surface = trace->surface;
@@ -174,7 +182,7 @@ static int trace_next(const struct scans_trace *trace)
     int status = 0;
     BSQ_TRY(bsq_parallel_for(surface->ctx, tasks, move_rays, (void *)(uintptr_t)trace));
     BSQ_TRY(trace_scan(&surface->scans[s], &own));
-    BSQ_TRY(bsq_parallel_for(surface->ctx, tasks, keep_nearest, (void *)(uintptr_t)trace));
+    BSQ_TRY(bsq_parallel_for(surface->ctx, tasks, keep_best, (void *)(uintptr_t)trace));
 done:
     return status;
 }

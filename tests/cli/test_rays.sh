@@ -84,6 +84,54 @@ else
     echo "# skipped: a cage on OpenCL: there is no OpenCL device"
 fi
 
+# ---- layers ----
+
+# wrong SCENE LEAST MOST SCAN... [OPTION...]: the share of texels that show another part than that
+# which the low-poly mesh has there, in percent.
+wrong()
+{
+    scene=$1 least=$2 most=$3
+    shift 3
+    ok $bake "$@" ${scene}_low.obj $ids -o shown.png
+    share=$(python3 "$top/tests/cli/layers.py" wrong shown.png $scene.png)
+    holds "$share % of $scene are wrong, not $least to $most" \
+        awk -v s="$share" -v l="$least" -v m="$most" 'BEGIN { exit !(s >= l && s <= m) }'
+}
+ids="--device cpu --size 128 --samples 1 --padding 0 --maps id"
+for scene in spheres figure fingers; do
+    holds "the scene is written" python3 "$top/tests/cli/layers.py" write $scene
+    ok run bisque-voxelize ${scene}_low.obj -o own.tris --channels id --id object --force
+    ok $bake own.tris ${scene}_low.obj $ids -o $scene.png --front 1e-4 --back 1e-4
+    ok run bisque-voxelize $scene.obj -o $scene.nvdb --channels id --id object --resolution 512
+    wrong $scene 0 0 $scene.tris
+    wrong $scene 0 0 $scene.nvdb
+done
+# Each sphere is a scan of its own; their order does not matter.
+for part in inner outer; do
+    awk -v part=$part '/^o / { keep = $2 == part } /^v/ || keep' spheres.obj >$part.obj
+    ok run bisque-voxelize $part.obj -o $part.nvdb --channels id --id object --resolution 512
+done
+wrong spheres 0 0 inner.tris outer.nvdb
+wrong spheres 0 0 outer.tris inner.nvdb
+# From an extruded mesh the outer sphere is hit too, but fingers hide each other.
+wrong spheres 0 0 spheres.nvdb --extrude 0.1
+wrong fingers 5 100 fingers.tris --extrude 0.05
+ok $bake $small both.nvdb low.obj --extrude 0.5 -o extruded.exr --json
+json '.misses == 0 and .front == 0.5'
+same_color extruded.exr green.exr
+ok $bake $small both.nvdb low.obj --extrude 0.25 -o extruded.exr
+same_color extruded.exr red.exr
+$bake $small both.nvdb low.obj --extrude 0.5 --cage high_cage.obj -o extruded.exr
+refused 64 "$p: high_cage.obj: rays start at a cage or at an extruded mesh, not both"
+$bake $small both.nvdb low.obj --extrude 0.5 --front 1 -o extruded.exr
+code 64
+# A tower stands out by more than a tenth of the diagonal.
+awk '/^v / { if ($2 == 0.25 && $3 == 0.25) $4 += 0.6 } { print }' red.obj >tower.obj
+ok run bisque-voxelize tower.obj -o tower.tris
+ok $bake --size 64 --maps mask tower.tris low.obj -o tower.exr --json
+json '.misses == 0 and .front > 0.7 and .front < 1.2'
+holds "a warning tells of long rays" grep -q '% of the low-poly mesh lies more than a tenth of' "$err"
+
 # ---- directions ----
 
 write_box >box.obj

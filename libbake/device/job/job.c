@@ -9,7 +9,7 @@
 #include "libbake/kernel/bk_srgb.h"
 #include "libbake/kernel/bk_grid.h"
 
-_Static_assert(sizeof(struct bk_triangle) == 188, "layout shared with devices");
+_Static_assert(sizeof(struct bk_triangle) == 200, "layout shared with devices");
 _Static_assert(sizeof(struct bk_tile) == 16, "layout shared with devices");
 _Static_assert(sizeof(struct bk_params) == 144, "layout shared with devices");
 

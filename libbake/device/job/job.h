@@ -39,13 +39,15 @@ void bake_kernel_grid(const struct fmt_nvdb_grid *grid, const struct bk_params *
                       struct bk_grid *out);
 
 /* Rays of a grid with one range of t and one facing rule: of the hits with t in [t_min, t_max] the
- * one with the smallest |t| wins. Surfaces that face the other way are ignored, unless
+ * one that bk_nearest() chooses wins. Surfaces that face the other way are ignored, unless
  * params->flags has BK_TWO_SIDED, which turns their normals round. */
 struct bake_ray_batch {
     const float (*rays)[6]; /* origin and unit direction of each, in index space */
     uint64_t count;
     float t_min, t_max;
-    float facing; /* 1: surfaces must face along the ray; -1: against it */
+    float facing;         /* 1: surfaces must face along the ray; -1: against it */
+    const float *reaches; /* of each ray, voxels; NULL: 0 */
+    bool from_reach;      /* rays go inwards from their reach only */
     /* Of each ray, BK_TRANSFER_VALUES sums for each transfer map of params->maps, to which the
      * values at its hit are added. NULL: none. */
     float *channels;

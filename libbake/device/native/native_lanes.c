@@ -198,12 +198,15 @@ void BSQ_SIMD_NAME(bake_native_rays)(const struct bk_grid *grid, const struct bk
         bk_lines lines = {.count = left < BK_WIDTH ? (bk_uint)left : BK_WIDTH,
                           .origin = bk_v3w(zero, zero, zero),
                           .direction = bk_v3w(zero, zero, zero),
-                          .t_min = bk_splat(rays->t_min),
-                          .t_max = rays->t_max};
+                          .reach = zero,
+                          .t_min = rays->t_min,
+                          .t_max = bk_splat(rays->t_max)};
         for (bk_uint lane = 0; lane < lines.count; lane++) {
             const float *ray = rays->rays[first + lane];
             bk_set_lane3(&lines.origin, lane, bk_v3(ray[0], ray[1], ray[2]));
             bk_set_lane3(&lines.direction, lane, bk_v3(ray[3], ray[4], ray[5]));
+            if (rays->reaches)
+                bk_set_lane(lines.reach, lane, rays->reaches[first + lane]);
             if (rays->channels)
                 lines.sums[lane] = rays->channels + (first + lane) * channels;
         }
@@ -211,6 +214,8 @@ void BSQ_SIMD_NAME(bake_native_rays)(const struct bk_grid *grid, const struct bk
             memset(&hits[first], 0, lines.count * sizeof *hits);
             continue;
         }
+        if (rays->from_reach)
+            lines.t_max = lines.reach;
         lines.facing = bk_scalew(lines.direction, bk_splat(rays->facing));
         bk_trace(grid, params, &cache, &lines, &found);
         for (bk_uint lane = 0; lane < lines.count; lane++)

@@ -68,11 +68,8 @@ static int add_samples(struct ray_bounds *bounds)
         return 0;
     const bk_point points = bk_points_at(params, bounds->job->triangles, &bounds->samples);
     const bk_start start = bk_start_at(params, &points);
-    const bool cage = params->flags & BK_CAGE;
-    const bk_fw front = bk_splat(cage ? params->front + params->back : params->front);
-    const bk_fw back = bk_splat(cage ? 0.0f : -params->back);
-    const bk_vec3w from = bk_add_scaledw(start.origin, front, start.direction);
-    const bk_vec3w to = bk_add_scaledw(start.origin, back, start.direction);
+    const bk_vec3w from = bk_add_scaledw(start.origin, start.t_max, start.direction);
+    const bk_vec3w to = bk_add_scaledw(start.origin, bk_splat(-params->back), start.direction);
     int status = 0;
     for (uint32_t lane = 0; lane < count && status == 0; lane++) {
         float a[3], b[3];

@@ -37,6 +37,7 @@ static void set_corner(struct bk_triangle *triangle, int corner, const struct an
         triangle->direction[corner][k] = triangle->normal[corner][k] = (float)sine->axes[2][k];
         triangle->tangent[corner][k] = (float)sine->axes[0][k];
     }
+    triangle->reach[corner] = (float)corner;
     triangle->tangent[corner][3] = -1; /* the map's y runs opposite to v */
 }
 

@@ -112,6 +112,8 @@ void exact_trace(const struct exact_setup *setup, const struct bake_exact_ray *r
                                          .t_min = setup->t_min,
                                          .t_max = setup->t_max,
                                          .facing_origin = setup->facing_origin,
+                                         .reaches = setup->reaches ? setup->reaches + at : NULL,
+                                         .from_reach = setup->from_reach,
                                          .footprints = footprints,
                                          .footprint_table = setup->footprint};
         int status = bake_exact_trace(exact, &batch);

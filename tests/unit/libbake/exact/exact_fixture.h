@@ -32,9 +32,10 @@ void exact_write_scan(const struct triangle_scan *mesh, uint32_t chunk_triangles
 struct exact_setup {
     unsigned threads;
     uint64_t memory;
-    bool two_sided, color, facing_origin;
+    bool two_sided, color, facing_origin, from_reach;
     enum bsq_scan_normals normals;
     double t_min, t_max;
+    const float *reaches;                         /* of all rays; NULL: 0 */
     const struct bake_exact_footprint *footprint; /* the same for all rays; NULL: none */
 };
 

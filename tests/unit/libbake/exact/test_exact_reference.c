@@ -41,26 +41,29 @@ static struct candidate meet(const struct triangle_scan *mesh, uint32_t triangle
     return (struct candidate){t / determinant, fmin(fmin(u, v), 1 - u - v), determinant < 0};
 }
 
+/* Checks a hit of a ray that starts at `reach`: hits below it are passed one after another, and
+ * those above it as if the ray came from -reach back to +reach first. */
 static void check_by_force(const struct triangle_scan *mesh, const struct exact_setup *setup,
-                           const struct bake_exact_ray *ray, const struct bake_exact_hit *hit)
+                           const struct bake_exact_ray *ray, double reach,
+                           const struct bake_exact_hit *hit)
 {
-    const double slack = 1e-9;
+    const double slack = 1e-9, t_max = setup->from_reach ? reach : setup->t_max;
     double nearest = INFINITY; /* of the triangles that are hit for certain */
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         struct candidate c = meet(mesh, t, ray);
-        if (c.least > slack && c.t > setup->t_min + slack && c.t < setup->t_max - slack &&
+        if (c.least > slack && c.t > setup->t_min + slack && c.t < t_max - slack &&
             (setup->two_sided || c.along != setup->facing_origin))
-            nearest = fmin(nearest, fabs(c.t));
+            nearest = fmin(nearest, c.t < reach ? reach - c.t : c.t + reach);
     }
     if (hit->triangle == BAKE_EXACT_NONE) {
         assert_true(isinf(nearest));
         return;
     }
     struct candidate c = meet(mesh, (uint32_t)hit->triangle, ray);
-    assert_true(fabs(hit->t) <= nearest + slack);
+    assert_true((hit->t <= reach ? reach - hit->t : hit->t + reach) <= nearest + slack);
     assert_true(fabs(hit->t - c.t) < slack);
     assert_true(c.least > -slack);
-    assert_true(hit->t >= setup->t_min && hit->t <= setup->t_max);
+    assert_true(hit->t >= setup->t_min && hit->t <= t_max);
     assert_true(setup->two_sided || c.along != setup->facing_origin);
 }
 
@@ -69,19 +72,25 @@ TEST(test_soup_agrees_with_brute_force)
     enum { RAYS = 6000 };
     static struct bake_exact_ray rays[RAYS];
     static struct bake_exact_hit hits[RAYS];
+    static float reaches[RAYS];
     struct triangle_scan mesh = exact_soup(2000);
     exact_write_scan(&mesh, 97);
-    for (int variant = 0; variant < 4; variant++) {
+    for (uint32_t r = 0; r < RAYS; r++)
+        reaches[r] = 0.05f * (float)(r % 8);
+    for (int variant = 0; variant < 6; variant++) {
         struct exact_setup setup = {.threads = 2,
                                     .two_sided = variant == 1,
                                     .facing_origin = variant == 2,
+                                    .reaches = variant >= 4 ? reaches : NULL,
+                                    .from_reach = variant == 5,
                                     .t_min = variant == 3 ? 0.05 : -0.3,
                                     .t_max = 0.4};
         uint64_t found = 0;
         exact_random_rays(rays, RAYS, -0.2, 1.2);
         exact_trace(&setup, rays, RAYS, hits);
         for (uint32_t r = 0; r < RAYS; r++) {
-            check_by_force(&mesh, &setup, &rays[r], &hits[r]);
+            check_by_force(&mesh, &setup, &rays[r], setup.reaches ? (double)reaches[r] : 0,
+                           &hits[r]);
             found += hits[r].triangle != BAKE_EXACT_NONE;
         }
         assert_in_range(found, RAYS / 10, RAYS);

@@ -64,6 +64,7 @@ static void make_triangle(struct bk_triangle *triangle, uint64_t *seed)
             triangle->tangent[corner][k] = (float)tangent[k];
         }
         triangle->tangent[corner][3] = corner & 1 ? -1.f : 1.f;
+        triangle->reach[corner] = (float)between(seed, 0, 12);
     }
 }
 

@@ -269,6 +269,42 @@ FIXTURE_TEST(test_directions_of_the_mesh_and_of_faces)
     }
 }
 
+/* Checks that all corners of the loaded triangles have a reach, and unloads them. */
+static void check_reaches(struct fixture *f, const char *text, double expected)
+{
+    bsq_forget_files(f->ctx);
+    assert_non_null(f->file = fopen("low.obj", "w"));
+    load_text(f, text);
+    for (uint64_t t = 0; t < f->mesh.triangle_count; t++)
+        for (int i = 0; i < 3; i++)
+            assert_float_equal(f->mesh.reaches[t][i], expected, 1e-6);
+    bake_lowmesh_free(f->ctx, &f->mesh);
+}
+
+/* An eighth of a cylinder of radius 1 and length 9 rises by 1 - cos(22.5 degrees) over its chord,
+ * whatever the length of the diagonal; a dent rises over nothing, and the edges of a box are no
+ * round surface. */
+FIXTURE_TEST(test_reaches_cover_arcs)
+{
+    static const char strip[] = "v 0.38268343 0.92387953 0\nv -0.38268343 0.92387953 0\n"
+                                "v -0.38268343 0.92387953 9\nv 0.38268343 0.92387953 9\n"
+                                "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n";
+    static const char faces[] = "f 1/1/1 2/2/2 3/3/2\nf 1/1/1 3/3/2 4/4/1\n";
+    struct fixture *f = *state;
+    char text[400];
+    load_text(f, hard_edge);
+    snprintf(text, sizeof text, "%svn 0.38268343 0.92387953 0\nvn -0.38268343 0.92387953 0\n%s",
+             strip, faces);
+    bake_lowmesh_free(f->ctx, &f->mesh);
+    check_reaches(f, text, 1.5 * (1 - cos(0.39269908)));
+    snprintf(text, sizeof text, "%svn -0.38268343 0.92387953 0\nvn 0.38268343 0.92387953 0\n%s",
+             strip, faces);
+    check_reaches(f, text, 0);
+    snprintf(text, sizeof text, "%svn 0.6 0.8 0\nvn -0.6 0.8 0\n%s", strip, faces);
+    check_reaches(f, text, 0); /* 73.7 degrees */
+    check_reaches(f, hard_edge, 0);
+}
+
 /* Normals that agree stay as they are, to the bit; so do those that cancel. */
 FIXTURE_TEST(test_directions_keep_smooth_and_opposite_normals)
 {

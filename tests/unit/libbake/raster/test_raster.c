@@ -33,6 +33,7 @@ static int tear_down(void **state)
     free(f->mesh.texcoords);
     free(f->mesh.tangents);
     free(f->mesh.directions);
+    free(f->mesh.reaches);
     if (used > 0)
         return -1; /* a failed test does not free its memory */
     bsq_ctx_destroy(f->ctx);
@@ -67,6 +68,7 @@ static void add_triangle(struct fixture *f, const float a[2], const float b[2], 
         m->texcoords = resized(m->texcoords, f->capacity, sizeof(*m->texcoords));
         m->tangents = resized(m->tangents, f->capacity, sizeof(*m->tangents));
         m->directions = resized(m->directions, f->capacity, sizeof(*m->directions));
+        m->reaches = resized(m->reaches, f->capacity, sizeof(*m->reaches));
     }
     uint64_t t = m->triangle_count++;
     for (int i = 0; i < 3; i++) {
@@ -76,6 +78,7 @@ static void add_triangle(struct fixture *f, const float a[2], const float b[2], 
         memcpy(m->normals[t][i], normal, sizeof(normal));
         memcpy(m->texcoords[t][i], uv[i], 2 * sizeof(float));
         memcpy(m->tangents[t][i], tangent, sizeof(tangent));
+        m->reaches[t][i] = 1.0f + uv[i][0];
     }
 }
 
@@ -599,6 +602,7 @@ static void check_attributes(const struct fixture *f, const struct bk_triangle *
             assert_float_equal(k->position[i][0], 8 * uv[0], 1e-5);
             assert_float_equal(k->position[i][1], 12 * uv[1], 1e-5);
             assert_float_equal(k->position[i][2], -200 * uv[0], 1e-3);
+            assert_float_equal(k->reach[i], 4 * (1 + uv[0]), 1e-5);
         }
         assert_memory_equal(k->normal, f->mesh.normals[t], sizeof(k->normal));
         assert_memory_equal(k->tangent, f->mesh.tangents[t], sizeof(k->tangent));

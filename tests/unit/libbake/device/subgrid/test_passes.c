@@ -70,6 +70,7 @@ static void make_triangle(struct bk_triangle *triangle, uint64_t *seed)
             triangle->tangent[corner][k] = (float)tangent[k];
         }
         triangle->tangent[corner][3] = 1;
+        triangle->reach[corner] = (float)between(seed, 0, 6);
     }
 }
 
