@@ -90,7 +90,7 @@ directory_cppflags = -DFMT_MODULE_DIRECTORY='"$(prefix)/lib/bisque"'
 stamp_cppflags = \
     -DFMT_MODULE_STAMP='"$(VERSION)-$(firstword $(shell cat $(module_headers) | cksum))"'
 
-programs := bisque-voxelize bisque-bake bisque-compare
+programs := bisque-voxelize bisque-simplify bisque-bake bisque-compare
 bins     := $(addprefix $(BUILD)/bin/,$(programs))
 # Programs that are installed beside the modules and found like them, for code that may crash: one
 # asks drivers for their devices, one reads files by Assimp.

@@ -220,6 +220,82 @@ int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options
  * long work. Errors: BSQ_ENOINPUT if the module is missing. */
 int vox_check_export(struct bsq_ctx *ctx);
 
+/** Distances between two surfaces, in the scan's units. */
+struct vox_distances {
+    double mean;     /**< Mean by area. */
+    double rms;      /**< Root of the mean square by area. */
+    double p99;      /**< Hundredth part of the area is farther, to 5 %. */
+    double max;      /**< The largest distance. */
+    double where[3]; /**< Position of the largest one. */
+};
+
+/** A mesh that vox_simplify() wrote. */
+struct vox_simplified {
+    uint64_t target;                /**< Triangles that were asked for; 0: an error. */
+    uint64_t triangles;             /**< Triangles that it has. */
+    uint64_t vertices;              /**< Positions that it has. */
+    struct vox_distances from_scan; /**< From each vertex of the scan to the mesh. */
+    struct vox_distances from_mesh; /**< From points spread over the mesh to the scan. */
+};
+
+/** Most meshes of one vox_simplify(). */
+#define VOX_LEVELS_MAX 32
+
+/** What vox_simplify() reads and writes. The caller owns all strings and handles. */
+struct vox_simplify_options {
+    const char *const *tris_paths; /**< Input: chunk files, read as one scan, in any order. */
+    uint32_t tris_count;           /**< Number of tris_paths. */
+    const struct vox_temp_tris *temp_tris; /**< NULL, or one more part. */
+    /** Outputs, .obj or .ply: one for each target, or one alone for an error. */
+    const char *const *output_paths;
+    const uint64_t *targets; /**< Triangles of each mesh, falling. */
+    uint32_t target_count;   /**< Number of targets; 0: `error` counts. */
+    double error;            /**< Largest distance that a mesh may have, both ways; above 0. */
+    /** Pieces whose box has a diagonal below this share of the scan's are dropped. */
+    double min_component;
+    double hard_angle; /**< Normals are smooth over edges up to that many degrees. */
+};
+
+/** What vox_simplify() did. */
+struct vox_simplify_report {
+    uint64_t triangles;      /**< Triangles of the scan. */
+    double diagonal;         /**< Diagonal of the scan's bounding box. */
+    uint64_t dropped_pieces; /**< Pieces below min_component. */
+    /** Their triangles, after the reduction of chunks. */
+    uint64_t dropped_triangles;
+    struct vox_simplified levels[VOX_LEVELS_MAX]; /**< The meshes. */
+    uint32_t level_count;                         /**< Number of meshes. */
+    uint64_t temp_bytes;                          /**< Bytes written to temporary files. */
+    double seconds_reduce;                        /**< Wall time of reducing chunks. */
+    double seconds_collapse;                      /**< Wall time of the last collapse. */
+    double seconds_measure;                       /**< Wall time of measuring. */
+};
+
+/** Fills in the defaults: no inputs and outputs, no piece dropped, smooth normals. */
+void vox_simplify_defaults(struct vox_simplify_options *options);
+
+/** Makes low-poly meshes of a scan by edge collapse, and measures how far each is from all of the
+ * scan. The first part collapses groups of chunks with locked borders and quadrics (Garland and
+ * Heckbert, 1997), the last one the whole mesh without memory of the scan, under the constraint
+ * that its volume stays (Lindstrom and Turk, 1998). Vertices are welded by position; colours,
+ * texture coordinates and materials have no influence. Output bytes do not depend on budget or
+ * threads. Errors: BSQ_ENOINPUT; BSQ_EDATA for a damaged chunk file, or an error that cannot be
+ * kept; BSQ_EUSAGE; BSQ_ENOMEM; BSQ_ECANTCREAT; BSQ_EIO; BSQ_EINTR. */
+int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options,
+                 struct vox_simplify_report *report);
+
+/** Measures how far any mesh is from a scan, as vox_simplify() measures its own. The mesh is held in
+ * memory.
+ * @param scan_paths   chunk files, read as one scan
+ * @param scan_count   number of scan_paths
+ * @param mesh         the mesh as a chunk file of vox_sort()
+ * @param from_scan    from each vertex of the scan to the mesh
+ * @param from_mesh    from points spread over the mesh to the scan
+ * Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
+int vox_measure_mesh(struct bsq_ctx *ctx, const char *const *scan_paths, uint32_t scan_count,
+                     const struct vox_temp_tris *mesh, struct vox_distances *from_scan,
+                     struct vox_distances *from_mesh);
+
 #ifdef __cplusplus
 }
 #endif

@@ -8,11 +8,14 @@
 #include "base/job_files.h"
 #include "libbake/compare.h"
 #include "tools/cli.h"
+#include "tools/compare_mesh.h"
 
 static const char usage[] =
     "Usage: bisque-compare [OPTION]... A.exr B.exr\n"
+    "       bisque-compare [OPTION]... LOW.obj SCAN.tris...\n"
     "Measures how far map A is from the reference B: the angle between normals in degrees, the\n"
     "CIEDE2000 difference and PSNR of colours, absolute and relative differences of other maps.\n"
+    "Of a mesh and a scan, measures the distance between both surfaces, both ways.\n"
     "Exits with 0 if all limits hold, with 1 if one does not.\n";
 
 enum limit { MAX_MEAN, MAX_MEDIAN, MAX_P95, MAX_P99, MAX_ERROR, MIN_PSNR, MIN_AGREEMENT, LIMITS };
@@ -39,6 +42,7 @@ struct arguments {
     struct bake_compare_options compare;
     const char *mask;      /* of both maps, unless they have their own */
     double limits[LIMITS]; /* NAN: not given */
+    struct compare_mesh files;
 };
 
 /* Checks that each map has a mask of its own; without them there is no hit agreement. */
@@ -95,8 +99,10 @@ static int parse_arguments(struct cli *cli, struct arguments *arguments, int arg
     int status = cli_parse(cli, &command, argc, argv);
     if (status != 0)
         return status;
-    if (argc - optind != 2)
-        return cli_usage(cli, "two EXR files are needed (see --help)");
+    if (argc - optind < 2)
+        return cli_usage(cli, "two maps, or a mesh and a scan, are needed (see --help)");
+    arguments->files.inputs = (const char *const *)argv + optind;
+    arguments->files.count = (uint32_t)(argc - optind);
     arguments->compare.a_path = argv[optind];
     arguments->compare.b_path = argv[optind + 1];
     double agreement = arguments->limits[MIN_AGREEMENT];
@@ -247,6 +253,40 @@ done:
     return status;
 }
 
+/* Compares a mesh with a scan; limits are about the larger figure of both directions. */
+static int compare_surfaces(struct cli *cli, struct arguments *arguments, int *failures)
+{
+    const struct vox_distances *a = &arguments->files.from_scan, *b = &arguments->files.from_mesh;
+    for (int i = 0; i < LIMITS; i++)
+        if (!isnan(arguments->limits[i]) && i != MAX_MEAN && i != MAX_P99 && i != MAX_ERROR)
+            return cli_usage(cli, "%s is for maps, not for a mesh and a scan",
+                             limit_rows[i].option);
+    int status = compare_mesh_measure(cli, &arguments->files);
+    if (status < 0)
+        return status;
+    *failures = count_failures(cli, arguments,
+                               &(struct bake_compare_report){.mean = fmax(a->mean, b->mean),
+                                                             .p99 = fmax(a->p99, b->p99),
+                                                             .max = fmax(a->max, b->max)});
+    return compare_mesh_print(cli, &arguments->files, *failures);
+}
+
+static int compare(struct cli *cli, struct arguments *arguments, int *failures)
+{
+    bool surfaces;
+    int status = 0;
+    BSQ_TRY(map_inputs(cli, arguments));
+    BSQ_TRY(compare_mesh_recognise(cli, &arguments->files, &surfaces));
+    if (surfaces)
+        return compare_surfaces(cli, arguments, failures);
+    if (arguments->files.count > 2)
+        return cli_usage(cli, "%u files: two maps, or a mesh and chunk files, are needed",
+                         arguments->files.count);
+    status = compare_maps(cli, arguments, failures);
+done:
+    return status;
+}
+
 int main(int argc, char **argv)
 {
     struct cli cli;
@@ -257,9 +297,7 @@ int main(int argc, char **argv)
     if (status == 0)
         status = cli_create_context(&cli);
     if (status == 0)
-        status = map_inputs(&cli, &arguments);
-    if (status == 0)
-        status = compare_maps(&cli, &arguments, &failures);
+        status = compare(&cli, &arguments, &failures);
     int code = cli_end(&cli, status);
     return code ? code : failures > 0;
 }

@@ -13,6 +13,7 @@
 #include <time.h>
 
 #include "base/options.h"
+#include "libvoxel/voxel.h"
 
 enum cli_progress {
     CLI_PROGRESS_AUTO,
@@ -185,6 +186,9 @@ void cli_json_set(json_t **json, const char *name, json_t *value);
 /* Prints `root` with program, version and cost added. Takes over the caller's reference; NULL means
  * that there was no memory for it. */
 int cli_print_json(struct cli *cli, json_t *root);
+/* Prints a line on distances between surfaces; returns them as an object. */
+void cli_print_distances(const char *what, const struct vox_distances *distances);
+json_t *cli_distances_json(const struct vox_distances *distances);
 /* Prints that a file is there already. */
 int cli_say_kept(struct cli *cli, const char *path, const char *what);
 

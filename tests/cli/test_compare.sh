@@ -123,7 +123,7 @@ refused 65 "$p ones.exr has no channels R, G and B"
 rm ones.exr nan.exr some.exr wide.exr
 
 $compare
-refused 64 "$p two EXR files are needed (see --help)"
+refused 64 "$p two maps, or a mesh and a scan, are needed (see --help)"
 $compare a_normal.exr a_normal.exr --max-mean -1
 code 64
 $compare a_normal.exr a_normal.exr --min-agreement 2 --mask-a a_mask.exr --mask-b a_mask.exr

@@ -1,0 +1,253 @@
+/* groups.c - see groups.h.
+ *
+ * With locked borders, a group keeps about as many vertices as its border has, so a level reduces a
+ * mesh to an eighth at most; groups of the next level are as large as groups of this one were. */
+#include "libvoxel/simplify/groups.h"
+
+#include <string.h>
+
+#include "base/file.h"
+#include "base/parallel.h"
+
+enum { GROUP_TRIANGLES = 131072, LEVEL_FACTOR = 8 };
+
+/* A mesh of a level: of the first one a chunk, of others a part of a temporary file with
+ * positions, quadrics and triangles. */
+struct member {
+    uint64_t offset;
+    uint32_t vertices, triangles;
+};
+
+struct level {
+    struct bsq_ctx *ctx;
+    const struct fmt_tris_file *chunks; /* of the first level, else NULL */
+    struct bsq_file file;
+    struct member *members;
+    uint64_t member_count, triangles;
+};
+
+/* A step from a level to the next one. */
+struct step {
+    const struct level *from;
+    struct level *to;
+    uint64_t next_member; /* of produce */
+    double ratio;
+};
+
+/* A group of neighbouring members, and then its result. */
+struct slot {
+    uint64_t begin, end;
+    struct vox_mesh mesh;
+};
+
+/* ---- members ---- */
+
+static int open_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, struct level *level)
+{
+    const struct fmt_tris_chunk_info *chunks = fmt_tris_chunks(file);
+    const uint64_t count = fmt_tris_get_header(file)->chunk_count;
+    *level = (struct level){.ctx = ctx, .chunks = file, .file = BSQ_FILE_CLOSED};
+    int status = bsq_alloc(ctx, "groups of chunks", count, sizeof *level->members, &level->members);
+    if (status < 0)
+        return status;
+    level->member_count = count;
+    for (uint64_t i = 0; i < count; i++) {
+        level->members[i] = (struct member){0, chunks[i].vertex_count, chunks[i].triangle_count};
+        level->triangles += chunks[i].triangle_count;
+    }
+    return 0;
+}
+
+static void close_level(struct level *level)
+{
+    bsq_file_close(level->ctx, &level->file);
+    bsq_free(level->ctx, level->members);
+    level->members = NULL;
+}
+
+static int read_chunk(const struct level *level, uint64_t index, struct vox_mesh *mesh)
+{
+    const struct member *member = &level->members[index];
+    struct fmt_tris_chunk chunk;
+    void *scratch = NULL;
+    int status = 0;
+    BSQ_TRY(
+        bsq_alloc(level->ctx, "a chunk", fmt_tris_load_size(level->chunks, index), 1, &scratch));
+    BSQ_TRY(fmt_tris_load(level->chunks, index, scratch, &chunk));
+    memcpy(mesh->positions + mesh->vertex_count, chunk.positions,
+           member->vertices * sizeof *mesh->positions);
+    memcpy(mesh->triangles + mesh->triangle_count, chunk.triangles,
+           member->triangles * sizeof *mesh->triangles);
+done:
+    bsq_free(level->ctx, scratch);
+    return status;
+}
+
+static int read_part(const struct level *level, uint64_t index, struct vox_mesh *mesh)
+{
+    const struct member *member = &level->members[index];
+    const uint64_t positions = member->vertices * sizeof *mesh->positions,
+                   quadrics = member->vertices * sizeof *mesh->quadrics;
+    int status = 0;
+    BSQ_TRY(bsq_file_read(level->ctx, &level->file, mesh->positions + mesh->vertex_count, positions,
+                          member->offset));
+    BSQ_TRY(bsq_file_read(level->ctx, &level->file, mesh->quadrics + mesh->vertex_count, quadrics,
+                          member->offset + positions));
+    status = bsq_file_read(level->ctx, &level->file, mesh->triangles + mesh->triangle_count,
+                           member->triangles * sizeof *mesh->triangles,
+                           member->offset + positions + quadrics);
+done:
+    return status;
+}
+
+/* Makes a welded mesh of members [begin, end). It has quadrics if `carried` or if it is not of
+ * chunks. */
+static int join_members(const struct level *level, uint64_t begin, uint64_t end, bool carried,
+                        struct vox_mesh *mesh)
+{
+    const bool quadrics = carried || !level->chunks;
+    uint64_t vertices = 0, triangles = 0;
+    int status = 0;
+    *mesh = (struct vox_mesh){0};
+    for (uint64_t i = begin; i < end; i++) {
+        vertices += level->members[i].vertices;
+        triangles += level->members[i].triangles;
+    }
+    /* Corners, and the heap of a collapse, are counted in 32 bits. */
+    if (vertices > UINT32_MAX / 4 || triangles > UINT32_MAX / 4)
+        return bsq_fail(level->ctx, BSQ_ENOMEM,
+                        "simplifying: borders of parts keep %llu triangles in one mesh, more than "
+                        "it can have; choose a smaller target or drop small pieces",
+                        (unsigned long long)triangles);
+    BSQ_TRY(vox_mesh_allocate(level->ctx, (uint32_t)vertices, (uint32_t)triangles, quadrics, mesh));
+    mesh->vertex_count = mesh->triangle_count = 0;
+    for (uint64_t i = begin; i < end; i++) {
+        const struct member *member = &level->members[i];
+        BSQ_TRY(level->chunks ? read_chunk(level, i, mesh) : read_part(level, i, mesh));
+        for (uint32_t t = 0; t < member->triangles; t++)
+            for (int k = 0; k < 3; k++)
+                mesh->triangles[mesh->triangle_count + t][k] += mesh->vertex_count;
+        mesh->vertex_count += member->vertices;
+        mesh->triangle_count += member->triangles;
+    }
+    if (level->chunks && quadrics)
+        vox_mesh_set_quadrics(mesh);
+    status = vox_mesh_weld(level->ctx, mesh);
+done:
+    if (status < 0)
+        vox_mesh_free(level->ctx, mesh);
+    return status;
+}
+
+/* ---- a level ---- */
+
+static int produce_group(void *arg, void *slot_, uint64_t sequence)
+{
+    struct step *step = arg;
+    struct slot *slot = slot_;
+    const struct level *from = step->from;
+    uint64_t triangles = 0;
+    (void)sequence;
+    *slot = (struct slot){.begin = step->next_member, .end = step->next_member};
+    while (slot->end < from->member_count &&
+           (slot->end == slot->begin ||
+            triangles + from->members[slot->end].triangles <= GROUP_TRIANGLES))
+        triangles += from->members[slot->end++].triangles;
+    step->next_member = slot->end;
+    return slot->end > slot->begin;
+}
+
+static int collapse_group(void *arg, void *slot_, uint64_t sequence, unsigned worker)
+{
+    const struct step *step = arg;
+    struct slot *slot = slot_;
+    struct vox_collapse_options options = {.measure = VOX_COLLAPSE_CARRIED, .lock_borders = true};
+    (void)sequence, (void)worker;
+    int status = 0;
+    BSQ_TRY(join_members(step->from, slot->begin, slot->end, true, &slot->mesh));
+    options.target = (uint32_t)(step->ratio * slot->mesh.triangle_count) + 1;
+    BSQ_TRY(vox_collapse(step->from->ctx, &options, &slot->mesh));
+done:
+    if (status < 0)
+        vox_mesh_free(step->from->ctx, &slot->mesh);
+    return status;
+}
+
+static int write_group(void *arg, void *slot_, uint64_t sequence)
+{
+    const struct step *step = arg;
+    struct slot *slot = slot_;
+    struct level *to = step->to;
+    const struct vox_mesh *mesh = &slot->mesh;
+    int status = 0;
+    to->members[sequence] =
+        (struct member){to->file.size, mesh->vertex_count, mesh->triangle_count};
+    to->member_count = sequence + 1;
+    to->triangles += mesh->triangle_count;
+    BSQ_TRY(bsq_file_append(to->ctx, &to->file, mesh->positions,
+                            mesh->vertex_count * sizeof *mesh->positions));
+    BSQ_TRY(bsq_file_append(to->ctx, &to->file, mesh->quadrics,
+                            mesh->vertex_count * sizeof *mesh->quadrics));
+    BSQ_TRY(bsq_file_append(to->ctx, &to->file, mesh->triangles,
+                            mesh->triangle_count * sizeof *mesh->triangles));
+    for (uint64_t i = slot->begin; i < slot->end; i++)
+        bsq_progress_add(to->ctx, step->from->members[i].triangles);
+done:
+    vox_mesh_free(to->ctx, &slot->mesh);
+    return status;
+}
+
+/* Makes the next level in *to. */
+static int reduce_level(const struct level *from, uint64_t target, const char *beside,
+                        struct level *to)
+{
+    const uint64_t least = from->triangles / LEVEL_FACTOR;
+    const unsigned slot_count = 2 * bsq_threads(from->ctx);
+    struct slot *slots = NULL;
+    struct step step = {.from = from,
+                        .to = to,
+                        .ratio =
+                            (double)(target > least ? target : least) / (double)from->triangles};
+    int status = 0;
+    *to = (struct level){.ctx = from->ctx, .file = BSQ_FILE_CLOSED};
+    BSQ_TRY(bsq_alloc(to->ctx, "groups of chunks", from->member_count, sizeof *to->members,
+                      &to->members));
+    BSQ_TRY(bsq_calloc(to->ctx, "groups of chunks", slot_count, sizeof *slots, &slots));
+    BSQ_TRY(bsq_file_temp(to->ctx, beside, "simplified groups", &to->file));
+    const struct bsq_pipeline pipeline = {.produce = produce_group,
+                                          .work = collapse_group,
+                                          .emit = write_group,
+                                          .arg = &step,
+                                          .slots = slots,
+                                          .slot_size = sizeof *slots,
+                                          .slot_count = slot_count};
+    bsq_progress_begin(to->ctx, "reducing groups", "triangles", from->triangles);
+    status = bsq_pipeline_run(to->ctx, &pipeline);
+    bsq_progress_end(to->ctx);
+done:
+    for (unsigned i = 0; slots && i < slot_count; i++)
+        vox_mesh_free(to->ctx, &slots[i].mesh);
+    bsq_free(to->ctx, slots);
+    return status;
+}
+
+int vox_reduce_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, uint64_t target,
+                      const char *beside, struct vox_mesh *mesh)
+{
+    struct level level = {.ctx = ctx, .file = BSQ_FILE_CLOSED}, next;
+    uint64_t before = UINT64_MAX;
+    int status = 0;
+    BSQ_TRY(open_chunks(ctx, file, &level));
+    /* A level that takes away less than a tenth has little but borders of groups. */
+    while (level.triangles > target && level.triangles < before - before / 10) {
+        before = level.triangles;
+        status = reduce_level(&level, target, beside, &next);
+        close_level(&level);
+        level = next;
+        BSQ_TRY(status);
+    }
+    status = join_members(&level, 0, level.member_count, false, mesh);
+done:
+    close_level(&level);
+    return status;
+}

@@ -1,0 +1,324 @@
+/* simplify.c - vox_simplify(): the order of its steps. */
+#include <inttypes.h>
+#include <math.h>
+#include <string.h>
+
+#include "base/clock.h"
+#include "base/job_files.h"
+#include "libvoxel/simplify/groups.h"
+#include "libvoxel/simplify/measure.h"
+#include "libvoxel/simplify/write_mesh.h"
+#include "libvoxel/temp_tris.h"
+
+/* Triangles in memory for the last collapse: enough that what comes before it does not show, see
+ * docs/decisions. For an error, as many as its mesh may need. */
+enum { LAST_FACTOR = 10, LAST_TRIANGLES = 500000, ERROR_TRIANGLES = 1500000, ERROR_STEPS = 16 };
+
+struct simplifying {
+    struct bsq_ctx *ctx;
+    const struct vox_simplify_options *options;
+    struct vox_simplify_report *report;
+    struct fmt_tris_file *file;
+    const struct fmt_tris_header *header;
+    struct vox_mesh mesh;
+    struct bsq_output_group outputs;
+};
+
+/* ---- small pieces ---- */
+
+struct piece {
+    float low[3], high[3];
+    uint32_t triangles;
+};
+
+static uint32_t find_root(uint32_t *parents, uint32_t v)
+{
+    while (parents[v] != v)
+        v = parents[v] = parents[parents[v]];
+    return v;
+}
+
+/* Counts pieces whose boxes are small, and gives them no triangles. */
+static void judge_pieces(struct simplifying *s, const uint32_t *parents, struct piece *pieces)
+{
+    const double least = s->options->min_component * s->report->diagonal;
+    for (uint32_t v = 0; v < s->mesh.vertex_count; v++) {
+        struct piece *piece = &pieces[v];
+        double square = 0;
+        if (parents[v] != v)
+            continue;
+        for (int k = 0; k < 3; k++) {
+            const double side = (double)piece->high[k] - (double)piece->low[k];
+            square += side * side;
+        }
+        if (square >= least * least)
+            continue;
+        s->report->dropped_pieces++;
+        s->report->dropped_triangles += piece->triangles;
+        piece->triangles = 0;
+    }
+}
+
+static int drop_pieces(struct simplifying *s)
+{
+    struct vox_mesh *mesh = &s->mesh;
+    uint32_t *parents = NULL, kept = 0;
+    struct piece *pieces = NULL;
+    int status = 0;
+    if (!(s->options->min_component > 0))
+        return 0;
+    BSQ_TRY(bsq_alloc(s->ctx, "pieces", mesh->vertex_count, sizeof *parents, &parents));
+    BSQ_TRY(bsq_alloc(s->ctx, "pieces", mesh->vertex_count, sizeof *pieces, &pieces));
+    for (uint32_t v = 0; v < mesh->vertex_count; v++) {
+        parents[v] = v;
+        pieces[v] =
+            (struct piece){{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}, 0};
+    }
+    for (uint32_t t = 0; t < mesh->triangle_count; t++)
+        for (int k = 1; k < 3; k++)
+            parents[find_root(parents, mesh->triangles[t][k])] =
+                find_root(parents, mesh->triangles[t][0]);
+    for (uint32_t v = 0; v < mesh->vertex_count; v++) {
+        struct piece *piece = &pieces[find_root(parents, v)];
+        for (int k = 0; k < 3; k++) {
+            piece->low[k] = fminf(piece->low[k], mesh->positions[v][k]);
+            piece->high[k] = fmaxf(piece->high[k], mesh->positions[v][k]);
+        }
+    }
+    for (uint32_t t = 0; t < mesh->triangle_count; t++)
+        pieces[find_root(parents, mesh->triangles[t][0])].triangles++;
+    judge_pieces(s, parents, pieces);
+    for (uint32_t t = 0; t < mesh->triangle_count; t++)
+        if (pieces[find_root(parents, mesh->triangles[t][0])].triangles > 0)
+            memmove(mesh->triangles[kept++], mesh->triangles[t], sizeof *mesh->triangles);
+    mesh->triangle_count = kept;
+    if (kept == 0)
+        status =
+            bsq_fail(s->ctx, BSQ_EDATA,
+                     "%s: no piece is as large as the least component, %g of the diagonal %g",
+                     s->options->output_paths[0], s->options->min_component, s->report->diagonal);
+done:
+    bsq_free(s->ctx, pieces);
+    bsq_free(s->ctx, parents);
+    return status;
+}
+
+/* ---- steps ---- */
+
+static int collapse_to(struct simplifying *s, struct vox_mesh *mesh, uint64_t target)
+{
+    const struct vox_collapse_options options = {.target = target < UINT32_MAX ? (uint32_t)target
+                                                                               : UINT32_MAX,
+                                                 .measure = VOX_COLLAPSE_MEMORYLESS,
+                                                 .progress = true};
+    const double start = bsq_seconds_now();
+    const uint64_t more = mesh->triangle_count > target ? mesh->triangle_count - target : 0;
+    bsq_progress_begin(s->ctx, "collapsing edges", "triangles", more);
+    int status = vox_collapse(s->ctx, &options, mesh);
+    bsq_progress_end(s->ctx);
+    s->report->seconds_collapse += bsq_seconds_now() - start;
+    return status;
+}
+
+static int measure(struct simplifying *s, const struct vox_mesh *mesh, double enough,
+                   struct vox_simplified *out)
+{
+    const double start = bsq_seconds_now();
+    out->triangles = mesh->triangle_count;
+    out->vertices = mesh->vertex_count;
+    int status = vox_measure(s->ctx, s->file, mesh, enough, &out->from_scan, &out->from_mesh);
+    s->report->seconds_measure += bsq_seconds_now() - start;
+    return status;
+}
+
+/* Writes the mesh as the output of a level. */
+static int write_level(struct simplifying *s, uint32_t level)
+{
+    struct bsq_output *output;
+    int status = vox_write_mesh(s->ctx, s->options->output_paths[level], &s->mesh,
+                                s->header->origin, s->options->hard_angle, &output);
+    return status < 0 ? status : bsq_output_group_add(&s->outputs, output);
+}
+
+static int copy_mesh(struct bsq_ctx *ctx, const struct vox_mesh *from, struct vox_mesh *to)
+{
+    int status = vox_mesh_allocate(ctx, from->vertex_count, from->triangle_count, false, to);
+    if (status < 0)
+        return status;
+    memcpy(to->positions, from->positions, from->vertex_count * sizeof *to->positions);
+    memcpy(to->triangles, from->triangles, from->triangle_count * sizeof *to->triangles);
+    return 0;
+}
+
+static double largest(const struct vox_simplified *level)
+{
+    return fmax(level->from_scan.max, level->from_mesh.max);
+}
+
+/* Finds the smallest mesh whose measured distances stay within the error, to 2 % of its triangles.
+ * Each trial goes on from the smallest one that did. */
+static int simplify_to_error(struct simplifying *s)
+{
+    const double error = s->options->error;
+    struct vox_simplified *kept = &s->report->levels[0], tried;
+    struct vox_mesh trial = {0};
+    double low = 2;
+    int status = 0;
+    *kept = (struct vox_simplified){.target = 0};
+    s->report->level_count = 1;
+    BSQ_TRY(measure(s, &s->mesh, error, kept));
+    if (largest(kept) > error) {
+        status = bsq_fail(s->ctx, BSQ_EDATA,
+                          "--error: %g cannot be kept: a mesh of %" PRIu64
+                          " triangles is off by %g already; allow a larger error",
+                          error, kept->triangles, largest(kept));
+        goto done;
+    }
+    for (int i = 0; i < ERROR_STEPS && 1.02 * low < s->mesh.triangle_count; i++) {
+        const double middle = sqrt(low * s->mesh.triangle_count);
+        tried = (struct vox_simplified){.target = 0};
+        BSQ_TRY(copy_mesh(s->ctx, &s->mesh, &trial));
+        BSQ_TRY(collapse_to(s, &trial, (uint64_t)middle));
+        const bool stuck = trial.triangle_count == s->mesh.triangle_count;
+        if (!stuck)
+            BSQ_TRY(measure(s, &trial, error, &tried));
+        if (!stuck && largest(&tried) <= error) {
+            vox_mesh_free(s->ctx, &s->mesh);
+            s->mesh = trial;
+            trial = (struct vox_mesh){0};
+            *kept = tried;
+        } else {
+            low = middle;
+        }
+        vox_mesh_free(s->ctx, &trial);
+    }
+    status = write_level(s, 0);
+done:
+    vox_mesh_free(s->ctx, &trial);
+    return status;
+}
+
+static int simplify_to_targets(struct simplifying *s)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < s->options->target_count; i++) {
+        struct vox_simplified *level = &s->report->levels[i];
+        *level = (struct vox_simplified){.target = s->options->targets[i]};
+        s->report->level_count = i + 1;
+        BSQ_TRY(collapse_to(s, &s->mesh, level->target));
+        BSQ_TRY(measure(s, &s->mesh, INFINITY, level));
+        BSQ_TRY(write_level(s, i));
+    }
+done:
+    return status;
+}
+
+/* ---- the whole ---- */
+
+static int check_options(struct bsq_ctx *ctx, const struct vox_simplify_options *options)
+{
+    const uint32_t outputs = options->target_count > 0 ? options->target_count : 1;
+    if (options->target_count > VOX_LEVELS_MAX)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%u meshes are more than %u", options->target_count,
+                        VOX_LEVELS_MAX);
+    if (options->target_count == 0 && !(options->error > 0))
+        return bsq_fail(ctx, BSQ_EUSAGE, "neither a number of triangles nor an error is given");
+    for (uint32_t i = 0; i < options->target_count; i++)
+        if (options->targets[i] < 4 || (i > 0 && options->targets[i] >= options->targets[i - 1]))
+            return bsq_fail(ctx, BSQ_EUSAGE,
+                            "numbers of triangles must fall, and be at least 4: %" PRIu64,
+                            options->targets[i]);
+    for (uint32_t i = 0; i < outputs; i++) {
+        const char *path = options->output_paths[i];
+        if (!vox_mesh_path_is_known(path))
+            return bsq_fail(ctx, BSQ_EUSAGE, "%s: the name of a mesh must end in .obj or .ply",
+                            path);
+        int status = bsq_output_check(ctx, path);
+        if (status == 0)
+            status = bsq_note_output(ctx, path);
+        if (status < 0)
+            return status;
+    }
+    return 0;
+}
+
+static int open_scan(struct simplifying *s)
+{
+    const struct vox_temp_tris *temp = s->options->temp_tris;
+    int status = fmt_tris_open_parts(s->ctx, s->options->tris_paths, s->options->tris_count,
+                                     temp ? &temp->file : NULL, &s->file);
+    if (status < 0)
+        return status;
+    s->header = fmt_tris_get_header(s->file);
+    s->report->triangles = s->header->triangle_count;
+    for (int k = 0; k < 3; k++) {
+        const double side = (double)s->header->bounds_max[k] - (double)s->header->bounds_min[k];
+        s->report->diagonal += side * side;
+    }
+    s->report->diagonal = sqrt(s->report->diagonal);
+    return 0;
+}
+
+static int reduce(struct simplifying *s)
+{
+    const struct vox_simplify_options *options = s->options;
+    const double start = bsq_seconds_now();
+    uint64_t last = options->target_count > 0 ? LAST_TRIANGLES : ERROR_TRIANGLES;
+    if (options->target_count > 0 && options->targets[0] > last / LAST_FACTOR)
+        last = options->targets[0] < UINT32_MAX ? LAST_FACTOR * options->targets[0] : UINT32_MAX;
+    int status = vox_reduce_chunks(s->ctx, s->file, last, options->output_paths[0], &s->mesh);
+    s->report->seconds_reduce = bsq_seconds_now() - start;
+    return status;
+}
+
+void vox_simplify_defaults(struct vox_simplify_options *options)
+{
+    *options = (struct vox_simplify_options){.hard_angle = 180};
+}
+
+int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options,
+                 struct vox_simplify_report *report)
+{
+    struct simplifying s = {.ctx = ctx, .options = options, .report = report};
+    int status = 0;
+    memset(report, 0, sizeof *report);
+    BSQ_TRY(check_options(ctx, options));
+    BSQ_TRY(open_scan(&s));
+    BSQ_TRY(reduce(&s));
+    BSQ_TRY(drop_pieces(&s));
+    BSQ_TRY(options->target_count > 0 ? simplify_to_targets(&s) : simplify_to_error(&s));
+    status = bsq_output_group_commit(&s.outputs);
+    report->temp_bytes = bsq_temp_bytes(ctx);
+done:
+    bsq_output_group_discard(&s.outputs);
+    vox_mesh_free(ctx, &s.mesh);
+    fmt_tris_close(s.file);
+    return status;
+}
+
+/* Moves a mesh to the origin of the scan. */
+static void move_mesh(struct vox_mesh *mesh, const double from[3], const double to[3])
+{
+    for (uint32_t v = 0; v < mesh->vertex_count; v++)
+        for (int k = 0; k < 3; k++)
+            mesh->positions[v][k] = (float)((double)mesh->positions[v][k] + (from[k] - to[k]));
+}
+
+int vox_measure_mesh(struct bsq_ctx *ctx, const char *const *scan_paths, uint32_t scan_count,
+                     const struct vox_temp_tris *mesh, struct vox_distances *from_scan,
+                     struct vox_distances *from_mesh)
+{
+    struct fmt_tris_file *scan = NULL, *low = NULL;
+    struct vox_mesh whole = {0};
+    int status = 0;
+    BSQ_TRY(fmt_tris_open_parts(ctx, scan_paths, scan_count, NULL, &scan));
+    BSQ_TRY(fmt_tris_open_temp(ctx, &mesh->file, &low));
+    BSQ_TRY(vox_reduce_chunks(ctx, low, UINT64_MAX, NULL, &whole));
+    move_mesh(&whole, fmt_tris_get_header(low)->origin, fmt_tris_get_header(scan)->origin);
+    status = vox_measure(ctx, scan, &whole, INFINITY, from_scan, from_mesh);
+done:
+    vox_mesh_free(ctx, &whole);
+    fmt_tris_close(low);
+    fmt_tris_close(scan);
+    return status;
+}

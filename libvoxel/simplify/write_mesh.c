@@ -1,0 +1,263 @@
+/* write_mesh.c - see write_mesh.h. */
+#include "libvoxel/simplify/write_mesh.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+#include <strings.h>
+
+#include "base/vec.h"
+
+/* A vertex with one of its normals. */
+struct shaded {
+    uint32_t vertex;
+    float normal[3];
+};
+
+struct writing {
+    struct bsq_ctx *ctx;
+    const struct vox_mesh *mesh;
+    const double *origin;
+    double least_cosine;
+    double (*faces)[3];         /* unit normals */
+    uint32_t *starts, *corners; /* of each vertex: its corners are corners[starts[v]...] */
+    struct shaded *shaded;      /* by vertices */
+    uint32_t *shaded_of;        /* of corners */
+    uint32_t shaded_count;
+    struct bsq_output *output;
+    char *buffer;
+    size_t used;
+};
+
+enum { BUFFER_BYTES = 1 << 18, LINE_BYTES = 256 };
+
+/* ---- normals ---- */
+
+static void edge_of(const struct vox_mesh *mesh, uint32_t from, uint32_t to, double out[3])
+{
+    for (int k = 0; k < 3; k++)
+        out[k] = (double)mesh->positions[to][k] - (double)mesh->positions[from][k];
+}
+
+static void make_unit(double v[3])
+{
+    const double length = sqrt(bsq_dotd(v, v));
+    for (int k = 0; k < 3 && length > 0; k++)
+        v[k] /= length;
+}
+
+/* Returns the angle of a triangle at a corner in radians. */
+static double angle_at(const struct vox_mesh *mesh, uint32_t corner)
+{
+    const uint32_t *triangle = mesh->triangles[corner / 3];
+    const uint32_t at = triangle[corner % 3];
+    double a[3], b[3], normal[3];
+    edge_of(mesh, at, triangle[(corner % 3 + 1) % 3], a);
+    edge_of(mesh, at, triangle[(corner % 3 + 2) % 3], b);
+    bsq_crossd(a, b, normal);
+    return atan2(sqrt(bsq_dotd(normal, normal)), bsq_dotd(a, b));
+}
+
+static void face_normals(struct writing *w)
+{
+    for (uint32_t t = 0; t < w->mesh->triangle_count; t++) {
+        const uint32_t *triangle = w->mesh->triangles[t];
+        double a[3], b[3];
+        edge_of(w->mesh, triangle[0], triangle[1], a);
+        edge_of(w->mesh, triangle[0], triangle[2], b);
+        bsq_crossd(a, b, w->faces[t]);
+        make_unit(w->faces[t]);
+    }
+}
+
+static void list_corners(struct writing *w)
+{
+    const struct vox_mesh *mesh = w->mesh;
+    for (uint32_t c = 0; c < 3 * mesh->triangle_count; c++)
+        w->starts[mesh->triangles[c / 3][c % 3] + 1]++;
+    for (uint32_t v = 0; v < mesh->vertex_count; v++)
+        w->starts[v + 1] += w->starts[v];
+    for (uint32_t c = 3 * mesh->triangle_count; c-- > 0;)
+        w->corners[--w->starts[mesh->triangles[c / 3][c % 3] + 1]] = c;
+    /* Now starts[v + 1] is where v begins. */
+    memmove(w->starts, w->starts + 1, mesh->vertex_count * sizeof *w->starts);
+    w->starts[mesh->vertex_count] = 3 * mesh->triangle_count;
+}
+
+/* Sets the normal of a corner of a vertex. */
+static void corner_normal(const struct writing *w, uint32_t vertex, uint32_t corner, float out[3])
+{
+    const double *face = w->faces[corner / 3];
+    double sum[3] = {0, 0, 0};
+    for (uint32_t i = w->starts[vertex]; i < w->starts[vertex + 1]; i++) {
+        const double *other = w->faces[w->corners[i] / 3];
+        if (bsq_dotd(face, other) < w->least_cosine && other != face)
+            continue;
+        const double angle = angle_at(w->mesh, w->corners[i]);
+        for (int k = 0; k < 3; k++)
+            sum[k] += angle * other[k];
+    }
+    const double square = bsq_dotd(sum, sum);
+    make_unit(sum);
+    /* The triangles of a fold have no common normal. */
+    for (int k = 0; k < 3; k++)
+        out[k] = (float)(square > 1e-12 ? sum[k] : face[k]);
+}
+
+static void shade(struct writing *w)
+{
+    for (uint32_t v = 0; v < w->mesh->vertex_count; v++) {
+        const uint32_t first = w->shaded_count;
+        for (uint32_t i = w->starts[v]; i < w->starts[v + 1]; i++) {
+            struct shaded *entry = &w->shaded[w->shaded_count];
+            uint32_t same = first;
+            *entry = (struct shaded){.vertex = v};
+            corner_normal(w, v, w->corners[i], entry->normal);
+            while (memcmp(w->shaded[same].normal, entry->normal, sizeof entry->normal) != 0)
+                same++;
+            w->shaded_of[w->corners[i]] = same;
+            w->shaded_count += same == w->shaded_count;
+        }
+    }
+}
+
+/* ---- files ---- */
+
+static int flush(struct writing *w)
+{
+    const size_t used = w->used;
+    w->used = 0;
+    return bsq_output_write(w->output, w->buffer, used);
+}
+
+/* Makes space for a line, or for bytes of one. */
+static int make_space(struct writing *w)
+{
+    return w->used > BUFFER_BYTES - LINE_BYTES ? flush(w) : 0;
+}
+
+static void put(struct writing *w, const void *bytes, size_t size)
+{
+    memcpy(w->buffer + w->used, bytes, size);
+    w->used += size;
+}
+
+__attribute__((format(printf, 2, 3))) static void put_text(struct writing *w, const char *format,
+                                                           ...)
+{
+    va_list values;
+    va_start(values, format);
+    w->used += (size_t)vsnprintf(w->buffer + w->used, LINE_BYTES, format, values);
+    va_end(values);
+}
+
+/* Digits that give a float back, or a sum of an origin and a float to about that precision. */
+static int digits(double origin)
+{
+    return origin != 0 ? 15 : 9;
+}
+
+static int write_obj(struct writing *w)
+{
+    const struct vox_mesh *mesh = w->mesh;
+    const double *o = w->origin;
+    int status = 0;
+    for (uint32_t v = 0; v < mesh->vertex_count; v++) {
+        const float *p = mesh->positions[v];
+        BSQ_TRY(make_space(w));
+        put_text(w, "v %.*g %.*g %.*g\n", digits(o[0]), o[0] + (double)p[0], digits(o[1]),
+                 o[1] + (double)p[1], digits(o[2]), o[2] + (double)p[2]);
+    }
+    for (uint32_t i = 0; i < w->shaded_count; i++) {
+        const float *n = w->shaded[i].normal;
+        BSQ_TRY(make_space(w));
+        put_text(w, "vn %.7g %.7g %.7g\n", (double)n[0], (double)n[1], (double)n[2]);
+    }
+    for (uint32_t t = 0; t < mesh->triangle_count; t++) {
+        const uint32_t *v = mesh->triangles[t], *n = &w->shaded_of[3 * (size_t)t];
+        BSQ_TRY(make_space(w));
+        put_text(w, "f %u//%u %u//%u %u//%u\n", v[0] + 1, n[0] + 1, v[1] + 1, n[1] + 1, v[2] + 1,
+                 n[2] + 1);
+    }
+    status = flush(w);
+done:
+    return status;
+}
+
+/* Positions are doubles if there is an origin, so that they keep their detail. */
+static int write_ply(struct writing *w)
+{
+    const struct vox_mesh *mesh = w->mesh;
+    const bool wide = w->origin[0] != 0 || w->origin[1] != 0 || w->origin[2] != 0;
+    const char *type = wide ? "double" : "float";
+    const uint8_t three = 3;
+    int status = 0;
+    put_text(w, "ply\nformat binary_little_endian 1.0\nelement vertex %u\n", w->shaded_count);
+    put_text(w, "property %s x\nproperty %s y\nproperty %s z\n", type, type, type);
+    put_text(w, "property float nx\nproperty float ny\nproperty float nz\nelement face %u\n",
+             mesh->triangle_count);
+    put_text(w, "property list uchar uint vertex_indices\nend_header\n");
+    for (uint32_t i = 0; i < w->shaded_count; i++) {
+        const float *p = mesh->positions[w->shaded[i].vertex];
+        BSQ_TRY(make_space(w));
+        for (int k = 0; k < 3; k++) {
+            const double world = w->origin[k] + (double)p[k];
+            put(w, wide ? (const void *)&world : &p[k], wide ? sizeof world : sizeof p[k]);
+        }
+        put(w, w->shaded[i].normal, sizeof w->shaded[i].normal);
+    }
+    for (uint32_t t = 0; t < mesh->triangle_count; t++) {
+        BSQ_TRY(make_space(w));
+        put(w, &three, 1);
+        put(w, &w->shaded_of[3 * (size_t)t], 3 * sizeof *w->shaded_of);
+    }
+    status = flush(w);
+done:
+    return status;
+}
+
+static const char *ending_of(const char *path)
+{
+    const size_t length = strlen(path);
+    return path + (length > 4 ? length - 4 : length);
+}
+
+bool vox_mesh_path_is_known(const char *path)
+{
+    return strcasecmp(ending_of(path), ".obj") == 0 || strcasecmp(ending_of(path), ".ply") == 0;
+}
+
+int vox_write_mesh(struct bsq_ctx *ctx, const char *path, const struct vox_mesh *mesh,
+                   const double origin[3], double hard_angle, struct bsq_output **out)
+{
+    static const char what[] = "writing a mesh";
+    const uint64_t corners = 3 * (uint64_t)mesh->triangle_count;
+    struct writing w = {.ctx = ctx,
+                        .mesh = mesh,
+                        .origin = origin,
+                        .least_cosine = cos(hard_angle * 3.14159265358979323846 / 180)};
+    int status = 0;
+    BSQ_TRY(bsq_output_open(ctx, path, &w.output));
+    BSQ_TRY(bsq_alloc(ctx, what, mesh->triangle_count, sizeof *w.faces, &w.faces));
+    BSQ_TRY(bsq_calloc(ctx, what, (uint64_t)mesh->vertex_count + 1, sizeof *w.starts, &w.starts));
+    BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.corners, &w.corners));
+    BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.shaded, &w.shaded));
+    BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.shaded_of, &w.shaded_of));
+    BSQ_TRY(bsq_alloc(ctx, what, BUFFER_BYTES, 1, &w.buffer));
+    face_normals(&w);
+    list_corners(&w);
+    shade(&w);
+    status = strcasecmp(ending_of(path), ".ply") == 0 ? write_ply(&w) : write_obj(&w);
+done:
+    bsq_free(ctx, w.buffer);
+    bsq_free(ctx, w.shaded_of);
+    bsq_free(ctx, w.shaded);
+    bsq_free(ctx, w.corners);
+    bsq_free(ctx, w.starts);
+    bsq_free(ctx, w.faces);
+    if (status < 0)
+        bsq_output_discard(w.output);
+    else
+        *out = w.output;
+    return status;
+}

@@ -1,0 +1,129 @@
+#!/bin/sh
+# test_simplify.sh - bisque-simplify, and bisque-compare of a mesh with its scan: results and their
+# measured distances, the same bytes on any machine, messages, and signals.
+. "$(dirname "$0")/lib.sh"
+
+p=bisque-simplify:
+help_and_man_page bisque-simplify
+
+# ---- results ----
+
+triangles=120000
+sanitized && triangles=40000
+"$TESTS/generate-scan" --triangles $triangles vase -o vase.obj
+ok run bisque-voxelize vase.obj -o vase.tris
+ok run bisque-simplify vase.tris -o low.obj --triangles 3000 --json
+json '.meshes | length == 1'
+json '.meshes[0] | .triangles <= 3000 and .triangles > 2990 and .target == 3000'
+json '.diagonal as $d | .meshes[0] | .from_scan.mean < 0.001 * $d and .from_scan.max < 0.01 * $d'
+json '.meshes[0] | .to_scan.max < 2 * .from_scan.max and .from_scan.p99 <= .from_scan.max'
+[ "$(grep -c '^f ' low.obj)" = "$(jq '.meshes[0].triangles' "$out")" ] &&
+    [ "$(grep -c '^v ' low.obj)" = "$(jq '.meshes[0].vertices' "$out")" ]
+check "the file has the triangles and vertices of the report" $?
+jq '.meshes[0] | {from_scan, to_scan}' "$out" >measured
+
+# Others that read the mesh see the same distances, up to the rounding of its text.
+ok run bisque-compare low.obj vase.tris --json
+jq -e --slurpfile m measured 'def near($a; $b): ($a - $b) * ($a - $b) <= 1e-6 * $b * $b;
+    near(.from_scan.mean; $m[0].from_scan.mean) and near(.from_scan.max; $m[0].from_scan.max) and
+    (.to_scan.mean / $m[0].to_scan.mean - 1 | fabs) < 0.05' "$out" >/dev/null
+check "bisque-compare measures the same" $?
+ok run bisque-compare low.obj vase.tris --max-error 1
+run bisque-compare low.obj vase.tris --max-mean 1e-9
+code 1
+grep -q 'mean .* is above --max-mean 1e-09' "$err"
+check "a limit that does not hold is named" $?
+run bisque-compare low.obj vase.tris --min-psnr 20
+refused 64 "bisque-compare: --min-psnr is for maps, not for a mesh and a scan"
+
+# Threads and memory do not show; nor does whether the scan was sorted before.
+ok run bisque-simplify vase.tris -o one.ply --triangles 2000 --threads 1 --memory 64M
+ok run bisque-simplify vase.tris -o more.ply --triangles 2000 --threads 5 --memory 1G
+ok run bisque-simplify vase.obj -o mesh.ply --triangles 2000
+same one.ply more.ply
+same one.ply mesh.ply
+
+# Several levels in one run; each is one of the next larger one.
+ok run bisque-simplify vase.tris -o 'lod_<N>.ply' --triangles 500,4000,2000 --json
+json '.meshes | map(.target) == [4000, 2000, 500]'
+json '[.meshes[].from_scan.mean] | .[0] < .[1] and .[1] < .[2]'
+for n in 4000 2000 500; do
+    faces=$(sed -n '/^element face /s///p;/^end_header/q' lod_$n.ply)
+    [ "$faces" -le $n ] && [ "$faces" -gt $((n * 98 / 100)) ]
+    check "lod_$n.ply has about $n triangles" $?
+done
+
+# An error is kept, as another program measures it.
+diagonal=$(jq .diagonal "$out")
+error=$(echo "$diagonal" | awk '{ printf "%.6g", $1 * 0.003 }')
+ok run bisque-simplify vase.tris -o error.ply --error "$error" --json
+json ".meshes[0] | .from_scan.max <= $error and .to_scan.max <= $error and .target == 0"
+found=$(jq '.meshes[0].triangles' "$out")
+ok run bisque-compare error.ply vase.tris --max-error "$error"
+ok run bisque-simplify vase.tris -o less.ply --triangles $((found * 9 / 10)) --json
+json "[.meshes[0] | .from_scan.max, .to_scan.max] | max > $error * 0.9"
+
+# ---- pieces and edges ----
+
+# A cube of 12 triangles and a far smaller one.
+cube()
+{
+    for z in 0 1; do for y in 0 1; do for x in 0 1; do
+        echo "$x $y $z" | awk -v s="$1" -v o="$2" '{ print "v", o + s * $1, s * $2, s * $3 }'
+    done; done; done
+    for f in '1 3 4 2' '5 6 8 7' '1 2 6 5' '3 7 8 4' '1 5 7 3' '2 4 8 6'; do
+        echo "f $f" | awk -v n="$3" '{ print "f", n + $2, n + $3, n + $4, n + $5 }'
+    done
+}
+{ cube 1 0 0; cube 0.01 3 8; } >cubes.obj
+ok run bisque-simplify cubes.obj -o cubes_low.obj --triangles 24 --hard-angle 60 --json
+json '.dropped_pieces == 0 and .meshes[0].triangles == 24'
+[ "$(grep -c '^vn' cubes_low.obj)" -eq 48 ]
+check "corners of a cube have three normals each" $?
+ok run bisque-simplify cubes.obj -o cubes_low.obj --triangles 24 --min-component 5 --json
+json '.dropped_pieces == 1 and .dropped_triangles == 12 and .meshes[0].triangles == 12'
+[ "$(grep -c '^vn' cubes_low.obj)" -eq 8 ]
+check "without hard edges, corners of a cube have one normal each" $?
+ok run bisque-simplify cubes.obj -o cubes_low.obj --triangles 4
+grep -q "^$p warning: cubes_low.obj: 8 triangles instead of 4: " "$err"
+check "a target that cannot be reached is told" $?
+
+# Far from the origin, positions keep their detail.
+awk '$1 == "v" { $2 = 500000 + $2 } 1' OFMT=%.12g CONVFMT=%.12g vase.obj >far.obj
+ok run bisque-simplify far.obj -o far_low.obj --triangles 2000 --json
+json '.diagonal as $d | .meshes[0].from_scan.mean < 0.002 * $d'
+ok run bisque-voxelize far.obj -o far.tris
+ok run bisque-compare far_low.obj far.tris --max-mean "$(echo "$diagonal" | awk '{ print $1 * 0.002 }')"
+
+# ---- messages ----
+
+run bisque-simplify vase.tris -o low.stl --triangles 100
+refused 64 "$p low.stl: the name of a mesh must end in .obj or .ply"
+run bisque-simplify vase.tris -o low.obj
+refused 64 "$p either --triangles or --error is needed"
+run bisque-simplify vase.tris -o low.obj --triangles 100 --error 1
+refused 64 "$p either --triangles or --error is needed"
+run bisque-simplify vase.tris -o low.obj --triangles 100,x
+refused 64 "$p --triangles: \"100,x\" is not a list of numbers of 4 or more"
+run bisque-simplify vase.tris -o low.obj --triangles 100,100
+refused 64 "$p --triangles: 100 twice"
+run bisque-simplify vase.tris -o low.obj --triangles 200,100
+refused 64 "$p low.obj: the name of 2 meshes must contain <N>"
+run bisque-simplify none.tris -o low.obj --triangles 200
+refused_like 66 '^bisque-simplify: none.tris: '
+run bisque-simplify vase.obj -o vase.obj --triangles 200
+refused_like 64 'vase.obj'
+run bisque-simplify vase.tris -o cubes.obj --error 1e-30
+refused_like 65 "^$p --error: 1e-30 cannot be kept: "
+head -c 3000 vase.tris >cut.tris
+run bisque-simplify cut.tris -o low.ply --triangles 200
+refused_like 65 '^bisque-simplify: cut.tris: '
+[ ! -e low.ply ]
+check "a failed run leaves no mesh" $?
+
+interrupted TERM measuring bisque-simplify vase.tris -o late.obj --triangles 50000
+interrupted INT 'collapsing edges' bisque-simplify vase.tris -o late.obj --triangles 2000
+[ ! -e late.obj ]
+check "an interrupted run leaves no mesh" $?
+
+finish

@@ -1,0 +1,261 @@
+/* Tests edge collapse on closed, open and broken meshes: topology, volume, borders, and what must
+ * not move; and the welding before it. */
+#include "libvoxel/simplify/collapse.h"
+#include "tests/unit/test.h"
+
+#define PI 3.14159265358979323846
+
+static struct bsq_ctx *ctx;
+
+static int set_up(void **state)
+{
+    (void)state;
+    ctx = test_context(1, 0);
+    return 0;
+}
+static int tear_down(void **state)
+{
+    (void)state;
+    test_context_end(ctx);
+    return 0;
+}
+
+/* Makes a mesh of n x n squares, two triangles each, whose rows and columns close if `closed`. */
+static struct vox_mesh make_grid(uint32_t n, bool closed, void (*place)(double, double, float *))
+{
+    const uint32_t side = closed ? n : n + 1;
+    struct vox_mesh mesh;
+    assert_int_equal(vox_mesh_allocate(ctx, side * side, 2 * n * n, true, &mesh), 0);
+    for (uint32_t y = 0; y < side; y++)
+        for (uint32_t x = 0; x < side; x++)
+            place((double)x / n, (double)y / n, mesh.positions[y * side + x]);
+    uint32_t(*out)[3] = mesh.triangles;
+    for (uint32_t y = 0; y < n; y++)
+        for (uint32_t x = 0; x < n; x++) {
+            const uint32_t right = (x + 1) % side, up = (y + 1) % side;
+            const uint32_t a = y * side + x, b = y * side + right, c = up * side + x,
+                           d = up * side + right;
+            memcpy(out++, (uint32_t[3]){a, b, d}, sizeof *out);
+            memcpy(out++, (uint32_t[3]){a, d, c}, sizeof *out);
+        }
+    return mesh;
+}
+
+static void on_torus(double x, double y, float *p)
+{
+    const double r = 3 + cos(2 * PI * y);
+    p[0] = (float)(r * cos(2 * PI * x));
+    p[1] = (float)(r * sin(2 * PI * x));
+    p[2] = (float)sin(2 * PI * y);
+}
+static void on_plane(double x, double y, float *p)
+{
+    p[0] = (float)(4 * x);
+    p[1] = (float)(4 * y);
+    p[2] = 0.5f;
+}
+
+static void collapse(struct vox_mesh *mesh, enum vox_collapse_measure measure, bool lock,
+                     uint32_t target)
+{
+    const struct vox_collapse_options options = {target, measure, lock, false};
+    vox_mesh_set_quadrics(mesh);
+    assert_int_equal(vox_collapse(ctx, &options, mesh), 0);
+}
+
+struct figures {
+    unsigned edges, borders, crowded; /* with one triangle; with more than two */
+    double volume, area;
+};
+
+static int compare_edges(const void *a, const void *b)
+{
+    return memcmp(a, b, 2 * sizeof(uint32_t));
+}
+
+static struct figures describe(const struct vox_mesh *mesh)
+{
+    struct figures f = {0};
+    const unsigned count = 3 * mesh->triangle_count;
+    uint32_t(*edges)[2] = malloc(count * sizeof *edges);
+    assert_non_null(edges);
+    for (unsigned i = 0; i < count; i++) {
+        const uint32_t *t = mesh->triangles[i / 3], a = t[i % 3], b = t[(i + 1) % 3];
+        assert_true(a != b && a < mesh->vertex_count && b < mesh->vertex_count);
+        edges[i][0] = a < b ? a : b;
+        edges[i][1] = a < b ? b : a;
+    }
+    qsort(edges, count, sizeof *edges, compare_edges);
+    for (unsigned i = 0, same; i < count; i += same) {
+        for (same = 1; i + same < count && compare_edges(edges[i], edges[i + same]) == 0; same++)
+            ;
+        f.edges++;
+        f.borders += same == 1;
+        f.crowded += same > 2;
+    }
+    free(edges);
+    for (uint32_t t = 0; t < mesh->triangle_count; t++) {
+        const float *a = mesh->positions[mesh->triangles[t][0]],
+                    *b = mesh->positions[mesh->triangles[t][1]],
+                    *c = mesh->positions[mesh->triangles[t][2]];
+        double n[3];
+        for (int k = 0; k < 3; k++) {
+            const int i = (k + 1) % 3, j = (k + 2) % 3;
+            n[k] = ((double)b[i] - a[i]) * ((double)c[j] - a[j]) -
+                   ((double)b[j] - a[j]) * ((double)c[i] - a[i]);
+        }
+        f.volume += (a[0] * n[0] + a[1] * n[1] + a[2] * n[2]) / 6;
+        f.area += sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) / 2;
+    }
+    return f;
+}
+
+/* A torus stays one, down to the fewest triangles that a torus can have (7 vertices, 14 triangles,
+ * Csaszar), or nearly so. */
+TEST(tori_stay_tori)
+{
+    static const uint32_t targets[] = {2000, 300, 4};
+    for (int measure = 0; measure < 2; measure++) {
+        struct vox_mesh mesh = make_grid(60, true, on_torus);
+        const double volume = describe(&mesh).volume;
+        for (int i = 0; i < 3; i++) {
+            collapse(&mesh, (enum vox_collapse_measure)measure, false, targets[i]);
+            const struct figures f = describe(&mesh);
+            assert_int_equal(mesh.vertex_count + mesh.triangle_count, f.edges);
+            assert_int_equal(f.borders + f.crowded, 0);
+            if (i < 2)
+                assert_in_range(mesh.triangle_count, targets[i] - 1, targets[i]);
+            else
+                assert_in_range(mesh.triangle_count, 14, 60);
+            if (i < 2)
+                assert_true(fabs(f.volume / volume - 1) < (measure == 1 ? 1e-6 : 0.05));
+        }
+        vox_mesh_free(ctx, &mesh);
+    }
+}
+
+/* A flat square with a border becomes two triangles with the same corners. */
+TEST(flat_squares_keep_their_outline)
+{
+    for (int measure = 0; measure < 2; measure++) {
+        struct vox_mesh mesh = make_grid(24, false, on_plane);
+        collapse(&mesh, (enum vox_collapse_measure)measure, false, 2);
+        const struct figures f = describe(&mesh);
+        assert_in_range(mesh.triangle_count, 2, 8);
+        assert_true(fabs(f.area - 16) < 1e-3);
+        for (uint32_t v = 0; v < mesh.vertex_count; v++)
+            assert_true(fabsf(mesh.positions[v][2] - 0.5f) < 1e-6f);
+        vox_mesh_free(ctx, &mesh);
+    }
+}
+
+TEST(locked_borders_stay)
+{
+    enum { N = 20 };
+    struct vox_mesh mesh = make_grid(N, false, on_plane);
+    collapse(&mesh, VOX_COLLAPSE_CARRIED, true, 2);
+    unsigned on_border = 0;
+    for (uint32_t v = 0; v < mesh.vertex_count; v++)
+        for (int k = 0; k < 4 * N; k++) { /* the places of the border */
+            const float at = (float)(4.0 * (k % N) / N), back = (float)(4.0 * (N - k % N) / N);
+            const float x = k < N ? at : k < 2 * N ? 4 : k < 3 * N ? back : 0;
+            const float y = k < N ? 0 : k < 2 * N ? at : k < 3 * N ? 4 : back;
+            on_border += mesh.positions[v][0] == x && mesh.positions[v][1] == y;
+        }
+    assert_int_equal(on_border, 4 * N);
+    assert_int_equal(describe(&mesh).borders, 4 * N);
+    assert_true(mesh.triangle_count < 2 * 4 * N);
+    vox_mesh_free(ctx, &mesh);
+}
+
+/* Three sheets that meet at an edge keep that edge as it is. */
+TEST(crowded_edges_stay)
+{
+    enum { N = 8 };
+    struct vox_mesh sheet = make_grid(N, false, on_plane), mesh;
+    assert_int_equal(
+        vox_mesh_allocate(ctx, 3 * sheet.vertex_count, 3 * sheet.triangle_count, true, &mesh), 0);
+    for (uint32_t s = 0; s < 3; s++) {
+        for (uint32_t v = 0; v < sheet.vertex_count; v++) { /* turned around the line y = 0 */
+            const float y = sheet.positions[v][1];
+            float *p = mesh.positions[s * sheet.vertex_count + v];
+            p[0] = sheet.positions[v][0];
+            p[1] = s == 0 ? y : s == 1 ? 0 : -y;
+            p[2] = s == 1 ? y : 0;
+        }
+        for (uint32_t t = 0; t < sheet.triangle_count; t++)
+            for (int k = 0; k < 3; k++)
+                mesh.triangles[s * sheet.triangle_count + t][k] =
+                    s * sheet.vertex_count + sheet.triangles[t][k];
+    }
+    vox_mesh_set_quadrics(&mesh);
+    assert_int_equal(vox_mesh_weld(ctx, &mesh), 0);
+    assert_int_equal(mesh.vertex_count, 3 * sheet.vertex_count - 2 * (N + 1));
+    assert_int_equal(describe(&mesh).crowded, N);
+    collapse(&mesh, VOX_COLLAPSE_MEMORYLESS, false, 4);
+    assert_int_equal(describe(&mesh).crowded, N);
+    unsigned kept = 0;
+    for (uint32_t v = 0; v < mesh.vertex_count; v++)
+        kept += mesh.positions[v][1] == 0.0f && mesh.positions[v][2] == 0.0f;
+    assert_int_equal(kept, N + 1);
+    vox_mesh_free(ctx, &mesh);
+    vox_mesh_free(ctx, &sheet);
+}
+
+/* Closed bodies that cannot lose an edge stay whole. */
+TEST(tetrahedra_stay)
+{
+    static const float corners[4][3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+    static const uint32_t faces[4][3] = {{0, 2, 1}, {0, 1, 3}, {0, 3, 2}, {1, 2, 3}};
+    struct vox_mesh mesh;
+    assert_int_equal(vox_mesh_allocate(ctx, 4, 4, true, &mesh), 0);
+    memcpy(mesh.positions, corners, sizeof corners);
+    memcpy(mesh.triangles, faces, sizeof faces);
+    collapse(&mesh, VOX_COLLAPSE_MEMORYLESS, false, 1);
+    assert_int_equal(mesh.triangle_count, 4);
+    assert_memory_equal(mesh.positions, corners, sizeof corners);
+    vox_mesh_free(ctx, &mesh);
+}
+
+/* Equal positions become one vertex, both zeros too; triangles without three corners and repeated
+ * ones go. */
+TEST(welding)
+{
+    static const float positions[7][3] = {{0, 0, 0},     {1, 0, 0}, {0, 1, 0}, {-0.0f, 0, 0},
+                                          {1, -0.0f, 0}, {0, 1, 0}, {0, 0, 2}};
+    static const uint32_t triangles[5][3] = {{0, 1, 2}, {3, 5, 4}, {0, 3, 6}, {3, 1, 6}, {5, 3, 4}};
+    struct vox_mesh mesh;
+    assert_int_equal(vox_mesh_allocate(ctx, 7, 5, true, &mesh), 0);
+    memcpy(mesh.positions, positions, sizeof positions);
+    memcpy(mesh.triangles, triangles, sizeof triangles);
+    vox_mesh_set_quadrics(&mesh);
+    const double before = mesh.quadrics[0].a[5] + mesh.quadrics[3].a[5];
+    assert_int_equal(vox_mesh_weld(ctx, &mesh), 0);
+    assert_int_equal(mesh.vertex_count, 4);
+    assert_int_equal(mesh.triangle_count, 2);
+    assert_memory_equal(mesh.triangles[1], ((uint32_t[3]){0, 1, 3}), sizeof(uint32_t[3]));
+    assert_true(mesh.quadrics[0].a[5] == before);
+    vox_mesh_free(ctx, &mesh);
+}
+
+/* Every allocation may fail: then there is one error, and nothing leaks. */
+TEST(memory_runs_out)
+{
+    for (uint64_t budget = 4096;; budget += 40000) {
+        struct bsq_ctx *small = test_context(1, budget), *large = ctx;
+        struct vox_mesh mesh = make_grid(30, true, on_torus);
+        const struct vox_collapse_options options = {100, VOX_COLLAPSE_MEMORYLESS, false, false};
+        ctx = small;
+        const int status = vox_collapse(ctx, &options, &mesh);
+        const int welded = vox_mesh_weld(ctx, &mesh);
+        ctx = large;
+        assert_true(status == 0 || status == BSQ_ENOMEM);
+        assert_true(welded == 0 || welded == BSQ_ENOMEM);
+        vox_mesh_free(ctx, &mesh);
+        test_context_end(small);
+        if (status == 0 && welded == 0)
+            return;
+    }
+}
+
+RUN_TESTS(set_up, tear_down)

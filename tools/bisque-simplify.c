@@ -1,0 +1,283 @@
+/* bisque-simplify.c - makes low-poly meshes of a scan, and says how far they are from it. */
+#include <errno.h>
+#include <float.h>
+#include <inttypes.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "base/job_files.h"
+#include "formats/file_kind.h"
+#include "libvoxel/voxel.h"
+#include "tools/cli.h"
+
+static const char usage[] =
+    "Usage: bisque-simplify [OPTION]... SCAN.tris... -o LOW.obj --triangles N\n"
+    "       bisque-simplify [OPTION]... SCAN.obj... -o LOW.obj --error D\n"
+    "       bisque-simplify [OPTION]... SCAN.tris... -o LOD_<N>.obj --triangles N,N,...\n"
+    "Makes a low-poly mesh of a scan of any size by edge collapse, and measures how far it is from\n"
+    "all of the scan, both ways. Colours, texture coordinates and materials are left out. Meshes are\n"
+    "sorted first; keep the chunk file (bisque-voxelize -o SCAN.tris) to simplify again.\n";
+
+struct arguments {
+    struct vox_simplify_options simplify;
+    uint64_t targets[VOX_LEVELS_MAX];
+    const char *output;
+    char *paths[VOX_LEVELS_MAX];
+    const char **meshes, **chunks; /* inputs by their kind */
+    uint32_t mesh_count;
+};
+
+/* ---- arguments ---- */
+
+#define OPTION(name_, argument_, help_) .name = name_, .argument = argument_, .help = help_
+#define MEMBER(kind, member)            BSQ_MEMBER(kind, struct arguments, member)
+
+static const struct bsq_option rows[] = {
+    {OPTION("output", "FILE",
+            "the mesh, .obj or .ply; with several numbers of triangles its name\n"
+            "must contain <N>, which is replaced by them"),
+     .letter = 'o', .heading = "Mesh", MEMBER(OUTPUT, output)},
+    {OPTION("triangles", "LIST", "triangles of the mesh, or of several meshes: 150000,20000,2000"),
+     .own_syntax = true, .kind = BSQ_OPTION_NONE},
+    {OPTION("error", "D",
+            "instead: the smallest mesh that is nowhere farther from the scan\n"
+            "than D, nor the scan from it, in the scan's units (default: none)"),
+     MEMBER(NUMBER, simplify.error), BSQ_RANGE(0, DBL_MAX, 0), .positive = true},
+    {OPTION("min-component", "P",
+            "drop separate pieces smaller than P % of the scan, by diagonals"),
+     MEMBER(NUMBER, simplify.min_component), BSQ_RANGE(0, 100, 0)},
+    {OPTION("hard-angle", "DEG", "edges with a larger angle than this look sharp"),
+     MEMBER(NUMBER, simplify.hard_angle), BSQ_RANGE(0, 180, 180)},
+};
+static const struct bsq_option cli_rows[] = {CLI_TMPDIR_ROW, CLI_STRICT_ROW};
+enum { ROWS = sizeof rows / sizeof *rows };
+
+static int compare_falling(const void *a, const void *b)
+{
+    const uint64_t x = *(const uint64_t *)a, y = *(const uint64_t *)b;
+    return x < y ? 1 : x > y ? -1 : 0;
+}
+
+/* Reads the list of --triangles. */
+static int take_option(struct cli *cli, void *arguments_, const struct bsq_option *row,
+                       const char *text)
+{
+    struct arguments *arguments = arguments_;
+    uint32_t count = 0;
+    for (const char *at = text;; at++) {
+        char *end;
+        errno = 0;
+        const unsigned long long value = strtoull(at, &end, 10);
+        if (*at < '0' || *at > '9' || errno || value < 4 || (*end && *end != ','))
+            return cli_usage(cli, "--%s: \"%s\" is not a list of numbers of 4 or more", row->name,
+                             text);
+        if (count == VOX_LEVELS_MAX)
+            return cli_usage(cli, "--%s: more than %d numbers", row->name, VOX_LEVELS_MAX);
+        arguments->targets[count++] = value;
+        at = end;
+        if (!*at)
+            break;
+    }
+    qsort(arguments->targets, count, sizeof *arguments->targets, compare_falling);
+    for (uint32_t i = 1; i < count; i++)
+        if (arguments->targets[i] == arguments->targets[i - 1])
+            return cli_usage(cli, "--%s: %" PRIu64 " twice", row->name, arguments->targets[i]);
+    arguments->simplify.target_count = count;
+    return 0;
+}
+
+/* Makes the name of each output. */
+static int name_outputs(struct cli *cli, struct arguments *arguments)
+{
+    const uint32_t count =
+        arguments->simplify.target_count > 0 ? arguments->simplify.target_count : 1;
+    const char *token = strstr(arguments->output, "<N>");
+    if (count > 1 && !token)
+        return cli_usage(cli, "%s: the name of %u meshes must contain <N>", arguments->output,
+                         count);
+    for (uint32_t i = 0; i < count; i++) {
+        const int before =
+            token ? (int)(token - arguments->output) : (int)strlen(arguments->output);
+        char number[32] = "";
+        if (token && arguments->simplify.target_count > 0)
+            snprintf(number, sizeof number, "%" PRIu64, arguments->targets[i]);
+        if (asprintf(&arguments->paths[i], "%.*s%s%s", before, arguments->output, number,
+                     token ? token + 3 : "") < 0) {
+            arguments->paths[i] = NULL;
+            return bsq_fail_errno(cli->ctx, BSQ_ENOMEM, ENOMEM, "%s", arguments->output);
+        }
+    }
+    arguments->simplify.output_paths = (const char *const *)arguments->paths;
+    return 0;
+}
+
+static int parse_arguments(struct cli *cli, struct arguments *arguments, int argc, char **argv)
+{
+    const struct cli_command command = {
+        .usage = usage,
+        .tables = {{rows, ROWS, arguments, NULL},
+                   {cli_rows, sizeof cli_rows / sizeof *cli_rows, cli, NULL}},
+        .take = take_option,
+        .arguments = arguments};
+    vox_simplify_defaults(&arguments->simplify);
+    bsq_options_defaults(rows, ROWS, arguments);
+    const int status = cli_parse(cli, &command, argc, argv);
+    if (status != 0)
+        return status;
+    arguments->simplify.targets = arguments->targets;
+    arguments->simplify.min_component /= 100;
+    if (argc == optind)
+        return cli_usage(cli, "no input file given (see --help)");
+    if (!arguments->output)
+        return cli_usage(cli, "no output file given: -o LOW.obj");
+    if ((arguments->simplify.target_count > 0) == (arguments->simplify.error > 0))
+        return cli_usage(cli, "either --triangles or --error is needed");
+    return 0;
+}
+
+/* ---- the work ---- */
+
+/* Finds out which inputs are meshes and which are chunk files. */
+static int recognise_inputs(struct cli *cli, struct arguments *arguments, char **inputs,
+                            uint32_t count)
+{
+    int status = 0;
+    arguments->meshes = calloc(count, sizeof *arguments->meshes);
+    arguments->chunks = calloc(count, sizeof *arguments->chunks);
+    if (!arguments->meshes || !arguments->chunks)
+        return bsq_fail_errno(cli->ctx, BSQ_ENOMEM, ENOMEM, "%s", inputs[0]);
+    for (uint32_t i = 0; i < count; i++) {
+        const char *path = inputs[i];
+        enum fmt_kind kind = FMT_KIND_MESH;
+        BSQ_TRY(cli_map_input(cli, &path));
+        BSQ_TRY(fmt_recognise(cli->ctx, path, &kind));
+        if (kind != FMT_KIND_PIPE)
+            BSQ_TRY(bsq_note_input(cli->ctx, path, "the scan"));
+        if (kind == FMT_KIND_NVDB || kind == FMT_KIND_VDB)
+            return bsq_fail(cli->ctx, BSQ_EDATA,
+                            "%s: a grid has no triangles; give the scan or its chunk file (.tris)",
+                            path);
+        if (kind == FMT_KIND_TRIS)
+            arguments->chunks[arguments->simplify.tris_count++] = path;
+        else
+            arguments->meshes[arguments->mesh_count++] = path;
+    }
+    arguments->simplify.tris_paths = arguments->chunks;
+done:
+    return status;
+}
+
+/* Sorts the meshes into a temporary chunk file. */
+static int sort_meshes(struct cli *cli, const struct arguments *arguments,
+                       struct vox_temp_tris *temp)
+{
+    struct vox_sort_options options;
+    struct vox_sort_report report;
+    vox_sort_defaults(&options);
+    options.scan_paths = arguments->meshes;
+    options.scan_count = arguments->mesh_count;
+    options.tris_path = arguments->paths[0];
+    options.temp_tris = temp;
+    return vox_sort(cli->ctx, &options, &report);
+}
+
+/* ---- results ---- */
+
+static void warn_of_targets(struct cli *cli, const struct arguments *arguments,
+                            const struct vox_simplify_report *report)
+{
+    for (uint32_t i = 0; i < report->level_count; i++) {
+        const struct vox_simplified *level = &report->levels[i];
+        if (level->target > 0 && level->triangles > level->target)
+            bsq_warn(cli->ctx,
+                     "%s: %" PRIu64 " triangles instead of %" PRIu64
+                     ": fewer would close holes or join pieces; --min-component drops small ones",
+                     arguments->paths[i], level->triangles, level->target);
+    }
+}
+
+static void print_report(const struct cli *cli, const struct arguments *arguments,
+                         const struct vox_simplify_report *report)
+{
+    char text[CLI_TEXT], more[CLI_TEXT];
+    cli_print("scan: %s, diagonal %g\n",
+              cli_counted_text(report->triangles, "triangle", "triangles", text), report->diagonal);
+    if (report->dropped_pieces > 0)
+        cli_print("left out: %s below --min-component\n",
+                  cli_counted_text(report->dropped_pieces, "piece", "pieces", text));
+    for (uint32_t i = 0; i < report->level_count; i++) {
+        const struct vox_simplified *level = &report->levels[i];
+        cli_print("%s: %s, %s\n", arguments->paths[i],
+                  cli_counted_text(level->triangles, "triangle", "triangles", text),
+                  cli_counted_text(level->vertices, "vertex", "vertices", more));
+        cli_print_distances("from the scan", &level->from_scan);
+        cli_print_distances("to the scan", &level->from_mesh);
+    }
+    cli_print("seconds: reduce %.2f, collapse %.2f, measure %.2f\n", report->seconds_reduce,
+              report->seconds_collapse, report->seconds_measure);
+    cli_print_cost(cli);
+}
+
+static int print_json(struct cli *cli, const struct arguments *arguments,
+                      const struct vox_simplify_report *report)
+{
+    json_t *levels = json_array();
+    for (uint32_t i = 0; i < report->level_count; i++) {
+        const struct vox_simplified *level = &report->levels[i];
+        cli_json_append(&levels, json_pack("{s:o, s:I, s:I, s:I, s:o, s:o}", "path",
+                                           cli_json_text(arguments->paths[i]), "target",
+                                           (json_int_t)level->target, "triangles",
+                                           (json_int_t)level->triangles, "vertices",
+                                           (json_int_t)level->vertices, "from_scan",
+                                           cli_distances_json(&level->from_scan), "to_scan",
+                                           cli_distances_json(&level->from_mesh)));
+    }
+    return cli_print_json(
+        cli, json_pack("{s:I, s:f, s:I, s:I, s:I, s:o, s:f, s:f, s:f}", "triangles",
+                       (json_int_t)report->triangles, "diagonal", report->diagonal,
+                       "dropped_pieces", (json_int_t)report->dropped_pieces, "dropped_triangles",
+                       (json_int_t)report->dropped_triangles, "temp_bytes",
+                       (json_int_t)report->temp_bytes, "meshes", levels, "seconds_reduce",
+                       report->seconds_reduce, "seconds_collapse", report->seconds_collapse,
+                       "seconds_measure", report->seconds_measure));
+}
+
+static int run(struct cli *cli, struct arguments *arguments, char **inputs, uint32_t input_count)
+{
+    struct vox_simplify_report report;
+    struct vox_temp_tris *temp = NULL;
+    int status = 0;
+    BSQ_TRY(cli_create_context(cli));
+    BSQ_TRY(name_outputs(cli, arguments));
+    BSQ_TRY(recognise_inputs(cli, arguments, inputs, input_count));
+    if (arguments->mesh_count > 0) {
+        BSQ_TRY(vox_temp_tris_create(cli->ctx, &temp));
+        BSQ_TRY(sort_meshes(cli, arguments, temp));
+        arguments->simplify.temp_tris = temp;
+    }
+    BSQ_TRY(vox_simplify(cli->ctx, &arguments->simplify, &report));
+    warn_of_targets(cli, arguments, &report);
+    if (cli->json)
+        status = print_json(cli, arguments, &report);
+    else
+        print_report(cli, arguments, &report);
+done:
+    vox_temp_tris_close(temp);
+    return status;
+}
+
+int main(int argc, char **argv)
+{
+    struct cli cli;
+    struct arguments arguments = {0};
+    cli_begin(&cli, "bisque-simplify", argv);
+    int status = parse_arguments(&cli, &arguments, argc, argv);
+    if (status == 0)
+        status = run(&cli, &arguments, argv + optind, (uint32_t)(argc - optind));
+    for (int i = 0; i < VOX_LEVELS_MAX; i++)
+        free(arguments.paths[i]);
+    free(arguments.meshes);
+    free(arguments.chunks);
+    return cli_end(&cli, status);
+}
