@@ -1,8 +1,8 @@
 /** @file
  * libbake: measures how far apart two texture maps are.
  *
- * Takes two OpenEXR files of the same size, and optional coverage masks. Gives the distribution of
- * the error over the texels, and on request two PNG pictures of it.
+ * Takes two images of the same size, OpenEXR, PNG or others, and optional coverage masks. Gives the
+ * distribution of the error over the texels, and on request two PNG pictures of it.
  *
  * @example compare_maps.c
  * Prints how far apart two maps are. */
@@ -17,24 +17,26 @@ extern "C" {
 
 /** What the values of the maps mean. It decides how the error of a texel is measured. */
 enum bake_compare_kind {
-    /** By the attribute "bisque:map" of map b; without one, by its channels and values. */
+    /** By the attribute "bisque:map" of map a or else b; without one, by channels and values. */
     BAKE_COMPARE_AUTO,
     /** R, G, B hold a unit normal n as n / 2 + 1/2. Error: the angle in degrees, 0 to 180. */
     BAKE_COMPARE_NORMAL,
-    /** R, G, B hold linear Rec. 709 light. Error: the CIEDE2000 difference, of which about 1 is
-     * just noticeable (Sharma, Wu and Dalal, "The CIEDE2000 Color-Difference Formula:
-     * Implementation Notes", Color Research and Application 30(1), 2005). */
+    /** R, G, B hold linear Rec. 709 light, which files of integers have as sRGB. Error: the
+     * CIEDE2000 difference, of which about 1 is just noticeable (Sharma, Wu and Dalal, "The
+     * CIEDE2000 Color-Difference Formula: Implementation Notes", Color Research and Application
+     * 30(1), 2005). */
     BAKE_COMPARE_COLOR,
-    /** Any channels, the same in both maps. Error: the largest absolute difference of a channel. */
+    /** Any channels, the same in both maps, or grey against R, G and B. Alpha of one map only does
+     * not count. Error: the largest absolute difference of a channel. */
     BAKE_COMPARE_DATA
 };
 
 /** What bake_compare() reads and writes. The caller owns all paths; they must live until it
  * returns. All zeros but the first two paths are the defaults. */
 struct bake_compare_options {
-    const char *a_path; /**< Input: a map, OpenEXR. */
-    const char *b_path; /**< Input: the reference, OpenEXR. */
-    /** Input: a mask of the maps' size, OpenEXR. Map a covers the texels whose first channel in the
+    const char *a_path; /**< Input: a map. */
+    const char *b_path; /**< Input: the reference. */
+    /** Input: a mask of the maps' size. Map a covers the texels whose first channel in the
      * mask is above 0; NULL: it covers all. Only texels that both maps cover are compared. */
     const char *a_mask_path;
     const char *b_mask_path;     /**< The same for map b. */
@@ -91,7 +93,7 @@ const char *bake_compare_unit(enum bake_compare_kind kind);
  * compared errors, and the picture. All of it is reserved from the context's budget and freed on
  * return.
  *
- * Errors: BSQ_ENOINPUT; BSQ_EDATA if a file is damaged or not OpenEXR, if sizes or channels differ
+ * Errors: BSQ_ENOINPUT; BSQ_EDATA if a file is damaged or no image, if sizes or channels differ
  * or do not suit the kind, if no texel is covered by both maps, if `ignore_nan` leaves none, or,
  * without `force`, if both files have an attribute bisque:map, normalSpace, tangents,
  * green, encoding, unit or origin and its values differ; BSQ_ECANTCREAT; BSQ_EIO; BSQ_ENOMEM;

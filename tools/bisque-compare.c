@@ -11,10 +11,11 @@
 #include "tools/compare_mesh.h"
 
 static const char usage[] =
-    "Usage: bisque-compare [OPTION]... A.exr B.exr\n"
+    "Usage: bisque-compare [OPTION]... A B\n"
     "       bisque-compare [OPTION]... LOW.obj SCAN.tris...\n"
-    "Measures how far map A is from the reference B: the angle between normals in degrees, the\n"
-    "CIEDE2000 difference and PSNR of colours, absolute and relative differences of other maps.\n"
+    "Measures how far map A is from the reference B, as OpenEXR or PNG files: the angle between\n"
+    "normals in degrees, the CIEDE2000 difference and PSNR of colours, absolute and relative\n"
+    "differences of other maps.\n"
     "Of a mesh and a scan, measures the distance between both surfaces, both ways.\n"
     "Exits with 0 if all limits hold, with 1 if one does not.\n";
 

@@ -37,7 +37,7 @@ struct fmt_image_options {
     /* Side of the tiles that the file is made of, to FMT_MAX_TILE_SIDE; 0: it is made of rows. */
     uint32_t tile_side;
     bool rounded; /* 8-bit samples are rounded to nearest, and not dithered */
-    /* A format may leave them out, as PNG does. See also fmt_image_describe(). */
+    /* Names have at most 79 characters. See also fmt_image_describe(). */
     const struct fmt_image_attribute *attributes;
     uint32_t attribute_count;
 };
@@ -122,8 +122,7 @@ int fmt_image_check_tiles(struct bsq_ctx *ctx, const struct fmt_image_format *fo
  * format cannot store, BSQ_ECANTCREAT, BSQ_ENOMEM. */
 int fmt_image_create(struct bsq_ctx *ctx, const struct fmt_image_format *format, const char *path,
                      const struct fmt_image_options *options, struct fmt_image_writer **out);
-/* Adds attributes that readers need to decode the samples; every format stores them. Texts have at
- * most 79 characters in their names and are ASCII. Call it before the first row. */
+/* Adds attributes, such as those that become known late. Call it before the first row. */
 int fmt_image_describe(struct fmt_image_writer *writer,
                        const struct fmt_image_attribute *attributes, uint32_t count);
 /* Writes the next `rows` rows, any number: rows x width x channel_count samples. */

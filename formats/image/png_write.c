@@ -404,7 +404,10 @@ static int create_image(struct fmt_image_writer *base, const struct fmt_image_op
     base->block_rows = rows == 0 ? 1 : rows < base->height ? (uint32_t)rows : base->height;
     int status = bsq_alloc(base->ctx, "PNG row", base->width, base->channel_count * sizeof(float),
                            &base->above);
-    return status < 0 ? status : write_header(writer);
+    if (status == 0)
+        status = write_header(writer);
+    return status < 0 ? status
+                      : describe_image(base, options->attributes, options->attribute_count);
 }
 
 static int finish_image(struct fmt_image_writer *base)

@@ -1,4 +1,4 @@
-/* image_rows.h - reads image files as a stream of rows; private to this folder.
+/* image_rows.h - reads image files as a stream of rows.
  *
  * PNG and JPEG files are decoded here. Other formats are decoded by OpenImageIO, in the
  * module bisque-texture.so, which is opened at its first use. */

@@ -1,9 +1,11 @@
 /* compare.c - loads two maps, checks that they can be compared, and measures the error of each
  * texel. */
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "base/parallel.h"
+#include "base/srgb.h"
 #include "libbake/compare/comparison.h"
 
 const char *bake_compare_unit(enum bake_compare_kind kind)
@@ -26,42 +28,79 @@ static int check_same_size(struct bsq_ctx *ctx, const char *path, const struct f
 static int load(struct bsq_ctx *ctx, const struct bake_compare_options *o,
                 struct bake_comparison *c)
 {
-    int status = 0;
-    BSQ_TRY(fmt_exr_read(ctx, o->a_path, &c->a));
-    BSQ_TRY(fmt_exr_read(ctx, o->b_path, &c->b));
+    struct bake_samples mask;
+    int status;
+    BSQ_TRY(bake_map_read(ctx, o->a_path, &c->a, &c->a_samples));
+    BSQ_TRY(bake_map_read(ctx, o->b_path, &c->b, &c->b_samples));
     BSQ_TRY(check_same_size(ctx, o->a_path, &c->a, o->b_path, &c->b));
     if (o->a_mask_path) {
-        BSQ_TRY(fmt_exr_read(ctx, o->a_mask_path, &c->a_mask));
+        BSQ_TRY(bake_map_read(ctx, o->a_mask_path, &c->a_mask, &mask));
         BSQ_TRY(check_same_size(ctx, o->a_mask_path, &c->a_mask, o->a_path, &c->a));
     }
     if (o->b_mask_path) {
-        BSQ_TRY(fmt_exr_read(ctx, o->b_mask_path, &c->b_mask));
+        BSQ_TRY(bake_map_read(ctx, o->b_mask_path, &c->b_mask, &mask));
         BSQ_TRY(check_same_size(ctx, o->b_mask_path, &c->b_mask, o->b_path, &c->b));
     }
 done:
     return status;
 }
 
-/* Sets rgb[] to the channels R, G and B, and returns whether there are all three. */
-static bool find_rgb(const struct fmt_exr_image *image, uint32_t rgb[3])
+/* ---- channels ---- */
+
+static void add_pair(struct bake_comparison *c, uint32_t a, uint32_t b)
+{
+    c->pairs[c->pair_count][0] = a;
+    c->pairs[c->pair_count++][1] = b;
+}
+
+/* Returns the number of channels besides alpha. */
+static uint32_t count_colors(const struct fmt_exr_image *image)
+{
+    return image->channel_count - (fmt_exr_channel(image, "A") != UINT32_MAX);
+}
+
+/* Returns the channel with this name, or that of a grey map. */
+static uint32_t find_channel(const struct fmt_exr_image *image, const char *name)
+{
+    const uint32_t found = fmt_exr_channel(image, name);
+    return found == UINT32_MAX && count_colors(image) == 1 ? fmt_exr_channel(image, "Y") : found;
+}
+
+static bool has_rgb(const struct fmt_exr_image *image)
+{
+    return fmt_exr_channel(image, "R") != UINT32_MAX && fmt_exr_channel(image, "G") != UINT32_MAX &&
+           fmt_exr_channel(image, "B") != UINT32_MAX;
+}
+
+/* Pairs R, G and B. One of the maps may be grey; otherwise returns false. */
+static bool pair_rgb(struct bake_comparison *c)
 {
     static const char *const names[] = {"R", "G", "B"};
-    bool all = true;
+    bool all = has_rgb(&c->a) || has_rgb(&c->b);
+    c->pair_count = 0;
     for (int k = 0; k < 3; k++) {
-        rgb[k] = fmt_exr_channel(image, names[k]);
-        all = all && rgb[k] != UINT32_MAX;
+        add_pair(c, find_channel(&c->a, names[k]), find_channel(&c->b, names[k]));
+        all &= c->pairs[k][0] != UINT32_MAX && c->pairs[k][1] != UINT32_MAX;
     }
     return all;
 }
 
-static bool same_channels(const struct fmt_exr_image *a, const struct fmt_exr_image *b)
+/* Pairs the channels of equal names. Alpha that only one map has does not count. Returns false if
+ * there are others that only one map has. */
+static bool pair_all(struct bake_comparison *c)
 {
-    if (a->channel_count != b->channel_count)
-        return false;
-    for (uint32_t k = 0; k < a->channel_count; k++)
-        if (strcmp(a->channels[k], b->channels[k]) != 0)
-            return false;
-    return true;
+    uint32_t own = 0;
+    c->pair_count = 0;
+    for (uint32_t k = 0; k < c->b.channel_count; k++)
+        own += fmt_exr_channel(&c->a, c->b.channels[k]) == UINT32_MAX &&
+               strcmp(c->b.channels[k], "A") != 0;
+    for (uint32_t k = 0; k < c->a.channel_count; k++) {
+        const uint32_t other = fmt_exr_channel(&c->b, c->a.channels[k]);
+        if (other != UINT32_MAX)
+            add_pair(c, k, other);
+        own += other == UINT32_MAX && strcmp(c->a.channels[k], "A") != 0;
+    }
+    return own == 0;
 }
 
 /* Checks whether nine in ten of the reference's values, decoded, have length 1. Colours hardly ever
@@ -71,8 +110,8 @@ static bool looks_like_normals(const struct bake_comparison *c)
     uint64_t texels = (uint64_t)c->b.width * c->b.height, unit = 0, seen = 0;
     uint64_t step = texels / 65536 + 1;
     for (uint64_t i = 0; i < texels; i += step) {
-        float rgb[3], square = 0;
-        read_rgb(&c->b, c->b_rgb, i, rgb);
+        float a[3], rgb[3], square = 0;
+        read_rgb(c, i, a, rgb);
         for (int k = 0; k < 3; k++)
             square += (2 * rgb[k] - 1) * (2 * rgb[k] - 1);
         unit += fabsf(square - 1) < 0.05f;
@@ -81,9 +120,12 @@ static bool looks_like_normals(const struct bake_comparison *c)
     return unit * 10 > seen * 9;
 }
 
-static enum bake_compare_kind kind_of_map(const struct bake_comparison *c, bool rgb)
+/* Map a may be of Bisque, and the reference of another program. */
+static enum bake_compare_kind kind_of_map(struct bake_comparison *c)
 {
-    const char *map = fmt_exr_image_attribute(&c->b, "bisque:map");
+    const char *own = fmt_exr_image_attribute(&c->a, "bisque:map");
+    const char *map = own ? own : fmt_exr_image_attribute(&c->b, "bisque:map");
+    const bool rgb = has_rgb(&c->a) && has_rgb(&c->b) && pair_rgb(c);
     if (map && rgb && strcmp(map, "normal") == 0)
         return BAKE_COMPARE_NORMAL;
     if (map && rgb && strcmp(map, "color") == 0)
@@ -115,14 +157,83 @@ static int check_same_meaning(struct bsq_ctx *ctx, const struct bake_compare_opt
 static int choose_kind(struct bsq_ctx *ctx, const struct bake_compare_options *o,
                        struct bake_comparison *c)
 {
-    bool a_rgb = find_rgb(&c->a, c->a_rgb), b_rgb = find_rgb(&c->b, c->b_rgb);
-    c->kind = o->kind == BAKE_COMPARE_AUTO ? kind_of_map(c, a_rgb && b_rgb) : o->kind;
-    if (c->kind != BAKE_COMPARE_DATA && !(a_rgb && b_rgb))
-        return bsq_fail(ctx, BSQ_EDATA, "%s has no channels R, G and B",
-                        a_rgb ? o->b_path : o->a_path);
-    if (c->kind == BAKE_COMPARE_DATA && !same_channels(&c->a, &c->b))
+    c->kind = o->kind == BAKE_COMPARE_AUTO ? kind_of_map(c) : o->kind;
+    const uint32_t a = count_colors(&c->a), b = count_colors(&c->b);
+    const bool grey = (a == 1 && b == 3) || (a == 3 && b == 1);
+    if (c->kind == BAKE_COMPARE_DATA ? pair_all(c) || (grey && pair_rgb(c)) : pair_rgb(c))
+        return 0;
+    if (c->kind == BAKE_COMPARE_DATA)
         return bsq_fail(ctx, BSQ_EDATA, "%s and %s have different channels", o->a_path, o->b_path);
-    return 0;
+    return bsq_fail(ctx, BSQ_EDATA, "%s has no channels R, G and B",
+                    has_rgb(&c->a) ? o->b_path : o->a_path);
+}
+
+/* ---- decoding ---- */
+
+/* Turns integers of a map of colours into linear light. */
+static int make_linear(struct bsq_ctx *ctx, const struct bake_samples *of,
+                       struct fmt_exr_image *image)
+{
+    const uint64_t samples = (uint64_t)image->width * image->channel_count;
+    const uint32_t alpha = fmt_exr_channel(image, "A");
+    int status = 0;
+    for (uint64_t y = 0; y < image->height && of->gamma != 1; y++) {
+        float *row = image->samples + y * samples;
+        BSQ_TRY(bsq_check(ctx));
+        for (uint64_t i = 0; i < samples; i++)
+            if (i % image->channel_count != alpha)
+                row[i] = (float)(of->gamma == 0 ? bsq_srgb_to_linear((double)row[i])
+                                                : pow((double)row[i], of->gamma));
+    }
+done:
+    return status;
+}
+
+/* Reads up to three numbers of an attribute. Returns how many there are. */
+static int read_numbers(const struct fmt_exr_image *image, const char *name, double out[3])
+{
+    const char *text = fmt_exr_image_attribute(image, name);
+    const int count = text ? sscanf(text, "%lf %lf %lf", &out[0], &out[1], &out[2]) : 0;
+    for (int k = count; k > 0 && k < 3; k++)
+        out[k] = out[0];
+    return count;
+}
+
+/* Turns the integers of a map into its values by bisque:scale and bisque:offset. */
+static void decode_values(const struct bake_samples *of, struct fmt_exr_image *image)
+{
+    static const char *const names[] = {"R", "G", "B"};
+    double scale[3], offset[3];
+    if (!of->integers || read_numbers(image, "bisque:scale", scale) < 1 ||
+        read_numbers(image, "bisque:offset", offset) < 1)
+        return;
+    for (uint32_t c = 0; c < image->channel_count; c++) {
+        int k = 0;
+        while (k < 2 && strcmp(image->channels[c], names[k]) != 0)
+            k++;
+        k = image->channel_count == 1 ? 0 : k;
+        for (uint64_t i = c; i < (uint64_t)image->width * image->height * image->channel_count;
+             i += image->channel_count)
+            image->samples[i] = (float)((double)image->samples[i] * scale[k] + offset[k]);
+    }
+}
+
+/* Gives both maps values that can be compared. Values of data are decoded if both files say how
+ * they are encoded. */
+static int decode(struct bsq_ctx *ctx, struct bake_comparison *c)
+{
+    int status = 0;
+    if (c->kind == BAKE_COMPARE_COLOR) {
+        BSQ_TRY(make_linear(ctx, &c->a_samples, &c->a));
+        BSQ_TRY(make_linear(ctx, &c->b_samples, &c->b));
+    }
+    if (c->kind == BAKE_COMPARE_DATA && fmt_exr_image_attribute(&c->a, "bisque:scale") &&
+        fmt_exr_image_attribute(&c->b, "bisque:scale")) {
+        decode_values(&c->a_samples, &c->a);
+        decode_values(&c->b_samples, &c->b);
+    }
+done:
+    return status;
 }
 
 /* ---- the error of a texel ---- */
@@ -155,10 +266,11 @@ static float colour_difference(const float a[3], const float b[3])
 
 static float largest_difference(const struct bake_comparison *c, uint64_t texel)
 {
-    uint32_t count = c->a.channel_count;
+    const float *a = c->a.samples + texel * c->a.channel_count;
+    const float *b = c->b.samples + texel * c->b.channel_count;
     float largest = 0;
-    for (uint32_t k = 0; k < count; k++) {
-        float d = fabsf(c->a.samples[texel * count + k] - c->b.samples[texel * count + k]);
+    for (uint32_t k = 0; k < c->pair_count; k++) {
+        const float d = fabsf(a[c->pairs[k][0]] - b[c->pairs[k][1]]);
         largest = d > largest ? d : largest;
     }
     return largest;
@@ -169,8 +281,7 @@ static float error_at(const struct bake_comparison *c, uint64_t texel)
     float a[3], b[3];
     if (c->kind == BAKE_COMPARE_DATA)
         return largest_difference(c, texel);
-    read_rgb(&c->a, c->a_rgb, texel, a);
-    read_rgb(&c->b, c->b_rgb, texel, b);
+    read_rgb(c, texel, a, b);
     return c->kind == BAKE_COMPARE_NORMAL ? angle_between(a, b) : colour_difference(a, b);
 }
 
@@ -200,7 +311,9 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
     int status = 0;
     BSQ_TRY(load(ctx, options, &c));
     BSQ_TRY(check_same_meaning(ctx, options, &c));
+    BSQ_TRY(bsq_alloc(ctx, "channels", c.a.channel_count + UINT64_C(3), sizeof *c.pairs, &c.pairs));
     BSQ_TRY(choose_kind(ctx, options, &c));
+    BSQ_TRY(decode(ctx, &c));
     BSQ_TRY(
         bsq_alloc(ctx, "errors", (uint64_t)c.a.width * c.a.height, sizeof *c.errors, &c.errors));
     BSQ_TRY(bsq_parallel_for(ctx, c.a.height, measure_row, &c));
@@ -216,6 +329,7 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
 done:
     bsq_output_group_discard(&pictures);
     bsq_free(ctx, c.errors);
+    bsq_free(ctx, c.pairs);
     fmt_exr_image_free(ctx, &c.a), fmt_exr_image_free(ctx, &c.b);
     fmt_exr_image_free(ctx, &c.a_mask), fmt_exr_image_free(ctx, &c.b_mask);
     return status;

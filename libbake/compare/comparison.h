@@ -12,21 +12,37 @@
 /* Error of a texel that not both maps cover. */
 #define BAKE_NOT_COVERED (-1.0f)
 
+/* What the samples of a file are. */
+struct bake_samples {
+    bool integers; /* which are 0 to 1 in the image */
+    double gamma;  /* exponent that turns colours into linear light; 0: the curve of sRGB */
+};
+
+/* Reads a map. Free the image with fmt_exr_image_free(). Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_EIO,
+ * BSQ_ENOMEM. */
+int bake_map_read(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *out,
+                  struct bake_samples *samples);
+
 /* Two maps of the same size and the error of each texel. */
 struct bake_comparison {
     struct fmt_exr_image a, b, a_mask, b_mask; /* without a mask, its `samples` are NULL */
+    struct bake_samples a_samples, b_samples;
     enum bake_compare_kind kind;
-    uint32_t a_rgb[3], b_rgb[3]; /* channels R, G and B; not for BAKE_COMPARE_DATA */
+    /* The channels that are compared with each other. They are R, G and B unless the maps are
+     * BAKE_COMPARE_DATA; a grey map has one channel for all three. */
+    uint32_t (*pairs)[2];
+    uint32_t pair_count;
     /* height x width. BAKE_NOT_COVERED: not compared. NaN: a value is not finite. */
     float *errors;
 };
 
-static inline void read_rgb(const struct fmt_exr_image *image, const uint32_t rgb[3],
-                            uint64_t texel, float out[3])
+/* Reads R, G and B of a texel of both maps. */
+static inline void read_rgb(const struct bake_comparison *c, uint64_t texel, float a[3], float b[3])
 {
-    const float *samples = image->samples + texel * image->channel_count;
-    for (int k = 0; k < 3; k++)
-        out[k] = samples[rgb[k]];
+    for (int k = 0; k < 3; k++) {
+        a[k] = c->a.samples[texel * c->a.channel_count + c->pairs[k][0]];
+        b[k] = c->b.samples[texel * c->b.channel_count + c->pairs[k][1]];
+    }
 }
 
 /* Returns whether all values of a texel are finite, that of the map's mask included. */

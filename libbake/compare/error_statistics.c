@@ -129,8 +129,7 @@ static void measure_noise(struct bsq_ctx *ctx, const struct bake_comparison *c,
         float a[3], b[3];
         if (!(c->errors[i] >= 0))
             continue;
-        read_rgb(&c->a, c->a_rgb, i, a);
-        read_rgb(&c->b, c->b_rgb, i, b);
+        read_rgb(c, i, a, b);
         for (int k = 0; k < 3; k++) {
             double d = bsq_linear_to_srgb((double)a[k]) - bsq_linear_to_srgb((double)b[k]);
             squares += d * d;
@@ -143,17 +142,16 @@ static void measure_noise(struct bsq_ctx *ctx, const struct bake_comparison *c,
 static void measure_relative(struct bsq_ctx *ctx, const struct bake_comparison *c,
                              struct bake_compare_report *r)
 {
-    uint64_t samples = (uint64_t)r->width * r->height * c->a.channel_count, count = 0;
-    for (uint64_t i = 0; i < samples && !interrupted(ctx, i); i++) {
-        double a = fabs((double)c->a.samples[i]), b = fabs((double)c->b.samples[i]);
-        if (!(c->errors[i / c->a.channel_count] >= 0))
-            continue;
-        double larger = fmax(a, b), d = fabs((double)c->a.samples[i] - (double)c->b.samples[i]);
-        double relative = larger > 0 ? d / larger : 0;
-        r->relative_mean += relative;
-        r->relative_max = fmax(r->relative_max, relative);
-        count++;
-    }
+    uint64_t texels = (uint64_t)r->width * r->height, count = 0;
+    for (uint64_t i = 0; i < texels && !interrupted(ctx, i); i++)
+        for (uint32_t k = 0; k < c->pair_count && c->errors[i] >= 0; k++, count++) {
+            double a = (double)c->a.samples[i * c->a.channel_count + c->pairs[k][0]];
+            double b = (double)c->b.samples[i * c->b.channel_count + c->pairs[k][1]];
+            double larger = fmax(fabs(a), fabs(b)), d = fabs(a - b);
+            double relative = larger > 0 ? d / larger : 0;
+            r->relative_mean += relative;
+            r->relative_max = fmax(r->relative_max, relative);
+        }
     r->relative_mean /= (double)count;
 }
 

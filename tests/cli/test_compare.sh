@@ -116,11 +116,12 @@ $compare ones.exr wide.exr
 refused 65 "$p ones.exr has 4 x 1 texels, wide.exr has 5 x 1"
 $compare ones.exr ones.exr --mask wide.exr
 refused 65 "$p wide.exr has 5 x 1 texels, ones.exr has 4 x 1"
-$compare a_normal.exr a_mask.exr --force
-refused 65 "$p a_normal.exr and a_mask.exr have different channels"
+sed s/Y/Z/ ones.exr >z.exr # the name of its channel
+$compare ones.exr z.exr
+refused 65 "$p ones.exr and z.exr have different channels"
 $compare ones.exr ones.exr --type color
 refused 65 "$p ones.exr has no channels R, G and B"
-rm ones.exr nan.exr some.exr wide.exr
+rm ones.exr nan.exr some.exr wide.exr z.exr
 
 $compare
 refused 64 "$p two maps, or a mesh and a scan, are needed (see --help)"
@@ -140,7 +141,7 @@ $compare a_normal.exr missing.exr
 code 66
 : >empty.exr
 $compare a_normal.exr empty.exr
-refused 65 "$p empty.exr: Unable to read magic and version flags"
+refused 65 "$p empty.exr: not a readable image: it is no PNG, JPEG, TIFF, OpenEXR, JPEG 2000, WebP, BMP, Radiance HDR, PNM or TGA"
 rm empty.exr
 $compare a_normal.exr low.obj
 code 65
@@ -153,4 +154,61 @@ refused 64 "$p h.exr: the picture is a PNG file: its name must end in .png"
 $compare a_normal.exr a_normal.exr --heatmap nowhere/h.png
 code 73
 files $start
+
+# ---- PNG files ----
+
+# A map in PNG is that in OpenEXR, but for the rounding of its samples. Channel errors of 8 bits are at
+# most a dithered step, or half a step (rounded: 17/32) for normals, of which three bound the angle.
+awk '/^v / { print $0, ($2 > 0 ? 0.9 : 0.1), 0.4, 0.7; next } { print }' low.obj >painted.obj
+ok run bisque-voxelize painted.obj -o painted.nvdb --resolution 48
+for bits in 8 16; do
+    case $bits in
+    8) limits="normal:0.42 color:1.2 mask:0.0042 height:0.0042" ;;
+    16) limits="normal:0.002 color:0.05 mask:0.0005 height:0.00002" ;;
+    esac
+    bake="run bisque-bake painted.nvdb low.obj --size 64 --maps normal,color,height,mask"
+    ok $bake --type $bits -o "png_<MAP>.png"
+    ok $bake --type float -o "exr_<MAP>.exr"
+    for limit in $limits; do
+        map=${limit%:*}
+        for pair in "png_$map.png exr_$map.exr" "exr_$map.exr png_$map.png"; do
+            ok $compare $pair --max-error "${limit#*:}" --json
+            case $map in height | mask) kind=data ;; *) kind=$map ;; esac
+            json ".type == \"$kind\" and (.max > 0 or \"$map\" == \"mask\")"
+        done
+    done
+done
+# The same pixels without attributes, as another program has them: A decides what they are. Grey is
+# compared with each of R, G and B; opaque alpha is nothing.
+PYTHONPATH=$top/tests/cli python3 - <<'END'
+import png
+rows = png.read("png_normal.png")[3]
+png.write("foreign.png", 16, rows)
+png.write("alpha.png", 16, [[(*t, 65535) for t in row] for row in rows])
+rows = png.read("png_mask.png")[3]
+png.write("mask_rgb.png", 16, [[(v, v, v) for v, in row] for row in rows])
+ramp = [[(1000 * x + y,) for x in range(64)] for y in range(64)]
+png.write("grey.png", 16, ramp)
+png.write("rgb.png", 16, [[(v, v, v) for v, in row] for row in ramp])
+png.write("blue.png", 16, [[(v, v, v + 655) for v, in row] for row in ramp])
+END
+for pair in "exr_normal.exr foreign.png" "foreign.png exr_normal.exr" "exr_normal.exr alpha.png"; do
+    ok $compare $pair --max-error 0.002 --json
+    json '.type == "normal"'
+done
+for pair in "grey.png rgb.png" "rgb.png grey.png" "exr_mask.exr mask_rgb.png"; do
+    ok $compare $pair --max-error 0 --json
+    json '.type == "data"'
+done
+ok $compare grey.png blue.png --json
+json '.max > 0.00999 and .max < 0.01' # 655 / 65535
+ok $compare png_normal.png png_normal.png --mask png_mask.png --heatmap h.png
+$compare exr_height.exr exr_normal.exr
+refused 65 "$p exr_height.exr has bisque:map \"height\", exr_normal.exr has \"normal\": these maps cannot be compared"
+head -c 3000 png_normal.png >cut.png
+$compare cut.png png_normal.png
+refused_like 65 "^$p cut.png: damaged image: the file is cut off$"
+printf 'no image' >text.png
+$compare text.png png_normal.png
+refused_like 65 '^bisque-compare: text.png: not a readable image: it is no PNG'
 finish

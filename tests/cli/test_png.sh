@@ -48,12 +48,12 @@ assert {t for row in png.read('normal.png')[3] for t in row} == {(128, 128, 255)
 assert set(png.read('bent.png')[3][0]) == {(128, 128, 255)}"
     done
     for map in normal bent ao mask; do
-        chunks $map.png "IHDR IDAT IEND"
+        chunks $map.png "IHDR tEXt IDAT IEND"
     done
-    chunks color.png "IHDR gAMA sRGB cHRM IDAT IEND"
+    chunks color.png "IHDR gAMA sRGB cHRM tEXt IDAT IEND"
     chunks preview.png "IHDR gAMA sRGB cHRM IDAT IEND"
     ok run bisque-bake $scan low.obj --size 128 --maps normal,height -o "<MAP>.png"
-    chunks normal.png "IHDR IDAT IEND"
+    chunks normal.png "IHDR tEXt IDAT IEND"
     chunks height.png "IHDR tEXt IDAT IEND"
 done
 finish

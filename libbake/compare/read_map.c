@@ -1,0 +1,140 @@
+/* read_map.c - reads a map into floats: OpenEXR, PNG, or another format that textures may have.
+ *
+ * Integers become 0 to 1. Bisque and other programs store the attributes of PNG files as tEXt
+ * chunks, which the readers of textures do not give. */
+#include <string.h>
+
+#include "formats/texture/image_rows.h"
+#include "libbake/compare/comparison.h"
+
+enum { MOST_TEXT_BYTES = 4096, MOST_TEXTS = 256, CHUNK_HEAD = 8, CHUNK_END = 4 };
+
+static int copy_text(struct bsq_ctx *ctx, const char *text, size_t length, char **out)
+{
+    int status = bsq_alloc(ctx, "a map's attributes", length + 1, 1, out);
+    if (status < 0)
+        return status;
+    memcpy(*out, text, length);
+    (*out)[length] = '\0';
+    return 0;
+}
+
+/* Adds the attribute of a tEXt chunk: its name, a zero, and its value. */
+static int add_text(struct bsq_ctx *ctx, const char *text, size_t size, struct fmt_exr_image *out)
+{
+    const char *end = memchr(text, '\0', size);
+    if (!end || out->attribute_count == MOST_TEXTS)
+        return 0;
+    struct fmt_exr_attribute *attribute = &out->attributes[out->attribute_count++];
+    const int status = copy_text(ctx, text, (size_t)(end - text), &attribute->name);
+    return status < 0 ? status
+                      : copy_text(ctx, end + 1, size - 1 - (size_t)(end - text), &attribute->value);
+}
+
+/* Reads the tEXt chunks before the texels of a PNG file. */
+static int read_texts(struct bsq_ctx *ctx, const struct bsq_file *file, struct fmt_exr_image *out)
+{
+    char text[MOST_TEXT_BYTES];
+    unsigned char head[CHUNK_HEAD];
+    uint64_t size, got = 0;
+    int status;
+    BSQ_TRY(bsq_calloc(ctx, "a map's attributes", MOST_TEXTS, sizeof *out->attributes,
+                       &out->attributes));
+    for (uint64_t at = 8; at + CHUNK_HEAD < file->size; at += CHUNK_HEAD + size + CHUNK_END) {
+        BSQ_TRY(bsq_file_read(ctx, file, head, sizeof head, at));
+        size = (uint64_t)head[0] << 24 | (uint64_t)head[1] << 16 | (uint64_t)head[2] << 8 | head[3];
+        if (memcmp(head + 4, "IDAT", 4) == 0)
+            break;
+        if (memcmp(head + 4, "tEXt", 4) != 0 || size > sizeof text)
+            continue;
+        BSQ_TRY(bsq_file_read_some(ctx, file, text, size, at + CHUNK_HEAD, &got));
+        BSQ_TRY(add_text(ctx, text, got, out));
+    }
+done:
+    return status;
+}
+
+static void to_floats(const struct fmt_rows_info *info, const uint8_t *row, float *out)
+{
+    const size_t count = (size_t)info->width * info->channels;
+    for (size_t i = 0; i < count; i++) {
+        uint16_t wide;
+        if (info->sample_bytes == 1) {
+            out[i] = (float)row[i] / 255.0f;
+        } else if (info->sample_bytes == 2) {
+            memcpy(&wide, row + 2 * i, sizeof wide);
+            out[i] = (float)wide / 65535.0f;
+        } else {
+            memcpy(&out[i], row + 4 * i, sizeof out[i]);
+        }
+    }
+}
+
+/* Names the channels: grey or RGB, perhaps with alpha. */
+static int name_channels(struct bsq_ctx *ctx, const struct fmt_rows_info *info,
+                         struct fmt_exr_image *out)
+{
+    const char *names = info->channels >= 3 ? "RGBA" : "YA";
+    int status;
+    BSQ_TRY(
+        bsq_calloc(ctx, "a map's channels", info->channels, sizeof *out->channels, &out->channels));
+    for (; out->channel_count < info->channels; out->channel_count++)
+        BSQ_TRY(copy_text(ctx, names + out->channel_count, 1, &out->channels[out->channel_count]));
+done:
+    return status;
+}
+
+static int read_rows(struct bsq_ctx *ctx, struct fmt_rows *rows, struct fmt_exr_image *out)
+{
+    const struct fmt_rows_info *info = &rows->info;
+    const uint64_t samples = (uint64_t)info->width * info->channels;
+    uint8_t *row = NULL;
+    int status;
+    if (info->channels > 4)
+        return bsq_fail(ctx, BSQ_EDATA, "%s: %u channels; a map that is not OpenEXR has at most 4",
+                        rows->input.path, info->channels);
+    out->width = info->width;
+    out->height = info->height;
+    BSQ_TRY(name_channels(ctx, info, out));
+    BSQ_TRY(bsq_alloc(ctx, "a map", samples * info->height, sizeof(float), &out->samples));
+    BSQ_TRY(bsq_alloc(ctx, "a row of a map", samples, info->sample_bytes, &row));
+    for (uint32_t y = 0; y < info->height; y++) {
+        BSQ_TRY(bsq_check(ctx));
+        BSQ_TRY(rows->decoder->read(rows->state, row));
+        to_floats(info, row, out->samples + y * samples);
+    }
+    if (rows->decoder == &fmt_png_rows)
+        BSQ_TRY(read_texts(ctx, &rows->input.file, out));
+    status = bsq_file_check(ctx, &rows->input.file);
+done:
+    bsq_free(ctx, row);
+    return status;
+}
+
+int bake_map_read(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *out,
+                  struct bake_samples *samples)
+{
+    static const char exr[4] = {0x76, 0x2f, 0x31, 0x01};
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    struct fmt_rows rows = {0};
+    char head[sizeof exr] = {0};
+    uint64_t got = 0;
+    int status;
+    BSQ_TRY(bsq_file_open(ctx, path, &file));
+    BSQ_TRY(bsq_file_read_some(ctx, &file, head, sizeof head, 0, &got));
+    *samples = (struct bake_samples){.gamma = 1};
+    if (memcmp(head, exr, sizeof exr) == 0) {
+        status = fmt_exr_read(ctx, path, out);
+        goto done;
+    }
+    BSQ_TRY(fmt_rows_open(ctx, path, &rows));
+    samples->integers = rows.info.sample_bytes < 4;
+    samples->gamma = samples->integers ? rows.info.gamma : 1;
+    status = read_rows(ctx, &rows, out);
+done:
+    fmt_rows_close(&rows);
+    bsq_file_close(ctx, &file);
+    if (status < 0)
+        fmt_exr_image_free(ctx, out);
+    return status;
+}
