@@ -13,6 +13,7 @@
 #include "libvoxel/temp_tris.h"
 
 #include <errno.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -97,6 +98,7 @@ static int begin_scan(struct scan *scan, struct bsq_ctx *ctx,
                                options->tris_path);
     scan->channels = options->channels;
     scan->channel_count = options->channel_count;
+    scan->tells_unkept = options->tells_unkept;
     return status;
 }
 
@@ -156,6 +158,13 @@ static int copy_placements(struct bsq_ctx *ctx, const struct vox_sort_options *o
     return status;
 }
 
+/* Adds a name to a list of VOX_NAMES_BYTES bytes. */
+static void add_name(char *list, const char *name)
+{
+    const size_t length = strlen(list);
+    snprintf(list + length, VOX_NAMES_BYTES - length, "%s%s", length > 0 ? "," : "", name);
+}
+
 static void report_scan(const struct scan *scan, struct vox_sort_report *report)
 {
     report_totals(report, &scan->totals);
@@ -165,6 +174,16 @@ static void report_scan(const struct scan *scan, struct vox_sort_report *report)
     report->has_colors = (scan->attributes & FMT_TRIS_COLORS) != 0;
     report->has_normals = (scan->attributes & FMT_TRIS_NORMALS) != 0;
     report->has_texcoords = (scan->attributes & FMT_TRIS_TEXCOORDS) != 0;
+    report->unused_texcoords = !report->has_texcoords && scan_count(scan, SCAN_TEXCOORDS) > 0;
+    report->uses_textures = vox_scan_find_texture(scan) != NULL;
+    for (uint32_t i = 0; i < scan->material_count; i++)
+        report->has_material_colors |=
+            !scan->materials[i].texture_path && !scan->materials[i].colorless;
+    for (uint32_t c = 0; c < scan->channel_count; c++)
+        add_name(report->kept_channels, scan->channels[c].name);
+    for (unsigned i = 0; bsq_channel_at(i); i++)
+        if (scan->unkept >> i & 1)
+            add_name(report->unkept_channels, bsq_channel_at(i)->name);
 }
 
 static int read_scan(struct scan *scan, const struct sort_limits *limits,
@@ -350,7 +369,7 @@ done:
 
 void vox_sort_defaults(struct vox_sort_options *options)
 {
-    *options = (struct vox_sort_options){.check_textures = true};
+    *options = (struct vox_sort_options){.check_textures = true, .tells_unkept = true};
 }
 
 /* A handle is a few bytes and a job may have a budget of only vox_memory_min(), so it is not

@@ -59,6 +59,7 @@ struct vox_channel {
     const char *name; /**< Lower-case letters, digits and underscores, with a letter first. */
     const char *texture_path; /**< Image for all faces with texture coordinates. NULL: what the
                                  materials have. */
+    bool optional; /**< Keep the channel only if some material has a value or a texture of it. */
 };
 
 /** How vox_sort() uses the record beside the chunk file, tris_path + ".job", which says what it was
@@ -95,8 +96,13 @@ struct vox_sort_options {
     /** Decode all textures before the scan is read, to find damaged ones. Otherwise these are found
      * when the grid is made. */
     bool check_textures;
+    /** Warn of textures of materials that belong to none of the channels: their content is lost. */
+    bool tells_unkept;
     enum vox_record record; /**< Use of the record beside the chunk file. */
 };
+
+/** Bytes of a list of names in a report. What does not fit is left out. */
+enum { VOX_NAMES_BYTES = 512 };
 
 /** What vox_sort() did. */
 struct vox_sort_report {
@@ -119,8 +125,14 @@ struct vox_sort_report {
     bool has_normals;         /**< The scan has normals. */
     bool has_texcoords;       /**< The scan has texture coordinates. */
     bool has_colors;          /**< The scan has vertex colours. */
-    double seconds_read;      /**< Wall time of reading. */
-    double seconds_sort;      /**< Wall time of sorting and writing. */
+    bool has_material_colors; /**< Some material has a colour, without a texture. */
+    bool unused_texcoords;    /**< It has texture coordinates, but nothing that needs them. */
+    bool uses_textures;       /**< The chunk file names textures, which must stay where they are. */
+    /** Channels that the chunk file keeps, and those of which materials have textures or values
+     * that it does not keep: names separated by commas. */
+    char kept_channels[VOX_NAMES_BYTES], unkept_channels[VOX_NAMES_BYTES];
+    double seconds_read; /**< Wall time of reading. */
+    double seconds_sort; /**< Wall time of sorting and writing. */
 };
 
 /** Fills in the defaults: no inputs, no outputs, textures of the materials, no ids. */
@@ -174,7 +186,7 @@ struct vox_voxelize_options {
                                            shorter than 0.7 voxels, all choices are the same. */
     const char *vdb_path;               /**< Output: an OpenVDB file, or NULL. */
     bool ids;                           /**< Give the grid the ids of the chunk file. */
-    /** Channels of the chunk file that the grid gets: names separated by commas, or NULL. */
+    /** Channels of the chunk file that the grid gets: names separated by commas, "all" or NULL. */
     const char *channels;
     /** Input: a tangent-space normal map in the texture space of the scan, added to its normals.
      * NULL: what the chunk file keeps, if anything. Its green grows with the second texture

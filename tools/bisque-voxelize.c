@@ -148,6 +148,7 @@ static int sort_scan(struct voxelize_job *job)
     struct bsq_ctx *ctx = job->cli->ctx;
     int status = 0;
     BSQ_TRY(voxelize_arguments_keep_normal_map(job->cli, arguments));
+    BSQ_TRY(voxelize_arguments_add_all_channels(job->cli, arguments));
     options->tris_path = job->tris_path;
     options->temp_tris = job->temp_tris;
     options->keeps_tris = !job->temporary_tris;
@@ -209,6 +210,8 @@ static int run(struct voxelize_job *job)
     BSQ_TRY(voxelize_arguments_map_inputs(cli, arguments));
     if (cli->verify)
         return cli_verify(cli, (char *const *)arguments->inputs, (int)arguments->input_count);
+    if (arguments->info)
+        return voxelize_info_print(cli, arguments->inputs, arguments->input_count);
     BSQ_TRY(note_images(cli->ctx, arguments));
     BSQ_TRY(recognise_inputs(job));
     BSQ_TRY(do_work(job));

@@ -12,7 +12,7 @@ static const char usage[] =
     "Usage: bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.nvdb\n"
     "       bisque-voxelize [OPTION]... SCAN.tris... -o SCAN.nvdb\n"
     "       bisque-voxelize [OPTION]... SCAN.obj... -o SCAN.tris\n"
-    "       bisque-voxelize --verify FILE...\n"
+    "       bisque-voxelize --info|--verify FILE...\n"
     "Turns a scan (a high-poly mesh) of any size into a sparse grid of surface voxels with normals\n"
     "and colours. Several files are read as one scan. The sorted triangles of meshes are kept in a chunk\n"
     "file (SCAN.tris), which makes grids of other resolutions without reading them again.\n";
@@ -44,8 +44,8 @@ static const struct bsq_option rows[] = {
      .heading = "Scan", MEMBER(CHOICE, grid.scan_normals), .words = "smooth/area angle max flat",
      .needs = GRID},
     {OPTION("channels", "LIST",
-            "what else to keep in chunks and grid: id; and for maps\n"
-            "transfer:NAME, NAME of the materials or NAME=FILE"),
+            "what else to keep in chunks and grid: id; for maps transfer:NAME,\n"
+            "NAME of the materials, all of them, or NAME=FILE; none"),
      OWN},
     {OPTION("scan-normal-map", "FILE",
             "the scan's own normal map in tangent space, added to its normals"),
@@ -70,18 +70,21 @@ static const struct bsq_option rows[] = {
      MEMBER(FLAG, force), .needs = MESHES},
     {OPTION("parse-only", NULL, "only read the mesh files, to measure the reader"),
      MEMBER(FLAG, parse_only)},
+    {OPTION("info", NULL, "print what is in FILES (meshes, .tris, .nvdb), do nothing else"),
+     MEMBER(FLAG, info)},
 };
 enum { ROWS = sizeof rows / sizeof *rows };
 _Static_assert(sizeof rows / sizeof *rows <= VOXELIZE_MOST_ROWS, "a flag for each row");
 
 static const struct bsq_option cli_rows[] = {CLI_TMPDIR_ROW, CLI_STRICT_ROW, CLI_VERIFY_ROW};
 
-/* Returns the name of an option that was given and has one of these bits in `needs`, with its
- * dashes; 0: of any option. NULL: none was. */
+/* Returns the name of an option, other than --info, that was given and has one of these bits in
+ * `needs`; 0: of any option. NULL: none was. */
 static const char *given_option(const struct voxelize_arguments *arguments, uint32_t needs)
 {
     for (unsigned i = 0; i < ROWS; i++)
-        if (arguments->given[i] && (needs == 0 || rows[i].needs & needs))
+        if (arguments->given[i] && strcmp(rows[i].name, "info") != 0 &&
+            (needs == 0 || rows[i].needs & needs))
             return rows[i].name;
     return NULL;
 }
@@ -179,9 +182,10 @@ static int add_to_list(struct cli *cli, struct voxelize_arguments *arguments, co
     return arguments->channel_list ? 0 : cli_usage(cli, "no memory for the arguments");
 }
 
-/* Adds a channel to those of the chunk file. path: of its image, or NULL. */
+/* Adds a channel to those of the chunk file. path: of its image, or NULL; optional: if the scan has
+ * it. */
 static int add_channel(struct cli *cli, struct voxelize_arguments *arguments, const char *name,
-                       size_t length, const char *path)
+                       size_t length, const char *path, bool optional)
 {
     const size_t count = arguments->sort.channel_count;
     struct vox_channel *grown = realloc(arguments->channels, (count + 1) * sizeof *grown);
@@ -192,19 +196,28 @@ static int add_channel(struct cli *cli, struct voxelize_arguments *arguments, co
         free(copy);
         return cli_usage(cli, "no memory for the arguments");
     }
-    grown[arguments->sort.channel_count++] = (struct vox_channel){copy, path};
+    grown[arguments->sort.channel_count++] = (struct vox_channel){copy, path, optional};
     return 0;
 }
 
-/* Parses "id", "NAME" or "NAME=FILE". */
+static bool has_channel(const struct voxelize_arguments *arguments, const char *name)
+{
+    bool any = false;
+    for (uint32_t i = 0; i < arguments->sort.channel_count; i++)
+        any |= strcmp(arguments->channels[i].name, name) == 0;
+    return any;
+}
+
+/* Parses "id", "all", "none", "NAME" or "NAME=FILE". */
 static int parse_channel(struct cli *cli, struct voxelize_arguments *arguments, const char *word)
 {
     const char *equals = strchr(word, '=');
-    if (strcmp(word, "id") == 0) {
-        arguments->grid.ids = true;
+    arguments->all_channels |= strcmp(word, "all") == 0;
+    arguments->grid.ids |= strcmp(word, "id") == 0;
+    if (strcmp(word, "id") == 0 || strcmp(word, "all") == 0 || strcmp(word, "none") == 0)
         return 0;
-    }
-    if (add_channel(cli, arguments, word, strcspn(word, "="), equals ? equals + 1 : NULL) < 0)
+    if (add_channel(cli, arguments, word, strcspn(word, "="), equals ? equals + 1 : NULL, false) <
+        0)
         return BSQ_EUSAGE;
     const char *name = arguments->channels[arguments->sort.channel_count - 1].name;
     if (!bsq_is_channel_name(name))
@@ -218,10 +231,7 @@ static int parse_channel(struct cli *cli, struct voxelize_arguments *arguments, 
 
 static bool keeps_normal_map(const struct voxelize_arguments *arguments)
 {
-    bool any = false;
-    for (uint32_t i = 0; i < arguments->sort.channel_count; i++)
-        any |= strcmp(arguments->channels[i].name, BSQ_CHANNEL_NORMAL_MAP) == 0;
-    return any;
+    return has_channel(arguments, BSQ_CHANNEL_NORMAL_MAP);
 }
 
 static int take_option(struct cli *cli, void *arg, const struct bsq_option *row, const char *text)
@@ -249,7 +259,18 @@ int voxelize_arguments_keep_normal_map(struct cli *cli, struct voxelize_argument
 {
     static const char name[] = BSQ_CHANNEL_NORMAL_MAP;
     const char *path = arguments->grid.scan_normal_map;
-    return path ? add_channel(cli, arguments, name, strlen(name), path) : 0;
+    return path ? add_channel(cli, arguments, name, strlen(name), path, false) : 0;
+}
+
+int voxelize_arguments_add_all_channels(struct cli *cli, struct voxelize_arguments *arguments)
+{
+    int status = 0;
+    for (unsigned i = 0; arguments->all_channels && bsq_channel_at(i) && status == 0; i++) {
+        const char *name = bsq_channel_at(i)->name;
+        if (!has_channel(arguments, name))
+            status = add_channel(cli, arguments, name, strlen(name), NULL, true);
+    }
+    return status;
 }
 
 /* ---- all of them ---- */
@@ -306,7 +327,8 @@ int voxelize_arguments_check_part(struct cli *cli, const struct voxelize_argumen
                          "%s is already a chunk file: leave out the channel " BSQ_CHANNEL_NORMAL_MAP
                          ", because its normals contain it if it has one",
                          part);
-    if (beside_meshes && !arguments->tris && (arguments->resume || arguments->sort.channel_count))
+    if (beside_meshes && !arguments->tris &&
+        (arguments->resume || arguments->sort.channel_count > 0 || arguments->all_channels))
         return cli_usage(cli, "%s: beside chunk files, meshes are kept with --tris only",
                          arguments->resume ? "--resume" : "--channels");
     return 0;
@@ -319,6 +341,9 @@ static int finish(struct cli *cli, struct voxelize_arguments *arguments)
         arguments->grid.resolution = 0;
     if (!arguments->grid.ids)
         arguments->sort.ids = VOX_IDS_NONE;
+    if (arguments->all_channels)
+        arguments->grid.channels = "all";
+    arguments->sort.tells_unkept = !is_given(arguments, "channels");
     return finish_placements(cli, arguments);
 }
 
@@ -346,6 +371,11 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
         return status;
     if (arguments->input_count == 0)
         return cli_usage(cli, "no input file given (see --help)");
+    if (arguments->info)
+        return given_option(arguments, 0)
+                   ? cli_usage(cli, "--info only describes files: leave out --%s",
+                               given_option(arguments, 0))
+                   : 0;
     BSQ_TRY(check_arguments(cli, arguments));
     status = finish(cli, arguments);
 done:

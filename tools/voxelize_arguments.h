@@ -14,10 +14,11 @@ struct voxelize_arguments {
     const char *const *inputs;
     uint32_t input_count;
     const char *tris;
-    bool no_tris, parse_only, resume, force;
+    bool no_tris, parse_only, resume, force, info;
     bool sort_only;                     /* the output is a chunk file: no grid is made */
     struct vox_channel *channels;       /* those of sort; the names are owned */
     char *channel_list;                 /* those of grid */
+    bool all_channels;                  /* keep all that the materials have */
     struct vox_placement *placements;   /* those of sort */
     uint32_t scales, ups, translations; /* how often these options were given */
 };
@@ -36,6 +37,9 @@ int voxelize_arguments_check_part(struct cli *cli, const struct voxelize_argumen
 
 /* Adds the image of --scan-normal-map to the channels of the chunk file. */
 int voxelize_arguments_keep_normal_map(struct cli *cli, struct voxelize_arguments *arguments);
+
+/* With --channels all, adds what materials can have to the channels of the chunk file. */
+int voxelize_arguments_add_all_channels(struct cli *cli, struct voxelize_arguments *arguments);
 
 /* Frees what parsing allocated. */
 void voxelize_arguments_free(struct voxelize_arguments *arguments);

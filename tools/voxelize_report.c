@@ -1,6 +1,8 @@
 /* voxelize_report.c - prints what bisque-voxelize did, as lines or as JSON. */
 #include "tools/voxelize_report.h"
 
+#include <string.h>
+
 static void print_meshes(const struct voxelize_job *job)
 {
     if (job->mesh_count == 1)
@@ -32,6 +34,39 @@ static void print_read(const struct voxelize_job *job)
         putchar('\n');
 }
 
+/* Prints what the scan has, and what of it the chunk file keeps. */
+static void print_kept(const struct voxelize_job *job)
+{
+    const struct vox_sort_report *sort = &job->sort;
+    const char *comma = "";
+    const struct {
+        bool there;
+        const char *text;
+    } kept[] = {
+        {true, "positions"},
+        {sort->has_normals, "normals"},
+        {sort->has_texcoords, "texture coordinates"},
+        {sort->has_colors, "vertex colours"},
+        {sort->has_material_colors, "colours of materials"},
+        {sort->uses_textures, "textures"},
+        {sort->kept_channels[0], sort->kept_channels},
+    };
+    cli_print("kept: ");
+    for (size_t i = 0; i < sizeof kept / sizeof *kept; i++)
+        if (kept[i].there) {
+            cli_print("%s%s", comma, kept[i].text);
+            comma = ", ";
+        }
+    cli_print("\n");
+    if (sort->unused_texcoords)
+        cli_print(
+            "not kept: texture coordinates, because there is no texture; --texture FILE gives "
+            "one\n");
+    if (sort->unkept_channels[0])
+        cli_print("not kept: %s of the materials; --channels all keeps them\n",
+                  sort->unkept_channels);
+}
+
 static void print_tris(const struct voxelize_job *job)
 {
     char size[CLI_TEXT], chunks[CLI_TEXT];
@@ -56,11 +91,23 @@ void voxelize_report_grid(const struct vox_voxelize_options *options,
         cli_print("%s: the same as OpenVDB\n", options->vdb_path);
 }
 
+/* Returns an array of the names of a list. */
+static json_t *names_json(const char *list)
+{
+    json_t *names = json_array();
+    while (*list) {
+        const size_t length = strcspn(list, ",");
+        cli_json_append(&names, json_stringn(list, length));
+        list += list[length] ? length + 1 : length;
+    }
+    return names;
+}
+
 static json_t *sort_json(const struct vox_sort_report *sort)
 {
     return json_pack(
         "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:[f, f, f], s:b, s:b, s:b,"
-        " s:f, s:f}",
+        " s:b, s:b, s:b, s:o, s:o, s:f, s:f}",
         "bytes_read", (json_int_t)sort->bytes_read, "vertices", (json_int_t)sort->vertices, "faces",
         (json_int_t)sort->faces, "triangles", (json_int_t)sort->triangles, "degenerate_triangles",
         (json_int_t)sort->degenerate_triangles, "short_faces", (json_int_t)sort->short_faces,
@@ -70,7 +117,10 @@ static json_t *sort_json(const struct vox_sort_report *sort)
         "tris_bytes", (json_int_t)sort->tris_bytes, "temp_bytes", (json_int_t)sort->temp_bytes,
         "origin", sort->origin[0], sort->origin[1], sort->origin[2], "has_normals",
         (int)sort->has_normals, "has_texcoords", (int)sort->has_texcoords, "has_colors",
-        (int)sort->has_colors, "seconds_read", sort->seconds_read, "seconds_sort",
+        (int)sort->has_colors, "has_material_colors", (int)sort->has_material_colors,
+        "unused_texcoords", (int)sort->unused_texcoords, "uses_textures", (int)sort->uses_textures,
+        "kept_channels", names_json(sort->kept_channels), "unkept_channels",
+        names_json(sort->unkept_channels), "seconds_read", sort->seconds_read, "seconds_sort",
         sort->seconds_sort);
 }
 
@@ -134,6 +184,8 @@ int voxelize_report_print(const struct voxelize_job *job)
                   job->tris_path);
     else if (job->mesh_count > 0)
         print_read(job);
+    if (job->mesh_count > 0 && !job->sort.resumed && !job->arguments->parse_only)
+        print_kept(job);
     if (!job->arguments->parse_only)
         print_tris(job);
     if (!job->arguments->parse_only && !job->arguments->sort_only)

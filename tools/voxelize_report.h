@@ -22,6 +22,9 @@ void voxelize_report_grid(const struct vox_voxelize_options *options,
 /* Returns the same as JSON; NULL if there is no memory. */
 json_t *voxelize_report_grid_json(const struct vox_voxelize_report *grid);
 
+/* Prints what is in files, for --info. */
+int voxelize_info_print(struct cli *cli, const char *const *paths, uint32_t count);
+
 /* Prints the results, as lines or as JSON. */
 int voxelize_report_print(const struct voxelize_job *job);
 

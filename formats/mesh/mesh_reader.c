@@ -237,6 +237,11 @@ void fmt_mesh_close(struct fmt_mesh_reader *reader)
     bsq_free(reader->ctx, reader);
 }
 
+const char *fmt_mesh_format_name(const struct fmt_mesh_reader *reader, uint32_t file)
+{
+    return reader->sources[file].format->name;
+}
+
 uint64_t fmt_mesh_bytes(const struct fmt_mesh_reader *reader)
 {
     uint64_t bytes = 0;

@@ -120,6 +120,8 @@ struct fmt_mesh_inputs {
 /* Opens as fmt_mesh_open() does. */
 int fmt_mesh_open_inputs(struct bsq_ctx *ctx, const struct fmt_mesh_inputs *inputs,
                          struct fmt_mesh_reader **out);
+/* Returns the name of a file's format: "OBJ". */
+const char *fmt_mesh_format_name(const struct fmt_mesh_reader *reader, uint32_t file);
 /* Returns the bytes of all files; 0 if some of them are packed, or pipes. */
 uint64_t fmt_mesh_bytes(const struct fmt_mesh_reader *reader);
 

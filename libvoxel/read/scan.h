@@ -155,13 +155,19 @@ struct scan {
 
     const struct vox_channel *channels; /* to keep; set after vox_scan_init() */
     uint32_t channel_count;
+    struct vox_channel
+        *found_optional; /* `channels` without optional ones that nothing has; owned */
+    bool tells_unkept;   /* see struct vox_sort_options; set after vox_scan_init() */
 
     /* Filled by vox_scan_find_materials(). */
     uint32_t attributes; /* of enum fmt_tris_attribute */
     enum bsq_ids ids;
     uint32_t material_count;
     struct fmt_tris_material *materials;
+    bool lost_colors;     /* all textures of colour are missing, and there are no other colours */
     bool *found_channels; /* of each channel: some material has it */
+    uint32_t
+        unkept; /* bits by bsq_channel_at(): materials have it, and the scan does not keep it */
     /* For usemtl number i: material of triangles with texture coordinates at 2 i, of those without
      * at 2 i + 1; the last pair is for faces before any usemtl. UINT32_MAX: none. */
     uint32_t *material_map;
@@ -229,6 +235,9 @@ void vox_textures_free(struct bsq_ctx *ctx, struct scan_textures *textures);
 int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                             const char *texture_path, struct scan_textures *textures,
                             enum bsq_ids ids);
+
+/* Returns the path of a texture that the chunk file will name, or NULL. */
+const char *vox_scan_find_texture(const struct scan *scan);
 
 /* Warns of files without faces, and of attributes that some files have and others lack, in a scan
  * of several files. Called after vox_scan_find_materials(). */

@@ -211,6 +211,98 @@ static bool gives_value(const struct scan *scan, const struct fmt_material_chann
                                       scan_count(scan, SCAN_TEXCOORDS) > 0));
 }
 
+/* ---- which channels are kept ---- */
+
+/* Returns whether faces use a material of the readers' list. */
+static bool is_used(const struct scan *scan, uint32_t number)
+{
+    return number < scan->material_use_count && scan->material_uses[number].faces > 0;
+}
+
+/* Returns whether a material that faces use gives a channel a texture or a value. */
+static bool any_gives(const struct scan *scan, const struct scan_textures *textures,
+                      const struct fmt_materials *found, uint32_t channel)
+{
+    bool any = false;
+    for (uint32_t i = 0; i < found->count && !any; i++)
+        any = is_used(scan, i) &&
+              (channel_texture(scan, textures, &found->list[i], channel) ||
+               gives_value(scan, find_channel(&found->list[i], scan->channels[channel].name)));
+    return any;
+}
+
+/* Drops optional channels that no material has. */
+static int drop_optional(struct scan *scan, const struct scan_textures *textures,
+                         const struct fmt_materials *found)
+{
+    uint32_t count = 0;
+    int status = bsq_calloc(scan->ctx, "channels", scan->channel_count + UINT64_C(1),
+                            sizeof *scan->found_optional, &scan->found_optional);
+    for (uint32_t c = 0; c < scan->channel_count && status == 0; c++)
+        if (!scan->channels[c].optional || any_gives(scan, textures, found, c))
+            scan->found_optional[count++] = scan->channels[c];
+    if (status == 0) {
+        scan->channels = scan->found_optional;
+        scan->channel_count = count;
+    }
+    return status;
+}
+
+static bool is_kept(const struct scan *scan, const char *name)
+{
+    bool kept = false;
+    for (uint32_t c = 0; c < scan->channel_count; c++)
+        kept |= strcmp(scan->channels[c].name, name) == 0;
+    return kept;
+}
+
+/* Returns whether a material says something of a channel beside what all materials are. */
+static bool has_own_value(const struct fmt_material_channel *channel)
+{
+    const float value = channel->value[0];
+    const bool grey =
+        channel->channel->values == 1 || (value == channel->value[1] && value == channel->value[2]);
+    return channel->has_value &&
+           !(grey && (value == channel->channel->usual || value == channel->channel->gltf.usual));
+}
+
+/* Notes the channels of materials that the scan does not keep. Returns those with textures, as bits
+ * by bsq_channel_at(). */
+static uint32_t note_unkept(struct scan *scan, const struct fmt_materials *found)
+{
+    uint32_t textured = 0;
+    for (uint32_t i = 0; i < found->count; i++)
+        for (uint32_t c = 0; is_used(scan, i) && c < found->list[i].channel_count; c++) {
+            const struct fmt_material_channel *channel = &found->list[i].channels[c];
+            unsigned row = 0;
+            while (bsq_channel_at(row) && bsq_channel_at(row) != channel->channel)
+                row++;
+            if (is_kept(scan, channel->channel->name))
+                continue;
+            textured |= channel->texture_path ? UINT32_C(1) << row : 0;
+            scan->unkept |=
+                channel->texture_path || has_own_value(channel) ? UINT32_C(1) << row : 0;
+        }
+    return textured;
+}
+
+/* Warns of textures of materials that are lost, unless the user has chosen what to keep. */
+static int warn_of_unkept(struct scan *scan, const struct fmt_materials *found)
+{
+    const uint32_t textured = note_unkept(scan, found);
+    char names[256] = "";
+    for (unsigned i = 0; bsq_channel_at(i); i++)
+        if (textured >> i & 1)
+            snprintf(names + strlen(names), sizeof names - strlen(names), "%s%s",
+                     names[0] ? ", " : "", bsq_channel_at(i)->name);
+    return textured == 0 || !scan->tells_unkept
+               ? 0
+               : bsq_warn_loss(scan->ctx,
+                               "%s: textures of materials are not kept: %s; --channels all keeps "
+                               "them, --channels none says that they are not needed",
+                               scan->paths[0], names);
+}
+
 /* Gives an entry of the table its channels. textured: whether its triangles have texture
  * coordinates. */
 static int add_sources(struct scan *scan, const struct scan_textures *textures,
@@ -261,11 +353,10 @@ static int add_material(struct scan *scan, const char *path, const float diffuse
     return status;
 }
 
-static int allocate_tables(struct scan *scan, uint32_t usemtl_count)
+static int allocate_tables(struct scan *scan)
 {
-    const uint64_t entries = 2 * ((uint64_t)usemtl_count + 1);
+    const uint64_t entries = 2 * ((uint64_t)scan->usemtl_count + 1);
     int status;
-    scan->usemtl_count = usemtl_count;
     BSQ_TRY(bsq_alloc(scan->ctx, "materials", entries, sizeof *scan->material_map,
                       &scan->material_map));
     memset(scan->material_map, 0xff, entries * sizeof *scan->material_map);
@@ -344,6 +435,26 @@ static int whiten_colorless(struct scan *scan)
     return status;
 }
 
+/* Returns whether some materials name textures of their colour, none of which can be used, and no
+ * other material has a colour. What these materials say of their colour is mostly a factor of the
+ * texture, such as white, so the scan has no colours then. */
+static bool colors_are_lost(const struct scan *scan, const struct scan_textures *textures,
+                            const struct fmt_materials *found)
+{
+    bool lost = false, others = false;
+    for (uint32_t i = 0; i < found->count; i++) {
+        const struct fmt_material *material = &found->list[i];
+        const bool good =
+            material->texture_path && (scan_count(scan, SCAN_TEXCOORDS) == 0 ||
+                                       vox_textures_have(textures, material->texture_path));
+        if (!is_used(scan, i))
+            continue;
+        lost |= material->texture_path && !good;
+        others |= good || (!material->texture_path && material->has_diffuse);
+    }
+    return lost && !others;
+}
+
 /* Adds the entries of a material: one for triangles with texture coordinates if a texture needs
  * them, and one for all others. given: its texture comes from the options. */
 static int add_entries(struct scan *scan, const struct scan_textures *textures,
@@ -353,11 +464,12 @@ static int add_entries(struct scan *scan, const struct scan_textures *textures,
     const bool colored = given || (from->texture_path && scan_count(scan, SCAN_TEXCOORDS) > 0 &&
                                    vox_textures_have(textures, from->texture_path));
     const bool textured = colored || any_channel_texture(scan, textures, from);
-    const bool plain = from->has_diffuse || name || scan->channel_count > 0;
+    const bool has_color = from->has_diffuse && !(from->texture_path && scan->lost_colors);
+    const bool plain = has_color || name || scan->channel_count > 0;
     int status = 0;
     if (textured)
         BSQ_TRY(add_material(scan, colored ? from->texture_path : NULL, from->diffuse,
-                             colored || from->has_diffuse, name, &map[0]));
+                             colored || has_color, name, &map[0]));
     if (textured)
         BSQ_TRY(add_sources(scan, textures, from, true, map[0]));
     if (colored)
@@ -365,7 +477,7 @@ static int add_entries(struct scan *scan, const struct scan_textures *textures,
     if (colored)
         scan->materials[map[0]].tinted = from->tinted;
     if (plain && (!textured || scan->lacks_texcoord)) {
-        BSQ_TRY(add_material(scan, NULL, from->diffuse, from->has_diffuse, name, &map[1]));
+        BSQ_TRY(add_material(scan, NULL, from->diffuse, has_color, name, &map[1]));
         BSQ_TRY(add_sources(scan, textures, from, false, map[1]));
     }
     if (!textured)
@@ -444,6 +556,10 @@ static int use_materials(struct scan *scan, struct fmt_mesh_reader *reader, cons
     BSQ_TRY(use_alpha(scan, textures, image, &found));
     if (checks && image) /* again, for its alpha */
         BSQ_TRY(vox_textures_check(scan->ctx, &found, has_texcoords, textures));
+    BSQ_TRY(drop_optional(scan, textures, &found));
+    BSQ_TRY(warn_of_unkept(scan, &found));
+    scan->lost_colors = !image && colors_are_lost(scan, textures, &found);
+    BSQ_TRY(allocate_tables(scan));
     BSQ_TRY(add_all(scan, textures, &found, image));
     status = warn_of_bare_faces(scan, textures, &found, image);
 done:
@@ -470,7 +586,20 @@ static void warn_without_names(const struct scan *scan)
                  scan->ids == BSQ_IDS_OBJECT ? "objects or groups" : "materials");
 }
 
-/* Refuses channels that no material has: they would be the same everywhere. */
+const char *vox_scan_find_texture(const struct scan *scan)
+{
+    const char *path = NULL;
+    for (uint32_t i = 0; i < scan->material_count && !path; i++) {
+        const struct fmt_tris_material *material = &scan->materials[i];
+        path = material->texture_path;
+        for (uint32_t c = 0; c < scan->channel_count && !path; c++)
+            path = material->sources[c].texture_path;
+    }
+    return path;
+}
+
+/* Warns of channels that no material has, which are the same everywhere: other parts of the scan
+ * may have them. Refuses those that materials cannot have. */
 static int check_channels(const struct scan *scan)
 {
     for (uint32_t c = 0; c < scan->channel_count; c++) {
@@ -481,8 +610,14 @@ static int check_channels(const struct scan *scan)
             return bsq_fail(scan->ctx, BSQ_EDATA,
                             "%s: no texture coordinates for the channel %s of %s", scan->paths[0],
                             channel->name, channel->texture_path);
-        return bsq_fail(scan->ctx, BSQ_EDATA, "%s: no material has a value or a texture of %s",
-                        scan->paths[0], channel->name);
+        const struct bsq_channel *row = bsq_channel_find(channel->name);
+        if (row->name[0] == '\0')
+            return bsq_fail(scan->ctx, BSQ_EDATA,
+                            "%s: materials have no channel %s: give its image, as %s=FILE",
+                            scan->paths[0], channel->name, channel->name);
+        bsq_warn(scan->ctx,
+                 "%s: no material has a value or a texture of %s, so it is %g everywhere",
+                 scan->paths[0], channel->name, (double)row->usual);
     }
     return 0;
 }
@@ -506,12 +641,15 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
     int status;
     scan->ids = ids;
     BSQ_TRY(check_ids(scan));
-    BSQ_TRY(allocate_tables(scan, scan->totals.materials));
-    if (!texture_path || scan_count(scan, SCAN_TEXCOORDS) > 0)
-        BSQ_TRY(use_materials(scan, reader, texture_path, textures));
-    else
+    scan->usemtl_count = scan->totals.materials;
+    if (texture_path && scan_count(scan, SCAN_TEXCOORDS) == 0) {
+        BSQ_TRY(drop_optional(scan, textures, &(struct fmt_materials){0}));
+        BSQ_TRY(allocate_tables(scan));
         BSQ_TRY(bsq_warn_loss(scan->ctx, "%s: no texture coordinates, %s is not used",
                               scan->paths[0], texture_path));
+    } else {
+        BSQ_TRY(use_materials(scan, reader, texture_path, textures));
+    }
     BSQ_TRY(whiten_colorless(scan));
     note_material_colors(scan);
     warn_without_names(scan);
@@ -519,14 +657,8 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
     scan->attributes = (scan->has_colors ? FMT_TRIS_COLORS : 0) |
                        (scan->has_normals ? FMT_TRIS_NORMALS : 0) |
                        (scan->material_count > 0 ? FMT_TRIS_MATERIALS : 0);
-    for (uint32_t i = 0; i < scan->material_count; i++) {
-        const struct fmt_tris_material *material = &scan->materials[i];
-        bool textured = material->texture_path != NULL;
-        for (uint32_t c = 0; c < scan->channel_count; c++)
-            textured |= material->sources[c].texture_path != NULL;
-        if (textured)
-            scan->attributes |= FMT_TRIS_TEXCOORDS;
-    }
+    if (vox_scan_find_texture(scan))
+        scan->attributes |= FMT_TRIS_TEXCOORDS;
 done:
     return status;
 }

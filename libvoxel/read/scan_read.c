@@ -42,6 +42,7 @@ void vox_scan_free(struct scan *scan)
     }
     bsq_free(scan->ctx, scan->materials);
     bsq_free(scan->ctx, scan->found_channels);
+    bsq_free(scan->ctx, scan->found_optional);
     bsq_free(scan->ctx, scan->material_map);
     bsq_free(scan->ctx, scan->material_uses);
     bsq_free(scan->ctx, scan->files);

@@ -1,11 +1,13 @@
 /* voxelize.c - makes the grid file from chunk files: input, memory and output. regions.c makes the
  * voxels. */
 #include <inttypes.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "base/channels.h"
 #include "base/clock.h"
 #include "base/job_files.h"
+#include "base/text_table.h"
 #include "libvoxel/float_precision.h"
 #include "libvoxel/temp_tris.h"
 #include "libvoxel/voxelize/voxelize_run.h"
@@ -33,7 +35,7 @@ static uint64_t min64(uint64_t a, uint64_t b)
 /* Returns the values of further channels in a record. */
 static uint32_t channel_values(const struct vox_run *run)
 {
-    const char *list = run->options->channels;
+    const char *list = run->channels;
     return list ? bsq_channel_list_values(list, strlen(list)) : 0;
 }
 
@@ -89,9 +91,37 @@ static int divide_memory(const struct vox_run *run, struct vox_shares *shares)
 
 /* ---- opening ---- */
 
-static int check_channels(const struct vox_run *run)
+/* Lists all channels of the chunk file that a grid can have. */
+static int list_channels(struct vox_run *run)
+{
+    const struct fmt_tris_header *header = run->header;
+    uint64_t bytes = 1, at = 0;
+    for (uint32_t c = 0; c < header->channel_count; c++)
+        bytes += strlen(header->channels[c]) + 1;
+    int status = bsq_calloc(run->ctx, "channels", bytes, 1, &run->channels);
+    for (uint32_t c = 0; c < header->channel_count && status == 0; c++)
+        if (strcmp(header->channels[c], BSQ_CHANNEL_NORMAL_MAP) != 0)
+            at += (uint64_t)sprintf(run->channels + at, "%s%s", at > 0 ? "," : "",
+                                    header->channels[c]);
+    if (status == 0 && at == 0) {
+        bsq_free(run->ctx, run->channels);
+        run->channels = NULL;
+    }
+    return status;
+}
+
+/* Sets the list of the grid's channels. */
+static int choose_channels(struct vox_run *run)
 {
     const char *list = run->options->channels;
+    if (list && strcmp(list, "all") == 0)
+        return list_channels(run);
+    return bsq_text_copy(run->ctx, list, &run->channels);
+}
+
+static int check_channels(const struct vox_run *run)
+{
+    const char *list = run->channels;
     uint32_t first;
     if (list && channel_values(run) == 0)
         return bsq_fail(run->ctx, BSQ_EUSAGE, "\"%.60s\" cannot be channels", list);
@@ -119,6 +149,8 @@ static int open_input(struct vox_run *run)
         return bsq_fail(run->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks are too many", path,
                         run->header->chunk_count);
     status = run->options->ids ? fmt_tris_require_ids(run->file) : 0;
+    if (status == 0)
+        status = choose_channels(run);
     if (status == 0)
         status = check_channels(run);
     return status < 0 ? status
@@ -215,7 +247,7 @@ static int make_workers(struct vox_run *run)
 /* Adds the channels of a list, each of which must be there once only. */
 static int add_channels(const struct vox_run *run, struct fmt_shading *shading)
 {
-    const char *list = run->options->channels;
+    const char *list = run->channels;
     char **names;
     uint32_t count;
     int status = bsq_channel_list_split(run->ctx, list, strlen(list), &names, &count);
@@ -239,7 +271,7 @@ static int add_attributes(struct vox_run *run)
     BSQ_TRY(fmt_shading_add_color(shading));
     if (options->ids)
         BSQ_TRY(fmt_shading_add_ids(shading));
-    if (options->channels)
+    if (run->channels)
         BSQ_TRY(add_channels(run, shading));
     status = fmt_shading_add_normal_map(shading, options->scan_normal_map);
 done:
@@ -311,7 +343,7 @@ static int create_grid(struct vox_run *run)
         .voxel_size = transform->h,
         .has_color = fmt_tris_has_color(run->header),
         .ids = run->options->ids ? run->header->ids : BSQ_IDS_NONE,
-        .channels = run->options->channels,
+        .channels = run->channels,
         .source_triangles = run->header->triangle_count,
     };
     for (int a = 0; a < 3; a++) {
@@ -429,6 +461,7 @@ int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options
 done:
     fmt_nvdb_discard(run.writer);
     bsq_free(ctx, run.boxes);
+    bsq_free(ctx, run.channels);
     bsq_free(ctx, run.bounds);
     fmt_tris_close(run.file);
     report->seconds = bsq_seconds_now() - start;

@@ -46,6 +46,7 @@ struct vox_run {
     struct bsq_ctx *ctx;
     struct fmt_tris_file *file;
     const struct fmt_tris_header *header;
+    char *channels; /* that the grid gets, as the options have them; NULL: none; owned */
     struct vox_transform transform;
     struct vox_box *bounds;      /* voxels of each chunk's bounds */
     struct vox_chunk_box *boxes; /* of all chunks */

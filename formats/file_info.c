@@ -1,0 +1,352 @@
+/* file_info.c - see file_info.h.
+ *
+ * A mesh is read once, block by block, so memory does not grow with it. Materials that no face uses
+ * are left out. */
+#include "formats/file_info.h"
+
+#include <float.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "base/channels.h"
+#include "base/escape.h"
+#include "base/file_part.h"
+#include "base/tile_files.h"
+#include "formats/file_kind.h"
+#include "formats/mesh/mesh_reader.h"
+
+/* ---- JSON ---- */
+
+/* Returns a string of the text; if it is not UTF-8, of the escaped text. NULL gives null. */
+static json_t *text_json(const char *text)
+{
+    json_t *string = text ? json_string(text) : json_null();
+    char *escaped = string ? NULL : bsq_escape(text, true);
+    if (escaped)
+        string = json_string(escaped);
+    free(escaped);
+    return string;
+}
+
+static json_t *vector_json(const double v[3])
+{
+    return json_pack("[f, f, f]", v[0], v[1], v[2]);
+}
+
+/* Returns the box of a file; null if it is empty. */
+static json_t *box_json(const double min[3], const double max[3])
+{
+    if (!(min[0] <= max[0]))
+        return json_null();
+    const double size[3] = {max[0] - min[0], max[1] - min[1], max[2] - min[2]};
+    return json_pack("{s:o, s:o, s:o}", "min", vector_json(min), "max", vector_json(max), "size",
+                     vector_json(size));
+}
+
+/* Adds a text to an array that does not have it yet. Arrays are short, or their texts come in
+ * groups, so only the last ones are compared. */
+static int add_once(json_t *array, const char *text)
+{
+    enum { COMPARED = 64 };
+    const size_t count = json_array_size(array);
+    for (size_t i = count; i > 0 && count - i < COMPARED; i--) {
+        const char *other = json_string_value(json_array_get(array, i - 1));
+        if (other && strcmp(other, text) == 0)
+            return 0;
+    }
+    return json_array_append_new(array, text_json(text));
+}
+
+/* ---- meshes ---- */
+
+struct survey {
+    struct bsq_ctx *ctx;
+    double min[3], max[3];
+    bool has_colors, has_texcoords, has_normals;
+    uint64_t *faces; /* of each material */
+    uint64_t material_count, capacity;
+    uint64_t bare_faces; /* without a material */
+};
+
+static bool any_index(const uint64_t *indices, uint64_t count)
+{
+    for (uint64_t i = 0; indices && i < count; i++)
+        if (indices[i] != FMT_MESH_NONE)
+            return true;
+    return false;
+}
+
+static int count_faces(struct survey *s, uint32_t material, uint64_t faces)
+{
+    if (material == FMT_MESH_NO_MATERIAL) {
+        s->bare_faces += faces;
+        return 0;
+    }
+    const uint64_t count = (uint64_t)material + 1;
+    int status = bsq_grow(s->ctx, "materials", count, sizeof *s->faces, &s->faces, &s->capacity);
+    for (; status == 0 && s->material_count < count; s->material_count++)
+        s->faces[s->material_count] = 0;
+    if (status == 0)
+        s->faces[material] += faces;
+    return status;
+}
+
+static int survey_block(void *arg, const struct fmt_mesh_block *block)
+{
+    struct survey *s = arg;
+    uint32_t material = block->material_at_start;
+    uint64_t begin = 0;
+    int status = 0;
+    bsq_progress_add(s->ctx, block->byte_size);
+    for (uint64_t v = 0; v < block->vertex_count; v++)
+        for (int axis = 0; axis < 3; axis++) {
+            s->min[axis] = fmin(s->min[axis], block->positions[v][axis]);
+            s->max[axis] = fmax(s->max[axis], block->positions[v][axis]);
+        }
+    s->has_colors |= block->colors || block->late_color_count > 0;
+    s->has_texcoords |= any_index(block->corner_texcoords, block->corner_count);
+    s->has_normals |= any_index(block->corner_normals, block->corner_count);
+    for (uint64_t i = 0; i <= block->material_change_count && status == 0; i++) {
+        const bool last = i == block->material_change_count;
+        const uint64_t end = last ? block->face_count : block->material_changes[i].face;
+        status = end > begin ? count_faces(s, material, end - begin) : 0;
+        begin = end;
+        material = last ? material : block->material_changes[i].material;
+    }
+    return status;
+}
+
+/* Returns whether a texture can be found. */
+static bool is_there(const char *path)
+{
+    struct bsq_part part;
+    return bsq_part_parse(path, &part) > 0 || bsq_has_tiles(path) || access(path, R_OK) == 0;
+}
+
+static json_t *texture_json(const char *path)
+{
+    return json_pack("{s:o, s:b}", "texture", text_json(path), "found", (int)is_there(path));
+}
+
+static json_t *channel_json(const struct fmt_material_channel *channel)
+{
+    const float *v = channel->value;
+    if (channel->texture_path)
+        return texture_json(channel->texture_path);
+    return channel->channel->values == 1
+               ? json_real((double)v[0])
+               : json_pack("[f, f, f]", (double)v[0], (double)v[1], (double)v[2]);
+}
+
+/* Describes a material. channels: collects the names of all channels. */
+static json_t *material_json(const struct fmt_material *m, uint64_t faces, json_t *channels)
+{
+    json_t *root = json_pack("{s:o, s:I}", "name", text_json(m->name), "faces", (json_int_t)faces);
+    int failed = 0;
+    if (m->texture_path)
+        failed |= json_object_set_new(root, "color", texture_json(m->texture_path));
+    else if (m->has_diffuse)
+        failed |= json_object_set_new(root, "color",
+                                      json_pack("[f, f, f]", (double)m->diffuse[0],
+                                                (double)m->diffuse[1], (double)m->diffuse[2]));
+    for (uint32_t c = 0; c < m->channel_count; c++) {
+        const struct fmt_material_channel *channel = &m->channels[c];
+        if (!channel->texture_path && !channel->has_value)
+            continue;
+        failed |= json_object_set_new(root, channel->channel->name, channel_json(channel));
+        failed |= add_once(channels, channel->channel->name);
+    }
+    if (!failed)
+        return root;
+    json_decref(root);
+    return NULL;
+}
+
+/* Lists what bisque-voxelize keeps without options. With --channels all it keeps the channels too.
+ */
+static json_t *kept_json(const struct survey *s, const json_t *materials)
+{
+    json_t *kept = json_array();
+    bool textures = false, colors = false;
+    int failed = 0;
+    for (size_t i = 0; i < json_array_size(materials); i++) {
+        const json_t *color = json_object_get(json_array_get(materials, i), "color");
+        textures |= s->has_texcoords && json_is_true(json_object_get(color, "found"));
+        colors |= json_is_array(color);
+    }
+    const char *names[] = {"positions", s->has_normals ? "normals" : NULL,
+                           s->has_colors ? "vertex colours" : NULL,
+                           textures ? "colour textures" : NULL,
+                           colors && !s->has_colors ? "colours of materials" : NULL};
+    for (size_t i = 0; i < sizeof names / sizeof *names; i++)
+        if (names[i])
+            failed |= add_once(kept, names[i]);
+    if (!failed)
+        return kept;
+    json_decref(kept);
+    return NULL;
+}
+
+/* Describes the materials that faces use, and their objects. */
+static int describe_materials(const struct survey *s, const struct fmt_materials *found,
+                              json_t *root)
+{
+    json_t *materials = json_array(), *objects = json_array(), *channels = json_array();
+    int failed = 0;
+    for (uint32_t i = 0; i < found->count; i++) {
+        const struct fmt_material *m = &found->list[i];
+        const uint64_t faces = i < s->material_count ? s->faces[i] : 0;
+        if (faces > 0 && m->object && m->object[0])
+            failed |= add_once(objects, m->object);
+        if (faces > 0 && m->name)
+            failed |= json_array_append_new(materials, material_json(m, faces, channels));
+    }
+    failed |= json_object_set_new(root, "objects", objects);
+    failed |= json_object_set_new(root, "materials", materials);
+    failed |= json_object_set_new(root, "channels", channels);
+    failed |= json_object_set_new(root, "kept", kept_json(s, materials));
+    return failed ? bsq_fail(s->ctx, BSQ_ENOMEM, "no memory to describe the materials") : 0;
+}
+
+static json_t *mesh_json(const struct survey *s, const struct fmt_mesh_reader *reader,
+                         const struct fmt_mesh_totals *t)
+{
+    const char *format = fmt_mesh_format_name(reader, 0);
+    return json_pack(
+        "{s:s, s:I, s:s?, s:o, s:I, s:I, s:I, s:b, s:b, s:b, s:I}", "format", format, "bytes",
+        (json_int_t)t->bytes, "units", strcmp(format, "glTF") == 0 ? "metres" : NULL, "box",
+        box_json(s->min, s->max), "vertices", (json_int_t)t->vertices, "faces",
+        (json_int_t)t->faces, "triangles", (json_int_t)(t->corners - 2 * t->faces), "normals",
+        (int)s->has_normals, "texture_coordinates", (int)s->has_texcoords, "vertex_colors",
+        (int)s->has_colors, "faces_without_material", (json_int_t)s->bare_faces);
+}
+
+static int describe_mesh(struct bsq_ctx *ctx, const char *path, json_t **out)
+{
+    struct survey s = {.ctx = ctx,
+                       .min = {INFINITY, INFINITY, INFINITY},
+                       .max = {-INFINITY, -INFINITY, -INFINITY}};
+    const struct fmt_mesh_inputs inputs = {.paths = &path, .path_count = 1, .pipes = true};
+    struct fmt_mesh_reader *reader = NULL;
+    struct fmt_mesh_totals totals = {0};
+    struct fmt_materials found = {0};
+    int status;
+    BSQ_TRY(fmt_mesh_open_inputs(ctx, &inputs, &reader));
+    fmt_mesh_use_objects(reader);
+    bsq_progress_begin(ctx, "reading", "bytes", fmt_mesh_bytes(reader));
+    status = fmt_mesh_read(reader, survey_block, &s, &totals);
+    bsq_progress_end(ctx);
+    BSQ_TRY(status);
+    if (totals.faces == 0)
+        BSQ_TRY(fmt_mesh_fail_no_faces(ctx, path, &totals));
+    BSQ_TRY(fmt_mesh_read_materials(reader, &found));
+    *out = mesh_json(&s, reader, &totals);
+    if (*out)
+        status = describe_materials(&s, &found, *out);
+done:
+    fmt_materials_free(ctx, &found);
+    fmt_mesh_close(reader);
+    bsq_free(ctx, s.faces);
+    return status;
+}
+
+/* ---- chunk files and grids ---- */
+
+/* Returns the textures that materials name, each once. */
+static json_t *textures_json(const struct fmt_tris_header *h)
+{
+    json_t *list = json_array();
+    int failed = 0;
+    for (uint32_t m = 0; m < h->material_count; m++) {
+        if (h->materials[m].texture_path)
+            failed |= add_once(list, h->materials[m].texture_path);
+        for (uint32_t c = 0; c < h->channel_count; c++)
+            if (h->materials[m].sources[c].texture_path)
+                failed |= add_once(list, h->materials[m].sources[c].texture_path);
+    }
+    if (!failed)
+        return list;
+    json_decref(list);
+    return NULL;
+}
+
+static int describe_tris(struct bsq_ctx *ctx, const char *path, json_t **out)
+{
+    struct fmt_tris_file *file;
+    double min[3], max[3];
+    int status = fmt_tris_open(ctx, path, &file);
+    if (status < 0)
+        return status;
+    const struct fmt_tris_header *h = fmt_tris_get_header(file);
+    json_t *channels = json_array();
+    for (int axis = 0; axis < 3; axis++) {
+        min[axis] = h->origin[axis] + (double)h->bounds_min[axis];
+        max[axis] = h->origin[axis] + (double)h->bounds_max[axis];
+    }
+    for (uint32_t c = 0; c < h->channel_count; c++)
+        add_once(channels, h->channels[c]);
+    *out = json_pack("{s:s, s:I, s:o, s:I, s:I, s:I, s:b, s:b, s:b, s:b, s:s?, s:I, s:o, s:o}",
+                     "format", "chunk file", "version", (json_int_t)fmt_tris_version(h), "box",
+                     box_json(min, max), "triangles", (json_int_t)h->triangle_count, "chunks",
+                     (json_int_t)h->chunk_count, "source_faces", (json_int_t)h->source_faces,
+                     "normals", (int)!!(h->attributes & FMT_TRIS_NORMALS), "texture_coordinates",
+                     (int)!!(h->attributes & FMT_TRIS_TEXCOORDS), "vertex_colors",
+                     (int)!!(h->attributes & FMT_TRIS_COLORS), "color", (int)fmt_tris_has_color(h),
+                     "ids", h->ids == BSQ_IDS_NONE ? NULL : bsq_ids_text(h->ids), "materials",
+                     (json_int_t)h->material_count, "channels", channels, "textures",
+                     textures_json(h));
+    fmt_tris_close(file);
+    return 0;
+}
+
+static int describe_grid(struct bsq_ctx *ctx, const char *path, json_t **out)
+{
+    struct fmt_nvdb_grid grid;
+    char **names = NULL;
+    uint32_t count = 0;
+    int status = fmt_nvdb_open(ctx, path, &grid);
+    if (status < 0)
+        return status;
+    json_t *channels = json_array();
+    if (grid.channel_list)
+        status =
+            bsq_channel_list_split(ctx, grid.channel_list, grid.channel_list_bytes, &names, &count);
+    for (uint32_t c = 0; c < count; c++)
+        add_once(channels, names[c]);
+    *out = json_pack(
+        "{s:s, s:s, s:I, s:I, s:o, s:f, s:[i, i, i], s:[i, i, i], s:I, s:I, s:b, s:s?, s:o}",
+        "format", "grid (NanoVDB)", "type", grid.info.type == FMT_NVDB_MASK ? "mask" : "onindex",
+        "version", (json_int_t)fmt_nvdb_record_version(&grid), "bytes", (json_int_t)grid.map.size,
+        "box", box_json(grid.info.scan_min, grid.info.scan_max), "voxel_size", grid.info.voxel_size,
+        "index_min", grid.index_min[0], grid.index_min[1], grid.index_min[2], "index_max",
+        grid.index_max[0], grid.index_max[1], grid.index_max[2], "voxels",
+        (json_int_t)grid.voxel_count, "source_triangles", (json_int_t)grid.info.source_triangles,
+        "color", (int)grid.info.has_color, "ids",
+        grid.info.ids == BSQ_IDS_NONE ? NULL : bsq_ids_text(grid.info.ids), "channels", channels);
+    bsq_free(ctx, names);
+    fmt_nvdb_close(ctx, &grid);
+    return status;
+}
+
+int fmt_describe(struct bsq_ctx *ctx, const char *path, json_t **out)
+{
+    enum fmt_kind kind;
+    int status;
+    *out = NULL;
+    BSQ_TRY(fmt_recognise(ctx, path, &kind));
+    if (kind == FMT_KIND_VDB)
+        return bsq_fail(ctx, BSQ_EDATA, "%s: an OpenVDB file, which Bisque does not read", path);
+    status = kind == FMT_KIND_TRIS   ? describe_tris(ctx, path, out)
+             : kind == FMT_KIND_NVDB ? describe_grid(ctx, path, out)
+                                     : describe_mesh(ctx, path, out);
+    if (status == 0 && (!*out || json_object_set_new(*out, "path", text_json(path)) < 0))
+        status = bsq_fail(ctx, BSQ_ENOMEM, "%s: no memory to describe it", path);
+done:
+    if (status < 0) {
+        json_decref(*out);
+        *out = NULL;
+    }
+    return status;
+}
