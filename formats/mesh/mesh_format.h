@@ -275,11 +275,11 @@ int fmt_stream_reserve(struct stream_slot *slot, uint64_t size);
  * at the end of the file. *loaded: their number. *at_end: the file ends with them, for certain. */
 int fmt_stream_extend(struct stream_slot *slot, uint64_t have, uint64_t size, uint64_t *loaded,
                       bool *at_end);
-/* Cuts and loads the next part of a text: from part.offset and part.first_line, which pass what is
- * blank. find: returns the bytes of whole elements at the start of `have` loaded bytes, 0 if none
- * is whole; sets part.lines to the line ends in these bytes or, if there are none, in all. Returns
- * 1, or 0 at the end of the file. */
-int fmt_stream_cut_text(struct stream_slot *slot,
+/* Cuts and loads the next part of a text, of about `usual` bytes: from part.offset and
+ * part.first_line, which pass what is blank. find: returns the bytes of whole elements at the start
+ * of `have` loaded bytes, 0 if none is whole; sets part.lines to the line ends in these bytes or,
+ * if there are none, in all. Returns 1, or 0 at the end of the file. */
+int fmt_stream_cut_text(struct stream_slot *slot, uint64_t usual,
                         uint64_t (*find)(struct stream_slot *slot, uint64_t have, bool at_end));
 /* Loads the bytes of a part, unless they are loaded. */
 int fmt_stream_load(struct stream_slot *slot);

@@ -86,11 +86,11 @@ int fmt_stream_load(struct stream_slot *slot)
     return status;
 }
 
-int fmt_stream_cut_text(struct stream_slot *slot,
+int fmt_stream_cut_text(struct stream_slot *slot, uint64_t usual,
                         uint64_t (*find)(struct stream_slot *, uint64_t, bool))
 {
     struct stream_part *part = &slot->part;
-    uint64_t have = 0, wanted = STREAM_PART_BYTES;
+    uint64_t have = 0, wanted = usual;
     bool at_end = false;
     int status;
     for (;;) {
@@ -450,8 +450,6 @@ static int emit(void *arg, void *slot_memory, uint64_t sequence)
         BSQ_TRY(source->format->pass(slot));
     if (slot->error[0])
         return fail_part(slot);
-    if (slot->part.end < job->passed) /* the part lies within the one before */
-        slot->part.end = job->passed;
     add_bases(slot);
     if (source->moves)
         move_elements(&source->placement, &slot->arrays);

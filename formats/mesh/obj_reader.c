@@ -4,10 +4,7 @@
  * of corners, negative indices, usemtl, mtllib; CRLF, tabs, line continuation, comments, exponents.
  * If the caller wants objects, also o and g. Other statements (s, l, p, ...) are skipped.
  *
- * A file is cut without reading it: part i holds the lines that begin in the i-th range of
- * OBJ_BLOCK_BYTES. The few bytes before a position tell whether a line begins there, so any thread
- * can load any part on its own: from a little before its range to the first line start after it. A
- * line longer than a range belongs to the part where it begins; the parts within it are empty. */
+ * A file is cut after the last line that is whole, without looking at the lines before it. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <string.h>
@@ -30,115 +27,38 @@ static void end(struct stream_source *source)
 
 /* ---- cutting and parsing ---- */
 
-/* Bytes before a position that decide whether a line begins there: backslash, "\r", "\n". */
-enum { LOOK_BACK = 3 };
-/* Bytes first read after the range; more are read if its last line is longer. */
-enum { LOOK_AHEAD = 4096 };
-
-/* A part of the file in memory: text[0] is byte `offset` of the file. */
-struct window {
-    const char *text;
-    uint64_t offset, end;
-    bool at_file_end; /* the file ends at `end` */
-};
-
-static bool is_at(const struct window *window, uint64_t position, char c)
+/* Returns whether a line ends with byte `at` of `have` loaded ones. After a backslash it does not:
+ * inside a comment it does, but the file need not be cut there. After a last "\r" may come "\n". */
+static bool ends_line(const uint8_t *text, uint64_t at, uint64_t have)
 {
-    return position >= window->offset && position < window->end &&
-           window->text[position - window->offset] == c;
+    if (text[at] != '\n' && (text[at] != '\r' || at + 1 == have))
+        return false;
+    at -= text[at] == '\n' && at > 0 && text[at - 1] == '\r';
+    return at == 0 || text[at - 1] != '\\';
 }
 
-/* Returns true if a line starts at `position`; the byte before it is '\n' or '\r'. A line end after
- * a backslash continues the line. Inside a comment it does not, but the file need not be cut there.
- */
-static bool starts_line(const struct window *window, uint64_t position)
+/* Returns the bytes of whole lines in loaded text. One with a zero byte is whole: the parser says
+ * that it is no text, and need not see more of it. */
+static uint64_t find_lines(struct stream_slot *slot, uint64_t have, bool at_file_end)
 {
-    uint64_t last = position - 1;
-    if (is_at(window, last, '\n'))
-        return !(last >= 1 && is_at(window, last - 1, '\\')) &&
-               !(last >= 2 && is_at(window, last - 1, '\r') && is_at(window, last - 2, '\\'));
-    return !is_at(window, position, '\n') && !(last >= 1 && is_at(window, last - 1, '\\'));
-}
-
-/* Returns the first line start at or after `from` (> 0); the end of the file counts as one. Returns
- * UINT64_MAX if the window ends before the file does. */
-static uint64_t find_line_start(const struct window *window, uint64_t from)
-{
-    for (uint64_t at = from - 1; at < window->end; at++) {
-        char c = window->text[at - window->offset];
-        if (c == '\0') /* not a text file: the parser says so, and need not see more of it */
-            return at + 1;
-        if (c != '\n' && c != '\r')
-            continue;
-        if (c == '\r' && at + 1 == window->end && !window->at_file_end)
-            break; /* whether "\n" follows is not known yet */
-        if (starts_line(window, at + 1))
-            return at + 1;
-    }
-    return window->at_file_end ? window->end : UINT64_MAX;
-}
-
-/* Loads the window's bytes up to byte `end` of the file, or to the end of the file. */
-static int load_until(struct stream_slot *slot, struct window *window, uint64_t end)
-{
-    uint64_t have = window->end - window->offset;
-    slot->part.offset = window->offset;
-    int status = fmt_stream_extend(slot, have, end - window->offset, &have, &window->at_file_end);
-    window->text = (const char *)slot->bytes;
-    window->end = window->offset + have;
-    return status;
-}
-
-/* Finds the lines that begin in the range of a part, and loads them. *begin: where they are in
- * slot->bytes. */
-static int load_lines(struct stream_slot *slot, uint64_t *begin)
-{
-    struct stream_part *part = &slot->part;
-    const uint64_t first = part->first_item * OBJ_BLOCK_BYTES;
-    uint64_t range_end = first + OBJ_BLOCK_BYTES, start = 0, end;
-    struct window window = {.offset = first ? first - LOOK_BACK : 0};
-    int status;
-    window.end = window.offset;
-    BSQ_TRY(load_until(slot, &window, range_end + LOOK_AHEAD));
-    if (range_end > window.end)
-        range_end = window.end;
-    if (first > 0)
-        start = find_line_start(&window, first);
-    if (start >= range_end)
-        start = end = range_end;
-    else
-        while ((end = find_line_start(&window, range_end)) == UINT64_MAX) {
-            BSQ_TRY(bsq_check(slot->ctx));
-            BSQ_TRY(load_until(slot, &window, 2 * window.end - window.offset));
-        }
-    part->offset = start;
-    part->size = end - start;
-    part->end = end;
-    *begin = start - window.offset;
-done:
-    return status;
+    uint64_t size = have;
+    while (size > 0 && !ends_line(slot->bytes, size - 1, have))
+        size--;
+    return at_file_end || (size == 0 && memchr(slot->bytes, '\0', have)) ? have : size;
 }
 
 static int cut(const struct stream_part *before, struct stream_slot *slot)
 {
-    struct stream_part *part = &slot->part;
-    uint64_t size;
-    part->first_item = before->end > 0 ? before->first_item + 1 : 0;
-    part->offset = part->first_item * OBJ_BLOCK_BYTES;
-    part->end = part->offset + OBJ_BLOCK_BYTES;
-    int status = fmt_input_reach(slot->source->input, part->end, &size);
-    if (!status && size < part->end)
-        part->end = size;
-    return status ? status : size > part->offset;
+    slot->part.first_item = before->end > 0 ? before->first_item + 1 : 0;
+    slot->part.offset = before->end;
+    return fmt_stream_cut_text(slot, OBJ_BLOCK_BYTES, find_lines);
 }
 
 static int parse(struct stream_slot *slot)
 {
-    const bool objects = slot->source->reader->objects;
-    uint64_t begin = 0;
-    /* If the part is parsed again, its place is known. */
-    int status = slot->part.size > 0 ? fmt_stream_load(slot) : load_lines(slot, &begin);
-    return status ? status : fmt_obj_parse_text(slot, begin, slot->part.size, objects);
+    int status = fmt_stream_load(slot);
+    return status ? status
+                  : fmt_obj_parse_text(slot, 0, slot->part.size, slot->source->reader->objects);
 }
 
 /* ---- passing in order ---- */

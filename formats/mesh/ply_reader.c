@@ -319,7 +319,7 @@ static uint64_t find_lines(struct stream_slot *slot, uint64_t have, bool at_file
 
 static int cut_text(struct cutter *c)
 {
-    int status = fmt_stream_cut_text(c->slot, find_lines);
+    int status = fmt_stream_cut_text(c->slot, STREAM_PART_BYTES, find_lines);
     if (status != 0)
         return status;
     return fail_truncated(c);

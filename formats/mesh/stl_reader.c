@@ -415,7 +415,7 @@ static int cut_text(const struct stream_part *before, struct stream_slot *slot)
 {
     slot->part.offset = before->end;
     slot->part.first_line = before->end == 0 ? 1 : before->first_line + before->lines;
-    return fmt_stream_cut_text(slot, find_facets);
+    return fmt_stream_cut_text(slot, STREAM_PART_BYTES, find_facets);
 }
 
 struct text {
