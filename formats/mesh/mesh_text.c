@@ -75,6 +75,20 @@ void fmt_mesh_tidy_name(char *text)
     text[length] = '\0';
 }
 
+uint64_t fmt_mesh_statement_size(const char *text, enum mesh_continued continued, uint64_t *lines)
+{
+    const char *p = text;
+    for (int size; *p != '\0' && !fmt_mesh_line_end(p); p++) {
+        if (*p != '\\' || continued == MESH_NOT_CONTINUED ||
+            (continued == MESH_CONTINUED_NAMES && (p == text || (unsigned char)p[-1] > ' ')))
+            continue;
+        size = fmt_mesh_line_end(p + 1);
+        p += size;
+        *lines += size > 0;
+    }
+    return (uint64_t)(p - text);
+}
+
 int fmt_mesh_hex_digit(char c)
 {
     const char lower = (char)(c | 0x20);

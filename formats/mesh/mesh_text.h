@@ -33,6 +33,25 @@ static inline uint64_t fmt_mesh_count_space(const void *text, uint64_t size)
     return count;
 }
 
+/* Returns the length of the line end at p ("\n", "\r\n" or a lone "\r"); 0 if there is none. */
+static inline int fmt_mesh_line_end(const char *p)
+{
+    if (*p == '\n')
+        return 1;
+    return *p == '\r' ? 1 + (p[1] == '\n') : 0;
+}
+
+/* Which statements go on in the next line after a backslash at the end of a line. */
+enum mesh_continued {
+    MESH_NOT_CONTINUED,  /* comments: one that ends so, as a Windows path does, must not swallow the
+                            line after it */
+    MESH_CONTINUED,      /* numbers */
+    MESH_CONTINUED_NAMES /* after a blank only: elsewhere it is the end of a name */
+};
+/* Returns the bytes from `text` to the end of its statement: a line end, or a zero. Adds the line
+ * ends before that to *lines. */
+uint64_t fmt_mesh_statement_size(const char *text, enum mesh_continued continued, uint64_t *lines);
+
 /* Returns the value of a hexadecimal digit, or -1. */
 int fmt_mesh_hex_digit(char c);
 

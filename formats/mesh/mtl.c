@@ -360,62 +360,43 @@ static int read_line(struct reader *reader, char *line)
     return 0;
 }
 
-/* Finds the end of the statement at `line`, and adds to *lines the line ends in it that a backslash
- * after a blank continues; these become blanks. A backslash after something else ends a name, such
- * as a Windows path. Comments are not continued. */
-static char *find_statement_end(char *line, char *end, uint64_t *lines)
+/* Makes blanks of the line ends in a statement that a backslash continues, and ends it. */
+static void join_lines(char *line, char *end)
 {
-    const bool comment = *skip_blanks(line) == '#';
-    char *p = line;
-    for (;; p++) {
-        while (p < end && *p != '\n' && *p != '\r')
-            p++;
-        if (p == end || p - line < 2 || p[-1] != '\\' || !fmt_mesh_is_blank(p[-2]) || comment)
-            return p;
-        p[-1] = ' ';
-        if (p + 1 < end && p[0] == '\r' && p[1] == '\n')
-            *p++ = ' ';
-        *p = ' ';
-        ++*lines;
-    }
+    for (char *p = line; p < end; p++)
+        if (*p == '\n' || *p == '\r')
+            p[-1] = p[0] = ' ';
+    *end = '\0';
 }
 
-/* Warns if the text has a zero byte, and makes *size the bytes before its line. */
-static int cut_at_zero(struct reader *reader, const char *text, uint64_t *size)
+static int warn_zero(struct reader *reader)
 {
-    const char *zero = memchr(text, '\0', *size);
-    uint64_t line = 1, start = 0;
-    if (!zero)
-        return 0;
-    for (uint64_t i = 0; text + i < zero; i++)
-        if (text[i] == '\n') {
-            line++;
-            start = i + 1;
-        }
-    *size = start;
     if (reader->again)
         return 0;
     return bsq_warn_loss(reader->ctx,
                          "%s:%" PRIu64 ": not a text file (zero byte): not read from here on",
-                         reader->path, line);
+                         reader->path, reader->line);
 }
 
 static int read_text(struct reader *reader, char *text, uint64_t size)
 {
-    int status;
-    BSQ_TRY(cut_at_zero(reader, text, &size));
     char *p = text + fmt_mesh_mark(text, size), *end = text + size;
     uint64_t lines = 0; /* before `p` */
-    while (p < end) {
+    int status = 0;
+    *end = '\n';
+    for (uint64_t i = 0; p < end; i++) {
         char *line = p;
-        const uint64_t first = lines++;
-        p = find_statement_end(line, end, &lines);
-        bool crlf = p + 1 < end && p[0] == '\r' && p[1] == '\n';
-        *p = '\0';
-        p += 1 + crlf;
-        reader->line = first + 1;
-        if (first % 1024 == 0)
+        reader->line = lines + 1;
+        if (i % 1024 == 0)
             BSQ_TRY(bsq_check(reader->ctx));
+        p += fmt_mesh_statement_size(
+            line, *skip_blanks(line) == '#' ? MESH_NOT_CONTINUED : MESH_CONTINUED_NAMES, &lines);
+        if (*p == '\0')
+            return warn_zero(reader);
+        const int line_end = fmt_mesh_line_end(p);
+        join_lines(line, p);
+        p += line_end;
+        lines++;
         BSQ_TRY(read_line(reader, line));
     }
 done:

@@ -51,14 +51,6 @@ __attribute__((format(printf, 2, 3))) static const char *fail(struct parser *par
 
 /* ---- lines ---- */
 
-/* Returns the length of the line end at p ("\n", "\r\n" or a lone "\r"); 0 if there is none. */
-static inline int line_end_size(const char *p)
-{
-    if (*p == '\n')
-        return 1;
-    return *p == '\r' ? 1 + (p[1] == '\n') : 0;
-}
-
 /* Skips blanks and continued line ends, which it counts. */
 static inline const char *skip_blanks(struct parser *parser, const char *p)
 {
@@ -66,51 +58,28 @@ static inline const char *skip_blanks(struct parser *parser, const char *p)
         while (fmt_mesh_is_blank(*p))
             p++;
         int size;
-        if (__builtin_expect(*p != '\\', 1) || !(size = line_end_size(p + 1)))
+        if (__builtin_expect(*p != '\\', 1) || !(size = fmt_mesh_line_end(p + 1)))
             return p;
         p += 1 + size;
         parser->slot->part.lines++;
     }
 }
 
-/* Returns the start of the line after a comment. Comments cannot be continued: one that ends in a
- * backslash, as a Windows path does, must not swallow the line after it. */
-static const char *skip_comment(struct parser *parser, const char *p)
+/* Finds the end of a statement, from p after its first word: *end is its line end. Returns the
+ * start of the next line. */
+static const char *skip_statement(struct parser *parser, const char *p,
+                                  enum mesh_continued continued, const char **end)
 {
-    int size;
-    while (!(size = line_end_size(p))) {
-        if (*p == '\0')
-            return fail(parser, "not a text file (zero byte)");
-        p++;
-    }
+    *end = p + fmt_mesh_statement_size(p, continued, &parser->slot->part.lines);
+    if (**end == '\0')
+        return fail(parser, "not a text file (zero byte)");
     parser->slot->part.lines++;
-    return p + size;
+    return *end + fmt_mesh_line_end(*end);
 }
 
-/* Finds the end of a statement, from p after its first word: *end is its line end. Returns the
- * start of the next line. If arguments may be names, a backslash continues a line only after a
- * blank. Elsewhere it is the end of a name, as of a Windows path, and must not swallow the next
- * line. */
-static const char *skip_statement(struct parser *parser, const char *p, bool names,
-                                  const char **end)
+static const char *skip_comment(struct parser *parser, const char *p)
 {
-    int size;
-    for (;;) {
-        if (*p == '\\' && (!names || (unsigned char)p[-1] <= ' ') &&
-            (size = line_end_size(p + 1))) {
-            parser->slot->part.lines++;
-            p += 1 + size;
-        } else if ((size = line_end_size(p))) {
-            break;
-        } else if (*p == '\0') {
-            return fail(parser, "not a text file (zero byte)");
-        } else {
-            p++;
-        }
-    }
-    *end = p;
-    parser->slot->part.lines++;
-    return p + size;
+    return skip_statement(parser, p, MESH_NOT_CONTINUED, &p);
 }
 
 /* Reads the end of a statement after all its fields: blanks, a comment, the line end. */
@@ -121,7 +90,7 @@ static inline const char *finish_line(struct parser *parser, const char *p)
         return p + 1;
     }
     p = skip_blanks(parser, p);
-    int size = line_end_size(p);
+    int size = fmt_mesh_line_end(p);
     if (size) {
         parser->slot->part.lines++;
         return p + size;
@@ -270,7 +239,7 @@ static const char *parse_vertex(struct parser *parser, const char *p)
         parser->not_finite = 0; /* it is for what follows now */
         note_odd(parser, STREAM_NO_POSITION);
     }
-    if (__builtin_expect(!line_end_size(p) || a->has_colors, 0) &&
+    if (__builtin_expect(!fmt_mesh_line_end(p) || a->has_colors, 0) &&
         !(p = parse_vertex_rest(parser, p)))
         return NULL;
     if (!(p = finish_line(parser, p)))
@@ -453,7 +422,7 @@ static const char *parse_name(struct parser *parser, const char *p, enum obj_sta
     const uint64_t line = parser->slot->part.lines;
     if (fmt_mesh_is_blank(*p))
         p = skip_blanks(parser, p);
-    const char *end = p, *after = skip_statement(parser, p, true, &end);
+    const char *end = p, *after = skip_statement(parser, p, MESH_CONTINUED_NAMES, &end);
     parser->slot->balance++;
     return after && add_statement(parser, kind, line, p, end) ? after : NULL;
 }
@@ -499,7 +468,7 @@ static const char *parse_other(struct parser *parser, const char *p)
     if (surface || !standard)
         note_odd(parser, surface ? OBJ_SURFACE : OBJ_UNKNOWN);
     parser->slot->balance += standard;
-    p = skip_statement(parser, p, name || !standard, &end);
+    p = skip_statement(parser, p, name || !standard ? MESH_CONTINUED_NAMES : MESH_CONTINUED, &end);
     if (p && !standard && parser->slot->odd[OBJ_UNKNOWN].count == 1 &&
         !add_statement(parser, OBJ_FIRST_UNKNOWN, line, word, end))
         return NULL;
@@ -535,7 +504,8 @@ static bool add_paint(struct parser *parser, const char *p)
     }
     while (fmt_mesh_is_blank(*p))
         p++;
-    return line_end_size(p) || add_statement(parser, OBJ_BAD_PAINT, parser->slot->part.lines, p, p);
+    return fmt_mesh_line_end(p) ||
+           add_statement(parser, OBJ_BAD_PAINT, parser->slot->part.lines, p, p);
 }
 
 static bool is_separator(char c)
@@ -565,7 +535,7 @@ static inline const char *parse_line(struct parser *parser, const char *p)
             return NULL;
         return skip_comment(parser, p);
     }
-    int size = line_end_size(p);
+    int size = fmt_mesh_line_end(p);
     if (size) {
         parser->slot->part.lines++;
         return p + size;
