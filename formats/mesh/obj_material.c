@@ -50,30 +50,17 @@ done:
     return status;
 }
 
-/* Enters one library and sets *exists. If the file does not exist and `only_existing` is set,
- * enters nothing. */
+/* Enters one library; if `only_existing` is set, only if the file exists. Sets *exists if so. */
 static int enter_library(struct stream_source *source, uint64_t line, const char *name,
                          bool only_existing, bool *exists)
 {
+    bool found;
     char *path = NULL;
-    int status = fmt_path_find(source->ctx, fmt_input_beside(source->input), name, &path, exists);
-    if (!status && (*exists || !only_existing))
+    int status = fmt_path_find(source->ctx, fmt_input_beside(source->input), name, &path, &found);
+    *exists |= !status && found;
+    if (!status && (found || !only_existing))
         status = add_library(source, line, path);
     bsq_free(source->ctx, path);
-    return status;
-}
-
-/* Returns whether a word of `names` is a library that exists. Changes `names`. */
-static int any_library(const struct stream_source *source, char *names, bool *exists)
-{
-    char *rest, *path = NULL;
-    int status = 0;
-    *exists = false;
-    for (char *name = strtok_r(names, " \t", &rest); name && !status && !*exists;
-         name = strtok_r(NULL, " \t", &rest)) {
-        status = fmt_path_find(source->ctx, fmt_input_beside(source->input), name, &path, exists);
-        bsq_free(source->ctx, path);
-    }
     return status;
 }
 
@@ -81,23 +68,24 @@ static int any_library(const struct stream_source *source, char *names, bool *ex
  * text is tried first; and if no library exists, a message shows the whole text. */
 int fmt_obj_enter_libraries(struct stream_source *source, uint64_t line, const char *text)
 {
-    bool exists = false, any = false;
-    char *names = NULL, *rest, *name;
+    bool exists = false;
+    char *names = NULL, *rest;
     int status;
     if (!*text || !strcmp(text, "#") || !strncmp(text, "# ", 2))
         return 0;
     BSQ_TRY(enter_library(source, line, text, true, &exists));
     if (exists)
         return 0;
-    BSQ_TRY(bsq_text_copy(source->ctx, text, &names));
-    BSQ_TRY(any_library(source, names, &any));
-    if (!any)
-        BSQ_TRY(enter_library(source, line, text, false, &exists));
-    strcpy(names, text);
-    fmt_mesh_plain_name(names);
-    for (name = any ? strtok_r(names, " \t", &rest) : NULL; name;
-         name = strtok_r(NULL, " \t", &rest))
-        BSQ_TRY(enter_library(source, line, name, false, &exists));
+    /* First the names of libraries that exist, and then also of others, if any does. */
+    for (int pass = 0; pass < 1 + exists; pass++) {
+        bsq_free(source->ctx, names);
+        BSQ_TRY(bsq_text_copy(source->ctx, text, &names));
+        fmt_mesh_plain_name(names);
+        for (char *name = strtok_r(names, " \t", &rest); name; name = strtok_r(NULL, " \t", &rest))
+            BSQ_TRY(enter_library(source, line, name, pass == 0, &exists));
+    }
+    if (!exists)
+        status = enter_library(source, line, text, false, &exists);
 done:
     bsq_free(source->ctx, names);
     return status;
@@ -170,42 +158,29 @@ static int copy_loosely(struct bsq_ctx *ctx, const char *name, enum loose_form f
     return 0;
 }
 
-/* Enters the loose forms of a material's name, unless they are there. */
-static int enter_loosely(struct bsq_ctx *ctx, struct loose_names *loose,
-                         const struct fmt_material *from)
+/* Enters the loose forms of a name for *material, as far as they are new. Or, if that is NULL, sets
+ * it to the material that one of them was entered for. */
+static int look_up_loosely(struct bsq_ctx *ctx, struct loose_names *loose, const char *name,
+                           const struct fmt_material **material)
 {
+    const bool enters = *material != NULL;
     char *text = NULL;
     int status = 0;
-    for (enum loose_form form = LOOSE_TIDY; form < LOOSE_FORMS && !status; form++) {
-        const uint64_t before = loose->names.count;
-        uint64_t number;
-        status = copy_loosely(ctx, from->name, form, &text);
-        if (!status)
-            status = bsq_texts_add(ctx, &loose->tally, &loose->names, text, &number);
-        if (!status && loose->names.count > before)
-            loose->from[number] = from;
+    for (enum loose_form form = LOOSE_TIDY; form < LOOSE_FORMS && (enters || !*material); form++) {
+        BSQ_TRY(copy_loosely(ctx, name, form, &text));
+        uint64_t number = bsq_texts_find(&loose->names, text);
+        if (number < loose->names.count && !enters) {
+            *material = loose->from[number];
+        } else if (number == loose->names.count && enters) {
+            BSQ_TRY(bsq_texts_add(ctx, &loose->tally, &loose->names, text, &number));
+            loose->from[number] = *material;
+        }
         bsq_free(ctx, text);
         text = NULL;
     }
+done:
+    bsq_free(ctx, text);
     return status;
-}
-
-/* Describes a material that no library names exactly, but with quotes, a comment or other capitals.
- */
-static int describe_loosely(struct bsq_ctx *ctx, const struct loose_names *loose, const char *name,
-                            struct fmt_material *out)
-{
-    for (enum loose_form form = LOOSE_TIDY; form < LOOSE_FORMS; form++) {
-        char *text;
-        int status = copy_loosely(ctx, name, form, &text);
-        if (status)
-            return status;
-        const uint64_t number = bsq_texts_find(&loose->names, text);
-        bsq_free(ctx, text);
-        if (number < loose->names.count)
-            return fmt_material_copy(ctx, loose->from[number], out);
-    }
-    return 0;
 }
 
 /* Describes the materials of a file from its own libraries. */
@@ -214,6 +189,7 @@ static int describe_all(const struct stream_source *source, struct fmt_materials
 {
     struct bsq_ctx *ctx = source->ctx;
     const struct obj_file *file = source->data;
+    const struct fmt_material *from;
     struct loose_names loose = {0};
     int status;
     BSQ_TRY(bsq_alloc(ctx, "materials", LOOSE_FORMS * (uint64_t)found->count + 1, sizeof(void *),
@@ -221,11 +197,17 @@ static int describe_all(const struct stream_source *source, struct fmt_materials
     for (uint32_t i = 0; i < found->count; i++) {
         if (i % 1024 == 0)
             BSQ_TRY(bsq_check(ctx));
-        BSQ_TRY(enter_loosely(ctx, &loose, describe(file, &found->list[i], out)));
+        from = describe(file, &found->list[i], out);
+        BSQ_TRY(look_up_loosely(ctx, &loose, from->name, &from));
     }
-    for (uint32_t i = 0; i < out->count; i++)
-        if (!out->list[i].name)
-            BSQ_TRY(describe_loosely(ctx, &loose, file->materials.list[i], &out->list[i]));
+    for (uint32_t i = 0; i < out->count; i++) {
+        if (out->list[i].name)
+            continue;
+        from = NULL;
+        BSQ_TRY(look_up_loosely(ctx, &loose, file->materials.list[i], &from));
+        if (from)
+            BSQ_TRY(fmt_material_copy(ctx, from, &out->list[i]));
+    }
 done:
     bsq_texts_free(&loose.names);
     bsq_tally_release(ctx, &loose.tally);
