@@ -73,18 +73,21 @@ static double percent(uint64_t part, uint64_t whole)
 static void hint_at_misses(struct cli *cli, const struct bake_arguments *arguments,
                            const struct bake_report *report)
 {
-    uint64_t samples = report->hits + report->misses;
+    const uint64_t samples = report->hits + report->misses;
+    const struct bake_options *bake = &arguments->bake;
+    const bool cage = bake->cage_path || bake->extrude > 0;
+    const bool measured = bake->front < 0 && bake->back < 0 && !cage;
     if (percent(report->misses, samples) <= HINT_PERCENT)
         return;
     bsq_warn(cli->ctx,
-             "%.1f %% of the samples found no surface within %g in front and %g behind: "
+             "%.1f %% of the samples found no surface within %g in front and %g behind%s: "
              "try a larger %s%s",
              percent(report->misses, samples), report->front, report->back,
-             arguments->bake.cage_path     ? "cage or --back"
-             : arguments->bake.extrude > 0 ? "--extrude or --back"
-                                           : "--front and --back",
-             arguments->bake.two_sided ? ""
-                                       : ", or --two-sided if the scan's faces are wound inwards");
+             measured ? ", measured within a tenth of the scan's diagonal" : "",
+             bake->cage_path     ? "cage or --back"
+             : bake->extrude > 0 ? "--extrude or --back"
+                                 : "--front and --back",
+             bake->two_sided ? "" : ", or --two-sided if the scan's faces are wound inwards");
 }
 
 static void hint_at_overlaps(struct cli *cli, const struct bake_arguments *arguments,

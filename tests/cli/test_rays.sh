@@ -209,6 +209,10 @@ refused 64 "$p: white.pgm: a skew map changes nothing if rays run along the face
 
 # Half of the low-poly mesh lies beside the scan.
 awk '/^v / { $2 += 1 } { print }' low.obj >aside.obj
+ok $bake --size 32 --maps mask red.nvdb aside.obj -o missed.exr
+holds "the message tells how far lengths were measured" \
+    grep -q 'behind, measured within a tenth of the scan.s diagonal: try' "$err"
+rm missed.exr
 for limit in 40 60; do
     $bake $small red.nvdb aside.obj --front 0.25 --max-missed $limit -o missed.exr
     code $((limit < 50))
