@@ -54,7 +54,7 @@ LIBS.bake     = -ldl $(LIBS.tools)
 LIBS.all      = $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 LIBS.tools    = $(shell pkg-config --libs $(pc_tools))
 
-public_headers := base/version.h base/context.h base/loss.h base/options.h libvoxel/voxel.h \
+public_headers := base/version.h base/context.h base/options.h libvoxel/voxel.h \
     libbake/bake.h libbake/compare.h
 libs := base formats libvoxel libbake
 # A library is a folder; its subfolders are its rooms.
@@ -77,7 +77,7 @@ shared   := $(BUILD)/lib/libbisque.so.0
 modules      := texture openvdb gltf
 src.texture  := formats/texture/oiio_rows.cc
 src.gltf     := formats/mesh/gltf_decode.cc
-src.openvdb  := formats/grid/vdb_export_openvdb.cc base/octahedral.c
+src.openvdb  := formats/grid/vdb_export_openvdb.cc base/vec.c
 module_stamp := formats/module/module_stamp.c
 $(foreach m,$(modules),$(eval src.$(m) += $(module_stamp)))
 module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)

@@ -1,8 +1,11 @@
-/* channels.h - further channels of a scan, such as roughness: their names, and what values mean.
+/* channels.h - what a scan has besides its shape: further channels such as roughness, their names
+ * and what values mean; ids of its regions; colours; how materials move texture coordinates.
  *
  * A channel is a quantity of the scan's surface that a texture gives, besides its colour. */
 #ifndef BSQ_CHANNELS_H
 #define BSQ_CHANNELS_H
+
+#include <math.h>
 
 #include "base/context.h"
 
@@ -88,6 +91,64 @@ int bsq_channel_list_split(struct bsq_ctx *ctx, const char *list, uint64_t bytes
  * own. Returns its row, or NULL. */
 const struct bsq_channel *bsq_channel_list_find(const char *list, uint64_t bytes, const char *name,
                                                 uint32_t *first);
+
+/* ---- ids of the regions of a scan ---- */
+
+/* What ids tell apart. Files store these numbers. */
+enum bsq_ids {
+    BSQ_IDS_NONE,     /* there are no ids */
+    BSQ_IDS_MATERIAL, /* materials, by name */
+    BSQ_IDS_OBJECT,   /* objects and groups, by name */
+    BSQ_IDS_COLOR     /* vertex colours */
+};
+
+/* Returns "material", "object" or "color". */
+const char *bsq_ids_text(enum bsq_ids ids);
+
+/* Returns the id of a name, a colour that depends on its bytes alone: red in bits 0-7, green in
+ * 8-15, blue in 16-23, 255 in 24-31. It is never black. formats/FORMATS.md has the formula. */
+uint32_t bsq_name_id(const char *name);
+
+/* ---- texture coordinates: scale, then offset ---- */
+
+/* Beyond an image it repeats, its border texels do, or it is mirrored at each border. */
+enum bsq_wrap { BSQ_WRAP_REPEAT, BSQ_WRAP_CLAMP, BSQ_WRAP_MIRROR, BSQ_WRAPS };
+
+/* All zero: coordinates stay as they are, and the image repeats. */
+struct bsq_uv {
+    bool moves;
+    float scale[2], offset[2]; /* u, v; finite; used if `moves` is set */
+    uint8_t wrap[2];           /* enum bsq_wrap, of u and v */
+};
+
+static inline float bsq_uv_apply(const struct bsq_uv *uv, int axis, float value)
+{
+    return uv->moves ? uv->scale[axis] * value + uv->offset[axis] : value;
+}
+
+/* Returns the width of something that was `width` wide. */
+static inline float bsq_uv_width(const struct bsq_uv *uv, int axis, float width)
+{
+    const float scale = uv->moves ? uv->scale[axis] : 1.0f;
+    return scale < 0 ? -scale * width : scale * width;
+}
+
+/* ---- the transfer curve of sRGB (IEC 61966-2-1), for tables and reports; clamps to 0..1 ---- */
+
+static inline double bsq_srgb_to_linear(double srgb)
+{
+    if (!(srgb > 0.0))
+        return 0.0;
+    if (srgb >= 1.0)
+        return 1.0;
+    return srgb <= 0.04045 ? srgb / 12.92 : pow((srgb + 0.055) / 1.055, 2.4);
+}
+
+static inline double bsq_linear_to_srgb(double linear)
+{
+    linear = fmin(fmax(linear, 0.0), 1.0);
+    return linear <= 0.0031308 ? 12.92 * linear : 1.055 * pow(linear, 1 / 2.4) - 0.055;
+}
 
 #ifdef __cplusplus
 }

@@ -9,8 +9,8 @@
 #include <string.h>
 
 #include "base/context_internal.h"
-#include "base/escape.h"
-#include "base/loss.h"
+#include "base/text.h"
+#include "base/context.h"
 
 /* The message if there is no memory to format one; never freed. */
 static char no_memory_text[] = "out of memory";

@@ -18,6 +18,7 @@
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
+#include <time.h>
 
 #include "base/version.h"
 
@@ -131,6 +132,18 @@ void bsq_clear_error(struct bsq_ctx *ctx);
 /** Passes a line to on_warning. */
 void bsq_warn(struct bsq_ctx *ctx, const char *format, ...) __attribute__((format(printf, 2, 3)));
 
+/** Makes bsq_warn_loss() fail, if `strict` is set. Call it before the job. */
+void bsq_set_strict(struct bsq_ctx *ctx, bool strict);
+
+/** Warns of data that is lost, as bsq_warn() does. Returns 0. In a strict job, records the line as
+ * a failure instead and returns BSQ_EDATA. */
+int bsq_warn_loss(struct bsq_ctx *ctx, const char *format, ...)
+    __attribute__((format(printf, 2, 3)));
+
+/** Holds warnings back, of lost data too, until it is called with false. For code that reads an
+ * input again whose warnings were given. A strict job fails all the same. */
+void bsq_mute_warnings(struct bsq_ctx *ctx, bool muted);
+
 /* ---- interruption ---- */
 
 /** Makes all work of this context stop soon with BSQ_EINTR. Async-signal-safe. */
@@ -218,7 +231,15 @@ static inline uint64_t bsq_align_up(uint64_t value, uint64_t step)
     return (value + step - 1) / step * step;
 }
 
-/* ---- progress ---- */
+/* ---- time and progress ---- */
+
+/** Returns seconds on a clock that only goes forward. */
+static inline double bsq_seconds_now(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
 
 /** Starts a stage with `total` units; 0 if unknown. `stage` and `unit` must be string literals. A
  * context has one stage at a time. */

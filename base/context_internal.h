@@ -35,9 +35,9 @@ struct bsq_ctx {
     pthread_mutex_t error_lock;
     char *_Atomic error; /* first failure; NULL: none */
     int error_status;    /* its code, guarded by error_lock */
-    bool strict;         /* see loss.h */
+    bool strict;         /* see bsq_set_strict() */
 
-    bool muted;                    /* see loss.h; guarded by callback_lock */
+    bool muted;                    /* see bsq_mute_warnings(); guarded by callback_lock */
     pthread_mutex_t callback_lock; /* held while on_progress or on_warning runs */
     struct bsq_stage stage;
 

@@ -16,7 +16,7 @@
 
 #include "base/context_internal.h"
 #include "base/file.h"
-#include "base/temp_internal.h"
+#include "base/output_internal.h"
 
 /* ---- descriptors ---- */
 

@@ -14,7 +14,7 @@
 #include "base/context_internal.h"
 #include "base/file.h"
 #include "base/job_files.h"
-#include "base/text_table.h"
+#include "base/text.h"
 
 /* Where a path leads. */
 struct place {

@@ -18,7 +18,6 @@
 #include "base/file.h"
 #include "base/job_files.h"
 #include "base/output_internal.h"
-#include "base/temp_internal.h"
 
 /* Bytes written to the disk between two checks of the interruption flag. */
 #define SYNC_BYTES (UINT64_C(32) << 20)

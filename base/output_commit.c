@@ -16,7 +16,6 @@
 #include "base/file.h"
 #include "base/job_files.h"
 #include "base/output_internal.h"
-#include "base/temp_internal.h"
 
 static int fail_create(struct bsq_output *output, int error)
 {

@@ -7,7 +7,7 @@
 #include <string.h>
 
 #include "base/context_internal.h"
-#include "base/text_table.h"
+#include "base/text.h"
 
 struct rule {
     enum bsq_path_format format;

@@ -12,7 +12,6 @@
 
 #include <string.h>
 
-#include "base/bit_tree_internal.h"
 #include "base/polygon_internal.h"
 
 /* Up to this many corners are searched one by one; a set of them is one word. */

@@ -18,8 +18,8 @@
 
 #include "base/context_internal.h"
 #include "base/file.h"
-#include "base/temp_internal.h"
-#include "base/text_table.h"
+#include "base/output_internal.h"
+#include "base/text.h"
 
 enum { RANDOM_LETTERS = 6, CHECK_LETTERS = 6, NAME_BYTES = 200, ATTEMPTS = 100 };
 

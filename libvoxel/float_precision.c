@@ -7,7 +7,7 @@
  * long. */
 #include "libvoxel/float_precision.h"
 
-#include "base/loss.h"
+#include "base/context.h"
 
 #include <math.h>
 

@@ -4,7 +4,7 @@
  * place (partition/). Batches of buckets are sorted, cut into chunks and written (chunk/). Every
  * step streams, and what does not fit in memory goes to temporary files. */
 #include "base/channels.h"
-#include "base/clock.h"
+#include "base/context.h"
 #include "base/job_files.h"
 #include "libvoxel/chunk/chunk_writer.h"
 #include "libvoxel/job_record.h"

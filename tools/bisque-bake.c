@@ -3,7 +3,7 @@
 #include <string.h>
 
 #include "base/job_files.h"
-#include "base/loss.h"
+#include "base/context.h"
 #include "base/output.h"
 #include "base/tile_files.h"
 #include "tools/bake_farm.h"

@@ -12,8 +12,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "base/escape.h"
-#include "base/loss.h"
+#include "base/text.h"
+#include "base/context.h"
 #include "base/output.h"
 #include "tools/cli_percent.h"
 

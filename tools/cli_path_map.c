@@ -2,7 +2,7 @@
 #include <string.h>
 
 #include "base/file.h"
-#include "base/json_bound.h"
+#include "base/text.h"
 #include "base/path_map.h"
 #include "tools/cli.h"
 

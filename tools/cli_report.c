@@ -4,7 +4,7 @@
 #include <string.h>
 #include <sys/resource.h>
 
-#include "base/escape.h"
+#include "base/text.h"
 #include "base/file.h"
 #include "tools/cli.h"
 

@@ -6,16 +6,15 @@
 #ifndef FMT_CHUNKS_TRIS_H
 #define FMT_CHUNKS_TRIS_H
 
-#include "base/ids.h"
+#include "base/channels.h"
 #include "base/output.h"
-#include "base/uv.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
 
 enum fmt_tris_attribute {
-    FMT_TRIS_NORMALS = 1,   /* octahedral, see base/octahedral.h */
+    FMT_TRIS_NORMALS = 1,   /* octahedral, see base/vec.h */
     FMT_TRIS_TEXCOORDS = 2, /* two float32 */
     FMT_TRIS_COLORS = 4,    /* RGBA8, sRGB, R in the low byte */
     FMT_TRIS_MATERIALS = 8  /* one uint32 a triangle, UINT32_MAX: none */

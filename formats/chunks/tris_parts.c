@@ -13,7 +13,7 @@
 
 #include "base/channels.h"
 #include "base/job_files.h"
-#include "base/loss.h"
+#include "base/context.h"
 #include "base/sort_array.h"
 
 static const char normal_map[] = BSQ_CHANNEL_NORMAL_MAP;

@@ -6,7 +6,7 @@
 #ifndef FMT_GRID_NVDB_H
 #define FMT_GRID_NVDB_H
 
-#include "base/ids.h"
+#include "base/channels.h"
 #include "base/output.h"
 
 #ifdef __cplusplus
@@ -26,7 +26,7 @@ struct fmt_nvdb_record {
     uint32_t normal; /* octahedral 2 x 16 bits: mean of area-weighted normals */
     uint32_t plane;
     uint32_t color; /* RGBA8 sRGB, R in the low byte; 0 if the high-poly mesh has no colour */
-    uint32_t id;    /* RGBA8, see base/ids.h; 0 if the grid has no ids */
+    uint32_t id;    /* RGBA8, see base/channels.h; 0 if the grid has no ids */
 };
 #define FMT_NVDB_PLANE_SECOND       (1u << 24)
 #define FMT_NVDB_PLANE_INCONSISTENT (1u << 25)

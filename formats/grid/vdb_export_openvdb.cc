@@ -16,8 +16,8 @@
 #include <tbb/task_arena.h>
 
 extern "C" {
-#include "base/octahedral.h"
-#include "base/srgb.h"
+#include "base/vec.h"
+#include "base/channels.h"
 }
 #include "formats/grid/nvdb_layout_internal.h"
 #include "formats/grid/vdb_module.h"

@@ -21,7 +21,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "base/text_table.h"
+#include "base/text.h"
 #include "formats/input/unpack.h"
 
 /* Bytes that are unpacked at once, and kept. Fuzz targets unpack their small files in several steps

@@ -6,7 +6,7 @@
 #include <string.h>
 
 #include "base/file_part.h"
-#include "base/srgb.h"
+#include "base/channels.h"
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/mesh_text.h"
 

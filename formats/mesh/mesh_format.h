@@ -12,7 +12,7 @@
 #ifndef FMT_MESH_FORMAT_H
 #define FMT_MESH_FORMAT_H
 
-#include "base/text_table.h"
+#include "base/text.h"
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
 

@@ -9,7 +9,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "base/loss.h"
+#include "base/context.h"
 #include "formats/mesh/mesh_format.h"
 
 #define MIB ((uint64_t)1 << 20)

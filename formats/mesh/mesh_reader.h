@@ -11,7 +11,6 @@
 
 #include "base/channels.h"
 #include "base/context.h"
-#include "base/uv.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -5,7 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/loss.h"
+#include "base/context.h"
 #include "base/parallel.h"
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"

@@ -9,7 +9,7 @@
 
 #include "base/file.h"
 #include "base/path_map.h"
-#include "base/text_table.h"
+#include "base/text.h"
 #include "base/tile_files.h"
 
 void fmt_mesh_quote(const char *text, const char *end, char *out, size_t size)

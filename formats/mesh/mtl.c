@@ -13,7 +13,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "base/loss.h"
+#include "base/context.h"
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_number.h"

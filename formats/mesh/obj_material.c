@@ -8,7 +8,7 @@
 #include <sys/stat.h>
 
 #include "base/job_files.h"
-#include "base/loss.h"
+#include "base/context.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_internal.h"
 

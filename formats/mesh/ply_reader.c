@@ -8,7 +8,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/loss.h"
+#include "base/context.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/ply_internal.h"
 

@@ -3,7 +3,7 @@
 #ifndef FMT_MESH_SCENE_FILE_H
 #define FMT_MESH_SCENE_FILE_H
 
-#include "base/uv.h"
+#include "base/channels.h"
 #include "formats/module/module.h"
 
 #ifdef __cplusplus

@@ -12,7 +12,7 @@
 #include <string.h>
 #include <strings.h>
 
-#include "base/loss.h"
+#include "base/context.h"
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/obj_number.h"

@@ -9,7 +9,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include "base/clock.h"
+#include "base/context.h"
 #include "formats/module/module.h"
 
 /* Of a process that was killed; one that a driver blocks in the kernel may never end. */

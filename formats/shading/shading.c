@@ -6,9 +6,8 @@
 
 #include <string.h>
 
-#include "base/ids.h"
+#include "base/channels.h"
 #include "base/sort_array.h"
-#include "base/srgb.h"
 #include "formats/texture/texture.h"
 
 /* Returns the number of sources that an attribute has. */

@@ -14,7 +14,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/loss.h"
+#include "base/context.h"
 #include "base/parallel.h"
 #include "base/sort_array.h"
 #include "base/tile_files.h"

@@ -8,7 +8,7 @@
 #define FMT_TEXTURE_TEXTURE_H
 
 #include "base/context.h"
-#include "base/uv.h"
+#include "base/channels.h"
 
 #ifdef __cplusplus
 extern "C" {

@@ -3,8 +3,6 @@
 
 #include <string.h>
 
-#include "base/normal_map.h"
-#include "base/octahedral.h"
 #include "base/vec.h"
 #include "libbake/kernel/bk_srgb.h"
 

@@ -2,7 +2,7 @@
  * loads them, and builds the trees of their triangles. */
 #include "libbake/exact/exact_scene.h"
 
-#include "base/octahedral.h"
+#include "base/vec.h"
 
 /* ---- memory ---- */
 

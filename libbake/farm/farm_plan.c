@@ -6,7 +6,7 @@
 #include <xxhash.h>
 
 #include "base/job_files.h"
-#include "base/json_bound.h"
+#include "base/text.h"
 #include "base/output.h"
 #include "formats/fingerprint.h"
 #include "libbake/farm/farm.h"

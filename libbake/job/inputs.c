@@ -3,8 +3,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/ids.h"
-#include "base/loss.h"
+#include "base/channels.h"
+#include "base/context.h"
 #include "base/sort_array.h"
 #include "libbake/job/job.h"
 #include "libbake/options/options.h"

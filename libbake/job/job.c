@@ -5,7 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/clock.h"
+#include "base/context.h"
 #include "libbake/job/job.h"
 #include "libbake/options/options.h"
 

@@ -3,9 +3,9 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "base/clock.h"
+#include "base/context.h"
 #include "base/file.h"
-#include "base/ids.h"
+#include "base/channels.h"
 #include "base/output.h"
 #include "base/sort_array.h"
 #include "libbake/job/job.h"

@@ -4,7 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/loss.h"
+#include "base/context.h"
 #include "libbake/job/job.h"
 
 /* Sorts the tile's triangles for sampling and writes them to job->triangles. */

@@ -4,7 +4,7 @@
 #ifndef BAKE_LOWPOLY_LOWPOLY_H
 #define BAKE_LOWPOLY_LOWPOLY_H
 
-#include "base/text_table.h"
+#include "base/text.h"
 #include "formats/mesh/mesh_reader.h"
 #include "libbake/bake.h"
 

@@ -7,8 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/clock.h"
-#include "base/loss.h"
+#include "base/context.h"
 #include "base/parallel.h"
 #include "libbake/maps/dilation.h"
 #include "libbake/maps/map_encode.h"

@@ -4,8 +4,7 @@
 #include <string.h>
 
 #include "base/channels.h"
-#include "base/ids.h"
-#include "base/loss.h"
+#include "base/context.h"
 #include "base/sort_array.h"
 #include "formats/shading/shading.h"
 #include "libbake/surface/surface.h"

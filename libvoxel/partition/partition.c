@@ -4,7 +4,7 @@
  * vertices are known: so are the cube around the scan and, if positions are in a file, the bucket
  * of each vertex. From then on all threads triangulate blocks of faces. A second serial step copies
  * the result to the buckets, in the order of the file. */
-#include "base/loss.h"
+#include "base/context.h"
 #include "libvoxel/partition/partition.h"
 #include "libvoxel/partition/triangulate.h"
 

@@ -6,7 +6,7 @@
  * faces among several may be a download that failed, so it is a loss. One without vertex colours is
  * white beside files with such colours, and its facets are flat beside files with normals. Users
  * learn of both, because they may not expect it. */
-#include "base/loss.h"
+#include "base/context.h"
 #include "libvoxel/read/scan.h"
 
 #include <string.h>

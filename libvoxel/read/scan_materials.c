@@ -5,11 +5,10 @@
  * without texture, for triangles that lack texture coordinates. */
 #include "base/file_part.h"
 #include "base/job_files.h"
-#include "base/loss.h"
-#include "base/srgb.h"
+#include "base/context.h"
+#include "base/channels.h"
 #include "base/tile_files.h"
-#include "base/text_table.h"
-#include "base/uv.h"
+#include "base/text.h"
 #include "formats/texture/texture.h"
 #include "libvoxel/read/scan.h"
 

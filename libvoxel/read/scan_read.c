@@ -4,8 +4,8 @@
  * appends. */
 #include "libvoxel/read/scan.h"
 #include "libvoxel/float_precision.h"
-#include "base/loss.h"
-#include "base/octahedral.h"
+#include "base/context.h"
+#include "base/vec.h"
 
 #include <float.h>
 #include <math.h>

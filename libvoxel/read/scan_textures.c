@@ -4,7 +4,7 @@
  * warning, and its material goes without it. */
 #include "base/file_part.h"
 #include "base/job_files.h"
-#include "base/loss.h"
+#include "base/context.h"
 #include "base/sort_array.h"
 #include "base/tile_files.h"
 #include "formats/texture/texture.h"

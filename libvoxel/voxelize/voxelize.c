@@ -5,7 +5,7 @@
 #include <string.h>
 
 #include "base/channels.h"
-#include "base/clock.h"
+#include "base/context.h"
 #include "base/job_files.h"
 #include "base/text_table.h"
 #include "libvoxel/float_precision.h"

@@ -3,7 +3,7 @@
 #include <embree3/rtcore.h>
 #include <string.h>
 
-#include "base/clock.h"
+#include "base/context.h"
 #include "formats/chunks/tris.h"
 #include "libbake/kernel/bk_sample.h"
 #include "tests/bench/rays.h"

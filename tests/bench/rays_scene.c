@@ -3,7 +3,7 @@
 #include <sys/resource.h>
 #include <xxhash.h>
 
-#include "base/clock.h"
+#include "base/context.h"
 #include "base/parallel.h"
 #include "libbake/surface/surface.h"
 #include "tests/bench/rays.h"

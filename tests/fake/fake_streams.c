@@ -5,7 +5,7 @@
 #include <string.h>
 #include <time.h>
 
-#include "base/clock.h"
+#include "base/context.h"
 #include "tests/fake/fake_cuda_internal.h"
 
 struct CUstream_st {

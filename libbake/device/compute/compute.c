@@ -5,7 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/clock.h"
+#include "base/context.h"
 #include "libbake/raster/raster.h"
 
 enum { STAGING_BYTES = 16 << 20 /* half of the staging buffer */ };

@@ -4,7 +4,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/octahedral.h"
+#include "base/vec.h"
 
 /* ---- layout ---- */
 

@@ -1,5 +1,5 @@
 /* test_escape.c - text that reaches terminals and logs. */
-#include "base/escape.h"
+#include "base/text.h"
 #include "tests/unit/test.h"
 
 static void expect(const char *text, const char *expected)

@@ -8,7 +8,6 @@
 
 #include "base/output.h"
 #include "base/output_internal.h"
-#include "base/temp_internal.h"
 #include "tests/unit/test.h"
 
 static unsigned directories_read; /* calls of opendir() */

@@ -10,7 +10,7 @@
 #include <jpeglib.h>
 
 #include "base/file.h"
-#include "base/loss.h"
+#include "base/context.h"
 #include "base/parallel.h"
 #include "formats/texture/texture.h"
 #include "tests/unit/test.h"

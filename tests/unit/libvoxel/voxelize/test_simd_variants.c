@@ -2,7 +2,7 @@
  * ones. */
 #include "libvoxel/voxelize/cache/smooth_normals.h"
 #include "libvoxel/voxelize/clip/accumulate.h"
-#include "base/octahedral.h"
+#include "base/vec.h"
 #include "tests/unit/libvoxel/scan_fixture.h"
 #include "tests/unit/test.h"
 

@@ -1,5 +1,5 @@
 /* Tests how normals, colours, materials and textures of a scan reach the records of its grid. */
-#include "base/octahedral.h"
+#include "base/vec.h"
 #include "tests/unit/image_file.h"
 #include "voxelize_fixture.h"
 #include "tests/unit/test.h"

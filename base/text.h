@@ -1,9 +1,26 @@
-/* text_table.h - distinct texts, such as the names of files, and the memory that they take. Not
- * thread-safe. */
-#ifndef BSQ_TEXT_TABLE_H
-#define BSQ_TEXT_TABLE_H
+/* text.h - texts: fit for terminals and logs; distinct ones in a table, with the memory that they
+ * take; what a text in JSON needs when it is parsed. */
+#ifndef BSQ_TEXT_H
+#define BSQ_TEXT_H
 
 #include "base/context.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Returns a copy of `text` in which "\xHH" replaces each byte that is not part of valid UTF-8 or is
+ * part of a control character: C0 and C1, line and paragraph separators, and characters that change
+ * the direction of text. A newline stays if `keep_newlines` is set. The result is valid UTF-8 in
+ * one line, and a terminal shows it as it is. A backslash stays, so this cannot be undone. Free it
+ * with free(); NULL if there is no memory. */
+char *bsq_escape(const char *text, int keep_newlines);
+
+/* Returns a bound of the bytes that Jansson 2 needs for a text of `size` bytes, with the system's
+ * overhead of each block. Reserve them before parsing. */
+uint64_t bsq_json_bound(const char *text, uint64_t size);
+
+/* ---- tables of distinct texts, such as the names of files; not thread-safe ---- */
 
 /* Bytes of lists that grow with the files of a job. The first BSQ_FREE_BYTES are not counted
  * against the budget, so that jobs with few files have the same memory as without these lists. */
@@ -41,4 +58,7 @@ void bsq_texts_free(struct bsq_texts *texts);
 int bsq_tally_grow(struct bsq_ctx *ctx, struct bsq_tally *tally, uint64_t count, uint64_t size,
                    void *inout, uint64_t *capacity);
 
+#ifdef __cplusplus
+}
+#endif
 #endif

@@ -1,10 +1,100 @@
-/* text_table.c - see text_table.h. */
-#include <errno.h>
+/* text.c - see text.h. */
+#include "base/text.h"
+
 #include <assert.h>
+#include <errno.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/text_table.h"
+/* ---- escaping ---- */
+
+/* Decodes the UTF-8 character at `text` (RFC 3629, section 4). Returns its bytes; 0 if it is not
+ * valid. */
+static int decode(const unsigned char *text, uint32_t *character)
+{
+    static const uint32_t least[5] = {0, 0, 0x80, 0x800, 0x10000};
+    const int bytes = text[0] < 0x80             ? 1
+                      : (text[0] & 0xe0) == 0xc0 ? 2
+                      : (text[0] & 0xf0) == 0xe0 ? 3
+                      : (text[0] & 0xf8) == 0xf0 ? 4
+                                                 : 0;
+    if (bytes == 0)
+        return 0;
+    *character = bytes == 1 ? text[0] : text[0] & (0x7fu >> bytes);
+    for (int i = 1; i < bytes; i++) {
+        if ((text[i] & 0xc0) != 0x80)
+            return 0;
+        *character = *character << 6 | (text[i] & 0x3fu);
+    }
+    const bool valid = *character >= least[bytes] && *character <= 0x10ffff &&
+                       !(*character >= 0xd800 && *character <= 0xdfff);
+    return valid ? bytes : 0;
+}
+
+/* Returns whether a terminal may act on a character instead of showing it. */
+static bool is_control(uint32_t c)
+{
+    return c < 0x20 || (c >= 0x7f && c < 0xa0) || /* C0, delete, C1 */
+           c == 0x61c || c == 0x200e || c == 0x200f || (c >= 0x2028 && c <= 0x202e) ||
+           (c >= 0x2066 && c <= 0x2069) || c == 0xfeff;
+}
+
+char *bsq_escape(const char *text, int keep_newlines)
+{
+    static const char digits[] = "0123456789abcdef";
+    char *escaped = malloc(4 * strlen(text) + 1), *to = escaped;
+    const unsigned char *from = (const unsigned char *)text;
+    while (escaped && *from) {
+        uint32_t character;
+        int bytes = decode(from, &character);
+        bool shown = bytes > 0 && !is_control(character);
+        if (shown || (*from == '\n' && keep_newlines)) {
+            memcpy(to, from, (size_t)bytes);
+            to += bytes;
+            from += bytes;
+            continue;
+        }
+        for (int i = 0; i < (bytes ? bytes : 1); i++, from++) {
+            *to++ = '\\';
+            *to++ = 'x';
+            *to++ = digits[*from >> 4];
+            *to++ = digits[*from & 15];
+        }
+    }
+    if (escaped)
+        *to = '\0';
+    return escaped;
+}
+
+/* ---- JSON ---- */
+
+/* The factors follow from Jansson's structures json_object_t, hashtable_pair, json_array_t and
+ * json_string_t. Tables double when they are full, and so does the buffer for the string that is
+ * being read. */
+uint64_t bsq_json_bound(const char *text, uint64_t size)
+{
+    uint64_t objects = 0, arrays = 0, members = 0, commas = 0, length = 0, longest = 0;
+    bool in_string = false, escaped = false;
+    for (uint64_t i = 0; i < size; i++) {
+        const char c = text[i];
+        if (in_string) {
+            in_string = escaped || c != '"';
+            escaped = !escaped && c == '\\';
+            length++;
+            longest = length > longest ? length : longest;
+            continue;
+        }
+        objects += c == '{';
+        arrays += c == '[';
+        members += c == ':';
+        commas += c == ',';
+        in_string = c == '"';
+        length = 0;
+    }
+    return 65536 + 256 * objects + 224 * arrays + 224 * members + 112 * commas + size + 4 * longest;
+}
+
+/* ---- copies ---- */
 
 int bsq_text_copy(struct bsq_ctx *ctx, const char *text, char **out)
 {
