@@ -54,8 +54,8 @@ LIBS.bake     = -ldl $(LIBS.tools)
 LIBS.all      = $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 LIBS.tools    = $(shell pkg-config --libs $(pc_tools))
 
-public_headers := base/version.h base/context.h base/options.h libvoxel/voxel.h \
-    libbake/bake.h libbake/compare.h
+public_headers := base/version.h base/context.h base/options.h base/path_map.h \
+    formats/file_kind.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
 libs := base formats libvoxel libbake
 # A library is a folder; its subfolders are its rooms.
 # The helper is a program of its own.
@@ -166,7 +166,7 @@ $(foreach m,$(modules),$(eval $(call module_rule,$(m))))
 $(BUILD)/gen/libbisque.map: $(public_headers)
 	@mkdir -p $(@D)
 	{ echo 'BISQUE_0 {'; echo 'global:'; cat $^ | $(CC) -E -P -fpreprocessed - | sed '/^#/d' | \
-	    grep -oE '\b(bsq|vox|bake)_[a-z_0-9]+\(' | sort -u | tr '(' ';'; echo 'local: *;'; \
+	    grep -oE '\b(bsq|fmt|vox|bake)_[a-z_0-9]+\(' | sort -u | tr '(' ';'; echo 'local: *;'; \
 	    echo '};'; } > $@
 all_objects := $(foreach l,$(libs),$(call objs,$(l)))
 link_shared  = $(CC) $(common) $(LDFLAGS) -shared $(no_undefined) -Wl,-soname,$(notdir $(shared)) \

@@ -91,6 +91,31 @@ void bsq_ctx_destroy(struct bsq_ctx *ctx);
  * job must find its inputs unchanged whenever it opens them, and must not write them. */
 void bsq_forget_files(struct bsq_ctx *ctx);
 
+/** Notes an input. It may be missing: then no output may be created there. The text of `format`
+ * says what it is, for messages: "the texture that s.mtl:12 names". Files that this job wrote
+ * before are not protected. Files that a library opens are noted by themselves. Errors: BSQ_EUSAGE,
+ * which names both files, if the job writes this file; BSQ_ENOMEM. */
+int bsq_note_input(struct bsq_ctx *ctx, const char *path, const char *format, ...)
+    __attribute__((format(printf, 3, 4)));
+
+/** Notes the file of a texture as bsq_note_input() does, or the files of all UDIM tiles if the path
+ * has "<UDIM>" or "<UVTILE>". */
+int bsq_note_texture(struct bsq_ctx *ctx, const char *path, const char *format, ...)
+    __attribute__((format(printf, 3, 4)));
+
+/** Checks before the work that an output can be created and that it is none of the inputs that are
+ * noted so far. Errors: BSQ_ECANTCREAT if the directory is missing or not writable, or if the name
+ * belongs to something that a regular file cannot replace, or is "-"; BSQ_EUSAGE if the job reads
+ * this file; BSQ_ENOMEM. */
+int bsq_output_check(struct bsq_ctx *ctx, const char *path);
+
+/** Checks before the work that temporary files can be created, beside an output if the context
+ * names no directory for them. Errors: BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
+int bsq_temp_check(struct bsq_ctx *ctx, const char *output);
+
+/** Returns whether both paths name one file, which need not exist. */
+bool bsq_same_file(const char *a, const char *b);
+
 /** Returns the number of worker threads, at least 1. The calling thread counts as one of them. */
 unsigned bsq_threads(const struct bsq_ctx *ctx);
 
@@ -128,6 +153,13 @@ const char *bsq_error(const struct bsq_ctx *ctx);
 /** Forgets the recorded failure, for callers that can go on without what failed, and before another
  * job. An interruption stays; see bsq_clear_interruption(). */
 void bsq_clear_error(struct bsq_ctx *ctx);
+
+/** Returns a copy of `text` as all messages have it: "\xHH" replaces each byte that is not part of
+ * valid UTF-8 or is part of a control character: C0 and C1, line and paragraph separators, and
+ * characters that change the direction of text. A newline stays if `keep_newlines` is set. The
+ * result is valid UTF-8 in one line, and a terminal shows it as it is. A backslash stays, so this
+ * cannot be undone. Free it with free(); NULL if there is no memory. */
+char *bsq_escape(const char *text, bool keep_newlines);
 
 /** Passes a line to on_warning. */
 void bsq_warn(struct bsq_ctx *ctx, const char *format, ...) __attribute__((format(printf, 2, 3)));
@@ -209,6 +241,11 @@ uint64_t bsq_memory_high(const struct bsq_ctx *ctx);
 
 /** Returns the bytes of the budget that are not reserved now. */
 uint64_t bsq_memory_left(const struct bsq_ctx *ctx);
+
+/** Returns the bytes of mapped files that were read, as whole pages, over all maps that are closed.
+ * The system maps some pages around one that is read. Pages that it took back because memory was
+ * short are missing. */
+uint64_t bsq_mapped_bytes(const struct bsq_ctx *ctx);
 
 /** Returns what is left of the budget, divided by `divisor`, for a purpose that can do with more or
  * less memory, and notes it under `name`, a string literal. */

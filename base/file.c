@@ -268,6 +268,14 @@ int bsq_file_temp(struct bsq_ctx *ctx, const char *beside, const char *what, str
     return status;
 }
 
+int bsq_temp_check(struct bsq_ctx *ctx, const char *output)
+{
+    struct bsq_file file;
+    const int status = bsq_file_temp(ctx, output, "chunks", &file);
+    bsq_file_close(ctx, &file);
+    return status;
+}
+
 uint64_t bsq_temp_bytes(const struct bsq_ctx *ctx)
 {
     return atomic_load(&ctx->temp_bytes);

@@ -98,11 +98,6 @@ int bsq_file_append(struct bsq_ctx *ctx, struct bsq_file *file, const void *buff
 /* Returns the bytes written to temporary files of this context so far, for reports. */
 uint64_t bsq_temp_bytes(const struct bsq_ctx *ctx);
 
-/* Returns the bytes of mapped files that were read, as whole pages, over all maps that are closed.
- * The system maps some pages around one that is read. Pages that it took back because memory was
- * short are missing. */
-uint64_t bsq_mapped_bytes(const struct bsq_ctx *ctx);
-
 /* Checks that the file system for temporary files has `bytes` free. Errors: BSQ_EIO, which names
  * the bytes needed and available. */
 int bsq_require_disk(struct bsq_ctx *ctx, const char *beside, uint64_t bytes);

@@ -2,8 +2,8 @@
  *
  * A context knows each input by its path. It holds every later opening to what the first one found,
  * and refuses an output that is an input, whatever names the two have. bsq_file_open() and
- * bsq_output_open() note their files. Call the functions here to note a file before it is opened,
- * or one that other code opens. */
+ * bsq_output_open() note their files. bsq_note_input() notes a file before it is opened, or one
+ * that other code opens. */
 #ifndef BSQ_JOB_FILES_H
 #define BSQ_JOB_FILES_H
 
@@ -12,13 +12,6 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-/* Notes an input. It may be missing: then no output may be created there. The text of `format` says
- * what it is, for messages: "the texture that s.mtl:12 names". Files that this job wrote before are
- * not protected. Thread-safe. Errors: BSQ_EUSAGE, which names both files, if the job writes this
- * file; BSQ_ENOMEM. */
-int bsq_note_input(struct bsq_ctx *ctx, const char *path, const char *format, ...)
-    __attribute__((format(printf, 3, 4)));
 
 /* Notes an output, which need not exist. Thread-safe. Errors: BSQ_EUSAGE, which names both files,
  * if the job reads this file; BSQ_ENOMEM. */

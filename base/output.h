@@ -23,10 +23,6 @@ struct bsq_output;
  * name belongs to something that a regular file cannot replace, or is "-". */
 int bsq_output_open(struct bsq_ctx *ctx, const char *path, struct bsq_output **out);
 
-/* Checks before the work that an output can be created and that it is none of the inputs that are
- * noted so far (base/job_files.h). Errors: those of bsq_output_open(). */
-int bsq_output_check(struct bsq_ctx *ctx, const char *path);
-
 /* Creates a temporary file, as bsq_file_temp() does, that is written as an output.
  * bsq_output_keep_temp() turns it into *out and frees the output in any case. */
 int bsq_output_open_temp(struct bsq_ctx *ctx, const char *beside, const char *what,

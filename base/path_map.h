@@ -1,4 +1,5 @@
-/* path_map.h - rules that replace the beginnings of paths, for files that lie elsewhere on this
+/** @file
+ * Rules that replace the beginnings of paths, for files that lie elsewhere on this
  * machine than where their names were written.
  *
  * The rules are those of Open Job Description's pathmapping-1.0: a rule fits a path that is its
@@ -12,23 +13,24 @@
 extern "C" {
 #endif
 
+/** How the source of a rule was written. */
 enum bsq_path_format {
-    BSQ_PATH_POSIX,
-    BSQ_PATH_WINDOWS, /* "/" and "\" separate components; letters match in either case */
-    BSQ_PATH_URI
+    BSQ_PATH_POSIX,   /**< "/" separates components. */
+    BSQ_PATH_WINDOWS, /**< "/" and "\\" separate components; letters match in either case. */
+    BSQ_PATH_URI      /**< As BSQ_PATH_POSIX, after a scheme. */
 };
 
-/* Adds a rule for all files that this context opens later by a name from a file or from
+/** Adds a rule for all files that this context opens later by a name from a file or from
  * bsq_map_path(). Empty sources are refused. Errors: BSQ_EDATA, BSQ_ENOMEM. */
 int bsq_add_path_rule(struct bsq_ctx *ctx, enum bsq_path_format format, const char *source,
                       const char *destination);
 
-/* Returns the path that a name stands for by the rules: the name itself if none fits, else a text
+/** Returns the path that a name stands for by the rules: the name itself if none fits, else a text
  * that lives as long as the context. Returns NULL if there is no memory, which it reports.
  * Thread-safe. */
 const char *bsq_map_path(struct bsq_ctx *ctx, const char *name);
 
-/* Sets *out to a text that tells the rules of a context from others, for the caller to free; NULL
+/** Sets *out to a text that tells the rules of a context from others, for the caller to free; NULL
  * if there are none. Errors: BSQ_ENOMEM. */
 int bsq_path_rules_text(struct bsq_ctx *ctx, char **out);
 

@@ -39,7 +39,7 @@ static bool is_control(uint32_t c)
            (c >= 0x2066 && c <= 0x2069) || c == 0xfeff;
 }
 
-char *bsq_escape(const char *text, int keep_newlines)
+char *bsq_escape(const char *text, bool keep_newlines)
 {
     static const char digits[] = "0123456789abcdef";
     char *escaped = malloc(4 * strlen(text) + 1), *to = escaped;

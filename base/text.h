@@ -1,5 +1,5 @@
-/* text.h - texts: fit for terminals and logs; distinct ones in a table, with the memory that they
- * take; what a text in JSON needs when it is parsed. */
+/* text.h - texts: copies; distinct ones in a table, with the memory that they take; what a text in
+ * JSON needs when it is parsed. */
 #ifndef BSQ_TEXT_H
 #define BSQ_TEXT_H
 
@@ -8,13 +8,6 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-/* Returns a copy of `text` in which "\xHH" replaces each byte that is not part of valid UTF-8 or is
- * part of a control character: C0 and C1, line and paragraph separators, and characters that change
- * the direction of text. A newline stays if `keep_newlines` is set. The result is valid UTF-8 in
- * one line, and a terminal shows it as it is. A backslash stays, so this cannot be undone. Free it
- * with free(); NULL if there is no memory. */
-char *bsq_escape(const char *text, int keep_newlines);
 
 /* Returns a bound of the bytes that Jansson 2 needs for a text of `size` bytes, with the system's
  * overhead of each block. Reserve them before parsing. */

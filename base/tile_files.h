@@ -38,10 +38,6 @@ size_t bsq_tile_folder(const char *path);
 int bsq_tile_files_find(struct bsq_ctx *ctx, const char *path, struct bsq_tile_files *out);
 void bsq_tile_files_free(struct bsq_ctx *ctx, struct bsq_tile_files *files);
 
-/* Notes the file of a texture, or all files of its tiles, as bsq_note_input() does. */
-int bsq_note_texture(struct bsq_ctx *ctx, const char *path, const char *format, ...)
-    __attribute__((format(printf, 3, 4)));
-
 #ifdef __cplusplus
 }
 #endif

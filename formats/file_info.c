@@ -11,7 +11,7 @@
 #include <unistd.h>
 
 #include "base/channels.h"
-#include "base/escape.h"
+#include "base/text.h"
 #include "base/file_part.h"
 #include "base/tile_files.h"
 #include "formats/file_kind.h"

@@ -2,6 +2,9 @@
  * the checks of their formats. */
 #include "formats/file_kind.h"
 
+#include "formats/chunks/tris.h"
+#include "formats/grid/nvdb.h"
+
 #include <string.h>
 
 #include "base/file.h"
@@ -77,7 +80,7 @@ static int verify_nvdb(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
         return status;
     report->version = (uint32_t)fmt_nvdb_record_version(&grid);
     fmt_nvdb_version(grid.info.type, report->nanovdb_version);
-    report->type = grid.info.type;
+    report->is_mask = grid.info.type == FMT_NVDB_MASK;
     report->triangles = grid.info.source_triangles;
     report->voxels = grid.voxel_count;
     report->second_records = grid.record_count - 1 - grid.voxel_count;

@@ -18,7 +18,7 @@ extern "C" {
 /** Maps; bits that can be combined. bake_map_name() lists all maps, also those without a constant
  * here. */
 enum bake_map {
-    BAKE_MAPS_DEFAULT = 0, /**< What bake_find_maps() finds for the scan. */
+    BAKE_MAPS_DEFAULT = 0, /**< What bake_look() finds for the scan. */
     BAKE_MAP_NORMAL = 1,   /**< The unit normal n as n / 2 + 1/2 in R, G, B. */
     BAKE_MAP_COLOR = 2,    /**< Linear Rec. 709 light in EXR, sRGB in PNG. */
     BAKE_MAP_MASK = 4,     /**< Share of a texel's samples that hit: 1 all, 0 none or outside the UV
@@ -231,18 +231,16 @@ const char *bake_map_alias(unsigned number);
 /** Returns what the map shows, in a few words; NULL after the last map. */
 const char *bake_map_summary(unsigned number);
 
-/** Finds out which maps options->maps stands for with the scans of the options: the bits of
- * BAKE_MAPS_DEFAULT and BAKE_MAPS_ALL become those of maps. Warns of colours and ids that only some
- * of several scans have; a strict job fails with BSQ_EDATA. Returns the errors of opening a scan.
- */
-int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t *out);
-
-/** Calls `fn` with `arg` for the name of each channel that all scans of the options have and that
- * can be a transfer map, such as "roughness". Warns of channels that only some of several scans
- * have; a strict job fails with BSQ_EDATA. A status below 0 ends the list and is returned, like the
+/** Looks at the scans of the options, and completes these: the bits of BAKE_MAPS_DEFAULT and
+ * BAKE_MAPS_ALL become those of maps. With BAKE_MAPS_ALL, first calls `add` with `arg` for the name
+ * of each channel that all scans have and that can be a transfer map, such as "roughness"; it may
+ * change the options. A status of `add` below 0 is returned. NULL: no channels are added. Warns of
+ * colours, ids and channels that only some of several scans have; a strict job fails with
+ * BSQ_EDATA. Also warns of each option that was given and has no effect on the maps, and names what
+ * it needs. given: a flag for each row of bake_option_rows(); NULL: no such warnings. Returns the
  * errors of opening a scan. */
-int bake_find_channels(struct bsq_ctx *ctx, const struct bake_options *options,
-                       int (*fn)(void *arg, const char *name), void *arg);
+int bake_look(struct bsq_ctx *ctx, struct bake_options *options, const bool *given,
+              int (*add)(void *arg, const char *name), void *arg);
 
 /** Fills in the defaults: default maps, 2048 x 2048 texels, 2 x 2 samples, automatic ray lengths,
  * 16 texels of padding, tangent space, any device. */
@@ -251,11 +249,6 @@ void bake_defaults(struct bake_options *options);
 /** Returns the table of the options, with *count rows: defaults, values, and the options of
  * bisque-bake that set the members. */
 const struct bsq_option *bake_option_rows(size_t *count);
-
-/** Warns of each option that was given and has no effect on the maps of this bake, and names what
- * it needs. given: a flag for each row of bake_option_rows(). bake_find_maps() must have set the
- * maps. Returns the errors of opening a scan. */
-int bake_warn_unused(struct bsq_ctx *ctx, const struct bake_options *options, const bool *given);
 
 /** How the samples of a file stand for values with a unit: value = origin + offset + scale *
  * sample, in each channel. */
@@ -287,7 +280,7 @@ struct bake_file {
 };
 
 /** Calls `fn` with `arg` for the file of each map in a tile; NULL: with the tokens of tiles,
- * objects and materials in the path. bake_find_maps() must have set the maps. A status of `fn`
+ * objects and materials in the path. bake_look() must have set the maps. A status of `fn`
  * below 0 ends the list and is returned. Errors: BSQ_ENOMEM. */
 int bake_list_files(struct bsq_ctx *ctx, const struct bake_options *options,
                     const struct bake_baked_tile *tile,

@@ -163,24 +163,27 @@ static int finish_transfers(struct cli *cli, struct bake_arguments *arguments)
 /* Where names of channels are added. */
 struct additions {
     struct cli *cli;
-    struct bake_transfers *list;
+    struct bake_arguments *to;
 };
 
 static int add_channel(void *arg, const char *name)
 {
-    const struct additions *to = (const struct additions *)arg;
-    struct bake_transfer *map = find_transfer(to->list, name);
+    const struct additions *added = (const struct additions *)arg;
+    struct bake_transfers *list = &added->to->transfers;
+    struct bake_transfer *map = find_transfer(list, name);
+    int status = 0;
     if (map)
         map->no_file = false;
-    return map ? 0 : add_transfer(to->cli, to->list, name, strlen(name), NULL);
+    else
+        status = add_transfer(added->cli, list, name, strlen(name), NULL);
+    use_transfers(added->to);
+    return status;
 }
 
-int bake_arguments_add_channels(struct cli *cli, struct bake_arguments *arguments)
+int bake_arguments_look(struct cli *cli, struct bake_arguments *arguments)
 {
-    struct additions to = {cli, &arguments->transfers};
-    const int status = bake_find_channels(cli->ctx, &arguments->bake, add_channel, &to);
-    use_transfers(arguments);
-    return status;
+    return bake_look(cli->ctx, &arguments->bake, arguments->given, add_channel,
+                     &(struct additions){cli, arguments});
 }
 
 /* ---- sizes and tiles ---- */

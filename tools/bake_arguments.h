@@ -37,8 +37,8 @@ int bake_arguments_map_inputs(struct cli *cli, struct bake_arguments *arguments)
 /* Finds out which of the inputs are scans (.nvdb, .tris) and which are low-poly meshes. Two files
  * are a scan and a mesh, in this order. Errors: BSQ_EUSAGE, and those of fmt_recognise(). */
 int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments);
-/* Adds a transfer map for each channel of the scans that has none yet. */
-int bake_arguments_add_channels(struct cli *cli, struct bake_arguments *arguments);
+/* Completes the options by what the scans have, see bake_look(). */
+int bake_arguments_look(struct cli *cli, struct bake_arguments *arguments);
 void bake_arguments_free(struct bake_arguments *arguments);
 
 #endif

@@ -2,74 +2,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/job_files.h"
-#include "base/context.h"
-#include "base/output.h"
-#include "base/tile_files.h"
 #include "tools/bake_farm.h"
 #include "tools/bake_report.h"
 #include "tools/cli_percent.h"
-
-/* ---- checks before the work ---- */
-
-static int note_inputs(struct cli *cli, const struct bake_options *bake)
-{
-    int status = 0;
-    BSQ_TRY(bsq_note_input(cli->ctx, bake->scan_path, "the scan"));
-    for (uint32_t i = 0; i < bake->more_scan_count; i++)
-        BSQ_TRY(bsq_note_input(cli->ctx, bake->more_scan_paths[i], "a scan"));
-    BSQ_TRY(bsq_note_input(cli->ctx, bake->mesh_path, "the low-poly mesh"));
-    for (uint32_t i = 0; i < bake->more_mesh_count; i++)
-        BSQ_TRY(bsq_note_input(cli->ctx, bake->more_mesh_paths[i], "a low-poly mesh"));
-    if (bake->cage_path)
-        BSQ_TRY(bsq_note_input(cli->ctx, bake->cage_path, "the cage"));
-    for (uint32_t i = 0; i < bake->transfer_count; i++)
-        if (bake->transfers[i].texture_path)
-            BSQ_TRY(bsq_note_texture(cli->ctx, bake->transfers[i].texture_path, "the texture %s",
-                                     bake->transfers[i].name));
-done:
-    return status;
-}
-
-/* The outputs beside the maps. */
-struct outputs {
-    struct cli *cli;
-    const char *preview, *write_plan; /* NULL: none */
-};
-
-/* Checks the file of a map. The library checks those of tiles and objects, which are known when the
- * mesh is. */
-static int check_map(void *arg, const struct bake_file *file)
-{
-    static const char *const tokens[] = {BAKE_UDIM_TOKEN, BAKE_UVTILE_TOKEN, BAKE_OBJECT_TOKEN,
-                                         BAKE_MATERIAL_TOKEN};
-    const struct outputs *outputs = (const struct outputs *)arg;
-    if (outputs->preview && cli_same_file(outputs->preview, file->path))
-        return cli_usage(outputs->cli, "%s: two outputs have this name", file->path);
-    if (outputs->write_plan && cli_same_file(outputs->write_plan, file->path))
-        return cli_usage(outputs->cli, "%s: the plan and a map have this name", file->path);
-    for (size_t i = 0; i < sizeof tokens / sizeof *tokens; i++)
-        if (strstr(file->path, tokens[i]))
-            return 0;
-    return bsq_output_check(outputs->cli->ctx, file->path);
-}
-
-/* write_plan: the plan that is written, or NULL. */
-static int check_outputs(struct cli *cli, const struct bake_options *bake, const char *write_plan)
-{
-    struct outputs outputs = {cli, bake->preview_path, write_plan};
-    int status = 0;
-    BSQ_TRY(note_inputs(cli, bake));
-    BSQ_TRY(bake_list_files(cli->ctx, bake, NULL, check_map, &outputs));
-    if (bake->preview_path && write_plan && cli_same_file(write_plan, bake->preview_path))
-        return cli_usage(cli, "%s: the plan and the preview have this name", write_plan);
-    if (bake->preview_path)
-        BSQ_TRY(cli_check_picture(cli, bake->preview_path));
-done:
-    return status;
-}
-
-/* ---- the work ---- */
 
 /* Sets *missed if the maps are written but more samples missed than is allowed. */
 static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *missed)
@@ -79,13 +14,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     int status = 0;
     bake_report_watch(cli, &report);
     BSQ_TRY(bake_check_options(cli->ctx, bake));
-    /* The files have to be known before the work, to check that no input is overwritten. */
-    if (bake->maps & BAKE_MAPS_ALL)
-        BSQ_TRY(bake_arguments_add_channels(cli, arguments));
-    BSQ_TRY(bake_find_maps(cli->ctx, bake, &bake->maps));
-    BSQ_TRY(bake_check_options(cli->ctx, bake));
-    BSQ_TRY(check_outputs(cli, bake, arguments->farm.write_plan));
-    BSQ_TRY(bake_warn_unused(cli->ctx, bake, arguments->given));
+    BSQ_TRY(bake_arguments_look(cli, arguments));
     if (arguments->farm.write_plan) {
         status = bake_farm_plan(cli, arguments, &report);
         goto done;
@@ -148,16 +77,14 @@ static int merge_tiles(struct cli *cli, const struct bake_arguments *arguments,
 static int merge(struct cli *cli, struct bake_arguments *arguments,
                  const struct bake_farm_plan *plan, bool *missed)
 {
-    int status;
     const double max_missed = bake_arguments_has(arguments, "max_missed")
                                   ? arguments->bake.max_missed
                                   : bake_plan_options(plan)->max_missed;
     arguments->bake = *bake_plan_options(plan);
     arguments->bake.max_missed = max_missed;
-    BSQ_TRY(check_outputs(cli, &arguments->bake, NULL));
-    status = arguments->farm.merge ? merge_tile(cli, arguments, plan, BAKE_ALL_TILES, missed)
-                                   : merge_tiles(cli, arguments, plan);
-done:
+    const int status = arguments->farm.merge
+                           ? merge_tile(cli, arguments, plan, BAKE_ALL_TILES, missed)
+                           : merge_tiles(cli, arguments, plan);
     /* The plan owns what these point to. */
     arguments->bake.transfers = NULL;
     arguments->bake.transfer_count = 0;

@@ -5,7 +5,6 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/job_files.h"
 #include "libbake/compare.h"
 #include "tools/cli.h"
 #include "tools/compare_mesh.h"
@@ -123,7 +122,7 @@ static int check_outputs(struct cli *cli, const struct bake_compare_options *com
         if (inputs[i])
             BSQ_TRY(bsq_note_input(cli->ctx, inputs[i], i < 2 ? "a map" : "a mask"));
     if (compare->heatmap_path && compare->histogram_path &&
-        cli_same_file(compare->heatmap_path, compare->histogram_path))
+        bsq_same_file(compare->heatmap_path, compare->histogram_path))
         return cli_usage(cli, "%s: two outputs have this name", compare->histogram_path);
     if (compare->heatmap_path)
         BSQ_TRY(cli_check_picture(cli, compare->heatmap_path));

@@ -3,9 +3,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/job_files.h"
-#include "base/output.h"
-#include "base/tile_files.h"
 #include "formats/file_kind.h"
 #include "tools/voxelize_report.h"
 
@@ -106,7 +103,7 @@ static int check_outputs(struct voxelize_job *job)
         if (!outputs[i])
             continue;
         for (unsigned j = 0; j < i; j++) {
-            if (outputs[j] && cli_same_file(outputs[i], outputs[j]))
+            if (outputs[j] && bsq_same_file(outputs[i], outputs[j]))
                 return cli_usage(job->cli, "%s: two outputs have this name", outputs[i]);
         }
         int status = bsq_output_check(job->cli->ctx, outputs[i]);
@@ -114,15 +111,6 @@ static int check_outputs(struct voxelize_job *job)
             return status;
     }
     return 0;
-}
-
-/* Sorting and voxelizing both need temporary files. */
-static int check_temporary_files(struct voxelize_job *job)
-{
-    struct bsq_file file;
-    int status = bsq_file_temp(job->cli->ctx, job->arguments->grid.grid_path, "chunks", &file);
-    bsq_file_close(job->cli->ctx, &file);
-    return status;
 }
 
 static int check_memory(struct cli *cli)
@@ -187,7 +175,7 @@ static int do_work(struct voxelize_job *job)
         BSQ_TRY(vox_check_export(job->cli->ctx));
     BSQ_TRY(choose_tris_path(job));
     BSQ_TRY(check_outputs(job));
-    BSQ_TRY(check_temporary_files(job));
+    BSQ_TRY(bsq_temp_check(job->cli->ctx, arguments->grid.grid_path));
     if (job->mesh_count > 0 && !arguments->sort_only)
         BSQ_TRY(vox_temp_tris_create(job->cli->ctx, &job->temp_tris));
     if (job->mesh_count > 0)

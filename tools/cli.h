@@ -127,9 +127,6 @@ int cli_parse_word(struct cli *cli, const char *option, const char *text, const 
 /* Returns whether `text` ends with `ending`, ignoring case. */
 bool cli_ends_with(const char *text, const char *ending);
 
-/* Returns whether both paths name one file, which need not exist. */
-bool cli_same_file(const char *a, const char *b);
-
 /* Checks the output of a picture with bsq_output_check(); its name must also end in .png. */
 int cli_check_picture(struct cli *cli, const char *path);
 

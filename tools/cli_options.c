@@ -5,7 +5,6 @@
 #include <string.h>
 #include <strings.h>
 
-#include "base/text.h"
 #include "tools/cli_percent.h"
 
 enum { MOST_OPTIONS = 128, HELP_COLUMN = 28 };

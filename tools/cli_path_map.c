@@ -1,8 +1,10 @@
 /* cli_path_map.c - reads the rules of --path-map: JSON, Open Job Description's pathmapping-1.0. */
+#include <errno.h>
+#include <fcntl.h>
 #include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
-#include "base/file.h"
-#include "base/text.h"
 #include "base/path_map.h"
 #include "tools/cli.h"
 
@@ -49,22 +51,25 @@ static int add_rules(struct cli *cli, const json_t *root)
 /* Loads a file as JSON. *reserved: bytes of the budget that the caller releases. */
 static int load(struct cli *cli, json_t **out, uint64_t *reserved)
 {
-    struct bsq_file file;
-    char *text = NULL;
+    enum { BYTES_A_CHARACTER = 256, MOST_OTHERS = 1 << 16 }; /* of Jansson's memory */
+    const int fd = open(cli->path_map, O_RDONLY | O_NONBLOCK | O_CLOEXEC);
+    struct stat info;
     json_error_t error;
-    int status = bsq_file_open_as(cli->ctx, cli->path_map, BSQ_OPEN_OTHER, &file);
+    int status = fd < 0 || fstat(fd, &info) != 0
+                     ? bsq_fail_errno(cli->ctx, BSQ_ENOINPUT, errno, "%s", cli->path_map)
+                 : S_ISREG(info.st_mode)
+                     ? 0
+                     : bsq_fail(cli->ctx, BSQ_ENOINPUT, "%s: not a regular file", cli->path_map);
     if (status < 0)
-        return status;
-    status = bsq_alloc(cli->ctx, "rules for paths", file.size, 1, &text);
-    if (status == 0)
-        status = bsq_file_read(cli->ctx, &file, text, file.size, 0);
-    const uint64_t bound = status == 0 ? bsq_json_bound(text, file.size) : 0;
-    if (status == 0 && (status = bsq_reserve(cli->ctx, "rules for paths", bound)) == 0)
-        *reserved = bound;
-    if (status == 0 && !(*out = json_loadb(text, file.size, JSON_REJECT_DUPLICATES, &error)))
-        status = fail_rules(cli, error.text);
-    bsq_free(cli->ctx, text);
-    bsq_file_close(cli->ctx, &file);
+        goto done;
+    const uint64_t bound = BYTES_A_CHARACTER * (uint64_t)info.st_size + MOST_OTHERS;
+    BSQ_TRY(bsq_reserve(cli->ctx, "rules for paths", bound));
+    *reserved = bound;
+    *out = json_loadfd(fd, JSON_REJECT_DUPLICATES, &error);
+    status = *out ? 0 : fail_rules(cli, error.text);
+done:
+    if (fd >= 0)
+        close(fd);
     return status;
 }
 

@@ -8,10 +8,9 @@
 
 #include <math.h>
 #include <pthread.h>
+#include <signal.h>
 #include <stdio.h>
 #include <string.h>
-
-#include "base/parallel.h"
 
 enum { HEARTBEAT_SECONDS = 30 };
 
@@ -175,17 +174,22 @@ static void *beat(void *unused)
     return NULL;
 }
 
-/* A system that allows no more threads only loses the heartbeat. */
+/* A system that allows no more threads only loses the heartbeat. The thread leaves signals to
+ * others. */
 void cli_percent_begin(const struct cli *cli)
 {
     pthread_condattr_t attributes;
+    sigset_t all, before;
     state.cli = cli;
     pthread_condattr_init(&attributes);
     pthread_condattr_setclock(&attributes, CLOCK_MONOTONIC);
     pthread_cond_init(&state.stop, &attributes);
     pthread_condattr_destroy(&attributes);
     print_line(cli, 0);
-    state.running = bsq_thread_start(&state.thread, beat, NULL);
+    sigfillset(&all);
+    pthread_sigmask(SIG_SETMASK, &all, &before);
+    state.running = pthread_create(&state.thread, NULL, beat, NULL) == 0;
+    pthread_sigmask(SIG_SETMASK, &before, NULL);
 }
 
 void cli_percent_end(const struct cli *cli, bool success)

@@ -4,8 +4,6 @@
 #include <string.h>
 #include <sys/resource.h>
 
-#include "base/text.h"
-#include "base/file.h"
 #include "tools/cli.h"
 
 void cli_print(const char *format, ...)

@@ -15,8 +15,7 @@ static void print_content(const char *path, const struct fmt_verify_report *r)
         cli_print(
             "%s: ok (surface grid of version %u, NanoVDB %u.%u.%u %s: %s and %s of %s%s, %s)\n",
             path, r->version, r->nanovdb_version[0], r->nanovdb_version[1], r->nanovdb_version[2],
-            r->type == FMT_NVDB_MASK ? "mask" : "onindex",
-            cli_counted_text(r->voxels, "voxel", "voxels", parts),
+            r->is_mask ? "mask" : "onindex", cli_counted_text(r->voxels, "voxel", "voxels", parts),
             cli_counted_text(r->second_records, "second record", "second records", more), triangles,
             r->has_color ? ", with colour" : "", size);
 }
@@ -28,14 +27,13 @@ static json_t *content_json(const char *path, const struct fmt_verify_report *r)
                          "ok", 1, "kind", "tris", "version", (int)r->version, "file_bytes",
                          (json_int_t)r->file_bytes, "triangles", (json_int_t)r->triangles,
                          "vertices", (json_int_t)r->vertices, "chunks", (json_int_t)r->chunks);
-    return json_pack("{s:o, s:b, s:s, s:i, s:[i, i, i], s:s, s:I, s:I, s:I, s:I, s:f, s:b}", "path",
-                     cli_json_text(path), "ok", 1, "kind", "nvdb", "version", (int)r->version,
-                     "nanovdb_version", (int)r->nanovdb_version[0], (int)r->nanovdb_version[1],
-                     (int)r->nanovdb_version[2], "grid_type",
-                     r->type == FMT_NVDB_MASK ? "mask" : "onindex", "file_bytes",
-                     (json_int_t)r->file_bytes, "triangles", (json_int_t)r->triangles, "voxels",
-                     (json_int_t)r->voxels, "second_records", (json_int_t)r->second_records,
-                     "voxel_size", r->voxel_size, "has_color", (int)r->has_color);
+    return json_pack(
+        "{s:o, s:b, s:s, s:i, s:[i, i, i], s:s, s:I, s:I, s:I, s:I, s:f, s:b}", "path",
+        cli_json_text(path), "ok", 1, "kind", "nvdb", "version", (int)r->version, "nanovdb_version",
+        (int)r->nanovdb_version[0], (int)r->nanovdb_version[1], (int)r->nanovdb_version[2],
+        "grid_type", r->is_mask ? "mask" : "onindex", "file_bytes", (json_int_t)r->file_bytes,
+        "triangles", (json_int_t)r->triangles, "voxels", (json_int_t)r->voxels, "second_records",
+        (json_int_t)r->second_records, "voxel_size", r->voxel_size, "has_color", (int)r->has_color);
 }
 
 /* Checks one file. *entry is its JSON object; NULL without --json or without memory. */

@@ -5,7 +5,7 @@
 #include <string.h>
 
 #include "base/parallel.h"
-#include "base/srgb.h"
+#include "base/channels.h"
 #include "libbake/compare/comparison.h"
 
 const char *bake_compare_unit(enum bake_compare_kind kind)

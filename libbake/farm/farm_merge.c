@@ -186,8 +186,10 @@ static int merge_parts(struct merge *merge, bool *kept)
     int status;
     BSQ_TRY(bake_farm_open_job(job, merge->plan));
     BSQ_TRY(find_all_kept(merge, kept));
-    if (!*kept)
+    if (!*kept) {
+        BSQ_TRY(bake_check_outputs(job, NULL));
         BSQ_TRY(use_parts(merge));
+    }
     BSQ_TRY(report_counts(merge));
     if (*kept)
         goto done;

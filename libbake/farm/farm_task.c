@@ -123,15 +123,6 @@ done:
 
 /* ---- the plan ---- */
 
-/* Checks the files of the plan and of all maps. */
-static int check_files(struct bake_work *job, const char *plan_path)
-{
-    int status = bsq_output_check(job->ctx, plan_path);
-    for (uint32_t i = 0; i < job->udim.count && status == 0; i++)
-        status = bake_tile_check_files(job->ctx, &job->tiles[i], plan_path);
-    return status;
-}
-
 /* Returns the job's options with all that its tasks must share. */
 static struct bake_options shared_options(const struct bake_work *job)
 {
@@ -182,8 +173,8 @@ static int plan_job(struct bake_work *job, uint32_t tasks, const char *path, boo
     struct bake_farm_plan *plan = NULL;
     int status;
     BSQ_TRY(bake_open_inputs(job));
+    BSQ_TRY(bake_check_outputs(job, path));
     BSQ_TRY(bake_set_params(job));
-    BSQ_TRY(check_files(job, path));
     BSQ_TRY(bake_prepare_triangles(job));
     bake_choose_radius(job);
     const struct bake_options shared = shared_options(job);

@@ -67,42 +67,33 @@ static int open_scans(struct bsq_ctx *ctx, const struct bake_options *options,
     return status;
 }
 
-int bake_find_channels(struct bsq_ctx *ctx, const struct bake_options *options,
-                       int (*fn)(void *arg, const char *name), void *arg)
+/* Warns of options without effect. */
+static void warn_unused(const struct bake_surface *surface, const struct bake_options *options,
+                        const bool *given)
 {
-    struct bake_surface surface;
-    int status = open_scans(ctx, options, &surface);
-    if (status == 0)
-        status = bake_surface_list_channels(&surface, fn, arg);
-    bake_surface_close(&surface);
-    return status;
-}
-
-int bake_find_maps(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t *out)
-{
-    struct bake_surface surface;
-    *out = options->maps;
-    if (!leaves_choice(options))
-        return 0;
-    int status = open_scans(ctx, options, &surface);
-    if (status == 0)
-        status = choose_from(&surface, options->maps, out);
-    bake_surface_close(&surface);
-    return status;
-}
-
-int bake_warn_unused(struct bsq_ctx *ctx, const struct bake_options *options, const bool *given)
-{
-    struct bake_surface surface;
-    int status = open_scans(ctx, options, &surface);
     struct bake_scans_seen scans = {.normals = true};
-    for (uint32_t s = 0; s < surface.scan_count; s++) {
-        const struct bake_exact *exact = surface.scans[s].exact;
+    for (uint32_t s = 0; s < surface->scan_count; s++) {
+        const struct bake_exact *exact = surface->scans[s].exact;
         scans.grid |= exact == NULL;
         scans.normals &= !exact || bake_exact_header(exact)->attributes & FMT_TRIS_NORMALS;
     }
-    if (status == 0)
-        bake_warn_of_options(ctx, options, given, &scans);
+    bake_warn_of_options(surface->ctx, options, given, &scans);
+}
+
+int bake_look(struct bsq_ctx *ctx, struct bake_options *options, const bool *given,
+              int (*add)(void *arg, const char *name), void *arg)
+{
+    struct bake_surface surface;
+    int status = open_scans(ctx, options, &surface);
+    if (status < 0)
+        goto done;
+    if (add && options->maps & BAKE_MAPS_ALL)
+        BSQ_TRY(bake_surface_list_channels(&surface, add, arg));
+    if (leaves_choice(options))
+        BSQ_TRY(choose_from(&surface, options->maps, &options->maps));
+    if (given)
+        warn_unused(&surface, options, given);
+done:
     bake_surface_close(&surface);
     return status;
 }
@@ -284,10 +275,31 @@ static int open_skew(struct bake_work *job)
     return status;
 }
 
+/* Notes the files that the options name as inputs, so that no output is written to them. */
+static int note_inputs(struct bsq_ctx *ctx, const struct bake_options *options)
+{
+    int status;
+    BSQ_TRY(bsq_note_input(ctx, options->scan_path, "the scan"));
+    for (uint32_t i = 0; i < options->more_scan_count; i++)
+        BSQ_TRY(bsq_note_input(ctx, options->more_scan_paths[i], "a scan"));
+    BSQ_TRY(bsq_note_input(ctx, options->mesh_path, "the low-poly mesh"));
+    for (uint32_t i = 0; i < options->more_mesh_count; i++)
+        BSQ_TRY(bsq_note_input(ctx, options->more_mesh_paths[i], "a low-poly mesh"));
+    if (options->cage_path)
+        BSQ_TRY(bsq_note_input(ctx, options->cage_path, "the cage"));
+    for (uint32_t i = 0; i < options->transfer_count; i++)
+        if (options->transfers[i].texture_path)
+            BSQ_TRY(bsq_note_texture(ctx, options->transfers[i].texture_path, "the texture %s",
+                                     options->transfers[i].name));
+done:
+    return status;
+}
+
 int bake_open_inputs(struct bake_work *job)
 {
     int status = 0;
     BSQ_TRY(bake_check_options(job->ctx, job->options));
+    BSQ_TRY(note_inputs(job->ctx, job->options));
     BSQ_TRY(bake_surface_open(job->ctx, job->options, &job->surface));
     BSQ_TRY(choose_maps(job));
     BSQ_TRY(use_attributes(job));

@@ -14,6 +14,7 @@ static int run(struct bake_work *job)
     double started = bsq_seconds_now();
     int status = 0;
     BSQ_TRY(bake_open_inputs(job));
+    BSQ_TRY(bake_check_outputs(job, NULL));
     BSQ_TRY(bake_set_params(job));
     BSQ_TRY(bake_open_outputs(job));
     BSQ_TRY(bake_prepare_triangles(job));

@@ -92,8 +92,12 @@ void bake_end_tracing(struct bake_work *job);
 
 /* ---- outputs ---- */
 
-/* Checks the files of all tiles before the work, and creates those of the first and the preview's.
- * Those of other tiles are created when they are written. What is kept is left out. */
+/* Checks before the work that all files of tiles that are not kept, the preview and the plan (NULL:
+ * none is written) can be created, are no inputs and have different names. Errors: BSQ_EUSAGE,
+ * BSQ_ECANTCREAT, BSQ_ENOMEM. */
+int bake_check_outputs(struct bake_work *job, const char *plan);
+/* Creates the files of the first tile and the preview's. Those of other tiles are created when they
+ * are written. What is kept is left out. */
 int bake_open_outputs(struct bake_work *job);
 /* Returns the side of thumbnails for the preview, so that those of one map in all tiles take at
  * most an eighth of what is left in the budget. */
@@ -105,9 +109,6 @@ int bake_write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side
 /* Creates the image of a tile, which takes at most `memory_bytes`, or is in a temporary file.
  * Errors: those of bake_image_create(). */
 int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t memory_bytes);
-/* Checks that the tile's files can be created, are no inputs, and are neither the preview nor the
- * file `other`, which may be NULL. Errors: BSQ_EUSAGE, BSQ_ECANTCREAT, BSQ_ENOMEM. */
-int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile, const char *other);
 /* Encodes and writes all maps under temporary names. */
 int bake_write_maps(struct bake_work *job);
 /* Renders and writes the preview, if one is asked for. */

@@ -1,7 +1,7 @@
 /* outputs.c - writes the maps and the preview of a bake. They get their names together. */
 #include <stdlib.h>
 #include <string.h>
-#include <sys/stat.h>
+#include <strings.h>
 
 #include "base/context.h"
 #include "base/file.h"
@@ -64,24 +64,6 @@ static struct bake_traced traced_of(const struct bake_work *job)
     return traced;
 }
 
-/* Returns whether two paths have the same name in the same directory. */
-static bool is_same_path(const char *a, const char *b)
-{
-    const char *const paths[] = {a, b}, *const names[] = {bsq_file_name(a), bsq_file_name(b)};
-    struct stat info[2];
-    if (strcmp(names[0], names[1]) != 0)
-        return false;
-    for (int i = 0; i < 2; ++i) {
-        const size_t length = (size_t)(names[i] - paths[i]);
-        char *directory = length > 0 ? strndup(paths[i], length) : NULL;
-        int result = stat(directory ? directory : ".", &info[i]);
-        free(directory);
-        if (result != 0)
-            return false;
-    }
-    return info[0].st_dev == info[1].st_dev && info[0].st_ino == info[1].st_ino;
-}
-
 static unsigned file_count(const struct bake_tile *tile)
 {
     unsigned count = 0;
@@ -90,22 +72,45 @@ static unsigned file_count(const struct bake_tile *tile)
     return count;
 }
 
-int bake_tile_check_files(struct bsq_ctx *ctx, const struct bake_tile *tile, const char *other)
+/* Checks that an output can be created and is none of the other two, which may be NULL. */
+static int check_output(struct bsq_ctx *ctx, const char *path, const char *preview,
+                        const char *plan)
 {
-    const char *preview = tile->options.preview_path;
+    if ((preview && bsq_same_file(path, preview)) || (plan && bsq_same_file(path, plan)))
+        return bsq_fail(ctx, BSQ_EUSAGE, "%s: two outputs have this name", path);
+    return bsq_output_check(ctx, path);
+}
+
+static int check_tile_outputs(struct bsq_ctx *ctx, const struct bake_tile *tile, const char *plan)
+{
     int status = 0;
     for (unsigned i = 0; i < bake_selection_end(tile->maps) && status == 0; ++i) {
         if (!bake_has_file(&tile->options, tile->maps, i))
             continue;
         char *path = bake_path_of(&tile->options, i);
-        if (!path)
-            return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", tile->output_path);
-        if ((preview && is_same_path(path, preview)) || (other && is_same_path(path, other)))
-            status = bsq_fail(ctx, BSQ_EUSAGE, "%s: two outputs have this name", path);
-        if (status == 0)
-            status = bsq_output_check(ctx, path);
+        status = path ? check_output(ctx, path, tile->options.preview_path, plan)
+                      : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", tile->output_path);
         free(path);
     }
+    return status;
+}
+
+int bake_check_outputs(struct bake_work *job, const char *plan)
+{
+    const char *preview = job->options->preview_path;
+    int status = 0;
+    if (plan)
+        BSQ_TRY(check_output(job->ctx, plan, preview, NULL));
+    if (preview)
+        BSQ_TRY(check_output(job->ctx, preview, NULL, NULL));
+    const size_t length = preview ? strlen(preview) : 0;
+    if (preview && (length < 4 || strcasecmp(preview + length - 4, ".png") != 0))
+        return bsq_fail(job->ctx, BSQ_EUSAGE,
+                        "%s: the picture is a PNG file: its name must end in .png", preview);
+    for (uint32_t i = 0; i < job->udim.count; ++i)
+        if (!job->tiles[i].kept)
+            BSQ_TRY(check_tile_outputs(job->ctx, &job->tiles[i], plan));
+done:
     return status;
 }
 
@@ -124,8 +129,6 @@ static int open_files(struct bsq_ctx *ctx, struct bake_tile *tile, const struct 
                        : bake_map_files_open(ctx, &tile->options, tile->maps, traced, &tile->files);
 }
 
-/* Checks the files of all tiles before the work, and creates those of the first. Those of other
- * tiles are created when they are written. */
 int bake_open_outputs(struct bake_work *job)
 {
     int status = 0;
@@ -134,12 +137,8 @@ int bake_open_outputs(struct bake_work *job)
     const struct bake_traced traced = traced_of(job);
     BSQ_TRY(require_descriptors(job));
     struct bake_tile *first = NULL;
-    for (uint32_t i = job->udim.count; i-- > 0;) {
-        if (job->tiles[i].kept)
-            continue;
-        first = &job->tiles[i];
-        BSQ_TRY(bake_tile_check_files(job->ctx, first, NULL));
-    }
+    for (uint32_t i = job->udim.count; i-- > 0;)
+        first = job->tiles[i].kept ? first : &job->tiles[i];
     if (first)
         BSQ_TRY(open_files(job->ctx, first, &traced));
     if (job->options->preview_path && !job->keeps_preview)

@@ -14,7 +14,7 @@ int bake_check_tile_numbers(struct bsq_ctx *ctx, const struct bake_options *opti
 struct bake_scans_seen {
     bool grid, normals; /* one is a grid; all have normals of their own, as grids do */
 };
-/* Warns of options without effect, see bake_warn_unused(). */
+/* Warns of options without effect, see bake_look(). */
 void bake_warn_of_options(struct bsq_ctx *ctx, const struct bake_options *options,
                           const bool *given, const struct bake_scans_seen *scans);
 

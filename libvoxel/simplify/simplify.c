@@ -3,7 +3,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "base/clock.h"
+#include "base/context.h"
 #include "base/job_files.h"
 #include "libvoxel/simplify/groups.h"
 #include "libvoxel/simplify/measure.h"

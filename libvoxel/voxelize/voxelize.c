@@ -7,7 +7,7 @@
 #include "base/channels.h"
 #include "base/context.h"
 #include "base/job_files.h"
-#include "base/text_table.h"
+#include "base/text.h"
 #include "libvoxel/float_precision.h"
 #include "libvoxel/temp_tris.h"
 #include "libvoxel/voxelize/voxelize_run.h"

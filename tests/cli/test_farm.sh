@@ -524,12 +524,12 @@ for tasks in 0 65537 x; do
 done
 $bake --plan missing.json --task 0
 code 66
-$bake scan.nvdb low.obj -o o.exr --maps mask --tasks 2 --write-plan o.exr
-refused 64 "$p o.exr: the plan and a map have this name"
+$bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 2 --write-plan o.exr
+refused 64 "$p o.exr: two outputs have this name"
 $bake scan.nvdb low.obj $size -o './o.<UDIM>.exr' --maps height --tasks 2 --write-plan o.1012.exr
 refused 64 "$p ./o.1012.exr: two outputs have this name"
-$bake scan.nvdb low.obj -o o.exr --maps mask --tasks 2 --preview o.png --write-plan ./o.png
-refused 64 "$p ./o.png: the plan and the preview have this name"
+$bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 2 --preview o.png --write-plan ./o.png
+refused 64 "$p ./o.png: two outputs have this name"
 ok $bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 1 --write-plan o.json
 cp o.json o.exr
 $bake --plan o.exr --merge

@@ -38,7 +38,7 @@ command="tests/lint/symbols.sh" code=0
 "$top/tests/lint/symbols.sh" "$build/lib" >"$out" 2>"$err" || code=$?
 check "exported symbols have their library's prefix" "$code"
 nm -D --defined-only "$prefix/lib/libbisque.so.0" | awk '$2 != "A" { print $3 }' >"$out"
-grep -q '^vox_voxelize@@BISQUE_0$' "$out" && ! grep -Evq '^(bsq|vox|bake)_.*@@BISQUE_0$' "$out" &&
+grep -q '^vox_voxelize@@BISQUE_0$' "$out" && ! grep -Evq '^(bsq|fmt|vox|bake)_.*@@BISQUE_0$' "$out" &&
     ! grep -q '^bsq_file_open@' "$out"
 check "the shared library exports the public functions, with a version" $?
 

@@ -8,6 +8,7 @@
 #include <string.h>
 #include <xxhash.h>
 
+#include "formats/chunks/tris.h"
 #include "formats/file_kind.h"
 #include "tests/grid_lookup.h"
 
