@@ -14,7 +14,9 @@
 #include "base/text.h"
 #include "base/file_part.h"
 #include "base/tile_files.h"
+#include "formats/chunks/tris.h"
 #include "formats/file_kind.h"
+#include "formats/grid/nvdb.h"
 #include "formats/mesh/mesh_reader.h"
 
 /* ---- JSON ---- */
