@@ -129,11 +129,6 @@ struct exact_limits {
     bool any;                      /* the first hit that is found will do */
     bool from_reach;               /* as in struct bake_exact_batch */
 };
-/* Returns the largest t of a ray's hits. */
-static inline double exact_most(const struct exact_limits *limits, double reach)
-{
-    return limits->from_reach ? fmin(limits->t_max, reach) : limits->t_max;
-}
 
 /* Replaces *best by the nearest hit among the chunk's triangles, if that wins. Returns whether it
  * did. first: number of the chunk's first triangle. */

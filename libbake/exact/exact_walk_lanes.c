@@ -18,6 +18,7 @@ struct trace {
     struct exact_span span; /* where a hit would win; shrinks with each hit */
     float reach;            /* best->reach, from which distances to boxes count */
     float farthest;         /* distance up to which a hit could win */
+    double t_max;           /* of hits that count */
     struct exact_best *best;
     bool improved, done;             /* done: no better hit is needed */
     const struct exact_group *group; /* whose slots are walked one after another */
@@ -25,19 +26,30 @@ struct trace {
 
 static void set_span(struct trace *trace)
 {
-    const struct exact_limits *limits = trace->limits;
     const struct exact_best *best = trace->best;
-    double begin = limits->t_min, end = exact_most(limits, best->reach);
+    const double reach = best->reach, t = best->t;
+    double begin = trace->limits->t_min, end = trace->t_max;
     if (best->triangle != BAKE_EXACT_NONE) {
-        const bool within = best->t <= best->reach;
-        begin = fmax(begin, within ? best->t : -best->t);
-        end = fmin(end, within ? fmax(best->reach, -best->t) : best->t);
+        const double least = t <= reach ? t : -t, most = t > reach || -t > reach ? fabs(t) : reach;
+        begin = begin > least ? begin : least;
+        end = end < most ? end : most;
     }
-    trace->reach = (float)best->reach;
     trace->span = exact_span_of(begin, end);
     /* With more than the differences here and of the distances are rounded by. */
-    trace->farthest =
-        fmaxf(trace->span.end - trace->reach, trace->reach - trace->span.begin) * (1.0f + 4.8e-7f);
+    const float in = trace->reach - trace->span.begin, out = trace->span.end - trace->reach;
+    trace->farthest = (in > out ? in : out) * (1.0f + 4.8e-7f);
+}
+
+/* Prepares a ray. Returns false if it hits nothing. */
+static bool begin_trace(struct trace *trace)
+{
+    const struct exact_limits *limits = trace->limits;
+    trace->reach = (float)trace->best->reach;
+    trace->t_max = limits->t_max;
+    if (limits->from_reach && trace->best->reach < limits->t_max)
+        trace->t_max = trace->best->reach;
+    set_span(trace);
+    return exact_line_set(&trace->line, trace->ray->origin, trace->ray->direction);
 }
 
 /* Tests a triangle, and takes its hit if that wins. */
@@ -54,7 +66,7 @@ static void try_triangle(struct trace *trace, uint32_t triangle)
     trace->sheared = true;
     if (!exact_cross_triangle(&trace->shear, chunk->positions[v[0]], chunk->positions[v[1]],
                               chunk->positions[v[2]], &crossing) ||
-        !(crossing.t >= limits->t_min && crossing.t <= exact_most(limits, best->reach)))
+        !(crossing.t >= limits->t_min && crossing.t <= trace->t_max))
         return;
     if (best->triangle != BAKE_EXACT_NONE &&
         !exact_wins(crossing.t, number, best->t, best->triangle, best->reach))
@@ -147,9 +159,8 @@ bool BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uint64_
                                           struct exact_best *best)
 {
     struct trace trace = {.limits = limits, .ray = ray, .best = best};
-    if (!exact_line_set(&trace.line, ray->origin, ray->direction))
+    if (!begin_trace(&trace))
         return false;
-    set_span(&trace);
     walk_slot(&trace, slot, first);
     return trace.improved;
 }
@@ -160,9 +171,8 @@ bool BSQ_SIMD_NAME(bake_exact_group_trace)(const struct exact_group *group,
                                            struct exact_best *best)
 {
     struct trace trace = {.limits = limits, .ray = ray, .best = best, .group = group};
-    if (!exact_line_set(&trace.line, ray->origin, ray->direction))
+    if (!begin_trace(&trace))
         return false;
-    set_span(&trace);
     walk_tree(&trace, &group->tree, visit_slot);
     return trace.improved;
 }
