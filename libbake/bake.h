@@ -189,6 +189,9 @@ struct bake_options {
     /** Side of the tiles that OpenEXR files are made of, in texels, to BAKE_MAX_EXR_TILE;
      * 0: lines. */
     uint32_t exr_tile_side;
+    /** Output: the low-poly mesh with the maps normal, color, ao, and transfer maps roughness and
+     * metallic, as a glTF file (GLB), or NULL. Tasks of a farm do not write it. */
+    const char *glb_path;
     const char *preview_path; /**< Output: a preview, PNG, or NULL. */
     uint32_t preview_views;   /**< Views around the mesh, to BAKE_MAX_VIEWS. */
     enum bake_up preview_up;  /**< Vertical axis of the preview. */

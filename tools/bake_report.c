@@ -170,6 +170,8 @@ static int print_report(const struct cli *cli, const struct bake_arguments *argu
         BSQ_TRY(bake_list_files(cli->ctx, bake, &report->tiles[i], print_map, report));
     if (bake->preview_path)
         cli_print("%s: preview\n", bake->preview_path);
+    if (bake->glb_path)
+        cli_print("%s: low-poly mesh with its maps\n", bake->glb_path);
     cli_print(
         "seconds: open %.2f, trace %.2f, padding %.2f, resolve %.2f, write %.2f, preview %.2f\n",
         report->seconds_open, report->seconds_trace, report->seconds_padding,
@@ -279,19 +281,19 @@ static int print_json(struct cli *cli, const struct bake_arguments *arguments,
 {
     const struct bake_options *bake = &arguments->bake;
     json_t *root = json_pack(
-        "{s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
+        "{s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
         " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:I}",
         "scan_path", cli_json_text(bake->scan_path), "scan_paths",
         paths_json(bake->scan_path, bake->more_scan_paths, bake->more_scan_count), "mesh_path",
         cli_json_text(bake->mesh_path), "mesh_paths",
         paths_json(bake->mesh_path, bake->more_mesh_paths, bake->more_mesh_count), "maps",
         maps_json(cli, bake, NULL), "tiles", tiles_json(cli, bake, report), "encodings",
-        encodings_json(report), "ids", ids_json(report), "preview_path",
-        cli_json_text(bake->preview_path), "width", (int)bake->width, "height", (int)bake->height,
-        "samples_per_axis", (int)bake->samples, "device", cli_json_text(report->device),
-        "low_triangles", (json_int_t)report->low_triangles, "degenerate_uv_triangles",
-        (json_int_t)report->degenerate_uv_triangles, "outside_uv_triangles",
-        (json_int_t)report->outside_uv_triangles, "covered_texels",
+        encodings_json(report), "ids", ids_json(report), "glb_path", cli_json_text(bake->glb_path),
+        "preview_path", cli_json_text(bake->preview_path), "width", (int)bake->width, "height",
+        (int)bake->height, "samples_per_axis", (int)bake->samples, "device",
+        cli_json_text(report->device), "low_triangles", (json_int_t)report->low_triangles,
+        "degenerate_uv_triangles", (json_int_t)report->degenerate_uv_triangles,
+        "outside_uv_triangles", (json_int_t)report->outside_uv_triangles, "covered_texels",
         (json_int_t)report->covered_texels, "samples", (json_int_t)report->samples, "hits",
         (json_int_t)report->hits, "misses", (json_int_t)report->misses, "overlapping_samples",
         (json_int_t)report->overlapping_samples, "front", report->front, "back", report->back,

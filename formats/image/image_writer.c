@@ -88,7 +88,8 @@ static int start(struct fmt_image_writer *writer, const char *path,
     int status;
     BSQ_TRY(bsq_alloc(ctx, "path", path_bytes, 1, &writer->path));
     memcpy(writer->path, path, path_bytes);
-    BSQ_TRY(bsq_output_open(ctx, path, &writer->output));
+    BSQ_TRY(options->temporary ? bsq_output_open_temp(ctx, path, "an image", &writer->output)
+                               : bsq_output_open(ctx, path, &writer->output));
     BSQ_TRY(writer->format->create(writer, options));
     BSQ_TRY(create_encoders(writer));
     BSQ_TRY(bsq_alloc(ctx, "image rows", (uint64_t)writer->block_rows * writer->width,

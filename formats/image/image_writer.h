@@ -37,6 +37,9 @@ struct fmt_image_options {
     /* Side of the tiles that the file is made of, to FMT_MAX_TILE_SIDE; 0: it is made of rows. */
     uint32_t tile_side;
     bool rounded; /* 8-bit samples are rounded to nearest, and not dithered */
+    /* The file is a temporary one beside the path, for fmt_image_hand_over() and
+     * bsq_output_keep_temp(). */
+    bool temporary;
     /* Names have at most 79 characters. See also fmt_image_describe(). */
     const struct fmt_image_attribute *attributes;
     uint32_t attribute_count;

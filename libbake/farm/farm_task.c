@@ -200,6 +200,8 @@ int bake_write_plan(struct bsq_ctx *ctx, const struct bake_options *options, uin
     *kept = false;
     if (tasks < 1 || tasks > BAKE_MAX_TASKS)
         return bsq_fail(ctx, BSQ_EUSAGE, "%u tasks: must be 1 to %d", tasks, BAKE_MAX_TASKS);
+    if (options->glb_path)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%s: tasks do not make a GLB file", options->glb_path);
     int status = bake_begin_job(ctx, options, report, &job);
     return status < 0 ? status : bake_end_job(job, plan_job(job, tasks, path, kept));
 }

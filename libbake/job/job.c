@@ -28,6 +28,7 @@ static int run(struct bake_work *job)
     bake_end_tracing(job);
     job->report->seconds_trace = bsq_seconds_now() - opened;
     BSQ_TRY(bake_write_maps(job));
+    BSQ_TRY(bake_write_asset(job));
     double written = bsq_seconds_now();
     BSQ_TRY(bake_write_preview(job));
     BSQ_TRY(bake_surface_check(&job->surface));
@@ -60,6 +61,7 @@ static void end(struct bake_work *job)
         end_tile(job->ctx, &job->tiles[i]);
     bsq_free(job->ctx, job->tiles);
     bake_preview_discard(job->preview_file);
+    bake_asset_discard(job->asset);
     bsq_free(job->ctx, job->preview_tiles);
     bsq_free(job->ctx, job->scan_names);
     bsq_free(job->ctx, job->sees);

@@ -5,6 +5,7 @@
 #ifndef BAKE_JOB_JOB_H
 #define BAKE_JOB_JOB_H
 
+#include "libbake/asset/asset.h"
 #include "libbake/bake.h"
 #include "libbake/curvature/curvature.h"
 #include "libbake/preview/preview.h"
@@ -50,7 +51,8 @@ struct bake_work {
     struct bake_device *device;             /* NULL: triangles or several scans are traced */
     struct bake_preview_tile *preview_tiles;
     struct bake_preview_file *preview_file;
-    bool keeps_preview; /* it is there already, or another process renders it */
+    struct bake_asset *asset; /* NULL: there is none */
+    bool keeps_preview;       /* it is there already, or another process renders it */
 };
 
 /* Begins and ends a job. The report must be empty; a job that failed frees it. */
@@ -111,6 +113,8 @@ int bake_write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side
 int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t memory_bytes);
 /* Encodes and writes all maps under temporary names. */
 int bake_write_maps(struct bake_work *job);
+/* Writes the GLB file, if one is asked for. */
+int bake_write_asset(struct bake_work *job);
 /* Renders and writes the preview, if one is asked for. */
 int bake_write_preview(struct bake_work *job);
 /* Gives all outputs their names. */

@@ -72,44 +72,55 @@ static unsigned file_count(const struct bake_tile *tile)
     return count;
 }
 
-/* Checks that an output can be created and is none of the other two, which may be NULL. */
-static int check_output(struct bsq_ctx *ctx, const char *path, const char *preview,
-                        const char *plan)
+/* Checks that an output can be created and is none of the others, which may be NULL. */
+static int check_output(struct bsq_ctx *ctx, const char *path, const char *const others[3])
 {
-    if ((preview && bsq_same_file(path, preview)) || (plan && bsq_same_file(path, plan)))
-        return bsq_fail(ctx, BSQ_EUSAGE, "%s: two outputs have this name", path);
+    for (int k = 0; k < 3; ++k)
+        if (others[k] && bsq_same_file(path, others[k]))
+            return bsq_fail(ctx, BSQ_EUSAGE, "%s: two outputs have this name", path);
     return bsq_output_check(ctx, path);
 }
 
-static int check_tile_outputs(struct bsq_ctx *ctx, const struct bake_tile *tile, const char *plan)
+static int check_tile_outputs(struct bsq_ctx *ctx, const struct bake_tile *tile,
+                              const char *const others[3])
 {
     int status = 0;
     for (unsigned i = 0; i < bake_selection_end(tile->maps) && status == 0; ++i) {
         if (!bake_has_file(&tile->options, tile->maps, i))
             continue;
         char *path = bake_path_of(&tile->options, i);
-        status = path ? check_output(ctx, path, tile->options.preview_path, plan)
+        status = path ? check_output(ctx, path, others)
                       : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", tile->output_path);
         free(path);
     }
     return status;
 }
 
+static bool ends_with(const char *path, const char *suffix)
+{
+    const size_t length = strlen(path), end = strlen(suffix);
+    return length >= end && strcasecmp(path + length - end, suffix) == 0;
+}
+
 int bake_check_outputs(struct bake_work *job, const char *plan)
 {
-    const char *preview = job->options->preview_path;
+    const char *preview = job->options->preview_path, *glb = job->options->glb_path;
+    const char *const others[3] = {preview, glb, plan}, *const none[3] = {NULL, NULL, NULL};
     int status = 0;
     if (plan)
-        BSQ_TRY(check_output(job->ctx, plan, preview, NULL));
+        BSQ_TRY(check_output(job->ctx, plan, (const char *const[3]){preview, glb, NULL}));
+    if (glb)
+        BSQ_TRY(check_output(job->ctx, glb, (const char *const[3]){preview, NULL, NULL}));
     if (preview)
-        BSQ_TRY(check_output(job->ctx, preview, NULL, NULL));
-    const size_t length = preview ? strlen(preview) : 0;
-    if (preview && (length < 4 || strcasecmp(preview + length - 4, ".png") != 0))
+        BSQ_TRY(check_output(job->ctx, preview, none));
+    if (preview && !ends_with(preview, ".png"))
         return bsq_fail(job->ctx, BSQ_EUSAGE,
                         "%s: the picture is a PNG file: its name must end in .png", preview);
+    if (glb && !ends_with(glb, ".glb"))
+        return bsq_fail(job->ctx, BSQ_EUSAGE, "%s: its name must end in .glb", glb);
     for (uint32_t i = 0; i < job->udim.count; ++i)
         if (!job->tiles[i].kept)
-            BSQ_TRY(check_tile_outputs(job->ctx, &job->tiles[i], plan));
+            BSQ_TRY(check_tile_outputs(job->ctx, &job->tiles[i], others));
 done:
     return status;
 }
@@ -118,6 +129,8 @@ done:
 static int require_descriptors(const struct bake_work *job)
 {
     uint64_t count = job->options->preview_path != NULL;
+    if (job->options->glb_path)
+        count += 1 + BAKE_ASSET_IMAGES * (uint64_t)job->udim.count;
     for (uint32_t i = 0; i < job->udim.count; ++i)
         count += job->tiles[i].kept ? 0 : file_count(&job->tiles[i]);
     return bsq_require_descriptors(job->ctx, job->options->output_path, count);
@@ -144,6 +157,8 @@ int bake_open_outputs(struct bake_work *job)
     if (job->options->preview_path && !job->keeps_preview)
         BSQ_TRY(bake_preview_open(job->ctx, job->options->preview_path, job->options->preview_views,
                                   &job->preview_file));
+    if (job->options->glb_path)
+        BSQ_TRY(bake_asset_open(job->ctx, job->options, job->udim.count, &job->asset));
 done:
     return status;
 }
@@ -198,7 +213,12 @@ int bake_write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side
     BSQ_TRY(open_files(job->ctx, tile, &traced));
     if (job->options->preview_path)
         BSQ_TRY(create_thumbnails(job->ctx, tile, side));
+    const uint32_t number = (uint32_t)(tile - job->tiles);
+    if (job->asset)
+        BSQ_TRY(bake_asset_begin_tile(job->asset, number, &tile->options, tile->maps, tile->files));
     BSQ_TRY(bake_map_files_write(tile->files, tile->image, &job->measures, limited, job->report));
+    if (job->asset)
+        status = bake_asset_end_tile(job->asset, number);
 done:
     bake_image_free(tile->image);
     tile->image = NULL;
@@ -231,6 +251,11 @@ int bake_write_maps(struct bake_work *job)
 done:
     bsq_free(job->ctx, limited);
     return status;
+}
+
+int bake_write_asset(struct bake_work *job)
+{
+    return job->asset ? bake_asset_write(job->asset, &job->mesh, &job->udim) : 0;
 }
 
 int bake_write_preview(struct bake_work *job)
@@ -272,6 +297,13 @@ int bake_commit_outputs(struct bake_work *job)
         job->preview_file = NULL;
         BSQ_TRY(bake_preview_hand_over(file, &preview));
         BSQ_TRY(bsq_output_group_add(&group, preview));
+    }
+    if (job->asset) {
+        struct bake_asset *asset = job->asset;
+        struct bsq_output *output;
+        job->asset = NULL;
+        bake_asset_hand_over(asset, &output);
+        BSQ_TRY(bsq_output_group_add(&group, output));
     }
     BSQ_TRY(bsq_output_group_commit(&group));
 done:

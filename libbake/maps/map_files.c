@@ -35,6 +35,8 @@ struct bake_map_files {
     struct map_file *files;
     struct bake_dilation *dilation; /* while writing */
     uint32_t image_channels;        /* likewise */
+    bake_watch_fn *watch;           /* NULL: nobody watches */
+    void *watch_arg;
 };
 
 /* ---- formats ---- */
@@ -198,6 +200,20 @@ void bake_map_files_set_thumbnail(struct bake_map_files *files, enum bake_map ma
             files->files[i].thumbnail = thumbnail;
 }
 
+void bake_map_files_watch(struct bake_map_files *files, bake_watch_fn *fn, void *arg)
+{
+    files->watch = fn;
+    files->watch_arg = arg;
+}
+
+const float *bake_map_rows(const struct bake_map_files *files, uint32_t number)
+{
+    for (uint32_t i = 0; i < files->count; ++i)
+        if (files->files[i].number == number)
+            return files->files[i].rows;
+    return NULL;
+}
+
 /* ---- encoding ---- */
 
 static void report_encoding(const struct bake_encoder *encoder, struct bake_value_encoding *out)
@@ -276,6 +292,8 @@ static int write_band(struct bake_map_files *files, uint32_t first_row, uint32_t
             BSQ_TRY(bake_thumbnail_add(files->ctx, file->thumbnail, first_row, rows, file->rows));
         BSQ_TRY(fmt_image_write_rows(file->writer, file->rows, rows));
     }
+    if (files->watch)
+        status = files->watch(files->watch_arg, files, rows);
 done:
     return status;
 }

@@ -307,6 +307,13 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
 void bake_map_files_set_thumbnail(struct bake_map_files *files, enum bake_map map,
                                   struct bake_thumbnail *thumbnail);
 
+/* Makes bake_map_files_write() call fn for each band of rows, from top to bottom. There,
+ * bake_map_rows() returns the band's rows of a map as they are written, or NULL if the map has no
+ * file. */
+typedef int bake_watch_fn(void *arg, const struct bake_map_files *files, uint32_t rows);
+void bake_map_files_watch(struct bake_map_files *files, bake_watch_fn *fn, void *arg);
+const float *bake_map_rows(const struct bake_map_files *files, uint32_t number);
+
 /* Dilates, encodes and writes all rows of the image. measures: of all images of the mesh. Sets
  * the report's encodings. Adds to the report's seconds_padding, seconds_resolve and seconds_write.
  * Samples of 16-bit floats are limited to what these can hold; limited: one number for each map of

@@ -183,8 +183,12 @@ static const struct bsq_option table[] = {
             "add a tangent-space map to the scan's normals, for triangles"),
      MEMBER(INPUT, scan_normal_map)},
 
+    {OPTION("glb", "FILE.glb",
+            "the low-poly mesh with its maps normal, color, ao, transfer:roughness\n"
+            "and transfer:metallic, as a glTF file"),
+     .heading = "Asset and preview", MEMBER(OUTPUT, glb_path)},
     {OPTION("preview", "FILE.png", "a picture of the low-poly mesh, the baked mesh and the scan"),
-     .heading = "Preview", MEMBER(OUTPUT, preview_path)},
+     MEMBER(OUTPUT, preview_path)},
     {KEY("view", "count", "N", "views around the mesh"), .old_name = "preview-views",
      COUNT(preview_views, 1, BAKE_MAX_VIEWS, 4), .needs = PREVIEW},
     {KEY("view", "up", "AXIS", "the vertical axis: y, z or auto"), .old_name = "up",

@@ -1,0 +1,235 @@
+/* asset.c - collects the images of an asset from the rows of maps, and writes it. */
+#include "libbake/asset/asset.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "base/file.h"
+#include "formats/image/image_writer.h"
+#include "libbake/asset/asset_mesh.h"
+
+enum { CHUNK_ROWS = 256 }; /* that are converted at once */
+
+/* Maps by their use. */
+enum use { COLOR, NORMAL, OCCLUSION, ROUGHNESS, METALLIC, USES };
+enum { NO_MAP = UINT32_MAX };
+_Static_assert((int)BAKE_ASSET_IMAGES == (int)FMT_GLB_TEXTURES, "images are textures");
+
+/* The images of a UDIM tile. */
+struct tile_images {
+    uint32_t map_of[USES]; /* numbers of maps, or NO_MAP */
+    bool green_down;
+    uint32_t width;
+    struct fmt_image_writer *writers[FMT_GLB_TEXTURES]; /* while rows come */
+    struct bsq_file files[FMT_GLB_TEXTURES];            /* complete */
+    char name[80];                                      /* of the material */
+};
+
+struct bake_asset {
+    struct bsq_ctx *ctx;
+    const char *path;
+    struct bsq_output *output;
+    struct tile_images *tiles;
+    uint32_t tile_count, current;
+    float *rows; /* CHUNK_ROWS of the current tile */
+};
+
+int bake_asset_open(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t tiles,
+                    struct bake_asset **out)
+{
+    struct bake_asset *asset = NULL;
+    int status;
+    *out = NULL;
+    if (options->normal_space != BAKE_TANGENT_SPACE)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%s: glTF has normals in tangent space only",
+                        options->glb_path);
+    BSQ_TRY(bsq_calloc(ctx, "GLB file", 1, sizeof *asset, &asset));
+    asset->ctx = ctx;
+    asset->path = options->glb_path;
+    BSQ_TRY(bsq_calloc(ctx, "GLB file", tiles, sizeof *asset->tiles, &asset->tiles));
+    for (; asset->tile_count < tiles; asset->tile_count++)
+        for (int k = 0; k < FMT_GLB_TEXTURES; k++)
+            asset->tiles[asset->tile_count].files[k] = (struct bsq_file)BSQ_FILE_CLOSED;
+    BSQ_TRY(bsq_output_open(ctx, asset->path, &asset->output));
+    *out = asset;
+    asset = NULL;
+done:
+    bake_asset_discard(asset);
+    return status;
+}
+
+/* ---- images ---- */
+
+/* Returns the number of a transfer map of one value with this name; NO_MAP: there is none. */
+static uint32_t find_transfer(const struct bake_options *options, uint32_t maps, const char *name)
+{
+    for (uint32_t i = BK_MAP_COUNT; i < bake_selection_end(maps); i++)
+        if (bake_has_file(options, maps, i) && strcmp(bake_name_of(options, i), name) == 0 &&
+            bake_row_of(options, i)->channels == 1)
+            return i;
+    return NO_MAP;
+}
+
+/* Converts rows of the current tile for an image. `first` counts them in the band. */
+static void convert(const struct bake_asset *asset, const struct bake_map_files *files,
+                    enum fmt_glb_texture texture, uint32_t first, uint32_t rows)
+{
+    const struct tile_images *tile = &asset->tiles[asset->current];
+    const uint64_t texels = (uint64_t)rows * tile->width, begin = (uint64_t)first * tile->width;
+    for (int k = 0; texture == FMT_GLB_ORM && k < 3; k++) {
+        const float *from = bake_map_rows(files, tile->map_of[OCCLUSION + k]);
+        for (uint64_t i = 0; i < texels; i++)
+            asset->rows[3 * i + (uint64_t)k] = from ? from[begin + i] : 1.0f;
+    }
+    if (texture == FMT_GLB_ORM)
+        return;
+    const float *from =
+        bake_map_rows(files, tile->map_of[texture == FMT_GLB_NORMAL ? NORMAL : COLOR]);
+    memcpy(asset->rows, from + 3 * begin, 3 * texels * sizeof *from);
+    for (uint64_t i = 0; texture == FMT_GLB_NORMAL && tile->green_down && i < texels; i++)
+        asset->rows[3 * i + 1] = 1.0f - asset->rows[3 * i + 1];
+}
+
+/* Takes a band of rows of all maps. */
+static int take_rows(void *arg, const struct bake_map_files *files, uint32_t rows)
+{
+    struct bake_asset *asset = arg;
+    const struct tile_images *tile = &asset->tiles[asset->current];
+    int status = 0;
+    for (uint32_t first = 0; first < rows; first += CHUNK_ROWS) {
+        const uint32_t count = rows - first < CHUNK_ROWS ? rows - first : CHUNK_ROWS;
+        for (int k = 0; k < FMT_GLB_TEXTURES; k++) {
+            if (!tile->writers[k])
+                continue;
+            convert(asset, files, (enum fmt_glb_texture)k, first, count);
+            BSQ_TRY(fmt_image_write_rows(tile->writers[k], asset->rows, count));
+        }
+    }
+done:
+    return status;
+}
+
+int bake_asset_begin_tile(struct bake_asset *asset, uint32_t number,
+                          const struct bake_options *options, uint32_t maps,
+                          struct bake_map_files *files)
+{
+    struct tile_images *tile = &asset->tiles[number];
+    struct fmt_image_options image = {.width = options->width,
+                                      .height = options->height,
+                                      .channel_count = 3,
+                                      .type = FMT_UINT8,
+                                      .temporary = true};
+    const uint32_t found[USES] = {
+        [COLOR] = bake_has_file(options, maps, BK_MAP_color) ? BK_MAP_color : (uint32_t)NO_MAP,
+        [NORMAL] = bake_has_file(options, maps, BK_MAP_normal) ? BK_MAP_normal : (uint32_t)NO_MAP,
+        [OCCLUSION] = bake_has_file(options, maps, BK_MAP_ao) ? BK_MAP_ao : (uint32_t)NO_MAP,
+        [ROUGHNESS] = find_transfer(options, maps, "roughness"),
+        [METALLIC] = find_transfer(options, maps, "metallic")};
+    const bool wanted[FMT_GLB_TEXTURES] = {[FMT_GLB_BASE_COLOR] = found[COLOR] != NO_MAP,
+                                           [FMT_GLB_NORMAL] = found[NORMAL] != NO_MAP,
+                                           [FMT_GLB_ORM] = found[OCCLUSION] != NO_MAP ||
+                                                           found[ROUGHNESS] != NO_MAP ||
+                                                           found[METALLIC] != NO_MAP};
+    int status;
+    asset->current = number;
+    memcpy(tile->map_of, found, sizeof found);
+    tile->green_down = options->green_down;
+    tile->width = options->width;
+    bsq_free(asset->ctx, asset->rows);
+    asset->rows = NULL;
+    BSQ_TRY(bsq_alloc(asset->ctx, "rows of a GLB file", (uint64_t)CHUNK_ROWS * options->width,
+                      3 * sizeof *asset->rows, &asset->rows));
+    for (int k = 0; k < FMT_GLB_TEXTURES; k++) {
+        image.color = k == FMT_GLB_BASE_COLOR;
+        image.rounded = k == FMT_GLB_NORMAL;
+        if (wanted[k])
+            BSQ_TRY(fmt_image_create(asset->ctx, &fmt_png_format, asset->path, &image,
+                                     &tile->writers[k]));
+    }
+    bake_map_files_watch(files, take_rows, asset);
+done:
+    return status;
+}
+
+int bake_asset_end_tile(struct bake_asset *asset, uint32_t number)
+{
+    struct tile_images *tile = &asset->tiles[number];
+    int status = 0;
+    for (int k = 0; k < FMT_GLB_TEXTURES; k++) {
+        struct fmt_image_writer *writer = tile->writers[k];
+        struct bsq_output *output;
+        if (!writer)
+            continue;
+        tile->writers[k] = NULL;
+        BSQ_TRY(fmt_image_hand_over(writer, &output));
+        BSQ_TRY(bsq_output_keep_temp(output, &tile->files[k]));
+    }
+done:
+    return status;
+}
+
+/* ---- the file ---- */
+
+/* Describes the material of a tile. */
+static void set_material(struct tile_images *tile, const struct bake_lowmesh *mesh,
+                         const struct bake_udim_tile *place, struct fmt_glb_material *out)
+{
+    const struct bake_low_set *set = mesh->set_count > 0 ? &mesh->sets[place->set] : NULL;
+    const char *name = !set ? NULL : set->material ? set->material : set->object;
+    snprintf(tile->name, sizeof tile->name, "%.60s%s%u", name ? name : "tile", " ", place->number);
+    *out = (struct fmt_glb_material){.name = tile->name,
+                                     .occlusion = tile->map_of[OCCLUSION] != NO_MAP,
+                                     .roughness = tile->map_of[ROUGHNESS] != NO_MAP,
+                                     .metallic = tile->map_of[METALLIC] != NO_MAP};
+    for (int k = 0; k < FMT_GLB_TEXTURES; k++)
+        out->textures[k] = tile->files[k].fd >= 0 ? &tile->files[k] : NULL;
+}
+
+int bake_asset_write(struct bake_asset *asset, const struct bake_lowmesh *mesh,
+                     const struct bake_udim *udim)
+{
+    struct bsq_ctx *ctx = asset->ctx;
+    struct fmt_glb_material *materials = NULL;
+    struct bake_asset_mesh parts = {0};
+    int status;
+    BSQ_TRY(bake_asset_mesh_create(ctx, mesh, udim, &parts));
+    BSQ_TRY(bsq_calloc(ctx, "materials of a GLB file", parts.count + UINT64_C(1), sizeof *materials,
+                       &materials));
+    for (uint32_t i = 0; i < parts.count; i++)
+        if (!parts.list[i].plain)
+            set_material(&asset->tiles[parts.tiles[i]], mesh, &udim->tiles[parts.tiles[i]],
+                         &materials[i]);
+    const struct fmt_glb glb = {.name = "baked",
+                                .translation = {parts.centre[0], parts.centre[1], parts.centre[2]},
+                                .parts = parts.list,
+                                .materials = materials,
+                                .part_count = parts.count};
+    BSQ_TRY(fmt_glb_write(ctx, &glb, asset->path, asset->output));
+    status = bsq_output_sync(asset->output);
+done:
+    bsq_free(ctx, materials);
+    bake_asset_mesh_free(ctx, &parts);
+    return status;
+}
+
+void bake_asset_hand_over(struct bake_asset *asset, struct bsq_output **out)
+{
+    *out = asset->output;
+    asset->output = NULL;
+    bake_asset_discard(asset);
+}
+
+void bake_asset_discard(struct bake_asset *asset)
+{
+    if (!asset)
+        return;
+    for (uint32_t i = 0; i < asset->tile_count; i++)
+        for (int k = 0; k < FMT_GLB_TEXTURES; k++) {
+            fmt_image_discard(asset->tiles[i].writers[k]);
+            bsq_file_close(asset->ctx, &asset->tiles[i].files[k]);
+        }
+    bsq_output_discard(asset->output);
+    bsq_free(asset->ctx, asset->rows);
+    bsq_free(asset->ctx, asset->tiles);
+    bsq_free(asset->ctx, asset);
+}

@@ -1,0 +1,148 @@
+/* asset_mesh.c - turns the corners of the low-poly mesh into vertices and indices.
+ *
+ * Corners are sorted by the bytes of their values, so that equal ones become one vertex. */
+#include "libbake/asset/asset_mesh.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "base/sort_array.h"
+
+struct corner {
+    struct fmt_glb_vertex vertex;
+    uint32_t number;
+};
+
+static int compare_corners(const void *a, const void *b)
+{
+    const struct corner *x = a, *y = b;
+    const int order = memcmp(&x->vertex, &y->vertex, sizeof x->vertex);
+    return order ? order : (x->number > y->number) - (x->number < y->number);
+}
+
+/* Replaces a direction of no length, where the mesh folds, by another one. */
+static void replace_zero(float direction[3], const double instead[3])
+{
+    const float square =
+        direction[0] * direction[0] + direction[1] * direction[1] + direction[2] * direction[2];
+    const double length =
+        sqrt(instead[0] * instead[0] + instead[1] * instead[1] + instead[2] * instead[2]);
+    for (int k = 0; k < 3 && !(square > 0); k++)
+        direction[k] = length > 0 ? (float)(instead[k] / length) : (float)(k == 2);
+}
+
+/* Sets a direction that is perpendicular to a normal. */
+static void set_perpendicular(const float normal[3], double out[3])
+{
+    const int k = fabsf(normal[0]) < 0.7f ? 0 : 1; /* an axis that is not along the normal */
+    const double n[3] = {(double)normal[0], (double)normal[1], (double)normal[2]};
+    for (int i = 0; i < 3; i++)
+        out[i] = (i == k) - n[i] * n[k];
+}
+
+static void set_vertex(const struct bake_lowmesh *mesh, uint64_t triangle, int i,
+                       const double centre[3], struct fmt_glb_vertex *out)
+{
+    const double(*p)[3] = (const double(*)[3])mesh->positions[triangle];
+    const float *uv = mesh->texcoords[triangle][i];
+    double face[3], across[3];
+    for (int k = 0; k < 3; k++) {
+        const int a = (k + 1) % 3, b = (k + 2) % 3;
+        face[k] =
+            (p[1][a] - p[0][a]) * (p[2][b] - p[0][b]) - (p[1][b] - p[0][b]) * (p[2][a] - p[0][a]);
+        out->position[k] = (float)(p[i][k] - centre[k]) + 0.0f; /* no -0 */
+    }
+    memcpy(out->normal, mesh->normals[triangle][i], sizeof out->normal);
+    memcpy(out->tangent, mesh->tangents[triangle][i], sizeof out->tangent);
+    replace_zero(out->normal, face);
+    set_perpendicular(out->normal, across);
+    replace_zero(out->tangent, across);
+    out->texcoord[0] = uv[0];
+    out->texcoord[1] = 1.0f - uv[1];
+}
+
+/* Returns whether a triangle of a tile is drawn with it: a triangle in several tiles has a copy in
+ * each, of which the one with its middle is taken. */
+static bool belongs(const struct bake_lowmesh *mesh, uint64_t triangle,
+                    const struct bake_udim *udim)
+{
+    const float(*uv)[2] = (const float(*)[2])mesh->texcoords[triangle];
+    bool inside = true;
+    for (int k = 0; k < 2; k++) {
+        const float middle = (uv[0][k] + uv[1][k] + uv[2][k]) / 3;
+        inside &= middle >= 0 && middle <= 1;
+    }
+    return inside || udim->count == 1;
+}
+
+/* Adds the part of a range of triangles, unless it is empty. corners: memory for all of them. */
+static int add_part(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
+                    const struct bake_udim *udim, uint64_t first, uint64_t count, bool plain,
+                    struct corner *corners, struct bake_asset_mesh *out)
+{
+    const struct fmt_glb_part *before = out->count > 0 ? &out->list[out->count - 1] : NULL;
+    struct fmt_glb_part *part = &out->list[out->count];
+    struct fmt_glb_vertex *vertices =
+        before ? out->vertices + (before->vertices - out->vertices) + before->vertex_count
+               : out->vertices;
+    uint32_t *indices = before
+                            ? out->indices + (before->indices - out->indices) + before->index_count
+                            : out->indices;
+    uint32_t corner_count = 0;
+    for (uint64_t t = first; t < first + count; t++)
+        for (int i = 0; i < 3 && (plain || belongs(mesh, t, udim)); i++, corner_count++) {
+            corners[corner_count].number = corner_count;
+            set_vertex(mesh, t, i, out->centre, &corners[corner_count].vertex);
+        }
+    if (corner_count == 0)
+        return 0;
+    bsq_sort(corners, corner_count, sizeof *corners, compare_corners);
+    *part = (struct fmt_glb_part){
+        .vertices = vertices, .indices = indices, .index_count = corner_count, .plain = plain};
+    for (uint32_t i = 0; i < corner_count; i++) {
+        const struct fmt_glb_vertex *vertex = &corners[i].vertex;
+        if (i == 0 || memcmp(vertex, &corners[i - 1].vertex, sizeof *vertex) != 0)
+            vertices[part->vertex_count++] = *vertex;
+        indices[corners[i].number] = part->vertex_count - 1;
+    }
+    out->count++;
+    return bsq_check(ctx);
+}
+
+int bake_asset_mesh_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
+                           const struct bake_udim *udim, struct bake_asset_mesh *out)
+{
+    const struct bake_udim_tile *last = &udim->tiles[udim->count - 1];
+    const uint64_t corners = 3 * mesh->triangle_count, placed = last->first + last->count;
+    struct corner *sorted = NULL;
+    int status;
+    if (corners >= UINT32_MAX)
+        return bsq_fail(ctx, BSQ_EDATA, "a GLB file cannot have so many triangles");
+    for (int k = 0; k < 3; k++)
+        out->centre[k] = 0.5 * (mesh->bounds_min[k] + mesh->bounds_max[k]);
+    BSQ_TRY(bsq_calloc(ctx, "parts of a GLB file", udim->count + UINT64_C(1), sizeof *out->list,
+                       &out->list));
+    BSQ_TRY(bsq_alloc(ctx, "parts of a GLB file", udim->count + UINT64_C(1), sizeof *out->tiles,
+                      &out->tiles));
+    BSQ_TRY(
+        bsq_alloc(ctx, "vertices of a GLB file", corners, sizeof *out->vertices, &out->vertices));
+    BSQ_TRY(bsq_alloc(ctx, "indices of a GLB file", corners, sizeof *out->indices, &out->indices));
+    BSQ_TRY(bsq_alloc(ctx, "corners of a GLB file", corners, sizeof *sorted, &sorted));
+    for (uint32_t i = 0; i < udim->count; i++) {
+        out->tiles[out->count] = i;
+        BSQ_TRY(add_part(ctx, mesh, udim, udim->tiles[i].first, udim->tiles[i].count, false, sorted,
+                         out));
+    }
+    BSQ_TRY(add_part(ctx, mesh, udim, placed, mesh->triangle_count - placed, true, sorted, out));
+done:
+    bsq_free(ctx, sorted);
+    return status;
+}
+
+void bake_asset_mesh_free(struct bsq_ctx *ctx, struct bake_asset_mesh *mesh)
+{
+    bsq_free(ctx, mesh->list);
+    bsq_free(ctx, mesh->tiles);
+    bsq_free(ctx, mesh->vertices);
+    bsq_free(ctx, mesh->indices);
+}

@@ -1,0 +1,25 @@
+/* asset_mesh.h - vertices and indices of an asset; private to this folder. */
+#ifndef BAKE_ASSET_ASSET_MESH_H
+#define BAKE_ASSET_ASSET_MESH_H
+
+#include "formats/asset/glb.h"
+#include "libbake/lowpoly/lowpoly.h"
+#include "libbake/udim/udim.h"
+
+struct bake_asset_mesh {
+    double centre[3]; /* to which positions are relative */
+    struct fmt_glb_part *list;
+    uint32_t *tiles; /* of each part: its number in the udim; not of a plain part */
+    uint32_t count;
+    struct fmt_glb_vertex *vertices; /* of all parts */
+    uint32_t *indices;
+};
+
+/* Makes a part of each UDIM tile, and a plain one of triangles outside of all tiles. Corners with
+ * equal values share a vertex. Free *out also after a failure. Errors: BSQ_EDATA, BSQ_ENOMEM,
+ * BSQ_EINTR. */
+int bake_asset_mesh_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
+                           const struct bake_udim *udim, struct bake_asset_mesh *out);
+void bake_asset_mesh_free(struct bsq_ctx *ctx, struct bake_asset_mesh *mesh);
+
+#endif
