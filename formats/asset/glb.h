@@ -7,14 +7,12 @@
 
 #include "base/output.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 /* As in the file, whose vertices are interleaved. v points downwards. */
 struct fmt_glb_vertex {
     float position[3], normal[3], tangent[4], texcoord[2];
 };
+
+_Static_assert(sizeof(struct fmt_glb_vertex) == 48, "a vertex has no padding");
 
 enum fmt_glb_texture {
     FMT_GLB_BASE_COLOR, /* sRGB */
@@ -50,7 +48,4 @@ struct fmt_glb {
 int fmt_glb_write(struct bsq_ctx *ctx, const struct fmt_glb *glb, const char *path,
                   struct bsq_output *output);
 
-#ifdef __cplusplus
-}
-#endif
 #endif

@@ -9,14 +9,14 @@
 #include "base/sort_array.h"
 
 struct corner {
-    struct fmt_glb_vertex vertex;
+    uint32_t vertex[sizeof(struct fmt_glb_vertex) / sizeof(uint32_t)]; /* the bits of its values */
     uint32_t number;
 };
 
 static int compare_corners(const void *a, const void *b)
 {
     const struct corner *x = a, *y = b;
-    const int order = memcmp(&x->vertex, &y->vertex, sizeof x->vertex);
+    const int order = memcmp(x->vertex, y->vertex, sizeof x->vertex);
     return order ? order : (x->number > y->number) - (x->number < y->number);
 }
 
@@ -61,51 +61,55 @@ static void set_vertex(const struct bake_lowmesh *mesh, uint64_t triangle, int i
     out->texcoord[1] = 1.0f - uv[1];
 }
 
-/* Returns whether a triangle of a tile is drawn with it: a triangle in several tiles has a copy in
- * each, of which the one with its middle is taken. */
+/* Returns whether a triangle of a tile is drawn with it. A triangle in several tiles has a copy in
+ * each, of which the one with its middle is taken, if that has maps. */
 static bool belongs(const struct bake_lowmesh *mesh, uint64_t triangle,
-                    const struct bake_udim *udim)
+                    const struct bake_udim *udim, const struct bake_udim_tile *tile)
 {
     const float(*uv)[2] = (const float(*)[2])mesh->texcoords[triangle];
-    bool inside = true;
+    int away[2];
     for (int k = 0; k < 2; k++) {
         const float middle = (uv[0][k] + uv[1][k] + uv[2][k]) / 3;
-        inside &= middle >= 0 && middle <= 1;
+        away[k] = middle < 0 ? -1 : middle > 1;
     }
-    return inside || udim->count == 1;
+    const int64_t number = (int64_t)tile->number + away[0] + 10 * (int64_t)away[1];
+    bool other = false;
+    for (uint32_t i = 0; i < udim->count && number != tile->number; i++)
+        other |= udim->tiles[i].set == tile->set && udim->tiles[i].number == number;
+    return !other;
 }
 
-/* Adds the part of a range of triangles, unless it is empty. corners: memory for all of them. */
+/* Adds the part of a tile, unless it is empty. A tile of number 0 has what is in no tile. corners:
+ * memory for all of its corners. */
 static int add_part(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
-                    const struct bake_udim *udim, uint64_t first, uint64_t count, bool plain,
+                    const struct bake_udim *udim, const struct bake_udim_tile *tile,
                     struct corner *corners, struct bake_asset_mesh *out)
 {
-    const struct fmt_glb_part *before = out->count > 0 ? &out->list[out->count - 1] : NULL;
-    struct fmt_glb_part *part = &out->list[out->count];
-    struct fmt_glb_vertex *vertices =
-        before ? out->vertices + (before->vertices - out->vertices) + before->vertex_count
-               : out->vertices;
-    uint32_t *indices = before
-                            ? out->indices + (before->indices - out->indices) + before->index_count
-                            : out->indices;
+    const bool plain = tile->number == 0;
+    struct fmt_glb_vertex *vertices = out->vertices + out->vertex_count;
+    uint32_t *indices = out->indices + out->index_count;
+    struct fmt_glb_part part = {.vertices = vertices, .indices = indices, .plain = plain};
     uint32_t corner_count = 0;
-    for (uint64_t t = first; t < first + count; t++)
-        for (int i = 0; i < 3 && (plain || belongs(mesh, t, udim)); i++, corner_count++) {
+    for (uint64_t t = tile->first; t < tile->first + tile->count; t++)
+        for (int i = 0; i < 3 && (plain || belongs(mesh, t, udim, tile)); i++, corner_count++) {
+            struct fmt_glb_vertex vertex;
+            set_vertex(mesh, t, i, out->centre, &vertex);
+            memcpy(corners[corner_count].vertex, &vertex, sizeof vertex);
             corners[corner_count].number = corner_count;
-            set_vertex(mesh, t, i, out->centre, &corners[corner_count].vertex);
         }
     if (corner_count == 0)
         return 0;
     bsq_sort(corners, corner_count, sizeof *corners, compare_corners);
-    *part = (struct fmt_glb_part){
-        .vertices = vertices, .indices = indices, .index_count = corner_count, .plain = plain};
     for (uint32_t i = 0; i < corner_count; i++) {
-        const struct fmt_glb_vertex *vertex = &corners[i].vertex;
-        if (i == 0 || memcmp(vertex, &corners[i - 1].vertex, sizeof *vertex) != 0)
-            vertices[part->vertex_count++] = *vertex;
-        indices[corners[i].number] = part->vertex_count - 1;
+        const uint32_t *vertex = corners[i].vertex;
+        if (i == 0 || memcmp(vertex, corners[i - 1].vertex, sizeof corners->vertex) != 0)
+            memcpy(&vertices[part.vertex_count++], vertex, sizeof corners->vertex);
+        indices[corners[i].number] = part.vertex_count - 1;
     }
-    out->count++;
+    part.index_count = corner_count;
+    out->vertex_count += part.vertex_count;
+    out->index_count += part.index_count;
+    out->list[out->count++] = part; /* NOLINT(clang-analyzer-core.NullDereference): has space */
     return bsq_check(ctx);
 }
 
@@ -114,6 +118,7 @@ int bake_asset_mesh_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
 {
     const struct bake_udim_tile *last = &udim->tiles[udim->count - 1];
     const uint64_t corners = 3 * mesh->triangle_count, placed = last->first + last->count;
+    const struct bake_udim_tile rest = {.first = placed, .count = mesh->triangle_count - placed};
     struct corner *sorted = NULL;
     int status;
     if (corners >= UINT32_MAX)
@@ -130,10 +135,9 @@ int bake_asset_mesh_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
     BSQ_TRY(bsq_alloc(ctx, "corners of a GLB file", corners, sizeof *sorted, &sorted));
     for (uint32_t i = 0; i < udim->count; i++) {
         out->tiles[out->count] = i;
-        BSQ_TRY(add_part(ctx, mesh, udim, udim->tiles[i].first, udim->tiles[i].count, false, sorted,
-                         out));
+        BSQ_TRY(add_part(ctx, mesh, udim, &udim->tiles[i], sorted, out));
     }
-    BSQ_TRY(add_part(ctx, mesh, udim, placed, mesh->triangle_count - placed, true, sorted, out));
+    status = add_part(ctx, mesh, udim, &rest, sorted, out);
 done:
     bsq_free(ctx, sorted);
     return status;

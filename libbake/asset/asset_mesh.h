@@ -13,6 +13,7 @@ struct bake_asset_mesh {
     uint32_t count;
     struct fmt_glb_vertex *vertices; /* of all parts */
     uint32_t *indices;
+    uint64_t vertex_count, index_count;
 };
 
 /* Makes a part of each UDIM tile, and a plain one of triangles outside of all tiles. Corners with
