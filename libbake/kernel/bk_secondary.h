@@ -305,23 +305,6 @@ BK_FN float bk_coarse_from(const bk_params *params, bk_uint open)
     return open ? params->open_coarse : BK_FAR;
 }
 
-/* Walks the rays of these lanes to the first surface within `limit` voxels. Rays that are not open
- * meet only surfaces that face along `facing`. Returns the t at which rays leave the grid. */
-BK_FN bk_fw bk_walk_from(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                         bk_vec3w start, bk_vec3w direction, bk_vec3w facing, bk_uint lanes,
-                         bk_uint open, float limit, bk_walk *walk)
-{
-    const bk_ray ray = bk_ray_along(start, direction, facing, bk_mask_of(lanes));
-    bk_fw t_near, t_far;
-
-    bk_bounds(&ray, params, &t_near, &t_far);
-    walk->t_start = bk_splat(0.0f);
-    walk->t_limit = bk_splat(limit);
-    walk->two_sided = bk_mask_of(open ? ~0u : 0u);
-    bk_walk_blocks(grid, params, cache, &ray, walk, t_near, t_far, bk_coarse_from(params, open));
-    return t_far;
-}
-
 /* Adds what an open ray found. */
 BK_FN void bk_add_open(const bk_params *params, bk_uint found, float t, bk_vec3 direction,
                        bk_surroundings *sums)
@@ -400,21 +383,29 @@ BK_FN bk_vec3 bk_ray_start(const bk_rays *rays, const bk_place_on_scan *from)
     return rays->open ? bk_add_scaled(from->position, BK_LIFT, from->normal) : from->position;
 }
 
-/* Traces the rays of these lanes. side: of their points. Returns the distance to what they met, in
- * voxels. It is negative for open rays that met nothing, and for rays into the solid that do not
- * count. */
+/* Traces the rays of these lanes to the first surface within their limit. Rays that are not open
+ * meet only surfaces that face along them. side: of their points. Returns the distance to what they
+ * met, in voxels. It is negative for open rays that met nothing, and for rays into the solid that
+ * do not count. */
 BK_FN bk_fw bk_look(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                     const bk_rays *rays, bk_vec3w start, bk_vec3w direction, bk_fw side,
                     bk_uint lanes)
 {
     const bk_fw limit = bk_splat(rays->limit);
+    const bk_ray ray =
+        bk_ray_along(start, direction, bk_scalew(direction, side), bk_mask_of(lanes));
+    bk_fw t_near, t_far, t;
+    bk_mask through;
     bk_walk walk;
-    const bk_fw t_far =
-        bk_walk_from(grid, params, cache, start, direction, bk_scalew(direction, side), lanes,
-                     rays->open, rays->limit, &walk);
-    const bk_mask through = bk_mask_of(rays->open ? 0u : ~0u) & bk_not(bk_less(t_far, limit));
-    const bk_fw t = bk_select(walk.hit.found, bk_minw(walk.hit.t, limit), limit);
 
+    bk_bounds(&ray, params, &t_near, &t_far);
+    walk.t_start = bk_splat(0.0f);
+    walk.t_limit = limit;
+    walk.two_sided = bk_mask_of(rays->open ? ~0u : 0u);
+    bk_walk_blocks(grid, params, cache, &ray, &walk, t_near, t_far,
+                   bk_coarse_from(params, rays->open));
+    through = bk_mask_of(rays->open ? 0u : ~0u) & bk_not(bk_less(t_far, limit));
+    t = bk_select(walk.hit.found, bk_minw(walk.hit.t, limit), limit);
     return bk_select(walk.hit.found | through, t, bk_splat(-1.0f));
 }
 

@@ -21,12 +21,6 @@ struct group {
     struct bake_native_memory memory;
 };
 
-static void add_samples(struct group *group, const bk_samples *samples, const bk_map_hits *hits)
-{
-    for (bk_uint lane = 0; lane < samples->count; lane++)
-        bk_add_sample(group->params, hits, lane, samples->texel[lane]);
-}
-
 /* ---- secondary rays ---- */
 
 /* Adds up what the rays of a point found, as bk_look_around() does. found: of all its rays, open
@@ -102,7 +96,8 @@ static void trace_group(struct group *group)
     else
         bk_trace_samples(group->grid, group->params, &group->cache, group->triangles,
                          &group->samples, &hits);
-    add_samples(group, &group->samples, &hits);
+    for (bk_uint lane = 0; lane < group->samples.count; lane++)
+        bk_add_sample(group->params, &hits, lane, group->samples.texel[lane]);
     group->samples.count = 0;
 }
 
@@ -233,73 +228,53 @@ struct view {
     bk_cache cache;
 };
 
-/* Rays of a place that are traced together: BK_WIDTH of them from ray `first` on. */
-struct rays {
-    uint64_t place;
-    bool open;
-    bk_uint first, count;
-};
-
-/* Returns the lanes of rays of which more can be known. */
-static bk_uint wanted(const struct bake_ray_states *states, const struct rays *rays)
+/* Returns the lanes of a place's rays `first` and following ones of which more can be known. */
+static bk_uint wanted(const struct bake_ray_states *states, uint64_t place, const bk_rays *kind,
+                      bk_uint first)
 {
-    const bk_uint lanes = (1u << rays->count) - 1;
-    if (!rays->open || states->words == 0)
+    const bk_uint left = kind->count - first;
+    const bk_uint lanes = (1u << (left < BK_WIDTH ? left : BK_WIDTH)) - 1;
+    if (!kind->open || states->words == 0)
         return lanes;
     /* BK_WIDTH divides 64. */
-    return lanes &
-           ~(bk_uint)(bake_hidden_rays(states, rays->place)[rays->first / 64] >> rays->first % 64);
+    return lanes & ~(bk_uint)(bake_hidden_rays(states, place)[first / 64] >> first % 64);
 }
 
-/* Notes what a ray met, after t voxels. */
-static void note_hit(const struct view *view, const struct rays *rays, bk_uint lane, float t)
+/* Notes what a ray of a place met, after t voxels. A ray into the solid that is as long as it may
+ * be tells nothing of other scans. */
+static void note_hit(const struct view *view, uint64_t place, const bk_rays *kind, bk_uint ray,
+                     float t)
 {
     const struct bake_ray_states *states = view->states;
-    const bk_uint ray = rays->first + lane;
-    if (rays->open && states->words > 0) {
-        bake_hidden_rays(states, rays->place)[ray / 64] |= UINT64_C(1) << ray % 64;
+    if (t < 0.0f || (!kind->open && t >= kind->limit))
+        return;
+    if (kind->open && states->words > 0) {
+        bake_hidden_rays(states, place)[ray / 64] |= UINT64_C(1) << ray % 64;
         return;
     }
-    float *distance = bake_ray_distances(states, rays->place, rays->open) + ray;
+    float *distance = bake_ray_distances(states, place, kind->open) + ray;
     *distance = fminf(*distance, (float)((double)t * view->unit));
 }
 
-static void trace_from(struct view *view, const struct bake_place *place, const struct rays *rays)
+/* Traces the rays of a place of one kind. index: of the place. */
+static void look_from(struct view *view, const struct bake_place *place, uint64_t index,
+                      bk_uint open)
 {
-    const struct bk_params *params = view->params;
-    const float side = rays->open ? 1.0f : -1.0f, facing = place->reversed ? -1.0f : 1.0f;
-    const float limit = rays->open ? params->open_limit : params->thickness_limit;
-    const float *from = rays->open ? place->open_from : place->solid_from;
-    const float *n = place->normal, *f = place->facet;
-    const bk_uint lanes = wanted(view->states, rays);
-    if (lanes == 0)
-        return;
-    const bk_vec3w direction = bk_hemisphere(
-        place->seed ^ (rays->open ? 0u : BK_SOLID_SEED),
-        bk_v3(side * n[0], side * n[1], side * n[2]), bk_v3(side * f[0], side * f[1], side * f[2]),
-        rays->first, rays->open ? view->states->opens : view->states->solids,
-        rays->open ? params->open_sine2 : 1.0f);
-    bk_walk walk;
-    bk_walk_from(view->grid, params, &view->cache, bk_splat3(bk_v3(from[0], from[1], from[2])),
-                 direction, bk_scalew(direction, bk_splat(facing)), lanes, rays->open, limit,
-                 &walk);
-    for (bk_uint lane = 0; lane < rays->count; lane++)
-        if (bk_bits(walk.hit.found) >> lane & 1)
-            note_hit(view, rays, lane, bk_min(bk_lane(walk.hit.t, lane), limit));
-}
-
-static void look_from(struct view *view, const struct bake_place *place, uint64_t index)
-{
-    const bk_uint opens = view->states->opens, solids = view->states->solids;
-    for (bk_uint i = 0; i < opens + solids;) {
-        const bool open = i < opens;
-        const bk_uint left = (open ? opens : opens + solids) - i;
-        const struct rays rays = {.place = index,
-                                  .open = open,
-                                  .first = open ? i : i - opens,
-                                  .count = left < BK_WIDTH ? left : BK_WIDTH};
-        trace_from(view, place, &rays);
-        i += rays.count;
+    const bk_rays kind = bk_rays_of(view->params, open);
+    const float side = open ? 1.0f : -1.0f, *n = place->normal, *f = place->facet;
+    const float *from = open ? place->open_from : place->solid_from;
+    for (bk_uint first = 0; first < kind.count; first += BK_WIDTH) {
+        const bk_uint lanes = wanted(view->states, index, &kind, first);
+        if (lanes == 0)
+            continue;
+        const bk_vec3w direction = bk_hemisphere(
+            place->seed ^ (open ? 0u : BK_SOLID_SEED), bk_v3(side * n[0], side * n[1], side * n[2]),
+            bk_v3(side * f[0], side * f[1], side * f[2]), first, kind.count, kind.sine2);
+        const bk_fw t = bk_look(view->grid, view->params, &view->cache, &kind,
+                                bk_splat3(bk_v3(from[0], from[1], from[2])), direction,
+                                bk_splat(place->reversed ? -1.0f : 1.0f), lanes);
+        for (bk_uint left = lanes; left; left &= left - 1)
+            note_hit(view, index, &kind, first + bk_first(left), bk_lane(t, bk_first(left)));
     }
 }
 
@@ -315,6 +290,6 @@ void BSQ_SIMD_NAME(bake_native_look)(const struct bk_grid *grid, const struct bk
     struct bake_place place;
 
     for (uint64_t i = begin; i < end; i++)
-        if (places->get(places->arg, i, &place))
-            look_from(&view, &place, i);
+        for (bk_uint open = places->get(places->arg, i, &place) ? 2 : 0; open-- > 0;)
+            look_from(&view, &place, i, open);
 }
