@@ -11,6 +11,7 @@
 
 #include "base/file.h"
 #include "base/parallel.h"
+#include "base/text.h"
 #include "formats/exr_header.h"
 #include "formats/image/exr_internal.h"
 
@@ -147,16 +148,6 @@ static int read_layout(struct reader *reader)
     return 0;
 }
 
-static int copy_text(struct bsq_ctx *ctx, const char *text, size_t length, char **out)
-{
-    int status = bsq_alloc(ctx, "EXR text", length + 1, 1, out);
-    if (status < 0)
-        return status;
-    memcpy(*out, text, length);
-    (*out)[length] = '\0';
-    return 0;
-}
-
 static int read_channels(struct reader *reader)
 {
     struct bsq_ctx *ctx = reader->stream.ctx;
@@ -176,7 +167,7 @@ static int read_channels(struct reader *reader)
         if (entry->x_sampling != 1 || entry->y_sampling != 1)
             return refuse(reader, "subsampled channels are not supported");
         reader->pixel_bytes += entry->pixel_type == EXR_PIXEL_HALF ? 2 : 4;
-        BSQ_TRY(copy_text(ctx, entry->name.str, strlen(entry->name.str), &image->channels[c]));
+        BSQ_TRY(bsq_text_copy(ctx, entry->name.str, &image->channels[c]));
     }
 done:
     return status;
@@ -200,9 +191,8 @@ static int read_attributes(struct reader *reader)
         if (attribute->type != EXR_ATTR_STRING || !attribute->string->str)
             continue;
         struct fmt_exr_attribute *copy = &image->attributes[image->attribute_count++];
-        BSQ_TRY(copy_text(ctx, attribute->name, strlen(attribute->name), &copy->name));
-        status =
-            copy_text(ctx, attribute->string->str, (size_t)attribute->string->length, &copy->value);
+        BSQ_TRY(bsq_text_copy(ctx, attribute->name, &copy->name));
+        status = bsq_text_copy(ctx, attribute->string->str, &copy->value);
     }
 done:
     return status;

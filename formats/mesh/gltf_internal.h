@@ -259,6 +259,5 @@ int fmt_gltf_read_mesh(const struct gltf_place *place, struct gltf_source *sourc
 int fmt_gltf_read_scene(struct gltf_document *document, struct gltf_source *source);
 int fmt_gltf_read_material(const struct gltf_place *place, struct gltf_source *source,
                            void *element);
-int fmt_gltf_check_extensions(struct gltf_document *document);
 
 #endif

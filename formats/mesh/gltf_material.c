@@ -1,6 +1,5 @@
 /* gltf_material.c - materials of glTF files: colours, channels, textures and texture coordinates.
- *
- * Also checks which extensions a file needs. */
+ */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -9,44 +8,6 @@
 #include "base/channels.h"
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/mesh_text.h"
-
-/* ---- extensions ---- */
-
-/* Returns whether files that need an extension can be read: it is understood, or says nothing about
- * shape and base colour. A name that ends in "_" stands for all names that begin with it. */
-static bool is_known(const char *name)
-{
-    static const char *const known[] = {
-        "KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_mesh_quantization",
-        "KHR_texture_transform",      "KHR_materials_",          "EXT_texture_webp",
-        "KHR_lights_punctual",        "KHR_xmp_json_ld",         "KHR_animation_pointer",
-        "KHR_audio_emitter",          "KHR_node_hoverability",   "KHR_node_selectability",
-    };
-    for (size_t i = 0; name && i < sizeof known / sizeof *known; i++) {
-        const size_t length = strlen(known[i]);
-        if (known[i][length - 1] == '_' ? strncmp(name, known[i], length) == 0
-                                        : strcmp(name, known[i]) == 0)
-            return true;
-    }
-    return false;
-}
-
-int fmt_gltf_check_extensions(struct gltf_document *document)
-{
-    const json_t *required = json_object_get(document->root, "extensionsRequired");
-    char unknown[200] = "";
-    for (size_t i = 0; i < json_array_size(required); i++) {
-        const char *name = json_string_value(json_array_get(required, i));
-        const size_t length = strlen(unknown);
-        if (!is_known(name))
-            snprintf(unknown + length, sizeof unknown - length, "%s%.60s", length > 0 ? ", " : "",
-                     name ? name : "?");
-    }
-    if (unknown[0])
-        return bsq_fail(document->ctx, BSQ_EDATA, "%s: needs extensions that are not read: %s",
-                        document->file.path, unknown);
-    return 0;
-}
 
 /* ---- images ---- */
 

@@ -54,7 +54,6 @@ static int read_document(struct gltf_document *document, struct gltf_source *fil
 {
     int status;
     file->bytes = document->file.size;
-    BSQ_TRY(fmt_gltf_check_extensions(document));
     BSQ_TRY(READ_LIST("buffers", buffers, buffer_count, fmt_gltf_read_buffer));
     file->view_capacity = fmt_gltf_count(document, "bufferViews") + 1;
     BSQ_TRY(READ_LIST("bufferViews", views, view_count, fmt_gltf_read_view));

@@ -4,37 +4,27 @@
  * chunks, which the readers of textures do not give. */
 #include <string.h>
 
+#include "base/text.h"
 #include "formats/texture/image_rows.h"
 #include "libbake/compare/comparison.h"
 
 enum { MOST_TEXT_BYTES = 4096, MOST_TEXTS = 256, CHUNK_HEAD = 8, CHUNK_END = 4 };
 
-static int copy_text(struct bsq_ctx *ctx, const char *text, size_t length, char **out)
-{
-    int status = bsq_alloc(ctx, "a map's attributes", length + 1, 1, out);
-    if (status < 0)
-        return status;
-    memcpy(*out, text, length);
-    (*out)[length] = '\0';
-    return 0;
-}
-
-/* Adds the attribute of a tEXt chunk: its name, a zero, and its value. */
+/* Adds the attribute of a tEXt chunk: its name, a zero, and its value, which a zero ends here. */
 static int add_text(struct bsq_ctx *ctx, const char *text, size_t size, struct fmt_exr_image *out)
 {
-    const char *end = memchr(text, '\0', size);
-    if (!end || out->attribute_count == MOST_TEXTS)
+    const size_t name = strlen(text);
+    if (name == size || out->attribute_count == MOST_TEXTS)
         return 0;
     struct fmt_exr_attribute *attribute = &out->attributes[out->attribute_count++];
-    const int status = copy_text(ctx, text, (size_t)(end - text), &attribute->name);
-    return status < 0 ? status
-                      : copy_text(ctx, end + 1, size - 1 - (size_t)(end - text), &attribute->value);
+    const int status = bsq_text_copy(ctx, text, &attribute->name);
+    return status < 0 ? status : bsq_text_copy(ctx, text + name + 1, &attribute->value);
 }
 
 /* Reads the tEXt chunks before the texels of a PNG file. */
 static int read_texts(struct bsq_ctx *ctx, const struct bsq_file *file, struct fmt_exr_image *out)
 {
-    char text[MOST_TEXT_BYTES];
+    char text[MOST_TEXT_BYTES + 1];
     unsigned char head[CHUNK_HEAD];
     uint64_t size, got = 0;
     int status;
@@ -45,9 +35,10 @@ static int read_texts(struct bsq_ctx *ctx, const struct bsq_file *file, struct f
         size = (uint64_t)head[0] << 24 | (uint64_t)head[1] << 16 | (uint64_t)head[2] << 8 | head[3];
         if (memcmp(head + 4, "IDAT", 4) == 0)
             break;
-        if (memcmp(head + 4, "tEXt", 4) != 0 || size > sizeof text)
+        if (memcmp(head + 4, "tEXt", 4) != 0 || size > MOST_TEXT_BYTES)
             continue;
         BSQ_TRY(bsq_file_read_some(ctx, file, text, size, at + CHUNK_HEAD, &got));
+        text[got] = '\0';
         BSQ_TRY(add_text(ctx, text, got, out));
     }
 done:
@@ -74,12 +65,13 @@ static void to_floats(const struct fmt_rows_info *info, const uint8_t *row, floa
 static int name_channels(struct bsq_ctx *ctx, const struct fmt_rows_info *info,
                          struct fmt_exr_image *out)
 {
-    const char *names = info->channels >= 3 ? "RGBA" : "YA";
+    static const char *const grey[] = {"Y", "A"}, *const rgb[] = {"R", "G", "B", "A"};
+    const char *const *names = info->channels >= 3 ? rgb : grey;
     int status;
     BSQ_TRY(
         bsq_calloc(ctx, "a map's channels", info->channels, sizeof *out->channels, &out->channels));
     for (; out->channel_count < info->channels; out->channel_count++)
-        BSQ_TRY(copy_text(ctx, names + out->channel_count, 1, &out->channels[out->channel_count]));
+        BSQ_TRY(bsq_text_copy(ctx, names[out->channel_count], &out->channels[out->channel_count]));
 done:
     return status;
 }
