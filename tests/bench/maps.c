@@ -92,9 +92,10 @@ static void add_rays(struct bench *bench, const bk_grid *grid, bk_cache *cache, 
     const bk_lines lines = {.count = 1,
                             .origin = start.origin,
                             .direction = start.direction,
-                            .facing = start.facing,
+                            .facing = start.direction,
+                            .reach = start.reach,
                             .t_min = -params->back,
-                            .t_max = params->front};
+                            .t_max = start.t_max};
     bk_hits hits;
     bk_trace(grid, params, cache, &lines, &hits);
     if (!hits.found)

@@ -3,7 +3,9 @@
  * The build compiles the kernel to PTX; the driver compiles that for the card and caches the
  * result. The device reads and writes page-locked memory of each stream by itself, so workers
  * overlap each other's copies and kernels and never wait for a lock. */
+#include <inttypes.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "libbake/device/compute/compute.h"
@@ -269,11 +271,109 @@ static const struct bake_compute_calls calls = {.describe = cuda_describe,
                                                 .finish = cuda_finish,
                                                 .times = cuda_times};
 
+/* ---- the kernel ---- */
+
+enum { REASON_BYTES = 1200 };
+
+/* Returns the compute capability that the PTX is for, as 10 * major + minor. */
+static int kernel_capability(void)
+{
+    const char *target = strstr(bake_cuda_ptx, ".target sm_");
+    return target ? atoi(target + strlen(".target sm_")) : 0;
+}
+
+/* Loads the driver and describes a device that can run the kernel. Errors: BSQ_ENODEVICE. */
+static int open_driver(struct bsq_ctx *ctx, uint32_t number, struct bake_cuda_api *api,
+                       struct bake_cuda_device *out)
+{
+    char why[BAKE_WARNING_BYTES], text[BAKE_CUDA_TEXT];
+    const int needed = kernel_capability();
+    bool faulty;
+    int count;
+
+    if (!bake_cuda_ptx[0])
+        return bsq_fail(ctx, BSQ_ENODEVICE, "%s", bake_cuda_no_kernel);
+    if (!bake_cuda_load(api, &count, why, &faulty))
+        return bsq_fail(ctx, BSQ_ENODEVICE, "%s", why);
+    const CUresult code = bake_cuda_device(api, (int)number, out);
+    if (code != CUDA_SUCCESS)
+        return bsq_fail(ctx, BSQ_ENODEVICE, "cuda:%" PRIu32 ": cuDeviceGet: %s", number,
+                        bake_cuda_error(api, code, text));
+    if (out->capability < needed)
+        return bsq_fail(ctx, BSQ_ENODEVICE, "%s: compute capability %d.%d, the program needs %d.%d",
+                        out->name, out->capability / 10, out->capability % 10, needed / 10,
+                        needed % 10);
+    return 0;
+}
+
+/* The first CUDA of each PTX version (NVIDIA, "PTX ISA", "Release Notes"). Versions after 7.0 that
+ * are not listed came with the CUDA whose major version is higher by 4. */
+int bake_cuda_version_for_ptx(int ptx_version)
+{
+    static const struct {
+        int ptx, cuda;
+    } known[] = {{40, 60}, {41, 65},  {42, 70},  {43, 75},  {50, 80},  {60, 90},  {61, 91},
+                 {62, 92}, {63, 100}, {64, 101}, {65, 102}, {86, 127}, {87, 128}, {88, 129}};
+
+    for (size_t i = 0; i < sizeof known / sizeof known[0]; i++)
+        if (known[i].ptx == ptx_version)
+            return known[i].cuda;
+    return ptx_version + 40;
+}
+
+/* Returns the version of PTX that the kernel is in, as 10 * major + minor. */
+static int kernel_version(void)
+{
+    const char *line = strstr(bake_cuda_ptx, ".version ");
+    int major = 0, minor = 0;
+
+    if (line)
+        sscanf(line, ".version %d.%d", &major, &minor);
+    return 10 * major + minor;
+}
+
+static void describe_old_driver(const struct bake_cuda_api *api, char *buffer)
+{
+    const int ptx = kernel_version(), needed = bake_cuda_version_for_ptx(ptx);
+    int version = 0; /* 1000 * major + 10 * minor */
+
+    if (api->cuDriverGetVersion(&version) != CUDA_SUCCESS)
+        version = 0;
+    snprintf(
+        buffer, REASON_BYTES,
+        "NVIDIA's driver is too old: it is for CUDA %d.%d, and the program's kernel (PTX %d.%d) "
+        "needs a driver for CUDA %d.%d",
+        version / 1000, version % 1000 / 10, ptx / 10, ptx % 10, needed / 10, needed % 10);
+}
+
+/* Describes why the driver refused the kernel: the error, and what the user can do about it. log:
+ * the compiler's messages. */
+static void describe_refusal(const struct bake_cuda_api *api, CUresult code, const char *log,
+                             char buffer[REASON_BYTES])
+{
+    const char *advice = "";
+    char text[BAKE_CUDA_TEXT];
+
+    if (code == CUDA_ERROR_UNSUPPORTED_PTX_VERSION) {
+        describe_old_driver(api, buffer);
+        return;
+    }
+    if (code == CUDA_ERROR_JIT_COMPILER_NOT_FOUND)
+        advice = "; install libnvidia-ptxjitcompiler.so.1, a part of NVIDIA's driver";
+    else if (code == CUDA_ERROR_JIT_COMPILATION_DISABLED)
+        advice = "; CUDA_DISABLE_PTX_JIT must not be set";
+    snprintf(buffer, REASON_BYTES, "compiling the kernel: %s%s%s%s",
+             bake_cuda_error(api, code, text), advice, *log ? ": " : "", log);
+    for (char *p = buffer; *p; p++)
+        if (*p == '\n')
+            *p = ' ';
+}
+
 /* ---- opening and closing ---- */
 
 static int load_kernel(struct cuda *cuda)
 {
-    char log[1024] = "", reason[BAKE_CUDA_REASON];
+    char log[1024] = "", reason[REASON_BYTES];
     int options[] = {CU_JIT_ERROR_LOG_BUFFER, CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES,
                      CU_JIT_MAX_REGISTERS};
     void *values[] = {log, (void *)(uintptr_t)(sizeof log - 1),
@@ -282,7 +382,7 @@ static int load_kernel(struct cuda *cuda)
                                                  cuda->tuning.registers ? 3 : 2, options, values);
 
     if (code != CUDA_SUCCESS) {
-        bake_cuda_refusal(&cuda->api, code, log, reason);
+        describe_refusal(&cuda->api, code, log, reason);
         return bsq_fail(cuda->compute.ctx, BSQ_ENODEVICE, "%s: %s", cuda->device.name, reason);
     }
     code = cuda->api.cuModuleGetFunction(&cuda->kernel, cuda->module, "bake_tile");
@@ -344,7 +444,7 @@ static int cuda_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_job
     *out = NULL;
     if (status < 0)
         return status;
-    status = bake_cuda_open(ctx, number, &cuda->api, &cuda->device);
+    status = open_driver(ctx, number, &cuda->api, &cuda->device);
     bake_compute_init(&cuda->compute, ctx, cuda->device.name, &calls, cuda_close);
     if (status == 0)
         status = prepare(cuda, job);

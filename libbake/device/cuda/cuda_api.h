@@ -118,18 +118,10 @@ CUresult bake_cuda_device(const struct bake_cuda_api *api, int index, struct bak
 
 /* The kernel for any device, ended by a zero; "" if the build had no compiler for it. */
 extern const char bake_cuda_ptx[];
+extern const char bake_cuda_no_kernel[]; /* says so */
 
-enum { BAKE_CUDA_REASON = 1200 };
-/* Describes why the driver refused the kernel, in buffer (BAKE_CUDA_REASON bytes): the error, and
- * what the user can do about it. log: the compiler's messages. */
-void bake_cuda_refusal(const struct bake_cuda_api *api, CUresult code, const char *log,
-                       char *buffer);
 /* Returns the version of CUDA, as 10 * major + minor, whose drivers take PTX of a version in the
  * same form. */
 int bake_cuda_version_for_ptx(int ptx_version);
-
-/* Loads the driver and describes a device that can run the kernel. Errors: BSQ_ENODEVICE. */
-int bake_cuda_open(struct bsq_ctx *ctx, uint32_t number, struct bake_cuda_api *api,
-                   struct bake_cuda_device *out);
 
 #endif
