@@ -255,9 +255,6 @@ struct fmt_mesh_reader {
 
 /* ---- mesh_stream.c ---- */
 
-/* Frees what the reader keeps of the sources and the sources. */
-void fmt_stream_free(struct fmt_mesh_reader *reader);
-
 /* Finds a face that has been read: parses the part that holds face number `face` of the scan up to
  * this face. */
 int fmt_stream_locate_face(struct fmt_mesh_reader *reader, uint64_t face,

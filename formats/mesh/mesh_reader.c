@@ -229,14 +229,6 @@ int fmt_mesh_open(struct bsq_ctx *ctx, const char *const *paths, uint32_t path_c
     return fmt_mesh_open_inputs(ctx, &inputs, out);
 }
 
-void fmt_mesh_close(struct fmt_mesh_reader *reader)
-{
-    if (!reader)
-        return;
-    fmt_stream_free(reader);
-    bsq_free(reader->ctx, reader);
-}
-
 const char *fmt_mesh_format_name(const struct fmt_mesh_reader *reader, uint32_t file)
 {
     return reader->sources[file].format->name;
@@ -259,21 +251,16 @@ uint64_t fmt_mesh_bytes(const struct fmt_mesh_reader *reader)
 /* Two slots a thread keep all threads busy as a rule. Four outlast a serial step that sometimes
  * takes long, for instance when it touches memory for the first time. They may take a small part of
  * the budget. */
-unsigned fmt_mesh_slots_for(uint64_t memory_bytes, unsigned threads)
+unsigned fmt_mesh_max_slots(const struct fmt_mesh_reader *reader)
 {
     const uint64_t usual_slot_bytes = 2 * MIB;
-    uint64_t affordable = memory_bytes / 8 / usual_slot_bytes;
-    uint64_t count = 2 * (uint64_t)threads, generous = affordable / 4;
+    uint64_t affordable = bsq_memory_limit(reader->ctx) / 8 / usual_slot_bytes;
+    uint64_t count = 2 * (uint64_t)bsq_threads(reader->ctx), generous = affordable / 4;
     if (count > affordable)
         count = affordable > 2 ? affordable : 2;
     else if (count < generous)
         count = generous < 2 * count ? generous : 2 * count;
     return (unsigned)count;
-}
-
-unsigned fmt_mesh_max_slots(const struct fmt_mesh_reader *reader)
-{
-    return fmt_mesh_slots_for(bsq_memory_limit(reader->ctx), bsq_threads(reader->ctx));
 }
 
 int fmt_mesh_read(struct fmt_mesh_reader *reader,

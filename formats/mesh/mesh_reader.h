@@ -134,7 +134,7 @@ size_t fmt_mesh_unpacked_length(const char *path);
 /* Reads everything. on_block is called serially in order; it returns 0 to go on, or a negative
  * status, which stops and is returned. Numbers that are malformed are BSQ_EDATA with file, line and
  * the offending text. What is unknown, missing in the file or not finite is counted; the first
- * reading warns of it at its end, with the line of the first. Memory: see fmt_mesh_slots_for().
+ * reading warns of it at its end, with the line of the first. Memory: see fmt_mesh_max_slots().
  * on_block may be NULL (parse only). May be called again: blocks, faces and materials have the same
  * numbers each time. The caller reports progress; the blocks' byte_size add up to the files,
  * because bytes that yield nothing belong to a block too. */
@@ -156,10 +156,8 @@ struct fmt_mesh_steps {
 /* Reads as fmt_mesh_read() does, with all three steps. */
 int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps,
                         void *arg, struct fmt_mesh_totals *totals);
+/* Returns how many blocks a reader holds at most. A block takes up to 4 MiB, as a rule. */
 unsigned fmt_mesh_max_slots(const struct fmt_mesh_reader *reader);
-/* Returns how many blocks a reader holds at most, for a budget in bytes and a number of threads. A
- * block takes up to 4 MiB, as a rule. */
-unsigned fmt_mesh_slots_for(uint64_t memory_bytes, unsigned threads);
 
 /* Estimated size of a scan, within some percent for ordinary files. */
 struct fmt_mesh_estimate {

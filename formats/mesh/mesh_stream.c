@@ -629,8 +629,10 @@ int fmt_stream_locate_face(struct fmt_mesh_reader *reader, uint64_t face,
     return status;
 }
 
-void fmt_stream_free(struct fmt_mesh_reader *reader)
+void fmt_mesh_close(struct fmt_mesh_reader *reader)
 {
+    if (!reader)
+        return;
     for (uint32_t i = 0; i < reader->source_count; i++) {
         struct stream_source *source = &reader->sources[i];
         if (source->data && source->format->end)
@@ -643,4 +645,5 @@ void fmt_stream_free(struct fmt_mesh_reader *reader)
     bsq_free(reader->ctx, reader->places);
     bsq_free(reader->ctx, reader->notes);
     bsq_tally_release(reader->ctx, &reader->names);
+    bsq_free(reader->ctx, reader);
 }
