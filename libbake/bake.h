@@ -53,6 +53,20 @@ enum bake_normal_space {
     BAKE_OBJECT_SPACE   /**< The coordinate system of the meshes. */
 };
 
+/** Words for the 24 turns of a mesh by right angles, with spaces between them and '/' between words
+ * that mean the same. x-zy makes (x, y, z) to (x, -z, y), so that z points upwards and not y. */
+#define BAKE_TURNS                                                                                 \
+    "none z-up/x-zy y-up/xz-y yzx zxy x-y-z -xy-z -x-yz -y-zx -yz-x y-z-x -z-xy -zx-y z-x-y "      \
+    "-xzy -x-z-y -yxz y-xz yx-z -y-x-z -zyx z-yx zy-x -z-y-x"
+
+/** Normals of a low-poly mesh whose file has none. */
+enum bake_low_normals {
+    BAKE_LOW_AUTO, /**< BAKE_LOW_ANGLE; in glTF files BAKE_LOW_FLAT, as their specification says. */
+    BAKE_LOW_ANGLE,  /**< Smooth, weighted by the angles of the corners, as Blender shows them. */
+    BAKE_LOW_SMOOTH, /**< Smooth, weighted by the areas of the faces. */
+    BAKE_LOW_FLAT    /**< Those of the triangles. */
+};
+
 /** Directions of rays. Corners of the low-poly mesh have them, and triangles interpolate them. */
 enum bake_rays {
     BAKE_RAYS_SMOOTH, /**< The mean of the mesh's normals in the same place, also across hard edges
@@ -118,7 +132,14 @@ struct bake_options {
     const char *mesh_path;   /**< Input: the low-poly mesh, a mesh file with texture coordinates. */
     const char *const *more_mesh_paths; /**< More of them; all are baked. */
     uint32_t more_mesh_count;           /**< Entries of more_mesh_paths. */
-    uint32_t maps;                      /**< Bits of enum bake_map. */
+    double low_scale;  /**< The low-poly meshes, and the cage, are multiplied by it, then turned. */
+    unsigned low_turn; /**< Which word of BAKE_TURNS. */
+    double low_x;      /**< Then they are shifted along x. */
+    double low_y;      /**< Likewise, along y. */
+    double low_z;      /**< Likewise, along z. */
+    enum bake_low_normals low_normals; /**< Of low-poly meshes without normals. */
+    bool as_is;    /**< Bakes meshes that do not fit each other, see bake_run(). */
+    uint32_t maps; /**< Bits of enum bake_map. */
     const struct bake_transfer
         *transfers;          /**< Transfer maps. With any, maps may be 0: no others. */
     uint32_t transfer_count; /**< Entries of transfers. */
@@ -346,6 +367,10 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options);
  * The method follows West, "GPU-optimized generation of normal and color maps" (Linkoping 2008):
  * each sample of a texel sends a ray along the interpolated normal and one against it, and the
  * nearest hit wins. Tangent frames are MikkTSpace's (Mikkelsen 2008).
+ *
+ * Unless options->as_is is set, samples of the low-poly mesh are compared with the scan before the
+ * work. If they fit much better after a turn by right angles, in other units, mirrored or turned
+ * inside out, the bake fails with BSQ_EDATA and says so. It warns of other pairs that do not fit.
  *
  * All maps are complete on the disk before the first gets its final name, so a failure leaves none
  * of them. Errors: BSQ_ENOINPUT; BSQ_EDATA for a low-poly mesh without texture coordinates, for a

@@ -73,11 +73,16 @@ static int parse_number(struct cli *cli, const char *option, const struct bsq_op
 {
     char *end;
     const double value = strtod(text, &end);
-    const bool number =
-        is_decimal(text) && strspn(text, "0123456789.eE+-") == strlen(text) && *end == '\0';
+    const bool below = row->least < 0; /* negative numbers are allowed */
+    const bool number = is_decimal(text + (below && *text == '-')) &&
+                        strspn(text, "0123456789.eE+-") == strlen(text) && *end == '\0';
     if (!number || !isfinite(value) || (row->positive && !(value > 0)))
-        return cli_usage(cli, "%s: \"%s\" is not a %s number", option, text,
-                         row->positive ? "positive" : "non-negative");
+        return cli_usage(cli, "%s: \"%s\" is not a %snumber", option, text,
+                         row->positive ? "positive "
+                         : below       ? ""
+                                       : "non-negative ");
+    if (value < row->least)
+        return cli_usage(cli, "%s: %s is below %g", option, text, row->least);
     if (value > row->most)
         return cli_usage(cli, "%s: %s is above %g", option, text, row->most);
     *out = value;

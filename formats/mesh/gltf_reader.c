@@ -500,6 +500,7 @@ static int pass(struct stream_slot *slot)
     struct fmt_mesh_totals *totals = slot->source->reader->totals;
     fmt_stream_number_materials(slot);
     totals->split_vertices = true;
+    totals->flat_normals = true;
     totals->has_tangents |= ((struct gltf_source *)slot->source->data)->has_tangents;
     return 0;
 }

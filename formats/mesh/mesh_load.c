@@ -299,6 +299,7 @@ static int load(struct loader *loader, const char *path)
     mesh->face_count = totals.faces;
     mesh->has_tangents = totals.has_tangents;
     mesh->split_vertices = totals.split_vertices;
+    mesh->flat_normals = totals.flat_normals;
     if (totals.faces == 0)
         return fmt_mesh_fail_no_faces(loader->ctx, path, &totals);
     const uint64_t counts[3] = {totals.vertices, totals.texcoords, totals.normals};

@@ -133,6 +133,7 @@ static struct bake_options shared_options(const struct bake_work *job)
     shared.back = job->report->back;
     if (job->maps & BAKE_MAP_CURVATURE)
         shared.curvature_radius = job->measures.curvature_radius;
+    shared.as_is = true; /* the meshes were compared */
     if (!shared.device)
         shared.device = "auto";
     if (!shared.low_suffix)

@@ -6,6 +6,7 @@
 #include "base/channels.h"
 #include "base/context.h"
 #include "base/sort_array.h"
+#include "libbake/fit/fit.h"
 #include "libbake/job/job.h"
 #include "libbake/options/options.h"
 
@@ -304,6 +305,8 @@ int bake_open_inputs(struct bake_work *job)
     BSQ_TRY(choose_maps(job));
     BSQ_TRY(use_attributes(job));
     const char *output = job->options->output_path;
+    struct bake_placement placement;
+    bake_placement_of(job->options, &placement);
     const struct bake_lowmesh_options low = {.path = job->options->mesh_path,
                                              .more_paths = job->options->more_mesh_paths,
                                              .more_count = job->options->more_mesh_count,
@@ -312,7 +315,9 @@ int bake_open_inputs(struct bake_work *job)
                                              .material_maps = strstr(output, BAKE_MATERIAL_TOKEN),
                                              .cage_path = job->options->cage_path,
                                              .extrude = job->options->extrude,
-                                             .rays = job->options->rays};
+                                             .rays = job->options->rays,
+                                             .normals = job->options->low_normals,
+                                             .placement = &placement};
     BSQ_TRY(bake_lowmesh_load(job->ctx, &low, &job->mesh));
     job->report->low_triangles = job->mesh.triangle_count;
     if (job->options->match_names)
@@ -328,17 +333,11 @@ done:
 int bake_set_params(struct bake_work *job)
 {
     const struct bake_options *options = job->options;
-    double front = options->front, back = options->back;
+    double front, back;
     bake_surface_set_params(&job->surface, options, job->maps);
-    if ((front < 0 && !bake_has_cage(options)) || back < 0) {
-        int status = bake_measure_distances(&job->surface, &job->mesh, &front, &back);
-        if (status < 0)
-            return status;
-        if (options->front >= 0)
-            front = options->front;
-        if (options->back >= 0)
-            back = options->back;
-    }
+    int status = bake_fit(&job->surface, &job->mesh, options, &front, &back);
+    if (status < 0)
+        return status;
     if (bake_has_cage(options))
         front = job->mesh.cage_distance;
     job->report->front = front;

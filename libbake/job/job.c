@@ -128,7 +128,8 @@ int bake_list_tiles(struct bsq_ctx *ctx, const struct bake_options *options,
     struct bake_udim udim = {0};
     const struct bake_lowmesh_options low = {.path = options->mesh_path,
                                              .more_paths = options->more_mesh_paths,
-                                             .more_count = options->more_mesh_count};
+                                             .more_count = options->more_mesh_count,
+                                             .normals = BAKE_LOW_FLAT}; /* of no effect on tiles */
     int status = bake_check_tile_numbers(ctx, options);
     if (status == 0)
         status = bake_lowmesh_load(ctx, &low, &mesh);

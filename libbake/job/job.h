@@ -64,7 +64,8 @@ int bake_end_job(struct bake_work *job, int status); /* returns the status, expl
 
 /* Opens the scan and the low-poly mesh, chooses the maps and finds the tiles. */
 int bake_open_inputs(struct bake_work *job);
-/* Sets the parameters of rays, for which it measures distances if they are not given. */
+/* Sets the parameters of rays, for which it measures distances if they are not given, and checks
+ * whether the meshes fit: see bake_fit(). */
 int bake_set_params(struct bake_work *job);
 
 /* Finds out which scans each object sees, by their names. Errors: BSQ_EUSAGE, with the names, if an

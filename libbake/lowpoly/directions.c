@@ -63,7 +63,15 @@ static void choose_direction(const struct place *place, const float normal[3], f
             out[k] = (float)(s[k] / length);
 }
 
-static int smooth(struct bsq_ctx *ctx, uint32_t count, const float (*positions)[3],
+static double corner_weight(bool by_area, const float (*p)[3], int i)
+{
+    if (!by_area)
+        return corner_angle(p, i);
+    const struct bsq_vec3 at = vector(p[0]);
+    return (double)bsq_length3(bsq_cross3(bsq_sub3(vector(p[1]), at), bsq_sub3(vector(p[2]), at)));
+}
+
+static int smooth(struct bsq_ctx *ctx, bool by_area, uint32_t count, const float (*positions)[3],
                   const float (*normals)[3], const uint32_t *firsts, struct place *places,
                   float (*out)[3])
 {
@@ -71,12 +79,24 @@ static int smooth(struct bsq_ctx *ctx, uint32_t count, const float (*positions)[
     for (uint32_t c = 0; c < count && status == 0; c++) {
         const uint32_t triangle = c / 3 * 3;
         add_corner(&places[firsts[c]], normals[c], normals[firsts[c]],
-                   corner_angle(positions + triangle, (int)(c - triangle)));
+                   corner_weight(by_area, positions + triangle, (int)(c - triangle)));
         if (c % CORNERS_A_CHECK == 0)
             status = bsq_check(ctx);
     }
     for (uint32_t c = 0; c < count; c++)
         choose_direction(&places[firsts[c]], normals[c], out[c]);
+    return status;
+}
+
+int bake_mean_normals(struct bsq_ctx *ctx, bool by_area, uint32_t corners,
+                      const float (*positions)[3], const float (*normals)[3],
+                      const uint32_t *firsts, float (*out)[3])
+{
+    struct place *places;
+    int status = bsq_calloc(ctx, "corners in one place", corners, sizeof *places, &places);
+    if (status == 0)
+        status = smooth(ctx, by_area, corners, positions, normals, firsts, places, out);
+    bsq_free(ctx, places);
     return status;
 }
 
@@ -141,8 +161,8 @@ int bake_ray_directions(struct bsq_ctx *ctx, enum bake_rays rays, uint64_t count
     BSQ_TRY(bake_mikkt_weld(ctx, &input, firsts));
     memcpy(out, normals, count * sizeof *out);
     if (rays == BAKE_RAYS_SMOOTH)
-        BSQ_TRY(smooth(ctx, corners, (const float(*)[3])positions, (const float(*)[3])normals,
-                       firsts, places, (float(*)[3])out));
+        BSQ_TRY(smooth(ctx, false, corners, (const float(*)[3])positions,
+                       (const float(*)[3])normals, firsts, places, (float(*)[3])out));
     for (uint64_t t = 0; t < count && rays == BAKE_RAYS_FACE; t++)
         face_directions(positions[t], normals[t], out[t]);
     set_reaches(count, positions, normals, firsts, places, reaches);
@@ -184,16 +204,18 @@ static float least_distance(const struct bake_lowmesh *mesh)
     return (float)(1e-6 * size);
 }
 
-int bake_cage_directions(struct bsq_ctx *ctx, const char *path, const struct fmt_mesh *mesh,
-                         const char *cage_path, struct bake_lowmesh *out)
+int bake_cage_directions(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+                         const char *path, const struct fmt_mesh *mesh, struct bake_lowmesh *out)
 {
     struct fmt_mesh cage;
     const float least = least_distance(out);
     double longest = 0;
-    int status = fmt_mesh_load(ctx, cage_path, false, &cage);
+    int status = fmt_mesh_load(ctx, options->cage_path, false, &cage);
     if (status < 0)
         return status;
-    status = check_topology(ctx, path, mesh, cage_path, &cage);
+    if (options->placement)
+        bake_place_mesh(options->placement, &cage);
+    status = check_topology(ctx, path, mesh, options->cage_path, &cage);
     memset(out->reaches, 0, mesh->triangle_count * sizeof *out->reaches);
     for (uint64_t t = 0; t < mesh->triangle_count && status == 0; t++)
         for (int i = 0; i < 3; i++) {

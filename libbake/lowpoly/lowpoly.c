@@ -2,15 +2,13 @@
  *
  * Triangles share no corners: texture seams and hard edges split them anyway, and rays,
  * rasterisation and tangents go triangle by triangle. A corner without a normal in the file gets
- * the smooth vertex normal: the area-weighted sum of the normals of the adjacent triangles. It is
- * summed by position index, so that texture seams do not show in it. */
+ * a smooth one: the weighted mean of the normals of the triangles at its vertex. Texture seams do
+ * not show in it. */
 #include "libbake/lowpoly/lowpoly.h"
 
-#include <assert.h>
 #include <float.h>
 #include <math.h>
 #include <string.h>
-#include <xxhash.h>
 
 #include "base/smooth_normals.h"
 #include "base/vec.h"
@@ -155,107 +153,6 @@ static bool lacks_normals(const struct fmt_mesh *mesh)
     return false;
 }
 
-/* Returns a slot of a hash table for vertex `v`: free, or of a vertex at the same position. */
-static uint32_t *find_position(const struct fmt_mesh *mesh, uint32_t *slots, uint64_t mask,
-                               uint32_t v)
-{
-    const double *p = mesh->positions[v];
-    const double key[3] = {p[0] + 0.0, p[1] + 0.0, p[2] + 0.0}; /* both zeros are equal */
-    uint64_t i = XXH3_64bits(key, sizeof(key)) & mask;
-    for (; slots[i] != UINT32_MAX; i = (i + 1) & mask) {
-        const double *q = mesh->positions[slots[i]];
-        if (p[0] == q[0] && p[1] == q[1] && p[2] == q[2])
-            break;
-    }
-    return &slots[i];
-}
-
-/* Joins the sums of vertices that a format has split: all at one position get their total. */
-static int join_split_vertices(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, double (*sums)[4])
-{
-    uint64_t mask = 15;
-    uint32_t *slots;
-
-    while (mask / 2 < mesh->vertex_count)
-        mask = 2 * mask + 1;
-    int status = bsq_alloc(ctx, "vertices by position", mask + 1, sizeof(*slots), &slots);
-    if (status)
-        return status;
-    memset(slots, 0xff, (mask + 1) * sizeof(*slots));
-    for (uint32_t v = 0; v < mesh->vertex_count && status == 0; v++) {
-        uint32_t *slot = find_position(mesh, slots, mask, v);
-        if (*slot == UINT32_MAX)
-            *slot = v;
-        else
-            row_add(sums[*slot], row_of(sums[v][0], sums[v][1], sums[v][2], sums[v][3]));
-        status = v % 64 == 0 ? bsq_check(ctx) : 0; /* hashes can be made to collide */
-    }
-    for (uint32_t v = 0; v < mesh->vertex_count && status == 0; v++) {
-        memcpy(sums[v], sums[*find_position(mesh, slots, mask, v)], sizeof(*sums));
-        status = v % 64 == 0 ? bsq_check(ctx) : 0; /* hashes can be made to collide */
-    }
-    bsq_free(ctx, slots);
-    return status;
-}
-
-/* Sums the one-rings (base/smooth_normals.h) by position index. *out stays NULL if none are needed.
- */
-static int sum_vertex_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh,
-                              const struct bake_lowmesh *low, double (**out)[4])
-{
-    double(*sums)[4] = NULL;
-
-    if (!lacks_normals(mesh))
-        return 0;
-    int status = bsq_calloc(ctx, "smooth normals", mesh->vertex_count, sizeof(*sums), &sums);
-    if (status)
-        return status;
-    for (uint64_t t = 0; t < mesh->triangle_count; t++) {
-        struct row vector = face_vector(low, t);
-        for (int i = 0; i < 3; i++)
-            row_add(sums[mesh->vertices[t][i]], vector);
-    }
-    *out = sums;
-    return mesh->split_vertices ? join_split_vertices(ctx, mesh, sums) : 0;
-}
-
-/* Chooses the normal of a corner: its own or the smooth one, or that of the face if it has no
- * length. A triangle without area has an arbitrary face normal, as normals must be finite. */
-static void choose_normal(const struct fmt_mesh *mesh, const double (*smooth)[4],
-                          const float face_normal[3], uint64_t t, int i, float out[3])
-{
-    uint32_t index = mesh->corner_normals ? mesh->corner_normals[t][i] : UINT32_MAX;
-
-    assert(index != UINT32_MAX || smooth);
-    if (index != UINT32_MAX) {
-        const float *n = mesh->normals[index];
-        if (store_unit((const double[3]){n[0], n[1], n[2]}, out))
-            return;
-    } else if (store_unit(smooth[mesh->vertices[t][i]], out)) {
-        return;
-    }
-    memcpy(out, face_normal, 3 * sizeof(float));
-}
-
-static int fill_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, struct bake_lowmesh *out)
-{
-    double(*smooth)[4] = NULL;
-
-    int status = sum_vertex_normals(ctx, mesh, out, &smooth);
-    if (status == 0)
-        status = bsq_check(ctx);
-    for (uint64_t t = 0; t < mesh->triangle_count && status == 0; t++) {
-        float face_normal[3] = {0, 0, 1};
-        double vector[4];
-        row_store(face_vector(out, t), vector);
-        store_unit(vector, face_normal);
-        for (int i = 0; i < 3; i++)
-            choose_normal(mesh, (const double(*)[4])smooth, face_normal, t, i, out->normals[t][i]);
-    }
-    bsq_free(ctx, smooth);
-    return status;
-}
-
 /* Chooses the origin of the float positions from which tangents are computed. The convention works
  * on the file's coordinates as floats, so the origin is 0. Only a mesh that is far away for its
  * size gets another one, as floats would merge its corners. */
@@ -271,24 +168,126 @@ static void choose_origin(const struct bake_lowmesh *mesh, double origin[3])
         origin[k] = farthest > 64 * size ? (mesh->bounds_min[k] + mesh->bounds_max[k]) / 2 : 0;
 }
 
+/* Writes positions relative to that origin. */
+static void copy_floats(const struct bake_lowmesh *mesh, float (*out)[3][3])
+{
+    double origin[3];
+    choose_origin(mesh, origin);
+    for (uint64_t t = 0; t < mesh->triangle_count; t++)
+        for (int i = 0; i < 3; i++)
+            for (int k = 0; k < 3; k++)
+                out[t][i][k] = (float)(mesh->positions[t][i][k] - origin[k]);
+}
+
+/* Writes each corner's triangle normal. A triangle without area has an arbitrary one, as normals
+ * must be finite. */
+static void fill_flat(struct bake_lowmesh *out)
+{
+    for (uint64_t t = 0; t < out->triangle_count; t++) {
+        float face_normal[3] = {0, 0, 1};
+        double vector[4];
+        row_store(face_vector(out, t), vector);
+        store_unit(vector, face_normal);
+        for (int i = 0; i < 3; i++)
+            memcpy(out->normals[t][i], face_normal, sizeof face_normal);
+    }
+}
+
+/* Finds the first corner of each corner's vertex; of formats that split vertices, at the same
+ * position. */
+static int find_firsts(struct bsq_ctx *ctx, const struct fmt_mesh *mesh,
+                       const float (*positions)[3][3], uint32_t *firsts)
+{
+    const struct mikkt_input input = {.corner_count = (uint32_t)(3 * mesh->triangle_count),
+                                      .positions = (const float(*)[3])positions};
+    uint32_t *first_of;
+    if (mesh->split_vertices)
+        return bake_mikkt_weld(ctx, &input, firsts);
+    int status =
+        bsq_alloc(ctx, "corners of vertices", mesh->vertex_count, sizeof *first_of, &first_of);
+    if (status < 0)
+        return status;
+    memset(first_of, 0xff, mesh->vertex_count * sizeof *first_of);
+    for (uint32_t c = 0; c < input.corner_count; c++) {
+        uint32_t *first = &first_of[mesh->vertices[c / 3][c % 3]];
+        *first = *first == UINT32_MAX ? c : *first;
+        firsts[c] = *first;
+    }
+    bsq_free(ctx, first_of);
+    return bsq_check(ctx);
+}
+
+/* Makes the triangle normals of corners smooth that have none in the file. */
+static int smooth_normals(struct bsq_ctx *ctx, const struct fmt_mesh *mesh, bool by_area,
+                          struct bake_lowmesh *out)
+{
+    const uint64_t count = mesh->triangle_count;
+    float(*positions)[3][3] = NULL, (*smooth)[3][3] = NULL;
+    uint32_t *firsts = NULL;
+    int status = 0;
+    BSQ_TRY(bsq_alloc(ctx, "smooth normals", count, sizeof *positions, &positions));
+    BSQ_TRY(bsq_alloc(ctx, "smooth normals", count, sizeof *smooth, &smooth));
+    BSQ_TRY(bsq_alloc(ctx, "smooth normals", 3 * count, sizeof *firsts, &firsts));
+    copy_floats(out, positions);
+    BSQ_TRY(find_firsts(ctx, mesh, (const float(*)[3][3])positions, firsts));
+    BSQ_TRY(bake_mean_normals(ctx, by_area, (uint32_t)(3 * count), positions[0],
+                              (const float(*)[3])out->normals, firsts, smooth[0]));
+    for (uint64_t c = 0; c < 3 * count; c++)
+        if (!mesh->corner_normals || mesh->corner_normals[c / 3][c % 3] == UINT32_MAX)
+            memcpy(out->normals[c / 3][c % 3], smooth[c / 3][c % 3], sizeof **smooth);
+done:
+    bsq_free(ctx, firsts);
+    bsq_free(ctx, smooth);
+    bsq_free(ctx, positions);
+    return status;
+}
+
+/* Fills in normals that the file does not have, by its format if the options leave it open. */
+static int fill_missing_normals(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+                                const char *path, const struct fmt_mesh *mesh,
+                                struct bake_lowmesh *out)
+{
+    enum bake_low_normals kind = options->normals;
+    if (kind == BAKE_LOW_AUTO) {
+        kind = mesh->flat_normals ? BAKE_LOW_FLAT : BAKE_LOW_ANGLE;
+        bsq_warn(
+            ctx,
+            "%s has no normals%s: it gets %s ones, and must be shown with them; export normals, "
+            "or choose: --low normals=angle, smooth or flat",
+            path, mesh->corner_normals ? " for some faces" : "",
+            kind == BAKE_LOW_FLAT ? "flat" : "smooth");
+    }
+    return kind == BAKE_LOW_FLAT ? 0 : smooth_normals(ctx, mesh, kind == BAKE_LOW_SMOOTH, out);
+}
+
+/* Gives each corner its own normal, the one that the options choose if it has none, or that of the
+ * triangle if it has no length. */
+static int fill_normals(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+                        const char *path, const struct fmt_mesh *mesh, struct bake_lowmesh *out)
+{
+    fill_flat(out);
+    int status = lacks_normals(mesh) ? fill_missing_normals(ctx, options, path, mesh, out) : 0;
+    for (uint64_t t = 0; t < mesh->triangle_count && mesh->corner_normals; t++)
+        for (int i = 0; i < 3; i++) {
+            const uint32_t index = mesh->corner_normals[t][i];
+            if (index == UINT32_MAX)
+                continue;
+            const float *n = mesh->normals[index];
+            store_unit((const double[3]){n[0], n[1], n[2]}, out->normals[t][i]);
+        }
+    return status == 0 ? bsq_check(ctx) : status;
+}
+
 /* Computes tangents, and the directions of rays unless a cage gives them. */
 static int compute_frames(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
                           struct bake_lowmesh *mesh)
 {
     float(*positions)[3][3] = NULL;
-    double origin[3];
-
     int status =
         bsq_alloc(ctx, "tangent positions", mesh->triangle_count, sizeof(*positions), &positions);
     if (status < 0)
         return status;
-    choose_origin(mesh, origin);
-    for (uint64_t t = 0; t < mesh->triangle_count; t++) {
-        for (int i = 0; i < 3; i++) {
-            for (int k = 0; k < 3; k++)
-                positions[t][i][k] = (float)(mesh->positions[t][i][k] - origin[k]);
-        }
-    }
+    copy_floats(mesh, positions);
     status = bake_mikkt(ctx, mesh->triangle_count, (const float(*)[3][3])positions,
                         (const float(*)[3][3])mesh->normals, (const float(*)[3][2])mesh->texcoords,
                         mesh->tangents);
@@ -300,6 +299,16 @@ static int compute_frames(struct bsq_ctx *ctx, const struct bake_lowmesh_options
         bake_extrude(options->extrude, mesh);
     bsq_free(ctx, positions);
     return status;
+}
+
+/* Returns the number of faces with more than three corners: their triangles follow each other. */
+static uint64_t count_polygons(const struct fmt_mesh *mesh)
+{
+    uint64_t count = 0;
+    for (uint64_t t = 1; t < mesh->triangle_count; t++)
+        count += mesh->faces[t] == mesh->faces[t - 1] &&
+                 (t == 1 || mesh->faces[t - 2] != mesh->faces[t]);
+    return count;
 }
 
 /* Loads one file, whose bounds are those of its triangles. */
@@ -316,14 +325,17 @@ static int load_file(struct bsq_ctx *ctx, const struct bake_lowmesh_options *opt
     if (mesh.has_tangents)
         bsq_warn(ctx, "%s: the file's tangents are not used: they are computed (MikkTSpace)",
                  options->path);
+    if (options->placement)
+        bake_place_mesh(options->placement, &mesh);
     BSQ_TRY(allocate(ctx, mesh.triangle_count, out));
     out->triangle_count = mesh.triangle_count;
+    out->polygon_count = count_polygons(&mesh);
     copy_positions(&mesh, out);
     BSQ_TRY(bsq_check(ctx));
     BSQ_TRY(copy_texcoords(ctx, path, &mesh, out));
-    BSQ_TRY(fill_normals(ctx, &mesh, out));
+    BSQ_TRY(fill_normals(ctx, options, path, &mesh, out));
     if (options->cage_path)
-        BSQ_TRY(bake_cage_directions(ctx, path, &mesh, options->cage_path, out));
+        BSQ_TRY(bake_cage_directions(ctx, options, path, &mesh, out));
     if (named)
         BSQ_TRY(bake_parts_add(ctx, parts, path, &mesh));
     BSQ_TRY(bsq_check(ctx));
@@ -362,6 +374,7 @@ static int append(struct bsq_ctx *ctx, struct bake_lowmesh *other, struct bake_l
     if (status < 0)
         return status;
     mesh->triangle_count = count;
+    mesh->polygon_count += other->polygon_count;
     for (int k = 0; k < 3; k++) {
         mesh->bounds_min[k] = fmin(mesh->bounds_min[k], other->bounds_min[k]);
         mesh->bounds_max[k] = fmax(mesh->bounds_max[k], other->bounds_max[k]);

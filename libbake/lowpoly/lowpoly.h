@@ -16,9 +16,10 @@ struct bake_low_set {
 
 struct bake_lowmesh {
     uint64_t triangle_count;
+    uint64_t polygon_count; /* faces with more than three corners, which became triangles */
     /* Of each triangle's three corners. */
     double (*positions)[3][3]; /* world space */
-    float (*normals)[3][3];    /* unit; from the file, else area-weighted smooth vertex normals */
+    float (*normals)[3][3];    /* unit; from the file, else as the options say */
     float (*texcoords)[3][2];  /* OBJ convention: v upwards; clamped to finite floats */
     float (*tangents)[3][4];   /* MikkTSpace; w is the sign of the bitangent */
     float (*directions)[3][3]; /* of rays, outwards: unit; with a cage, the way to its corner */
@@ -32,6 +33,21 @@ struct bake_lowmesh {
     uint32_t *object_of;                 /* of each triangle; NULL unless wanted */
 };
 
+/* Where a mesh lies: p becomes shift + scale * turn p. */
+struct bake_placement {
+    double scale, turn[3][3], shift[3];
+};
+/* Sets *out to what the options ask for. */
+void bake_placement_of(const struct bake_options *options, struct bake_placement *out);
+/* Places a point; `out` may be `p`. */
+void bake_place(const struct bake_placement *placement, const double p[3], double out[3]);
+/* Sets *out to `first`, followed by `then`. */
+void bake_placement_join(const struct bake_placement *first, const struct bake_placement *then,
+                         struct bake_placement *out);
+/* Sets *out to the matrix of a word of BAKE_TURNS; writes a word for a matrix. */
+void bake_turn_matrix(unsigned turn, double out[3][3]);
+void bake_turn_word(const double turn[3][3], char out[8]);
+
 struct bake_lowmesh_options {
     const char *path;
     const char *const *more_paths; /* files whose triangles follow */
@@ -41,9 +57,12 @@ struct bake_lowmesh_options {
     const char *cage_path;           /* of the only file; NULL: no such cage */
     double extrude;                  /* distance of a cage along smooth directions; <= 0: none */
     enum bake_rays rays;             /* without a cage */
+    enum bake_low_normals normals;   /* if a file has none */
+    const struct bake_placement *placement; /* of meshes and cage; NULL: they stay as they are */
 };
 
-/* Loads mesh files, fills in missing normals and computes tangents and ray directions, for each
+/* Loads mesh files, fills in missing normals, of which it warns unless the options
+ * say which, and computes tangents and ray directions, for each
  * file alone. Free *out with bake_lowmesh_free(). Errors: those of fmt_mesh_load(); BSQ_EDATA with
  * the line of the first face that has no texture coordinates, or whose corners differ from the
  * cage's, or for too many triangles; BSQ_ENOMEM, BSQ_EINTR. */

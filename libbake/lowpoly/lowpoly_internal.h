@@ -1,11 +1,22 @@
-/* lowpoly_internal.h - directions of rays at the corners of the low-poly mesh, and its objects and
- * materials; private to this folder. */
+/* lowpoly_internal.h - what corners of the low-poly mesh get: normals and directions of rays; and
+ * its place, objects and materials; private to this folder. */
 #ifndef BAKE_LOWPOLY_LOWPOLY_INTERNAL_H
 #define BAKE_LOWPOLY_LOWPOLY_INTERNAL_H
 
 #include "libbake/lowpoly/lowpoly.h"
 
+/* Scales, turns and shifts positions and normals. */
+void bake_place_mesh(const struct bake_placement *placement, struct fmt_mesh *mesh);
+
 /* ---- directions ---- */
+
+/* Writes the mean of the unit normals of corners in one place, weighted by the corners' angles or
+ * by the triangles' areas, to each of them. firsts: of each corner, the first one in its place.
+ * Corners whose normals agree keep them to the bit, and so do corners whose normals cancel. Errors:
+ * BSQ_ENOMEM, BSQ_EINTR. */
+int bake_mean_normals(struct bsq_ctx *ctx, bool by_area, uint32_t corners,
+                      const float (*positions)[3], const float (*normals)[3],
+                      const uint32_t *firsts, float (*out)[3]);
 
 /* Writes the unit directions of `count` triangles' corners to `out`, and their reaches. `positions`
  * and unit `normals` are per corner.
@@ -22,11 +33,12 @@ int bake_ray_directions(struct bsq_ctx *ctx, enum bake_rays rays, uint64_t count
                         const float (*positions)[3][3], const float (*normals)[3][3],
                         float (*out)[3][3], float (*reaches)[3]);
 
-/* Replaces the directions of a low-poly mesh, loaded from `path`, by the way from each corner to
- * the same corner of the cage mesh at `cage_path`. Errors: those of fmt_mesh_load(); BSQ_EDATA,
- * with the first face that differs, if the two have not the same faces. */
-int bake_cage_directions(struct bsq_ctx *ctx, const char *path, const struct fmt_mesh *mesh,
-                         const char *cage_path, struct bake_lowmesh *out);
+/* Replaces the directions of a low-poly mesh by the way from each corner to the same corner of the
+ * cage mesh of the options, which is placed like it. `path` and `mesh` are of the low-poly mesh.
+ * Errors: those of fmt_mesh_load(); BSQ_EDATA, with the first face that differs, if the two have
+ * not the same faces. */
+int bake_cage_directions(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+                         const char *path, const struct fmt_mesh *mesh, struct bake_lowmesh *out);
 
 /* Turns unit directions into the way to a cage at this distance. */
 void bake_extrude(double distance, struct bake_lowmesh *mesh);

@@ -62,6 +62,7 @@ static const char *lacks(uint32_t need, const struct bake_options *options,
 #define MEMBER(kind, member)               BSQ_MEMBER(kind, struct bake_options, member)
 #define COUNT(member, least, most, usual)  MEMBER(COUNT, member), BSQ_RANGE(least, most, usual)
 #define NUMBER(member, most, usual)        MEMBER(NUMBER, member), BSQ_RANGE(0, most, usual)
+#define SHIFT(member)                      MEMBER(NUMBER, member), BSQ_RANGE(-MOST_LENGTH, MOST_LENGTH, 0)
 #define CHOICE(member, words_)             MEMBER(CHOICE, member), .words = words_
 #define EITHER(member, words_)             MEMBER(FLAG, member), .words = words_
 
@@ -172,6 +173,19 @@ static const struct bsq_option table[] = {
     {KEY("ao", "coarse", "N", "in grids, voxels hide as a whole from N voxels on; none"),
      .old_name = "ao-coarse", .words = "none", NUMBER(ao_coarse, MOST_LENGTH, BAKE_AO_COARSE),
      .positive = true, .needs = OPEN_RAYS | GRID},
+
+    {KEY("low", "scale", "X", "multiply the low-poly mesh by X"), .heading = "Low-poly mesh",
+     NUMBER(low_scale, MOST_LENGTH, 1), .positive = true},
+    {KEY("low", "turn", "AXES", "then turn it: z-up, y-up, or what becomes of xyz, such as -yxz"),
+     CHOICE(low_turn, BAKE_TURNS)},
+    {KEY("low", "x", "D", "then shift it along x"), SHIFT(low_x)},
+    {KEY("low", "y", "D", "likewise, along y"), SHIFT(low_y)},
+    {KEY("low", "z", "D", "likewise, along z"), SHIFT(low_z)},
+    {KEY("low", "normals", "NAME",
+         "if its file has none: angle or smooth (weighted by angle or area),\n"
+         "or flat (default: angle; flat for glTF)"),
+     CHOICE(low_normals, "auto angle smooth flat")},
+    {OPTION("as-is", NULL, "bake meshes that do not fit each other"), MEMBER(FLAG, as_is)},
 
     {OPTION("sampling", "MODE", "trilinear or nearest, for grids"), .heading = "Scans",
      CHOICE(sampling, "trilinear nearest"), .needs = GRID_TO_SAMPLE},

@@ -144,17 +144,6 @@ uint64_t bake_look_loads(const struct bake_look *look);
 
 /* ---- maps ---- */
 
-/* Chooses ray lengths in world units, along the low-poly mesh's normals (front) and against them
- * (back):
- *   1. Casts 16384 rays from points spread evenly over the low-poly mesh, both ways along its
- *      normals, up to a tenth of the diagonal of the scan's bounds.
- *   2. Takes the 99.9th percentile of the distances of the hits on either side.
- *   3. Returns one and a half times that percentile plus two details (struct bake_surface).
- * If fewer than one ray in a hundred hits, both are a twentieth of the diagonal. Deterministic.
- * Errors: those of bake_surface_trace(). */
-int bake_measure_distances(const struct bake_surface *surface, const struct bake_lowmesh *mesh,
-                           double *front, double *back);
-
 /* Trace and resolve all tiles of a map into its image: on a device, of the only scan, a grid; or in
  * batches of rays, on the processor. tiles->triangles are in the surface's index space,
  * tiles->params are the surface's. object_of: of each triangle; NULL unless surface->sees is set.

@@ -5,13 +5,16 @@
 
 #include "base/context.h"
 #include "base/parallel.h"
-#include "libbake/surface/surface.h"
+#include "libbake/fit/fit.h"
 #include "tests/bench/rays.h"
 
 static int choose_distances(struct rays_scene *scene)
 {
+    struct bake_options options;
     double front, back;
-    int status = bake_measure_distances(&scene->surface, &scene->mesh, &front, &back);
+    bake_defaults(&options);
+    options.as_is = true;
+    int status = bake_fit(&scene->surface, &scene->mesh, &options, &front, &back);
     if (status == 0)
         bake_surface_set_lengths(&scene->surface, front, back);
     scene->job.params = scene->surface.params;

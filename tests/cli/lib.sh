@@ -54,6 +54,8 @@ run()
     shift
     code=0
     "$BIN/$program" "$@" >"$out" 2>"$err" || code=$?
+    # Most meshes of the tests have no normals.
+    [ "$program" != bisque-bake ] || sed -i '/^bisque-bake: warning: .* has no normals.*: it gets /d' "$err"
 }
 
 # code N: the exit code.

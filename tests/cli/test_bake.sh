@@ -432,8 +432,8 @@ without_hit()
 without_hit 0.75 0 ': try a larger --front and --back, or --two-sided if the scan.s faces are wound inwards'
 without_hit 0.75 0 ': try a larger --front and --back' --two-sided
 without_hit 1 5000000 '\(5000000 0 0\) to \(5000001 2 3\): are they in the same place and units\?'
-without_hit 1000 0 ': are they in the same place and units\?'
-without_hit 1000 0 ': are they in the same place and units\?' --max-missed 100
+without_hit 1000 0 ': are they in the same place and units\?' --as-is
+without_hit 1000 0 ': are they in the same place and units\?' --max-missed 100 --as-is
 rm away.obj
 files $start
 

@@ -166,7 +166,7 @@ rm forty.* m_*
 
 # ---- the same again ----
 
-plan="bisque-bake scan.nvdb low.obj $size -o maps/<MAP>.<UDIM>.exr --maps normal,height --tasks 3 --write-plan farm/plan.json"
+plan="bisque-bake scan.nvdb low.obj $size --low normals=angle -o maps/<MAP>.<UDIM>.exr --maps normal,height --tasks 3 --write-plan farm/plan.json"
 mkdir maps
 rm -rf one farm/*
 ok run $plan

@@ -386,10 +386,17 @@ grep -v '^vn' low.obj | sed 's|/[0-9]*\( \)|\1|g; s|/[0-9]*$||' >low.plain.obj
 for kind in low low.plain; do
     python3 "$top/tests/scan/write_glb.py" "$kind.obj" "$kind.glb"
     for suffix in obj glb; do
-        ok run bisque-bake scan.nvdb "$kind.$suffix" -o "$kind.$suffix.exr" --maps normal --size 128
+        ok run bisque-bake scan.nvdb "$kind.$suffix" -o "$kind.$suffix.exr" --maps normal --size 128 --low normals=angle
     done
     ok run bisque-compare --type normal "$kind.obj.exr" "$kind.glb.exr" --max-mean 0.01
 done
+# By their specification, they are flat in glTF files.
+for normals in auto angle flat; do
+    ok run bisque-bake scan.nvdb low.plain.glb -o $normals.exr --maps normal --size 128 --low normals=$normals
+done
+same auto.exr flat.exr
+! cmp -s auto.exr angle.exr
+check "smooth normals are others" $?
 for attribute in '' ',"TANGENT":0'; do
     printf '{"asset":{"version":"2.0"},"buffers":[{"uri":"square.bin","byteLength":86}],
 "bufferViews":[{"buffer":0,"byteLength":80}],"accessors":[
@@ -413,10 +420,12 @@ for suffix in blender.fbx assimp.dae assimp.x assimp.3ds; do
         "$python" -B "$meshes/same_triangles.py" 0.00001 uv.tris other.tris
         check "the triangles of uv.$suffix" $?
     fi
-    ok run bisque-bake uv.nvdb "$meshes/uv.$suffix" -o other.exr --maps normal --size 64
+    turn=none
+    [ $suffix != assimp.3ds ] || turn=z-up
+    ok run bisque-bake uv.nvdb "$meshes/uv.$suffix" -o other.exr --maps normal --size 64 --low turn=$turn
     case $suffix in
     assimp.dae | assimp.x) # the others have normals of flat faces
-        ok run bisque-compare --type normal uv.exr other.exr --max-error 0.01
+        ok run bisque-compare --type normal uv.exr other.exr --max-error 0.05
         ;;
     esac
 done
@@ -452,7 +461,7 @@ for name in named unnamed; do
     ok run bisque-bake uv.nvdb $name.dae -o 'object_<OBJECT>.exr' --maps normal --size 64
     [ "$(grep -c "$name.dae: the file's tangents are not used" "$err")" -eq $((${#name} == 5)) ]
     check "warning of tangents: $name.dae" $?
-    ok run bisque-compare --type normal uv.exr 'object_a patch.exr' --max-error 0.01
+    ok run bisque-compare --type normal uv.exr 'object_a patch.exr' --max-error 0.05
     rm -f object_*.exr
 done
 head -c 3000 "$meshes/uv.blender.fbx" >cut.fbx
@@ -460,7 +469,7 @@ run bisque-bake uv.nvdb cut.fbx -o other.exr --maps normal
 refused_like 65 '^bisque-bake: cut.fbx: cannot be read: '
 gzip -c "$meshes/uv.assimp.dae" >uv.dae.gz
 ok run bisque-bake uv.nvdb uv.dae.gz -o other.exr --maps normal --size 64
-ok run bisque-compare --type normal uv.exr other.exr --max-error 0.01
+ok run bisque-compare --type normal uv.exr other.exr --max-error 0.05
 run bisque-bake uv.nvdb "$meshes/uv.assimp.dae" -o other.exr --maps normal --memory 300K
 code 71
 # Damaged files for which Assimp asks for 6 GB, or takes memory in a loop without end.

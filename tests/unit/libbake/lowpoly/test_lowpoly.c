@@ -10,6 +10,8 @@ struct fixture {
     FILE *file;
     struct bake_lowmesh mesh;
     enum bake_rays rays;
+    enum bake_low_normals normals;
+    const struct bake_placement *placement;
 };
 
 static int set_up(void **state)
@@ -36,7 +38,8 @@ static int tear_down(void **state)
 
 static int load_file(struct fixture *f, const char *path)
 {
-    const struct bake_lowmesh_options options = {.path = path, .rays = f->rays};
+    const struct bake_lowmesh_options options = {
+        .path = path, .rays = f->rays, .normals = f->normals, .placement = f->placement};
     return bake_lowmesh_load(f->ctx, &options, &f->mesh);
 }
 
@@ -166,17 +169,73 @@ FIXTURE_TEST(test_tangents_far_from_the_origin)
     }
 }
 
-FIXTURE_TEST(test_large_triangles_weigh_more)
+/* Two triangles share vertices 1 and 2: one of area 3 that faces z, one of area 1 that faces -y. At
+ * vertex 1 both have right angles, at vertex 2 those of legs 3 to 2 and 1 to 2. */
+FIXTURE_TEST(test_missing_normals_by_weight)
+{
+    static const struct {
+        enum bake_low_normals kind;
+        double at[2][2]; /* y and z at vertices 1 and 2 of the first triangle, of any length */
+    } cases[] = {{BAKE_LOW_AUTO, {{-1, 1}, {-0.4636476, 0.9827937}}},
+                 {BAKE_LOW_ANGLE, {{-1, 1}, {-0.4636476, 0.9827937}}},
+                 {BAKE_LOW_SMOOTH, {{-1, 3}, {-1, 3}}},
+                 {BAKE_LOW_FLAT, {{0, 1}, {0, 1}}}};
+    struct fixture *f = *state;
+    fputs("v 0 0 0\nv 2 0 0\nv 0 3 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\n"
+          "f 1/1 2/2 3/3\nf 1/1 2/2 4/3\n",
+          f->file);
+    fflush(f->file);
+    for (size_t c = 0; c < sizeof cases / sizeof *cases; c++) {
+        f->normals = cases[c].kind;
+        assert_int_equal(load_file(f, "low.obj"), 0);
+        for (int v = 0; v < 2; v++) {
+            const double *yz = cases[c].at[v], length = hypot(yz[0], yz[1]);
+            assert_vector(f->mesh.normals[0][v], 0, (float)(yz[0] / length),
+                          (float)(yz[1] / length));
+        }
+        assert_vector(f->mesh.normals[0][2], 0, 0, 1);
+        assert_vector(f->mesh.normals[1][2], 0, -1, 0);
+        bake_lowmesh_free(f->ctx, &f->mesh);
+    }
+    fclose(f->file);
+}
+
+/* Each word of BAKE_TURNS is another turn, and no mirror. */
+TEST(test_turns)
+{
+    double turns[24][3][3];
+    unsigned count = 1;
+    for (const char *at = BAKE_TURNS; *at; at++)
+        count += *at == ' ';
+    assert_int_equal(count, 24);
+    for (unsigned t = 0; t < count; t++) {
+        double(*m)[3] = turns[t], cross[3];
+        bake_turn_matrix(t, m);
+        for (int k = 0; k < 3; k++)
+            cross[k] =
+                m[0][(k + 1) % 3] * m[1][(k + 2) % 3] - m[0][(k + 2) % 3] * m[1][(k + 1) % 3];
+        for (int k = 0; k < 3; k++)
+            assert_true(cross[k] == m[2][k]);
+        for (unsigned u = 0; u < t; u++)
+            assert_memory_not_equal(turns[u], m, sizeof turns[u]);
+    }
+}
+
+/* A mesh and its normals: scaled, then turned so that z points upwards, then shifted. */
+FIXTURE_TEST(test_placement)
 {
     struct fixture *f = *state;
-    /* Two triangles share vertices 1 and 2: one of area 3 that faces z, one of area 1 that faces
-     * -y. */
-    load_text(f, "v 0 0 0\nv 2 0 0\nv 0 3 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\n"
-                 "f 1/1 2/2 3/3\nf 1/1 2/2 4/3\n");
-    assert_vector(f->mesh.normals[0][0], 0, -1 / sqrtf(10), 3 / sqrtf(10));
-    assert_vector(f->mesh.normals[1][1], 0, -1 / sqrtf(10), 3 / sqrtf(10));
-    assert_vector(f->mesh.normals[0][2], 0, 0, 1);
-    assert_vector(f->mesh.normals[1][2], 0, -1, 0);
+    const struct bake_options options = {
+        .low_scale = 2, .low_turn = 1, .low_x = 10, .low_y = 20, .low_z = 30};
+    struct bake_placement placement;
+    bake_placement_of(&options, &placement);
+    f->placement = &placement;
+    load_text(f, "v 1 2 3\nv 2 2 3\nv 1 2 4\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 1 0\n"
+                 "f 1/1/1 2/2/1 3/3/1\n");
+    assert_true(f->mesh.positions[0][0][0] == 12 && f->mesh.positions[0][0][1] == 14 &&
+                f->mesh.positions[0][0][2] == 34);
+    assert_true(f->mesh.bounds_min[1] == 12 && f->mesh.bounds_max[0] == 14);
+    assert_vector(f->mesh.normals[0][0], 0, 0, 1);
 }
 
 FIXTURE_TEST(test_attributes_of_the_file)
