@@ -632,7 +632,7 @@ int bake_fit(const struct bake_surface *surface, const struct bake_lowmesh *mesh
                       .low_size = diagonal(mesh->bounds_min, mesh->bounds_max),
                       .measured = measured,
                       .count = measured ? PROBES : FEW};
-    double layers = 0;
+    double layers = 0, reach = 0;
     bool fits = true;
     int status = 0;
     *front = options->front;
@@ -644,8 +644,10 @@ int bake_fit(const struct bake_surface *surface, const struct bake_lowmesh *mesh
     BSQ_TRY(trace_probes(&fit));
     if (measured) {
         BSQ_TRY(choose_lengths(&fit, front, back));
+        /* The low-poly mesh may be in the middle between two layers. */
+        reach = fmin(2 * fmax(*front, *back), USUAL_LIMIT * fit.scan_size);
         if (!options->as_is)
-            BSQ_TRY(measure_layers(&fit, *front + *back, &layers));
+            BSQ_TRY(measure_layers(&fit, reach, &layers));
     }
     if (!options->as_is)
         status = judge(&fit, &fits);
@@ -653,7 +655,7 @@ int bake_fit(const struct bake_surface *surface, const struct bake_lowmesh *mesh
         bsq_warn(surface->ctx,
                  "in front of %.0f %% of the nearest surface, %s has another layer within %g: the "
                  "nearest to the low-poly mesh is baked; a cage, or a shorter --front, chooses",
-                 100 * layers, scan_name(&fit), *front + *back);
+                 100 * layers, scan_name(&fit), reach);
 done:
     bsq_free(surface->ctx, fit.objects);
     bsq_free(surface->ctx, fit.poses);
