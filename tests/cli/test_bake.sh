@@ -562,7 +562,7 @@ done
 # ---- failures on the way ----
 
 command="bisque-bake with a file size limit" code=0
-(ulimit -f 8 && exec "$BIN/bisque-bake" --device cpu --size 1024 --type float plain.nvdb low.obj \
+(ulimit -f 8 && exec "$BIN/bisque-bake" --device cpu --low normals=angle --size 1024 --type float plain.nvdb low.obj \
     --padding all -o a.exr) >"$out" 2>"$err" || code=$?
 refused_like 74 '^bisque-bake: a\.exr: '
 files $start
