@@ -203,12 +203,12 @@ static int parse_source(const struct fmt_tris_file *file, uint32_t version, stru
     memcpy(out->value, record.value, sizeof out->value);
     const bool good = take_wrap(version, &record.component, &out->uv);
     out->component = record.component;
-    if (version < FMT_TRIS_VERSION_FACTORS && record.path_bytes != TRIS_NO_PATH &&
-        out->component != BSQ_CHANNEL_CUTOUT)
-        out->value[0] = out->value[1] = out->value[2] = 1;
     if (!good || !isfinite(out->value[0]) || !isfinite(out->value[1]) || !isfinite(out->value[2]) ||
         out->component >= BSQ_CHANNEL_COMPONENTS || !take_uv(&record.uv, &out->uv))
         return fmt_tris_damaged(file, "a channel of a material has a wrong value");
+    if (version < FMT_TRIS_VERSION_FACTORS && record.path_bytes != TRIS_NO_PATH &&
+        out->component != BSQ_CHANNEL_CUTOUT)
+        out->value[0] = out->value[1] = out->value[2] = 1;
     return parse_path(file, parts, record.path_bytes, &out->texture_path);
 }
 

@@ -47,12 +47,12 @@ damage()
 }
 
 # ended: the last run ended with 0, or with one line about the grid: 74 if it was overwritten while
-# it was open, 65 if that was before.
+# it was open, 65 if that was before. Warnings may come first.
 ended()
 {
     case $code in
     0) ;;
-    65 | 74) [ "$(wc -l <"$err")" -eq 1 ] && grep -q '^bisque-bake: live.nvdb: ' "$err" ;;
+    65 | 74) [ "$(grep -vc ': warning: ' "$err")" -eq 1 ] && grep -q '^bisque-bake: live.nvdb: ' "$err" ;;
     *) false ;;
     esac
     check "ended with 0, 65 or 74: $command" $?
