@@ -28,7 +28,7 @@ static const double load_seconds = 0.16e-6, reach_seconds = 0.65e-6, look_second
 enum { THREADS = 8 };
 enum {
     PROGRAM_BYTES = 24 << 20,
-    TRIANGLE_BYTES = 384,       /* of a low-poly triangle: corners, and what the device gets */
+    TRIANGLE_BYTES = 432,       /* of a low-poly triangle: corners, and what the device gets */
     TILE_BYTES = 128 << 10,     /* of a thread that traces a grid */
     STREAM_BYTES = 512 << 10,   /* of a thread that traces secondary rays on a grid */
     TREE_LEAF_BYTES = 224,      /* of a grid's leaf in the tree for these rays, while it is built */

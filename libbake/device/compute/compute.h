@@ -9,8 +9,100 @@
 #include <pthread.h>
 
 #include "libbake/device/backend/backend.h"
-#include "libbake/device/compute/launches.h"
-#include "libbake/device/compute/staging_buffer.h"
+
+/* ---- launch batches: launches.c ---- */
+
+/* How much of a tile one kernel launch traces.
+ *
+ * A device does nothing else during a launch, and desktop drivers abort launches that take seconds.
+ * So a launch should take BAKE_BATCH_SECONDS. The cost of a ray depends on the device, the rays'
+ * lengths and the grid. Each worker therefore starts with BAKE_BATCH_FIRST samples, measures each
+ * tile, and grows at most fourfold from one tile to the next. A tile whose rays cost four times as
+ * much as those of the tile before still has launches of at most 0.2 s. A batch has at least one
+ * row of the tile and BAKE_BATCH_LEAST samples: less would measure the overhead of a launch.
+ *
+ * Samples whose hits send rays count as several.
+ *
+ * One thread of the device traces the samples of a texel one after another. Each takes about 30 us
+ * on any device, and a texel has up to 4096. If a texel has more than BAKE_BATCH_THREAD samples, a
+ * launch takes some lines of the samples of many texels, and later launches continue. */
+#define BAKE_BATCH_SECONDS 0.05
+
+enum { BAKE_BATCH_FIRST = 1 << 17, BAKE_BATCH_LEAST = 1 << 14, BAKE_BATCH_THREAD = 1 << 8 };
+
+/* A worker's estimate; zero at first. */
+struct bake_batch_sizer {
+    uint64_t samples; /* in the next launch; 0: BAKE_BATCH_FIRST */
+};
+
+/* What a launch traces: lines first_line to end_line - 1 of the samples of each texel in rows
+ * first_row to end_row - 1. */
+struct bake_launch_batch {
+    uint32_t first_row, end_row, first_line, end_line;
+};
+
+/* Returns how many of a texel's n lines of n samples one launch traces: 1 to n. */
+uint32_t bake_batch_lines(uint32_t n);
+
+/* Returns how many rows one launch traces of a tile with `height` rows of row_samples samples: 1 to
+ * height. */
+uint32_t bake_batch_rows(const struct bake_batch_sizer *sizer, uint64_t row_samples,
+                         uint32_t height);
+
+/* Learns that `samples` took `seconds` on the device. */
+void bake_batch_sizer_learn(struct bake_batch_sizer *sizer, uint64_t samples, double seconds);
+
+/* ---- times: launches.c ---- */
+
+enum { BAKE_TIME_SPANS_MAX = 256 };
+
+struct bake_span {
+    double start, end; /* seconds on any one clock */
+};
+
+/* The union of time spans: kernels of several streams overlap, so their sum would exceed the time
+ * that passed. Zero at first. Not thread-safe. */
+struct bake_time_spans {
+    double closed; /* length of the spans that have left the list */
+    unsigned count;
+    struct bake_span spans[BAKE_TIME_SPANS_MAX];
+};
+
+/* Adds a span. Spans may come in any order, as long as none comes after more than
+ * BAKE_TIME_SPANS_MAX / 2 later ones that do not touch each other. */
+void bake_time_spans_add(struct bake_time_spans *spans, const struct bake_span *span);
+
+/* Returns the length of the union of all spans, in seconds. */
+double bake_time_spans_seconds(struct bake_time_spans *spans);
+
+/* ---- uploads: staging_buffer.c ---- */
+
+/* Two halves of host memory through which data goes up to a device.
+ *
+ * One half is filled while the device copies the other, so the host never copies anything larger.
+ * The API allocates the halves and sends them. Only one thread at a time may use a buffer. */
+struct bake_staging_buffer {
+    char *halves[2]; /* of half_bytes each */
+    uint64_t half_bytes;
+    unsigned filling; /* the half that is being filled */
+    uint64_t used;    /* bytes of it */
+    /* Sends `bytes` of a half to the device, after the bytes sent before. Returns when the other
+     * half may be filled: 0 or a negative status, which the functions below pass on. */
+    int (*send)(void *device, unsigned half, uint64_t bytes);
+    void *device;
+    /* Its threads fill a half together: one thread reads a mapped file several times slower than a
+     * device empties the buffer. NULL: the calling thread alone, while the others trace. */
+    struct bsq_ctx *ctx;
+};
+
+/* Appends data, and sends each half that is full. staging: a struct bake_staging_buffer, so that
+ * this can be the sink of bake_subgrid_send(). */
+int bake_staging_put(void *staging, const void *data, uint64_t bytes);
+
+/* Sends the half that is being filled. */
+int bake_staging_flush(struct bake_staging_buffer *staging);
+
+/* ---- devices: compute.c ---- */
 
 /* Device memory, as the API names it; 0: none. */
 typedef uint64_t bake_memory;

@@ -1,6 +1,6 @@
 /* launches.c - the size of a launch follows the time that earlier ones took; a list of time spans
  * is merged whenever it is full. */
-#include "libbake/device/compute/launches.h"
+#include "libbake/device/compute/compute.h"
 
 #include <string.h>
 

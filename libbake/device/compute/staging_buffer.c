@@ -1,5 +1,5 @@
 /* staging_buffer.c - fills one half after the other. */
-#include "libbake/device/compute/staging_buffer.h"
+#include "libbake/device/compute/compute.h"
 
 #include <string.h>
 

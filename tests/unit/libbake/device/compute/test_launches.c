@@ -1,5 +1,5 @@
 /* test_launches.c - launch batches follow measured times; unions of time spans. */
-#include "libbake/device/compute/launches.h"
+#include "libbake/device/compute/compute.h"
 #include "libbake/device/job/job.h"
 #include "tests/unit/test.h"
 

@@ -1,7 +1,7 @@
 /* test_staging_buffer.c - data put into a staging buffer is sent in order and complete, also if
  * several threads fill it. */
 #include "base/context.h"
-#include "libbake/device/compute/staging_buffer.h"
+#include "libbake/device/compute/compute.h"
 #include "tests/unit/test.h"
 
 enum { PIECE = (5 << 20) + 3, TOTAL = 24 << 20 };

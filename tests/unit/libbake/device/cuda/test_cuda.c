@@ -7,7 +7,7 @@
 #include "libbake/device/cuda/cuda.h"
 #include "libbake/device/cuda/cuda_api.h"
 #include "libbake/device/driver/driver.h"
-#include "libbake/device/compute/launches.h"
+#include "libbake/device/compute/compute.h"
 #include "tests/unit/libbake/device/traced_sheet.h"
 #include "tests/unit/test.h"
 
