@@ -210,7 +210,7 @@ check-farm: tests-build deps-farm
 .PHONY: check-long
 check-long: check
 	@LONG=1 BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
-	    $(patsubst %,tests/cli/test_%.sh,faults overwritten oracle reproducible) \
+	    $(patsubst %,tests/cli/test_%.sh,combine faults overwritten oracle reproducible) \
 	    $(BUILD)/tests/exhaustion/test_exhaustion
 
 # ---- quality ----

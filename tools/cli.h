@@ -40,7 +40,7 @@ struct cli {
     bool json;   /* print results as JSON */
     bool verify; /* only check files */
     bool strict; /* warnings of lost data are errors */
-    bool help, version;
+    bool help, list_options, version;
 
     bool reported;  /* the failure has been printed */
     bool bar_drawn; /* the terminal's last line is a progress bar */

@@ -203,6 +203,22 @@ static void print_help(const struct cli_command *command, const struct cli_table
         command->print_more();
 }
 
+/* Prints a line for each option of the help, with tabs between the columns: name, key, old name,
+ * kind, least and most value, words, argument. An option with a syntax of its own has the kind
+ * "own". */
+static void print_options(const struct cli_table *tables, size_t count)
+{
+    static const char *const kinds[] = {"flag", "count", "bytes",  "number", "choice",
+                                        "text", "input", "output", "list",   "none"};
+    for (const struct cli_table *table = tables; table < tables + count; table++)
+        for (const struct bsq_option *row = table->rows; row < table->rows + table->count; row++)
+            if (row->name && row->help)
+                printf("%s\t%s\t%s\t%s\t%.17g\t%.17g\t%s\t%s\n", row->name,
+                       row->key ? row->key : "", row->old_name ? row->old_name : "",
+                       row->own_syntax ? "own" : kinds[row->kind], row->least, row->most,
+                       row->words ? row->words : "", row->argument ? row->argument : "");
+}
+
 /* ---- the command line ---- */
 
 #define MEMBER(kind, member) BSQ_MEMBER(kind, struct cli, member)
@@ -231,6 +247,7 @@ static const struct bsq_option common_rows[] = {
     {.name = "json", MEMBER(FLAG, json), .help = "print the results as JSON"},
     {.name = "help", MEMBER(FLAG, help), .help = "print this help"},
     {.name = "version", MEMBER(FLAG, version), .help = "print the version"},
+    {.name = "list-options", MEMBER(FLAG, list_options)}, /* for tests */
 };
 
 /* What getopt_long() knows, and the row of each option. */
@@ -341,9 +358,11 @@ static int take_option(struct parser *parser, int option)
                      : take_value(parser, table, row, name, optarg ? optarg : "");
     if (status == 0 && cli->help)
         print_help(parser->command, parser->tables, parser->table_count);
+    if (status == 0 && cli->list_options)
+        print_options(parser->tables, parser->table_count);
     if (status == 0 && cli->version)
         cli_print("%s %s\n", cli->program, BSQ_VERSION);
-    return status == 0 && (cli->help || cli->version) ? 2 : status;
+    return status == 0 && (cli->help || cli->list_options || cli->version) ? 2 : status;
 }
 
 int cli_parse(struct cli *cli, const struct cli_command *command, int argc, char **argv)

@@ -1,0 +1,38 @@
+"""The options of a program, from its own table, and random values for them."""
+
+import subprocess
+
+
+class Option:
+    def __init__(self, line):
+        columns = line.rstrip("\n").split("\t")
+        self.name, self.key, self.old_name, self.kind = columns[:4]
+        self.least, self.most = float(columns[4]), float(columns[5])
+        self.words = columns[6].replace("/", " ").split()
+        self.argument = columns[7]
+
+    @property
+    def id(self):
+        return self.name + (" " + self.key if self.key else "")
+
+
+def read(program):
+    """Returns the options that `program --list-options` names."""
+    text = subprocess.run([program, "--list-options"], capture_output=True, text=True, check=True).stdout
+    return [Option(line) for line in text.splitlines()]
+
+
+def value_of(option, random):
+    """Returns a random value of an option whose kind says what it takes; "" for one without."""
+    if option.kind == "choice" or option.kind == "flag":
+        return random.choice(option.words) if option.words else ""
+    if option.words and random.random() < 0.2:
+        return random.choice(option.words)
+    if option.kind == "count":
+        most = min(option.most, max(option.least, random.choice([4, 12, 12, 40])))
+        return str(random.randint(int(option.least), int(most)))
+    if option.kind == "number":
+        return "%.6g" % min(option.most, max(option.least, 10 ** random.uniform(-3, 2)))
+    if option.kind == "bytes":
+        return "%dK" % 2 ** random.uniform(9, 21)
+    raise ValueError("--%s: no random value for the kind %s" % (option.id, option.kind))

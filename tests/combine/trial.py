@@ -1,0 +1,241 @@
+"""A trial: random files and random options, as data that can be run again with less of it."""
+
+import os
+import re
+
+import meshes
+import options
+
+# Options that a trial sets itself, and those that do something else than a bake or a grid.
+OWN = {
+    "bisque-bake": "output device tasks write-plan plan task merge merge-tile force list memory threads"
+    " path-map help version",
+    "bisque-voxelize": "output tris no-tris resume force parse-only verify memory threads path-map help"
+    " version scale up translate tmpdir",
+    "bisque-compare": "memory threads path-map help version",
+}
+SHARE = 0.15  # of the options that are given
+SIZES = {"size", "resolution", "voxel-size"}  # without one, a trial takes long
+
+
+class Scan:
+    def __init__(self, name, files, given, kind):
+        self.name, self.files, self.given, self.kind = name, files, given, kind
+
+    @property
+    def path(self):
+        return "../in/%s.%s" % (self.name, self.kind)
+
+
+class Trial:
+    """The inputs of a bake, in `inputs`, and its options: a list of (option, value) for each command."""
+
+    def __init__(self, random, inputs, tables):
+        self.random, self.inputs, self.tables = random, inputs, tables
+        self.shape = meshes.Shape(random)
+        self.tiles = random.choice([[0], [0], [0, 1], [0, 11]])
+        self.object_count = random.choice([1, 1, 1, 2])
+        self.has_uvs, self.has_colors = random.random() < 0.6, random.random() < 0.6
+        self.write_images()
+        self.scans = self.make_scans()
+        self.lows = self.make_lows()
+        self.bake = self.draw("bisque-bake")
+        self.compare = self.draw("bisque-compare")
+        self.name = self.draw_name()
+
+    # ---- files ----
+
+    def write_images(self):
+        side = self.random.choice([1, 7, 32])
+        for name, magic, count in (("grey.pgm", "P2", 1), ("color.ppm", "P3", 3), ("rough.pgm", "P2", 1)):
+            texels = (str(self.random.randint(0, 255)) for _ in range(count * side * side))
+            with open(os.path.join(self.inputs, name), "w") as out:
+                out.write("%s %d %d 255\n%s\n" % (magic, side, side, "\n".join(texels)))
+        with open(os.path.join(self.inputs, "scan.mtl"), "w") as out:
+            out.write("newmtl clay\nKd 0.8 0.3 0.2\nmap_Pr rough.pgm\nnewmtl glaze\nKd 0.1 0.5 0.9\n")
+            out.write("map_Kd color.ppm\n" if self.random.random() < 0.5 else "")
+
+    def make_scans(self):
+        """Writes scans, one for each object or several for all, each in some files."""
+        scans = []
+        for i in range(max(self.object_count, self.random.choice([1, 1, 1, 2]))):
+            name = "o%d_high" % i
+            files, count = [], self.random.choice([1, 1, 2])
+            normals = self.random.random() < 0.3
+            for part in range(count):
+                mesh = meshes.Mesh()
+                mesh.library = "scan.mtl" if self.random.random() < 0.5 else None
+                for material in ["clay", "glaze"] if mesh.library else [None]:
+                    meshes.patch(mesh, self.random, self.shape, self.random.randint(1, 30), self.random.randint(1, 30),
+                                 True, "p%d" % part, material, None, i if self.object_count > 1 else 0,
+                                 self.random.random() < 0.5)
+                if self.random.random() < 0.3:
+                    for _, _, faces in mesh.parts:
+                        self.random.shuffle(faces)
+                kind = self.random.choice(["obj", "obj", "text.ply", "ply", "stl", "gltf"])
+                path = os.path.join(self.inputs, "%s_%d.%s" % (name, part, kind))
+                meshes.write(mesh, path, kind, self.has_uvs, normals, self.has_colors)
+                if self.random.random() < 0.2:
+                    path = meshes.pack(path, self.random)
+                files.append("../in/" + os.path.basename(path))
+            scans.append(Scan(name, files, self.draw("bisque-voxelize"), self.random.choice(["nvdb", "nvdb", "tris"])))
+        return scans
+
+    def place(self, tile, part, count, overlaps):
+        """Returns a map from the unit square to a chart in a UDIM tile."""
+        low, width = (0.05, 0.9) if overlaps else (0.05 + part / count, 0.9 / count)
+        return lambda u, v: (tile % 10 + low + width * u * 0.95, tile // 10 + 0.05 + 0.9 * v)
+
+    def make_lows(self):
+        """Writes low-poly meshes, of which one may have several objects; and a cage of a single one."""
+        single = self.random.random() < 0.6
+        normals, overlaps = self.random.random() < 0.5, self.random.random() < 0.2
+        built, count = [], self.object_count * len(self.tiles)
+        for i in range(self.object_count):
+            mesh = built[0] if single and built else meshes.Mesh()
+            for k, tile in enumerate(self.tiles):
+                meshes.patch(mesh, self.random, self.shape, self.random.randint(1, 8), self.random.randint(1, 8), False,
+                             "o%d_low" % i, self.random.choice(["skin", "cloth"]),
+                             self.place(tile, i * len(self.tiles) + k, count, overlaps), i)
+            if mesh not in built:
+                built.append(mesh)
+        paths = []
+        for i, mesh in enumerate(built):
+            kind = self.random.choice(["obj", "obj", "ply", "gltf"])
+            path = os.path.join(self.inputs, "o%d_low.%s" % (i, kind))
+            meshes.write(mesh, path, kind, True, normals, False)
+            kept = meshes.pack(path, self.random) if self.random.random() < 0.1 else path
+            paths.append("../in/" + os.path.basename(kept))
+            for k, n in enumerate(mesh.normals):
+                mesh.points[k] = [p + 0.2 * self.shape.size * x for p, x in zip(mesh.points[k], n)]
+            meshes.write(mesh, os.path.join(self.inputs, "cage.%s" % kind), kind, True, normals, False)
+            self.cage = "../in/cage.%s" % kind
+        return paths
+
+    # ---- options ----
+
+    def draw(self, program):
+        given = []
+        for option in self.tables[program]:
+            if option.name in OWN[program].split() or self.random.random() > SHARE:
+                continue
+            special = getattr(self, "draw_" + option.id.replace("-", "_").replace(" ", "_"), None)
+            value = special(program) if special else options.value_of(option, self.random)
+            if value is not None:
+                given.append((option, value))
+        if program == "bisque-bake" and not any(option.name == "size" for option, _ in given):
+            given.append((self.option(program, "size"), self.draw_size(program)))
+        if program == "bisque-voxelize":
+            given = [(option, value) for option, value in given if option.name not in SIZES]
+            draws = [("resolution", self.draw_resolution), ("voxel-size", self.draw_voxel_size)]
+            name, draw = self.random.choice(draws)
+            given.append((self.option(program, name), draw(program)))
+        return given
+
+    def option(self, program, name):
+        return next(option for option in self.tables[program] if option.name == name)
+
+    def draw_size(self, program):
+        large = self.random.random() < 0.1
+        side = self.random.randint(100, 300) if large else self.random.randint(1, 48)
+        if self.random.random() < 0.2:
+            first = "%d=%d" % (1001 + self.tiles[0], self.random.randint(1, 64))
+            return first + ",*=%d" % side if len(self.tiles) > 1 else first
+        return self.random.choice(["%d" % side, "%dx%d" % (side, self.random.randint(1, 64))])
+
+    def draw_tiles(self, program):
+        return "%d" % (1001 + self.random.choice(self.tiles)) if self.random.random() < 0.7 else "1001-1100"
+
+    def draw_maps(self, program):
+        names = ["normal", "mask", "height", "position", "curvature", "ao", "bent", "thickness"]
+        names += ["color"] if self.has_colors else []
+        if self.random.random() < 0.2:
+            return "all"
+        return ",".join(self.random.sample(names, self.random.randint(1, 5)))
+
+    def draw_texture(self, program):
+        return "../in/color.ppm" if program == "bisque-voxelize" else None
+
+    def draw_cage(self, program):
+        return self.cage if len(self.lows) == 1 else None
+
+    def draw_skew(self, program):
+        return "../in/grey.pgm"
+
+    def draw_scan_normal_map(self, program):
+        return "../in/color.ppm" if self.has_uvs else None
+
+    def draw_match(self, program):
+        return self.random.choice(["name", "_low,_high"]) if self.object_count > 1 else None
+
+    def draw_preview(self, program):
+        return "look.png" if self.random.random() < 0.3 else None  # a preview takes long
+
+    def draw_view_count(self, program):
+        return str(self.random.randint(1, 3))
+
+    def length(self, program):
+        return "%.6g" % (self.shape.size * 10 ** self.random.uniform(-2, 0))
+
+    draw_front = draw_back = draw_distance_ao = draw_distance_thickness = draw_distance_curvature = length
+    draw_range_height = length
+
+    def draw_samples(self, program):
+        return str(self.random.choice([1, 1, 2, 3, 5]))
+
+    def draw_resolution(self, program):
+        return str(self.random.choice([1, 20, 40, 40, 40, 90, 200]))
+
+    def draw_voxel_size(self, program):
+        return "%.6g" % (self.shape.size / self.random.randint(10, 100))
+
+    def draw_channels(self, program):
+        words = ["id", "roughness", "opacity", "id,roughness"] + ["metallic=../in/rough.pgm"] * self.has_uvs
+        return self.random.choice(words)
+
+    def draw_vdb(self, program):
+        return "x.vdb"
+
+    def draw_heatmap(self, program):
+        return "heat.png"
+
+    def draw_histogram(self, program):
+        return "hist.png"
+
+    def draw_mask(self, program):
+        return None
+
+    draw_mask_a = draw_mask_b = draw_mask
+
+    def draw_name(self):
+        parts = ["m_<MAP>"]
+        if len(self.tiles) > 1 or self.random.random() < 0.2:
+            parts.append(self.random.choice(["<UDIM>", "<UVTILE>"]))
+        if self.random.random() < 0.2:
+            parts.append(self.random.choice(["<OBJECT>", "<MATERIAL>"]))
+        return ".".join(parts) + self.random.choice([".exr", ".png"])
+
+
+def words(given, random=None, old=False):
+    """Returns the words of a command line. random: in another order. old: by earlier names."""
+    given = list(given)
+    if random:
+        random.shuffle(given)
+    out = []
+    for option, value in given:
+        if old and option.old_name:
+            out += ["--" + option.old_name, value]
+        elif option.key:
+            out += ["--" + option.name, "%s=%s" % (option.key, value)]
+        else:
+            out += ["--" + option.name] + ([value] if option.argument else [])
+    return out
+
+
+def named_in(message, given, random):
+    """Returns the option that a message of wrong usage speaks of, or any; None if only sizes are left."""
+    given = [(option, value) for option, value in given if option.name not in SIZES]
+    for option, value in given:
+        if re.search(r"--%s\b" % option.name, message) or (len(value) > 3 and value in message):
+            return option
+    return random.choice(given)[0] if given else None
