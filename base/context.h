@@ -42,8 +42,8 @@ enum bsq_status {
 };
 
 /** Normals of a scan (the high-poly mesh) that has none of its own. Smooth normals are interpolated
- * between vertices. The normal of a vertex is the weighted mean of its triangles' normals, but at
- * creases the triangles keep their own. */
+ * between vertices. The normal of a vertex is the weighted mean of its triangles' normals; at
+ * creases, each of two sides has one, or the triangles keep their own. */
 enum bsq_scan_normals {
     BSQ_SCAN_NORMALS_AREA,  /**< Smooth; weights are the triangles' areas. */
     BSQ_SCAN_NORMALS_ANGLE, /**< Smooth; weights are the triangles' angles at the vertex (Thuermer

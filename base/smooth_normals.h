@@ -2,25 +2,36 @@
  * around it.
  *
  * The normal of a vertex is the direction of the weighted sum of its triangles' unit normals.
- * Neighbouring facets that turn too far make a crease, where no normal stands for all of them. Sums
- * in double and in one order of triangles give the same bits however a scan is cut into chunks.
+ * Neighbouring facets that turn too far make a crease, where no normal stands for all of them.
+ * There the triangles are divided into two sides, each with a normal of its own. A triangle's
+ * corner takes the normal that is closer to the triangle's plane, or the triangle's own if both are
+ * far from it (docs/decisions/0008-normals-of-scans-without-normals.md). Sums in double and in one
+ * order of triangles give the same bits however a scan is cut into chunks.
  *
  * A one-ring's sums are rows of four doubles: the weighted normals and the weights; then, if there
- * is a second row, the moment. That is three times the weight times the distance of the triangle's
- * centroid from the vertex, and an unused number. */
+ * are more rows, the normals and the number of triangles; then the moment. That is three times the
+ * weight times the distance of the triangle's centroid from the vertex, and an unused number. */
 #ifndef BSQ_SMOOTH_NORMALS_H
 #define BSQ_SMOOTH_NORMALS_H
 
+#include <math.h>
 #include <stdbool.h>
+#include <string.h>
 
 #include "base/context.h"
 #include "base/simd/simd.h"
 
-/* Least ratio of the summed normals' length to the summed weights at a vertex that has a smooth
- * normal. At a crease, below it, triangles keep their own normals. Two sheets of equal weight reach
- * the limit, the cosine of half the fold, with a fold of 60 degrees. Both stages use it, so that
- * maps from voxels agree with exact maps. */
+/* Least ratio of the summed normals' length to the summed weights at a vertex, or on one side of a
+ * crease, that has a smooth normal. Two sheets of equal weight reach the limit, the cosine of half
+ * the fold, with a fold of 60 degrees. Both stages use it, so that maps from voxels agree with
+ * exact maps. */
 #define BSQ_CREASE_SHARE 0.866
+/* Least cosine of the angle between a triangle's plane and the normal of its vertex, 45 degrees. Of
+ * two sheets of any weights, with a fold below this, none is a crease. */
+#define BSQ_FACET_COSINE 0.70710678118654752
+/* Least sum of the squared distances of unit normals from their mean if two of them are more than
+ * 45 degrees apart. */
+#define BSQ_CREASE_SPREAD 0.2928
 
 #define BSQ_PI 3.14159265358979323846
 
@@ -87,10 +98,25 @@ LANES_INLINE struct row bsq_corner_factors(const struct row corner[3], double do
                      bsq_angles(doubled_area, row_of(along[0], along[1], along[2], 0.0)));
 }
 
+/* Adds a triangle to the moment of the one-ring of its corner i. */
+LANES_INLINE void bsq_add_moment(const struct row corner[3], int i, double weight, double moment[4])
+{
+    struct row next = row_difference(corner[(i + 1) % 3], corner[i]);
+    struct row previous = row_difference(corner[i], corner[(i + 2) % 3]);
+    row_add(moment, row_times(weight, row_difference(next, previous)));
+}
+
+/* Returns the unit normal of an area vector and 1; zeros without an area. */
+LANES_INLINE struct row bsq_unit_normal(struct row area)
+{
+    const double length = row_number(area, 3);
+    return row_times(length > 0 ? 1.0 / length : 0.0, area);
+}
+
 /* Adds the triangles from `begin` to `end` to the sums of their corners' one-rings. ring_of: the
  * number of each vertex's one-ring. The sums of number 0 are not meant to be used; triangles whose
  * corners all have number 0 are skipped. weights: a constant, not BSQ_SCAN_NORMALS_FLAT. rows: 1,
- * or 2 with the moment. One-ring n begins at sums[n * rows]. */
+ * 2, or 3 with the moment. One-ring n begins at sums[n * rows]. */
 LANES_INLINE void bsq_add_rings_weighted(const float (*positions)[3],
                                          const uint32_t (*triangles)[3], uint32_t begin,
                                          uint32_t end, const uint32_t *ring_of,
@@ -103,18 +129,17 @@ LANES_INLINE void bsq_add_rings_weighted(const float (*positions)[3],
             continue;
         for (int i = 0; i < 3; i++)
             corner[i] = row_of_floats(positions[v[i]]);
-        const struct row area = bsq_area_vector(corner);
+        const struct row area = bsq_area_vector(corner), unit = bsq_unit_normal(area);
         const struct row factors = bsq_corner_factors(corner, row_number(area, 3), weights);
         for (int i = 0; i < 3; i++) {
             double(*ring)[4] = &sums[(uint64_t)ring_of[v[i]] * (uint64_t)rows];
             const struct row normal =
                 weights == BSQ_SCAN_NORMALS_AREA ? area : row_times(row_number(factors, i), area);
             row_add(ring[0], normal);
-            if (rows == 2) {
-                struct row next = row_difference(corner[(i + 1) % 3], corner[i]);
-                struct row previous = row_difference(corner[i], corner[(i + 2) % 3]);
-                row_add(ring[1], row_times(row_number(normal, 3), row_difference(next, previous)));
-            }
+            if (rows > 1)
+                row_add(ring[1], unit);
+            if (rows > 2)
+                bsq_add_moment(corner, i, row_number(normal, 3), ring[2]);
         }
     }
 }
@@ -146,6 +171,109 @@ static inline bool bsq_is_smooth(double length, double weight)
 LANES_INLINE lane_mask bsq_are_smooth(doubles length, doubles weight)
 {
     return lanes_less(lanes_all(0.0), length) & ~lanes_less(length, BSQ_CREASE_SHARE * weight);
+}
+
+/* ---- creases ----
+ *
+ * One-rings that may be creases (bsq_may_fold()) are numbered from 1 on; all others have number 0
+ * in `crease_of`. Then bsq_find_farthest() looks at all triangles, and bsq_divide_ring() decides: a
+ * one-ring that stays whole gets number 0. At last bsq_add_sides() adds all triangles again. A
+ * divided one-ring then has the sums of its first side, and in `seconds`, at the number of the
+ * crease, those of its second side. Sides are weighted by angle, whatever the weights of the sums:
+ * where a surface ends, areas depend on how its last quads are cut.
+ *
+ * A crease begins as {0, 0, 0, INFINITY}. It becomes the unit normal of the triangle farthest from
+ * the summed normal, and its dot product with that; then a direction of the second side's
+ * normals. */
+
+static inline double bsq_row_dot(const double a[4], const double b[4])
+{
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
+
+/* Returns whether two triangles may be more than 45 degrees apart. units: sums of unit normals, and
+ * their number. */
+static inline bool bsq_may_fold(const double units[4])
+{
+    return bsq_row_dot(units, units) < (units[3] - BSQ_CREASE_SPREAD) * units[3];
+}
+
+/* Finds the farthest triangles among those from `begin` to `end`. */
+LANES_INLINE void bsq_find_farthest(const float (*positions)[3], const uint32_t (*triangles)[3],
+                                    uint32_t begin, uint32_t end, const uint32_t *ring_of,
+                                    const uint32_t *crease_of, int rows, const double (*sums)[4],
+                                    double (*creases)[4])
+{
+    for (uint32_t t = begin; t < end; t++) {
+        const uint32_t *v = triangles[t];
+        struct row corner[3];
+        double normal[4];
+        if ((crease_of[ring_of[v[0]]] | crease_of[ring_of[v[1]]] | crease_of[ring_of[v[2]]]) == 0)
+            continue;
+        for (int i = 0; i < 3; i++)
+            corner[i] = row_of_floats(positions[v[i]]);
+        row_store(bsq_unit_normal(bsq_area_vector(corner)), normal);
+        for (int i = 0; i < 3 && normal[3] > 0; i++) {
+            const uint32_t ring = ring_of[v[i]];
+            double *crease = creases[crease_of[ring]];
+            const double dot = bsq_row_dot(normal, sums[(uint64_t)ring * (uint64_t)rows]);
+            if (crease_of[ring] == 0 || dot >= crease[3])
+                continue;
+            memcpy(crease, normal, 3 * sizeof *crease);
+            crease[3] = dot;
+        }
+    }
+}
+
+/* Decides whether a one-ring is divided. If it is, clears its sums. Normals of the second side are
+ * closer to the farthest triangle's than to the part of the summed normal at right angles to it. */
+static inline bool bsq_divide_ring(double (*sum)[4], int rows, double crease[4])
+{
+    const double *total = sum[0], length = sqrt(bsq_row_dot(total, total));
+    double along[4] = {0};
+    if (!isfinite(crease[3]) ||
+        (bsq_is_smooth(length, total[3]) && crease[3] >= BSQ_FACET_COSINE * length))
+        return false;
+    for (int k = 0; k < 3; k++)
+        along[k] = total[k] - crease[3] * crease[k];
+    const double size = sqrt(bsq_row_dot(along, along));
+    for (int k = 0; k < 3 && size > 1e-6 * total[3]; k++)
+        crease[k] -= along[k] / size;
+    memset(sum, 0, (size_t)rows * sizeof *sum);
+    return true;
+}
+
+/* Adds the triangles from `begin` to `end` to the sides of creases. */
+LANES_INLINE void bsq_add_sides(const float (*positions)[3], const uint32_t (*triangles)[3],
+                                uint32_t begin, uint32_t end, const uint32_t *ring_of,
+                                const uint32_t *crease_of, int rows, const double (*creases)[4],
+                                double (*sums)[4], double (*seconds)[4])
+{
+    for (uint32_t t = begin; t < end; t++) {
+        const uint32_t *v = triangles[t];
+        struct row corner[3];
+        double normal[4];
+        if ((crease_of[ring_of[v[0]]] | crease_of[ring_of[v[1]]] | crease_of[ring_of[v[2]]]) == 0)
+            continue;
+        for (int i = 0; i < 3; i++)
+            corner[i] = row_of_floats(positions[v[i]]);
+        const struct row area = bsq_area_vector(corner);
+        const struct row factors =
+            bsq_corner_factors(corner, row_number(area, 3), BSQ_SCAN_NORMALS_ANGLE);
+        row_store(area, normal);
+        for (int i = 0; i < 3; i++) {
+            const uint64_t ring = ring_of[v[i]], crease = crease_of[ring];
+            const struct row weighted = row_times(row_number(factors, i), area);
+            if (crease == 0)
+                continue;
+            double(*side)[4] = bsq_row_dot(normal, creases[crease]) > 0
+                                   ? &seconds[crease * (uint64_t)rows]
+                                   : &sums[ring * (uint64_t)rows];
+            row_add(side[0], weighted);
+            if (rows > 2)
+                bsq_add_moment(corner, i, row_number(weighted, 3), side[2]);
+        }
+    }
 }
 
 #endif

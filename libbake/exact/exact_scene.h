@@ -57,7 +57,10 @@ struct exact_smooth {
     struct bsq_positions table;
     uint32_t *entry_of; /* of each vertex of the chunk: index into sums[]; 0: not needed */
     float (*positions)[3];
-    double (*sums)[4]; /* of one-rings (base/smooth_normals.h), from index 1 */
+    /* Of one-rings (base/smooth_normals.h), from index 1: two rows each, and of creases likewise.
+     */
+    double (*sums)[4], (*creases)[4], (*seconds)[4];
+    uint32_t *crease_of; /* 0: no crease */
     uint32_t count;
 };
 

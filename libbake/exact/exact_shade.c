@@ -35,13 +35,35 @@ static void set_place(struct place *place, const struct exact_slot *slot, uint32
 
 /* ---- normals ---- */
 
-/* Adds the weighted unit normal of a corner: that of its vertex, or at a crease the triangle's. */
+/* Returns the sums of the side of a crease that is closer to a triangle, NULL if both are too far
+ * away. */
+static const double *choose_side(const struct exact_smooth *smooth, uint32_t entry, uint32_t crease,
+                                 const double cross[3])
+{
+    const double *sides[2] = {smooth->sums[2 * entry], smooth->seconds[2 * crease]}, *best = NULL;
+    double most = BSQ_FACET_COSINE * sqrt(bsq_dotd(cross, cross));
+    for (int i = 0; i < 2; i++) {
+        const double length = sqrt(bsq_dotd(sides[i], sides[i]));
+        const double along = bsq_dotd(sides[i], cross) / length;
+        if (!bsq_is_smooth(length, sides[i][3]) || along < most)
+            continue;
+        best = sides[i];
+        most = along;
+    }
+    return best;
+}
+
+/* Adds the weighted unit normal of a corner: that of its vertex, or of one side of a crease, else
+ * the triangle's. */
 static void add_smooth(const struct place *place, int corner, double sum[3])
 {
     const struct exact_smooth *smooth = &place->slot->smooth;
-    const double *n = smooth->sums[smooth->entry_of[place->v[corner]]];
-    double length = sqrt(bsq_dotd(n, n));
-    if (!bsq_is_smooth(length, n[3])) {
+    const uint32_t entry = smooth->entry_of[place->v[corner]], crease = smooth->crease_of[entry];
+    const double *n = smooth->sums[2 * entry];
+    if (crease != 0)
+        n = choose_side(smooth, entry, crease, place->cross);
+    double length = n ? sqrt(bsq_dotd(n, n)) : 0;
+    if (!n || !bsq_is_smooth(length, n[3])) {
         n = place->cross;
         length = sqrt(bsq_dotd(n, n));
     }

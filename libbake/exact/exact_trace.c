@@ -26,14 +26,19 @@ enum {
  * position are one vertex, in one chunk or in several. The one-ring of a vertex
  * (base/smooth_normals.h) is summed in the order of the file, whichever chunks its triangles are
  * in. Only normals that hits need are summed, and only chunks whose bounds contain such a vertex
- * are read. */
+ * are read: three times if some of these vertices may be creases. */
+
+enum { ROWS = 2 };
+
+enum step { STEP_SUM, STEP_FARTHEST, STEP_SIDES };
 
 uint64_t bake_exact_smooth_bytes(uint32_t vertices)
 {
     const struct exact_smooth *s = NULL;
     return (uint64_t)bsq_positions_slots(vertices) * sizeof *s->table.slots +
            (uint64_t)vertices * (sizeof *s->positions + sizeof *s->entry_of) +
-           ((uint64_t)vertices + 1) * sizeof *s->sums;
+           ((uint64_t)vertices + 1) *
+               (2 * ROWS * sizeof *s->sums + sizeof *s->creases + sizeof *s->crease_of);
 }
 
 static void begin_smooth(struct exact_slot *slot)
@@ -41,12 +46,15 @@ static void begin_smooth(struct exact_slot *slot)
     struct exact_smooth *s = &slot->smooth;
     const uint32_t vertices = slot->chunk.vertex_count, slots = bsq_positions_slots(vertices);
     s->sums = slot->smooth_memory;
-    s->positions = (float(*)[3])(void *)(s->sums + vertices + 1);
-    s->entry_of = (uint32_t *)(void *)(s->positions + vertices);
+    s->seconds = s->sums + ROWS * ((uint64_t)vertices + 1);
+    s->creases = s->seconds + ROWS * ((uint64_t)vertices + 1);
+    s->positions = (float(*)[3])(void *)(s->creases + vertices + 1);
+    s->crease_of = (uint32_t *)(void *)(s->positions + vertices);
+    s->entry_of = s->crease_of + vertices + 1;
     s->table =
         (struct bsq_positions){s->entry_of + vertices, slots - 1, (const float(*)[3])s->positions};
     s->count = 0;
-    memset(s->sums[0], 0, sizeof *s->sums);
+    memset(s->sums[0], 0, ROWS * sizeof *s->sums);
     memset(s->table.slots, 0, slots * sizeof *s->table.slots);
     memset(s->entry_of, 0, vertices * sizeof *s->entry_of);
 }
@@ -61,7 +69,7 @@ static void need_smooth(struct exact_slot *slot, uint32_t vertex)
     if (*entry == 0) {
         memcpy(s->positions[s->count], slot->chunk.positions[vertex], sizeof *s->positions);
         *entry = ++s->count;
-        memset(s->sums[s->count], 0, sizeof *s->sums);
+        memset(s->sums[ROWS * s->count], 0, ROWS * sizeof *s->sums);
     }
     s->entry_of[vertex] = *entry;
 }
@@ -74,37 +82,52 @@ static bool inside(const struct exact_box *box, const float p[3])
     return in;
 }
 
-/* Adds the triangles of a chunk to the sums. map: scratch, one entry per vertex. */
-static void add_chunk(struct exact_smooth *s, enum bsq_scan_normals weights,
-                      const struct fmt_tris_chunk *chunk, const struct exact_box *box,
-                      uint32_t *map)
+/* Does a step for the triangles of a chunk. map: the entries of its vertices. */
+static void add_chunk(const struct exact_smooth *s, enum step step, enum bsq_scan_normals weights,
+                      const struct fmt_tris_chunk *chunk, const uint32_t *map)
 {
-    if (bsq_positions_match(&s->table, box->low, box->high, chunk->positions, chunk->vertex_count,
-                            map))
-        bsq_add_one_rings(chunk->positions, chunk->triangles, 0, chunk->triangle_count, map,
-                          weights, 1, s->sums);
+    const uint32_t count = chunk->triangle_count;
+    if (step == STEP_SUM)
+        bsq_add_one_rings(chunk->positions, chunk->triangles, 0, count, map, weights, ROWS,
+                          s->sums);
+    else if (step == STEP_FARTHEST)
+        bsq_find_farthest(chunk->positions, chunk->triangles, 0, count, map, s->crease_of, ROWS,
+                          (const double(*)[4])s->sums, s->creases);
+    else
+        bsq_add_sides(chunk->positions, chunk->triangles, 0, count, map, s->crease_of, ROWS,
+                      (const double(*)[4])s->creases, s->sums, s->seconds);
 }
 
-static struct exact_box bounds_of(const struct exact_smooth *s)
+/* Returns whether a step needs the vertex at position i. */
+static bool is_needed(const struct exact_smooth *s, enum step step, uint32_t i)
+{
+    return step == STEP_SUM || s->crease_of[i + 1] != 0;
+}
+
+static struct exact_box bounds_of(const struct exact_smooth *s, enum step step)
 {
     struct exact_box box = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
-    for (uint32_t i = 0; i < s->count; i++)
+    for (uint32_t i = 0; i < s->count; i++) {
+        if (!is_needed(s, step, i))
+            continue;
         for (int k = 0; k < 3; k++) {
             const float p = s->positions[i][k];
             box.low[k] = p < box.low[k] ? p : box.low[k];
             box.high[k] = p > box.high[k] ? p : box.high[k];
         }
+    }
     return box;
 }
 
 /* Checks whether a needed vertex lies within the bounds of a chunk. */
-static bool touches_chunk(const struct exact_smooth *s, const struct fmt_tris_chunk_info *chunk)
+static bool touches_chunk(const struct exact_smooth *s, enum step step,
+                          const struct fmt_tris_chunk_info *chunk)
 {
     struct exact_box box;
     memcpy(box.low, chunk->bounds_min, sizeof box.low);
     memcpy(box.high, chunk->bounds_max, sizeof box.high);
     for (uint32_t i = 0; i < s->count; i++)
-        if (inside(&box, s->positions[i]))
+        if (inside(&box, s->positions[i]) && is_needed(s, step, i))
             return true;
     return false;
 }
@@ -115,32 +138,87 @@ static int ascending(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-/* Sums the normals of the vertices that are needed. Fails as fmt_tris_load() does. */
+/* Does a step for the triangles of a neighbour. Fails as fmt_tris_load() does. */
+static int add_neighbour(const struct bake_exact *exact, const struct exact_smooth *s,
+                         enum step step, const struct exact_box *box,
+                         const struct exact_scratch *scratch, uint32_t number)
+{
+    struct fmt_tris_chunk chunk;
+    int status = bsq_check(exact->ctx);
+    if (status == 0)
+        status = fmt_tris_load(exact->file, number, scratch->neighbour, &chunk);
+    if (status == 0 && bsq_positions_match(&s->table, box->low, box->high, chunk.positions,
+                                           chunk.vertex_count, scratch->map))
+        add_chunk(s, step, exact->options.normals, &chunk, scratch->map);
+    return status;
+}
+
+/* Does a step for the triangles of all chunks near the needed vertices, in the order of the file.
+ */
+static int run_step(const struct bake_exact *exact, struct exact_slot *slot, enum step step,
+                    const struct exact_scratch *scratch, uint32_t near)
+{
+    const struct exact_smooth *s = &slot->smooth;
+    const struct fmt_tris_chunk *own = &slot->chunk;
+    const struct exact_box box = bounds_of(s, step);
+    int status = 0;
+    for (uint32_t i = 0; i < near && status == 0; i++) {
+        const uint32_t number = scratch->near[i];
+        if (number != slot->number) {
+            if (touches_chunk(s, step, &exact->chunks[number]))
+                status = add_neighbour(exact, s, step, &box, scratch, number);
+            continue;
+        }
+        /* Also matches vertices that are not needed but share the position of one that is. */
+        if (step == STEP_SUM)
+            bsq_positions_match(&s->table, box.low, box.high, own->positions, own->vertex_count,
+                                s->entry_of);
+        add_chunk(s, step, exact->options.normals, own, s->entry_of);
+    }
+    return status;
+}
+
+/* Numbers the one-rings that may be creases. Returns whether there are any. */
+static bool begin_creases(const struct exact_smooth *s)
+{
+    bool any = false;
+    s->crease_of[0] = 0;
+    for (uint32_t i = 1; i <= s->count; i++) {
+        s->crease_of[i] = bsq_may_fold(s->sums[ROWS * i + 1]) ? i : 0;
+        any |= s->crease_of[i] != 0;
+        memcpy(s->creases[i], (const double[4]){[3] = INFINITY}, sizeof *s->creases);
+    }
+    return any;
+}
+
+/* Divides one-rings. Returns whether there are any. */
+static bool divide_rings(const struct exact_smooth *s)
+{
+    bool any = false;
+    for (uint32_t i = 1; i <= s->count; i++) {
+        if (s->crease_of[i] != 0 && !bsq_divide_ring(&s->sums[ROWS * i], ROWS, s->creases[i]))
+            s->crease_of[i] = 0;
+        any |= s->crease_of[i] != 0;
+        memset(s->seconds[ROWS * i], 0, ROWS * sizeof *s->seconds);
+    }
+    return any;
+}
+
+/* Sums the normals of the vertices that are needed, and of both sides of creases. */
 static int sum_smooth(const struct bake_exact *exact, struct exact_slot *slot,
                       const struct exact_scratch *scratch)
 {
-    struct exact_smooth *s = &slot->smooth;
-    const struct exact_box box = bounds_of(s);
+    const struct exact_box box = bounds_of(&slot->smooth, STEP_SUM);
     const uint32_t near = bake_exact_tree_overlapping(&exact->tree, &box, scratch->near);
     bsq_sort(scratch->near, near, sizeof *scratch->near, ascending);
-    for (uint32_t i = 0; i < near; i++) {
-        const uint32_t number = scratch->near[i];
-        if (number == slot->number) {
-            /* Also matches vertices that are not needed but share the position of one that is. */
-            add_chunk(s, exact->options.normals, &slot->chunk, &box, s->entry_of);
-            continue;
-        }
-        if (!touches_chunk(s, &exact->chunks[number]))
-            continue;
-        struct fmt_tris_chunk neighbour;
-        int status = bsq_check(exact->ctx);
-        if (status == 0)
-            status = fmt_tris_load(exact->file, number, scratch->neighbour, &neighbour);
-        if (status != 0)
-            return status;
-        add_chunk(s, exact->options.normals, &neighbour, &box, scratch->map);
-    }
-    return 0;
+    int status = run_step(exact, slot, STEP_SUM, scratch, near);
+    if (status == 0 && begin_creases(&slot->smooth))
+        status = run_step(exact, slot, STEP_FARTHEST, scratch, near);
+    else
+        return status;
+    if (status == 0 && divide_rings(&slot->smooth))
+        status = run_step(exact, slot, STEP_SIDES, scratch, near);
+    return status;
 }
 
 /* ---- waves ---- */

@@ -35,7 +35,7 @@ def read(plan, data):
     version, channels = fields(data, 8, "II")
     task, tasks, side, reserved, count = fields(data, 48, "IIIIQ")
     table_checksum, header_checksum = fields(data, HEADER_BYTES - 16, "QQ")
-    need(version == 4, "version")
+    need(version == 5, "version")
     need(header_checksum == checksum(data[:HEADER_BYTES - 8]), "header_checksum")
     need(reserved == 0 and channels >= 1, "reserved or channels")
     need(data[16:48].decode("latin-1") == plan["id"], "plan_id")

@@ -16,6 +16,9 @@ struct vox_chunk {
     /* Unit normals, or zero; fourth, the height in voxels of the surface with these normals above
      * the vertex. NULL: triangles have their own normals. */
     const float (*normals)[4];
+    const float (
+        *seconds)[4];   /* the same for second sides of creases; zero: none. NULL: none at all
+                         */
     bool wide;          /* fragments must not be lifted far */
     bool coarse;        /* triangles are so large that their facets would show in the grid */
     double noise_share; /* facet-noise weight of records per square of an edge in voxels */

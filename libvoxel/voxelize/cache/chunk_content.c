@@ -19,8 +19,9 @@ static struct vox_chunk_layout lay_out(const struct fmt_tris_file *file, bool sm
     struct vox_chunk_layout to;
     to.points_at = bsq_align_up(load_bytes, BSQ_ALIGNMENT);
     to.normals_at = to.points_at + bsq_align_up(vertices * sizeof(double[4]), BSQ_ALIGNMENT);
-    to.groups_at =
-        to.normals_at + (normals ? bsq_align_up(vertices * sizeof(float[4]), BSQ_ALIGNMENT) : 0);
+    const uint64_t normal_bytes = bsq_align_up(vertices * sizeof(float[4]), BSQ_ALIGNMENT);
+    to.seconds_at = to.normals_at + (normals ? normal_bytes : 0);
+    to.groups_at = to.seconds_at + (smooth ? normal_bytes : 0);
     to.vertex_groups_at =
         to.groups_at + bsq_align_up(groups * sizeof(struct vox_box), BSQ_ALIGNMENT);
     to.inconsistent_at =
@@ -328,12 +329,15 @@ int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smoot
     struct vox_chunk *chunk = &content->chunk;
     const struct fmt_tris_chunk *source = &chunk->source;
     float(*normals)[4] = (float(*)[4])(void *)(content->memory + content->layout.normals_at);
+    float(*seconds)[4] = (float(*)[4])(void *)(content->memory + content->layout.seconds_at);
+    bool has_seconds;
     int status = 0;
     place_points(from->transform, content);
     double square = mean_edge_square(source, from->transform->h);
     chunk->coarse = square > COARSE_EDGE_SQUARE;
     chunk->wide = source->normals || square > WIDE_EDGE_SQUARE;
     chunk->normals = (const float(*)[4])normals;
+    chunk->seconds = NULL;
     chunk->inconsistent = NULL;
     chunk->noise_share = 0.0;
     if (from->smooth && !source->normals)
@@ -346,7 +350,8 @@ int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smoot
             from->smooth, lender,
             &(struct vox_smooth_chunk){.index = number,
                                        .decoded = {source, chunk->groups, content->vertex_groups}},
-            from->transform, normals);
+            from->transform, normals, seconds, &has_seconds);
+        chunk->seconds = has_seconds ? (const float(*)[4])seconds : NULL;
     } else {
         chunk->normals = NULL;
     }

@@ -5,6 +5,7 @@
  * are read again and matched by position. */
 #include "libvoxel/voxelize/cache/smooth_normals.h"
 
+#include <math.h>
 #include <pthread.h>
 #include <string.h>
 
@@ -19,7 +20,8 @@ struct workspace {
                             of the first vertex at its position */
     uint32_t *neighbour_rings;  /* the same for the vertices of a neighbour; 0: none */
     struct vox_one_ring *rings; /* by number; 0 is unused */
-    void *scratch;              /* for a neighbour that is not lent */
+    struct vox_creases creases;
+    void *scratch; /* for a neighbour that is not lent */
 };
 
 struct vox_smooth {
@@ -44,20 +46,25 @@ static uint32_t largest_vertex_count(const struct fmt_tris_file *file)
 
 /* Offsets of the arrays in a workspace's memory; the one-rings come first. */
 struct layout {
-    uint64_t slots_at, own_at, neighbour_at, scratch_at, bytes;
+    uint64_t seconds_at, creases_at, slots_at, own_at, neighbour_at, crease_of_at, vertices_at,
+        scratch_at, bytes;
 };
 
 static struct layout lay_out(const struct fmt_tris_file *file)
 {
     const uint64_t vertices = largest_vertex_count(file);
-    const uint64_t numbers = bsq_align_up(vertices * sizeof(uint32_t), BSQ_ALIGNMENT);
+    const uint64_t numbers = bsq_align_up((vertices + 1) * sizeof(uint32_t), BSQ_ALIGNMENT);
     struct layout to;
-    to.slots_at = bsq_align_up((vertices + 1) * sizeof(struct vox_one_ring), BSQ_ALIGNMENT);
+    to.seconds_at = bsq_align_up((vertices + 1) * sizeof(struct vox_one_ring), BSQ_ALIGNMENT);
+    to.creases_at = 2 * to.seconds_at;
+    to.slots_at = to.creases_at + bsq_align_up((vertices + 1) * sizeof(double[4]), BSQ_ALIGNMENT);
     to.own_at =
         to.slots_at +
         bsq_align_up(bsq_positions_slots((uint32_t)vertices) * sizeof(uint32_t), BSQ_ALIGNMENT);
     to.neighbour_at = to.own_at + numbers;
-    to.scratch_at = to.neighbour_at + numbers;
+    to.crease_of_at = to.neighbour_at + numbers;
+    to.vertices_at = to.crease_of_at + numbers;
+    to.scratch_at = to.vertices_at + numbers;
     to.bytes = to.scratch_at + fmt_tris_load_size_max(file);
     return to;
 }
@@ -68,6 +75,9 @@ static int make_workspace(struct bsq_ctx *ctx, const struct layout *at, struct w
     if (status < 0)
         return status;
     w->rings = (void *)w->memory;
+    w->creases = (struct vox_creases){
+        (void *)(w->memory + at->crease_of_at), (void *)(w->memory + at->creases_at),
+        (void *)(w->memory + at->seconds_at), (void *)(w->memory + at->vertices_at), 0};
     w->table.slots = (void *)(w->memory + at->slots_at);
     w->own_rings = (void *)(w->memory + at->own_at);
     w->neighbour_rings = (void *)(w->memory + at->neighbour_at);
@@ -200,16 +210,25 @@ static void enter_vertices(struct workspace *d, const struct fmt_tris_chunk *chu
     }
 }
 
-/* ---- sums ---- */
+/* ---- sums ----
+ *
+ * One-rings are summed over all triangles. If some may be creases, all triangles near these are
+ * gone through twice more. */
 
-/* A neighbour, whose triangles are added to the one-rings of a chunk. */
-struct neighbour {
-    struct vox_loan loan;
-    const float *min, *max; /* bounds of that chunk */
-    struct vox_box box;     /* voxels of these bounds */
+enum step { STEP_SUM, STEP_FARTHEST, STEP_SIDES };
+
+/* A step of the sums of a chunk. */
+struct sums {
+    const struct vox_smooth *smooth;
+    const struct vox_smooth_lender *lender;
+    const struct vox_smooth_chunk *of;
+    struct workspace *d;
+    enum step step;
+    float min[3], max[3]; /* bounds of the vertices that matter */
+    struct vox_box box;   /* voxels of these bounds */
 };
 
-static bool touches(const struct fmt_tris_chunk_info *info, const struct neighbour *n)
+static bool touches(const struct fmt_tris_chunk_info *info, const struct sums *n)
 {
     bool yes = true;
     for (int k = 0; k < 3; k++)
@@ -217,82 +236,170 @@ static bool touches(const struct fmt_tris_chunk_info *info, const struct neighbo
     return yes;
 }
 
-/* Finds the neighbour's vertices among those of the chunk. Vertices at the same position lie in the
+/* Finds a neighbour's vertices among those of the chunk. Vertices at the same position lie in the
  * same voxel. */
-static bool match(const struct workspace *d, const struct neighbour *n)
+static bool match(const struct sums *n, const struct vox_loan *loan)
 {
-    const struct fmt_tris_chunk *chunk = n->loan.chunk;
+    const struct fmt_tris_chunk *chunk = loan->chunk;
+    uint32_t *rings = n->d->neighbour_rings;
     struct run run = {0, 0};
-    bool any = false, more = next_vertices(&n->loan, &n->box, &run);
+    bool any = false, more = next_vertices(loan, &n->box, &run);
     if (more)
-        memset(d->neighbour_rings, 0, chunk->vertex_count * sizeof *d->neighbour_rings);
-    for (; more; more = next_vertices(&n->loan, &n->box, &run))
-        any |= bsq_positions_match(&d->table, n->min, n->max, chunk->positions + run.begin,
-                                   run.end - run.begin, d->neighbour_rings + run.begin);
+        memset(rings, 0, chunk->vertex_count * sizeof *rings);
+    for (; more; more = next_vertices(loan, &n->box, &run))
+        any |= bsq_positions_match(&n->d->table, n->min, n->max, chunk->positions + run.begin,
+                                   run.end - run.begin, rings + run.begin);
     return any;
 }
 
-/* Adds triangles that meet a box to the one-rings. ring_of: of the chunk's vertices. */
-static void add_triangles(const struct vox_smooth *s, const struct workspace *d,
-                          const struct vox_loan *of, const struct vox_box *box,
-                          const uint32_t *ring_of)
+/* Does the step for triangles that meet a box. ring_of: of the chunk's vertices. */
+static void add_triangles(const struct sums *n, const struct vox_loan *of,
+                          const struct vox_box *box, const uint32_t *ring_of)
 {
     vox_add_one_rings_fn *const add = BSQ_SIMD_PICK(bsq_simd_best(), vox_add_one_rings);
+    vox_divide_one_rings_fn *const divide = BSQ_SIMD_PICK(bsq_simd_best(), vox_divide_one_rings);
+    const struct workspace *d = n->d;
     for (struct run run = {0, 0}; next_triangles(of, box, &run);)
-        add(of->chunk, run.begin, run.end, ring_of, s->weights, d->rings);
+        if (n->step == STEP_SUM)
+            add(of->chunk, run.begin, run.end, ring_of, n->smooth->weights, d->rings);
+        else
+            divide(of->chunk, run.begin, run.end, ring_of, n->step == STEP_SIDES, d->rings,
+                   &d->creases);
 }
 
-static int add_chunk(const struct vox_smooth *s, const struct vox_smooth_lender *lender,
-                     const struct workspace *d, struct neighbour *n, uint32_t other)
+static int add_chunk(const struct sums *n, uint32_t other)
 {
     struct fmt_tris_chunk own = {0};
-    int status = lender->lend(lender->arg, other, &n->loan);
-    const bool lent = n->loan.chunk != NULL;
+    struct vox_loan loan;
+    int status = n->lender->lend(n->lender->arg, other, &loan);
+    const bool lent = loan.chunk != NULL;
     if (status == 0 && !lent)
-        status = fmt_tris_load(s->file, other, d->scratch, &own);
+        status = fmt_tris_load(n->smooth->file, other, n->d->scratch, &own);
     if (status < 0)
         return status;
     if (!lent)
-        n->loan = (struct vox_loan){.chunk = &own};
-    if (match(d, n))
-        add_triangles(s, d, &n->loan, &n->box, d->neighbour_rings);
+        loan = (struct vox_loan){.chunk = &own};
+    if (match(n, &loan))
+        add_triangles(n, &loan, &n->box, n->d->neighbour_rings);
     if (lent)
-        lender->take_back(lender->arg, other);
+        n->lender->take_back(n->lender->arg, other);
     return 0;
 }
 
-static int sum_normals(const struct vox_smooth *s, const struct vox_smooth_lender *lender,
-                       struct workspace *d, const struct vox_smooth_chunk *of,
-                       const struct vox_transform *transform)
+/* Does a step for the triangles of all chunks, in the order of the file. */
+static int run_step(const struct sums *n)
 {
-    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(s->file);
-    uint32_t count = (uint32_t)fmt_tris_get_header(s->file)->chunk_count;
-    struct neighbour neighbour = {.min = infos[of->index].bounds_min,
-                                  .max = infos[of->index].bounds_max,
-                                  .box = vox_transform_box(transform, infos[of->index].bounds_min,
-                                                           infos[of->index].bounds_max)};
+    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(n->smooth->file);
+    const uint32_t count = (uint32_t)fmt_tris_get_header(n->smooth->file)->chunk_count;
     int status = 0;
-    d->table.positions = of->decoded.chunk->positions;
-    enter_vertices(d, of->decoded.chunk);
     for (uint32_t i = 0; i < count && status == 0; i++) {
-        if (i == of->index)
-            add_triangles(s, d, &of->decoded, NULL, d->own_rings);
-        else if (touches(&infos[i], &neighbour))
-            status = add_chunk(s, lender, d, &neighbour, i);
+        if (i == n->of->index)
+            add_triangles(n, &n->of->decoded, n->step == STEP_SUM ? NULL : &n->box,
+                          n->d->own_rings);
+        else if (touches(&infos[i], n))
+            status = add_chunk(n, i);
     }
+    return status;
+}
+
+/* Numbers the one-rings that may be creases, and finds their bounds. */
+static void begin_creases(struct sums *n, const struct vox_transform *transform)
+{
+    const struct fmt_tris_chunk *chunk = n->of->decoded.chunk;
+    const struct vox_creases *c = &n->d->creases;
+    uint32_t count = 0;
+    for (int k = 0; k < 3; k++) {
+        n->min[k] = INFINITY;
+        n->max[k] = -INFINITY;
+    }
+    memset(c->crease_of, 0, (chunk->vertex_count + UINT64_C(1)) * sizeof *c->crease_of);
+    for (uint32_t i = 0; i < c->vertex_count; i++) {
+        const uint32_t v = c->vertices[i], ring = n->d->own_rings[v];
+        if (c->crease_of[ring] != 0)
+            continue;
+        c->crease_of[ring] = ++count;
+        memcpy(c->creases[count], (const double[4]){[3] = INFINITY}, sizeof *c->creases);
+        for (int k = 0; k < 3; k++) {
+            n->min[k] = fminf(n->min[k], chunk->positions[v][k]);
+            n->max[k] = fmaxf(n->max[k], chunk->positions[v][k]);
+        }
+    }
+    n->box = vox_transform_box(transform, n->min, n->max);
+}
+
+/* Divides one-rings, and prepares the sums of second sides. Returns whether there are any. */
+static bool divide_rings(const struct sums *n)
+{
+    const struct vox_creases *c = &n->d->creases;
+    bool any = false;
+    for (uint32_t i = 0; i < c->vertex_count; i++) {
+        const uint32_t ring = n->d->own_rings[c->vertices[i]], crease = c->crease_of[ring];
+        if (ring != c->vertices[i] + 1)
+            continue; /* not the first vertex at its position */
+        if (bsq_divide_ring((double(*)[4])(void *)&n->d->rings[ring], 3, c->creases[crease]))
+            memset(&c->seconds[crease], 0, sizeof *c->seconds);
+        else
+            c->crease_of[ring] = 0;
+        any |= c->crease_of[ring] != 0;
+    }
+    return any;
+}
+
+/* Sets the normals of both sides of creases. */
+static void finish_creases(const struct sums *n, double h, float (*normals)[4], float (*seconds)[4])
+{
+    vox_finish_one_rings_fn *const finish = BSQ_SIMD_PICK(bsq_simd_best(), vox_finish_one_rings);
+    const struct vox_creases *c = &n->d->creases;
+    struct vox_creases unused = {.vertices = (uint32_t[1]){0}};
+    memset(seconds, 0, n->of->decoded.chunk->vertex_count * sizeof *seconds);
+    for (uint32_t i = 0; i < c->vertex_count; i++) {
+        const uint32_t v = c->vertices[i], *ring = &n->d->own_rings[v];
+        if (c->crease_of[*ring] == 0)
+            continue;
+        finish(n->d->rings, ring, 1, h, &normals[v], &unused);
+        finish(c->seconds, &c->crease_of[*ring], 1, h, &seconds[v], &unused);
+    }
+}
+
+static int make_normals(struct sums *n, const struct vox_transform *transform, float (*normals)[4],
+                        float (*seconds)[4], bool *has_seconds)
+{
+    const struct fmt_tris_chunk *chunk = n->of->decoded.chunk;
+    int status = 0;
+    n->d->table.positions = chunk->positions;
+    enter_vertices(n->d, chunk);
+    BSQ_TRY(run_step(n));
+    BSQ_SIMD_PICK(bsq_simd_best(), vox_finish_one_rings)
+    (n->d->rings, n->d->own_rings, chunk->vertex_count, transform->h, normals, &n->d->creases);
+    if (n->d->creases.vertex_count == 0)
+        return 0;
+    begin_creases(n, transform);
+    n->step = STEP_FARTHEST;
+    BSQ_TRY(run_step(n));
+    if (!divide_rings(n))
+        return 0;
+    n->step = STEP_SIDES;
+    BSQ_TRY(run_step(n));
+    finish_creases(n, transform->h, normals, seconds);
+    *has_seconds = true;
+done:
     return status;
 }
 
 int vox_smooth_normals(struct vox_smooth *s, const struct vox_smooth_lender *lender,
                        const struct vox_smooth_chunk *chunk, const struct vox_transform *transform,
-                       float (*normals)[4])
+                       float (*normals)[4], float (*seconds)[4], bool *has_seconds)
 {
-    struct workspace *workspace = take_workspace(s);
-    int status = sum_normals(s, lender, workspace, chunk, transform);
-    if (status == 0)
-        BSQ_SIMD_PICK(bsq_simd_best(), vox_finish_one_rings)
-    (workspace->rings, workspace->own_rings, chunk->decoded.chunk->vertex_count, transform->h,
-     normals);
-    return_workspace(s, workspace);
+    const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(s->file)[chunk->index];
+    struct sums sums = {.smooth = s,
+                        .lender = lender,
+                        .of = chunk,
+                        .d = take_workspace(s),
+                        .box = vox_transform_box(transform, info->bounds_min, info->bounds_max)};
+    memcpy(sums.min, info->bounds_min, sizeof sums.min);
+    memcpy(sums.max, info->bounds_max, sizeof sums.max);
+    *has_seconds = false;
+    int status = make_normals(&sums, transform, normals, seconds, has_seconds);
+    return_workspace(s, sums.d);
     return status;
 }

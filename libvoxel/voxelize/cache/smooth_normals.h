@@ -59,19 +59,21 @@ struct vox_smooth_chunk {
 
 /* Computes smooth normals of a chunk's vertices as if the scan were whole: vertices at the same
  * position are one, whichever chunk they are in. normals: one entry for each vertex: a unit normal,
- * or zero at creases (BSQ_CREASE_SHARE), and a height in voxels: how far above the vertex, along
- * its normal, the surface lies that the interpolated normals describe; 0 at creases.
+ * or zero if no normal stands for its triangles, and a height in voxels: how far above the vertex,
+ * along its normal, the surface lies that the interpolated normals describe. seconds: the same for
+ * the second sides of creases (base/smooth_normals.h), zero elsewhere. *has_seconds: whether there
+ * are any; else `seconds` is not written.
  * Sums run in the order of triangles in the file, so results do not depend on the order of calls.
  * Thread-safe; waits while no workspace is free. */
 int vox_smooth_normals(struct vox_smooth *smooth, const struct vox_smooth_lender *lender,
                        const struct vox_smooth_chunk *chunk, const struct vox_transform *transform,
-                       float (*normals)[4]);
+                       float (*normals)[4], float (*seconds)[4], bool *has_seconds);
 
 /* ---- private to the cache: one-rings, for each instruction set ---- */
 
 /* Sums over the triangles around a vertex, in the form of base/smooth_normals.h. */
 struct vox_one_ring {
-    double normal[3], weight, moment[3], unused;
+    double normal[3], weight, units[4], moment[3], unused;
 };
 
 /* bsq_add_one_rings() of a chunk's triangles. */
@@ -80,10 +82,26 @@ typedef void vox_add_one_rings_fn(const struct fmt_tris_chunk *chunk, uint32_t b
                                   struct vox_one_ring *rings);
 BSQ_SIMD_DECLARE(vox_add_one_rings_fn, vox_add_one_rings);
 
+/* The creases of a chunk, as base/smooth_normals.h describes them. */
+struct vox_creases {
+    uint32_t *crease_of; /* by one-ring */
+    double (*creases)[4];
+    struct vox_one_ring *seconds;
+    uint32_t *vertices; /* that may be at a crease */
+    uint32_t vertex_count;
+};
+
+/* bsq_find_farthest(), or with `sides` bsq_add_sides(), of a chunk's triangles. */
+typedef void vox_divide_one_rings_fn(const struct fmt_tris_chunk *chunk, uint32_t begin,
+                                     uint32_t end, const uint32_t *ring_of, bool sides,
+                                     struct vox_one_ring *rings, const struct vox_creases *creases);
+BSQ_SIMD_DECLARE(vox_divide_one_rings_fn, vox_divide_one_rings);
+
 /* Sets the normals of `count` vertices from their one-rings, see vox_smooth_normals(). h: edge of a
- * voxel. */
+ * voxel. creases: gets the vertices that may be at a crease. */
 typedef void vox_finish_one_rings_fn(const struct vox_one_ring *rings, const uint32_t *ring_of,
-                                     uint32_t count, double h, float (*normals)[4]);
+                                     uint32_t count, double h, float (*normals)[4],
+                                     struct vox_creases *creases);
 BSQ_SIMD_DECLARE(vox_finish_one_rings_fn, vox_finish_one_rings);
 
 #endif

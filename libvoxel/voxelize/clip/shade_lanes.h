@@ -137,10 +137,9 @@ LANES_INLINE void shade_find_class(struct shade_triangles *t)
     }
 }
 
-/* Computes all that follows from corners and their normals. */
+/* Computes all that follows from corners, after shade_measure(), and their normals. */
 LANES_INLINE void shade_prepare(struct shade_triangles *t)
 {
-    shade_measure(t);
     if (t->has_normals) {
         shade_settle_normals(t);
         shade_measure_normals(t);

@@ -19,6 +19,29 @@ LANES_INLINE lane_mask inconsistent_lanes(const struct vox_chunk *chunk,
     return lanes_less(lanes_all(0.0), inconsistent);
 }
 
+/* Chooses the normals of corners at creases: of the two sides the closer one to the triangle's
+ * plane, or none if both are too far from it. */
+static __attribute__((noinline)) void
+choose_sides(const struct vox_chunk *chunk, const struct block_triangle *const triangle[LANE_COUNT],
+             struct shade_triangles *t)
+{
+    const lane_mask has_area = lanes_less(lanes_all(0.5), shade_dot(t->flat, t->flat));
+    const doubles least = lanes_keep(has_area, lanes_all(BSQ_FACET_COSINE));
+    for (int i = 0; i < 3; i++) {
+        const float *seconds[LANE_COUNT];
+        doubles *n = t->normal[i], *rise = &t->weights.rise[i], second[4];
+        for (int l = 0; l < LANE_COUNT; l++)
+            seconds[l] = chunk->seconds[chunk->source.triangles[triangle[l]->number][i]];
+        lanes_gather_floats(seconds, second);
+        const doubles cosine = shade_dot(n, t->flat), other = shade_dot(second, t->flat);
+        const lane_mask closer = lanes_less(cosine, other);
+        const lane_mask far = lanes_less(lanes_max(cosine, other), least);
+        for (int k = 0; k < 3; k++)
+            n[k] = lanes_keep(~far, lanes_select(closer, second[k], n[k]));
+        *rise = lanes_keep(~far, lanes_select(closer, second[3], *rise));
+    }
+}
+
 /* Loads the triangles with these places in the block, and writes the rows that their fragments
  * share. lowest: the lowest voxel of each. */
 LANES_INLINE void load_triangles(const struct vox_accumulation *job,
@@ -70,6 +93,9 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *job,
             for (int k = 0; k < 3; k++)
                 t->rgb[i][k][l] = rgb[i][k];
     }
+    shade_measure(t);
+    if (chunk->seconds)
+        choose_sides(chunk, triangle, t);
     shade_prepare(t);
     shade_put_facts(t, facts);
 }

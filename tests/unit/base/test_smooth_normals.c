@@ -10,7 +10,7 @@ static double difference(const float *a, const float *b, int axis)
     return (double)a[axis] - (double)b[axis];
 }
 
-/* Adds a triangle to sums[0] and sums[1] of the one-ring of its corner `i`. */
+/* Adds a triangle to the three rows of the one-ring of its corner `i`. */
 static void add_triangle(const float (*positions)[3], const uint32_t v[3], int i, double (*sums)[4])
 {
     const float *c[3] = {positions[v[0]], positions[v[1]], positions[v[2]]};
@@ -24,9 +24,11 @@ static void add_triangle(const float (*positions)[3], const uint32_t v[3], int i
     const double area = sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]);
     for (int k = 0; k < 3; k++) {
         sums[0][k] += vector[k];
-        sums[1][k] += area * (difference(next, at, k) - difference(at, previous, k));
+        sums[1][k] += area > 0 ? vector[k] * (1 / area) : 0;
+        sums[2][k] += area * (difference(next, at, k) - difference(at, previous, k));
     }
     sums[0][3] += area;
+    sums[1][3] += area > 0 ? area * (1 / area) : 0;
 }
 
 TEST(test_sums_over_one_rings)
@@ -34,7 +36,7 @@ TEST(test_sums_over_one_rings)
     uint64_t seed = test_seed();
     float positions[VERTICES][3];
     uint32_t triangles[TRIANGLES][3], ring_of[VERTICES];
-    double sums[2 * RINGS][4] = {{0}}, expected[2 * RINGS][4] = {{0}}, short_sums[RINGS][4] = {{0}};
+    double sums[3 * RINGS][4] = {{0}}, expected[3 * RINGS][4] = {{0}}, short_sums[RINGS][4] = {{0}};
     for (int i = 0; i < 3 * VERTICES; i++)
         positions[i / 3][i % 3] = (float)(int32_t)test_random(&seed) * 0x1p-20F;
     for (uint32_t i = 0; i < VERTICES; i++)
@@ -43,18 +45,18 @@ TEST(test_sums_over_one_rings)
         triangles[i / 3][i % 3] = (uint32_t)(test_random(&seed) % VERTICES);
     for (int i = 0; i < 3 * TRIANGLES; i++) {
         const uint32_t *v = triangles[i / 3];
-        add_triangle((const float(*)[3])positions, v, i % 3, &expected[2 * ring_of[v[i % 3]]]);
+        add_triangle((const float(*)[3])positions, v, i % 3, &expected[3 * ring_of[v[i % 3]]]);
     }
     for (uint32_t begin = 0; begin < TRIANGLES; begin += TRIANGLES / 2) {
         const uint32_t end = begin + TRIANGLES / 2;
         bsq_add_one_rings((const float(*)[3])positions, (const uint32_t(*)[3])triangles, begin, end,
-                          ring_of, BSQ_SCAN_NORMALS_AREA, 2, sums);
+                          ring_of, BSQ_SCAN_NORMALS_AREA, 3, sums);
         bsq_add_one_rings((const float(*)[3])positions, (const uint32_t(*)[3])triangles, begin, end,
                           ring_of, BSQ_SCAN_NORMALS_AREA, 1, short_sums);
     }
-    assert_memory_equal(sums[2], expected[2], sizeof sums - 2 * sizeof sums[0]);
+    assert_memory_equal(sums[3], expected[3], sizeof sums - 3 * sizeof sums[0]);
     for (int ring = 1; ring < RINGS; ring++)
-        assert_memory_equal(short_sums[ring], expected[2 * ring], sizeof short_sums[0]);
+        assert_memory_equal(short_sums[ring], expected[3 * ring], sizeof short_sums[0]);
 }
 
 /* Right angles, and angles down to 1e-9 and up to nearly pi. */

@@ -239,6 +239,8 @@ TEST(test_rings)
                                          .triangles = (const uint32_t(*)[3])triangles};
     struct vox_one_ring rings[LEVELS][RING_VERTICES];
     float normals[LEVELS][RING_VERTICES][4];
+    uint32_t vertices[LEVELS][RING_VERTICES];
+    struct vox_creases creases = {0};
     const size_t count = level_count();
     for (unsigned weights = BSQ_SCAN_NORMALS_FLAT; weights-- > BSQ_SCAN_NORMALS_AREA;)
         for (size_t c = 0; c < count; c++) {
@@ -260,8 +262,12 @@ TEST(test_rings)
                    finished = RING_VERTICES - 1; /* not a multiple of any number of lanes */
     for (size_t c = 0; c < count; c++) {
         memset(&rings[c][empty], 0, sizeof rings[c][empty]);
-        BSQ_SIMD_PICK(c, vox_finish_one_rings)(rings[c], ring_of, finished, 0.5, normals[c]);
+        creases.vertices = vertices[c];
+        BSQ_SIMD_PICK(c, vox_finish_one_rings)
+        (rings[c], ring_of, finished, 0.5, normals[c], &creases);
         assert_memory_equal(normals[c], normals[0], finished * sizeof normals[c][0]);
+        assert_int_equal(creases.vertex_count, finished - 1); /* the triangles are unordered */
+        assert_memory_equal(vertices[c], vertices[0], creases.vertex_count * sizeof vertices[c][0]);
         for (int k = 0; k < 4; k++)
             assert_true(normals[c][empty][k] == 0.0f);
     }
