@@ -196,7 +196,8 @@ struct bake_options {
     bool ao_falloff;         /**< A surface hides less the farther it is: nothing at ao_distance. */
     uint32_t thickness_rays; /**< Rays of each hit for BAKE_MAP_THICKNESS, cosine-weighted. */
     /** Length of these rays, which is also the sample 1 of integer files; <= 0: the diagonal of the
-     * scan's bounding box. */
+     * scan's bounding box, and for the sample 1 the mean of the whole mesh plus twice its standard
+     * deviation. */
     double thickness_distance;
     bool two_sided; /**< Also takes surfaces that face away from the low-poly mesh. */
     /** Percentage of the samples that may miss before a farm stops, 0 to 100. The report has the

@@ -190,14 +190,19 @@ double bake_thickness_distance(const struct bake_options *options, const double 
     return options->thickness_distance > 0 ? options->thickness_distance : sqrt(square);
 }
 
+/* The usual range leaves out the thickest parts: most of a figure is much thinner than its size. */
 static void encode_thickness(const struct bake_encoding_facts *facts, struct bake_encoding *out)
 {
     const struct bake_traced *traced = facts->traced;
-    const double distance =
-        bake_thickness_distance(facts->options, traced->scan_min, traced->scan_max);
-    out->range = 0.5 * distance;
+    const struct bake_statistics *statistics = &facts->statistics;
+    double white = bake_thickness_distance(facts->options, traced->scan_min, traced->scan_max);
+    const double mean = bake_statistics_mean(statistics);
+    const double variance = bake_statistics_mean_square(statistics) - mean * mean;
+    if (!(facts->options->thickness_distance > 0) && mean > 0)
+        white = fmin(statistics->largest, mean + 2 * sqrt(fmax(variance, 0)));
+    out->range = 0.5 * white;
     if (facts->integers)
-        out->scale[0] = distance;
+        out->scale[0] = white;
 }
 
 /* ---- ids ---- */
@@ -281,6 +286,7 @@ const struct bake_map_row bake_map_table[] = {
                           .usual_type = BAKE_FLOAT,
                           .resolve = resolve_mean,
                           .encode = encode_thickness,
+                          .measured = true,
                           .unit = "mesh unit"},
     [BK_MAP_id] = {.summary = "a colour for each material, object or vertex colour of the scan",
                    .channels = 3,
