@@ -1,9 +1,9 @@
 /* secondary.h - secondary rays, in batches: the maps ao, bent and thickness of triangles, and of
  * several scans. (The kernel sends the rays of a single grid itself.)
  *
- * Takes places on the surface. Gives their rays, which are those of bk_secondary.h, keeps what is
- * known of each ray while one part of the surface after the other is traced, and sums it up. A ray
- * is hidden if any part hides it, and as long as its nearest hit is far. So the order of parts does
+ * Takes places on the surface. Gives their rays, which are those of bk_secondary.h, and says how to
+ * keep what is known of each ray while one part of the surface after the other is traced. A ray is
+ * hidden if any part hides it, and as long as its nearest hit is far. So the order of parts does
  * not matter. */
 #ifndef BAKE_SECONDARY_SECONDARY_H
 #define BAKE_SECONDARY_SECONDARY_H
