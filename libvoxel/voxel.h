@@ -296,8 +296,8 @@ void vox_simplify_defaults(struct vox_simplify_options *options);
 int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options,
                  struct vox_simplify_report *report);
 
-/** Measures how far any mesh is from a scan, as vox_simplify() measures its own. The mesh is held in
- * memory.
+/** Measures how far any mesh is from a scan, as vox_simplify() measures its own. The mesh is held
+ * in memory.
  * @param scan_paths   chunk files, read as one scan
  * @param scan_count   number of scan_paths
  * @param mesh         the mesh as a chunk file of vox_sort()

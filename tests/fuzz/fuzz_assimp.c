@@ -1,5 +1,5 @@
-/* fuzz_assimp.c - fuzz target for the program that reads files by Assimp: the scenes that Assimp may
- * hand over, not the files. */
+/* fuzz_assimp.c - fuzz target for the program that reads files by Assimp: the scenes that Assimp
+ * may hand over, not the files. */
 #include "tests/fuzz/fuzz_file.h"
 #include "tests/fuzz/scene_check.h"
 
