@@ -6,7 +6,8 @@
  * file that was sorted alone. The first line has the version of the program, and a checksum of the
  * other lines and of the chunk file's header. Each other line is a kind, a hash and a text:
  *
- *     "obj", "mtl": an input. The hash is of its size, time of modification and samples.
+ *     "obj", "mtl": an input. The hash is of its size, time of modification and samples. "mtl" is a
+ *            file that the meshes name: of materials, or an image that the chunk file holds
  *     "tex": an image, of which only the path matters; or "NAME=PATH", or the name of a channel
  *     "how": an option
  *
@@ -196,6 +197,8 @@ static int describe(struct job_record *r, const struct vox_sort_options *options
         BSQ_TRY(add_line(r, "how", 0, strdup(ids[options->ids])));
     for (uint32_t i = 0; i < options->channel_count; i++)
         BSQ_TRY(add_channel(r, &options->channels[i]));
+    if (options->embed_textures)
+        BSQ_TRY(add_line(r, "how", 0, strdup("textures as images inside")));
     status = add_path_rules(r);
 done:
     return status;
@@ -229,6 +232,11 @@ int vox_record_add_libraries(struct job_record *r, struct fmt_mesh_reader *reade
         BSQ_TRY(add_input(r, "mtl", path));
 done:
     return status;
+}
+
+int vox_record_add_image(struct job_record *r, const char *path)
+{
+    return r->path ? add_input(r, "mtl", path) : 0;
 }
 
 /* ---- the file ---- */

@@ -26,6 +26,8 @@ void vox_record_free(struct job_record *record);
 int vox_record_check(struct job_record *record, enum vox_record how, bool *same);
 /* Adds the material libraries that the reader has met. */
 int vox_record_add_libraries(struct job_record *record, struct fmt_mesh_reader *reader);
+/* Adds a texture whose image is in the chunk file. */
+int vox_record_add_image(struct job_record *record, const char *path);
 /* Writes the record beside the chunk file, which must be complete. */
 int vox_record_write(struct job_record *record);
 

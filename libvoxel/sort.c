@@ -165,8 +165,10 @@ static void add_name(char *list, const char *name)
     snprintf(list + length, VOX_NAMES_BYTES - length, "%s%s", length > 0 ? "," : "", name);
 }
 
-static void report_scan(const struct scan *scan, struct vox_sort_report *report)
+static void report_scan(const struct scan *scan, const struct vox_sort_options *options,
+                        struct vox_sort_report *report)
 {
+    const char *outer = vox_scan_find_texture(scan, options->embed_textures);
     report_totals(report, &scan->totals);
     report->broken_faces = scan->lost[FMT_MESH_VERTEX].count;
     report->lost_corners = scan->lost[FMT_MESH_TEXCOORD].count + scan->lost[FMT_MESH_NORMAL].count;
@@ -175,7 +177,9 @@ static void report_scan(const struct scan *scan, struct vox_sort_report *report)
     report->has_normals = (scan->attributes & FMT_TRIS_NORMALS) != 0;
     report->has_texcoords = (scan->attributes & FMT_TRIS_TEXCOORDS) != 0;
     report->unused_texcoords = !report->has_texcoords && scan_count(scan, SCAN_TEXCOORDS) > 0;
-    report->uses_textures = vox_scan_find_texture(scan) != NULL;
+    report->uses_textures = vox_scan_find_texture(scan, false) != NULL;
+    if (outer)
+        add_name(report->outer_texture, outer);
     for (uint32_t i = 0; i < scan->material_count; i++)
         report->has_material_colors |=
             !scan->materials[i].texture_path && !scan->materials[i].colorless;
@@ -184,6 +188,21 @@ static void report_scan(const struct scan *scan, struct vox_sort_report *report)
     for (unsigned i = 0; bsq_channel_at(i); i++)
         if (scan->unkept >> i & 1)
             add_name(report->unkept_channels, bsq_channel_at(i)->name);
+}
+
+/* Records the images that the chunk file will hold. */
+static int record_images(const struct scan *scan, struct job_record *record)
+{
+    int status = 0;
+    for (uint32_t i = 0; i < scan->material_count; i++)
+        for (uint32_t c = 0; c <= scan->channel_count; c++) {
+            const struct fmt_tris_material *m = &scan->materials[i];
+            const char *path = c == 0 ? m->texture_path : m->sources[c - 1].texture_path;
+            if (path)
+                BSQ_TRY(vox_record_add_image(record, path));
+        }
+done:
+    return status;
 }
 
 static int read_scan(struct scan *scan, const struct sort_limits *limits,
@@ -215,12 +234,14 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
                                  &textures));
     BSQ_TRY(read_passes(scan, reader, options, estimate.faces_come_last && !limits->two_passes,
                         &textures, out));
-    status = vox_record_add_libraries(record, reader);
+    BSQ_TRY(vox_record_add_libraries(record, reader));
+    if (options->embed_textures)
+        status = record_images(scan, record);
 done:
     bsq_free(ctx, placements);
     vox_textures_free(ctx, &textures);
     fmt_mesh_close(reader);
-    report_scan(scan, report);
+    report_scan(scan, options, report);
     report->seconds_read = bsq_seconds_now() - start;
     return status;
 }
@@ -279,6 +300,7 @@ static int write_chunks(const struct scan *scan, const struct partition *partiti
         .materials = scan->materials,
         .ids = scan->ids,
         .channel_count = scan->channel_count,
+        .has_images = options->embed_textures,
     };
     struct fmt_tris_writer *writer = NULL;
     struct batches_report batches = {0};

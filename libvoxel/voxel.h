@@ -98,6 +98,8 @@ struct vox_sort_options {
     bool check_textures;
     /** Warn of textures of materials that belong to none of the channels: their content is lost. */
     bool tells_unkept;
+    /** Copy the images of textures into the chunk file tris_path, except for textures of tiles. */
+    bool embed_textures;
     enum vox_record record; /**< Use of the record beside the chunk file. */
 };
 
@@ -127,7 +129,10 @@ struct vox_sort_report {
     bool has_colors;          /**< The scan has vertex colours. */
     bool has_material_colors; /**< Some material has a colour, without a texture. */
     bool unused_texcoords;    /**< It has texture coordinates, but nothing that needs them. */
-    bool uses_textures;       /**< The chunk file names textures, which must stay where they are. */
+    bool uses_textures;       /**< The chunk file needs textures. */
+    /** One that is not in the chunk file, and must stay where it is; "": none. It may be cut off.
+     */
+    char outer_texture[VOX_NAMES_BYTES];
     /** Channels that the chunk file keeps, and those of which materials have textures or values
      * that it does not keep: names separated by commas. */
     char kept_channels[VOX_NAMES_BYTES], unkept_channels[VOX_NAMES_BYTES];

@@ -63,6 +63,9 @@ static const struct bsq_option rows[] = {
 
     {OPTION("tris", "FILE", "name of the chunk file (default: the output's, ending in .tris)"),
      .heading = "Chunk file", MEMBER(OUTPUT, tris), .needs = GRID | MESHES},
+    {OPTION("embed-textures", NULL,
+            "copy the scan's textures into the chunk file, which can then move"),
+     MEMBER(FLAG, sort.embed_textures), .needs = MESHES},
     {OPTION("no-tris", NULL, "do not keep the chunk file"), MEMBER(FLAG, no_tris), .needs = GRID},
     {OPTION("resume", NULL, "continue the same job from its chunk file, if that is complete"),
      MEMBER(FLAG, resume), .needs = MESHES},
@@ -277,7 +280,8 @@ int voxelize_arguments_add_all_channels(struct cli *cli, struct voxelize_argumen
 
 static int check_arguments(struct cli *cli, const struct voxelize_arguments *arguments)
 {
-    static const char *const exclude[][2] = {{"resolution", "voxel-size"}, {"tris", "no-tris"}};
+    static const char *const exclude[][2] = {
+        {"resolution", "voxel-size"}, {"tris", "no-tris"}, {"embed-textures", "no-tris"}};
     const char *output = arguments->grid.grid_path;
     if (arguments->parse_only && output)
         return cli_usage(cli, "--parse-only writes nothing: leave out --output");

@@ -74,6 +74,12 @@ static void print_tris(const struct voxelize_job *job)
         cli_print("%s: %s, %s, %.2f s\n", job->tris_path,
                   cli_counted_text(job->sort.chunks, "chunk", "chunks", chunks),
                   cli_size_text(job->sort.tris_bytes, size), job->sort.seconds_sort);
+    if (job->mesh_count > 0 && !job->sort.resumed && !job->temporary_tris &&
+        job->sort.outer_texture[0])
+        cli_print("%s needs its textures where they are now, such as %s%s\n", job->tris_path,
+                  job->sort.outer_texture,
+                  job->arguments->sort.embed_textures ? ""
+                                                      : "; --embed-textures copies them into it");
 }
 
 void voxelize_report_grid(const struct vox_voxelize_options *options,
@@ -107,7 +113,7 @@ static json_t *sort_json(const struct vox_sort_report *sort)
 {
     return json_pack(
         "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:[f, f, f], s:b, s:b, s:b,"
-        " s:b, s:b, s:b, s:o, s:o, s:f, s:f}",
+        " s:b, s:b, s:b, s:o, s:o, s:o, s:f, s:f}",
         "bytes_read", (json_int_t)sort->bytes_read, "vertices", (json_int_t)sort->vertices, "faces",
         (json_int_t)sort->faces, "triangles", (json_int_t)sort->triangles, "degenerate_triangles",
         (json_int_t)sort->degenerate_triangles, "short_faces", (json_int_t)sort->short_faces,
@@ -119,6 +125,7 @@ static json_t *sort_json(const struct vox_sort_report *sort)
         (int)sort->has_normals, "has_texcoords", (int)sort->has_texcoords, "has_colors",
         (int)sort->has_colors, "has_material_colors", (int)sort->has_material_colors,
         "unused_texcoords", (int)sort->unused_texcoords, "uses_textures", (int)sort->uses_textures,
+        "outer_texture", cli_json_text(sort->outer_texture[0] ? sort->outer_texture : NULL),
         "kept_channels", names_json(sort->kept_channels), "unkept_channels",
         names_json(sort->unkept_channels), "seconds_read", sort->seconds_read, "seconds_sort",
         sort->seconds_sort);

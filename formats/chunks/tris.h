@@ -22,11 +22,13 @@ enum fmt_tris_attribute {
 
 /* Version 2 has what version 1 has, and ids. Version 3 has further channels and textures whose
  * coordinates move, and may have ids. Version 4 also has textures with a factor, or that do not
- * repeat. A file has the least version that it needs. */
+ * repeat. Version 5 has what version 4 has, and images. A file has the least version that it needs.
+ */
 #define FMT_TRIS_VERSION          1u
 #define FMT_TRIS_VERSION_IDS      2u
 #define FMT_TRIS_VERSION_CHANNELS 3u
 #define FMT_TRIS_VERSION_FACTORS  4u
+#define FMT_TRIS_VERSION_IMAGES   5u
 
 /* Triangles of the largest chunk; small enough for 16-bit indices in ordinary meshes. */
 #define FMT_TRIS_CHUNK_TRIANGLES 65536u
@@ -65,6 +67,8 @@ struct fmt_tris_header {
     enum bsq_ids ids;
     uint32_t channel_count;
     char **channels; /* names, see base/channels.h */
+    bool has_images; /* the file holds images of its textures; for a writer: embed those that are
+                        single files, if there are any */
 };
 
 /* Returns the version that a file with this header has. */

@@ -147,6 +147,9 @@ struct fmt_tris_file {
     uint8_t *tail;                   /* materials and table as in the file; freed after opening */
     char *paths;                     /* all texture paths and names, each with a terminator */
     struct fmt_tris_source *sources; /* of all materials; NULL: there are none */
+    char **images;                   /* names of embedded images, as parts of this file; owned */
+    uint64_t image_count, image_capacity;
+    uint64_t images_end; /* of the images and their checksum; 0: there are none */
     uint64_t load_size_max;
     uint64_t checksum; /* of the header, which has those of all tables */
     /* Of several files as one scan; then `file` has only a path, that of the first part. */

@@ -264,6 +264,33 @@ static int verify_bounds(const struct verify *v)
     return 0;
 }
 
+/* Checks the images, whose checksum is behind them. */
+static int verify_images(const struct verify *v)
+{
+    const uint64_t begin = sizeof(struct tris_file_header), end = v->file->images_end;
+    uint8_t buffer[16384];
+    uint64_t stored;
+    int status = 0;
+    if (end == 0)
+        return 0;
+    XXH3_state_t *hash = XXH3_createState();
+    if (!hash || XXH3_64bits_reset(hash) != XXH_OK)
+        BSQ_TRY(bsq_fail(v->ctx, BSQ_ENOMEM, "no memory for the checksum of images"));
+    for (uint64_t at = begin, size; at < end - sizeof stored; at += size) {
+        size = end - sizeof stored - at;
+        size = size < sizeof buffer ? size : sizeof buffer;
+        BSQ_TRY(bsq_check(v->ctx));
+        BSQ_TRY(fmt_tris_read_unchanged(v->file, buffer, size, at));
+        XXH3_64bits_update(hash, buffer, size);
+    }
+    BSQ_TRY(fmt_tris_read_unchanged(v->file, &stored, sizeof stored, end - sizeof stored));
+    if (XXH3_64bits_digest(hash) != stored)
+        status = fmt_tris_damaged(v->file, "the images' checksum does not match");
+done:
+    XXH3_freeState(hash);
+    return status;
+}
+
 static int verify_chunks(struct verify *v, uint64_t count)
 {
     bool parallel = bsq_memory_left(v->ctx) / bsq_threads(v->ctx) >= v->worker_bytes;
@@ -290,6 +317,8 @@ int fmt_tris_verify(const struct fmt_tris_file *file, uint64_t *vertices)
     v.chunk_bytes = bsq_align_up(fmt_tris_load_size_max(file), 8);
     v.worker_bytes = v.chunk_bytes + bsq_align_up(most, 8);
     int status = verify_bounds(&v);
+    if (status == 0)
+        status = verify_images(&v);
     if (status == 0 && header->chunk_count > 0)
         status = verify_chunks(&v, header->chunk_count);
     if (vertices)

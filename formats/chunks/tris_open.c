@@ -11,6 +11,7 @@
 
 #include <inttypes.h>
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 #include <strings.h>
 #include <xxhash.h>
@@ -42,11 +43,11 @@ static int check_header(const struct fmt_tris_file *file, const struct tris_file
             file->ctx, BSQ_EDATA,
             "%s: chunk file with its bytes in big-endian order: Bisque reads little-endian ones",
             file->file.path);
-    if (h->version < FMT_TRIS_VERSION || h->version > FMT_TRIS_VERSION_FACTORS)
+    if (h->version < FMT_TRIS_VERSION || h->version > FMT_TRIS_VERSION_IMAGES)
         return bsq_fail(file->ctx, BSQ_EDATA,
                         "%s: chunk file of version %" PRIu32
                         ", this program reads versions %u to %u",
-                        file->file.path, h->version, FMT_TRIS_VERSION, FMT_TRIS_VERSION_FACTORS);
+                        file->file.path, h->version, FMT_TRIS_VERSION, FMT_TRIS_VERSION_IMAGES);
     if (XXH3_64bits(h, offsetof(struct tris_file_header, header_checksum)) != h->header_checksum)
         return fmt_tris_damaged(file, "the header's checksum does not match");
     if (h->file_bytes != file->file.size)
@@ -142,15 +143,37 @@ static bool take_text(struct parts *parts, uint32_t length, char **out)
     return true;
 }
 
+/* Names an image that lies in the file. The caller has checked that it has a name. */
+static int name_image(struct fmt_tris_file *file, const char *range, char **out)
+{
+    const uint64_t size = strlen(file->file.path) + strlen(range) + 1;
+    struct bsq_part part;
+    char *name = NULL;
+    int status;
+    BSQ_TRY(bsq_grow(file->ctx, "images", file->image_count + 1, sizeof *file->images,
+                     &file->images, &file->image_capacity));
+    BSQ_TRY(bsq_alloc(file->ctx, "images", size, 1, &name));
+    snprintf(name, size, "%s%s", file->file.path, range);
+    file->images[file->image_count++] = *out = name;
+    file->header.has_images = true;
+    if (bsq_part_parse(name, &part) == 0 || part.base64 ||
+        part.offset < sizeof(struct tris_file_header) || part.size > file->file.size ||
+        part.offset > file->file.size - part.size)
+        return fmt_tris_damaged(file, "an image is not in the file");
+done:
+    return status;
+}
+
 /* Reads the path of a texture. */
-static int parse_path(const struct fmt_tris_file *file, struct parts *parts, uint32_t length,
-                      char **out)
+static int parse_path(struct fmt_tris_file *file, struct parts *parts, uint32_t length, char **out)
 {
     char *path;
     if (length == TRIS_NO_PATH)
         return 0;
     if (!take_text(parts, length, &path))
         return fmt_tris_damaged(file, "a texture's path is cut off");
+    if (path[0] == '#')
+        return name_image(file, path, out);
     if (path[0] != '/')
         return fmt_tris_damaged(file, "a texture's path is not absolute");
     *out = (char *)(uintptr_t)bsq_map_path(file->ctx, path);
@@ -194,7 +217,7 @@ static bool take_uv(const struct tris_uv_record *record, struct bsq_uv *out)
     return isfinite(scale[0]) && isfinite(scale[1]) && isfinite(offset[0]) && isfinite(offset[1]);
 }
 
-static int parse_source(const struct fmt_tris_file *file, uint32_t version, struct parts *parts,
+static int parse_source(struct fmt_tris_file *file, uint32_t version, struct parts *parts,
                         struct fmt_tris_source *out)
 {
     struct tris_source_record record;
@@ -213,7 +236,7 @@ static int parse_source(const struct fmt_tris_file *file, uint32_t version, stru
 }
 
 /* Reads what version 3 has after a material's name. */
-static int parse_sources(const struct fmt_tris_file *file, uint32_t version, struct parts *parts,
+static int parse_sources(struct fmt_tris_file *file, uint32_t version, struct parts *parts,
                          struct fmt_tris_material *m)
 {
     const uint32_t count = file->header.channel_count;
@@ -227,7 +250,7 @@ static int parse_sources(const struct fmt_tris_file *file, uint32_t version, str
     return status;
 }
 
-static int parse_material(const struct fmt_tris_file *file, uint32_t version, struct parts *parts,
+static int parse_material(struct fmt_tris_file *file, uint32_t version, struct parts *parts,
                           struct fmt_tris_material *m)
 {
     struct tris_material_record record;
@@ -347,6 +370,10 @@ static int parse_table(struct fmt_tris_file *file, const struct tris_file_header
     memcpy(file->chunks, file->tail + (h->table_offset - h->materials_offset),
            h->chunk_count * sizeof *file->chunks);
     uint64_t offset = sizeof *h, triangles = 0;
+    if (file->header.has_images && h->chunk_count > 0)
+        offset = file->images_end = file->chunks[0].offset;
+    if (offset % 8 != 0 || offset < sizeof *h || offset > h->materials_offset)
+        return fmt_tris_damaged(file, "the images overlap other parts");
     for (uint64_t i = 0; i < h->chunk_count; i++) {
         const struct fmt_tris_chunk_info *info = &file->chunks[i];
         if (info->offset != offset || info->first_triangle != triangles ||
@@ -448,6 +475,9 @@ void fmt_tris_close(struct fmt_tris_file *file)
     bsq_free(ctx, file->sources);
     bsq_free(ctx, file->chunks);
     bsq_free(ctx, file->paths);
+    for (uint64_t i = 0; i < file->image_count; i++)
+        bsq_free(ctx, file->images[i]);
+    bsq_free(ctx, file->images);
     bsq_free(ctx, file);
 }
 

@@ -9,6 +9,9 @@
 #include "base/channels.h"
 #include "formats/chunks/tris_internal.h"
 
+#include "base/file_part.h"
+#include "base/tile_files.h"
+
 #include <math.h>
 #include <xxhash.h>
 
@@ -42,7 +45,8 @@ uint32_t fmt_tris_version(const struct fmt_tris_header *header)
         for (uint32_t c = 0; c < header->channel_count; c++)
             factors |= has_factor(&m->sources[c]) || wrap_bits(&m->sources[c].uv) > 0;
     }
-    return factors                              ? FMT_TRIS_VERSION_FACTORS
+    return header->has_images                   ? FMT_TRIS_VERSION_IMAGES
+           : factors                            ? FMT_TRIS_VERSION_FACTORS
            : header->channel_count > 0 || moves ? FMT_TRIS_VERSION_CHANNELS
            : header->ids != BSQ_IDS_NONE        ? FMT_TRIS_VERSION_IDS
                                                 : FMT_TRIS_VERSION;
@@ -138,6 +142,12 @@ int fmt_tris_encode(struct bsq_ctx *ctx, uint32_t attributes, const struct fmt_t
 
 /* ---- the writer ---- */
 
+/* A texture that lies in the file. */
+struct tris_image {
+    const char *path; /* of the material */
+    char *name;       /* of the part of this file, which stands for it */
+};
+
 struct fmt_tris_writer {
     struct bsq_ctx *ctx;
     struct bsq_output *output;
@@ -147,6 +157,8 @@ struct fmt_tris_writer {
     uint64_t materials_bytes, materials_capacity;
     struct fmt_tris_chunk_info *table;
     uint64_t table_capacity;
+    struct tris_image *images; /* that were embedded */
+    uint64_t image_count, image_capacity;
 };
 
 void fmt_tris_discard(struct fmt_tris_writer *writer)
@@ -156,7 +168,79 @@ void fmt_tris_discard(struct fmt_tris_writer *writer)
     bsq_output_discard(writer->output);
     bsq_free(writer->ctx, writer->materials);
     bsq_free(writer->ctx, writer->table);
+    for (uint64_t i = 0; i < writer->image_count; i++)
+        bsq_free(writer->ctx, writer->images[i].name);
+    bsq_free(writer->ctx, writer->images);
     bsq_free(writer->ctx, writer);
+}
+
+/* ---- images ---- */
+
+static const char *find_image(const struct fmt_tris_writer *writer, const char *path)
+{
+    for (uint64_t i = 0; i < writer->image_count; i++)
+        if (strcmp(writer->images[i].path, path) == 0)
+            return writer->images[i].name;
+    return NULL;
+}
+
+/* Writes bytes of the images part, and adds them to its checksum. */
+static int write_image_bytes(struct fmt_tris_writer *writer, XXH3_state_t *hash, const void *bytes,
+                             uint64_t size)
+{
+    XXH3_64bits_update(hash, bytes, size);
+    return bsq_output_write(writer->output, bytes, size);
+}
+
+/* Copies the image at `path` into the file, unless it is there or is one of several tiles. */
+static int embed(struct fmt_tris_writer *writer, const char *path, XXH3_state_t *hash)
+{
+    static const uint8_t zeros[8];
+    uint8_t buffer[16384];
+    struct bsq_part from, to = {.offset = bsq_output_tell(writer->output)};
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    int status = 0;
+    if (!path || bsq_has_tiles(path) || find_image(writer, path))
+        return 0;
+    BSQ_TRY(bsq_grow(writer->ctx, "images", writer->image_count + 1, sizeof *writer->images,
+                     &writer->images, &writer->image_capacity));
+    BSQ_TRY(bsq_part_open(writer->ctx, path, &from, &file));
+    to.size = from.size;
+    for (uint64_t at = 0, size; at < from.size; at += size) {
+        size = from.size - at < sizeof buffer ? from.size - at : sizeof buffer;
+        BSQ_TRY(bsq_check(writer->ctx));
+        BSQ_TRY(bsq_part_read(writer->ctx, &file, &from, buffer, size, at));
+        BSQ_TRY(write_image_bytes(writer, hash, buffer, size));
+    }
+    BSQ_TRY(bsq_file_check(writer->ctx, &file));
+    BSQ_TRY(write_image_bytes(writer, hash, zeros, bsq_align_up(from.size, 8) - from.size));
+    BSQ_TRY(bsq_part_name(writer->ctx, "", &to, &writer->images[writer->image_count].name));
+    writer->images[writer->image_count++].path = path;
+done:
+    bsq_file_close(writer->ctx, &file);
+    return status;
+}
+
+/* Copies the images of all materials, and appends the checksum of this part of the file. */
+static int embed_all(struct fmt_tris_writer *writer, const struct fmt_tris_header *header)
+{
+    XXH3_state_t *hash = XXH3_createState();
+    int status = 0;
+    if (!hash || XXH3_64bits_reset(hash) != XXH_OK) {
+        XXH3_freeState(hash);
+        return bsq_fail(writer->ctx, BSQ_ENOMEM, "no memory for the checksum of images");
+    }
+    for (uint32_t m = 0; m < header->material_count; m++) {
+        BSQ_TRY(embed(writer, header->materials[m].texture_path, hash));
+        for (uint32_t c = 0; c < header->channel_count; c++)
+            BSQ_TRY(embed(writer, header->materials[m].sources[c].texture_path, hash));
+    }
+    const uint64_t checksum = XXH3_64bits_digest(hash);
+    if (writer->image_count > 0)
+        status = bsq_output_write(writer->output, &checksum, sizeof checksum);
+done:
+    XXH3_freeState(hash);
+    return status;
 }
 
 /* ---- materials ---- */
@@ -193,6 +277,13 @@ static uint32_t path_bytes(const char *path)
     return path ? (uint32_t)strlen(path) : TRIS_NO_PATH;
 }
 
+/* Returns the path of a texture as the file has it. */
+static const char *stored_path(const struct fmt_tris_writer *writer, const char *path)
+{
+    const char *name = path ? find_image(writer, path) : NULL;
+    return name ? name : path;
+}
+
 static struct tris_uv_record uv_record(const struct bsq_uv *uv)
 {
     static const struct tris_uv_record same = {{1, 1}, {0, 0}};
@@ -210,12 +301,13 @@ static int put_channels(struct fmt_tris_writer *writer, const struct fmt_tris_ma
     BSQ_TRY(put(writer, &uv, sizeof uv));
     for (uint32_t c = 0; c < channel_count; c++) {
         const struct fmt_tris_source *source = &m->sources[c];
+        const char *path = stored_path(writer, source->texture_path);
         const struct tris_source_record record = {
             .value = {source->value[0], source->value[1], source->value[2]},
             .component = source->component | wrap_bits(&source->uv),
             .uv = uv_record(&source->uv),
-            .path_bytes = path_bytes(source->texture_path)};
-        BSQ_TRY(put_text(writer, &record, sizeof record, source->texture_path));
+            .path_bytes = path_bytes(path)};
+        BSQ_TRY(put_text(writer, &record, sizeof record, path));
     }
 done:
     return status;
@@ -224,13 +316,14 @@ done:
 static int put_material(struct fmt_tris_writer *writer, const struct fmt_tris_material *m,
                         uint32_t channel_count)
 {
+    const char *path = stored_path(writer, m->texture_path);
     const struct tris_material_record record = {{m->diffuse[0], m->diffuse[1], m->diffuse[2]},
-                                                path_bytes(m->texture_path)};
+                                                path_bytes(path)};
     const uint32_t flags = (m->colorless ? TRIS_COLORLESS : 0u) | (m->tinted ? TRIS_TINTED : 0u);
     const struct tris_name_record name = {flags | wrap_bits(&m->uv), (uint32_t)text_bytes(m->name)};
     const uint32_t version = writer->header.version;
     int status;
-    BSQ_TRY(put_text(writer, &record, sizeof record, m->texture_path));
+    BSQ_TRY(put_text(writer, &record, sizeof record, path));
     if (version >= FMT_TRIS_VERSION_IDS)
         BSQ_TRY(put_text(writer, &name, sizeof name, m->name));
     if (version >= FMT_TRIS_VERSION_CHANNELS)
@@ -275,15 +368,19 @@ static int create(struct bsq_ctx *ctx, const char *path, const char *beside,
     writer->temporary = !path;
     struct tris_file_header *h = &writer->header;
     memcpy(h->magic, TRIS_MAGIC, sizeof h->magic);
-    h->version = fmt_tris_version(header);
     h->attributes = header->attributes;
     h->source_faces = header->source_faces;
     h->material_count = header->material_count;
     memcpy(h->origin, header->origin, sizeof h->origin);
-    BSQ_TRY(encode_materials(writer, header));
     BSQ_TRY(path ? bsq_output_open(ctx, path, &writer->output)
                  : bsq_output_open_temp(ctx, beside, "chunks", &writer->output));
     BSQ_TRY(bsq_output_write(writer->output, &zeros, sizeof zeros));
+    if (header->has_images && path) /* a temporary file has no name to find images by */
+        BSQ_TRY(embed_all(writer, header));
+    struct fmt_tris_header content = *header;
+    content.has_images = writer->image_count > 0;
+    h->version = fmt_tris_version(&content);
+    BSQ_TRY(encode_materials(writer, header));
     *out = writer;
     return 0;
 done:

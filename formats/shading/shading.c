@@ -5,9 +5,12 @@
 #include "formats/shading/shading.h"
 
 #include <string.h>
+#include <unistd.h>
 
 #include "base/channels.h"
+#include "base/file_part.h"
 #include "base/sort_array.h"
+#include "base/tile_files.h"
 #include "formats/texture/texture.h"
 
 /* Returns the number of sources that an attribute has. */
@@ -166,8 +169,42 @@ bool fmt_shading_needs_textures(const struct fmt_shading *shading)
     return false;
 }
 
+/* Returns whether the chunk file names a texture, and not an option. */
+static bool is_own(const struct fmt_tris_header *header, const char *path)
+{
+    bool own = false;
+    for (uint32_t m = 0; m < header->material_count; m++) {
+        const struct fmt_tris_material *material = &header->materials[m];
+        own |= path == material->texture_path;
+        for (uint32_t c = 0; material->sources && c < header->channel_count; c++)
+            own |= path == material->sources[c].texture_path;
+    }
+    return own;
+}
+
+/* Refuses a scan whose textures are not where they were when it was sorted. */
+static int find_textures(const struct fmt_shading *shading)
+{
+    for (uint64_t i = 0; i < shading->attribute_count * source_count(shading); i++) {
+        struct fmt_texture_source source = {0};
+        struct bsq_part part;
+        image_of(shading, i, &source);
+        if (!source.path || bsq_part_parse(source.path, &part) > 0 || bsq_has_tiles(source.path) ||
+            access(source.path, F_OK) == 0 || !is_own(shading->header, source.path))
+            continue;
+        return bsq_fail(shading->ctx, BSQ_ENOINPUT,
+                        "%s: its texture %s is missing: put it there, name its new place by "
+                        "--path-map, or sort the scan with --embed-textures",
+                        shading->path, source.path);
+    }
+    return 0;
+}
+
 int fmt_shading_open_textures(struct fmt_shading *shading, uint64_t cache_bytes)
 {
+    const int status = find_textures(shading);
+    if (status < 0)
+        return status;
     return fmt_textures_open_each(shading->ctx, shading->attribute_count * source_count(shading),
                                   image_of, shading, cache_bytes, &shading->textures);
 }

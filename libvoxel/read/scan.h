@@ -236,8 +236,9 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
                             const char *texture_path, struct scan_textures *textures,
                             enum bsq_ids ids);
 
-/* Returns the path of a texture that the chunk file will name, or NULL. */
-const char *vox_scan_find_texture(const struct scan *scan);
+/* Returns the path of a texture that the chunk file will need, or NULL. in_tiles: one that is
+ * several files. */
+const char *vox_scan_find_texture(const struct scan *scan, bool in_tiles);
 
 /* Warns of files without faces, and of attributes that some files have and others lack, in a scan
  * of several files. Called after vox_scan_find_materials(). */

@@ -585,16 +585,18 @@ static void warn_without_names(const struct scan *scan)
                  scan->ids == BSQ_IDS_OBJECT ? "objects or groups" : "materials");
 }
 
-const char *vox_scan_find_texture(const struct scan *scan)
+const char *vox_scan_find_texture(const struct scan *scan, bool in_tiles)
 {
-    const char *path = NULL;
-    for (uint32_t i = 0; i < scan->material_count && !path; i++) {
+    for (uint32_t i = 0; i < scan->material_count; i++) {
         const struct fmt_tris_material *material = &scan->materials[i];
-        path = material->texture_path;
-        for (uint32_t c = 0; c < scan->channel_count && !path; c++)
-            path = material->sources[c].texture_path;
+        for (uint32_t c = 0; c <= scan->channel_count; c++) {
+            const char *path =
+                c == 0 ? material->texture_path : material->sources[c - 1].texture_path;
+            if (path && (!in_tiles || bsq_has_tiles(path)))
+                return path;
+        }
     }
-    return path;
+    return NULL;
 }
 
 /* Warns of channels that no material has, which are the same everywhere: other parts of the scan
@@ -656,7 +658,7 @@ int vox_scan_find_materials(struct scan *scan, struct fmt_mesh_reader *reader,
     scan->attributes = (scan->has_colors ? FMT_TRIS_COLORS : 0) |
                        (scan->has_normals ? FMT_TRIS_NORMALS : 0) |
                        (scan->material_count > 0 ? FMT_TRIS_MATERIALS : 0);
-    if (vox_scan_find_texture(scan))
+    if (vox_scan_find_texture(scan, false))
         scan->attributes |= FMT_TRIS_TEXCOORDS;
 done:
     return status;

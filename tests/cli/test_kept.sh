@@ -1,6 +1,7 @@
 #!/bin/sh
 # test_kept.sh - what bisque-voxelize keeps of a scan and says of the rest, and what --info says of files.
 . "$(dirname "$0")/lib.sh"
+need_oracle
 p=bisque-voxelize: vox="run bisque-voxelize --resolution 16"
 
 printf 'P3 2 2 255 9 9 9 200 9 9 9 200 9 9 9 200\n' >dot.ppm
@@ -100,6 +101,57 @@ $p warning: good.obj: no material has a value or a texture of emission, so it is
 ok $vox left.tris good.tris --channels metallic -o joined.nvdb
 $vox left.obj --channels coat -o x.nvdb
 refused 65 "$p left.obj: materials have no channel coat: give its image, as coat=FILE"
+
+# ---- textures inside of the chunk file ----
+
+mkdir away
+ok $vox left.obj --channels all -o outer.nvdb
+needs='outer.tris needs its textures where they are now, such as '
+grep -qF "$needs$(pwd -P)/dot.ppm; --embed-textures copies them into it" "$out"
+check "a chunk file says what it needs" $?
+ok $vox left.obj --channels all --embed-textures -o inner.nvdb
+holds "nothing is needed" sh -c "! grep -q 'needs its textures' '$out'"
+same outer.nvdb inner.nvdb
+ok run bisque-voxelize left.obj --channels all --embed-textures -o alone.tris
+same inner.tris alone.tris
+ok run bisque-voxelize left.obj --channels all --embed-textures -o alone.tris --json
+json .kept
+cp -p dot.ppm away/dot.ppm
+echo '# another image' >>dot.ppm
+ok run bisque-voxelize left.obj --channels all --embed-textures -o alone.tris --json
+json '.kept == null and .scan.outer_texture == null'
+mv inner.tris away/moved.tris
+rm dot.ppm
+$vox outer.tris -o x.nvdb
+refused 66 "$p outer.tris: its texture $(pwd -P)/dot.ppm is missing: put it there, name its new place by --path-map, or sort the scan with --embed-textures"
+ok $vox away/moved.tris --channels all -o moved.nvdb
+same outer.nvdb moved.nvdb
+size=$(wc -c <away/dot.ppm)
+mv away/dot.ppm .
+ok run bisque-voxelize --verify away/moved.tris
+grep -q 'version 5' "$out"
+check "images raise the version" $?
+ok run bisque-voxelize --info away/moved.tris --json
+json ".files[0].textures == [\"away/moved.tris#bytes=152+$size\"]"
+cp away/moved.tris broken.tris
+printf X | dd of=broken.tris bs=1 seek=160 conv=notrunc status=none
+run bisque-voxelize --verify broken.tris
+refused 65 "$p broken.tris: damaged chunk file: the images' checksum does not match"
+for file in away/moved.tris broken.tris; do
+    oracle read_file $file
+    grep -q "$(basename $file .tris | sed 's/moved/tris: ok/; s/broken/checksum of the images/')" "$out"
+    check "another reader judges $file alike" $?
+done
+# Textures of tiles stay outside.
+cp dot.ppm dot.1001.ppm
+sed 's/dot.ppm/dot.<UDIM>.ppm/' left.mtl >tiles.mtl
+sed 's/left.mtl/tiles.mtl/' left.obj >tiles.obj
+ok run bisque-voxelize tiles.obj --embed-textures --channels none -o tiles.tris
+grep -q '^tiles.tris needs its textures where they are now, such as .*/dot.<UDIM>.ppm$' "$out"
+check "tiles stay outside" $?
+$vox left.obj --embed-textures --no-tris -o x.nvdb
+refused 64 "$p --embed-textures and --no-tris exclude each other"
+rm -r away
 
 # ---- descriptions ----
 

@@ -87,12 +87,15 @@ def make(random):
         materials = _sources(random, _names(random, materials), channels, factors)
     elif ids:
         materials = _names(random, materials)
+    chunks = [_make_chunk(random, attributes, len(materials)) for _ in range(random.integers(0, 5))]
+    image = b""
+    if factors and chunks and random.random() < 0.7:
+        image = random.bytes(random.integers(1, 40))
+        materials[0] = (materials[0][0], b"#bytes=152+%d" % len(image), *materials[0][2:])
     return {"attributes": attributes, "ids": ids, "channels": channels, "materials": materials,
-            "factors": factors,
+            "factors": factors, "image": image,
             "origin": random.choice([0.0, 5e5, -1e300], 3),
-            "counts": random.integers(0, 1 << 62, 2),
-            "chunks": [_make_chunk(random, attributes, len(materials))
-                       for _ in range(random.integers(0, 5))]}
+            "counts": random.integers(0, 1 << 62, 2), "chunks": chunks}
 
 
 def _encode_chunk(chunk):
@@ -133,12 +136,14 @@ def _encode_materials(ids, channels, materials):
 
 
 def _version(scan):
-    return 4 if scan.get("factors") else 3 if scan["channels"] is not None else 2 if scan["ids"] else 1
+    return 5 if scan.get("image") else 4 if scan.get("factors") else 3 if scan["channels"] is not None else 2 if scan["ids"] else 1
 
 
 def encode(scan):
     """Returns the bytes of a scan."""
-    parts, table, triangles, offset = [], b"", 0, 152
+    images = _pad(scan.get("image", b""))
+    images += struct.pack("<Q", checksum(images)) if images else b""
+    parts, table, triangles, offset = [], b"", 0, 152 + len(images)
     for chunk in scan["chunks"]:
         part = _encode_chunk(chunk)
         nt, nv = len(chunk["triangles"]), len(chunk["positions"])
@@ -158,7 +163,7 @@ def encode(scan):
         "<IIQQQQ3d6fQQQIIQQ", _version(scan), scan["attributes"], triangles, len(parts),
         *map(int, scan["counts"]), *scan["origin"], *bounds.ravel(), offset, table_offset,
         table_offset + len(table), len(scan["materials"]), 0, checksum(materials), checksum(table))
-    return header + struct.pack("<Q", checksum(header)) + b"".join(parts) + materials + table
+    return header + struct.pack("<Q", checksum(header)) + images + b"".join(parts) + materials + table
 
 
 # ---- odd properties ----
@@ -262,6 +267,9 @@ def mend(data):
     struct.pack_into("<Q", data, 112, len(data))
     materials, table = struct.unpack_from("<QQ", data, 96)
     if materials <= table <= len(data):
+        first, = struct.unpack_from("<Q", data, table) if len(data) - table >= 8 else (152,)
+        if data[8] == 5 and 160 <= first <= materials:
+            struct.pack_into("<Q", data, first - 8, checksum(data[152:first - 8]))
         for at in range(table, len(data) - 55, 56):
             _mend_chunk(data, materials, *struct.unpack_from("<QQ", data, at))
         struct.pack_into("<QQ", data, 128, checksum(data[materials:table]), checksum(data[table:]))

@@ -17,6 +17,7 @@ enum { LEAF_MASK = 16 }; /* offset of the mask in a leaf */
 struct reading {
     struct bsq_ctx *ctx;
     XXH3_state_t *sum;
+    const char *file; /* its path */
 };
 
 static void add(struct reading *r, const void *data, size_t size)
@@ -49,9 +50,17 @@ static void add_uv(struct reading *r, const struct bsq_uv *uv)
     add(r, uv->moves ? moved : same, sizeof same);
 }
 
+/* Returns the path of a texture as the file has it: images inside of it have no path there. */
+static const char *stored_path(const struct reading *r, const char *path)
+{
+    const size_t length = strlen(r->file);
+    return path && strncmp(path, r->file, length) == 0 && path[length] == '#' ? path + length
+                                                                              : path;
+}
+
 static void add_source(struct reading *r, const struct fmt_tris_source *source)
 {
-    const char *path = source->texture_path ? source->texture_path : "none";
+    const char *path = source->texture_path ? stored_path(r, source->texture_path) : "none";
     add(r, source->value, sizeof source->value);
     add_u32(r, source->component | wrap_bits(&source->uv));
     add_uv(r, &source->uv);
@@ -74,7 +83,8 @@ static void add_header(struct reading *r, const struct fmt_tris_header *h)
     for (uint32_t c = 0; c < h->channel_count; c++)
         add(r, h->channels[c], strlen(h->channels[c]));
     for (uint32_t i = 0; i < h->material_count; i++) {
-        const char *path = h->materials[i].texture_path, *name = h->materials[i].name;
+        const char *path = stored_path(r, h->materials[i].texture_path);
+        const char *name = h->materials[i].name;
         add(r, h->materials[i].diffuse, sizeof h->materials[i].diffuse);
         add_u32(r, path ? (uint32_t)strlen(path) : UINT32_MAX);
         add(r, path, path ? strlen(path) : 0);
@@ -227,6 +237,7 @@ static bool answer(struct reading *r, const char *path)
     char message[512] = "";
     if (bsq_ctx_create(&options, &r->ctx))
         return false;
+    r->file = path;
     int used = use(r, path);
     if (used)
         snprintf(message, sizeof message, "%s", bsq_error(r->ctx));

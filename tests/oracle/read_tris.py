@@ -4,6 +4,7 @@ read(data, verify) returns the content or raises Refused. With verify=False it m
 that FORMATS.md asks of a reader that opens a file and loads all chunks, with verify=True also those
 of a reader that verifies the whole file.
 """
+import re
 from dataclasses import dataclass, field
 
 import numpy
@@ -73,7 +74,7 @@ def _read_header(data):
     need(len(data) >= HEADER_BYTES and data[:8] == b"BSQTRIS\n", "not a chunk file")
     n = fields(data, 8, "IIQQQQ3d3f3fQQQIIQQQ")
     header = Header(*n[:6], n[6:9], n[9:12], n[12:15], *n[15:])
-    need(header.version in (1, 2, 3, 4), f"version {header.version}")
+    need(header.version in (1, 2, 3, 4, 5), f"version {header.version}")
     need(header.header_checksum == checksum(data[:144]), "checksum of the header")
     need(header.file_bytes == len(data), "length of the file")
     need(header.attributes < 16, "unknown attributes")
@@ -95,13 +96,20 @@ def _is_name(text):
     return text[:1].isalpha() and all(c in b"abcdefghijklmnopqrstuvwxyz0123456789_" for c in text)
 
 
-def _read_path(part, at, path_bytes):
+def _read_path(part, at, path_bytes, header):
     if path_bytes == NONE:
         return None, at
     need(len(part) - at >= path_bytes, "path beyond the materials")
     path = bytes(part[at:at + path_bytes])
     need(0 not in path, "zero byte in a path")
-    need(path.startswith(b"/"), "a path that is not absolute")
+    if path.startswith(b"#"):
+        number = re.fullmatch(rb"#bytes=(\d+)\+(\d+)", path)
+        need(number, "a range of an image")
+        offset, size = int(number[1]), int(number[2])
+        need(HEADER_BYTES <= offset <= header.file_bytes and size <= header.file_bytes - offset,
+             "an image beyond the file")
+    else:
+        need(path.startswith(b"/"), "a path that is not absolute")
     return path, at + path_bytes
 
 
@@ -127,9 +135,10 @@ def _are_flags(flags, version, count):
         wraps == 0 or version > 3 and wraps < 16 and wraps & 3 < 3 and wraps >> 2 < 3)
 
 
-def _read_sources(part, at, channels, version):
+def _read_sources(part, at, channels, header):
     """Returns what version 3 adds to a material, and its end. Textures have no factor before
     version 4."""
+    version = header.version
     need(len(part) - at >= 16, "coordinates beyond their part")
     moved, sources, at = fields(part, at, "4f"), [], at + 16
     need(is_finite(moved), "coordinates are not finite")
@@ -138,7 +147,7 @@ def _read_sources(part, at, channels, version):
         *value, component, a, b, c, d, path_bytes = fields(part, at, "3fI4fI")
         need(is_finite(value) and is_finite((a, b, c, d)) and _are_flags(component, version, 5),
              "value of a channel")
-        path, at = _read_path(part, at + 36, path_bytes)
+        path, at = _read_path(part, at + 36, path_bytes, header)
         if version == 3 and path and component != 4:
             value = (1, 1, 1)
         sources.append((tuple(value), component, (a, b, c, d), path))
@@ -167,7 +176,7 @@ def _read_materials(data, header):
         *diffuse, path_bytes = fields(part, at, "3fI")
         at += MATERIAL_BYTES
         need(is_finite(diffuse), "diffuse colour is not finite")
-        path, at = _read_path(part, at, path_bytes)
+        path, at = _read_path(part, at, path_bytes, header)
         material = (tuple(diffuse), path)
         if header.version >= 2:
             need(len(part) - at >= 8, "names beyond their part")
@@ -181,14 +190,19 @@ def _read_materials(data, header):
             at += name_bytes
             material += (flags, name)
         if header.version >= 3:
-            more, at = _read_sources(part, at, channels, header.version)
+            more, at = _read_sources(part, at, channels, header)
             material += more
         materials.append(material)
     need(len(part) - at < 8 and is_zero(part[at:]), "materials do not fill their part")
     need(header.version != 3 or channels or any(m[4] != SAME for m in materials),
          "no need of version 3")
-    need(header.version < 4 or any(_needs_factors(m) for m in materials), "no need of version 4")
+    need(header.version != 4 or any(_needs_factors(m) for m in materials), "no need of version 4")
     return ids, channels, materials
+
+
+def _paths_of_images(material):
+    paths = [material[1]] + [source[3] for source in (material[5] if len(material) > 5 else [])]
+    return [path for path in paths if path and path.startswith(b"#")]
 
 
 def _index_type(vertex_count):
@@ -225,10 +239,10 @@ def _is_inside(low, high, header):
         all(a <= b for a, b in zip(high, header.bounds_max))
 
 
-def _read_table(data, header):
+def _read_table(data, header, first):
     part = data[header.table_offset:]
     need(header.table_checksum == checksum(part), "checksum of the table")
-    entries, offset, triangles = [], HEADER_BYTES, 0
+    entries, offset, triangles = [], first, 0
     for i in range(header.chunk_count):
         n = fields(part, i * ENTRY_BYTES, "QQQII3f3f")
         entry = Entry(*n[:5], n[5:8], n[8:11])
@@ -288,11 +302,30 @@ def _verify_bounds(content):
          "bounds of the header are not exact")
 
 
+def _images_end(data, content):
+    """Returns where the chunks begin: after the images and their checksum, if there are any."""
+    header = content.header
+    images = any(_paths_of_images(m) for m in content.materials)
+    need(images == (header.version == 5), "images and the version")
+    if not images or header.chunk_count == 0:
+        return HEADER_BYTES
+    first, = fields(data, header.table_offset, "Q")
+    need(first % 8 == 0 and HEADER_BYTES <= first <= header.materials_offset, "end of the images")
+    return first
+
+
+def _verify_images(data, first):
+    if first > HEADER_BYTES:
+        stored, = fields(data, first - 8, "Q")
+        need(stored == checksum(data[HEADER_BYTES:first - 8]), "checksum of the images")
+
+
 def read(data, verify):
     """Returns the Content of a file, or raises Refused."""
     header = _read_header(data)
     content = Content(header, *_read_materials(data, header))
-    for i, entry in enumerate(_read_table(data, header)):
+    first = _images_end(data, content)
+    for i, entry in enumerate(_read_table(data, header, first)):
         try:
             chunk = _load_chunk(data, header, entry)
             if verify:
@@ -302,4 +335,5 @@ def read(data, verify):
         content.chunks.append(chunk)
     if verify:
         _verify_bounds(content)
+        _verify_images(data, first)
     return content
