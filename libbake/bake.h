@@ -321,6 +321,7 @@ struct bake_id {
 struct bake_report {
     char device[128];                 /**< Name of the device that traced. */
     uint64_t low_triangles;           /**< Triangles of the low-poly mesh. */
+    uint64_t low_polygons;            /**< Its faces that had more corners. */
     uint64_t degenerate_uv_triangles; /**< Of these, without an area in the map. */
     uint64_t outside_uv_triangles;    /**< Of these, partly or wholly outside the baked tiles. */
     struct bake_baked_tile *tiles;    /**< The UDIM tiles that were baked, by set and number. */

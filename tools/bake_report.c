@@ -128,6 +128,9 @@ static void print_coverage(const struct bake_arguments *arguments, const struct 
         cli_print("%s texels covered in %s\n", texels,
                   cli_counted_text(report->tile_count, sets ? "file of a map" : "tile",
                                    sets ? "files of a map" : "tiles", tiles));
+    if (report->low_polygons > 0)
+        cli_print("%s became triangles: cut them before export, so that others cut them alike\n",
+                  cli_counted_text(report->low_polygons, "polygon", "polygons", triangles));
 }
 
 static int print_map(void *arg, const struct bake_file *file)
@@ -281,7 +284,7 @@ static int print_json(struct cli *cli, const struct bake_arguments *arguments,
 {
     const struct bake_options *bake = &arguments->bake;
     json_t *root = json_pack(
-        "{s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
+        "{s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
         " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:I}",
         "scan_path", cli_json_text(bake->scan_path), "scan_paths",
         paths_json(bake->scan_path, bake->more_scan_paths, bake->more_scan_count), "mesh_path",
@@ -292,8 +295,9 @@ static int print_json(struct cli *cli, const struct bake_arguments *arguments,
         "preview_path", cli_json_text(bake->preview_path), "width", (int)bake->width, "height",
         (int)bake->height, "samples_per_axis", (int)bake->samples, "device",
         cli_json_text(report->device), "low_triangles", (json_int_t)report->low_triangles,
-        "degenerate_uv_triangles", (json_int_t)report->degenerate_uv_triangles,
-        "outside_uv_triangles", (json_int_t)report->outside_uv_triangles, "covered_texels",
+        "low_polygons", (json_int_t)report->low_polygons, "degenerate_uv_triangles",
+        (json_int_t)report->degenerate_uv_triangles, "outside_uv_triangles",
+        (json_int_t)report->outside_uv_triangles, "covered_texels",
         (json_int_t)report->covered_texels, "samples", (json_int_t)report->samples, "hits",
         (json_int_t)report->hits, "misses", (json_int_t)report->misses, "overlapping_samples",
         (json_int_t)report->overlapping_samples, "front", report->front, "back", report->back,

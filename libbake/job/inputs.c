@@ -320,6 +320,7 @@ int bake_open_inputs(struct bake_work *job)
                                              .placement = &placement};
     BSQ_TRY(bake_lowmesh_load(job->ctx, &low, &job->mesh));
     job->report->low_triangles = job->mesh.triangle_count;
+    job->report->low_polygons = job->mesh.polygon_count;
     if (job->options->match_names)
         BSQ_TRY(bake_match_names(job));
     BSQ_TRY(begin_tiles(job));

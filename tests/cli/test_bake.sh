@@ -230,7 +230,7 @@ files $start
 small="--device cpu --size 96 --samples 1"
 ok $bake $small colored.nvdb low.obj -o 'c_<MAP>.exr' --json
 json '.program == "bisque-bake" and .maps == {"normal": "c_normal.exr", "color": "c_color.exr"}'
-json '.width == 96 and .height == 96 and .samples_per_axis == 1 and .low_triangles == 12'
+json '.width == 96 and .height == 96 and .samples_per_axis == 1 and .low_triangles == 12 and .low_polygons == 6'
 json '.hits + .misses == .samples and .misses * 100 < .samples and .overlapping_samples == 0'
 # Six squares of 0.23 of the map's width: (0.23 * 96)^2 * 6 = 2925 texels.
 json '.covered_texels > 2800 and .covered_texels < 3050 and .samples == .covered_texels'
