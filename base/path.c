@@ -27,6 +27,20 @@ char *bsq_dirname(const char *path)
     return strndup(path, slash == path ? 1 : (size_t)(slash - path));
 }
 
+/* Returns whether a link may be followed, by the rule of Linux's fs.protected_symlinks: in a
+ * directory such as /tmp, where everybody may write, only links of its owner and of this user.
+ * Otherwise others could choose which of the user's files an output replaces. */
+static bool may_follow(const char *path)
+{
+    struct stat link, directory;
+    char *name = bsq_dirname(path);
+    const bool found = name && lstat(path, &link) == 0 && stat(name, &directory) == 0;
+    const mode_t shared = S_ISVTX | S_IWOTH;
+    free(name);
+    return found && ((directory.st_mode & shared) != shared || link.st_uid == geteuid() ||
+                     link.st_uid == directory.st_uid);
+}
+
 /* Sets *next to the path that a symbolic link names, NULL if `path` is no link. Returns an errno.
  */
 static int follow_link(const char *path, char **next)
@@ -36,6 +50,8 @@ static int follow_link(const char *path, char **next)
     ssize_t size = readlink(path, target, sizeof target - 1);
     if (size < 0)
         return errno == EINVAL || errno == ENOENT ? 0 : errno;
+    if (!may_follow(path))
+        return EACCES;
     target[size] = '\0';
     int directory = target[0] == '/' ? 0 : (int)(bsq_file_name(path) - path);
     return asprintf(next, "%.*s%s", directory, path, target) < 0 ? ENOMEM : 0;

@@ -30,6 +30,8 @@ enum bake_map {
     BAKE_MAP_BENT = 128,      /**< Mean open direction, as BAKE_MAP_NORMAL has it. */
     BAKE_MAP_THICKNESS = 256, /**< Mean distance through the solid below the hit. */
     BAKE_MAP_ID = 512, /**< A colour for each region, see struct bake_id. Scans with ids only. */
+    BAKE_MAPS_USUAL =
+        1 << 29, /**< The maps of BAKE_MAPS_DEFAULT, and maps whose bits are also set. */
     BAKE_MAPS_ALL =
         1 << 30 /**< All maps that the scan can give, and maps whose bits are also set. */
 };
@@ -117,6 +119,18 @@ struct bake_transfer {
     bool no_file; /**< No file of its own. */
 };
 
+/** Maps of one value each that become the channels of one file. */
+struct bake_pack {
+    const char *name; /**< Stands for "<MAP>" in the output path, as for transfer maps. */
+    /** Up to four words with commas between them, for red, green, blue and alpha: maps or transfer
+     * maps that are baked and then have no file of their own; "1-" and such a name: its samples are
+     * subtracted from 1; "0" or "1". Three or fewer give red, green and blue. */
+    const char *maps;
+};
+
+/** How much work a bake is, see bake_options.quality. */
+enum bake_quality { BAKE_QUALITY_NORMAL, BAKE_QUALITY_DRAFT, BAKE_QUALITY_FINAL };
+
 /** What bake_run() reads and writes. The caller owns all strings and arrays. */
 struct bake_options {
     const char
@@ -141,8 +155,14 @@ struct bake_options {
     bool as_is;    /**< Bakes meshes that do not fit each other, see bake_run(). */
     uint32_t maps; /**< Bits of enum bake_map. */
     const struct bake_transfer
-        *transfers;          /**< Transfer maps. With any, maps may be 0: no others. */
-    uint32_t transfer_count; /**< Entries of transfers. */
+        *transfers;                /**< Transfer maps. With any, maps may be 0: no others. */
+    uint32_t transfer_count;       /**< Entries of transfers. */
+    const struct bake_pack *packs; /**< Maps that share files. */
+    uint32_t pack_count;           /**< Entries of packs. */
+    /** For the caller, who sets other options by it, and finds it in plans. Likewise the preset:
+     * 0 none, or a number from 1 on. */
+    enum bake_quality quality;
+    uint32_t preset; /**< See quality. */
     /** Output path. "<MAP>" in it stands for the map's name, see bake_map_name(), "<UDIM>" and
      * "<UVTILE>" for the tile, "<OBJECT>" and "<MATERIAL>" for what has maps of its own. It must
      * contain "<MAP>" if there are several maps, and "<UDIM>" or "<UVTILE>" if there are several
@@ -257,7 +277,7 @@ const char *bake_map_alias(unsigned number);
 const char *bake_map_summary(unsigned number);
 
 /** Looks at the scans of the options, and completes these: the bits of BAKE_MAPS_DEFAULT and
- * BAKE_MAPS_ALL become those of maps. With BAKE_MAPS_ALL, first calls `add` with `arg` for the name
+ * BAKE_MAPS_ALL and BAKE_MAPS_USUAL become those of maps. First calls `add` with `arg` for the name
  * of each channel that all scans have and that can be a transfer map, such as "roughness"; it may
  * change the options. A status of `add` below 0 is returned. NULL: no channels are added. Warns of
  * colours, ids and channels that only some of several scans have; a strict job fails with
@@ -301,7 +321,8 @@ struct bake_baked_tile {
 struct bake_file {
     const char *path; /**< Where the map is written. */
     const char *map;  /**< Name of the map. */
-    unsigned number;  /**< Of the map, see bake_map_name(); BAKE_MAX_MAPS for transfer maps. */
+    unsigned number;  /**< Of the map, see bake_map_name(); BAKE_MAX_MAPS for transfer maps and
+                         packs. */
 };
 
 /** Calls `fn` with `arg` for the file of each map in a tile; NULL: with the tokens of tiles,
@@ -327,10 +348,12 @@ struct bake_report {
     struct bake_baked_tile *tiles;    /**< The UDIM tiles that were baked, by set and number. */
     uint32_t tile_count;              /**< Entries of tiles. */
     uint32_t traced_tiles;            /**< Of these, the ones that this job or task traces. */
-    uint64_t covered_texels;          /**< Texels with at least one sample inside a UV chart. */
-    uint64_t samples;                 /**< Samples inside UV charts. */
-    uint64_t hits;                    /**< Samples whose rays found the scan. */
-    uint64_t misses;                  /**< Samples whose rays did not. */
+    uint64_t expected_rays;           /**< Rays of all texels, before tracing. */
+    double expected_seconds; /**< Of one core, for these rays; machines differ by a factor. */
+    uint64_t covered_texels; /**< Texels with at least one sample inside a UV chart. */
+    uint64_t samples;        /**< Samples inside UV charts. */
+    uint64_t hits;           /**< Samples whose rays found the scan. */
+    uint64_t misses;         /**< Samples whose rays did not. */
     uint64_t
         overlapping_samples; /**< Samples in several triangles; the first triangle takes them. */
     double front;            /**< Length of rays along the normal. */

@@ -3,6 +3,7 @@
 
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
 #include "formats/file_kind.h"
 
@@ -21,7 +22,7 @@ static const char usage[] =
     "<MAP> in the output's name is replaced by the name of the map, <UDIM> by the number of the tile,\n"
     "<UVTILE> by u1_v1 and so on, <OBJECT> and <MATERIAL> by names in the low-poly meshes, which then\n"
     "have maps of their own. A name that ends in .exr gives OpenEXR files, one that ends in .png PNG\n"
-    "files. Options with KEY=VALUE take several, with commas between them: --rays ao=32,thickness=16\n";
+    "files; -o FOLDER/ gives FOLDER/LOW_<MAP>.exr, or .png with a preset. Options with KEY=VALUE take several, with commas between them: --rays ao=32,thickness=16\n";
 
 /* ---- maps ---- */
 
@@ -160,18 +161,32 @@ static int finish_transfers(struct cli *cli, struct bake_arguments *arguments)
     return 0;
 }
 
+static int name_in_folder(struct cli *cli, struct bake_arguments *arguments);
+
 /* Where names of channels are added. */
 struct additions {
     struct cli *cli;
     struct bake_arguments *to;
 };
 
+/* Notes that the scans have a channel. */
+static int note_channel(struct cli *cli, struct bake_arguments *arguments, const char *name)
+{
+    char *old = arguments->channels;
+    if (asprintf(&arguments->channels, "%s%s,", old ? old : ",", name) < 0)
+        arguments->channels = NULL;
+    free(old);
+    return arguments->channels ? 0 : cli_usage(cli, "out of memory");
+}
+
 static int add_channel(void *arg, const char *name)
 {
     const struct additions *added = (const struct additions *)arg;
     struct bake_transfers *list = &added->to->transfers;
     struct bake_transfer *map = find_transfer(list, name);
-    int status = 0;
+    int status = note_channel(added->cli, added->to, name);
+    if (status < 0 || !(added->to->bake.maps & BAKE_MAPS_ALL))
+        return status;
     if (map)
         map->no_file = false;
     else
@@ -180,10 +195,228 @@ static int add_channel(void *arg, const char *name)
     return status;
 }
 
+/* Replaces, in the packs of a preset, a channel that the scans do not have: as glTF has it, what
+ * has no roughness is rough, and what has no value of another kind has 0. */
+static int fill_pack(struct cli *cli, struct bake_arguments *arguments, const char *name)
+{
+    const bool rough = strcmp(name, "roughness") == 0;
+    int status = bsq_warn_loss(
+        cli->ctx, "--preset: the scan has no %s: the packed map has %d there", name, rough);
+    for (uint32_t i = 0; i < arguments->bake.pack_count && status == 0; i++) {
+        char *list = (char *)(uintptr_t)arguments->packs[i].maps, *word = strstr(list, name);
+        if (!word)
+            continue;
+        const bool inverted = word - list >= 2 && strncmp(word - 2, "1-", 2) == 0;
+        char *to = inverted ? word - 2 : word;
+        *to = rough != inverted ? '1' : '0';
+        memmove(to + 1, word + strlen(name), strlen(word + strlen(name)) + 1);
+    }
+    return status;
+}
+
+static bool is_in_pack(const struct bake_arguments *arguments, const char *name)
+{
+    bool any = false;
+    for (uint32_t i = 0; i < arguments->bake.pack_count; i++)
+        any |= strstr(arguments->packs[i].maps, name) != NULL;
+    return any;
+}
+
+/* Drops the transfer maps of a preset that the scans cannot give. */
+static int fill_packs(struct cli *cli, struct bake_arguments *arguments)
+{
+    struct bake_transfers *list = &arguments->transfers;
+    int status = 0;
+    uint32_t kept = 0;
+    for (uint32_t i = 0; i < list->count; i++) {
+        const struct bake_transfer map = list->maps[i];
+        char word[CLI_TEXT];
+        snprintf(word, sizeof word, ",%s,", map.name);
+        if (map.texture_path || map.in_mask || !is_in_pack(arguments, map.name) ||
+            (arguments->channels && strstr(arguments->channels, word))) {
+            list->maps[kept++] = map;
+            continue;
+        }
+        if (status == 0)
+            status = fill_pack(cli, arguments, map.name);
+        free((void *)(uintptr_t)map.name);
+    }
+    list->count = kept;
+    use_transfers(arguments);
+    return status;
+}
+
 int bake_arguments_look(struct cli *cli, struct bake_arguments *arguments)
 {
-    return bake_look(cli->ctx, &arguments->bake, arguments->given, add_channel,
-                     &(struct additions){cli, arguments});
+    struct bake_options *bake = &arguments->bake;
+    const bool fills =
+        bake->preset > 0 && bake->pack_count > 0 && !bake_arguments_has(arguments, "packs");
+    struct additions to = {cli, arguments};
+    int status;
+    BSQ_TRY(name_in_folder(cli, arguments));
+    BSQ_TRY(bake_check_options(cli->ctx, bake));
+    BSQ_TRY(bake_look(cli->ctx, bake, arguments->given,
+                      fills || bake->maps & BAKE_MAPS_ALL ? add_channel : NULL, &to));
+    if (fills)
+        BSQ_TRY(fill_packs(cli, arguments));
+    status = bake_check_options(cli->ctx, bake);
+done:
+    return status;
+}
+
+/* ---- packs, presets and quality ---- */
+
+/* Adds a word of a pack to the maps that are baked. */
+static int add_packed(struct cli *cli, struct bake_arguments *arguments, const char *word)
+{
+    const char *name = strncmp(word, "1-", 2) == 0 ? word + 2 : word;
+    const uint32_t map = maps_of_word(name);
+    if (strcmp(name, "0") == 0 || strcmp(name, "1") == 0 || *name == '\0')
+        return 0; /* bake_check_options() refuses what is no name */
+    arguments->bake.maps |= map;
+    return map || find_transfer(&arguments->transfers, name)
+               ? 0
+               : add_transfer(cli, &arguments->transfers, name, strlen(name), NULL);
+}
+
+static int parse_pack(struct cli *cli, struct bake_arguments *arguments, const char *text)
+{
+    struct bake_options *bake = &arguments->bake;
+    struct bake_pack *grown =
+        realloc(arguments->packs, (bake->pack_count + UINT64_C(1)) * sizeof *grown);
+    char *name = strdup(text), *equals = name ? strchr(name, '=') : NULL;
+    if (grown)
+        bake->packs = arguments->packs = grown;
+    if (!grown || !equals) {
+        free(name);
+        return cli_usage(
+            cli, grown && name ? "--pack: \"%s\" is not NAME=MAP,..." : "--pack %s: out of memory",
+            text);
+    }
+    *equals = '\0';
+    grown[bake->pack_count++] = (struct bake_pack){name, equals + 1};
+    return 0;
+}
+
+/* Bakes what packs show, beside the maps that are named or, without any, the default ones. */
+static int finish_packs(struct cli *cli, struct bake_arguments *arguments)
+{
+    int status = 0;
+    if (arguments->bake.pack_count > 0 && !bake_arguments_has(arguments, "maps"))
+        arguments->bake.maps = BAKE_MAPS_USUAL;
+    for (uint32_t i = 0; i < arguments->bake.pack_count && status == 0; i++) {
+        char *list = strdup(arguments->packs[i].maps), *rest = list, *word;
+        status = list ? 0 : cli_usage(cli, "--pack: out of memory");
+        while (status == 0 && (word = strsep(&rest, ",")))
+            status = add_packed(cli, arguments, word);
+        free(list);
+    }
+    return status;
+}
+
+/* What words of --quality and --preset stand for: values of other options that are not given. */
+static const struct setting {
+    const char *option, *word, *name, *key, *text;
+} settings[] = {
+    {"quality", "draft", "samples", NULL, "1"},
+    {"quality", "draft", "rays", "ao", "8"},
+    {"quality", "draft", "rays", "thickness", "4"},
+    {"quality", "final", "samples", NULL, "4"},
+    {"quality", "final", "rays", "ao", "256"},
+    {"quality", "final", "rays", "thickness", "128"},
+    {"preset", "unreal", "green", NULL, "down"},
+    {"preset", "unreal", "pack", NULL, "orm=ao,roughness,metallic"},
+    {"preset", "unity", "green", NULL, "up"},
+    {"preset", "unity", "pack", NULL, "mask_map=metallic,ao,0,1-roughness"},
+    {"preset", "blender", "green", NULL, "up"},
+    {"preset", "gltf", "green", NULL, "up"},
+    {"preset", "gltf", "pack", NULL, "orm=ao,roughness,metallic"},
+    {"preset", "unreal", "type", NULL, "8"},
+    {"preset", "unity", "type", NULL, "8"},
+    {"preset", "gltf", "type", NULL, "8"},
+};
+
+/* Returns whether a row's value is one of its words: that of a setting. */
+static bool is_chosen(const struct bake_options *bake, const struct setting *setting)
+{
+    const uint32_t value =
+        strcmp(setting->option, "preset") == 0 ? bake->preset : (uint32_t)bake->quality;
+    size_t count;
+    for (const struct bsq_option *row = bake_option_rows(&count); count-- > 0; row++)
+        if (row->name && strcmp(row->name, setting->option) == 0)
+            return bsq_option_word(row->words, setting->word) == (int)value;
+    return false;
+}
+
+static int take_option(struct cli *cli, void *arg, const struct bsq_option *row, const char *text);
+
+static int apply_setting(struct cli *cli, struct bake_arguments *arguments,
+                         const struct setting *setting)
+{
+    struct bake_options *bake = &arguments->bake;
+    size_t count;
+    const struct bsq_option *rows = bake_option_rows(&count);
+    for (size_t i = 0; i < count; i++) {
+        const struct bsq_option *row = &rows[i];
+        if (!row->name || strcmp(row->name, setting->name) != 0 || arguments->given[i] ||
+            (setting->key && strcmp(row->key, setting->key) != 0))
+            continue;
+        return row->own_syntax ? take_option(cli, arguments, row, setting->text)
+                               : cli_parse_value(cli, setting->option, row, setting->text, bake);
+    }
+    return 0;
+}
+
+/* OpenEXR files have no samples of 8 bits, which presets ask for in PNG files. */
+static int apply_settings(struct cli *cli, struct bake_arguments *arguments)
+{
+    const bool is_exr = cli_ends_with(arguments->bake.output_path, ".exr");
+    int status = 0;
+    for (size_t i = 0; i < sizeof settings / sizeof *settings && status == 0; i++)
+        if (is_chosen(&arguments->bake, &settings[i]) &&
+            !(is_exr && strcmp(settings[i].name, "type") == 0))
+            status = apply_setting(cli, arguments, &settings[i]);
+    return status;
+}
+
+static void count_tile(void *arg, const struct bake_tile_info *tile)
+{
+    (void)tile;
+    ++*(unsigned *)arg;
+}
+
+/* If the output is a folder, makes the names of maps in it: by the low-poly mesh, or by object if
+ * there are several meshes. */
+static int name_in_folder(struct cli *cli, struct bake_arguments *arguments)
+{
+    static const char *const suffixes[] = {"exr", "png", "png", "exr", "png"}; /* by preset */
+    struct bake_options *bake = &arguments->bake;
+    const char *path = bake->output_path, *slash = strrchr(bake->mesh_path, '/');
+    const char *name = slash ? slash + 1 : bake->mesh_path;
+    const size_t length = strlen(path);
+    const bool slashed = length > 0 && path[length - 1] == '/';
+    struct stat info;
+    unsigned tiles = 0;
+    const bool there = stat(path, &info) == 0 && S_ISDIR(info.st_mode);
+    if (!there && slashed)
+        return bsq_fail(cli->ctx, BSQ_ECANTCREAT, "%s: there is no such folder", path);
+    if (!there)
+        return 0;
+    bsq_mute_warnings(cli->ctx, true); /* the bake reads the meshes again, and then gives them */
+    const int status = bake_list_tiles(cli->ctx, bake, count_tile, &tiles);
+    bsq_mute_warnings(cli->ctx, false);
+    if (status < 0)
+        return status;
+    const bool by_object = bake->more_mesh_count > 0 || bake->match_names;
+    const char *dot = strrchr(name, '.');
+    const int stem =
+        by_object ? 0 : (int)(dot && dot > name ? dot - name : (ptrdiff_t)strlen(name));
+    if (asprintf(&arguments->output, "%s%s%s%.*s_<MAP>%s.%s", path, slashed ? "" : "/",
+                 by_object ? BAKE_OBJECT_TOKEN : "", stem, name,
+                 tiles > 1 ? "." BAKE_UDIM_TOKEN : "", suffixes[bake->preset]) < 0)
+        arguments->output = NULL;
+    bake->output_path = arguments->output;
+    return arguments->output ? 0 : bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", path);
 }
 
 /* ---- sizes and tiles ---- */
@@ -208,11 +441,20 @@ static bool take(const char **text, char character)
     return there;
 }
 
+/* Reads a number of texels, such as 4096 or 4k. */
+static bool take_side(const char **text, uint32_t *out)
+{
+    const bool good = take_number(text, BAKE_MAX_SIDE, out);
+    const uint64_t texels = take(text, 'k') ? UINT64_C(1024) * *out : *out;
+    *out = (uint32_t)texels;
+    return good && texels <= BAKE_MAX_SIDE;
+}
+
 static bool take_size(const char **text, uint32_t *width, uint32_t *height)
 {
-    bool good = take_number(text, BAKE_MAX_SIDE, width);
+    bool good = take_side(text, width);
     *height = *width;
-    return good && (!take(text, 'x') || take_number(text, BAKE_MAX_SIDE, height));
+    return good && (!take(text, 'x') || take_side(text, height));
 }
 
 /* Adds the size of a tile. */
@@ -347,6 +589,8 @@ static int take_option(struct cli *cli, void *arg, const struct bsq_option *row,
         return parse_maps(cli, arguments, text);
     if (strcmp(name, "texture") == 0)
         return parse_texture(cli, arguments, text);
+    if (strcmp(name, "pack") == 0)
+        return parse_pack(cli, arguments, text);
     if (strcmp(name, "size") == 0)
         return parse_sizes(cli, text, bake);
     if (strcmp(name, "tiles") == 0)
@@ -456,6 +700,8 @@ static int check_arguments(struct cli *cli, struct bake_arguments *arguments)
     if (!bake->output_path)
         return cli_usage(cli, "no output given: add -o 'OUT_<MAP>.exr'");
     arguments->bake.strict = cli->strict;
+    if (apply_settings(cli, arguments) < 0 || finish_packs(cli, arguments) < 0)
+        return BSQ_EUSAGE;
     return finish_transfers(cli, arguments);
 }
 
@@ -487,6 +733,11 @@ static void free_transfers(struct bake_transfers *list)
 
 void bake_arguments_free(struct bake_arguments *arguments)
 {
+    for (uint32_t i = 0; i < arguments->bake.pack_count && arguments->packs; i++)
+        free((void *)(uintptr_t)arguments->packs[i].name);
+    free(arguments->packs);
+    free(arguments->output);
+    free(arguments->channels);
     free(arguments->paths);
     free(arguments->suffixes);
     free_transfers(&arguments->transfers);

@@ -18,6 +18,9 @@ struct bake_arguments {
     bool given[BAKE_MOST_ROWS]; /* by rows of bake_option_rows() */
     struct bake_transfers transfers;
     struct bake_transfers textures; /* of --texture NAME=FILE */
+    struct bake_pack *packs;        /* their texts are owned */
+    char *channels;                 /* of the scans, for presets: ",roughness,metallic," */
+    char *output;                   /* made of the name of a folder; NULL: none */
     bool mask_opacity;              /* the mask is multiplied by the scan's opacity */
     bool list_devices, list_tiles;
     struct bake_tasks farm;

@@ -1,6 +1,7 @@
 /* bake_report.c - see bake_report.h. */
 #include "tools/bake_report.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -345,8 +346,27 @@ bool bake_report_too_many_missed(const struct cli *cli, const struct bake_argume
     return true;
 }
 
+/* Says before tracing how long a bake is expected to take, if that is long. */
+static void say_expected(struct cli *cli, const char *stage)
+{
+    enum { LEAST_SECONDS = 5 };
+    const struct bake_report *report = (const struct bake_report *)cli->watched;
+    const unsigned threads = bsq_threads(cli->ctx);
+    const double seconds = report->expected_seconds / threads;
+    char rays[CLI_TEXT], count[CLI_TEXT];
+    if (strcmp(stage, "tracing") != 0 || seconds < LEAST_SECONDS)
+        return;
+    cli->on_stage = NULL; /* once, not for each UDIM tile */
+    cli_clear_bar(cli);
+    fprintf(stderr, "%s: %s, about %.0f:%02.0f with %s\n", cli->program,
+            cli_counted_text(report->expected_rays, "ray", "rays", rays), floor(seconds / 60),
+            floor(fmod(seconds, 60)), cli_counted_text(threads, "thread", "threads", count));
+}
+
 void bake_report_watch(struct cli *cli, const struct bake_report *report)
 {
+    cli->watched = report;
+    cli->on_stage = report ? say_expected : NULL;
     cli->stage_counts[CLI_EACH_TILE] = report ? &report->tile_count : NULL;
     cli->stage_counts[CLI_EACH_TRACED_TILE] = report ? &report->traced_tiles : NULL;
 }

@@ -13,7 +13,6 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     struct bake_report report = {0};
     int status = 0;
     bake_report_watch(cli, &report);
-    BSQ_TRY(bake_check_options(cli->ctx, bake));
     BSQ_TRY(bake_arguments_look(cli, arguments));
     if (arguments->farm.write_plan) {
         status = bake_farm_plan(cli, arguments, &report);

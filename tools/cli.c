@@ -63,6 +63,7 @@ void cli_begin(struct cli *cli, const char *program, char **argv)
     allow_open_files();
     *cli = (struct cli){.program = program};
     clock_gettime(CLOCK_MONOTONIC, &cli->started);
+    cli->logged = cli->started;
     argv[0] = (char *)program;
     /* A closed pipe or a file size limit becomes an error of write(2). As a signal it would end the
      * program without a message and leave temporary files. */
@@ -75,7 +76,7 @@ int cli_create_context(struct cli *cli)
     if (cli->progress == CLI_PROGRESS_AUTO) {
         const char *terminal = getenv("TERM");
         bool capable = isatty(STDERR_FILENO) && terminal && strcmp(terminal, "dumb") != 0;
-        cli->progress = capable ? CLI_PROGRESS_BAR : CLI_PROGRESS_NONE;
+        cli->progress = capable ? CLI_PROGRESS_BAR : CLI_PROGRESS_LOG;
     }
     struct bsq_ctx_options options = {
         .memory_bytes = cli->memory_bytes,

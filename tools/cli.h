@@ -22,7 +22,8 @@ enum cli_progress {
     CLI_PROGRESS_JSON,
     CLI_PROGRESS_OPENJD,
     CLI_PROGRESS_PERCENT,
-    CLI_PROGRESS_ALF
+    CLI_PROGRESS_ALF,
+    CLI_PROGRESS_LOG /* a line now and then: what `auto` is without a terminal */
 };
 
 /* How often a stage of progress comes. */
@@ -46,7 +47,10 @@ struct cli {
     bool bar_drawn; /* the terminal's last line is a progress bar */
     const char *bar_stage;
     const uint32_t *stage_counts[CLI_STAGE_COUNTS]; /* how often stages come; NULL: once */
-    struct timespec started, stage_started;
+    /* Prints what is known when a stage begins; NULL: nothing. */
+    void (*on_stage)(struct cli *cli, const char *stage);
+    const void *watched; /* for on_stage() */
+    struct timespec started, stage_started, logged;
 };
 
 #define CLI_HEADING "All programs"
@@ -152,8 +156,9 @@ void cli_on_warning(void *user, const char *line);
 /* Removes the progress bar from the terminal, so that a line can be printed. */
 void cli_clear_bar(struct cli *cli);
 
-/* Prints to standard output as printf() does, escaped as bsq_escape() does; newlines stay. Tools
- * print all reports with this, because names in them come from files and command lines. */
+/* Prints to standard output as printf() does, escaped as bsq_escape() does. Only a newline at the
+ * end of the format is one. Tools print all reports with this, because names in them come from
+ * files and command lines. */
 void cli_print(const char *format, ...) __attribute__((format(printf, 1, 2)));
 
 double cli_seconds(const struct timespec *since);

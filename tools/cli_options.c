@@ -238,7 +238,8 @@ static const struct bsq_option common_rows[] = {
      .argument = "WHEN",
      MEMBER(CHOICE, progress),
      .words = "auto bar none json openjd percent alf",
-     .help = "auto, bar, none or json (default: auto, a bar on a terminal);\n"
+     .help = "auto, bar, none or json (default: auto, a bar on a terminal,\n"
+             "else a line every 30 s);\n"
              "openjd, percent or alf: lines for schedulers"},
     {.name = "path-map",
      .argument = "FILE",

@@ -1,14 +1,16 @@
-/* cli_progress.c - prints progress, as a bar or as JSON lines, and warnings to standard error.
+/* cli_progress.c - prints progress, as a bar, as lines of a log or of JSON, and warnings to
+ * standard error.
  *
  * The bar is one line that is redrawn in place. Code that prints another line removes it first, and
  * the next progress report draws it again. */
+#include <math.h>
 #include <string.h>
 #include <sys/ioctl.h>
 #include <unistd.h>
 
 #include "tools/cli_percent.h"
 
-enum { BAR_CELLS = 24, DEFAULT_COLUMNS = 80 };
+enum { BAR_CELLS = 24, DEFAULT_COLUMNS = 80, LOG_SECONDS = 30 };
 
 void cli_clear_bar(struct cli *cli)
 {
@@ -81,6 +83,24 @@ static void draw_bar(struct cli *cli, const struct bsq_progress *progress)
     cli->bar_drawn = true;
 }
 
+/* Prints a line if none was printed for LOG_SECONDS. */
+static void log_line(struct cli *cli, const struct bsq_progress *progress)
+{
+    char done[CLI_TEXT], remaining[CLI_TEXT] = "";
+    if (cli_seconds(&cli->logged) < LOG_SECONDS)
+        return;
+    clock_gettime(CLOCK_MONOTONIC, &cli->logged);
+    format_amount(progress->unit, progress->done, done);
+    if (progress->total > 0) {
+        snprintf(done, sizeof done, "%.0f %%",
+                 100 * fmin((double)progress->done / (double)progress->total, 1));
+        format_remaining(cli, progress, remaining, sizeof remaining);
+    }
+    fprintf(stderr, "%s: %s: %s%s%s\n", cli->program, progress->stage, done,
+            progress->total > 0 || strcmp(progress->unit, "bytes") == 0 ? "" : progress->unit,
+            remaining);
+}
+
 static void print_json_line(const struct bsq_progress *progress)
 {
     /* Names of stages and units are plain words and need no escapes. */
@@ -105,11 +125,15 @@ void cli_on_progress(void *user, const struct bsq_progress *progress)
     if (cli->bar_stage != progress->stage) {
         cli->bar_stage = progress->stage;
         clock_gettime(CLOCK_MONOTONIC, &cli->stage_started);
+        if (cli->on_stage)
+            cli->on_stage(cli, progress->stage);
     }
+    if (cli->progress == CLI_PROGRESS_LOG)
+        log_line(cli, progress);
     if (progress->finished) {
         cli_clear_bar(cli);
         cli->bar_stage = NULL;
-    } else {
+    } else if (cli->progress == CLI_PROGRESS_BAR) {
         draw_bar(cli, progress);
     }
 }

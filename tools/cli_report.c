@@ -9,12 +9,19 @@
 void cli_print(const char *format, ...)
 {
     va_list arguments;
+    const size_t length = strlen(format);
+    const bool ends = length > 0 && format[length - 1] == '\n';
     char *text = NULL, *escaped = NULL;
     va_start(arguments, format);
-    if (vasprintf(&text, format, arguments) >= 0)
-        escaped = bsq_escape(text, true);
+    if (vasprintf(&text, format, arguments) >= 0) {
+        if (ends)
+            text[strlen(text) - 1] = '\0';
+        escaped = bsq_escape(text, false);
+    }
     va_end(arguments);
-    fputs(escaped ? escaped : "out of memory\n", stdout);
+    fputs(escaped ? escaped : "out of memory", stdout);
+    if (ends)
+        putchar('\n');
     free(escaped);
     free(text);
 }

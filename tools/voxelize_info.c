@@ -64,11 +64,14 @@ static void print_member(const char *key, const json_t *value)
         cli_print("%c", *c == '_' ? ' ' : *c);
     cli_print(":");
     for (size_t i = 0; of_objects && i < json_array_size(value) && i < MOST_NAMES; i++) {
-        cli_print("\n    ");
+        cli_print("\n");
+        cli_print("    ");
         print_members(json_array_get(value, i));
     }
     if (of_objects && json_array_size(value) > MOST_NAMES)
-        cli_print("\n    and %zu more", json_array_size(value) - MOST_NAMES);
+        cli_print("\n");
+    if (of_objects && json_array_size(value) > MOST_NAMES)
+        cli_print("    and %zu more", json_array_size(value) - MOST_NAMES);
     if (!of_objects)
         cli_print(" ");
     if (json_is_object(value))

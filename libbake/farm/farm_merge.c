@@ -37,7 +37,7 @@ static int begin_note(const struct merge *merge, uint32_t number, struct bake_fa
 {
     struct bake_work *job = merge->job;
     struct bake_tile *tile = number < job->udim.count ? &job->tiles[number] : NULL;
-    const unsigned end = tile ? bake_selection_end(job->maps) : 1;
+    const unsigned end = tile ? bake_files_end(job->options, job->maps) : 1;
     bool good;
     *note = (struct bake_farm_note){.number = number, .paths = calloc(end, sizeof *note->paths)};
     good = note->paths != NULL;
@@ -170,7 +170,8 @@ static int write_maps(struct merge *merge)
     const uint32_t side = job->options->preview_path ? bake_thumbnail_side(job) : 0;
     uint64_t *limited = NULL;
     int status;
-    BSQ_TRY(bsq_calloc(job->ctx, "maps", bake_selection_end(job->maps), sizeof *limited, &limited));
+    BSQ_TRY(bsq_calloc(job->ctx, "maps", bake_files_end(job->options, job->maps), sizeof *limited,
+                       &limited));
     for (uint32_t i = 0; i < job->udim.count; i++)
         if (!job->tiles[i].kept)
             BSQ_TRY(merge_tile(merge, i, side, limited));

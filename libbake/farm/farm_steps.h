@@ -5,9 +5,6 @@
 #include "libbake/farm/farm.h"
 #include "libbake/job/job.h"
 
-/* Sets what each task of a plan needs. The plan must have its tiles, blocks and texels. */
-void bake_expect_costs(const struct bake_work *job, struct bake_farm_plan *plan);
-
 /* Checks that the inputs are those of the plan, opens them, and checks that they give its tiles. */
 int bake_farm_open_job(struct bake_work *job, const struct bake_farm_plan *plan);
 

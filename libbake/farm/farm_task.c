@@ -123,6 +123,21 @@ done:
 
 /* ---- the plan ---- */
 
+/* Sets what each task of a plan needs. The plan has its tiles, blocks and texels. */
+static void expect_costs(const struct bake_work *job, struct bake_farm_plan *plan)
+{
+    const uint64_t texel = bake_image_channels_for(job->maps) * sizeof(float);
+    const uint64_t block = (uint64_t)plan->block_side * plan->block_side * texel;
+    uint64_t all = 0;
+    for (uint32_t t = 0; t < plan->tile_count; t++)
+        for (uint64_t b = 0; b < (uint64_t)plan->tiles[t].columns * plan->tiles[t].rows; b++)
+            plan->expected[plan->tiles[t].task_of[b]].part_bytes += block;
+    for (uint32_t i = 0; i < plan->tasks; i++)
+        all += plan->expected[i].texels;
+    for (uint32_t i = 0; i < plan->tasks; i++)
+        bake_expect_cost(job, plan->expected[i].texels, all, &plan->expected[i]);
+}
+
 /* Returns the job's options with all that its tasks must share. */
 static struct bake_options shared_options(const struct bake_work *job)
 {
@@ -184,7 +199,7 @@ static int plan_job(struct bake_work *job, uint32_t tasks, const char *path, boo
     plan->block_side = bake_farm_block_side(report->tiles, report->tile_count, tasks);
     BSQ_TRY(bake_farm_add_tiles(plan, report->tiles, report->tile_count));
     BSQ_TRY(divide(job, plan));
-    bake_expect_costs(job, plan);
+    expect_costs(job, plan);
     BSQ_TRY(bake_farm_add_inputs(plan));
     BSQ_TRY(check_named_inputs(plan, job->options));
     BSQ_TRY(bake_surface_check(&job->surface));

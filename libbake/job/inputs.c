@@ -48,7 +48,7 @@ static int choose_from(const struct bake_surface *surface, uint32_t asked, uint3
 /* Returns whether the options leave the choice of maps to the scan. */
 static bool leaves_choice(const struct bake_options *options)
 {
-    return options->maps & BAKE_MAPS_ALL ||
+    return options->maps & (BAKE_MAPS_ALL | BAKE_MAPS_USUAL) ||
            (options->maps == BAKE_MAPS_DEFAULT && options->transfer_count == 0);
 }
 
@@ -88,7 +88,7 @@ int bake_look(struct bsq_ctx *ctx, struct bake_options *options, const bool *giv
     int status = open_scans(ctx, options, &surface);
     if (status < 0)
         goto done;
-    if (add && options->maps & BAKE_MAPS_ALL)
+    if (add)
         BSQ_TRY(bake_surface_list_channels(&surface, add, arg));
     if (leaves_choice(options))
         BSQ_TRY(choose_from(&surface, options->maps, &options->maps));

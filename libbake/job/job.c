@@ -18,6 +18,7 @@ static int run(struct bake_work *job)
     BSQ_TRY(bake_set_params(job));
     BSQ_TRY(bake_open_outputs(job));
     BSQ_TRY(bake_prepare_triangles(job));
+    bake_expect_work(job);
     BSQ_TRY(bake_open_device(job));
     double opened = bsq_seconds_now();
     job->report->seconds_open = opened - started;

@@ -72,6 +72,14 @@ int bake_set_params(struct bake_work *job);
  * object sees none, or if none sees a scan. */
 int bake_match_names(struct bake_work *job);
 
+/* ---- costs ---- */
+
+/* Sets what baking `texels` of `all` texels with a surface needs. part_bytes must be set. */
+void bake_expect_cost(const struct bake_work *job, uint64_t texels, uint64_t all,
+                      struct bake_task_cost *cost);
+/* Sets the rays and the seconds that the report expects. The triangles must be prepared. */
+void bake_expect_work(const struct bake_work *job);
+
 /* ---- tracing ---- */
 
 /* Sorts the triangles of the low-poly mesh by tile and rasterises them. */

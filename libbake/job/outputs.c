@@ -67,7 +67,7 @@ static struct bake_traced traced_of(const struct bake_work *job)
 static unsigned file_count(const struct bake_tile *tile)
 {
     unsigned count = 0;
-    for (unsigned i = 0; i < bake_selection_end(tile->maps); ++i)
+    for (unsigned i = 0; i < bake_files_end(&tile->options, tile->maps); ++i)
         count += bake_has_file(&tile->options, tile->maps, i);
     return count;
 }
@@ -85,7 +85,7 @@ static int check_tile_outputs(struct bsq_ctx *ctx, const struct bake_tile *tile,
                               const char *const others[3])
 {
     int status = 0;
-    for (unsigned i = 0; i < bake_selection_end(tile->maps) && status == 0; ++i) {
+    for (unsigned i = 0; i < bake_files_end(&tile->options, tile->maps) && status == 0; ++i) {
         if (!bake_has_file(&tile->options, tile->maps, i))
             continue;
         char *path = bake_path_of(&tile->options, i);
@@ -243,7 +243,8 @@ int bake_write_maps(struct bake_work *job)
     const uint32_t side = bake_thumbnail_side(job);
     uint64_t *limited = NULL;
     int status = 0;
-    BSQ_TRY(bsq_calloc(job->ctx, "maps", bake_selection_end(job->maps), sizeof *limited, &limited));
+    BSQ_TRY(bsq_calloc(job->ctx, "maps", bake_files_end(job->options, job->maps), sizeof *limited,
+                       &limited));
     BSQ_TRY(measure_maps(job));
     for (uint32_t i = 0; i < job->udim.count; ++i)
         BSQ_TRY(bake_write_tile(job, &job->tiles[i], side, limited));

@@ -92,6 +92,8 @@ static const char *rays_text(const struct bake_options *options)
 void bake_describe_map(const struct bake_options *options, unsigned number,
                        const struct bake_traced *traced, struct bake_attributes *out)
 {
+    const unsigned packs = BK_MAP_COUNT + options->transfer_count;
+    const bool packed = number >= packs;
     out->count = 0;
     snprintf(out->text[0], sizeof out->text[0], "%u x %u", options->samples, options->samples);
     snprintf(out->text[1], sizeof out->text[1], "%.9g", traced->front);
@@ -99,9 +101,13 @@ void bake_describe_map(const struct bake_options *options, unsigned number,
     bake_add_attribute(out, "software", "Bisque " BSQ_VERSION);
     bake_add_attribute(out, "bisque:version", BSQ_VERSION);
     bake_add_attribute(out, "bisque:map",
-                       number < BK_MAP_COUNT ? bake_map_names[number] : "transfer");
+                       number < BK_MAP_COUNT ? bake_map_names[number]
+                       : packed              ? "pack"
+                                             : "transfer");
     if (number >= BK_MAP_COUNT)
-        bake_add_attribute(out, "bisque:transfer", bake_name_of(options, number));
+        bake_add_attribute(out, packed ? "bisque:pack" : "bisque:transfer",
+                           packed ? options->packs[number - packs].maps
+                                  : bake_name_of(options, number));
     if (bake_row_of(options, number)->describe)
         bake_row_of(options, number)->describe(options, traced, out);
     bake_add_attribute(out, "bisque:samples", out->text[0]);

@@ -20,6 +20,11 @@ struct map_file {
     bool integers, half;
     atomic_uint_fast64_t limited; /* samples beyond the largest half */
     struct bake_encoder encoder;  /* while writing */
+    struct part {                 /* of a pack: its channels, while writing */
+        struct bake_packed packed;
+        struct bake_encoder encoder;
+    } * parts;
+    unsigned part_count; /* 0: a map */
     struct fmt_image_writer *writer;
     struct bake_thumbnail *thumbnail; /* NULL: none */
     float *rows;                      /* of the current band, encoded */
@@ -111,7 +116,7 @@ int bake_map_files_check(struct bsq_ctx *ctx, const struct bake_options *options
     unsigned count = 0;
     int status;
     BSQ_TRY(check_tokens(ctx, path));
-    for (unsigned i = 0; i < bake_selection_end(maps); ++i) {
+    for (unsigned i = 0; i < bake_files_end(options, maps); ++i) {
         const struct fmt_image_format *format;
         enum fmt_sample_type type;
         if (!bake_has_file(options, maps, i))
@@ -163,6 +168,24 @@ static int open_file(struct bsq_ctx *ctx, const struct bake_options *options, un
     return status;
 }
 
+/* Notes the channels of a file that is a pack. */
+static int begin_pack(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
+                      struct map_file *file)
+{
+    struct bake_packed packed[BAKE_MAX_PACKED];
+    if (file->number < bake_selection_end(maps))
+        return 0;
+    int status = bsq_calloc(ctx, "packed maps", BAKE_MAX_PACKED, sizeof *file->parts, &file->parts);
+    if (status < 0)
+        return status;
+    const unsigned number = file->number - bake_selection_end(maps);
+    file->part_count = bake_unpack(options, &options->packs[number], packed);
+    file->encoder.row = bake_row_of(options, file->number);
+    for (unsigned i = 0; i < file->part_count; ++i)
+        file->parts[i].packed = packed[i];
+    return 0;
+}
+
 int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
                         const struct bake_traced *traced, struct bake_map_files **out)
 {
@@ -177,12 +200,13 @@ int bake_map_files_open(struct bsq_ctx *ctx, const struct bake_options *options,
     files->beside = bake_path_of(options, bake_first_of(maps));
     if (!files->beside)
         BSQ_TRY(bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path));
-    BSQ_TRY(bsq_calloc(ctx, "map files", bake_selection_end(maps), sizeof *files->files,
+    BSQ_TRY(bsq_calloc(ctx, "map files", bake_files_end(options, maps), sizeof *files->files,
                        &files->files));
-    for (unsigned i = 0; i < bake_selection_end(maps); ++i)
+    for (unsigned i = 0; i < bake_files_end(options, maps); ++i)
         if (bake_has_file(options, maps, i)) {
             struct map_file *file = &files->files[files->count++];
             file->number = i;
+            BSQ_TRY(begin_pack(ctx, options, maps, file));
             BSQ_TRY(open_file(ctx, options, i, traced, file));
         }
     *out = files;
@@ -235,6 +259,21 @@ static struct bake_statistics statistics_of(const struct bake_measures *measures
     return number < BK_MAP_COUNT ? measures->statistics[number] : none;
 }
 
+/* Chooses the encoding of a map in a file. */
+static void choose_encoding(const struct bake_map_files *files, const struct map_file *file,
+                            unsigned number, const struct bake_measures *measures,
+                            struct bake_report *report, struct bake_encoder *out)
+{
+    const struct bake_encoding_facts facts = {.options = files->options,
+                                              .traced = &files->traced,
+                                              .statistics = statistics_of(measures, number),
+                                              .curvature_radius = measures->curvature_radius,
+                                              .integers = file->integers};
+    bake_encoder_init(&facts, files->maps, number, out);
+    if (number < BK_MAP_COUNT)
+        report_encoding(out, &report->encodings[number]);
+}
+
 /* Chooses the encodings of all files, and writes to their headers how to decode them. */
 static int choose_encodings(struct bake_map_files *files, const struct bake_measures *measures,
                             struct bake_report *report)
@@ -242,17 +281,14 @@ static int choose_encodings(struct bake_map_files *files, const struct bake_meas
     int status = 0;
     for (uint32_t i = 0; status == 0 && i < files->count; ++i) {
         struct map_file *file = &files->files[i];
-        const struct bake_encoding_facts facts = {.options = files->options,
-                                                  .traced = &files->traced,
-                                                  .statistics =
-                                                      statistics_of(measures, file->number),
-                                                  .curvature_radius = measures->curvature_radius,
-                                                  .integers = file->integers};
         struct bake_attributes attributes;
-        bake_encoder_init(&facts, files->maps, file->number, &file->encoder);
+        for (struct part *part = file->parts; part < file->parts + file->part_count; ++part)
+            if (part->packed.number != BAKE_CONSTANT)
+                choose_encoding(files, file, part->packed.number, measures, report, &part->encoder);
+        if (file->part_count > 0)
+            continue;
+        choose_encoding(files, file, file->number, measures, report, &file->encoder);
         bake_describe_encoding(&file->encoder, &attributes);
-        if (file->number < BK_MAP_COUNT)
-            report_encoding(&file->encoder, &report->encodings[file->number]);
         status = fmt_image_describe(file->writer, attributes.list, attributes.count);
     }
     return status;
@@ -265,6 +301,29 @@ static uint32_t row_samples(const struct bake_map_files *files, uint32_t file)
     return files->options->width * files->files[file].encoder.row->channels;
 }
 
+/* Encodes a row of a pack: each of its maps, some texels at a time, into its channel. */
+static void encode_pack(const struct bake_map_files *files, const struct map_file *file,
+                        const float *const *sources, const float *texels, float *out)
+{
+    enum { TEXELS = 256 };
+    const uint32_t channels = file->encoder.row->channels, width = files->options->width;
+    float samples[TEXELS] = {0};
+    memset(out, 0, (size_t)width * channels * sizeof *out);
+    for (unsigned c = 0; c < file->part_count; ++c) {
+        const struct part *part = &file->parts[c];
+        for (uint32_t x = 0; x < width; x += TEXELS) {
+            const uint32_t count = width - x < TEXELS ? width - x : TEXELS;
+            if (part->packed.number != BAKE_CONSTANT)
+                bake_encode_row(&part->encoder, sources + x,
+                                texels + (size_t)x * files->image_channels, files->image_channels,
+                                count, samples);
+            for (uint32_t i = 0; i < count; ++i)
+                out[(size_t)(x + i) * channels + c] =
+                    part->packed.scale * samples[i] + part->packed.bias;
+        }
+    }
+}
+
 static int encode_row(void *arg, uint64_t row, unsigned worker)
 {
     struct bake_map_files *files = arg;
@@ -274,8 +333,11 @@ static int encode_row(void *arg, uint64_t row, unsigned worker)
     for (uint32_t i = 0; i < files->count; ++i) {
         struct map_file *file = &files->files[i];
         float *samples = file->rows + row * row_samples(files, i);
-        bake_encode_row(&file->encoder, sources, texels, files->image_channels,
-                        files->options->width, samples);
+        if (file->part_count > 0)
+            encode_pack(files, file, sources, texels, samples);
+        else
+            bake_encode_row(&file->encoder, sources, texels, files->image_channels,
+                            files->options->width, samples);
         const uint32_t beyond = file->half ? bake_limit_to_half(samples, row_samples(files, i)) : 0;
         if (beyond > 0)
             atomic_fetch_add_explicit(&file->limited, beyond, memory_order_relaxed);
@@ -378,7 +440,7 @@ int bake_warn_limited(struct bsq_ctx *ctx, const struct bake_options *options, u
                       const uint64_t *limited)
 {
     int status = 0;
-    for (unsigned i = 0; i < bake_selection_end(maps) && status == 0; ++i)
+    for (unsigned i = 0; i < bake_files_end(options, maps) && status == 0; ++i)
         if (limited[i] > 0)
             status = bsq_warn_loss(ctx,
                                    "map %s: samples too large for 16 bits: %" PRIu64
@@ -407,8 +469,10 @@ void bake_map_files_discard(struct bake_map_files *files)
 {
     if (!files)
         return;
-    for (uint32_t i = 0; i < files->count; ++i)
+    for (uint32_t i = 0; i < files->count; ++i) {
         fmt_image_discard(files->files[i].writer);
+        bsq_free(files->ctx, files->files[i].parts);
+    }
     free(files->beside);
     bsq_free(files->ctx, files->files);
     bsq_free(files->ctx, files);

@@ -326,20 +326,82 @@ static const struct bake_map_row transfer_rows[2][2] = {
 
 uint32_t bake_selection(const struct bake_options *options)
 {
-    return (options->maps & ~(uint32_t)BAKE_MAPS_ALL) | options->transfer_count
-                                                            << BK_TRANSFER_SHIFT;
+    return (options->maps & ~(uint32_t)(BAKE_MAPS_ALL | BAKE_MAPS_USUAL)) |
+           options->transfer_count << BK_TRANSFER_SHIFT;
+}
+
+/* ---- packs ---- */
+
+/* Returns the number of the map of a word, or BAKE_UNPACKED. */
+static uint32_t find_map(const struct bake_options *options, const char *word, size_t length)
+{
+    for (uint32_t i = 0; i < BK_MAP_COUNT + options->transfer_count; ++i) {
+        const char *name = bake_name_of(options, i);
+        if (strncmp(name, word, length) == 0 && name[length] == '\0')
+            return i;
+    }
+    return BAKE_UNPACKED;
+}
+
+unsigned bake_unpack(const struct bake_options *options, const struct bake_pack *pack,
+                     struct bake_packed out[BAKE_MAX_PACKED])
+{
+    unsigned count = 0;
+    for (const char *word = pack->maps; word; count++) {
+        const char *end = strchrnul(word, ',');
+        const bool inverted = strncmp(word, "1-", 2) == 0;
+        if (count == BAKE_MAX_PACKED || end == word)
+            return 0;
+        struct bake_packed *to = &out[count];
+        *to = (struct bake_packed){.word = word, .length = (size_t)(end - word), .scale = 1};
+        if (to->length == 1 && (*word == '0' || *word == '1')) {
+            to->number = BAKE_CONSTANT;
+            to->scale = 0;
+            to->bias = (float)(*word - '0');
+        } else {
+            word += inverted ? 2 : 0;
+            to->number = find_map(options, word, (size_t)(end - word));
+            to->scale = inverted ? -1 : 1;
+            to->bias = inverted ? 1 : 0;
+        }
+        word = *end ? end + 1 : NULL;
+    }
+    return count;
+}
+
+/* Returns the pack with the number of a file; NULL: it is a map. */
+static const struct bake_pack *pack_of(const struct bake_options *options, unsigned number)
+{
+    const unsigned first = BK_MAP_COUNT + options->transfer_count;
+    return number < first ? NULL : &options->packs[number - first];
+}
+
+static bool is_packed(const struct bake_options *options, unsigned number)
+{
+    struct bake_packed packed[BAKE_MAX_PACKED];
+    for (uint32_t p = 0; p < options->pack_count; ++p)
+        for (unsigned i = bake_unpack(options, &options->packs[p], packed); i-- > 0;)
+            if (packed[i].number == number)
+                return true;
+    return false;
 }
 
 bool bake_has_file(const struct bake_options *options, uint32_t maps, unsigned number)
 {
-    return bake_is_selected(maps, number) &&
+    if (pack_of(options, number))
+        return true;
+    return bake_is_selected(maps, number) && !is_packed(options, number) &&
            (number < BK_MAP_COUNT || !options->transfers[number - BK_MAP_COUNT].no_file);
 }
 
 const struct bake_map_row *bake_row_of(const struct bake_options *options, unsigned number)
 {
+    static const struct bake_map_row pack_rows[] = {{.channels = 3}, {.channels = 4}};
+    struct bake_packed packed[BAKE_MAX_PACKED];
     if (number < BK_MAP_COUNT)
         return &bake_map_table[number];
+    if (pack_of(options, number))
+        return &pack_rows[bake_unpack(options, pack_of(options, number), packed) == 4];
     const struct bsq_channel *channel =
         bsq_channel_find(options->transfers[number - BK_MAP_COUNT].name);
     return &transfer_rows[channel->color][channel->values == 3];
@@ -347,8 +409,9 @@ const struct bake_map_row *bake_row_of(const struct bake_options *options, unsig
 
 const char *bake_name_of(const struct bake_options *options, unsigned number)
 {
-    return number < BK_MAP_COUNT ? bake_map_names[number]
-                                 : options->transfers[number - BK_MAP_COUNT].name;
+    return number < BK_MAP_COUNT      ? bake_map_names[number]
+           : pack_of(options, number) ? pack_of(options, number)->name
+                                      : options->transfers[number - BK_MAP_COUNT].name;
 }
 
 char *bake_path_of(const struct bake_options *options, unsigned number)
@@ -365,7 +428,7 @@ int bake_list_files(struct bsq_ctx *ctx, const struct bake_options *options,
                        : strdup(options->output_path);
     char *path = tile && named ? bake_tile_path(named, tile->tile) : named;
     int status = path ? 0 : BSQ_ENOMEM;
-    for (unsigned i = 0; status == 0 && i < bake_selection_end(maps); ++i) {
+    for (unsigned i = 0; status == 0 && i < bake_files_end(options, maps); ++i) {
         const char *name = bake_name_of(options, i);
         if (!bake_has_file(options, maps, i))
             continue;
@@ -424,9 +487,10 @@ const char *bake_map_summary(unsigned number)
 uint32_t bake_choose_maps(uint32_t asked, bool has_color, bool has_ids)
 {
     const bool all = asked & BAKE_MAPS_ALL;
-    uint32_t maps = asked & ~(uint32_t)BAKE_MAPS_ALL;
+    const bool usual = asked == BAKE_MAPS_DEFAULT || asked & BAKE_MAPS_USUAL;
+    uint32_t maps = asked & ~(uint32_t)(BAKE_MAPS_ALL | BAKE_MAPS_USUAL);
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
-        if ((all || (asked == BAKE_MAPS_DEFAULT && bake_map_table[i].by_default)) &&
+        if ((all || (usual && bake_map_table[i].by_default)) &&
             (has_color || !bake_map_table[i].needs_color) &&
             (has_ids || !bake_map_table[i].needs_ids))
             maps |= 1u << i;

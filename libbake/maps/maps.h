@@ -129,7 +129,26 @@ static inline bool bake_is_selected(uint32_t maps, unsigned number)
 {
     return number < BK_MAP_COUNT ? maps >> number & 1u : number < bake_selection_end(maps);
 }
-/* Returns whether a map is selected and has a file. */
+/* The files of a bake have the numbers of maps and, from bake_selection_end() on, those of packs.
+ * Returns the first number above those of all files. */
+static inline unsigned bake_files_end(const struct bake_options *options, uint32_t maps)
+{
+    return bake_selection_end(maps) + options->pack_count;
+}
+/* What a channel of a packed file shows. */
+enum { BAKE_MAX_PACKED = 4 };
+#define BAKE_UNPACKED (UINT32_MAX - 1) /* no such map */
+#define BAKE_CONSTANT UINT32_MAX
+struct bake_packed {
+    const char *word; /* of the pack */
+    size_t length;
+    uint32_t number;   /* of the map; or one of the above */
+    float scale, bias; /* sample = scale * the map's sample + bias */
+};
+/* Reads the words of a pack. Returns their number; 0 if there are none or too many. */
+unsigned bake_unpack(const struct bake_options *options, const struct bake_pack *pack,
+                     struct bake_packed out[BAKE_MAX_PACKED]);
+/* Returns whether a map is selected and has a file of its own, or a pack has this number. */
 bool bake_has_file(const struct bake_options *options, uint32_t maps, unsigned number);
 /* Returns the row of a map, which transfer maps of one kind share. */
 const struct bake_map_row *bake_row_of(const struct bake_options *options, unsigned number);

@@ -86,6 +86,9 @@ static const struct bsq_option transfer_rows[] = {
     {BSQ_MEMBER(FLAG, struct bake_transfer, no_file)},
 };
 
+static const struct bsq_option pack_rows[] = {{BSQ_MEMBER(TEXT, struct bake_pack, name)},
+                                              {BSQ_MEMBER(TEXT, struct bake_pack, maps)}};
+
 static const struct bsq_option table[] = {
     {MEMBER(INPUT, scan_path)},
     {BSQ_LIST(struct bake_options, more_scan_paths, more_scan_count, path_rows)},
@@ -100,7 +103,16 @@ static const struct bsq_option table[] = {
      .own_syntax = true, COUNT(maps, 0, UINT32_MAX, BAKE_MAPS_DEFAULT)},
     {OPTION("texture", "NAME=FILE", "the scan's image for transfer:NAME"), .own_syntax = true,
      BSQ_LIST(struct bake_options, transfers, transfer_count, transfer_rows)},
-    {OPTION("size", "N | WxH", "texels (default: 2048); by UDIM tile: 1001=4096,*=2048"),
+    {OPTION("pack", "NAME=MAP,...",
+            "one file of up to four maps, in this order; such as\n"
+            "orm=ao,roughness,metallic; 1-MAP: inverted; 0, 1: constant"),
+     .own_syntax = true, BSQ_LIST(struct bake_options, packs, pack_count, pack_rows)},
+    {OPTION("preset", "NAME",
+            "green, type, suffix and packed maps: unreal, unity, blender or gltf"),
+     CHOICE(preset, "none unreal unity blender gltf")},
+    {OPTION("quality", "Q", "draft, normal or final: samples and rays that are not given"),
+     CHOICE(quality, "normal draft final")},
+    {OPTION("size", "N | WxH", "texels, or 4k (default: 2048); by UDIM tile: 1001=4096,*=2048"),
      .own_syntax = true, COUNT(width, 0, UINT32_MAX, 2048)},
     {COUNT(height, 0, UINT32_MAX, 2048)},
     {BSQ_LIST(struct bake_options, tile_sizes, tile_size_count, size_rows)},
@@ -341,6 +353,42 @@ static int check_transfers(struct bsq_ctx *ctx, const struct bake_options *optio
     return check_mask(ctx, options);
 }
 
+/* Checks a word of a pack. */
+static int check_packed(struct bsq_ctx *ctx, const struct bake_options *options,
+                        const struct bake_pack *pack, const struct bake_packed *packed)
+{
+    const bool known = packed->number < BAKE_UNPACKED;
+    if (packed->number == BAKE_CONSTANT)
+        return 0;
+    if (!known || bake_row_of(options, packed->number)->channels != 1)
+        return bsq_fail(ctx, BSQ_EUSAGE, "--pack %s=%s: \"%.*s\" is not a baked map of one value",
+                        pack->name, pack->maps, (int)packed->length, packed->word);
+    return 0;
+}
+
+static int check_packs(struct bsq_ctx *ctx, const struct bake_options *options)
+{
+    int status = 0;
+    for (uint32_t p = 0; p < options->pack_count; p++) {
+        const struct bake_pack *pack = &options->packs[p];
+        struct bake_packed packed[BAKE_MAX_PACKED];
+        const unsigned count = bake_unpack(options, pack, packed);
+        bool twice = bsq_is_map_name(pack->name) || !bsq_is_channel_name(pack->name);
+        for (uint32_t i = 0; i < options->transfer_count; i++)
+            twice |= strcmp(options->transfers[i].name, pack->name) == 0;
+        for (uint32_t i = 0; i < p; i++)
+            twice |= strcmp(options->packs[i].name, pack->name) == 0;
+        if (twice || count == 0)
+            return bsq_fail(ctx, BSQ_EUSAGE,
+                            "--pack %s=%s: must be a name that no map has, and up to %d maps",
+                            pack->name, pack->maps, BAKE_MAX_PACKED);
+        for (unsigned i = 0; i < count; i++)
+            BSQ_TRY(check_packed(ctx, options, pack, &packed[i]));
+    }
+done:
+    return status;
+}
+
 int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
 {
     int status = 0;
@@ -349,7 +397,7 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
     if (options->cage_path && options->more_mesh_count > 0)
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: a cage needs a single low-poly file, not %u of them",
                         options->cage_path, options->more_mesh_count + 1);
-    if ((options->maps & ~(uint32_t)BAKE_MAPS_ALL) >= 1u << BK_MAP_COUNT)
+    if ((options->maps & ~(uint32_t)(BAKE_MAPS_ALL | BAKE_MAPS_USUAL)) >= 1u << BK_MAP_COUNT)
         return bsq_fail(ctx, BSQ_EUSAGE, "unknown maps: %#x", options->maps);
     if (options->front == 0.0 && options->back == 0.0)
         return bsq_fail(ctx, BSQ_EUSAGE,
@@ -372,6 +420,7 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
     BSQ_TRY(bsq_options_check(ctx, table, ROWS, options));
     BSQ_TRY(bake_check_tile_numbers(ctx, options));
     BSQ_TRY(check_transfers(ctx, options));
+    BSQ_TRY(check_packs(ctx, options));
     /* The default maps depend on the scan; they are checked again after it was opened. */
     struct bake_options chosen = *options;
     if (options->transfer_count == 0 || options->maps != BAKE_MAPS_DEFAULT)

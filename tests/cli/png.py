@@ -1,5 +1,5 @@
-"""png.py - reads and writes PNG files for tests, from the specification alone: 8 or 16 bits, grey or
-RGB, not interlaced."""
+"""png.py - reads and writes PNG files for tests, from the specification alone: 8 or 16 bits, grey,
+RGB or RGBA, not interlaced."""
 import struct
 import zlib
 
@@ -19,8 +19,8 @@ def read(path):
             width, height, bits, color = struct.unpack_from(">IIBB", chunk)
         packed += chunk if kind == b"IDAT" else b""
         at += 12 + length
-    assert bits in (8, 16) and color in (0, 2), path
-    channels, size = 3 if color else 1, bits // 8
+    assert bits in (8, 16) and color in (0, 2, 6), path
+    channels, size = {0: 1, 2: 3, 6: 4}[color], bits // 8
     texel, stride = channels * size, channels * size * width
     raw, rows, above = zlib.decompress(packed), [], bytearray(stride)
     for y in range(height):

@@ -12,6 +12,8 @@
  *               interrupt: SIGTERM before the call;
  *               pause: creates the file FAULT_FLAG and continues when that file is gone
  * FAULT_LOG     file that gets a line for each call that counts
+ * FAULT_CLOCK   the system's clock jumps by so many seconds, and back, at each look
+ * FAULT_SPEED   clocks that only go forward run so many times as fast
  * FAULT_THREADS at most this many threads can be started
  * FAULT_PLAIN   1: opening a file without a name (O_TMPFILE) fails with EOPNOTSUPP
  * FAULT_LOCKS   a file that gets a line for each call of flock, all of which fail with ENOLCK
@@ -33,6 +35,7 @@
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <sys/uio.h>
+#include <time.h>
 #include <unistd.h>
 
 static atomic_ulong calls;
@@ -394,4 +397,27 @@ int pthread_create(pthread_t *thread, const pthread_attr_t *attributes, void *(*
     if (!next)
         *(void **)&next = dlsym(RTLD_NEXT, "pthread_create");
     return next(thread, attributes, start, arg);
+}
+
+/* ---- clocks ---- */
+
+int clock_gettime(clockid_t id, struct timespec *out)
+{
+    static atomic_long looks;
+    const long jump = atol(setting("FAULT_CLOCK")), speed = atol(setting("FAULT_SPEED"));
+    const int result = (int)syscall(SYS_clock_gettime, id, out);
+    if (id == CLOCK_REALTIME)
+        out->tv_sec += atomic_fetch_add(&looks, 1) % 2 ? jump : -jump;
+    else if (speed > 0 && (id == CLOCK_MONOTONIC || id == CLOCK_MONOTONIC_COARSE))
+        out->tv_sec = out->tv_sec * speed + out->tv_nsec * speed / 1000000000;
+    return result;
+}
+
+time_t time(time_t *out)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_REALTIME, &now);
+    if (out)
+        *out = now.tv_sec;
+    return now.tv_sec;
 }

@@ -1,12 +1,12 @@
-/* farm_costs.c - estimates what each task of a plan needs: memory, temporary files, time.
+/* costs.c - estimates what a bake or a task of a plan needs: memory, temporary files, time.
  *
- * The plan's id covers these numbers. So they follow from the inputs and options alone, not from
+ * A plan's id covers these numbers. So they follow from the inputs and options alone, not from
  * the budget and the threads of the program that writes the plan. decisions/0033 and 0078 have the
  * measurements. */
 #include <math.h>
 
 #include "libbake/exact/exact.h"
-#include "libbake/farm/farm_steps.h"
+#include "libbake/job/job.h"
 #include "libbake/kernel/bk_sample.h"
 
 /* Seconds of one core. */
@@ -126,8 +126,13 @@ static uint64_t grid_bytes(const struct share *task, const struct fmt_nvdb_grid 
 }
 
 /* Images are in memory if they fit half of the budget. */
-static void expect_cost(const struct share *task, struct bake_task_cost *cost)
+void bake_expect_cost(const struct bake_work *job, uint64_t texels, uint64_t all,
+                      struct bake_task_cost *cost)
 {
+    const uint64_t samples = (uint64_t)job->options->samples * job->options->samples;
+    const struct share share = {job, all > 0 ? (double)texels / (double)all : 0, texels,
+                                texels * samples},
+                       *task = &share;
     const struct bake_surface *surface = &task->job->surface;
     uint64_t bytes = 0;
     cost->cpu_seconds = start_seconds;
@@ -142,21 +147,32 @@ static void expect_cost(const struct share *task, struct bake_task_cost *cost)
                          cost->scratch_bytes + larger(bytes, cost->scratch_bytes);
 }
 
-void bake_expect_costs(const struct bake_work *job, struct bake_farm_plan *plan)
+/* Returns the texels that triangles of the low-poly mesh cover, without those that they share. */
+static uint64_t covered_texels(const struct bake_work *job)
 {
-    const uint64_t texel = bake_image_channels_for(job->maps) * sizeof(float);
-    const uint64_t block = (uint64_t)plan->block_side * plan->block_side * texel;
-    const uint64_t samples = (uint64_t)job->options->samples * job->options->samples;
-    uint64_t all = 0;
-    for (uint32_t t = 0; t < plan->tile_count; t++)
-        for (uint64_t b = 0; b < (uint64_t)plan->tiles[t].columns * plan->tiles[t].rows; b++)
-            plan->expected[plan->tiles[t].task_of[b]].part_bytes += block;
-    for (uint32_t i = 0; i < plan->tasks; i++)
-        all += plan->expected[i].texels;
-    for (uint32_t i = 0; i < plan->tasks; i++) {
-        const uint64_t texels = plan->expected[i].texels;
-        const struct share task = {job, all > 0 ? (double)texels / (double)all : 0, texels,
-                                   texels * samples};
-        expect_cost(&task, &plan->expected[i]);
+    double sum = 0, most = 0;
+    for (uint32_t i = 0; i < job->udim.count; i++)
+        most += (double)job->tiles[i].options.width * job->tiles[i].options.height;
+    for (uint32_t i = 0; i < job->triangle_count; i++) {
+        const struct bk_triangle *t = &job->triangles[i];
+        const double det = (double)t->b1[0] * t->b2[1] - (double)t->b1[1] * t->b2[0];
+        sum += isfinite(1 / det) ? fabs(0.5 / det) : 0;
     }
+    return (uint64_t)fmin(sum, most);
+}
+
+void bake_expect_work(const struct bake_work *job)
+{
+    struct bake_report *report = job->report;
+    const struct bake_options *options = job->options;
+    const uint64_t texels = covered_texels(job);
+    struct bake_task_cost cost = {0};
+    uint64_t rays = 2;
+    if (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT))
+        rays += options->ao_rays;
+    if (job->maps & BAKE_MAP_THICKNESS)
+        rays += options->thickness_rays;
+    bake_expect_cost(job, texels, texels, &cost);
+    report->expected_rays = texels * options->samples * options->samples * rays;
+    report->expected_seconds = cost.cpu_seconds;
 }

@@ -1,0 +1,130 @@
+#!/bin/sh
+# test_presets.sh - packed maps, presets, quality, folders as outputs, and what is said of long bakes.
+. "$(dirname "$0")/lib.sh"
+need_oracle
+. "$top/tests/cli/texture_lib.sh"
+bake="run bisque-bake --size 32 --rays ao=4"
+p=bisque-bake:
+ok run bisque-voxelize --resolution 40 plane.obj --channels roughness=ramp.png,metallic=slope.png \
+    -o scan.nvdb
+ok run bisque-voxelize --resolution 40 bare.obj -o bare.nvdb
+
+# packed FILE TYPE WORD...: the channels of a file are those maps, baked alone with this type. The
+# reader of OpenEXR files lists channels by name: A, B, G, R.
+packed()
+{
+    file=$1
+    shift
+    python3 - "$file" "$@" <<'PYTHON'
+import sys
+import png
+_, _, most, rows = png.read(sys.argv[1])
+for channel, word in enumerate(sys.argv[2:]):
+    if word in "01":
+        expected = lambda x, y: int(word) * most
+    else:
+        inverted = word.startswith("1-")
+        _, _, single, map = png.read("alone_%s.png" % word.replace("1-", ""))
+        assert single == most
+        expected = lambda x, y: most - map[y][x][0] if inverted else map[y][x][0]
+    for y, row in enumerate(rows):
+        for x, texel in enumerate(row):
+            assert abs(texel[channel] - expected(x, y)) <= 1, (word, x, y, texel, expected(x, y))
+PYTHON
+    check "$file has the maps $*" $?
+}
+PYTHONPATH=$top/tests/cli
+export PYTHONPATH
+
+# ---- packs ----
+
+ok $bake scan.nvdb low.obj --maps ao,mask,transfer:roughness,transfer:metallic -o 'alone_<MAP>.png' --type 16
+rm -f packed_*
+ok $bake scan.nvdb low.obj --pack orm=ao,roughness,metallic --maps mask -o 'packed_<MAP>.png' --type 16 --json
+json '.maps | keys == ["mask", "orm"]'
+packed packed_orm.png ao roughness metallic
+holds "what is packed has no file of its own" [ ! -e packed_ao.png ]
+ok $bake scan.nvdb low.obj --pack x=mask,0,1-roughness --pack y=1,ao -o 'packed_<MAP>.png' --type 16
+packed packed_x.png mask 0 1-roughness
+packed packed_y.png 1 ao 0
+holds "without --maps, the default maps are baked too" [ -e packed_normal.png ]
+ok $bake scan.nvdb low.obj --pack orm=ao,roughness,metallic --maps mask -o 'task_<MAP>.png' --type 16 \
+    --tasks 3 --write-plan p.json
+ok run bisque-bake --plan p.json --task 0-2
+ok run bisque-bake --plan p.json --merge
+ok $bake scan.nvdb low.obj --pack orm=ao,roughness,metallic --maps mask -o 'packed_<MAP>.png' --type 16
+same task_orm.png packed_orm.png
+ok $bake scan.nvdb low.obj --pack m=metallic,ao,0,1-roughness -o 'packed_<MAP>.exr'
+holds "an OpenEXR file says what is packed" grep -aq 'bisque:pack.*metallic,ao,0,1-roughness' packed_m.exr
+for bad in orm= orm=ao,,mask =ao orm orm=normal,ao ORM=ao normal=ao,mask a=ao,ao,ao,ao,ao; do
+    $bake scan.nvdb low.obj --pack "$bad" -o 'bad_<MAP>.png'
+    refused_like 64 "^$p --pack"
+done
+
+# ---- presets ----
+
+mkdir maps
+ok $bake scan.nvdb low.obj --preset unreal -o maps/ --json
+json '.maps == {"normal": "maps/low_normal.png", "color": "maps/low_color.png", "orm": "maps/low_orm.png"}
+    or .maps == {"normal": "maps/low_normal.png", "orm": "maps/low_orm.png"}'
+ok $bake scan.nvdb low.obj --preset unity -o 'unity_<MAP>.png' --maps mask
+ok $bake scan.nvdb low.obj --maps ao,transfer:roughness,transfer:metallic -o 'alone_<MAP>.png' --type 8
+packed unity_mask_map.png metallic ao 0 1-roughness
+ok $bake scan.nvdb low.obj --preset gltf --green down --maps normal -o 'down_<MAP>.png'
+ok $bake scan.nvdb low.obj --preset unreal --maps normal -o 'unreal_<MAP>.png'
+ok $bake scan.nvdb low.obj --preset gltf --maps normal -o 'gltf_<MAP>.png'
+same down_normal.png unreal_normal.png
+holds "presets differ in the green channel" sh -c '! cmp -s gltf_normal.png unreal_normal.png'
+ok $bake scan.nvdb low.obj --preset blender -o maps
+holds "Blender gets OpenEXR files" [ -e maps/low_normal.exr -a ! -e maps/low_orm.exr ]
+# What a scan does not have is a constant: rough, and no metal.
+ok $bake bare.nvdb low.obj --preset gltf -o 'bare_<MAP>.png'
+grep -q "warning: --preset: the scan has no roughness: the packed map has 1 there" "$err"
+check "a warning of a channel that the scan lacks" $?
+ok $bake bare.nvdb low.obj --maps ao -o 'alone_<MAP>.png' --type 8
+packed bare_orm.png ao 1 0
+$bake bare.nvdb low.obj --preset gltf -o 'bare_<MAP>.png' --strict
+code 65
+
+# ---- folders and sizes ----
+
+$bake scan.nvdb low.obj -o missing/
+refused 73 "$p missing/: there is no such folder"
+cp low.obj second.obj
+ok $bake scan.nvdb low.obj second.obj -o maps/ --maps mask --json
+json '[.tiles[].maps.mask] | sort == ["maps/low_mask.exr", "maps/second_mask.exr"]'
+ok run bisque-bake --list tiles low.obj --size 4k --json
+json '.tiles[0].width == 4096'
+ok run bisque-bake --list tiles low.obj --size 1kx512 --json
+json '.tiles[0].width == 1024 and .tiles[0].height == 512'
+for size in 1025k k 4K 4kk 99999999999k; do
+    run bisque-bake scan.nvdb low.obj -o x.exr --size $size
+    code 64
+done
+
+# ---- quality ----
+
+ok run bisque-bake scan.nvdb low.obj --size 32 --maps ao --quality draft -o draft.exr --json
+json '.samples_per_axis == 1'
+ok run bisque-bake scan.nvdb low.obj --size 32 --maps ao --samples 1 --rays ao=8 -o same.exr
+ok run bisque-compare draft.exr same.exr --max-error 0
+ok run bisque-bake scan.nvdb low.obj --size 32 --maps ao --quality draft --samples 3 -o draft.exr --json
+json '.samples_per_axis == 3'
+
+# ---- what is said of long bakes ----
+
+# A clock that runs 3000 times as fast, so that seconds are hours.
+fast()
+{
+    FAULT_UNDER=$PWD FAULT_SPEED=3000 LD_PRELOAD=$TESTS/faults.so run "$@"
+}
+ok fast bisque-bake scan.nvdb low.obj --size 256 --maps ao --threads 1 --device cpu -o long.exr
+grep -Eq "^$p tracing: [0-9]+ %" "$err"
+check "a line now and then without a terminal" $?
+ok fast bisque-bake scan.nvdb low.obj --size 256 --maps ao --threads 1 --device cpu -o long.exr --progress none
+holds "and none if none is asked for" [ ! -s "$err" ]
+timeout 5 "$BIN/bisque-bake" scan.nvdb low.obj --size 4k --samples 8 --rays ao=512 --threads 1 \
+    --maps ao -o long.exr 2>"$err"
+grep -Eq "^$p [0-9,]+ rays, about [0-9]+:[0-9][0-9] with 1 thread$" "$err"
+check "the work that is expected" $?
+finish
