@@ -51,7 +51,7 @@ same box.nvdb whole/box.nvdb
 for damage in 'rm box.tris' ': >box.tris' 'cp other.tris box.tris' 'head -c 60 job >box.tris.job' ': >box.tris.job' \
     'head -c -1 job >box.tris.job' \
     'sed s/job.3/job.4/ job >box.tris.job' 'sed "s/version [0-9]*/version 99/" job >box.tris.job' \
-    'sed s/Kd/Xd/ job | tr 4 5 >box.tris.job'; do
+    'sed "s/obj /tex /" job >box.tris.job'; do
     cp whole/box.tris box.tris
     printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >other.obj
     $voxelize other.obj -o other.nvdb --resolution 4
