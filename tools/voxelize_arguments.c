@@ -289,6 +289,11 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
         return cli_usage(cli, "--parse-only only reads: leave out --scale, --up and --translate");
     if (!arguments->parse_only && !output)
         return cli_usage(cli, "no output given: add -o FILE.nvdb");
+    if (output && cli_ends_with(output, ".vdb"))
+        return cli_usage(cli,
+                         "%s: a grid is a NanoVDB file: give -o FILE.nvdb, and --vdb %s for an "
+                         "OpenVDB file beside it",
+                         output, output);
     for (size_t i = 0; i < sizeof exclude / sizeof *exclude; i++)
         if (is_given(arguments, exclude[i][0]) && is_given(arguments, exclude[i][1]))
             return cli_usage(cli, "--%s and --%s exclude each other", exclude[i][0], exclude[i][1]);

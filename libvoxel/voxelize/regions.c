@@ -4,6 +4,7 @@
  * produces the next region with the chunks that touch it. A worker sums the fragments of their
  * triangles. The results are written in sequence. Every voxel belongs to one region and gets its
  * fragments in the order of the file, so results do not depend on threads or budget. */
+#include <inttypes.h>
 #include <string.h>
 
 #include "base/parallel.h"
@@ -160,6 +161,7 @@ static int write_unit(struct vox_run *run, const struct vox_unit *unit)
     };
     memcpy(region.origin, unit->origin, sizeof region.origin);
     widen_index(run, unit);
+    run->clamped_colors += leaves->clamped_colors;
     return fmt_nvdb_append(run->writer, &region);
 }
 
@@ -311,5 +313,10 @@ int vox_run_regions(struct vox_run *run)
     bsq_progress_begin(run->ctx, "voxelizing", "triangles", run->header->triangle_count);
     int status = bsq_pipeline_run(run->ctx, &pipeline);
     bsq_progress_end(run->ctx);
+    if (status == 0 && run->clamped_colors > 0)
+        status = bsq_warn_loss(run->ctx,
+                               "%s: %" PRIu64 " voxels have colours below 0 or above 1, which the "
+                               "grid's 8 bits clamp; bake such colours from the chunk file (.tris)",
+                               run->options->tris_path, run->clamped_colors);
     return status < 0 ? status : fmt_shading_tell_losses(&run->shading.scan);
 }

@@ -32,6 +32,17 @@ sed 's/right.mtl/good.mtl/' right.obj >good.obj
 
 # ---- losses ----
 
+# Red is 3, green 0.5 and blue 0, as float32.
+printf 'PF\n1 1\n-1.0\n\000\000\100\100\000\000\000\077\000\000\000\000' >bright.pfm
+bright='128 voxels have colours below 0 or above 1, which the grid'"'"'s 8 bits clamp; bake such colours from the chunk file (.tris)'
+ok $vox bare.obj --texture bright.pfm -o bright.nvdb
+grep -qxF "$p warning: bright.tris: $bright" "$err"
+check "a grid tells how many colours it clamps" $?
+$vox bare.obj --texture bright.pfm -o strict.nvdb --strict
+code 65
+grep -qxF "$p strict.tris: $bright" "$err"
+check "clamped colours end a strict job" $?
+
 # kept SCAN OPTION... with the lines that say it on standard input.
 kept()
 {

@@ -23,6 +23,8 @@ $vox
 refused 64 "$p no input file given (see --help)"
 $vox box.obj
 refused 64 "$p no output given: add -o FILE.nvdb"
+$vox box.obj -o box.vdb
+refused 64 "$p box.vdb: a grid is a NanoVDB file: give -o FILE.nvdb, and --vdb box.vdb for an OpenVDB file beside it"
 $vox --nonsense
 refused 64 "$p unrecognized option '--nonsense'"
 $vox box.obj -o

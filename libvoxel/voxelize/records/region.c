@@ -162,14 +162,21 @@ void vox_color_tables_init(struct vox_color_tables *tables)
     }
 }
 
-/* Returns the nearest 8-bit sRGB code of a linear value. Values outside of [0, 1] are clamped; NaN
- * gives 0. */
-static inline uint32_t encode_srgb(const struct vox_color_tables *t, double linear)
+/* Values outside of [0, 1] by less are due to rounding. */
+static const double color_tolerance = 1e-6;
+
+/* Returns the nearest 8-bit sRGB code of a linear value. Values outside of [0, 1] are clamped,
+ * which sets *clamped; NaN gives 0. */
+static inline uint32_t encode_srgb(const struct vox_color_tables *t, double linear, bool *clamped)
 {
-    if (!(linear > 0.0))
+    if (!(linear > 0.0)) {
+        *clamped |= linear < -color_tolerance;
         return 0;
-    if (linear >= 1.0)
+    }
+    if (linear >= 1.0) {
+        *clamped |= linear > 1.0 + color_tolerance;
         return 255;
+    }
     uint32_t code = t->start[(uint32_t)(linear * VOX_COLOR_STEPS)];
     while (code < 255 && linear >= t->boundary[code])
         code++;
@@ -177,13 +184,15 @@ static inline uint32_t encode_srgb(const struct vox_color_tables *t, double line
 }
 
 static uint32_t encode_color(const struct vox_color_sum *color,
-                             const struct vox_color_tables *tables)
+                             const struct vox_color_tables *tables, uint64_t *clamped)
 {
+    bool any = false;
     if (!(color->area > 0.0))
         return 0;
     uint32_t packed = 0xff000000u;
     for (int k = 0; k < 3; k++)
-        packed |= encode_srgb(tables, color->rgb[k] / color->area) << (8 * k);
+        packed |= encode_srgb(tables, color->rgb[k] / color->area, &any) << (8 * k);
+    *clamped += any;
     return packed;
 }
 
@@ -264,12 +273,13 @@ static void make_channels(const struct vox_accumulator *a, const uint32_t *numbe
 }
 
 static void append_records(const struct vox_accumulator *a, const uint32_t *numbers, uint32_t count,
-                           const struct vox_color_tables *tables, struct vox_records *to)
+                           const struct vox_color_tables *tables, struct vox_records *to,
+                           uint64_t *clamped)
 {
     struct fmt_nvdb_record *records = to->records + to->count;
     BSQ_SIMD_PICK(bsq_simd_best(), vox_make_records)(a->sums, numbers, count, records);
     for (uint32_t i = 0; a->colors && i < count; i++)
-        records[i].color = encode_color(&a->colors[numbers[i]], tables);
+        records[i].color = encode_color(&a->colors[numbers[i]], tables, clamped);
     for (uint32_t i = 0; a->votes && i < count; i++)
         records[i].id = a->votes[numbers[i]].id;
     if (a->channels)
@@ -307,7 +317,8 @@ static void finish_brick(const struct vox_accumulator *a, uint32_t brick,
     struct fmt_nvdb_record *records = leaves->sides[0].records + leaves->sides[0].count;
     for (int s = 0; s < 2; s++)
         if (chosen.count[s] > 0)
-            append_records(a, chosen.numbers[s], chosen.count[s], tables, &leaves->sides[s]);
+            append_records(a, chosen.numbers[s], chosen.count[s], tables, &leaves->sides[s],
+                           &leaves->clamped_colors);
     for (uint32_t i = 0; chosen.count[1] > 0 && i < chosen.count[0]; i++)
         records[i].plane |= chosen.has_second[i] ? FMT_NVDB_PLANE_SECOND : 0;
     leaves->ids[leaves->leaf_count++] = (uint16_t)brick;
@@ -370,6 +381,7 @@ void vox_leaves_init(struct vox_leaves *leaves, struct bsq_ctx *ctx)
 void vox_leaves_clear(struct vox_leaves *leaves)
 {
     leaves->leaf_count = 0;
+    leaves->clamped_colors = 0;
     leaves->sides[0].count = leaves->sides[1].count = 0;
     for (int a = 0; a < 3; a++) {
         leaves->voxel_min[a] = UINT32_MAX;

@@ -106,6 +106,7 @@ struct vox_records {
 struct vox_leaves {
     struct bsq_ctx *ctx;
     uint32_t leaf_count, channel_words;
+    uint64_t clamped_colors; /* records whose colour was outside of 0 to 1 in linear light */
     uint16_t *ids;
     uint64_t (*masks)[8];
     uint64_t id_capacity, mask_capacity;
