@@ -227,6 +227,11 @@ int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *material
                        bool has_texcoords, struct scan_textures *textures);
 /* Returns whether a texture was checked and can be used. */
 bool vox_textures_have(const struct scan_textures *textures, const char *path);
+/* If the scan keeps opacity, makes the alpha channels of colour textures the opacity of their
+ * materials, unless a material names another good texture of opacity. Decodes these textures. path:
+ * the colour texture of all materials; NULL: their own ones, if these were checked and are good. */
+int vox_textures_use_alpha(struct scan *scan, const struct scan_textures *textures,
+                           const char *path, struct fmt_materials *materials);
 void vox_textures_free(struct bsq_ctx *ctx, struct scan_textures *textures);
 
 /* Reads the MTL files and decides on attributes and materials. texture_path: an image for all faces
