@@ -35,4 +35,6 @@ def value_of(option, random):
         return "%.6g" % min(option.most, max(option.least, 10 ** random.uniform(-3, 2)))
     if option.kind == "bytes":
         return "%dK" % 2 ** random.uniform(9, 21)
+    if option.kind == "output":  # names of outputs of a bake begin with m_
+        return "m_" + option.name + (option.argument[4:] if option.argument.startswith("FILE.") else "")
     raise ValueError("--%s: no random value for the kind %s" % (option.id, option.kind))

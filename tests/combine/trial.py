@@ -180,6 +180,17 @@ class Trial:
     draw_front = draw_back = draw_distance_ao = draw_distance_thickness = draw_distance_curvature = length
     draw_range_height = length
 
+    def draw_low_scale(self, program):
+        return self.random.choice(["1", "1", "0.99"])
+
+    def draw_low_turn(self, program):
+        return self.random.choice(["none", "none", "none", "z-up"])
+
+    def draw_low_x(self, program):
+        return "%.6g" % (self.shape.size * self.random.uniform(0, 0.02))
+
+    draw_low_y = draw_low_z = draw_low_x
+
     def draw_samples(self, program):
         return str(self.random.choice([1, 1, 2, 3, 5]))
 
