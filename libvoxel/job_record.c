@@ -21,6 +21,7 @@
 #include "formats/mesh/mesh_reader.h"
 #include "libvoxel/job_record.h"
 
+#include <assert.h>
 #include <errno.h>
 #include <inttypes.h>
 #include <stdio.h>
@@ -187,6 +188,7 @@ static int describe(struct job_record *r, const struct vox_sort_options *options
                                       [VOX_IDS_COLOR] = "ids by colour"};
     int status = 0;
     for (uint32_t i = 0; i < options->scan_count; i++) {
+        assert(options->scan_paths[i]);
         if (options->placements)
             BSQ_TRY(add_placement(r, &options->placements[i]));
         BSQ_TRY(add_input(r, "obj", options->scan_paths[i]));
@@ -349,7 +351,7 @@ int vox_record_check(struct job_record *r, enum vox_record how, bool *same)
     const size_t begin = text ? strlen(text) + 1 : 0;
     if (begin < size)
         BSQ_TRY(make_first_line(r, text + begin, size - begin, &first));
-    if (first && strcmp(text, first) == 0) {
+    if (text && first && strcmp(text, first) == 0) {
         BSQ_TRY(compare_all(r, text + begin));
         *same = true;
     }

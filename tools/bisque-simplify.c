@@ -143,8 +143,8 @@ static int recognise_inputs(struct cli *cli, struct arguments *arguments, char *
                             uint32_t count)
 {
     int status = 0;
-    arguments->meshes = calloc(count, sizeof *arguments->meshes);
-    arguments->chunks = calloc(count, sizeof *arguments->chunks);
+    arguments->meshes = calloc((size_t)count + 1, sizeof *arguments->meshes);
+    arguments->chunks = calloc((size_t)count + 1, sizeof *arguments->chunks);
     if (!arguments->meshes || !arguments->chunks)
         return bsq_fail_errno(cli->ctx, BSQ_ENOMEM, ENOMEM, "%s", inputs[0]);
     for (uint32_t i = 0; i < count; i++) {

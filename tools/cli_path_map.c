@@ -53,7 +53,7 @@ static int load(struct cli *cli, json_t **out, uint64_t *reserved)
 {
     enum { BYTES_A_CHARACTER = 256, MOST_OTHERS = 1 << 16 }; /* of Jansson's memory */
     const int fd = open(cli->path_map, O_RDONLY | O_NONBLOCK | O_CLOEXEC);
-    struct stat info;
+    struct stat info = {0};
     json_error_t error;
     int status = fd < 0 || fstat(fd, &info) != 0
                      ? bsq_fail_errno(cli->ctx, BSQ_ENOINPUT, errno, "%s", cli->path_map)

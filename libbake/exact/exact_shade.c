@@ -1,6 +1,7 @@
 /* exact_shade.c - evaluates the normal and colour of a hit. */
 #include "libbake/exact/exact_scene.h"
 
+#include <assert.h>
 #include <string.h>
 
 #include "base/vec.h"
@@ -40,6 +41,7 @@ static void set_place(struct place *place, const struct exact_slot *slot, uint32
 static const double *choose_side(const struct exact_smooth *smooth, uint32_t entry, uint32_t crease,
                                  const double cross[3])
 {
+    assert(smooth->sums && smooth->seconds);
     const double *sides[2] = {smooth->sums[2 * entry], smooth->seconds[2 * crease]}, *best = NULL;
     double most = BSQ_FACET_COSINE * sqrt(bsq_dotd(cross, cross));
     for (int i = 0; i < 2; i++) {

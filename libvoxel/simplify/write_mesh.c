@@ -104,6 +104,12 @@ static void corner_normal(const struct writing *w, uint32_t vertex, uint32_t cor
         out[k] = (float)(square > 1e-12 ? sum[k] : face[k]);
 }
 
+/* Normals of equal sums have equal numbers. */
+static bool is_same(const float a[3], const float b[3])
+{
+    return a[0] == b[0] && a[1] == b[1] && a[2] == b[2];
+}
+
 static void shade(struct writing *w)
 {
     for (uint32_t v = 0; v < w->mesh->vertex_count; v++) {
@@ -113,7 +119,7 @@ static void shade(struct writing *w)
             uint32_t same = first;
             *entry = (struct shaded){.vertex = v};
             corner_normal(w, v, w->corners[i], entry->normal);
-            while (memcmp(w->shaded[same].normal, entry->normal, sizeof entry->normal) != 0)
+            while (same < w->shaded_count && !is_same(w->shaded[same].normal, entry->normal))
                 same++;
             w->shaded_of[w->corners[i]] = same;
             w->shaded_count += same == w->shaded_count;

@@ -279,7 +279,7 @@ static int add_chunk(const struct sums *n, uint32_t other)
         return status;
     if (!lent)
         loan = (struct vox_loan){.chunk = &own};
-    if (match(n, &loan))
+    if (loan.chunk->positions && match(n, &loan))
         add_triangles(n, &loan, &n->box, n->d->neighbour_rings);
     if (lent)
         n->lender->take_back(n->lender->arg, other);
