@@ -375,6 +375,8 @@ def main():
         list(pool.map(one, range(arguments.first, arguments.first + arguments.trials)))
     print("seed %s, %d trials: %s" % (arguments.seed, sum(ends.values()),
                                       ", ".join("%s %d" % item for item in sorted(ends.items()))))
+    for name in sorted(trials.UNKNOWN):
+        print("not drawn: --%s, which needs a function in trial.py" % name)
     return 1 if ends["failure"] else 0
 
 

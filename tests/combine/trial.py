@@ -16,6 +16,7 @@ OWN = {
 }
 SHARE = 0.15  # of the options that are given
 SIZES = {"size", "resolution", "voxel-size"}  # without one, a trial takes long
+UNKNOWN = set()  # options with a syntax of their own that no function here draws
 
 
 class Scan:
@@ -120,6 +121,9 @@ class Trial:
             if option.name in OWN[program].split() or self.random.random() > SHARE:
                 continue
             special = getattr(self, "draw_" + option.id.replace("-", "_").replace(" ", "_"), None)
+            if not special and option.kind in ("own", "list"):
+                UNKNOWN.add(option.id)
+                continue
             value = special(program) if special else options.value_of(option, self.random)
             if value is not None:
                 given.append((option, value))
@@ -152,6 +156,10 @@ class Trial:
         if self.random.random() < 0.2:
             return "all"
         return ",".join(self.random.sample(names, self.random.randint(1, 5)))
+
+    def draw_pack(self, program):
+        names = self.random.sample(["ao", "mask", "1-mask", "height", "0", "1"], self.random.randint(1, 4))
+        return "m_pack=" + ",".join(names)
 
     def draw_texture(self, program):
         return "../in/color.ppm" if program == "bisque-voxelize" else None
