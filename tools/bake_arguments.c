@@ -295,6 +295,7 @@ static int parse_pack(struct cli *cli, struct bake_arguments *arguments, const c
     }
     *equals = '\0';
     grown[bake->pack_count++] = (struct bake_pack){name, equals + 1};
+    /* cppcheck-suppress memleak; the pack owns the name */
     return 0;
 }
 

@@ -1,6 +1,7 @@
 /* map_table.c - the table of maps: how a texel's sums become values, and how files store values. */
 #include "libbake/maps/maps.h"
 
+#include <assert.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -347,6 +348,7 @@ unsigned bake_unpack(const struct bake_options *options, const struct bake_pack 
                      struct bake_packed out[BAKE_MAX_PACKED])
 {
     unsigned count = 0;
+    assert(pack);
     for (const char *word = pack->maps; word; count++) {
         const char *end = strchrnul(word, ',');
         const bool inverted = strncmp(word, "1-", 2) == 0;
