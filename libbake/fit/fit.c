@@ -175,7 +175,7 @@ static void set_ray(const struct fit *fit, const struct probe *probe, const stru
 }
 
 /* Traces rays over a range of distances, as many at a time as memory allows. inverted: surfaces
- * must face the other way. */
+ * must face the other way. Nothing is said of hits on a scan that has changed. */
 static int trace(const struct fit *fit, uint64_t count, double from, double to, bool inverted)
 {
     int status = 0;
@@ -194,7 +194,7 @@ static int trace(const struct fit *fit, uint64_t count, double from, double to, 
         status = bake_surface_trace(fit->surface, &probes);
         at += probes.batch.count;
     }
-    return status;
+    return status == 0 ? bake_surface_check(fit->surface) : status;
 }
 
 /* Scores the hits of rays from `first` on, of a mesh of this size. */
