@@ -133,9 +133,10 @@ struct vox_sort_report {
     /** One that is not in the chunk file, and must stay where it is; "": none. It may be cut off.
      */
     char outer_texture[VOX_NAMES_BYTES];
-    /** Channels that the chunk file keeps, and those of which materials have textures or values
-     * that it does not keep: names separated by commas. */
-    char kept_channels[VOX_NAMES_BYTES], unkept_channels[VOX_NAMES_BYTES];
+    /** Channels that the chunk file keeps: names separated by commas. */
+    char kept_channels[VOX_NAMES_BYTES];
+    /** Channels that materials have textures or values of, and the chunk file does not keep. */
+    char unkept_channels[VOX_NAMES_BYTES];
     double seconds_read; /**< Wall time of reading. */
     double seconds_sort; /**< Wall time of sorting and writing. */
 };
@@ -303,12 +304,9 @@ int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options
 
 /** Measures how far any mesh is from a scan, as vox_simplify() measures its own. The mesh is held
  * in memory.
- * @param scan_paths   chunk files, read as one scan
- * @param scan_count   number of scan_paths
- * @param mesh         the mesh as a chunk file of vox_sort()
- * @param from_scan    from each vertex of the scan to the mesh
- * @param from_mesh    from points spread over the mesh to the scan
- * Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
+ * memory. scan_paths: chunk files, read as one scan. mesh: of vox_sort(). from_scan receives the
+ * distances of the scan's vertices from the mesh, from_mesh those of points on the mesh from the
+ * scan. Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
 int vox_measure_mesh(struct bsq_ctx *ctx, const char *const *scan_paths, uint32_t scan_count,
                      const struct vox_temp_tris *mesh, struct vox_distances *from_scan,
                      struct vox_distances *from_mesh);
