@@ -265,11 +265,11 @@ done
 
 # An unknown version is refused by name, also by Bisque.
 cp box.tris new.tris
-put new.tris 8 5
+put new.tris 8 9
 oracle measure new.tris
-err "new.tris: version 5"
+err "new.tris: version 9"
 run bisque-voxelize new.tris -o new.nvdb
-err_like '^bisque-voxelize: new\.tris: chunk file of version 5, '
+err_like '^bisque-voxelize: new\.tris: chunk file of version 9, '
 "$TESTS/generate-scan" vase-low -o low.obj
 cp box.nvdb new.nvdb
 put new.nvdb 8 3

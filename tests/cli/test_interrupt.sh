@@ -87,7 +87,7 @@ unset most
 stops "one polygon as the low-poly mesh" bisque-bake box.nvdb polygon.obj -o 'slow_<MAP>.exr' \
     --device cpu --size 2048
 for surface in nvdb tris; do
-    stops "triangles over the whole map, .$surface" bisque-bake box.$surface covering.obj \
+    stops "triangles over the whole map, .$surface" bisque-bake box.$surface covering.obj --as-is \
         -o 'slow_<MAP>.exr' --device cpu --size 1024 --samples 8 --memory 1G
 done
 finish

@@ -222,8 +222,27 @@ FIXTURE_TEST(materials_come_from_the_library)
     free(got.list);
 }
 
-/* Scans often come without their images. Shapes and diffuse colours are kept. */
+/* Scans often come without their images. Beside materials with colours, diffuse colours are kept.
+ */
 FIXTURE_TEST(a_missing_texture_leaves_the_diffuse_colour)
+{
+    struct sort_fixture *f = *state;
+    struct sorted_triangles got = {0};
+    struct fmt_tris_header header;
+    write_library("newmtl wall\nKd 0.5 0.5 0.5\nmap_Kd gone.png\nnewmtl red\nKd 1 0 0\n");
+    expect_sorted(f, sort_text(f, materials_obj));
+    read_sorted(f, &got, &header);
+    assert_int_equal(header.attributes, FMT_TRIS_MATERIALS);
+    assert_int_equal(header.material_count, 3);
+    assert_int_equal(count_material(&got, 0), 2);
+    assert_int_equal(count_material(&got, 1), 2); /* red */
+    assert_int_equal(count_material(&got, 2), 2); /* white */
+    free(got.list);
+}
+
+/* The colour beside a texture that is missing is seldom that of the scan: without any other one,
+ * the scan has none. */
+FIXTURE_TEST(a_missing_texture_alone_leaves_no_colour)
 {
     struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
@@ -231,10 +250,7 @@ FIXTURE_TEST(a_missing_texture_leaves_the_diffuse_colour)
     write_library("newmtl wall\nKd 0.5 0.5 0.5\nmap_Kd gone.png\n");
     expect_sorted(f, sort_text(f, materials_obj));
     read_sorted(f, &got, &header);
-    assert_int_equal(header.attributes, FMT_TRIS_MATERIALS);
-    assert_int_equal(header.material_count, 2);
-    assert_int_equal(count_material(&got, 0), 2);
-    assert_int_equal(count_material(&got, 1), 4); /* white */
+    assert_int_equal(header.attributes, 0);
     free(got.list);
 }
 

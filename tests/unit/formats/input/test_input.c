@@ -217,11 +217,12 @@ TEST(test_no_more_is_unpacked_than_is_read)
 {
     struct packed p = {0};
     struct fmt_mesh_reader *reader;
-    const size_t blanks = (size_t)256 << 20; /* one line */
-    uint8_t *bomb = malloc(blanks);
+    const size_t size = (size_t)256 << 20; /* one number */
+    uint8_t *bomb = malloc(size);
     assert_non_null(bomb);
-    memset(bomb, ' ', blanks);
-    pack_zstd(&p, bomb, blanks, 20);
+    memset(bomb, '1', size);
+    memcpy(bomb, "v ", 2);
+    pack_zstd(&p, bomb, size, 20);
     const char *path = test_bytes("bomb.obj.zst", p.data, p.size);
     assert_true(p.size < 100000);
     free(bomb);
