@@ -382,10 +382,13 @@ void set_limits(uint64_t memory, uint64_t seconds)
         fclose(statm);
     const uint64_t all = pages * uint64_t(sysconf(_SC_PAGESIZE)) + memory;
     const struct rlimit space = {all, all}, time = {seconds, seconds + 1}, files = {0, 0};
-#ifndef __SANITIZE_ADDRESS__ // which takes addresses for each allocation
-    if (known && all > memory)
-        setrlimit(RLIMIT_AS, &space);
+#ifdef __SANITIZE_ADDRESS__
+    const bool limited = false; // it takes addresses for each allocation
+#else
+    const bool limited = true;
 #endif
+    if (limited && known && all > memory)
+        setrlimit(RLIMIT_AS, &space);
     setrlimit(RLIMIT_CPU, &time);
     setrlimit(RLIMIT_NOFILE, &files);
 }
