@@ -282,9 +282,10 @@ static int choose_encodings(struct bake_map_files *files, const struct bake_meas
     for (uint32_t i = 0; status == 0 && i < files->count; ++i) {
         struct map_file *file = &files->files[i];
         struct bake_attributes attributes;
-        for (struct part *part = file->parts; part < file->parts + file->part_count; ++part)
-            if (part->packed.number != BAKE_CONSTANT)
-                choose_encoding(files, file, part->packed.number, measures, report, &part->encoder);
+        for (unsigned p = 0; p < file->part_count; ++p)
+            if (file->parts[p].packed.number != BAKE_CONSTANT)
+                choose_encoding(files, file, file->parts[p].packed.number, measures, report,
+                                &file->parts[p].encoder);
         if (file->part_count > 0)
             continue;
         choose_encoding(files, file, file->number, measures, report, &file->encoder);
