@@ -27,10 +27,12 @@ void bake_turn_word(const double turn[3][3], char out[8])
         for (int c = 0; c < 3; c++)
             if (turn[r][c] != 0)
                 to += sprintf(to, "%s%c", turn[r][c] < 0 ? "-" : "", 'x' + c);
-    strcpy(out, strcmp(out, "x-zy") == 0   ? "z-up"
-                : strcmp(out, "xz-y") == 0 ? "y-up"
-                : strcmp(out, "xyz") == 0  ? "none"
-                                           : out);
+    const char *name = strcmp(out, "x-zy") == 0   ? "z-up"
+                       : strcmp(out, "xz-y") == 0 ? "y-up"
+                       : strcmp(out, "xyz") == 0  ? "none"
+                                                  : NULL;
+    if (name)
+        strcpy(out, name);
 }
 
 void bake_placement_of(const struct bake_options *options, struct bake_placement *out)
