@@ -198,6 +198,18 @@ static inline bool bsq_may_fold(const double units[4])
     return bsq_row_dot(units, units) < (units[3] - BSQ_CREASE_SPREAD) * units[3];
 }
 
+/* Reads the corners of a triangle. Returns false if none of them is at a crease. */
+LANES_INLINE bool bsq_crease_corners(const float (*positions)[3], const uint32_t v[3],
+                                     const uint32_t *ring_of, const uint32_t *crease_of,
+                                     struct row corner[3])
+{
+    if ((crease_of[ring_of[v[0]]] | crease_of[ring_of[v[1]]] | crease_of[ring_of[v[2]]]) == 0)
+        return false;
+    for (int i = 0; i < 3; i++)
+        corner[i] = row_of_floats(positions[v[i]]);
+    return true;
+}
+
 /* Finds the farthest triangles among those from `begin` to `end`. */
 LANES_INLINE void bsq_find_farthest(const float (*positions)[3], const uint32_t (*triangles)[3],
                                     uint32_t begin, uint32_t end, const uint32_t *ring_of,
@@ -208,10 +220,8 @@ LANES_INLINE void bsq_find_farthest(const float (*positions)[3], const uint32_t 
         const uint32_t *v = triangles[t];
         struct row corner[3];
         double normal[4];
-        if ((crease_of[ring_of[v[0]]] | crease_of[ring_of[v[1]]] | crease_of[ring_of[v[2]]]) == 0)
+        if (!bsq_crease_corners(positions, v, ring_of, crease_of, corner))
             continue;
-        for (int i = 0; i < 3; i++)
-            corner[i] = row_of_floats(positions[v[i]]);
         row_store(bsq_unit_normal(bsq_area_vector(corner)), normal);
         for (int i = 0; i < 3 && normal[3] > 0; i++) {
             const uint32_t ring = ring_of[v[i]];
@@ -253,10 +263,8 @@ LANES_INLINE void bsq_add_sides(const float (*positions)[3], const uint32_t (*tr
         const uint32_t *v = triangles[t];
         struct row corner[3];
         double normal[4];
-        if ((crease_of[ring_of[v[0]]] | crease_of[ring_of[v[1]]] | crease_of[ring_of[v[2]]]) == 0)
+        if (!bsq_crease_corners(positions, v, ring_of, crease_of, corner))
             continue;
-        for (int i = 0; i < 3; i++)
-            corner[i] = row_of_floats(positions[v[i]]);
         const struct row area = bsq_area_vector(corner);
         const struct row factors =
             bsq_corner_factors(corner, row_number(area, 3), BSQ_SCAN_NORMALS_ANGLE);

@@ -264,7 +264,7 @@ static int verify_bounds(const struct verify *v)
     return 0;
 }
 
-/* Checks the images, whose checksum is behind them. */
+/* Checks the embedded images. Their checksum follows them in the file. */
 static int verify_images(const struct verify *v)
 {
     const uint64_t begin = sizeof(struct tris_file_header), end = v->file->images_end;

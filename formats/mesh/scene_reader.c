@@ -17,8 +17,8 @@
 #include "formats/mesh/mesh_text.h"
 #include "formats/mesh/scene_file.h"
 
-/* Seconds of a processor that Assimp may take for a file, and one more for each of so many bytes.
- * Machines read a hundred times as many. */
+/* Processor time in seconds that Assimp may take: LEAST_SECONDS for any file, and a second more for
+ * each BYTES_A_SECOND of it. It usually reads a hundred times as many bytes in a second. */
 enum { LEAST_SECONDS = 20, BYTES_A_SECOND = 1 << 18 };
 
 /* What the reader keeps of a file: source->data. */

@@ -53,7 +53,7 @@ int fmt_module_find(struct bsq_ctx *ctx, const char *file, const char *purpose, 
 
 /* How a program ended. */
 struct fmt_program_end {
-    int error; /* the errno because of which it did not start; 0: it started */
+    int error; /* errno of the call that could not start it; 0: it started */
     bool late; /* it was killed after its time */
     int state; /* as waitpid() gives it; -1: not known */
 };

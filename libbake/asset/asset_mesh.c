@@ -3,6 +3,7 @@
  * Corners are sorted by the bytes of their values, so that equal ones become one vertex. */
 #include "libbake/asset/asset_mesh.h"
 
+#include <inttypes.h>
 #include <math.h>
 #include <string.h>
 
@@ -122,7 +123,10 @@ int bake_asset_mesh_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
     struct corner *sorted = NULL;
     int status;
     if (corners >= UINT32_MAX)
-        return bsq_fail(ctx, BSQ_EDATA, "a GLB file cannot have so many triangles");
+        return bsq_fail(ctx, BSQ_EDATA,
+                        "%" PRIu64
+                        " triangles are too many for a GLB file, which has 32-bit indices",
+                        mesh->triangle_count);
     for (int k = 0; k < 3; k++)
         out->centre[k] = 0.5 * (mesh->bounds_min[k] + mesh->bounds_max[k]);
     BSQ_TRY(bsq_calloc(ctx, "parts of a GLB file", udim->count + UINT64_C(1), sizeof *out->list,

@@ -61,11 +61,11 @@ struct bake_lowmesh_options {
     const struct bake_placement *placement; /* of meshes and cage; NULL: they stay as they are */
 };
 
-/* Loads mesh files, fills in missing normals, of which it warns unless the options
- * say which, and computes tangents and ray directions, for each
- * file alone. Free *out with bake_lowmesh_free(). Errors: those of fmt_mesh_load(); BSQ_EDATA with
- * the line of the first face that has no texture coordinates, or whose corners differ from the
- * cage's, or for too many triangles; BSQ_ENOMEM, BSQ_EINTR. */
+/* Loads mesh files. Computes normals for files that have none, and warns unless the options choose
+ * them. Computes tangents and ray directions, for each file alone. Free *out with
+ * bake_lowmesh_free(). Errors: those of fmt_mesh_load(); BSQ_EDATA with the line of the first face
+ * that has no texture coordinates, or whose corners differ from the cage's, or for too many
+ * triangles; BSQ_ENOMEM, BSQ_EINTR. */
 int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
                       struct bake_lowmesh *out);
 /* Puts triangle order[i] in place i, for `count` places; a triangle may have several. The sets stay

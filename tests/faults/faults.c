@@ -12,8 +12,8 @@
  *               interrupt: SIGTERM before the call;
  *               pause: creates the file FAULT_FLAG and continues when that file is gone
  * FAULT_LOG     file that gets a line for each call that counts
- * FAULT_CLOCK   the system's clock jumps by so many seconds, and back, at each look
- * FAULT_SPEED   clocks that only go forward run so many times as fast
+ * FAULT_CLOCK   seconds by which the system's clock jumps, forth and back, whenever it is read
+ * FAULT_SPEED   factor by which clocks that only go forward run faster
  * FAULT_THREADS at most this many threads can be started
  * FAULT_PLAIN   1: opening a file without a name (O_TMPFILE) fails with EOPNOTSUPP
  * FAULT_LOCKS   a file that gets a line for each call of flock, all of which fail with ENOLCK
