@@ -45,6 +45,8 @@ const char *bsq_version(void)
 int bsq_ctx_create(const struct bsq_ctx_options *options, struct bsq_ctx **out)
 {
     *out = NULL;
+    if (options && options->size != 0 && options->size != sizeof *options)
+        return BSQ_EUSAGE;
     struct bsq_ctx *ctx = calloc(1, sizeof *ctx);
     if (!ctx)
         return BSQ_ENOMEM;
@@ -197,6 +199,16 @@ const char *bsq_error(const struct bsq_ctx *ctx)
 {
     const char *text = atomic_load_explicit(&ctx->error, memory_order_acquire);
     return text ? text : "";
+}
+
+int bsq_check_size(struct bsq_ctx *ctx, const char *name, size_t size, size_t expected)
+{
+    if (size == expected)
+        return 0;
+    return bsq_fail(ctx, BSQ_EUSAGE,
+                    "struct %s has %zu bytes, and in version %s of the library %zu: start it with "
+                    "its defaults, and compile the program for this version",
+                    name, size, bsq_version(), expected);
 }
 
 int bsq_error_status(struct bsq_ctx *ctx)

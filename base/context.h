@@ -65,6 +65,7 @@ struct bsq_progress {
 
 /** Options of a context. All zeros are the defaults. */
 struct bsq_ctx_options {
+    size_t size;           /**< Of the structure, or 0; see bsq_check_size(). */
     uint64_t memory_bytes; /**< Budget; 0: half of what machine and control groups allow. */
     unsigned threads;      /**< 0: one for each usable processor. A number above 64 and above 4 per
                               processor is lowered, with a warning. */
@@ -80,7 +81,7 @@ struct bsq_ctx_options {
 struct bsq_ctx;
 
 /** Creates a context in *out, which the caller owns. `options` may be NULL for the defaults;
- * strings in it are copied. Errors: BSQ_ENOMEM. */
+ * strings in it are copied. Errors: BSQ_ENOMEM; BSQ_EUSAGE for options of another size. */
 int bsq_ctx_create(const struct bsq_ctx_options *options, struct bsq_ctx **out);
 
 /** Stops the threads and frees the context; NULL is allowed. All memory that was allocated from it
@@ -123,6 +124,18 @@ unsigned bsq_threads(const struct bsq_ctx *ctx);
  * output's directory. */
 const char *bsq_tmpdir(const struct bsq_ctx *ctx);
 
+/** An input that is no file: a callback gives its bytes, in the format of a mesh file, such as PLY.
+ */
+struct bsq_source {
+    size_t size;    /**< Of the structure, see bsq_check_size(). */
+    uint64_t bytes; /**< Of the input. */
+    /** Copies `count` bytes from byte number `offset` on to `to`; all of them exist. Called on
+     * several threads at once, and more than once for the same bytes, which must not change.
+     * Returns 0, or a negative code of enum bsq_status, which ends the job. */
+    int (*read)(void *user, void *to, uint64_t count, uint64_t offset);
+    void *user; /**< Passed to the callback. */
+};
+
 /* ---- errors ---- */
 
 /** Runs a step of a function that returns a status. If the step fails, keeps its code in the local
@@ -149,6 +162,11 @@ int bsq_fail_errno(struct bsq_ctx *ctx, int status, int errnum, const char *form
 /** Returns the text of the first failure, or "" if there was none. It is valid until
  * bsq_clear_error() or bsq_ctx_destroy(). */
 const char *bsq_error(const struct bsq_ctx *ctx);
+
+/** Checks the first member of a structure that a program filled in: its `size` in bytes, which the
+ * structure's defaults set. A structure that was not started with them, or is of another version,
+ * has another one than the library, which is `expected`. Errors: BSQ_EUSAGE. */
+int bsq_check_size(struct bsq_ctx *ctx, const char *name, size_t size, size_t expected);
 
 /** Forgets the recorded failure, for callers that can go on without what failed, and before another
  * job. An interruption stays; see bsq_clear_interruption(). */

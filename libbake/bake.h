@@ -128,11 +128,24 @@ struct bake_pack {
     const char *maps;
 };
 
+/** Rows of a map, from top to bottom, as its file gets them: encoded, with padding. */
+struct bake_rows {
+    const char *map;      /**< Its name. */
+    const char *path;     /**< Of its file, which tells UDIM tiles, objects and materials apart. */
+    uint32_t width;       /**< Width of the map in texels. */
+    uint32_t height;      /**< Height of the map in texels. */
+    uint32_t channels;    /**< Interleaved in each row. */
+    uint32_t first;       /**< Number of the first row, from 0 at the top. */
+    uint32_t count;       /**< Number of rows. */
+    const float *samples; /**< Of these rows; valid until the callback returns. */
+};
+
 /** How much work a bake is, see bake_options.quality. */
 enum bake_quality { BAKE_QUALITY_NORMAL, BAKE_QUALITY_DRAFT, BAKE_QUALITY_FINAL };
 
 /** What bake_run() reads and writes. The caller owns all strings and arrays. */
 struct bake_options {
+    size_t size; /**< Of the structure, see bsq_check_size(). */
     const char
         *scan_path; /**< Input: a grid (.nvdb) or a chunk file (.tris); the content decides. */
     const char *const *more_scan_paths; /**< More scans; the nearest surface of all is taken. */
@@ -237,6 +250,12 @@ struct bake_options {
     const char *preview_path; /**< Output: a preview, PNG, or NULL. */
     uint32_t preview_views;   /**< Views around the mesh, to BAKE_MAX_VIEWS. */
     enum bake_up preview_up;  /**< Vertical axis of the preview. */
+    /** Gets the rows of all maps, never concurrently; NULL: nobody does. Of a map that several
+     * objects or tiles have, one file's rows come after the other's. A negative status ends the job
+     * and is returned. Plans do not keep it. */
+    int (*on_rows)(void *user, const struct bake_rows *rows);
+    void *rows_user; /**< Passed to on_rows. */
+    bool rows_only;  /**< Maps have no files; output_path only chooses how samples are encoded. */
 };
 
 /** In an output path: stands for the map's name. */

@@ -32,8 +32,9 @@ enum bake_compare_kind {
 };
 
 /** What bake_compare() reads and writes. The caller owns all paths; they must live until it
- * returns. All zeros but the first two paths are the defaults. */
+ * returns. All zeros but the size and the first two paths are the defaults. */
 struct bake_compare_options {
+    size_t size;        /**< Of the structure, see bsq_check_size(). */
     const char *a_path; /**< Input: a map. */
     const char *b_path; /**< Input: the reference. */
     /** Input: a mask of the maps' size. Map a covers the texels whose first channel in the
@@ -85,6 +86,9 @@ struct bake_compare_report {
 /** Returns the unit of the error for legends: "degrees", "dE2000" or "difference", and "" for
  * BAKE_COMPARE_AUTO. Static storage. */
 const char *bake_compare_unit(enum bake_compare_kind kind);
+
+/** Fills in the defaults: no files. */
+void bake_compare_defaults(struct bake_compare_options *options);
 
 /** Compares two maps on all threads of the context, and fills in *report. Each picture is written
  * whole or not at all. Must not be called from parallel work of the same context.

@@ -172,11 +172,11 @@ void vox_sort_finish(const char *tris_path)
     free(path);
 }
 
-/* Returns the path of an input that is a pipe, or NULL. */
+/* Returns the path of an input that is a pipe or comes from a callback, or NULL. */
 static const char *find_pipe(const struct vox_sort_options *options)
 {
     for (uint32_t i = 0; i < options->scan_count; i++)
-        if (fmt_input_is_pipe(options->scan_paths[i]))
+        if ((options->sources && options->sources[i]) || fmt_input_is_pipe(options->scan_paths[i]))
             return options->scan_paths[i];
     return NULL;
 }
@@ -213,10 +213,11 @@ int vox_record_open(struct bsq_ctx *ctx, const struct vox_sort_options *options,
     int status;
     *r = (struct job_record){.ctx = ctx, .tris_path = options->tris_path};
     if (pipe && options->record == VOX_RECORD_RESUME)
-        return bsq_fail(ctx, BSQ_EUSAGE,
-                        "%s is a pipe, which cannot be read again: if %s is complete, make the "
-                        "grid from it instead of resuming",
-                        pipe, options->tris_path);
+        return bsq_fail(
+            ctx, BSQ_EUSAGE,
+            "%s is a pipe or no file, which cannot be read again: if %s is complete, make the "
+            "grid from it instead of resuming",
+            pipe, options->tris_path);
     if (pipe || options->record == VOX_RECORD_NONE)
         return 0;
     r->path = path_beside(options->tris_path);

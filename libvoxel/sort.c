@@ -221,6 +221,7 @@ static int read_scan(struct scan *scan, const struct sort_limits *limits,
     int status;
     BSQ_TRY(copy_placements(ctx, options, &placements));
     const struct fmt_mesh_inputs inputs = {.paths = options->scan_paths,
+                                           .sources = options->sources,
                                            .path_count = options->scan_count,
                                            .placements = placements,
                                            .beside = options->tris_path,
@@ -368,7 +369,9 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     struct job_record record = {0};
     uint64_t temp_before = bsq_temp_bytes(ctx);
     memset(report, 0, sizeof *report);
-    int status;
+    int status = bsq_check_size(ctx, "vox_sort_options", options->size, sizeof *options);
+    if (status < 0)
+        return status;
     BSQ_TRY(begin_scan(&scan, ctx, options, limits));
     BSQ_TRY(check_channels(ctx, options));
     BSQ_TRY(names_tris(options) ? bsq_note_output(ctx, options->tris_path) : 0);
@@ -391,7 +394,8 @@ done:
 
 void vox_sort_defaults(struct vox_sort_options *options)
 {
-    *options = (struct vox_sort_options){.check_textures = true, .tells_unkept = true};
+    *options = (struct vox_sort_options){
+        .size = sizeof *options, .check_textures = true, .tells_unkept = true};
 }
 
 /* A handle is a few bytes and a job may have a budget of only vox_memory_min(), so it is not
@@ -479,6 +483,7 @@ int vox_parse(struct bsq_ctx *ctx, const struct vox_sort_options *options,
     const struct fmt_mesh_inputs inputs = {
         .paths = options->scan_paths, .path_count = options->scan_count, .pipes = true};
     int status;
+    BSQ_TRY(bsq_check_size(ctx, "vox_sort_options", options->size, sizeof *options));
     BSQ_TRY(bsq_calloc(ctx, "inputs", options->scan_count, sizeof *parsing.ends, &parsing.ends));
     BSQ_TRY(fmt_mesh_open_inputs(ctx, &inputs, &parsing.reader));
     BSQ_TRY(parse_all(&parsing, &totals));

@@ -75,9 +75,13 @@ enum vox_record {
 
 /** What vox_sort() reads and writes. The caller owns all strings and handles. */
 struct vox_sort_options {
+    size_t size; /**< Of the structure, see bsq_check_size(). */
     /** Mesh files, read as one scan. They may be packed by gzip or Zstandard. A FIFO, or "-" for
      * standard input, is read once. */
     const char *const *scan_paths;
+    /** One for each mesh file that is read by a callback, NULL for others; its path is then its
+     * name in messages. As pipes, they have no record. NULL: all are files. */
+    const struct bsq_source *const *sources;
     /** One for each mesh file; NULL: all stay in place. */
     const struct vox_placement *placements;
     uint32_t scan_count;      /**< Number of mesh files, at least 1. */
@@ -175,6 +179,7 @@ enum vox_grid_type {
 
 /** What vox_voxelize() reads and writes. The caller owns all strings and handles. */
 struct vox_voxelize_options {
+    size_t size;           /**< Of the structure, see bsq_check_size(). */
     const char *tris_path; /**< Input: a chunk file. */
     /** NULL, or the chunk files to read as one scan instead of tris_path, in any order. tris_path
      * is then only used in messages. */
@@ -261,6 +266,7 @@ struct vox_simplified {
 
 /** What vox_simplify() reads and writes. The caller owns all strings and handles. */
 struct vox_simplify_options {
+    size_t size;                   /**< Of the structure, see bsq_check_size(). */
     const char *const *tris_paths; /**< Input: chunk files, read as one scan, in any order. */
     uint32_t tris_count;           /**< Number of tris_paths. */
     const struct vox_temp_tris *temp_tris; /**< NULL, or one more part. */

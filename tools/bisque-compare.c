@@ -95,6 +95,7 @@ enum { ROWS = sizeof rows / sizeof *rows };
 static int parse_arguments(struct cli *cli, struct arguments *arguments, int argc, char **argv)
 {
     const struct cli_command command = {.usage = usage, .tables = {{rows, ROWS, arguments, NULL}}};
+    bake_compare_defaults(&arguments->compare);
     bsq_options_defaults(rows, ROWS, arguments);
     int status = cli_parse(cli, &command, argc, argv);
     if (status != 0)

@@ -38,7 +38,8 @@ struct fmt_input {
     struct bsq_ctx *ctx;
     char *path, *beside; /* beside: NULL for "." */
     bool packed;         /* or text in UTF-16: the file's bytes are not those that readers get */
-    int pipe_fd;         /* -1: a file */
+    const struct bsq_source *source; /* NULL: a file or a pipe */
+    int pipe_fd;                     /* -1: a file, or a source */
     uint64_t file_size;
     atomic_uint_least64_t size; /* of all that readers get; UINT64_MAX: not known yet */
 
@@ -247,8 +248,8 @@ done:
     return status;
 }
 
-int fmt_input_create(struct bsq_ctx *ctx, const char *path, const char *beside, bool pipes,
-                     struct fmt_input **out)
+static int create(struct bsq_ctx *ctx, const char *path, const char *beside, bool pipes,
+                  const struct bsq_source *source, struct fmt_input **out)
 {
     struct fmt_input *input;
     *out = NULL;
@@ -256,6 +257,7 @@ int fmt_input_create(struct bsq_ctx *ctx, const char *path, const char *beside, 
     if (status < 0)
         return status;
     input->ctx = ctx;
+    input->source = source;
     input->pipe_fd = -1;
     input->size = UINT64_MAX;
     input->file = input->temp = (struct bsq_file)BSQ_FILE_CLOSED;
@@ -263,12 +265,28 @@ int fmt_input_create(struct bsq_ctx *ctx, const char *path, const char *beside, 
     pthread_rwlock_init(&input->stored_lock, NULL);
     BSQ_TRY(bsq_text_copy(ctx, path, &input->path));
     BSQ_TRY(bsq_text_copy(ctx, beside, &input->beside));
-    BSQ_TRY(pipes && fmt_input_is_pipe(path) ? open_pipe(input) : examine(input));
+    if (source)
+        input->size = input->file_size = source->bytes;
+    else
+        BSQ_TRY(pipes && fmt_input_is_pipe(path) ? open_pipe(input) : examine(input));
     *out = input;
 done:
     if (status < 0)
         fmt_input_free(input);
     return status;
+}
+
+int fmt_input_create(struct bsq_ctx *ctx, const char *path, const char *beside, bool pipes,
+                     struct fmt_input **out)
+{
+    return create(ctx, path, beside, pipes, NULL, out);
+}
+
+int fmt_input_create_source(struct bsq_ctx *ctx, const char *name, const struct bsq_source *source,
+                            struct fmt_input **out)
+{
+    const int status = bsq_check_size(ctx, "bsq_source", source->size, sizeof *source);
+    return status < 0 ? status : create(ctx, name, NULL, false, source, out);
 }
 
 /* Drops what was unpacked. */
@@ -301,7 +319,7 @@ const char *fmt_input_path(const struct fmt_input *input)
 
 const char *fmt_input_beside(const struct fmt_input *input)
 {
-    return is_pipe(input) ? "" : input->path;
+    return is_pipe(input) || input->source ? "" : input->path;
 }
 
 uint64_t fmt_input_size(const struct fmt_input *input)
@@ -314,7 +332,7 @@ uint64_t fmt_input_size(const struct fmt_input *input)
 static int begin_use(struct fmt_input *input)
 {
     int status = 0;
-    if (!is_pipe(input))
+    if (!is_pipe(input) && !input->source)
         BSQ_TRY(bsq_file_open(input->ctx, input->path, &input->file));
     if (!fmt_input_is_plain(input) && !input->unpacker)
         BSQ_TRY(start_unpacking(input, is_pipe(input)));
@@ -338,7 +356,7 @@ int fmt_input_close(struct fmt_input *input)
     int status = 0;
     pthread_mutex_lock(&input->lock);
     if (input->users == 1 && !is_pipe(input)) {
-        status = bsq_file_check(input->ctx, &input->file);
+        status = input->source ? 0 : bsq_file_check(input->ctx, &input->file);
         end_use(input);
         if (input->packed)
             input->size = UINT64_MAX;
@@ -349,6 +367,17 @@ int fmt_input_close(struct fmt_input *input)
 }
 
 /* ---- reading ---- */
+
+/* Reads up to `size` bytes that a callback gives. */
+static int read_source(const struct fmt_input *input, void *buffer, uint64_t size, uint64_t offset,
+                       uint64_t *got)
+{
+    const struct bsq_source *source = input->source;
+    const uint64_t left = offset < source->bytes ? source->bytes - offset : 0;
+    *got = size < left ? size : left;
+    const int status = *got > 0 ? source->read(source->user, buffer, *got, offset) : 0;
+    return status < 0 ? bsq_fail(input->ctx, status, "%s: the callback failed", input->path) : 0;
+}
 
 int fmt_input_reach(struct fmt_input *input, uint64_t end, uint64_t *size)
 {
@@ -363,6 +392,8 @@ int fmt_input_read_some(struct fmt_input *input, void *buffer, uint64_t size, ui
     const uint64_t end = size < UINT64_MAX - offset ? offset + size : UINT64_MAX;
     int status = 0;
     *got = 0;
+    if (input->source)
+        return read_source(input, buffer, size, offset, got);
     if (fmt_input_is_plain(input))
         return bsq_file_read_some(input->ctx, &input->file, buffer, size, offset, got);
     for (bool read = false; !read;) {
@@ -385,16 +416,18 @@ int fmt_input_read(struct fmt_input *input, void *buffer, uint64_t size, uint64_
 {
     uint64_t got;
     int status = 0;
-    if (fmt_input_is_plain(input))
+    if (fmt_input_is_plain(input) && !input->source)
         return bsq_file_read(input->ctx, &input->file, buffer, size, offset);
     BSQ_TRY(fmt_input_read_some(input, buffer, size, offset, &got));
-    if (got < size && !is_pipe(input)) /* it may have been changed before it was unpacked again */
+    if (got < size && !is_pipe(input) &&
+        !input->source) /* it may have been changed before it was unpacked again */
         BSQ_TRY(bsq_file_check(input->ctx, &input->file));
     if (got < size)
-        status = bsq_fail(input->ctx, BSQ_EDATA,
-                          "%s: truncated: %" PRIu64 " bytes expected at byte %" PRIu64
-                          " of the unpacked file, %" PRIu64 " there",
-                          input->path, size, offset, got);
+        status =
+            bsq_fail(input->ctx, BSQ_EDATA,
+                     "%s: truncated: %" PRIu64 " bytes expected at byte %" PRIu64
+                     " of the %s, %" PRIu64 " there",
+                     input->path, size, offset, input->source ? "input" : "unpacked file", got);
 done:
     return status;
 }
@@ -402,6 +435,9 @@ done:
 int fmt_input_whole(struct fmt_input *input, struct bsq_file *out)
 {
     *out = (struct bsq_file)BSQ_FILE_CLOSED;
+    if (input->source)
+        return bsq_fail(input->ctx, BSQ_EDATA,
+                        "%s: a callback can give OBJ, PLY and STL meshes only", input->path);
     if (fmt_input_is_plain(input))
         return bsq_file_duplicate(input->ctx, &input->file, out);
     int status = 0;

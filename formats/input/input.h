@@ -27,6 +27,9 @@ struct fmt_input;
  * only once. Errors: BSQ_ENOINPUT, BSQ_EIO, BSQ_ENOMEM. */
 int fmt_input_create(struct bsq_ctx *ctx, const char *path, const char *beside, bool pipes,
                      struct fmt_input **out);
+/* Makes an input of a callback, which must live as long. `name` is copied, for messages. */
+int fmt_input_create_source(struct bsq_ctx *ctx, const char *name, const struct bsq_source *source,
+                            struct fmt_input **out);
 /* Frees the input; NULL is allowed. */
 void fmt_input_free(struct fmt_input *input);
 
@@ -65,7 +68,7 @@ int fmt_input_read_some(struct fmt_input *input, void *buffer, uint64_t size, ui
                         uint64_t *got);
 
 /* Gives an open file with all bytes, for readers that jump about. The caller closes *out, and keeps
- * the input open until then. Errors: as fmt_input_read(). */
+ * the input open until then. Errors: as fmt_input_read(); BSQ_EDATA for what a callback gives. */
 int fmt_input_whole(struct fmt_input *input, struct bsq_file *out);
 /* Returns true for a plain file: bytes of it can be named by their place in the file. */
 bool fmt_input_is_plain(const struct fmt_input *input);

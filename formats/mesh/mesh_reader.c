@@ -191,7 +191,11 @@ static int open_sources(struct fmt_mesh_reader *reader, const struct fmt_mesh_in
     for (uint32_t i = 0; i < from->path_count; i++) {
         struct stream_source *source = &reader->sources[reader->source_count++];
         *source = (struct stream_source){.ctx = ctx, .reader = reader, .number = i};
-        BSQ_TRY(fmt_input_create(ctx, from->paths[i], from->beside, from->pipes, &source->input));
+        if (from->sources && from->sources[i])
+            BSQ_TRY(fmt_input_create_source(ctx, from->paths[i], from->sources[i], &source->input));
+        else
+            BSQ_TRY(
+                fmt_input_create(ctx, from->paths[i], from->beside, from->pipes, &source->input));
         source->path = fmt_input_path(source->input);
         if (from->path_count <= MOST_HELD && fmt_input_is_plain(source->input))
             BSQ_TRY(fmt_input_open(source->input));

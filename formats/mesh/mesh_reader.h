@@ -110,6 +110,7 @@ struct fmt_mesh_placement {
 /* What is read as one scan. */
 struct fmt_mesh_inputs {
     const char *const *paths;
+    const struct bsq_source *const *sources; /* one for each path, or NULL; NULL: all are files */
     uint32_t path_count;
     const struct fmt_mesh_placement *placements; /* one for each path, or NULL */
     /* An output path, in whose directory packed files and pipes are unpacked into temporary files,

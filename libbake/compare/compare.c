@@ -302,6 +302,11 @@ static int measure_row(void *arg, uint64_t y, unsigned worker)
 
 /* ---- all ---- */
 
+void bake_compare_defaults(struct bake_compare_options *options)
+{
+    *options = (struct bake_compare_options){.size = sizeof *options};
+}
+
 int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options,
                  struct bake_compare_report *report)
 {
@@ -309,6 +314,7 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
     struct bsq_output_group pictures = {0};
     memset(report, 0, sizeof *report);
     int status = 0;
+    BSQ_TRY(bsq_check_size(ctx, "bake_compare_options", options->size, sizeof *options));
     BSQ_TRY(load(ctx, options, &c));
     BSQ_TRY(check_same_meaning(ctx, options, &c));
     BSQ_TRY(bsq_alloc(ctx, "channels", c.a.channel_count + UINT64_C(3), sizeof *c.pairs, &c.pairs));

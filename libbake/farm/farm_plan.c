@@ -435,6 +435,7 @@ static int read_plan(struct bake_farm_plan *plan, json_t *json)
     if (status < 0)
         goto done;
     plan->owns_options = true;
+    bake_defaults(&plan->options);
     BSQ_TRY(bake_farm_from_json(&names, option_table(), json_object_get(json, "options"),
                                 &plan->options));
     BSQ_TRY(read_tasks(plan, json_object_get(json, "tiles")));

@@ -25,7 +25,8 @@ struct map_file {
         struct bake_encoder encoder;
     } * parts;
     unsigned part_count; /* 0: a map */
-    struct fmt_image_writer *writer;
+    char *path;
+    struct fmt_image_writer *writer;  /* NULL: nothing is written */
     struct bake_thumbnail *thumbnail; /* NULL: none */
     float *rows;                      /* of the current band, encoded */
 };
@@ -160,12 +161,11 @@ static int open_file(struct bsq_ctx *ctx, const struct bake_options *options, un
         return status;
     file->integers = image.type == FMT_UINT8 || image.type == FMT_UINT16;
     file->half = image.type == FMT_HALF;
-    char *path = bake_path_of(options, number);
-    if (!path)
+    file->path = bake_path_of(options, number);
+    if (!file->path)
         return bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", options->output_path);
-    status = fmt_image_create(ctx, format, path, &image, &file->writer);
-    free(path);
-    return status;
+    return options->rows_only ? 0
+                              : fmt_image_create(ctx, format, file->path, &image, &file->writer);
 }
 
 /* Notes the channels of a file that is a pack. */
@@ -290,7 +290,8 @@ static int choose_encodings(struct bake_map_files *files, const struct bake_meas
             continue;
         choose_encoding(files, file, file->number, measures, report, &file->encoder);
         bake_describe_encoding(&file->encoder, &attributes);
-        status = fmt_image_describe(file->writer, attributes.list, attributes.count);
+        if (file->writer)
+            status = fmt_image_describe(file->writer, attributes.list, attributes.count);
     }
     return status;
 }
@@ -346,6 +347,23 @@ static int encode_row(void *arg, uint64_t row, unsigned worker)
     return 0;
 }
 
+/* Gives rows of a map to the caller of the bake. */
+static int give_rows(const struct bake_map_files *files, uint32_t number, uint32_t first_row,
+                     uint32_t rows)
+{
+    const struct map_file *file = &files->files[number];
+    const struct bake_rows given = {.map = bake_name_of(files->options, file->number),
+                                    .path = file->path,
+                                    .width = files->options->width,
+                                    .height = files->options->height,
+                                    .channels = file->encoder.row->channels,
+                                    .first = first_row,
+                                    .count = rows,
+                                    .samples = file->rows};
+    const int status = files->options->on_rows(files->options->rows_user, &given);
+    return status < 0 ? bsq_fail(files->ctx, status, "%s: the rows were refused", file->path) : 0;
+}
+
 static int write_band(struct bake_map_files *files, uint32_t first_row, uint32_t rows)
 {
     int status = 0;
@@ -353,7 +371,10 @@ static int write_band(struct bake_map_files *files, uint32_t first_row, uint32_t
         struct map_file *file = &files->files[i];
         if (file->thumbnail)
             BSQ_TRY(bake_thumbnail_add(files->ctx, file->thumbnail, first_row, rows, file->rows));
-        BSQ_TRY(fmt_image_write_rows(file->writer, file->rows, rows));
+        if (files->options->on_rows)
+            BSQ_TRY(give_rows(files, i, first_row, rows));
+        if (file->writer)
+            BSQ_TRY(fmt_image_write_rows(file->writer, file->rows, rows));
     }
     if (files->watch)
         status = files->watch(files->watch_arg, files, rows);
@@ -410,7 +431,8 @@ static int write_bands(struct bake_map_files *files, const struct bake_image *im
         bsq_progress_add(files->ctx, rows);
     }
     for (uint32_t i = 0; i < files->count; ++i)
-        BSQ_TRY(fmt_image_finish(files->files[i].writer));
+        if (files->files[i].writer)
+            BSQ_TRY(fmt_image_finish(files->files[i].writer));
     end_phase(&start, &report->seconds_write);
 done:
     return status;
@@ -457,6 +479,8 @@ int bake_map_files_hand_over(struct bake_map_files *files, struct bsq_output_gro
     int status = 0;
     for (uint32_t i = 0; status == 0 && i < files->count; ++i) {
         struct bsq_output *output;
+        if (!files->files[i].writer)
+            continue;
         status = fmt_image_hand_over(files->files[i].writer, &output);
         files->files[i].writer = NULL;
         if (status == 0)
@@ -472,6 +496,7 @@ void bake_map_files_discard(struct bake_map_files *files)
         return;
     for (uint32_t i = 0; i < files->count; ++i) {
         fmt_image_discard(files->files[i].writer);
+        free(files->files[i].path);
         bsq_free(files->ctx, files->files[i].parts);
     }
     free(files->beside);

@@ -235,6 +235,10 @@ const struct bsq_option *bake_option_rows(size_t *count)
 void bake_defaults(struct bake_options *options)
 {
     bsq_options_defaults(table, ROWS, options);
+    options->size = sizeof *options;
+    options->on_rows = NULL;
+    options->rows_user = NULL;
+    options->rows_only = false;
 }
 
 /* ---- options without effect ---- */
@@ -391,7 +395,9 @@ done:
 
 int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
 {
-    int status = 0;
+    int status = bsq_check_size(ctx, "bake_options", options->size, sizeof *options);
+    if (status < 0)
+        return status;
     if (!options->scan_path || !options->mesh_path || !options->output_path)
         return bsq_fail(ctx, BSQ_EUSAGE, "a scan, a low-poly mesh and an output are needed");
     if (options->cage_path && options->more_mesh_count > 0)

@@ -273,7 +273,7 @@ static int reduce(struct simplifying *s)
 
 void vox_simplify_defaults(struct vox_simplify_options *options)
 {
-    *options = (struct vox_simplify_options){.hard_angle = 180};
+    *options = (struct vox_simplify_options){.size = sizeof *options, .hard_angle = 180};
 }
 
 int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options,
@@ -282,6 +282,7 @@ int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options
     struct simplifying s = {.ctx = ctx, .options = options, .report = report};
     int status = 0;
     memset(report, 0, sizeof *report);
+    BSQ_TRY(bsq_check_size(ctx, "vox_simplify_options", options->size, sizeof *options));
     BSQ_TRY(check_options(ctx, options));
     BSQ_TRY(open_scan(&s));
     BSQ_TRY(reduce(&s));

@@ -439,7 +439,7 @@ int vox_check_export(struct bsq_ctx *ctx)
 
 void vox_voxelize_defaults(struct vox_voxelize_options *options)
 {
-    *options = (struct vox_voxelize_options){.resolution = 2048};
+    *options = (struct vox_voxelize_options){.size = sizeof *options, .resolution = 2048};
 }
 
 int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options,
@@ -453,6 +453,7 @@ int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options
     const double start = bsq_seconds_now();
     int status;
     memset(report, 0, sizeof *report);
+    BSQ_TRY(bsq_check_size(ctx, "vox_voxelize_options", options->size, sizeof *options));
     BSQ_TRY(note_outputs(ctx, options));
     BSQ_TRY(open_run(&run));
     BSQ_TRY(create_grid(&run));

@@ -77,8 +77,10 @@ static void begin(void)
 static int sort(struct bsq_ctx *ctx)
 {
     const char *paths[] = {files.obj};
-    const struct vox_sort_options options = {
-        .scan_paths = paths, .scan_count = 1, .tris_path = files.tris};
+    const struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
+                                             .scan_paths = paths,
+                                             .scan_count = 1,
+                                             .tris_path = files.tris};
     struct vox_sort_report report;
     return vox_sort(ctx, &options, &report);
 }
@@ -90,8 +92,10 @@ static enum way way;
 static int sort_otherwise(struct bsq_ctx *ctx)
 {
     const char *paths[] = {files.obj};
-    const struct vox_sort_options options = {
-        .scan_paths = paths, .scan_count = 1, .tris_path = files.other};
+    const struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
+                                             .scan_paths = paths,
+                                             .scan_count = 1,
+                                             .tris_path = files.other};
     struct vox_sort_report report;
     struct sort_limits limits;
     vox_sort_limits_for(bsq_memory_limit(ctx), bsq_threads(ctx), &limits);
@@ -115,8 +119,10 @@ static void require_same_chunks(void)
 
 static int voxelize(struct bsq_ctx *ctx)
 {
-    const struct vox_voxelize_options options = {
-        .tris_path = files.tris, .grid_path = files.grid, .resolution = RESOLUTION};
+    const struct vox_voxelize_options options = {.size = sizeof(struct vox_voxelize_options),
+                                                 .tris_path = files.tris,
+                                                 .grid_path = files.grid,
+                                                 .resolution = RESOLUTION};
     struct vox_voxelize_report report;
     int status = vox_voxelize(ctx, &options, &report);
     if (!status)

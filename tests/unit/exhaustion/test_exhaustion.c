@@ -192,8 +192,10 @@ static int sort_to(struct bsq_ctx *ctx, const char *tris_path)
 {
     const char *path = "scan.obj";
     struct vox_sort_report report;
-    struct vox_sort_options options = {
-        .scan_paths = &path, .scan_count = 1, .tris_path = tris_path};
+    struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
+                                       .scan_paths = &path,
+                                       .scan_count = 1,
+                                       .tris_path = tris_path};
     int status = vox_sort(ctx, &options, &report);
     if (status == 0)
         assert_int_equal(report.triangles, 2 * SIDE * SIDE);
@@ -209,8 +211,10 @@ static int sort(struct bsq_ctx *ctx)
 static int record(struct bsq_ctx *ctx)
 {
     const char *path = "scan.obj";
-    struct vox_sort_options options = {
-        .scan_paths = &path, .scan_count = 1, .tris_path = "scan.tris"};
+    struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
+                                       .scan_paths = &path,
+                                       .scan_count = 1,
+                                       .tris_path = "scan.tris"};
     struct vox_sort_report report;
     int status = 0;
     for (int i = 0; i < 2 && status == 0; i++) {
@@ -227,8 +231,10 @@ static int record(struct bsq_ctx *ctx)
 static int voxelize_to(struct bsq_ctx *ctx, const char *grid_path)
 {
     struct vox_voxelize_report report;
-    struct vox_voxelize_options options = {
-        .tris_path = "scan.tris", .grid_path = grid_path, .resolution = 40};
+    struct vox_voxelize_options options = {.size = sizeof(struct vox_voxelize_options),
+                                           .tris_path = "scan.tris",
+                                           .grid_path = grid_path,
+                                           .resolution = 40};
     return vox_voxelize(ctx, &options, &report);
 }
 
@@ -241,7 +247,8 @@ static int voxelize_parts(struct bsq_ctx *ctx)
 {
     static const char *const paths[] = {"scan.tris", "scan.tris"};
     struct vox_voxelize_report report;
-    struct vox_voxelize_options options = {.tris_path = paths[0],
+    struct vox_voxelize_options options = {.size = sizeof(struct vox_voxelize_options),
+                                           .tris_path = paths[0],
                                            .part_paths = paths,
                                            .part_count = 2,
                                            .grid_path = "out.nvdb",
@@ -304,7 +311,8 @@ static int bake_exact(struct bsq_ctx *ctx)
 static int compare(struct bsq_ctx *ctx)
 {
     struct bake_compare_report report;
-    struct bake_compare_options options = {.a_path = "g_normal.exr",
+    struct bake_compare_options options = {.size = sizeof(struct bake_compare_options),
+                                           .a_path = "g_normal.exr",
                                            .b_path = "g_normal.exr",
                                            .a_mask_path = "g_mask.exr",
                                            .b_mask_path = "g_mask.exr",

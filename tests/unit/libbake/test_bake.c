@@ -491,4 +491,70 @@ TEST(test_interruption_leaves_nothing)
     test_context_end(ctx);
 }
 
+/* ---- rows ---- */
+
+struct taken {
+    float *samples[2]; /* of the normal map and the mask */
+    uint32_t rows[2], refuse_at;
+};
+
+static int take_rows(void *user, const struct bake_rows *rows)
+{
+    struct taken *taken = user;
+    const int mask = strcmp(rows->map, "mask") == 0;
+    assert_string_equal(rows->path, mask ? "rows_mask.exr" : "rows_normal.exr");
+    assert_int_equal(rows->channels, mask ? 1 : 3);
+    assert_int_equal(rows->width, SIZE);
+    assert_int_equal(rows->height, SIZE);
+    assert_int_equal(rows->first, taken->rows[mask]);
+    const size_t row = (size_t)SIZE * rows->channels;
+    memcpy(taken->samples[mask] + rows->first * row, rows->samples,
+           rows->count * row * sizeof(float));
+    taken->rows[mask] += rows->count;
+    return taken->rows[mask] > taken->refuse_at ? BSQ_EUSAGE : 0;
+}
+
+TEST(test_rows_are_those_of_files)
+{
+    struct bsq_ctx *ctx = test_context(2, 64 << 20);
+    struct bake_options options = options_for(grey_path, "rows_<MAP>.exr");
+    struct bake_report report;
+    struct taken taken = {.refuse_at = SIZE};
+    struct fmt_exr_image image;
+    options.maps = BAKE_MAP_NORMAL | BAKE_MAP_MASK;
+    options.on_rows = take_rows;
+    options.rows_user = &taken;
+    for (int k = 0; k < 2; k++)
+        taken.samples[k] = calloc((size_t)SIZE * SIZE * 3, sizeof(float));
+    bake(ctx, &options, &report);
+    read_map(ctx, "rows_normal.exr", &image);
+    for (uint32_t i = 0; i < SIZE * SIZE; i++) {
+        double sample[3];
+        sample_map(&image, i % SIZE, i / SIZE, sample);
+        for (int k = 0; k < 3; k++)
+            assert_true(sample[k] == (double)taken.samples[0][3 * i + (uint32_t)k]);
+    }
+    fmt_exr_image_free(ctx, &image);
+    remove("rows_normal.exr");
+
+    memset(taken.rows, 0, sizeof taken.rows);
+    options.rows_only = true;
+    bake(ctx, &options, &report);
+    assert_int_equal(taken.rows[0], SIZE);
+    assert_int_equal(access("rows_normal.exr", F_OK), -1);
+
+    memset(taken.rows, 0, sizeof taken.rows);
+    bsq_forget_files(ctx);
+    taken.refuse_at = 0;
+    assert_int_equal(bake_run(ctx, &options, &report), BSQ_EUSAGE);
+    assert_non_null(strstr(bsq_error(ctx), "the rows were refused"));
+    options.size--;
+    bsq_clear_error(ctx);
+    assert_int_equal(bake_run(ctx, &options, &report), BSQ_EUSAGE);
+    assert_non_null(strstr(bsq_error(ctx), "struct bake_options has "));
+    free(taken.samples[0]);
+    free(taken.samples[1]);
+    test_context_end(ctx);
+}
+
 RUN_TESTS(make_scene, NULL)

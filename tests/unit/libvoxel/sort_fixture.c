@@ -57,8 +57,10 @@ int sort_tear_down(void **state)
 
 int sort_files(struct sort_fixture *f, const char *const *paths, uint32_t count)
 {
-    struct vox_sort_options options = {
-        .scan_paths = paths, .scan_count = count, .tris_path = "scan.tris"};
+    struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
+                                       .scan_paths = paths,
+                                       .scan_count = count,
+                                       .tris_path = "scan.tris"};
     bsq_clear_error(f->ctx);
     bsq_forget_files(f->ctx);
     return vox_sort(f->ctx, &options, &f->report);

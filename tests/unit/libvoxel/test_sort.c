@@ -129,8 +129,10 @@ FIXTURE_TEST(spilling_does_not_change_the_file)
         append_flat_triangles("scan.obj", &g, 3000);
         for (unsigned variant = 0; variant < 12; variant++) {
             struct sort_limits limits;
-            struct vox_sort_options options = {
-                .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
+            struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
+                                               .scan_paths = paths,
+                                               .scan_count = 1,
+                                               .tris_path = "scan.tris"};
             sort_open_context(f, 128 * MIB, variant % 2 ? 2 : 3);
             vox_sort_limits_for(128 * MIB, 2, &limits);
             limits.two_passes = variant % 3 == 1;
@@ -182,8 +184,10 @@ FIXTURE_TEST(vertices_after_faces_are_found_late)
             fputs("f 1 2 3\n", file);
         fclose(file);
         struct sort_limits limits;
-        struct vox_sort_options options = {
-            .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
+        struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
+                                           .scan_paths = paths,
+                                           .scan_count = 1,
+                                           .tris_path = "scan.tris"};
         vox_sort_limits_for(256 * MIB, 2, &limits);
         limits.two_passes = late == 2;
         bsq_forget_files(f->ctx);
@@ -211,8 +215,10 @@ FIXTURE_TEST(many_triangles_in_one_place_are_sorted)
     fclose(file);
     for (int small = 0; small < 2; small++) {
         struct sort_limits limits;
-        struct vox_sort_options options = {
-            .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
+        struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
+                                           .scan_paths = paths,
+                                           .scan_count = 1,
+                                           .tris_path = "scan.tris"};
         vox_sort_limits_for(256 * MIB, 2, &limits);
         if (small)
             limits.batch_triangles = 70000;

@@ -270,8 +270,11 @@ FIXTURE_TEST(one_texture_can_be_given_for_all)
     const char *paths[1] = {"scan.obj"};
     char texture[32] = "wall.png";
     struct sorted_triangles got = {0};
-    struct vox_sort_options options = {
-        .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris", .texture_path = texture};
+    struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
+                                       .scan_paths = paths,
+                                       .scan_count = 1,
+                                       .tris_path = "scan.tris",
+                                       .texture_path = texture};
     write_texture();
     test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.5 0\nf 1/1 2/1 3/1\nusemtl a\n"
                           "f 1/1 3/1 2/1\nf 1 2 3\nf 1/1 2/1 3\n");
@@ -290,8 +293,10 @@ FIXTURE_TEST(normals_of_faces_left_out_do_not_count)
 {
     struct sort_fixture *f = *state;
     const char *paths[1] = {"scan.obj"};
-    const struct vox_sort_options options = {
-        .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
+    const struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
+                                             .scan_paths = paths,
+                                             .scan_count = 1,
+                                             .tris_path = "scan.tris"};
     test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1\nf 1 2 3\n");
     for (int two = 0; two < 2; two++) {
         struct sort_limits limits;

@@ -119,8 +119,11 @@ static void sort_it(struct sort_fixture *f, unsigned way)
     const char *paths[1] = {"scan.obj"};
     struct sort_limits limits;
     const char *texture = test_text("wall.png", "only its name matters here");
-    const struct vox_sort_options options = {
-        .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris", .texture_path = texture};
+    const struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
+                                             .scan_paths = paths,
+                                             .scan_count = 1,
+                                             .tris_path = "scan.tris",
+                                             .texture_path = texture};
     vox_sort_limits_for(128 * MIB, 2, &limits);
     limits.two_passes = way % 2;
     sort_open_context(f, way == 3 ? 100 * MIB : 128 * MIB, way % 3 + 1);
@@ -222,6 +225,82 @@ FIXTURE_TEST(dark_beginnings_stay_dark)
         free(got.list);
         got = (struct sorted_triangles){0};
     }
+}
+
+/* ---- a scan that is no file ---- */
+
+/* Gives the bytes of a text; fails at a byte that is not in the text's first half. */
+struct given {
+    const char *text;
+    uint64_t limit;
+};
+
+static int give(void *user, void *to, uint64_t count, uint64_t offset)
+{
+    const struct given *given = user;
+    memcpy(to, given->text + offset, count);
+    return offset + count > given->limit ? BSQ_EIO : 0;
+}
+
+static int sort_given(struct sort_fixture *f, struct given *given, enum vox_record record,
+                      size_t size)
+{
+    const struct bsq_source source = {
+        .size = sizeof source, .bytes = strlen(given->text), .read = give, .user = given};
+    const char *paths[2] = {"given", "more.obj"};
+    const struct bsq_source *sources[2] = {&source, NULL};
+    struct vox_sort_options options;
+    vox_sort_defaults(&options);
+    options.size += size;
+    options.scan_paths = paths;
+    options.sources = sources;
+    options.scan_count = 2;
+    options.tris_path = "scan.tris";
+    options.record = record;
+    bsq_clear_error(f->ctx);
+    bsq_forget_files(f->ctx);
+    return vox_sort(f->ctx, &options, &f->report);
+}
+
+FIXTURE_TEST(test_a_callback_gives_a_mesh_beside_a_file)
+{
+    struct sort_fixture *f = *state;
+    static const char mesh[] = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n";
+    const char *paths[2] = {"scan.obj", "more.obj"};
+    struct sorted_triangles got = {0}, expected = {0};
+    struct given given = {mesh, sizeof mesh};
+    test_text("scan.obj", mesh);
+    test_text("more.obj", "v 5 0 0\nv 6 0 0\nv 5 1 0\nf 1 2 3\n");
+    expect_sorted(f, sort_files(f, paths, 2));
+    read_sorted(f, &expected, NULL);
+    expect_sorted(f, sort_given(f, &given, VOX_RECORD_REUSE, 0));
+    assert_int_equal(access("scan.tris.job", F_OK), -1); /* nothing tells such a mesh from others */
+    read_sorted(f, &got, NULL);
+    expect_same_triangles(&got, &expected);
+
+    given.limit = 20;
+    assert_int_equal(sort_given(f, &given, VOX_RECORD_NONE, 0), BSQ_EIO);
+    assert_string_equal(bsq_error(f->ctx), "given: the callback failed");
+    given = (struct given){"v 0 0 0\nv 1 0 0\nf 1 2 9\n", 99};
+    assert_int_equal(sort_given(f, &given, VOX_RECORD_NONE, 0), BSQ_EDATA);
+    assert_string_equal(bsq_error(f->ctx), "given:3: face refers to vertex 9, file has 2");
+    assert_int_equal(sort_given(f, &given, VOX_RECORD_RESUME, 0), BSQ_EUSAGE);
+    given = (struct given){"{\"asset\": {\"version\": \"2.0\"}}", 99};
+    assert_int_equal(sort_given(f, &given, VOX_RECORD_NONE, 0), BSQ_EDATA);
+    assert_string_equal(bsq_error(f->ctx),
+                        "given: a callback can give OBJ, PLY and STL meshes only");
+}
+
+FIXTURE_TEST(test_options_of_another_version_are_refused)
+{
+    struct sort_fixture *f = *state;
+    struct given given = {"", 0};
+    assert_int_equal(sort_given(f, &given, VOX_RECORD_NONE, 8), BSQ_EUSAGE);
+    assert_non_null(strstr(bsq_error(f->ctx), "struct vox_sort_options has "));
+    const struct bsq_ctx_options options = {.size = 1};
+    struct bsq_ctx *ctx;
+    assert_int_equal(bsq_ctx_create(&options, &ctx), BSQ_EUSAGE);
+    assert_null(ctx);
 }
 
 RUN_TESTS(NULL, NULL)

@@ -130,7 +130,8 @@ static int sort_polygons(struct sort_fixture *f, unsigned flags, unsigned way)
     const char *paths[1] = {"scan.obj"};
     struct sort_limits limits;
     const char *texture = test_text("wall.png", "only its name matters here");
-    const struct vox_sort_options options = {.scan_paths = paths,
+    const struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
+                                             .scan_paths = paths,
                                              .scan_count = 1,
                                              .tris_path = "scan.tris",
                                              .texture_path = flags & TEXCOORDS ? texture : NULL};

@@ -132,7 +132,11 @@ FIXTURE_TEST(angles_have_the_right_distribution)
     const char *a = write_map(ctx, "a.exr", 3, tilted, "normal"),
                *b = write_map(ctx, "b.exr", 3, upright, "normal");
     assert_int_equal(
-        bake_compare(ctx, &(struct bake_compare_options){.a_path = a, .b_path = b}, &r), 0);
+        bake_compare(ctx,
+                     &(struct bake_compare_options){
+                         .size = sizeof(struct bake_compare_options), .a_path = a, .b_path = b},
+                     &r),
+        0);
     assert_int_equal(r.kind, BAKE_COMPARE_NORMAL);
     assert_int_equal(r.compared, 100);
     assert_true(fabs(r.mean - 4.95) < 1e-3);
@@ -152,8 +156,11 @@ FIXTURE_TEST(masks_give_the_agreement)
                *b = write_map(ctx, "b.exr", 3, upright, NULL);
     const char *ma = write_map(ctx, "ma.exr", 1, upper_half, NULL),
                *mb = write_map(ctx, "mb.exr", 1, lower_half, NULL);
-    struct bake_compare_options options = {
-        .a_path = a, .b_path = b, .a_mask_path = ma, .b_mask_path = mb};
+    struct bake_compare_options options = {.size = sizeof(struct bake_compare_options),
+                                           .a_path = a,
+                                           .b_path = b,
+                                           .a_mask_path = ma,
+                                           .b_mask_path = mb};
     assert_int_equal(bake_compare(ctx, &options, &r), 0);
     assert_int_equal(r.kind, BAKE_COMPARE_NORMAL); /* recognised by the values */
     assert_int_equal(r.compared, 20);
@@ -170,7 +177,11 @@ FIXTURE_TEST(data_has_absolute_and_relative_errors)
     const char *a = write_map(ctx, "a.exr", 1, steeper_ramp, NULL),
                *b = write_map(ctx, "b.exr", 1, ramp, NULL);
     assert_int_equal(
-        bake_compare(ctx, &(struct bake_compare_options){.a_path = a, .b_path = b}, &r), 0);
+        bake_compare(ctx,
+                     &(struct bake_compare_options){
+                         .size = sizeof(struct bake_compare_options), .a_path = a, .b_path = b},
+                     &r),
+        0);
     assert_int_equal(r.kind, BAKE_COMPARE_DATA);
     assert_true(fabs(r.mean - 49.5) < 1e-9);
     assert_true(fabs(r.relative_max - 0.5) < 1e-9);
@@ -183,8 +194,11 @@ FIXTURE_TEST(equal_colours_have_no_noise)
     struct bake_compare_report r;
     const char *a = write_map(ctx, "a.exr", 3, grey, "color"), *heat = "heat.png",
                *hist = "hist.png";
-    struct bake_compare_options options = {
-        .a_path = a, .b_path = a, .heatmap_path = heat, .histogram_path = hist};
+    struct bake_compare_options options = {.size = sizeof(struct bake_compare_options),
+                                           .a_path = a,
+                                           .b_path = a,
+                                           .heatmap_path = heat,
+                                           .histogram_path = hist};
     assert_int_equal(bake_compare(ctx, &options, &r), 0);
     assert_int_equal(r.kind, BAKE_COMPARE_COLOR);
     assert_true(r.max == 0 && isinf(r.psnr));
@@ -199,11 +213,18 @@ FIXTURE_TEST(grey_is_compared_with_each_channel)
     const char *a = write_map(ctx, "a.exr", 3, grey, NULL),
                *b = write_map(ctx, "b.exr", 1, ramp, NULL);
     assert_int_equal(
-        bake_compare(ctx, &(struct bake_compare_options){.a_path = a, .b_path = b}, &r), 0);
+        bake_compare(ctx,
+                     &(struct bake_compare_options){
+                         .size = sizeof(struct bake_compare_options), .a_path = a, .b_path = b},
+                     &r),
+        0);
     assert_int_equal(r.kind, BAKE_COMPARE_DATA);
     assert_true(r.max == (double)(99 - 0.1842f));
-    struct bake_compare_options options = {
-        .a_path = a, .b_path = a, .a_mask_path = b, .b_mask_path = "/nowhere.exr"};
+    struct bake_compare_options options = {.size = sizeof(struct bake_compare_options),
+                                           .a_path = a,
+                                           .b_path = a,
+                                           .a_mask_path = b,
+                                           .b_mask_path = "/nowhere.exr"};
     assert_int_equal(bake_compare(ctx, &options, &r), BSQ_ENOINPUT);
 }
 
@@ -230,7 +251,10 @@ FIXTURE_TEST(values_that_are_not_finite_are_counted)
     const char *a = write_map(ctx, "a.exr", 1, spoiled_ramp, NULL), *heat = "heat.png";
     const char *b = write_map(ctx, "b.exr", 1, ramp, NULL);
     const char *mask = write_map(ctx, "m.exr", 1, spoiled_mask, NULL);
-    struct bake_compare_options options = {.a_path = a, .b_path = b, .heatmap_path = heat};
+    struct bake_compare_options options = {.size = sizeof(struct bake_compare_options),
+                                           .a_path = a,
+                                           .b_path = b,
+                                           .heatmap_path = heat};
     for (int i = 0; i < 2; i++) {
         options.ignore_nan = i == 1;
         assert_int_equal(bake_compare(ctx, &options, &r), 0);
@@ -260,7 +284,8 @@ FIXTURE_TEST(maps_without_finite_values_have_no_figures)
                *b = write_map(ctx, "b.exr", 3, grey, NULL);
     const char *heat = "heat.png", *hist = "hist.png";
     for (int kind = BAKE_COMPARE_AUTO; kind <= BAKE_COMPARE_DATA; kind++) {
-        struct bake_compare_options options = {.a_path = kind % 2 ? a : b,
+        struct bake_compare_options options = {.size = sizeof(struct bake_compare_options),
+                                               .a_path = kind % 2 ? a : b,
                                                .b_path = kind % 2 ? b : a,
                                                .heatmap_path = heat,
                                                .histogram_path = hist,

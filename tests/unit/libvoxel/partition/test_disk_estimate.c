@@ -73,8 +73,10 @@ static int tear_down(void **state)
 static int sort(struct fixture *f, const struct sort_limits *limits, struct vox_sort_report *report)
 {
     const char *paths[1] = {"scan.obj"};
-    struct vox_sort_options options = {
-        .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
+    struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
+                                       .scan_paths = paths,
+                                       .scan_count = 1,
+                                       .tris_path = "scan.tris"};
     bsq_ctx_destroy(f->ctx);
     f->ctx = test_context(2, 128 * MIB);
     bsq_forget_files(f->ctx);

@@ -91,8 +91,10 @@ FIXTURE_TEST(test_estimates_are_those_of_grids)
     /* A ball's surface crosses 1.5 voxels per unit on average. */
     assert_true(fabs(estimate(f, 0.5, UINT64_MAX) / (1.5 * 4 * M_PI * 400) - 1) < 0.02);
     for (double size = 0.5; size > 0.03; size /= 2) {
-        struct vox_voxelize_options options = {
-            .tris_path = "scan.tris", .grid_path = "scan.nvdb", .voxel_size = size};
+        struct vox_voxelize_options options = {.size = sizeof(struct vox_voxelize_options),
+                                               .tris_path = "scan.tris",
+                                               .grid_path = "scan.nvdb",
+                                               .voxel_size = size};
         struct vox_voxelize_report report;
         assert_int_equal(vox_voxelize(f->ctx, &options, &report), 0);
         double voxels = estimate(f, size, UINT64_MAX);

@@ -362,8 +362,10 @@ FIXTURE_TEST(test_budget_too_small)
     scan_mesh_free(&mesh);
     for (uint64_t kib = 64; kib <= 16384; kib *= 2) {
         struct bsq_ctx *ctx = test_context(2, kib << 10);
-        struct vox_voxelize_options what = {
-            .tris_path = "scan.tris", .grid_path = "other.nvdb", .resolution = 100};
+        struct vox_voxelize_options what = {.size = sizeof(struct vox_voxelize_options),
+                                            .tris_path = "scan.tris",
+                                            .grid_path = "other.nvdb",
+                                            .resolution = 100};
         struct vox_voxelize_report report;
         int status = vox_voxelize(ctx, &what, &report);
         if (kib == 64)

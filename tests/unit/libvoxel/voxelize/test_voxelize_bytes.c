@@ -16,6 +16,7 @@ static void check_same_bytes(uint32_t resolution)
     for (size_t i = 0; i < sizeof ways / sizeof ways[0]; i++) {
         struct bsq_ctx *ctx = test_context(ways[i].threads, ways[i].mebibytes << 20);
         struct vox_voxelize_options options = {
+            .size = sizeof(struct vox_voxelize_options),
             .tris_path = "scan.tris",
             .grid_path = i == 0 ? "scan.nvdb" : "other.nvdb",
             .resolution = resolution,
@@ -76,6 +77,7 @@ FIXTURE_TEST(test_solid_regions_in_little_memory)
     for (size_t i = 0; i < sizeof ways / sizeof ways[0]; i++) {
         struct bsq_ctx *ctx = test_context(ways[i].threads, ways[i].mebibytes << 20);
         struct vox_voxelize_options options = {
+            .size = sizeof(struct vox_voxelize_options),
             .tris_path = "scan.tris",
             .grid_path = i == 0 ? "scan.nvdb" : "other.nvdb",
             .resolution = size,

@@ -27,6 +27,7 @@ static int voxelize(const struct vox_fixture *f, uint32_t resolution, double vox
                     struct vox_voxelize_report *report)
 {
     struct vox_voxelize_options options = {
+        .size = sizeof(struct vox_voxelize_options),
         .tris_path = "scan.tris",
         .grid_path = "scan.nvdb",
         .resolution = resolution,

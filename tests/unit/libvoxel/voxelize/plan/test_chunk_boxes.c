@@ -165,7 +165,8 @@ FIXTURE_TEST(test_scattered_triangles_of_one_chunk)
     struct scan_mesh mesh = make_clusters(8, 1.3e5, 33);
     uint64_t voxels[2];
     for (uint32_t i = 0; i < 2; i++) {
-        struct vox_voxelize_options options = {.tris_path = "scan.tris",
+        struct vox_voxelize_options options = {.size = sizeof(struct vox_voxelize_options),
+                                               .tris_path = "scan.tris",
                                                .grid_path = i ? "other.nvdb" : "scan.nvdb",
                                                .voxel_size = 1.0,
                                                .scan_normals = BSQ_SCAN_NORMALS_FLAT};
