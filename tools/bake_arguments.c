@@ -10,10 +10,9 @@
 static const char usage[] =
     "Usage: bisque-bake [OPTION]... SCAN.nvdb LOW.obj... -o OUT_<MAP>.exr\n"
     "       bisque-bake [OPTION]... SCAN.tris LOW.obj... -o OUT_<MAP>.exr\n"
-    "       bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr --tasks N --write-plan PLAN\n"
+    "       bisque-bake [OPTION]... SCAN.nvdb LOW.obj -o OUT_<MAP>.exr --tasks N --plan PLAN\n"
     "       bisque-bake --plan PLAN --task I\n"
-    "       bisque-bake --plan PLAN --merge-tile I\n"
-    "       bisque-bake --plan PLAN --merge\n"
+    "       bisque-bake --plan PLAN --merge [--task I]\n"
     "       bisque-bake --plan PLAN\n"
     "       bisque-bake --list devices\n"
     "       bisque-bake --list tiles LOW.obj...\n"
@@ -325,12 +324,12 @@ static const struct setting {
     {"quality", "final", "samples", NULL, "4"},
     {"quality", "final", "rays", "ao", "256"},
     {"quality", "final", "rays", "thickness", "128"},
-    {"preset", "unreal", "green", NULL, "down"},
+    {"preset", "unreal", "normal", "green", "down"},
     {"preset", "unreal", "pack", NULL, "orm=ao,roughness,metallic"},
-    {"preset", "unity", "green", NULL, "up"},
+    {"preset", "unity", "normal", "green", "up"},
     {"preset", "unity", "pack", NULL, "mask_map=metallic,ao,0,1-roughness"},
-    {"preset", "blender", "green", NULL, "up"},
-    {"preset", "gltf", "green", NULL, "up"},
+    {"preset", "blender", "normal", "green", "up"},
+    {"preset", "gltf", "normal", "green", "up"},
     {"preset", "gltf", "pack", NULL, "orm=ao,roughness,metallic"},
     {"preset", "unreal", "type", NULL, "8"},
     {"preset", "unity", "type", NULL, "8"},
@@ -610,8 +609,10 @@ static int take_option(struct cli *cli, void *arg, const struct bsq_option *row,
     }
     if (strcmp(name, "task") == 0)
         return bake_farm_parse(cli, name, text, &arguments->farm.task);
-    if (strcmp(name, "merge-tile") == 0)
-        return bake_farm_parse(cli, name, text, &arguments->farm.merge_tile);
+    if (strcmp(name, "merge-tile") == 0) {
+        arguments->farm.merge = true;
+        return bake_farm_parse(cli, name, text, &arguments->farm.task);
+    }
     if (strcmp(name, "list") == 0)
         return parse_list(cli, arguments, text);
     if (strcmp(name, "png-bits") == 0)
@@ -669,12 +670,17 @@ bool bake_arguments_has(const struct bake_arguments *arguments, const char *memb
 /* Checks the options of tasks against each other. */
 static int check_tasks(struct cli *cli, struct bake_arguments *arguments, int inputs)
 {
-    const struct bake_tasks *farm = &arguments->farm;
+    struct bake_tasks *farm = &arguments->farm;
     const struct cli_table table = bake_table(arguments);
     const struct bsq_option *row = cli_given(&table, false);
-    if (farm->plan && !farm->task.given && bake_arguments_has(arguments, "device"))
+    if (farm->tasks) {
+        farm->write_plan = farm->plan;
+        farm->plan = NULL;
+    }
+    if (farm->plan && (!farm->task.given || farm->merge) && bake_arguments_has(arguments, "device"))
         return cli_usage(cli, "--plan has the device of the tasks: give --device to --task only");
-    if (farm->plan && !farm->merge && bake_arguments_has(arguments, "max_missed"))
+    if (farm->plan && (!farm->merge || farm->task.given) &&
+        bake_arguments_has(arguments, "max_missed"))
         return cli_usage(cli, "--max-missed is for the bake of all texels: give it to --merge");
     return bake_farm_check(cli, farm, row ? row->name : NULL, inputs);
 }

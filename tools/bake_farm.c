@@ -16,16 +16,14 @@ const struct bsq_option bake_task_rows[BAKE_TASK_ROWS] = {
      .heading = "Tasks for several machines",
      MEMBER(COUNT, tasks),
      BSQ_RANGE(1, BAKE_MAX_TASKS, 0),
-     .help = "with --write-plan: divide the work into N tasks (default: none)"},
-    {.name = "write-plan",
-     .argument = "FILE",
-     MEMBER(OUTPUT, write_plan),
-     .help = "write a plan of the tasks, and do nothing else"},
+     .help = "divide the work into N tasks, and write only their plan (default: none)"},
     {.name = "plan",
+     .old_name = "write-plan",
      .argument = "FILE",
      MEMBER(INPUT, plan),
-     .help = "take inputs, output and options from a plan\n"
-             "alone: print how many tasks it has, and what each needs"},
+     .help = "with --tasks: the plan to write\n"
+             "else: take inputs, output and options from it; alone: print how\n"
+             "many tasks it has, and what each needs"},
     {.name = "task",
      .argument = "I | I-J",
      .own_syntax = true,
@@ -33,13 +31,9 @@ const struct bsq_option bake_task_rows[BAKE_TASK_ROWS] = {
      .help = "do task I, or I to J, of the plan, from 0 on, into part files"},
     {.name = "merge",
      MEMBER(FLAG, merge),
-     .help = "write all maps from the parts of the plan, and the preview"},
-    {.name = "merge-tile",
-     .argument = "I | I-J",
-     .own_syntax = true,
-     .kind = BSQ_OPTION_NONE,
-     .help = "write the maps of UDIM tile I, or I to J, of the plan, from 0 on;\n"
-             "then --merge writes what is missing"},
+     .help = "write all maps from the parts of the plan, and the preview\n"
+             "with --task I: only the maps of UDIM tile I, from 0 on"},
+    {.name = "merge-tile", .argument = "I", .own_syntax = true, .kind = BSQ_OPTION_NONE}, /* old */
     {.name = "force",
      MEMBER(FLAG, force),
      .help = "do it again if the part or the outputs are there already"},
@@ -67,22 +61,18 @@ int bake_farm_parse(struct cli *cli, const char *option, const char *text, struc
 int bake_farm_check(struct cli *cli, const struct bake_tasks *tasks, const char *work_option,
                     int files)
 {
-    const int works = tasks->task.given + tasks->merge + tasks->merge_tile.given;
-    if (!tasks->write_plan != !tasks->tasks)
-        return cli_usage(cli, "--tasks and --write-plan need each other");
-    if (works > 0 && !tasks->plan)
-        return cli_usage(cli, "--task and --merge need --plan");
-    if (tasks->force && works == 0)
+    const bool works = tasks->task.given || tasks->merge;
+    if (tasks->tasks && !tasks->write_plan)
+        return cli_usage(cli, "--tasks needs --plan, the file to write");
+    if (works && !tasks->plan)
+        return cli_usage(cli, "--task and --merge need --plan, without --tasks");
+    if (tasks->force && !works)
         return cli_usage(cli, "--force needs --task or --merge");
-    if (!tasks->plan)
-        return 0;
-    if (works > 1)
-        return cli_usage(cli, "--task, --merge-tile and --merge exclude each other");
-    if (tasks->write_plan)
-        return cli_usage(cli, "--plan and --write-plan exclude each other");
-    if (work_option)
+    if (tasks->plan && work_option)
         return cli_usage(cli, "--plan has the options of the work: leave out --%s", work_option);
-    return files == 0 ? 0 : cli_usage(cli, "--plan names the inputs: leave out the files");
+    if (tasks->plan && files > 0)
+        return cli_usage(cli, "--plan names the inputs: leave out the files, or add --tasks");
+    return 0;
 }
 
 /* ---- the plan ---- */

@@ -18,12 +18,12 @@ struct bake_tasks {
     const char *write_plan; /* plan to write; NULL: none */
     const char *plan;       /* plan to work by; NULL: none */
     uint32_t tasks;         /* of the plan to write; 0: not given */
-    struct bake_numbers task, merge_tile;
+    struct bake_numbers task; /* with `merge`: UDIM tiles */
     bool merge, force;
 };
 
 /* The rows of these options; they set members of struct bake_tasks. */
-enum { BAKE_TASK_ROWS = 7 };
+enum { BAKE_TASK_ROWS = 6 };
 extern const struct bsq_option bake_task_rows[BAKE_TASK_ROWS];
 
 /* Parses the value of an option: a number, or the first and the last one with a dash between. */

@@ -55,7 +55,7 @@ done:
 static int merge_tiles(struct cli *cli, const struct bake_arguments *arguments,
                        const struct bake_farm_plan *plan)
 {
-    const struct bake_numbers *range = &arguments->farm.merge_tile;
+    const struct bake_numbers *range = &arguments->farm.task;
     const uint32_t count = bake_plan_tile_count(plan);
     int status = 0;
     for (uint32_t tile = range->first; tile <= range->last && status == 0; tile++) {
@@ -81,9 +81,9 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
                                   : bake_plan_options(plan)->max_missed;
     arguments->bake = *bake_plan_options(plan);
     arguments->bake.max_missed = max_missed;
-    const int status = arguments->farm.merge
-                           ? merge_tile(cli, arguments, plan, BAKE_ALL_TILES, missed)
-                           : merge_tiles(cli, arguments, plan);
+    const int status = arguments->farm.task.given
+                           ? merge_tiles(cli, arguments, plan)
+                           : merge_tile(cli, arguments, plan, BAKE_ALL_TILES, missed);
     /* The plan owns what these point to. */
     arguments->bake.transfers = NULL;
     arguments->bake.transfer_count = 0;
@@ -101,10 +101,10 @@ static int work_by_plan(struct cli *cli, struct bake_arguments *arguments, bool 
     BSQ_TRY(bake_open_plan(cli->ctx, arguments->farm.plan, &plan));
     if (bake_plan_options(plan)->strict)
         bsq_set_strict(cli->ctx, true);
-    if (arguments->farm.task.given)
-        status = bake_farm_tasks(cli, arguments, plan);
-    else if (arguments->farm.merge || arguments->farm.merge_tile.given)
+    if (arguments->farm.merge)
         status = merge(cli, arguments, plan, missed);
+    else if (arguments->farm.task.given)
+        status = bake_farm_tasks(cli, arguments, plan);
     else
         status = bake_farm_print(cli, arguments->farm.plan, plan, false);
 done:

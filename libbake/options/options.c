@@ -39,7 +39,7 @@ static const char *lacks(uint32_t need, const struct bake_options *options,
     case PADDED_MAP:
         return has_padding(options) ? NULL : "a map other than mask";
     case TANGENT_SPACE:
-        return options->normal_space == BAKE_TANGENT_SPACE ? NULL : "--normal-space tangent";
+        return options->normal_space == BAKE_TANGENT_SPACE ? NULL : "--normal space=tangent";
     case PREVIEW:
         return options->preview_path ? NULL : "--preview";
     case GPU:
@@ -126,10 +126,10 @@ static const struct bsq_option table[] = {
      COUNT(exr_tile_side, 8, BAKE_MAX_EXR_TILE, 0)},
     {OPTION("padding", "N", "texels to fill around each chart; all: everywhere"), .words = "all",
      COUNT(padding, 0, UINT32_MAX - 1, 16), .needs = PADDED_MAP},
-    {OPTION("normal-space", "SPC", "tangent (MikkTSpace) or object"),
+    {KEY("normal", "space", "SPC", "tangent (MikkTSpace) or object"), .old_name = "normal-space",
      CHOICE(normal_space, "tangent object"), .needs = NORMALS},
-    {OPTION("green", "DIR", "up (OpenGL) or down (Direct3D), for tangent space"),
-     EITHER(green_down, "up down"), .needs = NORMALS | TANGENT_SPACE},
+    {KEY("normal", "green", "DIR", "up (OpenGL) or down (Direct3D), for tangent space"),
+     .old_name = "green", EITHER(green_down, "up down"), .needs = NORMALS | TANGENT_SPACE},
     {KEY("range", "height", "D", "height of white in PNG files (default: the largest of the mesh)"),
      .old_name = "height-range", .words = "auto", NUMBER(height_range, MOST_LENGTH, -1),
      .positive = true, .needs = BAKE_MAP_HEIGHT},

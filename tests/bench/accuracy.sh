@@ -73,7 +73,7 @@ bake()
 {
     from=$1 onto=$2 map=$3
     shift 3
-    run bisque-bake "$from" "$onto" -o "${map}_<MAP>.exr" --maps normal,mask --normal-space object \
+    run bisque-bake "$from" "$onto" -o "${map}_<MAP>.exr" --maps normal,mask --normal space=object \
         --type float --size "$map_size" --samples $samples --padding 0 --json "$@"
     mv log "$map.json"
 }

@@ -56,7 +56,7 @@ note small_grid_bytes "$(stat -c %s small.nvdb)"
 divide()
 {
     rm -f plan.* part_*
-    cost "$BIN/bisque-bake" $scan low.obj -o 'part_<MAP>.exr' $options --tasks "$1" --write-plan plan.json
+    cost "$BIN/bisque-bake" $scan low.obj -o 'part_<MAP>.exr' $options --tasks "$1" --plan plan.json
     plan=$seconds all=0 longest=0 most=0 bytes=0 task=0
     while [ $task -lt "$1" ]; do
         cost "$BIN/bisque-bake" --plan plan.json --task $task

@@ -65,7 +65,7 @@ plate_low()
 # bake_plate SCAN NAME
 bake_plate()
 {
-    run bisque-bake "$1" plate_low.obj -o "$2_<MAP>.exr" --maps normal,color,mask --normal-space object \
+    run bisque-bake "$1" plate_low.obj -o "$2_<MAP>.exr" --maps normal,color,mask --normal space=object \
         --type float --size 64x32 --samples 2 --front 6 --back 6 --device cpu
 }
 
@@ -108,7 +108,7 @@ fi
 "$TESTS/generate-scan" --triangles $triangles --normals vase -o vase.obj
 "$TESTS/generate-scan" vase-low -o low.obj
 ok run bisque-voxelize vase.obj -o vase.nvdb --resolution $resolution
-options="--maps normal,mask --size 256 --samples 2 --normal-space object --type float"
+options="--maps normal,mask --size 256 --samples 2 --normal space=object --type float"
 ok run bisque-bake vase.tris low.obj $options -o 'exact_<MAP>.exr'
 accurate "exact maps have the formula's normals" check-vase -s 2 -e 7 -m 0.2 -p 0.5 -h 1 exact_normal.exr \
     exact_mask.exr
@@ -153,7 +153,7 @@ half_texels()
     shift 4
     "$TESTS/generate-scan" "$@" --wavelength "$wavelength" sine -o sine.obj
     ok run bisque-voxelize sine.obj -o sine.nvdb --voxel-size 0.78125
-    options="--maps normal,mask --size 64 --samples 4 --normal-space object --type float --padding 0"
+    options="--maps normal,mask --size 64 --samples 4 --normal space=object --type float --padding 0"
     run bisque-bake sine.tris sine_low.obj $options -o 'exact_<MAP>.exr'
     for sampling in trilinear nearest; do
         run bisque-bake sine.nvdb sine_low.obj $options --sampling $sampling -o "${sampling}_<MAP>.exr"
@@ -189,7 +189,7 @@ for mesh in low low_mirrored box; do
     esac
     for source in nvdb tris; do
         bake="run bisque-bake $scan.$source $mesh.obj --size 256 --samples 1 --device cpu"
-        ok $bake --maps normal,mask --normal-space object --type float -o 'object_<MAP>.exr'
+        ok $bake --maps normal,mask --normal space=object --type float -o 'object_<MAP>.exr'
         $bake --maps normal --type float -o tangent.exr
         accurate "$mesh from $scan.$source: tangent space of floats is object space" check-tangent -x 0.01 -h 0.5 \
             $mesh.obj tangent.exr object_normal.exr object_mask.exr

@@ -109,9 +109,9 @@ $bake $good --padding some
 refused 64 "$p --padding: \"some\" is not a whole number from 0 to 4294967294"
 $bake $good --green left
 refused 64 "$p --green: \"left\" is not up or down"
-$bake $good --normal-space world
-refused 64 "$p --normal-space: \"world\" is not tangent or object"
-$bake $good --normal-space object --green down
+$bake $good --normal space=world
+refused 64 "$p --normal space: \"world\" is not tangent or object"
+$bake $good --normal space=object,green=down
 refused 64 "$p an object-space map has no green direction to flip"
 $bake $good --sampling cubic
 refused 64 "$p --sampling: \"cubic\" is not trilinear or nearest"
@@ -393,11 +393,11 @@ refused_like 65 '^bisque-compare: near\.exr has bisque:origin "0 0 0", nvdb_posi
 rm far.* nvdb_* tris_* near.exr
 
 # Options change the map.
-for option in "--green up" "--green down" "--normal-space object" "--padding 0" "--padding all" \
+for option in "--normal green=up" "--normal green=down" "--normal space=object" "--padding 0" "--padding all" \
     "--sampling nearest" "--samples 3"; do
     ok $bake $small $option plain.nvdb low.obj -o b.png --type 8 --maps normal
     case $option in
-    "--green up")
+    "--normal green=up")
         same b.png n8.png
         ;;
     *) # only these change a box: its green is 0.5 everywhere, and its nearest normals are exact

@@ -6,7 +6,7 @@ compare="run bisque-compare"
 p=bisque-compare:
 write_box >low.obj
 run bisque-voxelize low.obj -o box.nvdb --no-tris --resolution 48
-ok run bisque-bake box.nvdb low.obj --size 64 --maps normal,mask --normal-space object --type float -o 'a_<MAP>.exr'
+ok run bisque-bake box.nvdb low.obj --size 64 --maps normal,mask --normal space=object --type float -o 'a_<MAP>.exr'
 ok run bisque-bake box.nvdb low.obj --size 32 --maps normal --type float -o small.exr
 start="a_mask.exr a_normal.exr box.nvdb low.obj small.exr"
 
@@ -31,7 +31,7 @@ holds "the limit that does not hold is named" grep -q "^$p mean .* is above --ma
 ok $compare t.exr a_normal.exr --force --max-mean 180
 
 # Maps with green up and green down, or a mask and a normal map, differ in meaning, not by some degrees.
-run bisque-bake box.nvdb low.obj --size 64 --maps normal --green down --type float -o d.exr
+run bisque-bake box.nvdb low.obj --size 64 --maps normal --normal green=down --type float -o d.exr
 $compare t.exr d.exr
 refused 65 "$p t.exr has bisque:green \"up\", d.exr has \"down\": these maps cannot be compared"
 $compare d.exr t.exr --type data

@@ -24,7 +24,7 @@ alike()
     ok $bake "$scan" low.obj $size "$@"
     (
         cd farm
-        "$BIN/bisque-bake" "../$scan" ../low.obj $size "$@" --tasks "$tasks" --write-plan plan.json >"$out" 2>"$err"
+        "$BIN/bisque-bake" "../$scan" ../low.obj $size "$@" --tasks "$tasks" --plan plan.json >"$out" 2>"$err"
     )
     check "a plan of $tasks tasks: $*" $?
     task=$tasks
@@ -44,7 +44,7 @@ alike()
 alike scan.nvdb 5 --maps all --rays ao=2 --rays thickness=2 -o 'm_<MAP>.<UDIM>.exr' --preview look.png
 # The ranges of heights and curvature follow from all tasks.
 alike scan.tris 3 --maps all -o 'x_<MAP>.<UDIM>.exr'
-alike scan.nvdb 4 --maps height,curvature,normal -o 'r_<MAP>.<UDIM>.png' --green down --cage "$work/here/low.obj" --back 0.2
+alike scan.nvdb 4 --maps height,curvature,normal -o 'r_<MAP>.<UDIM>.png' --normal green=down --cage "$work/here/low.obj" --back 0.2
 alike scan.nvdb 1 --maps mask -o 'k_<UDIM>.exr' --samples 3
 printf 'P2 2 1 255\n30 220\n' >"$work/here/skew.pgm"
 alike scan.tris 2 --maps height -o 's_<UDIM>.exr' --skew "$work/here/skew.pgm"
@@ -52,13 +52,13 @@ jq -e '[.inputs[].role] | index("the skew map")' farm/plan.json >/dev/null
 check "the skew map is an input of the plan" $?
 # More tasks than blocks: some have nothing to bake.
 alike scan.nvdb 40 --maps normal -o 'n_<UVTILE>.exr' --samples 1 --device cpu
-alike scan.tris 2 --maps color,position -o 'p_<MAP>.<UDIM>.exr' --tiles 1012 --normal-space object
+alike scan.tris 2 --maps color,position -o 'p_<MAP>.<UDIM>.exr' --tiles 1012 --normal space=object
 
 # What the tasks could not measure is counted again by the merge.
 rm -rf farm
 mkdir farm
 (cd farm && "$BIN/bisque-bake" ../scan.nvdb ../low.obj -o 'c_<UDIM>.png' --size 32 --maps curvature --distance curvature=100 \
-    --tasks 3 --write-plan plan.json) >"$out" 2>"$err"
+    --tasks 3 --plan plan.json) >"$out" 2>"$err"
 check "a plan of unknown curvature" $?
 ok $bake --plan farm/plan.json --task 0-2
 texels=$(sed -n 's/.* around the hits of \([0-9]*\) of .*/\1/p' "$err" | awk '{ sum += $1 } END { print sum }')
@@ -77,7 +77,7 @@ code 65
 rm -rf farm
 mkdir farm
 (cd farm && "$BIN/bisque-bake" ../scan.nvdb ../low.obj -o 'c_<UDIM>.png' --size 32 --maps curvature --distance curvature=100 \
-    --strict --tasks 3 --write-plan plan.json) >"$out" 2>"$err"
+    --strict --tasks 3 --plan plan.json) >"$out" 2>"$err"
 check "a strict plan" $?
 $bake --plan farm/plan.json --task 0-2
 code 65
@@ -89,7 +89,7 @@ rm -rf farm
 mkdir farm
 awk '/^v / { $2 += 0.5 } { print }' low.obj >aside.obj
 (cd farm && "$BIN/bisque-bake" ../scan.nvdb ../aside.obj -o 'm_<UDIM>.png' --size 32 --maps mask --front 0.1 --back 0.1 \
-    --max-missed 5 --tasks 2 --write-plan plan.json) >"$out" 2>"$err"
+    --max-missed 5 --tasks 2 --plan plan.json) >"$out" 2>"$err"
 check "a plan with --max-missed" $?
 ok $bake --plan farm/plan.json --task 0-1
 for again in 1 2; do
@@ -115,7 +115,7 @@ alike_several()
     shift
     (cd one && "$BIN/bisque-bake" $inputs $size "$@") >"$out" 2>"$err"
     check "one bake of $inputs: $*" $?
-    (cd farm && "$BIN/bisque-bake" $inputs $size "$@" --tasks "$tasks" --write-plan "a <UDIM> plan.json") >"$out" 2>"$err"
+    (cd farm && "$BIN/bisque-bake" $inputs $size "$@" --tasks "$tasks" --plan "a <UDIM> plan.json") >"$out" 2>"$err"
     check "a plan of $tasks tasks: $*" $?
     $bake --plan "farm/a <UDIM> plan.json" --task 1-$((tasks - 1)) --memory 60M
     code 0
@@ -158,7 +158,7 @@ run bisque-bake box_high.nvdb lid_high.nvdb box_low.obj $size -o 'm_<MAP>.<UDIM>
 for percent in 33.5 66.0; do # after each tile
     holds "progress of $percent" grep -qx "openjd_progress: $percent" "$out"
 done
-run bisque-bake scan.nvdb low.obj $size -o 'm_<MAP>.<UDIM>.exr' --maps mask --tasks 40 --write-plan forty.json
+run bisque-bake scan.nvdb low.obj $size -o 'm_<MAP>.<UDIM>.exr' --maps mask --tasks 40 --plan forty.json
 task=$(jq '[.tiles[].blocks | [scan("[*]([0-9]+)")[0]]] | .[1] - .[0] | .[0] | tonumber' forty.json) # of one of two tiles
 $bake --plan forty.json --task "$task" --progress openjd
 holds "it counts this tile alone" grep -qx 'openjd_progress: 66.0' "$out"
@@ -166,7 +166,7 @@ rm forty.* m_*
 
 # ---- the same again ----
 
-plan="bisque-bake scan.nvdb low.obj $size --low normals=angle -o maps/<MAP>.<UDIM>.exr --maps normal,height --tasks 3 --write-plan farm/plan.json"
+plan="bisque-bake scan.nvdb low.obj $size --low normals=angle -o maps/<MAP>.<UDIM>.exr --maps normal,height --tasks 3 --write-plan farm/plan.json" # an old name
 mkdir maps
 rm -rf one farm/*
 ok run $plan
@@ -184,7 +184,7 @@ check "a plan writes no maps" $?
 
 # What tasks need follows from inputs and options alone, and so does the plan's id.
 for scan in scan.nvdb scan.tris; do
-    need="bisque-bake $scan low.obj --tiles 1002 --size 512 --samples 1 -o m.exr --maps normal --tasks 1 --write-plan need.json"
+    need="bisque-bake $scan low.obj --tiles 1002 --size 512 --samples 1 -o m.exr --maps normal --tasks 1 --plan need.json"
     rm -f need.*
     ok run $need --threads 1 --memory 60M
     run $need --threads 3 --memory 1G
@@ -243,21 +243,21 @@ mkdir one
     --preview look.png) >"$out" 2>"$err"
 check "one bake with a preview" $?
 (cd one && "$BIN/bisque-bake" ../scan.nvdb ../low.obj $size -o '../maps/<MAP>.<UDIM>.png' --maps normal,height,curvature \
-    --preview ../maps/look.png --tasks 4 --write-plan ../farm/tiles.json) >"$out" 2>"$err"
+    --preview ../maps/look.png --tasks 4 --plan ../farm/tiles.json) >"$out" 2>"$err"
 check "a plan with a preview" $?
 ok $bake --plan farm/tiles.json --json
 json '.tiles == 2'
-$bake --plan farm/tiles.json --merge-tile 1
+$bake --plan farm/tiles.json --merge --task 1
 code 66
 ok $bake --plan farm/tiles.json --task 0-3
-ok $bake --plan farm/tiles.json --merge-tile 1 --memory 60M
+ok $bake --plan farm/tiles.json --merge --task 1 --memory 60M
 out_like '^maps/height\.1012\.png: height map, range '
 [ "$(ls maps/*.png | tr '\n' ' ')" = 'maps/curvature.1012.png maps/height.1012.png maps/normal.1012.png ' ]
 check "the maps of one tile, and no preview" $?
-ok $bake --plan farm/tiles.json --merge-tile 1
+ok $bake --plan farm/tiles.json --merge --task 1
 out_like '^farm/tiles\.json: the merge of this tile is complete already, kept$'
-ok $bake --plan farm/tiles.json --merge-tile 0-7 # a scheduler need not know how many there are
-$bake --plan farm/tiles.json --merge-tile 7 --json
+ok $bake --plan farm/tiles.json --merge --task 0-7 # a scheduler need not know how many there are
+$bake --plan farm/tiles.json --merge --task 7 --json
 json '.merge_tile == 7 and .kept == false'
 before=$(stat -c %i.%y maps/*.png)
 ok $bake --plan farm/tiles.json --merge
@@ -277,7 +277,7 @@ rm -r one maps/*.png farm/tiles.*
 
 # A plan without ".json" at the end of its name has parts of its own.
 cp farm/plan.0000.part keep
-ok $bake scan.nvdb low.obj $size -o 'other_<MAP>.<UDIM>.exr' --maps mask --tasks 1 --write-plan farm/plan
+ok $bake scan.nvdb low.obj $size -o 'other_<MAP>.<UDIM>.exr' --maps mask --tasks 1 --plan farm/plan
 ok $bake --plan farm/plan --task 0
 out_like '^farm/plan\.part\.0000: task 0, '
 same keep farm/plan.0000.part
@@ -395,11 +395,11 @@ cat >rules.json <<JSON
 JSON
 ok run bisque-voxelize /mnt/farm/skin.obj -o here/skin.nvdb --resolution 24 --path-map rules.json
 holds "the texture is found by the rules" grep -aq "$PWD/here/textures/skin.ppm" here/skin.tris
-ok $bake /mnt/farm/skin.tris low.obj $size -o "$PWD/here/<MAP>.<UDIM>.exr" --maps color --tasks 2 --write-plan here/plan.json \
+ok $bake /mnt/farm/skin.tris low.obj $size -o "$PWD/here/<MAP>.<UDIM>.exr" --maps color --tasks 2 --plan here/plan.json \
     --path-map rules.json
 jq -e '[.inputs[].path] | sort == ["../low.obj", "skin.tris", "textures/skin.ppm"]' here/plan.json >"$work/jq"
 check "inputs below the plan and beside it have relative paths" $?
-ok $bake ./here/skin.tris here/../low.obj $size -o './here/../<MAP>.<UDIM>.exr' --maps color --tasks 2 --write-plan here/dots.json \
+ok $bake ./here/skin.tris here/../low.obj $size -o './here/../<MAP>.<UDIM>.exr' --maps color --tasks 2 --plan here/dots.json \
     --path-map rules.json
 jq -e '[.inputs[].path, .options.output_path] | sort ==
     ["../<MAP>.<UDIM>.exr", "../low.obj", "skin.tris", "textures/skin.ppm"]' here/dots.json >"$work/jq"
@@ -420,7 +420,7 @@ for tile in 1002 1012; do
     same skin.$tile.exr other/color.$tile.exr
 done
 # All tasks in one process: threads do not keep what they know of the textures of a task before.
-ok $bake gone/skin.tris low.obj $size -o 'many.<UDIM>.exr' --maps color --tasks 12 --write-plan many.json \
+ok $bake gone/skin.tris low.obj $size -o 'many.<UDIM>.exr' --maps color --tasks 12 --plan many.json \
     --path-map moved.json
 ok $bake --plan many.json --task 0-11 --threads 2 --path-map moved.json
 ok $bake --plan many.json --merge --path-map moved.json
@@ -479,20 +479,20 @@ fi
 
 # ---- options ----
 
-$bake --plan farm/plan.json --task 0 --merge
-err "$p --task, --merge-tile and --merge exclude each other"
+$bake scan.nvdb low.obj -o x.exr --tasks 4 --plan x.json --task 0
+err "$p --task and --merge need --plan, without --tasks"
 for tiles in 2-1 x; do
-    $bake --plan farm/plan.json --merge-tile $tiles
+    $bake --plan farm/plan.json --merge --task $tiles
     code 64
 done
 $bake --plan farm/plan.json --task 0 --samples 4
 err "$p --plan has the options of the work: leave out --samples"
 $bake --plan farm/plan.json --task 0 low.obj
-err "$p --plan names the inputs: leave out the files"
+err "$p --plan names the inputs: leave out the files, or add --tasks"
 $bake --task 0
-err "$p --task and --merge need --plan"
+err "$p --task and --merge need --plan, without --tasks"
 $bake scan.nvdb low.obj -o x.exr --tasks 4
-err "$p --tasks and --write-plan need each other"
+err "$p --tasks needs --plan, the file to write"
 $bake scan.nvdb low.obj -o x.exr --force
 err "$p --force needs --task or --merge"
 $bake --plan farm/plan.json --force
@@ -505,32 +505,32 @@ $bake --plan farm/plan.json --task 1-3
 refused 64 "$p farm/plan.json: there is no task 3: tasks are 0 to 2"
 $bake --plan farm/plan.json --max-missed 3
 err "$p --max-missed is for the bake of all texels: give it to --merge"
-$bake --plan farm/plan.json --task 0 --max-missed 3
+$bake --plan farm/plan.json --merge-tile 0 --max-missed 3 # an old name
 err "$p --max-missed is for the bake of all texels: give it to --merge"
 mkfifo pipe.obj
 cat low.obj >pipe.obj &
-$bake scan.nvdb pipe.obj $size -o 'x_<MAP>.<UDIM>.exr' --tasks 4 --write-plan p.json
+$bake scan.nvdb pipe.obj $size -o 'x_<MAP>.<UDIM>.exr' --tasks 4 --plan p.json
 [ "$code" -ne 0 ] && [ ! -e p.json ]
 check "no plan for a mesh from a pipe" $?
 kill $! 2>"$work/kill"
-$bake scan.nvdb low.obj $size -o "$(printf 'x\377_<MAP>.<UDIM>.exr')" --tasks 4 --write-plan p.json
+$bake scan.nvdb low.obj $size -o "$(printf 'x\377_<MAP>.<UDIM>.exr')" --tasks 4 --plan p.json
 code 64
 holds "no plan with a name that is not UTF-8" [ ! -e p.json ]
-$bake scan.nvdb low.obj $size -o 'x_<MAP>.<UDIM>.exr' --tasks 4 --write-plan nowhere/p.json
+$bake scan.nvdb low.obj $size -o 'x_<MAP>.<UDIM>.exr' --tasks 4 --plan nowhere/p.json
 code 73
 for tasks in 0 65537 x; do
-    $bake scan.nvdb low.obj -o x.exr --tasks $tasks --write-plan p.json
+    $bake scan.nvdb low.obj -o x.exr --tasks $tasks --plan p.json
     code 64
 done
 $bake --plan missing.json --task 0
 code 66
-$bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 2 --write-plan o.exr
+$bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 2 --plan o.exr
 refused 64 "$p o.exr: two outputs have this name"
-$bake scan.nvdb low.obj $size -o './o.<UDIM>.exr' --maps height --tasks 2 --write-plan o.1012.exr
+$bake scan.nvdb low.obj $size -o './o.<UDIM>.exr' --maps height --tasks 2 --plan o.1012.exr
 refused 64 "$p ./o.1012.exr: two outputs have this name"
-$bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 2 --preview o.png --write-plan ./o.png
+$bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 2 --preview o.png --plan ./o.png
 refused 64 "$p ./o.png: two outputs have this name"
-ok $bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 1 --write-plan o.json
+ok $bake scan.nvdb low.obj -o o.exr --maps mask --tiles 1002 --tasks 1 --plan o.json
 cp o.json o.exr
 $bake --plan o.exr --merge
 code 64
@@ -554,7 +554,7 @@ command="bisque-slurm bake --tiles --dry-run" code=0
 "$slurm" bake --dry-run --tiles 3 -- s.nvdb low.obj -o 'o_<UDIM>.exr' >"$out" 2>"$err" || code=$?
 code 0
 [ "$(grep -c '^sbatch ' "$out")" -eq 4 ] && grep -qF "'--array=0-2'" "$out" &&
-    grep -qF " --merge-tile \$SLURM_ARRAY_TASK_ID" "$out" && grep -qF "'--dependency=afterok:<bisque-tile>'" "$out"
+    grep -qF " --merge --task \$SLURM_ARRAY_TASK_ID" "$out" && grep -qF "'--dependency=afterok:<bisque-tile>'" "$out"
 check "tiles are merged in an array, before the last job" $?
 # The printed commands give sbatch the same script as a submission does.
 mkdir fake
@@ -645,7 +645,7 @@ done
 rm -rf farm color.*.exr
 mkdir farm
 ok $bake scan.nvdb low.obj $size -o '<MAP>.<UDIM>.exr' --maps color --device cpu
-ok $bake scan.nvdb low.obj $size -o 'farm/<MAP>.<UDIM>.exr' --maps color --device cuda --tasks 3 --write-plan farm/plan.json
+ok $bake scan.nvdb low.obj $size -o 'farm/<MAP>.<UDIM>.exr' --maps color --device cuda --tasks 3 --plan farm/plan.json
 LD_LIBRARY_PATH=$TESTS/fake $bake --plan farm/plan.json --task 0 --json
 json '.device == "Fake GPU 0 (CUDA)"'
 $bake --plan farm/plan.json --task 1 --device cpu --json
@@ -670,7 +670,7 @@ if ldd "$BIN/bisque-bake" | grep -q 'lib[at]san'; then
     exit
 fi
 
-run $plan --force # not with --write-plan
+run $plan --force # not with --tasks
 code 64
 ok run $plan
 begin_faults bisque-bake
@@ -693,7 +693,7 @@ no_temporary_files
 rm -rf farm color.*.exr
 mkdir farm
 ok $bake scan.nvdb low.obj $size -o '<MAP>.<UDIM>.exr' --maps color
-plainly "$BIN/bisque-bake" scan.nvdb low.obj $size -o 'farm/<MAP>.<UDIM>.exr' --maps color --tasks 2 --write-plan farm/plan.json
+plainly "$BIN/bisque-bake" scan.nvdb low.obj $size -o 'farm/<MAP>.<UDIM>.exr' --maps color --tasks 2 --plan farm/plan.json
 plainly "$BIN/bisque-bake" --plan farm/plan.json --task 0-1
 plainly "$BIN/bisque-bake" --plan farm/plan.json --merge
 for map in color.*.exr; do

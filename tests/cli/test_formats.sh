@@ -299,14 +299,14 @@ header()
     done
 }
 
-ok run bisque-bake vase.nvdb low.obj --maps normal,color,mask --size 32x16 --front 0.05 --back 0.025 --green down \
+ok run bisque-bake vase.nvdb low.obj --maps normal,color,mask --size 32x16 --front 0.05 --back 0.025 --normal green=down \
     -o 'map_<MAP>.exr'
 header map_normal.exr colorInteropID=data oiio:ColorSpace=Raw bisque:map=normal bisque:normalSpace=tangent \
     bisque:tangents=MikkTSpace bisque:green=down "bisque:encoding=n / 2 + 1/2" "bisque:samples=2 x 2" \
     bisque:sampling=trilinear bisque:rays=smooth bisque:front=0.05 bisque:back=0.025
 header map_color.exr colorInteropID=lin_rec709_scene oiio:ColorSpace=Linear bisque:map=color
 header map_mask.exr colorInteropID=data oiio:ColorSpace=Raw bisque:map=mask
-ok run bisque-bake vase.tris low.obj --maps normal --size 32x16 --normal-space object -o exact.exr
+ok run bisque-bake vase.tris low.obj --maps normal --size 32x16 --normal space=object -o exact.exr
 header exact.exr bisque:normalSpace=object bisque:tangents=none bisque:green=up bisque:sampling=exact
 ok run bisque-bake vase.nvdb low.obj --maps normal,color,mask --size 32x16 -o 'map_<MAP>.png'
 # IHDR: width, height, 16 bits, colour type 2 (RGB) or 0 (grey), no interlacing.

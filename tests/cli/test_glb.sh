@@ -34,7 +34,7 @@ for map in normal:normal:0 color:color:0 ao:occlusion:1 roughness:roughness:1 me
     is "$texture is that of the map" same b.glb ${texture%:*} $file ${texture#*:}
 done
 # Green is up in the file, whatever the map has; bytes do not depend on threads and memory.
-ok $bake $all --green down -o 'c_<MAP>.png' --glb c.glb
+ok $bake $all --normal green=down -o 'c_<MAP>.png' --glb c.glb
 is "green points up" check c.glb 1
 for limits in '--threads 1' '--threads 5 --memory 64M'; do
     ok $bake $all $limits --type float -o 'd_<MAP>.exr' --glb d.glb
@@ -73,13 +73,13 @@ holds "triangles without maps are kept" [ "$(materials tiles.glb)" = "tile 1002
 none" ]
 
 rm -f a.glb
-$bake --maps normal --normal-space object -o x.exr --glb x.glb
+$bake --maps normal --normal space=object -o x.exr --glb x.glb
 refused 64 "$p x.glb: glTF has normals in tangent space only"
 $bake -o 'x_<MAP>.exr' --glb x.gltf
 refused 64 "$p x.gltf: its name must end in .glb"
 $bake -o x.exr --maps normal --glb x.exr
 code 64
-$bake -o 'x_<MAP>.exr' --glb x.glb --tasks 2 --write-plan x.json
+$bake -o 'x_<MAP>.exr' --glb x.glb --tasks 2 --plan x.json
 refused_like 64 "^$p x.glb: tasks do not make a GLB file$"
 $bake -o 'x_<MAP>.exr' --glb nowhere/x.glb
 code 73

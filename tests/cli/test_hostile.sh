@@ -72,7 +72,7 @@ PYTHON
         same clock.nvdb scan.nvdb
         touch -d "@$(($(date +%s) + jump))" scan.nvdb
         ok jumping bisque-bake --size 32 scan.nvdb low.obj -o 'two_<MAP>.exr' --maps normal,mask \
-            --tasks 2 --write-plan p.json
+            --tasks 2 --plan p.json
         ok jumping bisque-bake --plan p.json --task 0-1
         ok jumping bisque-bake --plan p.json --merge
         same two_normal.exr one_normal.exr
@@ -98,7 +98,7 @@ run bisque-compare "$name.obj" "$name.png"
 command="bisque-compare of names with line breaks"
 [ "$(wc -l <"$err")" -eq 1 ] && grep -Fq "$shown" "$err"
 check "one line" $?
-run bisque-bake scan.nvdb low.obj -o "$name.exr" --maps mask --size 32 --tasks 1 --write-plan "$name.json"
+run bisque-bake scan.nvdb low.obj -o "$name.exr" --maps mask --size 32 --tasks 1 --plan "$name.json"
 command="bisque-bake writes a plan"
 code 0
 run bisque-bake --plan "$name.json" --task 0

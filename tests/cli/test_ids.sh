@@ -97,7 +97,7 @@ refused 65 "bisque-voxelize: object.tris has ids by object, right.tris by materi
 # ---- tasks ----
 
 for scan in tris nvdb; do
-    ok $bake material.$scan low.obj -o 'tasks_<MAP>.png' --maps id,normal --tasks 2 --write-plan plan.json
+    ok $bake material.$scan low.obj -o 'tasks_<MAP>.png' --maps id,normal --tasks 2 --plan plan.json
     for task in 1 0; do
         ok run bisque-bake --plan plan.json --task $task
     done

@@ -28,7 +28,7 @@ moved()
 maps()
 {
     for kind in nvdb tris; do
-        ok run bisque-bake "$1.$kind" "$1_low.obj" --size 64 --maps normal,mask --normal-space object --device cpu --type float \
+        ok run bisque-bake "$1.$kind" "$1_low.obj" --size 64 --maps normal,mask --normal space=object --device cpu --type float \
             -o "$1_${kind}_<MAP>.exr" --json
         jq -r '"\(.front) \(.back)"' "$out" >"$1_$kind.rays"
     done

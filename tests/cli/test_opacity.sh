@@ -29,7 +29,7 @@ oracle measure plane.tris
 holds "another reader finds alpha in plane.tris" grep -q 'component 3' "$out"
 
 # A mask from tasks has the same bytes.
-ok $bake plane.tris low.obj --maps color,mask:opacity -o 'task_<MAP>.png' --tasks 2 --write-plan plan.json
+ok $bake plane.tris low.obj --maps color,mask:opacity -o 'task_<MAP>.png' --tasks 2 --plan plan.json
 for part in '--task 0-1' --merge; do
     ok run bisque-bake --plan plan.json $part
 done

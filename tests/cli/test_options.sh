@@ -14,7 +14,7 @@ plan()
     shift
     rm -f plan.json
     ok run bisque-bake vase_high.nvdb vase_low.obj -o 'a_<MAP>.exr' --size 8 --maps all --preview a.png --tasks 1 \
-        --write-plan plan.json --progress none "$@"
+        --plan plan.json --progress none "$@"
     jq .options plan.json >"$to"
 }
 

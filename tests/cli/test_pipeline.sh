@@ -30,7 +30,7 @@ fi
 "$TESTS/generate-scan" --triangles $triangles --colors vase -o vase.obj
 "$TESTS/generate-scan" vase-low -o low.obj
 ok run bisque-voxelize vase.obj -o vase.nvdb --resolution $resolution
-ok run bisque-bake vase.nvdb low.obj --maps normal,color,mask --normal-space object --type float --size 512 \
+ok run bisque-bake vase.nvdb low.obj --maps normal,color,mask --normal space=object --type float --size 512 \
     --samples 1 -o 'object_<MAP>.exr'
 # The finest relief is 14 voxels and 11 triangles long. The normal at a vertex is a mean over its
 # triangles, which flattens a wave of n triangles by about (2 pi / n)^2 / 6 of its slope: 5 % here.
@@ -40,7 +40,7 @@ truth "vase: normals and colours are the analytic ones" check-vase -m 0.9 -p 1.8
 
 # Voxels add little to the error of the triangles' own normals.
 mean() { "$TESTS/check-vase" "$1" object_mask.exr | sed -n 's/.*mean angle: \([0-9.e-]*\).*/\1/p'; }
-ok run bisque-bake vase.tris low.obj --maps normal --normal-space object --type float --size 512 --samples 1 -o exact.exr
+ok run bisque-bake vase.tris low.obj --maps normal --normal space=object --type float --size 512 --samples 1 -o exact.exr
 if sanitized; then
     skip "vase: normals from voxels are as good as those from triangles" "the scan is smaller under sanitizers"
 else
@@ -49,7 +49,7 @@ else
 fi
 
 # Lookup of the nearest voxel is blockier: the option must make the result worse.
-ok run bisque-bake vase.nvdb low.obj --maps normal,mask --normal-space object --type float --size 512 \
+ok run bisque-bake vase.nvdb low.obj --maps normal,mask --normal space=object --type float --size 512 \
     --samples 1 --sampling nearest -o 'nearest_<MAP>.exr'
 if sanitized; then
     skip "vase: blending over neighbours beats the nearest voxel" "the scan is smaller under sanitizers"
@@ -62,7 +62,7 @@ fi
 "$TESTS/generate-scan" --triangles $triangles --colors --offset 500000,5000000,100 vase -o far.obj
 ok run bisque-voxelize far.obj -o far.nvdb --resolution $resolution --no-tris
 "$TESTS/generate-scan" --offset 500000,5000000,100 vase-low -o far_low.obj
-ok run bisque-bake far.nvdb far_low.obj --maps normal,color,mask --normal-space object --type float --size 512 \
+ok run bisque-bake far.nvdb far_low.obj --maps normal,color,mask --normal space=object --type float --size 512 \
     --samples 1 -o 'far_<MAP>.exr'
 truth "vase 5000 km away: normals and colours keep their detail" check-vase -m 0.9 -p 1.8 -h 0.9999 -c 0.01 \
     far_normal.exr far_mask.exr far_color.exr
@@ -94,13 +94,13 @@ fi
 
 if [ -n "$SCANS" ] && ! sanitized; then
     ok run bisque-voxelize "$SCANS/bunny.obj" -o bunny.nvdb --resolution 1024 --scan-normals flat
-    ok run bisque-bake bunny.nvdb "$SCANS/bunny_low.obj" --maps normal,mask --normal-space object --type float \
+    ok run bisque-bake bunny.nvdb "$SCANS/bunny_low.obj" --maps normal,mask --normal space=object --type float \
         --size 1024 --samples 1 -o 'bunny_<MAP>.exr'
     truth "bunny: face normals of exact rays" check-mesh -e 997 -m 1.0 -p 5.0 -h 0.999 "$SCANS/bunny.obj" \
         "$SCANS/bunny_low.obj" bunny_normal.exr bunny_mask.exr
     ok run bisque-voxelize "$SCANS/spot.obj" --texture "$SCANS/spot.png" -o spot.nvdb --resolution 1024 \
         --scan-normals flat
-    ok run bisque-bake spot.nvdb "$SCANS/spot_low.obj" --maps normal,color,mask --normal-space object --type float \
+    ok run bisque-bake spot.nvdb "$SCANS/spot_low.obj" --maps normal,color,mask --normal space=object --type float \
         --size 1024 --samples 1 -o 'spot_<MAP>.exr'
     truth "Spot: colours of the texture at exact hits" check-mesh -e 397 -m 1.0 -p 3.0 -h 0.999 -c 0.005 \
         -t "$SCANS/spot.png" "$SCANS/spot.obj" "$SCANS/spot_low.obj" spot_normal.exr spot_mask.exr spot_color.exr

@@ -40,7 +40,7 @@ export PYTHONPATH
 for scan in flat.nvdb flat.tris; do
     for green in up down; do
         ok run bisque-bake $scan low.obj --size 128 --type 8 --maps normal,bent,color,ao,mask \
-            --rays ao=4 --green $green --padding 4 -o "<MAP>.png" --preview preview.png
+            --rays ao=4 --normal green=$green --padding 4 -o "<MAP>.png" --preview preview.png
         command="normal.png and bent.png of $scan"
         holds "flat normals and backgrounds are (128, 128, 255)" python3 -c "
 import png

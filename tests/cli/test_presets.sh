@@ -49,7 +49,7 @@ packed packed_x.png mask 0 1-roughness
 packed packed_y.png 1 ao 0
 holds "without --maps, the default maps are baked too" [ -e packed_normal.png ]
 ok $bake scan.nvdb low.obj --pack orm=ao,roughness,metallic --maps mask -o 'task_<MAP>.png' --type 16 \
-    --tasks 3 --write-plan p.json
+    --tasks 3 --plan p.json
 ok run bisque-bake --plan p.json --task 0-2
 ok run bisque-bake --plan p.json --merge
 ok $bake scan.nvdb low.obj --pack orm=ao,roughness,metallic --maps mask -o 'packed_<MAP>.png' --type 16
@@ -70,7 +70,7 @@ json '.maps == {"normal": "maps/low_normal.png", "color": "maps/low_color.png", 
 ok $bake scan.nvdb low.obj --preset unity -o 'unity_<MAP>.png' --maps mask
 ok $bake scan.nvdb low.obj --maps ao,transfer:roughness,transfer:metallic -o 'alone_<MAP>.png' --type 8
 packed unity_mask_map.png metallic ao 0 1-roughness
-ok $bake scan.nvdb low.obj --preset gltf --green down --maps normal -o 'down_<MAP>.png'
+ok $bake scan.nvdb low.obj --preset gltf --normal green=down --maps normal -o 'down_<MAP>.png'
 ok $bake scan.nvdb low.obj --preset unreal --maps normal -o 'unreal_<MAP>.png'
 ok $bake scan.nvdb low.obj --preset gltf --maps normal -o 'gltf_<MAP>.png'
 same down_normal.png unreal_normal.png

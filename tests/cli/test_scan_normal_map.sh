@@ -3,7 +3,7 @@
 # and triangles, from an image and from materials, tasks, and what is refused.
 . "$(dirname "$0")/lib.sh"
 . "$top/tests/cli/texture_lib.sh"
-vox="run bisque-voxelize --resolution 160" bake="run bisque-bake --size 48 --maps normal --normal-space object"
+vox="run bisque-voxelize --resolution 160" bake="run bisque-bake --size 48 --maps normal --normal space=object"
 
 awk '$1 == "vt" { $2 = 1 - $2 } { print }' plane.obj >left_plane.obj
 printf 'newmtl left\nnorm tilt.png\nnewmtl right\nPr 1\n' >two.mtl
@@ -36,7 +36,7 @@ holds "without the image there is none" cmp -s without.nvdb plain.nvdb
 
 # ---- tasks ----
 
-ok $bake later.tris low.obj --scan-normal-map tilt.png --tasks 2 --write-plan n.json -o n_tasks.png
+ok $bake later.tris low.obj --scan-normal-map tilt.png --tasks 2 --plan n.json -o n_tasks.png
 for part in '--task 0-1' --merge; do
     ok run bisque-bake --plan n.json $part
 done

@@ -160,7 +160,7 @@ $maps sphere || exit 1
 ok $vox --resolution 100 ball.obj --channels place=ball.png,roughness=ball.png -o ball.nvdb
 for scan in nvdb tris; do
     ok run bisque-bake ball.$scan ball_low.obj --size 64 --samples 2 \
-        --maps normal,transfer:place,transfer:roughness --normal-space object -o "ball_${scan}_<MAP>.png"
+        --maps normal,transfer:place,transfer:roughness --normal space=object -o "ball_${scan}_<MAP>.png"
     $maps on_sphere ball_${scan}_place.png ball_${scan}_roughness.png ball_${scan}_normal.png 0.01 >"$out"
     check "channels of the sphere are functions of its position, from $scan" $?
 done
@@ -300,7 +300,7 @@ for how in '--threads 1' '--memory 100M'; do
     done
 done
 holds "maps have the same bytes with other options of the work" [ ! -e differ ]
-ok $bake plane.tris low.obj --maps color,$four $textures -o 'p_<MAP>.png' --tasks 2 --write-plan plan.json
+ok $bake plane.tris low.obj --maps color,$four $textures -o 'p_<MAP>.png' --tasks 2 --plan plan.json
 for step in '--task 0' '--task 1' '--merge'; do
     ok run bisque-bake --plan plan.json $step
 done

@@ -44,8 +44,8 @@ unused "the map ao or bent" --distance ao=1 -- --maps mask,bent -o '<MAP>.png'
 unused "the map ao or bent" --ao coarse=none -- --maps bent -o map.png
 unused "the map thickness" --rays thickness=2 -- --maps thickness -o map.png
 unused "the map thickness" --distance thickness=1 -- --maps thickness -o map.png
-unused "the map normal or bent" --normal-space object -- --maps normal -o map.png
-unused "the map normal or bent" --green down -- --maps bent -o map.png
+unused "the map normal or bent" --normal space=object -- --maps normal -o map.png
+unused "the map normal or bent" --normal green=down -- --maps bent -o map.png
 unused "--preview" --view count=1 -- --preview preview.png -o '<MAP>.png'
 unused "--preview" --view up=z -- --preview preview.png -o '<MAP>.png'
 unused "a device other than cpu" --gpu-memory 1G -- --device auto -o '<MAP>.png'
@@ -68,7 +68,7 @@ for words in "--ao coarse=none" "--sampling trilinear" "--gpu-memory 1G"; do
 done
 nothing "triangles without normals" --scan-normals with.tris --scan-normals flat --two-sided
 nothing "triangles without normals" --scan-normals vase-high.nvdb --scan-normals smooth
-nothing "--normal-space tangent" --green vase-high.nvdb --green up --normal-space object
+nothing "--normal space=tangent" "--normal green" vase-high.nvdb --normal green=up,space=object
 bake --scan-normals flat -o '<MAP>.exr'
 code 64
 ok run bisque-bake vase-high.tris vase-low.obj --progress none --size 4 --samples 1 --scan-normals flat -o '<MAP>.exr'
@@ -81,7 +81,7 @@ code 0
 holds "both options of ao" [ "$(grep -c "has no effect: it needs the map ao or bent" "$err")" -eq 2 ]
 
 # A plan warns when it is written, and its tasks do not.
-bake --maps mask --rays ao=2 -o map.exr --tasks 1 --write-plan plan.json
+bake --maps mask --rays ao=2 -o map.exr --tasks 1 --plan plan.json
 code 0
 holds "a warning of the plan" grep -q "warning: --rays ao has no effect" "$err"
 ok run bisque-bake --plan plan.json --task 0 --progress none

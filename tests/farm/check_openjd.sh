@@ -64,7 +64,7 @@ same map_normal.1001.exr other/map_normal.1001.exr
 
 # A plan that is there, in chunks of three tasks, and without this extension.
 mkdir planned
-run bisque-bake scan.nvdb low.obj -o 'planned/map_<MAP>.<UDIM>.exr' $options --tasks 7 --write-plan "a plan.json"
+run bisque-bake scan.nvdb low.obj -o 'planned/map_<MAP>.<UDIM>.exr' $options --tasks 7 --plan "a plan.json"
 code 0
 for chunk in "" "--chunk 3"; do
     rm -f "a plan".*.part "a plan.json.merged" planned/*
@@ -107,7 +107,7 @@ rises && grep -q 'openjd_progress: 50' "$out"
 check "the progress of two comparisons rises to 100" $?
 openjd $compare
 holds "no reference, no comparison" grep -q 'no reference given' "$out"
-run bisque-bake scan.nvdb low.obj -o 'reference/map_<MAP>.<UDIM>.exr' --maps normal --size 160x96 --green down --device cpu
+run bisque-bake scan.nvdb low.obj -o 'reference/map_<MAP>.<UDIM>.exr' --maps normal --size 160x96 --normal green=down --device cpu
 code 0
 command="openjd $compare" code=0
 "$openjd" $compare -p Reference=reference -p CompareOptions='--force --max-error 1' >"$out" 2>"$err" || code=$?

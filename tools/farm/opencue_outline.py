@@ -2,7 +2,7 @@
 """opencue_outline.py PLAN TASKS - an example: the tasks of a plan and their merge, for OpenCue.
 
 This example is untested: it follows OpenCue's documentation of PyOutline, but was never run on an
-OpenCue farm. Write the plan first, with bisque-bake --tasks TASKS --write-plan PLAN.
+OpenCue farm. Write the plan first, with bisque-bake --tasks TASKS --plan PLAN.
 """
 import sys
 
