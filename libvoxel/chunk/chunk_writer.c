@@ -286,8 +286,8 @@ static int add_large_bucket(struct batches *b, const struct batch_part *whole)
         levels = MORTON_AXIS_BITS;
     int status;
     BSQ_TRY(b->batch.part_count > 0 ? write_batch(b) : 0);
-    BSQ_TRY(vox_buckets_init(&children, b->ctx, b->beside, 1u << 3 * (levels - whole->levels),
-                             CHILD_PAGE_BYTES, 0));
+    const uint32_t count = 1u << 3 * (levels - whole->levels);
+    BSQ_TRY(vox_buckets_init(&children, b->ctx, b->beside, count, count, CHILD_PAGE_BYTES, 0));
     BSQ_TRY(divide_bucket(b, whole, levels, &children));
     BSQ_TRY(add_buckets(b, &children, levels));
     status = write_batch(b); /* it reads the children */

@@ -10,7 +10,8 @@ static uint64_t slab_bytes(uint64_t page_memory)
 }
 
 int vox_buckets_init(struct buckets *buckets, struct bsq_ctx *ctx, const char *beside,
-                     uint32_t bucket_count, uint64_t page_bytes, uint64_t page_memory)
+                     uint32_t bucket_count, uint32_t used_count, uint64_t page_bytes,
+                     uint64_t page_memory)
 {
     memset(buckets, 0, sizeof *buckets);
     buckets->ctx = ctx;
@@ -22,7 +23,7 @@ int vox_buckets_init(struct buckets *buckets, struct bsq_ctx *ctx, const char *b
     if (buckets->slab_pages == 0)
         buckets->slab_pages = 1;
     buckets->page_limit = page_memory / page_bytes;
-    buckets->buckets_without_page = bucket_count;
+    buckets->buckets_without_page = used_count;
     int status = bsq_calloc(ctx, "buckets", bucket_count, sizeof *buckets->list, &buckets->list);
     for (uint32_t i = 0; status == 0 && i < bucket_count; i++)
         buckets->list[i].first_page = buckets->list[i].last_page = BUCKET_NONE;

@@ -38,10 +38,12 @@ struct buckets {
     const char *beside; /* output path, next to which the temporary file may be */
 };
 
-/* Makes empty buckets. page_memory: limit in bytes for pages in memory, but each bucket gets one
- * page in any case. Free them with vox_buckets_free(), also after failure. */
+/* Makes empty buckets. used_count: those that anything is added to, at most. page_memory: limit in
+ * bytes for pages in memory, but each used bucket gets one page in any case. Free them with
+ * vox_buckets_free(), also after failure. */
 int vox_buckets_init(struct buckets *buckets, struct bsq_ctx *ctx, const char *beside,
-                     uint32_t bucket_count, uint64_t page_bytes, uint64_t page_memory);
+                     uint32_t bucket_count, uint32_t used_count, uint64_t page_bytes,
+                     uint64_t page_memory);
 void vox_buckets_free(struct buckets *buckets);
 
 /* Appends `size` bytes, which encode `items` items, to a bucket. */

@@ -33,7 +33,8 @@ struct reading {
     struct block_slot *slots;
     unsigned slot_count;
     struct triangulation_plan plan;
-    struct vertex_buckets vertex_buckets; /* if positions are in a file */
+    bool spilled;                         /* positions are in a file, after faces have begun */
+    struct vertex_buckets vertex_buckets; /* then */
 };
 
 /* ---- the partition ---- */
@@ -83,114 +84,28 @@ int vox_partition_warn_colorless(const struct scan *scan, const struct partition
                                scan->paths[first], count);
 }
 
-/* ---- buckets of vertices ---- */
-
-#define BLOCK_VERTICES 8192u
-
-/* Vertices have an order if fewer than one in eight changes the bucket. */
-#define VERTICES_BY_CHANGE 8
-
-static int allocate_buckets(const struct scan *scan, uint64_t vertices, uint32_t levels,
-                            struct vertex_buckets *out)
-{
-    const char *what = "buckets of vertices";
-    if (levels > VERTEX_BUCKET_NARROW_LEVELS)
-        return bsq_alloc(scan->ctx, what, vertices, sizeof *out->wide, &out->wide);
-    return bsq_alloc(scan->ctx, what, vertices, sizeof *out->narrow, &out->narrow);
-}
-
-int vox_vertex_buckets_make(const struct scan *scan, const struct morton_cube *cube,
-                            uint32_t levels, struct vertex_buckets *out)
-{
-    const struct attribute_stream *stream = &scan->streams[SCAN_POSITIONS];
-    const uint64_t vertices = stream_count(stream);
-    uint64_t changes = 0;
-    uint32_t before = 0;
-    float(*positions)[3] = NULL;
-    *out = (struct vertex_buckets){0};
-    int status = allocate_buckets(scan, vertices, levels, out);
-    if (status == 0)
-        status = bsq_alloc(scan->ctx, "buckets of vertices", BLOCK_VERTICES, sizeof *positions,
-                           &positions);
-    for (uint64_t done = 0, count; status == 0 && done < vertices; done += count) {
-        count = vertices - done < BLOCK_VERTICES ? vertices - done : BLOCK_VERTICES;
-        if ((status = bsq_check(scan->ctx)) == 0)
-            status = vox_spill_read(&stream->spill, sizeof *positions * done,
-                                    sizeof *positions * count, positions);
-        for (uint64_t i = 0; status == 0 && i < count; i++) {
-            uint32_t bucket = morton_cell(cube, levels, positions[i]);
-            changes += bucket != before;
-            before = bucket;
-            if (out->wide)
-                out->wide[done + i] = (uint16_t)bucket;
-            else
-                out->narrow[done + i] = (uint8_t)bucket;
-        }
-    }
-    out->have_order = changes < vertices / VERTICES_BY_CHANGE;
-    bsq_free(scan->ctx, positions);
-    return status;
-}
-
-void vox_vertex_buckets_free(const struct scan *scan, struct vertex_buckets *buckets)
-{
-    bsq_free(scan->ctx, buckets->wide);
-    bsq_free(scan->ctx, buckets->narrow);
-    *buckets = (struct vertex_buckets){0};
-}
-
-/* ---- buckets ---- */
-
-/* Chooses the levels that name buckets. A surface meets about 3 * 4^n of the 8^n cells of a grid.
- * Buckets of some ten thousand triangles are sorted inside a core's cache. But every bucket must
- * get a page, and pages must be worth a system call. */
-static void choose_levels(const struct sort_limits *limits, uint64_t triangles,
-                          uint64_t page_memory, uint32_t max_levels, uint32_t *levels,
-                          uint64_t *page_bytes)
-{
-    const uint64_t least = 4096;
-    *levels = 1;
-    while (*levels<limits->bucket_levels && * levels<max_levels && triangles>>(2 * *levels) >
-               100000 &&
-           page_memory >> (3 * *levels + 3) >= least)
-        ++*levels;
-    *page_bytes = limits->page_bytes;
-    while (*page_bytes > least && *page_bytes > page_memory >> 3 * *levels)
-        *page_bytes /= 2;
-}
-
-static int make_buckets(struct reading *r, uint64_t page_memory, uint32_t max_levels)
-{
-    const struct scan *scan = r->scan;
-    struct partition *out = r->out;
-    const uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
-    const struct fmt_mesh_totals *totals = &scan->totals;
-    const uint64_t triangles =
-        r->passes == PARTITION_ONE_PASS ? 2 * vertices : totals->corners - 2 * totals->faces;
-    uint64_t page_bytes;
-    out->cube = morton_cube_over(scan->bounds_min, scan->bounds_max);
-    choose_levels(scan->limits, triangles, page_memory, max_levels, &out->levels, &page_bytes);
-    int status;
-    BSQ_TRY(vox_buckets_init(&out->buckets, scan->ctx, r->beside, 1u << 3 * out->levels, page_bytes,
-                             page_memory));
-    BSQ_TRY(bsq_calloc(scan->ctx, "vertices in use", used_words(vertices), sizeof *out->used,
-                       &out->used));
-    if (scan->streams[SCAN_POSITIONS].spill.spilled) {
-        BSQ_TRY(vox_vertex_buckets_make(scan, &out->cube, out->levels, &r->vertex_buckets));
-        out->vertices_lack_order = !r->vertex_buckets.have_order;
-    }
-done:
-    return status;
-}
-
 /* ---- memory ---- */
 
 /* How memory is divided when the first faces come. */
 struct shares {
-    uint64_t pages;      /* of buckets */
-    uint64_t fans;       /* of one block */
-    uint32_t max_levels; /* that vertices' buckets can name */
+    uint64_t pages; /* of buckets */
+    uint64_t fans;  /* of one block */
 };
+
+/* Returns the Morton levels of the buckets, if memory does not matter. A surface meets about
+ * 3 * 4^n of the 8^n cells of a grid. Buckets of some ten thousand triangles are sorted inside a
+ * core's cache. */
+static uint32_t wanted_levels(const struct reading *r)
+{
+    const struct fmt_mesh_totals *totals = &r->scan->totals;
+    const uint64_t triangles = r->passes == PARTITION_ONE_PASS
+                                   ? 2 * scan_count(r->scan, SCAN_POSITIONS)
+                                   : totals->corners - 2 * totals->faces;
+    uint32_t levels = 1;
+    while (levels < r->scan->limits->bucket_levels && triangles >> 2 * levels > 100000)
+        levels++;
+    return levels;
+}
 
 /* Fails with the budget that the scan needs. missing: bytes. A larger budget reads more blocks at a
  * time, until there are two for each thread. Its other shares grow by less than a third of what is
@@ -209,23 +124,20 @@ static int refuse_vertices(const struct reading *r, uint64_t missing)
                     (unsigned long long)(needed / MIB), (unsigned long long)(limit / MIB));
 }
 
-/* Chooses the table of vertices' buckets. left: bytes for it and all pages. Returns false if no
- * table fits. */
-static bool choose_table(const struct scan *scan, uint64_t left, uint32_t *levels, uint64_t *bytes)
+/* Makes the table of vertices' buckets. left: bytes for it and all pages. */
+static int make_table(struct reading *r, uint64_t left)
 {
-    const struct sort_limits *limits = scan->limits;
-    const uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
+    const struct sort_limits *limits = r->scan->limits;
     uint64_t most = left > limits->page_memory ? left - limits->page_memory : 0;
     most = most < limits->vertex_bucket_bytes ? most : limits->vertex_bucket_bytes;
-    *levels = vertex_bucket_levels(vertices, most);
-    *bytes = vertex_bucket_bytes(vertices, *levels);
-    return *levels > 0;
+    return vox_vertex_buckets_make(r->scan, &r->out->cube, wanted_levels(r), most,
+                                   &r->vertex_buckets);
 }
 
 /* A third of what is unused, within bounds, stays for the batches of chunk/. The table of vertices'
  * buckets may use that share, since it is freed before the batches come. What the reader has
  * allocated by now depends on timing, so it is not asked: a scan is refused always or never. */
-static int divide_memory(const struct reading *r, struct shares *out)
+static int divide_memory(struct reading *r, struct shares *out)
 {
     const struct scan *scan = r->scan;
     const struct sort_limits *limits = scan->limits;
@@ -235,19 +147,56 @@ static int divide_memory(const struct reading *r, struct shares *out)
     const uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
     const uint64_t others = limits->reserve_bytes + r->slot_count * BLOCK_BYTES + vertices / 8;
     const uint64_t left = unused > others ? unused - others : 0;
-    uint64_t batches = unused / 3, table = 0;
+    uint64_t batches = unused / 3;
+    int status = 0;
     batches = batches < 24 * MIB ? 24 * MIB : batches > 128 * MIB ? 128 * MIB : batches;
-    out->max_levels = limits->bucket_levels;
-    if (scan->streams[SCAN_POSITIONS].spill.spilled &&
-        !choose_table(scan, left, &out->max_levels, &table))
+    if (r->spilled)
+        BSQ_TRY(make_table(r, left));
+    if (r->spilled && r->vertex_buckets.levels == 0)
         return refuse_vertices(r, others + limits->page_memory + vertices - unused);
+    const uint64_t table = r->vertex_buckets.bytes;
     const uint64_t keep = batches > table ? batches : table;
     out->pages = left > keep + limits->page_memory ? left - keep : limits->page_memory;
     out->pages = out->pages < limits->max_page_memory ? out->pages : limits->max_page_memory;
     out->fans = BLOCK_BYTES + (keep - table) / r->slot_count;
     bsq_note_share(scan->ctx, "buckets", out->pages);
     bsq_note_share(scan->ctx, "buckets of vertices", table);
-    return 0;
+done:
+    return status;
+}
+
+/* ---- buckets ---- */
+
+/* Returns how many buckets have triangles, at most. */
+static uint32_t used_buckets(const struct reading *r, uint32_t levels)
+{
+    return r->spilled ? r->vertex_buckets.occupied[levels] : 1u << 3 * levels;
+}
+
+static int make_buckets(struct reading *r, uint64_t page_memory)
+{
+    const struct scan *scan = r->scan;
+    struct partition *out = r->out;
+    const uint64_t vertices = scan_count(scan, SCAN_POSITIONS);
+    /* Every bucket must get a page, and pages must be worth a system call. */
+    const uint64_t least = 4096;
+    uint64_t page_bytes = scan->limits->page_bytes;
+    out->levels = r->spilled ? r->vertex_buckets.levels : wanted_levels(r);
+    while (out->levels > 1 && page_memory / used_buckets(r, out->levels) < least)
+        out->levels--;
+    const uint32_t used = used_buckets(r, out->levels);
+    while (page_bytes > least && page_bytes > page_memory / used)
+        page_bytes /= 2;
+    if (r->spilled && out->levels < r->vertex_buckets.levels)
+        vox_vertex_buckets_coarsen(scan, &r->vertex_buckets, out->levels);
+    out->vertices_lack_order = r->spilled && !r->vertex_buckets.have_order;
+    int status;
+    BSQ_TRY(vox_buckets_init(&out->buckets, scan->ctx, r->beside, 1u << 3 * out->levels, used,
+                             page_bytes, page_memory));
+    status = bsq_calloc(scan->ctx, "vertices in use", used_words(vertices), sizeof *out->used,
+                        &out->used);
+done:
+    return status;
 }
 
 /* ---- steps of the reader ---- */
@@ -258,14 +207,15 @@ static int begin_faces(struct reading *r)
     struct shares shares = {0};
     int status;
     BSQ_TRY(vox_scan_finish_streams(r->scan));
+    r->spilled = r->scan->streams[SCAN_POSITIONS].spill.spilled;
+    r->out->cube = morton_cube_over(r->scan->bounds_min, r->scan->bounds_max);
     BSQ_TRY(divide_memory(r, &shares));
-    BSQ_TRY(make_buckets(r, shares.pages, shares.max_levels));
+    BSQ_TRY(make_buckets(r, shares.pages));
     r->plan = (struct triangulation_plan){
         .scan = r->scan,
         .cube = r->out->cube,
         .levels = r->out->levels,
-        .vertex_buckets =
-            r->scan->streams[SCAN_POSITIONS].spill.spilled ? &r->vertex_buckets : NULL,
+        .vertex_buckets = r->spilled ? &r->vertex_buckets : NULL,
         .fan_bytes = shares.fans,
     };
     for (unsigned i = 0; i < r->slot_count; i++)

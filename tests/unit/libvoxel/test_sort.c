@@ -165,6 +165,30 @@ FIXTURE_TEST(spilling_does_not_change_the_file)
     }
 }
 
+/* A scan whose vertices are in rows has small buckets with a byte of memory for each vertex, so no
+ * bucket is divided in further temporary files. */
+FIXTURE_TEST(buckets_stay_small_with_a_byte_for_each_vertex)
+{
+    struct sort_fixture *f = *state;
+    const char *paths[1] = {"scan.obj"};
+    const struct vox_sort_options options = {
+        .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
+    struct sort_limits limits;
+    struct sort_grid g;
+    sort_grid_make(&g, 1000, 4);
+    sort_grid_write(&g, "scan.obj", 0, 9);
+    sort_open_context(f, 128 * MIB, 2);
+    vox_sort_limits_for(128 * MIB, 2, &limits);
+    limits.stream_bytes = 0;
+    limits.page_memory = limits.max_page_memory = MIB;
+    limits.vertex_bucket_bytes = 1001 * 1001;
+    limits.batch_triangles = FMT_TRIS_CHUNK_TRIANGLES + 2 * 50000; /* half a bucket of two levels */
+    expect_sorted(f, vox_sort_with_limits(f->ctx, &options, &limits, &f->report));
+    assert_int_equal(f->report.triangles, 2 * g.n * g.n);
+    assert_in_range(f->report.temp_bytes, 1, 12 * f->report.triangles);
+    sort_grid_free(&g);
+}
+
 /* A vertex after the faces changes the bounds of the scan. The reader's samples miss it, so the
  * scan is read again in two passes. */
 FIXTURE_TEST(vertices_after_faces_are_found_late)

@@ -218,47 +218,79 @@ FIXTURE_TEST(columns_in_memory_stay_there)
 
 /* ---- buckets of vertices ---- */
 
-static void expect_buckets(struct fixture *f, bool have_order)
+/* Compares a table with the keys of the vertices. */
+static void expect_buckets(struct fixture *f, const struct morton_cube *cube,
+                           const struct vertex_buckets *buckets)
 {
-    const float low[3] = {0, 0, 0}, high[3] = {1000, 500, 800};
-    const struct morton_cube cube = morton_cube_over(low, high);
-    struct vertex_buckets buckets;
-    for (uint32_t levels = 1; levels <= VERTEX_BUCKET_WIDE_LEVELS; levels++) {
-        assert_int_equal(vox_vertex_buckets_make(&f->scan, &cube, levels, &buckets), 0);
-        for (uint64_t v = 0; v < stream_count(&f->scan.streams[SCAN_POSITIONS]); v++) {
-            float p[3];
-            assert_int_equal(vox_spill_read(&f->scan.streams[SCAN_POSITIONS].spill, 12 * v, 12, p),
-                             0);
-            assert_int_equal(vertex_bucket(&buckets, v),
-                             morton_point_key(&cube, p) >> (MORTON_KEY_BITS - 3 * levels));
-        }
-        assert_true((buckets.wide != NULL) == (levels > VERTEX_BUCKET_NARROW_LEVELS) &&
-                    (!buckets.wide || !buckets.narrow));
-        if (levels > 2)
-            assert_int_equal(buckets.have_order, have_order);
-        vox_vertex_buckets_free(&f->scan, &buckets);
+    static bool seen[1u << 3 * VERTEX_BUCKET_WIDE_LEVELS];
+    uint32_t occupied = 0;
+    memset(seen, 0, sizeof seen);
+    for (uint64_t v = 0; v < stream_count(&f->scan.streams[SCAN_POSITIONS]); v++) {
+        float p[3];
+        assert_int_equal(vox_spill_read(&f->scan.streams[SCAN_POSITIONS].spill, 12 * v, 12, p), 0);
+        const uint64_t bucket =
+            morton_point_key(cube, p) >> (MORTON_KEY_BITS - 3 * buckets->levels);
+        assert_int_equal(vertex_bucket(buckets, v), bucket);
+        occupied += !seen[bucket];
+        seen[bucket] = true;
     }
+    assert_int_equal(buckets->occupied[buckets->levels], occupied);
 }
 
+/* How the vertices of a row follow each other. */
+enum row { ROW_SLOW, ROW_FAST, ROW_NONE, ROW_COUNT };
+
+static void fill_rows(struct fixture *f, enum row row, uint32_t vertices)
+{
+    struct spill_buffer *spill = &f->scan.streams[SCAN_POSITIONS].spill;
+    uint64_t seed = 5;
+    for (uint32_t v = 0; v < vertices; v++) {
+        const uint32_t length = row == ROW_SLOW ? 10000 : 200;
+        float p[3] = {(float)(v % length) * 1000 / (float)length, (float)(v / length * 3),
+                      (float)(v / 5000 * 100)};
+        uint8_t *at;
+        uint64_t capacity;
+        for (int axis = 0; row == ROW_NONE && axis < 3; axis++)
+            p[axis] = (float)(sort_random(&seed) % 1001);
+        assert_int_equal(vox_spill_reserve(spill, &at, &capacity), 0);
+        memcpy(at, p, 12);
+        vox_spill_advance(spill, 12);
+    }
+    assert_int_equal(vox_spill_spill(spill), 0);
+    assert_int_equal(vox_spill_finish(spill), 0);
+}
+
+/* Tables of runs, of two bytes a vertex and of one, of each number of levels, and all made coarser.
+ * A table that does not fit is not made. */
 FIXTURE_TEST(buckets_of_vertices_are_those_of_their_keys)
 {
     struct fixture *f = *state;
-    for (int order = 0; order < 2; order++) {
-        uint64_t seed = 5;
-        for (uint32_t v = 0; v < 30000; v++) {
-            float p[3] = {(float)(v % 1000), (float)(v / 1000 * 16), (float)(v / 5000 * 100)};
-            uint8_t *at;
-            uint64_t capacity;
-            for (int axis = 0; !order && axis < 3; axis++)
-                p[axis] = (float)(sort_random(&seed) % 1001);
-            assert_int_equal(
-                vox_spill_reserve(&f->scan.streams[SCAN_POSITIONS].spill, &at, &capacity), 0);
-            memcpy(at, p, 12);
-            vox_spill_advance(&f->scan.streams[SCAN_POSITIONS].spill, 12);
-        }
-        assert_int_equal(vox_spill_spill(&f->scan.streams[SCAN_POSITIONS].spill), 0);
-        assert_int_equal(vox_spill_finish(&f->scan.streams[SCAN_POSITIONS].spill), 0);
-        expect_buckets(f, order);
+    const float low[3] = {0, 0, 0}, high[3] = {1000, 500, 800};
+    const struct morton_cube cube = morton_cube_over(low, high);
+    const uint32_t count = 30000;
+    static const uint32_t bytes[] = {5, 2, 1, 0}; /* for each vertex */
+    for (enum row row = 0; row < ROW_COUNT; row++) {
+        fill_rows(f, row, count);
+        for (uint32_t levels = 1; levels <= VERTEX_BUCKET_WIDE_LEVELS; levels++)
+            for (uint32_t i = 0; i < 4; i++) {
+                struct vertex_buckets buckets;
+                assert_int_equal(vox_vertex_buckets_make(&f->scan, &cube, levels,
+                                                         (uint64_t)bytes[i] * count, &buckets),
+                                 0);
+                assert_int_equal(buckets.levels == 0, bytes[i] == 0);
+                assert_true(buckets.bytes <= (uint64_t)bytes[i] * count || bytes[i] == 0);
+                if (levels == 5 && bytes[i] == 5) {
+                    assert_int_equal(buckets.runs != NULL, row == ROW_SLOW);
+                    assert_int_equal(buckets.have_order, row == ROW_SLOW);
+                }
+                if (levels > 2 && bytes[i] == 1 && row == ROW_NONE)
+                    assert_true(buckets.narrow && buckets.levels == 2);
+                for (uint32_t coarse = buckets.levels; coarse > 0; coarse--) {
+                    vox_vertex_buckets_coarsen(&f->scan, &buckets, coarse);
+                    expect_buckets(f, &cube, &buckets);
+                }
+                vox_vertex_buckets_free(&f->scan, &buckets);
+            }
         static const char *const paths[] = {"scan.obj"};
         vox_scan_free(&f->scan);
         assert_int_equal(vox_scan_init(&f->scan, f->ctx, &f->limits, paths, 1, "/tmp/scan.tris"),
