@@ -172,7 +172,7 @@ FIXTURE_TEST(buckets_stay_small_with_a_byte_for_each_vertex)
     struct sort_fixture *f = *state;
     const char *paths[1] = {"scan.obj"};
     const struct vox_sort_options options = {
-        .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
+        .size = sizeof options, .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
     struct sort_limits limits;
     struct sort_grid g;
     sort_grid_make(&g, 1000, 4);
