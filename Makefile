@@ -124,18 +124,15 @@ endif
 simd.avx2   := -DBSQ_SIMD_SUFFIX=avx2 -mavx2 -mbmi -mbmi2 -mlzcnt $(no_fma)
 simd.avx512 := -DBSQ_SIMD_SUFFIX=avx512 -mavx512f -mavx512vl -mavx512dq -mavx512bw -mbmi -mbmi2 \
     -mlzcnt $(no_fma)
-# counted/ holds objects with the kernel's counters.
 define simd_rule
-$(BUILD)/$(2)/%_lanes.c.$(1).o: %_lanes.c
+$(BUILD)/obj/%_lanes.c.$(1).o: %_lanes.c
 	@mkdir -p $$(@D)
 	$(here) $$(CC) $$(CPPFLAGS) $$(cppflags.$$(firstword $$(subst /, ,$$<))) $$(CFLAGS) $$(simd.$(1)) -c $$< \
 	    -o $$@
 endef
-$(foreach s,$(simd),$(foreach d,obj counted,$(eval $(call simd_rule,$(s),$(d)))))
-$(BUILD)/counted/%.o: CPPFLAGS += -DBK_COUNTERS
-$(foreach s,native tree_rays tree_voxels,$(patsubst \
-    %,$(BUILD)/%/libbake/device/native/$(s)_lanes.c.avx512.o,obj counted)): CFLAGS += \
-    -mprefer-vector-width=512
+$(foreach s,$(simd),$(eval $(call simd_rule,$(s))))
+$(patsubst %,$(BUILD)/obj/libbake/device/native/%_lanes.c.avx512.o,native tree_rays tree_voxels): \
+    CFLAGS += -mprefer-vector-width=512
 cppflags.formats = $(formats_cppflags)
 cppflags.tests   = $(formats_cppflags)
 # Two sources hold much of OpenVDB and NanoVDB as templates. With all sanitizers each takes a minute
@@ -328,4 +325,4 @@ clean:
 help:
 	@sed -n 's/^## //p' $(MAKEFILE_LIST)
 
--include $(shell find $(BUILD)/obj $(BUILD)/counted -name '*.d' 2>/dev/null)
+-include $(shell find $(BUILD)/obj -name '*.d' 2>/dev/null)

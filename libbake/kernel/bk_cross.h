@@ -271,23 +271,20 @@ BK_FN bk_uint bk_load_records(const bk_grid *grid, bk_uint bits, const bk_ulong 
 }
 
 /* Tests the records of occupied voxels with these value indices, in the lanes of `bits`. */
-BK_FN void bk_cross_voxels(const bk_grid *grid, bk_cache *cache, bk_walk *walk, const bk_ray *ray,
-                           bk_uint bits, const bk_ulong values[BK_WIDTH], const bk_place *place,
-                           bk_fw t_in, bk_fw t_out)
+BK_FN void bk_cross_voxels(const bk_grid *grid, bk_walk *walk, const bk_ray *ray, bk_uint bits,
+                           const bk_ulong values[BK_WIDTH], const bk_place *place, bk_fw t_in,
+                           bk_fw t_out)
 {
     const bk_iw side = walk->side;
     const bk_mask falling = walk->falling, lanes = bk_mask_of(bits);
     bk_uint seconds, none;
     bk_record record;
 
-    (void)cache;
-    BK_COUNT(cache, planes, bk_popcount32(bits));
     bk_load_records(grid, bits, values, 0, &record, &seconds);
     walk->side = bk_selecti(lanes, bk_splati(BK_APART), walk->side);
     bk_cross_record(walk, ray, lanes, &record, place, t_in, t_out, side, falling);
     if (seconds) {
         seconds = bk_load_records(grid, seconds, values, 1, &record, &none);
-        BK_COUNT(cache, planes, bk_popcount32(seconds));
         bk_cross_record(walk, ray, bk_mask_of(seconds), &record, place, t_in, t_out, side, falling);
     }
 }

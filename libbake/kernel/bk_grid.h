@@ -50,32 +50,11 @@ typedef struct bk_grid {
     const BK_GLOBAL bk_uint *transfers;
 } bk_grid;
 
-/* With BK_COUNTERS defined, the kernel counts its work. */
-#ifdef BK_COUNTERS
-typedef struct bk_counts {
-    bk_ulong rays;    /* pairs */
-    bk_ulong steps;   /* voxels walked through */
-    bk_ulong skips;   /* empty nodes walked through */
-    bk_ulong fetches; /* nodes read that the cache did not have */
-    bk_ulong planes;  /* records tested against a ray */
-    bk_ulong blends;  /* cells of 2x2x2 records loaded */
-    bk_ulong packets; /* groups of up to BK_WIDTH pairs */
-    bk_ulong rounds;  /* steps of a group: all its active lanes at once */
-} bk_counts;
-#define BK_COUNT(cache, what, n) ((cache)->counts->what += (n))
-bk_counts *bk_counts_of_thread(void); /* the calling thread's counters */
-#else
-#define BK_COUNT(cache, what, n) ((void)0)
-#endif
-
 /* Nodes that contain voxel (x, y, z); BK_NONE: no such node. */
 typedef struct bk_cache {
     bk_int x, y, z;
     bk_uint upper, lower, leaf;
     bk_uint level, side; /* result of the last lookup; log2 of the side of the node it ended in */
-#ifdef BK_COUNTERS
-    bk_counts *counts;
-#endif
 } bk_cache;
 
 BK_FN bk_ulong bk_join(const bk_uint words[2])
@@ -106,9 +85,6 @@ BK_FN bk_cache bk_cache_empty(void)
     cache.x = cache.y = cache.z = 0x7fffffff; /* outside of every grid */
     cache.level = cache.side = 0;
     cache.upper = cache.lower = cache.leaf = BK_NONE;
-#ifdef BK_COUNTERS
-    cache.counts = bk_counts_of_thread();
-#endif
     return cache;
 }
 
@@ -156,12 +132,10 @@ BK_FN bk_uint bk_locate(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y
     if (differ >= 128u || cache->lower == BK_NONE) {
         cache->lower = BK_NONE;
         if (differ >= 4096u || cache->upper == BK_NONE) {
-            BK_COUNT(cache, fetches, 1);
             cache->upper = bk_find_upper(grid, x, y, z);
         }
         if (cache->upper == BK_NONE)
             return cache->level = cache->side = BK_UPPER_LOG2;
-        BK_COUNT(cache, fetches, 1);
         n = (bk_uint)(x >> 7 & 31) << 10 | (bk_uint)(y >> 7 & 31) << 5 | (bk_uint)(z >> 7 & 31);
         node = (bk_ulong)cache->upper * BK_UPPER_WORDS;
         if (!(grid->uppers[node + BK_UPPER_CHILD_MASK + (n >> 6)] >> (n & 63u) & 1u))
@@ -173,13 +147,11 @@ BK_FN bk_uint bk_locate(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y
             return cache->level = cache->side = BK_LOWER_LOG2;
         }
     }
-    BK_COUNT(cache, fetches, 1);
     n = (bk_uint)(x >> 3 & 15) << 8 | (bk_uint)(y >> 3 & 15) << 4 | (bk_uint)(z >> 3 & 15);
     node = (bk_ulong)cache->lower * BK_LOWER_WORDS;
     if (!(grid->lowers[node + BK_LOWER_CHILD_MASK + (n >> 6)] >> (n & 63u) & 1u))
         return cache->level = cache->side = BK_LEAF_LOG2;
     child = node * 8u + grid->lowers[node + BK_LOWER_TABLE + n] - grid->leaf_offset;
-    BK_COUNT(cache, fetches, 1);
     cache->leaf = (bk_uint)(child / (BK_LEAF_WORDS * 8u));
     cache->side = BK_LEAF_LOG2;
     if (cache->leaf >= grid->leaf_count) {

@@ -188,9 +188,8 @@ BK_FN void bk_stop(bk_walk *walk, bk_mask lanes, bk_fw t)
 
 /* Tests the voxels that lanes are in from t to t_out, and ends the runs of lanes in empty blocks.
  * Voxels that are entered at t_coarse or later have a surface if they are occupied. */
-BK_FN void bk_meet_voxels(const bk_grid *grid, bk_cache *cache, const bk_ray *ray, bk_walk *walk,
-                          bk_uint active, const bk_place *place, bk_fw t, bk_fw t_out,
-                          float t_coarse)
+BK_FN void bk_meet_voxels(const bk_grid *grid, const bk_ray *ray, bk_walk *walk, bk_uint active,
+                          const bk_place *place, bk_fw t, bk_fw t_out, float t_coarse)
 {
     const bk_uint in_leaf = active & bk_bits(place->mask == 0);
     bk_uint occupied = in_leaf ? bk_find_occupied(grid, in_leaf, place) : 0;
@@ -203,11 +202,8 @@ BK_FN void bk_meet_voxels(const bk_grid *grid, bk_cache *cache, const bk_ray *ra
         occupied &= ~coarse;
     }
     bk_rank_voxels(grid, occupied, place, values);
-    BK_COUNT(cache, steps, bk_popcount32(in_leaf));
-    BK_COUNT(cache, skips, bk_popcount32(active & ~in_leaf));
-    BK_COUNT(cache, rounds, 1);
     if (occupied)
-        ended = ended | bk_meet_records(grid, cache, ray, walk, occupied, values, place, t, t_out);
+        ended = ended | bk_meet_records(grid, ray, walk, occupied, values, place, t, t_out);
     if (bk_bits(ended & (walk->side != BK_APART)))
         bk_end_run(walk, ended);
 }
@@ -274,7 +270,7 @@ BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache
         const bk_mask along_y = bk_not(along_x) & bk_not(bk_less(tz, ty));
         const bk_mask along_z = bk_not(along_x) & bk_not(along_y);
 
-        bk_meet_voxels(grid, cache, ray, walk, active, &place, t, t_out, t_coarse);
+        bk_meet_voxels(grid, ray, walk, active, &place, t, t_out, t_coarse);
         place.x = bk_selecti(along_x, fx + ~up_x, x);
         place.y = bk_selecti(along_y, fy + ~up_y, y);
         place.z = bk_selecti(along_z, fz + ~up_z, z);

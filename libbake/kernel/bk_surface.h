@@ -190,8 +190,6 @@ BK_FN void bk_cell_load(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int y
 {
     bk_ulong values[8];
     bk_uint i, planes = 0;
-
-    BK_COUNT(cache, blends, 1);
     cell->present[lane] = (bk_int)bk_cell_values(grid, cache, x, y, z, values);
     for (i = 0; i < 8; i++) {
         const bk_uint plane = grid->planes[values[i]];

@@ -92,15 +92,14 @@ BK_FN void bk_rank_voxels(const bk_grid *grid, bk_uint occupied, const bk_place 
 
 /* Tests the records of the occupied voxels that lanes are in from t to t_out. Returns the lanes
  * whose run has ended, for bk_end_run(): no sheet there faces the right way. */
-BK_FN bk_mask bk_meet_records(const bk_grid *grid, bk_cache *cache, const bk_ray *ray,
-                              bk_walk *walk, bk_uint occupied, const bk_ulong values[BK_WIDTH],
+BK_FN bk_mask bk_meet_records(const bk_grid *grid, const bk_ray *ray, bk_walk *walk,
+                              bk_uint occupied, const bk_ulong values[BK_WIDTH],
                               const bk_place *place, bk_fw t, bk_fw t_out)
 {
     const bk_mask below = walk->side == BK_BELOW, here = bk_mask_of(occupied);
     bk_mask over;
 
-    bk_cross_voxels(grid, cache, walk, ray, occupied, values, place, t,
-                    bk_minw(t_out, walk->t_limit));
+    bk_cross_voxels(grid, walk, ray, occupied, values, place, t, bk_minw(t_out, walk->t_limit));
     over = here & below & (walk->side == BK_APART) & bk_not(walk->hit.found);
     walk->side = bk_selecti(over, bk_splati(BK_BELOW), walk->side);
     return over;
@@ -181,14 +180,9 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
         const bk_mask along_z = bk_not(along_x) & bk_not(along_y);
         const bk_uint occupied = bk_find_occupied(grid, in_leaf, &place);
         bk_mask ended = bk_mask_of(active & ~occupied);
-
-        BK_COUNT(cache, steps, bk_popcount32(in_leaf));
-        BK_COUNT(cache, skips, bk_popcount32(active & ~in_leaf));
-        BK_COUNT(cache, rounds, 1);
         if (occupied) {
             bk_rank_voxels(grid, occupied, &place, values);
-            ended =
-                ended | bk_meet_records(grid, cache, ray, walk, occupied, values, &place, t, t_out);
+            ended = ended | bk_meet_records(grid, ray, walk, occupied, values, &place, t, t_out);
         }
         if (bk_bits(ended & (walk->side != BK_APART)))
             bk_end_run(walk, ended);
@@ -407,9 +401,6 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
     const bk_fw sign = bk_select(inward, bk_splat(-1.0f), bk_splat(1.0f));
     const bk_mask back = bk_less(bk_dotw(crossing.normal, lines->facing), zero);
     bk_uint lane, single;
-
-    BK_COUNT(cache, rays, lines->count);
-    BK_COUNT(cache, packets, 1);
     hits->found = bk_bits(crossing.found);
     hits->t = sign * crossing.t;
     hits->normal = crossing.normal;

@@ -1,10 +1,10 @@
 #!/bin/sh
-# Measures how fast every device traces rays, compared with Embree on the same rays, how much work they are, and where a
-# whole bake spends its time. Prints tables in Markdown; tests/bench/BAKE.md says how to read them.
+# Measures how fast every device traces rays, compared with Embree on the same rays, and where a whole bake
+# spends its time. Prints tables in Markdown; tests/bench/BAKE.md says how to read them.
 #
 #   BIN=DIR TESTS=DIR tests/bench/bake.sh small|medium
 #
-#   BIN, TESTS     directories with the programs, and with generate-scan, bench-rays and bench-rays-counters
+#   BIN, TESTS     directories with the programs, and with generate-scan and bench-rays
 #   BENCH_DIR      directory for scans and maps, where scans are kept for the next run; default: a temporary directory
 #   BENCH_SCAN     an OBJ file to amplify instead of the vase, and BENCH_LOW, its low-poly mesh
 #   BENCH_ROUNDS   rounds; tables show the median (default: 1 for medium, 3 for small)
@@ -47,12 +47,6 @@ fi
 begin=$(date +%s)
 say "rays"
 "$TESTS/bench-rays" "$scan.nvdb" "$scan.tris" "$low" $size 2 "$rounds"
-
-echo
-echo "Work of a ray pair:"
-echo
-say "counters"
-"$TESTS/bench-rays-counters" "$scan.nvdb" "$low" $size 2 | sed 's/^/    /'
 
 # number NAME: prints a number of the last report.
 number()

@@ -17,22 +17,6 @@ $(BUILD)/tests/bench-maps: $(call rays_objs,maps rays_embree) $(rays_archives) \
     | $(module_files) $(helpers) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
-# The native device with counters. Its objects come before the library's when linking.
-counted := native_lanes.c $(simd:%=native_lanes.c.%)
-$(BUILD)/counted/%.c.o: %.c
-	@mkdir -p $(@D)
-	$(CC) $(CPPFLAGS) $(CFLAGS) -c $< -o $@
-$(BUILD)/counted/tests/bench/rays_counters.c.o: tests/bench/rays_counters.c
-$(BUILD)/tests/bench-gpu-trace: $(call rays_objs,gpu_trace gpu_limits) $(rays_archives) \
-    | $(module_files) $(helpers) $(BUILD)/tests/lib
-	@mkdir -p $(@D)
-	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all)
-$(BUILD)/tests/bench-rays-counters: $(call rays_objs) \
-    $(BUILD)/counted/tests/bench/rays_counters.c.o \
-    $(counted:%=$(BUILD)/counted/libbake/device/native/%.o) $(rays_archives) | $(module_files) \
-    $(BUILD)/tests/lib
-	@mkdir -p $(@D)
-	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all)
 
 .PHONY: bench bench-build
 bench-build: all $(generator) $(bench_bins)
@@ -45,8 +29,7 @@ bench: deps
 .PHONY: bench-bake
 ## bench-bake: compare rays a second with Embree on each device, BENCH=small or medium (default)
 bench-bake: deps
-	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(BUILD)/tests/bench-rays \
-	    $(BUILD)/tests/bench-rays-counters >&2
+	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(BUILD)/tests/bench-rays >&2
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/bake.sh $(BENCH)
 
 .PHONY: bench-maps
@@ -86,7 +69,7 @@ bench-gpu: gpu-bundle
 	@tests/bench/gpu.sh $(if $(filter small,$(BENCH)),small,full)
 
 ## gpu-bundle: collect what bench-gpu needs on a machine that cannot build, in build/gpu
-gpu-bundle: $(bins) $(generator) $(BUILD)/tests/bench-gpu-trace $(helpers)
+gpu-bundle: $(bins) $(generator) $(helpers)
 	rm -rf $(gpu_bundle)
 	@mkdir -p $(gpu_bundle)/bin $(gpu_bundle)/lib/bisque
 	cp $(filter-out $(helpers),$^) $(gpu_bundle)/bin

@@ -1,13 +1,11 @@
 #!/bin/sh
-# Measures bisque-bake on the GPUs of this machine and prints tables in Markdown: whole bakes on cpu, cuda and opencl, how
-# their maps agree with the processor's, and the kernel, compared with the limit of the GPU's memory and with other
-# registers and blocks than the default.
+# Measures bisque-bake on the GPUs of this machine and prints tables in Markdown: whole bakes on cpu, cuda and opencl, and how
+# their maps agree with the processor's.
 #
-#   tests/bench/gpu.sh [small|full] [all|bakes|kernel]
+#   tests/bench/gpu.sh [small|full]
 #
 #   small          1024 x 1024 with 2 x 2 samples from a grid of 512 voxels; to try the script
 #   full           4096 x 4096 with 4 x 4 samples from a grid of 2048 voxels (default)
-#   bakes, kernel  only that part, if a call must be short; default: all
 #   BENCH_BUNDLE   a directory made by `make gpu-bundle`, with programs and libraries; default: build/gpu if it exists,
 #                  else the programs are built
 #   BENCH_DIR      directory for scans and maps, where scans are kept for the next run; default: a temporary directory
@@ -22,15 +20,7 @@ case ${1:-full} in
 small) triangles=100000 resolution=512 size=1024 samples=2 ;;
 full) triangles=4000000 resolution=2048 size=4096 samples=4 ;;
 *)
-    echo "usage: tests/bench/gpu.sh [small|full] [all|bakes|kernel]" >&2
-    exit 64
-    ;;
-esac
-what=${2:-all}
-case $what in
-all | bakes | kernel) ;;
-*)
-    echo "gpu: $what is not all, bakes or kernel" >&2
+    echo "usage: tests/bench/gpu.sh [small|full]" >&2
     exit 64
     ;;
 esac
@@ -191,19 +181,4 @@ bakes()
     echo
 }
 
-# ---- the kernel ----
-
-kernel()
-{
-    echo "## The kernel on cuda, compared with its limits, and with other registers and blocks"
-    echo
-    bench-gpu-trace "$scan" low.obj $size $samples 2>&1
-}
-
-case $what in
-all)
-    bakes
-    kernel
-    ;;
-bakes | kernel) $what ;;
-esac
+bakes

@@ -16,8 +16,7 @@
  * about 168 registers, which allow 12 warps on a multiprocessor; 128 registers allow 16, which hide
  * more of the memory's latency. The registers spilled are used once a ray pair, outside the loops.
  */
-static const struct bake_cuda_tuning default_tuning = {
-    .registers = 128, .block_width = 8, .block_height = 16};
+enum { REGISTERS = 128, BLOCK_WIDTH = 8, BLOCK_HEIGHT = 16 };
 
 /* A stream, and events at the borders of its steps: step i is between events i and i + 1. */
 struct stream {
@@ -31,7 +30,6 @@ struct cuda {
     struct bake_compute compute;
     struct bake_cuda_api api;
     struct bake_cuda_device device;
-    struct bake_cuda_tuning tuning;
     CUcontext context;
     CUmodule module;
     CUfunction kernel;
@@ -206,7 +204,6 @@ static struct bake_failure cuda_launch(struct bake_compute *compute, struct bake
                                        const struct bake_launch_batch *batch)
 {
     struct cuda *cuda = (struct cuda *)compute;
-    const struct bake_cuda_tuning *tuning = &cuda->tuning;
     CUstream own = ((struct stream *)stream->own)->stream;
     CUdeviceptr a[BAKE_SUBGRID_ARRAYS], triangles = compute->triangles;
     CUdeviceptr samples = stream->samples, texels = stream->texels;
@@ -222,10 +219,9 @@ static struct bake_failure cuda_launch(struct bake_compute *compute, struct bake
 
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
         a[i] = subgrid->arrays[i];
-    code = cuda->api.cuLaunchKernel(
-        cuda->kernel, (tile->width + tuning->block_width - 1) / tuning->block_width,
-        (b.end_row - b.first_row + tuning->block_height - 1) / tuning->block_height, 1,
-        tuning->block_width, tuning->block_height, 1, 0, own, arguments, NULL);
+    code = cuda->api.cuLaunchKernel(cuda->kernel, (tile->width + BLOCK_WIDTH - 1) / BLOCK_WIDTH,
+                                    (b.end_row - b.first_row + BLOCK_HEIGHT - 1) / BLOCK_HEIGHT, 1,
+                                    BLOCK_WIDTH, BLOCK_HEIGHT, 1, 0, own, arguments, NULL);
     /* Submits the launch by itself. Drivers of Windows, which WSL uses, collect launches and submit
      * several at once, and Windows ends work that takes seconds. */
     if (code == CUDA_SUCCESS)
@@ -376,10 +372,8 @@ static int load_kernel(struct cuda *cuda)
     char log[1024] = "", reason[REASON_BYTES];
     int options[] = {CU_JIT_ERROR_LOG_BUFFER, CU_JIT_ERROR_LOG_BUFFER_SIZE_BYTES,
                      CU_JIT_MAX_REGISTERS};
-    void *values[] = {log, (void *)(uintptr_t)(sizeof log - 1),
-                      (void *)(uintptr_t)cuda->tuning.registers};
-    CUresult code = cuda->api.cuModuleLoadDataEx(&cuda->module, bake_cuda_ptx,
-                                                 cuda->tuning.registers ? 3 : 2, options, values);
+    void *values[] = {log, (void *)(uintptr_t)(sizeof log - 1), (void *)(uintptr_t)REGISTERS};
+    CUresult code = cuda->api.cuModuleLoadDataEx(&cuda->module, bake_cuda_ptx, 3, options, values);
 
     if (code != CUDA_SUCCESS) {
         describe_refusal(&cuda->api, code, log, reason);
@@ -409,7 +403,6 @@ static int prepare(struct cuda *cuda, const struct bake_job *job)
     int status;
 
     snprintf(compute->base.name, sizeof compute->base.name, "%.110s (CUDA)", cuda->device.name);
-    cuda->tuning = job->cuda_tuning ? *job->cuda_tuning : default_tuning;
     BSQ_TRY(bake_compute_fail(compute, open_context(cuda)));
     BSQ_TRY(load_kernel(cuda));
     BSQ_TRY(bake_compute_fail(compute, free_memory(cuda, &limit)));

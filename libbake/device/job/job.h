@@ -10,7 +10,6 @@
 #include "libbake/kernel/bk_maps.h"
 
 struct bk_grid;
-struct bake_cuda_tuning;
 
 /* Everything that stays the same over a job; pointers stay valid until the device is closed. */
 struct bake_job {
@@ -20,7 +19,6 @@ struct bake_job {
     uint32_t tile_texels;   /* largest width * height of a tile */
     uint64_t device_memory; /* limit for a device's own memory, in bytes; 0: all that is free */
     struct bk_params params;
-    const struct bake_cuda_tuning *cuda_tuning; /* for measurements; NULL: the default */
 };
 
 /* Voxels that can be traced have indices in -BAKE_INDEX_LIMIT .. BAKE_INDEX_LIMIT - 1, so that

@@ -199,7 +199,7 @@ static void recall(struct bake_tree_tracer *tracer, const struct group *group, b
         return;
     const bk_fw t = bk_maxw(group->t_begin, find_entry(group, &before, &axis));
     bk_rank_voxels(tracer->grid, lanes, &before, values);
-    bk_cross_voxels(tracer->grid, &tracer->cache, walk, &group->ray, lanes, values, &before, t,
+    bk_cross_voxels(tracer->grid, walk, &group->ray, lanes, values, &before, t,
                     bk_minw(bk_maxw(t, group->t_event), walk->t_limit));
     walk->hit = bk_no_crossing();
 }
@@ -212,8 +212,8 @@ static void meet_voxels(struct bake_tree_tracer *tracer, const struct group *gro
     bk_uint over, below;
     bk_place next;
     recall(tracer, group, lanes, walk);
-    over = bk_bits(bk_meet_records(tracer->grid, &tracer->cache, &group->ray, walk, lanes,
-                                   group->values, &group->place, t, t_out));
+    over = bk_bits(bk_meet_records(tracer->grid, &group->ray, walk, lanes, group->values,
+                                   &group->place, t, t_out));
     if (over)
         bk_end_run(walk, bk_mask_of(over));
     below = lanes & bk_bits((walk->side == BK_BELOW) & bk_not(walk->hit.found));
