@@ -5,11 +5,10 @@
 #include <assert.h>
 
 #define WIDEST_ELEMENT 12u
-/* One read covers at most RANGE_WORDS words of marks. It includes up to GAP_WORDS words without
- * marks in a row, because a further call would cost more. */
-#define RANGE_WORDS  256u
-#define GAP_WORDS    8u
-#define BUFFER_BYTES ((uint64_t)64 * RANGE_WORDS * WIDEST_ELEMENT)
+/* One read covers at most a range. It includes up to GAP_WORDS words without marks in a row,
+ * because a further call would cost more. */
+#define GAP_WORDS    3u
+#define BUFFER_BYTES ((uint64_t)64 * GATHER_RANGE_WORDS * WIDEST_ELEMENT)
 
 /* Returns whether a stream of this kind is needed and in a file. */
 static bool is_active(const struct scan *scan, enum fmt_mesh_kind kind)
@@ -20,6 +19,22 @@ static bool is_active(const struct scan *scan, enum fmt_mesh_kind kind)
     return active;
 }
 
+static uint64_t range_count(const struct gather_kind *kind)
+{
+    return used_words(kind->count) / GATHER_RANGE_WORDS + 1;
+}
+
+static uint64_t range_end(const struct gather_kind *kind, uint64_t range)
+{
+    const uint64_t end = (range + 1) * GATHER_RANGE_WORDS, words = used_words(kind->count);
+    return end < words ? end : words;
+}
+
+static bool range_has_marks(const struct gather_kind *kind, uint64_t range)
+{
+    return atomic_load_explicit(&kind->ranges[range], memory_order_relaxed);
+}
+
 /* ---- memory ---- */
 
 uint64_t vox_gather_bytes(const struct scan *scan, unsigned threads)
@@ -28,7 +43,7 @@ uint64_t vox_gather_bytes(const struct scan *scan, unsigned threads)
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         if (is_active(scan, kind))
             bytes += used_words(scan_count(scan, scan_stream_of(kind))) *
-                     (sizeof(used_word) + sizeof(uint32_t));
+                     (sizeof(used_word) + sizeof(uint32_t) + 1); /* 1: more than ranges take */
     return bytes;
 }
 
@@ -65,6 +80,12 @@ static int open_kind(struct gather_window *w, enum fmt_mesh_kind number)
     if (status == 0)
         status = bsq_alloc(w->ctx, "sorting", used_words(kind->count), sizeof *kind->ranks,
                            &kind->ranks);
+    if (status == 0)
+        status = bsq_alloc(w->ctx, "sorting", range_count(kind), sizeof *kind->range_ranks,
+                           &kind->range_ranks);
+    if (status == 0)
+        status =
+            bsq_calloc(w->ctx, "sorting", range_count(kind), sizeof *kind->ranges, &kind->ranges);
     return status;
 }
 
@@ -91,6 +112,8 @@ void vox_gather_close(struct gather_window *w)
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         bsq_free(w->ctx, w->kinds[kind].marks);
         bsq_free(w->ctx, w->kinds[kind].ranks);
+        bsq_free(w->ctx, w->kinds[kind].range_ranks);
+        bsq_free(w->ctx, w->kinds[kind].ranges);
     }
     bsq_free(w->ctx, w->buffers);
     memset(w, 0, sizeof *w);
@@ -100,19 +123,37 @@ void vox_gather_close(struct gather_window *w)
 
 void vox_gather_clear(struct gather_window *w)
 {
-    for (int i = 0; i < FMT_MESH_KIND_COUNT; i++)
-        if (w->kinds[i].active)
-            memset((void *)w->kinds[i].marks, 0,
-                   used_words(w->kinds[i].count) * sizeof *w->kinds[i].marks);
+    for (int i = 0; i < FMT_MESH_KIND_COUNT; i++) {
+        struct gather_kind *kind = &w->kinds[i];
+        for (uint64_t range = 0; kind->active && range < range_count(kind); range++) {
+            const uint64_t begin = range * GATHER_RANGE_WORDS;
+            if (!range_has_marks(kind, range))
+                continue;
+            memset((void *)(kind->marks + begin), 0,
+                   (range_end(kind, range) - begin) * sizeof *kind->marks);
+            atomic_store_explicit(&kind->ranges[range], 0, memory_order_relaxed);
+        }
+    }
+}
+
+static inline void mark(const struct gather_kind *kind, uint64_t index)
+{
+    used_word *word = &kind->marks[index / 64];
+    const uint64_t bit = (uint64_t)1 << index % 64;
+    if (atomic_load_explicit(word, memory_order_relaxed) & bit)
+        return;
+    atomic_fetch_or_explicit(word, bit, memory_order_relaxed);
+    atomic_store_explicit(&kind->ranges[index / 64 / GATHER_RANGE_WORDS], 1, memory_order_relaxed);
 }
 
 /* fan: bit of vertex indices that is not part of the index. */
-static void mark_plain(used_word *marks, uint32_t fan, const uint8_t *records, uint64_t count)
+static void mark_plain(const struct gather_kind *kind, uint32_t fan, const uint8_t *records,
+                       uint64_t count)
 {
     for (uint64_t c = 0; c < 3 * count; c++) {
         uint32_t index;
         memcpy(&index, records + 4 * c, 4);
-        used_mark(marks, index & ~fan);
+        mark(kind, index & ~fan);
     }
 }
 
@@ -133,7 +174,7 @@ void vox_gather_mark(struct gather_window *w, const uint8_t *records, uint64_t c
 {
     const uint64_t fan = w->layout->fans ? record_fan_bit(w->layout) : 0;
     if (w->layout->plain) {
-        mark_plain(w->kinds[FMT_MESH_VERTEX].marks, (uint32_t)fan, records, count);
+        mark_plain(&w->kinds[FMT_MESH_VERTEX], (uint32_t)fan, records, count);
         return;
     }
     for (int i = 0; i < FMT_MESH_KIND_COUNT; i++) {
@@ -143,7 +184,7 @@ void vox_gather_mark(struct gather_window *w, const uint8_t *records, uint64_t c
             uint64_t index = record_load(records + corner_offset(w->layout, i, c), bytes);
             index &= i == FMT_MESH_VERTEX ? ~fan : UINT64_MAX;
             if (index < kind->count) /* others are "none" */
-                used_mark(kind->marks, index);
+                mark(kind, index);
         }
     }
 }
@@ -152,12 +193,16 @@ void vox_gather_mark(struct gather_window *w, const uint8_t *records, uint64_t c
 static void rank(struct gather_kind *kind, used_word *used)
 {
     uint32_t before = 0;
-    for (uint64_t i = 0; i < used_words(kind->count); i++) {
-        uint64_t marks = atomic_load_explicit(&kind->marks[i], memory_order_relaxed);
-        kind->ranks[i] = before;
-        before += (uint32_t)__builtin_popcountll(marks);
-        if (marks && used)
-            atomic_fetch_or_explicit(&used[i], marks, memory_order_relaxed);
+    for (uint64_t range = 0; range < range_count(kind); range++) {
+        kind->range_ranks[range] = before;
+        for (uint64_t i = range * GATHER_RANGE_WORDS;
+             range_has_marks(kind, range) && i < range_end(kind, range); i++) {
+            uint64_t marks = atomic_load_explicit(&kind->marks[i], memory_order_relaxed);
+            kind->ranks[i] = before;
+            before += (uint32_t)__builtin_popcountll(marks);
+            if (marks && used)
+                atomic_fetch_or_explicit(&used[i], marks, memory_order_relaxed);
+        }
     }
     kind->marked = before;
 }
@@ -208,10 +253,11 @@ static int fetch_range(void *arg, uint64_t number, unsigned worker)
     const struct attribute_stream *stream = &w->scan->streams[fetch->stream];
     const uint32_t bytes = stream->element_bytes;
     uint8_t *buffer = w->buffers + worker * BUFFER_BYTES;
-    uint64_t words = used_words(kind->count), end = (number + 1) * RANGE_WORDS;
+    const uint64_t words = used_words(kind->count), end = range_end(kind, number);
     int status = 0;
-    end = end < words ? end : words;
-    for (uint64_t word = number * RANGE_WORDS; status == 0 && word < end; word++) {
+    if (!range_has_marks(kind, number))
+        return 0;
+    for (uint64_t word = number * GATHER_RANGE_WORDS; status == 0 && word < end; word++) {
         if (!word_at(kind, word))
             continue;
         uint64_t end_word = read_end(kind, word, end);
@@ -229,7 +275,7 @@ static int fetch_stream(struct gather_window *w, enum scan_stream number)
     const struct gather_kind *kind = &w->kinds[scan_kind_of(number)];
     struct fetch fetch = {w, number};
     w->view.streams[number].spill.bytes = kind->marked * w->view.streams[number].element_bytes;
-    return bsq_parallel_for(w->ctx, used_words(kind->count) / RANGE_WORDS + 1, fetch_range, &fetch);
+    return bsq_parallel_for(w->ctx, range_count(kind), fetch_range, &fetch);
 }
 
 int vox_gather_fetch(struct gather_window *w, used_word *used)
@@ -274,31 +320,54 @@ void vox_gather_number(const struct gather_window *w, uint8_t *records, uint64_t
     }
 }
 
+/* Returns the last of `count` ranks that is at most `number`. The first one must be. */
+static uint64_t last_up_to(const uint32_t *ranks, uint64_t count, uint32_t number)
+{
+    uint64_t low = 0, high = count;
+    while (high - low > 1) {
+        uint64_t middle = low + (high - low) / 2;
+        *(ranks[middle] <= number ? &low : &high) = middle;
+    }
+    return low;
+}
+
 /* Returns the marked element with this rank. */
 static uint64_t element_of_rank(const struct gather_kind *kind, uint32_t number)
 {
-    /* Finds the last word with at most `number` marked elements before it. */
-    uint64_t low = 0, high = used_words(kind->count);
-    while (high - low > 1) {
-        uint64_t middle = low + (high - low) / 2;
-        *(kind->ranks[middle] <= number ? &low : &high) = middle;
-    }
-    uint64_t marks = word_at(kind, low);
-    for (uint32_t before = kind->ranks[low]; before < number; before++)
+    const uint64_t range = last_up_to(kind->range_ranks, range_count(kind), number);
+    const uint64_t begin = range * GATHER_RANGE_WORDS;
+    const uint64_t word =
+        begin + last_up_to(kind->ranks + begin, range_end(kind, range) - begin, number);
+    uint64_t marks = word_at(kind, word);
+    for (uint32_t before = kind->ranks[word]; before < number; before++)
         marks &= marks - 1;
-    return 64 * low + (uint64_t)__builtin_ctzll(marks);
+    return 64 * word + (uint64_t)__builtin_ctzll(marks);
 }
+
+/* Neighbours among sorted triangles share vertices, so most searches repeat a recent one. */
+#define RECENT_BITS 11u
 
 void vox_gather_restore(const struct gather_window *w, uint8_t *records, uint64_t count)
 {
+    struct {
+        uint64_t element;
+        uint32_t rank;
+    } recent[1u << RECENT_BITS];
     for (int i = 0; i < FMT_MESH_KIND_COUNT; i++) {
         const struct gather_kind *kind = &w->kinds[i];
         const uint32_t bytes = index_bytes_of(w, i);
+        memset(recent, 0xff, sizeof recent);
         for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
             uint8_t *at = records + corner_offset(w->layout, i, c);
-            uint64_t index = record_load(at, bytes);
-            if (index < kind->marked)
-                record_store(at, element_of_rank(kind, (uint32_t)index), bytes);
+            const uint64_t index = record_load(at, bytes);
+            const uint32_t slot = index & ((1u << RECENT_BITS) - 1);
+            if (index >= kind->marked)
+                continue;
+            if (recent[slot].rank != index) {
+                recent[slot].rank = (uint32_t)index;
+                recent[slot].element = element_of_rank(kind, (uint32_t)index);
+            }
+            record_store(at, recent[slot].element, bytes);
         }
     }
 }

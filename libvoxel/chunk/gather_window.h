@@ -10,13 +10,20 @@
 
 #include "libvoxel/partition/partition.h"
 
+/* Words of marks that are cleared, ranked and read together, if they have marks at all: a batch
+ * must not cost a pass over the marks of the whole scan. */
+#define GATHER_RANGE_WORDS 256u
+
 /* Attribute streams of one kind of index. */
 struct gather_kind {
     bool active;      /* one of them is in a file */
     uint64_t count;   /* elements in each stream */
     used_word *marks; /* a bit for each element: the batch refers to it */
-    uint32_t *ranks;  /* for each word of marks, the marked elements before it */
-    uint64_t marked;  /* elements */
+    uint32_t
+        *ranks; /* for each word of marks in a range with marks, the marked elements before it */
+    uint32_t *range_ranks; /* for each range, the marked elements before it */
+    atomic_uchar *ranges;  /* for each range: it has marks */
+    uint64_t marked;       /* elements */
 };
 
 struct gather_window {
