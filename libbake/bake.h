@@ -375,6 +375,12 @@ struct bake_report {
     uint64_t misses;         /**< Samples whose rays did not. */
     uint64_t
         overlapping_samples; /**< Samples in several triangles; the first triangle takes them. */
+    /** Side of the cells by which the next two are counted, world units; 0: they are not known, as
+     * for tasks. A part of the scan counts as reached if a sample hit a surface that faces about the
+     * same way in the cells around it. */
+    double seen_cell;
+    double unseen;           /**< Share of the scans' area that no sample reached. */
+    double unseen_inside;    /**< The same of the area within the low-poly mesh's bounding box. */
     double front;            /**< Length of rays along the normal. */
     double back;             /**< Length of rays against the normal. */
     double seconds_open;     /**< Before the first ray; includes the upload of the grid. */

@@ -134,6 +134,20 @@ static void print_coverage(const struct bake_arguments *arguments, const struct 
                   cli_counted_text(report->low_polygons, "polygon", "polygons", triangles));
 }
 
+/* Prints how much of the scan no ray reached, and what that may be if it is much. */
+static void print_unseen(const struct bake_report *report)
+{
+    if (!(report->seen_cell > 0))
+        return;
+    cli_print("%.1f %% of the scan's area was reached by no ray, counted in cells of %.2g",
+              100 * report->unseen, report->seen_cell);
+    if (100 * report->unseen_inside > HINT_PERCENT)
+        cli_print("; of what is within the bounds of the low-poly mesh, %.1f %%: layers beneath, "
+                  "parts that the mesh lacks, or parts farther away than --front and --back",
+                  100 * report->unseen_inside);
+    putchar('\n');
+}
+
 static int print_map(void *arg, const struct bake_file *file)
 {
     const struct bake_report *report = (const struct bake_report *)arg;
@@ -170,6 +184,7 @@ static int print_report(const struct cli *cli, const struct bake_arguments *argu
               cli_counted_text(report->samples, "sample", "samples", samples),
               cli_count_text(report->misses, misses), percent(report->misses, report->samples),
               report->front, report->back, report->device);
+    print_unseen(report);
     for (uint32_t i = 0; i < report->tile_count; i++)
         BSQ_TRY(bake_list_files(cli->ctx, bake, &report->tiles[i], print_map, report));
     if (bake->preview_path)
@@ -280,13 +295,22 @@ static json_t *ids_json(const struct bake_report *report)
     return json_null();
 }
 
+/* Returns the shares of the scan's area that no ray reached; null if they are not known. */
+static json_t *unseen_json(const struct bake_report *report)
+{
+    if (!(report->seen_cell > 0))
+        return json_null();
+    return json_pack("{s:f, s:f, s:f}", "area", report->unseen, "area_within_mesh",
+                     report->unseen_inside, "cell", report->seen_cell);
+}
+
 static int print_json(struct cli *cli, const struct bake_arguments *arguments,
                       const struct bake_report *report)
 {
     const struct bake_options *bake = &arguments->bake;
     json_t *root = json_pack(
         "{s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
-        " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:I}",
+        " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:I, s:o}",
         "scan_path", cli_json_text(bake->scan_path), "scan_paths",
         paths_json(bake->scan_path, bake->more_scan_paths, bake->more_scan_count), "mesh_path",
         cli_json_text(bake->mesh_path), "mesh_paths",
@@ -307,7 +331,8 @@ static int print_json(struct cli *cli, const struct bake_arguments *arguments,
         "seconds_write", report->seconds_write, "seconds_preview", report->seconds_preview,
         "seconds_upload", report->seconds_upload, "seconds_kernels", report->seconds_kernels,
         "seconds_copies", report->seconds_copies, "kernel_calls", (json_int_t)report->kernel_calls,
-        "chunk_loads", (json_int_t)report->chunk_loads, "passes", (json_int_t)report->passes);
+        "chunk_loads", (json_int_t)report->chunk_loads, "passes", (json_int_t)report->passes,
+        "unseen", unseen_json(report));
     return cli_print_json(cli, root);
 }
 

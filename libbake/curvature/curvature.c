@@ -367,31 +367,11 @@ done:
 
 /* ---- the usual radius ---- */
 
-/* Adds a triangle's area in world units and in texels. */
-static void add_areas(const struct bake_lowmesh *mesh, uint64_t triangle, double texels_a_tile,
-                      double *world, double *texels)
-{
-    float(*t)[2] = mesh->texcoords[triangle];
-    double u[2], v[2];
-    for (int k = 0; k < 2; ++k) {
-        u[k] = (double)t[1][k] - (double)t[0][k];
-        v[k] = (double)t[2][k] - (double)t[0][k];
-    }
-    *world += bake_lowmesh_area(mesh, triangle);
-    *texels += 0.5 * fabs(u[0] * v[1] - u[1] * v[0]) * texels_a_tile;
-}
-
 double bake_curvature_radius(const struct bake_surface *surface, const struct bake_options *options,
                              const struct bake_lowmesh *mesh, const struct bake_udim *udim)
 {
-    double world = 0, texels = 0;
-    for (uint32_t i = 0; i < udim->count; ++i) {
-        const struct bake_udim_tile *tile = &udim->tiles[i];
-        uint32_t width, height;
-        bake_tile_size_of(options, tile->number, &width, &height);
-        for (uint64_t t = tile->first; t < tile->first + tile->count; ++t)
-            add_areas(mesh, t, (double)width * (double)height, &world, &texels);
-    }
+    double world, texels;
+    bake_udim_areas(options, mesh, udim, &world, &texels);
     const double two_texels = texels > 0 ? 2.0 * sqrt(world / texels) : 0;
     const double least = (!surface->grids ? 0.01 : 2.0) * surface->detail;
     return isfinite(two_texels) ? fmax(two_texels, least) : least;

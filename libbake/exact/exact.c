@@ -74,6 +74,7 @@ void bake_exact_close(struct bake_exact *exact)
     struct bsq_ctx *ctx = exact->ctx;
     fmt_shading_close(&exact->shading);
     bsq_free(ctx, exact->tree_memory);
+    bsq_free(ctx, exact->points);
     fmt_tris_close(exact->file);
     bsq_free(ctx, exact);
 }

@@ -24,6 +24,8 @@ struct bake_exact {
     struct exact_tree tree; /* over the chunks' bounds */
     void *tree_memory;
     struct fmt_shading shading; /* its channels are those of transfer maps */
+    struct bake_area_point *points; /* chunk_points of each chunk; NULL: they are not wanted */
+    uint32_t chunk_points;
 };
 
 /* Returns the number of values that the channels of a hit have. */
@@ -95,6 +97,10 @@ struct exact_slots {
 int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint64_t memory,
                             struct exact_slots *out);
 void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots);
+
+/* Takes the points of a chunk that has just been loaded, unless they were taken before. */
+void exact_take_areas(const struct bake_exact *exact, uint32_t number,
+                      const struct fmt_tris_chunk *chunk);
 
 /* Loads a chunk into a slot. */
 int bake_exact_slot_load(const struct bake_exact *exact, uint32_t number, struct exact_slot *slot);

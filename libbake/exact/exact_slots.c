@@ -144,6 +144,8 @@ int bake_exact_slot_load(const struct bake_exact *exact, uint32_t number, struct
     slot->loaded = false;
     int status = fmt_tris_load(exact->file, number, slot->chunk_memory, &slot->chunk);
     slot->loaded = status == 0;
+    if (slot->loaded && exact->points)
+        exact_take_areas(exact, number, &slot->chunk);
     return status;
 }
 

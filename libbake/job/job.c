@@ -11,7 +11,8 @@
 
 static int run(struct bake_work *job)
 {
-    double started = bsq_seconds_now();
+    double started = bsq_seconds_now(), area, texels;
+    const struct bake_options *options = job->options;
     int status = 0;
     BSQ_TRY(bake_open_inputs(job));
     BSQ_TRY(bake_check_outputs(job, NULL));
@@ -20,10 +21,13 @@ static int run(struct bake_work *job)
     BSQ_TRY(bake_prepare_triangles(job));
     bake_expect_work(job);
     BSQ_TRY(bake_open_device(job));
+    bake_udim_areas(options, &job->mesh, &job->udim, &area, &texels);
+    BSQ_TRY(bake_seen_create(&job->surface, area, texels, job->device, &job->seen));
     double opened = bsq_seconds_now();
     job->report->seconds_open = opened - started;
     BSQ_TRY(bake_trace_maps(job));
     BSQ_TRY(bake_check_hits(job));
+    bake_seen_report(job->seen, &job->surface, &job->mesh, job->report);
     if (job->maps & BAKE_MAP_CURVATURE)
         BSQ_TRY(bake_trace_curvature(job));
     bake_end_tracing(job);
@@ -69,6 +73,7 @@ static void end(struct bake_work *job)
     bake_skew_close(job->skew);
     bake_udim_free(job->ctx, &job->udim);
     bake_lowmesh_free(job->ctx, &job->mesh);
+    bake_seen_free(job->seen);
     bake_surface_close(&job->surface);
 }
 

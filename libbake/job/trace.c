@@ -142,7 +142,8 @@ static int trace_tile(const struct bake_work *job, struct bake_tile *tile, uint6
                                      .triangle_count = job->triangle_count,
                                      .params = &job->surface.params,
                                      .image = tile->image,
-                                     .tile_size = tile->tile_size};
+                                     .tile_size = tile->tile_size,
+                                     .seen = job->seen};
     status = job->device ? bake_trace_grid_tiles(&job->surface, job->device, &tiles, job->report)
                          : bake_trace_ray_tiles(&job->surface, &tiles, objects, job->report);
     if (!job->sees || !(tile->maps & BAKE_MAP_CURVATURE)) {

@@ -245,6 +245,7 @@ struct bake_tiles {
     const struct bk_params *params;
     struct bake_image *image; /* of bake_image_channels_for(params->maps) channels */
     uint32_t tile_size;       /* side in texels */
+    struct bake_seen *seen;   /* what the rays reach (libbake/surface/); NULL: it is not wanted */
 };
 
 /* Returns a side for tiles: large if there is work for all threads, small if memory is short.

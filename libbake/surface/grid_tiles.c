@@ -58,6 +58,8 @@ static int trace_piece(struct trace *trace, const struct bake_piece *piece, unsi
     /* The overlaps of the whole tile are counted with its first piece. */
     worker->overlaps += texels->x == 0 && texels->y == 0 ? overlaps : 0;
     crop(tiles->params, worker->sample_triangles, &whole, texels);
+    if (tiles->seen)
+        bake_seen_mark_tile(trace->surface, tiles, &tile, worker->sample_triangles);
     status =
         bake_device_trace(trace->device, &tile, worker->sample_triangles, worker->texels, number);
     if (status == 0)

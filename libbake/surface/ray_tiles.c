@@ -344,6 +344,8 @@ static int run_batch(struct job *job, uint64_t texels)
     BSQ_TRY(bsq_parallel_for(job->ctx, job->count, cast_tile, job));
     BSQ_TRY(bake_surface_trace(surface, &rays));
     BSQ_TRY(bake_surface_check(surface));
+    if (job->tiles->seen)
+        BSQ_TRY(bake_seen_mark_hits(surface, job->tiles->seen, &rays.batch));
     if (job->look && count > 0)
         BSQ_TRY(look_around(job, count, texels - first_texels));
     BSQ_TRY(bsq_parallel_for(job->ctx, job->count, resolve_tile, job));

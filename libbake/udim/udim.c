@@ -534,3 +534,32 @@ int bake_udim_arrange(struct bsq_ctx *ctx, const struct bake_options *options,
         shift(&udim->tiles[i], mesh);
     return status;
 }
+
+/* ---- areas ---- */
+
+/* Adds a triangle's area in world units and in texels. */
+static void add_areas(const struct bake_lowmesh *mesh, uint64_t triangle, double texels_a_tile,
+                      double *world, double *texels)
+{
+    float(*t)[2] = mesh->texcoords[triangle];
+    double u[2], v[2];
+    for (int k = 0; k < 2; ++k) {
+        u[k] = (double)t[1][k] - (double)t[0][k];
+        v[k] = (double)t[2][k] - (double)t[0][k];
+    }
+    *world += bake_lowmesh_area(mesh, triangle);
+    *texels += 0.5 * fabs(u[0] * v[1] - u[1] * v[0]) * texels_a_tile;
+}
+
+void bake_udim_areas(const struct bake_options *options, const struct bake_lowmesh *mesh,
+                     const struct bake_udim *udim, double *world, double *texels)
+{
+    *world = *texels = 0;
+    for (uint32_t i = 0; i < udim->count; ++i) {
+        const struct bake_udim_tile *tile = &udim->tiles[i];
+        uint32_t width, height;
+        bake_tile_size_of(options, tile->number, &width, &height);
+        for (uint64_t t = tile->first; t < tile->first + tile->count; ++t)
+            add_areas(mesh, t, (double)width * (double)height, world, texels);
+    }
+}

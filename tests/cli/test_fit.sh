@@ -40,6 +40,7 @@ layers()
 }
 layers skins 0.975
 layers coats 0.9
+layers shells 0.7
 
 # ---- pairs that fit ----
 
@@ -57,7 +58,8 @@ right()
     mesh low.obj $keys
     for kind in tris nvdb; do
         $bake $of.$kind low.obj -o right.png "$@"
-        [ "$code" -eq 0 ] && [ ! -s "$err" ]
+        [ "$code" -eq 0 ] && [ ! -s "$err" ] && grep -q 'area was reached by no ray' "$out" &&
+            ! grep -q 'within the bounds' "$out"
         check "$of.$kind fits$keys: no word" $?
     done
 }
@@ -156,6 +158,29 @@ wrong 0 "$far" statue head 30
 wrong 65 "$far" torus statue 30
 wrong 0 "$far" ellipsoid torus 24
 wrong 0 "has another layer within" coats sphere 24 scale=0.945
+
+# ---- what no ray reached ----
+
+# The inner sphere has 0.49 / 1.49 of the area.
+mesh low.obj sphere 24
+mesh half.obj sphere 24 part=0.5
+for kind in tris nvdb; do
+    size=256
+    [ $kind = tris ] || size=1024
+    ok run bisque-bake shells.$kind low.obj -o o.png --size $size --device cpu
+    grep -q 'of what is within the bounds of the low-poly mesh, 3[234].[0-9] %: layers beneath' "$out"
+    check "shells.$kind: the report names the layer beneath" $?
+    ok run bisque-bake shells.$kind low.obj -o o.png --size $size --device cpu --json
+    json '.unseen | (.area - 0.49 / 1.49 | fabs) < 0.02 and .area == .area_within_mesh and .cell < 0.2'
+    ok run bisque-bake sphere.$kind half.obj -o o.png --size 128 --device cpu --json
+    json '.unseen | (.area - 0.5 | fabs) < 0.1 and .area_within_mesh < 0.05'
+    ok run bisque-bake sphere.$kind half.obj -o o.png --size 128 --device cpu --json --threads 1
+    cp "$out" one.json
+    ok run bisque-bake sphere.$kind half.obj -o o.png --size 128 --device cpu --json --threads 3 \
+        --memory 64M
+    [ "$(jq .unseen one.json)" = "$(jq .unseen "$out")" ]
+    check "$kind: neither threads nor memory change what is counted" $?
+done
 
 # ---- what the options do ----
 
