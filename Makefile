@@ -55,7 +55,8 @@ LIBS.all      = $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 LIBS.tools    = $(shell pkg-config --libs $(pc_tools))
 
 public_headers := base/version.h base/context.h base/options.h base/path_map.h \
-    formats/file_kind.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
+    formats/file_kind.h libvoxel/voxel.h libbake/bake.h libbake/page.h \
+    libbake/compare.h
 libs := base formats libvoxel libbake
 # A library is a folder; its subfolders are its rooms.
 # The helper is a program of its own.
@@ -96,9 +97,14 @@ bins     := $(addprefix $(BUILD)/bin/,$(programs))
 # asks drivers for their devices, one reads files by Assimp.
 helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices scene)
 
+# The frame, style and script of reports, which programs find relative to themselves.
+report_files := $(patsubst tools/report/%,$(BUILD)/share/bisque/report/%,$(wildcard tools/report/*))
+$(report_files): $(BUILD)/share/bisque/report/%: tools/report/%
+	@install -D -m 644 $< $@
+
 .PHONY: all
 ## all: build the libraries, modules and programs (default), into build/$(config)/
-all: $(archives) $(shared) $(module_files) $(helpers) $(bins)
+all: $(archives) $(shared) $(module_files) $(helpers) $(bins) $(report_files)
 
 # Debug information names the folder of the sources. With this name, builds in different folders have
 # the same bytes; debuggers find the sources if they are started there.
@@ -205,9 +211,12 @@ $(BUILD)/gen/kernel-$(PTX).ptx: libbake/kernel/bake.cl libbake/kernel/check_ptx.
 $(BUILD)/gen/kernel_ptx.inc: $(BUILD)/gen/kernel-$(PTX).ptx libbake/kernel/embed.awk
 	{ awk -f libbake/kernel/embed.awk $< && echo '""'; } > $@
 
-# A program is made of tools/bisque-NAME.c, tools/NAME_*.c and tools/cli*.c.
+# A program is made of tools/bisque-NAME.c, tools/NAME_*.c and tools/cli*.c; two also have reports.
+more.bake := tools/page.c
+more.compare := tools/page.c
 define program
 $(BUILD)/bin/bisque-$(1): $(patsubst %,$(BUILD)/obj/%.o,tools/bisque-$(1).c \
+    $(more.$(1)) \
     $(wildcard tools/$(1)_*.c tools/cli*.c)) $(archives)
 	@mkdir -p $$(@D)
 	$$(CC) $$(common) $$(LDFLAGS) -o $$@ $$(filter %.o,$$^) $(archive.libvoxel) $(archive.libbake) \

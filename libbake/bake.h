@@ -135,6 +135,7 @@ struct bake_rows {
     uint32_t width;       /**< Width of the map in texels. */
     uint32_t height;      /**< Height of the map in texels. */
     uint32_t channels;    /**< Interleaved in each row. */
+    bool light;           /**< Samples are linear light, of colours. */
     uint32_t first;       /**< Number of the first row, from 0 at the top. */
     uint32_t count;       /**< Number of rows. */
     const float *samples; /**< Of these rows; valid until the callback returns. */
@@ -142,6 +143,9 @@ struct bake_rows {
 
 /** How much work a bake is, see bake_options.quality. */
 enum bake_quality { BAKE_QUALITY_NORMAL, BAKE_QUALITY_DRAFT, BAKE_QUALITY_FINAL };
+
+/** A page about a bake, see libbake/page.h. */
+struct bake_page;
 
 /** What bake_run() reads and writes. The caller owns all strings and arrays. */
 struct bake_options {
@@ -256,6 +260,9 @@ struct bake_options {
     int (*on_rows)(void *user, const struct bake_rows *rows);
     void *rows_user; /**< Passed to on_rows. */
     bool rows_only;  /**< Maps have no files; output_path only chooses how samples are encoded. */
+    const char *page_path;  /**< Name of the page that the caller writes, or NULL: no other output
+                                 may have it. */
+    struct bake_page *page; /**< Gets the mesh, the preview and the misses; NULL: there is none. */
 };
 
 /** In an output path: stands for the map's name. */

@@ -651,9 +651,10 @@ static const struct bsq_option cli_rows[] = {
     CLI_STRICT_ROW, {.name = "verify", BSQ_MEMBER(FLAG, struct cli, verify)}, /* an old name */
 };
 
-static struct cli_table bake_table(struct bake_arguments *arguments)
+struct cli_table bake_arguments_table(const struct bake_arguments *arguments)
 {
-    struct cli_table table = {.options = &arguments->bake, .given = arguments->given};
+    struct cli_table table = {.options = (void *)(uintptr_t)&arguments->bake,
+                              .given = (bool *)(uintptr_t)arguments->given};
     table.rows = bake_option_rows(&table.count);
     return table;
 }
@@ -671,7 +672,7 @@ bool bake_arguments_has(const struct bake_arguments *arguments, const char *memb
 static int check_tasks(struct cli *cli, struct bake_arguments *arguments, int inputs)
 {
     struct bake_tasks *farm = &arguments->farm;
-    const struct cli_table table = bake_table(arguments);
+    const struct cli_table table = bake_arguments_table(arguments);
     const struct bsq_option *row = cli_given(&table, false);
     if (farm->tasks) {
         farm->write_plan = farm->plan;
@@ -682,6 +683,8 @@ static int check_tasks(struct cli *cli, struct bake_arguments *arguments, int in
     if (farm->plan && (!farm->merge || farm->task.given) &&
         bake_arguments_has(arguments, "max_missed"))
         return cli_usage(cli, "--max-missed is for the bake of all texels: give it to --merge");
+    if (farm->tasks && arguments->bake.page_path)
+        return cli_usage(cli, "--report shows a bake in one piece, without --tasks");
     return bake_farm_check(cli, farm, row ? row->name : NULL, inputs);
 }
 
@@ -717,7 +720,7 @@ int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int 
     const struct cli_command command = {
         .usage = usage,
         .print_more = print_maps,
-        .tables = {bake_table(arguments),
+        .tables = {bake_arguments_table(arguments),
                    {bake_task_rows, BAKE_TASK_ROWS, &arguments->farm, NULL},
                    {list_rows, LIST_ROWS, arguments, NULL},
                    {cli_rows, sizeof cli_rows / sizeof *cli_rows, cli, NULL}},
@@ -757,7 +760,7 @@ void bake_arguments_free(struct bake_arguments *arguments)
 
 int bake_arguments_map_inputs(struct cli *cli, struct bake_arguments *arguments)
 {
-    const struct cli_table table = bake_table(arguments);
+    const struct cli_table table = bake_arguments_table(arguments);
     int status = 0;
     for (int i = 0; i < arguments->file_count && !cli->verify; i++) {
         const char *path = arguments->files[i];

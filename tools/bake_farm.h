@@ -15,9 +15,9 @@ struct bake_numbers {
 };
 
 struct bake_tasks {
-    const char *write_plan; /* plan to write; NULL: none */
-    const char *plan;       /* plan to work by; NULL: none */
-    uint32_t tasks;         /* of the plan to write; 0: not given */
+    const char *write_plan;   /* plan to write; NULL: none */
+    const char *plan;         /* plan to work by; NULL: none */
+    uint32_t tasks;           /* of the plan to write; 0: not given */
     struct bake_numbers task; /* with `merge`: UDIM tiles */
     bool merge, force;
 };

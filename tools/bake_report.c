@@ -5,6 +5,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "tools/page.h"
+
 /* Hints are given above this percentage of samples that miss or lie in overlapping charts. */
 enum { HINT_PERCENT = 5 };
 
@@ -191,6 +193,8 @@ static int print_report(const struct cli *cli, const struct bake_arguments *argu
         cli_print("%s: preview\n", bake->preview_path);
     if (bake->glb_path)
         cli_print("%s: low-poly mesh with its maps\n", bake->glb_path);
+    if (bake->page)
+        cli_print("%s: report\n", bake->page_path);
     cli_print(
         "seconds: open %.2f, trace %.2f, padding %.2f, resolve %.2f, write %.2f, preview %.2f\n",
         report->seconds_open, report->seconds_trace, report->seconds_padding,
@@ -304,11 +308,11 @@ static json_t *unseen_json(const struct bake_report *report)
                      report->unseen_inside, "cell", report->seen_cell);
 }
 
-static int print_json(struct cli *cli, const struct bake_arguments *arguments,
-                      const struct bake_report *report)
+static json_t *report_json(const struct cli *cli, const struct bake_arguments *arguments,
+                           const struct bake_report *report)
 {
     const struct bake_options *bake = &arguments->bake;
-    json_t *root = json_pack(
+    return json_pack(
         "{s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
         " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:I, s:o}",
         "scan_path", cli_json_text(bake->scan_path), "scan_paths",
@@ -333,7 +337,6 @@ static int print_json(struct cli *cli, const struct bake_arguments *arguments,
         "seconds_copies", report->seconds_copies, "kernel_calls", (json_int_t)report->kernel_calls,
         "chunk_loads", (json_int_t)report->chunk_loads, "passes", (json_int_t)report->passes,
         "unseen", unseen_json(report));
-    return cli_print_json(cli, root);
 }
 
 int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
@@ -341,7 +344,15 @@ int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
 {
     hint_at_misses(cli, arguments, report);
     hint_at_overlaps(cli, arguments, report);
-    return cli->json ? print_json(cli, arguments, report) : print_report(cli, arguments, report);
+    if (arguments->bake.page) {
+        const struct cli_table table = bake_arguments_table(arguments);
+        const int status =
+            page_end(cli, arguments->bake.page, report_json(cli, arguments, report), &table);
+        if (status < 0)
+            return status;
+    }
+    return cli->json ? cli_print_json(cli, report_json(cli, arguments, report))
+                     : print_report(cli, arguments, report);
 }
 
 int bake_report_print_tile(struct cli *cli, const struct bake_arguments *arguments,

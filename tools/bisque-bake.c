@@ -5,6 +5,7 @@
 #include "tools/bake_farm.h"
 #include "tools/bake_report.h"
 #include "tools/cli_percent.h"
+#include "tools/page.h"
 
 /* Sets *missed if the maps are written but more samples missed than is allowed. */
 static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *missed)
@@ -18,11 +19,17 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
         status = bake_farm_plan(cli, arguments, &report);
         goto done;
     }
+    if (bake->page_path) {
+        BSQ_TRY(page_begin(cli, bake->page_path, &bake->page));
+        bake->on_rows = bake_page_take;
+        bake->rows_user = bake->page;
+    }
     BSQ_TRY(bake_run(cli->ctx, bake, &report));
     BSQ_TRY(bake_report_print(cli, arguments, &report));
     *missed = bake_report_too_many_missed(cli, arguments, &report);
 done:
     bake_report_watch(cli, NULL);
+    bake_page_close(bake->page);
     bake_report_free(&report);
     return status;
 }

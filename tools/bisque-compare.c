@@ -8,6 +8,7 @@
 #include "libbake/compare.h"
 #include "tools/cli.h"
 #include "tools/compare_mesh.h"
+#include "tools/page.h"
 
 static const char usage[] =
     "Usage: bisque-compare [OPTION]... A B\n"
@@ -41,6 +42,7 @@ static const char *const kind_names[] = {"auto", "normal", "color", "data", NULL
 struct arguments {
     struct bake_compare_options compare;
     const char *mask;      /* of both maps, unless they have their own */
+    const char *report;    /* a page, or NULL */
     double limits[LIMITS]; /* NAN: not given */
     struct compare_mesh files;
 };
@@ -78,6 +80,8 @@ static const struct bsq_option rows[] = {
      .heading = "Pictures", MEMBER(OUTPUT, compare.heatmap_path)},
     {OPTION("histogram", "FILE.png", "write a picture of the distribution of the error"),
      MEMBER(OUTPUT, compare.histogram_path)},
+    {OPTION("report", "FILE.html", "write a page with both maps side by side and their errors"),
+     MEMBER(OUTPUT, report)},
     {OPTION("scale", "E", "error at the top of their scale (default: the 99th percentile)"),
      MEMBER(NUMBER, compare.scale), BSQ_RANGE(0, DBL_MAX, 0), .positive = true},
     {OPTION("max-mean", "E", "the largest mean that passes (default: none)"), .heading = "Limits",
@@ -193,8 +197,8 @@ static json_t *json_number(double value)
     return isfinite(value) ? json_real(value) : json_null();
 }
 
-static int print_json(struct cli *cli, const struct arguments *arguments,
-                      const struct bake_compare_report *report, int failures)
+static json_t *report_json(const struct arguments *arguments,
+                           const struct bake_compare_report *report, int failures)
 {
     json_t *root = json_pack(
         "{s:o, s:o, s:s, s:s, s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:o, s:o, s:o, s:o,"
@@ -217,24 +221,30 @@ static int print_json(struct cli *cli, const struct arguments *arguments,
         json_object_set_new(root, "relative_mean", json_number(report->relative_mean));
         json_object_set_new(root, "relative_max", json_number(report->relative_max));
     }
-    return cli_print_json(cli, root);
+    return root;
 }
 
-static int compare_maps(struct cli *cli, const struct arguments *arguments, int *failures)
+static int compare_maps(struct cli *cli, struct arguments *arguments, int *failures)
 {
     struct bake_compare_report report = {0};
     int status;
     BSQ_TRY(check_outputs(cli, &arguments->compare));
+    if (arguments->report)
+        BSQ_TRY(page_begin(cli, arguments->report, &arguments->compare.page));
     BSQ_TRY(bake_compare(cli->ctx, &arguments->compare, &report));
     if (!isnan(arguments->limits[MIN_PSNR]) && report.kind != BAKE_COMPARE_COLOR)
         return cli_usage(cli, "--min-psnr is for colours, these maps were compared as %s",
                          kind_names[report.kind]);
     *failures = count_failures(cli, arguments, &report);
+    if (arguments->compare.page)
+        BSQ_TRY(page_end(cli, arguments->compare.page, report_json(arguments, &report, *failures),
+                         &(struct cli_table){rows, ROWS, arguments, NULL}));
     if (cli->json)
-        status = print_json(cli, arguments, &report, *failures);
+        status = cli_print_json(cli, report_json(arguments, &report, *failures));
     else
         print_report(arguments, &report);
 done:
+    bake_page_close(arguments->compare.page);
     return status;
 }
 
@@ -262,6 +272,8 @@ static int compare_surfaces(struct cli *cli, struct arguments *arguments, int *f
         if (!isnan(arguments->limits[i]) && i != MAX_MEAN && i != MAX_P99 && i != MAX_ERROR)
             return cli_usage(cli, "%s is for maps, not for a mesh and a scan",
                              limit_rows[i].option);
+    if (arguments->report)
+        return cli_usage(cli, "--report is for maps, not for a mesh and a scan");
     int status = compare_mesh_measure(cli, &arguments->files);
     if (status < 0)
         return status;

@@ -65,6 +65,9 @@ void cli_begin(struct cli *cli, const char *program, char **argv)
     clock_gettime(CLOCK_MONOTONIC, &cli->started);
     cli->logged = cli->started;
     argv[0] = (char *)program;
+    cli->command = json_array(); /* parsing changes the texts */
+    for (; *argv; argv++)
+        cli_json_append(&cli->command, cli_json_text(*argv));
     /* A closed pipe or a file size limit becomes an error of write(2). As a signal it would end the
      * program without a message and leave temporary files. */
     signal(SIGPIPE, SIG_IGN);
@@ -133,6 +136,8 @@ int cli_end(struct cli *cli, int status)
     }
     signalled_ctx = NULL;
     bsq_ctx_destroy(cli->ctx);
+    json_decref(cli->command);
+    json_decref(cli->warnings);
     if ((fflush(stdout) != 0 || ferror(stdout)) && status >= 0) {
         fprintf(stderr, "%s: standard output: %s\n", cli->program, strerror(errno));
         status = BSQ_EIO;

@@ -50,6 +50,8 @@ struct cli {
     /* Prints what is known when a stage begins; NULL: nothing. */
     void (*on_stage)(struct cli *cli, const char *stage);
     const void *watched; /* for on_stage() */
+    json_t *command;     /* the arguments as given, a list */
+    json_t *warnings;    /* that were printed, a list; NULL: none */
     struct timespec started, stage_started, logged;
 };
 
@@ -185,6 +187,8 @@ json_t *cli_json_text(const char *text);
  * it to NULL; NULL stays. */
 void cli_json_append(json_t **json, json_t *value);
 void cli_json_set(json_t **json, const char *name, json_t *value);
+/* Returns `root` with program, version and cost added; NULL without memory. Takes over `root`. */
+json_t *cli_complete_json(const struct cli *cli, json_t *root);
 /* Prints `root` with program, version and cost added. Takes over the caller's reference; NULL means
  * that there was no memory for it. */
 int cli_print_json(struct cli *cli, json_t *root);

@@ -142,6 +142,9 @@ void cli_on_warning(void *user, const char *line)
 {
     struct cli *cli = user;
     cli_clear_bar(cli);
+    if (!cli->warnings)
+        cli->warnings = json_array();
+    cli_json_append(&cli->warnings, cli_json_text(line));
     if (cli->progress == CLI_PROGRESS_JSON) {
         json_t *object = json_pack("{s:o}", "warning", cli_json_text(line));
         if (object && json_dumpf(object, stderr, JSON_ENSURE_ASCII) == 0)

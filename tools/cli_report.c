@@ -169,21 +169,26 @@ static json_t *cost_json(const struct cli *cli)
                      "seconds_system", seconds_of(usage.ru_stime));
 }
 
+json_t *cli_complete_json(const struct cli *cli, json_t *root)
+{
+    json_t *head = json_pack("{s:s, s:s}", "program", cli->program, "version", BSQ_VERSION);
+    keep_if(root && json_object_update(head, root) == 0, &head);
+    cli_json_set(&head, "cost", cost_json(cli));
+    json_decref(root);
+    return head;
+}
+
 int cli_print_json(struct cli *cli, json_t *root)
 {
-    json_t *cost = cost_json(cli);
+    json_t *head = cli_complete_json(cli, root);
     int status = 0;
-    json_t *head = json_pack("{s:s, s:s}", "program", cli->program, "version", BSQ_VERSION);
-    if (!root || !head || !cost || json_object_update(head, root) != 0 ||
-        json_object_set(head, "cost", cost) != 0)
+    if (!head)
         status = bsq_fail(cli->ctx, BSQ_ENOMEM, "out of memory for the JSON report");
     else if (json_dumpf(head, stdout,
                         JSON_INDENT(2) | JSON_ENSURE_ASCII | JSON_REAL_PRECISION(15)) != 0 ||
              fputc('\n', stdout) == EOF)
         status = bsq_fail(cli->ctx, BSQ_EIO, "standard output: the JSON report cannot be written");
     json_decref(head);
-    json_decref(cost);
-    json_decref(root);
     return status;
 }
 

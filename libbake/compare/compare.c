@@ -7,6 +7,7 @@
 #include "base/parallel.h"
 #include "base/channels.h"
 #include "libbake/compare/comparison.h"
+#include "libbake/page/items.h"
 
 const char *bake_compare_unit(enum bake_compare_kind kind)
 {
@@ -300,6 +301,52 @@ static int measure_row(void *arg, uint64_t y, unsigned worker)
     return 0;
 }
 
+/* ---- a page ---- */
+
+static int show_map(struct bsq_ctx *ctx, struct bake_page *page, const struct bake_comparison *c,
+                    bool reference, const char *path)
+{
+    struct bake_page_picture picture = {.color = c->kind == BAKE_COMPARE_COLOR};
+    char *escaped = bsq_escape(path, true);
+    json_t *head =
+        json_pack("{s:s, s:s, s:s, s:i, s:i, s:i}", "kind", "map", "name", reference ? "B" : "A",
+                  "path", escaped ? escaped : "", "width", (int)c->a.width, "height",
+                  (int)c->a.height, "channels", (int)c->pair_count);
+    float(*row)[3] = NULL;
+    int status;
+    free(escaped);
+    BSQ_TRY(bake_page_begin_picture(ctx, c->a.width, c->a.height, &picture));
+    BSQ_TRY(bsq_alloc(ctx, "a row of a map", c->a.width, sizeof *row, &row));
+    for (uint32_t y = 0; y < c->a.height; y++) {
+        float other[3];
+        for (uint32_t x = 0; x < c->a.width; x++)
+            read_rgb(c, (uint64_t)y * c->a.width + x, reference ? other : row[x],
+                     reference ? row[x] : other);
+        BSQ_TRY(bake_page_take_rows(ctx, &picture, 3, y, 1, row[0]));
+    }
+    status = bake_page_add_picture(page, json_incref(head), &picture);
+done:
+    json_decref(head);
+    bake_thumbnail_free(ctx, &picture.texels);
+    bsq_free(ctx, row);
+    return status;
+}
+
+/* Adds both maps and the error of each texel to a page. */
+static int show(struct bsq_ctx *ctx, const struct bake_compare_options *options,
+                const struct bake_comparison *c, double top)
+{
+    struct bsq_output_group errors = {0};
+    int status;
+    BSQ_TRY(show_map(ctx, options->page, c, false, options->a_path));
+    BSQ_TRY(show_map(ctx, options->page, c, true, options->b_path));
+    BSQ_TRY(bake_heatmap_write(ctx, c, top, bake_page_path(options->page), &errors));
+    status = bake_page_add(options->page, json_pack("{s:s}", "kind", "error"), errors.list[0]);
+done:
+    bsq_output_group_discard(&errors);
+    return status;
+}
+
 /* ---- all ---- */
 
 void bake_compare_defaults(struct bake_compare_options *options)
@@ -331,6 +378,8 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
         BSQ_TRY(bake_heatmap_write(ctx, &c, top, options->heatmap_path, &pictures));
     if (options->histogram_path)
         BSQ_TRY(bake_histogram_write(ctx, &c, report, top, options->histogram_path, &pictures));
+    if (options->page)
+        BSQ_TRY(show(ctx, options, &c, top));
     BSQ_TRY(bsq_output_group_commit(&pictures));
 done:
     bsq_output_group_discard(&pictures);

@@ -36,12 +36,14 @@ struct bake_comparison {
     float *errors;
 };
 
-/* Reads R, G and B of a texel of both maps. */
+/* Reads R, G and B of a texel of both maps; of other channels the first three, or the last again.
+ */
 static inline void read_rgb(const struct bake_comparison *c, uint64_t texel, float a[3], float b[3])
 {
-    for (int k = 0; k < 3; k++) {
-        a[k] = c->a.samples[texel * c->a.channel_count + c->pairs[k][0]];
-        b[k] = c->b.samples[texel * c->b.channel_count + c->pairs[k][1]];
+    for (uint32_t k = 0; k < 3; k++) {
+        const uint32_t *pair = c->pairs[k < c->pair_count ? k : c->pair_count - 1];
+        a[k] = c->a.samples[texel * c->a.channel_count + pair[0]];
+        b[k] = c->b.samples[texel * c->b.channel_count + pair[1]];
     }
 }
 

@@ -9,8 +9,14 @@
 #include "base/output.h"
 #include "base/sort_array.h"
 #include "libbake/job/job.h"
+#include "libbake/page/items.h"
 
 enum { PREVIEW_TEXTURE = 2048 /* largest side of a texture of the preview, in texels */ };
+
+static bool wants_preview(const struct bake_work *job)
+{
+    return job->options->preview_path || job->options->page;
+}
 
 static const char *sampling_of(const struct bake_work *job)
 {
@@ -72,17 +78,19 @@ static unsigned file_count(const struct bake_tile *tile)
     return count;
 }
 
+enum { OTHERS = 4 }; /* outputs beside the maps */
+
 /* Checks that an output can be created and is none of the others, which may be NULL. */
-static int check_output(struct bsq_ctx *ctx, const char *path, const char *const others[3])
+static int check_output(struct bsq_ctx *ctx, const char *path, const char *const others[OTHERS])
 {
-    for (int k = 0; k < 3; ++k)
+    for (int k = 0; k < OTHERS; ++k)
         if (others[k] && bsq_same_file(path, others[k]))
             return bsq_fail(ctx, BSQ_EUSAGE, "%s: two outputs have this name", path);
     return bsq_output_check(ctx, path);
 }
 
 static int check_tile_outputs(struct bsq_ctx *ctx, const struct bake_tile *tile,
-                              const char *const others[3])
+                              const char *const others[OTHERS])
 {
     int status = 0;
     for (unsigned i = 0; i < bake_files_end(&tile->options, tile->maps) && status == 0; ++i) {
@@ -105,14 +113,15 @@ static bool ends_with(const char *path, const char *suffix)
 int bake_check_outputs(struct bake_work *job, const char *plan)
 {
     const char *preview = job->options->preview_path, *glb = job->options->glb_path;
-    const char *const others[3] = {preview, glb, plan}, *const none[3] = {NULL, NULL, NULL};
+    const char *page = job->options->page_path;
+    const char *const others[OTHERS] = {preview, glb, plan, page};
     int status = 0;
     if (plan)
-        BSQ_TRY(check_output(job->ctx, plan, (const char *const[3]){preview, glb, NULL}));
+        BSQ_TRY(check_output(job->ctx, plan, (const char *const[OTHERS]){preview, glb, page}));
     if (glb)
-        BSQ_TRY(check_output(job->ctx, glb, (const char *const[3]){preview, NULL, NULL}));
+        BSQ_TRY(check_output(job->ctx, glb, (const char *const[OTHERS]){preview, page}));
     if (preview)
-        BSQ_TRY(check_output(job->ctx, preview, none));
+        BSQ_TRY(check_output(job->ctx, preview, (const char *const[OTHERS]){page}));
     if (preview && !ends_with(preview, ".png"))
         return bsq_fail(job->ctx, BSQ_EUSAGE,
                         "%s: the picture is a PNG file: its name must end in .png", preview);
@@ -128,7 +137,7 @@ done:
 /* All outputs stay open until they get their names together. */
 static int require_descriptors(const struct bake_work *job)
 {
-    uint64_t count = job->options->preview_path != NULL;
+    uint64_t count = wants_preview(job);
     if (job->options->glb_path)
         count += 1 + BAKE_ASSET_IMAGES * (uint64_t)job->udim.count;
     for (uint32_t i = 0; i < job->udim.count; ++i)
@@ -154,9 +163,11 @@ int bake_open_outputs(struct bake_work *job)
         first = job->tiles[i].kept ? first : &job->tiles[i];
     if (first)
         BSQ_TRY(open_files(job->ctx, first, &traced));
-    if (job->options->preview_path && !job->keeps_preview)
-        BSQ_TRY(bake_preview_open(job->ctx, job->options->preview_path, job->options->preview_views,
-                                  &job->preview_file));
+    if (wants_preview(job) && !job->keeps_preview)
+        BSQ_TRY(bake_preview_open(job->ctx,
+                                  job->options->preview_path ? job->options->preview_path
+                                                             : bake_page_path(job->options->page),
+                                  job->options->preview_views, &job->preview_file));
     if (job->options->glb_path)
         BSQ_TRY(bake_asset_open(job->ctx, job->options, job->udim.count, &job->asset));
 done:
@@ -206,14 +217,31 @@ int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t
     return bake_image_create(ctx, &image, &tile->image);
 }
 
+/* Adds a picture of the charts to the page: red where no surface was found, else green. */
+static int show_misses(struct bake_work *job, const struct bake_tile *tile, uint32_t number)
+{
+    struct bake_page_picture picture = {.texels = tile->missed, .high = {1, 1, 1}};
+    const uint64_t texels = (uint64_t)tile->missed.width * tile->missed.height;
+    int status =
+        bsq_alloc(job->ctx, "page", texels, sizeof *picture.texels.texels, &picture.texels.texels);
+    if (status < 0)
+        return status;
+    memcpy(picture.texels.texels, tile->missed.texels, texels * sizeof *picture.texels.texels);
+    return bake_page_add_picture(job->options->page,
+                                 json_pack("{s:s, s:i}", "kind", "misses", "tile", (int)number),
+                                 &picture);
+}
+
 int bake_write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side, uint64_t *limited)
 {
     const struct bake_traced traced = traced_of(job);
     int status = 0;
     BSQ_TRY(open_files(job->ctx, tile, &traced));
-    if (job->options->preview_path)
-        BSQ_TRY(create_thumbnails(job->ctx, tile, side));
     const uint32_t number = (uint32_t)(tile - job->tiles);
+    if (wants_preview(job))
+        BSQ_TRY(create_thumbnails(job->ctx, tile, side));
+    if (job->options->page)
+        BSQ_TRY(show_misses(job, tile, number));
     if (job->asset)
         BSQ_TRY(bake_asset_begin_tile(job->asset, number, &tile->options, tile->maps, tile->files));
     BSQ_TRY(bake_map_files_write(tile->files, tile->image, &job->measures, limited, job->report));
@@ -254,9 +282,40 @@ done:
     return status;
 }
 
+/* Adds the low-poly mesh without maps to the page, which has small ones. */
+static int show_mesh(struct bake_work *job)
+{
+    struct bake_page *page = job->options->page;
+    const struct bake_options plain = {.glb_path = bake_page_path(page)};
+    const struct bake_preview preview = {.mesh = &job->mesh, .up = job->options->preview_up};
+    struct bake_asset *asset = NULL;
+    struct bsq_output *output = NULL;
+    json_t *head = NULL;
+    int status;
+    BSQ_TRY(bake_asset_open(job->ctx, &plain, job->udim.count, &asset));
+    BSQ_TRY(bake_asset_write(asset, &job->mesh, &job->udim));
+    bake_asset_hand_over(asset, &output);
+    asset = NULL;
+    head = json_pack("{s:s, s:i, s:i, s:b, s:b}", "kind", "mesh", "up",
+                     bake_preview_up_axis(&preview), "views", (int)job->options->preview_views,
+                     "green_down", (int)job->options->green_down, "object_space",
+                     job->options->normal_space == BAKE_OBJECT_SPACE);
+    status = bake_page_add(page, head, output);
+done:
+    bake_asset_discard(asset);
+    bsq_output_discard(output);
+    return status;
+}
+
 int bake_write_asset(struct bake_work *job)
 {
-    return job->asset ? bake_asset_write(job->asset, &job->mesh, &job->udim) : 0;
+    int status = 0;
+    if (job->options->page)
+        BSQ_TRY(show_mesh(job));
+    if (job->asset)
+        status = bake_asset_write(job->asset, &job->mesh, &job->udim);
+done:
+    return status;
 }
 
 int bake_write_preview(struct bake_work *job)
@@ -297,7 +356,15 @@ int bake_commit_outputs(struct bake_work *job)
         struct bake_preview_file *file = job->preview_file;
         job->preview_file = NULL;
         BSQ_TRY(bake_preview_hand_over(file, &preview));
-        BSQ_TRY(bsq_output_group_add(&group, preview));
+        if (job->options->preview_path)
+            BSQ_TRY(bsq_output_group_add(&group, preview));
+        if (job->options->page)
+            status =
+                bake_page_add(job->options->page, json_pack("{s:s}", "kind", "preview"), preview);
+        if (!job->options->preview_path)
+            bsq_output_discard(preview);
+        if (status < 0)
+            goto done;
     }
     if (job->asset) {
         struct bake_asset *asset = job->asset;

@@ -357,6 +357,7 @@ static int give_rows(const struct bake_map_files *files, uint32_t number, uint32
                                     .width = files->options->width,
                                     .height = files->options->height,
                                     .channels = file->encoder.row->channels,
+                                    .light = file->encoder.row->color,
                                     .first = first_row,
                                     .count = rows,
                                     .samples = file->rows};

@@ -41,7 +41,7 @@ static const char *lacks(uint32_t need, const struct bake_options *options,
     case TANGENT_SPACE:
         return options->normal_space == BAKE_TANGENT_SPACE ? NULL : "--normal space=tangent";
     case PREVIEW:
-        return options->preview_path ? NULL : "--preview";
+        return options->preview_path || options->page ? NULL : "--preview or --report";
     case GPU:
         return strcmp(options->device, "cpu") != 0 ? NULL : "a device other than cpu";
     case GRID_TO_SAMPLE: /* the nearest voxel of triangles is an error later */
@@ -214,6 +214,10 @@ static const struct bsq_option table[] = {
      .heading = "Asset and preview", MEMBER(OUTPUT, glb_path)},
     {OPTION("preview", "FILE.png", "a picture of the low-poly mesh, the baked mesh and the scan"),
      MEMBER(OUTPUT, preview_path)},
+    {OPTION("report", "FILE.html",
+            "a page to look at: the mesh in 3D, all maps, misses, times, what was\n"
+            "lost, and the command"),
+     MEMBER(OUTPUT, page_path)},
     {KEY("view", "count", "N", "views around the mesh"), .old_name = "preview-views",
      COUNT(preview_views, 1, BAKE_MAX_VIEWS, 4), .needs = PREVIEW},
     {KEY("view", "up", "AXIS", "the vertical axis: y, z or auto"), .old_name = "up",
@@ -236,6 +240,7 @@ void bake_defaults(struct bake_options *options)
 {
     bsq_options_defaults(table, ROWS, options);
     options->size = sizeof *options;
+    options->page = NULL;
     options->on_rows = NULL;
     options->rows_user = NULL;
     options->rows_only = false;

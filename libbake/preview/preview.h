@@ -29,6 +29,12 @@ struct bake_preview {
     uint32_t view_count; /* that of bake_preview_open() */
 };
 
+/* Returns the vertical axis, 1 or 2, of `preview->up` or else the mesh suggests: the one on
+ * whose lower end more of the mesh's surface lies flat, as things stand on the ground. Axis 1 if
+ * there is no such difference, the mesh is thin along axis 2, or it would fall over if it stood on
+ * that end. */
+int bake_preview_up_axis(const struct bake_preview *preview);
+
 struct bake_preview_file;
 
 /* Creates the PNG under a temporary name. view_count: from 1 on. Errors: those of

@@ -30,12 +30,6 @@ struct preview_view {
 void bake_preview_view_set(const struct bake_preview *preview, uint32_t index, int up,
                            uint32_t side, struct preview_view *view);
 
-/* Returns the vertical axis, 1 or 2, that the options name, or else the mesh suggests: the one on
- * whose lower end more of the mesh's surface lies flat, as things stand on the ground. Axis 1 if
- * there is no such difference, the mesh is thin along axis 2, or it would fall over if it stood on
- * that end. */
-int bake_preview_up_axis(const struct bake_preview *preview);
-
 /* Returns the linear light that a matt surface sends to the camera. */
 struct bsq_vec3 bake_preview_shade(const struct preview_view *view, struct bsq_vec3 normal,
                                    struct bsq_vec3 albedo);

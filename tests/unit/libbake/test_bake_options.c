@@ -56,6 +56,7 @@ TEST(test_rows_cover_the_structures)
     const struct bsq_option *rows = bake_option_rows(&count);
     MARK(options);
     options.size = 0; /* the caller's own: plans do not keep these */
+    options.page = NULL;
     options.on_rows = NULL;
     options.rows_user = NULL;
     memset(&options.rows_only, 0, sizeof options.rows_only);

@@ -1,0 +1,199 @@
+/* page.c - puts a page together: frame, style, three.js, items as they come, figures and script. */
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "formats/module/module.h"
+#include "libbake/page/page_internal.h"
+
+/* Where Debian's package libjs-three is installed, and its parts that a page needs. */
+#define THREE "/usr/share/javascript/three/"
+static const char *const scripts[] = {THREE "build/three.min.js",
+                                      THREE "examples/js/controls/OrbitControls.js",
+                                      THREE "examples/js/loaders/GLTFLoader.js"};
+enum { SCRIPTS = sizeof scripts / sizeof *scripts };
+
+static int put(struct bake_page *page, const char *text)
+{
+    return bsq_output_write(page->output, text, strlen(text));
+}
+
+/* Puts JSON, whose texts could otherwise end the script that it is in. */
+static int put_json(struct bake_page *page, const char *text)
+{
+    int status = 0;
+    for (const char *end; (end = strchr(text, '<')) && status == 0; text = end + 1) {
+        status = bsq_output_write(page->output, text, (uint64_t)(end - text));
+        if (status == 0)
+            status = put(page, "\\u003c");
+    }
+    return status < 0 ? status : put(page, text);
+}
+
+/* Reads a text file of the installation, or of three.js, with a zero at its end. */
+static int read_text(struct bake_page *page, const char *path, char **out)
+{
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    int status;
+    BSQ_TRY(bsq_file_open(page->ctx, path, &file));
+    BSQ_TRY(bsq_calloc(page->ctx, "page", file.size + 1, 1, out));
+    status = bsq_file_read(page->ctx, &file, *out, file.size, 0);
+done:
+    bsq_file_close(page->ctx, &file);
+    return status;
+}
+
+static int put_file(struct bake_page *page, const char *path)
+{
+    char *text = NULL;
+    int status = read_text(page, path, &text);
+    if (status == 0)
+        status = put(page, text);
+    bsq_free(page->ctx, text);
+    return status;
+}
+
+static int find_part(struct bake_page *page, const char *name, char out[PATH_MAX])
+{
+    char file[64];
+    snprintf(file, sizeof file, "../../share/bisque/report/%s", name);
+    return fmt_module_find(page->ctx, file, "reports", out);
+}
+
+static int put_part(struct bake_page *page, const char *name)
+{
+    char path[PATH_MAX];
+    const int status = find_part(page, name, path);
+    return status < 0 ? status : put_file(page, path);
+}
+
+/* Puts the frame up to a mark, which it leaves out. */
+static int put_frame(struct bake_page *page, const char *mark)
+{
+    char *end = strstr(page->frame, mark);
+    if (!end)
+        return bsq_fail(page->ctx, BSQ_EDATA, "report.html: %s is missing", mark);
+    *end = '\0';
+    const int status = put(page, page->frame);
+    page->frame = end + strlen(mark);
+    return status;
+}
+
+static int put_three(struct bake_page *page)
+{
+    int status = 0;
+    for (int i = 0; i < SCRIPTS; i++)
+        if (access(scripts[i], R_OK) != 0)
+            return 0;
+    for (int i = 0; i < SCRIPTS; i++) {
+        BSQ_TRY(put(page, "<script>"));
+        BSQ_TRY(put_file(page, scripts[i]));
+        BSQ_TRY(put(page, "</script>\n"));
+    }
+done:
+    return status;
+}
+
+int bake_page_open(struct bsq_ctx *ctx, const char *path, struct bake_page **out)
+{
+    struct bake_page *page = NULL;
+    char frame[PATH_MAX];
+    int status;
+    *out = NULL;
+    BSQ_TRY(bsq_calloc(ctx, "page", 1, sizeof *page, &page));
+    page->ctx = ctx;
+    page->path = path;
+    BSQ_TRY(find_part(page, "report.html", frame));
+    BSQ_TRY(read_text(page, frame, &page->frame_text));
+    page->frame = page->frame_text;
+    BSQ_TRY(bsq_output_open(ctx, path, &page->output));
+    BSQ_TRY(put_frame(page, "<!--style-->"));
+    BSQ_TRY(put_part(page, "report.css"));
+    BSQ_TRY(put_frame(page, "<!--three-->"));
+    BSQ_TRY(put_three(page));
+    BSQ_TRY(put_frame(page, "<!--items-->"));
+    *out = page;
+    page = NULL;
+done:
+    bake_page_close(page);
+    return status;
+}
+
+const char *bake_page_path(const struct bake_page *page)
+{
+    return page->path;
+}
+
+/* Puts a file as base64 (RFC 4648). */
+static int put_base64(struct bake_page *page, const struct bsq_file *file)
+{
+    static const char digits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    enum { GROUPS = 4096 };
+    unsigned char in[3 * GROUPS];
+    char out[4 * GROUPS];
+    int status = 0;
+    for (uint64_t at = 0, got = 0; at < file->size; at += got) {
+        BSQ_TRY(bsq_file_read_some(page->ctx, file, in, sizeof in - 2, at, &got));
+        got -= at + got < file->size ? got % 3 : 0; /* whole groups but at the end */
+        memset(in + got, 0, 2);
+        const uint64_t groups = (got + 2) / 3;
+        for (uint64_t g = 0; g < groups; g++) {
+            const uint32_t bits =
+                (uint32_t)in[3 * g] << 16 | (uint32_t)in[3 * g + 1] << 8 | in[3 * g + 2];
+            for (unsigned i = 0; i < 4; i++)
+                out[4 * g + i] = digits[bits >> (18 - 6 * i) & 63];
+        }
+        for (uint64_t i = got; i < 3 * groups; i++)
+            out[4 * groups - 3 * groups + i] = '=';
+        BSQ_TRY(bsq_output_write(page->output, out, 4 * groups));
+    }
+done:
+    return status;
+}
+
+int bake_page_add(struct bake_page *page, json_t *head, struct bsq_output *output)
+{
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    char *text = head ? json_dumps(head, JSON_ENSURE_ASCII) : NULL;
+    int status = 0;
+    json_decref(head);
+    if (!text)
+        return bsq_fail(page->ctx, BSQ_ENOMEM, "%s: out of memory", page->path);
+    text[strlen(text) - 1] = '\0'; /* the brace */
+    BSQ_TRY(put(page, "<script type=\"application/json\" class=\"item\">"));
+    BSQ_TRY(put_json(page, text));
+    BSQ_TRY(put(page, ", \"data\": \""));
+    BSQ_TRY(bsq_output_read(output, &file));
+    BSQ_TRY(put_base64(page, &file));
+    status = put(page, "\"}</script>\n");
+done:
+    free(text);
+    bsq_file_close(page->ctx, &file);
+    return status;
+}
+
+int bake_page_finish(struct bake_page *page, const char *json)
+{
+    int status;
+    BSQ_TRY(put(page, "<script type=\"application/json\" id=\"data\">"));
+    BSQ_TRY(put_json(page, json));
+    BSQ_TRY(put(page, "</script>\n"));
+    BSQ_TRY(put_frame(page, "<!--script-->"));
+    BSQ_TRY(put_part(page, "report.js"));
+    BSQ_TRY(put(page, page->frame));
+    struct bsq_output *output = page->output;
+    page->output = NULL;
+    status = bsq_output_commit(output);
+done:
+    return status;
+}
+
+void bake_page_close(struct bake_page *page)
+{
+    if (!page)
+        return;
+    bake_page_free_pictures(page);
+    bsq_output_discard(page->output);
+    bsq_free(page->ctx, page->frame_text);
+    bsq_free(page->ctx, page);
+}

@@ -1,0 +1,158 @@
+/* picture.c - makes small pictures of maps, and finds the ranges of their values. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "formats/image/image_writer.h"
+#include "libbake/page/page_internal.h"
+
+enum { LARGEST_SIDE = 1024, CHUNK_ROWS = 16 };
+
+int bake_page_begin_picture(struct bsq_ctx *ctx, uint32_t width, uint32_t height,
+                            struct bake_page_picture *out)
+{
+    const uint64_t bytes = bsq_memory_share(ctx, "pictures of a page", 16);
+    uint32_t side = LARGEST_SIDE;
+    while (side > 1 && (uint64_t)side * side * sizeof *out->texels.texels > bytes)
+        side /= 2;
+    for (int k = 0; k < 3; k++) {
+        out->low[k] = INFINITY;
+        out->high[k] = -INFINITY;
+    }
+    return bake_thumbnail_create(ctx, width, height, side, &out->texels);
+}
+
+/* Copies a texel as three channels, zeros for what is not finite, and widens the ranges. */
+static void take_texel(struct bake_page_picture *picture, const float *texel, uint32_t channels,
+                       float out[3])
+{
+    for (uint32_t k = 0; k < 3; k++) {
+        const float value = texel[channels >= 3 ? k : 0];
+        out[k] = isfinite(value) ? value : 0;
+        picture->low[k] = fminf(picture->low[k], out[k]);
+        picture->high[k] = fmaxf(picture->high[k], out[k]);
+    }
+}
+
+int bake_page_take_rows(struct bsq_ctx *ctx, struct bake_page_picture *picture, uint32_t channels,
+                        uint32_t first_row, uint32_t rows, const float *samples)
+{
+    const uint64_t width = picture->texels.full_width;
+    float(*chunk)[3] = NULL;
+    int status;
+    BSQ_TRY(bsq_alloc(ctx, "rows of a page's picture", CHUNK_ROWS * width, sizeof *chunk, &chunk));
+    for (uint32_t row = 0; row < rows; row += CHUNK_ROWS) {
+        const uint32_t count = rows - row < CHUNK_ROWS ? rows - row : CHUNK_ROWS;
+        for (uint64_t i = 0; i < count * width; i++)
+            take_texel(picture, samples + (row * width + i) * channels, channels, chunk[i]);
+        BSQ_TRY(bake_thumbnail_add(ctx, &picture->texels, first_row + row, count, chunk[0]));
+    }
+done:
+    bsq_free(ctx, chunk);
+    return status;
+}
+
+/* Maps the range of each channel to 0 to 1, unless it lies in there. */
+static void normalise(struct bake_page_picture *picture)
+{
+    const uint64_t texels = (uint64_t)picture->texels.width * picture->texels.height;
+    for (int k = 0; k < 3; k++) {
+        float *low = &picture->low[k], *high = &picture->high[k];
+        if (picture->color || (*low >= 0 && *high <= 1)) {
+            *low = 0;
+            *high = 1;
+        }
+        const float scale = *high > *low ? 1 / (*high - *low) : 0;
+        for (uint64_t i = 0; i < texels; i++)
+            picture->texels.texels[i][k] = (picture->texels.texels[i][k] - *low) * scale;
+    }
+}
+
+static void set_ranges(json_t *head, const char *name, const struct bake_page_picture *picture)
+{
+    const float *low = picture->low, *high = picture->high;
+    json_object_set_new(
+        head, name,
+        json_pack("[[f,f],[f,f],[f,f]]", low[0], high[0], low[1], high[1], low[2], high[2]));
+}
+
+int bake_page_add_picture(struct bake_page *page, json_t *head, struct bake_page_picture *picture)
+{
+    struct bake_thumbnail *texels = &picture->texels;
+    const struct fmt_image_options options = {.width = texels->width,
+                                              .height = texels->height,
+                                              .channel_count = 3,
+                                              .type = FMT_UINT8,
+                                              .color = picture->color,
+                                              .rounded = true,
+                                              .temporary = true};
+    struct fmt_image_writer *writer = NULL;
+    struct bsq_output *output = NULL;
+    int status;
+    set_ranges(head, "range", picture);
+    normalise(picture);
+    set_ranges(head, "shown", picture);
+    BSQ_TRY(fmt_image_create(page->ctx, &fmt_png_format, page->path, &options, &writer));
+    BSQ_TRY(fmt_image_write_rows(writer, texels->texels[0], texels->height));
+    status = fmt_image_hand_over(writer, &output);
+    writer = NULL;
+    if (status == 0)
+        status = bake_page_add(page, json_incref(head), output);
+done:
+    fmt_image_discard(writer);
+    bsq_output_discard(output);
+    json_decref(head);
+    bake_thumbnail_free(page->ctx, texels);
+    return status;
+}
+
+/* ---- rows of a bake ---- */
+
+/* Finds the picture of a file, or begins it with its first rows. */
+static int find_picture(struct bake_page *page, const struct bake_rows *rows,
+                        struct row_picture **out)
+{
+    for (*out = page->pictures; *out && strcmp((*out)->path, rows->path) != 0; *out = (*out)->next)
+        ;
+    if (*out)
+        return 0;
+    int status = bsq_calloc(page->ctx, "page", 1, sizeof **out, out);
+    if (status < 0)
+        return status;
+    (*out)->next = page->pictures;
+    (*out)->path = rows->path;
+    (*out)->picture.color = rows->light;
+    page->pictures = *out;
+    return bake_page_begin_picture(page->ctx, rows->width, rows->height, &(*out)->picture);
+}
+
+int bake_page_take(void *user, const struct bake_rows *rows)
+{
+    struct bake_page *page = user;
+    struct row_picture *of = NULL;
+    int status;
+    BSQ_TRY(find_picture(page, rows, &of));
+    BSQ_TRY(bake_page_take_rows(page->ctx, &of->picture, rows->channels, rows->first, rows->count,
+                                rows->samples));
+    if (rows->first + rows->count < rows->height)
+        return 0;
+    char *path = bsq_escape(rows->path, true);
+    json_t *head =
+        json_pack("{s:s, s:s, s:s, s:i, s:i, s:i, s:b}", "kind", "map", "name", rows->map, "path",
+                  path ? path : "", "width", (int)rows->width, "height", (int)rows->height,
+                  "channels", (int)rows->channels, "color", (int)rows->light);
+    free(path);
+    status = bake_page_add_picture(page, head, &of->picture);
+done:
+    return status;
+}
+
+void bake_page_free_pictures(struct bake_page *page)
+{
+    while (page->pictures) {
+        struct row_picture *first = page->pictures;
+        page->pictures = first->next;
+        bake_thumbnail_free(page->ctx, &first->picture.texels);
+        bsq_free(page->ctx, first);
+    }
+}
