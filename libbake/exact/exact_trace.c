@@ -28,7 +28,7 @@ enum {
  * in. Only normals that hits need are summed, and only chunks whose bounds contain such a vertex
  * are read: three times if some of these vertices may be creases. */
 
-enum { ROWS = 2 };
+enum { PARTS = BSQ_RING_UNITS, ROWS = 2 };
 
 enum step { STEP_SUM, STEP_FARTHEST, STEP_SIDES };
 
@@ -88,13 +88,13 @@ static void add_chunk(const struct exact_smooth *s, enum step step, enum bsq_sca
 {
     const uint32_t count = chunk->triangle_count;
     if (step == STEP_SUM)
-        bsq_add_one_rings(chunk->positions, chunk->triangles, 0, count, map, weights, ROWS,
+        bsq_add_one_rings(chunk->positions, chunk->triangles, 0, count, map, weights, PARTS,
                           s->sums);
     else if (step == STEP_FARTHEST)
-        bsq_find_farthest(chunk->positions, chunk->triangles, 0, count, map, s->crease_of, ROWS,
+        bsq_find_farthest(chunk->positions, chunk->triangles, 0, count, map, s->crease_of, PARTS,
                           (const double(*)[4])s->sums, s->creases);
     else
-        bsq_add_sides(chunk->positions, chunk->triangles, 0, count, map, s->crease_of, ROWS,
+        bsq_add_sides(chunk->positions, chunk->triangles, 0, count, map, s->crease_of, PARTS,
                       (const double(*)[4])s->creases, s->sums, s->seconds);
 }
 
@@ -196,7 +196,7 @@ static bool divide_rings(const struct exact_smooth *s)
 {
     bool any = false;
     for (uint32_t i = 1; i <= s->count; i++) {
-        if (s->crease_of[i] != 0 && !bsq_divide_ring(&s->sums[ROWS * i], ROWS, s->creases[i]))
+        if (s->crease_of[i] != 0 && !bsq_divide_ring(&s->sums[ROWS * i], PARTS, s->creases[i]))
             s->crease_of[i] = 0;
         any |= s->crease_of[i] != 0;
         memset(s->seconds[ROWS * i], 0, ROWS * sizeof *s->seconds);

@@ -10,15 +10,13 @@
 
 struct vox_chunk {
     struct fmt_tris_chunk source;
-    const double (*points)[4]; /* positions in index space, 0 */
+    const double (*points)[4]; /* positions in index space; fourth, 0 or vox_second_pack() */
     int32_t last_cell[4]; /* inclusive upper bound; positions beyond it are clamped into the last
                              voxel. The fourth number is unused */
     /* Unit normals, or zero; fourth, the height in voxels of the surface with these normals above
      * the vertex. NULL: triangles have their own normals. */
     const float (*normals)[4];
-    const float (
-        *seconds)[4];   /* the same for second sides of creases; zero: none. NULL: none at all
-                         */
+    bool has_seconds;   /* points have second sides of creases */
     bool wide;          /* fragments must not be lifted far */
     bool coarse;        /* triangles are so large that their facets would show in the grid */
     double noise_share; /* facet-noise weight of records per square of an edge in voxels */

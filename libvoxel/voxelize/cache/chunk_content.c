@@ -19,9 +19,8 @@ static struct vox_chunk_layout lay_out(const struct fmt_tris_file *file, bool sm
     struct vox_chunk_layout to;
     to.points_at = bsq_align_up(load_bytes, BSQ_ALIGNMENT);
     to.normals_at = to.points_at + bsq_align_up(vertices * sizeof(double[4]), BSQ_ALIGNMENT);
-    const uint64_t normal_bytes = bsq_align_up(vertices * sizeof(float[4]), BSQ_ALIGNMENT);
-    to.seconds_at = to.normals_at + (normals ? normal_bytes : 0);
-    to.groups_at = to.seconds_at + (smooth ? normal_bytes : 0);
+    to.groups_at =
+        to.normals_at + (normals ? bsq_align_up(vertices * sizeof(float[4]), BSQ_ALIGNMENT) : 0);
     to.vertex_groups_at =
         to.groups_at + bsq_align_up(groups * sizeof(struct vox_box), BSQ_ALIGNMENT);
     to.inconsistent_at =
@@ -230,14 +229,12 @@ bool vox_own_normals_inconsistent(const struct vox_own_normals *of, uint32_t beg
 /* ---- the two steps ---- */
 
 /* Computes the points of all vertices. */
-static void place_points(const struct vox_transform *transform, struct vox_chunk_content *content)
+static void place_points(const struct vox_transform *transform, const struct fmt_tris_chunk *source,
+                         double (*points)[4])
 {
     const struct row_transform rows = row_transform_of(transform);
-    const struct fmt_tris_chunk *source = &content->chunk.source;
-    double(*points)[4] = (double(*)[4])(void *)(content->memory + content->layout.points_at);
     for (uint32_t v = 0; v < source->vertex_count; v++)
         row_store(place(&rows, row_of_floats(source->positions[v])), points[v]);
-    content->chunk.points = (const double(*)[4])points;
 }
 
 static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)[4])
@@ -260,24 +257,40 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
 /* Above this mean square smooth normals blend well without planes if fragments would be lifted
  * far. */
 #define WIDE_EDGE_SQUARE 6.0
+/* Normals of both sides of creases are found in chunks with a triangle that extends farther than
+ * this along an axis, or whose mean square is above LARGE_EDGE_SQUARE. Elsewhere they change maps
+ * only beside the edge, unless small triangles have large weights
+ * (docs/decisions/0008-normals-of-scans-without-normals.md). */
+#define CREASE_EDGE_SQUARE 64.0
 
 /* Facet-noise weight of records per square of an edge in voxels (docs/decisions/0009): of facets
  * without vertex normals, and of triangles with smooth ones. */
 #define NOISE_OF_FACETS   2.7
 #define NOISE_OF_VERTICES 0.4
 
-/* Returns the mean square of the triangles' first edges, in voxels of size h. */
-static double mean_edge_square(const struct fmt_tris_chunk *source, double h)
+/* Squares of edges in voxels: the mean of the triangles' first edges, and the largest extent along
+ * an axis of two edges of each triangle. */
+struct edge_squares {
+    double mean, largest;
+};
+
+static struct edge_squares measure_edges(const struct fmt_tris_chunk *source, double h)
 {
-    struct row sums = row_of(0.0, 0.0, 0.0, 0.0);
+    const double voxel = h * h;
+    struct row sums = row_of(0.0, 0.0, 0.0, 0.0), most = sums;
     for (uint32_t t = 0; t < source->triangle_count; t++) {
         const uint32_t *v = source->triangles[t];
-        struct row edge = row_difference(row_of_floats(source->positions[v[1]]),
-                                         row_of_floats(source->positions[v[0]]));
-        sums = row_sum(sums, row_product(edge, edge));
+        const struct row at = row_of_floats(source->positions[v[0]]);
+        const struct row first = row_difference(row_of_floats(source->positions[v[1]]), at);
+        const struct row last = row_difference(row_of_floats(source->positions[v[2]]), at);
+        const struct row square = row_product(first, first);
+        sums = row_sum(sums, square);
+        most = row_max(most, row_max(square, row_product(last, last)));
     }
-    return (row_number(sums, 0) + row_number(sums, 1) + row_number(sums, 2)) / (h * h) /
-           (double)source->triangle_count;
+    return (struct edge_squares){
+        (row_number(sums, 0) + row_number(sums, 1) + row_number(sums, 2)) / voxel /
+            (double)source->triangle_count,
+        fmax(fmax(row_number(most, 0), row_number(most, 1)), row_number(most, 2)) / voxel};
 }
 
 /* Marks the groups whose normals are inconsistent with their triangles. large: marks all. */
@@ -323,35 +336,41 @@ int vox_chunk_read(const struct vox_chunk_source *from, uint32_t number,
     return status;
 }
 
+static bool has_wide_creases(const struct vox_smooth *smooth, const struct edge_squares *edges)
+{
+    return vox_smooth_weights(smooth) == BSQ_SCAN_NORMALS_MAX || edges->mean > LARGE_EDGE_SQUARE ||
+           edges->largest > CREASE_EDGE_SQUARE;
+}
+
 int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smooth_lender *lender,
                      uint32_t number, struct vox_chunk_content *content)
 {
     struct vox_chunk *chunk = &content->chunk;
     const struct fmt_tris_chunk *source = &chunk->source;
     float(*normals)[4] = (float(*)[4])(void *)(content->memory + content->layout.normals_at);
-    float(*seconds)[4] = (float(*)[4])(void *)(content->memory + content->layout.seconds_at);
-    bool has_seconds;
+    double(*points)[4] = (double(*)[4])(void *)(content->memory + content->layout.points_at);
     int status = 0;
-    place_points(from->transform, content);
-    double square = mean_edge_square(source, from->transform->h);
-    chunk->coarse = square > COARSE_EDGE_SQUARE;
-    chunk->wide = source->normals || square > WIDE_EDGE_SQUARE;
+    place_points(from->transform, source, points);
+    const struct edge_squares edges = measure_edges(source, from->transform->h);
+    chunk->coarse = edges.mean > COARSE_EDGE_SQUARE;
+    chunk->wide = source->normals || edges.mean > WIDE_EDGE_SQUARE;
     chunk->normals = (const float(*)[4])normals;
-    chunk->seconds = NULL;
+    chunk->points = (const double(*)[4])points;
+    chunk->has_seconds = false;
     chunk->inconsistent = NULL;
     chunk->noise_share = 0.0;
     if (from->smooth && !source->normals)
         chunk->noise_share = chunk->coarse ? NOISE_OF_VERTICES : NOISE_OF_FACETS;
     if (source->normals) {
         unpack_normals(source, normals);
-        find_inconsistent(square > LARGE_EDGE_SQUARE, content);
+        find_inconsistent(edges.mean > LARGE_EDGE_SQUARE, content);
     } else if (from->smooth && chunk->coarse) {
         status = vox_smooth_normals(
             from->smooth, lender,
             &(struct vox_smooth_chunk){.index = number,
                                        .decoded = {source, chunk->groups, content->vertex_groups}},
-            from->transform, normals, seconds, &has_seconds);
-        chunk->seconds = has_seconds ? (const float(*)[4])seconds : NULL;
+            from->transform, normals, has_wide_creases(from->smooth, &edges) ? points : NULL,
+            &chunk->has_seconds);
     } else {
         chunk->normals = NULL;
     }

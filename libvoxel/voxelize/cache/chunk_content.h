@@ -16,7 +16,7 @@ struct vox_chunk_source {
 
 /* Offsets in bytes in a slot's memory. The chunk as it is in the file comes first. */
 struct vox_chunk_layout {
-    uint64_t points_at, normals_at, seconds_at, groups_at, vertex_groups_at, inconsistent_at, bytes;
+    uint64_t points_at, normals_at, groups_at, vertex_groups_at, inconsistent_at, bytes;
 };
 
 struct vox_chunk_content {

@@ -10,18 +10,7 @@
 #include <string.h>
 
 #include "base/positions.h"
-
-/* Triangles of neighbours at the vertices of a chunk, in the order of the file: a mesh without
- * shared vertices. Creases go through all triangles twice more; to read the neighbours again for
- * that takes 13 % more processor time for 10 million noisy triangles in 64 MiB. */
-struct border {
-    float (*positions)[3];    /* one more than corners, as in a chunk */
-    uint32_t (*triangles)[3]; /* 0, 1, 2; 3, 4, 5; ... */
-    uint32_t *rings;          /* of the positions */
-    uint32_t count, capacity; /* triangles */
-    uint32_t before;          /* those of chunks before this one */
-    bool whole;               /* there was space for all */
-};
+#include "base/vec.h"
 
 /* Memory of one call. */
 struct workspace {
@@ -30,10 +19,10 @@ struct workspace {
     struct bsq_positions table; /* of the chunk's vertices that need normals */
     uint32_t *own_rings; /* for each vertex of the chunk: the number of its one-ring, which is that
                             of the first vertex at its position */
-    uint32_t *neighbour_rings;  /* the same for the vertices of a neighbour; 0: none */
-    struct vox_one_ring *rings; /* by number; 0 is unused */
+    uint32_t *neighbour_rings; /* the same for the vertices of a neighbour; 0: none */
+    double (*rings)[4];        /* one-rings by number; 0 is unused */
+    int parts;                 /* of the one-rings */
     struct vox_creases creases;
-    struct border border;
     void *scratch; /* for a neighbour that is not lent */
 };
 
@@ -47,7 +36,8 @@ struct vox_smooth {
     struct workspace *workspaces;
 };
 
-enum { BORDER_TRIANGLES = 8192 };
+/* One-rings among which creases are looked for at a time. */
+enum { CREASES = 4096 };
 
 static uint32_t largest_vertex_count(const struct fmt_tris_file *file)
 {
@@ -61,32 +51,25 @@ static uint32_t largest_vertex_count(const struct fmt_tris_file *file)
 
 /* Offsets of the arrays in a workspace's memory; the one-rings come first. */
 struct layout {
-    uint64_t seconds_at, creases_at, slots_at, own_at, neighbour_at, crease_of_at, vertices_at,
-        positions_at, triangles_at, rings_at, scratch_at, bytes;
-    uint32_t border_triangles;
+    uint64_t seconds_at, creases_at, slots_at, own_at, neighbour_at, crease_of_at, scratch_at,
+        bytes;
 };
 
 static struct layout lay_out(const struct fmt_tris_file *file)
 {
     const uint64_t vertices = largest_vertex_count(file);
     const uint64_t numbers = bsq_align_up((vertices + 1) * sizeof(uint32_t), BSQ_ALIGNMENT);
+    const uint64_t ring = sizeof(double[VOX_RING_ROWS][4]);
     struct layout to;
-    to.seconds_at = bsq_align_up((vertices + 1) * sizeof(struct vox_one_ring), BSQ_ALIGNMENT);
-    to.creases_at = 2 * to.seconds_at;
-    to.slots_at = to.creases_at + bsq_align_up((vertices + 1) * sizeof(double[4]), BSQ_ALIGNMENT);
+    to.seconds_at = bsq_align_up((vertices + 1) * ring, BSQ_ALIGNMENT);
+    to.creases_at = to.seconds_at + (CREASES + 1) * ring;
+    to.slots_at = bsq_align_up(to.creases_at + (CREASES + 1) * sizeof(double[4]), BSQ_ALIGNMENT);
     to.own_at =
         to.slots_at +
         bsq_align_up(bsq_positions_slots((uint32_t)vertices) * sizeof(uint32_t), BSQ_ALIGNMENT);
     to.neighbour_at = to.own_at + numbers;
     to.crease_of_at = to.neighbour_at + numbers;
-    to.vertices_at = to.crease_of_at + numbers;
-    /* Four times the triangles along the border of a compact chunk. */
-    to.border_triangles = vertices < BORDER_TRIANGLES ? (uint32_t)vertices : BORDER_TRIANGLES;
-    const uint64_t border = bsq_align_up(to.border_triangles * sizeof(uint32_t[3]), BSQ_ALIGNMENT);
-    to.positions_at = to.vertices_at + numbers;
-    to.triangles_at = to.positions_at + 3 * border + BSQ_ALIGNMENT;
-    to.rings_at = to.triangles_at + border;
-    to.scratch_at = to.rings_at + border;
+    to.scratch_at = to.crease_of_at + numbers;
     to.bytes = to.scratch_at + fmt_tris_load_size_max(file);
     return to;
 }
@@ -97,15 +80,9 @@ static int make_workspace(struct bsq_ctx *ctx, const struct layout *at, struct w
     if (status < 0)
         return status;
     w->rings = (void *)w->memory;
-    w->creases = (struct vox_creases){
-        (void *)(w->memory + at->crease_of_at), (void *)(w->memory + at->creases_at),
-        (void *)(w->memory + at->seconds_at), (void *)(w->memory + at->vertices_at), 0};
-    w->border = (struct border){.positions = (void *)(w->memory + at->positions_at),
-                                .triangles = (void *)(w->memory + at->triangles_at),
-                                .rings = (void *)(w->memory + at->rings_at),
-                                .capacity = at->border_triangles};
-    for (uint32_t c = 0; c < 3 * at->border_triangles; c++)
-        w->border.triangles[c / 3][c % 3] = c;
+    w->creases = (struct vox_creases){(void *)(w->memory + at->crease_of_at),
+                                      (void *)(w->memory + at->creases_at),
+                                      (void *)(w->memory + at->seconds_at)};
     w->table.slots = (void *)(w->memory + at->slots_at);
     w->own_rings = (void *)(w->memory + at->own_at);
     w->neighbour_rings = (void *)(w->memory + at->neighbour_at);
@@ -150,6 +127,11 @@ void vox_smooth_destroy(struct vox_smooth *s)
         bsq_free(s->ctx, s->workspaces[i].memory);
     bsq_free(s->ctx, s->workspaces);
     bsq_free(s->ctx, s);
+}
+
+enum bsq_scan_normals vox_smooth_weights(const struct vox_smooth *smooth)
+{
+    return smooth->weights;
 }
 
 static struct workspace *take_workspace(struct vox_smooth *s)
@@ -220,7 +202,7 @@ static void enter_vertices(struct workspace *d, const struct fmt_tris_chunk *chu
     uint32_t *late = d->neighbour_rings, late_count = 0;
     const uint64_t count = chunk->vertex_count;
     d->table.mask = bsq_positions_slots(count) - 1;
-    memset(d->rings, 0, (count + 1) * sizeof *d->rings);
+    memset(d->rings, 0, (count + 1) * VOX_RING_ROWS * sizeof *d->rings);
     memset(d->table.slots, 0, ((uint64_t)d->table.mask + 1) * sizeof *d->table.slots);
     for (uint32_t v = 0; v < count; v++) {
         uint32_t *slot = &d->table.slots[bsq_position_hash(chunk->positions[v]) & d->table.mask];
@@ -240,8 +222,8 @@ static void enter_vertices(struct workspace *d, const struct fmt_tris_chunk *chu
 
 /* ---- sums ----
  *
- * One-rings are summed over all triangles. If some may be creases, all triangles near these are
- * gone through twice more. */
+ * One-rings are summed over all triangles. To find creases, all triangles near some of them are
+ * gone through again, and near those that are creases once more. */
 
 enum step { STEP_SUM, STEP_FARTHEST, STEP_SIDES };
 
@@ -295,41 +277,6 @@ static void add_triangles(const struct sums *n, const struct vox_loan *of,
                    &d->creases);
 }
 
-/* Keeps a neighbour's triangles at vertices of the chunk for the steps of creases. */
-static void keep_border(const struct sums *n, const struct vox_loan *of)
-{
-    const struct fmt_tris_chunk *chunk = of->chunk;
-    const uint32_t *ring_of = n->d->neighbour_rings;
-    struct border *border = &n->d->border;
-    for (struct run run = {0, 0}; border->whole && next_triangles(of, &n->box, &run);)
-        for (uint32_t t = run.begin; t < run.end; t++) {
-            const uint32_t *v = chunk->triangles[t];
-            if ((ring_of[v[0]] | ring_of[v[1]] | ring_of[v[2]]) == 0)
-                continue;
-            border->whole = border->count < border->capacity;
-            if (!border->whole)
-                return;
-            for (int i = 0; i < 3; i++) {
-                const uint32_t to = 3 * border->count + (uint32_t)i;
-                memcpy(border->positions[to], chunk->positions[v[i]], sizeof *border->positions);
-                border->rings[to] = ring_of[v[i]];
-            }
-            border->count++;
-        }
-}
-
-/* Does the step for what keep_border() kept, from `begin` to `end`. */
-static void add_border(const struct sums *n, uint32_t begin, uint32_t end)
-{
-    const struct border *border = &n->d->border;
-    const struct fmt_tris_chunk chunk = {.triangle_count = border->count,
-                                         .vertex_count = 3 * border->count,
-                                         .positions = (const float(*)[3])border->positions,
-                                         .triangles = (const uint32_t(*)[3])border->triangles};
-    vox_divide_one_rings_fn *const divide = BSQ_SIMD_PICK(bsq_simd_best(), vox_divide_one_rings);
-    divide(&chunk, begin, end, border->rings, n->step == STEP_SIDES, n->d->rings, &n->d->creases);
-}
-
 static int add_chunk(const struct sums *n, uint32_t other)
 {
     struct fmt_tris_chunk own = {0};
@@ -342,11 +289,8 @@ static int add_chunk(const struct sums *n, uint32_t other)
         return status;
     if (!lent)
         loan = (struct vox_loan){.chunk = &own};
-    if (loan.chunk->positions && match(n, &loan)) {
+    if (loan.chunk->positions && match(n, &loan))
         add_triangles(n, &loan, &n->box, n->d->neighbour_rings);
-        if (n->step == STEP_SUM)
-            keep_border(n, &loan);
-    }
     if (lent)
         n->lender->take_back(n->lender->arg, other);
     return 0;
@@ -357,120 +301,165 @@ static int visit_chunks(const struct sums *n)
 {
     const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(n->smooth->file);
     const uint32_t count = (uint32_t)fmt_tris_get_header(n->smooth->file)->chunk_count;
-    struct border *border = &n->d->border;
     int status = 0;
     for (uint32_t i = 0; i < count && status == 0; i++) {
-        if (i == n->of->index) {
+        if (i == n->of->index)
             add_triangles(n, &n->of->decoded, n->step == STEP_SUM ? NULL : &n->box,
                           n->d->own_rings);
-            border->before = n->step == STEP_SUM ? border->count : border->before;
-        } else if (touches(&infos[i], n)) {
+        else if (touches(&infos[i], n))
             status = add_chunk(n, i);
-        }
     }
     return status;
 }
 
-/* Does a step of creases, with the border of the chunk if that was kept. */
-static int run_crease_step(struct sums *n, enum step step)
+/* ---- creases ---- */
+
+/* A packed second side is an integer below 2^53, scaled: 1 and the normal's 32 bits, above them the
+ * height's upper bits. */
+enum { HEIGHT_BITS = 20, NORMAL_BITS = 32 };
+#define PACKED_SCALE 0x1p-60
+
+double vox_second_pack(const float second[4])
 {
-    const struct border *border = &n->d->border;
-    n->step = step;
-    if (!border->whole)
-        return visit_chunks(n);
-    add_border(n, 0, border->before);
-    add_triangles(n, &n->of->decoded, &n->box, n->d->own_rings);
-    add_border(n, border->before, border->count);
-    return 0;
+    uint32_t height;
+    if (second[0] == 0.0f && second[1] == 0.0f && second[2] == 0.0f)
+        return 0.0;
+    memcpy(&height, &second[3], sizeof height);
+    const uint64_t high = height >> (32 - HEIGHT_BITS);
+    const uint64_t low = bsq_oct_pack((struct bsq_vec3){second[0], second[1], second[2]});
+    return (double)((high << NORMAL_BITS) + low + 1) * PACKED_SCALE;
 }
 
-/* Numbers the one-rings that may be creases, and finds their bounds. */
-static void begin_creases(struct sums *n, const struct vox_transform *transform)
+void vox_second_unpack(double packed, float second[4])
+{
+    if (packed == 0.0) {
+        memset(second, 0, 4 * sizeof *second);
+        return;
+    }
+    const uint64_t both = (uint64_t)(packed / PACKED_SCALE) - 1;
+    const uint32_t height = (uint32_t)(both >> NORMAL_BITS) << (32 - HEIGHT_BITS);
+    const struct bsq_vec3 normal = bsq_oct_unpack((uint32_t)both);
+    memcpy(second, (const float[3]){normal.x, normal.y, normal.z}, 3 * sizeof *second);
+    memcpy(&second[3], &height, sizeof height);
+}
+
+/* Consecutive vertices; those that are the first at their position have numbered one-rings. */
+struct batch {
+    uint32_t begin, end, creases;
+};
+
+static bool is_first(const struct workspace *d, uint32_t vertex)
+{
+    return d->own_rings[vertex] == vertex + 1;
+}
+
+/* Numbers the next one-rings, and finds their bounds. Returns false if there are no more. */
+static bool next_batch(struct sums *n, const struct vox_transform *transform, struct batch *batch)
 {
     const struct fmt_tris_chunk *chunk = n->of->decoded.chunk;
     const struct vox_creases *c = &n->d->creases;
-    uint32_t count = 0;
+    uint32_t v = batch->end, count = 0;
     for (int k = 0; k < 3; k++) {
         n->min[k] = INFINITY;
         n->max[k] = -INFINITY;
     }
-    memset(c->crease_of, 0, (chunk->vertex_count + UINT64_C(1)) * sizeof *c->crease_of);
-    for (uint32_t i = 0; i < c->vertex_count; i++) {
-        const uint32_t v = c->vertices[i], ring = n->d->own_rings[v];
-        if (c->crease_of[ring] != 0)
+    for (; v < chunk->vertex_count && count < CREASES; v++) {
+        if (!is_first(n->d, v))
             continue;
-        c->crease_of[ring] = ++count;
+        c->crease_of[v + 1] = ++count;
         memcpy(c->creases[count], (const double[4]){[3] = INFINITY}, sizeof *c->creases);
         for (int k = 0; k < 3; k++) {
             n->min[k] = fminf(n->min[k], chunk->positions[v][k]);
             n->max[k] = fmaxf(n->max[k], chunk->positions[v][k]);
         }
     }
-    n->box = vox_transform_box(transform, n->min, n->max);
+    *batch = (struct batch){batch->end, v, count};
+    if (count > 0)
+        n->box = vox_transform_box(transform, n->min, n->max);
+    return count > 0;
 }
 
 /* Divides one-rings, and prepares the sums of second sides. Returns whether there are any. */
-static bool divide_rings(const struct sums *n)
+static bool divide_rings(const struct sums *n, const struct batch *batch)
 {
     const struct vox_creases *c = &n->d->creases;
     bool any = false;
-    for (uint32_t i = 0; i < c->vertex_count; i++) {
-        const uint32_t ring = n->d->own_rings[c->vertices[i]], crease = c->crease_of[ring];
-        if (ring != c->vertices[i] + 1)
-            continue; /* not the first vertex at its position */
-        if (bsq_divide_ring((double(*)[4])(void *)&n->d->rings[ring], 3, c->creases[crease]))
-            memset(&c->seconds[crease], 0, sizeof *c->seconds);
-        else
-            c->crease_of[ring] = 0;
-        any |= c->crease_of[ring] != 0;
+    for (uint64_t ring = batch->begin + UINT64_C(1); ring <= batch->end; ring++) {
+        uint32_t *crease = &c->crease_of[ring];
+        if (*crease != 0 && !bsq_divide_ring(&n->d->rings[ring * VOX_RING_ROWS], VOX_RING_PARTS,
+                                             c->creases[*crease]))
+            *crease = 0;
+        any |= *crease != 0;
     }
+    memset(c->seconds, 0, (batch->creases + UINT64_C(1)) * VOX_RING_ROWS * sizeof *c->seconds);
     return any;
 }
 
-/* Sets the normals of both sides of creases. */
-static void finish_creases(const struct sums *n, double h, float (*normals)[4], float (*seconds)[4])
+/* Sets the normals of both sides of a batch's creases. */
+static void finish_creases(const struct sums *n, const struct batch *batch, double h,
+                           float (*normals)[4], double (*points)[4])
 {
     vox_finish_one_rings_fn *const finish = BSQ_SIMD_PICK(bsq_simd_best(), vox_finish_one_rings);
     const struct vox_creases *c = &n->d->creases;
-    struct vox_creases unused = {.vertices = (uint32_t[1]){0}};
-    memset(seconds, 0, n->of->decoded.chunk->vertex_count * sizeof *seconds);
-    for (uint32_t i = 0; i < c->vertex_count; i++) {
-        const uint32_t v = c->vertices[i], *ring = &n->d->own_rings[v];
-        if (c->crease_of[*ring] == 0)
+    for (uint32_t v = batch->begin; v < batch->end; v++) {
+        const uint32_t ring = v + 1, crease = c->crease_of[ring];
+        float second[4];
+        if (crease == 0)
             continue;
-        finish(n->d->rings, ring, 1, h, &normals[v], &unused);
-        finish(c->seconds, &c->crease_of[*ring], 1, h, &seconds[v], &unused);
+        finish((const double(*)[4])n->d->rings, &ring, 1, h, &normals[v]);
+        finish((const double(*)[4])c->seconds, &crease, 1, h, &second);
+        points[v][3] = vox_second_pack(second);
     }
 }
 
+/* Gives both sides of each crease of the chunk a normal. */
+static int find_creases(struct sums *n, const struct vox_transform *transform, float (*normals)[4],
+                        double (*points)[4], bool *has_seconds)
+{
+    const uint64_t count = n->of->decoded.chunk->vertex_count;
+    uint32_t *crease_of = n->d->creases.crease_of;
+    int status = 0;
+    memset(crease_of, 0, (count + 1) * sizeof *crease_of);
+    for (struct batch batch = {0}; next_batch(n, transform, &batch);) {
+        n->step = STEP_FARTHEST;
+        BSQ_TRY(visit_chunks(n));
+        if (divide_rings(n, &batch)) {
+            n->step = STEP_SIDES;
+            BSQ_TRY(visit_chunks(n));
+            finish_creases(n, &batch, transform->h, normals, points);
+            *has_seconds = true;
+        }
+        memset(&crease_of[batch.begin + 1], 0, (batch.end - batch.begin) * sizeof *crease_of);
+    }
+    for (uint32_t v = 0; v < count && *has_seconds; v++)
+        if (!is_first(n->d, v)) {
+            const uint32_t first = n->d->own_rings[v] - 1;
+            memcpy(normals[v], normals[first], sizeof *normals);
+            points[v][3] = points[first][3];
+        }
+done:
+    return status;
+}
+
 static int make_normals(struct sums *n, const struct vox_transform *transform, float (*normals)[4],
-                        float (*seconds)[4], bool *has_seconds)
+                        double (*points)[4], bool *has_seconds)
 {
     const struct fmt_tris_chunk *chunk = n->of->decoded.chunk;
     int status = 0;
     n->d->table.positions = chunk->positions;
     enter_vertices(n->d, chunk);
-    n->d->border.count = n->d->border.before = 0;
-    n->d->border.whole = true;
     BSQ_TRY(visit_chunks(n));
     BSQ_SIMD_PICK(bsq_simd_best(), vox_finish_one_rings)
-    (n->d->rings, n->d->own_rings, chunk->vertex_count, transform->h, normals, &n->d->creases);
-    if (n->d->creases.vertex_count == 0)
-        return 0;
-    begin_creases(n, transform);
-    BSQ_TRY(run_crease_step(n, STEP_FARTHEST));
-    if (!divide_rings(n))
-        return 0;
-    BSQ_TRY(run_crease_step(n, STEP_SIDES));
-    finish_creases(n, transform->h, normals, seconds);
-    *has_seconds = true;
+    ((const double(*)[4])n->d->rings, n->d->own_rings, chunk->vertex_count, transform->h, normals);
+    if (points)
+        BSQ_TRY(find_creases(n, transform, normals, points, has_seconds));
 done:
     return status;
 }
 
 int vox_smooth_normals(struct vox_smooth *s, const struct vox_smooth_lender *lender,
                        const struct vox_smooth_chunk *chunk, const struct vox_transform *transform,
-                       float (*normals)[4], float (*seconds)[4], bool *has_seconds)
+                       float (*normals)[4], double (*points)[4], bool *has_seconds)
 {
     const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(s->file)[chunk->index];
     struct sums sums = {.smooth = s,
@@ -481,7 +470,7 @@ int vox_smooth_normals(struct vox_smooth *s, const struct vox_smooth_lender *len
     memcpy(sums.min, info->bounds_min, sizeof sums.min);
     memcpy(sums.max, info->bounds_max, sizeof sums.max);
     *has_seconds = false;
-    int status = make_normals(&sums, transform, normals, seconds, has_seconds);
+    int status = make_normals(&sums, transform, normals, points, has_seconds);
     return_workspace(s, sums.d);
     return status;
 }

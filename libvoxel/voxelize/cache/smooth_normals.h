@@ -36,6 +36,7 @@ int vox_smooth_create(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                       enum bsq_scan_normals weights, unsigned calls, uint64_t bytes,
                       struct vox_smooth **out);
 void vox_smooth_destroy(struct vox_smooth *smooth); /* NULL is allowed */
+enum bsq_scan_normals vox_smooth_weights(const struct vox_smooth *smooth);
 
 /* A decoded chunk, and the bounds of its groups; NULL: unknown. */
 struct vox_loan {
@@ -60,48 +61,50 @@ struct vox_smooth_chunk {
 /* Computes smooth normals of a chunk's vertices as if the scan were whole: vertices at the same
  * position are one, whichever chunk they are in. normals: one entry for each vertex: a unit normal,
  * or zero if no normal stands for its triangles, and a height in voxels: how far above the vertex,
- * along its normal, the surface lies that the interpolated normals describe. seconds: the same for
- * the second sides of creases (base/smooth_normals.h), zero elsewhere. *has_seconds: whether there
- * are any; else `seconds` is not written.
+ * along its normal, the surface lies that the interpolated normals describe. points: one for each
+ * vertex; the fourth number gets the same for the second side of a crease (base/smooth_normals.h),
+ * packed, and is 0 elsewhere. NULL: no normal stands for the triangles at a crease, and only
+ * weights decide what is one. *has_seconds: whether there are any; else `points` is unchanged.
  * Sums run in the order of triangles in the file, so results do not depend on the order of calls.
  * Thread-safe; waits while no workspace is free. */
 int vox_smooth_normals(struct vox_smooth *smooth, const struct vox_smooth_lender *lender,
                        const struct vox_smooth_chunk *chunk, const struct vox_transform *transform,
-                       float (*normals)[4], float (*seconds)[4], bool *has_seconds);
+                       float (*normals)[4], double (*points)[4], bool *has_seconds);
+
+/* Packs the normal and height of a second side into a number from 0 up to 2^-8; 0 for none. A point
+ * in index space has place for it, and floors to 0 there. Normals are packed as in a chunk file,
+ * heights are cut to 12 significant bits. */
+double vox_second_pack(const float second[4]);
+void vox_second_unpack(double packed, float second[4]);
 
 /* ---- private to the cache: one-rings, for each instruction set ---- */
 
-/* Sums over the triangles around a vertex, in the form of base/smooth_normals.h. */
-struct vox_one_ring {
-    double normal[3], weight, units[4], moment[3], unused;
-};
+/* Parts and rows of the sums, see base/smooth_normals.h. */
+enum { VOX_RING_PARTS = BSQ_RING_MOMENT, VOX_RING_ROWS = 2 };
 
 /* bsq_add_one_rings() of a chunk's triangles. */
 typedef void vox_add_one_rings_fn(const struct fmt_tris_chunk *chunk, uint32_t begin, uint32_t end,
                                   const uint32_t *ring_of, enum bsq_scan_normals weights,
-                                  struct vox_one_ring *rings);
+                                  double (*rings)[4]);
 BSQ_SIMD_DECLARE(vox_add_one_rings_fn, vox_add_one_rings);
 
-/* The creases of a chunk, as base/smooth_normals.h describes them. */
+/* Creases, as base/smooth_normals.h describes them. */
 struct vox_creases {
     uint32_t *crease_of; /* by one-ring */
     double (*creases)[4];
-    struct vox_one_ring *seconds;
-    uint32_t *vertices; /* that may be at a crease */
-    uint32_t vertex_count;
+    double (*seconds)[4]; /* one-rings of second sides */
 };
 
 /* bsq_find_farthest(), or with `sides` bsq_add_sides(), of a chunk's triangles. */
 typedef void vox_divide_one_rings_fn(const struct fmt_tris_chunk *chunk, uint32_t begin,
                                      uint32_t end, const uint32_t *ring_of, bool sides,
-                                     struct vox_one_ring *rings, const struct vox_creases *creases);
+                                     double (*rings)[4], const struct vox_creases *creases);
 BSQ_SIMD_DECLARE(vox_divide_one_rings_fn, vox_divide_one_rings);
 
 /* Sets the normals of `count` vertices from their one-rings, see vox_smooth_normals(). h: edge of a
- * voxel. creases: gets the vertices that may be at a crease. */
-typedef void vox_finish_one_rings_fn(const struct vox_one_ring *rings, const uint32_t *ring_of,
-                                     uint32_t count, double h, float (*normals)[4],
-                                     struct vox_creases *creases);
+ * voxel. */
+typedef void vox_finish_one_rings_fn(const double (*rings)[4], const uint32_t *ring_of,
+                                     uint32_t count, double h, float (*normals)[4]);
 BSQ_SIMD_DECLARE(vox_finish_one_rings_fn, vox_finish_one_rings);
 
 #endif

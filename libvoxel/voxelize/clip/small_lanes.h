@@ -28,10 +28,14 @@ choose_sides(const struct vox_chunk *chunk, const struct block_triangle *const t
     const lane_mask has_area = lanes_less(lanes_all(0.5), shade_dot(t->flat, t->flat));
     const doubles least = lanes_keep(has_area, lanes_all(BSQ_FACET_COSINE));
     for (int i = 0; i < 3; i++) {
+        float unpacked[LANE_COUNT][4];
         const float *seconds[LANE_COUNT];
         doubles *n = t->normal[i], *rise = &t->weights.rise[i], second[4];
-        for (int l = 0; l < LANE_COUNT; l++)
-            seconds[l] = chunk->seconds[chunk->source.triangles[triangle[l]->number][i]];
+        for (int l = 0; l < LANE_COUNT; l++) {
+            const uint32_t vertex = chunk->source.triangles[triangle[l]->number][i];
+            vox_second_unpack(chunk->points[vertex][3], unpacked[l]);
+            seconds[l] = unpacked[l];
+        }
         lanes_gather_floats(seconds, second);
         const doubles cosine = shade_dot(n, t->flat), other = shade_dot(second, t->flat);
         const lane_mask closer = lanes_less(cosine, other);
@@ -94,7 +98,7 @@ LANES_INLINE void load_triangles(const struct vox_accumulation *job,
                 t->rgb[i][k][l] = rgb[i][k];
     }
     shade_measure(t);
-    if (chunk->seconds)
+    if (chunk->has_seconds)
         choose_sides(chunk, triangle, t);
     shade_prepare(t);
     shade_put_facts(t, facts);

@@ -50,9 +50,9 @@ TEST(test_sums_over_one_rings)
     for (uint32_t begin = 0; begin < TRIANGLES; begin += TRIANGLES / 2) {
         const uint32_t end = begin + TRIANGLES / 2;
         bsq_add_one_rings((const float(*)[3])positions, (const uint32_t(*)[3])triangles, begin, end,
-                          ring_of, BSQ_SCAN_NORMALS_AREA, 3, sums);
+                          ring_of, BSQ_SCAN_NORMALS_AREA, BSQ_RING_UNITS | BSQ_RING_MOMENT, sums);
         bsq_add_one_rings((const float(*)[3])positions, (const uint32_t(*)[3])triangles, begin, end,
-                          ring_of, BSQ_SCAN_NORMALS_AREA, 1, short_sums);
+                          ring_of, BSQ_SCAN_NORMALS_AREA, 0, short_sums);
     }
     assert_memory_equal(sums[3], expected[3], sizeof sums - 3 * sizeof sums[0]);
     for (int ring = 1; ring < RINGS; ring++)
@@ -79,7 +79,7 @@ static void normal_of_first(const float (*positions)[3], const uint32_t (*triang
 {
     const uint32_t ring_of[VERTICES] = {1};
     double sums[2][4] = {{0}};
-    bsq_add_one_rings(positions, triangles, 0, count, ring_of, weights, 1, sums);
+    bsq_add_one_rings(positions, triangles, 0, count, ring_of, weights, 0, sums);
     const double *s = sums[1], length = sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2]);
     for (int k = 0; k < 3; k++)
         out[k] = s[k] / length;

@@ -244,7 +244,7 @@ static void expected_normal(const struct scan_mesh *mesh, enum bsq_scan_normals 
 
 /* Returns the least cosine of all corners of a chunk's triangles. */
 static double least_cosine(const struct fixture *f, const struct fmt_tris_chunk *chunk,
-                           const float (*normals)[4], const float (*seconds)[4],
+                           const float (*normals)[4], const double (*points)[4],
                            check_corner *check_one)
 {
     double least = 1.0;
@@ -257,10 +257,12 @@ static double least_cosine(const struct fixture *f, const struct fmt_tris_chunk 
             continue;
         for (int i = 0; i < 3; i++) {
             const uint32_t v = chunk->triangles[t][i];
-            double sides[2][3] = {{0}};
+            double sides[2][3];
+            float second[4];
+            vox_second_unpack(points[v][3], second);
             for (int k = 0; k < 3; k++) {
                 sides[0][k] = (double)normals[v][k];
-                sides[1][k] = seconds ? (double)seconds[v][k] : 0.0;
+                sides[1][k] = (double)second[k];
             }
             choose_normal((const double(*)[3])sides, facet, normal);
             least = fmin(least, check_one(f, p[i], facet, normal));
@@ -279,7 +281,8 @@ static double check_with(struct fixture *f, check_corner *check_one)
         const struct fmt_tris_chunk *chunk = &f->chunks[i].chunk;
         const size_t bytes = chunk->vertex_count * sizeof(float[4]);
         float(*normals[2])[4] = {malloc(bytes), malloc(bytes)};
-        float(*seconds[2])[4] = {malloc(bytes), malloc(bytes)};
+        double(*points[2])[4] = {calloc(chunk->vertex_count, sizeof(double[4])),
+                                 calloc(chunk->vertex_count, sizeof(double[4]))};
         bool has_seconds[2];
         for (int lends = 0; lends < 2; lends++) {
             const struct vox_smooth_chunk smooth = {
@@ -288,21 +291,18 @@ static double check_with(struct fixture *f, check_corner *check_one)
                          : (struct vox_loan){.chunk = chunk}};
             f->lends = lends;
             assert_int_equal(vox_smooth_normals(f->smooth, &lender, &smooth, &f->transform,
-                                                normals[lends], seconds[lends],
-                                                &has_seconds[lends]),
+                                                normals[lends], points[lends], &has_seconds[lends]),
                              0);
             assert_int_equal(f->lent, 0);
         }
         assert_memory_equal(normals[0], normals[1], bytes);
         assert_int_equal(has_seconds[0], has_seconds[1]);
-        if (has_seconds[0])
-            assert_memory_equal(seconds[0], seconds[1], bytes);
+        assert_memory_equal(points[0], points[1], chunk->vertex_count * sizeof(double[4]));
         least = fmin(least, least_cosine(f, chunk, (const float(*)[4])normals[0],
-                                         has_seconds[0] ? (const float(*)[4])seconds[0] : NULL,
-                                         check_one));
+                                         (const double(*)[4])points[0], check_one));
         for (int lends = 0; lends < 2; lends++) {
             free(normals[lends]);
-            free(seconds[lends]);
+            free(points[lends]);
         }
     }
     return least;
