@@ -206,6 +206,13 @@ check-farm: tests-build deps-farm
 	@OPENJD=$(farm_venv)/bin/openjd BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
 	    tests/farm/check_openjd.sh tests/farm/check_slurm.sh
 
+.PHONY: check-doors
+## check-doors: look at reports in a headless Chromium (installs it); screenshots in build/doors
+check-doors: tests-build
+	@if tests/install-packages.sh chromium libjs-three; then \
+	    BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh tests/doors/check_reports.sh; \
+	else echo "check-doors: skipped, chromium and libjs-three cannot be installed"; fi
+
 ## check-long: check, and many more rounds of the randomized tests
 .PHONY: check-long
 check-long: check

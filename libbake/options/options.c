@@ -41,7 +41,7 @@ static const char *lacks(uint32_t need, const struct bake_options *options,
     case TANGENT_SPACE:
         return options->normal_space == BAKE_TANGENT_SPACE ? NULL : "--normal space=tangent";
     case PREVIEW:
-        return options->preview_path || options->page ? NULL : "--preview or --report";
+        return options->preview_path || options->page_path ? NULL : "--preview or --report";
     case GPU:
         return strcmp(options->device, "cpu") != 0 ? NULL : "a device other than cpu";
     case GRID_TO_SAMPLE: /* the nearest voxel of triangles is an error later */
