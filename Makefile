@@ -323,6 +323,7 @@ compile_commands.json:
 	    jq -nR --arg directory '$(CURDIR)' '$(compile_commands)' > $@
 
 include tools/packaging/packaging.mk
+include tools/python/python.mk
 
 .PHONY: clean
 ## clean: remove the build folder

@@ -213,9 +213,10 @@ check-doors: tests-build
 	    BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh tests/doors/check_reports.sh; \
 	else echo "check-doors: skipped, chromium and libjs-three cannot be installed"; fi
 
-## check-long: check, and many more rounds of the randomized tests
+## check-long: check, check-python, and many more rounds of the randomized tests
 .PHONY: check-long
 check-long: check
+	@$(MAKE) --no-print-directory check-python
 	@LONG=1 BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
 	    $(patsubst %,tests/cli/test_%.sh,combine faults overwritten oracle reproducible) \
 	    $(BUILD)/tests/exhaustion/test_exhaustion

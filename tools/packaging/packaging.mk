@@ -43,6 +43,11 @@ uninstall:
 	-rmdir $(dir $(farmdir)) 2>/dev/null
 
 # ---- packages of Bisque ----
+# For tools/python: what an extension that holds the libraries is linked with.
+.PHONY: print-libs
+print-libs:
+	@echo $(LIBS.all)
+
 dist := build/dist/bisque-$(VERSION).tar.gz
 .PHONY: dist deb
 ## dist: build/dist/bisque-VERSION.tar.gz with the sources of the last commit, and its date

@@ -1,0 +1,250 @@
+"""The package from outside: meshes in memory and files give the same, errors, progress, UVs."""
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+import types
+
+import bisque
+import numpy as np
+import pytest
+
+BIN, GENERATE = os.environ["BIN"], os.environ["GENERATE"]
+
+
+def write_obj(path, vertices, faces):
+    bisque.Mesh(vertices, faces).save(path)
+    return path
+
+
+def test_scans_in_memory_and_files_give_the_same_chunks(scan, tmp_path):
+    vertices, faces = scan
+    write_obj(tmp_path / "scan.obj", vertices, faces)
+    subprocess.run([f"{BIN}/bisque-voxelize", tmp_path / "scan.obj", "-o", tmp_path / "file.tris"],
+                   check=True, capture_output=True)
+    expected = (tmp_path / "file.tris").read_bytes()
+    padded = np.zeros((len(vertices), 5))
+    padded[:, :3] = vertices
+    trimesh = pytest.importorskip("trimesh")
+    scans = {"arrays": (vertices, faces), "int64": (vertices, faces.astype(np.int64)),
+             "rows with gaps": (padded[:, :3], faces), "columns": (np.asfortranarray(vertices), faces),
+             "trimesh": trimesh.Trimesh(vertices, faces, process=False),
+             "open3d": types.SimpleNamespace(vertices=vertices, triangles=faces, vertex_colors=[]),
+             "path": tmp_path / "scan.obj"}
+    for name, given in scans.items():
+        report = bisque.sort(given, tmp_path / "memory.tris")
+        assert report["triangles"] == len(faces)
+        assert (tmp_path / "memory.tris").read_bytes() == expected, name
+
+
+def test_a_scan_in_memory_is_not_copied(tmp_path):
+    """Resident memory grows by less than half of the arrays, within a small budget."""
+    code = f"""
+import sys; sys.path.insert(0, {os.path.dirname(__file__)!r})
+import bisque, numpy as np
+from conftest import sphere
+def peak(): return int(open('/proc/self/status').read().split('VmHWM:')[1].split()[0]) << 10
+vertices, faces = sphere(500, True)
+vertices = np.ascontiguousarray(np.tile(vertices.astype(np.float32), (4, 1)))
+faces = np.concatenate([faces + k * (len(vertices) // 4) for k in range(4)]).astype(np.int32, "C")
+open('/proc/self/clear_refs', 'w').write('5')
+before = peak()
+bisque.sort((vertices, faces), {str(tmp_path / 'big.tris')!r}, memory='64M', threads=2)
+print(vertices.nbytes + faces.nbytes, peak() - before)"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    arrays, grown = map(int, done.stdout.split())
+    assert arrays > 200 << 20 and grown < 80 << 20, done.stdout
+
+
+def test_colors_and_normals_come_along(scan, tmp_path):
+    vertices, faces = scan
+    mesh = bisque.Mesh(vertices, faces, colors=np.full((len(vertices), 3), 0.5),
+                       normals=vertices.astype(np.float32))
+    report = bisque.sort(mesh, tmp_path / "scan.tris")
+    assert report["has_colors"] and report["has_normals"]
+
+
+@pytest.mark.parametrize("given, error, text", [
+    ("missing.obj", bisque.Error, "missing.obj: No such file"),
+    ((np.zeros((3, 2)), np.zeros((1, 3), int)), ValueError, "vertices"),
+    ((np.zeros((3, 3)), np.zeros((1, 3))), ValueError, "integers"),
+    ((np.eye(3), np.array([[0, 1, 7]])), bisque.Error, "refers to vertex 7"),
+    ((np.eye(3), np.array([[0, 1, -1]])), bisque.Error, "refers to vertex"),
+    (42, TypeError, "int")])
+def test_errors_say_what_is_wrong(given, error, text, tmp_path):
+    with pytest.raises(error, match=text) as caught:
+        bisque.sort(given, tmp_path / "out.tris")
+    if error is bisque.Error:
+        assert caught.value.status in (65, 66)
+    assert not (tmp_path / "out.tris").exists()
+
+
+def test_progress_its_exceptions_and_other_threads(scan, tmp_path):
+    seen, ticks, running = [], [], True
+
+    def tick():
+        while running:
+            ticks.append(time.monotonic())
+            time.sleep(0.005)
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    bisque.voxelize(scan, tmp_path / "grid.nvdb", resolution=700,
+                    progress=lambda *what: seen.append(what))
+    running = False
+    thread.join()
+    assert {stage for stage, *_ in seen} >= {"reading", "writing"}
+    assert all(0 <= done <= total for _, done, total, _ in seen if total)
+    assert len(ticks) > 10  # the GIL is free
+
+    def stop(*_):
+        raise LookupError("enough")
+
+    with pytest.raises(LookupError, match="enough"):
+        bisque.voxelize(scan, tmp_path / "stopped.nvdb", progress=stop)
+    assert not (tmp_path / "stopped.nvdb").exists()
+
+
+def test_ctrl_c_stops_a_job(scan, tmp_path):
+    write_obj(tmp_path / "scan.obj", *scan)
+    code = f"""
+import _thread, bisque, threading
+threading.Timer(0.5, _thread.interrupt_main).start()
+try:
+    bisque.voxelize({str(tmp_path / 'scan.obj')!r}, {str(tmp_path / 'g.nvdb')!r}, resolution=20000)
+except KeyboardInterrupt:
+    print('interrupted')"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout == "interrupted\n", done.stderr
+    assert not (tmp_path / "g.nvdb").exists()
+
+
+def test_baked_arrays_are_the_files(scan, low, tmp_path):
+    maps = bisque.bake(scan, low, ("normal", "mask"), size=256, sample_type="float", glb=True,
+                       normal_space="tangent")
+    assert maps["normal"].shape == (256, 256, 3) and maps["mask"].shape == (256, 256)
+    inside = maps["mask"] == 1
+    lengths = np.linalg.norm(maps["normal"][inside] * 2 - 1, axis=1)
+    assert abs(lengths - 1).max() < 1e-5
+    saved = maps.save(tmp_path / "sphere_<MAP>.exr")
+    low.save(tmp_path / "low.obj")
+    bisque.sort(scan, tmp_path / "scan.tris")
+    subprocess.run([f"{BIN}/bisque-bake", tmp_path / "scan.tris", tmp_path / "low.obj", "--size",
+                    "256", "--maps", "normal,mask", "--type", "float", "-o",
+                    tmp_path / "tool_<MAP>.exr"], check=True, capture_output=True)
+    for name, path in zip(maps, saved):
+        assert bisque.compare(path, tmp_path / f"tool_{name}.exr")["max"] == 0
+    assert (tmp_path / "sphere.glb").write_bytes(open(maps.glb(tmp_path / "a.glb"), "rb").read())
+    assert (tmp_path / "a.glb").read_bytes()[:4] == b"glTF"
+    with pytest.raises(ValueError, match="format"):
+        maps.save(tmp_path / "x_<MAP>.png")
+    only = bisque.bake(scan, low, ("normal",), size=64, format="")
+    assert only["normal"].shape == (64, 64, 3) and not only.files
+
+
+def test_object_space_normals_are_those_of_the_formula(scan, low):
+    maps = bisque.bake(scan, low, ("normal", "position", "mask"), size=256, normal_space="object",
+                       sample_type="float")
+    inside = maps["mask"] == 1
+    points = maps["position"][inside].astype(float)
+    unit = points / np.linalg.norm(points, axis=1)[:, None]
+    from conftest import radius_at
+    step, gradient = 1e-4, np.zeros_like(unit)
+    for k in range(3):  # of the level r - radius(direction), by differences
+        sides = []
+        for sign in (1, -1):
+            q = points + sign * step * np.eye(3)[k]
+            r = np.linalg.norm(q, axis=1)
+            sides.append(r - radius_at(q / r[:, None]))
+        gradient[:, k] = (sides[0] - sides[1]) / (2 * step)
+    gradient /= np.linalg.norm(gradient, axis=1)[:, None]
+    normals = maps["normal"][inside] * 2 - 1
+    angles = np.degrees(np.arccos(np.clip((gradient * normals).sum(axis=1), -1, 1)))
+    assert angles.mean() < 0.3, angles.mean()
+
+
+def test_options_follow_the_table(scan, low):
+    with pytest.raises(TypeError, match="no option 'sampels'"):
+        bisque.bake(scan, low, sampels=2)
+    with pytest.raises(ValueError, match="smooth mesh face"):
+        bisque.bake(scan, low, rays="sideways")
+    with pytest.raises(bisque.Error, match="samples"):
+        bisque.bake(scan, low, ("normal",), samples=0)
+    with pytest.raises(bisque.Error, match="roughness"):
+        bisque.bake(scan, low, ("roughness",))
+
+
+@pytest.mark.parametrize("library", ["uvunwrap", "xatlas"])
+def test_uvs_are_checked(scan, library):
+    pytest.importorskip(library)
+    low = bisque.unwrap(bisque.simplify(scan, triangles=800), size=256, library=library)
+    report = low.report["uv"]
+    assert report["overlapping_samples"] == report["flipped_triangles"] == 0
+    assert 0.3 < report["used_share"] <= 1 and 1 <= report["stretch_p95"] < 3
+    # A chart laid over another one, a mirrored triangle, and one outside of the square are found.
+    low.uvs = np.concatenate([low.uvs, [[0.2, 0.2], [0.2, 0.8], [0.8, 0.2], [0.5, 1.5]]])
+    low.uv_faces[0] = [len(low.uvs) - 4, len(low.uvs) - 3, len(low.uvs) - 2]
+    low.uv_faces[1, 0] = len(low.uvs) - 1
+    report = bisque.check_uvs(low, 256)
+    assert report["overlapping_samples"] > 1000 and report["flipped_triangles"] > 0
+    assert report["outside_triangles"] > 0
+
+
+def test_a_library_that_does_not_end_is_stopped(scan):
+    with pytest.raises(bisque.UnwrapError, match="fewer triangles"):
+        bisque.unwrap(scan, seconds=0.01)
+
+
+def test_distances(scan):
+    low = bisque.simplify(scan, triangles=1500)
+    measured = bisque.measure(low, scan)
+    assert measured["from_scan"]["max"] == pytest.approx(low.report["from_scan"]["max"], rel=1e-3)
+
+
+def test_programs_are_on_the_path():
+    for name in ("voxelize", "simplify", "bake", "compare"):
+        program = os.path.join(os.path.dirname(sys.executable), f"bisque-{name}")
+        done = subprocess.run([program, "--version"], capture_output=True, text=True)
+        assert done.stdout.strip() == f"bisque-{name} {bisque.version()}"
+
+
+def asset(*arguments, code=0):
+    program = os.path.join(os.path.dirname(sys.executable), "bisque-asset")
+    done = subprocess.run([program, *map(str, arguments)], capture_output=True, text=True)
+    assert done.returncode == code, done.stderr
+    return done
+
+
+def test_asset_of_a_file_goes_on_where_it_stopped(tmp_path):
+    scan, out = tmp_path / "vase.obj", tmp_path / "vase.glb"
+    subprocess.run([GENERATE, "--triangles", "60000", "--colors", "vase", "-o", scan], check=True)
+    content = scan.read_bytes()
+    given = (scan, "-o", out, "--triangles", 1500, "--size", 256, "--keep", tmp_path / "steps",
+             "--memory", "512M")
+    asset(*given)
+    certificate = json.loads((tmp_path / "vase_asset/asset.json").read_text())
+    level = certificate["levels"][0]
+    assert level["triangles"] <= 1500 and level["distance"]["from_scan"]["max"] > 0
+    assert level["normal_error"]["mean"] < 5 and not certificate["lost"]
+    assert {"low.obj", "low.mtl", "normal.png", "color.png", "preview.png"} <= set(level["files"])
+    assert "map_Kd color.png" in (tmp_path / "vase_asset/low.mtl").read_text()
+    assert scan.read_bytes() == content
+    grid = tmp_path / "steps/grid_0.nvdb"
+    times = {path: path.stat().st_mtime_ns for path in (grid, tmp_path / "steps/scan.tris", out)}
+    asset(*given)
+    assert times == {path: path.stat().st_mtime_ns for path in times}
+    grid.unlink()  # as if the job had stopped before
+    asset(*given)
+    assert grid.exists() and grid.stat().st_mtime_ns != times[grid]
+    assert (tmp_path / "steps/scan.tris").stat().st_mtime_ns == times[tmp_path / "steps/scan.tris"]
+
+
+def test_asset_says_what_is_wrong(tmp_path):
+    done = asset(tmp_path / "missing.obj", "-o", tmp_path / "a.glb", code=66)
+    assert "missing.obj: No such file" in done.stderr and "Traceback" not in done.stderr
+    (tmp_path / "a.glb").write_bytes(b"a scan")
+    done = asset(tmp_path / "a.glb", "-o", tmp_path / "a.glb", code=64)
+    assert "would be replaced" in done.stderr and (tmp_path / "a.glb").read_bytes() == b"a scan"
+    assert "must end in .glb" in asset("a.obj", "-o", tmp_path / "a.gltf", code=64).stderr

@@ -1,0 +1,530 @@
+"""The steps of the C libraries as functions: sort, voxelize, simplify, bake, compare."""
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+import threading
+import warnings
+import weakref
+from pathlib import Path
+from typing import Any, Callable, Sequence
+
+import numpy as np
+
+from .lib._core import ffi, lib
+from .mesh import Mesh, as_mesh, is_path, read_mesh
+
+#: Gets (stage, done, total, unit); total is 0 if it is unknown. An exception ends the job.
+Progress = Callable[[str, int, int, str], Any]
+
+
+class Error(RuntimeError):
+    """A failure: `status` is the exit code of sysexits(3) that the programs would have."""
+
+    def __init__(self, status: int, message: str):
+        super().__init__(message)
+        self.status, self.message = status, message
+
+
+def version() -> str:
+    """Returns the version of the library."""
+    return ffi.string(lib.bsq_version()).decode()
+
+
+def parse_bytes(size: int | str | None) -> int:
+    """Returns the bytes of a size such as 1000000, "512M" or "1.5G"; 0 for None."""
+    if size is None or isinstance(size, int):
+        return size or 0
+    match = re.fullmatch(r"([0-9.]+)\s*([KMGT]?)(i?B)?", size.strip(), re.IGNORECASE)
+    if not match:
+        raise ValueError(f"memory: {size!r} is no size such as 512M or 2G")
+    return int(float(match[1]) * 1024 ** " KMGT".index(match[2].upper() or " "))
+
+
+def _text(value: Any) -> str:
+    return ffi.string(value).decode(errors="surrogateescape") if value else ""
+
+
+@ffi.def_extern()
+def on_progress(user: Any, progress: Any) -> None:
+    job = ffi.from_handle(user)
+    if job.progress and not job.failure:
+        try:
+            job.progress(_text(progress.stage), progress.done, progress.total,
+                         _text(progress.unit))
+        except BaseException as failure:  # of the caller: the job ends with it
+            job.failure = failure
+            lib.bsq_interrupt(job.ctx)
+
+
+@ffi.def_extern()
+def on_warning(user: Any, line: Any) -> None:
+    ffi.from_handle(user).warnings.append(_text(line))
+
+
+@ffi.def_extern()
+def on_rows(user: Any, rows: Any) -> int:
+    job = ffi.from_handle(user)
+    try:
+        job.take_rows(rows)
+        return 0
+    except BaseException as failure:
+        job.failure = failure
+        return -71 if isinstance(failure, MemoryError) else -70
+
+
+class Job:
+    """A context of the library. Calls run in a thread without the GIL, while this one waits and can
+    be interrupted."""
+
+    def __init__(self, memory: int | str | None = None, threads: int = 0,
+                 tmpdir: str | os.PathLike | None = None, progress: Progress | None = None):
+        self.kept: list[Any] = []
+        self.progress, self.failure = progress, None
+        self.warnings: list[str] = []
+        self.maps: dict[tuple[str, str], np.ndarray] = {}
+        self.handle = ffi.new_handle(self)
+        self.folder: str | None = None
+        self.tmpdir = os.fspath(tmpdir) if tmpdir else None
+        options = ffi.new("struct bsq_ctx_options *", {
+            "size": ffi.sizeof("struct bsq_ctx_options"), "memory_bytes": parse_bytes(memory),
+            "threads": threads, "on_progress": lib.on_progress, "on_warning": lib.on_warning,
+            "user": self.handle, "tmpdir": self.string(self.tmpdir)})
+        out = ffi.new("struct bsq_ctx **")
+        self.ctx = ffi.NULL
+        if lib.bsq_ctx_create(options, out) < 0:
+            raise MemoryError("no memory for a context")
+        self.ctx = out[0]
+
+    def __enter__(self) -> "Job":
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        lib.bsq_ctx_destroy(self.ctx)
+        if self.folder:
+            shutil.rmtree(self.folder, ignore_errors=True)
+        for line in self.warnings:
+            warnings.warn(line, stacklevel=4)
+
+    def keep(self, thing: Any) -> Any:
+        self.kept.append(thing)
+        return thing
+
+    def string(self, text: Any) -> Any:
+        """Returns a C string that lives as long as the job, or NULL."""
+        return ffi.NULL if text is None else self.keep(ffi.new("char[]", os.fsencode(text)))
+
+    def strings(self, texts: Sequence[Any]) -> Any:
+        return self.keep(ffi.new("const char *[]", [self.string(text) for text in texts]))
+
+    def temporary(self, name: str) -> str:
+        """Returns a path in a folder that goes with the job."""
+        if self.folder is None:
+            self.folder = tempfile.mkdtemp(prefix="bisque-", dir=self.tmpdir)
+        return os.path.join(self.folder, name)
+
+    def run(self, function: Callable, *arguments: Any) -> None:
+        """Calls a function that takes the context and returns a status. Raises Error, the exception
+        of a callback, or KeyboardInterrupt, after the library has stopped."""
+        status: list[int] = []
+        ended = threading.Event()  # an interrupted Thread.join() may take a thread for ended
+
+        def call() -> None:
+            try:
+                status.append(function(self.ctx, *arguments))
+            finally:
+                ended.set()
+
+        lib.bsq_forget_files(self.ctx)
+        threading.Thread(target=call).start()
+        interrupted = None
+        while not ended.is_set():
+            try:
+                ended.wait(0.2)  # a signal need not end a wait without an end
+            except KeyboardInterrupt as interruption:
+                interrupted = interruption
+                lib.bsq_interrupt(self.ctx)
+        if self.failure or interrupted:
+            raise self.failure or interrupted
+        if not status:
+            raise Error(70, "the call into the library failed")
+        if status[0] < 0:
+            raise Error(-status[0], _text(lib.bsq_error(self.ctx)))
+
+    def take_rows(self, rows: Any) -> None:
+        key = (_text(rows.map), _text(rows.path))
+        if key not in self.maps:
+            self.maps[key] = np.empty((rows.height, rows.width, rows.channels), np.float32)
+        part = self.maps[key][rows.first:rows.first + rows.count]
+        ffi.memmove(ffi.from_buffer(part), rows.samples, part.nbytes)
+
+
+def _plain(value: Any) -> Any:
+    """Turns a C structure into a dict, and other values into those of Python."""
+    if not isinstance(value, ffi.CData):
+        return value
+    kind = ffi.typeof(value)
+    if kind.kind == "pointer" and kind.item.kind == "struct":
+        return _plain(value[0])
+    if kind.kind == "struct":
+        return {name: _plain(getattr(value, name)) for name, _ in kind.fields}
+    if kind.kind == "pointer" or (kind.kind == "array" and kind.item.cname == "char"):
+        return _text(value)
+    return [_plain(item) for item in value]
+
+
+def _is_memory(scan: Any) -> bool:
+    """Returns whether a scan is a mesh in memory, and not a path or a list of paths."""
+    return not (is_path(scan) or
+                (isinstance(scan, (list, tuple)) and all(is_path(item) for item in scan)))
+
+
+def _paths(scan: Any) -> list[str]:
+    return [os.fsdecode(scan)] if is_path(scan) else [os.fsdecode(item) for item in scan]
+
+
+def _rows(job: Job, array: np.ndarray | None, types: Sequence[str], other: str) -> dict:
+    """Describes the rows of an array without a copy, if it has one of these types and its rows have
+    no gaps; else of a copy."""
+    if array is None:
+        return {"first": ffi.NULL, "step": 0}
+    if array.dtype.str.lstrip("<|=") not in types:
+        array = array.astype(other)
+    if array.strides[1] != array.itemsize or array.strides[0] < 0:
+        array = np.ascontiguousarray(array)
+    job.keep(array)
+    return {"first": ffi.cast("const char *", array.ctypes.data), "step": array.strides[0]}
+
+
+def _source(job: Job, scan: Any) -> Any:
+    """Makes a scan in memory an input of the library: a PLY file whose bytes are made on demand."""
+    mesh = as_mesh(scan)
+    colors = mesh.colors
+    if colors is not None and colors.dtype.kind == "f":
+        colors = np.round(np.clip(colors, 0, 1) * 255).astype(np.uint8)
+    normals = mesh.normals if mesh.normal_faces is None or mesh.normal_faces is mesh.faces else None
+    wide = mesh.vertices.dtype != np.float32
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(mesh.vertices)}"]
+    lines += [f"property {'double' if wide else 'float'} {k}" for k in "xyz"]
+    lines += [f"property float n{k}" for k in "xyz" if normals is not None]
+    lines += [f"property uchar {k}" for k in ("red", "green", "blue") if colors is not None]
+    lines += [f"element face {len(mesh.faces)}", "property list uchar uint vertex_indices",
+              "end_header", ""]
+    header = job.keep(ffi.new("char[]", "\n".join(lines).encode()))
+    indices = mesh.faces if mesh.faces.itemsize in (4, 8) else mesh.faces.astype(np.int64)
+    arrays = job.keep(ffi.new("struct arrays *", {
+        "header": header, "header_bytes": len(header) - 1,
+        "vertex_count": len(mesh.vertices), "face_count": len(mesh.faces),
+        "positions": _rows(job, mesh.vertices, ("f4", "f8"), "<f8"),
+        "normals": _rows(job, normals, ("f4",), "<f4"), "colors": _rows(job, colors, ("u1",), "u1"),
+        "faces": _rows(job, indices, ("i4", "u4", "i8", "u8"), "<i8"),
+        "position_bytes": 8 if wide else 4, "index_bytes": indices.itemsize}))
+    return job.keep(ffi.new("struct bsq_source *", {
+        "size": ffi.sizeof("struct bsq_source"), "bytes": lib.arrays_size(arrays),
+        "read": ffi.addressof(lib, "arrays_read"), "user": arrays}))
+
+
+def _kind(job: Job, path: str) -> int:
+    kind = ffi.new("enum fmt_kind *")
+    job.run(lib.fmt_recognise, job.string(path), kind)
+    return int(kind[0])
+
+
+def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "none",
+          channels: Sequence[str] = (), embed_textures: bool = False,
+          resume: bool = False, temporary: Any = ffi.NULL) -> dict:
+    options = ffi.new("struct vox_sort_options *")
+    lib.vox_sort_defaults(options)
+    if _is_memory(scan):
+        options.scan_paths, options.scan_count = job.strings(["mesh in memory"]), 1
+        options.sources = job.keep(ffi.new("const struct bsq_source *[]", [_source(job, scan)]))
+    else:
+        paths = _paths(scan)
+        options.scan_paths, options.scan_count = job.strings(paths), len(paths)
+    options.tris_path = job.string(output)
+    options.texture_path = job.string(texture)
+    options.ids = ("none", "material", "object", "color").index(ids)
+    options.channels = job.keep(ffi.new("struct vox_channel[]", [
+        {"name": job.string(name), "texture_path": ffi.NULL} for name in channels]))
+    options.channel_count = len(channels)
+    options.embed_textures = embed_textures
+    options.record = lib.VOX_RECORD_REUSE if resume else lib.VOX_RECORD_NONE
+    options.temp_tris = temporary
+    report = ffi.new("struct vox_sort_report *")
+    job.run(lib.vox_sort, options, report)
+    return _plain(report)
+
+
+def _chunks(job: Job, scan: Any) -> str | list[str]:
+    """Returns the paths of a scan as chunk files; sorts meshes into a temporary one."""
+    if not _is_memory(scan):
+        paths = _paths(scan)
+        if all(_kind(job, path) == lib.FMT_KIND_TRIS for path in paths):
+            return paths
+    path = job.temporary("scan.tris")
+    _sort(job, scan, path)
+    return [path]
+
+
+def sort(scan: Any, output: str | os.PathLike, *, texture: Any = None, ids: str = "none",
+         channels: Sequence[str] = (), embed_textures: bool = False, resume: bool = False,
+         memory: int | str | None = None, threads: int = 0, tmpdir: Any = None,
+         progress: Progress | None = None) -> dict:
+    """Sorts a scan into a chunk file (.tris), from which all other functions start faster.
+
+    texture: an image for all faces with texture coordinates. ids: "material", "object" or "color".
+    channels: such as ("roughness",). resume: keeps a file that would become the same again, by its
+    record, `output` + ".job". Returns the report. Raises Error."""
+    with Job(memory, threads, tmpdir, progress) as job:
+        return _sort(job, scan, os.fspath(output), texture, ids, channels, embed_textures, resume)
+
+
+def voxelize(scan: Any, output: str | os.PathLike, *, resolution: int = 2048,
+             voxel_size: float | None = None, scan_normals: str = "area",
+             channels: str | None = None, memory: int | str | None = None, threads: int = 0,
+             tmpdir: Any = None, progress: Progress | None = None) -> dict:
+    """Voxelizes a scan into a grid (.nvdb) of `resolution` voxels along its longest side, or with
+    voxels of an edge in the scan's units. Returns the report. Raises Error."""
+    with Job(memory, threads, tmpdir, progress) as job:
+        chunks = _chunks(job, scan)
+        options = ffi.new("struct vox_voxelize_options *")
+        lib.vox_voxelize_defaults(options)
+        options.tris_path = job.string(chunks[0])
+        if len(chunks) > 1:
+            raise ValueError("voxelize: several chunk files need bisque-voxelize, or sort() first")
+        options.grid_path = job.string(os.fspath(output))
+        options.resolution = 0 if voxel_size else resolution
+        options.voxel_size = voxel_size or 0
+        options.scan_normals = ("area", "angle", "max", "flat").index(scan_normals)
+        options.channels = job.string(channels)
+        report = ffi.new("struct vox_voxelize_report *")
+        job.run(lib.vox_voxelize, options, report)
+        return _plain(report)
+
+
+def simplify(scan: Any, output: str | os.PathLike | None = None, *, triangles: int | None = None,
+             error: float | None = None, min_component: float = 0, hard_angle: float = 180,
+             memory: int | str | None = None, threads: int = 0, tmpdir: Any = None,
+             progress: Progress | None = None) -> Mesh:
+    """Makes a low-poly mesh of a number of triangles, or with a largest distance from the scan.
+
+    output: an .obj or .ply file to write, too. min_component: pieces whose box has a smaller share
+    of the scan's diagonal are dropped. hard_angle: normals are smooth over edges up to that many
+    degrees. The mesh's `report` has the distances both ways. Raises Error."""
+    if (triangles is None) == (error is None):
+        raise ValueError("simplify: either triangles or error is needed")
+    with Job(memory, threads, tmpdir, progress) as job:
+        chunks = _chunks(job, scan)
+        path = os.fspath(output) if output else job.temporary("low.ply")
+        options = ffi.new("struct vox_simplify_options *")
+        lib.vox_simplify_defaults(options)
+        options.tris_paths, options.tris_count = job.strings(chunks), len(chunks)
+        options.output_paths = job.strings([path])
+        options.targets = job.keep(ffi.new("uint64_t[]", [triangles or 0]))
+        options.target_count = triangles is not None
+        options.error = error or 0
+        options.min_component, options.hard_angle = min_component, hard_angle
+        report = ffi.new("struct vox_simplify_report *")
+        job.run(lib.vox_simplify, options, report)
+        mesh = read_mesh(path)
+        mesh.report = _plain(report)
+        mesh.report.update(mesh.report.pop("levels")[0])
+        return mesh
+
+
+def measure(low: Any, scan: Any, *, memory: int | str | None = None, threads: int = 0,
+            tmpdir: Any = None, progress: Progress | None = None) -> dict:
+    """Measures how far a mesh is from a scan: from_scan, from each vertex of the scan to the mesh,
+    and from_mesh, the other way. Raises Error."""
+    with Job(memory, threads, tmpdir, progress) as job:
+        chunks = _chunks(job, scan)
+        mesh = ffi.new("struct vox_temp_tris **")
+        from_scan, from_mesh = (ffi.new("struct vox_distances *") for _ in range(2))
+        job.run(lib.vox_temp_tris_create, mesh)
+        try:
+            _sort(job, low, job.temporary("mesh.tris"), temporary=mesh[0])
+            job.run(lib.vox_measure_mesh, job.strings(chunks), len(chunks), mesh[0], from_scan,
+                    from_mesh)
+        finally:
+            lib.vox_temp_tris_close(mesh[0])
+        return {"from_scan": _plain(from_scan), "from_mesh": _plain(from_mesh)}
+
+
+# ---- baking ----
+
+class Maps(dict):
+    """Maps by name: float32 arrays (height, width[, channels]), rows from the top, with the values
+    of the files. `report` has counts, times and what values stand for; `files` the paths."""
+
+    def __init__(self, arrays: dict, report: dict, files: dict, folder: str | None,
+                 glb: str | None):
+        super().__init__(arrays)
+        self.report, self.files, self._glb = report, files, glb
+        self._folder = folder
+        if folder:
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+
+    def save(self, pattern: str | os.PathLike) -> list[str]:
+        """Copies the files of the maps; "<MAP>" in the pattern stands for their names. The suffix
+        must be that of the bake (`format`). Returns the paths."""
+        pattern, saved = os.fspath(pattern), []
+        for name, path in self.files.items():
+            if Path(pattern).suffix.lower() != Path(path).suffix:
+                raise ValueError(f"{pattern}: the maps were baked as {Path(path).suffix[1:]}; "
+                                 "bake(format=...) chooses")
+            if "<MAP>" not in pattern and len(self.files) > 1:
+                raise ValueError(f"{pattern}: several maps need <MAP> in the name")
+            saved.append(pattern.replace("<MAP>", name))
+            shutil.copyfile(path, saved[-1])
+        return saved
+
+    def glb(self, path: str | os.PathLike) -> str:
+        """Copies the GLB file: the low-poly mesh with its maps. Returns the path."""
+        if not self._glb:
+            raise ValueError("bake(glb=True) makes the GLB file")
+        return str(shutil.copyfile(self._glb, os.fspath(path)))
+
+
+def _set_options(job: Job, options: Any, values: dict) -> None:
+    """Sets members of struct bake_options by the library's table of options."""
+    count = ffi.new("size_t *")
+    table = lib.bake_option_rows(count)
+    rows = {_text(table[i].member): table[i] for i in range(count[0])}
+    types = {lib.BSQ_OPTION_FLAG: "bool *", lib.BSQ_OPTION_COUNT: "uint32_t *",
+             lib.BSQ_OPTION_BYTES: "uint64_t *", lib.BSQ_OPTION_NUMBER: "double *",
+             lib.BSQ_OPTION_CHOICE: "uint32_t *"}
+    for name, value in values.items():
+        row = rows.get(name) or rows.get(name + "_path")
+        if row is None or row.kind == lib.BSQ_OPTION_LIST:
+            raise TypeError(f"bake() has no option {name!r}")
+        if isinstance(value, str) and row.words and row.kind in types:
+            word = lib.bsq_option_word(row.words, value.encode())
+            if word < 0:
+                raise ValueError(f"{name}: {value!r} is none of: {_text(row.words)}")
+            value = {lib.BSQ_OPTION_COUNT: 0xffffffff, lib.BSQ_OPTION_NUMBER: -1}.get(row.kind,
+                                                                                    word)
+        elif row.kind not in types:
+            value = job.string(value)
+        elif row.kind == lib.BSQ_OPTION_BYTES:
+            value = parse_bytes(value)
+        at = ffi.cast("char *", options) + row.offset
+        ffi.cast(types.get(row.kind, "const char **"), at)[0] = value
+
+
+def _choose_maps(job: Job, options: Any, maps: Sequence[str]) -> None:
+    """Sets the bits of maps; other names are transfer maps, of channels that the scan has."""
+    names, transfers = {}, []
+    while lib.bake_map_name(len(names)):
+        names[_text(lib.bake_map_name(len(names)))] = len(names)
+    for name in (maps,) if isinstance(maps, str) else maps:
+        if name in names:
+            options.maps |= 1 << names[name]
+        else:
+            transfers.append({"name": job.string(name.removeprefix("transfer:"))})
+    options.transfers = job.keep(ffi.new("struct bake_transfer[]", transfers))
+    options.transfer_count = len(transfers)
+
+
+def _scan_paths(job: Job, scan: Any) -> list[str]:
+    """Returns the paths of a scan as the library bakes it: grids and chunk files as they are, meshes
+    sorted."""
+    if not _is_memory(scan) and all(
+            _kind(job, path) in (lib.FMT_KIND_TRIS, lib.FMT_KIND_NVDB) for path in _paths(scan)):
+        return _paths(scan)
+    return _chunks(job, scan)
+
+
+def _low_path(job: Job, low: Any) -> str:
+    if is_path(low):
+        return os.fsdecode(low)
+    mesh = as_mesh(low)
+    if mesh.uvs is None:
+        raise ValueError("the low-poly mesh has no texture coordinates: unwrap() makes them")
+    path = job.temporary("low.obj")
+    mesh.save(path)
+    return path
+
+
+def _arrays_of(job: Job) -> tuple[dict, dict]:
+    """Names the maps of a job, by their files if several tiles or objects have one."""
+    names = [name for name, _ in job.maps]
+    arrays, files = {}, {}
+    for (name, path), array in job.maps.items():
+        key = name if names.count(name) == 1 else Path(path).stem
+        arrays[key], files[key] = array[:, :, 0] if array.shape[2] == 1 else array, path
+    return arrays, files
+
+
+def bake(high: Any, low: Any, maps: Sequence[str] = (), *, size: int | tuple[int, int] = 2048,
+         output: str | os.PathLike | None = None, format: str = "exr", glb: bool | str = False,
+         memory: int | str | None = None, threads: int = 0, tmpdir: Any = None, arrays: bool = True,
+         progress: Progress | None = None, tiles: Sequence[int] = (), **options: Any) -> Maps:
+    """Bakes maps of a scan for a low-poly mesh with UVs. Grids (.nvdb) are fast; chunk files and
+    meshes give exact maps.
+
+    maps: names such as "normal", "color", "ao"; others are channels of the scan, such as
+    "roughness"; (): what the scan has. size: texels, or (width, height). output: where files go,
+    such as "out/<MAP>.png"; without it, Maps.save() copies temporary ones of `format`, "exr" or
+    "png"; None: there are no files. glb: also makes a GLB file, for Maps.glb() or at a path.
+    arrays: False keeps no maps in memory. tiles: UDIM tiles to bake. All members of struct
+    bake_options are options, such as cage, front, back, samples, sample_type, ao_rays, green_down,
+    preview, extrude, device. Raises Error."""
+    folder = None
+    with Job(memory, threads, tmpdir, progress) as job:
+        o = ffi.new("struct bake_options *")
+        lib.bake_defaults(o)
+        if output is None and (format or glb is True):
+            folder = tempfile.mkdtemp(prefix="bisque-", dir=job.tmpdir)
+        try:
+            paths = _scan_paths(job, high)
+            o.scan_path = job.string(paths[0])
+            o.more_scan_paths, o.more_scan_count = job.strings(paths[1:]), len(paths) - 1
+            o.mesh_path = job.string(_low_path(job, low))
+            o.width, o.height = (size, size) if isinstance(size, int) else size
+            o.rows_only = output is None and not format
+            o.output_path = job.string(output or os.path.join(
+                folder or job.temporary(""), f"<MAP>.{format or 'exr'}"))
+            glb_path = os.path.join(folder or "", "asset.glb") if glb is True else glb
+            o.glb_path = job.string(glb_path or None)
+            o.tile_ranges = job.keep(ffi.new("struct bake_tile_range[]", [(t, t) for t in tiles]))
+            o.tile_range_count = len(tiles)
+            if arrays:
+                o.on_rows, o.rows_user = lib.on_rows, job.handle
+            _set_options(job, o, options)
+            _choose_maps(job, o, maps)
+            job.run(lib.bake_look, o, ffi.NULL, ffi.NULL, ffi.NULL)
+            report = ffi.new("struct bake_report *")
+            job.run(lib.bake_run, o, report)
+            result = _plain(report)
+            lib.bake_report_free(report)
+        except BaseException:
+            if folder:
+                shutil.rmtree(folder, ignore_errors=True)
+            raise
+        result["memory_high"] = lib.bsq_memory_high(job.ctx)
+        names = {_text(lib.bake_map_name(i)): i for i in range(16) if lib.bake_map_name(i)}
+        result["encodings"] = {name: result["encodings"][i] for name, i in names.items()
+                               if result["encodings"][i]["unit"]}
+        found, files = _arrays_of(job)
+        return Maps(found, result, {} if o.rows_only else files, folder, glb_path or None)
+
+
+def compare(a: str | os.PathLike, b: str | os.PathLike, *, mask: Any = None, kind: str = "auto",
+            heatmap: Any = None, histogram: Any = None, force: bool = False,
+            memory: int | str | None = None, threads: int = 0,
+            progress: Progress | None = None) -> dict:
+    """Compares two map files: mean, rms, median, p95, p99 and max of the error, in `unit`; kind:
+    "normal", "color" or "data". heatmap, histogram: pictures to write. Raises Error."""
+    with Job(memory, threads, None, progress) as job:
+        options = ffi.new("struct bake_compare_options *")
+        lib.bake_compare_defaults(options)
+        options.a_path, options.b_path = job.string(a), job.string(b)
+        options.a_mask_path = options.b_mask_path = job.string(mask)
+        options.kind = ("auto", "normal", "color", "data").index(kind)
+        options.heatmap_path, options.histogram_path = job.string(heatmap), job.string(histogram)
+        options.force = force
+        report = ffi.new("struct bake_compare_report *")
+        job.run(lib.bake_compare, options, report)
+        return {**_plain(report), "unit": _text(lib.bake_compare_unit(report.kind))}

@@ -1,0 +1,1 @@
+"""The extension, and the modules that it opens."""

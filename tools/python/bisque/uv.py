@@ -1,0 +1,192 @@
+"""UVs: a library unwraps the mesh, and Bisque's own raster checks the result."""
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .core import Progress, bake
+from .mesh import Mesh, as_mesh
+
+
+class UnwrapError(RuntimeError):
+    """A mesh that a library could not unwrap, with advice."""
+
+
+ADVICE = ("ask for fewer triangles, drop small pieces (min_component=0.01), or take the other "
+          "library (library={other!r})")
+
+
+# ---- the libraries, in a process of their own that can be stopped ----
+
+def _uvunwrap(vertices: np.ndarray, faces: np.ndarray, size: int, padding: int) -> np.ndarray:
+    import uvunwrap
+
+    mesh = uvunwrap.Mesh(vertices.astype(np.float32), faces.astype(np.uint32))
+    atlas = uvunwrap.generate([mesh], page_size=size, padding=padding)
+    return np.asarray(atlas.meshes[0].corner_uvs, np.float32).reshape(-1, 3, 2)
+
+
+def _xatlas(vertices: np.ndarray, faces: np.ndarray, size: int, padding: int) -> np.ndarray:
+    import xatlas
+
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(vertices.astype(np.float32), faces.astype(np.uint32))
+    pack = xatlas.PackOptions()
+    pack.resolution, pack.padding = size, padding
+    atlas.generate(pack_options=pack)
+    _, indices, uvs = atlas[0]
+    # They fill a rectangle; in a square of maps, that must not stretch them.
+    uvs = uvs * np.array([atlas.width, atlas.height]) / max(atlas.width, atlas.height)
+    return uvs[indices].astype(np.float32)
+
+
+LIBRARIES = {"uvunwrap": _uvunwrap, "xatlas": _xatlas}
+
+
+def _main() -> None:
+    source, target, library, size, padding = sys.argv[1:]
+    with np.load(source) as data:
+        uvs = LIBRARIES[library](data["vertices"], data["faces"], int(size), int(padding))
+    np.save(target, uvs)
+
+
+def _run(mesh: Mesh, library: str, size: int, padding: int, seconds: float) -> np.ndarray:
+    other = "xatlas" if library == "uvunwrap" else "uvunwrap"
+    with tempfile.TemporaryDirectory(prefix="bisque-") as folder:
+        source, target = Path(folder, "mesh.npz"), Path(folder, "uvs.npy")
+        # Around its centre, so that 32-bit coordinates keep the detail.
+        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        np.savez(source, vertices=mesh.vertices - (low + high) / 2, faces=mesh.faces)
+        command = [sys.executable, "-m", "bisque.uv", str(source), str(target), library, str(size),
+                   str(padding)]
+        try:
+            done = subprocess.run(command, capture_output=True, text=True, timeout=seconds)
+        except subprocess.TimeoutExpired:
+            raise UnwrapError(f"{library} did not unwrap {len(mesh.faces)} triangles in {seconds:g}"
+                              f" s: {ADVICE.format(other=other)}") from None
+        if done.returncode != 0 or not target.exists():
+            reason = (done.stderr.strip() or f"it ended with {done.returncode}").splitlines()[-1]
+            raise UnwrapError(f"{library} could not unwrap {len(mesh.faces)} triangles ({reason}): "
+                              f"{ADVICE.format(other=other)}")
+        return np.load(target)
+
+
+# ---- checks ----
+
+def _charts(uvs: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Numbers the chart of each triangle: those that share an edge in texture space and on the
+    mesh."""
+    corners = np.concatenate([faces[:, :, None].astype(np.float64), uvs], axis=2).reshape(-1, 3)
+    _, ids = np.unique(corners, axis=0, return_inverse=True)
+    ids = ids.reshape(-1, 3)
+    ends = np.stack([ids, np.roll(ids, -1, axis=1)], axis=2).reshape(-1, 2)
+    ends.sort(axis=1)
+    order = np.lexsort(ends.T)
+    same = (ends[order][1:] == ends[order][:-1]).all(axis=1)
+    a, b = order[:-1][same] // 3, order[1:][same] // 3
+    chart = np.arange(len(faces))
+    while True:  # the least number spreads; pointer jumping makes it fast
+        least = np.minimum(chart[a], chart[b])
+        before = chart.copy()
+        np.minimum.at(chart, a, least)
+        np.minimum.at(chart, b, least)
+        chart = np.minimum(chart, chart[chart])
+        if (chart == before).all():
+            return np.unique(chart, return_inverse=True)[1]
+
+
+def _signed_areas(uvs: np.ndarray) -> np.ndarray:
+    a, b = uvs[:, 1] - uvs[:, 0], uvs[:, 2] - uvs[:, 0]
+    return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
+
+
+def _stretches(mesh: Mesh, uvs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the area of each triangle, and the larger singular value of its map to texture space
+    over the smaller one."""
+    p = mesh.vertices[mesh.faces].astype(np.float64)
+    e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    length = np.maximum(np.linalg.norm(e1, axis=1), 1e-300)
+    x2 = (e1 * e2).sum(axis=1) / length
+    y2 = np.linalg.norm(np.cross(e1, e2), axis=1) / length
+    d1, d2 = (uvs[:, 1] - uvs[:, 0]).astype(np.float64), (uvs[:, 2] - uvs[:, 0]).astype(np.float64)
+    along = d1 / length[:, None]
+    across = (d2 - along * x2[:, None]) / np.maximum(y2, 1e-300)[:, None]
+    a, b = (along ** 2).sum(axis=1), (across ** 2).sum(axis=1)
+    c = (along * across).sum(axis=1)
+    root = np.sqrt(np.maximum((a - b) ** 2 + 4 * c ** 2, 0))
+    return length * y2 / 2, np.sqrt((a + b + root) / np.maximum(a + b - root, 1e-300))
+
+
+def _percentile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
+    order = np.argsort(values)
+    sums = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(sums, share * sums[-1]).clip(0, len(values) - 1)])
+
+
+def check_uvs(low: Any, size: int = 1024, **job: Any) -> dict:
+    """Measures texture coordinates with the raster that bakes use: overlapping samples, triangles
+    that are flipped or without area, the used share of the texels, the 95th percentile of stretch
+    by area, the number of charts and the texels of the smallest one."""
+    mesh = as_mesh(low)
+    uvs = mesh.corner_uvs()
+    areas, stretches = _stretches(mesh, uvs)
+    signed = _signed_areas(uvs)
+    charts = _charts(uvs, mesh.faces)
+    texels = np.bincount(charts, np.abs(signed)) * size * size
+    # The mesh is its own scan: only what the raster counts is wanted.
+    counted = bake((mesh.vertices, mesh.faces), mesh, ("mask",), size=size, samples=1, padding=0,
+                   tiles=(1001,), as_is=True, two_sided=True, device="cpu", format="", arrays=False, **job).report
+    real = areas > areas.max() * 1e-12
+    return {"charts": len(texels), "smallest_chart_texels": float(texels.min()),
+            "overlapping_samples": counted["overlapping_samples"],
+            "outside_triangles": counted["outside_uv_triangles"],
+            "degenerate_triangles": counted["degenerate_uv_triangles"],
+            "flipped_triangles": int((signed < 0).sum()),
+            "used_share": counted["covered_texels"] / size ** 2,
+            "uv_share": float(np.abs(signed).sum()),
+            "stretch_p95": _percentile(stretches[real], areas[real], 0.95), "size": size}
+
+
+def _turn_mirrored(mesh: Mesh, uvs: np.ndarray) -> tuple[np.ndarray, int]:
+    """Mirrors charts that are mirrored, each within its own box. Returns how many there were."""
+    charts = _charts(uvs, mesh.faces)
+    signed = np.bincount(charts, _signed_areas(uvs))
+    for chart in np.flatnonzero(signed < 0):
+        corners = charts == chart
+        u = uvs[corners, :, 0]
+        uvs[corners, :, 0] = u.min() + u.max() - u
+    return uvs, int((signed < 0).sum())
+
+
+def unwrap(low: Any, *, size: int = 2048, padding: int = 4, library: str = "uvunwrap",
+           seconds: float = 120, memory: Any = None, threads: int = 0,
+           progress: Progress | None = None) -> Mesh:
+    """Gives a mesh texture coordinates in one square, with `padding` texels around each chart in maps
+    of `size` texels, by "uvunwrap" or "xatlas". The mesh's report gets what check_uvs() finds, as
+    "uv". Charts that the library mirrors are put right. Raises UnwrapError, with advice, if the
+    library takes longer than `seconds`, fails, or lays charts over each other."""
+    mesh = as_mesh(low)
+    if library not in LIBRARIES:
+        raise ValueError(f"library: {library!r} is none of {', '.join(LIBRARIES)}")
+    uvs = _run(mesh, library, size, padding, seconds)
+    uvs, mirrored = _turn_mirrored(mesh, uvs)
+    flat, faces = np.unique(uvs.reshape(-1, 2), axis=0, return_inverse=True)
+    result = Mesh(mesh.vertices, mesh.faces, flat, faces.reshape(-1, 3), mesh.normals,
+                  mesh.normal_faces, mesh.colors, dict(mesh.report))
+    report = check_uvs(result, min(size, 2048), memory=memory, threads=threads, progress=progress)
+    report.update(library=library, mirrored_charts=mirrored)
+    result.report["uv"] = report
+    if report["overlapping_samples"] > 0 or report["outside_triangles"] > 0:
+        other = "xatlas" if library == "uvunwrap" else "uvunwrap"
+        raise UnwrapError(f"{library} made charts that overlap in {report['overlapping_samples']} "
+                          f"samples, or lie outside of the square: {ADVICE.format(other=other)}")
+    return result
+
+
+if __name__ == "__main__":
+    _main()

