@@ -309,8 +309,7 @@ int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options
                  struct vox_simplify_report *report);
 
 /** Measures how far any mesh is from a scan, as vox_simplify() measures its own. The mesh is held
- * in memory.
- * memory. scan_paths: chunk files, read as one scan. mesh: of vox_sort(). from_scan receives the
+ * in memory. scan_paths: chunk files, read as one scan. mesh: of vox_sort(). from_scan receives the
  * distances of the scan's vertices from the mesh, from_mesh those of points on the mesh from the
  * scan. Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
 int vox_measure_mesh(struct bsq_ctx *ctx, const char *const *scan_paths, uint32_t scan_count,

@@ -8,6 +8,7 @@
 
 #include "base/file.h"
 #include "base/parallel.h"
+#include "libvoxel/simplify/thin.h"
 
 enum { GROUP_TRIANGLES = 131072, LEVEL_FACTOR = 8 };
 
@@ -161,12 +162,11 @@ static int collapse_group(void *arg, void *slot_, uint64_t sequence, unsigned wo
 {
     const struct step *step = arg;
     struct slot *slot = slot_;
-    struct vox_collapse_options options = {.measure = VOX_COLLAPSE_CARRIED, .lock_borders = true};
     (void)sequence, (void)worker;
     int status = 0;
     BSQ_TRY(join_members(step->from, slot->begin, slot->end, true, &slot->mesh));
-    options.target = (uint32_t)(step->ratio * slot->mesh.triangle_count) + 1;
-    BSQ_TRY(vox_collapse(step->from->ctx, &options, &slot->mesh));
+    status = vox_thin(step->from->ctx, (uint32_t)(step->ratio * slot->mesh.triangle_count) + 1,
+                      &slot->mesh);
 done:
     if (status < 0)
         vox_mesh_free(step->from->ctx, &slot->mesh);

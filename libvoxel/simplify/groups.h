@@ -7,7 +7,7 @@
 #define VOX_SIMPLIFY_GROUPS_H
 
 #include "formats/chunks/tris.h"
-#include "libvoxel/simplify/collapse.h"
+#include "libvoxel/simplify/mesh.h"
 
 /* Makes a welded mesh of about `target` triangles, or of all triangles of the scan if it has no
  * more. Groups and results depend on the scan and the target alone, not on memory or threads.

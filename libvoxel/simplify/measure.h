@@ -3,7 +3,7 @@
 #define VOX_MEASURE_H
 
 #include "formats/chunks/tris.h"
-#include "libvoxel/simplify/collapse.h"
+#include "libvoxel/simplify/mesh.h"
 #include "libvoxel/voxel.h"
 
 /* Measures the distance of each vertex of the scan from the closest point of the mesh, and of the

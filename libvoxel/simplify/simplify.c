@@ -5,6 +5,7 @@
 
 #include "base/context.h"
 #include "base/job_files.h"
+#include "libvoxel/simplify/collapse.h"
 #include "libvoxel/simplify/groups.h"
 #include "libvoxel/simplify/measure.h"
 #include "libvoxel/simplify/write_mesh.h"
@@ -107,14 +108,10 @@ done:
 
 static int collapse_to(struct simplifying *s, struct vox_mesh *mesh, uint64_t target)
 {
-    const struct vox_collapse_options options = {.target = target < UINT32_MAX ? (uint32_t)target
-                                                                               : UINT32_MAX,
-                                                 .measure = VOX_COLLAPSE_MEMORYLESS,
-                                                 .progress = true};
     const double start = bsq_seconds_now();
     const uint64_t more = mesh->triangle_count > target ? mesh->triangle_count - target : 0;
     bsq_progress_begin(s->ctx, "collapsing edges", "triangles", more);
-    int status = vox_collapse(s->ctx, &options, mesh);
+    int status = vox_collapse(s->ctx, target < UINT32_MAX ? (uint32_t)target : UINT32_MAX, mesh);
     bsq_progress_end(s->ctx);
     s->report->seconds_collapse += bsq_seconds_now() - start;
     return status;

@@ -3,7 +3,7 @@
 #define VOX_WRITE_MESH_H
 
 #include "base/output.h"
-#include "libvoxel/simplify/collapse.h"
+#include "libvoxel/simplify/mesh.h"
 
 /* Returns whether meshes can be written under this name: it ends in .obj or .ply. */
 bool vox_mesh_path_is_known(const char *path);

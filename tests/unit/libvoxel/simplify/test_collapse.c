@@ -1,6 +1,7 @@
 /* Tests edge collapse on closed, open and broken meshes: topology, volume, borders, and what must
  * not move; and the welding before it. */
 #include "libvoxel/simplify/collapse.h"
+#include "libvoxel/simplify/thin.h"
 #include "tests/unit/test.h"
 
 #define PI 3.14159265358979323846
@@ -55,12 +56,11 @@ static void on_plane(double x, double y, float *p)
     p[2] = 0.5f;
 }
 
-static void collapse(struct vox_mesh *mesh, enum vox_collapse_measure measure, bool lock,
-                     uint32_t target)
+/* Collapses with locked borders and carried quadrics, or else as in the last phase. */
+static void collapse(struct vox_mesh *mesh, bool thin, uint32_t target)
 {
-    const struct vox_collapse_options options = {target, measure, lock, false};
     vox_mesh_set_quadrics(mesh);
-    assert_int_equal(vox_collapse(ctx, &options, mesh), 0);
+    assert_int_equal(thin ? vox_thin(ctx, target, mesh) : vox_collapse(ctx, target, mesh), 0);
 }
 
 struct figures {
@@ -115,11 +115,11 @@ static struct figures describe(const struct vox_mesh *mesh)
 TEST(tori_stay_tori)
 {
     static const uint32_t targets[] = {2000, 300, 4};
-    for (int measure = 0; measure < 2; measure++) {
+    for (int thin = 0; thin < 2; thin++) {
         struct vox_mesh mesh = make_grid(60, true, on_torus);
         const double volume = describe(&mesh).volume;
         for (int i = 0; i < 3; i++) {
-            collapse(&mesh, (enum vox_collapse_measure)measure, false, targets[i]);
+            collapse(&mesh, thin, targets[i]);
             const struct figures f = describe(&mesh);
             assert_int_equal(mesh.vertex_count + mesh.triangle_count, f.edges);
             assert_int_equal(f.borders + f.crowded, 0);
@@ -128,7 +128,7 @@ TEST(tori_stay_tori)
             else
                 assert_in_range(mesh.triangle_count, 14, 60);
             if (i < 2)
-                assert_true(fabs(f.volume / volume - 1) < (measure == 1 ? 1e-6 : 0.05));
+                assert_true(fabs(f.volume / volume - 1) < (thin ? 0.05 : 1e-6));
         }
         vox_mesh_free(ctx, &mesh);
     }
@@ -137,23 +137,20 @@ TEST(tori_stay_tori)
 /* A flat square with a border becomes two triangles with the same corners. */
 TEST(flat_squares_keep_their_outline)
 {
-    for (int measure = 0; measure < 2; measure++) {
-        struct vox_mesh mesh = make_grid(24, false, on_plane);
-        collapse(&mesh, (enum vox_collapse_measure)measure, false, 2);
-        const struct figures f = describe(&mesh);
-        assert_in_range(mesh.triangle_count, 2, 8);
-        assert_true(fabs(f.area - 16) < 1e-3);
-        for (uint32_t v = 0; v < mesh.vertex_count; v++)
-            assert_true(fabsf(mesh.positions[v][2] - 0.5f) < 1e-6f);
-        vox_mesh_free(ctx, &mesh);
-    }
+    struct vox_mesh mesh = make_grid(24, false, on_plane);
+    collapse(&mesh, false, 2);
+    assert_in_range(mesh.triangle_count, 2, 8);
+    assert_true(fabs(describe(&mesh).area - 16) < 1e-3);
+    for (uint32_t v = 0; v < mesh.vertex_count; v++)
+        assert_true(fabsf(mesh.positions[v][2] - 0.5f) < 1e-6f);
+    vox_mesh_free(ctx, &mesh);
 }
 
 TEST(locked_borders_stay)
 {
     enum { N = 20 };
     struct vox_mesh mesh = make_grid(N, false, on_plane);
-    collapse(&mesh, VOX_COLLAPSE_CARRIED, true, 2);
+    collapse(&mesh, true, 2);
     unsigned on_border = 0;
     for (uint32_t v = 0; v < mesh.vertex_count; v++)
         for (int k = 0; k < 4 * N; k++) { /* the places of the border */
@@ -192,7 +189,7 @@ TEST(crowded_edges_stay)
     assert_int_equal(vox_mesh_weld(ctx, &mesh), 0);
     assert_int_equal(mesh.vertex_count, 3 * sheet.vertex_count - 2 * (N + 1));
     assert_int_equal(describe(&mesh).crowded, N);
-    collapse(&mesh, VOX_COLLAPSE_MEMORYLESS, false, 4);
+    collapse(&mesh, false, 4);
     assert_int_equal(describe(&mesh).crowded, N);
     unsigned kept = 0;
     for (uint32_t v = 0; v < mesh.vertex_count; v++)
@@ -211,7 +208,7 @@ TEST(tetrahedra_stay)
     assert_int_equal(vox_mesh_allocate(ctx, 4, 4, true, &mesh), 0);
     memcpy(mesh.positions, corners, sizeof corners);
     memcpy(mesh.triangles, faces, sizeof faces);
-    collapse(&mesh, VOX_COLLAPSE_MEMORYLESS, false, 1);
+    collapse(&mesh, false, 1);
     assert_int_equal(mesh.triangle_count, 4);
     assert_memory_equal(mesh.positions, corners, sizeof corners);
     vox_mesh_free(ctx, &mesh);
@@ -244,16 +241,17 @@ TEST(memory_runs_out)
     for (uint64_t budget = 4096;; budget += 40000) {
         struct bsq_ctx *small = test_context(1, budget), *large = ctx;
         struct vox_mesh mesh = make_grid(30, true, on_torus);
-        const struct vox_collapse_options options = {100, VOX_COLLAPSE_MEMORYLESS, false, false};
         ctx = small;
-        const int status = vox_collapse(ctx, &options, &mesh);
+        const int status = vox_collapse(ctx, 2000, &mesh);
+        const int thinned = vox_thin(ctx, 100, &mesh);
         const int welded = vox_mesh_weld(ctx, &mesh);
         ctx = large;
         assert_true(status == 0 || status == BSQ_ENOMEM);
+        assert_true(thinned == 0 || thinned == BSQ_ENOMEM);
         assert_true(welded == 0 || welded == BSQ_ENOMEM);
         vox_mesh_free(ctx, &mesh);
         test_context_end(small);
-        if (status == 0 && welded == 0)
+        if (status == 0 && thinned == 0 && welded == 0)
             return;
     }
 }

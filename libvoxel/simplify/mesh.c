@@ -1,0 +1,136 @@
+/* mesh.c - see mesh.h. */
+#include "libvoxel/simplify/mesh.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "base/positions.h"
+
+void vox_quadric_add(struct vox_quadric *q, const struct vox_quadric *other)
+{
+    for (int i = 0; i < 6; i++)
+        q->a[i] += other->a[i];
+    for (int k = 0; k < 3; k++)
+        q->b[k] += other->b[k];
+    q->c += other->c;
+}
+
+/* The planes of a vertex's triangles go through it, so b and c are 0. */
+void vox_mesh_set_quadrics(struct vox_mesh *mesh)
+{
+    static const int row[6] = {0, 0, 0, 1, 1, 2}, column[6] = {0, 1, 2, 1, 2, 2};
+    memset(mesh->quadrics, 0, mesh->vertex_count * sizeof *mesh->quadrics);
+    for (uint32_t t = 0; t < mesh->triangle_count; t++) {
+        double n[3];
+        vox_triangle_normal((const float(*)[3])mesh->positions, mesh->triangles[t], n);
+        const double length = sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+        for (int i = 0; i < 6 && length > 0; i++) {
+            const float a = (float)(0.5 / length * n[row[i]] * n[column[i]]);
+            for (int k = 0; k < 3; k++)
+                mesh->quadrics[mesh->triangles[t][k]].a[i] += a;
+        }
+    }
+}
+
+int vox_mesh_allocate(struct bsq_ctx *ctx, uint32_t vertices, uint32_t triangles, bool quadrics,
+                      struct vox_mesh *mesh)
+{
+    int status = 0;
+    *mesh = (struct vox_mesh){.vertex_count = vertices, .triangle_count = triangles};
+    BSQ_TRY(bsq_alloc(ctx, "a mesh", vertices, sizeof *mesh->positions, &mesh->positions));
+    BSQ_TRY(bsq_alloc(ctx, "a mesh", triangles, sizeof *mesh->triangles, &mesh->triangles));
+    if (quadrics)
+        BSQ_TRY(bsq_alloc(ctx, "a mesh", vertices, sizeof *mesh->quadrics, &mesh->quadrics));
+done:
+    if (status < 0)
+        vox_mesh_free(ctx, mesh);
+    return status;
+}
+
+void vox_mesh_free(struct bsq_ctx *ctx, struct vox_mesh *mesh)
+{
+    bsq_free(ctx, mesh->positions);
+    bsq_free(ctx, mesh->triangles);
+    bsq_free(ctx, mesh->quadrics);
+    *mesh = (struct vox_mesh){0};
+}
+
+/* Numbers positions in the order of their first vertices; moves these together. */
+static void join_vertices(struct vox_mesh *mesh, struct bsq_positions *table, uint32_t *numbers)
+{
+    uint32_t count = 0;
+    for (uint32_t v = 0; v < mesh->vertex_count; v++) {
+        uint32_t *slot = bsq_positions_find(table, mesh->positions[v]);
+        if (*slot == 0) {
+            memmove(mesh->positions[count], mesh->positions[v], sizeof *mesh->positions);
+            if (mesh->quadrics)
+                mesh->quadrics[count] = mesh->quadrics[v];
+            *slot = ++count;
+        } else if (mesh->quadrics) {
+            vox_quadric_add(&mesh->quadrics[*slot - 1], &mesh->quadrics[v]);
+        }
+        numbers[v] = *slot - 1;
+    }
+    mesh->vertex_count = count;
+}
+
+/* Returns whether a triangle before `count` has the same corners, in any order. */
+static bool is_repeated(const struct vox_mesh *mesh, const uint32_t *first, const uint32_t *next,
+                        const uint32_t corners[3])
+{
+    const uint32_t least = corners[0] < corners[1] ? corners[0] : corners[1];
+    for (uint32_t t = first[least < corners[2] ? least : corners[2]]; t != UINT32_MAX;
+         t = next[t]) {
+        unsigned same = 0;
+        for (int i = 0; i < 3; i++)
+            for (int k = 0; k < 3; k++)
+                same += mesh->triangles[t][i] == corners[k];
+        if (same == 3)
+            return true;
+    }
+    return false;
+}
+
+/* Leaves triangles out that have no three corners or that are there already. first: of vertices,
+ * the last triangle whose least corner it is; next: the one before that. */
+static void join_triangles(struct vox_mesh *mesh, const uint32_t *numbers, uint32_t *first,
+                           uint32_t *next)
+{
+    uint32_t count = 0;
+    memset(first, 0xff, mesh->vertex_count * sizeof *first);
+    for (uint32_t t = 0; t < mesh->triangle_count; t++) {
+        uint32_t corners[3];
+        for (int k = 0; k < 3; k++)
+            corners[k] = numbers[mesh->triangles[t][k]];
+        if (corners[0] == corners[1] || corners[1] == corners[2] || corners[2] == corners[0] ||
+            is_repeated(mesh, first, next, corners))
+            continue;
+        const uint32_t least = corners[0] < corners[1] ? corners[0] : corners[1];
+        uint32_t *chain = &first[least < corners[2] ? least : corners[2]];
+        next[count] = *chain;
+        *chain = count;
+        memcpy(mesh->triangles[count++], corners, sizeof corners);
+    }
+    mesh->triangle_count = count;
+}
+
+int vox_mesh_weld(struct bsq_ctx *ctx, struct vox_mesh *mesh)
+{
+    struct bsq_positions table = {.positions = (const float(*)[3])mesh->positions};
+    uint32_t *numbers = NULL, *first = NULL, *next = NULL;
+    const uint32_t slots = bsq_positions_slots(mesh->vertex_count);
+    int status = 0;
+    table.mask = slots - 1;
+    BSQ_TRY(bsq_calloc(ctx, "welding a mesh", slots, sizeof *table.slots, &table.slots));
+    BSQ_TRY(bsq_alloc(ctx, "welding a mesh", mesh->vertex_count, sizeof *numbers, &numbers));
+    BSQ_TRY(bsq_alloc(ctx, "welding a mesh", mesh->vertex_count, sizeof *first, &first));
+    BSQ_TRY(bsq_alloc(ctx, "welding a mesh", mesh->triangle_count, sizeof *next, &next));
+    join_vertices(mesh, &table, numbers);
+    join_triangles(mesh, numbers, first, next);
+done:
+    bsq_free(ctx, next);
+    bsq_free(ctx, first);
+    bsq_free(ctx, numbers);
+    bsq_free(ctx, table.slots);
+    return status;
+}

@@ -1,0 +1,53 @@
+/* mesh.h - an indexed mesh in memory. */
+#ifndef VOX_SIMPLIFY_MESH_H
+#define VOX_SIMPLIFY_MESH_H
+
+#include "base/context.h"
+
+/* v A v + 2 b v + c, with A as xx, xy, xz, yy, yz, zz; v is relative to the vertex that has it, so
+ * that single precision is enough. */
+struct vox_quadric {
+    float a[6], b[3], c;
+};
+
+/* A mesh whose vertices are welded: no two have the same position. The owner frees it with
+ * vox_mesh_free(). */
+struct vox_mesh {
+    uint32_t vertex_count, triangle_count;
+    float (*positions)[3];
+    uint32_t (*triangles)[3];
+    struct vox_quadric *quadrics; /* of vertices; NULL: not carried */
+};
+
+/* Allocates arrays for a mesh in *mesh. Errors: BSQ_ENOMEM; then *mesh is empty. */
+int vox_mesh_allocate(struct bsq_ctx *ctx, uint32_t vertices, uint32_t triangles, bool quadrics,
+                      struct vox_mesh *mesh);
+void vox_mesh_free(struct bsq_ctx *ctx, struct vox_mesh *mesh);
+
+/* Adds the quadric of another vertex at the same position. */
+void vox_quadric_add(struct vox_quadric *q, const struct vox_quadric *other);
+
+/* Welds vertices of equal positions and adds up their quadrics; leaves out triangles with two equal
+ * corners, and all but one of triangles with the same three corners. Errors: BSQ_ENOMEM. */
+int vox_mesh_weld(struct bsq_ctx *ctx, struct vox_mesh *mesh);
+
+/* Sets the quadric of each vertex to the sum over its triangles, of the squared distance from each
+ * one's plane times its area. */
+void vox_mesh_set_quadrics(struct vox_mesh *mesh);
+
+/* Sets *normal to twice the area of a triangle times its normal. */
+static inline void vox_triangle_normal(const float (*positions)[3], const uint32_t triangle[3],
+                                       double normal[3])
+{
+    const float *a = positions[triangle[0]], *b = positions[triangle[1]],
+                *c = positions[triangle[2]];
+    const double e[3] = {(double)b[0] - (double)a[0], (double)b[1] - (double)a[1],
+                         (double)b[2] - (double)a[2]},
+                 f[3] = {(double)c[0] - (double)a[0], (double)c[1] - (double)a[1],
+                         (double)c[2] - (double)a[2]};
+    normal[0] = e[1] * f[2] - e[2] * f[1];
+    normal[1] = e[2] * f[0] - e[0] * f[2];
+    normal[2] = e[0] * f[1] - e[1] * f[0];
+}
+
+#endif

@@ -1,0 +1,218 @@
+/* rings.c - see rings.h. */
+#include "libvoxel/simplify/rings.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "base/vec.h"
+
+/* Least cosine between a triangle's normals before and after a collapse. */
+static const double least_cosine = 0.2;
+
+bool vox_solve(const double a[6], const double b[3], double x[3])
+{
+    if (!(a[0] > 0))
+        return false;
+    const double l00 = sqrt(a[0]), l10 = a[1] / l00, l20 = a[2] / l00;
+    const double d11 = a[3] - l10 * l10;
+    if (!(d11 > 0))
+        return false;
+    const double l11 = sqrt(d11), l21 = (a[4] - l20 * l10) / l11;
+    const double d22 = a[5] - l20 * l20 - l21 * l21;
+    if (!(d22 > 0))
+        return false;
+    const double l22 = sqrt(d22);
+    const double y0 = b[0] / l00, y1 = (b[1] - l10 * y0) / l11,
+                 y2 = (b[2] - l20 * y0 - l21 * y1) / l22;
+    x[2] = y2 / l22;
+    x[1] = (y1 - l21 * x[2]) / l11;
+    x[0] = (y0 - l10 * x[1] - l20 * x[2]) / l00;
+    return true;
+}
+
+static int link_corners(struct vox_rings *r)
+{
+    const struct vox_mesh *mesh = r->mesh;
+    memset(r->corner, 0xff, mesh->vertex_count * sizeof *r->corner);
+    for (uint32_t corner = 0; corner < 3 * mesh->triangle_count; corner++) {
+        uint32_t *first = &r->corner[mesh->triangles[corner / 3][corner % 3]];
+        if (*first == VOX_NONE) {
+            *first = r->next[corner] = corner;
+        } else {
+            r->next[corner] = r->next[*first];
+            r->next[*first] = corner;
+        }
+    }
+    return bsq_check(r->ctx);
+}
+
+/* Flags a vertex by how many triangles each of its edges has. */
+static void flag_vertex(struct vox_rings *r, uint32_t v, uint8_t border)
+{
+    const uint32_t once = r->walk;
+    r->walk += 3;
+    for (VOX_EACH_CORNER(r, v, k)) {
+        const uint32_t ends[2] = {vox_after(r, k), vox_before(r, k)};
+        for (int i = 0; i < 2; i++) {
+            uint32_t *mark = &r->marks[ends[i]];
+            *mark = *mark <= once ? once + 1 : *mark < once + 3 ? *mark + 1 : *mark;
+        }
+    }
+    for (VOX_EACH_CORNER(r, v, k)) {
+        const uint32_t ends[2] = {vox_after(r, k), vox_before(r, k)};
+        for (int i = 0; i < 2; i++)
+            r->flags[v] |= r->marks[ends[i]] == once + 1   ? border
+                           : r->marks[ends[i]] == once + 3 ? VOX_LOCKED
+                                                           : 0;
+    }
+}
+
+int vox_rings_build(struct bsq_ctx *ctx, struct vox_mesh *mesh, bool lock_borders,
+                    struct vox_rings *r)
+{
+    static const char what[] = "an edge collapse";
+    const uint64_t vertices = mesh->vertex_count, corners = 3 * (uint64_t)mesh->triangle_count;
+    int status = 0;
+    *r = (struct vox_rings){.ctx = ctx, .mesh = mesh, .alive = mesh->triangle_count};
+    BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *r->next, &r->next));
+    BSQ_TRY(bsq_alloc(ctx, what, vertices, sizeof *r->corner, &r->corner));
+    BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *r->marks, &r->marks));
+    BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *r->flags, &r->flags));
+    BSQ_TRY(link_corners(r));
+    for (uint32_t v = 0; v < vertices; v++) {
+        if (v % VOX_CHECK_EVERY == 0)
+            BSQ_TRY(bsq_check(ctx));
+        flag_vertex(r, v, lock_borders ? VOX_BORDER | VOX_LOCKED : VOX_BORDER);
+    }
+done:
+    return status;
+}
+
+void vox_rings_free(struct vox_rings *r)
+{
+    bsq_free(r->ctx, r->flags);
+    bsq_free(r->ctx, r->marks);
+    bsq_free(r->ctx, r->corner);
+    bsq_free(r->ctx, r->next);
+}
+
+unsigned vox_rings_edge(struct vox_rings *r, uint32_t u, uint32_t v, uint32_t opposite[2])
+{
+    unsigned count = 0;
+    for (VOX_EACH_CORNER(r, u, k)) {
+        if (vox_after(r, k) != v && vox_before(r, k) != v)
+            continue;
+        if (count < 2)
+            opposite[count] = vox_after(r, k) == v ? vox_before(r, k) : vox_after(r, k);
+        count++;
+    }
+    return count;
+}
+
+bool vox_rings_keep_topology(struct vox_rings *r, uint32_t u, uint32_t v)
+{
+    uint32_t opposite[2];
+    const unsigned count = vox_rings_edge(r, u, v, opposite);
+    const bool both_border = r->flags[u] & r->flags[v] & VOX_BORDER;
+    if (count == 0 || count > 2 || (count == 2 && (both_border || opposite[0] == opposite[1])))
+        return false;
+    const uint32_t around_u = r->walk + 1, around_v = r->walk + 2;
+    r->walk += 2;
+    unsigned common = 0;
+    bool u_spans = false, v_spans = false;
+    for (VOX_EACH_CORNER(r, u, k)) {
+        const uint32_t a = vox_after(r, k), b = vox_before(r, k);
+        r->marks[a] = r->marks[b] = around_u;
+        u_spans |= count == 2 && (a == opposite[0] || a == opposite[1]) &&
+                   (b == opposite[0] || b == opposite[1]);
+    }
+    for (VOX_EACH_CORNER(r, v, k)) {
+        const uint32_t ends[2] = {vox_after(r, k), vox_before(r, k)};
+        for (int i = 0; i < 2; i++)
+            if (r->marks[ends[i]] == around_u) {
+                r->marks[ends[i]] = around_v;
+                common += ends[i] != u;
+            }
+        v_spans |= count == 2 && (ends[0] == opposite[0] || ends[0] == opposite[1]) &&
+                   (ends[1] == opposite[0] || ends[1] == opposite[1]);
+    }
+    return common == count && !(u_spans && v_spans);
+}
+
+bool vox_rings_keep_orientation(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3])
+{
+    const float(*positions)[3] = (const float(*)[3])r->mesh->positions;
+    for (VOX_EACH_CORNER(r, u, k)) {
+        const uint32_t a = vox_after(r, k), b = vox_before(r, k);
+        if (a == v || b == v)
+            continue;
+        double edge[3], old_to[3], new_to[3], old_normal[3], new_normal[3];
+        for (int i = 0; i < 3; i++) {
+            edge[i] = (double)positions[b][i] - (double)positions[a][i];
+            old_to[i] = (double)positions[u][i] - (double)positions[a][i];
+            new_to[i] = (double)p[i] - (double)positions[a][i];
+        }
+        bsq_crossd(edge, old_to, old_normal);
+        bsq_crossd(edge, new_to, new_normal);
+        const double old_square = bsq_dotd(old_normal, old_normal),
+                     new_square = bsq_dotd(new_normal, new_normal);
+        if (old_square > 0 && !(bsq_dotd(old_normal, new_normal) >
+                                least_cosine * sqrt(old_square) * sqrt(new_square)))
+            return false;
+    }
+    return true;
+}
+
+void vox_rings_join(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3])
+{
+    const uint32_t start = r->corner[v];
+    uint32_t k = start;
+    do { /* through all corners, also those that are gone */
+        uint32_t *triangle = r->mesh->triangles[k / 3];
+        if (!vox_is_gone(r, k / 3)) {
+            if (triangle[0] == u || triangle[1] == u || triangle[2] == u) {
+                triangle[0] = VOX_NONE;
+                r->alive--;
+            } else {
+                triangle[k % 3] = u;
+            }
+        }
+        k = r->next[k];
+    } while (k != start);
+    const uint32_t swapped = r->next[start];
+    r->next[start] = r->next[r->corner[u]];
+    r->next[r->corner[u]] = swapped;
+    r->corner[v] = VOX_NONE;
+    memcpy(r->mesh->positions[u], p, sizeof *r->mesh->positions);
+    r->flags[u] |= r->flags[v];
+}
+
+void vox_rings_compact(struct vox_rings *r)
+{
+    struct vox_mesh *mesh = r->mesh;
+    uint32_t *numbers = r->marks;
+    uint32_t vertices = 0, triangles = 0;
+    memset(numbers, 0xff, mesh->vertex_count * sizeof *numbers);
+    for (uint32_t t = 0; t < mesh->triangle_count; t++) {
+        if (mesh->triangles[t][0] == VOX_NONE)
+            continue;
+        for (int k = 0; k < 3; k++) {
+            numbers[mesh->triangles[t][k]] = 0;
+            mesh->triangles[triangles][k] = mesh->triangles[t][k];
+        }
+        triangles++;
+    }
+    for (uint32_t v = 0; v < mesh->vertex_count; v++) {
+        if (numbers[v] == VOX_NONE)
+            continue;
+        memmove(mesh->positions[vertices], mesh->positions[v], sizeof *mesh->positions);
+        if (mesh->quadrics)
+            mesh->quadrics[vertices] = mesh->quadrics[v];
+        numbers[v] = vertices++;
+    }
+    for (uint32_t t = 0; t < triangles; t++)
+        for (int k = 0; k < 3; k++)
+            mesh->triangles[t][k] = numbers[mesh->triangles[t][k]];
+    mesh->vertex_count = vertices;
+    mesh->triangle_count = triangles;
+}

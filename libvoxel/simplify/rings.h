@@ -1,0 +1,100 @@
+/* rings.h - the triangles around each vertex of a mesh whose edges collapse.
+ *
+ * Corners of triangles are linked in a ring around each vertex, in no particular order. A collapse
+ * of (u, v) joins the rings of both; corners of triangles that are gone leave a ring when somebody
+ * walks along it. Meshes stay manifold where they are: vox_rings_keep_topology() and
+ * vox_rings_keep_orientation() refuse collapses that would make an edge with three triangles or
+ * fold a triangle over. */
+#ifndef VOX_RINGS_H
+#define VOX_RINGS_H
+
+#include "libvoxel/simplify/mesh.h"
+
+enum {
+    VOX_BORDER = 1, /* of a vertex: at an edge with one triangle */
+    VOX_LOCKED = 2, /* stays: at an edge with three triangles or more, or as options say */
+    VOX_NONE = UINT32_MAX,
+    VOX_CHECK_EVERY = 1024 /* collapses between two looks at an interruption */
+};
+
+struct vox_rings {
+    struct bsq_ctx *ctx;
+    struct vox_mesh *mesh; /* triangles that are gone have VOX_NONE as their first corner */
+    uint32_t alive;        /* triangles */
+    uint32_t *next;        /* of each corner (3 t + k): the next one in its vertex's ring */
+    uint32_t *corner;      /* of each vertex: a corner of its ring, or VOX_NONE */
+    uint8_t *flags;        /* of vertices */
+    uint32_t *marks;       /* of vertices: the walk that found them last */
+    uint32_t walk;
+};
+
+/* Links the corners of a welded mesh, which stays the caller's, and flags its vertices.
+ * lock_borders: vertices of open borders stay. The caller calls vox_rings_free() even after a
+ * failure. Errors: BSQ_ENOMEM, BSQ_EINTR. */
+int vox_rings_build(struct bsq_ctx *ctx, struct vox_mesh *mesh, bool lock_borders,
+                    struct vox_rings *rings);
+void vox_rings_free(struct vox_rings *rings);
+
+/* Returns the number of triangles at an edge, and up to two vertices opposite to it. */
+unsigned vox_rings_edge(struct vox_rings *r, uint32_t u, uint32_t v, uint32_t opposite[2]);
+
+/* Returns whether the link condition holds (Dey, Edelsbrunner, Guha and Nekhayev, 1999): the
+ * vertices next to both u and v are those opposite to the edge, and no edge lies opposite to both.
+ */
+bool vox_rings_keep_topology(struct vox_rings *r, uint32_t u, uint32_t v);
+
+/* Returns whether the triangles of u without v keep their orientation if u moves to p. */
+bool vox_rings_keep_orientation(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3]);
+
+/* Collapses (u, v) into u, which moves to p. */
+void vox_rings_join(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3]);
+
+/* Renumbers vertices and triangles that are left, in their order. The rings are of no use then. */
+void vox_rings_compact(struct vox_rings *r);
+
+/* Solves A x = b for a positive definite A, by Cholesky's method. Returns false if it is not. */
+bool vox_solve(const double a[6], const double b[3], double x[3]);
+
+static inline bool vox_is_gone(const struct vox_rings *r, uint32_t triangle)
+{
+    return r->mesh->triangles[triangle][0] == VOX_NONE;
+}
+
+/* Returns the corner after `corner` in its ring, and drops those of triangles that are gone. */
+static inline uint32_t vox_next_corner(struct vox_rings *r, uint32_t corner)
+{
+    uint32_t next = r->next[corner];
+    while (vox_is_gone(r, next / 3) && next != corner)
+        next = r->next[corner] = r->next[next];
+    return next;
+}
+
+/* Returns a corner of a vertex's ring whose triangle is there, or VOX_NONE. */
+static inline uint32_t vox_first_corner(struct vox_rings *r, uint32_t vertex)
+{
+    const uint32_t corner = r->corner[vertex];
+    if (corner == VOX_NONE || !vox_is_gone(r, corner / 3))
+        return corner;
+    uint32_t next = vox_next_corner(r, corner);
+    if (vox_is_gone(r, next / 3))
+        next = VOX_NONE;
+    return r->corner[vertex] = next;
+}
+
+/* The other corners of a corner's triangle, in their order. */
+static inline uint32_t vox_after(const struct vox_rings *r, uint32_t corner)
+{
+    return r->mesh->triangles[corner / 3][(corner % 3 + 1) % 3];
+}
+static inline uint32_t vox_before(const struct vox_rings *r, uint32_t corner)
+{
+    return r->mesh->triangles[corner / 3][(corner % 3 + 2) % 3];
+}
+
+/* Walks along the ring of a vertex: for (each corner k of vertex v). */
+#define VOX_EACH_CORNER(r, v, k)                                                                   \
+    uint32_t k = vox_first_corner(r, v), k##_first = k, k##_more = k != VOX_NONE;                  \
+    k##_more;                                                                                      \
+    k = vox_next_corner(r, k), k##_more = k != k##_first
+
+#endif

@@ -1,0 +1,194 @@
+/* thin.c - see thin.h.
+ *
+ * A vertex goes to the neighbour where its own quadric is least; only then is the best place of
+ * both computed. So most of the work is one walk around each vertex in each pass, in the order of
+ * memory. The threshold of a pass is the quantile of the costs that would lead to the target, but
+ * at most PASS_SHARE of the vertices, so that cheap vertices go first. */
+#include "libvoxel/simplify/thin.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "base/vec.h"
+#include "libvoxel/simplify/rings.h"
+
+enum { SAMPLE_STEP = 8, BIN_SHIFT = 20, BINS = 1 << (31 - BIN_SHIFT) };
+static const double pass_share = 0.6;
+/* As in collapse.c. */
+static const double pull = 1e-6;
+static const float length_share = 1e-6F;
+
+static float value_at(const struct vox_quadric *q, float x, float y, float z)
+{
+    const float *a = q->a, *b = q->b;
+    return x * (a[0] * x + 2 * (a[1] * y + a[2] * z + b[0])) +
+           y * (a[3] * y + 2 * (a[4] * z + b[1])) + z * (a[5] * z + 2 * b[2]) + q->c;
+}
+
+/* Finds the neighbour that a vertex can go to at the least cost. Returns the cost; INFINITY if
+ * there is none. */
+static float find_target(struct vox_rings *r, uint32_t v, uint32_t *target)
+{
+    const float(*positions)[3] = (const float(*)[3])r->mesh->positions;
+    const struct vox_quadric *quadrics = r->mesh->quadrics, *q = &quadrics[v];
+    const float *p = positions[v], share = length_share * (q->a[0] + q->a[3] + q->a[5]);
+    float least = INFINITY;
+    for (VOX_EACH_CORNER(r, v, k)) {
+        const uint32_t u = vox_after(r, k);
+        const float x = positions[u][0] - p[0], y = positions[u][1] - p[1],
+                    z = positions[u][2] - p[2];
+        const float value = value_at(q, x, y, z);
+        const float cost =
+            (value > 0 ? value : 0) + quadrics[u].c + share * (x * x + y * y + z * z);
+        if (cost < least) {
+            least = cost;
+            *target = u;
+        }
+    }
+    return least;
+}
+
+/* Returns a quadric relative to a place that is `s` away from its own one, in double. */
+static void shift(const struct vox_quadric *q, const double s[3], double a[6], double b[3],
+                  double *c)
+{
+    double as[3];
+    for (int i = 0; i < 6; i++)
+        a[i] = (double)q->a[i];
+    as[0] = a[0] * s[0] + a[1] * s[1] + a[2] * s[2];
+    as[1] = a[1] * s[0] + a[3] * s[1] + a[4] * s[2];
+    as[2] = a[2] * s[0] + a[4] * s[1] + a[5] * s[2];
+    *c = (double)q->c + bsq_dotd(s, as);
+    for (int k = 0; k < 3; k++) {
+        *c += 2 * (double)q->b[k] * s[k];
+        b[k] = (double)q->b[k] + as[k];
+    }
+}
+
+/* Adds up two quadrics relative to a place. */
+static void add_shifted(const struct vox_mesh *mesh, uint32_t u, uint32_t v, const double at[3],
+                        double a[6], double b[3], double *c)
+{
+    double su[3], sv[3], a2[6], b2[3], c2;
+    for (int k = 0; k < 3; k++) {
+        su[k] = at[k] - (double)mesh->positions[u][k];
+        sv[k] = at[k] - (double)mesh->positions[v][k];
+    }
+    shift(&mesh->quadrics[u], su, a, b, c);
+    shift(&mesh->quadrics[v], sv, a2, b2, &c2);
+    for (int i = 0; i < 6; i++)
+        a[i] += a2[i];
+    for (int k = 0; k < 3; k++)
+        b[k] += b2[k];
+    *c += c2;
+}
+
+/* Computes where (u, v) collapses to: the best place, or u if that is locked. */
+static void place(const struct vox_rings *r, uint32_t u, uint32_t v, float p[3])
+{
+    const struct vox_mesh *mesh = r->mesh;
+    double middle[3], a[6], b[3], c, x[3];
+    memcpy(p, mesh->positions[u], 3 * sizeof *p);
+    if (r->flags[u] & VOX_LOCKED)
+        return;
+    for (int k = 0; k < 3; k++)
+        middle[k] = 0.5 * ((double)p[k] + (double)mesh->positions[v][k]);
+    add_shifted(mesh, u, v, middle, a, b, &c);
+    const double trace = a[0] + a[3] + a[5];
+    a[0] += pull * trace;
+    a[3] += pull * trace;
+    a[5] += pull * trace;
+    const bool solved = vox_solve(a, (double[3]){-b[0], -b[1], -b[2]}, x);
+    for (int k = 0; k < 3; k++)
+        p[k] = (float)(middle[k] + (solved ? x[k] : 0));
+}
+
+static bool try_collapse(struct vox_rings *r, uint32_t u, uint32_t v)
+{
+    struct vox_mesh *mesh = r->mesh;
+    double at[3], a[6], b[3], c;
+    float p[3];
+    if (!vox_rings_keep_topology(r, v, u))
+        return false;
+    place(r, u, v, p);
+    if (!isfinite(p[0] + p[1] + p[2]) || !vox_rings_keep_orientation(r, v, u, p) ||
+        (!(r->flags[u] & VOX_LOCKED) && !vox_rings_keep_orientation(r, u, v, p)))
+        return false;
+    for (int k = 0; k < 3; k++)
+        at[k] = (double)p[k];
+    add_shifted(mesh, u, v, at, a, b, &c);
+    struct vox_quadric *q = &mesh->quadrics[u];
+    for (int i = 0; i < 6; i++)
+        q->a[i] = (float)a[i];
+    for (int k = 0; k < 3; k++)
+        q->b[k] = (float)b[k];
+    q->c = c > 0 ? (float)c : 0;
+    vox_rings_join(r, u, v, p);
+    return true;
+}
+
+static bool is_free(struct vox_rings *r, uint32_t v)
+{
+    return !(r->flags[v] & VOX_LOCKED) && vox_first_corner(r, v) != VOX_NONE;
+}
+
+/* Returns a cost that about this share of free vertices is below, or a negative number if none is
+ * left. Bits of floats above 0 are in the order of the floats. */
+static float find_threshold(struct vox_rings *r, double share, uint32_t *bins)
+{
+    uint64_t count = 0, below = 0;
+    uint32_t target, bin = 0;
+    memset(bins, 0, BINS * sizeof *bins);
+    for (uint32_t v = 0; v < r->mesh->vertex_count; v += SAMPLE_STEP) {
+        if (!is_free(r, v))
+            continue;
+        const float cost = find_target(r, v, &target);
+        uint32_t bits;
+        memcpy(&bits, &cost, sizeof bits);
+        bins[bits >> BIN_SHIFT]++;
+        count++;
+    }
+    while (bin < BINS - 1 && (double)(below += bins[bin]) < share * (double)count)
+        bin++;
+    const uint32_t bits = (bin + 1) << BIN_SHIFT;
+    float threshold;
+    memcpy(&threshold, &bits, sizeof threshold);
+    return count > 0 ? threshold : -1;
+}
+
+/* Returns the triangles that a pass took away. */
+static uint32_t run_pass(struct vox_rings *r, float threshold, uint32_t target)
+{
+    const uint32_t before = r->alive;
+    for (uint32_t v = 0; v < r->mesh->vertex_count && r->alive > target; v++) {
+        uint32_t u = 0;
+        if (v % (64 * VOX_CHECK_EVERY) == 0 && bsq_check(r->ctx) < 0)
+            break;
+        if (is_free(r, v) && find_target(r, v, &u) < threshold)
+            try_collapse(r, u, v);
+    }
+    return before - r->alive;
+}
+
+int vox_thin(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh)
+{
+    struct vox_rings rings = {.ctx = ctx};
+    uint32_t *bins = NULL, gone = UINT32_MAX;
+    int status = 0;
+    if (mesh->triangle_count <= target)
+        return 0;
+    BSQ_TRY(vox_rings_build(ctx, mesh, true, &rings));
+    BSQ_TRY(bsq_alloc(ctx, "an edge collapse", BINS, sizeof *bins, &bins));
+    while (rings.alive > target && gone > rings.alive / 512) {
+        const double share = 1 - (double)target / rings.alive;
+        const float threshold =
+            find_threshold(&rings, share < pass_share ? share : pass_share, bins);
+        gone = run_pass(&rings, threshold, target);
+        BSQ_TRY(bsq_check(ctx));
+    }
+    vox_rings_compact(&rings);
+done:
+    bsq_free(ctx, bins);
+    vox_rings_free(&rings);
+    return status;
+}
