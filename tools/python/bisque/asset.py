@@ -195,7 +195,7 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
 
     def make() -> dict:
         baked = core.bake(scan, str(obj), output=obj.with_name("<MAP>.png"), glb=str(glb), arrays=False,
-                          preview=str(preview), progress=steps.report, **options, **job)
+                          preview=preview, progress=steps.report, **options, **job)
         write_mtl(obj.with_suffix(".mtl"), outputs)
         return baked.report
 
