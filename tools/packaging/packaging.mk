@@ -14,12 +14,13 @@ other_objects := $(filter-out %/module_directory.c.o,$(all_objects))
 .PHONY: install uninstall
 ## install: install programs, man pages, libraries and headers under prefix=/usr/local
 install: all
-	install -d $(bindir) $(arcdir)/pkgconfig $(moddir) $(mandir) $(farmdir) $(reportdir) \
+	install -d $(bindir) $(arcdir)/pkgconfig $(moddir) $(mandir) $(farmdir)/deadline $(reportdir) \
 	    $(addprefix $(incdir)/,$(sort $(dir $(public_headers))))
 	install -m 755 $(bins) $(bindir)
 	install -m 644 $(wildcard man/*.1) $(mandir)
 	install -m 755 $(farm_programs) $(farmdir)
-	install -m 644 $(filter-out $(farm_programs),$(wildcard tools/farm/*)) $(farmdir)
+	install -m 644 $(filter-out $(farm_programs),$(wildcard tools/farm/*.yaml)) $(farmdir)
+	install -m 644 $(wildcard tools/farm/deadline/*) $(farmdir)/deadline
 	install -m 644 $(wildcard tools/report/*) $(reportdir)
 	install -m 644 $(module_files) $(moddir)
 	install -m 755 $(helpers) $(moddir)
@@ -54,6 +55,14 @@ dist := build/dist/bisque-$(VERSION).tar.gz
 dist:
 	@mkdir -p $(dir $(dist))
 	git archive --format=tar --prefix=bisque-$(VERSION)/ HEAD | gzip -9n > $(dist)
+
+image := build/image/bisque-$(VERSION).tar
+.PHONY: image
+## image: build/image/bisque-VERSION.tar, an OCI image of the last commit's package, for farms (needs root)
+image: deb
+	@tests/install-packages.sh debootstrap buildah
+	@mkdir -p $(dir $(image))
+	tools/packaging/make-image.sh build/deb/bisque_$(VERSION)_amd64.deb $(image)
 
 ## deb: build/deb with Debian packages of the last commit (installs missing packages)
 deb: deps-deb dist
