@@ -254,6 +254,10 @@ struct bake_options {
     const char *preview_path; /**< Output: a preview, PNG, or NULL. */
     uint32_t preview_views;   /**< Views around the mesh, to BAKE_MAX_VIEWS. */
     enum bake_up preview_up;  /**< Vertical axis of the preview. */
+    /** The first view of the preview, in degrees around the vertical axis, from the front on to its
+     * right (seen from the mesh: to its left); below 0: the view that shows most. */
+    double preview_from;
+    double preview_above; /**< How far all views look down, in degrees. */
     /** Gets the rows of all maps, never concurrently; NULL: nobody does. Of a map that several
      * objects or tiles have, one file's rows come after the other's. A negative status ends the job
      * and is returned. Plans do not keep it. */

@@ -52,6 +52,7 @@ struct bake_work {
     struct bake_device *device;             /* NULL: triangles or several scans are traced */
     struct bake_preview_tile *preview_tiles;
     struct bake_preview_file *preview_file;
+    double preview_from;      /* where its first view is, in degrees around */
     struct bake_asset *asset; /* NULL: there is none */
     bool keeps_preview;       /* it is there already, or another process renders it */
 };

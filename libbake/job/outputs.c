@@ -337,8 +337,10 @@ int bake_write_preview(struct bake_work *job)
                                          .green_down = job->options->green_down,
                                          .two_sided = job->options->two_sided,
                                          .up = job->options->preview_up,
+                                         .from = job->options->preview_from,
+                                         .above = job->options->preview_above,
                                          .view_count = job->options->preview_views};
-    return bake_preview_write(job->preview_file, &preview);
+    return bake_preview_write(job->preview_file, &preview, &job->preview_from);
 }
 
 int bake_commit_outputs(struct bake_work *job)
@@ -360,7 +362,10 @@ int bake_commit_outputs(struct bake_work *job)
             BSQ_TRY(bsq_output_group_add(&group, preview));
         if (job->options->page)
             status =
-                bake_page_add(job->options->page, json_pack("{s:s}", "kind", "preview"), preview);
+                bake_page_add(job->options->page,
+                              json_pack("{s:s, s:f, s:f}", "kind", "preview", "from",
+                                        job->preview_from, "above", job->options->preview_above),
+                              preview);
         if (!job->options->preview_path)
             bsq_output_discard(preview);
         if (status < 0)

@@ -220,6 +220,10 @@ static const struct bsq_option table[] = {
      MEMBER(OUTPUT, page_path)},
     {KEY("view", "count", "N", "views around the mesh"), .old_name = "preview-views",
      COUNT(preview_views, 1, BAKE_MAX_VIEWS, 4), .needs = PREVIEW},
+    {KEY("view", "from", "DEG", "of the first view, around from the front; auto: the most telling"),
+     .words = "auto", NUMBER(preview_from, 360, -1), .needs = PREVIEW},
+    {KEY("view", "above", "DEG", "how far views look down, to 90 degrees"),
+     NUMBER(preview_above, 90, 17), .needs = PREVIEW},
     {KEY("view", "up", "AXIS", "the vertical axis: y, z or auto"), .old_name = "up",
      CHOICE(preview_up, "auto y z"), .needs = PREVIEW},
 

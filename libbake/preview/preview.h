@@ -26,13 +26,15 @@ struct bake_preview {
     bool green_down;                     /* likewise */
     bool two_sided;                      /* the scan was baked from both sides */
     enum bake_up up;
+    double from;         /* degrees around, of the first view; below 0: of the most telling one */
+    double above;        /* degrees that views look down */
     uint32_t view_count; /* that of bake_preview_open() */
 };
 
 /* Returns the vertical axis, 1 or 2, of `preview->up` or else the mesh suggests: the one on
- * whose lower end more of the mesh's surface lies flat, as things stand on the ground. Axis 1 if
- * there is no such difference, the mesh is thin along axis 2, or it would fall over if it stood on
- * that end. */
+ * whose lower end more of the mesh's surface lies flat, as things stand on the ground, or more of
+ * it is missing, as below a bust that was scanned on a table. Axis 1 if there is no such
+ * difference, the mesh is thin along axis 2, or it would fall over if it stood on that end. */
 int bake_preview_up_axis(const struct bake_preview *preview);
 
 struct bake_preview_file;
@@ -42,8 +44,10 @@ struct bake_preview_file;
 int bake_preview_open(struct bsq_ctx *ctx, const char *path, uint32_t view_count,
                       struct bake_preview_file **out);
 /* Renders on all threads and completes the file. Call it at most once, not from parallel work.
- * Errors: those of bake_surface_trace(), BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
-int bake_preview_write(struct bake_preview_file *file, const struct bake_preview *preview);
+ * *from: where the first view is, in degrees around. Errors: those of bake_surface_trace(),
+ * BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
+int bake_preview_write(struct bake_preview_file *file, const struct bake_preview *preview,
+                       double *from);
 /* Frees `file` in any case. *out: the complete output, for the caller to commit. */
 int bake_preview_hand_over(struct bake_preview_file *file, struct bsq_output **out);
 void bake_preview_discard(struct bake_preview_file *file); /* NULL is allowed */

@@ -1,9 +1,8 @@
 /* preview_view.c - places the camera and the lights, and shades. */
 #include "libbake/preview/preview_view.h"
 
-/* Three-quarter view from the front and slightly above. */
-static const double azimuth = 0.52, elevation = 0.30; /* radians */
-static const double margin = 0.92;                    /* share of the panel that the mesh fills */
+static const double radian = 57.29577951308232; /* degrees */
+static const double margin = 0.92;              /* share of the panel that the mesh fills */
 
 /* Copies a vector that is meant for axis 1 up. With axis 2 up, the front looks to -y, as in
  * Blender.
@@ -15,7 +14,7 @@ static void turn(const double v[3], int up, double out[3])
     out[2] = up == 1 ? v[2] : v[1];
 }
 
-static void set_axes(double around, int up_axis, struct preview_view *view)
+static void set_axes(double around, double elevation, int up_axis, struct preview_view *view)
 {
     double sa = sin(around), ca = cos(around), se = sin(elevation), ce = cos(elevation);
     const double right[3] = {ca, 0, -sa}, up[3] = {-se * sa, ce, -se * ca},
@@ -33,29 +32,46 @@ static const double base_height = 0.02, relief_depth = 0.25;
 
 /* What a mesh would stand on. */
 struct base {
-    double area;            /* twice the area that faces down, projected along the axis */
+    double area; /* twice the area that faces down or is open, projected along the axis */
     double low[3], high[3]; /* of its corners */
 };
 
-static struct base find_base(const struct bake_lowmesh *mesh, int axis, double height)
+/* Returns twice the area of a triangle, projected along an axis; positive if it faces upwards. */
+static double facing_up(const double (*p)[3], int axis)
 {
     const int u = (axis + 1) % 3, v = (axis + 2) % 3;
+    return (p[1][u] - p[0][u]) * (p[2][v] - p[0][v]) - (p[1][v] - p[0][v]) * (p[2][u] - p[0][u]);
+}
+
+/* Returns whether no side of the mesh's bounds is longer than that along an axis. */
+static bool is_tall(const struct bake_lowmesh *mesh, int axis)
+{
+    const double *low = mesh->bounds_min, *high = mesh->bounds_max;
+    for (int k = 0; k < 3; ++k)
+        if (high[k] - low[k] > high[axis] - low[axis])
+            return false;
+    return true;
+}
+
+static struct base find_base(const struct bake_lowmesh *mesh, int axis, double height)
+{
     struct base base = {0, {INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
+    double open = 0;
     for (uint64_t t = 0; t < mesh->triangle_count; ++t) {
         const double(*p)[3] = mesh->positions[t];
-        if (fmax(p[0][axis], fmax(p[1][axis], p[2][axis])) > height)
-            continue;
-        double facing =
-            (p[1][u] - p[0][u]) * (p[2][v] - p[0][v]) - (p[1][v] - p[0][v]) * (p[2][u] - p[0][u]);
-        if (!(facing < 0))
-            continue;
-        base.area -= facing;
+        const double facing = facing_up(p, axis);
+        open += facing;
+        if (fmax(p[0][axis], fmax(p[1][axis], p[2][axis])) <= height)
+            base.area += fmax(-facing, 0);
         for (int c = 0; c < 3; ++c)
-            for (int k = 0; k < 3; ++k) {
+            for (int k = 0; p[c][axis] <= height && k < 3; ++k) {
                 base.low[k] = fmin(base.low[k], p[c][k]);
                 base.high[k] = fmax(base.high[k], p[c][k]);
             }
     }
+    /* A mask on its back is open below too, but lower than it is long. */
+    if (is_tall(mesh, axis))
+        base.area += fmax(open, 0);
     return base;
 }
 
@@ -152,13 +168,12 @@ static void span_scan(const struct bake_surface *scan, struct preview_view *view
     view->scan_span = nearest - farthest + 2 * rim;
 }
 
-void bake_preview_view_set(const struct bake_preview *preview, uint32_t index, int up,
-                           uint32_t side, struct preview_view *view)
+void bake_preview_view_set(const struct bake_preview *preview, double from, int up, uint32_t side,
+                           struct preview_view *view)
 {
-    static const double full_turn = 6.283185307179586;
     view->side = side;
     view->samples = side * PREVIEW_GRID;
-    set_axes(azimuth + full_turn * index / preview->view_count, up, view);
+    set_axes(from / radian, preview->above / radian, up, view);
     view->key = direction(view, -0.55, 0.65, 0.55);
     view->fill = direction(view, 0.85, 0.05, 0.5);
     view->half = bsq_unit3(bsq_add3(

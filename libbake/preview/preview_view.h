@@ -25,10 +25,10 @@ struct preview_view {
     double scan_span;                  /* length of a camera ray that crosses all of the scan */
 };
 
-/* Frames the low-poly mesh. index: of the view, from 0 to preview->view_count - 1. up: the vertical
- * axis, 1 or 2. side: of a panel, in pixels. */
-void bake_preview_view_set(const struct bake_preview *preview, uint32_t index, int up,
-                           uint32_t side, struct preview_view *view);
+/* Frames the low-poly mesh. from: degrees around, 0 at the front. up: the vertical axis, 1 or 2.
+ * side: of a panel, in pixels. */
+void bake_preview_view_set(const struct bake_preview *preview, double from, int up, uint32_t side,
+                           struct preview_view *view);
 
 /* Returns the linear light that a matt surface sends to the camera. */
 struct bsq_vec3 bake_preview_shade(const struct preview_view *view, struct bsq_vec3 normal,

@@ -48,6 +48,8 @@ unused "the map normal or bent" --normal space=object -- --maps normal -o map.pn
 unused "the map normal or bent" --normal green=down -- --maps bent -o map.png
 unused "--preview" --view count=1 -- --preview preview.png -o '<MAP>.png'
 unused "--preview" --view up=z -- --preview preview.png -o '<MAP>.png'
+unused "--preview" --view from=90 -- --preview preview.png -o '<MAP>.png'
+unused "--preview" --view above=30 -- --preview preview.png -o '<MAP>.png'
 unused "a device other than cpu" --gpu-memory 1G -- --device auto -o '<MAP>.png'
 
 # nothing NEEDS OPTION SCAN ARGUMENT...: the option has no effect on maps of the scan.

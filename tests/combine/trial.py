@@ -182,6 +182,12 @@ class Trial:
     def draw_view_count(self, program):
         return str(self.random.randint(1, 3))
 
+    def draw_view_from(self, program):
+        return "%.6g" % self.random.uniform(0, 360)
+
+    def draw_view_above(self, program):
+        return "%.6g" % self.random.uniform(0, 90)
+
     def length(self, program):
         return "%.6g" % (self.shape.size * 10 ** self.random.uniform(-2, 0))
 

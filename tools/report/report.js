@@ -258,7 +258,8 @@ class Viewer {
     this.draw();
   }
   axes(index) {
-    const around = 0.52 + 2 * Math.PI * index / meshItem.views, elevation = 0.30;
+    const {from, above} = previewItem ?? {from: 30, above: 17}, elevation = above * Math.PI / 180;
+    const around = (from / 180 + 2 * index / meshItem.views) * Math.PI;
     const turn = (x, y, z) => meshItem.up === 2 ? new THREE.Vector3(x, -z, y) : new THREE.Vector3(x, y, z);
     const [sa, ca, se, ce] = [Math.sin(around), Math.cos(around), Math.sin(elevation), Math.cos(elevation)];
     return {right: turn(ca, 0, -sa), up: turn(-se * sa, ce, -se * ca), toward: turn(ce * sa, se, ce * ca)};

@@ -41,7 +41,7 @@ static int up_axis_of(double (*positions)[3][3], uint64_t count, enum bake_up up
                 mesh.bounds_max[k] = fmax(mesh.bounds_max[k], positions[t][c][k]);
             }
     }
-    const struct bake_preview preview = {.mesh = &mesh, .up = up};
+    const struct bake_preview preview = {.mesh = &mesh, .up = up, .from = -1};
     return bake_preview_up_axis(&preview);
 }
 
@@ -53,7 +53,9 @@ TEST(test_mesh_stands_on_its_base)
         assert_int_equal(up_axis_of(pyramid, count, BAKE_UP_AUTO), axis);
         assert_int_equal(up_axis_of(pyramid, count, BAKE_UP_Y), 1);
         assert_int_equal(up_axis_of(pyramid, count, BAKE_UP_Z), 2);
-        /* Nothing is known of the surface without its base. */
+        /* Without its base it stands on the hole, unless it is lower than long, as a mask is. */
+        assert_int_equal(up_axis_of(pyramid, 4, BAKE_UP_AUTO), axis);
+        make_pyramid(axis, 1.5, pyramid);
         assert_int_equal(up_axis_of(pyramid, 4, BAKE_UP_AUTO), 1);
     }
     /* A relief on the plane z = 0 hangs on a wall. */
@@ -94,12 +96,12 @@ TEST(test_views_go_around_the_vertical_axis)
     struct bake_lowmesh mesh = {.triangle_count = make_pyramid(1, 2, pyramid),
                                 .positions = pyramid};
     const struct bake_surface surface = {.scan_max = {1, 1, 1}};
-    const struct bake_preview preview = {.mesh = &mesh, .surface = &surface, .view_count = 4};
+    const struct bake_preview preview = {.mesh = &mesh, .surface = &surface, .above = 17};
     for (int up = 1; up < 3; up++) {
         const double front[3] = {0, up == 1 ? 0 : -1, up == 1 ? 1 : 0};
         struct preview_view views[4];
         for (uint32_t i = 0; i < 4; i++) {
-            bake_preview_view_set(&preview, i, up, 64, &views[i]);
+            bake_preview_view_set(&preview, 30 + 90 * i, up, 64, &views[i]);
             const double *r = views[i].right, *u = views[i].up, *t = views[i].toward;
             assert_true(fabs(dot(r, u)) + fabs(dot(u, t)) + fabs(dot(t, r)) < 1e-12);
             assert_true(fabs(dot(r, r) - 1) + fabs(dot(u, u) - 1) + fabs(dot(t, t) - 1) < 1e-12);
