@@ -14,6 +14,7 @@
 #include "libbake/compare.h"
 #include "libvoxel/voxel.h"
 #include "tests/unit/exhaustion/failing.h"
+#include "tests/unit/sanitized.h"
 #include "tests/unit/test.h"
 
 enum { SIDE = 12, THREADS = 2 };
@@ -364,13 +365,16 @@ static bool run_failing(int (*job)(struct bsq_ctx *), enum failing what, uint64_
     return result.failed > 0;
 }
 
-/* Runs a job once for each `stride`-th call, which fails. */
+/* Runs a job once for each `stride`-th call, which fails. With sanitizers, which slow all down, it
+ * is each third of these, unless LONG is set. */
 static void exhaust(int (*job)(struct bsq_ctx *), uint64_t stride)
 {
     /* Libraries keep blocks after their first use; these are not leaks. */
     for (int i = 0; i < 2; i++)
         assert_int_equal(run(job), 0);
-    const uint64_t strides[] = {stride, getenv("LONG") ? stride : 4 * stride};
+    const bool is_long = getenv("LONG") != NULL;
+    const uint64_t first = TEST_SANITIZED && !is_long ? 3 * stride : stride;
+    const uint64_t strides[] = {first, is_long ? first : 4 * first};
     uint64_t calls = 0;
     for (int all_after = 0; all_after < 2; all_after++)
         for (calls = 0; run_failing(job, FAILING_MEMORY, calls, all_after);

@@ -1,6 +1,7 @@
 /* test_trace_ray.c - single rays against voxel grids of analytic surfaces: hits are compared with
  * the surfaces themselves. */
 #include "libbake/device/device.h"
+#include "tests/unit/sanitized.h"
 #include "tests/unit/test.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
@@ -57,7 +58,7 @@ static double angle_degrees(const double a[3], const float b[3])
 
 TEST(test_sphere)
 {
-    enum { RAYS = 1000000 };
+    enum { RAYS = TEST_SANITIZED ? 100000 : 1000000 };
     const double centre[3] = {100.3, -57.2, 33.7}, radius = 60, away = 1.3 * radius;
     struct analytic_grid *source = analytic_grid_create();
     double *angles = malloc(RAYS * sizeof *angles), squares = 0;
@@ -146,7 +147,7 @@ static void add_slopes(const struct analytic_sine *sine, const double truth[3],
  */
 static struct sine_errors trace_sine(double wavelength, uint32_t flags, uint32_t facet_noise)
 {
-    enum { RAYS = 150000 };
+    enum { RAYS = TEST_SANITIZED ? 15000 : 150000 };
     const double centre[3] = {100.3, -57.2, 33.7};
     struct analytic_sine sine = analytic_sine_make(wavelength, 40, centre);
     struct analytic_grid *source = analytic_grid_create();
@@ -232,7 +233,7 @@ TEST(test_sine_nearest)
  * voxels of the ridge err by 4.7 degrees on average, and 22 % of them by more than 5. */
 TEST(test_crease)
 {
-    enum { RAYS = 200000, CELLS = 480 };
+    enum { RAYS = TEST_SANITIZED ? 20000 : 200000, CELLS = 480 };
     const double centre[3] = {100.3, -57.2, 33.7}, slope = tan(40 * PI / 180);
     const struct analytic_sine frame = analytic_sine_make(100, 20, centre);
     struct analytic_grid *source = analytic_grid_create();

@@ -5,10 +5,13 @@
 #include "libbake/device/native/native_code.h"
 #include "libbake/device/native/tree_rays.h"
 #include "tests/unit/libbake/analytic_grid.h"
+#include "tests/unit/sanitized.h"
 #include "tests/unit/test.h"
 
 /* No multiples of a square or a group; with three samples an axis, groups span texels. */
-enum { WIDTH = 45, HEIGHT = 27, SAMPLES = 3, TEXELS = WIDTH * HEIGHT, TRIANGLES = 40 };
+/* Rows and columns end within a square of 8 x 8 texels. */
+enum { WIDTH = TEST_SANITIZED ? 21 : 45, HEIGHT = TEST_SANITIZED ? 11 : 27 };
+enum { SAMPLES = 3, TEXELS = WIDTH * HEIGHT, TRIANGLES = 40 };
 enum { MAPS = 1 << BK_MAP_normal | 1 << BK_MAP_color };
 enum { RAYS = 164 };            /* from a hit, at most */
 enum { FLOATS = BK_SUMS + 11 }; /* the most: with BK_SECONDARY_MAPS */
