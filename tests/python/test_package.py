@@ -1,11 +1,13 @@
 """The package from outside: meshes in memory and files give the same, errors, progress, UVs."""
 import json
 import os
+import struct
 import subprocess
 import sys
 import threading
 import time
 import types
+import zlib
 
 import bisque
 import numpy as np
@@ -208,6 +210,28 @@ def test_programs_are_on_the_path():
         program = os.path.join(os.path.dirname(sys.executable), f"bisque-{name}")
         done = subprocess.run([program, "--version"], capture_output=True, text=True)
         assert done.stdout.strip() == f"bisque-{name} {bisque.version()}"
+
+
+def write_png(path, color):
+    """Writes an image of 4 x 4 texels of one colour."""
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(
+            ">I", zlib.crc32(kind + data))
+    rows = (b"\0" + bytes(color) * 4) * 4
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", 4, 4, 8, 2, 0, 0, 0))
+                     + chunk(b"IDAT", zlib.compress(rows)) + chunk(b"IEND", b""))
+
+
+def test_textures_give_colors(scan, low, tmp_path):
+    mesh = bisque.Mesh(*scan, uvs=np.array([[0.1, 0.1], [0.9, 0.1], [0.1, 0.9]]))
+    mesh.uv_faces = np.tile([0, 1, 2], (len(mesh.faces), 1))
+    mesh.save(tmp_path / "scan.obj")
+    write_png(tmp_path / "paint.png", (255, 0, 51))
+    bisque.sort(tmp_path / "scan.obj", tmp_path / "scan.tris", texture=tmp_path / "paint.png")
+    maps = bisque.bake(tmp_path / "scan.tris", low, ("color", "mask"), size=64, format="png")
+    # PNG files have sRGB; rows of maps have linear light.
+    linear = ((51 / 255 + 0.055) / 1.055) ** 2.4
+    assert np.allclose(maps["color"][maps["mask"] == 1], [1, 0, linear], atol=2e-3)
 
 
 def asset(*arguments, code=0):

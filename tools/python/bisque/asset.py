@@ -206,8 +206,9 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
         "check" + suffix, [scan, chunks, obj], {"size": SAMPLE_SIZE}, [],
         lambda: _measure_error(scan, chunks, str(obj), job, steps.folder))
     if "from_scan" not in low.report:
+        bare = Mesh(low.vertices, low.faces)
         low.report.update(steps.run("check distance" + suffix, [chunks, obj], {}, [],
-                                    lambda: core.measure(str(obj), chunks, **job)))
+                                    lambda: core.measure(bare, chunks, **job)))
     files = [obj, obj.with_suffix(".mtl"), glb, preview, *map(Path, outputs.values())]
     return {"name": level["name"], "triangles": len(low.faces), "size": size,
             "surface": {**surface, "method": "exact" if surface["exact"] else "grid"},
@@ -228,14 +229,15 @@ def _lost(report: dict) -> dict:
 def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str = "web",
           triangles: int | None = None, size: int | None = None, maps: Any = None,
           samples: int = 2, surface: str = "auto", library: str = "uvunwrap",
-          unwrap_seconds: float = 300, min_component: float = 0.0,
+          unwrap_seconds: float = 300, min_component: float = 0.0, texture: Any = None,
           keep: str | os.PathLike | None = None, memory: int | str | None = None,
           threads: int = 0, progress: core.Progress | None = None) -> dict:
     """Makes an asset of a scan: OUTPUT.glb, and beside it a folder OUTPUT_asset with the mesh and its
     material (low.obj, low.mtl), the maps, a picture (preview.png) and the certificate, asset.json.
     Of several levels (preset "museum"), each has a GLB file and a folder with its number.
 
-    low: a low-poly mesh to use; it is unwrapped if it has no UVs. surface: "grid", "exact", or
+    low: a low-poly mesh to use; it is unwrapped if it has no UVs. texture: an image for all faces
+    with texture coordinates, instead of those that the scan names. surface: "grid", "exact", or
     "auto", by the size of a texel. keep: a folder for the files between, which stay there; without
     it they are in OUTPUT_asset/steps until the asset is complete. Interrupted jobs go on from them.
     Returns the certificate. Raises Error, UnwrapError."""
@@ -266,13 +268,13 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
                           "degenerate_triangles", "short_faces", "broken_faces", "lost_corners",
                           "unused_vertices", "skipped_lines", "unkept_channels")}
     else:
-        content = {}
+        content = {"texture": identity(texture) if texture else None}
         if in_memory:
             mesh = as_mesh(scan)
             content["content"] = hashlib.sha256(
                 np.ascontiguousarray(mesh.vertices).data).hexdigest()
         sorted_report = steps.run("sort", paths, content, [Path(chunks)], lambda: core.sort(
-            scan, chunks, progress=steps.report, **job))
+            scan, chunks, texture=texture, progress=steps.report, **job))
     results = []
     for number, (count, side) in enumerate(levels):
         several = len(levels) > 1
@@ -340,6 +342,7 @@ def main(arguments: list[str] | None = None) -> int:
                         help="the asset; its other files are beside it")
     parser.add_argument("--preset", choices=PRESETS, default="web")
     parser.add_argument("--low", metavar="FILE.obj", help="a low-poly mesh to use")
+    parser.add_argument("--texture", metavar="FILE", help="the scan's image, if it names none")
     parser.add_argument("--triangles", type=int, metavar="N", help="of the low-poly mesh")
     parser.add_argument("--size", type=int, metavar="N", help="texels of a side of the maps")
     parser.add_argument("--maps", metavar="LIST", help="such as normal,color,ao")
@@ -364,8 +367,8 @@ def main(arguments: list[str] | None = None) -> int:
             a.scan if len(a.scan) > 1 else a.scan[0], a.output, low=a.low, preset=a.preset,
             triangles=a.triangles, size=a.size, maps=a.maps.split(",") if a.maps else None,
             samples=a.samples, surface=a.surface, library=a.unwrap,
-            unwrap_seconds=a.unwrap_seconds, min_component=a.min_component, keep=a.keep,
-            memory=a.memory, threads=a.threads, progress=show)
+            unwrap_seconds=a.unwrap_seconds, min_component=a.min_component,
+            texture=a.texture, keep=a.keep, memory=a.memory, threads=a.threads, progress=show)
     except KeyboardInterrupt:
         print("\nbisque-asset: interrupted; the same command goes on from here", file=sys.stderr)
         return 75
