@@ -97,14 +97,16 @@ bins     := $(addprefix $(BUILD)/bin/,$(programs))
 # asks drivers for their devices, one reads files by Assimp.
 helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices scene)
 
-# The frame, style and script of reports, which programs find relative to themselves.
-report_files := $(patsubst tools/report/%,$(BUILD)/share/bisque/report/%,$(wildcard tools/report/*))
-$(report_files): $(BUILD)/share/bisque/report/%: tools/report/%
-	@install -D -m 644 $< $@
+# The frame of reports with its style and script, which programs find relative to themselves.
+report_frame := $(BUILD)/share/bisque/report.html
+$(report_frame): tools/report/report.html tools/report/report.css tools/report/report.js
+	@mkdir -p $(@D)
+	awk '/^<!--report/ { gsub(/<!--|-->/, ""); while ((getline line < ("tools/report/" $$0)) > 0) \
+	    print line; next } { print }' $< > $@
 
 .PHONY: all
 ## all: build the libraries, modules and programs (default), into build/$(config)/
-all: $(archives) $(shared) $(module_files) $(helpers) $(bins) $(report_files)
+all: $(archives) $(shared) $(module_files) $(helpers) $(bins) $(report_frame)
 
 # Debug information names the folder of the sources. With this name, builds in different folders have
 # the same bytes; debuggers find the sources if they are started there.

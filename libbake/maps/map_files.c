@@ -371,7 +371,8 @@ static int write_band(struct bake_map_files *files, uint32_t first_row, uint32_t
     for (uint32_t i = 0; i < files->count; ++i) {
         struct map_file *file = &files->files[i];
         if (file->thumbnail)
-            BSQ_TRY(bake_thumbnail_add(files->ctx, file->thumbnail, first_row, rows, file->rows));
+            BSQ_TRY(
+                bake_thumbnail_add(files->ctx, file->thumbnail, 3, first_row, rows, file->rows));
         if (files->options->on_rows)
             BSQ_TRY(give_rows(files, i, first_row, rows));
         if (file->writer)

@@ -304,9 +304,10 @@ int bake_thumbnail_of_missed(struct bsq_ctx *ctx, const struct bake_image *image
                              struct bake_thumbnail *out);
 void bake_thumbnail_free(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail);
 
-/* Adds rows of the map, three samples a texel. Every row must be added exactly once. */
-int bake_thumbnail_add(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail, uint32_t first_row,
-                       uint32_t rows, const float *samples);
+/* Adds rows of the map; a map of one channel has it for all three, and those after the third are
+ * left out. Every row must be added exactly once. */
+int bake_thumbnail_add(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail, uint32_t channels,
+                       uint32_t first_row, uint32_t rows, const float *samples);
 
 /* Returns the bilinear mean at texture coordinates (v upwards), clamped at the borders. */
 void bake_thumbnail_sample(const struct bake_thumbnail *thumbnail, float u, float v, float out[3]);

@@ -51,6 +51,7 @@ static int add_row(void *arg, uint64_t index, unsigned worker)
         begin = addition->first_row;
     if (end > addition->first_row + addition->rows)
         end = addition->first_row + addition->rows;
+    const int last = addition->missed || addition->channels >= 3 ? 2 : 0;
     uint32_t cell_rows = texels_in(cell_y, factor, thumbnail->full_height);
     for (uint32_t y = begin; y < end; ++y) {
         const float *in = addition->samples + (size_t)(y - addition->first_row) *
@@ -63,7 +64,7 @@ static int add_row(void *arg, uint64_t index, unsigned worker)
                 const float marks[3] = {in[0] == BAKE_MISSED, in[0] > BAKE_OUTSIDE, 0.0f};
                 const float *samples = addition->missed ? marks : in;
                 for (int c = 0; c < 3; ++c)
-                    out[cell_x][c] += weight * samples[c];
+                    out[cell_x][c] += weight * samples[c < last ? c : last];
             }
         }
     }
@@ -81,10 +82,10 @@ static int add_rows(void *arg, uint32_t first_row, uint32_t rows, const float *s
     return bsq_parallel_for(addition->ctx, last - first + 1, add_row, addition);
 }
 
-int bake_thumbnail_add(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail, uint32_t first_row,
-                       uint32_t rows, const float *samples)
+int bake_thumbnail_add(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail, uint32_t channels,
+                       uint32_t first_row, uint32_t rows, const float *samples)
 {
-    struct addition addition = {.ctx = ctx, .thumbnail = thumbnail, .channels = 3};
+    struct addition addition = {.ctx = ctx, .thumbnail = thumbnail, .channels = channels};
     return add_rows(&addition, first_row, rows, samples);
 }
 

@@ -1,4 +1,4 @@
-/* page.c - puts a page together: frame, style, three.js, items as they come, figures and script. */
+/* page.c - puts a page together: the frame, three.js, items as they come, and figures. */
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
@@ -53,20 +53,6 @@ static int put_file(struct bake_page *page, const char *path)
     return status;
 }
 
-static int find_part(struct bake_page *page, const char *name, char out[PATH_MAX])
-{
-    char file[64];
-    snprintf(file, sizeof file, "../../share/bisque/report/%s", name);
-    return fmt_module_find(page->ctx, file, "reports", out);
-}
-
-static int put_part(struct bake_page *page, const char *name)
-{
-    char path[PATH_MAX];
-    const int status = find_part(page, name, path);
-    return status < 0 ? status : put_file(page, path);
-}
-
 /* Puts the frame up to a mark, which it leaves out. */
 static int put_frame(struct bake_page *page, const char *mark)
 {
@@ -103,12 +89,10 @@ int bake_page_open(struct bsq_ctx *ctx, const char *path, struct bake_page **out
     BSQ_TRY(bsq_calloc(ctx, "page", 1, sizeof *page, &page));
     page->ctx = ctx;
     page->path = path;
-    BSQ_TRY(find_part(page, "report.html", frame));
+    BSQ_TRY(fmt_module_find(ctx, "../../share/bisque/report.html", "reports", frame));
     BSQ_TRY(read_text(page, frame, &page->frame_text));
     page->frame = page->frame_text;
     BSQ_TRY(bsq_output_open(ctx, path, &page->output));
-    BSQ_TRY(put_frame(page, "<!--style-->"));
-    BSQ_TRY(put_part(page, "report.css"));
     BSQ_TRY(put_frame(page, "<!--three-->"));
     BSQ_TRY(put_three(page));
     BSQ_TRY(put_frame(page, "<!--items-->"));
@@ -178,8 +162,6 @@ int bake_page_finish(struct bake_page *page, const char *json)
     BSQ_TRY(put(page, "<script type=\"application/json\" id=\"data\">"));
     BSQ_TRY(put_json(page, json));
     BSQ_TRY(put(page, "</script>\n"));
-    BSQ_TRY(put_frame(page, "<!--script-->"));
-    BSQ_TRY(put_part(page, "report.js"));
     BSQ_TRY(put(page, page->frame));
     struct bsq_output *output = page->output;
     page->output = NULL;

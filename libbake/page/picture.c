@@ -6,7 +6,7 @@
 #include "formats/image/image_writer.h"
 #include "libbake/page/page_internal.h"
 
-enum { LARGEST_SIDE = 1024, CHUNK_ROWS = 16 };
+enum { LARGEST_SIDE = 1024 };
 
 int bake_page_begin_picture(struct bsq_ctx *ctx, uint32_t width, uint32_t height,
                             struct bake_page_picture *out)
@@ -22,37 +22,23 @@ int bake_page_begin_picture(struct bsq_ctx *ctx, uint32_t width, uint32_t height
     return bake_thumbnail_create(ctx, width, height, side, &out->texels);
 }
 
-/* Copies a texel as three channels, zeros for what is not finite, and widens the ranges. */
-static void take_texel(struct bake_page_picture *picture, const float *texel, uint32_t channels,
-                       float out[3])
-{
-    for (uint32_t k = 0; k < 3; k++) {
-        const float value = texel[channels >= 3 ? k : 0];
-        out[k] = isfinite(value) ? value : 0;
-        picture->low[k] = fminf(picture->low[k], out[k]);
-        picture->high[k] = fmaxf(picture->high[k], out[k]);
-    }
-}
-
 int bake_page_take_rows(struct bsq_ctx *ctx, struct bake_page_picture *picture, uint32_t channels,
                         uint32_t first_row, uint32_t rows, const float *samples)
 {
-    const uint64_t width = picture->texels.full_width;
-    float(*chunk)[3] = NULL;
-    int status;
-    BSQ_TRY(bsq_alloc(ctx, "rows of a page's picture", CHUNK_ROWS * width, sizeof *chunk, &chunk));
-    for (uint32_t row = 0; row < rows; row += CHUNK_ROWS) {
-        const uint32_t count = rows - row < CHUNK_ROWS ? rows - row : CHUNK_ROWS;
-        for (uint64_t i = 0; i < count * width; i++)
-            take_texel(picture, samples + (row * width + i) * channels, channels, chunk[i]);
-        BSQ_TRY(bake_thumbnail_add(ctx, &picture->texels, first_row + row, count, chunk[0]));
-    }
-done:
-    bsq_free(ctx, chunk);
-    return status;
+    const uint64_t texels = (uint64_t)rows * picture->texels.full_width;
+    for (uint64_t i = 0; i < texels; i++)
+        for (uint32_t k = 0; k < 3; k++) {
+            const float value = samples[i * channels + (channels >= 3 ? k : 0)];
+            if (isfinite(value)) {
+                picture->low[k] = fminf(picture->low[k], value);
+                picture->high[k] = fmaxf(picture->high[k], value);
+            }
+        }
+    return bake_thumbnail_add(ctx, &picture->texels, channels, first_row, rows, samples);
 }
 
-/* Maps the range of each channel to 0 to 1, unless it lies in there. */
+/* Maps the range of each channel to 0 to 1, unless it lies in there; what is not finite becomes 0.
+ */
 static void normalise(struct bake_page_picture *picture)
 {
     const uint64_t texels = (uint64_t)picture->texels.width * picture->texels.height;
@@ -63,8 +49,10 @@ static void normalise(struct bake_page_picture *picture)
             *high = 1;
         }
         const float scale = *high > *low ? 1 / (*high - *low) : 0;
-        for (uint64_t i = 0; i < texels; i++)
-            picture->texels.texels[i][k] = (picture->texels.texels[i][k] - *low) * scale;
+        for (uint64_t i = 0; i < texels; i++) {
+            float *texel = &picture->texels.texels[i][k];
+            *texel = isfinite(*texel) ? (*texel - *low) * scale : 0;
+        }
     }
 }
 
@@ -89,6 +77,9 @@ int bake_page_add_picture(struct bake_page *page, json_t *head, struct bake_page
     struct fmt_image_writer *writer = NULL;
     struct bsq_output *output = NULL;
     int status;
+    for (int k = 0; k < 3; k++)
+        if (!(picture->low[k] <= picture->high[k])) /* no value is finite */
+            picture->low[k] = picture->high[k] = 0;
     set_ranges(head, "range", picture);
     normalise(picture);
     set_ranges(head, "shown", picture);

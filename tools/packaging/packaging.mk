@@ -5,7 +5,6 @@ moddir = $(DESTDIR)$(prefix)/lib/bisque
 incdir = $(DESTDIR)$(prefix)/include/bisque
 mandir = $(DESTDIR)$(prefix)/share/man/man1
 farmdir = $(DESTDIR)$(prefix)/share/bisque/farm
-reportdir = $(DESTDIR)$(prefix)/share/bisque/report
 farm_programs := tools/farm/bisque-slurm tools/farm/bisque-openjd
 
 # Only the directory of modules differs between the build and an installation.
@@ -14,14 +13,14 @@ other_objects := $(filter-out %/module_directory.c.o,$(all_objects))
 .PHONY: install uninstall
 ## install: install programs, man pages, libraries and headers under prefix=/usr/local
 install: all
-	install -d $(bindir) $(arcdir)/pkgconfig $(moddir) $(mandir) $(farmdir)/deadline $(reportdir) \
+	install -d $(bindir) $(arcdir)/pkgconfig $(moddir) $(mandir) $(farmdir)/deadline \
 	    $(addprefix $(incdir)/,$(sort $(dir $(public_headers))))
 	install -m 755 $(bins) $(bindir)
 	install -m 644 $(wildcard man/*.1) $(mandir)
 	install -m 755 $(farm_programs) $(farmdir)
 	install -m 644 $(filter-out $(farm_programs),$(wildcard tools/farm/*.yaml)) $(farmdir)
 	install -m 644 $(wildcard tools/farm/deadline/*) $(farmdir)/deadline
-	install -m 644 $(wildcard tools/report/*) $(reportdir)
+	install -m 644 $(report_frame) $(DESTDIR)$(prefix)/share/bisque
 	install -m 644 $(module_files) $(moddir)
 	install -m 755 $(helpers) $(moddir)
 	$(here) $(CC) $(CPPFLAGS) $(directory_cppflags) $(CFLAGS) -c formats/module/module_directory.c \
@@ -40,7 +39,7 @@ install: all
 uninstall:
 	rm -f $(addprefix $(bindir)/,$(programs)) $(addprefix $(mandir)/,$(notdir $(wildcard man/*.1)))
 	rm -f $(arcdir)/libbisque.* $(arcdir)/pkgconfig/bisque.pc
-	rm -rf $(incdir) $(moddir) $(farmdir) $(reportdir)
+	rm -rf $(incdir) $(moddir) $(farmdir) $(DESTDIR)$(prefix)/share/bisque/report.html
 	-rmdir $(dir $(farmdir)) 2>/dev/null
 
 # ---- packages of Bisque ----
