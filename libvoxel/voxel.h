@@ -270,14 +270,15 @@ struct vox_simplify_options {
     const char *const *tris_paths; /**< Input: chunk files, read as one scan, in any order. */
     uint32_t tris_count;           /**< Number of tris_paths. */
     const struct vox_temp_tris *temp_tris; /**< NULL, or one more part. */
-    /** Outputs, .obj or .ply: one for each target, or one alone for an error. */
+    /** Outputs, .obj, .ply or .glb: one for each target, or one alone for an error. */
     const char *const *output_paths;
     const uint64_t *targets; /**< Triangles of each mesh, falling. */
     uint32_t target_count;   /**< Number of targets; 0: `error` counts. */
     double error;            /**< Largest distance that a mesh may have, both ways; above 0. */
     /** Pieces whose box has a diagonal below this share of the scan's are dropped. */
     double min_component;
-    double hard_angle; /**< Normals are smooth over edges up to that many degrees. */
+    double hard_angle;   /**< Normals are smooth over edges up to that many degrees. */
+    bool keep_materials; /**< Triangles of different materials stay apart, and keep these. */
 };
 
 /** What vox_simplify() did. */
@@ -302,7 +303,7 @@ void vox_simplify_defaults(struct vox_simplify_options *options);
  * scan. The first part collapses groups of chunks with locked borders and quadrics (Garland and
  * Heckbert, 1997), the last one the whole mesh without memory of the scan, under the constraint
  * that its volume stays (Lindstrom and Turk, 1998). Vertices are welded by position; colours,
- * texture coordinates and materials have no influence. Output bytes do not depend on budget or
+ * texture coordinates and, unless they are kept, materials have no influence. Output bytes do not depend on budget or
  * threads. Errors: BSQ_ENOINPUT; BSQ_EDATA for a damaged chunk file, or an error that cannot be
  * kept; BSQ_EUSAGE; BSQ_ENOMEM; BSQ_ECANTCREAT; BSQ_EIO; BSQ_EINTR. */
 int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options,

@@ -221,7 +221,7 @@ check-long: check
 	@$(MAKE) --no-print-directory check-python
 	@LONG=1 BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
 	    $(patsubst %,tests/cli/test_%.sh,combine faults overwritten oracle reproducible) \
-	    $(BUILD)/tests/exhaustion/test_exhaustion
+	    $(BUILD)/tests/exhaustion/test_exhaustion $(BUILD)/tests/libvoxel/test_error
 
 # ---- quality ----
 sources_c := $(foreach l,$(libs),$(src.$(l))) $(src.helper) $(wildcard tools/*.c)

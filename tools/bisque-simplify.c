@@ -35,7 +35,7 @@ struct arguments {
 
 static const struct bsq_option rows[] = {
     {OPTION("output", "FILE",
-            "the mesh, .obj or .ply; with several numbers of triangles its name\n"
+            "the mesh, .obj, .ply or .glb; with several numbers of triangles its name\n"
             "must contain <N>, which is replaced by them"),
      .letter = 'o', .heading = "Mesh", MEMBER(OUTPUT, output)},
     {OPTION("triangles", "LIST", "triangles of the mesh, or of several meshes: 150000,20000,2000"),
@@ -47,6 +47,9 @@ static const struct bsq_option rows[] = {
     {OPTION("min-component", "P",
             "drop separate pieces smaller than P % of the scan, by diagonals"),
      MEMBER(NUMBER, simplify.min_component), BSQ_RANGE(0, 100, 0)},
+    {OPTION("keep-borders", "KIND",
+            "keep triangles of different materials apart: none, material"),
+     MEMBER(FLAG, simplify.keep_materials), .words = "none material"},
     {OPTION("hard-angle", "DEG", "edges with a larger angle than this look sharp"),
      MEMBER(NUMBER, simplify.hard_angle), BSQ_RANGE(0, 180, 180)},
 };
@@ -179,6 +182,7 @@ static int sort_meshes(struct cli *cli, const struct arguments *arguments,
     options.scan_count = arguments->mesh_count;
     options.tris_path = arguments->paths[0];
     options.temp_tris = temp;
+    options.ids = arguments->simplify.keep_materials ? VOX_IDS_MATERIAL : VOX_IDS_NONE;
     return vox_sort(cli->ctx, &options, &report);
 }
 

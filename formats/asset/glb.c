@@ -49,12 +49,12 @@ static int add_accessor(struct document *d, int view, size_t offset, int compone
 /* Gives the accessor of positions the bounds that the format demands. */
 static void set_bounds(struct document *d, int accessor, const struct fmt_glb_part *part)
 {
-    float least[3], most[3];
-    for (int k = 0; k < 3; k++) {
-        least[k] = most[k] = part->vertices[0].position[k];
-        for (uint32_t i = 1; i < part->vertex_count; i++) {
-            least[k] = fminf(least[k], part->vertices[i].position[k]);
-            most[k] = fmaxf(most[k], part->vertices[i].position[k]);
+    float least[3] = {INFINITY, INFINITY, INFINITY}, most[3] = {-INFINITY, -INFINITY, -INFINITY};
+    for (uint32_t i = 0; i < part->vertex_count; i++) {
+        const float *position = part->vertices ? part->vertices[i].position : part->shaded[i];
+        for (int k = 0; k < 3; k++) {
+            least[k] = fminf(least[k], position[k]);
+            most[k] = fmaxf(most[k], position[k]);
         }
     }
     json_t *object = json_array_get(d->accessors, (size_t)accessor);
@@ -65,21 +65,29 @@ static void set_bounds(struct document *d, int accessor, const struct fmt_glb_pa
                         json_pack("[f, f, f]", (double)most[0], (double)most[1], (double)most[2]));
 }
 
+static size_t vertex_bytes(const struct fmt_glb_part *part)
+{
+    return part->vertices ? sizeof *part->vertices : sizeof *part->shaded;
+}
+
 static void add_part(struct document *d, const struct fmt_glb_part *part, int material)
 {
     const uint32_t n = part->vertex_count;
-    const int stride = sizeof *part->vertices;
-    const int vertices = add_view(d, (uint64_t)n * sizeof *part->vertices, stride, ARRAY_BUFFER);
+    const size_t stride = vertex_bytes(part);
+    const int vertices = add_view(d, n * (uint64_t)stride, (int)stride, ARRAY_BUFFER);
     const int indices =
         add_view(d, (uint64_t)part->index_count * sizeof(uint32_t), 0, ELEMENT_BUFFER);
 #define ATTRIBUTE(member, type)                                                                    \
     add_accessor(d, vertices, offsetof(struct fmt_glb_vertex, member), FLOAT, n, type)
     const int position = ATTRIBUTE(position, "VEC3"), normal = ATTRIBUTE(normal, "VEC3");
-    const int tangent = ATTRIBUTE(tangent, "VEC4"), texcoord = ATTRIBUTE(texcoord, "VEC2");
+    json_t *attributes = json_pack("{s:i, s:i}", "POSITION", position, "NORMAL", normal);
+    if (part->vertices) {
+        json_object_set_new(attributes, "TANGENT", json_integer(ATTRIBUTE(tangent, "VEC4")));
+        json_object_set_new(attributes, "TEXCOORD_0", json_integer(ATTRIBUTE(texcoord, "VEC2")));
+    }
     const int index = add_accessor(d, indices, 0, UINT32, part->index_count, "SCALAR");
-    json_t *primitive = json_pack("{s:{s:i, s:i, s:i, s:i}, s:i, s:i}", "attributes", "POSITION",
-                                  position, "NORMAL", normal, "TANGENT", tangent, "TEXCOORD_0",
-                                  texcoord, "indices", index, "mode", 4);
+    json_t *primitive =
+        json_pack("{s:o, s:i, s:i}", "attributes", attributes, "indices", index, "mode", 4);
     set_bounds(d, position, part);
     if (!part->plain)
         json_object_set_new(primitive, "material", json_integer(material));
@@ -200,8 +208,9 @@ static int write_binary(struct bsq_ctx *ctx, const struct fmt_glb *glb, struct b
     int status = 0;
     for (uint32_t i = 0; i < glb->part_count; i++) {
         const struct fmt_glb_part *part = &glb->parts[i];
-        BSQ_TRY(bsq_output_write(output, part->vertices,
-                                 (uint64_t)part->vertex_count * sizeof *part->vertices));
+        const void *vertices = part->vertices ? (const void *)part->vertices : part->shaded;
+        BSQ_TRY(
+            bsq_output_write(output, vertices, (uint64_t)part->vertex_count * vertex_bytes(part)));
         BSQ_TRY(bsq_output_write(output, part->indices,
                                  (uint64_t)part->index_count * sizeof *part->indices));
     }

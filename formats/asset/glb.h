@@ -29,7 +29,8 @@ struct fmt_glb_material {
 
 /* Triangles with one material: number i has material i. */
 struct fmt_glb_part {
-    const struct fmt_glb_vertex *vertices;
+    const struct fmt_glb_vertex *vertices; /* or NULL: */
+    const float (*shaded)[6];              /* position and normal alone */
     const uint32_t *indices;
     uint32_t vertex_count, index_count; /* both above 0 */
     bool plain;                         /* without a material; such a part is the last one */

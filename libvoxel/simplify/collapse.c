@@ -103,7 +103,7 @@ static void add_line(struct error *q, const double e[3], const double p[3], doub
     }
 }
 
-/* Adds the open borders at a vertex, but not the edge to `skipped`. */
+/* Adds the borders at a vertex, but not the edge to `skipped`. */
 static void add_borders(struct collapse *c, uint32_t u, uint32_t skipped, const double from[3],
                         double scale, struct error *q)
 {
@@ -114,10 +114,9 @@ static void add_borders(struct collapse *c, uint32_t u, uint32_t skipped, const 
     for (VOX_EACH_CORNER(r, u, k)) {
         const uint32_t ends[2] = {vox_after(r, k), vox_before(r, k)};
         for (int i = 0; i < 2; i++) {
-            uint32_t opposite[2];
             double edge[3], p[3];
             if (ends[i] == skipped || !(r->flags[ends[i]] & VOX_BORDER) ||
-                vox_rings_edge(r, u, ends[i], opposite) != 1)
+                !vox_rings_is_border(r, u, ends[i]))
                 continue;
             for (int j = 0; j < 3; j++) {
                 p[j] = (double)positions[u][j] - from[j];

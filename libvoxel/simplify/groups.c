@@ -25,6 +25,7 @@ struct level {
     struct bsq_file file;
     struct member *members;
     uint64_t member_count, triangles;
+    const uint32_t *numbers; /* of materials, for the file's ones; NULL: not kept */
 };
 
 /* A step from a level to the next one. */
@@ -79,6 +80,11 @@ static int read_chunk(const struct level *level, uint64_t index, struct vox_mesh
            member->vertices * sizeof *mesh->positions);
     memcpy(mesh->triangles + mesh->triangle_count, chunk.triangles,
            member->triangles * sizeof *mesh->triangles);
+    for (uint32_t t = 0; t < member->triangles && mesh->materials; t++) {
+        const uint32_t material = chunk.materials ? chunk.materials[t] : UINT32_MAX;
+        mesh->materials[mesh->triangle_count + t] =
+            material == UINT32_MAX ? UINT32_MAX : level->numbers[material];
+    }
 done:
     bsq_free(level->ctx, scratch);
     return status;
@@ -88,15 +94,19 @@ static int read_part(const struct level *level, uint64_t index, struct vox_mesh 
 {
     const struct member *member = &level->members[index];
     const uint64_t positions = member->vertices * sizeof *mesh->positions,
-                   quadrics = member->vertices * sizeof *mesh->quadrics;
+                   quadrics = member->vertices * sizeof *mesh->quadrics,
+                   triangles = member->triangles * sizeof *mesh->triangles;
     int status = 0;
     BSQ_TRY(bsq_file_read(level->ctx, &level->file, mesh->positions + mesh->vertex_count, positions,
                           member->offset));
     BSQ_TRY(bsq_file_read(level->ctx, &level->file, mesh->quadrics + mesh->vertex_count, quadrics,
                           member->offset + positions));
-    status = bsq_file_read(level->ctx, &level->file, mesh->triangles + mesh->triangle_count,
-                           member->triangles * sizeof *mesh->triangles,
-                           member->offset + positions + quadrics);
+    BSQ_TRY(bsq_file_read(level->ctx, &level->file, mesh->triangles + mesh->triangle_count,
+                          triangles, member->offset + positions + quadrics));
+    if (mesh->materials)
+        status = bsq_file_read(level->ctx, &level->file, mesh->materials + mesh->triangle_count,
+                               member->triangles * sizeof *mesh->materials,
+                               member->offset + positions + quadrics + triangles);
 done:
     return status;
 }
@@ -120,7 +130,8 @@ static int join_members(const struct level *level, uint64_t begin, uint64_t end,
                         "simplifying: borders of parts keep %llu triangles in one mesh, more than "
                         "it can have; choose a smaller target or drop small pieces",
                         (unsigned long long)triangles);
-    BSQ_TRY(vox_mesh_allocate(level->ctx, (uint32_t)vertices, (uint32_t)triangles, quadrics, mesh));
+    BSQ_TRY(vox_mesh_allocate(level->ctx, (uint32_t)vertices, (uint32_t)triangles, quadrics,
+                              level->numbers != NULL, mesh));
     mesh->vertex_count = mesh->triangle_count = 0;
     for (uint64_t i = begin; i < end; i++) {
         const struct member *member = &level->members[i];
@@ -190,6 +201,9 @@ static int write_group(void *arg, void *slot_, uint64_t sequence)
                             mesh->vertex_count * sizeof *mesh->quadrics));
     BSQ_TRY(bsq_file_append(to->ctx, &to->file, mesh->triangles,
                             mesh->triangle_count * sizeof *mesh->triangles));
+    if (mesh->materials)
+        BSQ_TRY(bsq_file_append(to->ctx, &to->file, mesh->materials,
+                                mesh->triangle_count * sizeof *mesh->materials));
     for (uint64_t i = slot->begin; i < slot->end; i++)
         bsq_progress_add(to->ctx, step->from->members[i].triangles);
 done:
@@ -209,7 +223,7 @@ static int reduce_level(const struct level *from, uint64_t target, const char *b
                         .ratio =
                             (double)(target > least ? target : least) / (double)from->triangles};
     int status = 0;
-    *to = (struct level){.ctx = from->ctx, .file = BSQ_FILE_CLOSED};
+    *to = (struct level){.ctx = from->ctx, .file = BSQ_FILE_CLOSED, .numbers = from->numbers};
     BSQ_TRY(bsq_alloc(to->ctx, "groups of chunks", from->member_count, sizeof *to->members,
                       &to->members));
     BSQ_TRY(bsq_calloc(to->ctx, "groups of chunks", slot_count, sizeof *slots, &slots));
@@ -231,13 +245,35 @@ done:
     return status;
 }
 
+/* Gives materials of equal names the number of the first of these. A chunk file has names if it was
+ * sorted with ids. */
+static int number_materials(struct bsq_ctx *ctx, const struct fmt_tris_header *header,
+                            uint32_t **numbers)
+{
+    const struct fmt_tris_material *materials = header->materials;
+    int status =
+        bsq_alloc(ctx, "materials", header->material_count + 1U, sizeof **numbers, numbers);
+    for (uint32_t i = 0; i < header->material_count && status == 0; i++) {
+        const char *name = materials[i].name;
+        uint32_t same = name ? 0 : i;
+        while (same < i && (!materials[same].name || strcmp(materials[same].name, name) != 0))
+            same++;
+        (*numbers)[i] = same;
+    }
+    return status;
+}
+
 int vox_reduce_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, uint64_t target,
-                      const char *beside, struct vox_mesh *mesh)
+                      const char *beside, bool materials, struct vox_mesh *mesh)
 {
     struct level level = {.ctx = ctx, .file = BSQ_FILE_CLOSED}, next;
     uint64_t before = UINT64_MAX;
+    uint32_t *numbers = NULL;
     int status = 0;
     BSQ_TRY(open_chunks(ctx, file, &level));
+    if (materials)
+        BSQ_TRY(number_materials(ctx, fmt_tris_get_header(file), &numbers));
+    level.numbers = numbers;
     /* A level that takes away less than a tenth has little but borders of groups. */
     while (level.triangles > target && level.triangles < before - before / 10) {
         before = level.triangles;
@@ -249,5 +285,6 @@ int vox_reduce_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, uin
     status = join_members(&level, 0, level.member_count, false, mesh);
 done:
     close_level(&level);
+    bsq_free(ctx, numbers);
     return status;
 }

@@ -33,7 +33,7 @@ void vox_mesh_set_quadrics(struct vox_mesh *mesh)
 }
 
 int vox_mesh_allocate(struct bsq_ctx *ctx, uint32_t vertices, uint32_t triangles, bool quadrics,
-                      struct vox_mesh *mesh)
+                      bool materials, struct vox_mesh *mesh)
 {
     int status = 0;
     *mesh = (struct vox_mesh){.vertex_count = vertices, .triangle_count = triangles};
@@ -41,6 +41,8 @@ int vox_mesh_allocate(struct bsq_ctx *ctx, uint32_t vertices, uint32_t triangles
     BSQ_TRY(bsq_alloc(ctx, "a mesh", triangles, sizeof *mesh->triangles, &mesh->triangles));
     if (quadrics)
         BSQ_TRY(bsq_alloc(ctx, "a mesh", vertices, sizeof *mesh->quadrics, &mesh->quadrics));
+    if (materials)
+        BSQ_TRY(bsq_alloc(ctx, "a mesh", triangles, sizeof *mesh->materials, &mesh->materials));
 done:
     if (status < 0)
         vox_mesh_free(ctx, mesh);
@@ -52,7 +54,15 @@ void vox_mesh_free(struct bsq_ctx *ctx, struct vox_mesh *mesh)
     bsq_free(ctx, mesh->positions);
     bsq_free(ctx, mesh->triangles);
     bsq_free(ctx, mesh->quadrics);
+    bsq_free(ctx, mesh->materials);
     *mesh = (struct vox_mesh){0};
+}
+
+void vox_mesh_move_triangle(struct vox_mesh *mesh, uint32_t to, uint32_t from)
+{
+    memmove(mesh->triangles[to], mesh->triangles[from], sizeof *mesh->triangles);
+    if (mesh->materials)
+        mesh->materials[to] = mesh->materials[from];
 }
 
 /* Numbers positions in the order of their first vertices; moves these together. */
@@ -109,6 +119,7 @@ static void join_triangles(struct vox_mesh *mesh, const uint32_t *numbers, uint3
         uint32_t *chain = &first[least < corners[2] ? least : corners[2]];
         next[count] = *chain;
         *chain = count;
+        vox_mesh_move_triangle(mesh, count, t);
         memcpy(mesh->triangles[count++], corners, sizeof corners);
     }
     mesh->triangle_count = count;

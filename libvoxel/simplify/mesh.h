@@ -17,11 +17,14 @@ struct vox_mesh {
     float (*positions)[3];
     uint32_t (*triangles)[3];
     struct vox_quadric *quadrics; /* of vertices; NULL: not carried */
+    uint32_t *materials;          /* of triangles; NULL: all are alike */
 };
 
 /* Allocates arrays for a mesh in *mesh. Errors: BSQ_ENOMEM; then *mesh is empty. */
 int vox_mesh_allocate(struct bsq_ctx *ctx, uint32_t vertices, uint32_t triangles, bool quadrics,
-                      struct vox_mesh *mesh);
+                      bool materials, struct vox_mesh *mesh);
+/* Copies a triangle and its material to number `to`, which may be the same. */
+void vox_mesh_move_triangle(struct vox_mesh *mesh, uint32_t to, uint32_t from);
 void vox_mesh_free(struct bsq_ctx *ctx, struct vox_mesh *mesh);
 
 /* Adds the quadric of another vertex at the same position. */

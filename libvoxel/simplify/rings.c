@@ -46,6 +46,42 @@ static int link_corners(struct vox_rings *r)
     return bsq_check(r->ctx);
 }
 
+bool vox_rings_is_border(struct vox_rings *r, uint32_t u, uint32_t v)
+{
+    const uint32_t *materials = r->mesh->materials;
+    uint32_t count = 0, first = 0;
+    bool differ = false;
+    for (VOX_EACH_CORNER(r, u, k)) {
+        if (vox_after(r, k) != v && vox_before(r, k) != v)
+            continue;
+        if (count++ == 0)
+            first = k / 3;
+        differ |= materials && materials[k / 3] != materials[first];
+    }
+    return count == 1 || differ;
+}
+
+/* Flags a vertex between materials. Where they end, or more than two meet, it stays. */
+static void flag_seams(struct vox_rings *r, uint32_t v, uint8_t border)
+{
+    const uint32_t *materials = r->mesh->materials;
+    unsigned borders = 0;
+    bool differ = false;
+    for (VOX_EACH_CORNER(r, v, k))
+        differ |= materials[k / 3] != materials[k_first / 3];
+    if (!differ)
+        return;
+    const uint32_t seen = ++r->walk;
+    for (VOX_EACH_CORNER(r, v, k)) {
+        const uint32_t ends[2] = {vox_after(r, k), vox_before(r, k)};
+        for (int i = 0; i < 2; i++) {
+            borders += r->marks[ends[i]] != seen && vox_rings_is_border(r, v, ends[i]);
+            r->marks[ends[i]] = seen;
+        }
+    }
+    r->flags[v] |= borders == 2 ? border : border | VOX_LOCKED;
+}
+
 /* Flags a vertex by how many triangles each of its edges has. */
 static void flag_vertex(struct vox_rings *r, uint32_t v, uint8_t border)
 {
@@ -65,6 +101,8 @@ static void flag_vertex(struct vox_rings *r, uint32_t v, uint8_t border)
                            : r->marks[ends[i]] == once + 3 ? VOX_LOCKED
                                                            : 0;
     }
+    if (r->mesh->materials)
+        flag_seams(r, v, border);
 }
 
 int vox_rings_build(struct bsq_ctx *ctx, struct vox_mesh *mesh, bool lock_borders,
@@ -114,7 +152,8 @@ bool vox_rings_keep_topology(struct vox_rings *r, uint32_t u, uint32_t v)
     uint32_t opposite[2];
     const unsigned count = vox_rings_edge(r, u, v, opposite);
     const bool both_border = r->flags[u] & r->flags[v] & VOX_BORDER;
-    if (count == 0 || count > 2 || (count == 2 && (both_border || opposite[0] == opposite[1])))
+    if (count == 0 || count > 2 || (count == 2 && opposite[0] == opposite[1]) ||
+        (count == 2 && both_border && !vox_rings_is_border(r, u, v)))
         return false;
     const uint32_t around_u = r->walk + 1, around_v = r->walk + 2;
     r->walk += 2;
@@ -196,11 +235,9 @@ void vox_rings_compact(struct vox_rings *r)
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         if (mesh->triangles[t][0] == VOX_NONE)
             continue;
-        for (int k = 0; k < 3; k++) {
+        for (int k = 0; k < 3; k++)
             numbers[mesh->triangles[t][k]] = 0;
-            mesh->triangles[triangles][k] = mesh->triangles[t][k];
-        }
-        triangles++;
+        vox_mesh_move_triangle(mesh, triangles++, t);
     }
     for (uint32_t v = 0; v < mesh->vertex_count; v++) {
         if (numbers[v] == VOX_NONE)

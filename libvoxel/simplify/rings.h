@@ -11,7 +11,7 @@
 #include "libvoxel/simplify/mesh.h"
 
 enum {
-    VOX_BORDER = 1, /* of a vertex: at an edge with one triangle */
+    VOX_BORDER = 1, /* of a vertex: at an edge with one triangle, or between materials */
     VOX_LOCKED = 2, /* stays: at an edge with three triangles or more, or as options say */
     VOX_NONE = UINT32_MAX,
     VOX_CHECK_EVERY = 1024 /* collapses between two looks at an interruption */
@@ -37,6 +37,9 @@ void vox_rings_free(struct vox_rings *rings);
 
 /* Returns the number of triangles at an edge, and up to two vertices opposite to it. */
 unsigned vox_rings_edge(struct vox_rings *r, uint32_t u, uint32_t v, uint32_t opposite[2]);
+
+/* Returns whether an edge has one triangle, or triangles of different materials. */
+bool vox_rings_is_border(struct vox_rings *r, uint32_t u, uint32_t v);
 
 /* Returns whether the link condition holds (Dey, Edelsbrunner, Guha and Nekhayev, 1999): the
  * vertices next to both u and v are those opposite to the edge, and no edge lies opposite to both.

@@ -91,7 +91,7 @@ static int drop_pieces(struct simplifying *s)
     judge_pieces(s, parents, pieces);
     for (uint32_t t = 0; t < mesh->triangle_count; t++)
         if (pieces[find_root(parents, mesh->triangles[t][0])].triangles > 0)
-            memmove(mesh->triangles[kept++], mesh->triangles[t], sizeof *mesh->triangles);
+            vox_mesh_move_triangle(mesh, kept++, t);
     mesh->triangle_count = kept;
     if (kept == 0)
         status =
@@ -132,18 +132,21 @@ static int measure(struct simplifying *s, const struct vox_mesh *mesh, double en
 static int write_level(struct simplifying *s, uint32_t level)
 {
     struct bsq_output *output;
-    int status = vox_write_mesh(s->ctx, s->options->output_paths[level], &s->mesh,
-                                s->header->origin, s->options->hard_angle, &output);
+    int status = vox_write_mesh(s->ctx, s->options->output_paths[level], &s->mesh, s->header,
+                                s->options->hard_angle, &output);
     return status < 0 ? status : bsq_output_group_add(&s->outputs, output);
 }
 
 static int copy_mesh(struct bsq_ctx *ctx, const struct vox_mesh *from, struct vox_mesh *to)
 {
-    int status = vox_mesh_allocate(ctx, from->vertex_count, from->triangle_count, false, to);
+    int status = vox_mesh_allocate(ctx, from->vertex_count, from->triangle_count, false,
+                                   from->materials != NULL, to);
     if (status < 0)
         return status;
     memcpy(to->positions, from->positions, from->vertex_count * sizeof *to->positions);
     memcpy(to->triangles, from->triangles, from->triangle_count * sizeof *to->triangles);
+    if (from->materials)
+        memcpy(to->materials, from->materials, from->triangle_count * sizeof *to->materials);
     return 0;
 }
 
@@ -228,8 +231,8 @@ static int check_options(struct bsq_ctx *ctx, const struct vox_simplify_options 
     for (uint32_t i = 0; i < outputs; i++) {
         const char *path = options->output_paths[i];
         if (!vox_mesh_path_is_known(path))
-            return bsq_fail(ctx, BSQ_EUSAGE, "%s: the name of a mesh must end in .obj or .ply",
-                            path);
+            return bsq_fail(ctx, BSQ_EUSAGE,
+                            "%s: the name of a mesh must end in .obj, .ply or .glb", path);
         int status = bsq_output_check(ctx, path);
         if (status == 0)
             status = bsq_note_output(ctx, path);
@@ -248,6 +251,8 @@ static int open_scan(struct simplifying *s)
         return status;
     s->header = fmt_tris_get_header(s->file);
     s->report->triangles = s->header->triangle_count;
+    if (s->options->keep_materials && s->header->material_count == 0)
+        bsq_warn(s->ctx, "the scan has no materials to keep apart");
     for (int k = 0; k < 3; k++) {
         const double side = (double)s->header->bounds_max[k] - (double)s->header->bounds_min[k];
         s->report->diagonal += side * side;
@@ -263,7 +268,8 @@ static int reduce(struct simplifying *s)
     uint64_t last = options->target_count > 0 ? LAST_TRIANGLES : ERROR_TRIANGLES;
     if (options->target_count > 0 && options->targets[0] > last / LAST_FACTOR)
         last = options->targets[0] < UINT32_MAX ? LAST_FACTOR * options->targets[0] : UINT32_MAX;
-    int status = vox_reduce_chunks(s->ctx, s->file, last, options->output_paths[0], &s->mesh);
+    int status = vox_reduce_chunks(s->ctx, s->file, last, options->output_paths[0],
+                                   options->keep_materials, &s->mesh);
     s->report->seconds_reduce = bsq_seconds_now() - start;
     return status;
 }
@@ -311,7 +317,7 @@ int vox_measure_mesh(struct bsq_ctx *ctx, const char *const *scan_paths, uint32_
     int status = 0;
     BSQ_TRY(fmt_tris_open_parts(ctx, scan_paths, scan_count, NULL, &scan));
     BSQ_TRY(fmt_tris_open_temp(ctx, &mesh->file, &low));
-    BSQ_TRY(vox_reduce_chunks(ctx, low, UINT64_MAX, NULL, &whole));
+    BSQ_TRY(vox_reduce_chunks(ctx, low, UINT64_MAX, NULL, false, &whole));
     move_mesh(&whole, fmt_tris_get_header(low)->origin, fmt_tris_get_header(scan)->origin);
     status = vox_measure(ctx, scan, &whole, INFINITY, from_scan, from_mesh);
 done:

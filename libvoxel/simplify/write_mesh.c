@@ -6,7 +6,9 @@
 #include <string.h>
 #include <strings.h>
 
+#include "base/sort_array.h"
 #include "base/vec.h"
+#include "formats/asset/glb.h"
 
 /* A vertex with one of its normals. */
 struct shaded {
@@ -14,15 +16,21 @@ struct shaded {
     float normal[3];
 };
 
+struct ordered {
+    uint32_t material, triangle;
+};
+
 struct writing {
     struct bsq_ctx *ctx;
     const struct vox_mesh *mesh;
-    const double *origin;
+    const struct fmt_tris_header *header;
     double least_cosine;
     double (*faces)[3];         /* unit normals */
     uint32_t *starts, *corners; /* of each vertex: its corners are corners[starts[v]...] */
     struct shaded *shaded;      /* by vertices */
     uint32_t *shaded_of;        /* of corners */
+    struct ordered *order;      /* triangles by their materials */
+    uint32_t *shaded_number;    /* in a part of a GLB file */
     uint32_t shaded_count;
     struct bsq_output *output;
     char *buffer;
@@ -163,10 +171,48 @@ static int digits(double origin)
     return origin != 0 ? 15 : 9;
 }
 
+static int compare_ordered(const void *a_, const void *b_)
+{
+    const struct ordered *a = a_, *b = b_;
+    if (a->material != b->material)
+        return a->material < b->material ? -1 : 1;
+    return a->triangle < b->triangle ? -1 : a->triangle > b->triangle;
+}
+
+static bool is_first_of_part(const struct writing *w, uint32_t i)
+{
+    return i == 0 || w->order[i].material != w->order[i - 1].material;
+}
+
+/* Returns the name of a material; `number` receives it if it has only a number. */
+static const char *material_name(const struct writing *w, uint32_t material, char number[32])
+{
+    const char *name = material == UINT32_MAX ? "none" : w->header->materials[material].name;
+    snprintf(number, 32, "material_%u", material);
+    return name && *name ? name : number;
+}
+
+/* Writes the name of a material as one line. */
+static int put_material(struct writing *w, uint32_t material)
+{
+    char number[32];
+    const char *name = material_name(w, material, number);
+    int status = 0;
+    BSQ_TRY(make_space(w));
+    put_text(w, "usemtl ");
+    for (; *name; name++) {
+        BSQ_TRY(make_space(w));
+        put(w, *name == '\n' || *name == '\r' ? "_" : name, 1);
+    }
+    put(w, "\n", 1);
+done:
+    return status;
+}
+
 static int write_obj(struct writing *w)
 {
     const struct vox_mesh *mesh = w->mesh;
-    const double *o = w->origin;
+    const double *o = w->header->origin;
     int status = 0;
     for (uint32_t v = 0; v < mesh->vertex_count; v++) {
         const float *p = mesh->positions[v];
@@ -179,8 +225,11 @@ static int write_obj(struct writing *w)
         BSQ_TRY(make_space(w));
         put_text(w, "vn %.7g %.7g %.7g\n", (double)n[0], (double)n[1], (double)n[2]);
     }
-    for (uint32_t t = 0; t < mesh->triangle_count; t++) {
+    for (uint32_t i = 0; i < mesh->triangle_count; i++) {
+        const uint32_t t = w->order[i].triangle;
         const uint32_t *v = mesh->triangles[t], *n = &w->shaded_of[3 * (size_t)t];
+        if (mesh->materials && is_first_of_part(w, i))
+            BSQ_TRY(put_material(w, mesh->materials[t]));
         BSQ_TRY(make_space(w));
         put_text(w, "f %u//%u %u//%u %u//%u\n", v[0] + 1, n[0] + 1, v[1] + 1, n[1] + 1, v[2] + 1,
                  n[2] + 1);
@@ -194,7 +243,8 @@ done:
 static int write_ply(struct writing *w)
 {
     const struct vox_mesh *mesh = w->mesh;
-    const bool wide = w->origin[0] != 0 || w->origin[1] != 0 || w->origin[2] != 0;
+    const double *origin = w->header->origin;
+    const bool wide = origin[0] != 0 || origin[1] != 0 || origin[2] != 0;
     const char *type = wide ? "double" : "float";
     const uint8_t three = 3;
     int status = 0;
@@ -207,7 +257,7 @@ static int write_ply(struct writing *w)
         const float *p = mesh->positions[w->shaded[i].vertex];
         BSQ_TRY(make_space(w));
         for (int k = 0; k < 3; k++) {
-            const double world = w->origin[k] + (double)p[k];
+            const double world = origin[k] + (double)p[k];
             put(w, wide ? (const void *)&world : &p[k], wide ? sizeof world : sizeof p[k]);
         }
         put(w, w->shaded[i].normal, sizeof w->shaded[i].normal);
@@ -222,6 +272,72 @@ done:
     return status;
 }
 
+/* Collects the vertices and indices of the part of a GLB file that begins at triangle order[begin].
+ * Returns the end of the part. */
+static uint32_t collect_part(struct writing *w, uint32_t begin, float (*vertices)[6],
+                             uint32_t *indices, struct fmt_glb_part *part)
+{
+    uint32_t i = begin;
+    *part = (struct fmt_glb_part){
+        .shaded = (const float(*)[6])vertices, .indices = indices, .plain = !w->mesh->materials};
+    memset(w->shaded_number, 0xff, w->shaded_count * sizeof *w->shaded_number);
+    do {
+        for (int k = 0; k < 3; k++) {
+            const uint32_t s = w->shaded_of[3 * (size_t)w->order[i].triangle + (size_t)k];
+            const struct shaded *from = &w->shaded[s];
+            if (w->shaded_number[s] == UINT32_MAX) {
+                float *to = vertices[part->vertex_count];
+                memcpy(to, w->mesh->positions[from->vertex], 3 * sizeof *to);
+                memcpy(to + 3, from->normal, sizeof from->normal);
+                w->shaded_number[s] = part->vertex_count++;
+            }
+            indices[part->index_count++] = w->shaded_number[s];
+        }
+    } while (++i < w->mesh->triangle_count && !is_first_of_part(w, i));
+    return i;
+}
+
+/* Each material is a part. */
+static int write_glb(struct writing *w, const char *path)
+{
+    const uint64_t corners = 3 * (uint64_t)w->mesh->triangle_count;
+    const uint32_t most = w->mesh->materials ? w->header->material_count + 1 : 1;
+    const double *o = w->header->origin;
+    struct fmt_glb glb = {.name = "low", .translation = {o[0], o[1], o[2]}};
+    struct fmt_glb_material *materials = NULL;
+    struct fmt_glb_part *parts = NULL;
+    char(*numbers)[32] = NULL;
+    float(*vertices)[6] = NULL;
+    uint32_t *indices = NULL, used = 0;
+    int status = 0;
+    BSQ_TRY(bsq_calloc(w->ctx, "writing a mesh", most, sizeof *materials, &materials));
+    BSQ_TRY(bsq_calloc(w->ctx, "writing a mesh", most, sizeof *parts, &parts));
+    BSQ_TRY(bsq_calloc(w->ctx, "writing a mesh", most, sizeof *numbers, &numbers));
+    BSQ_TRY(bsq_alloc(w->ctx, "writing a mesh", corners, sizeof *vertices, &vertices));
+    BSQ_TRY(bsq_alloc(w->ctx, "writing a mesh", corners, sizeof *indices, &indices));
+    BSQ_TRY(bsq_alloc(w->ctx, "writing a mesh", w->shaded_count, sizeof *w->shaded_number,
+                      &w->shaded_number));
+    for (uint32_t i = 0; i < w->mesh->triangle_count; glb.part_count++) {
+        struct fmt_glb_part *part = &parts[glb.part_count];
+        if (w->mesh->materials)
+            materials[glb.part_count].name =
+                material_name(w, w->order[i].material, numbers[glb.part_count]);
+        i = collect_part(w, i, vertices + used, indices + 3 * (size_t)i, part);
+        used += part->vertex_count;
+    }
+    glb.parts = parts;
+    glb.materials = materials;
+    status = fmt_glb_write(w->ctx, &glb, path, w->output);
+done:
+    bsq_free(w->ctx, w->shaded_number);
+    bsq_free(w->ctx, indices);
+    bsq_free(w->ctx, vertices);
+    bsq_free(w->ctx, numbers);
+    bsq_free(w->ctx, parts);
+    bsq_free(w->ctx, materials);
+    return status;
+}
+
 static const char *ending_of(const char *path)
 {
     const size_t length = strlen(path);
@@ -230,17 +346,19 @@ static const char *ending_of(const char *path)
 
 bool vox_mesh_path_is_known(const char *path)
 {
-    return strcasecmp(ending_of(path), ".obj") == 0 || strcasecmp(ending_of(path), ".ply") == 0;
+    const char *ending = ending_of(path);
+    return strcasecmp(ending, ".obj") == 0 || strcasecmp(ending, ".ply") == 0 ||
+           strcasecmp(ending, ".glb") == 0;
 }
 
 int vox_write_mesh(struct bsq_ctx *ctx, const char *path, const struct vox_mesh *mesh,
-                   const double origin[3], double hard_angle, struct bsq_output **out)
+                   const struct fmt_tris_header *header, double hard_angle, struct bsq_output **out)
 {
     static const char what[] = "writing a mesh";
     const uint64_t corners = 3 * (uint64_t)mesh->triangle_count;
     struct writing w = {.ctx = ctx,
                         .mesh = mesh,
-                        .origin = origin,
+                        .header = header,
                         .least_cosine = cos(hard_angle * 3.14159265358979323846 / 180)};
     int status = 0;
     BSQ_TRY(bsq_output_open(ctx, path, &w.output));
@@ -249,12 +367,20 @@ int vox_write_mesh(struct bsq_ctx *ctx, const char *path, const struct vox_mesh 
     BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.corners, &w.corners));
     BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.shaded, &w.shaded));
     BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.shaded_of, &w.shaded_of));
+    BSQ_TRY(bsq_alloc(ctx, what, mesh->triangle_count, sizeof *w.order, &w.order));
     BSQ_TRY(bsq_alloc(ctx, what, BUFFER_BYTES, 1, &w.buffer));
+    for (uint32_t t = 0; t < mesh->triangle_count; t++)
+        w.order[t] = (struct ordered){mesh->materials ? mesh->materials[t] : 0, t};
+    if (mesh->materials)
+        bsq_sort(w.order, mesh->triangle_count, sizeof *w.order, compare_ordered);
     face_normals(&w);
     list_corners(&w);
     shade(&w);
-    status = strcasecmp(ending_of(path), ".ply") == 0 ? write_ply(&w) : write_obj(&w);
+    status = strcasecmp(ending_of(path), ".ply") == 0   ? write_ply(&w)
+             : strcasecmp(ending_of(path), ".glb") == 0 ? write_glb(&w, path)
+                                                        : write_obj(&w);
 done:
+    bsq_free(ctx, w.order);
     bsq_free(ctx, w.buffer);
     bsq_free(ctx, w.shaded_of);
     bsq_free(ctx, w.shaded);

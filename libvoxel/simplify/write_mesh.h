@@ -3,16 +3,19 @@
 #define VOX_WRITE_MESH_H
 
 #include "base/output.h"
+#include "formats/chunks/tris.h"
 #include "libvoxel/simplify/mesh.h"
 
-/* Returns whether meshes can be written under this name: it ends in .obj or .ply. */
+/* Returns whether meshes can be written under this name: it ends in .obj, .ply or .glb. */
 bool vox_mesh_path_is_known(const char *path);
 
-/* Writes a mesh to *out, which the caller commits. Positions are relative to `origin`. The normal
+/* Writes a mesh to *out, which the caller commits. Origin and names of materials
+ * are the header's; PLY files have no materials. The normal
  * of a corner is the sum of its vertex's triangles whose normals are within `hard_angle` degrees of
  * its own one's, each weighted by its angle there (Thuermer and Wuethrich, "Computing Vertex
  * Normals from Polygonal Facets", 1998). Errors: BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
 int vox_write_mesh(struct bsq_ctx *ctx, const char *path, const struct vox_mesh *mesh,
-                   const double origin[3], double hard_angle, struct bsq_output **out);
+                   const struct fmt_tris_header *header, double hard_angle,
+                   struct bsq_output **out);
 
 #endif

@@ -88,6 +88,70 @@ ok run bisque-simplify cubes.obj -o cubes_low.obj --triangles 4
 grep -q "^$p warning: cubes_low.obj: 8 triangles instead of 4: " "$err"
 check "a target that cannot be reached is told" $?
 
+# Materials stay apart on request: both parts keep their areas, which share the wavy line between
+# them. Without, the scan's materials leave no trace.
+awk -v n=80 'BEGIN {
+    print "mtllib two.mtl"
+    for (y = 0; y <= n; y++) for (x = 0; x <= n; x++) print "v", x, y, sin(x / 7) * cos(y / 9)
+    split("red blue", names)
+    for (m = 1; m <= 2; m++) {
+        print "usemtl", names[m]
+        for (y = 0; y < n; y++) for (x = 0; x < n; x++)
+            if ((x < 40 + y / 4) == (m == 1)) {
+                a = y * (n + 1) + x + 1
+                print "f", a, a + 1, a + n + 2, a + n + 1
+            }
+    }
+}' >two.obj
+printf 'newmtl red\nKd 1 0 0\nnewmtl blue\nKd 0 0 1\n' >two.mtl
+# parts FILE: prints the names of materials and their areas as seen from above, in thousands.
+parts()
+{
+    awk '$1 == "v" { x[++n] = $2; y[n] = $3 } $1 == "usemtl" { name = $2 } $1 == "f" {
+        split($2 " " $3 " " $4, v, "[/ ]+")
+        a = v[1]; b = v[3]; c = v[5]
+        area[name] += ((x[b] - x[a]) * (y[c] - y[a]) - (x[c] - x[a]) * (y[b] - y[a])) / 2000
+    } END { for (name in area) printf "%s %.1f\n", name, area[name] }' "$1" | sort | tr '\n' ' '
+}
+ok run bisque-simplify two.obj -o two_low.obj --triangles 400 --keep-borders material
+[ "$(parts two_low.obj)" = "blue 2.4 red 4.0 " ]
+check "materials keep their areas" $?
+ok run bisque-simplify two.obj -o two_low.obj --triangles 400
+[ "$(parts two_low.obj)" = " 6.4 " ]
+check "without --keep-borders there are no materials" $?
+ok run bisque-simplify vase.tris -o warned.ply --triangles 3000 --keep-borders material
+grep -q "^$p warning: the scan has no materials to keep apart" "$err"
+check "a scan without materials is told" $?
+
+# A GLB file has the triangles of the OBJ file, a primitive for each material, and normals.
+ok run bisque-simplify two.obj -o two_low.glb --triangles 400 --keep-borders material --json
+python3 - two_low.glb >glb.txt <<'END'
+import json, struct, sys
+data = open(sys.argv[1], "rb").read()
+size, = struct.unpack_from("<I", data, 12)
+doc = json.loads(data[20:20 + size])
+binary = data[20 + size + 8:]
+def read(number):
+    a = doc["accessors"][number]
+    v = doc["bufferViews"][a["bufferView"]]
+    kind, n = ("I", 1) if a["componentType"] == 5125 else ("f", 3)
+    step = v.get("byteStride", 4 * n)
+    at = v["byteOffset"] + a["byteOffset"]
+    return [struct.unpack_from("<%d%s" % (n, kind), binary, at + step * i) for i in range(a["count"])]
+area, faces, off = {}, 0, 0
+for p in doc["meshes"][0]["primitives"]:
+    name = doc["materials"][p["material"]]["name"]
+    xyz, i = read(p["attributes"]["POSITION"]), [x for x, in read(p["indices"])]
+    normals = read(p["attributes"]["NORMAL"])
+    off = max([off] + [abs(sum(x * x for x in n) - 1) for n in normals])
+    faces += len(i) // 3
+    for a, b, c in zip(*(iter(xyz[k] for k in i),) * 3):
+        area[name] = area.get(name, 0) + ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])) / 2000
+print(sorted((n, round(a, 1)) for n, a in area.items()), faces, off < 1e-5)
+END
+[ "$(cat glb.txt)" = "[('blue', 2.4), ('red', 4.0)] $(jq '.meshes[0].triangles' "$out") True" ]
+check "the GLB file has both parts" $?
+
 # Far from the origin, positions keep their detail.
 awk '$1 == "v" { $2 = 500000 + $2 } 1' OFMT=%.12g CONVFMT=%.12g vase.obj >far.obj
 ok run bisque-simplify far.obj -o far_low.obj --triangles 2000 --json
@@ -98,7 +162,7 @@ ok run bisque-compare far_low.obj far.tris --max-mean "$(echo "$diagonal" | awk 
 # ---- messages ----
 
 run bisque-simplify vase.tris -o low.stl --triangles 100
-refused 64 "$p low.stl: the name of a mesh must end in .obj or .ply"
+refused 64 "$p low.stl: the name of a mesh must end in .obj, .ply or .glb"
 run bisque-simplify vase.tris -o low.obj
 refused 64 "$p either --triangles or --error is needed"
 run bisque-simplify vase.tris -o low.obj --triangles 100 --error 1

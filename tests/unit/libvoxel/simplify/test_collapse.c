@@ -26,7 +26,7 @@ static struct vox_mesh make_grid(uint32_t n, bool closed, void (*place)(double, 
 {
     const uint32_t side = closed ? n : n + 1;
     struct vox_mesh mesh;
-    assert_int_equal(vox_mesh_allocate(ctx, side * side, 2 * n * n, true, &mesh), 0);
+    assert_int_equal(vox_mesh_allocate(ctx, side * side, 2 * n * n, true, false, &mesh), 0);
     for (uint32_t y = 0; y < side; y++)
         for (uint32_t x = 0; x < side; x++)
             place((double)x / n, (double)y / n, mesh.positions[y * side + x]);
@@ -171,7 +171,7 @@ TEST(crowded_edges_stay)
     enum { N = 8 };
     struct vox_mesh sheet = make_grid(N, false, on_plane), mesh;
     assert_int_equal(
-        vox_mesh_allocate(ctx, 3 * sheet.vertex_count, 3 * sheet.triangle_count, true, &mesh), 0);
+        vox_mesh_allocate(ctx, 3 * sheet.vertex_count, 3 * sheet.triangle_count, true, false, &mesh), 0);
     for (uint32_t s = 0; s < 3; s++) {
         for (uint32_t v = 0; v < sheet.vertex_count; v++) { /* turned around the line y = 0 */
             const float y = sheet.positions[v][1];
@@ -205,7 +205,7 @@ TEST(tetrahedra_stay)
     static const float corners[4][3] = {{0, 0, 0}, {1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
     static const uint32_t faces[4][3] = {{0, 2, 1}, {0, 1, 3}, {0, 3, 2}, {1, 2, 3}};
     struct vox_mesh mesh;
-    assert_int_equal(vox_mesh_allocate(ctx, 4, 4, true, &mesh), 0);
+    assert_int_equal(vox_mesh_allocate(ctx, 4, 4, true, false, &mesh), 0);
     memcpy(mesh.positions, corners, sizeof corners);
     memcpy(mesh.triangles, faces, sizeof faces);
     collapse(&mesh, false, 1);
@@ -222,7 +222,7 @@ TEST(welding)
                                           {1, -0.0f, 0}, {0, 1, 0}, {0, 0, 2}};
     static const uint32_t triangles[5][3] = {{0, 1, 2}, {3, 5, 4}, {0, 3, 6}, {3, 1, 6}, {5, 3, 4}};
     struct vox_mesh mesh;
-    assert_int_equal(vox_mesh_allocate(ctx, 7, 5, true, &mesh), 0);
+    assert_int_equal(vox_mesh_allocate(ctx, 7, 5, true, false, &mesh), 0);
     memcpy(mesh.positions, positions, sizeof positions);
     memcpy(mesh.triangles, triangles, sizeof triangles);
     vox_mesh_set_quadrics(&mesh);
