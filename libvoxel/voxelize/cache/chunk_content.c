@@ -257,40 +257,43 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
 /* Above this mean square smooth normals blend well without planes if fragments would be lifted
  * far. */
 #define WIDE_EDGE_SQUARE 6.0
-/* Normals of both sides of creases are found in chunks with a triangle that extends farther than
- * this along an axis, or whose mean square is above LARGE_EDGE_SQUARE. Elsewhere they change maps
- * only beside the edge, unless small triangles have large weights
- * (docs/decisions/0008-normals-of-scans-without-normals.md). */
-#define CREASE_EDGE_SQUARE 64.0
+/* Extent of a triangle along an axis, in voxels, above which its corners have normals of both sides
+ * of creases. Below they change maps only beside the edge, unless small triangles have large
+ * weights (docs/decisions/0008-normals-of-scans-without-normals.md). */
+#define CREASE_EXTENT 8.0
 
 /* Facet-noise weight of records per square of an edge in voxels (docs/decisions/0009): of facets
  * without vertex normals, and of triangles with smooth ones. */
 #define NOISE_OF_FACETS   2.7
 #define NOISE_OF_VERTICES 0.4
 
-/* Squares of edges in voxels: the mean of the triangles' first edges, and the largest extent along
- * an axis of two edges of each triangle. */
-struct edge_squares {
-    double mean, largest;
+/* The mean square of the triangles' first edges, in voxels, and the largest extent of a triangle
+ * along an axis, in the scan's units. */
+struct sizes {
+    double mean_square;
+    float extent;
 };
 
-static struct edge_squares measure_edges(const struct fmt_tris_chunk *source, double h)
+static struct sizes measure_triangles(const struct fmt_tris_chunk *source, double h)
 {
-    const double voxel = h * h;
-    struct row sums = row_of(0.0, 0.0, 0.0, 0.0), most = sums;
+    struct row sums = row_of(0.0, 0.0, 0.0, 0.0);
+    four_floats most = {0};
+    float extent[4];
     for (uint32_t t = 0; t < source->triangle_count; t++) {
         const uint32_t *v = source->triangles[t];
-        const struct row at = row_of_floats(source->positions[v[0]]);
-        const struct row first = row_difference(row_of_floats(source->positions[v[1]]), at);
-        const struct row last = row_difference(row_of_floats(source->positions[v[2]]), at);
-        const struct row square = row_product(first, first);
-        sums = row_sum(sums, square);
-        most = row_max(most, row_max(square, row_product(last, last)));
+        const four_floats a = four_floats_load(source->positions[v[0]]),
+                          b = four_floats_load(source->positions[v[1]]),
+                          c = four_floats_load(source->positions[v[2]]);
+        const struct row edge = row_difference(row_of_floats(source->positions[v[1]]),
+                                               row_of_floats(source->positions[v[0]]));
+        sums = row_sum(sums, row_product(edge, edge));
+        most = four_floats_max(most, four_floats_max(four_floats_max(a, b), c) -
+                                         four_floats_min(four_floats_min(a, b), c));
     }
-    return (struct edge_squares){
-        (row_number(sums, 0) + row_number(sums, 1) + row_number(sums, 2)) / voxel /
-            (double)source->triangle_count,
-        fmax(fmax(row_number(most, 0), row_number(most, 1)), row_number(most, 2)) / voxel};
+    memcpy(extent, &most, sizeof extent);
+    return (struct sizes){(row_number(sums, 0) + row_number(sums, 1) + row_number(sums, 2)) /
+                              (h * h) / (double)source->triangle_count,
+                          fmaxf(fmaxf(extent[0], extent[1]), extent[2])};
 }
 
 /* Marks the groups whose normals are inconsistent with their triangles. large: marks all. */
@@ -336,10 +339,15 @@ int vox_chunk_read(const struct vox_chunk_source *from, uint32_t number,
     return status;
 }
 
-static bool has_wide_creases(const struct vox_smooth *smooth, const struct edge_squares *edges)
+/* Returns the extent of triangles at whose corners creases are looked for, see struct
+ * vox_smooth_chunk. */
+static float crease_extent(const struct vox_chunk_source *from, const struct sizes *sizes)
 {
-    return vox_smooth_weights(smooth) == BSQ_SCAN_NORMALS_MAX || edges->mean > LARGE_EDGE_SQUARE ||
-           edges->largest > CREASE_EDGE_SQUARE;
+    const float extent = (float)(CREASE_EXTENT * from->transform->h);
+    if (vox_smooth_weights(from->smooth) == BSQ_SCAN_NORMALS_MAX ||
+        sizes->mean_square > LARGE_EDGE_SQUARE)
+        return -1.0f;
+    return sizes->extent > extent ? extent : INFINITY;
 }
 
 int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smooth_lender *lender,
@@ -351,9 +359,9 @@ int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smoot
     double(*points)[4] = (double(*)[4])(void *)(content->memory + content->layout.points_at);
     int status = 0;
     place_points(from->transform, source, points);
-    const struct edge_squares edges = measure_edges(source, from->transform->h);
-    chunk->coarse = edges.mean > COARSE_EDGE_SQUARE;
-    chunk->wide = source->normals || edges.mean > WIDE_EDGE_SQUARE;
+    const struct sizes sizes = measure_triangles(source, from->transform->h);
+    chunk->coarse = sizes.mean_square > COARSE_EDGE_SQUARE;
+    chunk->wide = source->normals || sizes.mean_square > WIDE_EDGE_SQUARE;
     chunk->normals = (const float(*)[4])normals;
     chunk->points = (const double(*)[4])points;
     chunk->has_seconds = false;
@@ -363,14 +371,12 @@ int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smoot
         chunk->noise_share = chunk->coarse ? NOISE_OF_VERTICES : NOISE_OF_FACETS;
     if (source->normals) {
         unpack_normals(source, normals);
-        find_inconsistent(edges.mean > LARGE_EDGE_SQUARE, content);
+        find_inconsistent(sizes.mean_square > LARGE_EDGE_SQUARE, content);
     } else if (from->smooth && chunk->coarse) {
-        status = vox_smooth_normals(
-            from->smooth, lender,
-            &(struct vox_smooth_chunk){.index = number,
-                                       .decoded = {source, chunk->groups, content->vertex_groups}},
-            from->transform, normals, has_wide_creases(from->smooth, &edges) ? points : NULL,
-            &chunk->has_seconds);
+        const struct vox_smooth_chunk smooth = {
+            number, {source, chunk->groups, content->vertex_groups}, crease_extent(from, &sizes)};
+        status = vox_smooth_normals(from->smooth, lender, &smooth, from->transform, normals, points,
+                                    &chunk->has_seconds);
     } else {
         chunk->normals = NULL;
     }

@@ -23,7 +23,8 @@ struct workspace {
     double (*rings)[4];        /* one-rings by number; 0 is unused */
     int parts;                 /* of the one-rings */
     struct vox_creases creases;
-    void *scratch; /* for a neighbour that is not lent */
+    bool *candidates; /* for creases, by one-ring */
+    void *scratch;    /* for a neighbour that is not lent */
 };
 
 struct vox_smooth {
@@ -51,8 +52,8 @@ static uint32_t largest_vertex_count(const struct fmt_tris_file *file)
 
 /* Offsets of the arrays in a workspace's memory; the one-rings come first. */
 struct layout {
-    uint64_t seconds_at, creases_at, slots_at, own_at, neighbour_at, crease_of_at, scratch_at,
-        bytes;
+    uint64_t seconds_at, creases_at, slots_at, own_at, neighbour_at, crease_of_at, candidates_at,
+        scratch_at, bytes;
 };
 
 static struct layout lay_out(const struct fmt_tris_file *file)
@@ -69,7 +70,8 @@ static struct layout lay_out(const struct fmt_tris_file *file)
         bsq_align_up(bsq_positions_slots((uint32_t)vertices) * sizeof(uint32_t), BSQ_ALIGNMENT);
     to.neighbour_at = to.own_at + numbers;
     to.crease_of_at = to.neighbour_at + numbers;
-    to.scratch_at = to.crease_of_at + numbers;
+    to.candidates_at = to.crease_of_at + numbers;
+    to.scratch_at = to.candidates_at + bsq_align_up(vertices + 1, BSQ_ALIGNMENT);
     to.bytes = to.scratch_at + fmt_tris_load_size_max(file);
     return to;
 }
@@ -86,6 +88,7 @@ static int make_workspace(struct bsq_ctx *ctx, const struct layout *at, struct w
     w->table.slots = (void *)(w->memory + at->slots_at);
     w->own_rings = (void *)(w->memory + at->own_at);
     w->neighbour_rings = (void *)(w->memory + at->neighbour_at);
+    w->candidates = (void *)(w->memory + at->candidates_at);
     w->scratch = w->memory + at->scratch_at;
     return 0;
 }
@@ -343,7 +346,25 @@ void vox_second_unpack(double packed, float second[4])
     memcpy(&second[3], &height, sizeof height);
 }
 
-/* Consecutive vertices; those that are the first at their position have numbered one-rings. */
+/* Finds the one-rings at corners of large triangles. */
+static void find_candidates(const struct sums *n, float extent)
+{
+    const struct fmt_tris_chunk *chunk = n->of->decoded.chunk;
+    bool *candidates = n->d->candidates;
+    memset(candidates, extent < 0.0f, (chunk->vertex_count + UINT64_C(1)) * sizeof *candidates);
+    for (uint32_t t = 0; t < chunk->triangle_count && extent >= 0.0f; t++) {
+        const uint32_t *v = chunk->triangles[t];
+        const float *a = chunk->positions[v[0]], *b = chunk->positions[v[1]],
+                    *c = chunk->positions[v[2]];
+        float most = 0.0f;
+        for (int k = 0; k < 3; k++)
+            most = fmaxf(most, fmaxf(fmaxf(a[k], b[k]), c[k]) - fminf(fminf(a[k], b[k]), c[k]));
+        for (int i = 0; i < 3 && most > extent; i++)
+            candidates[n->d->own_rings[v[i]]] = true;
+    }
+}
+
+/* Consecutive vertices; candidates that are the first at their position have numbered one-rings. */
 struct batch {
     uint32_t begin, end, creases;
 };
@@ -364,7 +385,7 @@ static bool next_batch(struct sums *n, const struct vox_transform *transform, st
         n->max[k] = -INFINITY;
     }
     for (; v < chunk->vertex_count && count < CREASES; v++) {
-        if (!is_first(n->d, v))
+        if (!is_first(n->d, v) || !n->d->candidates[v + 1])
             continue;
         c->crease_of[v + 1] = ++count;
         memcpy(c->creases[count], (const double[4]){[3] = INFINITY}, sizeof *c->creases);
@@ -420,6 +441,7 @@ static int find_creases(struct sums *n, const struct vox_transform *transform, f
     uint32_t *crease_of = n->d->creases.crease_of;
     int status = 0;
     memset(crease_of, 0, (count + 1) * sizeof *crease_of);
+    find_candidates(n, n->of->crease_extent);
     for (struct batch batch = {0}; next_batch(n, transform, &batch);) {
         n->step = STEP_FARTHEST;
         BSQ_TRY(visit_chunks(n));
@@ -451,7 +473,7 @@ static int make_normals(struct sums *n, const struct vox_transform *transform, f
     BSQ_TRY(visit_chunks(n));
     BSQ_SIMD_PICK(bsq_simd_best(), vox_finish_one_rings)
     ((const double(*)[4])n->d->rings, n->d->own_rings, chunk->vertex_count, transform->h, normals);
-    if (points)
+    if (isfinite(n->of->crease_extent))
         BSQ_TRY(find_creases(n, transform, normals, points, has_seconds));
 done:
     return status;

@@ -56,6 +56,10 @@ struct vox_smooth_lender {
 struct vox_smooth_chunk {
     uint32_t index;
     struct vox_loan decoded;
+    /* Creases are looked for at corners of triangles that extend farther than this along an axis,
+     * in the scan's units; below 0, at all. INFINITY: no normal stands for the triangles at a
+     * crease, and only weights decide what is one. */
+    float crease_extent;
 };
 
 /* Computes smooth normals of a chunk's vertices as if the scan were whole: vertices at the same
@@ -63,8 +67,7 @@ struct vox_smooth_chunk {
  * or zero if no normal stands for its triangles, and a height in voxels: how far above the vertex,
  * along its normal, the surface lies that the interpolated normals describe. points: one for each
  * vertex; the fourth number gets the same for the second side of a crease (base/smooth_normals.h),
- * packed, and is 0 elsewhere. NULL: no normal stands for the triangles at a crease, and only
- * weights decide what is one. *has_seconds: whether there are any; else `points` is unchanged.
+ * packed, and is 0 elsewhere. *has_seconds: whether there are any; else `points` is unchanged.
  * Sums run in the order of triangles in the file, so results do not depend on the order of calls.
  * Thread-safe; waits while no workspace is free. */
 int vox_smooth_normals(struct vox_smooth *smooth, const struct vox_smooth_lender *lender,

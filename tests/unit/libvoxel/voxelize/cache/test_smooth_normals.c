@@ -286,9 +286,11 @@ static double check_with(struct fixture *f, check_corner *check_one)
         bool has_seconds[2];
         for (int lends = 0; lends < 2; lends++) {
             const struct vox_smooth_chunk smooth = {
-                i, lends ? (struct vox_loan){chunk, f->chunks[i].triangle_groups,
-                                             f->chunks[i].vertex_groups}
-                         : (struct vox_loan){.chunk = chunk}};
+                i,
+                lends ? (struct vox_loan){chunk, f->chunks[i].triangle_groups,
+                                          f->chunks[i].vertex_groups}
+                      : (struct vox_loan){.chunk = chunk},
+                -1.0f};
             f->lends = lends;
             assert_int_equal(vox_smooth_normals(f->smooth, &lender, &smooth, &f->transform,
                                                 normals[lends], points[lends], &has_seconds[lends]),
