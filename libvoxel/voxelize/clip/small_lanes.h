@@ -21,7 +21,7 @@ LANES_INLINE lane_mask inconsistent_lanes(const struct vox_chunk *chunk,
 
 /* Chooses the normals of corners at creases: of the two sides the closer one to the triangle's
  * plane, or none if both are too far from it. */
-static __attribute__((noinline, cold)) void
+static __attribute__((noinline)) void
 choose_sides(const struct vox_chunk *chunk, const struct block_triangle *const triangle[LANE_COUNT],
              struct shade_triangles *t)
 {
