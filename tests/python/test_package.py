@@ -265,6 +265,20 @@ def test_asset_of_a_file_goes_on_where_it_stopped(tmp_path):
     assert (tmp_path / "steps/scan.tris").stat().st_mtime_ns == times[tmp_path / "steps/scan.tris"]
 
 
+def test_levels_of_a_scan_in_memory(scan, tmp_path, monkeypatch):
+    monkeypatch.setitem(bisque.PRESETS, "museum", {"levels": [(300, 64), (900, 128)],
+                                                   "maps": ("normal", "color")})
+    seen = []
+    certificate = bisque.asset(scan, tmp_path / "s.glb", preset="museum", memory="512M",
+                               progress=lambda *what: seen.append(what[1]))
+    assert [level["size"] for level in certificate["levels"]] == [64, 128]
+    assert (tmp_path / "s_0.glb").exists() and (tmp_path / "s_asset/1/normal.png").exists()
+    assert not (tmp_path / "s_asset/steps").exists() and not (tmp_path / "s.glb").exists()
+    assert seen == sorted(seen) and 0 <= seen[0] and 500 < seen[-1] <= 1000
+    errors = [level["distance"]["from_scan"]["mean"] for level in certificate["levels"]]
+    assert errors[1] < errors[0] / 2
+
+
 def test_asset_says_what_is_wrong(tmp_path):
     done = asset(tmp_path / "missing.obj", "-o", tmp_path / "a.glb", code=66)
     assert "missing.obj: No such file" in done.stderr and "Traceback" not in done.stderr

@@ -45,18 +45,20 @@ class Steps:
         self.note = folder / "steps.json"
         self.known = json.loads(self.note.read_text()) if self.note.exists() else {}
         self.total = WEIGHTS["sort"] + levels * (sum(WEIGHTS.values()) - WEIGHTS["sort"])
-        self.done, self.weight, self.name = 0.0, 0.0, ""
+        self.done, self.weight, self.name, self.stage, self.shown = 0.0, 0.0, "", "", 0
         self.seconds: dict[str, float] = {}
 
     def report(self, stage: str, done: int, total: int, unit: str) -> None:
         """Turns the progress of a stage into that of the whole, in thousandths. The stages of a step
         share its weight, half of what is left each."""
-        share = self.done + self.weight * (done / total if total else 0) / 2
-        if total and done >= total:
-            self.done += self.weight / 2
+        if stage != self.stage:
+            self.done += self.weight if self.stage else 0
             self.weight /= 2
+            self.stage = stage
+        share = self.done + self.weight * (min(done / total, 1) if total else 0)
+        self.shown = max(self.shown, int(1000 * share / self.total))
         if self.progress:
-            self.progress(f"{self.name}: {stage}", int(1000 * share / self.total), 1000, "steps")
+            self.progress(f"{self.name}: {stage}", self.shown, 1000, "steps")
 
     def run(self, name: str, inputs: list, options: dict, outputs: list[Path], work: Any) -> Any:
         """Returns the result of `work`, or that of an earlier run with the same inputs, options and
@@ -64,7 +66,7 @@ class Steps:
         key = json.dumps([core.version(), [identity(path) for path in inputs], options],
                          sort_keys=True, default=str)
         weight = WEIGHTS[name.split(" ")[0]]
-        self.name, self.weight = name, weight
+        self.name, self.weight, self.stage = name, weight, ""
         start, before = time.monotonic(), self.done
         known = self.known.get(name)
         if known and known["key"] == key and known["outputs"] == [identity(o) for o in outputs]:
@@ -94,6 +96,15 @@ def identity(path: str | os.PathLike) -> list:
 def sha256(path: str | os.PathLike) -> str:
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _digest(mesh: Mesh) -> str:
+    """Returns a checksum of all arrays of a mesh."""
+    digest = hashlib.sha256()
+    for array in (mesh.vertices, mesh.faces, mesh.uvs, mesh.normals, mesh.colors):
+        if array is not None:
+            digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()
 
 
 # ---- decisions ----
@@ -149,7 +160,7 @@ def _low_of(steps: Steps, scan: str, given: Any, level: dict, job: dict) -> Mesh
 
     inputs = [simple] if given is None else [given] if is_path(given) else []
     if given is not None and not is_path(given):
-        options["content"] = hashlib.sha256(low.vertices.tobytes() + low.faces.tobytes()).hexdigest()
+        options["content"] = _digest(low)
     found = steps.run("unwrap" + suffix, inputs, options, [unwrapped], make)
     mesh = read_mesh(str(unwrapped))
     mesh.report = {**report, "uv": found}
@@ -271,8 +282,7 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
         content = {"texture": identity(texture) if texture else None}
         if in_memory:
             mesh = as_mesh(scan)
-            content["content"] = hashlib.sha256(
-                np.ascontiguousarray(mesh.vertices).data).hexdigest()
+            content["content"] = _digest(mesh)
         sorted_report = steps.run("sort", paths, content, [Path(chunks)], lambda: core.sort(
             scan, chunks, texture=texture, progress=steps.report, **job))
     results = []
