@@ -29,7 +29,7 @@ shows()
 # A name with an escape sequence, C1's control sequence introducer, and a byte that is not UTF-8.
 bad=$(printf 'a\033[31mb\302\233c\377d') shown='a\x1b[31mb\xc2\x9bc\xffd'
 
-for program in bisque-voxelize bisque-bake bisque-compare; do
+for program in bisque-voxelize bisque-simplify bisque-bake bisque-compare; do
     checked $program "--$bad"
     refused 64 "$program: unrecognized option '--$shown'"
     checked $program "--memory=$bad" x

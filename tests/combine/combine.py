@@ -3,17 +3,19 @@
 
 usage: combine.py [--seed TEXT] [--trials N] [--first I] [--seconds S] [--jobs N] [--keep DIRECTORY]
 
-Each trial makes grids and bakes maps once, and again with other threads and budgets, as tasks in
-random order, with shuffled scans and options, without options that have no effect, and on devices.
-A failure is reduced to few options and printed as commands; its files are kept. Options come from
-the programs (`--list-options`), so new ones take part. BIN and TESTS are the directories of the
-programs and of the test programs.
+Each trial makes grids, simplifies a scan and bakes maps: each once, and again with other threads and
+budgets, in another order, without options that should not matter, through a pipe, from chunk files, as
+tasks in random order, and on devices. A failure is reduced to few options and printed as commands;
+its files are kept. A table at the end says how often each way ran. Options come from the programs
+(`--list-options`), so new ones take part. BIN and TESTS are the directories of the programs and of
+the test programs.
 """
 
 import argparse
 import collections
 import concurrent.futures
 import hashlib
+import json
 import os
 import random
 import re
@@ -31,6 +33,7 @@ import trial as trials
 BIN, TESTS = (os.path.abspath(os.environ[name]) for name in ("BIN", "TESTS"))
 DOCUMENTED = {0, 1, 64, 65, 66, 69, 71}
 NO_MEMORY, NO_DEVICE = 71, 69
+DISTANCES = {"from_scan", "to_scan", "diagonal"}  # of the report of bisque-compare
 
 
 class Failure(Exception):
@@ -51,14 +54,16 @@ class Runner:
         self.commands = []
         return path
 
-    def run(self, program, arguments, environment=None):
+    def run(self, program, arguments, environment=None, stdin=os.devnull):
         """Returns the exit code and standard error; fails if either is not as documented."""
         where = os.path.join(self.top, self.way)
         prefix = "".join("%s=%s " % item for item in (environment or {}).items())
-        self.commands.append("(cd %s && %s%s)" % (self.way, prefix, shlex.join([program] + arguments)))
+        source = "" if stdin == os.devnull else " <" + shlex.quote(stdin)
+        self.commands.append("(cd %s && %s%s%s)" % (self.way, prefix, shlex.join([program] + arguments), source))
         try:
-            done = subprocess.run([os.path.join(BIN, program)] + arguments, cwd=where, stdin=subprocess.DEVNULL,
-                                  capture_output=True, timeout=120, env={**os.environ, **(environment or {})})
+            with open(os.path.join(where, stdin), "rb") as pipe:
+                done = subprocess.run([os.path.join(BIN, program)] + arguments, cwd=where, stdin=pipe,
+                                      capture_output=True, timeout=120, env={**os.environ, **(environment or {})})
         except subprocess.TimeoutExpired:
             raise Failure("no end after 120 s")
         err = done.stderr.decode(errors="replace")
@@ -66,21 +71,32 @@ class Runner:
             raise Failure("exit code %d: %s" % (done.returncode, err[-500:]))
         said = [line for line in re.split(r"[\r\n]|\x1b\[K", err)
                 if line.startswith(program + ": ") and not line.startswith(program + ": warning: ")]
+        self.said = "".join(said)
         if done.returncode >= 64 and len(said) != 1:
             raise Failure("exit code %d with %d lines: %s" % (done.returncode, len(said), err[-500:]))
+        self.out = done.stdout
+        shown = (err + self.out.decode(errors="replace")).replace("\x1b[K", "")
+        if re.search(trials.FORGED + "|[\0-\x08\x0b\x0c\x0e-\x1f\x7f]", shown):
+            raise Failure("a name controls the terminal: %r" % shown[-500:])
+        if "--json" in arguments and self.out and not is_json(self.out):
+            raise Failure("no JSON: %r" % self.out[-500:])
         for path, _, names in os.walk(where):
             if any(name.endswith(".tmp") for name in names):
                 raise Failure("a temporary file is left in %s" % path)
-        self.out = done.stdout
+        if os.listdir(os.path.join(self.top, "in", trials.TEMPORARY)):
+            raise Failure("a temporary file is left in the directory of --tmpdir")
         return done.returncode, err
-
-    def maps(self):
-        """Returns the checksums of the outputs of a bake."""
-        return self.files(lambda name: name.startswith("m_") or name == "look.png")
 
     def files(self, wanted):
         where = os.path.join(self.top, self.way)
         return {name: digest(os.path.join(where, name)) for name in sorted(os.listdir(where)) if wanted(name)}
+
+
+def is_json(text):
+    try:
+        return json.loads(text) is not None
+    except ValueError:
+        return False
 
 
 def digest(path):
@@ -88,122 +104,217 @@ def digest(path):
         return hashlib.sha256(file.read()).hexdigest()
 
 
-def expect_same(code, found, base_code, base, may_fail=(), leave_out=()):
+def expect_same(code, found, base, may_fail=(), leave_out=()):
     """Compares the exit code and files with those of the first run."""
-    if code in may_fail and base_code != code:
+    if code in may_fail and base.code != code:
         return
-    if code != base_code:
-        raise Failure("exit code %d, not %d" % (code, base_code))
-    for name in leave_out:
-        found, base = ({k: v for k, v in files.items() if k != name} for files in (found, base))
-    if found != base:
-        names = [name for name in {**found, **base} if found.get(name) != base.get(name)]
+    if code != base.code:
+        raise Failure("exit code %d, not %d" % (code, base.code))
+    found, files = ({k: v for k, v in one.items() if k not in leave_out} for one in (found, base.files))
+    if found != files:
+        names = [name for name in {**found, **files} if found.get(name) != files.get(name)]
         raise Failure("other files or bytes: %s" % ", ".join(sorted(names)))
 
 
-# ---- grids ----
+# ---- what a trial does ----
+
+First = collections.namedtuple("First", "code files err")  # how the first run ended
 
 
-def voxelize(runner, scan, output, more=(), files=None):
-    return runner.run("bisque-voxelize", trials.words(scan.given) + list(more) + (files or scan.files) + ["-o", output])
+class Job:
+    """A command of a trial, which must give the same files in whatever way it runs."""
+
+    directory, refused = "first", (64, 65)
+
+    def __init__(self, trial):
+        self.trial = trial
+
+    @property
+    def given(self):
+        return getattr(*self.lists()[0])
+
+    def first(self, runner, seed):
+        """Runs it as given. With a seed, options that are refused are dropped."""
+        runner.directory("first")
+        runner.way = self.directory
+        while True:
+            code, err = self.run(runner)
+            drop = seed and code in self.refused and trials.named_in(err, self.given, random.Random(seed))
+            if not drop:
+                return First(code, self.files(runner), err)
+            setattr(*self.lists()[0], [(option, value) for option, value in self.given if option is not drop])
 
 
-def accepted(runner, scan, rng, files=None):
-    """Makes a grid; options that are refused are dropped. Returns the exit code."""
-    output = scan.name + ".nvdb"
-    code, err = voxelize(runner, scan, output, (), files)
-    while code in (64, 65) and (drop := trials.named_in(err, scan.given, rng)):
-        scan.given = [(option, value) for option, value in scan.given if option is not drop]
-        code, err = voxelize(runner, scan, output, (), files)
-    return code
+class Grid(Job):
+    directory = "in"
+
+    def __init__(self, trial, scan):
+        super().__init__(trial)
+        self.scan, self.name = scan, scan.name + ".nvdb"
+
+    def lists(self):
+        return [(self.scan, "given")]
+
+    def run(self, runner, more=(), given=None, rng=None, output=None, files=None, stdin=os.devnull):
+        given = self.given if given is None else given
+        words = trials.words(given, rng) + list(more) + trials.names(files or self.scan.files, given)
+        return runner.run("bisque-voxelize", words + ["-o", output or self.name], stdin=stdin)
+
+    def files(self, runner):
+        return runner.files(lambda name: name.startswith(self.scan.name) and name.endswith((".nvdb", ".tris")))
 
 
-def from_chunks(runner, scan, rng):
-    """Makes the grid again from its chunk file, which has what the refused options did."""
-    given = scan.given
-    if any(option.name == "channels" and "=" in value for option, value in given):
-        return
-    runner.directory("grid")
-    code = accepted(runner, scan, rng, ["../in/%s.tris" % scan.name])
-    grid = scan.name + ".nvdb"
-    expect_same(code, runner.files(grid.__eq__), 0, {grid: digest(os.path.join(runner.top, "in", grid))})
-    scan.given = given
+class Bake(Job):
+    refused = (64,)
+
+    def lists(self):
+        return [(self.trial, "bake"), (self.trial, "scans")]
+
+    def run(self, runner, more=(), given=None, rng=None, scans=None, old=False, environment=None, device="cpu"):
+        trial = self.trial
+        given = trial.bake if given is None else given
+        files = trials.names([scan.path for scan in scans or trial.scans] + trial.lows, given)
+        words = ["--device", device] + trials.words(given, rng, old) + files + ["-o", trial.name] + list(more)
+        return runner.run("bisque-bake", words, environment)
+
+    def files(self, runner):
+        return runner.files(lambda name: name.startswith("m_") or name == "look.png")
 
 
-def grid_files(runner, scan):
-    return runner.files(lambda name: name.startswith(scan.name) and name.endswith((".nvdb", ".tris")))
+class Simplification(Job):
+    """Makes low-poly meshes of a scan; reports are compared, too."""
+
+    def __init__(self, trial):
+        super().__init__(trial)
+        self.scan = trial.scans[0]
+
+    def lists(self):
+        return [(self.trial, "simplify")]
+
+    def run(self, runner, more=(), given=None, rng=None, files=None):
+        given = self.given if given is None else given
+        words = trials.words(given, rng) + list(more) + trials.names(files or self.scan.files, given)
+        return runner.run("bisque-simplify", words + ["-o", self.trial.low_name])
+
+    def files(self, runner):
+        return runner.files(lambda name: name.startswith("m_"))
 
 
-def make_grids(runner, trial, rng):
-    """Makes all grids. Returns whether all were made; options that are refused are dropped."""
-    made = True
-    for scan in trial.scans:
-        runner.directory("grid")
-        runner.way = "in"
-        code = accepted(runner, scan, rng)
-        base = grid_files(runner, scan)
-        runner.directory("grid")
-        other, _ = voxelize(runner, scan, scan.name + ".nvdb", ["--threads", "%d" % rng.randint(1, 5),
-                                                              "--memory", "%dM" % rng.randint(24, 400)])
-        expect_same(other, grid_files(runner, scan), code, base, [NO_MEMORY])
-        if code == 0 and rng.random() < 0.3:
-            other, _ = voxelize(runner, scan, scan.name + ".nvdb", ["--resume"])
-            expect_same(other, grid_files(runner, scan), code, base)
-        if code == 0 and rng.random() < 0.5:
-            from_chunks(runner, scan, rng)
-        made = made and code == 0
-    return made
+# ---- ways to run any of them; they return False if they do not apply ----
 
 
-# ---- bakes ----
+def other_threads(runner, job, base, rng):
+    code, _ = job.run(runner, ["--threads", "%d" % rng.choice([1, 2, 3, 5, 8])])
+    expect_same(code, job.files(runner), base)
 
 
-def bake_words(trial, given=None, scans=None, rng=None, old=False):
-    given = trial.bake if given is None else given
-    scans = trial.scans if scans is None else scans
-    return trials.words(given, rng, old) + [scan.path for scan in scans] + trial.lows + ["-o", trial.name]
+def other_budget(runner, job, base, rng):
+    code, _ = job.run(runner, ["--memory", "%dM" % rng.choice([20, 24, 32, 50, 100, 400])])
+    expect_same(code, job.files(runner), base, [NO_MEMORY], ["look.png"])
 
 
-def bake(runner, trial, more=(), environment=None, device="cpu", **kept):
-    return runner.run("bisque-bake", ["--device", device] + bake_words(trial, **kept) + list(more), environment)
+def other_order(runner, job, base, rng):
+    kept = {}
+    if isinstance(job, Bake):
+        kept = {"scans": rng.sample(job.trial.scans, len(job.trial.scans)), "old": rng.random() < 0.5}
+    code, _ = job.run(runner, rng=rng, **kept)
+    expect_same(code, job.files(runner), base)
 
 
-def other_threads(runner, trial, base, rng):
-    code, _ = bake(runner, trial, ["--threads", "%d" % rng.choice([1, 2, 3, 5, 8])])
-    expect_same(code, runner.maps(), *base[:2])
+def without_options_without_effect(runner, job, base, rng):
+    """Leaves out one option that should not matter, or all of them."""
+    told = re.findall(r"warning: --([a-z- ]+) has no effect", base.err)
+    idle = [one for one in job.given if one[0].id in told or one[0].name in trials.IDLE]
+    if not idle:
+        return False
+    left_out = idle if rng.random() < 0.3 else [rng.choice(idle)]
+    code, _ = job.run(runner, given=[one for one in job.given if one not in left_out])
+    expect_same(code, job.files(runner), base)
 
 
-def other_budget(runner, trial, base, rng):
-    code, _ = bake(runner, trial, ["--memory", "%dM" % rng.choice([20, 24, 32, 50, 100, 400])])
-    expect_same(code, runner.maps(), *base[:2], [NO_MEMORY], ["look.png"])
+# ---- ways to make a grid ----
 
 
-def other_order(runner, trial, base, rng):
-    scans = list(trial.scans)
-    rng.shuffle(scans)
-    code, _ = bake(runner, trial, scans=scans, rng=rng, old=rng.random() < 0.5)
-    expect_same(code, runner.maps(), *base[:2])
+def resumed(runner, job, base, rng):
+    if base.code != 0 or trials.value("no-tris", job.given) is not None:
+        return False
+    job.run(runner)
+    os.remove(os.path.join(runner.top, runner.way, job.name))
+    code, _ = job.run(runner, ["--resume"])
+    expect_same(code, job.files(runner), base)
 
 
-def without_options_without_effect(runner, trial, base, rng):
-    idle = set(re.findall(r"warning: --([a-z- ]+) has no effect", base[2]))
-    if idle:
-        code, _ = bake(runner, trial, given=[(o, v) for o, v in trial.bake if o.id not in idle])
-        expect_same(code, runner.maps(), *base[:2])
+def from_chunks(runner, job, base, rng):
+    """Makes the grid again from its chunk file, which has what options did that are then refused."""
+    channels = trials.value("channels", job.given) or ""
+    if base.code != 0 or job.scan.name + ".tris" not in base.files or "=" in channels:
+        return False
+    given = job.given
+    try:
+        while True:
+            code, err = job.run(runner, files=["../in/%s.tris" % job.scan.name])
+            drop = trials.named_in(err, job.given, rng) if code in (64, 65) else None
+            if not drop:
+                break
+            job.scan.given = [one for one in job.given if one[0] is not drop]
+    finally:
+        job.scan.given = given
+    expect_same(code, {job.name: job.files(runner).get(job.name)}, First(0, {job.name: base.files[job.name]}, ""))
 
 
-def as_tasks(runner, trial, base, rng):
+def through_a_pipe(runner, job, base, rng):
+    """Reads a file from standard input, in the directory of the files that it names."""
+    files, way = list(job.scan.files), runner.way
+    k = rng.randrange(len(files))
+    name, files[k] = os.path.basename(files[k]), "-"
+    given = [one for one in job.given if one[0].name not in ("path-map", "no-tris", "embed-textures", "vdb")]
+    if base.code != 0:
+        return False
+    runner.way = "in"
+    code, _ = job.run(runner, ["--no-tris"], given, None, "../%s/%s" % (way, job.name), files, name)
+    runner.way = way
+    expect_same(code, job.files(runner), First(0, {job.name: base.files[job.name]}, ""))
+
+
+# ---- ways to simplify ----
+
+
+def of_chunks(runner, job, base, rng):
+    """The chunk file of a grid is as good as the meshes, if it has all triangles where they are."""
+    names = {"scale", "up", "translate", "no-tris", "channels", "strict"}
+    chunks = "../in/%s.tris" % job.scan.name
+    if any(option.name in names for option, _ in job.scan.given) or not os.path.exists(
+            os.path.join(runner.top, runner.way, chunks)):
+        return False
+    code, _ = job.run(runner, files=[chunks])
+    expect_same(code, job.files(runner), base)
+
+
+def measured(runner, job, base, rng):
+    """Distances from the scan do not depend on threads, nor on the budget."""
+    if not base.files:
+        return False
+    low, seen = "../first/" + rng.choice(sorted(base.files)), []
+    for more in ["--threads", "1"], ["--threads", "4", "--memory", "100M"]:
+        code, _ = runner.run("bisque-compare", ["--json", low] + job.scan.files + more)
+        report = {k: v for k, v in json.loads(runner.out).items() if k in DISTANCES} if code == 0 else {}
+        seen.append(First(code, report, ""))
+    expect_same(*seen[1][:2], seen[0])
+
+
+# ---- ways to bake ----
+
+
+def as_tasks(runner, job, base, rng):
     """Divides the bake into tasks, which run in any order, some together and some twice."""
-    count, given = rng.choice([1, 2, 3, 5, 40]), list(trial.bake)
+    count, given = rng.choice([1, 2, 3, 5, 40]), list(job.given)
     plan = ["--tasks", "%d" % count, "--write-plan", "plan.json"]
-    code, err = bake(runner, trial, plan)
-    err = "".join(line for line in err.splitlines() if "warning: " not in line)
-    unplanned = [option for option, value in given
-                 if code == 64 and ("--" + option.name in err or len(value) > 3 and value in err)]
-    if unplanned:  # an output that a plan refuses
-        given = [(option, value) for option, value in given if option not in unplanned]
-        base = base[0], {name: v for name, v in base[1].items() if not name.startswith("m_" + unplanned[0].name)}
-        code, _ = bake(runner, trial, plan, given=given)
+    code, _ = job.run(runner, plan)
+    while code == 64 and base.code == 0 and (refused := trials.named_in(runner.said, given, None)):
+        given = [one for one in given if one[0] is not refused]  # an output that a plan refuses
+        base = base._replace(files={name: v for name, v in base.files.items()
+                                    if not name.startswith("m_" + refused.name)})
+        code, _ = job.run(runner, plan, given=given)
     order = list(range(count))
     rng.shuffle(order)
     codes = [code]
@@ -224,11 +335,11 @@ def as_tasks(runner, trial, base, rng):
     if max(codes) < 64:
         code, _ = runner.run("bisque-bake", ["--plan", "plan.json", "--merge"])
         codes.append(code)
-    if base[0] >= 64:
-        if max(codes) < 64 or runner.maps():
-            raise Failure("exit codes %s of tasks, %d of the bake" % (codes, base[0]))
+    if base.code >= 64:
+        if max(codes) < 64 or job.files(runner):
+            raise Failure("exit codes %s of tasks, %d of the bake" % (codes, base.code))
         return
-    expect_same(max(codes), runner.maps(), *base[:2])
+    expect_same(max(codes), job.files(runner), base)
 
 
 def has_device(trial):
@@ -236,115 +347,133 @@ def has_device(trial):
     return len(trial.scans) == 1 and trial.scans[0].kind == "nvdb"
 
 
-def on_fake_cuda(runner, trial, base, rng):
-    if not has_device(trial):
-        return
+def on_fake_cuda(runner, job, base, rng):
     environment = {"LD_LIBRARY_PATH": os.path.join(TESTS, "fake")}
-    code, _ = bake(runner, trial, [], environment, "cuda")
-    expect_same(code, runner.maps(), *base[:2], [NO_DEVICE])
+    if not has_device(job.trial):
+        return False
+    code, _ = job.run(runner, environment=environment, device="cuda")
+    if code == NO_DEVICE and base.code != code:
+        return False
+    expect_same(code, job.files(runner), base)
 
 
-def on_opencl(runner, trial, base, rng):
+def on_opencl(runner, job, base, rng):
     """Only the processor and CUDA promise equal bytes; OpenCL has to give the same files."""
-    if not has_device(trial):
-        return
-    code, _ = bake(runner, trial, [], None, "opencl")
-    if code != NO_DEVICE and (code == 0) != (base[0] == 0):
-        raise Failure("exit code %d, not %d" % (code, base[0]))
-    if code == 0 and set(runner.maps()) != set(base[1]):
+    if not has_device(job.trial):
+        return False
+    code, _ = job.run(runner, device="opencl")
+    if code == NO_DEVICE and base.code != code:
+        return False
+    if (code == 0) != (base.code == 0):
+        raise Failure("exit code %d, not %d" % (code, base.code))
+    if code == 0 and set(job.files(runner)) != set(base.files):
         raise Failure("other files")
 
 
-def compared(runner, trial, base, rng):
+def compared(runner, job, base, rng):
     """A map is the same as itself, whatever is compared and by however many threads."""
-    names = [name for name in base[1] if name.endswith(".exr")]
+    names = [name for name in base.files if name.endswith(".exr")]
     if not names:
-        return
-    name, seen = "../base/" + rng.choice(names), []
+        return False
+    name, seen = "../first/" + rng.choice(names), []
     for threads in "1", "4":
-        code, _ = runner.run("bisque-compare", trials.words(trial.compare) + ["--threads", threads, name, name])
-        seen.append((code, runner.files(lambda n: n.endswith(".png"))))
-    expect_same(*seen[1], *seen[0])
+        code, _ = runner.run("bisque-compare", trials.words(job.trial.compare) + ["--threads", threads, name, name])
+        seen.append(First(code, runner.files(lambda n: n.endswith(".png")), ""))
+    expect_same(*seen[1][:2], seen[0])
 
 
 # How often each way runs.
-WAYS = [(other_threads, 0.8), (other_budget, 0.5), (other_order, 0.5), (without_options_without_effect, 0.5),
-        (as_tasks, 0.6), (on_fake_cuda, 0.3), (on_opencl, 0.05), (compared, 0.3)]
+WAYS = {
+    Grid: [(other_threads, 0.5), (other_budget, 0.5), (other_order, 0.2), (without_options_without_effect, 0.3),
+           (resumed, 0.2), (from_chunks, 0.5), (through_a_pipe, 0.3)],
+    Simplification: [(other_threads, 0.8), (other_budget, 0.5), (other_order, 0.3),
+                     (without_options_without_effect, 0.5), (of_chunks, 0.5), (measured, 0.3)],
+    Bake: [(other_threads, 0.8), (other_budget, 0.5), (other_order, 0.5), (without_options_without_effect, 1),
+           (as_tasks, 0.6), (on_fake_cuda, 0.5), (on_opencl, 0.1), (compared, 0.3)],
+}
 
 
-def first_bake(runner, trial, rng, redraw=True):
-    """Bakes in the directory `base`; options of wrong usage are dropped. Returns code and maps."""
-    while True:
-        runner.directory("base")
-        code, err = bake(runner, trial)
-        drop = trials.named_in(err, trial.bake, rng) if code == 64 and redraw else None
-        if not drop:
-            return code, runner.maps(), err
-        trial.bake = [(option, value) for option, value in trial.bake if option is not drop]
+# ---- trials ----
 
 
-def run_way(runner, trial, base, way, seed):
+def run_way(runner, job, base, way, seed):
     """Runs a way with random numbers of its own, so that it can be repeated. Returns a failure or None."""
     try:
         runner.directory(way.__name__)
-        way(runner, trial, base, random.Random(seed))
+        return "left out" if way(runner, job, base, random.Random(seed)) is False else None
     except Failure as failure:
         return failure
-    return None
 
 
-def shrink(runner, trial, way, seed):
-    """Drops options and scans as long as the way fails."""
+def failure_of(runner, job, way, seed):
+    """Runs a job and a way (None: only the job). Returns the failure or None, and the commands of both."""
+    made = []
+    try:
+        base = job.first(runner, None)
+        made = list(runner.commands)
+        failure = run_way(runner, job, base, way, seed) if way else None
+    except Failure as failed:
+        failure = failed
+    return failure if isinstance(failure, Failure) else None, made + (runner.commands if runner.commands != made else [])
 
-    def fails():
-        try:
-            return run_way(runner, trial, first_bake(runner, trial, None, False), way, seed) is not None
-        except Failure:
-            return False
 
-    for name in ("bake", "scans"):
-        kept = list(getattr(trial, name))
-        for one in [item for item in kept if name == "scans" or item[0].name not in trials.SIZES]:
+def shrink(runner, job, way, seed):
+    """Drops options and scans as long as the failure stays."""
+    for owner, name in job.lists():
+        kept = list(getattr(owner, name))
+        for one in [item for item in kept if name == "scans" or item[0].name not in trials.NEEDED]:
             less = [item for item in kept if item is not one]
-            setattr(trial, name, less)
-            if (less or name == "bake") and fails():
+            setattr(owner, name, less)
+            if (less or name != "scans") and failure_of(runner, job, way, seed)[0]:
                 kept = less
-        setattr(trial, name, kept)
-    fails()
+        setattr(owner, name, kept)
 
 
-def run_trial(seed, tables, keep):
+def run_job(runner, job, rng, counts):
+    """Runs a job in some of its ways. Returns its exit code; raises a Failure that has its commands."""
+    way, seed = None, rng.random()
+    kind = type(job).__name__.lower()
+    try:
+        base = job.first(runner, seed)
+        counts[kind, "as given", "runs"] += 1
+        for way, share in WAYS[type(job)]:
+            seed = rng.random()
+            if rng.random() > share:
+                continue
+            found = run_way(runner, job, base, way, seed)
+            counts[kind, way.__name__, "runs"] += found != "left out"
+            if isinstance(found, Failure):
+                raise found
+        return base.code
+    except Failure as failure:
+        counts[kind, way.__name__ if way else "as given", "failures"] += 1
+        shrink(runner, job, way, seed)
+        found, commands = failure_of(runner, job, way, seed)
+        lines = ["%s%s" % (way.__name__ + ": " if way else "", found or failure)]
+        raise Failure("\n".join(lines + commands)) from None
+
+
+def run_trial(seed, tables, keep, counts):
     """Runs a trial. Returns how it ended, and a text on its failure or None."""
     rng = random.Random(seed)
     top = tempfile.mkdtemp(prefix="bisque-combine.")
     runner = Runner(top)
-    os.makedirs(os.path.join(top, "in"))
-    base = way = None
+    os.makedirs(os.path.join(top, "in", trials.TEMPORARY))
     try:
         trial = trials.Trial(rng, os.path.join(top, "in"), tables)
-        if not make_grids(runner, trial, rng):
+        made = [run_job(runner, Grid(trial, scan), rng, counts) for scan in trial.scans]
+        if rng.random() < 0.3:
+            run_job(runner, Simplification(trial), rng, counts)
+        if any(made):
             return "no grid", None
-        base = first_bake(runner, trial, rng)
-        made = runner.commands
-        for way, share in WAYS:
-            if rng.random() > share:
-                continue
-            way_seed = rng.random()
-            failure = run_way(runner, trial, base, way, way_seed)
-            if failure:
-                shrink(runner, trial, way, way_seed)
-                base = first_bake(runner, trial, rng, False)
-                made = runner.commands
-                raise run_way(runner, trial, base, way, way_seed) or failure
-        return "exit code %d" % base[0], None
+        return "exit code %d" % run_job(runner, Bake(trial), rng, counts), None
     except Failure as failure:
-        lines = ["%s%s" % (way.__name__ + ": " if way else "", failure)]
-        lines += (made if base else []) + runner.commands
+        text = str(failure)
         if keep:
             kept = os.path.join(keep, seed.replace(":", "-"))
             shutil.copytree(top, kept, dirs_exist_ok=True)
-            lines.append("files: " + kept)
-        return "failure", "\n".join(lines)
+            text += "\nfiles: " + kept
+        return "failure", text
     finally:
         shutil.rmtree(top, ignore_errors=True)
 
@@ -359,15 +488,18 @@ def main():
     parser.add_argument("--keep")
     arguments = parser.parse_args()
     tables = {name: options.read(os.path.join(BIN, name)) for name in trials.OWN}
-    ends, lock, stop = collections.Counter(), threading.Lock(), time.monotonic() + arguments.seconds
+    ends, counts, lock = collections.Counter(), collections.Counter(), threading.Lock()
+    stop = time.monotonic() + arguments.seconds
 
     def one(number):
         if time.monotonic() > stop:
             return
         seed = "%s:%d" % (arguments.seed, number)
-        end, text = run_trial(seed, tables, arguments.keep)
+        own = collections.Counter()
+        end, text = run_trial(seed, tables, arguments.keep, own)
         with lock:
             ends[end] += 1
+            counts.update(own)
             if text:
                 print("not ok - trial %d of seed %s\n%s" % (number, arguments.seed, text), flush=True)
 
@@ -375,6 +507,8 @@ def main():
         list(pool.map(one, range(arguments.first, arguments.first + arguments.trials)))
     print("seed %s, %d trials: %s" % (arguments.seed, sum(ends.values()),
                                       ", ".join("%s %d" % item for item in sorted(ends.items()))))
+    for kind, way in dict.fromkeys(key[:2] for key in sorted(counts)):
+        print("%-16s %-32s %6d runs, %d failures" % (kind, way, counts[kind, way, "runs"], counts[kind, way, "failures"]))
     for name in sorted(trials.UNKNOWN):
         print("not drawn: --%s, which needs a function in trial.py" % name)
     return 1 if ends["failure"] else 0

@@ -1,5 +1,6 @@
 """A trial: random files and random options, as data that can be run again with less of it."""
 
+import json
 import os
 import re
 
@@ -8,14 +9,21 @@ import options
 
 # Options that a trial sets itself, and those that do something else than a bake or a grid.
 OWN = {
-    "bisque-bake": "output device tasks write-plan plan task merge merge-tile force list memory threads"
-    " path-map help version",
-    "bisque-voxelize": "output tris no-tris resume force parse-only verify memory threads path-map help"
-    " version scale up translate tmpdir",
-    "bisque-compare": "memory threads path-map help version",
+    "bisque-bake": "output device tasks write-plan plan task merge merge-tile force list memory threads help version",
+    "bisque-voxelize": "output tris resume force parse-only info verify memory threads help version",
+    "bisque-simplify": "output memory threads help version",
+    "bisque-compare": "memory threads help version",
 }
+# Options that must not change a byte.
+IDLE = {"progress", "json", "tmpdir", "path-map", "gpu-memory"}
 SHARE = 0.15  # of the options that are given
 SIZES = {"size", "resolution", "voxel-size"}  # without one, a trial takes long
+NEEDED = SIZES | {"triangles", "error"}
+EACH = {"scale", "up", "translate"}  # may be given for each file of a scan
+ODD = "\nforged line\x1b[2K"  # in some names of files
+FORGED = "(?m)^forged line"
+TEMPORARY = "temporary"  # directory of --tmpdir, beside the inputs
+FAR = "/combine/studio/"  # where --path-map says that the inputs lie
 UNKNOWN = set()  # options with a syntax of their own that no function here draws
 
 
@@ -33,15 +41,19 @@ class Trial:
 
     def __init__(self, random, inputs, tables):
         self.random, self.inputs, self.tables = random, inputs, tables
+        self.large = random.random() < 0.1  # tiles are cut into bands, blocks and passes
         self.shape = meshes.Shape(random)
         self.tiles = random.choice([[0], [0], [0, 1], [0, 11]])
         self.object_count = random.choice([1, 1, 1, 2])
+        self.odd = ODD if self.object_count == 1 and random.random() < 0.1 else ""
         self.has_uvs, self.has_colors = random.random() < 0.6, random.random() < 0.6
         self.write_images()
+        self.write_rules()
         self.scans = self.make_scans()
         self.lows = self.make_lows()
         self.bake = self.draw("bisque-bake")
         self.compare = self.draw("bisque-compare")
+        self.simplify = self.draw("bisque-simplify")
         self.name = self.draw_name()
 
     # ---- files ----
@@ -56,30 +68,37 @@ class Trial:
             out.write("newmtl clay\nKd 0.8 0.3 0.2\nmap_Pr rough.pgm\nnewmtl glaze\nKd 0.1 0.5 0.9\n")
             out.write("map_Kd color.ppm\n" if self.random.random() < 0.5 else "")
 
+    def write_rules(self):
+        rule = {"source_path_format": "POSIX", "source_path": FAR.rstrip("/"), "destination_path": "../in"}
+        with open(os.path.join(self.inputs, "rules.json"), "w") as out:
+            json.dump({"version": "pathmapping-1.0", "path_mapping_rules": [rule]}, out)
+
     def make_scans(self):
         """Writes scans, one for each object or several for all, each in some files."""
         scans = []
         for i in range(max(self.object_count, self.random.choice([1, 1, 1, 2]))):
             name = "o%d_high" % i
             files, count = [], self.random.choice([1, 1, 2])
-            normals = self.random.random() < 0.3
+            normals, most = self.random.random() < 0.3, 180 if self.large and self.random.random() < 0.3 else 30
             for part in range(count):
                 mesh = meshes.Mesh()
                 mesh.library = "scan.mtl" if self.random.random() < 0.5 else None
                 for material in ["clay", "glaze"] if mesh.library else [None]:
-                    meshes.patch(mesh, self.random, self.shape, self.random.randint(1, 30), self.random.randint(1, 30),
+                    meshes.patch(mesh, self.random, self.shape, self.random.randint(1, most), self.random.randint(1, most),
                                  True, "p%d" % part, material, None, i if self.object_count > 1 else 0,
                                  self.random.random() < 0.5)
                 if self.random.random() < 0.3:
                     for _, _, faces in mesh.parts:
                         self.random.shuffle(faces)
                 kind = self.random.choice(["obj", "obj", "text.ply", "ply", "stl", "gltf"])
-                path = os.path.join(self.inputs, "%s_%d.%s" % (name, part, kind))
+                path = os.path.join(self.inputs, "%s_%d%s.%s" % (name, part, self.odd, kind))
                 meshes.write(mesh, path, kind, self.has_uvs, normals, self.has_colors)
                 if self.random.random() < 0.2:
                     path = meshes.pack(path, self.random)
                 files.append("../in/" + os.path.basename(path))
-            scans.append(Scan(name, files, self.draw("bisque-voxelize"), self.random.choice(["nvdb", "nvdb", "tris"])))
+            given = self.draw("bisque-voxelize", count)
+            kind = "nvdb" if value("no-tris", given) is not None else self.random.choice(["nvdb", "nvdb", "tris"])
+            scans.append(Scan(name, files, given, kind))
         return scans
 
     def place(self, tile, part, count, overlaps):
@@ -103,7 +122,7 @@ class Trial:
         paths = []
         for i, mesh in enumerate(built):
             kind = self.random.choice(["obj", "obj", "ply", "gltf"])
-            path = os.path.join(self.inputs, "o%d_low.%s" % (i, kind))
+            path = os.path.join(self.inputs, "o%d_low%s.%s" % (i, self.odd, kind))
             meshes.write(mesh, path, kind, True, normals, False)
             kept = meshes.pack(path, self.random) if self.random.random() < 0.1 else path
             paths.append("../in/" + os.path.basename(kept))
@@ -115,33 +134,40 @@ class Trial:
 
     # ---- options ----
 
-    def draw(self, program):
+    def draw(self, program, files=1):
+        """Returns random options; those that may be given for each file may occur so often."""
         given = []
         for option in self.tables[program]:
             if option.name in OWN[program].split() or self.random.random() > SHARE:
                 continue
             special = getattr(self, "draw_" + option.id.replace("-", "_").replace(" ", "_"), None)
-            if not special and option.kind in ("own", "list"):
+            if not special and option.kind in ("own", "list", "text"):
                 UNKNOWN.add(option.id)
                 continue
-            value = special(program) if special else options.value_of(option, self.random)
-            if value is not None:
-                given.append((option, value))
-        if program == "bisque-bake" and not any(option.name == "size" for option, _ in given):
+            for _ in range(files if option.name in EACH and self.random.random() < 0.5 else 1):
+                drawn = special(program) if special else options.value_of(option, self.random)
+                if drawn is not None:
+                    given.append((option, drawn))
+        if program == "bisque-bake" and value("size", given) is None:
             given.append((self.option(program, "size"), self.draw_size(program)))
         if program == "bisque-voxelize":
-            given = [(option, value) for option, value in given if option.name not in SIZES]
-            draws = [("resolution", self.draw_resolution), ("voxel-size", self.draw_voxel_size)]
-            name, draw = self.random.choice(draws)
-            given.append((self.option(program, name), draw(program)))
+            given = self.with_one(program, given, {"resolution", "voxel-size"})
+        if program == "bisque-simplify":
+            given = self.with_one(program, given, {"triangles", "error"})
         return given
+
+    def with_one(self, program, given, names):
+        """Returns the options with exactly one of those that exclude each other."""
+        given = [(option, drawn) for option, drawn in given if option.name not in names]
+        name = self.random.choice(sorted(names))
+        draw = getattr(self, "draw_" + name.replace("-", "_"))
+        return given + [(self.option(program, name), draw(program))]
 
     def option(self, program, name):
         return next(option for option in self.tables[program] if option.name == name)
 
     def draw_size(self, program):
-        large = self.random.random() < 0.1
-        side = self.random.randint(100, 300) if large else self.random.randint(1, 48)
+        side = self.random.randint(100, 300) if self.large else self.random.randint(1, 48)
         if self.random.random() < 0.2:
             first = "%d=%d" % (1001 + self.tiles[0], self.random.randint(1, 64))
             return first + ",*=%d" % side if len(self.tiles) > 1 else first
@@ -214,6 +240,32 @@ class Trial:
     def draw_voxel_size(self, program):
         return "%.6g" % (self.shape.size / self.random.randint(10, 100))
 
+    def draw_scale(self, program):
+        if program == "bisque-voxelize":
+            return self.random.choice(["1", "1.01", "0.5"])
+        return "%.6g" % 10 ** self.random.uniform(-3, 2)
+
+    def draw_up(self, program):
+        return self.random.choice(["y", "z"])
+
+    def draw_translate(self, program):
+        return ",".join("%.6g" % (self.shape.size * self.random.uniform(-0.02, 0.02)) for _ in range(3))
+
+    def draw_tmpdir(self, program):
+        return "../in/" + TEMPORARY
+
+    def draw_path_map(self, program):
+        return "../in/rules.json"
+
+    def draw_triangles(self, program):
+        counts = self.random.sample(range(4, 200), self.random.choice([1, 1, 3]))
+        self.low_name = ("m_low_<N>" if len(counts) > 1 else "m_low") + self.odd + self.random.choice([".obj", ".ply"])
+        return ",".join(map(str, counts))
+
+    def draw_error(self, program):
+        self.low_name = "m_low" + self.random.choice([".obj", ".ply"])
+        return self.length(program)
+
     def draw_channels(self, program):
         words = ["id", "roughness", "opacity", "id,roughness"] + ["metallic=../in/rough.pgm"] * self.has_uvs
         return self.random.choice(words)
@@ -233,7 +285,7 @@ class Trial:
     draw_mask_a = draw_mask_b = draw_mask
 
     def draw_name(self):
-        parts = ["m_<MAP>"]
+        parts = ["m_<MAP>" + self.odd]
         if len(self.tiles) > 1 or self.random.random() < 0.2:
             parts.append(self.random.choice(["<UDIM>", "<UVTILE>"]))
         if self.random.random() < 0.2:
@@ -241,26 +293,37 @@ class Trial:
         return ".".join(parts) + self.random.choice([".exr", ".png"])
 
 
+def value(name, given):
+    """Returns the value of an option by its name, "" for one without; None if it is not given."""
+    return next((drawn for option, drawn in given if option.name == name), None)
+
+
+def names(files, given):
+    """Returns the names of inputs; with --path-map, those that they have on another machine."""
+    return [file.replace("../in/", FAR) for file in files] if value("path-map", given) is not None else files
+
+
 def words(given, random=None, old=False):
     """Returns the words of a command line. random: in another order. old: by earlier names."""
-    given = list(given)
-    if random:
-        random.shuffle(given)
+    if random:  # values for each file keep their order
+        order = sorted(given, key=lambda one: random.random())
+        each = iter([one for one in given if one[0].name in EACH])
+        given = [next(each) if one[0].name in EACH else one for one in order]
     out = []
-    for option, value in given:
+    for option, drawn in given:
         if old and option.old_name:
-            out += ["--" + option.old_name, value]
+            out += ["--" + option.old_name, drawn]
         elif option.key:
-            out += ["--" + option.name, "%s=%s" % (option.key, value)]
+            out += ["--" + option.name, "%s=%s" % (option.key, drawn)]
         else:
-            out += ["--" + option.name] + ([value] if option.argument else [])
+            out += ["--" + option.name] + ([drawn] if option.argument else [])
     return out
 
 
 def named_in(message, given, random):
-    """Returns the option that a message of wrong usage speaks of, or any; None if only sizes are left."""
-    given = [(option, value) for option, value in given if option.name not in SIZES]
-    for option, value in given:
-        if re.search(r"--%s\b" % option.name, message) or (len(value) > 3 and value in message):
+    """Returns the option that a message of wrong usage speaks of, or any if `random` is given; else None."""
+    given = [(option, drawn) for option, drawn in given if option.name not in NEEDED]
+    for option, drawn in given:
+        if re.search(r"--%s\b" % option.name, message) or (len(drawn) > 3 and drawn in message):
             return option
-    return random.choice(given)[0] if given else None
+    return random.choice(given)[0] if given and random else None

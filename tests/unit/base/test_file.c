@@ -340,6 +340,7 @@ TEST(test_temporary_directory)
 /* Without a directory of its own, a temporary file lies beside the first output of the job. */
 TEST(test_temporary_files_beside_the_output)
 {
+    assert_int_equal(unsetenv("TMPDIR"), 0);
     struct bsq_ctx *ctx = create(NULL);
     struct bsq_file file;
     char output[64];
