@@ -75,8 +75,7 @@ shared   := $(BUILD)/lib/libbisque.so.0
 
 # Parts of formats that are opened at their first use, see formats/module/module.h. The stamp holds
 # the version and a checksum of the headers that a module shares with its host.
-modules      := texture openvdb gltf
-src.texture  := formats/texture/oiio_rows.cc
+modules      := openvdb gltf
 src.gltf     := formats/mesh/gltf_decode.cc
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/vec.c
 module_stamp := formats/module/module_stamp.c
@@ -94,8 +93,8 @@ stamp_cppflags = \
 programs := bisque-voxelize bisque-simplify bisque-bake bisque-compare
 bins     := $(addprefix $(BUILD)/bin/,$(programs))
 # Programs that are installed beside the modules and found like them, for code that may crash: one
-# asks drivers for their devices, one reads files by Assimp.
-helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices scene)
+# asks drivers for their devices, one reads files by Assimp, one images by OpenImageIO.
+helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices scene texture)
 
 # The frame of reports with its style and script, which programs find relative to themselves.
 report_frame := $(BUILD)/share/bisque/report.html
@@ -230,10 +229,15 @@ $(BUILD)/lib/bisque/bisque-devices: $(BUILD)/obj/$(src.helper).o $(archives)
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $< $(archive.libbake) $(archive.formats) $(archive.base) \
 	    $(LIBS.all)
-$(BUILD)/lib/bisque/bisque-scene: $(BUILD)/obj/formats/mesh/scene_assimp.cc.o $(archives)
-	@mkdir -p $(@D)
-	$(CXX) $(common) $(LDFLAGS) -o $@ $< $(archive.formats) $(archive.base) $(LIBS.scene) \
-	    $(LIBS.all)
+src.scene    := formats/mesh/scene_assimp.cc
+src.texture  := formats/texture/oiio_rows.cc
+define reader_rule
+$(BUILD)/lib/bisque/bisque-$(1): $(BUILD)/obj/$(src.$(1)).o $(archives)
+	@mkdir -p $$(@D)
+	$$(CXX) $$(common) $$(LDFLAGS) -o $$@ $$< $(archive.formats) $(archive.base) $$(LIBS.$(1)) \
+	    $$(LIBS.all)
+endef
+$(foreach r,scene texture,$(eval $(call reader_rule,$(r))))
 
 # A folder with the installed headers and no others, for examples/ and `make doc`.
 public_copies  := $(public_headers:%=$(BUILD)/include/%)

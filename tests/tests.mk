@@ -22,8 +22,7 @@ $(foreach l,base formats libvoxel libbake exhaustion,$(eval src.helpers.$(l) := 
 define unit_rule
 $(call unit_bin,$(1)): $(BUILD)/obj/$(1).o $(needs.$(call unit_lib,$(1))) \
     $(helpers.$(call unit_lib,$(1))) \
-    | $(if $(filter base,$(call unit_lib,$(1))),,$(module_files) $(BUILD)/tests/lib) \
-    $(if $(filter libbake exhaustion,$(call unit_lib,$(1))),$(helpers))
+    | $(if $(filter base,$(call unit_lib,$(1))),,$(module_files) $(helpers) $(BUILD)/tests/lib)
 	@mkdir -p $$(@D)
 	$$(CXX) $$(common) $$(LDFLAGS) -o $$@ $$(filter %.o,$$^) $(needs.$(call unit_lib,$(1))) -lcmocka \
 	    $(if $(filter base,$(call unit_lib,$(1))),,$$(LIBS.formats) $$(LIBS.bake) $$(LIBS.tests)) \
@@ -83,6 +82,12 @@ read_files := $(BUILD)/tests/read-files
 $(read_files): $(BUILD)/obj/tests/oracle/read_files.c.o $(archive.formats) $(archive.base)
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.all)
+
+# Gives damaged images to the code of bisque-texture.
+damage_images := $(BUILD)/tests/damage-images
+$(damage_images): $(BUILD)/obj/tests/fuzz/damage_images.cc.o $(archive.formats) $(archive.base)
+	@mkdir -p $(@D)
+	$(CXX) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.texture) $(LIBS.all)
 
 # Fuzz targets: tests/fuzz/fuzz_NAME.c with seeds in tests/fuzz/corpus/NAME; fuzz.NAME lists further
 # objects. Without config=fuzz they become programs that replay files.
@@ -154,7 +159,7 @@ unit: $(unit_bins) $(module_files) $(fakes)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
 tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) \
-    $(read_files) $(replays) $(fakes) $(faults)
+    $(read_files) $(damage_images) $(replays) $(fakes) $(faults)
 
 # The scripts take longest, so they start first.
 ## test: build and run all tests, with the packages that are installed

@@ -371,28 +371,6 @@ uint64_t peak_memory()
     return uint64_t(usage.ru_maxrss) * 1024;
 }
 
-// Limits memory to `memory` bytes more than the process has now, time to `seconds` of a processor,
-// and files to those that are open.
-void set_limits(uint64_t memory, uint64_t seconds)
-{
-    unsigned long pages = 0;
-    FILE *statm = fopen("/proc/self/statm", "r");
-    const bool known = statm && fscanf(statm, "%lu", &pages) == 1;
-    if (statm)
-        fclose(statm);
-    const uint64_t all = pages * uint64_t(sysconf(_SC_PAGESIZE)) + memory;
-    const struct rlimit space = {all, all}, time = {seconds, seconds + 1}, files = {0, 0};
-#ifdef __SANITIZE_ADDRESS__
-    const bool limited = false; // it takes addresses for each allocation
-#else
-    const bool limited = true;
-#endif
-    if (limited && known && all > memory)
-        setrlimit(RLIMIT_AS, &space);
-    setrlimit(RLIMIT_CPU, &time);
-    setrlimit(RLIMIT_NOFILE, &files);
-}
-
 // Reads a file whose format `suffix` tells, and writes its scene. Throws what is wrong.
 void convert(const void *file, size_t size, const char *suffix, FILE *to)
 {
@@ -436,7 +414,7 @@ int main(int argument_count, char **arguments)
     const void *file = size ? mmap(nullptr, size, PROT_READ, MAP_PRIVATE, STDIN_FILENO, 0) : "";
     if (file == MAP_FAILED)
         fail_memory();
-    set_limits(strtoull(arguments[2], nullptr, 10), strtoull(arguments[3], nullptr, 10));
+    fmt_program_limit(strtoull(arguments[2], nullptr, 10), strtoull(arguments[3], nullptr, 10), 0);
     std::set_new_handler(fail_memory);
     try {
         convert(file, size, arguments[1], stdout);

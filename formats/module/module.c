@@ -23,6 +23,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include "formats/module/module.h"
@@ -117,15 +118,24 @@ static int check_threads(struct bsq_ctx *ctx, const char *purpose)
 
 /* The libraries of a module take some 400 MiB of addresses. Some end the process if they cannot
  * start in what is left. */
-static int check_addresses(struct bsq_ctx *ctx, const char *purpose)
+static int check_addresses(struct bsq_ctx *ctx, const char *purpose, bool apart)
 {
     const size_t needed = (size_t)512 << 20;
+    struct rlimit limit;
+    if (apart && getrlimit(RLIMIT_AS, &limit) == 0 && limit.rlim_cur >= needed)
+        return 0;
     void *addresses = mmap(NULL, needed, PROT_NONE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
     if (addresses == MAP_FAILED)
         return bsq_fail(ctx, BSQ_ENOMEM, "%s need %zu MiB of addresses for their libraries",
                         purpose, needed >> 20);
     munmap(addresses, needed);
     return 0;
+}
+
+int fmt_module_check(struct bsq_ctx *ctx, const char *purpose, bool apart)
+{
+    const int status = check_addresses(ctx, purpose, apart);
+    return status < 0 ? status : check_threads(ctx, purpose);
 }
 
 /* Opens a library that may be open already. Sets *out to NULL if the dynamic linker fails. */
@@ -138,8 +148,7 @@ static int open_library(struct bsq_ctx *ctx, const char *path, const char *purpo
     pthread_mutex_lock(&one_at_a_time);
     *out = dlopen(path, flags | RTLD_NOLOAD);
     if (!*out) {
-        BSQ_TRY(check_addresses(ctx, purpose));
-        BSQ_TRY(check_threads(ctx, purpose));
+        BSQ_TRY(fmt_module_check(ctx, purpose, false));
         *out = dlopen(path, flags);
     }
 done:

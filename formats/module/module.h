@@ -8,6 +8,7 @@
 #define FMT_MODULE_MODULE_H
 
 #include <limits.h>
+#include <sys/types.h>
 
 #include "base/file.h"
 #include "base/output.h"
@@ -64,9 +65,22 @@ struct fmt_program_end {
  * it, it is left behind. Returns 0, also if the program failed, or BSQ_EINTR. */
 int fmt_program_run(struct bsq_ctx *ctx, char *const arguments[], int from, int to, double seconds,
                     struct fmt_program_end *out);
-/* The first step of such a program: ends with its caller, dumps no core, and dies of crashes, also
- * with sanitizers, which would exit instead. */
+/* The two halves of it, for a program whose output is read meanwhile. Starts the program; returns 0
+ * or an errno. Waits for its end; it is killed after `seconds`, or if the context, unless it is
+ * NULL, is interrupted. */
+int fmt_program_start(char *const arguments[], int from, int to, pid_t *out);
+void fmt_program_finish(struct bsq_ctx *ctx, pid_t process, double seconds,
+                        struct fmt_program_end *out);
+/* The first step of such a program: ends with the thread that started it, dumps no core, and dies
+ * of crashes, also with sanitizers, which would exit instead. */
 void fmt_program_isolate(void);
+/* The second step: limits memory to `memory` bytes more than the process has now, time to `seconds`
+ * of a processor, and the descriptors of files. */
+void fmt_program_limit(uint64_t memory, uint64_t seconds, uint64_t files);
+
+/* Checks that the system allows what the libraries of a module, or of a program (`apart`), need
+ * when they are loaded: threads and addresses. Some end the process without. Errors: BSQ_ENOMEM. */
+int fmt_module_check(struct bsq_ctx *ctx, const char *purpose, bool apart);
 
 /* The directory that modules are installed in; compiled in. */
 extern const char fmt_module_directory[];

@@ -4,6 +4,7 @@
 #include <fcntl.h>
 #include <signal.h>
 #include <spawn.h>
+#include <stdio.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
@@ -25,8 +26,29 @@ void fmt_program_isolate(void)
     setrlimit(RLIMIT_CORE, &none);
 }
 
-/* Returns 0 or an errno. */
-static int start(char *const arguments[], int from, int to, pid_t *out)
+void fmt_program_limit(uint64_t memory, uint64_t seconds, uint64_t files)
+{
+    unsigned long pages = 0;
+    FILE *statm = fopen("/proc/self/statm", "r");
+    const bool known = statm && fscanf(statm, "%lu", &pages) == 1;
+    if (statm)
+        fclose(statm);
+    const uint64_t all = pages * (uint64_t)sysconf(_SC_PAGESIZE) + memory;
+    struct rlimit space = {RLIM_INFINITY, RLIM_INFINITY};
+    const struct rlimit time = {seconds, seconds + 1}, open = {files, files};
+#ifdef __SANITIZE_ADDRESS__
+    const bool limited = false; /* it takes addresses for each allocation */
+#else
+    const bool limited = true;
+#endif
+    getrlimit(RLIMIT_AS, &space);
+    if (limited && known && all > memory && all < space.rlim_cur)
+        setrlimit(RLIMIT_AS, &(struct rlimit){all, all});
+    setrlimit(RLIMIT_CPU, &time);
+    setrlimit(RLIMIT_NOFILE, &open);
+}
+
+int fmt_program_start(char *const arguments[], int from, int to, pid_t *out)
 {
     posix_spawn_file_actions_t actions;
     int error = posix_spawn_file_actions_init(&actions);
@@ -62,18 +84,24 @@ static bool await(struct bsq_ctx *ctx, pid_t process, double deadline, int *stat
     return got != 0;
 }
 
+void fmt_program_finish(struct bsq_ctx *ctx, pid_t process, double seconds,
+                        struct fmt_program_end *out)
+{
+    if (await(ctx, process, bsq_seconds_now() + seconds, &out->state))
+        return;
+    out->late = true;
+    kill(process, SIGKILL);
+    await(NULL, process, bsq_seconds_now() + END_SECONDS, &out->state);
+}
+
 int fmt_program_run(struct bsq_ctx *ctx, char *const arguments[], int from, int to, double seconds,
                     struct fmt_program_end *out)
 {
     pid_t process;
     *out = (struct fmt_program_end){.state = -1};
-    out->error = start(arguments, from, to, &process);
+    out->error = fmt_program_start(arguments, from, to, &process);
     if (out->error != 0)
         return 0;
-    if (!await(ctx, process, bsq_seconds_now() + seconds, &out->state)) {
-        out->late = true;
-        kill(process, SIGKILL);
-        await(NULL, process, bsq_seconds_now() + END_SECONDS, &out->state);
-    }
+    fmt_program_finish(ctx, process, seconds, out);
     return bsq_check(ctx); /* a signal may have ended the process first */
 }

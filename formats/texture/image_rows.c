@@ -27,7 +27,7 @@ struct whole {
 };
 
 struct format {
-    const char *plugin; /* OpenImageIO's name; NULL: `decoder` reads it */
+    const char *plugin; /* OpenImageIO's name; NULL: it is decoded here */
     const char *name;   /* for messages */
     const struct fmt_rows_decoder *decoder;
     bool (*recognise)(struct probe *probe);
@@ -227,14 +227,15 @@ static const struct format *find_format(struct probe *probe)
     static const struct format formats[] = {
         {NULL, "PNG", &fmt_png_rows, is_png, NULL},
         {NULL, "JPEG", &fmt_jpeg_rows, is_jpeg, NULL},
-        {"tiff", "TIFF", NULL, is_tiff, NULL},
-        {"openexr", "OpenEXR", NULL, is_exr, NULL},
-        {"jpeg2000", "JPEG 2000", NULL, is_jpeg2000, jpeg2000_whole},
-        {"webp", "WebP", NULL, is_webp, webp_whole},
-        {"bmp", "BMP", NULL, is_bmp, bmp_whole},
-        {"hdr", "Radiance HDR", NULL, is_hdr, NULL},
-        {"pnm", "PNM", NULL, is_pnm, pnm_whole},
-        {"targa", "TGA", NULL, is_targa, targa_whole}, /* matches loosely, so it is the last */
+        {"tiff", "TIFF", &fmt_oiio_rows, is_tiff, NULL},
+        {"openexr", "OpenEXR", &fmt_oiio_rows, is_exr, NULL},
+        {"jpeg2000", "JPEG 2000", &fmt_oiio_rows, is_jpeg2000, jpeg2000_whole},
+        {"webp", "WebP", &fmt_oiio_rows, is_webp, webp_whole},
+        {"bmp", "BMP", &fmt_oiio_rows, is_bmp, bmp_whole},
+        {"hdr", "Radiance HDR", &fmt_oiio_rows, is_hdr, NULL},
+        {"pnm", "PNM", &fmt_oiio_rows, is_pnm, pnm_whole},
+        {"targa", "TGA", &fmt_oiio_rows, is_targa,
+         targa_whole}, /* matches loosely, so it is the last */
     };
     for (size_t i = 0; i < sizeof formats / sizeof *formats; i++)
         if (formats[i].recognise(probe))
@@ -296,15 +297,12 @@ static int open_decoder(struct fmt_rows *rows, const struct format *format, stru
 {
     struct bsq_ctx *ctx = rows->input.ctx;
     const struct fmt_rows_info *info = &rows->info;
-    const struct fmt_module *module;
     int status;
     BSQ_TRY(reserve(rows, format, whole));
+    rows->input.whole_bytes = whole.bytes;
     rows->input.plugin = format->plugin;
-    if (format->plugin) {
-        BSQ_TRY(fmt_module_open(ctx, "texture", "textures of this format", &module));
-        rows->decoder = &((const struct fmt_rows_module *)module)->decoder;
-    } else {
-        rows->decoder = format->decoder;
+    rows->decoder = format->decoder;
+    if (!format->plugin) {
         rows->input.stream =
             fopencookie(&rows->input, "r", (cookie_io_functions_t){.read = read_stream});
         if (!rows->input.stream)
@@ -338,8 +336,7 @@ int fmt_rows_open(struct bsq_ctx *ctx, const char *path, struct fmt_rows *rows)
     struct probe probe = {.ctx = ctx, .file = &rows->input.file, .part = &part};
     const char *excess = NULL;
     int status;
-    *rows = (struct fmt_rows){
-        .input = {.ctx = ctx, .host = &fmt_host_functions, .path = path, .file = BSQ_FILE_CLOSED}};
+    *rows = (struct fmt_rows){.input = {.ctx = ctx, .path = path, .file = BSQ_FILE_CLOSED}};
     BSQ_TRY(bsq_part_open(ctx, path, &part, &rows->input.file));
     read_at(&probe, 0, probe.head, sizeof probe.head);
     const struct format *format = find_format(&probe);

@@ -1,7 +1,7 @@
 /* image_rows.h - reads image files as a stream of rows.
  *
- * PNG and JPEG files are decoded here. Other formats are decoded by OpenImageIO, in the
- * module bisque-texture.so, which is opened at its first use. */
+ * PNG and JPEG files are decoded here. Other formats are decoded by OpenImageIO, in the program
+ * bisque-texture, a process for each image. */
 #ifndef FMT_TEXTURE_IMAGE_ROWS_H
 #define FMT_TEXTURE_IMAGE_ROWS_H
 
@@ -28,13 +28,13 @@ struct fmt_rows_info {
 /* Where a decoder reads. */
 struct fmt_rows_input {
     struct bsq_ctx *ctx;
-    const struct fmt_host *host;
     const char *path; /* for messages */
     struct bsq_file file;
-    const char *plugin; /* OpenImageIO's name of the format; NULL: it is decoded here */
-    FILE *stream;       /* the file, for decoders here */
-    uint64_t offset;    /* of the stream */
-    int status;         /* of a failed read of the stream, or 0 */
+    const char *plugin;   /* OpenImageIO's name of the format; NULL: it is decoded here */
+    uint64_t whole_bytes; /* reserved for an image that is decoded whole; 0: the decoder tells */
+    FILE *stream;         /* the file, for decoders here */
+    uint64_t offset;      /* of the stream */
+    int status;           /* of a failed read of the stream, or 0 */
 };
 
 /* A decoder. Errors: BSQ_EDATA, BSQ_EIO, BSQ_EINTR, BSQ_ENOMEM. */
@@ -45,12 +45,15 @@ struct fmt_rows_decoder {
     void (*close)(void *state);
 };
 
-extern const struct fmt_rows_decoder fmt_png_rows, fmt_jpeg_rows;
+extern const struct fmt_rows_decoder fmt_png_rows, fmt_jpeg_rows, fmt_oiio_rows;
 
-/* The table of the module. */
-struct fmt_rows_module {
-    struct fmt_module module;
-    struct fmt_rows_decoder decoder;
+/* What the program writes: a mark and a head, then a mark and the samples of each row. Instead of
+ * any of them it may write FMT_ROWS_BAD and a text, what is wrong; its exit status is then a status
+ * of Bisque without the sign. */
+enum { FMT_ROWS_GOOD = '+', FMT_ROWS_BAD = '-' };
+struct fmt_rows_head {
+    char stamp[48]; /* fmt_module_stamp of the program */
+    struct fmt_rows_info info;
 };
 
 /* An image that is being read. */

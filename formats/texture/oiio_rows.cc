@@ -1,18 +1,26 @@
-// oiio_rows.cc - the module bisque-texture.so: reads rows of images by OpenImageIO.
+// oiio_rows.cc - the program bisque-texture, which reads images of many formats by OpenImageIO.
 //
-// OpenImageIO reads the file through a descriptor, never by its name, and one format's plug-in
-// alone sees it. Rows and tiles are read one by one: plug-ins would start threads for several, and
-// end the process if the system has none left.
+// oiio_reader.c runs it: damaged files make OpenImageIO crash, loop, or take any amount of memory.
+// So it has limits of memory and time. The file is its standard input; what image_rows.h describes
+// is its standard output. One format's plug-in alone sees the file, through its descriptor and
+// never by its name. Rows and tiles are read one by one: plug-ins would start threads for several.
 #include <OpenImageIO/imageio.h>
 
 #include <algorithm>
 #include <cctype>
 #include <cerrno>
+#include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <memory>
 #include <new>
+#include <stdexcept>
 #include <string>
 #include <vector>
+
+#include <sys/resource.h>
+#include <sys/stat.h>
+#include <unistd.h>
 
 #include "formats/texture/image_rows.h"
 
@@ -24,7 +32,7 @@ namespace
 {
 
 struct OiioRows {
-    struct fmt_rows_input *input;
+    std::string plugin;
     std::unique_ptr<ImageInput> image;
     TypeDesc type; // of samples in rows
     int next = 0;  // row
@@ -32,39 +40,22 @@ struct OiioRows {
     std::vector<char> tile, band; // a tile, and the rows that a row of tiles covers
 };
 
-// Makes OpenImageIO's message fit for one of ours: one line that names the image instead of the
-// descriptor that it is read from, and is never empty.
-std::string one_line(std::string reason, const char *path)
-{
-    static const char opened[] = "/proc/self/fd/";
-    const char *slash = std::strrchr(path, '/'), *name = slash ? slash + 1 : path;
-    std::replace(reason.begin(), reason.end(), '\n', ' ');
-    for (size_t at = 0; (at = reason.find(opened, at)) != std::string::npos;) {
-        const size_t end = reason.find_first_not_of("0123456789", at + sizeof opened - 1);
-        reason.replace(at, end == std::string::npos ? end : end - at, name);
-        at += std::strlen(name);
-    }
-    return reason.empty() ? "its decoder gives no reason, the file may be cut off" : reason;
-}
+// What is wrong: with the image, or with the system.
+struct Failure {
+    int code; // a status of Bisque
+    std::string text;
+};
 
-int fail(const struct fmt_rows_input *input, int error, const char *what, const std::string &reason)
+[[noreturn]] void fail(int error, const std::string &what, std::string reason)
 {
+    static const std::string opened = "/proc/self/fd/0";
     if (error == EMFILE || error == ENFILE || error == EIO) // not a fault of the image
-        return input->host->fail_errno(input->ctx, BSQ_ENOINPUT, error, "%s", input->path);
-    return input->host->fail(input->ctx, BSQ_EDATA, "%s: %s: %s", input->path, what,
-                             one_line(reason, input->path).c_str());
-}
-
-// Calls a function that returns a status and may throw.
-template <typename Function> int guarded(const struct fmt_rows_input *input, Function function)
-{
-    try {
-        return function();
-    } catch (const std::bad_alloc &) {
-        return input->host->fail(input->ctx, BSQ_ENOMEM, "%s: out of memory", input->path);
-    } catch (const std::exception &exception) {
-        return fail(input, 0, "damaged image", exception.what());
-    }
+        throw Failure{BSQ_ENOINPUT, std::strerror(error)};
+    for (size_t at; (at = reason.find(opened)) != std::string::npos;)
+        reason.replace(at, opened.size(), "the file");
+    if (reason.empty())
+        reason = "its decoder gives no reason, the file may be cut off";
+    throw Failure{BSQ_EDATA, what + ": " + reason};
 }
 
 // Returns the exponent that turns the file's integers into linear light, or 0 for sRGB, which is
@@ -110,29 +101,28 @@ void describe(OiioRows &rows, struct fmt_rows_info &info)
     info.gamma = file_gamma(spec);
     rows.texel_bytes = info.channels * rows.type.size();
     rows.row_bytes = info.width * rows.texel_bytes;
-    info.bytes = 2 * rows_at_once(spec, rows.input->plugin) * rows.row_bytes;
+    info.bytes = 2 * rows_at_once(spec, rows.plugin) * rows.row_bytes;
 }
 
-int open_image(OiioRows &rows, struct fmt_rows_info &info)
+void open_image(OiioRows &rows, struct fmt_rows_info &info)
 {
-    struct fmt_rows_input *input = rows.input;
+    static const char unreadable[] = "not a readable image";
     ImageSpec found, config;
     config["oiio:UnassociatedAlpha"] = 1;
     OIIO::attribute("exr_threads", -1); // decodes on the calling thread
     errno = 0;
-    rows.image = ImageInput::create(input->plugin);
+    rows.image = ImageInput::create(rows.plugin);
     if (!rows.image)
-        return fail(input, errno, "not a readable image", OIIO::geterror());
+        fail(errno, unreadable, OIIO::geterror());
     rows.image->threads(1);
-    if (!rows.image->open("/proc/self/fd/" + std::to_string(input->file.fd), found, config))
-        return fail(input, errno, "not a readable image", rows.image->geterror());
+    if (!rows.image->open("/proc/self/fd/0", found, config))
+        fail(errno, unreadable, rows.image->geterror());
     const ImageSpec &spec = rows.image->spec();
     if (spec.width < 1 || spec.height < 1 || spec.nchannels < 1 || spec.depth > 1 || spec.deep)
-        return fail(input, 0, "not a readable image", "it is not two-dimensional");
+        fail(0, unreadable, "it is not two-dimensional");
     if (spec.format == TypeDesc::DOUBLE) // OpenImageIO 2.4 reads other numbers
-        return fail(input, 0, "not a readable image", "it has samples of 64 bits");
+        fail(0, unreadable, "it has samples of 64 bits");
     describe(rows, info);
-    return 0;
 }
 
 // Reads the row of tiles that begins with the next row.
@@ -154,7 +144,7 @@ bool read_band(OiioRows &rows)
     return true;
 }
 
-int read_row(OiioRows &rows, void *row)
+void read_row(OiioRows &rows, char *row)
 {
     const ImageSpec &spec = rows.image->spec();
     const int line = spec.tile_width > 0 ? rows.next % spec.tile_height : 0;
@@ -165,38 +155,87 @@ int read_row(OiioRows &rows, void *row)
     else if (line == 0)
         good = read_band(rows);
     if (!good)
-        return fail(rows.input, errno, "damaged image", rows.image->geterror());
+        fail(errno, "damaged image", rows.image->geterror());
     if (spec.tile_width > 0)
         std::memcpy(row, &rows.band[size_t(line) * rows.row_bytes], rows.row_bytes);
     rows.next++;
-    return 0;
 }
 
-int open_rows(struct fmt_rows_input *input, struct fmt_rows_info *info, void **state)
+void put(const void *from, size_t size)
 {
-    auto *rows = new (std::nothrow) OiioRows;
-    *state = rows;
-    if (!rows)
-        return input->host->fail(input->ctx, BSQ_ENOMEM, "%s: out of memory", input->path);
-    rows->input = input;
-    return guarded(input, [&] { return open_image(*rows, *info); });
+    if (putchar(FMT_ROWS_GOOD) == EOF || fwrite(from, size, 1, stdout) != 1)
+        throw Failure{BSQ_EIO, ""};
 }
 
-int read_rows(void *state, void *row)
+// Lets decoding take a second more for each million of texels.
+void add_time(uint64_t texels)
 {
-    auto *rows = static_cast<OiioRows *>(state);
-    return guarded(rows->input, [&] { return read_row(*rows, row); });
+    struct rlimit time;
+    getrlimit(RLIMIT_CPU, &time);
+    time.rlim_cur += texels / 1000000;
+    time.rlim_max = std::max(time.rlim_max, time.rlim_cur + 1);
+    setrlimit(RLIMIT_CPU, &time);
 }
 
-void close_rows(void *state)
+void convert(const char *plugin)
 {
-    delete static_cast<OiioRows *>(state);
+    OiioRows rows;
+    struct fmt_rows_head head = {};
+    rows.plugin = plugin;
+    std::strncpy(head.stamp, fmt_module_stamp, sizeof head.stamp - 1);
+    open_image(rows, head.info);
+    add_time(uint64_t(head.info.width) * head.info.height);
+    put(&head, sizeof head);
+    fflush(stdout);
+    std::vector<char> row(rows.row_bytes);
+    for (uint32_t y = 0; y < head.info.height; y++) {
+        read_row(rows, row.data());
+        put(row.data(), row.size());
+    }
+}
+
+[[noreturn]] void fail_memory()
+{
+    _exit(-BSQ_ENOMEM);
+}
+
+void say(const std::string &text)
+{
+    putchar(FMT_ROWS_BAD);
+    fputs(text.c_str(), stdout);
+}
+
+// Reads the image; says what is wrong. Returns the exit status.
+int run(const char *plugin)
+{
+    try {
+        convert(plugin);
+        return 0;
+    } catch (const Failure &failure) {
+        say(failure.text);
+        return -failure.code;
+    } catch (const std::exception &exception) {
+        say(std::string("damaged image: ") + exception.what());
+        return -BSQ_EDATA;
+    }
 }
 
 } // namespace
 
-extern "C" {
-extern const struct fmt_rows_module bisque_module;
-const struct fmt_rows_module bisque_module = {{fmt_module_stamp},
-                                              {open_rows, read_rows, close_rows}};
+// Arguments: OpenImageIO's name of the format, bytes of memory, seconds of a processor. Ends
+// without destructors, which may crash for damaged images.
+int main(int argument_count, char **arguments)
+{
+    enum { FILES = 8 }; // plug-ins open the standard input once more
+    struct stat info;
+    if (argument_count != 4 || fstat(STDIN_FILENO, &info) != 0 || !S_ISREG(info.st_mode)) {
+        fputs("bisque-texture: is run by Bisque for images that OpenImageIO reads\n", stderr);
+        return -BSQ_EUSAGE;
+    }
+    fmt_program_isolate();
+    fmt_program_limit(strtoull(arguments[2], nullptr, 10), strtoull(arguments[3], nullptr, 10),
+                      FILES);
+    std::set_new_handler(fail_memory);
+    const int code = run(arguments[1]);
+    _exit(fflush(stdout) == 0 && !ferror(stdout) ? code : -BSQ_EIO);
 }

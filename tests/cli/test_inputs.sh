@@ -106,8 +106,8 @@ rm hostile.obj pipe.png stream.png
 
 # ---- few threads ----
 
-# Opening a module at first starts eight threads to see that they can be, and its libraries four. No
-# other thread is started for one worker.
+# Opening a module, or the program for a texture, at first starts eight threads to see that they can
+# be. A texture is read twice. No other thread is started for one worker.
 if ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'; then
     skip "few threads" "sanitizers want to be loaded first"
 else
@@ -122,7 +122,7 @@ else
         $vox low.obj -o a.nvdb --no-tris --threads 1 --vdb a.vdb
         refused 71 "$p OpenVDB files need 8 threads, of which the system starts only $most"
     done
-    export FAULT_THREADS=12
+    export FAULT_THREADS=16
     ok $vox box.obj --texture abc.ppm -o a.nvdb --no-tris --threads 1
     ok $vox low.obj -o a.nvdb --no-tris --threads 1
     unset LD_PRELOAD FAULT_THREADS

@@ -33,7 +33,7 @@ done
 is_there share/bisque/farm/bisque-slurm share/bisque/farm/asset.openjd.yaml share/bisque/farm/assets.openjd.yaml
 is_there share/bisque/farm/bisque-openjd share/bisque/farm/parts.openjd.yaml share/bisque/farm/bake.openjd.yaml
 is_there share/bisque/farm/bake.argo.yaml share/bisque/farm/deadline/template.yaml share/bisque/report.html
-is_there lib/bisque/bisque-texture.so lib/bisque/bisque-openvdb.so lib/bisque/bisque-devices
+is_there lib/bisque/bisque-texture lib/bisque/bisque-openvdb.so lib/bisque/bisque-devices
 is_there lib/bisque/bisque-gltf.so lib/bisque/bisque-scene
 command="tests/lint/symbols.sh" code=0
 "$top/tests/lint/symbols.sh" "$build/lib" >"$out" 2>"$err" || code=$?
@@ -91,7 +91,7 @@ rm "$prefix"/lib/bisque/*
 ok run $voxelize
 run $voxelize red.ppm
 places="$PWD, ${PWD%/*}/lib/bisque or $prefix/lib/bisque"
-refused 66 "textures of this format need the module bisque-texture.so, which is not in $places"
+refused 66 "textures of this format need the program bisque-texture, which is not in $places"
 run $voxelize '' box.vdb
 refused 66 "OpenVDB files need the module bisque-openvdb.so, which is not in $places"
 # The error comes before any work.
@@ -101,15 +101,22 @@ command="bisque-voxelize --vdb without its module" code=0
 refused_like 66 '^bisque-voxelize: OpenVDB files need the module bisque-openvdb\.so'
 [ ! -e one.tris ] && [ ! -e one.nvdb ]
 check "nothing was done before the module was missed" $?
-module=$prefix/lib/bisque/bisque-texture.so
-printf 'no library\n' >"$module"
+printf 'no program\n' >"$prefix/lib/bisque/bisque-texture"
 run $voxelize red.ppm
-refused_like 66 "^textures of this format need the module $module, which cannot be opened: "
-stamp=$(grep -aEo '[0-9]+\.[0-9]+\.[0-9]+-[0-9]{6,}' moved/lib/bisque/bisque-texture.so | head -n 1)
+refused_like 66 "^red.ppm: $prefix/lib/bisque/bisque-texture does not start: "
+stamp=$(grep -aEo '[0-9]+\.[0-9]+\.[0-9]+-[0-9]{6,}' moved/lib/bisque/bisque-texture | head -n 1)
 other=$(echo "$stamp" | tr 0-9 1-90)
-sed "s/$stamp/$other/g" moved/lib/bisque/bisque-texture.so >"$module"
+sed "s/$stamp/$other/g" moved/lib/bisque/bisque-texture >"$prefix/lib/bisque/bisque-texture"
+chmod +x "$prefix/lib/bisque/bisque-texture"
 run $voxelize red.ppm
-refused 66 "textures of this format need the module $module, which is of build $other; this program is of $stamp"
+refused 66 "textures of this format need the program $prefix/lib/bisque/bisque-texture, which is of another build than this program ($stamp)"
+module=$prefix/lib/bisque/bisque-openvdb.so
+printf 'no library\n' >"$module"
+run $voxelize '' box.vdb
+refused_like 66 "^OpenVDB files need the module $module, which cannot be opened: "
+sed "s/$stamp/$other/g" moved/lib/bisque/bisque-openvdb.so >"$module"
+run $voxelize '' box.vdb
+refused 66 "OpenVDB files need the module $module, which is of build $other; this program is of $stamp"
 
 # ---- a moved installation, and programs that open no more than they need ----
 BIN=$PWD/moved/bin

@@ -1,0 +1,184 @@
+/* oiio_reader.c - runs the program bisque-texture for an image that OpenImageIO reads, and takes
+ * its rows from a pipe.
+ *
+ * Damaged images make OpenImageIO and the libraries below it crash, loop, or take any amount of
+ * memory. That is then a line on this image. */
+#include <errno.h>
+#include <fcntl.h>
+#include <inttypes.h>
+#include <math.h>
+#include <poll.h>
+#include <signal.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "formats/texture/image_rows.h"
+
+/* Processor time in seconds that the program may take: LEAST_SECONDS for any file, and a second
+ * more for each BYTES_A_SECOND of it, and what it adds itself for the texels. */
+enum { LEAST_SECONDS = 30, BYTES_A_SECOND = 1 << 18 };
+/* Memory that decoders take for themselves. */
+#define OWN_BYTES (UINT64_C(64) << 20)
+
+struct oiio_rows {
+    struct fmt_rows_input *input;
+    pid_t process; /* 0: none */
+    int pipe;
+    uint64_t memory_bytes, seconds; /* the program's limits */
+    size_t row_bytes;
+};
+
+/* Reads up to `size` bytes; fewer only at the end of the pipe. */
+static int read_pipe(struct oiio_rows *rows, void *to, size_t size, size_t *got)
+{
+    enum { PATIENCE_MS = 50 };
+    struct pollfd poll_fd = {.fd = rows->pipe, .events = POLLIN};
+    struct bsq_ctx *ctx = rows->input->ctx;
+    *got = 0;
+    while (*got < size) {
+        const int status = bsq_check(ctx);
+        if (status < 0)
+            return status;
+        ssize_t count = poll(&poll_fd, 1, PATIENCE_MS);
+        if (count == 0)
+            continue;
+        if (count > 0)
+            count = read(rows->pipe, (char *)to + *got, size - *got);
+        if (count == 0)
+            break;
+        if (count < 0 && errno != EINTR)
+            return bsq_fail_errno(ctx, BSQ_EIO, errno, "%s", rows->input->path);
+        *got += count > 0 ? (size_t)count : 0;
+    }
+    return 0;
+}
+
+/* Reports how the program ended. text: what it says is wrong. */
+static int fail_end(struct oiio_rows *rows, const struct fmt_program_end *end, const char *text)
+{
+    struct bsq_ctx *ctx = rows->input->ctx;
+    const char *path = rows->input->path;
+    const int code = end->state >= 0 && WIFEXITED(end->state) ? WEXITSTATUS(end->state) : -1;
+    const int signal = end->state >= 0 && WIFSIGNALED(end->state) ? WTERMSIG(end->state) : 0;
+    enum { NOT_STARTED = 127 }; /* of the dynamic linker */
+    if (code == -BSQ_EDATA || code == -BSQ_ENOINPUT)
+        return bsq_fail(ctx, -code, "%s: %s", path, text);
+    if (code == -BSQ_ENOMEM)
+        return bsq_fail(ctx, BSQ_ENOMEM,
+                        "%s: OpenImageIO needs more memory than the %" PRIu64 " MiB that are left "
+                        "of --memory: raise it, unless the file is damaged",
+                        path, rows->memory_bytes >> 20);
+    if (code == NOT_STARTED)
+        return bsq_fail(ctx, BSQ_ENOINPUT, "%s: bisque-texture does not start", path);
+    if (signal == SIGXCPU)
+        return bsq_fail(ctx, BSQ_EDATA,
+                        "%s: damaged image: OpenImageIO has not read it in %" PRIu64 " seconds",
+                        path, rows->seconds);
+    return bsq_fail(ctx, BSQ_EDATA, "%s: damaged image: OpenImageIO crashed (%s)", path,
+                    signal ? strsignal(signal) : "it ended the program");
+}
+
+/* Waits for the end of a program that gave no row, and reports it. */
+static int fail_program(struct oiio_rows *rows, bool has_text)
+{
+    struct fmt_program_end end = {.state = -1};
+    char text[256];
+    size_t got = 0;
+    const int status = has_text ? read_pipe(rows, text, sizeof text - 1, &got) : 0;
+    if (status < 0)
+        return status;
+    text[got] = '\0';
+    for (char *c = text; *c; c++)
+        *c = (unsigned char)*c < ' ' || *c == 127 ? ' ' : *c;
+    fmt_program_finish(rows->input->ctx, rows->process, has_text ? 1 : INFINITY, &end);
+    rows->process = 0;
+    return bsq_check(rows->input->ctx) < 0 ? BSQ_EINTR : fail_end(rows, &end, text);
+}
+
+/* Reads a mark and what follows it. */
+static int take(struct oiio_rows *rows, void *to, size_t size)
+{
+    char mark = 0;
+    size_t got;
+    int status;
+    if (rows->process == 0)
+        return bsq_fail(rows->input->ctx, BSQ_EBUG, "%s: is read after its end", rows->input->path);
+    BSQ_TRY(read_pipe(rows, &mark, 1, &got));
+    if (mark == FMT_ROWS_GOOD) {
+        BSQ_TRY(read_pipe(rows, to, size, &got));
+        if (got == size)
+            return 0;
+    }
+    status = fail_program(rows, mark == FMT_ROWS_BAD);
+done:
+    return status;
+}
+
+static int start(struct oiio_rows *rows, char *program)
+{
+    struct fmt_rows_input *input = rows->input;
+    struct bsq_ctx *ctx = input->ctx;
+    char memory[24], seconds[24];
+    int ends[2];
+    rows->memory_bytes = bsq_memory_left(ctx) + input->whole_bytes;
+    rows->seconds = LEAST_SECONDS + input->file.size / BYTES_A_SECOND;
+    snprintf(memory, sizeof memory, "%" PRIu64, rows->memory_bytes + OWN_BYTES);
+    snprintf(seconds, sizeof seconds, "%" PRIu64, rows->seconds);
+    char *const arguments[] = {program, (char *)(uintptr_t)input->plugin, memory, seconds, NULL};
+    if (pipe2(ends, O_CLOEXEC) != 0)
+        return bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s", input->path);
+    rows->pipe = ends[0];
+    const int error = fmt_program_start(arguments, input->file.fd, ends[1], &rows->process);
+    close(ends[1]);
+    if (error == 0)
+        return 0;
+    rows->process = 0;
+    return bsq_fail_errno(ctx, error == ENOMEM || error == EAGAIN ? BSQ_ENOMEM : BSQ_ENOINPUT,
+                          error, "%s: %s does not start", input->path, program);
+}
+
+static int open_oiio(struct fmt_rows_input *input, struct fmt_rows_info *info, void **state)
+{
+    static const char purpose[] = "textures of this format";
+    struct bsq_ctx *ctx = input->ctx;
+    struct oiio_rows *rows;
+    struct fmt_rows_head head;
+    char program[PATH_MAX];
+    int status;
+    BSQ_TRY(bsq_calloc(ctx, "a texture's decoder", 1, sizeof *rows, &rows));
+    *state = rows;
+    *rows = (struct oiio_rows){.input = input, .pipe = -1};
+    BSQ_TRY(fmt_module_find(ctx, "bisque-texture", purpose, program));
+    BSQ_TRY(fmt_module_check(ctx, purpose, true));
+    BSQ_TRY(start(rows, program));
+    BSQ_TRY(take(rows, &head, sizeof head));
+    if (strncmp(head.stamp, fmt_module_stamp, sizeof head.stamp) != 0)
+        return bsq_fail(ctx, BSQ_ENOINPUT,
+                        "%s need the program %s, which is of another build than this program (%s)",
+                        purpose, program, fmt_module_stamp);
+    *info = head.info;
+    rows->row_bytes = (size_t)info->width * info->channels * info->sample_bytes;
+done:
+    return status;
+}
+
+static int read_oiio(void *state, void *row)
+{
+    struct oiio_rows *rows = state;
+    return take(rows, row, rows->row_bytes);
+}
+
+static void close_oiio(void *state)
+{
+    struct oiio_rows *rows = state;
+    struct fmt_program_end end = {.state = -1};
+    if (rows->pipe >= 0)
+        close(rows->pipe);
+    if (rows->process > 0) /* its work is done, or nobody wants it any more */
+        fmt_program_finish(NULL, rows->process, 0, &end);
+    bsq_free(rows->input->ctx, rows);
+}
+
+const struct fmt_rows_decoder fmt_oiio_rows = {open_oiio, read_oiio, close_oiio};

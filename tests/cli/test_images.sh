@@ -1,0 +1,68 @@
+#!/bin/sh
+# test_images.sh - textures that OpenImageIO reads, in a process of their own: sound, damaged, and
+# of a program that crashes, stops early or never ends. SEED=7 COUNT=100000 damages other ones.
+. "$(dirname "$0")/lib.sh"
+
+images=$top/tests/images
+count=300
+[ -z "${LONG-}" ] || count=20000
+sanitized && count=60
+SEED=${SEED:-$(date +%s)}
+command="damage-images $SEED ${COUNT:-$count}" code=0
+"$TESTS/damage-images" "$SEED" "${COUNT:-$count}" "$images"/* >"$out" 2>"$err" || code=$?
+cat "$out"
+code 0
+
+printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n' >square.obj
+vox="run bisque-voxelize square.obj --resolution 4 --no-tris -o square.nvdb --texture"
+for image in "$images"/*; do
+    ok $vox "$image"
+    [ ! -s "$err" ]
+    check "nothing is said of ${image##*/}" $?
+done
+
+# ---- a program that does not do its work ----
+p=bisque-voxelize:
+image=$images/strips.tif
+mkdir -p copy/bin copy/lib/bisque
+cp "$BIN/bisque-voxelize" copy/bin
+BIN=$PWD/copy/bin
+reader=copy/lib/bisque/bisque-texture
+acts() # TEXT: what the program does
+{
+    printf '#!/bin/sh\n%s\n' "$1" >$reader.new
+    chmod +x $reader.new
+    mv $reader.new $reader
+}
+
+acts 'kill -SEGV $$'
+$vox "$image"
+refused 65 "$p $image: damaged image: OpenImageIO crashed (Segmentation fault)"
+acts 'exit 0'
+$vox "$image"
+refused 65 "$p $image: damaged image: OpenImageIO crashed (it ended the program)"
+acts 'kill -XCPU $$'
+$vox "$image"
+refused 65 "$p $image: damaged image: OpenImageIO has not read it in 30 seconds"
+acts 'exit 71'
+$vox "$image" --memory 64M
+refused_like 71 "^$p $image: OpenImageIO needs more memory than the [0-9]* MiB that are left of --memory: "
+acts 'printf -- "-damaged image: \\033[2Jno\\n\\tidea"; exit 65'
+$vox "$image"
+refused 65 "$p $image: damaged image:  [2Jno  idea"
+acts 'head -c 200 /dev/zero | tr "\\000" +; exec sleep 60'
+$vox "$image"
+refused_like 66 "^$p textures of this format need the program .*, which is of another build than this program"
+[ ! -e square.nvdb.tmp ]
+check "nothing is left" $?
+acts 'exec sleep 60'
+command="bisque-voxelize ended by SIGTERM while an image is read" code=0
+env --default-signal=TERM "$BIN/bisque-voxelize" square.obj -o late.nvdb --texture "$image" >"$out" 2>"$err" &
+sleep 0.5
+sent=$(date +%s%N)
+kill -TERM $!
+wait $! || code=$?
+late=$((($(date +%s%N) - sent) / 1000000))
+refused 75 "$p interrupted"
+holds "it ended after $late ms" [ "$late" -lt 2000 ]
+finish
