@@ -1,10 +1,11 @@
-"""Random scans and low-poly meshes of one shape, and writers of mesh files."""
+"""Random scans and low-poly meshes of one shape, and writers of meshes and images."""
 
 import gzip
 import math
 import shutil
 import struct
 import subprocess
+import zlib
 
 
 class Shape:
@@ -181,6 +182,20 @@ def write(mesh, path, kind, uvs, normals, colors):
         write_gltf(mesh, path, uvs, normals, colors)
     else:
         write_ply(mesh, path, uvs, normals, colors, kind == "text.ply")
+
+
+def write_image(path, side, channels, texels):
+    """Writes a square image of 8 bits for each sample: .png or .ppm."""
+    rows = [texels[k:k + side * channels] for k in range(0, len(texels), side * channels)]
+    with open(path, "wb") as out:
+        if path.endswith(".ppm"):
+            out.write(b"P%d %d %d 255\n%s" % (5 if channels == 1 else 6, side, side, texels))
+            return
+        out.write(b"\x89PNG\r\n\x1a\n")
+        for name, content in ((b"IHDR", struct.pack(">IIBBBBB", side, side, 8, channels - 1, 0, 0, 0)),
+                              (b"IDAT", zlib.compress(b"".join(b"\0" + row for row in rows))), (b"IEND", b"")):
+            out.write(struct.pack(">I", len(content)) + name + content)
+            out.write(struct.pack(">I", zlib.crc32(name + content)))
 
 
 def pack(path, random):

@@ -60,13 +60,13 @@ class Trial:
 
     def write_images(self):
         side = self.random.choice([1, 7, 32])
-        for name, magic, count in (("grey.pgm", "P2", 1), ("color.ppm", "P3", 3), ("rough.pgm", "P2", 1)):
-            texels = (str(self.random.randint(0, 255)) for _ in range(count * side * side))
-            with open(os.path.join(self.inputs, name), "w") as out:
-                out.write("%s %d %d 255\n%s\n" % (magic, side, side, "\n".join(texels)))
+        self.image = self.random.choice([".png"] * 9 + [".ppm"])  # of the others, a process reads each
+        for name, channels in (("grey", 1), ("color", 3), ("rough", 1)):
+            texels = bytes(self.random.randint(0, 255) for _ in range(channels * side * side))
+            meshes.write_image(os.path.join(self.inputs, name + self.image), side, channels, texels)
         with open(os.path.join(self.inputs, "scan.mtl"), "w") as out:
-            out.write("newmtl clay\nKd 0.8 0.3 0.2\nmap_Pr rough.pgm\nnewmtl glaze\nKd 0.1 0.5 0.9\n")
-            out.write("map_Kd color.ppm\n" if self.random.random() < 0.5 else "")
+            out.write("newmtl clay\nKd 0.8 0.3 0.2\nmap_Pr rough%s\nnewmtl glaze\nKd 0.1 0.5 0.9\n" % self.image)
+            out.write("map_Kd color%s\n" % self.image if self.random.random() < 0.5 else "")
 
     def write_rules(self):
         rule = {"source_path_format": "POSIX", "source_path": FAR.rstrip("/"), "destination_path": "../in"}
@@ -79,13 +79,15 @@ class Trial:
         for i in range(max(self.object_count, self.random.choice([1, 1, 1, 2]))):
             name = "o%d_high" % i
             files, count = [], self.random.choice([1, 1, 2])
-            normals, most = self.random.random() < 0.3, 180 if self.large and self.random.random() < 0.3 else 30
+            normals, large = self.random.random() < 0.3, self.large and i == 0 and self.random.random() < 0.3
             for part in range(count):
                 mesh = meshes.Mesh()
                 mesh.library = "scan.mtl" if self.random.random() < 0.5 else None
                 for material in ["clay", "glaze"] if mesh.library else [None]:
-                    meshes.patch(mesh, self.random, self.shape, self.random.randint(1, most), self.random.randint(1, most),
-                                 True, "p%d" % part, material, None, i if self.object_count > 1 else 0,
+                    least, most = (180, 200) if large else (1, 30)  # large: several chunks
+                    large = False
+                    meshes.patch(mesh, self.random, self.shape, self.random.randint(least, most),
+                                 self.random.randint(least, most), True, "p%d" % part, material, None, i if self.object_count > 1 else 0,
                                  self.random.random() < 0.5)
                 if self.random.random() < 0.3:
                     for _, _, faces in mesh.parts:
@@ -167,7 +169,7 @@ class Trial:
         return next(option for option in self.tables[program] if option.name == name)
 
     def draw_size(self, program):
-        side = self.random.randint(100, 300) if self.large else self.random.randint(1, 48)
+        side = self.random.randint(100, 250) if self.large else self.random.randint(1, 48)
         if self.random.random() < 0.2:
             first = "%d=%d" % (1001 + self.tiles[0], self.random.randint(1, 64))
             return first + ",*=%d" % side if len(self.tiles) > 1 else first
@@ -188,16 +190,16 @@ class Trial:
         return "m_pack=" + ",".join(names)
 
     def draw_texture(self, program):
-        return "../in/color.ppm" if program == "bisque-voxelize" else None
+        return "../in/color" + self.image if program == "bisque-voxelize" else None
 
     def draw_cage(self, program):
         return self.cage if len(self.lows) == 1 else None
 
     def draw_skew(self, program):
-        return "../in/grey.pgm"
+        return "../in/grey" + self.image
 
     def draw_scan_normal_map(self, program):
-        return "../in/color.ppm" if self.has_uvs else None
+        return "../in/color" + self.image if self.has_uvs else None
 
     def draw_match(self, program):
         return self.random.choice(["name", "_low,_high"]) if self.object_count > 1 else None
@@ -232,7 +234,7 @@ class Trial:
     draw_low_y = draw_low_z = draw_low_x
 
     def draw_samples(self, program):
-        return str(self.random.choice([1, 1, 2, 3, 5]))
+        return str(self.random.choice([1, 1, 2, 3] if self.large else [1, 1, 2, 3, 5]))
 
     def draw_resolution(self, program):
         return str(self.random.choice([1, 20, 40, 40, 40, 90, 200]))
@@ -246,7 +248,7 @@ class Trial:
         return "%.6g" % 10 ** self.random.uniform(-3, 2)
 
     def draw_up(self, program):
-        return self.random.choice(["y", "z"])
+        return self.random.choice(["y", "z", None, None])  # a scan that lies apart makes a trial short
 
     def draw_translate(self, program):
         return ",".join("%.6g" % (self.shape.size * self.random.uniform(-0.02, 0.02)) for _ in range(3))
@@ -267,7 +269,7 @@ class Trial:
         return self.length(program)
 
     def draw_channels(self, program):
-        words = ["id", "roughness", "opacity", "id,roughness"] + ["metallic=../in/rough.pgm"] * self.has_uvs
+        words = ["id", "roughness", "opacity", "id,roughness"] + ["metallic=../in/rough" + self.image] * self.has_uvs
         return self.random.choice(words)
 
     def draw_vdb(self, program):
