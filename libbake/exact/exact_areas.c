@@ -46,8 +46,8 @@ static void set_point(const struct fmt_tris_chunk *chunk, uint32_t triangle, flo
     out->area = (float)(0.5 * length) * weight;
 }
 
-void exact_take_areas(const struct bake_exact *exact, uint32_t number,
-                      const struct fmt_tris_chunk *chunk)
+void bake_exact_take_areas(const struct bake_exact *exact, uint32_t number,
+                           const struct fmt_tris_chunk *chunk)
 {
     struct bake_area_point *points = &exact->points[(uint64_t)number * exact->chunk_points];
     if (points->area != NOT_READ)

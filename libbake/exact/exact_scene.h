@@ -23,7 +23,7 @@ struct bake_exact {
     enum bsq_simd simd;     /* instructions for tracing */
     struct exact_tree tree; /* over the chunks' bounds */
     void *tree_memory;
-    struct fmt_shading shading; /* its channels are those of transfer maps */
+    struct fmt_shading shading;     /* its channels are those of transfer maps */
     struct bake_area_point *points; /* chunk_points of each chunk; NULL: they are not wanted */
     uint32_t chunk_points;
 };
@@ -99,8 +99,8 @@ int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint6
 void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots);
 
 /* Takes the points of a chunk that has just been loaded, unless they were taken before. */
-void exact_take_areas(const struct bake_exact *exact, uint32_t number,
-                      const struct fmt_tris_chunk *chunk);
+void bake_exact_take_areas(const struct bake_exact *exact, uint32_t number,
+                           const struct fmt_tris_chunk *chunk);
 
 /* Loads a chunk into a slot. */
 int bake_exact_slot_load(const struct bake_exact *exact, uint32_t number, struct exact_slot *slot);

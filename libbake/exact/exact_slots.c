@@ -145,7 +145,7 @@ int bake_exact_slot_load(const struct bake_exact *exact, uint32_t number, struct
     int status = fmt_tris_load(exact->file, number, slot->chunk_memory, &slot->chunk);
     slot->loaded = status == 0;
     if (slot->loaded && exact->points)
-        exact_take_areas(exact, number, &slot->chunk);
+        bake_exact_take_areas(exact, number, &slot->chunk);
     return status;
 }
 
