@@ -301,11 +301,14 @@ demo-maps: all $(generator)
 	    --maps normal,color,mask --preview $(demo_dir)/preview.png -o '$(demo_dir)/vase_<MAP>.exr'
 	$(BUILD)/bin/bisque-bake $(demo_dir)/vase.nvdb $(demo_dir)/vase_low.obj --size 1024 \
 	    --samples 1 --maps height,ao,curvature --ao-rays 16 -o '$(demo_dir)/vase_<MAP>.png'
+	$(BUILD)/bin/bisque-simplify $(demo_dir)/vase.obj --triangles 5000 \
+	    -o $(demo_dir)/vase_simplified.obj
 	$(generator) --tiles 2 vase-low -o $(demo_dir)/vase_tiles.obj
 	$(BUILD)/bin/bisque-bake $(demo_dir)/vase.nvdb $(demo_dir)/vase_tiles.obj --size 1024 \
 	    --maps normal,height -o '$(demo_dir)/tile_<MAP>.<UDIM>.png'
 	@echo
 	@echo "Maps:    $(demo_dir)/vase_*.exr and .png; in two UDIM tiles: $(demo_dir)/tile_*.png"
+	@echo "Mesh:    $(demo_dir)/vase_simplified.obj (5,000 triangles, from the scan; no UVs)"
 	@echo "Preview: $(demo_dir)/preview.png (low-poly mesh without and with its maps, scan)"
 
 include tests/bench/bench.mk

@@ -23,6 +23,10 @@ static const double length_share = 1e-7;
 /* A candidate whose cost has grown by more than this factor goes back into the heap. */
 static const double grown = 1.000001;
 
+/* Cosine between the normals of triangles that lie back to back, but for its sign. */
+static const double fold_cosine = 0.85;
+enum { CHANGED_MAX = 64 };
+
 struct candidate {
     float cost;
     uint32_t u, v;
@@ -184,7 +188,7 @@ static void sum_edge(struct collapse *c, uint32_t u, uint32_t v, const double w[
 }
 
 /* Computes what the collapse of an edge does. Returns false if it is not allowed: both vertices are
- * locked, or the result is not finite. */
+ * locked, or the place is farther from the middle than the edge is long, or not finite. */
 static bool evaluate(struct collapse *c, uint32_t u, uint32_t v, struct result *out)
 {
     const float(*positions)[3] = (const float(*)[3])c->rings.mesh->positions;
@@ -214,6 +218,8 @@ static bool evaluate(struct collapse *c, uint32_t u, uint32_t v, struct result *
     }
     for (int k = 0; k < 3; k++)
         x[k] = (double)out->position[k] - middle[k];
+    if (bsq_dotd(x, x) > square) /* a spike */
+        return false;
     multiply(q.a, x, ax);
     out->cost = bsq_dotd(x, ax) + 2 * bsq_dotd(q.b, x) + q.c;
     out->cost = out->cost > 0 ? out->cost : 0;
@@ -309,6 +315,66 @@ static void push_edges(struct collapse *c, uint32_t vertex, bool higher)
 
 /* ---- the collapse ---- */
 
+/* A triangle as it would be: its ends beside the vertex that moves, and its normal. */
+struct changed {
+    uint32_t ends[2];
+    double normal[3];
+};
+
+/* Returns whether two triangles would lie back to back. */
+static bool is_fold(const double a[3], const double b[3])
+{
+    const double along = bsq_dotd(a, b);
+    return along < 0 && along * along > fold_cosine * fold_cosine * bsq_dotd(a, a) * bsq_dotd(b, b);
+}
+
+/* Adds the triangles of u without v, as they are after u has moved to p. Returns false if one of
+ * them would lie on the triangle beyond its outer edge. */
+static bool collect_changed(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3],
+                            struct changed *changed, unsigned *count)
+{
+    const float(*positions)[3] = (const float(*)[3])r->mesh->positions;
+    for (VOX_EACH_CORNER(r, u, k)) {
+        const uint32_t a = vox_after(r, k), b = vox_before(r, k);
+        if (a == v || b == v)
+            continue;
+        if (*count == CHANGED_MAX)
+            return true;
+        struct changed *to = &changed[(*count)++];
+        const float moved[3][3] = {{p[0], p[1], p[2]},
+                                   {positions[a][0], positions[a][1], positions[a][2]},
+                                   {positions[b][0], positions[b][1], positions[b][2]}};
+        *to = (struct changed){.ends = {a, b}};
+        vox_triangle_normal(moved, (const uint32_t[3]){0, 1, 2}, to->normal);
+        for (VOX_EACH_CORNER(r, a, j)) {
+            double normal[3];
+            if (j / 3 == k / 3 || (vox_after(r, j) != b && vox_before(r, j) != b))
+                continue;
+            vox_triangle_normal(positions, r->mesh->triangles[j / 3], normal);
+            if (vox_after(r, j) != v && vox_before(r, j) != v && is_fold(to->normal, normal))
+                return false;
+        }
+    }
+    return true;
+}
+
+/* Returns whether the collapse of (u, v) to p would fold the surface over at an edge. */
+static bool makes_fold(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3])
+{
+    struct changed changed[CHANGED_MAX];
+    unsigned count = 0;
+    if (!collect_changed(r, u, v, p, changed, &count) ||
+        !collect_changed(r, v, u, p, changed, &count))
+        return true;
+    for (unsigned i = 1; i < count; i++)
+        for (unsigned j = 0; j < i; j++) {
+            const uint32_t *a = changed[i].ends, *b = changed[j].ends;
+            if ((a[0] == b[1] || a[1] == b[0]) && is_fold(changed[i].normal, changed[j].normal))
+                return true;
+        }
+    return false;
+}
+
 /* Takes the cheapest candidate, and collapses it if that is allowed. */
 static void collapse_next(struct collapse *c)
 {
@@ -324,7 +390,8 @@ static void collapse_next(struct collapse *c)
     }
     if (!vox_rings_keep_topology(r, u, v) ||
         !vox_rings_keep_orientation(r, u, v, result.position) ||
-        !vox_rings_keep_orientation(r, v, u, result.position))
+        !vox_rings_keep_orientation(r, v, u, result.position) ||
+        makes_fold(r, u, v, result.position))
         return;
     vox_rings_join(r, u, v, result.position);
     c->stamps[u]++;

@@ -55,6 +55,16 @@ bench-blender: all $(generator) $(BUILD)/tests/measure
 bench-farm: all $(generator)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/farm.sh
 
+simplify_venv := build/simplify-venv
+$(simplify_venv)/ready: tests/bench/bench.mk
+	@python3 -m venv $(simplify_venv) && $(simplify_venv)/bin/pip install -q \
+	    fast_simplification==0.2.0 pyfqmr==0.5.0 trimesh==5.2.0 scipy==1.17.1 numpy==2.4.6 && touch $@
+
+.PHONY: bench-simplify
+## bench-simplify: compare bisque-simplify with others from PyPI, SCANS='a.obj b.obj' (default: generated)
+bench-simplify: all $(generator) $(simplify_venv)/ready
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests $(simplify_venv)/bin/python3 tests/bench/simplify.py $(SCANS)
+
 .PHONY: bench-pace
 ## bench-pace: compare the core's speed with that of the commit PACE_REF=HEAD~1, in pairs
 bench-pace: all $(generator)

@@ -189,7 +189,7 @@ TEST(crowded_edges_stay)
     assert_int_equal(vox_mesh_weld(ctx, &mesh), 0);
     assert_int_equal(mesh.vertex_count, 3 * sheet.vertex_count - 2 * (N + 1));
     assert_int_equal(describe(&mesh).crowded, N);
-    collapse(&mesh, false, 4);
+    collapse(&mesh, false, 60);
     assert_int_equal(describe(&mesh).crowded, N);
     unsigned kept = 0;
     for (uint32_t v = 0; v < mesh.vertex_count; v++)
