@@ -46,4 +46,18 @@ struct cli_table bake_arguments_table(const struct bake_arguments *arguments);
 int bake_arguments_look(struct cli *cli, struct bake_arguments *arguments);
 void bake_arguments_free(struct bake_arguments *arguments);
 
+/* ---- parts of these, for bake_arguments.c ---- */
+
+/* Parses N, WxH, or a list of sizes by tile. */
+int bake_parse_sizes(struct cli *cli, const char *text, struct bake_options *options);
+/* Parses a list such as "1001-1003,1011". */
+int bake_parse_tiles(struct cli *cli, const char *text, struct bake_options *options);
+/* Takes the value of --maps, --pack or --texture. arg: the arguments. */
+int bake_maps_take(struct cli *cli, void *arg, const struct bsq_option *row, const char *text);
+/* Completes the maps when all options are read. */
+int bake_maps_finish(struct cli *cli, struct bake_arguments *arguments);
+/* Prints the list of maps for --help. */
+void bake_maps_print(void);
+void bake_maps_free(struct bake_arguments *arguments);
+
 #endif

@@ -58,19 +58,33 @@ int bake_farm_parse(struct cli *cli, const char *option, const char *text, struc
                            text);
 }
 
-int bake_farm_check(struct cli *cli, const struct bake_tasks *tasks, const char *work_option,
-                    int files)
+int bake_farm_check(struct cli *cli, struct bake_arguments *arguments)
 {
+    struct bake_tasks *tasks = &arguments->farm;
+    const struct cli_table table = bake_arguments_table(arguments);
+    const struct bsq_option *row = cli_given(&table, false);
     const bool works = tasks->task.given || tasks->merge;
+    if (tasks->tasks) {
+        tasks->write_plan = tasks->plan;
+        tasks->plan = NULL;
+    }
+    if (tasks->plan && (!tasks->task.given || tasks->merge) &&
+        bake_arguments_has(arguments, "device"))
+        return cli_usage(cli, "--plan has the device of the tasks: give --device to --task only");
+    if (tasks->plan && (!tasks->merge || tasks->task.given) &&
+        bake_arguments_has(arguments, "max_missed"))
+        return cli_usage(cli, "--max-missed is for the bake of all texels: give it to --merge");
+    if (tasks->tasks && arguments->bake.page_path)
+        return cli_usage(cli, "--report shows a bake in one piece, without --tasks");
     if (tasks->tasks && !tasks->write_plan)
         return cli_usage(cli, "--tasks needs --plan, the file to write");
     if (works && !tasks->plan)
         return cli_usage(cli, "--task and --merge need --plan, without --tasks");
     if (tasks->force && !works)
         return cli_usage(cli, "--force needs --task or --merge");
-    if (tasks->plan && work_option)
-        return cli_usage(cli, "--plan has the options of the work: leave out --%s", work_option);
-    if (tasks->plan && files > 0)
+    if (tasks->plan && row)
+        return cli_usage(cli, "--plan has the options of the work: leave out --%s", row->name);
+    if (tasks->plan && arguments->file_count > 0)
         return cli_usage(cli, "--plan names the inputs: leave out the files, or add --tasks");
     return 0;
 }

@@ -30,10 +30,9 @@ extern const struct bsq_option bake_task_rows[BAKE_TASK_ROWS];
 int bake_farm_parse(struct cli *cli, const char *option, const char *text,
                     struct bake_numbers *out);
 
-/* Checks the options against each other. work_option: the name of an option of the bake itself that
- * was given, which a plan has already; NULL if none was. files: how many were given. */
-int bake_farm_check(struct cli *cli, const struct bake_tasks *tasks, const char *work_option,
-                    int files);
+/* Checks the options against each other, and against those of a bake, which a plan has already.
+ * Moves the plan to `write_plan` if it is to be written. */
+int bake_farm_check(struct cli *cli, struct bake_arguments *arguments);
 
 /* Writes the plan that the arguments ask for, and prints what its tasks need. */
 int bake_farm_plan(struct cli *cli, const struct bake_arguments *arguments,

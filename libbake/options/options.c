@@ -121,7 +121,7 @@ static const struct bsq_option table[] = {
     {OPTION("type", "TYPE",
             "of samples: half or float in OpenEXR, 16 or 8 in PNG\n"
             "(default: auto, by the map)"),
-     CHOICE(sample_type, "auto 8 16 half float")},
+     .old_name = "png-bits", CHOICE(sample_type, "auto 8 16 half float")},
     {OPTION("exr-tiles", "N", "make OpenEXR files of tiles of N x N texels (default: of lines)"),
      COUNT(exr_tile_side, 8, BAKE_MAX_EXR_TILE, 0)},
     {OPTION("padding", "N", "texels to fill around each chart; all: everywhere"), .words = "all",
@@ -157,7 +157,7 @@ static const struct bsq_option table[] = {
     {OPTION("match", "name | LOW,HIGH",
             "objects see only scans with their names: body_low sees\n"
             "body_high.nvdb; LOW,HIGH: other endings of these names"),
-     .own_syntax = true, MEMBER(FLAG, match_names)},
+     .old_name = "match-suffixes", .own_syntax = true, MEMBER(FLAG, match_names)},
     {MEMBER(TEXT, low_suffix), .text = "_low"},
     {MEMBER(TEXT, high_suffix), .text = "_high"},
     {OPTION("max-missed", "P", "exit with 1 if more than P % of the samples find no surface"),
@@ -198,12 +198,13 @@ static const struct bsq_option table[] = {
      CHOICE(low_normals, "auto angle smooth flat")},
     {OPTION("as-is", NULL, "bake meshes that do not fit each other"), MEMBER(FLAG, as_is)},
 
-    {OPTION("sampling", "MODE", "trilinear or nearest, for grids"), .heading = "Scans",
-     CHOICE(sampling, "trilinear nearest"), .needs = GRID_TO_SAMPLE},
-    {OPTION("scan-normals", "NAME",
-            "for triangles without normals: smooth, flat; or smooth ones\n"
-            "by weight: area, angle or max (default: smooth, which is area)"),
-     CHOICE(scan_normals, "smooth/area angle max flat"), .needs = BARE_TRIANGLES},
+    {KEY("scan", "sampling", "MODE", "trilinear or nearest, for grids"), .heading = "Scans",
+     .old_name = "sampling", CHOICE(sampling, "trilinear nearest"), .needs = GRID_TO_SAMPLE},
+    {KEY("scan", "normals", "NAME",
+         "for triangles without normals: smooth, flat; or smooth ones\n"
+         "by weight: area, angle or max (default: smooth, which is area)"),
+     .old_name = "scan-normals", CHOICE(scan_normals, "smooth/area angle max flat"),
+     .needs = BARE_TRIANGLES},
     {OPTION("scan-normal-map", "FILE",
             "add a tangent-space map to the scan's normals, for triangles"),
      MEMBER(INPUT, scan_normal_map)},

@@ -114,7 +114,7 @@ discard()
 against_exact()
 {
     # shellcheck disable=SC2086 # two options with a value each
-    bake "$1.nvdb" "$scan_low" "$1-$2-$4" --sampling "$4" $reach
+    bake "$1.nvdb" "$scan_low" "$1-$2-$4" --scan sampling="$4" $reach
     compare "$1-$2-$4" "$1-exact" "$5" "$2" "$3" "$4"
     [ ! -f "$1-flat_normal.exr" ] || compare "$1-$2-$4" "$1-flat" "$5, against facets" "$2" "$3" "$4"
     [ ! -f "$1-fine_normal.exr" ] || compare "$1-$2-$4" "$1-fine" "$5$finer" "$2" "$3" "$4"

@@ -156,7 +156,7 @@ half_texels()
     options="--maps normal,mask --size 64 --samples 4 --normal space=object --type float --padding 0"
     run bisque-bake sine.tris sine_low.obj $options -o 'exact_<MAP>.exr'
     for sampling in trilinear nearest; do
-        run bisque-bake sine.nvdb sine_low.obj $options --sampling $sampling -o "${sampling}_<MAP>.exr"
+        run bisque-bake sine.nvdb sine_low.obj $options --scan sampling=$sampling -o "${sampling}_<MAP>.exr"
     done
     trilinear=$(mean_error trilinear) nearest=$(mean_error nearest)
     echo "# $what: $trilinear degrees, nearest $nearest"

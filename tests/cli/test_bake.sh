@@ -113,8 +113,8 @@ $bake $good --normal space=world
 refused 64 "$p --normal space: \"world\" is not tangent or object"
 $bake $good --normal space=object,green=down
 refused 64 "$p an object-space map has no green direction to flip"
-$bake $good --sampling cubic
-refused 64 "$p --sampling: \"cubic\" is not trilinear or nearest"
+$bake $good --scan sampling=cubic
+refused 64 "$p --scan sampling: \"cubic\" is not trilinear or nearest"
 $bake $good --type 8
 refused 64 "$p a_<MAP>.exr: OpenEXR files have no 8-bit samples"
 $bake plain.nvdb low.obj -o a.png --type float
@@ -403,7 +403,7 @@ rm far.* nvdb_* tris_* near.exr
 
 # Options change the map.
 for option in "--normal green=up" "--normal green=down" "--normal space=object" "--padding 0" "--padding all" \
-    "--sampling nearest" "--samples 3"; do
+    "--scan sampling=nearest" "--samples 3"; do
     ok $bake $small $option plain.nvdb low.obj -o b.png --type 8 --maps normal
     case $option in
     "--normal green=up")

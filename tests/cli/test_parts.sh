@@ -255,7 +255,7 @@ for normals in smooth flat; do
     for grid in noisy reversed halves; do
         oracle measure $grid.nvdb
         grep -E '^(voxels|second_records) ' "$out" >$grid.counts
-        ok run bisque-bake $grid.nvdb low.obj --size 128 --samples 1 --sampling nearest --two-sided \
+        ok run bisque-bake $grid.nvdb low.obj --size 128 --samples 1 --scan sampling=nearest --two-sided \
             --maps normal,color,position --type float --front 1 --back 1 -o "${grid}_<MAP>.exr"
     done
     holds "$normals normals: many voxels have two records" [ "$(sed -n 's/^second_records //p' noisy.counts)" -gt 100 ]

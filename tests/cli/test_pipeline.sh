@@ -50,7 +50,7 @@ fi
 
 # Lookup of the nearest voxel is blockier: the option must make the result worse.
 ok run bisque-bake vase.nvdb low.obj --maps normal,mask --normal space=object --type float --size 512 \
-    --samples 1 --sampling nearest -o 'nearest_<MAP>.exr'
+    --samples 1 --scan sampling=nearest -o 'nearest_<MAP>.exr'
 if sanitized; then
     skip "vase: blending over neighbours beats the nearest voxel" "the scan is smaller under sanitizers"
 else

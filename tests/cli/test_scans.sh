@@ -181,7 +181,7 @@ ok $bake $size left.nvdb right.nvdb wide.obj -o 'x_<MAP>.exr' --maps all --rays 
 check "nothing is told if no scan has ids" $?
 $bake $size left.nvdb missing.nvdb wide.obj -o x.exr
 code 66
-$bake $size --sampling nearest left.nvdb left.tris wide.obj -o x.exr
+$bake $size --scan sampling=nearest left.nvdb left.tris wide.obj -o x.exr
 code 64
 $bake $size left.nvdb right.nvdb low.obj -o left.nvdb
 code 64

@@ -152,7 +152,7 @@ values fine_roughness.png two_rough 0.0001
 values fine_metallic.png two_metal 0.0001
 values fine_emission.png two_light 0.0001
 values fine_coat.png three 0.0001
-ok $bake fine.nvdb low.obj --maps $four --sampling nearest -o 'near_<MAP>.png'
+ok $bake fine.nvdb low.obj --maps $four --scan sampling=nearest -o 'near_<MAP>.png'
 values near_coat.png three 0.005
 
 # A sphere of radius 1 whose image shows its position: a function of it, by triangles and by voxels.

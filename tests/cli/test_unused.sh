@@ -60,7 +60,7 @@ nothing()
     ok run bisque-bake "$@" vase-low.obj --progress none --size 4 --samples 1 -o '<MAP>.exr'
     holds "a warning of $option on $scan" [ "$(cat "$err")" = "bisque-bake: warning: $option has no effect: it needs $needs" ]
 }
-for words in "--ao coarse=none" "--sampling trilinear" "--gpu-memory 1G"; do
+for words in "--ao coarse=none" "--scan sampling=trilinear" "--gpu-memory 1G"; do
     # shellcheck disable=SC2086 # an option and its value
     nothing "a grid" "${words%[ =]*}" vase-high.tris --maps ao $words
     # shellcheck disable=SC2086
@@ -68,8 +68,8 @@ for words in "--ao coarse=none" "--sampling trilinear" "--gpu-memory 1G"; do
         $words -o map.exr
     holds "none of $words for a grid beside triangles" [ ! -s "$err" ]
 done
-nothing "triangles without normals" --scan-normals with.tris --scan-normals flat --two-sided
-nothing "triangles without normals" --scan-normals vase-high.nvdb --scan-normals smooth
+nothing "triangles without normals" "--scan normals" with.tris --scan normals=flat --two-sided
+nothing "triangles without normals" "--scan normals" vase-high.nvdb --scan-normals smooth
 nothing "--normal space=tangent" "--normal green" vase-high.nvdb --normal green=up,space=object
 bake --scan-normals flat -o '<MAP>.exr'
 code 64
