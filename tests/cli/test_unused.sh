@@ -46,10 +46,10 @@ unused "the map thickness" --rays thickness=2 -- --maps thickness -o map.png
 unused "the map thickness" --distance thickness=1 -- --maps thickness -o map.png
 unused "the map normal or bent" --normal space=object -- --maps normal -o map.png
 unused "the map normal or bent" --normal green=down -- --maps bent -o map.png
-unused "--preview" --view count=1 -- --preview preview.png -o '<MAP>.png'
-unused "--preview" --view up=z -- --preview preview.png -o '<MAP>.png'
-unused "--preview" --view from=90 -- --preview preview.png -o '<MAP>.png'
-unused "--preview" --view above=30 -- --preview preview.png -o '<MAP>.png'
+unused "--preview or --report" --view count=1 -- --preview preview.png -o '<MAP>.png'
+unused "--preview or --report" --view up=z -- --preview preview.png -o '<MAP>.png'
+unused "--preview or --report" --view from=90 -- --preview preview.png -o '<MAP>.png'
+unused "--preview or --report" --view above=30 -- --preview preview.png -o '<MAP>.png'
 unused "a device other than cpu" --gpu-memory 1G -- --device auto -o '<MAP>.png'
 
 # nothing NEEDS OPTION SCAN ARGUMENT...: the option has no effect on maps of the scan.
