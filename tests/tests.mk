@@ -223,6 +223,15 @@ check-doors: tests-build
 	    BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh tests/doors/check_reports.sh; \
 	else echo "check-doors: skipped, chromium and libjs-three cannot be installed"; fi
 
+trials ?= 5000
+seed   ?= $(shell date +%Y%m%d)
+.PHONY: check-combine
+## check-combine: trials=5000 of random options of seed=TEXT, and the table of what was run
+check-combine: tests-build
+	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests XDG_CACHE_HOME=$(CURDIR)/$(BUILD)/tests/cache \
+	    python3 -B tests/combine/combine.py --seed $(seed) --trials $(trials) \
+	    --keep $(BUILD)/combine-failures
+
 ## check-long: check, check-python, and many more rounds of the randomized tests
 .PHONY: check-long
 check-long: check

@@ -19,7 +19,7 @@ code 0
 
 # A program that does not keep the promise is found, and the commands that show it are few.
 mkdir bin
-cp "$BIN"/bisque-voxelize "$BIN"/bisque-compare bin
+cp "$BIN"/bisque-voxelize "$BIN"/bisque-simplify "$BIN"/bisque-compare bin
 cat >bin/bisque-bake <<'SH'
 #!/bin/sh
 "$REAL/bisque-bake" "$@" || exit

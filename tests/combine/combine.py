@@ -466,7 +466,7 @@ def run_trial(seed, tables, keep, counts):
     try:
         trial = trials.Trial(rng, os.path.join(top, "in"), tables)
         made = [run_job(runner, Grid(trial, scan), rng, counts) for scan in trial.scans]
-        if rng.random() < 0.2:
+        if rng.random() < 0.15:
             run_job(runner, Simplification(trial), rng, counts)
         if any(made):
             return "no grid", None

@@ -112,6 +112,10 @@ int main(int argument_count, char **arguments)
     for (uint64_t i = 0; i < count; i++) {
         const char *path = arguments[3 + i % uint64_t(argument_count - 3)];
         Bytes bytes = read_file(path);
+        if (bytes.empty()) {
+            std::printf("not ok - %s cannot be read\n", path);
+            return 1;
+        }
         std::string wrong;
         if (i >= uint64_t(argument_count - 3)) // each is read without damage first
             damage(bytes, random);
