@@ -21,21 +21,21 @@ rm -rf --one-file-system "$root"
 cp -a "$folder/base" "$root"
 cp "$1" "$root/tmp/bisque.deb"
 cp -L /etc/resolv.conf "$root/etc/resolv.conf"
-printf 'path-exclude=/usr/share/%s/*\n' doc man locale info lintian >"$root/etc/dpkg/dpkg.cfg.d/image"
-echo force-unsafe-io >>"$root/etc/dpkg/dpkg.cfg.d/image"
+echo force-unsafe-io >"$root/etc/dpkg/dpkg.cfg.d/image"
 inside 'apt-get update -qq
     apt-get install -y -qq --no-install-recommends /tmp/bisque.deb >/dev/null
     useradd --uid 1000 --create-home bisque && install -d -o bisque /work'
-# Names of libraries that programs link; NSS opens its own by name.
-inside 'find /usr/bin /usr/sbin /usr/lib/bisque /usr/lib/apt/methods -type f -executable -o -name "bisque-*.so" |
-    while read -r file; do ldd "$file" 2>/dev/null || true; done |
+# Licences stay. Then the libraries that no program links go; those of NSS are opened by name.
+inside 'find /usr/share/doc -type f ! -name copyright -delete
+    find /usr/share -mindepth 1 -maxdepth 1 ! -name doc ! -name bisque ! -name common-licenses -exec rm -rf {} +
+    rm -rf /tmp/* /var/lib/{apt,dpkg} /var/cache/* /var/log/* /usr/lib/{apt,dpkg,x86_64-linux-gnu/{gconv,perl*,dri}}
+    rm -f /usr/bin/{perl*,apt*,dpkg*,gpg*} /usr/sbin/* /usr/lib/x86_64-linux-gnu/*.a
+    find /usr/bin /usr/lib/bisque -type f | while read -r file; do ldd "$file" 2>/dev/null || true; done |
     sed -n "s/.*=> \(\/[^ ]*\) .*/\1/p" | sort -u | while read -r file; do readlink -f "$file"; done | sort -u >/tmp/linked
     find /usr/lib/x86_64-linux-gnu -type f -name "*.so*" ! -name "libnss_*" ! -name "ld-linux*" |
         sort | comm -23 - /tmp/linked | xargs -r rm
     find /usr/lib/x86_64-linux-gnu -xtype l -delete
-    rm -rf /tmp/* /var/lib/apt/lists/* /var/cache/apt/* /var/log/* /usr/share/{doc,man,locale,icons,zoneinfo,X11,fonts}
-    rm -rf /usr/lib/x86_64-linux-gnu/{gconv,perl*,dri}
-    ldconfig'
+    rm /tmp/linked'
 rm "$root/etc/resolv.conf"
 
 container=$(buildah from scratch)
@@ -44,7 +44,7 @@ buildah config --user 1000:1000 --workingdir /work --env PATH=/usr/bin:/bin --cm
     --label org.opencontainers.image.title=bisque --label org.opencontainers.image.version="$version" \
     --label org.opencontainers.image.licenses=Apache-2.0 "$container"
 buildah run "$container" -- bisque-voxelize --version
-buildah commit -q --timestamp "${SOURCE_DATE_EPOCH:-0}" "$container" "oci-archive:$2:bisque:$version" >/dev/null
+buildah commit -q --disable-compression=false --timestamp "${SOURCE_DATE_EPOCH:-0}" "$container" "oci-archive:$2:bisque:$version" >/dev/null
 buildah rm "$container" >/dev/null
 bytes=$(stat -c %s "$2")
 echo "$2: $((bytes / 1000000)) MB, $(du -sm "$root" | cut -f1) MiB unpacked"

@@ -63,6 +63,11 @@ image: deb
 	@mkdir -p $(dir $(image))
 	tools/packaging/make-image.sh build/deb/bisque_$(VERSION)_amd64.deb $(image)
 
+.PHONY: check-image
+## check-image: bake in the image of `make image`, which must be there (needs root)
+check-image: tests-build
+	@IMAGE=$(image) BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh tests/doors/check_image.sh
+
 ## deb: build/deb with Debian packages of the last commit (installs missing packages)
 deb: deps-deb dist
 	tools/packaging/make-deb.sh $(dist) build/deb
