@@ -18,7 +18,7 @@ struct vox_closest_node {
 
 struct build {
     struct vox_closest *tree;
-    float (*middles)[3]; /* of triangles, twice */
+    float (*middles)[3]; /* of triangles, twice; NULL: triangles are in order */
     uint32_t node_count;
 };
 
@@ -71,22 +71,31 @@ static void select_middle(const struct build *b, uint32_t begin, uint32_t end, u
 static void build_node(struct build *b, uint32_t begin, uint32_t end)
 {
     struct vox_closest_node *node = &b->tree->nodes[b->node_count++];
-    *node = (struct vox_closest_node){.begin = begin, .end = end};
-    bound_node(b->tree, node);
-    if (end - begin <= LEAF_TRIANGLES)
-        return;
-    int axis = 0;
-    for (int k = 1; k < 3; k++)
-        axis = node->high[k] - node->low[k] > node->high[axis] - node->low[axis] ? k : axis;
+    const bool leaf = end - begin <= LEAF_TRIANGLES;
     const uint32_t middle = begin + (end - begin) / 2;
-    select_middle(b, begin, end, middle, axis);
+    *node = (struct vox_closest_node){.begin = begin, .end = end};
+    if (leaf || b->middles)
+        bound_node(b->tree, node);
+    if (leaf)
+        return;
+    if (b->middles) {
+        int axis = 0;
+        for (int k = 1; k < 3; k++)
+            axis = node->high[k] - node->low[k] > node->high[axis] - node->low[axis] ? k : axis;
+        select_middle(b, begin, end, middle, axis);
+    }
     build_node(b, begin, middle);
     node->right = b->node_count;
     build_node(b, middle, end);
+    const struct vox_closest_node *left = node + 1, *right = &b->tree->nodes[node->right];
+    for (int k = 0; k < 3; k++) {
+        node->low[k] = left->low[k] < right->low[k] ? left->low[k] : right->low[k];
+        node->high[k] = left->high[k] > right->high[k] ? left->high[k] : right->high[k];
+    }
 }
 
 int vox_closest_build(struct bsq_ctx *ctx, const float (*positions)[3],
-                      const uint32_t (*triangles)[3], uint32_t triangle_count,
+                      const uint32_t (*triangles)[3], uint32_t triangle_count, bool in_order,
                       struct vox_closest *out)
 {
     struct build b = {.tree = out};
@@ -96,9 +105,12 @@ int vox_closest_build(struct bsq_ctx *ctx, const float (*positions)[3],
     BSQ_TRY(
         bsq_alloc(ctx, "a tree of triangles", triangle_count + 1, sizeof *out->nodes, &out->nodes));
     BSQ_TRY(bsq_alloc(ctx, "a tree of triangles", triangle_count, sizeof *out->order, &out->order));
-    BSQ_TRY(bsq_alloc(ctx, "a tree of triangles", triangle_count, sizeof *b.middles, &b.middles));
-    for (uint32_t t = 0; t < triangle_count; t++) {
+    for (uint32_t t = 0; t < triangle_count; t++)
         out->order[t] = t;
+    if (!in_order)
+        BSQ_TRY(
+            bsq_alloc(ctx, "a tree of triangles", triangle_count, sizeof *b.middles, &b.middles));
+    for (uint32_t t = 0; t < triangle_count && b.middles; t++) {
         for (int k = 0; k < 3; k++) {
             const float x = positions[triangles[t][0]][k], y = positions[triangles[t][1]][k],
                         z = positions[triangles[t][2]][k];

@@ -242,7 +242,7 @@ static int measure_samples(const struct measuring *m, uint64_t index,
             continue;
         if (!tree.nodes)
             BSQ_TRY(vox_closest_build(m->ctx, chunk->positions, chunk->triangles,
-                                      chunk->triangle_count, &tree));
+                                      chunk->triangle_count, true, &tree));
         const double square = vox_closest_square(&tree, p, most);
         if (square < most)
             lower(&m->found[s], square);
@@ -327,7 +327,7 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
     BSQ_TRY(bsq_alloc(ctx, "samples", m.sample_count, sizeof *m.samples, &m.samples));
     BSQ_TRY(bsq_alloc(ctx, "samples", m.sample_count, sizeof *m.found, &m.found));
     BSQ_TRY(vox_closest_build(ctx, (const float(*)[3])mesh->positions,
-                              (const uint32_t(*)[3])mesh->triangles, mesh->triangle_count,
+                              (const uint32_t(*)[3])mesh->triangles, mesh->triangle_count, false,
                               &m.tree));
     spread_samples(&m);
     memset(m.found, 0x7f, m.sample_count * sizeof *m.found); /* about 3e38 */

@@ -28,7 +28,7 @@ static double sampled_square(const float (*p)[3], const uint32_t t[3], const dou
     return least;
 }
 
-TEST(closest_points)
+static void compare_closest(bool in_order)
 {
     struct bsq_ctx *ctx = test_context(1, 0);
     float positions[3 * TRIANGLES][3];
@@ -44,7 +44,7 @@ TEST(closest_points)
         }
     struct vox_closest tree;
     assert_int_equal(vox_closest_build(ctx, (const float(*)[3])positions,
-                                       (const uint32_t(*)[3])triangles, TRIANGLES, &tree),
+                                       (const uint32_t(*)[3])triangles, TRIANGLES, in_order, &tree),
                      0);
     for (int i = 0; i < QUERIES; i++) {
         double q[3], sampled = INFINITY;
@@ -60,6 +60,16 @@ TEST(closest_points)
     }
     vox_closest_free(ctx, &tree);
     test_context_end(ctx);
+}
+
+TEST(closest_points)
+{
+    compare_closest(false);
+}
+
+TEST(closest_points_of_a_tree_in_order)
+{
+    compare_closest(true);
 }
 
 RUN_TESTS(NULL, NULL)

@@ -170,8 +170,9 @@ TEST(crowded_edges_stay)
 {
     enum { N = 8 };
     struct vox_mesh sheet = make_grid(N, false, on_plane), mesh;
-    assert_int_equal(
-        vox_mesh_allocate(ctx, 3 * sheet.vertex_count, 3 * sheet.triangle_count, true, false, &mesh), 0);
+    assert_int_equal(vox_mesh_allocate(ctx, 3 * sheet.vertex_count, 3 * sheet.triangle_count, true,
+                                       false, &mesh),
+                     0);
     for (uint32_t s = 0; s < 3; s++) {
         for (uint32_t v = 0; v < sheet.vertex_count; v++) { /* turned around the line y = 0 */
             const float y = sheet.positions[v][1];
