@@ -237,7 +237,7 @@ check-combine: tests-build
 check-long: check
 	@$(MAKE) --no-print-directory check-python
 	@LONG=1 BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
-	    $(patsubst %,tests/cli/test_%.sh,combine faults overwritten oracle reproducible) \
+	    $(patsubst %,tests/cli/test_%.sh,combine faults gltf_materials overwritten oracle reproducible) \
 	    $(BUILD)/tests/exhaustion/test_exhaustion $(BUILD)/tests/libvoxel/test_error
 
 # ---- quality ----

@@ -4,6 +4,7 @@
 
 The maps are color, roughness, metallic and normal: what reaches the sockets of the Principled shader
 that Blender's reader of glTF files makes. Needs the Python module bpy."""
+import os
 import sys
 
 import bpy
@@ -83,7 +84,7 @@ def main(path, name, width, height):
                 show(material, map_name)
         scene = bpy.context.scene
         scene.view_settings.view_transform = "Standard" if map_name == "color" else "Raw"
-        scene.render.filepath = f"{name}.{map_name}.png"
+        scene.render.filepath = os.path.abspath(f"{name}.{map_name}.png")
         bpy.ops.render.render(write_still=True)
 
 
