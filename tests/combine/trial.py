@@ -261,11 +261,11 @@ class Trial:
 
     def draw_triangles(self, program):
         counts = self.random.sample(range(4, 200), self.random.choice([1, 1, 3]))
-        self.low_name = ("m_low_<N>" if len(counts) > 1 else "m_low") + self.odd + self.random.choice([".obj", ".ply"])
+        self.low_name = ("m_low_<N>" if len(counts) > 1 else "m_low") + self.odd + self.random.choice([".obj", ".ply", ".glb"])
         return ",".join(map(str, counts))
 
     def draw_error(self, program):
-        self.low_name = "m_low" + self.random.choice([".obj", ".ply"])
+        self.low_name = "m_low" + self.random.choice([".obj", ".ply", ".glb"])
         return self.length(program)
 
     def draw_channels(self, program):
