@@ -314,9 +314,9 @@ def measured(runner, job, base, rng):
 def as_tasks(runner, job, base, rng):
     """Divides the bake into tasks, which run in any order, some together and some twice."""
     count, given = rng.choice([1, 2, 2, 3, 3, 5, 5, 30]), list(job.given)
-    plan = ["--tasks", "%d" % count, "--write-plan", "plan.json"]
+    plan = ["--tasks", "%d" % count, "--plan", "plan.json"]
     code, _ = job.run(runner, plan)
-    while code == 64 and base.code == 0 and (refused := trials.named_in(runner.said, given, None)):
+    while code == 64 and base.code < 64 and (refused := trials.named_in(runner.said, given, None)):
         given = [one for one in given if one[0] is not refused]  # an output that a plan refuses
         base = base._replace(files={name: v for name, v in base.files.items()
                                     if not name.startswith("m_" + refused.name)})
@@ -336,7 +336,7 @@ def as_tasks(runner, job, base, rng):
             break
     tiles = rng.random() < 0.4
     if max(codes) < 64 and tiles:
-        code, _ = runner.run("bisque-bake", ["--plan", "plan.json", "--merge-tile", "0"])
+        code, _ = runner.run("bisque-bake", ["--plan", "plan.json", "--merge", "--task", "0"])
         codes.append(code if code >= 64 else 0)
     if max(codes) < 64:
         code, _ = runner.run("bisque-bake", ["--plan", "plan.json", "--merge"])
