@@ -392,6 +392,8 @@ struct bake_report {
     double seen_cell;
     double unseen;          /**< Share of the scans' area that no sample reached. */
     double unseen_inside;   /**< The same of the area within the low-poly mesh's bounding box. */
+    double texel;           /**< Mean side of a texel on the low-poly mesh, world units. */
+    double voxel;           /**< That of the coarsest grid; 0: there is none. */
     double front;           /**< Length of rays along the normal. */
     double back;            /**< Length of rays against the normal. */
     double seconds_open;    /**< Before the first ray; includes the upload of the grid. */

@@ -150,6 +150,18 @@ static void print_unseen(const struct bake_report *report)
     putchar('\n');
 }
 
+/* Prints how large voxels are on the map, and which would keep all of its detail. */
+static void print_voxels(const struct bake_report *report)
+{
+    const double matching = 0.5 * report->texel;
+    if (!(report->voxel > 0 && report->texel > 0))
+        return;
+    cli_print("a voxel is %.2g texels", report->voxel / report->texel);
+    if (report->voxel > 1.1 * matching)
+        cli_print("; one of half a texel would match: --voxel-size %.3g", matching);
+    putchar('\n');
+}
+
 static int print_map(void *arg, const struct bake_file *file)
 {
     const struct bake_report *report = (const struct bake_report *)arg;
@@ -186,6 +198,7 @@ static int print_report(const struct cli *cli, const struct bake_arguments *argu
               cli_counted_text(report->samples, "sample", "samples", samples),
               cli_count_text(report->misses, misses), percent(report->misses, report->samples),
               report->front, report->back, report->device);
+    print_voxels(report);
     print_unseen(report);
     for (uint32_t i = 0; i < report->tile_count; i++)
         BSQ_TRY(bake_list_files(cli->ctx, bake, &report->tiles[i], print_map, report));
@@ -314,7 +327,7 @@ static json_t *report_json(const struct cli *cli, const struct bake_arguments *a
     const struct bake_options *bake = &arguments->bake;
     return json_pack(
         "{s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:o, s:i, s:i, s:i, s:o, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:f,"
-        " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:I, s:o}",
+        " s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:f, s:I, s:I, s:I, s:o, s:f, s:f}",
         "scan_path", cli_json_text(bake->scan_path), "scan_paths",
         paths_json(bake->scan_path, bake->more_scan_paths, bake->more_scan_count), "mesh_path",
         cli_json_text(bake->mesh_path), "mesh_paths",
@@ -336,7 +349,7 @@ static json_t *report_json(const struct cli *cli, const struct bake_arguments *a
         "seconds_upload", report->seconds_upload, "seconds_kernels", report->seconds_kernels,
         "seconds_copies", report->seconds_copies, "kernel_calls", (json_int_t)report->kernel_calls,
         "chunk_loads", (json_int_t)report->chunk_loads, "passes", (json_int_t)report->passes,
-        "unseen", unseen_json(report));
+        "unseen", unseen_json(report), "texel", report->texel, "voxel", report->voxel);
 }
 
 int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,

@@ -2,6 +2,7 @@
  *
  * Errors in the arguments, in the inputs and in the output's directory are found before the first
  * ray. The files get their final names at the very end, one after another. */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -22,6 +23,8 @@ static int run(struct bake_work *job)
     bake_expect_work(job);
     BSQ_TRY(bake_open_device(job));
     bake_udim_areas(options, &job->mesh, &job->udim, &area, &texels);
+    job->report->texel = texels > 0 ? sqrt(area / texels) : 0;
+    job->report->voxel = job->surface.grids ? job->surface.detail : 0;
     BSQ_TRY(bake_seen_create(&job->surface, area, texels, job->device, &job->seen));
     double opened = bsq_seconds_now();
     job->report->seconds_open = opened - started;

@@ -182,6 +182,21 @@ for kind in tris nvdb; do
     check "$kind: neither threads nor memory change what is counted" $?
 done
 
+# ---- voxels and texels ----
+
+# The square of side 2 has texels of 2 / 128.
+mesh low.obj flat 4
+ok run bisque-voxelize low.obj -o flat.nvdb --voxel-size 0.03125
+ok run bisque-bake flat.nvdb low.obj -o o.png --size 128 --device cpu
+grep -qx 'a voxel is 2 texels; one of half a texel would match: --voxel-size 0.00781' "$out"
+check "the report names the voxel size that matches" $?
+ok run bisque-voxelize low.obj -o flat.nvdb --voxel-size 0.0078125
+ok run bisque-bake flat.nvdb low.obj -o o.png --size 128 --device cpu
+grep -qx 'a voxel is 0.5 texels' "$out"
+check "and none if it matches" $?
+ok run bisque-bake flat.tris low.obj -o o.png --size 128 --device cpu --json
+json '.texel == 0.015625 and .voxel == 0'
+
 # ---- what the options do ----
 
 # A mesh that was turned, scaled and shifted and is placed again gives the same map.
