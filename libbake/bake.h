@@ -30,6 +30,7 @@ enum bake_map {
     BAKE_MAP_BENT = 128,      /**< Mean open direction, as BAKE_MAP_NORMAL has it. */
     BAKE_MAP_THICKNESS = 256, /**< Mean distance through the solid below the hit. */
     BAKE_MAP_ID = 512, /**< A colour for each region, see struct bake_id. Scans with ids only. */
+    BAKE_MAP_CONFIDENCE = 1024, /**< How sure hits are, 0 to 1; 0 where nothing was hit. */
     BAKE_MAPS_USUAL =
         1 << 29, /**< The maps of BAKE_MAPS_DEFAULT, and maps whose bits are also set. */
     BAKE_MAPS_ALL =

@@ -87,6 +87,7 @@ struct bake_exact_batch {
     double t_min, t_max;         /* range of the hits' t */
     const float *reaches;        /* of each ray, see bake_ray_cost(); NULL: 0 */
     bool from_reach;             /* hits with a larger t than the reach do not count */
+    double gap;                  /* hits nearer to t = 0 do not count */
     bool distances_only;         /* do not evaluate normals and colours */
     /* Surfaces must face the ray's origin, as for a camera. Otherwise they must face its end, as
      * for rays along the low-poly mesh's normals. */

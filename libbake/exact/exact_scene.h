@@ -133,7 +133,7 @@ static inline bool exact_wins(double t, uint64_t triangle, double other_t, uint6
 
 /* Limits that a hit must meet to count. */
 struct exact_limits {
-    double t_min, t_max;
+    double t_min, t_max, gap;
     bool facing_origin, two_sided; /* as in struct bake_exact_batch and bake_exact_options */
     bool any;                      /* the first hit that is found will do */
     bool from_reach;               /* as in struct bake_exact_batch */

@@ -445,6 +445,7 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *ba
                         .buckets = &buckets,
                         .limits = {.t_min = batch->t_min,
                                    .t_max = batch->t_max,
+                                   .gap = batch->gap,
                                    .facing_origin = batch->facing_origin,
                                    .from_reach = batch->from_reach,
                                    .two_sided = exact->options.two_sided}};

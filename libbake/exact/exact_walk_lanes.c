@@ -66,7 +66,8 @@ static void try_triangle(struct trace *trace, uint32_t triangle)
     trace->sheared = true;
     if (!exact_cross_triangle(&trace->shear, chunk->positions[v[0]], chunk->positions[v[1]],
                               chunk->positions[v[2]], &crossing) ||
-        !(crossing.t >= limits->t_min && crossing.t <= trace->t_max))
+        !(crossing.t >= limits->t_min && crossing.t <= trace->t_max) ||
+        fabs(crossing.t) < limits->gap)
         return;
     if (best->triangle != BAKE_EXACT_NONE &&
         !exact_wins(crossing.t, number, best->t, best->triangle, best->reach))

@@ -67,6 +67,8 @@ static double ray_seconds(const struct share *task, const struct speed *speed)
     double sample = speed->sample, texel = 0;
     if (looks_around(job))
         sample += speed->look;
+    if (job->maps & BAKE_MAP_CONFIDENCE)
+        sample += speed->sample;
     if (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT))
         sample += options->ao_rays * speed->open;
     if (job->maps & BAKE_MAP_THICKNESS)
@@ -172,6 +174,8 @@ void bake_expect_work(const struct bake_work *job)
         rays += options->ao_rays;
     if (job->maps & BAKE_MAP_THICKNESS)
         rays += options->thickness_rays;
+    if (job->maps & BAKE_MAP_CONFIDENCE)
+        rays += 2;
     bake_expect_cost(job, texels, texels, &cost);
     report->expected_rays = texels * options->samples * options->samples * rays;
     report->expected_seconds = cost.cpu_seconds;

@@ -26,7 +26,8 @@
     X(ao, 1)                                                                                       \
     X(bent, 3)                                                                                     \
     X(thickness, 1)                                                                                \
-    X(id, 2 * BK_ID_SLOTS)
+    X(id, 2 * BK_ID_SLOTS)                                                                         \
+    X(confidence, 1)
 
 #define BK_MAP_NUMBER(name, sums) BK_MAP_##name,
 enum { BK_MAPS(BK_MAP_NUMBER) BK_MAP_COUNT };
@@ -58,6 +59,7 @@ typedef struct bk_map_hit {
     float open;      /* share of the hemisphere that is open */
     float bent[3];   /* mean open direction in the space of the normal map, with its weight */
     float thickness; /* mean distance through the solid */
+    float confidence;
 } bk_map_hit;
 
 BK_FN void bk_add3(BK_GLOBAL float *sums, const float v[3])
@@ -150,6 +152,11 @@ BK_FN void bk_add_id(const bk_map_hit *hit, BK_GLOBAL float *sums)
     }
     for (i = 0; i < BK_ID_SLOTS; i++)
         sums[2 * i] -= 1.0f;
+}
+
+BK_FN void bk_add_confidence(const bk_map_hit *hit, BK_GLOBAL float *sums)
+{
+    sums[0] += hit->confidence;
 }
 
 /* Floats of a texel with these maps. */

@@ -159,6 +159,7 @@ typedef struct bk_map_hits {
     bk_vec3w position, normal, map_normal, color;
     bk_iw id;
     bk_fw open, thickness; /* 0 unless bk_surroundings_for_maps() has set them */
+    bk_fw confidence;      /* for its map only, see bk_set_confidence() */
     bk_vec3w bent;
 } bk_map_hits;
 
@@ -179,6 +180,22 @@ BK_FN void bk_hits_for_maps(const bk_params *params, const bk_point *points, con
     out->id = hits->id;
     out->open = out->thickness = bk_splat(0.0f);
     out->bent = out->map_normal;
+}
+
+/* Sets the confidence in hits: the share of the ray's length that was left at the hit, times the
+ * cosine between ray and surface, times g / (g + |t|), where g is the distance from the hit to the
+ * next surface that the ray could have hit too, in voxels. */
+BK_FN void bk_set_confidence(const bk_params *params, const bk_start *start, const bk_hits *hits,
+                             bk_fw next, bk_map_hits *out)
+{
+    const bk_fw zero = bk_splat(0.0f), one = bk_splat(1.0f);
+    const bk_fw away = bk_absw(hits->t);
+    const bk_fw length = bk_select(bk_less(hits->t, zero), bk_splat(params->back), start->t_max);
+    const bk_fw left = bk_maxw(one - away / bk_maxw(length, away), zero);
+    const bk_fw slope = bk_minw(bk_absw(bk_dotw(hits->normal, start->direction)), one);
+
+    /* A hit on the mesh itself leaves all of a ray of any length. */
+    out->confidence = bk_select(away == zero, slope, left * slope * (next / (next + away)));
 }
 
 /* Turns what secondary rays found, lane by lane, into values for maps. A bent direction has the
@@ -229,12 +246,16 @@ BK_FN void bk_trace_hits(const bk_grid *grid, const bk_params *params, bk_cache 
     lines.origin = traced->start.origin;
     lines.direction = lines.facing = traced->start.direction;
     lines.reach = traced->start.reach;
-    lines.t_min = -params->back;
+    lines.t_min = bk_splat(-params->back);
+    lines.gap = 0.0f;
     lines.t_max = traced->start.t_max;
     for (lane = 0; lane < BK_WIDTH; lane++)
         lines.sums[lane] = samples->texel[lane] + transfers;
     bk_trace(grid, params, cache, &lines, &traced->hits);
     bk_hits_for_maps(params, &traced->points, &traced->start, &traced->hits, out);
+    if (params->maps >> BK_MAP_confidence & 1u)
+        bk_set_confidence(params, &traced->start, &traced->hits,
+                          bk_next_sheet(grid, params, cache, &lines, &traced->hits), out);
 }
 
 /* Returns the place of a sample's hit, from which further rays start. */
@@ -301,6 +322,8 @@ BK_FN void bk_add_sample(const bk_params *params, const bk_map_hits *hits, bk_ui
     hit.id = (bk_uint)bk_lane(hits->id, lane);
     hit.open = bk_lane(hits->open, lane);
     hit.thickness = bk_lane(hits->thickness, lane);
+    if (params->maps >> BK_MAP_confidence & 1u)
+        hit.confidence = bk_lane(hits->confidence, lane);
     bk_add_to_maps(params->maps, &hit, texel);
 }
 

@@ -210,12 +210,13 @@ BK_FN void bk_turn(bk_ray *ray)
 }
 
 /* Lines to trace, in index space: lanes 0 to count - 1. A line is walked from t = reach inwards,
- * against its direction, and then from there outwards: see bk_nearest(). */
+ * against its direction, and then from there outwards: see bk_nearest(). Both begin `gap` away from
+ * there. */
 typedef struct bk_lines {
     bk_uint count;
     bk_vec3w origin, direction, facing;
-    bk_fw reach, t_max;
-    float t_min;
+    bk_fw reach, t_min, t_max;
+    float gap;
     /* Sums of transfer maps, to which their values at hits are added; the first is NULL: there are
      * none. */
     BK_GLOBAL float *sums[BK_WIDTH];
@@ -234,19 +235,21 @@ BK_FN void bk_walk_half(const bk_grid *grid, const bk_params *params, bk_cache *
     bk_walk_rays(grid, params, cache, ray, walk, t_near, t_far);
 }
 
-/* Returns the first crossings inwards from t = reach, or outwards from there if those have a
- * smaller t than the first ones have -t. So up to `reach` the outermost surface counts, and beyond
- * it, on either side, the one that is nearest to the lines' origins; of two at the same distance
- * the outward one. t is in [t_min, t_max]. Ignores surfaces whose normal has no positive dot
- * product with `facing`, unless BK_TWO_SIDED is set. On return the rays, which pointed along the
- * lines, point to the crossings, whose t is along the rays; *inward: lanes whose ray was reversed.
+/* Returns the first crossings inwards from t = reach - gap, or outwards from t = reach + gap if
+ * those have a smaller t than the first ones have -t. So up to `reach` the outermost surface
+ * counts, and beyond it, on either side, the one that is nearest to the lines' origins; of two at
+ * the same distance the outward one. t is in [t_min, t_max]. Ignores surfaces whose normal has no
+ * positive dot product with `facing`, unless BK_TWO_SIDED is set. On return the rays, which pointed
+ * along the lines, point to the crossings, whose t is along the rays; *inward: lanes whose ray was
+ * reversed.
  */
 BK_FN bk_crossing bk_nearest(const bk_grid *grid, const bk_params *params, bk_cache *cache,
                              const bk_lines *lines, bk_ray *ray, bk_mask *inward)
 {
     const bk_mask valid = ray->valid;
-    const bk_fw t_min = bk_splat(lines->t_min);
+    const bk_fw t_min = lines->t_min;
     const bk_fw reach = bk_maxw(bk_minw(lines->reach, lines->t_max), t_min);
+    const bk_fw gap = bk_splat(lines->gap);
     bk_crossing first;
     bk_mask better, farther;
     bk_ray outward;
@@ -254,7 +257,7 @@ BK_FN bk_crossing bk_nearest(const bk_grid *grid, const bk_params *params, bk_ca
 
     outward = *ray;
     bk_turn(ray);
-    bk_walk_half(grid, params, cache, ray, -reach, -t_min, &walk);
+    bk_walk_half(grid, params, cache, ray, gap - reach, -t_min, &walk);
     first = walk.hit;
     *inward = bk_mask_of(~0u);
     /* Of the lines whose first crossing is farther than `reach`. */
@@ -263,7 +266,7 @@ BK_FN bk_crossing bk_nearest(const bk_grid *grid, const bk_params *params, bk_ca
     outward.valid = valid & farther;
     if (!bk_bits(outward.valid))
         return first;
-    bk_walk_half(grid, params, cache, &outward, reach,
+    bk_walk_half(grid, params, cache, &outward, reach + gap,
                  bk_select(first.found, bk_minw(first.t, lines->t_max), lines->t_max), &walk);
     better = walk.hit.found;
     ray->direction = bk_select3(better, outward.direction, ray->direction);
@@ -431,6 +434,31 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
         hits->normal =
             bk_select3(bk_mask_of(hits->reversed), bk_v3w(-n.x, -n.y, -n.z), hits->normal);
     }
+}
+
+/* Records within this distance of a hit, in voxels, belong to the surface that was hit. */
+#define BK_NEXT_SHEET 2.0f
+
+/* Returns the distances from the hits of lines to the next surface that the lines could have hit
+ * too, on either side; BK_FAR if there is none. */
+BK_FN bk_fw bk_next_sheet(const bk_grid *grid, const bk_params *params, bk_cache *cache,
+                          const bk_lines *lines, const bk_hits *hits)
+{
+    const bk_mask found = bk_mask_of(hits->found);
+    const bk_fw zero = bk_splat(0.0f), t = bk_select(found, hits->t, zero);
+    bk_lines around = *lines;
+    bk_hits next;
+
+    around.origin = bk_add_scaledw(lines->origin, t, lines->direction);
+    around.direction = bk_select3(found, lines->direction, bk_v3w(zero, zero, zero));
+    around.reach = zero;
+    around.t_min = bk_minw(lines->t_min - t, zero);
+    around.t_max = bk_maxw(lines->t_max - t, zero);
+    around.gap = BK_NEXT_SHEET;
+    around.sums[0] = 0;
+    /* Not bk_nearest(), so that this has one caller and is compiled into it. */
+    bk_trace(grid, params, cache, &around, &next);
+    return bk_select(bk_mask_of(next.found), bk_absw(next.t), bk_splat(BK_FAR));
 }
 
 #endif

@@ -51,7 +51,7 @@ void bake_encode_row(const struct bake_encoder *encoder, const float *const *sou
                      const float *texels, uint32_t channels, uint32_t width, float *out)
 {
     const uint32_t count = encoder->row->channels;
-    if (!encoder->row->resolve) {
+    if (!encoder->row->resolve || encoder->row->of_all) {
         encode_shares(encoder, texels, channels, width, out);
         return;
     }

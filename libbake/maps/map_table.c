@@ -296,6 +296,10 @@ const struct bake_map_row bake_map_table[] = {
                    .usual_type = BAKE_UINT8,
                    .resolve = resolve_id,
                    .describe = describe_ids},
+    [BK_MAP_confidence] = {.summary = "how sure the hits are: near, facing, no second layer",
+                           .channels = 1,
+                           .of_all = true,
+                           .resolve = resolve_mean},
 };
 
 _Static_assert(sizeof bake_map_table / sizeof *bake_map_table == BK_MAP_COUNT,
@@ -310,7 +314,8 @@ _Static_assert(BAKE_MAP_NORMAL == 1 << BK_MAP_normal && BAKE_MAP_COLOR == 1 << B
                    BAKE_MAP_POSITION == 1 << BK_MAP_position &&
                    BAKE_MAP_CURVATURE == 1 << BK_MAP_curvature && BAKE_MAP_AO == 1 << BK_MAP_ao &&
                    BAKE_MAP_BENT == 1 << BK_MAP_bent &&
-                   BAKE_MAP_THICKNESS == 1 << BK_MAP_thickness && BAKE_MAP_ID == 1 << BK_MAP_id,
+                   BAKE_MAP_THICKNESS == 1 << BK_MAP_thickness && BAKE_MAP_ID == 1 << BK_MAP_id &&
+                   BAKE_MAP_CONFIDENCE == 1 << BK_MAP_confidence,
                "bits of bake.h are rows of BK_MAPS");
 _Static_assert((int)BK_MAP_COUNT < (int)BAKE_MAX_MAPS && (int)BAKE_MAX_MAPS == BK_TRANSFER_SHIFT &&
                    (unsigned)BAKE_MAX_TRANSFERS == BK_TRANSFER_MASK,

@@ -84,6 +84,7 @@ struct bake_map_row {
     bool needs_color;      /* from the scan */
     bool needs_ids;        /* likewise */
     bool color;            /* values are linear light; otherwise data, which is not transformed */
+    bool of_all;           /* samples that missed count as 0, and it is not dilated */
     bool rounded;          /* samples of 8 bits are not dithered */
     uint32_t sample_types; /* that can hold its values, FMT_SAMPLE_BIT() or-ed; 0: all */
     /* The sample type if none is asked for; BAKE_SAMPLE_USUAL: the usual type of the format. */

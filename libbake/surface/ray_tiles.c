@@ -8,11 +8,16 @@
  * kernel's functions. */
 #include "libbake/surface/surface.h"
 
+#include <math.h>
 #include <string.h>
 
 #include "base/parallel.h"
 #include "base/sort_array.h"
 #include "libbake/kernel/bk_sample.h"
+
+/* Triangles within this distance of a hit, as a share of 1/2048 of the scan's longest side, belong
+ * to the surface that was hit: more than rounding errors. */
+#define NEXT_SHEET 0.02
 
 struct tile {
     uint64_t place;   /* on the curve through the scan */
@@ -35,6 +40,7 @@ struct job {
     uint64_t *starts; /* tile_count + 1: first ray of order[i], counted over all batches */
     struct bake_exact_ray *rays;
     struct bake_exact_hit *hits;
+    struct bake_exact_hit *next; /* beside these hits, for `confidence`; else NULL */
     float *reaches;
     uint32_t *footprints, *objects;
     float *channels; /* of each hit: values of transfer maps; NULL: there are none */
@@ -223,12 +229,27 @@ static uint64_t transfer_floats(const struct job *job)
     return (uint64_t)BK_TRANSFER_VALUES * bk_transfers(job->tiles->params->maps);
 }
 
+/* Sets the confidence in a sample's hit. */
+static void set_confidence(const struct job *job, const struct sample *sample, bk_map_hits *placed)
+{
+    const struct bk_params *params = job->tiles->params;
+    const struct bake_exact_hit *hit = &job->hits[sample->ray], *beside = &job->next[sample->ray];
+    const bk_start start = bk_start_at(params, &sample->point);
+    const bk_hits hits = {.t = (float)(hit->t * job->units_a_length), .normal = placed->normal};
+    const float way = (float)(beside->t * job->units_a_length), t = hits.t + way;
+    const bool other =
+        beside->triangle != BAKE_EXACT_NONE && t >= -params->back && t <= start.t_max;
+    bk_set_confidence(params, &start, &hits, other ? fabsf(way) : BK_FAR, placed);
+}
+
 /* Adds a sample to its texel. texels: a row of them. */
 static void add_sample(struct job *job, const struct sample *sample, float *texels)
 {
     const struct bk_params *params = job->tiles->params;
     float *texel = texels + sample->column * job->workers.texel_floats;
     bk_map_hits placed = place_hit(job, &sample->point, &job->hits[sample->ray]);
+    if (job->next)
+        set_confidence(job, sample, &placed);
     if (job->look)
         bk_surroundings_for_maps(params, &sample->point, &job->surroundings[sample->ray], &placed);
     bk_add_sample(params, &placed, 0, texel);
@@ -281,6 +302,31 @@ static void seed_sample(struct job *job, const struct sample *sample, float *tex
 static int seed_tile(void *arg, uint64_t index, unsigned number)
 {
     return each_sample(arg, index, number, seed_sample);
+}
+
+/* Looks from each hit along its ray, both ways, for the next surface that the ray could have hit.
+ * The rays start at the hits from here on. */
+static int look_beside(struct job *job, const struct bake_surface_rays *rays)
+{
+    const struct bake_surface *surface = job->surface;
+    const double most = surface->front + surface->back, unit = surface->unit;
+    const struct bake_surface_rays beside = {.batch = {.rays = job->rays,
+                                                       .hits = job->next,
+                                                       .count = rays->batch.count,
+                                                       .t_min = -most,
+                                                       .t_max = most,
+                                                       .gap = NEXT_SHEET * surface->detail,
+                                                       .distances_only = true},
+                                             .objects = job->objects};
+    for (uint64_t i = 0; i < rays->batch.count; i++) {
+        const bool found = job->hits[i].triangle != BAKE_EXACT_NONE;
+        struct bake_exact_ray *ray = &job->rays[i];
+        for (int k = 0; k < 3; k++) {
+            ray->origin[k] += found ? (float)(job->hits[i].t / unit) * ray->direction[k] : 0;
+            ray->direction[k] = found ? ray->direction[k] : 0;
+        }
+    }
+    return bake_surface_trace(surface, &beside);
 }
 
 /* Traces the rays from all hits of the batch. */
@@ -348,6 +394,8 @@ static int run_batch(struct job *job, uint64_t texels)
         BSQ_TRY(bake_seen_mark_hits(surface, job->tiles->seen, &rays.batch));
     if (job->look && count > 0)
         BSQ_TRY(look_around(job, count, texels - first_texels));
+    if (job->next)
+        BSQ_TRY(look_beside(job, &rays));
     BSQ_TRY(bsq_parallel_for(job->ctx, job->count, resolve_tile, job));
 done:
     return status;
@@ -393,10 +441,12 @@ static int allocate_rays(struct job *job)
     const uint64_t all = job->starts[job->tile_count];
     const uint64_t look = job->look ? sizeof *job->seeds + sizeof *job->surroundings : 0;
     const uint64_t object = job->object_of ? sizeof *job->objects : 0;
+    const uint64_t next = job->tiles->params->maps & BAKE_MAP_CONFIDENCE ? sizeof *job->next : 0;
     const uint64_t channels = transfer_floats(job) * sizeof *job->channels;
     struct bsq_ctx *ctx = job->ctx;
     int status = 0;
-    job->capacity = bake_surface_capacity(job->surface, look + object + sizeof *job->reaches);
+    job->capacity =
+        bake_surface_capacity(job->surface, look + object + next + sizeof *job->reaches);
     for (uint32_t i = 0; i < job->tile_count; i++)
         if (job->order[i].samples > job->capacity)
             job->capacity = job->order[i].samples;
@@ -410,6 +460,8 @@ static int allocate_rays(struct job *job)
         BSQ_TRY(bsq_alloc(ctx, "secondary rays", n, sizeof *job->seeds, &job->seeds));
         BSQ_TRY(bsq_alloc(ctx, "secondary rays", n, sizeof *job->surroundings, &job->surroundings));
     }
+    if (next > 0)
+        BSQ_TRY(bsq_alloc(ctx, "hits", n, next, &job->next));
     if (job->footprint_table)
         BSQ_TRY(bsq_alloc(ctx, "footprints", n, sizeof *job->footprints, &job->footprints));
     if (object > 0)
@@ -431,6 +483,7 @@ static void release(struct job *job, struct bake_report *report)
     bsq_free(job->ctx, job->footprint_table);
     bsq_free(job->ctx, job->rays);
     bsq_free(job->ctx, job->hits);
+    bsq_free(job->ctx, job->next);
     bsq_free(job->ctx, job->reaches);
     bsq_free(job->ctx, job->footprints);
     bsq_free(job->ctx, job->objects);

@@ -16,7 +16,7 @@
 
 /* Of all samples, one in so many is marked; on a device, the processor traces these again. Small
  * maps mark more of them. */
-enum { RAY_SHARE = 8, RAY_LEAST = 16384, DEVICE_SHARE = 256, DEVICE_LEAST = 2048 };
+enum { RAY_SHARE = 8, RAY_LEAST = 16384, DEVICE_SHARE = 400, DEVICE_LEAST = 2048 };
 /* Cells; the table has some for each that a low-poly mesh of this area crosses. */
 enum { MOST_CELLS = 1 << 16, WORDS_A_CELL = 8, LEAST_WORDS_LOG2 = 10, MOST_STEPS = 64 };
 /* Leaves of a grid whose voxels are looked up; samples that are traced at a time. */

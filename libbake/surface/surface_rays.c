@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "base/parallel.h"
+#include "libbake/kernel/bk_trace.h"
 
 enum { RAYS_A_TASK = 256, MOVED_RAYS_A_TASK = 4096, MAX_GRID_RAYS = 1 << 18 };
 
@@ -39,6 +40,7 @@ static int trace_grid_rays(void *arg, uint64_t task, unsigned worker)
                                    .count = left < RAYS_A_TASK ? left : RAYS_A_TASK,
                                    .t_min = (float)(batch->t_min / unit),
                                    .t_max = (float)(batch->t_max / unit),
+                                   .gap = batch->gap > 0 ? BK_NEXT_SHEET : 0.0f,
                                    .facing = batch->facing_origin ? -1.0f : 1.0f,
                                    .reaches = batch->reaches ? reaches : NULL,
                                    .from_reach = batch->from_reach,

@@ -303,13 +303,13 @@ rm look.png m.png n.png
 
 # "all" is every map that the scan gives; "opacity" is the mask.
 ok $bake $small plain.nvdb low.obj -o 'all_<MAP>.exr' --maps all --json
-files all_ao.exr all_bent.exr all_curvature.exr all_height.exr all_mask.exr all_normal.exr all_position.exr \
+files all_ao.exr all_bent.exr all_confidence.exr all_curvature.exr all_height.exr all_mask.exr all_normal.exr all_position.exr \
     all_thickness.exr n8.png $start
 json '.encodings | keys == ["curvature", "height", "position", "thickness"]'
 json '.encodings.curvature | .unit == "1 / mesh unit" and .radius > 0 and .range > 0'
 json '.encodings.position | .unit == "mesh unit" and .scale == [1, 1, 1] and .offset == [0, 0, 0] and .origin == [0, 0, 0]'
 ok $bake $small colored.nvdb low.obj -o 'all_<MAP>.png' --maps all,color --range position=box --range height=2 --json
-json '.maps | keys == ["ao", "bent", "color", "curvature", "height", "mask", "normal", "position", "thickness"]'
+json '.maps | keys == ["ao", "bent", "color", "confidence", "curvature", "height", "mask", "normal", "position", "thickness"]'
 json '.encodings.height == {"unit": "mesh unit", "radius": 0, "range": 2, "scale": [4], "offset": [-2], "origin": [0]}'
 json '.encodings.position | .scale == [1, 2, 3] and .offset == [0, 0, 0] and .range == 1.5'
 # Curvature of a radius that is given, with a range that is given.
@@ -336,7 +336,7 @@ rm mask.exr h.exr
 
 # A box is convex: all of it is open, and bent normals are its normals. From triangles too, in groups of chunks.
 ok $bake $small box.tris low.obj -o 'exact_<MAP>.exr' --maps all --json
-json '(.maps | keys == ["ao", "bent", "curvature", "height", "mask", "normal", "position", "thickness"]) and .chunk_loads > 0'
+json '(.maps | keys == ["ao", "bent", "confidence", "curvature", "height", "mask", "normal", "position", "thickness"]) and .chunk_loads > 0'
 ok run bisque-compare exact_bent.exr exact_normal.exr --mask exact_mask.exr --force --type normal --max-mean 3
 rm exact_*
 hits="$small plain.nvdb low.obj --maps ao,bent,thickness,normal,mask"

@@ -22,7 +22,7 @@ warned()
 # Secondary rays are short, so that parts of the grid are enough for them.
 hits="--rays ao=5 --distance ao=0.02 --rays thickness=3 --distance thickness=0.02"
 maps="--size 160x96 --type float --maps all $hits vase.nvdb low.obj"
-names="normal color mask height position curvature ao bent thickness"
+names="normal color mask height position curvature ao bent thickness confidence"
 
 # ---- CUDA ----
 

@@ -197,6 +197,33 @@ check "and none if it matches" $?
 ok run bisque-bake flat.tris low.obj -o o.png --size 128 --device cpu --json
 json '.texel == 0.015625 and .voxel == 0'
 
+# ---- confidence ----
+
+# Flat scans above the low-poly mesh: the formula of docs/maps.md. All samples hit.
+mesh low.obj flat 4
+mesh above.obj flat 40 shift=0,-0.1,0 # its normals are -y
+mesh near.obj flat 40 shift=0,-0.05,0
+mesh mesh.obj flat 40 # a layer beneath, where the low-poly mesh is
+awk 'FNR == NR { n += /^v /; print; next }
+    /^f/ { for (i = 2; i <= 4; i++) { split($i, c, "/"); k = c[1] + n; $i = k "/" k "/" k } }
+    { print }' above.obj mesh.obj >both.obj
+
+# sure SCAN VALUE OPTION...: the mean of the map, exact and of a grid.
+sure()
+{
+    scan=$1 value=$2
+    shift 2
+    ok run bisque-voxelize "$scan.obj" -o "$scan.nvdb" --voxel-size 0.01
+    for kind in tris nvdb; do
+        ok $bake "$scan.$kind" low.obj --maps confidence,mask -o '<MAP>.exr' --as-is --back 0.2 "$@"
+        ok run bisque-compare mask.exr confidence.exr --force --type data --json
+        json "(.mean - 1 + $value | fabs) < 0.01 and (.max - 1 + $value | fabs) < 0.01"
+    done
+}
+sure above 0.5 --front 0.2
+sure near 0.75 --front 0.2
+sure both 0.25 --extrude 0.2
+
 # ---- what the options do ----
 
 # A mesh that was turned, scaled and shifted and is placed again gives the same map.

@@ -75,7 +75,7 @@ ok $bake two.tris low.obj --maps id,color,$four -o 'two_<MAP>.png'
 values two_roughness.png two_rough 0.00003
 for scan in two.tris two.nvdb; do
     ok $bake $scan low.obj --maps all --json -o 'all_<MAP>.png' --rays ao=1 --rays thickness=1
-    json '.maps | (keys - ["ao", "bent", "curvature", "height", "mask", "normal", "position", "thickness"])
+    json '.maps | (keys - ["ao", "bent", "confidence", "curvature", "height", "mask", "normal", "position", "thickness"])
         == ["coat", "color", "emission", "id", "metallic", "roughness"]'
 done
 values two_metallic.png two_metal 0.00003

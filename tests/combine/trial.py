@@ -179,7 +179,8 @@ class Trial:
         return "%d" % (1001 + self.random.choice(self.tiles)) if self.random.random() < 0.7 else "1001-1100"
 
     def draw_maps(self, program):
-        names = ["normal", "mask", "height", "position", "curvature", "ao", "bent", "thickness"]
+        names = ["normal", "mask", "height", "position", "curvature", "ao", "bent", "thickness",
+                 "confidence"]
         names += ["color"] if self.has_colors else []
         if self.random.random() < 0.2:
             return "all"

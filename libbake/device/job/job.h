@@ -43,6 +43,7 @@ struct bake_ray_batch {
     const float (*rays)[6]; /* origin and unit direction of each, in index space */
     uint64_t count;
     float t_min, t_max;
+    float gap;            /* as in struct bk_lines */
     float facing;         /* 1: surfaces must face along the ray; -1: against it */
     const float *reaches; /* of each ray, voxels; NULL: 0 */
     bool from_reach;      /* rays go inwards from their reach only */

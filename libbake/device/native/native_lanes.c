@@ -194,7 +194,8 @@ void BSQ_SIMD_NAME(bake_native_rays)(const struct bk_grid *grid, const struct bk
                           .origin = bk_v3w(zero, zero, zero),
                           .direction = bk_v3w(zero, zero, zero),
                           .reach = zero,
-                          .t_min = rays->t_min,
+                          .t_min = bk_splat(rays->t_min),
+                          .gap = rays->gap,
                           .t_max = bk_splat(rays->t_max)};
         for (bk_uint lane = 0; lane < lines.count; lane++) {
             const float *ray = rays->rays[first + lane];
