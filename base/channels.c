@@ -74,9 +74,9 @@ bool bsq_is_channel_name(const char *name)
 
 bool bsq_is_map_name(const char *name)
 {
-    static const char *const names[] = {"normal",    "color",     "mask", "height",
-                                        "position",  "curvature", "ao",   "bent",
-                                        "thickness", "id",        "all",  "transfer"};
+    static const char *const names[] = {"normal",     "color", "mask",    "height",    "position",
+                                        "curvature",  "ao",    "bent",    "thickness", "id",
+                                        "confidence", "all",   "transfer"};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++)
         if (strcmp(names[i], name) == 0)
             return true;
