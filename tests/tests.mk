@@ -217,8 +217,14 @@ check-farm: tests-build deps-farm
 	    tests/farm/check_templates.sh
 
 .PHONY: check-doors
-## check-doors: look at reports in a headless Chromium (installs it); screenshots in build/doors
+## check-doors: look at reports in a headless Chromium (installs it), and bake from inside Blender if BPY
+##                 names a Python with the module bpy; pictures in build/doors
+BPY ?= python3
 check-doors: tests-build
+	@if $(BPY) -c 'import bpy' 2>/dev/null; then \
+	    BPY=$(BPY) PICTURES=build/doors BIN=$(BUILD)/bin TESTS=$(BUILD)/tests \
+	        tests/run.sh tests/doors/check_blender.sh; \
+	else echo "check-doors: Blender is skipped, $(BPY) has no module bpy (set BPY)"; fi
 	@if tests/install-packages.sh chromium libjs-three; then \
 	    BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh tests/doors/check_reports.sh; \
 	else echo "check-doors: skipped, chromium and libjs-three cannot be installed"; fi
