@@ -1,6 +1,8 @@
 """The package from outside: meshes in memory and files give the same, errors, progress, UVs."""
+import hashlib
 import json
 import os
+import random
 import struct
 import subprocess
 import sys
@@ -277,6 +279,35 @@ def test_levels_of_a_scan_in_memory(scan, tmp_path, monkeypatch):
     assert seen == sorted(seen) and 0 <= seen[0] and 500 < seen[-1] <= 1000
     errors = [level["distance"]["from_scan"]["mean"] for level in certificate["levels"]]
     assert errors[1] < errors[0] / 2
+
+
+def test_random_assets_have_the_same_bytes(tmp_path):
+    """Random options, the library of UVs among them, give the same files with other threads and
+    budgets, of a scan in two files that is sorted before or not. SEED repeats a run."""
+    seed = os.environ.get("SEED", time.strftime("%Y%m%d"))
+    draw = random.Random(seed)
+    print("SEED=" + seed)
+    top, bottom = tmp_path / "top.obj", tmp_path / "bottom.obj"
+    subprocess.run([GENERATE, "--triangles", "4000", "--colors", "vase", "-o", top], check=True)
+    subprocess.run([GENERATE, "--triangles", "900", "--colors", "vase", "-o", bottom], check=True)
+    for trial in range(3):
+        options = ["--triangles", draw.randint(100, 900), "--size", draw.choice([64, 100, 128]),
+                   "--maps", ",".join(draw.sample(["normal", "color", "ao", "height", "mask"], 2)),
+                   "--samples", draw.randint(1, 3), "--surface", draw.choice(["auto", "grid", "exact"]),
+                   "--unwrap", draw.choice(["uvunwrap", "xatlas"]),
+                   "--min-component", draw.choice([0, 0.01])]
+        seen = []
+        for way, more in enumerate((["-j", 1, "--memory", "400M"], ["-j", 4], ["-j", 2])):
+            folder = tmp_path / f"{trial}_{way}"
+            folder.mkdir()
+            scan = [top, bottom]
+            if way == 2:
+                scan = [folder / "scan.tris"]
+                bisque.sort([str(top), str(bottom)], str(scan[0]))
+            asset(*scan, "-o", folder / "a.glb", *options, *more)
+            files = [path for path in sorted(folder.rglob("*")) if path.suffix in (".glb", ".png", ".obj")]
+            seen.append({path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files})
+        assert seen[0] == seen[1] == seen[2], (seed, trial, options)
 
 
 def test_asset_says_what_is_wrong(tmp_path):
