@@ -1,5 +1,5 @@
 #!/bin/bash
-# make-image.sh DEB FILE - makes an OCI image of Bisque's Debian package, as an archive that podman, docker
+# make-image.sh DEB FILE - makes an OCI image of Bisque's Debian package, as an archive with zstd layers that podman, docker
 # and skopeo read. Needs root, debootstrap, buildah and a Debian mirror, $MIRROR, but no registry.
 #
 # The package and what it depends on are installed in a minimal Debian 12. Documents, and libraries that
@@ -44,7 +44,9 @@ buildah config --user 1000:1000 --workingdir /work --env PATH=/usr/bin:/bin --cm
     --label org.opencontainers.image.title=bisque --label org.opencontainers.image.version="$version" \
     --label org.opencontainers.image.licenses=Apache-2.0 "$container"
 buildah run "$container" -- bisque-voxelize --version
-buildah commit -q --disable-compression=false --timestamp "${SOURCE_DATE_EPOCH:-0}" "$container" "oci-archive:$2:bisque:$version" >/dev/null
+buildah commit -q --timestamp "${SOURCE_DATE_EPOCH:-0}" "$container" "bisque:$version" >/dev/null
+# With gzip, the image has 154 MB.
+buildah push -q --compression-format zstd --compression-level 9 "bisque:$version" "oci-archive:$2:bisque:$version"
 buildah rm "$container" >/dev/null
 bytes=$(stat -c %s "$2")
 echo "$2: $((bytes / 1000000)) MB, $(du -sm "$root" | cut -f1) MiB unpacked"
