@@ -196,7 +196,7 @@ struct gltf_source {
     uint64_t total[FMT_MESH_KIND_COUNT], triangles;
     uint64_t bytes;  /* of the file and its buffers */
     bool has_colors; /* of vertices, or factors of textures, which vertices get as colours */
-    bool has_tangents;
+    bool has_tangents, uneven_scale;
     struct gltf_unread unread;
 };
 

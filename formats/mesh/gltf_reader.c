@@ -501,7 +501,9 @@ static int pass(struct stream_slot *slot)
     fmt_stream_number_materials(slot);
     totals->split_vertices = true;
     totals->flat_normals = true;
-    totals->has_tangents |= ((struct gltf_source *)slot->source->data)->has_tangents;
+    const struct gltf_source *source = slot->source->data;
+    totals->has_tangents |= source->has_tangents;
+    totals->uneven_scale |= source->uneven_scale;
     return 0;
 }
 

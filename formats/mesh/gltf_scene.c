@@ -301,6 +301,22 @@ static bool invert_for_normals(const double m[3][4], double out[3][3])
     return determinant < 0;
 }
 
+/* Returns whether a matrix changes shapes beyond their size: its columns differ in length, or are
+ * not at right angles. Matrices of rounded rotations do not count. */
+static bool scales_unevenly(const double m[3][4])
+{
+    double dots[3][3], largest, across = 0;
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++)
+            dots[i][k] = m[0][i] * m[0][k] + m[1][i] * m[1][k] + m[2][i] * m[2][k];
+    largest = fmax(dots[0][0], fmax(dots[1][1], dots[2][2]));
+    for (int i = 0; i < 3; i++) {
+        across = fmax(across, fabs(dots[i][(i + 1) % 3]));
+        across = fmax(across, largest - dots[i][i]);
+    }
+    return across > 0.01 * largest;
+}
+
 /* ---- placing meshes ---- */
 
 /* Copies the name of an object: that of its node, or else of its mesh. place: the node. */
@@ -341,6 +357,7 @@ static int add_placement(struct walk *w, const struct gltf_place *place, uint32_
     *out = (struct gltf_placement){.mesh = mesh};
     memcpy(out->matrix, matrix, sizeof out->matrix);
     out->mirrored = invert_for_normals(matrix, out->normal_matrix);
+    source->uneven_scale |= scales_unevenly(matrix);
     memcpy(out->base, source->total, sizeof out->base);
     bool overflow = __builtin_add_overflow(source->triangles, m->triangles, &source->triangles) ||
                     source->triangles > INT64_MAX;

@@ -298,6 +298,7 @@ static int load(struct loader *loader, const char *path)
     mesh->normal_count = totals.normals;
     mesh->face_count = totals.faces;
     mesh->has_tangents = totals.has_tangents;
+    mesh->uneven_scale = totals.uneven_scale;
     mesh->split_vertices = totals.split_vertices;
     mesh->flat_normals = totals.flat_normals;
     if (totals.faces == 0)

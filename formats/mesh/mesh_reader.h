@@ -80,6 +80,7 @@ struct fmt_mesh_totals {
     uint64_t skipped_lines; /* statements that the format does not define, skipped */
     uint64_t short_faces;   /* faces with fewer than three corners, skipped */
     bool has_tangents;      /* the file has tangents, which are not read */
+    bool uneven_scale;      /* a node scales by factors that differ by axis */
     bool split_vertices;    /* the format repeats a vertex for each of its texture coordinates */
     bool flat_normals;      /* by the format's definition, faces without normals are flat */
     /* Says which colours of the file are not read and what the user can do; NULL if there are none.
@@ -293,7 +294,8 @@ struct fmt_mesh {
     uint64_t *faces;     /* number of the polygon that each triangle came from */
     uint64_t *face_keys; /* of each polygon: a hash of its vertices in order */
     uint64_t face_count;
-    bool has_tangents, split_vertices, flat_normals; /* as in struct fmt_mesh_totals */
+    bool has_tangents, uneven_scale, split_vertices,
+        flat_normals; /* as in struct fmt_mesh_totals */
     /* If they are wanted: the materials with their objects, and the number of each polygon's, or
      * FMT_MESH_NO_MATERIAL. */
     struct fmt_materials parts;

@@ -325,6 +325,12 @@ static int load_file(struct bsq_ctx *ctx, const struct bake_lowmesh_options *opt
     if (mesh.has_tangents)
         bsq_warn(ctx, "%s: the file's tangents are not used: they are computed (MikkTSpace)",
                  options->path);
+    if (mesh.uneven_scale)
+        bsq_warn(
+            ctx,
+            "%s: a node has scales that differ by axis; engines make tangents before scaling, so "
+            "their shading will be off by some degrees: apply the scale before baking",
+            options->path);
     if (options->placement)
         bake_place_mesh(options->placement, &mesh);
     BSQ_TRY(allocate(ctx, mesh.triangle_count, out));
