@@ -408,7 +408,7 @@ for attribute in '' ',"TANGENT":0'; do
         $((${#attribute} > 0)) ]
     check "warning of tangents: '$attribute'" $?
 done
-for scale in 2,2,2 2,-2,2 2,1,2; do
+for scale in 2,2,2 2,1,2; do
     sed "s/\"meshes\"/\"nodes\":[{\"mesh\":0,\"scale\":[$scale]}],&/" low.gltf >scaled.gltf
     ok run bisque-bake scan.nvdb scaled.gltf -o a.exr --maps normal --size 16 --as-is
     [ "$(grep -c "scaled.gltf: a node has scales that differ by axis" "$err")" -eq \
