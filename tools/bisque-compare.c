@@ -233,8 +233,8 @@ static int compare_maps(struct cli *cli, struct arguments *arguments, int *failu
         BSQ_TRY(page_begin(cli, arguments->report, &arguments->compare.page));
     BSQ_TRY(bake_compare(cli->ctx, &arguments->compare, &report));
     if (!isnan(arguments->limits[MIN_PSNR]) && report.kind != BAKE_COMPARE_COLOR)
-        return cli_usage(cli, "--min-psnr is for colours, these maps were compared as %s",
-                         kind_names[report.kind]);
+        BSQ_TRY(cli_usage(cli, "--min-psnr is for colours, these maps were compared as %s",
+                          kind_names[report.kind]));
     *failures = count_failures(cli, arguments, &report);
     if (arguments->compare.page)
         BSQ_TRY(page_end(cli, arguments->compare.page, report_json(arguments, &report, *failures),

@@ -135,6 +135,9 @@ for mask in '' '--mask a_mask.exr' '--mask-a a_mask.exr'; do
 done
 $compare a_normal.exr a_normal.exr --min-psnr 30
 refused 64 "$p --min-psnr is for colours, these maps were compared as normal"
+$compare a_normal.exr a_normal.exr --min-psnr 30 --report refused.html
+refused 64 "$p --min-psnr is for colours, these maps were compared as normal"
+holds "no page of a refused comparison" [ ! -e refused.html ]
 $compare a_normal.exr small.exr
 refused 65 "$p a_normal.exr has 64 x 64 texels, small.exr has 32 x 32"
 $compare a_normal.exr missing.exr

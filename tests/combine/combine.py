@@ -395,7 +395,7 @@ WAYS = {
     Simplification: [(other_threads, 0.8), (other_budget, 0.4), (other_order, 0.3),
                      (without_options_without_effect, 0.5), (of_chunks, 0.5), (measured, 0.3)],
     Bake: [(other_threads, 0.6), (other_budget, 0.4), (other_order, 0.4), (without_options_without_effect, 1),
-           (as_tasks, 0.5), (on_fake_cuda, 1), (on_opencl, 0.2), (compared, 0.2)],
+           (as_tasks, 0.5), (on_fake_cuda, 1), (on_opencl, 0.5), (compared, 0.2)],
 }
 
 
@@ -468,7 +468,7 @@ def run_trial(seed, tables, keep, counts):
     try:
         trial = trials.Trial(rng, os.path.join(top, "in"), tables)
         made = [run_job(runner, Grid(trial, scan), rng, counts) for scan in trial.scans]
-        if rng.random() < 0.15:
+        if rng.random() < (0.05 if trial.large else 0.15):
             run_job(runner, Simplification(trial), rng, counts)
         if any(made):
             return "no grid", None

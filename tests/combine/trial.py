@@ -169,7 +169,7 @@ class Trial:
         return next(option for option in self.tables[program] if option.name == name)
 
     def draw_size(self, program):
-        side = self.random.randint(100, 250) if self.large else self.random.randint(1, 48)
+        side = self.random.randint(100, 180) if self.large else self.random.randint(1, 48)
         if self.random.random() < 0.2:
             first = "%d=%d" % (1001 + self.tiles[0], self.random.randint(1, 64))
             return first + ",*=%d" % side if len(self.tiles) > 1 else first
