@@ -3,6 +3,7 @@
  * They are triangles in equal steps of each chunk, taken while the chunk is in memory for its rays.
  * So the scan is not read for them. Chunks that no ray crosses are never read; the area of their
  * triangles is taken to be the mean of the others'. */
+#include <math.h>
 #include <string.h>
 
 #include "libbake/exact/exact_scene.h"
@@ -24,21 +25,29 @@ int bake_exact_note_areas(struct bake_exact *exact)
     return status;
 }
 
-/* Sets a point to the middle of a triangle. */
-static void set_point(const struct fmt_tris_chunk *chunk, uint32_t triangle, float weight,
-                      struct bake_area_point *out)
+/* Sets a point to one in a triangle. number: of the point in its chunk; those of a large triangle,
+ * which has several, cover it evenly (the R2 sequence: Roberts, "The Unreasonable Effectiveness of
+ * Quasirandom Sequences", 2018). */
+static void set_point(const struct fmt_tris_chunk *chunk, uint32_t triangle, uint32_t number,
+                      float weight, struct bake_area_point *out)
 {
+    const double plastic = 1.32471795724474602596;
+    double u = fmod((number + 0.5) / plastic, 1), w = fmod((number + 0.5) / plastic / plastic, 1);
     const uint32_t *v = chunk->triangles[triangle];
     const float *a = chunk->positions[v[0]], *b = chunk->positions[v[1]],
                 *c = chunk->positions[v[2]];
     const double side = bake_exact_wound_backwards(chunk, triangle) ? -1 : 1;
     double cross[3], square = 0;
+    if (u + w > 1) { /* the other half of the parallelogram */
+        u = 1 - u;
+        w = 1 - w;
+    }
     for (int k = 0; k < 3; k++) {
         const int i = (k + 1) % 3, j = (k + 2) % 3;
         cross[k] = ((double)b[i] - (double)a[i]) * ((double)c[j] - (double)a[j]) -
                    ((double)b[j] - (double)a[j]) * ((double)c[i] - (double)a[i]);
         square += cross[k] * cross[k];
-        out->at[k] = (a[k] + b[k] + c[k]) / 3.0f;
+        out->at[k] = (float)((1 - u - w) * (double)a[k] + u * (double)b[k] + w * (double)c[k]);
     }
     const double length = sqrt(square);
     for (int k = 0; k < 3 && length > 0; k++)
@@ -54,7 +63,7 @@ void bake_exact_take_areas(const struct bake_exact *exact, uint32_t number,
         return;
     points->area = 0;
     for (uint32_t i = 0; i < exact->chunk_points; i++)
-        set_point(chunk, (uint32_t)((uint64_t)chunk->triangle_count * i / exact->chunk_points),
+        set_point(chunk, (uint32_t)((uint64_t)chunk->triangle_count * i / exact->chunk_points), i,
                   (float)chunk->triangle_count / (float)exact->chunk_points, &points[i]);
 }
 

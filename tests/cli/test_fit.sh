@@ -182,6 +182,31 @@ for kind in tris nvdb; do
     check "$kind: neither threads nor memory change what is counted" $?
 done
 
+# Two triangles of 16 by a square of 1.
+cat >wide.obj <<'EOF'
+v 0 0 0
+v 4 0 0
+v 4 4 0
+v 0 4 0
+f 1 2 3
+f 1 3 4
+EOF
+cat >tile.obj <<'EOF'
+v 1 1 0.01
+v 2 1 0.01
+v 2 2 0.01
+v 1 2 0.01
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0 1
+vn 0 0 1
+f 1/1/1 2/2/1 3/3/1 4/4/1
+EOF
+ok run bisque-voxelize wide.obj -o wide.tris
+ok run bisque-bake wide.tris tile.obj -o o.png --size 128 --device cpu --json
+json '.unseen | (.area - 15 / 16 | fabs) < 0.02'
+
 # ---- voxels and texels ----
 
 # The square of side 2 has texels of 2 / 128.
