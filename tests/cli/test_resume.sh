@@ -131,7 +131,7 @@ code 0
 holds "no record of a pipe" [ ! -e piped.tris.job ]
 "$BIN/bisque-voxelize" - -o piped.nvdb --resume <box.obj >"$out" 2>"$err"
 code=$? command="bisque-voxelize - --resume"
-refused 64 "$p - is a pipe, which cannot be read again: if piped.tris is complete, make the grid from it instead of resuming"
+refused 64 "$p - is a pipe or no file, which cannot be read again: if piped.tris is complete, make the grid from it instead of resuming"
 
 # ---- killed while it voxelizes ----
 
