@@ -8,7 +8,7 @@
 
 #include "libbake/exact/exact_scene.h"
 
-enum { MOST_POINTS = 16384, MOST_OF_CHUNK = 4096, LEAST_OF_CHUNK = 2 };
+enum { MOST_POINTS = 4096, MOST_OF_CHUNK = 2048, LEAST_OF_CHUNK = 2 };
 
 #define NOT_READ (-1.0f) /* the area of the first point of a chunk */
 
