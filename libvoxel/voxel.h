@@ -303,9 +303,9 @@ void vox_simplify_defaults(struct vox_simplify_options *options);
  * scan. The first part collapses groups of chunks with locked borders and quadrics (Garland and
  * Heckbert, 1997), the last one the whole mesh without memory of the scan, under the constraint
  * that its volume stays (Lindstrom and Turk, 1998). Vertices are welded by position; colours,
- * texture coordinates and, unless they are kept, materials have no influence. Output bytes do not depend on budget or
- * threads. Errors: BSQ_ENOINPUT; BSQ_EDATA for a damaged chunk file, or an error that cannot be
- * kept; BSQ_EUSAGE; BSQ_ENOMEM; BSQ_ECANTCREAT; BSQ_EIO; BSQ_EINTR. */
+ * texture coordinates and, unless they are kept, materials have no influence. Output bytes do not
+ * depend on budget or threads. Errors: BSQ_ENOINPUT; BSQ_EDATA for a damaged chunk file, or an
+ * error that cannot be kept; BSQ_EUSAGE; BSQ_ENOMEM; BSQ_ECANTCREAT; BSQ_EIO; BSQ_EINTR. */
 int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options,
                  struct vox_simplify_report *report);
 

@@ -236,9 +236,13 @@ def test_textures_give_colors(scan, low, tmp_path):
     assert np.allclose(maps["color"][maps["mask"] == 1], [1, 0, linear], atol=2e-3)
 
 
-def asset(*arguments, code=0):
+def run_asset(*arguments):
     program = os.path.join(os.path.dirname(sys.executable), "bisque-asset")
-    done = subprocess.run([program, *map(str, arguments)], capture_output=True, text=True)
+    return subprocess.run([program, *map(str, arguments)], capture_output=True, text=True)
+
+
+def asset(*arguments, code=0):
+    done = run_asset(*arguments)
     assert done.returncode == code, done.stderr
     return done
 
@@ -304,7 +308,10 @@ def test_random_assets_have_the_same_bytes(tmp_path):
             if way == 2:
                 scan = [folder / "scan.tris"]
                 bisque.sort([str(top), str(bottom)], str(scan[0]))
-            asset(*scan, "-o", folder / "a.glb", *options, *more)
+            done = run_asset(*scan, "-o", folder / "a.glb", *options, *more)
+            # Charts of xatlas overlap on some meshes.
+            refused = done.returncode == 65 and "take the other library" in done.stderr
+            assert refused or done.returncode == 0, (seed, trial, options, done.stderr)
             files = [path for path in sorted(folder.rglob("*")) if path.suffix in (".glb", ".png", ".obj")]
             seen.append({path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in files})
         assert seen[0] == seen[1] == seen[2], (seed, trial, options)

@@ -138,14 +138,21 @@ class Job:
                 ended.set()
 
         lib.bsq_forget_files(self.ctx)
-        threading.Thread(target=call).start()
-        interrupted = None
+        thread = threading.Thread(target=call)
+        interrupted, begun = None, False
         while not ended.is_set():
             try:
-                ended.wait(0.2)  # a signal need not end a wait without an end
+                if not begun:
+                    begun = True
+                    thread.start()
+                while not ended.is_set():
+                    ended.wait(0.2)  # a signal need not end a wait without an end
             except KeyboardInterrupt as interruption:
                 interrupted = interruption
                 lib.bsq_interrupt(self.ctx)
+                # Interrupted within start(), the thread may never begin.
+                if thread.ident is None and not ended.wait(1) and thread.ident is None:
+                    raise
         if self.failure or interrupted:
             raise self.failure or interrupted
         if not status:
