@@ -75,15 +75,14 @@ shared   := $(BUILD)/lib/libbisque.so.0
 
 # Parts of formats that are opened at their first use, see formats/module/module.h. The stamp holds
 # the version and a checksum of the headers that a module shares with its host.
-modules      := openvdb gltf
-src.gltf     := formats/mesh/gltf_decode.cc
+modules      := openvdb
 src.openvdb  := formats/grid/vdb_export_openvdb.cc base/vec.c
 module_stamp := formats/module/module_stamp.c
 $(foreach m,$(modules),$(eval src.$(m) += $(module_stamp)))
 module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)
 module_headers  := $(addprefix base/,version.h context.h file.h file_part.h output.h \
     parallel.h) \
-    $(addprefix formats/,module/module.h mesh/gltf_module.h mesh/scene_file.h \
+    $(addprefix formats/,module/module.h mesh/gltf_task.h mesh/scene_file.h \
     $(addprefix grid/,nvdb.h nvdb_layout_internal.h vdb_module.h) \
     texture/image_rows.h)
 directory_cppflags = -DFMT_MODULE_DIRECTORY='"$(prefix)/lib/bisque"'
@@ -93,8 +92,9 @@ stamp_cppflags = \
 programs := bisque-voxelize bisque-simplify bisque-bake bisque-compare
 bins     := $(addprefix $(BUILD)/bin/,$(programs))
 # Programs that are installed beside the modules and found like them, for code that may crash: one
-# asks drivers for their devices, one reads files by Assimp, one images by OpenImageIO.
-helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices scene texture)
+# asks drivers for their devices, one reads files by Assimp, one images by
+# OpenImageIO, one decompresses parts of glTF files.
+helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices scene texture gltf)
 
 # The frame of reports with its style and script, which programs find relative to themselves.
 report_frame := $(BUILD)/share/bisque/report.html
@@ -231,13 +231,14 @@ $(BUILD)/lib/bisque/bisque-devices: $(BUILD)/obj/$(src.helper).o $(archives)
 	    $(LIBS.all)
 src.scene    := formats/mesh/scene_assimp.cc
 src.texture  := formats/texture/oiio_rows.cc
+src.gltf     := formats/mesh/gltf_decode.cc
 define reader_rule
 $(BUILD)/lib/bisque/bisque-$(1): $(BUILD)/obj/$(src.$(1)).o $(archives)
 	@mkdir -p $$(@D)
 	$$(CXX) $$(common) $$(LDFLAGS) -o $$@ $$< $(archive.formats) $(archive.base) $$(LIBS.$(1)) \
 	    $$(LIBS.all)
 endef
-$(foreach r,scene texture,$(eval $(call reader_rule,$(r))))
+$(foreach r,scene texture gltf,$(eval $(call reader_rule,$(r))))
 
 # A folder with the installed headers and no others, for examples/ and `make doc`.
 public_copies  := $(public_headers:%=$(BUILD)/include/%)

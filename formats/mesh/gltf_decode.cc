@@ -1,13 +1,25 @@
-// gltf_decode.cc - decompresses parts of glTF files by meshoptimizer and Draco.
+// gltf_decode.cc - the program bisque-gltf, which decompresses parts of glTF files by meshoptimizer
+// and Draco.
+//
+// gltf_packed.c runs it: damaged data make Draco take any amount of memory and time. So it has
+// limits of both, and can open no file. gltf_task.h describes its standard input and output.
+#include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <memory>
 #include <new>
+#include <string>
+#include <vector>
 
 #include <draco/compression/decode.h>
 #include <draco/core/decoder_buffer.h>
 #include <meshoptimizer.h>
 
-#include "formats/mesh/gltf_module.h"
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "formats/mesh/gltf_task.h"
 
 namespace
 {
@@ -112,14 +124,89 @@ const char *decode_draco(const gltf_draco *task)
 {
     try {
         return decode_mesh(task);
-    } catch (const std::bad_alloc &) {
-        return "there is no memory to decode it";
     } catch (...) {
         return "Draco cannot decode it";
     }
 }
 
+// ---- tasks ----
+
+[[noreturn]] void fail_memory()
+{
+    _exit(-BSQ_ENOMEM);
+}
+
+// Replaces the output by a text, what is wrong.
+[[noreturn]] void fail(const gltf_packed &task, const char *what)
+{
+    const char *list = task.is_draco ? "meshes" : "bufferViews";
+    const bool empty = ftruncate(STDOUT_FILENO, 0) == 0 && lseek(STDOUT_FILENO, 0, SEEK_SET) == 0;
+    const bool told = empty && dprintf(STDOUT_FILENO, "%s[%u]: %s", list, task.number, what) > 0;
+    _exit(told ? -BSQ_EDATA : -BSQ_EIO);
+}
+
+// Decodes a part, and writes what it becomes.
+void run(gltf_packed task, const uint8_t *data)
+{
+    std::vector<uint8_t> out(task.bytes);
+    uint8_t *to = task.meshopt.to = out.data();
+    task.meshopt.from = task.draco.from = data;
+    for (uint32_t i = 0; i < task.draco.output_count; i++) {
+        task.draco.outputs[i].to = to;
+        to += task.sizes[i];
+    }
+    const char *wrong = task.is_draco ? decode_draco(&task.draco) : decode_meshopt(&task.meshopt);
+    if (wrong)
+        fail(task, wrong);
+    for (size_t done = 0; done < out.size();) {
+        const ssize_t count = write(STDOUT_FILENO, &out[done], out.size() - done);
+        if (count <= 0)
+            _exit(-BSQ_EIO);
+        done += size_t(count);
+    }
+}
+
+// Does all tasks of an input.
+void run_all(const uint8_t *input, size_t size)
+{
+    gltf_stamp stamp = {};
+    gltf_packed task = {};
+    if (size < sizeof stamp)
+        _exit(-BSQ_EUSAGE);
+    std::memcpy(&stamp, input, sizeof stamp);
+    if (std::strncmp(stamp.text, fmt_module_stamp, sizeof stamp.text) != 0) {
+        std::printf("bisque-gltf is not of this program's build");
+        fflush(stdout);
+        _exit(-BSQ_ENOINPUT);
+    }
+    for (size_t at = sizeof stamp; at + sizeof task <= size;) {
+        std::memcpy(&task, input + at, sizeof task);
+        at += sizeof task;
+        const size_t data = task.is_draco ? task.draco.size : task.meshopt.size;
+        if (data > size - at)
+            _exit(-BSQ_EUSAGE);
+        run(task, input + at);
+        at += data;
+    }
+}
+
 } // namespace
 
-extern "C" const struct fmt_gltf_module bisque_module;
-const struct fmt_gltf_module bisque_module = {{fmt_module_stamp}, decode_meshopt, decode_draco};
+// Arguments: bytes of memory, seconds of a processor. Ends without destructors.
+int main(int argument_count, char **arguments)
+{
+    struct stat info;
+    if (argument_count != 3 || fstat(STDIN_FILENO, &info) != 0 || !S_ISREG(info.st_mode)) {
+        fputs("bisque-gltf: is run by Bisque for compressed glTF files\n", stderr);
+        return -BSQ_EUSAGE;
+    }
+    fmt_program_isolate();
+    const size_t size = size_t(info.st_size);
+    const void *input = mmap(nullptr, size, PROT_READ, MAP_PRIVATE, STDIN_FILENO, 0);
+    if (input == MAP_FAILED)
+        fail_memory();
+    fmt_program_limit(strtoull(arguments[1], nullptr, 10), strtoull(arguments[2], nullptr, 10), 0);
+    std::set_new_handler(fail_memory);
+    run_all(static_cast<const uint8_t *>(input), size);
+    _exit(0);
+}

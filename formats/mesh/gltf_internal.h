@@ -9,7 +9,7 @@
 #include <jansson.h>
 
 #include "base/file_part.h"
-#include "formats/mesh/gltf_module.h"
+#include "formats/mesh/gltf_task.h"
 #include "formats/mesh/mesh_format.h"
 
 #define GLTF_NONE UINT32_MAX /* no such index */
@@ -92,18 +92,6 @@ struct gltf_view {
     uint64_t decoded;      /* of compressed data: place in gltf_source.decoded */
 };
 #define GLTF_NOT_DECODED UINT64_MAX
-
-/* Compressed data: a view, or the accessors of a primitive. */
-struct gltf_packed {
-    bool is_draco;
-    uint32_t number; /* of the view or mesh, for messages */
-    uint32_t buffer;
-    uint64_t offset; /* in the buffer */
-    uint64_t bytes;  /* when decoded */
-    struct gltf_meshopt meshopt;
-    struct gltf_draco draco;
-    uint64_t sizes[5]; /* bytes of Draco's outputs */
-};
 
 /* The codes of the file format. */
 enum gltf_component {

@@ -419,7 +419,7 @@ int main(int argument_count, char **arguments)
     try {
         convert(file, size, arguments[1], stdout);
     } catch (const std::exception &error) {
-        std::printf("%.200s", error.what());
+        std::printf("cannot be read: %.180s", error.what());
         fflush(stdout);
         _exit(-BSQ_EDATA);
     }

@@ -98,38 +98,6 @@ static const char *find_suffix(char *path, const char *head, size_t size)
     return recognise(head, size) ? "fbx" : point ? point + 1 : "";
 }
 
-/* Reports that the program did not read the file. text: its output. */
-static int fail(struct stream_source *source, const char *program, char *text,
-                const struct fmt_program_end *end, uint64_t seconds)
-{
-    struct bsq_ctx *ctx = source->ctx;
-    const char *path = source->path;
-    const int code = end->state >= 0 && WIFEXITED(end->state) ? WEXITSTATUS(end->state) : -1;
-    const int signal = end->state >= 0 && WIFSIGNALED(end->state) ? WTERMSIG(end->state) : 0;
-    for (char *c = text; *c; c++)
-        *c = (unsigned char)*c < ' ' || *c == 127 ? ' ' : *c;
-    if (end->error)
-        return bsq_fail_errno(ctx, BSQ_ENOINPUT, end->error, "%s: %s does not start", path,
-                              program);
-    if (code == -BSQ_EDATA)
-        return bsq_fail(ctx, BSQ_EDATA, "%s: cannot be read: %s", path, text);
-    if (code == -BSQ_ENOMEM)
-        return bsq_fail(ctx, BSQ_ENOMEM,
-                        "%s: Assimp needs more memory than the %" PRIu64 " bytes that are left of "
-                        "--memory: raise it, unless the file is damaged",
-                        path, bsq_memory_left(ctx));
-    if (code == -BSQ_EIO)
-        return bsq_fail(ctx, BSQ_EIO, "%s: its meshes cannot be written to a temporary file", path);
-    if (signal == SIGXCPU)
-        return bsq_fail(ctx, BSQ_EDATA,
-                        "%s: cannot be read: Assimp has not read it in %" PRIu64 " seconds", path,
-                        seconds);
-    return bsq_fail(ctx, BSQ_EDATA,
-                    "%s: cannot be read: Assimp crashed (%s): the file is damaged, or not of the "
-                    "format that its name tells",
-                    path, signal ? strsignal(signal) : "it ended the program");
-}
-
 /* Takes the program's output over. */
 static int open_scene(struct stream_source *source, const char *program, struct bsq_file *output)
 {
@@ -172,7 +140,8 @@ static int read_whole(struct stream_source *source, const struct bsq_file *file)
         status = open_scene(source, program, &output);
     } else {
         BSQ_TRY(bsq_file_read_some(ctx, &output, text, sizeof text - 1, 0, &got));
-        status = fail(source, program, text, &end, seconds);
+        status = fmt_program_fail(ctx, source->path, "Assimp", &end, text, seconds,
+                                  bsq_memory_left(ctx));
     }
 done:
     bsq_file_close(ctx, &output);

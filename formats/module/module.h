@@ -71,6 +71,12 @@ int fmt_program_run(struct bsq_ctx *ctx, char *const arguments[], int from, int 
 int fmt_program_start(char *const arguments[], int from, int to, pid_t *out);
 void fmt_program_finish(struct bsq_ctx *ctx, pid_t process, double seconds,
                         struct fmt_program_end *out);
+/* Reports that a program that reads a file with a library of others did not do so. text: its
+ * output; that of an exit status BSQ_EDATA or BSQ_ENOINPUT is what is wrong. seconds: its limit.
+ * `left`: the memory that was left for it. Returns the status. */
+int fmt_program_fail(struct bsq_ctx *ctx, const char *path, const char *library,
+                     const struct fmt_program_end *end, char *text, uint64_t seconds,
+                     uint64_t left);
 /* The first step of such a program: ends with the thread that started it, dumps no core, and dies
  * of crashes, also with sanitizers, which would exit instead. */
 void fmt_program_isolate(void);

@@ -2,9 +2,11 @@
  * crash, hang or take any amount of memory. */
 #include <errno.h>
 #include <fcntl.h>
+#include <inttypes.h>
 #include <signal.h>
 #include <spawn.h>
 #include <stdio.h>
+#include <string.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
@@ -15,6 +17,35 @@
 
 /* Of a process that was killed; one that a driver blocks in the kernel may never end. */
 enum { END_SECONDS = 1 };
+
+int fmt_program_fail(struct bsq_ctx *ctx, const char *path, const char *library,
+                     const struct fmt_program_end *end, char *text, uint64_t seconds, uint64_t left)
+{
+    const int code = end->state >= 0 && WIFEXITED(end->state) ? WEXITSTATUS(end->state) : -1;
+    const int signal = end->state >= 0 && WIFSIGNALED(end->state) ? WTERMSIG(end->state) : 0;
+    enum { NOT_LINKED = 127 }; /* of the dynamic linker */
+    for (char *c = text; *c; c++)
+        *c = (unsigned char)*c < ' ' || *c == 127 ? ' ' : *c;
+    if (end->error || code == NOT_LINKED)
+        return bsq_fail_errno(ctx, BSQ_ENOINPUT, end->error ? end->error : ELIBACC,
+                              "%s: the program that reads it by %s does not start", path, library);
+    if (code == -BSQ_EDATA || code == -BSQ_ENOINPUT)
+        return bsq_fail(ctx, -code, "%s: %s", path, text);
+    if (code == -BSQ_ENOMEM)
+        return bsq_fail(ctx, BSQ_ENOMEM,
+                        "%s: %s needs more memory than the %" PRIu64 " bytes that are left of "
+                        "--memory: raise it, unless the file is damaged",
+                        path, library, left);
+    if (code == -BSQ_EIO)
+        return bsq_fail(ctx, BSQ_EIO, "%s: its content cannot be written to a temporary file",
+                        path);
+    if (signal == SIGXCPU)
+        return bsq_fail(ctx, BSQ_EDATA,
+                        "%s: cannot be read: %s has not read it in %" PRIu64 " seconds", path,
+                        library, seconds);
+    return bsq_fail(ctx, BSQ_EDATA, "%s: cannot be read: %s crashed (%s): the file is damaged",
+                    path, library, signal ? strsignal(signal) : "it ended the program");
+}
 
 void fmt_program_isolate(void)
 {

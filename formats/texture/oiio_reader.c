@@ -8,10 +8,8 @@
 #include <inttypes.h>
 #include <math.h>
 #include <poll.h>
-#include <signal.h>
 #include <stdio.h>
 #include <string.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include "formats/texture/image_rows.h"
@@ -55,31 +53,6 @@ static int read_pipe(struct oiio_rows *rows, void *to, size_t size, size_t *got)
     return 0;
 }
 
-/* Reports how the program ended. text: what it says is wrong. */
-static int fail_end(struct oiio_rows *rows, const struct fmt_program_end *end, const char *text)
-{
-    struct bsq_ctx *ctx = rows->input->ctx;
-    const char *path = rows->input->path;
-    const int code = end->state >= 0 && WIFEXITED(end->state) ? WEXITSTATUS(end->state) : -1;
-    const int signal = end->state >= 0 && WIFSIGNALED(end->state) ? WTERMSIG(end->state) : 0;
-    enum { NOT_STARTED = 127 }; /* of the dynamic linker */
-    if (code == -BSQ_EDATA || code == -BSQ_ENOINPUT)
-        return bsq_fail(ctx, -code, "%s: %s", path, text);
-    if (code == -BSQ_ENOMEM)
-        return bsq_fail(ctx, BSQ_ENOMEM,
-                        "%s: OpenImageIO needs more memory than the %" PRIu64 " MiB that are left "
-                        "of --memory: raise it, unless the file is damaged",
-                        path, rows->memory_bytes >> 20);
-    if (code == NOT_STARTED)
-        return bsq_fail(ctx, BSQ_ENOINPUT, "%s: bisque-texture does not start", path);
-    if (signal == SIGXCPU)
-        return bsq_fail(ctx, BSQ_EDATA,
-                        "%s: damaged image: OpenImageIO has not read it in %" PRIu64 " seconds",
-                        path, rows->seconds);
-    return bsq_fail(ctx, BSQ_EDATA, "%s: damaged image: OpenImageIO crashed (%s)", path,
-                    signal ? strsignal(signal) : "it ended the program");
-}
-
 /* Waits for the end of a program that gave no row, and reports it. */
 static int fail_program(struct oiio_rows *rows, bool has_text)
 {
@@ -90,11 +63,12 @@ static int fail_program(struct oiio_rows *rows, bool has_text)
     if (status < 0)
         return status;
     text[got] = '\0';
-    for (char *c = text; *c; c++)
-        *c = (unsigned char)*c < ' ' || *c == 127 ? ' ' : *c;
     fmt_program_finish(rows->input->ctx, rows->process, has_text ? 1 : INFINITY, &end);
     rows->process = 0;
-    return bsq_check(rows->input->ctx) < 0 ? BSQ_EINTR : fail_end(rows, &end, text);
+    if (bsq_check(rows->input->ctx) < 0)
+        return BSQ_EINTR;
+    return fmt_program_fail(rows->input->ctx, rows->input->path, "OpenImageIO", &end, text,
+                            rows->seconds, rows->memory_bytes);
 }
 
 /* Reads a mark and what follows it. */
@@ -135,8 +109,8 @@ static int start(struct oiio_rows *rows, char *program)
     if (error == 0)
         return 0;
     rows->process = 0;
-    return bsq_fail_errno(ctx, error == ENOMEM || error == EAGAIN ? BSQ_ENOMEM : BSQ_ENOINPUT,
-                          error, "%s: %s does not start", input->path, program);
+    return fmt_program_fail(ctx, input->path, "OpenImageIO",
+                            &(struct fmt_program_end){.error = error}, "", 0, 0);
 }
 
 static int open_oiio(struct fmt_rows_input *input, struct fmt_rows_info *info, void **state)

@@ -37,16 +37,16 @@ acts() # TEXT: what the program does
 
 acts 'kill -SEGV $$'
 $vox "$image"
-refused 65 "$p $image: damaged image: OpenImageIO crashed (Segmentation fault)"
+refused 65 "$p $image: cannot be read: OpenImageIO crashed (Segmentation fault): the file is damaged"
 acts 'exit 0'
 $vox "$image"
-refused 65 "$p $image: damaged image: OpenImageIO crashed (it ended the program)"
+refused 65 "$p $image: cannot be read: OpenImageIO crashed (it ended the program): the file is damaged"
 acts 'kill -XCPU $$'
 $vox "$image"
-refused 65 "$p $image: damaged image: OpenImageIO has not read it in 30 seconds"
+refused 65 "$p $image: cannot be read: OpenImageIO has not read it in 30 seconds"
 acts 'exit 71'
 $vox "$image" --memory 64M
-refused_like 71 "^$p $image: OpenImageIO needs more memory than the [0-9]* MiB that are left of --memory: "
+refused_like 71 "^$p $image: OpenImageIO needs more memory than the [0-9]* bytes that are left of --memory: "
 acts 'printf -- "-damaged image: \\033[2Jno\\n\\tidea"; exit 65'
 $vox "$image"
 refused 65 "$p $image: damaged image:  [2Jno  idea"

@@ -3,12 +3,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "formats/mesh/gltf_module.h"
+#include "tests/fuzz/compressed_check.h"
 #include "tests/fuzz/fuzz_file.h"
 
 enum { HEAD = 8, MOST = 4096 };
-
-extern const struct fmt_gltf_module bisque_module;
 
 static uint32_t load16(const uint8_t *from)
 {
@@ -34,7 +32,7 @@ static void use_meshopt(const uint8_t *head, const uint8_t *data, size_t size)
     if (view.mode == GLTF_MESHOPT_TRIANGLES)
         view.count -= view.count % 3;
     view.to = malloc(view.count * view.stride + 1);
-    bisque_module.meshopt(&view);
+    decode_view(&view);
     free(view.to);
 }
 
@@ -54,7 +52,7 @@ static void use_draco(const uint8_t *head, const uint8_t *data, size_t size)
     mesh.outputs[0].to = malloc(mesh.faces * 12 + 1);
     mesh.outputs[1].to = malloc(mesh.points * 12 + 1);
     mesh.outputs[2].to = malloc(mesh.points * 16 + 1);
-    bisque_module.draco(&mesh);
+    decode_compressed_mesh(&mesh);
     for (uint32_t i = 0; i < 3; i++)
         free(mesh.outputs[i].to);
 }

@@ -1,7 +1,7 @@
-/* gltf_module.h - the table of the module bisque-gltf.so, which decompresses parts of glTF files by
- * meshoptimizer and Draco. */
-#ifndef FMT_MESH_GLTF_MODULE_H
-#define FMT_MESH_GLTF_MODULE_H
+/* gltf_task.h - private to formats/mesh: what the program bisque-gltf gets, which decompresses
+ * parts of glTF files by meshoptimizer and Draco. */
+#ifndef FMT_MESH_GLTF_TASK_H
+#define FMT_MESH_GLTF_TASK_H
 
 #include "formats/module/module.h"
 
@@ -46,12 +46,23 @@ struct gltf_draco {
     uint32_t output_count;
 };
 
-/* Both return NULL, or what is wrong with the data, in static storage. Memory of the libraries is
- * not counted; the caller reserves it. */
-struct fmt_gltf_module {
-    struct fmt_module module;
-    const char *(*meshopt)(const struct gltf_meshopt *view);
-    const char *(*draco)(const struct gltf_draco *mesh);
+/* Compressed data: a view, or the accessors of a primitive. The program's input is struct
+ * gltf_stamp, then for each of them this head and the compressed bytes. Its output is what they
+ * become, one after the other; or, if its exit status is BSQ_EDATA, a text that says what is wrong.
+ * Pointers have no meaning there. */
+struct gltf_packed {
+    bool is_draco;
+    uint32_t number; /* of the view or mesh, for messages */
+    uint32_t buffer;
+    uint64_t offset; /* in the buffer */
+    uint64_t bytes;  /* when decoded */
+    struct gltf_meshopt meshopt;
+    struct gltf_draco draco;
+    uint64_t sizes[5]; /* bytes of Draco's outputs */
+};
+
+struct gltf_stamp {
+    char text[48]; /* fmt_module_stamp of the reader */
 };
 
 #ifdef __cplusplus

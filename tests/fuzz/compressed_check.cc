@@ -1,0 +1,18 @@
+// compressed_check.cc - lets a fuzz target call the decoders of bisque-gltf. It includes the
+// program's source, because the program takes files.
+#include "tests/fuzz/compressed_check.h"
+
+#define main gltf_main
+int gltf_main(int argument_count, char **arguments);
+#include "formats/mesh/gltf_decode.cc"
+#undef main
+
+const char *decode_view(const struct gltf_meshopt *view)
+{
+    return decode_meshopt(view);
+}
+
+const char *decode_compressed_mesh(const struct gltf_draco *mesh)
+{
+    return decode_draco(mesh);
+}

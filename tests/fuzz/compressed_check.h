@@ -1,0 +1,18 @@
+/* compressed_check.h - the decoders of the program bisque-gltf, for their fuzz target. */
+#ifndef TESTS_FUZZ_COMPRESSED_CHECK_H
+#define TESTS_FUZZ_COMPRESSED_CHECK_H
+
+#include "formats/mesh/gltf_task.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Both return NULL, or what is wrong. */
+const char *decode_view(const struct gltf_meshopt *view);
+const char *decode_compressed_mesh(const struct gltf_draco *mesh);
+
+#ifdef __cplusplus
+}
+#endif
+#endif
