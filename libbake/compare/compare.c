@@ -318,7 +318,7 @@ static int show_map(struct bsq_ctx *ctx, struct bake_page *page, const struct ba
     BSQ_TRY(bake_page_begin_picture(ctx, c->a.width, c->a.height, &picture));
     BSQ_TRY(bsq_alloc(ctx, "a row of a map", c->a.width, sizeof *row, &row));
     for (uint32_t y = 0; y < c->a.height; y++) {
-        float other[3];
+        float other[3] = {0};
         for (uint32_t x = 0; x < c->a.width; x++)
             read_rgb(c, (uint64_t)y * c->a.width + x, reference ? other : row[x],
                      reference ? row[x] : other);

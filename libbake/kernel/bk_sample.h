@@ -237,8 +237,10 @@ BK_FN void bk_trace_hits(const bk_grid *grid, const bk_params *params, bk_cache 
                          bk_traced *traced, bk_map_hits *out)
 {
     const bk_uint transfers = bk_transfer_sums(params->maps);
+    const bk_uint passes = params->maps >> BK_MAP_confidence & 1u ? 2 : 1;
     bk_lines lines;
-    bk_uint lane;
+    bk_hits hits;
+    bk_uint lane, pass;
 
     traced->points = bk_points_at(params, triangles, samples);
     traced->start = bk_start_at(params, &traced->points);
@@ -251,11 +253,21 @@ BK_FN void bk_trace_hits(const bk_grid *grid, const bk_params *params, bk_cache 
     lines.t_max = traced->start.t_max;
     for (lane = 0; lane < BK_WIDTH; lane++)
         lines.sums[lane] = samples->texel[lane] + transfers;
-    bk_trace(grid, params, cache, &lines, &traced->hits);
+    /* A loop, so that bk_trace() is compiled into one place. */
+    BK_ROLLED
+    for (pass = 0; pass < passes; pass++) {
+        bk_trace(grid, params, cache, &lines, &hits);
+        if (pass == 0) {
+            traced->hits = hits;
+            bk_look_past(&hits, &lines);
+        }
+    }
     bk_hits_for_maps(params, &traced->points, &traced->start, &traced->hits, out);
-    if (params->maps >> BK_MAP_confidence & 1u)
+    out->confidence = bk_splat(0.0f);
+    if (passes > 1)
         bk_set_confidence(params, &traced->start, &traced->hits,
-                          bk_next_sheet(grid, params, cache, &lines, &traced->hits), out);
+                          bk_select(bk_mask_of(hits.found), bk_absw(hits.t), bk_splat(BK_FAR)),
+                          out);
 }
 
 /* Returns the place of a sample's hit, from which further rays start. */

@@ -439,26 +439,19 @@ BK_FN void bk_trace(const bk_grid *grid, const bk_params *params, bk_cache *cach
 /* Records within this distance of a hit, in voxels, belong to the surface that was hit. */
 #define BK_NEXT_SHEET 2.0f
 
-/* Returns the distances from the hits of lines to the next surface that the lines could have hit
- * too, on either side; BK_FAR if there is none. */
-BK_FN bk_fw bk_next_sheet(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                          const bk_lines *lines, const bk_hits *hits)
+/* Turns lines to the next surfaces that they could have hit too, on either side of their hits. */
+BK_FN void bk_look_past(const bk_hits *hits, bk_lines *lines)
 {
     const bk_mask found = bk_mask_of(hits->found);
     const bk_fw zero = bk_splat(0.0f), t = bk_select(found, hits->t, zero);
-    bk_lines around = *lines;
-    bk_hits next;
 
-    around.origin = bk_add_scaledw(lines->origin, t, lines->direction);
-    around.direction = bk_select3(found, lines->direction, bk_v3w(zero, zero, zero));
-    around.reach = zero;
-    around.t_min = bk_minw(lines->t_min - t, zero);
-    around.t_max = bk_maxw(lines->t_max - t, zero);
-    around.gap = BK_NEXT_SHEET;
-    around.sums[0] = 0;
-    /* Not bk_nearest(), so that this has one caller and is compiled into it. */
-    bk_trace(grid, params, cache, &around, &next);
-    return bk_select(bk_mask_of(next.found), bk_absw(next.t), bk_splat(BK_FAR));
+    lines->origin = bk_add_scaledw(lines->origin, t, lines->direction);
+    lines->direction = bk_select3(found, lines->direction, bk_v3w(zero, zero, zero));
+    lines->reach = zero;
+    lines->t_min = bk_minw(lines->t_min - t, zero);
+    lines->t_max = bk_maxw(lines->t_max - t, zero);
+    lines->gap = BK_NEXT_SHEET;
+    lines->sums[0] = 0;
 }
 
 #endif
