@@ -16,7 +16,9 @@
 #include "libvoxel/simplify/closest.h"
 
 enum {
-    AREA_SAMPLES = 131072,
+    /* For each triangle of the scan and of the mesh: more would find nothing new. */
+    SAMPLES_PER_TRIANGLE = 16,
+    AREA_SAMPLES_MAX = 131072,
     /* Of the histogram: a sixteenth of an octave each, from 2^-40 of the scan's diagonal on. */
     BINS_PER_OCTAVE = 16,
     OCTAVES = 42,
@@ -36,12 +38,12 @@ struct measuring {
     const struct fmt_tris_file *file;
     const struct vox_mesh *mesh;
     double enough_square, diagonal;
-    struct vox_closest tree; /* of the mesh */
-    float (*samples)[3];     /* AREA_SAMPLES, then the mesh's vertices */
-    _Atomic uint32_t *found; /* bits of their squared distances */
-    uint32_t sample_count;
+    struct vox_closest tree;             /* of the mesh */
+    float (*samples)[3];                 /* points on the mesh, then its vertices */
+    _Atomic uint32_t *found;             /* bits of their squared distances */
+    uint32_t area_samples, sample_count; /* points on the mesh; with its vertices */
     struct sums *total;
-    bool enough;
+    atomic_bool enough;
 };
 
 struct slot {
@@ -124,7 +126,7 @@ static void spread_samples(struct measuring *m)
         const uint32_t *corners = mesh->triangles[t];
         reached += triangle_area(positions, corners);
         const bool last = t + 1 == mesh->triangle_count;
-        for (; done < AREA_SAMPLES && (last || (done + 0.5) * area < reached * AREA_SAMPLES);
+        for (; done < m->area_samples && (last || (done + 0.5) * area < reached * m->area_samples);
              done++) {
             double u = fmod(0.5 + 0.7548776662466927 * done, 1.0),
                    v = fmod(0.5 + 0.5698402909980532 * done, 1.0);
@@ -138,7 +140,7 @@ static void spread_samples(struct measuring *m)
                                               v * (double)positions[corners[2]][k]);
         }
     }
-    memcpy(m->samples + AREA_SAMPLES, mesh->positions,
+    memcpy(m->samples + m->area_samples, mesh->positions,
            mesh->vertex_count * sizeof *mesh->positions);
 }
 
@@ -265,7 +267,8 @@ static int measure_chunk(void *arg, void *slot_, uint64_t sequence, unsigned wor
     BSQ_TRY(fmt_tris_load(m->file, sequence, scratch, &chunk));
     BSQ_TRY(bsq_calloc(m->ctx, "areas", chunk.vertex_count, sizeof *areas, &areas));
     BSQ_TRY(measure_vertices(m, &chunk, areas, &slot->sums));
-    status = measure_samples(m, sequence, &chunk);
+    if (slot->sums.max_square <= m->enough_square)
+        status = measure_samples(m, sequence, &chunk);
 done:
     bsq_free(m->ctx, areas);
     bsq_free(m->ctx, scratch);
@@ -277,7 +280,8 @@ static int add_chunk(void *arg, void *slot_, uint64_t sequence)
     struct measuring *m = arg;
     const struct slot *slot = slot_;
     add_sums(m->total, &slot->sums);
-    m->enough |= m->total->max_square > m->enough_square;
+    if (m->total->max_square > m->enough_square)
+        m->enough = true;
     bsq_progress_add(m->ctx, fmt_tris_chunks(m->file)[sequence].triangle_count);
     return 0;
 }
@@ -310,11 +314,7 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
                 struct vox_distances *mesh_to_scan)
 {
     const struct fmt_tris_header *header = fmt_tris_get_header(file);
-    struct measuring m = {.ctx = ctx,
-                          .file = file,
-                          .mesh = mesh,
-                          .enough_square = enough * enough,
-                          .sample_count = AREA_SAMPLES + mesh->vertex_count};
+    struct measuring m = {.ctx = ctx, .file = file, .mesh = mesh, .enough_square = enough * enough};
     struct sums *samples = NULL;
     int status = 0;
     for (int k = 0; k < 3; k++) {
@@ -322,6 +322,11 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
         m.diagonal += side * side;
     }
     m.diagonal = sqrt(m.diagonal);
+    m.area_samples = AREA_SAMPLES_MAX;
+    if (header->triangle_count + mesh->triangle_count < AREA_SAMPLES_MAX / SAMPLES_PER_TRIANGLE)
+        m.area_samples =
+            SAMPLES_PER_TRIANGLE * (uint32_t)(header->triangle_count + mesh->triangle_count);
+    m.sample_count = m.area_samples + mesh->vertex_count;
     BSQ_TRY(bsq_calloc(ctx, "distances", 1, sizeof *m.total, &m.total));
     BSQ_TRY(bsq_calloc(ctx, "distances", 1, sizeof *samples, &samples));
     BSQ_TRY(bsq_alloc(ctx, "samples", m.sample_count, sizeof *m.samples, &m.samples));
@@ -333,7 +338,7 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
     memset(m.found, 0x7f, m.sample_count * sizeof *m.found); /* about 3e38 */
     BSQ_TRY(measure_chunks(&m));
     for (uint32_t s = 0; s < m.sample_count; s++)
-        add_distance(samples, (double)from_bits(m.found[s]), s < AREA_SAMPLES ? 1.0 : 0.0,
+        add_distance(samples, (double)from_bits(m.found[s]), s < m.area_samples ? 1.0 : 0.0,
                      (const float *)m.samples[s], m.diagonal);
     summarize(&m, m.total, scan_to_mesh);
     summarize(&m, samples, mesh_to_scan);

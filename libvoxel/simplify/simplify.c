@@ -166,7 +166,7 @@ static int simplify_to_error(struct simplifying *s)
     int status = 0;
     *kept = (struct vox_simplified){.target = 0};
     s->report->level_count = 1;
-    BSQ_TRY(measure(s, &s->mesh, error, kept));
+    BSQ_TRY(measure(s, &s->mesh, INFINITY, kept));
     if (largest(kept) > error) {
         status = bsq_fail(s->ctx, BSQ_EDATA,
                           "--error: %g cannot be kept: a mesh of %" PRIu64
