@@ -96,16 +96,15 @@ bins     := $(addprefix $(BUILD)/bin/,$(programs))
 # OpenImageIO, one decompresses parts of glTF files.
 helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices scene texture gltf)
 
-# The frame of reports with its style and script, which programs find relative to themselves.
-report_frame := $(BUILD)/share/bisque/report.html
-$(report_frame): tools/report/report.html tools/report/report.css tools/report/report.js
+# The frame and the script of reports, which programs find relative to themselves.
+report_parts := $(addprefix $(BUILD)/share/bisque/,report.html report.js)
+$(BUILD)/share/bisque/%: tools/report/%
 	@mkdir -p $(@D)
-	awk '/^<!--report/ { gsub(/<!--|-->/, ""); while ((getline line < ("tools/report/" $$0)) > 0) \
-	    print line; next } { print }' $< > $@
+	cp $< $@
 
 .PHONY: all
 ## all: build the libraries, modules and programs (default), into build/$(config)/
-all: $(archives) $(shared) $(module_files) $(helpers) $(bins) $(report_frame)
+all: $(archives) $(shared) $(module_files) $(helpers) $(bins) $(report_parts)
 
 # Debug information names the folder of the sources. With this name, builds in different folders have
 # the same bytes; debuggers find the sources if they are started there.

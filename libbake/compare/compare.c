@@ -303,46 +303,39 @@ static int measure_row(void *arg, uint64_t y, unsigned worker)
 
 /* ---- a page ---- */
 
-static int show_map(struct bsq_ctx *ctx, struct bake_page *page, const struct bake_comparison *c,
-                    bool reference, const char *path)
-{
-    struct bake_page_picture picture = {.color = c->kind == BAKE_COMPARE_COLOR};
-    char *escaped = bsq_escape(path, true);
-    json_t *head =
-        json_pack("{s:s, s:s, s:s, s:i, s:i, s:i}", "kind", "map", "name", reference ? "B" : "A",
-                  "path", escaped ? escaped : "", "width", (int)c->a.width, "height",
-                  (int)c->a.height, "channels", (int)c->pair_count);
-    float(*row)[3] = NULL;
-    int status;
-    free(escaped);
-    BSQ_TRY(bake_page_begin_picture(ctx, c->a.width, c->a.height, &picture));
-    BSQ_TRY(bsq_alloc(ctx, "a row of a map", c->a.width, sizeof *row, &row));
-    for (uint32_t y = 0; y < c->a.height; y++) {
-        float other[3] = {0};
-        for (uint32_t x = 0; x < c->a.width; x++)
-            read_rgb(c, (uint64_t)y * c->a.width + x, reference ? other : row[x],
-                     reference ? row[x] : other);
-        BSQ_TRY(bake_page_take_rows(ctx, &picture, 3, y, 1, row[0]));
-    }
-    status = bake_page_add_picture(page, json_incref(head), &picture);
-done:
-    json_decref(head);
-    bake_thumbnail_free(ctx, &picture.texels);
-    bsq_free(ctx, row);
-    return status;
-}
-
-/* Adds both maps and the error of each texel to a page. */
+/* Adds both maps, which are shown with the same range, and the error of each texel to a page. */
 static int show(struct bsq_ctx *ctx, const struct bake_compare_options *options,
                 const struct bake_comparison *c, double top)
 {
+    const uint64_t width = c->a.width;
+    struct bake_page_picture maps[2] = {0};
     struct bsq_output_group errors = {0};
+    float(*rows)[3] = NULL;
     int status;
-    BSQ_TRY(show_map(ctx, options->page, c, false, options->a_path));
-    BSQ_TRY(show_map(ctx, options->page, c, true, options->b_path));
-    BSQ_TRY(bake_heatmap_write(ctx, c, top, bake_page_path(options->page), &errors));
+    for (int i = 0; i < 2; i++)
+        BSQ_TRY(bake_page_begin_picture(ctx, c->a.width, c->a.height, &maps[i]));
+    BSQ_TRY(bsq_alloc(ctx, "rows of maps", 2 * width, sizeof *rows, &rows));
+    for (uint32_t y = 0; y < c->a.height; y++) {
+        for (uint64_t x = 0; x < width; x++)
+            read_rgb(c, y * width + x, rows[x], rows[width + x]);
+        BSQ_TRY(bake_page_take_rows(ctx, &maps[0], 3, y, 1, rows[0]));
+        BSQ_TRY(bake_page_take_rows(ctx, &maps[1], 3, y, 1, rows[width]));
+    }
+    for (int k = 0; k < 3; k++) {
+        maps[0].low[k] = maps[1].low[k] = fminf(maps[0].low[k], maps[1].low[k]);
+        maps[0].high[k] = maps[1].high[k] = fmaxf(maps[0].high[k], maps[1].high[k]);
+    }
+    for (int i = 0; i < 2; i++) {
+        maps[i].color = c->kind == BAKE_COMPARE_COLOR;
+        BSQ_TRY(
+            bake_page_add_picture(options->page, json_pack("{s:s}", "kind", "compared"), &maps[i]));
+    }
+    BSQ_TRY(bake_heatmap_write(ctx, c, top, options->page->path, &errors));
     status = bake_page_add(options->page, json_pack("{s:s}", "kind", "error"), errors.list[0]);
 done:
+    bake_thumbnail_free(ctx, &maps[0].texels);
+    bake_thumbnail_free(ctx, &maps[1].texels);
+    bsq_free(ctx, rows);
     bsq_output_group_discard(&errors);
     return status;
 }

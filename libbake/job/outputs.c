@@ -166,7 +166,7 @@ int bake_open_outputs(struct bake_work *job)
     if (wants_preview(job) && !job->keeps_preview)
         BSQ_TRY(bake_preview_open(job->ctx,
                                   job->options->preview_path ? job->options->preview_path
-                                                             : bake_page_path(job->options->page),
+                                                             : job->options->page->path,
                                   job->options->preview_views, &job->preview_file));
     if (job->options->glb_path)
         BSQ_TRY(bake_asset_open(job->ctx, job->options, job->udim.count, &job->asset));
@@ -221,12 +221,6 @@ int bake_tile_create_image(struct bsq_ctx *ctx, struct bake_tile *tile, uint64_t
 static int show_misses(struct bake_work *job, const struct bake_tile *tile, uint32_t number)
 {
     struct bake_page_picture picture = {.texels = tile->missed, .high = {1, 1, 1}};
-    const uint64_t texels = (uint64_t)tile->missed.width * tile->missed.height;
-    int status =
-        bsq_alloc(job->ctx, "page", texels, sizeof *picture.texels.texels, &picture.texels.texels);
-    if (status < 0)
-        return status;
-    memcpy(picture.texels.texels, tile->missed.texels, texels * sizeof *picture.texels.texels);
     return bake_page_add_picture(job->options->page,
                                  json_pack("{s:s, s:i}", "kind", "misses", "tile", (int)number),
                                  &picture);
@@ -286,7 +280,7 @@ done:
 static int show_mesh(struct bake_work *job)
 {
     struct bake_page *page = job->options->page;
-    const struct bake_options plain = {.glb_path = bake_page_path(page)};
+    const struct bake_options plain = {.glb_path = page->path};
     const struct bake_preview preview = {.mesh = &job->mesh, .up = job->options->preview_up};
     struct bake_asset *asset = NULL;
     struct bsq_output *output = NULL;

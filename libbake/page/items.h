@@ -9,29 +9,35 @@
 #include "libbake/maps/maps.h"
 #include "libbake/page.h"
 
-/* Returns the page's final name, for outputs that become items and get no name of their own. */
-const char *bake_page_path(const struct bake_page *page);
+/* A picture of a map: a thumbnail, and the range of each channel. */
+struct bake_page_picture {
+    struct bake_thumbnail texels;
+    float low[3], high[3];          /* of all values, not only of those in the thumbnail */
+    bool color;                     /* values are linear light */
+    const char *path;               /* of the file whose rows come */
+    struct bake_page_picture *next; /* of another such file */
+};
+
+struct bake_page {
+    struct bsq_ctx *ctx;
+    const char *path; /* also names outputs that become items and get no name of their own */
+    struct bsq_output *output;
+    struct bake_page_picture *pictures; /* of the files whose rows come; the last one first */
+};
 
 /* Adds an item with the bytes of an output, which stays the caller's. Takes over `head`; NULL means
  * that there was no memory for it. Errors: BSQ_EIO, BSQ_ENOMEM. */
 int bake_page_add(struct bake_page *page, json_t *head, struct bsq_output *output);
 
-/* Adds a picture as an item: a thumbnail, whose texels it may change and frees. It gets the members
- * "range", of the values of each channel, and "shown", what became 0 and 1; `color` says that the
- * values are linear light. Errors: those of bake_page_add(). */
-struct bake_page_picture {
-    struct bake_thumbnail texels;
-    float low[3], high[3]; /* of all values, not only of those in the thumbnail */
-    bool color;
-};
-int bake_page_add_picture(struct bake_page *page, json_t *head, struct bake_page_picture *picture);
-
+/* Begins a picture of a map of this size. Free it with bake_thumbnail_free(). */
+int bake_page_begin_picture(struct bsq_ctx *ctx, uint32_t width, uint32_t height,
+                            struct bake_page_picture *out);
 /* Adds rows of a map to a picture; channels beyond the third do not count. */
 int bake_page_take_rows(struct bsq_ctx *ctx, struct bake_page_picture *picture, uint32_t channels,
                         uint32_t first_row, uint32_t rows, const float *samples);
-
-/* Begins a picture of a map of this size. */
-int bake_page_begin_picture(struct bsq_ctx *ctx, uint32_t width, uint32_t height,
-                            struct bake_page_picture *out);
+/* Adds a picture as an item, whose texels it may change. It gets the members "range", of the values
+ * of each channel, and "shown", what became 0 and 1. Takes over `head`. Errors: those of
+ * bake_page_add(). */
+int bake_page_add_picture(struct bake_page *page, json_t *head, struct bake_page_picture *picture);
 
 #endif

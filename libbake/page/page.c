@@ -1,17 +1,15 @@
-/* page.c - puts a page together: the frame, three.js, items as they come, and figures. */
+/* page.c - puts a page together: the frame, three.js, items as they come, figures, and the script.
+ */
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
 
 #include "formats/module/module.h"
-#include "libbake/page/page_internal.h"
+#include "libbake/page/items.h"
 
 /* Where Debian's package libjs-three is installed, and its parts that a page needs. */
-#define THREE "/usr/share/javascript/three/"
-static const char *const scripts[] = {THREE "build/three.min.js",
-                                      THREE "examples/js/controls/OrbitControls.js",
-                                      THREE "examples/js/loaders/GLTFLoader.js"};
-enum { SCRIPTS = sizeof scripts / sizeof *scripts };
+#define THREE  "/usr/share/javascript/three/build/three.min.js"
+#define LOADER "/usr/share/javascript/three/examples/js/loaders/GLTFLoader.js"
 
 static int put(struct bake_page *page, const char *text)
 {
@@ -30,52 +28,27 @@ static int put_json(struct bake_page *page, const char *text)
     return status < 0 ? status : put(page, text);
 }
 
-/* Reads a text file of the installation, or of three.js, with a zero at its end. */
-static int read_text(struct bake_page *page, const char *path, char **out)
+static int put_file(struct bake_page *page, const char *path)
 {
     struct bsq_file file = BSQ_FILE_CLOSED;
+    char *text = NULL;
     int status;
     BSQ_TRY(bsq_file_open(page->ctx, path, &file));
-    BSQ_TRY(bsq_calloc(page->ctx, "page", file.size + 1, 1, out));
-    status = bsq_file_read(page->ctx, &file, *out, file.size, 0);
+    BSQ_TRY(bsq_alloc(page->ctx, "page", file.size, 1, &text));
+    BSQ_TRY(bsq_file_read(page->ctx, &file, text, file.size, 0));
+    status = bsq_output_write(page->output, text, file.size);
 done:
+    bsq_free(page->ctx, text);
     bsq_file_close(page->ctx, &file);
     return status;
 }
 
-static int put_file(struct bake_page *page, const char *path)
+static int put_script(struct bake_page *page, const char *path)
 {
-    char *text = NULL;
-    int status = read_text(page, path, &text);
-    if (status == 0)
-        status = put(page, text);
-    bsq_free(page->ctx, text);
-    return status;
-}
-
-/* Puts the frame up to a mark, which it leaves out. */
-static int put_frame(struct bake_page *page, const char *mark)
-{
-    char *end = strstr(page->frame, mark);
-    if (!end)
-        return bsq_fail(page->ctx, BSQ_EDATA, "report.html: %s is missing", mark);
-    *end = '\0';
-    const int status = put(page, page->frame);
-    page->frame = end + strlen(mark);
-    return status;
-}
-
-static int put_three(struct bake_page *page)
-{
-    int status = 0;
-    for (int i = 0; i < SCRIPTS; i++)
-        if (access(scripts[i], R_OK) != 0)
-            return 0;
-    for (int i = 0; i < SCRIPTS; i++) {
-        BSQ_TRY(put(page, "<script>"));
-        BSQ_TRY(put_file(page, scripts[i]));
-        BSQ_TRY(put(page, "</script>\n"));
-    }
+    int status;
+    BSQ_TRY(put(page, "<script>\n"));
+    BSQ_TRY(put_file(page, path));
+    status = put(page, "</script>\n");
 done:
     return status;
 }
@@ -90,22 +63,17 @@ int bake_page_open(struct bsq_ctx *ctx, const char *path, struct bake_page **out
     page->ctx = ctx;
     page->path = path;
     BSQ_TRY(fmt_module_find(ctx, "../../share/bisque/report.html", "reports", frame));
-    BSQ_TRY(read_text(page, frame, &page->frame_text));
-    page->frame = page->frame_text;
     BSQ_TRY(bsq_output_open(ctx, path, &page->output));
-    BSQ_TRY(put_frame(page, "<!--three-->"));
-    BSQ_TRY(put_three(page));
-    BSQ_TRY(put_frame(page, "<!--items-->"));
+    BSQ_TRY(put_file(page, frame));
+    if (access(THREE, R_OK) == 0 && access(LOADER, R_OK) == 0) {
+        BSQ_TRY(put_script(page, THREE));
+        BSQ_TRY(put_script(page, LOADER));
+    }
     *out = page;
     page = NULL;
 done:
     bake_page_close(page);
     return status;
-}
-
-const char *bake_page_path(const struct bake_page *page)
-{
-    return page->path;
 }
 
 /* Puts a file as base64 (RFC 4648). */
@@ -158,11 +126,13 @@ done:
 
 int bake_page_finish(struct bake_page *page, const char *json)
 {
+    char script[PATH_MAX];
     int status;
     BSQ_TRY(put(page, "<script type=\"application/json\" id=\"data\">"));
     BSQ_TRY(put_json(page, json));
     BSQ_TRY(put(page, "</script>\n"));
-    BSQ_TRY(put(page, page->frame));
+    BSQ_TRY(fmt_module_find(page->ctx, "../../share/bisque/report.js", "reports", script));
+    BSQ_TRY(put_script(page, script));
     struct bsq_output *output = page->output;
     page->output = NULL;
     status = bsq_output_commit(output);
@@ -174,8 +144,11 @@ void bake_page_close(struct bake_page *page)
 {
     if (!page)
         return;
-    bake_page_free_pictures(page);
+    for (struct bake_page_picture *picture; (picture = page->pictures);
+         bsq_free(page->ctx, picture)) {
+        page->pictures = picture->next;
+        bake_thumbnail_free(page->ctx, &picture->texels);
+    }
     bsq_output_discard(page->output);
-    bsq_free(page->ctx, page->frame_text);
     bsq_free(page->ctx, page);
 }

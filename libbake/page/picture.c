@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "formats/image/image_writer.h"
-#include "libbake/page/page_internal.h"
+#include "libbake/page/items.h"
 
 enum { LARGEST_SIDE = 1024 };
 
@@ -37,6 +37,12 @@ int bake_page_take_rows(struct bsq_ctx *ctx, struct bake_page_picture *picture, 
     return bake_thumbnail_add(ctx, &picture->texels, channels, first_row, rows, samples);
 }
 
+static json_t *ranges_json(const struct bake_page_picture *picture)
+{
+    const float *low = picture->low, *high = picture->high;
+    return json_pack("[[f,f],[f,f],[f,f]]", low[0], high[0], low[1], high[1], low[2], high[2]);
+}
+
 /* Maps the range of each channel to 0 to 1, unless it lies in there; what is not finite becomes 0.
  */
 static void normalise(struct bake_page_picture *picture)
@@ -56,17 +62,9 @@ static void normalise(struct bake_page_picture *picture)
     }
 }
 
-static void set_ranges(json_t *head, const char *name, const struct bake_page_picture *picture)
-{
-    const float *low = picture->low, *high = picture->high;
-    json_object_set_new(
-        head, name,
-        json_pack("[[f,f],[f,f],[f,f]]", low[0], high[0], low[1], high[1], low[2], high[2]));
-}
-
 int bake_page_add_picture(struct bake_page *page, json_t *head, struct bake_page_picture *picture)
 {
-    struct bake_thumbnail *texels = &picture->texels;
+    const struct bake_thumbnail *texels = &picture->texels;
     const struct fmt_image_options options = {.width = texels->width,
                                               .height = texels->height,
                                               .channel_count = 3,
@@ -80,9 +78,9 @@ int bake_page_add_picture(struct bake_page *page, json_t *head, struct bake_page
     for (int k = 0; k < 3; k++)
         if (!(picture->low[k] <= picture->high[k])) /* no value is finite */
             picture->low[k] = picture->high[k] = 0;
-    set_ranges(head, "range", picture);
+    json_object_set_new(head, "range", ranges_json(picture));
     normalise(picture);
-    set_ranges(head, "shown", picture);
+    json_object_set_new(head, "shown", ranges_json(picture));
     BSQ_TRY(fmt_image_create(page->ctx, &fmt_png_format, page->path, &options, &writer));
     BSQ_TRY(fmt_image_write_rows(writer, texels->texels[0], texels->height));
     status = fmt_image_hand_over(writer, &output);
@@ -93,7 +91,6 @@ done:
     fmt_image_discard(writer);
     bsq_output_discard(output);
     json_decref(head);
-    bake_thumbnail_free(page->ctx, texels);
     return status;
 }
 
@@ -101,7 +98,7 @@ done:
 
 /* Finds the picture of a file, or begins it with its first rows. */
 static int find_picture(struct bake_page *page, const struct bake_rows *rows,
-                        struct row_picture **out)
+                        struct bake_page_picture **out)
 {
     for (*out = page->pictures; *out && strcmp((*out)->path, rows->path) != 0; *out = (*out)->next)
         ;
@@ -111,39 +108,29 @@ static int find_picture(struct bake_page *page, const struct bake_rows *rows,
     if (status < 0)
         return status;
     (*out)->next = page->pictures;
-    (*out)->path = rows->path;
-    (*out)->picture.color = rows->light;
     page->pictures = *out;
-    return bake_page_begin_picture(page->ctx, rows->width, rows->height, &(*out)->picture);
+    (*out)->path = rows->path;
+    (*out)->color = rows->light;
+    return bake_page_begin_picture(page->ctx, rows->width, rows->height, *out);
 }
 
 int bake_page_take(void *user, const struct bake_rows *rows)
 {
     struct bake_page *page = user;
-    struct row_picture *of = NULL;
+    struct bake_page_picture *picture = NULL;
     int status;
-    BSQ_TRY(find_picture(page, rows, &of));
-    BSQ_TRY(bake_page_take_rows(page->ctx, &of->picture, rows->channels, rows->first, rows->count,
+    BSQ_TRY(find_picture(page, rows, &picture));
+    BSQ_TRY(bake_page_take_rows(page->ctx, picture, rows->channels, rows->first, rows->count,
                                 rows->samples));
     if (rows->first + rows->count < rows->height)
         return 0;
     char *path = bsq_escape(rows->path, true);
-    json_t *head =
-        json_pack("{s:s, s:s, s:s, s:i, s:i, s:i, s:b}", "kind", "map", "name", rows->map, "path",
-                  path ? path : "", "width", (int)rows->width, "height", (int)rows->height,
-                  "channels", (int)rows->channels, "color", (int)rows->light);
+    json_t *head = json_pack("{s:s, s:s, s:s, s:i, s:i, s:i}", "kind", "map", "name", rows->map,
+                             "path", path ? path : "", "width", (int)rows->width, "height",
+                             (int)rows->height, "channels", (int)rows->channels);
     free(path);
-    status = bake_page_add_picture(page, head, &of->picture);
+    status = bake_page_add_picture(page, head, picture);
+    bake_thumbnail_free(page->ctx, &picture->texels);
 done:
     return status;
-}
-
-void bake_page_free_pictures(struct bake_page *page)
-{
-    while (page->pictures) {
-        struct row_picture *first = page->pictures;
-        page->pictures = first->next;
-        bake_thumbnail_free(page->ctx, &first->picture.texels);
-        bsq_free(page->ctx, first);
-    }
 }

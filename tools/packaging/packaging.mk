@@ -20,7 +20,7 @@ install: all
 	install -m 755 $(farm_programs) $(farmdir)
 	install -m 644 $(filter-out $(farm_programs),$(wildcard tools/farm/*.yaml)) $(farmdir)
 	install -m 644 $(wildcard tools/farm/deadline/*) $(farmdir)/deadline
-	install -m 644 $(report_frame) $(DESTDIR)$(prefix)/share/bisque
+	install -m 644 $(report_parts) $(DESTDIR)$(prefix)/share/bisque
 	install -m 644 $(module_files) $(moddir)
 	install -m 755 $(helpers) $(moddir)
 	$(here) $(CC) $(CPPFLAGS) $(directory_cppflags) $(CFLAGS) -c formats/module/module_directory.c \
@@ -39,7 +39,7 @@ install: all
 uninstall:
 	rm -f $(addprefix $(bindir)/,$(programs)) $(addprefix $(mandir)/,$(notdir $(wildcard man/*.1)))
 	rm -f $(arcdir)/libbisque.* $(arcdir)/pkgconfig/bisque.pc
-	rm -rf $(incdir) $(moddir) $(farmdir) $(DESTDIR)$(prefix)/share/bisque/report.html
+	rm -rf $(incdir) $(moddir) $(farmdir) $(DESTDIR)$(prefix)/share/bisque/report.*
 	-rmdir $(dir $(farmdir)) 2>/dev/null
 
 # ---- packages of Bisque ----

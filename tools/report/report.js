@@ -1,14 +1,12 @@
 'use strict';
 (() => {
 const $ = id => document.getElementById(id);
-const data = JSON.parse($('data').textContent);
+const data = JSON.parse($('data').textContent), tiles = data.tiles ?? [];
 const items = [...document.querySelectorAll('script.item')].map(e => JSON.parse(e.textContent));
-const maps = items.filter(item => item.kind === 'map');
-const meshItem = items.find(item => item.kind === 'mesh');
-const previewItem = items.find(item => item.kind === 'preview');
-const isBake = data.program !== 'bisque-compare';
+const all = kind => items.filter(item => item.kind === kind);
+const maps = all('map'), [meshItem] = all('mesh'), [previewItem] = all('preview');
 
-// ---- elements and texts ----
+// ---- elements, texts and pictures ----
 
 function el(name, attributes = {}, ...children) {
   const e = document.createElement(name);
@@ -16,145 +14,77 @@ function el(name, attributes = {}, ...children) {
   e.append(...children);
   return e;
 }
-const row = (name, ...values) => el('tr', {}, el('th', {scope: 'row'}, name),
-  ...values.map(value => el('td', {class: 'number'}, value)));
+const row = (name, ...cells) => el('tr', {}, el('th', {scope: 'row'}, name), ...cells.map(cell => el('td', {}, cell)));
 const count = n => n.toLocaleString('en-US');
-const plural = (n, one, many) => `${count(n)} ${n === 1 ? one : many}`;
 const number = v => v === null ? '∞' : Number(v.toPrecision(4)).toString();
-const percent = (part, whole) => `${whole > 0 ? (100 * part / whole).toFixed(2) : 0} %`;
+const percent = share => `${(100 * share).toFixed(2)} %`;
 const seconds = s => s < 100 ? `${s.toFixed(2)} s` : `${Math.floor(s / 60)} min ${Math.round(s % 60)} s`;
-function size(bytes) {
-  const units = ['B', 'KiB', 'MiB', 'GiB', 'TiB'];
-  let i = 0;
-  for (; bytes >= 1024 && i < 4; i++) bytes /= 1024;
-  return `${bytes.toFixed(i ? 1 : 0)} ${units[i]}`;
-}
-const fileName = path => String(path).split('/').pop();
-const quote = word => /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", `'\\''`)}'`;
-
-// ---- pictures ----
-
+const mebibytes = bytes => `${(bytes / 2 ** 20).toFixed(1)} MiB`;
+const fileName = path => path.split('/').pop();
 const url = item => `data:image/png;base64,${item.data}`;
-function load(item) {
-  return new Promise((resolve, reject) => {
-    const image = new Image();
-    image.onload = () => resolve(image);
-    image.onerror = () => reject(new Error(`the picture ${item.kind} ${item.name ?? ''} cannot be decoded`));
-    image.src = url(item);
-  });
+
+async function load(item) {
+  const image = new Image();
+  image.src = url(item);
+  await image.decode();
+  return image;
 }
-function pixels(image, width = image.width, height = image.height) {
-  const context = Object.assign(document.createElement('canvas'), {width, height})
-    .getContext('2d', {willReadFrequently: true});
-  context.drawImage(image, 0, 0, width, height);
-  return context.getImageData(0, 0, width, height).data;
+function pixels(image) {
+  const canvas = el('canvas', {width: image.width, height: image.height}), context = canvas.getContext('2d');
+  context.drawImage(image, 0, 0);
+  return context.getImageData(0, 0, image.width, image.height);
 }
 
-// ---- UDIM tiles, and objects or materials with maps of their own ----
-
-const tiles = data.tiles ?? [];
-// The materials of the mesh have these names.
+// The materials of the mesh have the names of their UDIM tiles, or of objects or materials with own maps.
 const tileName = tile => `${(tile.material ?? tile.object ?? 'tile').slice(0, 60)} ${tile.tile}`;
-for (const map of maps)
-  map.tile = Math.max(0, tiles.findIndex(tile => Object.values(tile.maps).includes(map.path)));
-const title = map => tiles.length > 1 ? `${map.name}, ${tileName(tiles[map.tile])}` : map.name;
-
-// ---- the head ----
-
-function showHead() {
-  const misses = data.samples ? data.misses / data.samples : 0;
-  const list = [];
-  if (isBake) {
-    $('title').textContent = data.mesh_paths.map(fileName).join(', ');
-    $('summary').textContent = `${plural(data.low_triangles, 'triangle', 'triangles')} · from ` +
-      `${data.scan_paths.map(fileName).join(', ')} · ${data.width} × ${data.height}` +
-      `${tiles.length > 1 ? ` · ${tiles.length} sets of maps` : ''} · ${data.samples_per_axis} × ` +
-      `${data.samples_per_axis} samples a texel · ${seconds(data.cost.seconds)} on ${data.device}`;
-    list.push([misses > 0.05 ? 'bad' : misses > 0.005 ? 'fair' : 'good',
-      misses > 0 ? `${percent(data.misses, data.samples)} of the samples found no surface`
-        : 'every sample found the surface']);
-    if (data.unseen)
-      list.push([data.unseen.area_within_mesh > 0.05 ? 'fair' : 'good',
-        `${percent(data.unseen.area_within_mesh, 1)} of the scan inside the mesh's bounds was not reached`]);
-  } else {
-    $('title').textContent = `${fileName(data.a_path)} against ${fileName(data.b_path)}`;
-    $('summary').textContent = `${plural(data.compared, 'texel', 'texels')} of ${data.width} × ` +
-      `${data.height} compared as ${data.type}`;
-    list.push([data.within_limits ? 'good' : 'bad', data.within_limits ? 'all limits hold' : 'a limit does not hold']);
-    list.push(['good', `mean ${number(data.mean)}, 99th percentile ${number(data.p99)} ${data.unit}`]);
-  }
-  list.push(data.warnings.length ? ['fair', plural(data.warnings.length, 'warning', 'warnings')] : ['good', 'no warnings']);
-  $('verdict').append(...list.map(([grade, text]) => el('li', {class: grade}, text)));
-  document.title = `${$('title').textContent} – Bisque`;
-}
+const inTile = (name, tile) => tiles.length > 1 ? `${name}, ${tileName(tiles[tile])}` : name;
+const tileOf = map => tiles.findIndex(tile => Object.values(tile.maps).includes(map.path));
 
 // ---- maps ----
 
-// What 0 or 1 of a channel of the picture stands for, as text.
-function endText(map, end, channel) {
-  const encoding = (data.encodings ?? {})[map.name];
-  const value = map.range[channel][end];
-  if (!encoding) return number(value);
-  const last = Math.min(channel, encoding.scale.length - 1);
-  return `${number(value * encoding.scale[last] + encoding.offset[last])}`;
-}
-
-function drawHistogram(canvas, counts, map) {
-  const context = canvas.getContext('2d'), colors = ['#d0524a', '#3f9a5b', '#4a7fd0'];
-  // The largest bin may hold a background, so the scale follows the others.
-  const top = Math.max(1, ...counts.map(bins => [...bins].sort((a, b) => b - a)[2]));
-  canvas.width = 256;
-  canvas.height = 64;
-  context.globalCompositeOperation = map.channels > 1 ? 'lighter' : 'source-over';
-  counts.forEach((bins, channel) => {
-    context.fillStyle = map.channels > 1 ? colors[channel] : '#8a8f98';
-    bins.forEach((n, x) => context.fillRect(x, 64 - Math.min(64, 60 * n / top), 1, 64));
+function drawHistogram(canvas, map, charts) {
+  const context = canvas.getContext('2d'), values = pixels(map.image).data;
+  const inside = charts && charts.width === map.image.width && pixels(charts).data;
+  context.globalCompositeOperation = 'lighter';
+  (map.channels > 1 ? ['#d0524a', '#3f9a5b', '#4a7fd0'] : ['#8a8f98']).forEach((color, channel) => {
+    const bins = Array(256).fill(0);
+    for (let i = 0; i < values.length; i += 4)
+      if (!inside || inside[i] + inside[i + 1] > 127) bins[values[i + channel]]++;
+    const top = [...bins].sort((a, b) => b - a)[2] || bins.length; // the largest may be a background
+    context.fillStyle = color;
+    bins.forEach((n, x) => context.fillRect(x, 64, 1, -Math.min(64, 60 * n / top)));
   });
 }
 
-// Counts the values of texels in charts.
-function histogram(image, map, charts) {
-  const values = pixels(image), counts = Array.from({length: map.channels > 1 ? 3 : 1}, () => Array(256).fill(0));
-  const inside = charts && pixels(charts, image.width, image.height);
-  for (let i = 0; i < values.length; i += 4)
-    if (!inside || inside[i] + inside[i + 1] > 127)
-      counts.forEach((bins, channel) => bins[values[i + channel]]++);
-  return counts;
+async function showMap(map, missed) {
+  map.image = await load(map);
+  map.tile = Math.max(0, tileOf(map));
+  const encoding = data.encodings?.[map.name], name = inTile(map.name, map.tile), several = map.channels > 1;
+  const value = (stored, channel) => number(encoding ? stored * (encoding.scale[channel] ?? encoding.scale[0]) +
+    (encoding.offset[channel] ?? encoding.offset[0]) : stored);
+  const canvas = el('canvas', {class: 'histogram', width: 256, height: 64, role: 'img',
+    'aria-label': `How often values of ${name} occur`});
+  map.image.alt = `The map ${name}`;
+  drawHistogram(canvas, map, missed.find(item => item.tile === map.tile)?.image);
+  const ranges = map.range.slice(0, several ? 3 : 1).map(([low, high], k) =>
+    `${several ? 'RGB'[k] + ' ' : ''}${value(low, k)} to ${value(high, k)}`).join(', ');
+  $('maps').append(el('article', {}, map.image, el('h3', {}, name),
+    el('p', {class: 'hint'}, `${fileName(map.path)} · ${map.width} × ${map.height}`), canvas,
+    el('p', {class: 'ends'}, ...map.shown[0].map(end => el('span', {}, several ? '' : value(end, 0)))),
+    el('p', {class: 'hint'}, `Range: ${ranges}${encoding ? ` (${encoding.unit})` : ''}`)));
 }
 
-async function showMap(map, charts) {
-  const image = await load(map), canvas = el('canvas', {class: 'histogram', role: 'img',
-    'aria-label': `How often values of ${title(map)} occur`});
-  const unit = (data.encodings ?? {})[map.name]?.unit;
-  const channel = map.channels > 1 ? 'RGB' : '';
-  const range = [0, 1, 2].slice(0, channel ? 3 : 1).map(k =>
-    `${channel && channel[k] + ' '}${endText(map, 0, k)} to ${endText(map, 1, k)}`).join(', ');
-  image.alt = `The map ${title(map)}`;
-  drawHistogram(canvas, histogram(image, map, charts), map);
-  map.image = image;
-  $('maps').append(el('article', {class: 'card'}, image, el('div', {}, el('h3', {}, title(map)),
-    el('p', {}, `${fileName(map.path)} · ${map.width} × ${map.height}`), canvas,
-    el('p', {class: 'ends'}, el('span', {}, map.channels > 1 ? '0' : endText({...map, range: map.shown}, 0, 0)),
-      el('span', {}, map.channels > 1 ? '1' : endText({...map, range: map.shown}, 1, 0))),
-    el('p', {}, `Range: ${range}${unit ? ` (${unit})` : ''}`))));
-}
-
-function showMisses(item, image) {
-  const canvas = el('canvas', {width: image.width, height: image.height, role: 'img',
-    'aria-label': 'Charts grey, texels without a surface red'});
-  const context = canvas.getContext('2d');
-  context.drawImage(image, 0, 0);
-  const picture = context.getImageData(0, 0, image.width, image.height), p = picture.data;
+// Shows charts in grey, and texels without a surface in red.
+function showMisses(item) {
+  const picture = pixels(item.image), p = picture.data, name = inTile('UV charts', item.tile);
+  const canvas = el('canvas', {width: picture.width, height: picture.height, role: 'img', 'aria-label': name});
   for (let i = 0; i < p.length; i += 4) {
-    const missed = p[i], hit = p[i + 1];
-    // A single texel that missed must be seen in a small picture.
-    const red = missed > 0 ? Math.max(missed, 128) : 0;
-    p[i] = 32 + hit * 0.45 + red * 0.75;
-    p[i + 1] = p[i + 2] = 32 + hit * 0.45 * (1 - red / 255);
+    const red = p[i] && Math.max(p[i], 128); // so that a single texel is seen
+    p[i + 1] = p[i + 2] = 32 + p[i + 1] * 0.45 * (1 - red / 255);
+    p[i] = Math.max(p[i + 1], red);
   }
-  context.putImageData(picture, 0, 0);
-  $('misses').append(el('article', {class: 'card'}, canvas,
-    el('div', {}, el('h3', {}, tiles.length > 1 ? tileName(tiles[item.tile]) : 'UV charts'))));
+  canvas.getContext('2d').putImageData(picture, 0, 0);
+  $('misses').append(el('article', {}, canvas, el('h3', {}, name)));
 }
 
 // ---- the asset in 3D ----
@@ -192,270 +122,190 @@ void main() {
   gl_FragColor = vec4(encoded(clamp(albedo * lit + shine, 0.0, 1.0)), 1.0);
 }`;
 
+// Draws the mesh from a direction: `around` and `above` in degrees.
 class Viewer {
-  constructor(canvas, root, images) {
-    this.canvas = canvas;
-    this.root = root;
-    this.images = images;
-    this.renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true,
-      context: canvas.getContext('webgl2', {antialias: true, alpha: true, preserveDrawingBuffer: true}) ?? undefined});
-    this.renderer.setClearAlpha(0);
-    this.scene = new THREE.Scene();
+  constructor(canvas, root) {
+    const context = canvas.getContext('webgl2', {antialias: true, preserveDrawingBuffer: true});
+    Object.assign(this, {canvas, parts: [], points: [], scene: new THREE.Scene(),
+      renderer: new THREE.WebGLRenderer({canvas, context, alpha: true}), camera: new THREE.OrthographicCamera()});
     this.scene.add(root);
-    this.camera = new THREE.OrthographicCamera(-1, 1, 1, -1, 0, 1);
-    this.upAxis = meshItem.up === 2 ? new THREE.Vector3(0, 0, 1) : new THREE.Vector3(0, 1, 0);
-    this.camera.up.copy(this.upAxis);
-    this.controls = new THREE.OrbitControls(this.camera, canvas);
-    this.controls.enableKeys = false;
-    this.textures = new Map();
-    this.dress();
-    this.controls.addEventListener('change', () => this.draw());
-    new ResizeObserver(() => this.draw()).observe(canvas);
-  }
-  texture(image) {
-    if (!this.textures.has(image)) {
-      const texture = new THREE.Texture(image);
-      texture.flipY = false;
-      texture.anisotropy = 4;
-      texture.needsUpdate = true;
-      this.textures.set(image, texture);
-    }
-    return this.textures.get(image);
-  }
-  // Gives each part of the mesh a material, and lines for its edges.
-  dress() {
-    this.parts = [];
-    this.points = [];
-    this.root.updateMatrixWorld(true);
-    this.root.traverse(part => {
-      if (!part.isMesh) return;
+    root.updateMatrixWorld(true);
+    root.traverse(part => part.isMesh && this.parts.push(part));
+    for (const part of this.parts) {
       const place = part.geometry.attributes.position;
       for (let i = 0; i < place.count; i++)
         this.points.push(new THREE.Vector3().fromBufferAttribute(place, i).applyMatrix4(part.matrixWorld));
-      const tile = tiles.findIndex(t => tileName(t) === part.material.name);
+      part.tile = tiles.findIndex(tile => tileName(tile) === part.material.name);
       part.material = new THREE.RawShaderMaterial({vertexShader, fragmentShader, side: THREE.DoubleSide,
-        polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1, uniforms: {}});
-      const lines = new THREE.LineSegments(new THREE.WireframeGeometry(part.geometry),
-        new THREE.LineBasicMaterial({color: 0xffb070, transparent: true, opacity: 0.6}));
-      this.parts.push({part, lines, tile});
-    });
-    for (const {part, lines} of this.parts) part.add(lines);
+        polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1});
+      part.add(new THREE.LineSegments(new THREE.WireframeGeometry(part.geometry),
+        new THREE.LineBasicMaterial({color: 0xffb070, transparent: true, opacity: 0.6})));
+    }
+    new ResizeObserver(() => this.draw()).observe(canvas);
   }
-  // Draws with the state of the switches.
-  set(state) {
-    const find = (tile, name) => this.images.find(map => map.tile === tile && map.name === name)?.image;
-    for (const {part, lines, tile} of this.parts) {
-      const color = find(tile, 'color'), normal = find(tile, 'normal'), missed = find(tile, ' misses');
-      const shown = find(tile, state.show), any = this.images[0]?.image;
-      const values = {colorMap: color, normalMap: normal, missedMap: missed, shownMap: shown};
-      for (const [name, image] of Object.entries(values))
-        part.material.uniforms[name] = {value: image || any ? this.texture(image ?? any) : null};
-      Object.entries({hasColor: state.color && color, hasNormal: state.normal && normal,
+  // Gives each part its maps, by the state of the switches.
+  set(state, pictures) {
+    const texture = of => of && (of.texture ??= Object.assign(new THREE.Texture(of.image),
+      {flipY: false, anisotropy: 4, needsUpdate: true}));
+    for (const part of this.parts) {
+      const find = name => pictures.find(item => item.tile === part.tile && item.name === name);
+      const [color, normal, missed, shown] = ['color', 'normal', 'missed samples', state.show].map(find);
+      const textures = {colorMap: color, normalMap: normal, missedMap: missed, shownMap: shown};
+      const flags = {hasColor: state.color && color, hasNormal: state.normal && normal,
         hasMissed: state.misses && missed, flatMap: shown, objectSpace: meshItem.object_space,
-        greenDown: meshItem.green_down}).forEach(([name, on]) => part.material.uniforms[name] = {value: !!on});
-      lines.visible = state.wireframe;
+        greenDown: meshItem.green_down};
+      for (const [name, of] of Object.entries(textures)) part.material.uniforms[name] = {value: texture(of) ?? null};
+      for (const [name, on] of Object.entries(flags)) part.material.uniforms[name] = {value: !!on};
+      part.children[0].visible = !!state.wireframe;
     }
     this.draw();
   }
-  axes(index) {
-    const {from, above} = previewItem ?? {from: 30, above: 17}, elevation = above * Math.PI / 180;
-    const around = (from / 180 + 2 * index / meshItem.views) * Math.PI;
+  axes() {
+    const [around, above] = [this.around, this.above].map(angle => angle * Math.PI / 180);
     const turn = (x, y, z) => meshItem.up === 2 ? new THREE.Vector3(x, -z, y) : new THREE.Vector3(x, y, z);
-    const [sa, ca, se, ce] = [Math.sin(around), Math.cos(around), Math.sin(elevation), Math.cos(elevation)];
-    return {right: turn(ca, 0, -sa), up: turn(-se * sa, ce, -se * ca), toward: turn(ce * sa, se, ce * ca)};
+    const [sa, ca, se, ce] = [Math.sin(around), Math.cos(around), Math.sin(above), Math.cos(above)];
+    return [turn(ca, 0, -sa), turn(-se * sa, ce, -se * ca), turn(ce * sa, se, ce * ca)]; // right, up, towards
   }
   // Frames the mesh as a view of the preview does.
   look(index) {
-    const {right, up, toward} = this.axes(index), target = new THREE.Vector3();
-    let span = 0, radius = 0;
-    for (const axis of [right, up, toward]) {
-      let low = Infinity, high = -Infinity;
-      for (const point of this.points) {
-        const at = point.dot(axis);
-        low = Math.min(low, at);
-        high = Math.max(high, at);
-      }
-      target.addScaledVector(axis, (low + high) / 2);
-      if (axis !== toward) span = Math.max(span, high - low);
-      radius = Math.max(radius, high - low);
-    }
-    const half = span / 0.92 / 2 || 1;
-    Object.assign(this.camera, {left: -half, right: half, top: half, bottom: -half, zoom: 1,
-      near: 0, far: 8 * (radius || 1)});
-    this.controls.target.copy(target);
-    this.camera.position.copy(target).addScaledVector(toward, 4 * (radius || 1));
-    this.camera.updateProjectionMatrix();
-    this.controls.update();
+    Object.assign(this, {around: previewItem.from + 360 * index / meshItem.views, above: previewItem.above,
+      target: new THREE.Vector3()});
+    const sides = this.axes().map(axis => {
+      const [low, high] = this.points.reduce(([low, high], point) =>
+        [Math.min(low, point.dot(axis)), Math.max(high, point.dot(axis))], [Infinity, -Infinity]);
+      this.target.addScaledVector(axis, (low + high) / 2);
+      return high - low;
+    });
+    const half = Math.max(sides[0], sides[1]) / 0.92 / 2 || 1;
+    this.distance = 4 * Math.max(...sides) || 1;
+    Object.assign(this.camera, {left: -half, right: half, top: half, bottom: -half, zoom: 1, near: 0,
+      far: 2 * this.distance});
     this.draw();
   }
-  nearest() {
-    const toward = this.camera.position.clone().sub(this.controls.target).normalize();
-    let best = 0, most = -2;
-    for (let i = 0; i < meshItem.views; i++) {
-      const match = this.axes(i).toward.dot(toward);
-      if (match > most) [best, most] = [i, match];
-    }
-    return best;
-  }
-  turn(across, upwards) {
-    const offset = this.camera.position.clone().sub(this.controls.target);
-    const side = new THREE.Vector3().crossVectors(this.upAxis, offset).normalize();
-    offset.applyAxisAngle(this.upAxis, across);
-    const angle = offset.angleTo(this.upAxis) - upwards;
-    if (angle > 0.05 && angle < Math.PI - 0.05) offset.applyAxisAngle(side.applyAxisAngle(this.upAxis, across), -upwards);
-    this.camera.position.copy(this.controls.target).add(offset);
-    this.controls.update();
+  turn(around, above) {
+    this.around += around;
+    this.above = Math.max(-89, Math.min(89, this.above + above));
     this.draw();
   }
   zoom(factor) {
     this.camera.zoom *= factor;
-    this.camera.updateProjectionMatrix();
     this.draw();
   }
   draw() {
     const side = this.canvas.clientWidth;
-    if (!side) return;
+    if (!side || !this.target) return;
+    const [, up, toward] = this.axes();
+    this.camera.up.copy(up);
+    this.camera.position.copy(this.target).addScaledVector(toward, this.distance);
+    this.camera.lookAt(this.target);
+    this.camera.updateProjectionMatrix();
     this.renderer.setPixelRatio(window.devicePixelRatio);
     this.renderer.setSize(side, side, false);
     this.renderer.render(this.scene, this.camera);
-    this.onDraw?.(this.nearest());
+    const nearest = Math.round((this.around - previewItem.from) * meshItem.views / 360) % meshItem.views;
+    this.onDraw((nearest + meshItem.views) % meshItem.views);
   }
 }
 
-function showScan(image, index, views) {
+const choice = (type, name, value, text, checked) =>
+  el('label', {}, el('input', {type, name, value, ...(checked ? {checked: ''} : {})}), ` ${text}`);
+
+function showScan(image, index) {
   const side = (image.width - 8) / 3, canvas = $('scan');
-  if (canvas.index === index) return;
-  canvas.index = index;
   canvas.width = canvas.height = side;
   canvas.getContext('2d').drawImage(image, 2 * (side + 4), index * (side + 4), side, side, 0, 0, side, side);
-  $('scan-caption').textContent = `Scan, view ${index + 1} of ${views}`;
+  $('scan-caption').textContent = `Scan, view ${index + 1} of ${meshItem.views}`;
+  $('views').querySelectorAll('button').forEach((button, i) => button.setAttribute('aria-pressed', i === index));
 }
 
-async function parseMesh() {
-  const text = atob(meshItem.data), bytes = Uint8Array.from(text, c => c.charCodeAt(0));
-  return new Promise((resolve, reject) =>
-    new THREE.GLTFLoader().parse(bytes.buffer, '', gltf => resolve(gltf.scene), reject));
-}
-
-function choice(type, name, value, text, checked) {
-  const input = el('input', {type, name, value});
-  input.checked = checked;
-  return el('label', {}, input, text);
-}
-
-async function showAsset(preview, images) {
-  $('asset').hidden = false;
-  const viewer = new Viewer($('view'), await parseMesh(), images);
-  const names = [...new Set(maps.map(map => map.name))];
-  const has = name => names.includes(name);
+async function showAsset(preview, pictures) {
+  const bytes = Uint8Array.from(atob(meshItem.data), c => c.charCodeAt(0)), view = $('view');
+  const gltf = await new Promise((resolve, reject) => new THREE.GLTFLoader().parse(bytes.buffer, '', resolve, reject));
+  const viewer = new Viewer(view, gltf.scene), names = [...new Set(maps.map(map => map.name))];
   for (let i = 0; i < meshItem.views; i++) {
-    const button = el('button', {'aria-pressed': 'false', 'aria-label': `View ${i + 1}`}, `${i + 1}`);
+    const button = el('button', {type: 'button', 'aria-label': `View ${i + 1}`}, `${i + 1}`);
     button.onclick = () => viewer.look(i);
     $('views').append(button);
   }
   $('shows').append(choice('radio', 'show', '', 'shaded', true),
     ...names.map(name => choice('radio', 'show', name, name, false)));
-  const switches = [['normal', 'normal map', has('normal')], ['color', 'colour', has('color')],
-    ['wireframe', 'wireframe', false], ['misses', 'misses', data.misses > 0]]
-    .filter(([name]) => name === 'wireframe' || name === 'misses' || has(name));
-  $('switches').append(...switches.map(([name, text, on]) => choice('checkbox', name, 'on', text, on)));
-  const apply = () => {
-    const state = {show: document.querySelector('input[name=show]:checked').value};
-    for (const input of $('switches').querySelectorAll('input')) state[input.name] = input.checked;
-    viewer.set(state);
-  };
-  $('controls').onchange = apply;
-  viewer.onDraw = index => {
-    if (preview) showScan(preview, index, meshItem.views);
-    [...$('views').querySelectorAll('button')].forEach((button, i) => button.setAttribute('aria-pressed', i === index));
-  };
-  const keys = {ArrowLeft: () => viewer.turn(-0.1, 0), ArrowRight: () => viewer.turn(0.1, 0),
-    ArrowUp: () => viewer.turn(0, 0.1), ArrowDown: () => viewer.turn(0, -0.1), Home: () => viewer.look(0),
-    '+': () => viewer.zoom(1.15), '=': () => viewer.zoom(1.15), '-': () => viewer.zoom(1 / 1.15)};
-  $('view').onkeydown = event => {
-    if (!keys[event.key] || event.ctrlKey || event.metaKey) return;
-    keys[event.key]();
+  const switches = [['normal', 'normal map'], ['color', 'colour']].filter(([name]) => names.includes(name));
+  $('switches').append(...switches.map(([name, text]) => choice('checkbox', name, 'on', text, true)),
+    choice('checkbox', 'wireframe', 'on', 'wireframe', false),
+    choice('checkbox', 'misses', 'on', 'misses', data.misses > 0));
+  viewer.onDraw = index => showScan(preview, index);
+  $('controls').onchange = () => viewer.set(Object.fromEntries(new FormData($('controls'))), pictures);
+  const keys = {ArrowLeft: [-6, 0], ArrowRight: [6, 0], ArrowUp: [0, 6], ArrowDown: [0, -6]};
+  const zooms = {'+': 1.15, '=': 1.15, '-': 1 / 1.15};
+  view.onkeydown = event => {
+    if (event.ctrlKey || event.metaKey) return;
+    if (keys[event.key]) viewer.turn(...keys[event.key]);
+    else if (zooms[event.key]) viewer.zoom(zooms[event.key]);
+    else if (event.key === 'Home') viewer.look(0);
+    else return;
     event.preventDefault();
   };
-  apply();
+  view.onpointerdown = event => view.setPointerCapture(event.pointerId);
+  view.onpointermove = event => event.buttons && viewer.turn(-event.movementX / 2, event.movementY / 2);
+  view.onwheel = event => {
+    viewer.zoom(Math.exp(-event.deltaY / 1000));
+    event.preventDefault();
+  };
+  $('asset').hidden = false;
+  $('controls').onchange();
   viewer.look(0);
 }
 
 // ---- figures ----
 
+function showHead() {
+  const isBake = 'mesh_paths' in data;
+  $('title').textContent = isBake ? data.mesh_paths.map(fileName).join(', ')
+    : `${fileName(data.a_path)} against ${fileName(data.b_path)}`;
+  $('summary').textContent = isBake ? `${count(data.low_triangles)} triangles · from ` +
+    `${data.scan_paths.map(fileName).join(', ')} · ${data.width} × ${data.height} · ${data.samples_per_axis} × ` +
+    `${data.samples_per_axis} samples a texel · ${seconds(data.cost.seconds)} on ${data.device}`
+    : data.within_limits ? 'All limits hold.' : 'A limit does not hold.';
+  document.title = `${$('title').textContent} – Bisque`;
+}
+
 function showLost() {
-  const counted = [['misses', 'sample found no surface', 'samples found no surface'],
-    ['low_polygons', 'polygon of the low-poly mesh became triangles', 'polygons of the low-poly mesh became triangles'],
-    ['degenerate_uv_triangles', 'triangle has no area in UV space', 'triangles have no area in UV space'],
-    ['outside_uv_triangles', 'triangle reaches out of the baked tiles', 'triangles reach out of the baked tiles'],
-    ['overlapping_samples', 'sample lies in several triangles', 'samples lie in several triangles'],
-    ['not_finite', 'texel is NaN or infinite', 'texels are NaN or infinite'],
-    ['only_a', 'texel is covered by the map only', 'texels are covered by the map only'],
-    ['only_b', 'texel is covered by the reference only', 'texels are covered by the reference only']];
-  const lines = [...data.warnings, ...counted.filter(([key]) => data[key] > 0)
-    .map(([key, one, many]) => plural(data[key], one, many))];
+  const counted = ['misses', 'low_polygons', 'degenerate_uv_triangles', 'outside_uv_triangles', 'overlapping_samples',
+    'not_finite', 'only_a', 'only_b'].filter(key => data[key] > 0);
+  const lines = [...data.warnings, ...counted.map(key => `${key.replaceAll('_', ' ')}: ${count(data[key])}`)];
+  if (data.unseen) lines.push(`not reached of the scan in the mesh's bounds: ${percent(data.unseen.area_within_mesh)}`);
   $('lost').append(...(lines.length ? lines : ['Nothing.']).map(line => el('li', {}, line)));
 }
 
-function showBar(parent, parts, total, text) {
-  const colors = ['#9a5a2b', '#c98a4b', '#7d8f69', '#4f7f86', '#5a6f9e', '#8a6a94', '#8d8d8d'];
-  const bar = el('div', {class: 'bar'}), table = el('table');
-  parts.forEach(([name, value], i) => {
-    const color = colors[i % colors.length];
-    bar.append(el('span', {style: `width:${100 * value / (total || 1)}%;background:${color}`}));
-    table.append(el('tr', {}, el('th', {scope: 'row'}, el('span', {class: 'key', style: `background:${color}`}), name),
-      el('td', {class: 'number'}, text(value))));
-  });
-  parent.append(bar, table);
-}
-
 function showCost() {
-  const stages = ['open', 'trace', 'padding', 'resolve', 'write', 'preview']
-    .map(name => [name, data[`seconds_${name}`] ?? 0]).filter(([, value]) => value >= 0.005);
-  const rest = data.cost.seconds - stages.reduce((sum, [, value]) => sum + value, 0);
-  showBar($('times'), [...stages, ['other', Math.max(0, rest)]], data.cost.seconds, seconds);
-  $('times').append(el('p', {}, `${seconds(data.cost.seconds)} in all with ${plural(data.cost.threads, 'thread', 'threads')}; ` +
-    `${seconds(data.cost.seconds_user + data.cost.seconds_system)} of processors`));
-  const shares = Object.entries(data.cost.memory_shares_bytes ?? {}).sort((a, b) => b[1] - a[1]);
-  const used = data.cost.memory_high_bytes, budget = data.cost.memory_budget_bytes;
-  showBar($('memory'), [['used at most', used], ['left of the budget', Math.max(0, budget - used)]], budget, size);
-  $('memory').append(el('p', {}, `Resident at most: ${size(data.cost.max_rss_bytes)}, which counts mapped files`));
-  if (shares.length) $('memory').append(el('details', {}, el('summary', {}, 'Set aside for each purpose'),
-    el('table', {}, ...shares.map(([name, bytes]) => row(name, size(bytes))))));
-}
-
-function showCommand() {
-  const command = data.command.map(quote).join(' ');
-  $('command').textContent = command;
-  $('copy').onclick = async () => {
-    await navigator.clipboard.writeText(command).catch(() => getSelection().selectAllChildren($('command')));
-    $('copy').textContent = 'Copied';
-  };
-  const text = value => value === null ? '–' : value === true ? 'on' : value === false ? 'off' : `${value}`;
-  $('options').append(...[...data.options].sort((a, b) => b[2] - a[2]).map(([name, value, given]) =>
-    el('tr', given ? {class: 'given'} : {}, el('th', {scope: 'row'}, name),
-      el('td', {}, given && value === null ? 'as in the command' : text(value)))));
+  const {cost} = data, used = cost.memory_high_bytes, bar = (value, max) => el('meter', {value, max});
+  const stages = Object.keys(data).filter(key => key.startsWith('seconds_') && data[key] >= 0.005);
+  $('cost').append(...stages.map(key => row(key.slice(8), seconds(data[key]), bar(data[key], cost.seconds))),
+    row('in all', seconds(cost.seconds), `${cost.threads} threads, ` +
+      `${seconds(cost.seconds_user + cost.seconds_system)} of processors`),
+    row('memory used at most', mebibytes(used), bar(used, cost.memory_budget_bytes)),
+    row('of a budget of', mebibytes(cost.memory_budget_bytes)),
+    row('resident at most', mebibytes(cost.max_rss_bytes), 'which counts mapped files'));
+  const quote = word => /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", `'\\''`)}'`;
+  $('command').textContent = data.command.map(quote).join(' ');
+  $('options').append(...data.options.map(([name, value]) => row(name, `${value ?? '–'}`)));
   $('foot').textContent = `${data.program} ${data.version}`;
 }
 
-// ---- comparisons ----
-
-function showComparison() {
-  const find = name => maps.find(map => map.name === name), heat = items.find(item => item.kind === 'error');
-  $('comparison').hidden = !find('A');
-  if (!find('A')) return;
-  $('image-a').src = url(find('A'));
-  $('image-b').src = url(find('B'));
-  $('name-a').textContent = data.a_path;
-  $('name-b').textContent = `${data.b_path} (reference)`;
-  $('split').oninput = () => document.querySelector('.slider').style.setProperty('--split', `${$('split').value}%`);
-  const figures = [['mean', data.mean], ['root mean square', data.rms], ['median', data.median],
-    ['95th percentile', data.p95], ['99th percentile', data.p99], ['maximum', data.max]];
-  $('figures').append(...figures.map(([name, value]) => row(name, `${number(value)} ${data.unit}`)),
-    row('maximum at', `${data.max_x}, ${data.max_y}`), row('above 1', percent(data.share_above_1, 1)),
-    row('above 5', percent(data.share_above_5, 1)), ...('psnr' in data ? [row('PSNR', `${number(data.psnr)} dB`)] : []));
-  if (heat) $('heat').append(el('img', {src: url(heat), alt: 'The error of each texel'}),
-    el('figcaption', {}, `Error of each texel, in ${data.unit}`));
+function showComparison(c, a, b, error) {
+  const slider = el('div', {class: 'slider'}, el('img', {src: url(b), alt: 'The reference'}),
+    el('img', {src: url(a), alt: 'The map'}), el('input', {type: 'range', min: 0, max: 100, step: 0.5,
+      'aria-label': 'Where the map ends and the reference begins'}),
+    el('p', {class: 'ends hint'}, el('span', {}, c.a_path), el('span', {}, `${c.b_path} (reference)`)));
+  slider.oninput = event => slider.style.setProperty('--split', `${event.target.value}%`);
+  const figures = [['texels', count(c.compared)], ...['mean', 'rms', 'median', 'p95', 'p99', 'max'].map(
+    key => [key, `${number(c[key])} ${c.unit}`]), ['max at', `${c.max_x}, ${c.max_y}`]];
+  if (c.type !== 'data') figures.push(['above 1', percent(c.share_above_1)], ['above 5', percent(c.share_above_5)]);
+  if ('psnr' in c) figures.push(['PSNR', `${number(c.psnr)} dB`]);
+  $('errors').append(el('article', {class: 'compared'}, slider, el('table', {}, ...figures.map(cells => row(...cells))),
+    el('figure', {}, el('img', {src: url(error), alt: 'The error of each texel'}),
+      el('figcaption', {}, `Error of each texel, in ${c.unit}`))));
+  $('errors').hidden = false;
 }
 
 // ---- all ----
@@ -464,21 +314,21 @@ async function main() {
   showHead();
   showLost();
   showCost();
-  showCommand();
-  const missed = items.filter(item => item.kind === 'misses');
-  for (const item of missed) item.image = await load(item);
-  for (const map of maps) await showMap(map, missed.find(item => item.tile === map.tile)?.image);
-  if (!isBake) return showComparison();
-  missed.forEach(item => showMisses(item, item.image));
+  (data.comparisons ?? [data]).forEach((c, i) => c.b_path &&
+    showComparison(c, ...all('compared').slice(2 * i, 2 * i + 2), all('error')[i]));
+  const missed = all('misses');
+  for (const item of missed) Object.assign(item, {image: await load(item), name: 'missed samples'});
+  for (const map of maps) await showMap(map, missed);
+  missed.forEach(showMisses);
+  $('mapped').hidden = maps.length === 0;
   $('missing').hidden = missed.length === 0;
-  $('missing-text').textContent = data.misses > 0 ? `${plural(data.misses, 'sample', 'samples')} of ` +
-    `${count(data.samples)}, in red. Rays reached ${number(data.front)} in front of the mesh and ${number(data.back)} behind it.`
-    : `All ${count(data.samples)} samples found the scan.`;
-  const preview = previewItem && await load(previewItem);
-  if (window.THREE && meshItem && document.createElement('canvas').getContext('webgl'))
-    return showAsset(preview, [...maps, ...missed.map(item => ({...item, name: ' misses'}))]);
-  $('pictures').hidden = !preview;
-  if (preview) $('preview').src = url(previewItem);
+  if (!previewItem) return;
+  $('missing-text').textContent = `Samples: ${count(data.misses)} of ${count(data.samples)}, ` +
+    `in red. Rays reached ${number(data.front)} in front of the mesh and ${number(data.back)} behind it.`;
+  if (window.THREE && el('canvas').getContext('webgl2'))
+    return showAsset(await load(previewItem), [...maps, ...missed]);
+  $('pictures').hidden = false;
+  $('preview').src = url(previewItem);
   $('no3d').textContent = !window.THREE ? 'Install the package libjs-three to see the asset in 3D in the next report.'
     : 'This browser does not draw in 3D.';
 }
