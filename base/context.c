@@ -211,6 +211,16 @@ int bsq_check_size(struct bsq_ctx *ctx, const char *name, size_t size, size_t ex
                     name, size, bsq_version(), expected);
 }
 
+int bsq_clear_report(struct bsq_ctx *ctx, const char *name, void *report, size_t expected)
+{
+    size_t size;
+    memcpy(&size, report, sizeof size);
+    if (bsq_check_size(ctx, name, size, expected) < 0)
+        return BSQ_EUSAGE;
+    memset((char *)report + sizeof size, 0, expected - sizeof size);
+    return 0;
+}
+
 int bsq_error_status(struct bsq_ctx *ctx)
 {
     pthread_mutex_lock(&ctx->error_lock);

@@ -168,6 +168,10 @@ const char *bsq_error(const struct bsq_ctx *ctx);
  * has another one than the library, which is `expected`. Errors: BSQ_EUSAGE. */
 int bsq_check_size(struct bsq_ctx *ctx, const char *name, size_t size, size_t expected);
 
+/** Checks the size of a report in the same way, and sets all that follows it to zero. The caller
+ * starts a report with `{.size = sizeof report}`. Errors: BSQ_EUSAGE. */
+int bsq_clear_report(struct bsq_ctx *ctx, const char *name, void *report, size_t expected);
+
 /** Forgets the recorded failure, for callers that can go on without what failed, and before another
  * job. An interruption stays; see bsq_clear_interruption(). */
 void bsq_clear_error(struct bsq_ctx *ctx);

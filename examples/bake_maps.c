@@ -19,7 +19,7 @@ int main(int argc, char **argv)
     options.width = options.height = (uint32_t)strtoul(argv[4], NULL, 10);
     options.device = "cpu";
 
-    struct bake_report report = {0};
+    struct bake_report report = {.size = sizeof report};
     struct bsq_ctx *ctx;
     int status = bsq_ctx_create(NULL, &ctx);
     if (status < 0)

@@ -11,7 +11,7 @@ int main(int argc, char **argv)
         return -BSQ_EUSAGE;
     }
     struct bake_compare_options options;
-    struct bake_compare_report report;
+    struct bake_compare_report report = {.size = sizeof report};
     struct bsq_ctx *ctx;
     int status = bsq_ctx_create(NULL, &ctx);
     if (status < 0)

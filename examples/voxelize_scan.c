@@ -30,8 +30,8 @@ static int voxelize(struct bsq_ctx *ctx, int argc, char **argv)
     if (argc > 6)
         grid.vdb_path = argv[6];
 
-    struct vox_sort_report sorted;
-    struct vox_voxelize_report voxelized;
+    struct vox_sort_report sorted = {.size = sizeof sorted};
+    struct vox_voxelize_report voxelized = {.size = sizeof voxelized};
     int status = vox_sort(ctx, &sort, &sorted);
     if (status == 0)
         status = vox_voxelize(ctx, &grid, &voxelized);

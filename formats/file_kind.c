@@ -97,7 +97,7 @@ int fmt_verify(struct bsq_ctx *ctx, const char *path, struct fmt_verify_report *
 {
     struct bsq_file file;
     int status;
-    memset(report, 0, sizeof *report);
+    BSQ_TRY(bsq_clear_report(ctx, "fmt_verify_report", report, sizeof *report));
     BSQ_TRY(fmt_recognise_scan(ctx, path, &report->kind));
     BSQ_TRY(bsq_file_open(ctx, path, &file));
     report->file_bytes = file.size;

@@ -368,7 +368,8 @@ int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *opt
     struct partition partition = {0};
     struct job_record record = {0};
     uint64_t temp_before = bsq_temp_bytes(ctx);
-    memset(report, 0, sizeof *report);
+    if (bsq_clear_report(ctx, "vox_sort_report", report, sizeof *report) < 0)
+        return BSQ_EUSAGE;
     int status = bsq_check_size(ctx, "vox_sort_options", options->size, sizeof *options);
     if (status < 0)
         return status;
@@ -483,12 +484,13 @@ int vox_parse(struct bsq_ctx *ctx, const struct vox_sort_options *options,
     const struct fmt_mesh_inputs inputs = {
         .paths = options->scan_paths, .path_count = options->scan_count, .pipes = true};
     int status;
+    BSQ_TRY(bsq_clear_report(ctx, "vox_sort_report", report, sizeof *report));
     BSQ_TRY(bsq_check_size(ctx, "vox_sort_options", options->size, sizeof *options));
     BSQ_TRY(bsq_calloc(ctx, "inputs", options->scan_count, sizeof *parsing.ends, &parsing.ends));
     BSQ_TRY(fmt_mesh_open_inputs(ctx, &inputs, &parsing.reader));
     BSQ_TRY(parse_all(&parsing, &totals));
-    *report = (struct vox_sort_report){.triangles = totals.corners - 2 * totals.faces,
-                                       .seconds_read = bsq_seconds_now() - start};
+    report->triangles = totals.corners - 2 * totals.faces;
+    report->seconds_read = bsq_seconds_now() - start;
     report_totals(report, &totals);
 done:
     fmt_mesh_close(parsing.reader);

@@ -172,7 +172,7 @@ static int print_task(struct cli *cli, const char *path, uint32_t task,
 static int run_task(struct cli *cli, const struct bake_arguments *arguments,
                     const struct bake_farm_plan *plan, uint32_t task)
 {
-    struct bake_report report = {0};
+    struct bake_report report = {.size = sizeof report};
     bool kept = false;
     char *path = bake_plan_part_path(plan, task);
     int status =

@@ -11,7 +11,7 @@
 static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *missed)
 {
     struct bake_options *bake = &arguments->bake;
-    struct bake_report report = {0};
+    struct bake_report report = {.size = sizeof report};
     int status = 0;
     bake_report_watch(cli, &report);
     BSQ_TRY(bake_arguments_look(cli, arguments));
@@ -39,7 +39,7 @@ static int merge_tile(struct cli *cli, const struct bake_arguments *arguments,
                       const struct bake_farm_plan *plan, uint32_t tile, bool *missed)
 {
     const bool all = tile == BAKE_ALL_TILES;
-    struct bake_report report = {0};
+    struct bake_report report = {.size = sizeof report};
     bool kept = false;
     int status;
     bake_report_watch(cli, &report);

@@ -226,7 +226,7 @@ static json_t *report_json(const struct arguments *arguments,
 
 static int compare_maps(struct cli *cli, struct arguments *arguments, int *failures)
 {
-    struct bake_compare_report report = {0};
+    struct bake_compare_report report = {.size = sizeof report};
     int status;
     BSQ_TRY(check_outputs(cli, &arguments->compare));
     if (arguments->report)

@@ -175,7 +175,7 @@ static int sort_meshes(struct cli *cli, const struct arguments *arguments,
                        struct vox_temp_tris *temp)
 {
     struct vox_sort_options options;
-    struct vox_sort_report report;
+    struct vox_sort_report report = {.size = sizeof report};
     vox_sort_defaults(&options);
     options.scan_paths = arguments->meshes;
     options.scan_count = arguments->mesh_count;
@@ -248,7 +248,7 @@ static int print_json(struct cli *cli, const struct arguments *arguments,
 
 static int run(struct cli *cli, struct arguments *arguments, char **inputs, uint32_t input_count)
 {
-    struct vox_simplify_report report;
+    struct vox_simplify_report report = {.size = sizeof report};
     struct vox_temp_tris *temp = NULL;
     int status = 0;
     BSQ_TRY(cli_create_context(cli));

@@ -215,7 +215,10 @@ int main(int argc, char **argv)
 {
     struct cli cli;
     struct voxelize_arguments arguments = {0};
-    struct voxelize_job job = {.cli = &cli, .arguments = &arguments};
+    struct voxelize_job job = {.cli = &cli,
+                               .arguments = &arguments,
+                               .sort.size = sizeof job.sort,
+                               .grid.size = sizeof job.grid};
     cli_begin(&cli, "bisque-voxelize", argv);
     int status = voxelize_arguments_parse(&cli, &arguments, argc, argv);
     if (status == 0)

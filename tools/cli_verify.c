@@ -39,7 +39,7 @@ static json_t *content_json(const char *path, const struct fmt_verify_report *r)
 /* Checks one file. *entry is its JSON object; NULL without --json or without memory. */
 static int verify_file(struct cli *cli, const char *path, json_t **entry)
 {
-    struct fmt_verify_report report;
+    struct fmt_verify_report report = {.size = sizeof report};
     int status = fmt_verify(cli->ctx, path, &report);
     *entry = NULL;
     cli_clear_bar(cli);

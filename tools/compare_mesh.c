@@ -23,7 +23,7 @@ int compare_mesh_measure(struct cli *cli, struct compare_mesh *files)
 {
     struct vox_temp_tris *mesh = NULL;
     struct vox_sort_options options;
-    struct vox_sort_report report;
+    struct vox_sort_report report = {.size = sizeof report};
     int status = 0;
     for (uint32_t i = 0; i < files->count; i++)
         BSQ_TRY(bsq_note_input(cli->ctx, files->inputs[i], i == 0 ? "the mesh" : "the scan"));

@@ -352,8 +352,8 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
 {
     struct bake_comparison c = {0};
     struct bsq_output_group pictures = {0};
-    memset(report, 0, sizeof *report);
     int status = 0;
+    BSQ_TRY(bsq_clear_report(ctx, "bake_compare_report", report, sizeof *report));
     BSQ_TRY(bsq_check_size(ctx, "bake_compare_options", options->size, sizeof *options));
     BSQ_TRY(load(ctx, options, &c));
     BSQ_TRY(check_same_meaning(ctx, options, &c));

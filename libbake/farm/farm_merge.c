@@ -213,7 +213,8 @@ int bake_merge_plan(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint
 {
     struct merge merge = {.plan = plan, .tile = tile, .force = force};
     *kept = false;
-    memset(report, 0, sizeof *report);
+    if (bsq_clear_report(ctx, "bake_report", report, sizeof *report) < 0)
+        return BSQ_EUSAGE;
     if (tile != BAKE_ALL_TILES && tile >= plan->tile_count)
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: there is no tile %u: tiles are 0 to %u", plan->path,
                         tile, plan->tile_count - 1);

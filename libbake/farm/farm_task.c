@@ -359,7 +359,8 @@ int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32
     struct bake_options options = plan->options;
     int status = 0;
     *kept = false;
-    memset(report, 0, sizeof *report);
+    if (bsq_clear_report(ctx, "bake_report", report, sizeof *report) < 0)
+        return BSQ_EUSAGE;
     if (plan->task_device)
         options.device = plan->task_device;
     if (task >= plan->tasks)

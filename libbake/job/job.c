@@ -83,8 +83,10 @@ static void end(struct bake_work *job)
 int bake_begin_job(struct bsq_ctx *ctx, const struct bake_options *options,
                    struct bake_report *report, struct bake_work **out)
 {
-    memset(report, 0, sizeof *report);
-    struct bake_work *job; /* on the heap for its size */
+    struct bake_work *job = NULL; /* on the heap for its size */
+    *out = NULL;
+    if (bsq_clear_report(ctx, "bake_report", report, sizeof *report) < 0)
+        return BSQ_EUSAGE;
     int status = bsq_calloc(ctx, "job", 1, sizeof *job, &job);
     *out = job;
     if (status < 0)

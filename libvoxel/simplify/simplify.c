@@ -284,7 +284,7 @@ int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options
 {
     struct simplifying s = {.ctx = ctx, .options = options, .report = report};
     int status = 0;
-    memset(report, 0, sizeof *report);
+    BSQ_TRY(bsq_clear_report(ctx, "vox_simplify_report", report, sizeof *report));
     BSQ_TRY(bsq_check_size(ctx, "vox_simplify_options", options->size, sizeof *options));
     BSQ_TRY(check_options(ctx, options));
     BSQ_TRY(open_scan(&s));

@@ -452,7 +452,7 @@ int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options
         .gate = {.lock = PTHREAD_MUTEX_INITIALIZER, .changed = PTHREAD_COND_INITIALIZER}};
     const double start = bsq_seconds_now();
     int status;
-    memset(report, 0, sizeof *report);
+    BSQ_TRY(bsq_clear_report(ctx, "vox_voxelize_report", report, sizeof *report));
     BSQ_TRY(bsq_check_size(ctx, "vox_voxelize_options", options->size, sizeof *options));
     BSQ_TRY(note_outputs(ctx, options));
     BSQ_TRY(open_run(&run));

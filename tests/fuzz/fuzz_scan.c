@@ -81,7 +81,7 @@ static int sort(struct bsq_ctx *ctx)
                                              .scan_paths = paths,
                                              .scan_count = 1,
                                              .tris_path = files.tris};
-    struct vox_sort_report report;
+    struct vox_sort_report report = {.size = sizeof report};
     return vox_sort(ctx, &options, &report);
 }
 
@@ -96,7 +96,7 @@ static int sort_otherwise(struct bsq_ctx *ctx)
                                              .scan_paths = paths,
                                              .scan_count = 1,
                                              .tris_path = files.other};
-    struct vox_sort_report report;
+    struct vox_sort_report report = {.size = sizeof report};
     struct sort_limits limits;
     vox_sort_limits_for(bsq_memory_limit(ctx), bsq_threads(ctx), &limits);
     limits.stream_bytes = 0;
@@ -123,7 +123,7 @@ static int voxelize(struct bsq_ctx *ctx)
                                                  .tris_path = files.tris,
                                                  .grid_path = files.grid,
                                                  .resolution = RESOLUTION};
-    struct vox_voxelize_report report;
+    struct vox_voxelize_report report = {.size = sizeof report};
     int status = vox_voxelize(ctx, &options, &report);
     if (!status)
         require(report.voxels > 0, "a grid without voxels");
@@ -134,7 +134,7 @@ static int voxelize(struct bsq_ctx *ctx)
 static int bake(struct bsq_ctx *ctx, const char *scan)
 {
     struct bake_options options;
-    struct bake_report report;
+    struct bake_report report = {.size = sizeof report};
     bake_defaults(&options);
     options.scan_path = scan;
     options.mesh_path = files.low;

@@ -233,7 +233,7 @@ static int use(struct reading *r, const char *path)
 static bool answer(struct reading *r, const char *path)
 {
     struct bsq_ctx_options options = {.threads = 1, .memory_bytes = 256 << 20};
-    struct fmt_verify_report report;
+    struct fmt_verify_report report = {.size = sizeof report};
     char message[512] = "";
     if (bsq_ctx_create(&options, &r->ctx))
         return false;

@@ -192,7 +192,7 @@ static int load_mesh(struct bsq_ctx *ctx)
 static int sort_to(struct bsq_ctx *ctx, const char *tris_path)
 {
     const char *path = "scan.obj";
-    struct vox_sort_report report;
+    struct vox_sort_report report = {.size = sizeof report};
     struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
                                        .scan_paths = &path,
                                        .scan_count = 1,
@@ -216,7 +216,7 @@ static int record(struct bsq_ctx *ctx)
                                        .scan_paths = &path,
                                        .scan_count = 1,
                                        .tris_path = "scan.tris"};
-    struct vox_sort_report report;
+    struct vox_sort_report report = {.size = sizeof report};
     int status = 0;
     for (int i = 0; i < 2 && status == 0; i++) {
         options.record = i == 0 ? VOX_RECORD_WRITE : VOX_RECORD_RESUME;
@@ -231,7 +231,7 @@ static int record(struct bsq_ctx *ctx)
 
 static int voxelize_to(struct bsq_ctx *ctx, const char *grid_path)
 {
-    struct vox_voxelize_report report;
+    struct vox_voxelize_report report = {.size = sizeof report};
     struct vox_voxelize_options options = {.size = sizeof(struct vox_voxelize_options),
                                            .tris_path = "scan.tris",
                                            .grid_path = grid_path,
@@ -247,7 +247,7 @@ static int voxelize(struct bsq_ctx *ctx)
 static int voxelize_parts(struct bsq_ctx *ctx)
 {
     static const char *const paths[] = {"scan.tris", "scan.tris"};
-    struct vox_voxelize_report report;
+    struct vox_voxelize_report report = {.size = sizeof report};
     struct vox_voxelize_options options = {.size = sizeof(struct vox_voxelize_options),
                                            .tris_path = paths[0],
                                            .part_paths = paths,
@@ -259,7 +259,7 @@ static int voxelize_parts(struct bsq_ctx *ctx)
 
 static int verify_tris(struct bsq_ctx *ctx)
 {
-    struct fmt_verify_report report;
+    struct fmt_verify_report report = {.size = sizeof report};
     int status = fmt_verify(ctx, "scan.tris", &report);
     if (status == 0)
         assert_int_equal(report.triangles, 2 * SIDE * SIDE);
@@ -268,7 +268,7 @@ static int verify_tris(struct bsq_ctx *ctx)
 
 static int verify_nvdb(struct bsq_ctx *ctx)
 {
-    struct fmt_verify_report report;
+    struct fmt_verify_report report = {.size = sizeof report};
     return fmt_verify(ctx, "scan.nvdb", &report);
 }
 
@@ -276,7 +276,7 @@ static int bake(struct bsq_ctx *ctx, const char *scan, const char *output, uint3
                 const char *preview)
 {
     struct bake_options options;
-    struct bake_report report;
+    struct bake_report report = {.size = sizeof report};
     bake_defaults(&options);
     options.scan_path = scan;
     options.mesh_path = "low.obj";
@@ -311,7 +311,7 @@ static int bake_exact(struct bsq_ctx *ctx)
 
 static int compare(struct bsq_ctx *ctx)
 {
-    struct bake_compare_report report;
+    struct bake_compare_report report = {.size = sizeof report};
     struct bake_compare_options options = {.size = sizeof(struct bake_compare_options),
                                            .a_path = "g_normal.exr",
                                            .b_path = "g_normal.exr",

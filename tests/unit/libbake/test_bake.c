@@ -168,7 +168,7 @@ TEST(test_normals_are_those_of_the_formula)
         struct bake_options options = options_for(grey_path, "<MAP>.exr");
         options.green_down = variant == 1;
         options.normal_space = variant == 2 ? BAKE_OBJECT_SPACE : BAKE_TANGENT_SPACE;
-        struct bake_report report;
+        struct bake_report report = {.size = sizeof report};
         bake(ctx, &options, &report);
         assert_int_equal(report.misses, 0);
         assert_int_equal(report.low_triangles, 2);
@@ -191,7 +191,7 @@ TEST(test_report_counts_samples)
     struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(grey_path, "n.exr");
     options.samples = 3;
-    struct bake_report report;
+    struct bake_report report = {.size = sizeof report};
     bake(ctx, &options, &report);
     /* The chart covers (1 - 2 margin)^2 of the map. Its border lies between texels. */
     uint64_t side = (uint64_t)lrint(SIZE * (1 - 2 * margin));
@@ -213,7 +213,7 @@ TEST(test_colors_are_those_of_the_formula)
 {
     struct bsq_ctx *ctx = test_context(3, 0);
     struct bake_options options = options_for(color_path, "<MAP>.exr");
-    struct bake_report report;
+    struct bake_report report = {.size = sizeof report};
     bake(ctx, &options, &report); /* default maps: normal and color */
     assert_int_equal(access("normal.exr", F_OK), 0);
     struct fmt_exr_image image;
@@ -246,7 +246,7 @@ TEST(test_misses_are_masked_and_filled)
     options.front = depth; /* rays do not reach the crests */
     options.back = 0;
     options.padding = UINT32_MAX;
-    struct bake_report report;
+    struct bake_report report = {.size = sizeof report};
     bake(ctx, &options, &report);
     assert_int_equal(report.hits + report.misses, report.samples);
     /* By symmetry half of the sheet lies below its middle; blending changes the share slightly. */
@@ -282,7 +282,7 @@ TEST(test_padding_surrounds_the_chart)
 {
     struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(grey_path, "n.exr");
-    struct bake_report report;
+    struct bake_report report = {.size = sizeof report};
     bake(ctx, &options, &report);
     struct fmt_exr_image image;
     read_map(ctx, "n.exr", &image);
@@ -333,7 +333,7 @@ TEST(test_bytes_depend_on_neither_threads_nor_budget)
         options.height = 1021;
         options.samples = 1;
         options.padding = 40;
-        struct bake_report report;
+        struct bake_report report = {.size = sizeof report};
         bake(ctx, &options, &report);
         assert_true(bsq_memory_high(ctx) <= bsq_memory_limit(ctx));
         assert_true((bsq_temp_bytes(ctx) > 0) == (runs[r].memory > 0));
@@ -363,7 +363,7 @@ TEST(test_preview_is_written_with_the_maps)
     struct bake_options options = options_for(color_path, "<MAP>.png");
     options.sample_type = BAKE_SAMPLE_USUAL;
     options.preview_path = "preview.png";
-    struct bake_report report;
+    struct bake_report report = {.size = sizeof report};
     bake(ctx, &options, &report);
     assert_int_equal(unlink("normal.png"), 0);
     assert_int_equal(unlink("color.png"), 0);
@@ -405,7 +405,7 @@ TEST(test_tiles_are_parts_of_one_map)
 {
     struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(grey_path, "whole.exr");
-    struct bake_report whole, tiles;
+    struct bake_report whole = {.size = sizeof whole}, tiles = {.size = sizeof tiles};
     const char *two_path = "two.obj";
     write_square(two_path, 0, 2);
     options.maps = BAKE_MAP_NORMAL;
@@ -436,7 +436,7 @@ TEST(test_tiles_are_parts_of_one_map)
 static void expect_failure(const struct bake_options *options, int status, const char *text)
 {
     struct bsq_ctx *ctx = test_context(2, 0);
-    struct bake_report report;
+    struct bake_report report = {.size = sizeof report};
     assert_int_equal(bake_run(ctx, options, &report), status);
     if (!strstr(bsq_error(ctx), text)) {
         print_message("\"%s\" lacks \"%s\"\n", bsq_error(ctx), text);
@@ -484,7 +484,7 @@ TEST(test_interruption_leaves_nothing)
 {
     struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for(grey_path, "<MAP>.exr");
-    struct bake_report report;
+    struct bake_report report = {.size = sizeof report};
     bsq_interrupt(ctx);
     assert_int_equal(bake_run(ctx, &options, &report), BSQ_EINTR);
     assert_int_equal(access("normal.exr", F_OK), -1);
@@ -518,7 +518,7 @@ TEST(test_rows_are_those_of_files)
 {
     struct bsq_ctx *ctx = test_context(2, 64 << 20);
     struct bake_options options = options_for(grey_path, "rows_<MAP>.exr");
-    struct bake_report report;
+    struct bake_report report = {.size = sizeof report};
     struct taken taken = {.refuse_at = SIZE};
     struct fmt_exr_image image;
     options.maps = BAKE_MAP_NORMAL | BAKE_MAP_MASK;
@@ -552,6 +552,11 @@ TEST(test_rows_are_those_of_files)
     bsq_clear_error(ctx);
     assert_int_equal(bake_run(ctx, &options, &report), BSQ_EUSAGE);
     assert_non_null(strstr(bsq_error(ctx), "struct bake_options has "));
+    options.size++;
+    report.size++;
+    bsq_clear_error(ctx);
+    assert_int_equal(bake_run(ctx, &options, &report), BSQ_EUSAGE);
+    assert_non_null(strstr(bsq_error(ctx), "struct bake_report has "));
     free(taken.samples[0]);
     free(taken.samples[1]);
     test_context_end(ctx);

@@ -168,7 +168,7 @@ static struct bake_report bake(const struct bake_options *options, unsigned thre
                                uint64_t memory)
 {
     struct bsq_ctx *ctx = test_context(threads, memory);
-    struct bake_report report;
+    struct bake_report report = {.size = sizeof report};
     int status = bake_run(ctx, options, &report);
     if (status < 0)
         fail_msg("%s", bsq_error(ctx));

@@ -38,6 +38,7 @@ void sort_open_context(struct sort_fixture *f, uint64_t memory, unsigned threads
 int sort_set_up(void **state)
 {
     struct sort_fixture *f = calloc(1, sizeof *f);
+    f->report.size = sizeof f->report;
     sort_open_context(f, 256 * MIB, 2);
     *state = f;
     return 0;

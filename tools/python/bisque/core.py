@@ -168,6 +168,12 @@ class Job:
         ffi.memmove(ffi.from_buffer(part), rows.samples, part.nbytes)
 
 
+def _new_report(name: str) -> Any:
+    report = ffi.new(name + " *")
+    report.size = ffi.sizeof(name)
+    return report
+
+
 def _plain(value: Any) -> Any:
     """Turns a C structure into a dict, and other values into those of Python."""
     if not isinstance(value, ffi.CData):
@@ -176,7 +182,7 @@ def _plain(value: Any) -> Any:
     if kind.kind == "pointer" and kind.item.kind == "struct":
         return _plain(value[0])
     if kind.kind == "struct":
-        return {name: _plain(getattr(value, name)) for name, _ in kind.fields}
+        return {name: _plain(getattr(value, name)) for name, _ in kind.fields if name != "size"}
     if kind.kind == "pointer" or (kind.kind == "array" and kind.item.cname == "char"):
         return _text(value)
     return [_plain(item) for item in value]
@@ -259,7 +265,7 @@ def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "non
     options.embed_textures = embed_textures
     options.record = lib.VOX_RECORD_REUSE if resume else lib.VOX_RECORD_NONE
     options.temp_tris = temporary
-    report = ffi.new("struct vox_sort_report *")
+    report = _new_report("struct vox_sort_report")
     job.run(lib.vox_sort, options, report)
     return _plain(report)
 
@@ -306,7 +312,7 @@ def voxelize(scan: Any, output: str | os.PathLike, *, resolution: int = 2048,
         options.voxel_size = voxel_size or 0
         options.scan_normals = ("area", "angle", "max", "flat").index(scan_normals)
         options.channels = job.string(channels)
-        report = ffi.new("struct vox_voxelize_report *")
+        report = _new_report("struct vox_voxelize_report")
         job.run(lib.vox_voxelize, options, report)
         return _plain(report)
 
@@ -333,7 +339,7 @@ def simplify(scan: Any, output: str | os.PathLike | None = None, *, triangles: i
         options.target_count = triangles is not None
         options.error = error or 0
         options.min_component, options.hard_angle = min_component, hard_angle
-        report = ffi.new("struct vox_simplify_report *")
+        report = _new_report("struct vox_simplify_report")
         job.run(lib.vox_simplify, options, report)
         mesh = read_mesh(path)
         mesh.report = _plain(report)
@@ -502,7 +508,7 @@ def bake(high: Any, low: Any, maps: Sequence[str] = (), *, size: int | tuple[int
             _set_options(job, o, options)
             _choose_maps(job, o, maps)
             job.run(lib.bake_look, o, ffi.NULL, ffi.NULL, ffi.NULL)
-            report = ffi.new("struct bake_report *")
+            report = _new_report("struct bake_report")
             job.run(lib.bake_run, o, report)
             result = _plain(report)
             lib.bake_report_free(report)
@@ -532,6 +538,6 @@ def compare(a: str | os.PathLike, b: str | os.PathLike, *, mask: Any = None, kin
         options.kind = ("auto", "normal", "color", "data").index(kind)
         options.heatmap_path, options.histogram_path = job.string(heatmap), job.string(histogram)
         options.force = force
-        report = ffi.new("struct bake_compare_report *")
+        report = _new_report("struct bake_compare_report")
         job.run(lib.bake_compare, options, report)
         return {**_plain(report), "unit": _text(lib.bake_compare_unit(report.kind))}

@@ -128,7 +128,7 @@ static void grey(unsigned i, float *out)
 FIXTURE_TEST(angles_have_the_right_distribution)
 {
     struct bsq_ctx *ctx = *state;
-    struct bake_compare_report r;
+    struct bake_compare_report r = {.size = sizeof r};
     const char *a = write_map(ctx, "a.exr", 3, tilted, "normal"),
                *b = write_map(ctx, "b.exr", 3, upright, "normal");
     assert_int_equal(
@@ -151,7 +151,7 @@ FIXTURE_TEST(angles_have_the_right_distribution)
 FIXTURE_TEST(masks_give_the_agreement)
 {
     struct bsq_ctx *ctx = *state;
-    struct bake_compare_report r;
+    struct bake_compare_report r = {.size = sizeof r};
     const char *a = write_map(ctx, "a.exr", 3, tilted, NULL),
                *b = write_map(ctx, "b.exr", 3, upright, NULL);
     const char *ma = write_map(ctx, "ma.exr", 1, upper_half, NULL),
@@ -173,7 +173,7 @@ FIXTURE_TEST(masks_give_the_agreement)
 FIXTURE_TEST(data_has_absolute_and_relative_errors)
 {
     struct bsq_ctx *ctx = *state;
-    struct bake_compare_report r;
+    struct bake_compare_report r = {.size = sizeof r};
     const char *a = write_map(ctx, "a.exr", 1, steeper_ramp, NULL),
                *b = write_map(ctx, "b.exr", 1, ramp, NULL);
     assert_int_equal(
@@ -191,7 +191,7 @@ FIXTURE_TEST(data_has_absolute_and_relative_errors)
 FIXTURE_TEST(equal_colours_have_no_noise)
 {
     struct bsq_ctx *ctx = *state;
-    struct bake_compare_report r;
+    struct bake_compare_report r = {.size = sizeof r};
     const char *a = write_map(ctx, "a.exr", 3, grey, "color"), *heat = "heat.png",
                *hist = "hist.png";
     struct bake_compare_options options = {.size = sizeof(struct bake_compare_options),
@@ -209,7 +209,7 @@ FIXTURE_TEST(equal_colours_have_no_noise)
 FIXTURE_TEST(grey_is_compared_with_each_channel)
 {
     struct bsq_ctx *ctx = *state;
-    struct bake_compare_report r;
+    struct bake_compare_report r = {.size = sizeof r};
     const char *a = write_map(ctx, "a.exr", 3, grey, NULL),
                *b = write_map(ctx, "b.exr", 1, ramp, NULL);
     assert_int_equal(
@@ -247,7 +247,7 @@ static void never_finite(unsigned i, float *out)
 FIXTURE_TEST(values_that_are_not_finite_are_counted)
 {
     struct bsq_ctx *ctx = *state;
-    struct bake_compare_report r;
+    struct bake_compare_report r = {.size = sizeof r};
     const char *a = write_map(ctx, "a.exr", 1, spoiled_ramp, NULL), *heat = "heat.png";
     const char *b = write_map(ctx, "b.exr", 1, ramp, NULL);
     const char *mask = write_map(ctx, "m.exr", 1, spoiled_mask, NULL);
@@ -279,7 +279,7 @@ FIXTURE_TEST(values_that_are_not_finite_are_counted)
 FIXTURE_TEST(maps_without_finite_values_have_no_figures)
 {
     struct bsq_ctx *ctx = *state;
-    struct bake_compare_report r;
+    struct bake_compare_report r = {.size = sizeof r};
     const char *a = write_map(ctx, "a.exr", 3, never_finite, NULL),
                *b = write_map(ctx, "b.exr", 3, grey, NULL);
     const char *heat = "heat.png", *hist = "hist.png";

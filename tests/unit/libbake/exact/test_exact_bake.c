@@ -104,7 +104,7 @@ TEST(test_maps_are_those_of_the_formula)
     struct bsq_ctx *ctx = test_context(2, 0);
     for (int space = 0; space < 2; space++) {
         struct bake_options options = options_for(1, "<MAP>.exr");
-        struct bake_report report;
+        struct bake_report report = {.size = sizeof report};
         struct fmt_exr_image normal, color;
         double worst = 0, worst_color = 0;
         options.normal_space = space == 0 ? BAKE_TANGENT_SPACE : BAKE_OBJECT_SPACE;
@@ -154,7 +154,7 @@ TEST(test_bytes_depend_on_neither_chunks_nor_threads_nor_budget)
         static const char *const names[3] = {"normal.exr", "color.exr", "look.png"};
         struct bsq_ctx *ctx = test_context(cases[c].threads, cases[c].memory);
         struct bake_options options = options_for(cases[c].scan, "<MAP>.exr");
-        struct bake_report report;
+        struct bake_report report = {.size = sizeof report};
         options.samples = TEST_SANITIZED ? 1 : 3;
         if (cases[c].memory == 0 || cases[c].memory > 16 << 20)
             options.preview_path = "look.png";
@@ -175,7 +175,7 @@ TEST(test_flat_normals)
 {
     struct bsq_ctx *ctx = test_context(1, 0);
     struct bake_options options = options_for(0, "n.exr");
-    struct bake_report report;
+    struct bake_report report = {.size = sizeof report};
     struct fmt_exr_image image;
     options.maps = BAKE_MAP_NORMAL;
     options.samples = 1;
@@ -202,7 +202,7 @@ TEST(test_flat_normals)
 static void expect_failure(const struct bake_options *options, int expected, const char *text)
 {
     struct bsq_ctx *ctx = test_context(2, 0);
-    struct bake_report report;
+    struct bake_report report = {.size = sizeof report};
     assert_int_equal(bake_run(ctx, options, &report), expected);
     if (!strstr(bsq_error(ctx), text))
         fail_msg("\"%s\" has no \"%s\"", bsq_error(ctx), text);

@@ -104,7 +104,7 @@ FIXTURE_TEST(estimates_are_near_the_truth)
     for (size_t k = 0; k < sizeof kinds / sizeof *kinds; k++)
         for (int spilled = 0; spilled < 2; spilled++) {
             const unsigned n = 300;
-            struct vox_sort_report report;
+            struct vox_sort_report report = {.size = sizeof report};
             struct sort_limits limits;
             write_scan("scan.obj", n, kinds[k]);
             vox_sort_limits_for(128 * MIB, 2, &limits);
@@ -132,7 +132,7 @@ FIXTURE_TEST(estimates_are_near_the_truth)
 FIXTURE_TEST(a_full_disk_is_found_before_the_work)
 {
     struct fixture *f = *state;
-    struct vox_sort_report report;
+    struct vox_sort_report report = {.size = sizeof report};
     struct sort_limits limits;
     char needed[60], available[60];
     vox_sort_limits_for(128 * MIB, 2, &limits);

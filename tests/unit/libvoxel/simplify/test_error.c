@@ -133,9 +133,9 @@ static void try_mesh(uint64_t *seed)
                              *const lows[] = {"low.obj"};
     struct bsq_ctx *ctx = test_context(1, 0);
     struct vox_sort_options sort;
-    struct vox_sort_report sorted;
+    struct vox_sort_report sorted = {.size = sizeof sorted};
     struct vox_simplify_options options;
-    struct vox_simplify_report report;
+    struct vox_simplify_report report = {.size = sizeof report};
     struct mesh scan, low;
     write_scan(seed);
     vox_sort_defaults(&sort);

@@ -95,7 +95,7 @@ FIXTURE_TEST(test_estimates_are_those_of_grids)
                                                .tris_path = "scan.tris",
                                                .grid_path = "scan.nvdb",
                                                .voxel_size = size};
-        struct vox_voxelize_report report;
+        struct vox_voxelize_report report = {.size = sizeof report};
         assert_int_equal(vox_voxelize(f->ctx, &options, &report), 0);
         double voxels = estimate(f, size, UINT64_MAX);
         assert_true(fabs(voxels / (double)report.voxels - 1) < 0.03);

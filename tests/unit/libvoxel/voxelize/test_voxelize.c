@@ -366,7 +366,7 @@ FIXTURE_TEST(test_budget_too_small)
                                             .tris_path = "scan.tris",
                                             .grid_path = "other.nvdb",
                                             .resolution = 100};
-        struct vox_voxelize_report report;
+        struct vox_voxelize_report report = {.size = sizeof report};
         int status = vox_voxelize(ctx, &what, &report);
         if (kib == 64)
             assert_int_equal(status, BSQ_ENOMEM);

@@ -22,7 +22,7 @@ static void check_same_bytes(uint32_t resolution)
             .grid_path = i == 0 ? "scan.nvdb" : "other.nvdb",
             .resolution = resolution,
         };
-        struct vox_voxelize_report report;
+        struct vox_voxelize_report report = {.size = sizeof report};
         int status = vox_voxelize(ctx, &options, &report);
         if (status != 0)
             print_message("%s\n", bsq_error(ctx));
@@ -83,7 +83,7 @@ FIXTURE_TEST(test_solid_regions_in_little_memory)
             .grid_path = i == 0 ? "scan.nvdb" : "other.nvdb",
             .resolution = size,
         };
-        struct vox_voxelize_report report;
+        struct vox_voxelize_report report = {.size = sizeof report};
         int status = vox_voxelize(ctx, &options, &report);
         if (status != 0)
             print_message("%s\n", bsq_error(ctx));

@@ -40,7 +40,7 @@ static int voxelize(const struct vox_fixture *f, uint32_t resolution, double vox
 struct vox_voxelize_report vox_make(const struct vox_fixture *f, uint32_t resolution,
                                     double voxel_size)
 {
-    struct vox_voxelize_report report;
+    struct vox_voxelize_report report = {.size = sizeof report};
     int status = voxelize(f, resolution, voxel_size, &report);
     if (status != 0)
         print_message("%s\n", bsq_error(f->ctx));
@@ -51,7 +51,7 @@ struct vox_voxelize_report vox_make(const struct vox_fixture *f, uint32_t resolu
 void vox_expect_failure(struct vox_fixture *f, uint32_t resolution, double voxel_size, int status,
                         const char *text)
 {
-    struct vox_voxelize_report report;
+    struct vox_voxelize_report report = {.size = sizeof report};
     assert_int_equal(voxelize(f, resolution, voxel_size, &report), status);
     if (!strstr(bsq_error(f->ctx), text))
         print_message("%s\n", bsq_error(f->ctx));

@@ -170,7 +170,7 @@ FIXTURE_TEST(test_scattered_triangles_of_one_chunk)
                                                .grid_path = i ? "other.nvdb" : "scan.nvdb",
                                                .voxel_size = 1.0,
                                                .scan_normals = BSQ_SCAN_NORMALS_FLAT};
-        struct vox_voxelize_report report;
+        struct vox_voxelize_report report = {.size = sizeof report};
         scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, i ? 1 : mesh.triangle_count);
         assert_int_equal(vox_voxelize(f->ctx, &options, &report), 0);
         voxels[i] = report.voxels;
