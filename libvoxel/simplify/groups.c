@@ -10,7 +10,7 @@
 #include "base/parallel.h"
 #include "libvoxel/simplify/thin.h"
 
-enum { GROUP_TRIANGLES = 131072, LEVEL_FACTOR = 8 };
+enum { GROUP_TRIANGLES = 65536, LEVEL_FACTOR = 8 };
 
 /* A mesh of a level: of the first one a chunk, of others a part of a temporary file with
  * positions, quadrics and triangles. */

@@ -13,7 +13,7 @@
 
 /* Triangles in memory for the last collapse: enough that what comes before it does not show, see
  * docs/decisions. For an error, as many as its mesh may need. */
-enum { LAST_FACTOR = 10, LAST_TRIANGLES = 500000, ERROR_TRIANGLES = 1500000, ERROR_STEPS = 16 };
+enum { LAST_FACTOR = 6, LAST_TRIANGLES = 200000, ERROR_TRIANGLES = 1500000, ERROR_STEPS = 16 };
 
 struct simplifying {
     struct bsq_ctx *ctx;

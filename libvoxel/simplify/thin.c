@@ -2,8 +2,7 @@
  *
  * A vertex goes to the neighbour where its own quadric is least; only then is the best place of
  * both computed. So most of the work is one walk around each vertex in each pass, in the order of
- * memory. The threshold of a pass is the quantile of the costs that would lead to the target, but
- * at most PASS_SHARE of the vertices, so that cheap vertices go first. */
+ * memory. The threshold of a pass is the quantile of the costs that would lead to the target. */
 #include "libvoxel/simplify/thin.h"
 
 #include <math.h>
@@ -13,7 +12,6 @@
 #include "libvoxel/simplify/rings.h"
 
 enum { SAMPLE_STEP = 8, BIN_SHIFT = 20, BINS = 1 << (31 - BIN_SHIFT) };
-static const double pass_share = 0.6;
 /* As in collapse.c. */
 static const double pull = 1e-6;
 static const float length_share = 1e-6F;
@@ -181,8 +179,7 @@ int vox_thin(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh)
     BSQ_TRY(bsq_alloc(ctx, "an edge collapse", BINS, sizeof *bins, &bins));
     while (rings.alive > target && gone > rings.alive / 512) {
         const double share = 1 - (double)target / rings.alive;
-        const float threshold =
-            find_threshold(&rings, share < pass_share ? share : pass_share, bins);
+        const float threshold = find_threshold(&rings, share, bins);
         gone = run_pass(&rings, threshold, target);
         BSQ_TRY(bsq_check(ctx));
     }
