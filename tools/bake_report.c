@@ -136,11 +136,15 @@ static void print_coverage(const struct bake_arguments *arguments, const struct 
                   cli_counted_text(report->low_polygons, "polygon", "polygons", triangles));
 }
 
-/* Prints how much of the scan no ray reached, and what that may be if it is much. */
-static void print_unseen(const struct bake_report *report)
+/* Prints how much of the scan no ray reached, and what that may be if it is much. tasks: of a bake
+ * in tasks, which do not count it. */
+static void print_unseen(const struct bake_report *report, bool tasks)
 {
-    if (!(report->seen_cell > 0))
+    if (!(report->seen_cell > 0)) {
+        cli_print("how much of the scan no ray reached was not counted%s\n",
+                  tasks ? ": bakes in tasks do not; one without, also of a small map, does" : "");
         return;
+    }
     cli_print("%.1f %% of the scan's area was reached by no ray, counted in cells of %.2g",
               100 * report->unseen, report->seen_cell);
     if (100 * report->unseen_inside > HINT_PERCENT)
@@ -199,7 +203,7 @@ static int print_report(const struct cli *cli, const struct bake_arguments *argu
               cli_count_text(report->misses, misses), percent(report->misses, report->samples),
               report->front, report->back, report->device);
     print_voxels(report);
-    print_unseen(report);
+    print_unseen(report, arguments->farm.merge);
     for (uint32_t i = 0; i < report->tile_count; i++)
         BSQ_TRY(bake_list_files(cli->ctx, bake, &report->tiles[i], print_map, report));
     if (bake->preview_path)

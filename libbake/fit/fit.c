@@ -20,8 +20,8 @@
 #include "base/sort_array.h"
 #include "base/vec.h"
 
-/* Points of the mesh; those of a pose, and all if lengths are given. These come in runs, which
- * cross few chunks of the scan. */
+/* Points of the mesh; those of a pose, and all if lengths are given and thickness is not baked.
+ * These come in runs, which cross few chunks of the scan. */
 enum { PROBES = 16384, FEW = 1024, RUN = 64, MOST_POSES = 160, TURNS = 24 };
 
 /* Shares of the size of the mesh or the scan, whichever is smaller: what is near, the distance that
@@ -33,9 +33,11 @@ enum { PROBES = 16384, FEW = 1024, RUN = 64, MOST_POSES = 160, TURNS = 24 };
 /* Layers of a scan are at least this share of its size apart. */
 #define NEARER 0.002
 
-/* Shares of the points that may be far, or see several layers, without a warning. */
+/* Shares of the points that may be far, see several layers, or see no other side of the solid,
+ * without a warning. */
 #define MOST_FAR    0.2
 #define MOST_LAYERS 0.1
+#define MOST_OPEN   0.01
 
 /* How far rays are tried, as shares of the diagonal of the scan's bounds. */
 #define USUAL_LIMIT 0.1
@@ -71,7 +73,7 @@ struct fit {
     const struct bake_options *options;
     double scan_size, low_size; /* diagonals */
     bool measured;              /* lengths are chosen, by all probes */
-    uint32_t count;             /* of probes, rays and hits */
+    uint32_t count;             /* of probes, rays and hits: PROBES or FEW */
     struct probe *probes;
     struct bake_exact_ray *rays;
     struct bake_exact_hit *hits;
@@ -82,6 +84,11 @@ struct fit {
     uint32_t pose_count;
     struct score score; /* of the mesh as it is */
 };
+
+static const char *scan_name(const struct fit *fit)
+{
+    return fit->options->more_scan_count > 0 ? "the scans" : fit->options->scan_path;
+}
 
 static double diagonal(const double low[3], const double high[3])
 {
@@ -139,7 +146,7 @@ static void place_probes(const struct fit *fit)
                 u = 1.0f - u;
                 v = 1.0f - v;
             }
-            if (fit->measured || next / RUN % (PROBES / FEW) == 0)
+            if (fit->count == PROBES || next / RUN % (PROBES / FEW) == 0)
                 set_probe(fit, t, (const float[3]){1.0f - u - v, u, v}, &fit->probes[placed++]);
         }
     }
@@ -286,7 +293,25 @@ static int choose_lengths(const struct fit *fit, double *front, double *back)
     return status;
 }
 
-/* ---- layers ---- */
+/* ---- rays from hits ---- */
+
+/* Writes ray number `index`, from the hit of a probe outwards, or into the solid. Returns whether
+ * there is a hit; if not, the ray hits nothing. */
+static bool set_ray_from_hit(const struct fit *fit, const struct probe *from, bool outwards,
+                             uint32_t index)
+{
+    struct probe probe = *from;
+    const bool found = !isinf(probe.t);
+    const struct bsq_vec3 n = bsq_unit3(bsq_v3(probe.normal[0], probe.normal[1], probe.normal[2]));
+    const float way[3] = {n.x, n.y, n.z};
+    for (int k = 0; k < 3; ++k) {
+        probe.at[k] += found ? probe.t * (double)way[k] : 0;
+        probe.normal[k] = !found ? 0 : outwards ? way[k] : -way[k];
+    }
+    probe.reach = 0;
+    set_ray(fit, &probe, NULL, index);
+    return found;
+}
 
 /* Finds the share of the points from whose hits outwards the rays reach another surface that faces
  * the same way, such as a coat over a body. */
@@ -297,25 +322,33 @@ static int measure_layers(struct fit *fit, double reach, double *share)
     *share = 0;
     if (reach <= least)
         return 0;
-    for (uint32_t i = 0; i < FEW; ++i) {
-        const uint32_t from = i / RUN * (fit->count / FEW * RUN) + i % RUN;
-        struct probe probe = fit->probes[from];
-        const bool found = !isinf(probe.t);
-        const struct bsq_vec3 n =
-            bsq_unit3(bsq_v3(probe.normal[0], probe.normal[1], probe.normal[2]));
-        const double way[3] = {(double)n.x, (double)n.y, (double)n.z};
-        for (int k = 0; k < 3 && found; ++k)
-            probe.at[k] += probe.t * way[k];
-        probe.reach = 0;
-        if (!found)
-            memset(probe.normal, 0, sizeof probe.normal);
-        set_ray(fit, &probe, NULL, i);
-        hits += found;
-    }
+    for (uint32_t i = 0; i < FEW; ++i)
+        hits += set_ray_from_hit(fit, &fit->probes[i / RUN * (fit->count / FEW * RUN) + i % RUN],
+                                 true, i);
     int status = trace(fit, FEW, least, reach, false);
     for (uint32_t i = 0; i < FEW && status == 0; ++i)
         layered += fit->hits[i].triangle != BAKE_EXACT_NONE;
     *share = hits > 0 ? (double)layered / hits : 0;
+    return status;
+}
+
+/* Warns if rays from the hits straight into the solid leave it without meeting its other side, as
+ * through a hole. Rays that may hit either side of a surface must not meet the one they leave. */
+static int judge_openness(struct fit *fit)
+{
+    const double from = fit->options->two_sided ? 2.0 * fit->surface->detail : 0;
+    uint32_t hits = 0, left = 0;
+    for (uint32_t i = 0; i < FEW; ++i)
+        hits += set_ray_from_hit(fit, &fit->probes[i * (fit->count / FEW)], false, i);
+    int status = trace(fit, FEW, from, 2.0 * fit->scan_size, false);
+    for (uint32_t i = 0; i < FEW && status == 0; ++i)
+        left += !isinf(fit->probes[i * (fit->count / FEW)].t) &&
+                fit->hits[i].triangle == BAKE_EXACT_NONE;
+    if (left > MOST_OPEN * hits)
+        bsq_warn(fit->surface->ctx,
+                 "map thickness: %.0f %% of the rays straight into %s leave through holes or open "
+                 "borders: close them, or set how far walls count with --distance thickness",
+                 100.0 * left / hits, scan_name(fit));
     return status;
 }
 
@@ -480,11 +513,6 @@ static const struct pose *best_pose(const struct fit *fit)
 
 /* ---- judgement ---- */
 
-static const char *scan_name(const struct fit *fit)
-{
-    return fit->options->more_scan_count > 0 ? "the scans" : fit->options->scan_path;
-}
-
 /* Adds "key=value" to the options --low. */
 static void add_key(char out[160], const char *format, ...) __attribute__((format(printf, 2, 3)));
 static void add_key(char out[160], const char *format, ...)
@@ -625,13 +653,15 @@ int bake_fit(const struct bake_surface *surface, const struct bake_lowmesh *mesh
              const struct bake_options *options, double *front, double *back)
 {
     const bool measured = (options->front < 0 && !bake_has_cage(options)) || options->back < 0;
+    const bool solid =
+        surface->params.maps & BAKE_MAP_THICKNESS && !(options->thickness_distance > 0);
     struct fit fit = {.surface = surface,
                       .mesh = mesh,
                       .options = options,
                       .scan_size = diagonal(surface->scan_min, surface->scan_max),
                       .low_size = diagonal(mesh->bounds_min, mesh->bounds_max),
                       .measured = measured,
-                      .count = measured ? PROBES : FEW};
+                      .count = measured || solid ? PROBES : FEW};
     double layers = 0, reach = 0;
     bool fits = true;
     int status = 0;
@@ -650,8 +680,10 @@ int bake_fit(const struct bake_surface *surface, const struct bake_lowmesh *mesh
             BSQ_TRY(measure_layers(&fit, reach, &layers));
     }
     if (!options->as_is)
-        status = judge(&fit, &fits);
-    if (status == 0 && fits && layers > MOST_LAYERS)
+        BSQ_TRY(judge(&fit, &fits));
+    if (fits && solid)
+        BSQ_TRY(judge_openness(&fit));
+    if (fits && layers > MOST_LAYERS)
         bsq_warn(surface->ctx,
                  "in front of %.0f %% of the nearest surface, %s has another layer within %g: the "
                  "nearest to the low-poly mesh is baked; a cage, or a shorter --front, chooses",

@@ -19,8 +19,9 @@
  * Unless the options say that meshes are baked as they are, compares the distances with those of a
  * mesh that is turned by right angles, scaled by the factor of a unit, mirrored or inverted, if its
  * bounds are then like the scan's. If one of these fits much better: BSQ_EDATA, with the options
- * that mend it. Warns of meshes that only fit after a shift or another scale, and of lengths that
- * were chosen although much of the mesh is far from the scan. Deterministic. Errors: also those of
+ * that mend it. Warns of meshes that only fit after a shift or another scale, of lengths that were
+ * chosen although much of the mesh is far from the scan, and of an open scan if the surface's
+ * parameters have thickness without a distance. Deterministic. Errors: also those of
  * bake_surface_trace(). */
 int bake_fit(const struct bake_surface *surface, const struct bake_lowmesh *mesh,
              const struct bake_options *options, double *front, double *back);

@@ -207,6 +207,56 @@ ok run bisque-voxelize wide.obj -o wide.tris
 ok run bisque-bake wide.tris tile.obj -o o.png --size 128 --device cpu --json
 json '.unseen | (.area - 15 / 16 | fabs) < 0.02'
 
+# ---- thickness of open scans ----
+
+# open SCAN LOW TEXT [OPTION...]: a bake of thickness warns of rays that leave the scan; TEXT empty:
+# it does not.
+open()
+{
+    of=$1 low=$2 text=$3
+    shift 3
+    for kind in tris nvdb; do
+        ok $bake $of.$kind $low -o o.png --maps thickness --rays thickness=1 "$@"
+        if [ -z "$text" ]; then
+            [ ! -s "$err" ]
+        else
+            grep -q "thickness: $text % of the rays straight into $of.$kind leave" "$err"
+        fi
+        check "$of.$kind is open: '$text' $*" $?
+    done
+}
+
+# Straight rays into a sphere meet the opposite longitude: of three quarters, two thirds are there.
+mesh low.obj sphere 24
+mesh wide.obj sphere 24 part=0.75
+mesh half.obj sphere 24 part=0.5
+scan wedge sphere 60 part=0.75
+scan bowl sphere 60 part=0.5
+scan wound sphere 60 part=0.75 invert=1
+open sphere low.obj ''
+open wedge wide.obj '3[234]'
+open wedge wide.obj '3[234]' --front 0.01 --back 0.01
+open wedge wide.obj '3[234]' --extrude 0.01 --as-is
+open wedge wide.obj '' --distance thickness=0.2
+open bowl half.obj 100
+open wound wide.obj '3[234]' --two-sided
+ok $bake wedge.nvdb wide.obj -o o.png --maps normal
+[ ! -s "$err" ]
+check "other maps of an open scan: no word" $?
+for shape in head statue torus cube; do
+    mesh low.obj $shape 16
+    open $shape low.obj ''
+done
+mesh low.obj sheet 8
+open sheet low.obj 100
+ok $bake sheet.tris low.obj -o o.png --maps thickness --rays thickness=1 --tasks 2 --plan plan.json
+grep -q 'thickness: 100 % of the rays' "$err"
+check "a plan tells of an open scan" $?
+ok run bisque-bake --plan plan.json --task 0-1
+ok run bisque-bake --plan plan.json --merge
+[ ! -s "$err" ] && grep -q 'no ray reached was not counted: bakes in tasks do not' "$out"
+check "and a merge says that it does not know what was not reached" $?
+
 # ---- voxels and texels ----
 
 # The square of side 2 has texels of 2 / 128.

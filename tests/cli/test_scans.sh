@@ -176,7 +176,7 @@ ok $bake $size ids/left.nvdb right.nvdb wide.obj -o 'x_<MAP>.exr' --maps all --r
 grep -q "^$p: warning: the scans do not all have ids of one kind: no map id is baked$" "$err"
 check "a warning tells that ids get lost" $?
 rm x_*.exr
-ok $bake $size left.nvdb right.nvdb wide.obj -o 'x_<MAP>.exr' --maps all --rays ao=1 --rays thickness=1
+ok $bake $size left.nvdb right.nvdb wide.obj -o 'x_<MAP>.exr' --maps all --rays ao=1,thickness=1 --distance thickness=1
 [ ! -s "$err" ] && rm x_*.exr
 check "nothing is told if no scan has ids" $?
 $bake $size left.nvdb missing.nvdb wide.obj -o x.exr
