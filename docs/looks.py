@@ -25,6 +25,7 @@ LOOKS = [
     ("facets", ["ball.tris", "ball_low.obj"], ["--scan-normals", "flat"], ["--scan-normals", "angle"]),
     ("coarse", ["coarse.nvdb", "vase_low.obj"], [], VASE),
     ("padding", VASE, ["--padding", "0", "--size", "64"], ["--size", "64"]),
+    ("colors", VASE, ["--maps", "normal"], []),
 ]
 
 
