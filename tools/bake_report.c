@@ -1,10 +1,15 @@
 /* bake_report.c - see bake_report.h. */
 #include "tools/bake_report.h"
 
+#include <dirent.h>
+#include <errno.h>
+#include <limits.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
+#include "base/file.h"
 #include "tools/page.h"
 
 /* Hints are given above this percentage of samples that miss or lie in overlapping charts. */
@@ -356,18 +361,100 @@ static json_t *report_json(const struct cli *cli, const struct bake_arguments *a
         "unseen", unseen_json(report), "texel", report->texel, "voxel", report->voxel);
 }
 
+/* ---- comparisons with a reference ---- */
+
+int bake_report_note_references(struct cli *cli, const char *folder)
+{
+    DIR *directory = opendir(folder);
+    int status = 0;
+    if (!directory)
+        return bsq_fail(cli->ctx, BSQ_ENOINPUT, "%s: %s", folder, strerror(errno));
+    for (struct dirent *entry; status == 0 && (entry = readdir(directory));) {
+        char path[PATH_MAX];
+        if (snprintf(path, sizeof path, "%s/%s", folder, entry->d_name) < PATH_MAX)
+            status = bsq_note_input(cli->ctx, path, "a reference");
+    }
+    closedir(directory);
+    return status;
+}
+
+struct references {
+    struct cli *cli;
+    const struct bake_options *bake;
+    char mask[2][PATH_MAX]; /* of the map and of the reference, in a UDIM tile; "": none */
+    json_t *comparisons;
+};
+
+/* Finds the file with the name of a map among the references; returns false if there is none. */
+static bool find_reference(const struct references *r, const char *path, char out[PATH_MAX])
+{
+    const int length =
+        snprintf(out, PATH_MAX, "%s/%s", r->bake->reference_path, bsq_file_name(path));
+    return length < PATH_MAX && access(out, R_OK) == 0;
+}
+
+static int find_mask(void *arg, const struct bake_file *file)
+{
+    struct references *r = arg;
+    const bool is_mask = strcmp(file->map, "mask") == 0;
+    if (is_mask && strlen(file->path) < PATH_MAX && find_reference(r, file->path, r->mask[1]))
+        strcpy(r->mask[0], file->path);
+    return 0;
+}
+
+/* Compares a map with its reference, if it has one, and shows that on the page. */
+static int compare_map(void *arg, const struct bake_file *file)
+{
+    struct references *r = arg;
+    char path[PATH_MAX];
+    struct bake_compare_options options;
+    struct bake_compare_report report;
+    if (!find_reference(r, file->path, path))
+        return 0;
+    bake_compare_defaults(&options);
+    options.a_path = file->path;
+    options.b_path = path;
+    options.page = r->bake->page;
+    if (r->mask[0][0] && strcmp(r->mask[0], file->path) != 0) {
+        options.a_mask_path = r->mask[0];
+        options.b_mask_path = r->mask[1];
+    }
+    const int status = bake_compare(r->cli->ctx, &options, &report);
+    if (status == 0)
+        cli_json_append(&r->comparisons, page_comparison_json(&options, &report));
+    return status;
+}
+
+/* Completes the page. */
+static int end_page(struct cli *cli, const struct bake_arguments *arguments,
+                    const struct bake_report *report)
+{
+    const struct bake_options *bake = &arguments->bake;
+    const struct cli_table table = bake_arguments_table(arguments);
+    struct references r = {.cli = cli, .bake = bake, .comparisons = json_array()};
+    int status = 0;
+    for (uint32_t i = 0; bake->reference_path && i < report->tile_count && status == 0; i++) {
+        r.mask[0][0] = '\0';
+        status = bake_list_files(cli->ctx, bake, &report->tiles[i], find_mask, &r);
+        if (status == 0)
+            status = bake_list_files(cli->ctx, bake, &report->tiles[i], compare_map, &r);
+    }
+    json_t *root = report_json(cli, arguments, report);
+    cli_json_set(&root, "comparisons", r.comparisons);
+    if (status == 0)
+        return page_end(cli, bake->page, root, &table);
+    json_decref(root);
+    return status;
+}
+
 int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
                       struct bake_report *report)
 {
     hint_at_misses(cli, arguments, report);
     hint_at_overlaps(cli, arguments, report);
-    if (arguments->bake.page) {
-        const struct cli_table table = bake_arguments_table(arguments);
-        const int status =
-            page_end(cli, arguments->bake.page, report_json(cli, arguments, report), &table);
-        if (status < 0)
-            return status;
-    }
+    const int status = arguments->bake.page ? end_page(cli, arguments, report) : 0;
+    if (status < 0)
+        return status;
     return cli->json ? cli_print_json(cli, report_json(cli, arguments, report))
                      : print_report(cli, arguments, report);
 }

@@ -19,6 +19,9 @@ int bake_report_print_tile(struct cli *cli, const struct bake_arguments *argumen
 bool bake_report_too_many_missed(const struct cli *cli, const struct bake_arguments *arguments,
                                  const struct bake_report *report);
 
+/* Notes the files of --reference, which no output may replace. */
+int bake_report_note_references(struct cli *cli, const char *folder);
+
 /* Prints the devices that can be used, as lines or as JSON. */
 int bake_report_devices(struct cli *cli);
 

@@ -37,8 +37,6 @@ static const struct {
     [MIN_AGREEMENT] = {"--min-agreement", "hit agreement", FIGURE(agreement), true},
 };
 
-static const char *const kind_names[] = {"auto", "normal", "color", "data", NULL};
-
 struct arguments {
     struct bake_compare_options compare;
     const char *mask;      /* of both maps, unless they have their own */
@@ -170,7 +168,7 @@ static void print_report(const struct arguments *arguments,
     cli_print("%s against %s: %s of %ux%u compared as %s\n", arguments->compare.a_path,
               arguments->compare.b_path,
               cli_counted_text(report->compared, "texel", "texels", compared), report->width,
-              report->height, kind_names[report->kind]);
+              report->height, page_kind_name(report->kind));
     cli_print("%s: mean %.4g, rms %.4g, median %.4g, p95 %.4g, p99 %.4g, max %.4g at %u,%u\n", unit,
               report->mean, report->rms, report->median, report->p95, report->p99, report->max,
               report->max_x, report->max_y);
@@ -191,36 +189,12 @@ static void print_report(const struct arguments *arguments,
                   (unsigned long long)report->only_a, (unsigned long long)report->only_b);
 }
 
-/* JSON has no infinite numbers: they become null. */
-static json_t *json_number(double value)
-{
-    return isfinite(value) ? json_real(value) : json_null();
-}
-
 static json_t *report_json(const struct arguments *arguments,
                            const struct bake_compare_report *report, int failures)
 {
-    json_t *root = json_pack(
-        "{s:o, s:o, s:s, s:s, s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:o, s:o, s:o, s:o,"
-        " s:o, s:o, s:i, s:i, s:f, s:f, s:b}",
-        "a_path", cli_json_text(arguments->compare.a_path), "b_path",
-        cli_json_text(arguments->compare.b_path), "type", kind_names[report->kind], "unit",
-        bake_compare_unit(report->kind), "width", (int)report->width, "height", (int)report->height,
-        "compared", (json_int_t)report->compared, "not_finite", (json_int_t)report->not_finite,
-        "not_finite_a", (json_int_t)report->not_finite_a, "not_finite_b",
-        (json_int_t)report->not_finite_b, "only_a", (json_int_t)report->only_a, "only_b",
-        (json_int_t)report->only_b, "agreement", report->agreement, "mean",
-        json_number(report->mean), "rms", json_number(report->rms), "median",
-        json_number(report->median), "p95", json_number(report->p95), "p99",
-        json_number(report->p99), "max", json_number(report->max), "max_x", (int)report->max_x,
-        "max_y", (int)report->max_y, "share_above_1", report->above_1, "share_above_5",
-        report->above_5, "within_limits", failures == 0);
-    if (root && report->kind == BAKE_COMPARE_COLOR)
-        json_object_set_new(root, "psnr", json_number(report->psnr));
-    if (root && report->kind == BAKE_COMPARE_DATA) {
-        json_object_set_new(root, "relative_mean", json_number(report->relative_mean));
-        json_object_set_new(root, "relative_max", json_number(report->relative_max));
-    }
+    json_t *root = page_comparison_json(&arguments->compare, report);
+    if (root)
+        json_object_set_new(root, "within_limits", json_boolean(failures == 0));
     return root;
 }
 
@@ -234,7 +208,7 @@ static int compare_maps(struct cli *cli, struct arguments *arguments, int *failu
     BSQ_TRY(bake_compare(cli->ctx, &arguments->compare, &report));
     if (!isnan(arguments->limits[MIN_PSNR]) && report.kind != BAKE_COMPARE_COLOR)
         BSQ_TRY(cli_usage(cli, "--min-psnr is for colours, these maps were compared as %s",
-                          kind_names[report.kind]));
+                          page_kind_name(report.kind)));
     *failures = count_failures(cli, arguments, &report);
     if (arguments->compare.page)
         BSQ_TRY(page_end(cli, arguments->compare.page, report_json(arguments, &report, *failures),

@@ -84,3 +84,43 @@ int page_end(struct cli *cli, struct bake_page *page, json_t *root, const struct
     json_decref(all);
     return status;
 }
+
+/* ---- comparisons ---- */
+
+const char *page_kind_name(enum bake_compare_kind kind)
+{
+    static const char *const names[] = {"auto", "normal", "color", "data"};
+    return names[kind];
+}
+
+/* JSON has no infinite numbers: they become null. */
+static json_t *number_json(double value)
+{
+    return isfinite(value) ? json_real(value) : json_null();
+}
+
+json_t *page_comparison_json(const struct bake_compare_options *options,
+                             const struct bake_compare_report *report)
+{
+    json_t *root = json_pack(
+        "{s:o, s:o, s:s, s:s, s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:o, s:o, s:o, s:o,"
+        " s:o, s:o, s:i, s:i, s:f, s:f}",
+        "a_path", cli_json_text(options->a_path), "b_path", cli_json_text(options->b_path), "type",
+        page_kind_name(report->kind), "unit", bake_compare_unit(report->kind), "width",
+        (int)report->width, "height", (int)report->height, "compared", (json_int_t)report->compared,
+        "not_finite", (json_int_t)report->not_finite, "not_finite_a",
+        (json_int_t)report->not_finite_a, "not_finite_b", (json_int_t)report->not_finite_b,
+        "only_a", (json_int_t)report->only_a, "only_b", (json_int_t)report->only_b, "agreement",
+        report->agreement, "mean", number_json(report->mean), "rms", number_json(report->rms),
+        "median", number_json(report->median), "p95", number_json(report->p95), "p99",
+        number_json(report->p99), "max", number_json(report->max), "max_x", (int)report->max_x,
+        "max_y", (int)report->max_y, "share_above_1", report->above_1, "share_above_5",
+        report->above_5);
+    if (root && report->kind == BAKE_COMPARE_COLOR)
+        json_object_set_new(root, "psnr", number_json(report->psnr));
+    if (root && report->kind == BAKE_COMPARE_DATA) {
+        json_object_set_new(root, "relative_mean", number_json(report->relative_mean));
+        json_object_set_new(root, "relative_max", number_json(report->relative_max));
+    }
+    return root;
+}

@@ -2,6 +2,7 @@
 #ifndef PAGE_H
 #define PAGE_H
 
+#include "libbake/compare.h"
 #include "libbake/page.h"
 #include "tools/cli.h"
 
@@ -12,5 +13,12 @@ int page_begin(struct cli *cli, const char *path, struct bake_page **out);
  * Takes over `root`; NULL means that there was no memory for it. */
 int page_end(struct cli *cli, struct bake_page *page, json_t *root,
              const struct cli_table *options);
+
+/* Returns the word for what maps were compared as. */
+const char *page_kind_name(enum bake_compare_kind kind);
+
+/* Returns a comparison as JSON, also for the page; NULL: no memory. */
+json_t *page_comparison_json(const struct bake_compare_options *options,
+                             const struct bake_compare_report *report);
 
 #endif

@@ -19,7 +19,8 @@ enum {
     GPU = PADDED_MAP << 3,
     GRID = PADDED_MAP << 4,
     GRID_TO_SAMPLE = PADDED_MAP << 5,
-    BARE_TRIANGLES = PADDED_MAP << 6
+    BARE_TRIANGLES = PADDED_MAP << 6,
+    PAGE = PADDED_MAP << 7
 };
 
 /* Returns whether a map has padding; the mask has none. */
@@ -42,6 +43,8 @@ static const char *lacks(uint32_t need, const struct bake_options *options,
         return options->normal_space == BAKE_TANGENT_SPACE ? NULL : "--normal space=tangent";
     case PREVIEW:
         return options->preview_path || options->page_path ? NULL : "--preview or --report";
+    case PAGE:
+        return options->page_path ? NULL : "--report";
     case GPU:
         return strcmp(options->device, "cpu") != 0 ? NULL : "a device other than cpu";
     case GRID_TO_SAMPLE: /* the nearest voxel of triangles is an error later */
@@ -219,6 +222,10 @@ static const struct bsq_option table[] = {
             "a page to look at: the mesh in 3D, all maps, misses, times, what was\n"
             "lost, and the command"),
      MEMBER(OUTPUT, page_path)},
+    {OPTION("reference", "DIR",
+            "folder of maps, such as exact ones: the page shows how far those of\n"
+            "the same names are from them"),
+     MEMBER(INPUT, reference_path), .needs = PAGE},
     {KEY("view", "count", "N", "views around the mesh"), .old_name = "preview-views",
      COUNT(preview_views, 1, BAKE_MAX_VIEWS, 4), .needs = PREVIEW},
     {KEY("view", "from", "DEG", "of the first view, around from the front; auto: the most telling"),
@@ -280,7 +287,7 @@ void bake_warn_of_options(struct bsq_ctx *ctx, const struct bake_options *option
             continue;
         if (maps && !(maps & options->maps))
             warn_of_maps(ctx, row, maps);
-        for (uint32_t need = PADDED_MAP; need <= BARE_TRIANGLES; need <<= 1)
+        for (uint32_t need = PADDED_MAP; need <= PAGE; need <<= 1)
             if (row->needs & need && lacks(need, options, scans))
                 warn(ctx, row, lacks(need, options, scans));
     }

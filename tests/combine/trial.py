@@ -202,6 +202,9 @@ class Trial:
     def draw_scan_normal_map(self, program):
         return "../in/color" + self.image if self.has_uvs else None
 
+    def draw_reference(self, program):
+        return "../in"
+
     def draw_match(self, program):
         return self.random.choice(["name", "_low,_high"]) if self.object_count > 1 else None
 

@@ -1,6 +1,7 @@
 """reports.py - looks at reports in Chromium: what they draw, their switches, keys and paper.
 
-Usage: reports.py PICTURES ASSET.html TILES.html MISSES.html COMPARISON.html
+Usage: reports.py PICTURES ASSET.html TILES.html MISSES.html COMPARISON.html NORMAL.json
+NORMAL.json is what bisque-compare says of the asset's normals.
 Prints TAP lines for tests/run.sh. PICTURES is a folder for screenshots."""
 import json
 import re
@@ -8,7 +9,7 @@ import sys
 
 from browser import Browser
 
-pictures, asset, tiles, misses, comparison = sys.argv[1:]
+pictures, asset, tiles, misses, comparison, normal = sys.argv[1:]
 browser = Browser()
 count = 0
 
@@ -110,6 +111,11 @@ def check_texts():
         "[...document.querySelectorAll('#maps article')].find(e => e.innerText.startsWith('height')).innerText")
     largest = max(abs(float(v)) for v in re.search(r"Range: (\S+) to (\S+)", high).groups())
     check("the range of heights is that of the bake", abs(largest / low - 1) < 0.01, largest, low)
+    shown = browser.js("[...document.querySelectorAll('#errors article')].map(e => e.innerText)")
+    given = json.load(open(normal, encoding="utf-8"))
+    check("maps with a reference are compared with it", [n in t for n, t in zip(["v_normal.exr", "v_mask.exr"], shown)] ==
+          [True, True] and len(shown) == 2, shown)
+    check("with the figures of bisque-compare", all(f"{given[key]:.4g}" in shown[0] for key in ("mean", "p99", "max")), given)
     command = browser.js("document.getElementById('command').textContent")
     check("the command is quoted", "'v_<MAP>.exr'" in command and command.startswith("bisque-bake "), command)
     rows = browser.js("document.querySelectorAll('#options tr').length")
