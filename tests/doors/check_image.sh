@@ -29,5 +29,20 @@ same map_normal.png data/map_normal.png
 same map_color.png data/map_color.png
 in_image bisque-voxelize scan.obj -o other.nvdb --resolution 32 --vdb other.vdb
 in_image bisque-bake scan.tris low.obj --size 32 --report page.html -o 'exact_<MAP>.exr'
+# Links to bisque-image stand for programs.
+mkdir bin
+for program in voxelize bake; do
+    ln -s "$top/tools/farm/bisque-image" bin/bisque-$program
+done
+export BISQUE_IMAGE="$container" BISQUE_RUN="buildah --root $work/storage --runroot $work/run run --volume $PWD/data:/work"
+command="bin/bisque-voxelize" code=0
+bin/bisque-voxelize scan.obj -o linked.nvdb --resolution 128 --no-tris >"$out" 2>"$err" || code=$?
+code 0
+same data/scan.nvdb data/linked.nvdb
+"$top/tools/farm/bisque-openjd" bake --plan plan.json --bin bin >job.openjd.yaml 2>"$err"
+holds "bisque-openjd reads a plan in the image" grep -q 'LastTask' job.openjd.yaml
+command="bin/bisque-bake" code=0
+bin/bisque-bake missing.nvdb low.obj -o 'x_<MAP>.png' >"$out" 2>"$err" || code=$?
+code 66
 buildah rm "$container" >"$out"
 finish

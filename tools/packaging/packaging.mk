@@ -5,7 +5,7 @@ moddir = $(DESTDIR)$(prefix)/lib/bisque
 incdir = $(DESTDIR)$(prefix)/include/bisque
 mandir = $(DESTDIR)$(prefix)/share/man/man1
 farmdir = $(DESTDIR)$(prefix)/share/bisque/farm
-farm_programs := tools/farm/bisque-slurm tools/farm/bisque-openjd
+farm_programs := $(addprefix tools/farm/bisque-,slurm openjd image)
 
 # Only the directory of modules differs between the build and an installation.
 other_objects := $(filter-out %/module_directory.c.o,$(all_objects))
