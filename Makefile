@@ -40,13 +40,15 @@ CXXFLAGS += -std=c++17 -Wall -Wextra $(common)
 LDFLAGS  += -Wl,--as-needed
 
 pc_formats := OpenEXR libpng libjpeg libxxhash jansson libisal libzstd libdeflate
-pc_texture := OpenImageIO Imath
+pc_texture := OpenImageIO
+pc_tiff    := libtiff-4
 pc_tools   := jansson
 # Expanded only when something is compiled: `make help` and `make deps` work without the packages.
-formats_cppflags = $(shell pkg-config --cflags $(pc_formats) $(pc_texture))
+formats_cppflags = $(shell pkg-config --cflags $(pc_formats) $(pc_texture) $(pc_tiff))
 LIBS.base    := -lm
 LIBS.formats  = $(shell pkg-config --libs $(pc_formats)) -lz
 LIBS.texture  = $(shell pkg-config --libs $(pc_texture))
+LIBS.tiff     = $(shell pkg-config --libs $(pc_tiff))
 LIBS.gltf     = -ldraco -lmeshoptimizer
 LIBS.scene    = -lassimp
 LIBS.openvdb  = -lopenvdb -ltbb $(shell pkg-config --libs Imath)
@@ -92,9 +94,9 @@ stamp_cppflags = \
 programs := bisque-voxelize bisque-simplify bisque-bake bisque-compare
 bins     := $(addprefix $(BUILD)/bin/,$(programs))
 # Programs that are installed beside the modules and found like them, for code that may crash: one
-# asks drivers for their devices, one reads files by Assimp, one images by
+# asks drivers for their devices, one reads files by Assimp, one images by libtiff, one images by
 # OpenImageIO, one decompresses parts of glTF files.
-helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices scene texture gltf)
+helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices scene tiff texture gltf)
 
 # The frame and the script of reports, which programs find relative to themselves.
 report_parts := $(addprefix $(BUILD)/share/bisque/,report.html report.js)
@@ -229,15 +231,16 @@ $(BUILD)/lib/bisque/bisque-devices: $(BUILD)/obj/$(src.helper).o $(archives)
 	$(CC) $(common) $(LDFLAGS) -o $@ $< $(archive.libbake) $(archive.formats) $(archive.base) \
 	    $(LIBS.all)
 src.scene    := formats/mesh/scene_assimp.cc
-src.texture  := formats/texture/oiio_rows.cc
+src.tiff     := formats/texture/tiff_rows.cc formats/texture/image_program.cc
+src.texture  := formats/texture/oiio_rows.cc formats/texture/image_program.cc
 src.gltf     := formats/mesh/gltf_decode.cc
 define reader_rule
-$(BUILD)/lib/bisque/bisque-$(1): $(BUILD)/obj/$(src.$(1)).o $(archives)
+$(BUILD)/lib/bisque/bisque-$(1): $(src.$(1):%=$(BUILD)/obj/%.o) $(archives)
 	@mkdir -p $$(@D)
-	$$(CXX) $$(common) $$(LDFLAGS) -o $$@ $$< $(archive.formats) $(archive.base) $$(LIBS.$(1)) \
-	    $$(LIBS.all)
+	$$(CXX) $$(common) $$(LDFLAGS) -o $$@ $$(filter %.o,$$^) $(archive.formats) $(archive.base) \
+	    $$(LIBS.$(1)) $$(LIBS.all)
 endef
-$(foreach r,scene texture gltf,$(eval $(call reader_rule,$(r))))
+$(foreach r,scene tiff texture gltf,$(eval $(call reader_rule,$(r))))
 
 # A folder with the installed headers and no others, for examples/ and `make doc`.
 public_copies  := $(public_headers:%=$(BUILD)/include/%)
@@ -248,7 +251,7 @@ include tests/tests.mk
 
 # ---- packages ----
 packages_build := gcc g++ pkg-config libopenvdb-dev libboost-dev libopenexr-dev libopenimageio-dev \
-    libpng-dev libjpeg62-turbo-dev libjansson-dev libdraco-dev libmeshoptimizer-dev libassimp-dev \
+    libtiff-dev libpng-dev libjpeg62-turbo-dev libjansson-dev libdraco-dev libmeshoptimizer-dev libassimp-dev \
     libxxhash-dev zlib1g-dev libdeflate-dev libisal-dev libzstd-dev opencl-c-headers
 packages_test  := libcmocka-dev libembree-dev libnanovdb-dev libnanovdb-tools pocl-opencl-icd \
     ocl-icd-libopencl1 jq mandoc python3 python3-numpy python3-xxhash

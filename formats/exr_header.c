@@ -15,7 +15,8 @@ struct walk {
     int status; /* of a failed read, or 0 */
     uint64_t at;
     uint32_t attributes, channels;
-    const char *excess;
+    bool compressed; /* the compression is known */
+    struct fmt_exr_header *out;
 };
 
 static uint32_t little32(const unsigned char *p)
@@ -50,12 +51,12 @@ static bool pass_channels(struct walk *walk, uint64_t end)
     while (read_name(walk, name) && name[0]) {
         walk->at += CHANNEL_BYTES;
         if (++walk->channels > MOST_CHANNELS) {
-            walk->excess = "the header has more than 16384 channels";
+            walk->out->excess = "the header has more than 16384 channels";
             return false;
         }
     }
     if (walk->at != end)
-        walk->excess = "the header's list of channels has a wrong length";
+        walk->out->excess = "the header's list of channels has a wrong length";
     return walk->at == end;
 }
 
@@ -69,22 +70,26 @@ static bool pass_attribute(struct walk *walk)
     const uint64_t end = walk->at + 4 + little32(size);
     walk->at += 4;
     if (++walk->attributes > MOST_ATTRIBUTES)
-        walk->excess = "the header has more than 4096 attributes";
+        walk->out->excess = "the header has more than 4096 attributes";
     else if (end > MOST_BYTES)
-        walk->excess = "the header has more than 1 MiB";
+        walk->out->excess = "the header has more than 1 MiB";
     else if (strcmp(type, "chlist") == 0)
         return pass_channels(walk, end);
+    else if (strcmp(type, "compression") == 0 && !walk->compressed)
+        walk->compressed = read_at(walk, walk->at, &walk->out->compression, 1) == 1;
     walk->at = end;
-    return !walk->excess;
+    return !walk->out->excess;
 }
 
 /* A file has one header, or one for each part and an empty one at the end. */
-int fmt_exr_header_excess(struct bsq_ctx *ctx, const struct bsq_file *file, const char **out)
+int fmt_exr_header_read(struct bsq_ctx *ctx, const struct bsq_file *file,
+                        struct fmt_exr_header *out)
 {
-    struct walk walk = {.ctx = ctx, .file = file, .at = 8};
+    struct walk walk = {.ctx = ctx, .file = file, .at = 8, .out = out};
     unsigned char version[4] = {0};
     char name[NAME_BYTES];
     bool empty = true;
+    *out = (struct fmt_exr_header){0};
     const bool found = read_at(&walk, 4, version, 4) == 4;
     const bool parts = little32(version) & MULTI_PART;
     while (found && read_name(&walk, name)) {
@@ -94,6 +99,5 @@ int fmt_exr_header_excess(struct bsq_ctx *ctx, const struct bsq_file *file, cons
             break;
         empty = !name[0];
     }
-    *out = walk.excess;
     return walk.status;
 }

@@ -8,9 +8,14 @@
 
 #include "base/file.h"
 
-/* Sets *out to what is too much in a header, for a message after the file's name. Sets it to NULL
- * if nothing is, or if this is no header at all: OpenEXR says what is wrong with it. Errors:
- * BSQ_EIO. */
-int fmt_exr_header_excess(struct bsq_ctx *ctx, const struct bsq_file *file, const char **out);
+struct fmt_exr_header {
+    const char *excess;  /* what is too much, for a message after the file's name; NULL: nothing */
+    uint8_t compression; /* of the first part, as in the file */
+};
+
+/* Walks over a header. If it is none at all, nothing is set: OpenEXR says what is wrong with it.
+ * Errors: BSQ_EIO. */
+int fmt_exr_header_read(struct bsq_ctx *ctx, const struct bsq_file *file,
+                        struct fmt_exr_header *out);
 
 #endif

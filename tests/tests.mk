@@ -83,11 +83,12 @@ $(read_files): $(BUILD)/obj/tests/oracle/read_files.c.o $(archive.formats) $(arc
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.all)
 
-# Gives damaged images to the code of bisque-texture.
+# Gives damaged images to the code of bisque-tiff and bisque-texture.
 damage_images := $(BUILD)/tests/damage-images
-$(damage_images): $(BUILD)/obj/tests/fuzz/damage_images.cc.o $(archive.formats) $(archive.base)
+$(damage_images): $(patsubst %,$(BUILD)/obj/%.cc.o,tests/fuzz/damage_images \
+    formats/texture/image_program) $(archive.formats) $(archive.base)
 	@mkdir -p $(@D)
-	$(CXX) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.texture) $(LIBS.all)
+	$(CXX) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.texture) $(LIBS.tiff) $(LIBS.all)
 
 # Fuzz targets: tests/fuzz/fuzz_NAME.c with seeds in tests/fuzz/corpus/NAME; fuzz.NAME lists further
 # objects. Without config=fuzz they become programs that replay files.

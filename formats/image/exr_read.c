@@ -1,13 +1,15 @@
-/* exr_read.c - reads a whole EXR file.
+/* exr_read.c - reads EXR files, whole or row by row.
  *
  * Sizes in the header are checked against the memory budget before anything of that size is
- * allocated. This includes OpenEXR's own memory, which follows from the chunk size. All threads
- * decode chunks (blocks of lines, or tiles) straight into the interleaved image. */
+ * allocated. This includes OpenEXR's own memory, which follows from the chunk size. Chunks (blocks
+ * of lines, or tiles) are decoded straight into interleaved samples: by all threads into the whole
+ * image, or by one into the lines of a row of chunks. */
 #include "formats/image/exr_read.h"
 
 #include <half.h>
 #include <stdlib.h>
 #include <string.h>
+#include <strings.h>
 
 #include "base/file.h"
 #include "base/parallel.h"
@@ -19,22 +21,32 @@ enum { UNPACKING_BYTES = 64 << 10 }; /* zlib needs at least this memory to unpac
 
 struct reader {
     struct fmt_exr_stream stream; /* first: OpenEXR's user data */
-    struct bsq_file input;
+    const struct bsq_file *input;
     exr_context_t file;
     struct fmt_exr_image *image;
     exr_attr_box2i_t window;
     bool tiled;
     uint32_t pixel_bytes; /* of all channels */
     uint32_t chunk_width, chunk_height, chunks_across, chunks_down;
+    uint32_t *places, kept; /* of each channel in `samples`, UINT32_MAX: none; their number */
+    float *samples;         /* of the image, or of one row of chunks */
+    uint32_t first;         /* row of chunks in them */
     exr_decode_pipeline_t *decoders; /* one a worker */
+    unsigned workers;
     bool *ready;
     uint64_t reserved_bytes;
 };
 
 /* Where unpack_chunk() writes a chunk's samples. */
 struct target {
-    const struct fmt_exr_image *image;
+    const struct reader *reader;
     float *samples;
+};
+
+struct fmt_exr_rows {
+    struct reader reader;
+    struct fmt_exr_image image;
+    uint32_t next; /* row */
 };
 
 /* ---- errors ---- */
@@ -95,7 +107,7 @@ static int64_t read_bytes(exr_const_context_t file, void *user, void *buffer, ui
     (void)on_error;
     struct reader *reader = user;
     uint64_t got;
-    int status = bsq_file_read_some(reader->stream.ctx, &reader->input, buffer, size, offset, &got);
+    int status = bsq_file_read_some(reader->stream.ctx, reader->input, buffer, size, offset, &got);
     fmt_exr_set_status(&reader->stream, status);
     return status < 0 ? -1 : (int64_t)got;
 }
@@ -103,7 +115,7 @@ static int64_t read_bytes(exr_const_context_t file, void *user, void *buffer, ui
 static int64_t file_size(exr_const_context_t file, void *user)
 {
     (void)file;
-    return (int64_t)((struct reader *)user)->input.size;
+    return (int64_t)((struct reader *)user)->input->size;
 }
 
 /* ---- header ---- */
@@ -143,7 +155,7 @@ static int read_layout(struct reader *reader)
     reader->chunks_across = (image->width - 1) / reader->chunk_width + 1;
     reader->chunks_down = (image->height - 1) / reader->chunk_height + 1;
     /* OpenEXR allocates this table outside the memory budget. */
-    if ((uint64_t)reader->chunks_across * reader->chunks_down > reader->input.size / 8)
+    if ((uint64_t)reader->chunks_across * reader->chunks_down > reader->input->size / 8)
         return refuse(reader, "truncated: the table of blocks is longer than the file");
     return 0;
 }
@@ -209,10 +221,10 @@ static exr_result_t chunk_info(const struct reader *reader, uint32_t column, uin
     return exr_read_scanline_chunk_info(reader->file, 0, y, info);
 }
 
-/* Writes one channel of one line to the interleaved image; `stride` counts floats. Samples in the
- * file are little-endian and not aligned. Returns the end of the line in the file. */
-static const uint8_t *unpack_line(const exr_coding_channel_info_t *channel, const uint8_t *in,
-                                  uint32_t width, float *out, size_t stride)
+/* Writes one channel of one line to the interleaved samples; `stride` counts floats. Samples in the
+ * file are little-endian and not aligned. */
+static void unpack_line(const exr_coding_channel_info_t *channel, const uint8_t *in, uint32_t width,
+                        float *out, size_t stride)
 {
     for (uint32_t x = 0; x < width; ++x) {
         if (channel->data_type == EXR_PIXEL_HALF) {
@@ -229,7 +241,6 @@ static const uint8_t *unpack_line(const exr_coding_channel_info_t *channel, cons
             in += 4;
         }
     }
-    return in;
 }
 
 /* Replaces OpenEXR's own unpacking. For interleaved output of some four-channel files,
@@ -237,17 +248,20 @@ static const uint8_t *unpack_line(const exr_coding_channel_info_t *channel, cons
 static exr_result_t unpack_chunk(exr_decode_pipeline_t *decoder)
 {
     const struct target *target = decoder->decoding_user_data;
-    const struct fmt_exr_image *image = target->image;
+    const struct reader *reader = target->reader;
+    const size_t line = (size_t)reader->image->width * reader->kept;
     uint32_t width = (uint32_t)decoder->chunk.width, height = (uint32_t)decoder->chunk.height;
     const uint8_t *in = decoder->unpacked_buffer;
     if (!in)
         return EXR_ERR_CORRUPT_CHUNK;
     for (uint32_t y = 0; y < height; ++y)
-        for (int c = 0; c < decoder->channel_count; ++c)
-            in = unpack_line(&decoder->channels[c], in, width,
-                             target->samples + (size_t)y * image->width * image->channel_count +
-                                 (size_t)c,
-                             image->channel_count);
+        for (int c = 0; c < decoder->channel_count; ++c) {
+            const exr_coding_channel_info_t *channel = &decoder->channels[c];
+            if (reader->places[c] != UINT32_MAX)
+                unpack_line(channel, in, width, target->samples + y * line + reader->places[c],
+                            reader->kept);
+            in += (size_t)width * (channel->data_type == EXR_PIXEL_HALF ? 2 : 4);
+        }
     return EXR_ERR_SUCCESS;
 }
 
@@ -277,10 +291,10 @@ static int decode_chunk(void *arg, uint64_t index, unsigned worker)
         width = reader->chunk_width;
     if (height > reader->chunk_height)
         height = reader->chunk_height;
-    size_t first =
-        ((size_t)row * reader->chunk_height * image->width + (size_t)column * reader->chunk_width) *
-        image->channel_count;
-    struct target target = {image, image->samples + first};
+    size_t first = ((size_t)(row - reader->first) * reader->chunk_height * image->width +
+                    (size_t)column * reader->chunk_width) *
+                   reader->kept;
+    struct target target = {reader, reader->samples + first};
     exr_chunk_info_t info;
     exr_result_t r = chunk_info(reader, column, row, &info);
     if (r != EXR_ERR_SUCCESS)
@@ -288,7 +302,7 @@ static int decode_chunk(void *arg, uint64_t index, unsigned worker)
     /* A chunk of another size would be decoded outside the image. */
     uint64_t expected = (uint64_t)width * height * reader->pixel_bytes;
     if (info.width != (int32_t)width || info.height != (int32_t)height ||
-        info.unpacked_size != expected || info.packed_size > reader->input.size ||
+        info.unpacked_size != expected || info.packed_size > reader->input->size ||
         (info.compression == EXR_COMPRESSION_NONE && info.packed_size != expected))
         return refuse(reader, "a block has the wrong size");
     if (reader->ready[worker])
@@ -309,11 +323,11 @@ static int decode_chunk(void *arg, uint64_t index, unsigned worker)
 
 /* ---- the file ---- */
 
-static int allocate(struct reader *reader)
+/* Allocates decoders, and samples of so many lines. */
+static int allocate(struct reader *reader, uint32_t lines)
 {
     struct bsq_ctx *ctx = reader->stream.ctx;
-    struct fmt_exr_image *image = reader->image;
-    unsigned workers = bsq_threads(ctx);
+    const unsigned workers = reader->workers;
     uint64_t chunk_bytes;
     int status;
     BSQ_TRY(fmt_exr_status(&reader->stream,
@@ -326,13 +340,13 @@ static int allocate(struct reader *reader)
     reader->reserved_bytes = bytes;
     BSQ_TRY(bsq_calloc(ctx, "EXR decoders", workers, sizeof *reader->decoders, &reader->decoders));
     BSQ_TRY(bsq_calloc(ctx, "EXR decoders", workers, sizeof *reader->ready, &reader->ready));
-    status = bsq_alloc(ctx, "EXR image", (uint64_t)image->width * image->height,
-                       image->channel_count * sizeof(float), &image->samples);
+    status = bsq_alloc(ctx, "EXR image", (uint64_t)reader->image->width * lines,
+                       reader->kept * sizeof(float), &reader->samples);
 done:
     return status;
 }
 
-static int read_image(struct reader *reader)
+static int read_header(struct reader *reader)
 {
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
     init.error_handler_fn = describe_failure;
@@ -340,20 +354,51 @@ static int read_image(struct reader *reader)
     init.read_fn = read_bytes;
     init.size_fn = file_size;
     init.flags = EXR_CONTEXT_FLAG_DISABLE_CHUNK_RECONSTRUCTION;
-    const char *excess = NULL;
+    struct fmt_exr_header header;
     int status;
-    BSQ_TRY(fmt_exr_header_excess(reader->stream.ctx, &reader->input, &excess));
-    if (excess)
-        return refuse(reader, excess);
+    BSQ_TRY(fmt_exr_header_read(reader->stream.ctx, reader->input, &header));
+    if (header.excess)
+        return refuse(reader, header.excess);
     BSQ_TRY(
         fmt_exr_status(&reader->stream, exr_start_read(&reader->file, reader->stream.path, &init)));
     BSQ_TRY(read_layout(reader));
     BSQ_TRY(read_channels(reader));
+    status = bsq_alloc(reader->stream.ctx, "EXR channels", reader->image->channel_count,
+                       sizeof *reader->places, &reader->places);
+done:
+    return status;
+}
+
+static void close_reader(struct reader *reader)
+{
+    struct bsq_ctx *ctx = reader->stream.ctx;
+    for (unsigned w = 0; reader->ready && w < reader->workers; ++w)
+        if (reader->ready[w])
+            exr_decoding_destroy(reader->file, &reader->decoders[w]);
+    if (reader->file)
+        exr_finish(&reader->file);
+    bsq_free(ctx, reader->decoders);
+    bsq_free(ctx, reader->ready);
+    bsq_free(ctx, reader->places);
+    bsq_free(ctx, reader->samples);
+    bsq_release(ctx, reader->reserved_bytes);
+}
+
+static int read_image(struct reader *reader)
+{
+    struct fmt_exr_image *image = reader->image;
+    int status;
+    BSQ_TRY(read_header(reader));
     BSQ_TRY(read_attributes(reader));
-    BSQ_TRY(allocate(reader));
-    status =
-        bsq_parallel_for(reader->stream.ctx, (uint64_t)reader->chunks_across * reader->chunks_down,
-                         decode_chunk, reader);
+    for (uint32_t c = 0; c < image->channel_count; ++c)
+        reader->places[c] = c;
+    reader->kept = image->channel_count;
+    BSQ_TRY(allocate(reader, image->height));
+    BSQ_TRY(bsq_parallel_for(reader->stream.ctx,
+                             (uint64_t)reader->chunks_across * reader->chunks_down, decode_chunk,
+                             reader));
+    image->samples = reader->samples;
+    reader->samples = NULL;
 done:
     return status;
 }
@@ -361,24 +406,124 @@ done:
 int fmt_exr_read(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *out)
 {
     memset(out, 0, sizeof *out);
-    struct reader reader = {
-        .stream = {.ctx = ctx, .path = path}, .input = BSQ_FILE_CLOSED, .image = out};
-    int status = bsq_file_open(ctx, path, &reader.input);
+    struct bsq_file input = BSQ_FILE_CLOSED;
+    struct reader reader = {.stream = {.ctx = ctx, .path = path},
+                            .input = &input,
+                            .image = out,
+                            .workers = bsq_threads(ctx)};
+    int status = bsq_file_open(ctx, path, &input);
     if (status == 0)
         status = read_image(&reader);
-    for (unsigned w = 0; reader.ready && w < bsq_threads(ctx); ++w)
-        if (reader.ready[w])
-            exr_decoding_destroy(reader.file, &reader.decoders[w]);
-    if (reader.file)
-        exr_finish(&reader.file);
-    bsq_free(ctx, reader.decoders);
-    bsq_free(ctx, reader.ready);
-    bsq_release(ctx, reader.reserved_bytes);
-    bsq_file_close(ctx, &reader.input);
+    close_reader(&reader);
+    bsq_file_close(ctx, &input);
     if (status < 0)
         fmt_exr_image_free(ctx, out);
     return status;
 }
+
+/* ---- rows ---- */
+
+/* Returns the end of a channel's name, after the name of its layer. */
+static const char *own_name(const char *name)
+{
+    const char *dot = strrchr(name, '.');
+    return dot ? dot + 1 : name;
+}
+
+/* Returns the channel with one of two names in the layer of channel `of`, or UINT32_MAX. */
+static uint32_t find_in_layer(const struct fmt_exr_image *image, uint32_t of, const char *name,
+                              const char *long_name)
+{
+    const char *layer = image->channels[of];
+    const size_t length = (size_t)(own_name(layer) - layer);
+    for (uint32_t c = 0; c < image->channel_count; ++c) {
+        const char *other = image->channels[c], *own = own_name(other);
+        if ((size_t)(own - other) == length && memcmp(other, layer, length) == 0 &&
+            (strcasecmp(own, name) == 0 || strcasecmp(own, long_name) == 0))
+            return c;
+    }
+    return UINT32_MAX;
+}
+
+/* Returns the first channel of the first layer that has a name of red, or of all. */
+static uint32_t find_layer(const struct fmt_exr_image *image)
+{
+    static const char *const names[] = {"R", "Red", "Y"};
+    for (size_t i = 0; i < sizeof names / sizeof *names; ++i)
+        if (fmt_exr_channel(image, names[i]) != UINT32_MAX)
+            return fmt_exr_channel(image, names[i]);
+    for (uint32_t c = 0; c < image->channel_count; ++c)
+        if (find_in_layer(image, c, "R", "Red") != UINT32_MAX)
+            return c;
+    return 0;
+}
+
+/* Keeps red, green, blue, or the one channel of another layer, and the alpha after them. */
+static void choose_channels(struct reader *reader)
+{
+    const struct fmt_exr_image *image = reader->image;
+    const uint32_t layer = find_layer(image);
+    const uint32_t rgb[] = {find_in_layer(image, layer, "R", "Red"),
+                            find_in_layer(image, layer, "G", "Green"),
+                            find_in_layer(image, layer, "B", "Blue")};
+    const uint32_t alpha = find_in_layer(image, layer, "A", "Alpha");
+    const bool colors = rgb[0] != UINT32_MAX && rgb[1] != UINT32_MAX && rgb[2] != UINT32_MAX;
+    for (uint32_t c = 0; c < image->channel_count; ++c)
+        reader->places[c] = UINT32_MAX;
+    for (uint32_t i = 0; colors && i < 3; ++i)
+        reader->places[rgb[i]] = reader->kept++;
+    if (!colors)
+        reader->places[layer] = reader->kept++;
+    if (alpha != UINT32_MAX && reader->places[alpha] == UINT32_MAX)
+        reader->places[alpha] = reader->kept++;
+}
+
+int fmt_exr_rows_open(struct bsq_ctx *ctx, const char *path, const struct bsq_file *input,
+                      struct fmt_exr_size *size, struct fmt_exr_rows **out)
+{
+    struct fmt_exr_rows *rows;
+    int status = bsq_calloc(ctx, "an EXR decoder", 1, sizeof *rows, &rows);
+    *out = status == 0 ? rows : NULL;
+    if (status < 0)
+        return status;
+    rows->reader = (struct reader){
+        .stream = {.ctx = ctx, .path = path}, .input = input, .image = &rows->image, .workers = 1};
+    BSQ_TRY(read_header(&rows->reader));
+    choose_channels(&rows->reader);
+    BSQ_TRY(allocate(&rows->reader, rows->reader.chunk_height < rows->image.height
+                                        ? rows->reader.chunk_height
+                                        : rows->image.height));
+    *size = (struct fmt_exr_size){rows->image.width, rows->image.height, rows->reader.kept};
+done:
+    return status;
+}
+
+int fmt_exr_rows_read(struct fmt_exr_rows *rows, float *out)
+{
+    struct reader *reader = &rows->reader;
+    const size_t line = (size_t)rows->image.width * reader->kept;
+    const uint32_t row = rows->next / reader->chunk_height, y = rows->next % reader->chunk_height;
+    int status = 0;
+    reader->first = row;
+    for (uint32_t column = 0; y == 0 && column < reader->chunks_across; ++column)
+        BSQ_TRY(decode_chunk(reader, (uint64_t)row * reader->chunks_across + column, 0));
+    memcpy(out, reader->samples + y * line, line * sizeof *out);
+    rows->next++;
+done:
+    return status;
+}
+
+void fmt_exr_rows_close(struct fmt_exr_rows *rows)
+{
+    if (!rows)
+        return;
+    struct bsq_ctx *ctx = rows->reader.stream.ctx;
+    close_reader(&rows->reader);
+    fmt_exr_image_free(ctx, &rows->image);
+    bsq_free(ctx, rows);
+}
+
+/* ---- the image ---- */
 
 void fmt_exr_image_free(struct bsq_ctx *ctx, struct fmt_exr_image *image)
 {

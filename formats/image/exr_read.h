@@ -1,12 +1,12 @@
-/* exr_read.h - reads a whole OpenEXR file into memory, through OpenEXR's C API.
+/* exr_read.h - reads OpenEXR files through OpenEXR's C API: whole, or their colours row by row.
  *
- * In: the path of a scanline or tiled file. Out: its first part at full resolution, all channels as
- * float, and the header's texts. Deep and subsampled images are refused; a damaged file is
+ * In: a scanline or tiled file. Out: its first part at full resolution, all channels as float, and
+ * the header's texts; or rows of colours. Deep and subsampled images are refused; a damaged file is
  * BSQ_EDATA. */
 #ifndef FMT_IMAGE_EXR_READ_H
 #define FMT_IMAGE_EXR_READ_H
 
-#include "base/context.h"
+#include "base/file.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -31,6 +31,19 @@ void fmt_exr_image_free(struct bsq_ctx *ctx, struct fmt_exr_image *image);
 uint32_t fmt_exr_channel(const struct fmt_exr_image *image, const char *name);
 /* Returns the value of the string attribute with this name, or NULL; owned by the image. */
 const char *fmt_exr_image_attribute(const struct fmt_exr_image *image, const char *name);
+
+/* An image that is read from the top: red, green and blue, or one channel, and the alpha if there
+ * is one. */
+struct fmt_exr_size {
+    uint32_t width, height, channels;
+};
+struct fmt_exr_rows;
+/* Opens an image. `path` is for messages; it and `input` must stay. Close *out, also after a
+ * failure. Errors: BSQ_EDATA, BSQ_EIO, BSQ_ENOMEM. */
+int fmt_exr_rows_open(struct bsq_ctx *ctx, const char *path, const struct bsq_file *input,
+                      struct fmt_exr_size *size, struct fmt_exr_rows **out);
+int fmt_exr_rows_read(struct fmt_exr_rows *rows, float *out); /* the next row */
+void fmt_exr_rows_close(struct fmt_exr_rows *rows);           /* NULL is allowed */
 
 #ifdef __cplusplus
 }

@@ -27,9 +27,9 @@ struct whole {
 };
 
 struct format {
-    const char *plugin; /* OpenImageIO's name; NULL: it is decoded here */
-    const char *name;   /* for messages */
+    const char *name; /* for messages */
     const struct fmt_rows_decoder *decoder;
+    const char *program, *plugin; /* if another program decodes it; OpenImageIO's name */
     bool (*recognise)(struct probe *probe);
     struct whole (*whole)(struct probe *probe); /* NULL: the decoder tells */
 };
@@ -221,21 +221,28 @@ static struct whole targa_whole(struct probe *probe)
 static const char no_format[] =
     "it is no PNG, JPEG, TIFF, OpenEXR, JPEG 2000, WebP, BMP, Radiance HDR, PNM or TGA";
 
+static const char oiio[] = "bisque-texture";
+
+/* OpenEXR files that OpenEXR's C API cannot decode. */
+enum { EXR_DWAA = 8, EXR_DWAB = 9 };
+static const struct format dwa_format = {"OpenEXR", &fmt_program_rows, oiio, "openexr", is_exr,
+                                         NULL};
+
 /* Returns the format of a file, or NULL. */
 static const struct format *find_format(struct probe *probe)
 {
     static const struct format formats[] = {
-        {NULL, "PNG", &fmt_png_rows, is_png, NULL},
-        {NULL, "JPEG", &fmt_jpeg_rows, is_jpeg, NULL},
-        {"tiff", "TIFF", &fmt_oiio_rows, is_tiff, NULL},
-        {"openexr", "OpenEXR", &fmt_oiio_rows, is_exr, NULL},
-        {"jpeg2000", "JPEG 2000", &fmt_oiio_rows, is_jpeg2000, jpeg2000_whole},
-        {"webp", "WebP", &fmt_oiio_rows, is_webp, webp_whole},
-        {"bmp", "BMP", &fmt_oiio_rows, is_bmp, bmp_whole},
-        {"hdr", "Radiance HDR", &fmt_oiio_rows, is_hdr, NULL},
-        {"pnm", "PNM", &fmt_oiio_rows, is_pnm, pnm_whole},
-        {"targa", "TGA", &fmt_oiio_rows, is_targa,
-         targa_whole}, /* matches loosely, so it is the last */
+        {"PNG", &fmt_png_rows, NULL, NULL, is_png, NULL},
+        {"JPEG", &fmt_jpeg_rows, NULL, NULL, is_jpeg, NULL},
+        {"TIFF", &fmt_program_rows, "bisque-tiff", "", is_tiff, NULL},
+        {"OpenEXR", &fmt_exr_texture_rows, NULL, NULL, is_exr, NULL},
+        {"JPEG 2000", &fmt_program_rows, oiio, "jpeg2000", is_jpeg2000, jpeg2000_whole},
+        {"WebP", &fmt_program_rows, oiio, "webp", is_webp, webp_whole},
+        {"BMP", &fmt_program_rows, oiio, "bmp", is_bmp, bmp_whole},
+        {"Radiance HDR", &fmt_program_rows, oiio, "hdr", is_hdr, NULL},
+        {"PNM", &fmt_program_rows, oiio, "pnm", is_pnm, pnm_whole},
+        {"TGA", &fmt_program_rows, oiio, "targa", is_targa,
+         targa_whole}, /* matches loosely: last */
     };
     for (size_t i = 0; i < sizeof formats / sizeof *formats; i++)
         if (formats[i].recognise(probe))
@@ -300,9 +307,10 @@ static int open_decoder(struct fmt_rows *rows, const struct format *format, stru
     int status;
     BSQ_TRY(reserve(rows, format, whole));
     rows->input.whole_bytes = whole.bytes;
+    rows->input.program = format->program;
     rows->input.plugin = format->plugin;
     rows->decoder = format->decoder;
-    if (!format->plugin) {
+    if (!format->program) {
         rows->input.stream =
             fopencookie(&rows->input, "r", (cookie_io_functions_t){.read = read_stream});
         if (!rows->input.stream)
@@ -334,7 +342,7 @@ int fmt_rows_open(struct bsq_ctx *ctx, const char *path, struct fmt_rows *rows)
 {
     struct bsq_part part;
     struct probe probe = {.ctx = ctx, .file = &rows->input.file, .part = &part};
-    const char *excess = NULL;
+    struct fmt_exr_header header = {0};
     int status;
     *rows = (struct fmt_rows){.input = {.ctx = ctx, .path = path, .file = BSQ_FILE_CLOSED}};
     BSQ_TRY(bsq_part_open(ctx, path, &part, &rows->input.file));
@@ -346,9 +354,11 @@ int fmt_rows_open(struct bsq_ctx *ctx, const char *path, struct fmt_rows *rows)
     if (format) /* what is no image is not copied: it may be large */
         BSQ_TRY(extract(rows, &part));
     if (format && format->recognise == is_exr)
-        BSQ_TRY(fmt_exr_header_excess(ctx, &rows->input.file, &excess));
-    if (!format || excess)
-        return fmt_rows_unreadable(&rows->input, excess ? excess : no_format);
+        BSQ_TRY(fmt_exr_header_read(ctx, &rows->input.file, &header));
+    if (!format || header.excess)
+        return fmt_rows_unreadable(&rows->input, header.excess ? header.excess : no_format);
+    if (header.compression == EXR_DWAA || header.compression == EXR_DWAB)
+        format = &dwa_format;
     BSQ_TRY(open_decoder(rows, format, whole));
 done:
     return status;

@@ -1,7 +1,8 @@
 /* image_rows.h - reads image files as a stream of rows.
  *
- * PNG and JPEG files are decoded here. Other formats are decoded by OpenImageIO, in the program
- * bisque-texture, a process for each image. */
+ * PNG, JPEG and OpenEXR files are decoded here. A program decodes others, a process for each image:
+ * bisque-tiff, by libtiff, or bisque-texture, by OpenImageIO, whose libraries take a while to load.
+ */
 #ifndef FMT_TEXTURE_IMAGE_ROWS_H
 #define FMT_TEXTURE_IMAGE_ROWS_H
 
@@ -30,7 +31,8 @@ struct fmt_rows_input {
     struct bsq_ctx *ctx;
     const char *path; /* for messages */
     struct bsq_file file;
-    const char *plugin;   /* OpenImageIO's name of the format; NULL: it is decoded here */
+    const char *program;  /* that decodes it; NULL: it is decoded here */
+    const char *plugin;   /* OpenImageIO's name of the format */
     uint64_t whole_bytes; /* reserved for an image that is decoded whole; 0: the decoder tells */
     FILE *stream;         /* the file, for decoders here */
     uint64_t offset;      /* of the stream */
@@ -45,9 +47,10 @@ struct fmt_rows_decoder {
     void (*close)(void *state);
 };
 
-extern const struct fmt_rows_decoder fmt_png_rows, fmt_jpeg_rows, fmt_oiio_rows;
+extern const struct fmt_rows_decoder fmt_png_rows, fmt_jpeg_rows, fmt_exr_texture_rows,
+    fmt_program_rows;
 
-/* What the program writes: a mark and a head, then a mark and the samples of each row. Instead of
+/* What a program writes: a mark and a head, then a mark and the samples of each row. Instead of
  * any of them it may write FMT_ROWS_BAD and a text, what is wrong; its exit status is then a status
  * of Bisque without the sign. */
 enum { FMT_ROWS_GOOD = '+', FMT_ROWS_BAD = '-' };

@@ -1,5 +1,5 @@
 #!/bin/sh
-# test_images.sh - textures that OpenImageIO reads, in a process of their own: sound, damaged, and
+# test_images.sh - textures that other programs read, in processes of their own: sound, damaged, and
 # of a program that crashes, stops early or never ends. SEED=7 COUNT=100000 damages other ones.
 . "$(dirname "$0")/lib.sh"
 
@@ -21,13 +21,25 @@ for image in "$images"/*; do
     check "nothing is said of ${image##*/}" $?
 done
 
+# ---- kinds of TIFF and OpenEXR files, with the colours of others ----
+python3 "$top/tests/cli/write_images.py" >kinds || check "kinds of images" $?
+grep -c . kinds >count
+holds "there are kinds" [ "$(cat count)" -eq 25 ]
+for like in $(cut -d ' ' -f 2 kinds | sort -u); do
+    ok run bisque-voxelize square.obj --resolution 64 --no-tris -o "$like.nvdb" --texture "$like"
+done
+while read -r image like; do
+    ok run bisque-voxelize square.obj --resolution 64 --no-tris -o kind.nvdb --texture "$image"
+    holds "$image has the colours of $like" cmp -s kind.nvdb "$like.nvdb"
+done <kinds
+
 # ---- a program that does not do its work ----
 p=bisque-voxelize:
 image=$images/strips.tif
 mkdir -p copy/bin copy/lib/bisque
 cp "$BIN/bisque-voxelize" copy/bin
 BIN=$PWD/copy/bin
-reader=copy/lib/bisque/bisque-texture
+reader=copy/lib/bisque/bisque-tiff
 acts() # TEXT: what the program does
 {
     printf '#!/bin/sh\n%s\n' "$1" >$reader.new
@@ -37,16 +49,16 @@ acts() # TEXT: what the program does
 
 acts 'kill -SEGV $$'
 $vox "$image"
-refused 65 "$p $image: cannot be read: OpenImageIO crashed (Segmentation fault): the file is damaged"
+refused 65 "$p $image: cannot be read: libtiff crashed (Segmentation fault): the file is damaged"
 acts 'exit 0'
 $vox "$image"
-refused 65 "$p $image: cannot be read: OpenImageIO crashed (it ended the program): the file is damaged"
+refused 65 "$p $image: cannot be read: libtiff crashed (it ended the program): the file is damaged"
 acts 'kill -XCPU $$'
 $vox "$image"
-refused 65 "$p $image: cannot be read: OpenImageIO has not read it in 30 seconds"
+refused 65 "$p $image: cannot be read: libtiff has not read it in 30 seconds"
 acts 'exit 71'
 $vox "$image" --memory 64M
-refused_like 71 "^$p $image: OpenImageIO needs more memory than the [0-9]* bytes that are left of --memory: "
+refused_like 71 "^$p $image: libtiff needs more memory than the [0-9]* bytes that are left of --memory: "
 acts 'printf -- "-damaged image: \\033[2Jno\\n\\tidea"; exit 65'
 $vox "$image"
 refused 65 "$p $image: damaged image:  [2Jno  idea"

@@ -1,6 +1,6 @@
-// damage_images.cc - damages images at random, gives each to bisque-texture's code in a process of
-// its own, and counts how these end. OpenImageIO may crash: then its reader says so. What is wrong
-// here is an end without rows or words, or outside of the limits.
+// damage_images.cc - damages images at random, gives each to the code of the program that reads it,
+// in a process of its own, and counts how these end. OpenImageIO or libtiff may crash: then the
+// reader says so. What is wrong here is an end without rows or words, or outside of the limits.
 //
 // usage: damage-images SEED COUNT IMAGE...
 #include <cstdint>
@@ -10,10 +10,14 @@
 #include <fcntl.h>
 #include <poll.h>
 #include <sys/mman.h>
+#include <sys/resource.h>
 #include <sys/wait.h>
 
 #define main texture_main
 #include "formats/texture/oiio_rows.cc"
+#undef main
+#define main tiff_main
+#include "formats/texture/tiff_rows.cc"
 #undef main
 
 namespace
@@ -85,7 +89,7 @@ std::string run_one(const Bytes &bytes, const std::string &plugin, std::string *
         dup2(open("/dev/null", O_RDWR), STDERR_FILENO);
         signal(SIGXFSZ, SIG_IGN); // an image that is large, not wrong
         setrlimit(RLIMIT_FSIZE, &most);
-        _exit(texture_main(4, arguments));
+        _exit((plugin == "tiff" ? tiff_main : texture_main)(4, arguments));
     }
     int state;
     waitpid(process, &state, 0);

@@ -1,4 +1,4 @@
-/* fuzz_texture.c - fuzz target for textures: PNG and JPEG files, which are decoded here. Most
+/* fuzz_texture.c - fuzz target for textures: PNG, JPEG and EXR files, which are decoded here. Most
  * mutated PNG files get correct checksums, so that mutations reach the chunks' content. */
 #include <math.h>
 #include <stdlib.h>
@@ -34,6 +34,11 @@ static int use(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
     return status;
 }
 
+static bool begins(const uint8_t *data, size_t size, const uint8_t *magic, size_t length)
+{
+    return size >= length && memcmp(data, magic, length) == 0;
+}
+
 static uint32_t load_big(const uint8_t *from)
 {
     return (uint32_t)from[0] << 24 | (uint32_t)from[1] << 16 | (uint32_t)from[2] << 8 | from[3];
@@ -54,17 +59,17 @@ static void mend(uint8_t *data, size_t size)
 size_t LLVMFuzzerCustomMutator(uint8_t *data, size_t size, size_t max_size, unsigned seed)
 {
     size = LLVMFuzzerMutate(data, size, max_size);
-    if (seed % 16 != 0 && size >= sizeof png && memcmp(data, png, sizeof png) == 0)
+    if (seed % 16 != 0 && begins(data, size, png, sizeof png))
         mend(data, size);
     return size;
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    static const uint8_t jpeg[3] = {0xff, 0xd8, 0xff};
-    const bool is_png = size >= sizeof png && memcmp(data, png, sizeof png) == 0;
-    if (!is_png && (size < sizeof jpeg || memcmp(data, jpeg, sizeof jpeg) != 0))
-        return -1; /* OpenImageIO would decode it */
+    static const uint8_t jpeg[3] = {0xff, 0xd8, 0xff}, exr[4] = {0x76, 0x2f, 0x31, 0x01};
+    if (!begins(data, size, png, sizeof png) && !begins(data, size, jpeg, sizeof jpeg) &&
+        !begins(data, size, exr, sizeof exr))
+        return -1; /* another program would decode it */
     data_texels = size & 1;
     alpha = size & 2;
     return fuzz_system_file(data, size, "fuzz.image", use);

@@ -16,7 +16,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 BUILD = os.environ.get("BISQUE_BUILD", "build/release")
 PROGRAMS = [f"bin/bisque-{name}" for name in ("voxelize", "simplify", "bake", "compare")]
-MODULES = ["lib/bisque/bisque-gltf", "lib/bisque/bisque-devices"]
+MODULES = ["lib/bisque/bisque-gltf", "lib/bisque/bisque-devices", "lib/bisque/bisque-tiff"]
 
 
 def version():

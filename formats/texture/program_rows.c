@@ -1,8 +1,7 @@
-/* oiio_reader.c - runs the program bisque-texture for an image that OpenImageIO reads, and takes
- * its rows from a pipe.
+/* program_rows.c - runs the program that decodes an image, and takes its rows from a pipe.
  *
- * Damaged images make OpenImageIO and the libraries below it crash, loop, or take any amount of
- * memory. That is then a line on this image. */
+ * Damaged images make OpenImageIO, libtiff and the libraries below them crash, loop, or take any
+ * amount of memory. That is then a line on this image. */
 #include <errno.h>
 #include <fcntl.h>
 #include <inttypes.h>
@@ -20,7 +19,7 @@ enum { LEAST_SECONDS = 30, BYTES_A_SECOND = 1 << 18 };
 /* Memory that decoders take for themselves. */
 #define OWN_BYTES (UINT64_C(64) << 20)
 
-struct oiio_rows {
+struct program_rows {
     struct fmt_rows_input *input;
     pid_t process; /* 0: none */
     int pipe;
@@ -29,7 +28,7 @@ struct oiio_rows {
 };
 
 /* Reads up to `size` bytes; fewer only at the end of the pipe. */
-static int read_pipe(struct oiio_rows *rows, void *to, size_t size, size_t *got)
+static int read_pipe(struct program_rows *rows, void *to, size_t size, size_t *got)
 {
     enum { PATIENCE_MS = 50 };
     struct pollfd poll_fd = {.fd = rows->pipe, .events = POLLIN};
@@ -53,8 +52,13 @@ static int read_pipe(struct oiio_rows *rows, void *to, size_t size, size_t *got)
     return 0;
 }
 
+static const char *library(const struct fmt_rows_input *input)
+{
+    return input->plugin[0] ? "OpenImageIO" : "libtiff";
+}
+
 /* Waits for the end of a program that gave no row, and reports it. */
-static int fail_program(struct oiio_rows *rows, bool has_text)
+static int fail_program(struct program_rows *rows, bool has_text)
 {
     struct fmt_program_end end = {.state = -1};
     char text[256];
@@ -67,12 +71,12 @@ static int fail_program(struct oiio_rows *rows, bool has_text)
     rows->process = 0;
     if (bsq_check(rows->input->ctx) < 0)
         return BSQ_EINTR;
-    return fmt_program_fail(rows->input->ctx, rows->input->path, "OpenImageIO", &end, text,
+    return fmt_program_fail(rows->input->ctx, rows->input->path, library(rows->input), &end, text,
                             rows->seconds, rows->memory_bytes);
 }
 
 /* Reads a mark and what follows it. */
-static int take(struct oiio_rows *rows, void *to, size_t size)
+static int take(struct program_rows *rows, void *to, size_t size)
 {
     char mark = 0;
     size_t got;
@@ -90,7 +94,7 @@ done:
     return status;
 }
 
-static int start(struct oiio_rows *rows, char *program)
+static int start(struct program_rows *rows, char *program)
 {
     struct fmt_rows_input *input = rows->input;
     struct bsq_ctx *ctx = input->ctx;
@@ -109,23 +113,24 @@ static int start(struct oiio_rows *rows, char *program)
     if (error == 0)
         return 0;
     rows->process = 0;
-    return fmt_program_fail(ctx, input->path, "OpenImageIO",
+    return fmt_program_fail(ctx, input->path, library(input),
                             &(struct fmt_program_end){.error = error}, "", 0, 0);
 }
 
-static int open_oiio(struct fmt_rows_input *input, struct fmt_rows_info *info, void **state)
+static int open_program(struct fmt_rows_input *input, struct fmt_rows_info *info, void **state)
 {
     static const char purpose[] = "textures of this format";
     struct bsq_ctx *ctx = input->ctx;
-    struct oiio_rows *rows;
+    struct program_rows *rows;
     struct fmt_rows_head head;
     char program[PATH_MAX];
     int status;
     BSQ_TRY(bsq_calloc(ctx, "a texture's decoder", 1, sizeof *rows, &rows));
     *state = rows;
-    *rows = (struct oiio_rows){.input = input, .pipe = -1};
-    BSQ_TRY(fmt_module_find(ctx, "bisque-texture", purpose, program));
-    BSQ_TRY(fmt_module_check(ctx, purpose, true));
+    *rows = (struct program_rows){.input = input, .pipe = -1};
+    BSQ_TRY(fmt_module_find(ctx, input->program, purpose, program));
+    if (input->plugin[0]) /* libtiff has few libraries */
+        BSQ_TRY(fmt_module_check(ctx, purpose, true));
     BSQ_TRY(start(rows, program));
     BSQ_TRY(take(rows, &head, sizeof head));
     if (strncmp(head.stamp, fmt_module_stamp, sizeof head.stamp) != 0)
@@ -138,15 +143,15 @@ done:
     return status;
 }
 
-static int read_oiio(void *state, void *row)
+static int read_program(void *state, void *row)
 {
-    struct oiio_rows *rows = state;
+    struct program_rows *rows = state;
     return take(rows, row, rows->row_bytes);
 }
 
-static void close_oiio(void *state)
+static void close_program(void *state)
 {
-    struct oiio_rows *rows = state;
+    struct program_rows *rows = state;
     struct fmt_program_end end = {.state = -1};
     if (rows->pipe >= 0)
         close(rows->pipe);
@@ -155,4 +160,4 @@ static void close_oiio(void *state)
     bsq_free(rows->input->ctx, rows);
 }
 
-const struct fmt_rows_decoder fmt_oiio_rows = {open_oiio, read_oiio, close_oiio};
+const struct fmt_rows_decoder fmt_program_rows = {open_program, read_program, close_program};

@@ -1,0 +1,113 @@
+// image_program.cc - the frame of the programs that decode images.
+#include "formats/texture/image_program.h"
+
+#include <algorithm>
+#include <cerrno>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <new>
+#include <stdexcept>
+#include <vector>
+
+#include <sys/resource.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+namespace
+{
+
+// What is wrong: with the image, or with the system.
+struct Failure {
+    int code; // a status of Bisque
+    std::string text;
+};
+
+void put(const void *from, size_t size)
+{
+    if (putchar(FMT_ROWS_GOOD) == EOF || fwrite(from, size, 1, stdout) != 1)
+        throw Failure{BSQ_EIO, ""};
+}
+
+// Lets decoding take a second more for each million of texels.
+void add_time(uint64_t texels)
+{
+    struct rlimit time;
+    getrlimit(RLIMIT_CPU, &time);
+    time.rlim_cur += texels / 1000000;
+    time.rlim_max = std::max(time.rlim_max, time.rlim_cur + 1);
+    setrlimit(RLIMIT_CPU, &time);
+}
+
+void convert(ImageReader &reader, const char *plugin)
+{
+    struct fmt_rows_head head = {};
+    std::strncpy(head.stamp, fmt_module_stamp, sizeof head.stamp - 1);
+    reader.open(plugin, head.info);
+    add_time(uint64_t(head.info.width) * head.info.height);
+    put(&head, sizeof head);
+    fflush(stdout);
+    std::vector<char> row(size_t(head.info.width) * head.info.channels * head.info.sample_bytes);
+    for (uint32_t y = 0; y < head.info.height; y++) {
+        reader.read_row(row.data());
+        put(row.data(), row.size());
+    }
+}
+
+[[noreturn]] void fail_memory()
+{
+    _exit(-BSQ_ENOMEM);
+}
+
+void say(const std::string &text)
+{
+    putchar(FMT_ROWS_BAD);
+    fputs(text.c_str(), stdout);
+}
+
+// Reads the image; says what is wrong. Returns the exit status.
+int run(ImageReader &reader, const char *plugin)
+{
+    try {
+        convert(reader, plugin);
+        return 0;
+    } catch (const Failure &failure) {
+        say(failure.text);
+        return -failure.code;
+    } catch (const std::exception &exception) {
+        say(std::string("damaged image: ") + exception.what());
+        return -BSQ_EDATA;
+    }
+}
+
+} // namespace
+
+[[noreturn]] void fmt_image_fail(int error, const std::string &what, std::string reason)
+{
+    if (error == ENOMEM)
+        fail_memory();
+    if (error == EMFILE || error == ENFILE || error == EIO) // not a fault of the image
+        throw Failure{BSQ_ENOINPUT, std::strerror(error)};
+    for (size_t at; (at = reason.find(fmt_image_file)) != std::string::npos;)
+        reason.replace(at, sizeof fmt_image_file - 1, "the file");
+    if (reason.empty())
+        reason = "its decoder gives no reason, the file may be cut off";
+    throw Failure{BSQ_EDATA, what + ": " + reason};
+}
+
+// Ends without destructors, which may crash for damaged images.
+int fmt_image_program(int argument_count, char **arguments, ImageReader &reader)
+{
+    enum { FILES = 8 }; // libraries open the standard input again, libtiff once for each plane
+    struct stat info;
+    if (argument_count != 4 || fstat(STDIN_FILENO, &info) != 0 || !S_ISREG(info.st_mode)) {
+        fputs("this program is run by Bisque for images of some formats\n", stderr);
+        return -BSQ_EUSAGE;
+    }
+    fmt_program_isolate();
+    fmt_program_limit(strtoull(arguments[2], nullptr, 10), strtoull(arguments[3], nullptr, 10),
+                      FILES);
+    std::set_new_handler(fail_memory);
+    const int code = run(reader, arguments[1]);
+    _exit(fflush(stdout) == 0 && !ferror(stdout) ? code : -BSQ_EIO);
+}
