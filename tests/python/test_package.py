@@ -271,6 +271,22 @@ def test_asset_of_a_file_goes_on_where_it_stopped(tmp_path):
     assert (tmp_path / "steps/scan.tris").stat().st_mtime_ns == times[tmp_path / "steps/scan.tris"]
 
 
+def test_asset_ends_when_told_and_shows_json(tmp_path):
+    scan = tmp_path / "vase.obj"
+    subprocess.run([GENERATE, "--triangles", "60000", "--colors", "vase", "-o", scan], check=True)
+    given = (scan, "-o", tmp_path / "vase.glb", "--triangles", 500, "--size", 64, "--json", "--progress", "json")
+    program = os.path.join(os.path.dirname(sys.executable), "bisque-asset")
+    with subprocess.Popen([program, *map(str, given)], stderr=subprocess.PIPE, text=True) as job:
+        step = json.loads(job.stderr.readline())
+        job.terminate()
+        assert "goes on from here" in job.stderr.read()
+    assert job.returncode == 75 and step["stage"] == "sort: reading" and step["total"] == 1000
+    done = asset(*given)
+    assert json.loads(done.stdout) == json.loads((tmp_path / "vase_asset/asset.json").read_text())
+    steps = [json.loads(line)["done"] for line in done.stderr.splitlines()]
+    assert steps == sorted(steps) and len(steps) > 5
+
+
 def test_levels_of_a_scan_in_memory(scan, tmp_path, monkeypatch):
     monkeypatch.setitem(bisque.PRESETS, "museum", {"levels": [(300, 64), (900, 128)],
                                                    "maps": ("normal", "color")})

@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import shutil
+import signal
 import sys
 import time
 import warnings
@@ -344,6 +345,11 @@ def _bar(stage: str, done: int, total: int, _unit: str) -> None:
           f"{stage[:36]:36s}", end="", file=sys.stderr, flush=True)
 
 
+def _line(stage: str, done: int, total: int, unit: str) -> None:
+    step = {"stage": stage, "unit": unit, "done": done, "total": total}
+    print(json.dumps(step), file=sys.stderr, flush=True)
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="bisque-asset", description="Makes a GLB file with baked maps of a scan of any size.")
@@ -366,10 +372,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--keep", metavar="DIR", help="keep the files between in this folder")
     parser.add_argument("--memory", metavar="SIZE", help="for each step, such as 1G")
     parser.add_argument("-j", "--threads", type=int, default=0, metavar="N")
-    parser.add_argument("--quiet", action="store_true", help="show no progress")
+    parser.add_argument("--progress", choices=("auto", "bar", "json", "none"), default="auto",
+                        help="on standard error; auto: a bar on a terminal")
+    parser.add_argument("--json", action="store_true", help="print the certificate instead of lines")
     parser.add_argument("--version", action="version", version=f"bisque-asset {core.version()}")
     a = parser.parse_args(arguments)
-    show = None if a.quiet or not sys.stderr.isatty() else _bar
+    if a.progress == "auto":
+        a.progress = "bar" if sys.stderr.isatty() else "none"
+    show = {"bar": _bar, "json": _line, "none": None}[a.progress]
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does
     warnings.showwarning = lambda message, *_: print(f"\nbisque-asset: warning: {message}",
                                                      file=sys.stderr)
     try:
@@ -388,8 +399,11 @@ def main(arguments: list[str] | None = None) -> int:
     except (uv.UnwrapError, ValueError, OSError) as error:
         print(f"\nbisque-asset: {error}", file=sys.stderr)
         return 65 if isinstance(error, uv.UnwrapError) else 64
-    if show:
+    if show == _bar:
         print(file=sys.stderr)
+    if a.json:
+        print(json.dumps(certificate, default=float))
+        return 0
     for level in certificate["levels"]:
         print(f"{a.output}: {level['triangles']} triangles, {level['size']} x {level['size']} "
               f"texels, {level['surface']['method']}; farthest from the scan "
