@@ -219,13 +219,15 @@ check-farm: tests-build deps-farm
 
 .PHONY: check-doors
 ## check-doors: look at reports in a headless Chromium (installs it), and bake from inside Blender if BPY
-##                 names a Python with the module bpy; pictures in build/doors
+##                 names Pythons with the module bpy; pictures in build/doors
 BPY ?= python3
 check-doors: tests-build
-	@if $(BPY) -c 'import bpy' 2>/dev/null; then \
-	    BPY=$(BPY) PICTURES=build/doors BIN=$(BUILD)/bin TESTS=$(BUILD)/tests \
-	        tests/run.sh tests/doors/check_blender.sh; \
-	else echo "check-doors: Blender is skipped, $(BPY) has no module bpy (set BPY)"; fi
+	@for python in $(BPY); do \
+	    if $$python -c 'import bpy' 2>/dev/null; then \
+	        $(MAKE) -s extension && \
+	        BPY=$$python EXTENSION=$(extension)/bisque.zip PICTURES=build/doors BIN=$(BUILD)/bin \
+	            TESTS=$(BUILD)/tests tests/run.sh tests/doors/check_blender.sh || exit 1; \
+	    else echo "check-doors: Blender is skipped, $$python has no module bpy (set BPY)"; fi; done
 	@if tests/install-packages.sh chromium libjs-three; then \
 	    BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh tests/doors/check_reports.sh; \
 	else echo "check-doors: skipped, chromium and libjs-three cannot be installed"; fi

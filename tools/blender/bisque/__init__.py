@@ -1,15 +1,16 @@
-"""Bisque - bakes maps of a scan onto the selected objects. The scan is a file that Blender never reads:
-the programs bisque-voxelize and bisque-bake do, beside Blender."""
+"""Bisque - bakes maps of a scan onto the selected objects, or makes an asset of it. The scan is a file that
+Blender never reads: Bisque's programs do, beside Blender."""
+import glob
+import math
 import os
 import shlex
 import time
 
 import bpy
+import mathutils
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
 from . import jobs, material
-
-PROGRAMS = ("bisque-voxelize", "bisque-bake")
 
 
 def words(*names):
@@ -19,7 +20,7 @@ def words(*names):
 class Preferences(bpy.types.AddonPreferences):
     bl_idname = __package__
     programs: StringProperty(name="Programs", subtype="DIR_PATH",
-                             description="Folder of bisque-bake and bisque-voxelize; empty: they are on PATH")
+                             description="Folder of bisque-bake and the others; empty: those of the extension")
 
     def draw(self, _context):
         self.layout.prop(self, "programs")
@@ -27,38 +28,62 @@ class Preferences(bpy.types.AddonPreferences):
 
 class Settings(bpy.types.PropertyGroup):
     scan: StringProperty(name="Scan", subtype="FILE_PATH",
-                         description="A mesh file of any size, or a .nvdb or .tris of an earlier bake")
+                         description="A mesh file of any size, or a .nvdb or .tris of an earlier bake. "
+                                     "Several files are one scan, such as //*_high.obj")
     folder: StringProperty(name="Folder", subtype="DIR_PATH", default="//bisque/",
-                           description="Where maps, sorted scans and the exported mesh go")
+                           description="Where maps, assets, sorted scans and the exported mesh go")
+    memory: StringProperty(name="Memory", description="Of each program, such as 4G; empty: half of the machine's")
+    z_up: BoolProperty(name="Scan has z up", default=True,
+                       description="Axes of the scan; off: y is up, as in most OBJ and glTF files")
+    size: EnumProperty(name="Size", items=words("512", "1024", "2048", "4096", "8192"), default="2048")
     maps: StringProperty(name="Maps", default="normal,color",
                          description="Names with commas between them, such as normal,color,ao; or all")
     orm: BoolProperty(name="Roughness and metallic",
                       description="Bake the scan's own as one image: orm=ao,roughness,metallic")
-    size: EnumProperty(name="Size", items=words("512", "1024", "2048", "4096", "8192"), default="2048")
+    preset: EnumProperty(name="Preset", items=words("blender", "gltf", "unity", "unreal"), default="blender",
+                         description="Green of normals, bits, and packed maps that a program expects")
     quality: EnumProperty(name="Quality", items=words("draft", "normal", "final"), default="normal")
     exact: BoolProperty(name="Exact", description="Trace the scan's triangles instead of a grid of voxels")
     resolution: IntProperty(name="Voxels", default=2048, min=16, max=65536,
                             description="Voxels along the longest side of the scan")
-    z_up: BoolProperty(name="Scan has z up", default=True,
-                       description="Axes of the scan; off: y is up, as in most OBJ and glTF files")
-    match: BoolProperty(name="Match by name", description="body_low sees only the scan's body_high")
+    match: BoolProperty(name="Match by name", description="body_low sees only the scan body_high")
     preview: BoolProperty(name="Preview", default=True,
                           description="Also make a picture of mesh, bake and scan; red: nothing was found there")
     extra: StringProperty(name="Options", description="Further options of bisque-bake")
+    asset_preset: EnumProperty(name="Preset", items=words("web", "game", "museum", "archive"), default="web",
+                               description="Triangles, size and maps of the asset")
+    asset_triangles: IntProperty(name="Triangles", default=0, min=0,
+                                 description="Of the asset, with maps of the size above; 0: as the preset says")
     stage: StringProperty()
     share: IntProperty(subtype="PERCENTAGE", min=0, max=100)
     result: StringProperty()
 
 
-def find_programs(context):
-    """Returns the paths of the programs. Raises FileNotFoundError with the name of one that is missing."""
+def find_programs(context, *names):
+    """Returns the commands of programs. Raises FileNotFoundError with the name of one that is missing."""
     entry = context.preferences.addons.get(__package__)
     folder = bpy.path.abspath(entry.preferences.programs) if entry and entry.preferences else ""
-    paths = {name: jobs.find_program(name, folder) for name in PROGRAMS}
-    for name, path in paths.items():
-        if not path:
+    commands = {name: jobs.find_program(name, folder) for name in names}
+    for name, command in commands.items():
+        if not command:
             raise FileNotFoundError(f"{name} is not in {folder or 'PATH'}: set its folder in the preferences")
-    return paths
+    return commands
+
+
+def find_scans(settings):
+    path = bpy.path.abspath(settings.scan)
+    scans = [path] if os.path.isfile(path) else sorted(glob.glob(path))
+    if not scans:
+        raise FileNotFoundError(f"There is no scan {path!r}")
+    return scans
+
+
+def make_folder(settings):
+    folder = bpy.path.abspath(settings.folder)
+    if folder.startswith("//"):
+        raise ValueError("Save the file first, or choose another folder")
+    os.makedirs(folder, exist_ok=True)
+    return folder
 
 
 def export_low(path, z_up):
@@ -69,69 +94,54 @@ def export_low(path, z_up):
 
 
 def bake_options(settings, folder):
-    options = ["--preset", "blender", "--maps", settings.maps, "--size", settings.size,
-               "--quality", settings.quality]
+    """Returns the options of the two programs of a bake, by name, and their memory."""
+    sort = [] if settings.exact else ["--resolution", str(settings.resolution)]
+    bake = ["--preset", settings.preset, "--maps", settings.maps, "--size", settings.size,
+            "--quality", settings.quality, "-o",
+            os.path.join(folder, "<OBJECT>_<MAP>." + ("exr" if settings.preset == "blender" else "png"))]
     if settings.orm:
-        options += ["--pack", "orm=ao,roughness,metallic"]
+        sort += ["--channels", "roughness,metallic"]
+        bake += ["--pack", "orm=ao,roughness,metallic"]
     if settings.preview:
-        options += ["--preview", os.path.join(folder, "bisque_preview.png")]
+        bake += ["--preview", os.path.join(folder, "bisque_preview.png")]
     if settings.match:
-        options += ["--match", "name"]
-    return options + shlex.split(settings.extra)
+        bake += ["--match", "name"]
+    return {"bisque-voxelize": sort, "bisque-bake": bake + shlex.split(settings.extra), "memory": settings.memory}
 
 
-def make_job(context):
-    """Exports the selected meshes and starts the programs. Errors: OSError, ValueError, RuntimeError."""
-    settings = context.scene.bisque
-    programs = find_programs(context)
-    scan, folder = bpy.path.abspath(settings.scan), bpy.path.abspath(settings.folder)
-    if not os.path.isfile(scan):
-        raise FileNotFoundError(f"There is no scan {scan!r}")
-    if folder.startswith("//"):
-        raise ValueError("Save the file first, or choose another folder")
-    os.makedirs(folder, exist_ok=True)
-    low = os.path.join(folder, "bisque_low.obj")
-    export_low(low, settings.z_up)
-    chunks = {"exact": settings.exact, "resolution": settings.resolution}
-    if settings.orm:
-        chunks["channels"] = "roughness,metallic"
-    return jobs.Job(jobs.bake_commands(programs, scan, low, folder, bake_options(settings, folder), chunks))
+def object_named(names, name):
+    """Returns the object that a name in the report means; None: it is gone. names: of the objects that were baked.
+    Exporters and file names replace some characters."""
+    name = next((n for n in names if name in (n, n.replace(" ", "_"))), names[0] if len(names) == 1 else name)
+    return bpy.data.objects.get(name)
 
 
-def object_named(meshes, name):
-    """Returns the mesh that a name in the report means. Exporters and file names replace some characters."""
-    return next((m for m in meshes if m.name == name), None) or \
-        next((m for m in meshes if m.name.replace(" ", "_") == name), None) or \
-        (meshes[0] if len(meshes) == 1 else None)
+def add_asset(path, z_up):
+    """Adds the object of a GLB file. Its y is up, so that a scan with z up lies on its back."""
+    bpy.ops.import_scene.gltf(filepath=path)
+    item = bpy.context.selected_objects[0]
+    item.name = os.path.splitext(os.path.basename(path))[0]
+    if z_up:
+        item.matrix_world = mathutils.Matrix.Rotation(-math.pi / 2, 4, "X") @ item.matrix_world
+    return item
 
 
-class BakeOperator(bpy.types.Operator):
-    """Bake maps of the scan file onto the selected meshes. Esc cancels"""
-    bl_idname = "object.bisque_bake"
-    bl_label = "Bake Scan"
-
-    @classmethod
-    def poll(cls, context):
-        return context.mode == "OBJECT" and any(o.type == "MESH" for o in context.selected_objects)
+class Runner:
+    """What both operators share: they start a job, and add what it made when it has ended."""
 
     def invoke(self, context, _event):
-        return self.begin(context, True)
+        return self.begin(context, not bpy.app.background)
 
     def execute(self, context):
         return self.begin(context, False)
 
     def begin(self, context, modal):
-        self.meshes = [o for o in context.selected_objects if o.type == "MESH"]
-        without = [o.name for o in self.meshes if not o.data.uv_layers]
-        if without:
-            self.report({"ERROR"}, f"{without[0]} has no UV map")
-            return {"CANCELLED"}
         try:
-            self.job = make_job(context)
+            self.job = self.start(context)
         except (OSError, ValueError, RuntimeError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        if modal and not bpy.app.background:
+        if modal:
             self.timer = context.window_manager.event_timer_add(0.2, window=context.window)
             context.window_manager.modal_handler_add(self)
             return {"RUNNING_MODAL"}
@@ -143,7 +153,7 @@ class BakeOperator(bpy.types.Operator):
         if event.type == "ESC":
             self.job.cancel()
             self.stop(context)
-            self.report({"WARNING"}, "The bake was cancelled")
+            self.report({"WARNING"}, "The job was cancelled")
             return {"CANCELLED"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
@@ -166,27 +176,93 @@ class BakeOperator(bpy.types.Operator):
         context.scene.bisque.stage = ""
 
     def end(self, context):
-        """Links the maps, and reports what the programs said."""
+        """Adds the results, and reports what the programs said."""
         if self.job.code != 0:
             lines = self.job.messages or [f"a program ended with {self.job.code}"]
             self.report({"ERROR"}, "\n".join(lines[-3:]))
             return {"CANCELLED"}
         for line in self.job.messages:
             self.report({"WARNING"}, line)
-        result = self.job.results[-1]
-        by_object = {}
-        for tile in result["tiles"]:
-            item = object_named(self.meshes, tile["object"])
-            if item:
-                by_object.setdefault(item, {}).update(tile["maps"])
-        for item, maps in by_object.items():
-            material.link_maps(item, maps)
-        if result["preview_path"]:
-            material.load_image(result["preview_path"], "Bisque preview", None)
-        missed = 100 * result["misses"] / max(result["samples"], 1)
+        rays = self.finish(context, self.job.results[-1])
+        missed = 100 * sum(r["misses"] for r in rays) / max(sum(r["samples"] for r in rays), 1)
         context.scene.bisque.result = f"{missed:.2f} % of the samples found no surface"
         self.report({"WARNING" if missed > 1 else "INFO"}, context.scene.bisque.result)
         return {"FINISHED"}
+
+
+class BakeOperator(Runner, bpy.types.Operator):
+    """Bake maps of the scan file onto the selected meshes. Esc cancels"""
+    bl_idname = "object.bisque_bake"
+    bl_label = "Bake Scan"
+
+    @classmethod
+    def poll(cls, context):
+        return context.mode == "OBJECT" and any(o.type == "MESH" for o in context.selected_objects)
+
+    def start(self, context):
+        """Exports the selected meshes and starts the programs. Errors: OSError, ValueError, RuntimeError."""
+        settings = context.scene.bisque
+        meshes = [o for o in context.selected_objects if o.type == "MESH"]
+        self.names = [o.name for o in meshes]  # undo makes other objects
+        self.green_down = settings.preset == "unreal"
+        without = [o.name for o in meshes if not o.data.uv_layers]
+        if without:
+            raise ValueError(f"{without[0]} has no UV map")
+        programs = find_programs(context, "bisque-voxelize", "bisque-bake")
+        scans, folder = find_scans(settings), make_folder(settings)
+        low = os.path.join(folder, "bisque_low.obj")
+        export_low(low, settings.z_up)
+        return jobs.Job(jobs.bake_commands(programs, scans, low, folder, bake_options(settings, folder)))
+
+    def finish(self, _context, result):
+        """Links the maps."""
+        by_object = {}
+        for tile in result["tiles"]:
+            item = object_named(self.names, tile["object"])
+            if not item:
+                self.report({"WARNING"}, f"{tile['object']} is gone; its maps are in the folder")
+            else:
+                by_object.setdefault(item, {}).update(tile["maps"])
+        for item, maps in by_object.items():
+            material.link_maps(item, maps, self.green_down)
+        if result["preview_path"]:
+            material.show_preview(result["preview_path"])
+        return [result]
+
+
+class AssetOperator(Runner, bpy.types.Operator):
+    """Make a low-poly mesh with maps of the scan file, and add it to the scene. Esc cancels"""
+    bl_idname = "object.bisque_asset"
+    bl_label = "Asset from Scan"
+
+    @classmethod
+    def poll(cls, context):
+        return context.mode == "OBJECT"
+
+    def start(self, context):
+        settings = context.scene.bisque
+        program = find_programs(context, "bisque-asset")["bisque-asset"]
+        scans = find_scans(settings)
+        name = os.path.basename(scans[0]).split(".")[0]
+        self.output, self.z_up = os.path.join(make_folder(settings), name + ".glb"), settings.z_up
+        options = ["--preset", settings.asset_preset]
+        if settings.asset_triangles:
+            options += ["--triangles", str(settings.asset_triangles), "--size", settings.size]
+        if settings.memory:
+            options += ["--memory", settings.memory]
+        return jobs.Job([jobs.asset_command(program, scans, self.output, options)])
+
+    def finish(self, _context, result):
+        """Adds an object for each level, of which the finest one is shown."""
+        items, pictures = [], []
+        for level in result["levels"]:
+            folder = os.path.splitext(self.output)[0] + "_asset"
+            glb = next(name for name in level["files"] if name.endswith(".glb"))
+            items.append(add_asset(os.path.join(os.path.dirname(self.output), glb), self.z_up))
+            items[-1].hide_set(level is not result["levels"][-1])
+            pictures.append(os.path.join(folder, level["name"] if len(result["levels"]) > 1 else "", "preview.png"))
+        material.show_preview(pictures[-1])
+        return [level["rays"] for level in result["levels"]]
 
 
 class Panel(bpy.types.Panel):
@@ -196,20 +272,29 @@ class Panel(bpy.types.Panel):
     def draw(self, context):
         layout, settings = self.layout, context.scene.bisque
         layout.use_property_split = True
-        for name in ("scan", "folder", "maps", "orm", "size", "quality", "exact", "resolution", "z_up", "match",
-                     "preview", "extra"):
-            row = layout.row()
-            row.enabled = not (name == "resolution" and settings.exact)
-            row.prop(settings, name)
+        for name in ("scan", "folder", "memory", "z_up", "size"):
+            layout.prop(settings, name)
         if settings.stage:
             layout.progress(factor=settings.share / 100, text=f"{settings.stage} (Esc cancels)")
         else:
-            layout.operator(BakeOperator.bl_idname, icon="RENDER_STILL")
+            self.draw_jobs(layout, settings)
         if settings.result:
             layout.label(text=settings.result)
 
+    def draw_jobs(self, layout, settings):
+        box = layout.box()
+        for name in ("maps", "orm", "preset", "quality", "exact", "resolution", "match", "preview", "extra"):
+            row = box.row()
+            row.enabled = not (name == "resolution" and settings.exact)
+            row.prop(settings, name)
+        box.operator(BakeOperator.bl_idname, icon="RENDER_STILL")
+        box = layout.box()
+        box.prop(settings, "asset_preset")
+        box.prop(settings, "asset_triangles")
+        box.operator(AssetOperator.bl_idname, icon="MESH_MONKEY")
 
-CLASSES = (Preferences, Settings, BakeOperator, Panel)
+
+CLASSES = (Preferences, Settings, BakeOperator, AssetOperator, Panel)
 
 
 def register():

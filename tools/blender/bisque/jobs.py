@@ -1,18 +1,47 @@
-"""jobs.py - runs Bisque's programs one after the other beside Blender. Knows nothing of Blender."""
+"""jobs.py - finds Bisque's programs, and runs them one after the other beside Blender. Knows nothing of Blender."""
+import importlib.util
 import json
 import os
 import queue
 import shutil
-import signal
 import subprocess
+import sys
 import threading
 
 SORTED = (".tris", ".nvdb")  # what bisque-bake reads
 
 
+def find_package():
+    """Returns the folder of the Python package that the extension's wheel brought; None: it came without."""
+    spec = importlib.util.find_spec("bisque")
+    package = os.path.dirname(spec.origin) if spec and spec.origin else ""
+    return package if os.path.isdir(os.path.join(package, "bin")) else None
+
+
+def allow_running(package):
+    """Lets the programs of the package run: Blender unpacks wheels without that permission."""
+    for folder in ("bin", "lib/bisque"):
+        for entry in os.scandir(os.path.join(package, folder)):
+            if not os.access(entry.path, os.X_OK):
+                os.chmod(entry.path, 0o755)
+
+
 def find_program(name, folder):
-    """Returns the path of a program, in a folder or on PATH; None: it is nowhere."""
-    return shutil.which(name, path=folder or None)
+    """Returns the command of a program: in a folder, or else of the wheel, or else on PATH; None: it is nowhere."""
+    package = None if folder else find_package()
+    if not package:
+        path = shutil.which(name, path=folder or None)
+        return [path] if path else None
+    allow_running(package)
+    if name == "bisque-asset":  # Blender makes no console scripts of wheels
+        return [sys.executable, "-m", "bisque.asset"]
+    return [os.path.join(package, "bin", name)]
+
+
+def environment():
+    """Returns the environment of programs: Python finds the modules of the extension's wheels."""
+    package = find_package()
+    return {**os.environ, "PYTHONPATH": os.path.dirname(package), "PYTHONSAFEPATH": "1"} if package else None
 
 
 class Job:
@@ -30,7 +59,7 @@ class Job:
 
     def _start(self):
         self.process = subprocess.Popen(self.commands.pop(0), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                                        stdin=subprocess.DEVNULL, text=True, errors="replace")
+                                        stdin=subprocess.DEVNULL, text=True, errors="replace", env=environment())
         self._output = []
         self._threads = [threading.Thread(target=self._read_errors, args=(self.process,), daemon=True),
                          threading.Thread(target=self._read_output, args=(self.process,), daemon=True)]
@@ -39,7 +68,7 @@ class Job:
 
     def _read_errors(self, process):
         for line in process.stderr:
-            self._lines.put(line.rstrip("\n"))
+            self._lines.put(line.strip())
 
     def _read_output(self, process):
         self._output.append(process.stdout.read())
@@ -49,10 +78,14 @@ class Job:
             line = self._lines.get()
             try:
                 step = json.loads(line)
+                if "warning" in step:
+                    self.messages.append(step["warning"])
+                    continue
                 self.stage, total = step["stage"], step["total"]
                 self.share = step["done"] / total if total else 0.0
             except (ValueError, KeyError, TypeError):
-                self.messages.append(line)
+                if line:
+                    self.messages.append(line)
 
     def poll(self):
         """Takes what was printed, and starts the next command. Returns whether all is over."""
@@ -78,24 +111,33 @@ class Job:
         """Ends the command that runs. It leaves complete files only."""
         self.commands = []
         if self.process.poll() is None:
-            self.process.send_signal(signal.SIGTERM)
+            self.process.terminate()
             self.process.wait()
 
 
-def bake_commands(programs, scan, low, folder, options, chunks):
-    """Returns the commands that bake a scan onto the meshes of an OBJ file. programs: paths by name. options:
-    of bisque-bake. chunks: options of bisque-voxelize for a scan that is not sorted yet."""
-    commands = []
-    if not scan.lower().endswith(SORTED):
-        exact = chunks.pop("exact")
-        base = os.path.join(folder, os.path.splitext(os.path.basename(scan))[0])
-        made = base + (".tris" if exact else ".nvdb")
-        if not os.path.exists(made) or os.path.getmtime(made) < os.path.getmtime(scan):
-            command = [programs["bisque-voxelize"], scan, "-o", made, "--json", "--progress", "json"]
-            for name, value in chunks.items():
-                if not (exact and name == "resolution"):
-                    command += ["--" + name, str(value)]
-            commands.append(command)
-        scan = made
-    return commands + [[programs["bisque-bake"], scan, low, "--json", "--progress", "json",
-                        "-o", os.path.join(folder, "<OBJECT>_<MAP>.exr"), *options]]
+def sort_scan(program, scan, folder, options):
+    """Returns the file that bisque-bake reads of a scan, and the command that makes it; None: it is there."""
+    if scan.lower().endswith(SORTED):
+        return scan, None
+    suffix = ".nvdb" if "--resolution" in options else ".tris"
+    made = os.path.join(folder, os.path.splitext(os.path.basename(scan))[0] + suffix)
+    if os.path.exists(made) and os.path.getmtime(made) >= os.path.getmtime(scan):
+        return made, None
+    return made, [*program, scan, "-o", made, "--json", "--progress", "json", *options]
+
+
+def bake_commands(programs, scans, low, folder, options):
+    """Returns the commands that bake scans onto the meshes of an OBJ file. options: of the two programs, by name;
+    sorted scans lie in a folder for each choice of them."""
+    sort = options["bisque-voxelize"]
+    folder = os.path.join(folder, "_".join(["sorted", *(word.strip("-").replace(",", "_") for word in sort)]))
+    os.makedirs(folder, exist_ok=True)
+    made = [sort_scan(programs["bisque-voxelize"], scan, folder, sort) for scan in scans]
+    memory = ["--memory", options["memory"]] if options["memory"] else []
+    return [command + memory for _, command in made if command] + [
+        [*programs["bisque-bake"], *(path for path, _ in made), low, "--json", "--progress", "json",
+         *options["bisque-bake"], *memory]]
+
+
+def asset_command(program, scans, output, options):
+    return [*program, *scans, "-o", output, "--json", "--progress", "json", *options]

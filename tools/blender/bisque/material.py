@@ -6,7 +6,7 @@ INPUTS = {"color": "Base Color", "roughness": "Roughness", "transfer:roughness":
           "metallic": "Metallic", "transfer:metallic": "Metallic"}
 
 
-def load_image(path, name, is_color):
+def load_image(path, name, space):
     """Loads a map, or reads it again if the image is there already."""
     image = bpy.data.images.get(name)
     if image and bpy.path.abspath(image.filepath) == path:
@@ -14,10 +14,25 @@ def load_image(path, name, is_color):
     else:
         image = bpy.data.images.load(path)
         image.name = name
-    # OpenEXR files hold linear light. All other maps are numbers. The preview, None, names its own space.
-    if is_color is not None:
-        image.colorspace_settings.name = "Linear Rec.709" if is_color else "Non-Color"
+    image.colorspace_settings.name = space
     return image
+
+
+def space_of(name, path):
+    """Colours are linear light in OpenEXR files, else sRGB. All other maps are numbers."""
+    if name != "color":
+        return "Non-Color"
+    return "Linear Rec.709" if path.endswith(".exr") else "sRGB"
+
+
+def show_preview(path):
+    """Loads the picture of mesh, bake and scan, and shows it in image editors that show no other image."""
+    image = load_image(path, "Bisque preview", "sRGB")
+    for screen in bpy.data.screens:
+        for area in screen.areas:
+            space = area.spaces.active
+            if area.type == "IMAGE_EDITOR" and not space.image:
+                space.image = image
 
 
 def material_of(item):
@@ -51,12 +66,23 @@ def node_of(tree, kind, name, row, column):
     return node
 
 
-def link_map(tree, shader, name, image, row):
+def turn_green(tree, color, row):
+    """Returns a colour with green the other way round, for normals of Direct3D."""
+    node = node_of(tree, "ShaderNodeRGBCurve", "Bisque green up", row, 1)
+    green = node.mapping.curves[1]
+    green.points[0].location, green.points[-1].location = (0, 1), (1, 0)
+    node.mapping.update()
+    tree.links.new(color, node.inputs["Color"])
+    return node.outputs["Color"]
+
+
+def link_map(tree, shader, name, image, row, green_down):
     texture = node_of(tree, "ShaderNodeTexImage", "Bisque " + name, row, 0)
     texture.image = image
     color = texture.outputs["Color"]
     if name == "normal":
-        normal = node_of(tree, "ShaderNodeNormalMap", "Bisque normal map", row, 1)
+        color = turn_green(tree, color, row) if green_down else color
+        normal = node_of(tree, "ShaderNodeNormalMap", "Bisque normal map", row, 2)
         tree.links.new(color, normal.inputs["Color"])
         tree.links.new(normal.outputs["Normal"], shader.inputs["Normal"])
     elif name == "orm":
@@ -68,11 +94,11 @@ def link_map(tree, shader, name, image, row):
         tree.links.new(color, shader.inputs[INPUTS[name]])
 
 
-def link_maps(item, maps):
+def link_maps(item, maps, green_down=False):
     """Links maps into the material of an object. maps: paths by the name of the map. Maps that no input takes,
     such as height, become nodes without links."""
     material = material_of(item)
     shader = shader_of(material.node_tree)
     for row, (name, path) in enumerate(sorted(maps.items())):
-        image = load_image(path, f"{item.name} {name}", name == "color")
-        link_map(material.node_tree, shader, name, image, row)
+        image = load_image(path, f"{item.name} {name}", space_of(name, path))
+        link_map(material.node_tree, shader, name, image, row, green_down)
