@@ -194,6 +194,15 @@ static int create_temp(struct bsq_output *output)
     return error;
 }
 
+/* Fails with what the system says, which does not tell a missing folder from other missing names. */
+static int fail_create(const struct bsq_output *output, const char *path, int error)
+{
+    if (error == ENOENT && access(output->directory, F_OK) < 0)
+        return bsq_fail(output->ctx, BSQ_ECANTCREAT, "%s: cannot be created: there is no folder %s",
+                        path, output->directory);
+    return bsq_fail_errno(output->ctx, BSQ_ECANTCREAT, error, "%s: cannot be created", path);
+}
+
 int bsq_output_open(struct bsq_ctx *ctx, const char *path, struct bsq_output **out)
 {
     *out = NULL;
@@ -215,7 +224,7 @@ int bsq_output_open(struct bsq_ctx *ctx, const char *path, struct bsq_output **o
     output->directory = bsq_dirname(target);
     int error = output->noted && output->directory ? create_temp(output) : ENOMEM;
     if (error) {
-        status = bsq_fail_errno(ctx, BSQ_ECANTCREAT, error, "%s: cannot be created", path);
+        status = fail_create(output, path, error);
         free_output(output);
         return status;
     }

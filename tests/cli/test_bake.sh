@@ -170,9 +170,9 @@ files $start
 # ---- outputs that cannot be written ----
 
 $bake plain.nvdb low.obj -o none/a.exr
-refused 73 "$p none/a.exr: cannot be created: No such file or directory"
+refused 73 "$p none/a.exr: cannot be created: there is no folder none"
 $bake plain.nvdb low.obj -o a.exr --preview none/p.png
-refused 73 "$p none/p.png: cannot be created: No such file or directory"
+refused 73 "$p none/p.png: cannot be created: there is no folder none"
 cp plain.nvdb plain.exr
 $bake plain.exr low.obj -o plain.exr
 refused 64 "$p plain.exr: this output would overwrite the scan"

@@ -98,11 +98,11 @@ rm empty.obj flat.obj nan.obj range.obj zero.obj
 # ---- outputs that cannot be written ----
 
 $vox box.obj -o none/a.nvdb
-refused 73 "$p none/a.nvdb: cannot be created: No such file or directory"
+refused 73 "$p none/a.nvdb: cannot be created: there is no folder none"
 $vox box.obj -o a.nvdb --vdb none/a.vdb
-refused 73 "$p none/a.vdb: cannot be created: No such file or directory"
+refused 73 "$p none/a.vdb: cannot be created: there is no folder none"
 $vox box.obj -o a.nvdb --tris none/a.tris
-refused 73 "$p none/a.tris: cannot be created: No such file or directory"
+refused 73 "$p none/a.tris: cannot be created: there is no folder none"
 $vox box.obj -o /dev/null --tris a.tris
 refused 73 "$p /dev/null: exists and is not a regular file"
 $vox box.obj -o a.nvdb --no-tris --tmpdir none

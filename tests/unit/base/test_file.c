@@ -450,7 +450,7 @@ TEST(test_what_cannot_be_created)
     assert_cannot_create("sub", "sub: Is a directory");
     assert_cannot_create("sub/", "\"sub/\" is not a file name");
     assert_cannot_create("", "\"\" is not a file name");
-    assert_cannot_create("none/out", "none/out: cannot be created: No such file or directory");
+    assert_cannot_create("none/out", "none/out: cannot be created: there is no folder none");
     assert_cannot_create("/dev/null", "/dev/null: exists and is not a regular file");
     /* Only root is told that /proc has no such file. */
     assert_cannot_create("/proc/out",
