@@ -132,50 +132,78 @@ void vox_closest_free(struct bsq_ctx *ctx, struct vox_closest *tree)
     *tree = (struct vox_closest){0};
 }
 
-/* Returns the squared distance of p from a triangle (Ericson, "Real-Time Collision Detection",
- * 2004, section 5.1.5). */
-static double triangle_square(const struct vox_closest *tree, uint32_t triangle, const double p[3])
+/* Points that are looked for together, and a box around them. */
+struct batch {
+    unsigned count;
+    double points[3][VOX_CLOSEST_BATCH];
+    double *squares;
+    double most; /* the largest of squares */
+    float low[3], high[3];
+};
+
+static void find_most(struct batch *b)
 {
-    double a[3], ab[3], ac[3], ap[3], bp[3], cp[3], s, t;
-    for (int k = 0; k < 3; k++) {
-        const double b = (double)tree->positions[tree->triangles[triangle][1]][k],
-                     c = (double)tree->positions[tree->triangles[triangle][2]][k];
-        a[k] = (double)tree->positions[tree->triangles[triangle][0]][k];
-        ab[k] = b - a[k];
-        ac[k] = c - a[k];
-        ap[k] = p[k] - a[k];
-        bp[k] = p[k] - b;
-        cp[k] = p[k] - c;
-    }
-    const double d1 = bsq_dotd(ab, ap), d2 = bsq_dotd(ac, ap), d3 = bsq_dotd(ab, bp),
-                 d4 = bsq_dotd(ac, bp), d5 = bsq_dotd(ab, cp), d6 = bsq_dotd(ac, cp);
-    const double va = d3 * d6 - d5 * d4, vb = d5 * d2 - d1 * d6, vc = d1 * d4 - d3 * d2;
-    if (d1 <= 0 && d2 <= 0) {
-        s = t = 0;
-    } else if (d3 >= 0 && d4 <= d3) {
-        s = 1, t = 0;
-    } else if (vc <= 0 && d1 >= 0 && d3 <= 0) {
-        s = d1 / (d1 - d3), t = 0;
-    } else if (d6 >= 0 && d5 <= d6) {
-        s = 0, t = 1;
-    } else if (vb <= 0 && d2 >= 0 && d6 <= 0) {
-        s = 0, t = d2 / (d2 - d6);
-    } else if (va <= 0 && d4 - d3 >= 0 && d5 - d6 >= 0) {
-        t = (d4 - d3) / ((d4 - d3) + (d5 - d6));
-        s = 1 - t;
-    } else {
-        s = vb / (va + vb + vc);
-        t = vc / (va + vb + vc);
-    }
-    double square = 0;
-    for (int k = 0; k < 3; k++) {
-        const double to = ap[k] - s * ab[k] - t * ac[k];
-        square += to * to;
-    }
-    return square;
+    b->most = 0;
+    for (unsigned i = 0; i < b->count; i++)
+        b->most = b->squares[i] > b->most ? b->squares[i] : b->most;
 }
 
-double vox_closest_square(const struct vox_closest *tree, const double point[3], double most)
+/* What the distance of a point from a triangle is made of. Without branches, so that points are
+ * computed side by side. */
+struct plane {
+    double corners[3][3], edges[3][3], outwards[3][3], normal[3];
+    double inverse_edges[3], inverse_area; /* of squares; 0 for 0 */
+    double flat;                           /* 1: without an inside; else -1 */
+};
+
+static void set_plane(const struct vox_closest *tree, uint32_t triangle, struct plane *out)
+{
+    const uint32_t *corners = tree->triangles[triangle];
+    for (int i = 0; i < 3; i++)
+        for (int k = 0; k < 3; k++) {
+            out->corners[i][k] = (double)tree->positions[corners[i]][k];
+            out->edges[i][k] = (double)tree->positions[corners[(i + 1) % 3]][k] -
+                               (double)tree->positions[corners[i]][k];
+        }
+    bsq_crossd(out->edges[0], out->edges[1], out->normal);
+    const double area = bsq_dotd(out->normal, out->normal);
+    out->inverse_area = area > 0 ? 1 / area : 0;
+    out->flat = area > 0 ? -1 : 1;
+    for (int i = 0; i < 3; i++) {
+        const double square = bsq_dotd(out->edges[i], out->edges[i]);
+        out->inverse_edges[i] = square > 0 ? 1 / square : 0;
+        bsq_crossd(out->edges[i], out->normal, out->outwards[i]);
+    }
+}
+
+/* The distance is that from the plane, for points above the inside, or that from an edge. */
+static void try_triangle(const struct vox_closest *tree, uint32_t triangle, struct batch *b)
+{
+    struct plane plane;
+    set_plane(tree, triangle, &plane);
+    for (unsigned i = 0; i < b->count; i++) {
+        double least = INFINITY, outside = plane.flat, height = 0;
+        for (int k = 0; k < 3; k++) {
+            const double *c = plane.corners[k], *e = plane.edges[k], *out = plane.outwards[k];
+            const double x = b->points[0][i] - c[0], y = b->points[1][i] - c[1],
+                         z = b->points[2][i] - c[2];
+            double along = (x * e[0] + y * e[1] + z * e[2]) * plane.inverse_edges[k];
+            along = along > 0 ? along : 0;
+            along = along < 1 ? along : 1;
+            const double dx = x - along * e[0], dy = y - along * e[1], dz = z - along * e[2];
+            const double square = dx * dx + dy * dy + dz * dz;
+            const double beyond = x * out[0] + y * out[1] + z * out[2];
+            least = square < least ? square : least;
+            outside = beyond > outside ? beyond : outside;
+            height = x * plane.normal[0] + y * plane.normal[1] + z * plane.normal[2];
+        }
+        const double above = height * height * plane.inverse_area;
+        least = outside <= 0 ? above : least;
+        b->squares[i] = least < b->squares[i] ? least : b->squares[i];
+    }
+}
+
+static void walk_tree(const struct vox_closest *tree, struct batch *b)
 {
     struct {
         uint32_t node;
@@ -184,27 +212,42 @@ double vox_closest_square(const struct vox_closest *tree, const double point[3],
     unsigned depth = 0;
     const struct vox_closest_node *nodes = tree->nodes;
     stack[depth].node = 0;
-    stack[depth++].square = vox_box_square(nodes->low, nodes->high, point);
+    stack[depth++].square = vox_box_square(nodes->low, nodes->high, b->low, b->high);
     while (depth > 0) {
         const uint32_t at = stack[--depth].node;
-        if (!(stack[depth].square < most))
+        if (!(stack[depth].square < b->most))
             continue;
         const struct vox_closest_node *node = &nodes[at];
         if (node->right == 0) {
-            for (uint32_t i = node->begin; i < node->end; i++) {
-                const double square = triangle_square(tree, tree->order[i], point);
-                most = square < most ? square : most;
-            }
+            for (uint32_t i = node->begin; i < node->end; i++)
+                try_triangle(tree, tree->order[i], b);
+            find_most(b);
             continue;
         }
         const struct vox_closest_node *left = node + 1, *right = &nodes[node->right];
-        const double to_left = vox_box_square(left->low, left->high, point),
-                     to_right = vox_box_square(right->low, right->high, point);
+        const double to_left = vox_box_square(left->low, left->high, b->low, b->high),
+                     to_right = vox_box_square(right->low, right->high, b->low, b->high);
         const bool left_first = to_left <= to_right;
         stack[depth].node = left_first ? node->right : at + 1;
         stack[depth++].square = left_first ? to_right : to_left;
         stack[depth].node = left_first ? at + 1 : node->right;
         stack[depth++].square = left_first ? to_left : to_right;
     }
-    return most;
+}
+
+void vox_closest_squares(const struct vox_closest *tree, const float (*points)[3], unsigned count,
+                         double *squares)
+{
+    struct batch b = {.count = count, .squares = squares};
+    memcpy(b.low, points[0], sizeof b.low);
+    memcpy(b.high, points[0], sizeof b.high);
+    for (unsigned i = 0; i < count; i++)
+        for (int k = 0; k < 3; k++) {
+            const float x = points[i][k];
+            b.points[k][i] = (double)x;
+            b.low[k] = x < b.low[k] ? x : b.low[k];
+            b.high[k] = x > b.high[k] ? x : b.high[k];
+        }
+    find_most(&b);
+    walk_tree(tree, &b);
 }

@@ -1,9 +1,9 @@
 /* measure.c - see measure.h.
  *
- * The pass over the chunks serves both directions: each chunk's vertices look for the mesh, and
- * samples of the mesh that the chunk may be closest to look for its triangles. Squared distances of
- * samples only shrink, as bits of floats, so workers need no lock for them and the result does not
- * depend on their order. Sums are added up in the order of chunks. */
+ * Each chunk's vertices look for the mesh. Then samples of the mesh look for the triangles of
+ * chunks that they may be closest to. Squared distances of samples only shrink, as bits of floats,
+ * so workers need no lock for them and the result does not depend on their order. Sums are added up
+ * in the order of chunks. */
 #include "libvoxel/simplify/measure.h"
 
 #include <float.h>
@@ -37,11 +37,13 @@ struct measuring {
     struct bsq_ctx *ctx;
     const struct fmt_tris_file *file;
     const struct vox_mesh *mesh;
-    double enough_square, diagonal;
-    struct vox_closest tree;             /* of the mesh */
-    float (*samples)[3];                 /* points on the mesh, then its vertices */
-    _Atomic uint32_t *found;             /* bits of their squared distances */
-    uint32_t area_samples, sample_count; /* points on the mesh; with its vertices */
+    double enough_square, diagonal, reach; /* reach: of a batch of points */
+    struct vox_closest tree;               /* of the mesh */
+    float (*samples)[3];                   /* points on the mesh, then its vertices */
+    _Atomic uint32_t *found;               /* bits of their squared distances */
+    uint32_t area_samples, sample_count;   /* points on the mesh; with its vertices */
+    uint32_t *pending;                     /* numbers of samples that are looked for */
+    uint32_t pending_count;
     struct sums *total;
     atomic_bool enough;
 };
@@ -102,6 +104,14 @@ static void summarize(const struct measuring *m, const struct sums *sums, struct
 
 /* ---- samples of the mesh ---- */
 
+static double square_between(const float p[3], const float q[3])
+{
+    double square = 0;
+    for (int k = 0; k < 3; k++)
+        square += ((double)p[k] - (double)q[k]) * ((double)p[k] - (double)q[k]);
+    return square;
+}
+
 static double triangle_area(const float (*positions)[3], const uint32_t triangle[3])
 {
     double e[2][3], normal[3];
@@ -122,6 +132,7 @@ static void spread_samples(struct measuring *m)
     uint32_t done = 0;
     for (uint32_t t = 0; t < mesh->triangle_count; t++)
         area += triangle_area(positions, mesh->triangles[t]);
+    m->reach = sqrt(area / mesh->triangle_count);
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         const uint32_t *corners = mesh->triangles[t];
         reached += triangle_area(positions, corners);
@@ -162,34 +173,7 @@ static void lower(_Atomic uint32_t *found, double square)
         ;
 }
 
-/* Bounds the distances of a block of samples: no chunk is farther than the far corner of its box.
- */
-static int bound_samples(void *arg, uint64_t block, unsigned worker)
-{
-    struct measuring *m = arg;
-    const struct fmt_tris_chunk_info *chunks = fmt_tris_chunks(m->file);
-    const uint64_t count = fmt_tris_get_header(m->file)->chunk_count;
-    const uint32_t begin = (uint32_t)(block * SAMPLE_BLOCK);
-    (void)worker;
-    for (uint32_t s = begin; s < begin + SAMPLE_BLOCK && s < m->sample_count; s++) {
-        double least = INFINITY;
-        for (uint64_t i = 0; i < count; i++) {
-            double square = 0;
-            for (int k = 0; k < 3; k++) {
-                const double x = (double)m->samples[s][k];
-                const double to_low = fabs(x - (double)chunks[i].bounds_min[k]),
-                             to_high = fabs(x - (double)chunks[i].bounds_max[k]);
-                const double far = to_low > to_high ? to_low : to_high;
-                square += far * far;
-            }
-            least = square < least ? square : least;
-        }
-        lower(&m->found[s], least * 1.000001);
-    }
-    return bsq_check(m->ctx);
-}
-
-/* ---- chunks ---- */
+/* ---- from the scan ---- */
 
 static int produce_chunk(void *arg, void *slot, uint64_t sequence)
 {
@@ -198,60 +182,50 @@ static int produce_chunk(void *arg, void *slot, uint64_t sequence)
     return !m->enough && sequence < fmt_tris_get_header(m->file)->chunk_count;
 }
 
+/* Loads a chunk. The caller frees *scratch, on failure too. */
+static int load_chunk(const struct measuring *m, uint64_t index, void **scratch,
+                      struct fmt_tris_chunk *chunk)
+{
+    int status = bsq_alloc(m->ctx, "a chunk", fmt_tris_load_size(m->file, index), 1, scratch);
+    return status < 0 ? status : fmt_tris_load(m->file, index, *scratch, chunk);
+}
+
+/* Returns how many points from the first on, at most a batch, are within reach of it. */
+static unsigned count_near(const float (*points)[3], uint32_t count, double reach)
+{
+    unsigned near = 1;
+    while (near < count && near < VOX_CLOSEST_BATCH &&
+           square_between(points[near], points[0]) < reach * reach)
+        near++;
+    return near;
+}
+
 /* Adds the distances of a chunk's vertices from the mesh, by a third of the area of the triangles
- * around each. areas: of vertices. The distance of a vertex is bounded by that of the one before.
- */
+ * around each. areas: of vertices. Distances are bounded by that of a vertex before. */
 static int measure_vertices(const struct measuring *m, const struct fmt_tris_chunk *chunk,
                             double *areas, struct sums *sums)
 {
-    double square = INFINITY, last[3] = {0, 0, 0};
+    double squares[VOX_CLOSEST_BATCH], last_square = INFINITY;
     for (uint32_t t = 0; t < chunk->triangle_count; t++) {
         const double third = triangle_area(chunk->positions, chunk->triangles[t]) / 3;
         for (int k = 0; k < 3; k++)
             areas[chunk->triangles[t][k]] += third;
     }
-    for (uint32_t v = 0; v < chunk->vertex_count; v++) {
-        double p[3], moved = 0;
-        if (v % 4096 == 0 && bsq_check(m->ctx) < 0)
-            return BSQ_EINTR;
-        for (int k = 0; k < 3; k++) {
-            p[k] = (double)chunk->positions[v][k];
-            moved += (p[k] - last[k]) * (p[k] - last[k]);
-            last[k] = p[k];
+    for (uint32_t v = 0, count; v < chunk->vertex_count; v += count) {
+        const float(*points)[3] = &chunk->positions[v], *last = chunk->positions[v > 0 ? v - 1 : 0];
+        count = count_near(points, chunk->vertex_count - v, m->reach);
+        for (unsigned i = 0; i < count; i++) {
+            const double most = sqrt(last_square) + sqrt(square_between(points[i], last));
+            squares[i] = most * most * 1.000001 + DBL_MIN;
         }
-        const double most = sqrt(square) + sqrt(moved);
-        square = vox_closest_square(&m->tree, p, most * most * 1.000001 + DBL_MIN);
-        add_distance(sums, square, areas[v], chunk->positions[v], m->diagonal);
+        vox_closest_squares(&m->tree, points, count, squares);
+        for (unsigned i = 0; i < count; i++)
+            add_distance(sums, squares[i], areas[v + i], points[i], m->diagonal);
+        last_square = squares[count - 1];
+        if (bsq_check(m->ctx) < 0)
+            return BSQ_EINTR;
     }
     return 0;
-}
-
-/* Lowers the distances of the samples that this chunk may be closest to. */
-static int measure_samples(const struct measuring *m, uint64_t index,
-                           const struct fmt_tris_chunk *chunk)
-{
-    const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(m->file)[index];
-    struct vox_closest tree = {0};
-    int status = 0;
-    for (uint32_t s = 0; s < m->sample_count; s++) {
-        const double p[3] = {(double)m->samples[s][0], (double)m->samples[s][1],
-                             (double)m->samples[s][2]};
-        const double most =
-            (double)from_bits(atomic_load_explicit(&m->found[s], memory_order_relaxed));
-        if (s % 4096 == 0)
-            BSQ_TRY(bsq_check(m->ctx));
-        if (vox_box_square(info->bounds_min, info->bounds_max, p) >= most)
-            continue;
-        if (!tree.nodes)
-            BSQ_TRY(vox_closest_build(m->ctx, chunk->positions, chunk->triangles,
-                                      chunk->triangle_count, true, &tree));
-        const double square = vox_closest_square(&tree, p, most);
-        if (square < most)
-            lower(&m->found[s], square);
-    }
-done:
-    vox_closest_free(m->ctx, &tree);
-    return status;
 }
 
 static int measure_chunk(void *arg, void *slot_, uint64_t sequence, unsigned worker)
@@ -263,12 +237,9 @@ static int measure_chunk(void *arg, void *slot_, uint64_t sequence, unsigned wor
     double *areas = NULL;
     int status = 0;
     (void)worker;
-    BSQ_TRY(bsq_alloc(m->ctx, "a chunk", fmt_tris_load_size(m->file, sequence), 1, &scratch));
-    BSQ_TRY(fmt_tris_load(m->file, sequence, scratch, &chunk));
+    BSQ_TRY(load_chunk(m, sequence, &scratch, &chunk));
     BSQ_TRY(bsq_calloc(m->ctx, "areas", chunk.vertex_count, sizeof *areas, &areas));
-    BSQ_TRY(measure_vertices(m, &chunk, areas, &slot->sums));
-    if (slot->sums.max_square <= m->enough_square)
-        status = measure_samples(m, sequence, &chunk);
+    status = measure_vertices(m, &chunk, areas, &slot->sums);
 done:
     bsq_free(m->ctx, areas);
     bsq_free(m->ctx, scratch);
@@ -286,13 +257,12 @@ static int add_chunk(void *arg, void *slot_, uint64_t sequence)
     return 0;
 }
 
-static int measure_chunks(struct measuring *m)
+static int measure_scan(struct measuring *m)
 {
     const unsigned slot_count = 2 * bsq_threads(m->ctx);
     struct slot *slots = NULL;
     int status = 0;
     BSQ_TRY(bsq_calloc(m->ctx, "distances", slot_count, sizeof *slots, &slots));
-    BSQ_TRY(bsq_parallel_for(m->ctx, m->sample_count / SAMPLE_BLOCK + 1, bound_samples, m));
     const struct bsq_pipeline pipeline = {.produce = produce_chunk,
                                           .work = measure_chunk,
                                           .emit = add_chunk,
@@ -306,6 +276,110 @@ static int measure_chunks(struct measuring *m)
     bsq_progress_end(m->ctx);
 done:
     bsq_free(m->ctx, slots);
+    return status;
+}
+
+/* ---- from the mesh ---- */
+
+/* Bounds the distances of a block of samples: no chunk is farther than the far corner of its box.
+ */
+static int bound_samples(void *arg, uint64_t block, unsigned worker)
+{
+    const struct measuring *m = arg;
+    const struct fmt_tris_chunk_info *chunks = fmt_tris_chunks(m->file);
+    const uint64_t count = fmt_tris_get_header(m->file)->chunk_count;
+    const uint32_t begin = (uint32_t)(block * SAMPLE_BLOCK);
+    (void)worker;
+    for (uint32_t j = begin; j < begin + SAMPLE_BLOCK && j < m->pending_count; j++) {
+        const float *p = m->samples[m->pending[j]];
+        double least = INFINITY;
+        for (uint64_t i = 0; i < count; i++) {
+            double square = 0;
+            for (int k = 0; k < 3; k++) {
+                const double to_low = fabs((double)p[k] - (double)chunks[i].bounds_min[k]),
+                             to_high = fabs((double)p[k] - (double)chunks[i].bounds_max[k]);
+                const double far = to_low > to_high ? to_low : to_high;
+                square += far * far;
+            }
+            least = square < least ? square : least;
+        }
+        lower(&m->found[m->pending[j]], least * 1.000001);
+    }
+    return bsq_check(m->ctx);
+}
+
+/* Lowers the distances of pending samples that a chunk may be closest to. */
+static int measure_samples(void *arg, uint64_t index, unsigned worker)
+{
+    const struct measuring *m = arg;
+    const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(m->file)[index];
+    struct fmt_tris_chunk chunk;
+    struct vox_closest tree = {0};
+    void *scratch = NULL;
+    int status = 0;
+    (void)worker;
+    for (uint32_t j = 0; j < m->pending_count; j++) {
+        const uint32_t s = m->pending[j];
+        const float(*p)[3] = (const float(*)[3])m->samples[s];
+        const double most =
+            (double)from_bits(atomic_load_explicit(&m->found[s], memory_order_relaxed));
+        if (j % 4096 == 0)
+            BSQ_TRY(bsq_check(m->ctx));
+        if (vox_box_square(info->bounds_min, info->bounds_max, *p, *p) >= most)
+            continue;
+        if (!tree.nodes) {
+            BSQ_TRY(load_chunk(m, index, &scratch, &chunk));
+            BSQ_TRY(vox_closest_build(m->ctx, chunk.positions, chunk.triangles,
+                                      chunk.triangle_count, true, &tree));
+        }
+        double square = most;
+        vox_closest_squares(&tree, p, 1, &square);
+        if (square < most)
+            lower(&m->found[s], square);
+    }
+    bsq_progress_add(m->ctx, info->triangle_count);
+done:
+    vox_closest_free(m->ctx, &tree);
+    bsq_free(m->ctx, scratch);
+    return status;
+}
+
+static int measure_pending(struct measuring *m)
+{
+    const struct fmt_tris_header *header = fmt_tris_get_header(m->file);
+    bsq_progress_begin(m->ctx, "measuring", "triangles", header->triangle_count);
+    int status = bsq_parallel_for(m->ctx, header->chunk_count, measure_samples, m);
+    bsq_progress_end(m->ctx);
+    return status;
+}
+
+/* Most samples are as close to the scan as its vertices are to the mesh, so they are looked for
+ * within twice that distance first. Only what is not found there is looked for farther away. */
+static int measure_mesh(struct measuring *m)
+{
+    const float guess =
+        (float)fmin(4 * m->total->max_square + 1e-14 * m->diagonal * m->diagonal, FLT_MAX);
+    uint32_t bits;
+    int status = 0;
+    memcpy(&bits, &guess, sizeof bits);
+    for (uint32_t s = 0; s < m->sample_count; s++) {
+        m->found[s] = bits;
+        m->pending[s] = s;
+    }
+    m->pending_count = m->sample_count;
+    BSQ_TRY(measure_pending(m));
+    m->pending_count = 0;
+    for (uint32_t s = 0; s < m->sample_count; s++) {
+        if (m->found[s] < bits)
+            continue;
+        memset((void *)&m->found[s], 0x7f, sizeof m->found[s]); /* about 3e38 */
+        m->pending[m->pending_count++] = s;
+    }
+    if (m->pending_count == 0)
+        return 0;
+    BSQ_TRY(bsq_parallel_for(m->ctx, m->pending_count / SAMPLE_BLOCK + 1, bound_samples, m));
+    status = measure_pending(m);
+done:
     return status;
 }
 
@@ -331,19 +405,22 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
     BSQ_TRY(bsq_calloc(ctx, "distances", 1, sizeof *samples, &samples));
     BSQ_TRY(bsq_alloc(ctx, "samples", m.sample_count, sizeof *m.samples, &m.samples));
     BSQ_TRY(bsq_alloc(ctx, "samples", m.sample_count, sizeof *m.found, &m.found));
+    BSQ_TRY(bsq_alloc(ctx, "samples", m.sample_count, sizeof *m.pending, &m.pending));
     BSQ_TRY(vox_closest_build(ctx, (const float(*)[3])mesh->positions,
                               (const uint32_t(*)[3])mesh->triangles, mesh->triangle_count, false,
                               &m.tree));
     spread_samples(&m);
-    memset(m.found, 0x7f, m.sample_count * sizeof *m.found); /* about 3e38 */
-    BSQ_TRY(measure_chunks(&m));
-    for (uint32_t s = 0; s < m.sample_count; s++)
+    BSQ_TRY(measure_scan(&m));
+    if (!m.enough)
+        BSQ_TRY(measure_mesh(&m));
+    for (uint32_t s = 0; s < m.sample_count && !m.enough; s++)
         add_distance(samples, (double)from_bits(m.found[s]), s < m.area_samples ? 1.0 : 0.0,
                      (const float *)m.samples[s], m.diagonal);
     summarize(&m, m.total, scan_to_mesh);
     summarize(&m, samples, mesh_to_scan);
 done:
     vox_closest_free(ctx, &m.tree);
+    bsq_free(ctx, m.pending);
     bsq_free(ctx, (void *)m.found);
     bsq_free(ctx, m.samples);
     bsq_free(ctx, samples);
