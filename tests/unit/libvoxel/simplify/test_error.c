@@ -37,7 +37,8 @@ static void write_scan(uint64_t *seed)
         for (unsigned x = 0; x < n; x++) {
             const unsigned a = y * (n + 1) + x + 1, right = closed && x + 1 == n ? a - x : a + 1;
             if (!hole || x != n / 2 || y != n / 2)
-                fprintf(file, "f %u %u %u %u\n", a, right, right + n + 1, a + n + 1);
+                fprintf(file, "f %u %u %u\nf %u %u %u\n", a, right, right + n + 1, a, right + n + 1,
+                        a + n + 1);
         }
     assert_int_equal(fclose(file), 0);
 }
@@ -53,17 +54,14 @@ static void read_mesh(const char *path, struct mesh *mesh)
     assert_true(mesh->positions && mesh->corners);
     while (fgets(line, sizeof line, file)) {
         double *p = mesh->positions[mesh->vertices];
-        unsigned v[4];
+        unsigned v[3];
         if (sscanf(line, "v %lf %lf %lf", &p[0], &p[1], &p[2]) == 3) {
             mesh->vertices++;
-        } else if (sscanf(line, "f %u//%*u %u//%*u %u//", &v[0], &v[1], &v[2]) == 3) {
+        } else if (sscanf(line, "f %u//%*u %u//%*u %u//", &v[0], &v[1], &v[2]) == 3 ||
+                   sscanf(line, "f %u %u %u", &v[0], &v[1], &v[2]) == 3) {
             for (int k = 0; k < 3; k++)
                 mesh->corners[mesh->triangles][k] = v[k] - 1;
             mesh->triangles++;
-        } else if (sscanf(line, "f %u %u %u %u", &v[0], &v[1], &v[2], &v[3]) == 4) {
-            for (int half = 0; half < 2; half++, mesh->triangles++)
-                for (int k = 0; k < 3; k++)
-                    mesh->corners[mesh->triangles][k] = v[k == 0 ? 0 : k + half] - 1;
         }
     }
     fclose(file);
