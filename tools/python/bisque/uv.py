@@ -169,7 +169,8 @@ def unwrap(low: Any, *, size: int = 2048, padding: int = 4, library: str = "uvun
     """Gives a mesh texture coordinates in one square, with `padding` texels around each chart in maps
     of `size` texels, by "uvunwrap" or "xatlas". The mesh's report gets what check_uvs() finds, as
     "uv". Charts that the library mirrors are put right. Raises UnwrapError, with advice, if the
-    library takes longer than `seconds`, fails, or lays charts over each other."""
+    library takes longer than `seconds`, fails, or lays charts over each other. Texels are as dense
+    everywhere: neither library takes weights of faces."""
     mesh = as_mesh(low)
     if library not in LIBRARIES:
         raise ValueError(f"library: {library!r} is none of {', '.join(LIBRARIES)}")
