@@ -362,11 +362,15 @@ static int read_header(struct reader *reader)
     BSQ_TRY(
         fmt_exr_status(&reader->stream, exr_start_read(&reader->file, reader->stream.path, &init)));
     BSQ_TRY(read_layout(reader));
-    BSQ_TRY(read_channels(reader));
-    status = bsq_alloc(reader->stream.ctx, "EXR channels", reader->image->channel_count,
-                       sizeof *reader->places, &reader->places);
+    status = read_channels(reader);
 done:
     return status;
+}
+
+static int allocate_places(struct reader *reader)
+{
+    return bsq_alloc(reader->stream.ctx, "EXR channels", reader->image->channel_count,
+                     sizeof *reader->places, &reader->places);
 }
 
 static void close_reader(struct reader *reader)
@@ -390,6 +394,7 @@ static int read_image(struct reader *reader)
     int status;
     BSQ_TRY(read_header(reader));
     BSQ_TRY(read_attributes(reader));
+    BSQ_TRY(allocate_places(reader));
     for (uint32_t c = 0; c < image->channel_count; ++c)
         reader->places[c] = c;
     reader->kept = image->channel_count;
@@ -489,6 +494,7 @@ int fmt_exr_rows_open(struct bsq_ctx *ctx, const char *path, const struct bsq_fi
     rows->reader = (struct reader){
         .stream = {.ctx = ctx, .path = path}, .input = input, .image = &rows->image, .workers = 1};
     BSQ_TRY(read_header(&rows->reader));
+    BSQ_TRY(allocate_places(&rows->reader));
     choose_channels(&rows->reader);
     BSQ_TRY(allocate(&rows->reader, rows->reader.chunk_height < rows->image.height
                                         ? rows->reader.chunk_height

@@ -334,17 +334,18 @@ void TiffReader::read_row(char *row)
     } else {
         const size_t count = size_t(width) * (apart ? 1 : samples);
         const char *from[5] = {};
+        void *out = row;
         for (size_t i = 0; i < planes.size(); i++) {
             const uint32_t sample = !apart ? 0 : i < colors ? uint32_t(i) : alpha;
             planes[i].row.resize((count * bits + 7) / 8);
             from[i] = widen(planes[i], stored_row(planes[i], uint16_t(sample)), count);
         }
         if (wide_bytes == 1)
-            write_row(from, reinterpret_cast<uint8_t *>(row));
+            write_row(from, static_cast<uint8_t *>(out));
         else if (wide_bytes == 2)
-            write_row(from, reinterpret_cast<uint16_t *>(row));
+            write_row(from, static_cast<uint16_t *>(out));
         else
-            write_row(from, reinterpret_cast<float *>(row));
+            write_row(from, static_cast<float *>(out));
     }
     next++;
 }

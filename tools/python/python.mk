@@ -56,4 +56,4 @@ demo-asset: $(venv)/installed $(generator)
 	@mkdir -p $(demo_dir)
 	$(generator) --triangles 2000000 --colors vase -o $(demo_dir)/vase.obj
 	$(venv)/bin/bisque-asset $(demo_dir)/vase.obj -o $(demo_dir)/vase.glb
-	@echo "Open $(demo_dir)/vase.glb; its picture: $(demo_dir)/vase_preview.png"
+	@echo "Open $(demo_dir)/vase.glb; its picture: $(demo_dir)/vase_asset/preview.png"
