@@ -287,6 +287,23 @@ def test_asset_ends_when_told_and_shows_json(tmp_path):
     assert steps == sorted(steps) and len(steps) > 5
 
 
+def test_asset_with_a_page_has_the_same_maps(tmp_path):
+    scan = tmp_path / "vase.obj"
+    subprocess.run([GENERATE, "--triangles", "20000", "--colors", "vase", "-o", scan], check=True)
+    given = (scan, "--triangles", 800, "--size", 64, "--memory", "512M", "--keep", tmp_path / "steps")
+    levels = []
+    for name, more in (("plain", ()), ("shown", ("--report",))):
+        asset(*given, "-o", tmp_path / f"{name}.glb", *more)
+        levels.append(json.loads((tmp_path / f"{name}_asset/asset.json").read_text())["levels"][0])
+    plain, shown = levels
+    page = (tmp_path / "shown_asset/report.html").read_text()
+    assert page.count('"kind": "map"') == 3 and '"command": ["' in page
+    assert "report.html" in shown["files"] and "report.html" not in plain["files"]
+    assert {n: s for n, s in shown["files"].items() if n.endswith(".png")} == \
+        {n: s for n, s in plain["files"].items() if n.endswith(".png")}
+    assert shown["rays"] == pytest.approx(plain["rays"])
+
+
 def test_levels_of_a_scan_in_memory(scan, tmp_path, monkeypatch):
     monkeypatch.setitem(bisque.PRESETS, "museum", {"levels": [(300, 64), (900, 128)],
                                                    "maps": ("normal", "color")})

@@ -17,6 +17,7 @@ ROOT = HERE.parents[1]
 BUILD = os.environ.get("BISQUE_BUILD", "build/release")
 PROGRAMS = [f"bin/bisque-{name}" for name in ("voxelize", "simplify", "bake", "compare")]
 MODULES = ["lib/bisque/bisque-gltf", "lib/bisque/bisque-devices", "lib/bisque/bisque-tiff"]
+PAGE = ["share/bisque/report.html", "share/bisque/report.js"]
 
 
 def version():
@@ -27,7 +28,7 @@ def version():
 def make():
     """Builds what the wheel carries, with as many jobs as there are processors."""
     archives = [f"{BUILD}/lib/libbisque-{name}.a" for name in ("voxel", "bake", "formats", "base")]
-    targets = archives + [f"{BUILD}/{name}" for name in PROGRAMS + MODULES]
+    targets = archives + [f"{BUILD}/{name}" for name in PROGRAMS + MODULES + PAGE]
     subprocess.run(["make", "-s", f"-j{os.cpu_count()}", f"BUILD={BUILD}", *targets], cwd=ROOT,
                    check=True)
 
@@ -35,11 +36,12 @@ def make():
 class Build(build_py):
     def run(self):
         super().run()
-        for name in PROGRAMS + MODULES:
+        for name in PROGRAMS + MODULES + PAGE:
             target = Path(self.build_lib) / "bisque" / name
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / BUILD / name, target)
-            subprocess.run(["strip", "--strip-unneeded", str(target)], check=True)
+            if name not in PAGE:
+                subprocess.run(["strip", "--strip-unneeded", str(target)], check=True)
 
 
 os.chdir(HERE)

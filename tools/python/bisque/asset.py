@@ -10,6 +10,7 @@ import json
 import os
 import shutil
 import signal
+import subprocess
 import sys
 import time
 import warnings
@@ -182,6 +183,27 @@ def _measure_error(grid: str, chunks: str, low: str, job: dict, folder: Path) ->
     return {key: found[key] for key in ("unit", "compared", "mean", "median", "p95", "p99", "max")}
 
 
+def _bake_with_page(scan: Any, obj: Path, page: Path, options: dict, files: dict, job: dict) -> dict:
+    """Bakes as core.bake() does, by the program of this package, which writes the page as well."""
+    known = core.map_names()
+    maps = ",".join(name if name in known else f"transfer:{name}" for name in options["maps"])
+    words = [Path(__file__).parent / "bin" / "bisque-bake", scan, obj, "-o", obj.with_name("<MAP>.png"),
+             "--report", page, "--json", "--progress", "none", "--maps", maps,
+             "--size", options["size"], "--samples", options["samples"]]
+    words += ["--rays", f"ao={options['ao_rays']}"] if {"ao", "bent"} & set(options["maps"]) else []
+    words += [word for name, path in files.items() for word in (f"--{name}", path)]
+    words += ["--memory", core.parse_bytes(job["memory"])] if job["memory"] else []
+    words += ["--threads", job["threads"]] if job["threads"] else []
+    done = subprocess.run([str(word) for word in words], capture_output=True, text=True)
+    lines = [line.removeprefix("bisque-bake: ") for line in done.stderr.splitlines()]
+    if done.returncode:
+        raise core.Error(done.returncode, lines[-1] if lines else "bisque-bake failed")
+    for line in lines:
+        warnings.warn(line.removeprefix("warning: "), stacklevel=2)
+    report = json.loads(done.stdout)
+    return {**report, "memory_high": report["cost"]["memory_high_bytes"]}
+
+
 def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level: dict,
                 job: dict) -> dict:
     """Bakes a level: maps, GLB and preview beside its OBJ file. Returns its part of the
@@ -199,20 +221,24 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
     has_color = sorted_report["has_colors"] or sorted_report["has_material_colors"] or (
         sorted_report["uses_textures"])
     maps = [name for name in level["maps"] if name != "color" or has_color]
-    glb, preview = level["glb"], obj.with_name("preview.png")
+    glb, preview, page = level["glb"], obj.with_name("preview.png"), obj.with_name("report.html")
+    pages = [page] if level["report"] else []
     outputs = {name: str(obj.with_name(f"{name}.png")) for name in maps}
     # The rays of a texel's samples add up.
     options = {"maps": maps, "size": size, "samples": level["samples"],
                "ao_rays": max(4, 64 // level["samples"] ** 2)}
 
     def make() -> dict:
-        baked = core.bake(scan, str(obj), output=obj.with_name("<MAP>.png"), glb=str(glb), arrays=False,
-                          preview=preview, progress=steps.report, **options, **job)
+        if pages:
+            baked = _bake_with_page(scan, obj, page, options, {"glb": glb, "preview": preview}, job)
+        else:
+            baked = core.bake(scan, str(obj), output=obj.with_name("<MAP>.png"), glb=str(glb), arrays=False,
+                              preview=preview, progress=steps.report, **options, **job).report
         write_mtl(obj.with_suffix(".mtl"), outputs)
-        return baked.report
+        return baked
 
     report = steps.run("bake" + suffix, [scan, obj], options,
-                       [glb, preview, *map(Path, outputs.values())], make)
+                       [glb, preview, *pages, *map(Path, outputs.values())], make)
     exact = {"unit": "degrees", "mean": 0.0, "max": 0.0, "exact": True}
     error = exact if surface["exact"] else steps.run(
         "check" + suffix, [scan, chunks, obj], {"size": SAMPLE_SIZE}, [],
@@ -221,7 +247,7 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
         bare = Mesh(low.vertices, low.faces)
         low.report.update(steps.run("check distance" + suffix, [chunks, obj], {}, [],
                                     lambda: core.measure(bare, chunks, **job)))
-    files = [obj, obj.with_suffix(".mtl"), glb, preview, *map(Path, outputs.values())]
+    files = [obj, obj.with_suffix(".mtl"), glb, preview, *pages, *map(Path, outputs.values())]
     return {"name": level["name"], "triangles": len(low.faces), "size": size,
             "surface": {**surface, "method": "exact" if surface["exact"] else "grid"},
             "distance": {key: low.report[key] for key in ("from_scan", "from_mesh")},
@@ -242,7 +268,7 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
           triangles: int | None = None, size: int | None = None, maps: Any = None,
           samples: int = 2, surface: str = "auto", library: str = "uvunwrap",
           unwrap_seconds: float = 300, min_component: float = 0.0, texture: Any = None,
-          keep: str | os.PathLike | None = None, memory: int | str | None = None,
+          report: bool = False, keep: str | os.PathLike | None = None, memory: int | str | None = None,
           threads: int = 0, progress: core.Progress | None = None) -> dict:
     """Makes an asset of a scan: OUTPUT.glb, and beside it a folder OUTPUT_asset with the mesh and its
     material (low.obj, low.mtl), the maps, a picture (preview.png) and the certificate, asset.json.
@@ -250,7 +276,7 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
 
     low: a low-poly mesh to use; it is unwrapped if it has no UVs. texture: an image for all faces
     with texture coordinates, instead of those that the scan names. surface: "grid", "exact", or
-    "auto", by the size of a texel. keep: a folder for the files between, which stay there; without
+    "auto", by the size of a texel. report: also makes a page to look at, report.html. keep: a folder for the files between, which stay there; without
     it they are in OUTPUT_asset/steps until the asset is complete. Interrupted jobs go on from them.
     Returns the certificate. Raises Error, UnwrapError."""
     if preset not in PRESETS:
@@ -294,7 +320,7 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
         glb = output.with_name(f"{output.stem}_{number}.glb") if several else output
         level = {"name": str(number), "glb": glb, "triangles": count, "size": side, "samples": samples,
                  "maps": maps or PRESETS[preset]["maps"], "surface": surface, "library": library,
-                 "seconds": unwrap_seconds, "min_component": min_component,
+                 "seconds": unwrap_seconds, "min_component": min_component, "report": report,
                  "obj": own / "low.obj"}
         mesh = _low_of(steps, chunks, low, level, job)
         results.append(_bake_level(steps, chunks, sorted_report, mesh, level, job))
@@ -369,6 +395,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--unwrap-seconds", type=float, default=300, metavar="S")
     parser.add_argument("--min-component", type=float, default=0, metavar="SHARE",
                         help="drop pieces with a smaller share of the scan's diagonal")
+    parser.add_argument("--report", action="store_true", help="also write report.html, a page to look at")
     parser.add_argument("--keep", metavar="DIR", help="keep the files between in this folder")
     parser.add_argument("--memory", metavar="SIZE", help="for each step, such as 1G")
     parser.add_argument("-j", "--threads", type=int, default=0, metavar="N")
@@ -389,7 +416,7 @@ def main(arguments: list[str] | None = None) -> int:
             triangles=a.triangles, size=a.size, maps=a.maps.split(",") if a.maps else None,
             samples=a.samples, surface=a.surface, library=a.unwrap,
             unwrap_seconds=a.unwrap_seconds, min_component=a.min_component,
-            texture=a.texture, keep=a.keep, memory=a.memory, threads=a.threads, progress=show)
+            texture=a.texture, report=a.report, keep=a.keep, memory=a.memory, threads=a.threads, progress=show)
     except KeyboardInterrupt:
         print("\nbisque-asset: interrupted; the same command goes on from here", file=sys.stderr)
         return 75

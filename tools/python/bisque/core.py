@@ -426,11 +426,17 @@ def _set_options(job: Job, options: Any, values: dict) -> None:
         ffi.cast(types.get(row.kind, "const char **"), at)[0] = value
 
 
-def _choose_maps(job: Job, options: Any, maps: Sequence[str]) -> None:
-    """Sets the bits of maps; other names are transfer maps, of channels that the scan has."""
-    names, transfers = {}, []
+def map_names() -> dict[str, int]:
+    """Returns the maps of the library, and their numbers."""
+    names: dict[str, int] = {}
     while lib.bake_map_name(len(names)):
         names[_text(lib.bake_map_name(len(names)))] = len(names)
+    return names
+
+
+def _choose_maps(job: Job, options: Any, maps: Sequence[str]) -> None:
+    """Sets the bits of maps; other names are transfer maps, of channels that the scan has."""
+    names, transfers = map_names(), []
     for name in (maps,) if isinstance(maps, str) else maps:
         if name in names:
             options.maps |= 1 << names[name]
@@ -517,7 +523,7 @@ def bake(high: Any, low: Any, maps: Sequence[str] = (), *, size: int | tuple[int
                 shutil.rmtree(folder, ignore_errors=True)
             raise
         result["memory_high"] = lib.bsq_memory_high(job.ctx)
-        names = {_text(lib.bake_map_name(i)): i for i in range(16) if lib.bake_map_name(i)}
+        names = map_names()
         result["encodings"] = {name: result["encodings"][i] for name, i in names.items()
                                if result["encodings"][i]["unit"]}
         found, files = _arrays_of(job)
