@@ -22,13 +22,15 @@ import numpy as np
 from . import core, uv
 from .mesh import Mesh, as_mesh, is_path, read_mesh
 
-#: Triangles, texels and maps of each level.
+#: Triangles, texels and maps of each level; rays of a texel for ambient occlusion.
 PRESETS: dict[str, dict] = {
-    "web": {"levels": [(20_000, 2048)], "maps": ("normal", "color", "ao")},
-    "game": {"levels": [(10_000, 2048)], "maps": ("normal", "color", "ao", "curvature")},
+    "web": {"levels": [(20_000, 2048)], "maps": ("normal", "color", "ao"), "rays": 32},
+    "game": {"levels": [(10_000, 2048)], "maps": ("normal", "color", "ao", "curvature"),
+             "rays": 32},
     "museum": {"levels": [(20_000, 512), (100_000, 2048), (150_000, 4096)],
-               "maps": ("normal", "color", "ao")},
-    "archive": {"levels": [(150_000, 8192)], "maps": ("normal", "color", "ao", "mask")},
+               "maps": ("normal", "color", "ao"), "rays": 64},
+    "archive": {"levels": [(150_000, 8192)], "maps": ("normal", "color", "ao", "mask"),
+                "rays": 64},
 }
 
 #: What each step is of all the work, for the progress bar.
@@ -226,7 +228,7 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
     outputs = {name: str(obj.with_name(f"{name}.png")) for name in maps}
     # The rays of a texel's samples add up.
     options = {"maps": maps, "size": size, "samples": level["samples"],
-               "ao_rays": max(4, 64 // level["samples"] ** 2)}
+               "ao_rays": max(4, level["rays"] // level["samples"] ** 2)}
 
     def make() -> dict:
         if pages:
@@ -319,7 +321,8 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
         own.mkdir(exist_ok=True)
         glb = output.with_name(f"{output.stem}_{number}.glb") if several else output
         level = {"name": str(number), "glb": glb, "triangles": count, "size": side, "samples": samples,
-                 "maps": maps or PRESETS[preset]["maps"], "surface": surface, "library": library,
+                 "maps": maps or PRESETS[preset]["maps"], "rays": PRESETS[preset]["rays"],
+                 "surface": surface, "library": library,
                  "seconds": unwrap_seconds, "min_component": min_component, "report": report,
                  "obj": own / "low.obj"}
         mesh = _low_of(steps, chunks, low, level, job)
