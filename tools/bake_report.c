@@ -408,7 +408,7 @@ static int compare_map(void *arg, const struct bake_file *file)
     struct references *r = arg;
     char path[PATH_MAX];
     struct bake_compare_options options;
-    struct bake_compare_report report;
+    struct bake_compare_report report = {.size = sizeof report};
     if (!find_reference(r, file->path, path))
         return 0;
     bake_compare_defaults(&options);
