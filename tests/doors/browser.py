@@ -73,8 +73,11 @@ class Browser:
     def open(self, path):
         self.problems = []
         self.call("Page.navigate", url="file://" + os.path.abspath(path))
-        return self.js("""new Promise(done => { const look = () => document.body?.dataset.ready ?
-            done(document.body.dataset.ready) : setTimeout(look, 50); look(); })""")
+        return self.js("""new Promise((done, fail) => {
+            const end = Date.now() + 60000;
+            const look = () => document.body?.dataset.ready ? done(document.body.dataset.ready) :
+                Date.now() > end ? fail(Error("not ready: " + location)) : setTimeout(look, 50);
+            look(); })""")
 
     def key(self, key, code=0):
         for kind in "keyDown", "keyUp":
