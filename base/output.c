@@ -194,7 +194,8 @@ static int create_temp(struct bsq_output *output)
     return error;
 }
 
-/* Fails with what the system says, which does not tell a missing folder from other missing names. */
+/* Fails with what the system says, which does not tell a missing folder from other missing names.
+ */
 static int fail_create(const struct bsq_output *output, const char *path, int error)
 {
     if (error == ENOENT && access(output->directory, F_OK) < 0)

@@ -265,8 +265,8 @@ struct bake_options {
     int (*on_rows)(void *user, const struct bake_rows *rows);
     void *rows_user; /**< Passed to on_rows. */
     bool rows_only;  /**< Maps have no files; output_path only chooses how samples are encoded. */
-    const char *page_path;  /**< Name of the page that the caller writes, or NULL: no other output
-                                 may have it. */
+    const char *page_path; /**< Name of the page that the caller writes, or NULL: no other output
+                                may have it. */
     /** Folder of maps that the page compares with those of the same names, or NULL. Without a page,
      * nobody reads them. */
     const char *reference_path;
@@ -374,7 +374,7 @@ struct bake_id {
 
 /** What bake_run() did. Times are wall times in seconds. */
 struct bake_report {
-    size_t size; /**< Of the structure, see bsq_clear_report(). */
+    size_t size;                      /**< Of the structure, see bsq_clear_report(). */
     char device[128];                 /**< Name of the device that traced. */
     uint64_t low_triangles;           /**< Triangles of the low-poly mesh. */
     uint64_t low_polygons;            /**< Its faces that had more corners. */

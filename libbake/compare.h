@@ -57,7 +57,7 @@ struct bake_compare_options {
  * smallest error that is at least as large as the errors of that share of the texels. If no texel
  * is compared, all figures are infinite. */
 struct bake_compare_report {
-    size_t size; /**< Of the structure, see bsq_clear_report(). */
+    size_t size;                 /**< Of the structure, see bsq_clear_report(). */
     enum bake_compare_kind kind; /**< Never BAKE_COMPARE_AUTO. */
     uint32_t width;              /**< Width of the maps in texels. */
     uint32_t height;             /**< Height of the maps in texels. */

@@ -112,7 +112,7 @@ enum { VOX_NAMES_BYTES = 512 };
 
 /** What vox_sort() did. */
 struct vox_sort_report {
-    size_t size; /**< Of the structure, see bsq_clear_report(). */
+    size_t size;         /**< Of the structure, see bsq_clear_report(). */
     bool resumed;        /**< The chunk file was complete; nothing was read, and the rest is 0. */
     uint64_t bytes_read; /**< Bytes of the mesh files, unpacked. */
     uint64_t vertices;   /**< Vertices of the scan. */
@@ -208,7 +208,7 @@ struct vox_voxelize_options {
 
 /** What vox_voxelize() did. */
 struct vox_voxelize_report {
-    size_t size; /**< Of the structure, see bsq_clear_report(). */
+    size_t size;        /**< Of the structure, see bsq_clear_report(). */
     uint64_t triangles; /**< Triangles of the scan. */
     uint64_t voxels;    /**< Voxels that are set. */
     uint64_t
@@ -285,7 +285,7 @@ struct vox_simplify_options {
 
 /** What vox_simplify() did. */
 struct vox_simplify_report {
-    size_t size; /**< Of the structure, see bsq_clear_report(). */
+    size_t size;             /**< Of the structure, see bsq_clear_report(). */
     uint64_t triangles;      /**< Triangles of the scan. */
     double diagonal;         /**< Diagonal of the scan's bounding box. */
     uint64_t dropped_pieces; /**< Pieces below min_component. */
