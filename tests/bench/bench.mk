@@ -58,7 +58,7 @@ bench-farm: all $(generator)
 simplify_venv := build/simplify-venv
 $(simplify_venv)/ready: tests/bench/bench.mk
 	@python3 -m venv $(simplify_venv) && $(simplify_venv)/bin/pip install -q \
-	    fast_simplification==0.2.0 pyfqmr==0.5.0 trimesh==5.2.0 scipy==1.17.1 numpy==2.4.6 && touch $@
+	    fast_simplification==0.2.0 pyfqmr==0.5.0 trimesh==5.2.0 scipy==1.17.1 numpy==2.4.6 pillow==13.0.0 && touch $@
 
 .PHONY: bench-simplify
 ## bench-simplify: compare bisque-simplify with others from PyPI, SCANS='a.obj b.obj' (default: generated)
