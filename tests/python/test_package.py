@@ -305,8 +305,8 @@ def test_asset_with_a_page_has_the_same_maps(tmp_path):
 
 
 def test_levels_of_a_scan_in_memory(scan, tmp_path, monkeypatch):
-    monkeypatch.setitem(bisque.PRESETS, "museum", {"levels": [(300, 64), (900, 128)],
-                                                   "maps": ("normal", "color")})
+    monkeypatch.setitem(bisque.PRESETS["museum"], "levels", [(300, 64), (900, 128)])
+    monkeypatch.setitem(bisque.PRESETS["museum"], "maps", ("normal", "color"))
     seen = []
     certificate = bisque.asset(scan, tmp_path / "s.glb", preset="museum", memory="512M",
                                progress=lambda *what: seen.append(what[1]))

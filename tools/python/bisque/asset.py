@@ -278,8 +278,9 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
 
     low: a low-poly mesh to use; it is unwrapped if it has no UVs. texture: an image for all faces
     with texture coordinates, instead of those that the scan names. surface: "grid", "exact", or
-    "auto", by the size of a texel. report: also makes a page to look at, report.html. keep: a folder for the files between, which stay there; without
-    it they are in OUTPUT_asset/steps until the asset is complete. Interrupted jobs go on from them.
+    "auto", by the size of a texel. report: also makes a page to look at, report.html. keep: a
+    folder for the files between, which stay there; without it they are in OUTPUT_asset/steps until
+    the asset is complete. Interrupted jobs go on from them.
     Returns the certificate. Raises Error, UnwrapError."""
     if preset not in PRESETS:
         raise ValueError(f"preset: {preset!r} is none of {', '.join(PRESETS)}")
