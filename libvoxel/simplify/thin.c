@@ -43,7 +43,7 @@ static float find_target(struct vox_rings *r, uint32_t v, uint32_t *target)
             *target = u;
         }
     }
-    return least > 0 ? least : 0; /* a quadric of another use may be negative */
+    return least;
 }
 
 /* Returns a quadric relative to a place that is `s` away from its own one, in double. */

@@ -242,6 +242,7 @@ TEST(memory_runs_out)
     for (uint64_t budget = 4096;; budget += 40000) {
         struct bsq_ctx *small = test_context(1, budget), *large = ctx;
         struct vox_mesh mesh = make_grid(30, true, on_torus);
+        vox_mesh_set_quadrics(&mesh);
         ctx = small;
         const int status = vox_collapse(ctx, 2000, &mesh);
         const int thinned = vox_thin(ctx, 100, &mesh);
