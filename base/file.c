@@ -6,6 +6,7 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <inttypes.h>
+#include <poll.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -180,6 +181,29 @@ int bsq_file_read_some(struct bsq_ctx *ctx, const struct bsq_file *file, void *b
         *got += (uint64_t)count;
     }
     return 0;
+}
+
+/* The wait looks for an interruption now and then. */
+int bsq_pipe_read(struct bsq_ctx *ctx, int fd, const char *path, void *buffer, uint64_t size,
+                  uint64_t *got)
+{
+    enum { PATIENCE_MS = 50 };
+    struct pollfd poll_fd = {.fd = fd, .events = POLLIN};
+    for (;;) {
+        int status = bsq_check(ctx);
+        if (status < 0)
+            return status;
+        ssize_t count = poll(&poll_fd, 1, PATIENCE_MS);
+        if (count == 0)
+            continue;
+        if (count > 0)
+            count = read(fd, buffer, size);
+        *got = count > 0 ? (uint64_t)count : 0;
+        if (count >= 0)
+            return 0;
+        if (errno != EINTR && errno != EAGAIN)
+            return bsq_fail_errno(ctx, BSQ_EIO, errno, "%s", path);
+    }
 }
 
 int bsq_file_read(struct bsq_ctx *ctx, const struct bsq_file *file, void *buffer, uint64_t size,

@@ -79,6 +79,12 @@ int bsq_file_duplicate(struct bsq_ctx *ctx, const struct bsq_file *file, struct 
 /* Closes and frees; a closed file is allowed. */
 void bsq_file_close(struct bsq_ctx *ctx, struct bsq_file *file);
 
+/* Waits until a pipe has bytes or has ended, and reads up to `size` of them; *got is 0 at the end.
+ * A FIFO that nobody has opened for writing yet has neither. `path` is for messages. Errors:
+ * BSQ_EIO, BSQ_EINTR. */
+int bsq_pipe_read(struct bsq_ctx *ctx, int fd, const char *path, void *buffer, uint64_t size,
+                  uint64_t *got);
+
 /* Reads exactly `size` bytes at `offset`. If the file ends before, this is BSQ_EDATA ("truncated"),
  * or what bsq_file_check() returns for an input that shrank. */
 int bsq_file_read(struct bsq_ctx *ctx, const struct bsq_file *file, void *buffer, uint64_t size,

@@ -14,7 +14,6 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <inttypes.h>
-#include <poll.h>
 #include <pthread.h>
 #include <stdatomic.h>
 #include <string.h>
@@ -86,36 +85,14 @@ static int open_pipe(struct fmt_input *input)
     return is_pipe(input) ? 0 : bsq_fail_errno(input->ctx, BSQ_ENOINPUT, errno, "%s", path);
 }
 
-/* Waits until the pipe has bytes or has ended. A FIFO that nobody has opened for writing yet has
- * neither. The wait looks for an interruption now and then. */
-static int read_pipe(struct fmt_input *input, void *buffer, uint64_t size, uint64_t *got)
-{
-    enum { PATIENCE_MS = 50 };
-    struct pollfd poll_fd = {.fd = input->pipe_fd, .events = POLLIN};
-    for (;;) {
-        int status = bsq_check(input->ctx);
-        if (status < 0)
-            return status;
-        ssize_t count = poll(&poll_fd, 1, PATIENCE_MS);
-        if (count == 0)
-            continue;
-        if (count > 0)
-            count = read(input->pipe_fd, buffer, size);
-        *got = count > 0 ? (uint64_t)count : 0;
-        if (count >= 0)
-            return 0;
-        if (errno != EINTR && errno != EAGAIN)
-            return bsq_fail_errno(input->ctx, BSQ_EIO, errno, "%s", input->path);
-    }
-}
-
 /* Implements unpack_source. */
 static int read_packed(void *arg, void *buffer, uint64_t size, uint64_t *got)
 {
     struct fmt_input *input = arg;
-    int status = is_pipe(input) ? read_pipe(input, buffer, size, got)
-                                : bsq_file_read_some(input->ctx, &input->file, buffer, size,
-                                                     input->taken, got);
+    int status =
+        is_pipe(input)
+            ? bsq_pipe_read(input->ctx, input->pipe_fd, input->path, buffer, size, got)
+            : bsq_file_read_some(input->ctx, &input->file, buffer, size, input->taken, got);
     input->taken += status == 0 ? *got : 0;
     return status;
 }

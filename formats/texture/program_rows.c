@@ -6,7 +6,6 @@
 #include <fcntl.h>
 #include <inttypes.h>
 #include <math.h>
-#include <poll.h>
 #include <stdio.h>
 #include <string.h>
 #include <unistd.h>
@@ -30,24 +29,14 @@ struct program_rows {
 /* Reads up to `size` bytes; fewer only at the end of the pipe. */
 static int read_pipe(struct program_rows *rows, void *to, size_t size, size_t *got)
 {
-    enum { PATIENCE_MS = 50 };
-    struct pollfd poll_fd = {.fd = rows->pipe, .events = POLLIN};
-    struct bsq_ctx *ctx = rows->input->ctx;
+    uint64_t part = 1;
     *got = 0;
-    while (*got < size) {
-        const int status = bsq_check(ctx);
+    while (*got < size && part > 0) {
+        const int status = bsq_pipe_read(rows->input->ctx, rows->pipe, rows->input->path,
+                                         (char *)to + *got, size - *got, &part);
         if (status < 0)
             return status;
-        ssize_t count = poll(&poll_fd, 1, PATIENCE_MS);
-        if (count == 0)
-            continue;
-        if (count > 0)
-            count = read(rows->pipe, (char *)to + *got, size - *got);
-        if (count == 0)
-            break;
-        if (count < 0 && errno != EINTR)
-            return bsq_fail_errno(ctx, BSQ_EIO, errno, "%s", rows->input->path);
-        *got += count > 0 ? (size_t)count : 0;
+        *got += part;
     }
     return 0;
 }
