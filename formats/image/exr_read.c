@@ -323,7 +323,7 @@ static int decode_chunk(void *arg, uint64_t index, unsigned worker)
 
 /* ---- the file ---- */
 
-/* Allocates decoders, and samples of so many lines. */
+/* Allocates a decoder for each worker, and room for the samples of `lines` lines of the image. */
 static int allocate(struct reader *reader, uint32_t lines)
 {
     struct bsq_ctx *ctx = reader->stream.ctx;

@@ -1,4 +1,4 @@
-// oiio_cc - the program bisque-texture, which reads images of many formats by OpenImageIO.
+// oiio_rows.cc - the program bisque-texture, which reads images of many formats by OpenImageIO.
 //
 // One format's plug-in alone sees the file, through its descriptor and never by its name. Rows and
 // tiles are read one by one: plug-ins would start threads for several.
