@@ -94,9 +94,8 @@ stamp_cppflags = \
 
 programs := bisque-voxelize bisque-simplify bisque-bake bisque-compare
 bins     := $(addprefix $(BUILD)/bin/,$(programs))
-# Programs that are installed beside the modules and found like them, for code that may crash: one
-# asks drivers for their devices, one reads files by Assimp, one images by libtiff, one images by
-# OpenImageIO, one decompresses parts of glTF files.
+# Programs that are installed beside the modules and found like them, for code that may crash: they ask drivers for
+# devices, read meshes by Assimp and images by libtiff or OpenImageIO, and decompress parts of glTF files.
 helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices scene tiff texture gltf)
 
 # The frame and the script of reports, which programs find relative to themselves.
