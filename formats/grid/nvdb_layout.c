@@ -20,19 +20,19 @@ enum { CLASS_CHANNEL_ARRAY = 4 };
 const struct fmt_nvdb_channel *fmt_nvdb_channel(enum nvdb_section section)
 {
     static const struct fmt_nvdb_channel channels[NVDB_SECTION_COUNT] = {
-        [NVDB_HEAD] = {"header"},
-        [NVDB_UPPERS] = {"upper nodes", .what = "grid upper nodes"},
-        [NVDB_LOWERS] = {"lower nodes", .what = "grid lower nodes"},
-        [NVDB_LEAVES] = {"leaf nodes", .what = "grid leaves"},
-        [NVDB_BLIND] = {"blind metadata"},
+        [NVDB_HEAD] = {.name = "header"},
+        [NVDB_UPPERS] = {.name = "upper nodes", .what = "grid upper nodes"},
+        [NVDB_LOWERS] = {.name = "lower nodes", .what = "grid lower nodes"},
+        [NVDB_LEAVES] = {.name = "leaf nodes", .what = "grid leaves"},
+        [NVDB_BLIND] = {.name = "blind metadata"},
         [NVDB_NORMALS] = {"normal", SEMANTIC_NORMAL, TYPE_UINT32, 4, "grid normals"},
         [NVDB_PLANES] = {"plane", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, "grid planes"},
         [NVDB_COLORS] = {"color", SEMANTIC_COLOR, TYPE_RGBA8, 4, "grid colours"},
         [NVDB_SECONDS] = {"second", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, "grid second words"},
         [NVDB_IDS] = {"id", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, "grid ids"},
-        [NVDB_NAMES] = {"names", SEMANTIC_UNKNOWN, TYPE_UNKNOWN, 1},
+        [NVDB_NAMES] = {.name = "names", .value_bytes = 1},
         [NVDB_CHANNELS] = {"channels", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, "grid channels"},
-        [NVDB_RECORD] = {"bisque", SEMANTIC_UNKNOWN, TYPE_UNKNOWN, 1},
+        [NVDB_RECORD] = {.name = "bisque", .value_bytes = 1},
     };
     return &channels[section];
 }

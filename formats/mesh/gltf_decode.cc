@@ -72,7 +72,8 @@ bool copy_values(const draco::PointAttribute &from, uint64_t points, uint32_t co
 bool copy_attribute(const draco::Mesh &mesh, const gltf_draco_output &out)
 {
     const draco::PointAttribute *from = mesh.GetAttributeByUniqueId(out.id);
-    if (!from)
+    // glTF has no booleans, and damaged ones would be read as other bytes than 0 and 1.
+    if (!from || from->data_type() == draco::DT_BOOL)
         return false;
     const uint64_t points = mesh.num_points();
     switch (out.type) {
