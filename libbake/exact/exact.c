@@ -11,20 +11,16 @@ static int build_chunk_tree(struct bake_exact *exact)
 {
     struct bsq_ctx *ctx = exact->ctx;
     struct exact_box *boxes = NULL;
-    void *scratch = NULL;
     int status = 0;
     BSQ_TRY(bsq_alloc(ctx, "tree of chunks", bake_exact_tree_bytes(exact->chunk_count), 1,
                       &exact->tree_memory));
     BSQ_TRY(bsq_alloc(ctx, "tree of chunks", exact->chunk_count, sizeof *boxes, &boxes));
-    BSQ_TRY(bsq_alloc(ctx, "tree of chunks", bake_exact_tree_scratch_bytes(exact->chunk_count), 1,
-                      &scratch));
     for (uint32_t c = 0; c < exact->chunk_count; c++) {
         memcpy(boxes[c].low, exact->chunks[c].bounds_min, sizeof boxes[c].low);
         memcpy(boxes[c].high, exact->chunks[c].bounds_max, sizeof boxes[c].high);
     }
-    bake_exact_tree_build(&exact->tree, exact->chunk_count, boxes, exact->tree_memory, scratch);
+    bake_exact_tree_build(&exact->tree, exact->chunk_count, boxes, exact->tree_memory);
 done:
-    bsq_free(ctx, scratch);
     bsq_free(ctx, boxes);
     return status;
 }

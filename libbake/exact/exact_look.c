@@ -30,7 +30,7 @@ struct bake_exact_look {
     uint32_t loaded;          /* of them */
     bool whole;               /* they are all of the scan's */
     struct exact_box *boxes;  /* of the slots' chunks */
-    void *tree_memory, *tree_scratch;
+    void *tree_memory;
     uint32_t *reached; /* chunks that the current places can reach */
 };
 
@@ -166,8 +166,7 @@ static int load_group(struct bake_exact_look *look, const uint32_t *chunks, uint
     if (status < 0)
         return status;
     look->loaded = count;
-    bake_exact_tree_build(&look->group.tree, count, look->boxes, look->tree_memory,
-                          look->tree_scratch);
+    bake_exact_tree_build(&look->group.tree, count, look->boxes, look->tree_memory);
     return 0;
 }
 
@@ -219,8 +218,6 @@ static int allocate(struct bake_exact_look *look)
                                     &look->memory));
     const uint32_t slots = look->memory.count;
     BSQ_TRY(bsq_alloc(ctx, "tree of chunks", bake_exact_tree_bytes(slots), 1, &look->tree_memory));
-    BSQ_TRY(bsq_alloc(ctx, "tree of chunks", bake_exact_tree_scratch_bytes(slots), 1,
-                      &look->tree_scratch));
     BSQ_TRY(bsq_alloc(ctx, "tree of chunks", slots, sizeof *look->boxes, &look->boxes));
     BSQ_TRY(bsq_alloc(ctx, "chunks near rays", look->exact->chunk_count, sizeof *look->reached,
                       &look->reached));
@@ -255,7 +252,6 @@ void bake_exact_look_free(struct bake_exact_look *look)
     struct bsq_ctx *ctx = look->exact->ctx;
     bake_exact_slots_free(ctx, &look->memory);
     bsq_free(ctx, look->tree_memory);
-    bsq_free(ctx, look->tree_scratch);
     bsq_free(ctx, look->boxes);
     bsq_free(ctx, look->reached);
     bsq_free(ctx, look);

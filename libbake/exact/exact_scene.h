@@ -79,7 +79,6 @@ struct exact_slot {
 /* Buffers of a thread while it prepares a slot. */
 struct exact_scratch {
     void *boxes;     /* of a chunk's triangles */
-    void *keys;      /* for sorting them */
     void *neighbour; /* another chunk */
     uint32_t *map;   /* of its vertices */
     uint32_t *near;  /* chunk_count chunk numbers */

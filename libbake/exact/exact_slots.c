@@ -9,7 +9,7 @@
 /* Sizes in bytes of the buffers of a slot and of a scratch, which fit every chunk. */
 struct sizes {
     uint64_t chunk, tree, smooth;
-    uint64_t boxes, keys, neighbour, map, near;
+    uint64_t boxes, neighbour, map, near;
 };
 
 static struct sizes buffer_sizes(const struct bake_exact *exact)
@@ -24,7 +24,6 @@ static struct sizes buffer_sizes(const struct bake_exact *exact)
     sizes.chunk = bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT);
     sizes.tree = bsq_align_up(bake_exact_tree_bytes(triangles), BSQ_ALIGNMENT);
     sizes.boxes = bsq_align_up(triangles * sizeof(struct exact_box), BSQ_ALIGNMENT);
-    sizes.keys = bsq_align_up(bake_exact_tree_scratch_bytes(triangles), BSQ_ALIGNMENT);
     if (exact_needs_smooth(exact)) {
         sizes.smooth = bsq_align_up(bake_exact_smooth_bytes(vertices), BSQ_ALIGNMENT);
         sizes.neighbour = sizes.chunk;
@@ -42,9 +41,8 @@ static uint64_t slot_bytes(const struct sizes *sizes)
 
 static uint64_t scratch_bytes(const struct sizes *sizes)
 {
-    uint64_t building = sizes->boxes + sizes->keys;
     uint64_t shading = sizes->neighbour + sizes->map + sizes->near;
-    return building > shading ? building : shading;
+    return sizes->boxes > shading ? sizes->boxes : shading;
 }
 
 /* How many slots there are, and how many threads may prepare them at the same time. */
@@ -121,7 +119,6 @@ int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint6
     for (uint32_t p = 0; p < plan.preparers; p++, at += scratch_bytes(&sizes)) {
         struct exact_scratch *scratch = &out->scratches[p];
         scratch->boxes = scratch->neighbour = at;
-        scratch->keys = at + sizes.boxes;
         scratch->map = (uint32_t *)(void *)(at + sizes.neighbour);
         scratch->near = (uint32_t *)(void *)(at + sizes.neighbour + sizes.map);
     }
@@ -170,8 +167,7 @@ static void build_tree(struct exact_slot *slot, const struct exact_scratch *scra
         boxes[t] =
             triangle_box(chunk->positions[v[0]], chunk->positions[v[1]], chunk->positions[v[2]]);
     }
-    bake_exact_tree_build(&slot->tree, chunk->triangle_count, boxes, slot->tree_memory,
-                          scratch->keys);
+    bake_exact_tree_build(&slot->tree, chunk->triangle_count, boxes, slot->tree_memory);
 }
 
 const struct exact_scratch *bake_exact_scratch(const struct bake_exact *exact,

@@ -7,9 +7,7 @@
 
 #include "base/space_curve.h"
 
-/* A sort key: the place on the curve in the upper bits, the number of the box in the lower ones. */
-enum { NUMBER_BITS = 31, AXIS_BITS = 11, DIGIT_BITS = 11, DIGITS = 1 << DIGIT_BITS };
-_Static_assert(NUMBER_BITS + 3 * AXIS_BITS == 64, "keys fill 64 bits");
+enum { AXIS_BITS = 11 }; /* of a place on the curve */
 
 static uint32_t parents(uint32_t count)
 {
@@ -28,70 +26,7 @@ static uint64_t node_count(uint32_t count)
 
 uint64_t bake_exact_tree_bytes(uint32_t count)
 {
-    return bsq_align_up(node_count(count) * sizeof(struct exact_box8), BSQ_ALIGNMENT) +
-           bsq_align_up((uint64_t)count * sizeof(uint32_t), BSQ_ALIGNMENT);
-}
-
-uint64_t bake_exact_tree_scratch_bytes(uint32_t count)
-{
-    return 2 * (uint64_t)count * sizeof(uint64_t);
-}
-
-/* ---- order ---- */
-
-uint64_t bake_exact_curve_place(const float point[3], const float low[3], double side)
-{
-    const float most = (1 << AXIS_BITS) - 1;
-    const float scale = side > 0 ? (float)fmin((double)most / side, 1e30) : 0.0f;
-    uint32_t cells[3];
-    for (int k = 0; k < 3; k++) {
-        float cell = (point[k] - low[k]) * scale;
-        cell = cell < most ? cell : most;
-        cells[k] = cell > 0.0f ? (uint32_t)cell : 0;
-    }
-    return bsq_hilbert_place(cells, AXIS_BITS);
-}
-
-/* Makes the sort keys of boxes, from the places of their centres on the curve. */
-static void make_keys(uint32_t count, const struct exact_box *boxes, uint64_t *keys)
-{
-    float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
-    for (uint32_t i = 0; i < count; i++)
-        for (int k = 0; k < 3; k++) {
-            float centre = 0.5f * boxes[i].low[k] + 0.5f * boxes[i].high[k];
-            low[k] = centre < low[k] ? centre : low[k];
-            high[k] = centre > high[k] ? centre : high[k];
-        }
-    double side = 0;
-    for (int k = 0; k < 3; k++)
-        side = fmax(side, (double)high[k] - (double)low[k]);
-    for (uint32_t i = 0; i < count; i++) {
-        float centre[3];
-        for (int k = 0; k < 3; k++)
-            centre[k] = 0.5f * boxes[i].low[k] + 0.5f * boxes[i].high[k];
-        keys[i] = bake_exact_curve_place(centre, low, side) << NUMBER_BITS | i;
-    }
-}
-
-/* Sorts by place; returns the array that has the result. */
-static const uint64_t *sort_keys(uint32_t count, uint64_t *keys, uint64_t *other)
-{
-    for (unsigned shift = NUMBER_BITS; shift < 64; shift += DIGIT_BITS) {
-        uint32_t starts[DIGITS] = {0}, sum = 0;
-        for (uint32_t i = 0; i < count; i++)
-            starts[keys[i] >> shift & (DIGITS - 1)]++;
-        for (int d = 0; d < DIGITS; d++) {
-            uint32_t here = starts[d];
-            starts[d] = sum;
-            sum += here;
-        }
-        for (uint32_t i = 0; i < count; i++)
-            other[starts[keys[i] >> shift & (DIGITS - 1)]++] = keys[i];
-        uint64_t *swap = keys;
-        keys = other;
-        other = swap;
-    }
-    return keys;
+    return bsq_align_up(node_count(count) * sizeof(struct exact_box8), BSQ_ALIGNMENT);
 }
 
 /* ---- nodes ---- */
@@ -128,8 +63,7 @@ static void fill_leaves(struct exact_tree *tree, const struct exact_box *boxes)
     for (uint32_t n = 0; n < nodes; n++)
         for (unsigned c = 0; c < 8; c++) {
             uint32_t place = 8 * n + c;
-            set_child(&tree->nodes[n], c,
-                      place < tree->count ? &boxes[tree->order[place]] : &empty);
+            set_child(&tree->nodes[n], c, place < tree->count ? &boxes[place] : &empty);
         }
 }
 
@@ -147,21 +81,13 @@ static void fill_level(struct exact_tree *tree, uint32_t level, uint32_t childre
 }
 
 void bake_exact_tree_build(struct exact_tree *tree, uint32_t count, const struct exact_box *boxes,
-                           void *memory, void *scratch)
+                           void *memory)
 {
-    uint64_t *keys = scratch;
     memset(tree, 0, sizeof *tree);
     if (count == 0)
         return;
     tree->count = count;
     tree->nodes = memory;
-    tree->order =
-        (uint32_t *)(void *)((char *)memory +
-                             bsq_align_up(node_count(count) * sizeof *tree->nodes, BSQ_ALIGNMENT));
-    make_keys(count, boxes, keys);
-    const uint64_t *sorted = sort_keys(count, keys, keys + count);
-    for (uint32_t i = 0; i < count; i++)
-        tree->order[i] = (uint32_t)(sorted[i] & ((UINT64_C(1) << NUMBER_BITS) - 1));
     fill_leaves(tree, boxes);
     tree->levels = 1;
     for (uint32_t children = parents(count); children > 1; children = parents(children)) {
@@ -204,7 +130,7 @@ uint32_t bake_exact_tree_overlapping(const struct exact_tree *tree, const struct
         for (; bits; bits &= bits - 1) {
             uint32_t child = 8 * node + (uint32_t)__builtin_ctz(bits);
             if (level == 0) {
-                out[found++] = tree->order[child];
+                out[found++] = child;
             } else {
                 stack[depth].level = level - 1;
                 stack[depth++].node = child;
@@ -212,4 +138,19 @@ uint32_t bake_exact_tree_overlapping(const struct exact_tree *tree, const struct
         }
     }
     return found;
+}
+
+/* ---- curve ---- */
+
+uint64_t bake_exact_curve_place(const float point[3], const float low[3], double side)
+{
+    const float most = (1 << AXIS_BITS) - 1;
+    const float scale = side > 0 ? (float)fmin((double)most / side, 1e30) : 0.0f;
+    uint32_t cells[3];
+    for (int k = 0; k < 3; k++) {
+        float cell = (point[k] - low[k]) * scale;
+        cell = cell < most ? cell : most;
+        cells[k] = cell > 0.0f ? (uint32_t)cell : 0;
+    }
+    return bsq_hilbert_place(cells, AXIS_BITS);
 }

@@ -1,11 +1,13 @@
 /* exact_tree.h - a tree of boxes with eight children per node, for triangles and for chunks;
  * private to this folder.
  *
- * Boxes are sorted along a Hilbert curve and packed by eights, level by level (Kamel & Faloutsos,
- * "On Packing R-trees", 1993). Building takes linear time, children need no stored numbers, and the
- * memory is known beforehand. A surface-area heuristic would cost more and gain little: the
- * triangles of scans are small and of similar size, and the tree of a chunk serves the rays of one
- * batch only. */
+ * Boxes are packed by eights in their order, level by level (Kamel & Faloutsos, "On Packing
+ * R-trees", 1993): chunk files keep chunks and triangles along a curve through space
+ * (formats/FORMATS.md), so that neighbours share a node. Building takes linear time, children need
+ * no stored numbers, and the memory is known beforehand. A surface-area heuristic would cost more
+ * and gain little: the triangles of scans are small and of similar size, and the tree of a chunk
+ * serves the rays of one batch only. Sorting boxes along a Hilbert curve took five times as long as
+ * building the tree, and rays were no faster. */
 #ifndef BAKE_EXACT_EXACT_TREE_H
 #define BAKE_EXACT_EXACT_TREE_H
 
@@ -23,24 +25,23 @@ struct exact_box {
 };
 
 struct exact_tree {
-    struct exact_box8 *nodes;          /* by level, from the leaves to the root */
-    uint32_t *order;                   /* child c of leaf node k is box order[8 k + c] */
-    uint32_t count;                    /* of boxes */
-    uint32_t levels;                   /* 0 if there are no boxes */
+    struct exact_box8 *nodes; /* by level, from the leaves to the root; box 8 k + c is child c of
+                                 leaf node k */
+    uint32_t count;           /* of boxes */
+    uint32_t levels;          /* 0 if there are no boxes */
     uint32_t first[EXACT_TREE_LEVELS]; /* index of each level's first node */
 };
 
-/* Largest number of boxes: a sort key holds the number of a box and its place on the curve. */
+/* Largest number of boxes. */
 #define EXACT_TREE_BOXES (UINT32_C(1) << 31)
 
-/* Return the sizes in bytes of `memory` and `scratch` for bake_exact_tree_build(). */
+/* Returns the size in bytes of `memory` for bake_exact_tree_build(). */
 uint64_t bake_exact_tree_bytes(uint32_t count);
-uint64_t bake_exact_tree_scratch_bytes(uint32_t count);
 
-/* Builds the tree of `count` boxes in `memory`, which must outlive the tree. `memory` and `scratch`
- * are aligned to 64 bytes. */
+/* Builds the tree of `count` boxes in `memory`, which is aligned to 64 bytes and must outlive the
+ * tree. */
 void bake_exact_tree_build(struct exact_tree *tree, uint32_t count, const struct exact_box *boxes,
-                           void *memory, void *scratch);
+                           void *memory);
 
 /* Writes the numbers of the boxes that overlap `box` to out[], which has tree->count entries.
  * Returns their count. */

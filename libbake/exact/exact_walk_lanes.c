@@ -136,7 +136,7 @@ static inline void walk_tree(struct trace *trace, const struct exact_tree *tree,
         for (; bits && !trace->done; bits &= bits - 1) {
             const unsigned c = (unsigned)__builtin_ctz(bits);
             if (distances[c] <= trace->farthest)
-                visit(trace, tree->order[8 * top.node + c]);
+                visit(trace, 8 * top.node + c);
         }
     }
 }
