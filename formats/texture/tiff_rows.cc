@@ -181,9 +181,11 @@ void TiffReader::open(const std::string &, struct fmt_rows_info &info)
         const bool integers = format == SAMPLEFORMAT_UINT || format == SAMPLEFORMAT_VOID;
         if (bits == 64)
             refuse("it has samples of 64 bits");
+        if (format == SAMPLEFORMAT_INT) // whether -1 or 0 is black differs between programs
+            refuse("its samples are signed: store them as unsigned integers or as floats");
         if (!(integers && (bits <= 16 || bits == 32)) &&
             !(format == SAMPLEFORMAT_IEEEFP && (bits == 16 || bits == 32)))
-            refuse("its samples are neither unsigned integers nor floats of a usual size");
+            refuse("its samples are neither integers nor floats of a usual size");
         if (samples < colors)
             refuse("it has too few samples");
         wide_bytes = bits > 16 || !integers ? 4 : bits > 8 ? 2 : 1;

@@ -1,5 +1,6 @@
 """Writes the same pictures as PNG, PNM or PFM files and as TIFF and OpenEXR files of many kinds, into
-this folder. Prints a line for each of the latter: its name, and the name of the former."""
+this folder. Prints a line for each of the latter: its name, and the name of the former, or "-" if it
+must be refused."""
 import random
 import struct
 import zlib
@@ -141,3 +142,7 @@ exr("light.exr", "light.pfm", {"R": red, "G": green, "B": blue})
 exr("light_half.exr", "light.pfm", {"R": red, "G": green, "B": blue, "A": blue, "Z": green}, 1)
 exr("light_layers.exr", "light.pfm", {"a.A": blue, "a.B": blue, "a.G": green, "a.R": red, "b.R": blue,
                                       "b.G": red, "b.B": red, "x": red})
+
+# ---- refused ----
+tiff("signed.tif", "-", [v - 128 for v in grey], 1, "b", photometric=1, kind=2)
+tiff("signed_deep.tif", "-", [v - 32768 for v in deep], 3, "h", kind=2)
