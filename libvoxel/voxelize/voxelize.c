@@ -54,8 +54,10 @@ static bool uses_textures(const struct vox_run *run)
            fmt_shading_needs_textures(&run->shading.scan);
 }
 
-/* Gives half of the free memory to the chunk cache and a quarter to the sums. The rest is left to
- * the results under way and to the writer. Fails early if the minimum of all that does not fit. */
+/* Gives three quarters of the free memory to the chunk cache: a chunk that is evicted too early is
+ * read and prepared again, which costs far more than a region in parts. Gives half of the rest to
+ * the sums. What is left is for the results under way and for the writer. Fails early if the
+ * minimum of all that does not fit. */
 static int divide_memory(const struct vox_run *run, struct vox_shares *shares)
 {
     uint64_t available = bsq_memory_left(run->ctx);
@@ -65,8 +67,8 @@ static int divide_memory(const struct vox_run *run, struct vox_shares *shares)
         uses_textures(run) ? min64(available / 4, TEXTURE_CACHE_BYTES_USEFUL) : 0;
     uint64_t sums_min = vox_accumulator_bytes_min(sums),
              blocks = run->workers * vox_fragment_block_bytes();
-    uint64_t need =
-        shares->texture_bytes + slot + blocks + run->workers * (sums_min + RESULT_BYTES_MIN);
+    const uint64_t others_min = run->workers * (sums_min + RESULT_BYTES_MIN);
+    uint64_t need = shares->texture_bytes + slot + blocks + others_min;
     if (available < need)
         return bsq_fail(run->ctx, BSQ_ENOMEM,
                         "%s: a memory budget of %" PRIu64 " bytes is too small: voxelizing with %u "
@@ -74,7 +76,7 @@ static int divide_memory(const struct vox_run *run, struct vox_shares *shares)
                         run->options->tris_path, bsq_memory_limit(run->ctx), run->workers, need,
                         bsq_memory_used(run->ctx));
     available -= shares->texture_bytes + blocks;
-    uint64_t slots = available / 2 / slot;
+    uint64_t slots = min64(available / 4 * 3, available - others_min) / slot;
     shares->cache_slots = slots < 1 ? 1 : min64(min64(slots, run->header->chunk_count), INT32_MAX);
     available -= shares->cache_slots * slot;
     uint64_t share = min64(available / 2 / run->workers, ACCUMULATOR_BYTES_USEFUL);
