@@ -12,6 +12,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 import warnings
 from pathlib import Path
@@ -185,25 +186,38 @@ def _measure_error(grid: str, chunks: str, low: str, job: dict, folder: Path) ->
     return {key: found[key] for key in ("unit", "compared", "mean", "median", "p95", "p99", "max")}
 
 
-def _bake_with_page(scan: Any, obj: Path, page: Path, options: dict, files: dict, job: dict) -> dict:
-    """Bakes as core.bake() does, by the program of this package, which writes the page as well."""
+def _bake(scan: Any, obj: Path, files: dict, options: dict, job: dict, progress: core.Progress) -> dict:
+    """Bakes by the program of this package, which also writes the page. files: by the names of their
+    options. Returns the program's report."""
     known = core.map_names()
     maps = ",".join(name if name in known else f"transfer:{name}" for name in options["maps"])
     words = [Path(__file__).parent / "bin" / "bisque-bake", scan, obj, "-o", obj.with_name("<MAP>.png"),
-             "--report", page, "--json", "--progress", "none", "--maps", maps,
-             "--size", options["size"], "--samples", options["samples"]]
+             "--json", "--progress", "json", "--maps", maps, "--size", options["size"],
+             "--samples", options["samples"]]
     words += ["--rays", f"ao={options['ao_rays']}"] if {"ao", "bent"} & set(options["maps"]) else []
     words += [word for name, path in files.items() for word in (f"--{name}", path)]
     words += ["--memory", core.parse_bytes(job["memory"])] if job["memory"] else []
     words += ["--threads", job["threads"]] if job["threads"] else []
-    done = subprocess.run([str(word) for word in words], capture_output=True, text=True)
-    lines = [line.removeprefix("bisque-bake: ") for line in done.stderr.splitlines()]
-    if done.returncode:
-        raise core.Error(done.returncode, lines[-1] if lines else "bisque-bake failed")
-    for line in lines:
+    said = []
+    with tempfile.TemporaryFile("w+") as printed, subprocess.Popen(
+            [str(word) for word in words], stdout=printed, stderr=subprocess.PIPE, text=True) as program:
+        try:
+            for line in program.stderr:
+                if line.startswith("{"):
+                    step = json.loads(line)
+                    progress(step["stage"], step["done"], step["total"], step["unit"])
+                else:
+                    said.append(line.rstrip("\n").removeprefix("bisque-bake: "))
+        except BaseException:
+            program.terminate()
+            raise
+        if program.wait():
+            raise core.Error(program.returncode, said[-1] if said else "bisque-bake failed")
+        printed.seek(0)
+        report = json.load(printed)
+    for line in said:
         warnings.warn(line.removeprefix("warning: "), stacklevel=2)
-    report = json.loads(done.stdout)
-    return {**report, "memory_high": report["cost"]["memory_high_bytes"]}
+    return report
 
 
 def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level: dict,
@@ -223,24 +237,21 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
     has_color = sorted_report["has_colors"] or sorted_report["has_material_colors"] or (
         sorted_report["uses_textures"])
     maps = [name for name in level["maps"] if name != "color" or has_color]
-    glb, preview, page = level["glb"], obj.with_name("preview.png"), obj.with_name("report.html")
-    pages = [page] if level["report"] else []
+    files = {"glb": level["glb"], "preview": obj.with_name("preview.png")}
+    if level["report"]:
+        files["report"] = obj.with_name("report.html")
     outputs = {name: str(obj.with_name(f"{name}.png")) for name in maps}
     # The rays of a texel's samples add up.
     options = {"maps": maps, "size": size, "samples": level["samples"],
                "ao_rays": max(4, level["rays"] // level["samples"] ** 2)}
 
     def make() -> dict:
-        if pages:
-            baked = _bake_with_page(scan, obj, page, options, {"glb": glb, "preview": preview}, job)
-        else:
-            baked = core.bake(scan, str(obj), output=obj.with_name("<MAP>.png"), glb=str(glb), arrays=False,
-                              preview=preview, progress=steps.report, **options, **job).report
+        baked = _bake(scan, obj, files, options, job, steps.report)
         write_mtl(obj.with_suffix(".mtl"), outputs)
         return baked
 
     report = steps.run("bake" + suffix, [scan, obj], options,
-                       [glb, preview, *pages, *map(Path, outputs.values())], make)
+                       [*files.values(), *map(Path, outputs.values())], make)
     exact = {"unit": "degrees", "mean": 0.0, "max": 0.0, "exact": True}
     error = exact if surface["exact"] else steps.run(
         "check" + suffix, [scan, chunks, obj], {"size": SAMPLE_SIZE}, [],
@@ -249,14 +260,14 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
         bare = Mesh(low.vertices, low.faces)
         low.report.update(steps.run("check distance" + suffix, [chunks, obj], {}, [],
                                     lambda: core.measure(bare, chunks, **job)))
-    files = [obj, obj.with_suffix(".mtl"), glb, preview, *pages, *map(Path, outputs.values())]
+    made = [obj, obj.with_suffix(".mtl"), *files.values(), *map(Path, outputs.values())]
     return {"name": level["name"], "triangles": len(low.faces), "size": size,
             "surface": {**surface, "method": "exact" if surface["exact"] else "grid"},
             "distance": {key: low.report[key] for key in ("from_scan", "from_mesh")},
             "uv": low.report["uv"], "normal_error": error,
             "rays": {key: report[key] for key in ("samples", "hits", "misses", "front", "back")},
-            "memory_high": report["memory_high"],
-            "files": {file.name: sha256(file) for file in files}}
+            "memory_high": report["cost"]["memory_high_bytes"],
+            "files": {file.name: sha256(file) for file in made}}
 
 
 def _lost(report: dict) -> dict:
