@@ -138,11 +138,16 @@ struct exact_limits {
     bool from_reach;               /* as in struct bake_exact_batch */
 };
 
-/* Replaces *best by the nearest hit among the chunk's triangles, if that wins. Returns whether it
- * did. first: number of the chunk's first triangle. */
-typedef bool bake_exact_slot_trace_fn(const struct exact_slot *slot, uint64_t first,
-                                      const struct bake_exact_ray *ray,
-                                      const struct exact_limits *limits, struct exact_best *best);
+/* Rays that are traced together, at most: neighbours meet the same few nodes of a tree. */
+enum { EXACT_BUNDLE = 8 };
+
+/* Replaces best[i] of `count` rays, at most EXACT_BUNDLE, by the nearest hit among the chunk's
+ * triangles, if that wins. Returns a bit mask of the rays whose hit was replaced. first: number of
+ * the chunk's first triangle. */
+typedef unsigned bake_exact_slot_trace_fn(const struct exact_slot *slot, uint64_t first,
+                                          const struct bake_exact_ray *rays, uint32_t count,
+                                          const struct exact_limits *limits,
+                                          struct exact_best *best);
 BSQ_SIMD_DECLARE(bake_exact_slot_trace_fn, bake_exact_slot_trace);
 
 /* Chunks in memory, with a tree over their bounds. */

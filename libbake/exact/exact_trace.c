@@ -286,29 +286,48 @@ static int prepare_slot(void *arg, uint64_t index, unsigned worker)
                : bake_exact_slot_prepare(wave->exact, &wave->memory, index, worker);
 }
 
-static void trace_ray(struct wave *wave, const struct exact_slot *slot, uint32_t ray)
+static pthread_mutex_t *lock_of(const struct wave *wave, uint32_t ray)
+{
+    return &wave->locks[ray / 4 % EXACT_LOCKS];
+}
+
+/* Takes a hit of a ray, unless another chunk has found a better one meanwhile. */
+static void take_hit(const struct wave *wave, uint32_t ray, const struct exact_best *best)
 {
     struct bake_exact_hit *hit = &wave->batch->hits[ray];
-    pthread_mutex_t *lock = &wave->locks[ray / 4 % EXACT_LOCKS];
-    struct exact_best best = {0};
-    pthread_mutex_lock(lock);
-    best.t = hit->t;
-    best.triangle = hit->triangle;
-    pthread_mutex_unlock(lock);
-    best.reach = wave->batch->reaches ? (double)wave->batch->reaches[ray] : 0;
-    if (!BSQ_SIMD_PICK(wave->exact->simd, bake_exact_slot_trace)(
-            slot, wave->exact->chunks[slot->number].first_triangle, &wave->batch->rays[ray],
-            &wave->limits, &best))
-        return;
-    pthread_mutex_lock(lock);
+    pthread_mutex_lock(lock_of(wave, ray));
     if (hit->triangle == BAKE_EXACT_NONE ||
-        exact_wins(best.t, best.triangle, hit->t, hit->triangle, best.reach)) {
-        hit->t = best.t;
-        hit->triangle = best.triangle;
-        hit->normal[0] = best.w1;
-        hit->normal[1] = best.w2;
+        exact_wins(best->t, best->triangle, hit->t, hit->triangle, best->reach)) {
+        hit->t = best->t;
+        hit->triangle = best->triangle;
+        hit->normal[0] = best->w1;
+        hit->normal[1] = best->w2;
     }
-    pthread_mutex_unlock(lock);
+    pthread_mutex_unlock(lock_of(wave, ray));
+}
+
+/* Traces `count` rays, at most EXACT_BUNDLE, through the chunk of a slot. */
+static void trace_bundle(struct wave *wave, const struct exact_slot *slot, const uint32_t *numbers,
+                         uint32_t count)
+{
+    const struct bake_exact_batch *batch = wave->batch;
+    struct bake_exact_ray rays[EXACT_BUNDLE];
+    struct exact_best best[EXACT_BUNDLE];
+    for (uint32_t i = 0; i < count; i++) {
+        const uint32_t ray = numbers[i];
+        rays[i] = batch->rays[ray];
+        best[i] = (struct exact_best){.reach = batch->reaches ? (double)batch->reaches[ray] : 0};
+        pthread_mutex_lock(lock_of(wave, ray));
+        best[i].t = batch->hits[ray].t;
+        best[i].triangle = batch->hits[ray].triangle;
+        pthread_mutex_unlock(lock_of(wave, ray));
+    }
+    unsigned improved = BSQ_SIMD_PICK(wave->exact->simd, bake_exact_slot_trace)(
+        slot, wave->exact->chunks[slot->number].first_triangle, rays, count, &wave->limits, best);
+    for (; improved; improved &= improved - 1) {
+        const unsigned i = (unsigned)__builtin_ctz(improved);
+        take_hit(wave, numbers[i], &best[i]);
+    }
 }
 
 /* Spreads the progress of the batch evenly over the pairs of ray and chunk of the first pass. */
@@ -330,8 +349,10 @@ static int run_block(void *arg, uint64_t index, unsigned worker)
     const struct exact_slot *slot = &wave->memory.slots[block->slot];
     const uint32_t *rays = wave->buckets->rays;
     if (!wave->shading) {
-        for (uint64_t i = block->begin; i < block->end; i++)
-            trace_ray(wave, slot, rays[i]);
+        for (uint64_t i = block->begin; i < block->end; i += EXACT_BUNDLE) {
+            const uint64_t left = block->end - i;
+            trace_bundle(wave, slot, &rays[i], left < EXACT_BUNDLE ? (uint32_t)left : EXACT_BUNDLE);
+        }
         add_progress(wave, block);
         return 0;
     }

@@ -1,4 +1,4 @@
-/* exact_walk_lanes.c - finds the nearest hit of a ray among the triangles of chunks.
+/* exact_walk_lanes.c - finds the nearest hits of rays among the triangles of chunks.
  *
  * The leaves of the tree are boxes of single triangles, so that most triangles that are tested in
  * double are hit. */
@@ -154,16 +154,170 @@ static void visit_slot(struct trace *trace, uint32_t number)
     walk_slot(trace, slot, trace->group->exact->chunks[slot->number].first_triangle);
 }
 
-bool BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uint64_t first,
-                                          const struct bake_exact_ray *ray,
-                                          const struct exact_limits *limits,
-                                          struct exact_best *best)
+/* ---- bundles ----
+ *
+ * Walking a tree waits for one node after the other. So neighbouring rays look together for the
+ * leaves that any of them may cross, and each of them goes through this list. */
+
+enum { MOST_LEAVES = 32 };
+
+/* A convex part of space that holds where hits of all rays of a bundle count. Between two planes
+ * across the axis kz, its sides are linear: each starts at the first plane at first[] and changes
+ * by change[] up to the second. */
+struct beam {
+    int axes[2], kz;
+    float begin, end, scale;         /* the planes; 1 / their distance */
+    float first[2][2], change[2][2]; /* low and high sides, by axis */
+};
+
+/* Sets the planes of a beam so that they enclose the parts of all rays. Returns false if a ray is
+ * too flat between them. */
+static bool set_planes(struct beam *beam, const struct bake_exact_ray *rays, uint32_t count,
+                       const struct exact_limits *limits)
 {
-    struct trace trace = {.limits = limits, .ray = ray, .best = best};
-    if (!begin_trace(&trace))
+    const float flattest = 0.25f, *d = rays->direction;
+    double low = INFINITY, high = -INFINITY;
+    beam->kz = fabsf(d[1]) > fabsf(d[0]);
+    beam->kz = fabsf(d[2]) > fabsf(d[beam->kz]) ? 2 : beam->kz;
+    for (uint32_t i = 0; i < count; i++) {
+        const double o = (double)rays[i].origin[beam->kz],
+                     slope = (double)rays[i].direction[beam->kz];
+        if (!(fabs(slope) >= (double)flattest))
+            return false;
+        const double a = o + slope * limits->t_min, b = o + slope * limits->t_max;
+        low = fmin(low, fmin(a, b));
+        high = fmax(high, fmax(a, b));
+    }
+    const struct exact_span span = exact_span_of(low, high);
+    beam->begin = span.begin;
+    beam->end = span.end;
+    beam->scale = span.end > span.begin ? 1 / (span.end - span.begin) : 0;
+    return isfinite(span.begin) && isfinite(span.end) && isfinite(beam->scale);
+}
+
+/* Sets the sides along an axis, farther out than all roundings can move them: these are fewer than
+ * ten, each of 2^-24 of a coordinate. */
+static bool set_sides(struct beam *beam, const struct bake_exact_ray *rays, uint32_t count,
+                      int axis)
+{
+    const double planes[2] = {(double)beam->begin, (double)beam->end};
+    const int k = beam->axes[axis], kz = beam->kz;
+    double sides[2][2]; /* low and high, by plane */
+    double slack = 0;
+    for (int p = 0; p < 2; p++) {
+        sides[0][p] = INFINITY;
+        sides[1][p] = -INFINITY;
+        for (uint32_t i = 0; i < count; i++) {
+            const double slope =
+                (double)exact_component(rays[i].direction[k]) / (double)rays[i].direction[kz];
+            const double at =
+                (double)rays[i].origin[k] + (planes[p] - (double)rays[i].origin[kz]) * slope;
+            sides[0][p] = fmin(sides[0][p], at);
+            sides[1][p] = fmax(sides[1][p], at);
+        }
+        slack += 1e-6 * (fabs(sides[0][p]) + fabs(sides[1][p]));
+    }
+    for (int s = 0; s < 2; s++) {
+        beam->first[s][axis] = (float)(sides[s][0] + (s == 0 ? -slack : slack));
+        beam->change[s][axis] = (float)(sides[s][1] - sides[s][0]);
+    }
+    return isfinite(slack);
+}
+
+static bool set_beam(struct beam *beam, const struct bake_exact_ray *rays, uint32_t count,
+                     const struct exact_limits *limits)
+{
+    if (!set_planes(beam, rays, count, limits))
         return false;
-    walk_slot(&trace, slot, first);
-    return trace.improved;
+    beam->axes[0] = (beam->kz + 1) % 3;
+    beam->axes[1] = (beam->kz + 2) % 3;
+    return set_sides(beam, rays, count, 0) && set_sides(beam, rays, count, 1);
+}
+
+/* Returns a bit mask of the boxes that overlap the beam. */
+static inline unsigned beam_crosses(const struct beam *beam, const struct exact_box8 *boxes)
+{
+    const eights *low = (const eights *)(const void *)boxes->planes[0],
+                 *high = (const eights *)(const void *)boxes->planes[1];
+    const eights from = eights_max(low[beam->kz], eights_splat(beam->begin)),
+                 to = eights_min(high[beam->kz], eights_splat(beam->end));
+    const eights a = (from - beam->begin) * beam->scale, b = (to - beam->begin) * beam->scale;
+    unsigned bits = eights_not_above(from, to);
+    for (int i = 0; i < 2; i++) {
+        const int k = beam->axes[i];
+        const eights least = beam->first[0][i] +
+                             eights_min(a * beam->change[0][i], b * beam->change[0][i]),
+                     most = beam->first[1][i] +
+                            eights_max(a * beam->change[1][i], b * beam->change[1][i]);
+        bits &= eights_not_above(least, high[k]) & eights_not_above(low[k], most);
+    }
+    return bits;
+}
+
+/* Lists the leaf nodes that overlap the beam. Returns their number, or MOST_LEAVES + 1 if there are
+ * more than fit. */
+static uint32_t find_leaves(const struct exact_tree *tree, const struct beam *beam,
+                            uint32_t leaves[MOST_LEAVES])
+{
+    struct entry stack[EXACT_TREE_STACK];
+    uint32_t depth = 1, found = 0;
+    if (tree->levels == 0)
+        return 0;
+    stack[0] = (struct entry){0, tree->levels - 1, 0};
+    while (depth > 0) {
+        const struct entry top = stack[--depth];
+        if (top.level == 0) {
+            if (found == MOST_LEAVES)
+                return MOST_LEAVES + 1;
+            leaves[found++] = top.node;
+            continue;
+        }
+        unsigned bits = beam_crosses(beam, &tree->nodes[tree->first[top.level] + top.node]);
+        for (; bits; bits &= bits - 1)
+            stack[depth++] =
+                (struct entry){0, top.level - 1, 8 * top.node + (uint32_t)__builtin_ctz(bits)};
+    }
+    return found;
+}
+
+static void try_leaves(struct trace *trace, const uint32_t *leaves, uint32_t count)
+{
+    for (uint32_t i = 0; i < count && !trace->done; i++) {
+        eights crossed;
+        float distances[8];
+        unsigned bits = exact_line_crosses(&trace->line, &trace->slot->tree.nodes[leaves[i]],
+                                           trace->span, trace->reach, &crossed);
+        memcpy(distances, &crossed, sizeof distances);
+        for (; bits && !trace->done; bits &= bits - 1) {
+            const unsigned c = (unsigned)__builtin_ctz(bits);
+            if (distances[c] <= trace->farthest)
+                try_triangle(trace, 8 * leaves[i] + c);
+        }
+    }
+}
+
+unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uint64_t first,
+                                              const struct bake_exact_ray *rays, uint32_t count,
+                                              const struct exact_limits *limits,
+                                              struct exact_best *best)
+{
+    uint32_t leaves[MOST_LEAVES], found = MOST_LEAVES + 1;
+    unsigned improved = 0;
+    struct beam beam;
+    if (set_beam(&beam, rays, count, limits))
+        found = find_leaves(&slot->tree, &beam, leaves);
+    for (uint32_t i = 0; i < count && found > 0; i++) {
+        struct trace trace = {
+            .slot = slot, .first = first, .limits = limits, .ray = &rays[i], .best = &best[i]};
+        if (!begin_trace(&trace))
+            continue;
+        if (found <= MOST_LEAVES)
+            try_leaves(&trace, leaves, found);
+        else
+            walk_slot(&trace, slot, first);
+        improved |= (unsigned)trace.improved << i;
+    }
+    return improved;
 }
 
 bool BSQ_SIMD_NAME(bake_exact_group_trace)(const struct exact_group *group,
