@@ -67,6 +67,38 @@ static void check_by_force(const struct triangle_scan *mesh, const struct exact_
     assert_true(setup->two_sided || c.along != setup->facing_origin);
 }
 
+/* Rays of a bundle share the list of leaves; scattered ones walk the tree alone. */
+TEST(test_neighbours_hit_what_they_hit_alone)
+{
+    enum { SIDE = 64, RAYS = SIDE * SIDE, STEP = 1013 };
+    static struct bake_exact_ray rays[RAYS], scattered[RAYS];
+    static struct bake_exact_hit hits[RAYS], others[RAYS];
+    struct triangle_scan mesh = exact_torus(300, 150);
+    uint32_t found = 0;
+    exact_write_scan(&mesh, 40000);
+    for (uint32_t i = 0; i < RAYS; i++) {
+        const float u = (float)(i % SIDE) / SIDE, v = (float)(i / SIDE) / SIDE;
+        const float from[3] = {0.9f + 0.2f * u, 0.1f * v - 0.05f, 0.3f + 0.2f * v};
+        rays[i] = (struct bake_exact_ray){.origin = {from[0], from[1], from[2]}};
+        exact_toward(from, (double[3]){1.0 + (double)u, 0.3 * (double)v, 1}, rays[i].direction);
+    }
+    for (uint32_t i = 0; i < RAYS; i++)
+        scattered[i] = rays[(uint64_t)i * STEP % RAYS];
+    const struct exact_setup setup = {.threads = 2, .t_min = -0.7, .t_max = 0.7};
+    exact_trace(&setup, rays, RAYS, hits);
+    exact_trace(&setup, scattered, RAYS, others);
+    for (uint32_t i = 0; i < RAYS; i++) {
+        const struct bake_exact_hit *hit = &hits[(uint64_t)i * STEP % RAYS];
+        found += hit->triangle != BAKE_EXACT_NONE;
+        assert_true(hit->triangle == others[i].triangle);
+        assert_true(hit->t == others[i].t);
+        if (i % 16 == 0)
+            check_by_force(&mesh, &setup, &scattered[i], 0, &others[i]);
+    }
+    assert_true(found > RAYS / 2);
+    triangle_scan_free(&mesh);
+}
+
 TEST(test_soup_agrees_with_brute_force)
 {
     enum { RAYS = 6000 };
