@@ -156,14 +156,12 @@ struct plane {
     double flat;                           /* 1: without an inside; else -1 */
 };
 
-static void set_plane(const struct vox_closest *tree, uint32_t triangle, struct plane *out)
+static void set_plane(const float *const corners[3], struct plane *out)
 {
-    const uint32_t *corners = tree->triangles[triangle];
     for (int i = 0; i < 3; i++)
         for (int k = 0; k < 3; k++) {
-            out->corners[i][k] = (double)tree->positions[corners[i]][k];
-            out->edges[i][k] = (double)tree->positions[corners[(i + 1) % 3]][k] -
-                               (double)tree->positions[corners[i]][k];
+            out->corners[i][k] = (double)corners[i][k];
+            out->edges[i][k] = (double)corners[(i + 1) % 3][k] - (double)corners[i][k];
         }
     bsq_crossd(out->edges[0], out->edges[1], out->normal);
     const double area = bsq_dotd(out->normal, out->normal);
@@ -177,10 +175,10 @@ static void set_plane(const struct vox_closest *tree, uint32_t triangle, struct 
 }
 
 /* The distance is that from the plane, for points above the inside, or that from an edge. */
-static void try_triangle(const struct vox_closest *tree, uint32_t triangle, struct batch *b)
+static void try_triangle(const float *const corners[3], struct batch *b)
 {
     struct plane plane;
-    set_plane(tree, triangle, &plane);
+    set_plane(corners, &plane);
     for (unsigned i = 0; i < b->count; i++) {
         double least = INFINITY, outside = plane.flat, height = 0;
         for (int k = 0; k < 3; k++) {
@@ -219,8 +217,12 @@ static void walk_tree(const struct vox_closest *tree, struct batch *b)
             continue;
         const struct vox_closest_node *node = &nodes[at];
         if (node->right == 0) {
-            for (uint32_t i = node->begin; i < node->end; i++)
-                try_triangle(tree, tree->order[i], b);
+            for (uint32_t i = node->begin; i < node->end; i++) {
+                const uint32_t *t = tree->triangles[tree->order[i]];
+                try_triangle((const float *const[3]){tree->positions[t[0]], tree->positions[t[1]],
+                                                     tree->positions[t[2]]},
+                             b);
+            }
             find_most(b);
             continue;
         }
@@ -235,19 +237,34 @@ static void walk_tree(const struct vox_closest *tree, struct batch *b)
     }
 }
 
-void vox_closest_squares(const struct vox_closest *tree, const float (*points)[3], unsigned count,
-                         double *squares)
+static void set_batch(const float (*points)[3], unsigned count, double *squares, struct batch *b)
 {
-    struct batch b = {.count = count, .squares = squares};
-    memcpy(b.low, points[0], sizeof b.low);
-    memcpy(b.high, points[0], sizeof b.high);
+    b->count = count;
+    b->squares = squares;
+    memcpy(b->low, points[0], sizeof b->low);
+    memcpy(b->high, points[0], sizeof b->high);
     for (unsigned i = 0; i < count; i++)
         for (int k = 0; k < 3; k++) {
             const float x = points[i][k];
-            b.points[k][i] = (double)x;
-            b.low[k] = x < b.low[k] ? x : b.low[k];
-            b.high[k] = x > b.high[k] ? x : b.high[k];
+            b->points[k][i] = (double)x;
+            b->low[k] = x < b->low[k] ? x : b->low[k];
+            b->high[k] = x > b->high[k] ? x : b->high[k];
         }
-    find_most(&b);
+    find_most(b);
+}
+
+void vox_closest_squares(const struct vox_closest *tree, const float (*points)[3], unsigned count,
+                         double *squares)
+{
+    struct batch b;
+    set_batch(points, count, squares, &b);
     walk_tree(tree, &b);
+}
+
+void vox_triangle_squares(const float *const corners[3], const float (*points)[3], unsigned count,
+                          double *squares)
+{
+    struct batch b;
+    set_batch(points, count, squares, &b);
+    try_triangle(corners, &b);
 }

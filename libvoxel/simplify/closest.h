@@ -30,6 +30,10 @@ enum { VOX_CLOSEST_BATCH = 16 };
 void vox_closest_squares(const struct vox_closest *tree, const float (*points)[3], unsigned count,
                          double *squares);
 
+/* The same for one triangle. */
+void vox_triangle_squares(const float *const corners[3], const float (*points)[3], unsigned count,
+                          double *squares);
+
 /* Returns the squared distance of two boxes; 0 if they touch. */
 static inline double vox_box_square(const float low[3], const float high[3],
                                     const float other_low[3], const float other_high[3])

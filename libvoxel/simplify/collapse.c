@@ -10,6 +10,7 @@
 #include <string.h>
 
 #include "base/vec.h"
+#include "libvoxel/simplify/closest.h"
 #include "libvoxel/simplify/rings.h"
 
 /* Weight of the distance from an open border, beside that from the triangles. */
@@ -20,6 +21,9 @@ static const double pull = 1e-6;
 /* Share of the squared length of the edge, in the quadric's trace, that is added to a cost. In flat
  * parts, where all costs are 0, short edges go first. */
 static const double length_share = 1e-7;
+/* Weight of the sixth power of a drift, beside squared volumes: it lets most collapses go in the
+ * order of their volumes, and keeps back those that would go far, such as tips of thin parts. */
+static const double drift_weight = 50;
 /* A candidate whose cost has grown by more than this factor goes back into the heap. */
 static const double grown = 1.000001;
 
@@ -44,6 +48,7 @@ struct collapse {
     uint32_t target;
     struct around *around; /* of vertices */
     uint32_t *stamps;      /* of vertices: grow with each change */
+    float *drifts;         /* of vertices: the way that the surface there has gone, added up */
     struct candidate *heap;
     uint64_t heap_count, heap_capacity;
 };
@@ -375,6 +380,41 @@ static bool makes_fold(struct vox_rings *r, uint32_t u, uint32_t v, const float 
     return false;
 }
 
+/* Lowers squared distances of points to those from the triangles of u without v, with u at p. */
+static void lower_squares(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3],
+                          const float (*points)[3], unsigned count, double *squares)
+{
+    const float(*positions)[3] = (const float(*)[3])r->mesh->positions;
+    for (VOX_EACH_CORNER(r, u, k)) {
+        const uint32_t a = vox_after(r, k), b = vox_before(r, k);
+        if (a != v && b != v)
+            vox_triangle_squares((const float *const[3]){p, positions[a], positions[b]}, points,
+                                 count, squares);
+    }
+}
+
+/* Returns the drift that the collapse of (u, v) to p leads to: the larger one of both vertices',
+ * and the distances of these from the triangles after it and of p from those before. */
+static float find_drift(struct collapse *c, uint32_t u, uint32_t v, const float p[3])
+{
+    struct vox_rings *r = &c->rings;
+    const float(*positions)[3] = (const float(*)[3])r->mesh->positions;
+    const float *at_u = positions[u], *at_v = positions[v];
+    const float old[2][3] = {{at_u[0], at_u[1], at_u[2]}, {at_v[0], at_v[1], at_v[2]}};
+    double away[2] = {0, 0};
+    for (int i = 0; i < 2; i++)
+        for (int k = 0; k < 3; k++) {
+            const double d = (double)old[i][k] - (double)p[k];
+            away[i] += d * d;
+        }
+    double back = fmin(away[0], away[1]);
+    lower_squares(r, u, v, p, old, 2, away);
+    lower_squares(r, v, u, p, old, 2, away);
+    lower_squares(r, u, VOX_NONE, at_u, (const float(*)[3])p, 1, &back);
+    lower_squares(r, v, u, at_v, (const float(*)[3])p, 1, &back);
+    return fmaxf(c->drifts[u], c->drifts[v]) + (float)sqrt(fmax(back, fmax(away[0], away[1])));
+}
+
 /* Takes the cheapest candidate, and collapses it if that is allowed. */
 static void collapse_next(struct collapse *c)
 {
@@ -384,6 +424,9 @@ static void collapse_next(struct collapse *c)
     struct result result;
     if (!is_current(c, &candidate) || !evaluate(c, u, v, &result))
         return;
+    const float drift = find_drift(c, u, v, result.position);
+    const double square = (double)drift * (double)drift;
+    result.cost += drift_weight * square * square * square;
     if (result.cost > (double)candidate.cost * grown && (float)result.cost > candidate.cost) {
         push_edge(c, u, v, result.cost);
         return;
@@ -394,6 +437,7 @@ static void collapse_next(struct collapse *c)
         makes_fold(r, u, v, result.position))
         return;
     vox_rings_join(r, u, v, result.position);
+    c->drifts[u] = drift;
     c->stamps[u]++;
     sum_around(c, u);
     for (VOX_EACH_CORNER(r, u, k)) { /* each neighbour once, in a closed ring */
@@ -445,6 +489,7 @@ int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh)
         return 0;
     BSQ_TRY(vox_rings_build(ctx, mesh, false, &c.rings));
     BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *c.stamps, &c.stamps));
+    BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *c.drifts, &c.drifts));
     BSQ_TRY(bsq_alloc(ctx, what, vertices, sizeof *c.around, &c.around));
     BSQ_TRY(bsq_alloc(ctx, what, c.heap_capacity, sizeof *c.heap, &c.heap));
     for (uint32_t v = 0; v < vertices; v++)
@@ -454,6 +499,7 @@ int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh)
 done:
     bsq_free(ctx, c.heap);
     bsq_free(ctx, c.around);
+    bsq_free(ctx, c.drifts);
     bsq_free(ctx, c.stamps);
     vox_rings_free(&c.rings);
     return status;

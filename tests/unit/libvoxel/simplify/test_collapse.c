@@ -55,6 +55,13 @@ static void on_plane(double x, double y, float *p)
     p[1] = (float)(4 * y);
     p[2] = 0.5f;
 }
+/* Waves with a thin spike of height 1. */
+static void with_spike(double x, double y, float *p)
+{
+    const double r = 8 * hypot(4 * x - 2, 4 * y - 2);
+    on_plane(x, y, p);
+    p[2] = (float)(0.1 * sin(4 * PI * x) * sin(4 * PI * y) + (r < 1 ? 1 - r : 0));
+}
 
 /* Collapses with locked borders and carried quadrics, or else as in the last phase. */
 static void collapse(struct vox_mesh *mesh, bool thin, uint32_t target)
@@ -132,6 +139,18 @@ TEST(tori_stay_tori)
         }
         vox_mesh_free(ctx, &mesh);
     }
+}
+
+/* A spike has little volume, but its tip is far from all else. */
+TEST(tips_stay)
+{
+    struct vox_mesh mesh = make_grid(80, false, with_spike);
+    float top = 0;
+    collapse(&mesh, false, 60);
+    for (uint32_t v = 0; v < mesh.vertex_count; v++)
+        top = fmaxf(top, mesh.positions[v][2]);
+    assert_true(top > 0.93f && top < 1.07f);
+    vox_mesh_free(ctx, &mesh);
 }
 
 /* A flat square with a border becomes two triangles with the same corners. */
