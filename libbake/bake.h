@@ -225,14 +225,17 @@ struct bake_options {
     /** Distance around a hit within which curvature is measured; < 0: two texels of the map and,
      * for grids, at least two voxels. */
     double curvature_radius;
-    uint32_t ao_rays;   /**< Rays of each hit for BAKE_MAP_AO and BAKE_MAP_BENT, cosine-weighted. */
+    /** Rays of each texel for BAKE_MAP_AO and BAKE_MAP_BENT, cosine-weighted. The samples of a
+     * texel send equally many of them, at least one; so more are sent if samples do not divide
+     * them. */
+    uint32_t ao_rays;
     double ao_distance; /**< Length of these rays; <= 0: no limit. */
     double ao_spread;   /**< Angle of the cone that they fill, in degrees, to 180. */
     /** In grids, a voxel at this distance from the hit or farther hides these rays as a whole, as
      * if its surface filled it; in voxels; <= 0: none does. */
     double ao_coarse;
     bool ao_falloff;         /**< A surface hides less the farther it is: nothing at ao_distance. */
-    uint32_t thickness_rays; /**< Rays of each hit for BAKE_MAP_THICKNESS, cosine-weighted. */
+    uint32_t thickness_rays; /**< The same for BAKE_MAP_THICKNESS. */
     /** Length of these rays, which is also the sample 1 of integer files; <= 0: the diagonal of the
      * scan's bounding box, and for the sample 1 the mean of the whole mesh plus twice its standard
      * deviation. */
@@ -296,7 +299,7 @@ enum {
     BAKE_MAX_TRANSFERS = 16383, /**< Most transfer maps of a bake. */
     BAKE_MAX_SIDE = 1 << 20,    /**< Largest width and height of a map. */
     BAKE_MAX_SAMPLES = 64,      /**< Largest N of N x N samples a texel. */
-    BAKE_MAX_RAYS = 4096,       /**< Most rays of a hit. */
+    BAKE_MAX_RAYS = 4096,       /**< Most rays of a texel for a map. */
     BAKE_AO_COARSE = 64,        /**< Default of bake_options.ao_coarse. */
     BAKE_MAX_VIEWS = 360,       /**< Most views of a preview. */
     BAKE_MAX_EXR_TILE = 8192    /**< Largest side of a tile of an OpenEXR file. */

@@ -13,7 +13,7 @@
 #include "libbake/farm/farm_json.h"
 
 static const char format[] = "Bisque bake plan";
-enum { FORMAT_VERSION = 6 };
+enum { FORMAT_VERSION = 7 };
 
 /* ---- the members ---- */
 

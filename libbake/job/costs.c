@@ -70,9 +70,9 @@ static double ray_seconds(const struct share *task, const struct speed *speed)
     if (job->maps & BAKE_MAP_CONFIDENCE)
         sample += speed->sample;
     if (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT))
-        sample += options->ao_rays * speed->open;
+        sample += bake_sample_rays(options, options->ao_rays) * speed->open;
     if (job->maps & BAKE_MAP_THICKNESS)
-        sample += options->thickness_rays * speed->thickness;
+        sample += bake_sample_rays(options, options->thickness_rays) * speed->thickness;
     if (job->maps & BAKE_MAP_CURVATURE)
         texel += speed->curvature;
     return (double)task->samples * sample + (double)task->texels * texel;
@@ -171,9 +171,9 @@ void bake_expect_work(const struct bake_work *job)
     struct bake_task_cost cost = {0};
     uint64_t rays = 2;
     if (job->maps & (BAKE_MAP_AO | BAKE_MAP_BENT))
-        rays += options->ao_rays;
+        rays += bake_sample_rays(options, options->ao_rays);
     if (job->maps & BAKE_MAP_THICKNESS)
-        rays += options->thickness_rays;
+        rays += bake_sample_rays(options, options->thickness_rays);
     if (job->maps & BAKE_MAP_CONFIDENCE)
         rays += 2;
     bake_expect_cost(job, texels, texels, &cost);

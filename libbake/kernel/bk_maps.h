@@ -25,7 +25,7 @@
     X(curvature, 9)                                                                                \
     X(ao, 1)                                                                                       \
     X(bent, 3)                                                                                     \
-    X(thickness, 1)                                                                                \
+    X(thickness, 2)                                                                                \
     X(id, 2 * BK_ID_SLOTS)                                                                         \
     X(confidence, 1)
 
@@ -58,7 +58,8 @@ typedef struct bk_map_hit {
     /* For maps that need them: */
     float open;      /* share of the hemisphere that is open */
     float bent[3];   /* mean open direction in the space of the normal map, with its weight */
-    float thickness; /* mean distance through the solid */
+    float thickness; /* sum of distances through the solid */
+    float solids;    /* their number */
     float confidence;
 } bk_map_hit;
 
@@ -127,6 +128,7 @@ BK_FN void bk_add_bent(const bk_map_hit *hit, BK_GLOBAL float *sums)
 BK_FN void bk_add_thickness(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     sums[0] += hit->thickness;
+    sums[1] += hit->solids;
 }
 
 /* Counts the samples of each id: a slot is a count and an id. If a sample finds all slots taken by

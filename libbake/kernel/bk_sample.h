@@ -143,13 +143,17 @@ BK_FN bk_start bk_start_at(const bk_params *params, const bk_point *points)
     return start;
 }
 
-/* Returns a hash of a sample's place in the map, in texels with n x n samples. */
-BK_FN bk_uint bk_sample_seed(float x, float y, bk_uint n)
+/* Returns which rays of its texel a sample has, by its place in a map with n x n samples a texel.
+ * In another texel, samples at the same place have others. */
+BK_FN bk_share bk_sample_share(float x, float y, bk_uint n)
 {
     const bk_uint i = (bk_uint)(bk_int)(x * (float)(bk_int)n);
     const bk_uint j = (bk_uint)(bk_int)(y * (float)(bk_int)n);
+    bk_share share;
 
-    return bk_hash(i + 0x9e3779b9u * bk_hash(j));
+    share.seed = bk_hash(i / n + 0x9e3779b9u * bk_hash(j / n));
+    share.first = (share.seed % (n * n) + j % n * n + i % n) % (n * n);
+    return share;
 }
 
 /* Hits as maps take them: see bk_map_hit. Values of lanes whose ray hit nothing mean nothing. */
@@ -158,8 +162,8 @@ typedef struct bk_map_hits {
     bk_fw t;
     bk_vec3w position, normal, map_normal, color;
     bk_iw id;
-    bk_fw open, thickness; /* 0 unless bk_surroundings_for_maps() has set them */
-    bk_fw confidence;      /* for its map only, see bk_set_confidence() */
+    bk_fw open, thickness, solids; /* 0 unless bk_surroundings_for_maps() has set them */
+    bk_fw confidence;              /* for its map only, see bk_set_confidence() */
     bk_vec3w bent;
 } bk_map_hits;
 
@@ -178,7 +182,7 @@ BK_FN void bk_hits_for_maps(const bk_params *params, const bk_point *points, con
         out->map_normal = bk_to_tangent_space(points, hits->normal);
     out->color = hits->color;
     out->id = hits->id;
-    out->open = out->thickness = bk_splat(0.0f);
+    out->open = out->thickness = out->solids = bk_splat(0.0f);
     out->bent = out->map_normal;
 }
 
@@ -214,6 +218,7 @@ BK_FN void bk_surroundings_for_maps(const bk_params *params, const bk_point *poi
             continue;
         bk_set_lane(out->open, lane, sums[lane].open);
         bk_set_lane(out->thickness, lane, sums[lane].thickness * params->unit);
+        bk_set_lane(out->solids, lane, sums[lane].solids);
         if (bk_dot(sum, sum) > 0.0f) {
             bk_set_lane3(&bent, lane, bk_unit(sum));
             bk_set_lane(weight, lane, bk_sqrt(bk_dot(sum, sum)));
@@ -281,7 +286,7 @@ BK_FN bk_place_on_scan bk_place_of_hit(const bk_params *params, const bk_samples
     place.position = bk_lane3(&position, lane);
     place.normal = bk_lane3(&traced->hits.normal, lane);
     place.side = traced->hits.reversed >> lane & 1u ? -1.0f : 1.0f;
-    place.seed = bk_sample_seed(samples->x[lane], samples->y[lane], params->samples);
+    place.share = bk_sample_share(samples->x[lane], samples->y[lane], params->samples);
     return place;
 }
 
@@ -334,6 +339,7 @@ BK_FN void bk_add_sample(const bk_params *params, const bk_map_hits *hits, bk_ui
     hit.id = (bk_uint)bk_lane(hits->id, lane);
     hit.open = bk_lane(hits->open, lane);
     hit.thickness = bk_lane(hits->thickness, lane);
+    hit.solids = bk_lane(hits->solids, lane);
     if (params->maps >> BK_MAP_confidence & 1u)
         hit.confidence = bk_lane(hits->confidence, lane);
     bk_add_to_maps(params->maps, &hit, texel);

@@ -6,8 +6,10 @@
  * Directions are cosine-weighted: points spread evenly over a disc, raised onto the hemisphere
  * (Malley's method; Pharr, Jakob and Humphreys, "Physically Based Rendering", 13.6.3). Ray i of n
  * has the squared radius (i + a) / n and the angle i / phi + b, a turn being 1 and phi the golden
- * ratio. a and b are hashes of the sample's place in the map, so neighbours use other directions
- * and nothing depends on tiles, threads or lanes.
+ * ratio. Samples of a texel interleave: sample s of m adds s / m to a and to b, with a below 1 / m.
+ * So each has a set as good as that of a single sample, and none repeats what another one sees. a
+ * and b are hashes of the texel's place in the map, so neighbours use other directions and nothing
+ * depends on tiles, threads or lanes.
  *
  * Open rays start one voxel above the hit: planes of neighbouring voxels do not meet exactly, and a
  * surface must not hide itself. So gaps of less than about a voxel look open. They end at any
@@ -29,6 +31,9 @@
 /* Weight of the direction of a hit without open rays; each open ray has up to 1. */
 #define BK_HIDDEN_WEIGHT 1.0e-3f
 
+/* Weight of the thickness of a hit whose rays all leave the scan; each other ray has 1. */
+#define BK_LEAVING_WEIGHT (1.0f / 1048576.0f)
+
 #define BK_OPEN_MAPS      (1u << BK_MAP_ao | 1u << BK_MAP_bent)
 #define BK_SECONDARY_MAPS (BK_OPEN_MAPS | 1u << BK_MAP_thickness)
 
@@ -36,15 +41,49 @@
 typedef struct bk_surroundings {
     float open;      /* mean of the rays' shares: 1 if a ray meets nothing */
     bk_vec3 bent;    /* sum of their directions with these weights, object space */
-    float thickness; /* mean distance through the solid, in voxels */
+    float thickness; /* sum of distances through the solid, in voxels */
+    float solids;    /* number of these distances */
 } bk_surroundings;
 
 /* A point on the surface, and what its rays have in common. */
 typedef struct bk_place_on_scan {
     bk_vec3 position, normal; /* index space; unit, away from the solid */
     float side;               /* 1, or -1 if the scan's own normal points into the solid */
-    bk_uint seed;
+    bk_share share;
 } bk_place_on_scan;
+
+/* Return the number of open rays, and of rays into the solid, that maps need from a hit. */
+BK_FN bk_uint bk_open_rays(const bk_params *params)
+{
+    return params->maps & BK_OPEN_MAPS ? params->open_rays : 0;
+}
+
+BK_FN bk_uint bk_solid_rays(const bk_params *params)
+{
+    return params->maps & 1u << BK_MAP_thickness ? params->thickness_rays : 0;
+}
+
+/* Seeds of the directions of rays into the solid differ from those of open rays in these bits. */
+#define BK_SOLID_SEED 4u
+
+/* Rays of a point that have the same purpose: open ones, or those into the solid. */
+typedef struct bk_rays {
+    bk_uint open, count; /* count: of a point */
+    bk_uint samples;     /* of a texel, which share directions */
+    float sine2, limit;  /* squared sine of half of the cone's angle; length in voxels */
+} bk_rays;
+
+BK_FN bk_rays bk_rays_of(const bk_params *params, bk_uint open)
+{
+    bk_rays rays;
+
+    rays.open = open;
+    rays.count = open ? bk_open_rays(params) : bk_solid_rays(params);
+    rays.samples = params->samples * params->samples;
+    rays.sine2 = open ? params->open_sine2 : 1.0f;
+    rays.limit = open ? params->open_limit : params->thickness_limit;
+    return rays;
+}
 
 /* Hashes an integer (Appleby, MurmurHash3, the finaliser of 32 bits). */
 BK_FN bk_uint bk_hash(bk_uint h)
@@ -78,12 +117,13 @@ BK_FN void bk_turn_sine(bk_fw u, bk_fw *sine, bk_fw *cosine)
     *cosine = bk_select(((q + 1) & 2) != 0, 0.0f - b, b);
 }
 
-/* Returns unit directions around the z axis: those of rays `first` and following ones, of `count`
- * in a cone whose half angle has the squared sine sine2. */
-BK_FN bk_vec3w bk_cone_directions(bk_uint seed, bk_uint first, bk_uint count, float sine2)
+/* Returns unit directions around the z axis: those of a point's rays `first` and following ones. */
+BK_FN bk_vec3w bk_cone_directions(const bk_rays *rays, bk_share share, bk_uint first)
 {
-    const float shift = bk_fraction(bk_hash(seed ^ 1u));
-    const bk_uint angle = bk_hash(seed ^ 2u);
+    const bk_uint seed = share.seed ^ (rays->open ? 0u : BK_SOLID_SEED);
+    const float samples = (float)(bk_int)rays->samples, part = (float)(bk_int)share.first;
+    const float shift = (part + bk_fraction(bk_hash(seed ^ 1u))) / samples;
+    const bk_uint angle = bk_hash(seed ^ 2u) + share.first * (0xffffffffu / rays->samples);
     bk_int number[BK_WIDTH], turn[BK_WIDTH];
     bk_fw square, radius, sine, cosine;
     bk_uint lane;
@@ -93,7 +133,7 @@ BK_FN bk_vec3w bk_cone_directions(bk_uint seed, bk_uint first, bk_uint count, fl
         number[lane] = (bk_int)i;
         turn[lane] = (bk_int)((i * 2654435769u + angle) >> 8); /* 2^32 / phi */
     }
-    square = (bk_to_fw(bk_load_lanes(number)) + shift) * (sine2 / (float)(bk_int)count);
+    square = (bk_to_fw(bk_load_lanes(number)) + shift) * (rays->sine2 / (float)(bk_int)rays->count);
     square = bk_minw(square, bk_splat(1.0f));
     radius = bk_sqrtw(square);
     bk_turn_sine(bk_to_fw(bk_load_lanes(turn)) * (1.0f / 16777216.0f), &sine, &cosine);
@@ -113,14 +153,23 @@ BK_FN bk_vec3w bk_around(bk_vec3w cone, bk_vec3 n)
                   (cone.x * s.z + cone.y * t.z) + cone.z * n.z);
 }
 
-/* Returns directions like bk_cone_directions() around a unit normal. Those that point into the
- * triangle whose unit normal is `facet` are mirrored at it; zero: there is no triangle. */
-BK_FN bk_vec3w bk_hemisphere(bk_uint seed, bk_vec3 normal, bk_vec3 facet, bk_uint first,
-                             bk_uint count, float sine2)
+/* Returns directions of a point's rays like bk_cone_directions(), around its unit normal or, if
+ * they go into the solid, around the opposite one. */
+BK_FN bk_vec3w bk_ray_directions(const bk_rays *rays, bk_share share, bk_vec3 normal, bk_uint first)
+{
+    const float side = rays->open ? 1.0f : -1.0f;
+
+    return bk_around(bk_cone_directions(rays, share, first), bk_scale(normal, side));
+}
+
+/* Returns the same directions. Those that cross the triangle whose unit normal is `facet`, on the
+ * side of `normal`, are mirrored at it; zero: there is no triangle. */
+BK_FN bk_vec3w bk_hemisphere(const bk_rays *rays, bk_share share, bk_vec3 normal, bk_vec3 facet,
+                             bk_uint first)
 {
     const bk_fw zero = bk_splat(0.0f);
-    const bk_vec3w f = bk_splat3(facet);
-    const bk_vec3w d = bk_around(bk_cone_directions(seed, first, count, sine2), normal);
+    const bk_vec3w f = bk_splat3(bk_scale(facet, rays->open ? 1.0f : -1.0f));
+    const bk_vec3w d = bk_ray_directions(rays, share, normal, first);
     const bk_fw above = bk_dotw(d, f);
 
     return bk_select3(bk_less(above, zero), bk_add_scaledw(d, -2.0f * above, f), d);
@@ -317,60 +366,20 @@ BK_FN bk_surroundings bk_no_surroundings(void)
 {
     bk_surroundings none;
 
-    none.open = none.thickness = 0.0f;
+    none.open = none.thickness = none.solids = 0.0f;
     none.bent = bk_v3(0.0f, 0.0f, 0.0f);
     return none;
 }
 
-/* Turns sums into means. opens: open rays; counted: rays into the solid that found its end, or are
- * as long as they may be. */
-BK_FN void bk_mean_surroundings(const bk_params *params, bk_uint opens, bk_uint counted,
-                                bk_surroundings *sums)
+/* Ends the sums of all rays of a point: `open` becomes a mean. */
+BK_FN void bk_end_surroundings(const bk_params *params, bk_surroundings *sums)
 {
-    if (opens)
-        sums->open = sums->open / (float)(bk_int)opens;
-    sums->thickness = counted ? sums->thickness / (float)(bk_int)counted : params->thickness_limit;
-}
-
-/* Return the number of open rays, and of rays into the solid, that maps need from a hit. */
-BK_FN bk_uint bk_open_rays(const bk_params *params)
-{
-    return params->maps & BK_OPEN_MAPS ? params->open_rays : 0;
-}
-
-BK_FN bk_uint bk_solid_rays(const bk_params *params)
-{
-    return params->maps & 1u << BK_MAP_thickness ? params->thickness_rays : 0;
-}
-
-/* Seeds of the directions of rays into the solid differ from those of open rays in these bits. */
-#define BK_SOLID_SEED 4u
-
-/* Rays of a point that have the same purpose: open ones, or those into the solid. */
-typedef struct bk_rays {
-    bk_uint open, count; /* count: of a point */
-    float sine2, limit;  /* squared sine of half of the cone's angle; length in voxels */
-} bk_rays;
-
-BK_FN bk_rays bk_rays_of(const bk_params *params, bk_uint open)
-{
-    bk_rays rays;
-
-    rays.open = open;
-    rays.count = open ? bk_open_rays(params) : bk_solid_rays(params);
-    rays.sine2 = open ? params->open_sine2 : 1.0f;
-    rays.limit = open ? params->open_limit : params->thickness_limit;
-    return rays;
-}
-
-/* Returns the directions of a point's rays `first` and following ones. */
-BK_FN bk_vec3w bk_ray_directions(const bk_rays *rays, const bk_place_on_scan *from, bk_uint first)
-{
-    const bk_vec3 n = from->normal;
-    const bk_vec3w cone = bk_cone_directions(from->seed ^ (rays->open ? 0u : BK_SOLID_SEED), first,
-                                             rays->count, rays->sine2);
-
-    return bk_around(cone, rays->open ? n : bk_v3(-n.x, -n.y, -n.z));
+    if (bk_open_rays(params))
+        sums->open = sums->open / (float)(bk_int)bk_open_rays(params);
+    if (sums->solids == 0.0f) {
+        sums->solids = BK_LEAVING_WEIGHT;
+        sums->thickness = BK_LEAVING_WEIGHT * params->thickness_limit;
+    }
 }
 
 /* Returns where a point's rays start. */
@@ -405,10 +414,9 @@ BK_FN bk_fw bk_look(const bk_grid *grid, const bk_params *params, bk_cache *cach
     return bk_select(walk.hit.found | through, t, bk_splat(-1.0f));
 }
 
-/* Adds what `count` rays have found: results of bk_look(). counted: rays into the solid so far that
- * count. */
+/* Adds what `count` rays have found: results of bk_look(). */
 BK_FN void bk_add_looks(const bk_params *params, const bk_rays *rays, bk_uint count, bk_fw found,
-                        bk_vec3w direction, bk_surroundings *sums, bk_uint *counted)
+                        bk_vec3w direction, bk_surroundings *sums)
 {
     bk_uint lane;
 
@@ -419,7 +427,7 @@ BK_FN void bk_add_looks(const bk_params *params, const bk_rays *rays, bk_uint co
             bk_add_open(params, met, t, bk_lane3(&direction, lane), sums);
         } else if (met) {
             sums->thickness += t;
-            *counted += 1u;
+            sums->solids += 1.0f;
         }
     }
 }
@@ -431,19 +439,19 @@ BK_FN bk_surroundings bk_look_around(const bk_grid *grid, const bk_params *param
 {
     const bk_uint opens = bk_open_rays(params), solids = bk_solid_rays(params);
     bk_surroundings sums = bk_no_surroundings();
-    bk_uint i = 0, counted = 0;
+    bk_uint i = 0;
 
     while (i < opens + solids) {
         const bk_rays rays = bk_rays_of(params, i < opens);
         const bk_uint first = rays.open ? i : i - opens;
         const bk_uint count = rays.count - first < BK_WIDTH ? rays.count - first : BK_WIDTH;
-        const bk_vec3w direction = bk_ray_directions(&rays, from, first);
+        const bk_vec3w direction = bk_ray_directions(&rays, from->share, from->normal, first);
         const bk_fw t = bk_look(grid, params, cache, &rays, bk_splat3(bk_ray_start(&rays, from)),
                                 direction, bk_splat(from->side), (1u << count) - 1u);
-        bk_add_looks(params, &rays, count, t, direction, &sums, &counted);
+        bk_add_looks(params, &rays, count, t, direction, &sums);
         i += count;
     }
-    bk_mean_surroundings(params, opens, counted, &sums);
+    bk_end_surroundings(params, &sums);
     return sums;
 }
 

@@ -39,6 +39,12 @@ enum {
     BK_SKEW = 128 /* samples have skews */
 };
 
+/* The directions of a sample's rays: `seed` turns those of its texel, and the texel's N x N samples
+ * take turns, by the number `first`. */
+typedef struct bk_share {
+    bk_uint seed, first;
+} bk_share;
+
 /* Job-wide parameters. */
 typedef struct bk_params {
     bk_uint flags;
@@ -57,7 +63,7 @@ typedef struct bk_params {
     bk_uint upper_offset[2], lower_offset[2], leaf_offset[2];
     bk_uint second_count; /* second records */
     /* Secondary rays, see bk_secondary.h. */
-    bk_uint open_rays, thickness_rays; /* a hit */
+    bk_uint open_rays, thickness_rays; /* a sample */
     float open_limit, thickness_limit; /* lengths in voxels */
     float open_coarse; /* in voxels: from here on, an occupied voxel hides an open ray */
     float open_sine2;  /* squared sine of half of the cone's angle */

@@ -182,6 +182,15 @@ static void encode_open(const struct bake_encoding_facts *facts, struct bake_enc
     out->background[0] = 1.0f;
 }
 
+/* The sum of distances, and their number. */
+static bool resolve_thickness(const float *sums, uint32_t channels, float weight, float *value)
+{
+    (void)channels;
+    (void)weight;
+    value[0] = sums[0] / sums[1];
+    return sums[1] > 0;
+}
+
 double bake_thickness_distance(const struct bake_options *options, const double scan_min[3],
                                const double scan_max[3])
 {
@@ -285,7 +294,7 @@ const struct bake_map_row bake_map_table[] = {
     [BK_MAP_thickness] = {.summary = "mean distance through the solid",
                           .channels = 1,
                           .usual_type = BAKE_FLOAT,
-                          .resolve = resolve_mean,
+                          .resolve = resolve_thickness,
                           .encode = encode_thickness,
                           .measured = true,
                           .unit = "mesh unit"},

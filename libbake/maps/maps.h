@@ -121,6 +121,13 @@ static inline bool bake_has_cage(const struct bake_options *options)
 {
     return options->cage_path || options->extrude > 0;
 }
+/* Returns how many of its texel's rays each sample sends: the same number, so that a texel may send
+ * a few more than the options say. */
+static inline uint32_t bake_sample_rays(const struct bake_options *options, uint32_t rays)
+{
+    const uint32_t samples = options->samples * options->samples;
+    return (rays + samples - 1) / samples;
+}
 /* Returns the first number above those of all maps of a selection. */
 static inline unsigned bake_selection_end(uint32_t maps)
 {

@@ -20,7 +20,7 @@ struct bake_place {
     float normal[3];     /* unit, away from the solid */
     float facet[3];      /* unit normal of the triangle, on that side; zero: there is none */
     bool reversed;       /* the scan's own normal points into the solid */
-    uint32_t seed;       /* by which directions are turned */
+    bk_share share;      /* of its texel's directions */
 };
 
 /* Gives place `index`; returns false if no rays start there. Thread-safe. */

@@ -47,7 +47,7 @@ struct job {
     uint64_t capacity;
     /* For maps of secondary rays; else NULL. */
     struct bake_look *look;
-    uint32_t *seeds;
+    struct bk_share *shares;
     struct bk_surroundings *surroundings;
 };
 
@@ -291,17 +291,17 @@ static int resolve_tile(void *arg, uint64_t index, unsigned number)
 
 /* ---- secondary rays ---- */
 
-/* Sets the seed of a sample. */
-static void seed_sample(struct job *job, const struct sample *sample, float *texels)
+/* Sets which of its texel's directions a sample has. */
+static void share_sample(struct job *job, const struct sample *sample, float *texels)
 {
     (void)texels;
-    job->seeds[sample->ray] = bk_sample_seed(sample->x, sample->y, job->tiles->params->samples);
+    job->shares[sample->ray] = bk_sample_share(sample->x, sample->y, job->tiles->params->samples);
 }
 
 /* Prepares the hits of a tile's rays. */
-static int seed_tile(void *arg, uint64_t index, unsigned number)
+static int share_tile(void *arg, uint64_t index, unsigned number)
 {
-    return each_sample(arg, index, number, seed_sample);
+    return each_sample(arg, index, number, share_sample);
 }
 
 /* Looks from each hit along its ray, both ways, for the next surface that the ray could have hit.
@@ -334,11 +334,11 @@ static int look_around(struct job *job, uint64_t count, uint64_t progress)
 {
     const struct bake_look_hits hits = {.rays = job->rays,
                                         .hits = job->hits,
-                                        .seeds = job->seeds,
+                                        .shares = job->shares,
                                         .objects = job->objects,
                                         .count = count,
                                         .progress = progress};
-    int status = bsq_parallel_for(job->ctx, job->count, seed_tile, job);
+    int status = bsq_parallel_for(job->ctx, job->count, share_tile, job);
     return status < 0 ? status : bake_look_around(job->look, &hits, job->surroundings);
 }
 
@@ -439,7 +439,7 @@ done:
 static int allocate_rays(struct job *job)
 {
     const uint64_t all = job->starts[job->tile_count];
-    const uint64_t look = job->look ? sizeof *job->seeds + sizeof *job->surroundings : 0;
+    const uint64_t look = job->look ? sizeof *job->shares + sizeof *job->surroundings : 0;
     const uint64_t object = job->object_of ? sizeof *job->objects : 0;
     const uint64_t next = job->tiles->params->maps & BAKE_MAP_CONFIDENCE ? sizeof *job->next : 0;
     const uint64_t channels = transfer_floats(job) * sizeof *job->channels;
@@ -457,7 +457,7 @@ static int allocate_rays(struct job *job)
     BSQ_TRY(bsq_alloc(ctx, "hits", n, sizeof *job->hits, &job->hits));
     BSQ_TRY(bsq_alloc(ctx, "rays", n, sizeof *job->reaches, &job->reaches));
     if (job->look) {
-        BSQ_TRY(bsq_alloc(ctx, "secondary rays", n, sizeof *job->seeds, &job->seeds));
+        BSQ_TRY(bsq_alloc(ctx, "secondary rays", n, sizeof *job->shares, &job->shares));
         BSQ_TRY(bsq_alloc(ctx, "secondary rays", n, sizeof *job->surroundings, &job->surroundings));
     }
     if (next > 0)
@@ -488,7 +488,7 @@ static void release(struct job *job, struct bake_report *report)
     bsq_free(job->ctx, job->footprints);
     bsq_free(job->ctx, job->objects);
     bsq_free(job->ctx, job->channels);
-    bsq_free(job->ctx, job->seeds);
+    bsq_free(job->ctx, job->shares);
     bsq_free(job->ctx, job->surroundings);
 }
 

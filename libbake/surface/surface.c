@@ -239,8 +239,8 @@ static void set_secondary(const struct bake_options *options, double unit, doubl
                           float far, struct bk_params *params)
 {
     const double half = 0.5 * options->ao_spread * 0.017453292519943295;
-    params->open_rays = options->ao_rays;
-    params->thickness_rays = options->thickness_rays;
+    params->open_rays = bake_sample_rays(options, options->ao_rays);
+    params->thickness_rays = bake_sample_rays(options, options->thickness_rays);
     params->open_limit = far;
     if (options->ao_distance > 0)
         params->open_limit = fminf((float)(options->ao_distance / unit), far);

@@ -118,7 +118,7 @@ uint64_t bake_surface_curve_place(const struct bake_surface *surface, const floa
 struct bake_look_hits {
     const struct bake_exact_ray *rays; /* surface's index space */
     const struct bake_exact_hit *hits; /* of these rays; hits of nothing are allowed */
-    const uint32_t *seeds;             /* by which the directions are turned */
+    const struct bk_share *shares;     /* of their texels' directions */
     const uint32_t *objects;           /* as in struct bake_surface_rays */
     uint64_t count;
     uint64_t progress; /* what all of them add to the context's progress */

@@ -72,7 +72,7 @@ static void set_place(const struct view *view, uint64_t index, const double tran
     memcpy(out->normal, hit->normal, sizeof out->normal);
     memcpy(out->facet, facet, sizeof out->facet);
     out->reversed = hit->reversed;
-    out->seed = view->hits->seeds[index];
+    out->share = view->hits->shares[index];
 }
 
 static bool get_place(const void *arg, uint64_t index, struct bake_place *out)
@@ -164,7 +164,6 @@ static struct bk_surroundings sum_rays(const struct bake_look *look, const struc
                                        uint64_t index, const double low[3], const double high[3])
 {
     struct bk_surroundings sums = bk_no_surroundings();
-    uint32_t counted = 0;
     for (uint32_t open = 2; open-- > 0;) {
         const bk_rays kind = bk_rays_of(&look->params, open);
         for (uint32_t r = 0; r < kind.count; r++) {
@@ -172,10 +171,10 @@ static struct bk_surroundings sum_rays(const struct bake_look *look, const struc
             bake_place_ray(&look->params, place, open, r, from, d);
             const double leaves = open ? 0 : leaving(from, d, low, high);
             bk_add_looks(&look->params, &kind, 1, found_by(&look->states, &kind, index, r, leaves),
-                         bk_v3w(d[0], d[1], d[2]), &sums, &counted);
+                         bk_v3w(d[0], d[1], d[2]), &sums);
         }
     }
-    bk_mean_surroundings(&look->params, look->states.opens, counted, &sums);
+    bk_end_surroundings(&look->params, &sums);
     return sums;
 }
 

@@ -103,9 +103,10 @@ static void add_rays(struct bench *bench, const bk_grid *grid, bk_cache *cache, 
     const bk_vec3 normal = bk_lane3(&hits.normal, 0);
     const bk_vec3w hit = bk_add_scaledw(start.origin, hits.t, start.direction);
     const bk_vec3 at = bk_add_scaled(bk_lane3(&hit, 0), BK_LIFT, normal);
-    const bk_uint seed = bk_sample_seed(x, y, params->samples);
+    const bk_rays kind = bk_rays_of(params, 1);
+    const bk_share share = bk_sample_share(x, y, params->samples);
     for (bk_uint i = 0; i < params->open_rays; i++) {
-        const bk_vec3w d = bk_around(bk_cone_directions(seed, i, params->open_rays, 1.0f), normal);
+        const bk_vec3w d = bk_ray_directions(&kind, share, normal, i);
         float *ray = bench->rays[bench->count++];
         ray[0] = at.x;
         ray[1] = at.y;

@@ -144,6 +144,8 @@ static uint64_t shift_right(int64_t a, uint64_t by, unsigned bits)
     X(shr_b32, "shr.b32", "www", b < 32 ? a >> b : 0)                                              \
     X(shr_b64, "shr.b64", "ddw", b < 64 ? a >> b : 0)                                              \
     X(shr_u32, "shr.u32", "www", b < 32 ? a >> b : 0)                                              \
+    X(div_u32, "div.u32", "www", b ? a / b : 0)                                                    \
+    X(rem_u32, "rem.u32", "www", b ? a % b : 0)                                                    \
     X(shr_u64, "shr.u64", "ddw", b < 64 ? a >> b : 0)                                              \
     X(shr_s32, "shr.s32", "www", shift_right(S32(a), b, 32))                                       \
     X(shr_s64, "shr.s64", "ddw", shift_right(S64(a), b, 64))                                       \

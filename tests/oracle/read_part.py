@@ -17,7 +17,7 @@ SIDES = (16, 32, 64, 128, 256)
 
 def read_plan(path):
     """Returns the plan, with the tasks of each tile's blocks as lists in "blocks"."""
-    plan = read_json_plan(path, "Bisque bake plan", 6)
+    plan = read_json_plan(path, "Bisque bake plan", 7)
     need(plan["block_side"] in SIDES, "side")
     side = plan["block_side"]
     for tile in plan["tiles"]:

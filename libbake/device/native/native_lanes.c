@@ -31,7 +31,6 @@ static bk_surroundings add_up(const struct bk_params *params, const bk_place_on_
     const bk_fw zero = bk_splat(0.0f);
     const bool directed = params->maps & 1u << BK_MAP_bent;
     bk_surroundings sums = bk_no_surroundings();
-    bk_uint counted = 0;
 
     for (bk_uint open = 2; open-- > 0;) {
         const bk_rays kind = bk_rays_of(params, open);
@@ -41,12 +40,13 @@ static bk_surroundings add_up(const struct bk_params *params, const bk_place_on_
             for (bk_uint lane = 0; lane < count; lane++)
                 bk_set_lane(t, lane, found[first + lane]);
             const bk_vec3w directions =
-                directed ? bk_ray_directions(&kind, point, first) : bk_v3w(zero, zero, zero);
-            bk_add_looks(params, &kind, count, t, directions, &sums, &counted);
+                directed ? bk_ray_directions(&kind, point->share, point->normal, first)
+                         : bk_v3w(zero, zero, zero);
+            bk_add_looks(params, &kind, count, t, directions, &sums);
         }
         found += kind.count;
     }
-    bk_mean_surroundings(params, bk_open_rays(params), counted, &sums);
+    bk_end_surroundings(params, &sums);
     return sums;
 }
 
@@ -262,15 +262,14 @@ static void look_from(struct view *view, const struct bake_place *place, uint64_
                       bk_uint open)
 {
     const bk_rays kind = bk_rays_of(view->params, open);
-    const float side = open ? 1.0f : -1.0f, *n = place->normal, *f = place->facet;
+    const float *n = place->normal, *f = place->facet;
     const float *from = open ? place->open_from : place->solid_from;
     for (bk_uint first = 0; first < kind.count; first += BK_WIDTH) {
         const bk_uint lanes = wanted(view->states, index, &kind, first);
         if (lanes == 0)
             continue;
-        const bk_vec3w direction = bk_hemisphere(
-            place->seed ^ (open ? 0u : BK_SOLID_SEED), bk_v3(side * n[0], side * n[1], side * n[2]),
-            bk_v3(side * f[0], side * f[1], side * f[2]), first, kind.count, kind.sine2);
+        const bk_vec3w direction = bk_hemisphere(&kind, place->share, bk_v3(n[0], n[1], n[2]),
+                                                 bk_v3(f[0], f[1], f[2]), first);
         const bk_fw t = bk_look(view->grid, view->params, &view->cache, &kind,
                                 bk_splat3(bk_v3(from[0], from[1], from[2])), direction,
                                 bk_splat(place->reversed ? -1.0f : 1.0f), lanes);

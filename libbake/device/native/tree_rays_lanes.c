@@ -374,7 +374,7 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_place_on_scan *po
     struct bake_tree_stream *stream = tracer->stream;
     const bk_rays *kind = tracer->kind;
     const bk_uint left = kind->count - first, count = left < BK_WIDTH ? left : BK_WIDTH;
-    const bk_vec3w direction = bk_ray_directions(kind, point, first);
+    const bk_vec3w direction = bk_ray_directions(kind, point->share, point->normal, first);
     const bk_ray line =
         bk_ray_along(bk_splat3(bk_ray_start(kind, point)), direction,
                      bk_scalew(direction, bk_splat(point->side)), bk_mask_of((1u << count) - 1u));

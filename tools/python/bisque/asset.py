@@ -241,9 +241,7 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
     if level["report"]:
         files["report"] = obj.with_name("report.html")
     outputs = {name: str(obj.with_name(f"{name}.png")) for name in maps}
-    # The rays of a texel's samples add up.
-    options = {"maps": maps, "size": size, "samples": level["samples"],
-               "ao_rays": max(4, level["rays"] // level["samples"] ** 2)}
+    options = {"maps": maps, "size": size, "samples": level["samples"], "ao_rays": level["rays"]}
 
     def make() -> dict:
         baked = _bake(scan, obj, files, options, job, steps.report)

@@ -17,7 +17,7 @@ struct view {
     uint64_t count;
     struct bake_exact_ray *rays, *open; /* open: the first open ray of each hit */
     struct bake_exact_hit *hits;
-    uint32_t *seeds;
+    bk_share *shares;
     bk_surroundings *found;
     uint64_t loads;
 };
@@ -28,10 +28,10 @@ static struct view view_new(uint64_t count)
                         .rays = calloc(count, sizeof *view.rays),
                         .open = calloc(count, sizeof *view.open),
                         .hits = calloc(count, sizeof *view.hits),
-                        .seeds = calloc(count, sizeof *view.seeds),
+                        .shares = calloc(count, sizeof *view.shares),
                         .found = calloc(count, sizeof *view.found)};
     for (uint64_t i = 0; i < count; i++)
-        view.seeds[i] = bk_hash((uint32_t)i);
+        view.shares[i].seed = bk_hash((uint32_t)i);
     return view;
 }
 
@@ -40,7 +40,7 @@ static void view_free(struct view *view)
     free(view->rays);
     free(view->open);
     free(view->hits);
-    free(view->seeds);
+    free(view->shares);
     free(view->found);
 }
 
@@ -48,6 +48,7 @@ static struct bk_params usual(uint32_t rays)
 {
     return (struct bk_params){.maps = BK_SECONDARY_MAPS,
                               .unit = 1,
+                              .samples = 1,
                               .open_rays = rays,
                               .thickness_rays = rays,
                               .open_limit = FLT_MAX,
@@ -62,7 +63,7 @@ static struct bake_exact_ray open_ray(const struct bake_exact *exact,
 {
     const struct bake_exact_hit *hit = &view->hits[i];
     const double lift = (double)bake_exact_lift(exact);
-    struct bake_place place = {.seed = view->seeds[i]};
+    struct bake_place place = {.share = view->shares[i]};
     struct bake_exact_ray ray;
     for (int k = 0; k < 3; k++)
         place.open_from[k] =
@@ -84,7 +85,7 @@ static void look(const struct exact_setup *setup, const struct bk_params *params
                                            .t_max = setup->t_max,
                                            .facing_origin = setup->facing_origin};
     const struct bake_look_hits hits = {
-        .rays = view->rays, .hits = view->hits, .seeds = view->seeds, .count = view->count};
+        .rays = view->rays, .hits = view->hits, .shares = view->shares, .count = view->count};
     struct bake_options options;
     struct bake_surface surface;
     struct bake_look *looking;
@@ -258,7 +259,8 @@ TEST(test_a_slab_is_as_thick_as_it_is)
         end_mesh(&mesh);
         params.thickness_limit = (float)l;
         const bk_surroundings found = look_from(&params, 0.3, 0.2, h);
-        assert_near((double)found.thickness, 2 * h - h * h / l, 0.02 * h, "thickness of a slab");
+        assert_near((double)(found.thickness / found.solids), 2 * h - h * h / l, 0.02 * h,
+                    "thickness of a slab");
         assert_near((double)found.open, 1, 0, "above a slab");
     }
 }
@@ -301,8 +303,8 @@ TEST(test_a_ball_is_open_and_thick)
             assert_true(view.hits[i].triangle != BAKE_EXACT_NONE);
             assert_int_equal(view.hits[i].reversed, inwards);
             assert_near((double)view.found[i].open, 1, 0, "of a ball");
-            assert_near((double)view.found[i].thickness, 4 * r / 3, 0.02 * r,
-                        "thickness of a ball");
+            assert_near((double)(view.found[i].thickness / view.found[i].solids), 4 * r / 3,
+                        0.02 * r, "thickness of a ball");
         }
         view_free(&view);
     }

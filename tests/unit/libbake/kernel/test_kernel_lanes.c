@@ -14,7 +14,7 @@ enum { WIDTH = TEST_SANITIZED ? 21 : 45, HEIGHT = TEST_SANITIZED ? 11 : 27 };
 enum { SAMPLES = 3, TEXELS = WIDTH * HEIGHT, TRIANGLES = 40 };
 enum { MAPS = 1 << BK_MAP_normal | 1 << BK_MAP_color };
 enum { RAYS = 164 };            /* from a hit, at most */
-enum { FLOATS = BK_SUMS + 11 }; /* the most: with BK_SECONDARY_MAPS */
+enum { FLOATS = BK_SUMS + 12 }; /* the most: with BK_SECONDARY_MAPS */
 
 struct fixture {
     struct bsq_ctx *ctx;

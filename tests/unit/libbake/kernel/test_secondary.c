@@ -1,7 +1,7 @@
 /* test_secondary.c - open shares, bent directions and thickness against formulas. */
 #include "libbake/bake.h"
 #include "libbake/device/job/job.h"
-#include "libbake/kernel/bk_secondary.h"
+#include "libbake/kernel/bk_sample.h"
 #include "tests/unit/test.h"
 #include "tests/unit/libbake/analytic_grid.h"
 
@@ -49,6 +49,7 @@ static void open_scene(struct scene *s)
     bake_params_from_grid(&s->file, &s->params);
     bake_kernel_grid(&s->file, &s->params, &s->grid);
     s->params.maps = BK_SECONDARY_MAPS;
+    s->params.samples = 1;
     s->params.open_rays = s->params.thickness_rays = RAYS;
     s->params.open_limit = BK_FAR;
     s->params.thickness_limit = 1000;
@@ -70,7 +71,7 @@ static bk_surroundings look(const struct scene *s, const double position[3], con
         .position = bk_v3((float)position[0], (float)position[1], (float)position[2]),
         .normal = bk_v3((float)normal[0], (float)normal[1], (float)normal[2]),
         .side = 1,
-        .seed = bk_hash((bk_uint)(int)(1000 * position[0] + position[1]))};
+        .share.seed = bk_hash((bk_uint)(int)(1000 * position[0] + position[1]))};
     return bk_look_around(&s->grid, &s->params, &cache, &from);
 }
 
@@ -83,12 +84,19 @@ static void assert_near(double value, double expected, double tolerance, const c
 
 /* ---- directions ---- */
 
+static bk_vec3w direction(const bk_rays *rays, bk_uint seed, bk_uint i)
+{
+    const bk_share share = {.seed = seed, .first = i % rays->samples};
+    return bk_cone_directions(rays, share, i / rays->samples);
+}
+
 TEST(directions_are_cosine_weighted)
 {
+    const bk_rays all = {.open = 1, .count = RAYS, .samples = 1, .sine2 = 1};
     for (bk_uint seed = 0; seed < 100; seed++) {
         double mean[3] = {0}, square = 0;
         for (bk_uint i = 0; i < RAYS; i++) {
-            bk_vec3w d = bk_cone_directions(bk_hash(seed), i, RAYS, 1.0f);
+            bk_vec3w d = direction(&all, bk_hash(seed), i);
             assert_near(bk_dotw(d, d), 1, 1e-5, "length");
             mean[0] += d.x / RAYS;
             mean[1] += d.y / RAYS;
@@ -102,8 +110,34 @@ TEST(directions_are_cosine_weighted)
     }
 }
 
+/* The samples of a texel share its seed, and each has a part of its own of every ring. */
+TEST(samples_share_directions)
+{
+    for (bk_uint n = 1; n <= 4; n++) {
+        const bk_uint count = 144 / (n * n);
+        const bk_rays part = {.open = 1, .count = count, .samples = n * n, .sine2 = 1};
+        bool taken[144] = {false};
+        for (bk_uint s = 0; s < n * n; s++) {
+            const float x = 70.0f + ((float)(s % n) + 0.5f) / (float)n;
+            const float y = 5.0f + ((float)(s / n) + 0.5f) / (float)n;
+            const bk_share share = bk_sample_share(x, y, n);
+            assert_int_equal(share.seed, bk_sample_share(70.5f, 5.5f, 1).seed);
+            for (bk_uint i = 0; i < count; i++) {
+                const bk_vec3w d = bk_cone_directions(&part, share, i);
+                const bk_uint ring = (bk_uint)(144 * (d.x * d.x + d.y * d.y));
+                taken[ring < 144 ? ring : 143] = true;
+            }
+        }
+        bk_uint rings = 0;
+        for (bk_uint i = 0; i < 144; i++)
+            rings += taken[i];
+        assert_true(rings >= 142); /* but for rounding at their borders */
+    }
+}
+
 TEST(cones_and_frames)
 {
+    const bk_rays cone = {.open = 1, .count = 64, .samples = 1, .sine2 = 0.25f};
     uint64_t seed = test_seed();
     for (int i = 0; i < 2000; i++) {
         double n[3];
@@ -111,7 +145,7 @@ TEST(cones_and_frames)
         if (i == 0)
             n[0] = n[1] = 0, n[2] = -1;
         bk_vec3 axis = bk_unit(bk_v3((float)n[0], (float)n[1], (float)n[2]));
-        bk_vec3w d = bk_around(bk_cone_directions((bk_uint)i, (bk_uint)i % 64, 64, 0.25f), axis);
+        bk_vec3w d = bk_around(direction(&cone, (bk_uint)i, (bk_uint)i % 64), axis);
         assert_near(bk_dotw(d, d), 1, 1e-5, "length");
         assert_true(bk_dot(bk_lane3(&d, 0), axis) > 0.8659f);
     }
@@ -251,9 +285,10 @@ TEST(a_ball_is_open_and_thick)
                 at[axis] = centre[axis] + r * n[axis];
             const bk_surroundings found = look(&s, at, n);
             open += found.open / 100;
-            thickness += found.thickness / 100;
+            thickness += found.thickness / found.solids / 100;
             assert_near(found.open, 1, 0, "of a ball");
-            assert_near(found.thickness, 4 * r / 3, 0.05 * r + 0.5, "thickness of a ball");
+            assert_near(found.thickness / found.solids, 4 * r / 3, 0.05 * r + 0.5,
+                        "thickness of a ball");
         }
         assert_near(thickness, 4 * r / 3, 0.02 * r, "mean thickness of a ball");
         end(&s);
@@ -273,7 +308,8 @@ TEST(a_slab_is_as_thick_as_it_is)
         s.params.thickness_limit = (float)l;
         const double at[3] = {0.3, 0.2, h + 0.1}, up[3] = {0, 0, 1};
         const bk_surroundings found = look(&s, at, up);
-        assert_near(found.thickness, 2 * h - h * h / l, 0.02 * h + 0.1, "thickness of a slab");
+        assert_near(found.thickness / found.solids, 2 * h - h * h / l, 0.02 * h + 0.1,
+                    "thickness of a slab");
         assert_near(found.open, 1, 0, "above a slab");
         end(&s);
     }

@@ -199,9 +199,9 @@ static void compare(const struct fixture *f, const bk_rays *kind, const bk_place
     for (uint32_t i = 0; i < POINTS; i++)
         for (uint32_t ray = 0; ray < RAYS; ray++) {
             bk_cache cache = bk_cache_empty();
-            const float t = bk_look(&f->grid, &f->params, &cache, kind,
-                                    bk_splat3(bk_ray_start(kind, &points[i])),
-                                    bk_ray_directions(kind, &points[i], ray), points[i].side, 1);
+            const float t = bk_look(
+                &f->grid, &f->params, &cache, kind, bk_splat3(bk_ray_start(kind, &points[i])),
+                bk_ray_directions(kind, points[i].share, points[i].normal, ray), points[i].side, 1);
             expected[i * RAYS + ray] = t;
             hits += t >= 0 && t < kind->limit;
         }
@@ -223,7 +223,7 @@ static void compare_kinds(struct fixture *f, const bk_place_on_scan *points, flo
                           float limit)
 {
     static const float coarse[] = {BK_FAR, 9.5f, 1.0f};
-    bk_rays kind = {.open = 1, .count = RAYS, .sine2 = sine2, .limit = limit};
+    bk_rays kind = {.open = 1, .count = RAYS, .samples = 1, .sine2 = sine2, .limit = limit};
     f->params.open_limit = kind.limit;
     for (size_t i = 0; i < sizeof coarse / sizeof *coarse; i++) {
         f->params.open_coarse = coarse[i];
@@ -258,7 +258,7 @@ TEST(test_edges_and_corners)
                                    (float)floor(between(&seed, -48, 32)) / 2,
                                    (float)floor(between(&seed, -30, 50)) / 2);
         points[i].side = i % 3 ? 1.0f : -1.0f;
-        points[i].seed = (bk_uint)i;
+        points[i].share.seed = (bk_uint)i;
     }
     compare_kinds(&f, points, 0.0f, 40);
     close_fixture(&f);
@@ -275,7 +275,7 @@ static bk_place_on_scan random_point(const double centre[3], double half, uint64
     return (bk_place_on_scan){.position = bk_v3((float)p[0], (float)p[1], (float)p[2]),
                               .normal = bk_v3((float)n[0], (float)n[1], (float)n[2]),
                               .side = 1.0f,
-                              .seed = (bk_uint)*seed};
+                              .share.seed = (bk_uint)*seed};
 }
 
 /* Points in and around a grid, some far outside of it. */
