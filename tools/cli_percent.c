@@ -27,6 +27,7 @@ static const struct stage {
     {"bisque-bake", "tracing", 65, CLI_EACH_TRACED_TILE},
     {"bisque-bake", "measuring curvature", 14, CLI_EACH_TRACED_TILE},
     {"bisque-bake", "reading parts", 4, CLI_ONCE},
+    {"bisque-bake", "filtering", 1, CLI_EACH_TILE},
     {"bisque-bake", "writing", 12, CLI_EACH_TILE},
     {"bisque-bake", "preview", 3, CLI_ONCE},
 };

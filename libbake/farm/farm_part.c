@@ -12,7 +12,7 @@
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "the host must be little-endian");
 
 static const char magic[8] = "BSQPART\n";
-enum { VERSION = 6, ATTEMPTS = 3, LIST_BYTES = 160 };
+enum { VERSION = 7, ATTEMPTS = 3, LIST_BYTES = 160 };
 
 struct part_header {
     char magic[8];

@@ -142,7 +142,7 @@ static void expect_costs(const struct bake_work *job, struct bake_farm_plan *pla
 static struct bake_options shared_options(const struct bake_work *job)
 {
     struct bake_options shared = *job->options;
-    shared.maps = job->maps & ((1u << BK_MAP_COUNT) - 1u);
+    shared.maps = job->maps & ((1u << BAKE_NAMED_MAPS) - 1u);
     if (!bake_has_cage(&shared))
         shared.front = job->report->front;
     shared.back = job->report->back;

@@ -8,6 +8,7 @@
 #include "libbake/asset/asset.h"
 #include "libbake/bake.h"
 #include "libbake/curvature/curvature.h"
+#include "libbake/filter/filter.h"
 #include "libbake/preview/preview.h"
 #include "libbake/skew/skew.h"
 

@@ -1,4 +1,5 @@
 /* outputs.c - writes the maps and the preview of a bake. They get their names together. */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
@@ -226,12 +227,28 @@ static int show_misses(struct bake_work *job, const struct bake_tile *tile, uint
                                  &picture);
 }
 
+static int filter_tile(struct bake_work *job, const struct bake_tile *tile)
+{
+    const double start = bsq_seconds_now();
+    double area, texels;
+    bake_udim_areas(job->options, &job->mesh, &job->udim, &area, &texels);
+    const struct bake_filter filter = {.image = tile->image,
+                                       .place = bake_place_of(job->maps, BK_MAP_ao),
+                                       .guide = bake_place_of(job->maps, BK_MAP_guide),
+                                       .texel = texels > 0 ? sqrt(area / texels) : 0};
+    const int status = bake_filter(job->ctx, &filter);
+    job->report->seconds_resolve += bsq_seconds_now() - start;
+    return status;
+}
+
 int bake_write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side, uint64_t *limited)
 {
     const struct bake_traced traced = traced_of(job);
     int status = 0;
     BSQ_TRY(open_files(job->ctx, tile, &traced));
     const uint32_t number = (uint32_t)(tile - job->tiles);
+    if (job->maps & 1u << BK_MAP_guide)
+        BSQ_TRY(filter_tile(job, tile));
     if (wants_preview(job))
         BSQ_TRY(create_thumbnails(job->ctx, tile, side));
     if (job->options->page)

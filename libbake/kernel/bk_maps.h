@@ -27,7 +27,8 @@
     X(bent, 3)                                                                                     \
     X(thickness, 2)                                                                                \
     X(id, 2 * BK_ID_SLOTS)                                                                         \
-    X(confidence, 1)
+    X(confidence, 1)                                                                               \
+    X(guide, 9)
 
 #define BK_MAP_NUMBER(name, sums) BK_MAP_##name,
 enum { BK_MAPS(BK_MAP_NUMBER) BK_MAP_COUNT };
@@ -159,6 +160,12 @@ BK_FN void bk_add_id(const bk_map_hit *hit, BK_GLOBAL float *sums)
 BK_FN void bk_add_confidence(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     sums[0] += hit->confidence;
+}
+
+/* Sums the same for libbake/filter/, which replaces no values by it. */
+BK_FN void bk_add_guide(const bk_map_hit *hit, BK_GLOBAL float *sums)
+{
+    bk_add_curvature(hit, sums);
 }
 
 /* Floats of a texel with these maps. */

@@ -158,6 +158,14 @@ static bool resolve_curvature(const float *sums, uint32_t channels, float weight
     return resolve_direction(sums + 6, 3, weight, value + 3);
 }
 
+/* The same with a further value, which the filter needs. A texel needs no mean normal. */
+static bool resolve_guide(const float *sums, uint32_t channels, float weight, float *value)
+{
+    resolve_curvature(sums, channels, weight, value);
+    value[6] = 0;
+    return true;
+}
+
 /* The usual range leaves out the sharpest edges, which would make all else grey. */
 static void encode_curvature(const struct bake_encoding_facts *facts, struct bake_encoding *out)
 {
@@ -309,6 +317,7 @@ const struct bake_map_row bake_map_table[] = {
                            .channels = 1,
                            .of_all = true,
                            .resolve = resolve_mean},
+    [BK_MAP_guide] = {.channels = 3, .values = BAKE_GUIDE_VALUES, .resolve = resolve_guide},
 };
 
 _Static_assert(sizeof bake_map_table / sizeof *bake_map_table == BK_MAP_COUNT,
@@ -341,8 +350,9 @@ static const struct bake_map_row transfer_rows[2][2] = {
 
 uint32_t bake_selection(const struct bake_options *options)
 {
-    return (options->maps & ~(uint32_t)(BAKE_MAPS_ALL | BAKE_MAPS_USUAL)) |
-           options->transfer_count << BK_TRANSFER_SHIFT;
+    const uint32_t maps = options->maps & ~(uint32_t)(BAKE_MAPS_ALL | BAKE_MAPS_USUAL);
+    const bool guided = options->ao_filter && maps & BAKE_MAP_AO;
+    return maps | (uint32_t)guided << BK_MAP_guide | options->transfer_count << BK_TRANSFER_SHIFT;
 }
 
 /* ---- packs ---- */
@@ -352,6 +362,8 @@ static uint32_t find_map(const struct bake_options *options, const char *word, s
 {
     for (uint32_t i = 0; i < BK_MAP_COUNT + options->transfer_count; ++i) {
         const char *name = bake_name_of(options, i);
+        if (i == BK_MAP_guide)
+            continue;
         if (strncmp(name, word, length) == 0 && name[length] == '\0')
             return i;
     }
@@ -406,6 +418,8 @@ bool bake_has_file(const struct bake_options *options, uint32_t maps, unsigned n
 {
     if (pack_of(options, number))
         return true;
+    if (number == BK_MAP_guide)
+        return false;
     return bake_is_selected(maps, number) && !is_packed(options, number) &&
            (number < BK_MAP_COUNT || !options->transfers[number - BK_MAP_COUNT].no_file);
 }
@@ -487,17 +501,17 @@ uint32_t bake_map_values(unsigned i)
 
 const char *bake_map_name(unsigned number)
 {
-    return number < BK_MAP_COUNT ? bake_map_names[number] : NULL;
+    return number < BAKE_NAMED_MAPS ? bake_map_names[number] : NULL;
 }
 
 const char *bake_map_alias(unsigned number)
 {
-    return number < BK_MAP_COUNT ? bake_map_table[number].alias : NULL;
+    return number < BAKE_NAMED_MAPS ? bake_map_table[number].alias : NULL;
 }
 
 const char *bake_map_summary(unsigned number)
 {
-    return number < BK_MAP_COUNT ? bake_map_table[number].summary : NULL;
+    return number < BAKE_NAMED_MAPS ? bake_map_table[number].summary : NULL;
 }
 
 uint32_t bake_choose_maps(uint32_t asked, bool has_color, bool has_ids)
@@ -505,7 +519,7 @@ uint32_t bake_choose_maps(uint32_t asked, bool has_color, bool has_ids)
     const bool all = asked & BAKE_MAPS_ALL;
     const bool usual = asked == BAKE_MAPS_DEFAULT || asked & BAKE_MAPS_USUAL;
     uint32_t maps = asked & ~(uint32_t)(BAKE_MAPS_ALL | BAKE_MAPS_USUAL);
-    for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
+    for (unsigned i = 0; i < BAKE_NAMED_MAPS; ++i)
         if ((all || (usual && bake_map_table[i].by_default)) &&
             (has_color || !bake_map_table[i].needs_color) &&
             (has_ids || !bake_map_table[i].needs_ids))

@@ -104,6 +104,10 @@ struct bake_map_row {
                      struct bake_attributes *out);
 };
 
+/* Maps that users name are the rows before this one. It stands for no map: its values, the position
+ * and the normal of a texel's hits and a value of the filter's own, guide libbake/filter/. */
+enum { BAKE_NAMED_MAPS = BK_MAP_guide, BAKE_GUIDE_VALUES = 7 };
+
 /* Rows in the order of BK_MAPS; row i is bit i of enum bake_map. */
 extern const struct bake_map_row bake_map_table[];
 /* Returns the floats of row i in a texel of the image. */

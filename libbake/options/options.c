@@ -183,6 +183,8 @@ static const struct bsq_option table[] = {
      .old_name = "ao-spread", NUMBER(ao_spread, 180, 180), .positive = true, .needs = OPEN_RAYS},
     {KEY("ao", "falloff", "MODE", "none or linear: far surfaces hide less"),
      .old_name = "ao-falloff", EITHER(ao_falloff, "none linear"), .needs = OPEN_RAYS},
+    {KEY("ao", "filter", "MODE", "none or surface: less noise, from texels near on the scan"),
+     EITHER(ao_filter, "none surface"), .needs = BAKE_MAP_AO},
     {KEY("ao", "coarse", "N", "in grids, voxels hide as a whole from N voxels on; none"),
      .old_name = "ao-coarse", .words = "none", NUMBER(ao_coarse, MOST_LENGTH, BAKE_AO_COARSE),
      .positive = true, .needs = OPEN_RAYS | GRID},
@@ -419,7 +421,7 @@ int bake_check_options(struct bsq_ctx *ctx, const struct bake_options *options)
     if (options->cage_path && options->more_mesh_count > 0)
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: a cage needs a single low-poly file, not %u of them",
                         options->cage_path, options->more_mesh_count + 1);
-    if ((options->maps & ~(uint32_t)(BAKE_MAPS_ALL | BAKE_MAPS_USUAL)) >= 1u << BK_MAP_COUNT)
+    if ((options->maps & ~(uint32_t)(BAKE_MAPS_ALL | BAKE_MAPS_USUAL)) >= 1u << BAKE_NAMED_MAPS)
         return bsq_fail(ctx, BSQ_EUSAGE, "unknown maps: %#x", options->maps);
     if (options->front == 0.0 && options->back == 0.0)
         return bsq_fail(ctx, BSQ_EUSAGE,
