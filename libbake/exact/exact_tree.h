@@ -6,8 +6,8 @@
  * (formats/FORMATS.md), so that neighbours share a node. Building takes linear time, children need
  * no stored numbers, and the memory is known beforehand. A surface-area heuristic would cost more
  * and gain little: the triangles of scans are small and of similar size, and the tree of a chunk
- * serves the rays of one batch only. Sorting boxes along a Hilbert curve took five times as long as
- * building the tree, and rays were no faster. */
+ * serves the rays of one batch only. Sorting boxes along a Hilbert curve took longer than building
+ * the tree, and rays were no faster. */
 #ifndef BAKE_EXACT_EXACT_TREE_H
 #define BAKE_EXACT_EXACT_TREE_H
 
