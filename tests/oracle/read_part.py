@@ -11,7 +11,7 @@ import numpy
 from parts import check_parts, read_json_plan
 from refusal import array, checksum, fields, need
 
-HEADER_BYTES, ENTRY_BYTES = 1632, 16
+HEADER_BYTES, ENTRY_BYTES = 1768, 16
 SIDES = (16, 32, 64, 128, 256)
 
 
@@ -35,7 +35,7 @@ def read(plan, data):
     version, channels = fields(data, 8, "II")
     task, tasks, side, reserved, count = fields(data, 48, "IIIIQ")
     table_checksum, header_checksum = fields(data, HEADER_BYTES - 16, "QQ")
-    need(version == 6, "version")
+    need(version == 7, "version")
     need(header_checksum == checksum(data[:HEADER_BYTES - 8]), "header_checksum")
     need(reserved == 0 and channels >= 1, "reserved or channels")
     need(data[16:48].decode("latin-1") == plan["id"], "plan_id")
