@@ -19,7 +19,7 @@ static struct bake_options options_for(uint32_t maps, const char *output)
  * digits and underscores. */
 TEST(test_names_are_unique_words)
 {
-    for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
+    for (unsigned i = 0; i < BAKE_NAMED_MAPS; ++i) {
         const char *name = bake_map_name(i);
         assert_non_null(name);
         assert_true(name[0] != '\0');
@@ -30,13 +30,13 @@ TEST(test_names_are_unique_words)
         assert_non_null(bake_map_summary(i));
         assert_true(bake_map_summary(i)[0] != '\0');
     }
-    assert_null(bake_map_name(BK_MAP_COUNT));
-    assert_null(bake_map_summary(BK_MAP_COUNT));
+    assert_null(bake_map_name(BAKE_NAMED_MAPS));
+    assert_null(bake_map_summary(BAKE_NAMED_MAPS));
 }
 
 TEST(test_a_bit_gives_the_file_of_its_name)
 {
-    for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
+    for (unsigned i = 0; i < BAKE_NAMED_MAPS; ++i) {
         char expected[64];
         snprintf(expected, sizeof expected, "%s/a_%s.exr", bake_map_name(i), bake_map_name(i));
         char *path = bake_map_path("<MAP>/a_<MAP>.exr", bake_map_name(i));
@@ -50,7 +50,7 @@ TEST(test_maps_fill_the_channels_they_declare)
     for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
         const struct bake_map_row *row = &bake_map_table[i];
         const uint32_t values = bake_map_values(i);
-        float sums[16] = {0.5f, -0.25f, 0.75f, 0, 0, 0, 1}, value[8];
+        float sums[16] = {0.5f, 0.25f, 0.75f, 0, 0, 0, 1}, value[8];
         assert_true(row->channels == 1 || row->channels == 3);
         assert_true(bake_map_sums[i] <= sizeof sums / sizeof *sums);
         assert_int_equal(bake_image_channels_for(1u << i), 1 + values);
@@ -112,7 +112,7 @@ TEST(test_attributes_fit_their_list)
                                        .sampling = "exact",
                                        .scan_min = {-1e-300, -1e300, -1.0 / 3},
                                        .scan_max = {1e-300, 1e300, 1.0 / 3}};
-    for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
+    for (unsigned i = 0; i < BAKE_NAMED_MAPS; ++i) {
         struct bake_options options = options_for(1u << i, "a.exr");
         struct bake_attributes attributes;
         bake_describe_map(&options, i, &traced, &attributes);
@@ -132,7 +132,7 @@ TEST(test_attributes_fit_their_list)
 TEST(test_some_format_stores_each_map)
 {
     struct bsq_ctx *ctx = test_context(1, 0);
-    for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
+    for (unsigned i = 0; i < BAKE_NAMED_MAPS; ++i) {
         bool stored = false;
         for (int f = 0; fmt_image_formats[f]; ++f) {
             char path[32];
@@ -155,7 +155,7 @@ TEST(test_defaults_need_no_colours)
     uint32_t colored = bake_choose_maps(BAKE_MAPS_DEFAULT, true, false);
     assert_int_equal(grey, BAKE_MAP_NORMAL);
     assert_int_equal(colored, BAKE_MAP_NORMAL | BAKE_MAP_COLOR);
-    for (unsigned i = 0; i < BK_MAP_COUNT; ++i) {
+    for (unsigned i = 0; i < BAKE_NAMED_MAPS; ++i) {
         assert_false(grey & 1u << i && bake_map_table[i].needs_color);
         assert_int_equal(bake_choose_maps(1u << i, false, false), 1u << i);
     }
@@ -164,7 +164,7 @@ TEST(test_defaults_need_no_colours)
 /* "All" leaves out what the scan lacks, but not what is named. */
 TEST(test_all_maps_are_those_that_the_scan_gives)
 {
-    const uint32_t every = (1u << BK_MAP_COUNT) - 1;
+    const uint32_t every = (1u << BAKE_NAMED_MAPS) - 1;
     assert_int_equal(bake_choose_maps(BAKE_MAPS_ALL, true, true), every);
     assert_int_equal(bake_choose_maps(BAKE_MAPS_ALL, false, true),
                      every & ~(uint32_t)BAKE_MAP_COLOR);
@@ -178,7 +178,7 @@ TEST(test_encodings_decode_to_the_values)
     const struct bake_traced traced = {
         .scan_min = {-1, 5, 3}, .scan_max = {2, 5, 4}, .image_origin = {0.5, 4, 3}};
     static const double largest[] = {0.75, 0};
-    for (unsigned i = 0; i < BK_MAP_COUNT; ++i)
+    for (unsigned i = 0; i < BAKE_NAMED_MAPS; ++i)
         for (int variant = 0; variant < 4; ++variant) {
             const bool integers = variant & 1;
             const struct bake_map_row *row = &bake_map_table[i];
@@ -248,7 +248,7 @@ TEST(test_transfer_maps_follow_the_rows)
 TEST(test_unknown_maps_are_refused)
 {
     struct bsq_ctx *ctx = test_context(1, 0);
-    for (unsigned bit = BK_MAP_COUNT; bit < 32; ++bit) {
+    for (unsigned bit = BAKE_NAMED_MAPS; bit < 32; ++bit) {
         if (1u << bit == BAKE_MAPS_ALL || 1u << bit == BAKE_MAPS_USUAL)
             continue;
         struct bake_options options = options_for(1u << bit, "a_<MAP>.exr");
