@@ -1,6 +1,7 @@
 /* voxelize.c - makes the grid file from chunk files: input, memory and output. regions.c makes the
  * voxels. */
 #include <inttypes.h>
+#include <malloc.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -54,7 +55,7 @@ static bool uses_textures(const struct vox_run *run)
            fmt_shading_needs_textures(&run->shading.scan);
 }
 
-/* Gives three quarters of the free memory to the chunk cache: a chunk that is evicted too early is
+/* Gives two thirds of the free memory to the chunk cache: a chunk that is evicted too early is
  * read and prepared again, which costs far more than a region in parts. Gives half of the rest to
  * the sums. What is left is for the results under way and for the writer. Fails early if the
  * minimum of all that does not fit. */
@@ -76,7 +77,7 @@ static int divide_memory(const struct vox_run *run, struct vox_shares *shares)
                         run->options->tris_path, bsq_memory_limit(run->ctx), run->workers, need,
                         bsq_memory_used(run->ctx));
     available -= shares->texture_bytes + blocks;
-    uint64_t slots = min64(available / 4 * 3, available - others_min) / slot;
+    uint64_t slots = min64(available / 3 * 2, available - others_min) / slot;
     shares->cache_slots = slots < 1 ? 1 : min64(min64(slots, run->header->chunk_count), INT32_MAX);
     available -= shares->cache_slots * slot;
     uint64_t share = min64(available / 2 / run->workers, ACCUMULATOR_BYTES_USEFUL);
@@ -287,6 +288,7 @@ static int set_up(struct vox_run *run)
     BSQ_TRY(vox_schedule_create(run->ctx, run->boxes, run->box_count, &run->schedule));
     BSQ_TRY(make_smooth(run));
     BSQ_TRY(add_attributes(run));
+    malloc_trim(0); /* what sorting has freed counts as resident until then */
     BSQ_TRY(divide_memory(run, &run->shares));
     if (run->shares.texture_bytes > 0)
         BSQ_TRY(fmt_shading_open_textures(&shading->scan, run->shares.texture_bytes));
