@@ -221,7 +221,7 @@ static int sort_layer(void *arg, uint64_t index, unsigned worker)
     const uint32_t layer = work->begin + (uint32_t)index;
     const uint64_t start = before(work, work->begin), first = before(work, layer) - start;
     (void)worker;
-    bsq_sort(work->sorted + first, work->ends[layer] - start - first, sizeof *work->sorted,
+    bsq_sort(work->sorted + first, work->ends[layer] - start - first, sizeof(void *),
              compare_points);
     return 0;
 }
@@ -319,9 +319,9 @@ static int choose_window(struct work *work, uint32_t first, uint64_t most)
     work->capacity = count;
     int status =
         bsq_alloc(work->ctx, "texels to filter", count, sizeof *work->points, &work->points);
-    return status < 0 ? status
-                      : bsq_alloc(work->ctx, "texels to filter", count, sizeof *work->sorted,
-                                  &work->sorted);
+    return status < 0
+               ? status
+               : bsq_alloc(work->ctx, "texels to filter", count, sizeof(void *), &work->sorted);
 }
 
 static int filter_window(struct work *work)
@@ -346,8 +346,8 @@ int bake_filter(struct bsq_ctx *ctx, const struct bake_filter *filter)
                         .channels = bake_image_channels(filter->image),
                         .radius = (float)(filter->texel * RADIUS),
                         .depth = (float)(filter->texel * DEPTH)};
-    const uint64_t most = bsq_memory_share(ctx, "texels to filter", 2) /
-                          (sizeof(struct point) + sizeof(struct point *));
+    const uint64_t most =
+        bsq_memory_share(ctx, "texels to filter", 2) / (sizeof(struct point) + sizeof(void *));
     int status = 0;
     if (!(filter->texel > 0))
         return 0;
