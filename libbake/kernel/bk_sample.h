@@ -147,12 +147,15 @@ BK_FN bk_start bk_start_at(const bk_params *params, const bk_point *points)
  * In another texel, samples at the same place have others. */
 BK_FN bk_share bk_sample_share(float x, float y, bk_uint n)
 {
-    const bk_uint i = (bk_uint)(bk_int)(x * (float)(bk_int)n);
-    const bk_uint j = (bk_uint)(bk_int)(y * (float)(bk_int)n);
+    const bk_uint column = (bk_uint)(bk_int)x, row = (bk_uint)(bk_int)y;
+    const bk_uint i = (bk_uint)(bk_int)(x * (float)(bk_int)n) - column * n;
+    const bk_uint j = (bk_uint)(bk_int)(y * (float)(bk_int)n) - row * n;
     bk_share share;
 
-    share.seed = bk_hash(i / n + 0x9e3779b9u * bk_hash(j / n));
-    share.first = (share.seed % (n * n) + j % n * n + i % n) % (n * n);
+    share.seed = bk_hash(column + 0x9e3779b9u * bk_hash(row));
+    share.first = ((share.seed >> 16) * (n * n) >> 16) + j * n + i;
+    if (share.first >= n * n)
+        share.first -= n * n;
     return share;
 }
 

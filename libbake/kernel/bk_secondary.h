@@ -123,7 +123,8 @@ BK_FN bk_vec3w bk_cone_directions(const bk_rays *rays, bk_share share, bk_uint f
     const bk_uint seed = share.seed ^ (rays->open ? 0u : BK_SOLID_SEED);
     const float samples = (float)(bk_int)rays->samples, part = (float)(bk_int)share.first;
     const float shift = (part + bk_fraction(bk_hash(seed ^ 1u))) / samples;
-    const bk_uint angle = bk_hash(seed ^ 2u) + share.first * (0xffffffffu / rays->samples);
+    const bk_uint part_of_turn = (bk_uint)(bk_int)(part / samples * 16777216.0f) << 8;
+    const bk_uint angle = bk_hash(seed ^ 2u) + part_of_turn;
     bk_int number[BK_WIDTH], turn[BK_WIDTH];
     bk_fw square, radius, sine, cosine;
     bk_uint lane;

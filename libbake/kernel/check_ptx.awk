@@ -1,10 +1,11 @@
 # Checks that PTX rounds as IEEE 754 asks, so that a GPU gives the processor's bits: no approximation, no flushed
 # denormals, no double, nothing contracted, and no add or mul without a rounding mode, which ptxas may contract.
-# Checks that there is one kernel that calls nothing. Prints each offence.
+# Checks that it divides no integers, for which assemblers approximate reciprocals, and that there is one kernel that
+# calls nothing. Prints each offence.
 # See docs/decisions/0012-one-kernel-for-all-devices.md.
 /^[ \t]*\/\// { next }
 /\.(approx|ftz|full)[. ]/ || /[ \t](fma|mad[a-z.]*|rsqrt|ex2|lg2|sin|cos|tanh)\.[a-z.]*f32/ || /\.f64/ || /\.f16/ ||
-/[ \t](add|sub|mul)\.f32/ || /[ \t](div|rcp|sqrt)\.f32/ || /[ \t]call/ {
+/[ \t](add|sub|mul)\.f32/ || /[ \t](div|rcp|sqrt)\.f32/ || /[ \t](div|rem)\.[su][0-9]/ || /[ \t]call/ {
     print FILENAME ":" FNR ": " $0 > "/dev/stderr"
     bad = 1
 }
