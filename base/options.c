@@ -2,6 +2,7 @@
 #include "base/options.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 int bsq_option_word(const char *words, const char *word)
@@ -15,6 +16,45 @@ int bsq_option_word(const char *words, const char *word)
         index += *at == ' ';
     }
     return -1;
+}
+
+/* Copies a word of a row to `buffer`. */
+static const char *copy_word(const char *words, unsigned index, char *buffer)
+{
+    for (; index > 0 && strchr(words, ' '); index--)
+        words = strchr(words, ' ') + 1;
+    snprintf(buffer, BSQ_OPTION_TEXT_BYTES, "%.*s", (int)strcspn(words, " /"), words);
+    return buffer;
+}
+
+const char *bsq_option_text(const struct bsq_option *row, const void *options,
+                            char buffer[BSQ_OPTION_TEXT_BYTES])
+{
+    const void *at = bsq_option_at(row, options);
+    double number;
+    if (row->kind >= BSQ_OPTION_LIST || row->own_syntax)
+        return NULL;
+    switch (row->kind) {
+    case BSQ_OPTION_FLAG:
+        return copy_word(row->words ? row->words : "no yes", *(const bool *)at, buffer);
+    case BSQ_OPTION_CHOICE:
+        return copy_word(row->words, *(const unsigned *)at, buffer);
+    case BSQ_OPTION_COUNT:
+        number = row->words && *(const uint32_t *)at == UINT32_MAX ? -1.0 : *(const uint32_t *)at;
+        break;
+    case BSQ_OPTION_BYTES:
+        number = (double)*(const uint64_t *)at;
+        break;
+    case BSQ_OPTION_NUMBER:
+        number = *(const double *)at;
+        break;
+    default:
+        return *(const char *const *)at;
+    }
+    if (row->words && number < 0)
+        return copy_word(row->words, 0, buffer);
+    snprintf(buffer, BSQ_OPTION_TEXT_BYTES, "%.10g", number);
+    return isfinite(number) ? buffer : NULL;
 }
 
 void bsq_options_defaults(const struct bsq_option *rows, size_t count, void *options)

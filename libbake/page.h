@@ -13,8 +13,8 @@
 extern "C" {
 #endif
 
-/** Begins a page under a temporary name. Errors: BSQ_ENOINPUT if its parts are not installed,
- * BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
+/** Begins a page under a temporary name; `path` ends in .html. Errors: BSQ_EUSAGE, BSQ_ENOINPUT if
+ * its parts are not installed, BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
 int bake_page_open(struct bsq_ctx *ctx, const char *path, struct bake_page **out);
 /** Adds pictures of maps: bake_options.on_rows, with the page as rows_user. */
 int bake_page_take(void *page, const struct bake_rows *rows);

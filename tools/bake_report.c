@@ -409,41 +409,38 @@ static int compare_map(void *arg, const struct bake_file *file)
     char path[PATH_MAX];
     struct bake_compare_options options;
     struct bake_compare_report report = {.size = sizeof report};
+    const bool masked = r->mask[0][0] && strcmp(file->map, "mask") != 0;
     if (!find_reference(r, file->path, path))
         return 0;
     bake_compare_defaults(&options);
     options.a_path = file->path;
     options.b_path = path;
+    options.a_mask_path = masked ? r->mask[0] : NULL;
+    options.b_mask_path = masked ? r->mask[1] : NULL;
     options.page = r->bake->page;
-    if (r->mask[0][0] && strcmp(r->mask[0], file->path) != 0) {
-        options.a_mask_path = r->mask[0];
-        options.b_mask_path = r->mask[1];
-    }
     const int status = bake_compare(r->cli->ctx, &options, &report);
     if (status == 0)
         cli_json_append(&r->comparisons, page_comparison_json(&options, &report));
     return status;
 }
 
-/* Completes the page. */
+/* Compares all maps that have a reference, and completes the page. */
 static int end_page(struct cli *cli, const struct bake_arguments *arguments,
-                    const struct bake_report *report)
+                    const struct bake_report *report, json_t **root)
 {
     const struct bake_options *bake = &arguments->bake;
     const struct cli_table table = bake_arguments_table(arguments);
     struct references r = {.cli = cli, .bake = bake, .comparisons = json_array()};
     int status = 0;
-    for (uint32_t i = 0; bake->reference_path && i < report->tile_count && status == 0; i++) {
+    for (uint32_t i = 0; bake->reference_path && i < report->tile_count; i++) {
         r.mask[0][0] = '\0';
-        status = bake_list_files(cli->ctx, bake, &report->tiles[i], find_mask, &r);
-        if (status == 0)
-            status = bake_list_files(cli->ctx, bake, &report->tiles[i], compare_map, &r);
+        BSQ_TRY(bake_list_files(cli->ctx, bake, &report->tiles[i], find_mask, &r));
+        BSQ_TRY(bake_list_files(cli->ctx, bake, &report->tiles[i], compare_map, &r));
     }
-    json_t *root = report_json(cli, arguments, report);
-    cli_json_set(&root, "comparisons", r.comparisons);
-    if (status == 0)
-        return page_end(cli, bake->page, root, &table);
-    json_decref(root);
+    cli_json_set(root, "comparisons", json_incref(r.comparisons));
+    status = page_end(cli, bake->page, json_incref(*root), &table);
+done:
+    json_decref(r.comparisons);
     return status;
 }
 
@@ -452,11 +449,13 @@ int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
 {
     hint_at_misses(cli, arguments, report);
     hint_at_overlaps(cli, arguments, report);
-    const int status = arguments->bake.page ? end_page(cli, arguments, report) : 0;
-    if (status < 0)
-        return status;
-    return cli->json ? cli_print_json(cli, report_json(cli, arguments, report))
-                     : print_report(cli, arguments, report);
+    json_t *root = report_json(cli, arguments, report);
+    int status = arguments->bake.page ? end_page(cli, arguments, report, &root) : 0;
+    if (status == 0)
+        status = cli->json ? cli_print_json(cli, json_incref(root))
+                           : print_report(cli, arguments, report);
+    json_decref(root);
+    return status;
 }
 
 int bake_report_print_tile(struct cli *cli, const struct bake_arguments *arguments,

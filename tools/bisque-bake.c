@@ -22,7 +22,7 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
     if (bake->page_path) {
         if (bake->reference_path)
             BSQ_TRY(bake_report_note_references(cli, bake->reference_path));
-        BSQ_TRY(page_begin(cli, bake->page_path, &bake->page));
+        BSQ_TRY(bake_page_open(cli->ctx, bake->page_path, &bake->page));
         bake->on_rows = bake_page_take;
         bake->rows_user = bake->page;
     }

@@ -204,7 +204,7 @@ static int compare_maps(struct cli *cli, struct arguments *arguments, int *failu
     int status;
     BSQ_TRY(check_outputs(cli, &arguments->compare));
     if (arguments->report)
-        BSQ_TRY(page_begin(cli, arguments->report, &arguments->compare.page));
+        BSQ_TRY(bake_page_open(cli->ctx, arguments->report, &arguments->compare.page));
     BSQ_TRY(bake_compare(cli->ctx, &arguments->compare, &report));
     if (!isnan(arguments->limits[MIN_PSNR]) && report.kind != BAKE_COMPARE_COLOR)
         BSQ_TRY(cli_usage(cli, "--min-psnr is for colours, these maps were compared as %s",

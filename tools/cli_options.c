@@ -150,19 +150,16 @@ static bool is_same_option(const struct bsq_option *a, const struct bsq_option *
 /* Writes the default of a row to `buffer`; "" if the help names none. */
 static const char *default_of(const struct bsq_option *row, char buffer[CLI_TEXT])
 {
-    const bool word = row->kind == BSQ_OPTION_NUMBER && row->usual < 0;
-    int index = row->kind == BSQ_OPTION_CHOICE ? (int)row->usual : 0;
+    struct bsq_option alone = *row;
+    char text[BSQ_OPTION_TEXT_BYTES];
+    double value;
     buffer[0] = '\0';
-    if (!row->argument || row->own_syntax || strstr(row->help, "(default"))
+    if (!row->argument || row->own_syntax || strstr(row->help, "(default") ||
+        row->kind == BSQ_OPTION_BYTES || row->kind > BSQ_OPTION_CHOICE)
         return buffer;
-    if (word || row->kind == BSQ_OPTION_CHOICE || (row->kind == BSQ_OPTION_FLAG && row->words)) {
-        const char *at = row->words;
-        for (; index > 0; index--)
-            at = strchr(at, ' ') + 1;
-        snprintf(buffer, CLI_TEXT, " (default: %.*s)", (int)strcspn(at, " /"), at);
-    } else if (row->kind == BSQ_OPTION_COUNT || row->kind == BSQ_OPTION_NUMBER) {
-        snprintf(buffer, CLI_TEXT, " (default: %g)", row->usual);
-    }
+    alone.offset = 0;
+    bsq_options_defaults(&alone, 1, &value);
+    snprintf(buffer, CLI_TEXT, " (default: %s)", bsq_option_text(&alone, &value, text));
     return buffer;
 }
 

@@ -5,65 +5,20 @@
 #include <stdlib.h>
 #include <string.h>
 
-int page_begin(struct cli *cli, const char *path, struct bake_page **out)
-{
-    if (!cli_ends_with(path, ".html"))
-        return cli_usage(cli, "%s: the report is a page: its name must end in .html", path);
-    return bake_page_open(cli->ctx, path, out);
-}
-
-/* Returns a word of a row. */
-static json_t *word_json(const struct bsq_option *row, unsigned index)
-{
-    const char *at = row->words;
-    for (; index > 0 && strchr(at, ' '); index--)
-        at = strchr(at, ' ') + 1;
-    return json_stringn(at, strcspn(at, " /"));
-}
-
-/* Returns the value of a row; null for values that the program took apart. */
-static json_t *value_json(const struct bsq_option *row, const void *options)
-{
-    const void *at = bsq_option_at(row, options);
-    switch (row->kind) {
-    case BSQ_OPTION_FLAG:
-        return row->words ? word_json(row, *(const bool *)at) : json_boolean(*(const bool *)at);
-    case BSQ_OPTION_COUNT:
-        return row->words && *(const uint32_t *)at == UINT32_MAX
-                   ? word_json(row, 0)
-                   : json_integer(*(const uint32_t *)at);
-    case BSQ_OPTION_BYTES:
-        return json_integer((json_int_t) * (const uint64_t *)at);
-    case BSQ_OPTION_NUMBER:
-        return row->words && *(const double *)at < 0 ? word_json(row, 0)
-               : isfinite(*(const double *)at)       ? json_real(*(const double *)at)
-                                                     : json_null();
-    case BSQ_OPTION_CHOICE:
-        return word_json(row, *(const unsigned *)at);
-    case BSQ_OPTION_TEXT:
-    case BSQ_OPTION_INPUT:
-    case BSQ_OPTION_OUTPUT:
-        return cli_json_text(*(const char *const *)at);
-    default:
-        return json_null();
-    }
-}
-
-/* Returns a list of all options of the help: name, value, and whether it was given. */
+/* Returns a list of all options of the help: name and value; null for values that the program took
+ * apart. */
 static json_t *options_json(const struct cli_table *table)
 {
     json_t *list = json_array();
-    for (size_t i = 0; i < table->count; i++) {
-        const struct bsq_option *row = &table->rows[i];
-        char name[CLI_TEXT];
+    for (const struct bsq_option *row = table->rows; row < table->rows + table->count; row++) {
+        char name[CLI_TEXT], text[BSQ_OPTION_TEXT_BYTES];
         if (!row->name || !row->help)
             continue;
         snprintf(name, sizeof name, "--%s%s%s", row->name, row->key ? " " : "",
                  row->key ? row->key : "");
-        cli_json_append(&list,
-                        json_pack("[s, o, b]", name,
-                                  row->own_syntax ? json_null() : value_json(row, table->options),
-                                  table->given && table->given[i]));
+        cli_json_append(
+            &list,
+            json_pack("[s, o]", name, cli_json_text(bsq_option_text(row, table->options, text))));
     }
     return list;
 }

@@ -6,10 +6,7 @@
 #include "libbake/page.h"
 #include "tools/cli.h"
 
-/* Checks the page's name and begins it. */
-int page_begin(struct cli *cli, const char *path, struct bake_page **out);
-
-/* Completes it with what the program prints as JSON, the command, the options and the warnings.
+/* Completes a page with what the program prints as JSON, the command, the options and the warnings.
  * Takes over `root`; NULL means that there was no memory for it. */
 int page_end(struct cli *cli, struct bake_page *page, json_t *root,
              const struct cli_table *options);

@@ -318,8 +318,8 @@ static int show(struct bsq_ctx *ctx, const struct bake_compare_options *options,
     for (uint32_t y = 0; y < c->a.height; y++) {
         for (uint64_t x = 0; x < width; x++)
             read_rgb(c, y * width + x, rows[x], rows[width + x]);
-        BSQ_TRY(bake_page_take_rows(ctx, &maps[0], 3, y, 1, rows[0]));
-        BSQ_TRY(bake_page_take_rows(ctx, &maps[1], 3, y, 1, rows[width]));
+        for (int i = 0; i < 2; i++)
+            BSQ_TRY(bake_page_take_rows(ctx, &maps[i], 3, y, 1, rows[i * width]));
     }
     for (int k = 0; k < 3; k++) {
         maps[0].low[k] = maps[1].low[k] = fminf(maps[0].low[k], maps[1].low[k]);

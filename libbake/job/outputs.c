@@ -369,18 +369,17 @@ int bake_commit_outputs(struct bake_work *job)
         struct bake_preview_file *file = job->preview_file;
         job->preview_file = NULL;
         BSQ_TRY(bake_preview_hand_over(file, &preview));
-        if (job->options->preview_path)
-            BSQ_TRY(bsq_output_group_add(&group, preview));
         if (job->options->page)
             status =
                 bake_page_add(job->options->page,
                               json_pack("{s:s, s:f, s:f}", "kind", "preview", "from",
                                         job->preview_from, "above", job->options->preview_above),
                               preview);
-        if (!job->options->preview_path)
+        if (status == 0 && job->options->preview_path)
+            status = bsq_output_group_add(&group, preview);
+        else
             bsq_output_discard(preview);
-        if (status < 0)
-            goto done;
+        BSQ_TRY(status);
     }
     if (job->asset) {
         struct bake_asset *asset = job->asset;

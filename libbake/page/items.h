@@ -35,9 +35,8 @@ int bake_page_begin_picture(struct bsq_ctx *ctx, uint32_t width, uint32_t height
 /* Adds rows of a map to a picture; channels beyond the third do not count. */
 int bake_page_take_rows(struct bsq_ctx *ctx, struct bake_page_picture *picture, uint32_t channels,
                         uint32_t first_row, uint32_t rows, const float *samples);
-/* Adds a picture as an item, whose texels it may change. It gets the members "range", of the values
- * of each channel, and "shown", what became 0 and 1. Takes over `head`. Errors: those of
- * bake_page_add(). */
+/* Adds a picture as an item, whose texels it may change. It gets the member "range", of the values
+ * of each channel. Takes over `head`. Errors: those of bake_page_add(). */
 int bake_page_add_picture(struct bake_page *page, json_t *head, struct bake_page_picture *picture);
 
 #endif

@@ -2,6 +2,7 @@
  */
 #include <stdlib.h>
 #include <string.h>
+#include <strings.h>
 #include <unistd.h>
 
 #include "formats/module/module.h"
@@ -20,12 +21,11 @@ static int put(struct bake_page *page, const char *text)
 static int put_json(struct bake_page *page, const char *text)
 {
     int status = 0;
-    for (const char *end; (end = strchr(text, '<')) && status == 0; text = end + 1) {
-        status = bsq_output_write(page->output, text, (uint64_t)(end - text));
-        if (status == 0)
-            status = put(page, "\\u003c");
+    for (size_t length; *text && status == 0; text += length) {
+        length = *text == '<' ? 1 : strcspn(text, "<");
+        status = *text == '<' ? put(page, "\\u003c") : bsq_output_write(page->output, text, length);
     }
-    return status < 0 ? status : put(page, text);
+    return status;
 }
 
 static int put_file(struct bake_page *page, const char *path)
@@ -56,9 +56,13 @@ done:
 int bake_page_open(struct bsq_ctx *ctx, const char *path, struct bake_page **out)
 {
     struct bake_page *page = NULL;
+    const size_t length = strlen(path);
     char frame[PATH_MAX];
     int status;
     *out = NULL;
+    if (length < 5 || strcasecmp(path + length - 5, ".html") != 0)
+        return bsq_fail(ctx, BSQ_EUSAGE, "%s: the report is a page: its name must end in .html",
+                        path);
     BSQ_TRY(bsq_calloc(ctx, "page", 1, sizeof *page, &page));
     page->ctx = ctx;
     page->path = path;
@@ -80,24 +84,22 @@ done:
 static int put_base64(struct bake_page *page, const struct bsq_file *file)
 {
     static const char digits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-    enum { GROUPS = 4096 };
-    unsigned char in[3 * GROUPS];
-    char out[4 * GROUPS];
+    unsigned char in[3 * 4096];
+    char out[sizeof in / 3 * 4];
     int status = 0;
-    for (uint64_t at = 0, got = 0; at < file->size; at += got) {
-        BSQ_TRY(bsq_file_read_some(page->ctx, file, in, sizeof in - 2, at, &got));
-        got -= at + got < file->size ? got % 3 : 0; /* whole groups but at the end */
-        memset(in + got, 0, 2);
-        const uint64_t groups = (got + 2) / 3;
-        for (uint64_t g = 0; g < groups; g++) {
-            const uint32_t bits =
-                (uint32_t)in[3 * g] << 16 | (uint32_t)in[3 * g + 1] << 8 | in[3 * g + 2];
-            for (unsigned i = 0; i < 4; i++)
-                out[4 * g + i] = digits[bits >> (18 - 6 * i) & 63];
+    for (uint64_t at = 0; at < file->size; at += sizeof in) {
+        const uint64_t left = file->size - at, size = left < sizeof in ? left : sizeof in;
+        const uint64_t digit_count = (size + 2) / 3 * 4;
+        memset(in, 0, sizeof in);
+        BSQ_TRY(bsq_file_read(page->ctx, file, in, size, at));
+        for (uint64_t i = 0; i < digit_count; i++) {
+            const unsigned char *group = in + i / 4 * 3;
+            const unsigned bits = (unsigned)group[0] << 16 | (unsigned)group[1] << 8 | group[2];
+            out[i] = digits[bits >> (18 - 6 * (i % 4)) & 63];
+            if (i > 4 * size / 3)
+                out[i] = '=';
         }
-        for (uint64_t i = got; i < 3 * groups; i++)
-            out[4 * groups - 3 * groups + i] = '=';
-        BSQ_TRY(bsq_output_write(page->output, out, 4 * groups));
+        BSQ_TRY(bsq_output_write(page->output, out, digit_count));
     }
 done:
     return status;

@@ -37,12 +37,6 @@ int bake_page_take_rows(struct bsq_ctx *ctx, struct bake_page_picture *picture, 
     return bake_thumbnail_add(ctx, &picture->texels, channels, first_row, rows, samples);
 }
 
-static json_t *ranges_json(const struct bake_page_picture *picture)
-{
-    const float *low = picture->low, *high = picture->high;
-    return json_pack("[[f,f],[f,f],[f,f]]", low[0], high[0], low[1], high[1], low[2], high[2]);
-}
-
 /* Maps the range of each channel to 0 to 1, unless it lies in there; what is not finite becomes 0.
  */
 static void normalise(struct bake_page_picture *picture)
@@ -75,12 +69,14 @@ int bake_page_add_picture(struct bake_page *page, json_t *head, struct bake_page
     struct fmt_image_writer *writer = NULL;
     struct bsq_output *output = NULL;
     int status;
+    float *low = picture->low, *high = picture->high;
     for (int k = 0; k < 3; k++)
-        if (!(picture->low[k] <= picture->high[k])) /* no value is finite */
-            picture->low[k] = picture->high[k] = 0;
-    json_object_set_new(head, "range", ranges_json(picture));
+        if (!(low[k] <= high[k])) /* no value is finite */
+            low[k] = high[k] = 0;
+    json_object_set_new(
+        head, "range",
+        json_pack("[[f,f],[f,f],[f,f]]", low[0], high[0], low[1], high[1], low[2], high[2]));
     normalise(picture);
-    json_object_set_new(head, "shown", ranges_json(picture));
     BSQ_TRY(fmt_image_create(page->ctx, &fmt_png_format, page->path, &options, &writer));
     BSQ_TRY(fmt_image_write_rows(writer, texels->texels[0], texels->height));
     status = fmt_image_hand_over(writer, &output);
@@ -96,30 +92,21 @@ done:
 
 /* ---- rows of a bake ---- */
 
-/* Finds the picture of a file, or begins it with its first rows. */
-static int find_picture(struct bake_page *page, const struct bake_rows *rows,
-                        struct bake_page_picture **out)
-{
-    for (*out = page->pictures; *out && strcmp((*out)->path, rows->path) != 0; *out = (*out)->next)
-        ;
-    if (*out)
-        return 0;
-    int status = bsq_calloc(page->ctx, "page", 1, sizeof **out, out);
-    if (status < 0)
-        return status;
-    (*out)->next = page->pictures;
-    page->pictures = *out;
-    (*out)->path = rows->path;
-    (*out)->color = rows->light;
-    return bake_page_begin_picture(page->ctx, rows->width, rows->height, *out);
-}
-
 int bake_page_take(void *user, const struct bake_rows *rows)
 {
     struct bake_page *page = user;
-    struct bake_page_picture *picture = NULL;
+    struct bake_page_picture *picture = page->pictures;
     int status;
-    BSQ_TRY(find_picture(page, rows, &picture));
+    while (picture && strcmp(picture->path, rows->path) != 0)
+        picture = picture->next;
+    if (!picture) {
+        BSQ_TRY(bsq_calloc(page->ctx, "page", 1, sizeof *picture, &picture));
+        picture->next = page->pictures;
+        page->pictures = picture;
+        picture->path = rows->path;
+        picture->color = rows->light;
+        BSQ_TRY(bake_page_begin_picture(page->ctx, rows->width, rows->height, picture));
+    }
     BSQ_TRY(bake_page_take_rows(page->ctx, picture, rows->channels, rows->first, rows->count,
                                 rows->samples));
     if (rows->first + rows->count < rows->height)

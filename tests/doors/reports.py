@@ -116,6 +116,7 @@ def check_texts():
     check("maps with a reference are compared with it", [n in t for n, t in zip(["v_normal.exr", "v_mask.exr"], shown)] ==
           [True, True] and len(shown) == 2, shown)
     check("with the figures of bisque-compare", all(f"{given[key]:.4g}" in shown[0] for key in ("mean", "p99", "max")), given)
+    check("figures of data have no unit", re.search(r"mean\s+0\n", shown[1]), shown[1])
     command = browser.js("document.getElementById('command').textContent")
     check("the command is quoted", "'v_<MAP>.exr'" in command and command.startswith("bisque-bake "), command)
     rows = browser.js("document.querySelectorAll('#options tr').length")

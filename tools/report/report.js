@@ -4,7 +4,7 @@ const $ = id => document.getElementById(id);
 const data = JSON.parse($('data').textContent), tiles = data.tiles ?? [];
 const items = [...document.querySelectorAll('script.item')].map(e => JSON.parse(e.textContent));
 const all = kind => items.filter(item => item.kind === kind);
-const maps = all('map'), [meshItem] = all('mesh'), [previewItem] = all('preview');
+const maps = all('map'), missed = all('misses'), [meshItem] = all('mesh'), [previewItem] = all('preview');
 
 // ---- elements, texts and pictures ----
 
@@ -21,13 +21,11 @@ const percent = share => `${(100 * share).toFixed(2)} %`;
 const seconds = s => s < 100 ? `${s.toFixed(2)} s` : `${Math.floor(s / 60)} min ${Math.round(s % 60)} s`;
 const mebibytes = bytes => `${(bytes / 2 ** 20).toFixed(1)} MiB`;
 const fileName = path => path.split('/').pop();
-const url = item => `data:image/png;base64,${item.data}`;
 
+// Gives an item its image.
 async function load(item) {
-  const image = new Image();
-  image.src = url(item);
-  await image.decode();
-  return image;
+  item.image = Object.assign(new Image(), {src: `data:image/png;base64,${item.data}`});
+  await item.image.decode();
 }
 function pixels(image) {
   const canvas = el('canvas', {width: image.width, height: image.height}), context = canvas.getContext('2d');
@@ -38,7 +36,6 @@ function pixels(image) {
 // The materials of the mesh have the names of their UDIM tiles, or of objects or materials with own maps.
 const tileName = tile => `${(tile.material ?? tile.object ?? 'tile').slice(0, 60)} ${tile.tile}`;
 const inTile = (name, tile) => tiles.length > 1 ? `${name}, ${tileName(tiles[tile])}` : name;
-const tileOf = map => tiles.findIndex(tile => Object.values(tile.maps).includes(map.path));
 
 // ---- maps ----
 
@@ -56,26 +53,26 @@ function drawHistogram(canvas, map, charts) {
   });
 }
 
-async function showMap(map, missed) {
-  map.image = await load(map);
-  map.tile = Math.max(0, tileOf(map));
-  const encoding = data.encodings?.[map.name], name = inTile(map.name, map.tile), several = map.channels > 1;
-  const value = (stored, channel) => number(encoding ? stored * (encoding.scale[channel] ?? encoding.scale[0]) +
-    (encoding.offset[channel] ?? encoding.offset[0]) : stored);
+function showMap(map) {
+  map.tile = Math.max(0, tiles.findIndex(tile => Object.values(tile.maps).includes(map.path)));
+  const encoding = data.encodings[map.name], name = inTile(map.name, map.tile), several = map.channels > 1;
+  const value = (stored, k) => number(encoding ? stored * encoding.scale[k] + encoding.offset[k] : stored);
   const canvas = el('canvas', {class: 'histogram', width: 256, height: 64, role: 'img',
     'aria-label': `How often values of ${name} occur`});
   map.image.alt = `The map ${name}`;
   drawHistogram(canvas, map, missed.find(item => item.tile === map.tile)?.image);
   const ranges = map.range.slice(0, several ? 3 : 1).map(([low, high], k) =>
     `${several ? 'RGB'[k] + ' ' : ''}${value(low, k)} to ${value(high, k)}`).join(', ');
+  const [low, high] = map.range[0], ends = low >= 0 && high <= 1 ? [0, 1] : [low, high]; // black and white
   $('maps').append(el('article', {}, map.image, el('h3', {}, name),
     el('p', {class: 'hint'}, `${fileName(map.path)} · ${map.width} × ${map.height}`), canvas,
-    el('p', {class: 'ends'}, ...map.shown[0].map(end => el('span', {}, several ? '' : value(end, 0)))),
+    el('p', {class: 'ends'}, ...ends.map(end => el('span', {}, several ? '' : value(end, 0)))),
     el('p', {class: 'hint'}, `Range: ${ranges}${encoding ? ` (${encoding.unit})` : ''}`)));
 }
 
 // Shows charts in grey, and texels without a surface in red.
 function showMisses(item) {
+  item.name = 'missed samples';
   const picture = pixels(item.image), p = picture.data, name = inTile('UV charts', item.tile);
   const canvas = el('canvas', {width: picture.width, height: picture.height, role: 'img', 'aria-label': name});
   for (let i = 0; i < p.length; i += 4) {
@@ -102,41 +99,39 @@ void main() {
 const fragmentShader = `
 precision highp float;
 uniform mat3 normalMatrix;
-uniform sampler2D colorMap, normalMap, missedMap, shownMap;
-uniform bool hasColor, hasNormal, hasMissed, flatMap, objectSpace, greenDown;
+uniform sampler2D mapColor, mapNormal, mapMissed, mapShown;
+uniform bool hasColor, hasNormal, hasMissed, hasShown, objectSpace, greenDown;
 varying vec3 n; varying vec4 t; varying vec2 at;
 vec3 light(vec3 c) { return mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(0.04045, c)); }
 vec3 encoded(vec3 c) { return mix(c * 12.92, 1.055 * pow(c, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, c)); }
 void main() {
-  if (flatMap) { gl_FragColor = vec4(texture2D(shownMap, at).rgb, 1.0); return; }
-  vec3 m = 2.0 * texture2D(normalMap, at).rgb - 1.0;
+  if (hasShown) { gl_FragColor = vec4(texture2D(mapShown, at).rgb, 1.0); return; }
+  vec3 m = 2.0 * texture2D(mapNormal, at).rgb - 1.0;
   if (greenDown) m.y = -m.y;
   vec3 turned = !hasNormal ? n : objectSpace ? m : m.x * t.xyz + m.y * t.w * cross(n, t.xyz) + m.z * n;
   vec3 facing = normalize(normalMatrix * turned);
   vec3 key = normalize(vec3(-0.55, 0.65, 0.55)), fill = normalize(vec3(0.85, 0.05, 0.5));
-  vec2 found = texture2D(missedMap, at).rg;
-  vec3 albedo = mix(hasColor ? light(texture2D(colorMap, at).rgb) : vec3(0.6), vec3(1.0, 0.01, 0.01),
+  vec2 found = texture2D(mapMissed, at).rg;
+  vec3 albedo = mix(hasColor ? light(texture2D(mapColor, at).rgb) : vec3(0.6), vec3(1.0, 0.01, 0.01),
     hasMissed ? found.r / max(found.r + found.g, 0.004) : 0.0);
   float lit = 0.95 * max(dot(facing, key), 0.0) + 0.16 * max(dot(facing, fill), 0.0) + 0.05;
   float shine = 0.06 * pow(max(dot(facing, normalize(key + vec3(0.0, 0.0, 1.0))), 0.0), 32.0);
   gl_FragColor = vec4(encoded(clamp(albedo * lit + shine, 0.0, 1.0)), 1.0);
 }`;
 
-// Draws the mesh from a direction: `around` and `above` in degrees.
+// Draws the mesh, turned by `around` and `above` in degrees before a camera that looks along -z.
 class Viewer {
   constructor(canvas, root) {
     const context = canvas.getContext('webgl2', {antialias: true, preserveDrawingBuffer: true});
-    Object.assign(this, {canvas, parts: [], points: [], scene: new THREE.Scene(),
-      renderer: new THREE.WebGLRenderer({canvas, context, alpha: true}), camera: new THREE.OrthographicCamera()});
+    Object.assign(this, {canvas, root, parts: [], scene: new THREE.Scene(), camera: new THREE.OrthographicCamera(),
+      renderer: new THREE.WebGLRenderer({canvas, context, alpha: true})});
     this.scene.add(root);
-    root.updateMatrixWorld(true);
+    root.rotation.x = meshItem.up === 2 ? -Math.PI / 2 : 0;
     root.traverse(part => part.isMesh && this.parts.push(part));
     for (const part of this.parts) {
-      const place = part.geometry.attributes.position;
-      for (let i = 0; i < place.count; i++)
-        this.points.push(new THREE.Vector3().fromBufferAttribute(place, i).applyMatrix4(part.matrixWorld));
       part.tile = tiles.findIndex(tile => tileName(tile) === part.material.name);
       part.material = new THREE.RawShaderMaterial({vertexShader, fragmentShader, side: THREE.DoubleSide,
+        uniforms: {objectSpace: {value: meshItem.object_space}, greenDown: {value: meshItem.green_down}},
         polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1});
       part.add(new THREE.LineSegments(new THREE.WireframeGeometry(part.geometry),
         new THREE.LineBasicMaterial({color: 0xffb070, transparent: true, opacity: 0.6})));
@@ -144,111 +139,89 @@ class Viewer {
     new ResizeObserver(() => this.draw()).observe(canvas);
   }
   // Gives each part its maps, by the state of the switches.
-  set(state, pictures) {
+  set(state) {
     const texture = of => of && (of.texture ??= Object.assign(new THREE.Texture(of.image),
       {flipY: false, anisotropy: 4, needsUpdate: true}));
     for (const part of this.parts) {
-      const find = name => pictures.find(item => item.tile === part.tile && item.name === name);
-      const [color, normal, missed, shown] = ['color', 'normal', 'missed samples', state.show].map(find);
-      const textures = {colorMap: color, normalMap: normal, missedMap: missed, shownMap: shown};
-      const flags = {hasColor: state.color && color, hasNormal: state.normal && normal,
-        hasMissed: state.misses && missed, flatMap: shown, objectSpace: meshItem.object_space,
-        greenDown: meshItem.green_down};
-      for (const [name, of] of Object.entries(textures)) part.material.uniforms[name] = {value: texture(of) ?? null};
-      for (const [name, on] of Object.entries(flags)) part.material.uniforms[name] = {value: !!on};
+      const find = name => [...maps, ...missed].find(item => item.tile === part.tile && item.name === name);
+      const used = {Color: state.color && find('color'), Normal: state.normal && find('normal'),
+        Missed: state.misses && find('missed samples'), Shown: find(state.show)};
+      for (const [name, of] of Object.entries(used))
+        Object.assign(part.material.uniforms, {[`map${name}`]: {value: texture(of)}, [`has${name}`]: {value: !!of}});
       part.children[0].visible = !!state.wireframe;
     }
     this.draw();
   }
-  axes() {
-    const [around, above] = [this.around, this.above].map(angle => angle * Math.PI / 180);
-    const turn = (x, y, z) => meshItem.up === 2 ? new THREE.Vector3(x, -z, y) : new THREE.Vector3(x, y, z);
-    const [sa, ca, se, ce] = [Math.sin(around), Math.cos(around), Math.sin(above), Math.cos(above)];
-    return [turn(ca, 0, -sa), turn(-se * sa, ce, -se * ca), turn(ce * sa, se, ce * ca)]; // right, up, towards
-  }
-  // Frames the mesh as a view of the preview does.
+  // Frames the mesh as a view of the preview does, and lets it turn around its middle.
   look(index) {
-    Object.assign(this, {around: previewItem.from + 360 * index / meshItem.views, above: previewItem.above,
-      target: new THREE.Vector3()});
-    const sides = this.axes().map(axis => {
-      const [low, high] = this.points.reduce(([low, high], point) =>
-        [Math.min(low, point.dot(axis)), Math.max(high, point.dot(axis))], [Infinity, -Infinity]);
-      this.target.addScaledVector(axis, (low + high) / 2);
-      return high - low;
-    });
-    const half = Math.max(sides[0], sides[1]) / 0.92 / 2 || 1;
-    this.distance = 4 * Math.max(...sides) || 1;
-    Object.assign(this.camera, {left: -half, right: half, top: half, bottom: -half, zoom: 1, near: 0,
-      far: 2 * this.distance});
+    const box = new THREE.Box3(), point = new THREE.Vector3();
+    this.root.position.set(0, 0, 0);
+    this.pose(previewItem.from + 360 * index / meshItem.views, previewItem.above);
+    this.scene.updateMatrixWorld(true);
+    for (const {geometry: {attributes: {position}}, matrixWorld} of this.parts)
+      for (let i = 0; i < position.count; i++)
+        box.expandByPoint(point.fromBufferAttribute(position, i).applyMatrix4(matrixWorld));
+    const size = box.getSize(point.clone());
+    this.root.position.copy(this.scene.worldToLocal(box.getCenter(point))).negate();
+    const half = Math.max(size.x, size.y) / 0.92 / 2 || 1, far = 2 * size.length() || 1;
+    Object.assign(this.camera, {left: -half, right: half, top: half, bottom: -half, zoom: 1, near: -far, far});
     this.draw();
   }
-  turn(around, above) {
-    this.around += around;
-    this.above = Math.max(-89, Math.min(89, this.above + above));
-    this.draw();
+  pose(around, above) {
+    Object.assign(this, {around, above});
+    this.scene.rotation.set(above * Math.PI / 180, -around * Math.PI / 180, 0);
   }
-  zoom(factor) {
-    this.camera.zoom *= factor;
+  turn(around, above, zoom = 1) {
+    this.pose(this.around + around, Math.max(-89, Math.min(89, this.above + above)));
+    this.camera.zoom *= zoom;
     this.draw();
   }
   draw() {
     const side = this.canvas.clientWidth;
-    if (!side || !this.target) return;
-    const [, up, toward] = this.axes();
-    this.camera.up.copy(up);
-    this.camera.position.copy(this.target).addScaledVector(toward, this.distance);
-    this.camera.lookAt(this.target);
+    if (!side || this.above === undefined) return;
     this.camera.updateProjectionMatrix();
     this.renderer.setPixelRatio(window.devicePixelRatio);
     this.renderer.setSize(side, side, false);
     this.renderer.render(this.scene, this.camera);
     const nearest = Math.round((this.around - previewItem.from) * meshItem.views / 360) % meshItem.views;
-    this.onDraw((nearest + meshItem.views) % meshItem.views);
+    showScan((nearest + meshItem.views) % meshItem.views);
   }
 }
 
 const choice = (type, name, value, text, checked) =>
   el('label', {}, el('input', {type, name, value, ...(checked ? {checked: ''} : {})}), ` ${text}`);
 
-function showScan(image, index) {
-  const side = (image.width - 8) / 3, canvas = $('scan');
+function showScan(index) {
+  const {image} = previewItem, side = (image.width - 8) / 3, canvas = $('scan');
   canvas.width = canvas.height = side;
   canvas.getContext('2d').drawImage(image, 2 * (side + 4), index * (side + 4), side, side, 0, 0, side, side);
   $('scan-caption').textContent = `Scan, view ${index + 1} of ${meshItem.views}`;
-  $('views').querySelectorAll('button').forEach((button, i) => button.setAttribute('aria-pressed', i === index));
+  [...$('views').querySelectorAll('button')].forEach((e, i) => e.setAttribute('aria-pressed', i === index));
 }
 
-async function showAsset(preview, pictures) {
+async function showAsset() {
   const bytes = Uint8Array.from(atob(meshItem.data), c => c.charCodeAt(0)), view = $('view');
   const gltf = await new Promise((resolve, reject) => new THREE.GLTFLoader().parse(bytes.buffer, '', resolve, reject));
   const viewer = new Viewer(view, gltf.scene), names = [...new Set(maps.map(map => map.name))];
-  for (let i = 0; i < meshItem.views; i++) {
-    const button = el('button', {type: 'button', 'aria-label': `View ${i + 1}`}, `${i + 1}`);
-    button.onclick = () => viewer.look(i);
-    $('views').append(button);
-  }
+  $('views').append(...Array.from({length: meshItem.views}, (_, i) => Object.assign(
+    el('button', {type: 'button', 'aria-label': `View ${i + 1}`}, `${i + 1}`), {onclick: () => viewer.look(i)})));
   $('shows').append(choice('radio', 'show', '', 'shaded', true),
     ...names.map(name => choice('radio', 'show', name, name, false)));
-  const switches = [['normal', 'normal map'], ['color', 'colour']].filter(([name]) => names.includes(name));
-  $('switches').append(...switches.map(([name, text]) => choice('checkbox', name, 'on', text, true)),
-    choice('checkbox', 'wireframe', 'on', 'wireframe', false),
-    choice('checkbox', 'misses', 'on', 'misses', data.misses > 0));
-  viewer.onDraw = index => showScan(preview, index);
-  $('controls').onchange = () => viewer.set(Object.fromEntries(new FormData($('controls'))), pictures);
-  const keys = {ArrowLeft: [-6, 0], ArrowRight: [6, 0], ArrowUp: [0, 6], ArrowDown: [0, -6]};
-  const zooms = {'+': 1.15, '=': 1.15, '-': 1 / 1.15};
+  const switches = [['normal', 'normal map', true], ['color', 'colour', true]].filter(([name]) => names.includes(name));
+  switches.push(['wireframe', 'wireframe', false], ['misses', 'misses', data.misses > 0]);
+  $('switches').append(...switches.map(([name, text, on]) => choice('checkbox', name, 'on', text, on)));
+  $('controls').onchange = () => viewer.set(Object.fromEntries(new FormData($('controls'))));
+  const turns = {ArrowLeft: [-6, 0], ArrowRight: [6, 0], ArrowUp: [0, 6], ArrowDown: [0, -6],
+    '+': [0, 0, 1.15], '=': [0, 0, 1.15], '-': [0, 0, 1 / 1.15]};
   view.onkeydown = event => {
-    if (event.ctrlKey || event.metaKey) return;
-    if (keys[event.key]) viewer.turn(...keys[event.key]);
-    else if (zooms[event.key]) viewer.zoom(zooms[event.key]);
-    else if (event.key === 'Home') viewer.look(0);
-    else return;
+    if (event.ctrlKey || event.metaKey || !(turns[event.key] || event.key === 'Home')) return;
+    turns[event.key] ? viewer.turn(...turns[event.key]) : viewer.look(0);
     event.preventDefault();
   };
   view.onpointerdown = event => view.setPointerCapture(event.pointerId);
   view.onpointermove = event => event.buttons && viewer.turn(-event.movementX / 2, event.movementY / 2);
   view.onwheel = event => {
-    viewer.zoom(Math.exp(-event.deltaY / 1000));
+    viewer.turn(0, 0, Math.exp(-event.deltaY / 1000));
     event.preventDefault();
   };
   $('asset').hidden = false;
@@ -293,18 +266,20 @@ function showCost() {
 }
 
 function showComparison(c, a, b, error) {
-  const slider = el('div', {class: 'slider'}, el('img', {src: url(b), alt: 'The reference'}),
-    el('img', {src: url(a), alt: 'The map'}), el('input', {type: 'range', min: 0, max: 100, step: 0.5,
-      'aria-label': 'Where the map ends and the reference begins'}),
+  const slider = el('div', {class: 'slider'}, b.image, a.image, el('input', {type: 'range', min: 0, max: 100, step: 0.5,
+    'aria-label': 'Where the map ends and the reference begins'}),
     el('p', {class: 'ends hint'}, el('span', {}, c.a_path), el('span', {}, `${c.b_path} (reference)`)));
   slider.oninput = event => slider.style.setProperty('--split', `${event.target.value}%`);
+  Object.assign(a.image, {alt: 'The map'}), Object.assign(b.image, {alt: 'The reference'});
+  error.image.alt = 'The error of each texel';
+  const isData = c.type === 'data', unit = isData ? '' : ` ${c.unit}`; // those of data are in the map's own unit
   const figures = [['texels', count(c.compared)], ...['mean', 'rms', 'median', 'p95', 'p99', 'max'].map(
-    key => [key, `${number(c[key])} ${c.unit}`]), ['max at', `${c.max_x}, ${c.max_y}`]];
-  if (c.type !== 'data') figures.push(['above 1', percent(c.share_above_1)], ['above 5', percent(c.share_above_5)]);
+    key => [key, number(c[key]) + unit]), ['max at', `${c.max_x}, ${c.max_y}`]];
+  if (!isData) figures.push(['above 1', percent(c.share_above_1)], ['above 5', percent(c.share_above_5)]);
   if ('psnr' in c) figures.push(['PSNR', `${number(c.psnr)} dB`]);
   $('errors').append(el('article', {class: 'compared'}, slider, el('table', {}, ...figures.map(cells => row(...cells))),
-    el('figure', {}, el('img', {src: url(error), alt: 'The error of each texel'}),
-      el('figcaption', {}, `Error of each texel, in ${c.unit}`))));
+    el('figure', {}, error.image,
+      el('figcaption', {}, `Error of each texel${isData ? '' : `, in ${c.unit}`}`))));
   $('errors').hidden = false;
 }
 
@@ -314,21 +289,19 @@ async function main() {
   showHead();
   showLost();
   showCost();
+  for (const item of items) if (item !== meshItem) await load(item);
   (data.comparisons ?? [data]).forEach((c, i) => c.b_path &&
     showComparison(c, ...all('compared').slice(2 * i, 2 * i + 2), all('error')[i]));
-  const missed = all('misses');
-  for (const item of missed) Object.assign(item, {image: await load(item), name: 'missed samples'});
-  for (const map of maps) await showMap(map, missed);
+  maps.forEach(showMap);
   missed.forEach(showMisses);
   $('mapped').hidden = maps.length === 0;
   $('missing').hidden = missed.length === 0;
   if (!previewItem) return;
   $('missing-text').textContent = `Samples: ${count(data.misses)} of ${count(data.samples)}, ` +
     `in red. Rays reached ${number(data.front)} in front of the mesh and ${number(data.back)} behind it.`;
-  if (window.THREE && el('canvas').getContext('webgl2'))
-    return showAsset(await load(previewItem), [...maps, ...missed]);
+  if (window.THREE && el('canvas').getContext('webgl2')) return showAsset();
   $('pictures').hidden = false;
-  $('preview').src = url(previewItem);
+  $('pictures').prepend(Object.assign(previewItem.image, {id: 'preview', alt: 'Each row: plain, with maps, the scan'}));
   $('no3d').textContent = !window.THREE ? 'Install the package libjs-three to see the asset in 3D in the next report.'
     : 'This browser does not draw in 3D.';
 }
