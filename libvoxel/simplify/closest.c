@@ -9,6 +9,8 @@
 
 /* The depth is that of halving 2^32 triangles into leaves. */
 enum { LEAF_TRIANGLES = 4, DEPTH_MAX = 32 };
+/* Least square of a triangle's height above its longest side, in that of the side. */
+static const double needle_area = 1e-6;
 
 struct vox_closest_node {
     float low[3], high[3];
@@ -148,12 +150,13 @@ static void find_most(struct batch *b)
         b->most = b->squares[i] > b->most ? b->squares[i] : b->most;
 }
 
-/* What the distance of a point from a triangle is made of. Without branches, so that points are
- * computed side by side. */
+/* What the distance of a point from a triangle is made of. */
 struct plane {
     double corners[3][3], edges[3][3], outwards[3][3], normal[3];
     double inverse_edges[3], inverse_area; /* of squares; 0 for 0 */
-    double flat;                           /* 1: without an inside; else -1 */
+    double inverse_outwards[3];
+    double flat; /* 1: without an inside; else -1 */
+    double safe; /* factor of bounds, for rounding; 0: a needle, whose normal is not exact */
 };
 
 static void set_plane(const float *const corners[3], struct plane *out)
@@ -165,40 +168,94 @@ static void set_plane(const float *const corners[3], struct plane *out)
         }
     bsq_crossd(out->edges[0], out->edges[1], out->normal);
     const double area = bsq_dotd(out->normal, out->normal);
+    double longest = 0;
     out->inverse_area = area > 0 ? 1 / area : 0;
     out->flat = area > 0 ? -1 : 1;
     for (int i = 0; i < 3; i++) {
         const double square = bsq_dotd(out->edges[i], out->edges[i]);
         out->inverse_edges[i] = square > 0 ? 1 / square : 0;
         bsq_crossd(out->edges[i], out->normal, out->outwards[i]);
+        longest = square > longest ? square : longest;
     }
+    const bool needle = !(area > needle_area * longest * longest);
+    out->safe = needle ? 0 : 1 - 1e-9;
+    for (int i = 0; i < 3; i++)
+        out->inverse_outwards[i] = out->inverse_edges[i] * out->inverse_area;
 }
 
-/* The distance is that from the plane, for points above the inside, or that from an edge. */
+/* Returns the squared distance of a point from the edges of a triangle. */
+static double edge_square(const struct plane *plane, double px, double py, double pz)
+{
+    double least = INFINITY;
+    for (int k = 0; k < 3; k++) {
+        const double *c = plane->corners[k], *e = plane->edges[k];
+        const double x = px - c[0], y = py - c[1], z = pz - c[2];
+        double along = (x * e[0] + y * e[1] + z * e[2]) * plane->inverse_edges[k];
+        along = along > 0 ? along : 0;
+        along = along < 1 ? along : 1;
+        const double dx = x - along * e[0], dy = y - along * e[1], dz = z - along * e[2];
+        const double square = dx * dx + dy * dy + dz * dz;
+        least = square < least ? square : least;
+    }
+    return least;
+}
+
+/* The distance is that from the plane, for points above the inside, or that from an edge. The way
+ * beyond an edge's line and the height above the plane bound the latter, so edges are looked at for
+ * few points. The first loop has no branches, so that points are computed side by side. */
 static void try_triangle(const float *const corners[3], struct batch *b)
 {
+    double bounds[VOX_CLOSEST_BATCH], least_gain = 0;
     struct plane plane;
     set_plane(corners, &plane);
     for (unsigned i = 0; i < b->count; i++) {
-        double least = INFINITY, outside = plane.flat, height = 0;
+        double outside = plane.flat, height = 0, way = 0;
         for (int k = 0; k < 3; k++) {
-            const double *c = plane.corners[k], *e = plane.edges[k], *out = plane.outwards[k];
+            const double *c = plane.corners[k], *out = plane.outwards[k];
             const double x = b->points[0][i] - c[0], y = b->points[1][i] - c[1],
                          z = b->points[2][i] - c[2];
-            double along = (x * e[0] + y * e[1] + z * e[2]) * plane.inverse_edges[k];
-            along = along > 0 ? along : 0;
-            along = along < 1 ? along : 1;
-            const double dx = x - along * e[0], dy = y - along * e[1], dz = z - along * e[2];
-            const double square = dx * dx + dy * dy + dz * dz;
             const double beyond = x * out[0] + y * out[1] + z * out[2];
-            least = square < least ? square : least;
+            const double square = beyond > 0 ? beyond * beyond * plane.inverse_outwards[k] : 0;
+            way = square > way ? square : way;
             outside = beyond > outside ? beyond : outside;
             height = x * plane.normal[0] + y * plane.normal[1] + z * plane.normal[2];
         }
         const double above = height * height * plane.inverse_area;
-        least = outside <= 0 ? above : least;
-        b->squares[i] = least < b->squares[i] ? least : b->squares[i];
+        const double inside = outside <= 0 ? above : INFINITY;
+        const double bound = outside <= 0 ? INFINITY : (above + way) * plane.safe;
+        const double square = b->squares[i];
+        b->squares[i] = inside < square ? inside : square;
+        bounds[i] = bound - square;
+        least_gain = bounds[i] < least_gain ? bounds[i] : least_gain;
     }
+    if (!(least_gain < 0))
+        return;
+    for (unsigned i = 0; i < b->count; i++) {
+        if (!(bounds[i] < 0))
+            continue;
+        const double square =
+            edge_square(&plane, b->points[0][i], b->points[1][i], b->points[2][i]);
+        b->squares[i] = square < b->squares[i] ? square : b->squares[i];
+    }
+}
+
+/* Tries a triangle of a leaf if its own box is near enough. */
+static void try_boxed(const struct vox_closest *tree, uint32_t triangle, struct batch *b)
+{
+    const uint32_t *t = tree->triangles[triangle];
+    const float *const corners[3] = {tree->positions[t[0]], tree->positions[t[1]],
+                                     tree->positions[t[2]]};
+    float low[3], high[3];
+    for (int k = 0; k < 3; k++) {
+        const float x = corners[0][k], y = corners[1][k], z = corners[2][k];
+        const float less = x < y ? x : y, more = x < y ? y : x;
+        low[k] = less < z ? less : z;
+        high[k] = more > z ? more : z;
+    }
+    if (!(vox_box_square(low, high, b->low, b->high) < b->most))
+        return;
+    try_triangle(corners, b);
+    find_most(b);
 }
 
 static void walk_tree(const struct vox_closest *tree, struct batch *b)
@@ -217,13 +274,8 @@ static void walk_tree(const struct vox_closest *tree, struct batch *b)
             continue;
         const struct vox_closest_node *node = &nodes[at];
         if (node->right == 0) {
-            for (uint32_t i = node->begin; i < node->end; i++) {
-                const uint32_t *t = tree->triangles[tree->order[i]];
-                try_triangle((const float *const[3]){tree->positions[t[0]], tree->positions[t[1]],
-                                                     tree->positions[t[2]]},
-                             b);
-            }
-            find_most(b);
+            for (uint32_t i = node->begin; i < node->end; i++)
+                try_boxed(tree, tree->order[i], b);
             continue;
         }
         const struct vox_closest_node *left = node + 1, *right = &nodes[node->right];
@@ -231,7 +283,8 @@ static void walk_tree(const struct vox_closest *tree, struct batch *b)
                      to_right = vox_box_square(right->low, right->high, b->low, b->high);
         const bool left_first = to_left <= to_right;
         stack[depth].node = left_first ? node->right : at + 1;
-        stack[depth++].square = left_first ? to_right : to_left;
+        stack[depth].square = left_first ? to_right : to_left;
+        depth += stack[depth].square < b->most;
         stack[depth].node = left_first ? at + 1 : node->right;
         stack[depth++].square = left_first ? to_left : to_right;
     }

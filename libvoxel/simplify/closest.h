@@ -2,6 +2,8 @@
 #ifndef VOX_CLOSEST_H
 #define VOX_CLOSEST_H
 
+#include <math.h>
+
 #include "base/context.h"
 
 struct vox_closest_node;
@@ -34,18 +36,19 @@ void vox_closest_squares(const struct vox_closest *tree, const float (*points)[3
 void vox_triangle_squares(const float *const corners[3], const float (*points)[3], unsigned count,
                           double *squares);
 
-/* Returns the squared distance of two boxes; 0 if they touch. */
+/* Returns the squared distance of two boxes, or a little less, because differences are rounded; 0
+ * if they touch. Without branches, which would be hard to predict. */
 static inline double vox_box_square(const float low[3], const float high[3],
                                     const float other_low[3], const float other_high[3])
 {
     double square = 0;
     for (int k = 0; k < 3; k++) {
-        const double below = (double)low[k] - (double)other_high[k],
-                     above = (double)other_low[k] - (double)high[k];
-        const double out = below > above ? below : above;
-        square += out > 0 ? out * out : 0;
+        const float below = low[k] - other_high[k], above = other_low[k] - high[k];
+        const double out = (double)(below > above ? below : above);
+        const double twice = out + fabs(out); /* of what is above 0 */
+        square += twice * twice;
     }
-    return square;
+    return square * (0.25 - 1e-7);
 }
 
 #endif

@@ -23,7 +23,15 @@ enum {
     BINS_PER_OCTAVE = 16,
     OCTAVES = 42,
     BINS = BINS_PER_OCTAVE * OCTAVES,
-    SAMPLE_BLOCK = 1024
+    SAMPLE_BLOCK = 1024,
+    BUNDLE = 32
+};
+
+/* Pending samples that follow each other: a box around them, and the largest of their squared
+ * distances when they began to be looked for. */
+struct bundle {
+    float low[3], high[3];
+    double most;
 };
 
 struct sums {
@@ -44,6 +52,7 @@ struct measuring {
     uint32_t area_samples, sample_count;   /* points on the mesh; with its vertices */
     uint32_t *pending;                     /* numbers of samples that are looked for */
     uint32_t pending_count;
+    struct bundle *bundles;
     struct sums *total;
     atomic_bool enough;
 };
@@ -308,45 +317,84 @@ static int bound_samples(void *arg, uint64_t block, unsigned worker)
     return bsq_check(m->ctx);
 }
 
+static double get_found(const struct measuring *m, uint32_t sample)
+{
+    return (double)from_bits(atomic_load_explicit(&m->found[sample], memory_order_relaxed));
+}
+
+/* A chunk, and a tree over it once there is a sample that it may be closest to. */
+struct searched {
+    struct fmt_tris_chunk chunk;
+    struct vox_closest tree;
+    void *scratch;
+};
+
+/* Lowers the distance of a sample. */
+static int measure_sample(const struct measuring *m, uint64_t index, uint32_t sample,
+                          struct searched *in)
+{
+    const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(m->file)[index];
+    const float(*p)[3] = (const float(*)[3])m->samples[sample];
+    const double most = get_found(m, sample);
+    double square = most;
+    int status = 0;
+    if (vox_box_square(info->bounds_min, info->bounds_max, *p, *p) >= most)
+        return 0;
+    if (!in->tree.nodes) {
+        BSQ_TRY(load_chunk(m, index, &in->scratch, &in->chunk));
+        BSQ_TRY(vox_closest_build(m->ctx, in->chunk.positions, in->chunk.triangles,
+                                  in->chunk.triangle_count, true, &in->tree));
+    }
+    vox_closest_squares(&in->tree, p, 1, &square);
+    if (square < most)
+        lower(&m->found[sample], square);
+done:
+    return status;
+}
+
 /* Lowers the distances of pending samples that a chunk may be closest to. */
 static int measure_samples(void *arg, uint64_t index, unsigned worker)
 {
     const struct measuring *m = arg;
     const struct fmt_tris_chunk_info *info = &fmt_tris_chunks(m->file)[index];
-    struct fmt_tris_chunk chunk;
-    struct vox_closest tree = {0};
-    void *scratch = NULL;
+    struct searched in = {0};
     int status = 0;
     (void)worker;
-    for (uint32_t j = 0; j < m->pending_count; j++) {
-        const uint32_t s = m->pending[j];
-        const float(*p)[3] = (const float(*)[3])m->samples[s];
-        const double most =
-            (double)from_bits(atomic_load_explicit(&m->found[s], memory_order_relaxed));
-        if (j % 4096 == 0)
+    for (uint32_t begin = 0; begin < m->pending_count; begin += BUNDLE) {
+        const struct bundle *bundle = &m->bundles[begin / BUNDLE];
+        if (begin % (128 * BUNDLE) == 0)
             BSQ_TRY(bsq_check(m->ctx));
-        if (vox_box_square(info->bounds_min, info->bounds_max, *p, *p) >= most)
+        if (vox_box_square(info->bounds_min, info->bounds_max, bundle->low, bundle->high) >=
+            bundle->most)
             continue;
-        if (!tree.nodes) {
-            BSQ_TRY(load_chunk(m, index, &scratch, &chunk));
-            BSQ_TRY(vox_closest_build(m->ctx, chunk.positions, chunk.triangles,
-                                      chunk.triangle_count, true, &tree));
-        }
-        double square = most;
-        vox_closest_squares(&tree, p, 1, &square);
-        if (square < most)
-            lower(&m->found[s], square);
+        for (uint32_t j = begin; j < begin + BUNDLE && j < m->pending_count; j++)
+            BSQ_TRY(measure_sample(m, index, m->pending[j], &in));
     }
     bsq_progress_add(m->ctx, info->triangle_count);
 done:
-    vox_closest_free(m->ctx, &tree);
-    bsq_free(m->ctx, scratch);
+    vox_closest_free(m->ctx, &in.tree);
+    bsq_free(m->ctx, in.scratch);
     return status;
+}
+
+static void set_bundle(const struct measuring *m, uint32_t begin, struct bundle *out)
+{
+    *out = (struct bundle){{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}, 0};
+    for (uint32_t j = begin; j < begin + BUNDLE && j < m->pending_count; j++) {
+        const float *p = m->samples[m->pending[j]];
+        for (int k = 0; k < 3; k++) {
+            out->low[k] = fminf(out->low[k], p[k]);
+            out->high[k] = fmaxf(out->high[k], p[k]);
+        }
+        out->most = fmax(out->most, get_found(m, m->pending[j]));
+    }
 }
 
 static int measure_pending(struct measuring *m)
 {
     const struct fmt_tris_header *header = fmt_tris_get_header(m->file);
+    for (uint32_t begin = 0; begin < m->pending_count; begin += BUNDLE)
+        set_bundle(m, begin, &m->bundles[begin / BUNDLE]);
     bsq_progress_begin(m->ctx, "measuring", "triangles", header->triangle_count);
     int status = bsq_parallel_for(m->ctx, header->chunk_count, measure_samples, m);
     bsq_progress_end(m->ctx);
@@ -406,6 +454,7 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
     BSQ_TRY(bsq_alloc(ctx, "samples", m.sample_count, sizeof *m.samples, &m.samples));
     BSQ_TRY(bsq_alloc(ctx, "samples", m.sample_count, sizeof *m.found, &m.found));
     BSQ_TRY(bsq_alloc(ctx, "samples", m.sample_count, sizeof *m.pending, &m.pending));
+    BSQ_TRY(bsq_alloc(ctx, "samples", m.sample_count / BUNDLE + 1, sizeof *m.bundles, &m.bundles));
     BSQ_TRY(vox_closest_build(ctx, (const float(*)[3])mesh->positions,
                               (const uint32_t(*)[3])mesh->triangles, mesh->triangle_count, false,
                               &m.tree));
@@ -420,6 +469,7 @@ int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const str
     summarize(&m, samples, mesh_to_scan);
 done:
     vox_closest_free(ctx, &m.tree);
+    bsq_free(ctx, m.bundles);
     bsq_free(ctx, m.pending);
     bsq_free(ctx, (void *)m.found);
     bsq_free(ctx, m.samples);

@@ -34,7 +34,7 @@ static void compare_closest(bool in_order)
     float positions[3 * TRIANGLES][3];
     uint32_t triangles[TRIANGLES][3];
     uint64_t seed = test_seed();
-    for (int t = 0; t < TRIANGLES; t++)
+    for (int t = 0; t < TRIANGLES; t++) {
         for (int c = 0; c < 3; c++) {
             triangles[t][c] = (uint32_t)(3 * t + c);
             for (int k = 0; k < 3; k++)
@@ -42,6 +42,10 @@ static void compare_closest(bool in_order)
                     c == 0 ? random_number(&seed)
                            : positions[3 * t][k] + 0.1f * (random_number(&seed) - 0.5f);
         }
+        for (int k = 0; k < 3 && t % 5 == 0; k++) /* a needle */
+            positions[3 * t + 2][k] = 0.5f * (positions[3 * t][k] + positions[3 * t + 1][k]) +
+                                      1e-6f * random_number(&seed);
+    }
     struct vox_closest tree;
     assert_int_equal(vox_closest_build(ctx, (const float(*)[3])positions,
                                        (const uint32_t(*)[3])triangles, TRIANGLES, in_order, &tree),
