@@ -45,13 +45,6 @@ void vox_sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *
     };
 }
 
-uint64_t vox_sort_memory_for(uint64_t stream_bytes, unsigned threads)
-{
-    /* The last segment of each stream may have only one element. */
-    const uint64_t segments = (uint64_t)(12 + 4 + 8 + 4) << STREAM_LARGE_SHIFT;
-    return vox_memory_min(threads) + (stream_bytes + segments) / 3 * 4;
-}
-
 /* ---- reading ---- */
 
 static void report_totals(struct vox_sort_report *report, const struct fmt_mesh_totals *totals)

@@ -30,9 +30,6 @@ struct sort_limits {
 /* Divides `budget` bytes for this number of threads. */
 void vox_sort_limits_for(uint64_t budget, unsigned threads, struct sort_limits *limits);
 
-/* Returns the budget in bytes with which attribute streams of this size stay in memory. */
-uint64_t vox_sort_memory_for(uint64_t stream_bytes, unsigned threads);
-
 /* vox_sort() with the caller's limits. */
 int vox_sort_with_limits(struct bsq_ctx *ctx, const struct vox_sort_options *options,
                          const struct sort_limits *limits, struct vox_sort_report *report);

@@ -260,12 +260,9 @@ static int divide_bucket(struct batches *b, const struct batch_part *whole, uint
     vox_run_reader_seek(vox_batch_reader(&b->batch), whole->buckets, whole->bucket, 0);
     for (uint64_t done = 0, count; status == 0 && done < whole->count; done += count) {
         const uint8_t *records;
-        uint64_t own;
-        status = vox_batch_read(&b->batch, whole, whole->count - done, b->part_limit, &count,
-                                &records, &own);
-        bsq_progress_add(b->ctx, count - own);
-        for (uint64_t first = 0, end; status == 0 && first < own; first = end) {
-            end = own - first < RUN_TRIANGLES ? own : first + RUN_TRIANGLES;
+        status = vox_batch_read(&b->batch, whole->count - done, b->part_limit, &count, &records);
+        for (uint64_t first = 0, end; status == 0 && first < count; first = end) {
+            end = count - first < RUN_TRIANGLES ? count : first + RUN_TRIANGLES;
             status = divide_run(b, records + first * bytes, (uint32_t)(end - first), levels, coded,
                                 children);
         }

@@ -146,14 +146,12 @@ static inline void mark(const struct gather_kind *kind, uint64_t index)
     atomic_store_explicit(&kind->ranges[index / 64 / GATHER_RANGE_WORDS], 1, memory_order_relaxed);
 }
 
-/* fan: bit of vertex indices that is not part of the index. */
-static void mark_plain(const struct gather_kind *kind, uint32_t fan, const uint8_t *records,
-                       uint64_t count)
+static void mark_plain(const struct gather_kind *kind, const uint8_t *records, uint64_t count)
 {
     for (uint64_t c = 0; c < 3 * count; c++) {
         uint32_t index;
         memcpy(&index, records + 4 * c, 4);
-        mark(kind, index & ~fan);
+        mark(kind, index);
     }
 }
 
@@ -172,17 +170,15 @@ static inline uint32_t index_bytes_of(const struct gather_window *w, enum fmt_me
 
 void vox_gather_mark(struct gather_window *w, const uint8_t *records, uint64_t count)
 {
-    const uint64_t fan = w->layout->fans ? record_fan_bit(w->layout) : 0;
     if (w->layout->plain) {
-        mark_plain(&w->kinds[FMT_MESH_VERTEX], (uint32_t)fan, records, count);
+        mark_plain(&w->kinds[FMT_MESH_VERTEX], records, count);
         return;
     }
     for (int i = 0; i < FMT_MESH_KIND_COUNT; i++) {
         const struct gather_kind *kind = &w->kinds[i];
         const uint32_t bytes = index_bytes_of(w, i);
         for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
-            uint64_t index = record_load(records + corner_offset(w->layout, i, c), bytes);
-            index &= i == FMT_MESH_VERTEX ? ~fan : UINT64_MAX;
+            const uint64_t index = record_load(records + corner_offset(w->layout, i, c), bytes);
             if (index < kind->count) /* others are "none" */
                 mark(kind, index);
         }

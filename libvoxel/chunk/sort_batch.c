@@ -2,17 +2,8 @@
  * order of their buckets, so together they are one sorted sequence. */
 #include "libvoxel/chunk/sort_batch.h"
 #include "base/parallel.h"
-#include "base/polygon.h"
 
 #include <math.h>
-
-/* Buffers for one polygon. */
-struct fan_buffer {
-    double positions[FAN_CORNERS][3];
-    uint32_t triangles[FAN_CORNERS][3];
-    uint8_t corners[FAN_CORNERS * CORNER_BYTES_MAX];
-    void *scratch;
-};
 
 /* ---- memory ---- */
 
@@ -30,8 +21,6 @@ uint64_t vox_batch_fixed_bytes(const struct scan *scan, const struct partition *
     uint64_t bytes = FMT_TRIS_CHUNK_TRIANGLES * (uint64_t)layout->bytes;
     if (layout->gathered)
         bytes += vox_gather_bytes(scan, threads);
-    if (layout->fans)
-        bytes += (threads + 1) * (sizeof(struct fan_buffer) + bsq_triangulate_scratch(FAN_CORNERS));
     return bytes;
 }
 
@@ -64,11 +53,6 @@ static int open_readers(struct batch *b)
     BSQ_TRY(bsq_calloc(b->ctx, "sorting", b->reader_count, sizeof *b->readers, &b->readers));
     for (unsigned i = 0; i < b->reader_count; i++)
         BSQ_TRY(vox_run_reader_init(&b->readers[i], b->scan, layout));
-    if (!layout->fans)
-        return 0;
-    BSQ_TRY(bsq_alloc(b->ctx, "sorting", b->reader_count, sizeof *b->fan_buffers, &b->fan_buffers));
-    status = bsq_alloc(b->ctx, "sorting", b->reader_count, bsq_triangulate_scratch(FAN_CORNERS),
-                       &b->fan_scratch);
 done:
     return status;
 }
@@ -100,8 +84,7 @@ void vox_batch_close(struct batch *b)
 {
     for (unsigned i = 0; b->readers && i < b->reader_count; i++)
         vox_run_reader_free(&b->readers[i]);
-    void *parts[] = {b->readers, b->fan_buffers, b->fan_scratch,   b->parts,
-                     b->scratch, b->entries,     b->spare_records, b->records};
+    void *parts[] = {b->readers, b->parts, b->scratch, b->entries, b->spare_records, b->records};
     for (size_t i = 0; b->ctx && i < sizeof parts / sizeof *parts; i++)
         bsq_free(b->ctx, parts[i]);
     vox_gather_close(&b->window);
@@ -185,98 +168,6 @@ static void enter_records(struct batch *b, struct batch_part *part, uint64_t don
     part->kept += b->partition->layout.plain
                       ? make_entries(b, &plain, records, first, count, to)
                       : make_entries(b, &b->partition->layout, records, first, count, to);
-}
-
-/* ---- fans ----
- *
- * A polygon whose positions were in a file when it was partitioned is a fan of triangles around its
- * first corner, in each bucket that has one of its corners. After a batch has gathered the
- * positions, the polygon is triangulated. Each bucket keeps the triangles whose first corner it
- * has. */
-
-/* Returns the number of records of the fan that begins at `records`. */
-static uint32_t fan_length(const struct record_layout *layout, const uint8_t *records,
-                           uint64_t count)
-{
-    uint32_t length = 1;
-    while (length < count &&
-           record_continues_fan(layout, records + (uint64_t)length * layout->bytes))
-        length++;
-    return length;
-}
-
-/* Collects the corners of a fan: two of its first triangle, and the third of each triangle. */
-static void collect_corners(const struct record_layout *layout, const uint8_t *records,
-                            uint32_t length, uint8_t *corners)
-{
-    const uint32_t bytes = layout->corner_bytes;
-    memcpy(corners, records, 2 * bytes);
-    for (uint32_t t = 0; t < length; t++)
-        memcpy(corners + (t + 2) * bytes, records + (uint64_t)t * layout->bytes + 2 * bytes, bytes);
-}
-
-static int triangulate(const struct batch *b, struct fan_buffer *buffer, uint32_t corners)
-{
-    const struct gather_window *window = &b->window;
-    for (uint32_t c = 0; c < corners; c++) {
-        const uint8_t *corner = buffer->corners + c * window->layout->corner_bytes;
-        const float *p = gather_position(window, record_vertex_index(window->layout, corner));
-        for (int axis = 0; axis < 3; axis++)
-            buffer->positions[c][axis] = p[axis];
-    }
-    return bsq_triangulate(b->ctx, (const double(*)[3])buffer->positions, corners,
-                           buffer->triangles[0], buffer->scratch);
-}
-
-static bool is_own(const struct batch *b, const struct fan_buffer *buffer,
-                   const struct batch_part *part, const uint32_t triangle[3])
-{
-    const double *p = buffer->positions[triangle[0]];
-    const float first[3] = {(float)p[0], (float)p[1], (float)p[2]};
-    return morton_cell(&b->partition->cube, part->levels, first) == part->bucket;
-}
-
-static void put_triangle(const struct record_layout *layout, const struct fan_buffer *buffer,
-                         const uint32_t triangle[3], const uint8_t *material, uint8_t *to)
-{
-    const uint32_t bytes = layout->corner_bytes;
-    for (uint32_t k = 0; k < 3; k++)
-        memcpy(to + k * bytes, buffer->corners + triangle[k] * bytes, bytes);
-    memmove(to + 3 * bytes, material, layout->material_bytes);
-}
-
-/* Replaces the fans among records of a bucket by their triangles, without those of other buckets,
- * and updates *count. The records are whole runs with the scan's indices, and the window has
- * fetched their vertices. Children of a divided bucket have only their own. Errors: BSQ_EINTR. */
-static int keep_own(struct batch *b, const struct batch_part *part, uint8_t *records,
-                    uint64_t *count, unsigned worker)
-{
-    const struct record_layout *layout = &b->partition->layout;
-    uint8_t *to = records;
-    int status = 0;
-    if (!b->fan_buffers || part->buckets != &b->partition->buckets)
-        return 0;
-    struct fan_buffer *buffer = &b->fan_buffers[worker];
-    buffer->scratch = b->fan_scratch + worker * bsq_triangulate_scratch(FAN_CORNERS);
-    for (uint64_t t = 0; t < *count && status == 0;) {
-        uint8_t *from = records + t * layout->bytes, *material = from + 3 * layout->corner_bytes;
-        const uint32_t length = fan_length(layout, from, *count - t);
-        t += length;
-        if (length == 1) {
-            memmove(to, from, layout->bytes);
-            to += layout->bytes;
-            continue;
-        }
-        collect_corners(layout, from, length, buffer->corners);
-        status = triangulate(b, buffer, length + 2);
-        for (uint32_t i = 0; i < length && status == 0; i++)
-            if (is_own(b, buffer, part, buffer->triangles[i])) {
-                put_triangle(layout, buffer, buffer->triangles[i], material, to);
-                to += layout->bytes;
-            }
-    }
-    *count = (uint64_t)(to - records) / layout->bytes;
-    return status;
 }
 
 /* ---- sorting by key ----
@@ -399,7 +290,6 @@ static int read_part(void *arg, uint64_t index, unsigned worker)
     struct batch_part *part = &b->parts[index];
     struct run_reader *reader = &b->readers[worker];
     vox_run_reader_seek(reader, part->buckets, part->bucket, part->offset);
-    part->own = part->count;
     part->kept = 0;
     for (uint64_t done = 0; done < part->count;) {
         uint8_t *records = b->records + (part->record + done) * b->partition->layout.bytes;
@@ -445,13 +335,8 @@ static int sort_fetched(void *arg, uint64_t index, unsigned worker)
 {
     struct batch *b = arg;
     struct batch_part *part = &b->parts[index];
-    part->own = part->count;
-    int status = keep_own(b, part, b->records + part->record * b->partition->layout.bytes,
-                          &part->own, worker);
-    if (status < 0)
-        return status;
-    for (uint64_t done = 0, count; done < part->own; done += count) {
-        count = part->own - done < RUN_TRIANGLES ? part->own - done : RUN_TRIANGLES;
+    for (uint64_t done = 0, count; done < part->count; done += count) {
+        count = part->count - done < RUN_TRIANGLES ? part->count - done : RUN_TRIANGLES;
         enter_records(b, part, done, (uint32_t)count);
     }
     order_part(b, part, worker);
@@ -471,7 +356,7 @@ static int sort_gathered(struct batch *b, uint64_t carried)
     return bsq_parallel_for(b->ctx, b->part_count, sort_fetched, b);
 }
 
-/* Closes the gaps that triangles without area, or of other buckets, leave after parts. */
+/* Closes the gaps that triangles without area leave after parts. */
 static void close_gaps(struct batch *b, uint64_t carried)
 {
     uint64_t end = carried;
@@ -480,7 +365,7 @@ static void close_gaps(struct batch *b, uint64_t carried)
         if (part->at != end)
             memmove(b->entries + end, b->entries + part->at, part->kept * sizeof *b->entries);
         end += part->kept;
-        b->degenerate += part->own - part->kept;
+        b->degenerate += part->count - part->kept;
     }
     bsq_progress_add(b->ctx, b->count - end);
     b->count = end;
@@ -521,13 +406,13 @@ struct run_reader *vox_batch_reader(struct batch *b)
     return &b->readers[b->reader_count - 1];
 }
 
-int vox_batch_read(struct batch *b, const struct batch_part *bucket, uint64_t left, uint64_t most,
-                   uint64_t *count, const uint8_t **out, uint64_t *own)
+int vox_batch_read(struct batch *b, uint64_t left, uint64_t most, uint64_t *count,
+                   const uint8_t **out)
 {
     uint8_t *records = b->records + b->records_end * b->partition->layout.bytes;
     int status = bsq_check(b->ctx);
     *out = records;
-    *count = *own = 0;
+    *count = 0;
     while (status == 0 && *count < left && *count + RUN_TRIANGLES <= most) {
         uint32_t more;
         status = vox_run_reader_next(vox_batch_reader(b),
@@ -539,8 +424,7 @@ int vox_batch_read(struct batch *b, const struct batch_part *bucket, uint64_t le
         vox_gather_mark(&b->window, records, *count);
         status = vox_gather_fetch(&b->window, NULL);
     }
-    *own = *count;
-    return status < 0 ? status : keep_own(b, bucket, records, own, b->reader_count - 1);
+    return status;
 }
 
 uint64_t vox_batch_key(const struct batch *b, const uint8_t *record)

@@ -28,8 +28,7 @@ struct batch_part {
     /* Set by the batch. */
     uint64_t record; /* index of the first record */
     uint64_t at;     /* index of the first entry */
-    uint64_t own;    /* triangles without those of other buckets, which fans bring */
-    uint64_t kept;   /* own triangles with an area */
+    uint64_t kept;   /* triangles with an area */
 };
 
 struct batch {
@@ -47,9 +46,7 @@ struct batch {
     uint64_t capacity;
     uint8_t *spare_records;
     struct entry *scratch;
-    struct run_reader *readers;     /* one for each thread, and one for the caller */
-    struct fan_buffer *fan_buffers; /* the same, or NULL without fans */
-    uint8_t *fan_scratch;           /* the same; bsq_triangulate_scratch() of the largest fan */
+    struct run_reader *readers; /* one for each thread, and one for the caller */
     unsigned reader_count;
     struct batch_part *parts;
     uint64_t part_count, part_capacity;
@@ -82,10 +79,9 @@ void vox_batch_carry_over(struct batch *batch, uint64_t first);
  * were carried over. */
 struct run_reader *vox_batch_reader(struct batch *batch);
 /* Reads up to `most` triangles of whole runs at the reader's place in the bucket, which has `left`
- * triangles left. The free capacity must be enough. *count: triangles read; *records and *own:
- * those that belong to the bucket. Gathers their elements for vox_batch_key(). */
-int vox_batch_read(struct batch *batch, const struct batch_part *bucket, uint64_t left,
-                   uint64_t most, uint64_t *count, const uint8_t **records, uint64_t *own);
+ * triangles left. The free capacity must be enough. Gathers their elements for vox_batch_key(). */
+int vox_batch_read(struct batch *batch, uint64_t left, uint64_t most, uint64_t *count,
+                   const uint8_t **records);
 /* Returns the Morton key of a record from vox_batch_read(). */
 uint64_t vox_batch_key(const struct batch *batch, const uint8_t *record);
 

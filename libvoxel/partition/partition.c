@@ -86,12 +86,6 @@ int vox_partition_warn_colorless(const struct scan *scan, const struct partition
 
 /* ---- memory ---- */
 
-/* How memory is divided when the first faces come. */
-struct shares {
-    uint64_t pages; /* of buckets */
-    uint64_t fans;  /* of one block */
-};
-
 /* Returns the Morton levels of the buckets, if memory does not matter. A surface meets about
  * 3 * 4^n of the 8^n cells of a grid. Buckets of some ten thousand triangles are sorted inside a
  * core's cache. */
@@ -136,8 +130,9 @@ static int make_table(struct reading *r, uint64_t left)
 
 /* A third of what is unused, within bounds, stays for the batches of chunk/. The table of vertices'
  * buckets may use that share, since it is freed before the batches come. What the reader has
- * allocated by now depends on timing, so it is not asked: a scan is refused always or never. */
-static int divide_memory(struct reading *r, struct shares *out)
+ * allocated by now depends on timing, so it is not asked: a scan is refused always or never.
+ * *pages: the memory of buckets' pages. */
+static int divide_memory(struct reading *r, uint64_t *pages)
 {
     const struct scan *scan = r->scan;
     const struct sort_limits *limits = scan->limits;
@@ -156,10 +151,9 @@ static int divide_memory(struct reading *r, struct shares *out)
         return refuse_vertices(r, others + limits->page_memory + vertices - unused);
     const uint64_t table = r->vertex_buckets.bytes;
     const uint64_t keep = batches > table ? batches : table;
-    out->pages = left > keep + limits->page_memory ? left - keep : limits->page_memory;
-    out->pages = out->pages < limits->max_page_memory ? out->pages : limits->max_page_memory;
-    out->fans = BLOCK_BYTES + (keep - table) / r->slot_count;
-    bsq_note_share(scan->ctx, "buckets", out->pages);
+    *pages = left > keep + limits->page_memory ? left - keep : limits->page_memory;
+    *pages = *pages < limits->max_page_memory ? *pages : limits->max_page_memory;
+    bsq_note_share(scan->ctx, "buckets", *pages);
     bsq_note_share(scan->ctx, "buckets of vertices", table);
 done:
     return status;
@@ -204,19 +198,18 @@ done:
 /* Called for the first block with faces, when all vertices are known. */
 static int begin_faces(struct reading *r)
 {
-    struct shares shares = {0};
+    uint64_t pages = 0;
     int status;
     BSQ_TRY(vox_scan_finish_streams(r->scan));
     r->spilled = r->scan->streams[SCAN_POSITIONS].spill.spilled;
     r->out->cube = morton_cube_over(r->scan->bounds_min, r->scan->bounds_max);
-    BSQ_TRY(divide_memory(r, &shares));
-    BSQ_TRY(make_buckets(r, shares.pages));
+    BSQ_TRY(divide_memory(r, &pages));
+    BSQ_TRY(make_buckets(r, pages));
     r->plan = (struct triangulation_plan){
         .scan = r->scan,
         .cube = r->out->cube,
         .levels = r->out->levels,
         .vertex_buckets = r->spilled ? &r->vertex_buckets : NULL,
-        .fan_bytes = shares.fans,
     };
     for (unsigned i = 0; i < r->slot_count; i++)
         BSQ_TRY(vox_triangulator_init(&r->slots[i].triangulator, r->scan->ctx, &r->plan));

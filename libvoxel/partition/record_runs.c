@@ -8,9 +8,8 @@ static void add_indices(struct record_layout *layout, const struct scan *scan)
 {
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         /* The largest number of this width is reserved: it means "none". */
-        uint64_t count = scan_count(scan, scan_stream_of(kind))
-                         << (kind == FMT_MESH_VERTEX && layout->fans);
-        uint32_t width = record_index_width(count, scan->limits->index_bytes);
+        const uint64_t count = scan_count(scan, scan_stream_of(kind));
+        const uint32_t width = record_index_width(count, scan->limits->index_bytes);
         layout->index_bytes[kind] = scan_keeps(scan, scan_stream_of(kind)) ? width : 0;
         layout->index_at[kind] = layout->corner_bytes;
         layout->corner_bytes += layout->index_bytes[kind];
@@ -27,9 +26,7 @@ static bool streams_spilled(const struct scan *scan)
 
 void vox_record_layout_for(const struct scan *scan, struct record_layout *layout)
 {
-    *layout = (struct record_layout){.gathered = streams_spilled(scan),
-                                     .fans = scan->streams[SCAN_POSITIONS].spill.spilled &&
-                                             scan->max_face_size > 3};
+    *layout = (struct record_layout){.gathered = streams_spilled(scan)};
     add_indices(layout, scan);
     if (scan->material_count > 0)
         layout->material_bytes = record_index_width(scan->material_count, 1);
@@ -66,8 +63,7 @@ void vox_record_vertex(const struct record_layout *layout, const struct scan *sc
 
 /* Size of the largest run: delta codes of all kinds of indices. Plain records are never larger. */
 #define BUFFER_BYTES                                                                               \
-    (RUN_TRIANGLES * FMT_MESH_KIND_COUNT * CORNER_CODE_MAX + RUN_TRIANGLES / 8 +                   \
-     (uint32_t)sizeof(struct run_header))
+    (RUN_TRIANGLES * FMT_MESH_KIND_COUNT * CORNER_CODE_MAX + (uint32_t)sizeof(struct run_header))
 
 int vox_run_reader_init(struct run_reader *reader, const struct scan *scan,
                         const struct record_layout *layout)
@@ -154,14 +150,6 @@ static void set_materials(const struct scan *scan, const struct record_layout *l
                      scan->material_map[entry] + 1, layout->material_bytes);
 }
 
-static void set_fans(const struct record_layout *layout, const uint8_t *bits, uint32_t count,
-                     uint8_t *records)
-{
-    for (uint32_t t = 0; t < count; t++, records += layout->bytes)
-        if (bits[t / 8] >> t % 8 & 1)
-            record_continue_fan(layout, records);
-}
-
 static void decode(const struct run_reader *reader, const struct run_header *header,
                    const uint8_t *from, uint8_t *to)
 {
@@ -171,13 +159,10 @@ static void decode(const struct run_reader *reader, const struct run_header *hea
         memcpy(to, from, header->bytes);
         return;
     }
-    const unsigned kinds = header->form & ~(unsigned)RUN_FANS;
-    if (kinds == 1u << FMT_MESH_VERTEX && layout->plain)
+    if (header->form == 1u << FMT_MESH_VERTEX && layout->plain)
         decode_plain(from, count, to);
     else
-        decode_indices(layout, kinds, from, count, to);
-    if (header->form & RUN_FANS)
-        set_fans(layout, from + header->bytes - (count + 7) / 8, count, to);
+        decode_indices(layout, header->form, from, count, to);
     if (layout->material_bytes > 0)
         set_materials(reader->scan, layout, header, to);
 }

@@ -23,10 +23,7 @@
 
 struct record_layout {
     bool gathered; /* attribute streams are in files; each batch gathers its elements */
-    /* Polygons are fans (chunk/sort_batch.c), because positions are in a file. The highest bit of a
-     * record's first vertex index says that the triangle continues the previous record's fan. */
-    bool fans;
-    bool plain; /* a record is three four-byte vertex indices, and a vertex is a position */
+    bool plain;    /* a record is three four-byte vertex indices, and a vertex is a position */
     uint32_t index_bytes[FMT_MESH_KIND_COUNT]; /* 0: the kind is not stored */
     uint32_t index_at[FMT_MESH_KIND_COUNT];    /* offset in a corner */
     uint32_t corner_bytes;
@@ -64,22 +61,6 @@ static inline uint64_t record_vertex_index(const struct record_layout *layout,
     return record_load(corner, layout->index_bytes[FMT_MESH_VERTEX]);
 }
 
-/* Returns the bit of a vertex index that marks fans, for layouts with fans. */
-static inline uint64_t record_fan_bit(const struct record_layout *layout)
-{
-    return (uint64_t)1 << (8 * layout->index_bytes[FMT_MESH_VERTEX] - 1);
-}
-
-static inline bool record_continues_fan(const struct record_layout *layout, const uint8_t *record)
-{
-    return record[layout->index_bytes[FMT_MESH_VERTEX] - 1] >> 7;
-}
-
-static inline void record_continue_fan(const struct record_layout *layout, uint8_t *record)
-{
-    record[layout->index_bytes[FMT_MESH_VERTEX] - 1] |= 0x80;
-}
-
 /* Returns the position of a corner. Positions must be in memory. */
 static inline const float *record_position(const struct record_layout *layout,
                                            const struct scan *scan, const uint8_t *corner)
@@ -110,13 +91,10 @@ void vox_record_vertex(const struct record_layout *layout, const struct scan *sc
 /* ---- runs ---- */
 
 #define RUN_TRIANGLES 1024u
-/* Corners of the largest polygon that can be a fan: a fan must fit in one run. */
-#define FAN_CORNERS (RUN_TRIANGLES + 2)
 
 enum run_form {
     /* 1 << kind: the run has indices of this kind; kinds alternate triangle by triangle */
-    RUN_RECORDS = 8, /* uncoded records */
-    RUN_FANS = 16    /* after the indices, a bit for each triangle: it continues a fan */
+    RUN_RECORDS = 8 /* uncoded records */
 };
 
 struct run_header {

@@ -8,6 +8,13 @@
 /* Corners are prefetched this far ahead: files without order wait for memory otherwise. */
 #define CORNERS_AHEAD 48
 
+/* Positions of a scan's file that were read last. Page n of the file is at n % PAGES. */
+enum { PAGES = 256, PAGE_VERTICES = 64 };
+struct position_pages {
+    uint64_t ends[PAGES]; /* the number of the page after it; 0: there is none */
+    float positions[PAGES][PAGE_VERTICES][3];
+};
+
 /* ---- memory ---- */
 
 int vox_triangulator_init(struct triangulator *t, struct bsq_ctx *ctx,
@@ -25,7 +32,7 @@ void vox_triangulator_free(struct triangulator *t)
 {
     void *parts[] = {
         t->runs,           t->bytes,   t->corners,           t->spans,           t->sorted,
-        t->runs_of_bucket, t->polygon, t->polygon_triangles, t->polygon_scratch, t->fan_buckets};
+        t->runs_of_bucket, t->polygon, t->polygon_triangles, t->polygon_scratch, t->pages};
     for (size_t i = 0; t->ctx && i < sizeof parts / sizeof *parts; i++)
         bsq_free(t->ctx, parts[i]);
     memset(t, 0, sizeof *t);
@@ -46,9 +53,8 @@ static int reserve_polygon(struct triangulator *t, uint32_t max_size)
     int status = 0;
     if (max_size <= 3)
         return 0;
-    if (t->plan->vertex_buckets)
-        return bsq_grow(t->ctx, what, max_size, sizeof *t->fan_buckets, &t->fan_buckets,
-                        &t->fan_capacity);
+    if (t->plan->vertex_buckets && !t->pages)
+        BSQ_TRY(bsq_calloc(t->ctx, what, 1, sizeof *t->pages, &t->pages));
     BSQ_TRY(
         bsq_grow(t->ctx, what, max_size, sizeof *t->polygon, &t->polygon, &t->polygon_capacity[0]));
     BSQ_TRY(bsq_grow(t->ctx, what, max_size, 12, &t->polygon_triangles, &t->polygon_capacity[1]));
@@ -113,12 +119,41 @@ static inline void add_triangle(struct triangulator *t, const struct faces *face
     corners[2] = c;
 }
 
+/* ---- polygons ---- */
+
+/* Finds the position of a corner, if positions are in a file. *out: until the next call. Neighbours
+ * in the mesh are mostly neighbours in the file, so pages of it are kept. */
+static int read_position(struct triangulator *t, const struct faces *faces, uint32_t corner,
+                         const float **out)
+{
+    const struct attribute_stream *stream = &t->plan->scan->streams[SCAN_POSITIONS];
+    const uint64_t vertex = faces->indices[FMT_MESH_VERTEX][corner], page = vertex / PAGE_VERTICES;
+    const uint64_t first = page * PAGE_VERTICES, left = stream_count(stream) - first;
+    float(*positions)[3] = t->pages->positions[page % PAGES];
+    uint64_t *end = &t->pages->ends[page % PAGES];
+    int status = 0;
+    if (*end != page + 1) {
+        *end = 0;
+        BSQ_TRY(vox_spill_read(&stream->spill, first * sizeof *positions,
+                               (left < PAGE_VERTICES ? left : PAGE_VERTICES) * sizeof *positions,
+                               positions));
+        *end = page + 1;
+    }
+    *out = positions[vertex % PAGE_VERTICES];
+done:
+    return status;
+}
+
 static int add_polygon(struct triangulator *t, const struct faces *faces, uint32_t first,
                        uint32_t size)
 {
     int status = 0;
     for (uint32_t k = 0; k < size; k++) {
-        const float *p = corner_position(t, faces, first + k);
+        const float *p;
+        if (t->pages)
+            BSQ_TRY(read_position(t, faces, first + k, &p));
+        else
+            p = corner_position(t, faces, first + k);
         for (int axis = 0; axis < 3; axis++)
             t->polygon[k][axis] = p[axis];
         BSQ_TRY(bsq_check_corner(t->ctx, k));
@@ -134,100 +169,15 @@ done:
     return status;
 }
 
-/* ---- fans ----
- *
- * How a polygon is split depends on the positions of all its corners. If these are in a file, the
- * polygon goes as a fan around its first corner to every bucket that has a corner of it. When a
- * bucket is sorted it splits the polygon and keeps the triangles that are its own. */
-
-/* Lists the buckets of a polygon's corners, each once; returns their number. */
-static uint32_t list_buckets(struct triangulator *t, const struct faces *faces, uint32_t first,
-                             uint32_t size)
-{
-    uint32_t count = 0;
-    for (uint32_t k = 0; k < size; k++) {
-        uint32_t bucket = bucket_of(t, faces, first + k), before = 0;
-        while (before < count && t->fan_buckets[before] != bucket)
-            before++;
-        t->fan_buckets[before] = bucket;
-        count += before == count;
-    }
-    return count;
-}
-
-/* A fan has one material, so either all of its corners or none must have texture coordinates. */
-static bool is_textured_in_part(const struct faces *faces, uint32_t first, uint32_t size)
-{
-    const uint64_t *t = faces->indices[FMT_MESH_TEXCOORD];
-    uint32_t lacking = 0;
-    for (uint32_t k = 0; t && k < size; k++)
-        lacking += t[first + k] == FMT_MESH_NONE;
-    return lacking > 0 && lacking < size;
-}
-
-/* Copies in many buckets would multiply polygons of many corners. No surface has such polygons, and
- * twice the usual number of triangles always fits. */
-static bool fans_are_too_many(const struct triangulator *t, const struct faces *faces,
-                              uint64_t triangles)
-{
-    const struct fmt_mesh_block *block = faces->block;
-    const uint64_t usual = 2 * (block->corner_count - 2 * block->face_count);
-    const uint64_t each =
-        sizeof *t->corners + coded_triangle_bytes(t->plan, FMT_MESH_KIND_COUNT) + 1;
-    return triangles > usual && triangles > t->plan->fan_bytes / each;
-}
-
-static int refuse_polygon(const struct triangulator *t, const struct faces *faces, uint32_t size)
-{
-    const struct scan *scan = t->plan->scan;
-    uint64_t bytes = 0;
-    for (int i = 0; i < SCAN_STREAM_COUNT; i++)
-        bytes += scan->streams[i].spill.bytes;
-    return bsq_fail(t->ctx, BSQ_ENOMEM,
-                    "%s: splitting a polygon of %u corners needs all vertices in memory, about "
-                    "%llu MiB; it may use %llu MiB",
-                    scan->paths[faces->block->file], size,
-                    (unsigned long long)(vox_sort_memory_for(bytes, bsq_threads(t->ctx)) >> 20),
-                    (unsigned long long)(bsq_memory_limit(t->ctx) >> 20));
-}
-
-static int add_fan(struct triangulator *t, const struct faces *faces, uint32_t first, uint32_t size)
-{
-    if (size > FAN_CORNERS || is_textured_in_part(faces, first, size))
-        return refuse_polygon(t, faces, size);
-    const uint32_t buckets = list_buckets(t, faces, first, size);
-    const uint32_t material = faces->material[lacks_texcoord(faces, first, first + 1, first + 2)];
-    const uint64_t triangles = t->triangles + (uint64_t)buckets * (size - 2);
-    if (fans_are_too_many(t, faces, triangles))
-        return refuse_polygon(t, faces, size);
-    int status = reserve_triangles(t, triangles, (uint64_t)t->span_count + buckets);
-    for (uint32_t i = 0; status == 0 && i < buckets; i++) {
-        extend_spans(t, t->fan_buckets[i], material, size - 2);
-        for (uint32_t k = 2; k < size; k++) {
-            uint32_t *corners = t->corners[t->triangles++];
-            corners[0] = first | (k > 2 ? CONTINUES_FAN : 0);
-            corners[1] = first + k - 1;
-            corners[2] = first + k;
-        }
-    }
-    return status;
-}
-
 /* ---- blocks ---- */
 
 static int add_face(struct triangulator *t, const struct faces *faces, uint32_t first,
                     uint32_t size)
 {
-    const bool fans = t->plan->vertex_buckets && faces->sizes;
-    if (fans && size > 3)
-        return add_fan(t, faces, first, size);
-    /* Fans may have taken the capacity that was reserved for all faces. */
-    int status = fans ? reserve_triangles(t, t->triangles + 1, (uint64_t)t->span_count + 1) : 0;
-    if (status == 0 && size == 3)
-        add_triangle(t, faces, first, first + 1, first + 2);
-    else if (status == 0)
-        status = add_polygon(t, faces, first, size);
-    return status;
+    if (size > 3)
+        return add_polygon(t, faces, first, size);
+    add_triangle(t, faces, first, first + 1, first + 2);
+    return 0;
 }
 
 static void set_material(struct faces *faces, uint32_t usemtl)

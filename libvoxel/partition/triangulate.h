@@ -17,9 +17,7 @@ struct triangulation_plan {
     const struct scan *scan;
     struct morton_cube cube;
     uint32_t levels; /* the first 3 * levels bits of a key name a bucket */
-    /* Set if positions are in a file. Polygons then become fans. */
-    const struct vertex_buckets *vertex_buckets;
-    uint64_t fan_bytes; /* limit for a block whose fans are unusually many */
+    const struct vertex_buckets *vertex_buckets; /* set if positions are in a file */
 };
 
 /* The runs that one block adds to one bucket. */
@@ -28,9 +26,6 @@ struct bucket_runs {
     uint32_t first_span, span_count; /* in `sorted`; 0 for plain blocks */
     uint64_t offset, bytes;          /* in `bytes` of the triangulator */
 };
-
-/* Marks the first corner of a triangle that belongs to the same fan as the one before. */
-#define CONTINUES_FAN (1u << 31)
 
 /* Consecutive triangles of a block that are in one bucket and have one material. */
 struct triangle_span {
@@ -41,7 +36,7 @@ struct triangle_span {
 struct triangulator {
     struct bsq_ctx *ctx;
     const struct triangulation_plan *plan;
-    /* Result. Fans are in several buckets, and `triangles` counts all copies. */
+    /* Result. */
     struct bucket_runs *runs;
     uint32_t run_count;
     uint8_t *bytes;
@@ -54,11 +49,11 @@ struct triangulator {
     uint32_t *runs_of_bucket; /* index into `runs` for each bucket; UINT32_MAX between blocks */
     uint32_t skipped_plain;   /* blocks to come for which the plain path is not tried */
     /* For the largest polygon. */
-    uint32_t *fan_buckets;
     double (*polygon)[3];
     uint32_t *polygon_triangles;
     uint8_t *polygon_scratch;
-    uint64_t fan_capacity, polygon_capacity[3];
+    uint64_t polygon_capacity[3];
+    struct position_pages *pages; /* if positions are in a file and there are polygons */
 };
 
 /* Initialises a triangulator. Free it with vox_triangulator_free(), also after failure. */
@@ -67,7 +62,7 @@ int vox_triangulator_init(struct triangulator *t, struct bsq_ctx *ctx,
 void vox_triangulator_free(struct triangulator *t);
 
 /* Triangulates a block whose indices are in range. max_size: corners of its largest face. Errors:
- * BSQ_ENOMEM if a polygon cannot be split because positions are in a file. */
+ * BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
 int vox_triangulate_block(struct triangulator *t, const struct fmt_mesh_block *block,
                           uint32_t max_size);
 

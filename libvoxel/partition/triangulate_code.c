@@ -13,7 +13,6 @@ struct run_writer {
     uint8_t *header; /* of the current run, NULL between runs */
     uint8_t *to;
     struct run_header run;
-    uint8_t *fan_bits; /* RUN_TRIANGLES bits, only used if runs have fans */
     struct corner_code codes[FMT_MESH_KIND_COUNT];
 };
 
@@ -22,10 +21,6 @@ static void run_writer_end(struct run_writer *w)
 {
     if (!w->header)
         return;
-    if (w->run.form & RUN_FANS) {
-        memcpy(w->to, w->fan_bits, (w->run.triangles + 7u) / 8);
-        w->to += (w->run.triangles + 7u) / 8;
-    }
     w->run.bytes = (uint32_t)(w->to - w->header - (ptrdiff_t)sizeof w->run);
     memcpy(w->header, &w->run, sizeof w->run);
     w->header = NULL;
@@ -36,10 +31,7 @@ static void run_writer_end(struct run_writer *w)
 static void run_writer_begin(struct run_writer *w, unsigned form, uint32_t material)
 {
     run_writer_end(w);
-    if (form & RUN_FANS)
-        memset(w->fan_bits, 0, RUN_TRIANGLES / 8);
     *w = (struct run_writer){.header = w->to,
-                             .fan_bits = w->fan_bits,
                              .to = w->to + sizeof w->run,
                              .run = {.form = (uint16_t)form, .material = material}};
 }
@@ -56,27 +48,17 @@ static void put_triangle(const struct faces *faces, struct run_writer *w, const 
         const uint64_t *from = faces->indices[kind];
         if (!from)
             continue;
-        const uint64_t index[3] = {from[corners[0] & ~CONTINUES_FAN], from[corners[1]],
-                                   from[corners[2]]};
+        const uint64_t index[3] = {from[corners[0]], from[corners[1]], from[corners[2]]};
         w->to = corner_code_put(&w->codes[kind], index, w->to);
     }
 }
 
-static unsigned form_of(const struct faces *faces, bool fans)
+static unsigned form_of(const struct faces *faces)
 {
-    unsigned form = faces->sizes && fans ? RUN_FANS : 0;
+    unsigned form = 0;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         form |= (unsigned)(faces->indices[kind] != NULL) << kind;
     return form;
-}
-
-/* Returns how many triangles from `first` on are one fan, which must not be cut. */
-static uint32_t fan_length(const struct triangulator *t, uint32_t first, uint32_t end)
-{
-    uint32_t next = first + 1;
-    while (next < end && t->corners[next][0] & CONTINUES_FAN)
-        next++;
-    return next - first;
 }
 
 /* Writes a span's triangles, into the current run while it has space. */
@@ -85,12 +67,9 @@ static void put_span(const struct triangulator *t, const struct faces *faces, un
 {
     const uint32_t end = span->first + span->count;
     for (uint32_t i = span->first; i < end; i++) {
-        const bool continues = t->corners[i][0] & CONTINUES_FAN;
         if (w->run.triangles == 0 || w->run.material != span->material ||
-            (!continues && w->run.triangles + fan_length(t, i, end) > RUN_TRIANGLES))
+            w->run.triangles == RUN_TRIANGLES)
             run_writer_begin(w, form, span->material);
-        if (continues)
-            w->fan_bits[w->run.triangles / 8] |= (uint8_t)(1u << w->run.triangles % 8);
         put_triangle(faces, w, t->corners[i]);
         w->run.triangles++;
     }
@@ -135,7 +114,7 @@ prefetch_spans(const struct triangulator *t, const struct faces *faces, unsigned
 static void put_bucket(struct triangulator *t, const struct faces *faces, struct bucket_runs *runs,
                        struct run_writer *w)
 {
-    const unsigned form = form_of(faces, t->plan->vertex_buckets != NULL);
+    const unsigned form = form_of(faces);
     runs->offset = (uint64_t)(w->to - t->bytes);
     for (uint32_t i = runs->first_span; i < runs->first_span + runs->span_count; i++) {
         prefetch_spans(t, faces, form, i);
@@ -152,9 +131,8 @@ static int reserve(struct triangulator *t, const struct faces *faces)
     uint32_t kinds = 0;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
         kinds += faces->indices[kind] != NULL;
-    /* A fan that does not fit begins a new run, so runs may be half full. */
-    const uint64_t headers = t->span_count + 2 * t->triangles / RUN_TRIANGLES;
-    const uint64_t bytes = t->triangles * (coded_triangle_bytes(t->plan, kinds) + 1) +
+    const uint64_t headers = t->span_count + t->triangles / RUN_TRIANGLES;
+    const uint64_t bytes = t->triangles * coded_triangle_bytes(t->plan, kinds) +
                            headers * sizeof(struct run_header) + CORNER_CODE_SLACK;
     const uint64_t buckets = (uint64_t)1 << 3 * t->plan->levels;
     const uint64_t runs = buckets < t->span_count ? buckets : t->span_count;
@@ -169,12 +147,11 @@ done:
 
 int vox_triangulate_code_spans(struct triangulator *t, const struct faces *faces)
 {
-    uint8_t fan_bits[RUN_TRIANGLES / 8] = {0};
     int status = reserve(t, faces);
     if (status < 0)
         return status;
     sort_spans(t);
-    struct run_writer w = {.to = t->bytes, .fan_bits = fan_bits};
+    struct run_writer w = {.to = t->bytes};
     for (uint32_t i = 0; i < t->run_count; i++)
         put_bucket(t, faces, &t->runs[i], &w);
     return 0;

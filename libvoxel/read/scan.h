@@ -147,7 +147,6 @@ struct scan {
     struct scan_material_use without_material; /* of faces without one; `file` is not used */
 
     /* Of all faces. */
-    uint32_t max_face_size;
     bool lacks_texcoord; /* some corner has none */
     bool has_normals;    /* some corner has one */
     struct scan_bad_index bad_index;

@@ -237,8 +237,6 @@ int vox_scan_note_faces(struct scan *scan, const struct scan_face_check *check)
         add_loss(&scan->lost[kind], &check->lost[kind]);
     scan->lacks_texcoord |= check->lacks_texcoord;
     scan->has_normals |= check->has_normals;
-    scan->max_face_size =
-        check->max_size > scan->max_face_size ? check->max_size : scan->max_face_size;
     return note_file_faces(scan, check);
 }
 

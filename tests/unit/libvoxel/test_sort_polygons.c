@@ -1,5 +1,5 @@
-/* Tests that polygons are triangulated in the same way from memory and from a file. In a file they
- * are fans until their batch is sorted. */
+/* Tests that polygons are triangulated in the same way, whether positions are in memory or in a
+ * file. */
 #include "libvoxel/partition/partition.h"
 #include "sort_grid.h"
 #include "tests/unit/test.h"
@@ -16,7 +16,8 @@ enum {
     TANGLED = 64
 };
 
-#define SIDE 200u /* vertices along a row */
+#define SIDE          200u /* vertices along a row */
+#define GIANT_CORNERS (RUN_TRIANGLES + 3)
 
 /* Writes a polygon of bumpy quads, far from flat and convex: vertices first to first + width of
  * this row, and those of the next row in reverse. */
@@ -50,7 +51,7 @@ static void shuffle(uint32_t *order, uint32_t count, uint64_t *seed)
 #define TANGLED_FACES   6000u
 #define TANGLED_CORNERS 100u
 
-/* Writes polygons with corners anywhere in the scan. As fans, each would be in all buckets. */
+/* Writes polygons with corners anywhere in the scan. */
 static uint64_t write_tangled(FILE *file, uint64_t *seed)
 {
     for (uint32_t i = 0; i < TANGLED_FACES; i++) {
@@ -97,10 +98,10 @@ static uint64_t write_polygons(const char *path, unsigned flags, uint64_t seed)
     }
     if (flags & GIANT) {
         fputc('f', file);
-        for (uint32_t v = 1; v <= FAN_CORNERS + 1; v++)
+        for (uint32_t v = 1; v <= GIANT_CORNERS; v++)
             fprintf(file, " %u", v * 31 + 1);
         fputc('\n', file);
-        triangles += FAN_CORNERS - 1;
+        triangles += GIANT_CORNERS - 2;
     }
     if (flags & TANGLED)
         triangles += write_tangled(file, &seed);
@@ -166,25 +167,6 @@ static void expect_the_same_for_all_ways(struct sort_fixture *f, unsigned flags)
     free(expected);
 }
 
-/* Such a scan is sorted only with vertices in memory; otherwise the message names the memory
- * needed. */
-static void expect_refused_with_vertices_in_a_file(struct sort_fixture *f, unsigned flags,
-                                                   unsigned corners)
-{
-    char message[192];
-    const uint64_t triangles = write_polygons("scan.obj", flags, 17 + flags);
-    snprintf(message, sizeof message, "%s: splitting a polygon of %u corners needs all vertices",
-             "scan.obj", corners);
-    expect_sorted(f, sort_polygons(f, flags, 0));
-    assert_int_equal(f->report.triangles + f->report.degenerate_triangles, triangles);
-    for (unsigned way = 1; way < 3; way++) {
-        assert_int_equal(sort_polygons(f, flags, way), BSQ_ENOMEM);
-        if (corners > 0)
-            assert_non_null(strstr(bsq_error(f->ctx), message));
-        assert_non_null(strstr(bsq_error(f->ctx), "all vertices in memory, about "));
-    }
-}
-
 FIXTURE_TEST(polygons_of_positions_are_split_the_same_way)
 {
     expect_the_same_for_all_ways(*state, 0);
@@ -198,21 +180,20 @@ FIXTURE_TEST(polygons_keep_their_attributes)
     expect_the_same_for_all_ways(*state, TEXCOORDS | NORMALS | MATERIALS);
 }
 
-/* Triangles are textured if their own corners have coordinates. Fans cannot represent this. */
-FIXTURE_TEST(polygons_may_lack_some_texture_coordinates_in_memory)
+/* Triangles are textured if their own corners have coordinates. */
+FIXTURE_TEST(polygons_may_lack_some_texture_coordinates)
 {
-    expect_refused_with_vertices_in_a_file(*state, TEXCOORDS | MIXED | SHUFFLED, 0);
+    expect_the_same_for_all_ways(*state, TEXCOORDS | MIXED | SHUFFLED);
 }
 
-FIXTURE_TEST(a_polygon_may_be_too_large_for_a_fan)
+FIXTURE_TEST(a_polygon_may_be_larger_than_a_run)
 {
-    expect_refused_with_vertices_in_a_file(*state, GIANT, FAN_CORNERS + 1);
+    expect_the_same_for_all_ways(*state, GIANT);
 }
 
-/* As fans, the polygons would exceed the memory budget. */
-FIXTURE_TEST(polygons_may_be_in_too_many_buckets_for_fans)
+FIXTURE_TEST(polygons_may_have_corners_anywhere)
 {
-    expect_refused_with_vertices_in_a_file(*state, TANGLED, TANGLED_CORNERS);
+    expect_the_same_for_all_ways(*state, TANGLED);
 }
 
 RUN_TESTS(NULL, NULL)
