@@ -62,6 +62,10 @@ struct bsq_option {
 /** @name Initialisers of rows
  * `type` is the structure.
  * @{ */
+/** Name, what the help calls the value, and help. */
+#define BSQ_ROW(name_, argument_, help_) .name = name_, .argument = argument_, .help = help_
+/** A value that the program parses. */
+#define BSQ_OWN .own_syntax = true, .kind = BSQ_OPTION_NONE
 /** A member of any kind but LIST. */
 #define BSQ_MEMBER(kind_, type, member_)                                                           \
     .kind = BSQ_OPTION_##kind_, .member = #member_, .offset = offsetof(type, member_),             \

@@ -83,24 +83,14 @@ static int take_option(struct cli *cli, void *arg, const struct bsq_option *row,
 /* ---- all of them ---- */
 
 static const struct bsq_option list_rows[] = {
-    {.name = "list",
-     .argument = "WHAT",
-     .own_syntax = true,
-     .kind = BSQ_OPTION_NONE,
-     .heading = "Instead of a bake",
-     .help = "print the devices, or the UDIM tiles of a low-poly mesh, and exit"},
+    {BSQ_ROW("list", "WHAT", "print the devices, or the UDIM tiles of a low-poly mesh, and exit"),
+     .heading = "Instead of a bake", BSQ_OWN},
     /* Old names; those of other options are in their rows. */
-    {.name = "list-devices",
-     .kind = BSQ_OPTION_FLAG,
-     .offset = offsetof(struct bake_arguments, list_devices)},
-    {.name = "list-tiles",
-     .kind = BSQ_OPTION_FLAG,
-     .offset = offsetof(struct bake_arguments, list_tiles)},
-    {.name = "mask-opacity",
-     .kind = BSQ_OPTION_FLAG,
-     .offset = offsetof(struct bake_arguments, mask_opacity)},
-    {.name = "half", .own_syntax = true, .kind = BSQ_OPTION_NONE},
-    {.name = "float", .own_syntax = true, .kind = BSQ_OPTION_NONE},
+    {.name = "list-devices", BSQ_MEMBER(FLAG, struct bake_arguments, list_devices)},
+    {.name = "list-tiles", BSQ_MEMBER(FLAG, struct bake_arguments, list_tiles)},
+    {.name = "mask-opacity", BSQ_MEMBER(FLAG, struct bake_arguments, mask_opacity)},
+    {.name = "half", BSQ_OWN},
+    {.name = "float", BSQ_OWN},
 };
 enum { LIST_ROWS = sizeof list_rows / sizeof *list_rows };
 

@@ -11,32 +11,24 @@
 #define MEMBER(kind, member) BSQ_MEMBER(kind, struct bake_tasks, member)
 
 const struct bsq_option bake_task_rows[BAKE_TASK_ROWS] = {
-    {.name = "tasks",
-     .argument = "N",
-     .heading = "Tasks for several machines",
-     MEMBER(COUNT, tasks),
-     BSQ_RANGE(1, BAKE_MAX_TASKS, 0),
-     .help = "divide the work into N tasks, and write only their plan (default: none)"},
-    {.name = "plan",
-     .old_name = "write-plan",
-     .argument = "FILE",
-     MEMBER(INPUT, plan),
-     .help = "with --tasks: the plan to write\n"
+    {BSQ_ROW("tasks", "N",
+             "divide the work into N tasks, and write only their plan (default: none)"),
+     .heading = "Tasks for several machines", MEMBER(COUNT, tasks),
+     BSQ_RANGE(1, BAKE_MAX_TASKS, 0)},
+    {BSQ_ROW("plan", "FILE",
+             "with --tasks: the plan to write\n"
              "else: take inputs, output and options from it; alone: print how\n"
-             "many tasks it has, and what each needs"},
-    {.name = "task",
-     .argument = "I | I-J",
-     .own_syntax = true,
-     .kind = BSQ_OPTION_NONE,
-     .help = "do task I, or I to J, of the plan, from 0 on, into part files"},
-    {.name = "merge",
-     MEMBER(FLAG, merge),
-     .help = "write all maps from the parts of the plan, and the preview\n"
-             "with --task I: only the maps of UDIM tile I, from 0 on"},
-    {.name = "merge-tile", .argument = "I", .own_syntax = true, .kind = BSQ_OPTION_NONE}, /* old */
-    {.name = "force",
-     MEMBER(FLAG, force),
-     .help = "do it again if the part or the outputs are there already"},
+             "many tasks it has, and what each needs"),
+     .old_name = "write-plan", MEMBER(INPUT, plan)},
+    {BSQ_ROW("task", "I | I-J", "do task I, or I to J, of the plan, from 0 on, into part files"),
+     BSQ_OWN},
+    {BSQ_ROW("merge", NULL,
+             "write all maps from the parts of the plan, and the preview\n"
+             "with --task I: only the maps of UDIM tile I, from 0 on"),
+     MEMBER(FLAG, merge)},
+    {.name = "merge-tile", .argument = "I", BSQ_OWN}, /* old */
+    {BSQ_ROW("force", NULL, "do it again if the part or the outputs are there already"),
+     MEMBER(FLAG, force)},
 };
 
 int bake_farm_parse(struct cli *cli, const char *option, const char *text, struct bake_numbers *out)

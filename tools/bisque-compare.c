@@ -5,9 +5,9 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "libbake/compare.h"
-#include "tools/cli.h"
-#include "tools/compare_mesh.h"
+#include "base/job_files.h"
+#include "formats/file_kind.h"
+#include "libvoxel/voxel.h"
 #include "tools/page.h"
 
 static const char usage[] =
@@ -42,7 +42,8 @@ struct arguments {
     const char *mask;      /* of both maps, unless they have their own */
     const char *report;    /* a page, or NULL */
     double limits[LIMITS]; /* NAN: not given */
-    struct compare_mesh files;
+    const char **inputs;   /* two maps, or a mesh and the chunk files of a scan */
+    uint32_t input_count;
 };
 
 /* Checks that each map has a mask of its own; without them there is no hit agreement. */
@@ -54,42 +55,42 @@ static bool has_agreement(const struct bake_compare_options *compare)
 
 /* ---- arguments ---- */
 
-#define OPTION(name_, argument_, help_) .name = name_, .argument = argument_, .help = help_
-#define MEMBER(kind, member)            BSQ_MEMBER(kind, struct arguments, member)
-#define LIMIT(limit)                    MEMBER(NUMBER, limits[limit]), BSQ_RANGE(0, DBL_MAX, NAN)
+#define MEMBER(kind, member) BSQ_MEMBER(kind, struct arguments, member)
+#define LIMIT(limit)         MEMBER(NUMBER, limits[limit]), BSQ_RANGE(0, DBL_MAX, NAN)
 
 static const struct bsq_option rows[] = {
-    {OPTION("type", "KIND", "auto, normal, color or data"), .heading = "Comparison",
+    {BSQ_ROW("type", "KIND", "auto, normal, color or data"), .heading = "Comparison",
      MEMBER(CHOICE, compare.kind), .words = "auto normal color data"},
-    {OPTION("mask", "FILE", "compare only texels where this mask is above 0"), MEMBER(INPUT, mask)},
-    {OPTION("mask-a", "FILE", "mask of the texels that A covers"),
+    {BSQ_ROW("mask", "FILE", "compare only texels where this mask is above 0"),
+     MEMBER(INPUT, mask)},
+    {BSQ_ROW("mask-a", "FILE", "mask of the texels that A covers"),
      MEMBER(INPUT, compare.a_mask_path)},
-    {OPTION("mask-b", "FILE",
-            "mask of the texels that B covers; with both, hit agreement is\n"
-            "reported"),
+    {BSQ_ROW("mask-b", "FILE",
+             "mask of the texels that B covers; with both, hit agreement is\n"
+             "reported"),
      MEMBER(INPUT, compare.b_mask_path)},
-    {OPTION("force", NULL, "compare maps although their attributes disagree"),
+    {BSQ_ROW("force", NULL, "compare maps although their attributes disagree"),
      MEMBER(FLAG, compare.force)},
-    {OPTION("ignore-nan", NULL,
-            "leave NaN and infinite values out; otherwise they are outside of\n"
-            "every limit"),
+    {BSQ_ROW("ignore-nan", NULL,
+             "leave NaN and infinite values out; otherwise they are outside of\n"
+             "every limit"),
      MEMBER(FLAG, compare.ignore_nan)},
-    {OPTION("heatmap", "FILE.png", "write a picture of the error of each texel"),
+    {BSQ_ROW("heatmap", "FILE.png", "write a picture of the error of each texel"),
      .heading = "Pictures", MEMBER(OUTPUT, compare.heatmap_path)},
-    {OPTION("histogram", "FILE.png", "write a picture of the distribution of the error"),
+    {BSQ_ROW("histogram", "FILE.png", "write a picture of the distribution of the error"),
      MEMBER(OUTPUT, compare.histogram_path)},
-    {OPTION("report", "FILE.html", "write a page with both maps side by side and their errors"),
+    {BSQ_ROW("report", "FILE.html", "write a page with both maps side by side and their errors"),
      MEMBER(OUTPUT, report)},
-    {OPTION("scale", "E", "error at the top of their scale (default: the 99th percentile)"),
+    {BSQ_ROW("scale", "E", "error at the top of their scale (default: the 99th percentile)"),
      MEMBER(NUMBER, compare.scale), BSQ_RANGE(0, DBL_MAX, 0), .positive = true},
-    {OPTION("max-mean", "E", "the largest mean that passes (default: none)"), .heading = "Limits",
+    {BSQ_ROW("max-mean", "E", "the largest mean that passes (default: none)"), .heading = "Limits",
      LIMIT(MAX_MEAN)},
-    {OPTION("max-median", "E", "the largest median (default: none)"), LIMIT(MAX_MEDIAN)},
-    {OPTION("max-p95", "E", "the largest 95th percentile (default: none)"), LIMIT(MAX_P95)},
-    {OPTION("max-p99", "E", "the largest 99th percentile (default: none)"), LIMIT(MAX_P99)},
-    {OPTION("max-error", "E", "the largest maximum (default: none)"), LIMIT(MAX_ERROR)},
-    {OPTION("min-psnr", "DB", "the smallest PSNR, for colours (default: none)"), LIMIT(MIN_PSNR)},
-    {OPTION("min-agreement", "S", "the smallest hit agreement, 0 to 1 (default: none)"),
+    {BSQ_ROW("max-median", "E", "the largest median (default: none)"), LIMIT(MAX_MEDIAN)},
+    {BSQ_ROW("max-p95", "E", "the largest 95th percentile (default: none)"), LIMIT(MAX_P95)},
+    {BSQ_ROW("max-p99", "E", "the largest 99th percentile (default: none)"), LIMIT(MAX_P99)},
+    {BSQ_ROW("max-error", "E", "the largest maximum (default: none)"), LIMIT(MAX_ERROR)},
+    {BSQ_ROW("min-psnr", "DB", "the smallest PSNR, for colours (default: none)"), LIMIT(MIN_PSNR)},
+    {BSQ_ROW("min-agreement", "S", "the smallest hit agreement, 0 to 1 (default: none)"),
      LIMIT(MIN_AGREEMENT)},
 };
 enum { ROWS = sizeof rows / sizeof *rows };
@@ -104,8 +105,8 @@ static int parse_arguments(struct cli *cli, struct arguments *arguments, int arg
         return status;
     if (argc - optind < 2)
         return cli_usage(cli, "two maps, or a mesh and a scan, are needed (see --help)");
-    arguments->files.inputs = (const char *const *)argv + optind;
-    arguments->files.count = (uint32_t)(argc - optind);
+    arguments->inputs = (const char **)argv + optind;
+    arguments->input_count = (uint32_t)(argc - optind);
     arguments->compare.a_path = argv[optind];
     arguments->compare.b_path = argv[optind + 1];
     double agreement = arguments->limits[MIN_AGREEMENT];
@@ -238,37 +239,77 @@ done:
     return status;
 }
 
-/* Compares a mesh with a scan; limits are about the larger figure of both directions. */
-static int compare_surfaces(struct cli *cli, struct arguments *arguments, int *failures)
+/* ---- a mesh and a scan ---- */
+
+/* Measures the distances between the surfaces. */
+static int measure(struct cli *cli, const struct arguments *arguments,
+                   struct vox_distances *from_scan, struct vox_distances *from_mesh)
 {
-    const struct vox_distances *a = &arguments->files.from_scan, *b = &arguments->files.from_mesh;
+    const char *const *inputs = arguments->inputs;
+    const uint32_t count = arguments->input_count;
+    struct vox_temp_tris *mesh = NULL;
+    struct vox_sort_options options;
+    struct vox_sort_report report = {.size = sizeof report};
+    int status = 0;
+    for (uint32_t i = 0; i < count; i++)
+        BSQ_TRY(bsq_note_input(cli->ctx, inputs[i], i == 0 ? "the mesh" : "the scan"));
+    BSQ_TRY(vox_temp_tris_create(cli->ctx, &mesh));
+    vox_sort_defaults(&options);
+    options.scan_paths = inputs;
+    options.scan_count = 1;
+    options.tris_path = inputs[0];
+    options.temp_tris = mesh;
+    BSQ_TRY(vox_sort(cli->ctx, &options, &report));
+    status = vox_measure_mesh(cli->ctx, inputs + 1, count - 1, mesh, from_scan, from_mesh);
+done:
+    vox_temp_tris_close(mesh);
+    return status;
+}
+
+/* Compares a mesh with a scan; limits are about the larger figure of both directions. */
+static int compare_surfaces(struct cli *cli, const struct arguments *arguments, int *failures)
+{
+    struct vox_distances a, b; /* from the scan; from the mesh */
     for (int i = 0; i < LIMITS; i++)
         if (!isnan(arguments->limits[i]) && i != MAX_MEAN && i != MAX_P99 && i != MAX_ERROR)
             return cli_usage(cli, "%s is for maps, not for a mesh and a scan",
                              limit_rows[i].option);
     if (arguments->report)
         return cli_usage(cli, "--report is for maps, not for a mesh and a scan");
-    int status = compare_mesh_measure(cli, &arguments->files);
+    int status = measure(cli, arguments, &a, &b);
     if (status < 0)
         return status;
     *failures = count_failures(cli, arguments,
-                               &(struct bake_compare_report){.mean = fmax(a->mean, b->mean),
-                                                             .p99 = fmax(a->p99, b->p99),
-                                                             .max = fmax(a->max, b->max)});
-    return compare_mesh_print(cli, &arguments->files, *failures);
+                               &(struct bake_compare_report){.mean = fmax(a.mean, b.mean),
+                                                             .p99 = fmax(a.p99, b.p99),
+                                                             .max = fmax(a.max, b.max)});
+    if (cli->json)
+        return cli_print_json(
+            cli, json_pack("{s:o, s:o, s:o, s:o, s:b}", "mesh_path",
+                           cli_json_text(arguments->inputs[0]), "scan_path",
+                           cli_json_text(arguments->inputs[1]), "from_scan", cli_distances_json(&a),
+                           "to_scan", cli_distances_json(&b), "within_limits", *failures == 0));
+    cli_print("%s against the scan %s\n", arguments->inputs[0], arguments->inputs[1]);
+    cli_print_distances("from the scan", &a);
+    cli_print_distances("to the scan", &b);
+    return 0;
 }
 
 static int compare(struct cli *cli, struct arguments *arguments, int *failures)
 {
-    bool surfaces;
+    bool surfaces = true; /* all inputs but the first are chunk files */
     int status = 0;
     BSQ_TRY(map_inputs(cli, arguments));
-    BSQ_TRY(compare_mesh_recognise(cli, &arguments->files, &surfaces));
+    for (uint32_t i = 1; i < arguments->input_count && surfaces; i++) {
+        enum fmt_kind kind = FMT_KIND_MESH;
+        BSQ_TRY(fmt_recognise(cli->ctx, arguments->inputs[i], &kind));
+        surfaces = kind == FMT_KIND_TRIS;
+    }
     if (surfaces)
         return compare_surfaces(cli, arguments, failures);
-    if (arguments->files.count > 2)
+    if (arguments->input_count > 2)
         return cli_usage(cli, "%u files: two maps, or a mesh and chunk files, are needed",
-                         arguments->files.count);
+                         arguments->input_count);
     status = compare_maps(cli, arguments, failures);
 done:
     return status;

@@ -30,26 +30,25 @@ struct arguments {
 
 /* ---- arguments ---- */
 
-#define OPTION(name_, argument_, help_) .name = name_, .argument = argument_, .help = help_
-#define MEMBER(kind, member)            BSQ_MEMBER(kind, struct arguments, member)
+#define MEMBER(kind, member) BSQ_MEMBER(kind, struct arguments, member)
 
 static const struct bsq_option rows[] = {
-    {OPTION("output", "FILE",
-            "the mesh, .obj, .ply or .glb; with several numbers of triangles its name\n"
-            "must contain <N>, which is replaced by them"),
+    {BSQ_ROW("output", "FILE",
+             "the mesh, .obj, .ply or .glb; with several numbers of triangles its name\n"
+             "must contain <N>, which is replaced by them"),
      .letter = 'o', .heading = "Mesh", MEMBER(OUTPUT, output)},
-    {OPTION("triangles", "LIST", "triangles of the mesh, or of several meshes: 150000,20000,2000"),
-     .own_syntax = true, .kind = BSQ_OPTION_NONE},
-    {OPTION("error", "D",
-            "instead: the smallest mesh that is nowhere farther from the scan\n"
-            "than D, nor the scan from it, in the scan's units (default: none)"),
+    {BSQ_ROW("triangles", "LIST", "triangles of the mesh, or of several meshes: 150000,20000,2000"),
+     BSQ_OWN},
+    {BSQ_ROW("error", "D",
+             "instead: the smallest mesh that is nowhere farther from the scan\n"
+             "than D, nor the scan from it, in the scan's units (default: none)"),
      MEMBER(NUMBER, simplify.error), BSQ_RANGE(0, DBL_MAX, 0), .positive = true},
-    {OPTION("min-component", "P",
-            "drop separate pieces smaller than P % of the scan, by diagonals"),
+    {BSQ_ROW("min-component", "P",
+             "drop separate pieces smaller than P % of the scan, by diagonals"),
      MEMBER(NUMBER, simplify.min_component), BSQ_RANGE(0, 100, 0)},
-    {OPTION("keep-borders", "KIND", "keep triangles of different materials apart: none, material"),
+    {BSQ_ROW("keep-borders", "KIND", "keep triangles of different materials apart: none, material"),
      MEMBER(FLAG, simplify.keep_materials), .words = "none material"},
-    {OPTION("hard-angle", "DEG", "edges with a larger angle than this look sharp"),
+    {BSQ_ROW("hard-angle", "DEG", "edges with a larger angle than this look sharp"),
      MEMBER(NUMBER, simplify.hard_angle), BSQ_RANGE(0, 180, 180)},
 };
 static const struct bsq_option cli_rows[] = {CLI_TMPDIR_ROW, CLI_STRICT_ROW};

@@ -135,8 +135,7 @@ static int sort_scan(struct voxelize_job *job)
     struct vox_sort_options *options = &arguments->sort;
     struct bsq_ctx *ctx = job->cli->ctx;
     int status = 0;
-    BSQ_TRY(voxelize_arguments_keep_normal_map(job->cli, arguments));
-    BSQ_TRY(voxelize_arguments_add_all_channels(job->cli, arguments));
+    BSQ_TRY(voxelize_arguments_add_channels(job->cli, arguments));
     options->tris_path = job->tris_path;
     options->temp_tris = job->temp_tris;
     options->keeps_tris = !job->temporary_tris;

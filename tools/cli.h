@@ -60,19 +60,21 @@ struct cli {
 /* Rows of options that not every program has; they set members of struct cli. */
 #define CLI_TMPDIR_ROW                                                                             \
     {                                                                                              \
-        .name = "tmpdir", .heading = CLI_HEADING, .argument = "DIR",                               \
-        BSQ_MEMBER(TEXT, struct cli, tmpdir),                                                      \
-        .help = "directory for temporary files (default: $TMPDIR, else the output's)"              \
+        BSQ_ROW("tmpdir", "DIR",                                                                   \
+                "directory for temporary files (default: $TMPDIR, else the output's)"),            \
+            .heading = CLI_HEADING, BSQ_MEMBER(TEXT, struct cli, tmpdir)                           \
     }
 #define CLI_STRICT_ROW                                                                             \
     {                                                                                              \
-        .name = "strict", .heading = CLI_HEADING, BSQ_MEMBER(FLAG, struct cli, strict),            \
-        .help = "end with an error if data of an input is lost, not with a warning"                \
+        BSQ_ROW("strict", NULL,                                                                    \
+                "end with an error if data of an input is lost, not with a warning"),              \
+            .heading = CLI_HEADING, BSQ_MEMBER(FLAG, struct cli, strict)                           \
     }
 #define CLI_VERIFY_ROW                                                                             \
     {                                                                                              \
-        .name = "verify", .heading = CLI_HEADING, BSQ_MEMBER(FLAG, struct cli, verify),            \
-        .help = "check FILES (.tris, .nvdb), print a line on each, do nothing else"                \
+        BSQ_ROW("verify", NULL,                                                                    \
+                "check FILES (.tris, .nvdb), print a line on each, do nothing else"),              \
+            .heading = CLI_HEADING, BSQ_MEMBER(FLAG, struct cli, verify)                           \
     }
 
 /* ---- start and end of a program ---- */

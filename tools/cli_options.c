@@ -221,30 +221,20 @@ static void print_options(const struct cli_table *tables, size_t count)
 #define MEMBER(kind, member) BSQ_MEMBER(kind, struct cli, member)
 
 static const struct bsq_option common_rows[] = {
-    {.name = "memory",
-     .argument = "SIZE",
-     .heading = "All programs",
-     MEMBER(BYTES, memory_bytes),
-     .help = "memory budget, e.g. 4G, 512MiB (default: half of the machine's)"},
-    {.name = "threads",
-     .argument = "N",
-     MEMBER(COUNT, threads),
-     BSQ_RANGE(1, 65536, 0),
-     .help = "worker threads (default: one per processor)"},
-    {.name = "progress",
-     .argument = "WHEN",
-     MEMBER(CHOICE, progress),
-     .words = "auto bar none json openjd percent alf",
-     .help = "auto, bar, none or json (default: auto, a bar on a terminal,\n"
+    {BSQ_ROW("memory", "SIZE", "memory budget, e.g. 4G, 512MiB (default: half of the machine's)"),
+     .heading = "All programs", MEMBER(BYTES, memory_bytes)},
+    {BSQ_ROW("threads", "N", "worker threads (default: one per processor)"), MEMBER(COUNT, threads),
+     BSQ_RANGE(1, 65536, 0)},
+    {BSQ_ROW("progress", "WHEN",
+             "auto, bar, none or json (default: auto, a bar on a terminal,\n"
              "else a line every 30 s);\n"
-             "openjd, percent or alf: lines for schedulers"},
-    {.name = "path-map",
-     .argument = "FILE",
-     MEMBER(TEXT, path_map),
-     .help = "rules for paths on this machine (pathmapping-1.0)"},
-    {.name = "json", MEMBER(FLAG, json), .help = "print the results as JSON"},
-    {.name = "help", MEMBER(FLAG, help), .help = "print this help"},
-    {.name = "version", MEMBER(FLAG, version), .help = "print the version"},
+             "openjd, percent or alf: lines for schedulers"),
+     MEMBER(CHOICE, progress), .words = "auto bar none json openjd percent alf"},
+    {BSQ_ROW("path-map", "FILE", "rules for paths on this machine (pathmapping-1.0)"),
+     MEMBER(TEXT, path_map)},
+    {BSQ_ROW("json", NULL, "print the results as JSON"), MEMBER(FLAG, json)},
+    {BSQ_ROW("help", NULL, "print this help"), MEMBER(FLAG, help)},
+    {BSQ_ROW("version", NULL, "print the version"), MEMBER(FLAG, version)},
     {.name = "list-options", MEMBER(FLAG, list_options)}, /* for tests */
 };
 

@@ -58,13 +58,12 @@ static int verify_file(struct cli *cli, const char *path, json_t **entry)
 int cli_verify(struct cli *cli, char *const *paths, int count)
 {
     json_t *list = cli->json ? json_array() : NULL;
-    bool complete = true;
     int result = 0;
     for (int i = 0; i < count; i++) {
         json_t *entry;
         int status = verify_file(cli, paths[i], &entry);
-        if (cli->json && (!list || !entry || json_array_append_new(list, entry) != 0))
-            complete = false;
+        if (cli->json)
+            cli_json_append(&list, entry);
         result = result < 0 ? result : status;
         if (status == BSQ_EINTR)
             break;
@@ -73,11 +72,10 @@ int cli_verify(struct cli *cli, char *const *paths, int count)
     }
     cli->reported = result < 0;
     if (cli->json) {
-        int status = cli_print_json(cli, complete ? json_pack("{s:O}", "files", list) : NULL);
+        int status = cli_print_json(cli, json_pack("{s:o}", "files", list));
         if (status < 0)
             cli->reported = false;
         result = result < 0 ? result : status;
-        json_decref(list);
     }
     return result;
 }

@@ -20,60 +20,58 @@ static const char usage[] =
 /* Bits of bsq_option.needs: what the option does nothing without. */
 enum { GRID = 1, MESHES = 2 };
 
-#define OPTION(name_, argument_, help_) .name = name_, .argument = argument_, .help = help_
-#define MEMBER(kind, member)            BSQ_MEMBER(kind, struct voxelize_arguments, member)
-#define OWN                             .own_syntax = true, .kind = BSQ_OPTION_NONE
+#define MEMBER(kind, member) BSQ_MEMBER(kind, struct voxelize_arguments, member)
 
 static const struct bsq_option rows[] = {
-    {OPTION("output", "FILE", "the grid, a NanoVDB file; a name that ends in .tris sorts only"),
+    {BSQ_ROW("output", "FILE", "the grid, a NanoVDB file; a name that ends in .tris sorts only"),
      .letter = 'o', .heading = "Grid", MEMBER(OUTPUT, grid.grid_path)},
-    {OPTION("resolution", "N", "voxels along the scan's longest side"),
+    {BSQ_ROW("resolution", "N", "voxels along the scan's longest side"),
      MEMBER(COUNT, grid.resolution), BSQ_RANGE(1, VOX_RESOLUTION_MAX, 2048), .needs = GRID},
-    {OPTION("voxel-size", "X",
-            "edge of a voxel in the scan's units, instead of a resolution\n"
-            "(default: by the resolution)"),
+    {BSQ_ROW("voxel-size", "X",
+             "edge of a voxel in the scan's units, instead of a resolution\n"
+             "(default: by the resolution)"),
      MEMBER(NUMBER, grid.voxel_size), BSQ_RANGE(0, DBL_MAX, 0), .positive = true, .needs = GRID},
-    {OPTION("grid-type", "TYPE", "mask or onindex (NanoVDB 32.6 and later)"),
+    {BSQ_ROW("grid-type", "TYPE", "mask or onindex (NanoVDB 32.6 and later)"),
      MEMBER(CHOICE, grid.grid_type), .words = "mask onindex", .needs = GRID},
-    {OPTION("vdb", "FILE", "also write the grid as an OpenVDB file"), MEMBER(OUTPUT, grid.vdb_path),
-     .needs = GRID},
+    {BSQ_ROW("vdb", "FILE", "also write the grid as an OpenVDB file"),
+     MEMBER(OUTPUT, grid.vdb_path), .needs = GRID},
 
-    {OPTION("scan-normals", "NAME",
-            "for a scan without normals: smooth, flat; or smooth ones by\n"
-            "weight: area, angle or max (default: smooth, which is area)"),
+    {BSQ_ROW("scan-normals", "NAME",
+             "for a scan without normals: smooth, flat; or smooth ones by\n"
+             "weight: area, angle or max (default: smooth, which is area)"),
      .heading = "Scan", MEMBER(CHOICE, grid.scan_normals), .words = "smooth/area angle max flat",
      .needs = GRID},
-    {OPTION("channels", "LIST",
-            "what else to keep in chunks and grid: id; for maps transfer:NAME,\n"
-            "NAME of the materials, all of them, or NAME=FILE; none"),
-     OWN},
-    {OPTION("scan-normal-map", "FILE",
-            "the scan's own normal map in tangent space, added to its normals"),
+    {BSQ_ROW("channels", "LIST",
+             "what else to keep in chunks and grid: id; for maps transfer:NAME,\n"
+             "NAME of the materials, all of them, or NAME=FILE; none"),
+     BSQ_OWN},
+    {BSQ_ROW("scan-normal-map", "FILE",
+             "the scan's own normal map in tangent space, added to its normals"),
      MEMBER(INPUT, grid.scan_normal_map)},
-    {OPTION("id", "KIND", "what ids tell apart: material, object or color (default: material)"),
+    {BSQ_ROW("id", "KIND", "what ids tell apart: material, object or color (default: material)"),
      MEMBER(CHOICE, sort.ids), .words = "none material object color", .needs = MESHES},
-    {OPTION("texture", "FILE", "colours for a scan with texture coordinates but no MTL file"),
+    {BSQ_ROW("texture", "FILE", "colours for a scan with texture coordinates but no MTL file"),
      MEMBER(INPUT, sort.texture_path), .needs = MESHES},
-    {OPTION("scale", "X", "multiply the scan's positions by X"), OWN},
-    {OPTION("up", "AXIS", "turn the scan so that y or z points upwards"), OWN},
-    {OPTION("translate", "X,Y,Z",
-            "then shift the scan; these three options, given once, are for all\n"
-            "files; given once for each file, they are for the files in order"),
-     OWN},
+    {BSQ_ROW("scale", "X", "multiply the scan's positions by X"), BSQ_OWN},
+    {BSQ_ROW("up", "AXIS", "turn the scan so that y or z points upwards"), BSQ_OWN},
+    {BSQ_ROW("translate", "X,Y,Z",
+             "then shift the scan; these three options, given once, are for all\n"
+             "files; given once for each file, they are for the files in order"),
+     BSQ_OWN},
 
-    {OPTION("tris", "FILE", "name of the chunk file (default: the output's, ending in .tris)"),
+    {BSQ_ROW("tris", "FILE", "name of the chunk file (default: the output's, ending in .tris)"),
      .heading = "Chunk file", MEMBER(OUTPUT, tris), .needs = GRID | MESHES},
-    {OPTION("embed-textures", NULL,
-            "copy the scan's textures into the chunk file, which can then move"),
+    {BSQ_ROW("embed-textures", NULL,
+             "copy the scan's textures into the chunk file, which can then move"),
      MEMBER(FLAG, sort.embed_textures), .needs = MESHES},
-    {OPTION("no-tris", NULL, "do not keep the chunk file"), MEMBER(FLAG, no_tris), .needs = GRID},
-    {OPTION("resume", NULL, "continue the same job from its chunk file, if that is complete"),
+    {BSQ_ROW("no-tris", NULL, "do not keep the chunk file"), MEMBER(FLAG, no_tris), .needs = GRID},
+    {BSQ_ROW("resume", NULL, "continue the same job from its chunk file, if that is complete"),
      MEMBER(FLAG, resume), .needs = MESHES},
-    {OPTION("force", NULL, "with a chunk file as output: make it again if it is there already"),
+    {BSQ_ROW("force", NULL, "with a chunk file as output: make it again if it is there already"),
      MEMBER(FLAG, force), .needs = MESHES},
-    {OPTION("parse-only", NULL, "only read the mesh files, to measure the reader"),
+    {BSQ_ROW("parse-only", NULL, "only read the mesh files, to measure the reader"),
      MEMBER(FLAG, parse_only)},
-    {OPTION("info", NULL, "print what is in FILES (meshes, .tris, .nvdb), do nothing else"),
+    {BSQ_ROW("info", NULL, "print what is in FILES (meshes, .tris, .nvdb), do nothing else"),
      MEMBER(FLAG, info)},
 };
 enum { ROWS = sizeof rows / sizeof *rows };
@@ -258,20 +256,15 @@ static int take_option(struct cli *cli, void *arg, const struct bsq_option *row,
     return status;
 }
 
-int voxelize_arguments_keep_normal_map(struct cli *cli, struct voxelize_arguments *arguments)
+int voxelize_arguments_add_channels(struct cli *cli, struct voxelize_arguments *arguments)
 {
     static const char name[] = BSQ_CHANNEL_NORMAL_MAP;
     const char *path = arguments->grid.scan_normal_map;
-    return path ? add_channel(cli, arguments, name, strlen(name), path, false) : 0;
-}
-
-int voxelize_arguments_add_all_channels(struct cli *cli, struct voxelize_arguments *arguments)
-{
-    int status = 0;
+    int status = path ? add_channel(cli, arguments, name, strlen(name), path, false) : 0;
     for (unsigned i = 0; arguments->all_channels && bsq_channel_at(i) && status == 0; i++) {
-        const char *name = bsq_channel_at(i)->name;
-        if (!has_channel(arguments, name))
-            status = add_channel(cli, arguments, name, strlen(name), NULL, true);
+        const char *any = bsq_channel_at(i)->name;
+        if (!has_channel(arguments, any))
+            status = add_channel(cli, arguments, any, strlen(any), NULL, true);
     }
     return status;
 }

@@ -35,11 +35,9 @@ int voxelize_arguments_map_inputs(struct cli *cli, struct voxelize_arguments *ar
 int voxelize_arguments_check_part(struct cli *cli, const struct voxelize_arguments *arguments,
                                   const char *part, bool beside_meshes);
 
-/* Adds the image of --scan-normal-map to the channels of the chunk file. */
-int voxelize_arguments_keep_normal_map(struct cli *cli, struct voxelize_arguments *arguments);
-
-/* With --channels all, adds what materials can have to the channels of the chunk file. */
-int voxelize_arguments_add_all_channels(struct cli *cli, struct voxelize_arguments *arguments);
+/* Adds the image of --scan-normal-map to the channels of the chunk file and, with --channels all,
+ * what materials can have. */
+int voxelize_arguments_add_channels(struct cli *cli, struct voxelize_arguments *arguments);
 
 /* Frees what parsing allocated. */
 void voxelize_arguments_free(struct voxelize_arguments *arguments);

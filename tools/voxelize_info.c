@@ -56,27 +56,27 @@ static void print_value(const json_t *value)
 /* Prints a member as a line; a list of objects has a line for each. */
 static void print_member(const char *key, const json_t *value)
 {
-    const bool of_objects = json_is_object(json_array_get(value, 0));
-    if (json_is_null(value) || (json_is_array(value) && json_array_size(value) == 0))
+    const size_t count = json_array_size(value);
+    if (json_is_null(value) || (json_is_array(value) && count == 0))
         return;
     cli_print("  ");
     for (const char *c = key; *c; c++)
         cli_print("%c", *c == '_' ? ' ' : *c);
-    cli_print(":");
-    for (size_t i = 0; of_objects && i < json_array_size(value) && i < MOST_NAMES; i++) {
-        cli_print("\n");
-        cli_print("    ");
-        print_members(json_array_get(value, i));
+    if (json_is_object(json_array_get(value, 0))) {
+        cli_print(":\n");
+        for (size_t i = 0; i < count && i < MOST_NAMES; i++) {
+            cli_print("    ");
+            print_members(json_array_get(value, i));
+            cli_print("\n");
+        }
+        if (count > MOST_NAMES)
+            cli_print("    and %zu more\n", count - MOST_NAMES);
+        return;
     }
-    if (of_objects && json_array_size(value) > MOST_NAMES)
-        cli_print("\n");
-    if (of_objects && json_array_size(value) > MOST_NAMES)
-        cli_print("    and %zu more", json_array_size(value) - MOST_NAMES);
-    if (!of_objects)
-        cli_print(" ");
+    cli_print(": ");
     if (json_is_object(value))
         print_members(value);
-    else if (!of_objects)
+    else
         print_value(value);
     cli_print("\n");
 }

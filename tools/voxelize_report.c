@@ -82,8 +82,8 @@ static void print_tris(const struct voxelize_job *job)
                                                       : "; --embed-textures copies them into it");
 }
 
-void voxelize_report_grid(const struct vox_voxelize_options *options,
-                          const struct vox_voxelize_report *grid)
+static void print_grid(const struct vox_voxelize_options *options,
+                       const struct vox_voxelize_report *grid)
 {
     char voxels[CLI_TEXT], size[CLI_TEXT];
     cli_print("%s: %s in %lld x %lld x %lld, voxel size %g, %s%s%s, %.2f s\n", options->grid_path,
@@ -131,7 +131,7 @@ static json_t *sort_json(const struct vox_sort_report *sort)
         sort->seconds_sort);
 }
 
-json_t *voxelize_report_grid_json(const struct vox_voxelize_report *grid)
+static json_t *grid_json(const struct vox_voxelize_report *grid)
 {
     return json_pack(
         "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:[i, i, i], s:[i, i, i], s:b, s:b, s:f}",
@@ -158,7 +158,7 @@ static int print_json(const struct voxelize_job *job)
         cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
         cli_json_text(arguments->grid.vdb_path), "scan",
         job->mesh_count == 0 || job->sort.resumed ? json_null() : sort_json(&job->sort), "grid",
-        no_grid ? json_null() : voxelize_report_grid_json(&job->grid));
+        no_grid ? json_null() : grid_json(&job->grid));
     return cli_print_json(job->cli, root);
 }
 
@@ -196,7 +196,7 @@ int voxelize_report_print(const struct voxelize_job *job)
     if (!job->arguments->parse_only)
         print_tris(job);
     if (!job->arguments->parse_only && !job->arguments->sort_only)
-        voxelize_report_grid(&job->arguments->grid, &job->grid);
+        print_grid(&job->arguments->grid, &job->grid);
     cli_print_cost(job->cli);
     return 0;
 }

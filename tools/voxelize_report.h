@@ -16,12 +16,6 @@ struct voxelize_job {
     struct vox_voxelize_report grid;
 };
 
-/* Prints what a grid has. options: only the names of its files are used. */
-void voxelize_report_grid(const struct vox_voxelize_options *options,
-                          const struct vox_voxelize_report *grid);
-/* Returns the same as JSON; NULL if there is no memory. */
-json_t *voxelize_report_grid_json(const struct vox_voxelize_report *grid);
-
 /* Prints what is in files, for --info. */
 int voxelize_info_print(struct cli *cli, const char *const *paths, uint32_t count);
 

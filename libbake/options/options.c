@@ -60,8 +60,7 @@ static const char *lacks(uint32_t need, const struct bake_options *options,
 
 /* ---- the table ---- */
 
-#define OPTION(name_, argument_, help_)    .name = name_, .argument = argument_, .help = help_
-#define KEY(name_, key_, argument_, help_) OPTION(name_, argument_, help_), .key = key_
+#define KEY(name_, key_, argument_, help_) BSQ_ROW(name_, argument_, help_), .key = key_
 #define MEMBER(kind, member)               BSQ_MEMBER(kind, struct bake_options, member)
 #define COUNT(member, least, most, usual)  MEMBER(COUNT, member), BSQ_RANGE(least, most, usual)
 #define NUMBER(member, most, usual)        MEMBER(NUMBER, member), BSQ_RANGE(0, most, usual)
@@ -98,36 +97,36 @@ static const struct bsq_option table[] = {
     {MEMBER(INPUT, mesh_path)},
     {BSQ_LIST(struct bake_options, more_mesh_paths, more_mesh_count, path_rows)},
 
-    {OPTION("output", "FILE", "the maps; must contain \"<MAP>\" if there are several"),
+    {BSQ_ROW("output", "FILE", "the maps; must contain \"<MAP>\" if there are several"),
      .heading = "Maps", .letter = 'o', MEMBER(OUTPUT, output_path)},
-    {OPTION("maps", "LIST",
-            "the maps to bake, separated by commas; see below\n"
-            "(default: normal, and color if the scan has colours)"),
+    {BSQ_ROW("maps", "LIST",
+             "the maps to bake, separated by commas; see below\n"
+             "(default: normal, and color if the scan has colours)"),
      .own_syntax = true, COUNT(maps, 0, UINT32_MAX, BAKE_MAPS_DEFAULT)},
-    {OPTION("texture", "NAME=FILE", "the scan's image for transfer:NAME"), .own_syntax = true,
+    {BSQ_ROW("texture", "NAME=FILE", "the scan's image for transfer:NAME"), .own_syntax = true,
      BSQ_LIST(struct bake_options, transfers, transfer_count, transfer_rows)},
-    {OPTION("pack", "NAME=MAP,...",
-            "one file of up to four maps, in this order; such as\n"
-            "orm=ao,roughness,metallic; 1-MAP: inverted; 0, 1: constant"),
+    {BSQ_ROW("pack", "NAME=MAP,...",
+             "one file of up to four maps, in this order; such as\n"
+             "orm=ao,roughness,metallic; 1-MAP: inverted; 0, 1: constant"),
      .own_syntax = true, BSQ_LIST(struct bake_options, packs, pack_count, pack_rows)},
-    {OPTION("preset", "NAME",
-            "green, type, suffix and packed maps: unreal, unity, blender or gltf"),
+    {BSQ_ROW("preset", "NAME",
+             "green, type, suffix and packed maps: unreal, unity, blender or gltf"),
      CHOICE(preset, "none unreal unity blender gltf")},
-    {OPTION("quality", "Q", "draft, normal or final: samples and rays that are not given"),
+    {BSQ_ROW("quality", "Q", "draft, normal or final: samples and rays that are not given"),
      CHOICE(quality, "normal draft final")},
-    {OPTION("size", "N | WxH", "texels, or 4k (default: 2048); by UDIM tile: 1001=4096,*=2048"),
+    {BSQ_ROW("size", "N | WxH", "texels, or 4k (default: 2048); by UDIM tile: 1001=4096,*=2048"),
      .own_syntax = true, COUNT(width, 0, UINT32_MAX, 2048)},
     {COUNT(height, 0, UINT32_MAX, 2048)},
     {BSQ_LIST(struct bake_options, tile_sizes, tile_size_count, size_rows)},
-    {OPTION("tiles", "LIST", "UDIM tiles to bake, such as 1001-1003,1011 (default: all in use)"),
+    {BSQ_ROW("tiles", "LIST", "UDIM tiles to bake, such as 1001-1003,1011 (default: all in use)"),
      .own_syntax = true, BSQ_LIST(struct bake_options, tile_ranges, tile_range_count, range_rows)},
-    {OPTION("type", "TYPE",
-            "of samples: half or float in OpenEXR, 16 or 8 in PNG\n"
-            "(default: auto, by the map)"),
+    {BSQ_ROW("type", "TYPE",
+             "of samples: half or float in OpenEXR, 16 or 8 in PNG\n"
+             "(default: auto, by the map)"),
      .old_name = "png-bits", CHOICE(sample_type, "auto 8 16 half float")},
-    {OPTION("exr-tiles", "N", "make OpenEXR files of tiles of N x N texels (default: of lines)"),
+    {BSQ_ROW("exr-tiles", "N", "make OpenEXR files of tiles of N x N texels (default: of lines)"),
      COUNT(exr_tile_side, 8, BAKE_MAX_EXR_TILE, 0)},
-    {OPTION("padding", "N", "texels to fill around each chart; all: everywhere"), .words = "all",
+    {BSQ_ROW("padding", "N", "texels to fill around each chart; all: everywhere"), .words = "all",
      COUNT(padding, 0, UINT32_MAX - 1, 16), .needs = PADDED_MAP},
     {KEY("normal", "space", "SPC", "tangent (MikkTSpace) or object"), .old_name = "normal-space",
      CHOICE(normal_space, "tangent object"), .needs = NORMALS},
@@ -142,28 +141,29 @@ static const struct bsq_option table[] = {
     {KEY("range", "position", "SHAPE", "sphere or box around the scan"), .old_name = "position-in",
      CHOICE(position_in, "sphere box"), .needs = BAKE_MAP_POSITION},
 
-    {OPTION("samples", "N", "N x N pairs of rays a texel"), .heading = "Rays",
+    {BSQ_ROW("samples", "N", "N x N pairs of rays a texel"), .heading = "Rays",
      COUNT(samples, 1, BAKE_MAX_SAMPLES, 2)},
-    {OPTION("front", "D", "length of the rays outwards, in the mesh's units"), .words = "auto",
+    {BSQ_ROW("front", "D", "length of the rays outwards, in the mesh's units"), .words = "auto",
      NUMBER(front, DBL_MAX, -1)},
-    {OPTION("back", "D", "length of the rays inwards"), .words = "auto", NUMBER(back, DBL_MAX, -1)},
-    {OPTION("cage", "FILE", "start rays at this mesh, with the vertices and faces of LOW.obj"),
+    {BSQ_ROW("back", "D", "length of the rays inwards"), .words = "auto",
+     NUMBER(back, DBL_MAX, -1)},
+    {BSQ_ROW("cage", "FILE", "start rays at this mesh, with the vertices and faces of LOW.obj"),
      MEMBER(INPUT, cage_path)},
-    {OPTION("extrude", "D", "start rays D outside of the low-poly mesh, along smooth normals"),
+    {BSQ_ROW("extrude", "D", "start rays D outside of the low-poly mesh, along smooth normals"),
      .words = "none", NUMBER(extrude, MOST_LENGTH, -1), .positive = true},
-    {OPTION("skew", "FILE", "grey map: white turns rays towards the faces' normals"),
+    {BSQ_ROW("skew", "FILE", "grey map: white turns rays towards the faces' normals"),
      MEMBER(INPUT, skew_path)},
-    {OPTION("ray-directions", "D", "smooth, mesh (its normals) or face"),
+    {BSQ_ROW("ray-directions", "D", "smooth, mesh (its normals) or face"),
      CHOICE(rays, "smooth mesh face")},
-    {OPTION("two-sided", NULL, "also hit surfaces that face away from the low-poly mesh"),
+    {BSQ_ROW("two-sided", NULL, "also hit surfaces that face away from the low-poly mesh"),
      MEMBER(FLAG, two_sided)},
-    {OPTION("match", "name | LOW,HIGH",
-            "objects see only scans with their names: body_low sees\n"
-            "body_high.nvdb; LOW,HIGH: other endings of these names"),
+    {BSQ_ROW("match", "name | LOW,HIGH",
+             "objects see only scans with their names: body_low sees\n"
+             "body_high.nvdb; LOW,HIGH: other endings of these names"),
      .old_name = "match-suffixes", .own_syntax = true, MEMBER(FLAG, match_names)},
     {MEMBER(TEXT, low_suffix), .text = "_low"},
     {MEMBER(TEXT, high_suffix), .text = "_high"},
-    {OPTION("max-missed", "P", "exit with 1 if more than P % of the samples find no surface"),
+    {BSQ_ROW("max-missed", "P", "exit with 1 if more than P % of the samples find no surface"),
      .with_plan = true, NUMBER(max_missed, 100, 100)},
     {MEMBER(FLAG, strict)},
     {KEY("rays", "ao", "N", "rays a texel for ao and bent, shared by its samples"),
@@ -200,7 +200,7 @@ static const struct bsq_option table[] = {
          "if its file has none: angle or smooth (weighted by angle or area),\n"
          "or flat (default: angle; flat for glTF)"),
      CHOICE(low_normals, "auto angle smooth flat")},
-    {OPTION("as-is", NULL, "bake meshes that do not fit each other"), MEMBER(FLAG, as_is)},
+    {BSQ_ROW("as-is", NULL, "bake meshes that do not fit each other"), MEMBER(FLAG, as_is)},
 
     {KEY("scan", "sampling", "MODE", "trilinear or nearest, for grids"), .heading = "Scans",
      .old_name = "sampling", CHOICE(sampling, "trilinear nearest"), .needs = GRID_TO_SAMPLE},
@@ -209,23 +209,23 @@ static const struct bsq_option table[] = {
          "by weight: area, angle or max (default: smooth, which is area)"),
      .old_name = "scan-normals", CHOICE(scan_normals, "smooth/area angle max flat"),
      .needs = BARE_TRIANGLES},
-    {OPTION("scan-normal-map", "FILE",
-            "add a tangent-space map to the scan's normals, for triangles"),
+    {BSQ_ROW("scan-normal-map", "FILE",
+             "add a tangent-space map to the scan's normals, for triangles"),
      MEMBER(INPUT, scan_normal_map)},
 
-    {OPTION("glb", "FILE.glb",
-            "the low-poly mesh with its maps normal, color, ao, transfer:roughness\n"
-            "and transfer:metallic, as a glTF file"),
+    {BSQ_ROW("glb", "FILE.glb",
+             "the low-poly mesh with its maps normal, color, ao, transfer:roughness\n"
+             "and transfer:metallic, as a glTF file"),
      .heading = "Asset and preview", MEMBER(OUTPUT, glb_path)},
-    {OPTION("preview", "FILE.png", "a picture of the low-poly mesh, the baked mesh and the scan"),
+    {BSQ_ROW("preview", "FILE.png", "a picture of the low-poly mesh, the baked mesh and the scan"),
      MEMBER(OUTPUT, preview_path)},
-    {OPTION("report", "FILE.html",
-            "a page to look at: the mesh in 3D, all maps, misses, times, what was\n"
-            "lost, and the command"),
+    {BSQ_ROW("report", "FILE.html",
+             "a page to look at: the mesh in 3D, all maps, misses, times, what was\n"
+             "lost, and the command"),
      MEMBER(OUTPUT, page_path)},
-    {OPTION("reference", "DIR",
-            "folder of maps, such as exact ones: the page shows how far those of\n"
-            "the same names are from them"),
+    {BSQ_ROW("reference", "DIR",
+             "folder of maps, such as exact ones: the page shows how far those of\n"
+             "the same names are from them"),
      MEMBER(INPUT, reference_path), .needs = PAGE},
     {KEY("view", "count", "N", "views around the mesh"), .old_name = "preview-views",
      COUNT(preview_views, 1, BAKE_MAX_VIEWS, 4), .needs = PREVIEW},
@@ -236,9 +236,9 @@ static const struct bsq_option table[] = {
     {KEY("view", "up", "AXIS", "the vertical axis: y, z or auto"), .old_name = "up",
      CHOICE(preview_up, "auto y z"), .needs = PREVIEW},
 
-    {OPTION("device", "NAME", BAKE_DEVICE_NAMES), .heading = "Devices", .own_syntax = true,
+    {BSQ_ROW("device", "NAME", BAKE_DEVICE_NAMES), .heading = "Devices", .own_syntax = true,
      .with_plan = true, MEMBER(TEXT, device), .text = "auto"},
-    {OPTION("gpu-memory", "SIZE", "most memory of a GPU to use, e.g. 2G (default: what is free)"),
+    {BSQ_ROW("gpu-memory", "SIZE", "most memory of a GPU to use, e.g. 2G (default: what is free)"),
      MEMBER(BYTES, gpu_memory_bytes), .needs = GPU | GRID},
 };
 enum { ROWS = sizeof table / sizeof *table };
