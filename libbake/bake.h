@@ -486,28 +486,27 @@ int bake_write_plan(struct bsq_ctx *ctx, const struct bake_options *options, uin
 int bake_open_plan(struct bsq_ctx *ctx, const char *path, struct bake_farm_plan **out);
 /** Frees a plan; NULL is allowed. */
 void bake_close_plan(struct bake_farm_plan *plan);
-/** Returns the options of the bake; valid until the plan is closed. */
-const struct bake_options *bake_plan_options(const struct bake_farm_plan *plan);
-/** Sets the device that traces the rays of tasks from now on, as `device` of struct bake_options;
- * NULL: that of the plan. The parts belong to the plan all the same. The name must outlive the
- * plan. */
-void bake_plan_use_device(struct bake_farm_plan *plan, const char *device);
-/** Returns the number of tasks. */
-uint32_t bake_plan_task_count(const struct bake_farm_plan *plan);
-/** Returns the number of UDIM tiles, counted for each object or material with maps of its own. */
-uint32_t bake_plan_tile_count(const struct bake_farm_plan *plan);
-/** Returns what task number `task`, from 0 on, is expected to need. */
-const struct bake_task_cost *bake_plan_task_cost(const struct bake_farm_plan *plan, uint32_t task);
-/** Returns the path of the part file of a task, which the caller frees with free(); NULL if there
- * is no memory. */
-char *bake_plan_part_path(const struct bake_farm_plan *plan, uint32_t task);
 
-/** Bakes one task of a plan and writes its part file. Without `force`, a complete part of the plan
- * stays as it is, and *kept is set. May run several times at once. Fills in the report; the caller
- * frees it with bake_report_free(). Errors: those of bake_run(); BSQ_EDATA if an input is not that
- * of the plan; BSQ_EUSAGE if there is no such task. */
-int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32_t task, bool force,
-                  bool *kept, struct bake_report *report);
+/** What a plan has; valid until it is closed. */
+struct bake_plan_facts {
+    const struct bake_options *options;
+    uint32_t tasks, tiles;              /**< UDIM tiles count for each object or material with maps
+                                             of its own. */
+    const struct bake_task_cost *costs; /**< What each task is expected to need. */
+};
+/** Returns what a plan has. */
+struct bake_plan_facts bake_describe_plan(const struct bake_farm_plan *plan);
+/** Sets *out to the path of the part file of a task, which the caller frees with free(). Errors:
+ * BSQ_ENOMEM. */
+int bake_plan_part_path(const struct bake_farm_plan *plan, uint32_t task, char **out);
+
+/** Bakes one task of a plan and writes its part file. device: traces its rays, as in struct
+ * bake_options; NULL: that of the plan. The part is the same. Without `force`, a complete part of
+ * the plan stays as it is, and *kept is set. May run several times at once. Fills in the report;
+ * the caller frees it with bake_report_free(). Errors: those of bake_run(); BSQ_EDATA if an input
+ * is not that of the plan; BSQ_EUSAGE if there is no such task. */
+int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32_t task,
+                  const char *device, bool force, bool *kept, struct bake_report *report);
 
 /** Stands for all tiles of a plan. */
 #define BAKE_ALL_TILES UINT32_MAX

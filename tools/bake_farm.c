@@ -86,10 +86,10 @@ int bake_farm_check(struct cli *cli, struct bake_arguments *arguments)
 int bake_farm_print(struct cli *cli, const char *path, const struct bake_farm_plan *plan, bool kept)
 {
     char memory[CLI_TEXT], scratch[CLI_TEXT], parts[CLI_TEXT], texels[CLI_TEXT];
-    const uint32_t tasks = bake_plan_task_count(plan), tiles = bake_plan_tile_count(plan);
+    const struct bake_plan_facts facts = bake_describe_plan(plan);
     struct bake_task_cost most = {0}, all = {0}; /* of any task; of all */
-    for (uint32_t i = 0; i < tasks; i++) {
-        const struct bake_task_cost *cost = bake_plan_task_cost(plan, i);
+    for (uint32_t i = 0; i < facts.tasks; i++) {
+        const struct bake_task_cost *cost = &facts.costs[i];
         if (cost->memory_bytes > most.memory_bytes)
             most.memory_bytes = cost->memory_bytes;
         if (cost->scratch_bytes > most.scratch_bytes)
@@ -103,15 +103,15 @@ int bake_farm_print(struct cli *cli, const char *path, const struct bake_farm_pl
     if (cli->json)
         return cli_print_json(cli, json_pack("{s:o, s:b, s:i, s:i, s:I, s:I, s:I, s:I, s:f, s:f}",
                                              "path", cli_json_text(path), "kept", (int)kept,
-                                             "tasks", (int)tasks, "tiles", (int)tiles, "texels",
-                                             (json_int_t)all.texels, "task_memory_bytes",
+                                             "tasks", (int)facts.tasks, "tiles", (int)facts.tiles,
+                                             "texels", (json_int_t)all.texels, "task_memory_bytes",
                                              (json_int_t)most.memory_bytes, "task_scratch_bytes",
                                              (json_int_t)most.scratch_bytes, "parts_bytes",
                                              (json_int_t)all.part_bytes, "task_cpu_seconds",
                                              most.cpu_seconds, "cpu_seconds", all.cpu_seconds));
-    cli_print("%s: %s for %s", path, cli_counted_text(tasks, "task", "tasks", memory),
+    cli_print("%s: %s for %s", path, cli_counted_text(facts.tasks, "task", "tasks", memory),
               cli_counted_text(all.texels, "texel", "texels", texels));
-    cli_print(" in %s%s\n", cli_counted_text(tiles, "tile", "tiles", texels),
+    cli_print(" in %s%s\n", cli_counted_text(facts.tiles, "tile", "tiles", texels),
               kept ? ", was there already" : "");
     cli_print("a task: about %s of memory with eight threads, ",
               cli_size_text(most.memory_bytes, memory));
@@ -166,14 +166,14 @@ static int run_task(struct cli *cli, const struct bake_arguments *arguments,
 {
     struct bake_report report = {.size = sizeof report};
     bool kept = false;
-    char *path = bake_plan_part_path(plan, task);
-    int status =
-        path ? 0 : bsq_fail(cli->ctx, BSQ_ENOMEM, "%s: out of memory", arguments->farm.plan);
+    const char *device = bake_arguments_has(arguments, "device") ? arguments->bake.device : NULL;
+    char *path;
+    int status;
     bake_report_watch(cli, &report);
-    if (status == 0)
-        status = bake_run_task(cli->ctx, plan, task, arguments->farm.force, &kept, &report);
-    if (status == 0)
-        status = kept ? cli_say_kept(cli, path, "this part") : print_task(cli, path, task, &report);
+    BSQ_TRY(bake_plan_part_path(plan, task, &path));
+    BSQ_TRY(bake_run_task(cli->ctx, plan, task, device, arguments->farm.force, &kept, &report));
+    status = kept ? cli_say_kept(cli, path, "this part") : print_task(cli, path, task, &report);
+done:
     free(path);
     bake_report_watch(cli, NULL);
     bake_report_free(&report);
@@ -181,13 +181,11 @@ static int run_task(struct cli *cli, const struct bake_arguments *arguments,
 }
 
 int bake_farm_tasks(struct cli *cli, const struct bake_arguments *arguments,
-                    struct bake_farm_plan *plan)
+                    const struct bake_farm_plan *plan)
 {
     const struct bake_numbers *range = &arguments->farm.task;
-    const uint32_t count = bake_plan_task_count(plan);
+    const uint32_t count = bake_describe_plan(plan).tasks;
     int status = 0;
-    bake_plan_use_device(plan,
-                         bake_arguments_has(arguments, "device") ? arguments->bake.device : NULL);
     if (range->last >= count)
         return bsq_fail(cli->ctx, BSQ_EUSAGE, "%s: there is no task %u: tasks are 0 to %u",
                         arguments->farm.plan, range->last, count - 1);

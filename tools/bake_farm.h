@@ -45,6 +45,6 @@ int bake_farm_print(struct cli *cli, const char *path, const struct bake_farm_pl
 /* Bakes the tasks of a plan that the arguments name, one after the other, and prints a report of
  * each. Ends with the first that fails. */
 int bake_farm_tasks(struct cli *cli, const struct bake_arguments *arguments,
-                    struct bake_farm_plan *plan);
+                    const struct bake_farm_plan *plan);
 
 #endif

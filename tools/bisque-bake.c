@@ -65,7 +65,7 @@ static int merge_tiles(struct cli *cli, const struct bake_arguments *arguments,
                        const struct bake_farm_plan *plan)
 {
     const struct bake_numbers *range = &arguments->farm.task;
-    const uint32_t count = bake_plan_tile_count(plan);
+    const uint32_t count = bake_describe_plan(plan).tiles;
     int status = 0;
     for (uint32_t tile = range->first; tile <= range->last && status == 0; tile++) {
         cli_percent_turn(cli, tile - range->first, range->last - range->first + 1);
@@ -87,8 +87,8 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
 {
     const double max_missed = bake_arguments_has(arguments, "max_missed")
                                   ? arguments->bake.max_missed
-                                  : bake_plan_options(plan)->max_missed;
-    arguments->bake = *bake_plan_options(plan);
+                                  : bake_describe_plan(plan).options->max_missed;
+    arguments->bake = *bake_describe_plan(plan).options;
     arguments->bake.max_missed = max_missed;
     const int status = arguments->farm.task.given
                            ? merge_tiles(cli, arguments, plan)
@@ -108,7 +108,7 @@ static int work_by_plan(struct cli *cli, struct bake_arguments *arguments, bool 
     int status = 0;
     BSQ_TRY(bsq_note_input(cli->ctx, arguments->farm.plan, "the plan"));
     BSQ_TRY(bake_open_plan(cli->ctx, arguments->farm.plan, &plan));
-    if (bake_plan_options(plan)->strict)
+    if (bake_describe_plan(plan).options->strict)
         bsq_set_strict(cli->ctx, true);
     if (arguments->farm.merge)
         status = merge(cli, arguments, plan, missed);

@@ -37,7 +37,6 @@ struct bake_farm_plan {
     char id[33];                 /* a checksum of what is in the file, in hexadecimal digits */
     struct bake_options options; /* with distances, maps and radius as all tasks use them */
     bool owns_options;           /* the strings and arrays in them */
-    const char *task_device;     /* traces the rays of tasks; NULL: that of the options */
     uint32_t tasks, block_side;
     uint64_t degenerate_triangles;
     struct bake_farm_input *inputs;
@@ -47,10 +46,9 @@ struct bake_farm_plan {
 };
 
 /* Makes a plan without inputs and tiles. The strings and arrays of `options` must outlive it. Free
- * *out with bake_farm_plan_free(). Errors: BSQ_ENOMEM. */
+ * *out with bake_close_plan(). Errors: BSQ_ENOMEM. */
 int bake_farm_plan_create(struct bsq_ctx *ctx, const char *path, const struct bake_options *options,
                           uint32_t tasks, struct bake_farm_plan **out);
-void bake_farm_plan_free(struct bake_farm_plan *plan); /* NULL is allowed */
 
 /* Adds tiles with the numbers and sizes that options and block_side give. No block has a task yet.
  * Errors: BSQ_ENOMEM. */
@@ -69,7 +67,7 @@ int bake_farm_check_inputs(const struct bake_farm_plan *plan);
  * BSQ_EUSAGE for a file name that is not UTF-8; BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
 int bake_farm_plan_write(struct bake_farm_plan *plan, bool *kept);
 
-/* Reads a plan file. Free *out with bake_farm_plan_free(). Errors: BSQ_ENOINPUT; BSQ_EDATA for a
+/* Reads a plan file. Free *out with bake_close_plan(). Errors: BSQ_ENOINPUT; BSQ_EDATA for a
  * file that is no plan, is damaged or was written by another version. */
 int bake_farm_plan_read(struct bsq_ctx *ctx, const char *path, struct bake_farm_plan **out);
 
@@ -115,9 +113,10 @@ struct bake_farm_image {
     struct bake_image *image;  /* NULL: the task has no blocks in this tile */
 };
 
-/* Returns the path of a task's part ("part") or of a tile's note ("merged"), which the caller
- * frees; NULL if there is no memory. */
-char *bake_farm_path(const struct bake_farm_plan *plan, const char *kind, uint32_t number);
+/* Sets *out to the path of a task's part ("part") or of a tile's note ("merged"), which the caller
+ * frees. Errors: BSQ_ENOMEM. */
+int bake_farm_path(const struct bake_farm_plan *plan, const char *kind, uint32_t number,
+                   char **out);
 
 /* Writes the part of a task: one image for each tile of the plan. Blocks without covered texels are
  * left out. Tries again if another task of the same number took the file away. Errors: BSQ_EIO,

@@ -85,12 +85,11 @@ int bake_farm_note_write(const struct bake_farm_plan *plan, const struct bake_fa
 {
     struct bsq_output *output = NULL;
     struct head head = {0};
-    char *path = bake_farm_path(plan, "merged", note->number);
-    int status = path ? 0 : bsq_fail(plan->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);
-    if (path && !begin(plan, note, &head))
-        status = bsq_fail(plan->ctx, BSQ_EIO, "%s: an output is gone", plan->path);
-    if (status < 0)
-        goto done;
+    char *path;
+    int status;
+    BSQ_TRY(bake_farm_path(plan, "merged", note->number, &path));
+    if (!begin(plan, note, &head))
+        BSQ_TRY(bsq_fail(plan->ctx, BSQ_EIO, "%s: an output is gone", plan->path));
     BSQ_TRY(bsq_output_open(plan->ctx, path, &output));
     BSQ_TRY(write_note(output, &head, note));
     status = bsq_output_commit(output);
@@ -131,10 +130,9 @@ int bake_farm_note_read(const struct bake_farm_plan *plan, struct bake_farm_note
     struct bsq_file file = BSQ_FILE_CLOSED;
     struct head head, now = {0};
     const bool all = begin(plan, note, &now);
-    char *path = bake_farm_path(plan, "merged", note->number);
-    int status = path ? 0 : bsq_fail(plan->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);
-    if (status < 0)
-        goto done;
+    char *path;
+    int status;
+    BSQ_TRY(bake_farm_path(plan, "merged", note->number, &path));
     BSQ_TRY(bsq_file_open_as(plan->ctx, path, BSQ_OPEN_OTHER, &file));
     BSQ_TRY(bsq_file_read(plan->ctx, &file, &head, sizeof head, 0));
     if (!all || memcmp(&head, &now, offsetof(struct head, counts)) != 0 ||

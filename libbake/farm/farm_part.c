@@ -53,15 +53,17 @@ static uint64_t block_bytes(const struct bake_farm_plan *plan)
 }
 
 /* Plans a.json and a may lie side by side, so their parts end differently. */
-char *bake_farm_path(const struct bake_farm_plan *plan, const char *kind, uint32_t number)
+int bake_farm_path(const struct bake_farm_plan *plan, const char *kind, uint32_t number, char **out)
 {
     const char *name = bsq_file_name(plan->path), *end = name + strlen(name) - strlen(".json");
     const bool is_json = end > name && strcmp(end, ".json") == 0;
-    char *path;
     const int written =
-        is_json ? asprintf(&path, "%.*s.%04u.%s", (int)(end - plan->path), plan->path, number, kind)
-                : asprintf(&path, "%s.%s.%04u", plan->path, kind, number);
-    return written < 0 ? NULL : path;
+        is_json ? asprintf(out, "%.*s.%04u.%s", (int)(end - plan->path), plan->path, number, kind)
+                : asprintf(out, "%s.%s.%04u", plan->path, kind, number);
+    if (written >= 0)
+        return 0;
+    *out = NULL;
+    return bsq_fail(plan->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);
 }
 
 /* ---- reading ---- */
@@ -138,8 +140,8 @@ static void close_part(struct part *part)
 static int open_part(const struct bake_farm_plan *plan, uint32_t task, struct part *part)
 {
     struct bsq_ctx *ctx = plan->ctx;
-    char *path = bake_farm_path(plan, "part", task);
-    int status = path ? 0 : bsq_fail(ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);
+    char *path;
+    int status = bake_farm_path(plan, "part", task, &path);
     *part = (struct part){.plan = plan, .file = BSQ_FILE_CLOSED};
     if (status == 0)
         status = bsq_file_open_as(ctx, path, BSQ_OPEN_OTHER, &part->file);
@@ -279,8 +281,8 @@ done:
 static int write_until_there(struct part_writer *writer, uint32_t task)
 {
     const struct bake_farm_plan *plan = writer->plan;
-    char *path = bake_farm_path(plan, "part", task);
-    int status = path ? 0 : bsq_fail(plan->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);
+    char *path;
+    int status = bake_farm_path(plan, "part", task, &path);
     for (int attempt = 1; status == 0; attempt++) {
         bool there = false;
         status = write_file(writer, path);
@@ -334,11 +336,13 @@ static int fail_missing(const struct bake_farm_plan *plan, const uint32_t *missi
     for (; named < count && length + 32 < sizeof list; named++)
         length += (size_t)snprintf(list + length, sizeof list - length, "%s%u", named ? ", " : "",
                                    missing[named]);
-    char *path = bake_farm_path(plan, "part", missing[0]);
-    const int status = bsq_fail(plan->ctx, BSQ_ENOINPUT,
-                                "%s: missing; %u of %u parts are missing: those of task%s %s%s",
-                                path ? path : plan->path, count, plan->tasks, count == 1 ? "" : "s",
-                                list, named < count ? " ..." : "");
+    char *path;
+    int status = bake_farm_path(plan, "part", missing[0], &path);
+    if (status == 0)
+        status =
+            bsq_fail(plan->ctx, BSQ_ENOINPUT,
+                     "%s: missing; %u of %u parts are missing: those of task%s %s%s", path, count,
+                     plan->tasks, count == 1 ? "" : "s", list, named < count ? " ..." : "");
     free(path);
     return status;
 }

@@ -77,7 +77,7 @@ static int hand_over(struct bake_farm_plan *plan, int status, struct bake_farm_p
 {
     *out = status < 0 ? NULL : plan;
     if (status < 0)
-        bake_farm_plan_free(plan);
+        bake_close_plan(plan);
     return status;
 }
 
@@ -95,7 +95,7 @@ int bake_farm_plan_create(struct bsq_ctx *ctx, const char *path, const struct ba
     return hand_over(plan, status, out);
 }
 
-void bake_farm_plan_free(struct bake_farm_plan *plan)
+void bake_close_plan(struct bake_farm_plan *plan)
 {
     if (!plan)
         return;

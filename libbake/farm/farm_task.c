@@ -205,7 +205,7 @@ static int plan_job(struct bake_work *job, uint32_t tasks, const char *path, boo
     BSQ_TRY(bake_surface_check(&job->surface));
     status = bake_farm_plan_write(plan, kept);
 done:
-    bake_farm_plan_free(plan);
+    bake_close_plan(plan);
     return status;
 }
 
@@ -228,54 +228,30 @@ int bake_open_plan(struct bsq_ctx *ctx, const char *path, struct bake_farm_plan 
     if (status == 0)
         status = bake_check_options(ctx, &(*out)->options);
     if (status < 0) {
-        bake_farm_plan_free(*out);
+        bake_close_plan(*out);
         *out = NULL;
     }
     return status;
 }
 
-void bake_close_plan(struct bake_farm_plan *plan)
+struct bake_plan_facts bake_describe_plan(const struct bake_farm_plan *plan)
 {
-    bake_farm_plan_free(plan);
+    return (struct bake_plan_facts){&plan->options, plan->tasks, plan->tile_count, plan->expected};
 }
 
-const struct bake_options *bake_plan_options(const struct bake_farm_plan *plan)
+int bake_plan_part_path(const struct bake_farm_plan *plan, uint32_t task, char **out)
 {
-    return &plan->options;
-}
-
-void bake_plan_use_device(struct bake_farm_plan *plan, const char *device)
-{
-    plan->task_device = device;
-}
-
-uint32_t bake_plan_task_count(const struct bake_farm_plan *plan)
-{
-    return plan->tasks;
-}
-
-uint32_t bake_plan_tile_count(const struct bake_farm_plan *plan)
-{
-    return plan->tile_count;
-}
-
-const struct bake_task_cost *bake_plan_task_cost(const struct bake_farm_plan *plan, uint32_t task)
-{
-    return &plan->expected[task];
-}
-
-char *bake_plan_part_path(const struct bake_farm_plan *plan, uint32_t task)
-{
-    return bake_farm_path(plan, "part", task);
+    return bake_farm_path(plan, "part", task, out);
 }
 
 /* ---- a task ---- */
 
 int bake_farm_check_output(const struct bake_farm_plan *plan, const char *kind, uint32_t number)
 {
-    char *path = bake_farm_path(plan, kind, number);
-    const int status = path ? bsq_output_check(plan->ctx, path)
-                            : bsq_fail(plan->ctx, BSQ_ENOMEM, "%s: out of memory", plan->path);
+    char *path;
+    int status = bake_farm_path(plan, kind, number, &path);
+    if (status == 0)
+        status = bsq_output_check(plan->ctx, path);
     free(path);
     return status;
 }
@@ -352,8 +328,8 @@ done:
     return status;
 }
 
-int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32_t task, bool force,
-                  bool *kept, struct bake_report *report)
+int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32_t task,
+                  const char *device, bool force, bool *kept, struct bake_report *report)
 {
     struct bake_work *job;
     struct bake_options options = plan->options;
@@ -361,8 +337,8 @@ int bake_run_task(struct bsq_ctx *ctx, const struct bake_farm_plan *plan, uint32
     *kept = false;
     if (bsq_clear_report(ctx, "bake_report", report, sizeof *report) < 0)
         return BSQ_EUSAGE;
-    if (plan->task_device)
-        options.device = plan->task_device;
+    if (device)
+        options.device = device;
     if (task >= plan->tasks)
         return bsq_fail(ctx, BSQ_EUSAGE, "%s: there is no task %u: tasks are 0 to %u", plan->path,
                         task, plan->tasks - 1);

@@ -99,7 +99,7 @@ FIXTURE_TEST(test_tasks_are_balanced)
             bsq_free(ctx, (void *)(uintptr_t)list.slots);
         }
     assert_int_equal(listed, 13 * 6 + 4 * 19);
-    bake_farm_plan_free(plan);
+    bake_close_plan(plan);
 }
 
 TEST(test_sides_suit_the_tasks)
@@ -180,8 +180,8 @@ FIXTURE_TEST(test_a_plan_is_read_back)
     assert_int_equal(bake_farm_plan_read(ctx, "plan.json", &read), 0);
     assert_same(plan, read);
     assert_int_equal(bake_farm_check_inputs(read), 0);
-    bake_farm_plan_free(read);
-    bake_farm_plan_free(plan);
+    bake_close_plan(read);
+    bake_close_plan(plan);
 }
 
 FIXTURE_TEST(test_an_interruption_is_not_lost_among_missing_parts)
@@ -196,7 +196,7 @@ FIXTURE_TEST(test_an_interruption_is_not_lost_among_missing_parts)
     bsq_interrupt(ctx);
     assert_int_equal(bake_farm_parts_check(plan, &found), BSQ_EINTR);
     assert_string_equal(bsq_error(ctx), "interrupted");
-    bake_farm_plan_free(plan);
+    bake_close_plan(plan);
     bsq_clear_interruption(ctx);
     bsq_clear_error(ctx);
 }
@@ -224,7 +224,7 @@ FIXTURE_TEST(test_cut_and_changed_plans_are_refused)
     struct bsq_ctx *ctx = *state;
     const struct bake_options options = some_options();
     size_t size;
-    bake_farm_plan_free(write_plan(ctx, &options, bytes, sizeof bytes, &size));
+    bake_close_plan(write_plan(ctx, &options, bytes, sizeof bytes, &size));
     while (bytes[size - 1] != '}')
         size--;
     for (size_t length = 0; length < size; length += 1 + length / 64) {
@@ -262,7 +262,7 @@ FIXTURE_TEST(test_impossible_options_are_refused)
         options.position_in = i == 8 ? 2 : BAKE_IN_BOX;
         options.preview_up = i == 9 ? 3 : BAKE_UP_Z;
         options.samples = i == 10 ? BAKE_MAX_SAMPLES + 1 : options.samples;
-        bake_farm_plan_free(write_plan(ctx, &options, bytes, sizeof bytes, &size));
+        bake_close_plan(write_plan(ctx, &options, bytes, sizeof bytes, &size));
         assert_int_equal(bake_check_options(ctx, &options), BSQ_EUSAGE);
         bsq_clear_error(ctx);
         assert_int_equal(bake_open_plan(ctx, "plan.json", &read), BSQ_EUSAGE);
@@ -283,7 +283,7 @@ FIXTURE_TEST(test_a_changed_input_is_named)
     assert_int_equal(bake_farm_check_inputs(plan), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(ctx), "input"));
     bsq_clear_error(ctx);
-    bake_farm_plan_free(plan);
+    bake_close_plan(plan);
 }
 
 RUN_TESTS(NULL, NULL)
