@@ -47,7 +47,7 @@ pc_tools   := jansson
 # Expanded only when something is compiled: `make help` and `make deps` work without the packages.
 formats_cppflags = $(shell pkg-config --cflags $(pc_formats) $(pc_texture) $(pc_tiff))
 LIBS.base    := -lm
-LIBS.formats  = $(shell pkg-config --libs $(pc_formats)) -lz
+LIBS.formats  = $(shell pkg-config --libs $(pc_formats)) -lz -lstdc++
 LIBS.texture  = $(shell pkg-config --libs $(pc_texture))
 LIBS.tiff     = $(shell pkg-config --libs $(pc_tiff))
 LIBS.gltf     = -ldraco -lmeshoptimizer
@@ -66,6 +66,7 @@ libs := base formats libvoxel libbake
 src.helper := libbake/device/helper/bisque-devices.c
 $(foreach l,$(libs),$(eval src.$(l) := $(filter-out $(src.helper),$(sort $(shell find $(l) \
     -name '*.c')))))
+src.formats += formats/mesh/obj_number.cc
 objs = $(patsubst %,$(BUILD)/obj/%.o,$(src.$(1))) \
     $(foreach s,$(simd),$(patsubst %,$(BUILD)/obj/%.$(s).o,$(filter %_lanes.c,$(src.$(1)))))
 archive.base     := $(BUILD)/lib/libbisque-base.a

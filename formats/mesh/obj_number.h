@@ -1,10 +1,11 @@
-/* obj_number.h - decimal numbers and indices from text, without locale and without strtod().
+/* obj_number.h - decimal numbers and indices from text, without locale.
  *
  * A number is rounded to the nearest double, ties to even, as strtod() does in the C locale. The
  * inline part handles the form of nearly all numbers, "-12.345678": its digits and point lie in 16
  * bytes, and one shuffle turns them into an integer of at most 15 digits. That integer and the
  * power of ten are exact doubles, so one division rounds correctly (Clinger, "How to Read Floating
- * Point Numbers Accurately", PLDI 1990). All other forms go to fmt_obj_number_general().
+ * Point Numbers Accurately", PLDI 1990). Whole numbers of at most 15 digits are exact too. All
+ * other forms go to fmt_obj_number_general().
  *
  * Callers guarantee OBJ_TEXT_PADDING readable bytes after the text, and a line end before them. */
 #ifndef FMT_MESH_OBJ_NUMBER_H
@@ -20,8 +21,9 @@
 
 #define OBJ_TEXT_PADDING 64
 
-/* Positive powers of ten that a double holds exactly. */
-extern const double fmt_obj_power_of_ten[23];
+#ifdef __cplusplus
+extern "C" {
+#endif
 
 /* Returns true for what may follow a number: blank, control character, continuation. A comment may
  * not: "1.#QNAN" is how some C libraries print a NaN. */
@@ -38,6 +40,10 @@ const char *fmt_obj_number_general(const char *text, double *out);
  * "-inf", "1.#QNAN", "-nan(ind)" in any case, and numbers beyond the largest double, such as
  * "1e999". Returns NULL for any other text. */
 const char *fmt_obj_not_finite(const char *text);
+
+#ifdef __cplusplus
+}
+#endif
 
 #ifdef __SSE4_1__
 /* Returns four groups of four decimal digits, the highest first: the digits of text[0..end) without
@@ -68,43 +74,6 @@ static inline uint64_t obj_digits_without_point(__m128i digits, int point, int e
     return (halves & 0xffffffffu) * 100000000u + (halves >> 32);
 }
 #endif
-
-/* Does what fmt_obj_number_general() does; fast for the common form. */
-static inline const char *obj_number(const char *text, double *out)
-{
-#ifdef __SSE4_1__
-    uint64_t negative = *text == '-';
-    const char *p = text + negative;
-    __m128i digits = _mm_sub_epi8(_mm_loadu_si128((const __m128i *)p), _mm_set1_epi8('0'));
-    __m128i is_digit = _mm_cmpeq_epi8(_mm_min_epu8(digits, _mm_set1_epi8(9)), digits);
-    unsigned others = (unsigned)_mm_movemask_epi8(is_digit) ^ 0xffffu;
-    unsigned after_point = others & (others - 1);
-    if (__builtin_expect(after_point != 0, 1)) {
-        int point = __builtin_ctz(others), end = __builtin_ctz(after_point);
-        if (__builtin_expect(p[point] == '.' && end > 1 && (unsigned char)p[end] <= ' ', 1)) {
-            double value = (double)(int64_t)obj_digits_without_point(digits, point, end) /
-                           fmt_obj_power_of_ten[end - point - 1];
-            uint64_t bits;
-            memcpy(&bits, &value, sizeof bits);
-            bits |= negative << 63;
-            memcpy(out, &bits, sizeof bits);
-            return p + end;
-        }
-    }
-#endif
-    return fmt_obj_number_general(text, out);
-}
-
-/* Parses a number as obj_number() does; words for numbers that are not finite give NaN. Returns the
- * position after it, or NULL. */
-static inline const char *obj_real(const char *text, double *out)
-{
-    const char *after = obj_number(text, out);
-    if (__builtin_expect(after != NULL, 1))
-        return after;
-    *out = NAN;
-    return fmt_obj_not_finite(text);
-}
 
 /* Returns the value of `count` (1 to 8) decimal digits at `text`, where 8 bytes are readable.
  * Works on all bytes at a time (Lamport, "Multiple Byte Processing with Full-Word Instructions",
@@ -150,6 +119,48 @@ static inline const char *obj_integer(const char *text, uint64_t *out)
     }
     *out = value;
     return count <= 18 ? text + count : NULL;
+}
+
+/* Does what fmt_obj_number_general() does; fast for the common forms. */
+static inline const char *obj_number(const char *text, double *out)
+{
+#ifdef __SSE4_1__
+    static const double powers[16] = {1e0, 1e1, 1e2,  1e3,  1e4,  1e5,  1e6,  1e7,
+                                      1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15};
+    const bool negative = *text == '-';
+    uint64_t integer;
+    const char *p = text + negative;
+    __m128i digits = _mm_sub_epi8(_mm_loadu_si128((const __m128i *)p), _mm_set1_epi8('0'));
+    __m128i is_digit = _mm_cmpeq_epi8(_mm_min_epu8(digits, _mm_set1_epi8(9)), digits);
+    unsigned others = (unsigned)_mm_movemask_epi8(is_digit) ^ 0xffffu;
+    unsigned after_point = others & (others - 1);
+    if (__builtin_expect(after_point != 0, 1)) {
+        int point = __builtin_ctz(others), end = __builtin_ctz(after_point);
+        if (__builtin_expect(p[point] == '.' && end > 1 && (unsigned char)p[end] <= ' ', 1)) {
+            double value = (double)(int64_t)obj_digits_without_point(digits, point, end) /
+                           powers[end - point - 1];
+            *out = copysign(value, negative ? -1.0 : 1.0);
+            return p + end;
+        }
+    }
+    const char *after = obj_integer(p, &integer);
+    if (after && after - p <= 15 && (unsigned char)*after <= ' ') {
+        *out = copysign((double)(int64_t)integer, negative ? -1.0 : 1.0);
+        return after;
+    }
+#endif
+    return fmt_obj_number_general(text, out);
+}
+
+/* Parses a number as obj_number() does; words for numbers that are not finite give NaN. Returns the
+ * position after it, or NULL. */
+static inline const char *obj_real(const char *text, double *out)
+{
+    const char *after = obj_number(text, out);
+    if (__builtin_expect(after != NULL, 1))
+        return after;
+    *out = NAN;
+    return fmt_obj_not_finite(text);
 }
 
 #endif
