@@ -153,34 +153,35 @@ static void find_most(struct batch *b)
 /* What the distance of a point from a triangle is made of. */
 struct plane {
     double corners[3][3], edges[3][3], outwards[3][3], normal[3];
-    double inverse_edges[3], inverse_area; /* of squares; 0 for 0 */
-    double inverse_outwards[3];
-    double flat; /* 1: without an inside; else -1 */
+    double squares[3], area;               /* of edges, and of the normal */
+    double inverse_edges[3], inverse_area; /* of these; 0 for 0 */
     double safe; /* factor of bounds, for rounding; 0: a needle, whose normal is not exact */
 };
 
+/* Sets all but the inverses. */
 static void set_plane(const float *const corners[3], struct plane *out)
 {
+    double longest = 0;
     for (int i = 0; i < 3; i++)
         for (int k = 0; k < 3; k++) {
             out->corners[i][k] = (double)corners[i][k];
             out->edges[i][k] = (double)corners[(i + 1) % 3][k] - (double)corners[i][k];
         }
     bsq_crossd(out->edges[0], out->edges[1], out->normal);
-    const double area = bsq_dotd(out->normal, out->normal);
-    double longest = 0;
-    out->inverse_area = area > 0 ? 1 / area : 0;
-    out->flat = area > 0 ? -1 : 1;
+    out->area = bsq_dotd(out->normal, out->normal);
     for (int i = 0; i < 3; i++) {
-        const double square = bsq_dotd(out->edges[i], out->edges[i]);
-        out->inverse_edges[i] = square > 0 ? 1 / square : 0;
+        out->squares[i] = bsq_dotd(out->edges[i], out->edges[i]);
         bsq_crossd(out->edges[i], out->normal, out->outwards[i]);
-        longest = square > longest ? square : longest;
+        longest = out->squares[i] > longest ? out->squares[i] : longest;
     }
-    const bool needle = !(area > needle_area * longest * longest);
-    out->safe = needle ? 0 : 1 - 1e-9;
+    out->safe = out->area > needle_area * longest * longest ? 1 - 1e-9 : 0;
+}
+
+static void set_inverses(struct plane *plane)
+{
+    plane->inverse_area = plane->area > 0 ? 1 / plane->area : 0;
     for (int i = 0; i < 3; i++)
-        out->inverse_outwards[i] = out->inverse_edges[i] * out->inverse_area;
+        plane->inverse_edges[i] = plane->squares[i] > 0 ? 1 / plane->squares[i] : 0;
 }
 
 /* Returns the squared distance of a point from the edges of a triangle. */
@@ -205,17 +206,21 @@ static double edge_square(const struct plane *plane, double px, double py, doubl
  * few points. The first loop has no branches, so that points are computed side by side. */
 static void try_triangle(const float *const corners[3], struct batch *b)
 {
-    double bounds[VOX_CLOSEST_BATCH], least_gain = 0;
+    double bounds[VOX_CLOSEST_BATCH], inverse_outwards[3], least_gain = 0;
     struct plane plane;
     set_plane(corners, &plane);
+    set_inverses(&plane);
+    for (int k = 0; k < 3; k++)
+        inverse_outwards[k] = plane.inverse_edges[k] * plane.inverse_area;
+    const double flat = plane.area > 0 ? -1 : 1;
     for (unsigned i = 0; i < b->count; i++) {
-        double outside = plane.flat, height = 0, way = 0;
+        double outside = flat, height = 0, way = 0;
         for (int k = 0; k < 3; k++) {
             const double *c = plane.corners[k], *out = plane.outwards[k];
             const double x = b->points[0][i] - c[0], y = b->points[1][i] - c[1],
                          z = b->points[2][i] - c[2];
             const double beyond = x * out[0] + y * out[1] + z * out[2];
-            const double square = beyond > 0 ? beyond * beyond * plane.inverse_outwards[k] : 0;
+            const double square = beyond > 0 ? beyond * beyond * inverse_outwards[k] : 0;
             way = square > way ? square : way;
             outside = beyond > outside ? beyond : outside;
             height = x * plane.normal[0] + y * plane.normal[1] + z * plane.normal[2];
@@ -239,6 +244,32 @@ static void try_triangle(const float *const corners[3], struct batch *b)
     }
 }
 
+/* The same for one point. Divides only if the point may be closer. */
+double vox_triangle_square(const float *const corners[3], const float point[3], double most)
+{
+    const double p[3] = {(double)point[0], (double)point[1], (double)point[2]};
+    struct plane plane;
+    set_plane(corners, &plane);
+    const double *c = plane.corners[2], to[3] = {p[0] - c[0], p[1] - c[1], p[2] - c[2]};
+    const double height = bsq_dotd(to, plane.normal), above = height * height;
+    const double limit = most * plane.area;
+    bool inside = plane.area > 0;
+    if (above * plane.safe > limit)
+        return most;
+    for (int k = 0; k < 3; k++) {
+        const double way[3] = {p[0] - plane.corners[k][0], p[1] - plane.corners[k][1],
+                               p[2] - plane.corners[k][2]};
+        const double beyond = bsq_dotd(way, plane.outwards[k]), square = plane.squares[k];
+        if (beyond > 0 && (above * square + beyond * beyond) * plane.safe > limit * square)
+            return most;
+        inside &= beyond <= 0;
+    }
+    set_inverses(&plane);
+    const double square =
+        inside ? above * plane.inverse_area : edge_square(&plane, p[0], p[1], p[2]);
+    return square < most ? square : most;
+}
+
 /* Tries a triangle of a leaf if its own box is near enough. */
 static void try_boxed(const struct vox_closest *tree, uint32_t triangle, struct batch *b)
 {
@@ -254,6 +285,11 @@ static void try_boxed(const struct vox_closest *tree, uint32_t triangle, struct 
     }
     if (!(vox_box_square(low, high, b->low, b->high) < b->most))
         return;
+    if (b->count == 1) {
+        const float *point = b->low;
+        b->most = b->squares[0] = vox_triangle_square(corners, point, b->most);
+        return;
+    }
     try_triangle(corners, b);
     find_most(b);
 }
@@ -312,12 +348,4 @@ void vox_closest_squares(const struct vox_closest *tree, const float (*points)[3
     struct batch b;
     set_batch(points, count, squares, &b);
     walk_tree(tree, &b);
-}
-
-void vox_triangle_squares(const float *const corners[3], const float (*points)[3], unsigned count,
-                          double *squares)
-{
-    struct batch b;
-    set_batch(points, count, squares, &b);
-    try_triangle(corners, &b);
 }

@@ -32,9 +32,8 @@ enum { VOX_CLOSEST_BATCH = 16 };
 void vox_closest_squares(const struct vox_closest *tree, const float (*points)[3], unsigned count,
                          double *squares);
 
-/* The same for one triangle. */
-void vox_triangle_squares(const float *const corners[3], const float (*points)[3], unsigned count,
-                          double *squares);
+/* Returns the squared distance of a point from a triangle, or `most` if that is less. */
+double vox_triangle_square(const float *const corners[3], const float point[3], double most);
 
 /* Returns the squared distance of two boxes, or a little less, because differences are rounded; 0
  * if they touch. Without branches, which would be hard to predict. */

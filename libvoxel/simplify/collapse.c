@@ -29,11 +29,11 @@ static const double grown = 1.000001;
 
 /* Cosine between the normals of triangles that lie back to back, but for its sign. */
 static const double fold_cosine = 0.85;
-enum { CHANGED_MAX = 64 };
+enum { CHANGED_MAX = 64, CHILDREN = 4 /* of a place in the heap: fewer levels than with 2 */ };
 
 struct candidate {
-    float cost;
-    uint32_t u, v;
+    uint64_t key; /* bits of the cost, which are in the order of costs, above u */
+    uint32_t v;
     uint32_t stamp; /* the sum of both vertices' stamps */
 };
 
@@ -89,7 +89,7 @@ static void sum_around(struct collapse *c, uint32_t v)
     struct around sum = {{0}, {0}};
     for (VOX_EACH_CORNER(&c->rings, v, k)) {
         double n[3];
-        vox_triangle_normal((const float(*)[3])mesh->positions, mesh->triangles[k / 3], n);
+        vox_triangle_normal((const float(*)[3])mesh->positions, vox_corners(&c->rings, k), n);
         add_product(sum.a, n, 1);
         for (int i = 0; i < 3; i++)
             sum.normal[i] += n[i];
@@ -185,7 +185,7 @@ static void sum_edge(struct collapse *c, uint32_t u, uint32_t v, const double w[
         double n[3];
         if (vox_after(r, k) != v && vox_before(r, k) != v)
             continue;
-        vox_triangle_normal((const float(*)[3])r->mesh->positions, r->mesh->triangles[k / 3], n);
+        vox_triangle_normal((const float(*)[3])r->mesh->positions, vox_corners(r, k), n);
         add_product(q->a, n, -1);
         for (int i = 0; i < 3; i++)
             normal[i] -= n[i];
@@ -237,17 +237,29 @@ static bool evaluate(struct collapse *c, uint32_t u, uint32_t v, struct result *
 /* Cheapest first; the vertices decide between equal costs. */
 static bool is_before(const struct candidate *a, const struct candidate *b)
 {
-    if (a->cost != b->cost)
-        return a->cost < b->cost;
-    return a->u != b->u ? a->u < b->u : a->v < b->v;
+    return a->key != b->key ? a->key < b->key : a->v < b->v;
+}
+
+static uint32_t get_u(const struct candidate *candidate)
+{
+    return (uint32_t)candidate->key;
+}
+
+static float get_cost(const struct candidate *candidate)
+{
+    const uint32_t bits = (uint32_t)(candidate->key >> 32);
+    float cost;
+    memcpy(&cost, &bits, sizeof cost);
+    return cost;
 }
 
 static void sift_down(struct collapse *c, uint64_t at)
 {
     const struct candidate moved = c->heap[at];
-    for (uint64_t child; (child = 2 * at + 1) < c->heap_count; at = child) {
-        if (child + 1 < c->heap_count && is_before(&c->heap[child + 1], &c->heap[child]))
-            child++;
+    for (uint64_t child; (child = CHILDREN * at + 1) < c->heap_count; at = child) {
+        const uint64_t end = child + CHILDREN;
+        for (uint64_t i = child + 1; i < end && i < c->heap_count; i++)
+            child = is_before(&c->heap[i], &c->heap[child]) ? i : child;
         if (!is_before(&c->heap[child], &moved))
             break;
         c->heap[at] = c->heap[child];
@@ -257,8 +269,9 @@ static void sift_down(struct collapse *c, uint64_t at)
 
 static bool is_current(const struct collapse *c, const struct candidate *candidate)
 {
-    return c->rings.corner[candidate->u] != VOX_NONE && c->rings.corner[candidate->v] != VOX_NONE &&
-           c->stamps[candidate->u] + c->stamps[candidate->v] == candidate->stamp;
+    const uint32_t u = get_u(candidate), v = candidate->v;
+    return c->stamps[u] + c->stamps[v] == candidate->stamp && c->rings.corner[u] != VOX_NONE &&
+           c->rings.corner[v] != VOX_NONE;
 }
 
 /* Drops candidates that do not count any more. */
@@ -269,7 +282,7 @@ static void clean_heap(struct collapse *c)
         if (is_current(c, &c->heap[i]))
             c->heap[kept++] = c->heap[i];
     c->heap_count = kept;
-    for (uint64_t i = kept / 2; i-- > 0;)
+    for (uint64_t i = kept / CHILDREN + 1; i-- > 0 && kept > 0;)
         sift_down(c, i);
 }
 
@@ -281,8 +294,12 @@ static void push(struct collapse *c, struct candidate candidate)
     if (c->heap_count == c->heap_capacity)
         return;
     uint64_t at = c->heap_count++;
-    for (; at > 0 && is_before(&candidate, &c->heap[(at - 1) / 2]); at = (at - 1) / 2)
-        c->heap[at] = c->heap[(at - 1) / 2];
+    for (uint64_t above; at > 0; at = above) {
+        above = (at - 1) / CHILDREN;
+        if (!is_before(&candidate, &c->heap[above]))
+            break;
+        c->heap[at] = c->heap[above];
+    }
     c->heap[at] = candidate;
 }
 
@@ -298,7 +315,10 @@ static struct candidate pop(struct collapse *c)
 static void push_edge(struct collapse *c, uint32_t u, uint32_t v, double cost)
 {
     const uint32_t low = u < v ? u : v, high = u < v ? v : u;
-    push(c, (struct candidate){(float)cost, low, high, c->stamps[u] + c->stamps[v]});
+    const float rounded = (float)cost;
+    uint32_t bits;
+    memcpy(&bits, &rounded, sizeof bits);
+    push(c, (struct candidate){(uint64_t)bits << 32 | low, high, c->stamps[u] + c->stamps[v]});
 }
 
 /* Adds the edges of a vertex, or only those to vertices with higher numbers. */
@@ -353,9 +373,9 @@ static bool collect_changed(struct vox_rings *r, uint32_t u, uint32_t v, const f
         vox_triangle_normal(moved, (const uint32_t[3]){0, 1, 2}, to->normal);
         for (VOX_EACH_CORNER(r, a, j)) {
             double normal[3];
-            if (j / 3 == k / 3 || (vox_after(r, j) != b && vox_before(r, j) != b))
+            if (j / 8 == k / 8 || (vox_after(r, j) != b && vox_before(r, j) != b))
                 continue;
-            vox_triangle_normal(positions, r->mesh->triangles[j / 3], normal);
+            vox_triangle_normal(positions, vox_corners(r, j), normal);
             if (vox_after(r, j) != v && vox_before(r, j) != v && is_fold(to->normal, normal))
                 return false;
         }
@@ -380,17 +400,19 @@ static bool makes_fold(struct vox_rings *r, uint32_t u, uint32_t v, const float 
     return false;
 }
 
-/* Lowers squared distances of points to those from the triangles of u without v, with u at p. */
-static void lower_squares(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3],
-                          const float (*points)[3], unsigned count, double *squares)
+/* Returns the squared distance of a point from the triangles of u without v, with u at p, or `most`
+ * if that is less. */
+static double find_square(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3],
+                          const float point[3], double most)
 {
     const float(*positions)[3] = (const float(*)[3])r->mesh->positions;
     for (VOX_EACH_CORNER(r, u, k)) {
         const uint32_t a = vox_after(r, k), b = vox_before(r, k);
         if (a != v && b != v)
-            vox_triangle_squares((const float *const[3]){p, positions[a], positions[b]}, points,
-                                 count, squares);
+            most = vox_triangle_square((const float *const[3]){p, positions[a], positions[b]},
+                                       point, most);
     }
+    return most;
 }
 
 /* Returns the drift that the collapse of (u, v) to p leads to: the larger one of both vertices',
@@ -398,28 +420,29 @@ static void lower_squares(struct vox_rings *r, uint32_t u, uint32_t v, const flo
 static float find_drift(struct collapse *c, uint32_t u, uint32_t v, const float p[3])
 {
     struct vox_rings *r = &c->rings;
-    const float(*positions)[3] = (const float(*)[3])r->mesh->positions;
-    const float *at_u = positions[u], *at_v = positions[v];
-    const float old[2][3] = {{at_u[0], at_u[1], at_u[2]}, {at_v[0], at_v[1], at_v[2]}};
-    double away[2] = {0, 0};
-    for (int i = 0; i < 2; i++)
-        for (int k = 0; k < 3; k++) {
-            const double d = (double)old[i][k] - (double)p[k];
-            away[i] += d * d;
-        }
-    double back = fmin(away[0], away[1]);
-    lower_squares(r, u, v, p, old, 2, away);
-    lower_squares(r, v, u, p, old, 2, away);
-    lower_squares(r, u, VOX_NONE, at_u, (const float(*)[3])p, 1, &back);
-    lower_squares(r, v, u, at_v, (const float(*)[3])p, 1, &back);
-    return fmaxf(c->drifts[u], c->drifts[v]) + (float)sqrt(fmax(back, fmax(away[0], away[1])));
+    const float *at_u = r->mesh->positions[u], *at_v = r->mesh->positions[v];
+    double from_u = 0, from_v = 0;
+    for (int k = 0; k < 3; k++) {
+        const double du = (double)at_u[k] - (double)p[k], dv = (double)at_v[k] - (double)p[k];
+        from_u += du * du;
+        from_v += dv * dv;
+    }
+    double back = fmin(from_u, from_v);
+    from_u = find_square(r, u, v, p, at_u, from_u);
+    from_u = find_square(r, v, u, p, at_u, from_u);
+    from_v = find_square(r, u, v, p, at_v, from_v);
+    from_v = find_square(r, v, u, p, at_v, from_v);
+    back = find_square(r, u, VOX_NONE, at_u, p, back);
+    back = find_square(r, v, u, at_v, p, back);
+    return fmaxf(c->drifts[u], c->drifts[v]) + (float)sqrt(fmax(back, fmax(from_u, from_v)));
 }
 
 /* Takes the cheapest candidate, and collapses it if that is allowed. */
 static void collapse_next(struct collapse *c)
 {
     const struct candidate candidate = pop(c);
-    const uint32_t u = candidate.u, v = candidate.v;
+    const uint32_t u = get_u(&candidate), v = candidate.v;
+    const float cost = get_cost(&candidate);
     struct vox_rings *r = &c->rings;
     struct result result;
     if (!is_current(c, &candidate) || !evaluate(c, u, v, &result))
@@ -427,7 +450,7 @@ static void collapse_next(struct collapse *c)
     const float drift = find_drift(c, u, v, result.position);
     const double square = (double)drift * (double)drift;
     result.cost += drift_weight * square * square * square;
-    if (result.cost > (double)candidate.cost * grown && (float)result.cost > candidate.cost) {
+    if (result.cost > (double)cost * grown && (float)result.cost > cost) {
         push_edge(c, u, v, result.cost);
         return;
     }

@@ -124,8 +124,8 @@ static int join_members(const struct level *level, uint64_t begin, uint64_t end,
         vertices += level->members[i].vertices;
         triangles += level->members[i].triangles;
     }
-    /* Corners, and the heap of a collapse, are counted in 32 bits. */
-    if (vertices > UINT32_MAX / 4 || triangles > UINT32_MAX / 4)
+    /* Corners have numbers of 32 bits. */
+    if (vertices > UINT32_MAX / 8 || triangles > UINT32_MAX / 8)
         return bsq_fail(level->ctx, BSQ_ENOMEM,
                         "simplifying: borders of parts keep %llu triangles in one mesh, more than "
                         "it can have; choose a smaller target or drop small pieces",

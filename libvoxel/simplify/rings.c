@@ -34,13 +34,17 @@ static int link_corners(struct vox_rings *r)
 {
     const struct vox_mesh *mesh = r->mesh;
     memset(r->corner, 0xff, mesh->vertex_count * sizeof *r->corner);
-    for (uint32_t corner = 0; corner < 3 * mesh->triangle_count; corner++) {
-        uint32_t *first = &r->corner[mesh->triangles[corner / 3][corner % 3]];
-        if (*first == VOX_NONE) {
-            *first = r->next[corner] = corner;
-        } else {
-            r->next[corner] = r->next[*first];
-            r->next[*first] = corner;
+    for (uint32_t t = 0; t < mesh->triangle_count; t++) {
+        const uint32_t *v = mesh->triangles[t];
+        r->triangles[t] = (struct vox_ring_triangle){{v[2], v[0], v[1], v[2], v[0]}, {0}};
+        for (uint32_t k = 0; k < 3; k++) {
+            uint32_t *first = &r->corner[v[k]], corner = 8 * t + k + 1;
+            if (*first == VOX_NONE) {
+                *first = r->triangles[t].next[k] = corner;
+            } else {
+                r->triangles[t].next[k] = *vox_link(r, *first);
+                *vox_link(r, *first) = corner;
+            }
         }
     }
     return bsq_check(r->ctx);
@@ -55,8 +59,8 @@ bool vox_rings_is_border(struct vox_rings *r, uint32_t u, uint32_t v)
         if (vox_after(r, k) != v && vox_before(r, k) != v)
             continue;
         if (count++ == 0)
-            first = k / 3;
-        differ |= materials && materials[k / 3] != materials[first];
+            first = k / 8;
+        differ |= materials && materials[k / 8] != materials[first];
     }
     return count == 1 || differ;
 }
@@ -68,7 +72,7 @@ static void flag_seams(struct vox_rings *r, uint32_t v, uint8_t border)
     unsigned borders = 0;
     bool differ = false;
     for (VOX_EACH_CORNER(r, v, k))
-        differ |= materials[k / 3] != materials[k_first / 3];
+        differ |= materials[k / 8] != materials[k_first / 8];
     if (!differ)
         return;
     const uint32_t seen = ++r->walk;
@@ -109,10 +113,10 @@ int vox_rings_build(struct bsq_ctx *ctx, struct vox_mesh *mesh, bool lock_border
                     struct vox_rings *r)
 {
     static const char what[] = "an edge collapse";
-    const uint64_t vertices = mesh->vertex_count, corners = 3 * (uint64_t)mesh->triangle_count;
+    const uint64_t vertices = mesh->vertex_count;
     int status = 0;
     *r = (struct vox_rings){.ctx = ctx, .mesh = mesh, .alive = mesh->triangle_count};
-    BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *r->next, &r->next));
+    BSQ_TRY(bsq_alloc(ctx, what, mesh->triangle_count, sizeof *r->triangles, &r->triangles));
     BSQ_TRY(bsq_alloc(ctx, what, vertices, sizeof *r->corner, &r->corner));
     BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *r->marks, &r->marks));
     BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *r->flags, &r->flags));
@@ -131,7 +135,7 @@ void vox_rings_free(struct vox_rings *r)
     bsq_free(r->ctx, r->flags);
     bsq_free(r->ctx, r->marks);
     bsq_free(r->ctx, r->corner);
-    bsq_free(r->ctx, r->next);
+    bsq_free(r->ctx, r->triangles);
 }
 
 unsigned vox_rings_edge(struct vox_rings *r, uint32_t u, uint32_t v, uint32_t opposite[2])
@@ -207,20 +211,19 @@ void vox_rings_join(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3
     const uint32_t start = r->corner[v];
     uint32_t k = start;
     do { /* through all corners, also those that are gone */
-        uint32_t *triangle = r->mesh->triangles[k / 3];
-        if (!vox_is_gone(r, k / 3)) {
-            if (triangle[0] == u || triangle[1] == u || triangle[2] == u) {
-                triangle[0] = VOX_NONE;
-                r->alive--;
-            } else {
-                triangle[k % 3] = u;
-            }
+        struct vox_ring_triangle *triangle = &r->triangles[k / 8];
+        uint32_t *vertices = triangle->vertices;
+        if (!vox_is_gone(r, k)) {
+            const bool has_both = vox_after(r, k) == u || vox_before(r, k) == u;
+            for (int i = 0; i < 5; i++)
+                vertices[i] = has_both ? VOX_NONE : vertices[i] == v ? u : vertices[i];
+            r->alive -= has_both;
         }
-        k = r->next[k];
+        k = *vox_link(r, k);
     } while (k != start);
-    const uint32_t swapped = r->next[start];
-    r->next[start] = r->next[r->corner[u]];
-    r->next[r->corner[u]] = swapped;
+    const uint32_t swapped = *vox_link(r, start);
+    *vox_link(r, start) = *vox_link(r, r->corner[u]);
+    *vox_link(r, r->corner[u]) = swapped;
     r->corner[v] = VOX_NONE;
     memcpy(r->mesh->positions[u], p, sizeof *r->mesh->positions);
     r->flags[u] |= r->flags[v];
@@ -233,11 +236,13 @@ void vox_rings_compact(struct vox_rings *r)
     uint32_t vertices = 0, triangles = 0;
     memset(numbers, 0xff, mesh->vertex_count * sizeof *numbers);
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
-        if (mesh->triangles[t][0] == VOX_NONE)
+        const uint32_t *corners = vox_corners(r, 8 * t);
+        if (corners[0] == VOX_NONE)
             continue;
         for (int k = 0; k < 3; k++)
-            numbers[mesh->triangles[t][k]] = 0;
-        vox_mesh_move_triangle(mesh, triangles++, t);
+            numbers[corners[k]] = 0;
+        vox_mesh_move_triangle(mesh, triangles, t);
+        memcpy(mesh->triangles[triangles++], corners, sizeof *mesh->triangles);
     }
     for (uint32_t v = 0; v < mesh->vertex_count; v++) {
         if (numbers[v] == VOX_NONE)

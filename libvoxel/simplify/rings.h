@@ -1,8 +1,9 @@
 /* rings.h - the triangles around each vertex of a mesh whose edges collapse.
  *
- * Corners of triangles are linked in a ring around each vertex, in no particular order. A collapse
- * of (u, v) joins the rings of both; corners of triangles that are gone leave a ring when somebody
- * walks along it. Meshes stay manifold where they are: vox_rings_keep_topology() and
+ * Corners of triangles are linked in a ring around each vertex, in no particular order. Vertices
+ * and links of a triangle are together in memory, because a step along a ring reads both. A
+ * collapse of (u, v) joins the rings of both; corners of triangles that are gone leave a ring when
+ * somebody walks along it. Meshes stay manifold where they are: vox_rings_keep_topology() and
  * vox_rings_keep_orientation() refuse collapses that would make an edge with three triangles or
  * fold a triangle over. */
 #ifndef VOX_RINGS_H
@@ -17,14 +18,20 @@ enum {
     VOX_CHECK_EVERY = 1024 /* collapses between two looks at an interruption */
 };
 
+/* A triangle a, b, c. Corners have numbers: 8 times that of the triangle, and 1, 2 or 3. */
+struct vox_ring_triangle {
+    uint32_t vertices[5]; /* c, a, b, c, a: so each corner has those before and after beside it */
+    uint32_t next[3];     /* of each corner: the next one in its vertex's ring */
+};
+
 struct vox_rings {
     struct bsq_ctx *ctx;
-    struct vox_mesh *mesh; /* triangles that are gone have VOX_NONE as their first corner */
+    struct vox_mesh *mesh; /* its triangles are out of date until vox_rings_compact() */
     uint32_t alive;        /* triangles */
-    uint32_t *next;        /* of each corner (3 t + k): the next one in its vertex's ring */
-    uint32_t *corner;      /* of each vertex: a corner of its ring, or VOX_NONE */
-    uint8_t *flags;        /* of vertices */
-    uint32_t *marks;       /* of vertices: the walk that found them last */
+    struct vox_ring_triangle *triangles; /* those that are gone have VOX_NONE as all vertices */
+    uint32_t *corner;                    /* of each vertex: a corner of its ring, or VOX_NONE */
+    uint8_t *flags;                      /* of vertices */
+    uint32_t *marks;                     /* of vertices: the walk that found them last */
     uint32_t walk;
 };
 
@@ -58,17 +65,29 @@ void vox_rings_compact(struct vox_rings *r);
 /* Solves A x = b for a positive definite A, by Cholesky's method. Returns false if it is not. */
 bool vox_solve(const double a[6], const double b[3], double x[3]);
 
-static inline bool vox_is_gone(const struct vox_rings *r, uint32_t triangle)
+static inline bool vox_is_gone(const struct vox_rings *r, uint32_t corner)
 {
-    return r->mesh->triangles[triangle][0] == VOX_NONE;
+    return r->triangles[corner / 8].vertices[0] == VOX_NONE;
+}
+
+/* The corners of a corner's triangle, in the order of the mesh. */
+static inline const uint32_t *vox_corners(const struct vox_rings *r, uint32_t corner)
+{
+    return r->triangles[corner / 8].vertices + 1;
+}
+
+/* The corner after `corner` in its ring. */
+static inline uint32_t *vox_link(struct vox_rings *r, uint32_t corner)
+{
+    return &r->triangles[corner / 8].next[corner % 8 - 1];
 }
 
 /* Returns the corner after `corner` in its ring, and drops those of triangles that are gone. */
 static inline uint32_t vox_next_corner(struct vox_rings *r, uint32_t corner)
 {
-    uint32_t next = r->next[corner];
-    while (vox_is_gone(r, next / 3) && next != corner)
-        next = r->next[corner] = r->next[next];
+    uint32_t next = *vox_link(r, corner);
+    while (vox_is_gone(r, next) && next != corner)
+        next = *vox_link(r, corner) = *vox_link(r, next);
     return next;
 }
 
@@ -76,10 +95,10 @@ static inline uint32_t vox_next_corner(struct vox_rings *r, uint32_t corner)
 static inline uint32_t vox_first_corner(struct vox_rings *r, uint32_t vertex)
 {
     const uint32_t corner = r->corner[vertex];
-    if (corner == VOX_NONE || !vox_is_gone(r, corner / 3))
+    if (corner == VOX_NONE || !vox_is_gone(r, corner))
         return corner;
     uint32_t next = vox_next_corner(r, corner);
-    if (vox_is_gone(r, next / 3))
+    if (vox_is_gone(r, next))
         next = VOX_NONE;
     return r->corner[vertex] = next;
 }
@@ -87,11 +106,11 @@ static inline uint32_t vox_first_corner(struct vox_rings *r, uint32_t vertex)
 /* The other corners of a corner's triangle, in their order. */
 static inline uint32_t vox_after(const struct vox_rings *r, uint32_t corner)
 {
-    return r->mesh->triangles[corner / 3][(corner % 3 + 1) % 3];
+    return r->triangles[corner / 8].vertices[corner % 8 + 1];
 }
 static inline uint32_t vox_before(const struct vox_rings *r, uint32_t corner)
 {
-    return r->mesh->triangles[corner / 3][(corner % 3 + 2) % 3];
+    return r->triangles[corner / 8].vertices[corner % 8 - 1];
 }
 
 /* Walks along the ring of a vertex: for (each corner k of vertex v). */

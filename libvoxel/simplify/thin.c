@@ -5,6 +5,7 @@
  * memory. The threshold of a pass is the quantile of the costs that would lead to the target. */
 #include "libvoxel/simplify/thin.h"
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -16,6 +17,16 @@ enum { SAMPLE_STEP = 8, BIN_SHIFT = 20, BINS = 1 << (31 - BIN_SHIFT) };
 static const double pull = 1e-6;
 static const float length_share = 1e-6F;
 
+struct thinning {
+    struct vox_rings rings;
+    /* Of vertices: position, and the quadric there, in one place of memory. */
+    float (*places)[4];
+    /* Of vertices: the least cost of a step to a neighbour. UNKNOWN: neighbours have changed.
+     * INFINITY: vertices that are gone or stay. */
+    float *costs;
+};
+static const float unknown = -1;
+
 static float value_at(const struct vox_quadric *q, float x, float y, float z)
 {
     const float *a = q->a, *b = q->b;
@@ -25,24 +36,24 @@ static float value_at(const struct vox_quadric *q, float x, float y, float z)
 
 /* Finds the neighbour that a vertex can go to at the least cost. Returns the cost; INFINITY if
  * there is none. */
-static float find_target(struct vox_rings *r, uint32_t v, uint32_t *target)
+static float find_target(struct thinning *thinning, uint32_t v, uint32_t *target)
 {
-    const float(*positions)[3] = (const float(*)[3])r->mesh->positions;
-    const struct vox_quadric *quadrics = r->mesh->quadrics, *q = &quadrics[v];
-    const float *p = positions[v], share = length_share * (q->a[0] + q->a[3] + q->a[5]);
+    struct vox_rings *r = &thinning->rings;
+    const float(*places)[4] = (const float(*)[4])thinning->places, *p = places[v];
+    const struct vox_quadric *q = &r->mesh->quadrics[v];
+    const float share = length_share * (q->a[0] + q->a[3] + q->a[5]);
     float least = INFINITY;
+    uint32_t best = VOX_NONE;
     for (VOX_EACH_CORNER(r, v, k)) {
         const uint32_t u = vox_after(r, k);
-        const float x = positions[u][0] - p[0], y = positions[u][1] - p[1],
-                    z = positions[u][2] - p[2];
+        const float *to = places[u], x = to[0] - p[0], y = to[1] - p[1], z = to[2] - p[2];
         const float value = value_at(q, x, y, z);
-        const float cost =
-            (value > 0 ? value : 0) + quadrics[u].c + share * (x * x + y * y + z * z);
-        if (cost < least) {
-            least = cost;
-            *target = u;
-        }
+        const float cost = (value > 0 ? value : 0) + to[3] + share * (x * x + y * y + z * z);
+        best = cost < least ? u : best; /* no branch, which would be hard to predict */
+        least = cost < least ? cost : least;
     }
+    *target = best;
+    thinning->costs[v] = fminf(least, FLT_MAX);
     return least;
 }
 
@@ -101,17 +112,25 @@ static void place(const struct vox_rings *r, uint32_t u, uint32_t v, float p[3])
         p[k] = (float)(middle[k] + (solved ? x[k] : 0));
 }
 
-static bool try_collapse(struct vox_rings *r, uint32_t u, uint32_t v)
+static void set_place(struct thinning *thinning, uint32_t v)
 {
+    const struct vox_mesh *mesh = thinning->rings.mesh;
+    memcpy(thinning->places[v], mesh->positions[v], sizeof *mesh->positions);
+    thinning->places[v][3] = mesh->quadrics[v].c;
+}
+
+static void try_collapse(struct thinning *thinning, uint32_t u, uint32_t v)
+{
+    struct vox_rings *r = &thinning->rings;
     struct vox_mesh *mesh = r->mesh;
     double at[3], a[6], b[3], c;
-    float p[3];
+    float p[3], *costs = thinning->costs;
     if (!vox_rings_keep_topology(r, v, u))
-        return false;
+        return;
     place(r, u, v, p);
     if (!isfinite(p[0] + p[1] + p[2]) || !vox_rings_keep_orientation(r, v, u, p) ||
         (!(r->flags[u] & VOX_LOCKED) && !vox_rings_keep_orientation(r, u, v, p)))
-        return false;
+        return;
     for (int k = 0; k < 3; k++)
         at[k] = (double)p[k];
     add_shifted(mesh, u, v, at, a, b, &c);
@@ -122,7 +141,14 @@ static bool try_collapse(struct vox_rings *r, uint32_t u, uint32_t v)
         q->b[k] = (float)b[k];
     q->c = c > 0 ? (float)c : 0;
     vox_rings_join(r, u, v, p);
-    return true;
+    set_place(thinning, u);
+    costs[v] = INFINITY;
+    costs[u] = costs[u] < INFINITY ? unknown : INFINITY;
+    for (VOX_EACH_CORNER(r, u, k)) {
+        const uint32_t ends[2] = {vox_after(r, k), vox_before(r, k)};
+        for (int i = 0; i < 2; i++)
+            costs[ends[i]] = costs[ends[i]] < INFINITY ? unknown : INFINITY;
+    }
 }
 
 static bool is_free(struct vox_rings *r, uint32_t v)
@@ -132,15 +158,17 @@ static bool is_free(struct vox_rings *r, uint32_t v)
 
 /* Returns a cost that about this share of free vertices is below, or a negative number if none is
  * left. Bits of floats above 0 are in the order of the floats. */
-static float find_threshold(struct vox_rings *r, double share, uint32_t *bins)
+static float find_threshold(struct thinning *thinning, double share, uint32_t *bins)
 {
     uint64_t count = 0, below = 0;
     uint32_t target, bin = 0;
     memset(bins, 0, BINS * sizeof *bins);
-    for (uint32_t v = 0; v < r->mesh->vertex_count; v += SAMPLE_STEP) {
-        if (!is_free(r, v))
+    for (uint32_t v = 0; v < thinning->rings.mesh->vertex_count; v += SAMPLE_STEP) {
+        float cost = thinning->costs[v];
+        if (!(cost < INFINITY))
             continue;
-        const float cost = find_target(r, v, &target);
+        if (cost < 0)
+            cost = find_target(thinning, v, &target);
         uint32_t bits;
         memcpy(&bits, &cost, sizeof bits);
         bins[bits >> BIN_SHIFT]++;
@@ -151,41 +179,52 @@ static float find_threshold(struct vox_rings *r, double share, uint32_t *bins)
     const uint32_t bits = (bin + 1) << BIN_SHIFT;
     float threshold;
     memcpy(&threshold, &bits, sizeof threshold);
-    return count > 0 ? threshold : -1;
+    return count > 0 ? threshold : unknown;
 }
 
 /* Returns the triangles that a pass took away. */
-static uint32_t run_pass(struct vox_rings *r, float threshold, uint32_t target)
+static uint32_t run_pass(struct thinning *thinning, float threshold, uint32_t target)
 {
+    const struct vox_rings *r = &thinning->rings;
     const uint32_t before = r->alive;
     for (uint32_t v = 0; v < r->mesh->vertex_count && r->alive > target; v++) {
         uint32_t u = 0;
         if (v % (64 * VOX_CHECK_EVERY) == 0 && bsq_check(r->ctx) < 0)
             break;
-        if (is_free(r, v) && find_target(r, v, &u) < threshold)
-            try_collapse(r, u, v);
+        if (thinning->costs[v] < threshold && find_target(thinning, v, &u) < threshold)
+            try_collapse(thinning, u, v);
     }
     return before - r->alive;
 }
 
 int vox_thin(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh)
 {
-    struct vox_rings rings = {.ctx = ctx};
+    static const char what[] = "an edge collapse";
+    struct thinning thinning = {.rings = {.ctx = ctx}};
+    struct vox_rings *rings = &thinning.rings;
     uint32_t *bins = NULL, gone = UINT32_MAX;
     int status = 0;
     if (mesh->triangle_count <= target)
         return 0;
-    BSQ_TRY(vox_rings_build(ctx, mesh, true, &rings));
-    BSQ_TRY(bsq_alloc(ctx, "an edge collapse", BINS, sizeof *bins, &bins));
-    while (rings.alive > target && gone > rings.alive / 512) {
-        const double share = 1 - (double)target / rings.alive;
-        const float threshold = find_threshold(&rings, share, bins);
-        gone = run_pass(&rings, threshold, target);
+    BSQ_TRY(vox_rings_build(ctx, mesh, true, rings));
+    BSQ_TRY(bsq_alloc(ctx, what, BINS, sizeof *bins, &bins));
+    BSQ_TRY(bsq_alloc(ctx, what, mesh->vertex_count, sizeof *thinning.places, &thinning.places));
+    BSQ_TRY(bsq_alloc(ctx, what, mesh->vertex_count, sizeof *thinning.costs, &thinning.costs));
+    for (uint32_t v = 0; v < mesh->vertex_count; v++) {
+        set_place(&thinning, v);
+        thinning.costs[v] = is_free(rings, v) ? unknown : INFINITY;
+    }
+    while (rings->alive > target && gone > rings->alive / 512) {
+        const double share = 1 - (double)target / rings->alive;
+        const float threshold = find_threshold(&thinning, share, bins);
+        gone = run_pass(&thinning, threshold, target);
         BSQ_TRY(bsq_check(ctx));
     }
-    vox_rings_compact(&rings);
+    vox_rings_compact(rings);
 done:
+    bsq_free(ctx, thinning.costs);
+    bsq_free(ctx, thinning.places);
     bsq_free(ctx, bins);
-    vox_rings_free(&rings);
+    vox_rings_free(rings);
     return status;
 }
