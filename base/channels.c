@@ -3,6 +3,8 @@
 
 #include <string.h>
 
+#include "base/text.h"
+
 /* A channel of one value that is no colour, and a colour. */
 #define DATA(channel, map, number)                                                                 \
     .name = (channel), .values = 1, .mtl_map = (map), .mtl_value = (number)
@@ -160,9 +162,7 @@ const struct bsq_channel *bsq_channel_list_find(const char *list, uint64_t bytes
 
 static uint64_t hash_of(const char *name)
 {
-    uint64_t h = UINT64_C(0xcbf29ce484222325);
-    for (; *name; name++)
-        h = (h ^ (unsigned char)*name) * UINT64_C(0x100000001b3);
+    uint64_t h = bsq_text_hash(BSQ_HASH_START, name, strlen(name));
     h = (h ^ h >> 33) * UINT64_C(0xff51afd7ed558ccd);
     h = (h ^ h >> 33) * UINT64_C(0xc4ceb9fe1a85ec53);
     return h ^ h >> 33;

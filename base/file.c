@@ -103,21 +103,18 @@ int bsq_file_open_as(struct bsq_ctx *ctx, const char *path, enum bsq_open how, s
     struct bsq_file file = {.fd = fd, .path = strdup(path)};
     int status = 0;
     if (!file.path)
-        status = bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", path);
-    else if (fstat(fd, &info) != 0)
-        status = bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s", path);
-    else
-        status = check_kind(ctx, path, &info);
-    if (status == 0) {
-        file.identity = identity_of(&info);
-        file.size = file.identity.size;
-        if (how == BSQ_OPEN_INPUT)
-            status = bsq_hold_input(ctx, path, &file.identity);
-    }
-    if (status == 0)
-        *out = file;
-    else
-        bsq_file_close(ctx, &file);
+        BSQ_TRY(bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", path));
+    if (fstat(fd, &info) != 0)
+        BSQ_TRY(bsq_fail_errno(ctx, BSQ_ENOINPUT, errno, "%s", path));
+    BSQ_TRY(check_kind(ctx, path, &info));
+    file.identity = identity_of(&info);
+    file.size = file.identity.size;
+    if (how == BSQ_OPEN_INPUT)
+        BSQ_TRY(bsq_hold_input(ctx, path, &file.identity));
+    *out = file;
+    return 0;
+done:
+    bsq_file_close(ctx, &file);
     return status;
 }
 
@@ -257,7 +254,7 @@ static int open_unnamed(struct bsq_ctx *ctx, const char *directory, int *fd)
     static const char name[] = "bisque";
     char *path;
     int error = bsq_temp_unnamed(directory, 0600, false, fd);
-    if (error != EOPNOTSUPP && error != EISDIR && error != ENOENT && error != EINVAL)
+    if (!bsq_temp_lacks_unnamed(error))
         return error;
     error = bsq_temp_sweep(ctx, directory, name);
     if (error)
@@ -272,22 +269,19 @@ static int open_unnamed(struct bsq_ctx *ctx, const char *directory, int *fd)
 int bsq_file_temp(struct bsq_ctx *ctx, const char *beside, const char *what, struct bsq_file *out)
 {
     *out = (struct bsq_file)BSQ_FILE_CLOSED;
-    char *directory = temp_directory(ctx, beside);
-    if (!directory)
-        return bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "temporary file for %s", what);
-    int status = 0;
-    char *label = NULL;
-    if (asprintf(&label, "%s: temporary file for %s", directory, what) < 0) {
-        status = bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "temporary file for %s", what);
-    } else {
-        int fd, error = open_unnamed(ctx, directory, &fd);
-        if (error) {
-            status = bsq_fail_errno(ctx, BSQ_ECANTCREAT, error, "%s", label);
-            free(label);
-        } else {
-            *out = (struct bsq_file){.fd = fd, .size = 0, .path = label};
-        }
+    char *directory = temp_directory(ctx, beside), *label = NULL;
+    int status = 0, fd = -1;
+    if (!directory || asprintf(&label, "%s: temporary file for %s", directory, what) < 0) {
+        label = NULL;
+        BSQ_TRY(bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "temporary file for %s", what));
     }
+    const int error = open_unnamed(ctx, directory, &fd);
+    if (error)
+        BSQ_TRY(bsq_fail_errno(ctx, BSQ_ECANTCREAT, error, "%s", label));
+    *out = (struct bsq_file){.fd = fd, .size = 0, .path = label};
+    label = NULL;
+done:
+    free(label);
     free(directory);
     return status;
 }

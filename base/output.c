@@ -171,13 +171,6 @@ int bsq_keep_access(const struct bsq_output *output)
 
 /* ---- opening ---- */
 
-/* Returns true for errors that mean that the file system, or a layer above it, has no unnamed
- * files. */
-static bool lacks_unnamed(int error)
-{
-    return error == EOPNOTSUPP || error == EISDIR || error == ENOENT || error == EINVAL;
-}
-
 /* Creates the file. One that replaces another is readable by nobody else in between. */
 static int create_temp(struct bsq_output *output)
 {
@@ -189,7 +182,7 @@ static int create_temp(struct bsq_output *output)
     if (error)
         return error;
     error = bsq_temp_unnamed(output->directory, mode, true, &output->fd);
-    if (lacks_unnamed(error))
+    if (bsq_temp_lacks_unnamed(error))
         error = bsq_temp_named(output->directory, name, mode, &output->temp_path, &output->fd);
     return error;
 }

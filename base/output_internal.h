@@ -48,6 +48,10 @@ int bsq_keep_access(const struct bsq_output *output);
 /* Opens a file without a name in a directory. `linkable`: only if bsq_temp_link() can name it. */
 int bsq_temp_unnamed(const char *directory, mode_t mode, int linkable, int *fd);
 
+/* Returns whether an error means that the file system, or a layer above it, has no files without a
+ * name. */
+bool bsq_temp_lacks_unnamed(int error);
+
 /* Creates a locked file with a name. Free *path with free(). */
 int bsq_temp_named(const char *directory, const char *name, mode_t mode, char **path, int *fd);
 

@@ -34,16 +34,13 @@ struct ending {
     char text[1 + RANDOM_LETTERS + CHECK_LETTERS + sizeof suffix];
 };
 
-/* Appends the check letters and the suffix to "." and random letters. The checksum is FNV-1a
- * (Fowler, Noll, Vo) of the name and these letters. */
+/* Appends the check letters and the suffix to "." and random letters. The checksum is of the name
+ * and these letters. */
 static void finish_ending(const char *name, size_t length, struct ending *ending)
 {
-    uint64_t hash = UINT64_C(0xcbf29ce484222325);
     char *end = ending->text + 1 + RANDOM_LETTERS;
-    for (size_t i = length; i > 0; i--)
-        hash = (hash ^ (unsigned char)*name++) * UINT64_C(0x100000001b3);
-    for (const char *c = ending->text; c < end; c++)
-        hash = (hash ^ (unsigned char)*c) * UINT64_C(0x100000001b3);
+    uint64_t hash = bsq_text_hash(BSQ_HASH_START, name, length);
+    hash = bsq_text_hash(hash, ending->text, 1 + RANDOM_LETTERS);
     for (int i = 0; i < CHECK_LETTERS; i++, hash /= sizeof letters - 1)
         *end++ = letters[hash % (sizeof letters - 1)];
     memcpy(end, suffix, sizeof suffix);
@@ -275,6 +272,11 @@ int bsq_temp_unnamed(const char *directory, mode_t mode, int linkable, int *fd)
         *fd = -1;
     }
     return error;
+}
+
+bool bsq_temp_lacks_unnamed(int error)
+{
+    return error == EOPNOTSUPP || error == EISDIR || error == ENOENT || error == EINVAL;
 }
 
 /* Creates a file with this name and locks it. Between the two, another process may take it for a

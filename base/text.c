@@ -94,7 +94,14 @@ uint64_t bsq_json_bound(const char *text, uint64_t size)
     return 65536 + 256 * objects + 224 * arrays + 224 * members + 112 * commas + size + 4 * longest;
 }
 
-/* ---- copies ---- */
+/* ---- copies and hashes ---- */
+
+uint64_t bsq_text_hash(uint64_t hash, const char *text, size_t length)
+{
+    for (; length > 0; length--)
+        hash = (hash ^ (unsigned char)*text++) * UINT64_C(0x100000001b3);
+    return hash;
+}
 
 int bsq_text_copy(struct bsq_ctx *ctx, const char *text, char **out)
 {
@@ -160,10 +167,7 @@ int bsq_tally_grow(struct bsq_ctx *ctx, struct bsq_tally *tally, uint64_t count,
 /* Returns the slot of a text, or an empty one. Some slot must be empty. */
 static uint64_t *find_slot(const struct bsq_texts *texts, const char *text)
 {
-    uint64_t hash = UINT64_C(0xcbf29ce484222325); /* FNV-1a */
-    for (const char *c = text; *c; c++)
-        hash = (hash ^ (unsigned char)*c) * UINT64_C(0x100000001b3);
-    for (uint64_t i = hash;; i++) {
+    for (uint64_t i = bsq_text_hash(BSQ_HASH_START, text, strlen(text));; i++) {
         uint64_t *slot = &texts->slots[i & (2 * texts->capacity - 1)];
         if (*slot == 0 || strcmp(texts->list[*slot - 1], text) == 0)
             return slot;

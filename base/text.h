@@ -13,6 +13,11 @@ extern "C" {
  * overhead of each block. Reserve them before parsing. */
 uint64_t bsq_json_bound(const char *text, uint64_t size);
 
+/* Continues a hash, FNV-1a (Fowler, Noll, Vo) of 64 bits, with the bytes of a text. Starts from
+ * BSQ_HASH_START. */
+#define BSQ_HASH_START UINT64_C(0xcbf29ce484222325)
+uint64_t bsq_text_hash(uint64_t hash, const char *text, size_t length);
+
 /* ---- tables of distinct texts, such as the names of files; not thread-safe ---- */
 
 /* Bytes of lists that grow with the files of a job. The first BSQ_FREE_BYTES are not counted

@@ -106,15 +106,6 @@ struct cli_table bake_arguments_table(const struct bake_arguments *arguments)
     return table;
 }
 
-bool bake_arguments_has(const struct bake_arguments *arguments, const char *member)
-{
-    size_t count, i = 0;
-    const struct bsq_option *rows = bake_option_rows(&count);
-    while (i < count && strcmp(rows[i].member, member) != 0)
-        i++;
-    return i < count && arguments->given[i];
-}
-
 static int check_arguments(struct cli *cli, struct bake_arguments *arguments)
 {
     struct bake_options *bake = &arguments->bake;

@@ -33,8 +33,6 @@ struct bake_arguments {
 /* Reads the command line. Free *arguments with bake_arguments_free(), also after a failure. Returns
  * what cli_parse() returns. */
 int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int argc, char **argv);
-/* Returns whether an option was given that sets a member of the options, such as "max_missed". */
-bool bake_arguments_has(const struct bake_arguments *arguments, const char *member);
 /* Applies the rules for paths to the inputs of the command line. */
 int bake_arguments_map_inputs(struct cli *cli, struct bake_arguments *arguments);
 /* Finds out which of the inputs are scans (.nvdb, .tris) and which are low-poly meshes. Two files

@@ -4,7 +4,6 @@
 #include <stdlib.h>
 
 #include "tools/bake_report.h"
-#include "tools/cli_percent.h"
 
 /* ---- options ---- */
 
@@ -60,11 +59,9 @@ int bake_farm_check(struct cli *cli, struct bake_arguments *arguments)
         tasks->write_plan = tasks->plan;
         tasks->plan = NULL;
     }
-    if (tasks->plan && (!tasks->task.given || tasks->merge) &&
-        bake_arguments_has(arguments, "device"))
+    if (tasks->plan && (!tasks->task.given || tasks->merge) && cli_is_given(&table, "device"))
         return cli_usage(cli, "--plan has the device of the tasks: give --device to --task only");
-    if (tasks->plan && (!tasks->merge || tasks->task.given) &&
-        bake_arguments_has(arguments, "max_missed"))
+    if (tasks->plan && (!tasks->merge || tasks->task.given) && cli_is_given(&table, "max-missed"))
         return cli_usage(cli, "--max-missed is for the bake of all texels: give it to --merge");
     if (tasks->tasks && arguments->bake.page_path)
         return cli_usage(cli, "--report shows a bake in one piece, without --tasks");
@@ -166,7 +163,8 @@ static int run_task(struct cli *cli, const struct bake_arguments *arguments,
 {
     struct bake_report report = {.size = sizeof report};
     bool kept = false;
-    const char *device = bake_arguments_has(arguments, "device") ? arguments->bake.device : NULL;
+    const struct cli_table table = bake_arguments_table(arguments);
+    const char *device = cli_is_given(&table, "device") ? arguments->bake.device : NULL;
     char *path;
     int status;
     bake_report_watch(cli, &report);

@@ -267,8 +267,8 @@ static int name_in_folder(struct cli *cli, struct bake_arguments *arguments)
 int bake_arguments_look(struct cli *cli, struct bake_arguments *arguments)
 {
     struct bake_options *bake = &arguments->bake;
-    const bool fills =
-        bake->preset > 0 && bake->pack_count > 0 && !bake_arguments_has(arguments, "packs");
+    const struct cli_table table = bake_arguments_table(arguments);
+    const bool fills = bake->preset > 0 && bake->pack_count > 0 && !cli_is_given(&table, "pack");
     struct additions to = {cli, arguments};
     int status;
     BSQ_TRY(name_in_folder(cli, arguments));
@@ -320,8 +320,9 @@ static int parse_pack(struct cli *cli, struct bake_arguments *arguments, const c
 /* Bakes what packs show, beside the maps that are named or, without any, the default ones. */
 static int finish_packs(struct cli *cli, struct bake_arguments *arguments)
 {
+    const struct cli_table table = bake_arguments_table(arguments);
     int status = 0;
-    if (arguments->bake.pack_count > 0 && !bake_arguments_has(arguments, "maps"))
+    if (arguments->bake.pack_count > 0 && !cli_is_given(&table, "maps"))
         arguments->bake.maps = BAKE_MAPS_USUAL;
     for (uint32_t i = 0; i < arguments->bake.pack_count && status == 0; i++) {
         char *list = strdup(arguments->packs[i].maps), *rest = list, *word;

@@ -380,44 +380,35 @@ int bake_report_note_references(struct cli *cli, const char *folder)
 
 struct references {
     struct cli *cli;
-    const struct bake_options *bake;
-    char mask[2][PATH_MAX]; /* of the map and of the reference, in a UDIM tile; "": none */
+    const char *folder;
+    struct bake_page *page;
+    bool seeks_masks;        /* only finds those of a UDIM tile */
+    char masks[2][PATH_MAX]; /* of the maps and of the references; "": none */
     json_t *comparisons;
 };
-
-/* Finds the file with the name of a map among the references; returns false if there is none. */
-static bool find_reference(const struct references *r, const char *path, char out[PATH_MAX])
-{
-    const int length =
-        snprintf(out, PATH_MAX, "%s/%s", r->bake->reference_path, bsq_file_name(path));
-    return length < PATH_MAX && access(out, R_OK) == 0;
-}
-
-static int find_mask(void *arg, const struct bake_file *file)
-{
-    struct references *r = arg;
-    const bool is_mask = strcmp(file->map, "mask") == 0;
-    if (is_mask && strlen(file->path) < PATH_MAX && find_reference(r, file->path, r->mask[1]))
-        strcpy(r->mask[0], file->path);
-    return 0;
-}
 
 /* Compares a map with its reference, if it has one, and shows that on the page. */
 static int compare_map(void *arg, const struct bake_file *file)
 {
     struct references *r = arg;
-    char path[PATH_MAX];
+    const bool is_mask = strcmp(file->map, "mask") == 0, masked = !is_mask && r->masks[0][0];
     struct bake_compare_options options;
     struct bake_compare_report report = {.size = sizeof report};
-    const bool masked = r->mask[0][0] && strcmp(file->map, "mask") != 0;
-    if (!find_reference(r, file->path, path))
+    char path[PATH_MAX];
+    const int length = snprintf(path, sizeof path, "%s/%s", r->folder, bsq_file_name(file->path));
+    if (length >= PATH_MAX || access(path, R_OK) != 0 || (r->seeks_masks && !is_mask))
         return 0;
+    if (r->seeks_masks) {
+        snprintf(r->masks[0], PATH_MAX, "%s", file->path);
+        memcpy(r->masks[1], path, sizeof path);
+        return 0;
+    }
     bake_compare_defaults(&options);
     options.a_path = file->path;
     options.b_path = path;
-    options.a_mask_path = masked ? r->mask[0] : NULL;
-    options.b_mask_path = masked ? r->mask[1] : NULL;
-    options.page = r->bake->page;
+    options.a_mask_path = masked ? r->masks[0] : NULL;
+    options.b_mask_path = masked ? r->masks[1] : NULL;
+    options.page = r->page;
     const int status = bake_compare(r->cli->ctx, &options, &report);
     if (status == 0)
         cli_json_append(&r->comparisons, page_comparison_json(&options, &report));
@@ -430,12 +421,13 @@ static int end_page(struct cli *cli, const struct bake_arguments *arguments,
 {
     const struct bake_options *bake = &arguments->bake;
     const struct cli_table table = bake_arguments_table(arguments);
-    struct references r = {.cli = cli, .bake = bake, .comparisons = json_array()};
+    struct references r = {cli, bake->reference_path, bake->page, false, {"", ""}, json_array()};
     int status = 0;
-    for (uint32_t i = 0; bake->reference_path && i < report->tile_count; i++) {
-        r.mask[0][0] = '\0';
-        BSQ_TRY(bake_list_files(cli->ctx, bake, &report->tiles[i], find_mask, &r));
-        BSQ_TRY(bake_list_files(cli->ctx, bake, &report->tiles[i], compare_map, &r));
+    for (uint32_t i = 0; r.folder && i < 2 * report->tile_count; i++) {
+        r.seeks_masks = i % 2 == 0;
+        if (r.seeks_masks)
+            r.masks[0][0] = '\0';
+        BSQ_TRY(bake_list_files(cli->ctx, bake, &report->tiles[i / 2], compare_map, &r));
     }
     cli_json_set(root, "comparisons", json_incref(r.comparisons));
     status = page_end(cli, bake->page, json_incref(*root), &table);

@@ -4,7 +4,6 @@
 
 #include "tools/bake_farm.h"
 #include "tools/bake_report.h"
-#include "tools/cli_percent.h"
 #include "tools/page.h"
 
 /* Sets *missed if the maps are written but more samples missed than is allowed. */
@@ -85,7 +84,8 @@ static int merge_tiles(struct cli *cli, const struct bake_arguments *arguments,
 static int merge(struct cli *cli, struct bake_arguments *arguments,
                  const struct bake_farm_plan *plan, bool *missed)
 {
-    const double max_missed = bake_arguments_has(arguments, "max_missed")
+    const struct cli_table table = bake_arguments_table(arguments);
+    const double max_missed = cli_is_given(&table, "max-missed")
                                   ? arguments->bake.max_missed
                                   : bake_describe_plan(plan).options->max_missed;
     arguments->bake = *bake_describe_plan(plan).options;

@@ -11,8 +11,6 @@
 #include <strings.h>
 #include <unistd.h>
 
-#include "tools/cli_percent.h"
-
 /* ---- signals ---- */
 
 /* The context to interrupt. Global, because a signal handler has no argument for it. */
@@ -68,6 +66,7 @@ void cli_begin(struct cli *cli, const char *program, char **argv)
     cli->command = json_array(); /* parsing changes the texts */
     for (; *argv; argv++)
         cli_json_append(&cli->command, cli_json_text(*argv));
+    cli->warnings = json_array();
     /* A closed pipe or a file size limit becomes an error of write(2). As a signal it would end the
      * program without a message and leave temporary files. */
     signal(SIGPIPE, SIG_IGN);

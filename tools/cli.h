@@ -51,7 +51,7 @@ struct cli {
     void (*on_stage)(struct cli *cli, const char *stage);
     const void *watched; /* for on_stage() */
     json_t *command;     /* the arguments as given, a list */
-    json_t *warnings;    /* that were printed, a list; NULL: none */
+    json_t *warnings;    /* that were printed, a list */
     struct timespec started, stage_started, logged;
 };
 
@@ -108,6 +108,9 @@ struct cli_command {
  * status on failure. After success optind is the index of the first file in argv. */
 int cli_parse(struct cli *cli, const struct cli_command *command, int argc, char **argv);
 
+/* Returns whether an option was given. */
+bool cli_is_given(const struct cli_table *table, const char *name);
+
 /* Returns a row that was given, and that may (or may not) stand beside a plan; NULL if none was. */
 const struct bsq_option *cli_given(const struct cli_table *table, bool with_plan);
 
@@ -151,6 +154,27 @@ int cli_map_input(struct cli *cli, const char **path);
 
 /* Applies them to all inputs of a table. */
 int cli_map_inputs(struct cli *cli, const struct cli_table *table);
+
+/* ---- progress as lines for schedulers: openjd, percent and alf ---- */
+
+/* Returns whether --progress asks for these lines. */
+bool cli_prints_percent(const struct cli *cli);
+
+/* Prints the first line, and starts the heartbeat. */
+void cli_percent_begin(const struct cli *cli);
+
+/* Takes a report of the context. */
+void cli_percent_report(struct cli *cli, const struct bsq_progress *progress);
+
+/* Notes that a program does the job of its stages for the time `turn` of `turns`, from 0 on. Each
+ * time has an equal share of the percentage. */
+void cli_percent_turn(struct cli *cli, uint32_t turn, uint32_t turns);
+
+/* Stops the heartbeat; prints 100 % after a success. Does nothing if nothing was begun. */
+void cli_percent_end(const struct cli *cli, bool success);
+
+/* Prints a failure for Open Job Description. */
+void cli_percent_fail(const struct cli *cli, const char *text);
 
 /* ---- reports ---- */
 

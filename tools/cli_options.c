@@ -5,7 +5,7 @@
 #include <string.h>
 #include <strings.h>
 
-#include "tools/cli_percent.h"
+#include "tools/cli.h"
 
 enum { MOST_OPTIONS = 128, HELP_COLUMN = 28 };
 
@@ -377,6 +377,14 @@ int cli_parse(struct cli *cli, const struct cli_command *command, int argc, char
     if (cli->verify && optind == argc)
         return cli_usage(cli, "no input file given (see --help)");
     return 0;
+}
+
+bool cli_is_given(const struct cli_table *table, const char *name)
+{
+    bool given = false;
+    for (size_t i = 0; i < table->count; i++)
+        given |= table->given[i] && table->rows[i].name && strcmp(table->rows[i].name, name) == 0;
+    return given;
 }
 
 const struct bsq_option *cli_given(const struct cli_table *table, bool with_plan)

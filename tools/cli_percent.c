@@ -4,7 +4,7 @@
  * fewer stages jumps ahead; the percentage never falls. Lines go to standard output, which render
  * farms read. A thread repeats the last line if a stage says nothing for HEARTBEAT_SECONDS, so that
  * a scheduler sees that the program lives. */
-#include "tools/cli_percent.h"
+#include "tools/cli.h"
 
 #include <math.h>
 #include <pthread.h>

@@ -8,7 +8,7 @@
 #include <sys/ioctl.h>
 #include <unistd.h>
 
-#include "tools/cli_percent.h"
+#include "tools/cli.h"
 
 enum { BAR_CELLS = 24, DEFAULT_COLUMNS = 80, LOG_SECONDS = 30 };
 
@@ -142,8 +142,6 @@ void cli_on_warning(void *user, const char *line)
 {
     struct cli *cli = user;
     cli_clear_bar(cli);
-    if (!cli->warnings)
-        cli->warnings = json_array();
     cli_json_append(&cli->warnings, cli_json_text(line));
     if (cli->progress == CLI_PROGRESS_JSON) {
         json_t *object = json_pack("{s:o}", "warning", cli_json_text(line));

@@ -28,7 +28,7 @@ int page_end(struct cli *cli, struct bake_page *page, json_t *root, const struct
     json_t *all = cli_complete_json(cli, root);
     int status = 0;
     cli_json_set(&all, "command", json_incref(cli->command));
-    cli_json_set(&all, "warnings", cli->warnings ? json_incref(cli->warnings) : json_array());
+    cli_json_set(&all, "warnings", json_incref(cli->warnings));
     cli_json_set(&all, "options", options_json(options));
     char *text = all ? json_dumps(all, JSON_ENSURE_ASCII | JSON_REAL_PRECISION(15)) : NULL;
     if (text)

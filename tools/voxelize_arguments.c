@@ -90,12 +90,10 @@ static const char *given_option(const struct voxelize_arguments *arguments, uint
     return NULL;
 }
 
-static bool is_given(const struct voxelize_arguments *arguments, const char *name)
+static struct cli_table table_of(const struct voxelize_arguments *arguments)
 {
-    for (unsigned i = 0; i < ROWS; i++)
-        if (strcmp(rows[i].name, name) == 0)
-            return arguments->given[i];
-    return false;
+    return (struct cli_table){rows, ROWS, (void *)(uintptr_t)arguments,
+                              (bool *)(uintptr_t)arguments->given};
 }
 
 /* ---- where files lie ---- */
@@ -275,6 +273,7 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
 {
     static const char *const exclude[][2] = {
         {"resolution", "voxel-size"}, {"tris", "no-tris"}, {"embed-textures", "no-tris"}};
+    const struct cli_table table = table_of(arguments);
     const char *output = arguments->grid.grid_path;
     if (arguments->parse_only && output)
         return cli_usage(cli, "--parse-only writes nothing: leave out --output");
@@ -288,9 +287,9 @@ static int check_arguments(struct cli *cli, const struct voxelize_arguments *arg
                          "OpenVDB file beside it",
                          output, output);
     for (size_t i = 0; i < sizeof exclude / sizeof *exclude; i++)
-        if (is_given(arguments, exclude[i][0]) && is_given(arguments, exclude[i][1]))
+        if (cli_is_given(&table, exclude[i][0]) && cli_is_given(&table, exclude[i][1]))
             return cli_usage(cli, "--%s and --%s exclude each other", exclude[i][0], exclude[i][1]);
-    if (is_given(arguments, "id") && !arguments->grid.ids)
+    if (cli_is_given(&table, "id") && !arguments->grid.ids)
         return cli_usage(cli, "--id needs --channels id");
     if (arguments->grid.scan_normal_map && keeps_normal_map(arguments))
         return cli_usage(cli, "--scan-normal-map and --channels " BSQ_CHANNEL_NORMAL_MAP
@@ -339,13 +338,14 @@ int voxelize_arguments_check_part(struct cli *cli, const struct voxelize_argumen
 /* Sets what follows from the options. */
 static int finish(struct cli *cli, struct voxelize_arguments *arguments)
 {
-    if (is_given(arguments, "voxel-size"))
+    const struct cli_table table = table_of(arguments);
+    if (cli_is_given(&table, "voxel-size"))
         arguments->grid.resolution = 0;
     if (!arguments->grid.ids)
         arguments->sort.ids = VOX_IDS_NONE;
     if (arguments->all_channels)
         arguments->grid.channels = "all";
-    arguments->sort.tells_unkept = !is_given(arguments, "channels");
+    arguments->sort.tells_unkept = !cli_is_given(&table, "channels");
     return finish_placements(cli, arguments);
 }
 
@@ -354,8 +354,7 @@ int voxelize_arguments_parse(struct cli *cli, struct voxelize_arguments *argumen
 {
     const struct cli_command command = {
         .usage = usage,
-        .tables = {{rows, ROWS, arguments, arguments->given},
-                   {cli_rows, sizeof cli_rows / sizeof *cli_rows, cli, NULL}},
+        .tables = {table_of(arguments), {cli_rows, sizeof cli_rows / sizeof *cli_rows, cli, NULL}},
         .take = take_option,
         .arguments = arguments,
     };
@@ -386,7 +385,7 @@ done:
 
 int voxelize_arguments_map_inputs(struct cli *cli, struct voxelize_arguments *arguments)
 {
-    const struct cli_table table = {rows, ROWS, arguments, NULL};
+    const struct cli_table table = table_of(arguments);
     const char **inputs = (const char **)(uintptr_t)arguments->inputs;
     int status = 0;
     BSQ_TRY(cli_map_inputs(cli, &table));

@@ -12,12 +12,18 @@
 #include <math.h>
 #include <stdint.h>
 
+/* LANES_CALL() is an intrinsic for vectors of this width. */
 #if defined __AVX512F__ && defined __AVX512DQ__ && defined __AVX512VL__
-#define LANE_COUNT 8
+#define LANE_COUNT       8
+#define LANES_CALL(name) _mm512_##name
 #elif defined __AVX2__
-#define LANE_COUNT 4
+#define LANE_COUNT       4
+#define LANES_CALL(name) _mm256_##name
 #else
 #define LANE_COUNT 2
+#ifdef __SSE2__
+#define LANES_CALL(name) _mm_##name
+#endif
 #endif
 
 #ifdef __AVX2__
@@ -140,31 +146,6 @@ LANES_INLINE doubles lanes_select(lane_mask mask, doubles yes, doubles no)
     return (doubles)((mask & (lane_ints)yes) | (~mask & (lane_ints)no));
 }
 
-/* Returns a < b ? a : b. */
-LANES_INLINE doubles lanes_min(doubles a, doubles b)
-{
-#ifdef __SSE2__
-    return _mm_min_pd(a, b);
-#else
-    return lanes_select(a < b, a, b);
-#endif
-}
-
-/* Returns a > b ? a : b. */
-LANES_INLINE doubles lanes_max(doubles a, doubles b)
-{
-#ifdef __SSE2__
-    return _mm_max_pd(a, b);
-#else
-    return lanes_select(a > b, a, b);
-#endif
-}
-
-LANES_INLINE doubles lanes_sqrt(doubles x)
-{
-    return (doubles){sqrt(x[0]), sqrt(x[1])};
-}
-
 /* Sets lane i of out[k] to from[i][k]. */
 LANES_INLINE void lanes_gather_four(const double *const from[LANE_COUNT], doubles out[4])
 {
@@ -220,21 +201,6 @@ LANES_INLINE unsigned lanes_bits(lane_mask mask)
 LANES_INLINE doubles lanes_select(lane_mask mask, doubles yes, doubles no)
 {
     return _mm256_blendv_pd(no, yes, (__m256d)mask);
-}
-
-LANES_INLINE doubles lanes_min(doubles a, doubles b)
-{
-    return _mm256_min_pd(a, b);
-}
-
-LANES_INLINE doubles lanes_max(doubles a, doubles b)
-{
-    return _mm256_max_pd(a, b);
-}
-
-LANES_INLINE doubles lanes_sqrt(doubles x)
-{
-    return _mm256_sqrt_pd(x);
 }
 
 /* Transposes: lane i of out[k] is lane k of in[i]. */
@@ -338,24 +304,9 @@ LANES_INLINE doubles lanes_select(lane_mask mask, doubles yes, doubles no)
     return _mm512_mask_mov_pd(no, mask, yes);
 }
 
-LANES_INLINE doubles lanes_min(doubles a, doubles b)
-{
-    return _mm512_min_pd(a, b);
-}
-
-LANES_INLINE doubles lanes_max(doubles a, doubles b)
-{
-    return _mm512_max_pd(a, b);
-}
-
 LANES_INLINE doubles lanes_abs(doubles x)
 {
     return _mm512_abs_pd(x);
-}
-
-LANES_INLINE doubles lanes_sqrt(doubles x)
-{
-    return _mm512_sqrt_pd(x);
 }
 
 /* Sets lane i to the lane of x whose index is in the low three bits of which[i]. */
@@ -457,6 +408,41 @@ LANES_INLINE void lanes_scatter_six(const doubles in[6], double *const to[LANE_C
     }
 }
 
+#endif
+
+/* ---- all instruction sets ---- */
+
+#ifdef LANES_CALL
+/* Returns a < b ? a : b for each lane; lanes_max(): a > b ? a : b. */
+LANES_INLINE doubles lanes_min(doubles a, doubles b)
+{
+    return LANES_CALL(min_pd)(a, b);
+}
+
+LANES_INLINE doubles lanes_max(doubles a, doubles b)
+{
+    return LANES_CALL(max_pd)(a, b);
+}
+
+LANES_INLINE doubles lanes_sqrt(doubles x)
+{
+    return LANES_CALL(sqrt_pd)(x);
+}
+#else
+LANES_INLINE doubles lanes_min(doubles a, doubles b)
+{
+    return lanes_select(a < b, a, b);
+}
+
+LANES_INLINE doubles lanes_max(doubles a, doubles b)
+{
+    return lanes_select(a > b, a, b);
+}
+
+LANES_INLINE doubles lanes_sqrt(doubles x)
+{
+    return (doubles){sqrt(x[0]), sqrt(x[1])};
+}
 #endif
 
 /* Returns an empty mask. */

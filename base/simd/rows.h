@@ -17,38 +17,12 @@ struct row {
     row_part part[ROW_PARTS];
 };
 
-LANES_INLINE row_part row_part_min(row_part a, row_part b)
-{
+/* An intrinsic for a part of a row. */
 #ifdef __AVX2__
-    return _mm256_min_pd(a, b);
+#define ROW_CALL(name) _mm256_##name
 #elif defined __SSE2__
-    return _mm_min_pd(a, b);
-#else
-    return (row_part){a[0] < b[0] ? a[0] : b[0], a[1] < b[1] ? a[1] : b[1]};
+#define ROW_CALL(name) _mm_##name
 #endif
-}
-
-LANES_INLINE row_part row_part_max(row_part a, row_part b)
-{
-#ifdef __AVX2__
-    return _mm256_max_pd(a, b);
-#elif defined __SSE2__
-    return _mm_max_pd(a, b);
-#else
-    return (row_part){a[0] > b[0] ? a[0] : b[0], a[1] > b[1] ? a[1] : b[1]};
-#endif
-}
-
-LANES_INLINE row_part row_part_sqrt(row_part x)
-{
-#ifdef __AVX2__
-    return _mm256_sqrt_pd(x);
-#elif defined __SSE2__
-    return _mm_sqrt_pd(x);
-#else
-    return (row_part){sqrt(x[0]), sqrt(x[1])};
-#endif
-}
 
 LANES_INLINE struct row row_load(const double *from)
 {
@@ -92,11 +66,15 @@ LANES_INLINE struct row row_quotient(struct row a, struct row b)
     return a;
 }
 
-LANES_INLINE struct row row_sqrt(struct row x)
+LANES_INLINE struct row row_sqrt(struct row a)
 {
     for (int i = 0; i < ROW_PARTS; i++)
-        x.part[i] = row_part_sqrt(x.part[i]);
-    return x;
+#ifdef ROW_CALL
+        a.part[i] = ROW_CALL(sqrt_pd)(a.part[i]);
+#else
+        a.part[i] = (row_part){sqrt(a.part[i][0]), sqrt(a.part[i][1])};
+#endif
+    return a;
 }
 
 LANES_INLINE struct row row_times(double factor, struct row x)
@@ -256,14 +234,24 @@ LANES_INLINE uint32_t bits_of_sixteen(const uint32_t from[16])
 LANES_INLINE struct row row_min(struct row a, struct row b)
 {
     for (int i = 0; i < ROW_PARTS; i++)
-        a.part[i] = row_part_min(a.part[i], b.part[i]);
+#ifdef ROW_CALL
+        a.part[i] = ROW_CALL(min_pd)(a.part[i], b.part[i]);
+#else
+        a.part[i] = (row_part){a.part[i][0] < b.part[i][0] ? a.part[i][0] : b.part[i][0],
+                               a.part[i][1] < b.part[i][1] ? a.part[i][1] : b.part[i][1]};
+#endif
     return a;
 }
 
 LANES_INLINE struct row row_max(struct row a, struct row b)
 {
     for (int i = 0; i < ROW_PARTS; i++)
-        a.part[i] = row_part_max(a.part[i], b.part[i]);
+#ifdef ROW_CALL
+        a.part[i] = ROW_CALL(max_pd)(a.part[i], b.part[i]);
+#else
+        a.part[i] = (row_part){a.part[i][0] > b.part[i][0] ? a.part[i][0] : b.part[i][0],
+                               a.part[i][1] > b.part[i][1] ? a.part[i][1] : b.part[i][1]};
+#endif
     return a;
 }
 
