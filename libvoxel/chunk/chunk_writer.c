@@ -11,6 +11,8 @@
 
 #define CHILD_LEVELS     2u
 #define CHILD_PAGE_BYTES 8192u
+/* Triangles that a batch with a single part leaves unused, at most. */
+#define PART_GAPS 32u
 
 struct batches {
     struct bsq_ctx *ctx;
@@ -91,7 +93,7 @@ static void divide_memory(struct batches *b)
         b->capacity = all;
     if (b->capacity < carry + 4096)
         b->capacity = carry + 4096;
-    b->part_limit = enough ? all : (b->capacity - carry) / 2;
+    b->part_limit = enough ? all : b->capacity - carry - PART_GAPS;
 }
 
 static int allocate(struct batches *b)

@@ -145,6 +145,7 @@ static int divide_memory(struct reading *r, uint64_t *pages)
     uint64_t batches = unused / 3;
     int status = 0;
     batches = batches < 24 * MIB ? 24 * MIB : batches > 128 * MIB ? 128 * MIB : batches;
+    batches += r->spilled ? vertices / 4 : 0; /* bits and ranks of chunk/gather_window.h */
     if (r->spilled)
         BSQ_TRY(make_table(r, left));
     if (r->spilled && r->vertex_buckets.levels == 0)
