@@ -11,6 +11,7 @@
 #include "base/context_internal.h"
 #include "base/text.h"
 #include "base/context.h"
+#include "base/simd/simd.h"
 
 /* The message if there is no memory to format one; never freed. */
 static char no_memory_text[] = "out of memory";
@@ -35,6 +36,15 @@ static void resolve_options(struct bsq_ctx_options *options)
         options->threads = machine.processors;
     if (options->threads > most)
         options->threads = (unsigned)most;
+}
+
+/* A name that is mistyped would otherwise look as if all instruction sets were equally fast. */
+static void check_simd(struct bsq_ctx *ctx)
+{
+    const char *name = getenv("BSQ_SIMD");
+    enum bsq_simd level;
+    if (!bsq_simd_named(name, &level))
+        bsq_warn(ctx, "BSQ_SIMD=%s has no effect: this processor has no such level", name);
 }
 
 const char *bsq_version(void)
@@ -72,6 +82,7 @@ int bsq_ctx_create(const struct bsq_ctx_options *options, struct bsq_ctx **out)
     if (ctx->options.threads < wanted_threads)
         bsq_warn(ctx, "%u threads are more than this machine can use: %u are used", wanted_threads,
                  ctx->options.threads);
+    check_simd(ctx);
     *out = ctx;
     return 0;
 }

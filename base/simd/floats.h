@@ -193,6 +193,8 @@ LANES_INLINE void floats_load_rows(const void *const from[SIMD_FLOATS], size_t o
     }
     floats_transpose_fours(out);
 #else
+    for (int w = 0; w < 4; w++)
+        out[w] = (floats){0}; /* or compilers see lanes without a value */
     for (int i = 0; i < SIMD_FLOATS; i++) {
         float words[4];
         memcpy(words, (const char *)from[i] + offset, sizeof words);

@@ -11,6 +11,8 @@
 #ifndef BSQ_SIMD_SIMD_H
 #define BSQ_SIMD_SIMD_H
 
+#include <stdbool.h>
+
 #include "base/simd/eights.h"
 #include "base/simd/floats.h"
 #include "base/simd/lanes.h"
@@ -23,16 +25,29 @@ enum bsq_simd {
     BSQ_SIMD_AVX512
 };
 
-/* Returns the highest level that this processor can run. */
+/* Returns the level that jobs use: the highest that this processor can run, or a lower one that
+ * BSQ_SIMD of the environment names. The environment is read once. */
 enum bsq_simd bsq_simd_best(void);
 
+/* Sets *out to the level of this name, and to the highest if name is NULL or no level of this
+ * processor has it. Returns false in the last case. */
+bool bsq_simd_named(const char *name, enum bsq_simd *out);
+
 #ifdef __x86_64__
+#define BSQ_SIMD_NAMES                                                                             \
+    {                                                                                              \
+        "sse4.2", "avx2", "avx512"                                                                 \
+    }
 #define BSQ_SIMD_DECLARE(type, name) type name##_base, name##_avx2, name##_avx512
 #define BSQ_SIMD_PICK(level, name)                                                                 \
     ((level) == BSQ_SIMD_AVX512 ? name##_avx512                                                    \
      : (level) == BSQ_SIMD_AVX2 ? name##_avx2                                                      \
                                 : name##_base)
 #else
+#define BSQ_SIMD_NAMES                                                                             \
+    {                                                                                              \
+        "base"                                                                                     \
+    }
 #define BSQ_SIMD_DECLARE(type, name) type name##_base
 #define BSQ_SIMD_PICK(level, name)   ((void)(level), name##_base)
 #endif

@@ -78,12 +78,14 @@ static inline unsigned exact_line_crosses(const struct exact_line *line,
     for (int k = 0; k < 3; k++) {
         const eights near = *(const eights *)(const void *)boxes->planes[line->near[k]][k];
         const eights far = *(const eights *)(const void *)boxes->planes[line->far[k]][k];
-        in = eights_max((near - line->near_origin[k]) * line->inverse[k], in);
-        out = eights_min((far - line->far_origin[k]) * line->inverse[k], out);
+        const eights inverse = eights_splat(line->inverse[k]);
+        in = eights_max((near - eights_splat(line->near_origin[k])) * inverse, in);
+        out = eights_min((far - eights_splat(line->far_origin[k])) * inverse, out);
     }
     in = eights_max(eights_min(in * less, in * more), eights_splat(span.begin));
     out = eights_min(eights_max(out * less, out * more), eights_splat(span.end));
-    *distances = eights_max(eights_max(in - from, from - out), eights_splat(0.0f));
+    const eights origin = eights_splat(from);
+    *distances = eights_max(eights_max(in - origin, origin - out), eights_splat(0.0f));
     return eights_not_above(in, out);
 }
 

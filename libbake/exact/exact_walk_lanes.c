@@ -239,16 +239,19 @@ static inline unsigned beam_crosses(const struct beam *beam, const struct exact_
 {
     const eights *low = (const eights *)(const void *)boxes->planes[0],
                  *high = (const eights *)(const void *)boxes->planes[1];
-    const eights from = eights_max(low[beam->kz], eights_splat(beam->begin)),
+    const eights begin = eights_splat(beam->begin), scale = eights_splat(beam->scale);
+    const eights from = eights_max(low[beam->kz], begin),
                  to = eights_min(high[beam->kz], eights_splat(beam->end));
-    const eights a = (from - beam->begin) * beam->scale, b = (to - beam->begin) * beam->scale;
+    const eights a = (from - begin) * scale, b = (to - begin) * scale;
     unsigned bits = eights_not_above(from, to);
     for (int i = 0; i < 2; i++) {
         const int k = beam->axes[i];
-        const eights least = beam->first[0][i] +
-                             eights_min(a * beam->change[0][i], b * beam->change[0][i]),
-                     most = beam->first[1][i] +
-                            eights_max(a * beam->change[1][i], b * beam->change[1][i]);
+        const eights low_change = eights_splat(beam->change[0][i]),
+                     high_change = eights_splat(beam->change[1][i]);
+        const eights least = eights_splat(beam->first[0][i]) +
+                             eights_min(a * low_change, b * low_change),
+                     most = eights_splat(beam->first[1][i]) +
+                            eights_max(a * high_change, b * high_change);
         bits &= eights_not_above(least, high[k]) & eights_not_above(low[k], most);
     }
     return bits;

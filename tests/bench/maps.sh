@@ -1,6 +1,6 @@
 #!/bin/sh
-# Measures what maps cost beside the normal map, how many secondary rays a grid traces beside Embree, and where the time of
-# --maps all goes. All is processor time. Prints tables in Markdown; tests/bench/BAKE.md says how to read them.
+# Measures what maps cost beside the normal map, how many secondary rays a grid traces beside Embree, where the time of
+# --maps all goes, and what older instruction sets cost. All is processor time. Prints tables in Markdown; tests/bench/BAKE.md says how to read them.
 #
 #   BIN=DIR TESTS=DIR tests/bench/maps.sh small|medium
 #
@@ -49,16 +49,21 @@ fi
 say "maps and rays"
 "$TESTS/bench-maps" "$scan.nvdb" "$scan.tris" "$low" $size 1 64 "$rounds"
 
-# seconds MAPS: prints the processor time of a bake, without the preview.
+# seconds COMMAND...: prints its processor time.
 seconds()
 {
-    say "--maps $1"
+    say "$*"
     (
-        "$BIN/bisque-bake" --progress none --device cpu --size $all --samples 1 --maps "$1" \
-            -o "$work/map_<MAP>.exr" "$scan.nvdb" "$low" >/dev/null
+        "$@" >/dev/null
         times
     ) | tail -n 1 |
         awk '{ for (i = 1; i <= 2; i++) { split($i, t, /[ms]/); s += 60 * t[1] + t[2] } printf "%.2f", s }'
+}
+
+# bake SCAN SIZE MAPS: without the preview.
+bake()
+{
+    "$BIN/bisque-bake" --progress none --device cpu --size "$2" --samples 1 --maps "$3" -o "$work/map_<MAP>.exr" "$1" "$low"
     rm -f "$work"/map_*.exr
 }
 
@@ -68,5 +73,41 @@ echo
 echo "| maps | seconds |"
 echo "|:-----|--------:|"
 for maps in normal normal,height,position normal,curvature normal,ao normal,ao,bent normal,thickness all; do
-    echo "| $maps | $(seconds $maps) |"
+    echo "| $maps | $(seconds bake "$scan.nvdb" $all $maps) |"
 done
+
+voxelize()
+{
+    "$BIN/bisque-voxelize" --progress none --resolution $resolution "$scan.tris" -o "$work/again.nvdb"
+    rm "$work/again.nvdb"
+}
+
+# levels JOB COMMAND...: prints a row with the medians of rounds that take turns.
+levels()
+{
+    job=$1
+    shift
+    for round in $(seq "$rounds"); do
+        for level in avx512 avx2 sse4.2; do
+            export BSQ_SIMD=$level
+            echo "$level $(seconds "$@")"
+        done
+    done | sort -k 1,1 -k 2,2n | awk -v job="$job" -v rounds="$rounds" '
+        ++seen[$1] == int((rounds + 1) / 2) { s[$1] = $2 }
+        END {
+            printf "| %s | %.2f | %.2f | %.2f | %.2f | %.2f |\n", job, s["avx512"], s["avx2"], s["sse4.2"],
+                s["avx2"] / s["avx512"], s["sse4.2"] / s["avx512"]
+        }'
+}
+
+# Jobs say if the processor lacks an instruction set; the next one below it is measured then.
+echo
+echo "Processor time in seconds with each instruction set:"
+echo
+echo "| job | AVX-512 | AVX2 | SSE4.2 | AVX2 / AVX-512 | SSE4.2 / AVX-512 |"
+echo "|:----|--------:|-----:|-------:|---------------:|-----------------:|"
+levels "voxelizing chunks" voxelize
+levels "grid: normal, $all" bake "$scan.nvdb" $all normal
+levels "grid: normal, ao, $size" bake "$scan.nvdb" $size normal,ao
+levels "exact: normal, $all" bake "$scan.tris" $all normal
+levels "exact: normal, ao, $((size / 2))" bake "$scan.tris" $((size / 2)) normal,ao

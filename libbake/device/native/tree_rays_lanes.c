@@ -53,7 +53,7 @@ static inline four_floats four_steps(const struct bake_tree_node *node)
     return (four_floats)(((first & 7) << 24) + (127 << 23));
 }
 
-#define SPLAT_LANE(v, n) __builtin_shufflevector(v, v, n, n, n, n, n, n, n, n)
+#define SPLAT_LANE(v, n) eights_splat((v)[n])
 
 /* Returns the children of a node that a ray may meet in a section of it, one bit each. */
 static inline uint32_t meet_children(const struct bake_tree_ray *ray,
@@ -257,7 +257,7 @@ struct boxes {
 static uint32_t find_boxes(const struct bundle *bundle, const struct bake_tree_ray *ray,
                            const struct bake_tree_node *node, struct boxes *boxes)
 {
-    const float unit = (float)(1u << bake_tree_shift(node));
+    const eights unit = eights_splat((float)(1u << bake_tree_shift(node)));
     const float *normal = bundle->point->normal;
     eights ahead = eights_splat(0.0f);
     float slack = 0.0f;
@@ -267,11 +267,14 @@ static uint32_t find_boxes(const struct bundle *bundle, const struct bake_tree_r
         const float from =
             (float)(bake_tree_corner(node, axis) - ray->base[axis]) - ray->start[axis];
         const float margin = bundle->point->margins[axis];
-        const eights low = eights_of_bytes(node->borders[axis][0]) * unit + (from - margin);
-        const eights high = eights_of_bytes(node->borders[axis][1]) * unit + (from + margin);
+        const eights low =
+            eights_of_bytes(node->borders[axis][0]) * unit + eights_splat(from - margin);
+        const eights high =
+            eights_of_bytes(node->borders[axis][1]) * unit + eights_splat(from + margin);
         met &= eights_not_above(low, eights_splat(bundle->high[axis])) &
                eights_not_above(eights_splat(bundle->low[axis]), high);
-        ahead += eights_max(low * normal[axis], high * normal[axis]);
+        const eights slope = eights_splat(normal[axis]);
+        ahead += eights_max(low * slope, high * slope);
         slack += 8.0f * margin;
         memcpy(boxes->low[axis], &low, sizeof low);
         memcpy(boxes->high[axis], &high, sizeof high);
