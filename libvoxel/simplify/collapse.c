@@ -373,7 +373,8 @@ static bool collect_changed(struct vox_rings *r, uint32_t u, uint32_t v, const f
         vox_triangle_normal(moved, (const uint32_t[3]){0, 1, 2}, to->normal);
         for (VOX_EACH_CORNER(r, a, j)) {
             double normal[3];
-            if (j / 8 == k / 8 || (vox_after(r, j) != b && vox_before(r, j) != b))
+            if (vox_words(r, j) == vox_words(r, k) ||
+                (vox_after(r, j) != b && vox_before(r, j) != b))
                 continue;
             vox_triangle_normal(positions, vox_corners(r, j), normal);
             if (vox_after(r, j) != v && vox_before(r, j) != v && is_fold(to->normal, normal))

@@ -35,15 +35,16 @@ static int link_corners(struct vox_rings *r)
     const struct vox_mesh *mesh = r->mesh;
     memset(r->corner, 0xff, mesh->vertex_count * sizeof *r->corner);
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
-        const uint32_t *v = mesh->triangles[t];
-        r->triangles[t] = (struct vox_ring_triangle){{v[2], v[0], v[1], v[2], v[0]}, {0}};
+        const uint32_t *v = mesh->triangles[t], words[] = {v[2], v[0], v[1], v[2], v[0]};
+        memcpy(vox_words(r, VOX_RING_WORDS * t), words, sizeof words);
         for (uint32_t k = 0; k < 3; k++) {
-            uint32_t *first = &r->corner[v[k]], corner = 8 * t + k + 1;
+            const uint32_t corner = VOX_RING_WORDS * t + 1 + k;
+            uint32_t *first = &r->corner[v[k]], *link = &r->words[corner + VOX_LINK];
             if (*first == VOX_NONE) {
-                *first = r->triangles[t].next[k] = corner;
+                *first = *link = corner;
             } else {
-                r->triangles[t].next[k] = *vox_link(r, *first);
-                *vox_link(r, *first) = corner;
+                *link = r->words[*first + VOX_LINK];
+                r->words[*first + VOX_LINK] = corner;
             }
         }
     }
@@ -59,8 +60,8 @@ bool vox_rings_is_border(struct vox_rings *r, uint32_t u, uint32_t v)
         if (vox_after(r, k) != v && vox_before(r, k) != v)
             continue;
         if (count++ == 0)
-            first = k / 8;
-        differ |= materials && materials[k / 8] != materials[first];
+            first = k / VOX_RING_WORDS;
+        differ |= materials && materials[k / VOX_RING_WORDS] != materials[first];
     }
     return count == 1 || differ;
 }
@@ -72,7 +73,7 @@ static void flag_seams(struct vox_rings *r, uint32_t v, uint8_t border)
     unsigned borders = 0;
     bool differ = false;
     for (VOX_EACH_CORNER(r, v, k))
-        differ |= materials[k / 8] != materials[k_first / 8];
+        differ |= materials[k / VOX_RING_WORDS] != materials[k_first / VOX_RING_WORDS];
     if (!differ)
         return;
     const uint32_t seen = ++r->walk;
@@ -86,25 +87,25 @@ static void flag_seams(struct vox_rings *r, uint32_t v, uint8_t border)
     r->flags[v] |= borders == 2 ? border : border | VOX_LOCKED;
 }
 
-/* Flags a vertex by how many triangles each of its edges has. */
+/* Flags a vertex by how many triangles each of its edges has: marks count up to three. */
 static void flag_vertex(struct vox_rings *r, uint32_t v, uint8_t border)
 {
     const uint32_t once = r->walk;
+    unsigned single = 0;
+    bool crowded = false;
     r->walk += 3;
     for (VOX_EACH_CORNER(r, v, k)) {
         const uint32_t ends[2] = {vox_after(r, k), vox_before(r, k)};
         for (int i = 0; i < 2; i++) {
             uint32_t *mark = &r->marks[ends[i]];
-            *mark = *mark <= once ? once + 1 : *mark < once + 3 ? *mark + 1 : *mark;
+            const uint32_t before = *mark > once ? *mark - once : 0;
+            *mark = once + (before < 3 ? before + 1 : 3);
+            single += before == 0;
+            single -= before == 1;
+            crowded |= before >= 2;
         }
     }
-    for (VOX_EACH_CORNER(r, v, k)) {
-        const uint32_t ends[2] = {vox_after(r, k), vox_before(r, k)};
-        for (int i = 0; i < 2; i++)
-            r->flags[v] |= r->marks[ends[i]] == once + 1   ? border
-                           : r->marks[ends[i]] == once + 3 ? VOX_LOCKED
-                                                           : 0;
-    }
+    r->flags[v] |= (single > 0 ? border : 0) | (crowded ? VOX_LOCKED : 0);
     if (r->mesh->materials)
         flag_seams(r, v, border);
 }
@@ -116,7 +117,8 @@ int vox_rings_build(struct bsq_ctx *ctx, struct vox_mesh *mesh, bool lock_border
     const uint64_t vertices = mesh->vertex_count;
     int status = 0;
     *r = (struct vox_rings){.ctx = ctx, .mesh = mesh, .alive = mesh->triangle_count};
-    BSQ_TRY(bsq_alloc(ctx, what, mesh->triangle_count, sizeof *r->triangles, &r->triangles));
+    BSQ_TRY(
+        bsq_alloc(ctx, what, mesh->triangle_count, VOX_RING_WORDS * sizeof *r->words, &r->words));
     BSQ_TRY(bsq_alloc(ctx, what, vertices, sizeof *r->corner, &r->corner));
     BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *r->marks, &r->marks));
     BSQ_TRY(bsq_calloc(ctx, what, vertices, sizeof *r->flags, &r->flags));
@@ -135,40 +137,43 @@ void vox_rings_free(struct vox_rings *r)
     bsq_free(r->ctx, r->flags);
     bsq_free(r->ctx, r->marks);
     bsq_free(r->ctx, r->corner);
-    bsq_free(r->ctx, r->triangles);
+    bsq_free(r->ctx, r->words);
 }
 
-unsigned vox_rings_edge(struct vox_rings *r, uint32_t u, uint32_t v, uint32_t opposite[2])
+static bool is_edge(uint32_t a, uint32_t b, const uint32_t ends[2])
 {
-    unsigned count = 0;
-    for (VOX_EACH_CORNER(r, u, k)) {
-        if (vox_after(r, k) != v && vox_before(r, k) != v)
-            continue;
-        if (count < 2)
-            opposite[count] = vox_after(r, k) == v ? vox_before(r, k) : vox_after(r, k);
-        count++;
-    }
-    return count;
+    return (a == ends[0] && b == ends[1]) || (a == ends[1] && b == ends[0]);
+}
+
+/* Returns whether an edge lies opposite to a vertex. */
+static bool has_opposite(struct vox_rings *r, uint32_t v, const uint32_t ends[2])
+{
+    bool has = false;
+    for (VOX_EACH_CORNER(r, v, k))
+        has |= is_edge(vox_after(r, k), vox_before(r, k), ends);
+    return has;
 }
 
 bool vox_rings_keep_topology(struct vox_rings *r, uint32_t u, uint32_t v)
 {
-    uint32_t opposite[2];
-    const unsigned count = vox_rings_edge(r, u, v, opposite);
+    const uint32_t around_u = r->walk + 1, around_v = r->walk + 2;
+    uint32_t opposite[2] = {VOX_NONE, VOX_NONE};
+    unsigned count = 0, common = 0; /* triangles at the edge; vertices next to u and v */
+    bool spans = false;
+    r->walk += 2;
+    for (VOX_EACH_CORNER(r, u, k)) {
+        const uint32_t a = vox_after(r, k), b = vox_before(r, k);
+        r->marks[a] = r->marks[b] = around_u;
+        if (a != v && b != v)
+            continue;
+        if (count < 2)
+            opposite[count] = a == v ? b : a;
+        count++;
+    }
     const bool both_border = r->flags[u] & r->flags[v] & VOX_BORDER;
     if (count == 0 || count > 2 || (count == 2 && opposite[0] == opposite[1]) ||
         (count == 2 && both_border && !vox_rings_is_border(r, u, v)))
         return false;
-    const uint32_t around_u = r->walk + 1, around_v = r->walk + 2;
-    r->walk += 2;
-    unsigned common = 0;
-    bool u_spans = false, v_spans = false;
-    for (VOX_EACH_CORNER(r, u, k)) {
-        const uint32_t a = vox_after(r, k), b = vox_before(r, k);
-        r->marks[a] = r->marks[b] = around_u;
-        u_spans |= count == 2 && (a == opposite[0] || a == opposite[1]) &&
-                   (b == opposite[0] || b == opposite[1]);
-    }
     for (VOX_EACH_CORNER(r, v, k)) {
         const uint32_t ends[2] = {vox_after(r, k), vox_before(r, k)};
         for (int i = 0; i < 2; i++)
@@ -176,10 +181,9 @@ bool vox_rings_keep_topology(struct vox_rings *r, uint32_t u, uint32_t v)
                 r->marks[ends[i]] = around_v;
                 common += ends[i] != u;
             }
-        v_spans |= count == 2 && (ends[0] == opposite[0] || ends[0] == opposite[1]) &&
-                   (ends[1] == opposite[0] || ends[1] == opposite[1]);
+        spans |= is_edge(ends[0], ends[1], opposite);
     }
-    return common == count && !(u_spans && v_spans);
+    return common == count && !(spans && has_opposite(r, u, opposite));
 }
 
 bool vox_rings_keep_orientation(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3])
@@ -211,19 +215,19 @@ void vox_rings_join(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3
     const uint32_t start = r->corner[v];
     uint32_t k = start;
     do { /* through all corners, also those that are gone */
-        struct vox_ring_triangle *triangle = &r->triangles[k / 8];
-        uint32_t *vertices = triangle->vertices;
+        uint32_t *words = vox_words(r, k);
         if (!vox_is_gone(r, k)) {
             const bool has_both = vox_after(r, k) == u || vox_before(r, k) == u;
             for (int i = 0; i < 5; i++)
-                vertices[i] = has_both ? VOX_NONE : vertices[i] == v ? u : vertices[i];
+                words[i] = has_both ? VOX_NONE : words[i] == v ? u : words[i];
             r->alive -= has_both;
         }
-        k = *vox_link(r, k);
+        k = r->words[k + VOX_LINK];
     } while (k != start);
-    const uint32_t swapped = *vox_link(r, start);
-    *vox_link(r, start) = *vox_link(r, r->corner[u]);
-    *vox_link(r, r->corner[u]) = swapped;
+    uint32_t *link = &r->words[start + VOX_LINK], *other = &r->words[r->corner[u] + VOX_LINK];
+    const uint32_t swapped = *link;
+    *link = *other;
+    *other = swapped;
     r->corner[v] = VOX_NONE;
     memcpy(r->mesh->positions[u], p, sizeof *r->mesh->positions);
     r->flags[u] |= r->flags[v];
@@ -236,7 +240,7 @@ void vox_rings_compact(struct vox_rings *r)
     uint32_t vertices = 0, triangles = 0;
     memset(numbers, 0xff, mesh->vertex_count * sizeof *numbers);
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
-        const uint32_t *corners = vox_corners(r, 8 * t);
+        const uint32_t *corners = vox_corners(r, VOX_RING_WORDS * t);
         if (corners[0] == VOX_NONE)
             continue;
         for (int k = 0; k < 3; k++)

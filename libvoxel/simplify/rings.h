@@ -18,20 +18,19 @@ enum {
     VOX_CHECK_EVERY = 1024 /* collapses between two looks at an interruption */
 };
 
-/* A triangle a, b, c. Corners have numbers: 8 times that of the triangle, and 1, 2 or 3. */
-struct vox_ring_triangle {
-    uint32_t vertices[5]; /* c, a, b, c, a: so each corner has those before and after beside it */
-    uint32_t next[3];     /* of each corner: the next one in its vertex's ring */
-};
+/* Words of a triangle a, b, c: vertices c, a, b, c, a, so that each corner has those before and
+ * after beside it; then, of each corner, the next one in its vertex's ring. The number of a corner
+ * is that of the word of its vertex, the second to the fourth. */
+enum { VOX_RING_WORDS = 8, VOX_LINK = 4 /* words from a corner to its link */ };
 
 struct vox_rings {
     struct bsq_ctx *ctx;
     struct vox_mesh *mesh; /* its triangles are out of date until vox_rings_compact() */
     uint32_t alive;        /* triangles */
-    struct vox_ring_triangle *triangles; /* those that are gone have VOX_NONE as all vertices */
-    uint32_t *corner;                    /* of each vertex: a corner of its ring, or VOX_NONE */
-    uint8_t *flags;                      /* of vertices */
-    uint32_t *marks;                     /* of vertices: the walk that found them last */
+    uint32_t *words;       /* of triangles; those that are gone have VOX_NONE as all vertices */
+    uint32_t *corner;      /* of each vertex: a corner of its ring, or VOX_NONE */
+    uint8_t *flags;        /* of vertices */
+    uint32_t *marks;       /* of vertices: the walk that found them last */
     uint32_t walk;
 };
 
@@ -41,9 +40,6 @@ struct vox_rings {
 int vox_rings_build(struct bsq_ctx *ctx, struct vox_mesh *mesh, bool lock_borders,
                     struct vox_rings *rings);
 void vox_rings_free(struct vox_rings *rings);
-
-/* Returns the number of triangles at an edge, and up to two vertices opposite to it. */
-unsigned vox_rings_edge(struct vox_rings *r, uint32_t u, uint32_t v, uint32_t opposite[2]);
 
 /* Returns whether an edge has one triangle, or triangles of different materials. */
 bool vox_rings_is_border(struct vox_rings *r, uint32_t u, uint32_t v);
@@ -65,29 +61,29 @@ void vox_rings_compact(struct vox_rings *r);
 /* Solves A x = b for a positive definite A, by Cholesky's method. Returns false if it is not. */
 bool vox_solve(const double a[6], const double b[3], double x[3]);
 
+/* The words of a corner's triangle. */
+static inline uint32_t *vox_words(const struct vox_rings *r, uint32_t corner)
+{
+    return &r->words[corner & ~(VOX_RING_WORDS - 1U)];
+}
+
 static inline bool vox_is_gone(const struct vox_rings *r, uint32_t corner)
 {
-    return r->triangles[corner / 8].vertices[0] == VOX_NONE;
+    return *vox_words(r, corner) == VOX_NONE;
 }
 
 /* The corners of a corner's triangle, in the order of the mesh. */
 static inline const uint32_t *vox_corners(const struct vox_rings *r, uint32_t corner)
 {
-    return r->triangles[corner / 8].vertices + 1;
-}
-
-/* The corner after `corner` in its ring. */
-static inline uint32_t *vox_link(struct vox_rings *r, uint32_t corner)
-{
-    return &r->triangles[corner / 8].next[corner % 8 - 1];
+    return vox_words(r, corner) + 1;
 }
 
 /* Returns the corner after `corner` in its ring, and drops those of triangles that are gone. */
 static inline uint32_t vox_next_corner(struct vox_rings *r, uint32_t corner)
 {
-    uint32_t next = *vox_link(r, corner);
+    uint32_t next = r->words[corner + VOX_LINK];
     while (vox_is_gone(r, next) && next != corner)
-        next = *vox_link(r, corner) = *vox_link(r, next);
+        next = r->words[corner + VOX_LINK] = r->words[next + VOX_LINK];
     return next;
 }
 
@@ -106,11 +102,11 @@ static inline uint32_t vox_first_corner(struct vox_rings *r, uint32_t vertex)
 /* The other corners of a corner's triangle, in their order. */
 static inline uint32_t vox_after(const struct vox_rings *r, uint32_t corner)
 {
-    return r->triangles[corner / 8].vertices[corner % 8 + 1];
+    return r->words[corner + 1];
 }
 static inline uint32_t vox_before(const struct vox_rings *r, uint32_t corner)
 {
-    return r->triangles[corner / 8].vertices[corner % 8 - 1];
+    return r->words[corner - 1];
 }
 
 /* Walks along the ring of a vertex: for (each corner k of vertex v). */
