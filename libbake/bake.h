@@ -271,9 +271,8 @@ struct bake_options {
     bool rows_only;  /**< Maps have no files; output_path only chooses how samples are encoded. */
     const char *page_path; /**< Name of the page that the caller writes, or NULL: no other output
                                 may have it. */
-    /** Folder of maps that the page compares with those of the same names, or NULL. Without a page,
-     * nobody reads them. */
-    const char *reference_path;
+    const char *reference_path; /**< Folder of maps with which the caller compares those of the same
+                                     names, or NULL. */
     struct bake_page *page; /**< Gets the mesh, the preview and the misses; NULL: there is none. */
 };
 

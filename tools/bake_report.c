@@ -387,7 +387,8 @@ struct references {
     json_t *comparisons;
 };
 
-/* Compares a map with its reference, if it has one, and shows that on the page. */
+/* Compares a map with its reference, if it has one; prints the figures and shows both on the page.
+ */
 static int compare_map(void *arg, const struct bake_file *file)
 {
     struct references *r = arg;
@@ -410,42 +411,49 @@ static int compare_map(void *arg, const struct bake_file *file)
     options.b_mask_path = masked ? r->masks[1] : NULL;
     options.page = r->page;
     const int status = bake_compare(r->cli->ctx, &options, &report);
-    if (status == 0)
-        cli_json_append(&r->comparisons, page_comparison_json(&options, &report));
-    return status;
+    if (status < 0)
+        return status;
+    cli_json_append(&r->comparisons, page_comparison_json(&options, &report));
+    if (!r->cli->json)
+        cli_print("%s against %s: mean %.4g, p99 %.4g, max %.4g (%s)\n", file->path, path,
+                  report.mean, report.p99, report.max, bake_compare_unit(report.kind));
+    return 0;
 }
 
-/* Compares all maps that have a reference, and completes the page. */
-static int end_page(struct cli *cli, const struct bake_arguments *arguments,
-                    const struct bake_report *report, json_t **root)
+/* Compares all maps that have a reference. Sets *comparisons to a list, or NULL without memory. */
+static int compare_maps(struct cli *cli, const struct bake_options *bake,
+                        const struct bake_report *report, json_t **comparisons)
 {
-    const struct bake_options *bake = &arguments->bake;
-    const struct cli_table table = bake_arguments_table(arguments);
     struct references r = {cli, bake->reference_path, bake->page, false, {"", ""}, json_array()};
     int status = 0;
-    for (uint32_t i = 0; r.folder && i < 2 * report->tile_count; i++) {
+    for (uint32_t i = 0; r.folder && i < 2 * report->tile_count && status == 0; i++) {
         r.seeks_masks = i % 2 == 0;
         if (r.seeks_masks)
             r.masks[0][0] = '\0';
-        BSQ_TRY(bake_list_files(cli->ctx, bake, &report->tiles[i / 2], compare_map, &r));
+        status = bake_list_files(cli->ctx, bake, &report->tiles[i / 2], compare_map, &r);
     }
-    cli_json_set(root, "comparisons", json_incref(r.comparisons));
-    status = page_end(cli, bake->page, json_incref(*root), &table);
-done:
-    json_decref(r.comparisons);
+    *comparisons = r.comparisons;
     return status;
 }
 
 int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
                       struct bake_report *report)
 {
+    const struct bake_options *bake = &arguments->bake;
+    const struct cli_table table = bake_arguments_table(arguments);
+    json_t *root = NULL, *comparisons = NULL;
+    int status = 0;
     hint_at_misses(cli, arguments, report);
     hint_at_overlaps(cli, arguments, report);
-    json_t *root = report_json(cli, arguments, report);
-    int status = arguments->bake.page ? end_page(cli, arguments, report, &root) : 0;
-    if (status == 0)
-        status = cli->json ? cli_print_json(cli, json_incref(root))
-                           : print_report(cli, arguments, report);
+    BSQ_TRY(compare_maps(cli, bake, report, &comparisons));
+    root = report_json(cli, arguments, report);
+    cli_json_set(&root, "comparisons", json_incref(comparisons));
+    if (bake->page)
+        BSQ_TRY(page_end(cli, bake->page, json_incref(root), &table));
+    status = cli->json ? cli_print_json(cli, json_incref(root))
+                       : print_report(cli, arguments, report);
+done:
+    json_decref(comparisons);
     json_decref(root);
     return status;
 }

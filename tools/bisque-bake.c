@@ -18,9 +18,9 @@ static int bake_maps(struct cli *cli, struct bake_arguments *arguments, bool *mi
         status = bake_farm_plan(cli, arguments, &report);
         goto done;
     }
+    if (bake->reference_path)
+        BSQ_TRY(bake_report_note_references(cli, bake->reference_path));
     if (bake->page_path) {
-        if (bake->reference_path)
-            BSQ_TRY(bake_report_note_references(cli, bake->reference_path));
         BSQ_TRY(bake_page_open(cli->ctx, bake->page_path, &bake->page));
         bake->on_rows = bake_page_take;
         bake->rows_user = bake->page;
@@ -90,9 +90,12 @@ static int merge(struct cli *cli, struct bake_arguments *arguments,
                                   : bake_describe_plan(plan).options->max_missed;
     arguments->bake = *bake_describe_plan(plan).options;
     arguments->bake.max_missed = max_missed;
-    const int status = arguments->farm.task.given
-                           ? merge_tiles(cli, arguments, plan)
-                           : merge_tile(cli, arguments, plan, BAKE_ALL_TILES, missed);
+    int status = 0;
+    if (arguments->bake.reference_path)
+        BSQ_TRY(bake_report_note_references(cli, arguments->bake.reference_path));
+    status = arguments->farm.task.given ? merge_tiles(cli, arguments, plan)
+                                        : merge_tile(cli, arguments, plan, BAKE_ALL_TILES, missed);
+done:
     /* The plan owns what these point to. */
     arguments->bake.transfers = NULL;
     arguments->bake.transfer_count = 0;

@@ -19,8 +19,7 @@ enum {
     GPU = PADDED_MAP << 3,
     GRID = PADDED_MAP << 4,
     GRID_TO_SAMPLE = PADDED_MAP << 5,
-    BARE_TRIANGLES = PADDED_MAP << 6,
-    PAGE = PADDED_MAP << 7
+    BARE_TRIANGLES = PADDED_MAP << 6
 };
 
 /* Returns whether a map has padding; the mask has none. */
@@ -43,8 +42,6 @@ static const char *lacks(uint32_t need, const struct bake_options *options,
         return options->normal_space == BAKE_TANGENT_SPACE ? NULL : "--normal space=tangent";
     case PREVIEW:
         return options->preview_path || options->page_path ? NULL : "--preview or --report";
-    case PAGE:
-        return options->page_path ? NULL : "--report";
     case GPU:
         return strcmp(options->device, "cpu") != 0 ? NULL : "a device other than cpu";
     case GRID_TO_SAMPLE: /* the nearest voxel of triangles is an error later */
@@ -224,9 +221,9 @@ static const struct bsq_option table[] = {
              "lost, and the command"),
      MEMBER(OUTPUT, page_path)},
     {BSQ_ROW("reference", "DIR",
-             "folder of maps, such as exact ones: the page shows how far those of\n"
-             "the same names are from them"),
-     MEMBER(INPUT, reference_path), .needs = PAGE},
+             "folder of maps, such as exact ones: tell how far those of the same\n"
+             "names are from them"),
+     MEMBER(INPUT, reference_path)},
     {KEY("view", "count", "N", "views around the mesh"), .old_name = "preview-views",
      COUNT(preview_views, 1, BAKE_MAX_VIEWS, 4), .needs = PREVIEW},
     {KEY("view", "from", "DEG", "of the first view, around from the front; auto: the most telling"),
@@ -288,7 +285,7 @@ void bake_warn_of_options(struct bsq_ctx *ctx, const struct bake_options *option
             continue;
         if (maps && !(maps & options->maps))
             warn_of_maps(ctx, row, maps);
-        for (uint32_t need = PADDED_MAP; need <= PAGE; need <<= 1)
+        for (uint32_t need = PADDED_MAP; need <= BARE_TRIANGLES; need <<= 1)
             if (row->needs & need && lacks(need, options, scans))
                 warn(ctx, row, lacks(need, options, scans));
     }

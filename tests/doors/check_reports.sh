@@ -14,6 +14,14 @@ mkdir exact
 ok run bisque-bake scan.tris low1.obj --size 512 --maps normal,mask -o 'exact/v_<MAP>.exr'
 ok $bake low1.obj --maps normal,color,mask,height -o 'v_<MAP>.exr' --report asset.html --reference exact
 out_like '^asset.html: report$'
+out_like '^v_normal.exr against exact/v_normal.exr: mean 0\.[0-9]*, p99 [0-9.]*, max [0-9.]* \(degrees\)$'
+ok $bake low1.obj --maps normal -o 'v_<MAP>.exr' --reference exact --json
+json '.comparisons | length == 1'
+mkdir merged
+ok $bake low1.obj --maps normal -o 'merged/v_<MAP>.exr' --reference exact --tasks 2 --plan plan.json
+ok run bisque-bake --plan plan.json --task 0-1
+ok run bisque-bake --plan plan.json --merge
+out_like '^merged/v_normal.exr against .*exact/v_normal.exr: mean 0\.[0-9]*, p99 '
 ok $bake low2.obj --maps normal,color -o 'w_<MAP>.<UDIM>.png' --report tiles.html
 ok $bake low1.obj --front 0.004 --back 0.004 --maps normal,color -o 'x_<MAP>.exr' --report misses.html
 ok run bisque-compare x_normal.exr v_normal.exr --report comparison.html

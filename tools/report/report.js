@@ -87,9 +87,7 @@ function showMisses(item) {
 // ---- the asset in 3D ----
 
 const vertexShader = `
-precision highp float;
-attribute vec3 position, normal; attribute vec4 tangent; attribute vec2 uv;
-uniform mat4 modelViewMatrix, projectionMatrix;
+attribute vec4 tangent;
 varying vec3 n; varying vec4 t; varying vec2 at;
 void main() {
   n = normal; t = tangent; at = uv;
@@ -97,7 +95,6 @@ void main() {
 }`;
 // The lights and the matt surface of bisque-bake's preview.
 const fragmentShader = `
-precision highp float;
 uniform mat3 normalMatrix;
 uniform sampler2D mapColor, mapNormal, mapMissed, mapShown;
 uniform bool hasColor, hasNormal, hasMissed, hasShown, objectSpace, greenDown;
@@ -130,7 +127,7 @@ class Viewer {
     root.traverse(part => part.isMesh && this.parts.push(part));
     for (const part of this.parts) {
       part.tile = tiles.findIndex(tile => tileName(tile) === part.material.name);
-      part.material = new THREE.RawShaderMaterial({vertexShader, fragmentShader, side: THREE.DoubleSide,
+      part.material = new THREE.ShaderMaterial({vertexShader, fragmentShader, side: THREE.DoubleSide,
         uniforms: {objectSpace: {value: meshItem.object_space}, greenDown: {value: meshItem.green_down}},
         polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1});
       part.add(new THREE.LineSegments(new THREE.WireframeGeometry(part.geometry),
