@@ -450,8 +450,8 @@ int bake_report_print(struct cli *cli, const struct bake_arguments *arguments,
     cli_json_set(&root, "comparisons", json_incref(comparisons));
     if (bake->page)
         BSQ_TRY(page_end(cli, bake->page, json_incref(root), &table));
-    status = cli->json ? cli_print_json(cli, json_incref(root))
-                       : print_report(cli, arguments, report);
+    status =
+        cli->json ? cli_print_json(cli, json_incref(root)) : print_report(cli, arguments, report);
 done:
     json_decref(comparisons);
     json_decref(root);
