@@ -6,8 +6,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "base/job_files.h"
-#include "formats/file_kind.h"
 #include "libvoxel/voxel.h"
 #include "tools/cli.h"
 
@@ -24,8 +22,7 @@ struct arguments {
     uint64_t targets[VOX_LEVELS_MAX];
     const char *output;
     char *paths[VOX_LEVELS_MAX];
-    const char **meshes, **chunks; /* inputs by their kind */
-    uint32_t mesh_count;
+    struct cli_scans scans;
 };
 
 /* ---- arguments ---- */
@@ -140,31 +137,17 @@ static int parse_arguments(struct cli *cli, struct arguments *arguments, int arg
 /* ---- the work ---- */
 
 /* Finds out which inputs are meshes and which are chunk files. */
-static int recognise_inputs(struct cli *cli, struct arguments *arguments, char **inputs,
+static int recognise_inputs(struct cli *cli, struct arguments *arguments, const char **inputs,
                             uint32_t count)
 {
     int status = 0;
-    arguments->meshes = calloc((size_t)count + 1, sizeof *arguments->meshes);
-    arguments->chunks = calloc((size_t)count + 1, sizeof *arguments->chunks);
-    if (!arguments->meshes || !arguments->chunks)
-        return bsq_fail_errno(cli->ctx, BSQ_ENOMEM, ENOMEM, "%s", inputs[0]);
-    for (uint32_t i = 0; i < count; i++) {
-        const char *path = inputs[i];
-        enum fmt_kind kind = FMT_KIND_MESH;
-        BSQ_TRY(cli_map_input(cli, &path));
-        BSQ_TRY(fmt_recognise(cli->ctx, path, &kind));
-        if (kind != FMT_KIND_PIPE)
-            BSQ_TRY(bsq_note_input(cli->ctx, path, "the scan"));
-        if (kind == FMT_KIND_NVDB || kind == FMT_KIND_VDB)
-            return bsq_fail(cli->ctx, BSQ_EDATA,
-                            "%s: a grid has no triangles; give the scan or its chunk file (.tris)",
-                            path);
-        if (kind == FMT_KIND_TRIS)
-            arguments->chunks[arguments->simplify.tris_count++] = path;
-        else
-            arguments->meshes[arguments->mesh_count++] = path;
-    }
-    arguments->simplify.tris_paths = arguments->chunks;
+    for (uint32_t i = 0; i < count; i++)
+        BSQ_TRY(cli_map_input(cli, &inputs[i]));
+    BSQ_TRY(cli_recognise_scans(cli, inputs, count,
+                                "a grid has no triangles; give the scan or its chunk file (.tris)",
+                                &arguments->scans));
+    arguments->simplify.tris_paths = arguments->scans.chunks;
+    arguments->simplify.tris_count = arguments->scans.chunk_count;
 done:
     return status;
 }
@@ -176,8 +159,8 @@ static int sort_meshes(struct cli *cli, const struct arguments *arguments,
     struct vox_sort_options options;
     struct vox_sort_report report = {.size = sizeof report};
     vox_sort_defaults(&options);
-    options.scan_paths = arguments->meshes;
-    options.scan_count = arguments->mesh_count;
+    options.scan_paths = arguments->scans.meshes;
+    options.scan_count = arguments->scans.mesh_count;
     options.tris_path = arguments->paths[0];
     options.temp_tris = temp;
     options.ids = arguments->simplify.keep_materials ? VOX_IDS_MATERIAL : VOX_IDS_NONE;
@@ -245,7 +228,8 @@ static int print_json(struct cli *cli, const struct arguments *arguments,
                        "seconds_measure", report->seconds_measure));
 }
 
-static int run(struct cli *cli, struct arguments *arguments, char **inputs, uint32_t input_count)
+static int run(struct cli *cli, struct arguments *arguments, const char **inputs,
+               uint32_t input_count)
 {
     struct vox_simplify_report report = {.size = sizeof report};
     struct vox_temp_tris *temp = NULL;
@@ -253,7 +237,7 @@ static int run(struct cli *cli, struct arguments *arguments, char **inputs, uint
     BSQ_TRY(cli_create_context(cli));
     BSQ_TRY(name_outputs(cli, arguments));
     BSQ_TRY(recognise_inputs(cli, arguments, inputs, input_count));
-    if (arguments->mesh_count > 0) {
+    if (arguments->scans.mesh_count > 0) {
         BSQ_TRY(vox_temp_tris_create(cli->ctx, &temp));
         BSQ_TRY(sort_meshes(cli, arguments, temp));
         arguments->simplify.temp_tris = temp;
@@ -276,10 +260,10 @@ int main(int argc, char **argv)
     cli_begin(&cli, "bisque-simplify", argv);
     int status = parse_arguments(&cli, &arguments, argc, argv);
     if (status == 0)
-        status = run(&cli, &arguments, argv + optind, (uint32_t)(argc - optind));
+        status = run(&cli, &arguments, (const char **)argv + optind, (uint32_t)(argc - optind));
     for (int i = 0; i < VOX_LEVELS_MAX; i++)
         free(arguments.paths[i]);
-    free(arguments.meshes);
-    free(arguments.chunks);
+    free(arguments.scans.meshes);
+    free(arguments.scans.chunks);
     return cli_end(&cli, status);
 }

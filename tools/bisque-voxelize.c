@@ -3,44 +3,20 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "formats/file_kind.h"
 #include "tools/voxelize_report.h"
 
 /* ---- checks before the work: what would otherwise fail after hours ---- */
-
-/* Finds out whether an input is a mesh or a chunk file. */
-static int recognise_input(struct voxelize_job *job, const char *path)
-{
-    struct bsq_ctx *ctx = job->cli->ctx;
-    enum fmt_kind kind = FMT_KIND_MESH;
-    int status = 0;
-    BSQ_TRY(fmt_recognise(ctx, path, &kind));
-    if (kind != FMT_KIND_PIPE)
-        BSQ_TRY(bsq_note_input(ctx, path, "the scan"));
-    if (kind == FMT_KIND_NVDB || kind == FMT_KIND_VDB)
-        return bsq_fail(ctx, BSQ_EDATA,
-                        "%s: already a grid; grids are made from meshes or chunk files", path);
-    if (kind == FMT_KIND_TRIS)
-        job->parts[job->part_count++] = path;
-    else
-        job->meshes[job->mesh_count++] = path;
-done:
-    return status;
-}
 
 static int recognise_inputs(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
     int status = 0;
-    job->meshes = calloc(arguments->input_count, sizeof *job->meshes);
-    job->parts = calloc(arguments->input_count, sizeof *job->parts);
-    if (!job->meshes || !job->parts)
-        return bsq_fail_errno(job->cli->ctx, BSQ_ENOMEM, ENOMEM, "%s", arguments->inputs[0]);
-    for (uint32_t i = 0; i < arguments->input_count; i++)
-        BSQ_TRY(recognise_input(job, arguments->inputs[i]));
-    if (job->part_count > 0)
-        status =
-            voxelize_arguments_check_part(job->cli, arguments, job->parts[0], job->mesh_count > 0);
+    BSQ_TRY(cli_recognise_scans(job->cli, arguments->inputs, arguments->input_count,
+                                "already a grid; grids are made from meshes or chunk files",
+                                &job->scans));
+    if (job->scans.chunk_count > 0)
+        status = voxelize_arguments_check_part(job->cli, arguments, job->scans.chunks[0],
+                                               job->scans.mesh_count > 0);
 done:
     return status;
 }
@@ -80,9 +56,9 @@ static char *default_tris_path(const char *output)
 static int choose_tris_path(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
-    job->temporary_tris =
-        job->mesh_count > 0 && (arguments->no_tris || (job->part_count > 0 && !arguments->tris));
-    if (job->mesh_count == 0)
+    job->temporary_tris = job->scans.mesh_count > 0 &&
+                          (arguments->no_tris || (job->scans.chunk_count > 0 && !arguments->tris));
+    if (job->scans.mesh_count == 0)
         job->tris_path = strdup(arguments->inputs[0]);
     else if (arguments->tris || arguments->sort_only)
         job->tris_path = strdup(arguments->sort_only ? arguments->grid.grid_path : arguments->tris);
@@ -96,7 +72,8 @@ static int choose_tris_path(struct voxelize_job *job)
 static int check_outputs(struct voxelize_job *job)
 {
     const struct voxelize_arguments *arguments = job->arguments;
-    const bool makes_tris = job->mesh_count > 0 && !job->temporary_tris && !arguments->sort_only;
+    const bool makes_tris =
+        job->scans.mesh_count > 0 && !job->temporary_tris && !arguments->sort_only;
     const char *outputs[] = {arguments->grid.grid_path, makes_tris ? job->tris_path : NULL,
                              arguments->grid.vdb_path};
     for (unsigned i = 0; i < sizeof outputs / sizeof *outputs; i++) {
@@ -155,8 +132,8 @@ static int make_grid(struct voxelize_job *job)
 {
     struct vox_voxelize_options *options = &job->arguments->grid;
     options->tris_path = job->tris_path;
-    options->part_paths = job->part_count > 0 ? job->parts : NULL;
-    options->part_count = job->part_count;
+    options->part_paths = job->scans.chunk_count > 0 ? job->scans.chunks : NULL;
+    options->part_count = job->scans.chunk_count;
     options->temp_tris = job->temp_tris;
     return vox_voxelize(job->cli->ctx, options, &job->grid);
 }
@@ -165,8 +142,8 @@ static int do_work(struct voxelize_job *job)
 {
     struct voxelize_arguments *arguments = job->arguments;
     int status = 0;
-    arguments->sort.scan_paths = job->meshes;
-    arguments->sort.scan_count = job->mesh_count;
+    arguments->sort.scan_paths = job->scans.meshes;
+    arguments->sort.scan_count = job->scans.mesh_count;
     if (arguments->parse_only)
         return vox_parse(job->cli->ctx, &arguments->sort, &job->sort);
     BSQ_TRY(check_memory(job->cli));
@@ -175,14 +152,14 @@ static int do_work(struct voxelize_job *job)
     BSQ_TRY(choose_tris_path(job));
     BSQ_TRY(check_outputs(job));
     BSQ_TRY(bsq_temp_check(job->cli->ctx, arguments->grid.grid_path));
-    if (job->mesh_count > 0 && !arguments->sort_only)
+    if (job->scans.mesh_count > 0 && !arguments->sort_only)
         BSQ_TRY(vox_temp_tris_create(job->cli->ctx, &job->temp_tris));
-    if (job->mesh_count > 0)
+    if (job->scans.mesh_count > 0)
         BSQ_TRY(sort_scan(job));
     if (arguments->sort_only)
         return 0;
     BSQ_TRY(make_grid(job));
-    if (job->mesh_count > 0 && !job->temporary_tris)
+    if (job->scans.mesh_count > 0 && !job->temporary_tris)
         vox_sort_finish(job->tris_path);
 done:
     return status;
@@ -224,8 +201,8 @@ int main(int argc, char **argv)
         status = run(&job);
     vox_temp_tris_close(job.temp_tris);
     free(job.tris_path);
-    free(job.meshes);
-    free(job.parts);
+    free(job.scans.meshes);
+    free(job.scans.chunks);
     voxelize_arguments_free(&arguments);
     return cli_end(&cli, status);
 }

@@ -11,6 +11,9 @@
 #include <strings.h>
 #include <unistd.h>
 
+#include "base/job_files.h"
+#include "formats/file_kind.h"
+
 /* ---- signals ---- */
 
 /* The context to interrupt. Global, because a signal handler has no argument for it. */
@@ -157,5 +160,29 @@ int cli_check_picture(struct cli *cli, const char *path)
     int status = bsq_output_check(cli->ctx, path);
     if (status == 0 && !cli_ends_with(path, ".png"))
         status = cli_usage(cli, "%s: the picture is a PNG file: its name must end in .png", path);
+    return status;
+}
+
+int cli_recognise_scans(struct cli *cli, const char *const *paths, uint32_t count,
+                        const char *advice, struct cli_scans *out)
+{
+    int status = 0;
+    out->meshes = calloc(count, sizeof *out->meshes);
+    out->chunks = calloc(count, sizeof *out->chunks);
+    if (!out->meshes || !out->chunks)
+        return bsq_fail_errno(cli->ctx, BSQ_ENOMEM, ENOMEM, "%s", paths[0]);
+    for (uint32_t i = 0; i < count; i++) {
+        enum fmt_kind kind = FMT_KIND_MESH;
+        BSQ_TRY(fmt_recognise(cli->ctx, paths[i], &kind));
+        if (kind != FMT_KIND_PIPE)
+            BSQ_TRY(bsq_note_input(cli->ctx, paths[i], "the scan"));
+        if (kind == FMT_KIND_NVDB || kind == FMT_KIND_VDB)
+            return bsq_fail(cli->ctx, BSQ_EDATA, "%s: %s", paths[i], advice);
+        if (kind == FMT_KIND_TRIS)
+            out->chunks[out->chunk_count++] = paths[i];
+        else
+            out->meshes[out->mesh_count++] = paths[i];
+    }
+done:
     return status;
 }

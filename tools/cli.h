@@ -141,6 +141,16 @@ bool cli_ends_with(const char *text, const char *ending);
 /* Checks the output of a picture with bsq_output_check(); its name must also end in .png. */
 int cli_check_picture(struct cli *cli, const char *path);
 
+/* The inputs of a program that takes scans. Free both arrays. */
+struct cli_scans {
+    const char **meshes, **chunks; /* mesh files, and chunk files */
+    uint32_t mesh_count, chunk_count;
+};
+/* Notes the files of a scan as inputs, and finds out what they are. A grid is BSQ_EDATA; the
+ * message ends with `advice`. */
+int cli_recognise_scans(struct cli *cli, const char *const *paths, uint32_t count,
+                        const char *advice, struct cli_scans *out);
+
 /* Checks whole files (.tris, .nvdb) and prints a line on each: its content on standard output, or
  * what is wrong on standard error. Checks all of them; returns the status of the first that failed.
  */

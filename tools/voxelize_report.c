@@ -5,10 +5,10 @@
 
 static void print_meshes(const struct voxelize_job *job)
 {
-    if (job->mesh_count == 1)
-        cli_print("%s: ", job->meshes[0]);
+    if (job->scans.mesh_count == 1)
+        cli_print("%s: ", job->scans.meshes[0]);
     else
-        cli_print("%u files: ", job->mesh_count);
+        cli_print("%u files: ", job->scans.mesh_count);
 }
 
 static void print_read(const struct voxelize_job *job)
@@ -70,11 +70,11 @@ static void print_kept(const struct voxelize_job *job)
 static void print_tris(const struct voxelize_job *job)
 {
     char size[CLI_TEXT], chunks[CLI_TEXT];
-    if (job->mesh_count > 0 && !job->sort.resumed && !job->temporary_tris)
+    if (job->scans.mesh_count > 0 && !job->sort.resumed && !job->temporary_tris)
         cli_print("%s: %s, %s, %.2f s\n", job->tris_path,
                   cli_counted_text(job->sort.chunks, "chunk", "chunks", chunks),
                   cli_size_text(job->sort.tris_bytes, size), job->sort.seconds_sort);
-    if (job->mesh_count > 0 && !job->sort.resumed && !job->temporary_tris &&
+    if (job->scans.mesh_count > 0 && !job->sort.resumed && !job->temporary_tris &&
         job->sort.outer_texture[0])
         cli_print("%s needs its textures where they are now, such as %s%s\n", job->tris_path,
                   job->sort.outer_texture,
@@ -157,8 +157,8 @@ static int print_json(const struct voxelize_job *job)
         "grid_path", cli_json_text(no_grid ? NULL : arguments->grid.grid_path), "tris_path",
         cli_json_text(keeps_tris ? job->tris_path : NULL), "vdb_path",
         cli_json_text(arguments->grid.vdb_path), "scan",
-        job->mesh_count == 0 || job->sort.resumed ? json_null() : sort_json(&job->sort), "grid",
-        no_grid ? json_null() : grid_json(&job->grid));
+        job->scans.mesh_count == 0 || job->sort.resumed ? json_null() : sort_json(&job->sort),
+        "grid", no_grid ? json_null() : grid_json(&job->grid));
     return cli_print_json(job->cli, root);
 }
 
@@ -189,9 +189,9 @@ int voxelize_report_print(const struct voxelize_job *job)
     if (job->sort.resumed)
         cli_print("%s: complete from the run before, reading and sorting were skipped\n",
                   job->tris_path);
-    else if (job->mesh_count > 0)
+    else if (job->scans.mesh_count > 0)
         print_read(job);
-    if (job->mesh_count > 0 && !job->sort.resumed && !job->arguments->parse_only)
+    if (job->scans.mesh_count > 0 && !job->sort.resumed && !job->arguments->parse_only)
         print_kept(job);
     if (!job->arguments->parse_only)
         print_tris(job);

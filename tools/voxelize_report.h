@@ -7,8 +7,7 @@
 struct voxelize_job {
     struct cli *cli;
     struct voxelize_arguments *arguments;
-    const char **meshes, **parts; /* the inputs: mesh files, and chunk files; owned */
-    uint32_t mesh_count, part_count;
+    struct cli_scans scans;          /* the inputs; owned */
     char *tris_path;                 /* of the chunk file; owned */
     bool temporary_tris;             /* the chunk file is temporary: there is no file tris_path */
     struct vox_temp_tris *temp_tris; /* the chunk file that this job writes, or NULL; owned */

@@ -301,17 +301,18 @@ static int show_mesh(struct bake_work *job)
     const struct bake_preview preview = {.mesh = &job->mesh, .up = job->options->preview_up};
     struct bake_asset *asset = NULL;
     struct bsq_output *output = NULL;
-    json_t *head = NULL;
     int status;
     BSQ_TRY(bake_asset_open(job->ctx, &plain, job->udim.count, &asset));
     BSQ_TRY(bake_asset_write(asset, &job->mesh, &job->udim));
     bake_asset_hand_over(asset, &output);
     asset = NULL;
-    head = json_pack("{s:s, s:i, s:i, s:b, s:b}", "kind", "mesh", "up",
-                     bake_preview_up_axis(&preview), "views", (int)job->options->preview_views,
-                     "green_down", (int)job->options->green_down, "object_space",
-                     job->options->normal_space == BAKE_OBJECT_SPACE);
-    status = bake_page_add(page, head, output);
+    status = bake_page_add(page,
+                           json_pack("{s:s, s:i, s:i, s:b, s:b}", "kind", "mesh", "up",
+                                     bake_preview_up_axis(&preview), "views",
+                                     (int)job->options->preview_views, "green_down",
+                                     (int)job->options->green_down, "object_space",
+                                     job->options->normal_space == BAKE_OBJECT_SPACE),
+                           output);
 done:
     bake_asset_discard(asset);
     bsq_output_discard(output);

@@ -248,13 +248,13 @@ function showLost() {
 }
 
 function showCost() {
-  const {cost} = data, used = cost.memory_high_bytes, bar = (value, max) => el('meter', {value, max});
+  const {cost} = data, used = cost.memory_high_bytes;
   const stages = Object.keys(data).filter(key => key.startsWith('seconds_') && data[key] >= 0.005);
-  $('cost').append(...stages.map(key => row(key.slice(8), seconds(data[key]), bar(data[key], cost.seconds))),
+  const bar = key => el('meter', {value: data[key], max: cost.seconds});
+  $('cost').append(...stages.map(key => row(key.slice(8), seconds(data[key]), bar(key))),
     row('in all', seconds(cost.seconds), `${cost.threads} threads, ` +
       `${seconds(cost.seconds_user + cost.seconds_system)} of processors`),
-    row('memory used at most', mebibytes(used), bar(used, cost.memory_budget_bytes)),
-    row('of a budget of', mebibytes(cost.memory_budget_bytes)),
+    row('memory used at most', mebibytes(used), `of a budget of ${mebibytes(cost.memory_budget_bytes)}`),
     row('resident at most', mebibytes(cost.max_rss_bytes), 'which counts mapped files'));
   const quote = word => /^[\w@%+=:,./-]+$/.test(word) ? word : `'${word.replaceAll("'", `'\\''`)}'`;
   $('command').textContent = data.command.map(quote).join(' ');
@@ -269,7 +269,7 @@ function showComparison(c, a, b, error) {
   slider.oninput = event => slider.style.setProperty('--split', `${event.target.value}%`);
   Object.assign(a.image, {alt: 'The map'}), Object.assign(b.image, {alt: 'The reference'});
   error.image.alt = 'The error of each texel';
-  const isData = c.type === 'data', unit = isData ? '' : ` ${c.unit}`; // those of data are in the map's own unit
+  const isData = c.type === 'data', unit = isData ? '' : ` ${c.unit}`; // figures of data are in the map's own unit
   const figures = [['texels', count(c.compared)], ...['mean', 'rms', 'median', 'p95', 'p99', 'max'].map(
     key => [key, number(c[key]) + unit]), ['max at', `${c.max_x}, ${c.max_y}`]];
   if (!isData) figures.push(['above 1', percent(c.share_above_1)], ['above 5', percent(c.share_above_5)]);
