@@ -142,12 +142,12 @@ static int print_task(struct cli *cli, const char *path, uint32_t task,
 {
     char samples[CLI_TEXT], misses[CLI_TEXT];
     if (cli->json)
-        return cli_print_json(
-            cli, json_pack("{s:o, s:b, s:i, s:s, s:I, s:I, s:I, s:f, s:f}", "path",
-                           cli_json_text(path), "kept", 0, "task", (int)task, "device",
-                           report->device, "covered_texels", (json_int_t)report->covered_texels,
-                           "samples", (json_int_t)report->samples, "hits", (json_int_t)report->hits,
-                           "front", report->front, "back", report->back));
+        return cli_print_json(cli, json_pack("{s:o, s:b, s:i, s:s, s:I, s:I, s:I, s:f, s:f}",
+                                             "path", cli_json_text(path), "kept", 0, "task",
+                                             (int)task, CLI_VALUE(report, device),
+                                             CLI_COUNT(report, covered_texels),
+                                             CLI_COUNT(report, samples), CLI_COUNT(report, hits),
+                                             CLI_VALUE(report, front), CLI_VALUE(report, back)));
     cli_print("%s: task %u, %s, %s without surface", path, task,
               cli_counted_text(report->samples, "sample", "samples", samples),
               cli_count_text(report->misses, misses));

@@ -38,8 +38,8 @@ static void list_device(void *arg, const struct bake_device_info *device)
     if (list->cli->json)
         cli_json_append(&list->json,
                         json_pack("{s:o, s:o, s:I, s:b}", "id", cli_json_text(device->id), "name",
-                                  cli_json_text(device->name), "memory_bytes",
-                                  (json_int_t)device->memory_bytes, "is_gpu", (int)device->is_gpu));
+                                  cli_json_text(device->name), CLI_COUNT(device, memory_bytes),
+                                  "is_gpu", (int)device->is_gpu));
     else
         cli_print("%-10s  %s, %s\n", device->id, device->name,
                   cli_size_text(device->memory_bytes, memory));
@@ -56,10 +56,9 @@ static void list_tile(void *arg, const struct bake_tile_info *tile)
 {
     struct listing *list = arg;
     if (list->cli->json)
-        cli_json_append(&list->json,
-                        json_pack("{s:i, s:i, s:i, s:I}", "tile", (int)tile->tile, "width",
-                                  (int)tile->width, "height", (int)tile->height, "triangles",
-                                  (json_int_t)tile->triangles));
+        cli_json_append(&list->json, json_pack("{s:i, s:i, s:i, s:I}", "tile", (int)tile->tile,
+                                               "width", (int)tile->width, "height",
+                                               (int)tile->height, CLI_COUNT(tile, triangles)));
     else
         cli_print("%u\n", tile->tile);
 }
@@ -345,20 +344,18 @@ static json_t *report_json(const struct cli *cli, const struct bake_arguments *a
         encodings_json(report), "ids", ids_json(report), "glb_path", cli_json_text(bake->glb_path),
         "preview_path", cli_json_text(bake->preview_path), "width", (int)bake->width, "height",
         (int)bake->height, "samples_per_axis", (int)bake->samples, "device",
-        cli_json_text(report->device), "low_triangles", (json_int_t)report->low_triangles,
-        "low_polygons", (json_int_t)report->low_polygons, "degenerate_uv_triangles",
-        (json_int_t)report->degenerate_uv_triangles, "outside_uv_triangles",
-        (json_int_t)report->outside_uv_triangles, "covered_texels",
-        (json_int_t)report->covered_texels, "samples", (json_int_t)report->samples, "hits",
-        (json_int_t)report->hits, "misses", (json_int_t)report->misses, "overlapping_samples",
-        (json_int_t)report->overlapping_samples, "front", report->front, "back", report->back,
-        "seconds_open", report->seconds_open, "seconds_trace", report->seconds_trace,
-        "seconds_padding", report->seconds_padding, "seconds_resolve", report->seconds_resolve,
-        "seconds_write", report->seconds_write, "seconds_preview", report->seconds_preview,
-        "seconds_upload", report->seconds_upload, "seconds_kernels", report->seconds_kernels,
-        "seconds_copies", report->seconds_copies, "kernel_calls", (json_int_t)report->kernel_calls,
-        "chunk_loads", (json_int_t)report->chunk_loads, "passes", (json_int_t)report->passes,
-        "unseen", unseen_json(report), "texel", report->texel, "voxel", report->voxel);
+        cli_json_text(report->device), CLI_COUNT(report, low_triangles),
+        CLI_COUNT(report, low_polygons), CLI_COUNT(report, degenerate_uv_triangles),
+        CLI_COUNT(report, outside_uv_triangles), CLI_COUNT(report, covered_texels),
+        CLI_COUNT(report, samples), CLI_COUNT(report, hits), CLI_COUNT(report, misses),
+        CLI_COUNT(report, overlapping_samples), CLI_VALUE(report, front), CLI_VALUE(report, back),
+        CLI_VALUE(report, seconds_open), CLI_VALUE(report, seconds_trace),
+        CLI_VALUE(report, seconds_padding), CLI_VALUE(report, seconds_resolve),
+        CLI_VALUE(report, seconds_write), CLI_VALUE(report, seconds_preview),
+        CLI_VALUE(report, seconds_upload), CLI_VALUE(report, seconds_kernels),
+        CLI_VALUE(report, seconds_copies), CLI_COUNT(report, kernel_calls),
+        CLI_COUNT(report, chunk_loads), CLI_COUNT(report, passes), "unseen", unseen_json(report),
+        CLI_VALUE(report, texel), CLI_VALUE(report, voxel));
 }
 
 /* ---- comparisons with a reference ---- */

@@ -121,17 +121,16 @@ static int check_outputs(struct cli *cli, const struct bake_compare_options *com
 {
     const char *inputs[] = {compare->a_path, compare->b_path, compare->a_mask_path,
                             compare->b_mask_path};
+    const char *pictures[] = {compare->heatmap_path, compare->histogram_path};
     int status = 0;
     for (int i = 0; i < 4; i++)
         if (inputs[i])
             BSQ_TRY(bsq_note_input(cli->ctx, inputs[i], i < 2 ? "a map" : "a mask"));
-    if (compare->heatmap_path && compare->histogram_path &&
-        bsq_same_file(compare->heatmap_path, compare->histogram_path))
-        return cli_usage(cli, "%s: two outputs have this name", compare->histogram_path);
-    if (compare->heatmap_path)
-        BSQ_TRY(cli_check_picture(cli, compare->heatmap_path));
-    if (compare->histogram_path)
-        BSQ_TRY(cli_check_picture(cli, compare->histogram_path));
+    BSQ_TRY(cli_check_outputs(cli, pictures, 2));
+    for (int i = 0; i < 2; i++)
+        if (pictures[i] && !cli_ends_with(pictures[i], ".png"))
+            return cli_usage(cli, "%s: the picture is a PNG file: its name must end in .png",
+                             pictures[i]);
 done:
     return status;
 }

@@ -210,22 +210,20 @@ static int print_json(struct cli *cli, const struct arguments *arguments,
     json_t *levels = json_array();
     for (uint32_t i = 0; i < report->level_count; i++) {
         const struct vox_simplified *level = &report->levels[i];
-        cli_json_append(&levels, json_pack("{s:o, s:I, s:I, s:I, s:o, s:o}", "path",
-                                           cli_json_text(arguments->paths[i]), "target",
-                                           (json_int_t)level->target, "triangles",
-                                           (json_int_t)level->triangles, "vertices",
-                                           (json_int_t)level->vertices, "from_scan",
-                                           cli_distances_json(&level->from_scan), "to_scan",
-                                           cli_distances_json(&level->from_mesh)));
+        cli_json_append(&levels,
+                        json_pack("{s:o, s:I, s:I, s:I, s:o, s:o}", "path",
+                                  cli_json_text(arguments->paths[i]), CLI_COUNT(level, target),
+                                  CLI_COUNT(level, triangles), CLI_COUNT(level, vertices),
+                                  "from_scan", cli_distances_json(&level->from_scan), "to_scan",
+                                  cli_distances_json(&level->from_mesh)));
     }
     return cli_print_json(
-        cli, json_pack("{s:I, s:f, s:I, s:I, s:I, s:o, s:f, s:f, s:f}", "triangles",
-                       (json_int_t)report->triangles, "diagonal", report->diagonal,
-                       "dropped_pieces", (json_int_t)report->dropped_pieces, "dropped_triangles",
-                       (json_int_t)report->dropped_triangles, "temp_bytes",
-                       (json_int_t)report->temp_bytes, "meshes", levels, "seconds_reduce",
-                       report->seconds_reduce, "seconds_collapse", report->seconds_collapse,
-                       "seconds_measure", report->seconds_measure));
+        cli,
+        json_pack("{s:I, s:f, s:I, s:I, s:I, s:o, s:f, s:f, s:f}", CLI_COUNT(report, triangles),
+                  CLI_VALUE(report, diagonal), CLI_COUNT(report, dropped_pieces),
+                  CLI_COUNT(report, dropped_triangles), CLI_COUNT(report, temp_bytes), "meshes",
+                  levels, CLI_VALUE(report, seconds_reduce), CLI_VALUE(report, seconds_collapse),
+                  CLI_VALUE(report, seconds_measure)));
 }
 
 static int run(struct cli *cli, struct arguments *arguments, const char **inputs,

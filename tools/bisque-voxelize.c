@@ -76,18 +76,7 @@ static int check_outputs(struct voxelize_job *job)
         job->scans.mesh_count > 0 && !job->temporary_tris && !arguments->sort_only;
     const char *outputs[] = {arguments->grid.grid_path, makes_tris ? job->tris_path : NULL,
                              arguments->grid.vdb_path};
-    for (unsigned i = 0; i < sizeof outputs / sizeof *outputs; i++) {
-        if (!outputs[i])
-            continue;
-        for (unsigned j = 0; j < i; j++) {
-            if (outputs[j] && bsq_same_file(outputs[i], outputs[j]))
-                return cli_usage(job->cli, "%s: two outputs have this name", outputs[i]);
-        }
-        int status = bsq_output_check(job->cli->ctx, outputs[i]);
-        if (status < 0)
-            return status;
-    }
-    return 0;
+    return cli_check_outputs(job->cli, outputs, sizeof outputs / sizeof *outputs);
 }
 
 static int check_memory(struct cli *cli)

@@ -155,11 +155,17 @@ bool cli_ends_with(const char *text, const char *ending)
     return length >= ending_length && strcasecmp(text + length - ending_length, ending) == 0;
 }
 
-int cli_check_picture(struct cli *cli, const char *path)
+int cli_check_outputs(struct cli *cli, const char *const *paths, unsigned count)
 {
-    int status = bsq_output_check(cli->ctx, path);
-    if (status == 0 && !cli_ends_with(path, ".png"))
-        status = cli_usage(cli, "%s: the picture is a PNG file: its name must end in .png", path);
+    int status = 0;
+    for (unsigned i = 0; i < count; i++) {
+        for (unsigned j = 0; j < i; j++)
+            if (paths[i] && paths[j] && bsq_same_file(paths[i], paths[j]))
+                return cli_usage(cli, "%s: two outputs have this name", paths[i]);
+        if (paths[i])
+            BSQ_TRY(bsq_output_check(cli->ctx, paths[i]));
+    }
+done:
     return status;
 }
 

@@ -138,8 +138,8 @@ int cli_parse_word(struct cli *cli, const char *option, const char *text, const 
 /* Returns whether `text` ends with `ending`, ignoring case. */
 bool cli_ends_with(const char *text, const char *ending);
 
-/* Checks the output of a picture with bsq_output_check(); its name must also end in .png. */
-int cli_check_picture(struct cli *cli, const char *path);
+/* Checks that outputs can be created and are different files. Some may be NULL. */
+int cli_check_outputs(struct cli *cli, const char *const *paths, unsigned count);
 
 /* The inputs of a program that takes scans. Free both arrays. */
 struct cli_scans {
@@ -216,6 +216,10 @@ const char *cli_print_count(const char *separator, uint64_t count, const char *s
                             const char *plural);
 /* Prints the last lines of a report: memory and time. */
 void cli_print_cost(const struct cli *cli);
+
+/* A member of a structure for json_pack(), with its name: a count for "s:I", other values. */
+#define CLI_COUNT(of, member) #member, (json_int_t)(of)->member
+#define CLI_VALUE(of, member) #member, (of)->member
 
 /* Returns a JSON string of the text; if it is not UTF-8, of the escaped text. NULL gives null. */
 json_t *cli_json_text(const char *text);

@@ -24,16 +24,16 @@ static json_t *content_json(const char *path, const struct fmt_verify_report *r)
 {
     if (r->kind == FMT_KIND_TRIS)
         return json_pack("{s:o, s:b, s:s, s:i, s:I, s:I, s:I, s:I}", "path", cli_json_text(path),
-                         "ok", 1, "kind", "tris", "version", (int)r->version, "file_bytes",
-                         (json_int_t)r->file_bytes, "triangles", (json_int_t)r->triangles,
-                         "vertices", (json_int_t)r->vertices, "chunks", (json_int_t)r->chunks);
-    return json_pack(
-        "{s:o, s:b, s:s, s:i, s:[i, i, i], s:s, s:I, s:I, s:I, s:I, s:f, s:b}", "path",
-        cli_json_text(path), "ok", 1, "kind", "nvdb", "version", (int)r->version, "nanovdb_version",
-        (int)r->nanovdb_version[0], (int)r->nanovdb_version[1], (int)r->nanovdb_version[2],
-        "grid_type", r->is_mask ? "mask" : "onindex", "file_bytes", (json_int_t)r->file_bytes,
-        "triangles", (json_int_t)r->triangles, "voxels", (json_int_t)r->voxels, "second_records",
-        (json_int_t)r->second_records, "voxel_size", r->voxel_size, "has_color", (int)r->has_color);
+                         "ok", 1, "kind", "tris", "version", (int)r->version,
+                         CLI_COUNT(r, file_bytes), CLI_COUNT(r, triangles), CLI_COUNT(r, vertices),
+                         CLI_COUNT(r, chunks));
+    return json_pack("{s:o, s:b, s:s, s:i, s:[i, i, i], s:s, s:I, s:I, s:I, s:I, s:f, s:b}", "path",
+                     cli_json_text(path), "ok", 1, "kind", "nvdb", "version", (int)r->version,
+                     "nanovdb_version", (int)r->nanovdb_version[0], (int)r->nanovdb_version[1],
+                     (int)r->nanovdb_version[2], "grid_type", r->is_mask ? "mask" : "onindex",
+                     CLI_COUNT(r, file_bytes), CLI_COUNT(r, triangles), CLI_COUNT(r, voxels),
+                     CLI_COUNT(r, second_records), CLI_VALUE(r, voxel_size), "has_color",
+                     (int)r->has_color);
 }
 
 /* Checks one file. *entry is its JSON object; NULL without --json or without memory. */

@@ -62,15 +62,14 @@ json_t *page_comparison_json(const struct bake_compare_options *options,
         " s:o, s:o, s:i, s:i, s:f, s:f}",
         "a_path", cli_json_text(options->a_path), "b_path", cli_json_text(options->b_path), "type",
         page_kind_name(report->kind), "unit", bake_compare_unit(report->kind), "width",
-        (int)report->width, "height", (int)report->height, "compared", (json_int_t)report->compared,
-        "not_finite", (json_int_t)report->not_finite, "not_finite_a",
-        (json_int_t)report->not_finite_a, "not_finite_b", (json_int_t)report->not_finite_b,
-        "only_a", (json_int_t)report->only_a, "only_b", (json_int_t)report->only_b, "agreement",
-        report->agreement, "mean", number_json(report->mean), "rms", number_json(report->rms),
-        "median", number_json(report->median), "p95", number_json(report->p95), "p99",
-        number_json(report->p99), "max", number_json(report->max), "max_x", (int)report->max_x,
-        "max_y", (int)report->max_y, "share_above_1", report->above_1, "share_above_5",
-        report->above_5);
+        (int)report->width, "height", (int)report->height, CLI_COUNT(report, compared),
+        CLI_COUNT(report, not_finite), CLI_COUNT(report, not_finite_a),
+        CLI_COUNT(report, not_finite_b), CLI_COUNT(report, only_a), CLI_COUNT(report, only_b),
+        CLI_VALUE(report, agreement), "mean", number_json(report->mean), "rms",
+        number_json(report->rms), "median", number_json(report->median), "p95",
+        number_json(report->p95), "p99", number_json(report->p99), "max", number_json(report->max),
+        "max_x", (int)report->max_x, "max_y", (int)report->max_y, "share_above_1", report->above_1,
+        "share_above_5", report->above_5);
     if (root && report->kind == BAKE_COMPARE_COLOR)
         json_object_set_new(root, "psnr", number_json(report->psnr));
     if (root && report->kind == BAKE_COMPARE_DATA) {

@@ -114,34 +114,30 @@ static json_t *sort_json(const struct vox_sort_report *sort)
     return json_pack(
         "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:[f, f, f], s:b, s:b, s:b,"
         " s:b, s:b, s:b, s:o, s:o, s:o, s:f, s:f}",
-        "bytes_read", (json_int_t)sort->bytes_read, "vertices", (json_int_t)sort->vertices, "faces",
-        (json_int_t)sort->faces, "triangles", (json_int_t)sort->triangles, "degenerate_triangles",
-        (json_int_t)sort->degenerate_triangles, "short_faces", (json_int_t)sort->short_faces,
-        "broken_faces", (json_int_t)sort->broken_faces, "lost_corners",
-        (json_int_t)sort->lost_corners, "unused_vertices", (json_int_t)sort->unused_vertices,
-        "skipped_lines", (json_int_t)sort->skipped_lines, "chunks", (json_int_t)sort->chunks,
-        "tris_bytes", (json_int_t)sort->tris_bytes, "temp_bytes", (json_int_t)sort->temp_bytes,
-        "origin", sort->origin[0], sort->origin[1], sort->origin[2], "has_normals",
-        (int)sort->has_normals, "has_texcoords", (int)sort->has_texcoords, "has_colors",
-        (int)sort->has_colors, "has_material_colors", (int)sort->has_material_colors,
-        "unused_texcoords", (int)sort->unused_texcoords, "uses_textures", (int)sort->uses_textures,
-        "outer_texture", cli_json_text(sort->outer_texture[0] ? sort->outer_texture : NULL),
-        "kept_channels", names_json(sort->kept_channels), "unkept_channels",
-        names_json(sort->unkept_channels), "seconds_read", sort->seconds_read, "seconds_sort",
-        sort->seconds_sort);
+        CLI_COUNT(sort, bytes_read), CLI_COUNT(sort, vertices), CLI_COUNT(sort, faces),
+        CLI_COUNT(sort, triangles), CLI_COUNT(sort, degenerate_triangles),
+        CLI_COUNT(sort, short_faces), CLI_COUNT(sort, broken_faces), CLI_COUNT(sort, lost_corners),
+        CLI_COUNT(sort, unused_vertices), CLI_COUNT(sort, skipped_lines), CLI_COUNT(sort, chunks),
+        CLI_COUNT(sort, tris_bytes), CLI_COUNT(sort, temp_bytes), "origin", sort->origin[0],
+        sort->origin[1], sort->origin[2], "has_normals", (int)sort->has_normals, "has_texcoords",
+        (int)sort->has_texcoords, "has_colors", (int)sort->has_colors, "has_material_colors",
+        (int)sort->has_material_colors, "unused_texcoords", (int)sort->unused_texcoords,
+        "uses_textures", (int)sort->uses_textures, "outer_texture",
+        cli_json_text(sort->outer_texture[0] ? sort->outer_texture : NULL), "kept_channels",
+        names_json(sort->kept_channels), "unkept_channels", names_json(sort->unkept_channels),
+        CLI_VALUE(sort, seconds_read), CLI_VALUE(sort, seconds_sort));
 }
 
 static json_t *grid_json(const struct vox_voxelize_report *grid)
 {
     return json_pack(
         "{s:I, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:[i, i, i], s:[i, i, i], s:b, s:b, s:f}",
-        "triangles", (json_int_t)grid->triangles, "voxels", (json_int_t)grid->voxels,
-        "second_records", (json_int_t)grid->second_records, "leaves", (json_int_t)grid->leaves,
-        "lowers", (json_int_t)grid->lowers, "uppers", (json_int_t)grid->uppers, "grid_bytes",
-        (json_int_t)grid->grid_bytes, "voxel_size", grid->voxel_size, "index_min",
-        grid->index_min[0], grid->index_min[1], grid->index_min[2], "index_max", grid->index_max[0],
-        grid->index_max[1], grid->index_max[2], "has_color", (int)grid->has_color, "has_ids",
-        (int)grid->has_ids, "seconds", grid->seconds);
+        CLI_COUNT(grid, triangles), CLI_COUNT(grid, voxels), CLI_COUNT(grid, second_records),
+        CLI_COUNT(grid, leaves), CLI_COUNT(grid, lowers), CLI_COUNT(grid, uppers),
+        CLI_COUNT(grid, grid_bytes), CLI_VALUE(grid, voxel_size), "index_min", grid->index_min[0],
+        grid->index_min[1], grid->index_min[2], "index_max", grid->index_max[0], grid->index_max[1],
+        grid->index_max[2], "has_color", (int)grid->has_color, "has_ids", (int)grid->has_ids,
+        CLI_VALUE(grid, seconds));
 }
 
 static int print_json(const struct voxelize_job *job)
