@@ -58,8 +58,7 @@ LIBS.all      = $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 LIBS.tools    = $(shell pkg-config --libs $(pc_tools))
 
 public_headers := base/version.h base/context.h base/options.h base/path_map.h \
-    formats/file_kind.h libvoxel/voxel.h libbake/bake.h libbake/page.h \
-    libbake/compare.h
+    formats/file_kind.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
 libs := base formats libvoxel libbake
 # A library is a folder; its subfolders are its rooms.
 # The helper is a program of its own.

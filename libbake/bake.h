@@ -145,7 +145,7 @@ struct bake_rows {
 /** How much work a bake is, see bake_options.quality. */
 enum bake_quality { BAKE_QUALITY_NORMAL, BAKE_QUALITY_DRAFT, BAKE_QUALITY_FINAL };
 
-/** A page about a bake, see libbake/page.h. */
+/** A page about a bake or a comparison, see bake_page_open(). */
 struct bake_page;
 
 /** What bake_run() reads and writes. The caller owns all strings and arrays. */
@@ -452,6 +452,21 @@ int bake_run(struct bsq_ctx *ctx, const struct bake_options *options, struct bak
 
 /** Frees what bake_run() allocated in a report; a zeroed report is allowed. */
 void bake_report_free(struct bake_report *report);
+
+/* ---- a page to look at ---- */
+
+/** Begins a page under a temporary name; `path` ends in .html. It is one HTML file that needs no
+ * network. Its frame and script are installed with Bisque; three.js is taken from Debian's package
+ * libjs-three, without which the page has pictures instead of the mesh. Errors: BSQ_EUSAGE,
+ * BSQ_ENOINPUT if its parts are not installed, BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
+int bake_page_open(struct bsq_ctx *ctx, const char *path, struct bake_page **out);
+/** Adds pictures of maps: bake_options.on_rows, with the page as rows_user. */
+int bake_page_take(void *page, const struct bake_rows *rows);
+/** Completes the page with the figures that it shows, a JSON object as the programs print it, and
+ * gives it its name. Errors: BSQ_EIO, BSQ_ECANTCREAT. */
+int bake_page_finish(struct bake_page *page, const char *json);
+/** Frees a page, and removes it if it is not finished; NULL is allowed. */
+void bake_page_close(struct bake_page *page);
 
 /* ---- a bake as tasks ---- */
 

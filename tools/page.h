@@ -3,7 +3,7 @@
 #define PAGE_H
 
 #include "libbake/compare.h"
-#include "libbake/page.h"
+#include "libbake/bake.h"
 #include "tools/cli.h"
 
 /* Completes a page with what the program prints as JSON, the command, the options and the warnings.

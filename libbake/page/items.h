@@ -1,4 +1,4 @@
-/* items.h - what jobs add to a page; its public header is libbake/page.h.
+/* items.h - what jobs add to a page; libbake/bake.h has the rest.
  *
  * An item is a small JSON object: what it is, and a PNG or GLB file as base64. */
 #ifndef BAKE_PAGE_ITEMS_H
@@ -7,7 +7,6 @@
 #include <jansson.h>
 
 #include "libbake/maps/maps.h"
-#include "libbake/page.h"
 
 /* A picture of a map: a thumbnail, and the range of each channel. */
 struct bake_page_picture {
