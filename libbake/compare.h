@@ -46,8 +46,8 @@ struct bake_compare_options {
     enum bake_compare_kind kind; /**< What the values mean. */
     const char *heatmap_path;    /**< Output: the error of each texel, PNG, or NULL. */
     const char *histogram_path;  /**< Output: the error's distribution, PNG, or NULL. */
-    struct bake_page *page;      /**< Gets both maps and the errors, see bake_page_open(); or NULL. */
-    double scale; /**< Error at the top of the pictures' scale; 0: the 99th percentile. */
+    struct bake_page *page; /**< Gets both maps and the errors, see bake_page_open(); or NULL. */
+    double scale;           /**< Error at the top of the pictures' scale; 0: the 99th percentile. */
     bool force; /**< Compares maps even if their attributes say that they hold different things. */
     /** Takes it as an error if no texel has finite values; otherwise the figures are infinite. */
     bool ignore_nan;
