@@ -73,6 +73,7 @@ int fmt_nvdb_set_names(struct fmt_nvdb_writer *writer, const char *const *names,
 
 struct fmt_nvdb_totals {
     uint64_t voxels, second_records, leaves, lowers, uppers, file_bytes;
+    int32_t index_min[3], index_max[3]; /* of voxels, inclusive */
 };
 
 /* A region of 128^3 voxels (a lower node), or some of its leaves. Leaves ascend by number;

@@ -260,6 +260,8 @@ static void fill_totals(const struct fmt_nvdb_writer *writer, struct fmt_nvdb_to
         .uppers = writer->counts.uppers,
         .file_bytes = layout.file_bytes,
     };
+    memcpy(totals->index_min, writer->bbox_min, sizeof totals->index_min);
+    memcpy(totals->index_max, writer->bbox_max, sizeof totals->index_max);
 }
 
 int fmt_nvdb_finish(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *totals,

@@ -133,16 +133,6 @@ static int produce(void *arg, void *slot, uint64_t sequence)
 
 /* ---- writing units ---- */
 
-static void widen_index(struct vox_run *run, const struct vox_unit *unit)
-{
-    for (int a = 0; a < 3; a++) {
-        int32_t lo = unit->origin[a] + (int32_t)unit->leaves.voxel_min[a];
-        int32_t hi = unit->origin[a] + (int32_t)unit->leaves.voxel_max[a];
-        run->index_min[a] = lo < run->index_min[a] ? lo : run->index_min[a];
-        run->index_max[a] = hi > run->index_max[a] ? hi : run->index_max[a];
-    }
-}
-
 static int write_unit(struct vox_run *run, const struct vox_unit *unit)
 {
     const struct vox_leaves *leaves = &unit->leaves;
@@ -160,7 +150,6 @@ static int write_unit(struct vox_run *run, const struct vox_unit *unit)
         .second_channels = leaves->sides[1].channels,
     };
     memcpy(region.origin, unit->origin, sizeof region.origin);
-    widen_index(run, unit);
     run->clamped_colors += leaves->clamped_colors;
     return fmt_nvdb_append(run->writer, &region);
 }

@@ -193,10 +193,6 @@ static int find_boxes(struct vox_run *run)
 static int open_run(struct vox_run *run)
 {
     int status;
-    for (int a = 0; a < 3; a++) {
-        run->index_min[a] = INT32_MAX;
-        run->index_max[a] = INT32_MIN;
-    }
     BSQ_TRY(open_input(run));
     BSQ_TRY(find_boxes(run));
     status = check_grid(run);
@@ -373,8 +369,8 @@ static void fill_report(const struct vox_run *run, const struct fmt_nvdb_totals 
     report->voxel_size = run->transform.h;
     report->has_color = fmt_tris_has_color(run->header);
     report->has_ids = run->options->ids;
-    memcpy(report->index_min, run->index_min, sizeof report->index_min);
-    memcpy(report->index_max, run->index_max, sizeof report->index_max);
+    memcpy(report->index_min, totals->index_min, sizeof report->index_min);
+    memcpy(report->index_max, totals->index_max, sizeof report->index_max);
 }
 
 static int export_vdb(struct bsq_ctx *ctx, const char *path, struct bsq_output *from,

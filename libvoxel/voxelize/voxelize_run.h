@@ -63,11 +63,10 @@ struct vox_run {
 
     struct fmt_nvdb_writer *writer;
     struct vox_gate gate;
-    uint32_t slabs;                     /* units that each region is cut into */
-    uint32_t next_slab;                 /* next slab of the region in production */
-    struct vox_unit current;            /* the region in production: its origin and chunks */
-    uint64_t clamped_colors;            /* of records that were written */
-    int32_t index_min[3], index_max[3]; /* of voxels that were written; min > max: none */
+    uint32_t slabs;          /* units that each region is cut into */
+    uint32_t next_slab;      /* next slab of the region in production */
+    struct vox_unit current; /* the region in production: its origin and chunks */
+    uint64_t clamped_colors; /* of records that were written */
 };
 
 /* Makes all regions of a run that is set up, and appends their voxels to its grid. Errors: those of

@@ -196,36 +196,6 @@ static uint32_t encode_color(const struct vox_color_sum *color,
     return packed;
 }
 
-static void widen(struct vox_leaves *leaves, uint32_t brick, const uint64_t mask[8])
-{
-    uint64_t any = 0;
-    uint32_t lo[3] = {7, 7, 7}, hi[3] = {0, 0, 0};
-    for (uint32_t x = 0; x < 8; x++) {
-        if (mask[x] == 0)
-            continue;
-        any |= mask[x];
-        lo[0] = x < lo[0] ? x : lo[0];
-        hi[0] = x;
-    }
-    for (uint32_t i = 0; i < 8; i++) {
-        if (any >> (8 * i) & 0xff) {
-            lo[1] = i < lo[1] ? i : lo[1];
-            hi[1] = i;
-        }
-        if (any >> i & UINT64_C(0x0101010101010101)) {
-            lo[2] = i < lo[2] ? i : lo[2];
-            hi[2] = i;
-        }
-    }
-    for (int a = 0; a < 3; a++) {
-        uint32_t origin = (brick >> (8 - 4 * a) & 15) * 8;
-        if (origin + lo[a] < leaves->voxel_min[a])
-            leaves->voxel_min[a] = origin + lo[a];
-        if (origin + hi[a] > leaves->voxel_max[a])
-            leaves->voxel_max[a] = origin + hi[a];
-    }
-}
-
 /* The first and second records of a brick's voxels, as numbers of their sums. */
 struct brick_records {
     uint32_t count[2], numbers[2][VOX_BRICK_VOXELS];
@@ -322,7 +292,6 @@ static void finish_brick(const struct vox_accumulator *a, uint32_t brick,
     for (uint32_t i = 0; chosen.count[1] > 0 && i < chosen.count[0]; i++)
         records[i].plane |= chosen.has_second[i] ? FMT_NVDB_PLANE_SECOND : 0;
     leaves->ids[leaves->leaf_count++] = (uint16_t)brick;
-    widen(leaves, brick, mask);
 }
 
 /* Ensures capacity for this many more leaves, and records of either side. */
@@ -373,9 +342,7 @@ int vox_accumulator_finish(const struct vox_accumulator *a, const struct vox_col
 
 void vox_leaves_init(struct vox_leaves *leaves, struct bsq_ctx *ctx)
 {
-    memset(leaves, 0, sizeof *leaves);
-    leaves->ctx = ctx;
-    vox_leaves_clear(leaves);
+    *leaves = (struct vox_leaves){.ctx = ctx};
 }
 
 void vox_leaves_clear(struct vox_leaves *leaves)
@@ -383,10 +350,6 @@ void vox_leaves_clear(struct vox_leaves *leaves)
     leaves->leaf_count = 0;
     leaves->clamped_colors = 0;
     leaves->sides[0].count = leaves->sides[1].count = 0;
-    for (int a = 0; a < 3; a++) {
-        leaves->voxel_min[a] = UINT32_MAX;
-        leaves->voxel_max[a] = 0;
-    }
 }
 
 void vox_leaves_free(struct vox_leaves *leaves)

@@ -110,8 +110,7 @@ struct vox_leaves {
     uint16_t *ids;
     uint64_t (*masks)[8];
     uint64_t id_capacity, mask_capacity;
-    struct vox_records sides[2];         /* the first records of voxels, and the second ones */
-    uint32_t voxel_min[3], voxel_max[3]; /* in the region; min > max: no voxels */
+    struct vox_records sides[2]; /* the first records of voxels, and the second ones */
 };
 
 enum { VOX_COLOR_STEPS = 4096 };
