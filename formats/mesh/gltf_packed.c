@@ -10,7 +10,6 @@
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
-#include <sys/stat.h>
 
 #include "formats/mesh/gltf_internal.h"
 
@@ -253,43 +252,20 @@ done:
     return status;
 }
 
-/* Lets the program decode its input to source->decoded. */
-static int decode(struct bsq_ctx *ctx, struct gltf_source *source, char *program,
-                  const struct bsq_file *input)
-{
-    const uint64_t seconds = LEAST_SECONDS + source->decoded_bytes / BYTES_A_SECOND;
-    const uint64_t left = bsq_memory_left(ctx);
-    struct fmt_program_end end;
-    struct stat info;
-    char memory[24], time[24], text[201] = "";
-    uint64_t got = 0;
-    int status;
-    snprintf(memory, sizeof memory, "%" PRIu64, left);
-    snprintf(time, sizeof time, "%" PRIu64, seconds);
-    char *const arguments[] = {program, memory, time, NULL};
-    BSQ_TRY(fmt_program_run(ctx, arguments, input->fd, source->decoded.fd, INFINITY, &end));
-    if (fstat(source->decoded.fd, &info) == 0)
-        source->decoded.size = (uint64_t)info.st_size;
-    if (end.error || end.state != 0) {
-        BSQ_TRY(bsq_file_read_some(ctx, &source->decoded, text, sizeof text - 1, 0, &got));
-        status = fmt_program_fail(ctx, source->own.path, "Draco or meshoptimizer", &end, text,
-                                  seconds, left);
-    } else if (source->decoded.size != source->decoded_bytes) {
-        status = bsq_fail(ctx, BSQ_ENOINPUT, "%s: %s does not work", source->own.path, program);
-    }
-done:
-    return status;
-}
-
 int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source)
 {
     struct bsq_file input = BSQ_FILE_CLOSED;
     struct gltf_stamp stamp = {{0}};
+    const struct fmt_converter how = {.program = "bisque-gltf",
+                                      .purpose = "compressed glTF files",
+                                      .library = "Draco or meshoptimizer",
+                                      .path = source->own.path,
+                                      .seconds =
+                                          LEAST_SECONDS + source->decoded_bytes / BYTES_A_SECOND};
     char program[PATH_MAX];
     if (source->packed_count == 0 || source->decoded.fd >= 0)
         return 0;
     int status;
-    BSQ_TRY(fmt_module_find(ctx, "bisque-gltf", "compressed glTF files", program));
     BSQ_TRY(bsq_require_disk(ctx, NULL, source->decoded_bytes));
     BSQ_TRY(bsq_file_temp(ctx, NULL, "a compressed glTF file", &input));
     BSQ_TRY(bsq_file_temp(ctx, NULL, "a decompressed glTF file", &source->decoded));
@@ -297,7 +273,9 @@ int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source)
     BSQ_TRY(bsq_file_append(ctx, &input, &stamp, sizeof stamp));
     for (uint32_t i = 0; i < source->packed_count; i++)
         BSQ_TRY(add_task(ctx, source, &source->packed[i], &input));
-    BSQ_TRY(decode(ctx, source, program, &input));
+    BSQ_TRY(fmt_program_convert(ctx, &how, input.fd, &source->decoded, program));
+    if (source->decoded.size != source->decoded_bytes)
+        status = bsq_fail(ctx, BSQ_ENOINPUT, "%s: %s does not work", source->own.path, program);
 done:
     bsq_file_close(ctx, &input);
     if (status)

@@ -8,6 +8,7 @@
 #include <string.h>
 
 #include "formats/mesh/gltf_internal.h"
+#include "formats/mesh/scene_file.h"
 #include "formats/mesh/mesh_text.h"
 
 /* ---- meshes: which accessors their primitives use ---- */
@@ -281,9 +282,7 @@ static int read_transform(const struct gltf_place *place, double out[3][4])
     return found < 0 ? found : 0;
 }
 
-/* Sets the matrix of normals: the inverse transpose of m, times a positive number. Returns whether
- * m mirrors. */
-static bool invert_for_normals(const double m[3][4], double out[3][3])
+bool fmt_invert_for_normals(const double m[3][4], double out[3][3])
 {
     double determinant = 0, largest = 0;
     for (int i = 0; i < 3; i++)
@@ -356,7 +355,7 @@ static int add_placement(struct walk *w, const struct gltf_place *place, uint32_
     source->unread.morphs += is_morphed(place, mesh);
     *out = (struct gltf_placement){.mesh = mesh};
     memcpy(out->matrix, matrix, sizeof out->matrix);
-    out->mirrored = invert_for_normals(matrix, out->normal_matrix);
+    out->mirrored = fmt_invert_for_normals(matrix, out->normal_matrix);
     source->uneven_scale |= scales_unevenly(matrix);
     memcpy(out->base, source->total, sizeof out->base);
     bool overflow = __builtin_add_overflow(source->triangles, m->triangles, &source->triangles) ||

@@ -106,25 +106,6 @@ void put(FILE *to, const void *from, size_t size)
         fwrite(from, size, 1, to);
 }
 
-// Sets the inverse transpose of a matrix, times a positive number. Returns whether it mirrors.
-bool invert_for_normals(const Matrix &matrix, double out[3][3])
-{
-    const auto &m = matrix.m;
-    double determinant = 0, largest = 0;
-    for (int i = 0; i < 3; i++)
-        for (int k = 0; k < 3; k++) {
-            const int i1 = (i + 1) % 3, i2 = (i + 2) % 3, k1 = (k + 1) % 3, k2 = (k + 2) % 3;
-            out[i][k] = m[i1][k1] * m[i2][k2] - m[i1][k2] * m[i2][k1];
-            largest = std::max(largest, std::fabs(out[i][k]));
-        }
-    for (int k = 0; k < 3; k++)
-        determinant += m[0][k] * out[0][k];
-    const double scale = largest > 0 ? (determinant < 0 ? -1 : 1) / largest : 1;
-    for (int i = 0; i < 9; i++)
-        out[i / 3][i % 3] *= scale;
-    return determinant < 0;
-}
-
 void write_positions(FILE *to, const Place &place)
 {
     const auto &m = place.matrix.m;
@@ -151,7 +132,7 @@ void write_texcoords(FILE *to, const Place &place)
 void write_normals(FILE *to, const Place &place)
 {
     double m[3][3];
-    invert_for_normals(place.matrix, m);
+    fmt_invert_for_normals(place.matrix.m, m);
     for (unsigned v = 0; v < place.mesh->mNumVertices; v++) {
         float normal[3] = {0, 0, 0};
         for (int k = 0; k < 3 && place.mesh->HasNormals(); k++) {
@@ -186,7 +167,7 @@ void write_colors(FILE *to, const Place &place, const std::vector<fmt_scene_mate
 void write_corners(FILE *to, const Place &place, uint64_t first_vertex)
 {
     double unused[3][3];
-    const bool mirrored = invert_for_normals(place.matrix, unused);
+    const bool mirrored = fmt_invert_for_normals(place.matrix.m, unused);
     for (unsigned f = 0; f < place.mesh->mNumFaces; f++) {
         const aiFace &face = place.mesh->mFaces[f];
         const unsigned size = face.mNumIndices;

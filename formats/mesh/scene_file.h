@@ -62,6 +62,10 @@ struct fmt_scene {
 /* Finds the arrays in the file. Returns false if it is damaged; then *out has no meaning. */
 bool fmt_scene_view(const void *file, uint64_t size, struct fmt_scene *out);
 
+/* Sets the matrix of normals of a node's matrix: its inverse transpose, times a positive number.
+ * Returns whether the node mirrors. */
+bool fmt_invert_for_normals(const double m[3][4], double out[3][3]);
+
 #ifdef __cplusplus
 }
 #endif

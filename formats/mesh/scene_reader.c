@@ -5,12 +5,8 @@
  * mapped. */
 #include <inttypes.h>
 #include <math.h>
-#include <signal.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
-#include <sys/stat.h>
-#include <sys/wait.h>
 
 #include "base/file.h"
 #include "formats/mesh/mesh_format.h"
@@ -102,10 +98,7 @@ static const char *find_suffix(char *path, const char *head, size_t size)
 static int open_scene(struct stream_source *source, const char *program, struct bsq_file *output)
 {
     struct scene_file *file = source->data;
-    struct stat info;
     int status;
-    if (fstat(output->fd, &info) == 0)
-        output->size = (uint64_t)info.st_size;
     BSQ_TRY(bsq_map_file(source->ctx, output, &file->map));
     if (!fmt_scene_view(file->map.data, file->map.size, &file->scene))
         return bsq_fail(source->ctx, BSQ_ENOINPUT,
@@ -122,27 +115,21 @@ static int read_whole(struct stream_source *source, const struct bsq_file *file)
 {
     struct bsq_ctx *ctx = source->ctx;
     struct bsq_file output = BSQ_FILE_CLOSED;
-    struct fmt_program_end end;
-    const uint64_t seconds = LEAST_SECONDS + file->size / BYTES_A_SECOND;
-    char head[64], text[201] = "", memory[24], time[24], program[PATH_MAX], *path = NULL;
+    struct fmt_converter how = {.program = "bisque-scene",
+                                .purpose = "FBX, COLLADA and such files",
+                                .library = "Assimp",
+                                .path = source->path,
+                                .seconds = LEAST_SECONDS + file->size / BYTES_A_SECOND};
+    char head[64], program[PATH_MAX], *path = NULL;
     uint64_t got = 0;
     int status;
     ((struct scene_file *)source->data)->bytes = file->size;
-    BSQ_TRY(fmt_module_find(ctx, "bisque-scene", "FBX, COLLADA and such files", program));
     BSQ_TRY(bsq_file_read_some(ctx, file, head, sizeof head, 0, &got));
     BSQ_TRY(bsq_text_copy(ctx, source->path, &path));
     BSQ_TRY(bsq_file_temp(ctx, NULL, "the meshes of a file", &output));
-    snprintf(memory, sizeof memory, "%" PRIu64, bsq_memory_left(ctx));
-    snprintf(time, sizeof time, "%" PRIu64, seconds);
-    char *const arguments[] = {program, (char *)find_suffix(path, head, got), memory, time, NULL};
-    BSQ_TRY(fmt_program_run(ctx, arguments, file->fd, output.fd, INFINITY, &end));
-    if (end.error == 0 && end.state == 0) {
-        status = open_scene(source, program, &output);
-    } else {
-        BSQ_TRY(bsq_file_read_some(ctx, &output, text, sizeof text - 1, 0, &got));
-        status = fmt_program_fail(ctx, source->path, "Assimp", &end, text, seconds,
-                                  bsq_memory_left(ctx));
-    }
+    how.option = (char *)find_suffix(path, head, got);
+    BSQ_TRY(fmt_program_convert(ctx, &how, file->fd, &output, program));
+    status = open_scene(source, program, &output);
 done:
     bsq_file_close(ctx, &output);
     bsq_free(ctx, path);

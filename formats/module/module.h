@@ -77,6 +77,18 @@ void fmt_program_finish(struct bsq_ctx *ctx, pid_t process, double seconds,
 int fmt_program_fail(struct bsq_ctx *ctx, const char *path, const char *library,
                      const struct fmt_program_end *end, char *text, uint64_t seconds,
                      uint64_t left);
+/* Lets such a program turn a file into another one. Its arguments are `option` (NULL: none), the
+ * bytes of memory that are left and `seconds`, its input is the descriptor `from`. Sets to->size,
+ * and the path of the program. Errors: those of fmt_module_find(), fmt_program_run() and
+ * fmt_program_fail(). */
+struct fmt_converter {
+    const char *program, *purpose; /* as fmt_module_find() takes them */
+    const char *library, *path;    /* as fmt_program_fail() takes them */
+    char *option;
+    uint64_t seconds;
+};
+int fmt_program_convert(struct bsq_ctx *ctx, const struct fmt_converter *how, int from,
+                        struct bsq_file *to, char program[PATH_MAX]);
 /* The first step of such a program: ends with the thread that started it, dumps no core, and dies
  * of crashes, also with sanitizers, which would exit instead. */
 void fmt_program_isolate(void);

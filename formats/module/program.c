@@ -3,12 +3,14 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <inttypes.h>
+#include <math.h>
 #include <signal.h>
 #include <spawn.h>
 #include <stdio.h>
 #include <string.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
+#include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -135,4 +137,31 @@ int fmt_program_run(struct bsq_ctx *ctx, char *const arguments[], int from, int 
         return 0;
     fmt_program_finish(ctx, process, seconds, out);
     return bsq_check(ctx); /* a signal may have ended the process first */
+}
+
+int fmt_program_convert(struct bsq_ctx *ctx, const struct fmt_converter *how, int from,
+                        struct bsq_file *to, char program[PATH_MAX])
+{
+    const uint64_t left = bsq_memory_left(ctx);
+    struct fmt_program_end end;
+    struct stat info;
+    char memory[24], seconds[24], text[201] = "", *arguments[5] = {program};
+    uint64_t got = 0;
+    int count = 1, status;
+    snprintf(memory, sizeof memory, "%" PRIu64, left);
+    snprintf(seconds, sizeof seconds, "%" PRIu64, how->seconds);
+    if (how->option)
+        arguments[count++] = how->option;
+    arguments[count++] = memory;
+    arguments[count] = seconds;
+    BSQ_TRY(fmt_module_find(ctx, how->program, how->purpose, program));
+    BSQ_TRY(fmt_program_run(ctx, arguments, from, to->fd, INFINITY, &end));
+    if (fstat(to->fd, &info) == 0)
+        to->size = (uint64_t)info.st_size;
+    if (end.error == 0 && end.state == 0)
+        return 0;
+    BSQ_TRY(bsq_file_read_some(ctx, to, text, sizeof text - 1, 0, &got));
+    status = fmt_program_fail(ctx, how->path, how->library, &end, text, how->seconds, left);
+done:
+    return status;
 }
