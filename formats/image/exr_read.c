@@ -14,7 +14,6 @@
 #include "base/file.h"
 #include "base/parallel.h"
 #include "base/text.h"
-#include "formats/exr_header.h"
 #include "formats/image/exr_internal.h"
 
 enum { UNPACKING_BYTES = 64 << 10 }; /* zlib needs at least this memory to unpack */
@@ -118,12 +117,111 @@ static int64_t file_size(exr_const_context_t file, void *user)
     return (int64_t)((struct reader *)user)->input->size;
 }
 
-/* ---- header ---- */
-
 static int refuse(const struct reader *reader, const char *why)
 {
     return bsq_fail(reader->stream.ctx, BSQ_EDATA, "%s: %s", reader->stream.path, why);
 }
+
+/* ---- the limits that a header must keep ----
+ *
+ * OpenEXR sorts channels and attributes, which for a small file with very many takes minutes, and
+ * allocates what the header holds outside of the budget. So this walks over the header first, whose
+ * layout is described at https://openexr.com/en/latest/OpenEXRFileLayout.html. */
+
+/* Renderers write up to some hundred channels and attributes, and previews of 100 KiB. */
+enum { MOST_ATTRIBUTES = 4096, MOST_CHANNELS = 16384, MOST_BYTES = 1 << 20 };
+enum { NAME_BYTES = 256, CHANNEL_BYTES = 16, MULTI_PART = 1 << 12 };
+
+struct walk {
+    struct bsq_ctx *ctx;
+    const struct bsq_file *file;
+    int status; /* of a failed read, or 0 */
+    uint64_t at;
+    uint32_t attributes, channels;
+    const char *excess; /* what is too much; NULL: nothing */
+};
+
+static uint32_t little32(const unsigned char *p)
+{
+    return p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16 | (uint32_t)p[3] << 24;
+}
+
+/* Reads up to `size` bytes. Returns their number. */
+static uint64_t read_at(struct walk *walk, uint64_t offset, void *to, uint64_t size)
+{
+    uint64_t got = 0;
+    const int status = bsq_file_read_some(walk->ctx, walk->file, to, size, offset, &got);
+    walk->status = walk->status < 0 ? walk->status : status;
+    return status < 0 ? 0 : got;
+}
+
+/* Reads a name and moves behind the null byte at its end. Returns false if there is none. */
+static bool read_name(struct walk *walk, char name[NAME_BYTES])
+{
+    const uint64_t got = read_at(walk, walk->at, name, NAME_BYTES);
+    const char *end = memchr(name, '\0', got);
+    if (end)
+        walk->at += (uint64_t)(end - name) + 1;
+    return end != NULL;
+}
+
+/* Walks over a list of channels. Its length must be right, because some readers go by the names
+ * alone. */
+static bool pass_channels(struct walk *walk, uint64_t end)
+{
+    char name[NAME_BYTES];
+    while (read_name(walk, name) && name[0]) {
+        walk->at += CHANNEL_BYTES;
+        if (++walk->channels > MOST_CHANNELS) {
+            walk->excess = "the header has more than 16384 channels";
+            return false;
+        }
+    }
+    if (walk->at != end)
+        walk->excess = "the header's list of channels has a wrong length";
+    return walk->at == end;
+}
+
+/* Walks over an attribute after its name. Returns false if the walk ends. */
+static bool pass_attribute(struct walk *walk)
+{
+    char type[NAME_BYTES];
+    unsigned char size[4];
+    if (!read_name(walk, type) || read_at(walk, walk->at, size, 4) < 4)
+        return false;
+    const uint64_t end = walk->at + 4 + little32(size);
+    walk->at += 4;
+    if (++walk->attributes > MOST_ATTRIBUTES)
+        walk->excess = "the header has more than 4096 attributes";
+    else if (end > MOST_BYTES)
+        walk->excess = "the header has more than 1 MiB";
+    else if (strcmp(type, "chlist") == 0)
+        return pass_channels(walk, end);
+    walk->at = end;
+    return !walk->excess;
+}
+
+/* Refuses an excessive header. A file has one, or one for each part and an empty one at the end. If
+ * it is none at all, OpenEXR says what is wrong with it. */
+static int check_header(const struct reader *reader)
+{
+    struct walk walk = {.ctx = reader->stream.ctx, .file = reader->input, .at = 8};
+    unsigned char version[4] = {0};
+    char name[NAME_BYTES];
+    bool empty = true;
+    const bool found = read_at(&walk, 4, version, 4) == 4;
+    const bool parts = little32(version) & MULTI_PART;
+    while (found && read_name(&walk, name)) {
+        if (!name[0] && (!parts || empty))
+            break;
+        if (name[0] && !pass_attribute(&walk))
+            break;
+        empty = !name[0];
+    }
+    return walk.status < 0 || !walk.excess ? walk.status : refuse(reader, walk.excess);
+}
+
+/* ---- header ---- */
 
 static int read_layout(struct reader *reader)
 {
@@ -346,7 +444,7 @@ done:
     return status;
 }
 
-static int read_header(struct reader *reader)
+static int read_header(struct reader *reader, bool by_rows)
 {
     exr_context_initializer_t init = EXR_DEFAULT_CONTEXT_INITIALIZER;
     init.error_handler_fn = describe_failure;
@@ -354,13 +452,14 @@ static int read_header(struct reader *reader)
     init.read_fn = read_bytes;
     init.size_fn = file_size;
     init.flags = EXR_CONTEXT_FLAG_DISABLE_CHUNK_RECONSTRUCTION;
-    struct fmt_exr_header header;
+    exr_compression_t packing;
     int status;
-    BSQ_TRY(fmt_exr_header_read(reader->stream.ctx, reader->input, &header));
-    if (header.excess)
-        return refuse(reader, header.excess);
+    BSQ_TRY(check_header(reader));
     BSQ_TRY(
         fmt_exr_status(&reader->stream, exr_start_read(&reader->file, reader->stream.path, &init)));
+    BSQ_TRY(fmt_exr_status(&reader->stream, exr_get_compression(reader->file, 0, &packing)));
+    if (by_rows && (packing == EXR_COMPRESSION_DWAA || packing == EXR_COMPRESSION_DWAB))
+        return BSQ_RETRY;
     BSQ_TRY(read_layout(reader));
     status = read_channels(reader);
 done:
@@ -392,7 +491,7 @@ static int read_image(struct reader *reader)
 {
     struct fmt_exr_image *image = reader->image;
     int status;
-    BSQ_TRY(read_header(reader));
+    BSQ_TRY(read_header(reader, false));
     BSQ_TRY(read_attributes(reader));
     BSQ_TRY(allocate_places(reader));
     for (uint32_t c = 0; c < image->channel_count; ++c)
@@ -493,7 +592,7 @@ int fmt_exr_rows_open(struct bsq_ctx *ctx, const char *path, const struct bsq_fi
         return status;
     rows->reader = (struct reader){
         .stream = {.ctx = ctx, .path = path}, .input = input, .image = &rows->image, .workers = 1};
-    BSQ_TRY(read_header(&rows->reader));
+    BSQ_TRY(read_header(&rows->reader, true));
     BSQ_TRY(allocate_places(&rows->reader));
     choose_channels(&rows->reader);
     BSQ_TRY(allocate(&rows->reader, rows->reader.chunk_height < rows->image.height

@@ -39,7 +39,8 @@ struct fmt_exr_size {
 };
 struct fmt_exr_rows;
 /* Opens an image. `path` is for messages; it and `input` must stay. Close *out, also after a
- * failure. Errors: BSQ_EDATA, BSQ_EIO, BSQ_ENOMEM. */
+ * failure. Errors: BSQ_RETRY for DWAA and DWAB, which OpenEXR's C API cannot decode; BSQ_EDATA,
+ * BSQ_EIO, BSQ_ENOMEM. */
 int fmt_exr_rows_open(struct bsq_ctx *ctx, const char *path, const struct bsq_file *input,
                       struct fmt_exr_size *size, struct fmt_exr_rows **out);
 int fmt_exr_rows_read(struct fmt_exr_rows *rows, float *out); /* the next row */

@@ -9,8 +9,6 @@
 #include <inttypes.h>
 #include <string.h>
 
-#include "formats/exr_header.h"
-
 /* An image in an open file, and its first bytes; zeros follow after a short image. */
 struct probe {
     struct bsq_ctx *ctx;
@@ -224,7 +222,6 @@ static const char no_format[] =
 static const char oiio[] = "bisque-texture";
 
 /* OpenEXR files that OpenEXR's C API cannot decode. */
-enum { EXR_DWAA = 8, EXR_DWAB = 9 };
 static const struct format dwa_format = {"OpenEXR", &fmt_program_rows, oiio, "openexr", is_exr,
                                          NULL};
 
@@ -342,7 +339,6 @@ int fmt_rows_open(struct bsq_ctx *ctx, const char *path, struct fmt_rows *rows)
 {
     struct bsq_part part;
     struct probe probe = {.ctx = ctx, .file = &rows->input.file, .part = &part};
-    struct fmt_exr_header header = {0};
     int status;
     *rows = (struct fmt_rows){.input = {.ctx = ctx, .path = path, .file = BSQ_FILE_CLOSED}};
     BSQ_TRY(bsq_part_open(ctx, path, &part, &rows->input.file));
@@ -353,13 +349,14 @@ int fmt_rows_open(struct bsq_ctx *ctx, const char *path, struct fmt_rows *rows)
     BSQ_TRY(probe.status);
     if (format) /* what is no image is not copied: it may be large */
         BSQ_TRY(extract(rows, &part));
-    if (format && format->recognise == is_exr)
-        BSQ_TRY(fmt_exr_header_read(ctx, &rows->input.file, &header));
-    if (!format || header.excess)
-        return fmt_rows_unreadable(&rows->input, header.excess ? header.excess : no_format);
-    if (header.compression == EXR_DWAA || header.compression == EXR_DWAB)
-        format = &dwa_format;
-    BSQ_TRY(open_decoder(rows, format, whole));
+    if (!format)
+        return fmt_rows_unreadable(&rows->input, no_format);
+    status = open_decoder(rows, format, whole);
+    if (status == BSQ_RETRY) {
+        rows->decoder->close(rows->state);
+        rows->state = NULL;
+        status = open_decoder(rows, &dwa_format, whole);
+    }
 done:
     return status;
 }

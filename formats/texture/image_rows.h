@@ -39,7 +39,8 @@ struct fmt_rows_input {
     int status;           /* of a failed read of the stream, or 0 */
 };
 
-/* A decoder. Errors: BSQ_EDATA, BSQ_EIO, BSQ_EINTR, BSQ_ENOMEM. */
+/* A decoder. Errors: BSQ_EDATA, BSQ_EIO, BSQ_EINTR, BSQ_ENOMEM; BSQ_RETRY of an OpenEXR file that
+ * OpenImageIO can decode. */
 struct fmt_rows_decoder {
     /* Reads the header. `input` must stay. Sets *state also after a failure; NULL: nothing. */
     int (*open)(struct fmt_rows_input *input, struct fmt_rows_info *info, void **state);
