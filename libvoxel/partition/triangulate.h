@@ -5,7 +5,6 @@
 #ifndef VOX_PARTITION_TRIANGULATE_H
 #define VOX_PARTITION_TRIANGULATE_H
 
-#include "libvoxel/partition/corner_delta_code.h"
 #include "libvoxel/partition/morton.h"
 #include "libvoxel/partition/record_runs.h"
 #include "libvoxel/partition/vertex_buckets.h"
@@ -25,11 +24,6 @@ struct bucket_runs {
     uint32_t bucket, triangles;
     uint32_t first_span, span_count; /* in `sorted`; 0 for plain blocks */
     uint64_t offset, bytes;          /* in `bytes` of the triangulator */
-};
-
-/* Consecutive triangles of a block that are in one bucket and have one material. */
-struct triangle_span {
-    uint32_t bucket, first, count, material;
 };
 
 /* Buffers and result of triangulating one block after the other. */
@@ -65,32 +59,5 @@ void vox_triangulator_free(struct triangulator *t);
  * BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
 int vox_triangulate_block(struct triangulator *t, const struct fmt_mesh_block *block,
                           uint32_t max_size);
-
-/* ---- inside of triangulate.c and triangulate_code.c ---- */
-
-/* A block of faces. */
-struct faces {
-    const struct fmt_mesh_block *block;
-    const uint32_t *sizes;                        /* NULL if all faces are triangles */
-    const uint64_t *indices[FMT_MESH_KIND_COUNT]; /* of corners; NULL: none has any */
-    uint32_t material[2]; /* of triangles with texture coordinates, others */
-};
-
-/* Returns the most bytes that a coded triangle of this scan takes: differences of indices take four
- * bytes if there are fewer than 2^31. */
-static inline uint32_t coded_triangle_bytes(const struct triangulation_plan *plan, uint32_t kinds)
-{
-    const struct scan *scan = plan->scan;
-    uint64_t most = scan_count(scan, SCAN_POSITIONS) | scan_count(scan, SCAN_TEXCOORDS) |
-                    scan_count(scan, SCAN_NORMALS);
-    return kinds * (most >> 31 ? CORNER_CODE_MAX : 13);
-}
-
-/* Sorts the triangulator's spans by bucket and codes them as runs. */
-int vox_triangulate_code_spans(struct triangulator *t, const struct faces *faces);
-
-/* Triangulates a block of triangles that have positions alone and one material. *done: false if the
- * block has no such faces or its triangles have no order; then the result is undefined. */
-int vox_triangulate_plain(struct triangulator *t, const struct faces *faces, bool *done);
 
 #endif
