@@ -175,10 +175,12 @@ static void warn_of_targets(struct cli *cli, const struct arguments *arguments,
     for (uint32_t i = 0; i < report->level_count; i++) {
         const struct vox_simplified *level = &report->levels[i];
         if (level->target > 0 && level->triangles > level->target)
-            bsq_warn(cli->ctx,
-                     "%s: %" PRIu64 " triangles instead of %" PRIu64
-                     ": fewer would close holes or join pieces; --min-component drops small ones",
-                     arguments->paths[i], level->triangles, level->target);
+            bsq_warn(
+                cli->ctx,
+                "%s: %" PRIu64 " triangles instead of %" PRIu64
+                ": each edge that is left would fold the surface, close a hole or join pieces; "
+                "--min-component drops small pieces",
+                arguments->paths[i], level->triangles, level->target);
     }
 }
 

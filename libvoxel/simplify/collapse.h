@@ -2,9 +2,9 @@
  *
  * An edge collapses into one vertex, at the place where the volume between the triangles before and
  * after is least, under the constraint that the enclosed volume stays (Lindstrom and Turk, "Fast
- * and Memory Efficient Polygonal Simplification", 1998). Of the
- * scan, only the way is remembered that the surface has gone from it; where that is long, edges
- * collapse later. Vertices of open borders move along their border only. */
+ * and Memory Efficient Polygonal Simplification", 1998). Of the scan, only the way is remembered
+ * that the surface has gone from it; where that is long, edges collapse later. Vertices of open
+ * borders move along their border only. */
 #ifndef VOX_COLLAPSE_H
 #define VOX_COLLAPSE_H
 
