@@ -80,6 +80,10 @@ static inline double bake_ray_cost(double t, double reach)
     return t <= reach ? reach - t : reach + t;
 }
 
+/* Rays of a batch with numbers from a multiple of this on are traced together. They should be
+ * neighbours; rays without a direction may fill the rest. */
+enum { BAKE_EXACT_BUNDLE = 16 };
+
 struct bake_exact_batch {
     const struct bake_exact_ray *rays;
     struct bake_exact_hit *hits; /* out */

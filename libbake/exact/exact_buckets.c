@@ -1,35 +1,35 @@
-/* exact_buckets.c - sorts rays into buckets, one for each chunk that a ray crosses.
+/* exact_buckets.c - sorts bundles of rays into buckets, one for each chunk that a ray crosses.
  *
- * Neighbouring rays cross the same few chunks, so candidate chunks are looked up once for a group
- * of rays. This is a counting sort over segments of the batch: each segment counts its pairs of ray
- * and chunk, and later writes them to places of its own. So the rays of a bucket are in order for
- * any number of threads. */
+ * Neighbouring bundles cross the same few chunks, so candidate chunks are looked up once for a
+ * group of them. This is a counting sort over segments of the batch: each segment counts its pairs
+ * of bundle and chunk, and later writes them to places of its own. So the bundles of a bucket are
+ * in order for any number of threads. */
 #include "libbake/exact/exact_scene.h"
 #include "libbake/exact/exact_line.h"
 
-#include <inttypes.h>
+#include <assert.h>
 #include <math.h>
 #include <string.h>
 
 #include "base/parallel.h"
 
-enum { GROUP = 64, SEGMENTS_A_THREAD = 4 };
+enum { GROUP = 4, SEGMENTS_A_THREAD = 4 };
 
 /* Buffers of a thread. */
 struct worker {
     uint32_t *candidates;     /* chunks */
-    uint32_t *crossed;        /* candidates of a ray */
+    uint32_t *crossed;        /* candidates of a bundle */
     struct exact_box8 *boxes; /* of the candidates */
 };
 
 struct sorting {
     const struct bake_exact *exact;
     const struct bake_exact_batch *batch;
-    uint64_t first, count; /* rays of the batch */
-    uint64_t segment_rays;
+    uint64_t first, count; /* bundles of the batch */
+    uint64_t segment_bundles;
     uint32_t segments;
     /* segments x chunk_count: pairs of each segment and chunk; in the second pass the place of the
-     * segment's next ray in the bucket. */
+     * segment's next bundle in the bucket. */
     uint32_t *counts;
     uint32_t *numbers;        /* candidates and crossed ones of all workers */
     struct exact_box8 *boxes; /* likewise */
@@ -104,18 +104,27 @@ static uint32_t find_candidates(const struct sorting *s, uint64_t begin, uint64_
     return count;
 }
 
-/* Counts the chunks that a ray crosses, and in the second pass adds the ray to their buckets. */
-static void sort_ray(const struct sorting *s, uint64_t ray, uint32_t candidates,
-                     const struct worker *worker, uint32_t *counts)
+/* Returns the number after the last ray of bundle `end` - 1. */
+static uint64_t rays_end(const struct sorting *s, uint64_t end)
+{
+    const uint64_t rays = end * BAKE_EXACT_BUNDLE;
+    return rays < s->batch->count ? rays : s->batch->count;
+}
+
+/* Counts the chunks that a bundle crosses, and in the second pass adds it to their buckets. */
+static void sort_bundle(const struct sorting *s, uint64_t bundle, uint32_t candidates,
+                        const struct worker *worker, uint32_t *counts)
 {
     const struct bake_exact_batch *batch = s->batch;
+    const uint64_t first = bundle * BAKE_EXACT_BUNDLE;
     const uint32_t crossed = BSQ_SIMD_PICK(s->exact->simd, bake_exact_crossed)(
-        &batch->rays[ray], batch->t_min, batch->t_max, worker->boxes, candidates, worker->crossed);
+        &batch->rays[first], (uint32_t)(rays_end(s, bundle + 1) - first), batch->t_min,
+        batch->t_max, worker->boxes, candidates, worker->crossed);
     for (uint32_t i = 0; i < crossed; i++) {
         const uint32_t chunk = worker->candidates[worker->crossed[i]];
         const uint32_t place = counts[chunk]++;
         if (s->writing)
-            s->buckets->rays[s->buckets->starts[chunk] + place] = (uint32_t)ray;
+            s->buckets->bundles[s->buckets->starts[chunk] + place] = (uint32_t)bundle;
     }
 }
 
@@ -125,22 +134,23 @@ static int sort_segment(void *arg, uint64_t segment, unsigned number)
     uint32_t *numbers = s->numbers + number * number_count(s->exact);
     const struct worker worker = {numbers, numbers + s->exact->chunk_count,
                                   s->boxes + number * box8_count(s->exact)};
-    uint64_t begin = segment * s->segment_rays, end = begin + s->segment_rays;
+    uint64_t begin = segment * s->segment_bundles, end = begin + s->segment_bundles;
     end = end < s->count ? end : s->count;
     uint32_t *counts = s->counts + segment * s->exact->chunk_count;
     int status = 0;
     for (; begin < end && (status = bsq_check(s->exact->ctx)) == 0; begin += GROUP) {
         uint64_t stop = begin + GROUP < end ? begin + GROUP : end;
-        uint32_t candidates = find_candidates(s, s->first + begin, s->first + stop, &worker);
-        for (uint64_t r = begin; candidates > 0 && r < stop; r++)
-            sort_ray(s, s->first + r, candidates, &worker, counts);
+        uint32_t candidates = find_candidates(s, (s->first + begin) * BAKE_EXACT_BUNDLE,
+                                              rays_end(s, s->first + stop), &worker);
+        for (uint64_t b = begin; candidates > 0 && b < stop; b++)
+            sort_bundle(s, s->first + b, candidates, &worker, counts);
     }
     return status;
 }
 
 static int run_segments(struct sorting *s)
 {
-    uint64_t segments = (s->count + s->segment_rays - 1) / s->segment_rays;
+    uint64_t segments = (s->count + s->segment_bundles - 1) / s->segment_bundles;
     return bsq_parallel_for(s->exact->ctx, segments, sort_segment, s);
 }
 
@@ -149,7 +159,7 @@ static int run_segments(struct sorting *s)
 static int count_pairs(struct sorting *s)
 {
     const uint64_t groups = (s->count + GROUP - 1) / GROUP;
-    s->segment_rays = (groups + s->segments - 1) / s->segments * GROUP;
+    s->segment_bundles = (groups + s->segments - 1) / s->segments * GROUP;
     s->writing = false;
     memset(s->counts, 0, (uint64_t)s->segments * s->exact->chunk_count * sizeof *s->counts);
     return run_segments(s);
@@ -175,7 +185,8 @@ static uint64_t sum_counts(struct sorting *s)
     return sum;
 }
 
-/* Sorts as many rays as fit the buckets: halves their count until they do. */
+/* Sorts as many bundles as fit the buckets, which have space for one: halves their count until they
+ * do. */
 static int sort_rays(struct sorting *s)
 {
     for (;;) {
@@ -185,10 +196,7 @@ static int sort_rays(struct sorting *s)
         uint64_t pairs = sum_counts(s);
         if (pairs <= s->buckets->capacity)
             break;
-        if (s->count == 1)
-            return bsq_fail(s->exact->ctx, BSQ_ENOMEM,
-                            "a ray crosses %" PRIu64 " chunks, the memory budget allows %" PRIu64,
-                            pairs, s->buckets->capacity);
+        assert(s->count > 1);
         s->count = s->count / 2;
     }
     s->writing = true;

@@ -35,9 +35,7 @@ static inline uint64_t exact_transfer_floats(const struct bake_exact *exact)
     return count > 0 ? (uint64_t)BK_TRANSFER_VALUES * (count - FMT_SHADING_CHANNELS) : 0;
 }
 
-/* Locks over the hits, and bucket entries per ray. If rays cross more chunks than that, the batch
- * is traced in parts. */
-enum { EXACT_LOCKS = 1024, EXACT_PAIRS_PER_RAY = 4, EXACT_SLOTS_A_THREAD = 4 };
+enum { EXACT_LOCKS = 1024 /* over the hits */, EXACT_SLOTS_A_THREAD = 4 };
 
 /* Returns the slots of a wave: several a thread, so that all threads are busy until it ends. */
 static inline uint32_t exact_wave_slots(const struct bake_exact *exact)
@@ -138,10 +136,7 @@ struct exact_limits {
     bool from_reach;               /* as in struct bake_exact_batch */
 };
 
-/* Rays that are traced together, at most: neighbours meet the same few nodes of a tree. */
-enum { EXACT_BUNDLE = 8 };
-
-/* Replaces best[i] of `count` rays, at most EXACT_BUNDLE, by the nearest hit among the chunk's
+/* Replaces best[i] of `count` rays, at most BAKE_EXACT_BUNDLE, by the nearest hit among the chunk's
  * triangles, if that wins. Returns a bit mask of the rays whose hit was replaced. first: number of
  * the chunk's first triangle. */
 typedef unsigned bake_exact_slot_trace_fn(const struct exact_slot *slot, uint64_t first,
@@ -163,11 +158,12 @@ typedef bool bake_exact_group_trace_fn(const struct exact_group *group,
                                        const struct exact_limits *limits, struct exact_best *best);
 BSQ_SIMD_DECLARE(bake_exact_group_trace_fn, bake_exact_group_trace);
 
-/* Writes the numbers of the boxes that a ray crosses between t_min and t_max to out[], ascending,
- * and returns their count. boxes: `count` of them, by eights. out: space for count + 7 numbers. */
-typedef uint32_t bake_exact_crossed_fn(const struct bake_exact_ray *ray, double t_min, double t_max,
-                                       const struct exact_box8 *boxes, uint32_t count,
-                                       uint32_t *out);
+/* Writes the numbers of the boxes that rays, at most BAKE_EXACT_BUNDLE, cross between t_min and
+ * t_max to out[], ascending, and returns their count. Boxes near the rays may be among them. boxes:
+ * `count` of them, by eights. out: space for count + 7 numbers. */
+typedef uint32_t bake_exact_crossed_fn(const struct bake_exact_ray *rays, uint32_t ray_count,
+                                       double t_min, double t_max, const struct exact_box8 *boxes,
+                                       uint32_t count, uint32_t *out);
 BSQ_SIMD_DECLARE(bake_exact_crossed_fn, bake_exact_crossed);
 
 /* Checks whether the winding of a triangle disagrees with its vertex normals. The normals then
@@ -176,16 +172,30 @@ bool bake_exact_wound_backwards(const struct fmt_tris_chunk *chunk, uint32_t tri
 
 /* ---- rays by chunk ---- */
 
-/* The rays that cross each chunk: those of chunk c are rays[starts[c]] to rays[starts[c + 1] - 1],
- * ascending. */
+/* The bundles of rays that cross each chunk: those of chunk c are entries starts[c] to
+ * starts[c + 1] - 1, ascending. */
 struct exact_buckets {
-    uint32_t *rays;
+    uint32_t *bundles;
+    uint16_t *found; /* of each entry: bit i: tracing took a hit for ray i of the bundle */
     uint64_t capacity;
     uint64_t *starts; /* chunk_count + 1 */
 };
 
-/* Sorts rays [first, first + *count) of a batch into the buckets. If they do not fit, lowers *count
- * until they do. Errors: BSQ_ENOMEM, BSQ_EINTR. */
+/* Returns the number of bundles that a number of rays is. */
+static inline uint64_t exact_bundles(uint64_t rays)
+{
+    return (rays + BAKE_EXACT_BUNDLE - 1) / BAKE_EXACT_BUNDLE;
+}
+
+/* Returns how many entries buckets should have for a batch. If its rays cross more chunks than
+ * that, it is traced in parts. */
+static inline uint64_t exact_bucket_entries(const struct bake_exact *exact, uint64_t rays)
+{
+    return 8 * (exact_bundles(rays) + exact->chunk_count);
+}
+
+/* Sorts bundles [first, first + *count) of a batch into the buckets. If they do not fit, lowers
+ * *count until they do. Errors: BSQ_ENOMEM, BSQ_EINTR. */
 int bake_exact_sort_rays(const struct bake_exact *exact, const struct bake_exact_batch *batch,
                          uint64_t first, uint64_t *count, struct exact_buckets *buckets);
 /* Returns the bytes that sorting needs besides the buckets. */

@@ -66,12 +66,15 @@ static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, uin
     return plan;
 }
 
+/* Bytes of an entry of the buckets, and of a ray's share in these. */
+enum { BUCKET_BYTES = sizeof(uint32_t) + sizeof(uint16_t), BUCKET_BYTES_A_RAY = BUCKET_BYTES / 2 };
+
 /* Returns the bytes of a ray of a batch, with its hit. */
 static uint64_t ray_bytes(const struct bake_exact *exact)
 {
     return sizeof(struct bake_exact_ray) + sizeof(struct bake_exact_hit) +
            (bake_exact_wants_footprints(exact) ? sizeof(uint32_t) : 0) +
-           exact_transfer_floats(exact) * sizeof(float) + EXACT_PAIRS_PER_RAY * sizeof(uint32_t);
+           exact_transfer_floats(exact) * sizeof(float) + BUCKET_BYTES_A_RAY;
 }
 
 struct bake_exact_needs bake_exact_expect(const struct bake_exact *exact, uint32_t threads)
@@ -90,7 +93,8 @@ uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes
     const uint32_t threads = bsq_threads(exact->ctx);
     const uint64_t fixed = plan_slots(exact, exact_wave_slots(exact), threads, left / 4).bytes +
                            bake_exact_buckets_scratch_bytes(exact) +
-                           (exact->chunk_count + 1) * (sizeof(uint64_t) + EXACT_PAIRS_PER_RAY * 4) +
+                           (exact->chunk_count + 1) * sizeof(uint64_t) +
+                           (exact_bucket_entries(exact, 0) + BAKE_EXACT_BUNDLE) * BUCKET_BYTES +
                            EXACT_LOCKS * sizeof(pthread_mutex_t);
     const uint64_t ray = ray_bytes(exact) + more_bytes;
     /* An eighth is left to other parts of the job. */

@@ -16,9 +16,8 @@
 #include "base/parallel.h"
 #include "base/sort_array.h"
 
-enum {
-    BLOCK = 4096 /* rays of a chunk that a thread traces at a time */
-};
+/* Entries of a bucket, and hits to clear, that a thread takes at a time. */
+enum { BLOCK = 256, CLEARED = 4096 };
 
 /* ---- smooth normals ----
  *
@@ -225,19 +224,19 @@ static int sum_smooth(const struct bake_exact *exact, struct exact_slot *slot,
 
 struct block {
     uint32_t slot;
-    uint64_t begin, end; /* rays of the buckets */
+    uint64_t begin, end; /* entries of the buckets */
 };
 
 struct wave {
     struct bake_exact *exact;
     const struct bake_exact_batch *batch;
-    const struct exact_buckets *buckets;
+    struct exact_buckets *buckets;
     struct exact_limits limits;
-    pthread_mutex_t *locks; /* EXACT_LOCKS, each for some of the hits */
+    pthread_mutex_t *locks; /* EXACT_LOCKS, each for the hits of some bundles */
     struct exact_slots memory;
-    uint32_t used;      /* slots of this wave */
-    bool shading;       /* the second pass */
-    uint64_t ray_count; /* rays that were sorted into the buckets */
+    uint32_t used;         /* slots of this wave */
+    bool shading;          /* the second pass */
+    uint64_t bundle_count; /* bundles that were sorted into the buckets */
     struct block *blocks;
     uint64_t block_capacity, block_count;
 };
@@ -249,30 +248,51 @@ static bool in_chunk(const struct bake_exact *exact, uint32_t chunk, uint64_t tr
            triangle - info->first_triangle < info->triangle_count;
 }
 
+/* Calls `take` for each ray whose hit is in the slot's chunk, among entries of its bucket. */
+static inline int
+each_hit(const struct wave *wave, struct exact_slot *slot, uint64_t begin, uint64_t end,
+         int (*take)(const struct wave *wave, struct exact_slot *slot, uint64_t ray))
+{
+    const struct exact_buckets *buckets = wave->buckets;
+    int status = 0;
+    for (uint64_t i = begin; i < end; i++)
+        for (unsigned left = buckets->found[i]; left && status == 0; left &= left - 1) {
+            const uint64_t ray =
+                (uint64_t)buckets->bundles[i] * BAKE_EXACT_BUNDLE + (unsigned)__builtin_ctz(left);
+            if (in_chunk(wave->exact, slot->number, wave->batch->hits[ray].triangle))
+                status = take(wave, slot, ray);
+        }
+    return status;
+}
+
+/* Loads the slot's chunk for the first hit, and notes which normals a hit needs. */
+static int need_hit(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
+{
+    const struct bake_exact *exact = wave->exact;
+    const bool smooth = exact_needs_smooth(exact);
+    if (!slot->loaded) {
+        int status = bake_exact_slot_load(exact, slot->number, slot);
+        if (status < 0)
+            return status;
+        if (smooth)
+            begin_smooth(slot);
+    }
+    const uint64_t first = exact->chunks[slot->number].first_triangle;
+    const uint32_t *v = slot->chunk.triangles[wave->batch->hits[ray].triangle - first];
+    for (int k = 0; k < 3 && smooth; k++)
+        need_smooth(slot, v[k]);
+    return 0;
+}
+
 /* Loads a chunk and sums the vertex normals that its hits need, if it has hits. */
 static int prepare_shading(struct wave *wave, struct exact_slot *slot,
                            const struct exact_scratch *scratch)
 {
-    const struct bake_exact *exact = wave->exact;
-    const struct exact_buckets *buckets = wave->buckets;
-    const uint64_t begin = buckets->starts[slot->number], end = buckets->starts[slot->number + 1];
-    const bool smooth = exact_needs_smooth(exact);
-    for (uint64_t i = begin; i < end; i++) {
-        const uint64_t triangle = wave->batch->hits[buckets->rays[i]].triangle;
-        if (!in_chunk(exact, slot->number, triangle))
-            continue;
-        if (!slot->loaded) {
-            int status = bake_exact_slot_load(exact, slot->number, slot);
-            if (status < 0 || !smooth)
-                return status;
-            begin_smooth(slot);
-        }
-        const uint64_t first = exact->chunks[slot->number].first_triangle;
-        const uint32_t *v = slot->chunk.triangles[triangle - first];
-        for (int k = 0; k < 3; k++)
-            need_smooth(slot, v[k]);
-    }
-    return slot->loaded ? sum_smooth(exact, slot, scratch) : 0;
+    const uint64_t *starts = &wave->buckets->starts[slot->number];
+    int status = each_hit(wave, slot, starts[0], starts[1], need_hit);
+    return status == 0 && slot->loaded && exact_needs_smooth(wave->exact)
+               ? sum_smooth(wave->exact, slot, scratch)
+               : status;
 }
 
 static int prepare_slot(void *arg, uint64_t index, unsigned worker)
@@ -286,59 +306,85 @@ static int prepare_slot(void *arg, uint64_t index, unsigned worker)
                : bake_exact_slot_prepare(wave->exact, &wave->memory, index, worker);
 }
 
-static pthread_mutex_t *lock_of(const struct wave *wave, uint32_t ray)
+/* The rays of a bundle that have a direction, and their hits so far. */
+struct bundle {
+    uint32_t count;
+    uint8_t numbers[BAKE_EXACT_BUNDLE]; /* in the bundle */
+    struct bake_exact_ray rays[BAKE_EXACT_BUNDLE];
+    struct exact_best best[BAKE_EXACT_BUNDLE];
+};
+
+static void get_bundle(const struct bake_exact_batch *batch, uint64_t first, struct bundle *out)
 {
-    return &wave->locks[ray / 4 % EXACT_LOCKS];
+    out->count = 0;
+    for (uint64_t ray = first; ray < batch->count && ray < first + BAKE_EXACT_BUNDLE; ray++) {
+        const float *d = batch->rays[ray].direction;
+        if (d[0] == 0.0f && d[1] == 0.0f && d[2] == 0.0f)
+            continue;
+        out->numbers[out->count] = (uint8_t)(ray - first);
+        out->rays[out->count] = batch->rays[ray];
+        out->best[out->count++] =
+            (struct exact_best){.t = batch->hits[ray].t,
+                                .triangle = batch->hits[ray].triangle,
+                                .reach = batch->reaches ? (double)batch->reaches[ray] : 0};
+    }
 }
 
 /* Takes a hit of a ray, unless another chunk has found a better one meanwhile. */
-static void take_hit(const struct wave *wave, uint32_t ray, const struct exact_best *best)
+static void take_hit(struct bake_exact_hit *hit, const struct exact_best *best)
 {
-    struct bake_exact_hit *hit = &wave->batch->hits[ray];
-    pthread_mutex_lock(lock_of(wave, ray));
-    if (hit->triangle == BAKE_EXACT_NONE ||
-        exact_wins(best->t, best->triangle, hit->t, hit->triangle, best->reach)) {
-        hit->t = best->t;
-        hit->triangle = best->triangle;
-        hit->normal[0] = best->w1;
-        hit->normal[1] = best->w2;
-    }
-    pthread_mutex_unlock(lock_of(wave, ray));
+    if (hit->triangle != BAKE_EXACT_NONE &&
+        !exact_wins(best->t, best->triangle, hit->t, hit->triangle, best->reach))
+        return;
+    hit->t = best->t;
+    hit->triangle = best->triangle;
+    hit->normal[0] = best->w1;
+    hit->normal[1] = best->w2;
 }
 
-/* Traces `count` rays, at most EXACT_BUNDLE, through the chunk of a slot. */
-static void trace_bundle(struct wave *wave, const struct exact_slot *slot, const uint32_t *numbers,
-                         uint32_t count)
+/* Traces the bundle of an entry of the buckets through the chunk of a slot. */
+static void trace_bundle(struct wave *wave, const struct exact_slot *slot, uint64_t entry)
 {
-    const struct bake_exact_batch *batch = wave->batch;
-    struct bake_exact_ray rays[EXACT_BUNDLE];
-    struct exact_best best[EXACT_BUNDLE];
-    for (uint32_t i = 0; i < count; i++) {
-        const uint32_t ray = numbers[i];
-        rays[i] = batch->rays[ray];
-        best[i] = (struct exact_best){.reach = batch->reaches ? (double)batch->reaches[ray] : 0};
-        pthread_mutex_lock(lock_of(wave, ray));
-        best[i].t = batch->hits[ray].t;
-        best[i].triangle = batch->hits[ray].triangle;
-        pthread_mutex_unlock(lock_of(wave, ray));
+    const uint32_t number = wave->buckets->bundles[entry];
+    const uint64_t first = (uint64_t)number * BAKE_EXACT_BUNDLE;
+    pthread_mutex_t *lock = &wave->locks[number % EXACT_LOCKS];
+    struct bundle bundle;
+    unsigned found = 0;
+    pthread_mutex_lock(lock);
+    get_bundle(wave->batch, first, &bundle);
+    pthread_mutex_unlock(lock);
+    unsigned improved = 0;
+    if (bundle.count > 0)
+        improved = BSQ_SIMD_PICK(wave->exact->simd, bake_exact_slot_trace)(
+            slot, wave->exact->chunks[slot->number].first_triangle, bundle.rays, bundle.count,
+            &wave->limits, bundle.best);
+    if (improved != 0) {
+        pthread_mutex_lock(lock);
+        for (; improved; improved &= improved - 1) {
+            const unsigned i = (unsigned)__builtin_ctz(improved), ray = bundle.numbers[i];
+            take_hit(&wave->batch->hits[first + ray], &bundle.best[i]);
+            found |= 1u << ray;
+        }
+        pthread_mutex_unlock(lock);
     }
-    unsigned improved = BSQ_SIMD_PICK(wave->exact->simd, bake_exact_slot_trace)(
-        slot, wave->exact->chunks[slot->number].first_triangle, rays, count, &wave->limits, best);
-    for (; improved; improved &= improved - 1) {
-        const unsigned i = (unsigned)__builtin_ctz(improved);
-        take_hit(wave, numbers[i], &best[i]);
-    }
+    wave->buckets->found[entry] = (uint16_t)found;
 }
 
-/* Spreads the progress of the batch evenly over the pairs of ray and chunk of the first pass. */
+/* Spreads the progress of the batch evenly over the entries of the buckets in the first pass. */
 static void add_progress(const struct wave *wave, const struct block *block)
 {
     const struct bake_exact_batch *batch = wave->batch;
     const double pairs = (double)wave->buckets->starts[wave->exact->chunk_count];
-    const double units = (double)batch->progress * (double)wave->ray_count / (double)batch->count;
+    const double units =
+        (double)batch->progress * (double)wave->bundle_count / (double)exact_bundles(batch->count);
     const uint64_t before = (uint64_t)(units * ((double)block->begin / pairs)),
                    after = (uint64_t)(units * ((double)block->end / pairs));
     bsq_progress_add(wave->exact->ctx, after - before);
+}
+
+static int shade_hit(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
+{
+    return bake_exact_shade(wave->exact, slot, wave->batch, ray);
 }
 
 static int run_block(void *arg, uint64_t index, unsigned worker)
@@ -346,23 +392,12 @@ static int run_block(void *arg, uint64_t index, unsigned worker)
     (void)worker;
     struct wave *wave = arg;
     const struct block *block = &wave->blocks[index];
-    const struct exact_slot *slot = &wave->memory.slots[block->slot];
-    const uint32_t *rays = wave->buckets->rays;
-    if (!wave->shading) {
-        for (uint64_t i = block->begin; i < block->end; i += EXACT_BUNDLE) {
-            const uint64_t left = block->end - i;
-            trace_bundle(wave, slot, &rays[i], left < EXACT_BUNDLE ? (uint32_t)left : EXACT_BUNDLE);
-        }
-        add_progress(wave, block);
-        return 0;
-    }
-    for (uint64_t i = block->begin; slot->loaded && i < block->end; i++) {
-        if (!in_chunk(wave->exact, slot->number, wave->batch->hits[rays[i]].triangle))
-            continue;
-        int status = bake_exact_shade(wave->exact, slot, wave->batch, rays[i]);
-        if (status < 0)
-            return status;
-    }
+    struct exact_slot *slot = &wave->memory.slots[block->slot];
+    if (wave->shading)
+        return slot->loaded ? each_hit(wave, slot, block->begin, block->end, shade_hit) : 0;
+    for (uint64_t i = block->begin; i < block->end; i++)
+        trace_bundle(wave, slot, i);
+    add_progress(wave, block);
     return 0;
 }
 
@@ -419,11 +454,13 @@ static int allocate(struct wave *wave, struct exact_buckets *buckets)
     struct bsq_ctx *ctx = wave->exact->ctx;
     const uint32_t chunks = wave->exact->chunk_count;
     int status = 0;
-    buckets->capacity = EXACT_PAIRS_PER_RAY * wave->batch->count + chunks;
+    buckets->capacity = exact_bucket_entries(wave->exact, wave->batch->count);
     BSQ_TRY(bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact),
                                     bsq_memory_share(ctx, "chunks of a wave", 2), &wave->memory));
-    BSQ_TRY(
-        bsq_alloc(ctx, "rays by chunk", buckets->capacity, sizeof *buckets->rays, &buckets->rays));
+    BSQ_TRY(bsq_alloc(ctx, "rays by chunk", buckets->capacity, sizeof *buckets->bundles,
+                      &buckets->bundles));
+    BSQ_TRY(bsq_alloc(ctx, "rays by chunk", buckets->capacity, sizeof *buckets->found,
+                      &buckets->found));
     BSQ_TRY(bsq_alloc(ctx, "rays by chunk", (uint64_t)chunks + 1, sizeof *buckets->starts,
                       &buckets->starts));
     BSQ_TRY(bsq_alloc(ctx, "locks", EXACT_LOCKS, sizeof *wave->locks, &wave->locks));
@@ -437,22 +474,23 @@ static int clear_hits(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
     const struct bake_exact_batch *batch = arg;
-    const uint64_t begin = index * BLOCK, left = batch->count - begin;
-    for (uint64_t i = begin; i < begin + (left < BLOCK ? left : BLOCK); i++)
+    const uint64_t begin = index * CLEARED, left = batch->count - begin;
+    for (uint64_t i = begin; i < begin + (left < CLEARED ? left : CLEARED); i++)
         batch->hits[i] = (struct bake_exact_hit){.triangle = BAKE_EXACT_NONE};
     return 0;
 }
 
-/* Traces the next part of the batch: as many rays as fit the buckets. Adds their count to *done. */
+/* Traces the next part of the batch: as many bundles as fit the buckets. Adds their count to *done.
+ */
 static int trace_part(struct wave *wave, struct exact_buckets *buckets, uint64_t *done)
 {
     int status = 0;
-    wave->ray_count = wave->batch->count - *done;
-    BSQ_TRY(bake_exact_sort_rays(wave->exact, wave->batch, *done, &wave->ray_count, buckets));
+    wave->bundle_count = exact_bundles(wave->batch->count) - *done;
+    BSQ_TRY(bake_exact_sort_rays(wave->exact, wave->batch, *done, &wave->bundle_count, buckets));
     BSQ_TRY(run_waves(wave, false));
     if (!wave->batch->distances_only)
         BSQ_TRY(run_waves(wave, true));
-    *done += wave->ray_count;
+    *done += wave->bundle_count;
 done:
     return status;
 }
@@ -474,16 +512,17 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *ba
     if (batch->count == 0)
         return 0;
     BSQ_TRY(allocate(&wave, &buckets));
-    BSQ_TRY(bsq_parallel_for(ctx, (batch->count - 1) / BLOCK + 1, clear_hits,
+    BSQ_TRY(bsq_parallel_for(ctx, (batch->count - 1) / CLEARED + 1, clear_hits,
                              (void *)(uintptr_t)batch));
-    for (uint64_t done = 0; done < batch->count;)
+    for (uint64_t done = 0; done < exact_bundles(batch->count);)
         BSQ_TRY(trace_part(&wave, &buckets, &done));
 done:
     for (int i = 0; wave.locks && i < EXACT_LOCKS; i++)
         pthread_mutex_destroy(&wave.locks[i]);
     bsq_free(ctx, wave.locks);
     bsq_free(ctx, wave.blocks);
-    bsq_free(ctx, buckets.rays);
+    bsq_free(ctx, buckets.bundles);
+    bsq_free(ctx, buckets.found);
     bsq_free(ctx, buckets.starts);
     bake_exact_slots_free(ctx, &wave.memory);
     return status;

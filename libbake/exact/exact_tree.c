@@ -31,56 +31,75 @@ uint64_t bake_exact_tree_bytes(uint32_t count)
 
 /* ---- nodes ---- */
 
-static void set_child(struct exact_box8 *node, unsigned child, const struct exact_box *box)
-{
-    for (int k = 0; k < 3; k++) {
-        node->planes[0][k][child] = box->low[k];
-        node->planes[1][k][child] = box->high[k];
-    }
-}
-
-static struct exact_box bounds_of(const struct exact_box8 *node)
-{
-    struct exact_box box;
-    for (int k = 0; k < 3; k++) {
-        const float *low = node->planes[0][k], *high = node->planes[1][k];
-        box.low[k] = low[0];
-        box.high[k] = high[0];
-        for (int c = 1; c < 8; c++) {
-            box.low[k] = low[c] < box.low[k] ? low[c] : box.low[k];
-            box.high[k] = high[c] > box.high[k] ? high[c] : box.high[k];
-        }
-    }
-    return box;
-}
-
 static const struct exact_box empty = {{INFINITY, INFINITY, INFINITY},
                                        {-INFINITY, -INFINITY, -INFINITY}};
 
-static void fill_leaves(struct exact_tree *tree, const struct exact_box *boxes)
+typedef float fours __attribute__((vector_size(16)));
+typedef int32_t four_ints __attribute__((vector_size(16)));
+
+/* Writes value k of four vectors to out[k]. */
+static inline void transpose(const fours in[4], fours out[4])
 {
-    uint32_t nodes = parents(tree->count);
-    for (uint32_t n = 0; n < nodes; n++)
-        for (unsigned c = 0; c < 8; c++) {
-            uint32_t place = 8 * n + c;
-            set_child(&tree->nodes[n], c, place < tree->count ? &boxes[place] : &empty);
-        }
+    const fours a = __builtin_shufflevector(in[0], in[1], 0, 4, 1, 5);
+    const fours b = __builtin_shufflevector(in[2], in[3], 0, 4, 1, 5);
+    const fours c = __builtin_shufflevector(in[0], in[1], 2, 6, 3, 7);
+    const fours d = __builtin_shufflevector(in[2], in[3], 2, 6, 3, 7);
+    out[0] = __builtin_shufflevector(a, b, 0, 1, 4, 5);
+    out[1] = __builtin_shufflevector(a, b, 2, 3, 6, 7);
+    out[2] = __builtin_shufflevector(c, d, 0, 1, 4, 5);
+    out[3] = __builtin_shufflevector(c, d, 2, 3, 6, 7);
 }
 
-static void fill_level(struct exact_tree *tree, uint32_t level, uint32_t children)
+static inline fours smaller(fours a, fours b)
 {
-    const struct exact_box8 *below = tree->nodes + tree->first[level - 1];
-    struct exact_box8 *nodes = tree->nodes + tree->first[level];
-    for (uint32_t n = 0; n < parents(children); n++)
-        for (unsigned c = 0; c < 8; c++) {
-            struct exact_box box = empty;
-            if (8 * n + c < children)
-                box = bounds_of(&below[8 * n + c]);
-            set_child(&nodes[n], c, &box);
-        }
+    const four_ints less = a < b;
+    return (fours)((less & (four_ints)a) | (~less & (four_ints)b));
 }
 
-void bake_exact_tree_build(struct exact_tree *tree, uint32_t count, const struct exact_box *boxes,
+/* Sets a node to eight boxes. Returns the bounds of all. */
+static struct exact_box set_node(struct exact_box8 *node, const struct exact_box boxes[8])
+{
+    /* Lower bounds are values 0 to 2 of the one, upper bounds are values 1 to 3 of the other. */
+    fours low[8], high[8], planes[4];
+    fours least = {INFINITY, INFINITY, INFINITY, 0}, most = {0, INFINITY, INFINITY, INFINITY};
+    struct exact_box all;
+    for (int c = 0; c < 8; c++) {
+        memcpy(&low[c], &boxes[c], sizeof *low);
+        memcpy(&high[c], (const char *)&boxes[c] + sizeof boxes[c] - sizeof *high, sizeof *high);
+        least = smaller(low[c], least);
+        most = smaller(-high[c], most);
+    }
+    for (int c = 0; c < 8; c += 4) {
+        transpose(&low[c], planes);
+        for (int k = 0; k < 3; k++)
+            memcpy(&node->planes[0][k][c], &planes[k], sizeof *planes);
+        transpose(&high[c], planes);
+        for (int k = 0; k < 3; k++)
+            memcpy(&node->planes[1][k][c], &planes[k + 1], sizeof *planes);
+    }
+    for (int k = 0; k < 3; k++) {
+        all.low[k] = least[k];
+        all.high[k] = -most[k + 1];
+    }
+    return all;
+}
+
+/* Sets a level's nodes to `count` boxes, and replaces the boxes by the nodes' bounds. Returns their
+ * number. */
+static uint32_t set_level(struct exact_box8 *nodes, struct exact_box *boxes, uint32_t count)
+{
+    const uint32_t left = count % 8;
+    struct exact_box last[8];
+    for (uint32_t c = 0; c < 8; c++)
+        last[c] = c < left ? boxes[count - left + c] : empty;
+    for (uint32_t n = 0; n < count / 8; n++)
+        boxes[n] = set_node(&nodes[n], &boxes[8 * n]);
+    if (left > 0)
+        boxes[count / 8] = set_node(&nodes[count / 8], last);
+    return parents(count);
+}
+
+void bake_exact_tree_build(struct exact_tree *tree, uint32_t count, struct exact_box *boxes,
                            void *memory)
 {
     memset(tree, 0, sizeof *tree);
@@ -88,12 +107,9 @@ void bake_exact_tree_build(struct exact_tree *tree, uint32_t count, const struct
         return;
     tree->count = count;
     tree->nodes = memory;
-    fill_leaves(tree, boxes);
-    tree->levels = 1;
-    for (uint32_t children = parents(count); children > 1; children = parents(children)) {
-        uint32_t level = tree->levels++;
-        tree->first[level] = tree->first[level - 1] + children;
-        fill_level(tree, level, children);
+    for (uint32_t left = count, first = 0; tree->levels == 0 || left > 1; first += left) {
+        tree->first[tree->levels++] = first;
+        left = set_level(tree->nodes + first, boxes, left);
     }
 }
 

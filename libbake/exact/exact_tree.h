@@ -39,8 +39,8 @@ struct exact_tree {
 uint64_t bake_exact_tree_bytes(uint32_t count);
 
 /* Builds the tree of `count` boxes in `memory`, which is aligned to 64 bytes and must outlive the
- * tree. */
-void bake_exact_tree_build(struct exact_tree *tree, uint32_t count, const struct exact_box *boxes,
+ * tree. Overwrites the boxes. */
+void bake_exact_tree_build(struct exact_tree *tree, uint32_t count, struct exact_box *boxes,
                            void *memory);
 
 /* Writes the numbers of the boxes that overlap `box` to out[], which has tree->count entries.

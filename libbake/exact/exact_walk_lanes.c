@@ -7,6 +7,14 @@
 #include "libbake/exact/exact_line.h"
 #include "libbake/exact/exact_scene.h"
 
+/* Where a hit of a ray would win; shrinks with each hit. */
+struct range {
+    struct exact_span span;
+    float reach;    /* best->reach, from which distances to boxes count */
+    float farthest; /* distance up to which a hit could win */
+    double t_max;   /* of hits that count */
+};
+
 struct trace {
     const struct exact_slot *slot;
     uint64_t first;
@@ -15,41 +23,36 @@ struct trace {
     struct exact_line line;
     struct exact_shear shear; /* set for the first triangle: many rays meet none */
     bool sheared;
-    struct exact_span span; /* where a hit would win; shrinks with each hit */
-    float reach;            /* best->reach, from which distances to boxes count */
-    float farthest;         /* distance up to which a hit could win */
-    double t_max;           /* of hits that count */
+    struct range range;
     struct exact_best *best;
     bool improved, done;             /* done: no better hit is needed */
     const struct exact_group *group; /* whose slots are walked one after another */
 };
 
-static void set_span(struct trace *trace)
+/* Sets the span and the distance to where hits would win over the best one. */
+static void set_span(struct range *range, const struct exact_best *best,
+                     const struct exact_limits *limits)
 {
-    const struct exact_best *best = trace->best;
     const double reach = best->reach, t = best->t;
-    double begin = trace->limits->t_min, end = trace->t_max;
+    double begin = limits->t_min, end = range->t_max;
     if (best->triangle != BAKE_EXACT_NONE) {
         const double least = t <= reach ? t : -t, most = t > reach || -t > reach ? fabs(t) : reach;
         begin = begin > least ? begin : least;
         end = end < most ? end : most;
     }
-    trace->span = exact_span_of(begin, end);
+    range->span = exact_span_of(begin, end);
     /* With more than the differences here and of the distances are rounded by. */
-    const float in = trace->reach - trace->span.begin, out = trace->span.end - trace->reach;
-    trace->farthest = (in > out ? in : out) * (1.0f + 4.8e-7f);
+    const float in = range->reach - range->span.begin, out = range->span.end - range->reach;
+    range->farthest = (in > out ? in : out) * (1.0f + 4.8e-7f);
 }
 
-/* Prepares a ray. Returns false if it hits nothing. */
-static bool begin_trace(struct trace *trace)
+static struct range range_of(const struct exact_best *best, const struct exact_limits *limits)
 {
-    const struct exact_limits *limits = trace->limits;
-    trace->reach = (float)trace->best->reach;
-    trace->t_max = limits->t_max;
-    if (limits->from_reach && trace->best->reach < limits->t_max)
-        trace->t_max = trace->best->reach;
-    set_span(trace);
-    return exact_line_set(&trace->line, trace->ray->origin, trace->ray->direction);
+    struct range range = {.reach = (float)best->reach, .t_max = limits->t_max};
+    if (limits->from_reach && best->reach < limits->t_max)
+        range.t_max = best->reach;
+    set_span(&range, best, limits);
+    return range;
 }
 
 /* Tests a triangle, and takes its hit if that wins. */
@@ -66,7 +69,7 @@ static void try_triangle(struct trace *trace, uint32_t triangle)
     trace->sheared = true;
     if (!exact_cross_triangle(&trace->shear, chunk->positions[v[0]], chunk->positions[v[1]],
                               chunk->positions[v[2]], &crossing) ||
-        !(crossing.t >= limits->t_min && crossing.t <= trace->t_max) ||
+        !(crossing.t >= limits->t_min && crossing.t <= trace->range.t_max) ||
         fabs(crossing.t) < limits->gap)
         return;
     if (best->triangle != BAKE_EXACT_NONE &&
@@ -80,7 +83,7 @@ static void try_triangle(struct trace *trace, uint32_t triangle)
     *best = (struct exact_best){crossing.t, number, crossing.w1, crossing.w2, best->reach};
     trace->improved = true;
     trace->done = limits->any;
-    set_span(trace);
+    set_span(&trace->range, best, limits);
 }
 
 struct entry {
@@ -123,11 +126,11 @@ static inline void walk_tree(struct trace *trace, const struct exact_tree *tree,
     stack[0] = (struct entry){0, tree->levels - 1, 0};
     while (depth > 0 && !trace->done) {
         const struct entry top = stack[--depth];
-        if (top.distance > trace->farthest)
+        if (top.distance > trace->range.farthest)
             continue;
         const struct exact_box8 *boxes = &tree->nodes[tree->first[top.level] + top.node];
-        unsigned bits =
-            exact_line_crosses(&trace->line, boxes, trace->span, trace->reach, &crossed);
+        unsigned bits = exact_line_crosses(&trace->line, boxes, trace->range.span,
+                                           trace->range.reach, &crossed);
         memcpy(distances, &crossed, sizeof distances);
         if (top.level > 0) {
             depth = push_children(stack, depth, top.level, top.node, bits, distances);
@@ -135,7 +138,7 @@ static inline void walk_tree(struct trace *trace, const struct exact_tree *tree,
         }
         for (; bits && !trace->done; bits &= bits - 1) {
             const unsigned c = (unsigned)__builtin_ctz(bits);
-            if (distances[c] <= trace->farthest)
+            if (distances[c] <= trace->range.farthest)
                 visit(trace, 8 * top.node + c);
         }
     }
@@ -157,9 +160,17 @@ static void visit_slot(struct trace *trace, uint32_t number)
 /* ---- bundles ----
  *
  * Walking a tree waits for one node after the other. So neighbouring rays look together for the
- * leaves that any of them may cross, and each of them goes through this list. */
+ * leaves that any of them may cross. The boxes of these are gathered by eights, and each ray goes
+ * through this list. */
 
-enum { MOST_LEAVES = 32 };
+enum { MOST_LEAVES = 64 };
+
+/* Leaf nodes of a tree. */
+struct leaves {
+    uint32_t count; /* MOST_LEAVES + 1: there are more than fit */
+    uint32_t nodes[MOST_LEAVES];
+    struct exact_box8 boxes[MOST_LEAVES / 8];
+};
 
 /* A convex part of space that holds where hits of all rays of a bundle count. Between two planes
  * across the axis kz, its sides are linear: each starts at the first plane at first[] and changes
@@ -173,7 +184,7 @@ struct beam {
 /* Sets the planes of a beam so that they enclose the parts of all rays. Returns false if a ray is
  * too flat between them. */
 static bool set_planes(struct beam *beam, const struct bake_exact_ray *rays, uint32_t count,
-                       const struct exact_limits *limits)
+                       double t_min, double t_max)
 {
     const float flattest = 0.25f, *d = rays->direction;
     double low = INFINITY, high = -INFINITY;
@@ -184,9 +195,11 @@ static bool set_planes(struct beam *beam, const struct bake_exact_ray *rays, uin
                      slope = (double)rays[i].direction[beam->kz];
         if (!(fabs(slope) >= (double)flattest))
             return false;
-        const double a = o + slope * limits->t_min, b = o + slope * limits->t_max;
-        low = fmin(low, fmin(a, b));
-        high = fmax(high, fmax(a, b));
+        const double a = o + slope * t_min, b = o + slope * t_max;
+        low = a < low ? a : low;
+        low = b < low ? b : low;
+        high = a > high ? a : high;
+        high = b > high ? b : high;
     }
     const struct exact_span span = exact_span_of(low, high);
     beam->begin = span.begin;
@@ -200,23 +213,22 @@ static bool set_planes(struct beam *beam, const struct bake_exact_ray *rays, uin
 static bool set_sides(struct beam *beam, const struct bake_exact_ray *rays, uint32_t count,
                       int axis)
 {
-    const double planes[2] = {(double)beam->begin, (double)beam->end};
+    const double begin = (double)beam->begin, end = (double)beam->end;
     const int k = beam->axes[axis], kz = beam->kz;
-    double sides[2][2]; /* low and high, by plane */
-    double slack = 0;
-    for (int p = 0; p < 2; p++) {
-        sides[0][p] = INFINITY;
-        sides[1][p] = -INFINITY;
-        for (uint32_t i = 0; i < count; i++) {
-            const double slope =
-                (double)exact_component(rays[i].direction[k]) / (double)rays[i].direction[kz];
-            const double at =
-                (double)rays[i].origin[k] + (planes[p] - (double)rays[i].origin[kz]) * slope;
-            sides[0][p] = fmin(sides[0][p], at);
-            sides[1][p] = fmax(sides[1][p], at);
+    /* Low and high sides at both planes. */
+    double sides[2][2] = {{INFINITY, INFINITY}, {-INFINITY, -INFINITY}};
+    for (uint32_t i = 0; i < count; i++) {
+        const double slope =
+            (double)exact_component(rays[i].direction[k]) / (double)rays[i].direction[kz];
+        const double o = (double)rays[i].origin[k], oz = (double)rays[i].origin[kz];
+        const double at[2] = {o + (begin - oz) * slope, o + (end - oz) * slope};
+        for (int p = 0; p < 2; p++) {
+            sides[0][p] = at[p] < sides[0][p] ? at[p] : sides[0][p];
+            sides[1][p] = at[p] > sides[1][p] ? at[p] : sides[1][p];
         }
-        slack += 1e-6 * (fabs(sides[0][p]) + fabs(sides[1][p]));
     }
+    const double slack =
+        1e-6 * (fabs(sides[0][0]) + fabs(sides[1][0]) + fabs(sides[0][1]) + fabs(sides[1][1]));
     for (int s = 0; s < 2; s++) {
         beam->first[s][axis] = (float)(sides[s][0] + (s == 0 ? -slack : slack));
         beam->change[s][axis] = (float)(sides[s][1] - sides[s][0]);
@@ -225,9 +237,9 @@ static bool set_sides(struct beam *beam, const struct bake_exact_ray *rays, uint
 }
 
 static bool set_beam(struct beam *beam, const struct bake_exact_ray *rays, uint32_t count,
-                     const struct exact_limits *limits)
+                     double t_min, double t_max)
 {
-    if (!set_planes(beam, rays, count, limits))
+    if (!set_planes(beam, rays, count, t_min, t_max))
         return false;
     beam->axes[0] = (beam->kz + 1) % 3;
     beam->axes[1] = (beam->kz + 2) % 3;
@@ -257,45 +269,70 @@ static inline unsigned beam_crosses(const struct beam *beam, const struct exact_
     return bits;
 }
 
-/* Lists the leaf nodes that overlap the beam. Returns their number, or MOST_LEAVES + 1 if there are
- * more than fit. */
-static uint32_t find_leaves(const struct exact_tree *tree, const struct beam *beam,
-                            uint32_t leaves[MOST_LEAVES])
+/* Adds the children of a node of the level above leaves. Returns false if they do not fit. */
+static bool add_leaves(struct leaves *leaves, const struct exact_box8 *boxes, uint32_t first,
+                       unsigned bits)
+{
+    if (leaves->count + (unsigned)__builtin_popcount(bits) > MOST_LEAVES)
+        return false;
+    for (; bits; bits &= bits - 1, leaves->count++) {
+        const unsigned c = (unsigned)__builtin_ctz(bits), to = leaves->count % 8;
+        struct exact_box8 *out = &leaves->boxes[leaves->count / 8];
+        leaves->nodes[leaves->count] = first + c;
+        for (int k = 0; k < 3; k++) {
+            out->planes[0][k][to] = boxes->planes[0][k][c];
+            out->planes[1][k][to] = boxes->planes[1][k][c];
+        }
+    }
+    return true;
+}
+
+/* Lists the leaf nodes that overlap the beam. A tree that is a single node is not searched. */
+static void find_leaves(const struct exact_tree *tree, const struct beam *beam,
+                        struct leaves *leaves)
 {
     struct entry stack[EXACT_TREE_STACK];
-    uint32_t depth = 1, found = 0;
-    if (tree->levels == 0)
-        return 0;
+    uint32_t depth = 1;
+    leaves->count = 0;
     stack[0] = (struct entry){0, tree->levels - 1, 0};
     while (depth > 0) {
         const struct entry top = stack[--depth];
-        if (top.level == 0) {
-            if (found == MOST_LEAVES)
-                return MOST_LEAVES + 1;
-            leaves[found++] = top.node;
-            continue;
+        const struct exact_box8 *boxes = &tree->nodes[tree->first[top.level] + top.node];
+        unsigned bits = beam_crosses(beam, boxes);
+        if (top.level == 1) {
+            if (add_leaves(leaves, boxes, 8 * top.node, bits))
+                continue;
+            leaves->count = MOST_LEAVES + 1;
+            return;
         }
-        unsigned bits = beam_crosses(beam, &tree->nodes[tree->first[top.level] + top.node]);
         for (; bits; bits &= bits - 1)
             stack[depth++] =
                 (struct entry){0, top.level - 1, 8 * top.node + (uint32_t)__builtin_ctz(bits)};
     }
-    return found;
+    for (uint32_t i = leaves->count; i % 8 != 0; i++)
+        for (int k = 0; k < 3; k++) {
+            leaves->boxes[i / 8].planes[0][k][i % 8] = INFINITY;
+            leaves->boxes[i / 8].planes[1][k][i % 8] = -INFINITY;
+        }
 }
 
-static void try_leaves(struct trace *trace, const uint32_t *leaves, uint32_t count)
+static void try_leaf(struct trace *trace, uint32_t leaf)
 {
-    for (uint32_t i = 0; i < count && !trace->done; i++) {
-        eights crossed;
-        float distances[8];
-        unsigned bits = exact_line_crosses(&trace->line, &trace->slot->tree.nodes[leaves[i]],
-                                           trace->span, trace->reach, &crossed);
-        memcpy(distances, &crossed, sizeof distances);
-        for (; bits && !trace->done; bits &= bits - 1) {
-            const unsigned c = (unsigned)__builtin_ctz(bits);
-            if (distances[c] <= trace->farthest)
-                try_triangle(trace, 8 * leaves[i] + c);
-        }
+    eights distances;
+    unsigned bits = exact_line_crosses(&trace->line, &trace->slot->tree.nodes[leaf],
+                                       trace->range.span, trace->range.reach, &distances);
+    for (; bits; bits &= bits - 1)
+        try_triangle(trace, 8 * leaf + (unsigned)__builtin_ctz(bits));
+}
+
+static void try_leaves(struct trace *trace, const struct leaves *leaves)
+{
+    for (uint32_t i = 0; i < leaves->count; i += 8) {
+        eights distances;
+        unsigned bits = exact_line_crosses(&trace->line, &leaves->boxes[i / 8], trace->range.span,
+                                           trace->range.reach, &distances);
+        for (; bits; bits &= bits - 1)
+            try_leaf(trace, leaves->nodes[i + (unsigned)__builtin_ctz(bits)]);
     }
 }
 
@@ -304,18 +341,34 @@ unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uin
                                               const struct exact_limits *limits,
                                               struct exact_best *best)
 {
-    uint32_t leaves[MOST_LEAVES], found = MOST_LEAVES + 1;
+    struct leaves leaves;
     unsigned improved = 0;
     struct beam beam;
-    if (set_beam(&beam, rays, count, limits))
-        found = find_leaves(&slot->tree, &beam, leaves);
-    for (uint32_t i = 0; i < count && found > 0; i++) {
-        struct trace trace = {
-            .slot = slot, .first = first, .limits = limits, .ray = &rays[i], .best = &best[i]};
-        if (!begin_trace(&trace))
+    leaves.count = MOST_LEAVES + 1;
+    if (slot->tree.levels > 1 && set_beam(&beam, rays, count, limits->t_min, limits->t_max))
+        find_leaves(&slot->tree, &beam, &leaves);
+    struct range fresh = {0}; /* of rays without a hit, and with this reach */
+    double reach = NAN;
+    for (uint32_t i = 0; i < count && leaves.count > 0; i++) {
+        struct trace trace;
+        trace.slot = slot;
+        trace.first = first;
+        trace.limits = limits;
+        trace.ray = &rays[i];
+        trace.best = &best[i];
+        trace.sheared = trace.improved = trace.done = false;
+        if (!exact_line_set(&trace.line, rays[i].origin, rays[i].direction))
             continue;
-        if (found <= MOST_LEAVES)
-            try_leaves(&trace, leaves, found);
+        if (best[i].triangle != BAKE_EXACT_NONE) {
+            trace.range = range_of(&best[i], limits);
+        } else {
+            if (best[i].reach != reach)
+                fresh = range_of(&best[i], limits);
+            reach = best[i].reach;
+            trace.range = fresh;
+        }
+        if (leaves.count <= MOST_LEAVES)
+            try_leaves(&trace, &leaves);
         else
             walk_slot(&trace, slot, first);
         improved |= (unsigned)trace.improved << i;
@@ -328,25 +381,42 @@ bool BSQ_SIMD_NAME(bake_exact_group_trace)(const struct exact_group *group,
                                            const struct exact_limits *limits,
                                            struct exact_best *best)
 {
-    struct trace trace = {.limits = limits, .ray = ray, .best = best, .group = group};
-    if (!begin_trace(&trace))
+    struct trace trace = {.limits = limits,
+                          .ray = ray,
+                          .range = range_of(best, limits),
+                          .best = best,
+                          .group = group};
+    if (!exact_line_set(&trace.line, ray->origin, ray->direction))
         return false;
     walk_tree(&trace, &group->tree, visit_slot);
     return trace.improved;
 }
 
-uint32_t BSQ_SIMD_NAME(bake_exact_crossed)(const struct bake_exact_ray *ray, double t_min,
-                                           double t_max, const struct exact_box8 *boxes,
-                                           uint32_t count, uint32_t *out)
+/* Returns a bit mask of eight boxes that any of the rays crosses. */
+static unsigned rays_cross(const struct bake_exact_ray *rays, uint32_t count, double t_min,
+                           double t_max, const struct exact_box8 *boxes)
 {
     const struct exact_span span = exact_span_of(t_min, t_max);
     struct exact_line line;
     eights distances;
+    unsigned bits = 0;
+    for (uint32_t i = 0; i < count; i++)
+        if (exact_line_set(&line, rays[i].origin, rays[i].direction))
+            bits |= exact_line_crosses(&line, boxes, span, 0, &distances);
+    return bits;
+}
+
+uint32_t BSQ_SIMD_NAME(bake_exact_crossed)(const struct bake_exact_ray *rays, uint32_t ray_count,
+                                           double t_min, double t_max,
+                                           const struct exact_box8 *boxes, uint32_t count,
+                                           uint32_t *out)
+{
+    struct beam beam;
+    const bool narrow = set_beam(&beam, rays, ray_count, t_min, t_max);
     uint32_t found = 0;
-    if (!exact_line_set(&line, ray->origin, ray->direction))
-        return 0;
     for (uint32_t i = 0; i < count; i += 8) {
-        const unsigned bits = exact_line_crosses(&line, &boxes[i / 8], span, 0, &distances);
+        const unsigned bits = narrow ? beam_crosses(&beam, &boxes[i / 8])
+                                     : rays_cross(rays, ray_count, t_min, t_max, &boxes[i / 8]);
         eights_store_set(bits, i, out + found);
         found += (uint32_t)__builtin_popcount(bits);
     }

@@ -20,9 +20,9 @@
 #define NEXT_SHEET 0.02
 
 struct tile {
-    uint64_t place;   /* on the curve through the scan */
-    uint32_t index;   /* number of the tile in the raster */
-    uint32_t samples; /* that lie in triangles */
+    uint64_t place; /* on the curve through the scan */
+    uint64_t rays;  /* of the blocks with samples in triangles, see block_side() */
+    uint32_t index; /* number of the tile in the raster */
 };
 
 struct job {
@@ -31,7 +31,7 @@ struct job {
     const struct bake_tiles *tiles;
     const uint32_t *object_of;        /* of each triangle; NULL: not needed */
     double units_a_length;            /* of the surface, a world unit: 1 for triangles alone */
-    struct bake_tile_workers workers; /* with sums for one row of texels */
+    struct bake_tile_workers workers; /* with sums for a row of blocks, see block_side() */
     struct tile *order;
     uint32_t tile_count;
     struct bake_exact_footprint *footprint_table; /* of each triangle; NULL: not needed */
@@ -69,30 +69,64 @@ static uint32_t tile_samples(const struct job *job, const struct bk_tile *tile)
     return tile->width * n * (tile->height * n);
 }
 
-/* Counts the samples of a tile, and places the tile on the curve by its middle sample. */
+/* Returns the side in texels of the blocks by which the samples of a tile are numbered. Rays of a
+ * square meet fewer triangles of the scan than those of a line. */
+static uint32_t block_side(const struct job *job)
+{
+    const uint32_t n = job->tiles->params->samples;
+    return (3 + n) / n;
+}
+
+/* Returns the next multiple of a bundle's rays. Each block begins a bundle. */
+static uint64_t next_bundle(uint64_t ray)
+{
+    return (ray + BAKE_EXACT_BUNDLE - 1) / BAKE_EXACT_BUNDLE * BAKE_EXACT_BUNDLE;
+}
+
+/* Returns the number of samples of a block that lie in a triangle. column, row: of its first texel
+ * in the tile. */
+static uint32_t block_samples(const struct job *job, const struct bk_tile *tile, uint32_t column,
+                              uint32_t row, const uint32_t *samples)
+{
+    const uint32_t n = job->tiles->params->samples, side = block_side(job);
+    const uint32_t width = (side < tile->width - column ? side : tile->width - column) * n;
+    const uint32_t height = (side < tile->height - row ? side : tile->height - row) * n;
+    uint32_t covered = 0;
+    for (uint32_t line = row * n; line < row * n + height; line++) {
+        const uint32_t *at = samples + ((uint64_t)line * tile->width + column) * n;
+        for (uint32_t i = 0; i < width; i++)
+            covered += at[i] != BK_NO_TRIANGLE;
+    }
+    return covered;
+}
+
+/* Counts the rays of a tile, and places the tile on the curve by its middle sample. */
 static int count_tile(void *arg, uint64_t index, unsigned number)
 {
     struct job *job = arg;
     struct bake_tile_worker *worker = &job->workers.workers[number];
     const struct bk_tile tile = bake_raster_tile(job->tiles->raster, (uint32_t)index);
-    const uint32_t all = tile_samples(job, &tile);
-    uint64_t overlaps = 0;
+    const uint32_t all = tile_samples(job, &tile), side = block_side(job);
+    const uint32_t *samples = worker->sample_triangles;
+    uint64_t overlaps = 0, rays = 0;
     uint32_t covered = 0, seen = 0;
     int status =
         bake_raster_fill(job->tiles->raster, (uint32_t)index, worker->sample_triangles, &overlaps);
     if (status < 0)
         return status;
     worker->overlaps += overlaps;
+    for (uint32_t row = 0; row < tile.height; row += side)
+        for (uint32_t column = 0; column < tile.width; column += side) {
+            const uint32_t here = block_samples(job, &tile, column, row, samples);
+            covered += here;
+            rays += next_bundle(here);
+        }
+    job->order[index] = (struct tile){.index = (uint32_t)index, .rays = rays};
     for (uint32_t i = 0; i < all; i++)
-        covered += worker->sample_triangles[i] != BK_NO_TRIANGLE;
-    job->order[index] = (struct tile){.index = (uint32_t)index, .samples = covered};
-    for (uint32_t i = 0; i < all; i++) {
-        const uint32_t triangle = worker->sample_triangles[i];
-        if (triangle != BK_NO_TRIANGLE && seen++ == covered / 2) {
-            job->order[index].place = place_of(job, triangle);
+        if (samples[i] != BK_NO_TRIANGLE && seen++ == covered / 2) {
+            job->order[index].place = place_of(job, samples[i]);
             break;
         }
-    }
     return 0;
 }
 
@@ -112,7 +146,7 @@ static int order_tiles(struct job *job)
     bsq_sort(job->order, job->tile_count, sizeof *job->order, compare_tiles);
     job->starts[0] = 0;
     for (uint32_t i = 0; i < job->tile_count; i++)
-        job->starts[i + 1] = job->starts[i] + job->order[i].samples;
+        job->starts[i + 1] = job->starts[i] + job->order[i].rays;
     return 0;
 }
 
@@ -126,19 +160,19 @@ struct sample {
     uint64_t ray;              /* its number in the batch */
 };
 
-/* Calls `take` for the samples of a line of a tile that lie in a triangle, from the left. Their
- * rays are numbered from *ray on. samples: of the tile. */
-static inline void each_sample_of_line(struct job *job, const struct bk_tile *tile,
-                                       const uint32_t *samples, uint32_t line, uint64_t *ray,
-                                       void (*take)(struct job *job, const struct sample *sample,
-                                                    float *texels),
-                                       float *texels)
+/* Calls `take` for the samples of a line of a block that lie in a triangle, from the left. column,
+ * end: its texels in the tile. */
+static inline void
+each_sample_of_line(struct job *job, const struct bk_tile *tile, const uint32_t *samples,
+                    uint32_t line, uint32_t column, uint32_t end, uint64_t *ray,
+                    void (*take)(struct job *job, const struct sample *sample, float *texels),
+                    float *texels)
 {
     const struct bk_params *params = job->tiles->params;
     const uint32_t n = params->samples;
     const float y = bk_sample_place(tile->y + line / n, line % n, n);
-    uint64_t index = (uint64_t)line * (tile->width * n);
-    for (uint32_t column = 0; column < tile->width; column++)
+    uint64_t index = ((uint64_t)line * tile->width + column) * n;
+    for (; column < end; column++)
         for (uint32_t i = 0; i < n; i++, index++) {
             struct sample sample = {.triangle = samples[index], .column = column, .y = y};
             if (sample.triangle == BK_NO_TRIANGLE)
@@ -155,6 +189,27 @@ static inline void each_sample_of_line(struct job *job, const struct bk_tile *ti
         }
 }
 
+/* Calls `take` for the samples of a row of blocks that lie in a triangle: block by block, and line
+ * by line in each. Their rays are numbered from *ray on, with gaps between blocks. row: of the
+ * first texels. samples: of the tile. texels: of the row, line by line; NULL: not needed. */
+static inline void each_sample_of_row(struct job *job, const struct bk_tile *tile,
+                                      const uint32_t *samples, uint32_t row, uint64_t *ray,
+                                      void (*take)(struct job *job, const struct sample *sample,
+                                                   float *texels),
+                                      float *texels)
+{
+    const uint32_t n = job->tiles->params->samples, side = block_side(job);
+    const uint32_t rows = side < tile->height - row ? side : tile->height - row;
+    const uint64_t floats = texels ? (uint64_t)tile->width * job->workers.texel_floats : 0;
+    for (uint32_t column = 0; column < tile->width; column += side) {
+        const uint32_t end = side < tile->width - column ? column + side : tile->width;
+        *ray = next_bundle(*ray);
+        for (uint32_t line = 0; line < rows * n; line++)
+            each_sample_of_line(job, tile, samples, row * n + line, column, end, ray, take,
+                                texels ? texels + line / n * floats : NULL);
+    }
+}
+
 /* Calls `take` for each sample of the tile with this index in the batch that lies in a triangle. */
 static inline int each_sample(struct job *job, uint64_t index, unsigned worker,
                               void (*take)(struct job *job, const struct sample *sample,
@@ -162,12 +217,11 @@ static inline int each_sample(struct job *job, uint64_t index, unsigned worker,
 {
     const struct tile *place = &job->order[job->first + index];
     const struct bk_tile tile = bake_raster_tile(job->tiles->raster, place->index);
-    const uint32_t lines = tile.height * job->tiles->params->samples;
     uint32_t *samples = job->workers.workers[worker].sample_triangles;
     uint64_t overlaps, ray = job->starts[job->first + index] - job->starts[job->first];
     int status = bake_raster_fill(job->tiles->raster, place->index, samples, &overlaps);
-    for (uint32_t line = 0; line < lines && status == 0; line++)
-        each_sample_of_line(job, &tile, samples, line, &ray, take, NULL);
+    for (uint32_t row = 0; row < tile.height && status == 0; row += block_side(job))
+        each_sample_of_row(job, &tile, samples, row, &ray, take, NULL);
     return status;
 }
 
@@ -185,9 +239,16 @@ static void cast_sample(struct job *job, const struct sample *sample, float *tex
         job->objects[sample->ray] = job->object_of[sample->triangle];
 }
 
-/* Writes the rays of a tile to the batch. */
+/* Writes the rays of a tile to the batch. Those between blocks have no direction. */
 static int cast_tile(void *arg, uint64_t index, unsigned number)
 {
+    struct job *job = arg;
+    const uint64_t *starts = &job->starts[job->first + index];
+    const uint64_t begin = starts[0] - job->starts[job->first], count = starts[1] - starts[0];
+    memset(job->rays + begin, 0, count * sizeof *job->rays);
+    memset(job->reaches + begin, 0, count * sizeof *job->reaches);
+    if (job->objects)
+        memset(job->objects + begin, 0, count * sizeof *job->objects);
     return each_sample(arg, index, number, cast_sample);
 }
 
@@ -242,7 +303,7 @@ static void set_confidence(const struct job *job, const struct sample *sample, b
     bk_set_confidence(params, &start, &hits, other ? fabsf(way) : BK_FAR, placed);
 }
 
-/* Adds a sample to its texel. texels: a row of them. */
+/* Adds a sample to its texel. texels: the row of it. */
 static void add_sample(struct job *job, const struct sample *sample, float *texels)
 {
     const struct bk_params *params = job->tiles->params;
@@ -257,17 +318,6 @@ static void add_sample(struct job *job, const struct sample *sample, float *texe
         bk_add_transfers(params->maps, job->channels + sample->ray * transfer_floats(job), texel);
 }
 
-/* Sums a row of texels. Hits come in rows of samples, so the texels of the row are summed together.
- * Each texel gets its samples in the same order as in the kernel. */
-static void sum_row(struct job *job, const struct bk_tile *tile, uint32_t row,
-                    const uint32_t *samples, uint64_t *next, float *texels)
-{
-    const uint32_t n = job->tiles->params->samples;
-    memset(texels, 0, tile->width * job->workers.texel_floats * sizeof *texels);
-    for (uint32_t line = row * n; line < (row + 1) * n; line++)
-        each_sample_of_line(job, tile, samples, line, next, add_sample, texels);
-}
-
 /* Sums and resolves a tile, and writes it to the image. */
 static int resolve_tile(void *arg, uint64_t index, unsigned number)
 {
@@ -280,9 +330,16 @@ static int resolve_tile(void *arg, uint64_t index, unsigned number)
         bake_raster_fill(job->tiles->raster, place->index, worker->sample_triangles, &overlaps);
     if (status < 0)
         return status;
-    for (uint32_t row = 0; row < tile.height; row++) {
-        sum_row(job, &tile, row, worker->sample_triangles, &next, worker->texels);
-        bake_tile_worker_resolve(&job->workers, worker, tile.width,
+    for (uint32_t row = 0; row < tile.height; row += block_side(job)) {
+        const uint32_t left = tile.height - row,
+                       rows = left < block_side(job) ? left : block_side(job);
+        const uint32_t texels = rows * tile.width;
+        memset(worker->texels, 0,
+               (uint64_t)texels * job->workers.texel_floats * sizeof *worker->texels);
+        /* Each texel gets its samples in the same order as in the kernel. */
+        each_sample_of_row(job, &tile, worker->sample_triangles, row, &next, add_sample,
+                           worker->texels);
+        bake_tile_worker_resolve(&job->workers, worker, texels,
                                  worker->resolved +
                                      (size_t)row * tile.width * job->workers.channels);
     }
@@ -448,8 +505,8 @@ static int allocate_rays(struct job *job)
     job->capacity =
         bake_surface_capacity(job->surface, look + object + next + sizeof *job->reaches);
     for (uint32_t i = 0; i < job->tile_count; i++)
-        if (job->order[i].samples > job->capacity)
-            job->capacity = job->order[i].samples;
+        if (job->order[i].rays > job->capacity)
+            job->capacity = job->order[i].rays;
     if (job->capacity > all)
         job->capacity = all;
     const uint64_t n = job->capacity;
@@ -510,7 +567,8 @@ int bake_trace_ray_tiles(const struct bake_surface *surface, const struct bake_t
                       .object_of = object_of,
                       .units_a_length = 1 / surface->unit};
     int status = 0;
-    BSQ_TRY(bake_tile_workers_begin(job.ctx, tiles, tiles->tile_size, &job.workers));
+    BSQ_TRY(bake_tile_workers_begin(job.ctx, tiles, (uint64_t)tiles->tile_size * block_side(&job),
+                                    &job.workers));
     BSQ_TRY(allocate_tiles(&job));
     BSQ_TRY(order_tiles(&job));
     if (tiles->params->maps & BK_SECONDARY_MAPS)

@@ -150,6 +150,35 @@ TEST(test_rays_without_direction_hit_nothing)
     triangle_scan_free(&mesh);
 }
 
+/* Rays are traced by bundles. What else is in a bundle, and where one ends, changes no hit. */
+TEST(test_bundles_with_gaps)
+{
+    enum { RAYS = 501, GAPS = 3 * RAYS };
+    struct triangle_scan mesh = exact_torus(60, 40);
+    struct exact_setup setup = {.threads = 2, .t_min = -0.3, .t_max = 0.4};
+    struct bake_exact_ray *rays = calloc(RAYS, sizeof *rays), *gaps = calloc(GAPS, sizeof *gaps);
+    struct bake_exact_hit *hits = calloc(RAYS, sizeof *hits), *others = calloc(GAPS, sizeof *hits);
+    uint32_t found = 0;
+    exact_random_rays(rays, RAYS, -1.2, 1.2);
+    for (uint32_t r = 0; r < RAYS; r++)
+        gaps[3 * r + 1] = rays[r];
+    exact_write_scan(&mesh, 300);
+    exact_trace(&setup, rays, RAYS, hits);
+    exact_trace(&setup, gaps, GAPS, others);
+    for (uint32_t r = 0; r < RAYS; r++) {
+        found += hits[r].triangle != BAKE_EXACT_NONE;
+        assert_memory_equal(&others[3 * r + 1], &hits[r], sizeof *hits);
+        assert_true(others[3 * r].triangle == BAKE_EXACT_NONE);
+        assert_true(others[3 * r + 2].triangle == BAKE_EXACT_NONE);
+    }
+    assert_true(found > 20);
+    free(rays);
+    free(gaps);
+    free(hits);
+    free(others);
+    triangle_scan_free(&mesh);
+}
+
 /* ---- failures ---- */
 
 TEST(test_damaged_chunk_is_reported)
