@@ -26,15 +26,12 @@ static json_t *options_json(const struct cli_table *table)
 int page_end(struct cli *cli, struct bake_page *page, json_t *root, const struct cli_table *options)
 {
     json_t *all = cli_complete_json(cli, root);
-    int status = 0;
     cli_json_set(&all, "command", json_incref(cli->command));
     cli_json_set(&all, "warnings", json_incref(cli->warnings));
     cli_json_set(&all, "options", options_json(options));
     char *text = all ? json_dumps(all, JSON_ENSURE_ASCII | JSON_REAL_PRECISION(15)) : NULL;
-    if (text)
-        status = bake_page_finish(page, text);
-    else
-        status = bsq_fail(cli->ctx, BSQ_ENOMEM, "out of memory for the report");
+    const int status = text ? bake_page_finish(page, text)
+                            : bsq_fail(cli->ctx, BSQ_ENOMEM, "out of memory for the report");
     free(text);
     json_decref(all);
     return status;

@@ -84,7 +84,7 @@ static int find_all_kept(struct merge *merge, bool *all)
         BSQ_TRY(find_kept(merge, job->udim.count, 0, &job->keeps_preview));
     *all = job->keeps_preview;
     if (!job->keeps_preview)
-        side = bake_thumbnail_side(job);
+        side = bake_preview_texture_side(job);
     for (uint32_t i = 0; i < job->udim.count; i++) {
         job->tiles[i].kept = !is_whole(merge) && i != merge->tile;
         if (!job->tiles[i].kept)
@@ -167,7 +167,7 @@ done:
 static int write_maps(struct merge *merge)
 {
     struct bake_work *job = merge->job;
-    const uint32_t side = job->options->preview_path ? bake_thumbnail_side(job) : 0;
+    const uint32_t side = job->options->preview_path ? bake_preview_texture_side(job) : 0;
     uint64_t *limited = NULL;
     int status;
     BSQ_TRY(bsq_calloc(job->ctx, "maps", bake_files_end(job->options, job->maps), sizeof *limited,

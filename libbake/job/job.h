@@ -115,7 +115,7 @@ int bake_check_outputs(struct bake_work *job, const char *plan);
 int bake_open_outputs(struct bake_work *job);
 /* Returns the side of thumbnails for the preview, so that those of one map in all tiles take at
  * most an eighth of what is left in the budget. */
-uint32_t bake_thumbnail_side(const struct bake_work *job);
+uint32_t bake_preview_texture_side(const struct bake_work *job);
 /* Encodes and writes the maps of a tile, and frees its image. The measures of all tiles must be
  * known. limited: see bake_map_files_write(). */
 int bake_write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side,

@@ -177,13 +177,10 @@ done:
 
 /* With thousands of tiles, a thumbnail may be a single texel. So the picture, unlike the maps, can
  * depend on a small budget. */
-uint32_t bake_thumbnail_side(const struct bake_work *job)
+uint32_t bake_preview_texture_side(const struct bake_work *job)
 {
-    uint32_t side = PREVIEW_TEXTURE;
-    uint64_t share = bsq_memory_share(job->ctx, "textures of the preview", 8) / job->udim.count;
-    while (side > 1 && (uint64_t)side * side * sizeof *job->tiles->normal.texels > share)
-        side /= 2;
-    return side;
+    const uint64_t share = bsq_memory_share(job->ctx, "textures of the preview", 8);
+    return bake_thumbnail_side(PREVIEW_TEXTURE, share / job->udim.count);
 }
 
 static int create_thumbnail(struct bsq_ctx *ctx, struct bake_tile *tile, enum bake_map map,
@@ -279,7 +276,7 @@ done:
 
 int bake_write_maps(struct bake_work *job)
 {
-    const uint32_t side = bake_thumbnail_side(job);
+    const uint32_t side = bake_preview_texture_side(job);
     uint64_t *limited = NULL;
     int status = 0;
     BSQ_TRY(bsq_calloc(job->ctx, "maps", bake_files_end(job->options, job->maps), sizeof *limited,

@@ -305,6 +305,8 @@ struct bake_thumbnail {
     float (*texels)[3]; /* NULL: there is no such map */
 };
 
+/* Returns a side in texels: `most`, halved until the thumbnail of a square map fits in `bytes`. */
+uint32_t bake_thumbnail_side(uint32_t most, uint64_t bytes);
 /* Creates a black thumbnail with sides of at most `side` texels. Free with bake_thumbnail_free().
  */
 int bake_thumbnail_create(struct bsq_ctx *ctx, uint32_t full_width, uint32_t full_height,

@@ -4,6 +4,13 @@
 
 #include "base/parallel.h"
 
+uint32_t bake_thumbnail_side(uint32_t most, uint64_t bytes)
+{
+    while (most > 1 && (uint64_t)most * most * 3 * sizeof(float) > bytes)
+        most /= 2;
+    return most;
+}
+
 int bake_thumbnail_create(struct bsq_ctx *ctx, uint32_t full_width, uint32_t full_height,
                           uint32_t side, struct bake_thumbnail *out)
 {

@@ -28,7 +28,8 @@ static int put_json(struct bake_page *page, const char *text)
     return status;
 }
 
-static int put_file(struct bake_page *page, const char *path)
+/* Puts a file between two texts. */
+static int put_file(struct bake_page *page, const char *before, const char *path, const char *after)
 {
     struct bsq_file file = BSQ_FILE_CLOSED;
     char *text = NULL;
@@ -36,20 +37,12 @@ static int put_file(struct bake_page *page, const char *path)
     BSQ_TRY(bsq_file_open(page->ctx, path, &file));
     BSQ_TRY(bsq_alloc(page->ctx, "page", file.size, 1, &text));
     BSQ_TRY(bsq_file_read(page->ctx, &file, text, file.size, 0));
-    status = bsq_output_write(page->output, text, file.size);
+    BSQ_TRY(put(page, before));
+    BSQ_TRY(bsq_output_write(page->output, text, file.size));
+    status = put(page, after);
 done:
     bsq_free(page->ctx, text);
     bsq_file_close(page->ctx, &file);
-    return status;
-}
-
-static int put_script(struct bake_page *page, const char *path)
-{
-    int status;
-    BSQ_TRY(put(page, "<script>\n"));
-    BSQ_TRY(put_file(page, path));
-    status = put(page, "</script>\n");
-done:
     return status;
 }
 
@@ -68,10 +61,10 @@ int bake_page_open(struct bsq_ctx *ctx, const char *path, struct bake_page **out
     page->path = path;
     BSQ_TRY(fmt_module_find(ctx, "../../share/bisque/report.html", "reports", frame));
     BSQ_TRY(bsq_output_open(ctx, path, &page->output));
-    BSQ_TRY(put_file(page, frame));
+    BSQ_TRY(put_file(page, "", frame, ""));
     if (access(THREE, R_OK) == 0 && access(LOADER, R_OK) == 0) {
-        BSQ_TRY(put_script(page, THREE));
-        BSQ_TRY(put_script(page, LOADER));
+        BSQ_TRY(put_file(page, "<script>\n", THREE, "</script>\n"));
+        BSQ_TRY(put_file(page, "<script>\n", LOADER, "</script>\n"));
     }
     *out = page;
     page = NULL;
@@ -134,7 +127,7 @@ int bake_page_finish(struct bake_page *page, const char *json)
     BSQ_TRY(put_json(page, json));
     BSQ_TRY(put(page, "</script>\n"));
     BSQ_TRY(fmt_module_find(page->ctx, "../../share/bisque/report.js", "reports", script));
-    BSQ_TRY(put_script(page, script));
+    BSQ_TRY(put_file(page, "<script>\n", script, "</script>\n"));
     struct bsq_output *output = page->output;
     page->output = NULL;
     status = bsq_output_commit(output);

@@ -11,10 +11,8 @@ enum { LARGEST_SIDE = 1024 };
 int bake_page_begin_picture(struct bsq_ctx *ctx, uint32_t width, uint32_t height,
                             struct bake_page_picture *out)
 {
-    const uint64_t bytes = bsq_memory_share(ctx, "pictures of a page", 16);
-    uint32_t side = LARGEST_SIDE;
-    while (side > 1 && (uint64_t)side * side * sizeof *out->texels.texels > bytes)
-        side /= 2;
+    const uint32_t side =
+        bake_thumbnail_side(LARGEST_SIDE, bsq_memory_share(ctx, "pictures of a page", 16));
     for (int k = 0; k < 3; k++) {
         out->low[k] = INFINITY;
         out->high[k] = -INFINITY;
@@ -37,8 +35,7 @@ int bake_page_take_rows(struct bsq_ctx *ctx, struct bake_page_picture *picture, 
     return bake_thumbnail_add(ctx, &picture->texels, channels, first_row, rows, samples);
 }
 
-/* Maps the range of each channel to 0 to 1, unless it lies in there; what is not finite becomes 0.
- */
+/* Maps the range of each channel to 0 to 1, unless it lies in there. What is not finite is 0. */
 static void normalise(struct bake_page_picture *picture)
 {
     const uint64_t texels = (uint64_t)picture->texels.width * picture->texels.height;

@@ -87,8 +87,7 @@ function showMisses(item) {
 // ---- the asset in 3D ----
 
 const vertexShader = `
-attribute vec4 tangent;
-varying vec3 n; varying vec4 t; varying vec2 at;
+attribute vec4 tangent; varying vec3 n; varying vec4 t; varying vec2 at;
 void main() {
   n = normal; t = tangent; at = uv;
   gl_Position = projectionMatrix * modelViewMatrix * vec4(position, 1.0);
@@ -267,8 +266,7 @@ function showComparison(c, a, b, error) {
     'aria-label': 'Where the map ends and the reference begins'}),
     el('p', {class: 'ends hint'}, el('span', {}, c.a_path), el('span', {}, `${c.b_path} (reference)`)));
   slider.oninput = event => slider.style.setProperty('--split', `${event.target.value}%`);
-  Object.assign(a.image, {alt: 'The map'}), Object.assign(b.image, {alt: 'The reference'});
-  error.image.alt = 'The error of each texel';
+  [a, b, error].forEach(({image}, i) => image.alt = ['The map', 'The reference', 'The error of each texel'][i]);
   const isData = c.type === 'data', unit = isData ? '' : ` ${c.unit}`; // figures of data are in the map's own unit
   const figures = [['texels', count(c.compared)], ...['mean', 'rms', 'median', 'p95', 'p99', 'max'].map(
     key => [key, number(c[key]) + unit]), ['max at', `${c.max_x}, ${c.max_y}`]];
@@ -277,7 +275,6 @@ function showComparison(c, a, b, error) {
   $('errors').append(el('article', {class: 'compared'}, slider, el('table', {}, ...figures.map(cells => row(...cells))),
     el('figure', {}, error.image,
       el('figcaption', {}, `Error of each texel${isData ? '' : `, in ${c.unit}`}`))));
-  $('errors').hidden = false;
 }
 
 // ---- all ----
@@ -291,16 +288,13 @@ async function main() {
     showComparison(c, ...all('compared').slice(2 * i, 2 * i + 2), all('error')[i]));
   maps.forEach(showMap);
   missed.forEach(showMisses);
-  $('mapped').hidden = maps.length === 0;
-  $('missing').hidden = missed.length === 0;
   if (!previewItem) return;
   $('missing-text').textContent = `Samples: ${count(data.misses)} of ${count(data.samples)}, ` +
     `in red. Rays reached ${number(data.front)} in front of the mesh and ${number(data.back)} behind it.`;
   if (window.THREE && el('canvas').getContext('webgl2')) return showAsset();
   $('pictures').hidden = false;
   $('pictures').prepend(Object.assign(previewItem.image, {id: 'preview', alt: 'Each row: plain, with maps, the scan'}));
-  $('no3d').textContent = !window.THREE ? 'Install the package libjs-three to see the asset in 3D in the next report.'
-    : 'This browser does not draw in 3D.';
+  $('no3d').textContent = window.THREE ? 'This browser does not draw in 3D.' : 'For 3D, install the package libjs-three.';
 }
 main().then(() => document.body.dataset.ready = 'yes')
   .catch(error => { document.body.dataset.ready = 'failed'; console.error(error); });
