@@ -10,6 +10,7 @@
 #include <xxhash.h>
 
 #include "base/channels.h"
+#include "base/text.h"
 #include "formats/grid/nvdb_writer_internal.h"
 
 /* ---- streams ---- */
@@ -158,7 +159,6 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
                     struct fmt_nvdb_writer **out)
 {
     struct fmt_nvdb_writer *writer = NULL;
-    const uint64_t path_bytes = strlen(path) + 1;
     int status;
     *out = NULL;
     BSQ_TRY(check_info(ctx, path, info));
@@ -169,8 +169,7 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
     writer->counts.has_color = info->has_color;
     writer->counts.has_ids = info->ids != BSQ_IDS_NONE;
     fmt_nvdb_bbox_clear(writer->bbox_min, writer->bbox_max);
-    BSQ_TRY(bsq_alloc(ctx, "grid writer", path_bytes, 1, &writer->path));
-    memcpy(writer->path, path, path_bytes);
+    BSQ_TRY(bsq_text_copy(ctx, path, &writer->path));
     BSQ_TRY(count_channels(writer));
     BSQ_TRY(fmt_nvdb_set_names(writer, NULL, 0));
     BSQ_TRY(bsq_output_open(ctx, path, &writer->output));

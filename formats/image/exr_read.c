@@ -11,6 +11,7 @@
 #include <string.h>
 #include <strings.h>
 
+#include "base/bytes.h"
 #include "base/file.h"
 #include "base/parallel.h"
 #include "base/text.h"
@@ -141,11 +142,6 @@ struct walk {
     const char *excess; /* what is too much; NULL: nothing */
 };
 
-static uint32_t little32(const unsigned char *p)
-{
-    return p[0] | (uint32_t)p[1] << 8 | (uint32_t)p[2] << 16 | (uint32_t)p[3] << 24;
-}
-
 /* Reads up to `size` bytes. Returns their number. */
 static uint64_t read_at(struct walk *walk, uint64_t offset, void *to, uint64_t size)
 {
@@ -189,7 +185,7 @@ static bool pass_attribute(struct walk *walk)
     unsigned char size[4];
     if (!read_name(walk, type) || read_at(walk, walk->at, size, 4) < 4)
         return false;
-    const uint64_t end = walk->at + 4 + little32(size);
+    const uint64_t end = walk->at + 4 + bsq_little(size, 4);
     walk->at += 4;
     if (++walk->attributes > MOST_ATTRIBUTES)
         walk->excess = "the header has more than 4096 attributes";
@@ -210,7 +206,7 @@ static int check_header(const struct reader *reader)
     char name[NAME_BYTES];
     bool empty = true;
     const bool found = read_at(&walk, 4, version, 4) == 4;
-    const bool parts = little32(version) & MULTI_PART;
+    const bool parts = bsq_little(version, 4) & MULTI_PART;
     while (found && read_name(&walk, name)) {
         if (!name[0] && (!parts || empty))
             break;

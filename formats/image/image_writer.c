@@ -9,6 +9,7 @@
 #include <string.h>
 
 #include "base/parallel.h"
+#include "base/text.h"
 
 struct slot {
     struct fmt_image_block block;
@@ -84,10 +85,8 @@ static int start(struct fmt_image_writer *writer, const char *path,
                  const struct fmt_image_options *options)
 {
     struct bsq_ctx *ctx = writer->ctx;
-    size_t path_bytes = strlen(path) + 1;
     int status;
-    BSQ_TRY(bsq_alloc(ctx, "path", path_bytes, 1, &writer->path));
-    memcpy(writer->path, path, path_bytes);
+    BSQ_TRY(bsq_text_copy(ctx, path, &writer->path));
     BSQ_TRY(options->temporary ? bsq_output_open_temp(ctx, path, "an image", &writer->output)
                                : bsq_output_open(ctx, path, &writer->output));
     BSQ_TRY(writer->format->create(writer, options));

@@ -5,6 +5,7 @@
  * first, and the window is reserved from the budget. */
 #include "formats/input/unpack.h"
 
+#include "base/bytes.h"
 #include <inttypes.h>
 #include <isa-l/igzip_lib.h>
 #include <stdio.h>
@@ -48,14 +49,6 @@ struct unpacker {
 
 /* ---- recognising ---- */
 
-static uint64_t load(const uint8_t *from, unsigned bytes)
-{
-    uint64_t value = 0;
-    for (unsigned i = 0; i < bytes; i++)
-        value |= (uint64_t)from[i] << 8 * i;
-    return value;
-}
-
 static enum packing packing_of(const uint8_t *head, uint64_t size)
 {
     /* A file that is cut off after some of these bytes is a damaged one. */
@@ -63,7 +56,7 @@ static enum packing packing_of(const uint8_t *head, uint64_t size)
         return PACKING_GZIP;
     if (size < UNPACK_HEAD_BYTES)
         return size >= 2 && memcmp(head, "\x28\xb5\x2f", size) == 0 ? PACKING_ZSTD : PACKING_NONE;
-    const uint64_t magic = load(head, 4);
+    const uint64_t magic = bsq_little(head, 4);
     /* A frame, or a frame to be skipped, which pzstd writes first. */
     return magic == 0xfd2fb528 || (magic & 0xfffffff0) == 0x184d2a50 ? PACKING_ZSTD : PACKING_NONE;
 }
@@ -182,7 +175,7 @@ enum { FRAME_HEADER_BYTES = 18 };
 static uint64_t window_of(const uint8_t *in, uint64_t size)
 {
     static const unsigned id_bytes[] = {0, 1, 2, 4};
-    if (size < 6 || load(in, 4) != 0xfd2fb528)
+    if (size < 6 || bsq_little(in, 4) != 0xfd2fb528)
         return 0;
     const unsigned descriptor = in[4], content = descriptor >> 6;
     if (!(descriptor >> 5 & 1)) {
@@ -193,7 +186,7 @@ static uint64_t window_of(const uint8_t *in, uint64_t size)
     const unsigned at = 5 + id_bytes[descriptor & 3], bytes = 1u << content;
     if (size < at + bytes)
         return 0;
-    return load(in + at, bytes) + (bytes == 2 ? 256 : 0);
+    return bsq_little(in + at, bytes) + (bytes == 2 ? 256 : 0);
 }
 
 static int reserve_zstd(struct unpacker *u, uint64_t bytes)

@@ -9,6 +9,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "base/bytes.h"
 #include "base/text.h"
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/mesh_text.h"
@@ -173,11 +174,6 @@ static int parse_text(struct gltf_document *d, const struct shortener *s)
 
 enum { GLB_HEADER = 12, GLB_CHUNK_HEADER = 8 };
 
-static uint32_t load_u32(const uint8_t *from)
-{
-    return from[0] | (uint32_t)from[1] << 8 | (uint32_t)from[2] << 16 | (uint32_t)from[3] << 24;
-}
-
 /* Reads the header of the chunk at `offset`. */
 static int read_chunk(struct gltf_document *d, uint64_t offset, uint64_t end, uint32_t *type,
                       uint64_t *size)
@@ -186,8 +182,8 @@ static int read_chunk(struct gltf_document *d, uint64_t offset, uint64_t end, ui
     int status = bsq_file_read(d->ctx, &d->file, head, sizeof head, offset);
     if (status)
         return status;
-    *size = load_u32(head);
-    *type = load_u32(head + 4);
+    *size = bsq_little(head, 4);
+    *type = (uint32_t)bsq_little(head + 4, 4);
     if (*size > end - offset - GLB_CHUNK_HEADER)
         return bsq_fail(d->ctx, BSQ_EDATA,
                         "%s: byte %" PRIu64 ": truncated: a chunk has %" PRIu64
@@ -199,12 +195,12 @@ static int read_chunk(struct gltf_document *d, uint64_t offset, uint64_t end, ui
 static int find_chunks(struct gltf_document *d, const uint8_t *head)
 {
     const uint32_t json = 0x4e4f534a, binary = 0x004e4942;
-    const uint64_t end = load_u32(head + 8);
+    const uint64_t end = bsq_little(head + 8, 4);
     uint32_t type = 0;
     uint64_t size;
-    if (load_u32(head + 4) != 2)
+    if (bsq_little(head + 4, 4) != 2)
         return bsq_fail(d->ctx, BSQ_EDATA, "%s: glTF version %" PRIu32 " is not read, only 2",
-                        d->file.path, load_u32(head + 4));
+                        d->file.path, (uint32_t)bsq_little(head + 4, 4));
     if (end > d->file.size || end < GLB_HEADER + GLB_CHUNK_HEADER)
         return bsq_fail(d->ctx, BSQ_EDATA,
                         "%s: truncated: the header counts %" PRIu64 " bytes, the file has %" PRIu64,

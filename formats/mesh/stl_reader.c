@@ -12,6 +12,7 @@
 #include <string.h>
 #include <strings.h>
 
+#include "base/bytes.h"
 #include "base/context.h"
 #include "formats/mesh/mesh_format.h"
 #include "formats/mesh/mesh_text.h"
@@ -67,13 +68,6 @@ static bool recognise(const char *head, size_t size)
     return false;
 }
 
-static uint32_t load_u32(const char *from)
-{
-    uint32_t value;
-    memcpy(&value, from, sizeof value);
-    return value;
-}
-
 /* Returns whether corners of a triangle have coordinates of a mesh: finite, and no lengths that
  * random bytes have. Normals may be anything. */
 static bool is_plausible(const char *triangle)
@@ -92,7 +86,7 @@ static bool is_plausible(const char *triangle)
  * plausible, and a file that ends there must end after the last triangle. */
 static bool resembles(const char *head, size_t size)
 {
-    const uint64_t count = size >= STL_HEADER_BYTES ? load_u32(head + 80) : 0;
+    const uint64_t count = size >= STL_HEADER_BYTES ? bsq_little(head + 80, 4) : 0;
     if (count == 0 || memchr(head, '\0', size) == NULL ||
         (size < FMT_MESH_HEAD_BYTES && size != STL_HEADER_BYTES + count * STL_TRIANGLE_BYTES))
         return false;
@@ -126,7 +120,7 @@ static int examine(struct bsq_ctx *ctx, const struct fmt_input *input, const cha
 {
     const uint64_t file_size = fmt_input_size(input);
     const bool known = file_size < UINT64_MAX;
-    const uint32_t count = size >= STL_HEADER_BYTES ? load_u32(head + 80) : 0;
+    const uint32_t count = size >= STL_HEADER_BYTES ? (uint32_t)bsq_little(head + 80, 4) : 0;
     const uint64_t body = size >= STL_HEADER_BYTES ? file_size - STL_HEADER_BYTES : 0;
     const uint64_t space = body / STL_TRIANGLE_BYTES;
     const bool exact = known && size >= STL_HEADER_BYTES && body % STL_TRIANGLE_BYTES == 0 &&

@@ -8,6 +8,7 @@
 
 #include <inttypes.h>
 #include <string.h>
+#include "base/bytes.h"
 
 /* An image in an open file, and its first bytes; zeros follow after a short image. */
 struct probe {
@@ -40,21 +41,6 @@ static uint32_t big16(const uint8_t *p)
 static uint32_t big32(const uint8_t *p)
 {
     return big16(p) << 16 | big16(p + 2);
-}
-
-static uint32_t little16(const uint8_t *p)
-{
-    return (uint32_t)p[1] << 8 | p[0];
-}
-
-static uint32_t little24(const uint8_t *p)
-{
-    return (uint32_t)p[2] << 16 | little16(p);
-}
-
-static uint32_t little32(const uint8_t *p)
-{
-    return little16(p + 2) << 16 | little16(p);
 }
 
 /* Reads `size` bytes; zeros follow after the end of the file. */
@@ -151,11 +137,12 @@ static bool is_bmp(struct probe *probe)
 static struct whole bmp_whole(struct probe *probe)
 {
     const uint8_t *h = probe->head;
-    const bool packed = little32(h + 14) >= 40 && (little32(h + 30) == 1 || little32(h + 30) == 2);
-    uint64_t height = little32(h + 22);
+    const bool packed =
+        bsq_little(h + 14, 4) >= 40 && (bsq_little(h + 30, 4) == 1 || bsq_little(h + 30, 4) == 2);
+    uint64_t height = bsq_little(h + 22, 4);
     if (height > INT32_MAX) /* the rows are stored from the top */
         height = (UINT64_C(1) << 32) - height;
-    return by_texels(little32(h + 18), height, packed ? 4 : 0);
+    return by_texels(bsq_little(h + 18, 4), height, packed ? 4 : 0);
 }
 
 static bool is_hdr(struct probe *probe)
@@ -183,13 +170,13 @@ static bool is_webp(struct probe *probe)
 static struct whole webp_whole(struct probe *probe)
 {
     const uint8_t *h = probe->head;
-    uint32_t width = little16(h + 26) & 0x3fff, height = little16(h + 28) & 0x3fff;
+    uint64_t width = bsq_little(h + 26, 2) & 0x3fff, height = bsq_little(h + 28, 2) & 0x3fff;
     if (memcmp(h + 12, "VP8X", 4) == 0) {
-        width = little24(h + 24) + 1;
-        height = little24(h + 27) + 1;
+        width = bsq_little(h + 24, 3) + 1;
+        height = bsq_little(h + 27, 3) + 1;
     } else if (memcmp(h + 12, "VP8L", 4) == 0) {
-        width = (little32(h + 21) & 0x3fff) + 1;
-        height = (little32(h + 21) >> 14 & 0x3fff) + 1;
+        width = (bsq_little(h + 21, 4) & 0x3fff) + 1;
+        height = (bsq_little(h + 21, 4) >> 14 & 0x3fff) + 1;
     }
     struct whole whole = by_texels(width, height, 4);
     whole.bytes += probe->part->size;
@@ -207,13 +194,14 @@ static bool is_targa(struct probe *probe)
         read_at(probe, probe->part->size - sizeof mark, end, sizeof end);
     const bool type = (h[2] >= 1 && h[2] <= 3) || (h[2] >= 9 && h[2] <= 11);
     const bool bits = h[16] == 8 || h[16] == 15 || h[16] == 16 || h[16] == 24 || h[16] == 32;
-    const bool possible = h[1] <= 1 && type && bits && little16(h + 12) > 0 && little16(h + 14) > 0;
+    const bool possible =
+        h[1] <= 1 && type && bits && bsq_little(h + 12, 2) > 0 && bsq_little(h + 14, 2) > 0;
     return possible && (memcmp(end, mark, sizeof mark) == 0 || !(h[17] & 0xc0));
 }
 
 static struct whole targa_whole(struct probe *probe)
 {
-    return by_texels(little16(probe->head + 12), little16(probe->head + 14), 4);
+    return by_texels(bsq_little(probe->head + 12, 2), bsq_little(probe->head + 14, 2), 4);
 }
 
 static const char no_format[] =

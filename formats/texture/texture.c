@@ -17,6 +17,7 @@
 #include "base/context.h"
 #include "base/parallel.h"
 #include "base/sort_array.h"
+#include "base/text.h"
 #include "base/tile_files.h"
 #include "formats/texture/image_rows.h"
 #include "formats/texture/pyramid.h"
@@ -94,8 +95,7 @@ static int add_texture(struct fmt_textures *t, const struct fmt_texture_source *
     char *path = NULL;
     int status;
     BSQ_TRY(bsq_grow(ctx, "textures", t->count + 1, sizeof *t->list, &t->list, &t->capacity));
-    BSQ_TRY(bsq_alloc(ctx, "texture path", strlen(source->path) + 1, 1, &path));
-    strcpy(path, source->path);
+    BSQ_TRY(bsq_text_copy(ctx, source->path, &path));
     struct texture *texture = &t->list[t->count++];
     *texture = (struct texture){.source = *source, .first = (uint32_t)t->image_count};
     texture->source.path = path;

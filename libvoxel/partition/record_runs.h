@@ -18,8 +18,6 @@
 /* ---- records ---- */
 
 #define RECORD_SLACK 8
-/* Most bytes of a corner. */
-#define CORNER_BYTES_MAX (8u * FMT_MESH_KIND_COUNT)
 
 struct record_layout {
     bool gathered; /* attribute streams are in files; each batch gathers its elements */

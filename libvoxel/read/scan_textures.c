@@ -135,14 +135,10 @@ static int add_checked(struct bsq_ctx *ctx, struct scan_textures *textures,
     int status = bsq_grow(ctx, "textures", textures->count + count, sizeof *textures->list,
                           &textures->list, &textures->capacity);
     for (uint64_t i = 0; i < count && !status; i++) {
-        const char *path = list[i].path;
         struct scan_texture *to = &textures->list[textures->count];
-        status = bsq_alloc(ctx, "textures", strlen(path) + 1, 1, &to->path);
-        if (status)
-            break;
-        strcpy(to->path, path);
         to->good = list[i].good;
-        textures->count++;
+        status = bsq_text_copy(ctx, list[i].path, &to->path);
+        textures->count += status == 0;
     }
     bsq_sort(textures->list, textures->count, sizeof *textures->list, compare_textures);
     return status;
