@@ -234,7 +234,8 @@ struct bake_options {
     /** In grids, a voxel at this distance from the hit or farther hides these rays as a whole, as
      * if its surface filled it; in voxels; <= 0: none does. */
     double ao_coarse;
-    bool ao_filter;          /**< Each texel of ao becomes a mean of those near it on the scan. */
+    /** Each texel of ao and thickness becomes a mean of those near it on the scan. */
+    bool filter_rays;
     bool ao_falloff;         /**< A surface hides less the farther it is: nothing at ao_distance. */
     uint32_t thickness_rays; /**< The same for BAKE_MAP_THICKNESS. */
     /** Length of these rays, which is also the sample 1 of integer files; <= 0: the diagonal of the

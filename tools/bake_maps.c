@@ -339,8 +339,9 @@ static const struct setting {
     const char *option, *word, *name, *key, *text;
 } settings[] = {
     {"quality", "draft", "samples", NULL, "1"},
-    {"quality", "draft", "rays", "ao", "8"},
-    {"quality", "draft", "rays", "thickness", "4"},
+    {"quality", "draft", "rays", "ao", "4"},
+    {"quality", "draft", "rays", "thickness", "2"},
+    {"quality", "draft", "rays", "filter", "surface"},
     {"quality", "final", "samples", NULL, "4"},
     {"quality", "final", "rays", "ao", "4096"},
     {"quality", "final", "rays", "thickness", "2048"},

@@ -48,8 +48,7 @@ struct work {
     const struct bake_curvature *job;
     struct bake_curvature_counts *counts;
     uint32_t channels;
-    float *rows;           /* as read from the file of an image */
-    float *texels;         /* of the block */
+    float *texels;         /* of the block, in the image's rows */
     uint32_t *objects;     /* of the texels of the block; NULL if all see all scans */
     uint32_t *ray_objects; /* likewise, of the rays */
     struct bake_exact_ray *rays;
@@ -258,25 +257,12 @@ static int resolve_texels(void *arg, uint64_t index, unsigned worker)
 
 /* ---- blocks of texels ---- */
 
-static int read_block(struct work *work, const struct block *block)
-{
-    const uint32_t width = bake_image_width(work->job->image);
-    const size_t run = (size_t)block->width * work->channels;
-    const float *rows;
-    int status = bake_image_rows(work->job->image, block->y, block->height, work->rows, &rows);
-    for (uint32_t y = 0; status == 0 && y < block->height; ++y)
-        memcpy(work->texels + y * run, rows + ((size_t)y * width + block->x) * work->channels,
-               run * sizeof *rows);
-    return status;
-}
-
 static int trace_block(struct work *work, const struct block *block)
 {
     const uint64_t texels = block_texels(block);
     int status = 0;
     work->block_texels = texels;
     memset(work->probes, 0, texels * PROBES * sizeof *work->probes);
-    BSQ_TRY(read_block(work, block));
     if (work->objects)
         BSQ_TRY(work->job->objects(work->job->objects_arg, block->x, block->y, block->width,
                                    block->height, work->objects));
@@ -287,27 +273,30 @@ static int trace_block(struct work *work, const struct block *block)
                              resolve_texels, work));
     BSQ_TRY(bake_surface_check(work->job->surface));
     bsq_progress_add(work->ctx, texels);
-    BSQ_TRY(bake_image_write(work->job->image, block->x, block->y, block->width, block->height,
-                             work->texels));
 done:
     return status;
 }
 
-static int trace_blocks(struct work *work)
+/* Traces a band: several rows at once, or one row in parts. */
+static int trace_band(void *arg, uint32_t first_row, uint32_t rows, float *texels)
 {
+    struct work *work = arg;
     const uint32_t width = bake_image_width(work->job->image);
-    const uint32_t height = bake_image_height(work->job->image);
     const uint32_t columns = work->most_texels < width ? (uint32_t)work->most_texels : width;
-    const uint64_t fitting = work->most_texels / columns;
-    const uint32_t rows = fitting < height ? (uint32_t)fitting : height;
     int status = 0;
-    for (uint32_t y = 0; status == 0 && y < height; y += rows)
-        for (uint32_t x = 0; status == 0 && x < width; x += columns) {
-            const struct block block = {x, y, width - x < columns ? width - x : columns,
-                                        height - y < rows ? height - y : rows};
-            status = trace_block(work, &block);
-        }
+    for (uint32_t x = 0; status == 0 && x < width; x += columns) {
+        const struct block block = {x, first_row, width - x < columns ? width - x : columns, rows};
+        work->texels = texels + (size_t)x * work->channels;
+        status = trace_block(work, &block);
+    }
     return status;
+}
+
+static int trace_bands(struct work *work)
+{
+    const uint64_t rows = work->most_texels / bake_image_width(work->job->image);
+    const uint32_t most = rows < 1 ? 1 : rows < UINT32_MAX ? (uint32_t)rows : UINT32_MAX;
+    return bake_image_change(work->ctx, work->job->image, most, trace_band, work);
 }
 
 /* ---- memory ---- */
@@ -322,23 +311,17 @@ static int allocate(struct work *work)
     work->channels = bake_image_channels(image);
     work->most_texels = fitting < 1 ? 1 : fitting < all ? fitting : all;
     const uint64_t rays = work->most_texels * PROBES;
-    const uint64_t rows = work->most_texels / width;
     int status = 0;
     BSQ_TRY(bsq_alloc(work->ctx, "rays", rays, sizeof *work->rays, &work->rays));
     BSQ_TRY(bsq_alloc(work->ctx, "hits", rays, sizeof *work->hits, &work->hits));
     BSQ_TRY(bsq_alloc(work->ctx, "points", rays, sizeof *work->probes, &work->probes));
     BSQ_TRY(bsq_alloc(work->ctx, "points", rays, sizeof *work->listed, &work->listed));
-    BSQ_TRY(bsq_alloc(work->ctx, "texels", work->most_texels, work->channels * sizeof(float),
-                      &work->texels));
     if (work->job->objects) {
         BSQ_TRY(bsq_alloc(work->ctx, "objects of texels", work->most_texels, sizeof *work->objects,
                           &work->objects));
         BSQ_TRY(bsq_alloc(work->ctx, "objects of rays", rays, sizeof *work->ray_objects,
                           &work->ray_objects));
     }
-    if (!bake_image_in_memory(image))
-        BSQ_TRY(bsq_alloc(work->ctx, "rows of the map", rows < 1 ? 1 : rows,
-                          width * work->channels * sizeof(float), &work->rows));
 done:
     return status;
 }
@@ -351,11 +334,9 @@ int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job,
                        (uint64_t)bake_image_width(job->image) * bake_image_height(job->image));
     int status = 0;
     BSQ_TRY(allocate(&work));
-    BSQ_TRY(trace_blocks(&work));
+    BSQ_TRY(trace_bands(&work));
 done:
     bsq_progress_end(ctx);
-    bsq_free(ctx, work.rows);
-    bsq_free(ctx, work.texels);
     bsq_free(ctx, work.ray_objects);
     bsq_free(ctx, work.objects);
     bsq_free(ctx, work.listed);
@@ -371,8 +352,7 @@ double bake_curvature_radius(const struct bake_surface *surface, const struct ba
                              const struct bake_lowmesh *mesh, const struct bake_udim *udim)
 {
     double world, texels;
-    bake_udim_areas(options, mesh, udim, &world, &texels);
-    const double two_texels = texels > 0 ? 2.0 * sqrt(world / texels) : 0;
+    const double two_texels = 2.0 * bake_udim_areas(options, mesh, udim, &world, &texels);
     const double least = (!surface->grids ? 0.01 : 2.0) * surface->detail;
     return isfinite(two_texels) ? fmax(two_texels, least) : least;
 }

@@ -18,7 +18,7 @@
 #include "base/sort_array.h"
 #include "base/vec.h"
 
-enum { NORMAL = 3, RESULT = 6, BAND_ROWS = 64, MOST_LAYERS = 1 << 20 };
+enum { NORMAL = 3, RESULT = 6, BAND_ROWS = 64, MOST_LAYERS = 1 << 20, MOST_VALUES = 2 };
 
 /* In texels: what counts as near, and how far from the plane of the other one. */
 #define RADIUS 3.0
@@ -26,7 +26,7 @@ enum { NORMAL = 3, RESULT = 6, BAND_ROWS = 64, MOST_LAYERS = 1 << 20 };
 
 struct point {
     struct bsq_vec3 at, normal;
-    float value, result;
+    float values[MOST_VALUES], results[MOST_VALUES];
     uint64_t cell; /* in its layer */
 };
 
@@ -47,8 +47,6 @@ struct work {
     struct point *points;  /* of the window: by layer, and in a layer in the order of the image */
     struct point **sorted; /* the same, in a layer by cell */
     uint64_t capacity;
-    float *rows; /* that are written */
-    uint64_t row_capacity;
 };
 
 static bool is_valid(const float *texel)
@@ -163,49 +161,41 @@ static int take_points(void *arg, uint32_t first_row, uint32_t rows, const float
         *point =
             (struct point){.at = bsq_v3(guide[0], guide[1], guide[2]),
                            .normal = bsq_v3(guide[NORMAL], guide[NORMAL + 1], guide[NORMAL + 2]),
-                           .value = texel[work->filter->place],
                            .cell = cell_of(work, guide)};
+        for (uint32_t i = 0; i < work->filter->count; i++)
+            point->values[i] = texel[work->filter->places[i]];
         work->sorted[work->next[layer]++] = point;
     }
     return bsq_check(work->ctx);
 }
 
 /* Puts the results where the filter has room in the image. */
-static int put_results(void *arg, uint32_t first_row, uint32_t rows, const float *texels)
+static int put_results(void *arg, uint32_t first_row, uint32_t rows, float *texels)
 {
     struct work *work = arg;
-    const uint64_t count = (uint64_t)rows * work->width;
+    const float *end = texels + (size_t)rows * work->width * work->channels;
     uint32_t layer;
-    int status = bsq_grow(work->ctx, "rows of a map", count * work->channels, sizeof *work->rows,
-                          &work->rows, &work->row_capacity);
-    if (status < 0)
-        return status;
-    memcpy(work->rows, texels, count * work->channels * sizeof *work->rows);
-    for (uint64_t i = 0; i < count; i++) {
-        float *texel = work->rows + i * work->channels;
-        if (is_in_window(work, texel, &layer)) {
-            const struct point *point = &work->points[work->next[layer]++];
-            if (layer >= work->first && layer < work->last)
-                texel[work->filter->guide + RESULT] = point->result;
-        }
+    (void)first_row;
+    for (float *texel = texels; texel < end; texel += work->channels) {
+        if (!is_in_window(work, texel, &layer))
+            continue;
+        const struct point *point = &work->points[work->next[layer]++];
+        if (layer >= work->first && layer < work->last)
+            memcpy(texel + work->filter->guide + RESULT, point->results, sizeof point->results);
     }
-    status = bake_image_write(work->filter->image, 0, first_row, work->width, rows, work->rows);
-    return status < 0 ? status : bsq_check(work->ctx);
+    return bsq_check(work->ctx);
 }
 
 /* Makes the results of all texels their values. */
-static int take_results(void *arg, uint32_t first_row, uint32_t rows, const float *texels)
+static int take_results(void *arg, uint32_t first_row, uint32_t rows, float *texels)
 {
-    struct work *work = arg;
-    const uint64_t count = (uint64_t)rows * work->width;
-    memcpy(work->rows, texels, count * work->channels * sizeof *work->rows);
-    for (uint64_t i = 0; i < count; i++) {
-        float *texel = work->rows + i * work->channels;
-        if (is_valid(texel))
-            texel[work->filter->place] = texel[work->filter->guide + RESULT];
-    }
-    int status = bake_image_write(work->filter->image, 0, first_row, work->width, rows, work->rows);
-    return status < 0 ? status : bsq_check(work->ctx);
+    const struct work *work = arg;
+    const float *end = texels + (size_t)rows * work->width * work->channels;
+    (void)first_row;
+    for (float *texel = texels; texel < end; texel += work->channels)
+        for (uint32_t i = 0; i < work->filter->count && is_valid(texel); i++)
+            texel[work->filter->places[i]] = texel[work->filter->guide + RESULT + i];
+    return bsq_check(work->ctx);
 }
 
 /* By cell, and in a cell in the order of the image. */
@@ -234,6 +224,10 @@ struct run {
     struct point *const *at, *const *end;
 };
 
+struct sums {
+    double weight, values[MOST_VALUES];
+};
+
 /* Returns x to the power of 32: normals that differ by 12 degrees have half of the weight. */
 static float sharpen(float x)
 {
@@ -243,7 +237,7 @@ static float sharpen(float x)
 }
 
 static void add_run(const struct work *work, const struct point *to, uint64_t row, uint64_t column,
-                    struct run *run, double sums[2])
+                    struct run *run, struct sums *sums)
 {
     const uint64_t first = row << 32 | (column > 0 ? column - 1 : 0),
                    last = row << 32 | (column + 1);
@@ -260,8 +254,9 @@ static void add_run(const struct work *work, const struct point *to, uint64_t ro
         if (!(near > 0.0f) || !(facing > 0.0f) || !(level > 0.0f))
             continue;
         const double weight = (double)(near * near * sharpen(facing) * level);
-        sums[0] += weight;
-        sums[1] += weight * (double)(*p)->value;
+        sums->weight += weight;
+        for (uint32_t i = 0; i < MOST_VALUES; i++)
+            sums->values[i] += weight * (double)(*p)->values[i];
     }
 }
 
@@ -282,11 +277,13 @@ static int filter_layer(void *arg, uint64_t index, unsigned worker)
     for (uint64_t i = before(work, layer); i < work->ends[layer]; i++) {
         struct point *to = work->sorted[i - start];
         const uint64_t row = to->cell >> 32, column = to->cell & UINT32_MAX;
-        double sums[2] = {0, 0};
+        struct sums sums = {0};
         for (uint32_t l = 0; l < 3; l++)
             for (uint64_t r = row > 0 ? 0 : 1; r < 3; r++)
-                add_run(work, to, row + r - 1, column, &runs[l][r], sums);
-        to->result = sums[0] > 0 ? (float)(sums[1] / sums[0]) : to->value;
+                add_run(work, to, row + r - 1, column, &runs[l][r], &sums);
+        for (uint32_t k = 0; k < MOST_VALUES; k++)
+            to->results[k] =
+                sums.weight > 0 ? (float)(sums.values[k] / sums.weight) : to->values[k];
     }
     bsq_progress_add(work->ctx, work->ends[layer] - before(work, layer));
     return bsq_check(work->ctx);
@@ -333,7 +330,7 @@ static int filter_window(struct work *work)
     BSQ_TRY(bsq_parallel_for(work->ctx, work->end - work->begin, sort_layer, work));
     BSQ_TRY(bsq_parallel_for(work->ctx, work->last - work->first, filter_layer, work));
     begin_reading(work);
-    BSQ_TRY(bake_image_bands(work->ctx, image, BAND_ROWS, put_results, work));
+    BSQ_TRY(bake_image_change(work->ctx, image, BAND_ROWS, put_results, work));
 done:
     return status;
 }
@@ -359,10 +356,9 @@ int bake_filter(struct bsq_ctx *ctx, const struct bake_filter *filter)
         BSQ_TRY(filter_window(&work));
     }
     if (work.layer_count > 0)
-        BSQ_TRY(bake_image_bands(ctx, filter->image, BAND_ROWS, take_results, &work));
+        BSQ_TRY(bake_image_change(ctx, filter->image, BAND_ROWS, take_results, &work));
 done:
     bsq_progress_end(ctx);
-    bsq_free(ctx, work.rows);
     bsq_free(ctx, work.points);
     bsq_free(ctx, work.sorted);
     bsq_free(ctx, work.next);

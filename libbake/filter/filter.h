@@ -1,8 +1,8 @@
-/* filter.h - less noise in a map of rays from hits, without rays.
+/* filter.h - less noise in maps of rays from hits, without rays.
  *
- * In: a complete image whose texels hold a value, and the position and the normal of their hits.
- * Out: the same image, in which each value is the weighted mean of those near it on the scan. So
- * charts that lie side by side in the image do not mix, and chart borders do not show.
+ * In: a complete image whose texels hold one or two values, and the position and the normal of
+ * their hits. Out: the same image, in which each value is the weighted mean of those near it on the
+ * scan. So charts that lie side by side in the image do not mix, and chart borders do not show.
  *
  * The result depends on the image and the size of a texel only: not on threads or the budget. */
 #ifndef BAKE_FILTER_FILTER_H
@@ -12,13 +12,15 @@
 
 struct bake_filter {
     struct bake_image *image;
-    uint32_t place; /* of the value in a texel of the image */
-    uint32_t guide; /* of BAKE_GUIDE_VALUES: position in world units, unit normal or 0, any value */
-    double texel;   /* side of a texel on the mesh, in world units; 0: nothing is near */
+    uint32_t count;     /* of the values: 1 or 2 */
+    uint32_t places[2]; /* of the values in a texel of the image */
+    /* Of BAKE_GUIDE_VALUES: position in world units, unit normal or 0, any two values. */
+    uint32_t guide;
+    double texel; /* side of a texel on the mesh, in world units; 0: nothing is near */
 };
 
 /* Filters all valid texels on all threads. Must not be called from parallel work. Errors: those of
- * bake_image_rows() and bake_image_write(); BSQ_ENOMEM, BSQ_EINTR. */
+ * bake_image_change(); BSQ_ENOMEM, BSQ_EINTR. */
 int bake_filter(struct bsq_ctx *ctx, const struct bake_filter *filter);
 
 #endif

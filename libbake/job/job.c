@@ -22,8 +22,7 @@ static int run(struct bake_work *job)
     BSQ_TRY(bake_prepare_triangles(job));
     bake_expect_work(job);
     BSQ_TRY(bake_open_device(job));
-    bake_udim_areas(options, &job->mesh, &job->udim, &area, &texels);
-    job->report->texel = texels > 0 ? sqrt(area / texels) : 0;
+    job->report->texel = bake_udim_areas(options, &job->mesh, &job->udim, &area, &texels);
     job->report->voxel = job->surface.grids ? job->surface.detail : 0;
     BSQ_TRY(bake_seen_create(&job->surface, area, texels, job->device, &job->seen));
     double opened = bsq_seconds_now();

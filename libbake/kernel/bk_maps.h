@@ -162,7 +162,7 @@ BK_FN void bk_add_confidence(const bk_map_hit *hit, BK_GLOBAL float *sums)
     sums[0] += hit->confidence;
 }
 
-/* Sums the same for libbake/filter/, which replaces no values by it. */
+/* Sums the position and the normal, for libbake/filter/. */
 BK_FN void bk_add_guide(const bk_map_hit *hit, BK_GLOBAL float *sums)
 {
     bk_add_curvature(hit, sums);

@@ -141,23 +141,43 @@ int bake_image_rows(const struct bake_image *image, uint32_t y, uint32_t count, 
     return 0;
 }
 
-int bake_image_bands(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t band_rows,
-                     bake_band_fn *fn, void *arg)
+/* Calls `look` for each band or, if the image may change, `change`. */
+static int for_bands(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t band_rows,
+                     bake_band_fn *look, bake_change_fn *change, void *arg)
 {
     const uint64_t row_bytes = image->width * image->texel_bytes;
     const uint64_t most = bsq_memory_share(ctx, "rows of a map", 4) / row_bytes;
     const uint32_t step = most < 1 ? 1 : most < band_rows ? (uint32_t)most : band_rows;
     const float *texels;
-    float *buffer = NULL;
+    float *buffer = NULL, *band;
     int status = 0;
     if (!image->samples)
         BSQ_TRY(bsq_alloc(ctx, "rows of a map", step, row_bytes, &buffer));
     for (uint32_t y = 0; y < image->height; y += step) {
         const uint32_t rows = image->height - y < step ? image->height - y : step;
         BSQ_TRY(bake_image_rows(image, y, rows, buffer, &texels));
-        BSQ_TRY(fn(arg, y, rows, texels));
+        if (look) {
+            BSQ_TRY(look(arg, y, rows, texels));
+            continue;
+        }
+        band = buffer ? buffer : image->samples + (size_t)y * image->width * image->channels;
+        BSQ_TRY(change(arg, y, rows, band));
+        if (buffer)
+            BSQ_TRY(bsq_file_write(ctx, &image->file, buffer, rows * row_bytes, y * row_bytes));
     }
 done:
     bsq_free(ctx, buffer);
     return status;
+}
+
+int bake_image_bands(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t band_rows,
+                     bake_band_fn *fn, void *arg)
+{
+    return for_bands(ctx, image, band_rows, fn, NULL, arg);
+}
+
+int bake_image_change(struct bsq_ctx *ctx, struct bake_image *image, uint32_t band_rows,
+                      bake_change_fn *fn, void *arg)
+{
+    return for_bands(ctx, image, band_rows, NULL, fn, arg);
 }

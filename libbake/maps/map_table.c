@@ -158,11 +158,11 @@ static bool resolve_curvature(const float *sums, uint32_t channels, float weight
     return resolve_direction(sums + 6, 3, weight, value + 3);
 }
 
-/* The same with a further value, which the filter needs. A texel needs no mean normal. */
+/* The same with two further values, for the filter's results. A texel needs no mean normal. */
 static bool resolve_guide(const float *sums, uint32_t channels, float weight, float *value)
 {
     resolve_curvature(sums, channels, weight, value);
-    value[6] = 0;
+    value[6] = value[7] = 0;
     return true;
 }
 
@@ -195,8 +195,10 @@ static bool resolve_thickness(const float *sums, uint32_t channels, float weight
 {
     (void)channels;
     (void)weight;
+    if (!(sums[1] > 0))
+        return false;
     value[0] = sums[0] / sums[1];
-    return sums[1] > 0;
+    return true;
 }
 
 double bake_thickness_distance(const struct bake_options *options, const double scan_min[3],
@@ -351,7 +353,7 @@ static const struct bake_map_row transfer_rows[2][2] = {
 uint32_t bake_selection(const struct bake_options *options)
 {
     const uint32_t maps = options->maps & ~(uint32_t)(BAKE_MAPS_ALL | BAKE_MAPS_USUAL);
-    const bool guided = options->ao_filter && maps & BAKE_MAP_AO;
+    const bool guided = options->filter_rays && maps & (BAKE_MAP_AO | BAKE_MAP_THICKNESS);
     return maps | (uint32_t)guided << BK_MAP_guide | options->transfer_count << BK_TRANSFER_SHIFT;
 }
 

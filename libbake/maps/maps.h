@@ -105,8 +105,8 @@ struct bake_map_row {
 };
 
 /* Maps that users name are the rows before this one. It stands for no map: its values, the position
- * and the normal of a texel's hits and a value of the filter's own, guide libbake/filter/. */
-enum { BAKE_NAMED_MAPS = BK_MAP_guide, BAKE_GUIDE_VALUES = 7 };
+ * and the normal of a texel's hits and two values of the filter's own, guide libbake/filter/. */
+enum { BAKE_NAMED_MAPS = BK_MAP_guide, BAKE_GUIDE_VALUES = 8 };
 
 /* Rows in the order of BK_MAPS; row i is bit i of enum bake_map. */
 extern const struct bake_map_row bake_map_table[];
@@ -241,6 +241,10 @@ int bake_image_rows(const struct bake_image *image, uint32_t y, uint32_t count, 
 typedef int bake_band_fn(void *arg, uint32_t first_row, uint32_t rows, const float *texels);
 int bake_image_bands(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t band_rows,
                      bake_band_fn *fn, void *arg);
+/* Does the same with a function that may change the texels of its band, which are then stored. */
+typedef int bake_change_fn(void *arg, uint32_t first_row, uint32_t rows, float *texels);
+int bake_image_change(struct bsq_ctx *ctx, struct bake_image *image, uint32_t band_rows,
+                      bake_change_fn *fn, void *arg);
 
 /* Adds the magnitudes of the values of maps whose rows are `measured`. Errors: BSQ_ENOMEM, BSQ_EIO.
  */

@@ -551,8 +551,8 @@ static void add_areas(const struct bake_lowmesh *mesh, uint64_t triangle, double
     *texels += 0.5 * fabs(u[0] * v[1] - u[1] * v[0]) * texels_a_tile;
 }
 
-void bake_udim_areas(const struct bake_options *options, const struct bake_lowmesh *mesh,
-                     const struct bake_udim *udim, double *world, double *texels)
+double bake_udim_areas(const struct bake_options *options, const struct bake_lowmesh *mesh,
+                       const struct bake_udim *udim, double *world, double *texels)
 {
     *world = *texels = 0;
     for (uint32_t i = 0; i < udim->count; ++i) {
@@ -562,4 +562,5 @@ void bake_udim_areas(const struct bake_options *options, const struct bake_lowme
         for (uint64_t t = tile->first; t < tile->first + tile->count; ++t)
             add_areas(mesh, t, (double)width * (double)height, world, texels);
     }
+    return *texels > 0 ? sqrt(*world / *texels) : 0;
 }

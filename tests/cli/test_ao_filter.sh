@@ -1,5 +1,5 @@
 #!/bin/sh
-# test_ao_filter.sh - --ao filter=surface, on a vase and on two squares that lie side by side in the
+# test_ao_filter.sh - --rays filter=surface, on a vase and on two squares that lie side by side in the
 # map and far apart in space: one in the open, one under a roof.
 . "$(dirname "$0")/lib.sh"
 
@@ -66,7 +66,7 @@ maps="--maps ao --size 64x32 --samples 1 --type 16 --back 0.1 --front 0.1"
 for rays in 16 64 1024; do
     ok $bake scan.tris low.obj $maps --rays ao=$rays -o n$rays.png
 done
-ok $bake scan.tris low.obj $maps --rays ao=16 --ao filter=surface -o f16.png
+ok $bake scan.tris low.obj $maps --rays ao=16,filter=surface -o f16.png
 compare "16 rays have less noise than 64" 'filtered < many && filtered < few / 3' \
     n1024.png n16.png f16.png n64.png
 compare "16 rays get no lighter or darker" 'mean < 0.002 && mean > -0.002' \
@@ -82,14 +82,14 @@ maps="--maps ao --size 128 --samples 1 --type 16 --padding 0"
 for rays in 16 64 1024; do
     ok $bake vase.tris vase_low.obj $maps --rays ao=$rays -o n$rays.png
 done
-filtered="$maps --rays ao=16 --ao filter=surface"
+filtered="$maps --rays ao=16,filter=surface"
 ok $bake vase.tris vase_low.obj $filtered -o f16.png
 compare "relief stays" 'filtered < 0.75 * few && mean < 0.002 && mean > -0.002' \
     n1024.png n16.png f16.png n64.png
 
 # ---- the same bytes ----
 
-maps="--maps normal,ao,curvature --size 384 --samples 1 --rays ao=1 --ao filter=surface --type float"
+maps="--maps normal,ao,curvature --size 384 --samples 1 --rays ao=1,filter=surface --type float"
 ok $bake vase.nvdb vase_low.obj $maps -o 'one_<MAP>.exr' --threads 1
 ok $bake vase.nvdb vase_low.obj $maps -o 'few_<MAP>.exr' --threads 3 --memory 22M
 holds "a small budget gives the same ao" cmp one_ao.exr few_ao.exr
