@@ -63,7 +63,8 @@ seconds()
 # bake SCAN SIZE MAPS: without the preview.
 bake()
 {
-    "$BIN/bisque-bake" --progress none --device cpu --size "$2" --samples 1 --maps "$3" -o "$work/map_<MAP>.exr" "$1" "$low"
+    "$BIN/bisque-bake" --progress none --device cpu --size "$2" --samples 1 --maps "$3" \
+        --rays ao=64,thickness=64 -o "$work/map_<MAP>.exr" "$1" "$low"
     rm -f "$work"/map_*.exr
 }
 
