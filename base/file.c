@@ -334,16 +334,14 @@ int bsq_require_space(struct bsq_ctx *ctx, const char *output, uint64_t output_b
 {
     char *directory = bsq_dirname(output), *temp = temp_directory(ctx, output);
     int status = 0;
-    if (!directory || !temp) {
-        status = bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", output);
-    } else if (temp_bytes > 0 && same_file_system(directory, temp)) {
-        status =
-            require_free(ctx, directory, "outputs and temporary files", output_bytes + temp_bytes);
-    } else {
-        status = require_free(ctx, directory, "outputs", output_bytes);
-        if (status == 0 && temp_bytes > 0)
-            status = require_free(ctx, temp, "temporary files", temp_bytes);
-    }
+    if (!directory || !temp)
+        BSQ_TRY(bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", output));
+    const bool together = temp_bytes > 0 && same_file_system(directory, temp);
+    BSQ_TRY(require_free(ctx, directory, together ? "outputs and temporary files" : "outputs",
+                         output_bytes + (together ? temp_bytes : 0)));
+    if (temp_bytes > 0 && !together)
+        status = require_free(ctx, temp, "temporary files", temp_bytes);
+done:
     free(temp);
     free(directory);
     return status;

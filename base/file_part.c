@@ -174,20 +174,18 @@ int bsq_part_extract(struct bsq_ctx *ctx, const struct bsq_file *file, const str
                      struct bsq_file *out)
 {
     uint8_t buffer[16384];
-    int status = bsq_file_temp(ctx, NULL, "an embedded image", out);
+    int status;
+    BSQ_TRY(bsq_file_temp(ctx, NULL, "an embedded image", out));
     /* A part that claims to be larger than its file cannot be copied whole. */
-    if (!status)
-        status = bsq_require_disk(ctx, NULL, part->size < file->size ? part->size : file->size);
-    for (uint64_t at = 0; at < part->size && !status; at += sizeof buffer) {
+    BSQ_TRY(bsq_require_disk(ctx, NULL, part->size < file->size ? part->size : file->size));
+    for (uint64_t at = 0; at < part->size; at += sizeof buffer) {
         uint64_t left = part->size - at, size = left < sizeof buffer ? left : sizeof buffer;
-        status = bsq_check(ctx);
-        if (!status)
-            status = bsq_part_read(ctx, file, part, buffer, size, at);
-        if (!status)
-            status = bsq_file_append(ctx, out, buffer, size);
+        BSQ_TRY(bsq_check(ctx));
+        BSQ_TRY(bsq_part_read(ctx, file, part, buffer, size, at));
+        BSQ_TRY(bsq_file_append(ctx, out, buffer, size));
     }
-    if (!status)
-        status = bsq_file_check(ctx, file);
+    status = bsq_file_check(ctx, file);
+done:
     if (status)
         bsq_file_close(ctx, out);
     return status;

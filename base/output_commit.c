@@ -30,15 +30,14 @@ static int copy_whole(struct bsq_output *output, const struct bsq_file *from, ui
     char buffer[1 << 16];
     int status = 0;
     output->position = output->sent = 0;
-    while (status == 0 && output->position < size) {
+    while (output->position < size) {
         uint64_t left = size - output->position;
         uint64_t part = left < sizeof buffer ? left : sizeof buffer;
-        status = bsq_check(output->ctx);
-        if (status == 0)
-            status = bsq_file_read(output->ctx, from, buffer, part, output->position);
-        if (status == 0)
-            status = bsq_output_write(output, buffer, part);
+        BSQ_TRY(bsq_check(output->ctx));
+        BSQ_TRY(bsq_file_read(output->ctx, from, buffer, part, output->position));
+        BSQ_TRY(bsq_output_write(output, buffer, part));
     }
+done:
     return status;
 }
 
@@ -189,17 +188,16 @@ static void remove_old(struct bsq_output *output)
 static int prepare(struct bsq_output *const *outputs, unsigned count)
 {
     int status = 0;
-    for (unsigned i = 0; status == 0 && i < count; i++)
-        status = bsq_output_sync(outputs[i]);
-    for (unsigned i = 0; status == 0 && i < count; i++) {
+    for (unsigned i = 0; i < count; i++)
+        BSQ_TRY(bsq_output_sync(outputs[i]));
+    for (unsigned i = 0; i < count; i++)
         if (i == 0 || strcmp(outputs[i]->directory, outputs[i - 1]->directory) != 0)
-            status = open_directory(outputs[i]);
+            BSQ_TRY(open_directory(outputs[i]));
+    for (unsigned i = 0; i < count; i++) {
+        BSQ_TRY(bsq_check(outputs[i]->ctx));
+        BSQ_TRY(name_temp(outputs[i]));
     }
-    for (unsigned i = 0; status == 0 && i < count; i++) {
-        status = bsq_check(outputs[i]->ctx);
-        if (status == 0)
-            status = name_temp(outputs[i]);
-    }
+done:
     return status;
 }
 
