@@ -334,8 +334,10 @@ int bsq_require_space(struct bsq_ctx *ctx, const char *output, uint64_t output_b
 {
     char *directory = bsq_dirname(output), *temp = temp_directory(ctx, output);
     int status = 0;
-    if (!directory || !temp)
-        BSQ_TRY(bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", output));
+    if (!directory || !temp) {
+        status = bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "%s", output);
+        goto done;
+    }
     const bool together = temp_bytes > 0 && same_file_system(directory, temp);
     BSQ_TRY(require_free(ctx, directory, together ? "outputs and temporary files" : "outputs",
                          output_bytes + (together ? temp_bytes : 0)));
