@@ -137,35 +137,55 @@ static int ascending(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-/* Does a step for the triangles of a neighbour. Fails as fmt_tris_load() does. */
-static int add_neighbour(const struct bake_exact *exact, const struct exact_smooth *s,
-                         enum step step, const struct exact_box *box,
-                         const struct exact_scratch *scratch, uint32_t number)
+/* Sums of a slot, and what they are made of. */
+struct summing {
+    const struct bake_exact *exact;
+    struct exact_slot *slot;
+    const struct exact_slot *wave; /* slots whose chunks are in memory, if they are loaded */
+    uint32_t wave_count;
+    const struct exact_scratch *scratch;
+};
+
+/* Gets a chunk: that of a slot of the wave, or into the scratch. Fails as fmt_tris_load() does. */
+static int get_neighbour(const struct summing *of, uint32_t number, struct fmt_tris_chunk *out)
 {
+    for (uint32_t i = 0; i < of->wave_count; i++)
+        if (of->wave[i].number == number && of->wave[i].loaded) {
+            *out = of->wave[i].chunk;
+            return 0;
+        }
+    return fmt_tris_load(of->exact->file, number, of->scratch->neighbour, out);
+}
+
+/* Does a step for the triangles of a neighbour. Fails as fmt_tris_load() does. */
+static int add_neighbour(const struct summing *of, enum step step, const struct exact_box *box,
+                         uint32_t number)
+{
+    const struct exact_smooth *s = &of->slot->smooth;
     struct fmt_tris_chunk chunk;
-    int status = bsq_check(exact->ctx);
+    int status = bsq_check(of->exact->ctx);
     if (status == 0)
-        status = fmt_tris_load(exact->file, number, scratch->neighbour, &chunk);
+        status = get_neighbour(of, number, &chunk);
     if (status == 0 && bsq_positions_match(&s->table, box->low, box->high, chunk.positions,
-                                           chunk.vertex_count, scratch->map))
-        add_chunk(s, step, exact->options.normals, &chunk, scratch->map);
+                                           chunk.vertex_count, of->scratch->map))
+        add_chunk(s, step, of->exact->options.normals, &chunk, of->scratch->map);
     return status;
 }
 
 /* Does a step for the triangles of all chunks near the needed vertices, in the order of the file.
  */
-static int run_step(const struct bake_exact *exact, struct exact_slot *slot, enum step step,
-                    const struct exact_scratch *scratch, uint32_t near)
+static int run_step(const struct summing *of, enum step step, uint32_t near)
 {
-    const struct exact_smooth *s = &slot->smooth;
-    const struct fmt_tris_chunk *own = &slot->chunk;
+    const struct bake_exact *exact = of->exact;
+    const struct exact_smooth *s = &of->slot->smooth;
+    const struct fmt_tris_chunk *own = &of->slot->chunk;
     const struct exact_box box = bounds_of(s, step);
     int status = 0;
     for (uint32_t i = 0; i < near && status == 0; i++) {
-        const uint32_t number = scratch->near[i];
-        if (number != slot->number) {
+        const uint32_t number = of->scratch->near[i];
+        if (number != of->slot->number) {
             if (touches_chunk(s, step, &exact->chunks[number]))
-                status = add_neighbour(exact, s, step, &box, scratch, number);
+                status = add_neighbour(of, step, &box, number);
             continue;
         }
         /* Also matches vertices that are not needed but share the position of one that is. */
@@ -204,19 +224,19 @@ static bool divide_rings(const struct exact_smooth *s)
 }
 
 /* Sums the normals of the vertices that are needed, and of both sides of creases. */
-static int sum_smooth(const struct bake_exact *exact, struct exact_slot *slot,
-                      const struct exact_scratch *scratch)
+static int sum_smooth(const struct summing *of)
 {
-    const struct exact_box box = bounds_of(&slot->smooth, STEP_SUM);
-    const uint32_t near = bake_exact_tree_overlapping(&exact->tree, &box, scratch->near);
-    bsq_sort(scratch->near, near, sizeof *scratch->near, ascending);
-    int status = run_step(exact, slot, STEP_SUM, scratch, near);
-    if (status == 0 && begin_creases(&slot->smooth))
-        status = run_step(exact, slot, STEP_FARTHEST, scratch, near);
+    const struct exact_smooth *s = &of->slot->smooth;
+    const struct exact_box box = bounds_of(s, STEP_SUM);
+    const uint32_t near = bake_exact_tree_overlapping(&of->exact->tree, &box, of->scratch->near);
+    bsq_sort(of->scratch->near, near, sizeof *of->scratch->near, ascending);
+    int status = run_step(of, STEP_SUM, near);
+    if (status == 0 && begin_creases(s))
+        status = run_step(of, STEP_FARTHEST, near);
     else
         return status;
-    if (status == 0 && divide_rings(&slot->smooth))
-        status = run_step(exact, slot, STEP_SIDES, scratch, near);
+    if (status == 0 && divide_rings(s))
+        status = run_step(of, STEP_SIDES, near);
     return status;
 }
 
@@ -284,26 +304,28 @@ static int need_hit(const struct wave *wave, struct exact_slot *slot, uint64_t r
     return 0;
 }
 
-/* Loads a chunk and sums the vertex normals that its hits need, if it has hits. */
-static int prepare_shading(struct wave *wave, struct exact_slot *slot,
-                           const struct exact_scratch *scratch)
-{
-    const uint64_t *starts = &wave->buckets->starts[slot->number];
-    int status = each_hit(wave, slot, starts[0], starts[1], need_hit);
-    return status == 0 && slot->loaded && exact_needs_smooth(wave->exact)
-               ? sum_smooth(wave->exact, slot, scratch)
-               : status;
-}
-
-static int prepare_slot(void *arg, uint64_t index, unsigned worker)
+/* Loads the chunk of a slot: for tracing, or if it has hits that are shaded. */
+static int load_slot(void *arg, uint64_t index, unsigned worker)
 {
     struct wave *wave = arg;
     struct exact_slot *slot = &wave->memory.slots[index];
+    const uint64_t *starts = &wave->buckets->starts[slot->number];
     slot->loaded = false;
-    return wave->shading
-               ? prepare_shading(wave, slot,
-                                 bake_exact_scratch(wave->exact, &wave->memory, index, worker))
-               : bake_exact_slot_prepare(wave->exact, &wave->memory, index, worker);
+    return wave->shading ? each_hit(wave, slot, starts[0], starts[1], need_hit)
+                         : bake_exact_slot_prepare(wave->exact, &wave->memory, index, worker);
+}
+
+/* Sums the vertex normals that the hits in a slot's chunk need. */
+static int sum_slot(void *arg, uint64_t index, unsigned worker)
+{
+    struct wave *wave = arg;
+    const struct summing of = {.exact = wave->exact,
+                               .slot = &wave->memory.slots[index],
+                               .wave = wave->memory.slots,
+                               .wave_count = wave->used,
+                               .scratch =
+                                   bake_exact_scratch(wave->exact, &wave->memory, index, worker)};
+    return of.slot->loaded ? sum_smooth(&of) : 0;
 }
 
 /* The rays of a bundle that have a direction, and their hits so far. */
@@ -423,7 +445,9 @@ static int run_wave(struct wave *wave)
 {
     struct bsq_ctx *ctx = wave->exact->ctx;
     int status = 0;
-    BSQ_TRY(bsq_parallel_for(ctx, wave->used, prepare_slot, wave));
+    BSQ_TRY(bsq_parallel_for(ctx, wave->used, load_slot, wave));
+    if (wave->shading && exact_needs_smooth(wave->exact))
+        BSQ_TRY(bsq_parallel_for(ctx, wave->used, sum_slot, wave));
     BSQ_TRY(list_blocks(wave));
     BSQ_TRY(bsq_parallel_for(ctx, wave->block_count, run_block, wave));
     wave->used = 0;
