@@ -3,7 +3,7 @@
 VERSION := $(shell awk '/define BSQ_VERSION_M|define BSQ_VERSION_P/ { v = v d $$3; d = "." } \
     END { print v }' base/version.h)
 config  ?= release
-BUILD   ?= build/$(config)
+BUILD   ?= build/$(CROSS:%=%-)$(config)
 prefix  ?= /usr/local
 libdir  ?= $(prefix)/lib
 DESTDIR ?=
@@ -13,8 +13,20 @@ CC  := clang
 CXX := clang++
 endif
 
+# `make CROSS=aarch64-linux-gnu` compiles for another processor, with the libraries in SYSROOT.
+machine    := $(firstword $(subst -, ,$(or $(CROSS),$(shell uname -m))))
+pkg_config := pkg-config
+ifdef CROSS
+SYSROOT    ?= $(CURDIR)/build/$(CROSS)-sysroot
+CC         := $(CROSS)-gcc --sysroot=$(SYSROOT)
+CXX        := $(CROSS)-g++ --sysroot=$(SYSROOT)
+AR         := $(CROSS)-ar
+pkg_config := PKG_CONFIG_SYSROOT_DIR=$(SYSROOT) \
+    PKG_CONFIG_LIBDIR=$(SYSROOT)/usr/lib/$(CROSS)/pkgconfig:$(SYSROOT)/usr/share/pkgconfig pkg-config
+endif
+
 # All x86 processors since 2009 have x86-64-v2; faster code is chosen at run time.
-ARCH ?= $(if $(filter x86_64,$(shell uname -m)),-march=x86-64-v2)
+ARCH ?= $(if $(filter x86_64,$(machine)),-march=x86-64-v2)
 # psabi: without AVX, vectors of eight floats are passed in another way than before GCC 4.6; all
 # functions that take them are inlined (base/simd/eights.h).
 WARN := -Wall -Wextra -Wshadow -Wpointer-arith -Wstrict-prototypes -Wmissing-prototypes -Wvla \
@@ -45,17 +57,17 @@ pc_texture := OpenImageIO
 pc_tiff    := libtiff-4
 pc_tools   := jansson
 # Expanded only when something is compiled: `make help` and `make deps` work without the packages.
-formats_cppflags = $(shell pkg-config --cflags $(pc_formats) $(pc_texture) $(pc_tiff))
+formats_cppflags = $(shell $(pkg_config) --cflags $(pc_formats) $(pc_texture) $(pc_tiff))
 LIBS.base    := -lm
-LIBS.formats  = $(shell pkg-config --libs $(pc_formats)) -lz -lstdc++
-LIBS.texture  = $(shell pkg-config --libs $(pc_texture))
-LIBS.tiff     = $(shell pkg-config --libs $(pc_tiff))
+LIBS.formats  = $(shell $(pkg_config) --libs $(pc_formats)) -lz -lstdc++
+LIBS.texture  = $(shell $(pkg_config) --libs $(pc_texture))
+LIBS.tiff     = $(shell $(pkg_config) --libs $(pc_tiff))
 LIBS.gltf     = -ldraco -lmeshoptimizer
 LIBS.scene    = -lassimp
-LIBS.openvdb  = -lopenvdb -ltbb $(shell pkg-config --libs Imath)
+LIBS.openvdb  = -lopenvdb -ltbb $(shell $(pkg_config) --libs Imath)
 LIBS.bake     = -ldl $(LIBS.tools)
 LIBS.all      = $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
-LIBS.tools    = $(shell pkg-config --libs $(pc_tools))
+LIBS.tools    = $(shell $(pkg_config) --libs $(pc_tools))
 
 public_headers := base/version.h base/context.h base/options.h base/path_map.h \
     formats/file_kind.h libvoxel/voxel.h libbake/bake.h libbake/compare.h
@@ -126,7 +138,7 @@ $(BUILD)/obj/$(module_stamp).o: $(module_headers)
 no_fma := $(if $(findstring clang,$(shell $(CC) --version 2>/dev/null)),,-mno-fma)
 # Sources named *_lanes.c are also compiled for each of these instruction sets; base/simd/simd.h
 # chooses at run time.
-ifneq ($(filter x86_64,$(shell uname -m)),)
+ifeq ($(machine),x86_64)
 simd := avx2 avx512
 endif
 simd.avx2   := -DBSQ_SIMD_SUFFIX=avx2 -mavx2 -mbmi -mbmi2 -mlzcnt $(no_fma)

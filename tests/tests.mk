@@ -30,7 +30,7 @@ $(call unit_bin,$(1)): $(BUILD)/obj/$(1).o $(needs.$(call unit_lib,$(1))) \
 endef
 $(foreach s,$(unit_sources),$(eval $(call unit_rule,$(s))))
 # Libraries that some tests compare results with, or make files with.
-LIBS.tests = $(LIBS.openvdb) -lembree3 $(shell pkg-config --libs libjpeg)
+LIBS.tests = $(LIBS.openvdb) -lembree3 $(shell $(pkg_config) --libs libjpeg)
 # Tests look for modules in ../lib/bisque, as programs do.
 $(BUILD)/tests/lib:
 	@mkdir -p $(@D)
@@ -241,10 +241,30 @@ check-combine: tests-build
 	    python3 -B tests/combine/combine.py --seed $(seed) --trials $(trials) \
 	    --keep $(BUILD)/combine-failures
 
-## check-long: check, check-python, and many more rounds of the randomized tests
+# The tests that need no drivers and no limits of the system, which qemu does not emulate.
+arm64 := aarch64-linux-gnu
+emulated := build/$(arm64)-emulated
+emulated_units := $(filter-out %/test_cuda %/test_fake_ptx %/test_devices, \
+    $(filter $(patsubst %,$(BUILD)/tests/%,base/% formats/% libvoxel/% libbake/%),$(unit_bins)))
+build/$(arm64)-sysroot/ready:
+	@tests/cross/sysroot.sh $(@D) arm64 libc6-dev $(filter lib% zlib% opencl-c%,$(packages_build)) \
+	    libcmocka-dev libembree-dev libnanovdb-dev && touch $@
+.PHONY: check-arm64 unit-build
+unit-build: $(unit_bins) $(module_files)
+## check-arm64: compile for ARM64; unit tests, and the bytes of x86, under qemu-user (installs both)
+check-arm64: all $(generator)
+	@tests/install-packages.sh gcc-$(arm64) g++-$(arm64) qemu-user-static
+	@$(MAKE) --no-print-directory build/$(arm64)-sysroot/ready
+	@$(MAKE) --no-print-directory -j$(jobs) CROSS=$(arm64) all unit-build
+	@tests/cross/emulate.sh build/$(arm64)-release build/$(arm64)-sysroot $(emulated)
+	@NATIVE=$(BUILD)/bin BIN=$(emulated)/bin TESTS=$(emulated)/tests tests/run.sh \
+	    tests/cross/check_bytes.sh $(emulated_units:$(BUILD)/%=$(emulated)/%)
+
+## check-long: check, check-python, check-arm64, and many more rounds of the randomized tests
 .PHONY: check-long
 check-long: check
 	@$(MAKE) --no-print-directory check-python
+	@$(MAKE) --no-print-directory check-arm64
 	@LONG=1 BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh \
 	    $(patsubst %,tests/cli/test_%.sh,combine faults gltf_materials overwritten oracle reproducible) \
 	    $(BUILD)/tests/exhaustion/test_exhaustion $(BUILD)/tests/libvoxel/test_error
