@@ -72,6 +72,9 @@ struct bake_tree_stream {
     /* A block is its leaf's node times BAKE_TREE_WIDTH, and its number there. */
     uint32_t block[BAKE_TREE_BLOCKS + BAKE_TREE_WIDTH];
     uint32_t block_ray[BAKE_TREE_BLOCKS + BAKE_TREE_WIDTH];
+    /* Pairs of a ray and a block that have voxels to test, and these voxels. */
+    uint32_t met[BAKE_TREE_BLOCKS];
+    uint64_t met_voxels[BAKE_TREE_BLOCKS];
     uint64_t voxel_value[BAKE_TREE_VOXELS]; /* index */
     uint32_t voxel_block[BAKE_TREE_VOXELS], voxel_ray[BAKE_TREE_VOXELS];
     uint8_t voxel[BAKE_TREE_VOXELS]; /* in its block, as x << 4 | y << 2 | z */

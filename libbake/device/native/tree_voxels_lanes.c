@@ -400,6 +400,21 @@ static inline const uint64_t *find_block(const struct bake_tree *tree, uint32_t 
     return &tree->blocks[tree->nodes[block / BAKE_TREE_WIDTH].first][block % BAKE_TREE_WIDTH];
 }
 
+/* Keeps a pair of a ray and a block with the voxels that the ray meets, and prefetches the words of
+ * the leaf that say where the records of these are. */
+static inline void note_met(struct bake_tree_tracer *tracer, uint32_t pair, uint64_t voxels,
+                            uint32_t at)
+{
+    struct bake_tree_stream *stream = tracer->stream;
+    const uint32_t number = stream->block[pair];
+    const uint32_t leaf = tracer->tree->nodes[number / BAKE_TREE_WIDTH].first;
+    const bk_ulong *words = tracer->grid->leaves + (uint64_t)leaf * BK_LEAF_WORDS;
+    __builtin_prefetch(&words[BK_LEAF_MASK + (number & 4)]);
+    __builtin_prefetch(&words[BK_LEAF_PREFIX]);
+    stream->met[at] = pair;
+    stream->met_voxels[at] = voxels;
+}
+
 /* Appends the occupied voxels of a pair of a ray and a block. */
 static void add_voxels(struct bake_tree_tracer *tracer, uint32_t pair, uint64_t voxels)
 {
@@ -427,6 +442,7 @@ void BSQ_SIMD_NAME(bake_tree_test_blocks)(struct bake_tree_tracer *tracer)
 {
     const struct bake_tree_stream *stream = tracer->stream;
     const uint32_t count = tracer->blocks;
+    uint32_t met = 0;
     for (uint32_t i = 0; i < count && i < BK_WIDTH; i++)
         __builtin_prefetch(find_block(tracer->tree, stream->block[i]));
     for (uint32_t first = 0; first < count; first += BK_WIDTH) {
@@ -448,9 +464,11 @@ void BSQ_SIMD_NAME(bake_tree_test_blocks)(struct bake_tree_tracer *tracer)
             if (coarse >> lane & 1 && surely_visits(&group, lane, voxels))
                 note_hidden(tracer, stream->block_ray[first + lane]);
             else if (voxels)
-                add_voxels(tracer, first + lane, voxels);
+                note_met(tracer, first + lane, voxels, met++);
         }
     }
+    for (uint32_t i = 0; i < met; i++)
+        add_voxels(tracer, stream->met[i], stream->met_voxels[i]);
     tracer->blocks = 0;
     test_voxels(tracer);
 }
