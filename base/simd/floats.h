@@ -139,7 +139,7 @@ LANES_INLINE float_ints floats_mask_of(uint32_t bits)
 
 /* Rows are four words of each of SIMD_FLOATS places in memory. Word w of place i is lane i of
  * vector w. */
-#ifdef FLOATS_CALL
+#if defined FLOATS_CALL || SIMD_FLOATS == 4
 #if SIMD_FLOATS == 4
 #define FLOATS_INDICES(a, b, c, d) a, b, c, d
 #elif SIMD_FLOATS == 8
@@ -174,12 +174,13 @@ LANES_INLINE void floats_transpose_fours(floats v[4])
 LANES_INLINE void floats_load_rows(const void *const from[SIMD_FLOATS], size_t offset,
                                    floats out[4])
 {
-#ifdef FLOATS_CALL
+#if SIMD_FLOATS == 4
+    for (int r = 0; r < 4; r++)
+        memcpy(&out[r], (const char *)from[r] + offset, sizeof out[r]);
+    floats_transpose_fours(out);
+#elif defined FLOATS_CALL
     for (int r = 0; r < 4; r++) { /* places r, r + 4, ... */
 #define FLOATS_ROW(i) _mm_loadu_ps((const float *)((const char *)from[r + 4 * (i)] + offset))
-#if SIMD_FLOATS == 4
-        out[r] = FLOATS_ROW(0);
-#else
         const __m256 low =
             _mm256_insertf128_ps(_mm256_castps128_ps256(FLOATS_ROW(0)), FLOATS_ROW(1), 1);
 #if SIMD_FLOATS == 8
@@ -188,13 +189,10 @@ LANES_INLINE void floats_load_rows(const void *const from[SIMD_FLOATS], size_t o
         out[r] = _mm512_insertf32x4(
             _mm512_insertf32x4(_mm512_castps256_ps512(low), FLOATS_ROW(2), 2), FLOATS_ROW(3), 3);
 #endif
-#endif
 #undef FLOATS_ROW
     }
     floats_transpose_fours(out);
 #else
-    for (int w = 0; w < 4; w++)
-        out[w] = (floats){0}; /* or compilers see lanes without a value */
     for (int i = 0; i < SIMD_FLOATS; i++) {
         float words[4];
         memcpy(words, (const char *)from[i] + offset, sizeof words);
@@ -209,7 +207,7 @@ LANES_INLINE void floats_store_rows(void *const to[SIMD_FLOATS], size_t offset, 
                                     floats c, floats d)
 {
     floats rows[4] = {a, b, c, d};
-#ifdef FLOATS_CALL
+#if defined FLOATS_CALL || SIMD_FLOATS == 4
     floats_transpose_fours(rows);
     for (int i = 0; i < SIMD_FLOATS; i++)
         memcpy((char *)to[i] + offset, (const char *)&rows[i % 4] + 16 * (i / 4), 16);
