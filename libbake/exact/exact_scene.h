@@ -188,10 +188,10 @@ static inline uint64_t exact_bundles(uint64_t rays)
 }
 
 /* Returns how many entries buckets should have for a batch. If its rays cross more chunks than
- * that, it is traced in parts. */
+ * that, it is traced in parts; a small one of rays far apart should not be. */
 static inline uint64_t exact_bucket_entries(const struct bake_exact *exact, uint64_t rays)
 {
-    return 8 * (exact_bundles(rays) + exact->chunk_count);
+    return 8 * (exact_bundles(rays) + exact->chunk_count) + 16384;
 }
 
 /* Sorts bundles [first, first + *count) of a batch into the buckets. If they do not fit, lowers

@@ -412,7 +412,8 @@ uint32_t BSQ_SIMD_NAME(bake_exact_crossed)(const struct bake_exact_ray *rays, ui
                                            uint32_t *out)
 {
     struct beam beam;
-    const bool narrow = set_beam(&beam, rays, ray_count, t_min, t_max);
+    /* Near many boxes, rays point anywhere or are far apart: few of them cross each box. */
+    const bool narrow = count <= 16 && set_beam(&beam, rays, ray_count, t_min, t_max);
     uint32_t found = 0;
     for (uint32_t i = 0; i < count; i += 8) {
         const unsigned bits = narrow ? beam_crosses(&beam, &boxes[i / 8])
