@@ -35,7 +35,7 @@ static inline uint64_t exact_transfer_floats(const struct bake_exact *exact)
     return count > 0 ? (uint64_t)BK_TRANSFER_VALUES * (count - FMT_SHADING_CHANNELS) : 0;
 }
 
-enum { EXACT_LOCKS = 1024 /* over the hits */, EXACT_SLOTS_A_THREAD = 4 };
+enum { EXACT_LOCKS = 256 /* over the hits */, EXACT_SLOTS_A_THREAD = 4 };
 
 /* Returns the slots of a wave: several a thread, so that all threads are busy until it ends. */
 static inline uint32_t exact_wave_slots(const struct bake_exact *exact)

@@ -479,8 +479,6 @@ static int allocate(struct wave *wave, struct exact_buckets *buckets)
     const uint32_t chunks = wave->exact->chunk_count;
     int status = 0;
     buckets->capacity = exact_bucket_entries(wave->exact, wave->batch->count);
-    BSQ_TRY(bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact),
-                                    bsq_memory_share(ctx, "chunks of a wave", 2), &wave->memory));
     BSQ_TRY(bsq_alloc(ctx, "rays by chunk", buckets->capacity, sizeof *buckets->bundles,
                       &buckets->bundles));
     BSQ_TRY(bsq_alloc(ctx, "rays by chunk", buckets->capacity, sizeof *buckets->found,
@@ -490,6 +488,9 @@ static int allocate(struct wave *wave, struct exact_buckets *buckets)
     BSQ_TRY(bsq_alloc(ctx, "locks", EXACT_LOCKS, sizeof *wave->locks, &wave->locks));
     for (int i = 0; i < EXACT_LOCKS; i++)
         pthread_mutex_init(&wave->locks[i], NULL);
+    /* Last, because they make do with little memory. */
+    status = bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact),
+                                     bsq_memory_share(ctx, "chunks of a wave", 2), &wave->memory);
 done:
     return status;
 }
