@@ -88,9 +88,10 @@ static inline void *bsq_option_at(const struct bsq_option *row, const void *opti
 /** Returns the index of a word in the `words` of a row, or -1. NULL has no words. */
 int bsq_option_word(const char *words, const char *word);
 
+/** The size of a buffer for bsq_option_text(). */
+enum { BSQ_OPTION_TEXT_BYTES = 64 };
 /** Returns the value of a row as a command line has it, in `buffer` or in the options; NULL: not
  * given, or the program takes it apart. */
-enum { BSQ_OPTION_TEXT_BYTES = 64 };
 const char *bsq_option_text(const struct bsq_option *row, const void *options,
                             char buffer[BSQ_OPTION_TEXT_BYTES]);
 

@@ -504,9 +504,10 @@ void bake_close_plan(struct bake_farm_plan *plan);
 
 /** What a plan has; valid until it is closed. */
 struct bake_plan_facts {
-    const struct bake_options *options;
-    uint32_t tasks, tiles;              /**< UDIM tiles count for each object or material with maps
-                                             of its own. */
+    const struct bake_options *options; /**< Of the bake. */
+    uint32_t tasks;                     /**< Their number. */
+    uint32_t tiles;                     /**< UDIM tiles; they count for each object or material with
+                                             maps of its own. */
     const struct bake_task_cost *costs; /**< What each task is expected to need. */
 };
 /** Returns what a plan has. */
