@@ -1,10 +1,13 @@
 /* exact_tree.c - builds and searches trees of boxes, and computes places on the Hilbert curve. */
+#define SIMD_FLOATS 4 /* a vector holds a corner of a box and a neighbour's coordinate */
+
 #include "libbake/exact/exact_tree.h"
 #include "libbake/exact/exact.h"
 
 #include <math.h>
 #include <string.h>
 
+#include "base/simd/simd.h"
 #include "base/space_curve.h"
 
 enum { AXIS_BITS = 11 }; /* of a place on the curve */
@@ -34,48 +37,26 @@ uint64_t bake_exact_tree_bytes(uint32_t count)
 static const struct exact_box empty = {{INFINITY, INFINITY, INFINITY},
                                        {-INFINITY, -INFINITY, -INFINITY}};
 
-typedef float fours __attribute__((vector_size(16)));
-typedef int32_t four_ints __attribute__((vector_size(16)));
-
-/* Writes value k of four vectors to out[k]. */
-static inline void transpose(const fours in[4], fours out[4])
-{
-    const fours a = __builtin_shufflevector(in[0], in[1], 0, 4, 1, 5);
-    const fours b = __builtin_shufflevector(in[2], in[3], 0, 4, 1, 5);
-    const fours c = __builtin_shufflevector(in[0], in[1], 2, 6, 3, 7);
-    const fours d = __builtin_shufflevector(in[2], in[3], 2, 6, 3, 7);
-    out[0] = __builtin_shufflevector(a, b, 0, 1, 4, 5);
-    out[1] = __builtin_shufflevector(a, b, 2, 3, 6, 7);
-    out[2] = __builtin_shufflevector(c, d, 0, 1, 4, 5);
-    out[3] = __builtin_shufflevector(c, d, 2, 3, 6, 7);
-}
-
-static inline fours smaller(fours a, fours b)
-{
-    const four_ints less = a < b;
-    return (fours)((less & (four_ints)a) | (~less & (four_ints)b));
-}
-
 /* Sets a node to eight boxes. Returns the bounds of all. */
 static struct exact_box set_node(struct exact_box8 *node, const struct exact_box boxes[8])
 {
     /* Lower bounds are values 0 to 2 of the one, upper bounds are values 1 to 3 of the other. */
-    fours low[8], high[8], planes[4];
-    fours least = {INFINITY, INFINITY, INFINITY, 0}, most = {0, INFINITY, INFINITY, INFINITY};
+    floats low[8], high[8];
+    floats least = {INFINITY, INFINITY, INFINITY, 0}, most = {0, INFINITY, INFINITY, INFINITY};
     struct exact_box all;
     for (int c = 0; c < 8; c++) {
         memcpy(&low[c], &boxes[c], sizeof *low);
         memcpy(&high[c], (const char *)&boxes[c] + sizeof boxes[c] - sizeof *high, sizeof *high);
-        least = smaller(low[c], least);
-        most = smaller(-high[c], most);
+        least = floats_min(low[c], least);
+        most = floats_min(-high[c], most);
     }
     for (int c = 0; c < 8; c += 4) {
-        transpose(&low[c], planes);
-        for (int k = 0; k < 3; k++)
-            memcpy(&node->planes[0][k][c], &planes[k], sizeof *planes);
-        transpose(&high[c], planes);
-        for (int k = 0; k < 3; k++)
-            memcpy(&node->planes[1][k][c], &planes[k + 1], sizeof *planes);
+        floats_transpose_fours(&low[c]);
+        floats_transpose_fours(&high[c]);
+        for (int k = 0; k < 3; k++) {
+            memcpy(&node->planes[0][k][c], &low[c + k], sizeof *low);
+            memcpy(&node->planes[1][k][c], &high[c + k + 1], sizeof *high);
+        }
     }
     for (int k = 0; k < 3; k++) {
         all.low[k] = least[k];

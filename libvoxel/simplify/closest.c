@@ -9,7 +9,8 @@
 
 /* The depth is that of halving 2^32 triangles into leaves. */
 enum { LEAF_TRIANGLES = 4, DEPTH_MAX = 32 };
-/* Least square of a triangle's height above its longest side, in that of the side. */
+/* A triangle is a needle if its height above its longest side is at most a thousandth of that side.
+ * This is the square of that ratio. */
 static const double needle_area = 1e-6;
 
 struct vox_closest_node {

@@ -44,10 +44,10 @@ static inline double vox_box_square(const float low[3], const float high[3],
     for (int k = 0; k < 3; k++) {
         const float below = low[k] - other_high[k], above = other_low[k] - high[k];
         const double out = (double)(below > above ? below : above);
-        const double twice = out + fabs(out); /* of what is above 0 */
-        square += twice * twice;
+        const double gap = 0.5 * (out + fabs(out)); /* 0 where the boxes overlap */
+        square += gap * gap;
     }
-    return square * (0.25 - 1e-7);
+    return square * (1 - 4e-7);
 }
 
 #endif
