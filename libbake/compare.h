@@ -2,7 +2,7 @@
  * libbake: measures how far apart two texture maps are.
  *
  * Takes two images of the same size, OpenEXR, PNG or others, and optional coverage masks. Gives the
- * distribution of the error over the texels, and on request two PNG pictures of it.
+ * distribution of the error over the texels, and on request a PNG picture of it.
  *
  * @example compare_maps.c
  * Prints how far apart two maps are. */
@@ -45,9 +45,8 @@ struct bake_compare_options {
     const char *b_mask_path;     /**< The same for map b. */
     enum bake_compare_kind kind; /**< What the values mean. */
     const char *heatmap_path;    /**< Output: the error of each texel, PNG, or NULL. */
-    const char *histogram_path;  /**< Output: the error's distribution, PNG, or NULL. */
     struct bake_page *page; /**< Gets both maps and the errors, see bake_page_open(); or NULL. */
-    double scale;           /**< Error at the top of the pictures' scale; 0: the 99th percentile. */
+    double scale; /**< Error at the top of the heat map's scale; 0: the 99th percentile. */
     bool force; /**< Compares maps even if their attributes say that they hold different things. */
     /** Takes it as an error if no texel has finite values; otherwise the figures are infinite. */
     bool ignore_nan;
@@ -76,6 +75,7 @@ struct bake_compare_report {
     double p95;            /**< 95th percentile. */
     double p99;            /**< 99th percentile. */
     double max;            /**< Largest error. */
+    double scale;          /**< Error of the heat map's lightest colour. */
     uint32_t max_x;        /**< Column of the first texel with the largest error, from 0. */
     uint32_t max_y;        /**< Row of that texel, from 0 at the top. */
     double above_1;        /**< Share of the compared texels with an error above 1. */
@@ -94,11 +94,11 @@ const char *bake_compare_unit(enum bake_compare_kind kind);
 /** Fills in the defaults: no files. */
 void bake_compare_defaults(struct bake_compare_options *options);
 
-/** Compares two maps on all threads of the context, and fills in *report. Each picture is written
+/** Compares two maps on all threads of the context, and fills in *report. The picture is written
  * whole or not at all. Must not be called from parallel work of the same context.
  *
- * Memory: both maps, their masks and one error a texel as 32-bit floats, a second copy of the
- * compared errors, and the picture. All of it is reserved from the context's budget and freed on
+ * Memory: both maps, their masks and one error a texel as 32-bit floats, and a second copy of the
+ * compared errors. All of it is reserved from the context's budget and freed on
  * return.
  *
  * Errors: BSQ_ENOINPUT; BSQ_EDATA if a file is damaged or no image, if sizes or channels differ

@@ -77,11 +77,9 @@ static const struct bsq_option rows[] = {
      MEMBER(FLAG, compare.ignore_nan)},
     {BSQ_ROW("heatmap", "FILE.png", "write a picture of the error of each texel"),
      .heading = "Pictures", MEMBER(OUTPUT, compare.heatmap_path)},
-    {BSQ_ROW("histogram", "FILE.png", "write a picture of the distribution of the error"),
-     MEMBER(OUTPUT, compare.histogram_path)},
     {BSQ_ROW("report", "FILE.html", "write a page with both maps side by side and their errors"),
      MEMBER(OUTPUT, report)},
-    {BSQ_ROW("scale", "E", "error at the top of their scale (default: the 99th percentile)"),
+    {BSQ_ROW("scale", "E", "error at the top of its scale (default: the 99th percentile)"),
      MEMBER(NUMBER, compare.scale), BSQ_RANGE(0, DBL_MAX, 0), .positive = true},
     {BSQ_ROW("max-mean", "E", "the largest mean that passes (default: none)"), .heading = "Limits",
      LIMIT(MAX_MEAN)},
@@ -121,16 +119,14 @@ static int check_outputs(struct cli *cli, const struct bake_compare_options *com
 {
     const char *inputs[] = {compare->a_path, compare->b_path, compare->a_mask_path,
                             compare->b_mask_path};
-    const char *pictures[] = {compare->heatmap_path, compare->histogram_path};
     int status = 0;
     for (int i = 0; i < 4; i++)
         if (inputs[i])
             BSQ_TRY(bsq_note_input(cli->ctx, inputs[i], i < 2 ? "a map" : "a mask"));
-    BSQ_TRY(cli_check_outputs(cli, pictures, 2));
-    for (int i = 0; i < 2; i++)
-        if (pictures[i] && !cli_ends_with(pictures[i], ".png"))
-            return cli_usage(cli, "%s: the picture is a PNG file: its name must end in .png",
-                             pictures[i]);
+    BSQ_TRY(cli_check_outputs(cli, &compare->heatmap_path, 1));
+    if (compare->heatmap_path && !cli_ends_with(compare->heatmap_path, ".png"))
+        return cli_usage(cli, "%s: the picture is a PNG file: its name must end in .png",
+                         compare->heatmap_path);
 done:
     return status;
 }
@@ -187,6 +183,9 @@ static void print_report(const struct arguments *arguments,
     if (has_agreement(&arguments->compare))
         cli_print("hit agreement: %.4f %% (only A %llu, only B %llu)\n", 100 * report->agreement,
                   (unsigned long long)report->only_a, (unsigned long long)report->only_b);
+    if (arguments->compare.heatmap_path)
+        cli_print("%s: from black, 0, to light yellow, %.4g %s and more\n",
+                  arguments->compare.heatmap_path, report->scale, unit);
 }
 
 static json_t *report_json(const struct arguments *arguments,

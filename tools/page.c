@@ -56,7 +56,7 @@ json_t *page_comparison_json(const struct bake_compare_options *options,
 {
     json_t *root = json_pack(
         "{s:o, s:o, s:s, s:s, s:i, s:i, s:I, s:I, s:I, s:I, s:I, s:I, s:f, s:o, s:o, s:o, s:o,"
-        " s:o, s:o, s:i, s:i, s:f, s:f}",
+        " s:o, s:o, s:f, s:i, s:i, s:f, s:f}",
         "a_path", cli_json_text(options->a_path), "b_path", cli_json_text(options->b_path), "type",
         page_kind_name(report->kind), "unit", bake_compare_unit(report->kind), "width",
         (int)report->width, "height", (int)report->height, CLI_COUNT(report, compared),
@@ -65,8 +65,8 @@ json_t *page_comparison_json(const struct bake_compare_options *options,
         CLI_VALUE(report, agreement), "mean", number_json(report->mean), "rms",
         number_json(report->rms), "median", number_json(report->median), "p95",
         number_json(report->p95), "p99", number_json(report->p99), "max", number_json(report->max),
-        "max_x", (int)report->max_x, "max_y", (int)report->max_y, "share_above_1", report->above_1,
-        "share_above_5", report->above_5);
+        CLI_VALUE(report, scale), "max_x", (int)report->max_x, "max_y", (int)report->max_y,
+        "share_above_1", report->above_1, "share_above_5", report->above_5);
     if (root && report->kind == BAKE_COMPARE_COLOR)
         json_object_set_new(root, "psnr", number_json(report->psnr));
     if (root && report->kind == BAKE_COMPARE_DATA) {

@@ -364,15 +364,13 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
         bsq_alloc(ctx, "errors", (uint64_t)c.a.width * c.a.height, sizeof *c.errors, &c.errors));
     BSQ_TRY(bsq_parallel_for(ctx, c.a.height, measure_row, &c));
     BSQ_TRY(bake_comparison_summarise(ctx, options, &c, report));
-    double top = options->scale > 0                         ? options->scale
-                 : report->p99 > 0 && isfinite(report->p99) ? report->p99
-                                                            : 1;
+    report->scale = options->scale > 0                         ? options->scale
+                    : report->p99 > 0 && isfinite(report->p99) ? report->p99
+                                                               : 1;
     if (options->heatmap_path)
-        BSQ_TRY(bake_heatmap_write(ctx, &c, top, options->heatmap_path, &pictures));
-    if (options->histogram_path)
-        BSQ_TRY(bake_histogram_write(ctx, &c, report, top, options->histogram_path, &pictures));
+        BSQ_TRY(bake_heatmap_write(ctx, &c, report->scale, options->heatmap_path, &pictures));
     if (options->page)
-        BSQ_TRY(show(ctx, options, &c, top));
+        BSQ_TRY(show(ctx, options, &c, report->scale));
     BSQ_TRY(bsq_output_group_commit(&pictures));
 done:
     bsq_output_group_discard(&pictures);

@@ -79,16 +79,11 @@ void bake_lab(const float linear[3], double lab[3]);
  * CIEDE2000 Color-Difference Formula: Implementation Notes", 2005). About 1 is just noticeable. */
 double bake_ciede2000(const double a[3], const double b[3]);
 
-/* ---- pictures ---- */
+/* ---- heat_map.c ---- */
 
-/* Writes the error of each texel as a PNG, with a scale from 0 to `top` below. Adds the output to a
- * group. */
+/* Writes the error of each texel as a PNG, in colours from 0 to `top`. Adds the output to a group.
+ */
 int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *comparison, double top,
                        const char *path, struct bsq_output_group *group);
-/* Writes the distribution of the error from 0 to `top` as a PNG, with the report's mean and
- * percentiles marked. Adds the output to a group. */
-int bake_histogram_write(struct bsq_ctx *ctx, const struct bake_comparison *comparison,
-                         const struct bake_compare_report *report, double top, const char *path,
-                         struct bsq_output_group *group);
 
 #endif

@@ -95,7 +95,7 @@ compare()
 {
     pictures=$1-against-${2##*-}
     run bisque-compare "$1_normal.exr" "$2_normal.exr" --mask-a "$1_mask.exr" --mask-b "$2_mask.exr" \
-        --heatmap "$pictures-heat.png" --histogram "$pictures-histogram.png" --scale 5 --json
+        --heatmap "$pictures-heat.png" --scale 5 --json
     mv log comparison
     line="voxel	$3	$4	$5	$6"
     for key in mean p95 p99 max share_above_1 share_above_5 agreement; do

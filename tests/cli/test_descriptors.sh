@@ -92,7 +92,7 @@ all_combinations -- bisque-bake --list devices
 
 run bisque-bake scan.nvdb $maps --maps normal -o grid.exr
 run bisque-bake scan.tris $maps --maps normal -o exact.exr
-all_combinations heat.png curve.png -- bisque-compare grid.exr exact.exr --progress json --heatmap heat.png --histogram curve.png
+all_combinations heat.png -- bisque-compare grid.exr exact.exr --progress json --heatmap heat.png
 all_combinations -- bisque-compare --version
 
 finish

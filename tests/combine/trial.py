@@ -282,9 +282,6 @@ class Trial:
     def draw_heatmap(self, program):
         return "heat.png"
 
-    def draw_histogram(self, program):
-        return "hist.png"
-
     def draw_mask(self, program):
         return None
 

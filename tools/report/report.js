@@ -274,7 +274,7 @@ function showComparison(c, a, b, error) {
   if ('psnr' in c) figures.push(['PSNR', `${number(c.psnr)} dB`]);
   $('errors').append(el('article', {class: 'compared'}, slider, el('table', {}, ...figures.map(cells => row(...cells))),
     el('figure', {}, error.image,
-      el('figcaption', {}, `Error of each texel${isData ? '' : `, in ${c.unit}`}`))));
+      el('figcaption', {}, `Error of each texel, from black, 0, to light yellow, ${number(c.scale)}${unit} and more`))));
 }
 
 // ---- all ----

@@ -317,8 +317,7 @@ static int compare(struct bsq_ctx *ctx)
                                            .b_path = "g_normal.exr",
                                            .a_mask_path = "g_mask.exr",
                                            .b_mask_path = "g_mask.exr",
-                                           .heatmap_path = "heat.png",
-                                           .histogram_path = "hist.png"};
+                                           .heatmap_path = "heat.png"};
     int status = bake_compare(ctx, &options, &report);
     if (status == 0)
         assert_true(report.max == 0);

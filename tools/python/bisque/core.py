@@ -531,18 +531,17 @@ def bake(high: Any, low: Any, maps: Sequence[str] = (), *, size: int | tuple[int
 
 
 def compare(a: str | os.PathLike, b: str | os.PathLike, *, mask: Any = None, kind: str = "auto",
-            heatmap: Any = None, histogram: Any = None, force: bool = False,
-            memory: int | str | None = None, threads: int = 0,
+            heatmap: Any = None, force: bool = False, memory: int | str | None = None, threads: int = 0,
             progress: Progress | None = None) -> dict:
     """Compares two map files: mean, rms, median, p95, p99 and max of the error, in `unit`; kind:
-    "normal", "color" or "data". heatmap, histogram: pictures to write. Raises Error."""
+    "normal", "color" or "data". heatmap: a picture to write. Raises Error."""
     with Job(memory, threads, None, progress) as job:
         options = ffi.new("struct bake_compare_options *")
         lib.bake_compare_defaults(options)
         options.a_path, options.b_path = job.string(a), job.string(b)
         options.a_mask_path = options.b_mask_path = job.string(mask)
         options.kind = ("auto", "normal", "color", "data").index(kind)
-        options.heatmap_path, options.histogram_path = job.string(heatmap), job.string(histogram)
+        options.heatmap_path = job.string(heatmap)
         options.force = force
         report = _new_report("struct bake_compare_report")
         job.run(lib.bake_compare, options, report)
