@@ -68,6 +68,7 @@ export FAKE_OPENCL_REAL
 if [ -n "$FAKE_OPENCL_REAL" ] && opencl --list devices && grep -q '^opencl:0' "$out"; then
     opencl $maps -o 'x_<MAP>.exr' --json
     json '.device | startswith("cpu,") | not'
+    holds "the device works to the end: $(cat "$err")" [ ! -s "$err" ]
     passes opencl
     warned=0
     for failure in clCreateContext:1 clBuildProgram:1 clCreateBuffer:7 clEnqueueWriteBuffer:7 \

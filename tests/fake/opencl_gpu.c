@@ -3,7 +3,8 @@
  *  - FAKE_OPENCL_REAL=PATH: the other library;
  *  - FAKE_OPENCL_MEMORY=BYTES: memory of each device (1 GiB);
  *  - FAKE_OPENCL_FAIL=CALL:N:CODE: the Nth call of a function fails with CODE, and so do all later
- *    calls that do work, as on a GPU that was lost; with CALL:N:CODE:once, later calls work. */
+ *    calls that do work, as on a GPU that was lost; with CALL:N:CODE:once, later calls work.
+ * An event has times only after a wait for that event, as with NVIDIA's driver. */
 #define CL_TARGET_OPENCL_VERSION 120
 #include <CL/cl.h>
 #include <dlfcn.h>
@@ -87,7 +88,6 @@ ALWAYS(clReleaseCommandQueue, (cl_command_queue queue), (queue))
 ALWAYS(clReleaseMemObject, (cl_mem memory), (memory))
 ALWAYS(clReleaseProgram, (cl_program program), (program))
 ALWAYS(clReleaseKernel, (cl_kernel kernel), (kernel))
-ALWAYS(clReleaseEvent, (cl_event event), (event))
 ALWAYS(clGetProgramBuildInfo,
        (cl_program program, cl_device_id id, cl_program_build_info what, size_t bytes, void *out,
         size_t *needed),
@@ -135,14 +135,68 @@ CODE(clEnqueueNDRangeKernel,
      (cl_command_queue queue, cl_kernel kernel, cl_uint sides, const size_t *at,
       const size_t *items, const size_t *group, WAIT),
      (queue, kernel, sides, at, items, group, WAIT_))
-CODE(clWaitForEvents, (cl_uint n, const cl_event *events), (n, events))
-CODE(clGetEventProfilingInfo,
-     (cl_event event, cl_profiling_info what, size_t bytes, void *out, size_t *needed),
-     (event, what, bytes, out, needed))
 CODE(clFlush, (cl_command_queue queue), (queue))
 ALWAYS(clEnqueueUnmapMemObject,
        (cl_command_queue queue, cl_mem memory, void *at, WAIT), (queue, memory, at, WAIT_))
 /* clang-format on */
+
+/* ---- events ---- */
+
+static cl_event *complete; /* events that somebody waited for, until they are released */
+static size_t complete_count;
+
+/* Returns the place of an event in the list: complete_count if it is not there. */
+static size_t place_of(cl_event event)
+{
+    size_t i = 0;
+
+    while (i < complete_count && complete[i] != event)
+        i++;
+    return i;
+}
+
+CL_API_ENTRY cl_int CL_API_CALL clWaitForEvents(cl_uint n, const cl_event *events)
+{
+    cl_int code = begin("clWaitForEvents");
+
+    if (!code)
+        code = ((__typeof__(clWaitForEvents) *)find("clWaitForEvents"))(n, events);
+    pthread_mutex_lock(&lock);
+    for (cl_uint i = 0; !code && i < n; i++)
+        if (place_of(events[i]) == complete_count) {
+            cl_event *longer = realloc(complete, (complete_count + 1) * sizeof *complete);
+            if (!longer)
+                abort();
+            complete = longer;
+            complete[complete_count++] = events[i];
+        }
+    pthread_mutex_unlock(&lock);
+    return code;
+}
+
+CL_API_ENTRY cl_int CL_API_CALL clReleaseEvent(cl_event event)
+{
+    pthread_mutex_lock(&lock);
+    const size_t place = place_of(event);
+    if (place < complete_count)
+        complete[place] = complete[--complete_count];
+    pthread_mutex_unlock(&lock);
+    return ((__typeof__(clReleaseEvent) *)find("clReleaseEvent"))(event);
+}
+
+CL_API_ENTRY cl_int CL_API_CALL clGetEventProfilingInfo(cl_event event, cl_profiling_info what,
+                                                        size_t bytes, void *out, size_t *needed)
+{
+    cl_int code = begin("clGetEventProfilingInfo");
+
+    pthread_mutex_lock(&lock);
+    if (!code && place_of(event) == complete_count)
+        code = CL_PROFILING_INFO_NOT_AVAILABLE;
+    pthread_mutex_unlock(&lock);
+    return code ? code
+                : ((__typeof__(clGetEventProfilingInfo) *)find("clGetEventProfilingInfo"))(
+                      event, what, bytes, out, needed);
+}
 
 /* Waits also on a lost device, for what was enqueued before. */
 CL_API_ENTRY cl_int CL_API_CALL clFinish(cl_command_queue queue)

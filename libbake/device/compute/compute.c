@@ -304,14 +304,26 @@ static uint32_t min_u32(uint32_t a, uint32_t b)
     return a < b ? a : b;
 }
 
+/* Returns how many of a texel's lines of samples one launch traces. */
+static uint32_t launch_lines(const struct bk_params *params)
+{
+    return min_u32(params->samples, bake_batch_lines(params->samples * bake_sample_cost(params)));
+}
+
+/* Returns how many samples one launch traces of a texel; samples whose hits send rays count as
+ * several. */
+static uint64_t launch_samples(const struct bk_params *params)
+{
+    return (uint64_t)params->samples * launch_lines(params) * bake_sample_cost(params);
+}
+
 static struct bake_failure launch_batches(struct bake_compute *compute, struct bake_stream *stream,
                                           const struct bake_compute_subgrid *subgrid,
                                           const struct bk_tile *tile)
 {
-    const uint32_t n = compute->params.samples, cost = bake_sample_cost(&compute->params);
-    const uint32_t lines = min_u32(n, bake_batch_lines(n * cost));
-    const uint32_t rows =
-        bake_batch_rows(&stream->sizer, (uint64_t)tile->width * n * lines * cost, tile->height);
+    const uint32_t n = compute->params.samples, lines = launch_lines(&compute->params);
+    const uint32_t rows = bake_batch_rows(&stream->sizer, launch_samples(&compute->params),
+                                          tile->width, tile->height);
 
     for (uint32_t line = 0; line < n; line += lines)
         for (uint32_t row = 0; row < tile->height; row += rows) {
@@ -330,7 +342,8 @@ static void note_times(struct bake_compute *compute, struct bake_stream *stream,
 {
     const struct bake_span *times = stream->times;
 
-    bake_batch_sizer_learn(&stream->sizer, samples * bake_sample_cost(&compute->params),
+    bake_batch_sizer_learn(&stream->sizer, launch_samples(&compute->params),
+                           samples * bake_sample_cost(&compute->params),
                            times[BAKE_KERNELS].end - times[BAKE_KERNELS].start);
     pthread_mutex_lock(&compute->lock);
     bake_time_spans_add(&compute->copies, &times[BAKE_SAMPLES]);

@@ -25,14 +25,24 @@
  *
  * One thread of the device traces the samples of a texel one after another. Each takes about 30 us
  * on any device, and a texel has up to 4096. If a texel has more than BAKE_BATCH_THREAD samples, a
- * launch takes some lines of the samples of many texels, and later launches continue. */
-#define BAKE_BATCH_SECONDS 0.05
+ * launch takes some lines of the samples of many texels, and later launches continue.
+ *
+ * A line whose hits send hundreds of rays takes a thread 0.1 s or more, however few threads there
+ * are. Smaller launches would not end sooner, only leave most of the device idle. Such a launch may
+ * take twice as long as its threads, and a worker starts with at least BAKE_BATCH_TEXELS texels. */
+#define BAKE_BATCH_SECONDS      0.05
+#define BAKE_BATCH_SECONDS_MOST 0.5
 
-enum { BAKE_BATCH_FIRST = 1 << 17, BAKE_BATCH_LEAST = 1 << 14, BAKE_BATCH_THREAD = 1 << 8 };
+enum {
+    BAKE_BATCH_FIRST = 1 << 17,
+    BAKE_BATCH_LEAST = 1 << 14,
+    BAKE_BATCH_THREAD = 1 << 8,
+    BAKE_BATCH_TEXELS = 1 << 10
+};
 
 /* A worker's estimate; zero at first. */
 struct bake_batch_sizer {
-    uint64_t samples; /* in the next launch; 0: BAKE_BATCH_FIRST */
+    uint64_t samples; /* in the next launch; 0: as above */
 };
 
 /* What a launch traces: lines first_line to end_line - 1 of the samples of each texel in rows
@@ -44,13 +54,15 @@ struct bake_launch_batch {
 /* Returns how many of a texel's n lines of n samples one launch traces: 1 to n. */
 uint32_t bake_batch_lines(uint32_t n);
 
-/* Returns how many rows one launch traces of a tile with `height` rows of row_samples samples: 1 to
- * height. */
-uint32_t bake_batch_rows(const struct bake_batch_sizer *sizer, uint64_t row_samples,
+/* Returns how many rows one launch traces of a tile of width x height texels, in each of which it
+ * traces texel_samples: 1 to height. */
+uint32_t bake_batch_rows(struct bake_batch_sizer *sizer, uint64_t texel_samples, uint32_t width,
                          uint32_t height);
 
-/* Learns that `samples` took `seconds` on the device. */
-void bake_batch_sizer_learn(struct bake_batch_sizer *sizer, uint64_t samples, double seconds);
+/* Learns that `samples` took `seconds` on the device, in launches that trace texel_samples of a
+ * texel. */
+void bake_batch_sizer_learn(struct bake_batch_sizer *sizer, uint64_t texel_samples,
+                            uint64_t samples, double seconds);
 
 /* ---- times: launches.c ---- */
 

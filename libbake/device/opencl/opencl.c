@@ -238,12 +238,17 @@ static struct bake_failure opencl_launch(struct bake_compute *compute, struct ba
     return BAKE_NO_FAILURE;
 }
 
-/* Computes the span from the start of the first event to the end of the last. */
+/* Computes the span from the start of the first event to the end of the last.
+ *
+ * A driver may have marked neither as complete yet although a later command of the queue is
+ * (NVIDIA's 580 does), and then it has no times. */
 static struct bake_failure span_of(const struct opencl *cl, cl_event first, cl_event last,
                                    struct bake_span *out)
 {
+    const cl_event both[] = {first, last};
     cl_ulong start = 0, end = 0;
 
+    CALL(clWaitForEvents, 2, both);
     CALL(clGetEventProfilingInfo, first, CL_PROFILING_COMMAND_START, sizeof start, &start, NULL);
     CALL(clGetEventProfilingInfo, last, CL_PROFILING_COMMAND_END, sizeof end, &end, NULL);
     *out = (struct bake_span){1e-9 * (double)start, 1e-9 * (double)end};

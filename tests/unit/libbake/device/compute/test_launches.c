@@ -7,24 +7,45 @@ TEST(test_batches_follow)
 {
     struct bake_batch_sizer sizer = {0};
     (void)state;
-    assert_int_equal(bake_batch_rows(&sizer, 1024, 256), BAKE_BATCH_FIRST / 1024);
-    assert_int_equal(bake_batch_rows(&sizer, 1024, 64), 64);
-    assert_int_equal(bake_batch_rows(&sizer, BAKE_BATCH_FIRST * 10, 64), 1);
+    assert_int_equal(bake_batch_rows(&sizer, 16, 64, 256), BAKE_BATCH_FIRST / 1024);
+    assert_int_equal(bake_batch_rows(&sizer, 16, 64, 64), 64);
+    assert_int_equal(bake_batch_rows(&sizer, BAKE_BATCH_FIRST, 10, 64), 1);
     /* A fast device: fourfold, not more. */
-    bake_batch_sizer_learn(&sizer, 1 << 17, 1e-4);
+    bake_batch_sizer_learn(&sizer, 16, 1 << 17, 1e-4);
     assert_int_equal(sizer.samples, 4 * BAKE_BATCH_FIRST);
     /* A slow device, 10^6 samples a second: at once. */
-    bake_batch_sizer_learn(&sizer, 1000000, 1.0);
+    bake_batch_sizer_learn(&sizer, 16, 1000000, 1.0);
     assert_int_equal(sizer.samples, 1000000 * BAKE_BATCH_SECONDS);
-    assert_int_equal(bake_batch_rows(&sizer, 1000, 256), 50);
+    assert_int_equal(bake_batch_rows(&sizer, 10, 100, 256), 50);
     /* A clock that stands still, and one that is far off. */
-    bake_batch_sizer_learn(&sizer, 1000000, 0.0);
+    bake_batch_sizer_learn(&sizer, 16, 1000000, 0.0);
     assert_int_equal(sizer.samples, 4 * 50000);
-    bake_batch_sizer_learn(&sizer, 1, 1e9);
+    bake_batch_sizer_learn(&sizer, 16, 1, 1e9);
     assert_int_equal(sizer.samples, BAKE_BATCH_LEAST);
     for (int i = 0; i < 100; i++)
-        bake_batch_sizer_learn(&sizer, UINT64_MAX, 0.0);
-    assert_int_equal(bake_batch_rows(&sizer, 1, UINT32_MAX), UINT32_MAX);
+        bake_batch_sizer_learn(&sizer, 16, UINT64_MAX, 0.0);
+    assert_int_equal(bake_batch_rows(&sizer, 1, 1, UINT32_MAX), UINT32_MAX);
+}
+
+/* A device whose threads take 0.15 s for a launch of any size up to 100,000 texels: launches grow
+ * until they are whole tiles. A slow one, where more texels take longer, keeps to half a second. */
+TEST(test_batches_of_slow_threads)
+{
+    enum { SAMPLES = 512, WIDTH = 64, HEIGHT = 64 };
+    struct bake_batch_sizer fast = {0}, slow = {0};
+    uint32_t rows = 0;
+    (void)state;
+    assert_int_equal(bake_batch_rows(&fast, SAMPLES, WIDTH, HEIGHT), BAKE_BATCH_TEXELS / WIDTH);
+    for (int i = 0; i < 4; i++) {
+        rows = bake_batch_rows(&fast, SAMPLES, WIDTH, HEIGHT);
+        bake_batch_sizer_learn(&fast, SAMPLES, (uint64_t)SAMPLES * WIDTH * rows, 0.15);
+    }
+    assert_int_equal(bake_batch_rows(&fast, SAMPLES, WIDTH, HEIGHT), HEIGHT);
+    for (int i = 0; i < 4; i++) {
+        rows = bake_batch_rows(&slow, SAMPLES, WIDTH, HEIGHT);
+        bake_batch_sizer_learn(&slow, SAMPLES, (uint64_t)SAMPLES * WIDTH * rows, 0.1 * rows);
+    }
+    assert_in_range(rows, 2, 5);
 }
 
 /* A launch never traces more samples of a texel than BAKE_BATCH_THREAD, and there are as few
