@@ -3,6 +3,7 @@ import hashlib
 import json
 import os
 import random
+import re
 import struct
 import subprocess
 import sys
@@ -297,7 +298,10 @@ def test_asset_with_a_page_has_the_same_maps(tmp_path):
         levels.append(json.loads((tmp_path / f"{name}_asset/asset.json").read_text())["levels"][0])
     plain, shown = levels
     page = (tmp_path / "shown_asset/report.html").read_text()
-    assert page.count('"kind": "map"') == 3 and '"command": ["' in page
+    assert page.count('"kind": "map"') == 3
+    data = json.loads(re.search(r' id="data">(.*)</script>', page)[1])
+    assert data["command"][:2] == ["bisque-asset", str(scan)] and data["command"][-1] == "--report"
+    assert data["options"] and page.rstrip().endswith("</script>")
     assert "report.html" in shown["files"] and "report.html" not in plain["files"]
     assert {n: s for n, s in shown["files"].items() if n.endswith(".png")} == \
         {n: s for n, s in plain["files"].items() if n.endswith(".png")}

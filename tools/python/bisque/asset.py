@@ -8,6 +8,7 @@ import argparse
 import hashlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -220,6 +221,13 @@ def _bake(scan: Any, obj: Path, files: dict, options: dict, job: dict, progress:
     return report
 
 
+def _set_command(page: Path, command: list[str]) -> None:
+    """Makes a page show this command again, not that of its bake, whose files may be gone."""
+    head, data, tail = re.split(r'(?<= id="data">)(.*)(?=</script>)', page.read_text("utf-8"), maxsplit=1)
+    data = json.dumps({**json.loads(data), "command": command}).replace("<", "\\u003c")
+    page.write_text(head + data + tail, "utf-8")
+
+
 def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level: dict,
                 job: dict) -> dict:
     """Bakes a level: maps, GLB and preview beside its OBJ file. Returns its part of the
@@ -245,6 +253,8 @@ def _bake_level(steps: Steps, chunks: str, sorted_report: dict, low: Mesh, level
 
     def make() -> dict:
         baked = _bake(scan, obj, files, options, job, steps.report)
+        if level["report"] and level["command"]:
+            _set_command(files["report"], level["command"])
         write_mtl(obj.with_suffix(".mtl"), outputs)
         return baked
 
@@ -280,16 +290,18 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
           samples: int = 2, surface: str = "auto", library: str = "uvunwrap",
           unwrap_seconds: float = 300, min_component: float = 0.0, texture: Any = None,
           report: bool = False, keep: str | os.PathLike | None = None, memory: int | str | None = None,
-          threads: int = 0, progress: core.Progress | None = None) -> dict:
+          threads: int = 0, progress: core.Progress | None = None,
+          command: list[str] | None = None) -> dict:
     """Makes an asset of a scan: OUTPUT.glb, and beside it a folder OUTPUT_asset with the mesh and its
     material (low.obj, low.mtl), the maps, a picture (preview.png) and the certificate, asset.json.
     Of several levels (preset "museum"), each has a GLB file and a folder with its number.
 
     low: a low-poly mesh to use; it is unwrapped if it has no UVs. texture: an image for all faces
     with texture coordinates, instead of those that the scan names. surface: "grid", "exact", or
-    "auto", by the size of a texel. report: also makes a page to look at, report.html. keep: a
-    folder for the files between, which stay there; without it they are in OUTPUT_asset/steps until
-    the asset is complete. Interrupted jobs go on from them.
+    "auto", by the size of a texel. report: also makes a page to look at, report.html. command: the
+    command that the page shows; without it, that of the bake. keep: a folder for the files between,
+    which stay there; without it they are in OUTPUT_asset/steps until the asset is complete.
+    Interrupted jobs go on from them.
     Returns the certificate. Raises Error, UnwrapError."""
     if preset not in PRESETS:
         raise ValueError(f"preset: {preset!r} is none of {', '.join(PRESETS)}")
@@ -334,7 +346,7 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
                  "maps": maps or PRESETS[preset]["maps"], "rays": PRESETS[preset]["rays"],
                  "surface": surface, "library": library,
                  "seconds": unwrap_seconds, "min_component": min_component, "report": report,
-                 "obj": own / "low.obj"}
+                 "command": command, "obj": own / "low.obj"}
         mesh = _low_of(steps, chunks, low, level, job)
         results.append(_bake_level(steps, chunks, sorted_report, mesh, level, job))
     certificate = {
@@ -429,7 +441,8 @@ def main(arguments: list[str] | None = None) -> int:
             triangles=a.triangles, size=a.size, maps=a.maps.split(",") if a.maps else None,
             samples=a.samples, surface=a.surface, library=a.unwrap,
             unwrap_seconds=a.unwrap_seconds, min_component=a.min_component,
-            texture=a.texture, report=a.report, keep=a.keep, memory=a.memory, threads=a.threads, progress=show)
+            texture=a.texture, report=a.report, keep=a.keep, memory=a.memory, threads=a.threads, progress=show,
+            command=["bisque-asset", *(sys.argv[1:] if arguments is None else arguments)])
     except KeyboardInterrupt:
         print("\nbisque-asset: interrupted; the same command goes on from here", file=sys.stderr)
         return 75
