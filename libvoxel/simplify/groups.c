@@ -8,9 +8,12 @@
 
 #include "base/file.h"
 #include "base/parallel.h"
+#include "libvoxel/simplify/cluster.h"
 #include "libvoxel/simplify/thin.h"
 
-enum { GROUP_TRIANGLES = 65536, LEVEL_FACTOR = 8 };
+/* Vertices form clusters as long as a level has at least so many times the triangles of the last
+ * one: that is faster than collapsing edges, and as good that far from the result. */
+enum { GROUP_TRIANGLES = 65536, LEVEL_FACTOR = 8, CLUSTER_FACTOR = 4 };
 
 /* A mesh of a level: of the first one a chunk, of others a part of a temporary file with
  * positions, quadrics and triangles. */
@@ -34,6 +37,7 @@ struct step {
     struct level *to;
     uint64_t next_member; /* of produce */
     double ratio;
+    bool cluster; /* first */
 };
 
 /* A group of neighbouring members, and then its result. */
@@ -176,8 +180,10 @@ static int collapse_group(void *arg, void *slot_, uint64_t sequence, unsigned wo
     (void)sequence, (void)worker;
     int status = 0;
     BSQ_TRY(join_members(step->from, slot->begin, slot->end, true, &slot->mesh));
-    status = vox_thin(step->from->ctx, (uint32_t)(step->ratio * slot->mesh.triangle_count) + 1,
-                      &slot->mesh);
+    const uint32_t target = (uint32_t)(step->ratio * slot->mesh.triangle_count) + 1;
+    if (step->cluster)
+        BSQ_TRY(vox_cluster(step->from->ctx, step->ratio, &slot->mesh));
+    status = vox_thin(step->from->ctx, target, &slot->mesh);
 done:
     if (status < 0)
         vox_mesh_free(step->from->ctx, &slot->mesh);
@@ -221,7 +227,8 @@ static int reduce_level(const struct level *from, uint64_t target, const char *b
     struct step step = {.from = from,
                         .to = to,
                         .ratio =
-                            (double)(target > least ? target : least) / (double)from->triangles};
+                            (double)(target > least ? target : least) / (double)from->triangles,
+                        .cluster = least / CLUSTER_FACTOR >= target};
     int status = 0;
     *to = (struct level){.ctx = from->ctx, .file = BSQ_FILE_CLOSED, .numbers = from->numbers};
     BSQ_TRY(bsq_alloc(to->ctx, "groups of chunks", from->member_count, sizeof *to->members,

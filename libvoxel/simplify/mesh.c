@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "base/positions.h"
+#include "base/vec.h"
 
 void vox_quadric_add(struct vox_quadric *q, const struct vox_quadric *other)
 {
@@ -13,6 +14,43 @@ void vox_quadric_add(struct vox_quadric *q, const struct vox_quadric *other)
     for (int k = 0; k < 3; k++)
         q->b[k] += other->b[k];
     q->c += other->c;
+}
+
+void vox_quadric_shift(const struct vox_quadric *q, const double s[3], double a[6], double b[3],
+                       double *c)
+{
+    double as[3];
+    for (int i = 0; i < 6; i++)
+        a[i] = (double)q->a[i];
+    as[0] = a[0] * s[0] + a[1] * s[1] + a[2] * s[2];
+    as[1] = a[1] * s[0] + a[3] * s[1] + a[4] * s[2];
+    as[2] = a[2] * s[0] + a[4] * s[1] + a[5] * s[2];
+    *c = (double)q->c + bsq_dotd(s, as);
+    for (int k = 0; k < 3; k++) {
+        *c += 2 * (double)q->b[k] * s[k];
+        b[k] = (double)q->b[k] + as[k];
+    }
+}
+
+bool vox_solve(const double a[6], const double b[3], double x[3])
+{
+    if (!(a[0] > 0))
+        return false;
+    const double l00 = sqrt(a[0]), l10 = a[1] / l00, l20 = a[2] / l00;
+    const double d11 = a[3] - l10 * l10;
+    if (!(d11 > 0))
+        return false;
+    const double l11 = sqrt(d11), l21 = (a[4] - l20 * l10) / l11;
+    const double d22 = a[5] - l20 * l20 - l21 * l21;
+    if (!(d22 > 0))
+        return false;
+    const double l22 = sqrt(d22);
+    const double y0 = b[0] / l00, y1 = (b[1] - l10 * y0) / l11,
+                 y2 = (b[2] - l20 * y0 - l21 * y1) / l22;
+    x[2] = y2 / l22;
+    x[1] = (y1 - l21 * x[2]) / l11;
+    x[0] = (y0 - l10 * x[1] - l20 * x[2]) / l00;
+    return true;
 }
 
 /* The planes of a vertex's triangles go through it, so b and c are 0. */

@@ -30,6 +30,13 @@ void vox_mesh_free(struct bsq_ctx *ctx, struct vox_mesh *mesh);
 /* Adds the quadric of another vertex at the same position. */
 void vox_quadric_add(struct vox_quadric *q, const struct vox_quadric *other);
 
+/* Returns a quadric relative to a place that is `s` away from its own one, in double. */
+void vox_quadric_shift(const struct vox_quadric *q, const double s[3], double a[6], double b[3],
+                       double *c);
+
+/* Solves A x = b for a positive definite A, by Cholesky's method. Returns false if it is not. */
+bool vox_solve(const double a[6], const double b[3], double x[3]);
+
 /* Welds vertices of equal positions and adds up their quadrics; leaves out triangles with two equal
  * corners, and all but one of triangles with the same three corners. Errors: BSQ_ENOMEM. */
 int vox_mesh_weld(struct bsq_ctx *ctx, struct vox_mesh *mesh);

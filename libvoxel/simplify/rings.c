@@ -9,27 +9,6 @@
 /* Least cosine between a triangle's normals before and after a collapse. */
 static const double least_cosine = 0.2;
 
-bool vox_solve(const double a[6], const double b[3], double x[3])
-{
-    if (!(a[0] > 0))
-        return false;
-    const double l00 = sqrt(a[0]), l10 = a[1] / l00, l20 = a[2] / l00;
-    const double d11 = a[3] - l10 * l10;
-    if (!(d11 > 0))
-        return false;
-    const double l11 = sqrt(d11), l21 = (a[4] - l20 * l10) / l11;
-    const double d22 = a[5] - l20 * l20 - l21 * l21;
-    if (!(d22 > 0))
-        return false;
-    const double l22 = sqrt(d22);
-    const double y0 = b[0] / l00, y1 = (b[1] - l10 * y0) / l11,
-                 y2 = (b[2] - l20 * y0 - l21 * y1) / l22;
-    x[2] = y2 / l22;
-    x[1] = (y1 - l21 * x[2]) / l11;
-    x[0] = (y0 - l10 * x[1] - l20 * x[2]) / l00;
-    return true;
-}
-
 static int link_corners(struct vox_rings *r)
 {
     const struct vox_mesh *mesh = r->mesh;

@@ -58,9 +58,6 @@ void vox_rings_join(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3
 /* Renumbers vertices and triangles that are left, in their order. The rings are of no use then. */
 void vox_rings_compact(struct vox_rings *r);
 
-/* Solves A x = b for a positive definite A, by Cholesky's method. Returns false if it is not. */
-bool vox_solve(const double a[6], const double b[3], double x[3]);
-
 /* The words of a corner's triangle. */
 static inline uint32_t *vox_words(const struct vox_rings *r, uint32_t corner)
 {

@@ -57,23 +57,6 @@ static float find_target(struct thinning *thinning, uint32_t v, uint32_t *target
     return least;
 }
 
-/* Returns a quadric relative to a place that is `s` away from its own one, in double. */
-static void shift(const struct vox_quadric *q, const double s[3], double a[6], double b[3],
-                  double *c)
-{
-    double as[3];
-    for (int i = 0; i < 6; i++)
-        a[i] = (double)q->a[i];
-    as[0] = a[0] * s[0] + a[1] * s[1] + a[2] * s[2];
-    as[1] = a[1] * s[0] + a[3] * s[1] + a[4] * s[2];
-    as[2] = a[2] * s[0] + a[4] * s[1] + a[5] * s[2];
-    *c = (double)q->c + bsq_dotd(s, as);
-    for (int k = 0; k < 3; k++) {
-        *c += 2 * (double)q->b[k] * s[k];
-        b[k] = (double)q->b[k] + as[k];
-    }
-}
-
 /* Adds up two quadrics relative to a place. */
 static void add_shifted(const struct vox_mesh *mesh, uint32_t u, uint32_t v, const double at[3],
                         double a[6], double b[3], double *c)
@@ -83,8 +66,8 @@ static void add_shifted(const struct vox_mesh *mesh, uint32_t u, uint32_t v, con
         su[k] = at[k] - (double)mesh->positions[u][k];
         sv[k] = at[k] - (double)mesh->positions[v][k];
     }
-    shift(&mesh->quadrics[u], su, a, b, c);
-    shift(&mesh->quadrics[v], sv, a2, b2, &c2);
+    vox_quadric_shift(&mesh->quadrics[u], su, a, b, c);
+    vox_quadric_shift(&mesh->quadrics[v], sv, a2, b2, &c2);
     for (int i = 0; i < 6; i++)
         a[i] += a2[i];
     for (int k = 0; k < 3; k++)

@@ -1,5 +1,6 @@
 /* Tests edge collapse on closed, open and broken meshes: topology, volume, borders, and what must
  * not move; and the welding before it. */
+#include "libvoxel/simplify/cluster.h"
 #include "libvoxel/simplify/collapse.h"
 #include "libvoxel/simplify/thin.h"
 #include "tests/unit/test.h"
@@ -68,6 +69,12 @@ static void collapse(struct vox_mesh *mesh, bool thin, uint32_t target)
 {
     vox_mesh_set_quadrics(mesh);
     assert_int_equal(thin ? vox_thin(ctx, target, mesh) : vox_collapse(ctx, target, mesh), 0);
+}
+
+static void cluster(struct vox_mesh *mesh, double share)
+{
+    vox_mesh_set_quadrics(mesh);
+    assert_int_equal(vox_cluster(ctx, share, mesh), 0);
 }
 
 struct figures {
@@ -209,6 +216,8 @@ TEST(crowded_edges_stay)
     assert_int_equal(vox_mesh_weld(ctx, &mesh), 0);
     assert_int_equal(mesh.vertex_count, 3 * sheet.vertex_count - 2 * (N + 1));
     assert_int_equal(describe(&mesh).crowded, N);
+    cluster(&mesh, 0.01);
+    assert_int_equal(describe(&mesh).crowded, N);
     collapse(&mesh, false, 60);
     assert_int_equal(describe(&mesh).crowded, N);
     unsigned kept = 0;
@@ -232,6 +241,88 @@ TEST(tetrahedra_stay)
     assert_int_equal(mesh.triangle_count, 4);
     assert_memory_equal(mesh.positions, corners, sizeof corners);
     vox_mesh_free(ctx, &mesh);
+}
+
+/* Clusters keep a torus, also where cells are as wide as its tube or hold all of it. */
+TEST(clusters_keep_tori)
+{
+    static const double shares[] = {0.5, 0.1, 0.04, 0.001};
+    for (int i = 0; i < 4; i++)
+        for (uint32_t n = 20; n <= 120; n += 50) {
+            struct vox_mesh mesh = make_grid(n, true, on_torus);
+            const double volume = describe(&mesh).volume;
+            const uint32_t vertices = mesh.vertex_count;
+            cluster(&mesh, shares[i]);
+            const struct figures f = describe(&mesh);
+            assert_int_equal(mesh.vertex_count + mesh.triangle_count, f.edges);
+            assert_int_equal(f.borders + f.crowded, 0);
+            assert_true(fabs(f.volume / volume - 1) < 0.1);
+            if (n == 120 && i < 3)
+                assert_true(mesh.vertex_count < 1.5 * shares[i] * vertices);
+            vox_mesh_free(ctx, &mesh);
+        }
+}
+
+/* The border of a square stays, and few vertices inside. */
+TEST(clusters_keep_borders)
+{
+    enum { N = 60 };
+    struct vox_mesh mesh = make_grid(N, false, on_plane);
+    cluster(&mesh, 0.01);
+    const struct figures f = describe(&mesh);
+    unsigned on_border = 0;
+    for (uint32_t v = 0; v < mesh.vertex_count; v++) {
+        const float *p = mesh.positions[v];
+        on_border += p[0] == 0 || p[1] == 0 || p[0] == 4 || p[1] == 4;
+        assert_true(fabsf(p[2] - 0.5f) < 1e-6f);
+    }
+    assert_int_equal(on_border, 4 * N);
+    assert_int_equal(f.borders, 4 * N);
+    assert_int_equal(f.crowded, 0);
+    assert_true(fabs(f.area - 16) < 1e-3);
+    assert_true(mesh.vertex_count < 4 * N + N * N / 8);
+    vox_mesh_free(ctx, &mesh);
+}
+
+/* Two squares that share a cell everywhere stay apart, and a small piece stays there. */
+TEST(clusters_keep_pieces)
+{
+    enum { N = 40 };
+    static const uint32_t faces[4][3] = {{0, 2, 1}, {0, 1, 3}, {0, 3, 2}, {1, 2, 3}};
+    struct vox_mesh sheet = make_grid(N, false, on_plane), mesh;
+    const uint32_t vertices = sheet.vertex_count, triangles = sheet.triangle_count;
+    assert_int_equal(
+        vox_mesh_allocate(ctx, 2 * vertices + 4, 2 * triangles + 4, true, false, &mesh), 0);
+    for (uint32_t s = 0; s < 2; s++) {
+        for (uint32_t v = 0; v < vertices; v++) {
+            memcpy(mesh.positions[s * vertices + v], sheet.positions[v], sizeof *mesh.positions);
+            mesh.positions[s * vertices + v][2] += 0.001f * (float)s;
+        }
+        for (uint32_t t = 0; t < triangles; t++)
+            for (int k = 0; k < 3; k++)
+                mesh.triangles[s * triangles + t][k] = s * vertices + sheet.triangles[t][k];
+    }
+    for (uint32_t v = 0; v < 4; v++) {
+        const float place[3] = {2 + 0.01f * (v == 1), 2 + 0.01f * (v == 2), 3 + 0.01f * (v == 3)};
+        memcpy(mesh.positions[2 * vertices + v], place, sizeof place);
+        for (int k = 0; k < 3; k++)
+            mesh.triangles[2 * triangles + v][k] = 2 * vertices + faces[v][k];
+    }
+    cluster(&mesh, 0.01);
+    const struct figures f = describe(&mesh);
+    assert_int_equal(f.borders, 2 * 4 * N);
+    assert_int_equal(f.crowded, 0);
+    assert_true(fabs(f.area - 32) < 1e-2);
+    assert_true(mesh.triangle_count < triangles);
+    unsigned above = 0;
+    for (uint32_t v = 0; v < mesh.vertex_count; v++) {
+        const float z = mesh.positions[v][2];
+        above += z >= 3;
+        assert_true(z >= 3 || fabsf(z - 0.5f) < 1e-6f || fabsf(z - 0.501f) < 1e-6f);
+    }
+    assert_int_equal(above, 4);
+    vox_mesh_free(ctx, &mesh);
+    vox_mesh_free(ctx, &sheet);
 }
 
 /* Equal positions become one vertex, both zeros too; triangles without three corners and repeated
@@ -263,16 +354,18 @@ TEST(memory_runs_out)
         struct vox_mesh mesh = make_grid(30, true, on_torus);
         vox_mesh_set_quadrics(&mesh);
         ctx = small;
-        const int status = vox_collapse(ctx, 2000, &mesh);
+        const int clustered = vox_cluster(ctx, 0.9, &mesh);
+        const int status = vox_collapse(ctx, 1000, &mesh);
         const int thinned = vox_thin(ctx, 100, &mesh);
         const int welded = vox_mesh_weld(ctx, &mesh);
         ctx = large;
         assert_true(status == 0 || status == BSQ_ENOMEM);
+        assert_true(clustered == 0 || clustered == BSQ_ENOMEM);
         assert_true(thinned == 0 || thinned == BSQ_ENOMEM);
         assert_true(welded == 0 || welded == BSQ_ENOMEM);
         vox_mesh_free(ctx, &mesh);
         test_context_end(small);
-        if (status == 0 && thinned == 0 && welded == 0)
+        if (clustered == 0 && status == 0 && thinned == 0 && welded == 0)
             return;
     }
 }
