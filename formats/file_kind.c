@@ -78,7 +78,7 @@ static int verify_nvdb(struct bsq_ctx *ctx, const char *path, struct fmt_verify_
     int status = fmt_nvdb_open(ctx, path, &grid);
     if (status < 0)
         return status;
-    report->version = (uint32_t)fmt_nvdb_record_version(&grid);
+    report->version = (uint32_t)fmt_nvdb_trailer_version(&grid);
     fmt_nvdb_version(grid.info.type, report->nanovdb_version);
     report->is_mask = grid.info.type == FMT_NVDB_MASK;
     report->triangles = grid.info.source_triangles;

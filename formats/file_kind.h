@@ -30,7 +30,7 @@ int fmt_recognise_scan(struct bsq_ctx *ctx, const char *path, enum fmt_kind *out
 struct fmt_verify_report {
     size_t size;         /**< Of the structure, see bsq_clear_report(). */
     enum fmt_kind kind;  /**< FMT_KIND_TRIS or FMT_KIND_NVDB. */
-    uint32_t version;    /**< Of the chunk file, or of the grid's record "bisque". */
+    uint32_t version;    /**< Of the chunk file, or of the grid's trailer. */
     uint64_t file_bytes; /**< Size of the file. */
     uint64_t triangles;  /**< Triangles of the scan. */
     uint64_t chunks;     /**< Chunk file only, like the next one. */

@@ -51,11 +51,11 @@ struct fmt_nvdb_info {
 bool fmt_nvdb_recognise(const char first[8]);
 bool fmt_vdb_recognise(const char first[8]);
 
-/* Version of the record "bisque", and the NanoVDB version (major, minor, patch) of a grid type. */
+/* Version of the trailer, and the NanoVDB version (major, minor, patch) of a grid type. */
 enum {
-    FMT_NVDB_RECORD_VERSION = 2,
-    FMT_NVDB_RECORD_VERSION_IDS = 3,     /* of grids with ids */
-    FMT_NVDB_RECORD_VERSION_CHANNELS = 4 /* of grids with further channels */
+    FMT_NVDB_TRAILER_VERSION = 2,
+    FMT_NVDB_TRAILER_VERSION_IDS = 3,     /* of grids with ids */
+    FMT_NVDB_TRAILER_VERSION_CHANNELS = 4 /* of grids with further channels */
 };
 void fmt_nvdb_version(enum fmt_nvdb_type type, uint32_t version[3]);
 
@@ -166,8 +166,8 @@ int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
 int fmt_nvdb_read_names(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid,
                         int (*fn)(void *arg, const char *name), void *arg);
 
-/* Returns the version of a grid's record "bisque". */
-int fmt_nvdb_record_version(const struct fmt_nvdb_grid *grid);
+/* Returns the version of a grid's trailer. */
+int fmt_nvdb_trailer_version(const struct fmt_nvdb_grid *grid);
 /* Returns the number of the second record of the voxel with value index v, 0 if it has none. */
 uint64_t fmt_nvdb_second(const struct fmt_nvdb_grid *grid, uint64_t v);
 

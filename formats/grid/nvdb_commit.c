@@ -19,7 +19,7 @@ struct commit {
     struct nvdb_layout layout;
     uint8_t *head; /* section NVDB_HEAD */
     struct nvdb_blind blind[NVDB_SECTION_COUNT];
-    struct nvdb_record record;
+    struct nvdb_trailer trailer;
     uint8_t *parts; /* PART_BYTES for each worker */
 };
 
@@ -139,9 +139,9 @@ static int write_content(struct section *s)
         return write_hashed(s, commit->blind, size);
     case NVDB_NAMES:
         return write_hashed(s, commit->writer->names, size);
-    case NVDB_RECORD:
-        commit->record.record_checksum = fmt_nvdb_record_checksum(&commit->record);
-        return write_bytes(s, &commit->record, size);
+    case NVDB_TRAILER:
+        commit->trailer.trailer_checksum = fmt_nvdb_trailer_checksum(&commit->trailer);
+        return write_bytes(s, &commit->trailer, size);
     default:
         return write_streams(s, commit->writer->stream[s->number]);
     }
@@ -170,9 +170,9 @@ static int write_section(void *arg, uint64_t number, unsigned worker)
         status = bsq_fail(commit->writer->ctx, BSQ_EBUG, "%s: section %d has a wrong size",
                           commit->writer->path, s.number);
     if (number < NVDB_CHANNELS && (range->size > 0 || !nvdb_is_of_ids(s.number)))
-        commit->record.checksum[number] = XXH3_64bits_digest(s.hash);
+        commit->trailer.checksum[number] = XXH3_64bits_digest(s.hash);
     else if (number == NVDB_CHANNELS && range->size > 0)
-        commit->record.channels_checksum = XXH3_64bits_digest(s.hash);
+        commit->trailer.channels_checksum = XXH3_64bits_digest(s.hash);
 done:
     XXH3_freeState(s.hash);
     return status;
@@ -180,21 +180,21 @@ done:
 
 /* ---- the file ---- */
 
-/* Fills in the record "bisque" except for its checksums. */
-static void fill_record(const struct fmt_nvdb_writer *writer, struct nvdb_record *record)
+/* Fills in the trailer except for its checksums. */
+static void fill_trailer(const struct fmt_nvdb_writer *writer, struct nvdb_trailer *trailer)
 {
     const struct fmt_nvdb_info *info = &writer->info;
-    memcpy(record->magic, NVDB_RECORD_MAGIC, sizeof(record->magic));
+    memcpy(trailer->magic, NVDB_TRAILER_MAGIC, sizeof(trailer->magic));
     const bool ids = info->ids != BSQ_IDS_NONE;
     const bool channels = writer->counts.channel_words > 0;
-    record->version = (uint32_t)nvdb_record_version(ids, channels);
-    record->flags = (info->has_color ? NVDB_RECORD_HAS_COLOR : 0) |
-                    (ids ? NVDB_RECORD_HAS_IDS : 0) | (channels ? NVDB_RECORD_HAS_CHANNELS : 0);
-    record->name_bytes = writer->counts.name_bytes;
-    record->source_triangles = info->source_triangles;
-    record->second_count = writer->counts.seconds;
-    memcpy(record->scan_min, info->scan_min, sizeof(record->scan_min));
-    memcpy(record->scan_max, info->scan_max, sizeof(record->scan_max));
+    trailer->version = (uint32_t)nvdb_trailer_version(ids, channels);
+    trailer->flags = (info->has_color ? NVDB_TRAILER_HAS_COLOR : 0) |
+                     (ids ? NVDB_TRAILER_HAS_IDS : 0) | (channels ? NVDB_TRAILER_HAS_CHANNELS : 0);
+    trailer->name_bytes = writer->counts.name_bytes;
+    trailer->source_triangles = info->source_triangles;
+    trailer->second_count = writer->counts.seconds;
+    memcpy(trailer->scan_min, info->scan_min, sizeof(trailer->scan_min));
+    memcpy(trailer->scan_max, info->scan_max, sizeof(trailer->scan_max));
 }
 
 /* Fills section NVDB_HEAD with its checksum. */
@@ -221,15 +221,15 @@ static int write_file(struct fmt_nvdb_writer *writer)
     int status;
     fmt_nvdb_layout_compute(&writer->counts, &commit.layout);
     fmt_nvdb_fill_blind(layout, commit.blind);
-    fill_record(writer, &commit.record);
+    fill_trailer(writer, &commit.trailer);
     BSQ_TRY(
         bsq_alloc(writer->ctx, "grid header", layout->section[NVDB_HEAD].size, 1, &commit.head));
     BSQ_TRY(bsq_alloc(writer->ctx, "grid sections", bsq_threads(writer->ctx), PART_BYTES,
                       &commit.parts));
     fill_head(writer, layout, commit.head);
     BSQ_TRY(bsq_output_expect(writer->output, layout->file_bytes));
-    BSQ_TRY(bsq_parallel_for(writer->ctx, NVDB_RECORD, write_section, &commit));
-    status = write_section(&commit, NVDB_RECORD, 0);
+    BSQ_TRY(bsq_parallel_for(writer->ctx, NVDB_TRAILER, write_section, &commit));
+    status = write_section(&commit, NVDB_TRAILER, 0);
 done:
     bsq_free(writer->ctx, commit.parts);
     bsq_free(writer->ctx, commit.head);
@@ -271,7 +271,7 @@ int fmt_nvdb_finish(struct fmt_nvdb_writer *writer, struct fmt_nvdb_totals *tota
     *out = NULL;
     BSQ_TRY(fmt_nvdb_writer_finish(writer));
     BSQ_TRY(write_file(writer));
-    BSQ_TRY(bsq_parallel_for(writer->ctx, 1 + 2 * NVDB_RECORD, sync_or_close, writer));
+    BSQ_TRY(bsq_parallel_for(writer->ctx, 1 + 2 * NVDB_TRAILER, sync_or_close, writer));
     fill_totals(writer, totals);
     *out = writer->output;
     writer->output = NULL;

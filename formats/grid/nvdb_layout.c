@@ -32,7 +32,7 @@ const struct fmt_nvdb_channel *fmt_nvdb_channel(enum nvdb_section section)
         [NVDB_IDS] = {"id", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, "grid ids"},
         [NVDB_NAMES] = {.name = "names", .value_bytes = 1},
         [NVDB_CHANNELS] = {"channels", SEMANTIC_UNKNOWN, TYPE_UINT32, 4, "grid channels"},
-        [NVDB_RECORD] = {.name = "bisque", .value_bytes = 1},
+        [NVDB_TRAILER] = {.name = "bisque", .value_bytes = 1},
     };
     return &channels[section];
 }
@@ -96,7 +96,7 @@ void fmt_nvdb_layout_compute(const struct nvdb_counts *counts, struct nvdb_layou
                               ? nvdb_channels_head_bytes(counts->channel_list_bytes) +
                                     layout->record_count * counts->channel_words * sizeof(float)
                               : 0,
-        [NVDB_RECORD] = sizeof(struct nvdb_record),
+        [NVDB_TRAILER] = sizeof(struct nvdb_trailer),
     };
     uint64_t offset = 0;
     for (int i = 0; i < NVDB_SECTION_COUNT; i++) {
@@ -274,9 +274,9 @@ uint32_t fmt_nvdb_head_crc(const uint8_t *head, const struct nvdb_layout *layout
     return (uint32_t)crc32_z(crc, head + begin, layout->section[NVDB_HEAD].size - begin);
 }
 
-uint64_t fmt_nvdb_record_checksum(const struct nvdb_record *record)
+uint64_t fmt_nvdb_trailer_checksum(const struct nvdb_trailer *trailer)
 {
-    return XXH3_64bits(record, offsetof(struct nvdb_record, record_checksum));
+    return XXH3_64bits(trailer, offsetof(struct nvdb_trailer, trailer_checksum));
 }
 
 void fmt_nvdb_fill_fixed(const struct fmt_nvdb_info *info, const struct nvdb_counts *counts,
@@ -302,7 +302,7 @@ void fmt_nvdb_fill_blind(const struct nvdb_layout *layout, struct nvdb_blind *bl
 {
     memset(blind, 0, layout->section[NVDB_BLIND].size);
     uint64_t here = layout->section[NVDB_BLIND].offset;
-    for (int section = NVDB_NORMALS; section <= NVDB_RECORD; section++) {
+    for (int section = NVDB_NORMALS; section <= NVDB_TRAILER; section++) {
         const struct nvdb_range *range = &layout->section[section];
         if (range->size == 0)
             continue;

@@ -173,12 +173,12 @@ enum nvdb_section {
     NVDB_IDS,      /* this and the next: of size 0 if the grid has no ids */
     NVDB_NAMES,    /* struct nvdb_names_head and names */
     NVDB_CHANNELS, /* struct nvdb_channels_head, the list, and values; size 0 without channels */
-    NVDB_RECORD,   /* struct nvdb_record; its checksum is its own last member */
+    NVDB_TRAILER,  /* struct nvdb_trailer; its checksum is its own last member */
     NVDB_SECTION_COUNT
 };
 
-#define NVDB_RECORD_MAGIC "BISQUE\r\n"
-enum { NVDB_RECORD_HAS_COLOR = 1, NVDB_RECORD_HAS_IDS = 2, NVDB_RECORD_HAS_CHANNELS = 4 };
+#define NVDB_TRAILER_MAGIC "BISQUE\r\n"
+enum { NVDB_TRAILER_HAS_COLOR = 1, NVDB_TRAILER_HAS_IDS = 2, NVDB_TRAILER_HAS_CHANNELS = 4 };
 
 /* Names follow: for each a uint32_t with its bytes, and these. */
 struct nvdb_names_head {
@@ -194,8 +194,8 @@ struct nvdb_channels_head {
 };
 static_assert(sizeof(struct nvdb_channels_head) == 8, "head of the channels");
 
-/* Bisque's record "bisque", the last blind data. */
-struct nvdb_record {
+/* The trailer, which is the last blind data. */
+struct nvdb_trailer {
     char magic[8];
     uint32_t version, flags;
     uint64_t source_triangles, second_count;
@@ -204,9 +204,9 @@ struct nvdb_record {
                                          grid has none */
     uint64_t name_bytes;              /* likewise */
     uint64_t channels_checksum;       /* of that section; 0 without it */
-    uint64_t record_checksum;         /* XXH3-64 of all members above */
+    uint64_t trailer_checksum;        /* XXH3-64 of all members above */
 };
-static_assert(sizeof(struct nvdb_record) == 192, "bisque record");
+static_assert(sizeof(struct nvdb_trailer) == 192, "bisque trailer");
 
 /* The counts that determine a layout. */
 struct nvdb_counts {
@@ -342,9 +342,9 @@ void fmt_nvdb_fill_blind(const struct nvdb_layout *layout, struct nvdb_blind *bl
 
 /* Returns NanoVDB's checksum of a grid's head: GridData after its checksum, TreeData, RootData and
  * tiles. That is NanoVDB's default mode. Its full mode is not used because it covers other bytes in
- * 32.6 than in 32.4; the record "bisque" has checksums of all sections instead. */
+ * 32.6 than in 32.4; the trailer has checksums of all sections instead. */
 uint32_t fmt_nvdb_head_crc(const uint8_t *head, const struct nvdb_layout *layout);
-uint64_t fmt_nvdb_record_checksum(const struct nvdb_record *record);
+uint64_t fmt_nvdb_trailer_checksum(const struct nvdb_trailer *trailer);
 
 /* The two steps of fmt_nvdb_open() after mapping the file. The first checks that Bisque wrote the
  * file and that its sections are in place, and fills in `grid` except for the map; the second
@@ -358,18 +358,18 @@ static inline uint64_t nvdb_channels_head_bytes(uint32_t list_bytes)
     return bsq_align_up(sizeof(struct nvdb_channels_head) + (uint64_t)list_bytes, NVDB_ALIGNMENT);
 }
 
-/* Returns the version of the record of a grid with these channels. */
-static inline int nvdb_record_version(bool has_ids, bool has_channels)
+/* Returns the version of the trailer of a grid with these channels. */
+static inline int nvdb_trailer_version(bool has_ids, bool has_channels)
 {
-    return has_channels ? FMT_NVDB_RECORD_VERSION_CHANNELS
-           : has_ids    ? FMT_NVDB_RECORD_VERSION_IDS
-                        : FMT_NVDB_RECORD_VERSION;
+    return has_channels ? FMT_NVDB_TRAILER_VERSION_CHANNELS
+           : has_ids    ? FMT_NVDB_TRAILER_VERSION_IDS
+                        : FMT_NVDB_TRAILER_VERSION;
 }
 
-/* Give the layout of a grid that fmt_nvdb_check_header() accepted, and its record "bisque". */
+/* Give the layout of a grid that fmt_nvdb_check_header() accepted, and its trailer. */
 void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *layout);
-const struct nvdb_record *fmt_nvdb_record_of(const struct fmt_nvdb_grid *grid,
-                                             const struct nvdb_layout *layout);
+const struct nvdb_trailer *fmt_nvdb_trailer_of(const struct fmt_nvdb_grid *grid,
+                                               const struct nvdb_layout *layout);
 
 #ifdef __cplusplus
 }

@@ -21,7 +21,7 @@ struct head {
     struct nvdb_grid_data grid;
     struct nvdb_tree_data tree;
     struct nvdb_root root;
-    struct nvdb_record record; /* valid after read_counts() */
+    struct nvdb_trailer trailer; /* valid after read_counts() */
 };
 
 /* Copies bytes of the file; those after its end stay as they are. */
@@ -148,31 +148,31 @@ static int check_grid_data(const struct head *h)
     return 0;
 }
 
-/* Checks the record "bisque" except for its bounds. */
-static bool is_record_valid(const struct nvdb_record *record, const struct nvdb_counts *counts)
+/* Checks the trailer except for its bounds. */
+static bool is_trailer_valid(const struct nvdb_trailer *trailer, const struct nvdb_counts *counts)
 {
-    const bool ids = counts->has_ids, channels = record->flags & NVDB_RECORD_HAS_CHANNELS;
-    const uint64_t later = record->checksum[NVDB_IDS] | record->checksum[NVDB_NAMES];
-    const uint32_t flags = (counts->has_color ? NVDB_RECORD_HAS_COLOR : 0) |
-                           (counts->has_ids ? NVDB_RECORD_HAS_IDS : 0) |
-                           (channels ? NVDB_RECORD_HAS_CHANNELS : 0);
-    return record->flags == flags &&
-           record->version == (uint32_t)nvdb_record_version(ids, channels) &&
-           (ids ? record->name_bytes >> 61 == 0 : (later | record->name_bytes) == 0) &&
-           record->second_count <= counts->voxels && record->second_count <= UINT32_MAX &&
-           (channels || record->channels_checksum == 0) &&
-           record->record_checksum == fmt_nvdb_record_checksum(record);
+    const bool ids = counts->has_ids, channels = trailer->flags & NVDB_TRAILER_HAS_CHANNELS;
+    const uint64_t later = trailer->checksum[NVDB_IDS] | trailer->checksum[NVDB_NAMES];
+    const uint32_t flags = (counts->has_color ? NVDB_TRAILER_HAS_COLOR : 0) |
+                           (counts->has_ids ? NVDB_TRAILER_HAS_IDS : 0) |
+                           (channels ? NVDB_TRAILER_HAS_CHANNELS : 0);
+    return trailer->flags == flags &&
+           trailer->version == (uint32_t)nvdb_trailer_version(ids, channels) &&
+           (ids ? trailer->name_bytes >> 61 == 0 : (later | trailer->name_bytes) == 0) &&
+           trailer->second_count <= counts->voxels && trailer->second_count <= UINT32_MAX &&
+           (channels || trailer->channels_checksum == 0) &&
+           trailer->trailer_checksum == fmt_nvdb_trailer_checksum(trailer);
 }
 
-/* Sets which channels the grid has by their number, and by the record if it is whole. Further
+/* Sets which channels the grid has by their number, and by the trailer if it is whole. Further
  * channels have at least one value; read_channels() sets how many. */
 static bool find_channels(struct head *h, struct nvdb_counts *counts)
 {
-    struct nvdb_record *record = &h->record;
-    memcpy(record, h->file + h->size - sizeof(*record), sizeof(*record));
-    const bool whole = record->record_checksum == fmt_nvdb_record_checksum(record);
-    const uint32_t more = h->grid.blind_count - 4, flags = whole ? record->flags : 0;
-    const uint32_t channels = flags & NVDB_RECORD_HAS_CHANNELS ? 1 : 0;
+    struct nvdb_trailer *trailer = &h->trailer;
+    memcpy(trailer, h->file + h->size - sizeof(*trailer), sizeof(*trailer));
+    const bool whole = trailer->trailer_checksum == fmt_nvdb_trailer_checksum(trailer);
+    const uint32_t more = h->grid.blind_count - 4, flags = whole ? trailer->flags : 0;
+    const uint32_t channels = flags & NVDB_TRAILER_HAS_CHANNELS ? 1 : 0;
     counts->has_color = (more - channels) & 1;
     counts->has_ids = (more - channels) & 2;
     counts->channel_words = channels;
@@ -202,7 +202,7 @@ static bool find_channel_list(const struct head *h, uint64_t offset, struct nvdb
 static int read_channels(const struct head *h, struct nvdb_counts *counts)
 {
     struct nvdb_layout layout;
-    if (!(h->record.flags & NVDB_RECORD_HAS_CHANNELS))
+    if (!(h->trailer.flags & NVDB_TRAILER_HAS_CHANNELS))
         return 0;
     fmt_nvdb_layout_compute(counts, &layout);
     return find_channel_list(h, layout.section[NVDB_CHANNELS].offset, counts)
@@ -229,22 +229,22 @@ static int read_counts(struct head *h, struct nvdb_counts *counts)
     fmt_nvdb_layout_compute(counts, &layout);
     if (layout.file_bytes > h->size)
         return damaged(h, "node counts");
-    struct nvdb_record *record = &h->record;
-    if (memcmp(record->magic, NVDB_RECORD_MAGIC, sizeof(record->magic)) != 0)
+    struct nvdb_trailer *trailer = &h->trailer;
+    if (memcmp(trailer->magic, NVDB_TRAILER_MAGIC, sizeof(trailer->magic)) != 0)
         return fail_foreign(h);
-    if (record->version < FMT_NVDB_RECORD_VERSION ||
-        record->version > FMT_NVDB_RECORD_VERSION_CHANNELS)
+    if (trailer->version < FMT_NVDB_TRAILER_VERSION ||
+        trailer->version > FMT_NVDB_TRAILER_VERSION_CHANNELS)
         return bsq_fail(
             h->ctx, BSQ_EDATA,
             "%s: surface grid of version %" PRIu32 ": this Bisque reads versions %d to %d", h->path,
-            record->version, FMT_NVDB_RECORD_VERSION, FMT_NVDB_RECORD_VERSION_CHANNELS);
-    if (!is_record_valid(record, counts))
-        return damaged(h, "\"bisque\" record");
+            trailer->version, FMT_NVDB_TRAILER_VERSION, FMT_NVDB_TRAILER_VERSION_CHANNELS);
+    if (!is_trailer_valid(trailer, counts))
+        return damaged(h, "\"bisque\" trailer");
     for (int axis = 0; axis < 3; axis++)
-        if (!isfinite(record->scan_min[axis]) || !isfinite(record->scan_max[axis]))
+        if (!isfinite(trailer->scan_min[axis]) || !isfinite(trailer->scan_max[axis]))
             return damaged(h, "scan bounds");
-    counts->seconds = record->second_count;
-    counts->name_bytes = record->name_bytes;
+    counts->seconds = trailer->second_count;
+    counts->name_bytes = trailer->name_bytes;
     return read_channels(h, counts);
 }
 
@@ -294,14 +294,14 @@ static int check_head(const struct head *h, const struct nvdb_counts *counts,
 static void fill_grid(const struct head *h, const struct nvdb_counts *counts,
                       const struct nvdb_layout *layout, struct fmt_nvdb_grid *grid)
 {
-    const struct nvdb_record *record = &h->record;
+    const struct nvdb_trailer *trailer = &h->trailer;
     grid->info.type = counts->type;
     grid->info.has_color = counts->has_color;
     grid->info.voxel_size = h->grid.map.matrix[0];
-    grid->info.source_triangles = record->source_triangles;
+    grid->info.source_triangles = trailer->source_triangles;
     memcpy(grid->info.translation, h->grid.map.translation, sizeof(grid->info.translation));
-    memcpy(grid->info.scan_min, record->scan_min, sizeof(grid->info.scan_min));
-    memcpy(grid->info.scan_max, record->scan_max, sizeof(grid->info.scan_max));
+    memcpy(grid->info.scan_min, trailer->scan_min, sizeof(grid->info.scan_min));
+    memcpy(grid->info.scan_max, trailer->scan_max, sizeof(grid->info.scan_max));
     memcpy(grid->index_min, h->root.bbox_min, sizeof(grid->index_min));
     memcpy(grid->index_max, h->root.bbox_max, sizeof(grid->index_max));
     grid->grid = h->file + FMT_NVDB_GRID_OFFSET;
@@ -435,10 +435,10 @@ void fmt_nvdb_layout_of(const struct fmt_nvdb_grid *grid, struct nvdb_layout *la
     fmt_nvdb_layout_compute(&counts, layout);
 }
 
-const struct nvdb_record *fmt_nvdb_record_of(const struct fmt_nvdb_grid *grid,
-                                             const struct nvdb_layout *layout)
+const struct nvdb_trailer *fmt_nvdb_trailer_of(const struct fmt_nvdb_grid *grid,
+                                               const struct nvdb_layout *layout)
 {
-    return (const void *)((const uint8_t *)grid->map.data + layout->section[NVDB_RECORD].offset);
+    return (const void *)((const uint8_t *)grid->map.data + layout->section[NVDB_TRAILER].offset);
 }
 
 /* ---- opening ---- */
@@ -485,9 +485,9 @@ void fmt_nvdb_close(struct bsq_ctx *ctx, struct fmt_nvdb_grid *grid)
     memset(grid, 0, sizeof(*grid));
 }
 
-int fmt_nvdb_record_version(const struct fmt_nvdb_grid *grid)
+int fmt_nvdb_trailer_version(const struct fmt_nvdb_grid *grid)
 {
-    return nvdb_record_version(grid->info.ids != BSQ_IDS_NONE, grid->channel_words > 0);
+    return nvdb_trailer_version(grid->info.ids != BSQ_IDS_NONE, grid->channel_words > 0);
 }
 
 uint64_t fmt_nvdb_second(const struct fmt_nvdb_grid *grid, uint64_t v)

@@ -39,7 +39,7 @@ struct check {
     /* For verifying. */
     const uint8_t *file;
     struct nvdb_layout layout;
-    const struct nvdb_record *record;
+    const struct nvdb_trailer *trailer;
 };
 
 static int bad_node(const struct check *c, const char *level, uint64_t number, const char *what)
@@ -326,7 +326,7 @@ static int verify_section(void *arg, uint64_t index, unsigned worker)
     if (status)
         return status;
     if (hash !=
-        (index == NVDB_CHANNELS ? c->record->channels_checksum : c->record->checksum[index]))
+        (index == NVDB_CHANNELS ? c->trailer->channels_checksum : c->trailer->checksum[index]))
         return bsq_fail(c->ctx, BSQ_EDATA, "%s: damaged: wrong checksum of %s at byte %llu",
                         c->grid->map.path, fmt_nvdb_channel((enum nvdb_section)index)->name,
                         (unsigned long long)range->offset);
@@ -463,8 +463,8 @@ int fmt_nvdb_verify(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     int status;
     forget_pages(grid, grid->map.data, grid->map.size);
     fmt_nvdb_layout_of(grid, &c.layout);
-    c.record = fmt_nvdb_record_of(grid, &c.layout);
-    BSQ_TRY(bsq_parallel_for(ctx, NVDB_RECORD, verify_section, &c));
+    c.trailer = fmt_nvdb_trailer_of(grid, &c.layout);
+    BSQ_TRY(bsq_parallel_for(ctx, NVDB_TRAILER, verify_section, &c));
     BSQ_TRY(verify_padding(&c));
     BSQ_TRY(
         bsq_parallel_for(ctx, (uint64_t)grid->upper_count + grid->lower_count, verify_node, &c));

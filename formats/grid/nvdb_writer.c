@@ -173,7 +173,7 @@ int fmt_nvdb_create(struct bsq_ctx *ctx, const char *path, const struct fmt_nvdb
     BSQ_TRY(count_channels(writer));
     BSQ_TRY(fmt_nvdb_set_names(writer, NULL, 0));
     BSQ_TRY(bsq_output_open(ctx, path, &writer->output));
-    for (int section = 0; section < NVDB_RECORD; section++)
+    for (int section = 0; section < NVDB_TRAILER; section++)
         BSQ_TRY(open_streams(writer, section));
     BSQ_TRY(begin_channels(writer));
     writer->info.channels = NULL; /* the caller's */
@@ -218,7 +218,7 @@ void fmt_nvdb_discard(struct fmt_nvdb_writer *writer)
         return;
     struct bsq_ctx *ctx = writer->ctx;
     bsq_output_discard(writer->output);
-    for (int i = 0; i < 2 * NVDB_RECORD; i++)
+    for (int i = 0; i < 2 * NVDB_TRAILER; i++)
         fmt_nvdb_stream_close(&writer->stream[i / 2][i % 2]);
     bsq_free(ctx, writer->keys);
     bsq_free(ctx, writer->names);
@@ -517,7 +517,7 @@ int fmt_nvdb_writer_finish(struct fmt_nvdb_writer *writer)
     BSQ_TRY(end_entry(writer));
     BSQ_TRY(close_lower(writer));
     BSQ_TRY(close_upper(writer));
-    for (int i = 0; i < 2 * NVDB_RECORD; i++)
+    for (int i = 0; i < 2 * NVDB_TRAILER; i++)
         if (writer->stream[i / 2][i % 2].ctx)
             BSQ_TRY(end_stream(&writer->stream[i / 2][i % 2]));
 done:

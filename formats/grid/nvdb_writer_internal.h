@@ -40,7 +40,7 @@ struct fmt_nvdb_writer {
     struct fmt_nvdb_info info;
     /* Of each section that grows with the grid: of upper and lower nodes the stubs; of values one a
      * record, those of first records, then those of second records. */
-    struct nvdb_stream stream[NVDB_RECORD][2];
+    struct nvdb_stream stream[NVDB_TRAILER][2];
     int failed; /* status of the first failure; nothing can be committed after it */
 
     uint8_t *names; /* section NVDB_NAMES, counts.name_bytes; NULL: no ids */

@@ -15,8 +15,8 @@ static int replace_uuid(struct bsq_output *output, const struct fmt_nvdb_grid *g
 {
     struct nvdb_layout layout;
     fmt_nvdb_layout_of(grid, &layout);
-    const struct nvdb_record *record = fmt_nvdb_record_of(grid, &layout);
-    XXH128_hash_t hash = XXH3_128bits(record, sizeof *record);
+    const struct nvdb_trailer *trailer = fmt_nvdb_trailer_of(grid, &layout);
+    XXH128_hash_t hash = XXH3_128bits(trailer, sizeof *trailer);
     char uuid[37];
     snprintf(uuid, sizeof uuid, "%08x-%04x-8%03x-%04x-%012llx", (uint32_t)(hash.high64 >> 32),
              (uint32_t)(hash.high64 >> 16 & 0xffff), (uint32_t)(hash.high64 & 0xfff),

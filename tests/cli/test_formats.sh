@@ -281,7 +281,7 @@ for version in 1 5; do
     cp box.nvdb new.nvdb
     put new.nvdb $(($(wc -c <box.nvdb) - 184)) $version
     oracle measure new.nvdb
-    err "new.nvdb: bisque record of version $version"
+    err "new.nvdb: bisque trailer of version $version"
     run bisque-bake new.nvdb low.obj -o new.exr
     err_like "^bisque-bake: new\\.nvdb: surface grid of version $version: "
 done

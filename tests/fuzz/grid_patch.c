@@ -397,21 +397,22 @@ static void remake_head(const struct grid_template *t)
 static void mend(struct grid_template *t)
 {
     const struct nvdb_layout *layout = &t->layout;
-    struct nvdb_record *record = nodes(t, NVDB_RECORD);
+    struct nvdb_trailer *trailer = nodes(t, NVDB_TRAILER);
     touch_section(t, NVDB_HEAD);
-    touch_section(t, NVDB_RECORD);
+    touch_section(t, NVDB_TRAILER);
     if (t->remake)
         remake_head(t);
     else
         fmt_nvdb_fill_file_head(grid_data(t), tree_data(t), root_data(t), t->bytes);
     grid_data(t)->checksum[0] = fmt_nvdb_head_crc(t->bytes, layout);
-    for (int i = 0; i < NVDB_RECORD; i++) {
+    for (int i = 0; i < NVDB_TRAILER; i++) {
         const struct nvdb_range *range = &layout->section[i];
-        uint64_t *checksum = i == NVDB_CHANNELS ? &record->channels_checksum : &record->checksum[i];
+        uint64_t *checksum =
+            i == NVDB_CHANNELS ? &trailer->channels_checksum : &trailer->checksum[i];
         if (is_touched(t, range))
             *checksum = XXH3_64bits(t->bytes + range->offset, range->size);
     }
-    record->record_checksum = fmt_nvdb_record_checksum(record);
+    trailer->trailer_checksum = fmt_nvdb_trailer_checksum(trailer);
 }
 
 void grid_patch_apply(const uint8_t *data, size_t size, struct patched_grid *out)

@@ -197,13 +197,13 @@ def _encode_blind(layout):
     return data
 
 
-def _encode_record(grid, layout):
+def _encode_trailer(grid, layout):
     version, flags = (3, 2) if grid.has_ids else (2, 0)
     if grid.words:
         version, flags = 4, flags + 4
-    record = struct.pack("<IIQQ6d", version, flags + int(grid.has_color), grid.triangles,
+    trailer = struct.pack("<IIQQ6d", version, flags + int(grid.has_color), grid.triangles,
                          layout.second_count, *grid.scan_bounds).ljust(160, b"\0")
-    return b"BISQUE\r\n" + record + struct.pack("<QQQ", layout.name_bytes, 0, 0)
+    return b"BISQUE\r\n" + trailer + struct.pack("<QQQ", layout.name_bytes, 0, 0)
 
 
 def _channels_head(grid):
@@ -246,7 +246,7 @@ def encode(grid):
              "second": _encode_second(layout.voxel_count, grid.has_second),
              "id": grid.id.tobytes(), "names": grid.names,
              "channels": _channels_head(grid) + grid.values.tobytes(),
-             "bisque": _encode_record(grid, layout)}
+             "bisque": _encode_trailer(grid, layout)}
     data = bytearray(size)
     for name, (offset, length) in layout.sections.items():
         data[offset:offset + length] = parts[name][:length]
@@ -341,11 +341,11 @@ def mend(data, layout):
     if len(data) < head_end + 192:
         return
     struct.pack_into("<I", data, GRID + 8, zlib.crc32(data[GRID + 16:head_end]))
-    record = len(data) - 192
+    trailer = len(data) - 192
     for i, name in enumerate(names):
         offset, size = layout.sections.get(name, (0, 0))
-        struct.pack_into("<Q", data, record + 80 + 8 * i, checksum(data[offset:offset + size]))
+        struct.pack_into("<Q", data, trailer + 80 + 8 * i, checksum(data[offset:offset + size]))
     if "channels" in layout.sections:
         offset, size = layout.sections["channels"]
-        struct.pack_into("<Q", data, record + 176, checksum(data[offset:offset + size]))
-    struct.pack_into("<Q", data, record + 184, checksum(data[record:record + 184]))
+        struct.pack_into("<Q", data, trailer + 176, checksum(data[offset:offset + size]))
+    struct.pack_into("<Q", data, trailer + 184, checksum(data[trailer:trailer + 184]))

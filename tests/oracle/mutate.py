@@ -16,7 +16,7 @@ TRIS_ENTRY = "QQQII fff fff"
 NVDB_FILE_HEADER = "QIHHQQQQII dddddd IIIIII ddd I IIII III HH I 32s"
 NVDB_GRID_DATA = "Q IIIIIIQ 256s " + 22 * "f" + 31 * "d" + " IIQ II QQ"
 NVDB_TREE = "QQQQ III III Q"
-NVDB_RECORD = "Q II QQ dddddd QQQQQQQQQ QQQQ Q"
+NVDB_TRAILER = "Q II QQ dddddd QQQQQQQQQ QQQQ Q"
 
 
 def _fields(layout, offset):
@@ -122,7 +122,7 @@ def _pick_nvdb_field(random, data, layout):
             lambda: _used_offset_field(random, data, layout),
             lambda: _channel_fields(random, layout), lambda: _channel_fields(random, layout),
             lambda: _padding_fields(random, layout),
-            lambda: _fields(NVDB_RECORD, layout.sections["bisque"][0])]
+            lambda: _fields(NVDB_TRAILER, layout.sections["bisque"][0])]
     fields = pick[random.integers(0, len(pick))]()
     return fields[random.integers(0, len(fields))]
 

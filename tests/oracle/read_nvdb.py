@@ -19,7 +19,7 @@ VARIANTS = {  # by version: name, GridType, GridClass, bytes of RootData, data2
     32 << 21 | 6 << 10 | 0: ("onindex", 20, 8, 96, int.from_bytes(b"NanoVDB1", "little"))}
 GRID, TREE, ROOT = 224, 896, 960
 UPPER_BYTES, LOWER_BYTES, LEAF_BYTES, TILE_BYTES, BLIND_BYTES = 270400, 33856, 96, 32, 288
-RECORD_BYTES = 192
+TRAILER_BYTES = 192
 MAGIC = int.from_bytes(b"NanoVDB0", "little")
 NAME = b"surface"
 
@@ -55,7 +55,7 @@ def channels_of(grid):
              ("second", 2 * (grid.voxel_count // 32 + 1), 4, 0, 10), ("id", n, 4, 0, 10),
              ("names", grid.name_bytes, 1, 0, 0),
              ("channels", (grid.head_bytes // 4 + n * grid.words), 4, 0, 10),
-             ("bisque", RECORD_BYTES, 1, 0, 0)]
+             ("bisque", TRAILER_BYTES, 1, 0, 0)]
     missing = ([] if grid.has_color else ["color"]) + ([] if grid.has_ids else ["id", "names"]) + \
         ([] if grid.words else ["channels"])
     return [row for row in table if row[0] not in missing]
@@ -82,7 +82,7 @@ def lay_out(grid):
 # ---- the head of the file ----
 
 def _read_counts(data, grid):
-    need(len(data) >= ROOT + 64 + RECORD_BYTES, "too short for a grid")
+    need(len(data) >= ROOT + 64 + TRAILER_BYTES, "too short for a grid")
     magic, version = fields(data, 0, "QI")
     need(magic == MAGIC, "magic of the file header")
     need(version in VARIANTS, f"version {version >> 21}.{version >> 10 & 2047}.{version & 1023}")
@@ -93,23 +93,23 @@ def _read_counts(data, grid):
     grid.voxel_count, = fields(data, 40, "Q")
 
 
-def _read_record(data, grid):
-    record = data[-RECORD_BYTES:]
-    magic, version, flags, grid.triangle_count, grid.second_count = fields(record, 0, "8sIIQQ")
-    need(magic == b"BISQUE\r\n", "no bisque record at the end")
-    need(version in (2, 3, 4), f"bisque record of version {version}")
-    need(fields(record, 184, "Q")[0] == checksum(record[:184]), "checksum of the bisque record")
+def _read_trailer(data, grid):
+    trailer = data[-TRAILER_BYTES:]
+    magic, version, flags, grid.triangle_count, grid.second_count = fields(trailer, 0, "8sIIQQ")
+    need(magic == b"BISQUE\r\n", "no bisque trailer at the end")
+    need(version in (2, 3, 4), f"bisque trailer of version {version}")
+    need(fields(trailer, 184, "Q")[0] == checksum(trailer[:184]), "checksum of the bisque trailer")
     need(flags < 8 and version == (4 if flags & 4 else 3 if flags & 2 else 2),
-         "flags of the bisque record")
+         "flags of the bisque trailer")
     grid.has_color, grid.has_ids, grid.has_channels = (bool(flags & bit) for bit in (1, 2, 4))
     grid.words = grid.head_bytes = 0
-    grid.scan_bounds = fields(record, 32, "6d")
+    grid.scan_bounds = fields(trailer, 32, "6d")
     need(is_finite(grid.scan_bounds), "bounds of the high-poly mesh are not finite")
-    grid.checksums = fields(record, 80, "11Q")
-    grid.name_bytes, = fields(record, 168, "Q")
-    grid.channels_checksum, = fields(record, 176, "Q")
-    need(grid.has_channels or grid.channels_checksum == 0, "zeros of the bisque record")
-    need(grid.has_ids or is_zero(record[152:176]), "checksums without ids")
+    grid.checksums = fields(trailer, 80, "11Q")
+    grid.name_bytes, = fields(trailer, 168, "Q")
+    grid.channels_checksum, = fields(trailer, 176, "Q")
+    need(grid.has_channels or grid.channels_checksum == 0, "zeros of the bisque trailer")
+    need(grid.has_ids or is_zero(trailer[152:176]), "checksums without ids")
     need(grid.name_bytes <= len(data), "bytes of the names")
     grid.record_count = 1 + grid.voxel_count + grid.second_count
 
@@ -437,7 +437,7 @@ def read(data, verify):
     """Returns the Grid of a file, or raises Refused."""
     grid = Grid()
     _read_counts(data, grid)
-    _read_record(data, grid)
+    _read_trailer(data, grid)
     _check_limits(grid)
     _read_list(data, grid)
     need(lay_out(grid) == len(data), "length of the file")

@@ -115,7 +115,7 @@ static void round_trip(uint64_t seed, unsigned per_cluster, enum fmt_nvdb_type t
     compare_with_scene(&grid, &scene, seed * 2 + 1);
     assert_int_equal(grid.colors != NULL, color);
     assert_int_equal(grid.channel_words, seed == 2 ? 4 : seed == 3 ? 1 : 0);
-    assert_int_equal(fmt_nvdb_record_version(&grid), list ? 4 : 2);
+    assert_int_equal(fmt_nvdb_trailer_version(&grid), list ? 4 : 2);
     if (list) {
         assert_int_equal(grid.channel_list_bytes, strlen(list));
         assert_memory_equal(grid.channel_list, list, strlen(list));

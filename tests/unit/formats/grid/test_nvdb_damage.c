@@ -49,10 +49,10 @@ static void forge(uint8_t *bytes, uint64_t size, const struct nvdb_layout *layou
 {
     uint32_t crc = fmt_nvdb_head_crc(bytes, layout);
     memcpy(bytes + FMT_NVDB_GRID_OFFSET + offsetof(struct nvdb_grid_data, checksum), &crc, 4);
-    struct nvdb_record record;
-    memcpy(&record, bytes + size - sizeof(record), sizeof(record));
-    record.record_checksum = fmt_nvdb_record_checksum(&record);
-    memcpy(bytes + size - sizeof(record), &record, sizeof(record));
+    struct nvdb_trailer trailer;
+    memcpy(&trailer, bytes + size - sizeof(trailer), sizeof(trailer));
+    trailer.trailer_checksum = fmt_nvdb_trailer_checksum(&trailer);
+    memcpy(bytes + size - sizeof(trailer), &trailer, sizeof(trailer));
 }
 
 struct small_file {
@@ -200,10 +200,10 @@ TEST(test_forged)
 /* Corrects all checksums. */
 static void forge_all(uint8_t *bytes, uint64_t size, const struct nvdb_layout *layout)
 {
-    struct nvdb_record *record = (void *)(bytes + size - sizeof(*record));
+    struct nvdb_trailer *trailer = (void *)(bytes + size - sizeof(*trailer));
     forge(bytes, size, layout);
     for (int i = 0; i < NVDB_IDS; i++)
-        record->checksum[i] =
+        trailer->checksum[i] =
             XXH3_64bits(bytes + layout->section[i].offset, layout->section[i].size);
     forge(bytes, size, layout);
 }
@@ -242,9 +242,9 @@ TEST(test_unused_bytes)
     assert_refused(&file, map + offsetof(struct nvdb_map, matrix) + 4, 0x00001000, "voxel size");
     assert_refused(&file, root + sizeof(struct nvdb_root), 1, "RootData");
 
-    const uint64_t record = file.size - sizeof(struct nvdb_record);
-    assert_refused(&file, record + offsetof(struct nvdb_record, channels_checksum), 1,
-                   "\"bisque\" record");
+    const uint64_t trailer = file.size - sizeof(struct nvdb_trailer);
+    assert_refused(&file, trailer + offsetof(struct nvdb_trailer, channels_checksum), 1,
+                   "\"bisque\" trailer");
     const uint64_t upper = file.layout.section[NVDB_UPPERS].offset;
     assert_refused(&file, upper + offsetof(struct nvdb_upper, flags), 3, "flag");
     assert_refused(&file, upper + offsetof(struct nvdb_upper, statistics), 1, "statistic");
@@ -289,10 +289,10 @@ TEST(test_messages)
     assert_open_fails(bytes, file.size, "version 32.7.0");
     version = NVDB_VERSION_MASK;
     memcpy(bytes + 8, &version, 4);
-    struct nvdb_record *record = (void *)(bytes + file.size - sizeof(*record));
-    record->version = 9;
+    struct nvdb_trailer *trailer = (void *)(bytes + file.size - sizeof(*trailer));
+    trailer->version = 9;
     assert_open_fails(bytes, file.size, "version 9");
-    record->version = FMT_NVDB_RECORD_VERSION;
+    trailer->version = FMT_NVDB_TRAILER_VERSION;
     struct bsq_ctx *ctx = test_context(1, 0);
     struct fmt_nvdb_grid grid;
     assert_int_equal(fmt_nvdb_open(ctx, "/nowhere/a.nvdb", &grid), BSQ_ENOINPUT);
