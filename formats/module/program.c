@@ -35,8 +35,9 @@ int fmt_program_fail(struct bsq_ctx *ctx, const char *path, const char *library,
         return bsq_fail(ctx, -code, "%s: %s", path, text);
     if (code == -BSQ_ENOMEM)
         return bsq_fail(ctx, BSQ_ENOMEM,
-                        "%s: %s needs more memory than the %" PRIu64 " bytes that are left of "
-                        "--memory: raise it, unless the file is damaged",
+                        "%s: %s needs more memory than its %" PRIu64
+                        " bytes of --memory: raise it, "
+                        "unless the file is damaged",
                         path, library, left);
     if (code == -BSQ_EIO)
         return bsq_fail(ctx, BSQ_EIO, "%s: its content cannot be written to a temporary file",

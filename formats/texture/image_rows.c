@@ -2,8 +2,8 @@
  *
  * A file's first bytes choose a row of the table. OpenImageIO opens many more files, among them
  * videos, streams from the network and plain text; it sees none of them. Some of its plug-ins
- * decode the whole image when they open a file, so the memory for that is found from the header
- * here. The factors were measured with OpenImageIO 2.4.7 (docs/decisions/0035). */
+ * decode the whole image when they open a file (docs/decisions/0035): memory for that is reserved
+ * before, and the program gets no more. */
 #include "formats/texture/image_rows.h"
 
 #include <inttypes.h>
@@ -19,29 +19,13 @@ struct probe {
     uint8_t head[64];
 };
 
-/* An image that is decoded whole: its size in texels (0: unknown), and the bytes that this takes.
- */
-struct whole {
-    uint64_t width, height, bytes;
-};
-
 struct format {
     const char *name; /* for messages */
     const struct fmt_rows_decoder *decoder;
     const char *program, *plugin; /* if another program decodes it; OpenImageIO's name */
     bool (*recognise)(struct probe *probe);
-    struct whole (*whole)(struct probe *probe); /* NULL: the decoder tells */
+    bool whole; /* the program decodes the image whole */
 };
-
-static uint32_t big16(const uint8_t *p)
-{
-    return (uint32_t)p[0] << 8 | p[1];
-}
-
-static uint32_t big32(const uint8_t *p)
-{
-    return big16(p) << 16 | big16(p + 2);
-}
 
 /* Reads `size` bytes; zeros follow after the end of the file. */
 static void read_at(struct probe *probe, uint64_t offset, uint8_t *to, uint64_t size)
@@ -56,15 +40,6 @@ static void read_at(struct probe *probe, uint64_t offset, uint8_t *to, uint64_t 
 static bool begins(struct probe *probe, const char *magic, size_t size)
 {
     return memcmp(probe->head, magic, size) == 0;
-}
-
-static struct whole by_texels(uint64_t width, uint64_t height, uint64_t texel_bytes)
-{
-    struct whole out = {width, height, 0};
-    if (__builtin_mul_overflow(width, height, &out.bytes) ||
-        __builtin_mul_overflow(out.bytes, texel_bytes, &out.bytes))
-        out.bytes = UINT64_MAX;
-    return out;
 }
 
 /* ---- formats ---- */
@@ -95,54 +70,9 @@ static bool is_jpeg2000(struct probe *probe)
     return begins(probe, "\0\0\0\x0cjP  \r\n\x87\n", 12) || begins(probe, "\xff\x4f\xff\x51", 4);
 }
 
-/* Returns where the code stream begins (ISO/IEC 15444-1, Annex I), or the end of the file. */
-static uint64_t find_codestream(struct probe *probe)
-{
-    const uint64_t end = probe->part->size;
-    uint64_t offset = probe->head[0] == 0xff ? 0 : 12;
-    while (offset > 0 && offset < end) {
-        uint8_t box[16];
-        read_at(probe, offset, box, sizeof box);
-        uint64_t size = big32(box);
-        const uint64_t header = size == 1 ? 16 : 8;
-        if (memcmp(box + 4, "jp2c", 4) == 0)
-            return offset + header;
-        if (size == 1)
-            size = (uint64_t)big32(box + 8) << 32 | big32(box + 12);
-        if (size < header || size > end - offset)
-            return end;
-        offset += size;
-    }
-    return offset;
-}
-
-/* OpenJPEG decodes all samples to 4 bytes. It refuses files without a size. */
-static struct whole jpeg2000_whole(struct probe *probe)
-{
-    uint8_t size[42];
-    read_at(probe, find_codestream(probe), size, sizeof size);
-    if (memcmp(size, "\xff\x4f\xff\x51", 4) != 0)
-        return (struct whole){0};
-    const uint32_t right = big32(size + 8), left = big32(size + 16);
-    const uint32_t bottom = big32(size + 12), top = big32(size + 20);
-    return by_texels(right > left ? right - left : 0, bottom > top ? bottom - top : 0,
-                     5 * (uint64_t)big16(size + 40));
-}
-
 static bool is_bmp(struct probe *probe)
 {
     return begins(probe, "BM", 2);
-}
-
-static struct whole bmp_whole(struct probe *probe)
-{
-    const uint8_t *h = probe->head;
-    const bool packed =
-        bsq_little(h + 14, 4) >= 40 && (bsq_little(h + 30, 4) == 1 || bsq_little(h + 30, 4) == 2);
-    uint64_t height = bsq_little(h + 22, 4);
-    if (height > INT32_MAX) /* the rows are stored from the top */
-        height = (UINT64_C(1) << 32) - height;
-    return by_texels(bsq_little(h + 18, 4), height, packed ? 4 : 0);
 }
 
 static bool is_hdr(struct probe *probe)
@@ -157,30 +87,9 @@ static bool is_pnm(struct probe *probe)
     return h[0] == 'P' && kind && (h[2] == ' ' || (h[2] >= '\t' && h[2] <= '\r') || h[2] == '#');
 }
 
-static struct whole pnm_whole(struct probe *probe)
-{
-    return (struct whole){0, 0, probe->part->size};
-}
-
 static bool is_webp(struct probe *probe)
 {
     return begins(probe, "RIFF", 4) && memcmp(probe->head + 8, "WEBP", 4) == 0;
-}
-
-static struct whole webp_whole(struct probe *probe)
-{
-    const uint8_t *h = probe->head;
-    uint64_t width = bsq_little(h + 26, 2) & 0x3fff, height = bsq_little(h + 28, 2) & 0x3fff;
-    if (memcmp(h + 12, "VP8X", 4) == 0) {
-        width = bsq_little(h + 24, 3) + 1;
-        height = bsq_little(h + 27, 3) + 1;
-    } else if (memcmp(h + 12, "VP8L", 4) == 0) {
-        width = (bsq_little(h + 21, 4) & 0x3fff) + 1;
-        height = (bsq_little(h + 21, 4) >> 14 & 0x3fff) + 1;
-    }
-    struct whole whole = by_texels(width, height, 4);
-    whole.bytes += probe->part->size;
-    return whole;
 }
 
 /* Only version 2 has a mark, at the file's end. The header of version 1 has few values that are
@@ -199,11 +108,6 @@ static bool is_targa(struct probe *probe)
     return possible && (memcmp(end, mark, sizeof mark) == 0 || !(h[17] & 0xc0));
 }
 
-static struct whole targa_whole(struct probe *probe)
-{
-    return by_texels(bsq_little(probe->head + 12, 2), bsq_little(probe->head + 14, 2), 4);
-}
-
 static const char no_format[] =
     "it is no PNG, JPEG, TIFF, OpenEXR, JPEG 2000, WebP, BMP, Radiance HDR, PNM or TGA";
 
@@ -211,23 +115,22 @@ static const char oiio[] = "bisque-texture";
 
 /* OpenEXR files that OpenEXR's C API cannot decode. */
 static const struct format dwa_format = {"OpenEXR", &fmt_program_rows, oiio, "openexr", is_exr,
-                                         NULL};
+                                         false};
 
 /* Returns the format of a file, or NULL. */
 static const struct format *find_format(struct probe *probe)
 {
     static const struct format formats[] = {
-        {"PNG", &fmt_png_rows, NULL, NULL, is_png, NULL},
-        {"JPEG", &fmt_jpeg_rows, NULL, NULL, is_jpeg, NULL},
-        {"TIFF", &fmt_program_rows, "bisque-tiff", "", is_tiff, NULL},
-        {"OpenEXR", &fmt_exr_texture_rows, NULL, NULL, is_exr, NULL},
-        {"JPEG 2000", &fmt_program_rows, oiio, "jpeg2000", is_jpeg2000, jpeg2000_whole},
-        {"WebP", &fmt_program_rows, oiio, "webp", is_webp, webp_whole},
-        {"BMP", &fmt_program_rows, oiio, "bmp", is_bmp, bmp_whole},
-        {"Radiance HDR", &fmt_program_rows, oiio, "hdr", is_hdr, NULL},
-        {"PNM", &fmt_program_rows, oiio, "pnm", is_pnm, pnm_whole},
-        {"TGA", &fmt_program_rows, oiio, "targa", is_targa,
-         targa_whole}, /* matches loosely: last */
+        {"PNG", &fmt_png_rows, NULL, NULL, is_png, false},
+        {"JPEG", &fmt_jpeg_rows, NULL, NULL, is_jpeg, false},
+        {"TIFF", &fmt_program_rows, "bisque-tiff", "", is_tiff, false},
+        {"OpenEXR", &fmt_exr_texture_rows, NULL, NULL, is_exr, false},
+        {"JPEG 2000", &fmt_program_rows, oiio, "jpeg2000", is_jpeg2000, true},
+        {"WebP", &fmt_program_rows, oiio, "webp", is_webp, true},
+        {"BMP", &fmt_program_rows, oiio, "bmp", is_bmp, true},
+        {"Radiance HDR", &fmt_program_rows, oiio, "hdr", is_hdr, false},
+        {"PNM", &fmt_program_rows, oiio, "pnm", is_pnm, true},
+        {"TGA", &fmt_program_rows, oiio, "targa", is_targa, true}, /* matches loosely: last */
     };
     for (size_t i = 0; i < sizeof formats / sizeof *formats; i++)
         if (formats[i].recognise(probe))
@@ -263,38 +166,40 @@ static ssize_t read_stream(void *cookie, char *to, size_t size)
 }
 
 /* Reserves memory for decoding. */
-static int reserve(struct fmt_rows *rows, const struct format *format, struct whole need)
+static int reserve(struct fmt_rows *rows, uint64_t bytes)
 {
-    struct bsq_ctx *ctx = rows->input.ctx;
-    const uint64_t left = bsq_memory_left(ctx);
-    char size[64] = "image needs";
-    int status;
-    if (need.bytes > left) {
-        if (need.width > 0)
-            snprintf(size, sizeof size, "%" PRIu64 " x %" PRIu64 " texels need", need.width,
-                     need.height);
-        return bsq_fail(ctx, BSQ_ENOMEM,
-                        "%s: this kind of %s file is decoded whole; its %s %" PRIu64
-                        " MiB of memory, %" PRIu64 " MiB are left: convert it to tiled TIFF "
-                        "(oiiotool IN --tile 64 64 -o OUT.tif)",
-                        rows->input.path, format->name, size, (need.bytes >> 20) + 1, left >> 20);
-    }
-    BSQ_TRY(bsq_reserve(ctx, "decoding a texture", need.bytes));
-    rows->reserved_bytes += need.bytes;
-done:
+    const int status = bsq_reserve(rows->input.ctx, "decoding a texture", bytes);
+    rows->reserved_bytes += status == 0 ? bytes : 0;
     return status;
 }
 
-static int open_decoder(struct fmt_rows *rows, const struct format *format, struct whole whole)
+/* Reserves memory for an image that a library here decodes whole. */
+static int reserve_whole(struct fmt_rows *rows, const char *format)
+{
+    const struct fmt_rows_info *info = &rows->info;
+    const uint64_t left = bsq_memory_left(rows->input.ctx);
+    if (info->bytes > left)
+        return bsq_fail(rows->input.ctx, BSQ_ENOMEM,
+                        "%s: this kind of %s file is decoded whole; its %u x %u texels need "
+                        "%" PRIu64 " MiB of memory, %" PRIu64 " MiB are left: convert it to tiled "
+                        "TIFF (oiiotool IN --tile 64 64 -o OUT.tif)",
+                        rows->input.path, format, info->width, info->height,
+                        (info->bytes >> 20) + 1, left >> 20);
+    return reserve(rows, info->bytes);
+}
+
+static int open_decoder(struct fmt_rows *rows, const struct format *format, unsigned sharers)
 {
     struct bsq_ctx *ctx = rows->input.ctx;
     const struct fmt_rows_info *info = &rows->info;
     int status;
-    BSQ_TRY(reserve(rows, format, whole));
-    rows->input.whole_bytes = whole.bytes;
     rows->input.program = format->program;
     rows->input.plugin = format->plugin;
     rows->decoder = format->decoder;
+    if (format->whole) { /* texels need memory too */
+        rows->input.program_bytes = bsq_memory_share(ctx, "decoding a texture", 2) / sharers;
+        BSQ_TRY(reserve(rows, rows->input.program_bytes));
+    }
     if (!format->program) {
         rows->input.stream =
             fopencookie(&rows->input, "r", (cookie_io_functions_t){.read = read_stream});
@@ -304,10 +209,7 @@ static int open_decoder(struct fmt_rows *rows, const struct format *format, stru
     BSQ_TRY(rows->decoder->open(&rows->input, &rows->info, &rows->state));
     if (info->width < 1 || info->height < 1 || info->channels < 1)
         return fmt_rows_unreadable(&rows->input, "it has no texels");
-    BSQ_TRY(info->whole
-                ? reserve(rows, format, (struct whole){info->width, info->height, info->bytes})
-                : bsq_reserve(ctx, "decoding a texture", info->bytes));
-    rows->reserved_bytes += info->whole ? 0 : info->bytes;
+    status = info->whole ? reserve_whole(rows, format->name) : reserve(rows, info->bytes);
 done:
     return status;
 }
@@ -323,7 +225,7 @@ static int extract(struct fmt_rows *rows, const struct bsq_part *part)
     return status;
 }
 
-int fmt_rows_open(struct bsq_ctx *ctx, const char *path, struct fmt_rows *rows)
+int fmt_rows_open(struct bsq_ctx *ctx, const char *path, unsigned sharers, struct fmt_rows *rows)
 {
     struct bsq_part part;
     struct probe probe = {.ctx = ctx, .file = &rows->input.file, .part = &part};
@@ -332,18 +234,16 @@ int fmt_rows_open(struct bsq_ctx *ctx, const char *path, struct fmt_rows *rows)
     BSQ_TRY(bsq_part_open(ctx, path, &part, &rows->input.file));
     read_at(&probe, 0, probe.head, sizeof probe.head);
     const struct format *format = find_format(&probe);
-    const struct whole whole =
-        format && format->whole ? format->whole(&probe) : (struct whole){0, 0, 0};
     BSQ_TRY(probe.status);
     if (format) /* what is no image is not copied: it may be large */
         BSQ_TRY(extract(rows, &part));
     if (!format)
         return fmt_rows_unreadable(&rows->input, no_format);
-    status = open_decoder(rows, format, whole);
+    status = open_decoder(rows, format, sharers);
     if (status == BSQ_RETRY) {
         rows->decoder->close(rows->state);
         rows->state = NULL;
-        status = open_decoder(rows, &dwa_format, whole);
+        status = open_decoder(rows, &dwa_format, sharers);
     }
 done:
     return status;

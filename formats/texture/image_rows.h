@@ -31,12 +31,12 @@ struct fmt_rows_input {
     struct bsq_ctx *ctx;
     const char *path; /* for messages */
     struct bsq_file file;
-    const char *program;  /* that decodes it; NULL: it is decoded here */
-    const char *plugin;   /* OpenImageIO's name of the format */
-    uint64_t whole_bytes; /* reserved for an image that is decoded whole; 0: the decoder tells */
-    FILE *stream;         /* the file, for decoders here */
-    uint64_t offset;      /* of the stream */
-    int status;           /* of a failed read of the stream, or 0 */
+    const char *program;    /* that decodes it; NULL: it is decoded here */
+    const char *plugin;     /* OpenImageIO's name of the format */
+    uint64_t program_bytes; /* reserved for it; 0: it may take what is left of the budget */
+    FILE *stream;           /* the file, for decoders here */
+    uint64_t offset;        /* of the stream */
+    int status;             /* of a failed read of the stream, or 0 */
 };
 
 /* A decoder. Errors: BSQ_EDATA, BSQ_EIO, BSQ_EINTR, BSQ_ENOMEM; BSQ_RETRY of an OpenEXR file that
@@ -70,9 +70,10 @@ struct fmt_rows {
 };
 
 /* Opens an image, of a file or of a part of a file (base/file_part.h). The content tells the
- * format. Reserves the memory for decoding. `rows` must not move. Close it, also after a failure.
- * Errors: those of bsq_file_open() and of decoders. */
-int fmt_rows_open(struct bsq_ctx *ctx, const char *path, struct fmt_rows *rows);
+ * format. Reserves the memory for decoding; a program that decodes an image whole gets half of
+ * what is left, or its share if several are opened at a time (`sharers`). `rows` must not move.
+ * Close it, also after a failure. Errors: those of bsq_file_open() and of decoders. */
+int fmt_rows_open(struct bsq_ctx *ctx, const char *path, unsigned sharers, struct fmt_rows *rows);
 void fmt_rows_close(struct fmt_rows *rows); /* zeros are allowed */
 
 /* Reports what a decoder says of a file, for decoders here, unless the file could not be read.

@@ -89,7 +89,7 @@ static int start(struct program_rows *rows, char *program)
     struct bsq_ctx *ctx = input->ctx;
     char memory[24], seconds[24];
     int ends[2];
-    rows->memory_bytes = bsq_memory_left(ctx) + input->whole_bytes;
+    rows->memory_bytes = input->program_bytes > 0 ? input->program_bytes : bsq_memory_left(ctx);
     rows->seconds = LEAST_SECONDS + input->file.size / BYTES_A_SECOND;
     snprintf(memory, sizeof memory, "%" PRIu64, rows->memory_bytes + OWN_BYTES);
     snprintf(seconds, sizeof seconds, "%" PRIu64, rows->seconds);

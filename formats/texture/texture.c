@@ -184,12 +184,13 @@ done:
     return status;
 }
 
-static int decode(struct fmt_textures *t, struct image *image)
+/* sharers: how many images may be decoded at the same time. */
+static int decode(struct fmt_textures *t, struct image *image, unsigned sharers)
 {
     struct fmt_rows rows;
     uint8_t *row = NULL;
     int status;
-    BSQ_TRY(fmt_rows_open(t->ctx, image->path, &rows));
+    BSQ_TRY(fmt_rows_open(t->ctx, image->path, sharers, &rows));
     image->has_alpha = rows.info.alpha >= 0;
     BSQ_TRY(bsq_alloc(t->ctx, "texture rows", rows.info.width,
                       (uint64_t)rows.info.channels * rows.info.sample_bytes, &row));
@@ -213,7 +214,8 @@ static int decode_image(void *arg, uint64_t index, unsigned worker)
     struct fmt_textures *t = arg;
     struct image *image = &t->images[index];
     (void)worker;
-    image->status = decode(t, image);
+    const uint64_t count = t->image_count, threads = bsq_threads(t->ctx);
+    image->status = decode(t, image, (unsigned)(count < threads ? count : threads));
     const bool may_have_been_short = image->status == BSQ_ENOMEM && t->image_count > 1;
     return is_fault_of_image(image) || may_have_been_short ? 0 : image->status;
 }
@@ -224,7 +226,7 @@ static int decode_again(struct fmt_textures *t, struct image *image)
 {
     const bool may_fail = !t->keeps || t->list[image->texture].missing;
     bsq_clear_error(t->ctx);
-    image->status = decode(t, image);
+    image->status = decode(t, image, 1);
     if (!is_fault_of_image(image) || !may_fail || bsq_check(t->ctx) < 0)
         return image->status;
     image->damage = strdup(bsq_error(t->ctx));

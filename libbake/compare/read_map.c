@@ -119,7 +119,7 @@ int bake_map_read(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *o
         status = fmt_exr_read(ctx, path, out);
         goto done;
     }
-    BSQ_TRY(fmt_rows_open(ctx, path, &rows));
+    BSQ_TRY(fmt_rows_open(ctx, path, 1, &rows));
     samples->integers = rows.info.sample_bytes < 4;
     samples->gamma = samples->integers ? rows.info.gamma : 1;
     status = read_rows(ctx, &rows, out);

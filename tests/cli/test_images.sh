@@ -38,6 +38,16 @@ for image in signed.tif signed_deep.tif; do
     refused 65 "bisque-voxelize: $image: not a readable image: its samples are signed: store them as unsigned integers or as floats"
 done
 
+# A program that decodes an image whole gets half of the memory, or says that it needs more.
+python3 -c 'import sys; sys.stdout.buffer.write(bytes([0, 0, 2] + 9 * [0] + [0, 32, 0, 32, 24, 0]))' >large.tga
+head -c 201326592 /dev/zero >>large.tga # 8192 x 8192
+if ! sanitized; then
+    $vox large.tga --memory 64M
+    refused_like 71 '^bisque-voxelize: large.tga: OpenImageIO needs more memory than its [0-9]* bytes of --memory: '
+fi
+ok $vox large.tga --memory 700M
+rm large.tga
+
 # ---- a program that does not do its work ----
 p=bisque-voxelize:
 image=$images/strips.tif
@@ -63,7 +73,7 @@ $vox "$image"
 refused 65 "$p $image: cannot be read: libtiff has not read it in 30 seconds"
 acts 'exit 71'
 $vox "$image" --memory 64M
-refused_like 71 "^$p $image: libtiff needs more memory than the [0-9]* bytes that are left of --memory: "
+refused_like 71 "^$p $image: libtiff needs more memory than its [0-9]* bytes of --memory: "
 acts 'printf -- "-damaged image: \\033[2Jno\\n\\tidea"; exit 65'
 $vox "$image"
 refused 65 "$p $image: damaged image:  [2Jno  idea"

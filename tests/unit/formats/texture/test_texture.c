@@ -505,30 +505,18 @@ TEST(test_whole_images_beyond_the_budget)
     static const char separate[] = /* a baseline file with a scan for each component */
         "\xff\xd8\xff\xc0\0\x11\x08\x75\x30\x75\x30\x03\x01\x22\0\x02\x11\x01\x03\x11\x01\xff\xda\0\x08"
         "\x01\x01\0\0\x3f\0";
-    static const char jp2[] = "\xff\x4f\xff\x51\0\x2f\0\0\0\0\x75\x30\0\0\x75\x30\0\0\0\0\0\0\0\0"
-                              "\0\0\x75\x30\0\0\x75\x30\0\0\0\0\0\0\0\0\0\x03";
-    static const char targa[] = "\0\0\x0a\0\0\0\0\0\0\0\0\0\x30\x75\x30\x75\x18\0\0";
-    static const char webp[] = "RIFF\0\0\0\0WEBPVP8X\x0a\0\0\0\0\0\0\0\x2f\x75\0\x2f\x75\0";
     static const struct {
         const char *name, *bytes;
         size_t size;
-        unsigned mebibytes;
     } cases[] = {
-        {"i.png", png, sizeof png, 2575},
-        {"p.jpg", progressive, sizeof progressive, 2575},
-        {"s.jpg", separate, sizeof separate, 2575},
-        {"j.jp2", jp2, sizeof jp2, 12875},
-        {"t.tga", targa, sizeof targa, 3434},
-        {"w.webp", webp, sizeof webp, 3434},
+        {"i.png", png, sizeof png},
+        {"p.jpg", progressive, sizeof progressive},
+        {"s.jpg", separate, sizeof separate},
     };
-    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
-        char text[80];
-        /* The list of textures has some bytes of the budget of 256 MiB. */
-        snprintf(text, sizeof text,
-                 "its 30000 x 30000 texels need %u MiB of memory, 255 MiB are left",
-                 cases[i].mebibytes);
-        expect_refusal(test_bytes(cases[i].name, cases[i].bytes, cases[i].size), BSQ_ENOMEM, text);
-    }
+    /* The list of textures has some bytes of the budget of 256 MiB. */
+    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++)
+        expect_refusal(test_bytes(cases[i].name, cases[i].bytes, cases[i].size), BSQ_ENOMEM,
+                       "its 30000 x 30000 texels need 2575 MiB of memory, 255 MiB are left");
 }
 
 /* Writes rows of `bits` for each sample with libpng, which wants them in big-endian order. */
