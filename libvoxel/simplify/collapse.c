@@ -353,18 +353,19 @@ static bool is_fold(const double a[3], const double b[3])
     return along < 0 && along * along > fold_cosine * fold_cosine * bsq_dotd(a, a) * bsq_dotd(b, b);
 }
 
-/* Adds the triangles of u without v, as they are after u has moved to p. Returns false if one of
- * them would lie on the triangle beyond its outer edge. */
-static bool collect_changed(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3],
-                            struct changed *changed, unsigned *count)
+/* Adds the triangles of u without v, as they are with u at p. Returns how many folds they have with
+ * triangles beyond their outer edges. */
+static unsigned collect_changed(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3],
+                                struct changed *changed, unsigned *count)
 {
     const float(*positions)[3] = (const float(*)[3])r->mesh->positions;
+    unsigned folds = 0;
     for (VOX_EACH_CORNER(r, u, k)) {
         const uint32_t a = vox_after(r, k), b = vox_before(r, k);
         if (a == v || b == v)
             continue;
         if (*count == CHANGED_MAX)
-            return true;
+            break;
         struct changed *to = &changed[(*count)++];
         const float moved[3][3] = {{p[0], p[1], p[2]},
                                    {positions[a][0], positions[a][1], positions[a][2]},
@@ -377,28 +378,51 @@ static bool collect_changed(struct vox_rings *r, uint32_t u, uint32_t v, const f
                 (vox_after(r, j) != b && vox_before(r, j) != b))
                 continue;
             vox_triangle_normal(positions, vox_corners(r, j), normal);
-            if (vox_after(r, j) != v && vox_before(r, j) != v && is_fold(to->normal, normal))
-                return false;
+            folds += vox_after(r, j) != v && vox_before(r, j) != v && is_fold(to->normal, normal);
         }
     }
-    return true;
+    return folds;
 }
 
-/* Returns whether the collapse of (u, v) to p would fold the surface over at an edge. */
+/* Returns how many folds triangles around a vertex have with each other. */
+static unsigned count_inner(const struct changed *changed, unsigned count)
+{
+    unsigned folds = 0;
+    for (unsigned i = 1; i < count; i++)
+        for (unsigned j = 0; j < i; j++) {
+            const uint32_t *a = changed[i].ends, *b = changed[j].ends;
+            folds +=
+                (a[0] == b[1] || a[1] == b[0]) && is_fold(changed[i].normal, changed[j].normal);
+        }
+    return folds;
+}
+
+/* Returns how many folds there are at the triangles around u and v. */
+static unsigned count_folds(struct vox_rings *r, uint32_t u, uint32_t v)
+{
+    const float(*positions)[3] = (const float(*)[3])r->mesh->positions;
+    struct changed changed[CHANGED_MAX];
+    unsigned count = 0;
+    unsigned folds = collect_changed(r, u, VOX_NONE, positions[u], changed, &count);
+    folds += count_inner(changed, count);
+    count = 0;
+    folds += collect_changed(r, v, u, positions[v], changed, &count);
+    return folds + count_inner(changed, count);
+}
+
+/* Returns whether the collapse of (u, v) to p would fold the surface over: at an edge, or because a
+ * triangle turns. Where there are folds already, it may turn triangles if fewer folds are left. */
 static bool makes_fold(struct vox_rings *r, uint32_t u, uint32_t v, const float p[3])
 {
     struct changed changed[CHANGED_MAX];
     unsigned count = 0;
-    if (!collect_changed(r, u, v, p, changed, &count) ||
-        !collect_changed(r, v, u, p, changed, &count))
-        return true;
-    for (unsigned i = 1; i < count; i++)
-        for (unsigned j = 0; j < i; j++) {
-            const uint32_t *a = changed[i].ends, *b = changed[j].ends;
-            if ((a[0] == b[1] || a[1] == b[0]) && is_fold(changed[i].normal, changed[j].normal))
-                return true;
-        }
-    return false;
+    unsigned folds = collect_changed(r, u, v, p, changed, &count);
+    folds += collect_changed(r, v, u, p, changed, &count);
+    folds += count_inner(changed, count);
+    if (folds == 0 && vox_rings_keep_orientation(r, u, v, p) &&
+        vox_rings_keep_orientation(r, v, u, p))
+        return false;
+    return count == CHANGED_MAX || folds >= count_folds(r, u, v);
 }
 
 /* Returns the squared distance of a point from the triangles of u without v, with u at p, or `most`
@@ -455,10 +479,7 @@ static void collapse_next(struct collapse *c)
         push_edge(c, u, v, result.cost);
         return;
     }
-    if (!vox_rings_keep_topology(r, u, v) ||
-        !vox_rings_keep_orientation(r, u, v, result.position) ||
-        !vox_rings_keep_orientation(r, v, u, result.position) ||
-        makes_fold(r, u, v, result.position))
+    if (!vox_rings_keep_topology(r, u, v) || makes_fold(r, u, v, result.position))
         return;
     vox_rings_join(r, u, v, result.position);
     c->drifts[u] = drift;
