@@ -247,7 +247,9 @@ struct bake_options {
      * misses; this is for the caller, who finds it in plans. */
     double max_missed;
     bool strict; /**< Lost data stops tasks and merges of a plan; for the caller, likewise. */
-    const char *device; /**< One of BAKE_DEVICE_NAMES. */
+    /** One of BAKE_DEVICE_NAMES; NULL or "": "cpu" if it needs no longer than a GPU takes to open,
+     * about half a second, else "auto". */
+    const char *device;
     /** Most bytes of a GPU's memory to use; 0: all that is free. A larger grid is baked in passes.
      * The processor reads the grid from its file and ignores this. */
     uint64_t gpu_memory_bytes;

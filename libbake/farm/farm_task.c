@@ -150,7 +150,7 @@ static struct bake_options shared_options(const struct bake_work *job)
         shared.curvature_radius = job->measures.curvature_radius;
     shared.as_is = true; /* the meshes were compared */
     if (!shared.device)
-        shared.device = "auto";
+        shared.device = "";
     if (!shared.low_suffix)
         shared.low_suffix = "";
     if (!shared.high_suffix)
@@ -276,11 +276,12 @@ done:
     return status;
 }
 
-static int trace_task(struct bake_work *job)
+/* seconds: what one core is expected to take. */
+static int trace_task(struct bake_work *job, double seconds)
 {
     int status;
     BSQ_TRY(bake_prepare_triangles(job));
-    BSQ_TRY(bake_open_device(job));
+    BSQ_TRY(bake_open_device(job, seconds));
     BSQ_TRY(bake_trace_maps(job));
     if (job->maps & BAKE_MAP_CURVATURE)
         BSQ_TRY(bake_trace_curvature(job));
@@ -322,7 +323,7 @@ static int run_task(struct bake_work *job, const struct bake_farm_plan *plan, ui
         blocks += job->tiles[i].blocks.count;
     }
     if (blocks > 0)
-        BSQ_TRY(trace_task(job));
+        BSQ_TRY(trace_task(job, plan->expected[task].cpu_seconds));
     status = write_part(job, plan, task);
 done:
     return status;

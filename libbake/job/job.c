@@ -21,7 +21,7 @@ static int run(struct bake_work *job)
     BSQ_TRY(bake_open_outputs(job));
     BSQ_TRY(bake_prepare_triangles(job));
     bake_expect_work(job);
-    BSQ_TRY(bake_open_device(job));
+    BSQ_TRY(bake_open_device(job, job->report->expected_seconds));
     job->report->texel = bake_udim_areas(options, &job->mesh, &job->udim, &area, &texels);
     job->report->voxel = job->surface.grids ? job->surface.detail : 0;
     BSQ_TRY(bake_seen_create(&job->surface, area, texels, job->device, &job->seen));

@@ -87,8 +87,9 @@ void bake_expect_work(const struct bake_work *job);
 
 /* Sorts the triangles of the low-poly mesh by tile and rasterises them. */
 int bake_prepare_triangles(struct bake_work *job);
-/* Opens the device that traces, if there is a single grid. */
-int bake_open_device(struct bake_work *job);
+/* Opens the device that traces, if there is a single grid. seconds: what one core is expected to
+ * take, by which a device is chosen if the user names none. */
+int bake_open_device(struct bake_work *job, double seconds);
 /* Traces all tiles that have rasters. */
 int bake_trace_maps(struct bake_work *job);
 /* Fails with BSQ_EDATA and a reason if no ray of the report hit. */

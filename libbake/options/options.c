@@ -233,8 +233,10 @@ static const struct bsq_option table[] = {
     {KEY("view", "up", "AXIS", "the vertical axis: y, z or auto"), .old_name = "up",
      CHOICE(preview_up, "auto y z"), .needs = PREVIEW},
 
-    {BSQ_ROW("device", "NAME", BAKE_DEVICE_NAMES), .heading = "Devices", .own_syntax = true,
-     .with_plan = true, MEMBER(TEXT, device), .text = "auto"},
+    {BSQ_ROW("device", "NAME",
+             BAKE_DEVICE_NAMES "\n"
+                               "(default: cpu for bakes of half a second, else auto)"),
+     .heading = "Devices", .own_syntax = true, .with_plan = true, MEMBER(TEXT, device), .text = ""},
     {BSQ_ROW("gpu-memory", "SIZE", "most memory of a GPU to use, e.g. 2G (default: what is free)"),
      MEMBER(BYTES, gpu_memory_bytes), .needs = GPU | GRID},
 };

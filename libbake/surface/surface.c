@@ -16,8 +16,8 @@ enum { DETAILS = 2048 /* along the longest side of a scan: the usual resolution 
 /* Returns whether the options leave tracing to the processor. */
 static bool on_processor(const struct bake_options *options)
 {
-    return !options->device || strcmp(options->device, "auto") == 0 ||
-           strcmp(options->device, "cpu") == 0;
+    const char *device = options->device;
+    return !device || !*device || strcmp(device, "auto") == 0 || strcmp(device, "cpu") == 0;
 }
 
 static int open_grid(struct bake_scan *scan, const struct bake_options *options)

@@ -40,7 +40,7 @@ if [ -s "$ptx" ]; then
     code 0
     json '.device == "Fake GPU 0 (CUDA)" and .kernel_calls > 0 and .seconds_kernels > 0 and .seconds_upload > 0'
     check "nothing is left on the device" "$(wc -l <"$err")"
-    cuda --threads 1 $maps -o 'auto_<MAP>.exr' --json
+    cuda --device auto --threads 1 $maps -o 'auto_<MAP>.exr' --json
     json '.device == "Fake GPU 0 (CUDA)"'
     for map in $names; do
         same cpu_$map.exr cuda_$map.exr
@@ -48,13 +48,18 @@ if [ -s "$ptx" ]; then
     done
 
     # A GPU fails during the job: "auto" falls back to the processor and makes the same map, "cuda" fails.
-    FAKE_CUDA_FAIL=cuLaunchKernel:2:719 cuda $maps -o 'lost_<MAP>.exr'
+    FAKE_CUDA_FAIL=cuLaunchKernel:2:719 cuda --device auto $maps -o 'lost_<MAP>.exr'
     code 0
     holds "the GPU's loss is a warning" grep -q "going on with cpu" "$err"
     same cpu_normal.exr lost_normal.exr
     FAKE_CUDA_FAIL=cuLaunchKernel:2:719 cuda --device cuda $maps -o 'gone_<MAP>.exr'
     refused 69 "$p Fake GPU 0 (CUDA): cuLaunchKernel: CUDA_ERROR_LAUNCH_FAILED (unspecified launch failure)"
     holds "no map of a failed job" [ -z "$(ls gone_* 2>/dev/null)" ]
+
+    # By default a bake asks no driver if it takes the processor no longer than a GPU takes to open.
+    FAKE_CUDA_FAIL=cuInit:1:803 cuda --size 16 --maps mask vase.nvdb low.obj -o mask.exr --json
+    json '.device | startswith("cpu")'
+    holds "a short bake asks no driver" [ ! -s "$err" ]
 
     # In passes: the next subgrid must go up while this one is traced, or the first kernel would never end. The fake
     # driver refuses kernels and copies that do not wait for each other.
@@ -73,7 +78,7 @@ if [ -s "$ptx" ]; then
     code 69
     grep -q '^bisque-bake: rays that start on the scan reach all of the grid, and ' "$err"
     check "rays that reach all of the grid are named" $?
-    cuda $far -o auto.exr
+    cuda --device auto $far -o auto.exr
     code 0
     bake --device cpu $far -o cpu.exr
     same auto.exr cpu.exr
@@ -107,7 +112,7 @@ if [ -s "$ptx" ]; then
 
     # NVIDIA's OpenCL driver starts CUDA, so it must not be asked by a child of a process that has started CUDA.
     nvidia() { LD_LIBRARY_PATH=$fake:$fake/nvidia bake "$@"; }
-    FAKE_CUDA_FAIL=cuModuleLoadDataEx:1:218 nvidia --size 16 --maps mask vase.nvdb low.obj -o mask.exr
+    FAKE_CUDA_FAIL=cuModuleLoadDataEx:1:218 nvidia --device auto --size 16 --maps mask vase.nvdb low.obj -o mask.exr
     code 0
     warned "$p warning: opencl:0 is not used: Fake GPU (Fake CUDA): clCreateContext: CL_DEVICE_NOT_AVAILABLE"
     FAKE_CUDA_FAIL=cuInit:1:-6 cuda --device cuda $maps -o 'x_<MAP>.exr'
@@ -128,7 +133,7 @@ if [ -s "$ptx" ]; then
     hung()
     {
         rm -f hang
-        LD_LIBRARY_PATH=$fake FAKE_CUDA_HANG=hang "$BIN/bisque-bake" $maps -o 'x_<MAP>.exr' >"$out" 2>"$err" &
+        LD_LIBRARY_PATH=$fake FAKE_CUDA_HANG=hang "$BIN/bisque-bake" $maps --size 2048 -o 'x_<MAP>.exr' >"$out" 2>"$err" &
         job=$!
         until [ -s hang ]; do sleep 0.05; done
         asking=$(cat hang)
@@ -221,7 +226,7 @@ crash="OpenCL cannot be used: a driver crashed when it was asked for its devices
 bake --list devices
 if [ "$(cat "$err")" = "$p warning: $crash" ]; then
     code 0
-    bake --size 16 --maps mask vase.nvdb low.obj -o mask.exr
+    bake --device auto --size 16 --maps mask vase.nvdb low.obj -o mask.exr
     code 0
     warned "$p warning: $crash"
     bake --device opencl --size 16 --maps mask vase.nvdb low.obj -o x.exr
@@ -248,7 +253,7 @@ bake --device cuda --size 16 --maps mask vase.nvdb low.obj -o x.exr
 code 69
 grep -Fq "$p CUDA devices need the program bisque-devices, which is not in $places" "$err"
 check "a missing bisque-devices is named" $?
-bake --size 16 --maps mask vase.nvdb low.obj -o mask.exr
+bake --device auto --size 16 --maps mask vase.nvdb low.obj -o mask.exr
 code 0
 grep -Fq "$p warning: OpenCL devices need the program bisque-devices, which is not in $places" "$err"
 check "without bisque-devices, the processor bakes" $?

@@ -49,7 +49,7 @@ if [ -s "$ptx" ]; then
     for call in cuCtxSetCurrent cuMemAlloc_v2 cuMemcpyHtoDAsync_v2 cuEventRecord cuEventSynchronize \
         cuStreamSynchronize cuLaunchKernel cuStreamQuery cuMemcpyDtoHAsync_v2 cuEventElapsedTime; do
         for number in 1 7; do
-            FAKE_CUDA_FAIL=$call:$number:719 cuda $maps --gpu-memory $memory -o 'x_<MAP>.exr'
+            FAKE_CUDA_FAIL=$call:$number:719 cuda --device auto $maps --gpu-memory $memory -o 'x_<MAP>.exr'
             survives "$call:$number"
         done
     done
@@ -66,7 +66,7 @@ fi
 FAKE_OPENCL_REAL=$(ldconfig -p | awk '/libOpenCL\.so\.1 / { print $NF; exit }')
 export FAKE_OPENCL_REAL
 if [ -n "$FAKE_OPENCL_REAL" ] && opencl --list devices && grep -q '^opencl:0' "$out"; then
-    opencl $maps -o 'x_<MAP>.exr' --json
+    opencl --device auto $maps -o 'x_<MAP>.exr' --json
     json '.device | startswith("cpu,") | not'
     holds "the device works to the end: $(cat "$err")" [ ! -s "$err" ]
     passes opencl
@@ -74,13 +74,13 @@ if [ -n "$FAKE_OPENCL_REAL" ] && opencl --list devices && grep -q '^opencl:0' "$
     for failure in clCreateContext:1 clBuildProgram:1 clCreateBuffer:7 clEnqueueWriteBuffer:7 \
         clWaitForEvents:7 clSetKernelArg:7 clEnqueueNDRangeKernel:2 clEnqueueReadBuffer:2 \
         clGetEventProfilingInfo:7 clFinish:3; do
-        FAKE_OPENCL_FAIL=$failure:-5 opencl $maps --gpu-memory $memory -o 'x_<MAP>.exr'
+        FAKE_OPENCL_FAIL=$failure:-5 opencl --device auto $maps --gpu-memory $memory -o 'x_<MAP>.exr'
         survives "$failure"
     done
     holds "most failures were reached: $warned" [ "$warned" -ge 8 ]
     # A device that has less memory than it says: the codes that drivers give.
     for code_of_driver in -4 -5 -6 -61; do
-        FAKE_OPENCL_FAIL=clCreateBuffer:5:$code_of_driver:once opencl $maps -o 'x_<MAP>.exr' --json
+        FAKE_OPENCL_FAIL=clCreateBuffer:5:$code_of_driver:once opencl --device auto $maps -o 'x_<MAP>.exr' --json
         code 0
         json '.passes > 1 and (.device | startswith("cpu,") | not)'
         survives "code $code_of_driver"
