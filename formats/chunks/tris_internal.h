@@ -38,50 +38,50 @@ struct tris_file_header {
 };
 _Static_assert(sizeof(struct tris_file_header) == 152, "the header has no padding");
 
-struct tris_material_record { /* followed by path_bytes bytes */
+struct tris_material_entry { /* followed by path_bytes bytes */
     float diffuse[3];
     uint32_t path_bytes;
 };
-_Static_assert(sizeof(struct tris_material_record) == 16, "the record has no padding");
+_Static_assert(sizeof(struct tris_material_entry) == 16, "the entry has no padding");
 
 /* Version 2: before the materials, and after each material's path. */
-struct tris_ids_record {
+struct tris_ids_entry {
     uint32_t ids; /* enum bsq_ids, not BSQ_IDS_NONE */
     uint32_t reserved;
 };
-_Static_assert(sizeof(struct tris_ids_record) == 8, "the record has no padding");
+_Static_assert(sizeof(struct tris_ids_entry) == 8, "the entry has no padding");
 
 /* Version 4 has TRIS_TINTED. There, the flags, and the component of a source, also have how the
  * image wraps: enum bsq_wrap of u and v, in two bits each from this one on. */
 enum { TRIS_COLORLESS = 1, TRIS_TINTED = 2, TRIS_WRAP_SHIFT = 8 };
 
-struct tris_name_record { /* followed by name_bytes bytes */
+struct tris_name_entry { /* followed by name_bytes bytes */
     uint32_t flags;
     uint32_t name_bytes;
 };
-_Static_assert(sizeof(struct tris_name_record) == 8, "the record has no padding");
+_Static_assert(sizeof(struct tris_name_entry) == 8, "the entry has no padding");
 
 /* Version 3: after the ids; then each channel's name: uint32_t bytes, and these bytes. */
-struct tris_channels_record {
+struct tris_channels_entry {
     uint32_t channel_count;
     uint32_t reserved;
 };
-_Static_assert(sizeof(struct tris_channels_record) == 8, "the record has no padding");
+_Static_assert(sizeof(struct tris_channels_entry) == 8, "the entry has no padding");
 
 /* Version 3: after a material's name. */
-struct tris_uv_record {
+struct tris_uv_entry {
     float scale[2], offset[2];
 };
-_Static_assert(sizeof(struct tris_uv_record) == 16, "the record has no padding");
+_Static_assert(sizeof(struct tris_uv_entry) == 16, "the entry has no padding");
 
 /* Version 3: after that, one for each channel. */
-struct tris_source_record { /* followed by path_bytes bytes */
+struct tris_source_entry { /* followed by path_bytes bytes */
     float value[3];
     uint32_t component;
-    struct tris_uv_record uv;
+    struct tris_uv_entry uv;
     uint32_t path_bytes;
 };
-_Static_assert(sizeof(struct tris_source_record) == 36, "the record has no padding");
+_Static_assert(sizeof(struct tris_source_entry) == 36, "the entry has no padding");
 
 /* Entries of the table are in the file as they are in memory. */
 _Static_assert(sizeof(struct fmt_tris_chunk_info) == 56, "the entry has no padding");

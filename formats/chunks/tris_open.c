@@ -64,7 +64,7 @@ static int check_header(const struct fmt_tris_file *file, const struct tris_file
     if (table_bytes % sizeof(struct fmt_tris_chunk_info) != 0 ||
         table_bytes / sizeof(struct fmt_tris_chunk_info) != h->chunk_count)
         return fmt_tris_damaged(file, "the chunk table has another length");
-    if ((h->table_offset - h->materials_offset) / sizeof(struct tris_material_record) <
+    if ((h->table_offset - h->materials_offset) / sizeof(struct tris_material_entry) <
         h->material_count)
         return fmt_tris_damaged(file, "too many materials");
     for (int axis = 0; axis < 3; axis++)
@@ -196,21 +196,21 @@ static bool take_wrap(uint32_t version, uint32_t *bits, struct bsq_uv *out)
 static int parse_name(const struct fmt_tris_file *file, uint32_t version, struct parts *parts,
                       struct fmt_tris_material *m)
 {
-    struct tris_name_record record;
-    if (!take(parts, &record, sizeof record) || !take_text(parts, record.name_bytes, &m->name))
+    struct tris_name_entry entry;
+    if (!take(parts, &entry, sizeof entry) || !take_text(parts, entry.name_bytes, &m->name))
         return fmt_tris_damaged(file, "a material's name is cut off");
-    m->colorless = record.flags & TRIS_COLORLESS;
-    m->tinted = record.flags & TRIS_TINTED;
-    if (!take_wrap(version, &record.flags, &m->uv) ||
-        record.flags >
+    m->colorless = entry.flags & TRIS_COLORLESS;
+    m->tinted = entry.flags & TRIS_TINTED;
+    if (!take_wrap(version, &entry.flags, &m->uv) ||
+        entry.flags >
             (version < FMT_TRIS_VERSION_FACTORS ? TRIS_COLORLESS : TRIS_COLORLESS | TRIS_TINTED))
         return fmt_tris_damaged(file, "a material has unknown flags");
     return 0;
 }
 
-static bool take_uv(const struct tris_uv_record *record, struct bsq_uv *out)
+static bool take_uv(const struct tris_uv_entry *entry, struct bsq_uv *out)
 {
-    const float *scale = record->scale, *offset = record->offset;
+    const float *scale = entry->scale, *offset = entry->offset;
     out->moves = scale[0] != 1 || scale[1] != 1 || offset[0] != 0 || offset[1] != 0;
     memcpy(out->scale, scale, sizeof out->scale);
     memcpy(out->offset, offset, sizeof out->offset);
@@ -220,19 +220,19 @@ static bool take_uv(const struct tris_uv_record *record, struct bsq_uv *out)
 static int parse_source(struct fmt_tris_file *file, uint32_t version, struct parts *parts,
                         struct fmt_tris_source *out)
 {
-    struct tris_source_record record;
-    if (!take(parts, &record, sizeof record))
+    struct tris_source_entry entry;
+    if (!take(parts, &entry, sizeof entry))
         return fmt_tris_damaged(file, "the channels of a material are cut off");
-    memcpy(out->value, record.value, sizeof out->value);
-    const bool good = take_wrap(version, &record.component, &out->uv);
-    out->component = record.component;
+    memcpy(out->value, entry.value, sizeof out->value);
+    const bool good = take_wrap(version, &entry.component, &out->uv);
+    out->component = entry.component;
     if (!good || !isfinite(out->value[0]) || !isfinite(out->value[1]) || !isfinite(out->value[2]) ||
-        out->component >= BSQ_CHANNEL_COMPONENTS || !take_uv(&record.uv, &out->uv))
+        out->component >= BSQ_CHANNEL_COMPONENTS || !take_uv(&entry.uv, &out->uv))
         return fmt_tris_damaged(file, "a channel of a material has a wrong value");
-    if (version < FMT_TRIS_VERSION_FACTORS && record.path_bytes != TRIS_NO_PATH &&
+    if (version < FMT_TRIS_VERSION_FACTORS && entry.path_bytes != TRIS_NO_PATH &&
         out->component != BSQ_CHANNEL_CUTOUT)
         out->value[0] = out->value[1] = out->value[2] = 1;
-    return parse_path(file, parts, record.path_bytes, &out->texture_path);
+    return parse_path(file, parts, entry.path_bytes, &out->texture_path);
 }
 
 /* Reads what version 3 has after a material's name. */
@@ -240,7 +240,7 @@ static int parse_sources(struct fmt_tris_file *file, uint32_t version, struct pa
                          struct fmt_tris_material *m)
 {
     const uint32_t count = file->header.channel_count;
-    struct tris_uv_record uv;
+    struct tris_uv_entry uv;
     if (!take(parts, &uv, sizeof uv) || !take_uv(&uv, &m->uv))
         return fmt_tris_damaged(file, "a material's texture coordinates are not finite");
     m->sources = count > 0 ? file->sources + (m - file->header.materials) * (ptrdiff_t)count : NULL;
@@ -253,14 +253,14 @@ static int parse_sources(struct fmt_tris_file *file, uint32_t version, struct pa
 static int parse_material(struct fmt_tris_file *file, uint32_t version, struct parts *parts,
                           struct fmt_tris_material *m)
 {
-    struct tris_material_record record;
+    struct tris_material_entry entry;
     int status;
-    if (!take(parts, &record, sizeof record))
+    if (!take(parts, &entry, sizeof entry))
         return fmt_tris_damaged(file, "the materials are cut off");
-    memcpy(m->diffuse, record.diffuse, sizeof m->diffuse);
+    memcpy(m->diffuse, entry.diffuse, sizeof m->diffuse);
     if (!isfinite(m->diffuse[0]) || !isfinite(m->diffuse[1]) || !isfinite(m->diffuse[2]))
         return fmt_tris_damaged(file, "a material's colour is not finite");
-    BSQ_TRY(parse_path(file, parts, record.path_bytes, &m->texture_path));
+    BSQ_TRY(parse_path(file, parts, entry.path_bytes, &m->texture_path));
     if (version >= FMT_TRIS_VERSION_IDS)
         BSQ_TRY(parse_name(file, version, parts, m));
     if (version >= FMT_TRIS_VERSION_CHANNELS)
@@ -271,12 +271,11 @@ done:
 
 static int parse_ids(struct fmt_tris_file *file, uint32_t version, struct parts *parts)
 {
-    struct tris_ids_record record;
-    if (!take(parts, &record, sizeof record) || record.reserved != 0 ||
-        (record.ids == BSQ_IDS_NONE && version == FMT_TRIS_VERSION_IDS) ||
-        record.ids > BSQ_IDS_COLOR)
+    struct tris_ids_entry entry;
+    if (!take(parts, &entry, sizeof entry) || entry.reserved != 0 ||
+        (entry.ids == BSQ_IDS_NONE && version == FMT_TRIS_VERSION_IDS) || entry.ids > BSQ_IDS_COLOR)
         return fmt_tris_damaged(file, "unknown ids");
-    file->header.ids = (enum bsq_ids)record.ids;
+    file->header.ids = (enum bsq_ids)entry.ids;
     return 0;
 }
 
@@ -294,23 +293,23 @@ static int parse_channel(struct fmt_tris_file *file, struct parts *parts)
 }
 
 /* Reads the names of channels, and allocates the sources of all materials, for each of which the
- * file must have a record. */
+ * file must have an entry. */
 static int parse_channels(struct fmt_tris_file *file, const struct tris_file_header *h,
                           struct parts *parts)
 {
-    struct tris_channels_record record;
+    struct tris_channels_entry entry;
     uint64_t sources, bytes;
-    if (!take(parts, &record, sizeof record) || record.reserved != 0 ||
-        record.channel_count > (parts->bytes - parts->at) / sizeof(uint32_t) ||
-        __builtin_mul_overflow((uint64_t)record.channel_count, h->material_count, &sources) ||
-        __builtin_mul_overflow(sources, sizeof(struct tris_source_record), &bytes) ||
+    if (!take(parts, &entry, sizeof entry) || entry.reserved != 0 ||
+        entry.channel_count > (parts->bytes - parts->at) / sizeof(uint32_t) ||
+        __builtin_mul_overflow((uint64_t)entry.channel_count, h->material_count, &sources) ||
+        __builtin_mul_overflow(sources, sizeof(struct tris_source_entry), &bytes) ||
         bytes > parts->bytes - parts->at)
         return fmt_tris_damaged(file, "the channels are cut off");
     int status;
     BSQ_TRY(bsq_calloc(file->ctx, "channels", sources + 1, sizeof *file->sources, &file->sources));
-    BSQ_TRY(bsq_calloc(file->ctx, "channels", (uint64_t)record.channel_count + 1,
+    BSQ_TRY(bsq_calloc(file->ctx, "channels", (uint64_t)entry.channel_count + 1,
                        sizeof *file->header.channels, &file->header.channels));
-    for (uint32_t c = 0; c < record.channel_count; c++)
+    for (uint32_t c = 0; c < entry.channel_count; c++)
         BSQ_TRY(parse_channel(file, parts));
 done:
     return status;
@@ -323,7 +322,7 @@ static int parse_materials(struct fmt_tris_file *file, const struct tris_file_he
     int status;
     BSQ_TRY(bsq_calloc(file->ctx, "materials", (uint64_t)h->material_count + 1,
                        sizeof *file->header.materials, &file->header.materials));
-    /* Each path and name loses the record before it and gains a terminator, so all fit `bytes`. */
+    /* Each path and name loses the entry before it and gains a terminator, so all fit `bytes`. */
     BSQ_TRY(bsq_alloc(file->ctx, "materials", bytes + 1, 1, &file->paths));
     parts.text = file->paths;
     if (h->version >= FMT_TRIS_VERSION_IDS)

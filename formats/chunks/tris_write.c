@@ -261,14 +261,14 @@ static uint64_t text_bytes(const char *text)
     return text ? strlen(text) : 0;
 }
 
-/* Appends a record, which has the length of a text, and the text; NULL: "". */
-static int put_text(struct fmt_tris_writer *writer, const void *record, uint64_t bytes,
+/* Appends an entry, which has the length of a text, and the text; NULL: "". */
+static int put_text(struct fmt_tris_writer *writer, const void *entry, uint64_t bytes,
                     const char *text)
 {
     if (text_bytes(text) >= TRIS_NO_PATH)
         return bsq_fail(writer->ctx, BSQ_EUSAGE, "a material's name or path has %zu bytes",
                         strlen(text));
-    int status = put(writer, record, bytes);
+    int status = put(writer, entry, bytes);
     return status < 0 ? status : put(writer, text, text_bytes(text));
 }
 
@@ -284,11 +284,11 @@ static const char *stored_path(const struct fmt_tris_writer *writer, const char 
     return name ? name : path;
 }
 
-static struct tris_uv_record uv_record(const struct bsq_uv *uv)
+static struct tris_uv_entry uv_entry(const struct bsq_uv *uv)
 {
-    static const struct tris_uv_record same = {{1, 1}, {0, 0}};
-    return uv->moves ? (struct tris_uv_record){{uv->scale[0], uv->scale[1]},
-                                               {uv->offset[0], uv->offset[1]}}
+    static const struct tris_uv_entry same = {{1, 1}, {0, 0}};
+    return uv->moves ? (struct tris_uv_entry){{uv->scale[0], uv->scale[1]},
+                                              {uv->offset[0], uv->offset[1]}}
                      : same;
 }
 
@@ -296,18 +296,18 @@ static struct tris_uv_record uv_record(const struct bsq_uv *uv)
 static int put_channels(struct fmt_tris_writer *writer, const struct fmt_tris_material *m,
                         uint32_t channel_count)
 {
-    const struct tris_uv_record uv = uv_record(&m->uv);
+    const struct tris_uv_entry uv = uv_entry(&m->uv);
     int status;
     BSQ_TRY(put(writer, &uv, sizeof uv));
     for (uint32_t c = 0; c < channel_count; c++) {
         const struct fmt_tris_source *source = &m->sources[c];
         const char *path = stored_path(writer, source->texture_path);
-        const struct tris_source_record record = {
+        const struct tris_source_entry entry = {
             .value = {source->value[0], source->value[1], source->value[2]},
             .component = source->component | wrap_bits(&source->uv),
-            .uv = uv_record(&source->uv),
+            .uv = uv_entry(&source->uv),
             .path_bytes = path_bytes(path)};
-        BSQ_TRY(put_text(writer, &record, sizeof record, path));
+        BSQ_TRY(put_text(writer, &entry, sizeof entry, path));
     }
 done:
     return status;
@@ -317,13 +317,13 @@ static int put_material(struct fmt_tris_writer *writer, const struct fmt_tris_ma
                         uint32_t channel_count)
 {
     const char *path = stored_path(writer, m->texture_path);
-    const struct tris_material_record record = {{m->diffuse[0], m->diffuse[1], m->diffuse[2]},
-                                                path_bytes(path)};
+    const struct tris_material_entry entry = {{m->diffuse[0], m->diffuse[1], m->diffuse[2]},
+                                              path_bytes(path)};
     const uint32_t flags = (m->colorless ? TRIS_COLORLESS : 0u) | (m->tinted ? TRIS_TINTED : 0u);
-    const struct tris_name_record name = {flags | wrap_bits(&m->uv), (uint32_t)text_bytes(m->name)};
+    const struct tris_name_entry name = {flags | wrap_bits(&m->uv), (uint32_t)text_bytes(m->name)};
     const uint32_t version = writer->header.version;
     int status;
-    BSQ_TRY(put_text(writer, &record, sizeof record, path));
+    BSQ_TRY(put_text(writer, &entry, sizeof entry, path));
     if (version >= FMT_TRIS_VERSION_IDS)
         BSQ_TRY(put_text(writer, &name, sizeof name, m->name));
     if (version >= FMT_TRIS_VERSION_CHANNELS)
@@ -335,8 +335,8 @@ done:
 static int encode_materials(struct fmt_tris_writer *writer, const struct fmt_tris_header *header)
 {
     static const char zeros[8];
-    const struct tris_ids_record ids = {.ids = header->ids};
-    const struct tris_channels_record channels = {.channel_count = header->channel_count};
+    const struct tris_ids_entry ids = {.ids = header->ids};
+    const struct tris_channels_entry channels = {.channel_count = header->channel_count};
     int status = 0;
     if (writer->header.version >= FMT_TRIS_VERSION_IDS)
         BSQ_TRY(put(writer, &ids, sizeof ids));
