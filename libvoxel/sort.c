@@ -78,7 +78,7 @@ static int read_blocks(struct scan *scan, struct fmt_mesh_reader *reader,
     BSQ_TRY(vox_scan_find_materials(scan, reader, options->texture_path, textures,
                                     (enum bsq_ids)options->ids));
     BSQ_TRY(vox_scan_compare_files(scan, options->texture_path));
-    vox_record_layout_for(scan, &out->layout);
+    vox_tuple_layout_for(scan, &out->layout);
 done:
     return status;
 }

@@ -22,7 +22,7 @@ struct sort_limits {
     uint64_t batch_triangles;     /* sorted at a time, at most; more than in a chunk */
     uint32_t
         bucket_levels; /* buckets are cells of a grid of 2^levels cells along each axis; 1 to 5 */
-    uint32_t index_bytes; /* least width of an index in a record, 1 to 8 */
+    uint32_t index_bytes; /* least width of an index in a tuple, 1 to 8 */
     uint32_t slots;       /* chunks built at once, if memory allows */
     bool two_passes;      /* even if samples say that vertices come first */
 };

@@ -18,7 +18,7 @@ _Static_assert(MAX_VERTICES < NUMBER_MASK, "a vertex number must fit");
 
 #define CACHE_BITS       11u
 #define PLAIN_CACHE_BITS 12u
-/* Records are in the order of their bucket, not of the chunk, so the next ones are prefetched. */
+/* Tuples are in the order of their bucket, not of the chunk, so the next ones are prefetched. */
 #define PREFETCH_AHEAD 8u
 
 /* ---- memory ---- */
@@ -36,7 +36,7 @@ uint64_t vox_chunk_builder_bytes(uint32_t attributes)
 }
 
 int vox_chunk_builder_init(struct chunk_builder *b, const struct scan *scan,
-                           const struct record_layout *layout, used_word *used)
+                           const struct tuple_layout *layout, used_word *used)
 {
     const char *what = "building chunks";
     const uint32_t attributes = scan->attributes;
@@ -212,7 +212,7 @@ static uint32_t face_normal(const struct vertex corners[3])
 }
 
 /* Numbers the corners that are not in the cache. known: mask of those that are. */
-static void number_corners(struct chunk_builder *b, const uint8_t *record, uint32_t known,
+static void number_corners(struct chunk_builder *b, const uint8_t *tuple, uint32_t known,
                            struct corner_cache *const cached[3], const struct corner_tag tags[3],
                            uint32_t numbers[3])
 {
@@ -220,12 +220,12 @@ static void number_corners(struct chunk_builder *b, const uint8_t *record, uint3
     struct vertex corners[3];
     for (uint32_t k = 0; k < 3; k++)
         if (!(known >> k & 1) || b->normals)
-            vox_record_vertex(b->layout, b->scan, record + k * bytes, &corners[k]);
+            vox_tuple_vertex(b->layout, b->scan, tuple + k * bytes, &corners[k]);
     for (uint32_t k = 0; k < 3; k++) {
         if (known >> k & 1)
             continue;
         if (b->used)
-            used_mark(b->used, record_vertex_index(b->layout, record + k * bytes));
+            used_mark(b->used, tuple_vertex_index(b->layout, tuple + k * bytes));
         /* A corner without a normal gets its triangle's, so the cache cannot know its vertex. */
         bool own = b->normals && corners[k].normal == SCAN_NO_NORMAL;
         if (own)
@@ -239,18 +239,18 @@ static void number_corners(struct chunk_builder *b, const uint8_t *record, uint3
 static inline struct corner_tag corner_tag(const uint8_t *corner, uint32_t bytes)
 {
     if (bytes <= 8)
-        return (struct corner_tag){record_load(corner, bytes), 0};
-    return (struct corner_tag){record_load(corner, 8), record_load(corner + 8, bytes - 8)};
+        return (struct corner_tag){tuple_load(corner, bytes), 0};
+    return (struct corner_tag){tuple_load(corner, 8), tuple_load(corner + 8, bytes - 8)};
 }
 
-static inline void add_triangle(struct chunk_builder *b, const uint8_t *record, uint32_t numbers[3])
+static inline void add_triangle(struct chunk_builder *b, const uint8_t *tuple, uint32_t numbers[3])
 {
     const uint32_t bytes = b->layout->corner_bytes;
     struct corner_cache *cached[3] = {NULL, NULL, NULL};
     struct corner_tag tags[3];
     uint32_t known = 0;
     for (uint32_t k = 0; bytes <= sizeof tags[0] && k < 3; k++) {
-        tags[k] = corner_tag(record + k * bytes, bytes);
+        tags[k] = corner_tag(tuple + k * bytes, bytes);
         cached[k] = &b->cache[mix(tags[k].low, tags[k].high) >> (64 - CACHE_BITS)];
         if (cached[k]->tag.low == tags[k].low && cached[k]->tag.high == tags[k].high) {
             numbers[k] = cached[k]->number;
@@ -258,26 +258,26 @@ static inline void add_triangle(struct chunk_builder *b, const uint8_t *record, 
         }
     }
     if (known != 7)
-        number_corners(b, record, known, cached, tags, numbers);
+        number_corners(b, tuple, known, cached, tags, numbers);
 }
 
-static void build_triangles(struct chunk_builder *b, const uint8_t *records,
+static void build_triangles(struct chunk_builder *b, const uint8_t *tuples,
                             const struct entry *entries, uint32_t count)
 {
-    const struct record_layout *layout = b->layout;
+    const struct tuple_layout *layout = b->layout;
     memset(b->cache, 0xff, sizeof *b->cache << CACHE_BITS);
     for (uint32_t t = 0; t < count; t++) {
-        const uint8_t *record = records + (uint64_t)entries[t].record * layout->bytes;
+        const uint8_t *tuple = tuples + (uint64_t)entries[t].tuple * layout->bytes;
         if (t + PREFETCH_AHEAD < count)
-            __builtin_prefetch(records +
-                               (uint64_t)entries[t + PREFETCH_AHEAD].record * layout->bytes);
-        add_triangle(b, record, b->triangles[t]);
+            __builtin_prefetch(tuples +
+                               (uint64_t)entries[t + PREFETCH_AHEAD].tuple * layout->bytes);
+        add_triangle(b, tuple, b->triangles[t]);
         if (b->materials)
-            b->materials[t] = record_material(layout, record);
+            b->materials[t] = tuple_material(layout, tuple);
     }
 }
 
-/* ---- plain records ----
+/* ---- plain tuples ----
  *
  * Two things cost time: cache misses at a new vertex's position and at its table entry, and
  * branches on which corners are known. So triangles are numbered in groups. First, all corners of
@@ -301,16 +301,16 @@ static inline uint64_t *plain_place(uint64_t *cache, uint32_t index)
 
 /* Collects the corners that are not in the cache and returns their count. `out` gets numbers of
  * vertices or of pending corners. An empty entry of the cache has an index that no scan has. */
-static uint32_t find_pending(uint64_t *cache, const uint8_t *records, const struct entry *entries,
+static uint32_t find_pending(uint64_t *cache, const uint8_t *tuples, const struct entry *entries,
                              uint32_t count, uint32_t (*out)[3], struct pending_corners *pending)
 {
     const uint64_t flag = (uint64_t)PENDING_FLAG << 32;
     uint64_t pending_count = 0;
     for (uint32_t t = 0; t < count; t++) {
-        const uint8_t *record = records + (uint64_t)entries[t].record * 12;
+        const uint8_t *tuple = tuples + (uint64_t)entries[t].tuple * 12;
         for (uint32_t k = 0; k < 3; k++) {
             uint32_t index;
-            memcpy(&index, record + 4 * k, 4);
+            memcpy(&index, tuple + 4 * k, 4);
             uint64_t *place = plain_place(cache, index), cached = *place;
             uint64_t unknown = (uint32_t)cached != index;
             cached ^= (cached ^ (flag | pending_count << 32 | index)) & (0 - unknown);
@@ -372,8 +372,8 @@ static void resolve_pending(const struct pending_corners *pending, uint32_t *num
     }
 }
 
-static void build_plain(struct chunk_builder *b, const uint8_t *records,
-                        const struct entry *entries, uint32_t count)
+static void build_plain(struct chunk_builder *b, const uint8_t *tuples, const struct entry *entries,
+                        uint32_t count)
 {
     struct pending_corners pending;
     pending.number[0] = 0;
@@ -381,23 +381,23 @@ static void build_plain(struct chunk_builder *b, const uint8_t *records,
     for (uint32_t first = 0, end; first < count; first = end) {
         end = count - first < GROUP_TRIANGLES ? count : first + GROUP_TRIANGLES;
         for (uint32_t t = end; t < count && t < end + GROUP_TRIANGLES; t++)
-            __builtin_prefetch(records + (uint64_t)entries[t].record * sizeof(uint32_t[3]));
-        uint32_t pending_count = find_pending(b->plain, records, entries + first, end - first,
+            __builtin_prefetch(tuples + (uint64_t)entries[t].tuple * sizeof(uint32_t[3]));
+        uint32_t pending_count = find_pending(b->plain, tuples, entries + first, end - first,
                                               b->triangles + first, &pending);
         number_pending(b, &pending, pending_count);
         resolve_pending(&pending, b->triangles[first], 3 * (end - first));
     }
 }
 
-int vox_chunk_builder_run(struct chunk_builder *b, const uint8_t *records,
+int vox_chunk_builder_run(struct chunk_builder *b, const uint8_t *tuples,
                           const struct entry *entries, uint32_t count)
 {
     b->vertex_count = 0;
     clear_table(b, MIN_TABLE_BITS);
     if (b->layout->plain)
-        build_plain(b, records, entries, count);
+        build_plain(b, tuples, entries, count);
     else
-        build_triangles(b, records, entries, count);
+        build_triangles(b, tuples, entries, count);
     struct fmt_tris_chunk chunk = {
         .triangle_count = count,
         .vertex_count = b->vertex_count,

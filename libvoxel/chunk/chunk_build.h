@@ -1,4 +1,4 @@
-/* chunk_build.h - encodes sorted records as a chunk. */
+/* chunk_build.h - encodes sorted tuples as a chunk. */
 #ifndef VOX_CHUNK_CHUNK_BUILD_H
 #define VOX_CHUNK_CHUNK_BUILD_H
 
@@ -17,7 +17,7 @@ struct corner_cache {
 struct chunk_builder {
     struct bsq_ctx *ctx;
     const struct scan *scan;
-    const struct record_layout *layout;
+    const struct tuple_layout *layout;
     used_word *used; /* bits of vertices in use to set, or NULL */
     float (*positions)[3];
     uint32_t *normals;
@@ -28,8 +28,8 @@ struct chunk_builder {
     uint32_t vertex_count;
     uint32_t *table; /* hash table of vertices */
     uint32_t table_bits;
-    struct corner_cache *cache; /* direct-mapped; for records that are not plain */
-    uint64_t *plain;            /* the same for plain records: number << 32 | index */
+    struct corner_cache *cache; /* direct-mapped; for tuples that are not plain */
+    uint64_t *plain;            /* the same for plain tuples: number << 32 | index */
     /* Result. */
     void *encoded;
     uint64_t encoded_bytes;
@@ -40,12 +40,12 @@ struct chunk_builder {
 uint64_t vox_chunk_builder_bytes(uint32_t attributes);
 /* Initialises a builder. Free it with vox_chunk_builder_free(), also after failure. */
 int vox_chunk_builder_init(struct chunk_builder *builder, const struct scan *scan,
-                           const struct record_layout *layout, used_word *used);
+                           const struct tuple_layout *layout, used_word *used);
 void vox_chunk_builder_free(struct chunk_builder *builder);
 
 /* Builds and encodes a chunk of entries[0 .. count). Vertices are numbered in the order of first
  * use. */
-int vox_chunk_builder_run(struct chunk_builder *builder, const uint8_t *records,
+int vox_chunk_builder_run(struct chunk_builder *builder, const uint8_t *tuples,
                           const struct entry *entries, uint32_t count);
 
 #endif

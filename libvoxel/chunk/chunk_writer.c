@@ -157,7 +157,7 @@ static int work(void *arg, void *slot_arg, uint64_t sequence, unsigned worker)
     struct chunk_slot *slot = slot_arg;
     (void)sequence;
     (void)worker;
-    return vox_chunk_builder_run(&slot->builder, b->batch.records, b->batch.entries + slot->first,
+    return vox_chunk_builder_run(&slot->builder, b->batch.tuples, b->batch.entries + slot->first,
                                  slot->count);
 }
 
@@ -223,9 +223,9 @@ static int add_in_parts(struct batches *b, const struct batch_part *whole)
     return status;
 }
 
-/* Distributes at most RUN_TRIANGLES records to the children of their bucket. levels: the children's
+/* Distributes at most RUN_TRIANGLES tuples to the children of their bucket. levels: the children's
  * Morton levels. */
-static int divide_run(struct batches *b, const uint8_t *records, uint32_t count, uint32_t levels,
+static int divide_run(struct batches *b, const uint8_t *tuples, uint32_t count, uint32_t levels,
                       uint8_t *coded, struct buckets *children)
 {
     const uint32_t bytes = b->partition->layout.bytes, mask = children->bucket_count - 1;
@@ -233,7 +233,7 @@ static int divide_run(struct batches *b, const uint8_t *records, uint32_t count,
     for (uint32_t first = 0, end; status == 0 && first < count; first = end) {
         uint32_t child = BUCKET_NONE;
         for (end = first; end < count; end++) {
-            uint32_t number = (uint32_t)(vox_batch_key(&b->batch, records + end * bytes) >>
+            uint32_t number = (uint32_t)(vox_batch_key(&b->batch, tuples + end * bytes) >>
                                          (MORTON_KEY_BITS - 3 * levels)) &
                               mask;
             if (end > first && number != child)
@@ -242,9 +242,9 @@ static int divide_run(struct batches *b, const uint8_t *records, uint32_t count,
         }
         const struct run_header header = {.bytes = (end - first) * bytes,
                                           .triangles = (uint16_t)(end - first),
-                                          .form = RUN_RECORDS};
+                                          .form = RUN_TUPLES};
         memcpy(coded, &header, sizeof header);
-        memcpy(coded + sizeof header, records + first * bytes, header.bytes);
+        memcpy(coded + sizeof header, tuples + first * bytes, header.bytes);
         status = vox_buckets_add(children, child, coded, sizeof header + header.bytes, end - first);
     }
     return status;
@@ -261,11 +261,11 @@ static int divide_bucket(struct batches *b, const struct batch_part *whole, uint
                            RUN_TRIANGLES * (uint64_t)bytes + sizeof(struct run_header), 1, &coded);
     vox_run_reader_seek(vox_batch_reader(&b->batch), whole->buckets, whole->bucket, 0);
     for (uint64_t done = 0, count; status == 0 && done < whole->count; done += count) {
-        const uint8_t *records;
-        status = vox_batch_read(&b->batch, whole->count - done, b->part_limit, &count, &records);
+        const uint8_t *tuples;
+        status = vox_batch_read(&b->batch, whole->count - done, b->part_limit, &count, &tuples);
         for (uint64_t first = 0, end; status == 0 && first < count; first = end) {
             end = count - first < RUN_TRIANGLES ? count : first + RUN_TRIANGLES;
-            status = divide_run(b, records + first * bytes, (uint32_t)(end - first), levels, coded,
+            status = divide_run(b, tuples + first * bytes, (uint32_t)(end - first), levels, coded,
                                 children);
         }
     }

@@ -90,7 +90,7 @@ static int open_kind(struct gather_window *w, enum fmt_mesh_kind number)
 }
 
 int vox_gather_open(struct gather_window *w, const struct scan *scan,
-                    const struct record_layout *layout, uint64_t triangles)
+                    const struct tuple_layout *layout, uint64_t triangles)
 {
     *w = (struct gather_window){.ctx = scan->ctx, .scan = scan, .layout = layout, .view = *scan};
     assert(triangles <= UINT32_MAX / 3);
@@ -146,17 +146,17 @@ static inline void mark(const struct gather_kind *kind, uint64_t index)
     atomic_store_explicit(&kind->ranges[index / 64 / GATHER_RANGE_WORDS], 1, memory_order_relaxed);
 }
 
-static void mark_plain(const struct gather_kind *kind, const uint8_t *records, uint64_t count)
+static void mark_plain(const struct gather_kind *kind, const uint8_t *tuples, uint64_t count)
 {
     for (uint64_t c = 0; c < 3 * count; c++) {
         uint32_t index;
-        memcpy(&index, records + 4 * c, 4);
+        memcpy(&index, tuples + 4 * c, 4);
         mark(kind, index);
     }
 }
 
-/* Returns the offset of an index in consecutive records. corner: counted over all records. */
-static inline uint64_t corner_offset(const struct record_layout *layout, enum fmt_mesh_kind kind,
+/* Returns the offset of an index in consecutive tuples. corner: counted over all tuples. */
+static inline uint64_t corner_offset(const struct tuple_layout *layout, enum fmt_mesh_kind kind,
                                      uint64_t corner)
 {
     return corner / 3 * layout->bytes + corner % 3 * layout->corner_bytes + layout->index_at[kind];
@@ -168,17 +168,17 @@ static inline uint32_t index_bytes_of(const struct gather_window *w, enum fmt_me
     return w->kinds[kind].active ? w->layout->index_bytes[kind] : 0;
 }
 
-void vox_gather_mark(struct gather_window *w, const uint8_t *records, uint64_t count)
+void vox_gather_mark(struct gather_window *w, const uint8_t *tuples, uint64_t count)
 {
     if (w->layout->plain) {
-        mark_plain(&w->kinds[FMT_MESH_VERTEX], records, count);
+        mark_plain(&w->kinds[FMT_MESH_VERTEX], tuples, count);
         return;
     }
     for (int i = 0; i < FMT_MESH_KIND_COUNT; i++) {
         const struct gather_kind *kind = &w->kinds[i];
         const uint32_t bytes = index_bytes_of(w, i);
         for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
-            const uint64_t index = record_load(records + corner_offset(w->layout, i, c), bytes);
+            const uint64_t index = tuple_load(tuples + corner_offset(w->layout, i, c), bytes);
             if (index < kind->count) /* others are "none" */
                 mark(kind, index);
         }
@@ -288,30 +288,30 @@ int vox_gather_fetch(struct gather_window *w, used_word *used)
 
 /* ---- numbers ---- */
 
-static void number_plain(const struct gather_kind *kind, uint8_t *records, uint64_t count)
+static void number_plain(const struct gather_kind *kind, uint8_t *tuples, uint64_t count)
 {
     for (uint64_t c = 0; c < 3 * count; c++) {
         uint32_t index;
-        memcpy(&index, records + 4 * c, 4);
+        memcpy(&index, tuples + 4 * c, 4);
         index = gather_rank(kind, index);
-        memcpy(records + 4 * c, &index, 4);
+        memcpy(tuples + 4 * c, &index, 4);
     }
 }
 
-void vox_gather_number(const struct gather_window *w, uint8_t *records, uint64_t count)
+void vox_gather_number(const struct gather_window *w, uint8_t *tuples, uint64_t count)
 {
     if (w->layout->plain) {
-        number_plain(&w->kinds[FMT_MESH_VERTEX], records, count);
+        number_plain(&w->kinds[FMT_MESH_VERTEX], tuples, count);
         return;
     }
     for (int i = 0; i < FMT_MESH_KIND_COUNT; i++) {
         const struct gather_kind *kind = &w->kinds[i];
         const uint32_t bytes = index_bytes_of(w, i);
         for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
-            uint8_t *at = records + corner_offset(w->layout, i, c);
-            uint64_t index = record_load(at, bytes);
+            uint8_t *at = tuples + corner_offset(w->layout, i, c);
+            uint64_t index = tuple_load(at, bytes);
             if (index < kind->count)
-                record_store(at, gather_rank(kind, index), bytes);
+                tuple_store(at, gather_rank(kind, index), bytes);
         }
     }
 }
@@ -343,7 +343,7 @@ static uint64_t element_of_rank(const struct gather_kind *kind, uint32_t number)
 /* Neighbours among sorted triangles share vertices, so most searches repeat a recent one. */
 #define RECENT_BITS 11u
 
-void vox_gather_restore(const struct gather_window *w, uint8_t *records, uint64_t count)
+void vox_gather_restore(const struct gather_window *w, uint8_t *tuples, uint64_t count)
 {
     struct {
         uint64_t element;
@@ -354,8 +354,8 @@ void vox_gather_restore(const struct gather_window *w, uint8_t *records, uint64_
         const uint32_t bytes = index_bytes_of(w, i);
         memset(recent, 0xff, sizeof recent);
         for (uint64_t c = 0; bytes > 0 && c < 3 * count; c++) {
-            uint8_t *at = records + corner_offset(w->layout, i, c);
-            const uint64_t index = record_load(at, bytes);
+            uint8_t *at = tuples + corner_offset(w->layout, i, c);
+            const uint64_t index = tuple_load(at, bytes);
             const uint32_t slot = index & ((1u << RECENT_BITS) - 1);
             if (index >= kind->marked)
                 continue;
@@ -363,7 +363,7 @@ void vox_gather_restore(const struct gather_window *w, uint8_t *records, uint64_
                 recent[slot].rank = (uint32_t)index;
                 recent[slot].element = element_of_rank(kind, (uint32_t)index);
             }
-            record_store(at, recent[slot].element, bytes);
+            tuple_store(at, recent[slot].element, bytes);
         }
     }
 }

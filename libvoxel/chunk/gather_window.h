@@ -29,7 +29,7 @@ struct gather_kind {
 struct gather_window {
     struct bsq_ctx *ctx;
     const struct scan *scan;
-    const struct record_layout *layout;
+    const struct tuple_layout *layout;
     struct scan view; /* the scan, but streams of active kinds have only marked elements */
     struct gather_kind kinds[FMT_MESH_KIND_COUNT];
     uint8_t *elements[SCAN_STREAM_COUNT]; /* segments of the view's streams */
@@ -44,21 +44,21 @@ uint64_t vox_gather_triangle_bytes(const struct scan *scan);
 /* Opens a window for batches of up to `triangles` triangles. Close it with vox_gather_close(), also
  * after failure. */
 int vox_gather_open(struct gather_window *window, const struct scan *scan,
-                    const struct record_layout *layout, uint64_t triangles);
+                    const struct tuple_layout *layout, uint64_t triangles);
 void vox_gather_close(struct gather_window *window);
 
 /* Clears all marks. */
 void vox_gather_clear(struct gather_window *window);
-/* Marks the elements that the records' corners refer to. From any thread. */
-void vox_gather_mark(struct gather_window *window, const uint8_t *records, uint64_t count);
+/* Marks the elements that the tuples' corners refer to. From any thread. */
+void vox_gather_mark(struct gather_window *window, const uint8_t *tuples, uint64_t count);
 /* Reads the marked elements into the view, on all threads. Marks the vertices in `used` too, unless
  * it is NULL. */
 int vox_gather_fetch(struct gather_window *window, used_word *used);
-/* Replaces the scan's indices in records by the view's. The elements must be marked. From any
- * thread, for different records. */
-void vox_gather_number(const struct gather_window *window, uint8_t *records, uint64_t count);
-/* Replaces the view's indices in records by the scan's. */
-void vox_gather_restore(const struct gather_window *window, uint8_t *records, uint64_t count);
+/* Replaces the scan's indices in tuples by the view's. The elements must be marked. From any
+ * thread, for different tuples. */
+void vox_gather_number(const struct gather_window *window, uint8_t *tuples, uint64_t count);
+/* Replaces the view's indices in tuples by the scan's. */
+void vox_gather_restore(const struct gather_window *window, uint8_t *tuples, uint64_t count);
 
 /* Returns the index in the view of a marked element. */
 static inline uint32_t gather_rank(const struct gather_kind *kind, uint64_t index)

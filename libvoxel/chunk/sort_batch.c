@@ -9,14 +9,14 @@
 
 uint64_t vox_batch_triangle_bytes(const struct scan *scan, const struct partition *partition)
 {
-    const struct record_layout *layout = &partition->layout;
+    const struct tuple_layout *layout = &partition->layout;
     return layout->bytes + 2 * sizeof(struct entry) +
            (layout->gathered ? vox_gather_triangle_bytes(scan) : 0);
 }
 
 uint64_t vox_batch_fixed_bytes(const struct scan *scan, const struct partition *partition)
 {
-    const struct record_layout *layout = &partition->layout;
+    const struct tuple_layout *layout = &partition->layout;
     const unsigned threads = bsq_threads(scan->ctx);
     uint64_t bytes = FMT_TRIS_CHUNK_TRIANGLES * (uint64_t)layout->bytes;
     if (layout->gathered)
@@ -24,17 +24,17 @@ uint64_t vox_batch_fixed_bytes(const struct scan *scan, const struct partition *
     return bytes;
 }
 
-/* Returns the records to leave free between parts: loads past a part's end must not read what
+/* Returns the tuples to leave free between parts: loads past a part's end must not read what
  * another worker writes. */
-static uint64_t record_gap(const struct record_layout *layout)
+static uint64_t tuple_gap(const struct tuple_layout *layout)
 {
-    return RECORD_SLACK / layout->bytes + 1;
+    return TUPLE_SLACK / layout->bytes + 1;
 }
 
 uint64_t vox_batch_capacity_of_all(const struct partition *partition)
 {
     return partition->triangles +
-           2 * record_gap(&partition->layout) * partition->buckets.bucket_count;
+           2 * tuple_gap(&partition->layout) * partition->buckets.bucket_count;
 }
 
 static int open_window(struct batch *b)
@@ -47,7 +47,7 @@ static int open_window(struct batch *b)
 
 static int open_readers(struct batch *b)
 {
-    const struct record_layout *layout = &b->partition->layout;
+    const struct tuple_layout *layout = &b->partition->layout;
     b->reader_count = bsq_threads(b->ctx) + 1;
     int status;
     BSQ_TRY(bsq_calloc(b->ctx, "sorting", b->reader_count, sizeof *b->readers, &b->readers));
@@ -70,11 +70,11 @@ int vox_batch_open(struct batch *b, const struct scan *scan, const struct partit
                         .capacity = capacity};
     int status;
     BSQ_TRY(b->gathered ? open_window(b) : 0);
-    BSQ_TRY(bsq_alloc(b->ctx, what, capacity * bytes + RECORD_SLACK, 1, &b->records));
-    BSQ_TRY(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, bytes, &b->spare_records));
+    BSQ_TRY(bsq_alloc(b->ctx, what, capacity * bytes + TUPLE_SLACK, 1, &b->tuples));
+    BSQ_TRY(bsq_alloc(b->ctx, what, FMT_TRIS_CHUNK_TRIANGLES, bytes, &b->spare_tuples));
     BSQ_TRY(bsq_alloc(b->ctx, what, capacity, sizeof *b->entries, &b->entries));
     BSQ_TRY(bsq_alloc(b->ctx, what, capacity, sizeof *b->scratch, &b->scratch));
-    memset(b->records + capacity * bytes, 0, RECORD_SLACK);
+    memset(b->tuples + capacity * bytes, 0, TUPLE_SLACK);
     status = open_readers(b);
 done:
     return status;
@@ -84,7 +84,7 @@ void vox_batch_close(struct batch *b)
 {
     for (unsigned i = 0; b->readers && i < b->reader_count; i++)
         vox_run_reader_free(&b->readers[i]);
-    void *parts[] = {b->readers, b->parts, b->scratch, b->entries, b->spare_records, b->records};
+    void *parts[] = {b->readers, b->parts, b->scratch, b->entries, b->spare_tuples, b->tuples};
     for (size_t i = 0; b->ctx && i < sizeof parts / sizeof *parts; i++)
         bsq_free(b->ctx, parts[i]);
     vox_gather_close(&b->window);
@@ -123,17 +123,17 @@ static inline bool area_is_zero(const float *a, const float *b, const float *c)
     return u[1] * v[2] == u[2] * v[1] && u[2] * v[0] == u[0] * v[2] && u[0] * v[1] == u[1] * v[0];
 }
 
-static void mark_record(const struct batch *b, const uint8_t *record)
+static void mark_tuple(const struct batch *b, const uint8_t *tuple)
 {
-    const struct record_layout *layout = &b->partition->layout;
+    const struct tuple_layout *layout = &b->partition->layout;
     for (uint32_t k = 0; b->used && k < 3; k++)
-        used_mark(b->used, record_vertex_index(layout, record + k * layout->corner_bytes));
+        used_mark(b->used, tuple_vertex_index(layout, tuple + k * layout->corner_bytes));
 }
 
-/* Makes entries for the records with an area and returns their count. Inlined, so that widths and
+/* Makes entries for the tuples with an area and returns their count. Inlined, so that widths and
  * offsets of a constant layout are constants. */
 static inline __attribute__((always_inline)) uint32_t
-make_entries(const struct batch *b, const struct record_layout *layout, const uint8_t *records,
+make_entries(const struct batch *b, const struct tuple_layout *layout, const uint8_t *tuples,
              uint64_t first, uint32_t count, struct entry *entries)
 {
     /* Local copies, so that the compiler knows that writes to `entries` cannot change them. */
@@ -141,33 +141,33 @@ make_entries(const struct batch *b, const struct record_layout *layout, const ui
     const struct attribute_stream positions = b->scan->streams[SCAN_POSITIONS];
     uint32_t kept = 0;
     for (uint32_t i = 0; i < count; i++) {
-        const uint8_t *record = records + (uint64_t)i * layout->bytes;
+        const uint8_t *tuple = tuples + (uint64_t)i * layout->bytes;
         const float *p[3];
         for (uint32_t k = 0; k < 3; k++)
             p[k] = stream_at(&positions,
-                             record_vertex_index(layout, record + k * layout->corner_bytes), 12);
+                             tuple_vertex_index(layout, tuple + k * layout->corner_bytes), 12);
         if (area_is_zero(p[0], p[1], p[2]))
-            mark_record(b, record);
+            mark_tuple(b, tuple);
         else
             entries[kept++] = (struct entry){.key = morton_point_key(&cube, p[0]),
-                                             .record = (uint32_t)(first + i)};
+                                             .tuple = (uint32_t)(first + i)};
     }
     return kept;
 }
 
-/* Makes entries for `count` records of a part, from its record `done` on. */
-static void enter_records(struct batch *b, struct batch_part *part, uint64_t done, uint32_t count)
+/* Makes entries for `count` tuples of a part, from its tuple `done` on. */
+static void enter_tuples(struct batch *b, struct batch_part *part, uint64_t done, uint32_t count)
 {
-    static const struct record_layout plain = {
+    static const struct tuple_layout plain = {
         .index_bytes = {[FMT_MESH_VERTEX] = 4}, .corner_bytes = 4, .bytes = 12};
-    const uint64_t first = part->record + done;
-    uint8_t *records = b->records + first * b->partition->layout.bytes;
+    const uint64_t first = part->tuple + done;
+    uint8_t *tuples = b->tuples + first * b->partition->layout.bytes;
     struct entry *to = b->entries + part->at + part->kept;
     if (b->gathered)
-        vox_gather_number(&b->window, records, count);
+        vox_gather_number(&b->window, tuples, count);
     part->kept += b->partition->layout.plain
-                      ? make_entries(b, &plain, records, first, count, to)
-                      : make_entries(b, &b->partition->layout, records, first, count, to);
+                      ? make_entries(b, &plain, tuples, first, count, to)
+                      : make_entries(b, &b->partition->layout, tuples, first, count, to);
 }
 
 /* ---- sorting by key ----
@@ -263,7 +263,7 @@ static void radix_sort(struct entry *entries, struct entry *scratch, uint64_t n,
 
 bool vox_batch_fits(const struct batch *b, uint64_t triangles)
 {
-    return b->records_end + triangles + record_gap(&b->partition->layout) <= b->capacity;
+    return b->tuples_end + triangles + tuple_gap(&b->partition->layout) <= b->capacity;
 }
 
 int vox_batch_add(struct batch *b, const struct batch_part *part)
@@ -275,14 +275,14 @@ int vox_batch_add(struct batch *b, const struct batch_part *part)
     struct batch_part *added = &b->parts[b->part_count++];
     *added = *part;
     added->at = b->count;
-    added->record = b->records_end;
+    added->tuple = b->tuples_end;
     b->largest_part = part->count > b->largest_part ? part->count : b->largest_part;
     b->count += part->count;
-    b->records_end += part->count + record_gap(&b->partition->layout);
+    b->tuples_end += part->count + tuple_gap(&b->partition->layout);
     return 0;
 }
 
-/* Reads a part's records and makes their entries. If elements must be gathered first, only marks
+/* Reads a part's tuples and makes their entries. If elements must be gathered first, only marks
  * these. */
 static int read_part(void *arg, uint64_t index, unsigned worker)
 {
@@ -292,15 +292,15 @@ static int read_part(void *arg, uint64_t index, unsigned worker)
     vox_run_reader_seek(reader, part->buckets, part->bucket, part->offset);
     part->kept = 0;
     for (uint64_t done = 0; done < part->count;) {
-        uint8_t *records = b->records + (part->record + done) * b->partition->layout.bytes;
+        uint8_t *tuples = b->tuples + (part->tuple + done) * b->partition->layout.bytes;
         uint32_t count;
-        int status = vox_run_reader_next(reader, records, &count);
+        int status = vox_run_reader_next(reader, tuples, &count);
         if (status < 0)
             return status;
         if (b->gathered)
-            vox_gather_mark(&b->window, records, count);
+            vox_gather_mark(&b->window, tuples, count);
         else
-            enter_records(b, part, done, count);
+            enter_tuples(b, part, done, count);
         done += count;
     }
     return 0;
@@ -337,7 +337,7 @@ static int sort_fetched(void *arg, uint64_t index, unsigned worker)
     struct batch_part *part = &b->parts[index];
     for (uint64_t done = 0, count; done < part->count; done += count) {
         count = part->count - done < RUN_TRIANGLES ? part->count - done : RUN_TRIANGLES;
-        enter_records(b, part, done, (uint32_t)count);
+        enter_tuples(b, part, done, (uint32_t)count);
     }
     order_part(b, part, worker);
     return 0;
@@ -346,13 +346,13 @@ static int sort_fetched(void *arg, uint64_t index, unsigned worker)
 static int sort_gathered(struct batch *b, uint64_t carried)
 {
     vox_gather_clear(&b->window);
-    vox_gather_mark(&b->window, b->records, carried);
+    vox_gather_mark(&b->window, b->tuples, carried);
     int status = bsq_parallel_for(b->ctx, b->part_count, read_part, b);
     if (status == 0)
         status = vox_gather_fetch(&b->window, b->partition->used);
     if (status < 0)
         return status;
-    vox_gather_number(&b->window, b->records, carried);
+    vox_gather_number(&b->window, b->tuples, carried);
     return bsq_parallel_for(b->ctx, b->part_count, sort_fetched, b);
 }
 
@@ -386,16 +386,16 @@ void vox_batch_carry_over(struct batch *b, uint64_t first)
     const uint32_t bytes = b->partition->layout.bytes;
     const uint64_t left = b->count - first;
     for (uint64_t i = 0; i < left; i++)
-        memcpy(b->spare_records + i * bytes,
-               b->records + (uint64_t)b->entries[first + i].record * bytes, bytes);
-    memcpy(b->records, b->spare_records, left * bytes);
+        memcpy(b->spare_tuples + i * bytes,
+               b->tuples + (uint64_t)b->entries[first + i].tuple * bytes, bytes);
+    memcpy(b->tuples, b->spare_tuples, left * bytes);
     if (b->gathered)
-        vox_gather_restore(&b->window, b->records, left);
+        vox_gather_restore(&b->window, b->tuples, left);
     memmove(b->entries, b->entries + first, left * sizeof *b->entries);
     for (uint64_t i = 0; i < left; i++)
-        b->entries[i].record = (uint32_t)i;
+        b->entries[i].tuple = (uint32_t)i;
     b->count = left;
-    b->records_end = left + record_gap(&b->partition->layout);
+    b->tuples_end = left + tuple_gap(&b->partition->layout);
     b->part_count = b->largest_part = 0;
 }
 
@@ -409,29 +409,29 @@ struct run_reader *vox_batch_reader(struct batch *b)
 int vox_batch_read(struct batch *b, uint64_t left, uint64_t most, uint64_t *count,
                    const uint8_t **out)
 {
-    uint8_t *records = b->records + b->records_end * b->partition->layout.bytes;
+    uint8_t *tuples = b->tuples + b->tuples_end * b->partition->layout.bytes;
     int status = bsq_check(b->ctx);
-    *out = records;
+    *out = tuples;
     *count = 0;
     while (status == 0 && *count < left && *count + RUN_TRIANGLES <= most) {
         uint32_t more;
         status = vox_run_reader_next(vox_batch_reader(b),
-                                     records + *count * b->partition->layout.bytes, &more);
+                                     tuples + *count * b->partition->layout.bytes, &more);
         *count += status == 0 ? more : 0;
     }
     if (status == 0 && b->gathered) {
         vox_gather_clear(&b->window);
-        vox_gather_mark(&b->window, records, *count);
+        vox_gather_mark(&b->window, tuples, *count);
         status = vox_gather_fetch(&b->window, NULL);
     }
     return status;
 }
 
-uint64_t vox_batch_key(const struct batch *b, const uint8_t *record)
+uint64_t vox_batch_key(const struct batch *b, const uint8_t *tuple)
 {
-    const struct record_layout *layout = &b->partition->layout;
+    const struct tuple_layout *layout = &b->partition->layout;
     const float *position = b->gathered
-                                ? gather_position(&b->window, record_vertex_index(layout, record))
-                                : record_position(layout, b->scan, record);
+                                ? gather_position(&b->window, tuple_vertex_index(layout, tuple))
+                                : tuple_position(layout, b->scan, tuple);
     return morton_point_key(&b->partition->cube, position);
 }

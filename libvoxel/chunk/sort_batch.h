@@ -2,7 +2,7 @@
  *
  * vox_batch_add() fills a batch and vox_batch_sort() sorts it. vox_batch_carry_over() then starts
  * the next batch with the triangles that are not in chunks yet. If attribute streams are in files,
- * the batch gathers the elements of its triangles (gather_window.h). Its records then have the
+ * the batch gathers the elements of its triangles (gather_window.h). Its tuples then have the
  * indices of batch.scan from sorting to carrying over, and those of the whole scan at other times.
  */
 #ifndef VOX_CHUNK_SORT_BATCH_H
@@ -14,7 +14,7 @@
 /* A triangle with an area, by which batches are sorted. */
 struct entry {
     uint64_t key;
-    uint32_t record; /* number in the batch */
+    uint32_t tuple; /* number in the batch */
     uint32_t unused;
 };
 
@@ -26,9 +26,9 @@ struct batch_part {
     uint64_t offset; /* of its first run in the bucket's bytes */
     uint64_t count;
     /* Set by the batch. */
-    uint64_t record; /* index of the first record */
-    uint64_t at;     /* index of the first entry */
-    uint64_t kept;   /* triangles with an area */
+    uint64_t tuple; /* index of the first tuple */
+    uint64_t at;    /* index of the first entry */
+    uint64_t kept;  /* triangles with an area */
 };
 
 struct batch {
@@ -38,20 +38,20 @@ struct batch {
     used_word *used;     /* bits of vertices in use to set, or NULL if the window sets them */
     uint64_t count;      /* triangles; after sorting, entries */
     uint64_t degenerate; /* triangles of all batches that were left out */
-    uint8_t *records;
+    uint8_t *tuples;
     struct entry *entries;
     /* Private. */
     struct gather_window window;
     bool gathered; /* streams are in files */
     uint64_t capacity;
-    uint8_t *spare_records;
+    uint8_t *spare_tuples;
     struct entry *scratch;
     struct run_reader *readers; /* one for each thread, and one for the caller */
     unsigned reader_count;
     struct batch_part *parts;
     uint64_t part_count, part_capacity;
     uint64_t largest_part;
-    uint64_t records_end; /* with the gap after the last part */
+    uint64_t tuples_end; /* with the gap after the last part */
 };
 
 /* Returns the bytes for each triangle of a batch's capacity. */
@@ -81,8 +81,8 @@ struct run_reader *vox_batch_reader(struct batch *batch);
 /* Reads up to `most` triangles of whole runs at the reader's place in the bucket, which has `left`
  * triangles left. The free capacity must be enough. Gathers their elements for vox_batch_key(). */
 int vox_batch_read(struct batch *batch, uint64_t left, uint64_t most, uint64_t *count,
-                   const uint8_t **records);
-/* Returns the Morton key of a record from vox_batch_read(). */
-uint64_t vox_batch_key(const struct batch *batch, const uint8_t *record);
+                   const uint8_t **tuples);
+/* Returns the Morton key of a tuple from vox_batch_read(). */
+uint64_t vox_batch_key(const struct batch *batch, const uint8_t *tuple);
 
 #endif

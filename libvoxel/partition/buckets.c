@@ -103,7 +103,7 @@ static int retire_page(struct buckets *buckets, struct bucket *bucket)
         buckets->buckets_without_page++;
     } else {
         if (buckets->file.fd < 0 && (status = bsq_file_temp(buckets->ctx, buckets->beside,
-                                                            "sorted records", &buckets->file)) < 0)
+                                                            "sorted tuples", &buckets->file)) < 0)
             return status;
         status = list_page(buckets, bucket, BUCKET_IN_FILE + buckets->file.size);
         if (status == 0)

@@ -2,7 +2,7 @@
  * place.
  *
  * Takes a mesh reader. Gives the scan's attribute streams (read/scan.h) and its triangles, coded in
- * buckets of a coarse Morton grid (record_runs.h). The reading is one pass if all vertices come
+ * buckets of a coarse Morton grid (tuple_runs.h). The reading is one pass if all vertices come
  * before all faces, which samples of the text can tell for most files; two passes work for any
  * file. Memory is bounded: attribute streams and buckets move to temporary files. */
 #ifndef VOX_PARTITION_PARTITION_H
@@ -11,7 +11,7 @@
 #include <stdatomic.h>
 
 #include "libvoxel/partition/morton.h"
-#include "libvoxel/partition/record_runs.h"
+#include "libvoxel/partition/tuple_runs.h"
 
 /* ---- vertices in use: a bit for each vertex that a face refers to ---- */
 
@@ -48,14 +48,14 @@ static inline uint64_t used_count(const used_word *used, uint64_t vertices)
 /* ---- the partition ---- */
 
 struct partition {
-    struct record_layout layout;
+    struct tuple_layout layout;
     struct morton_cube cube;
     uint32_t levels;          /* the first 3 * levels bits of a key name a bucket */
     struct buckets buckets;   /* of runs; items are triangles */
     uint64_t triangles;       /* in the buckets, including those without area */
     bool vertices_lack_order; /* neighbours in the file are not neighbours in space; only known if
                                  positions are in a file */
-    used_word *used;          /* all clear: whoever reads the records marks them */
+    used_word *used;          /* all clear: whoever reads the tuples marks them */
 };
 
 enum partition_passes {
@@ -65,7 +65,7 @@ enum partition_passes {
 
 /* Reads the scan and partitions its faces. `out` is zero at first; free it with
  * vox_partition_free(), also after failure. The scan must be finished before the layout is known:
- * call vox_scan_finish(), vox_scan_find_materials() and vox_record_layout_for() next. Errors:
+ * call vox_scan_finish(), vox_scan_find_materials() and vox_tuple_layout_for() next. Errors:
  * those of the reader; BSQ_RETRY if one pass is asked for and elements follow faces, or if the
  * scan's misread_colors is set; BSQ_ENOMEM if memory is too small for a scan of this size or its
  * polygons.

@@ -6,7 +6,7 @@
 #define VOX_PARTITION_TRIANGULATE_H
 
 #include "libvoxel/partition/morton.h"
-#include "libvoxel/partition/record_runs.h"
+#include "libvoxel/partition/tuple_runs.h"
 #include "libvoxel/partition/vertex_buckets.h"
 
 /* ---- blocks ---- */

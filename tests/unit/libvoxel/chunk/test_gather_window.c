@@ -1,5 +1,5 @@
-/* Tests gather windows: the elements that records refer to are read from files and renumbered, and
- * records get their old indices back. */
+/* Tests gather windows: the elements that tuples refer to are read from files and renumbered, and
+ * tuples get their old indices back. */
 #include "libvoxel/chunk/gather_window.h"
 #include "libvoxel/partition/triangulate.h"
 
@@ -63,9 +63,9 @@ static int tear_down(void **state)
 }
 #define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
 
-/* ---- records ---- */
+/* ---- tuples ---- */
 
-/* Makes records with indices in a few clusters, the first or last element, or none. */
+/* Makes tuples with indices in a few clusters, the first or last element, or none. */
 static uint64_t random_index(const struct scan *scan, enum fmt_mesh_kind kind, uint64_t *seed)
 {
     const uint64_t count = scan_count(scan, scan_stream_of(kind));
@@ -82,14 +82,14 @@ static uint64_t random_index(const struct scan *scan, enum fmt_mesh_kind kind, u
                       : (choice * 7919 + sort_random(seed) % 300) % count;
 }
 
-static void make_records(const struct scan *scan, const struct record_layout *layout,
-                         uint32_t count, uint64_t seed, uint8_t *records)
+static void make_tuples(const struct scan *scan, const struct tuple_layout *layout, uint32_t count,
+                        uint64_t seed, uint8_t *tuples)
 {
     for (uint32_t c = 0; c < 3 * count; c++)
         for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
-            record_store(records + c / 3 * layout->bytes + c % 3 * layout->corner_bytes +
-                             layout->index_at[kind],
-                         random_index(scan, kind, &seed), layout->index_bytes[kind]);
+            tuple_store(tuples + c / 3 * layout->bytes + c % 3 * layout->corner_bytes +
+                            layout->index_at[kind],
+                        random_index(scan, kind, &seed), layout->index_bytes[kind]);
 }
 
 /* Checks that each corner has the same element in the view as in the scan. The view has each
@@ -97,14 +97,14 @@ static void make_records(const struct scan *scan, const struct record_layout *la
 static void expect_view(const struct gather_window *w, const uint8_t *old, const uint8_t *numbered,
                         uint32_t count)
 {
-    const struct record_layout *layout = w->layout;
+    const struct tuple_layout *layout = w->layout;
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         const uint32_t width = layout->index_bytes[kind];
         const uint64_t all = scan_count(w->scan, scan_stream_of(kind));
         for (uint32_t c = 0; width > 0 && c < 3 * count; c++) {
             uint64_t at =
                 c / 3 * layout->bytes + c % 3 * layout->corner_bytes + layout->index_at[kind];
-            uint64_t before = record_load(old + at, width), now = record_load(numbered + at, width);
+            uint64_t before = tuple_load(old + at, width), now = tuple_load(numbered + at, width);
             if (before >= all) {
                 assert_int_equal(now, before);
                 continue;
@@ -123,16 +123,16 @@ static void expect_view(const struct gather_window *w, const uint8_t *old, const
     }
 }
 
-/* Counts the records' different vertices and checks that `used` has exactly these. */
-static void expect_used(const struct gather_window *w, const uint8_t *records, uint32_t count,
+/* Counts the tuples' different vertices and checks that `used` has exactly these. */
+static void expect_used(const struct gather_window *w, const uint8_t *tuples, uint32_t count,
                         const used_word *used)
 {
     static bool seen[VERTICES];
     uint64_t different = 0;
     memset(seen, 0, sizeof seen);
     for (uint32_t c = 0; c < 3 * count; c++) {
-        uint64_t v = record_vertex_index(w->layout, records + c / 3 * w->layout->bytes +
-                                                        c % 3 * w->layout->corner_bytes);
+        uint64_t v = tuple_vertex_index(w->layout, tuples + c / 3 * w->layout->bytes +
+                                                       c % 3 * w->layout->corner_bytes);
         different += !seen[v];
         seen[v] = true;
         assert_true(used[v / 64] >> v % 64 & 1);
@@ -142,12 +142,11 @@ static void expect_used(const struct gather_window *w, const uint8_t *records, u
         assert_int_equal(stream_count(&w->view.streams[SCAN_POSITIONS]), different);
 }
 
-static void run_window(struct fixture *f, const struct record_layout *layout)
+static void run_window(struct fixture *f, const struct tuple_layout *layout)
 {
     struct gather_window window;
-    uint64_t bytes = layout->bytes * (uint64_t)MOST + RECORD_SLACK,
-             before = bsq_memory_used(f->ctx);
-    uint8_t *records = calloc(bytes, 1), *numbered = calloc(bytes, 1);
+    uint64_t bytes = layout->bytes * (uint64_t)MOST + TUPLE_SLACK, before = bsq_memory_used(f->ctx);
+    uint8_t *tuples = calloc(bytes, 1), *numbered = calloc(bytes, 1);
     assert_int_equal(vox_gather_open(&window, &f->scan, layout, MOST), 0);
     assert_true(bsq_memory_used(f->ctx) - before <= vox_gather_bytes(&f->scan, 3) +
                                                         MOST * vox_gather_triangle_bytes(&f->scan) +
@@ -156,40 +155,40 @@ static void run_window(struct fixture *f, const struct record_layout *layout)
         static used_word used[VERTICES / 64 + 1];
         const uint32_t count = round == 0 ? 1 : round == 3 ? MOST : 500;
         memset((void *)used, 0, sizeof used);
-        make_records(&f->scan, layout, count, round + 3, records);
-        memcpy(numbered, records, bytes);
+        make_tuples(&f->scan, layout, count, round + 3, tuples);
+        memcpy(numbered, tuples, bytes);
         vox_gather_clear(&window);
-        vox_gather_mark(&window, records, count / 2);
-        vox_gather_mark(&window, records + count / 2 * layout->bytes, count - count / 2);
+        vox_gather_mark(&window, tuples, count / 2);
+        vox_gather_mark(&window, tuples + count / 2 * layout->bytes, count - count / 2);
         assert_int_equal(vox_gather_fetch(&window, used), 0);
         if (window.kinds[FMT_MESH_VERTEX].active)
-            expect_used(&window, records, count, used);
+            expect_used(&window, tuples, count, used);
         for (uint32_t t = 0; t < count; t++) {
-            uint64_t v = record_vertex_index(layout, records + t * layout->bytes);
+            uint64_t v = tuple_vertex_index(layout, tuples + t * layout->bytes);
             uint8_t expected[12];
             make_element(SCAN_POSITIONS, v, 12, expected);
             assert_memory_equal(gather_position(&window, v), expected, 12);
         }
         vox_gather_number(&window, numbered, count);
-        expect_view(&window, records, numbered, count);
+        expect_view(&window, tuples, numbered, count);
         vox_gather_restore(&window, numbered, count);
-        assert_memory_equal(numbered, records, bytes);
+        assert_memory_equal(numbered, tuples, bytes);
     }
     vox_gather_close(&window);
     free(numbered);
-    free(records);
+    free(tuples);
 }
 
 FIXTURE_TEST(positions_alone_come_from_a_file)
 {
     struct fixture *f = *state;
-    struct record_layout layout;
+    struct tuple_layout layout;
     fill_stream(&f->scan, SCAN_POSITIONS, VERTICES, true);
-    vox_record_layout_for(&f->scan, &layout);
+    vox_tuple_layout_for(&f->scan, &layout);
     assert_true(layout.plain && layout.gathered && layout.bytes == 12);
     run_window(f, &layout);
     f->limits.index_bytes = 5;
-    vox_record_layout_for(&f->scan, &layout);
+    vox_tuple_layout_for(&f->scan, &layout);
     assert_true(!layout.plain && layout.bytes == 15);
     run_window(f, &layout);
 }
@@ -200,12 +199,12 @@ FIXTURE_TEST(columns_in_memory_stay_there)
     struct fixture *f = *state;
     for (unsigned spilled = 1; spilled < 1 << SCAN_STREAM_COUNT; spilled++) {
         static const uint64_t counts[SCAN_STREAM_COUNT] = {VERTICES, VERTICES, TEXCOORDS, NORMALS};
-        struct record_layout layout;
+        struct tuple_layout layout;
         for (int i = 0; i < SCAN_STREAM_COUNT; i++)
             fill_stream(&f->scan, i, counts[i], spilled >> i & 1);
         f->scan.attributes = FMT_TRIS_COLORS | FMT_TRIS_TEXCOORDS | FMT_TRIS_NORMALS;
         f->scan.material_count = 300; /* two bytes after the corners */
-        vox_record_layout_for(&f->scan, &layout);
+        vox_tuple_layout_for(&f->scan, &layout);
         assert_true(layout.gathered && !layout.plain);
         run_window(f, &layout);
         f->scan.material_count = 0;

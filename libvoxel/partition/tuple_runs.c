@@ -1,15 +1,15 @@
-/* record_runs.c - see record_runs.h. */
-#include "libvoxel/partition/record_runs.h"
+/* tuple_runs.c - see tuple_runs.h. */
+#include "libvoxel/partition/tuple_runs.h"
 #include "libvoxel/partition/corner_delta_code.h"
 
-/* ---- records ---- */
+/* ---- tuples ---- */
 
-static void add_indices(struct record_layout *layout, const struct scan *scan)
+static void add_indices(struct tuple_layout *layout, const struct scan *scan)
 {
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         /* The largest number of this width is reserved: it means "none". */
         const uint64_t count = scan_count(scan, scan_stream_of(kind));
-        const uint32_t width = record_index_width(count, scan->limits->index_bytes);
+        const uint32_t width = tuple_index_width(count, scan->limits->index_bytes);
         layout->index_bytes[kind] = scan_keeps(scan, scan_stream_of(kind)) ? width : 0;
         layout->index_at[kind] = layout->corner_bytes;
         layout->corner_bytes += layout->index_bytes[kind];
@@ -24,35 +24,35 @@ static bool streams_spilled(const struct scan *scan)
     return spilled;
 }
 
-void vox_record_layout_for(const struct scan *scan, struct record_layout *layout)
+void vox_tuple_layout_for(const struct scan *scan, struct tuple_layout *layout)
 {
-    *layout = (struct record_layout){.gathered = streams_spilled(scan)};
+    *layout = (struct tuple_layout){.gathered = streams_spilled(scan)};
     add_indices(layout, scan);
     if (scan->material_count > 0)
-        layout->material_bytes = record_index_width(scan->material_count, 1);
+        layout->material_bytes = tuple_index_width(scan->material_count, 1);
     layout->bytes = 3 * layout->corner_bytes + layout->material_bytes;
     layout->plain =
         scan->attributes == 0 && layout->index_bytes[FMT_MESH_VERTEX] == 4 && layout->bytes == 12;
 }
 
-void vox_record_vertex(const struct record_layout *layout, const struct scan *scan,
-                       const uint8_t *corner, struct vertex *out)
+void vox_tuple_vertex(const struct tuple_layout *layout, const struct scan *scan,
+                      const uint8_t *corner, struct vertex *out)
 {
     const struct attribute_stream *streams = scan->streams;
-    uint64_t v = record_vertex_index(layout, corner);
+    uint64_t v = tuple_vertex_index(layout, corner);
     memset(out, 0, sizeof *out);
     memcpy(out->position, stream_at(&streams[SCAN_POSITIONS], v, 12), 12);
     if (scan->attributes & FMT_TRIS_COLORS)
         memcpy(&out->color, stream_at(&streams[SCAN_COLORS], v, 4), 4);
     if (scan->attributes & FMT_TRIS_TEXCOORDS) {
-        uint64_t t = record_load(corner + layout->index_at[FMT_MESH_TEXCOORD],
-                                 layout->index_bytes[FMT_MESH_TEXCOORD]);
+        uint64_t t = tuple_load(corner + layout->index_at[FMT_MESH_TEXCOORD],
+                                layout->index_bytes[FMT_MESH_TEXCOORD]);
         if (t < scan_count(scan, SCAN_TEXCOORDS))
             memcpy(out->texcoord, stream_at(&streams[SCAN_TEXCOORDS], t, 8), 8);
     }
     if (scan->attributes & FMT_TRIS_NORMALS) {
-        uint64_t n = record_load(corner + layout->index_at[FMT_MESH_NORMAL],
-                                 layout->index_bytes[FMT_MESH_NORMAL]);
+        uint64_t n = tuple_load(corner + layout->index_at[FMT_MESH_NORMAL],
+                                layout->index_bytes[FMT_MESH_NORMAL]);
         out->normal = SCAN_NO_NORMAL;
         if (n < scan_count(scan, SCAN_NORMALS))
             memcpy(&out->normal, stream_at(&streams[SCAN_NORMALS], n, 4), 4);
@@ -61,12 +61,12 @@ void vox_record_vertex(const struct record_layout *layout, const struct scan *sc
 
 /* ---- the buffer ---- */
 
-/* Size of the largest run: delta codes of all kinds of indices. Plain records are never larger. */
+/* Size of the largest run: delta codes of all kinds of indices. Plain tuples are never larger. */
 #define BUFFER_BYTES                                                                               \
     (RUN_TRIANGLES * FMT_MESH_KIND_COUNT * CORNER_CODE_MAX + (uint32_t)sizeof(struct run_header))
 
 int vox_run_reader_init(struct run_reader *reader, const struct scan *scan,
-                        const struct record_layout *layout)
+                        const struct tuple_layout *layout)
 {
     *reader = (struct run_reader){.scan = scan, .layout = layout};
     return bsq_calloc(scan->ctx, "sorting", BUFFER_BYTES + CORNER_CODE_SLACK, 1, &reader->buffer);
@@ -111,19 +111,19 @@ static int fill_buffer(struct run_reader *reader, uint32_t size)
 
 /* ---- decoding ---- */
 
-/* Decodes plain records (record_runs.h), as most scans have them. */
+/* Decodes plain tuples (tuple_runs.h), as most scans have them. */
 static void decode_plain(const uint8_t *from, uint32_t count, uint8_t *to)
 {
     struct corner_code code = {0};
     for (uint32_t t = 0; t < count; t++, to += 12) {
         uint64_t index[3];
         from = corner_code_get(&code, from, index);
-        uint32_t record[3] = {(uint32_t)index[0], (uint32_t)index[1], (uint32_t)index[2]};
-        memcpy(to, record, sizeof record);
+        uint32_t tuple[3] = {(uint32_t)index[0], (uint32_t)index[1], (uint32_t)index[2]};
+        memcpy(to, tuple, sizeof tuple);
     }
 }
 
-static void decode_indices(const struct record_layout *layout, unsigned form, const uint8_t *from,
+static void decode_indices(const struct tuple_layout *layout, unsigned form, const uint8_t *from,
                            uint32_t count, uint8_t *to)
 {
     struct corner_code codes[FMT_MESH_KIND_COUNT] = {0};
@@ -135,27 +135,27 @@ static void decode_indices(const struct record_layout *layout, unsigned form, co
             if (layout->index_bytes[kind] == 0)
                 continue;
             for (uint32_t k = 0; k < 3; k++)
-                record_store(to + k * layout->corner_bytes + layout->index_at[kind], index[k],
-                             layout->index_bytes[kind]);
+                tuple_store(to + k * layout->corner_bytes + layout->index_at[kind], index[k],
+                            layout->index_bytes[kind]);
         }
 }
 
-static void set_materials(const struct scan *scan, const struct record_layout *layout,
-                          const struct run_header *header, uint8_t *records)
+static void set_materials(const struct scan *scan, const struct tuple_layout *layout,
+                          const struct run_header *header, uint8_t *tuples)
 {
     uint32_t usemtl = header->material >> 1;
     uint32_t entry = 2 * (usemtl == 0 ? scan->usemtl_count : usemtl - 1) + (header->material & 1);
     for (uint32_t t = 0; t < header->triangles; t++)
-        record_store(records + (uint64_t)t * layout->bytes + 3 * layout->corner_bytes,
-                     scan->material_map[entry] + 1, layout->material_bytes);
+        tuple_store(tuples + (uint64_t)t * layout->bytes + 3 * layout->corner_bytes,
+                    scan->material_map[entry] + 1, layout->material_bytes);
 }
 
 static void decode(const struct run_reader *reader, const struct run_header *header,
                    const uint8_t *from, uint8_t *to)
 {
-    const struct record_layout *layout = reader->layout;
+    const struct tuple_layout *layout = reader->layout;
     const uint32_t count = header->triangles;
-    if (header->form == RUN_RECORDS) {
+    if (header->form == RUN_TUPLES) {
         memcpy(to, from, header->bytes);
         return;
     }

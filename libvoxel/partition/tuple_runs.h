@@ -1,27 +1,27 @@
-/* record_runs.h - records of triangles, and the runs that make up the bytes of a bucket.
+/* tuple_runs.h - tuples of triangles, and the runs that make up the bytes of a bucket.
  *
- * A record, as sort batches hold them, is three corners and a material. A corner is one index of
- * each kind. The scan's counts give the bytes of an index, at least limits->index_bytes. Records
- * are packed; loads may read RECORD_SLACK bytes past the end.
+ * A tuple, as sort batches hold them, is three corners and a material. A corner is one index of
+ * each kind. The scan's counts give the bytes of an index, at least limits->index_bytes. Tuples
+ * are packed; loads may read TUPLE_SLACK bytes past the end.
  *
  * A run is a header and up to RUN_TRIANGLES triangles of one bucket and one material. It can be
  * decoded by itself. Its indices are delta coded (corner_delta_code.h). If a bucket is divided, its
- * children hold runs of uncoded records (RUN_RECORDS). */
-#ifndef VOX_PARTITION_RECORD_RUNS_H
-#define VOX_PARTITION_RECORD_RUNS_H
+ * children hold runs of uncoded tuples (RUN_TUPLES). */
+#ifndef VOX_PARTITION_TUPLE_RUNS_H
+#define VOX_PARTITION_TUPLE_RUNS_H
 
 #include <string.h>
 
 #include "libvoxel/partition/buckets.h"
 #include "libvoxel/read/scan.h"
 
-/* ---- records ---- */
+/* ---- tuples ---- */
 
-#define RECORD_SLACK 8
+#define TUPLE_SLACK 8
 
-struct record_layout {
+struct tuple_layout {
     bool gathered; /* attribute streams are in files; each batch gathers its elements */
-    bool plain;    /* a record is three four-byte vertex indices, and a vertex is a position */
+    bool plain;    /* a tuple is three four-byte vertex indices, and a vertex is a position */
     uint32_t index_bytes[FMT_MESH_KIND_COUNT]; /* 0: the kind is not stored */
     uint32_t index_at[FMT_MESH_KIND_COUNT];    /* offset in a corner */
     uint32_t corner_bytes;
@@ -29,7 +29,7 @@ struct record_layout {
     uint32_t bytes;
 };
 
-static inline uint32_t record_index_width(uint64_t last, uint32_t least)
+static inline uint32_t tuple_index_width(uint64_t last, uint32_t least)
 {
     uint32_t bytes = least;
     while (bytes < 8 && last >> (8 * bytes) != 0)
@@ -38,40 +38,39 @@ static inline uint32_t record_index_width(uint64_t last, uint32_t least)
 }
 
 /* Chooses the layout. The whole scan must have been read, and its materials must be known. */
-void vox_record_layout_for(const struct scan *scan, struct record_layout *layout);
+void vox_tuple_layout_for(const struct scan *scan, struct tuple_layout *layout);
 
-static inline void record_store(uint8_t *at, uint64_t value, uint32_t bytes)
+static inline void tuple_store(uint8_t *at, uint64_t value, uint32_t bytes)
 {
     for (uint32_t i = 0; i < bytes; i++)
         at[i] = (uint8_t)(value >> 8 * i);
 }
 
-static inline uint64_t record_load(const uint8_t *at, uint32_t bytes)
+static inline uint64_t tuple_load(const uint8_t *at, uint32_t bytes)
 {
     uint64_t value;
     memcpy(&value, at, 8);
     return value & UINT64_MAX >> (64 - 8 * bytes);
 }
 
-static inline uint64_t record_vertex_index(const struct record_layout *layout,
-                                           const uint8_t *corner)
+static inline uint64_t tuple_vertex_index(const struct tuple_layout *layout, const uint8_t *corner)
 {
-    return record_load(corner, layout->index_bytes[FMT_MESH_VERTEX]);
+    return tuple_load(corner, layout->index_bytes[FMT_MESH_VERTEX]);
 }
 
 /* Returns the position of a corner. Positions must be in memory. */
-static inline const float *record_position(const struct record_layout *layout,
-                                           const struct scan *scan, const uint8_t *corner)
+static inline const float *tuple_position(const struct tuple_layout *layout,
+                                          const struct scan *scan, const uint8_t *corner)
 {
-    return stream_at(&scan->streams[SCAN_POSITIONS], record_vertex_index(layout, corner), 12);
+    return stream_at(&scan->streams[SCAN_POSITIONS], tuple_vertex_index(layout, corner), 12);
 }
 
 /* Returns the triangle's material, or UINT32_MAX if it has none. */
-static inline uint32_t record_material(const struct record_layout *layout, const uint8_t *record)
+static inline uint32_t tuple_material(const struct tuple_layout *layout, const uint8_t *tuple)
 {
     if (layout->material_bytes == 0)
         return UINT32_MAX;
-    return (uint32_t)record_load(record + 3 * layout->corner_bytes, layout->material_bytes) - 1;
+    return (uint32_t)tuple_load(tuple + 3 * layout->corner_bytes, layout->material_bytes) - 1;
 }
 
 /* All values of a vertex of the chunk file. Equal vertices have equal bytes. */
@@ -83,8 +82,8 @@ struct vertex {
 };
 
 /* Looks up the values of a corner. All streams must be in memory. */
-void vox_record_vertex(const struct record_layout *layout, const struct scan *scan,
-                       const uint8_t *corner, struct vertex *out);
+void vox_tuple_vertex(const struct tuple_layout *layout, const struct scan *scan,
+                      const uint8_t *corner, struct vertex *out);
 
 /* ---- runs ---- */
 
@@ -92,7 +91,7 @@ void vox_record_vertex(const struct record_layout *layout, const struct scan *sc
 
 enum run_form {
     /* 1 << kind: the run has indices of this kind; kinds alternate triangle by triangle */
-    RUN_RECORDS = 8 /* uncoded records */
+    RUN_TUPLES = 8 /* uncoded tuples */
 };
 
 struct run_header {
@@ -110,7 +109,7 @@ static inline uint32_t run_material(uint32_t usemtl, bool lacks_texcoord)
 /* Reads the runs of a bucket in sequence. Each thread has its own reader. */
 struct run_reader {
     const struct scan *scan;
-    const struct record_layout *layout;
+    const struct tuple_layout *layout;
     uint8_t *buffer;
     uint32_t begin, end; /* unread bytes of the buffer */
     const struct buckets *buckets;
@@ -121,7 +120,7 @@ struct run_reader {
 
 /* Initialises a reader. Free it with vox_run_reader_free(), also after failure. */
 int vox_run_reader_init(struct run_reader *reader, const struct scan *scan,
-                        const struct record_layout *layout);
+                        const struct tuple_layout *layout);
 void vox_run_reader_free(struct run_reader *reader);
 
 /* Moves to the run at `offset` bytes of the bucket. */
@@ -132,7 +131,7 @@ static inline uint64_t run_reader_tell(const struct run_reader *reader)
 {
     return reader->offset - (reader->end - reader->begin);
 }
-/* Decodes the next run into at most RUN_TRIANGLES records at `to`, and may write RECORD_SLACK bytes
+/* Decodes the next run into at most RUN_TRIANGLES tuples at `to`, and may write TUPLE_SLACK bytes
  * more. Skips the run if `to` is NULL. There must be a next run. */
 int vox_run_reader_next(struct run_reader *reader, uint8_t *to, uint32_t *count);
 
