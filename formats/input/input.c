@@ -36,7 +36,7 @@ enum { STEP_BYTES = 256 << 10, RING_BYTES = 128 << 20 };
 struct fmt_input {
     struct bsq_ctx *ctx;
     char *path, *beside; /* beside: NULL for "." */
-    bool packed;         /* or text in UTF-16: the file's bytes are not those that readers get */
+    bool packed;
     const struct bsq_source *source; /* NULL: a file or a pipe */
     int pipe_fd;                     /* -1: a file, or a source */
     uint64_t file_size;

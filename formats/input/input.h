@@ -3,8 +3,6 @@
  *
  * Takes the path of a regular file, of a FIFO, or "-" for standard input; gives ranges of bytes. A
  * file that gzip or Zstandard packed gives its unpacked bytes; its first bytes tell, not its name.
- * Text in UTF-16 with a byte order mark, also if it is packed, gives UTF-8 without a mark. In this
- * folder, such text counts as packed.
  *
  * A packed file, or a pipe, is unpacked into a temporary file without a name, by the threads that
  * want its bytes and only as far as they want them. So a small file that unpacks to a huge one

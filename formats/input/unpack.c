@@ -39,11 +39,6 @@ struct unpacker {
 
     uint8_t *out; /* `step` bytes */
     uint64_t step;
-    /* Text in UTF-16. */
-    uint8_t *text; /* what the units in `out` become; NULL: the bytes are no such text */
-    bool big_endian;
-    uint16_t high; /* first half of a surrogate pair whose second half is to come; 0: none */
-    uint64_t odd;  /* 1: `out` begins with the first byte of a unit, else 0 */
     char error[160];
 };
 
@@ -61,27 +56,9 @@ static enum packing packing_of(const uint8_t *head, uint64_t size)
     return magic == 0xfd2fb528 || (magic & 0xfffffff0) == 0x184d2a50 ? PACKING_ZSTD : PACKING_NONE;
 }
 
-static uint16_t unit_at(const uint8_t *p, bool big_endian)
-{
-    return big_endian ? (uint16_t)(p[0] << 8 | p[1]) : (uint16_t)(p[1] << 8 | p[0]);
-}
-
-/* Returns whether a file is text in UTF-16: a mark and then an ASCII character, as every mesh or
- * material file in text begins. So no binary file is taken for text. */
-static bool is_utf16(const uint8_t *head, uint64_t size)
-{
-    enum { MARK = 0xfeff };
-    if (size < 2 || (unit_at(head, true) != MARK && unit_at(head, false) != MARK))
-        return false;
-    if (size < UNPACK_HEAD_BYTES)
-        return true;
-    const uint16_t unit = unit_at(head + 2, unit_at(head, true) == MARK);
-    return unit > 0 && unit < 0x80;
-}
-
 bool fmt_unpack_recognise(const uint8_t *head, uint64_t size)
 {
-    return packing_of(head, size) != PACKING_NONE || is_utf16(head, size);
+    return packing_of(head, size) != PACKING_NONE;
 }
 
 /* ---- packed bytes ---- */
@@ -302,69 +279,11 @@ static int read_bytes(struct unpacker *u, uint8_t *out, uint64_t size, uint64_t 
     return status;
 }
 
-/* ---- text ---- */
-
-/* Writes a character as UTF-8; returns its length, at most 4. */
-static uint64_t put(uint32_t c, uint8_t *out)
-{
-    static const uint8_t leads[] = {0, 0xc0, 0xe0, 0xf0};
-    const unsigned more = c < 0x80 ? 0 : c < 0x800 ? 1 : c < 0x10000 ? 2 : 3;
-    out[0] = (uint8_t)(leads[more] | c >> 6 * more);
-    for (unsigned i = 1; i <= more; i++)
-        out[i] = (uint8_t)(0x80 | (c >> 6 * (more - i) & 63));
-    return more + 1;
-}
-
-/* Converts units to UTF-8. Halves of surrogate pairs that are alone become U+FFFD. last: no units
- * follow. Returns the bytes, at most 3 for each unit and 3 more. */
-static uint64_t convert(struct unpacker *u, const uint8_t *units, uint64_t count, bool last)
-{
-    enum { REPLACEMENT = 0xfffd };
-    uint64_t made = 0;
-    for (uint64_t i = 0; i < count; i++) {
-        const uint32_t unit = unit_at(units + 2 * i, u->big_endian), high = u->high;
-        const bool is_high = unit >= 0xd800 && unit < 0xdc00;
-        const bool is_low = unit >= 0xdc00 && unit < 0xe000;
-        u->high = is_high ? (uint16_t)unit : 0;
-        if (high && is_low) {
-            made += put(0x10000 + ((high - 0xd800) << 10) + (unit - 0xdc00), u->text + made);
-            continue;
-        }
-        if (high)
-            made += put(REPLACEMENT, u->text + made);
-        if (!is_high)
-            made += put(is_low ? REPLACEMENT : unit, u->text + made);
-    }
-    return last && u->high ? made + put(REPLACEMENT, u->text + made) : made;
-}
-
 int fmt_unpack_next(struct unpacker *u, const uint8_t **bytes, uint64_t *size)
 {
-    uint64_t got, begin = 0;
-    const bool first = !u->started;
     *bytes = u->out;
-    *size = 0;
-    int status = read_bytes(u, u->out + u->odd, u->step - u->odd, &got);
-    got += u->odd;
-    const bool last = status == 0 && got < u->step;
-    if (first && is_utf16(u->out, got)) {
-        const int made = bsq_alloc(u->ctx, "text in UTF-16", u->step / 2 + 2, 3, &u->text);
-        if (made < 0)
-            return made;
-        u->big_endian = u->out[0] == 0xfe;
-        begin = 2; /* the byte order mark */
-    }
-    if (u->text) {
-        *bytes = u->text;
-        *size = convert(u, u->out + begin, (got - begin) / 2, last);
-        u->odd = got % 2;
-        u->out[0] = u->odd ? u->out[got - 1] : 0;
-        if (last && u->odd)
-            status = fail(u, "truncated: text in UTF-16 ends in the middle of a character", "");
-    } else {
-        *size = got;
-    }
-    return status ? status : !last;
+    const int status = read_bytes(u, u->out, u->step, size);
+    return status ? status : *size == u->step;
 }
 
 /* ---- all ---- */
@@ -394,7 +313,6 @@ void fmt_unpack_free(struct unpacker *u)
     ZSTD_freeDStream(u->zstd);
     bsq_release(u->ctx, u->zstd_bytes);
     bsq_free(u->ctx, u->gzip);
-    bsq_free(u->ctx, u->text);
     bsq_free(u->ctx, u->out);
     bsq_free(u->ctx, u->in);
     bsq_free(u->ctx, u);

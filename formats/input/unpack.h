@@ -1,5 +1,5 @@
 /* unpack.h - private to formats/input: unpacks a stream of bytes that gzip (RFC 1952) or Zstandard
- * (RFC 8878) packed, and turns text in UTF-16 with a byte order mark into UTF-8.
+ * (RFC 8878) packed.
  *
  * Members of a gzip file, and frames of a Zstandard file, may lie side by side; their contents
  * follow each other. The first bytes tell how a stream is packed; other bytes stay as they are. */
@@ -8,7 +8,7 @@
 
 #include "base/context.h"
 
-/* Returns whether a file is packed or is text in UTF-16, by its first UNPACK_HEAD_BYTES bytes, or
+/* Returns whether a file is packed, by its first UNPACK_HEAD_BYTES bytes, or
  * all if it has fewer. */
 bool fmt_unpack_recognise(const uint8_t *head, uint64_t size);
 #define UNPACK_HEAD_BYTES 4
@@ -18,8 +18,8 @@ typedef int unpack_source(void *arg, void *buffer, uint64_t size, uint64_t *got)
 
 struct unpacker;
 
-/* `arg` must live as long as the unpacker, which unpacks `step` bytes at a time, at
- * least UNPACK_HEAD_BYTES for text in UTF-16. Errors: BSQ_ENOMEM. */
+/* `arg` must live as long as the unpacker, which unpacks `step` bytes at a time.
+ * Errors: BSQ_ENOMEM. */
 int fmt_unpack_create(struct bsq_ctx *ctx, unpack_source *source, void *arg, uint64_t step,
                       struct unpacker **out);
 void fmt_unpack_free(struct unpacker *unpacker); /* NULL is allowed */

@@ -91,8 +91,8 @@ static const struct foreign {
     {"PK\x03\x04", 4, "a ZIP archive", "unpack it first"},
     {"7z\xbc\xaf\x27\x1c", 6, "a 7z archive", "unpack it first"},
     {"BLENDER", 7, "a Blender file", "export the mesh as OBJ"},
-    {"\xff\xfe", 2, "text in UTF-32 or in damaged UTF-16", "save it as UTF-8"},
-    {"\xfe\xff", 2, "text in damaged UTF-16", "save it as UTF-8"},
+    {"\xff\xfe", 2, "text in UTF-16 or UTF-32", "save it as UTF-8"},
+    {"\xfe\xff", 2, "text in UTF-16", "save it as UTF-8"},
     {"\0\0\xfe\xff", 4, "text in UTF-32", "save it as UTF-8"},
 };
 

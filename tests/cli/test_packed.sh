@@ -128,41 +128,4 @@ run bisque-bake box.nvdb box.obj --size 32 --maps normal -o a.exr
 ok run bisque-bake box.nvdb box.obj.gz --size 32 --maps normal -o b.exr
 same a.exr b.exr
 
-# ---- text in UTF-16 ----
-
-# utf16 ORDER FILE: prints the file in UTF-16 with a byte order mark.
-utf16()
-{
-    [ "$1" = LE ] && printf '\377\376' || printf '\376\377'
-    iconv -f UTF-8 -t "UTF-16$1" "$2"
-}
-
-mkdir wide
-{
-    printf 'mtllib t\303\266n.mtl\nusemtl t\303\266n\nvt 0 0\nvt 1 0\nvt 1 1\n'
-    printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1/1 2/2 3/3\n'
-} >wide.obj
-printf 'newmtl t\303\266n\nmap_Kd b\303\274ld.ppm\n' >"wide.mtl"
-printf 'P3\n2 1\n255\n255 0 0  0 0 255\n' >"wide/$(printf 'b\303\274ld.ppm')"
-for order in LE BE; do
-    cp wide.obj wide/plain.obj
-    cp wide.mtl "wide/$(printf 't\303\266n.mtl')"
-    ok $vox wide/plain.obj -o plain.nvdb --strict
-    utf16 $order wide.obj >wide/utf16.obj
-    utf16 $order wide.mtl >"wide/$(printf 't\303\266n.mtl')"
-    ok $vox wide/utf16.obj -o wide.nvdb --strict
-    out_like 'with colour'
-    same plain.nvdb wide.nvdb
-    gzip -c wide/utf16.obj >wide/utf16.obj.gz
-    ok $vox wide/utf16.obj.gz -o wide.nvdb --strict
-    same plain.nvdb wide.nvdb
-    "$BIN/bisque-voxelize" - --parse-only <wide/utf16.obj >"$out" 2>"$err"
-    code=$? command='bisque-voxelize - <wide/utf16.obj'
-    code 0
-done
-printf 'x' >>"wide/$(printf 't\303\266n.mtl')"
-ok $vox wide/plain.obj -o wide.nvdb
-grep -q 'warning: .*: truncated: text in UTF-16 ends in the middle of a character: its materials are missing$' "$err"
-check "a damaged MTL file is a warning" $?
-
 finish
