@@ -4,12 +4,11 @@
  * In: hits of a texel's samples. Out: the same hits with `open`, `bent` and `thickness`.
  *
  * Directions are cosine-weighted: points spread evenly over a disc, raised onto the hemisphere
- * (Malley's method; Pharr, Jakob and Humphreys, "Physically Based Rendering", 13.6.3). Ray i of n
- * has the squared radius (i + a) / n and the angle i / phi + b, a turn being 1 and phi the golden
- * ratio. Samples of a texel interleave: sample s of m adds s / m to a and to b, with a below 1 / m.
- * So each has a set as good as that of a single sample, and none repeats what another one sees. a
- * and b are hashes of the texel's place in the map, so neighbours use other directions and nothing
- * depends on tiles, threads or lanes.
+ * (Malley's method; Pharr, Jakob and Humphreys, "Physically Based Rendering", 13.6.3). Ray k of the
+ * n rays of a texel has the squared radius (k + a) / n and the angle k c + b, in turns. Sample s of
+ * m has the rays s, s + m, s + 2 m and so on. So samples that see the same share one set, as good
+ * as that of a single sample. a and b are hashes of the texel's place in the map, so neighbours use
+ * other directions and nothing depends on tiles, threads or lanes.
  *
  * Open rays start one voxel above the hit: planes of neighbouring voxels do not meet exactly, and a
  * surface must not hide itself. So gaps of less than about a voxel look open. They end at any
@@ -117,14 +116,20 @@ BK_FN void bk_turn_sine(bk_fw u, bk_fw *sine, bk_fw *cosine)
     *cosine = bk_select(((q + 1) & 2) != 0, 0.0f - b, b);
 }
 
+/* Turn between a ray and the next one of its texel, of 2^32: the golden ratio, or if a texel has
+ * four samples a number whose multiples by four turn evenly too, see
+ * docs/decisions/0020-rays-from-hits.md. */
+#define BK_TURN         2654435769u
+#define BK_TURN_OF_FOUR 1543181750u
+
 /* Returns unit directions around the z axis: those of a point's rays `first` and following ones. */
 BK_FN bk_vec3w bk_cone_directions(const bk_rays *rays, bk_share share, bk_uint first)
 {
     const bk_uint seed = share.seed ^ (rays->open ? 0u : BK_SOLID_SEED);
     const float samples = (float)(bk_int)rays->samples, part = (float)(bk_int)share.first;
     const float shift = (part + bk_fraction(bk_hash(seed ^ 1u))) / samples;
-    const bk_uint part_of_turn = (bk_uint)(bk_int)(part / samples * 16777216.0f) << 8;
-    const bk_uint angle = bk_hash(seed ^ 2u) + part_of_turn;
+    const bk_uint turn_each = rays->samples == 4u ? BK_TURN_OF_FOUR : BK_TURN;
+    const bk_uint angle = bk_hash(seed ^ 2u);
     bk_int number[BK_WIDTH], turn[BK_WIDTH];
     bk_fw square, radius, sine, cosine;
     bk_uint lane;
@@ -132,7 +137,7 @@ BK_FN bk_vec3w bk_cone_directions(const bk_rays *rays, bk_share share, bk_uint f
     for (lane = 0; lane < BK_WIDTH; lane++) {
         const bk_uint i = first + lane;
         number[lane] = (bk_int)i;
-        turn[lane] = (bk_int)((i * 2654435769u + angle) >> 8); /* 2^32 / phi */
+        turn[lane] = (bk_int)(((i * rays->samples + share.first) * turn_each + angle) >> 8);
     }
     square = (bk_to_fw(bk_load_lanes(number)) + shift) * (rays->sine2 / (float)(bk_int)rays->count);
     square = bk_minw(square, bk_splat(1.0f));

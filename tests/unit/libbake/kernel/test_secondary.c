@@ -118,8 +118,9 @@ TEST(samples_share_directions)
         const bk_rays part = {.open = 1, .count = count, .samples = n * n, .sine2 = 1};
         bool taken[144] = {false};
         for (bk_uint s = 0; s < n * n; s++) {
-            const float x = 70.0f + ((float)(s % n) + 0.5f) / (float)n;
-            const float y = 5.0f + ((float)(s / n) + 0.5f) / (float)n;
+            const bk_uint column = s % n, row = s / n;
+            const float x = 70.0f + ((float)column + 0.5f) / (float)n;
+            const float y = 5.0f + ((float)row + 0.5f) / (float)n;
             const bk_share share = bk_sample_share(x, y, n);
             assert_int_equal(share.seed, bk_sample_share(70.5f, 5.5f, 1).seed);
             for (bk_uint i = 0; i < count; i++) {
@@ -133,6 +134,41 @@ TEST(samples_share_directions)
             rings += taken[i];
         assert_true(rings >= 142); /* but for rounding at their borders */
     }
+}
+
+/* Returns the root mean square error of areas cut off the disc by lines, as rays of m of n x n
+ * samples find them. */
+static double error_of_cuts(bk_uint n, bk_uint m, bk_uint count)
+{
+    const bk_rays part = {.open = 1, .count = count, .samples = n * n, .sine2 = 1};
+    const int cuts = 40;
+    double sum = 0;
+    for (bk_uint seed = 0; seed < 50; seed++)
+        for (int cut = 0; cut < cuts; cut++) {
+            const double p = (2 * cut + 1.0) / cuts - 1;
+            const double area = 1 - (acos(p) - p * sqrt(1 - p * p)) / acos(-1);
+            double below = 0;
+            for (bk_uint s = 0; s < m; s++)
+                for (bk_uint i = 0; i < count; i++) {
+                    const bk_share share = {.seed = bk_hash(seed),
+                                            .first = (seed + s) % part.samples};
+                    below += bk_cone_directions(&part, share, i).x < p;
+                }
+            sum += pow(below / (m * count) - area, 2);
+        }
+    return sqrt(sum / (50 * cuts));
+}
+
+/* Samples that see the same find as much as one with all of their rays, and each sample alone as
+ * much as one with as few. */
+TEST(samples_share_an_even_set)
+{
+    for (bk_uint n = 2; n <= 3; n++)
+        for (bk_uint count = 4; count <= 64; count *= 4) {
+            const double one = error_of_cuts(1, 1, n * n * count);
+            assert_true(error_of_cuts(n, n * n, count) < 1.1 * one);
+            assert_true(error_of_cuts(n, 1, count) < 1.1 * error_of_cuts(1, 1, count));
+        }
 }
 
 TEST(cones_and_frames)
