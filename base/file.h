@@ -52,7 +52,7 @@ const char *bsq_file_name(const char *path);
 /* How bsq_file_open_as() opens a file. */
 enum bsq_open {
     BSQ_OPEN_INPUT, /* an input of the job, see base/job_files.h */
-    BSQ_OPEN_OTHER  /* a file that the job may also write, such as its record */
+    BSQ_OPEN_OTHER  /* a file that the job may also write, such as its note */
 };
 
 /* Opens a regular file for reading. Never waits: pipes, sockets and devices are refused. An input

@@ -62,14 +62,14 @@ struct vox_channel {
     bool optional; /**< Keep the channel only if some material has a value or a texture of it. */
 };
 
-/** How vox_sort() uses the record beside the chunk file, tris_path + ".job", which says what it was
+/** How vox_sort() uses the note beside the chunk file, tris_path + ".job", which says what it was
  * made from. It lets a job that was interrupted after sorting go on with the chunk file. */
-enum vox_record {
-    VOX_RECORD_NONE,  /**< There is none. */
-    VOX_RECORD_WRITE, /**< Sorts and writes the record. Jobs that read pipes have none. */
-    VOX_RECORD_REUSE, /**< Keeps the chunk file if sorting would write the same one again; sorts and
-                         writes the record otherwise. */
-    VOX_RECORD_RESUME /**< The same, but refuses a chunk file that was made from other inputs
+enum vox_note {
+    VOX_NOTE_NONE,  /**< There is none. */
+    VOX_NOTE_WRITE, /**< Sorts and writes the note. Jobs that read pipes have none. */
+    VOX_NOTE_REUSE, /**< Keeps the chunk file if sorting would write the same one again; sorts and
+                         writes the note otherwise. */
+    VOX_NOTE_RESUME /**< The same, but refuses a chunk file that was made from other inputs
                          (BSQ_EUSAGE) or before an input has changed (BSQ_EDATA), and pipes. */
 };
 
@@ -80,7 +80,7 @@ struct vox_sort_options {
      * standard input, is read once. */
     const char *const *scan_paths;
     /** One for each mesh file that is read by a callback, NULL for others; its path is then its
-     * name in messages. As pipes, they have no record. NULL: all are files. */
+     * name in messages. As pipes, they have no note. NULL: all are files. */
     const struct bsq_source *const *sources;
     /** One for each mesh file; NULL: all stay in place. */
     const struct vox_placement *placements;
@@ -104,7 +104,7 @@ struct vox_sort_options {
     bool tells_unkept;
     /** Copy the images of textures into the chunk file tris_path, except for textures of tiles. */
     bool embed_textures;
-    enum vox_record record; /**< Use of the record beside the chunk file. */
+    enum vox_note note; /**< Use of the note beside the chunk file. */
 };
 
 /** Bytes of a list of names in a report. What does not fit is left out. */
@@ -162,7 +162,7 @@ int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
 int vox_parse(struct bsq_ctx *ctx, const struct vox_sort_options *options,
               struct vox_sort_report *report);
 
-/** Removes the record of a chunk file, when the job that needed it is finished. */
+/** Removes the note of a chunk file, when the job that needed it is finished. */
 void vox_sort_finish(const char *tris_path);
 
 /** Returns the smallest budget in bytes that vox_sort() and vox_voxelize() accept, for a number of

@@ -107,11 +107,11 @@ static int sort_scan(struct voxelize_job *job)
     options->keeps_tris = !job->temporary_tris;
     options->check_textures = true;
     /* A temporary chunk file is always removed, so such a job cannot be resumed. */
-    options->record = job->temporary_tris ? VOX_RECORD_NONE
-                      : arguments->resume ? VOX_RECORD_RESUME
-                      : arguments->sort_only && !arguments->force && !job->cli->strict
-                          ? VOX_RECORD_REUSE
-                          : VOX_RECORD_WRITE;
+    options->note = job->temporary_tris ? VOX_NOTE_NONE
+                    : arguments->resume ? VOX_NOTE_RESUME
+                    : arguments->sort_only && !arguments->force && !job->cli->strict
+                        ? VOX_NOTE_REUSE
+                        : VOX_NOTE_WRITE;
     status = vox_sort(ctx, options, &job->sort);
 done:
     return status;

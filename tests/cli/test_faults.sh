@@ -20,7 +20,7 @@ torture()
 {
     command="torture $* $job_outputs -- $job_command" code=0
     # Both are split into words on purpose: no name in them has a space.
-    "$TESTS/torture" -s "$SEED" ${job_record:+-r "$job_record"} "$@" $job_outputs -- $job_command >"$out" 2>"$err" || code=$?
+    "$TESTS/torture" -s "$SEED" ${job_note:+-r "$job_note"} "$@" $job_outputs -- $job_command >"$out" 2>"$err" || code=$?
     check "$(sed -n '$s/^\(not \)*ok - //p' "$out")" "$code"
     SEED=$((SEED + 1))
 }
@@ -28,7 +28,7 @@ torture()
 # job NAME OUTPUT... -- PROGRAM ARGUMENT...
 job()
 {
-    job_outputs='' job_command='' job_record=''
+    job_outputs='' job_command='' job_note=''
     while [ "$1" != -- ]; do
         job_outputs="$job_outputs $1"
         shift
@@ -95,7 +95,7 @@ small="--size 32 --samples 1 --threads 2"
 # ---- each tool, every call ----
 
 job a.tris a.nvdb -- bisque-voxelize scan.obj -o a.nvdb --resolution 32 --threads 2
-job_record=a.tris.job
+job_note=a.tris.job
 writes_fail
 room_fails
 reads_fail
@@ -131,7 +131,7 @@ killed
 
 "$TESTS/generate-scan" --triangles 1600000 --colors --shuffle 7 vase -o large.obj
 job a.tris a.nvdb -- bisque-voxelize large.obj -o a.nvdb --resolution 64 --threads 1 --memory 52M
-job_record=a.tris.job
+job_note=a.tris.job
 torture -m 5 ENOSPC
 torture -m 4 -c read EIO
 torture -m 3 kill-at

@@ -73,7 +73,7 @@ $vox box.tris -o box_color.png
 refused 64 "$p box_color.png: this output would overwrite $here/box_color.png, the texture that box.tris names"
 unchanged
 
-# The record of a job is an output too.
+# The note of a job is an output too.
 cp box.obj a.tris.job
 start=$(ls -A)
 $vox a.tris.job -o a.nvdb

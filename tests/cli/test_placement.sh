@@ -126,7 +126,7 @@ refused 64 "$p --translate is given 2 times for 1 file: give it once, or once fo
 # ---- resuming needs the same place ----
 
 run bisque-voxelize plain.obj --scale 4 --voxel-size 1e-7 -o job.nvdb
-holds "the record is there" [ -e job.tris.job ]
+holds "the note is there" [ -e job.tris.job ]
 run bisque-voxelize plain.obj --scale 2 --resolution 40 -o job.nvdb --resume
 refused_like 64 "^$p job.tris was made from scale 4, up unchanged, translate 0,0,0, not from scale 2, up unchanged, .*: this job cannot be resumed\$"
 run bisque-voxelize plain.obj --scale 4 --up z --resolution 40 -o job.nvdb --resume

@@ -20,7 +20,7 @@ mkdir whole
 ok $voxelize a.obj -o whole/box.nvdb --resolution 32
 [ "$(ls -A whole)" = 'box.nvdb
 box.tris' ]
-check "a finished job leaves no record" $?
+check "a finished job leaves no note" $?
 
 # ---- a job that was stopped goes on, and gives the same bytes ----
 
@@ -33,7 +33,7 @@ json '.resumed and .scan == null and .grid.voxels > 0'
 same box.nvdb whole/box.nvdb
 same box.tris whole/box.tris
 files a.obj box.mtl box.nvdb box.obj box.tris job whole
-# With the record again (a job that is killed just before its end), and other options of the grid: only that is made.
+# With the note again (a job that is killed just before its end), and other options of the grid: only that is made.
 cp job box.tris.job
 rm box.nvdb
 ok $voxelize a.obj -o box.nvdb --resolution 40 --resume --memory 100M --threads 1
@@ -124,11 +124,11 @@ stopped "$odd" -o odd.nvdb
 ok $voxelize "$odd" -o odd.nvdb --resume --json
 json .resumed
 
-# A pipe cannot be read again, so its job has no record.
+# A pipe cannot be read again, so its job has no note.
 "$BIN/bisque-voxelize" - -o piped.tris --texture dot.ppm <box.obj >"$out" 2>"$err"
 code=$? command="bisque-voxelize - --texture dot.ppm"
 code 0
-holds "no record of a pipe" [ ! -e piped.tris.job ]
+holds "no note of a pipe" [ ! -e piped.tris.job ]
 "$BIN/bisque-voxelize" - -o piped.nvdb --resume <box.obj >"$out" 2>"$err"
 code=$? command="bisque-voxelize - --resume"
 refused 64 "$p - is a pipe or no file, which cannot be read again: if piped.tris is complete, make the grid from it instead of resuming"
@@ -151,7 +151,7 @@ ok $voxelize vase.obj -o vase.nvdb --resolution 1500 --resume --json
 json .resumed
 same vase.nvdb whole.nvdb
 same vase.tris whole.tris
-holds "the record is gone" [ ! -e vase.tris.job ]
+holds "the note is gone" [ ! -e vase.tris.job ]
 
 # ---- usage ----
 

@@ -53,7 +53,7 @@ struct content {
 static struct {
     bool plain;
     const char *calls, *mode;
-    const char *record; /* NULL: none */
+    const char *note; /* NULL: none */
     unsigned runs;
     unsigned long most;
     uint64_t random;
@@ -246,7 +246,7 @@ static void check_outputs(struct run *run, bool success, bool killed)
     int whole = 0;
     for (int i = 0; i < job.output_count; i++)
         whole += check_output(run, i, success);
-    if (whole > 0 && whole < job.output_count && !killed && !job.record &&
+    if (whole > 0 && whole < job.output_count && !killed && !job.note &&
         strcmp(job.mode, "full") != 0)
         run->wrong = "only some outputs are new";
 }
@@ -260,7 +260,7 @@ static void check_directory(struct run *run, bool success, bool may_leave)
             temporary++;
         else if (!is_among(names[i], job.inputs, job.input_count) &&
                  !is_among(names[i], job.outputs, job.output_count) &&
-                 (success || !job.record || strcmp(names[i], job.record) != 0))
+                 (success || !job.note || strcmp(names[i], job.note) != 0))
             run->wrong = "a file that does not belong here";
         free(names[i]);
     }
@@ -331,8 +331,8 @@ static void prepare(struct run *run)
         if (run->had_old)
             write_old(job.outputs[i]);
     }
-    if (job.record)
-        unlink(job.record);
+    if (job.note)
+        unlink(job.note);
 }
 
 static void report_wrong(const struct run *run, unsigned long number)
@@ -436,7 +436,7 @@ static void parse(int argc, char **argv)
             job.runs = (unsigned)strtoul(optarg, NULL, 10);
             break;
         case 'r':
-            job.record = optarg;
+            job.note = optarg;
             break;
         case 's':
             job.random = strtoull(optarg, NULL, 10);

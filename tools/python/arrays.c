@@ -60,21 +60,21 @@ static void put_face(const struct arrays *a, uint64_t face, char *to)
     memcpy(to + 1, indices, sizeof indices);
 }
 
-/* Copies bytes of records of `size` bytes, of which `offset` counts from the first. Returns how
+/* Copies bytes of elements of `size` bytes, of which `offset` counts from the first. Returns how
  * many there were to copy. */
 static uint64_t give(const struct arrays *a, void (*one)(const struct arrays *, uint64_t, char *),
-                     uint64_t records, unsigned size, char *to, uint64_t count, uint64_t offset)
+                     uint64_t elements, unsigned size, char *to, uint64_t count, uint64_t offset)
 {
-    char record[MOST_BYTES];
+    char element[MOST_BYTES];
     uint64_t given = 0;
-    for (uint64_t i = offset / size; i < records && given < count; i++) {
+    for (uint64_t i = offset / size; i < elements && given < count; i++) {
         const uint64_t skip = given == 0 ? offset % size : 0;
         const uint64_t bytes = size - skip < count - given ? size - skip : count - given;
         if (bytes == size) {
             one(a, i, to + given);
         } else {
-            one(a, i, record);
-            memcpy(to + given, record + skip, bytes);
+            one(a, i, element);
+            memcpy(to + given, element + skip, bytes);
         }
         given += bytes;
     }

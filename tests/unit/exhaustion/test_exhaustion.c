@@ -209,7 +209,7 @@ static int sort(struct bsq_ctx *ctx)
 }
 
 /* Records a job and resumes it. */
-static int record(struct bsq_ctx *ctx)
+static int note(struct bsq_ctx *ctx)
 {
     const char *path = "scan.obj";
     struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
@@ -219,7 +219,7 @@ static int record(struct bsq_ctx *ctx)
     struct vox_sort_report report = {.size = sizeof report};
     int status = 0;
     for (int i = 0; i < 2 && status == 0; i++) {
-        options.record = i == 0 ? VOX_RECORD_WRITE : VOX_RECORD_RESUME;
+        options.note = i == 0 ? VOX_NOTE_WRITE : VOX_NOTE_RESUME;
         status = vox_sort(ctx, &options, &report);
     }
     if (status == 0) {
@@ -395,7 +395,7 @@ static void exhaust(int (*job)(struct bsq_ctx *), uint64_t stride)
 EXHAUST(parse, 1)
 EXHAUST(load_mesh, 1)
 EXHAUST(sort, 1)
-EXHAUST(record, 1)
+EXHAUST(note, 1)
 EXHAUST(voxelize, 1)
 EXHAUST(voxelize_parts, 1)
 EXHAUST(verify_tris, 1)

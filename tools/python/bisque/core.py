@@ -263,7 +263,7 @@ def _sort(job: Job, scan: Any, output: str, texture: Any = None, ids: str = "non
         {"name": job.string(name), "texture_path": ffi.NULL} for name in channels]))
     options.channel_count = len(channels)
     options.embed_textures = embed_textures
-    options.record = lib.VOX_RECORD_REUSE if resume else lib.VOX_RECORD_NONE
+    options.note = lib.VOX_NOTE_REUSE if resume else lib.VOX_NOTE_NONE
     options.temp_tris = temporary
     report = _new_report("struct vox_sort_report")
     job.run(lib.vox_sort, options, report)
@@ -289,7 +289,7 @@ def sort(scan: Any, output: str | os.PathLike, *, texture: Any = None, ids: str 
 
     texture: an image for all faces with texture coordinates. ids: "material", "object" or "color".
     channels: such as ("roughness",). resume: keeps a file that would become the same again, by its
-    record, `output` + ".job". Returns the report. Raises Error."""
+    note, `output` + ".job". Returns the report. Raises Error."""
     with Job(memory, threads, tmpdir, progress) as job:
         return _sort(job, scan, os.fspath(output), texture, ids, channels, embed_textures, resume)
 

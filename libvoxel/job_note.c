@@ -1,7 +1,7 @@
-/* job_record.c - records which inputs and options a chunk file was made from, so that a job can
+/* job_note.c - notes which inputs and options a chunk file was made from, so that a job can
  * resume from it (docs/decisions/0006).
  *
- * The record is a file of lines beside the chunk file, each of which ends with a null byte, as
+ * The note is a file of lines beside the chunk file, each of which ends with a null byte, as
  * paths may contain anything else. It exists only while the job is unfinished, and beside a chunk
  * file that was sorted alone. The first line has the version of the program, and a checksum of the
  * other lines and of the chunk file's header. Each other line is a kind, a hash and a text:
@@ -19,7 +19,7 @@
 #include "base/path_map.h"
 #include "formats/input/input.h"
 #include "formats/mesh/mesh_reader.h"
-#include "libvoxel/job_record.h"
+#include "libvoxel/job_note.h"
 
 #include <assert.h>
 #include <errno.h>
@@ -38,7 +38,7 @@ enum { TRIS_CHECKSUM_AT = 144 };
 /* Offset of the text in a line: after a kind of 3 and a hash of 16 characters. */
 enum { TEXT_AT = 21 };
 
-static int no_memory(const struct job_record *r)
+static int no_memory(const struct job_note *r)
 {
     return bsq_fail_errno(r->ctx, BSQ_ENOMEM, ENOMEM, "%s", r->tris_path);
 }
@@ -58,7 +58,7 @@ static const char *text_of(const char *line)
 
 /* Adds a line and frees its text. NULL: there was no memory for it. Lines are a few bytes and a job
  * may have a budget of only vox_memory_min(), so they are not counted. */
-static int add_line(struct job_record *r, const char *kind, uint64_t hash, char *text)
+static int add_line(struct job_note *r, const char *kind, uint64_t hash, char *text)
 {
     const size_t bytes = text ? TEXT_AT + strlen(text) + 1 : 0;
     char *grown = text ? realloc(r->lines, r->size + bytes + 1) : NULL;
@@ -102,7 +102,7 @@ static char *full_path(const char *path)
 }
 
 /* Adds an input: "obj"; or "mtl", which may be absent or no file. */
-static int add_input(struct job_record *r, const char *kind, const char *path)
+static int add_input(struct job_note *r, const char *kind, const char *path)
 {
     struct stat info;
     uint64_t hash = 0;
@@ -115,7 +115,7 @@ done:
     return status;
 }
 
-static int add_placement(struct job_record *r, const struct vox_placement *p)
+static int add_placement(struct job_note *r, const struct vox_placement *p)
 {
     const char *up = p->up == VOX_UP_Y ? "y" : p->up == VOX_UP_Z ? "z" : "unchanged";
     char *text = NULL;
@@ -125,7 +125,7 @@ static int add_placement(struct job_record *r, const struct vox_placement *p)
     return add_line(r, "how", 0, text);
 }
 
-static int add_channel(struct job_record *r, const struct vox_channel *channel)
+static int add_channel(struct job_note *r, const struct vox_channel *channel)
 {
     char *path = channel->texture_path ? full_path(channel->texture_path) : NULL, *text = NULL;
     if (asprintf(&text, "%s%s%s", channel->name, path ? "=" : "", path ? path : "") < 0 ||
@@ -138,7 +138,7 @@ static int add_channel(struct job_record *r, const struct vox_channel *channel)
 }
 
 /* Adds the rules for paths, which change the names of textures in the chunk file. */
-static int add_path_rules(struct job_record *r)
+static int add_path_rules(struct job_note *r)
 {
     char *rules;
     int status = bsq_path_rules_text(r->ctx, &rules);
@@ -151,11 +151,11 @@ static int add_path_rules(struct job_record *r)
 
 /* ---- a job ---- */
 
-void vox_record_free(struct job_record *r)
+void vox_note_free(struct job_note *r)
 {
     free(r->path);
     free(r->lines);
-    *r = (struct job_record){0};
+    *r = (struct job_note){0};
 }
 
 static char *path_beside(const char *tris_path)
@@ -181,7 +181,7 @@ static const char *find_pipe(const struct vox_sort_options *options)
     return NULL;
 }
 
-static int describe(struct job_record *r, const struct vox_sort_options *options)
+static int describe(struct job_note *r, const struct vox_sort_options *options)
 {
     static const char *const ids[] = {[VOX_IDS_MATERIAL] = "ids by material",
                                       [VOX_IDS_OBJECT] = "ids by object",
@@ -206,19 +206,18 @@ done:
     return status;
 }
 
-int vox_record_open(struct bsq_ctx *ctx, const struct vox_sort_options *options,
-                    struct job_record *r)
+int vox_note_open(struct bsq_ctx *ctx, const struct vox_sort_options *options, struct job_note *r)
 {
     const char *pipe = find_pipe(options);
     int status;
-    *r = (struct job_record){.ctx = ctx, .tris_path = options->tris_path};
-    if (pipe && options->record == VOX_RECORD_RESUME)
+    *r = (struct job_note){.ctx = ctx, .tris_path = options->tris_path};
+    if (pipe && options->note == VOX_NOTE_RESUME)
         return bsq_fail(
             ctx, BSQ_EUSAGE,
             "%s is a pipe or no file, which cannot be read again: if %s is complete, make the "
             "grid from it instead of resuming",
             pipe, options->tris_path);
-    if (pipe || options->record == VOX_RECORD_NONE)
+    if (pipe || options->note == VOX_NOTE_NONE)
         return 0;
     r->path = path_beside(options->tris_path);
     BSQ_TRY(r->path ? bsq_note_output(ctx, r->path) : no_memory(r));
@@ -227,7 +226,7 @@ done:
     return status;
 }
 
-int vox_record_add_libraries(struct job_record *r, struct fmt_mesh_reader *reader)
+int vox_note_add_libraries(struct job_note *r, struct fmt_mesh_reader *reader)
 {
     const char *path;
     int status = 0;
@@ -237,7 +236,7 @@ done:
     return status;
 }
 
-int vox_record_add_image(struct job_record *r, const char *path)
+int vox_note_add_image(struct job_note *r, const char *path)
 {
     return r->path ? add_input(r, "mtl", path) : 0;
 }
@@ -256,7 +255,7 @@ static int load(struct bsq_ctx *ctx, const char *path, uint64_t most, char **tex
         return 0;
     BSQ_TRY(bsq_file_open_as(ctx, path, BSQ_OPEN_OTHER, &file));
     const uint64_t bytes = file.size < most ? file.size : most;
-    BSQ_TRY(bsq_calloc(ctx, "job record", bytes + 1, 1, text));
+    BSQ_TRY(bsq_calloc(ctx, "job note", bytes + 1, 1, text));
     status = bsq_file_read(ctx, &file, *text, bytes, 0);
     *size = file.size;
 done:
@@ -264,9 +263,9 @@ done:
     return status;
 }
 
-/* Makes the first line of a record with these other lines, for the caller to free. NULL if there is
+/* Makes the first line of a note with these other lines, for the caller to free. NULL if there is
  * no chunk file. */
-static int make_first_line(const struct job_record *r, const char *lines, size_t bytes, char **out)
+static int make_first_line(const struct job_note *r, const char *lines, size_t bytes, char **out)
 {
     char *header;
     uint64_t size, checksum;
@@ -284,7 +283,7 @@ static int make_first_line(const struct job_record *r, const char *lines, size_t
     return status;
 }
 
-int vox_record_write(struct job_record *r)
+int vox_note_write(struct job_note *r)
 {
     struct bsq_output *output = NULL;
     char *first = NULL;
@@ -307,8 +306,8 @@ done:
 
 /* ---- resuming ---- */
 
-/* Compares a line of the record with the line as it is now. Either may be empty: there is none. */
-static int compare(const struct job_record *r, const char *then, const char *now)
+/* Compares a line of the note with the line as it is now. Either may be empty: there is none. */
+static int compare(const struct job_note *r, const char *then, const char *now)
 {
     const char *was = text_of(then), *is = text_of(now);
     if (strcmp(then, now) == 0)
@@ -323,8 +322,8 @@ static int compare(const struct job_record *r, const char *then, const char *now
 }
 
 /* Compares all lines. The job does not know its material libraries, as the scan is not read. They
- * are last in the record, and are described again as they are now. */
-static int compare_all(struct job_record *r, const char *then)
+ * are last in the note, and are described again as they are now. */
+static int compare_all(struct job_note *r, const char *then)
 {
     int status = 0;
     for (size_t at = 0; *then || at < r->size; then = next_line(then)) {
@@ -339,14 +338,14 @@ done:
     return status;
 }
 
-int vox_record_check(struct job_record *r, enum vox_record how, bool *same)
+int vox_note_check(struct job_note *r, enum vox_note how, bool *same)
 {
     const size_t own = r->size;
     char *text = NULL, *first = NULL;
     uint64_t size;
     int status = 0;
     *same = false;
-    if (!r->path || how == VOX_RECORD_WRITE)
+    if (!r->path || how == VOX_NOTE_WRITE)
         return 0;
     BSQ_TRY(load(r->ctx, r->path, UINT64_MAX, &text, &size));
     const size_t begin = text ? strlen(text) + 1 : 0;
@@ -362,7 +361,7 @@ done:
     r->size = own; /* without the libraries */
     if (r->lines)
         r->lines[own] = '\0';
-    if (how == VOX_RECORD_REUSE && status != BSQ_ENOMEM && status != BSQ_EINTR) {
+    if (how == VOX_NOTE_REUSE && status != BSQ_ENOMEM && status != BSQ_EINTR) {
         bsq_clear_error(r->ctx);
         status = 0;
     }
