@@ -117,6 +117,19 @@ static int open_png(struct fmt_rows_input *input, struct fmt_rows_info *info, vo
                                                       : fmt_rows_unreadable(input, reason(rows));
 }
 
+bool fmt_png_text(const void *state, uint32_t i, const char **name, const char **value)
+{
+    const struct png_rows *rows = state;
+    png_textp texts = NULL;
+    int count = 0;
+    png_get_text(rows->png, rows->info, &texts, &count);
+    if (i >= (uint32_t)count)
+        return false;
+    *name = texts[i].key;
+    *value = texts[i].text;
+    return true;
+}
+
 static void close_png(void *state)
 {
     struct png_rows *rows = state;

@@ -1,45 +1,25 @@
 /* read_map.c - reads a map into floats: OpenEXR, PNG, or another format that textures may have.
  *
- * Integers become 0 to 1. Bisque and other programs store the attributes of PNG files as tEXt
- * chunks, which the readers of textures do not give. */
+ * Integers become 0 to 1. Bisque and other programs store the attributes of PNG files as texts. */
 #include <string.h>
 
 #include "base/text.h"
 #include "formats/texture/image_rows.h"
 #include "libbake/compare/comparison.h"
 
-enum { MOST_TEXT_BYTES = 4096, MOST_TEXTS = 256, CHUNK_HEAD = 8, CHUNK_END = 4 };
-
-/* Adds the attribute of a tEXt chunk: its name, a zero, and its value, which a zero ends here. */
-static int add_text(struct bsq_ctx *ctx, const char *text, size_t size, struct fmt_exr_image *out)
+/* Takes the texts before the texels of a PNG file. */
+static int read_texts(struct bsq_ctx *ctx, const void *png, struct fmt_exr_image *out)
 {
-    const size_t name = strlen(text);
-    if (name == size || out->attribute_count == MOST_TEXTS)
-        return 0;
-    struct fmt_exr_attribute *attribute = &out->attributes[out->attribute_count++];
-    const int status = bsq_text_copy(ctx, text, &attribute->name);
-    return status < 0 ? status : bsq_text_copy(ctx, text + name + 1, &attribute->value);
-}
-
-/* Reads the tEXt chunks before the texels of a PNG file. */
-static int read_texts(struct bsq_ctx *ctx, const struct bsq_file *file, struct fmt_exr_image *out)
-{
-    char text[MOST_TEXT_BYTES + 1];
-    unsigned char head[CHUNK_HEAD];
-    uint64_t size, got = 0;
-    int status;
-    BSQ_TRY(bsq_calloc(ctx, "a map's attributes", MOST_TEXTS, sizeof *out->attributes,
-                       &out->attributes));
-    for (uint64_t at = 8; at + CHUNK_HEAD < file->size; at += CHUNK_HEAD + size + CHUNK_END) {
-        BSQ_TRY(bsq_file_read(ctx, file, head, sizeof head, at));
-        size = (uint64_t)head[0] << 24 | (uint64_t)head[1] << 16 | (uint64_t)head[2] << 8 | head[3];
-        if (memcmp(head + 4, "IDAT", 4) == 0)
-            break;
-        if (memcmp(head + 4, "tEXt", 4) != 0 || size > MOST_TEXT_BYTES)
-            continue;
-        BSQ_TRY(bsq_file_read_some(ctx, file, text, size, at + CHUNK_HEAD, &got));
-        text[got] = '\0';
-        BSQ_TRY(add_text(ctx, text, got, out));
+    const char *name, *value;
+    uint64_t capacity = 0;
+    int status = 0;
+    for (uint32_t i = 0; fmt_png_text(png, i, &name, &value); i++) {
+        BSQ_TRY(bsq_grow(ctx, "a map's attributes", i + UINT64_C(1), sizeof *out->attributes,
+                         &out->attributes, &capacity));
+        struct fmt_exr_attribute *attribute = &out->attributes[out->attribute_count++];
+        *attribute = (struct fmt_exr_attribute){0};
+        BSQ_TRY(bsq_text_copy(ctx, name, &attribute->name));
+        BSQ_TRY(bsq_text_copy(ctx, value, &attribute->value));
     }
 done:
     return status;
@@ -96,7 +76,7 @@ static int read_rows(struct bsq_ctx *ctx, struct fmt_rows *rows, struct fmt_exr_
         to_floats(info, row, out->samples + y * samples);
     }
     if (rows->decoder == &fmt_png_rows)
-        BSQ_TRY(read_texts(ctx, &rows->input.file, out));
+        BSQ_TRY(read_texts(ctx, rows->state, out));
     status = bsq_file_check(ctx, &rows->input.file);
 done:
     bsq_free(ctx, row);
