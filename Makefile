@@ -95,7 +95,7 @@ src.openvdb  := formats/grid/vdb_export_openvdb.cc base/vec.c
 module_stamp := formats/module/module_stamp.c
 $(foreach m,$(modules),$(eval src.$(m) += $(module_stamp)))
 module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)
-module_headers  := $(addprefix base/,version.h context.h file.h file_part.h output.h \
+module_headers  := $(addprefix base/,version.h context.h file.h file_extent.h output.h \
     parallel.h) \
     $(addprefix formats/,module/module.h mesh/gltf_task.h mesh/scene_file.h \
     $(addprefix grid/,nvdb.h nvdb_layout_internal.h vdb_module.h) \

@@ -78,7 +78,7 @@ int bsq_ctx_create(const struct bsq_ctx_options *options, struct bsq_ctx **out)
     }
     pthread_mutex_init(&ctx->error_lock, NULL);
     pthread_mutex_init(&ctx->callback_lock, NULL);
-    pthread_mutex_init(&ctx->parts_lock, NULL);
+    pthread_mutex_init(&ctx->members_lock, NULL);
     if (ctx->options.threads < wanted_threads)
         bsq_warn(ctx, "%u threads are more than this machine can use: %u are used", wanted_threads,
                  ctx->options.threads);
@@ -87,43 +87,43 @@ int bsq_ctx_create(const struct bsq_ctx_options *options, struct bsq_ctx **out)
     return 0;
 }
 
-void *bsq_part_of(struct bsq_ctx *ctx, enum bsq_part part, size_t size,
-                  void (*free)(struct bsq_ctx *ctx, void *object))
+void *bsq_member_of(struct bsq_ctx *ctx, enum bsq_member member, size_t size,
+                    void (*free)(struct bsq_ctx *ctx, void *object))
 {
-    struct bsq_part_of_context *of = &ctx->parts[part];
+    struct bsq_ctx_member *of = &ctx->members[member];
     if (!of->object)
-        *of = (struct bsq_part_of_context){calloc(1, size), free};
+        *of = (struct bsq_ctx_member){calloc(1, size), free};
     return of->object;
 }
 
-/* Frees a part, if the context has it. */
-static void drop_part(struct bsq_ctx *ctx, enum bsq_part part)
+/* Frees a member, if the context has it. */
+static void drop_member(struct bsq_ctx *ctx, enum bsq_member member)
 {
-    const struct bsq_part_of_context of = ctx->parts[part];
-    ctx->parts[part].object = NULL;
+    const struct bsq_ctx_member of = ctx->members[member];
+    ctx->members[member].object = NULL;
     if (of.object)
         of.free(ctx, of.object);
 }
 
 void bsq_forget_files(struct bsq_ctx *ctx)
 {
-    pthread_mutex_lock(&ctx->parts_lock);
-    drop_part(ctx, BSQ_SWEEPS);
-    drop_part(ctx, BSQ_JOB_FILES);
-    pthread_mutex_unlock(&ctx->parts_lock);
+    pthread_mutex_lock(&ctx->members_lock);
+    drop_member(ctx, BSQ_SWEEPS);
+    drop_member(ctx, BSQ_JOB_FILES);
+    pthread_mutex_unlock(&ctx->members_lock);
 }
 
 void bsq_ctx_destroy(struct bsq_ctx *ctx)
 {
     if (!ctx)
         return;
-    for (int part = 0; part < BSQ_PARTS; part++)
-        drop_part(ctx, (enum bsq_part)part);
+    for (int member = 0; member < BSQ_MEMBERS; member++)
+        drop_member(ctx, (enum bsq_member)member);
     assert(atomic_load(&ctx->memory_used) == 0 && "memory of this context was not freed");
     bsq_clear_error(ctx);
     pthread_mutex_destroy(&ctx->error_lock);
     pthread_mutex_destroy(&ctx->callback_lock);
-    pthread_mutex_destroy(&ctx->parts_lock);
+    pthread_mutex_destroy(&ctx->members_lock);
     free((char *)ctx->options.tmpdir);
     free(ctx);
 }

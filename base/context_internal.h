@@ -12,9 +12,9 @@
 struct bsq_identity;
 
 /* What other files of base keep in a context, in the order in which it is freed. */
-enum bsq_part { BSQ_POOL, BSQ_JOB_FILES, BSQ_SWEEPS, BSQ_PATH_MAP, BSQ_SHARES, BSQ_PARTS };
+enum bsq_member { BSQ_POOL, BSQ_JOB_FILES, BSQ_SWEEPS, BSQ_PATH_MAP, BSQ_SHARES, BSQ_MEMBERS };
 
-struct bsq_part_of_context {
+struct bsq_ctx_member {
     void *object; /* NULL: there is none */
     void (*free)(struct bsq_ctx *ctx, void *object);
 };
@@ -41,8 +41,8 @@ struct bsq_ctx {
     pthread_mutex_t callback_lock; /* held while on_progress or on_warning runs */
     struct bsq_stage stage;
 
-    pthread_mutex_t parts_lock; /* guards the parts, but not the pool, which one thread uses */
-    struct bsq_part_of_context parts[BSQ_PARTS];
+    pthread_mutex_t members_lock; /* guards the parts, but not the pool, which one thread uses */
+    struct bsq_ctx_member members[BSQ_MEMBERS];
 };
 
 /* What the machine and its control groups allow this process. */
@@ -57,10 +57,10 @@ void bsq_machine(struct bsq_machine *out);
  * machine, a directory with proc and sys for tests. */
 void bsq_apply_control_groups(const char *root, struct bsq_machine *machine);
 
-/* Gives a context a part of `size` bytes, all 0, unless it has one. Returns the part; NULL if there
+/* Gives a context a member of `size` bytes, all 0, unless it has one. Returns it; NULL if there
  * is no memory. */
-void *bsq_part_of(struct bsq_ctx *ctx, enum bsq_part part, size_t size,
-                  void (*free)(struct bsq_ctx *ctx, void *object));
+void *bsq_member_of(struct bsq_ctx *ctx, enum bsq_member member, size_t size,
+                    void (*free)(struct bsq_ctx *ctx, void *object));
 
 /* Returns the bytes of the budget that a block with a payload of `bytes` takes. */
 uint64_t bsq_block_cost(uint64_t bytes);

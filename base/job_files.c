@@ -118,14 +118,14 @@ static void free_files(struct bsq_ctx *ctx, void *object)
 /* Makes the lists if there are none. */
 static int begin(struct bsq_ctx *ctx, const char *path)
 {
-    const struct job_files *files = bsq_part_of(ctx, BSQ_JOB_FILES, sizeof *files, free_files);
+    const struct job_files *files = bsq_member_of(ctx, BSQ_JOB_FILES, sizeof *files, free_files);
     return files ? 0 : fail_memory(ctx, path);
 }
 
 /* Returns the lists, or NULL if no file was noted yet. */
 static struct job_files *files_of(struct bsq_ctx *ctx)
 {
-    return ctx->parts[BSQ_JOB_FILES].object;
+    return ctx->members[BSQ_JOB_FILES].object;
 }
 
 /* Sets *out to the file with this path, which is added if it is new. */
@@ -184,13 +184,13 @@ int bsq_note_input(struct bsq_ctx *ctx, const char *path, const char *format, ..
     va_list arguments;
     int status;
     va_start(arguments, format);
-    pthread_mutex_lock(&ctx->parts_lock);
+    pthread_mutex_lock(&ctx->members_lock);
     BSQ_TRY(begin(ctx, path));
     BSQ_TRY(add(ctx, &files_of(ctx)->inputs, path, &input));
     BSQ_TRY(set_role(ctx, input, format, arguments));
     BSQ_TRY(check_input(ctx, input));
 done:
-    pthread_mutex_unlock(&ctx->parts_lock);
+    pthread_mutex_unlock(&ctx->members_lock);
     va_end(arguments);
     return status;
 }
@@ -210,7 +210,7 @@ int bsq_hold_input(struct bsq_ctx *ctx, const char *path, const struct bsq_ident
 {
     struct noted *input;
     int status;
-    pthread_mutex_lock(&ctx->parts_lock);
+    pthread_mutex_lock(&ctx->members_lock);
     BSQ_TRY(begin(ctx, path));
     BSQ_TRY(add(ctx, &files_of(ctx)->inputs, path, &input));
     BSQ_TRY(check_input(ctx, input));
@@ -221,7 +221,7 @@ int bsq_hold_input(struct bsq_ctx *ctx, const char *path, const struct bsq_ident
         status = bsq_fail_changed(ctx, path);
     }
 done:
-    pthread_mutex_unlock(&ctx->parts_lock);
+    pthread_mutex_unlock(&ctx->members_lock);
     return status;
 }
 
@@ -229,7 +229,7 @@ int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, struct bsq_noted_input *
 {
     int status = 0;
     *out = (struct bsq_noted_input){0};
-    pthread_mutex_lock(&ctx->parts_lock);
+    pthread_mutex_lock(&ctx->members_lock);
     const struct job_files *files = files_of(ctx);
     if (files && *next < files->inputs.paths.count) {
         const struct noted *input = &files->inputs.files[(*next)++];
@@ -240,7 +240,7 @@ int bsq_next_input(struct bsq_ctx *ctx, uint64_t *next, struct bsq_noted_input *
                                         .found = input->found};
         status = out->path && out->role ? 1 : fail_memory(ctx, input->path);
     }
-    pthread_mutex_unlock(&ctx->parts_lock);
+    pthread_mutex_unlock(&ctx->members_lock);
     if (status < 0)
         bsq_noted_input_free(out);
     return status;
@@ -267,7 +267,7 @@ int bsq_note_output(struct bsq_ctx *ctx, const char *path)
 {
     struct noted *output;
     int status;
-    pthread_mutex_lock(&ctx->parts_lock);
+    pthread_mutex_lock(&ctx->members_lock);
     BSQ_TRY(begin(ctx, path));
     BSQ_TRY(add(ctx, &files_of(ctx)->outputs, path, &output));
     look_again(output, false);
@@ -277,28 +277,28 @@ int bsq_note_output(struct bsq_ctx *ctx, const char *path)
             BSQ_TRY(fail_overwrite(ctx, path, input));
     }
 done:
-    pthread_mutex_unlock(&ctx->parts_lock);
+    pthread_mutex_unlock(&ctx->members_lock);
     return status;
 }
 
 char *bsq_output_directory(struct bsq_ctx *ctx)
 {
-    pthread_mutex_lock(&ctx->parts_lock);
+    pthread_mutex_lock(&ctx->members_lock);
     const struct job_files *files = files_of(ctx);
     const bool any = files && files->outputs.paths.count > 0;
     char *directory = bsq_dirname(any ? files->outputs.paths.list[0] : "");
-    pthread_mutex_unlock(&ctx->parts_lock);
+    pthread_mutex_unlock(&ctx->members_lock);
     return directory;
 }
 
 void bsq_note_written(struct bsq_ctx *ctx, const char *path)
 {
-    pthread_mutex_lock(&ctx->parts_lock);
+    pthread_mutex_lock(&ctx->members_lock);
     struct job_files *files = files_of(ctx);
     const uint64_t number = files ? bsq_texts_find(&files->outputs.paths, path) : 0;
     if (files && number < files->outputs.paths.count)
         look_again(&files->outputs.files[number], true);
     for (uint64_t i = 0; files && files->own_count > 0 && i < files->inputs.paths.count; i++)
         files->inputs.files[i].opened &= !files->inputs.files[i].own;
-    pthread_mutex_unlock(&ctx->parts_lock);
+    pthread_mutex_unlock(&ctx->members_lock);
 }

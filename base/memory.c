@@ -115,8 +115,8 @@ static void free_shares(struct bsq_ctx *ctx, void *shares)
 
 void bsq_note_share(struct bsq_ctx *ctx, const char *name, uint64_t bytes)
 {
-    pthread_mutex_lock(&ctx->parts_lock);
-    struct shares *shares = bsq_part_of(ctx, BSQ_SHARES, sizeof *shares, free_shares);
+    pthread_mutex_lock(&ctx->members_lock);
+    struct shares *shares = bsq_member_of(ctx, BSQ_SHARES, sizeof *shares, free_shares);
     unsigned i = 0;
     while (shares && i < shares->count && strcmp(shares->list[i].name, name) != 0)
         i++;
@@ -126,7 +126,7 @@ void bsq_note_share(struct bsq_ctx *ctx, const char *name, uint64_t bytes)
         share->bytes = bytes > share->bytes ? bytes : share->bytes;
         shares->count += i == shares->count;
     }
-    pthread_mutex_unlock(&ctx->parts_lock);
+    pthread_mutex_unlock(&ctx->members_lock);
 }
 
 uint64_t bsq_memory_share(struct bsq_ctx *ctx, const char *name, uint64_t divisor)
@@ -139,7 +139,7 @@ uint64_t bsq_memory_share(struct bsq_ctx *ctx, const char *name, uint64_t diviso
 void bsq_memory_shares(struct bsq_ctx *ctx, void (*fn)(void *arg, const char *name, uint64_t bytes),
                        void *arg)
 {
-    const struct shares *shares = ctx->parts[BSQ_SHARES].object;
+    const struct shares *shares = ctx->members[BSQ_SHARES].object;
     for (unsigned i = 0; shares && i < shares->count; i++)
         fn(arg, shares->list[i].name, shares->list[i].bytes);
 }

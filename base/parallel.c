@@ -119,11 +119,11 @@ static void destroy_pool(struct bsq_ctx *ctx, void *object)
 static struct bsq_pool *get_pool(struct bsq_ctx *ctx)
 {
     const unsigned extra = bsq_threads(ctx) - 1;
-    const bool is_new = !ctx->parts[BSQ_POOL].object;
+    const bool is_new = !ctx->members[BSQ_POOL].object;
     if (extra == 0)
         return NULL;
     struct bsq_pool *pool =
-        bsq_part_of(ctx, BSQ_POOL, sizeof *pool + extra * sizeof pool->threads[0], destroy_pool);
+        bsq_member_of(ctx, BSQ_POOL, sizeof *pool + extra * sizeof pool->threads[0], destroy_pool);
     if (pool && is_new) {
         pthread_mutex_init(&pool->lock, NULL);
         pthread_cond_init(&pool->wake, NULL);

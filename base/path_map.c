@@ -87,10 +87,10 @@ int bsq_add_path_rule(struct bsq_ctx *ctx, enum bsq_path_format format, const ch
         rule.length--;
     rule.source = strdup(source);
     rule.destination = strdup(destination);
-    pthread_mutex_lock(&ctx->parts_lock);
-    struct bsq_path_map *map = bsq_part_of(ctx, BSQ_PATH_MAP, sizeof *map, free_map);
+    pthread_mutex_lock(&ctx->members_lock);
+    struct bsq_path_map *map = bsq_member_of(ctx, BSQ_PATH_MAP, sizeof *map, free_map);
     const int error = rule.source && rule.destination && map ? add_rule(map, &rule) : ENOMEM;
-    pthread_mutex_unlock(&ctx->parts_lock);
+    pthread_mutex_unlock(&ctx->members_lock);
     if (error == 0)
         return 0;
     free(rule.source);
@@ -127,7 +127,7 @@ static char *replace(const struct rule *rule, const char *path)
 /* Sets *out to a kept copy of the mapped path. Errors: BSQ_ENOMEM. */
 static int keep(struct bsq_ctx *ctx, const struct rule *rule, const char *path, const char **out)
 {
-    struct bsq_path_map *map = ctx->parts[BSQ_PATH_MAP].object;
+    struct bsq_path_map *map = ctx->members[BSQ_PATH_MAP].object;
     char *mapped = replace(rule, path);
     uint64_t number = 0;
     int status = mapped ? bsq_texts_add(ctx, &map->tally, &map->mapped, mapped, &number)
@@ -140,14 +140,14 @@ static int keep(struct bsq_ctx *ctx, const struct rule *rule, const char *path, 
 const char *bsq_map_path(struct bsq_ctx *ctx, const char *name)
 {
     const char *out = name;
-    pthread_mutex_lock(&ctx->parts_lock);
-    const struct bsq_path_map *map = ctx->parts[BSQ_PATH_MAP].object;
+    pthread_mutex_lock(&ctx->members_lock);
+    const struct bsq_path_map *map = ctx->members[BSQ_PATH_MAP].object;
     size_t i = 0;
     while (map && i < map->rule_count && !fits(&map->rules[i], name))
         i++;
     if (map && i < map->rule_count)
         (void)keep(ctx, &map->rules[i], name, &out); /* NULL tells of the failure */
-    pthread_mutex_unlock(&ctx->parts_lock);
+    pthread_mutex_unlock(&ctx->members_lock);
     return out;
 }
 
@@ -157,8 +157,8 @@ int bsq_path_rules_text(struct bsq_ctx *ctx, char **out)
     FILE *stream = NULL;
     bool failed = false;
     *out = NULL;
-    pthread_mutex_lock(&ctx->parts_lock);
-    const struct bsq_path_map *map = ctx->parts[BSQ_PATH_MAP].object;
+    pthread_mutex_lock(&ctx->members_lock);
+    const struct bsq_path_map *map = ctx->members[BSQ_PATH_MAP].object;
     if (map && map->rule_count > 0)
         failed = !(stream = open_memstream(out, &size));
     for (size_t i = 0; stream && i < map->rule_count; i++) {
@@ -166,7 +166,7 @@ int bsq_path_rules_text(struct bsq_ctx *ctx, char **out)
         fprintf(stream, "%d %zu %s %zu %s\n", (int)rule->format, rule->length, rule->source,
                 strlen(rule->destination), rule->destination);
     }
-    pthread_mutex_unlock(&ctx->parts_lock);
+    pthread_mutex_unlock(&ctx->members_lock);
     failed |= stream && fclose(stream) != 0;
     return failed ? bsq_fail_errno(ctx, BSQ_ENOMEM, ENOMEM, "rules for paths") : 0;
 }

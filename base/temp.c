@@ -242,12 +242,12 @@ static void free_sweeps(struct bsq_ctx *ctx, void *object)
 int bsq_temp_sweep(struct bsq_ctx *ctx, const char *directory, const char *name)
 {
     const struct swept *swept = NULL;
-    pthread_mutex_lock(&ctx->parts_lock);
-    struct bsq_sweeps *sweeps = bsq_part_of(ctx, BSQ_SWEEPS, sizeof *sweeps, free_sweeps);
+    pthread_mutex_lock(&ctx->members_lock);
+    struct bsq_sweeps *sweeps = bsq_member_of(ctx, BSQ_SWEEPS, sizeof *sweeps, free_sweeps);
     int error = sweeps ? find_swept(ctx, sweeps, directory, &swept) : ENOMEM;
     if (error == 0 && swept)
         remove_leftovers(swept, directory, name);
-    pthread_mutex_unlock(&ctx->parts_lock);
+    pthread_mutex_unlock(&ctx->members_lock);
     return error;
 }
 

@@ -8,7 +8,7 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "base/file_part.h"
+#include "base/file_extent.h"
 #include "base/job_files.h"
 #include "base/sort_array.h"
 
@@ -38,8 +38,8 @@ static const char *find_component(const char *path)
 
 bool bsq_has_tiles(const char *path)
 {
-    struct bsq_part part;
-    return find_component(path) != NULL && bsq_part_parse(path, &part) == 0;
+    struct bsq_extent extent;
+    return find_component(path) != NULL && bsq_extent_parse(path, &extent) == 0;
 }
 
 size_t bsq_tile_folder(const char *path)

@@ -12,7 +12,7 @@
 
 #include "base/channels.h"
 #include "base/text.h"
-#include "base/file_part.h"
+#include "base/file_extent.h"
 #include "base/tile_files.h"
 #include "formats/chunks/tris.h"
 #include "formats/file_kind.h"
@@ -123,8 +123,8 @@ static int survey_block(void *arg, const struct fmt_mesh_block *block)
 /* Returns whether a texture can be found. */
 static bool is_there(const char *path)
 {
-    struct bsq_part part;
-    return bsq_part_parse(path, &part) > 0 || bsq_has_tiles(path) || access(path, R_OK) == 0;
+    struct bsq_extent extent;
+    return bsq_extent_parse(path, &extent) > 0 || bsq_has_tiles(path) || access(path, R_OK) == 0;
 }
 
 static json_t *texture_json(const char *path)

@@ -4,7 +4,7 @@
  * allocated, parts must follow each other without gaps, and a checksum covers each byte. */
 #include "formats/chunks/tris_internal.h"
 #include "base/channels.h"
-#include "base/file_part.h"
+#include "base/file_extent.h"
 #include "base/job_files.h"
 #include "base/path_map.h"
 #include "base/tile_files.h"
@@ -101,11 +101,11 @@ done:
     return status;
 }
 
-/* Notes a texture among the job's inputs; for a part of a file, that file. */
+/* Notes a texture among the job's inputs; for an extent of a file, that file. */
 static int note_texture(const struct fmt_tris_file *file, char *path)
 {
-    struct bsq_part part;
-    const size_t length = bsq_part_parse(path, &part);
+    struct bsq_extent extent;
+    const size_t length = bsq_extent_parse(path, &extent);
     const char mark = path[length];
     if (length > 0)
         path[length] = '\0';
@@ -115,31 +115,31 @@ static int note_texture(const struct fmt_tris_file *file, char *path)
     return status;
 }
 
-/* The materials part while it is parsed. */
-struct parts {
+/* The materials while they are parsed. */
+struct cursor {
     const uint8_t *from;
     uint64_t bytes, at;
     char *text; /* space for the next path or name */
 };
 
-/* Copies the next bytes of the part. Returns false if it has fewer. */
-static bool take(struct parts *parts, void *to, uint64_t bytes)
+/* Copies the next bytes of the file. Returns false if it has fewer. */
+static bool take(struct cursor *cursor, void *to, uint64_t bytes)
 {
-    if (parts->bytes - parts->at < bytes)
+    if (cursor->bytes - cursor->at < bytes)
         return false;
-    memcpy(to, parts->from + parts->at, bytes);
-    parts->at += bytes;
+    memcpy(to, cursor->from + cursor->at, bytes);
+    cursor->at += bytes;
     return true;
 }
 
 /* Points *out to the next `length` bytes as text. Returns false if they are no text. */
-static bool take_text(struct parts *parts, uint32_t length, char **out)
+static bool take_text(struct cursor *cursor, uint32_t length, char **out)
 {
-    *out = parts->text;
-    if (!take(parts, parts->text, length) || memchr(*out, 0, length))
+    *out = cursor->text;
+    if (!take(cursor, cursor->text, length) || memchr(*out, 0, length))
         return false;
-    parts->text[length] = '\0';
-    parts->text += length + 1;
+    cursor->text[length] = '\0';
+    cursor->text += length + 1;
     return true;
 }
 
@@ -147,7 +147,7 @@ static bool take_text(struct parts *parts, uint32_t length, char **out)
 static int name_image(struct fmt_tris_file *file, const char *range, char **out)
 {
     const uint64_t size = strlen(file->file.path) + strlen(range) + 1;
-    struct bsq_part part;
+    struct bsq_extent extent;
     char *name = NULL;
     int status;
     BSQ_TRY(bsq_grow(file->ctx, "images", file->image_count + 1, sizeof *file->images,
@@ -156,21 +156,22 @@ static int name_image(struct fmt_tris_file *file, const char *range, char **out)
     snprintf(name, size, "%s%s", file->file.path, range);
     file->images[file->image_count++] = *out = name;
     file->header.has_images = true;
-    if (bsq_part_parse(name, &part) == 0 || part.base64 ||
-        part.offset < sizeof(struct tris_file_header) || part.size > file->file.size ||
-        part.offset > file->file.size - part.size)
+    if (bsq_extent_parse(name, &extent) == 0 || extent.base64 ||
+        extent.offset < sizeof(struct tris_file_header) || extent.size > file->file.size ||
+        extent.offset > file->file.size - extent.size)
         return fmt_tris_damaged(file, "an image is not in the file");
 done:
     return status;
 }
 
 /* Reads the path of a texture. */
-static int parse_path(struct fmt_tris_file *file, struct parts *parts, uint32_t length, char **out)
+static int parse_path(struct fmt_tris_file *file, struct cursor *cursor, uint32_t length,
+                      char **out)
 {
     char *path;
     if (length == TRIS_NO_PATH)
         return 0;
-    if (!take_text(parts, length, &path))
+    if (!take_text(cursor, length, &path))
         return fmt_tris_damaged(file, "a texture's path is cut off");
     if (path[0] == '#')
         return name_image(file, path, out);
@@ -193,11 +194,11 @@ static bool take_wrap(uint32_t version, uint32_t *bits, struct bsq_uv *out)
 }
 
 /* Reads what version 2 has after a material's path. */
-static int parse_name(const struct fmt_tris_file *file, uint32_t version, struct parts *parts,
+static int parse_name(const struct fmt_tris_file *file, uint32_t version, struct cursor *cursor,
                       struct fmt_tris_material *m)
 {
     struct tris_name_entry entry;
-    if (!take(parts, &entry, sizeof entry) || !take_text(parts, entry.name_bytes, &m->name))
+    if (!take(cursor, &entry, sizeof entry) || !take_text(cursor, entry.name_bytes, &m->name))
         return fmt_tris_damaged(file, "a material's name is cut off");
     m->colorless = entry.flags & TRIS_COLORLESS;
     m->tinted = entry.flags & TRIS_TINTED;
@@ -217,11 +218,11 @@ static bool take_uv(const struct tris_uv_entry *entry, struct bsq_uv *out)
     return isfinite(scale[0]) && isfinite(scale[1]) && isfinite(offset[0]) && isfinite(offset[1]);
 }
 
-static int parse_source(struct fmt_tris_file *file, uint32_t version, struct parts *parts,
+static int parse_source(struct fmt_tris_file *file, uint32_t version, struct cursor *cursor,
                         struct fmt_tris_source *out)
 {
     struct tris_source_entry entry;
-    if (!take(parts, &entry, sizeof entry))
+    if (!take(cursor, &entry, sizeof entry))
         return fmt_tris_damaged(file, "the channels of a material are cut off");
     memcpy(out->value, entry.value, sizeof out->value);
     const bool good = take_wrap(version, &entry.component, &out->uv);
@@ -232,47 +233,47 @@ static int parse_source(struct fmt_tris_file *file, uint32_t version, struct par
     if (version < FMT_TRIS_VERSION_FACTORS && entry.path_bytes != TRIS_NO_PATH &&
         out->component != BSQ_CHANNEL_CUTOUT)
         out->value[0] = out->value[1] = out->value[2] = 1;
-    return parse_path(file, parts, entry.path_bytes, &out->texture_path);
+    return parse_path(file, cursor, entry.path_bytes, &out->texture_path);
 }
 
 /* Reads what version 3 has after a material's name. */
-static int parse_sources(struct fmt_tris_file *file, uint32_t version, struct parts *parts,
+static int parse_sources(struct fmt_tris_file *file, uint32_t version, struct cursor *cursor,
                          struct fmt_tris_material *m)
 {
     const uint32_t count = file->header.channel_count;
     struct tris_uv_entry uv;
-    if (!take(parts, &uv, sizeof uv) || !take_uv(&uv, &m->uv))
+    if (!take(cursor, &uv, sizeof uv) || !take_uv(&uv, &m->uv))
         return fmt_tris_damaged(file, "a material's texture coordinates are not finite");
     m->sources = count > 0 ? file->sources + (m - file->header.materials) * (ptrdiff_t)count : NULL;
     int status = 0;
     for (uint32_t c = 0; c < count && status == 0; c++)
-        status = parse_source(file, version, parts, &m->sources[c]);
+        status = parse_source(file, version, cursor, &m->sources[c]);
     return status;
 }
 
-static int parse_material(struct fmt_tris_file *file, uint32_t version, struct parts *parts,
+static int parse_material(struct fmt_tris_file *file, uint32_t version, struct cursor *cursor,
                           struct fmt_tris_material *m)
 {
     struct tris_material_entry entry;
     int status;
-    if (!take(parts, &entry, sizeof entry))
+    if (!take(cursor, &entry, sizeof entry))
         return fmt_tris_damaged(file, "the materials are cut off");
     memcpy(m->diffuse, entry.diffuse, sizeof m->diffuse);
     if (!isfinite(m->diffuse[0]) || !isfinite(m->diffuse[1]) || !isfinite(m->diffuse[2]))
         return fmt_tris_damaged(file, "a material's colour is not finite");
-    BSQ_TRY(parse_path(file, parts, entry.path_bytes, &m->texture_path));
+    BSQ_TRY(parse_path(file, cursor, entry.path_bytes, &m->texture_path));
     if (version >= FMT_TRIS_VERSION_IDS)
-        BSQ_TRY(parse_name(file, version, parts, m));
+        BSQ_TRY(parse_name(file, version, cursor, m));
     if (version >= FMT_TRIS_VERSION_CHANNELS)
-        status = parse_sources(file, version, parts, m);
+        status = parse_sources(file, version, cursor, m);
 done:
     return status;
 }
 
-static int parse_ids(struct fmt_tris_file *file, uint32_t version, struct parts *parts)
+static int parse_ids(struct fmt_tris_file *file, uint32_t version, struct cursor *cursor)
 {
     struct tris_ids_entry entry;
-    if (!take(parts, &entry, sizeof entry) || entry.reserved != 0 ||
+    if (!take(cursor, &entry, sizeof entry) || entry.reserved != 0 ||
         (entry.ids == BSQ_IDS_NONE && version == FMT_TRIS_VERSION_IDS) || entry.ids > BSQ_IDS_COLOR)
         return fmt_tris_damaged(file, "unknown ids");
     file->header.ids = (enum bsq_ids)entry.ids;
@@ -280,12 +281,12 @@ static int parse_ids(struct fmt_tris_file *file, uint32_t version, struct parts 
 }
 
 /* Reads the name of a channel, which no channel before it has. */
-static int parse_channel(struct fmt_tris_file *file, struct parts *parts)
+static int parse_channel(struct fmt_tris_file *file, struct cursor *cursor)
 {
     struct fmt_tris_header *header = &file->header;
     uint32_t length;
     char *name;
-    if (!take(parts, &length, sizeof length) || !take_text(parts, length, &name) ||
+    if (!take(cursor, &length, sizeof length) || !take_text(cursor, length, &name) ||
         !bsq_is_channel_name(name) || fmt_tris_find_channel(header, name) != UINT32_MAX)
         return fmt_tris_damaged(file, "the name of a channel is none");
     header->channels[header->channel_count++] = name;
@@ -295,22 +296,22 @@ static int parse_channel(struct fmt_tris_file *file, struct parts *parts)
 /* Reads the names of channels, and allocates the sources of all materials, for each of which the
  * file must have an entry. */
 static int parse_channels(struct fmt_tris_file *file, const struct tris_file_header *h,
-                          struct parts *parts)
+                          struct cursor *cursor)
 {
     struct tris_channels_entry entry;
     uint64_t sources, bytes;
-    if (!take(parts, &entry, sizeof entry) || entry.reserved != 0 ||
-        entry.channel_count > (parts->bytes - parts->at) / sizeof(uint32_t) ||
+    if (!take(cursor, &entry, sizeof entry) || entry.reserved != 0 ||
+        entry.channel_count > (cursor->bytes - cursor->at) / sizeof(uint32_t) ||
         __builtin_mul_overflow((uint64_t)entry.channel_count, h->material_count, &sources) ||
         __builtin_mul_overflow(sources, sizeof(struct tris_source_entry), &bytes) ||
-        bytes > parts->bytes - parts->at)
+        bytes > cursor->bytes - cursor->at)
         return fmt_tris_damaged(file, "the channels are cut off");
     int status;
     BSQ_TRY(bsq_calloc(file->ctx, "channels", sources + 1, sizeof *file->sources, &file->sources));
     BSQ_TRY(bsq_calloc(file->ctx, "channels", (uint64_t)entry.channel_count + 1,
                        sizeof *file->header.channels, &file->header.channels));
     for (uint32_t c = 0; c < entry.channel_count; c++)
-        BSQ_TRY(parse_channel(file, parts));
+        BSQ_TRY(parse_channel(file, cursor));
 done:
     return status;
 }
@@ -318,27 +319,27 @@ done:
 static int parse_materials(struct fmt_tris_file *file, const struct tris_file_header *h)
 {
     const uint64_t bytes = h->table_offset - h->materials_offset;
-    struct parts parts = {.from = file->tail, .bytes = bytes};
+    struct cursor cursor = {.from = file->tail, .bytes = bytes};
     int status;
     BSQ_TRY(bsq_calloc(file->ctx, "materials", (uint64_t)h->material_count + 1,
                        sizeof *file->header.materials, &file->header.materials));
     /* Each path and name loses the entry before it and gains a terminator, so all fit `bytes`. */
     BSQ_TRY(bsq_alloc(file->ctx, "materials", bytes + 1, 1, &file->paths));
-    parts.text = file->paths;
+    cursor.text = file->paths;
     if (h->version >= FMT_TRIS_VERSION_IDS)
-        BSQ_TRY(parse_ids(file, h->version, &parts));
+        BSQ_TRY(parse_ids(file, h->version, &cursor));
     if (h->version >= FMT_TRIS_VERSION_CHANNELS)
-        BSQ_TRY(parse_channels(file, h, &parts));
+        BSQ_TRY(parse_channels(file, h, &cursor));
     for (uint32_t i = 0; i < h->material_count; i++) {
         BSQ_TRY(i % 1024 == 0 ? bsq_check(file->ctx) : 0);
-        BSQ_TRY(parse_material(file, h->version, &parts, &file->header.materials[i]));
+        BSQ_TRY(parse_material(file, h->version, &cursor, &file->header.materials[i]));
     }
     if (fmt_tris_version(&file->header) != h->version)
         return fmt_tris_damaged(file, "the version is higher than the content needs");
-    if (bsq_align_up(parts.at, 8) != bytes)
+    if (bsq_align_up(cursor.at, 8) != bytes)
         return fmt_tris_damaged(file, "the materials have another length");
-    while (parts.at < bytes)
-        if (file->tail[parts.at++] != 0)
+    while (cursor.at < bytes)
+        if (file->tail[cursor.at++] != 0)
             return fmt_tris_damaged(file, "the padding after the materials is not zero");
 done:
     return status;

@@ -9,7 +9,7 @@
 #include "base/channels.h"
 #include "formats/chunks/tris_internal.h"
 
-#include "base/file_part.h"
+#include "base/file_extent.h"
 #include "base/tile_files.h"
 
 #include <math.h>
@@ -197,24 +197,24 @@ static int embed(struct fmt_tris_writer *writer, const char *path, XXH3_state_t 
 {
     static const uint8_t zeros[8];
     uint8_t buffer[16384];
-    struct bsq_part from, to = {.offset = bsq_output_tell(writer->output)};
+    struct bsq_extent from, to = {.offset = bsq_output_tell(writer->output)};
     struct bsq_file file = BSQ_FILE_CLOSED;
     int status = 0;
     if (!path || bsq_has_tiles(path) || find_image(writer, path))
         return 0;
     BSQ_TRY(bsq_grow(writer->ctx, "images", writer->image_count + 1, sizeof *writer->images,
                      &writer->images, &writer->image_capacity));
-    BSQ_TRY(bsq_part_open(writer->ctx, path, &from, &file));
+    BSQ_TRY(bsq_extent_open(writer->ctx, path, &from, &file));
     to.size = from.size;
     for (uint64_t at = 0, size; at < from.size; at += size) {
         size = from.size - at < sizeof buffer ? from.size - at : sizeof buffer;
         BSQ_TRY(bsq_check(writer->ctx));
-        BSQ_TRY(bsq_part_read(writer->ctx, &file, &from, buffer, size, at));
+        BSQ_TRY(bsq_extent_read(writer->ctx, &file, &from, buffer, size, at));
         BSQ_TRY(write_image_bytes(writer, hash, buffer, size));
     }
     BSQ_TRY(bsq_file_check(writer->ctx, &file));
     BSQ_TRY(write_image_bytes(writer, hash, zeros, bsq_align_up(from.size, 8) - from.size));
-    BSQ_TRY(bsq_part_name(writer->ctx, "", &to, &writer->images[writer->image_count].name));
+    BSQ_TRY(bsq_extent_name(writer->ctx, "", &to, &writer->images[writer->image_count].name));
     writer->images[writer->image_count++].path = path;
 done:
     bsq_file_close(writer->ctx, &file);

@@ -138,7 +138,7 @@ static int use_file(const struct gltf_place *place, const char *uri, struct gltf
                                             place->document->file.path);
     if (!status)
         status = bsq_file_open(ctx, out->path, &out->file);
-    out->part.size = out->file.size;
+    out->extent.size = out->file.size;
     bsq_file_close(ctx, &out->file);
     return status;
 }
@@ -158,21 +158,21 @@ int fmt_gltf_read_buffer(const struct gltf_place *place, struct gltf_source *sou
     } else if (!uri) {
         /* Without a URI: the chunk, for the first; or nothing that this reader can read. */
         const bool chunk = place->index == 0 && d->chunk_offset > 0;
-        out->part =
-            (struct bsq_part){.offset = d->chunk_offset, .size = chunk ? d->chunk_bytes : 0};
+        out->extent =
+            (struct bsq_extent){.offset = d->chunk_offset, .size = chunk ? d->chunk_bytes : 0};
     } else if (fmt_gltf_find_data(uri, &offset, &size)) {
-        out->part = (struct bsq_part){.offset = offset, .base64 = true};
-        status = fmt_gltf_measure_data(place, offset, size, &out->part.size);
+        out->extent = (struct bsq_extent){.offset = offset, .base64 = true};
+        status = fmt_gltf_measure_data(place, offset, size, &out->extent.size);
     } else {
         status = use_file(place, uri, out);
     }
     if (status)
         return status;
-    if (length > out->part.size && !out->missing)
+    if (length > out->extent.size && !out->missing)
         return fmt_gltf_fail(place,
                              "truncated: it should have %" PRIu64 " bytes, there are %" PRIu64,
-                             length, out->part.size);
-    out->part.size = length;
+                             length, out->extent.size);
+    out->extent.size = length;
     source->bytes += out->path ? length : 0;
     return 0;
 }
@@ -194,7 +194,7 @@ int fmt_gltf_read_view(const struct gltf_place *place, struct gltf_source *sourc
     BSQ_TRY(fmt_gltf_number(place, place->object, "byteStride", MOST_STRIDE, &stride));
     if (out->buffer == GLTF_NONE)
         return fmt_gltf_fail(place, "\"buffer\" is missing");
-    const uint64_t bytes = source->buffers[out->buffer].part.size;
+    const uint64_t bytes = source->buffers[out->buffer].extent.size;
     if (offset > bytes || size > bytes - offset)
         return fmt_gltf_fail(place,
                              "bytes %" PRIu64 " to %" PRIu64 " are outside of buffers[%" PRIu32
@@ -253,8 +253,8 @@ int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, u
     if (from->decoded != GLTF_NOT_DECODED)
         return bsq_file_read(ctx, &source->decoded, to, size, from->decoded + offset);
     const struct gltf_buffer *buffer = &source->buffers[from->buffer];
-    return bsq_part_read(ctx, buffer->path ? &buffer->file : &source->own, &buffer->part, to, size,
-                         from->offset + offset);
+    return bsq_extent_read(ctx, buffer->path ? &buffer->file : &source->own, &buffer->extent, to,
+                           size, from->offset + offset);
 }
 
 /* ---- accessors: elements of all types, also sparse ones ---- */

@@ -4,7 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/file_part.h"
+#include "base/file_extent.h"
 #include "base/channels.h"
 #include "formats/mesh/gltf_internal.h"
 #include "formats/mesh/mesh_text.h"
@@ -16,11 +16,11 @@ enum { GLTF_CLAMP = 33071, GLTF_MIRROR = 33648 };
 /* Describes the data of a view: bytes of a file. Returns its path, NULL if it is packed. */
 static const char *part_of_view(const struct gltf_document *document,
                                 const struct gltf_source *source, uint32_t number,
-                                struct bsq_part *out)
+                                struct bsq_extent *out)
 {
     const struct gltf_view *view = &source->views[number];
     const struct gltf_buffer *buffer = &source->buffers[view->buffer];
-    *out = buffer->part;
+    *out = buffer->extent;
     out->first += view->offset;
     out->size = view->size;
     if (buffer->path)
@@ -34,7 +34,7 @@ static int find_image(const struct gltf_place *place, struct gltf_source *source
 {
     struct gltf_document *d = place->document;
     const char *uri = fmt_gltf_string(place->object, "uri");
-    struct bsq_part part = {.base64 = true};
+    struct bsq_extent extent = {.base64 = true};
     uint64_t size;
     uint32_t view;
     bool exists;
@@ -44,17 +44,17 @@ static int find_image(const struct gltf_place *place, struct gltf_source *source
     if (view != GLTF_NONE && source->views[view].decoded != GLTF_NOT_DECODED)
         return fmt_gltf_fail(place, "an image in a compressed view");
     if (view != GLTF_NONE) {
-        const char *path = part_of_view(d, source, view, &part);
+        const char *path = part_of_view(d, source, view, &extent);
         source->unread.packed_images += !path;
-        return path ? bsq_part_name(d->ctx, path, &part, out) : 0;
+        return path ? bsq_extent_name(d->ctx, path, &extent, out) : 0;
     }
-    if (uri && fmt_gltf_find_data(uri, &part.offset, &size) && !fmt_input_is_plain(d->input)) {
+    if (uri && fmt_gltf_find_data(uri, &extent.offset, &size) && !fmt_input_is_plain(d->input)) {
         source->unread.packed_images++;
         return 0;
     }
-    if (uri && fmt_gltf_find_data(uri, &part.offset, &size)) {
-        status = fmt_gltf_measure_data(place, part.offset, size, &part.size);
-        return status ? status : bsq_part_name(d->ctx, d->file.path, &part, out);
+    if (uri && fmt_gltf_find_data(uri, &extent.offset, &size)) {
+        status = fmt_gltf_measure_data(place, extent.offset, size, &extent.size);
+        return status ? status : bsq_extent_name(d->ctx, d->file.path, &extent, out);
     }
     const char *beside = fmt_input_beside(d->input);
     const int found = uri ? fmt_gltf_uri_path(d->ctx, beside, uri, false, out, &exists) : 0;
@@ -253,7 +253,7 @@ static int read_channel_texture(const struct gltf_place *place, struct gltf_sour
                                 struct fmt_material_channel *out)
 {
     const struct gltf_unread before = source->unread;
-    struct bsq_part part;
+    struct bsq_extent extent;
     uint32_t texture = GLTF_NONE;
     int status;
     BSQ_TRY(fmt_gltf_index(place, info, "index", "textures", &texture));
@@ -264,7 +264,7 @@ static int read_channel_texture(const struct gltf_place *place, struct gltf_sour
         out->loss = "its texture has a format or an address that is not read";
     if (out->texture_path)
         BSQ_TRY(read_uv(place, material, info, out));
-    if (out->texture_path && bsq_part_parse(out->texture_path, &part) == 0)
+    if (out->texture_path && bsq_extent_parse(out->texture_path, &extent) == 0)
         BSQ_TRY(
             bsq_text_copy(place->document->ctx, place->document->file.path, &out->texture_place));
 done:
@@ -366,7 +366,7 @@ int fmt_gltf_read_material(const struct gltf_place *place, struct gltf_source *s
     const json_t *base = json_object_get(from, pbr ? "baseColorTexture" : "diffuseTexture");
     struct fmt_material *m = &out->described;
     uint32_t texture = GLTF_NONE;
-    struct bsq_part part;
+    struct bsq_extent extent;
     double alpha;
     int status;
     BSQ_TRY(read_name(place, &m->name));
@@ -375,7 +375,7 @@ int fmt_gltf_read_material(const struct gltf_place *place, struct gltf_source *s
         BSQ_TRY(fmt_gltf_index(place, base, "index", "textures", &texture));
     if (texture != GLTF_NONE)
         BSQ_TRY(find_texture(d, source, texture, m->uv.wrap, &m->texture_path));
-    if (m->texture_path && bsq_part_parse(m->texture_path, &part) == 0)
+    if (m->texture_path && bsq_extent_parse(m->texture_path, &extent) == 0)
         BSQ_TRY(bsq_text_copy(d->ctx, d->file.path, &m->texture_place));
     BSQ_TRY(read_texcoord(place, find_texture_info(place, base), &out->texcoord, out->uv_matrix));
     BSQ_TRY(read_channels(place, source, out));

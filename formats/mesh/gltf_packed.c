@@ -103,7 +103,7 @@ int fmt_gltf_read_packed_view(const struct gltf_place *place, struct gltf_source
                              meshopt->size, view->size);
     const uint64_t bytes = packed.buffer == GLTF_NONE || source->buffers[packed.buffer].missing
                                ? 0
-                               : source->buffers[packed.buffer].part.size;
+                               : source->buffers[packed.buffer].extent.size;
     if (packed.offset > bytes || meshopt->size > bytes - packed.offset)
         return fmt_gltf_fail(place, "its compressed bytes are outside of their buffer");
     BSQ_TRY(add_decoded(place, source, packed.bytes, &view->decoded));
@@ -244,7 +244,7 @@ static int add_task(struct bsq_ctx *ctx, const struct gltf_source *source,
                         packed->bytes + (packed->is_draco ? draco_bytes(packed) : 0)));
     bsq_release(ctx, packed->bytes + (packed->is_draco ? draco_bytes(packed) : 0));
     BSQ_TRY(bsq_alloc(ctx, "a compressed part of a glTF file", size, 1, &bytes));
-    BSQ_TRY(bsq_part_read(ctx, file, &buffer->part, bytes, size, packed->offset));
+    BSQ_TRY(bsq_extent_read(ctx, file, &buffer->extent, bytes, size, packed->offset));
     BSQ_TRY(bsq_file_append(ctx, input, packed, sizeof *packed));
     BSQ_TRY(bsq_file_append(ctx, input, bytes, size));
 done:

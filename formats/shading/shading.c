@@ -8,7 +8,7 @@
 #include <unistd.h>
 
 #include "base/channels.h"
-#include "base/file_part.h"
+#include "base/file_extent.h"
 #include "base/sort_array.h"
 #include "base/tile_files.h"
 #include "formats/texture/texture.h"
@@ -187,10 +187,11 @@ static int find_textures(const struct fmt_shading *shading)
 {
     for (uint64_t i = 0; i < shading->attribute_count * source_count(shading); i++) {
         struct fmt_texture_source source = {0};
-        struct bsq_part part;
+        struct bsq_extent extent;
         image_of(shading, i, &source);
-        if (!source.path || bsq_part_parse(source.path, &part) > 0 || bsq_has_tiles(source.path) ||
-            access(source.path, F_OK) == 0 || !is_own(shading->header, source.path))
+        if (!source.path || bsq_extent_parse(source.path, &extent) > 0 ||
+            bsq_has_tiles(source.path) || access(source.path, F_OK) == 0 ||
+            !is_own(shading->header, source.path))
             continue;
         return bsq_fail(shading->ctx, BSQ_ENOINPUT,
                         "%s: its texture %s is missing: put it there, name its new place by "

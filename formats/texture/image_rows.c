@@ -14,8 +14,8 @@
 struct probe {
     struct bsq_ctx *ctx;
     const struct bsq_file *file;
-    const struct bsq_part *part; /* of the file: only this is looked at */
-    int status;                  /* of the first read that failed, or 0 */
+    const struct bsq_extent *extent; /* of the file: only this is looked at */
+    int status;                      /* of the first read that failed, or 0 */
     uint8_t head[64];
 };
 
@@ -30,10 +30,10 @@ struct format {
 /* Reads `size` bytes; zeros follow after the end of the file. */
 static void read_at(struct probe *probe, uint64_t offset, uint8_t *to, uint64_t size)
 {
-    const uint64_t left = probe->part->size > offset ? probe->part->size - offset : 0;
+    const uint64_t left = probe->extent->size > offset ? probe->extent->size - offset : 0;
     memset(to, 0, size);
     size = size < left ? size : left;
-    const int status = bsq_part_read(probe->ctx, probe->file, probe->part, to, size, offset);
+    const int status = bsq_extent_read(probe->ctx, probe->file, probe->extent, to, size, offset);
     probe->status = probe->status < 0 ? probe->status : status;
 }
 
@@ -99,8 +99,8 @@ static bool is_targa(struct probe *probe)
     static const char mark[] = "TRUEVISION-XFILE.";
     const uint8_t *h = probe->head;
     uint8_t end[sizeof mark] = {0};
-    if (probe->part->size >= 44)
-        read_at(probe, probe->part->size - sizeof mark, end, sizeof end);
+    if (probe->extent->size >= 44)
+        read_at(probe, probe->extent->size - sizeof mark, end, sizeof end);
     const bool type = (h[2] >= 1 && h[2] <= 3) || (h[2] >= 9 && h[2] <= 11);
     const bool bits = h[16] == 8 || h[16] == 15 || h[16] == 16 || h[16] == 24 || h[16] == 32;
     const bool possible =
@@ -214,29 +214,29 @@ done:
     return status;
 }
 
-/* Replaces the file by a copy of the part that is the image, unless that is all of it. */
-static int extract(struct fmt_rows *rows, const struct bsq_part *part)
+/* Replaces the file by a copy of the extent that is the image, unless that is all of it. */
+static int extract(struct fmt_rows *rows, const struct bsq_extent *extent)
 {
     struct bsq_file whole = rows->input.file;
-    if (part->offset == 0 && part->size == whole.size && !part->base64)
+    if (extent->offset == 0 && extent->size == whole.size && !extent->base64)
         return 0;
-    const int status = bsq_part_extract(rows->input.ctx, &whole, part, &rows->input.file);
+    const int status = bsq_extent_extract(rows->input.ctx, &whole, extent, &rows->input.file);
     bsq_file_close(rows->input.ctx, &whole);
     return status;
 }
 
 int fmt_rows_open(struct bsq_ctx *ctx, const char *path, unsigned sharers, struct fmt_rows *rows)
 {
-    struct bsq_part part;
-    struct probe probe = {.ctx = ctx, .file = &rows->input.file, .part = &part};
+    struct bsq_extent extent;
+    struct probe probe = {.ctx = ctx, .file = &rows->input.file, .extent = &extent};
     int status;
     *rows = (struct fmt_rows){.input = {.ctx = ctx, .path = path, .file = BSQ_FILE_CLOSED}};
-    BSQ_TRY(bsq_part_open(ctx, path, &part, &rows->input.file));
+    BSQ_TRY(bsq_extent_open(ctx, path, &extent, &rows->input.file));
     read_at(&probe, 0, probe.head, sizeof probe.head);
     const struct format *format = find_format(&probe);
     BSQ_TRY(probe.status);
     if (format) /* what is no image is not copied: it may be large */
-        BSQ_TRY(extract(rows, &part));
+        BSQ_TRY(extract(rows, &extent));
     if (!format)
         return fmt_rows_unreadable(&rows->input, no_format);
     status = open_decoder(rows, format, sharers);

@@ -8,7 +8,7 @@
 
 #include <stdio.h>
 
-#include "base/file_part.h"
+#include "base/file_extent.h"
 #include "formats/module/module.h"
 
 #ifdef __cplusplus
@@ -73,7 +73,7 @@ struct fmt_rows {
     uint64_t reserved_bytes;
 };
 
-/* Opens an image, of a file or of a part of a file (base/file_part.h). The content tells the
+/* Opens an image, of a file or of an extent of a file (base/file_extent.h). The content tells the
  * format. Reserves the memory for decoding; a program that decodes an image whole gets half of
  * what is left, or its share if several are opened at a time (`sharers`). `rows` must not move.
  * Close it, also after a failure. Errors: those of bsq_file_open() and of decoders. */

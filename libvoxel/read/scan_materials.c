@@ -3,7 +3,7 @@
  * The table has the materials that faces use and that have a texture or a colour. Texture
  * coordinates are kept if some material has a texture. A textured material has a second entry
  * without texture, for triangles that lack texture coordinates. */
-#include "base/file_part.h"
+#include "base/file_extent.h"
 #include "base/job_files.h"
 #include "base/context.h"
 #include "base/channels.h"
@@ -36,12 +36,12 @@ static char *absolute_path(const char *path)
     return out;
 }
 
-/* Returns in *out the absolute path of a texture, which the scan owns. A texture that is a part of
- * a file keeps the end of its name. */
+/* Returns in *out the absolute path of a texture, which the scan owns. A texture that is an extent
+ * of a file keeps the end of its name. */
 static int resolve_texture(struct scan *scan, const char *path, char **out)
 {
-    struct bsq_part part;
-    const size_t length = bsq_part_parse(path, &part);
+    struct bsq_extent extent;
+    const size_t length = bsq_extent_parse(path, &extent);
     const char *end = length > 0 ? path + length : "";
     char *own = strndup(path, length > 0 ? length : strlen(path));
     char *absolute = own ? absolute_path(own) : NULL;

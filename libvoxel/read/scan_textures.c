@@ -2,7 +2,7 @@
  *
  * Users should learn of a damaged texture before hours of work. A texture that cannot be used is a
  * warning, and its material goes without it. */
-#include "base/file_part.h"
+#include "base/file_extent.h"
 #include "base/job_files.h"
 #include "base/context.h"
 #include "base/sort_array.h"
@@ -82,11 +82,11 @@ static int check_tiles(struct bsq_ctx *ctx, struct candidate *candidate)
 /* Checks what the file system says of the texture. */
 static int check_file(struct bsq_ctx *ctx, struct candidate *candidate)
 {
-    struct bsq_part part;
+    struct bsq_extent extent;
     struct stat info;
     const char *path = candidate->path;
     candidate->good = true;
-    if (bsq_part_parse(path, &part) > 0)
+    if (bsq_extent_parse(path, &extent) > 0)
         return 0;
     if (bsq_has_tiles(path))
         return check_tiles(ctx, candidate);

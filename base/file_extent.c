@@ -1,5 +1,5 @@
-/* file_part.c - see file_part.h. */
-#include "base/file_part.h"
+/* file_extent.c - see file_extent.h. */
+#include "base/file_extent.h"
 
 #include <inttypes.h>
 #include <stdio.h>
@@ -23,9 +23,9 @@ static bool read_number(const char **text, uint64_t *out)
 }
 
 /* Reads "#bytes=OFFSET+SIZE" or "#base64=OFFSET,FIRST+SIZE", up to the end of the text. */
-static bool read_range(const char *text, struct bsq_part *out)
+static bool read_range(const char *text, struct bsq_extent *out)
 {
-    *out = (struct bsq_part){.base64 = strncmp(text, "#base64=", 8) == 0};
+    *out = (struct bsq_extent){.base64 = strncmp(text, "#base64=", 8) == 0};
     if (!out->base64 && strncmp(text, "#bytes=", 7) != 0)
         return false;
     text += out->base64 ? 8 : 7;
@@ -38,7 +38,7 @@ static bool read_range(const char *text, struct bsq_part *out)
            out->offset <= INT64_MAX / 4;
 }
 
-size_t bsq_part_parse(const char *name, struct bsq_part *out)
+size_t bsq_extent_parse(const char *name, struct bsq_extent *out)
 {
     const char *mark = strrchr(name, '#');
     if (!mark || mark == name || !read_range(mark, out) || access(name, F_OK) == 0)
@@ -46,16 +46,17 @@ size_t bsq_part_parse(const char *name, struct bsq_part *out)
     return (size_t)(mark - name);
 }
 
-int bsq_part_name(struct bsq_ctx *ctx, const char *path, const struct bsq_part *part, char **out)
+int bsq_extent_name(struct bsq_ctx *ctx, const char *path, const struct bsq_extent *extent,
+                    char **out)
 {
     const size_t size = strlen(path) + sizeof "#base64=,+" + 3 * 20;
     int status = bsq_alloc(ctx, "names", size, 1, out);
-    if (!status && part->base64)
-        snprintf(*out, size, "%s#base64=%" PRIu64 ",%" PRIu64 "+%" PRIu64, path, part->offset,
-                 part->first, part->size);
+    if (!status && extent->base64)
+        snprintf(*out, size, "%s#base64=%" PRIu64 ",%" PRIu64 "+%" PRIu64, path, extent->offset,
+                 extent->first, extent->size);
     else if (!status)
-        snprintf(*out, size, "%s#bytes=%" PRIu64 "+%" PRIu64, path, part->offset + part->first,
-                 part->size);
+        snprintf(*out, size, "%s#bytes=%" PRIu64 "+%" PRIu64, path, extent->offset + extent->first,
+                 extent->size);
     return status;
 }
 
@@ -126,18 +127,18 @@ static int fail_base64(struct bsq_ctx *ctx, const struct bsq_file *file, uint64_
                                              : "malformed base64");
 }
 
-int bsq_part_read(struct bsq_ctx *ctx, const struct bsq_file *file, const struct bsq_part *part,
-                  void *to, uint64_t size, uint64_t at)
+int bsq_extent_read(struct bsq_ctx *ctx, const struct bsq_file *file,
+                    const struct bsq_extent *extent, void *to, uint64_t size, uint64_t at)
 {
-    if (!part->base64)
-        return bsq_file_read(ctx, file, to, size, part->offset + part->first + at);
+    if (!extent->base64)
+        return bsq_file_read(ctx, file, to, size, extent->offset + extent->first + at);
     uint8_t *next = to;
-    at += part->first;
+    at += extent->first;
     while (size > 0) {
         uint64_t done;
-        int status = read_groups(ctx, file, part->offset, at, next, size, &done);
+        int status = read_groups(ctx, file, extent->offset, at, next, size, &done);
         if (!status && done == 0)
-            status = fail_base64(ctx, file, part->offset + at / 3 * 4);
+            status = fail_base64(ctx, file, extent->offset + at / 3 * 4);
         if (status)
             return status;
         next += done;
@@ -149,14 +150,14 @@ int bsq_part_read(struct bsq_ctx *ctx, const struct bsq_file *file, const struct
 
 /* ---- copies ---- */
 
-int bsq_part_open(struct bsq_ctx *ctx, const char *name, struct bsq_part *part,
-                  struct bsq_file *out)
+int bsq_extent_open(struct bsq_ctx *ctx, const char *name, struct bsq_extent *extent,
+                    struct bsq_file *out)
 {
-    const size_t length = bsq_part_parse(name, part);
+    const size_t length = bsq_extent_parse(name, extent);
     char *path = NULL;
     if (length == 0) {
         int status = bsq_file_open(ctx, name, out);
-        *part = (struct bsq_part){.size = out->size};
+        *extent = (struct bsq_extent){.size = out->size};
         return status;
     }
     *out = (struct bsq_file)BSQ_FILE_CLOSED;
@@ -170,18 +171,18 @@ int bsq_part_open(struct bsq_ctx *ctx, const char *name, struct bsq_part *part,
     return status;
 }
 
-int bsq_part_extract(struct bsq_ctx *ctx, const struct bsq_file *file, const struct bsq_part *part,
-                     struct bsq_file *out)
+int bsq_extent_extract(struct bsq_ctx *ctx, const struct bsq_file *file,
+                       const struct bsq_extent *extent, struct bsq_file *out)
 {
     uint8_t buffer[16384];
     int status;
     BSQ_TRY(bsq_file_temp(ctx, NULL, "an embedded image", out));
-    /* A part that claims to be larger than its file cannot be copied whole. */
-    BSQ_TRY(bsq_require_disk(ctx, NULL, part->size < file->size ? part->size : file->size));
-    for (uint64_t at = 0; at < part->size; at += sizeof buffer) {
-        uint64_t left = part->size - at, size = left < sizeof buffer ? left : sizeof buffer;
+    /* An extent that claims to be larger than its file cannot be copied whole. */
+    BSQ_TRY(bsq_require_disk(ctx, NULL, extent->size < file->size ? extent->size : file->size));
+    for (uint64_t at = 0; at < extent->size; at += sizeof buffer) {
+        uint64_t left = extent->size - at, size = left < sizeof buffer ? left : sizeof buffer;
         BSQ_TRY(bsq_check(ctx));
-        BSQ_TRY(bsq_part_read(ctx, file, part, buffer, size, at));
+        BSQ_TRY(bsq_extent_read(ctx, file, extent, buffer, size, at));
         BSQ_TRY(bsq_file_append(ctx, out, buffer, size));
     }
     status = bsq_file_check(ctx, file);

@@ -1,7 +1,7 @@
-/* test_file_part.c - parts of files that have names of their own. */
+/* test_file_extent.c - extents of files that have names of their own. */
 #include <sys/stat.h>
 
-#include "base/file_part.h"
+#include "base/file_extent.h"
 #include "tests/unit/test.h"
 
 TEST(test_names)
@@ -19,13 +19,13 @@ TEST(test_names)
                                          "a#base64=1+2",
                                          "a#bytes=18446744073709551616+1",
                                          "a#bytes=1+9223372036854775807"};
-    struct bsq_part part;
-    assert_int_equal(bsq_part_parse("x/a#1.glb#bytes=10+20", &part), 9);
-    assert_true(part.offset == 10 && part.size == 20 && part.first == 0 && !part.base64);
-    assert_int_equal(bsq_part_parse("a#base64=10,3+20", &part), 1);
-    assert_true(part.offset == 10 && part.size == 20 && part.first == 3 && part.base64);
+    struct bsq_extent extent;
+    assert_int_equal(bsq_extent_parse("x/a#1.glb#bytes=10+20", &extent), 9);
+    assert_true(extent.offset == 10 && extent.size == 20 && extent.first == 0 && !extent.base64);
+    assert_int_equal(bsq_extent_parse("a#base64=10,3+20", &extent), 1);
+    assert_true(extent.offset == 10 && extent.size == 20 && extent.first == 3 && extent.base64);
     for (size_t i = 0; i < sizeof others / sizeof *others; i++)
-        assert_int_equal(bsq_part_parse(others[i], &part), 0);
+        assert_int_equal(bsq_extent_parse(others[i], &extent), 0);
 }
 
 /* Every range of base64 text of each length, against the bytes that it was made from. */
@@ -43,11 +43,11 @@ TEST(test_base64)
         assert_int_equal(bsq_file_append(ctx, &file, "\"AAAA", 5), 0);
         for (uint64_t first = 0; first <= size; first++)
             for (uint64_t count = 0; first + count <= 7; count++) {
-                const struct bsq_part part = {
+                const struct bsq_extent extent = {
                     .offset = 2, .first = first, .size = count, .base64 = true};
                 unsigned char read[8] = {0};
                 bsq_clear_error(ctx);
-                const int status = bsq_part_read(ctx, &file, &part, read, count, 0);
+                const int status = bsq_extent_read(ctx, &file, &extent, read, count, 0);
                 assert_int_equal(status, first + count <= size ? 0 : BSQ_EDATA);
                 if (status == 0)
                     assert_memory_equal(read, bytes + first, count);
@@ -57,39 +57,39 @@ TEST(test_base64)
     bsq_ctx_destroy(ctx);
 }
 
-/* Copies the part of this name. */
+/* Copies the extent of this name. */
 static int copy_part(struct bsq_ctx *ctx, const char *name, struct bsq_file *copy)
 {
     struct bsq_file file;
-    struct bsq_part part;
-    assert_int_equal(bsq_part_open(ctx, name, &part, &file), 0);
-    const int status = bsq_part_extract(ctx, &file, &part, copy);
+    struct bsq_extent extent;
+    assert_int_equal(bsq_extent_open(ctx, name, &extent, &file), 0);
+    const int status = bsq_extent_extract(ctx, &file, &extent, copy);
     bsq_file_close(ctx, &file);
     return status;
 }
 
-/* A copy of a part; a file with the whole name is no part. */
+/* A copy of an extent; a file with the whole name is no extent. */
 TEST(test_copies)
 {
-    char part_path[] = "a#bytes=2+4";
+    char extent_path[] = "a#bytes=2+4";
     struct bsq_ctx *ctx;
     struct bsq_file copy;
-    struct bsq_part part;
+    struct bsq_extent extent;
     char read[5] = "";
     test_text("a", "0123456789");
     ctx = test_context(0, 0);
-    assert_int_equal(copy_part(ctx, part_path, &copy), 0);
+    assert_int_equal(copy_part(ctx, extent_path, &copy), 0);
     assert_int_equal(copy.size, 4);
     assert_int_equal(bsq_file_read(ctx, &copy, read, 4, 0), 0);
     assert_string_equal(read, "2345");
     bsq_file_close(ctx, &copy);
-    part_path[strlen(part_path) - 1] = '9'; /* beyond the file's end */
-    assert_int_equal(copy_part(ctx, part_path, &copy), BSQ_EDATA);
-    test_text(part_path, "");
-    assert_int_equal(bsq_part_parse(part_path, &part), 0);
-    assert_int_equal(bsq_part_open(ctx, part_path, &part, &copy), 0);
+    extent_path[strlen(extent_path) - 1] = '9'; /* beyond the file's end */
+    assert_int_equal(copy_part(ctx, extent_path, &copy), BSQ_EDATA);
+    test_text(extent_path, "");
+    assert_int_equal(bsq_extent_parse(extent_path, &extent), 0);
+    assert_int_equal(bsq_extent_open(ctx, extent_path, &extent, &copy), 0);
     assert_int_equal(copy.size, 0);
-    assert_int_equal(part.size, 0);
+    assert_int_equal(extent.size, 0);
     bsq_file_close(ctx, &copy);
     bsq_ctx_destroy(ctx);
 }
