@@ -272,6 +272,18 @@ def test_asset_of_a_file_goes_on_where_it_stopped(tmp_path):
     assert (tmp_path / "steps/scan.tris").stat().st_mtime_ns == times[tmp_path / "steps/scan.tris"]
 
 
+def test_asset_of_a_chunk_file_has_the_maps_that_it_can(tmp_path):
+    for name, colors in (("grey", ()), ("painted", ("--colors",))):
+        scan, chunks, out = (tmp_path / f"{name}.{end}" for end in ("obj", "tris", "glb"))
+        subprocess.run([GENERATE, "--triangles", "20000", *colors, "vase", "-o", scan], check=True)
+        bisque.sort(scan, chunks)
+        asset(chunks, "-o", out, "--triangles", 500, "--size", 64, "--memory", "512M")
+        assert (tmp_path / f"{name}_asset/color.png").exists() == bool(colors)
+    chunks.write_bytes(chunks.read_bytes()[:100])
+    with pytest.raises(bisque.Error, match="painted.tris"):
+        bisque.asset(chunks, out, triangles=500, size=64)
+
+
 def test_asset_ends_when_told_and_shows_json(tmp_path):
     scan = tmp_path / "vase.obj"
     subprocess.run([GENERATE, "--triangles", "60000", "--colors", "vase", "-o", scan], check=True)

@@ -324,7 +324,8 @@ def asset(scan: Any, output: str | os.PathLike, *, low: Any = None, preset: str 
         chunks = str(folder / "given.tris")
         Path(chunks).unlink(missing_ok=True)
         os.symlink(os.path.abspath(paths[0]), chunks)
-        sorted_report = {"triangles": _triangles_of(paths[0]), "has_colors": True}
+        about = _describe(paths[0])
+        sorted_report = {"triangles": about["triangles"], "has_colors": about["color"]}
         sorted_report = {key: sorted_report.get(key, 0) for key in
                          ("triangles", "has_colors", "has_material_colors", "uses_textures",
                           "degenerate_triangles", "short_faces", "broken_faces", "lost_corners",
@@ -374,10 +375,13 @@ def _check_inputs(output: Path, made: Path, inputs: list) -> None:
             raise ValueError(f"{path}: the files in {made} would be replaced; move it elsewhere")
 
 
-def _triangles_of(path: str) -> int:
-    """Returns the triangles of a chunk file, from its header (FORMATS.md)."""
-    with open(path, "rb") as file:
-        return int.from_bytes(file.read(24)[16:], "little")
+def _describe(path: str) -> dict:
+    """Returns what the program of this package says of a chunk file."""
+    done = subprocess.run([Path(__file__).parent / "bin" / "bisque-voxelize", "--info", "--json", path],
+                          capture_output=True, text=True)
+    if done.returncode:
+        raise core.Error(done.returncode, done.stderr.strip().removeprefix("bisque-voxelize: "))
+    return json.loads(done.stdout)["files"][0]
 
 
 def _versions(library: str) -> dict:
