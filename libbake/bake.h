@@ -420,7 +420,7 @@ struct bake_report {
     double seconds_copies;
     uint64_t kernel_calls; /**< Kernel launches; 0 for the processor. */
     struct bake_value_encoding encodings[BAKE_MAX_MAPS]; /**< Of each map, by its number. */
-    /** Chunks of an exact bake that were loaded for secondary rays, counted again each time. */
+    /** Chunks of an exact bake that were loaded, counted again each time. */
     uint64_t chunk_loads;
     const char *id_source; /**< What ids tell apart: "material", "object" or "color". NULL: none. */
     struct bake_id *ids; /**< The names that BAKE_MAP_ID has colours for, ascending. Vertex colours

@@ -226,7 +226,7 @@ static int print_report(const struct cli *cli, const struct bake_arguments *argu
                   cli_counted_text(report->kernel_calls, "call", "calls", samples),
                   report->seconds_copies);
     if (report->chunk_loads > 0)
-        cli_print("secondary rays: %s\n",
+        cli_print("scan: %s\n",
                   cli_counted_text(report->chunk_loads, "chunk loaded", "chunks loaded", samples));
     if (report->passes > 1)
         cli_print("passes: %s, because the grid is larger than the usable memory of the device\n",

@@ -55,7 +55,9 @@ int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *option
         return status;
     exact->ctx = ctx;
     exact->options = *options;
-    status = open_file(exact);
+    status = bsq_calloc(ctx, "scan", 1, sizeof *exact->loads, &exact->loads);
+    if (status == 0)
+        status = open_file(exact);
     if (status < 0)
         bake_exact_close(exact);
     else
@@ -71,6 +73,7 @@ void bake_exact_close(struct bake_exact *exact)
     fmt_shading_close(&exact->shading);
     bsq_free(ctx, exact->tree_memory);
     bsq_free(ctx, exact->points);
+    bsq_free(ctx, (void *)exact->loads);
     fmt_tris_close(exact->file);
     bsq_free(ctx, exact);
 }
@@ -78,6 +81,11 @@ void bake_exact_close(struct bake_exact *exact)
 const struct fmt_tris_header *bake_exact_header(const struct bake_exact *exact)
 {
     return exact->header;
+}
+
+uint64_t bake_exact_loads(const struct bake_exact *exact)
+{
+    return *exact->loads;
 }
 
 /* ---- attributes ---- */

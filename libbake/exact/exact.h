@@ -2,8 +2,8 @@
  * chunk file and batches of rays; gives each ray's nearest hit with normal and colour.
  *
  * A batch's rays are sorted into one bucket for each chunk that they cross. Each of these chunks is
- * loaded, gets a tree of boxes, and finds the nearest hits of its rays. A second pass over the
- * chunks that have hits evaluates normals and colours. Results do not depend on chunks, threads or
+ * loaded, gets a tree of boxes, finds the nearest hits of its rays, and evaluates their normals and
+ * colours, which hits in later chunks may replace. Results do not depend on chunks, threads or
  * memory: the hit with the smallest (bake_ray_cost(t), -t, triangle number) wins, and all three are
  * computed alike in any order. */
 #ifndef BAKE_EXACT_EXACT_H
@@ -29,6 +29,8 @@ int bake_exact_open(struct bsq_ctx *ctx, const struct bake_exact_options *option
 void bake_exact_close(struct bake_exact *exact); /* NULL is allowed */
 /* Returns what the chunk files say of the scan; valid until it is closed. */
 const struct fmt_tris_header *bake_exact_header(const struct bake_exact *exact);
+/* Returns the number of chunks that were loaded so far, counted again each time. */
+uint64_t bake_exact_loads(const struct bake_exact *exact);
 
 /* What hits have besides a normal. All must live until bake_exact_close(). */
 struct bake_exact_attributes {
@@ -138,10 +140,10 @@ void bake_exact_look_free(struct bake_exact_look *look); /* NULL is allowed */
 /* Traces the rays of all places as bk_secondary.h describes, but against triangles, and notes in
  * their states what the scan adds. Results do not depend on chunks, threads or memory. If all
  * chunks fit into memory, they are loaded by the first call; otherwise each call loads those that
- * its rays can reach. Adds the number of chunks loaded to *loads. Must not be called from parallel
- * work. Errors: those of bake_exact_trace(). */
+ * its rays can reach. Must not be called from parallel work. Errors: those of bake_exact_trace().
+ */
 int bake_exact_look_from(struct bake_exact_look *look, const struct bake_places *places,
-                         struct bake_ray_states *states, uint64_t *loads);
+                         struct bake_ray_states *states);
 
 /* Returns the distance above a triangle at which open rays start: more than the rounding errors of
  * a hit's position. */

@@ -161,6 +161,8 @@ static int load_group(struct bake_exact_look *look, const uint32_t *chunks, uint
 {
     for (uint32_t s = 0; s < count; s++)
         look->memory.slots[s].number = chunks[s];
+    for (uint32_t s = 0; s < count; s++)
+        look->memory.slots[s].loaded = false;
     look->loaded = 0;
     int status = bsq_parallel_for(look->exact->ctx, count, load_slot, look);
     if (status < 0)
@@ -171,7 +173,7 @@ static int load_group(struct bake_exact_look *look, const uint32_t *chunks, uint
 }
 
 int bake_exact_look_from(struct bake_exact_look *look, const struct bake_places *places,
-                         struct bake_ray_states *states, uint64_t *loads)
+                         struct bake_ray_states *states)
 {
     struct pass pass = {.look = look, .places = places, .states = states};
     const uint32_t slots = look->memory.count;
@@ -185,10 +187,8 @@ int bake_exact_look_from(struct bake_exact_look *look, const struct bake_places 
     pass.steps = (count + slots - 1) / slots;
     for (uint32_t c = 0; c < count; c += slots, pass.step++) {
         const uint32_t loaded = count - c < slots ? count - c : slots;
-        if (!look->whole || look->loaded == 0) {
+        if (!look->whole || look->loaded == 0)
             BSQ_TRY(load_group(look, look->reached + c, loaded));
-            *loads += loaded;
-        }
         BSQ_TRY(bsq_parallel_for(look->exact->ctx, (places->count + BLOCK - 1) / BLOCK, trace_block,
                                  &pass));
     }

@@ -26,6 +26,7 @@ struct bake_exact {
     struct fmt_shading shading;     /* its channels are those of transfer maps */
     struct bake_area_point *points; /* chunk_points of each chunk; NULL: they are not wanted */
     uint32_t chunk_points;
+    _Atomic uint64_t *loads; /* number of chunks that were loaded, counted again each time */
 };
 
 /* Returns the number of values that the channels of a hit have. */
@@ -52,11 +53,20 @@ static inline bool exact_needs_smooth(const struct bake_exact *exact)
 
 /* ---- a chunk in memory ---- */
 
-/* Sums of normals by position; see exact_trace.c. */
+/* Triangles, and positions, whose common bounds are kept. */
+enum { EXACT_GROUP = BSQ_POSITIONS_BATCH };
+
+struct exact_chunk {
+    struct fmt_tris_chunk tris;
+    struct exact_box *groups; /* bounds of each EXACT_GROUP triangles; NULL: not set */
+};
+
+/* Sums of normals by position; see exact_smooth.c. */
 struct exact_smooth {
     struct bsq_positions table;
     uint32_t *entry_of; /* of each vertex of the chunk: index into sums[]; 0: not needed */
     float (*positions)[3];
+    struct exact_box *groups; /* bounds of each EXACT_GROUP positions */
     /* Of one-rings (base/smooth_normals.h), from index 1: two rows each, and of creases likewise.
      */
     double (*sums)[4], (*creases)[4], (*seconds)[4];
@@ -68,10 +78,13 @@ struct exact_smooth {
 struct exact_slot {
     uint32_t number; /* of the chunk */
     bool loaded;
-    struct fmt_tris_chunk chunk;
+    struct exact_chunk chunk;
     struct exact_tree tree;
     struct exact_smooth smooth;
     void *chunk_memory, *tree_memory, *smooth_memory;
+    bool needed;    /* has hits whose normals are summed */
+    uint32_t *near; /* chunks with triangles at vertices whose normals are summed, ascending */
+    uint32_t near_count;
 };
 
 /* Buffers of a thread while it prepares a slot. */
@@ -79,7 +92,6 @@ struct exact_scratch {
     void *boxes;     /* of a chunk's triangles */
     void *neighbour; /* another chunk */
     uint32_t *map;   /* of its vertices */
-    uint32_t *near;  /* chunk_count chunk numbers */
 };
 
 /* The slots of a wave of chunks. */
@@ -99,10 +111,15 @@ void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots);
 void bake_exact_take_areas(const struct bake_exact *exact, uint32_t number,
                            const struct fmt_tris_chunk *chunk);
 
-/* Loads a chunk into a slot. */
-int bake_exact_slot_load(const struct bake_exact *exact, uint32_t number, struct exact_slot *slot);
-/* Loads the chunk of a slot, and builds the tree of its triangles. Workers may prepare different
- * slots at the same time. */
+/* Returns the bytes of memory that any chunk fits. */
+uint64_t exact_chunk_bytes(const struct bake_exact *exact);
+/* Loads a chunk. Errors: those of fmt_tris_load(). */
+int bake_exact_load(const struct bake_exact *exact, uint32_t number, void *memory,
+                    struct exact_chunk *out);
+/* Sets the groups of a chunk that was loaded into `memory`, unless they are set. */
+void bake_exact_set_groups(const struct bake_exact *exact, void *memory, struct exact_chunk *chunk);
+/* Loads the chunk of a slot unless it is loaded, and builds the tree of its triangles. Workers may
+ * prepare different slots at the same time. */
 int bake_exact_slot_prepare(const struct bake_exact *exact, const struct exact_slots *slots,
                             uint64_t index, unsigned worker);
 /* Returns the buffers of a worker that prepares a slot. */
@@ -201,10 +218,64 @@ int bake_exact_sort_rays(const struct bake_exact *exact, const struct bake_exact
 /* Returns the bytes that sorting needs besides the buckets. */
 uint64_t bake_exact_buckets_scratch_bytes(const struct bake_exact *exact);
 
+/* ---- chunks that are kept ---- */
+
+/* Memory for a chunk that other chunks need. */
+struct exact_place {
+    uint32_t number; /* of the chunk */
+    uint32_t next;   /* chunk with which it is used next */
+    bool used;       /* holds a chunk */
+    bool needed;     /* by the current wave */
+    struct exact_chunk chunk;
+    void *memory;
+};
+/* Chunks in memory beside those of a wave. */
+struct exact_kept {
+    const struct bake_exact *exact;
+    const uint64_t *starts; /* of the buckets, see below */
+    uint32_t count;         /* of places; 0: none is kept */
+    struct exact_place *places;
+    uint32_t *near; /* chunk_count numbers */
+    char *memory;
+};
+/* Makes places for chunks: takes up to three quarters of what is left of the budget. Free them,
+ * also after a failure. Errors: BSQ_ENOMEM. */
+int bake_exact_kept_create(const struct bake_exact *exact, struct exact_kept *out);
+void bake_exact_kept_free(struct bsq_ctx *ctx, struct exact_kept *kept);
+/* Returns a chunk, or NULL if it is not kept. Thread-safe while nothing else is called. */
+const struct exact_chunk *bake_exact_kept_find(const struct exact_kept *kept, uint32_t number);
+/* Moves the chunk with the slot's number into the slot. Returns false if it is not kept. */
+bool bake_exact_kept_take(const struct exact_kept *kept, struct exact_slot *slot);
+/* Loads the chunks that are near those of a wave, as many as fit. Must not be called from parallel
+ * work. Errors: those of fmt_tris_load(). */
+int bake_exact_kept_load(struct exact_kept *kept, const struct exact_slots *wave, uint32_t used);
+/* Keeps those chunks that are used soonest, of these and of the wave. */
+void bake_exact_kept_end_wave(struct exact_kept *kept, const struct exact_slots *wave,
+                              uint32_t used);
+
 /* ---- normals and colours ---- */
 
 /* Returns the bytes of smooth_memory for a chunk with this many vertices. */
 uint64_t bake_exact_smooth_bytes(uint32_t vertices);
+/* Forgets which vertex normals of the slot's chunk are needed. Overwrites its tree. */
+void bake_exact_smooth_begin(struct exact_slot *slot);
+/* Makes bake_exact_smooth_sum() sum the normal of a vertex. */
+void bake_exact_smooth_need(struct exact_slot *slot, uint32_t vertex);
+/* Lists the chunks with triangles at these vertices in the slot's near[]. */
+void bake_exact_smooth_find_near(const struct bake_exact *exact, struct exact_slot *slot);
+
+/* Sums of a slot, and what they are made of. */
+struct exact_summing {
+    const struct bake_exact *exact;
+    struct exact_slot *slot;
+    const struct exact_slot *wave; /* slots whose chunks are in memory, if they are loaded */
+    uint32_t wave_count;
+    const struct exact_kept *kept;
+    const struct exact_scratch *scratch;
+};
+/* Sums the normals of the vertices that are needed, and of both sides of creases. Workers may do so
+ * for different slots at the same time. Errors: those of fmt_tris_load(); BSQ_EINTR. */
+int bake_exact_smooth_sum(const struct exact_summing *of);
 
 /* Evaluates the normal and colour of a ray's hit, which must lie in the slot's chunk. Tracing left
  * its barycentric weights in normal[0] and normal[1]. */

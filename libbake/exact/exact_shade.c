@@ -20,7 +20,7 @@ struct place {
 static void set_place(struct place *place, const struct exact_slot *slot, uint32_t triangle,
                       const struct bake_exact_hit *hit)
 {
-    const struct fmt_tris_chunk *chunk = &slot->chunk;
+    const struct fmt_tris_chunk *chunk = &slot->chunk.tris;
     place->slot = slot;
     place->triangle = triangle;
     place->v = chunk->triangles[triangle];
@@ -75,7 +75,7 @@ static void add_smooth(const struct place *place, int corner, double sum[3])
 
 static void shade_normal(const struct bake_exact *exact, const struct place *place, float out[3])
 {
-    const struct fmt_tris_chunk *chunk = &place->slot->chunk;
+    const struct fmt_tris_chunk *chunk = &place->slot->chunk.tris;
     double n[3] = {0, 0, 0};
     for (int i = 0; i < 3; i++) {
         if (chunk->normals) {
@@ -103,7 +103,7 @@ static __attribute__((noinline)) int add_normal_map(const struct bake_exact *exa
                                                     const struct fmt_shading_place *at,
                                                     float normal[3])
 {
-    const float(*texcoords)[2] = place->slot->chunk.texcoords;
+    const float(*texcoords)[2] = place->slot->chunk.tris.texcoords;
     double n[3] = {(double)normal[0], (double)normal[1], (double)normal[2]}, uv[2][2];
     float texel[3];
     int status = fmt_shade_attribute(&exact->shading, FMT_SHADING_NORMAL_MAP, at, texel);
@@ -131,7 +131,7 @@ static void set_side(const struct bake_exact *exact, const struct place *place,
         hit->facet[k] = (float)(place->cross[k] * scale);
     hit->reversed = exact->options.two_sided &&
                     (along == batch->facing_origin) !=
-                        bake_exact_wound_backwards(&place->slot->chunk, place->triangle);
+                        bake_exact_wound_backwards(&place->slot->chunk.tris, place->triangle);
 }
 
 /* ---- colours ---- */
@@ -178,7 +178,7 @@ static struct fmt_shading_place texture_place(const struct bake_exact *exact,
                                               const struct place *place,
                                               const struct bake_exact_batch *batch, uint64_t ray)
 {
-    const struct fmt_tris_chunk *chunk = &place->slot->chunk;
+    const struct fmt_tris_chunk *chunk = &place->slot->chunk.tris;
     struct fmt_shading_place out = {
         .material = fmt_shading_material(&exact->shading, chunk, place->triangle)};
     double width[2] = {0, 0}, at[2] = {0, 0};
@@ -205,7 +205,7 @@ static struct fmt_shading_place texture_place(const struct bake_exact *exact,
 static int shade_color(const struct bake_exact *exact, const struct place *place,
                        const struct fmt_shading_place *at, float out[3])
 {
-    const struct fmt_tris_chunk *chunk = &place->slot->chunk;
+    const struct fmt_tris_chunk *chunk = &place->slot->chunk.tris;
     const bool textured = fmt_shading_is_textured(&exact->shading, FMT_SHADING_COLOR, at->material);
     const int status =
         textured ? fmt_shade_attribute(&exact->shading, FMT_SHADING_COLOR, at, out) : 0;
@@ -235,13 +235,13 @@ int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *sl
               hit);
     shade_normal(exact, &place, hit->normal);
     const struct fmt_shading_place at = texture_place(exact, &place, batch, ray);
-    if (slot->chunk.texcoords &&
+    if (slot->chunk.tris.texcoords &&
         fmt_shading_is_textured(shading, FMT_SHADING_NORMAL_MAP, at.material))
         BSQ_TRY(add_normal_map(exact, &place, &at, hit->normal));
     set_side(exact, &place, batch, ray);
     for (int k = 0; hit->reversed && k < 3; k++)
         hit->normal[k] = -hit->normal[k];
-    hit->id = shading->ids ? fmt_shade_id(shading, &slot->chunk, place.triangle, place.w) : 0;
+    hit->id = shading->ids ? fmt_shade_id(shading, &slot->chunk.tris, place.triangle, place.w) : 0;
     for (uint32_t a = FMT_SHADING_CHANNELS; batch->channels && a < shading->attribute_count; a++)
         BSQ_TRY(fmt_shade_attribute(shading, a, &at,
                                     batch->channels + ray * exact_transfer_floats(exact) +

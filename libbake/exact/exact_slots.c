@@ -8,9 +8,25 @@
 
 /* Sizes in bytes of the buffers of a slot and of a scratch, which fit every chunk. */
 struct sizes {
-    uint64_t chunk, tree, smooth;
-    uint64_t boxes, neighbour, map, near;
+    uint64_t chunk, tree, smooth, near;
+    uint64_t boxes, neighbour, map;
 };
+
+/* Returns the bytes of a chunk without its groups. */
+static uint64_t tris_bytes(const struct bake_exact *exact)
+{
+    return bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT);
+}
+
+uint64_t exact_chunk_bytes(const struct bake_exact *exact)
+{
+    uint32_t triangles = 0;
+    for (uint32_t c = 0; c < exact->chunk_count && exact_needs_smooth(exact); c++)
+        triangles = exact->chunks[c].triangle_count > triangles ? exact->chunks[c].triangle_count
+                                                                : triangles;
+    const uint64_t groups = (triangles + EXACT_GROUP - 1) / EXACT_GROUP;
+    return tris_bytes(exact) + bsq_align_up(groups * sizeof(struct exact_box), BSQ_ALIGNMENT);
+}
 
 static struct sizes buffer_sizes(const struct bake_exact *exact)
 {
@@ -21,7 +37,7 @@ static struct sizes buffer_sizes(const struct bake_exact *exact)
         triangles = chunk->triangle_count > triangles ? chunk->triangle_count : triangles;
         vertices = chunk->vertex_count > vertices ? chunk->vertex_count : vertices;
     }
-    sizes.chunk = bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT);
+    sizes.chunk = exact_chunk_bytes(exact);
     sizes.tree = bsq_align_up(bake_exact_tree_bytes(triangles), BSQ_ALIGNMENT);
     sizes.boxes = bsq_align_up(triangles * sizeof(struct exact_box), BSQ_ALIGNMENT);
     if (exact_needs_smooth(exact)) {
@@ -36,12 +52,12 @@ static struct sizes buffer_sizes(const struct bake_exact *exact)
 /* A slot never holds a tree and sums of normals at the same time. */
 static uint64_t slot_bytes(const struct sizes *sizes)
 {
-    return sizes->chunk + (sizes->tree > sizes->smooth ? sizes->tree : sizes->smooth);
+    return sizes->chunk + (sizes->tree > sizes->smooth ? sizes->tree : sizes->smooth) + sizes->near;
 }
 
 static uint64_t scratch_bytes(const struct sizes *sizes)
 {
-    uint64_t shading = sizes->neighbour + sizes->map + sizes->near;
+    uint64_t shading = sizes->neighbour + sizes->map;
     return sizes->boxes > shading ? sizes->boxes : shading;
 }
 
@@ -64,6 +80,13 @@ static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, uin
     }
     plan.bytes = plan.slots * slot + plan.preparers * scratch;
     return plan;
+}
+
+/* Returns the bytes of the chunks that are kept for others, at most `most`. */
+static uint64_t kept_bytes(const struct bake_exact *exact, uint64_t most)
+{
+    const uint64_t all = exact->chunk_count * exact_chunk_bytes(exact);
+    return !exact_needs_smooth(exact) ? 0 : all < most ? all : most;
 }
 
 /* Bytes of an entry of the buckets, and of a ray's share in these. */
@@ -95,7 +118,7 @@ uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes
                            bake_exact_buckets_scratch_bytes(exact) +
                            (exact->chunk_count + 1) * sizeof(uint64_t) +
                            (exact_bucket_entries(exact, 0) + BAKE_EXACT_BUNDLE) * BUCKET_BYTES +
-                           EXACT_LOCKS * sizeof(pthread_mutex_t);
+                           EXACT_LOCKS * sizeof(pthread_mutex_t) + kept_bytes(exact, left / 8);
     const uint64_t ray = ray_bytes(exact) + more_bytes;
     /* An eighth is left to other parts of the job. */
     const uint64_t usable = left / 8 * 7;
@@ -119,12 +142,12 @@ int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint6
     for (uint32_t s = 0; s < plan.slots; s++, at += slot_bytes(&sizes)) {
         out->slots[s].chunk_memory = at;
         out->slots[s].tree_memory = out->slots[s].smooth_memory = at + sizes.chunk;
+        out->slots[s].near = (uint32_t *)(void *)(at + slot_bytes(&sizes) - sizes.near);
     }
     for (uint32_t p = 0; p < plan.preparers; p++, at += scratch_bytes(&sizes)) {
         struct exact_scratch *scratch = &out->scratches[p];
         scratch->boxes = scratch->neighbour = at;
         scratch->map = (uint32_t *)(void *)(at + sizes.neighbour);
-        scratch->near = (uint32_t *)(void *)(at + sizes.neighbour + sizes.map);
     }
 done:
     return status;
@@ -139,17 +162,6 @@ void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots)
 
 /* ---- chunks ---- */
 
-int bake_exact_slot_load(const struct bake_exact *exact, uint32_t number, struct exact_slot *slot)
-{
-    slot->number = number;
-    slot->loaded = false;
-    int status = fmt_tris_load(exact->file, number, slot->chunk_memory, &slot->chunk);
-    slot->loaded = status == 0;
-    if (slot->loaded && exact->points)
-        bake_exact_take_areas(exact, number, &slot->chunk);
-    return status;
-}
-
 static struct exact_box triangle_box(const float *a, const float *b, const float *c)
 {
     struct exact_box box;
@@ -161,16 +173,43 @@ static struct exact_box triangle_box(const float *a, const float *b, const float
     return box;
 }
 
+static struct exact_box box_of(const struct fmt_tris_chunk *chunk, uint32_t triangle)
+{
+    const uint32_t *v = chunk->triangles[triangle];
+    return triangle_box(chunk->positions[v[0]], chunk->positions[v[1]], chunk->positions[v[2]]);
+}
+
+void bake_exact_set_groups(const struct bake_exact *exact, void *memory, struct exact_chunk *chunk)
+{
+    if (chunk->groups)
+        return;
+    chunk->groups = (struct exact_box *)(void *)((char *)memory + tris_bytes(exact));
+    for (uint32_t t = 0; t < chunk->tris.triangle_count; t++) {
+        const struct exact_box box = box_of(&chunk->tris, t);
+        struct exact_box *group = &chunk->groups[t / EXACT_GROUP];
+        for (int k = 0; k < 3; k++) {
+            const bool first = t % EXACT_GROUP == 0;
+            group->low[k] = first || box.low[k] < group->low[k] ? box.low[k] : group->low[k];
+            group->high[k] = first || box.high[k] > group->high[k] ? box.high[k] : group->high[k];
+        }
+    }
+}
+
+int bake_exact_load(const struct bake_exact *exact, uint32_t number, void *memory,
+                    struct exact_chunk *out)
+{
+    *out = (struct exact_chunk){0};
+    ++*exact->loads;
+    return fmt_tris_load(exact->file, number, memory, &out->tris);
+}
+
 /* Builds the tree of the loaded chunk. */
 static void build_tree(struct exact_slot *slot, const struct exact_scratch *scratch)
 {
-    const struct fmt_tris_chunk *chunk = &slot->chunk;
+    const struct fmt_tris_chunk *chunk = &slot->chunk.tris;
     struct exact_box *boxes = scratch->boxes;
-    for (uint32_t t = 0; t < chunk->triangle_count; t++) {
-        const uint32_t *v = chunk->triangles[t];
-        boxes[t] =
-            triangle_box(chunk->positions[v[0]], chunk->positions[v[1]], chunk->positions[v[2]]);
-    }
+    for (uint32_t t = 0; t < chunk->triangle_count; t++)
+        boxes[t] = box_of(chunk, t);
     bake_exact_tree_build(&slot->tree, chunk->triangle_count, boxes, slot->tree_memory);
 }
 
@@ -186,10 +225,16 @@ int bake_exact_slot_prepare(const struct bake_exact *exact, const struct exact_s
                             uint64_t index, unsigned worker)
 {
     struct exact_slot *slot = &slots->slots[index];
-    int status = bake_exact_slot_load(exact, slot->number, slot);
-    if (status == 0)
-        build_tree(slot, bake_exact_scratch(exact, slots, index, worker));
-    return status;
+    int status = 0;
+    if (!slot->loaded)
+        status = bake_exact_load(exact, slot->number, slot->chunk_memory, &slot->chunk);
+    if (status < 0)
+        return status;
+    slot->loaded = true;
+    if (exact->points)
+        bake_exact_take_areas(exact, slot->number, &slot->chunk.tris);
+    build_tree(slot, bake_exact_scratch(exact, slots, index, worker));
+    return 0;
 }
 
 bool bake_exact_wound_backwards(const struct fmt_tris_chunk *chunk, uint32_t triangle)

@@ -2,9 +2,10 @@
  *
  * Chunks go through memory in waves. A wave first prepares as many chunks as there are slots, one
  * per thread. Then all threads work on blocks of the chunks' rays, so that even a scan of a single
- * chunk keeps every thread busy. The first pass finds the nearest hits; chunks may improve the hit
- * of a ray in any order and at the same time. The second pass evaluates normals and colours of the
- * hits in each chunk.
+ * chunk keeps every thread busy. Chunks may improve the hit of a ray in any order and at the same
+ * time. Then normals and colours of the hits in these chunks are evaluated. A later wave evaluates
+ * a few of them again, after it has found a better hit: that costs less than to load the chunks
+ * again after the last wave.
  *
  * The tree of a chunk is built again for each batch: that takes a few milliseconds, and keeping
  * trees would take memory. */
@@ -14,231 +15,9 @@
 #include <string.h>
 
 #include "base/parallel.h"
-#include "base/sort_array.h"
 
 /* Entries of a bucket, and hits to clear, that a thread takes at a time. */
 enum { BLOCK = 256, CLEARED = 4096 };
-
-/* ---- smooth normals ----
- *
- * Vertex normals of a chunk have the bits that the whole scan would give. Vertices at the same
- * position are one vertex, in one chunk or in several. The one-ring of a vertex
- * (base/smooth_normals.h) is summed in the order of the file, whichever chunks its triangles are
- * in. Only normals that hits need are summed, and only chunks whose bounds contain such a vertex
- * are read: three times if some of these vertices may be creases. */
-
-enum { PARTS = BSQ_RING_UNITS, ROWS = 2 };
-
-enum step { STEP_SUM, STEP_FARTHEST, STEP_SIDES };
-
-uint64_t bake_exact_smooth_bytes(uint32_t vertices)
-{
-    const struct exact_smooth *s = NULL;
-    return (uint64_t)bsq_positions_slots(vertices) * sizeof *s->table.slots +
-           (uint64_t)vertices * (sizeof *s->positions + sizeof *s->entry_of) +
-           ((uint64_t)vertices + 1) *
-               (2 * ROWS * sizeof *s->sums + sizeof *s->creases + sizeof *s->crease_of);
-}
-
-static void begin_smooth(struct exact_slot *slot)
-{
-    struct exact_smooth *s = &slot->smooth;
-    const uint32_t vertices = slot->chunk.vertex_count, slots = bsq_positions_slots(vertices);
-    s->sums = slot->smooth_memory;
-    s->seconds = s->sums + ROWS * ((uint64_t)vertices + 1);
-    s->creases = s->seconds + ROWS * ((uint64_t)vertices + 1);
-    s->positions = (float(*)[3])(void *)(s->creases + vertices + 1);
-    s->crease_of = (uint32_t *)(void *)(s->positions + vertices);
-    s->entry_of = s->crease_of + vertices + 1;
-    s->table =
-        (struct bsq_positions){s->entry_of + vertices, slots - 1, (const float(*)[3])s->positions};
-    s->count = 0;
-    memset(s->sums[0], 0, ROWS * sizeof *s->sums);
-    memset(s->table.slots, 0, slots * sizeof *s->table.slots);
-    memset(s->entry_of, 0, vertices * sizeof *s->entry_of);
-}
-
-/* Makes sum_smooth() sum the normal of a vertex. */
-static void need_smooth(struct exact_slot *slot, uint32_t vertex)
-{
-    struct exact_smooth *s = &slot->smooth;
-    if (s->entry_of[vertex] != 0)
-        return;
-    uint32_t *entry = bsq_positions_find(&s->table, slot->chunk.positions[vertex]);
-    if (*entry == 0) {
-        memcpy(s->positions[s->count], slot->chunk.positions[vertex], sizeof *s->positions);
-        *entry = ++s->count;
-        memset(s->sums[ROWS * s->count], 0, ROWS * sizeof *s->sums);
-    }
-    s->entry_of[vertex] = *entry;
-}
-
-static bool inside(const struct exact_box *box, const float p[3])
-{
-    bool in = true;
-    for (int k = 0; k < 3; k++)
-        in &= (p[k] >= box->low[k]) & (p[k] <= box->high[k]);
-    return in;
-}
-
-/* Does a step for the triangles of a chunk. map: the entries of its vertices. */
-static void add_chunk(const struct exact_smooth *s, enum step step, enum bsq_scan_normals weights,
-                      const struct fmt_tris_chunk *chunk, const uint32_t *map)
-{
-    const uint32_t count = chunk->triangle_count;
-    if (step == STEP_SUM)
-        bsq_add_one_rings(chunk->positions, chunk->triangles, 0, count, map, weights, PARTS,
-                          s->sums);
-    else if (step == STEP_FARTHEST)
-        bsq_find_farthest(chunk->positions, chunk->triangles, 0, count, map, s->crease_of, PARTS,
-                          (const double(*)[4])s->sums, s->creases);
-    else
-        bsq_add_sides(chunk->positions, chunk->triangles, 0, count, map, s->crease_of, PARTS,
-                      (const double(*)[4])s->creases, s->sums, s->seconds);
-}
-
-/* Returns whether a step needs the vertex at position i. */
-static bool is_needed(const struct exact_smooth *s, enum step step, uint32_t i)
-{
-    return step == STEP_SUM || s->crease_of[i + 1] != 0;
-}
-
-static struct exact_box bounds_of(const struct exact_smooth *s, enum step step)
-{
-    struct exact_box box = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
-    for (uint32_t i = 0; i < s->count; i++) {
-        if (!is_needed(s, step, i))
-            continue;
-        for (int k = 0; k < 3; k++) {
-            const float p = s->positions[i][k];
-            box.low[k] = p < box.low[k] ? p : box.low[k];
-            box.high[k] = p > box.high[k] ? p : box.high[k];
-        }
-    }
-    return box;
-}
-
-/* Checks whether a needed vertex lies within the bounds of a chunk. */
-static bool touches_chunk(const struct exact_smooth *s, enum step step,
-                          const struct fmt_tris_chunk_info *chunk)
-{
-    struct exact_box box;
-    memcpy(box.low, chunk->bounds_min, sizeof box.low);
-    memcpy(box.high, chunk->bounds_max, sizeof box.high);
-    for (uint32_t i = 0; i < s->count; i++)
-        if (inside(&box, s->positions[i]) && is_needed(s, step, i))
-            return true;
-    return false;
-}
-
-static int ascending(const void *a, const void *b)
-{
-    uint32_t x = *(const uint32_t *)a, y = *(const uint32_t *)b;
-    return (x > y) - (x < y);
-}
-
-/* Sums of a slot, and what they are made of. */
-struct summing {
-    const struct bake_exact *exact;
-    struct exact_slot *slot;
-    const struct exact_slot *wave; /* slots whose chunks are in memory, if they are loaded */
-    uint32_t wave_count;
-    const struct exact_scratch *scratch;
-};
-
-/* Gets a chunk: that of a slot of the wave, or into the scratch. Fails as fmt_tris_load() does. */
-static int get_neighbour(const struct summing *of, uint32_t number, struct fmt_tris_chunk *out)
-{
-    for (uint32_t i = 0; i < of->wave_count; i++)
-        if (of->wave[i].number == number && of->wave[i].loaded) {
-            *out = of->wave[i].chunk;
-            return 0;
-        }
-    return fmt_tris_load(of->exact->file, number, of->scratch->neighbour, out);
-}
-
-/* Does a step for the triangles of a neighbour. Fails as fmt_tris_load() does. */
-static int add_neighbour(const struct summing *of, enum step step, const struct exact_box *box,
-                         uint32_t number)
-{
-    const struct exact_smooth *s = &of->slot->smooth;
-    struct fmt_tris_chunk chunk;
-    int status = bsq_check(of->exact->ctx);
-    if (status == 0)
-        status = get_neighbour(of, number, &chunk);
-    if (status == 0 && bsq_positions_match(&s->table, box->low, box->high, chunk.positions,
-                                           chunk.vertex_count, of->scratch->map))
-        add_chunk(s, step, of->exact->options.normals, &chunk, of->scratch->map);
-    return status;
-}
-
-/* Does a step for the triangles of all chunks near the needed vertices, in the order of the file.
- */
-static int run_step(const struct summing *of, enum step step, uint32_t near)
-{
-    const struct bake_exact *exact = of->exact;
-    const struct exact_smooth *s = &of->slot->smooth;
-    const struct fmt_tris_chunk *own = &of->slot->chunk;
-    const struct exact_box box = bounds_of(s, step);
-    int status = 0;
-    for (uint32_t i = 0; i < near && status == 0; i++) {
-        const uint32_t number = of->scratch->near[i];
-        if (number != of->slot->number) {
-            if (touches_chunk(s, step, &exact->chunks[number]))
-                status = add_neighbour(of, step, &box, number);
-            continue;
-        }
-        /* Also matches vertices that are not needed but share the position of one that is. */
-        if (step == STEP_SUM)
-            bsq_positions_match(&s->table, box.low, box.high, own->positions, own->vertex_count,
-                                s->entry_of);
-        add_chunk(s, step, exact->options.normals, own, s->entry_of);
-    }
-    return status;
-}
-
-/* Numbers the one-rings that may be creases. Returns whether there are any. */
-static bool begin_creases(const struct exact_smooth *s)
-{
-    bool any = false;
-    s->crease_of[0] = 0;
-    for (uint32_t i = 1; i <= s->count; i++) {
-        s->crease_of[i] = bsq_may_fold(s->sums[ROWS * i + 1]) ? i : 0;
-        any |= s->crease_of[i] != 0;
-        memcpy(s->creases[i], (const double[4]){[3] = INFINITY}, sizeof *s->creases);
-    }
-    return any;
-}
-
-/* Divides one-rings. Returns whether there are any. */
-static bool divide_rings(const struct exact_smooth *s)
-{
-    bool any = false;
-    for (uint32_t i = 1; i <= s->count; i++) {
-        if (s->crease_of[i] != 0 && !bsq_divide_ring(&s->sums[ROWS * i], PARTS, s->creases[i]))
-            s->crease_of[i] = 0;
-        any |= s->crease_of[i] != 0;
-        memset(s->seconds[ROWS * i], 0, ROWS * sizeof *s->seconds);
-    }
-    return any;
-}
-
-/* Sums the normals of the vertices that are needed, and of both sides of creases. */
-static int sum_smooth(const struct summing *of)
-{
-    const struct exact_smooth *s = &of->slot->smooth;
-    const struct exact_box box = bounds_of(s, STEP_SUM);
-    const uint32_t near = bake_exact_tree_overlapping(&of->exact->tree, &box, of->scratch->near);
-    bsq_sort(of->scratch->near, near, sizeof *of->scratch->near, ascending);
-    int status = run_step(of, STEP_SUM, near);
-    if (status == 0 && begin_creases(s))
-        status = run_step(of, STEP_FARTHEST, near);
-    else
-        return status;
-    if (status == 0 && divide_rings(s))
-        status = run_step(of, STEP_SIDES, near);
-    return status;
-}
 
 /* ---- waves ---- */
 
@@ -254,8 +33,9 @@ struct wave {
     struct exact_limits limits;
     pthread_mutex_t *locks; /* EXACT_LOCKS, each for the hits of some bundles */
     struct exact_slots memory;
+    struct exact_kept kept;
     uint32_t used;         /* slots of this wave */
-    bool shading;          /* the second pass */
+    bool shading;          /* after the hits of the wave were found */
     uint64_t bundle_count; /* bundles that were sorted into the buckets */
     struct block *blocks;
     uint64_t block_capacity, block_count;
@@ -285,47 +65,53 @@ each_hit(const struct wave *wave, struct exact_slot *slot, uint64_t begin, uint6
     return status;
 }
 
-/* Loads the slot's chunk for the first hit, and notes which normals a hit needs. */
+/* Notes which vertex normals a hit needs. */
 static int need_hit(const struct wave *wave, struct exact_slot *slot, uint64_t ray)
 {
-    const struct bake_exact *exact = wave->exact;
-    const bool smooth = exact_needs_smooth(exact);
-    if (!slot->loaded) {
-        int status = bake_exact_slot_load(exact, slot->number, slot);
-        if (status < 0)
-            return status;
-        if (smooth)
-            begin_smooth(slot);
-    }
-    const uint64_t first = exact->chunks[slot->number].first_triangle;
-    const uint32_t *v = slot->chunk.triangles[wave->batch->hits[ray].triangle - first];
-    for (int k = 0; k < 3 && smooth; k++)
-        need_smooth(slot, v[k]);
+    const uint64_t first = wave->exact->chunks[slot->number].first_triangle;
+    const uint32_t *v = slot->chunk.tris.triangles[wave->batch->hits[ray].triangle - first];
+    if (!slot->needed)
+        bake_exact_smooth_begin(slot);
+    slot->needed = true;
+    for (int k = 0; k < 3; k++)
+        bake_exact_smooth_need(slot, v[k]);
     return 0;
 }
 
-/* Loads the chunk of a slot: for tracing, or if it has hits that are shaded. */
-static int load_slot(void *arg, uint64_t index, unsigned worker)
+static int prepare_slot(void *arg, uint64_t index, unsigned worker)
 {
+    struct wave *wave = arg;
+    return bake_exact_slot_prepare(wave->exact, &wave->memory, index, worker);
+}
+
+/* Finds the vertex normals that the hits in a slot's chunk need, and the chunks that have them. */
+static int need_slot(void *arg, uint64_t index, unsigned worker)
+{
+    (void)worker;
     struct wave *wave = arg;
     struct exact_slot *slot = &wave->memory.slots[index];
     const uint64_t *starts = &wave->buckets->starts[slot->number];
-    slot->loaded = false;
-    return wave->shading ? each_hit(wave, slot, starts[0], starts[1], need_hit)
-                         : bake_exact_slot_prepare(wave->exact, &wave->memory, index, worker);
+    slot->needed = false;
+    slot->near_count = 0;
+    bake_exact_set_groups(wave->exact, slot->chunk_memory, &slot->chunk);
+    const int status = each_hit(wave, slot, starts[0], starts[1], need_hit);
+    if (status == 0 && slot->needed)
+        bake_exact_smooth_find_near(wave->exact, slot);
+    return status;
 }
 
 /* Sums the vertex normals that the hits in a slot's chunk need. */
 static int sum_slot(void *arg, uint64_t index, unsigned worker)
 {
     struct wave *wave = arg;
-    const struct summing of = {.exact = wave->exact,
-                               .slot = &wave->memory.slots[index],
-                               .wave = wave->memory.slots,
-                               .wave_count = wave->used,
-                               .scratch =
-                                   bake_exact_scratch(wave->exact, &wave->memory, index, worker)};
-    return of.slot->loaded ? sum_smooth(&of) : 0;
+    const struct exact_summing of = {
+        .exact = wave->exact,
+        .slot = &wave->memory.slots[index],
+        .wave = wave->memory.slots,
+        .wave_count = wave->used,
+        .kept = &wave->kept,
+        .scratch = bake_exact_scratch(wave->exact, &wave->memory, index, worker)};
+    return of.slot->needed ? bake_exact_smooth_sum(&of) : 0;
 }
 
 /* The rays of a bundle that have a direction, and their hits so far. */
@@ -416,7 +202,7 @@ static int run_block(void *arg, uint64_t index, unsigned worker)
     const struct block *block = &wave->blocks[index];
     struct exact_slot *slot = &wave->memory.slots[block->slot];
     if (wave->shading)
-        return slot->loaded ? each_hit(wave, slot, block->begin, block->end, shade_hit) : 0;
+        return each_hit(wave, slot, block->begin, block->end, shade_hit);
     for (uint64_t i = block->begin; i < block->end; i++)
         trace_bundle(wave, slot, i);
     add_progress(wave, block);
@@ -441,26 +227,46 @@ static int list_blocks(struct wave *wave)
     return 0;
 }
 
+/* Evaluates normals and colours of the hits in the wave's chunks. */
+static int shade_wave(struct wave *wave)
+{
+    struct bsq_ctx *ctx = wave->exact->ctx;
+    int status = 0;
+    wave->shading = true;
+    if (exact_needs_smooth(wave->exact)) {
+        BSQ_TRY(bsq_parallel_for(ctx, wave->used, need_slot, wave));
+        BSQ_TRY(bake_exact_kept_load(&wave->kept, &wave->memory, wave->used));
+        BSQ_TRY(bsq_parallel_for(ctx, wave->used, sum_slot, wave));
+    }
+    status = bsq_parallel_for(ctx, wave->block_count, run_block, wave);
+done:
+    return status;
+}
+
 static int run_wave(struct wave *wave)
 {
     struct bsq_ctx *ctx = wave->exact->ctx;
     int status = 0;
-    BSQ_TRY(bsq_parallel_for(ctx, wave->used, load_slot, wave));
-    if (wave->shading && exact_needs_smooth(wave->exact))
-        BSQ_TRY(bsq_parallel_for(ctx, wave->used, sum_slot, wave));
+    wave->shading = false;
+    for (uint32_t s = 0; s < wave->used; s++)
+        wave->memory.slots[s].loaded = bake_exact_kept_take(&wave->kept, &wave->memory.slots[s]);
+    BSQ_TRY(bsq_parallel_for(ctx, wave->used, prepare_slot, wave));
     BSQ_TRY(list_blocks(wave));
     BSQ_TRY(bsq_parallel_for(ctx, wave->block_count, run_block, wave));
+    if (!wave->batch->distances_only)
+        BSQ_TRY(shade_wave(wave));
+    bake_exact_kept_end_wave(&wave->kept, &wave->memory, wave->used);
     wave->used = 0;
 done:
     return status;
 }
 
-static int run_waves(struct wave *wave, bool shading)
+static int run_waves(struct wave *wave)
 {
     const struct exact_buckets *buckets = wave->buckets;
     int status = 0;
-    wave->shading = shading;
     wave->used = 0;
+    wave->kept.starts = buckets->starts;
     for (uint32_t c = 0; status == 0 && c < wave->exact->chunk_count; c++) {
         if (buckets->starts[c] == buckets->starts[c + 1])
             continue;
@@ -489,8 +295,10 @@ static int allocate(struct wave *wave, struct exact_buckets *buckets)
     for (int i = 0; i < EXACT_LOCKS; i++)
         pthread_mutex_init(&wave->locks[i], NULL);
     /* Last, because they make do with little memory. */
-    status = bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact),
-                                     bsq_memory_share(ctx, "chunks of a wave", 2), &wave->memory);
+    BSQ_TRY(bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact),
+                                    bsq_memory_share(ctx, "chunks of a wave", 2), &wave->memory));
+    if (!wave->batch->distances_only && exact_needs_smooth(wave->exact))
+        status = bake_exact_kept_create(wave->exact, &wave->kept);
 done:
     return status;
 }
@@ -512,9 +320,7 @@ static int trace_part(struct wave *wave, struct exact_buckets *buckets, uint64_t
     int status = 0;
     wave->bundle_count = exact_bundles(wave->batch->count) - *done;
     BSQ_TRY(bake_exact_sort_rays(wave->exact, wave->batch, *done, &wave->bundle_count, buckets));
-    BSQ_TRY(run_waves(wave, false));
-    if (!wave->batch->distances_only)
-        BSQ_TRY(run_waves(wave, true));
+    BSQ_TRY(run_waves(wave));
     *done += wave->bundle_count;
 done:
     return status;
@@ -549,6 +355,7 @@ done:
     bsq_free(ctx, buckets.bundles);
     bsq_free(ctx, buckets.found);
     bsq_free(ctx, buckets.starts);
+    bake_exact_kept_free(ctx, &wave.kept);
     bake_exact_slots_free(ctx, &wave.memory);
     return status;
 }

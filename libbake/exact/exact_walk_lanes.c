@@ -58,7 +58,7 @@ static struct range range_of(const struct exact_best *best, const struct exact_l
 /* Tests a triangle, and takes its hit if that wins. */
 static void try_triangle(struct trace *trace, uint32_t triangle)
 {
-    const struct fmt_tris_chunk *chunk = &trace->slot->chunk;
+    const struct fmt_tris_chunk *chunk = &trace->slot->chunk.tris;
     const struct exact_limits *limits = trace->limits;
     struct exact_best *best = trace->best;
     const uint32_t *v = chunk->triangles[triangle];

@@ -32,6 +32,7 @@ static int run(struct bake_work *job)
     bake_seen_report(job->seen, &job->surface, &job->mesh, job->report);
     if (job->maps & BAKE_MAP_CURVATURE)
         BSQ_TRY(bake_trace_curvature(job));
+    job->report->chunk_loads = bake_surface_loads(&job->surface);
     bake_end_tracing(job);
     job->report->seconds_trace = bsq_seconds_now() - opened;
     BSQ_TRY(bake_write_maps(job));

@@ -7,12 +7,18 @@
 #include "base/context.h"
 #include "libbake/job/job.h"
 
+/* Largest side in texels of tiles whose rays meet triangles. Larger ones have parts of more charts,
+ * whose rays cross chunks far apart. */
+enum { TRIANGLES_TILE = 16 };
+
 /* Sorts the tile's triangles for sampling and writes them to job->triangles. */
 static int rasterise(const struct bake_work *job, struct bake_tile *tile)
 {
     const struct bake_options *options = &tile->options;
     tile->tile_size =
         bake_tile_size(job->ctx, options->width, options->height, options->samples, tile->maps);
+    if (job->surface.triangles && tile->tile_size > TRIANGLES_TILE)
+        tile->tile_size = TRIANGLES_TILE;
     while (tile->in_blocks && tile->blocks.side % tile->tile_size != 0)
         tile->tile_size /= 2;
     const struct bake_raster_options raster = {.width = options->width,

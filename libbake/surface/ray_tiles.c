@@ -532,8 +532,6 @@ done:
 static void release(struct job *job, struct bake_report *report)
 {
     bake_tile_workers_end(job->ctx, &job->workers, report);
-    if (job->look)
-        report->chunk_loads += bake_look_loads(job->look);
     bake_look_free(job->look);
     bsq_free(job->ctx, job->order);
     bsq_free(job->ctx, job->starts);

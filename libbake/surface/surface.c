@@ -214,6 +214,15 @@ void bake_surface_close(struct bake_surface *surface)
     memset(surface, 0, sizeof *surface);
 }
 
+uint64_t bake_surface_loads(const struct bake_surface *surface)
+{
+    uint64_t loads = 0;
+    for (uint32_t s = 0; s < surface->scan_count; s++)
+        if (surface->scans[s].exact)
+            loads += bake_exact_loads(surface->scans[s].exact);
+    return loads;
+}
+
 int bake_surface_check(const struct bake_surface *surface)
 {
     int status = 0;

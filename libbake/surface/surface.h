@@ -65,6 +65,9 @@ void bake_surface_set_params(struct bake_surface *surface, const struct bake_opt
 /* Sets the lengths of the first rays, in world units. */
 void bake_surface_set_lengths(struct bake_surface *surface, double front, double back);
 
+/* Returns how many chunks of the scans were loaded so far, counted again each time. */
+uint64_t bake_surface_loads(const struct bake_surface *surface);
+
 /* Checks the files of grids: returns BSQ_EIO if one has been truncated or written to since it was
  * opened, so that hits cannot be trusted. Thread-safe. */
 int bake_surface_check(const struct bake_surface *surface);
@@ -139,8 +142,6 @@ void bake_look_free(struct bake_look *look); /* NULL is allowed */
  * parallel work. Errors: those of bake_exact_look_from() and bake_surface_check(). */
 int bake_look_around(struct bake_look *look, const struct bake_look_hits *hits,
                      struct bk_surroundings *out);
-/* Returns how many chunks have been loaded for secondary rays, counted again each time. */
-uint64_t bake_look_loads(const struct bake_look *look);
 
 /* ---- what rays reached ---- */
 
@@ -170,7 +171,7 @@ void bake_seen_report(const struct bake_seen *seen, const struct bake_surface *s
 /* Trace and resolve all tiles of a map into its image: on a device, of the only scan, a grid; or in
  * batches of rays, on the processor. tiles->triangles are in the surface's index space,
  * tiles->params are the surface's. object_of: of each triangle; NULL unless surface->sees is set.
- * Add to the report what bake_tile_workers_end() adds, passes and chunk_loads. Errors: those of the
+ * Add to the report what bake_tile_workers_end() adds, and passes. Errors: those of the
  * device, bake_surface_trace() and bake_image_write(). */
 int bake_trace_grid_tiles(const struct bake_surface *surface, struct bake_device *device,
                           const struct bake_tiles *tiles, struct bake_report *report);

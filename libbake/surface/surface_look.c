@@ -19,7 +19,6 @@ struct bake_look {
     struct bk_params params; /* with lengths in world units */
     struct bake_ray_states states;
     struct bake_exact_look *kept; /* of the only scan, if that has triangles */
-    uint64_t loads;
 };
 
 /* Hits as one of the scans sees them. */
@@ -111,7 +110,7 @@ static int look_at_triangles(struct view *view, const struct bake_scan *scan)
     int status = 0;
     if (!exact)
         BSQ_TRY(bake_exact_look_create(scan->exact, &scan->params, &exact));
-    status = bake_exact_look_from(exact, &view->places, &look->states, &look->loads);
+    status = bake_exact_look_from(exact, &view->places, &look->states);
 done:
     if (!look->kept)
         bake_exact_look_free(exact);
@@ -242,11 +241,6 @@ int bake_look_around(struct bake_look *look, const struct bake_look_hits *hits,
                                         (uint64_t)(each * (double)view.first));
     }
     return status;
-}
-
-uint64_t bake_look_loads(const struct bake_look *look)
-{
-    return look->loads;
 }
 
 /* ---- memory ---- */

@@ -97,11 +97,12 @@ static void look(const struct exact_setup *setup, const struct bk_params *params
     surface.params = surface.scans->params = *params;
     assert_int_equal(bake_look_create(&surface, view->count, &looking), 0);
     assert_int_equal(bake_exact_trace(surface.scans->exact, &batch), 0);
+    const uint64_t loads = bake_surface_loads(&surface);
     assert_int_equal(bake_look_around(looking, &hits, view->found), 0);
     for (uint64_t i = 0; i < view->count; i++)
         if (view->hits[i].triangle != BAKE_EXACT_NONE)
             view->open[i] = open_ray(surface.scans->exact, params, view, i);
-    view->loads = bake_look_loads(looking);
+    view->loads = bake_surface_loads(&surface) - loads;
     bake_look_free(looking);
     bake_surface_close(&surface);
     assert_int_equal(bsq_memory_used(ctx), 0);

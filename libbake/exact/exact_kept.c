@@ -1,0 +1,177 @@
+/* exact_kept.c - keeps chunks in memory that other chunks of a batch need for vertex normals.
+ *
+ * The chunks of a batch are traced in the order of the file, so it is known when a chunk is used
+ * next: when it is traced itself, or with the next one that its bounds overlap. Of the chunks that
+ * fit into memory, those that are used soonest are kept (Belady, "A Study of Replacement
+ * Algorithms", 1966). */
+#include "libbake/exact/exact_scene.h"
+
+#include <string.h>
+
+#include "base/parallel.h"
+
+#define NEVER UINT32_MAX
+
+int bake_exact_kept_create(const struct bake_exact *exact, struct exact_kept *out)
+{
+    struct bsq_ctx *ctx = exact->ctx;
+    const uint64_t left = bsq_memory_share(ctx, "chunks near others", 1);
+    const uint64_t sorting = bake_exact_buckets_scratch_bytes(exact);
+    const uint64_t size = exact_chunk_bytes(exact);
+    const uint64_t most = left > sorting ? (left - sorting) / 4 * 3 / size : 0;
+    int status = 0;
+    *out = (struct exact_kept){.exact = exact};
+    out->count = most < exact->chunk_count ? (uint32_t)most : exact->chunk_count;
+    BSQ_TRY(
+        bsq_alloc(ctx, "chunks near others", exact->chunk_count, sizeof *out->near, &out->near));
+    BSQ_TRY(bsq_calloc(ctx, "chunks near others", out->count, sizeof *out->places, &out->places));
+    BSQ_TRY(bsq_alloc(ctx, "chunks near others", out->count, size, &out->memory));
+    for (uint32_t i = 0; i < out->count; i++)
+        out->places[i] = (struct exact_place){.next = NEVER, .memory = out->memory + i * size};
+done:
+    return status;
+}
+
+void bake_exact_kept_free(struct bsq_ctx *ctx, struct exact_kept *kept)
+{
+    bsq_free(ctx, kept->near);
+    bsq_free(ctx, kept->places);
+    bsq_free(ctx, kept->memory);
+}
+
+static struct exact_place *find(const struct exact_kept *kept, uint32_t number)
+{
+    for (uint32_t i = 0; i < kept->count; i++)
+        if (kept->places[i].number == number && (kept->places[i].used || kept->places[i].needed))
+            return &kept->places[i];
+    return NULL;
+}
+
+const struct exact_chunk *bake_exact_kept_find(const struct exact_kept *kept, uint32_t number)
+{
+    const struct exact_place *place = find(kept, number);
+    return place ? &place->chunk : NULL;
+}
+
+/* Exchanges the chunks of a place and a slot. */
+static void exchange(struct exact_place *place, struct exact_slot *slot)
+{
+    const struct exact_place other = *place;
+    place->chunk = slot->chunk;
+    place->memory = slot->chunk_memory;
+    slot->chunk = other.chunk;
+    slot->chunk_memory = other.memory;
+}
+
+bool bake_exact_kept_take(const struct exact_kept *kept, struct exact_slot *slot)
+{
+    struct exact_place *place = find(kept, slot->number);
+    if (place) {
+        exchange(place, slot);
+        place->used = false;
+        place->next = NEVER;
+    }
+    return place != NULL;
+}
+
+/* Returns the next chunk with rays after `last` that uses a chunk, or NEVER. */
+static uint32_t next_use(const struct exact_kept *kept, uint32_t number, uint32_t last)
+{
+    const struct fmt_tris_chunk_info *chunk = &kept->exact->chunks[number];
+    struct exact_box box;
+    uint32_t next = NEVER;
+    memcpy(box.low, chunk->bounds_min, sizeof box.low);
+    memcpy(box.high, chunk->bounds_max, sizeof box.high);
+    const uint32_t near = bake_exact_tree_overlapping(&kept->exact->tree, &box, kept->near);
+    for (uint32_t i = 0; i < near; i++) {
+        const uint32_t c = kept->near[i];
+        if (c > last && c < next && kept->starts[c] < kept->starts[c + 1])
+            next = c;
+    }
+    return next;
+}
+
+/* Returns the place that is used last of those that the wave does not need; NULL: there is none. */
+static struct exact_place *latest(const struct exact_kept *kept)
+{
+    struct exact_place *best = NULL;
+    for (uint32_t i = 0; i < kept->count; i++) {
+        struct exact_place *place = &kept->places[i];
+        if (!place->needed && (!best || place->next > best->next))
+            best = place;
+    }
+    return best;
+}
+
+/* Keeps a chunk for the wave, if there is a place for it. Returns whether it has to be loaded. */
+static bool reserve(struct exact_kept *kept, uint32_t number)
+{
+    struct exact_place *place = find(kept, number);
+    const bool load = !place;
+    if (load)
+        place = latest(kept);
+    if (!place)
+        return false;
+    place->needed = true;
+    if (load)
+        *place = (struct exact_place){.number = number, .memory = place->memory, .needed = true};
+    return load;
+}
+
+static bool in_wave(const struct exact_slots *wave, uint32_t used, uint32_t number)
+{
+    bool in = false;
+    for (uint32_t i = 0; i < used; i++)
+        in |= wave->slots[i].number == number;
+    return in;
+}
+
+static int load_place(void *arg, uint64_t index, unsigned worker)
+{
+    (void)worker;
+    struct exact_kept *kept = arg;
+    struct exact_place *place = &kept->places[index];
+    if (!place->needed || place->used)
+        return 0;
+    const int status = bake_exact_load(kept->exact, place->number, place->memory, &place->chunk);
+    place->used = status == 0;
+    if (place->used)
+        bake_exact_set_groups(kept->exact, place->memory, &place->chunk);
+    return status;
+}
+
+int bake_exact_kept_load(struct exact_kept *kept, const struct exact_slots *wave, uint32_t used)
+{
+    bool load = false;
+    for (uint32_t s = 0; s < used; s++)
+        for (uint32_t i = 0; i < wave->slots[s].near_count; i++)
+            if (!in_wave(wave, used, wave->slots[s].near[i]))
+                load |= reserve(kept, wave->slots[s].near[i]);
+    return load ? bsq_parallel_for(kept->exact->ctx, kept->count, load_place, kept) : 0;
+}
+
+void bake_exact_kept_end_wave(struct exact_kept *kept, const struct exact_slots *wave,
+                              uint32_t used)
+{
+    const uint32_t last = wave->slots[used - 1].number;
+    if (kept->count == 0)
+        return;
+    for (uint32_t i = 0; i < kept->count; i++) {
+        struct exact_place *place = &kept->places[i];
+        place->needed = false;
+        if (place->used && place->next <= last)
+            place->next = next_use(kept, place->number, last);
+    }
+    for (uint32_t s = 0; s < used; s++) {
+        struct exact_slot *slot = &wave->slots[s];
+        const uint32_t next = next_use(kept, slot->number, last);
+        struct exact_place *place = latest(kept);
+        if (!place || place->next <= next)
+            continue;
+        exchange(place, slot);
+        place->number = slot->number;
+        place->next = next;
+        place->used = true;
+        slot->loaded = false;
+    }
+}
