@@ -47,11 +47,12 @@ static int add_accessor(struct document *d, int view, size_t offset, int compone
 }
 
 /* Gives the accessor of positions the bounds that the format demands. */
-static void set_bounds(struct document *d, int accessor, const struct fmt_glb_part *part)
+static void set_bounds(struct document *d, int accessor, const struct fmt_glb_primitive *primitive)
 {
     float least[3] = {INFINITY, INFINITY, INFINITY}, most[3] = {-INFINITY, -INFINITY, -INFINITY};
-    for (uint32_t i = 0; i < part->vertex_count; i++) {
-        const float *position = part->vertices ? part->vertices[i].position : part->shaded[i];
+    for (uint32_t i = 0; i < primitive->vertex_count; i++) {
+        const float *position =
+            primitive->vertices ? primitive->vertices[i].position : primitive->shaded[i];
         for (int k = 0; k < 3; k++) {
             least[k] = fminf(least[k], position[k]);
             most[k] = fmaxf(most[k], position[k]);
@@ -65,31 +66,31 @@ static void set_bounds(struct document *d, int accessor, const struct fmt_glb_pa
                         json_pack("[f, f, f]", (double)most[0], (double)most[1], (double)most[2]));
 }
 
-static size_t vertex_bytes(const struct fmt_glb_part *part)
+static size_t vertex_bytes(const struct fmt_glb_primitive *primitive)
 {
-    return part->vertices ? sizeof *part->vertices : sizeof *part->shaded;
+    return primitive->vertices ? sizeof *primitive->vertices : sizeof *primitive->shaded;
 }
 
-static void add_part(struct document *d, const struct fmt_glb_part *part, int material)
+static void add_primitive(struct document *d, const struct fmt_glb_primitive *from, int material)
 {
-    const uint32_t n = part->vertex_count;
-    const size_t stride = vertex_bytes(part);
+    const uint32_t n = from->vertex_count;
+    const size_t stride = vertex_bytes(from);
     const int vertices = add_view(d, n * (uint64_t)stride, (int)stride, ARRAY_BUFFER);
     const int indices =
-        add_view(d, (uint64_t)part->index_count * sizeof(uint32_t), 0, ELEMENT_BUFFER);
+        add_view(d, (uint64_t)from->index_count * sizeof(uint32_t), 0, ELEMENT_BUFFER);
 #define ATTRIBUTE(member, type)                                                                    \
     add_accessor(d, vertices, offsetof(struct fmt_glb_vertex, member), FLOAT, n, type)
     const int position = ATTRIBUTE(position, "VEC3"), normal = ATTRIBUTE(normal, "VEC3");
     json_t *attributes = json_pack("{s:i, s:i}", "POSITION", position, "NORMAL", normal);
-    if (part->vertices) {
+    if (from->vertices) {
         json_object_set_new(attributes, "TANGENT", json_integer(ATTRIBUTE(tangent, "VEC4")));
         json_object_set_new(attributes, "TEXCOORD_0", json_integer(ATTRIBUTE(texcoord, "VEC2")));
     }
-    const int index = add_accessor(d, indices, 0, UINT32, part->index_count, "SCALAR");
+    const int index = add_accessor(d, indices, 0, UINT32, from->index_count, "SCALAR");
     json_t *primitive =
         json_pack("{s:o, s:i, s:i}", "attributes", attributes, "indices", index, "mode", 4);
-    set_bounds(d, position, part);
-    if (!part->plain)
+    set_bounds(d, position, from);
+    if (!from->plain)
         json_object_set_new(primitive, "material", json_integer(material));
     json_array_append_new(d->primitives, primitive);
 }
@@ -143,10 +144,10 @@ static char *make_json(const struct fmt_glb *glb, uint64_t *binary_bytes)
     struct document d = {
         json_array(), json_array(), json_array(), json_array(), json_array(), json_array(), 0};
     const double *t = glb->translation;
-    for (uint32_t i = 0; i < glb->part_count; i++)
-        add_part(&d, &glb->parts[i], (int)i);
-    for (uint32_t i = 0; i < glb->part_count; i++)
-        if (!glb->parts[i].plain)
+    for (uint32_t i = 0; i < glb->primitive_count; i++)
+        add_primitive(&d, &glb->primitives[i], (int)i);
+    for (uint32_t i = 0; i < glb->primitive_count; i++)
+        if (!glb->primitives[i].plain)
             add_material(&d, &glb->materials[i]);
     json_t *root = json_pack(
         "{s:{s:s, s:s}, s:i, s:[{s:[i]}], s:[{s:s*, s:i, s:[f, f, f]}], s:[{s:o}], s:[{s:I}]}",
@@ -206,16 +207,17 @@ done:
 static int write_binary(struct bsq_ctx *ctx, const struct fmt_glb *glb, struct bsq_output *output)
 {
     int status = 0;
-    for (uint32_t i = 0; i < glb->part_count; i++) {
-        const struct fmt_glb_part *part = &glb->parts[i];
-        const void *vertices = part->vertices ? (const void *)part->vertices : part->shaded;
-        BSQ_TRY(
-            bsq_output_write(output, vertices, (uint64_t)part->vertex_count * vertex_bytes(part)));
-        BSQ_TRY(bsq_output_write(output, part->indices,
-                                 (uint64_t)part->index_count * sizeof *part->indices));
+    for (uint32_t i = 0; i < glb->primitive_count; i++) {
+        const struct fmt_glb_primitive *primitive = &glb->primitives[i];
+        const void *vertices =
+            primitive->vertices ? (const void *)primitive->vertices : primitive->shaded;
+        BSQ_TRY(bsq_output_write(output, vertices,
+                                 (uint64_t)primitive->vertex_count * vertex_bytes(primitive)));
+        BSQ_TRY(bsq_output_write(output, primitive->indices,
+                                 (uint64_t)primitive->index_count * sizeof *primitive->indices));
     }
-    for (uint32_t i = 0; i < glb->part_count; i++)
-        for (int k = 0; k < FMT_GLB_TEXTURES && !glb->parts[i].plain; k++)
+    for (uint32_t i = 0; i < glb->primitive_count; i++)
+        for (int k = 0; k < FMT_GLB_TEXTURES && !glb->primitives[i].plain; k++)
             BSQ_TRY(copy_image(ctx, glb->materials[i].textures[k], output));
 done:
     return status;

@@ -28,20 +28,20 @@ struct fmt_glb_material {
 };
 
 /* Triangles with one material: number i has material i. */
-struct fmt_glb_part {
+struct fmt_glb_primitive {
     const struct fmt_glb_vertex *vertices; /* or NULL: */
     const float (*shaded)[6];              /* position and normal alone */
     const uint32_t *indices;
     uint32_t vertex_count, index_count; /* both above 0 */
-    bool plain;                         /* without a material; such a part is the last one */
+    bool plain;                         /* without a material; such a primitive is the last one */
 };
 
 struct fmt_glb {
     const char *name; /* of the node */
     double translation[3];
-    const struct fmt_glb_part *parts;
+    const struct fmt_glb_primitive *primitives;
     const struct fmt_glb_material *materials;
-    uint32_t part_count;
+    uint32_t primitive_count;
 };
 
 /* Writes the file to a new output. Errors: BSQ_EDATA if it would have 4 GiB; BSQ_EIO, BSQ_ENOMEM,

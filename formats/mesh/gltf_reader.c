@@ -81,7 +81,7 @@ static int begin(struct stream_source *source)
     fmt_gltf_close_document(&document);
     const int closed = fmt_input_close(source->input);
     source->material_count = file->material_count;
-    source->part_count = file->part_count;
+    source->object_count = file->primitive_count;
     source->reader->gltf_colors |= file->has_colors;
     return status ? status : closed;
 }
@@ -406,13 +406,12 @@ static int add_triangles(const struct parser *p, const struct window *w)
     return 0;
 }
 
-/* Returns the number in the file of a primitive at a node. The stream checks that it fits.
- */
-static uint32_t part_of(const struct parser *p)
+/* Returns the number in the file of a primitive at a node. The stream checks that it fits. */
+static uint32_t object_of(const struct parser *p)
 {
     const uint64_t primitive = (uint64_t)(p->primitive - p->source->primitives) -
                                p->source->meshes[p->placement->mesh].first;
-    return (uint32_t)(p->placement->part_base + primitive);
+    return (uint32_t)(p->placement->primitive_base + primitive);
 }
 
 static int reserve_faces(const struct parser *p)
@@ -446,7 +445,7 @@ static int parse_faces(struct parser *p)
     p->arrays->change_count = p->arrays->face_count > 0;
     p->arrays->changes[0] = (struct fmt_mesh_material_change){
         .face = 0,
-        .material = p->slot->source->reader->objects      ? part_of(p)
+        .material = p->slot->source->reader->objects      ? object_of(p)
                     : p->primitive->material == GLTF_NONE ? FMT_MESH_NO_MATERIAL
                                                           : p->primitive->material};
 done:
@@ -565,19 +564,19 @@ done:
     return status;
 }
 
-/* Parts are the primitives of each placement, in the order of their numbers. */
-static const char *find_part(const struct stream_source *source, uint64_t number,
-                             uint32_t *material)
+/* Objects are the primitives of each placement, in the order of their numbers. */
+static const char *find_object(const struct stream_source *source, uint64_t number,
+                               uint32_t *material)
 {
     const struct gltf_source *file = source->data;
     uint64_t low = 0, high = file->placement_count;
     while (high - low > 1) {
         const uint64_t middle = low + (high - low) / 2;
-        *(file->placements[middle].part_base <= number ? &low : &high) = middle;
+        *(file->placements[middle].primitive_base <= number ? &low : &high) = middle;
     }
     const struct gltf_placement *placement = &file->placements[low];
     const uint32_t first = file->meshes[placement->mesh].first;
-    *material = file->primitives[first + (number - placement->part_base)].material;
+    *material = file->primitives[first + (number - placement->primitive_base)].material;
     return placement->name;
 }
 
@@ -612,6 +611,6 @@ const struct fmt_mesh_format fmt_gltf_format = {
     .estimate = estimate,
     .read_materials = list_materials,
     .preview_materials = list_materials,
-    .find_part = find_part,
+    .find_object = find_object,
     .dependency = dependency,
 };

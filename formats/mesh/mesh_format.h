@@ -86,9 +86,9 @@ struct stream_source {
     uint64_t late_color_count, face_base;
     uint64_t lines; /* that have passed, for formats whose cut does not know `first_line` */
     /* Numbers over the scan of the file's materials or, if the reader numbers objects, of its
-     * parts. So many as `begin` says are assigned when the first part of the file passes. */
+     * objects. So many as `begin` says are assigned when the first part of the file passes. */
     uint32_t *numbers;
-    uint64_t number_count, number_capacity, material_count, part_count;
+    uint64_t number_count, number_capacity, material_count, object_count;
 };
 
 /* What a cut says of a part: enough to parse it again. */
@@ -201,10 +201,10 @@ struct fmt_mesh_format {
      * them, and as fmt_mesh_preview_materials() does. NULL: the format has no materials. */
     int (*read_materials)(struct stream_source *source, struct fmt_materials *out);
     int (*preview_materials)(struct stream_source *source, struct fmt_materials *out);
-    /* Returns the name of the object of a part of the file, and in *material the number of its
+    /* Returns the name of an object of the file, and in *material the number of its
      * material in the file, or a number that no material has. NULL: the format has no objects. */
-    const char *(*find_part)(const struct stream_source *source, uint64_t number,
-                             uint32_t *material);
+    const char *(*find_object)(const struct stream_source *source, uint64_t number,
+                               uint32_t *material);
     /* Returns as fmt_mesh_dependency() does, for one file. NULL: the format refers to no files. */
     const char *(*dependency)(const struct stream_source *source, uint32_t index);
 };

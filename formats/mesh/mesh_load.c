@@ -30,8 +30,8 @@ struct loader {
     uint64_t cut[3]; /* the first index of a kind that is too large for 32 bits; 0: none */
     uint64_t missing_positions, missing_texcoords;
     struct loss lost_faces, lost_normals; /* without a position; that refer to nothing */
-    bool parts;                           /* the names of materials and objects are wanted */
-    uint64_t part_capacity;
+    bool named;                           /* the names of materials and objects are wanted */
+    uint64_t material_capacity;
     /* For one polygon. */
     double (*polygon)[3];
     uint32_t *triangles;
@@ -79,14 +79,15 @@ static int append_corners(struct loader *loader, int kind, const uint64_t *from,
 static int append_parts(struct loader *loader, const struct fmt_mesh_block *block)
 {
     struct fmt_mesh *mesh = loader->mesh;
-    uint32_t part = block->material_at_start;
-    int status = bsq_grow(loader->ctx, "materials of faces", block->face_base + block->face_count,
-                          sizeof *mesh->face_parts, &mesh->face_parts, &loader->part_capacity);
+    uint32_t material = block->material_at_start;
+    int status =
+        bsq_grow(loader->ctx, "materials of faces", block->face_base + block->face_count,
+                 sizeof *mesh->face_materials, &mesh->face_materials, &loader->material_capacity);
     uint64_t next = 0;
     for (uint64_t face = 0; face < block->face_count && status == 0; face++) {
         while (next < block->material_change_count && block->material_changes[next].face <= face)
-            part = block->material_changes[next++].material;
-        mesh->face_parts[block->face_base + face] = part;
+            material = block->material_changes[next++].material;
+        mesh->face_materials[block->face_base + face] = material;
     }
     return status;
 }
@@ -120,7 +121,7 @@ static int collect(void *arg, const struct fmt_mesh_block *block)
     loader->corner_count += block->corner_count;
     loader->missing_positions += block->missing_positions;
     loader->missing_texcoords += block->missing_texcoords;
-    if (loader->parts && block->face_count > 0)
+    if (loader->named && block->face_count > 0)
         BSQ_TRY(append_parts(loader, block));
 done:
     return status;
@@ -290,7 +291,7 @@ static int load(struct loader *loader, const char *path)
     struct fmt_mesh_totals totals;
     int status;
     BSQ_TRY(fmt_mesh_open(loader->ctx, &path, 1, &loader->reader));
-    if (loader->parts)
+    if (loader->named)
         fmt_mesh_use_objects(loader->reader);
     BSQ_TRY(fmt_mesh_read(loader->reader, collect, loader, &totals));
     mesh->vertex_count = totals.vertices;
@@ -312,15 +313,15 @@ static int load(struct loader *loader, const char *path)
     BSQ_TRY(hash_faces(loader));
     BSQ_TRY(make_triangles(loader));
     normalise(mesh);
-    if (loader->parts)
-        status = fmt_mesh_read_materials(loader->reader, &mesh->parts);
+    if (loader->named)
+        status = fmt_mesh_read_materials(loader->reader, &mesh->materials);
 done:
     return status;
 }
 
-int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, bool parts, struct fmt_mesh *out)
+int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, bool named, struct fmt_mesh *out)
 {
-    struct loader loader = {.ctx = ctx, .mesh = out, .parts = parts};
+    struct loader loader = {.ctx = ctx, .mesh = out, .named = named};
     memset(out, 0, sizeof *out);
     int status = load(&loader, path);
     fmt_mesh_close(loader.reader);
@@ -337,8 +338,8 @@ int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, bool parts, struct fmt_
 
 void fmt_mesh_free(struct bsq_ctx *ctx, struct fmt_mesh *mesh)
 {
-    fmt_materials_free(ctx, &mesh->parts);
-    bsq_free(ctx, mesh->face_parts);
+    fmt_materials_free(ctx, &mesh->materials);
+    bsq_free(ctx, mesh->face_materials);
     bsq_free(ctx, mesh->positions);
     bsq_free(ctx, mesh->texcoords);
     bsq_free(ctx, mesh->normals);

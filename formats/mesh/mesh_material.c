@@ -42,25 +42,25 @@ done:
     return status;
 }
 
-/* Turns the list of a file's materials into one of its parts. */
-static int list_parts(const struct stream_source *source, struct fmt_materials *list)
+/* Turns the list of a file's materials into one of its objects. */
+static int list_objects(const struct stream_source *source, struct fmt_materials *list)
 {
     static const struct fmt_material none = {.name = "", .diffuse = {0.8f, 0.8f, 0.8f}};
-    struct fmt_materials parts = {0};
-    struct fmt_material *part = NULL;
+    struct fmt_materials objects = {0};
+    struct fmt_material *added = NULL;
     uint32_t material = 0;
     int status = 0;
     for (uint64_t i = 0; i < source->number_count; i++) {
-        const char *object = source->format->find_part(source, i, &material);
+        const char *object = source->format->find_object(source, i, &material);
         BSQ_TRY(i % 256 ? 0 : bsq_check(source->ctx));
-        BSQ_TRY(fmt_materials_add(source->ctx, &parts, &part));
+        BSQ_TRY(fmt_materials_add(source->ctx, &objects, &added));
         BSQ_TRY(fmt_material_copy(source->ctx,
-                                  material < list->count ? &list->list[material] : &none, part));
-        BSQ_TRY(bsq_text_copy(source->ctx, object, &part->object));
+                                  material < list->count ? &list->list[material] : &none, added));
+        BSQ_TRY(bsq_text_copy(source->ctx, object, &added->object));
     }
 done:
     fmt_materials_free(source->ctx, list);
-    *list = parts;
+    *list = objects;
     return status;
 }
 
@@ -80,8 +80,8 @@ int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials
             continue;
         BSQ_TRY(bsq_check(reader->ctx));
         BSQ_TRY(source->format->read_materials(source, &own));
-        if (reader->objects && source->format->find_part)
-            BSQ_TRY(list_parts(source, &own));
+        if (reader->objects && source->format->find_object)
+            BSQ_TRY(list_objects(source, &own));
         place_materials(source, &own, out);
         fmt_materials_free(reader->ctx, &own);
     }

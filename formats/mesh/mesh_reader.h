@@ -298,13 +298,13 @@ struct fmt_mesh {
         flat_normals; /* as in struct fmt_mesh_totals */
     /* If they are wanted: the materials with their objects, and the number of each polygon's, or
      * FMT_MESH_NO_MATERIAL. */
-    struct fmt_materials parts;
-    uint32_t *face_parts;
+    struct fmt_materials materials;
+    uint32_t *face_materials;
 };
 
-/* Loads a mesh whole (at most 2^32 - 2 vertices). Checks all indices. parts: with the names of its
+/* Loads a mesh whole (at most 2^32 - 2 vertices). Checks all indices. named: with the names of its
  * materials and objects. A file without faces is BSQ_EDATA. Free with fmt_mesh_free(). */
-int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, bool parts, struct fmt_mesh *out);
+int fmt_mesh_load(struct bsq_ctx *ctx, const char *path, bool named, struct fmt_mesh *out);
 void fmt_mesh_free(struct bsq_ctx *ctx, struct fmt_mesh *mesh);
 
 /* Describes what is wrong with polygon number `face` of a loaded mesh, with file and line, for

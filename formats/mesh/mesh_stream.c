@@ -251,7 +251,7 @@ void fmt_stream_number_materials(struct stream_slot *slot)
 static int number_first_materials(struct stream_source *source)
 {
     const bool objects = source->reader->objects;
-    const uint64_t count = objects ? source->part_count : source->material_count;
+    const uint64_t count = objects ? source->object_count : source->material_count;
     uint32_t number;
     int status = 0;
     if (count >= FMT_MESH_NO_MATERIAL - source->reader->material_count)

@@ -37,14 +37,14 @@ enum obj_statement_kind {
     OBJ_BAD_PAINT      /* a ZBrush comment of colours that has other text */
 };
 
-enum { OBJ_PART_DIGITS = 8 };
+enum { OBJ_MATERIAL_DIGITS = 8 };
 
 /* What the reader keeps of a file: source->data. */
 struct obj_file {
     struct bsq_texts materials; /* of usemtl statements */
-    /* If the reader numbers faces by object: the number of the material, as OBJ_PART_DIGITS
+    /* If the reader numbers faces by object: the number of the material, as OBJ_MATERIAL_DIGITS
      * hexadecimal digits, and the name of the object. */
-    struct bsq_texts parts;
+    struct bsq_texts objects;
     struct bsq_texts libraries; /* paths of material libraries */
     uint64_t *library_lines;    /* that name them first, from 1 */
     uint64_t line_capacity;
@@ -74,8 +74,8 @@ int fmt_obj_parse_text(struct stream_slot *slot, uint64_t begin, uint64_t size, 
 /* The functions on struct stream_source implement struct fmt_mesh_format. */
 int fmt_obj_read_materials(struct stream_source *source, struct fmt_materials *out);
 int fmt_obj_preview_materials(struct stream_source *source, struct fmt_materials *out);
-const char *fmt_obj_find_part(const struct stream_source *source, uint64_t number,
-                              uint32_t *material);
+const char *fmt_obj_find_object(const struct stream_source *source, uint64_t number,
+                                uint32_t *material);
 const char *fmt_obj_dependency(const struct stream_source *source, uint32_t index);
 
 /* Copies the text of a statement: continuations become blanks, trailing blanks go. The caller frees

@@ -346,13 +346,13 @@ done:
     return status;
 }
 
-const char *fmt_obj_find_part(const struct stream_source *source, uint64_t number,
-                              uint32_t *material)
+const char *fmt_obj_find_object(const struct stream_source *source, uint64_t number,
+                                uint32_t *material)
 {
-    const char *part = ((struct obj_file *)source->data)->parts.list[number];
+    const char *object = ((struct obj_file *)source->data)->objects.list[number];
     *material = FMT_MESH_NO_MATERIAL;
-    sscanf(part, "%8" SCNx32, material); /* OBJ_PART_DIGITS */
-    return part + OBJ_PART_DIGITS;
+    sscanf(object, "%8" SCNx32, material); /* OBJ_MATERIAL_DIGITS */
+    return object + OBJ_MATERIAL_DIGITS;
 }
 
 /* ---- before the first reading ---- */

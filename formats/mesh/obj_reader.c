@@ -21,7 +21,7 @@ static void end(struct stream_source *source)
     bsq_free(source->ctx, file->library_lines);
     bsq_free(source->ctx, file->object);
     bsq_texts_free(&file->materials);
-    bsq_texts_free(&file->parts);
+    bsq_texts_free(&file->objects);
     bsq_texts_free(&file->libraries);
 }
 
@@ -101,18 +101,18 @@ static int resolve_corners(const struct stream_slot *slot, enum fmt_mesh_kind ki
     return 0;
 }
 
-/* Sets *number to the number of the current material and object as a part. */
+/* Sets *number to the number of the current object with its material. */
 static int enter_part(struct stream_source *source, uint64_t *number)
 {
     struct obj_file *file = source->data;
     const char *object = file->object ? file->object : "";
-    const size_t size = OBJ_PART_DIGITS + strlen(object) + 1;
+    const size_t size = OBJ_MATERIAL_DIGITS + strlen(object) + 1;
     char *text;
     int status = bsq_alloc(source->ctx, "names", size, 1, &text);
     if (status)
         return status;
-    snprintf(text, size, "%0*" PRIx32 "%s", OBJ_PART_DIGITS, file->material, object);
-    status = bsq_texts_add(source->ctx, &source->reader->names, &file->parts, text, number);
+    snprintf(text, size, "%0*" PRIx32 "%s", OBJ_MATERIAL_DIGITS, file->material, object);
+    status = bsq_texts_add(source->ctx, &source->reader->names, &file->objects, text, number);
     bsq_free(source->ctx, text);
     return status;
 }
@@ -143,7 +143,7 @@ static int add_change(struct stream_slot *slot, const struct stream_statement *s
     number = file->material;
     if (objects)
         BSQ_TRY(enter_part(source, &number));
-    while (source->number_count < (objects ? file->parts.count : file->materials.count))
+    while (source->number_count < (objects ? file->objects.count : file->materials.count))
         BSQ_TRY(fmt_stream_add_material(source, &file->number));
     file->number = number == FMT_MESH_NO_MATERIAL ? FMT_MESH_NO_MATERIAL : source->numbers[number];
     BSQ_TRY(FMT_RESERVE(source->ctx, a->change_count + 1, a->changes, a->change_capacity));
@@ -354,6 +354,6 @@ const struct fmt_mesh_format fmt_obj_format = {
     .estimate = estimate,
     .read_materials = fmt_obj_read_materials,
     .preview_materials = fmt_obj_preview_materials,
-    .find_part = fmt_obj_find_part,
+    .find_object = fmt_obj_find_object,
     .dependency = fmt_obj_dependency,
 };

@@ -64,7 +64,7 @@ static int begin(struct stream_source *source)
     if (status)
         return status;
     choose_use(file);
-    source->material_count = source->part_count = file->header.texture_count;
+    source->material_count = source->object_count = file->header.texture_count;
     return 0;
 }
 

@@ -190,7 +190,7 @@ void write_face_sizes(FILE *to, const Place &place)
 // What comes before the arrays in the file, and the names after them.
 struct Tables {
     fmt_scene_head head;
-    std::vector<fmt_scene_part> parts;
+    std::vector<fmt_scene_mesh> meshes;
     std::vector<fmt_scene_material> materials;
     std::string texts;
 
@@ -286,15 +286,15 @@ Tables describe(const aiScene &scene, const std::vector<Place> &places)
         out.materials.push_back(material);
     }
     for (const Place &place : places) {
-        out.parts.push_back({head->vertex_count, head->face_count, head->corner_count,
-                             out.enter(name_of(place)), place.mesh->mMaterialIndex,
-                             place.mesh->HasNormals(), place.mesh->HasTextureCoords(0), 0});
+        out.meshes.push_back({head->vertex_count, head->face_count, head->corner_count,
+                              out.enter(name_of(place)), place.mesh->mMaterialIndex,
+                              place.mesh->HasNormals(), place.mesh->HasTextureCoords(0), 0});
         count_mesh(*place.mesh, &out);
     }
     out.texts += '\0';
-    out.parts.push_back({head->vertex_count, head->face_count, head->corner_count,
-                         out.texts.size() - 1, 0, 0, 0, 0});
-    head->part_count = places.size();
+    out.meshes.push_back({head->vertex_count, head->face_count, head->corner_count,
+                          out.texts.size() - 1, 0, 0, 0, 0});
+    head->mesh_count = places.size();
     head->material_count = out.materials.size();
     head->text_bytes = out.texts.size();
     return out;
@@ -307,14 +307,14 @@ void write_scene(const aiScene &scene, bool has_tangents, uint64_t memory_bytes,
     t.head.memory_bytes = memory_bytes;
     t.head.has_tangents = has_tangents;
     put(to, &t.head, sizeof t.head);
-    put(to, t.parts.data(), t.parts.size() * sizeof t.parts[0]);
+    put(to, t.meshes.data(), t.meshes.size() * sizeof t.meshes[0]);
     put(to, t.materials.data(), t.materials.size() * sizeof t.materials[0]);
     for (const Place &place : places)
         write_positions(to, place);
     for (const Place &place : places)
         write_texcoords(to, place);
     for (size_t i = 0; i < places.size(); i++)
-        write_corners(to, places[i], t.parts[i].first_vertex);
+        write_corners(to, places[i], t.meshes[i].first_vertex);
     for (const Place &place : places)
         write_normals(to, place);
     for (const Place &place : places)

@@ -13,7 +13,7 @@ extern "C" {
 /* Exit statuses of the program. If it is BSQ_EDATA, its output is a text: what is wrong. */
 
 /* A mesh at a node. */
-struct fmt_scene_part {
+struct fmt_scene_mesh {
     uint64_t first_vertex, first_face, first_corner;
     uint64_t object; /* place of the node's name, which may be "" */
     uint32_t material;
@@ -34,7 +34,7 @@ struct fmt_scene_material {
 struct fmt_scene_head {
     char stamp[48];        /* fmt_module_stamp of the program */
     uint64_t memory_bytes; /* that reading took */
-    uint64_t vertex_count, face_count, corner_count, part_count, material_count, text_bytes;
+    uint64_t vertex_count, face_count, corner_count, mesh_count, material_count, text_bytes;
     uint64_t short_faces;     /* points and lines, left out */
     uint64_t inner_textures;  /* inside of the file, not read */
     uint64_t turned_textures; /* rotated, or for further texture coordinates, which is ignored */
@@ -47,8 +47,8 @@ struct fmt_scene_head {
  * not. */
 struct fmt_scene {
     const struct fmt_scene_head *head;
-    const struct fmt_scene_part
-        *parts; /* in the order of the arrays; and one more, at their ends */
+    const struct fmt_scene_mesh
+        *meshes; /* in the order of the arrays; and one more, at their ends */
     const struct fmt_scene_material *materials;
     const double (*positions)[3];
     const double (*texcoords)[2]; /* the first set; v upwards */

@@ -48,15 +48,15 @@ static bool take(const char **at, uint64_t *left, uint64_t count, uint64_t size,
     return fits;
 }
 
-/* Checks that parts follow each other and that their names are in the file. */
+/* Checks that meshes follow each other and that their names are in the file. */
 static bool check_tables(const struct fmt_scene *s)
 {
     const struct fmt_scene_head *head = s->head;
-    const struct fmt_scene_part *last = &s->parts[head->part_count];
+    const struct fmt_scene_mesh *last = &s->meshes[head->mesh_count];
     bool good = s->texts[head->text_bytes - 1] == '\0' &&
                 last->first_vertex == head->vertex_count && last->first_face == head->face_count &&
                 last->first_corner == head->corner_count;
-    for (const struct fmt_scene_part *p = s->parts; p < last && good; p++)
+    for (const struct fmt_scene_mesh *p = s->meshes; p < last && good; p++)
         good = p->object < head->text_bytes && p[0].first_vertex <= p[1].first_vertex &&
                p[0].first_face <= p[1].first_face && p[0].first_corner <= p[1].first_corner;
     for (uint64_t i = 0; i < head->material_count && good; i++)
@@ -70,10 +70,10 @@ bool fmt_scene_view(const void *file, uint64_t size, struct fmt_scene *out)
 {
     const char *at = file;
     const struct fmt_scene_head *head = file;
-    if (!take(&at, &size, 1, sizeof *head, &out->head) || head->part_count > size)
+    if (!take(&at, &size, 1, sizeof *head, &out->head) || head->mesh_count > size)
         return false;
     return strncmp(head->stamp, fmt_module_stamp, sizeof head->stamp) == 0 &&
-           take(&at, &size, head->part_count + 1, sizeof *out->parts, &out->parts) &&
+           take(&at, &size, head->mesh_count + 1, sizeof *out->meshes, &out->meshes) &&
            take(&at, &size, head->material_count, sizeof *out->materials, &out->materials) &&
            take(&at, &size, head->vertex_count, sizeof *out->positions, &out->positions) &&
            take(&at, &size, head->vertex_count, sizeof *out->texcoords, &out->texcoords) &&
@@ -155,7 +155,7 @@ static int begin(struct stream_source *source)
     status = status ? status : closed;
     if (!status) {
         source->material_count = scene_of(source)->head->material_count;
-        source->part_count = scene_of(source)->head->part_count;
+        source->object_count = scene_of(source)->head->mesh_count;
     }
     return status;
 }
@@ -169,7 +169,7 @@ static int cut(const struct stream_part *before, struct stream_slot *slot)
     const struct scene_file *file = slot->source->data;
     slot->part.kind = before->end > 0 ? before->kind + 1 : 0;
     slot->part.end = file->bytes;
-    return slot->part.kind < file->scene.head->part_count || before->end == 0;
+    return slot->part.kind < file->scene.head->mesh_count || before->end == 0;
 }
 
 static int copy_vertices(struct stream_slot *slot, uint64_t first, uint64_t count)
@@ -200,14 +200,14 @@ done:
     return status;
 }
 
-static int copy_faces(struct stream_slot *slot, const struct fmt_scene_part *part)
+static int copy_faces(struct stream_slot *slot, const struct fmt_scene_mesh *mesh)
 {
     const struct fmt_scene *s = scene_of(slot->source);
-    const uint64_t corners = part[1].first_corner - part->first_corner;
-    const uint64_t faces = part[1].first_face - part->first_face;
+    const uint64_t corners = mesh[1].first_corner - mesh->first_corner;
+    const uint64_t faces = mesh[1].first_face - mesh->first_face;
     const bool has[FMT_MESH_KIND_COUNT] = {[FMT_MESH_VERTEX] = true,
-                                           [FMT_MESH_TEXCOORD] = part->has_texcoords,
-                                           [FMT_MESH_NORMAL] = part->has_normals};
+                                           [FMT_MESH_TEXCOORD] = mesh->has_texcoords,
+                                           [FMT_MESH_NORMAL] = mesh->has_normals};
     struct mesh_arrays *a = &slot->arrays;
     uint64_t counted = 0;
     int status;
@@ -217,9 +217,9 @@ static int copy_faces(struct stream_slot *slot, const struct fmt_scene_part *par
         if (!(a->has_corners[kind] = has[kind]))
             continue;
         BSQ_TRY(FMT_RESERVE(slot->ctx, corners, a->corners[kind], a->corner_capacity[kind]));
-        memcpy(a->corners[kind], s->corners + part->first_corner, corners * sizeof(uint64_t));
+        memcpy(a->corners[kind], s->corners + mesh->first_corner, corners * sizeof(uint64_t));
     }
-    memcpy(a->face_sizes, s->face_sizes + part->first_face, faces * sizeof *a->face_sizes);
+    memcpy(a->face_sizes, s->face_sizes + mesh->first_face, faces * sizeof *a->face_sizes);
     for (uint64_t f = 0; f < faces; f++)
         counted += a->face_sizes[f] < 3 ? corners + 1 : a->face_sizes[f];
     if (counted != corners)
@@ -229,7 +229,7 @@ static int copy_faces(struct stream_slot *slot, const struct fmt_scene_part *par
     a->change_count = 1;
     a->changes[0].face = 0;
     a->changes[0].material = slot->source->reader->objects              ? slot->part.kind
-                             : part->material < s->head->material_count ? part->material
+                             : mesh->material < s->head->material_count ? mesh->material
                                                                         : FMT_MESH_NO_MATERIAL;
 done:
     return status;
@@ -238,14 +238,14 @@ done:
 static int parse(struct stream_slot *slot)
 {
     const struct fmt_scene *s = scene_of(slot->source);
-    const struct fmt_scene_part *part = &s->parts[slot->part.kind];
+    const struct fmt_scene_mesh *mesh = &s->meshes[slot->part.kind];
     int status = 0;
-    if (slot->part.kind >= s->head->part_count)
+    if (slot->part.kind >= s->head->mesh_count)
         return 0;
-    if (part[1].first_vertex > part->first_vertex)
-        BSQ_TRY(copy_vertices(slot, part->first_vertex, part[1].first_vertex - part->first_vertex));
-    if (part[1].first_face > part->first_face)
-        BSQ_TRY(copy_faces(slot, part));
+    if (mesh[1].first_vertex > mesh->first_vertex)
+        BSQ_TRY(copy_vertices(slot, mesh->first_vertex, mesh[1].first_vertex - mesh->first_vertex));
+    if (mesh[1].first_face > mesh->first_face)
+        BSQ_TRY(copy_faces(slot, mesh));
 done:
     return status;
 }
@@ -267,8 +267,8 @@ static int pass(struct stream_slot *slot)
 static uint64_t count_clamped(const struct fmt_scene *s)
 {
     uint64_t count = 0;
-    for (uint64_t i = 0; i < s->head->part_count && !s->head->has_colors; i++) {
-        const uint32_t number = s->parts[i].material;
+    for (uint64_t i = 0; i < s->head->mesh_count && !s->head->has_colors; i++) {
+        const uint32_t number = s->meshes[i].material;
         const struct fmt_scene_material *m =
             number < s->head->material_count ? &s->materials[number] : NULL;
         bool clamped = false;
@@ -346,12 +346,12 @@ done:
     return status;
 }
 
-static const char *find_part(const struct stream_source *source, uint64_t number,
-                             uint32_t *material)
+static const char *find_object(const struct stream_source *source, uint64_t number,
+                               uint32_t *material)
 {
     const struct fmt_scene *s = scene_of(source);
-    *material = s->parts[number].material;
-    return s->texts + s->parts[number].object;
+    *material = s->meshes[number].material;
+    return s->texts + s->meshes[number].object;
 }
 
 static const char left_out[] = "values are not finite and were left out";
@@ -374,5 +374,5 @@ const struct fmt_mesh_format fmt_scene_format = {
     .estimate = estimate,
     .read_materials = list_materials,
     .preview_materials = list_materials,
-    .find_part = find_part,
+    .find_object = find_object,
 };

@@ -190,25 +190,26 @@ int bake_asset_write(struct bake_asset *asset, const struct bake_lowmesh *mesh,
 {
     struct bsq_ctx *ctx = asset->ctx;
     struct fmt_glb_material *materials = NULL;
-    struct bake_asset_mesh parts = {0};
+    struct bake_asset_mesh primitives = {0};
     int status;
-    BSQ_TRY(bake_asset_mesh_create(ctx, mesh, udim, &parts));
-    BSQ_TRY(bsq_calloc(ctx, "materials of a GLB file", parts.count + UINT64_C(1), sizeof *materials,
-                       &materials));
-    for (uint32_t i = 0; i < parts.count; i++)
-        if (!parts.list[i].plain)
-            set_material(&asset->tiles[parts.tiles[i]], mesh, &udim->tiles[parts.tiles[i]],
-                         &materials[i]);
-    const struct fmt_glb glb = {.name = "baked",
-                                .translation = {parts.centre[0], parts.centre[1], parts.centre[2]},
-                                .parts = parts.list,
-                                .materials = materials,
-                                .part_count = parts.count};
+    BSQ_TRY(bake_asset_mesh_create(ctx, mesh, udim, &primitives));
+    BSQ_TRY(bsq_calloc(ctx, "materials of a GLB file", primitives.count + UINT64_C(1),
+                       sizeof *materials, &materials));
+    for (uint32_t i = 0; i < primitives.count; i++)
+        if (!primitives.list[i].plain)
+            set_material(&asset->tiles[primitives.tiles[i]], mesh,
+                         &udim->tiles[primitives.tiles[i]], &materials[i]);
+    const struct fmt_glb glb = {
+        .name = "baked",
+        .translation = {primitives.centre[0], primitives.centre[1], primitives.centre[2]},
+        .primitives = primitives.list,
+        .materials = materials,
+        .primitive_count = primitives.count};
     BSQ_TRY(fmt_glb_write(ctx, &glb, asset->path, asset->output));
     status = bsq_output_sync(asset->output);
 done:
     bsq_free(ctx, materials);
-    bake_asset_mesh_free(ctx, &parts);
+    bake_asset_mesh_free(ctx, &primitives);
     return status;
 }
 

@@ -80,16 +80,16 @@ static bool belongs(const struct bake_lowmesh *mesh, uint64_t triangle,
     return !other;
 }
 
-/* Adds the part of a tile, unless it is empty. A tile of number 0 has what is in no tile. corners:
- * memory for all of its corners. */
-static int add_part(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
-                    const struct bake_udim *udim, const struct bake_udim_tile *tile,
-                    struct corner *corners, struct bake_asset_mesh *out)
+/* Adds the primitive of a tile, unless it is empty. A tile of number 0 has what is in no tile.
+ * corners: memory for all of its corners. */
+static int add_primitive(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
+                         const struct bake_udim *udim, const struct bake_udim_tile *tile,
+                         struct corner *corners, struct bake_asset_mesh *out)
 {
     const bool plain = tile->number == 0;
     struct fmt_glb_vertex *vertices = out->vertices + out->vertex_count;
     uint32_t *indices = out->indices + out->index_count;
-    struct fmt_glb_part part = {.vertices = vertices, .indices = indices, .plain = plain};
+    struct fmt_glb_primitive primitive = {.vertices = vertices, .indices = indices, .plain = plain};
     uint32_t corner_count = 0;
     for (uint64_t t = tile->first; t < tile->first + tile->count; t++)
         for (int i = 0; i < 3 && (plain || belongs(mesh, t, udim, tile)); i++, corner_count++) {
@@ -104,13 +104,14 @@ static int add_part(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
     for (uint32_t i = 0; i < corner_count; i++) {
         const uint32_t *vertex = corners[i].vertex;
         if (i == 0 || memcmp(vertex, corners[i - 1].vertex, sizeof corners->vertex) != 0)
-            memcpy(&vertices[part.vertex_count++], vertex, sizeof corners->vertex);
-        indices[corners[i].number] = part.vertex_count - 1;
+            memcpy(&vertices[primitive.vertex_count++], vertex, sizeof corners->vertex);
+        indices[corners[i].number] = primitive.vertex_count - 1;
     }
-    part.index_count = corner_count;
-    out->vertex_count += part.vertex_count;
-    out->index_count += part.index_count;
-    out->list[out->count++] = part; /* NOLINT(clang-analyzer-core.NullDereference): has space */
+    primitive.index_count = corner_count;
+    out->vertex_count += primitive.vertex_count;
+    out->index_count += primitive.index_count;
+    out->list[out->count++] =
+        primitive; /* NOLINT(clang-analyzer-core.NullDereference): has space */
     return bsq_check(ctx);
 }
 
@@ -129,19 +130,19 @@ int bake_asset_mesh_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
                         mesh->triangle_count);
     for (int k = 0; k < 3; k++)
         out->centre[k] = 0.5 * (mesh->bounds_min[k] + mesh->bounds_max[k]);
-    BSQ_TRY(bsq_calloc(ctx, "parts of a GLB file", udim->count + UINT64_C(1), sizeof *out->list,
-                       &out->list));
-    BSQ_TRY(bsq_alloc(ctx, "parts of a GLB file", udim->count + UINT64_C(1), sizeof *out->tiles,
-                      &out->tiles));
+    BSQ_TRY(bsq_calloc(ctx, "primitives of a GLB file", udim->count + UINT64_C(1),
+                       sizeof *out->list, &out->list));
+    BSQ_TRY(bsq_alloc(ctx, "primitives of a GLB file", udim->count + UINT64_C(1),
+                      sizeof *out->tiles, &out->tiles));
     BSQ_TRY(
         bsq_alloc(ctx, "vertices of a GLB file", corners, sizeof *out->vertices, &out->vertices));
     BSQ_TRY(bsq_alloc(ctx, "indices of a GLB file", corners, sizeof *out->indices, &out->indices));
     BSQ_TRY(bsq_alloc(ctx, "corners of a GLB file", corners, sizeof *sorted, &sorted));
     for (uint32_t i = 0; i < udim->count; i++) {
         out->tiles[out->count] = i;
-        BSQ_TRY(add_part(ctx, mesh, udim, &udim->tiles[i], sorted, out));
+        BSQ_TRY(add_primitive(ctx, mesh, udim, &udim->tiles[i], sorted, out));
     }
-    status = add_part(ctx, mesh, udim, &rest, sorted, out);
+    status = add_primitive(ctx, mesh, udim, &rest, sorted, out);
 done:
     bsq_free(ctx, sorted);
     return status;

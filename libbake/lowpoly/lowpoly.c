@@ -313,7 +313,7 @@ static uint64_t count_polygons(const struct fmt_mesh *mesh)
 
 /* Loads one file, whose bounds are those of its triangles. */
 static int load_file(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
-                     const char *path, struct bake_parts *parts, struct bake_lowmesh *out)
+                     const char *path, struct bake_names *names, struct bake_lowmesh *out)
 {
     const bool named = options->objects || options->object_maps || options->material_maps;
     struct fmt_mesh mesh = {0};
@@ -343,7 +343,7 @@ static int load_file(struct bsq_ctx *ctx, const struct bake_lowmesh_options *opt
     if (options->cage_path)
         BSQ_TRY(bake_cage_directions(ctx, options, path, &mesh, out));
     if (named)
-        BSQ_TRY(bake_parts_add(ctx, parts, path, &mesh));
+        BSQ_TRY(bake_names_add(ctx, names, path, &mesh));
     BSQ_TRY(bsq_check(ctx));
 done:
     fmt_mesh_free(ctx, &mesh);
@@ -391,11 +391,11 @@ static int append(struct bsq_ctx *ctx, struct bake_lowmesh *other, struct bake_l
 int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
                       struct bake_lowmesh *out)
 {
-    struct bake_parts parts = {0};
-    int status = load_file(ctx, options, options->path, &parts, out);
+    struct bake_names names = {0};
+    int status = load_file(ctx, options, options->path, &names, out);
     for (uint32_t i = 0; i < options->more_count && status == 0; i++) {
         struct bake_lowmesh next;
-        status = load_file(ctx, options, options->more_paths[i], &parts, &next);
+        status = load_file(ctx, options, options->more_paths[i], &names, &next);
         if (status == 0)
             status = append(ctx, &next, out);
         bake_lowmesh_free(ctx, &next);
@@ -403,9 +403,9 @@ int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_lowmesh_options *op
     if (status == 0 && out->triangle_count > UINT32_MAX / 3)
         status = bsq_fail(ctx, BSQ_EDATA, "%s and other files: more than %u triangles",
                           options->path, UINT32_MAX / 3);
-    if (status == 0 && parts.of)
-        status = bake_parts_apply(ctx, options, &parts, out);
-    bake_parts_free(ctx, &parts);
+    if (status == 0 && names.of)
+        status = bake_names_apply(ctx, options, &names, out);
+    bake_names_free(ctx, &names);
     if (status < 0)
         bake_lowmesh_free(ctx, out);
     return status;

@@ -43,10 +43,10 @@ int bake_cage_directions(struct bsq_ctx *ctx, const struct bake_lowmesh_options 
 /* Turns unit directions into the way to a cage at this distance. */
 void bake_extrude(double distance, struct bake_lowmesh *mesh);
 
-/* ---- parts ---- */
+/* ---- names ---- */
 
 /* The names in all files of a job, and those of each triangle. All zero at first. */
-struct bake_parts {
+struct bake_names {
     struct bsq_texts objects, materials;
     struct bsq_tally tally; /* of these */
     uint32_t (*of)[2];      /* of each triangle: numbers of its object and material */
@@ -55,13 +55,13 @@ struct bake_parts {
 
 /* Adds the triangles of a file, which fmt_mesh_load() loaded. A triangle without an object
  * belongs to one with the file's name, without folder and suffix. */
-int bake_parts_add(struct bsq_ctx *ctx, struct bake_parts *parts, const char *path,
+int bake_names_add(struct bsq_ctx *ctx, struct bake_names *names, const char *path,
                    const struct fmt_mesh *mesh);
 
 /* Sorts the mesh by set, and gives it the sets and the objects of its triangles, as the options
  * ask. Takes the names over. */
-int bake_parts_apply(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
-                     struct bake_parts *parts, struct bake_lowmesh *mesh);
-void bake_parts_free(struct bsq_ctx *ctx, struct bake_parts *parts);
+int bake_names_apply(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+                     struct bake_names *names, struct bake_lowmesh *mesh);
+void bake_names_free(struct bsq_ctx *ctx, struct bake_names *names);
 
 #endif

@@ -30,7 +30,7 @@ struct writing {
     struct shaded *shaded;      /* by vertices */
     uint32_t *shaded_of;        /* of corners */
     struct ordered *order;      /* triangles by their materials */
-    uint32_t *shaded_number;    /* in a part of a GLB file */
+    uint32_t *shaded_number;    /* in a primitive of a GLB file */
     uint32_t shaded_count;
     struct bsq_output *output;
     char *buffer;
@@ -179,7 +179,7 @@ static int compare_ordered(const void *a_, const void *b_)
     return a->triangle < b->triangle ? -1 : a->triangle > b->triangle;
 }
 
-static bool is_first_of_part(const struct writing *w, uint32_t i)
+static bool is_first_of_material(const struct writing *w, uint32_t i)
 {
     return i == 0 || w->order[i].material != w->order[i - 1].material;
 }
@@ -228,7 +228,7 @@ static int write_obj(struct writing *w)
     for (uint32_t i = 0; i < mesh->triangle_count; i++) {
         const uint32_t t = w->order[i].triangle;
         const uint32_t *v = mesh->triangles[t], *n = &w->shaded_of[3 * (size_t)t];
-        if (mesh->materials && is_first_of_part(w, i))
+        if (mesh->materials && is_first_of_material(w, i))
             BSQ_TRY(put_material(w, mesh->materials[t]));
         BSQ_TRY(make_space(w));
         put_text(w, "f %u//%u %u//%u %u//%u\n", v[0] + 1, n[0] + 1, v[1] + 1, n[1] + 1, v[2] + 1,
@@ -272,13 +272,13 @@ done:
     return status;
 }
 
-/* Collects the vertices and indices of the part of a GLB file that begins at triangle order[begin].
- * Returns the end of the part. */
-static uint32_t collect_part(struct writing *w, uint32_t begin, float (*vertices)[6],
-                             uint32_t *indices, struct fmt_glb_part *part)
+/* Collects the vertices and indices of the GLB primitive that begins at triangle order[begin].
+ * Returns its end. */
+static uint32_t collect_primitive(struct writing *w, uint32_t begin, float (*vertices)[6],
+                                  uint32_t *indices, struct fmt_glb_primitive *primitive)
 {
     uint32_t i = begin;
-    *part = (struct fmt_glb_part){
+    *primitive = (struct fmt_glb_primitive){
         .shaded = (const float(*)[6])vertices, .indices = indices, .plain = !w->mesh->materials};
     memset(w->shaded_number, 0xff, w->shaded_count * sizeof *w->shaded_number);
     do {
@@ -286,18 +286,18 @@ static uint32_t collect_part(struct writing *w, uint32_t begin, float (*vertices
             const uint32_t s = w->shaded_of[3 * (size_t)w->order[i].triangle + (size_t)k];
             const struct shaded *from = &w->shaded[s];
             if (w->shaded_number[s] == UINT32_MAX) {
-                float *to = vertices[part->vertex_count];
+                float *to = vertices[primitive->vertex_count];
                 memcpy(to, w->mesh->positions[from->vertex], 3 * sizeof *to);
                 memcpy(to + 3, from->normal, sizeof from->normal);
-                w->shaded_number[s] = part->vertex_count++;
+                w->shaded_number[s] = primitive->vertex_count++;
             }
-            indices[part->index_count++] = w->shaded_number[s];
+            indices[primitive->index_count++] = w->shaded_number[s];
         }
-    } while (++i < w->mesh->triangle_count && !is_first_of_part(w, i));
+    } while (++i < w->mesh->triangle_count && !is_first_of_material(w, i));
     return i;
 }
 
-/* Each material is a part. */
+/* Each material is a primitive. */
 static int write_glb(struct writing *w, const char *path)
 {
     const uint64_t corners = 3 * (uint64_t)w->mesh->triangle_count;
@@ -305,27 +305,27 @@ static int write_glb(struct writing *w, const char *path)
     const double *o = w->header->origin;
     struct fmt_glb glb = {.name = "low", .translation = {o[0], o[1], o[2]}};
     struct fmt_glb_material *materials = NULL;
-    struct fmt_glb_part *parts = NULL;
+    struct fmt_glb_primitive *primitives = NULL;
     char(*numbers)[32] = NULL;
     float(*vertices)[6] = NULL;
     uint32_t *indices = NULL, used = 0;
     int status = 0;
     BSQ_TRY(bsq_calloc(w->ctx, "writing a mesh", most, sizeof *materials, &materials));
-    BSQ_TRY(bsq_calloc(w->ctx, "writing a mesh", most, sizeof *parts, &parts));
+    BSQ_TRY(bsq_calloc(w->ctx, "writing a mesh", most, sizeof *primitives, &primitives));
     BSQ_TRY(bsq_calloc(w->ctx, "writing a mesh", most, sizeof *numbers, &numbers));
     BSQ_TRY(bsq_alloc(w->ctx, "writing a mesh", corners, sizeof *vertices, &vertices));
     BSQ_TRY(bsq_alloc(w->ctx, "writing a mesh", corners, sizeof *indices, &indices));
     BSQ_TRY(bsq_alloc(w->ctx, "writing a mesh", w->shaded_count, sizeof *w->shaded_number,
                       &w->shaded_number));
-    for (uint32_t i = 0; i < w->mesh->triangle_count; glb.part_count++) {
-        struct fmt_glb_part *part = &parts[glb.part_count];
+    for (uint32_t i = 0; i < w->mesh->triangle_count; glb.primitive_count++) {
+        struct fmt_glb_primitive *primitive = &primitives[glb.primitive_count];
         if (w->mesh->materials)
-            materials[glb.part_count].name =
-                material_name(w, w->order[i].material, numbers[glb.part_count]);
-        i = collect_part(w, i, vertices + used, indices + 3 * (size_t)i, part);
-        used += part->vertex_count;
+            materials[glb.primitive_count].name =
+                material_name(w, w->order[i].material, numbers[glb.primitive_count]);
+        i = collect_primitive(w, i, vertices + used, indices + 3 * (size_t)i, primitive);
+        used += primitive->vertex_count;
     }
-    glb.parts = parts;
+    glb.primitives = primitives;
     glb.materials = materials;
     status = fmt_glb_write(w->ctx, &glb, path, w->output);
 done:
@@ -333,7 +333,7 @@ done:
     bsq_free(w->ctx, indices);
     bsq_free(w->ctx, vertices);
     bsq_free(w->ctx, numbers);
-    bsq_free(w->ctx, parts);
+    bsq_free(w->ctx, primitives);
     bsq_free(w->ctx, materials);
     return status;
 }

@@ -136,10 +136,10 @@ std::unique_ptr<aiScene> make_scene(Bytes &bytes)
 void check_scene(const fmt_scene &scene)
 {
     uint64_t corners = 0, faces = 0;
-    for (uint64_t p = 0; p < scene.head->part_count; p++) {
-        require(scene.parts[p].first_face == faces && scene.parts[p].first_corner == corners,
-                "a part does not follow the one before");
-        for (; faces < scene.parts[p + 1].first_face; faces++) {
+    for (uint64_t p = 0; p < scene.head->mesh_count; p++) {
+        require(scene.meshes[p].first_face == faces && scene.meshes[p].first_corner == corners,
+                "a mesh does not follow the one before");
+        for (; faces < scene.meshes[p + 1].first_face; faces++) {
             require(scene.face_sizes[faces] >= 3, "a face has fewer than three corners");
             corners += scene.face_sizes[faces];
         }

@@ -1,4 +1,4 @@
-/* parts.c - see lowpoly_internal.h. Objects with one name are one object, also in several files. */
+/* names.c - see lowpoly_internal.h. Objects with one name are one object, also in several files. */
 #include "libbake/lowpoly/lowpoly_internal.h"
 
 #include <string.h>
@@ -29,52 +29,56 @@ static bool is_named(const char *name)
     return name && *name;
 }
 
-/* Enters the names of a part of a file, or of faces without one if it is NULL. */
-static int enter_names(struct bsq_ctx *ctx, struct bake_parts *parts, const char *stem,
-                       const struct fmt_material *part, uint32_t numbers[2])
+/* Enters the names of a material of a file and its object, or of faces without one if it is NULL.
+ */
+static int enter_names(struct bsq_ctx *ctx, struct bake_names *names, const char *stem,
+                       const struct fmt_material *source, uint32_t numbers[2])
 {
     uint64_t number[2] = {0};
-    const char *object = part && is_named(part->object) ? part->object : stem;
-    const char *material = part && is_named(part->name) ? part->name : NO_MATERIAL;
-    int status = bsq_texts_add(ctx, &parts->tally, &parts->objects, object, &number[0]);
+    const char *object = source && is_named(source->object) ? source->object : stem;
+    const char *material = source && is_named(source->name) ? source->name : NO_MATERIAL;
+    int status = bsq_texts_add(ctx, &names->tally, &names->objects, object, &number[0]);
     if (status == 0)
-        status = bsq_texts_add(ctx, &parts->tally, &parts->materials, material, &number[1]);
+        status = bsq_texts_add(ctx, &names->tally, &names->materials, material, &number[1]);
     numbers[0] = (uint32_t)number[0]; /* at most that of triangles */
     numbers[1] = (uint32_t)number[1];
     return status;
 }
 
-/* Adds the triangles of a file. numbers: space for one entry more than the file has parts. Names
- * are entered when a triangle has them, so that empty objects do not count. */
-static int add_triangles(struct bsq_ctx *ctx, struct bake_parts *parts, const char *stem,
+/* Adds the triangles of a file. numbers: space for one entry more than the file has materials.
+ * Names are entered when a triangle has them, so that empty objects do not count. */
+static int add_triangles(struct bsq_ctx *ctx, struct bake_names *names, const char *stem,
                          const struct fmt_mesh *mesh, uint32_t (*numbers)[2])
 {
-    const uint32_t none = mesh->parts.count;
+    const uint32_t none = mesh->materials.count;
     int status = 0;
     memset(numbers, 0xff, (none + UINT64_C(1)) * sizeof *numbers);
     for (uint64_t t = 0; t < mesh->triangle_count && status == 0; t++) {
-        const uint32_t named = mesh->face_parts[mesh->faces[t]], part = named < none ? named : none;
-        if (numbers[part][0] == UINT32_MAX)
-            status = enter_names(ctx, parts, stem, part < none ? &mesh->parts.list[part] : NULL,
-                                 numbers[part]);
-        memcpy(parts->of[parts->count++], numbers[part], sizeof *parts->of);
+        const uint32_t named = mesh->face_materials[mesh->faces[t]],
+                       material = named < none ? named : none;
+        if (numbers[material][0] == UINT32_MAX)
+            status = enter_names(ctx, names, stem,
+                                 material < none ? &mesh->materials.list[material] : NULL,
+                                 numbers[material]);
+        memcpy(names->of[names->count++], numbers[material], sizeof *names->of);
         if (t % 4096 == 0 && status == 0)
             status = bsq_check(ctx);
     }
     return status;
 }
 
-int bake_parts_add(struct bsq_ctx *ctx, struct bake_parts *parts, const char *path,
+int bake_names_add(struct bsq_ctx *ctx, struct bake_names *names, const char *path,
                    const struct fmt_mesh *mesh)
 {
     char *stem = NULL;
     uint32_t(*numbers)[2] = NULL;
     int status = 0;
     BSQ_TRY(copy_stem(ctx, path, &stem));
-    BSQ_TRY(bsq_alloc(ctx, "names", mesh->parts.count + UINT64_C(1), sizeof *numbers, &numbers));
-    BSQ_TRY(bsq_grow(ctx, "names of triangles", parts->count + mesh->triangle_count,
-                     sizeof *parts->of, &parts->of, &parts->capacity));
-    BSQ_TRY(add_triangles(ctx, parts, stem, mesh, numbers));
+    BSQ_TRY(
+        bsq_alloc(ctx, "names", mesh->materials.count + UINT64_C(1), sizeof *numbers, &numbers));
+    BSQ_TRY(bsq_grow(ctx, "names of triangles", names->count + mesh->triangle_count,
+                     sizeof *names->of, &names->of, &names->capacity));
+    BSQ_TRY(add_triangles(ctx, names, stem, mesh, numbers));
 done:
     bsq_free(ctx, numbers);
     bsq_free(ctx, stem);
@@ -127,7 +131,7 @@ static int make_sets(struct bsq_ctx *ctx, const struct bake_lowmesh_options *opt
 }
 
 static int sort_by_set(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
-                       const struct bake_parts *parts, struct bake_lowmesh *mesh)
+                       const struct bake_names *names, struct bake_lowmesh *mesh)
 {
     const uint64_t count = mesh->triangle_count;
     struct place *places = NULL;
@@ -136,8 +140,8 @@ static int sort_by_set(struct bsq_ctx *ctx, const struct bake_lowmesh_options *o
     BSQ_TRY(bsq_alloc(ctx, "sets of maps", count, sizeof *places, &places));
     BSQ_TRY(bsq_alloc(ctx, "sets of maps", count, sizeof *order, &order));
     for (uint64_t t = 0; t < count; t++)
-        places[t] = (struct place){options->object_maps ? parts->of[t][0] : 0,
-                                   options->material_maps ? parts->of[t][1] : 0, (uint32_t)t};
+        places[t] = (struct place){options->object_maps ? names->of[t][0] : 0,
+                                   options->material_maps ? names->of[t][1] : 0, (uint32_t)t};
     bsq_sort(places, count, sizeof *places, compare_places);
     BSQ_TRY(make_sets(ctx, options, places, count, mesh));
     for (uint64_t t = 0; t < count; t++)
@@ -152,29 +156,29 @@ done:
 
 /* ---- all files ---- */
 
-int bake_parts_apply(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
-                     struct bake_parts *parts, struct bake_lowmesh *mesh)
+int bake_names_apply(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+                     struct bake_names *names, struct bake_lowmesh *mesh)
 {
     int status = 0;
-    mesh->objects = parts->objects;
-    mesh->materials = parts->materials;
-    mesh->names = parts->tally;
-    parts->objects = parts->materials = (struct bsq_texts){0};
-    parts->tally = (struct bsq_tally){0};
+    mesh->objects = names->objects;
+    mesh->materials = names->materials;
+    mesh->names = names->tally;
+    names->objects = names->materials = (struct bsq_texts){0};
+    names->tally = (struct bsq_tally){0};
     if (options->objects)
         status = bsq_alloc(ctx, "objects of triangles", mesh->triangle_count,
                            sizeof *mesh->object_of, &mesh->object_of);
     for (uint64_t t = 0; t < mesh->triangle_count && options->objects && status == 0; t++)
-        mesh->object_of[t] = parts->of[t][0];
+        mesh->object_of[t] = names->of[t][0];
     if (status == 0 && (options->object_maps || options->material_maps))
-        status = sort_by_set(ctx, options, parts, mesh);
+        status = sort_by_set(ctx, options, names, mesh);
     return status;
 }
 
-void bake_parts_free(struct bsq_ctx *ctx, struct bake_parts *parts)
+void bake_names_free(struct bsq_ctx *ctx, struct bake_names *names)
 {
-    bsq_texts_free(&parts->objects);
-    bsq_texts_free(&parts->materials);
-    bsq_tally_release(ctx, &parts->tally);
-    bsq_free(ctx, parts->of);
+    bsq_texts_free(&names->objects);
+    bsq_texts_free(&names->materials);
+    bsq_tally_release(ctx, &names->tally);
+    bsq_free(ctx, names->of);
 }
