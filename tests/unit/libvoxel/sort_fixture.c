@@ -67,11 +67,24 @@ int sort_files(struct sort_fixture *f, const char *const *paths, uint32_t count)
     return vox_sort(f->ctx, &options, &f->report);
 }
 
+struct vox_sort_options sort_scan_obj(void)
+{
+    static const char *const path = "scan.obj";
+    return (struct vox_sort_options){.size = sizeof(struct vox_sort_options),
+                                     .scan_paths = &path,
+                                     .scan_count = 1,
+                                     .tris_path = "scan.tris"};
+}
+
+int sort_scan(struct sort_fixture *f)
+{
+    return sort_files(f, sort_scan_obj().scan_paths, 1);
+}
+
 int sort_text(struct sort_fixture *f, const char *text)
 {
-    const char *paths[1] = {"scan.obj"};
     test_text("scan.obj", text);
-    return sort_files(f, paths, 1);
+    return sort_scan(f);
 }
 
 void expect_sorted(struct sort_fixture *f, int status)

@@ -22,6 +22,10 @@ int sort_set_up(void **state);
 int sort_tear_down(void **state);
 /* Sorts files to "scan.tris" and fills f->report. */
 int sort_files(struct sort_fixture *f, const char *const *paths, uint32_t count);
+/* Returns options that sort "scan.obj" to "scan.tris". */
+struct vox_sort_options sort_scan_obj(void);
+/* Sorts "scan.obj". */
+int sort_scan(struct sort_fixture *f);
 int sort_text(struct sort_fixture *f, const char *text);
 void expect_sorted(struct sort_fixture *f, int status);
 

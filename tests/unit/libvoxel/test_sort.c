@@ -10,13 +10,12 @@
 FIXTURE_TEST(every_triangle_of_a_grid_comes_out_once)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
     for (unsigned flags = 0; flags < 8; flags++) {
         struct sort_grid g;
         struct sorted_triangles got = {0}, expected = {0};
         sort_grid_make(&g, 150, 11 + flags);
         sort_grid_write(&g, "scan.obj", flags, 5);
-        expect_sorted(f, sort_files(f, paths, 1));
+        expect_sorted(f, sort_scan(f));
         assert_int_equal(f->report.triangles, 2 * 150 * 150);
         assert_int_equal(f->report.faces, 2 * 150 * 150);
         assert_int_equal(f->report.vertices, 151 * 151);
@@ -36,7 +35,6 @@ FIXTURE_TEST(every_triangle_of_a_grid_comes_out_once)
 FIXTURE_TEST(every_triangle_of_a_soup_comes_out_once)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
     struct sorted_triangles got = {0}, expected = {0};
     uint64_t seed = 77;
     FILE *file = fopen("scan.obj", "wb");
@@ -55,7 +53,7 @@ FIXTURE_TEST(every_triangle_of_a_soup_comes_out_once)
         sorted_add(&expected, &one);
     }
     fclose(file);
-    expect_sorted(f, sort_files(f, paths, 1));
+    expect_sorted(f, sort_scan(f));
     read_sorted(f, &got, NULL);
     expect_same_triangles(&got, &expected);
 }
@@ -83,7 +81,6 @@ static void expect_same_file(struct reference *reference)
 FIXTURE_TEST(budgets_and_threads_do_not_change_the_file)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
     static const unsigned threads[] = {1, 2, 5};
     struct reference reference = {0};
     struct sort_grid g;
@@ -93,7 +90,7 @@ FIXTURE_TEST(budgets_and_threads_do_not_change_the_file)
         for (int b = 0; b < 3; b++) {
             uint64_t least = vox_memory_min(threads[t]);
             sort_open_context(f, b == 0 ? least : b == 1 ? 2 * least : 1024 * MIB, threads[t]);
-            expect_sorted(f, sort_files(f, paths, 1));
+            expect_sorted(f, sort_scan(f));
             expect_same_file(&reference);
         }
     free(reference.bytes);
@@ -119,7 +116,6 @@ FIXTURE_TEST(spilling_does_not_change_the_file)
 {
     struct sort_fixture *f = *state;
     static const unsigned kinds[] = {GRID_SHUFFLED | GRID_COLORS | GRID_NORMALS, GRID_SHUFFLED, 0};
-    const char *paths[1] = {"scan.obj"};
     static const uint32_t sizes[] = {320, 190, 190};
     for (int k = 0; k < 3; k++) {
         struct reference reference = {0};
@@ -129,10 +125,7 @@ FIXTURE_TEST(spilling_does_not_change_the_file)
         append_flat_triangles("scan.obj", &g, 3000);
         for (unsigned variant = 0; variant < 12; variant++) {
             struct sort_limits limits;
-            struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
-                                               .scan_paths = paths,
-                                               .scan_count = 1,
-                                               .tris_path = "scan.tris"};
+            struct vox_sort_options options = sort_scan_obj();
             sort_open_context(f, 128 * MIB, variant % 2 ? 2 : 3);
             vox_sort_limits_for(128 * MIB, 2, &limits);
             limits.two_passes = variant % 3 == 1;
@@ -170,9 +163,7 @@ FIXTURE_TEST(spilling_does_not_change_the_file)
 FIXTURE_TEST(buckets_stay_small_with_a_byte_for_each_vertex)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
-    const struct vox_sort_options options = {
-        .size = sizeof options, .scan_paths = paths, .scan_count = 1, .tris_path = "scan.tris"};
+    struct vox_sort_options options = sort_scan_obj();
     struct sort_limits limits;
     struct sort_grid g;
     sort_grid_make(&g, 1000, 4);
@@ -194,7 +185,6 @@ FIXTURE_TEST(buckets_stay_small_with_a_byte_for_each_vertex)
 FIXTURE_TEST(vertices_after_faces_are_found_late)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
     struct reference reference = {0};
     struct sort_grid g;
     sort_grid_make(&g, 190, 4);
@@ -208,10 +198,7 @@ FIXTURE_TEST(vertices_after_faces_are_found_late)
             fputs("f 1 2 3\n", file);
         fclose(file);
         struct sort_limits limits;
-        struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
-                                           .scan_paths = paths,
-                                           .scan_count = 1,
-                                           .tris_path = "scan.tris"};
+        struct vox_sort_options options = sort_scan_obj();
         vox_sort_limits_for(256 * MIB, 2, &limits);
         limits.two_passes = late == 2;
         bsq_forget_files(f->ctx);
@@ -229,7 +216,6 @@ FIXTURE_TEST(vertices_after_faces_are_found_late)
 FIXTURE_TEST(many_triangles_in_one_place_are_sorted)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
     struct reference reference = {0};
     FILE *file = fopen("scan.obj", "wb");
     fputs("v -1 -1 0\nv 1 0 0\nv 0 1 0\nv 100 100 100\nv 101 100 100\nv 100 101 100\nf 4 5 6\n",
@@ -239,10 +225,7 @@ FIXTURE_TEST(many_triangles_in_one_place_are_sorted)
     fclose(file);
     for (int small = 0; small < 2; small++) {
         struct sort_limits limits;
-        struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
-                                           .scan_paths = paths,
-                                           .scan_count = 1,
-                                           .tris_path = "scan.tris"};
+        struct vox_sort_options options = sort_scan_obj();
         vox_sort_limits_for(256 * MIB, 2, &limits);
         if (small)
             limits.batch_triangles = 70000;
@@ -291,14 +274,13 @@ static void expect_morton_order(const struct fmt_tris_chunk *chunk,
 FIXTURE_TEST(triangles_are_in_morton_order)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
     struct sort_grid g;
     struct fmt_tris_file *file;
     struct fmt_tris_chunk chunk;
     uint64_t before = 0;
     sort_grid_make(&g, 250, 5);
     sort_grid_write(&g, "scan.obj", GRID_SHUFFLED, 6);
-    expect_sorted(f, sort_files(f, paths, 1));
+    expect_sorted(f, sort_scan(f));
     assert_int_equal(fmt_tris_open(f->ctx, "scan.tris", &file), 0);
     const struct fmt_tris_header *header = fmt_tris_get_header(file);
     assert_true(header->chunk_count > 1);
@@ -316,11 +298,10 @@ FIXTURE_TEST(triangles_are_in_morton_order)
 FIXTURE_TEST(ordinary_meshes_take_14_bytes_a_triangle)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
     struct sort_grid g;
     sort_grid_make(&g, 400, 5);
     sort_grid_write(&g, "scan.obj", 0, 6);
-    expect_sorted(f, sort_files(f, paths, 1));
+    expect_sorted(f, sort_scan(f));
     assert_true(f->report.tris_bytes <= 14 * f->report.triangles);
     assert_true(f->report.tris_bytes >= 12 * f->report.triangles);
     sort_grid_free(&g);

@@ -41,7 +41,6 @@ FIXTURE_TEST(concave_polygons_keep_their_area)
 FIXTURE_TEST(a_polygon_of_any_size_is_split)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
     struct sorted_triangles got = {0};
     const int n = 70000;
     FILE *file = fopen("scan.obj", "wb");
@@ -52,7 +51,7 @@ FIXTURE_TEST(a_polygon_of_any_size_is_split)
         fprintf(file, " %d", i + 1);
     fputs("\nf 1 2 3\n", file);
     fclose(file);
-    expect_sorted(f, sort_files(f, paths, 1));
+    expect_sorted(f, sort_scan(f));
     assert_int_equal(f->report.triangles + f->report.degenerate_triangles, n - 2 + 2);
     read_sorted(f, &got, NULL);
     assert_true(fabs(total_area(&got) - M_PI * 100) < 1e-3);
@@ -267,14 +266,10 @@ FIXTURE_TEST(without_materials_texture_coordinates_go)
 FIXTURE_TEST(one_texture_can_be_given_for_all)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
     char texture[32] = "wall.png";
     struct sorted_triangles got = {0};
-    struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
-                                       .scan_paths = paths,
-                                       .scan_count = 1,
-                                       .tris_path = "scan.tris",
-                                       .texture_path = texture};
+    struct vox_sort_options options = sort_scan_obj();
+    options.texture_path = texture;
     write_texture();
     test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.5 0\nf 1/1 2/1 3/1\nusemtl a\n"
                           "f 1/1 3/1 2/1\nf 1 2 3\nf 1/1 2/1 3\n");
@@ -292,11 +287,7 @@ FIXTURE_TEST(one_texture_can_be_given_for_all)
 FIXTURE_TEST(normals_of_faces_left_out_do_not_count)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
-    const struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
-                                             .scan_paths = paths,
-                                             .scan_count = 1,
-                                             .tris_path = "scan.tris"};
+    struct vox_sort_options options = sort_scan_obj();
     test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1\nf 1 2 3\n");
     for (int two = 0; two < 2; two++) {
         struct sort_limits limits;

@@ -70,11 +70,7 @@ FIXTURE_TEST(too_little_memory_is_refused)
 FIXTURE_TEST(too_many_vertices_are_refused)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
-    struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
-                                       .scan_paths = paths,
-                                       .scan_count = 1,
-                                       .tris_path = "scan.tris"};
+    struct vox_sort_options options = sort_scan_obj();
     struct sort_limits limits;
     struct sort_grid g;
     unsigned long long vertices, needed, available;
@@ -106,12 +102,8 @@ FIXTURE_TEST(too_many_vertices_are_refused)
 FIXTURE_TEST(memory_may_run_out_anywhere)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
     struct sort_grid g;
-    struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
-                                       .scan_paths = paths,
-                                       .scan_count = 1,
-                                       .tris_path = "scan.tris"};
+    struct vox_sort_options options = sort_scan_obj();
     unsigned failures = 0;
     sort_grid_make(&g, 60, 5);
     sort_grid_write(&g, "scan.obj", GRID_COLORS | GRID_NORMALS, 6);
@@ -137,11 +129,8 @@ FIXTURE_TEST(memory_may_run_out_anywhere)
 FIXTURE_TEST(an_unwritable_place_is_refused)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
-    struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
-                                       .scan_paths = paths,
-                                       .scan_count = 1,
-                                       .tris_path = "/nowhere/at/all.tris"};
+    struct vox_sort_options options = sort_scan_obj();
+    options.tris_path = "/nowhere/at/all.tris";
     test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
     assert_int_equal(vox_sort(f->ctx, &options, &f->report), BSQ_ECANTCREAT);
 }
@@ -149,11 +138,7 @@ FIXTURE_TEST(an_unwritable_place_is_refused)
 FIXTURE_TEST(an_interrupt_stops_and_leaves_nothing)
 {
     struct sort_fixture *f = *state;
-    const char *paths[1] = {"scan.obj"};
-    struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
-                                       .scan_paths = paths,
-                                       .scan_count = 1,
-                                       .tris_path = "scan.tris"};
+    struct vox_sort_options options = sort_scan_obj();
     test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
     bsq_interrupt(f->ctx);
     assert_int_equal(vox_sort(f->ctx, &options, &f->report), BSQ_EINTR);

@@ -116,14 +116,10 @@ static struct losses write_scan(const char *path, bool damaged)
 /* Way 0 keeps everything in memory. Textures make sorting keep texture coordinates. */
 static void sort_it(struct sort_fixture *f, unsigned way)
 {
-    const char *paths[1] = {"scan.obj"};
     struct sort_limits limits;
     const char *texture = test_text("wall.png", "only its name matters here");
-    const struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
-                                             .scan_paths = paths,
-                                             .scan_count = 1,
-                                             .tris_path = "scan.tris",
-                                             .texture_path = texture};
+    struct vox_sort_options options = sort_scan_obj();
+    options.texture_path = texture;
     vox_sort_limits_for(128 * MIB, 2, &limits);
     limits.two_passes = way % 2;
     sort_open_context(f, way == 3 ? 100 * MIB : 128 * MIB, way % 3 + 1);
@@ -188,9 +184,8 @@ FIXTURE_TEST(a_block_may_lose_all_its_faces)
     for (int i = 0; i < 70000; i++)
         fprintf(file, "f 90001 90002 90003\n");
     assert_int_equal(fclose(file), 0);
-    const char *paths[1] = {"scan.obj"};
     sort_open_context(f, 128 * MIB, 2);
-    expect_sorted(f, sort_files(f, paths, 1));
+    expect_sorted(f, sort_scan(f));
     assert_int_equal(f->report.broken_faces, 700);
     assert_int_equal(f->report.triangles, 70000);
     assert_int_equal(f->report.unused_vertices, 90000);
@@ -208,11 +203,10 @@ FIXTURE_TEST(dark_beginnings_stay_dark)
         fprintf(file, "v %u %u 0 %u 1 0\n", i % 400, i / 400, i < 144000 ? i % 2 : i % 256);
     fprintf(file, "f 1 2 402\nf 287998 287999 287598\n");
     assert_int_equal(fclose(file), 0);
-    const char *paths[1] = {"scan.obj"};
     for (unsigned threads = 1; threads < 4; threads += 2) {
         sort_open_context(f, 128 * MIB, threads);
         f->warnings = 0;
-        expect_sorted(f, sort_files(f, paths, 1));
+        expect_sorted(f, sort_scan(f));
         assert_int_equal(f->warnings, 0);
         read_sorted(f, &got, NULL);
         for (size_t i = 0; i < got.count; i++)

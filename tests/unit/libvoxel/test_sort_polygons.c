@@ -128,14 +128,10 @@ static void choose_limits(unsigned way, struct sort_limits *limits)
 
 static int sort_polygons(struct sort_fixture *f, unsigned flags, unsigned way)
 {
-    const char *paths[1] = {"scan.obj"};
     struct sort_limits limits;
     const char *texture = test_text("wall.png", "only its name matters here");
-    const struct vox_sort_options options = {.size = sizeof(struct vox_sort_options),
-                                             .scan_paths = paths,
-                                             .scan_count = 1,
-                                             .tris_path = "scan.tris",
-                                             .texture_path = flags & TEXCOORDS ? texture : NULL};
+    struct vox_sort_options options = sort_scan_obj();
+    options.texture_path = flags & TEXCOORDS ? texture : NULL;
     choose_limits(way, &limits);
     sort_open_context(f, 128 * MIB, way % 2 ? 2 : 3);
     bsq_forget_files(f->ctx);

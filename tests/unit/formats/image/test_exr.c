@@ -461,26 +461,32 @@ TEST(test_flipped_bytes_do_no_harm)
     test_context_end(ctx);
 }
 
-TEST(test_sizes_are_held_against_the_budget)
+/* Writes a small image, whose header then claims another size. */
+static void write_other_window(struct bsq_ctx *ctx, const int32_t box[4])
 {
-    struct bsq_ctx *ctx = test_context(1, UINT64_C(8) << 20);
     float *samples = random_samples(64 * 64 * 3, 3);
     write_image(ctx, 64, 64, FMT_HALF, samples, 64, 0);
     size_t size;
     uint8_t *bytes = test_read(path, &size);
-    /* The attribute is "dataWindow\0box2i\0", a length, and four int32; xMax is the third. */
+    /* The attribute is "dataWindow\0box2i\0", a length, and four int32. */
     static const char name[] = "dataWindow\0box2i";
     uint8_t *window = memmem(bytes, size, name, sizeof name);
     assert_non_null(window);
-    window[sizeof name + 4 + 8 + 2] = 0x40; /* 4 million texels wide */
+    memcpy(window + sizeof name + 4, box, 4 * sizeof *box);
     test_bytes(path, bytes, size);
+    free(bytes);
+    free(samples);
+}
+
+TEST(test_sizes_are_held_against_the_budget)
+{
+    struct bsq_ctx *ctx = test_context(1, UINT64_C(8) << 20);
+    write_other_window(ctx, (const int32_t[4]){0, 0, 63 + (1 << 22), 63});
     struct fmt_exr_image image;
     assert_int_equal(fmt_exr_read(ctx, path, &image), BSQ_ENOMEM);
     assert_non_null(strstr(bsq_error(ctx), "budget"));
     assert_null(image.samples);
     assert_true(bsq_memory_high(ctx) <= bsq_memory_limit(ctx));
-    free(bytes);
-    free(samples);
     test_context_end(ctx);
 }
 
@@ -488,23 +494,12 @@ TEST(test_sizes_are_held_against_the_budget)
 TEST(test_a_table_of_blocks_is_held_against_the_file)
 {
     struct bsq_ctx *ctx = test_context(1, UINT64_C(1) << 40);
-    float *samples = random_samples(64 * 64 * 3, 3);
-    write_image(ctx, 64, 64, FMT_HALF, samples, 64, 0);
-    size_t size;
-    uint8_t *bytes = test_read(path, &size);
-    static const char name[] = "dataWindow\0box2i";
-    uint8_t *window = memmem(bytes, size, name, sizeof name);
-    assert_non_null(window);
     /* One texel wide, 2^29 lines high, 16 lines a block. */
-    static const int32_t box[4] = {0, 0, 0, (1 << 29) - 1};
-    memcpy(window + sizeof name + 4, box, sizeof box);
-    test_bytes(path, bytes, size);
+    write_other_window(ctx, (const int32_t[4]){0, 0, 0, (1 << 29) - 1});
     struct fmt_exr_image image;
     assert_int_equal(fmt_exr_read(ctx, path, &image), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(ctx), "table of blocks"));
     assert_true(bsq_memory_high(ctx) < 1 << 20);
-    free(bytes);
-    free(samples);
     test_context_end(ctx);
 }
 

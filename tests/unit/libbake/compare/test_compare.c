@@ -125,18 +125,20 @@ static void grey(unsigned i, float *out)
     out[0] = out[1] = out[2] = 0.1842f;
 }
 
+static void compare_two(struct bsq_ctx *ctx, const char *a, const char *b,
+                        struct bake_compare_report *out)
+{
+    const struct bake_compare_options options = {.size = sizeof options, .a_path = a, .b_path = b};
+    assert_int_equal(bake_compare(ctx, &options, out), 0);
+}
+
 FIXTURE_TEST(angles_have_the_right_distribution)
 {
     struct bsq_ctx *ctx = *state;
     struct bake_compare_report r = {.size = sizeof r};
     const char *a = write_map(ctx, "a.exr", 3, tilted, "normal"),
                *b = write_map(ctx, "b.exr", 3, upright, "normal");
-    assert_int_equal(
-        bake_compare(ctx,
-                     &(struct bake_compare_options){
-                         .size = sizeof(struct bake_compare_options), .a_path = a, .b_path = b},
-                     &r),
-        0);
+    compare_two(ctx, a, b, &r);
     assert_int_equal(r.kind, BAKE_COMPARE_NORMAL);
     assert_int_equal(r.compared, 100);
     assert_true(fabs(r.mean - 4.95) < 1e-3);
@@ -176,12 +178,7 @@ FIXTURE_TEST(data_has_absolute_and_relative_errors)
     struct bake_compare_report r = {.size = sizeof r};
     const char *a = write_map(ctx, "a.exr", 1, steeper_ramp, NULL),
                *b = write_map(ctx, "b.exr", 1, ramp, NULL);
-    assert_int_equal(
-        bake_compare(ctx,
-                     &(struct bake_compare_options){
-                         .size = sizeof(struct bake_compare_options), .a_path = a, .b_path = b},
-                     &r),
-        0);
+    compare_two(ctx, a, b, &r);
     assert_int_equal(r.kind, BAKE_COMPARE_DATA);
     assert_true(fabs(r.mean - 49.5) < 1e-9);
     assert_true(fabs(r.relative_max - 0.5) < 1e-9);
@@ -210,12 +207,7 @@ FIXTURE_TEST(grey_is_compared_with_each_channel)
     struct bake_compare_report r = {.size = sizeof r};
     const char *a = write_map(ctx, "a.exr", 3, grey, NULL),
                *b = write_map(ctx, "b.exr", 1, ramp, NULL);
-    assert_int_equal(
-        bake_compare(ctx,
-                     &(struct bake_compare_options){
-                         .size = sizeof(struct bake_compare_options), .a_path = a, .b_path = b},
-                     &r),
-        0);
+    compare_two(ctx, a, b, &r);
     assert_int_equal(r.kind, BAKE_COMPARE_DATA);
     assert_true(r.max == (double)(99 - 0.1842f));
     struct bake_compare_options options = {.size = sizeof(struct bake_compare_options),

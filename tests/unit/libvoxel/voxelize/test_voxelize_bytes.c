@@ -8,13 +8,17 @@
 
 /* ---- same bytes ---- */
 
-static void check_same_bytes(uint32_t resolution)
+struct way {
+    uint64_t mebibytes;
+    unsigned threads;
+};
+
+/* Returns the report of the last way. */
+static struct vox_voxelize_report check_ways(uint32_t resolution, const struct way *ways,
+                                             size_t count)
 {
-    static const struct {
-        uint64_t mebibytes;
-        unsigned threads;
-    } ways[] = {{1024, 1}, {1024, 2}, {1024, 7}, {32, 1}, {128, 3}};
-    for (size_t i = 0; i < sizeof ways / sizeof ways[0]; i++) {
+    struct vox_voxelize_report report = {.size = sizeof report};
+    for (size_t i = 0; i < count; i++) {
         struct bsq_ctx *ctx = test_context(ways[i].threads, ways[i].mebibytes << 20);
         struct vox_voxelize_options options = {
             .size = sizeof(struct vox_voxelize_options),
@@ -22,7 +26,6 @@ static void check_same_bytes(uint32_t resolution)
             .grid_path = i == 0 ? "scan.nvdb" : "other.nvdb",
             .resolution = resolution,
         };
-        struct vox_voxelize_report report = {.size = sizeof report};
         int status = vox_voxelize(ctx, &options, &report);
         if (status != 0)
             print_message("%s\n", bsq_error(ctx));
@@ -32,6 +35,13 @@ static void check_same_bytes(uint32_t resolution)
         if (i > 0)
             expect_same_bytes("scan.nvdb", "other.nvdb");
     }
+    return report;
+}
+
+static void check_same_bytes(uint32_t resolution)
+{
+    static const struct way ways[] = {{1024, 1}, {1024, 2}, {1024, 7}, {32, 1}, {128, 3}};
+    check_ways(resolution, ways, sizeof ways / sizeof ways[0]);
 }
 
 /* Triangles of all sizes fill most voxels, so that small budgets work in parts. */
@@ -71,30 +81,10 @@ FIXTURE_TEST(test_solid_regions_in_little_memory)
                       (double[3]){0, size, 0});
     scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, 64);
     scan_mesh_free(&mesh);
-    static const struct {
-        uint64_t mebibytes;
-        unsigned threads;
-    } ways[] = {{256, 2}, {20, 4}, {12, 1}};
-    for (size_t i = 0; i < sizeof ways / sizeof ways[0]; i++) {
-        struct bsq_ctx *ctx = test_context(ways[i].threads, ways[i].mebibytes << 20);
-        struct vox_voxelize_options options = {
-            .size = sizeof(struct vox_voxelize_options),
-            .tris_path = "scan.tris",
-            .grid_path = i == 0 ? "scan.nvdb" : "other.nvdb",
-            .resolution = size,
-        };
-        struct vox_voxelize_report report = {.size = sizeof report};
-        int status = vox_voxelize(ctx, &options, &report);
-        if (status != 0)
-            print_message("%s\n", bsq_error(ctx));
-        assert_int_equal(status, 0);
-        assert_int_equal(report.voxels, (uint64_t)size * size * (size - 1));
-        assert_int_equal(report.lowers, 8);
-        assert_true(bsq_memory_high(ctx) <= ways[i].mebibytes << 20);
-        bsq_ctx_destroy(ctx);
-        if (i > 0)
-            expect_same_bytes("scan.nvdb", "other.nvdb");
-    }
+    static const struct way ways[] = {{256, 2}, {20, 4}, {12, 1}};
+    struct vox_voxelize_report report = check_ways(size, ways, sizeof ways / sizeof ways[0]);
+    assert_int_equal(report.voxels, (uint64_t)size * size * (size - 1));
+    assert_int_equal(report.lowers, 8);
 }
 
 FIXTURE_TEST(test_sphere_gives_the_same_bytes)
