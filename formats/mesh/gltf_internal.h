@@ -145,7 +145,7 @@ struct gltf_placement {
     double normal_matrix[3][3];
     uint64_t base[FMT_MESH_KIND_COUNT]; /* elements of earlier placements in the file */
     char *name;                         /* of the object: the node's, or else the mesh's */
-    uint64_t primitive_base;            /* primitives of earlier placements in the file */
+    uint64_t object_base;               /* primitives of earlier placements in the file */
 };
 
 struct gltf_material {
@@ -180,7 +180,7 @@ struct gltf_source {
     struct gltf_placement *placements;
     uint32_t buffer_count, view_count, accessor_count, primitive_count, mesh_count, material_count;
     uint32_t placement_count;
-    uint64_t primitive_count; /* primitives of all placements */
+    uint64_t object_count; /* primitives of all placements */
     uint64_t total[FMT_MESH_KIND_COUNT], triangles;
     uint64_t bytes;  /* of the file and its buffers */
     bool has_colors; /* of vertices, or factors of textures, which vertices get as colours */

@@ -81,7 +81,7 @@ static int begin(struct stream_source *source)
     fmt_gltf_close_document(&document);
     const int closed = fmt_input_close(source->input);
     source->material_count = file->material_count;
-    source->object_count = file->primitive_count;
+    source->object_count = file->object_count;
     source->reader->gltf_colors |= file->has_colors;
     return status ? status : closed;
 }
@@ -411,7 +411,7 @@ static uint32_t object_of(const struct parser *p)
 {
     const uint64_t primitive = (uint64_t)(p->primitive - p->source->primitives) -
                                p->source->meshes[p->placement->mesh].first;
-    return (uint32_t)(p->placement->primitive_base + primitive);
+    return (uint32_t)(p->placement->object_base + primitive);
 }
 
 static int reserve_faces(const struct parser *p)
@@ -572,11 +572,11 @@ static const char *find_object(const struct stream_source *source, uint64_t numb
     uint64_t low = 0, high = file->placement_count;
     while (high - low > 1) {
         const uint64_t middle = low + (high - low) / 2;
-        *(file->placements[middle].primitive_base <= number ? &low : &high) = middle;
+        *(file->placements[middle].object_base <= number ? &low : &high) = middle;
     }
     const struct gltf_placement *placement = &file->placements[low];
     const uint32_t first = file->meshes[placement->mesh].first;
-    *material = file->primitives[first + (number - placement->primitive_base)].material;
+    *material = file->primitives[first + (number - placement->object_base)].material;
     return placement->name;
 }
 

@@ -364,7 +364,7 @@ static int add_placement(struct walk *w, const struct gltf_place *place, uint32_
         overflow |=
             __builtin_add_overflow(source->total[kind], m->total[kind], &source->total[kind]) ||
             source->total[kind] > INT64_MAX;
-    out->primitive_base = source->object_count;
+    out->object_base = source->object_count;
     overflow |= __builtin_add_overflow(source->object_count, m->count, &source->object_count);
     source->placement_count++;
     return overflow ? fmt_gltf_fail(place, "too many elements")
