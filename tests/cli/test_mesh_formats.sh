@@ -120,7 +120,7 @@ if sanitized; then
     skip "a greedy mesh is refused within the budget" "sanitizers need far more addresses"
 else
     run bisque-voxelize --parse-only greedy.glb --memory 64M
-    refused_like 71 '^bisque-voxelize: greedy.glb: Draco or meshoptimizer needs more memory than the [0-9]* bytes that are'
+    refused_like 71 '^bisque-voxelize: greedy.glb: Draco or meshoptimizer needs more memory than its [0-9]* bytes of --memory'
 fi
 
 # Views that are compressed do not need their fallback.
@@ -494,7 +494,7 @@ sed 's/ 131 132/ 13} 132/' "$meshes/uv.assimp.dae" >endless.dae
 for name in huge.x endless.dae; do
     sanitized && skip "$name is refused within the budget" "sanitizers need far more addresses" && continue
     run bisque-voxelize --parse-only $name --memory 32M
-    refused_like 71 "^bisque-voxelize: $name: Assimp needs more memory than the [0-9]* bytes that are"
+    refused_like 71 "^bisque-voxelize: $name: Assimp needs more memory than its [0-9]* bytes of --memory"
 done
 # The program that calls Assimp ends after its time.
 "$BIN/../lib/bisque/bisque-scene" dae 4000000000 1 <endless.dae >answer 2>&1
