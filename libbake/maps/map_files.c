@@ -20,11 +20,11 @@ struct map_file {
     bool integers, half;
     atomic_uint_fast64_t limited; /* samples beyond the largest half */
     struct bake_encoder encoder;  /* while writing */
-    struct part {                 /* of a pack: its channels, while writing */
+    struct component {            /* of a pack: its channels, while writing */
         struct bake_packed packed;
         struct bake_encoder encoder;
-    } * parts;
-    unsigned part_count; /* 0: a map */
+    } * components;
+    unsigned component_count; /* 0: a map */
     char *path;
     struct fmt_image_writer *writer;  /* NULL: nothing is written */
     struct bake_thumbnail *thumbnail; /* NULL: none */
@@ -175,14 +175,15 @@ static int begin_pack(struct bsq_ctx *ctx, const struct bake_options *options, u
     struct bake_packed packed[BAKE_MAX_PACKED];
     if (file->number < bake_selection_end(maps))
         return 0;
-    int status = bsq_calloc(ctx, "packed maps", BAKE_MAX_PACKED, sizeof *file->parts, &file->parts);
+    int status = bsq_calloc(ctx, "packed maps", BAKE_MAX_PACKED, sizeof *file->components,
+                            &file->components);
     if (status < 0)
         return status;
     const unsigned number = file->number - bake_selection_end(maps);
-    file->part_count = bake_unpack(options, &options->packs[number], packed);
+    file->component_count = bake_unpack(options, &options->packs[number], packed);
     file->encoder.row = bake_row_of(options, file->number);
-    for (unsigned i = 0; i < file->part_count; ++i)
-        file->parts[i].packed = packed[i];
+    for (unsigned i = 0; i < file->component_count; ++i)
+        file->components[i].packed = packed[i];
     return 0;
 }
 
@@ -282,11 +283,11 @@ static int choose_encodings(struct bake_map_files *files, const struct bake_meas
     for (uint32_t i = 0; status == 0 && i < files->count; ++i) {
         struct map_file *file = &files->files[i];
         struct bake_attributes attributes;
-        for (unsigned p = 0; p < file->part_count; ++p)
-            if (file->parts[p].packed.number != BAKE_CONSTANT)
-                choose_encoding(files, file, file->parts[p].packed.number, measures, report,
-                                &file->parts[p].encoder);
-        if (file->part_count > 0)
+        for (unsigned p = 0; p < file->component_count; ++p)
+            if (file->components[p].packed.number != BAKE_CONSTANT)
+                choose_encoding(files, file, file->components[p].packed.number, measures, report,
+                                &file->components[p].encoder);
+        if (file->component_count > 0)
             continue;
         choose_encoding(files, file, file->number, measures, report, &file->encoder);
         bake_describe_encoding(&file->encoder, &attributes);
@@ -311,17 +312,17 @@ static void encode_pack(const struct bake_map_files *files, const struct map_fil
     const uint32_t channels = file->encoder.row->channels, width = files->options->width;
     float samples[TEXELS] = {0};
     memset(out, 0, (size_t)width * channels * sizeof *out);
-    for (unsigned c = 0; c < file->part_count; ++c) {
-        const struct part *part = &file->parts[c];
+    for (unsigned c = 0; c < file->component_count; ++c) {
+        const struct component *component = &file->components[c];
         for (uint32_t x = 0; x < width; x += TEXELS) {
             const uint32_t count = width - x < TEXELS ? width - x : TEXELS;
-            if (part->packed.number != BAKE_CONSTANT)
-                bake_encode_row(&part->encoder, sources + x,
+            if (component->packed.number != BAKE_CONSTANT)
+                bake_encode_row(&component->encoder, sources + x,
                                 texels + (size_t)x * files->image_channels, files->image_channels,
                                 count, samples);
             for (uint32_t i = 0; i < count; ++i)
                 out[(size_t)(x + i) * channels + c] =
-                    part->packed.scale * samples[i] + part->packed.bias;
+                    component->packed.scale * samples[i] + component->packed.bias;
         }
     }
 }
@@ -335,7 +336,7 @@ static int encode_row(void *arg, uint64_t row, unsigned worker)
     for (uint32_t i = 0; i < files->count; ++i) {
         struct map_file *file = &files->files[i];
         float *samples = file->rows + row * row_samples(files, i);
-        if (file->part_count > 0)
+        if (file->component_count > 0)
             encode_pack(files, file, sources, texels, samples);
         else
             bake_encode_row(&file->encoder, sources, texels, files->image_channels,
@@ -499,7 +500,7 @@ void bake_map_files_discard(struct bake_map_files *files)
     for (uint32_t i = 0; i < files->count; ++i) {
         fmt_image_discard(files->files[i].writer);
         free(files->files[i].path);
-        bsq_free(files->ctx, files->files[i].parts);
+        bsq_free(files->ctx, files->files[i].components);
     }
     free(files->beside);
     bsq_free(files->ctx, files->files);

@@ -11,8 +11,8 @@
 
 #define CHILD_LEVELS     2u
 #define CHILD_PAGE_BYTES 8192u
-/* Triangles that a batch with a single part leaves unused, at most. */
-#define PART_GAPS 32u
+/* Triangles that a batch with a single slice leaves unused, at most. */
+#define SLICE_GAPS 32u
 
 struct batches {
     struct bsq_ctx *ctx;
@@ -22,10 +22,10 @@ struct batches {
     struct fmt_tris_writer *writer;
 
     struct batch batch;
-    uint64_t capacity;   /* triangles in a batch */
-    uint64_t part_limit; /* triangles in a part */
-    uint64_t cut;        /* triangles of the batch that are already in chunks */
-    bool last;           /* this is the last batch */
+    uint64_t capacity;    /* triangles in a batch */
+    uint64_t slice_limit; /* triangles in a slice */
+    uint64_t cut;         /* triangles of the batch that are already in chunks */
+    bool last;            /* this is the last batch */
 
     struct chunk_slot *slots;
     unsigned slot_count;
@@ -93,7 +93,7 @@ static void divide_memory(struct batches *b)
         b->capacity = all;
     if (b->capacity < carry + 4096)
         b->capacity = carry + 4096;
-    b->part_limit = enough ? all : b->capacity - carry - PART_GAPS;
+    b->slice_limit = enough ? all : b->capacity - carry - SLICE_GAPS;
 }
 
 static int allocate(struct batches *b)
@@ -193,32 +193,32 @@ done:
 
 /* ---- buckets in order ---- */
 
-static int add_part(struct batches *b, const struct batch_part *part)
+static int add_slice(struct batches *b, const struct batch_slice *slice)
 {
-    int status = vox_batch_fits(&b->batch, part->count) ? 0 : write_batch(b);
-    return status < 0 ? status : vox_batch_add(&b->batch, part);
+    int status = vox_batch_fits(&b->batch, slice->count) ? 0 : write_batch(b);
+    return status < 0 ? status : vox_batch_add(&b->batch, slice);
 }
 
-/* Adds a bucket in parts that end with a run. All its triangles have the same key, so their order
+/* Adds a bucket in slices that end with a run. All its triangles have the same key, so their order
  * is that of the scan. */
-static int add_in_parts(struct batches *b, const struct batch_part *whole)
+static int add_in_slices(struct batches *b, const struct batch_slice *whole)
 {
     struct run_reader *reader = vox_batch_reader(&b->batch);
     int status = 0;
     vox_run_reader_seek(reader, whole->buckets, whole->bucket, 0);
     for (uint64_t done = 0; status == 0 && done < whole->count;) {
-        struct batch_part part = *whole;
-        part.offset = run_reader_tell(reader);
-        part.count = 0;
-        while (status == 0 && part.count + RUN_TRIANGLES <= b->part_limit &&
-               done + part.count < whole->count) {
+        struct batch_slice slice = *whole;
+        slice.offset = run_reader_tell(reader);
+        slice.count = 0;
+        while (status == 0 && slice.count + RUN_TRIANGLES <= b->slice_limit &&
+               done + slice.count < whole->count) {
             uint32_t count = 0;
             status = vox_run_reader_next(reader, NULL, &count);
-            part.count += count;
+            slice.count += count;
         }
         if (status == 0)
-            status = add_part(b, &part);
-        done += part.count;
+            status = add_slice(b, &slice);
+        done += slice.count;
     }
     return status;
 }
@@ -252,7 +252,7 @@ static int divide_run(struct batches *b, const uint8_t *tuples, uint32_t count, 
 
 /* Distributes a bucket's triangles to its children. The batch must hold only triangles that were
  * carried over. */
-static int divide_bucket(struct batches *b, const struct batch_part *whole, uint32_t levels,
+static int divide_bucket(struct batches *b, const struct batch_slice *whole, uint32_t levels,
                          struct buckets *children)
 {
     const uint32_t bytes = b->partition->layout.bytes;
@@ -262,7 +262,7 @@ static int divide_bucket(struct batches *b, const struct batch_part *whole, uint
     vox_run_reader_seek(vox_batch_reader(&b->batch), whole->buckets, whole->bucket, 0);
     for (uint64_t done = 0, count; status == 0 && done < whole->count; done += count) {
         const uint8_t *tuples;
-        status = vox_batch_read(&b->batch, whole->count - done, b->part_limit, &count, &tuples);
+        status = vox_batch_read(&b->batch, whole->count - done, b->slice_limit, &count, &tuples);
         for (uint64_t first = 0, end; status == 0 && first < count; first = end) {
             end = count - first < RUN_TRIANGLES ? count : first + RUN_TRIANGLES;
             status = divide_run(b, tuples + first * bytes, (uint32_t)(end - first), levels, coded,
@@ -275,16 +275,16 @@ static int divide_bucket(struct batches *b, const struct batch_part *whole, uint
 
 static int add_buckets(struct batches *b, const struct buckets *buckets, uint32_t levels);
 
-static int add_large_bucket(struct batches *b, const struct batch_part *whole)
+static int add_large_bucket(struct batches *b, const struct batch_slice *whole)
 {
     uint32_t levels = whole->levels + CHILD_LEVELS;
     struct buckets children = {0};
     if (whole->levels == MORTON_AXIS_BITS)
-        return add_in_parts(b, whole);
+        return add_in_slices(b, whole);
     if (levels > MORTON_AXIS_BITS)
         levels = MORTON_AXIS_BITS;
     int status;
-    BSQ_TRY(b->batch.part_count > 0 ? write_batch(b) : 0);
+    BSQ_TRY(b->batch.slice_count > 0 ? write_batch(b) : 0);
     const uint32_t count = 1u << 3 * (levels - whole->levels);
     BSQ_TRY(vox_buckets_init(&children, b->ctx, b->beside, count, count, CHILD_PAGE_BYTES, 0));
     BSQ_TRY(divide_bucket(b, whole, levels, &children));
@@ -299,11 +299,11 @@ static int add_buckets(struct batches *b, const struct buckets *buckets, uint32_
 {
     int status = 0;
     for (uint32_t c = 0; status == 0 && c < buckets->bucket_count; c++) {
-        const struct batch_part part = {
+        const struct batch_slice slice = {
             .buckets = buckets, .bucket = c, .levels = levels, .count = buckets->list[c].items};
-        if (part.count == 0)
+        if (slice.count == 0)
             continue;
-        status = part.count <= b->part_limit ? add_part(b, &part) : add_large_bucket(b, &part);
+        status = slice.count <= b->slice_limit ? add_slice(b, &slice) : add_large_bucket(b, &slice);
     }
     return status;
 }

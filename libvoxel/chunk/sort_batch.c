@@ -1,4 +1,4 @@
-/* sort_batch.c - see sort_batch.h. One worker reads and sorts each part. Parts are added in the
+/* sort_batch.c - see sort_batch.h. One worker reads and sorts each slice. Slices are added in the
  * order of their buckets, so together they are one sorted sequence. */
 #include "libvoxel/chunk/sort_batch.h"
 #include "base/parallel.h"
@@ -24,7 +24,7 @@ uint64_t vox_batch_fixed_bytes(const struct scan *scan, const struct partition *
     return bytes;
 }
 
-/* Returns the tuples to leave free between parts: loads past a part's end must not read what
+/* Returns the tuples to leave free between slices: loads past a slice's end must not read what
  * another worker writes. */
 static uint64_t tuple_gap(const struct tuple_layout *layout)
 {
@@ -84,9 +84,9 @@ void vox_batch_close(struct batch *b)
 {
     for (unsigned i = 0; b->readers && i < b->reader_count; i++)
         vox_run_reader_free(&b->readers[i]);
-    void *parts[] = {b->readers, b->parts, b->scratch, b->entries, b->spare_tuples, b->tuples};
-    for (size_t i = 0; b->ctx && i < sizeof parts / sizeof *parts; i++)
-        bsq_free(b->ctx, parts[i]);
+    void *buffers[] = {b->readers, b->slices, b->scratch, b->entries, b->spare_tuples, b->tuples};
+    for (size_t i = 0; b->ctx && i < sizeof buffers / sizeof *buffers; i++)
+        bsq_free(b->ctx, buffers[i]);
     vox_gather_close(&b->window);
     memset(b, 0, sizeof *b);
 }
@@ -155,19 +155,19 @@ make_entries(const struct batch *b, const struct tuple_layout *layout, const uin
     return kept;
 }
 
-/* Makes entries for `count` tuples of a part, from its tuple `done` on. */
-static void enter_tuples(struct batch *b, struct batch_part *part, uint64_t done, uint32_t count)
+/* Makes entries for `count` tuples of a slice, from its tuple `done` on. */
+static void enter_tuples(struct batch *b, struct batch_slice *slice, uint64_t done, uint32_t count)
 {
     static const struct tuple_layout plain = {
         .index_bytes = {[FMT_MESH_VERTEX] = 4}, .corner_bytes = 4, .bytes = 12};
-    const uint64_t first = part->tuple + done;
+    const uint64_t first = slice->tuple + done;
     uint8_t *tuples = b->tuples + first * b->partition->layout.bytes;
-    struct entry *to = b->entries + part->at + part->kept;
+    struct entry *to = b->entries + slice->at + slice->kept;
     if (b->gathered)
         vox_gather_number(&b->window, tuples, count);
-    part->kept += b->partition->layout.plain
-                      ? make_entries(b, &plain, tuples, first, count, to)
-                      : make_entries(b, &b->partition->layout, tuples, first, count, to);
+    slice->kept += b->partition->layout.plain
+                       ? make_entries(b, &plain, tuples, first, count, to)
+                       : make_entries(b, &b->partition->layout, tuples, first, count, to);
 }
 
 /* ---- sorting by key ----
@@ -259,40 +259,40 @@ static void radix_sort(struct entry *entries, struct entry *scratch, uint64_t n,
     }
 }
 
-/* ---- parts ---- */
+/* ---- slices ---- */
 
 bool vox_batch_fits(const struct batch *b, uint64_t triangles)
 {
     return b->tuples_end + triangles + tuple_gap(&b->partition->layout) <= b->capacity;
 }
 
-int vox_batch_add(struct batch *b, const struct batch_part *part)
+int vox_batch_add(struct batch *b, const struct batch_slice *slice)
 {
-    int status = bsq_grow(b->ctx, "sorting", b->part_count + 1, sizeof *b->parts, &b->parts,
-                          &b->part_capacity);
+    int status = bsq_grow(b->ctx, "sorting", b->slice_count + 1, sizeof *b->slices, &b->slices,
+                          &b->slice_capacity);
     if (status < 0)
         return status;
-    struct batch_part *added = &b->parts[b->part_count++];
-    *added = *part;
+    struct batch_slice *added = &b->slices[b->slice_count++];
+    *added = *slice;
     added->at = b->count;
     added->tuple = b->tuples_end;
-    b->largest_part = part->count > b->largest_part ? part->count : b->largest_part;
-    b->count += part->count;
-    b->tuples_end += part->count + tuple_gap(&b->partition->layout);
+    b->largest_slice = slice->count > b->largest_slice ? slice->count : b->largest_slice;
+    b->count += slice->count;
+    b->tuples_end += slice->count + tuple_gap(&b->partition->layout);
     return 0;
 }
 
-/* Reads a part's tuples and makes their entries. If elements must be gathered first, only marks
+/* Reads a slice's tuples and makes their entries. If elements must be gathered first, only marks
  * these. */
-static int read_part(void *arg, uint64_t index, unsigned worker)
+static int read_slice(void *arg, uint64_t index, unsigned worker)
 {
     struct batch *b = arg;
-    struct batch_part *part = &b->parts[index];
+    struct batch_slice *slice = &b->slices[index];
     struct run_reader *reader = &b->readers[worker];
-    vox_run_reader_seek(reader, part->buckets, part->bucket, part->offset);
-    part->kept = 0;
-    for (uint64_t done = 0; done < part->count;) {
-        uint8_t *tuples = b->tuples + (part->tuple + done) * b->partition->layout.bytes;
+    vox_run_reader_seek(reader, slice->buckets, slice->bucket, slice->offset);
+    slice->kept = 0;
+    for (uint64_t done = 0; done < slice->count;) {
+        uint8_t *tuples = b->tuples + (slice->tuple + done) * b->partition->layout.bytes;
         uint32_t count;
         int status = vox_run_reader_next(reader, tuples, &count);
         if (status < 0)
@@ -300,46 +300,46 @@ static int read_part(void *arg, uint64_t index, unsigned worker)
         if (b->gathered)
             vox_gather_mark(&b->window, tuples, count);
         else
-            enter_tuples(b, part, done, count);
+            enter_tuples(b, slice, done, count);
         done += count;
     }
     return 0;
 }
 
-/* Returns scratch memory to sort a part. A worker uses the same memory for all its parts, so it
- * stays in the core's cache; but large parts need memory of their own. */
-static struct entry *scratch_for(const struct batch *b, const struct batch_part *part,
+/* Returns scratch memory to sort a slice. A worker uses the same memory for all its slices, so it
+ * stays in the core's cache; but large slices need memory of their own. */
+static struct entry *scratch_for(const struct batch *b, const struct batch_slice *slice,
                                  unsigned worker)
 {
     uint64_t share = b->capacity / bsq_threads(b->ctx);
-    return b->scratch + (b->largest_part <= share ? worker * share : part->at);
+    return b->scratch + (b->largest_slice <= share ? worker * share : slice->at);
 }
 
-static void order_part(struct batch *b, struct batch_part *part, unsigned worker)
+static void order_slice(struct batch *b, struct batch_slice *slice, unsigned worker)
 {
-    radix_sort(b->entries + part->at, scratch_for(b, part, worker), part->kept,
-               MORTON_KEY_BITS - 3 * part->levels);
+    radix_sort(b->entries + slice->at, scratch_for(b, slice, worker), slice->kept,
+               MORTON_KEY_BITS - 3 * slice->levels);
 }
 
-static int sort_part(void *arg, uint64_t index, unsigned worker)
+static int sort_slice(void *arg, uint64_t index, unsigned worker)
 {
     struct batch *b = arg;
-    int status = read_part(b, index, worker);
+    int status = read_slice(b, index, worker);
     if (status == 0)
-        order_part(b, &b->parts[index], worker);
+        order_slice(b, &b->slices[index], worker);
     return status;
 }
 
-/* Sorts a part that was read and whose elements were fetched. */
+/* Sorts a slice that was read and whose elements were fetched. */
 static int sort_fetched(void *arg, uint64_t index, unsigned worker)
 {
     struct batch *b = arg;
-    struct batch_part *part = &b->parts[index];
-    for (uint64_t done = 0, count; done < part->count; done += count) {
-        count = part->count - done < RUN_TRIANGLES ? part->count - done : RUN_TRIANGLES;
-        enter_tuples(b, part, done, (uint32_t)count);
+    struct batch_slice *slice = &b->slices[index];
+    for (uint64_t done = 0, count; done < slice->count; done += count) {
+        count = slice->count - done < RUN_TRIANGLES ? slice->count - done : RUN_TRIANGLES;
+        enter_tuples(b, slice, done, (uint32_t)count);
     }
-    order_part(b, part, worker);
+    order_slice(b, slice, worker);
     return 0;
 }
 
@@ -347,25 +347,25 @@ static int sort_gathered(struct batch *b, uint64_t carried)
 {
     vox_gather_clear(&b->window);
     vox_gather_mark(&b->window, b->tuples, carried);
-    int status = bsq_parallel_for(b->ctx, b->part_count, read_part, b);
+    int status = bsq_parallel_for(b->ctx, b->slice_count, read_slice, b);
     if (status == 0)
         status = vox_gather_fetch(&b->window, b->partition->used);
     if (status < 0)
         return status;
     vox_gather_number(&b->window, b->tuples, carried);
-    return bsq_parallel_for(b->ctx, b->part_count, sort_fetched, b);
+    return bsq_parallel_for(b->ctx, b->slice_count, sort_fetched, b);
 }
 
-/* Closes the gaps that triangles without area leave after parts. */
+/* Closes the gaps that triangles without area leave after slices. */
 static void close_gaps(struct batch *b, uint64_t carried)
 {
     uint64_t end = carried;
-    for (uint64_t i = 0; i < b->part_count; i++) {
-        const struct batch_part *part = &b->parts[i];
-        if (part->at != end)
-            memmove(b->entries + end, b->entries + part->at, part->kept * sizeof *b->entries);
-        end += part->kept;
-        b->degenerate += part->count - part->kept;
+    for (uint64_t i = 0; i < b->slice_count; i++) {
+        const struct batch_slice *slice = &b->slices[i];
+        if (slice->at != end)
+            memmove(b->entries + end, b->entries + slice->at, slice->kept * sizeof *b->entries);
+        end += slice->kept;
+        b->degenerate += slice->count - slice->kept;
     }
     bsq_progress_add(b->ctx, b->count - end);
     b->count = end;
@@ -373,9 +373,9 @@ static void close_gaps(struct batch *b, uint64_t carried)
 
 int vox_batch_sort(struct batch *b)
 {
-    const uint64_t carried = b->part_count > 0 ? b->parts[0].at : b->count;
+    const uint64_t carried = b->slice_count > 0 ? b->slices[0].at : b->count;
     int status = b->gathered ? sort_gathered(b, carried)
-                             : bsq_parallel_for(b->ctx, b->part_count, sort_part, b);
+                             : bsq_parallel_for(b->ctx, b->slice_count, sort_slice, b);
     if (status == 0)
         close_gaps(b, carried);
     return status;
@@ -396,7 +396,7 @@ void vox_batch_carry_over(struct batch *b, uint64_t first)
         b->entries[i].tuple = (uint32_t)i;
     b->count = left;
     b->tuples_end = left + tuple_gap(&b->partition->layout);
-    b->part_count = b->largest_part = 0;
+    b->slice_count = b->largest_slice = 0;
 }
 
 /* ---- buckets that are not sorted but divided ---- */

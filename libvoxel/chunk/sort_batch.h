@@ -1,4 +1,4 @@
-/* sort_batch.h - sorts some buckets, or parts of them, in memory.
+/* sort_batch.h - sorts some buckets, or slices of them, in memory.
  *
  * vox_batch_add() fills a batch and vox_batch_sort() sorts it. vox_batch_carry_over() then starts
  * the next batch with the triangles that are not in chunks yet. If attribute streams are in files,
@@ -18,8 +18,8 @@ struct entry {
     uint32_t unused;
 };
 
-/* Triangles of one bucket, or a part of them. */
-struct batch_part {
+/* Triangles of one bucket, or some of them. */
+struct batch_slice {
     const struct buckets *buckets;
     uint32_t bucket;
     uint32_t levels; /* Morton levels of the bucket */
@@ -48,17 +48,17 @@ struct batch {
     struct entry *scratch;
     struct run_reader *readers; /* one for each thread, and one for the caller */
     unsigned reader_count;
-    struct batch_part *parts;
-    uint64_t part_count, part_capacity;
-    uint64_t largest_part;
-    uint64_t tuples_end; /* with the gap after the last part */
+    struct batch_slice *slices;
+    uint64_t slice_count, slice_capacity;
+    uint64_t largest_slice;
+    uint64_t tuples_end; /* with the gap after the last slice */
 };
 
 /* Returns the bytes for each triangle of a batch's capacity. */
 uint64_t vox_batch_triangle_bytes(const struct scan *scan, const struct partition *partition);
 /* Returns the bytes that do not depend on its capacity. */
 uint64_t vox_batch_fixed_bytes(const struct scan *scan, const struct partition *partition);
-/* Returns the capacity of a batch for all triangles, including the gaps between parts. */
+/* Returns the capacity of a batch for all triangles, including the gaps between slices. */
 uint64_t vox_batch_capacity_of_all(const struct partition *partition);
 /* Opens a batch of up to `capacity` triangles. Close it with vox_batch_close(), also after
  * failure. */
@@ -66,11 +66,11 @@ int vox_batch_open(struct batch *batch, const struct scan *scan, const struct pa
                    uint64_t capacity);
 void vox_batch_close(struct batch *batch);
 
-/* Returns whether the batch has capacity left for a part of this many triangles. */
+/* Returns whether the batch has capacity left for a slice of this many triangles. */
 bool vox_batch_fits(const struct batch *batch, uint64_t triangles);
-/* Adds a part that fits. It is read when the batch is sorted. */
-int vox_batch_add(struct batch *batch, const struct batch_part *part);
-/* Reads and sorts all parts, on all threads. Entries [0, count) are then in order. */
+/* Adds a slice that fits. It is read when the batch is sorted. */
+int vox_batch_add(struct batch *batch, const struct batch_slice *slice);
+/* Reads and sorts all slices, on all threads. Entries [0, count) are then in order. */
 int vox_batch_sort(struct batch *batch);
 /* Begins the next batch with the entries of this sorted one from `first` on. */
 void vox_batch_carry_over(struct batch *batch, uint64_t first);
