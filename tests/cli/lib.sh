@@ -255,6 +255,30 @@ f 2/21 3/22 7/23 6/24
 OBJ
 }
 
+# write_square X Y SIDE Z: a level square whose chart fills the map.
+write_square()
+{
+    set -- "$1" "$2" $(($1 + $3)) $(($2 + $3)) "$4"
+    printf 'v %s %s %s\n' "$1" "$2" "$5" "$3" "$2" "$5" "$3" "$4" "$5" "$1" "$4" "$5"
+    printf 'vt %s\n' '0 0' '1 0' '1 1' '0 1'
+    echo 'f 1/1 2/2 3/3 4/4'
+}
+
+# ends_while WHAT SECONDS PROGRAM ARGUMENT...: SIGTERM ends it at once, that long after its start.
+ends_while()
+{
+    command="$3 ended by SIGTERM while $1" wait=$2 code=0 program=$3
+    shift 3
+    env --default-signal=TERM "$BIN/$program" "$@" >"$out" 2>"$err" &
+    sleep "$wait"
+    sent=$(date +%s%N)
+    kill -TERM $!
+    wait $! || code=$?
+    late=$((($(date +%s%N) - sent) / 1000000))
+    refused 75 "$program: interrupted"
+    holds "it ended after $late ms" [ "$late" -lt 2000 ]
+}
+
 finish()
 {
     echo "$passed passed, $failed failed"

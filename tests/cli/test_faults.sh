@@ -150,17 +150,7 @@ torture -m 5 -n 20 kill
 
 # The image is too large for its cache, so it is copied to a temporary tiled file.
 ok run bisque-bake scan.nvdb low.obj --device cpu --size 2048 --samples 1 --maps color --type 8 --padding 0 -o wood.png
-cat >square.obj <<'OBJ'
-v 0 0 0
-v 1 0 0
-v 1 1 0
-v 0 1 0
-vt 0 0
-vt 1 0
-vt 1 1
-vt 0 1
-f 1/1 2/2 3/3 4/4
-OBJ
+write_square 0 0 1 0 >square.obj
 job a.nvdb -- bisque-voxelize square.obj -o a.nvdb --no-tris --texture wood.png --resolution 100 --memory 64M --threads 1
 torture -m 5 -c write ENOSPC
 torture -m 5 -c read EIO

@@ -32,7 +32,7 @@ sheet 0 13 0 >left.obj
 sheet 13 40 0 >right.obj
 sheet 0 40 -0.25 | sed 's/^usemtl.*/usemtl floor/' >below.obj
 printf 'newmtl stone\nKd .5 .5 .5\nnewmtl brick wall\nKd .8 .2 .1\n' >sheet.mtl
-printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n' >low.obj
+write_square 0 0 1 0 >low.obj
 
 # few_differ A B PERCENT: at most this percentage of texels differ.
 few_differ()

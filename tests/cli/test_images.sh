@@ -13,7 +13,7 @@ command="damage-images $SEED ${COUNT:-$count}" code=0
 cat "$out"
 code 0
 
-printf 'v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n' >square.obj
+write_square 0 0 1 0 >square.obj
 vox="run bisque-voxelize square.obj --resolution 4 --no-tris -o square.nvdb --texture"
 for image in "$images"/*; do
     ok $vox "$image"
@@ -83,13 +83,5 @@ refused_like 66 "^$p textures of this format need the program .*, which is of an
 [ ! -e square.nvdb.tmp ]
 check "nothing is left" $?
 acts 'exec sleep 60'
-command="bisque-voxelize ended by SIGTERM while an image is read" code=0
-env --default-signal=TERM "$BIN/bisque-voxelize" square.obj -o late.nvdb --texture "$image" >"$out" 2>"$err" &
-sleep 0.5
-sent=$(date +%s%N)
-kill -TERM $!
-wait $! || code=$?
-late=$((($(date +%s%N) - sent) / 1000000))
-refused 75 "$p interrupted"
-holds "it ended after $late ms" [ "$late" -lt 2000 ]
+ends_while "an image is read" 0.5 bisque-voxelize square.obj -o late.nvdb --texture "$image"
 finish

@@ -33,17 +33,7 @@ jq -c '[.grid.voxels, .grid.leaves, .grid.index_min, .grid.index_max]' "$out" >p
 same whole.json parts.json
 
 # The same voxels, and records that differ by rounding only: maps of both grids show it.
-cat >low.obj <<'OBJ'
-v 0 0 0
-v 1 0 0
-v 1 1 0
-v 0 1 0
-vt 0 0
-vt 1 0
-vt 1 1
-vt 0 1
-f 1/1 2/2 3/3 4/4
-OBJ
+write_square 0 0 1 0 >low.obj
 for grid in whole parts; do
     ok run bisque-bake $grid.nvdb low.obj --size 256 --samples 1 --maps normal,position \
         --front 1 --back 1 -o "${grid}_<MAP>.exr"
@@ -123,17 +113,7 @@ jq -c '[.grid.voxels, .grid.index_min, .grid.index_max]' "$out" >parts.json
 same whole.json parts.json
 ok $vox p3.tris p1.tris p2.tris -o other.nvdb --threads 1 --memory 60MiB
 same ball_parts.nvdb other.nvdb
-cat >above.obj <<'OBJ'
-v 500023 4000221 160
-v 500223 4000221 160
-v 500223 4000421 160
-v 500023 4000421 160
-vt 0 0
-vt 1 0
-vt 1 1
-vt 0 1
-f 1/1 2/2 3/3 4/4
-OBJ
+write_square 500023 4000221 200 160 >above.obj
 above="above.obj --size 128 --samples 1 --maps normal --front 1 --back 150"
 for grid in ball ball_parts; do
     ok run bisque-bake $grid.nvdb $above -o $grid.exr

@@ -108,13 +108,12 @@ damage box.tris $(seq 0 3 $((end - 1)))
 end=$(wc -c <box.nvdb)
 damage box.nvdb $(seq 0 23 1100) $(seq 1101 9001 $((end - 2200))) $(seq $((end - 2199)) 47 $((end - 1)))
 for file in box.tris box.nvdb; do
-    size=$(wc -c <$file) unseen=
-    for length in 0 7 8 100 223 224 1000 $((size / 2)) $((size - 192)) $((size - 1)) $((size + 1)); do
-        [ "$length" -gt "$size" ] && { cat $file; echo; } >part || head -c "$length" $file >part
-        $verify part
-        [ "$code" -eq 65 ] || unseen="$unseen $length"
-    done
-    holds "$file of any other length is refused${unseen:+, not$unseen}" [ -z "$unseen" ]
+    head -c "$(($(wc -c <$file) / 2))" $file >part
+    $verify part
+    code 65
+    { cat $file; echo; } >part
+    $verify part
+    code 65
 done
 
 # ---- files of other kinds: messages say what they are ----
