@@ -61,9 +61,10 @@ static void *pool_thread_main(void *arg)
     return NULL;
 }
 
-/* Signals that a thread's own instructions raise stay open: blocked, they would end the process
- * whatever handles them. */
-bool bsq_thread_start(pthread_t *out, void *(*fn)(void *arg), void *arg)
+/* Starts a thread in which signals are blocked, so that the program's own threads get them. Those
+ * that its own instructions raise stay open: blocked, they would end the process whatever handles
+ * them. */
+static bool start_thread(pthread_t *out, void *(*fn)(void *arg), void *arg)
 {
     static const int own[] = {SIGBUS, SIGSEGV, SIGFPE, SIGILL, SIGTRAP};
     sigset_t blocked, before;
@@ -93,7 +94,7 @@ static void start_threads(struct bsq_pool *pool, unsigned count)
         struct pool_thread *thread = &pool->threads[pool->thread_count];
         *thread =
             (struct pool_thread){.pool = pool, .number = pool->thread_count, .seen = pool->job};
-        pool->refused = !bsq_thread_start(&thread->handle, pool_thread_main, thread);
+        pool->refused = !start_thread(&thread->handle, pool_thread_main, thread);
         pool->thread_count += !pool->refused;
     }
 }

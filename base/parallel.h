@@ -44,10 +44,6 @@ struct bsq_pipeline {
 /* Runs the pipeline to its end. Returns 0 or the first failure (in time). Must not be nested. */
 int bsq_pipeline_run(struct bsq_ctx *ctx, const struct bsq_pipeline *pipeline);
 
-/* Starts a thread that runs fn(arg). Signals are blocked in it, so that the program's own threads
- * get them. Returns false if the system refuses a thread. The caller joins *out. */
-bool bsq_thread_start(pthread_t *out, void *(*fn)(void *arg), void *arg);
-
 /* Waits for a condition as pthread_cond_wait() does, but at most 50 ms: an interruption signals no
  * condition, so whoever waits must call bsq_check() now and then. */
 void bsq_wait_a_little(pthread_cond_t *condition, pthread_mutex_t *lock);

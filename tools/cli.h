@@ -200,7 +200,6 @@ void cli_clear_bar(struct cli *cli);
 void cli_print(const char *format, ...) __attribute__((format(printf, 1, 2)));
 
 double cli_seconds(const struct timespec *since);
-uint64_t cli_max_rss_bytes(void);
 
 /* Write "12.3 MiB", "1,234,567", and "1 vertex" or "12 vertices" to `buffer` of CLI_TEXT bytes, and
  * return it. */

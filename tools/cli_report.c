@@ -33,7 +33,7 @@ double cli_seconds(const struct timespec *since)
     return (double)(now.tv_sec - since->tv_sec) + (double)(now.tv_nsec - since->tv_nsec) * 1e-9;
 }
 
-uint64_t cli_max_rss_bytes(void)
+static uint64_t max_rss_bytes(void)
 {
     struct rusage usage;
     return getrusage(RUSAGE_SELF, &usage) == 0 ? (uint64_t)usage.ru_maxrss * 1024 : 0;
@@ -88,7 +88,7 @@ void cli_print_cost(const struct cli *cli)
     cli_print("memory: %s of a budget of %s (resident at most %s)\n",
               cli_size_text(bsq_memory_high(cli->ctx), high),
               cli_size_text(bsq_memory_limit(cli->ctx), limit),
-              cli_size_text(cli_max_rss_bytes(), resident));
+              cli_size_text(max_rss_bytes(), resident));
     cli_print("time: %.2f s\n", cli_seconds(&cli->started));
 }
 
@@ -163,7 +163,7 @@ static json_t *cost_json(const struct cli *cli)
                      (int)bsq_threads(cli->ctx), "memory_budget_bytes",
                      (json_int_t)bsq_memory_limit(cli->ctx), "memory_high_bytes",
                      (json_int_t)bsq_memory_high(cli->ctx), "memory_shares_bytes", shares_json(cli),
-                     "max_rss_bytes", (json_int_t)cli_max_rss_bytes(), "bytes_read",
+                     "max_rss_bytes", (json_int_t)max_rss_bytes(), "bytes_read",
                      (json_int_t)(bytes_by_calls() + bsq_mapped_bytes(cli->ctx)), "seconds",
                      cli_seconds(&cli->started), "seconds_user", seconds_of(usage.ru_utime),
                      "seconds_system", seconds_of(usage.ru_stime));

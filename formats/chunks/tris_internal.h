@@ -180,9 +180,8 @@ int fmt_tris_weld_parts(struct fmt_tris_file *all);
 /* Moves those of a chunk. */
 void fmt_tris_apply_welds(const struct fmt_tris_file *all, uint64_t chunk, float (*positions)[3]);
 
-/* Report damage of an open file, or of one of its chunks; return BSQ_EDATA. */
+/* Reports damage of an open file; returns BSQ_EDATA. */
 int fmt_tris_damaged(const struct fmt_tris_file *file, const char *what);
-int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what);
 
 /* Computes the layout of a chunk; nothing overflows, whatever the counts. */
 static inline struct tris_layout tris_chunk_layout(uint32_t attributes, uint32_t triangle_count,

@@ -102,7 +102,7 @@ static bool materials_known(const struct fmt_tris_chunk *chunk, uint32_t materia
     return !unknown;
 }
 
-int fmt_tris_damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what)
+static int damaged_chunk(const struct fmt_tris_file *file, uint64_t index, const char *what)
 {
     return bsq_fail(file->ctx, BSQ_EDATA, "%s: damaged chunk file: chunk %" PRIu64 ": %s",
                     file->file.path, index, what);
@@ -143,24 +143,24 @@ int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratc
     struct tris_chunk_header header;
     memcpy(&header, bytes, sizeof header);
     if (XXH3_64bits(bytes + 8, l.bytes - 8) != header.checksum)
-        return fmt_tris_damaged_chunk(file, index, "the checksum does not match");
+        return damaged_chunk(file, index, "the checksum does not match");
     if (header.triangle_count != info->triangle_count || header.vertex_count != info->vertex_count)
-        return fmt_tris_damaged_chunk(file, index, "its counts are not those of the table");
+        return damaged_chunk(file, index, "its counts are not those of the table");
     if (!all_zero(bytes + l.end, l.bytes - l.end))
-        return fmt_tris_damaged_chunk(file, index, "its padding is not zero");
+        return damaged_chunk(file, index, "its padding is not zero");
     out->triangle_count = info->triangle_count;
     out->vertex_count = info->vertex_count;
     place_chunk(out, bytes, &l, attributes);
     uint32_t max = l.short_indices ? widen_indices(bytes + l.triangles, 3 * info->triangle_count)
                                    : largest_index(out->triangles[0], 3 * info->triangle_count);
     if (max >= info->vertex_count)
-        return fmt_tris_damaged_chunk(file, index, "an index is out of range");
+        return damaged_chunk(file, index, "an index is out of range");
     if (!positions_inside(out, info))
-        return fmt_tris_damaged_chunk(file, index, "a vertex is outside of the bounds");
+        return damaged_chunk(file, index, "a vertex is outside of the bounds");
     if (out->texcoords && !texcoords_finite(out))
-        return fmt_tris_damaged_chunk(file, index, "a texture coordinate is not finite");
+        return damaged_chunk(file, index, "a texture coordinate is not finite");
     if (out->materials && !materials_known(out, file->header.material_count))
-        return fmt_tris_damaged_chunk(file, index, "a material number is out of range");
+        return damaged_chunk(file, index, "a material number is out of range");
     return 0;
 }
 
@@ -243,7 +243,7 @@ static int verify_chunk(void *arg, uint64_t index, unsigned worker)
     assert(chunk.positions && chunk.triangles);
     const char *fault = fault_of(&chunk, info, bytes + v->chunk_bytes);
     bsq_progress_add(v->ctx, info->size_bytes);
-    return fault ? fmt_tris_damaged_chunk(v->file, index, fault) : 0;
+    return fault ? damaged_chunk(v->file, index, fault) : 0;
 }
 
 /* Checks that the header's bounds are exactly those of all chunks. */
