@@ -24,7 +24,7 @@ int vox_closest_build(struct bsq_ctx *ctx, const float (*positions)[3],
                       struct vox_closest *out);
 void vox_closest_free(struct bsq_ctx *ctx, struct vox_closest *tree);
 
-enum { VOX_CLOSEST_BATCH = 16 };
+enum { VOX_CLOSEST_BATCH = 32 };
 
 /* Lowers each of `squares` to the squared distance of a point from the closest triangle, unless it
  * is less already. Up to VOX_CLOSEST_BATCH points that lie close together take less time than one

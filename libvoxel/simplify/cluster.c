@@ -9,6 +9,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/vec.h"
+
 enum {
     AXIS_BITS = 10,                   /* of the number of a cell */
     CELLS_MAX = (1 << AXIS_BITS) - 2, /* along an axis */
@@ -21,18 +23,21 @@ enum {
 static const double crossed_cells = 1.5;
 /* Pull towards the middle of a cluster's vertices, in parts of its quadric's trace. Less of it
  * leads to more folds where the scan is rough. */
-static const double pull = 1e-2;
+static const double pull = 1e-3;
 /* Least cosine between neighbouring triangles. */
-static const double least_cosine = -0.2;
+static const float least_cosine = -0.2F;
 
 /* A corner of a new triangle: the ends of the edge opposite to it, in order. */
 struct corner {
     uint32_t after, before;
+    uint32_t triangle; /* in kept */
 };
 
-/* Of a new vertex, while another one is looked at whose number + 1 is in `seen`. */
+/* Of a new vertex: the last one + 1 that it was found beside, and the corner where it is after
+ * that.
+ */
 struct mark {
-    uint32_t seen_after, seen_before, next;
+    uint32_t seen_after, seen_before, corner;
 };
 
 struct clustering {
@@ -50,6 +55,7 @@ struct clustering {
     uint32_t *kept, kept_count;
     uint32_t *first; /* of clusters and one more */
     struct corner *corners;
+    float (*normals)[3]; /* of kept triangles */
     struct mark *marks;
 };
 
@@ -314,71 +320,79 @@ static void keep_triangles(struct clustering *c)
     for (uint32_t n = c->kept_count; n-- > 0;) {
         const uint32_t *v = mesh->triangles[c->kept[n]];
         const uint32_t i = owners[v[0]], j = owners[v[1]], k = owners[v[2]];
-        c->corners[--first[i]] = (struct corner){j, k};
-        c->corners[--first[j]] = (struct corner){k, i};
-        c->corners[--first[k]] = (struct corner){i, j};
+        c->corners[--first[i]] = (struct corner){j, k, n};
+        c->corners[--first[j]] = (struct corner){k, i, n};
+        c->corners[--first[k]] = (struct corner){i, j, n};
     }
 }
 
-/* Returns whether the triangles around a new vertex are one closed fan, or open ones if it is one
- * that stays. */
-static bool is_surface(struct clustering *c, uint32_t v)
+/* Marks the neighbours of a new vertex. Returns whether each is once after and once before it. */
+static bool mark_neighbours(struct clustering *c, uint32_t v)
 {
-    const struct corner *begin = &c->corners[c->first[v]], *end = &c->corners[c->first[v + 1]];
     const uint32_t seen = v + 1;
-    struct mark *marks = c->marks;
-    ptrdiff_t steps = 0;
-    unsigned starts = 0;
-    for (const struct corner *at = begin; at < end; at++) {
-        struct mark *after = &marks[at->after], *before = &marks[at->before];
+    for (uint32_t i = c->first[v]; i < c->first[v + 1]; i++) {
+        struct mark *after = &c->marks[c->corners[i].after],
+                    *before = &c->marks[c->corners[i].before];
         if (after->seen_after == seen || before->seen_before == seen)
             return false;
         after->seen_after = before->seen_before = seen;
-        after->next = at->before;
+        after->corner = i;
     }
-    for (const struct corner *at = begin; at < end; at++) {
-        if (marks[at->after].seen_before == seen)
+    return true;
+}
+
+/* Returns whether the triangles around a new vertex are one closed fan, or open ones if it is one
+ * that stays. Its neighbours are marked. */
+static bool is_surface(const struct clustering *c, uint32_t v)
+{
+    const uint32_t begin = c->first[v], end = c->first[v + 1], seen = v + 1;
+    const struct mark *marks = c->marks;
+    uint32_t steps = 0, starts = 0;
+    for (uint32_t i = begin; i < end; i++) {
+        uint32_t a = c->corners[i].after;
+        if (marks[a].seen_before == seen)
             continue;
         starts++;
-        for (uint32_t a = at->after; marks[a].seen_after == seen; a = marks[a].next)
+        for (; marks[a].seen_after == seen; a = c->corners[marks[a].corner].before)
             steps++;
     }
     if (starts > 0)
         return steps == end - begin && (c->cells[v] & STAYS);
-    uint32_t a = begin->after;
+    uint32_t a = c->corners[begin].after;
     do {
-        a = marks[a].next;
+        a = c->corners[marks[a].corner].before;
         steps++;
-    } while (a != begin->after);
+    } while (a != c->corners[begin].after);
     return steps == end - begin && steps >= 3;
 }
 
-static void set_normal(const struct clustering *c, uint32_t v, const struct corner *at,
-                       double normal[3])
-{
-    vox_triangle_normal((const float(*)[3])c->positions,
-                        (const uint32_t[3]){v, at->after, at->before}, normal);
-}
-
-/* Returns whether neighbouring triangles at a new vertex turn by more than they may. */
+/* Returns whether neighbouring triangles at a new vertex turn by more than they may. Its neighbours
+ * are marked. */
 static bool is_folded(const struct clustering *c, uint32_t v)
 {
-    const struct corner *begin = &c->corners[c->first[v]], *end = &c->corners[c->first[v + 1]];
-    for (const struct corner *at = begin; at < end; at++) {
-        double n[3], m[3];
-        const struct corner *next = begin;
-        while (next < end && next->after != at->before)
-            next++;
-        if (next == end || at->before < v) /* each edge once */
+    for (uint32_t i = c->first[v]; i < c->first[v + 1]; i++) {
+        const uint32_t w = c->corners[i].before;
+        if (w < v || c->marks[w].seen_after != v + 1) /* each edge once */
             continue;
-        set_normal(c, v, at, n);
-        set_normal(c, v, next, m);
-        const double along = n[0] * m[0] + n[1] * m[1] + n[2] * m[2];
-        if (along < least_cosine * sqrt((n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) *
-                                        (m[0] * m[0] + m[1] * m[1] + m[2] * m[2])))
+        const float *n = c->normals[c->corners[i].triangle],
+                    *m = c->normals[c->corners[c->marks[w].corner].triangle];
+        if (n[0] * m[0] + n[1] * m[1] + n[2] * m[2] < least_cosine)
             return true;
     }
     return false;
+}
+
+static void set_normals(struct clustering *c)
+{
+    for (uint32_t n = 0; n < c->kept_count; n++) {
+        const uint32_t *v = c->mesh->triangles[c->kept[n]];
+        const uint32_t corners[3] = {c->owners[v[0]], c->owners[v[1]], c->owners[v[2]]};
+        double normal[3];
+        vox_triangle_normal((const float(*)[3])c->positions, corners, normal);
+        const double square = bsq_dotd(normal, normal);
+        for (int k = 0; k < 3; k++)
+            c->normals[n][k] = square > 0 ? (float)(normal[k] / sqrt(square)) : 0;
+    }
 }
 
 static void judge_vertices(struct clustering *c)
@@ -392,7 +406,7 @@ static void judge_vertices(struct clustering *c)
             c->bad[v] = true;
             continue;
         }
-        if (is_surface(c, v) && !is_folded(c, v))
+        if (mark_neighbours(c, v) && is_surface(c, v) && !is_folded(c, v))
             continue;
         c->bad[v] = true;
         for (uint32_t i = begin; i < end && c->sizes[v] < 2; i++)
@@ -435,6 +449,7 @@ static int allocate(struct clustering *c)
     BSQ_TRY(bsq_alloc(c->ctx, what, triangles, sizeof *c->kept, &c->kept));
     BSQ_TRY(bsq_alloc(c->ctx, what, vertices + 1, sizeof *c->first, &c->first));
     BSQ_TRY(bsq_alloc(c->ctx, what, 3 * triangles, sizeof *c->corners, &c->corners));
+    BSQ_TRY(bsq_alloc(c->ctx, what, triangles, sizeof *c->normals, &c->normals));
     BSQ_TRY(bsq_alloc(c->ctx, what, vertices, sizeof *c->marks, &c->marks));
 done:
     return status;
@@ -459,6 +474,7 @@ int vox_cluster(struct bsq_ctx *ctx, double share, struct vox_mesh *mesh)
     for (int i = 0; i < ROUNDS_MAX && again; i++) {
         BSQ_TRY(bsq_check(ctx));
         keep_triangles(&c);
+        set_normals(&c);
         judge_vertices(&c);
         again = dissolve(&c);
     }
@@ -466,6 +482,7 @@ int vox_cluster(struct bsq_ctx *ctx, double share, struct vox_mesh *mesh)
         compact(&c);
 done:
     bsq_free(ctx, c.marks);
+    bsq_free(ctx, c.normals);
     bsq_free(ctx, c.corners);
     bsq_free(ctx, c.first);
     bsq_free(ctx, c.kept);

@@ -14,6 +14,8 @@
 /* Vertices form clusters as long as a level has at least so many times the triangles of the last
  * one: that is faster than collapsing edges, and as good that far from the result. */
 enum { GROUP_TRIANGLES = 65536, LEVEL_FACTOR = 8, CLUSTER_FACTOR = 4 };
+/* Clusters leave so many times the vertices that are wanted, and edges collapse then. */
+static const double cluster_more = 1.5;
 
 /* A mesh of a level: of the first one a chunk, of others a part of a temporary file with
  * positions, quadrics and triangles. */
@@ -182,7 +184,7 @@ static int collapse_group(void *arg, void *slot_, uint64_t sequence, unsigned wo
     BSQ_TRY(join_members(step->from, slot->begin, slot->end, true, &slot->mesh));
     const uint32_t target = (uint32_t)(step->ratio * slot->mesh.triangle_count) + 1;
     if (step->cluster)
-        BSQ_TRY(vox_cluster(step->from->ctx, step->ratio, &slot->mesh));
+        BSQ_TRY(vox_cluster(step->from->ctx, cluster_more * step->ratio, &slot->mesh));
     status = vox_thin(step->from->ctx, target, &slot->mesh);
 done:
     if (status < 0)
