@@ -3,8 +3,10 @@
  * All on one thread; seconds are processor time.
  *
  *   bench-maps SCAN.nvdb SCAN.tris LOW.obj SIZE SAMPLES RAYS ROUNDS */
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "libbake/kernel/bk_sample.h"
 #include "tests/bench/rays.h"
@@ -21,8 +23,8 @@ struct bench {
     struct bk_grid grid;
     float (*rays)[6]; /* of a tile */
     /* Sums over all tiles: number of rays; for each way, seconds and rays that hit. */
-    uint64_t count, total, hidden[2];
-    double seconds[2];
+    uint64_t count, total, hidden[RAYS_WAYS];
+    double seconds[RAYS_WAYS];
 };
 
 static int by_value(const void *a, const void *b)
@@ -67,7 +69,7 @@ static int measure_maps(struct bench *bench)
     puts("| map beside normal | processor time, ratio |\n|:--|--:|");
     for (size_t m = 0; m < sizeof maps / sizeof *maps; m++) {
         for (unsigned round = 0; round < rounds; round++) {
-            struct rays_cost alone, both;
+            struct rays_cost alone = {0}, both = {0};
             int status = trace(bench, BAKE_MAP_NORMAL, &alone);
             if (status == 0)
                 status = trace(bench, BAKE_MAP_NORMAL | maps[m].map, &both);
@@ -134,10 +136,12 @@ static int trace_tile(void *arg, const struct rays_tile *tile)
                          bk_sample_place(tile->tile.x + column / n, column % n, n),
                          bk_sample_place(tile->tile.y + row / n, row % n, n));
         }
-    for (int way = 0; way < 2; way++) {
+    for (int way = 0; way < RAYS_WAYS; way++) {
+        if (!rays_can_occlude(bench->embree, way))
+            continue;
         rays_cost_begin(&cost);
-        bench->hidden[way] += (way == 0 ? rays_occluded1 : rays_occluded8)(
-            bench->embree, (const float(*)[6])bench->rays, bench->count, limit);
+        bench->hidden[way] +=
+            rays_occlude(bench->embree, way, (const float(*)[6])bench->rays, bench->count, limit);
         rays_cost_end(&cost);
         bench->seconds[way] += cost.processor;
     }
@@ -149,8 +153,9 @@ static int trace_with_embree(struct bench *bench)
 {
     const uint64_t most = (uint64_t)bench->scene.job.tile_texels * bench->scene.samples *
                           bench->scene.samples * bench->scene.job.params.open_rays;
-    bench->total = bench->hidden[0] = bench->hidden[1] = 0;
-    bench->seconds[0] = bench->seconds[1] = 0;
+    bench->total = 0;
+    memset(bench->hidden, 0, sizeof bench->hidden);
+    memset(bench->seconds, 0, sizeof bench->seconds);
     bake_kernel_grid(bench->scene.job.grid, &bench->scene.job.params, &bench->grid);
     int status = bsq_alloc(bench->ctx, "rays", most, sizeof *bench->rays, &bench->rays);
     if (status == 0)
@@ -162,10 +167,11 @@ static int trace_with_embree(struct bench *bench)
 /* Measures rays without end, and rays of a twentieth of the scan. */
 static int measure_rays(struct bench *bench, float limit, const char *name)
 {
-    double ours[MAX_ROUNDS], single[MAX_ROUNDS], packets[MAX_ROUNDS], ratios[MAX_ROUNDS];
+    double ours[MAX_ROUNDS], embree[RAYS_WAYS][MAX_ROUNDS], ratios[MAX_ROUNDS];
     bench->scene.job.params.open_limit = limit;
     for (unsigned round = 0; round < bench->rounds; round++) {
-        struct rays_cost alone, both;
+        struct rays_cost alone = {0}, both = {0};
+        double fastest = 0;
         int status = trace(bench, BAKE_MAP_NORMAL, &alone);
         if (status == 0)
             status = trace(bench, BAKE_MAP_NORMAL | BAKE_MAP_AO, &both);
@@ -175,15 +181,23 @@ static int measure_rays(struct bench *bench, float limit, const char *name)
             return status;
         const double rays = 1e-6 * (double)bench->total;
         ours[round] = rays / (both.processor - alone.processor);
-        single[round] = rays / bench->seconds[0];
-        packets[round] = rays / bench->seconds[1];
-        ratios[round] =
-            ours[round] / (single[round] > packets[round] ? single[round] : packets[round]);
+        for (int way = 0; way < RAYS_WAYS; way++) {
+            const double seconds = bench->seconds[way];
+            if (seconds > 0 && fabs((double)bench->hidden[way] - (double)bench->hidden[0]) >
+                                   1e-4 * (double)bench->total)
+                return bsq_fail(bench->ctx, BSQ_EBUG, "Embree's ways to trace disagree");
+            embree[way][round] = seconds > 0 ? rays / seconds : 0;
+            if (embree[way][round] > fastest)
+                fastest = embree[way][round];
+        }
+        ratios[round] = ours[round] / fastest;
     }
-    printf("| %s | %.1f | %.3f | %.2f | %.2f | %.2f | %.2f |\n", name, 1e-6 * (double)bench->total,
-           1 - (double)bench->hidden[0] / (double)bench->total, median(ours, bench->rounds),
-           median(single, bench->rounds), median(packets, bench->rounds),
-           median(ratios, bench->rounds));
+    printf("| %s | %.1f | %.3f | %.2f |", name, 1e-6 * (double)bench->total,
+           1 - (double)bench->hidden[RAYS_SINGLE] / (double)bench->total,
+           median(ours, bench->rounds));
+    for (int way = 0; way < RAYS_WAYS; way++)
+        printf(" %.2f |", median(embree[way], bench->rounds));
+    printf(" %.2f |\n", median(ratios, bench->rounds));
     return 0;
 }
 
@@ -192,9 +206,8 @@ static int run(struct bench *bench)
     const double *low = bench->scene.surface.scan_min, *high = bench->scene.surface.scan_max;
     const double side = (high[2] - low[2]) / bench->scene.surface.unit;
     int status = measure_maps(bench);
-    puts(
-        "\n| length of rays | M rays | open | grid, M/s | Embree, single | Embree, by 8 | ratio |\n"
-        "|:--|--:|--:|--:|--:|--:|--:|");
+    puts("\n| length of rays | M rays | open | grid, M/s | Embree, single | by 4 | by 8 | by 16 | "
+         "streams | ratio to the fastest |\n|:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|");
     if (status == 0)
         status = measure_rays(bench, BK_FAR, "no end");
     if (status == 0)

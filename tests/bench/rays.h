@@ -60,11 +60,15 @@ struct rays_occluder;
 int rays_occluder_open(const struct rays_scene *scene, const char *tris,
                        struct rays_occluder **out);
 void rays_occluder_close(struct rays_occluder *occluder); /* NULL is allowed */
-/* Return how many rays meet a triangle within `limit`: traced one by one, and eight at a time. A
- * ray is its origin and its unit direction. */
-uint64_t rays_occluded1(const struct rays_occluder *occluder, const float (*rays)[6],
-                        uint64_t count, float limit);
-uint64_t rays_occluded8(const struct rays_occluder *occluder, const float (*rays)[6],
-                        uint64_t count, float limit);
+/* Ways to trace: one by one, in packets, and in streams of many. */
+enum rays_way { RAYS_SINGLE, RAYS_BY_4, RAYS_BY_8, RAYS_BY_16, RAYS_STREAM, RAYS_WAYS };
+
+/* Returns whether Embree has this way on this processor. */
+bool rays_can_occlude(const struct rays_occluder *occluder, enum rays_way way);
+
+/* Returns how many rays meet a triangle within `limit`. A ray is its origin and its unit
+ * direction. */
+uint64_t rays_occlude(const struct rays_occluder *occluder, enum rays_way way,
+                      const float (*rays)[6], uint64_t count, float limit);
 
 #endif

@@ -1,6 +1,7 @@
 /* rays_embree.c - traces the rays of a map against the triangles of the scan with Embree. Rays are
  * the same as for the grid; triangles are transformed to its index space. */
 #include <embree3/rtcore.h>
+#include <stddef.h>
 #include <string.h>
 
 #include "base/context.h"
@@ -215,54 +216,117 @@ void rays_occluder_close(struct rays_occluder *occluder)
     bsq_free(occluder->ctx, occluder);
 }
 
-uint64_t rays_occluded1(const struct rays_occluder *occluder, const float (*rays)[6],
-                        uint64_t count, float limit)
+bool rays_can_occlude(const struct rays_occluder *occluder, enum rays_way way)
+{
+    static const enum RTCDeviceProperty needs[RAYS_WAYS] = {
+        [RAYS_BY_4] = RTC_DEVICE_PROPERTY_NATIVE_RAY4_SUPPORTED,
+        [RAYS_BY_8] = RTC_DEVICE_PROPERTY_NATIVE_RAY8_SUPPORTED,
+        [RAYS_BY_16] = RTC_DEVICE_PROPERTY_NATIVE_RAY16_SUPPORTED,
+        [RAYS_STREAM] = RTC_DEVICE_PROPERTY_RAY_STREAM_SUPPORTED};
+    return way == RAYS_SINGLE || rtcGetDeviceProperty(occluder->device, needs[way]) != 0;
+}
+
+static struct RTCRay make_ray(const float r[6], float limit)
+{
+    return (struct RTCRay){.org_x = r[0],
+                           .org_y = r[1],
+                           .org_z = r[2],
+                           .dir_x = r[3],
+                           .dir_y = r[4],
+                           .dir_z = r[5],
+                           .tfar = limit,
+                           .mask = ~0u};
+}
+
+static uint64_t occlude_single(RTCScene scene, const float (*rays)[6], uint64_t count, float limit)
 {
     struct RTCIntersectContext context;
     uint64_t hidden = 0;
     rtcInitIntersectContext(&context);
     for (uint64_t i = 0; i < count; i++) {
-        const float *r = rays[i];
-        struct RTCRay ray = {.org_x = r[0],
-                             .org_y = r[1],
-                             .org_z = r[2],
-                             .dir_x = r[3],
-                             .dir_y = r[4],
-                             .dir_z = r[5],
-                             .tfar = limit,
-                             .mask = ~0u};
-        rtcOccluded1(occluder->scene, &context, &ray);
+        struct RTCRay ray = make_ray(rays[i], limit);
+        rtcOccluded1(scene, &context, &ray);
         hidden += ray.tfar < 0;
     }
     return hidden;
 }
 
-uint64_t rays_occluded8(const struct rays_occluder *occluder, const float (*rays)[6],
-                        uint64_t count, float limit)
+enum { STREAM_RAYS = 1024 };
+
+static uint64_t occlude_stream(RTCScene scene, const float (*rays)[6], uint64_t count, float limit)
 {
     struct RTCIntersectContext context;
+    struct RTCRay stream[STREAM_RAYS];
     uint64_t hidden = 0;
     rtcInitIntersectContext(&context);
-    for (uint64_t i = 0; i < count; i += 8) {
-        _Alignas(32) int valid[8];
-        struct RTCRay8 packet = {0};
-        for (int k = 0; k < 8; k++) {
-            const float *r = rays[i + (uint64_t)k < count ? i + (uint64_t)k : i];
-            valid[k] = i + (uint64_t)k < count ? -1 : 0;
-            packet.org_x[k] = r[0];
-            packet.org_y[k] = r[1];
-            packet.org_z[k] = r[2];
-            packet.dir_x[k] = r[3];
-            packet.dir_y[k] = r[4];
-            packet.dir_z[k] = r[5];
-            packet.tfar[k] = limit;
-            packet.mask[k] = ~0u;
-        }
-        rtcOccluded8(valid, occluder->scene, &context, &packet);
-        for (int k = 0; k < 8; k++)
-            hidden += valid[k] && packet.tfar[k] < 0;
+    for (uint64_t first = 0; first < count; first += STREAM_RAYS) {
+        const uint64_t left = count - first;
+        const unsigned n = left < STREAM_RAYS ? (unsigned)left : STREAM_RAYS;
+        for (unsigned i = 0; i < n; i++)
+            stream[i] = make_ray(rays[first + i], limit);
+        rtcOccluded1M(scene, &context, stream, n, sizeof *stream);
+        for (unsigned i = 0; i < n; i++)
+            hidden += stream[i].tfar < 0;
     }
     return hidden;
+}
+
+/* Rows of a packet, of n values each: members of struct RTCRay4, RTCRay8 and RTCRay16. */
+enum { ORIGIN, DIRECTION = 4, END = 8, MASK, PACKET_ROWS = 12, PACKET_MOST = 16 };
+_Static_assert(offsetof(struct RTCRay8, dir_x) == 32 * DIRECTION &&
+                   offsetof(struct RTCRay8, tfar) == 32 * END &&
+                   offsetof(struct RTCRay8, mask) == 32 * MASK &&
+                   sizeof(struct RTCRay8) == 32 * PACKET_ROWS,
+               "rows of eight values");
+
+/* n: 4, 8 or 16. */
+static inline uint64_t occlude_packets(RTCScene scene, const float (*rays)[6], uint64_t count,
+                                       float limit, unsigned n)
+{
+    struct RTCIntersectContext context;
+    _Alignas(64) float packet[PACKET_ROWS * PACKET_MOST];
+    _Alignas(64) int valid[PACKET_MOST];
+    uint64_t hidden = 0;
+    rtcInitIntersectContext(&context);
+    for (uint64_t first = 0; first < count; first += n) {
+        memset(packet, 0, sizeof packet);
+        for (unsigned k = 0; k < n; k++) {
+            const float *r = rays[first + k < count ? first + k : first];
+            valid[k] = first + k < count ? -1 : 0;
+            for (unsigned axis = 0; axis < 3; axis++) {
+                packet[(ORIGIN + axis) * n + k] = r[axis];
+                packet[(DIRECTION + axis) * n + k] = r[3 + axis];
+            }
+            packet[END * n + k] = limit;
+        }
+        memset(&packet[(size_t)MASK * n], 0xff, n * sizeof *packet);
+        if (n == 4)
+            rtcOccluded4(valid, scene, &context, (struct RTCRay4 *)packet);
+        else if (n == 8)
+            rtcOccluded8(valid, scene, &context, (struct RTCRay8 *)packet);
+        else
+            rtcOccluded16(valid, scene, &context, (struct RTCRay16 *)packet);
+        for (unsigned k = 0; k < n; k++)
+            hidden += valid[k] && packet[END * n + k] < 0;
+    }
+    return hidden;
+}
+
+uint64_t rays_occlude(const struct rays_occluder *occluder, enum rays_way way,
+                      const float (*rays)[6], uint64_t count, float limit)
+{
+    switch (way) {
+    case RAYS_BY_4:
+        return occlude_packets(occluder->scene, rays, count, limit, 4);
+    case RAYS_BY_8:
+        return occlude_packets(occluder->scene, rays, count, limit, 8);
+    case RAYS_BY_16:
+        return occlude_packets(occluder->scene, rays, count, limit, 16);
+    case RAYS_STREAM:
+        return occlude_stream(occluder->scene, rays, count, limit);
+    default:
+        return occlude_single(occluder->scene, rays, count, limit);
+    }
 }
 
 /* ---- nearest hits ---- */
