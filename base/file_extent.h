@@ -35,9 +35,8 @@ int bsq_extent_name(struct bsq_ctx *ctx, const char *path, const struct bsq_exte
 int bsq_extent_read(struct bsq_ctx *ctx, const struct bsq_file *file,
                     const struct bsq_extent *extent, void *to, uint64_t size, uint64_t at);
 
-/* Opens the file that `name` names, or the one that an extent is in, and sets *extent; its size is
- * that of the file, and it begins at 0, if `name` is no extent. Errors: those of bsq_file_open().
- */
+/* Opens the file that `name` names, or the file that it names an extent of. Sets *extent, to the
+ * whole file if `name` is no extent. Errors: those of bsq_file_open(). */
 int bsq_extent_open(struct bsq_ctx *ctx, const char *name, struct bsq_extent *extent,
                     struct bsq_file *out);
 

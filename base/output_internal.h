@@ -20,7 +20,7 @@ struct bsq_output {
     int fd, directory_fd; /* -1: not open */
     uint64_t position;
     atomic_uint_least64_t written; /* bytes, counted at each write */
-    uint64_t expected;             /* a file of which fewer bytes were written may not be kept */
+    uint64_t expected;             /* a file with fewer bytes may not be kept */
     uint64_t sent;                 /* bytes whose writing to the disk was started */
     atomic_bool synced;            /* all is on the disk, and nothing was written after that */
     atomic_int status;             /* first failure; an output that has one cannot be committed */

@@ -357,7 +357,7 @@ static const struct setting {
     {"preset", "gltf", "type", NULL, "8"},
 };
 
-/* Returns whether a row's value is one of its words: that of a setting. */
+/* Returns whether a row has the value of a setting, which is one of its words. */
 static bool is_chosen(const struct bake_options *bake, const struct setting *setting)
 {
     const uint32_t value =

@@ -242,8 +242,8 @@ static int add_path(void *arg, const struct bake_file *file)
     return 0;
 }
 
-/* Returns an object with the file of each map; tile NULL: with all tokens but that of the map.
- * NULL: no memory. */
+/* Returns an object with the file of each map; without a tile, the names keep all tokens but the
+ * map's. NULL: no memory. */
 static json_t *maps_json(const struct cli *cli, const struct bake_options *bake,
                          const struct bake_baked_tile *tile)
 {

@@ -90,8 +90,8 @@ static const struct stage *row_of(const struct cli *cli, const char *name)
     return NULL;
 }
 
-/* Returns the percentage in the middle of the stage that runs, of which `part` is done. Stages that
- * are not in the table have no share. */
+/* Returns the percentage when `part` of the current stage is done. Stages that are not in the table
+ * have no share. */
 static double percent_at(const struct cli *cli, double part)
 {
     double before = 0;

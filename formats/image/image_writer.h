@@ -1,9 +1,9 @@
-/* image_writer.h - writes images of float samples to files, one row of fmt_image_formats[] a
- * format.
+/* image_writer.h - writes images of float samples to files. fmt_image_formats[] has a row for
+ * each format.
  *
  * In: rows of interleaved float samples from top to bottom, on one thread. Out: a file that appears
- * whole or not at all. The bytes do not depend on the number of threads, all of which compress, or
- * on how many rows are written at a time.
+ * whole or not at all. All threads compress. The bytes depend neither on their number nor on how
+ * many rows are written at a time.
  *
  * A new format is a source file that defines a struct fmt_image_format, and an entry of
  * fmt_image_formats[] in image_writer.c. */

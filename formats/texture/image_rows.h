@@ -52,7 +52,7 @@ extern const struct fmt_rows_decoder fmt_png_rows, fmt_jpeg_rows, fmt_exr_textur
     fmt_program_rows;
 
 /* Sets the name and the value of text number `i` before the texels of a PNG file; the decoder's
- * state owns both. Returns false if there are not so many. */
+ * state owns both. Returns false if there are fewer texts. */
 bool fmt_png_text(const void *state, uint32_t i, const char **name, const char **value);
 
 /* What a program writes: a mark and a head, then a mark and the samples of each row. Instead of

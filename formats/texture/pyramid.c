@@ -5,9 +5,9 @@
  * is written. It sums the cells of the next level at the same time, so an image is read once and
  * from the top.
  *
- * A box is averaged from the largest cells of which at least four lie along each side. Cells at the
- * right and lower edges cover fewer texels and weigh less. So the integral over the whole image is
- * the same on every level, for any image size.
+ * A box is averaged from the largest cells that fit along each side at least four times. Cells at
+ * the right and lower edges cover fewer texels and weigh less. So the integral over the whole image
+ * is the same on every level, for any image size.
  *
  * The cache is divided into small sets. A block belongs to one of them, which is locked while the
  * block is read and used. A failed read is a failure of the thread that wanted the block, and

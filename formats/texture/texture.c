@@ -125,7 +125,7 @@ static int list_textures(struct fmt_textures *t, const struct fmt_texture_source
             entries[used++] = (struct entry){&sources[i], i};
     }
     bsq_sort(entries, used, sizeof *entries, compare_entries);
-    /* First the number of the first source that is equal, then that of its texture. */
+    /* First the number of the first equal source, then the number of its texture. */
     for (uint32_t i = 0; i < used; i++) {
         const bool again = i > 0 && compare_sources(entries[i - 1].source, entries[i].source) == 0;
         t->texture_of[entries[i].number] =
@@ -234,8 +234,8 @@ static int decode_again(struct fmt_textures *t, struct image *image)
     return image->damage ? 0 : bsq_fail(t->ctx, BSQ_ENOMEM, "%s: out of memory", image->path);
 }
 
-/* Returns the image of a texture whose damage is that of the texture, as all its files are damaged;
- * otherwise NULL. */
+/* If all files of a texture are damaged, returns the image whose damage is reported; otherwise
+ * NULL. */
 static const struct image *damaged_image(const struct fmt_textures *t,
                                          const struct texture *texture)
 {

@@ -1,7 +1,7 @@
 /* maps.h - texture maps: the table of maps, the image that is baked, and the files.
  *
  * In: sums of hits, tile by tile (bk_maps.h). They become values of a float image, in memory or in
- * a temporary file. Out: dilated, encoded image files, one a map, all of which appear or none.
+ * a temporary file. Out: dilated, encoded image files, one for each map. All appear, or none.
  *
  * A sample of a texel is covered if it lies in a triangle of the low-poly mesh. */
 #ifndef BAKE_MAPS_MAPS_H

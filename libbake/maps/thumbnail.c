@@ -32,7 +32,7 @@ void bake_thumbnail_free(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail)
 struct addition {
     struct bsq_ctx *ctx;
     struct bake_thumbnail *thumbnail;
-    bool missed; /* the samples are texels of an image, of which misses are shown */
+    bool missed; /* the samples are texels of an image whose misses are shown */
     uint32_t channels;
     uint32_t first_row, rows;
     const float *samples;

@@ -197,7 +197,8 @@ static bool fits_tile(const struct shape *s, uint32_t *tile)
     return fits;
 }
 
-/* Adds a triangle to its tiles. One that overlaps none by half a texel is in that of its centre. */
+/* Adds a triangle to its tiles. One that overlaps no tile by half a texel is in the tile of its
+ * centre. */
 static struct added add_to_tiles(struct tile_sorter *sorter, const struct shape *shape,
                                  uint64_t triangle, bool stray)
 {
@@ -387,7 +388,7 @@ static int list_tiles(struct tile_sorter *sorter, uint32_t set, struct bake_udim
     return status;
 }
 
-/* Finds the tiles of a set. Adds the number of its triangles to that of each tile. */
+/* Finds the tiles of a set, and counts the triangles in each tile. */
 static int find_tiles_of_set(struct bsq_ctx *ctx, const struct bake_options *options,
                              const struct bake_lowmesh *mesh, uint32_t set,
                              uint64_t triangles[TILES], struct bake_udim *out)

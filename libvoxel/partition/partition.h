@@ -74,8 +74,8 @@ int vox_partition_read(struct scan *scan, struct fmt_mesh_reader *reader, const 
                        enum partition_passes passes, struct partition *out);
 void vox_partition_free(const struct scan *scan, struct partition *partition);
 
-/* Warns of vertices without a colour that faces use, in files of which other vertices have one, if
- * colours of materials are lost by that. Called after `used` has been marked. */
+/* Warns if faces use vertices without a colour in a file with other, coloured vertices, and colours
+ * of materials are lost by that. Called after `used` has been marked. */
 int vox_partition_warn_colorless(const struct scan *scan, const struct partition *partition);
 /* Returns the number of vertices that no face refers to, after `used` has been marked. */
 uint64_t vox_partition_unused(const struct scan *scan, const struct partition *partition);

@@ -135,7 +135,7 @@ struct scan {
     uint64_t clamped_colors;  /* vertices */
     uint64_t merged_vertices; /* see float_precision.h */
     struct scan_missing missing[FMT_MESH_KIND_COUNT]; /* of vertices and texture coordinates */
-    /* Vertices without a colour, in files of which other vertices have one in their own line. */
+    /* Vertices without a colour, in files with others that have one in their own line. */
     struct scan_missing missing_colors;
     struct fmt_mesh_totals totals;
     struct scan_file *files; /* one for each path. vox_scan_check_faces() reads the entry of its

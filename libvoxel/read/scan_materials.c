@@ -338,7 +338,7 @@ static int whiten_colorless(struct scan *scan)
     return status;
 }
 
-/* Returns whether some materials name textures of their colour, none of which can be used, and no
+/* Returns whether some materials name textures of their colour, no such texture can be used, and no
  * other material has a colour. What these materials say of their colour is mostly a factor of the
  * texture, such as white, so the scan has no colours then. */
 static bool colors_are_lost(const struct scan *scan, const struct scan_textures *textures,

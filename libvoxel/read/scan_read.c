@@ -145,7 +145,7 @@ static int fail_vertex(const struct scan *scan, const struct fmt_mesh_block *blo
     return BSQ_EBUG;
 }
 
-/* Converts positions, some of which are missing, as convert_positions() does. Missing ones become
+/* Converts positions as convert_positions() does, but some may be missing. Missing ones become
  * the origin, which no face uses, and do not count for the bounds. Returns whether all others are
  * within float32. */
 static bool convert_present(const double (*from)[3], uint64_t count, const double origin[3],

@@ -75,8 +75,8 @@ LANES_INLINE struct row place(const struct row_transform *transform, struct row 
     return row_quotient(row_difference(moved, transform->start), transform->size);
 }
 
-/* Bounds of positions. The fourth number is arbitrary: that of a position is the next number in
- * memory. */
+/* Bounds of positions. The fourth number is arbitrary: after three numbers of a position, the next
+ * one in memory is read too. */
 struct bounds {
     four_floats least, most;
 };
