@@ -118,6 +118,7 @@ struct bsq_uv {
     bool moves;
     float scale[2], offset[2]; /* u, v; finite; used if `moves` is set */
     uint8_t wrap[2];           /* enum bsq_wrap, of u and v */
+    bool srgb;                 /* integers of the image are sRGB, whatever gamma its file names */
 };
 
 static inline float bsq_uv_apply(const struct bsq_uv *uv, int axis, float value)

@@ -232,6 +232,13 @@ check-doors: tests-build
 	    BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh tests/doors/check_reports.sh; \
 	else echo "check-doors: skipped, chromium and libjs-three cannot be installed"; fi
 
+.PHONY: check-gltf
+## check-gltf: maps of the glTF files in models=FOLDER beside Blender's;
+##             table and pictures in build/gltf
+check-gltf: all
+	@BIN=$(BUILD)/bin $(BPY) tests/cli/gltf_blender.py models \
+	    $(or $(models),$(error models= names no folder)) build/gltf
+
 trials ?= 5000
 seed   ?= $(shell date +%Y%m%d)
 .PHONY: check-combine

@@ -181,15 +181,16 @@ static int parse_path(struct fmt_tris_file *file, struct cursor *cursor, uint32_
     return *out ? note_texture(file, *out) : BSQ_ENOMEM;
 }
 
-/* Takes how an image wraps out of the bits that version 4 has it in. Returns false if there are
- * unknown bits. */
+/* Takes how an image wraps, and whether it is sRGB, out of the bits that version 4 has it in.
+ * Returns false if there are unknown bits. */
 static bool take_wrap(uint32_t version, uint32_t *bits, struct bsq_uv *out)
 {
     const uint32_t wraps = *bits >> TRIS_WRAP_SHIFT;
     *bits &= (1u << TRIS_WRAP_SHIFT) - 1;
     out->wrap[0] = wraps & 3;
     out->wrap[1] = wraps >> 2 & 3;
-    return wraps < (version < FMT_TRIS_VERSION_FACTORS ? 1 : 16) && out->wrap[0] < BSQ_WRAPS &&
+    out->srgb = wraps >> 4 & 1;
+    return wraps < (version < FMT_TRIS_VERSION_FACTORS ? 1 : 32) && out->wrap[0] < BSQ_WRAPS &&
            out->wrap[1] < BSQ_WRAPS;
 }
 

@@ -24,7 +24,7 @@ const struct tris_attribute fmt_tris_attributes[TRIS_ATTRIBUTE_COUNT] = {
 
 static uint32_t wrap_bits(const struct bsq_uv *uv)
 {
-    return (uint32_t)(uv->wrap[0] | uv->wrap[1] << 2) << TRIS_WRAP_SHIFT;
+    return (uint32_t)(uv->wrap[0] | uv->wrap[1] << 2 | uv->srgb << 4) << TRIS_WRAP_SHIFT;
 }
 
 /* Returns whether the value of a source changes its texture. */

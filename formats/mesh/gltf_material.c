@@ -234,10 +234,12 @@ static int read_factor(const struct gltf_place *place, const json_t *object, con
     int status = given && out->channel->values == 3
                      ? fmt_gltf_numbers(place, object, row->factor, 3, linear)
                      : 0;
-    /* A material is as rough and metallic as it says, or entirely. */
-    out->has_value =
-        given || (row->usual > 0 && row->factor &&
-                  !fmt_gltf_extension(place->object, "KHR_materials_pbrSpecularGlossiness"));
+    /* A material is as rough and metallic as it says, or entirely, unless it is glossy instead. */
+    const bool glossy = !json_object_get(place->object, "pbrMetallicRoughness") &&
+                        fmt_gltf_extension(place->object, "KHR_materials_pbrSpecularGlossiness");
+    out->has_value = given || (row->usual > 0 && row->factor && !glossy);
+    if (glossy && row->usual > 0 && row->factor)
+        out->loss = "it has specular and glossiness instead, which are not read";
     for (int k = 0; k < 3; k++) {
         linear[k] = fmax(fmin(linear[k] * light, most_factor), 0);
         out->value[k] = (float)(out->channel->color ? bsq_linear_to_srgb(linear[k]) : linear[k]);
@@ -262,6 +264,7 @@ static int read_channel_texture(const struct gltf_place *place, struct gltf_sour
     source->unread = before; /* these counts are of colours */
     if (!out->texture_path)
         out->loss = "its texture has a format or an address that is not read";
+    out->uv.srgb = out->texture_path && out->channel->color;
     if (out->texture_path)
         BSQ_TRY(read_uv(place, material, info, out));
     if (out->texture_path && bsq_extent_parse(out->texture_path, &extent) == 0)
@@ -375,6 +378,7 @@ int fmt_gltf_read_material(const struct gltf_place *place, struct gltf_source *s
         BSQ_TRY(fmt_gltf_index(place, base, "index", "textures", &texture));
     if (texture != GLTF_NONE)
         BSQ_TRY(find_texture(d, source, texture, m->uv.wrap, &m->texture_path));
+    m->uv.srgb = m->texture_path != NULL; /* the format wants it */
     if (m->texture_path && bsq_extent_parse(m->texture_path, &extent) == 0)
         BSQ_TRY(bsq_text_copy(d->ctx, d->file.path, &m->texture_place));
     BSQ_TRY(read_texcoord(place, find_texture_info(place, base), &out->texcoord, out->uv_matrix));

@@ -247,7 +247,8 @@ void copy_texture(const aiMaterial &from, fmt_scene_material *to, Tables *out)
         to->uv = {scale.x != 1 || scale.y != 1 || offset.x != 0 || offset.y != 0,
                   {float(scale.x), float(scale.y)},
                   {float(offset.x), float(offset.y)},
-                  {BSQ_WRAP_REPEAT, BSQ_WRAP_REPEAT}};
+                  {BSQ_WRAP_REPEAT, BSQ_WRAP_REPEAT},
+                  false};
     out->head.turned_textures += set != 0 || transform.mRotation != 0;
     to->texture = out->enter(name);
 }

@@ -157,6 +157,7 @@ static void image_of(const void *arg, uint64_t image, struct fmt_texture_source 
     const struct fmt_tris_source *source = &attribute->sources[image % source_count(shading)];
     out->path = source->texture_path;
     out->data = !attribute->row->color;
+    out->srgb = source->uv.srgb;
     out->alpha = bsq_channel_needs_alpha(source->component);
 }
 

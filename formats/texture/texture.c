@@ -66,7 +66,8 @@ struct entry {
 static int compare_sources(const struct fmt_texture_source *a, const struct fmt_texture_source *b)
 {
     const int order = strcmp(a->path, b->path);
-    return order ? order : 2 * (a->data - b->data) + (a->alpha - b->alpha);
+    return order ? order
+                 : 4 * (a->data - b->data) + 2 * (a->alpha - b->alpha) + (a->srgb - b->srgb);
 }
 
 static int compare_entries(const void *a, const void *b)
@@ -170,7 +171,9 @@ static int read_rows(struct fmt_textures *t, struct image *image, struct fmt_row
                                     .channels = info->channels >= 3 && !source->alpha ? 3 : 1,
                                     .sample_bytes = info->sample_bytes};
     if (t->keeps)
-        BSQ_TRY(fmt_pyramid_begin(pyramid, source->data || source->alpha ? 1 : info->gamma));
+        BSQ_TRY(fmt_pyramid_begin(pyramid, source->data || source->alpha ? 1
+                                           : source->srgb                ? 0
+                                                                         : info->gamma));
     for (uint32_t y = 0; y < info->height; y++) {
         BSQ_TRY(bsq_check(t->ctx));
         BSQ_TRY(rows->decoder->read(rows->state, row));

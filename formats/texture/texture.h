@@ -20,6 +20,7 @@ struct fmt_textures;
 struct fmt_texture_source {
     const char *path; /* NULL: no image */
     bool data;        /* no colours: integers are values from 0 to 1, whatever the file says */
+    bool srgb;        /* integers are sRGB, whatever gamma the file names */
     bool alpha;       /* its alpha channel; of an image without one, the first channel, as data */
 };
 

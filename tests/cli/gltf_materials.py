@@ -60,7 +60,7 @@ def material(number):
 
 
 def make():
-    png.write("color.png", 8, image(color))
+    png.write("color.png", 8, image(color), gamma=1)  # which the specification ignores
     png.write("pbr.png", 8, image(pbr))
     png.write("tilt.png", 8, image(lambda i, j: TILT))
     accessors, data, primitives = [], b"", []

@@ -48,8 +48,8 @@ def chunks(path):
     return " ".join(kinds)
 
 
-def write(path, bits, rows):
-    """Writes rows of texels, which are tuples of 1, 3 or 4 samples: grey, RGB or RGBA."""
+def write(path, bits, rows, gamma=None):
+    """Writes rows of texels, which are tuples of 1, 3 or 4 samples: grey, RGB or RGBA. gamma: of gAMA."""
     def chunk(kind, data):
         return struct.pack(">I", len(data)) + kind + data + \
             struct.pack(">I", zlib.crc32(kind + data))
@@ -60,4 +60,5 @@ def write(path, bits, rows):
         file.write(b"\x89PNG\r\n\x1a\n" +
                    chunk(b"IHDR", struct.pack(">IIBBBBB", len(rows[0]), len(rows), bits, color,
                                               0, 0, 0)) +
+                   (chunk(b"gAMA", struct.pack(">I", round(100000 * gamma))) if gamma else b"") +
                    chunk(b"IDAT", zlib.compress(raw)) + chunk(b"IEND", b""))

@@ -139,6 +139,11 @@ grep -q 'material "left": occlusion: its texture has other texture coordinates t
 check "textures of channels that cannot be used are told" $?
 $vox odd.gltf --channels occlusion -o x.nvdb --strict
 code 65
+jq '.materials[0] |= (del(.pbrMetallicRoughness) | .extensions.KHR_materials_pbrSpecularGlossiness = {})' \
+    two.gltf >glossy.gltf
+ok $vox glossy.gltf --channels roughness -o x.nvdb
+grep -q 'material "left": roughness: it has specular and glossiness instead, which are not read' "$err"
+check "roughness that a material has as glossiness is told" $?
 
 # ---- channels of grids ----
 

@@ -36,8 +36,9 @@ def _moved(random):
 
 
 def _wraps(random, factors):
-    """Wrap modes of u and v, for version 4."""
-    return int(random.integers(0, 3) << 8 | random.integers(0, 3) << 10) if factors else 0
+    """Wrap modes of u and v, and whether an image is sRGB, for version 4."""
+    bits = [int(random.integers(0, n)) << at for n, at in ((3, 8), (3, 10), (2, 12))]
+    return sum(bits) if factors else 0
 
 
 def _sources(random, materials, channels, factors):

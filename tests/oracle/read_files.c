@@ -40,7 +40,7 @@ static void add_u64(struct reading *r, uint64_t value)
 
 static uint32_t wrap_bits(const struct bsq_uv *uv)
 {
-    return (uint32_t)(uv->wrap[0] | uv->wrap[1] << 2) << 8;
+    return (uint32_t)(uv->wrap[0] | uv->wrap[1] << 2 | uv->srgb << 4) << 8;
 }
 
 static void add_uv(struct reading *r, const struct bsq_uv *uv)

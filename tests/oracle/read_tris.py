@@ -129,10 +129,10 @@ def _read_channels(part, at):
 
 
 def _are_flags(flags, version, count):
-    """Whether flags are below `count`, and in version 4 have two wrap modes from bit 8 on."""
+    """Whether flags are below `count`, and in version 4 have two wrap modes from bit 8 on, and bit 12."""
     wraps = flags >> 8
     return flags & 255 < count and (
-        wraps == 0 or version > 3 and wraps < 16 and wraps & 3 < 3 and wraps >> 2 < 3)
+        wraps == 0 or version > 3 and wraps < 32 and wraps & 3 < 3 and wraps >> 2 & 3 < 3)
 
 
 def _read_sources(part, at, channels, header):

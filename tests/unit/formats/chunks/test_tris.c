@@ -234,12 +234,12 @@ FIXTURE_TEST(channels_come_back)
     free(bytes);
 }
 
-/* Version 4 is written if a texture has a factor, is tinted, or does not repeat. */
+/* Version 4 is written if a texture has a factor, is tinted, does not repeat, or is sRGB. */
 FIXTURE_TEST(factors_and_wrap_modes_come_back)
 {
     struct tris_fixture *f = *state;
     char *channels[] = {(char *)"roughness"};
-    for (int i = 0; i < 5; i++) {
+    for (int i = 0; i < 6; i++) {
         struct fmt_tris_source source = {.texture_path = (char *)"/r.png", .value = {1, 1, 1}};
         struct fmt_tris_material material = {
             .sources = &source, .texture_path = (char *)"/a.png", .colorless = i == 4};
@@ -252,6 +252,7 @@ FIXTURE_TEST(factors_and_wrap_modes_come_back)
         source.uv.wrap[1] = i == 2 ? BSQ_WRAP_MIRROR : BSQ_WRAP_REPEAT;
         material.uv.wrap[0] = i == 3 ? BSQ_WRAP_CLAMP : BSQ_WRAP_REPEAT;
         material.tinted = i == 4;
+        material.uv.srgb = i == 5;
         assert_int_equal(fmt_tris_create(f->ctx, tris_path, &header, &writer), 0);
         assert_int_equal(fmt_tris_commit(writer, NULL), 0);
         uint8_t *bytes = test_read(tris_path, &size);
@@ -263,6 +264,7 @@ FIXTURE_TEST(factors_and_wrap_modes_come_back)
         assert_memory_equal(m->sources->uv.wrap, source.uv.wrap, 2);
         assert_memory_equal(m->uv.wrap, material.uv.wrap, 2);
         assert_int_equal(m->tinted, material.tinted);
+        assert_true(m->uv.srgb == material.uv.srgb && !m->sources->uv.srgb);
         assert_int_equal(m->colorless, material.colorless);
         fmt_tris_close(file);
     }
