@@ -203,6 +203,11 @@ int bsq_pipe_read(struct bsq_ctx *ctx, int fd, const char *path, void *buffer, u
     }
 }
 
+void bsq_file_read_ahead(const struct bsq_file *file, uint64_t size, uint64_t offset)
+{
+    (void)posix_fadvise(file->fd, (off_t)offset, (off_t)size, POSIX_FADV_WILLNEED);
+}
+
 int bsq_file_read(struct bsq_ctx *ctx, const struct bsq_file *file, void *buffer, uint64_t size,
                   uint64_t offset)
 {

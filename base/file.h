@@ -85,6 +85,10 @@ void bsq_file_close(struct bsq_ctx *ctx, struct bsq_file *file);
 int bsq_pipe_read(struct bsq_ctx *ctx, int fd, const char *path, void *buffer, uint64_t size,
                   uint64_t *got);
 
+/* Tells the system that part of an open file is read soon. Nothing happens if it cannot be read
+ * ahead. */
+void bsq_file_read_ahead(const struct bsq_file *file, uint64_t size, uint64_t offset);
+
 /* Reads exactly `size` bytes at `offset`. If the file ends before, this is BSQ_EDATA ("truncated"),
  * or what bsq_file_check() returns for an input that shrank. */
 int bsq_file_read(struct bsq_ctx *ctx, const struct bsq_file *file, void *buffer, uint64_t size,

@@ -163,6 +163,8 @@ const struct fmt_tris_chunk_info *fmt_tris_chunks(const struct fmt_tris_file *fi
 /* Return the bytes of scratch that fmt_tris_load() needs for a chunk, and for the largest chunk. */
 uint64_t fmt_tris_load_size(const struct fmt_tris_file *file, uint64_t index);
 uint64_t fmt_tris_load_size_max(const struct fmt_tris_file *file);
+/* Lets the system read a chunk ahead that is loaded soon. Thread-safe. */
+void fmt_tris_read_ahead(const struct fmt_tris_file *file, uint64_t index);
 /* Reads and decodes a chunk into `scratch` (8-byte aligned); *out points into it. Checks what a
  * caller relies on: checksum, padding, indices, material numbers, and that positions are inside the
  * chunk's bounds and texture coordinates finite. Thread-safe for distinct scratch. Errors:

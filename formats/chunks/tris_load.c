@@ -30,6 +30,14 @@ uint64_t fmt_tris_load_size_max(const struct fmt_tris_file *file)
     return file->load_size_max;
 }
 
+void fmt_tris_read_ahead(const struct fmt_tris_file *file, uint64_t index)
+{
+    /* Parts of a joined scan are open while they are read only. */
+    if (!file->parts)
+        bsq_file_read_ahead(&file->file, file->chunks[index].size_bytes,
+                            file->chunks[index].offset);
+}
+
 /* Indices that are widened in one step. */
 enum { WIDEN_STEP = 8 };
 

@@ -111,15 +111,36 @@ static uint64_t rays_end(const struct sorting *s, uint64_t end)
     return rays < s->batch->count ? rays : s->batch->count;
 }
 
+/* Finds the candidates that a bundle crosses. If they are few, the first pass notes them in
+ * found[], which is not used before tracing, for the second. Returns their number. */
+static uint32_t find_crossed(const struct sorting *s, uint64_t bundle, uint32_t candidates,
+                             const struct worker *worker)
+{
+    const struct bake_exact_batch *batch = s->batch;
+    const uint64_t first = bundle * BAKE_EXACT_BUNDLE;
+    const bool noted = candidates <= 8 * sizeof *s->buckets->found;
+    uint16_t *note = &s->buckets->found[bundle - s->first];
+    uint32_t crossed = 0;
+    if (s->writing && noted) {
+        for (unsigned bits = *note; bits; bits &= bits - 1)
+            worker->crossed[crossed++] = (uint32_t)__builtin_ctz(bits);
+        return crossed;
+    }
+    crossed = BSQ_SIMD_PICK(s->exact->simd, bake_exact_crossed)(
+        &batch->rays[first], (uint32_t)(rays_end(s, bundle + 1) - first), batch->t_min,
+        batch->t_max, worker->boxes, candidates, worker->crossed);
+    if (noted)
+        *note = 0;
+    for (uint32_t i = 0; i < crossed && noted; i++)
+        *note |= (uint16_t)(1u << worker->crossed[i]);
+    return crossed;
+}
+
 /* Counts the chunks that a bundle crosses, and in the second pass adds it to their buckets. */
 static void sort_bundle(const struct sorting *s, uint64_t bundle, uint32_t candidates,
                         const struct worker *worker, uint32_t *counts)
 {
-    const struct bake_exact_batch *batch = s->batch;
-    const uint64_t first = bundle * BAKE_EXACT_BUNDLE;
-    const uint32_t crossed = BSQ_SIMD_PICK(s->exact->simd, bake_exact_crossed)(
-        &batch->rays[first], (uint32_t)(rays_end(s, bundle + 1) - first), batch->t_min,
-        batch->t_max, worker->boxes, candidates, worker->crossed);
+    const uint32_t crossed = find_crossed(s, bundle, candidates, worker);
     for (uint32_t i = 0; i < crossed; i++) {
         const uint32_t chunk = worker->candidates[worker->crossed[i]];
         const uint32_t place = counts[chunk]++;

@@ -243,6 +243,18 @@ done:
     return status;
 }
 
+/* Lets the system read the chunks of the next wave while this one is traced. */
+static void read_ahead(const struct wave *wave)
+{
+    const uint64_t *starts = wave->buckets->starts;
+    uint32_t next = wave->memory.slots[wave->used - 1].number + 1;
+    for (uint32_t ahead = 0; next < wave->exact->chunk_count && ahead < wave->memory.count; next++)
+        if (starts[next] < starts[next + 1] && !bake_exact_kept_find(&wave->kept, next)) {
+            fmt_tris_read_ahead(wave->exact->file, next);
+            ahead++;
+        }
+}
+
 static int run_wave(struct wave *wave)
 {
     struct bsq_ctx *ctx = wave->exact->ctx;
@@ -251,6 +263,7 @@ static int run_wave(struct wave *wave)
     for (uint32_t s = 0; s < wave->used; s++)
         wave->memory.slots[s].loaded = bake_exact_kept_take(&wave->kept, &wave->memory.slots[s]);
     BSQ_TRY(bsq_parallel_for(ctx, wave->used, prepare_slot, wave));
+    read_ahead(wave);
     BSQ_TRY(list_blocks(wave));
     BSQ_TRY(bsq_parallel_for(ctx, wave->block_count, run_block, wave));
     if (!wave->batch->distances_only)

@@ -4,6 +4,7 @@
 #include <math.h>
 #include <string.h>
 
+#include "base/sort_array.h"
 #include "base/vec.h"
 
 const char *bake_fit_scan(const struct fit *fit)
@@ -37,6 +38,25 @@ static void set_probe(const struct fit *fit, uint64_t triangle, const float weig
     out->object = fit->mesh->object_of ? fit->mesh->object_of[triangle] : 0;
 }
 
+static int compare_probes(const void *a, const void *b)
+{
+    const struct probe *x = a, *y = b;
+    return (x->order > y->order) - (x->order < y->order);
+}
+
+/* Sorts the probes along the curve, so that neighbours cross few chunks. */
+static void sort_probes(const struct fit *fit)
+{
+    for (uint32_t i = 0; i < fit->count; ++i) {
+        struct probe *probe = &fit->probes[i];
+        float at[3];
+        for (int k = 0; k < 3; ++k)
+            at[k] = (float)(probe->at[k] / fit->surface->unit);
+        probe->order = bake_surface_curve_place(fit->surface, at) * PROBES + i;
+    }
+    bsq_sort(fit->probes, fit->count, sizeof *fit->probes, compare_probes);
+}
+
 /* Spreads the probes over the triangles in equal steps of area, and inside them by a
  * low-discrepancy sequence (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences",
  * 2018). */
@@ -61,6 +81,7 @@ void bake_fit_place(const struct fit *fit)
                 set_probe(fit, t, (const float[3]){1.0f - u - v, u, v}, &fit->probes[placed++]);
         }
     }
+    sort_probes(fit);
 }
 
 void bake_fit_set_ray(const struct fit *fit, const struct probe *probe, const struct pose *pose,

@@ -5,7 +5,8 @@
 #include "libbake/fit/fit.h"
 
 /* Points of the mesh; those of a pose, and all if lengths are given and thickness is not baked.
- * These come in runs, which cross few chunks of the scan. */
+ * These come in runs, which cross few chunks of the scan. All points are in the order of the curve
+ * through the scan. */
 enum { PROBES = 16384, FEW = 1024, RUN = 64 };
 
 /* Shares of the size of the mesh or the scan, whichever is smaller: what is near, the distance that
@@ -18,7 +19,8 @@ struct probe {
     double at[3]; /* relative to the surface's translation, world units */
     float normal[3], reach;
     uint32_t object;
-    double t; /* of the hit of its ray; INFINITY: none */
+    double t;       /* of the hit of its ray; INFINITY: none */
+    uint64_t order; /* place on the curve through the scan, then number */
 };
 
 /* How well a pose fits. */
