@@ -3,6 +3,7 @@
 #ifndef TEST_FIXTURE_H
 #define TEST_FIXTURE_H
 
+#include <dirent.h>
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -67,6 +68,28 @@ static inline uint8_t *test_read(const char *name, size_t *size)
     assert_int_equal(fread(bytes, 1, *size, file), *size);
     fclose(file);
     return bytes;
+}
+
+/* Checks that a file holds this text and no more. */
+static inline void test_expect_text(const char *name, const char *text)
+{
+    size_t size;
+    uint8_t *bytes = test_read(name, &size);
+    assert_int_equal(size, strlen(text));
+    assert_memory_equal(bytes, text, size);
+    free(bytes);
+}
+
+/* Returns the number of files in the working directory. */
+static inline unsigned test_files_here(void)
+{
+    unsigned count = 0;
+    DIR *list = opendir(".");
+    assert_non_null(list);
+    while (readdir(list))
+        count++;
+    closedir(list);
+    return count - 2; /* "." and ".." */
 }
 
 /* Returns a checksum of a file (Fowler, Noll & Vo, FNV-1a), and removes the file. */

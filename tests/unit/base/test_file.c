@@ -1,5 +1,4 @@
 /* test_file.c - input, temporary and output files. */
-#include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <signal.h>
@@ -52,27 +51,6 @@ static struct bsq_ctx *create(const char *tmpdir)
     struct bsq_ctx_options options = {.threads = 1, .tmpdir = tmpdir};
     assert_int_equal(bsq_ctx_create(&options, &ctx), 0);
     return ctx;
-}
-
-static void assert_content(const char *path, const char *text, size_t size)
-{
-    char buffer[20000];
-    FILE *file = fopen(path, "r");
-    assert_non_null(file);
-    size_t got = fread(buffer, 1, sizeof buffer, file);
-    fclose(file);
-    assert_int_equal(got, size);
-    assert_memory_equal(buffer, text, size);
-}
-
-static unsigned files_here(void)
-{
-    unsigned count = 0;
-    DIR *list = opendir(".");
-    for (struct dirent *entry; (entry = readdir(list));)
-        count += strcmp(entry->d_name, ".") != 0 && strcmp(entry->d_name, "..") != 0;
-    closedir(list);
-    return count;
 }
 
 /* ---- input ---- */
@@ -313,7 +291,7 @@ TEST(test_temporary_files)
     struct bsq_file file;
     char buffer[6];
     assert_int_equal(bsq_file_temp(ctx, "out.nvdb", "testing", &file), 0);
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
     assert_int_equal(bsq_file_append(ctx, &file, "abc", 3), 0);
     assert_int_equal(bsq_file_append(ctx, &file, "def", 3), 0);
     assert_int_equal(bsq_file_write(ctx, &file, "B", 1, 1), 0);
@@ -376,11 +354,11 @@ TEST(test_output_appears_on_commit)
     assert_int_equal(bsq_output_write_at(output, "AB", 2, 1), 0);
     assert_int_equal(bsq_output_tell(output), 4);
     assert_int_equal(bsq_output_write(output, "x", 1), 0);
-    assert_content("out", "old", 3);
-    assert_int_equal(files_here(), 1);
+    test_expect_text("out", "old");
+    assert_int_equal(test_files_here(), 1);
     assert_int_equal(bsq_output_commit(output), 0);
-    assert_content("out", "0AB3x", 5);
-    assert_int_equal(files_here(), 1);
+    test_expect_text("out", "0AB3x");
+    assert_int_equal(test_files_here(), 1);
     unlink("out");
     bsq_ctx_destroy(ctx);
 }
@@ -391,10 +369,10 @@ TEST(test_output_is_discarded)
     struct bsq_output *output;
     assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
     assert_int_equal(bsq_output_write(output, "0123", 4), 0);
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
     bsq_output_discard(output);
     bsq_output_discard(NULL);
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
     bsq_ctx_destroy(ctx);
 }
 
@@ -428,7 +406,7 @@ TEST(test_output_long_name_and_link)
     struct stat info;
     assert_int_equal(lstat("link", &info), 0);
     assert_true(S_ISLNK(info.st_mode));
-    assert_content(name, "new", 3);
+    test_expect_text(name, "new");
     unlink("link");
     unlink(name);
     bsq_ctx_destroy(ctx);
@@ -476,7 +454,7 @@ TEST(test_failed_write_cannot_be_committed)
     assert_string_equal(bsq_error(ctx), "out: writing: File too large");
     assert_int_equal(bsq_output_write(output, zeros, 10), 0);
     assert_int_equal(bsq_output_commit(output), BSQ_EIO);
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
     bsq_ctx_destroy(ctx);
 }
 
@@ -502,7 +480,7 @@ TEST(test_space_is_preallocated)
     assert_int_equal(bsq_output_write(output, "whole", 5), 0);
     assert_int_equal(bsq_output_write(output, "file", 4), 0);
     assert_int_equal(bsq_output_commit(output), 0);
-    assert_content("out", "wholefile", 9);
+    test_expect_text("out", "wholefile");
     unlink("out");
 
     assert_int_equal(getrlimit(RLIMIT_FSIZE, &before), 0);
@@ -520,7 +498,7 @@ TEST(test_space_is_preallocated)
         assert_int_equal(status, 0);
         bsq_output_discard(output);
     }
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
     bsq_ctx_destroy(ctx);
 }
 
@@ -541,13 +519,13 @@ TEST(test_less_than_expected)
     assert_int_equal(bsq_output_write(output, "not whol", 8), 0);
     assert_too_short(ctx, bsq_output_sync(output));
     assert_too_short(ctx, bsq_output_commit(output));
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
 
     assert_int_equal(bsq_output_open_temp(ctx, "out", "testing", &output), 0);
     assert_int_equal(bsq_output_expect(output, 9), 0);
     assert_int_equal(bsq_output_write(output, "not whol", 8), 0);
     assert_too_short(ctx, bsq_output_keep_temp(output, &file));
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
     bsq_ctx_destroy(ctx);
 }
 
@@ -565,7 +543,7 @@ TEST(test_preallocation_is_interrupted)
     assert_int_equal(interruptions, 2);
     interruptions = 0;
     bsq_output_discard(output);
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
     bsq_ctx_destroy(ctx);
 }
 
@@ -593,7 +571,7 @@ TEST(test_copying_to_a_name)
     refuses_links = true;
     assert_int_equal(bsq_output_commit(output), 0);
     refuses_links = false;
-    assert_int_equal(files_here(), 1);
+    assert_int_equal(test_files_here(), 1);
     FILE *file = fopen("out", "r");
     assert_non_null(file);
     assert_int_equal(fread(got, 1, sizeof got, file), COPIED);
@@ -606,7 +584,7 @@ TEST(test_copying_to_a_name)
     refuses_links = true;
     assert_int_equal(bsq_output_commit(output), 0);
     refuses_links = false;
-    assert_content("out", "", 0);
+    test_expect_text("out", "");
     unlink("out");
     bsq_ctx_destroy(ctx);
 }
@@ -633,7 +611,7 @@ TEST(test_copying_to_a_name_fails)
         assert_int_equal(status, 0);
         unlink("out");
     }
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
     bsq_ctx_destroy(ctx);
 }
 

@@ -36,27 +36,6 @@ static int end(void **state)
 }
 #define FIXTURE_TEST(name) TEST_EACH(name, begin, end)
 
-static void assert_content(const char *path, const char *text)
-{
-    char buffer[100] = "";
-    FILE *file = fopen(path, "r");
-    assert_non_null(file);
-    size_t size = fread(buffer, 1, sizeof buffer - 1, file);
-    fclose(file);
-    assert_int_equal(size, strlen(text));
-    assert_string_equal(buffer, text);
-}
-
-static unsigned files_here(void)
-{
-    unsigned count = 0;
-    DIR *list = opendir(".");
-    for (struct dirent *entry; (entry = readdir(list));)
-        count += strcmp(entry->d_name, ".") != 0 && strcmp(entry->d_name, "..") != 0;
-    closedir(list);
-    return count;
-}
-
 static struct bsq_output *start(struct bsq_ctx *ctx, const char *path)
 {
     struct bsq_output *output;
@@ -93,7 +72,7 @@ FIXTURE_TEST(test_dangling_links_are_followed)
     assert_int_equal(symlink("second", "sub/first"), 0);
     assert_int_equal(symlink("../target", "sub/second"), 0);
     write_new(*state, "sub/first");
-    assert_content("target", "new");
+    test_expect_text("target", "new");
     assert_true(is_link("sub/first") && is_link("sub/second"));
     unlink("target");
 
@@ -101,7 +80,7 @@ FIXTURE_TEST(test_dangling_links_are_followed)
     snprintf(absolute, sizeof absolute, "%s/target", test_directory);
     assert_int_equal(symlink(absolute, "link"), 0);
     write_new(*state, "link");
-    assert_content("target", "new");
+    test_expect_text("target", "new");
     write_new(*state, "link"); /* and now it is a link to a file */
     assert_true(is_link("link"));
     unlink("target");
@@ -119,7 +98,7 @@ FIXTURE_TEST(test_dangling_links_are_followed)
     unlink("sub/first");
     unlink("sub/second");
     rmdir("sub");
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
 }
 
 FIXTURE_TEST(test_loops_of_links)
@@ -162,7 +141,7 @@ FIXTURE_TEST(test_mode_is_kept)
         assert_int_equal(chmod("out", modes[i]), 0);
         write_new(*state, "out");
         assert_mode("out", modes[i]);
-        assert_content("out", "new");
+        test_expect_text("out", "new");
         unlink("out");
     }
     /* The user takes rights away while the job runs. */
@@ -331,7 +310,7 @@ FIXTURE_TEST(test_sweep_removes_own_files_only)
     bool can_mark = setxattr("attributes", "user.test", "", 0, 0) == 0;
     unlink("attributes");
     assert_int_equal(stays(*state, "a user's", false, false), can_mark);
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
 }
 
 /* A job reads a directory once, however many outputs it has there, and still removes the leftovers
@@ -385,22 +364,22 @@ FIXTURE_TEST(test_group_appears)
     test_text("b", "old");
     assert_int_equal(link("b", "other"), 0);
     struct bsq_output_group group = start_group(*state);
-    assert_int_equal(files_here(), 2);
+    assert_int_equal(test_files_here(), 2);
     assert_int_equal(bsq_output_group_commit(&group), 0);
     for (const char *name = "abc"; *name; name++) {
         char path[] = {*name, '\0'};
-        assert_content(path, "new");
+        test_expect_text(path, "new");
         assert_int_equal(getxattr(path, "user.bisque.temporary", NULL, 0), -1);
         unlink(path);
     }
-    assert_content("other", "old");
+    test_expect_text("other", "old");
     assert_int_equal(getxattr("other", "user.bisque.temporary", NULL, 0), -1);
     unlink("other");
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
 
     group = start_group(*state);
     bsq_output_group_discard(&group);
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
     assert_int_equal(bsq_output_group_commit(&group), 0); /* empty */
 }
 
@@ -419,11 +398,11 @@ static void assert_none(struct bsq_ctx *ctx, const char *blocked)
     bsq_clear_error(ctx);
     assert_int_equal(rmdir(blocked), 0);
     if (strcmp(blocked, "b") != 0) {
-        assert_content("b", "old");
+        test_expect_text("b", "old");
         assert_int_equal(getxattr("b", "user.bisque.temporary", NULL, 0), -1);
         unlink("b");
     }
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
 }
 
 FIXTURE_TEST(test_group_appears_not_at_all)
@@ -444,7 +423,7 @@ FIXTURE_TEST(test_reading_before_the_commit)
     assert_memory_equal(text, "new", 3);
     bsq_file_close(*state, &file);
     bsq_output_discard(output);
-    assert_int_equal(files_here(), 0);
+    assert_int_equal(test_files_here(), 0);
 }
 
 RUN_TESTS(NULL, NULL)

@@ -182,11 +182,7 @@ TEST(test_bytes_do_not_depend_on_threads_or_batches)
     for (unsigned i = 0; i < 3; ++i) {
         struct bsq_ctx *ctx = test_context(2 * i + 1, 0);
         write_image(ctx, &options, samples, 1 + 170 * i);
-        FILE *file = fopen(path, "rb");
-        assert_non_null(file);
-        bytes[i] = malloc(4 << 20);
-        sizes[i] = fread(bytes[i], 1, 4 << 20, file);
-        fclose(file);
+        bytes[i] = test_read(path, &sizes[i]);
         assert_int_equal(sizes[i], sizes[0]);
         assert_memory_equal(bytes[i], bytes[0], sizes[0]);
         test_context_end(ctx);
