@@ -2,6 +2,7 @@
 #include "libvoxel/simplify/mesh.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "base/positions.h"
@@ -181,5 +182,143 @@ done:
     bsq_free(ctx, first);
     bsq_free(ctx, numbers);
     bsq_free(ctx, table.slots);
+    return status;
+}
+
+/* ---- slits ---- */
+
+/* A side of a triangle, with its ends. */
+struct side {
+    uint32_t from, to, triangle;
+};
+
+static int compare_sides(const void *a_, const void *b_)
+{
+    const struct side *a = a_, *b = b_;
+    if (a->from != b->from)
+        return a->from < b->from ? -1 : 1;
+    return a->to < b->to ? -1 : a->to > b->to;
+}
+
+/* Returns the first side that does not come before (from, to). */
+static const struct side *find_side(const struct side *sides, uint32_t count, uint32_t from,
+                                    uint32_t to)
+{
+    const struct side wanted = {from, to, 0};
+    uint32_t low = 0, high = count;
+    while (low < high) {
+        const uint32_t middle = low + (high - low) / 2;
+        if (compare_sides(&sides[middle], &wanted) < 0)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    return &sides[low];
+}
+
+static bool has_side(const struct side *sides, uint32_t count, uint32_t from, uint32_t to)
+{
+    const struct side *found = find_side(sides, count, from, to);
+    return found < sides + count && found->from == from && found->to == to;
+}
+
+/* Sorts the sides that have no other one in their place. Returns how many there are. */
+static uint32_t find_open_sides(const struct vox_mesh *mesh, const int64_t *sums,
+                                struct side *sides, struct side *open)
+{
+    uint32_t count = 0, open_count = 0;
+    for (uint32_t t = 0; t < mesh->triangle_count; t++)
+        for (int k = 0; k < 3; k++) {
+            const uint32_t from = mesh->triangles[t][k], to = mesh->triangles[t][(k + 1) % 3];
+            if (sums[from] != 0 && sums[to] != 0)
+                sides[count++] = (struct side){from, to, t};
+        }
+    qsort(sides, count, sizeof *sides, compare_sides);
+    for (uint32_t i = 0; i < count; i++)
+        if (!has_side(sides, count, sides[i].to, sides[i].from))
+            open[open_count++] = sides[i];
+    return open_count;
+}
+
+/* Finds triangles without area that open sides enclose. Returns how many there are. */
+static uint32_t find_slits(const struct vox_mesh *mesh, const struct side *open, uint32_t count,
+                           struct side *slits, uint32_t *thirds)
+{
+    uint32_t slit_count = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        const uint32_t a = open[i].from, b = open[i].to;
+        const struct side *next = find_side(open, count, b, 0);
+        for (; next < open + count && next->from == b; next++) {
+            const uint32_t corners[3] = {a, b, next->to};
+            double n[3];
+            if (a > b || a > next->to || !has_side(open, count, next->to, a))
+                continue; /* each once */
+            vox_triangle_normal((const float(*)[3])mesh->positions, corners, n);
+            if (n[0] != 0 || n[1] != 0 || n[2] != 0)
+                continue;
+            thirds[slit_count] = next->to;
+            slits[slit_count++] = open[i];
+            break;
+        }
+    }
+    return slit_count;
+}
+
+static int add_slits(struct bsq_ctx *ctx, struct vox_mesh *mesh, const struct side *slits,
+                     const uint32_t *thirds, uint32_t count)
+{
+    struct vox_mesh wider;
+    const uint32_t before = mesh->triangle_count;
+    int status = vox_mesh_allocate(ctx, mesh->vertex_count, before + count, false,
+                                   mesh->materials != NULL, &wider);
+    if (status < 0)
+        return status;
+    memcpy(wider.positions, mesh->positions, mesh->vertex_count * sizeof *wider.positions);
+    memcpy(wider.triangles, mesh->triangles, before * sizeof *wider.triangles);
+    for (uint32_t i = 0; i < count; i++) {
+        const uint32_t corners[3] = {slits[i].to, slits[i].from, thirds[i]};
+        memcpy(wider.triangles[before + i], corners, sizeof corners);
+    }
+    if (mesh->materials)
+        memcpy(wider.materials, mesh->materials, before * sizeof *wider.materials);
+    for (uint32_t i = 0; i < count && mesh->materials; i++)
+        wider.materials[before + i] = mesh->materials[slits[i].triangle];
+    vox_mesh_free(ctx, mesh);
+    *mesh = wider;
+    return 0;
+}
+
+int vox_mesh_close_slits(struct bsq_ctx *ctx, struct vox_mesh *mesh)
+{
+    static const char what[] = "slits of a mesh";
+    uint64_t count = 1;
+    struct side *sides = NULL, *open = NULL, *slits = NULL;
+    int64_t *sums = NULL; /* of vertices: their neighbours' squares, after less before */
+    uint32_t *thirds = NULL;
+    int status = 0;
+    BSQ_TRY(bsq_calloc(ctx, what, mesh->vertex_count + 1U, sizeof *sums, &sums));
+    for (uint32_t t = 0; t < mesh->triangle_count; t++)
+        for (int k = 0; k < 3; k++) {
+            const int64_t after = mesh->triangles[t][(k + 1) % 3],
+                          before = mesh->triangles[t][(k + 2) % 3];
+            sums[mesh->triangles[t][k]] += after * after - before * before;
+        }
+    for (uint32_t t = 0; t < mesh->triangle_count; t++)
+        for (int k = 0; k < 3; k++)
+            count += sums[mesh->triangles[t][k]] != 0 && sums[mesh->triangles[t][(k + 1) % 3]] != 0;
+    BSQ_TRY(bsq_alloc(ctx, what, count, sizeof *sides, &sides));
+    BSQ_TRY(bsq_alloc(ctx, what, count, sizeof *open, &open));
+    const uint32_t open_count = find_open_sides(mesh, sums, sides, open);
+    BSQ_TRY(bsq_alloc(ctx, what, open_count + 1U, sizeof *slits, &slits));
+    BSQ_TRY(bsq_alloc(ctx, what, open_count + 1U, sizeof *thirds, &thirds));
+    const uint32_t slit_count = find_slits(mesh, open, open_count, slits, thirds);
+    if (slit_count > 0)
+        status = add_slits(ctx, mesh, slits, thirds, slit_count);
+done:
+    bsq_free(ctx, thirds);
+    bsq_free(ctx, slits);
+    bsq_free(ctx, open);
+    bsq_free(ctx, sides);
+    bsq_free(ctx, sums);
     return status;
 }

@@ -41,6 +41,10 @@ bool vox_solve(const double a[6], const double b[3], double x[3]);
  * corners, and all but one of triangles with the same three corners. Errors: BSQ_ENOMEM. */
 int vox_mesh_weld(struct bsq_ctx *ctx, struct vox_mesh *mesh);
 
+/* Closes slits of a welded mesh: adds triangles without area where three open edges enclose one.
+ * Sorting leaves such triangles out. Quadrics are not kept then. Errors: BSQ_ENOMEM. */
+int vox_mesh_close_slits(struct bsq_ctx *ctx, struct vox_mesh *mesh);
+
 /* Sets the quadric of each vertex to the sum over its triangles, of the squared distance from each
  * one's plane times its area. */
 void vox_mesh_set_quadrics(struct vox_mesh *mesh);

@@ -289,6 +289,9 @@ int vox_simplify(struct bsq_ctx *ctx, const struct vox_simplify_options *options
     BSQ_TRY(check_options(ctx, options));
     BSQ_TRY(open_scan(&s));
     BSQ_TRY(reduce(&s));
+    /* Where few edges collapse, the triangles that close slits would stay. */
+    if (options->target_count == 0 || options->targets[0] < s.mesh.triangle_count / 2)
+        BSQ_TRY(vox_mesh_close_slits(ctx, &s.mesh));
     BSQ_TRY(drop_pieces(&s));
     BSQ_TRY(options->target_count > 0 ? simplify_to_targets(&s) : simplify_to_error(&s));
     status = bsq_output_group_commit(&s.outputs);

@@ -152,6 +152,29 @@ END
 [ "$(cat glb.txt)" = "[('blue', 2.4), ('red', 4.0)] $(jq '.meshes[0].triangles' "$out") True" ]
 check "the GLB file has both parts" $?
 
+# A flat scan, some of whose faces have no area: the outline stays, and few triangles.
+awk -v n=60 'BEGIN {
+    for (y = 0; y <= n; y++) for (x = 0; x <= n; x++) {
+        moved = x % 7 == 3 && y % 7 == 3 # to the diagonal of a square
+        print "v", x + moved / 2, y - moved / 2, 0
+    }
+    for (y = 0; y < n; y++) for (x = 0; x < n; x++) {
+        a = y * (n + 1) + x + 1
+        print "f", a, a + 1, a + n + 2
+        print "f", a, a + n + 2, a + n + 1
+    }
+}' >flat.obj
+ok run bisque-simplify flat.obj -o flat_low.obj --triangles 20 --json
+json '.meshes[0].triangles <= 20 and .meshes[0].from_scan.max < 1e-3'
+awk '$1 == "v" { x[++n] = $2; y[n] = $3 } $1 == "f" {
+    split($2 " " $3 " " $4, v, "[/ ]+")
+    a = v[1]; b = v[3]; c = v[5]
+    area = ((x[b] - x[a]) * (y[c] - y[a]) - (x[c] - x[a]) * (y[b] - y[a])) / 2
+    sum += area
+    if (!(area > 0.01)) exit bad = 1
+} END { exit bad || sum < 3599.9 || sum > 3600.1 }' flat_low.obj
+check "a flat scan keeps its outline and has no empty triangles" $?
+
 # Far from the origin, positions keep their detail.
 awk '$1 == "v" { $2 = 500000 + $2 } 1' OFMT=%.12g CONVFMT=%.12g vase.obj >far.obj
 ok run bisque-simplify far.obj -o far_low.obj --triangles 2000 --json

@@ -374,6 +374,30 @@ TEST(welding)
     vox_mesh_free(ctx, &mesh);
 }
 
+/* A triangle without area is missing at a slit; a hole stays. */
+TEST(slits_are_closed)
+{
+    static const float positions[6][3] = {{0, 0, 0}, {2, 0, 0},  {1, 0, 0},
+                                          {1, 2, 0}, {1, -2, 0}, {4, 0, 0}};
+    static const uint32_t triangles[4][3] = {{0, 2, 3}, {2, 1, 3}, {0, 4, 1}, {4, 5, 1}};
+    struct vox_mesh mesh;
+    assert_int_equal(vox_mesh_allocate(ctx, 6, 4, false, false, &mesh), 0);
+    memcpy(mesh.positions, positions, sizeof positions);
+    memcpy(mesh.triangles, triangles, sizeof triangles);
+    const unsigned borders = describe(&mesh).borders;
+    assert_int_equal(vox_mesh_close_slits(ctx, &mesh), 0);
+    assert_int_equal(mesh.triangle_count, 5);
+    assert_int_equal(describe(&mesh).borders, borders - 3);
+    assert_int_equal(describe(&mesh).crowded, 0);
+    assert_int_equal(vox_mesh_close_slits(ctx, &mesh), 0);
+    assert_int_equal(mesh.triangle_count, 5);
+    mesh.positions[2][1] = 0.1f; /* now it encloses something */
+    mesh.triangle_count = 4;
+    assert_int_equal(vox_mesh_close_slits(ctx, &mesh), 0);
+    assert_int_equal(mesh.triangle_count, 4);
+    vox_mesh_free(ctx, &mesh);
+}
+
 /* Every allocation may fail: then there is one error, and nothing leaks. */
 TEST(memory_runs_out)
 {
