@@ -2,6 +2,7 @@
 #include <errno.h>
 #include <float.h>
 #include <inttypes.h>
+#include <malloc.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -253,10 +254,16 @@ done:
     return status;
 }
 
+/* Each group of chunks allocates arrays of a few megabytes and frees them. Their pages stay in the
+ * process: to get them anew each time took 6 % of the processor time. */
+enum { LARGEST_ON_HEAP = 8 << 20, MOST_FREE_ON_HEAP = 32 << 20 };
+
 int main(int argc, char **argv)
 {
     struct cli cli;
     struct arguments arguments = {0};
+    (void)mallopt(M_MMAP_THRESHOLD, LARGEST_ON_HEAP);
+    (void)mallopt(M_TRIM_THRESHOLD, MOST_FREE_ON_HEAP);
     cli_begin(&cli, "bisque-simplify", argv);
     int status = parse_arguments(&cli, &arguments, argc, argv);
     if (status == 0)
