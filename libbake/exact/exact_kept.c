@@ -24,6 +24,8 @@ int bake_exact_kept_create(const struct bake_exact *exact, struct exact_kept *ou
     out->count = most < exact->chunk_count ? (uint32_t)most : exact->chunk_count;
     BSQ_TRY(
         bsq_alloc(ctx, "chunks near others", exact->chunk_count, sizeof *out->near, &out->near));
+    BSQ_TRY(bsq_calloc(ctx, "chunks near others", exact->chunk_count, sizeof *out->place_of,
+                       &out->place_of));
     BSQ_TRY(bsq_calloc(ctx, "chunks near others", out->count, sizeof *out->places, &out->places));
     BSQ_TRY(bsq_alloc(ctx, "chunks near others", out->count, size, &out->memory));
     for (uint32_t i = 0; i < out->count; i++)
@@ -35,16 +37,15 @@ done:
 void bake_exact_kept_free(struct bsq_ctx *ctx, struct exact_kept *kept)
 {
     bsq_free(ctx, kept->near);
+    bsq_free(ctx, kept->place_of);
     bsq_free(ctx, kept->places);
     bsq_free(ctx, kept->memory);
 }
 
 static struct exact_place *find(const struct exact_kept *kept, uint32_t number)
 {
-    for (uint32_t i = 0; i < kept->count; i++)
-        if (kept->places[i].number == number && (kept->places[i].used || kept->places[i].needed))
-            return &kept->places[i];
-    return NULL;
+    struct exact_place *place = kept->count ? &kept->places[kept->place_of[number]] : NULL;
+    return place && place->number == number && (place->used || place->needed) ? place : NULL;
 }
 
 const struct exact_chunk *bake_exact_kept_find(const struct exact_kept *kept, uint32_t number)
@@ -113,8 +114,10 @@ static bool reserve(struct exact_kept *kept, uint32_t number)
     if (!place)
         return false;
     place->needed = true;
-    if (load)
+    if (load) {
         *place = (struct exact_place){.number = number, .memory = place->memory, .needed = true};
+        kept->place_of[number] = (uint32_t)(place - kept->places);
+    }
     return load;
 }
 
@@ -170,6 +173,7 @@ void bake_exact_kept_end_wave(struct exact_kept *kept, const struct exact_slots 
             continue;
         exchange(place, slot);
         place->number = slot->number;
+        kept->place_of[slot->number] = (uint32_t)(place - kept->places);
         place->next = next;
         place->used = true;
         slot->loaded = false;

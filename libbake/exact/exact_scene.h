@@ -235,7 +235,8 @@ struct exact_kept {
     const uint64_t *starts; /* of the buckets, see below */
     uint32_t count;         /* of places; 0: none is kept */
     struct exact_place *places;
-    uint32_t *near; /* chunk_count numbers */
+    uint32_t *near;     /* chunk_count numbers */
+    uint32_t *place_of; /* of each chunk: the last place that it had, or 0 */
     char *memory;
 };
 /* Makes places for chunks: takes up to three quarters of what is left of the budget. Free them,
