@@ -17,7 +17,7 @@ int bake_exact_kept_create(const struct bake_exact *exact, struct exact_kept *ou
     struct bsq_ctx *ctx = exact->ctx;
     const uint64_t left = bsq_memory_share(ctx, "chunks near others", 1);
     const uint64_t sorting = bake_exact_buckets_scratch_bytes(exact);
-    const uint64_t size = exact_chunk_bytes(exact);
+    const uint64_t size = bake_exact_chunk_bytes(exact);
     const uint64_t most = left > sorting ? (left - sorting) / 4 * 3 / size : 0;
     int status = 0;
     *out = (struct exact_kept){.exact = exact};

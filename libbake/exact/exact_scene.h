@@ -112,7 +112,7 @@ void bake_exact_take_areas(const struct bake_exact *exact, uint32_t number,
                            const struct fmt_tris_chunk *chunk);
 
 /* Returns the bytes of memory that any chunk fits. */
-uint64_t exact_chunk_bytes(const struct bake_exact *exact);
+uint64_t bake_exact_chunk_bytes(const struct bake_exact *exact);
 /* Loads a chunk. Errors: those of fmt_tris_load(). */
 int bake_exact_load(const struct bake_exact *exact, uint32_t number, void *memory,
                     struct exact_chunk *out);

@@ -18,7 +18,7 @@ static uint64_t tris_bytes(const struct bake_exact *exact)
     return bsq_align_up(fmt_tris_load_size_max(exact->file), BSQ_ALIGNMENT);
 }
 
-uint64_t exact_chunk_bytes(const struct bake_exact *exact)
+uint64_t bake_exact_chunk_bytes(const struct bake_exact *exact)
 {
     uint32_t triangles = 0;
     for (uint32_t c = 0; c < exact->chunk_count && exact_needs_smooth(exact); c++)
@@ -37,7 +37,7 @@ static struct sizes buffer_sizes(const struct bake_exact *exact)
         triangles = chunk->triangle_count > triangles ? chunk->triangle_count : triangles;
         vertices = chunk->vertex_count > vertices ? chunk->vertex_count : vertices;
     }
-    sizes.chunk = exact_chunk_bytes(exact);
+    sizes.chunk = bake_exact_chunk_bytes(exact);
     sizes.tree = bsq_align_up(bake_exact_tree_bytes(triangles), BSQ_ALIGNMENT);
     sizes.boxes = bsq_align_up(triangles * sizeof(struct exact_box), BSQ_ALIGNMENT);
     if (exact_needs_smooth(exact)) {
@@ -85,7 +85,7 @@ static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, uin
 /* Returns the bytes of the chunks that are kept for others, at most `most`. */
 static uint64_t kept_bytes(const struct bake_exact *exact, uint64_t most)
 {
-    const uint64_t all = exact->chunk_count * exact_chunk_bytes(exact);
+    const uint64_t all = exact->chunk_count * bake_exact_chunk_bytes(exact);
     return !exact_needs_smooth(exact) ? 0 : all < most ? all : most;
 }
 

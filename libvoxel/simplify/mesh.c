@@ -2,10 +2,10 @@
 #include "libvoxel/simplify/mesh.h"
 
 #include <math.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "base/positions.h"
+#include "base/sort_array.h"
 #include "base/vec.h"
 
 void vox_quadric_add(struct vox_quadric *q, const struct vox_quadric *other)
@@ -233,7 +233,7 @@ static uint32_t find_open_sides(const struct vox_mesh *mesh, const int64_t *sums
             if (sums[from] != 0 && sums[to] != 0)
                 sides[count++] = (struct side){from, to, t};
         }
-    qsort(sides, count, sizeof *sides, compare_sides);
+    bsq_sort(sides, count, sizeof *sides, compare_sides);
     for (uint32_t i = 0; i < count; i++)
         if (!has_side(sides, count, sides[i].to, sides[i].from))
             open[open_count++] = sides[i];

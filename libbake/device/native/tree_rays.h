@@ -54,12 +54,14 @@ _Static_assert(sizeof(struct bake_tree_ray) == 128 && offsetof(struct bake_tree_
                    offsetof(struct bake_tree_ray, far) == 112,
                "rows of four words");
 
-/* A point whose rays are in a stream, BAKE_TREE_POINT_RAYS at most. */
+/* A point whose rays are in a stream, or several points near each other; BAKE_TREE_POINT_RAYS at
+ * most. */
 struct bake_tree_point {
     uint32_t first, count; /* its rays */
-    float normal[3];       /* no ray is more than a right angle from it */
+    float normal[3];       /* no ray is more than a right angle from it; 0 of several points */
     /* Tolerances of box borders, in voxels: 2^-21 of the largest distance, which is eight
-     * roundings; tests of boxes have at most seven. */
+     * roundings; tests of boxes have at most seven. Twice that of several points, whose tests have
+     * four more. */
     float margins[3];
 };
 

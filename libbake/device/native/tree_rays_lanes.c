@@ -4,9 +4,10 @@
  * no step depends on what other rays do, lanes are always full, and what a step reads is prefetched
  * (after Barringer and Akenine-Möller, "Dynamic Ray Stream Traversal", 2014).
  *
- * The rays of a point start together. As long as many of them meet a node, all are tested against
- * one box at a time; then one ray at a time against the boxes of all children of a node. Boxes are
- * tested with a margin for rounding. tree_voxels_lanes.c tests blocks and voxels. */
+ * The rays of a point, or of several points that have few, are a bundle. As long as many of them
+ * meet a node, all are tested against one box at a time; then one ray at a time against the boxes
+ * of all children of a node. Boxes are tested with a margin for rounding. tree_voxels_lanes.c tests
+ * blocks and voxels. */
 #include <assert.h>
 #include <float.h>
 #include <math.h>
@@ -155,13 +156,14 @@ static void drain_nodes(struct bake_tree_tracer *tracer)
     }
 }
 
-/* ---- rays of a point ---- */
+/* ---- bundles ---- */
 
-/* Rays of a point, in lanes. Unused lanes meet nothing. */
+/* Rays of points near each other, in lanes. Unused lanes meet nothing. Borders of boxes count from
+ * the start of the first ray; a ray that starts elsewhere meets them by `shift` sooner. */
 struct bundle {
     const struct bake_tree_point *point;
-    float low[3], high[3]; /* a box around the rays, from where they start */
-    bk_fw inverse[3][BAKE_TREE_POINT_RAYS / BK_WIDTH];
+    float low[3], high[3]; /* a box around the rays, from the start of the first one */
+    bk_fw inverse[3][BAKE_TREE_POINT_RAYS / BK_WIDTH], shift[3][BAKE_TREE_POINT_RAYS / BK_WIDTH];
     bk_fw t_begin[BAKE_TREE_POINT_RAYS / BK_WIDTH], t_end[BAKE_TREE_POINT_RAYS / BK_WIDTH];
 };
 
@@ -174,19 +176,23 @@ static inline void load_rays(const struct bake_tree_tracer *tracer, uint32_t fir
     const struct bake_tree_section *section = &tracer->section;
     const uint32_t left = bundle->point->count - first, group = first / BK_WIDTH;
     const void *from[BK_WIDTH];
-    bk_fw inverse[4], base[4], direction[4], near[4];
+    bk_fw inverse[4], start[4], base[4], direction[4], near[4];
     for (uint32_t lane = 0; lane < BK_WIDTH; lane++)
         from[lane] = &rays[first + (lane < left ? lane : 0)];
     floats_load_rows(from, offsetof(struct bake_tree_ray, inverse), inverse);
+    floats_load_rows(from, offsetof(struct bake_tree_ray, start), start);
     floats_load_rows(from, offsetof(struct bake_tree_ray, base), base);
     floats_load_rows(from, offsetof(struct bake_tree_ray, direction), direction);
     floats_load_rows(from, offsetof(struct bake_tree_ray, near), near);
     const bk_fw t_end = bk_minw(near[3], bk_splat(section->end));
     for (int axis = 0; axis < 3; axis++) {
-        const bk_fw end = direction[axis] * t_end;
+        const bk_fw begin = bk_to_fw((bk_iw)base[axis] - rays->base[axis]) +
+                            (start[axis] - bk_splat(rays->start[axis]));
+        const bk_fw end = begin + direction[axis] * t_end;
         bundle->inverse[axis][group] = inverse[axis];
-        low[axis] = bk_minw(low[axis], end);
-        high[axis] = bk_maxw(high[axis], end);
+        bundle->shift[axis][group] = inverse[axis] * begin;
+        low[axis] = bk_minw(low[axis], bk_minw(begin, end));
+        high[axis] = bk_maxw(high[axis], bk_maxw(begin, end));
     }
     bundle->t_begin[group] = bk_maxw(base[3], bk_splat(section->begin));
     bundle->t_end[group] = bk_select(bk_mask_of(left < BK_WIDTH ? (1u << left) - 1u : ~0u), t_end,
@@ -210,8 +216,8 @@ static void load_bundle(const struct bake_tree_tracer *tracer, const struct bake
     }
 }
 
-/* Returns those rays of a bundle that meet a box; low, high: its borders from the rays' start, with
- * a margin. */
+/* Returns those rays of a bundle that meet a box; low, high: its borders from the start of the
+ * first ray, with a margin. */
 static inline uint64_t meet_box(const struct bundle *bundle, const float low[3],
                                 const float high[3], uint64_t rays)
 {
@@ -220,7 +226,8 @@ static inline uint64_t meet_box(const struct bundle *bundle, const float low[3],
         bk_fw t_in = bundle->t_begin[group], t_out = bundle->t_end[group];
         for (int axis = 0; axis < 3; axis++) {
             const bk_fw inverse = bundle->inverse[axis][group];
-            const bk_fw a = inverse * low[axis], b = inverse * high[axis];
+            const bk_fw shift = bundle->shift[axis][group];
+            const bk_fw a = inverse * low[axis] - shift, b = inverse * high[axis] - shift;
             t_in = bk_maxw(t_in, bk_minw(a, b));
             t_out = bk_minw(t_out, bk_maxw(a, b));
         }
@@ -246,14 +253,14 @@ struct bundle_entry {
     uint32_t node;
 };
 
-/* Borders of the boxes of a node's children, from the start of a point's rays. */
+/* Borders of the boxes of a node's children, from the start of a bundle's first ray. */
 struct boxes {
     float low[3][BAKE_TREE_WIDTH], high[3][BAKE_TREE_WIDTH];
 };
 
 /* Finds the boxes of a node's children, with a margin for rounding. Returns those that rays of a
  * bundle may meet, one bit each: they touch the box around the rays, and are not wholly behind the
- * plane through the point. */
+ * plane through its point. */
 static uint32_t find_boxes(const struct bundle *bundle, const struct bake_tree_ray *ray,
                            const struct bake_tree_node *node, struct boxes *boxes)
 {
@@ -315,7 +322,7 @@ static void test_bundle(struct bake_tree_tracer *tracer, const struct bundle *bu
     }
 }
 
-/* Sends the rays of a point through the tree. */
+/* Sends a bundle through the tree. */
 static void trace_point(struct bake_tree_tracer *tracer, const struct bake_tree_point *point)
 {
     struct bake_tree_stream *stream = tracer->stream;
@@ -420,6 +427,31 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_place_on_scan *po
               (~down_z & BAKE_TREE_WIDTH) + 4 * BAKE_TREE_WIDTH, bk_load_lanes(slots));
 }
 
+/* Appends rays `first` and following ones of `count` points as a bundle. slot: of the first point,
+ * `stride` before that of the next one. */
+static void add_bundle(struct bake_tree_tracer *tracer, const bk_place_on_scan *points,
+                       uint32_t count, uint32_t first, uint32_t slot, uint64_t stride)
+{
+    const bk_uint left = tracer->kind->count - first;
+    const bk_uint end = first + (left < BAKE_TREE_POINT_RAYS ? left : BAKE_TREE_POINT_RAYS);
+    const float side = count > 1 ? 0.0f : tracer->kind->open ? 1.0f : -1.0f;
+    const bk_vec3 n = points->normal;
+    struct bake_tree_point *point = &tracer->stream->points[tracer->points];
+    *point = (struct bake_tree_point){.first = tracer->rays,
+                                      .normal = {side * n.x, side * n.y, side * n.z}};
+    for (uint32_t i = 0; i < count; i++) {
+        float margins[3];
+        find_margins(tracer->tree, points[i].position, margins);
+        for (bk_uint ray = first; ray < end; ray += BK_WIDTH)
+            add_rays(tracer, &points[i], margins, ray, slot + (uint32_t)(i * stride) + ray);
+        for (int axis = 0; axis < 3; axis++)
+            point->margins[axis] =
+                bk_max(point->margins[axis], margins[axis] * (count > 1 ? 2.0f : 1.0f));
+    }
+    point->count = tracer->rays - point->first;
+    tracer->points += point->count > 0;
+}
+
 void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_params *params,
                                    const struct bake_tree *tree, const bk_rays *kind,
                                    const bk_place_on_scan *points, uint32_t count, float *results,
@@ -434,23 +466,16 @@ void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_p
                                       .nearest = !kind->open || params->flags & BK_OPEN_FALLOFF,
                                       .coarse = bk_coarse_from(params, kind->open),
                                       .cache = bk_cache_empty()};
-    const float side = kind->open ? 1.0f : -1.0f;
-    for (uint32_t i = 0; i < count; i++) {
-        const bk_vec3 n = points[i].normal;
+    if (kind->count == 0)
+        return;
+    const uint32_t most =
+        kind->count < BAKE_TREE_POINT_RAYS ? BAKE_TREE_POINT_RAYS / kind->count : 1;
+    for (uint32_t i = 0; i < count; i += most)
         for (bk_uint first = 0; first < kind->count; first += BAKE_TREE_POINT_RAYS) {
-            const bk_uint left = kind->count - first;
-            const bk_uint end = first + (left < BAKE_TREE_POINT_RAYS ? left : BAKE_TREE_POINT_RAYS);
             if (tracer.rays + BAKE_TREE_POINT_RAYS > BAKE_TREE_RAYS)
                 trace_rays(&tracer);
-            struct bake_tree_point *point = &stream->points[tracer.points];
-            *point = (struct bake_tree_point){.first = tracer.rays,
-                                              .normal = {side * n.x, side * n.y, side * n.z}};
-            find_margins(tree, points[i].position, point->margins);
-            for (bk_uint ray = first; ray < end; ray += BK_WIDTH)
-                add_rays(&tracer, &points[i], point->margins, ray, (uint32_t)(i * stride) + ray);
-            point->count = tracer.rays - point->first;
-            tracer.points += point->count > 0;
+            add_bundle(&tracer, &points[i], count - i < most ? count - i : most, first,
+                       (uint32_t)(i * stride), stride);
         }
-    }
     trace_rays(&tracer);
 }
