@@ -83,7 +83,7 @@ static void add_ray(struct exact_box *box, const struct bake_exact_ray *ray,
 static uint32_t find_candidates(const struct sorting *s, uint64_t begin, uint64_t end,
                                 const struct worker *worker)
 {
-    struct exact_box box = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
+    struct exact_box box = EXACT_EMPTY_BOX;
     struct exact_line line;
     for (uint64_t r = begin; r < end; r++)
         if (exact_line_set(&line, s->batch->rays[r].origin, s->batch->rays[r].direction))

@@ -127,7 +127,7 @@ static uint32_t find_reached(const struct pass *pass)
     const float solid = pass->states->solids > 0 ? look->params->thickness_limit : 0.0f;
     /* Directions are unit vectors up to rounding. */
     const float far = 1.001f * fmaxf(open, solid) + 2.0f * bake_exact_lift(look->exact);
-    struct exact_box box = {{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}};
+    struct exact_box box = EXACT_EMPTY_BOX;
     for (uint64_t i = 0; i < pass->places->count; i++) {
         struct bake_place place;
         if (!pass->places->get(pass->places->arg, i, &place))

@@ -187,11 +187,9 @@ void bake_exact_set_groups(const struct bake_exact *exact, void *memory, struct 
     for (uint32_t t = 0; t < chunk->tris.triangle_count; t++) {
         const struct exact_box box = box_of(&chunk->tris, t);
         struct exact_box *group = &chunk->groups[t / EXACT_GROUP];
-        for (int k = 0; k < 3; k++) {
-            const bool first = t % EXACT_GROUP == 0;
-            group->low[k] = first || box.low[k] < group->low[k] ? box.low[k] : group->low[k];
-            group->high[k] = first || box.high[k] > group->high[k] ? box.high[k] : group->high[k];
-        }
+        if (t % EXACT_GROUP == 0)
+            *group = EXACT_EMPTY_BOX;
+        exact_box_grow(group, box.low, box.high);
     }
 }
 

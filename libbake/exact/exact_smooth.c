@@ -90,17 +90,6 @@ static bool is_needed(const struct exact_smooth *s, enum step step, uint32_t i)
     return step == STEP_SUM || s->crease_of[i + 1] != 0;
 }
 
-static const struct exact_box no_box = {{INFINITY, INFINITY, INFINITY},
-                                        {-INFINITY, -INFINITY, -INFINITY}};
-
-static void grow_box(struct exact_box *box, const float low[3], const float high[3])
-{
-    for (int k = 0; k < 3; k++) {
-        box->low[k] = low[k] < box->low[k] ? low[k] : box->low[k];
-        box->high[k] = high[k] > box->high[k] ? high[k] : box->high[k];
-    }
-}
-
 static bool overlap(const struct exact_box *a, const struct exact_box *b)
 {
     bool both = true;
@@ -112,15 +101,15 @@ static bool overlap(const struct exact_box *a, const struct exact_box *b)
 /* Sets the bounds of groups of needed positions. Returns those of all. */
 static struct exact_box set_groups(const struct exact_smooth *s)
 {
-    struct exact_box all = no_box;
+    struct exact_box all = EXACT_EMPTY_BOX;
     for (uint32_t i = 0; i < s->count; i++) {
         struct exact_box *group = &s->groups[i / EXACT_GROUP];
         if (i % EXACT_GROUP == 0)
-            *group = no_box;
-        grow_box(group, s->positions[i], s->positions[i]);
+            *group = EXACT_EMPTY_BOX;
+        exact_box_grow(group, s->positions[i], s->positions[i]);
     }
     for (uint32_t g = 0; g < group_count(s->count); g++)
-        grow_box(&all, s->groups[g].low, s->groups[g].high);
+        exact_box_grow(&all, s->groups[g].low, s->groups[g].high);
     return all;
 }
 
@@ -131,9 +120,9 @@ static bool find_shared(const struct exact_smooth *s, enum step step,
 {
     uint32_t inside[EXACT_GROUP];
     bool any = false;
-    *out = no_box;
-    struct exact_box box = no_box;
-    grow_box(&box, chunk->bounds_min, chunk->bounds_max);
+    *out = EXACT_EMPTY_BOX;
+    struct exact_box box = EXACT_EMPTY_BOX;
+    exact_box_grow(&box, chunk->bounds_min, chunk->bounds_max);
     for (uint32_t g = 0; g < group_count(s->count); g++) {
         const uint32_t first = g * EXACT_GROUP, left = s->count - first;
         if (!overlap(&box, &s->groups[g]))
@@ -144,7 +133,7 @@ static bool find_shared(const struct exact_smooth *s, enum step step,
         for (uint32_t i = 0; i < found; i++)
             if (is_needed(s, step, first + inside[i])) {
                 const float *p = s->positions[first + inside[i]];
-                grow_box(out, p, p);
+                exact_box_grow(out, p, p);
                 any = true;
             }
     }
@@ -178,10 +167,10 @@ static int get_neighbour(const struct exact_summing *of, uint32_t number, struct
     for (uint32_t i = 0; i < of->wave_count && !kept; i++)
         if (of->wave[i].number == number && of->wave[i].loaded)
             kept = &of->wave[i].chunk;
-    if (kept)
+    if (kept) {
         *out = *kept;
-    if (kept)
         return 0;
+    }
     const int status = bake_exact_load(of->exact, number, of->scratch->neighbour, out);
     if (status == 0)
         bake_exact_set_groups(of->exact, of->scratch->neighbour, out);

@@ -34,9 +34,6 @@ uint64_t bake_exact_tree_bytes(uint32_t count)
 
 /* ---- nodes ---- */
 
-static const struct exact_box empty = {{INFINITY, INFINITY, INFINITY},
-                                       {-INFINITY, -INFINITY, -INFINITY}};
-
 /* Sets a node to eight boxes. Returns the bounds of all. */
 static struct exact_box set_node(struct exact_box8 *node, const struct exact_box boxes[8])
 {
@@ -72,7 +69,7 @@ static uint32_t set_level(struct exact_box8 *nodes, struct exact_box *boxes, uin
     const uint32_t left = count % 8;
     struct exact_box last[8];
     for (uint32_t c = 0; c < 8; c++)
-        last[c] = c < left ? boxes[count - left + c] : empty;
+        last[c] = c < left ? boxes[count - left + c] : EXACT_EMPTY_BOX;
     for (uint32_t n = 0; n < count / 8; n++)
         boxes[n] = set_node(&nodes[n], &boxes[8 * n]);
     if (left > 0)

@@ -11,6 +11,7 @@
 #ifndef BAKE_EXACT_EXACT_TREE_H
 #define BAKE_EXACT_EXACT_TREE_H
 
+#include <math.h>
 #include <stdint.h>
 
 enum { EXACT_TREE_LEVELS = 11, EXACT_TREE_STACK = 7 * EXACT_TREE_LEVELS + 1 };
@@ -23,6 +24,19 @@ struct exact_box8 {
 struct exact_box {
     float low[3], high[3];
 };
+
+/* Has nothing in it. */
+#define EXACT_EMPTY_BOX                                                                            \
+    ((struct exact_box){{INFINITY, INFINITY, INFINITY}, {-INFINITY, -INFINITY, -INFINITY}})
+
+/* Lets a box contain what lies between two corners, too. */
+static inline void exact_box_grow(struct exact_box *box, const float low[3], const float high[3])
+{
+    for (int k = 0; k < 3; k++) {
+        box->low[k] = low[k] < box->low[k] ? low[k] : box->low[k];
+        box->high[k] = high[k] > box->high[k] ? high[k] : box->high[k];
+    }
+}
 
 struct exact_tree {
     struct exact_box8 *nodes; /* by level, from the leaves to the root; box 8 k + c is child c of

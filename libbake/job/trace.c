@@ -67,8 +67,8 @@ static uint32_t most_texels(const struct bake_work *job)
 /* What opening a GPU takes: CUDA 0.4 s on an H200, OpenCL 0.5 s once the driver has the kernel. */
 static const double gpu_seconds = 0.5;
 
-/* Returns the name of the device that the user wants, or what is best for a job that takes one core
- * so many seconds. */
+/* Returns the name of the device that the user wants. Without one: "cpu" if all cores are expected
+ * to finish sooner than a GPU opens, else "auto". seconds: what one core is expected to take. */
 static const char *device_name(const struct bake_work *job, double seconds)
 {
     const char *name = job->options->device;

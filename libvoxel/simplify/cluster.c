@@ -15,7 +15,7 @@ enum {
     AXIS_BITS = 10,                   /* of the number of a cell */
     CELLS_MAX = (1 << AXIS_BITS) - 2, /* along an axis */
     STAYS = 1 << (3 * AXIS_BITS),     /* or-ed to a vertex: a cell of its own */
-    LEAST_SHARE = 24,                 /* at least one of so many vertices is left */
+    LEAST_SHARE = 24,                 /* a mesh keeps at least a 24th of its vertices */
     SMALL = 3,                        /* vertices of a cluster that joins its neighbour */
     ROUNDS_MAX = 8
 };

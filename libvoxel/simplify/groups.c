@@ -11,10 +11,11 @@
 #include "libvoxel/simplify/cluster.h"
 #include "libvoxel/simplify/thin.h"
 
-/* Vertices form clusters as long as a level has at least so many times the triangles of the last
- * one: that is faster than collapsing edges, and as good that far from the result. */
+/* CLUSTER_FACTOR: a level begins with clusters if it leaves at least this many times the triangles
+ * of the last level. Clusters are faster than collapsing edges, and as good that far from the
+ * result. */
 enum { GROUP_TRIANGLES = 65536, LEVEL_FACTOR = 8, CLUSTER_FACTOR = 4 };
-/* Clusters leave so many times the vertices that are wanted, and edges collapse then. */
+/* Clusters leave 1.5 times as many vertices as are wanted; collapsing edges takes away the rest. */
 static const double cluster_more = 1.5;
 
 /* A mesh of a level: of the first one a chunk, of others a part of a temporary file with

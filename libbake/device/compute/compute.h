@@ -54,8 +54,8 @@ struct bake_launch_batch {
 /* Returns how many of a texel's n lines of n samples one launch traces: 1 to n. */
 uint32_t bake_batch_lines(uint32_t n);
 
-/* Returns how many rows one launch traces of a tile of width x height texels, in each of which it
- * traces texel_samples: 1 to height. */
+/* Returns how many rows of a tile one launch traces: 1 to height. width, height: of the tile, in
+ * texels; texel_samples: what the launch traces of each texel. */
 uint32_t bake_batch_rows(struct bake_batch_sizer *sizer, uint64_t texel_samples, uint32_t width,
                          uint32_t height);
 
