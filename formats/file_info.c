@@ -1,6 +1,6 @@
 /* file_info.c - see file_info.h.
  *
- * A mesh is read once, block by block, so memory does not grow with it. Materials that no face uses
+ * A mesh is read once, batch by batch, so memory does not grow with it. Materials that no face uses
  * are left out. */
 #include "formats/file_info.h"
 
@@ -95,27 +95,27 @@ static int count_faces(struct survey *s, uint32_t material, uint64_t faces)
     return status;
 }
 
-static int survey_block(void *arg, const struct fmt_mesh_block *block)
+static int survey_batch(void *arg, const struct fmt_mesh_batch *batch)
 {
     struct survey *s = arg;
-    uint32_t material = block->material_at_start;
+    uint32_t material = batch->material_at_start;
     uint64_t begin = 0;
     int status = 0;
-    bsq_progress_add(s->ctx, block->byte_size);
-    for (uint64_t v = 0; v < block->vertex_count; v++)
+    bsq_progress_add(s->ctx, batch->byte_size);
+    for (uint64_t v = 0; v < batch->vertex_count; v++)
         for (int axis = 0; axis < 3; axis++) {
-            s->min[axis] = fmin(s->min[axis], block->positions[v][axis]);
-            s->max[axis] = fmax(s->max[axis], block->positions[v][axis]);
+            s->min[axis] = fmin(s->min[axis], batch->positions[v][axis]);
+            s->max[axis] = fmax(s->max[axis], batch->positions[v][axis]);
         }
-    s->has_colors |= block->colors || block->late_color_count > 0;
-    s->has_texcoords |= any_index(block->corner_texcoords, block->corner_count);
-    s->has_normals |= any_index(block->corner_normals, block->corner_count);
-    for (uint64_t i = 0; i <= block->material_change_count && status == 0; i++) {
-        const bool last = i == block->material_change_count;
-        const uint64_t end = last ? block->face_count : block->material_changes[i].face;
+    s->has_colors |= batch->colors || batch->late_color_count > 0;
+    s->has_texcoords |= any_index(batch->corner_texcoords, batch->corner_count);
+    s->has_normals |= any_index(batch->corner_normals, batch->corner_count);
+    for (uint64_t i = 0; i <= batch->material_change_count && status == 0; i++) {
+        const bool last = i == batch->material_change_count;
+        const uint64_t end = last ? batch->face_count : batch->material_changes[i].face;
         status = end > begin ? count_faces(s, material, end - begin) : 0;
         begin = end;
-        material = last ? material : block->material_changes[i].material;
+        material = last ? material : batch->material_changes[i].material;
     }
     return status;
 }
@@ -238,7 +238,7 @@ static int describe_mesh(struct bsq_ctx *ctx, const char *path, json_t **out)
     BSQ_TRY(fmt_mesh_open_inputs(ctx, &inputs, &reader));
     fmt_mesh_use_objects(reader);
     bsq_progress_begin(ctx, "reading", "bytes", fmt_mesh_bytes(reader));
-    status = fmt_mesh_read(reader, survey_block, &s, &totals);
+    status = fmt_mesh_read(reader, survey_batch, &s, &totals);
     bsq_progress_end(ctx);
     BSQ_TRY(status);
     if (totals.faces == 0)

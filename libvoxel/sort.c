@@ -64,9 +64,9 @@ static int check_disk(struct bsq_ctx *ctx, const struct fmt_mesh_estimate *scan,
                              space.temp_bytes + scan->temp_bytes);
 }
 
-static int read_blocks(struct scan *scan, struct fmt_mesh_reader *reader,
-                       const struct vox_sort_options *options, enum partition_passes passes,
-                       struct scan_textures *textures, struct partition *out)
+static int read_batches(struct scan *scan, struct fmt_mesh_reader *reader,
+                        const struct vox_sort_options *options, enum partition_passes passes,
+                        struct scan_textures *textures, struct partition *out)
 {
     const uint64_t bytes = fmt_mesh_bytes(reader);
     bsq_progress_begin(scan->ctx, "reading", "bytes",
@@ -123,7 +123,7 @@ static int read_passes(struct scan *scan, struct fmt_mesh_reader *reader,
 {
     enum partition_passes passes = one_pass ? PARTITION_ONE_PASS : PARTITION_TWO_PASSES;
     int status;
-    while ((status = read_blocks(scan, reader, options, passes, textures, out)) == BSQ_RETRY) {
+    while ((status = read_batches(scan, reader, options, passes, textures, out)) == BSQ_RETRY) {
         if (!scan->misread_colors)
             passes = PARTITION_TWO_PASSES;
         status = begin_again(scan, options, out);
@@ -439,15 +439,15 @@ struct parsing {
     uint64_t face, index;
 };
 
-static int parse_block(void *arg, const struct fmt_mesh_block *block)
+static int parse_batch(void *arg, const struct fmt_mesh_batch *batch)
 {
     struct parsing *p = arg;
-    uint64_t *end = &p->ends[block->file];
+    uint64_t *end = &p->ends[batch->file];
     if (!p->again) {
-        *end = block->vertex_base + block->vertex_count;
-        bsq_progress_add(p->ctx, block->byte_size);
+        *end = batch->vertex_base + batch->vertex_count;
+        bsq_progress_add(p->ctx, batch->byte_size);
     }
-    if (!p->failed && !fmt_mesh_check_vertices(block, *end, &p->face, &p->index)) {
+    if (!p->failed && !fmt_mesh_check_vertices(batch, *end, &p->face, &p->index)) {
         p->doubtful = true;
         p->failed = p->again;
     }
@@ -458,11 +458,11 @@ static int parse_block(void *arg, const struct fmt_mesh_block *block)
 static int parse_all(struct parsing *p, struct fmt_mesh_totals *totals)
 {
     bsq_progress_begin(p->ctx, "reading", "bytes", fmt_mesh_bytes(p->reader));
-    int status = fmt_mesh_read(p->reader, parse_block, p, totals);
+    int status = fmt_mesh_read(p->reader, parse_batch, p, totals);
     bsq_progress_end(p->ctx);
     p->again = true;
     if (status == 0 && p->doubtful)
-        status = fmt_mesh_read(p->reader, parse_block, p, NULL);
+        status = fmt_mesh_read(p->reader, parse_batch, p, NULL);
     if (status == 0 && p->failed)
         status = fmt_mesh_fail_index(p->reader, p->face, FMT_MESH_VERTEX, p->index);
     return status;

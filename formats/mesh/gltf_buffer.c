@@ -82,13 +82,13 @@ int fmt_gltf_uri_path(struct bsq_ctx *ctx, const char *beside, const char *uri, 
 
 /* ---- buffers ---- */
 
-int fmt_gltf_measure_data(const struct gltf_place *place, uint64_t offset, uint64_t size,
+int fmt_gltf_measure_data(const struct gltf_item *item, uint64_t offset, uint64_t size,
                           uint64_t *out)
 {
-    const struct gltf_document *d = place->document;
+    const struct gltf_document *d = item->document;
     char end[2] = {0, 0};
     if (offset > d->file.size || size > d->file.size - offset)
-        return fmt_gltf_fail(place, "its data URI is outside of the file");
+        return fmt_gltf_fail(item, "its data URI is outside of the file");
     int status = size < 2 ? 0 : bsq_file_read(d->ctx, &d->file, end, sizeof end, offset + size - 2);
     if (end[1] == '=')
         size -= end[0] == '=' ? 2 : 1;
@@ -104,38 +104,38 @@ static bool is_fallback(const json_t *buffer)
 }
 
 /* Reports that a buffer's path is no regular file. */
-static int fail_missing(const struct gltf_place *place, const char *path)
+static int fail_missing(const struct gltf_item *item, const char *path)
 {
-    const char *document = place->document->file.path;
+    const char *document = item->document->file.path;
     struct stat info;
     if (path && stat(path, &info) == 0)
-        return bsq_fail(place->document->ctx, BSQ_ENOINPUT,
+        return bsq_fail(item->document->ctx, BSQ_ENOINPUT,
                         "%s: not a regular file, which %s names as a buffer", path, document);
-    return bsq_fail(place->document->ctx, BSQ_ENOINPUT, "%s: no such buffer, which %s names", path,
+    return bsq_fail(item->document->ctx, BSQ_ENOINPUT, "%s: no such buffer, which %s names", path,
                     document);
 }
 
 /* Uses the other file that a URI names. A file of another name could give another shape. Fallbacks
  * are often left behind: one that does not exist has no data. */
-static int use_file(const struct gltf_place *place, const char *uri, struct gltf_buffer *out)
+static int use_file(const struct gltf_item *item, const char *uri, struct gltf_buffer *out)
 {
-    struct bsq_ctx *ctx = place->document->ctx;
+    struct bsq_ctx *ctx = item->document->ctx;
     bool exists;
-    int found = fmt_gltf_uri_path(ctx, fmt_input_beside(place->document->input), uri, true,
+    int found = fmt_gltf_uri_path(ctx, fmt_input_beside(item->document->input), uri, true,
                                   &out->path, &exists);
-    if (found > 0 && !exists && is_fallback(place->object)) {
+    if (found > 0 && !exists && is_fallback(item->object)) {
         bsq_free(ctx, out->path);
         out->path = NULL;
         out->missing = true;
         return 0;
     }
     if (found > 0 && !exists)
-        return fail_missing(place, out->path);
+        return fail_missing(item, out->path);
     if (found == 0)
-        return fmt_gltf_fail(place, "its URI \"%.60s\" names no file", uri);
+        return fmt_gltf_fail(item, "its URI \"%.60s\" names no file", uri);
     int status = found < 0 ? found
                            : bsq_note_input(ctx, out->path, "the buffer that %s names",
-                                            place->document->file.path);
+                                            item->document->file.path);
     if (!status)
         status = bsq_file_open(ctx, out->path, &out->file);
     out->extent.size = out->file.size;
@@ -143,33 +143,33 @@ static int use_file(const struct gltf_place *place, const char *uri, struct gltf
     return status;
 }
 
-int fmt_gltf_read_buffer(const struct gltf_place *place, struct gltf_source *source, void *element)
+int fmt_gltf_read_buffer(const struct gltf_item *item, struct gltf_source *source, void *element)
 {
     struct gltf_buffer *out = element;
-    const struct gltf_document *d = place->document;
-    const char *uri = fmt_gltf_string(place->object, "uri");
+    const struct gltf_document *d = item->document;
+    const char *uri = fmt_gltf_string(item->object, "uri");
     uint64_t length = GLTF_REQUIRED, offset, size;
     *out = (struct gltf_buffer){.file = BSQ_FILE_CLOSED};
-    int status = fmt_gltf_number(place, place->object, "byteLength", INT64_MAX / 4, &length);
+    int status = fmt_gltf_number(item, item->object, "byteLength", INT64_MAX / 4, &length);
     if (status)
         return status;
-    if (!uri && fmt_gltf_extension(place->object, "EXT_meshopt_compression")) {
+    if (!uri && fmt_gltf_extension(item->object, "EXT_meshopt_compression")) {
         out->missing = true;
     } else if (!uri) {
         /* Without a URI: the chunk, for the first; or nothing that this reader can read. */
-        const bool chunk = place->index == 0 && d->chunk_offset > 0;
+        const bool chunk = item->index == 0 && d->chunk_offset > 0;
         out->extent =
             (struct bsq_extent){.offset = d->chunk_offset, .size = chunk ? d->chunk_bytes : 0};
     } else if (fmt_gltf_find_data(uri, &offset, &size)) {
         out->extent = (struct bsq_extent){.offset = offset, .base64 = true};
-        status = fmt_gltf_measure_data(place, offset, size, &out->extent.size);
+        status = fmt_gltf_measure_data(item, offset, size, &out->extent.size);
     } else {
-        status = use_file(place, uri, out);
+        status = use_file(item, uri, out);
     }
     if (status)
         return status;
     if (length > out->extent.size && !out->missing)
-        return fmt_gltf_fail(place,
+        return fmt_gltf_fail(item,
                              "truncated: it should have %" PRIu64 " bytes, there are %" PRIu64,
                              length, out->extent.size);
     out->extent.size = length;
@@ -181,22 +181,22 @@ int fmt_gltf_read_buffer(const struct gltf_place *place, struct gltf_source *sou
 
 enum { MOST_STRIDE = 252 }; /* of the file format */
 
-int fmt_gltf_read_view(const struct gltf_place *place, struct gltf_source *source, void *element)
+int fmt_gltf_read_view(const struct gltf_item *item, struct gltf_source *source, void *element)
 {
     struct gltf_view *out = element;
-    const json_t *meshopt = fmt_gltf_extension(place->object, "EXT_meshopt_compression");
+    const json_t *meshopt = fmt_gltf_extension(item->object, "EXT_meshopt_compression");
     uint64_t size = GLTF_REQUIRED, offset = 0, stride = 0;
     *out = (struct gltf_view){.buffer = GLTF_NONE, .decoded = GLTF_NOT_DECODED};
     int status;
-    BSQ_TRY(fmt_gltf_index(place, place->object, "buffer", "buffers", &out->buffer));
-    BSQ_TRY(fmt_gltf_number(place, place->object, "byteLength", INT64_MAX / 4, &size));
-    BSQ_TRY(fmt_gltf_number(place, place->object, "byteOffset", INT64_MAX / 4, &offset));
-    BSQ_TRY(fmt_gltf_number(place, place->object, "byteStride", MOST_STRIDE, &stride));
+    BSQ_TRY(fmt_gltf_index(item, item->object, "buffer", "buffers", &out->buffer));
+    BSQ_TRY(fmt_gltf_number(item, item->object, "byteLength", INT64_MAX / 4, &size));
+    BSQ_TRY(fmt_gltf_number(item, item->object, "byteOffset", INT64_MAX / 4, &offset));
+    BSQ_TRY(fmt_gltf_number(item, item->object, "byteStride", MOST_STRIDE, &stride));
     if (out->buffer == GLTF_NONE)
-        return fmt_gltf_fail(place, "\"buffer\" is missing");
+        return fmt_gltf_fail(item, "\"buffer\" is missing");
     const uint64_t bytes = source->buffers[out->buffer].extent.size;
     if (offset > bytes || size > bytes - offset)
-        return fmt_gltf_fail(place,
+        return fmt_gltf_fail(item,
                              "bytes %" PRIu64 " to %" PRIu64 " are outside of buffers[%" PRIu32
                              "], which has %" PRIu64,
                              offset, offset + size, out->buffer, bytes);
@@ -204,9 +204,9 @@ int fmt_gltf_read_view(const struct gltf_place *place, struct gltf_source *sourc
     out->size = size;
     out->stride = (uint32_t)stride;
     if (meshopt)
-        return fmt_gltf_read_packed_view(place, source, meshopt, out);
+        return fmt_gltf_read_packed_view(item, source, meshopt, out);
     status =
-        source->buffers[out->buffer].missing ? fmt_gltf_fail(place, "its buffer has no data") : 0;
+        source->buffers[out->buffer].missing ? fmt_gltf_fail(item, "its buffer has no data") : 0;
 done:
     return status;
 }
@@ -273,35 +273,35 @@ uint32_t fmt_gltf_component_bytes(enum gltf_component component)
     }
 }
 
-static int read_component(const struct gltf_place *place, const json_t *object,
+static int read_component(const struct gltf_item *item, const json_t *object,
                           enum gltf_component *out)
 {
     uint64_t code = GLTF_REQUIRED;
-    int status = fmt_gltf_number(place, object, "componentType", INT32_MAX, &code);
+    int status = fmt_gltf_number(item, object, "componentType", INT32_MAX, &code);
     if (!status && (code < GLTF_INT8 || code > GLTF_FLOAT || code == 5124))
-        status = fmt_gltf_fail(place, "unknown componentType %" PRIu64, code);
+        status = fmt_gltf_fail(item, "unknown componentType %" PRIu64, code);
     *out = status ? GLTF_UINT8 : (enum gltf_component)code;
     return status;
 }
 
-static int read_type(const struct gltf_place *place, uint32_t *components)
+static int read_type(const struct gltf_item *item, uint32_t *components)
 {
     static const struct {
         const char *name;
         uint32_t components;
     } types[] = {{"SCALAR", 1}, {"VEC2", 2}, {"VEC3", 3}, {"VEC4", 4},
                  {"MAT2", 0},   {"MAT3", 0}, {"MAT4", 0}};
-    const char *name = fmt_gltf_string(place->object, "type");
+    const char *name = fmt_gltf_string(item->object, "type");
     for (size_t i = 0; name && i < sizeof types / sizeof *types; i++)
         if (strcmp(name, types[i].name) == 0) {
             *components = types[i].components;
             return 0;
         }
-    return fmt_gltf_fail(place, "unknown type \"%.20s\"", name ? name : "");
+    return fmt_gltf_fail(item, "unknown type \"%.20s\"", name ? name : "");
 }
 
 /* Checks that `count` elements of `bytes` bytes, `stride` apart, lie in the view. */
-static int check_range(const struct gltf_place *place, const struct gltf_source *source,
+static int check_range(const struct gltf_item *item, const struct gltf_source *source,
                        const struct gltf_array *array, uint64_t count, uint64_t stride,
                        uint64_t bytes)
 {
@@ -310,7 +310,7 @@ static int check_range(const struct gltf_place *place, const struct gltf_source 
         return 0;
     if (array->offset > size || bytes > size - array->offset ||
         count - 1 > (size - array->offset - bytes) / stride)
-        return fmt_gltf_fail(place,
+        return fmt_gltf_fail(item,
                              "%" PRIu64 " elements of %" PRIu64
                              " bytes are too many for bufferViews[%" PRIu32 "], which has %" PRIu64
                              " bytes",
@@ -319,38 +319,38 @@ static int check_range(const struct gltf_place *place, const struct gltf_source 
 }
 
 /* Reads where elements of a sparse accessor are. They follow each other. */
-static int read_sparse_array(const struct gltf_place *place, const struct gltf_source *source,
+static int read_sparse_array(const struct gltf_item *item, const struct gltf_source *source,
                              const json_t *object, uint64_t count, uint32_t components,
                              struct gltf_array *out)
 {
     out->offset = 0;
     int status;
-    BSQ_TRY(fmt_gltf_index(place, object, "bufferView", "bufferViews", &out->view));
+    BSQ_TRY(fmt_gltf_index(item, object, "bufferView", "bufferViews", &out->view));
     if (out->view == GLTF_NONE)
-        BSQ_TRY(fmt_gltf_fail(place, "\"sparse\" has no bufferView"));
-    BSQ_TRY(fmt_gltf_number(place, object, "byteOffset", INT64_MAX / 4, &out->offset));
+        BSQ_TRY(fmt_gltf_fail(item, "\"sparse\" has no bufferView"));
+    BSQ_TRY(fmt_gltf_number(item, object, "byteOffset", INT64_MAX / 4, &out->offset));
     const uint64_t bytes = (uint64_t)components * fmt_gltf_component_bytes(out->component);
-    status = check_range(place, source, out, count, bytes, bytes);
+    status = check_range(item, source, out, count, bytes, bytes);
 done:
     return status;
 }
 
-static int read_sparse(const struct gltf_place *place, const struct gltf_source *source,
+static int read_sparse(const struct gltf_item *item, const struct gltf_source *source,
                        struct gltf_accessor *out)
 {
-    const json_t *sparse = json_object_get(place->object, "sparse");
+    const json_t *sparse = json_object_get(item->object, "sparse");
     const json_t *indices = json_object_get(sparse, "indices");
     uint64_t count = GLTF_REQUIRED;
     if (!sparse || out->components == 0)
         return 0;
-    int status = fmt_gltf_number(place, sparse, "count", out->count, &count);
+    int status = fmt_gltf_number(item, sparse, "count", out->count, &count);
     if (!status)
-        status = read_component(place, indices, &out->sparse_indices.component);
+        status = read_component(item, indices, &out->sparse_indices.component);
     if (!status)
-        status = read_sparse_array(place, source, indices, count, 1, &out->sparse_indices);
+        status = read_sparse_array(item, source, indices, count, 1, &out->sparse_indices);
     out->sparse_values.component = out->elements.component;
     if (!status)
-        status = read_sparse_array(place, source, json_object_get(sparse, "values"), count,
+        status = read_sparse_array(item, source, json_object_get(sparse, "values"), count,
                                    out->components, &out->sparse_values);
     out->sparse_count = status ? 0 : count;
     return status;
@@ -358,43 +358,42 @@ static int read_sparse(const struct gltf_place *place, const struct gltf_source 
 
 /* Such an accessor stands for zeros. There may be as many of them as the file has bytes, so that a
  * small file cannot stand for endless work. */
-int fmt_gltf_check_zeros(const struct gltf_place *place, const struct gltf_source *source,
+int fmt_gltf_check_zeros(const struct gltf_item *item, const struct gltf_source *source,
                          uint32_t number)
 {
     const struct gltf_accessor *accessor = &source->accessors[number];
     if (accessor->elements.view == GLTF_NONE && accessor->count > source->bytes)
-        return fmt_gltf_fail(place,
+        return fmt_gltf_fail(item,
                              "accessors[%" PRIu32 "] has %" PRIu64
                              " elements without data, which are too many",
                              number, accessor->count);
     return 0;
 }
 
-static int check_elements(const struct gltf_place *place, const struct gltf_source *source,
+static int check_elements(const struct gltf_item *item, const struct gltf_source *source,
                           const struct gltf_accessor *accessor)
 {
     if (accessor->elements.view == GLTF_NONE || accessor->components == 0)
         return 0;
     return check_range(
-        place, source, &accessor->elements, accessor->count, fmt_gltf_stride(source, accessor),
+        item, source, &accessor->elements, accessor->count, fmt_gltf_stride(source, accessor),
         (uint64_t)accessor->components * fmt_gltf_component_bytes(accessor->elements.component));
 }
 
-int fmt_gltf_read_accessor(const struct gltf_place *place, struct gltf_source *source,
-                           void *element)
+int fmt_gltf_read_accessor(const struct gltf_item *item, struct gltf_source *source, void *element)
 {
     struct gltf_accessor *out = element;
     int status;
     out->count = GLTF_REQUIRED;
-    BSQ_TRY(fmt_gltf_index(place, place->object, "bufferView", "bufferViews", &out->elements.view));
+    BSQ_TRY(fmt_gltf_index(item, item->object, "bufferView", "bufferViews", &out->elements.view));
     BSQ_TRY(
-        fmt_gltf_number(place, place->object, "byteOffset", INT64_MAX / 4, &out->elements.offset));
-    BSQ_TRY(fmt_gltf_number(place, place->object, "count", INT64_MAX / 4, &out->count));
-    BSQ_TRY(read_component(place, place->object, &out->elements.component));
-    BSQ_TRY(read_type(place, &out->components));
-    out->normalized = json_is_true(json_object_get(place->object, "normalized"));
-    BSQ_TRY(check_elements(place, source, out));
-    status = read_sparse(place, source, out);
+        fmt_gltf_number(item, item->object, "byteOffset", INT64_MAX / 4, &out->elements.offset));
+    BSQ_TRY(fmt_gltf_number(item, item->object, "count", INT64_MAX / 4, &out->count));
+    BSQ_TRY(read_component(item, item->object, &out->elements.component));
+    BSQ_TRY(read_type(item, &out->components));
+    out->normalized = json_is_true(json_object_get(item->object, "normalized"));
+    BSQ_TRY(check_elements(item, source, out));
+    status = read_sparse(item, source, out);
 done:
     return status;
 }
@@ -531,7 +530,7 @@ done:
     return status;
 }
 
-static int check_sparse(struct stream_slot *slot, const struct gltf_place *place,
+static int check_sparse(struct stream_slot *slot, const struct gltf_item *item,
                         const struct gltf_accessor *accessor)
 {
     double indices[SPARSE_BLOCK] = {0}, last = -1;
@@ -543,7 +542,7 @@ static int check_sparse(struct stream_slot *slot, const struct gltf_place *place
         BSQ_TRY(read_sparse_indices(slot, accessor, at, block, indices));
         for (uint64_t i = 0; i < block; last = indices[i++])
             if (!(indices[i] > last && indices[i] < (double)accessor->count))
-                BSQ_TRY(fmt_gltf_fail(place,
+                BSQ_TRY(fmt_gltf_fail(item,
                                       "its sparse index %" PRIu64 " is %.0f: it is no element, or "
                                       "not above the one before it",
                                       at + i, indices[i]));
@@ -560,8 +559,8 @@ int fmt_gltf_check_sparse(struct stream_source *source)
     int status = 0;
     for (uint32_t i = 0; i < file->accessor_count && !status; i++)
         if (file->accessors[i].sparse_count > 0) {
-            const struct gltf_place place = {&document, "accessors", i, NULL};
-            status = check_sparse(&slot, &place, &file->accessors[i]);
+            const struct gltf_item item = {&document, "accessors", i, NULL};
+            status = check_sparse(&slot, &item, &file->accessors[i]);
         }
     fmt_stream_free_slot(&slot);
     return status;

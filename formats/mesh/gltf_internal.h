@@ -36,38 +36,38 @@ void fmt_gltf_close_document(struct gltf_document *document);
  * the file. So images and buffers in a file of text need no memory. Returns false for others. */
 bool fmt_gltf_find_data(const char *uri, uint64_t *offset, uint64_t *size);
 
-/* Where a value is, for messages: "accessors[3]". */
-struct gltf_place {
+/* An element of a top-level array, which messages name: "accessors[3]". */
+struct gltf_item {
     struct gltf_document *document;
     const char *array; /* the name of a top-level array */
     uint64_t index;
-    const json_t *object; /* its element; may be NULL, which has no members */
+    const json_t *object; /* the element; may be NULL, which has no members */
 };
 
-/* Returns element `index` of a top-level array as a place. */
-struct gltf_place fmt_gltf_element(struct gltf_document *document, const char *array,
-                                   uint64_t index);
+/* Returns element `index` of a top-level array. */
+struct gltf_item fmt_gltf_element(struct gltf_document *document, const char *array,
+                                  uint64_t index);
 uint64_t fmt_gltf_count(const struct gltf_document *document, const char *array);
 
 /* Fails with "FILE: ARRAY[INDEX]: " and the text. Returns BSQ_EDATA. */
-int fmt_gltf_fail(const struct gltf_place *place, const char *format, ...)
+int fmt_gltf_fail(const struct gltf_item *item, const char *format, ...)
     __attribute__((format(printf, 2, 3)));
 
 /* Reads a whole number from 0 to `most`. Some programs write 12.0. Returns false if it is none. */
 bool fmt_gltf_whole(const json_t *value, uint64_t most, uint64_t *out);
 /* Reads a member of `object` that is a whole number from 0 to `most`. If it is missing, *out stays
  * as it is; if it must not be missing, *out is GLTF_REQUIRED before. */
-int fmt_gltf_number(const struct gltf_place *place, const json_t *object, const char *key,
+int fmt_gltf_number(const struct gltf_item *item, const json_t *object, const char *key,
                     uint64_t most, uint64_t *out);
 #define GLTF_REQUIRED UINT64_MAX
 
 /* As fmt_gltf_number(), for the index of an element of a top-level array. */
-int fmt_gltf_index(const struct gltf_place *place, const json_t *object, const char *key,
+int fmt_gltf_index(const struct gltf_item *item, const json_t *object, const char *key,
                    const char *array, uint32_t *out);
 
 /* Reads a member that is an array of `count` finite numbers. If it is missing, `out` stays as it
  * is. Returns 1 if it was read. */
-int fmt_gltf_numbers(const struct gltf_place *place, const json_t *object, const char *key,
+int fmt_gltf_numbers(const struct gltf_item *item, const json_t *object, const char *key,
                      unsigned count, double *out);
 
 /* Returns a member that is a string, or NULL. */
@@ -192,8 +192,8 @@ struct gltf_source {
 
 /* This and the functions below that take an element read one element of a top-level array into a
  * zeroed structure, which was counted before. A buffer must be zero but for its file. */
-int fmt_gltf_read_buffer(const struct gltf_place *place, struct gltf_source *source, void *element);
-int fmt_gltf_read_view(const struct gltf_place *place, struct gltf_source *source, void *element);
+int fmt_gltf_read_buffer(const struct gltf_item *item, struct gltf_source *source, void *element);
+int fmt_gltf_read_view(const struct gltf_item *item, struct gltf_source *source, void *element);
 /* Open and close the other files that a file's buffers are in. */
 int fmt_gltf_open_buffers(struct bsq_ctx *ctx, struct gltf_source *source);
 int fmt_gltf_close_buffers(struct bsq_ctx *ctx, struct gltf_source *source);
@@ -204,7 +204,7 @@ void fmt_gltf_free_buffers(struct bsq_ctx *ctx, struct gltf_source *source);
 int fmt_gltf_uri_path(struct bsq_ctx *ctx, const char *beside, const char *uri, bool exactly,
                       char **out, bool *exists);
 /* Finds out how many bytes base64 text stands for: `size` characters from `offset` in the file. */
-int fmt_gltf_measure_data(const struct gltf_place *place, uint64_t offset, uint64_t size,
+int fmt_gltf_measure_data(const struct gltf_item *item, uint64_t offset, uint64_t size,
                           uint64_t *out);
 /* Reads bytes of a view. Thread-safe. */
 int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, uint32_t view,
@@ -213,21 +213,20 @@ int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, u
 /* ---- gltf_packed.c ---- */
 
 /* Reads EXT_meshopt_compression of a view, whose size is known. */
-int fmt_gltf_read_packed_view(const struct gltf_place *place, struct gltf_source *source,
+int fmt_gltf_read_packed_view(const struct gltf_item *item, struct gltf_source *source,
                               const json_t *object, struct gltf_view *view);
 /* Reads KHR_draco_mesh_compression of a primitive, whose accessors are known. They get views.
  * texcoord: name of the attribute. */
-int fmt_gltf_read_draco(const struct gltf_place *place, struct gltf_source *source,
+int fmt_gltf_read_draco(const struct gltf_item *item, struct gltf_source *source,
                         const json_t *object, const char *texcoord, struct gltf_primitive *p);
 /* Decompresses everything to a temporary file, unless that is done. */
 int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source);
 
 uint32_t fmt_gltf_component_bytes(enum gltf_component component);
 
-int fmt_gltf_read_accessor(const struct gltf_place *place, struct gltf_source *source,
-                           void *element);
+int fmt_gltf_read_accessor(const struct gltf_item *item, struct gltf_source *source, void *element);
 /* Checks an accessor of a mesh that has neither a view nor compressed data. */
-int fmt_gltf_check_zeros(const struct gltf_place *place, const struct gltf_source *source,
+int fmt_gltf_check_zeros(const struct gltf_item *item, const struct gltf_source *source,
                          uint32_t accessor);
 /* Checks that the indices of sparse accessors ascend and are in range. */
 int fmt_gltf_check_sparse(struct stream_source *source);
@@ -243,9 +242,8 @@ uint64_t fmt_gltf_stride(const struct gltf_source *source, const struct gltf_acc
 
 /* Allocates the primitives of all meshes. */
 int fmt_gltf_allocate_primitives(struct gltf_document *document, struct gltf_source *source);
-int fmt_gltf_read_mesh(const struct gltf_place *place, struct gltf_source *source, void *element);
+int fmt_gltf_read_mesh(const struct gltf_item *item, struct gltf_source *source, void *element);
 int fmt_gltf_read_scene(struct gltf_document *document, struct gltf_source *source);
-int fmt_gltf_read_material(const struct gltf_place *place, struct gltf_source *source,
-                           void *element);
+int fmt_gltf_read_material(const struct gltf_item *item, struct gltf_source *source, void *element);
 
 #endif

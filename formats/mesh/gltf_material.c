@@ -30,19 +30,19 @@ static const char *part_of_view(const struct gltf_document *document,
 
 /* Sets *out to the path or name of an image; NULL if it has no data that can be read. An image
  * inside of a packed file cannot be named: counts it. */
-static int find_image(const struct gltf_place *place, struct gltf_source *source, char **out)
+static int find_image(const struct gltf_item *item, struct gltf_source *source, char **out)
 {
-    struct gltf_document *d = place->document;
-    const char *uri = fmt_gltf_string(place->object, "uri");
+    struct gltf_document *d = item->document;
+    const char *uri = fmt_gltf_string(item->object, "uri");
     struct bsq_extent extent = {.base64 = true};
     uint64_t size;
     uint32_t view;
     bool exists;
-    int status = fmt_gltf_index(place, place->object, "bufferView", "bufferViews", &view);
+    int status = fmt_gltf_index(item, item->object, "bufferView", "bufferViews", &view);
     if (status)
         return status;
     if (view != GLTF_NONE && source->views[view].decoded != GLTF_NOT_DECODED)
-        return fmt_gltf_fail(place, "an image in a compressed view");
+        return fmt_gltf_fail(item, "an image in a compressed view");
     if (view != GLTF_NONE) {
         const char *path = part_of_view(d, source, view, &extent);
         source->unread.packed_images += !path;
@@ -53,7 +53,7 @@ static int find_image(const struct gltf_place *place, struct gltf_source *source
         return 0;
     }
     if (uri && fmt_gltf_find_data(uri, &extent.offset, &size)) {
-        status = fmt_gltf_measure_data(place, extent.offset, size, &extent.size);
+        status = fmt_gltf_measure_data(item, extent.offset, size, &extent.size);
         return status ? status : bsq_extent_name(d->ctx, d->file.path, &extent, out);
     }
     const char *beside = fmt_input_beside(d->input);
@@ -63,7 +63,7 @@ static int find_image(const struct gltf_place *place, struct gltf_source *source
 }
 
 /* Finds out how a texture wraps beyond its image. Repeats if its sampler is missing or odd. */
-static void read_wrap(const struct gltf_place *texture, uint8_t wrap[2])
+static void read_wrap(const struct gltf_item *texture, uint8_t wrap[2])
 {
     static const char *const keys[] = {"wrapS", "wrapT"};
     uint64_t number, mode;
@@ -82,32 +82,32 @@ static void read_wrap(const struct gltf_place *texture, uint8_t wrap[2])
 static int find_texture(struct gltf_document *document, struct gltf_source *source,
                         uint32_t texture, uint8_t wrap[2], char **out)
 {
-    const struct gltf_place place = fmt_gltf_element(document, "textures", texture);
+    const struct gltf_item item = fmt_gltf_element(document, "textures", texture);
     uint32_t image;
-    read_wrap(&place, wrap);
-    int status = fmt_gltf_index(&place, place.object, "source", "images", &image);
+    read_wrap(&item, wrap);
+    int status = fmt_gltf_index(&item, item.object, "source", "images", &image);
     if (!status && image == GLTF_NONE)
-        status = fmt_gltf_index(&place, fmt_gltf_extension(place.object, "EXT_texture_webp"),
+        status = fmt_gltf_index(&item, fmt_gltf_extension(item.object, "EXT_texture_webp"),
                                 "source", "images", &image);
     if (!status && image == GLTF_NONE)
         source->unread.images++;
     if (status || image == GLTF_NONE)
         return status;
-    const struct gltf_place image_place = fmt_gltf_element(document, "images", image);
-    return find_image(&image_place, source, out);
+    const struct gltf_item image_item = fmt_gltf_element(document, "images", image);
+    return find_image(&image_item, source, out);
 }
 
 /* ---- texture coordinates ---- */
 
 /* Reads KHR_texture_transform: first the scale, then a rotation, then the offset. The rotation is
  * counter-clockwise where v points downwards. */
-static int read_transform(const struct gltf_place *place, const json_t *transform, double out[2][3])
+static int read_transform(const struct gltf_item *item, const json_t *transform, double out[2][3])
 {
     double offset[2] = {0, 0}, scale[2] = {1, 1}, rotation = 0;
     const json_t *angle = json_object_get(transform, "rotation");
-    int status = fmt_gltf_numbers(place, transform, "offset", 2, offset);
+    int status = fmt_gltf_numbers(item, transform, "offset", 2, offset);
     if (status >= 0)
-        status = fmt_gltf_numbers(place, transform, "scale", 2, scale);
+        status = fmt_gltf_numbers(item, transform, "scale", 2, scale);
     if (status < 0)
         return status;
     rotation = json_number_value(angle);
@@ -120,29 +120,29 @@ static int read_transform(const struct gltf_place *place, const json_t *transfor
 
 /* Reads which texture coordinates a texture uses: the number of their set, and the matrix of
  * KHR_texture_transform. `info` refers to the texture; NULL: set 0. */
-static int read_texcoord(const struct gltf_place *place, const json_t *info, uint32_t *set,
+static int read_texcoord(const struct gltf_item *item, const json_t *info, uint32_t *set,
                          double matrix[2][3])
 {
     static const double identity[2][3] = {{1, 0, 0}, {0, 1, 0}};
     const json_t *transform = fmt_gltf_extension(info, "KHR_texture_transform");
     uint64_t number = 0;
     memcpy(matrix, identity, sizeof identity);
-    int status = fmt_gltf_number(place, info, "texCoord", 1000000, &number);
+    int status = fmt_gltf_number(item, info, "texCoord", 1000000, &number);
     if (!status)
-        status = fmt_gltf_number(place, transform, "texCoord", 1000000, &number);
+        status = fmt_gltf_number(item, transform, "texCoord", 1000000, &number);
     *set = (uint32_t)number;
-    return status || !transform ? status : read_transform(place, transform, matrix);
+    return status || !transform ? status : read_transform(item, transform, matrix);
 }
 
 /* Returns the texture that chooses the texture coordinates of a material: the base colour's, or
  * another one. A low-poly mesh may have only normal maps, for instance. */
-static const json_t *find_texture_info(const struct gltf_place *place, const json_t *base)
+static const json_t *find_texture_info(const struct gltf_item *item, const json_t *base)
 {
     static const char *const keys[] = {"normalTexture", "occlusionTexture", "emissiveTexture"};
-    const json_t *pbr = json_object_get(place->object, "pbrMetallicRoughness");
+    const json_t *pbr = json_object_get(item->object, "pbrMetallicRoughness");
     const json_t *info = base ? base : json_object_get(pbr, "metallicRoughnessTexture");
     for (size_t i = 0; !info && i < sizeof keys / sizeof *keys; i++)
-        info = json_object_get(place->object, keys[i]);
+        info = json_object_get(item->object, keys[i]);
     return info;
 }
 
@@ -153,12 +153,12 @@ static const json_t *find_texture_info(const struct gltf_place *place, const jso
  * and a warning says so if the channel is kept. */
 
 /* Returns the object of a material that has the members of a channel; NULL: none. */
-static const json_t *object_of(const struct gltf_place *place, const struct bsq_channel_gltf *row)
+static const json_t *object_of(const struct gltf_item *item, const struct bsq_channel_gltf *row)
 {
-    const json_t *member = json_object_get(place->object, row->object);
+    const json_t *member = json_object_get(item->object, row->object);
     if (row->object[0] == '\0')
-        return place->object;
-    return member ? member : fmt_gltf_extension(place->object, row->object);
+        return item->object;
+    return member ? member : fmt_gltf_extension(item->object, row->object);
 }
 
 /* Finds out how coordinates that `base` made become those that `own` makes, of the same set. v of
@@ -191,13 +191,13 @@ static bool relate(const double base[2][3], const double own[2][3], struct bsq_u
 }
 
 /* Sets where the texture is looked up. Drops a texture with other coordinates. */
-static int read_uv(const struct gltf_place *place, const struct gltf_material *material,
+static int read_uv(const struct gltf_item *item, const struct gltf_material *material,
                    const json_t *info, struct fmt_material_channel *out)
 {
-    struct bsq_ctx *ctx = place->document->ctx;
+    struct bsq_ctx *ctx = item->document->ctx;
     double matrix[2][3];
     uint32_t set;
-    int status = read_texcoord(place, info, &set, matrix);
+    int status = read_texcoord(item, info, &set, matrix);
     if (status || (set == material->texcoord && relate((const double(*)[3])material->uv_matrix,
                                                        (const double(*)[3])matrix, &out->uv)))
         return status;
@@ -219,7 +219,7 @@ static double read_real(const json_t *object, const char *key, double usual)
 }
 
 /* Reads the value, which is also the factor of a texture. `info` refers to that; NULL: none. */
-static int read_factor(const struct gltf_place *place, const json_t *object, const json_t *info,
+static int read_factor(const struct gltf_item *item, const json_t *object, const json_t *info,
                        struct fmt_material_channel *out)
 {
     const struct bsq_channel_gltf *row = &out->channel->gltf;
@@ -227,16 +227,16 @@ static int read_factor(const struct gltf_place *place, const json_t *object, con
     const double usual = (double)row->usual, one = read_real(object, row->factor, usual);
     const double light =
         out->channel->color
-            ? read_real(fmt_gltf_extension(place->object, "KHR_materials_emissive_strength"),
+            ? read_real(fmt_gltf_extension(item->object, "KHR_materials_emissive_strength"),
                         "emissiveStrength", 1)
             : 1;
     double linear[3] = {one, one, one};
     int status = given && out->channel->values == 3
-                     ? fmt_gltf_numbers(place, object, row->factor, 3, linear)
+                     ? fmt_gltf_numbers(item, object, row->factor, 3, linear)
                      : 0;
     /* A material is as rough and metallic as it says, or entirely, unless it is glossy instead. */
-    const bool glossy = !json_object_get(place->object, "pbrMetallicRoughness") &&
-                        fmt_gltf_extension(place->object, "KHR_materials_pbrSpecularGlossiness");
+    const bool glossy = !json_object_get(item->object, "pbrMetallicRoughness") &&
+                        fmt_gltf_extension(item->object, "KHR_materials_pbrSpecularGlossiness");
     out->has_value = given || (row->usual > 0 && row->factor && !glossy);
     if (glossy && row->usual > 0 && row->factor)
         out->loss = "it has specular and glossiness instead, which are not read";
@@ -250,7 +250,7 @@ static int read_factor(const struct gltf_place *place, const json_t *object, con
     return status < 0 ? status : 0;
 }
 
-static int read_channel_texture(const struct gltf_place *place, struct gltf_source *source,
+static int read_channel_texture(const struct gltf_item *item, struct gltf_source *source,
                                 const struct gltf_material *material, const json_t *info,
                                 struct fmt_material_channel *out)
 {
@@ -258,36 +258,35 @@ static int read_channel_texture(const struct gltf_place *place, struct gltf_sour
     struct bsq_extent extent;
     uint32_t texture = GLTF_NONE;
     int status;
-    BSQ_TRY(fmt_gltf_index(place, info, "index", "textures", &texture));
+    BSQ_TRY(fmt_gltf_index(item, info, "index", "textures", &texture));
     if (texture != GLTF_NONE)
-        BSQ_TRY(find_texture(place->document, source, texture, out->uv.wrap, &out->texture_path));
+        BSQ_TRY(find_texture(item->document, source, texture, out->uv.wrap, &out->texture_path));
     source->unread = before; /* these counts are of colours */
     if (!out->texture_path)
         out->loss = "its texture has a format or an address that is not read";
     out->uv.srgb = out->texture_path && out->channel->color;
     if (out->texture_path)
-        BSQ_TRY(read_uv(place, material, info, out));
+        BSQ_TRY(read_uv(item, material, info, out));
     if (out->texture_path && bsq_extent_parse(out->texture_path, &extent) == 0)
-        BSQ_TRY(
-            bsq_text_copy(place->document->ctx, place->document->file.path, &out->texture_place));
+        BSQ_TRY(bsq_text_copy(item->document->ctx, item->document->file.path, &out->texture_place));
 done:
     return status;
 }
 
-static int read_channel(const struct gltf_place *place, struct gltf_source *source,
+static int read_channel(const struct gltf_item *item, struct gltf_source *source,
                         const struct gltf_material *material, struct fmt_material_channel *out)
 {
     const struct bsq_channel_gltf *row = &out->channel->gltf;
-    const json_t *object = object_of(place, row), *info = json_object_get(object, row->texture);
-    int status = read_factor(place, object, info, out);
+    const json_t *object = object_of(item, row), *info = json_object_get(object, row->texture);
+    int status = read_factor(item, object, info, out);
     out->component = row->component;
     if (status || (row->factor && !(out->factor[0] + out->factor[1] + out->factor[2] > 0)))
         return status; /* nothing is left of a texture */
-    return info ? read_channel_texture(place, source, material, info, out) : 0;
+    return info ? read_channel_texture(item, source, material, info, out) : 0;
 }
 
 /* Reads the further channels of a material whose texture coordinates are known. */
-static int read_channels(const struct gltf_place *place, struct gltf_source *source,
+static int read_channels(const struct gltf_item *item, struct gltf_source *source,
                          struct gltf_material *material)
 {
     struct fmt_material *list = &material->described;
@@ -295,14 +294,14 @@ static int read_channels(const struct gltf_place *place, struct gltf_source *sou
     uint32_t count = 0;
     for (unsigned i = 0; (row = bsq_channel_at(i)); i++)
         count += row->gltf.object != NULL;
-    int status = bsq_calloc(place->document->ctx, "glTF materials", count, sizeof *list->channels,
+    int status = bsq_calloc(item->document->ctx, "glTF materials", count, sizeof *list->channels,
                             &list->channels);
     for (unsigned i = 0; (row = bsq_channel_at(i)) && !status; i++) {
         if (!row->gltf.object)
             continue;
         struct fmt_material_channel *channel = &list->channels[list->channel_count++];
         channel->channel = row;
-        status = read_channel(place, source, material, channel);
+        status = read_channel(item, source, material, channel);
     }
     return status;
 }
@@ -310,11 +309,11 @@ static int read_channels(const struct gltf_place *place, struct gltf_source *sou
 /* ---- materials ---- */
 
 /* Reads a factor of red, green, blue and alpha. */
-static int read_color(const struct gltf_place *place, const json_t *object, const char *key,
+static int read_color(const struct gltf_item *item, const json_t *object, const char *key,
                       struct gltf_material *out, double *alpha)
 {
     double rgba[4] = {1, 1, 1, 1};
-    int status = fmt_gltf_numbers(place, object, key, 4, rgba);
+    int status = fmt_gltf_numbers(item, object, key, 4, rgba);
     for (int k = 0; k < 4; k++) /* as the format demands */
         rgba[k] = fmin(fmax(rgba[k], 0.0), 1.0);
     memcpy(out->color, rgba, sizeof out->color);
@@ -325,28 +324,28 @@ static int read_color(const struct gltf_place *place, const json_t *object, cons
     return status < 0 ? status : 0;
 }
 
-static int read_name(const struct gltf_place *place, char **out)
+static int read_name(const struct gltf_item *item, char **out)
 {
-    const char *name = fmt_gltf_string(place->object, "name");
+    const char *name = fmt_gltf_string(item->object, "name");
     char number[40];
-    snprintf(number, sizeof number, "material %lu", (unsigned long)place->index);
-    return bsq_text_copy(place->document->ctx, name ? name : number, out);
+    snprintf(number, sizeof number, "material %lu", (unsigned long)item->index);
+    return bsq_text_copy(item->document->ctx, name ? name : number, out);
 }
 
 /* Reads how alpha hides a material. `alpha` is for faces without texture, and multiplies the
  * texture's alpha. */
-static int read_opacity(const struct gltf_place *place, double alpha, struct fmt_material *out)
+static int read_opacity(const struct gltf_item *item, double alpha, struct fmt_material *out)
 {
-    const json_t *value = json_object_get(place->object, "alphaCutoff");
-    const char *mode = fmt_gltf_string(place->object, "alphaMode");
+    const json_t *value = json_object_get(item->object, "alphaCutoff");
+    const char *mode = fmt_gltf_string(item->object, "alphaMode");
     const double cutoff = json_is_number(value) ? json_number_value(value) : 0.5;
     struct fmt_material_channel *opacity;
     out->opaque = !mode || strcmp(mode, "OPAQUE") == 0;
     out->cutout = mode && strcmp(mode, "MASK") == 0;
     if (out->opaque)
         return 0;
-    int status = fmt_material_enter_channel(place->document->ctx, out, bsq_channel_find("opacity"),
-                                            &opacity);
+    int status =
+        fmt_material_enter_channel(item->document->ctx, out, bsq_channel_find("opacity"), &opacity);
     if (status)
         return status;
     opacity->value[0] = out->cutout ? (float)(alpha >= cutoff) : (float)alpha;
@@ -358,13 +357,12 @@ static int read_opacity(const struct gltf_place *place, double alpha, struct fmt
     return 0;
 }
 
-int fmt_gltf_read_material(const struct gltf_place *place, struct gltf_source *source,
-                           void *element)
+int fmt_gltf_read_material(const struct gltf_item *item, struct gltf_source *source, void *element)
 {
     struct gltf_material *out = element;
-    struct gltf_document *d = place->document;
-    const json_t *pbr = json_object_get(place->object, "pbrMetallicRoughness");
-    const json_t *old = fmt_gltf_extension(place->object, "KHR_materials_pbrSpecularGlossiness");
+    struct gltf_document *d = item->document;
+    const json_t *pbr = json_object_get(item->object, "pbrMetallicRoughness");
+    const json_t *old = fmt_gltf_extension(item->object, "KHR_materials_pbrSpecularGlossiness");
     const json_t *from = pbr ? pbr : old;
     const json_t *base = json_object_get(from, pbr ? "baseColorTexture" : "diffuseTexture");
     struct fmt_material *m = &out->described;
@@ -372,18 +370,18 @@ int fmt_gltf_read_material(const struct gltf_place *place, struct gltf_source *s
     struct bsq_extent extent;
     double alpha;
     int status;
-    BSQ_TRY(read_name(place, &m->name));
-    BSQ_TRY(read_color(place, from, pbr ? "baseColorFactor" : "diffuseFactor", out, &alpha));
+    BSQ_TRY(read_name(item, &m->name));
+    BSQ_TRY(read_color(item, from, pbr ? "baseColorFactor" : "diffuseFactor", out, &alpha));
     if (base)
-        BSQ_TRY(fmt_gltf_index(place, base, "index", "textures", &texture));
+        BSQ_TRY(fmt_gltf_index(item, base, "index", "textures", &texture));
     if (texture != GLTF_NONE)
         BSQ_TRY(find_texture(d, source, texture, m->uv.wrap, &m->texture_path));
     m->uv.srgb = m->texture_path != NULL; /* the format wants it */
     if (m->texture_path && bsq_extent_parse(m->texture_path, &extent) == 0)
         BSQ_TRY(bsq_text_copy(d->ctx, d->file.path, &m->texture_place));
-    BSQ_TRY(read_texcoord(place, find_texture_info(place, base), &out->texcoord, out->uv_matrix));
-    BSQ_TRY(read_channels(place, source, out));
-    status = read_opacity(place, alpha, m);
+    BSQ_TRY(read_texcoord(item, find_texture_info(item, base), &out->texcoord, out->uv_matrix));
+    BSQ_TRY(read_channels(item, source, out));
+    status = read_opacity(item, alpha, m);
 done:
     return status;
 }

@@ -39,75 +39,74 @@ static bool meshopt_fits(const struct gltf_meshopt *view)
     return stride > 0 && stride % 4 == 0 && stride <= 256;
 }
 
-static int read_modes(const struct gltf_place *place, const json_t *object,
-                      struct gltf_meshopt *out)
+static int read_modes(const struct gltf_item *item, const json_t *object, struct gltf_meshopt *out)
 {
     static const char *const modes[] = {"ATTRIBUTES", "TRIANGLES", "INDICES"};
     static const char *const filters[] = {"NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL"};
     const char *filter = fmt_gltf_string(object, "filter");
     int number = 0;
     if (!find_name(fmt_gltf_string(object, "mode"), modes, 3, &number))
-        return fmt_gltf_fail(place, "unknown mode of meshoptimizer");
+        return fmt_gltf_fail(item, "unknown mode of meshoptimizer");
     out->mode = (enum gltf_meshopt_mode)number;
     if (!find_name(filter ? filter : "NONE", filters, 4, &number))
-        return fmt_gltf_fail(place, "unknown filter of meshoptimizer");
+        return fmt_gltf_fail(item, "unknown filter of meshoptimizer");
     out->filter = (enum gltf_meshopt_filter)number;
     return 0;
 }
 
 /* Returns the place of `bytes` decoded bytes in the temporary file. */
-static int add_decoded(const struct gltf_place *place, struct gltf_source *source, uint64_t bytes,
+static int add_decoded(const struct gltf_item *item, struct gltf_source *source, uint64_t bytes,
                        uint64_t *out)
 {
     *out = source->decoded_bytes;
     if (__builtin_add_overflow(source->decoded_bytes, bytes, &source->decoded_bytes) ||
         source->decoded_bytes > INT64_MAX)
-        return fmt_gltf_fail(place, "too many bytes");
+        return fmt_gltf_fail(item, "too many bytes");
     return 0;
 }
 
-static int add_packed(const struct gltf_place *place, struct gltf_source *source,
+static int add_packed(const struct gltf_item *item, struct gltf_source *source,
                       const struct gltf_packed *packed)
 {
     int status = 0;
     if (source->packed_count == source->packed_capacity)
         status =
-            bsq_grow(place->document->ctx, "compressed views", (uint64_t)source->packed_count + 1,
+            bsq_grow(item->document->ctx, "compressed views", (uint64_t)source->packed_count + 1,
                      sizeof *source->packed, &source->packed, &source->packed_capacity);
     if (!status)
         source->packed[source->packed_count++] = *packed;
     return status;
 }
 
-int fmt_gltf_read_packed_view(const struct gltf_place *place, struct gltf_source *source,
+int fmt_gltf_read_packed_view(const struct gltf_item *item, struct gltf_source *source,
                               const json_t *object, struct gltf_view *view)
 {
-    struct gltf_packed packed = {.number = (uint32_t)place->index};
+    struct gltf_packed packed = {.number = (uint32_t)item->index};
     struct gltf_meshopt *meshopt = &packed.meshopt;
     uint64_t stride = GLTF_REQUIRED;
     meshopt->count = meshopt->size = GLTF_REQUIRED;
     int status;
-    BSQ_TRY(fmt_gltf_index(place, object, "buffer", "buffers", &packed.buffer));
-    BSQ_TRY(fmt_gltf_number(place, object, "byteOffset", INT64_MAX / 4, &packed.offset));
-    BSQ_TRY(fmt_gltf_number(place, object, "byteLength", INT64_MAX / 4, &meshopt->size));
-    BSQ_TRY(fmt_gltf_number(place, object, "byteStride", 256, &stride));
-    BSQ_TRY(fmt_gltf_number(place, object, "count", INT64_MAX / 4096, &meshopt->count));
-    BSQ_TRY(read_modes(place, object, meshopt));
+    BSQ_TRY(fmt_gltf_index(item, object, "buffer", "buffers", &packed.buffer));
+    BSQ_TRY(fmt_gltf_number(item, object, "byteOffset", INT64_MAX / 4, &packed.offset));
+    BSQ_TRY(fmt_gltf_number(item, object, "byteLength", INT64_MAX / 4, &meshopt->size));
+    BSQ_TRY(fmt_gltf_number(item, object, "byteStride", 256, &stride));
+    BSQ_TRY(fmt_gltf_number(item, object, "count", INT64_MAX / 4096, &meshopt->count));
+    BSQ_TRY(read_modes(item, object, meshopt));
     meshopt->stride = (uint32_t)stride;
     packed.bytes = meshopt->count * stride;
     if (!meshopt_fits(meshopt))
-        return fmt_gltf_fail(place, "a stride or count that meshoptimizer cannot decode");
+        return fmt_gltf_fail(item, "a stride or count that meshoptimizer cannot decode");
     /* The encoding takes a quarter of a byte for 16 bytes at least. */
     if (packed.bytes != view->size || packed.bytes / 64 > meshopt->size)
-        return fmt_gltf_fail(place, "%" PRIu64 " compressed bytes cannot hold %" PRIu64,
+        return fmt_gltf_fail(item, "%" PRIu64 " compressed bytes cannot hold %" PRIu64,
                              meshopt->size, view->size);
     const uint64_t bytes = packed.buffer == GLTF_NONE || source->buffers[packed.buffer].missing
                                ? 0
                                : source->buffers[packed.buffer].extent.size;
     if (packed.offset > bytes || meshopt->size > bytes - packed.offset)
-        return fmt_gltf_fail(place, "its compressed bytes are outside of their buffer");
-    BSQ_TRY(add_decoded(place, source, packed.bytes, &view->decoded));
-    status = add_packed(place, source, &packed);
+        return fmt_gltf_fail(item, "its compressed bytes are outside of their buffer");
+    BSQ_TRY(add_decoded(item, source, packed.bytes, &view->decoded));
+    status = add_packed(item, source, &packed);
 done:
     return status;
 }
@@ -119,17 +118,17 @@ done:
 enum { DRACO_ELEMENTS_PER_BYTE = 65536 };
 
 /* Checks the counts of a compressed mesh before memory is reserved for them. */
-static int check_counts(const struct gltf_place *place, const struct gltf_draco *mesh)
+static int check_counts(const struct gltf_item *item, const struct gltf_draco *mesh)
 {
     const uint64_t count = mesh->points > mesh->faces ? mesh->points : mesh->faces;
     if (count <= UINT32_MAX && count / DRACO_ELEMENTS_PER_BYTE <= mesh->size)
         return 0;
-    return fmt_gltf_fail(place, "%" PRIu64 " compressed bytes cannot hold %" PRIu64 " %s",
+    return fmt_gltf_fail(item, "%" PRIu64 " compressed bytes cannot hold %" PRIu64 " %s",
                          mesh->size, count, mesh->points > mesh->faces ? "vertices" : "triangles");
 }
 
 /* Adds a view for the elements of an accessor. */
-static int add_view(const struct gltf_place *place, struct gltf_source *source, uint32_t number,
+static int add_view(const struct gltf_item *item, struct gltf_source *source, uint32_t number,
                     uint32_t component_bytes)
 {
     struct gltf_accessor *accessor = &source->accessors[number];
@@ -137,13 +136,13 @@ static int add_view(const struct gltf_place *place, struct gltf_source *source, 
     if (source->view_count == GLTF_NONE - 1 ||
         __builtin_mul_overflow(accessor->count, (uint64_t)accessor->components * component_bytes,
                                &view.size))
-        return fmt_gltf_fail(place, "too many elements");
+        return fmt_gltf_fail(item, "too many elements");
     int status = 0;
     if (source->view_count == source->view_capacity)
-        status = bsq_grow(place->document->ctx, "glTF views", (uint64_t)source->view_count + 1,
+        status = bsq_grow(item->document->ctx, "glTF views", (uint64_t)source->view_count + 1,
                           sizeof *source->views, &source->views, &source->view_capacity);
     if (!status)
-        status = add_decoded(place, source, view.size, &view.decoded);
+        status = add_decoded(item, source, view.size, &view.decoded);
     if (status)
         return status;
     accessor->elements.view = source->view_count;
@@ -153,7 +152,7 @@ static int add_view(const struct gltf_place *place, struct gltf_source *source, 
 }
 
 /* Adds an attribute, or the indices, to what is decoded, unless the file has it uncompressed. */
-static int add_output(const struct gltf_place *place, struct gltf_source *source, uint32_t accessor,
+static int add_output(const struct gltf_item *item, struct gltf_source *source, uint32_t accessor,
                       const json_t *attributes, const char *key, struct gltf_packed *packed)
 {
     struct gltf_draco *mesh = &packed->draco;
@@ -162,7 +161,7 @@ static int add_output(const struct gltf_place *place, struct gltf_source *source
         return 0;
     if (key && !json_object_get(attributes, key))
         return 0;
-    int status = key ? fmt_gltf_number(place, attributes, key, UINT32_MAX, &id) : 0;
+    int status = key ? fmt_gltf_number(item, attributes, key, UINT32_MAX, &id) : 0;
     if (status)
         return status;
     const struct gltf_accessor *a = &source->accessors[accessor];
@@ -176,10 +175,10 @@ static int add_output(const struct gltf_place *place, struct gltf_source *source
     const uint32_t each = fmt_gltf_component_bytes(a->elements.component);
     packed->sizes[mesh->output_count - 1] = a->count * a->components * each;
     packed->bytes += a->count * a->components * each;
-    return add_view(place, source, accessor, each);
+    return add_view(item, source, accessor, each);
 }
 
-int fmt_gltf_read_draco(const struct gltf_place *place, struct gltf_source *source,
+int fmt_gltf_read_draco(const struct gltf_item *item, struct gltf_source *source,
                         const json_t *object, const char *texcoord, struct gltf_primitive *p)
 {
     const json_t *draco = fmt_gltf_extension(object, "KHR_draco_mesh_compression");
@@ -188,9 +187,9 @@ int fmt_gltf_read_draco(const struct gltf_place *place, struct gltf_source *sour
     uint32_t view;
     if (!draco || p->position == GLTF_NONE || p->index == GLTF_NONE)
         return 0;
-    int status = fmt_gltf_index(place, draco, "bufferView", "bufferViews", &view);
+    int status = fmt_gltf_index(item, draco, "bufferView", "bufferViews", &view);
     if (!status && (view == GLTF_NONE || source->views[view].decoded != GLTF_NOT_DECODED))
-        status = fmt_gltf_fail(place, "a compressed mesh without bufferView");
+        status = fmt_gltf_fail(item, "a compressed mesh without bufferView");
     const struct {
         uint32_t accessor;
         const char *key;
@@ -203,10 +202,10 @@ int fmt_gltf_read_draco(const struct gltf_place *place, struct gltf_source *sour
     packed.draco.faces = source->accessors[p->index].count / 3;
     if (!status) {
         packed.draco.size = source->views[view].size;
-        status = check_counts(place, &packed.draco);
+        status = check_counts(item, &packed.draco);
     }
     for (int i = 0; i < 5 && !status; i++)
-        status = add_output(place, source, parts[i].accessor, attributes, parts[i].key, &packed);
+        status = add_output(item, source, parts[i].accessor, attributes, parts[i].key, &packed);
     if (status)
         return status;
     if (source->views[source->accessors[p->index].elements.view].decoded != GLTF_NOT_DECODED)
@@ -215,7 +214,7 @@ int fmt_gltf_read_draco(const struct gltf_place *place, struct gltf_source *sour
         return 0;
     packed.buffer = source->views[view].buffer;
     packed.offset = source->views[view].offset;
-    return add_packed(place, source, &packed);
+    return add_packed(item, source, &packed);
 }
 
 /* ---- decoding ---- */

@@ -29,7 +29,7 @@ static bool recognise(const char *head, size_t size)
  * with space for one more. */
 static int read_list(struct gltf_document *document, struct gltf_source *file, const char *array,
                      uint64_t bytes, void *list, uint32_t *count,
-                     int (*read)(const struct gltf_place *, struct gltf_source *, void *))
+                     int (*read)(const struct gltf_item *, struct gltf_source *, void *))
 {
     const uint64_t all = fmt_gltf_count(document, array);
     uint8_t *elements;
@@ -37,11 +37,11 @@ static int read_list(struct gltf_document *document, struct gltf_source *file, c
     BSQ_TRY((bsq_calloc)(document->ctx, array, all + 1, bytes, list));
     memcpy(&elements, list, sizeof elements);
     for (uint64_t i = 0; i < all; i++) {
-        const struct gltf_place place = fmt_gltf_element(document, array, i);
+        const struct gltf_item item = fmt_gltf_element(document, array, i);
         if (i % 1024 == 0)
             BSQ_TRY(bsq_check(document->ctx));
         ++*count;
-        BSQ_TRY(read(&place, file, elements + i * bytes));
+        BSQ_TRY(read(&item, file, elements + i * bytes));
     }
 done:
     return status;
@@ -249,7 +249,7 @@ static int parse_normals(struct parser *p)
     return 0;
 }
 
-/* v of glTF points downwards, v of a block upwards. */
+/* v of glTF points downwards, v of a batch upwards. */
 static int parse_texcoords(struct parser *p)
 {
     static const double plain[2][3] = {{1, 0, 0}, {0, 1, 0}};

@@ -16,60 +16,60 @@
 enum { MODE_TRIANGLES = 4, MODE_STRIP = 5, MODE_FAN = 6 };
 
 /* Adds to a count of elements. */
-static int add(const struct gltf_place *place, uint64_t *sum, uint64_t value)
+static int add(const struct gltf_item *item, uint64_t *sum, uint64_t value)
 {
     if (__builtin_add_overflow(*sum, value, sum) || *sum > INT64_MAX)
-        return fmt_gltf_fail(place, "too many elements");
+        return fmt_gltf_fail(item, "too many elements");
     return 0;
 }
 
 /* Reads an attribute, whose elements have `least` to `most` components. */
-static int read_attribute(const struct gltf_place *place, const struct gltf_source *source,
+static int read_attribute(const struct gltf_item *item, const struct gltf_source *source,
                           const json_t *primitive, const char *key, uint32_t least, uint32_t most,
                           uint32_t *out)
 {
     const json_t *attributes = json_object_get(primitive, "attributes");
-    int status = fmt_gltf_index(place, attributes, key, "accessors", out);
+    int status = fmt_gltf_index(item, attributes, key, "accessors", out);
     if (status || *out == GLTF_NONE)
         return status;
     const uint32_t components = source->accessors[*out].components;
     if (components < least || components > most)
-        return fmt_gltf_fail(place, "%s has another number of components", key);
+        return fmt_gltf_fail(item, "%s has another number of components", key);
     return 0;
 }
 
-static int read_attributes(const struct gltf_place *place, const struct gltf_source *source,
+static int read_attributes(const struct gltf_item *item, const struct gltf_source *source,
                            const json_t *object, const char *texcoord, struct gltf_primitive *out)
 {
     int status;
-    BSQ_TRY(read_attribute(place, source, object, "POSITION", 3, 3, &out->position));
-    BSQ_TRY(read_attribute(place, source, object, "NORMAL", 3, 3, &out->normal));
-    BSQ_TRY(read_attribute(place, source, object, texcoord, 2, 2, &out->texcoord));
-    BSQ_TRY(read_attribute(place, source, object, "COLOR_0", 3, 4, &out->color));
+    BSQ_TRY(read_attribute(item, source, object, "POSITION", 3, 3, &out->position));
+    BSQ_TRY(read_attribute(item, source, object, "NORMAL", 3, 3, &out->normal));
+    BSQ_TRY(read_attribute(item, source, object, texcoord, 2, 2, &out->texcoord));
+    BSQ_TRY(read_attribute(item, source, object, "COLOR_0", 3, 4, &out->color));
     if (out->position == GLTF_NONE)
         return 0;
     const uint32_t others[] = {out->normal, out->texcoord, out->color};
     const uint64_t vertices = source->accessors[out->position].count;
     for (int i = 0; i < 3; i++)
         if (others[i] != GLTF_NONE && source->accessors[others[i]].count < vertices)
-            return fmt_gltf_fail(place,
+            return fmt_gltf_fail(item,
                                  "an attribute has %" PRIu64 " elements, POSITION has %" PRIu64,
                                  source->accessors[others[i]].count, vertices);
 done:
     return status;
 }
 
-static int read_indices(const struct gltf_place *place, struct gltf_source *source,
+static int read_indices(const struct gltf_item *item, struct gltf_source *source,
                         const json_t *object, struct gltf_primitive *out)
 {
-    int status = fmt_gltf_index(place, object, "indices", "accessors", &out->index);
+    int status = fmt_gltf_index(item, object, "indices", "accessors", &out->index);
     if (status || out->index == GLTF_NONE)
         return status;
     const struct gltf_accessor *a = &source->accessors[out->index];
     const enum gltf_component type = a->elements.component;
     if (a->components != 1 || a->normalized ||
         (type != GLTF_UINT8 && type != GLTF_UINT16 && type != GLTF_UINT32))
-        return fmt_gltf_fail(place, "its indices are no unsigned integers");
+        return fmt_gltf_fail(item, "its indices are no unsigned integers");
     return 0;
 }
 
@@ -88,20 +88,20 @@ static void count_triangles(struct gltf_source *source, struct gltf_primitive *o
 }
 
 /* Reads the accessors of a primitive of triangles. */
-static int read_accessors(const struct gltf_place *place, struct gltf_source *source,
+static int read_accessors(const struct gltf_item *item, struct gltf_source *source,
                           const json_t *object, struct gltf_primitive *out)
 {
     const uint32_t set = out->material == GLTF_NONE ? 0 : source->materials[out->material].texcoord;
     char texcoord[32];
     snprintf(texcoord, sizeof texcoord, "TEXCOORD_%" PRIu32, set);
     int status;
-    BSQ_TRY(read_attributes(place, source, object, texcoord, out));
-    BSQ_TRY(read_indices(place, source, object, out));
-    BSQ_TRY(fmt_gltf_read_draco(place, source, object, texcoord, out));
+    BSQ_TRY(read_attributes(item, source, object, texcoord, out));
+    BSQ_TRY(read_indices(item, source, object, out));
+    BSQ_TRY(fmt_gltf_read_draco(item, source, object, texcoord, out));
     const uint32_t all[] = {out->position, out->normal, out->texcoord, out->color, out->index};
     for (int i = 0; i < 5; i++)
         if (all[i] != GLTF_NONE)
-            BSQ_TRY(fmt_gltf_check_zeros(place, source, all[i]));
+            BSQ_TRY(fmt_gltf_check_zeros(item, source, all[i]));
 done:
     return status;
 }
@@ -128,20 +128,20 @@ static bool has_texture_factor(const struct gltf_source *source, const struct gl
 }
 
 /* Reads a primitive. Leaves its `triangles` 0 if it has none that can be read. */
-static int read_primitive(const struct gltf_place *place, struct gltf_source *source,
+static int read_primitive(const struct gltf_item *item, struct gltf_source *source,
                           const json_t *object, struct gltf_primitive *out)
 {
     uint64_t mode = MODE_TRIANGLES;
-    int status = fmt_gltf_number(place, object, "mode", 6, &mode);
+    int status = fmt_gltf_number(item, object, "mode", 6, &mode);
     out->mode = (uint32_t)mode;
     if (!status && mode < MODE_TRIANGLES) {
         source->unread.points++;
         return 0;
     }
     if (!status)
-        status = fmt_gltf_index(place, object, "material", "materials", &out->material);
+        status = fmt_gltf_index(item, object, "material", "materials", &out->material);
     if (!status)
-        status = read_accessors(place, source, object, out);
+        status = read_accessors(item, source, object, out);
     source->unread.bare += !status && out->position == GLTF_NONE;
     if (status || out->position == GLTF_NONE)
         return status;
@@ -149,7 +149,7 @@ static int read_primitive(const struct gltf_place *place, struct gltf_source *so
     if (out->triangles == 0)
         return 0;
     if (source->accessors[out->position].count == 0)
-        return fmt_gltf_fail(place, "it has triangles, but no vertices");
+        return fmt_gltf_fail(item, "it has triangles, but no vertices");
     if (out->color != GLTF_NONE) /* some programs forget to say so */
         source->accessors[out->color].normalized = true;
     source->has_tangents |=
@@ -161,7 +161,7 @@ static int read_primitive(const struct gltf_place *place, struct gltf_source *so
 }
 
 /* Adds a primitive to its mesh. */
-static int add_primitive(const struct gltf_place *place, const struct gltf_source *source,
+static int add_primitive(const struct gltf_item *item, const struct gltf_source *source,
                          struct gltf_mesh *mesh, struct gltf_primitive *p)
 {
     const uint64_t vertices = source->accessors[p->position].count;
@@ -169,29 +169,29 @@ static int add_primitive(const struct gltf_place *place, const struct gltf_sourc
         [FMT_MESH_VERTEX] = vertices,
         [FMT_MESH_TEXCOORD] = p->texcoord != GLTF_NONE ? vertices : 0,
         [FMT_MESH_NORMAL] = p->normal != GLTF_NONE ? vertices : 0};
-    int status = add(place, &mesh->triangles, p->triangles);
+    int status = add(item, &mesh->triangles, p->triangles);
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT && !status; kind++) {
         p->base[kind] = mesh->total[kind];
-        status = add(place, &mesh->total[kind], counts[kind]);
+        status = add(item, &mesh->total[kind], counts[kind]);
     }
     mesh->count++;
     return status;
 }
 
-int fmt_gltf_read_mesh(const struct gltf_place *place, struct gltf_source *source, void *element)
+int fmt_gltf_read_mesh(const struct gltf_item *item, struct gltf_source *source, void *element)
 {
     struct gltf_mesh *mesh = element;
-    const json_t *list = json_object_get(place->object, "primitives");
+    const json_t *list = json_object_get(item->object, "primitives");
     int status = 0;
     mesh->first = source->primitive_count;
     for (size_t i = 0; i < json_array_size(list); i++) {
         struct gltf_primitive *p = &source->primitives[source->primitive_count];
         *p = (struct gltf_primitive){
-            .position = GLTF_NONE, .mesh = (uint32_t)place->index, .number = (uint32_t)i};
-        BSQ_TRY(i % 1024 ? 0 : bsq_check(place->document->ctx));
-        BSQ_TRY(read_primitive(place, source, json_array_get(list, i), p));
+            .position = GLTF_NONE, .mesh = (uint32_t)item->index, .number = (uint32_t)i};
+        BSQ_TRY(i % 1024 ? 0 : bsq_check(item->document->ctx));
+        BSQ_TRY(read_primitive(item, source, json_array_get(list, i), p));
         if (p->triangles > 0) {
-            BSQ_TRY(add_primitive(place, source, mesh, p));
+            BSQ_TRY(add_primitive(item, source, mesh, p));
             source->primitive_count++;
         }
     }
@@ -262,10 +262,10 @@ static void compose(const double t[3], const double rotation[4], const double s[
     }
 }
 
-static int read_transform(const struct gltf_place *place, double out[3][4])
+static int read_transform(const struct gltf_item *item, double out[3][4])
 {
     double matrix[16], t[3] = {0, 0, 0}, q[4] = {0, 0, 0, 1}, s[3] = {1, 1, 1};
-    int found = fmt_gltf_numbers(place, place->object, "matrix", 16, matrix);
+    int found = fmt_gltf_numbers(item, item->object, "matrix", 16, matrix);
     if (found > 0) { /* columns one after the other */
         for (int i = 0; i < 3; i++)
             for (int k = 0; k < 4; k++)
@@ -273,11 +273,11 @@ static int read_transform(const struct gltf_place *place, double out[3][4])
         return 0;
     }
     if (found == 0)
-        found = fmt_gltf_numbers(place, place->object, "translation", 3, t);
+        found = fmt_gltf_numbers(item, item->object, "translation", 3, t);
     if (found >= 0)
-        found = fmt_gltf_numbers(place, place->object, "rotation", 4, q);
+        found = fmt_gltf_numbers(item, item->object, "rotation", 4, q);
     if (found >= 0)
-        found = fmt_gltf_numbers(place, place->object, "scale", 3, s);
+        found = fmt_gltf_numbers(item, item->object, "scale", 3, s);
     compose(t, q, s, out);
     return found < 0 ? found : 0;
 }
@@ -318,22 +318,22 @@ static bool scales_unevenly(const double m[3][4])
 
 /* ---- placing meshes ---- */
 
-/* Copies the name of an object: that of its node, or else of its mesh. place: the node. */
-static int copy_name(const struct gltf_place *place, uint32_t mesh, char **out)
+/* Copies the name of an object: that of its node, or else of its mesh. item: the node. */
+static int copy_name(const struct gltf_item *item, uint32_t mesh, char **out)
 {
-    const struct gltf_place mesh_place = fmt_gltf_element(place->document, "meshes", mesh);
-    const char *name = fmt_gltf_string(place->object, "name");
+    const struct gltf_item mesh_item = fmt_gltf_element(item->document, "meshes", mesh);
+    const char *name = fmt_gltf_string(item->object, "name");
     if (!name || !name[0])
-        name = fmt_gltf_string(mesh_place.object, "name");
-    return bsq_text_copy(place->document->ctx, name ? name : "", out);
+        name = fmt_gltf_string(mesh_item.object, "name");
+    return bsq_text_copy(item->document->ctx, name ? name : "", out);
 }
 
 /* Returns whether morph targets change the shape of a mesh: a weight of the node, or else of the
- * mesh, is not 0. place: the node. */
-static bool is_morphed(const struct gltf_place *place, uint32_t mesh)
+ * mesh, is not 0. item: the node. */
+static bool is_morphed(const struct gltf_item *item, uint32_t mesh)
 {
-    const json_t *object = fmt_gltf_element(place->document, "meshes", mesh).object;
-    const json_t *own = json_object_get(place->object, "weights");
+    const json_t *object = fmt_gltf_element(item->document, "meshes", mesh).object;
+    const json_t *own = json_object_get(item->object, "weights");
     const json_t *weights = own ? own : json_object_get(object, "weights");
     const json_t *primitives = json_object_get(object, "primitives");
     bool targets = false, weighted = false;
@@ -344,7 +344,7 @@ static bool is_morphed(const struct gltf_place *place, uint32_t mesh)
     return targets && weighted;
 }
 
-static int add_placement(struct walk *w, const struct gltf_place *place, uint32_t mesh,
+static int add_placement(struct walk *w, const struct gltf_item *item, uint32_t mesh,
                          const double matrix[3][4])
 {
     struct gltf_source *source = w->source;
@@ -352,7 +352,7 @@ static int add_placement(struct walk *w, const struct gltf_place *place, uint32_
     struct gltf_placement *out = &source->placements[source->placement_count];
     if (m->count == 0)
         return 0;
-    source->unread.morphs += is_morphed(place, mesh);
+    source->unread.morphs += is_morphed(item, mesh);
     *out = (struct gltf_placement){.mesh = mesh};
     memcpy(out->matrix, matrix, sizeof out->matrix);
     out->mirrored = fmt_invert_for_normals(matrix, out->normal_matrix);
@@ -367,38 +367,37 @@ static int add_placement(struct walk *w, const struct gltf_place *place, uint32_
     out->object_base = source->object_count;
     overflow |= __builtin_add_overflow(source->object_count, m->count, &source->object_count);
     source->placement_count++;
-    return overflow ? fmt_gltf_fail(place, "too many elements")
-                    : copy_name(place, mesh, &out->name);
+    return overflow ? fmt_gltf_fail(item, "too many elements") : copy_name(item, mesh, &out->name);
 }
 
-static int place_mesh(struct walk *w, const struct gltf_place *place, const double matrix[3][4])
+static int place_mesh(struct walk *w, const struct gltf_item *item, const double matrix[3][4])
 {
     uint32_t mesh, skin;
-    int status = fmt_gltf_index(place, place->object, "mesh", "meshes", &mesh);
+    int status = fmt_gltf_index(item, item->object, "mesh", "meshes", &mesh);
     if (!status)
-        status = fmt_gltf_index(place, place->object, "skin", "skins", &skin);
+        status = fmt_gltf_index(item, item->object, "skin", "skins", &skin);
     if (status || mesh == GLTF_NONE)
         return status;
     w->source->unread.skins += skin != GLTF_NONE;
     w->source->unread.instances +=
-        fmt_gltf_extension(place->object, "EXT_mesh_gpu_instancing") != NULL;
+        fmt_gltf_extension(item->object, "EXT_mesh_gpu_instancing") != NULL;
     /* A skinned mesh does not move with its node. */
-    return add_placement(w, place, mesh, skin != GLTF_NONE ? identity : matrix);
+    return add_placement(w, item, mesh, skin != GLTF_NONE ? identity : matrix);
 }
 
 /* ---- walking ---- */
 
 /* Puts nodes of a list on the stack, the first one on top. */
-static int push_nodes(struct walk *w, const struct gltf_place *place, const json_t *list,
+static int push_nodes(struct walk *w, const struct gltf_item *item, const json_t *list,
                       const double matrix[3][4])
 {
     for (size_t i = json_array_size(list); i-- > 0;) {
         uint64_t node;
         if (w->node_count == 0 ||
             !fmt_gltf_whole(json_array_get(list, i), w->node_count - 1, &node))
-            return fmt_gltf_fail(place, "refers to a node that does not exist");
+            return fmt_gltf_fail(item, "refers to a node that does not exist");
         if (w->seen[node])
-            return fmt_gltf_fail(place, "nodes[%" PRIu64 "] occurs twice in the hierarchy", node);
+            return fmt_gltf_fail(item, "nodes[%" PRIu64 "] occurs twice in the hierarchy", node);
         w->seen[node] = 1;
         struct visit *visit = &w->stack[w->stack_count++];
         visit->node = (uint32_t)node;
@@ -412,15 +411,15 @@ static int visit_nodes(struct walk *w)
     int status = 0;
     for (uint64_t i = 0; w->stack_count > 0; i++) {
         const struct visit visit = w->stack[--w->stack_count];
-        const struct gltf_place place = fmt_gltf_element(w->document, "nodes", visit.node);
+        const struct gltf_item item = fmt_gltf_element(w->document, "nodes", visit.node);
         double own[3][4], matrix[3][4];
         BSQ_TRY(i % 1024 ? 0 : bsq_check(w->document->ctx));
-        BSQ_TRY(read_transform(&place, own));
+        BSQ_TRY(read_transform(&item, own));
         w->source->unread.hidden += json_is_false(
-            json_object_get(fmt_gltf_extension(place.object, "KHR_node_visibility"), "visible"));
+            json_object_get(fmt_gltf_extension(item.object, "KHR_node_visibility"), "visible"));
         multiply(visit.matrix, (const double(*)[4])own, matrix);
-        BSQ_TRY(place_mesh(w, &place, (const double(*)[4])matrix));
-        BSQ_TRY(push_nodes(w, &place, json_object_get(place.object, "children"),
+        BSQ_TRY(place_mesh(w, &item, (const double(*)[4])matrix));
+        BSQ_TRY(push_nodes(w, &item, json_object_get(item.object, "children"),
                            (const double(*)[4])matrix));
     }
 done:
@@ -454,14 +453,14 @@ static int visit_all_roots(struct walk *w, uint8_t *is_child)
 
 static int visit_scene(struct walk *w)
 {
-    const struct gltf_place root = {w->document, "scene", 0, w->document->root};
+    const struct gltf_item root = {w->document, "scene", 0, w->document->root};
     uint32_t scene;
     int status = fmt_gltf_index(&root, w->document->root, "scene", "scenes", &scene);
     if (status)
         return status;
-    const struct gltf_place place =
+    const struct gltf_item item =
         fmt_gltf_element(w->document, "scenes", scene == GLTF_NONE ? 0 : scene);
-    status = push_nodes(w, &place, json_object_get(place.object, "nodes"), identity);
+    status = push_nodes(w, &item, json_object_get(item.object, "nodes"), identity);
     return status ? status : visit_nodes(w);
 }
 
@@ -486,8 +485,8 @@ static int place_all(struct walk *w)
 {
     int status = 0;
     for (uint32_t i = 0; i < w->source->mesh_count && !status; i++) {
-        const struct gltf_place place = fmt_gltf_element(w->document, "meshes", i);
-        status = add_placement(w, &place, i, identity);
+        const struct gltf_item item = fmt_gltf_element(w->document, "meshes", i);
+        status = add_placement(w, &item, i, identity);
     }
     return status;
 }

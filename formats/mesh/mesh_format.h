@@ -6,7 +6,7 @@
  * rest: it opens the files, runs the pipeline, counts elements, moves meshes, and finds the part
  * that holds a face again. What depends on earlier parts is done when the parts pass in order.
  *
- * A part becomes one block. Parts are the same for each reading, any budget and any number of
+ * A part becomes one batch. Parts are the same for each reading, any budget and any number of
  * threads. They take up to about 4 MiB; only a mesh of a scene that Assimp reads is one part of any
  * size. */
 #ifndef FMT_MESH_FORMAT_H
@@ -39,7 +39,7 @@ enum {
 };
 
 /* Growing arrays for the elements and faces of one part; reused, so only the first parts allocate.
- * Fields are those of struct fmt_mesh_block. */
+ * Fields are those of struct fmt_mesh_batch. */
 struct mesh_arrays {
     double (*positions)[3];
     float (*colors)[3];
@@ -66,7 +66,7 @@ struct mesh_arrays {
 #define FMT_RESERVE(ctx, count, array, capacity)                                                   \
     ((count) <= (capacity)                                                                         \
          ? 0                                                                                       \
-         : bsq_grow(ctx, "blocks of a mesh", count, sizeof *(array), &(array), &(capacity)))
+         : bsq_grow(ctx, "batches of a mesh", count, sizeof *(array), &(array), &(capacity)))
 
 /* One file of the scan. */
 struct stream_source {
@@ -130,18 +130,18 @@ struct stream_slot {
     unsigned local;             /* a bit for each kind whose indices count from the first element
                                    of the part, and not of the file */
     int64_t balance;            /* a count of the format */
-    float color_white;          /* as in struct fmt_mesh_block */
+    float color_white;          /* as in struct fmt_mesh_batch */
     uint32_t material_at_start; /* likewise; set by `pass` */
     uint64_t short_faces;       /* faces with fewer than three corners, which were skipped */
     struct stream_oddity odd[STREAM_ODDITY_COUNT];
     uint64_t last_face; /* parsing stops after this face of the part; UINT64_MAX: never */
     uint64_t at;        /* line or byte of the file where parsing stopped */
     char error[200];    /* what is wrong there; "": nothing */
-    struct fmt_mesh_block view;
+    struct fmt_mesh_batch view;
 };
 
 /* Where a face is, for messages. */
-struct fmt_mesh_place {
+struct fmt_mesh_location {
     const char *path;    /* owned by the reader */
     uint64_t line;       /* from 1; 0: the format has none */
     uint64_t byte;       /* of the file, from 0; 0: unknown, then messages count faces */
@@ -225,7 +225,7 @@ struct stream_colorless {
 };
 
 /* A part with faces. */
-struct stream_place {
+struct stream_face_part {
     struct stream_part part;
     uint64_t face_base;
 };
@@ -243,8 +243,8 @@ struct fmt_mesh_reader {
     uint32_t source_count;
     uint64_t material_count; /* numbers that were assigned */
     struct bsq_tally names;  /* the memory of names that formats keep */
-    struct stream_place *places;
-    uint64_t place_count, place_capacity;
+    struct stream_face_part *face_parts;
+    uint64_t face_part_count, face_part_capacity;
     struct stream_note *notes;
     uint64_t note_count, note_capacity;
     bool warns_of_materials; /* set by a preview, cleared by the first warning */
@@ -258,7 +258,7 @@ struct fmt_mesh_reader {
 /* Finds a face that has been read: parses the part that holds face number `face` of the scan up to
  * this face. */
 int fmt_stream_locate_face(struct fmt_mesh_reader *reader, uint64_t face,
-                           struct fmt_mesh_place *out);
+                           struct fmt_mesh_location *out);
 /* Parses a part up to its face number `face`, at which *slot stays. Free it with
  * fmt_stream_free_slot(), also after a failure. */
 int fmt_stream_parse_again(struct stream_source *source, const struct stream_part *part,

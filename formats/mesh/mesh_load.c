@@ -15,8 +15,8 @@ struct loss {
     uint64_t count, face;
 };
 
-/* Growing copies of the blocks' arrays. A corner without index, UINT64_MAX, becomes UINT32_MAX when
- * it is cut to 32 bits. */
+/* Growing copies of the batches' arrays. A corner without index, UINT64_MAX, becomes UINT32_MAX
+ * when it is cut to 32 bits. */
 struct loader {
     struct bsq_ctx *ctx;
     struct fmt_mesh_reader *reader;
@@ -76,53 +76,53 @@ static int append_corners(struct loader *loader, int kind, const uint64_t *from,
 }
 
 /* Appends the numbers of the faces' materials. */
-static int append_parts(struct loader *loader, const struct fmt_mesh_block *block)
+static int append_parts(struct loader *loader, const struct fmt_mesh_batch *batch)
 {
     struct fmt_mesh *mesh = loader->mesh;
-    uint32_t material = block->material_at_start;
+    uint32_t material = batch->material_at_start;
     int status =
-        bsq_grow(loader->ctx, "materials of faces", block->face_base + block->face_count,
+        bsq_grow(loader->ctx, "materials of faces", batch->face_base + batch->face_count,
                  sizeof *mesh->face_materials, &mesh->face_materials, &loader->material_capacity);
     uint64_t next = 0;
-    for (uint64_t face = 0; face < block->face_count && status == 0; face++) {
-        while (next < block->material_change_count && block->material_changes[next].face <= face)
-            material = block->material_changes[next++].material;
-        mesh->face_materials[block->face_base + face] = material;
+    for (uint64_t face = 0; face < batch->face_count && status == 0; face++) {
+        while (next < batch->material_change_count && batch->material_changes[next].face <= face)
+            material = batch->material_changes[next++].material;
+        mesh->face_materials[batch->face_base + face] = material;
     }
     return status;
 }
 
-static int collect(void *arg, const struct fmt_mesh_block *block)
+static int collect(void *arg, const struct fmt_mesh_batch *batch)
 {
     struct loader *loader = arg;
     struct fmt_mesh *mesh = loader->mesh;
-    if (block->vertex_base + block->vertex_count > UINT32_MAX - 1 ||
-        block->texcoord_base + block->texcoord_count > UINT32_MAX - 1 ||
-        block->normal_base + block->normal_count > UINT32_MAX - 1)
+    if (batch->vertex_base + batch->vertex_count > UINT32_MAX - 1 ||
+        batch->texcoord_base + batch->texcoord_count > UINT32_MAX - 1 ||
+        batch->normal_base + batch->normal_count > UINT32_MAX - 1)
         return bsq_fail(loader->ctx, BSQ_EDATA,
                         "more than %u vertices in a mesh that is to be "
                         "held whole",
                         UINT32_MAX - 1);
     int status;
     BSQ_TRY(append(loader, "vertices", &mesh->positions, &loader->position_capacity,
-                   block->vertex_base, block->positions, block->vertex_count,
+                   batch->vertex_base, batch->positions, batch->vertex_count,
                    sizeof *mesh->positions));
     BSQ_TRY(append(loader, "texture coordinates", &mesh->texcoords, &loader->texcoord_capacity,
-                   block->texcoord_base, block->texcoords, block->texcoord_count,
+                   batch->texcoord_base, batch->texcoords, batch->texcoord_count,
                    sizeof *mesh->texcoords));
-    BSQ_TRY(append(loader, "normals", &mesh->normals, &loader->normal_capacity, block->normal_base,
-                   block->normals, block->normal_count, sizeof *mesh->normals));
-    BSQ_TRY(append(loader, "faces", &loader->face_sizes, &loader->face_capacity, block->face_base,
-                   block->face_sizes, block->face_count, sizeof *loader->face_sizes));
-    const uint64_t *corners[3] = {block->corner_vertices, block->corner_texcoords,
-                                  block->corner_normals};
-    for (int kind = 0; kind < 3 && block->corner_count; kind++)
-        BSQ_TRY(append_corners(loader, kind, corners[kind], block->corner_count));
-    loader->corner_count += block->corner_count;
-    loader->missing_positions += block->missing_positions;
-    loader->missing_texcoords += block->missing_texcoords;
-    if (loader->named && block->face_count > 0)
-        BSQ_TRY(append_parts(loader, block));
+    BSQ_TRY(append(loader, "normals", &mesh->normals, &loader->normal_capacity, batch->normal_base,
+                   batch->normals, batch->normal_count, sizeof *mesh->normals));
+    BSQ_TRY(append(loader, "faces", &loader->face_sizes, &loader->face_capacity, batch->face_base,
+                   batch->face_sizes, batch->face_count, sizeof *loader->face_sizes));
+    const uint64_t *corners[3] = {batch->corner_vertices, batch->corner_texcoords,
+                                  batch->corner_normals};
+    for (int kind = 0; kind < 3 && batch->corner_count; kind++)
+        BSQ_TRY(append_corners(loader, kind, corners[kind], batch->corner_count));
+    loader->corner_count += batch->corner_count;
+    loader->missing_positions += batch->missing_positions;
+    loader->missing_texcoords += batch->missing_texcoords;
+    if (loader->named && batch->face_count > 0)
+        BSQ_TRY(append_parts(loader, batch));
 done:
     return status;
 }

@@ -268,10 +268,10 @@ unsigned fmt_mesh_max_slots(const struct fmt_mesh_reader *reader)
 }
 
 int fmt_mesh_read(struct fmt_mesh_reader *reader,
-                  int (*on_block)(void *arg, const struct fmt_mesh_block *block), void *arg,
+                  int (*on_batch)(void *arg, const struct fmt_mesh_batch *batch), void *arg,
                   struct fmt_mesh_totals *totals)
 {
-    const struct fmt_mesh_steps steps = {.on_block = on_block};
+    const struct fmt_mesh_steps steps = {.on_batch = on_batch};
     return fmt_mesh_read_steps(reader, &steps, arg, totals);
 }
 
@@ -346,45 +346,45 @@ bool fmt_mesh_all_below(const uint64_t *indices, uint64_t count, uint64_t end)
     return differences >> 63 == 0;
 }
 
-bool fmt_mesh_check_vertices(const struct fmt_mesh_block *block, uint64_t end, uint64_t *face,
+bool fmt_mesh_check_vertices(const struct fmt_mesh_batch *batch, uint64_t end, uint64_t *face,
                              uint64_t *index)
 {
     uint64_t f = 0, first = 0, corner = 0;
-    if (block->vertex_bound <= end ||
-        fmt_mesh_all_below(block->corner_vertices, block->corner_count, end))
+    if (batch->vertex_bound <= end ||
+        fmt_mesh_all_below(batch->corner_vertices, batch->corner_count, end))
         return true;
-    while (block->corner_vertices[corner] < end)
+    while (batch->corner_vertices[corner] < end)
         corner++;
-    for (; first + block->face_sizes[f] <= corner; f++)
-        first += block->face_sizes[f];
-    *face = block->face_base + f;
-    *index = block->corner_vertices[corner];
+    for (; first + batch->face_sizes[f] <= corner; f++)
+        first += batch->face_sizes[f];
+    *face = batch->face_base + f;
+    *index = batch->corner_vertices[corner];
     return false;
 }
 
 /* ---- messages about faces ---- */
 
-/* What follows the path in the place of a face: ":120". */
-struct place_end {
+/* What follows the path in the location of a face: ":120". */
+struct location_end {
     char text[40];
 };
 
-static struct place_end end_of_place(const struct fmt_mesh_place *place, uint64_t face)
+static struct location_end end_of_location(const struct fmt_mesh_location *location, uint64_t face)
 {
-    struct place_end end;
-    if (place->line > 0)
-        snprintf(end.text, sizeof end.text, ":%" PRIu64, place->line);
-    else if (place->byte > 0)
-        snprintf(end.text, sizeof end.text, ": byte %" PRIu64, place->byte);
+    struct location_end end;
+    if (location->line > 0)
+        snprintf(end.text, sizeof end.text, ":%" PRIu64, location->line);
+    else if (location->byte > 0)
+        snprintf(end.text, sizeof end.text, ": byte %" PRIu64, location->byte);
     else
-        snprintf(end.text, sizeof end.text, ": face %" PRIu64, face - place->first_face + 1);
+        snprintf(end.text, sizeof end.text, ": face %" PRIu64, face - location->first_face + 1);
     return end;
 }
 
 /* Fails with "path:line: face " and the text. If the format has no lines, with "path: byte 99: face
  * " and the text, or "path: face 12 " if the byte is unknown too. */
 __attribute__((format(printf, 4, 5))) static int fail_face(struct bsq_ctx *ctx,
-                                                           const struct fmt_mesh_place *place,
+                                                           const struct fmt_mesh_location *location,
                                                            uint64_t face, const char *format, ...)
 {
     char text[160];
@@ -392,19 +392,20 @@ __attribute__((format(printf, 4, 5))) static int fail_face(struct bsq_ctx *ctx,
     va_start(arguments, format);
     vsnprintf(text, sizeof text, format, arguments);
     va_end(arguments);
-    return bsq_fail(ctx, BSQ_EDATA, "%s%s%s%s", place->path, end_of_place(place, face).text,
-                    place->line + place->byte > 0 ? ": face " : " ", text);
+    return bsq_fail(ctx, BSQ_EDATA, "%s%s%s%s", location->path,
+                    end_of_location(location, face).text,
+                    location->line + location->byte > 0 ? ": face " : " ", text);
 }
 
-int fmt_mesh_place_text(struct fmt_mesh_reader *reader, uint64_t face, char **out)
+int fmt_mesh_location_text(struct fmt_mesh_reader *reader, uint64_t face, char **out)
 {
-    struct fmt_mesh_place place;
+    struct fmt_mesh_location location;
     int status;
     *out = NULL;
-    BSQ_TRY(fmt_stream_locate_face(reader, face, &place));
-    const struct place_end end = end_of_place(&place, face);
-    BSQ_TRY(bsq_alloc(reader->ctx, "names", strlen(place.path) + sizeof end, 1, out));
-    sprintf(*out, "%s%s", place.path, end.text);
+    BSQ_TRY(fmt_stream_locate_face(reader, face, &location));
+    const struct location_end end = end_of_location(&location, face);
+    BSQ_TRY(bsq_alloc(reader->ctx, "names", strlen(location.path) + sizeof end, 1, out));
+    sprintf(*out, "%s%s", location.path, end.text);
 done:
     return status;
 }
@@ -412,28 +413,28 @@ done:
 int fmt_mesh_report_loss(struct fmt_mesh_reader *reader, enum fmt_mesh_kind kind, uint64_t count,
                          uint64_t face, uint64_t faces)
 {
-    char *place = NULL;
+    char *location = NULL;
     int status = 0;
     if (count == 0)
         return 0;
-    BSQ_TRY(fmt_mesh_place_text(reader, face, &place));
+    BSQ_TRY(fmt_mesh_location_text(reader, face, &location));
     if (kind != FMT_MESH_VERTEX)
         status = bsq_warn_loss(reader->ctx,
                                "%s: corners that refer to a %s that the file does not have: "
                                "%" PRIu64 "; this is the first",
-                               place, fmt_mesh_kind_names[kind], count);
+                               location, fmt_mesh_kind_names[kind], count);
     else if (count > faces / 100)
         status = bsq_fail(reader->ctx, BSQ_EDATA,
                           "%s: %" PRIu64 " of %" PRIu64 " faces have a vertex without a finite "
                           "position, more than 1 %%; this is the first",
-                          place, count, faces);
+                          location, count, faces);
     else
         status = bsq_warn_loss(reader->ctx,
                                "%s: faces left out, as they have a vertex without a finite "
                                "position: %" PRIu64 "; this is the first",
-                               place, count);
+                               location, count);
 done:
-    bsq_free(reader->ctx, place);
+    bsq_free(reader->ctx, location);
     return status;
 }
 
@@ -447,31 +448,31 @@ int fmt_mesh_fail_no_faces(struct bsq_ctx *ctx, const char *path,
 int fmt_mesh_fail_index(struct fmt_mesh_reader *reader, uint64_t face, enum fmt_mesh_kind kind,
                         uint64_t index)
 {
-    struct fmt_mesh_place place;
-    int status = fmt_stream_locate_face(reader, face, &place);
+    struct fmt_mesh_location location;
+    int status = fmt_stream_locate_face(reader, face, &location);
     if (status < 0)
         return status;
-    if (index - place.base[kind] >= FMT_MESH_BEFORE)
-        return fail_face(reader->ctx, &place, face, "refers to a %s before the first one",
+    if (index - location.base[kind] >= FMT_MESH_BEFORE)
+        return fail_face(reader->ctx, &location, face, "refers to a %s before the first one",
                          fmt_mesh_kind_names[kind]);
-    return fail_face(reader->ctx, &place, face, "refers to %s %" PRIu64 "%s, file has %" PRIu64,
-                     fmt_mesh_kind_names[kind], index - place.base[kind] + !place.from_zero,
-                     place.from_zero ? " (counted from 0)" : "", place.count[kind]);
+    return fail_face(reader->ctx, &location, face, "refers to %s %" PRIu64 "%s, file has %" PRIu64,
+                     fmt_mesh_kind_names[kind], index - location.base[kind] + !location.from_zero,
+                     location.from_zero ? " (counted from 0)" : "", location.count[kind]);
 }
 
 int fmt_mesh_fail_face(struct bsq_ctx *ctx, const char *path, uint64_t face, const char *what)
 {
     struct fmt_mesh_reader *reader;
-    struct fmt_mesh_place place;
+    struct fmt_mesh_location location;
     bsq_mute_warnings(ctx, true); /* they were given when the file was loaded */
     int status = fmt_mesh_open(ctx, &path, 1, &reader);
     if (status == 0)
         status = fmt_mesh_read(reader, NULL, NULL, NULL);
     bsq_mute_warnings(ctx, false);
     if (status == 0)
-        status = fmt_stream_locate_face(reader, face, &place);
+        status = fmt_stream_locate_face(reader, face, &location);
     if (status == 0)
-        status = fail_face(ctx, &place, face, "%s", what);
+        status = fail_face(ctx, &location, face, "%s", what);
     fmt_mesh_close(reader);
     return status;
 }

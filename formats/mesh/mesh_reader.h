@@ -1,6 +1,6 @@
-/* mesh_reader.h - reads meshes of any format as a stream of blocks, or whole when they are small.
+/* mesh_reader.h - reads meshes of any format as a stream of batches, or whole when they are small.
  *
- * Takes paths of mesh files; gives blocks of attribute streams and faces, in file order. Each
+ * Takes paths of mesh files; gives batches of attribute streams and faces, in file order. Each
  * format is one row of the registry (mesh_format.h): a file's first bytes choose it, then its
  * suffix. A file that neither names is read as OBJ. Callers never learn which format a mesh has.
  *
@@ -27,30 +27,30 @@ enum fmt_mesh_kind { FMT_MESH_VERTEX, FMT_MESH_TEXCOORD, FMT_MESH_NORMAL, FMT_ME
 /* "vertex", "texture coordinate", "normal" */
 extern const char *const fmt_mesh_kind_names[FMT_MESH_KIND_COUNT];
 
-/* From face `face` of the block on, faces have material number `material`. */
+/* From face `face` of the batch on, faces have material number `material`. */
 struct fmt_mesh_material_change {
     uint64_t face;
     uint32_t material;
 };
 
-/* One block. The arrays belong to the reader and live until the last step for this block returns.
- * The second step may change those of faces. Bases count the elements of all earlier blocks of the
+/* One batch. The arrays belong to the reader and live until the last step for this batch returns.
+ * The second step may change those of faces. Bases count the elements of all earlier batches of the
  * scan. */
-struct fmt_mesh_block {
+struct fmt_mesh_batch {
     uint64_t sequence;
     uint32_t file;        /* number of the input file */
-    uint64_t byte_offset; /* of the block in its file */
+    uint64_t byte_offset; /* of the batch in its file */
     uint64_t byte_size;
 
     uint64_t vertex_count, vertex_base;
     const double (*positions)[3];
-    /* Positions and texture coordinates of the block that are not finite in the file. All their
+    /* Positions and texture coordinates of the batch that are not finite in the file. All their
      * numbers are NaN; all others are finite. */
     uint64_t missing_positions, missing_texcoords;
     const float (*colors)[3]; /* sRGB as written, -1 for a vertex without colour; NULL: no vertex
-                                 of the block has one */
+                                 of the batch has one */
     float color_white; /* value of full intensity in `colors`; 0: 1 or 255, not known which */
-    /* Colours of vertices of this or earlier blocks, RGBA8 sRGB; the first is for vertex number
+    /* Colours of vertices of this or earlier batches, RGBA8 sRGB; the first is for vertex number
      * late_color_base of the scan. To be used if there is one for each vertex of the scan and
      * unread_colors of the totals is NULL. */
     const uint32_t *late_colors;
@@ -64,8 +64,8 @@ struct fmt_mesh_block {
     uint32_t *face_sizes; /* corners of each face, >= 3 */
     uint64_t corner_count;
     /* Per corner, 0-based over the whole scan. FMT_MESH_NONE: the corner has no texture coordinate
-     * or normal. NULL: no corner of the block has any. An index may refer to an element of a later
-     * block, or to none at all: check it against the totals at the end. */
+     * or normal. NULL: no corner of the batch has any. An index may refer to an element of a later
+     * batch, or to none at all: check it against the totals at the end. */
     uint64_t *corner_vertices, *corner_texcoords, *corner_normals;
     uint64_t vertex_bound; /* above all of corner_vertices; UINT64_MAX: not known */
 
@@ -134,32 +134,32 @@ bool fmt_mesh_recognise(const char *path, const char *head, size_t size);
 /* Returns the length of a path without the suffix of a packed file: ".gz" or ".zst". */
 size_t fmt_mesh_unpacked_length(const char *path);
 
-/* Reads everything. on_block is called serially in order; it returns 0 to go on, or a negative
+/* Reads everything. on_batch is called serially in order; it returns 0 to go on, or a negative
  * status, which stops and is returned. Numbers that are malformed are BSQ_EDATA with file, line and
  * the offending text. What is unknown, missing in the file or not finite is counted; the first
  * reading warns of it at its end, with the line of the first. Memory: see fmt_mesh_max_slots().
- * on_block may be NULL (parse only). May be called again: blocks, faces and materials have the same
- * numbers each time. The caller reports progress; the blocks' byte_size add up to the files,
- * because bytes that yield nothing belong to a block too. */
+ * on_batch may be NULL (parse only). May be called again: batches, faces and materials have the
+ * same numbers each time. The caller reports progress; the batches' byte_size add up to the files,
+ * because bytes that yield nothing belong to a batch too. */
 int fmt_mesh_read(struct fmt_mesh_reader *reader,
-                  int (*on_block)(void *arg, const struct fmt_mesh_block *block), void *arg,
+                  int (*on_batch)(void *arg, const struct fmt_mesh_batch *batch), void *arg,
                   struct fmt_mesh_totals *totals);
 
-/* What a caller does with each block while it is in memory. */
+/* What a caller does with each batch while it is in memory. */
 struct fmt_mesh_steps {
-    /* As on_block of fmt_mesh_read(). */
-    int (*on_block)(void *arg, const struct fmt_mesh_block *block);
-    /* Called on all threads, in any order, but after on_block of this block and of all earlier
+    /* As on_batch of fmt_mesh_read(). */
+    int (*on_batch)(void *arg, const struct fmt_mesh_batch *batch);
+    /* Called on all threads, in any order, but after on_batch of this batch and of all earlier
      * ones. No two calls at a time share a `slot`, which is below fmt_mesh_max_slots(). May be
      * NULL. */
-    int (*follow)(void *arg, const struct fmt_mesh_block *block, unsigned slot);
-    /* Called serially in order, after follow of the same block. NULL exactly if follow is. */
-    int (*finish)(void *arg, const struct fmt_mesh_block *block, unsigned slot);
+    int (*follow)(void *arg, const struct fmt_mesh_batch *batch, unsigned slot);
+    /* Called serially in order, after follow of the same batch. NULL exactly if follow is. */
+    int (*finish)(void *arg, const struct fmt_mesh_batch *batch, unsigned slot);
 };
 /* Reads as fmt_mesh_read() does, with all three steps. */
 int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_steps *steps,
                         void *arg, struct fmt_mesh_totals *totals);
-/* Returns how many blocks a reader holds at most. A block takes up to 4 MiB, as a rule. */
+/* Returns how many batches a reader holds at most. A batch takes up to 4 MiB, as a rule. */
 unsigned fmt_mesh_max_slots(const struct fmt_mesh_reader *reader);
 
 /* Estimated size of a scan, within some percent for ordinary files. */
@@ -177,7 +177,7 @@ int fmt_mesh_estimate(const struct fmt_mesh_reader *reader, struct fmt_mesh_esti
 
 /* ---- materials ---- */
 
-/* Gives each pair of material and object a material number of its own in the blocks that follow.
+/* Gives each pair of material and object a material number of its own in the batches that follow.
  * An object of an OBJ file begins at an "o" or "g" statement and has its name. In glTF files, and
  * in those that Assimp reads, it is a node with a mesh. Call it before the first reading. Does
  * nothing for formats without objects. */
@@ -223,7 +223,7 @@ struct fmt_materials {
     uint64_t capacity;
 };
 
-/* Describes all materials that the blocks read so far refer to; their index in the list is the
+/* Describes all materials that the batches read so far refer to; their index in the list is the
  * material number. A file of materials that is missing is a warning. Free *out with
  * fmt_materials_free(). */
 int fmt_mesh_read_materials(struct fmt_mesh_reader *reader, struct fmt_materials *out);
@@ -241,17 +241,17 @@ int fmt_material_enter_channel(struct bsq_ctx *ctx, struct fmt_material *materia
                                const struct bsq_channel *channel,
                                struct fmt_material_channel **out);
 /* Returns the path of another file that the result depends on, such as a material library. Only
- * files named in the blocks read so far are known. Images are not among them. Returns NULL if there
- * are no more than `index`. The reader owns the path. */
+ * files named in the batches read so far are known. Images are not among them. Returns NULL if
+ * there are no more than `index`. The reader owns the path. */
 const char *fmt_mesh_dependency(const struct fmt_mesh_reader *reader, uint32_t index);
 
 /* ---- messages about faces ---- */
 
-/* Returns in *out the place of a face that has been read, for messages: "scan.obj:120",
- * "scan.ply: byte 99" or "scan.stl: face 12". Free it with bsq_free(). Reads the face's block
+/* Returns in *out where a face is that has been read, for messages: "scan.obj:120",
+ * "scan.ply: byte 99" or "scan.stl: face 12". Free it with bsq_free(). Reads the face's batch
  * again.
  */
-int fmt_mesh_place_text(struct fmt_mesh_reader *reader, uint64_t face, char **out);
+int fmt_mesh_location_text(struct fmt_mesh_reader *reader, uint64_t face, char **out);
 
 /* Reports that `count` of the scan's `faces` have a vertex without a position and are left out, if
  * kind is FMT_MESH_VERTEX, or that `count` corners refer to a texture coordinate or normal
@@ -263,14 +263,14 @@ int fmt_mesh_report_loss(struct fmt_mesh_reader *reader, enum fmt_mesh_kind kind
 /* Returns whether no index but FMT_MESH_NONE is `end` or more. Indices and ends are below 2^62, so
  * the sign of the difference tells; FMT_MESH_NONE wraps to `end`. */
 bool fmt_mesh_all_below(const uint64_t *indices, uint64_t count, uint64_t end);
-/* Returns whether all vertex indices of a block are below `end`. If not, sets the first face of the
+/* Returns whether all vertex indices of a batch are below `end`. If not, sets the first face of the
  * scan that has another one, and this index. */
-bool fmt_mesh_check_vertices(const struct fmt_mesh_block *block, uint64_t end, uint64_t *face,
+bool fmt_mesh_check_vertices(const struct fmt_mesh_batch *batch, uint64_t end, uint64_t *face,
                              uint64_t *index);
 
 /* Describes a corner whose index is out of range, with file, line and value:
  * "scan.obj:120: face refers to vertex 99, file has 12". Returns BSQ_EDATA. `face` and `index` are
- * numbers over the whole scan. Reads the face's block again. */
+ * numbers over the whole scan. Reads the face's batch again. */
 int fmt_mesh_fail_index(struct fmt_mesh_reader *reader, uint64_t face, enum fmt_mesh_kind kind,
                         uint64_t index);
 

@@ -18,7 +18,7 @@ struct job {
     struct stream_slot *slots;
     struct stream_part cut; /* the last part that was cut */
     uint32_t source;        /* file of the last part that passed */
-    uint64_t passed;        /* bytes of this file that earlier blocks have */
+    uint64_t passed;        /* bytes of this file that earlier batches have */
 };
 
 /* ---- files ---- */
@@ -332,16 +332,16 @@ static void move_elements(const struct fmt_mesh_placement *p, struct mesh_arrays
     }
 }
 
-static int add_place(const struct job *job, const struct stream_slot *slot)
+static int add_face_part(const struct job *job, const struct stream_slot *slot)
 {
     struct fmt_mesh_reader *reader = job->reader;
     if (slot->arrays.face_count == 0)
         return 0;
-    int status =
-        FMT_RESERVE(reader->ctx, reader->place_count + 1, reader->places, reader->place_capacity);
+    int status = FMT_RESERVE(reader->ctx, reader->face_part_count + 1, reader->face_parts,
+                             reader->face_part_capacity);
     if (!status)
-        reader->places[reader->place_count++] =
-            (struct stream_place){.part = slot->part, .face_base = job->reader->totals->faces};
+        reader->face_parts[reader->face_part_count++] =
+            (struct stream_face_part){.part = slot->part, .face_base = job->reader->totals->faces};
     return status;
 }
 
@@ -369,34 +369,34 @@ static int note_oddities(struct fmt_mesh_reader *reader, const struct stream_slo
     return 0;
 }
 
-static void show_arrays(const struct mesh_arrays *a, struct fmt_mesh_block *block)
+static void show_arrays(const struct mesh_arrays *a, struct fmt_mesh_batch *batch)
 {
-    block->vertex_count = a->count[FMT_MESH_VERTEX];
-    block->positions = (const double(*)[3])a->positions;
-    block->colors = a->has_colors ? (const float(*)[3])a->colors : NULL;
-    block->late_colors = a->late_colors;
-    block->late_color_count = a->late_color_count;
-    block->texcoord_count = a->count[FMT_MESH_TEXCOORD];
-    block->texcoords = (const double(*)[2])a->texcoords;
-    block->normal_count = a->count[FMT_MESH_NORMAL];
-    block->normals = (const float(*)[3])a->normals;
-    block->face_count = a->face_count;
-    block->face_sizes = a->face_sizes;
-    block->corner_count = a->corner_count;
-    block->corner_vertices = a->corners[FMT_MESH_VERTEX];
-    block->corner_texcoords =
+    batch->vertex_count = a->count[FMT_MESH_VERTEX];
+    batch->positions = (const double(*)[3])a->positions;
+    batch->colors = a->has_colors ? (const float(*)[3])a->colors : NULL;
+    batch->late_colors = a->late_colors;
+    batch->late_color_count = a->late_color_count;
+    batch->texcoord_count = a->count[FMT_MESH_TEXCOORD];
+    batch->texcoords = (const double(*)[2])a->texcoords;
+    batch->normal_count = a->count[FMT_MESH_NORMAL];
+    batch->normals = (const float(*)[3])a->normals;
+    batch->face_count = a->face_count;
+    batch->face_sizes = a->face_sizes;
+    batch->corner_count = a->corner_count;
+    batch->corner_vertices = a->corners[FMT_MESH_VERTEX];
+    batch->corner_texcoords =
         a->has_corners[FMT_MESH_TEXCOORD] ? a->corners[FMT_MESH_TEXCOORD] : NULL;
-    block->corner_normals = a->has_corners[FMT_MESH_NORMAL] ? a->corners[FMT_MESH_NORMAL] : NULL;
-    block->vertex_bound = a->vertex_bound;
-    block->material_change_count = a->change_count;
-    block->material_changes = a->changes;
+    batch->corner_normals = a->has_corners[FMT_MESH_NORMAL] ? a->corners[FMT_MESH_NORMAL] : NULL;
+    batch->vertex_bound = a->vertex_bound;
+    batch->material_change_count = a->change_count;
+    batch->material_changes = a->changes;
 }
 
-static int call_on_block(const struct job *job, struct stream_slot *slot, uint64_t sequence)
+static int call_on_batch(const struct job *job, struct stream_slot *slot, uint64_t sequence)
 {
     const struct fmt_mesh_totals *totals = job->reader->totals;
     const struct stream_source *source = slot->source;
-    slot->view = (struct fmt_mesh_block){
+    slot->view = (struct fmt_mesh_batch){
         .sequence = sequence,
         .file = slot->part.source,
         .byte_offset = job->passed,
@@ -412,7 +412,7 @@ static int call_on_block(const struct job *job, struct stream_slot *slot, uint64
         .material_at_start = slot->material_at_start,
     };
     show_arrays(&slot->arrays, &slot->view);
-    return job->steps->on_block ? job->steps->on_block(job->arg, &slot->view) : 0;
+    return job->steps->on_batch ? job->steps->on_batch(job->arg, &slot->view) : 0;
 }
 
 /* Adds the part to all counts. */
@@ -454,8 +454,8 @@ static int emit(void *arg, void *slot_memory, uint64_t sequence)
     if (source->moves)
         move_elements(&source->placement, &slot->arrays);
     BSQ_TRY(note_oddities(job->reader, slot));
-    BSQ_TRY(add_place(job, slot));
-    BSQ_TRY(call_on_block(job, slot, sequence));
+    BSQ_TRY(add_face_part(job, slot));
+    BSQ_TRY(call_on_batch(job, slot, sequence));
     count_part(job, slot);
 done:
     return status;
@@ -502,7 +502,7 @@ static int run_job(struct job *job)
 {
     struct bsq_ctx *ctx = job->reader->ctx;
     const unsigned slot_count = count_slots(job->reader);
-    int status = bsq_calloc(ctx, "blocks of a mesh", slot_count, sizeof *job->slots, &job->slots);
+    int status = bsq_calloc(ctx, "batches of a mesh", slot_count, sizeof *job->slots, &job->slots);
     if (status)
         return status;
     for (unsigned i = 0; i < slot_count; i++)
@@ -565,7 +565,7 @@ int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_st
     struct fmt_mesh_totals unused = {0};
     reader->totals = totals ? totals : &unused;
     *reader->totals = (struct fmt_mesh_totals){0};
-    reader->place_count = reader->note_count = 0;
+    reader->face_part_count = reader->note_count = 0;
     reader->painted = reader->unpainted = false;
     int status = run_job(&job);
     for (uint32_t i = 0; i < reader->source_count; i++) {
@@ -583,18 +583,19 @@ int fmt_mesh_read_steps(struct fmt_mesh_reader *reader, const struct fmt_mesh_st
 
 /* ---- finding a face again ---- */
 
-/* Returns the last place whose faces begin at or before `face`. */
-static const struct stream_place *find_place(const struct fmt_mesh_reader *reader, uint64_t face)
+/* Returns the last part whose faces begin at or before `face`. */
+static const struct stream_face_part *find_face_part(const struct fmt_mesh_reader *reader,
+                                                     uint64_t face)
 {
-    uint64_t low = 0, high = reader->place_count;
+    uint64_t low = 0, high = reader->face_part_count;
     while (high - low > 1) {
         uint64_t middle = low + (high - low) / 2;
-        if (reader->places[middle].face_base <= face)
+        if (reader->face_parts[middle].face_base <= face)
             low = middle;
         else
             high = middle;
     }
-    return reader->place_count ? &reader->places[low] : NULL;
+    return reader->face_part_count ? &reader->face_parts[low] : NULL;
 }
 
 int fmt_stream_parse_again(struct stream_source *source, const struct stream_part *part,
@@ -611,18 +612,18 @@ int fmt_stream_parse_again(struct stream_source *source, const struct stream_par
 }
 
 int fmt_stream_locate_face(struct fmt_mesh_reader *reader, uint64_t face,
-                           struct fmt_mesh_place *out)
+                           struct fmt_mesh_location *out)
 {
-    const struct stream_place *place = find_place(reader, face);
+    const struct stream_face_part *found = find_face_part(reader, face);
     struct stream_slot slot;
-    if (!place)
+    if (!found)
         return bsq_fail(reader->ctx, BSQ_EBUG, "face %" PRIu64 " has not been read", face);
-    struct stream_source *source = &reader->sources[place->part.source];
-    int status = fmt_stream_parse_again(source, &place->part, face - place->face_base, &slot);
-    *out = (struct fmt_mesh_place){.path = source->path,
-                                   .first_face = source->face_base,
-                                   .from_zero = !source->format->from_one};
-    *(place->part.first_line ? &out->line : &out->byte) = slot.at;
+    struct stream_source *source = &reader->sources[found->part.source];
+    int status = fmt_stream_parse_again(source, &found->part, face - found->face_base, &slot);
+    *out = (struct fmt_mesh_location){.path = source->path,
+                                      .first_face = source->face_base,
+                                      .from_zero = !source->format->from_one};
+    *(found->part.first_line ? &out->line : &out->byte) = slot.at;
     memcpy(out->base, source->base, sizeof out->base);
     memcpy(out->count, source->count, sizeof out->count);
     fmt_stream_free_slot(&slot);
@@ -642,7 +643,7 @@ void fmt_mesh_close(struct fmt_mesh_reader *reader)
         fmt_input_free(source->input);
     }
     bsq_free(reader->ctx, reader->sources);
-    bsq_free(reader->ctx, reader->places);
+    bsq_free(reader->ctx, reader->face_parts);
     bsq_free(reader->ctx, reader->notes);
     bsq_tally_release(reader->ctx, &reader->names);
     bsq_free(reader->ctx, reader);

@@ -10,7 +10,7 @@
 
 /* Bytes of text of one part. Text and result fit a core's cache, and parts are large enough that
  * handing them around costs nothing. */
-#define OBJ_BLOCK_BYTES ((uint64_t)512 << 10)
+#define OBJ_PART_BYTES ((uint64_t)512 << 10)
 
 /* Encoding of parsed corners. A value below OBJ_RELATIVE_LIMIT is an index from 0 into the file.
  * Any other value except FMT_MESH_NONE is OBJ_RELATIVE_ZERO plus the signed distance from the first
@@ -60,7 +60,7 @@ struct obj_file {
     bool bad_paint;
 };
 
-/* ---- obj_block.c ---- */
+/* ---- obj_parse.c ---- */
 
 /* Parses bytes [begin, begin + size) of slot->bytes, which have STREAM_PADDING bytes after them.
  * Stops after face number slot->last_face, or where the text is wrong. slot->at is the line of that

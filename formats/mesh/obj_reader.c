@@ -51,7 +51,7 @@ static int cut(const struct stream_part *before, struct stream_slot *slot)
 {
     slot->part.first_item = before->end > 0 ? before->first_item + 1 : 0;
     slot->part.offset = before->end;
-    return fmt_stream_cut_text(slot, OBJ_BLOCK_BYTES, find_lines);
+    return fmt_stream_cut_text(slot, OBJ_PART_BYTES, find_lines);
 }
 
 static int parse(struct stream_slot *slot)

@@ -243,19 +243,19 @@ uint32_t fmt_shade_id(const struct fmt_shading *shading, const struct fmt_tris_c
 }
 
 int fmt_shade_attribute(const struct fmt_shading *shading, uint32_t attribute,
-                        const struct fmt_shading_place *place, float out[3])
+                        const struct fmt_shading_footprint *footprint, float out[3])
 {
     const struct fmt_attribute *of = &shading->attributes[attribute];
-    const struct fmt_tris_source *source = &of->sources[place->material];
-    const uint64_t image = attribute * source_count(shading) + place->material;
+    const struct fmt_tris_source *source = &of->sources[footprint->material];
+    const uint64_t image = attribute * source_count(shading) + footprint->material;
     float at[2], width[2];
     if (!shading->textures || !source->texture_path) {
         memcpy(out, source->value, sizeof source->value);
         return 0;
     }
     for (int k = 0; k < 2; k++) {
-        at[k] = bsq_uv_apply(&source->uv, k, place->at[k]);
-        width[k] = bsq_uv_width(&source->uv, k, place->width[k]);
+        at[k] = bsq_uv_apply(&source->uv, k, footprint->at[k]);
+        width[k] = bsq_uv_width(&source->uv, k, footprint->width[k]);
     }
     int status = fmt_texture_sample(shading->textures, (uint32_t)image, source->uv.wrap, at[0],
                                     at[1], width[0], width[1], out);

@@ -107,7 +107,7 @@ uint32_t fmt_shade_id(const struct fmt_shading *shading, const struct fmt_tris_c
                       uint32_t triangle, const double weights[3]);
 
 /* A box in texture space, before materials move it. */
-struct fmt_shading_place {
+struct fmt_shading_footprint {
     float at[2], width[2]; /* centre; full widths */
     uint32_t material;     /* as fmt_shading_material() returns it */
 };
@@ -115,7 +115,7 @@ struct fmt_shading_place {
 /* Sets three values of an attribute that is used; if it has one value, three times this one.
  * Thread-safe. Errors: those of fmt_texture_sample(). */
 int fmt_shade_attribute(const struct fmt_shading *shading, uint32_t attribute,
-                        const struct fmt_shading_place *place, float out[3]);
+                        const struct fmt_shading_footprint *footprint, float out[3]);
 
 #ifdef __cplusplus
 }

@@ -100,7 +100,7 @@ static void shade_normal(const struct bake_exact *exact, const struct place *pla
  * two of the normal's numbers to float, in shade_normal(), and back, without rounding them. */
 static __attribute__((noinline)) int add_normal_map(const struct bake_exact *exact,
                                                     const struct place *place,
-                                                    const struct fmt_shading_place *at,
+                                                    const struct fmt_shading_footprint *at,
                                                     float normal[3])
 {
     const float(*texcoords)[2] = place->slot->chunk.tris.texcoords;
@@ -174,12 +174,13 @@ static void footprint(const struct place *place, const struct bake_exact_ray *ra
 
 /* Finds where a hit lies on the textures of its triangle. Without texture coordinates, that is
  * their origin. */
-static struct fmt_shading_place texture_place(const struct bake_exact *exact,
-                                              const struct place *place,
-                                              const struct bake_exact_batch *batch, uint64_t ray)
+static struct fmt_shading_footprint texture_footprint(const struct bake_exact *exact,
+                                                      const struct place *place,
+                                                      const struct bake_exact_batch *batch,
+                                                      uint64_t ray)
 {
     const struct fmt_tris_chunk *chunk = &place->slot->chunk.tris;
-    struct fmt_shading_place out = {
+    struct fmt_shading_footprint out = {
         .material = fmt_shading_material(&exact->shading, chunk, place->triangle)};
     double width[2] = {0, 0}, at[2] = {0, 0};
     float uv[3][2];
@@ -203,7 +204,7 @@ static struct fmt_shading_place texture_place(const struct bake_exact *exact,
 /* Evaluates the colour, in this order of precedence: texture, vertex colours, colour of the
  * material. Vertex colours may multiply the texture. Black if the scan has none of them. */
 static int shade_color(const struct bake_exact *exact, const struct place *place,
-                       const struct fmt_shading_place *at, float out[3])
+                       const struct fmt_shading_footprint *at, float out[3])
 {
     const struct fmt_tris_chunk *chunk = &place->slot->chunk.tris;
     const bool textured = fmt_shading_is_textured(&exact->shading, FMT_SHADING_COLOR, at->material);
@@ -234,7 +235,7 @@ int bake_exact_shade(const struct bake_exact *exact, const struct exact_slot *sl
     set_place(&place, slot, (uint32_t)(hit->triangle - exact->chunks[slot->number].first_triangle),
               hit);
     shade_normal(exact, &place, hit->normal);
-    const struct fmt_shading_place at = texture_place(exact, &place, batch, ray);
+    const struct fmt_shading_footprint at = texture_footprint(exact, &place, batch, ray);
     if (slot->chunk.tris.texcoords &&
         fmt_shading_is_textured(shading, FMT_SHADING_NORMAL_MAP, at.material))
         BSQ_TRY(add_normal_map(exact, &place, &at, hit->normal));

@@ -2,8 +2,8 @@
  *
  * The serial step of the reader appends vertices to their streams. When the first faces come, all
  * vertices are known: so are the cube around the scan and, if positions are in a file, the bucket
- * of each vertex. From then on all threads triangulate blocks of faces. A second serial step copies
- * the result to the buckets, in the order of the file. */
+ * of each vertex. From then on all threads triangulate batches of faces. A second serial step
+ * copies the result to the buckets, in the order of the file. */
 #include "base/context.h"
 #include "libvoxel/partition/partition.h"
 #include "libvoxel/partition/triangulate.h"
@@ -12,12 +12,12 @@
 #include <string.h>
 
 #define MIB ((uint64_t)1 << 20)
-/* Memory that a block usually takes in the reader and in its triangulator. */
+/* Memory that a batch usually takes in the reader and in its triangulator. */
 #define BLOCK_BYTES (6 * MIB)
-/* Corner numbers of a block are 32-bit numbers with bits to spare. */
+/* Corner numbers of a batch are 32-bit numbers with bits to spare. */
 #define MAX_CORNERS (UINT32_MAX / 32)
 
-struct block_slot {
+struct batch_slot {
     struct triangulator triangulator;
     struct scan_face_check check;
 };
@@ -30,7 +30,7 @@ struct reading {
     bool elements, faces; /* what this pass keeps */
     bool begun;           /* faces have come */
     uint64_t used_before; /* bytes of the budget, before reading */
-    struct block_slot *slots;
+    struct batch_slot *slots;
     unsigned slot_count;
     struct triangulation_plan plan;
     bool spilled;                         /* positions are in a file, after faces have begun */
@@ -101,9 +101,9 @@ static uint32_t wanted_levels(const struct reading *r)
     return levels;
 }
 
-/* Fails with the budget that the scan needs. missing: bytes. A larger budget reads more blocks at a
- * time, until there are two for each thread. Its other shares grow by less than a third of what is
- * added. */
+/* Fails with the budget that the scan needs. missing: bytes. A larger budget reads more batches at
+ * a time, until there are two for each thread. Its other shares grow by less than a third of what
+ * is added. */
 static int refuse_vertices(const struct reading *r, uint64_t missing)
 {
     const struct scan *scan = r->scan;
@@ -196,7 +196,7 @@ done:
 
 /* ---- steps of the reader ---- */
 
-/* Called for the first block with faces, when all vertices are known. */
+/* Called for the first batch with faces, when all vertices are known. */
 static int begin_faces(struct reading *r)
 {
     uint64_t pages = 0;
@@ -219,47 +219,47 @@ done:
     return status;
 }
 
-static int on_block(void *arg, const struct fmt_mesh_block *block)
+static int on_batch(void *arg, const struct fmt_mesh_batch *batch)
 {
     struct reading *r = arg;
     int status;
     BSQ_TRY(bsq_check(r->scan->ctx));
-    if (r->elements && r->begun && vox_scan_has_elements(block))
+    if (r->elements && r->begun && vox_scan_has_elements(batch))
         return BSQ_RETRY;
     if (r->elements)
-        BSQ_TRY(vox_scan_add_elements(r->scan, block));
-    if (r->faces && block->face_count > 0 && !r->begun)
+        BSQ_TRY(vox_scan_add_elements(r->scan, batch));
+    if (r->faces && batch->face_count > 0 && !r->begun)
         BSQ_TRY(begin_faces(r));
 done:
-    bsq_progress_add(r->scan->ctx, block->byte_size);
+    bsq_progress_add(r->scan->ctx, batch->byte_size);
     return status;
 }
 
-static int follow(void *arg, const struct fmt_mesh_block *block, unsigned number)
+static int follow(void *arg, const struct fmt_mesh_batch *batch, unsigned number)
 {
     struct reading *r = arg;
-    struct block_slot *slot = &r->slots[number];
-    if (r->elements && vox_scan_has_elements(block))
+    struct batch_slot *slot = &r->slots[number];
+    if (r->elements && vox_scan_has_elements(batch))
         vox_scan_prefault(r->scan);
-    if (!r->faces || block->face_count == 0)
+    if (!r->faces || batch->face_count == 0)
         return 0;
-    vox_scan_check_faces(r->scan, block, &slot->check);
+    vox_scan_check_faces(r->scan, batch, &slot->check);
     if (slot->check.max_size > MAX_CORNERS)
         return bsq_fail(r->scan->ctx, BSQ_EDATA, "%s: a face has %u corners, more than %u",
-                        r->scan->paths[block->file], slot->check.max_size, MAX_CORNERS);
+                        r->scan->paths[batch->file], slot->check.max_size, MAX_CORNERS);
     if (slot->check.bad_index.found)
         return 0;
-    return vox_triangulate_block(&slot->triangulator, &slot->check.faces, slot->check.max_size);
+    return vox_triangulate_batch(&slot->triangulator, &slot->check.faces, slot->check.max_size);
 }
 
 /* Copies runs to their buckets. Nothing more is kept after an index that is out of range: the scan
  * is refused after everything has been read. */
-static int finish(void *arg, const struct fmt_mesh_block *block, unsigned number)
+static int finish(void *arg, const struct fmt_mesh_batch *batch, unsigned number)
 {
     struct reading *r = arg;
-    const struct block_slot *slot = &r->slots[number];
+    const struct batch_slot *slot = &r->slots[number];
     int status = 0;
-    if (!r->faces || block->face_count == 0)
+    if (!r->faces || batch->face_count == 0)
         return 0;
     status = vox_scan_note_faces(r->scan, &slot->check);
     if (status < 0 || r->scan->bad_index.found)
@@ -276,7 +276,7 @@ static int finish(void *arg, const struct fmt_mesh_block *block, unsigned number
 
 static int read_pass(struct reading *r, struct fmt_mesh_reader *reader, bool elements, bool faces)
 {
-    static const struct fmt_mesh_steps steps = {on_block, follow, finish};
+    static const struct fmt_mesh_steps steps = {on_batch, follow, finish};
     r->elements = elements;
     r->faces = faces;
     return fmt_mesh_read_steps(reader, &steps, r, &r->scan->totals);

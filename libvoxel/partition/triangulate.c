@@ -3,7 +3,7 @@
  * Neighbours in the file are mostly neighbours in space, so consecutive triangles in one bucket are
  * noted as one span. Then all spans of a bucket are coded together, so a bucket's triangles share
  * runs even if the faces of the file have no order. There is a fast path for most scans, whose
- * blocks have triangles with positions alone and one material: these are coded while their buckets
+ * batches have triangles with positions alone and one material: these are coded while their buckets
  * are found, so each change of the bucket ends a run. That pays as long as neighbours in the file
  * are neighbours in space. */
 #include "base/polygon.h"
@@ -20,14 +20,14 @@ struct position_pages {
     float positions[PAGES][PAGE_VERTICES][3];
 };
 
-/* Consecutive triangles of a block that are in one bucket and have one material. */
+/* Consecutive triangles of a batch that are in one bucket and have one material. */
 struct triangle_span {
     uint32_t bucket, first, count, material;
 };
 
-/* A block of faces. */
+/* A batch of faces. */
 struct faces {
-    const struct fmt_mesh_block *block;
+    const struct fmt_mesh_batch *batch;
     const uint32_t *sizes;                        /* NULL if all faces are triangles */
     const uint64_t *indices[FMT_MESH_KIND_COUNT]; /* of corners; NULL: none has any */
     uint32_t material[2]; /* of triangles with texture coordinates, others */
@@ -349,15 +349,15 @@ static int code_spans(struct triangulator *t, const struct faces *faces)
     return 0;
 }
 
-/* ---- plain blocks ---- */
+/* ---- plain batches ---- */
 
-/* After a block without order the next ones are likely to have none. A trial that fails takes a
- * sixteenth of a block's time. */
+/* After a batch without order the next ones are likely to have none. A trial that fails takes a
+ * sixteenth of a batch's time. */
 #define BLOCKS_WITHOUT_TRIAL 16
 
 static bool is_plain(const struct faces *faces)
 {
-    return !faces->sizes && faces->block->material_change_count == 0 &&
+    return !faces->sizes && faces->batch->material_change_count == 0 &&
            !faces->indices[FMT_MESH_TEXCOORD] && !faces->indices[FMT_MESH_NORMAL];
 }
 
@@ -399,9 +399,9 @@ static bool code_triangles(struct triangulator *t, const struct faces *faces)
     const bool known = t->plan->vertex_buckets != NULL;
     const struct vertex_buckets buckets =
         known ? *t->plan->vertex_buckets : (struct vertex_buckets){0};
-    const uint32_t material = run_material(faces->block->material_at_start, true);
+    const uint32_t material = run_material(faces->batch->material_at_start, true);
     const uint64_t *v = faces->indices[FMT_MESH_VERTEX];
-    const uint64_t triangles = faces->block->face_count;
+    const uint64_t triangles = faces->batch->face_count;
     const uint32_t most = most_runs(triangles);
     struct run_writer w = {.to = t->bytes};
     uint32_t bucket = UINT32_MAX;
@@ -429,15 +429,15 @@ static bool code_triangles(struct triangulator *t, const struct faces *faces)
     return true;
 }
 
-/* Triangulates a block of triangles that have positions alone and one material. *done: false if the
- * block has no such faces or its triangles have no order; then the result is undefined. */
+/* Triangulates a batch of triangles that have positions alone and one material. *done: false if the
+ * batch has no such faces or its triangles have no order; then the result is undefined. */
 static int triangulate_plain(struct triangulator *t, const struct faces *faces, bool *done)
 {
     *done = false;
     if (t->skipped_plain > 0)
         t->skipped_plain--;
     else if (is_plain(faces)) {
-        int status = reserve_plain(t, faces->block->face_count);
+        int status = reserve_plain(t, faces->batch->face_count);
         if (status < 0)
             return status;
         *done = code_triangles(t, faces);
@@ -446,7 +446,7 @@ static int triangulate_plain(struct triangulator *t, const struct faces *faces, 
     return 0;
 }
 
-/* ---- blocks ---- */
+/* ---- batches ---- */
 
 static int add_face(struct triangulator *t, const struct faces *faces, uint32_t first,
                     uint32_t size)
@@ -465,17 +465,17 @@ static void set_material(struct faces *faces, uint32_t usemtl)
 
 static int add_faces(struct triangulator *t, struct faces *faces)
 {
-    const struct fmt_mesh_block *block = faces->block;
-    const uint32_t corner_count = (uint32_t)block->corner_count;
+    const struct fmt_mesh_batch *batch = faces->batch;
+    const uint32_t corner_count = (uint32_t)batch->corner_count;
     uint32_t corner = 0;
     uint64_t change = 0;
     t->triangles = 0;
     t->span_count = 0;
-    set_material(faces, block->material_at_start);
-    for (uint64_t f = 0; f < block->face_count; f++) {
+    set_material(faces, batch->material_at_start);
+    for (uint64_t f = 0; f < batch->face_count; f++) {
         uint32_t size = faces->sizes ? faces->sizes[f] : 3;
-        while (change < block->material_change_count && block->material_changes[change].face <= f)
-            set_material(faces, block->material_changes[change++].material);
+        while (change < batch->material_change_count && batch->material_changes[change].face <= f)
+            set_material(faces, batch->material_changes[change++].material);
         for (uint32_t k = corner + CORNERS_AHEAD;
              k < corner + CORNERS_AHEAD + size && k < corner_count; k += faces->sizes ? 1 : 3)
             __builtin_prefetch(bucket_source(t, faces, k));
@@ -487,14 +487,14 @@ static int add_faces(struct triangulator *t, struct faces *faces)
     return 0;
 }
 
-int vox_triangulate_block(struct triangulator *t, const struct fmt_mesh_block *block,
+int vox_triangulate_batch(struct triangulator *t, const struct fmt_mesh_batch *batch,
                           uint32_t max_size)
 {
     struct faces faces = {
-        .block = block,
-        .sizes = max_size > 3 ? block->face_sizes : NULL,
-        .indices = {block->corner_vertices, block->corner_texcoords, block->corner_normals}};
-    const uint64_t triangles = block->corner_count - 2 * block->face_count;
+        .batch = batch,
+        .sizes = max_size > 3 ? batch->face_sizes : NULL,
+        .indices = {batch->corner_vertices, batch->corner_texcoords, batch->corner_normals}};
+    const uint64_t triangles = batch->corner_count - 2 * batch->face_count;
     bool plain;
     int status = triangulate_plain(t, &faces, &plain);
     if (status < 0 || plain)

@@ -1,7 +1,7 @@
-/* triangulate.h - turns the faces of a block into triangles, delta coded and grouped by bucket.
+/* triangulate.h - turns the faces of a batch into triangles, delta coded and grouped by bucket.
  *
- * Works on one block of faces at a time. It needs the positions of first corners and of polygons,
- * or the buckets of their vertices, so blocks can be triangulated on all threads. */
+ * Works on one batch of faces at a time. It needs the positions of first corners and of polygons,
+ * or the buckets of their vertices, so batches can be triangulated on all threads. */
 #ifndef VOX_PARTITION_TRIANGULATE_H
 #define VOX_PARTITION_TRIANGULATE_H
 
@@ -9,9 +9,9 @@
 #include "libvoxel/partition/tuple_runs.h"
 #include "libvoxel/partition/vertex_buckets.h"
 
-/* ---- blocks ---- */
+/* ---- batches ---- */
 
-/* What all blocks of a scan have in common. */
+/* What all batches of a scan have in common. */
 struct triangulation_plan {
     const struct scan *scan;
     struct morton_cube cube;
@@ -19,14 +19,14 @@ struct triangulation_plan {
     const struct vertex_buckets *vertex_buckets; /* set if positions are in a file */
 };
 
-/* The runs that one block adds to one bucket. */
+/* The runs that one batch adds to one bucket. */
 struct bucket_runs {
     uint32_t bucket, triangles;
-    uint32_t first_span, span_count; /* in `sorted`; 0 for plain blocks */
+    uint32_t first_span, span_count; /* in `sorted`; 0 for plain batches */
     uint64_t offset, bytes;          /* in `bytes` of the triangulator */
 };
 
-/* Buffers and result of triangulating one block after the other. */
+/* Buffers and result of triangulating one batch after the other. */
 struct triangulator {
     struct bsq_ctx *ctx;
     const struct triangulation_plan *plan;
@@ -37,11 +37,11 @@ struct triangulator {
     uint64_t triangles;
     /* Buffers; capacities in elements. */
     uint64_t run_capacity, bytes_capacity, corner_capacity, span_capacity, sorted_capacity;
-    uint32_t (*corners)[3]; /* of triangles: numbers in the block */
+    uint32_t (*corners)[3]; /* of triangles: numbers in the batch */
     struct triangle_span *spans, *sorted;
     uint32_t span_count;
-    uint32_t *runs_of_bucket; /* index into `runs` for each bucket; UINT32_MAX between blocks */
-    uint32_t skipped_plain;   /* blocks to come for which the plain path is not tried */
+    uint32_t *runs_of_bucket; /* index into `runs` for each bucket; UINT32_MAX between batches */
+    uint32_t skipped_plain;   /* batches to come for which the plain path is not tried */
     /* For the largest polygon. */
     double (*polygon)[3];
     uint32_t *polygon_triangles;
@@ -55,9 +55,9 @@ int vox_triangulator_init(struct triangulator *t, struct bsq_ctx *ctx,
                           const struct triangulation_plan *plan);
 void vox_triangulator_free(struct triangulator *t);
 
-/* Triangulates a block whose indices are in range. max_size: corners of its largest face. Errors:
+/* Triangulates a batch whose indices are in range. max_size: corners of its largest face. Errors:
  * BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
-int vox_triangulate_block(struct triangulator *t, const struct fmt_mesh_block *block,
+int vox_triangulate_batch(struct triangulator *t, const struct fmt_mesh_batch *batch,
                           uint32_t max_size);
 
 #endif

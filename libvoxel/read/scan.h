@@ -1,10 +1,10 @@
 /* scan.h - the public header of this folder: a scan's vertices as attribute streams, and its
  * materials.
  *
- * Takes blocks of mesh files in order. Gives positions, colours, texture coordinates and
+ * Takes batches of mesh files in order. Gives positions, colours, texture coordinates and
  * normals as streams of equal elements, in memory or in temporary files; the bounds and the origin;
  * the attributes that the chunk file keeps; and the table of materials. Faces are not kept, only
- * checked: partition/ takes them block by block. */
+ * checked: partition/ takes them batch by batch. */
 #ifndef VOX_READ_SCAN_H
 #define VOX_READ_SCAN_H
 
@@ -76,7 +76,7 @@ struct scan_file {
     bool has_material_colors; /* faces use a material with a colour, but without a texture; set by
                                  vox_scan_find_materials() */
     enum scan_paint paint;    /* late colours */
-    /* Of vertex colours in blocks that do not say their scale. */
+    /* Of vertex colours in batches that do not say their scale. */
     struct color_votes color_votes;
     float color_scale; /* to 0..255, that they are stored with; 0: none but black so far */
 };
@@ -88,9 +88,9 @@ struct scan_material_use {
     uint64_t bare_faces; /* with a corner that has no texture coordinate */
 };
 
-/* Facts about the faces of one block. */
+/* Facts about the faces of one batch. */
 struct scan_face_check {
-    struct fmt_mesh_block faces; /* the block, without faces and indices that name nothing */
+    struct fmt_mesh_batch faces; /* the batch, without faces and indices that name nothing */
     uint32_t max_size;           /* corners of the largest face, at least 3 */
     bool lacks_texcoord, has_normals, has_texcoords;
     struct scan_bad_index bad_index; /* the first one of a vertex */
@@ -129,7 +129,7 @@ struct scan {
     float *known_scales;      /* color_scale of the files by the earlier reading; owned */
     uint32_t known_count;     /* of these files */
     bool misread_colors;      /* a color_scale turned out to be wrong */
-    float block_scale;        /* factor from the colours of the block that is appended to 0..255 */
+    float batch_scale;        /* factor from the colours of the batch that is appended to 0..255 */
     bool has_telling_file;    /* the colours of some file tell their scale */
     uint32_t telling_file;    /* the first such file; files that do not tell take its scale */
     uint64_t clamped_colors;  /* vertices */
@@ -139,8 +139,8 @@ struct scan {
     struct scan_missing missing_colors;
     struct fmt_mesh_totals totals;
     struct scan_file *files; /* one for each path. vox_scan_check_faces() reads the entry of its
-                                block on other threads, while blocks without elements are added. */
-    uint64_t file_count;     /* up to the last one that had a block so far; at the end all */
+                                batch on other threads, while batches without elements are added. */
+    uint64_t file_count;     /* up to the last one that had a batch so far; at the end all */
     /* By the readers' number of a material, up to the last one that was used so far. */
     struct scan_material_use *material_uses;
     uint64_t material_use_count, material_use_capacity;
@@ -179,12 +179,12 @@ int vox_scan_init(struct scan *scan, struct bsq_ctx *ctx, const struct sort_limi
                   const char *const *scan_paths, uint32_t path_count, const char *tris_path);
 void vox_scan_free(struct scan *scan);
 
-/* Returns whether a block has vertices, texture coordinates, normals or late colours. */
-bool vox_scan_has_elements(const struct fmt_mesh_block *block);
-/* Appends a block's elements to the streams. Serial, in the order of the file. Errors: BSQ_RETRY,
- * with misread_colors, if earlier blocks of the first reading got another scale of colours;
+/* Returns whether a batch has vertices, texture coordinates, normals or late colours. */
+bool vox_scan_has_elements(const struct fmt_mesh_batch *batch);
+/* Appends a batch's elements to the streams. Serial, in the order of the file. Errors: BSQ_RETRY,
+ * with misread_colors, if earlier batches of the first reading got another scale of colours;
  * BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA. */
-int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block);
+int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_batch *batch);
 /* Returns BSQ_RETRY and sets misread_colors if colours of a file have another scale than they were
  * stored with. */
 int vox_scan_check_color_scales(struct scan *scan);
@@ -199,9 +199,9 @@ int vox_scan_finish_streams(struct scan *scan);
 /* Returns the bytes that streams have in memory. */
 uint64_t vox_scan_stream_memory(const struct scan *scan);
 
-/* Checks a block's faces after all elements are known. Faces and indices whose elements do not
- * exist are removed from the block's arrays. From any thread. */
-void vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *block,
+/* Checks a batch's faces after all elements are known. Faces and indices whose elements do not
+ * exist are removed from the batch's arrays. From any thread. */
+void vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_batch *batch,
                           struct scan_face_check *out);
 /* Returns the bytes that notes on missing elements take. */
 uint64_t vox_scan_missing_memory(const struct scan *scan);

@@ -48,7 +48,7 @@ static void drop_indices(const struct scan *scan, enum fmt_mesh_kind kind, uint6
  * range. */
 static void clean_faces(const struct scan *scan, struct scan_face_check *check)
 {
-    struct fmt_mesh_block *b = &check->faces;
+    struct fmt_mesh_batch *b = &check->faces;
     uint64_t *const indices[FMT_MESH_KIND_COUNT] = {b->corner_vertices, b->corner_texcoords,
                                                     b->corner_normals};
     uint64_t corner = 0, faces = 0, corners = 0, change = 0;
@@ -95,13 +95,13 @@ static bool any_index(const uint64_t *indices, uint64_t count)
     return false;
 }
 
-static uint32_t largest_face(const struct fmt_mesh_block *block)
+static uint32_t largest_face(const struct fmt_mesh_batch *batch)
 {
     uint32_t largest = 3;
-    if (block->corner_count == 3 * block->face_count)
+    if (batch->corner_count == 3 * batch->face_count)
         return largest;
-    for (uint64_t f = 0; f < block->face_count; f++)
-        largest = block->face_sizes[f] > largest ? block->face_sizes[f] : largest;
+    for (uint64_t f = 0; f < batch->face_count; f++)
+        largest = batch->face_sizes[f] > largest ? batch->face_sizes[f] : largest;
     return largest;
 }
 
@@ -123,22 +123,22 @@ static bool any_lost(const struct scan *scan, uint32_t file, enum fmt_mesh_kind 
            (!fmt_mesh_all_below(indices, count, end) || any_missing(scan, kind, indices, count));
 }
 
-void vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_block *block,
+void vox_scan_check_faces(const struct scan *scan, const struct fmt_mesh_batch *batch,
                           struct scan_face_check *out)
 {
-    const uint64_t vertices = scan_file_end(scan, block->file, FMT_MESH_VERTEX);
-    const uint64_t all = block->corner_count;
-    const uint64_t *texcoords = block->corner_texcoords, *normals = block->corner_normals;
-    *out = (struct scan_face_check){.faces = *block, .max_size = 3};
+    const uint64_t vertices = scan_file_end(scan, batch->file, FMT_MESH_VERTEX);
+    const uint64_t all = batch->corner_count;
+    const uint64_t *texcoords = batch->corner_texcoords, *normals = batch->corner_normals;
+    *out = (struct scan_face_check){.faces = *batch, .max_size = 3};
     struct scan_bad_index *bad = &out->bad_index;
-    bad->found = !fmt_mesh_check_vertices(block, vertices, &bad->face, &bad->index);
+    bad->found = !fmt_mesh_check_vertices(batch, vertices, &bad->face, &bad->index);
     if (bad->found)
         return;
-    if (any_missing(scan, FMT_MESH_VERTEX, block->corner_vertices, all) ||
-        any_lost(scan, block->file, FMT_MESH_TEXCOORD, texcoords, all) ||
-        any_lost(scan, block->file, FMT_MESH_NORMAL, normals, all))
+    if (any_missing(scan, FMT_MESH_VERTEX, batch->corner_vertices, all) ||
+        any_lost(scan, batch->file, FMT_MESH_TEXCOORD, texcoords, all) ||
+        any_lost(scan, batch->file, FMT_MESH_NORMAL, normals, all))
         clean_faces(scan, out);
-    const struct fmt_mesh_block *faces = &out->faces;
+    const struct fmt_mesh_batch *faces = &out->faces;
     out->max_size = largest_face(faces);
     out->lacks_texcoord = !texcoords || any_none(texcoords, faces->corner_count);
     out->has_texcoords = texcoords && any_index(texcoords, faces->corner_count);
@@ -183,16 +183,16 @@ static int note_material(struct scan *scan, uint32_t material, uint32_t file, ui
 
 /* Counts the faces from `begin` to `end` with a corner that has no texture coordinate. *corner: the
  * first one of these faces; becomes the one after them. */
-static uint64_t count_bare(const struct fmt_mesh_block *block, uint64_t begin, uint64_t end,
+static uint64_t count_bare(const struct fmt_mesh_batch *batch, uint64_t begin, uint64_t end,
                            uint64_t *corner)
 {
     uint64_t count = 0;
-    if (!block->corner_texcoords)
+    if (!batch->corner_texcoords)
         return end - begin;
     for (uint64_t f = begin; f < end; f++) {
         bool bare = false;
-        for (uint32_t k = 0; k < block->face_sizes[f]; k++)
-            bare |= block->corner_texcoords[(*corner)++] == FMT_MESH_NONE;
+        for (uint32_t k = 0; k < batch->face_sizes[f]; k++)
+            bare |= batch->corner_texcoords[(*corner)++] == FMT_MESH_NONE;
         count += bare;
     }
     return count;
@@ -201,21 +201,21 @@ static uint64_t count_bare(const struct fmt_mesh_block *block, uint64_t begin, u
 /* Notes what faces of a file have, whose elements have been noted. */
 static int note_file_faces(struct scan *scan, const struct scan_face_check *check)
 {
-    const struct fmt_mesh_block *block = &check->faces;
+    const struct fmt_mesh_batch *batch = &check->faces;
     /* A file with faces has elements too: otherwise all its indices are out of range. */
-    struct scan_file *file = &scan->files[block->file];
+    struct scan_file *file = &scan->files[batch->file];
     file->has_faces = true;
     file->has_normals |= check->has_normals;
     file->has_texcoords |= check->has_texcoords;
-    const struct fmt_mesh_material_change *changes = block->material_changes;
-    const uint64_t change_count = block->material_change_count;
-    uint32_t material = block->material_at_start;
+    const struct fmt_mesh_material_change *changes = batch->material_changes;
+    const uint64_t change_count = batch->material_change_count;
+    uint32_t material = batch->material_at_start;
     uint64_t begin = 0, corner = 0;
     int status = 0;
     for (uint64_t i = 0; i <= change_count && status == 0; i++) {
-        const uint64_t end = i < change_count ? changes[i].face : block->face_count;
-        const uint64_t bare = check->lacks_texcoord ? count_bare(block, begin, end, &corner) : 0;
-        status = note_material(scan, material, block->file, end - begin, bare);
+        const uint64_t end = i < change_count ? changes[i].face : batch->face_count;
+        const uint64_t bare = check->lacks_texcoord ? count_bare(batch, begin, end, &corner) : 0;
+        status = note_material(scan, material, batch->file, end - begin, bare);
         material = i < change_count ? changes[i].material : material;
         begin = end;
     }

@@ -1,6 +1,6 @@
-/* scan_read.c - appends parsed blocks to attribute streams, and finds the scale of their colours.
+/* scan_read.c - appends parsed batches to attribute streams, and finds the scale of their colours.
  *
- * This runs in the reader's serial step, while workers parse other blocks. So it only converts and
+ * This runs in the reader's serial step, while workers parse other batches. So it only converts and
  * appends. */
 #include "libvoxel/read/scan.h"
 #include "libvoxel/float_precision.h"
@@ -87,13 +87,13 @@ done:
     return status;
 }
 
-/* Makes elements [first, first + count) of a stream at `to` from those of a block. The numbers
+/* Makes elements [first, first + count) of a stream at `to` from those of a batch. The numbers
  * count over the scan. */
-typedef int converter(struct scan *scan, const struct fmt_mesh_block *block, uint64_t first,
+typedef int converter(struct scan *scan, const struct fmt_mesh_batch *batch, uint64_t first,
                       uint64_t count, void *to);
 
 /* Appends to a stream until it has `end` elements. */
-static int append(struct scan *scan, const struct fmt_mesh_block *block, enum scan_stream number,
+static int append(struct scan *scan, const struct fmt_mesh_batch *batch, enum scan_stream number,
                   uint64_t end, converter *convert)
 {
     struct attribute_stream *stream = &scan->streams[number];
@@ -103,7 +103,7 @@ static int append(struct scan *scan, const struct fmt_mesh_block *block, enum sc
     for (uint64_t first = stream_count(stream); first < end; first += count) {
         BSQ_TRY(reserve(scan, stream, &to, &capacity));
         count = end - first < capacity ? end - first : capacity;
-        BSQ_TRY(convert(scan, block, first, count, to));
+        BSQ_TRY(convert(scan, batch, first, count, to));
         vox_spill_advance(&stream->spill, count * stream->element_bytes);
     }
 done:
@@ -112,16 +112,16 @@ done:
 
 /* ---- positions ---- */
 
-/* Chooses the origin from the first block with positions, so that one pass is enough. float32
+/* Chooses the origin from the first batch with positions, so that one pass is enough. float32
  * positions would lose detail if a scan is far from zero for its size. */
-static void choose_origin(struct scan *scan, const struct fmt_mesh_block *block)
+static void choose_origin(struct scan *scan, const struct fmt_mesh_batch *batch)
 {
     double low[3], high[3];
     for (int axis = 0; axis < 3; axis++) {
-        low[axis] = high[axis] = block->positions[0][axis];
-        for (uint64_t v = 1; v < block->vertex_count; v++) {
-            low[axis] = fmin(low[axis], block->positions[v][axis]);
-            high[axis] = fmax(high[axis], block->positions[v][axis]);
+        low[axis] = high[axis] = batch->positions[0][axis];
+        for (uint64_t v = 1; v < batch->vertex_count; v++) {
+            low[axis] = fmin(low[axis], batch->positions[v][axis]);
+            high[axis] = fmax(high[axis], batch->positions[v][axis]);
         }
     }
     vox_precision_choose_origin(low, high, scan->origin);
@@ -132,15 +132,15 @@ static void choose_origin(struct scan *scan, const struct fmt_mesh_block *block)
     scan->origin_known = true;
 }
 
-static int fail_vertex(const struct scan *scan, const struct fmt_mesh_block *block)
+static int fail_vertex(const struct scan *scan, const struct fmt_mesh_batch *batch)
 {
-    for (uint64_t v = 0; v < block->vertex_count; v++)
+    for (uint64_t v = 0; v < batch->vertex_count; v++)
         for (int axis = 0; axis < 3; axis++) {
-            double p = block->positions[v][axis];
+            double p = batch->positions[v][axis];
             if (fabs(p - scan->origin[axis]) > FLT_MAX)
                 return bsq_fail(
                     scan->ctx, BSQ_EDATA, "%s: vertex %llu of the scan: coordinate %g is too large",
-                    scan->paths[block->file], (unsigned long long)(block->vertex_base + v + 1), p);
+                    scan->paths[batch->file], (unsigned long long)(batch->vertex_base + v + 1), p);
         }
     return BSQ_EBUG;
 }
@@ -164,17 +164,17 @@ static bool convert_present(const double (*from)[3], uint64_t count, const doubl
     return poison == 0.0f;
 }
 
-static int convert_positions(struct scan *scan, const struct fmt_mesh_block *block, uint64_t first,
+static int convert_positions(struct scan *scan, const struct fmt_mesh_batch *batch, uint64_t first,
                              uint64_t count, void *out)
 {
     const double o[3] = {scan->origin[0], scan->origin[1], scan->origin[2]};
-    const double(*from)[3] = block->positions + (first - block->vertex_base);
+    const double(*from)[3] = batch->positions + (first - batch->vertex_base);
     float(*to)[3] = out, low[3], high[3], poison = 0.0f;
     memcpy(low, scan->bounds_min, sizeof low);
     memcpy(high, scan->bounds_max, sizeof high);
-    if (block->missing_positions > 0 && !convert_present(from, count, o, low, high, to))
+    if (batch->missing_positions > 0 && !convert_present(from, count, o, low, high, to))
         poison = 1.0f;
-    for (uint64_t v = 0; block->missing_positions == 0 && v < count; v++)
+    for (uint64_t v = 0; batch->missing_positions == 0 && v < count; v++)
         for (int axis = 0; axis < 3; axis++) {
             /* + 0 makes a negative zero positive, so that equal positions have equal bits. */
             float p = (float)(from[v][axis] - o[axis]) + 0.0f;
@@ -185,7 +185,7 @@ static int convert_positions(struct scan *scan, const struct fmt_mesh_block *blo
         }
     memcpy(scan->bounds_min, low, sizeof low);
     memcpy(scan->bounds_max, high, sizeof high);
-    return poison == 0.0f ? 0 : fail_vertex(scan, block);
+    return poison == 0.0f ? 0 : fail_vertex(scan, batch);
 }
 
 /* ---- attributes ---- */
@@ -208,21 +208,21 @@ static uint32_t pack_color(struct scan *scan, const float color[3], float scale)
     return packed;
 }
 
-static int convert_colors(struct scan *scan, const struct fmt_mesh_block *block, uint64_t first,
+static int convert_colors(struct scan *scan, const struct fmt_mesh_batch *batch, uint64_t first,
                           uint64_t count, void *out)
 {
     uint32_t *to = out;
     for (uint64_t i = first; i < first + count; i++)
-        *to++ = block->colors && i >= block->vertex_base
-                    ? pack_color(scan, block->colors[i - block->vertex_base], scan->block_scale)
+        *to++ = batch->colors && i >= batch->vertex_base
+                    ? pack_color(scan, batch->colors[i - batch->vertex_base], scan->batch_scale)
                     : SCAN_DEFAULT_COLOR;
     return 0;
 }
 
-static int convert_texcoords(struct scan *scan, const struct fmt_mesh_block *block, uint64_t first,
+static int convert_texcoords(struct scan *scan, const struct fmt_mesh_batch *batch, uint64_t first,
                              uint64_t count, void *out)
 {
-    const double(*from)[2] = block->texcoords + (first - block->texcoord_base);
+    const double(*from)[2] = batch->texcoords + (first - batch->texcoord_base);
     float(*to)[2] = out;
     (void)scan;
     for (uint64_t i = 0; i < count; i++)
@@ -241,10 +241,10 @@ static uint32_t pack_normal(const float n[3])
     return bsq_oct_pack(bsq_unit3(v));
 }
 
-static int convert_normals(struct scan *scan, const struct fmt_mesh_block *block, uint64_t first,
+static int convert_normals(struct scan *scan, const struct fmt_mesh_batch *batch, uint64_t first,
                            uint64_t count, void *out)
 {
-    const float(*from)[3] = block->normals + (first - block->normal_base);
+    const float(*from)[3] = batch->normals + (first - batch->normal_base);
     uint32_t *to = out;
     (void)scan;
     for (uint64_t i = 0; i < count; i++)
@@ -252,30 +252,30 @@ static int convert_normals(struct scan *scan, const struct fmt_mesh_block *block
     return 0;
 }
 
-static int convert_late_colors(struct scan *scan, const struct fmt_mesh_block *block,
+static int convert_late_colors(struct scan *scan, const struct fmt_mesh_batch *batch,
                                uint64_t first, uint64_t count, void *out)
 {
-    const uint64_t base = block->late_color_base;
+    const uint64_t base = batch->late_color_base;
     uint32_t *to = out;
     (void)scan;
     for (uint64_t i = first; i < first + count; i++)
-        *to++ = i < base ? SCAN_DEFAULT_COLOR : block->late_colors[i - base];
+        *to++ = i < base ? SCAN_DEFAULT_COLOR : batch->late_colors[i - base];
     return 0;
 }
 
 /* Appends late colours to those of the vertices before them, which are default colours if they have
  * none. Does nothing if the vertices have colours in their own lines. */
-static int add_late_colors(struct scan *scan, const struct fmt_mesh_block *block)
+static int add_late_colors(struct scan *scan, const struct fmt_mesh_batch *batch)
 {
-    const uint64_t base = block->late_color_base, vertices = scan_count(scan, SCAN_POSITIONS);
-    const uint64_t end = base + block->late_color_count;
-    enum scan_paint *paint = &scan->files[block->file].paint;
+    const uint64_t base = batch->late_color_base, vertices = scan_count(scan, SCAN_POSITIONS);
+    const uint64_t end = base + batch->late_color_count;
+    enum scan_paint *paint = &scan->files[batch->file].paint;
     if (scan_count(scan, SCAN_COLORS) > base)
         *paint = SCAN_PAINT_LOST;
     if (*paint == SCAN_PAINT_LOST)
         return 0;
     *paint = SCAN_PAINT_USED;
-    return append(scan, block, SCAN_COLORS, end < vertices ? end : vertices, convert_late_colors);
+    return append(scan, batch, SCAN_COLORS, end < vertices ? end : vertices, convert_late_colors);
 }
 
 /* Returns whether late colours fit the vertices. */
@@ -353,22 +353,22 @@ static bool is_misread(const struct scan *scan, const struct scan_file *file)
     return file->color_votes.nonzero > 0 && file->color_scale != scale_of(scan, file);
 }
 
-/* Finds the factor from a block's colours to 0..255, from the colours of its file so far. Returns
- * BSQ_RETRY and sets misread_colors if earlier blocks of the first reading got another one. */
-static int find_color_scale(struct scan *scan, const struct fmt_mesh_block *block, float *scale)
+/* Finds the factor from a batch's colours to 0..255, from the colours of its file so far. Returns
+ * BSQ_RETRY and sets misread_colors if earlier batches of the first reading got another one. */
+static int find_color_scale(struct scan *scan, const struct fmt_mesh_batch *batch, float *scale)
 {
-    struct scan_file *file = &scan->files[block->file];
-    if (!block->colors || block->color_white > 0.0f) {
-        *scale = block->colors ? 255.0f / block->color_white : 0.0f;
+    struct scan_file *file = &scan->files[batch->file];
+    if (!batch->colors || batch->color_white > 0.0f) {
+        *scale = batch->colors ? 255.0f / batch->color_white : 0.0f;
         return 0;
     }
-    vox_color_votes_add(&file->color_votes, block->colors, block->vertex_count);
+    vox_color_votes_add(&file->color_votes, batch->colors, batch->vertex_count);
     if (!scan->has_telling_file && vox_color_votes_scale(&file->color_votes) > 0.0f) {
         scan->has_telling_file = true;
-        scan->telling_file = block->file;
+        scan->telling_file = batch->file;
     }
-    if (file->color_scale == 0.0f && block->file < scan->known_count)
-        file->color_scale = scan->known_scales[block->file];
+    if (file->color_scale == 0.0f && batch->file < scan->known_count)
+        file->color_scale = scan->known_scales[batch->file];
     if (file->color_scale == 0.0f && file->color_votes.nonzero > 0)
         file->color_scale = scale_of(scan, file);
     *scale = file->color_scale > 0.0f ? file->color_scale : 255.0f;
@@ -414,60 +414,60 @@ static void mark(struct scan_missing *missing, uint64_t index)
     missing->bits[index / 64] |= (uint64_t)1 << index % 64;
 }
 
-/* Notes which elements of a block are missing. */
-static int note_missing(struct scan *scan, const struct fmt_mesh_block *block)
+/* Notes which elements of a batch are missing. */
+static int note_missing(struct scan *scan, const struct fmt_mesh_batch *batch)
 {
     struct scan_missing *vertices = &scan->missing[FMT_MESH_VERTEX];
     struct scan_missing *texcoords = &scan->missing[FMT_MESH_TEXCOORD];
     int status = 0;
-    if (block->missing_positions > 0)
-        status = extend(scan->ctx, vertices, block->vertex_base + block->vertex_count);
-    if (status == 0 && block->missing_texcoords > 0)
-        status = extend(scan->ctx, texcoords, block->texcoord_base + block->texcoord_count);
+    if (batch->missing_positions > 0)
+        status = extend(scan->ctx, vertices, batch->vertex_base + batch->vertex_count);
+    if (status == 0 && batch->missing_texcoords > 0)
+        status = extend(scan->ctx, texcoords, batch->texcoord_base + batch->texcoord_count);
     if (status < 0)
         return status;
-    for (uint64_t i = 0; block->missing_positions > 0 && i < block->vertex_count; i++)
-        if (isnan(block->positions[i][0]))
-            mark(vertices, block->vertex_base + i);
-    for (uint64_t i = 0; block->missing_texcoords > 0 && i < block->texcoord_count; i++)
-        if (isnan(block->texcoords[i][0]))
-            mark(texcoords, block->texcoord_base + i);
+    for (uint64_t i = 0; batch->missing_positions > 0 && i < batch->vertex_count; i++)
+        if (isnan(batch->positions[i][0]))
+            mark(vertices, batch->vertex_base + i);
+    for (uint64_t i = 0; batch->missing_texcoords > 0 && i < batch->texcoord_count; i++)
+        if (isnan(batch->texcoords[i][0]))
+            mark(texcoords, batch->texcoord_base + i);
     return 0;
 }
 
-static bool is_colored(const struct fmt_mesh_block *block, uint64_t vertex)
+static bool is_colored(const struct fmt_mesh_batch *batch, uint64_t vertex)
 {
-    return block->colors && scan_color_given(block->colors[vertex]);
+    return batch->colors && scan_color_given(batch->colors[vertex]);
 }
 
-/* Notes which vertices lack a colour, if others of the file have one. Called before the block is
+/* Notes which vertices lack a colour, if others of the file have one. Called before the batch is
  * counted for its file. */
-static int note_missing_colors(struct scan *scan, const struct fmt_mesh_block *block)
+static int note_missing_colors(struct scan *scan, const struct fmt_mesh_batch *batch)
 {
-    const bool colored_before = scan->files[block->file].has_colors;
-    const uint64_t base = block->vertex_base, end = base + block->vertex_count;
+    const bool colored_before = scan->files[batch->file].has_colors;
+    const uint64_t base = batch->vertex_base, end = base + batch->vertex_count;
     /* The first colours of a file show that all vertices before them lack one. */
     uint64_t first = base, vertex = 0;
-    if (block->color_white > 0.0f || (!block->colors && !colored_before))
+    if (batch->color_white > 0.0f || (!batch->colors && !colored_before))
         return 0;
     if (!colored_before)
-        first = block->file > 0 ? scan->files[block->file - 1].ends[FMT_MESH_VERTEX] : 0;
-    while (vertex < block->vertex_count && is_colored(block, vertex))
+        first = batch->file > 0 ? scan->files[batch->file - 1].ends[FMT_MESH_VERTEX] : 0;
+    while (vertex < batch->vertex_count && is_colored(batch, vertex))
         vertex++;
-    if (first == base && vertex == block->vertex_count)
+    if (first == base && vertex == batch->vertex_count)
         return 0;
     int status = extend(scan->ctx, &scan->missing_colors, end);
     for (uint64_t i = first; status == 0 && i < base; i++)
         mark(&scan->missing_colors, i);
-    for (; status == 0 && vertex < block->vertex_count; vertex++)
-        if (!is_colored(block, vertex))
+    for (; status == 0 && vertex < batch->vertex_count; vertex++)
+        if (!is_colored(batch, vertex))
             mark(&scan->missing_colors, base + vertex);
     return status;
 }
 
-/* ---- blocks ---- */
+/* ---- batches ---- */
 
-/* Notes that blocks of a file come. */
+/* Notes that batches of a file come. */
 static void enter_file(struct scan *scan, uint32_t number)
 {
     for (; scan->file_count <= number; scan->file_count++)
@@ -476,59 +476,59 @@ static void enter_file(struct scan *scan, uint32_t number)
                    sizeof scan->files->ends);
 }
 
-static int add_vertices(struct scan *scan, const struct fmt_mesh_block *block)
+static int add_vertices(struct scan *scan, const struct fmt_mesh_batch *batch)
 {
-    const uint64_t end = block->vertex_base + block->vertex_count;
+    const uint64_t end = batch->vertex_base + batch->vertex_count;
     int status;
-    if (!scan->origin_known && block->missing_positions < block->vertex_count)
-        choose_origin(scan, block);
-    scan->has_colors |= block->colors != NULL;
-    BSQ_TRY(append(scan, block, SCAN_POSITIONS, end, convert_positions));
-    if (block->missing_positions == 0)
+    if (!scan->origin_known && batch->missing_positions < batch->vertex_count)
+        choose_origin(scan, batch);
+    scan->has_colors |= batch->colors != NULL;
+    BSQ_TRY(append(scan, batch, SCAN_POSITIONS, end, convert_positions));
+    if (batch->missing_positions == 0)
         scan->merged_vertices +=
-            vox_precision_count_merged(block->positions, block->vertex_count, scan->origin);
+            vox_precision_count_merged(batch->positions, batch->vertex_count, scan->origin);
     if (!scan->has_colors)
         return 0;
-    BSQ_TRY(note_missing_colors(scan, block));
-    BSQ_TRY(find_color_scale(scan, block, &scan->block_scale));
-    status = append(scan, block, SCAN_COLORS, end, convert_colors);
+    BSQ_TRY(note_missing_colors(scan, batch));
+    BSQ_TRY(find_color_scale(scan, batch, &scan->batch_scale));
+    status = append(scan, batch, SCAN_COLORS, end, convert_colors);
 done:
     return status;
 }
 
-/* Counts the elements that a block with some adds to its file. */
-static void count_elements(struct scan *scan, const struct fmt_mesh_block *block)
+/* Counts the elements that a batch with some adds to its file. */
+static void count_elements(struct scan *scan, const struct fmt_mesh_batch *batch)
 {
-    struct scan_file *file = &scan->files[block->file];
-    file->has_colors |= block->colors != NULL;
+    struct scan_file *file = &scan->files[batch->file];
+    file->has_colors |= batch->colors != NULL;
     file->ends[FMT_MESH_VERTEX] = scan_count(scan, SCAN_POSITIONS);
     file->ends[FMT_MESH_TEXCOORD] = scan_count(scan, SCAN_TEXCOORDS);
     file->ends[FMT_MESH_NORMAL] = scan_count(scan, SCAN_NORMALS);
 }
 
-bool vox_scan_has_elements(const struct fmt_mesh_block *block)
+bool vox_scan_has_elements(const struct fmt_mesh_batch *batch)
 {
-    return block->vertex_count > 0 || block->texcoord_count > 0 || block->normal_count > 0 ||
-           block->late_color_count > 0;
+    return batch->vertex_count > 0 || batch->texcoord_count > 0 || batch->normal_count > 0 ||
+           batch->late_color_count > 0;
 }
 
-int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_block *block)
+int vox_scan_add_elements(struct scan *scan, const struct fmt_mesh_batch *batch)
 {
-    enter_file(scan, block->file);
-    scan->files[block->file].bytes += block->byte_size;
-    if (!vox_scan_has_elements(block))
+    enter_file(scan, batch->file);
+    scan->files[batch->file].bytes += batch->byte_size;
+    if (!vox_scan_has_elements(batch))
         return 0;
-    const uint64_t texcoords = block->texcoord_base + block->texcoord_count;
-    const uint64_t normals = block->normal_base + block->normal_count;
+    const uint64_t texcoords = batch->texcoord_base + batch->texcoord_count;
+    const uint64_t normals = batch->normal_base + batch->normal_count;
     int status;
-    BSQ_TRY(note_missing(scan, block));
-    if (block->vertex_count > 0)
-        BSQ_TRY(add_vertices(scan, block));
-    BSQ_TRY(append(scan, block, SCAN_TEXCOORDS, texcoords, convert_texcoords));
-    BSQ_TRY(append(scan, block, SCAN_NORMALS, normals, convert_normals));
-    if (block->late_color_count > 0)
-        BSQ_TRY(add_late_colors(scan, block));
-    count_elements(scan, block);
+    BSQ_TRY(note_missing(scan, batch));
+    if (batch->vertex_count > 0)
+        BSQ_TRY(add_vertices(scan, batch));
+    BSQ_TRY(append(scan, batch, SCAN_TEXCOORDS, texcoords, convert_texcoords));
+    BSQ_TRY(append(scan, batch, SCAN_NORMALS, normals, convert_normals));
+    if (batch->late_color_count > 0)
+        BSQ_TRY(add_late_colors(scan, batch));
+    count_elements(scan, batch);
 done:
     return status;
 }

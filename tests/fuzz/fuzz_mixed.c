@@ -1,6 +1,6 @@
 /* fuzz_mixed.c - fuzz target for scans from several files, of any formats. The input has up to four
- * files, with the line "#next" between them. Numbers of blocks, elements and materials must go on
- * from file to file, and a second reading must give the same blocks. */
+ * files, with the line "#next" between them. Numbers of batches, elements and materials must go on
+ * from file to file, and a second reading must give the same batches. */
 #include "tests/fuzz/fuzz_file.h"
 
 #include <string.h>
@@ -15,8 +15,8 @@ static bool moved;
 /* What one reading has delivered. */
 struct reading {
     struct fmt_mesh_totals sum;
-    uint64_t blocks, hash;
-    uint32_t file, materials; /* of the last block; 1 + the largest number */
+    uint64_t batches, hash;
+    uint32_t file, materials; /* of the last batch; 1 + the largest number */
 };
 
 static void add(struct reading *r, const void *bytes, uint64_t size)
@@ -32,43 +32,43 @@ static void use_material(struct reading *r, uint32_t material)
     add(r, &material, sizeof material);
 }
 
-static void check_corners(const struct fmt_mesh_block *block)
+static void check_corners(const struct fmt_mesh_batch *batch)
 {
     uint64_t corners = 0;
-    for (uint64_t f = 0; f < block->face_count; f++) {
-        require(block->face_sizes[f] >= 3, "a face has fewer than three corners");
-        corners += block->face_sizes[f];
+    for (uint64_t f = 0; f < batch->face_count; f++) {
+        require(batch->face_sizes[f] >= 3, "a face has fewer than three corners");
+        corners += batch->face_sizes[f];
     }
-    require(corners == block->corner_count, "faces and corners do not match");
+    require(corners == batch->corner_count, "faces and corners do not match");
 }
 
-static int on_block(void *arg, const struct fmt_mesh_block *block)
+static int on_batch(void *arg, const struct fmt_mesh_batch *batch)
 {
     struct reading *r = arg;
-    require(block->sequence == r->blocks++, "a block is not the next one");
-    require(block->file >= r->file && block->file < path_count, "a wrong file number");
-    require(block->vertex_base == r->sum.vertices && block->texcoord_base == r->sum.texcoords &&
-                block->normal_base == r->sum.normals && block->face_base == r->sum.faces,
+    require(batch->sequence == r->batches++, "a batch is not the next one");
+    require(batch->file >= r->file && batch->file < path_count, "a wrong file number");
+    require(batch->vertex_base == r->sum.vertices && batch->texcoord_base == r->sum.texcoords &&
+                batch->normal_base == r->sum.normals && batch->face_base == r->sum.faces,
             "elements are not numbered over the whole scan");
-    check_corners(block);
-    r->file = block->file;
-    r->sum.bytes += block->byte_size;
-    r->sum.vertices += block->vertex_count;
-    r->sum.texcoords += block->texcoord_count;
-    r->sum.normals += block->normal_count;
-    r->sum.faces += block->face_count;
-    r->sum.corners += block->corner_count;
-    add(r, block->positions, block->vertex_count * sizeof *block->positions);
-    add(r, block->colors, block->vertex_count * sizeof *block->colors);
-    add(r, block->texcoords, block->texcoord_count * sizeof *block->texcoords);
-    add(r, block->normals, block->normal_count * sizeof *block->normals);
-    add(r, block->face_sizes, block->face_count * sizeof *block->face_sizes);
-    add(r, block->corner_vertices, block->corner_count * sizeof(uint64_t));
-    add(r, block->corner_texcoords, block->corner_count * sizeof(uint64_t));
-    add(r, block->corner_normals, block->corner_count * sizeof(uint64_t));
-    use_material(r, block->material_at_start);
-    for (uint64_t i = 0; i < block->material_change_count; i++)
-        use_material(r, block->material_changes[i].material);
+    check_corners(batch);
+    r->file = batch->file;
+    r->sum.bytes += batch->byte_size;
+    r->sum.vertices += batch->vertex_count;
+    r->sum.texcoords += batch->texcoord_count;
+    r->sum.normals += batch->normal_count;
+    r->sum.faces += batch->face_count;
+    r->sum.corners += batch->corner_count;
+    add(r, batch->positions, batch->vertex_count * sizeof *batch->positions);
+    add(r, batch->colors, batch->vertex_count * sizeof *batch->colors);
+    add(r, batch->texcoords, batch->texcoord_count * sizeof *batch->texcoords);
+    add(r, batch->normals, batch->normal_count * sizeof *batch->normals);
+    add(r, batch->face_sizes, batch->face_count * sizeof *batch->face_sizes);
+    add(r, batch->corner_vertices, batch->corner_count * sizeof(uint64_t));
+    add(r, batch->corner_texcoords, batch->corner_count * sizeof(uint64_t));
+    add(r, batch->corner_normals, batch->corner_count * sizeof(uint64_t));
+    use_material(r, batch->material_at_start);
+    for (uint64_t i = 0; i < batch->material_change_count; i++)
+        use_material(r, batch->material_changes[i].material);
     return 0;
 }
 
@@ -76,13 +76,13 @@ static int read_once(struct fmt_mesh_reader *reader, struct reading *out)
 {
     struct fmt_mesh_totals totals = {0};
     *out = (struct reading){.hash = 0};
-    int status = fmt_mesh_read(reader, on_block, out, &totals);
+    int status = fmt_mesh_read(reader, on_batch, out, &totals);
     if (status)
         return status;
     require(totals.vertices == out->sum.vertices && totals.texcoords == out->sum.texcoords &&
                 totals.normals == out->sum.normals && totals.faces == out->sum.faces &&
                 totals.corners == out->sum.corners,
-            "blocks do not add up to the totals");
+            "batches do not add up to the totals");
     require(out->materials <= totals.materials, "a material is out of range");
     return 0;
 }
@@ -103,7 +103,7 @@ static int read_twice(struct bsq_ctx *ctx, const char *const *paths, uint32_t co
         status = read_once(reader, &first);
     if (status == 0) {
         require(read_once(reader, &second) == 0, "a second reading fails");
-        require(first.hash == second.hash && first.blocks == second.blocks,
+        require(first.hash == second.hash && first.batches == second.batches,
                 "a second reading differs");
     }
     fmt_mesh_close(reader);

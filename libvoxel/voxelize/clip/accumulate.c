@@ -81,33 +81,34 @@ bool vox_shade_corners(const struct vox_shading *shading, const struct fmt_tris_
 }
 
 /* Sets the further channels of a fragment. */
-static int shade_channels(const struct fmt_shading *scan, const struct fmt_shading_place *place,
-                          double *out)
+static int shade_channels(const struct fmt_shading *scan,
+                          const struct fmt_shading_footprint *footprint, double *out)
 {
     int status = 0;
     for (uint32_t a = FMT_SHADING_CHANNELS; a < scan->attribute_count && status == 0; a++) {
         float values[3] = {0};
-        status = fmt_shade_attribute(scan, a, place, values);
+        status = fmt_shade_attribute(scan, a, footprint, values);
         for (uint32_t k = 0; k < scan->attributes[a].row->values; k++)
             *out++ = (double)values[k];
     }
     return status;
 }
 
-int vox_shade_textures(const struct fmt_shading *scan, const struct fmt_shading_place *place,
-                       double *rgb, double *channels, float *texel)
+int vox_shade_textures(const struct fmt_shading *scan,
+                       const struct fmt_shading_footprint *footprint, double *rgb, double *channels,
+                       float *texel)
 {
     float color[3];
     int status = 0;
     if (rgb) {
-        BSQ_TRY(fmt_shade_attribute(scan, FMT_SHADING_COLOR, place, color));
+        BSQ_TRY(fmt_shade_attribute(scan, FMT_SHADING_COLOR, footprint, color));
         for (int k = 0; k < 3; k++)
             rgb[k] = (double)color[k];
     }
     if (channels)
-        BSQ_TRY(shade_channels(scan, place, channels));
+        BSQ_TRY(shade_channels(scan, footprint, channels));
     if (texel)
-        status = fmt_shade_attribute(scan, FMT_SHADING_NORMAL_MAP, place, texel);
+        status = fmt_shade_attribute(scan, FMT_SHADING_NORMAL_MAP, footprint, texel);
 done:
     return status;
 }

@@ -269,16 +269,16 @@ static int sample_textures(struct single *s, const struct vox_fragment *fragment
 {
     const struct vox_accumulator *sums = s->from.sums;
     const double *b = fragment->b;
-    struct fmt_shading_place place = {.material = s->material};
+    struct fmt_shading_footprint footprint = {.material = s->material};
     if (!s->color && !s->channels && !s->normal_map)
         return 0;
     for (int k = 0; k < 2; k++) {
-        place.at[k] = (float)(s->uv[0][k] + b[0] * (s->uv[1][k] - s->uv[0][k]) +
-                              b[1] * (s->uv[2][k] - s->uv[0][k]));
-        place.width[k] = (float)fragment->uv_extent[k];
+        footprint.at[k] = (float)(s->uv[0][k] + b[0] * (s->uv[1][k] - s->uv[0][k]) +
+                                  b[1] * (s->uv[2][k] - s->uv[0][k]));
+        footprint.width[k] = (float)fragment->uv_extent[k];
     }
     int status = vox_shade_textures(
-        &s->job->shading->scan, &place, s->color ? s->rgb[i] : NULL,
+        &s->job->shading->scan, &footprint, s->color ? s->rgb[i] : NULL,
         s->channels ? sums->fragment_channels + (uint64_t)i * sums->channel_words : NULL,
         s->normal_map ? s->texels[i] : NULL);
     for (int k = 0; k < 3 && s->tinted; k++)

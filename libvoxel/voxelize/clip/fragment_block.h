@@ -87,7 +87,8 @@ bool vox_shade_corners(const struct vox_shading *shading, const struct fmt_tris_
 /* Set what a fragment of a material with textures has from them: its colour in linear light, its
  * further channels, and the texel of its normal map; NULL: not wanted. Errors: those of
  * fmt_shade_attribute(). */
-int vox_shade_textures(const struct fmt_shading *scan, const struct fmt_shading_place *place,
-                       double *rgb, double *channels, float *texel);
+int vox_shade_textures(const struct fmt_shading *scan,
+                       const struct fmt_shading_footprint *footprint, double *rgb, double *channels,
+                       float *texel);
 
 #endif

@@ -11,7 +11,7 @@ static void *grown(void *memory, uint64_t count, size_t size)
     return result;
 }
 
-static int keep_elements(struct obj_scan *scan, const struct fmt_mesh_block *b)
+static int keep_elements(struct obj_scan *scan, const struct fmt_mesh_batch *b)
 {
     uint64_t n = b->vertex_base + b->vertex_count;
     scan->positions = grown(scan->positions, n, sizeof *scan->positions);
@@ -32,12 +32,12 @@ static int keep_elements(struct obj_scan *scan, const struct fmt_mesh_block *b)
     return 0;
 }
 
-static int keep_block(void *arg, const struct fmt_mesh_block *b)
+static int keep_batch(void *arg, const struct fmt_mesh_batch *b)
 {
     struct obj_scan *scan = arg;
     const uint64_t *from[3] = {b->corner_vertices, b->corner_texcoords, b->corner_normals};
     uint64_t corner_base = scan->totals.corners, faces = b->face_base + b->face_count;
-    assert_int_equal(b->sequence, scan->blocks);
+    assert_int_equal(b->sequence, scan->batches);
     assert_int_equal(b->vertex_base, scan->totals.vertices);
     assert_int_equal(b->face_base, scan->totals.faces);
     keep_elements(scan, b);
@@ -62,7 +62,7 @@ static int keep_block(void *arg, const struct fmt_mesh_block *b)
     scan->totals.vertices += b->vertex_count;
     scan->totals.faces += b->face_count;
     scan->totals.corners += corners;
-    scan->blocks++;
+    scan->batches++;
     return 0;
 }
 
@@ -86,7 +86,7 @@ void obj_read_files(struct obj_fixture *f, unsigned threads, uint32_t count,
     f->ctx = test_context(threads, 64 << 20);
     f->status = fmt_mesh_open(f->ctx, paths, count, &f->reader);
     if (!f->status)
-        f->status = fmt_mesh_read(f->reader, keep_block, &f->scan, &totals);
+        f->status = fmt_mesh_read(f->reader, keep_batch, &f->scan, &totals);
     if (!f->status)
         assert_int_equal(totals.corners, f->scan.totals.corners);
     f->scan.totals = totals;
@@ -110,9 +110,9 @@ void obj_read_text(struct obj_fixture *f, const char *text)
 
 uint64_t obj_line_of_face(const struct obj_fixture *f, uint64_t face)
 {
-    struct fmt_mesh_place place;
-    assert_int_equal(fmt_stream_locate_face(f->reader, face, &place), 0);
-    return place.line;
+    struct fmt_mesh_location location;
+    assert_int_equal(fmt_stream_locate_face(f->reader, face, &location), 0);
+    return location.line;
 }
 
 void obj_assert_material(const struct obj_fixture *f, uint32_t material, const char *name)

@@ -5,7 +5,7 @@
 #include "formats/mesh/mesh_reader.h"
 #include "tests/unit/fixture.h"
 
-/* The blocks of a scan, joined. The fields are those of struct fmt_mesh_block. */
+/* The batches of a scan, joined. The fields are those of struct fmt_mesh_batch. */
 struct obj_scan {
     struct fmt_mesh_totals totals;
     double (*positions)[3];
@@ -15,7 +15,7 @@ struct obj_scan {
     uint32_t *sizes;
     uint64_t *corners[3];
     uint32_t *materials; /* of each face */
-    uint64_t blocks;
+    uint64_t batches;
 };
 
 /* A reader and the scan that it read. obj_close() frees all of it. */

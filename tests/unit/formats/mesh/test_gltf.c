@@ -14,8 +14,8 @@ static void assert_near(double value, double expected, double tolerance)
         fail_msg("%.17g is not %.17g", value, expected);
 }
 
-/* Keeps the material number of the only face of each block. */
-static int keep_material(void *arg, const struct fmt_mesh_block *block)
+/* Keeps the material number of the only face of each batch. */
+static int keep_material(void *arg, const struct fmt_mesh_batch *block)
 {
     uint32_t **to = arg;
     if (block->face_count > 0)
@@ -471,7 +471,7 @@ TEST(test_textures)
     }
 }
 
-/* Many parts and any number of threads give the same blocks. Several files are one scan. */
+/* Many parts and any number of threads give the same batches. Several files are one scan. */
 TEST(test_threads)
 {
     enum { COUNT = 60000 };
@@ -490,8 +490,8 @@ TEST(test_threads)
     assert_int_equal(f[0].status, 0);
     assert_int_equal(f[0].scan.totals.vertices, 4 * COUNT);
     assert_int_equal(f[0].scan.totals.faces, 4 * COUNT / 3);
-    assert_int_equal(f[0].scan.blocks, f[1].scan.blocks);
-    assert_true(f[0].scan.blocks > 20);
+    assert_int_equal(f[0].scan.batches, f[1].scan.batches);
+    assert_true(f[0].scan.batches > 20);
     assert_memory_equal(f[0].scan.positions, f[1].scan.positions,
                         4 * COUNT * sizeof *f[0].scan.positions);
     assert_memory_equal(f[0].scan.corners[0], f[1].scan.corners[0], 4 * COUNT * sizeof(uint64_t));

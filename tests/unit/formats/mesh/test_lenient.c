@@ -62,8 +62,8 @@ TEST(test_numbers)
         "first\n");
 }
 
-/* The first line counts from the start of the file, whatever thread parses its block. */
-TEST(test_first_line_in_a_late_block)
+/* The first line counts from the start of the file, whatever thread parses its batch. */
+TEST(test_first_line_in_a_late_batch)
 {
     enum { LINES = 200000 };
     char *text = malloc(LINES * 10 + 1), *to = text;

@@ -65,15 +65,15 @@ TEST(test_materials)
     obj_close(&f);
 }
 
-static int compare_block(void *arg, const struct fmt_mesh_block *block)
+static int compare_batch(void *arg, const struct fmt_mesh_batch *batch)
 {
     const struct obj_scan **scan = arg;
-    for (uint64_t i = 0, c = 3 * block->face_base; i < block->corner_count; i++)
-        assert_int_equal(block->corner_vertices[i], (*scan)->corners[FMT_MESH_VERTEX][c + i]);
-    if (block->face_count > 0)
-        assert_int_equal(block->material_change_count > 0 ? block->material_changes[0].material
-                                                          : block->material_at_start,
-                         (*scan)->materials[block->face_base]);
+    for (uint64_t i = 0, c = 3 * batch->face_base; i < batch->corner_count; i++)
+        assert_int_equal(batch->corner_vertices[i], (*scan)->corners[FMT_MESH_VERTEX][c + i]);
+    if (batch->face_count > 0)
+        assert_int_equal(batch->material_change_count > 0 ? batch->material_changes[0].material
+                                                          : batch->material_at_start,
+                         (*scan)->materials[batch->face_base]);
     return 0;
 }
 
@@ -87,10 +87,10 @@ TEST(test_again)
     make_files(paths);
     obj_read_files(&f, 1, FILES, paths);
     const struct obj_scan *scan = &f.scan;
-    assert_int_equal(fmt_mesh_read(f.reader, compare_block, &scan, NULL), 0);
+    assert_int_equal(fmt_mesh_read(f.reader, compare_batch, &scan, NULL), 0);
     for (uint64_t face = 0; face < FACES; face++) {
         char *place;
-        assert_int_equal(fmt_mesh_place_text(f.reader, face, &place), 0);
+        assert_int_equal(fmt_mesh_location_text(f.reader, face, &place), 0);
         assert_string_equal(place, places[face]);
         bsq_free(f.ctx, place);
     }

@@ -274,15 +274,15 @@ struct object_faces {
     uint64_t count;
 };
 
-static int keep_numbers(void *arg, const struct fmt_mesh_block *block)
+static int keep_numbers(void *arg, const struct fmt_mesh_batch *batch)
 {
     struct object_faces *faces = arg;
-    uint32_t number = block->material_at_start;
+    uint32_t number = batch->material_at_start;
     uint64_t change = 0;
-    for (uint64_t i = 0; i < block->face_count; i++) {
-        for (; change < block->material_change_count && block->material_changes[change].face <= i;
+    for (uint64_t i = 0; i < batch->face_count; i++) {
+        for (; change < batch->material_change_count && batch->material_changes[change].face <= i;
              change++)
-            number = block->material_changes[change].material;
+            number = batch->material_changes[change].material;
         faces->numbers[faces->count++] = number;
     }
     return 0;

@@ -1,4 +1,4 @@
-/* test_obj_blocks.c - results do not depend on where blocks begin or on the number of threads;
+/* test_obj_batches.c - results do not depend on where batches begin or on the number of threads;
  * files that are truncated anywhere, and too little memory, give errors. */
 #include <inttypes.h>
 
@@ -6,7 +6,7 @@
 #include "tests/unit/formats/mesh/obj_fixture.h"
 #include "tests/unit/test.h"
 
-/* ---- blocks ---- */
+/* ---- batches ---- */
 
 static uint64_t random_state; /* of test_random() */
 
@@ -144,7 +144,7 @@ static void check_against_model(const struct obj_fixture *f, const struct model 
 TEST(test_random_files)
 {
     random_state = test_seed();
-    uint64_t most_blocks = 0;
+    uint64_t most_batches = 0;
     for (int style = 0; style < 4; style++) {
         struct model m;
         make_model(&m, style);
@@ -155,19 +155,19 @@ TEST(test_random_files)
             if (f.status)
                 print_message("%s\n", bsq_error(f.ctx));
             check_against_model(&f, &m);
-            if (f.scan.blocks > most_blocks)
-                most_blocks = f.scan.blocks;
+            if (f.scan.batches > most_batches)
+                most_batches = f.scan.batches;
             obj_close(&f);
         }
         free(m.text);
         free(m.face_lines);
         obj_free_scan(&m.scan);
     }
-    /* A face with very many corners may leave a file with fewer blocks, but not all four. */
-    assert_true(most_blocks > 2);
+    /* A face with very many corners may leave a file with fewer batches, but not all four. */
+    assert_true(most_batches > 2);
 }
 
-/* A file of many blocks whose only error is in the last, and one with an error in each block: the
+/* A file of many batches whose only error is in the last, and one with an error in each batch: the
  * first line wins for any number of threads. */
 TEST(test_first_error_wins)
 {
@@ -181,13 +181,13 @@ TEST(test_first_error_wins)
     free(text);
 }
 
-/* Puts the border of two blocks at every position of the same lines. */
-TEST(test_block_borders)
+/* Puts the border of two batches at every position of the same lines. */
+TEST(test_batch_borders)
 {
     static const char tail[] =
         "v 1 2 3\r\nf 1 \\\r\n1 \\\n1\nusemtl m \\\nn\n#\\\nf 1 1 1\rg x\\\r\nv 4 5 6";
-    char *text = malloc(OBJ_BLOCK_BYTES + 1024);
-    size_t border = OBJ_BLOCK_BYTES;
+    char *text = malloc(OBJ_PART_BYTES + 1024);
+    size_t border = OBJ_PART_BYTES;
     for (size_t shift = 0; shift <= sizeof tail + 1; shift++) {
         size_t pad = border - shift;
         memset(text, ' ', pad);

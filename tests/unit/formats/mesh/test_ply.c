@@ -461,7 +461,7 @@ TEST(test_body_that_begins_with_a_line_end)
     }
 }
 
-/* Many parts: blocks and messages are the same for any number of threads. */
+/* Many parts: batches and messages are the same for any number of threads. */
 TEST(test_large)
 {
     enum { VERTICES = 90000 };
@@ -483,8 +483,8 @@ TEST(test_large)
         obj_read_files(&three, 3, 1, &path);
         assert_int_equal(one.status | three.status, 0);
         assert_int_equal(one.scan.totals.bytes, b.size);
-        assert_true(one.scan.blocks > 4);
-        assert_int_equal(one.scan.blocks, three.scan.blocks);
+        assert_true(one.scan.batches > 4);
+        assert_int_equal(one.scan.batches, three.scan.batches);
         assert_int_equal(one.scan.totals.corners, 3 * VERTICES + 90);
         assert_memory_equal(one.scan.corners[0], three.scan.corners[0],
                             one.scan.totals.corners * sizeof(uint64_t));

@@ -135,7 +135,7 @@ TEST(test_large)
     for (int n = 0; n < 2; n++) {
         struct obj_fixture f;
         read_bytes(&f, files[n].bytes, files[n].size);
-        assert_true(f.scan.blocks > 2);
+        assert_true(f.scan.batches > 2);
         assert_int_equal(f.scan.totals.faces, TRIANGLES);
         assert_in_range(f.scan.totals.vertices, 2 * TRIANGLES + 1, 2 * TRIANGLES + 100);
         for (int i = 0; i < TRIANGLES; i++) {
@@ -167,7 +167,7 @@ TEST(test_one_line)
         size += (size_t)sprintf(text + size, "endsolid one endfacet");
         read_bytes(&f, text, size);
         assert_int_equal(f.scan.totals.faces, TRIANGLES);
-        assert_true(f.scan.blocks > 2);
+        assert_true(f.scan.batches > 2);
         assert_int_equal(obj_line_of_face(&f, 15000), n == 1 ? 2 : 1);
         obj_close(&f);
     }

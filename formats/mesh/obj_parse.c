@@ -1,8 +1,8 @@
-/* obj_block.c - parses one block of OBJ text.
+/* obj_parse.c - parses one part of OBJ text.
  *
  * The parser looks at each byte once: numbers and indices find their own ends, and lines without
- * fields that matter are skipped. The buffers grow to what the text of a block needs and are
- * reused, so only the first blocks touch memory for the first time. */
+ * fields that matter are skipped. The buffers grow to what the text of a part needs and are
+ * reused, so only the first parts touch memory for the first time. */
 #include "formats/mesh/obj_internal.h"
 
 #include <math.h>
@@ -161,7 +161,7 @@ static const char *parse_numbers(struct parser *parser, const char *p, double *n
     return p;
 }
 
-/* Adds the colour of the next vertex. Earlier vertices of the block without colour get -1. */
+/* Adds the colour of the next vertex. Earlier vertices of the part without colour get -1. */
 static bool add_color(struct parser *parser, const double *rgb)
 {
     struct mesh_arrays *a = parser->arrays;
@@ -320,7 +320,7 @@ static inline const char *parse_index(struct parser *parser, const char *p, enum
 }
 
 /* Stores the texture coordinate or normal index of corner number `corner`. Corners before the first
- * one of the block that has such an index get FMT_MESH_NONE. */
+ * one of the part that has such an index get FMT_MESH_NONE. */
 static bool put_corner(struct parser *parser, enum fmt_mesh_kind kind, uint64_t corner,
                        uint64_t index)
 {
