@@ -161,6 +161,15 @@ refused_like 65 "^bisque-bake: bare\.obj:$(wc -l <bare.obj): face has no texture
 grep '^v' low.obj >points.obj
 $bake plain.nvdb points.obj -o a.exr
 refused 65 "$p points.obj: no faces, only points or lines"
+printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nvt .5 .5\nvt .5001 .5\nvt .5 .5001\nf 1/1 2/2 3/3\n' >bare.obj
+for scan in plain.nvdb box.tris; do
+    $bake $scan bare.obj -o a.exr --as-is
+    refused 65 "$p bare.obj: no texel lies in a triangle: is the mesh unwrapped?"
+done
+$bake box.tris low.obj -o a.exr --scan sampling=nearest
+refused 64 "$p box.tris has triangles: nearest-voxel sampling needs a voxel grid"
+$bake box.tris low.obj -o a.exr --device opencl:0
+refused 64 "$p box.tris: triangles are traced on the cpu, not on opencl:0"
 head -c 5000 plain.nvdb >short.nvdb
 $bake short.nvdb low.obj -o a.exr
 refused_like 65 '^bisque-bake: short\.nvdb: truncated'

@@ -1,5 +1,4 @@
-/* test_bake.c - whole bakes of a wavy sheet, compared with the formula of its normals and colours.
- */
+/* test_bake.c - whole bakes of a wavy sheet, compared with the formula of its normals. */
 #include "formats/image/exr_read.h"
 #include "libbake/bake.h"
 #include "tests/unit/test.h"
@@ -11,48 +10,28 @@ static const double half = 28, wavelength = 32, depth = 3, margin = 0.1, square 
 static const double centre[3] = {70, -31, 45};
 enum { SIZE = 160, SAMPLES_A_VOXEL = 8 };
 
-static const char grey_path[] = "grey.nvdb", color_path[] = "color.nvdb", low_path[] = "low.obj",
-                  far_path[] = "far.obj";
+static const char grid_path[] = "grid.nvdb", low_path[] = "low.obj";
 static struct analytic_sine sine;
-
-/* Computes the linear colour of the sheet. */
-static void color_at(double u, double v, float color[3])
-{
-    color[0] = (float)(0.5 + 0.4 * sin(u / 9));
-    color[1] = (float)(0.5 + 0.4 * cos(v / 11));
-    color[2] = 0.2f;
-}
 
 /* ---- the scene ---- */
 
-static void write_grid(const char *path, bool with_color)
+static void write_grid(void)
 {
     struct analytic_grid *grid = analytic_grid_create();
-    int64_t count = (int64_t)(2 * half * SAMPLES_A_VOXEL);
-    double step = 2 * half / (double)count;
-    for (int64_t i = 0; i < count; ++i)
-        for (int64_t j = 0; j < count; ++j) {
-            double u = -half + ((double)i + 0.5) * step, v = -half + ((double)j + 0.5) * step;
-            double point[3], normal[3];
-            float color[3];
-            analytic_sine_point(&sine, u, v, analytic_sine_height(&sine, u, v), point);
-            analytic_sine_normal(&sine, u, v, normal);
-            color_at(u, v, color);
-            analytic_grid_add(grid, point, normal, step * step, color);
-        }
-    analytic_grid_write(grid, with_color, path);
+    analytic_sine_add(grid, &sine, SAMPLES_A_VOXEL);
+    analytic_grid_write(grid, false, grid_path);
     analytic_grid_free(grid);
 }
 
 /* Writes a square whose texture coordinates u are multiplied by `tiles`. */
-static void write_square(const char *path, double offset, double tiles)
+static void write_square(const char *path, double tiles)
 {
     FILE *file = fopen(path, "w");
     assert_non_null(file);
     for (int i = 0; i < 4; ++i) {
         double point[3], u = i & 1 ? square : -square, v = i & 2 ? square : -square;
         analytic_sine_point(&sine, u, v, -depth, point);
-        fprintf(file, "v %.9g %.9g %.9g\n", point[0] + offset, point[1], point[2]);
+        fprintf(file, "v %.9g %.9g %.9g\n", point[0], point[1], point[2]);
         fprintf(file, "vt %.9g %.9g\n", tiles * (i & 1 ? 1 - margin : margin),
                 i & 2 ? 1 - margin : margin);
     }
@@ -64,18 +43,16 @@ static int make_scene(void **state)
 {
     (void)state;
     sine = analytic_sine_make(wavelength, half, centre);
-    write_grid(grey_path, false);
-    write_grid(color_path, true);
-    write_square(low_path, 0, 1);
-    write_square(far_path, 1000, 1);
+    write_grid();
+    write_square(low_path, 1);
     return 0;
 }
 
-static struct bake_options options_for(const char *grid, const char *output)
+static struct bake_options options_for(const char *output)
 {
     struct bake_options options;
     bake_defaults(&options);
-    options.scan_path = grid;
+    options.scan_path = grid_path;
     options.mesh_path = low_path;
     options.output_path = output;
     options.width = options.height = SIZE;
@@ -165,7 +142,7 @@ TEST(test_normals_are_those_of_the_formula)
 {
     struct bsq_ctx *ctx = test_context(2, 0);
     for (int variant = 0; variant < 3; ++variant) {
-        struct bake_options options = options_for(grey_path, "<MAP>.exr");
+        struct bake_options options = options_for("<MAP>.exr");
         options.green_down = variant == 1;
         options.normal_space = variant == 2 ? BAKE_OBJECT_SPACE : BAKE_TANGENT_SPACE;
         struct bake_report report = {.size = sizeof report};
@@ -189,7 +166,7 @@ TEST(test_normals_are_those_of_the_formula)
 TEST(test_report_counts_samples)
 {
     struct bsq_ctx *ctx = test_context(2, 0);
-    struct bake_options options = options_for(grey_path, "n.exr");
+    struct bake_options options = options_for("n.exr");
     options.samples = 3;
     struct bake_report report = {.size = sizeof report};
     bake(ctx, &options, &report);
@@ -209,39 +186,10 @@ TEST(test_report_counts_samples)
 
 /* ---- colour, mask, padding ---- */
 
-TEST(test_colors_are_those_of_the_formula)
-{
-    struct bsq_ctx *ctx = test_context(3, 0);
-    struct bake_options options = options_for(color_path, "<MAP>.exr");
-    struct bake_report report = {.size = sizeof report};
-    bake(ctx, &options, &report); /* default maps: normal and color */
-    assert_int_equal(access("normal.exr", F_OK), 0);
-    struct fmt_exr_image image;
-    read_map(ctx, "color.exr", &image);
-    assert_string_equal(fmt_exr_image_attribute(&image, "oiio:ColorSpace"), "Linear");
-    for (uint32_t y = 0; y < SIZE; ++y)
-        for (uint32_t x = 0; x < SIZE; ++x) {
-            double u, v, rgb[3];
-            float expected[3];
-            if (!place(x, y, 1, &u, &v))
-                continue;
-            sample_map(&image, x, y, rgb);
-            color_at(u, v, expected);
-            /* Colours of voxels are 8-bit sRGB, in steps of 0.004 here, and are blended over the
-             * width of a voxel. */
-            for (int k = 0; k < 3; ++k)
-                assert_true(fabs(rgb[k] - (double)expected[k]) < 0.015);
-        }
-    fmt_exr_image_free(ctx, &image);
-    unlink("normal.exr");
-    unlink("color.exr");
-    test_context_end(ctx);
-}
-
 TEST(test_misses_are_masked_and_filled)
 {
     struct bsq_ctx *ctx = test_context(2, 0);
-    struct bake_options options = options_for(grey_path, "<MAP>.exr");
+    struct bake_options options = options_for("<MAP>.exr");
     options.maps = BAKE_MAP_NORMAL | BAKE_MAP_MASK;
     options.front = depth; /* rays do not reach the crests */
     options.back = 0;
@@ -281,7 +229,7 @@ TEST(test_misses_are_masked_and_filled)
 TEST(test_padding_surrounds_the_chart)
 {
     struct bsq_ctx *ctx = test_context(2, 0);
-    struct bake_options options = options_for(grey_path, "n.exr");
+    struct bake_options options = options_for("n.exr");
     struct bake_report report = {.size = sizeof report};
     bake(ctx, &options, &report);
     struct fmt_exr_image image;
@@ -300,59 +248,6 @@ TEST(test_padding_surrounds_the_chart)
         }
     fmt_exr_image_free(ctx, &image);
     unlink("n.exr");
-    test_context_end(ctx);
-}
-
-/* ---- determinism ---- */
-
-TEST(test_bytes_depend_on_neither_threads_nor_budget)
-{
-    static const struct {
-        unsigned threads;
-        uint64_t memory;
-    } runs[] = {{2, 0}, {1, 0}, {5, 0}, {2, UINT64_C(20) << 20}, {1, UINT64_C(12) << 20}};
-    static const char *const names[] = {"normal.exr", "color.exr", "mask.exr"};
-    uint64_t first[3] = {0};
-    for (size_t r = 0; r < sizeof runs / sizeof *runs; ++r) {
-        struct bsq_ctx *ctx = test_context(runs[r].threads, runs[r].memory);
-        struct bake_options options = options_for(color_path, "<MAP>.exr");
-        options.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR | BAKE_MAP_MASK;
-        options.width = 1000; /* 28 MB of samples */
-        options.height = 1021;
-        options.samples = 1;
-        options.padding = 40;
-        struct bake_report report = {.size = sizeof report};
-        bake(ctx, &options, &report);
-        assert_true(bsq_memory_high(ctx) <= bsq_memory_limit(ctx));
-        assert_true((bsq_temp_bytes(ctx) > 0) == (runs[r].memory > 0));
-        for (int i = 0; i < 3; ++i) {
-            const uint64_t hash = test_take_hash(names[i]);
-            if (r == 0)
-                first[i] = hash;
-            assert_int_equal(hash, first[i]);
-        }
-        test_context_end(ctx);
-    }
-}
-
-/* ---- preview ---- */
-
-TEST(test_preview_is_written_with_the_maps)
-{
-    struct bsq_ctx *ctx = test_context(2, 0);
-    struct bake_options options = options_for(color_path, "<MAP>.png");
-    options.sample_type = BAKE_SAMPLE_USUAL;
-    options.preview_path = "preview.png";
-    struct bake_report report = {.size = sizeof report};
-    bake(ctx, &options, &report);
-    assert_int_equal(unlink("normal.png"), 0);
-    assert_int_equal(unlink("color.png"), 0);
-    size_t size;
-    uint8_t *bytes = test_read(options.preview_path, &size);
-    assert_true(size > 10000);
-    assert_memory_equal(bytes, "\x89PNG\r\n\x1a\n", 8);
-    free(bytes);
-    unlink(options.preview_path);
     test_context_end(ctx);
 }
 
@@ -385,10 +280,10 @@ static void compare_columns(struct bsq_ctx *ctx, const char *tile_path, const ch
 TEST(test_tiles_are_parts_of_one_map)
 {
     struct bsq_ctx *ctx = test_context(2, 0);
-    struct bake_options options = options_for(grey_path, "whole.exr");
+    struct bake_options options = options_for("whole.exr");
     struct bake_report whole = {.size = sizeof whole}, tiles = {.size = sizeof tiles};
     const char *two_path = "two.obj";
-    write_square(two_path, 0, 2);
+    write_square(two_path, 2);
     options.maps = BAKE_MAP_NORMAL;
     options.padding = 0;
     options.width = 2 * SIZE;
@@ -409,66 +304,6 @@ TEST(test_tiles_are_parts_of_one_map)
     unlink("1002.exr");
     unlink("whole.exr");
     unlink("two.obj");
-    test_context_end(ctx);
-}
-
-/* ---- errors ---- */
-
-static void expect_failure(const struct bake_options *options, int status, const char *text)
-{
-    struct bsq_ctx *ctx = test_context(2, 0);
-    struct bake_report report = {.size = sizeof report};
-    assert_int_equal(bake_run(ctx, options, &report), status);
-    if (!strstr(bsq_error(ctx), text)) {
-        print_message("\"%s\" lacks \"%s\"\n", bsq_error(ctx), text);
-        fail();
-    }
-    test_context_end(ctx);
-}
-
-TEST(test_errors_name_the_reason)
-{
-    const char *many = "<MAP>.exr";
-    struct bake_options options = options_for(grey_path, many);
-    options.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR;
-    expect_failure(&options, BSQ_EDATA, "grey.nvdb has no colour; leave color out of --maps");
-
-    options = options_for(grey_path, many);
-    options.mesh_path = far_path;
-    expect_failure(&options, BSQ_EDATA, "the scan spans");
-    options.front = options.back = 1; /* ray lengths are not measured */
-    expect_failure(&options, BSQ_EDATA, "same place and units");
-
-    options = options_for(color_path, "out.exr");
-    expect_failure(&options, BSQ_EUSAGE, "several maps need \"<MAP>\"");
-    options = options_for(grey_path, "out.png");
-    expect_failure(&options, BSQ_EUSAGE, "PNG files have no float samples");
-    options = options_for(grey_path, "/nonexistent/out.exr");
-    expect_failure(&options, BSQ_ECANTCREAT, "/nonexistent/out.exr");
-    options = options_for(grey_path, many);
-    options.preview_path = "/nonexistent/preview.png";
-    expect_failure(&options, BSQ_ECANTCREAT, "/nonexistent/preview.png");
-    options = options_for(grey_path, many);
-    options.samples = 0;
-    expect_failure(&options, BSQ_EUSAGE, "samples");
-    options = options_for(grey_path, many);
-    options.width = 0;
-    expect_failure(&options, BSQ_EUSAGE, "0 x 160");
-    options = options_for(low_path, many);
-    expect_failure(&options, BSQ_EDATA, "low.obj");
-    options = options_for(grey_path, many);
-    options.mesh_path = "/nonexistent/low.obj";
-    expect_failure(&options, BSQ_ENOINPUT, "/nonexistent/low.obj");
-}
-
-TEST(test_interruption_leaves_nothing)
-{
-    struct bsq_ctx *ctx = test_context(2, 0);
-    struct bake_options options = options_for(grey_path, "<MAP>.exr");
-    struct bake_report report = {.size = sizeof report};
-    bsq_interrupt(ctx);
-    assert_int_equal(bake_run(ctx, &options, &report), BSQ_EINTR);
-    assert_int_equal(access("normal.exr", F_OK), -1);
     test_context_end(ctx);
 }
 
@@ -498,7 +333,7 @@ static int take_rows(void *user, const struct bake_rows *rows)
 TEST(test_rows_are_those_of_files)
 {
     struct bsq_ctx *ctx = test_context(2, 64 << 20);
-    struct bake_options options = options_for(grey_path, "rows_<MAP>.exr");
+    struct bake_options options = options_for("rows_<MAP>.exr");
     struct bake_report report = {.size = sizeof report};
     struct taken taken = {.refuse_at = SIZE};
     struct fmt_exr_image image;

@@ -356,28 +356,6 @@ TEST(test_skews_turn_rays)
     unlink("cage.obj");
 }
 
-/* A scan far from 0 has an origin of its own, which is the same in the file and in the report. */
-TEST(test_far_positions_have_an_origin)
-{
-    for (int s = 1; s < SCANS; s++) {
-        struct bsq_ctx *ctx = test_context(1, 0); /* a context holds a file to its first opening */
-        struct bake_options options = options_for(&scans[s], "p.exr");
-        options.maps = BAKE_MAP_POSITION;
-        const struct bake_report report = bake(&options, 1, 0);
-        struct fmt_exr_image image = take_exr(ctx, "p.exr");
-        double origin[3];
-        assert_int_equal(sscanf(fmt_exr_image_attribute(&image, "bisque:origin"), "%lf %lf %lf",
-                                &origin[0], &origin[1], &origin[2]),
-                         3);
-        for (int k = 0; k < 3; k++) {
-            assert_true(origin[k] == report.encodings[4].origin[k]);
-            assert_true(s == 1 ? origin[k] == 0 : fabs(origin[k] - scans[s].centre[k]) < 1e-3);
-        }
-        fmt_exr_image_free(ctx, &image);
-        test_context_end(ctx);
-    }
-}
-
 /* Means of many samples are as exact as single samples. */
 TEST(test_means_lose_no_precision)
 {
@@ -523,44 +501,6 @@ TEST(test_png_files_decode_to_the_values)
         }
 }
 
-TEST(test_options_that_hold_nothing_are_refused)
-{
-    static const double ranges[] = {0, INFINITY, NAN};
-    struct bsq_ctx *ctx = test_context(1, 0);
-    for (size_t i = 0; i < sizeof ranges / sizeof *ranges; i++) {
-        struct bake_options options = options_for(&scans[0], "<MAP>.png");
-        options.height_range = ranges[i];
-        assert_int_equal(bake_check_options(ctx, &options), BSQ_EUSAGE);
-        assert_non_null(strstr(bsq_error(ctx), "range"));
-        bsq_clear_error(ctx);
-    }
-    test_context_end(ctx);
-}
-
 /* ---- determinism ---- */
-
-/* Ranges are measured over the whole mesh, in the same order for any threads and budget. */
-TEST(test_bytes_depend_on_neither_threads_nor_budget)
-{
-    static const struct {
-        unsigned threads;
-        uint64_t memory;
-    } runs[] = {{1, 0}, {5, 0}, {2, UINT64_C(14) << 20}, {1, UINT64_C(13) << 20}};
-    static const char *const maps[] = {"height.png", "position.png"};
-    for (int s = 0; s < 2; s++) {
-        uint64_t expected[2] = {0};
-        for (size_t r = 0; r < sizeof runs / sizeof *runs; r++) {
-            struct bake_options options = options_for(&scans[s], "<MAP>.png");
-            options.maps = BAKE_MAP_HEIGHT | BAKE_MAP_POSITION;
-            options.width = options.height = 640; /* 8 MB of values */
-            bake(&options, runs[r].threads, runs[r].memory);
-            for (int m = 0; m < 2; m++) {
-                const uint64_t hash = test_take_hash(maps[m]);
-                expected[m] = r == 0 ? hash : expected[m];
-                assert_true(hash == expected[m]);
-            }
-        }
-    }
-}
 
 RUN_TESTS(make_scene, NULL)

@@ -119,12 +119,6 @@ static void steeper_ramp(unsigned i, float *out)
     *out = 2 * (float)i;
 }
 
-static void grey(unsigned i, float *out)
-{
-    (void)i;
-    out[0] = out[1] = out[2] = 0.1842f;
-}
-
 static void compare_two(struct bsq_ctx *ctx, const char *a, const char *b,
                         struct bake_compare_report *out)
 {
@@ -185,39 +179,6 @@ FIXTURE_TEST(data_has_absolute_and_relative_errors)
     assert_true(fabs(r.relative_mean - 0.5 * 99 / 100) < 1e-9);
 }
 
-FIXTURE_TEST(equal_colours_have_no_noise)
-{
-    struct bsq_ctx *ctx = *state;
-    struct bake_compare_report r = {.size = sizeof r};
-    const char *a = write_map(ctx, "a.exr", 3, grey, "color"), *heat = "heat.png";
-    struct bake_compare_options options = {.size = sizeof(struct bake_compare_options),
-                                           .a_path = a,
-                                           .b_path = a,
-                                           .heatmap_path = heat};
-    assert_int_equal(bake_compare(ctx, &options, &r), 0);
-    assert_int_equal(r.kind, BAKE_COMPARE_COLOR);
-    assert_true(r.max == 0 && isinf(r.psnr));
-    assert_int_equal(access(heat, R_OK), 0);
-    assert_true(r.scale == 1);
-}
-
-FIXTURE_TEST(grey_is_compared_with_each_channel)
-{
-    struct bsq_ctx *ctx = *state;
-    struct bake_compare_report r = {.size = sizeof r};
-    const char *a = write_map(ctx, "a.exr", 3, grey, NULL),
-               *b = write_map(ctx, "b.exr", 1, ramp, NULL);
-    compare_two(ctx, a, b, &r);
-    assert_int_equal(r.kind, BAKE_COMPARE_DATA);
-    assert_true(r.max == (double)(99 - 0.1842f));
-    struct bake_compare_options options = {.size = sizeof(struct bake_compare_options),
-                                           .a_path = a,
-                                           .b_path = a,
-                                           .a_mask_path = b,
-                                           .b_mask_path = "/nowhere.exr"};
-    assert_int_equal(bake_compare(ctx, &options, &r), BSQ_ENOINPUT);
-}
-
 /* A ramp in which NaN and both infinities stand at 10, 20 and 30. */
 static void spoiled_ramp(unsigned i, float *out)
 {
@@ -227,11 +188,6 @@ static void spoiled_ramp(unsigned i, float *out)
 static void spoiled_mask(unsigned i, float *out)
 {
     *out = i == 40 ? NAN : i >= 50 ? 0 : 1;
-}
-
-static void never_finite(unsigned i, float *out)
-{
-    out[0] = out[1] = out[2] = i % 2 ? NAN : INFINITY;
 }
 
 FIXTURE_TEST(values_that_are_not_finite_are_counted)
@@ -263,30 +219,6 @@ FIXTURE_TEST(values_that_are_not_finite_are_counted)
     assert_int_equal(r.not_finite_b, 1);
     assert_int_equal(r.only_a, 50);
     assert_true(r.agreement == 0.5);
-}
-
-/* Whatever the kind, maps without a finite value have infinite figures, or are an error. */
-FIXTURE_TEST(maps_without_finite_values_have_no_figures)
-{
-    struct bsq_ctx *ctx = *state;
-    struct bake_compare_report r = {.size = sizeof r};
-    const char *a = write_map(ctx, "a.exr", 3, never_finite, NULL),
-               *b = write_map(ctx, "b.exr", 3, grey, NULL);
-    const char *heat = "heat.png";
-    for (int kind = BAKE_COMPARE_AUTO; kind <= BAKE_COMPARE_DATA; kind++) {
-        struct bake_compare_options options = {.size = sizeof(struct bake_compare_options),
-                                               .a_path = kind % 2 ? a : b,
-                                               .b_path = kind % 2 ? b : a,
-                                               .heatmap_path = heat,
-                                               .kind = (enum bake_compare_kind)kind};
-        assert_int_equal(bake_compare(ctx, &options, &r), 0);
-        assert_true(r.compared == 0 && r.not_finite == 100);
-        assert_true(isinf(r.mean) && isinf(r.median) && isinf(r.max) && isinf(r.relative_max));
-        assert_true(r.psnr < 0 && isinf(r.psnr) && r.agreement == 1);
-        options.ignore_nan = true;
-        assert_int_equal(bake_compare(ctx, &options, &r), BSQ_EDATA);
-        bsq_clear_error(ctx);
-    }
 }
 
 RUN_TESTS(NULL, NULL)

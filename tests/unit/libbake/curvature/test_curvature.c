@@ -368,26 +368,4 @@ TEST(test_a_radius_that_leaves_the_scan_counts_texels_without_a_value)
     }
 }
 
-/* Blocks of texels are traced one after another if memory is short. */
-TEST(test_values_depend_on_neither_threads_nor_memory)
-{
-    static const struct {
-        unsigned threads;
-        uint64_t memory;
-        bool in_memory;
-    } runs[] = {{2, 0, true}, {1, 0, false}, {5, UINT64_C(12) << 20, false}};
-    for (int s = 2; s < 4; s++)
-        for (int exact = 0; exact < 2; exact++) {
-            static float expected[WIDTH * HEIGHT], found[WIDTH * HEIGHT];
-            for (size_t r = 0; r < sizeof runs / sizeof *runs; r++) {
-                struct bsq_ctx *ctx = test_context(runs[r].threads, runs[r].memory);
-                measure(ctx, &shapes[s], exact, runs[r].in_memory, 2, r == 0 ? expected : found);
-                if (r > 0)
-                    assert_memory_equal(found, expected, sizeof found);
-                assert_true(bsq_memory_high(ctx) <= bsq_memory_limit(ctx));
-                test_context_end(ctx);
-            }
-        }
-}
-
 RUN_TESTS(make_scans, NULL)

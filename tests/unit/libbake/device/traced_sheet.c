@@ -4,7 +4,8 @@
 
 #include "tests/unit/libbake/analytic_grid.h"
 
-void traced_sheet_color(double u, double v, float color[3])
+/* Computes the linear colour of the sheet at (u, v) of its frame. */
+static void color_at(double u, double v, float color[3])
 {
     color[0] = (float)(0.5 + 0.5 * sin(u / 5));
     color[1] = (float)(0.5 + 0.5 * cos(v / 7));
@@ -22,7 +23,7 @@ static void add_sheet(struct analytic_grid *grid, const struct analytic_sine *si
             float color[3];
             analytic_sine_point(sine, u, v, analytic_sine_height(sine, u, v), point);
             analytic_sine_normal(sine, u, v, normal);
-            traced_sheet_color(u, v, color);
+            color_at(u, v, color);
             analytic_grid_add(grid, point, normal, 1 / 64., color);
         }
 }

@@ -21,9 +21,6 @@ struct fixture {
     struct bake_job job;
 };
 
-/* Computes the linear colour of the sheet at (u, v) of its frame. */
-void traced_sheet_color(double u, double v, float color[3]);
-
 /* Set up and tear down a struct fixture in *state for cmocka. Tearing down checks that all memory
  * is freed. */
 int traced_sheet_setup(void **state);

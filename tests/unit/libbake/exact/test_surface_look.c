@@ -110,19 +110,6 @@ static void look(const struct exact_setup *setup, const struct bk_params *params
     bsq_ctx_destroy(ctx);
 }
 
-/* Looks around from the front of the surface that a ray from above meets first. */
-static bk_surroundings look_from(const struct bk_params *params, double x, double y, double z)
-{
-    const struct exact_setup setup = {.threads = 1, .facing_origin = true, .t_max = 1};
-    struct view view = view_new(1);
-    view.rays[0] = (struct bake_exact_ray){{(float)x, (float)y, (float)z + 0.5f}, {0, 0, -1}};
-    look(&setup, params, &view);
-    assert_true(view.hits[0].triangle != BAKE_EXACT_NONE);
-    const bk_surroundings found = view.found[0];
-    view_free(&view);
-    return found;
-}
-
 static void assert_near(double value, double expected, double tolerance, const char *what)
 {
     if (!(fabs(value - expected) <= tolerance))
@@ -161,70 +148,6 @@ static void end_mesh(struct triangle_scan *mesh)
     triangle_scan_free(mesh);
 }
 
-/* A floor beside a wall of height h: see the test of voxels in test_secondary.c. */
-TEST(test_a_wall_hides_half_of_a_floor)
-{
-    const double h = 150;
-    const struct bk_params params = usual(4096);
-    struct triangle_scan mesh = begin_mesh(2);
-    add_rectangle(&mesh, (float[]){0, -600, 0}, (float[]){120, 0, 0}, (float[]){0, 1200, 0});
-    add_rectangle(&mesh, (float[]){0, -600, 0}, (float[]){0, 1200, 0}, (float[]){0, 0, 150});
-    end_mesh(&mesh);
-    for (int i = 1; i < 7; i++) {
-        const double d = 1 << i;
-        const bk_surroundings found = look_from(&params, d, 0.3, 0);
-        const bk_vec3 bent = bk_unit(found.bent);
-        assert_near((double)found.open, 0.5 + d / sqrt(d * d + h * h) / 2, 0.002, "beside a wall");
-        assert_near((double)bent.y, 0, 0.01, "bent along the wall");
-        if (d < 5)
-            assert_near(atan2((double)bent.x, (double)bent.z), atan(2 / pi), 0.03,
-                        "bent away from the wall");
-    }
-}
-
-/* The floor's middle of a well sees the sky under r^2 / (r^2 + h^2). */
-TEST(test_a_tube_leaves_a_cone)
-{
-    enum { SIDES = 360 };
-    const double r = 40.3, h = 61;
-    struct bk_params params = usual(4096);
-    struct triangle_scan mesh = begin_mesh(SIDES + 1);
-    for (int i = 0; i < SIDES; i++) {
-        const double a = 2 * pi * i / SIDES, b = 2 * pi * (i + 1) / SIDES;
-        const float side[3] = {(float)(r * (cos(b) - cos(a))), (float)(r * (sin(b) - sin(a))), 0};
-        add_rectangle(&mesh, (float[]){(float)(r * cos(a)), (float)(r * sin(a)), 0},
-                      (float[]){0, 0, (float)h}, side);
-    }
-    add_rectangle(&mesh, (float[]){-41, -41, 0}, (float[]){82, 0, 0}, (float[]){0, 82, 0});
-    end_mesh(&mesh);
-    const double share = r * r / (r * r + h * h);
-    assert_near((double)look_from(&params, 0, 0, 0).open, share, 0.003, "in a tube");
-    params.open_sine2 = 0.1f;
-    assert_near((double)look_from(&params, 0, 0, 0).open, 1, 0, "in a cone");
-    params.open_sine2 = 0.6f;
-    assert_near((double)look_from(&params, 0, 0, 0).open, share / 0.6, 0.003, "in a wider cone");
-    params.open_sine2 = 1;
-    params.open_limit = (float)r - 1;
-    assert_near((double)look_from(&params, 0, 0, 0).open, 1, 0, "with short rays");
-}
-
-TEST(test_falloff_is_linear)
-{
-    const double h = 20.4, l = 100, share = h / l;
-    struct bk_params params = usual(4096);
-    struct triangle_scan mesh = begin_mesh(2);
-    add_rectangle(&mesh, (float[]){-4, -4, 0}, (float[]){8, 0, 0}, (float[]){0, 8, 0});
-    add_rectangle(&mesh, (float[]){-120, -120, (float)h}, (float[]){0, 240, 0},
-                  (float[]){240, 0, 0});
-    end_mesh(&mesh);
-    params.open_limit = (float)l;
-    assert_near((double)look_from(&params, 0.1, 0.2, 0).open, share * share, 0.002,
-                "below a ceiling");
-    params.flags |= BK_OPEN_FALLOFF;
-    assert_near((double)look_from(&params, 0.1, 0.2, 0).open,
-                2 * share * (1 - share) + share * share, 0.002, "with falloff");
-}
-
 /* Two squares close to each other hide each other, also where coordinates are large. */
 TEST(test_a_narrow_gap_is_dark)
 {
@@ -243,26 +166,6 @@ TEST(test_a_narrow_gap_is_dark)
         assert_true(view.hits[0].triangle != BAKE_EXACT_NONE);
         assert_near((double)view.found[0].open, 0, 0.001, "in a narrow gap");
         view_free(&view);
-    }
-}
-
-/* A slab of height h, with rays of at most l: 2 h - h^2 / l. */
-TEST(test_a_slab_is_as_thick_as_it_is)
-{
-    static const double heights[] = {0.001, 0.4, 3.3, 20.6};
-    for (int i = 0; i < 4; i++) {
-        const double h = heights[i], l = 60;
-        struct bk_params params = usual(4096);
-        struct triangle_scan mesh = begin_mesh(2);
-        add_rectangle(&mesh, (float[]){-90, -90, 0}, (float[]){0, 180, 0}, (float[]){180, 0, 0});
-        add_rectangle(&mesh, (float[]){-90, -90, (float)h}, (float[]){180, 0, 0},
-                      (float[]){0, 180, 0});
-        end_mesh(&mesh);
-        params.thickness_limit = (float)l;
-        const bk_surroundings found = look_from(&params, 0.3, 0.2, h);
-        assert_near((double)(found.thickness / found.solids), 2 * h - h * h / l, 0.02 * h,
-                    "thickness of a slab");
-        assert_near((double)found.open, 1, 0, "above a slab");
     }
 }
 

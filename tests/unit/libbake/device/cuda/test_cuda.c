@@ -121,27 +121,6 @@ FIXTURE_TEST(test_same_bits_with_ptx)
     free(cuda);
 }
 
-/* Workers trace with their own buffers, and tiles may be smaller than the largest. */
-FIXTURE_TEST(test_small_tile)
-{
-    struct fixture *f = *state;
-    const struct bk_tile tile = {.x = 10, .y = 20, .width = 7, .height = 3};
-    struct sheet_texel a[21], b[21];
-    uint32_t samples[21 * 4] = {0};
-    struct bake_device *native, *cuda;
-
-    assert_int_equal(bake_device_open(f->ctx, "cuda:0", &f->job, &cuda), 0);
-    assert_int_equal(bake_device_open(f->ctx, "cpu", &f->job, &native), 0);
-    assert_int_equal(bake_device_trace(native, &tile, samples, (float *)a, 0), 0);
-    for (unsigned worker = 0; worker < 2; worker++) {
-        memset(b, 0xff, sizeof b);
-        assert_int_equal(bake_device_trace(cuda, &tile, samples, (float *)b, worker), 0);
-        assert_same(a, b, 21);
-    }
-    bake_device_close(cuda);
-    bake_device_close(native);
-}
-
 /* Returns the times of a backend that traces the whole map `tiles` times on one worker. */
 static struct bake_device_times times_of(struct fixture *f, int tiles, struct sheet_texel *texels)
 {
@@ -440,33 +419,6 @@ FIXTURE_TEST(test_tracing_fails)
     free(texels);
 }
 
-/* "auto" prefers CUDA, and falls back to the processor if the GPU fails later. */
-FIXTURE_TEST(test_auto)
-{
-    struct fixture *f = *state;
-    struct bsq_ctx *ctx = create_context(0);
-    struct sheet_texel *native = traced_sheet_trace(f, "cpu", 0);
-    struct sheet_texel *texels = calloc(TEXELS, sizeof *texels);
-    const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
-    struct bake_device *device;
-
-    setenv("FAKE_CUDA_FAIL", "cuLaunchKernel:2:719", 1);
-    assert_int_equal(bake_device_open(ctx, "auto", &f->job, &device), 0);
-    assert_string_equal(bake_device_name(device), "Fake GPU 0 (CUDA)");
-    for (int i = 0; i < 3; i++) {
-        memset(texels, 0xff, TEXELS * sizeof *texels);
-        assert_int_equal(bake_device_trace(device, &tile, f->samples, (float *)texels, 0), 0);
-        assert_same(native, texels, TEXELS);
-    }
-    assert_string_equal(warnings,
-                        "Fake GPU 0 (CUDA): cuLaunchKernel: CUDA_ERROR_LAUNCH_FAILED (unspecified "
-                        "launch failure); going on with cpu, 2 threads\n");
-    bake_device_close(device);
-    test_context_end(ctx);
-    free(native);
-    free(texels);
-}
-
 /* "auto" takes the next GPU if one cannot be used. */
 FIXTURE_TEST(test_auto_takes_the_next)
 {
@@ -571,26 +523,6 @@ FIXTURE_TEST(test_forked_caller)
     }
     assert_int_equal(waitpid(child, &ended, 0), child);
     assert_int_equal(ended, 0);
-}
-
-/* A driver that crashes is an error with a message for "cuda", a warning for "auto". */
-FIXTURE_TEST(test_crash)
-{
-    static const char crash[] = "CUDA cannot be used: a driver crashed when it was asked for its "
-                                "devices (Segmentation fault)";
-    struct fixture *f = *state;
-    struct bsq_ctx *ctx = create_context(0);
-    struct bake_device *device;
-
-    setenv("FAKE_CUDA_FAIL", "cuInit:1:-11", 1);
-    assert_int_equal(bake_device_open(ctx, "cuda", &f->job, &device), BSQ_ENODEVICE);
-    assert_string_equal(bsq_error(ctx), crash);
-    bsq_clear_error(ctx);
-    assert_int_equal(bake_device_open(ctx, "auto", &f->job, &device), 0);
-    assert_memory_equal(warnings, crash, strlen(crash));
-    assert_string_equal(bake_device_name(device), "cpu, 2 threads");
-    bake_device_close(device);
-    bsq_ctx_destroy(ctx);
 }
 
 /* A driver's library is found in directories that the dynamic linker does not search; a file that
