@@ -78,25 +78,6 @@ static void expect_same_file(struct reference *reference)
     free(bytes);
 }
 
-FIXTURE_TEST(budgets_and_threads_do_not_change_the_file)
-{
-    struct sort_fixture *f = *state;
-    static const unsigned threads[] = {1, 2, 5};
-    struct reference reference = {0};
-    struct sort_grid g;
-    sort_grid_make(&g, 320, 3);
-    sort_grid_write(&g, "scan.obj", GRID_SHUFFLED | GRID_COLORS, 8);
-    for (int t = 0; t < 3; t++)
-        for (int b = 0; b < 3; b++) {
-            uint64_t least = vox_memory_min(threads[t]);
-            sort_open_context(f, b == 0 ? least : b == 1 ? 2 * least : 1024 * MIB, threads[t]);
-            expect_sorted(f, sort_scan(f));
-            expect_same_file(&reference);
-        }
-    free(reference.bytes);
-    sort_grid_free(&g);
-}
-
 /* Writes triangles without area between random vertices of a grid. */
 static void append_flat_triangles(const char *path, const struct sort_grid *g, uint32_t count)
 {

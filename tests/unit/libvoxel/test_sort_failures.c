@@ -7,37 +7,6 @@
 
 /* ---- bad input ---- */
 
-FIXTURE_TEST(indices_out_of_range_are_located)
-{
-    struct sort_fixture *f = *state;
-    static const struct {
-        const char *text, *message;
-    } cases[] = {
-        {"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 9\nf 1 2 99\n", ":5: face refers to vertex 9"},
-        {"v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/9 2/2 3/1\nf 1 4 9\n",
-         ":6: face refers to vertex 4"},
-        {"v 0 0 0\nv 1 0 0\nv 0 1 0\nv nan 0 0\nf 1 2 3\nf 1 2 3\nf 1 2 4\nf 1 2 4\n",
-         ":7: 2 of 4 faces have a vertex without a finite position"},
-    };
-    for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
-        assert_int_equal(sort_text(f, cases[i].text), BSQ_EDATA);
-        if (!strstr(bsq_error(f->ctx), cases[i].message))
-            fail_msg("\"%s\" is not in \"%s\"", cases[i].message, bsq_error(f->ctx));
-        assert_non_null(strstr(bsq_error(f->ctx), "scan.obj"));
-        assert_int_not_equal(access("scan.tris", F_OK), 0);
-    }
-}
-
-FIXTURE_TEST(scans_without_faces_are_refused)
-{
-    struct sort_fixture *f = *state;
-    static const char *const texts[] = {"", "v 0 0 0\n", "v 0 0 0\nv 1 0 0\nf 1 2\n"};
-    for (int i = 0; i < 3; i++) {
-        assert_int_equal(sort_text(f, texts[i]), BSQ_EDATA);
-        assert_non_null(strstr(bsq_error(f->ctx), "scan.obj"));
-    }
-}
-
 FIXTURE_TEST(positions_beyond_float_are_refused)
 {
     struct sort_fixture *f = *state;
@@ -54,15 +23,6 @@ FIXTURE_TEST(a_scan_without_area_is_refused)
     assert_int_equal(sort_text(f, "v 1 2 3\nf 1 1 1\nf 1 1 1\n"), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(f->ctx), "none of the scan's 2 triangles has an area"));
     assert_int_not_equal(access("scan.tris", F_OK), 0);
-}
-
-FIXTURE_TEST(too_little_memory_is_refused)
-{
-    struct sort_fixture *f = *state;
-    sort_open_context(f, vox_memory_min(2) - 1, 2);
-    assert_int_equal(sort_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), BSQ_ENOMEM);
-    sort_open_context(f, 64 * MIB, 2);
-    expect_sorted(f, sort_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"));
 }
 
 /* Positions are in a file, and there is no memory for one byte a vertex. The message names a budget
@@ -124,25 +84,6 @@ FIXTURE_TEST(memory_may_run_out_anywhere)
         }
     assert_true(failures > 60);
     sort_grid_free(&g);
-}
-
-FIXTURE_TEST(an_unwritable_place_is_refused)
-{
-    struct sort_fixture *f = *state;
-    struct vox_sort_options options = sort_scan_obj();
-    options.tris_path = "/nowhere/at/all.tris";
-    test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
-    assert_int_equal(vox_sort(f->ctx, &options, &f->report), BSQ_ECANTCREAT);
-}
-
-FIXTURE_TEST(an_interrupt_stops_and_leaves_nothing)
-{
-    struct sort_fixture *f = *state;
-    struct vox_sort_options options = sort_scan_obj();
-    test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
-    bsq_interrupt(f->ctx);
-    assert_int_equal(vox_sort(f->ctx, &options, &f->report), BSQ_EINTR);
-    assert_int_not_equal(access("scan.tris", F_OK), 0);
 }
 
 RUN_TESTS(NULL, NULL)

@@ -171,30 +171,6 @@ TEST(test_full_leaves)
     bsq_ctx_destroy(ctx);
 }
 
-TEST(test_same_bytes)
-{
-    struct scene scene;
-    scene_random(&scene, 5, 20000, true);
-    scene.info.ids = BSQ_IDS_OBJECT;
-    scene.info.channels = "coat,metallic";
-    const char *names[2] = {nvdb_path, "b.nvdb"};
-    uint8_t *bytes[2];
-    uint64_t size[2];
-    for (int i = 0; i < 2; i++) {
-        struct bsq_ctx *ctx = test_context(i ? 3 : 1, i ? 0 : UINT64_C(8) << 20);
-        struct fmt_nvdb_totals totals;
-        assert_ok(ctx, scene_write(ctx, names[i], &scene, &totals));
-        assert_true(bsq_memory_high(ctx) < UINT64_C(4) << 20);
-        bsq_ctx_destroy(ctx);
-        bytes[i] = test_read(names[i], &size[i]);
-    }
-    assert_int_equal(size[0], size[1]);
-    assert_int_equal(memcmp(bytes[0], bytes[1], size[0]), 0);
-    free(bytes[0]);
-    free(bytes[1]);
-    scene_free(&scene);
-}
-
 /* ---- NanoVDB's own tools ---- */
 
 /* Runs a command; returns false if it is not installed. */

@@ -231,17 +231,4 @@ TEST(test_limits)
     }
 }
 
-TEST(test_unwritable)
-{
-    struct bsq_ctx *ctx = test_context(1, 0);
-    struct fmt_nvdb_info info = {.type = FMT_NVDB_MASK, .voxel_size = 1};
-    struct fmt_nvdb_writer *writer;
-    assert_int_equal(fmt_nvdb_create(ctx, "/nowhere/a.nvdb", &info, &writer), BSQ_ECANTCREAT);
-    assert_null(writer);
-    bsq_clear_error(ctx);
-    info.voxel_size = 0;
-    assert_int_equal(fmt_nvdb_create(ctx, nvdb_path, &info, &writer), BSQ_EUSAGE);
-    test_context_end(ctx);
-}
-
 RUN_TESTS(NULL, NULL)

@@ -144,31 +144,6 @@ TEST(test_same_bytes)
 }
 
 // No partial file is left, and the message says what is missing.
-TEST(test_no_memory)
-{
-    unlink(vdb_path.c_str());
-    bsq_ctx *ctx = new_context(uint64_t(6) << 20);
-    scene scene;
-    assert_int_equal(write_and_export(ctx, scene, 33, true), BSQ_ENOMEM);
-    assert_non_null(std::strstr(bsq_error(ctx), "OpenVDB export"));
-    assert_int_equal(bsq_memory_used(ctx), 0);
-    assert_int_equal(access(vdb_path.c_str(), F_OK), -1);
-    bsq_ctx_destroy(ctx);
-    scene_free(&scene);
-}
-
-TEST(test_unwritable)
-{
-    bsq_ctx *ctx = new_context(0);
-    scene scene;
-    std::string kept = vdb_path;
-    vdb_path = "/nowhere/a.vdb";
-    assert_int_equal(write_and_export(ctx, scene, 34, false), BSQ_ECANTCREAT);
-    vdb_path = kept;
-    scene_free(&scene);
-    bsq_ctx_destroy(ctx);
-}
-
 } // namespace
 
 RUN_TESTS(nullptr, nullptr)

@@ -321,37 +321,6 @@ TEST(test_other_reader_agrees_on_tiles)
     test_context_end(ctx);
 }
 
-static void compare_threads(uint32_t tile_side)
-{
-    enum { WIDTH = 64, HEIGHT = 333 };
-    float *samples = random_samples((size_t)WIDTH * HEIGHT * 3, 5);
-    uint8_t *first = NULL;
-    size_t first_size = 0;
-    for (unsigned threads = 1; threads <= 5; threads += 2) {
-        struct bsq_ctx *ctx = test_context(threads, 0);
-        write_image(ctx, WIDTH, HEIGHT, FMT_HALF, samples, 10 * threads + 1, tile_side);
-        size_t size;
-        uint8_t *bytes = test_read(path, &size);
-        if (first) {
-            assert_int_equal(size, first_size);
-            assert_memory_equal(bytes, first, size);
-            free(bytes);
-        } else {
-            first = bytes;
-            first_size = size;
-        }
-        test_context_end(ctx);
-    }
-    free(first);
-    free(samples);
-}
-
-TEST(test_bytes_do_not_depend_on_threads)
-{
-    compare_threads(0);
-    compare_threads(24);
-}
-
 static void write_tiled(int width, int height, int compression, const ImfRgba *pixels)
 {
     ImfHeader *header = ImfNewHeader();
@@ -555,33 +524,6 @@ TEST(test_excessive_headers)
         bsq_clear_error(ctx);
         bsq_forget_files(ctx);
     }
-    test_context_end(ctx);
-}
-
-TEST(test_nothing_is_left_of_a_discarded_file)
-{
-    struct bsq_ctx *ctx = test_context(2, 0);
-    unlink(path);
-    float *samples = random_samples(20 * 40 * 3, 3);
-    struct fmt_image_options options = {
-        .width = 20, .height = 40, .channel_count = 3, .type = FMT_HALF};
-    struct fmt_image_writer *writer;
-    assert_int_equal(fmt_image_create(ctx, &fmt_exr_format, path, &options, &writer), 0);
-    assert_int_equal(fmt_image_write_rows(writer, samples, 20), 0);
-    fmt_image_discard(writer);
-    assert_int_equal(access(path, F_OK), -1);
-    assert_string_equal(bsq_error(ctx), "");
-    assert_int_equal(
-        fmt_image_create(ctx, &fmt_exr_format, "/nonexistent/a.exr", &options, &writer),
-        BSQ_ECANTCREAT);
-    assert_null(writer);
-    bsq_clear_error(ctx);
-    /* If the caller writes too few rows, there is no file. */
-    assert_int_equal(fmt_image_create(ctx, &fmt_exr_format, path, &options, &writer), 0);
-    assert_int_equal(fmt_image_write_rows(writer, samples, 20), 0);
-    assert_int_equal(test_commit_image(writer), BSQ_EBUG);
-    assert_int_equal(access(path, F_OK), -1);
-    free(samples);
     test_context_end(ctx);
 }
 

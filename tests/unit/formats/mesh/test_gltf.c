@@ -471,36 +471,6 @@ TEST(test_textures)
     }
 }
 
-/* Many parts and any number of threads give the same batches. Several files are one scan. */
-TEST(test_threads)
-{
-    enum { COUNT = 60000 };
-    struct obj_fixture f[2];
-    struct ply_builder b;
-    gltf_begin(&b);
-    put_vertices(&b, COUNT);
-    const char *json =
-        HEAD FILE_BUFFER("scan") POSITIONS("60000") "'nodes':[{'mesh':0},"
-                                                    "{'mesh':0,'scale':[1,2,3]}]," MESH;
-    char path[200];
-    snprintf(path, sizeof path, "%s", gltf_write("scan", json, &b));
-    const char *paths[2] = {path, path};
-    obj_read_files(&f[0], 1, 2, paths);
-    obj_read_files(&f[1], 4, 2, paths);
-    assert_int_equal(f[0].status, 0);
-    assert_int_equal(f[0].scan.totals.vertices, 4 * COUNT);
-    assert_int_equal(f[0].scan.totals.faces, 4 * COUNT / 3);
-    assert_int_equal(f[0].scan.batches, f[1].scan.batches);
-    assert_true(f[0].scan.batches > 20);
-    assert_memory_equal(f[0].scan.positions, f[1].scan.positions,
-                        4 * COUNT * sizeof *f[0].scan.positions);
-    assert_memory_equal(f[0].scan.corners[0], f[1].scan.corners[0], 4 * COUNT * sizeof(uint64_t));
-    assert_int_equal(f[0].scan.corners[0][4 * COUNT - 1], 4 * COUNT - 1);
-    obj_close(&f[0]);
-    obj_close(&f[1]);
-    ply_free(&b);
-}
-
 /* An object is a node with a mesh: it has the node's name, or else the mesh's. */
 TEST(test_objects)
 {

@@ -197,16 +197,6 @@ TEST(test_zero_bytes)
     close_fixture(&f);
 }
 
-TEST(test_missing_file_is_a_warning)
-{
-    struct fixture f;
-    open_fixture(&f);
-    assert_int_equal(fmt_mtl_read(f.ctx, "/nowhere/a.mtl", "a.obj:1", false, &f.materials), 0);
-    assert_int_equal(f.warnings, 1);
-    assert_non_null(strstr(f.warning, "a.obj:1: /nowhere/a.mtl: "));
-    close_fixture(&f);
-}
-
 TEST(test_files_append)
 {
     struct fixture f;

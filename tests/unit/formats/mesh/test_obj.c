@@ -88,21 +88,6 @@ TEST(test_line_ends)
     }
 }
 
-TEST(test_empty_files)
-{
-    struct obj_fixture f;
-    const char *paths[3] = {test_text("empty.obj", ""), test_text("some.obj", "f 1 2 3\n"),
-                            test_text("blank.obj", "\n\n")};
-    obj_read_files(&f, 2, 3, paths);
-    assert_int_equal(f.status, 0);
-    assert_int_equal(f.scan.totals.faces, 1);
-    obj_close(&f);
-    obj_read_files(&f, 2, 1, paths);
-    assert_int_equal(f.status, 0);
-    assert_int_equal(f.scan.totals.faces, 0);
-    obj_close(&f);
-}
-
 TEST(test_several_files)
 {
     struct obj_fixture f;
@@ -240,16 +225,6 @@ TEST(test_names_are_recognised)
     assert_true(fmt_mesh_recognise("scan.obj.gz", "\x1f\x8b", 2));
     assert_true(fmt_mesh_recognise("scan.PLY.ZST", "\x28\xb5\x2f\xfd", 4));
     assert_false(fmt_mesh_recognise("scan.gz", "\x1f\x8b", 2));
-}
-
-TEST(test_missing_file)
-{
-    struct obj_fixture f;
-    const char *path = "nothing.obj";
-    obj_read_files(&f, 1, 1, &path);
-    assert_int_equal(f.status, BSQ_ENOINPUT);
-    assert_non_null(strstr(bsq_error(f.ctx), "nothing.obj"));
-    obj_close(&f);
 }
 
 TEST(test_fail_index)

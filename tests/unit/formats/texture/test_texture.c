@@ -341,33 +341,6 @@ struct lookup {
     float (*colors)[3];
 };
 
-static int look_up(void *arg, uint64_t index, unsigned worker)
-{
-    struct lookup *lookup = arg;
-    (void)worker;
-    return fmt_texture_sample(lookup->f->textures, (uint32_t)(index % 2), lookup->f->wrap,
-                              (float)index * 0.377f, (float)index * 0.619f, 0.003f, 0.004f,
-                              lookup->colors[index]);
-}
-
-TEST(test_threads_see_the_same)
-{
-    enum { count = 3000 };
-    static float parallel[count][3], serial[count][3];
-    struct picture p = make_picture(900, 700, 3);
-    const char *paths[3] = {write_png("t.png", &p), write_png("u.png", &p), NULL};
-    struct fixture f;
-    assert_int_equal(open_textures(&f, paths, 3, 12 << 20), 0);
-    struct lookup lookup = {&f, parallel};
-    assert_int_equal(bsq_parallel_for(f.ctx, count, look_up, &lookup), 0);
-    lookup.colors = serial;
-    for (uint64_t i = 0; i < count; i++)
-        assert_int_equal(look_up(&lookup, i, 0), 0);
-    assert_memory_equal(parallel, serial, sizeof serial);
-    close_fixture(&f);
-    free(p.texels);
-}
-
 /* A PFM file stores linear floats, lowest row first. */
 TEST(test_float_image_is_linear)
 {
@@ -412,32 +385,6 @@ TEST(test_texels_that_are_not_finite)
     close_fixture(&f);
 }
 
-TEST(test_bad_files)
-{
-    struct fixture f;
-    const char *path = "missing.png";
-    assert_int_equal(open_textures(&f, &path, 1, 1), BSQ_ENOINPUT);
-    assert_non_null(strstr(bsq_error(f.ctx), "missing.png"));
-    close_fixture(&f);
-
-    path = "text.png";
-    test_text(path, "this is no picture");
-    assert_int_equal(open_textures(&f, &path, 1, 1), BSQ_EDATA);
-    assert_non_null(strstr(bsq_error(f.ctx), "text.png"));
-    assert_null(strchr(bsq_error(f.ctx), '\n'));
-    close_fixture(&f);
-
-    path = "cut.ppm";
-    FILE *file = fopen(path, "wb");
-    assert_non_null(file);
-    fprintf(file, "P6\n300 300\n255\n%050000d", 0);
-    fclose(file);
-    assert_int_equal(open_textures(&f, &path, 1, 1), BSQ_EDATA);
-    assert_non_null(strstr(bsq_error(f.ctx), "cut.ppm"));
-    assert_null(strchr(bsq_error(f.ctx), '\n'));
-    close_fixture(&f);
-}
-
 /* ---- files that are not what they should be ---- */
 
 /* Opens one file and expects a failure, whose message has this text. */
@@ -449,15 +396,6 @@ static void expect_refusal(const char *path, int expected, const char *text)
         fail_msg("%s: status %d, \"%s\"", path, status, bsq_error(f.ctx));
     assert_null(strchr(bsq_error(f.ctx), '\n'));
     close_fixture(&f);
-}
-
-TEST(test_only_regular_files)
-{
-    const char *path = "pipe.png";
-    assert_int_equal(mkfifo(path, 0600), 0);
-    expect_refusal(path, BSQ_ENOINPUT, "pipe.png: not a regular file");
-    expect_refusal(".", BSQ_ENOINPUT, "Is a directory");
-    expect_refusal("/dev/zero", BSQ_ENOINPUT, "/dev/zero: not a regular file");
 }
 
 /* OpenImageIO's plug-ins would open these, some of them as streams from a network. */

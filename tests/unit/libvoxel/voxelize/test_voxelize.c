@@ -53,45 +53,6 @@ FIXTURE_TEST(test_sphere_touches_the_voxels_of_the_exact_one)
     }
 }
 
-/* Compares normals and planes of a finely tessellated sphere with the sphere's. */
-FIXTURE_TEST(test_sphere_records)
-{
-    struct vox_fixture *f = *state;
-    const double radius = 40.0;
-    struct scan_mesh mesh = scan_sphere(radius, 0.4);
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
-    struct vox_voxelize_report report = vox_make(f, 80, 0.0);
-    assert_int_equal(report.second_records, 0);
-    assert_false(report.has_color);
-
-    struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
-    uint64_t found = 0;
-    for (int32_t x = 0; x < 80; x++)
-        for (int32_t y = 0; y < 80; y++)
-            for (int32_t z = 0; z < 80; z++) {
-                uint64_t index = grid_find(&grid, (int32_t[3]){x, y, z});
-                if (index == 0)
-                    continue;
-                found++;
-                struct fmt_nvdb_record record = grid_get(&grid, index);
-                double p[3] = {x + 0.5 - radius, y + 0.5 - radius, z + 0.5 - radius};
-                double r = sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]);
-                struct bsq_vec3 n = bsq_oct_unpack(record.normal);
-                double cosine = ((double)n.x * p[0] + (double)n.y * p[1] + (double)n.z * p[2]) / r;
-                /* The fragment may lie at the voxel's far end: 0.87 voxels of 40. */
-                assert_true(cosine > cos(0.87 / 39.0 + 0.01));
-                assert_true(fabs(record_plane(record) - (radius - r)) < 0.02);
-                assert_true(record_coverage(record) > 0.99);
-                assert_int_equal(record.color, 0);
-            }
-    assert_int_equal(found, report.voxels);
-    assert_true(fabs(grid.info.translation[0] - (-radius + 0.5)) < 1e-12);
-    assert_true(fabs(grid.info.voxel_size - 1.0) < 1e-12);
-    fmt_nvdb_close(f->ctx, &grid);
-}
-
 /* ---- borders ---- */
 
 static void set_box(struct scan_mesh *mesh, uint32_t first_quad, double lo, double hi)
@@ -142,59 +103,7 @@ FIXTURE_TEST(test_box_on_multiples_of_a_voxel_size)
     fmt_nvdb_close(f->ctx, &grid);
 }
 
-FIXTURE_TEST(test_flat_scan)
-{
-    struct vox_fixture *f = *state;
-    struct scan_mesh mesh = scan_mesh_new(4, 2);
-    scan_set_quad(&mesh, 0, (double[3]){5, 5, 5}, (double[3]){8, 0, 0}, (double[3]){0, 4, 0});
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
-    struct vox_voxelize_report report = vox_make(f, 16, 0.0);
-    assert_int_equal(report.voxels, 16 * 8);
-    assert_int_equal(report.index_max[2], 0);
-    struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
-    struct fmt_nvdb_record record = grid_get(&grid, grid_find(&grid, (int32_t[3]){3, 3, 0}));
-    struct bsq_vec3 n = bsq_oct_unpack(record.normal);
-    assert_true(n.z > 0.99999f);
-    /* The plane lies on the voxel's lower face. */
-    assert_true(fabs(record_plane(record) + 0.5) < 1e-4);
-    assert_true(record_coverage(record) == 1.0);
-    fmt_nvdb_close(f->ctx, &grid);
-}
-
 /* ---- two sheets ---- */
-
-FIXTURE_TEST(test_plate_thinner_than_a_voxel)
-{
-    struct vox_fixture *f = *state;
-    struct scan_mesh mesh = scan_mesh_new(8, 4);
-    /* The upper side is at z = 0.7. The lower side is at z = 0.4 and smaller, so that some voxels
-     * have only one. */
-    scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.7}, (double[3]){8, 0, 0}, (double[3]){0, 8, 0});
-    scan_set_quad(&mesh, 1, (double[3]){0, 0, 0.4}, (double[3]){0, 8, 0}, (double[3]){4, 0, 0});
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
-    struct vox_voxelize_report report = vox_make(f, 0, 1.0);
-    /* A side that ends on a border touches the voxels beyond, which get records without an area.
-     * Both sides end at y = 8, where their records are equal. */
-    assert_int_equal(report.voxels, 9 * 9);
-    assert_int_equal(report.second_records, 4 * 8 + 5);
-    struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
-    uint64_t two = grid_find(&grid, (int32_t[3]){2, 5, 0});
-    uint64_t one = grid_find(&grid, (int32_t[3]){6, 5, 0});
-    assert_int_equal(fmt_nvdb_second(&grid, one), 0);
-    uint64_t second = fmt_nvdb_second(&grid, two);
-    assert_int_not_equal(second, 0);
-    struct fmt_nvdb_record up = grid_get(&grid, two), down = grid_get(&grid, second);
-    /* Equal areas: the first sheet is the first record. */
-    assert_true(bsq_oct_unpack(up.normal).z > 0.99999f);
-    assert_true(bsq_oct_unpack(down.normal).z < -0.99999f);
-    assert_true(fabs(record_plane(up) - 0.2) < 1e-4);
-    assert_true(fabs(record_plane(down) - 0.1) < 1e-4);
-    fmt_nvdb_close(f->ctx, &grid);
-}
 
 /* The larger sheet is the first record in either order. A sheet below a hundredth is dropped. */
 FIXTURE_TEST(test_second_sheet_is_the_smaller)
@@ -288,31 +197,6 @@ FIXTURE_TEST(test_sparse_and_huge)
     fmt_nvdb_close(f->ctx, &grid);
 }
 
-/* A large origin must not cost precision: voxels and records are the same as without it. */
-FIXTURE_TEST(test_origin_only_moves_the_grid)
-{
-    struct vox_fixture *f = *state;
-    struct scan_mesh mesh = scan_sphere(10.0, 0.5);
-    const double origin[3] = {500000.0, -4000000.0, 1024.0};
-    scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, 4000);
-    struct vox_voxelize_report plain = vox_make(f, 64, 0.0);
-    struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
-    double translation[3];
-    memcpy(translation, grid.info.translation, sizeof translation);
-    fmt_nvdb_close(f->ctx, &grid);
-    scan_write(f->ctx, "scan.tris", &mesh, origin, NULL, 0, 4000);
-    scan_mesh_free(&mesh);
-    struct vox_voxelize_report moved = vox_make(f, 64, 0.0);
-    assert_int_equal(plain.voxels, moved.voxels);
-    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
-    for (int a = 0; a < 3; a++) {
-        assert_true(fabs(grid.info.translation[a] - translation[a] - origin[a]) < 1e-9);
-        assert_true(fabs(grid.info.scan_max[a] - origin[a] - 10.0) < 1e-9);
-    }
-    fmt_nvdb_close(f->ctx, &grid);
-}
-
 /* ---- errors ---- */
 
 FIXTURE_TEST(test_bad_sizes)
@@ -352,30 +236,6 @@ FIXTURE_TEST(test_missing_and_damaged_input)
     fputc(byte ^ 1, file);
     fclose(file);
     vox_expect_failure(f, 100, 0.0, BSQ_EDATA, "scan.tris");
-}
-
-FIXTURE_TEST(test_budget_too_small)
-{
-    struct vox_fixture *f = *state;
-    struct scan_mesh mesh = scan_sphere(10.0, 0.5);
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
-    for (uint64_t kib = 64; kib <= 16384; kib *= 2) {
-        struct bsq_ctx *ctx = test_context(2, kib << 10);
-        struct vox_voxelize_options what = {.size = sizeof(struct vox_voxelize_options),
-                                            .tris_path = "scan.tris",
-                                            .grid_path = "other.nvdb",
-                                            .resolution = 100};
-        struct vox_voxelize_report report = {.size = sizeof report};
-        int status = vox_voxelize(ctx, &what, &report);
-        if (kib == 64)
-            assert_int_equal(status, BSQ_ENOMEM);
-        if (kib == 16384)
-            assert_int_equal(status, 0);
-        if (status != 0)
-            assert_non_null(strstr(bsq_error(ctx), "budget"));
-        test_context_end(ctx);
-    }
 }
 
 RUN_TESTS(NULL, NULL)

@@ -32,38 +32,6 @@ FIXTURE_TEST(test_vertex_normals_are_interpolated)
     fmt_nvdb_close(f->ctx, &grid);
 }
 
-/* Returns the number of records marked inconsistent, for a plane of triangles of half a voxel whose
- * normals lean by this slope. */
-static uint64_t count_inconsistent(struct vox_fixture *f, float lean)
-{
-    enum { SIDE = 40 };
-    struct scan_mesh mesh = scan_mesh_new(4 * SIDE * SIDE, 2 * SIDE * SIDE);
-    mesh.normals = calloc(mesh.vertex_count, sizeof *mesh.normals);
-    for (uint32_t q = 0; q < SIDE * SIDE; q++)
-        scan_set_quad(&mesh, q, (double[3]){0.5 * (q % SIDE), 0.5 * (q / SIDE), 0.5},
-                      (double[3]){0.5, 0, 0}, (double[3]){0, 0.5, 0});
-    for (uint32_t v = 0; v < mesh.vertex_count; v++)
-        mesh.normals[v] = bsq_oct_pack(bsq_unit3(bsq_v3(lean, 0.0f, 1.0f)));
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
-    vox_make(f, 0, 1.0);
-    struct fmt_nvdb_grid grid;
-    uint64_t count = 0;
-    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
-    for (int32_t i = 0; i < SIDE * SIDE / 4; i++) {
-        uint64_t index = grid_find(&grid, (int32_t[3]){i % (SIDE / 2), i / (SIDE / 2), 0});
-        count += (grid_get(&grid, index).plane & FMT_NVDB_PLANE_INCONSISTENT) != 0;
-    }
-    fmt_nvdb_close(f->ctx, &grid);
-    return count;
-}
-
-FIXTURE_TEST(test_planes_that_normals_contradict_are_marked)
-{
-    assert_int_equal(count_inconsistent(*state, 0.0f), 0);
-    assert_int_equal(count_inconsistent(*state, 0.05f), 400);
-}
-
 /* Returns the facet-noise weight of the record in the middle of a plane of squares, each of two
  * triangles. side: of a square, in voxels. */
 static uint32_t noise_of_squares(struct vox_fixture *f, double side, bool with_normals)
@@ -169,79 +137,6 @@ FIXTURE_TEST(test_materials_color_what_has_no_other)
     assert_int_equal(mixed >> 24, 255);
     assert_int_equal(grid_get(&grid, grid_find(&grid, (int32_t[3]){2, 0, 0})).color, 0);
     fmt_nvdb_close(f->ctx, &grid);
-}
-
-/* Writes a texture that rises linearly in light, red with u and green with v. So its mean over a
- * fragment is its value at the centroid. */
-static void write_ramp(const struct vox_fixture *f)
-{
-    enum { SIZE = 40 };
-    static float texel[SIZE][SIZE][3];
-    const struct fmt_image_options options = {
-        .width = SIZE, .height = SIZE, .channel_count = 3, .type = FMT_UINT16, .color = true};
-    struct fmt_image_writer *writer;
-    for (int row = 0; row < SIZE; row++)
-        for (int column = 0; column < SIZE; column++) {
-            texel[row][column][0] = ((float)column + 0.5f) / SIZE;
-            texel[row][column][1] = 1.0f - ((float)row + 0.5f) / SIZE;
-            texel[row][column][2] = 0.25f;
-        }
-    assert_int_equal(fmt_image_create(f->ctx, &fmt_png_format, "texture.png", &options, &writer),
-                     0);
-    assert_int_equal(fmt_image_write_rows(writer, &texel[0][0][0], SIZE), 0);
-    assert_int_equal(test_commit_image(writer), 0);
-}
-
-FIXTURE_TEST(test_texture_is_sampled_where_the_fragment_lies)
-{
-    struct vox_fixture *f = *state;
-    write_ramp(f);
-    struct scan_mesh mesh = scan_mesh_new(4, 2);
-    scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){10, 0, 0}, (double[3]){0, 10, 0});
-    mesh.texcoords = calloc(4, sizeof *mesh.texcoords);
-    for (int i = 0; i < 4; i++) {
-        mesh.texcoords[i][0] = i == 1 || i == 2;
-        mesh.texcoords[i][1] = i >= 2;
-    }
-    mesh.colors = calloc(4, sizeof *mesh.colors); /* the texture takes precedence */
-    mesh.materials = calloc(2, sizeof *mesh.materials);
-    char path[64];
-    snprintf(path, sizeof path, "%s/texture.png", test_directory);
-    struct fmt_tris_material material = {.texture_path = path, .diffuse = {1.0f, 0.0f, 0.0f}};
-    scan_write(f->ctx, "scan.tris", &mesh, NULL, &material, 1, 4000);
-    scan_mesh_free(&mesh);
-    assert_true(vox_make(f, 0, 1.0).has_color);
-    struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
-    for (int32_t x = 0; x < 10; x++)
-        for (int32_t y = 0; y < 10; y++) {
-            /* The boxes of the two fragments on the diagonal reach over the texture's edge at its
-             * ends. */
-            if (x == y && (x == 0 || x == 9))
-                continue;
-            uint64_t index = grid_find(&grid, (int32_t[3]){x, y, 0});
-            uint32_t color = grid_get(&grid, index).color;
-            const double linear[3] = {(x + 0.5) / 10.0, (y + 0.5) / 10.0, 0.25};
-            for (int k = 0; k < 3; k++)
-                assert_true(fabs((double)(color >> (8 * k) & 0xff) - 255.0 * to_srgb(linear[k])) <
-                            0.6);
-        }
-    fmt_nvdb_close(f->ctx, &grid);
-}
-
-FIXTURE_TEST(test_missing_texture)
-{
-    struct vox_fixture *f = *state;
-    struct scan_mesh mesh = scan_mesh_new(4, 2);
-    scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){10, 0, 0}, (double[3]){0, 10, 0});
-    mesh.texcoords = calloc(4, sizeof *mesh.texcoords);
-    mesh.materials = calloc(2, sizeof *mesh.materials);
-    char path[64];
-    snprintf(path, sizeof path, "%s/texture.png", test_directory);
-    struct fmt_tris_material material = {.texture_path = path, .diffuse = {1.0f, 0.0f, 0.0f}};
-    scan_write(f->ctx, "scan.tris", &mesh, NULL, &material, 1, 4000);
-    scan_mesh_free(&mesh);
-    vox_expect_failure(f, 10, 0.0, BSQ_ENOINPUT, "texture.png");
 }
 
 RUN_TESTS(NULL, NULL)
