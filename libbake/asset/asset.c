@@ -172,11 +172,11 @@ done:
 
 /* Describes the material of a tile. */
 static void set_material(struct tile_images *tile, const struct bake_lowmesh *mesh,
-                         const struct bake_udim_tile *place, struct fmt_glb_material *out)
+                         const struct bake_udim_tile *udim, struct fmt_glb_material *out)
 {
-    const struct bake_low_set *set = mesh->set_count > 0 ? &mesh->sets[place->set] : NULL;
+    const struct bake_low_set *set = mesh->set_count > 0 ? &mesh->sets[udim->set] : NULL;
     const char *name = !set ? NULL : set->material ? set->material : set->object;
-    snprintf(tile->name, sizeof tile->name, "%.60s%s%u", name ? name : "tile", " ", place->number);
+    snprintf(tile->name, sizeof tile->name, "%.60s%s%u", name ? name : "tile", " ", udim->number);
     *out = (struct fmt_glb_material){.name = tile->name,
                                      .occlusion = tile->map_of[OCCLUSION] != NO_MAP,
                                      .roughness = tile->map_of[ROUGHNESS] != NO_MAP,

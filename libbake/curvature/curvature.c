@@ -23,7 +23,7 @@ enum {
     PROBES = 8, /* of a texel: 2 k and 2 k + 1 are on opposite sides */
     TEXELS_A_TASK = 256,
     PROBES_A_TASK = 1024,
-    NORMAL = 3 /* the place of the normal behind the position in a texel's values */
+    NORMAL = 3 /* the offset of the normal from the position in a texel's values */
 };
 
 /* Directions of the pairs in the tangent plane, and distances in radii. Pairs 0 and 2 are
@@ -67,7 +67,7 @@ static struct bsq_vec3 add(struct bsq_vec3 a, float s, struct bsq_vec3 b)
 
 static struct bsq_vec3 normal_of(const struct work *work, uint64_t texel)
 {
-    const float *n = work->texels + texel * work->channels + work->job->place + NORMAL;
+    const float *n = work->texels + texel * work->channels + work->job->offset + NORMAL;
     return bsq_v3(n[0], n[1], n[2]);
 }
 
@@ -100,7 +100,7 @@ static struct bake_exact_ray probe_ray(const struct work *work, uint64_t probe, 
     const uint64_t texel = probe / PROBES;
     const uint32_t number = (uint32_t)(probe % PROBES);
     const double unit = work->job->surface->unit;
-    const float *position = work->texels + texel * work->channels + work->job->place;
+    const float *position = work->texels + texel * work->channels + work->job->offset;
     const struct bsq_vec3 n = normal_of(work, texel), out = outwards(n, number);
     const struct bsq_vec3 d = bsq_unit3(add(n, lean, out));
     const float distance = distance_of(work, number);
@@ -251,7 +251,7 @@ static int resolve_texels(void *arg, uint64_t index, unsigned worker)
     const uint64_t end = task_end(index, TEXELS_A_TASK, work->block_texels);
     for (uint64_t i = index * TEXELS_A_TASK; i < end; ++i)
         if (is_valid(work, i))
-            work->texels[i * work->channels + work->job->place] = curvature_of(work, i);
+            work->texels[i * work->channels + work->job->offset] = curvature_of(work, i);
     return 0;
 }
 

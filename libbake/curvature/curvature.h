@@ -19,8 +19,8 @@ typedef int bake_texel_objects(const void *arg, uint32_t x, uint32_t y, uint32_t
 struct bake_curvature {
     const struct bake_surface *surface;
     struct bake_image *image;
-    uint32_t place; /* of the map's first value in a texel of the image */
-    double radius;  /* of the neighbourhood, in world units */
+    uint32_t offset; /* of the map's first value in a texel of the image */
+    double radius;   /* of the neighbourhood, in world units */
     /* Gives the objects of texels, if surface->sees tells which scans they see; else NULL. */
     bake_texel_objects *objects;
     const void *objects_arg;

@@ -32,7 +32,7 @@ struct bake_device {
     pthread_mutex_t lock;          /* protects the opening of the fallback */
     struct bake_backend *fallback; /* native; NULL until it is needed */
     atomic_bool lost;              /* the backend failed; the fallback goes on */
-    unsigned slot;                 /* that tiles are traced from */
+    unsigned slot;                 /* that patches are traced from */
 };
 
 enum { ANY_DEVICE = -1 };
@@ -256,7 +256,7 @@ const struct bake_backend *bake_device_backend(const struct bake_device *device)
     return device->backend;
 }
 
-/* ---- passes and tiles ---- */
+/* ---- passes and patches ---- */
 
 bool bake_device_holds_grid(const struct bake_device *device)
 {
@@ -326,7 +326,7 @@ void bake_device_use(struct bake_device *device, unsigned slot)
     device->slot = slot;
 }
 
-int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
+int bake_device_trace(struct bake_device *device, const struct bk_patch *patch,
                       const uint32_t *sample_triangles, float *texels, unsigned worker)
 {
     char why[BAKE_WHY_BYTES] = "";
@@ -335,13 +335,13 @@ int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
 
     if (atomic_load(&device->lost))
         backend = device->fallback;
-    status = backend->trace(backend, device->slot, tile, sample_triangles, texels, worker, why);
+    status = backend->trace(backend, device->slot, patch, sample_triangles, texels, worker, why);
     if (status == BSQ_OK)
         return 0;
     if (status == BSQ_EINTR || backend == device->fallback || !fall_back(device, why))
         return bsq_fail(device->ctx, status, "%s: %s", backend->name, why);
     backend = device->fallback;
-    return backend->trace(backend, device->slot, tile, sample_triangles, texels, worker, why);
+    return backend->trace(backend, device->slot, patch, sample_triangles, texels, worker, why);
 }
 
 void bake_device_times(struct bake_device *device, struct bake_device_times *out)

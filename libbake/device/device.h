@@ -1,4 +1,4 @@
-/* device.h - what traces tiles: native threads or a GPU, behind one interface. The kernel in
+/* device.h - what traces patches: native threads or a GPU, behind one interface. The kernel in
  * libbake/kernel/ is the same for all.
  *
  * The public header of device/ for the rest of libbake. Takes a job (job/job.h); gives texels, and
@@ -24,28 +24,28 @@ const char *bake_device_name(const struct bake_device *device);
 /* Returns the device's memory limits and name; for tests. */
 const struct bake_backend *bake_device_backend(const struct bake_device *device);
 
-/* Returns whether the device can trace any tile. Otherwise it needs passes. */
+/* Returns whether the device can trace any patch. Otherwise it needs passes. */
 bool bake_device_holds_grid(const struct bake_device *device);
-/* Plans passes over all tiles of a raster; none if the device holds the grid. Free with
+/* Plans passes over all patches of a raster; none if the device holds the grid. Free with
  * bake_plan_free(), also after a failure. Errors: BSQ_ENODEVICE if the device has too little
  * memory for a single texel and no fallback. */
 int bake_device_plan(struct bake_device *device, const struct bake_raster *raster,
                      struct bake_plan *out);
-/* Loads a pass's subgrid into a slot (< BAKE_SLOTS), while other threads may trace tiles from the
+/* Loads a pass's subgrid into a slot (< BAKE_SLOTS), while other threads may trace patches from the
  * other one. */
 int bake_device_load(struct bake_device *device, unsigned slot, const struct bake_subgrid *subgrid);
-/* Chooses the slot that tiles are traced from, at first 0. Must not be called while tiles are
+/* Chooses the slot that patches are traced from, at first 0. Must not be called while patches are
  * traced. */
 void bake_device_use(struct bake_device *device, unsigned slot);
 
-/* Traces one tile: sample_triangles in, width * height texels of
+/* Traces one patch: sample_triangles in, width * height texels of
  * bk_texel_floats(params.maps) floats out, row 0 at the top. Several
  * workers may call this at a time with distinct `worker` (< bsq_threads). Native code traces on the
  * calling thread; a GPU has a stream and buffers for each worker. */
-int bake_device_trace(struct bake_device *device, const struct bk_tile *tile,
+int bake_device_trace(struct bake_device *device, const struct bk_patch *patch,
                       const uint32_t *sample_triangles, float *texels, unsigned worker);
 
-/* Returns what the device did so far; zeros for the processor. Must not be called while tiles are
+/* Returns what the device did so far; zeros for the processor. Must not be called while patches are
  * traced. */
 void bake_device_times(struct bake_device *device, struct bake_device_times *out);
 

@@ -128,7 +128,7 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *ba
 /* ---- secondary rays ---- */
 
 struct bake_exact_look;
-struct bake_places;
+struct bake_viewpoints;
 struct bake_ray_states;
 
 /* Prepares secondary rays: takes up to a third of what is left of the budget, for the chunks of the
@@ -137,12 +137,12 @@ int bake_exact_look_create(struct bake_exact *exact, const struct bk_params *par
                            struct bake_exact_look **out);
 void bake_exact_look_free(struct bake_exact_look *look); /* NULL is allowed */
 
-/* Traces the rays of all places as bk_secondary.h describes, but against triangles, and notes in
- * their states what the scan adds. Results do not depend on chunks, threads or memory. If all
+/* Traces the rays of all viewpoints as bk_secondary.h describes, but against triangles, and notes
+ * in their states what the scan adds. Results do not depend on chunks, threads or memory. If all
  * chunks fit into memory, they are loaded by the first call; otherwise each call loads those that
  * its rays can reach. Must not be called from parallel work. Errors: those of bake_exact_trace().
  */
-int bake_exact_look_from(struct bake_exact_look *look, const struct bake_places *places,
+int bake_exact_look_from(struct bake_exact_look *look, const struct bake_viewpoints *viewpoints,
                          struct bake_ray_states *states);
 
 /* Returns the distance above a triangle at which open rays start: more than the rounding errors of
@@ -173,6 +173,6 @@ bool bake_exact_wants_footprints(const struct bake_exact *exact);
 /* Returns the place of a point on a Hilbert curve through the cube at `low` with this side; 33
  * bits. Points outside are clamped into the cube. Batches of rays that follow the curve cross few
  * chunks. */
-uint64_t bake_exact_curve_place(const float point[3], const float low[3], double side);
+uint64_t bake_exact_curve_index(const float point[3], const float low[3], double side);
 
 #endif

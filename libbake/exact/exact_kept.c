@@ -24,12 +24,13 @@ int bake_exact_kept_create(const struct bake_exact *exact, struct exact_kept *ou
     out->count = most < exact->chunk_count ? (uint32_t)most : exact->chunk_count;
     BSQ_TRY(
         bsq_alloc(ctx, "chunks near others", exact->chunk_count, sizeof *out->near, &out->near));
-    BSQ_TRY(bsq_calloc(ctx, "chunks near others", exact->chunk_count, sizeof *out->place_of,
-                       &out->place_of));
-    BSQ_TRY(bsq_calloc(ctx, "chunks near others", out->count, sizeof *out->places, &out->places));
+    BSQ_TRY(bsq_calloc(ctx, "chunks near others", exact->chunk_count, sizeof *out->entry_of,
+                       &out->entry_of));
+    BSQ_TRY(bsq_calloc(ctx, "chunks near others", out->count, sizeof *out->entries, &out->entries));
     BSQ_TRY(bsq_alloc(ctx, "chunks near others", out->count, size, &out->memory));
     for (uint32_t i = 0; i < out->count; i++)
-        out->places[i] = (struct exact_place){.next = NEVER, .memory = out->memory + i * size};
+        out->entries[i] =
+            (struct exact_kept_entry){.next = NEVER, .memory = out->memory + i * size};
 done:
     return status;
 }
@@ -37,42 +38,42 @@ done:
 void bake_exact_kept_free(struct bsq_ctx *ctx, struct exact_kept *kept)
 {
     bsq_free(ctx, kept->near);
-    bsq_free(ctx, kept->place_of);
-    bsq_free(ctx, kept->places);
+    bsq_free(ctx, kept->entry_of);
+    bsq_free(ctx, kept->entries);
     bsq_free(ctx, kept->memory);
 }
 
-static struct exact_place *find(const struct exact_kept *kept, uint32_t number)
+static struct exact_kept_entry *find(const struct exact_kept *kept, uint32_t number)
 {
-    struct exact_place *place = kept->count ? &kept->places[kept->place_of[number]] : NULL;
-    return place && place->number == number && (place->used || place->needed) ? place : NULL;
+    struct exact_kept_entry *entry = kept->count ? &kept->entries[kept->entry_of[number]] : NULL;
+    return entry && entry->number == number && (entry->used || entry->needed) ? entry : NULL;
 }
 
 const struct exact_chunk *bake_exact_kept_find(const struct exact_kept *kept, uint32_t number)
 {
-    const struct exact_place *place = find(kept, number);
-    return place ? &place->chunk : NULL;
+    const struct exact_kept_entry *entry = find(kept, number);
+    return entry ? &entry->chunk : NULL;
 }
 
-/* Exchanges the chunks of a place and a slot. */
-static void exchange(struct exact_place *place, struct exact_slot *slot)
+/* Exchanges the chunks of an entry and a slot. */
+static void exchange(struct exact_kept_entry *entry, struct exact_slot *slot)
 {
-    const struct exact_place other = *place;
-    place->chunk = slot->chunk;
-    place->memory = slot->chunk_memory;
+    const struct exact_kept_entry other = *entry;
+    entry->chunk = slot->chunk;
+    entry->memory = slot->chunk_memory;
     slot->chunk = other.chunk;
     slot->chunk_memory = other.memory;
 }
 
 bool bake_exact_kept_take(const struct exact_kept *kept, struct exact_slot *slot)
 {
-    struct exact_place *place = find(kept, slot->number);
-    if (place) {
-        exchange(place, slot);
-        place->used = false;
-        place->next = NEVER;
+    struct exact_kept_entry *entry = find(kept, slot->number);
+    if (entry) {
+        exchange(entry, slot);
+        entry->used = false;
+        entry->next = NEVER;
     }
-    return place != NULL;
+    return entry != NULL;
 }
 
 /* Returns the next chunk with rays after `last` that uses a chunk, or NEVER. */
@@ -92,31 +93,32 @@ static uint32_t next_use(const struct exact_kept *kept, uint32_t number, uint32_
     return next;
 }
 
-/* Returns the place that is used last of those that the wave does not need; NULL: there is none. */
-static struct exact_place *latest(const struct exact_kept *kept)
+/* Returns the entry that is used last of those that the wave does not need; NULL: there is none. */
+static struct exact_kept_entry *latest(const struct exact_kept *kept)
 {
-    struct exact_place *best = NULL;
+    struct exact_kept_entry *best = NULL;
     for (uint32_t i = 0; i < kept->count; i++) {
-        struct exact_place *place = &kept->places[i];
-        if (!place->needed && (!best || place->next > best->next))
-            best = place;
+        struct exact_kept_entry *entry = &kept->entries[i];
+        if (!entry->needed && (!best || entry->next > best->next))
+            best = entry;
     }
     return best;
 }
 
-/* Keeps a chunk for the wave, if there is a place for it. Returns whether it has to be loaded. */
+/* Keeps a chunk for the wave, if there is an entry for it. Returns whether it has to be loaded. */
 static bool reserve(struct exact_kept *kept, uint32_t number)
 {
-    struct exact_place *place = find(kept, number);
-    const bool load = !place;
+    struct exact_kept_entry *entry = find(kept, number);
+    const bool load = !entry;
     if (load)
-        place = latest(kept);
-    if (!place)
+        entry = latest(kept);
+    if (!entry)
         return false;
-    place->needed = true;
+    entry->needed = true;
     if (load) {
-        *place = (struct exact_place){.number = number, .memory = place->memory, .needed = true};
-        kept->place_of[number] = (uint32_t)(place - kept->places);
+        *entry =
+            (struct exact_kept_entry){.number = number, .memory = entry->memory, .needed = true};
+        kept->entry_of[number] = (uint32_t)(entry - kept->entries);
     }
     return load;
 }
@@ -129,17 +131,17 @@ static bool in_wave(const struct exact_slots *wave, uint32_t used, uint32_t numb
     return in;
 }
 
-static int load_place(void *arg, uint64_t index, unsigned worker)
+static int load_entry(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
     struct exact_kept *kept = arg;
-    struct exact_place *place = &kept->places[index];
-    if (!place->needed || place->used)
+    struct exact_kept_entry *entry = &kept->entries[index];
+    if (!entry->needed || entry->used)
         return 0;
-    const int status = bake_exact_load(kept->exact, place->number, place->memory, &place->chunk);
-    place->used = status == 0;
-    if (place->used)
-        bake_exact_set_groups(kept->exact, place->memory, &place->chunk);
+    const int status = bake_exact_load(kept->exact, entry->number, entry->memory, &entry->chunk);
+    entry->used = status == 0;
+    if (entry->used)
+        bake_exact_set_groups(kept->exact, entry->memory, &entry->chunk);
     return status;
 }
 
@@ -150,7 +152,7 @@ int bake_exact_kept_load(struct exact_kept *kept, const struct exact_slots *wave
         for (uint32_t i = 0; i < wave->slots[s].near_count; i++)
             if (!in_wave(wave, used, wave->slots[s].near[i]))
                 load |= reserve(kept, wave->slots[s].near[i]);
-    return load ? bsq_parallel_for(kept->exact->ctx, kept->count, load_place, kept) : 0;
+    return load ? bsq_parallel_for(kept->exact->ctx, kept->count, load_entry, kept) : 0;
 }
 
 void bake_exact_kept_end_wave(struct exact_kept *kept, const struct exact_slots *wave,
@@ -160,22 +162,22 @@ void bake_exact_kept_end_wave(struct exact_kept *kept, const struct exact_slots 
     if (kept->count == 0)
         return;
     for (uint32_t i = 0; i < kept->count; i++) {
-        struct exact_place *place = &kept->places[i];
-        place->needed = false;
-        if (place->used && place->next <= last)
-            place->next = next_use(kept, place->number, last);
+        struct exact_kept_entry *entry = &kept->entries[i];
+        entry->needed = false;
+        if (entry->used && entry->next <= last)
+            entry->next = next_use(kept, entry->number, last);
     }
     for (uint32_t s = 0; s < used; s++) {
         struct exact_slot *slot = &wave->slots[s];
         const uint32_t next = next_use(kept, slot->number, last);
-        struct exact_place *place = latest(kept);
-        if (!place || place->next <= next)
+        struct exact_kept_entry *entry = latest(kept);
+        if (!entry || entry->next <= next)
             continue;
-        exchange(place, slot);
-        place->number = slot->number;
-        kept->place_of[slot->number] = (uint32_t)(place - kept->places);
-        place->next = next;
-        place->used = true;
+        exchange(entry, slot);
+        entry->number = slot->number;
+        kept->entry_of[slot->number] = (uint32_t)(entry - kept->entries);
+        entry->next = next;
+        entry->used = true;
         slot->loaded = false;
     }
 }

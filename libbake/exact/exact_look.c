@@ -20,7 +20,7 @@
 #include "libbake/kernel/bk_secondary.h"
 #include "libbake/secondary/secondary.h"
 
-enum { BLOCK = 64 /* places that a thread traces at a time */ };
+enum { BLOCK = 64 /* viewpoints that a thread traces at a time */ };
 
 struct bake_exact_look {
     struct bake_exact *exact;
@@ -31,29 +31,31 @@ struct bake_exact_look {
     bool whole;               /* they are all of the scan's */
     struct exact_box *boxes;  /* of the slots' chunks */
     void *tree_memory;
-    uint32_t *reached; /* chunks that the current places can reach */
+    uint32_t *reached; /* chunks that the current viewpoints can reach */
 };
 
-/* Places that are traced through one group of chunks after the other. */
+/* Viewpoints that are traced through one group of chunks after the other. */
 struct pass {
     struct bake_exact_look *look;
-    const struct bake_places *places;
+    const struct bake_viewpoints *viewpoints;
     struct bake_ray_states *states;
     uint64_t steps, step; /* of the progress: groups of chunks; those before this one */
 };
 
 static struct bake_exact_ray ray_of(const struct bake_exact_look *look,
-                                    const struct bake_place *place, bool open, uint32_t number)
+                                    const struct bake_viewpoint *viewpoint, bool open,
+                                    uint32_t number)
 {
     struct bake_exact_ray ray = {0};
-    bake_place_ray(look->params, place, open, number, ray.origin, ray.direction);
+    bake_viewpoint_ray(look->params, viewpoint, open, number, ray.origin, ray.direction);
     return ray;
 }
 
 /* ---- tracing ---- */
 
-/* Traces the open rays of a place that are not hidden yet. */
-static void trace_open(const struct pass *pass, const struct bake_place *place, uint64_t *hidden)
+/* Traces the open rays of a viewpoint that are not hidden yet. */
+static void trace_open(const struct pass *pass, const struct bake_viewpoint *viewpoint,
+                       uint64_t *hidden)
 {
     const struct bake_exact_look *look = pass->look;
     const struct exact_limits limits = {
@@ -62,22 +64,22 @@ static void trace_open(const struct pass *pass, const struct bake_place *place, 
         struct exact_best best = {.triangle = BAKE_EXACT_NONE};
         if (hidden[i / 64] >> (i % 64) & 1)
             continue;
-        const struct bake_exact_ray ray = ray_of(look, place, true, i);
+        const struct bake_exact_ray ray = ray_of(look, viewpoint, true, i);
         const bool found = BSQ_SIMD_PICK(look->exact->simd, bake_exact_group_trace)(
             &look->group, &ray, &limits, &best);
         hidden[i / 64] |= (uint64_t)found << (i % 64);
     }
 }
 
-/* Shortens the distances of `count` rays of a place to their nearest hits. */
-static void trace_nearest(const struct pass *pass, const struct bake_place *place, bool open,
-                          uint32_t count, float *distances)
+/* Shortens the distances of `count` rays of a viewpoint to their nearest hits. */
+static void trace_nearest(const struct pass *pass, const struct bake_viewpoint *viewpoint,
+                          bool open, uint32_t count, float *distances)
 {
     const struct bake_exact_look *look = pass->look;
-    struct exact_limits limits = {.two_sided = open, .facing_origin = place->reversed};
+    struct exact_limits limits = {.two_sided = open, .facing_origin = viewpoint->reversed};
     for (uint32_t i = 0; i < count; i++) {
         struct exact_best best = {.triangle = BAKE_EXACT_NONE};
-        const struct bake_exact_ray ray = ray_of(look, place, open, i);
+        const struct bake_exact_ray ray = ray_of(look, viewpoint, open, i);
         const float most = open ? look->params->open_limit : look->params->thickness_limit;
         limits.t_max = (double)fminf(distances[i], most);
         if (BSQ_SIMD_PICK(look->exact->simd, bake_exact_group_trace)(&look->group, &ray, &limits,
@@ -86,12 +88,12 @@ static void trace_nearest(const struct pass *pass, const struct bake_place *plac
     }
 }
 
-/* Spreads the progress of the places evenly over blocks and groups. */
+/* Spreads the progress of the viewpoints evenly over blocks and groups. */
 static void add_progress(const struct pass *pass, uint64_t begin, uint64_t end)
 {
     const double each =
-        (double)pass->places->progress / (double)pass->places->count / (double)pass->steps;
-    const double before = (double)pass->places->count * (double)pass->step;
+        (double)pass->viewpoints->progress / (double)pass->viewpoints->count / (double)pass->steps;
+    const double before = (double)pass->viewpoints->count * (double)pass->step;
     bsq_progress_add(pass->look->exact->ctx, (uint64_t)(each * (before + (double)end)) -
                                                  (uint64_t)(each * (before + (double)begin)));
 }
@@ -101,17 +103,19 @@ static int trace_block(void *arg, uint64_t index, unsigned worker)
     (void)worker;
     const struct pass *pass = arg;
     const struct bake_ray_states *states = pass->states;
-    const uint64_t begin = index * BLOCK, left = pass->places->count - begin;
+    const uint64_t begin = index * BLOCK, left = pass->viewpoints->count - begin;
     const uint64_t end = begin + (left < BLOCK ? left : BLOCK);
     for (uint64_t i = begin; i < end; i++) {
-        struct bake_place place;
-        if (!pass->places->get(pass->places->arg, i, &place))
+        struct bake_viewpoint viewpoint;
+        if (!pass->viewpoints->get(pass->viewpoints->arg, i, &viewpoint))
             continue;
         if (states->words > 0)
-            trace_open(pass, &place, bake_hidden_rays(states, i));
+            trace_open(pass, &viewpoint, bake_hidden_rays(states, i));
         else if (states->opens > 0)
-            trace_nearest(pass, &place, true, states->opens, bake_ray_distances(states, i, true));
-        trace_nearest(pass, &place, false, states->solids, bake_ray_distances(states, i, false));
+            trace_nearest(pass, &viewpoint, true, states->opens,
+                          bake_ray_distances(states, i, true));
+        trace_nearest(pass, &viewpoint, false, states->solids,
+                      bake_ray_distances(states, i, false));
     }
     add_progress(pass, begin, end);
     return 0;
@@ -119,7 +123,7 @@ static int trace_block(void *arg, uint64_t index, unsigned worker)
 
 /* ---- chunks ---- */
 
-/* Finds the chunks that rays from these places can reach. Returns their count. */
+/* Finds the chunks that rays from these viewpoints can reach. Returns their count. */
 static uint32_t find_reached(const struct pass *pass)
 {
     const struct bake_exact_look *look = pass->look;
@@ -128,13 +132,15 @@ static uint32_t find_reached(const struct pass *pass)
     /* Directions are unit vectors up to rounding. */
     const float far = 1.001f * fmaxf(open, solid) + 2.0f * bake_exact_lift(look->exact);
     struct exact_box box = EXACT_EMPTY_BOX;
-    for (uint64_t i = 0; i < pass->places->count; i++) {
-        struct bake_place place;
-        if (!pass->places->get(pass->places->arg, i, &place))
+    for (uint64_t i = 0; i < pass->viewpoints->count; i++) {
+        struct bake_viewpoint viewpoint;
+        if (!pass->viewpoints->get(pass->viewpoints->arg, i, &viewpoint))
             continue;
         for (int k = 0; k < 3; k++) {
-            box.low[k] = fminf(box.low[k], fminf(place.open_from[k], place.solid_from[k]) - far);
-            box.high[k] = fmaxf(box.high[k], fmaxf(place.open_from[k], place.solid_from[k]) + far);
+            box.low[k] =
+                fminf(box.low[k], fminf(viewpoint.open_from[k], viewpoint.solid_from[k]) - far);
+            box.high[k] =
+                fmaxf(box.high[k], fmaxf(viewpoint.open_from[k], viewpoint.solid_from[k]) + far);
         }
     }
     /* A box without end would overlap the tree's empty boxes. */
@@ -172,10 +178,10 @@ static int load_group(struct bake_exact_look *look, const uint32_t *chunks, uint
     return 0;
 }
 
-int bake_exact_look_from(struct bake_exact_look *look, const struct bake_places *places,
+int bake_exact_look_from(struct bake_exact_look *look, const struct bake_viewpoints *viewpoints,
                          struct bake_ray_states *states)
 {
-    struct pass pass = {.look = look, .places = places, .states = states};
+    struct pass pass = {.look = look, .viewpoints = viewpoints, .states = states};
     const uint32_t slots = look->memory.count;
     uint32_t count = look->exact->chunk_count;
     int status = 0;
@@ -189,8 +195,8 @@ int bake_exact_look_from(struct bake_exact_look *look, const struct bake_places 
         const uint32_t loaded = count - c < slots ? count - c : slots;
         if (!look->whole || look->loaded == 0)
             BSQ_TRY(load_group(look, look->reached + c, loaded));
-        BSQ_TRY(bsq_parallel_for(look->exact->ctx, (places->count + BLOCK - 1) / BLOCK, trace_block,
-                                 &pass));
+        BSQ_TRY(bsq_parallel_for(look->exact->ctx, (viewpoints->count + BLOCK - 1) / BLOCK,
+                                 trace_block, &pass));
     }
 done:
     return status;

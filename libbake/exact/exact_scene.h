@@ -221,7 +221,7 @@ uint64_t bake_exact_buckets_scratch_bytes(const struct bake_exact *exact);
 /* ---- chunks that are kept ---- */
 
 /* Memory for a chunk that other chunks need. */
-struct exact_place {
+struct exact_kept_entry {
     uint32_t number; /* of the chunk */
     uint32_t next;   /* chunk with which it is used next */
     bool used;       /* holds a chunk */
@@ -233,13 +233,13 @@ struct exact_place {
 struct exact_kept {
     const struct bake_exact *exact;
     const uint64_t *starts; /* of the buckets, see below */
-    uint32_t count;         /* of places; 0: none is kept */
-    struct exact_place *places;
+    uint32_t count;         /* of entries; 0: none is kept */
+    struct exact_kept_entry *entries;
     uint32_t *near;     /* chunk_count numbers */
-    uint32_t *place_of; /* of each chunk: the last place that it had, or 0 */
+    uint32_t *entry_of; /* of each chunk: the last entry that it had, or 0 */
     char *memory;
 };
-/* Makes places for chunks: takes up to three quarters of what is left of the budget. Free them,
+/* Makes entries for chunks: takes up to three quarters of what is left of the budget. Free them,
  * also after a failure. Errors: BSQ_ENOMEM. */
 int bake_exact_kept_create(const struct bake_exact *exact, struct exact_kept *out);
 void bake_exact_kept_free(struct bsq_ctx *ctx, struct exact_kept *kept);

@@ -136,7 +136,7 @@ uint32_t bake_exact_tree_overlapping(const struct exact_tree *tree, const struct
 
 /* ---- curve ---- */
 
-uint64_t bake_exact_curve_place(const float point[3], const float low[3], double side)
+uint64_t bake_exact_curve_index(const float point[3], const float low[3], double side)
 {
     const float most = (1 << AXIS_BITS) - 1;
     const float scale = side > 0 ? (float)fmin((double)most / side, 1e30) : 0.0f;

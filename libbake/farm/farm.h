@@ -75,7 +75,7 @@ int bake_farm_plan_read(struct bsq_ctx *ctx, const char *path, struct bake_farm_
 
 /* A block and the work in it. */
 struct bake_farm_block {
-    uint64_t place;       /* on the curve through the scan */
+    uint64_t index;       /* on the curve through the scan */
     uint32_t tile, block; /* indices */
     uint32_t samples;     /* in triangles, one a texel */
 };

@@ -34,8 +34,8 @@ uint32_t bake_farm_block_side(const struct bake_baked_tile *tiles, uint32_t tile
 static int compare_blocks(const void *a, const void *b)
 {
     const struct bake_farm_block *x = a, *y = b;
-    if (x->place != y->place)
-        return x->place < y->place ? -1 : 1;
+    if (x->index != y->index)
+        return x->index < y->index ? -1 : 1;
     if (x->tile != y->tile)
         return x->tile < y->tile ? -1 : 1;
     return (x->block > y->block) - (x->block < y->block);

@@ -19,43 +19,43 @@ struct count_job {
     const struct bake_work *job;
     const struct bake_raster *raster;
     const struct bake_farm_tile *tile;
-    struct bake_farm_block *blocks; /* out, one for each tile of the raster */
+    struct bake_farm_block *blocks; /* out, one for each patch of the raster */
     uint32_t tile_index, side;
     uint32_t **samples; /* one buffer a worker */
 };
 
 /* Returns where a sample lies on the curve through the scan. */
-static uint64_t place_of(const struct count_job *count, uint32_t triangle, float x, float y)
+static uint64_t curve_index(const struct count_job *count, uint32_t triangle, float x, float y)
 {
     const bk_point point = bk_point_at(&count->job->triangles[triangle], x, y);
     const float at[3] = {point.position.x, point.position.y, point.position.z};
-    return bake_surface_curve_place(&count->job->surface, at);
+    return bake_surface_curve_index(&count->job->surface, at);
 }
 
 /* Counts the samples of a block, and places it on the curve by its middle sample. */
 static int count_block(void *arg, uint64_t index, unsigned worker)
 {
     const struct count_job *count = arg;
-    const struct bk_tile tile = bake_raster_tile(count->raster, (uint32_t)index);
+    const struct bk_patch patch = bake_raster_patch(count->raster, (uint32_t)index);
     uint32_t *samples = count->samples[worker], covered = 0, seen = 0;
     uint64_t overlaps;
     int status = bake_raster_fill(count->raster, (uint32_t)index, samples, &overlaps);
-    for (uint32_t i = 0; i < tile.width * tile.height && status == 0; i++)
+    for (uint32_t i = 0; i < patch.width * patch.height && status == 0; i++)
         covered += samples[i] != BK_NO_TRIANGLE;
     struct bake_farm_block *block = &count->blocks[index];
     *block = (struct bake_farm_block){.tile = count->tile_index,
-                                      .block = tile.y / count->side * count->tile->columns +
-                                               tile.x / count->side,
+                                      .block = patch.y / count->side * count->tile->columns +
+                                               patch.x / count->side,
                                       .samples = covered};
-    for (uint32_t i = 0; i < tile.width * tile.height && status == 0; i++) {
-        const uint32_t x = tile.x + i % tile.width, y = tile.y + i / tile.width;
+    for (uint32_t i = 0; i < patch.width * patch.height && status == 0; i++) {
+        const uint32_t x = patch.x + i % patch.width, y = patch.y + i / patch.width;
         if (samples[i] != BK_NO_TRIANGLE && seen++ == covered / 2)
-            block->place = place_of(count, samples[i], (float)x + 0.5f, (float)y + 0.5f);
+            block->index = curve_index(count, samples[i], (float)x + 0.5f, (float)y + 0.5f);
     }
     return status;
 }
 
-/* Makes a raster of a tile with one sample a texel, whose tiles are blocks. */
+/* Makes a raster of a tile with one sample a texel, whose patches are blocks. */
 static int create_count_raster(const struct bake_work *job, const struct bake_farm_plan *plan,
                                uint32_t tile, struct bake_raster **out)
 {
@@ -63,9 +63,9 @@ static int create_count_raster(const struct bake_work *job, const struct bake_fa
     const struct bake_raster_options options = {.width = from->options.width,
                                                 .height = from->options.height,
                                                 .samples = 1,
-                                                .tile_size = plan->block_side,
-                                                .first = from->place.first,
-                                                .count = from->place.count};
+                                                .patch_side = plan->block_side,
+                                                .first = from->udim.first,
+                                                .count = from->udim.count};
     struct bake_raster_report ignored;
     return bake_raster_create(job->ctx, &job->mesh, &options, &ignored, out);
 }
@@ -82,7 +82,7 @@ static int count_tile(const struct bake_work *job, const struct bake_farm_plan *
     struct bake_raster *raster = NULL;
     int status;
     BSQ_TRY(create_count_raster(job, plan, tile, &raster));
-    const uint32_t found = bake_raster_tile_count(raster);
+    const uint32_t found = bake_raster_patch_count(raster);
     BSQ_TRY(bsq_grow(job->ctx, "blocks", list->count + found, sizeof *list->blocks, &list->blocks,
                      &list->capacity));
     if (found == 0)

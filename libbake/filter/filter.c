@@ -43,7 +43,7 @@ struct work {
     uint64_t *ends;        /* number of valid texels up to and with each layer */
     uint32_t first, last;  /* layers of the window that get results */
     uint32_t begin, end;   /* all layers of the window */
-    uint64_t *next;        /* place of the next texel of each layer in the window */
+    uint64_t *next;        /* index of the next texel of each layer in the window */
     struct point *points;  /* of the window: by layer, and in a layer in the order of the image */
     struct point **sorted; /* the same, in a layer by cell */
     uint64_t capacity;
@@ -163,7 +163,7 @@ static int take_points(void *arg, uint32_t first_row, uint32_t rows, const float
                            .normal = bsq_v3(guide[NORMAL], guide[NORMAL + 1], guide[NORMAL + 2]),
                            .cell = cell_of(work, guide)};
         for (uint32_t i = 0; i < work->filter->count; i++)
-            point->values[i] = texel[work->filter->places[i]];
+            point->values[i] = texel[work->filter->offsets[i]];
         work->sorted[work->next[layer]++] = point;
     }
     return bsq_check(work->ctx);
@@ -194,7 +194,7 @@ static int take_results(void *arg, uint32_t first_row, uint32_t rows, float *tex
     (void)first_row;
     for (float *texel = texels; texel < end; texel += work->channels)
         for (uint32_t i = 0; i < work->filter->count && is_valid(texel); i++)
-            texel[work->filter->places[i]] = texel[work->filter->guide + RESULT + i];
+            texel[work->filter->offsets[i]] = texel[work->filter->guide + RESULT + i];
     return bsq_check(work->ctx);
 }
 

@@ -12,8 +12,8 @@
 
 struct bake_filter {
     struct bake_image *image;
-    uint32_t count;     /* of the values: 1 or 2 */
-    uint32_t places[2]; /* of the values in a texel of the image */
+    uint32_t count;      /* of the values: 1 or 2 */
+    uint32_t offsets[2]; /* of the values in a texel of the image */
     /* Of BAKE_GUIDE_VALUES: position in world units, unit normal or 0, any two values. */
     uint32_t guide;
     double texel; /* side of a texel on the mesh, in world units; 0: nothing is near */

@@ -213,7 +213,7 @@ int bake_fit(const struct bake_surface *surface, const struct bake_lowmesh *mesh
     if (!measured && options->as_is)
         return 0;
     BSQ_TRY(allocate(&fit));
-    bake_fit_place(&fit);
+    bake_fit_spread(&fit);
     BSQ_TRY(trace_probes(&fit));
     if (measured) {
         BSQ_TRY(choose_lengths(&fit, front, back));

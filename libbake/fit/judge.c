@@ -28,7 +28,7 @@ static void bounds_of(const struct fit *fit, const struct pose *pose, double low
         double p[3];
         for (int k = 0; k < 3; ++k)
             p[k] = corner >> k & 1 ? fit->mesh->bounds_max[k] : fit->mesh->bounds_min[k];
-        bake_place(&pose->place, p, p);
+        bake_transform_point(&pose->transform, p, p);
         for (int k = 0; k < 3; ++k) {
             low[k] = corner == 0 ? p[k] : fmin(low[k], p[k]);
             high[k] = corner == 0 ? p[k] : fmax(high[k], p[k]);
@@ -60,7 +60,7 @@ static double centre(const struct fit *fit, struct pose *pose)
     bounds_of(fit, pose, low, high);
     for (int k = 0; k < 3; ++k) {
         const double way = 0.5 * (scan->scan_min[k] + scan->scan_max[k]) - 0.5 * (low[k] + high[k]);
-        pose->place.shift[k] += way;
+        pose->transform.shift[k] += way;
         square += way * way;
     }
     pose->shifted = true;
@@ -92,14 +92,14 @@ static void add_turns(struct fit *fit, double scale, bool unit, bool other_scale
 {
     for (unsigned mirrored = 0; mirrored < 2; ++mirrored)
         for (unsigned turn = 0; turn < TURNS; ++turn) {
-            struct pose pose = {.place.scale = scale,
+            struct pose pose = {.transform.scale = scale,
                                 .turn = turn,
                                 .mirrored = mirrored,
                                 .unit = unit,
                                 .other_scale = other_scale};
-            bake_turn_matrix(turn, pose.place.turn);
+            bake_turn_matrix(turn, pose.transform.turn);
             for (int r = 0; r < 3 && mirrored; ++r)
-                pose.place.turn[r][0] = -pose.place.turn[r][0];
+                pose.transform.turn[r][0] = -pose.transform.turn[r][0];
             add_poses(fit, pose);
         }
 }
@@ -136,8 +136,9 @@ static int score_poses(struct fit *fit)
         status = bake_fit_trace(fit, (uint64_t)poses * FEW, -limit, limit, false);
         for (uint32_t p = 0; p < poses && status == 0; ++p) {
             struct pose *pose = &fit->poses[done + p];
-            pose->score = bake_fit_score(fit, (uint64_t)p * FEW, FEW,
-                                         fmin(fit->scan_size, pose->place.scale * fit->low_size));
+            pose->score =
+                bake_fit_score(fit, (uint64_t)p * FEW, FEW,
+                               fmin(fit->scan_size, pose->transform.scale * fit->low_size));
         }
     }
     return status;
@@ -196,10 +197,10 @@ static void add_key(char out[160], const char *format, ...)
 static void name_pose(const struct fit *fit, const struct pose *pose, char out[160])
 {
     const double least = 0.001 * fit->scan_size; /* of shifts, which bounds do not tell exactly */
-    struct bake_placement now, all;
+    struct bake_transform now, all;
     char word[8];
-    bake_placement_of(fit->options, &now);
-    bake_placement_join(&now, &pose->place, &all);
+    bake_transform_of(fit->options, &now);
+    bake_transform_join(&now, &pose->transform, &all);
     bake_turn_word((const double(*)[3])all.turn, word);
     out[0] = '\0';
     if (strcmp(word, "none") != 0)

@@ -52,7 +52,7 @@ static void sort_probes(const struct fit *fit)
         float at[3];
         for (int k = 0; k < 3; ++k)
             at[k] = (float)(probe->at[k] / fit->surface->unit);
-        probe->order = bake_surface_curve_place(fit->surface, at) * PROBES + i;
+        probe->order = bake_surface_curve_index(fit->surface, at) * PROBES + i;
     }
     bsq_sort(fit->probes, fit->count, sizeof *fit->probes, compare_probes);
 }
@@ -60,7 +60,7 @@ static void sort_probes(const struct fit *fit)
 /* Spreads the probes over the triangles in equal steps of area, and inside them by a
  * low-discrepancy sequence (Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences",
  * 2018). */
-void bake_fit_place(const struct fit *fit)
+void bake_fit_spread(const struct fit *fit)
 {
     const struct bake_lowmesh *mesh = fit->mesh;
     double total = 0, passed = 0;
@@ -93,11 +93,11 @@ void bake_fit_set_ray(const struct fit *fit, const struct probe *probe, const st
     double at[3];
     memcpy(at, probe->at, sizeof at);
     if (pose) {
-        const double(*turn)[3] = pose->place.turn;
+        const double(*turn)[3] = pose->transform.turn;
         const double normal[3] = {(double)n.x, (double)n.y, (double)n.z};
         for (int k = 0; k < 3; ++k)
             at[k] += surface->translation[k];
-        bake_place(&pose->place, at, at);
+        bake_transform_point(&pose->transform, at, at);
         for (int k = 0; k < 3; ++k)
             at[k] -= surface->translation[k];
         n = bsq_v3((float)bsq_dotd(turn[0], normal), (float)bsq_dotd(turn[1], normal),

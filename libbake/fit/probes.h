@@ -20,7 +20,7 @@ struct probe {
     float normal[3], reach;
     uint32_t object;
     double t;       /* of the hit of its ray; INFINITY: none */
-    uint64_t order; /* place on the curve through the scan, then number */
+    uint64_t order; /* index on the curve through the scan, then number */
 };
 
 /* How well a pose fits. */
@@ -32,7 +32,7 @@ struct score {
 
 /* The mesh turned, scaled or shifted. */
 struct pose {
-    struct bake_placement place;
+    struct bake_transform transform;
     unsigned turn;
     bool mirrored; /* along x, before the turn */
     bool other_scale, unit, shifted;
@@ -61,7 +61,7 @@ struct fit {
 const char *bake_fit_scan(const struct fit *fit);
 
 /* Spreads the probes over the triangles in equal steps of area. */
-void bake_fit_place(const struct fit *fit);
+void bake_fit_spread(const struct fit *fit);
 
 /* Writes ray number `index`, from a probe that a pose moves; NULL: as it is. */
 void bake_fit_set_ray(const struct fit *fit, const struct probe *probe, const struct pose *pose,

@@ -157,17 +157,17 @@ static int use_attributes(struct bake_work *job)
 
 /* Sets the size and output path of a tile of a set; NULL: of the whole mesh. */
 static int begin_tile(struct bsq_ctx *ctx, const struct bake_options *options, uint32_t maps,
-                      const struct bake_low_set *set, const struct bake_udim_tile *place,
+                      const struct bake_low_set *set, const struct bake_udim_tile *udim,
                       struct bake_tile *out)
 {
-    *out = (struct bake_tile){.place = *place,
+    *out = (struct bake_tile){.udim = *udim,
                               .options = *options,
                               .maps = maps,
                               .object = set ? set->object : NULL,
                               .material = set ? set->material : NULL};
-    bake_tile_size_of(options, place->number, &out->options.width, &out->options.height);
+    bake_tile_size_of(options, udim->number, &out->options.width, &out->options.height);
     char *path = bake_object_path(options->output_path, out->object, out->material);
-    out->output_path = path ? bake_tile_path(path, place->number) : NULL;
+    out->output_path = path ? bake_tile_path(path, udim->number) : NULL;
     free(path);
     out->options.output_path = out->output_path;
     if (out->output_path)
@@ -187,7 +187,7 @@ static int report_tiles(struct bake_work *job)
     for (uint32_t i = 0; i < job->udim.count; ++i) {
         const struct bake_tile *tile = &job->tiles[i];
         struct bake_baked_tile *to = &report->tiles[i];
-        *to = (struct bake_baked_tile){.tile = tile->place.number,
+        *to = (struct bake_baked_tile){.tile = tile->udim.number,
                                        .width = tile->options.width,
                                        .height = tile->options.height,
                                        .object = tile->object ? strdup(tile->object) : NULL,
@@ -305,8 +305,8 @@ int bake_open_inputs(struct bake_work *job)
     BSQ_TRY(choose_maps(job));
     BSQ_TRY(use_attributes(job));
     const char *output = job->options->output_path;
-    struct bake_placement placement;
-    bake_placement_of(job->options, &placement);
+    struct bake_transform transform;
+    bake_transform_of(job->options, &transform);
     const struct bake_lowmesh_options low = {.path = job->options->mesh_path,
                                              .more_paths = job->options->more_mesh_paths,
                                              .more_count = job->options->more_mesh_count,
@@ -317,7 +317,7 @@ int bake_open_inputs(struct bake_work *job)
                                              .extrude = job->options->extrude,
                                              .rays = job->options->rays,
                                              .normals = job->options->low_normals,
-                                             .placement = &placement};
+                                             .transform = &transform};
     BSQ_TRY(bake_lowmesh_load(job->ctx, &low, &job->mesh));
     job->report->low_triangles = job->mesh.triangle_count;
     job->report->low_polygons = job->mesh.polygon_count;

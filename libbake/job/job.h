@@ -14,15 +14,15 @@
 
 /* The maps of one UDIM tile. */
 struct bake_tile {
-    struct bake_udim_tile place;
+    struct bake_udim_tile udim;
     const char *object, *material; /* that have maps of their own, or NULL */
     struct bake_options options;   /* the job's, with the size and output path of this tile */
     uint32_t maps;
     char *output_path;
-    char *beside;       /* the path of one map; temporary files go to its directory */
-    uint32_t tile_size; /* side of the raster's tiles in texels */
-    bool kept;          /* its maps are there already: they are not written */
-    bool in_blocks;     /* bakes `blocks` only, into an image of them */
+    char *beside;        /* the path of one map; temporary files go to its directory */
+    uint32_t patch_side; /* of the raster, in texels */
+    bool kept;           /* its maps are there already: they are not written */
+    bool in_blocks;      /* bakes `blocks` only, into an image of them */
     struct bake_blocks blocks;
     struct bake_skew_image skew;
     struct bake_raster *raster;

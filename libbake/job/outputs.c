@@ -230,12 +230,12 @@ static int filter_tile(struct bake_work *job, const struct bake_tile *tile)
     double area, texels;
     struct bake_filter filter = {
         .image = tile->image,
-        .guide = bake_place_of(job->maps, BK_MAP_guide),
+        .guide = bake_map_offset(job->maps, BK_MAP_guide),
         .texel = bake_udim_areas(job->options, &job->mesh, &job->udim, &area, &texels)};
     if (job->maps & BAKE_MAP_AO)
-        filter.places[filter.count++] = bake_place_of(job->maps, BK_MAP_ao);
+        filter.offsets[filter.count++] = bake_map_offset(job->maps, BK_MAP_ao);
     if (job->maps & BAKE_MAP_THICKNESS)
-        filter.places[filter.count++] = bake_place_of(job->maps, BK_MAP_thickness);
+        filter.offsets[filter.count++] = bake_map_offset(job->maps, BK_MAP_thickness);
     const int status = bake_filter(job->ctx, &filter);
     job->report->seconds_resolve += bsq_seconds_now() - start;
     return status;

@@ -7,26 +7,26 @@
 #include "base/context.h"
 #include "libbake/job/job.h"
 
-/* Largest side in texels of tiles whose rays meet triangles. Larger ones have parts of more charts,
- * whose rays cross chunks far apart. */
-enum { TRIANGLES_TILE = 16 };
+/* Largest side in texels of patches whose rays meet triangles. Larger ones have parts of more
+ * charts, whose rays cross chunks far apart. */
+enum { TRIANGLES_PATCH = 16 };
 
 /* Sorts the tile's triangles for sampling and writes them to job->triangles. */
 static int rasterise(const struct bake_work *job, struct bake_tile *tile)
 {
     const struct bake_options *options = &tile->options;
-    tile->tile_size =
-        bake_tile_size(job->ctx, options->width, options->height, options->samples, tile->maps);
-    if (job->surface.triangles && tile->tile_size > TRIANGLES_TILE)
-        tile->tile_size = TRIANGLES_TILE;
-    while (tile->in_blocks && tile->blocks.side % tile->tile_size != 0)
-        tile->tile_size /= 2;
+    tile->patch_side =
+        bake_patch_side(job->ctx, options->width, options->height, options->samples, tile->maps);
+    if (job->surface.triangles && tile->patch_side > TRIANGLES_PATCH)
+        tile->patch_side = TRIANGLES_PATCH;
+    while (tile->in_blocks && tile->blocks.side % tile->patch_side != 0)
+        tile->patch_side /= 2;
     const struct bake_raster_options raster = {.width = options->width,
                                                .height = options->height,
                                                .samples = options->samples,
-                                               .tile_size = tile->tile_size,
-                                               .first = tile->place.first,
-                                               .count = tile->place.count,
+                                               .patch_side = tile->patch_side,
+                                               .first = tile->udim.first,
+                                               .count = tile->udim.count,
                                                .blocks = tile->in_blocks ? &tile->blocks : NULL,
                                                .skew = tile->skew};
     struct bake_raster_report counts = {0};
@@ -54,13 +54,13 @@ done:
     return status;
 }
 
-/* Returns the most texels of a raster's tile. */
+/* Returns the most texels of a patch. */
 static uint32_t most_texels(const struct bake_work *job)
 {
     uint32_t most = 0;
     for (uint32_t i = 0; i < job->udim.count; ++i)
-        if (job->tiles[i].tile_size > most)
-            most = job->tiles[i].tile_size;
+        if (job->tiles[i].patch_side > most)
+            most = job->tiles[i].patch_side;
     return most * most;
 }
 
@@ -88,7 +88,7 @@ int bake_open_device(struct bake_work *job, double seconds)
     job->traced = (struct bake_job){.grid = &job->surface.scans->grid,
                                     .triangles = job->triangles,
                                     .triangle_count = job->triangle_count,
-                                    .tile_texels = most_texels(job),
+                                    .patch_texels = most_texels(job),
                                     .device_memory = job->options->gpu_memory_bytes,
                                     .params = job->surface.params};
     int status = bake_device_open(job->ctx, device_name(job, seconds), &job->traced, &job->device);
@@ -155,15 +155,16 @@ static int trace_tile(const struct bake_work *job, struct bake_tile *tile, uint6
     int status = bake_tile_create_image(job->ctx, tile, memory_bytes);
     if (status < 0)
         return status;
-    const struct bake_tiles tiles = {.raster = tile->raster,
-                                     .triangles = job->triangles,
-                                     .triangle_count = job->triangle_count,
-                                     .params = &job->surface.params,
-                                     .image = tile->image,
-                                     .tile_size = tile->tile_size,
-                                     .seen = job->seen};
-    status = job->device ? bake_trace_grid_tiles(&job->surface, job->device, &tiles, job->report)
-                         : bake_trace_ray_tiles(&job->surface, &tiles, objects, job->report);
+    const struct bake_patches patches = {.raster = tile->raster,
+                                         .triangles = job->triangles,
+                                         .triangle_count = job->triangle_count,
+                                         .params = &job->surface.params,
+                                         .image = tile->image,
+                                         .patch_side = tile->patch_side,
+                                         .seen = job->seen};
+    status = job->device
+                 ? bake_trace_grid_patches(&job->surface, job->device, &patches, job->report)
+                 : bake_trace_ray_patches(&job->surface, &patches, objects, job->report);
     if (!job->sees || !(tile->maps & BAKE_MAP_CURVATURE)) {
         bake_raster_free(tile->raster);
         tile->raster = NULL;
@@ -213,22 +214,22 @@ struct window {
     uint32_t *objects;            /* of its texels, NO_OBJECT until one is known */
 };
 
-/* Takes the samples of a tile of the raster, if it overlaps the window. */
+/* Takes the samples of a patch, if it overlaps the window. */
 static int take_samples(const struct window *window, uint32_t index, uint32_t *triangles)
 {
     const struct bake_tile *tile = window->tile;
     const uint32_t n = tile->options.samples;
-    struct bk_tile place = bake_raster_tile(tile->raster, index);
+    struct bk_patch patch = bake_raster_patch(tile->raster, index);
     uint64_t overlapping;
     if (tile->in_blocks)
-        bake_blocks_to_image(&tile->blocks, &place.x, &place.y);
-    if (place.x >= window->x + window->width || place.x + place.width <= window->x ||
-        place.y >= window->y + window->height || place.y + place.height <= window->y)
+        bake_blocks_to_image(&tile->blocks, &patch.x, &patch.y);
+    if (patch.x >= window->x + window->width || patch.x + patch.width <= window->x ||
+        patch.y >= window->y + window->height || patch.y + patch.height <= window->y)
         return 0;
     int status = bake_raster_fill(tile->raster, index, triangles, &overlapping);
-    for (uint64_t i = 0; i < (uint64_t)place.width * n * place.height * n && status == 0; i++) {
-        const uint32_t column = place.x + (uint32_t)(i % (place.width * n)) / n - window->x;
-        const uint32_t row = place.y + (uint32_t)(i / (place.width * n)) / n - window->y;
+    for (uint64_t i = 0; i < (uint64_t)patch.width * n * patch.height * n && status == 0; i++) {
+        const uint32_t column = patch.x + (uint32_t)(i % (patch.width * n)) / n - window->x;
+        const uint32_t row = patch.y + (uint32_t)(i / (patch.width * n)) / n - window->y;
         if (triangles[i] == BK_NO_TRIANGLE || column >= window->width || row >= window->height)
             continue; /* before the window, numbers have wrapped around */
         uint32_t *object = &window->objects[(uint64_t)row * window->width + column];
@@ -245,13 +246,13 @@ static int objects_of(const void *arg, uint32_t x, uint32_t y, uint32_t width, u
 {
     const struct seen_tile *of = arg;
     const struct window window = {of->job, of->tile, x, y, width, height, out};
-    const uint64_t texels = (uint64_t)of->tile->tile_size * of->tile->tile_size;
+    const uint64_t texels = (uint64_t)of->tile->patch_side * of->tile->patch_side;
     uint32_t *triangles;
     memset(out, 0xff, (size_t)width * height * sizeof *out);
-    int status = bsq_alloc(of->job->ctx, "samples of a tile",
+    int status = bsq_alloc(of->job->ctx, "samples of a patch",
                            texels * bake_raster_texel_entries(&of->job->surface.params),
                            sizeof *triangles, &triangles);
-    for (uint32_t i = 0; i < bake_raster_tile_count(of->tile->raster) && status == 0; i++)
+    for (uint32_t i = 0; i < bake_raster_patch_count(of->tile->raster) && status == 0; i++)
         status = take_samples(&window, i, triangles);
     bsq_free(of->job->ctx, triangles);
     return status;
@@ -277,7 +278,7 @@ int bake_trace_curvature(struct bake_work *job)
         const struct bake_curvature curvature = {
             .surface = &job->surface,
             .image = job->tiles[i].image,
-            .place = bake_place_of(job->maps, BK_MAP_curvature),
+            .offset = bake_map_offset(job->maps, BK_MAP_curvature),
             .radius = job->measures.curvature_radius,
             .objects = job->sees && job->tiles[i].raster ? objects_of : NULL,
             .objects_arg = &tile};

@@ -50,13 +50,13 @@ typedef struct bk_walk {
 } bk_walk;
 
 /* Positions of rays: the voxel, or the empty aligned node around it. */
-typedef struct bk_place {
+typedef struct bk_cursor {
     bk_iw x, y, z;
     bk_iw mask;  /* side - 1 of the voxel or the node */
     bk_iw apart; /* a voxel that differs in these bits from node_x .. is in another leaf or node */
     bk_iw node_x, node_y, node_z; /* any voxel of the leaf or node */
     bk_iw leaf;                   /* the leaf's number, if mask is 0 */
-} bk_place;
+} bk_cursor;
 
 BK_FN bk_crossing bk_no_crossing(void)
 {
@@ -189,15 +189,15 @@ BK_FN void bk_end_run(bk_walk *walk, bk_mask lanes)
 /* Tests a record of the voxels that rays are in from t_in to t_out. side and was_falling: the
  * walk's state on leaving the previous voxels. */
 BK_FN void bk_cross_record(bk_walk *walk, const bk_ray *ray, bk_mask lanes, const bk_record *record,
-                           const bk_place *place, bk_fw t_in, bk_fw t_out, bk_iw side,
+                           const bk_cursor *cursor, bk_fw t_in, bk_fw t_out, bk_iw side,
                            bk_mask was_falling)
 {
     const bk_fw zero = bk_splat(0.0f);
     const bk_mask faces = bk_less(zero, bk_dotw(record->normal, ray->facing)) | walk->two_sided;
     const bk_mask tested = lanes & faces;
-    const bk_vec3w from = bk_v3w(bk_to_fw(ray->bx - place->x) + (ray->start.x - 0.5f),
-                                 bk_to_fw(ray->by - place->y) + (ray->start.y - 0.5f),
-                                 bk_to_fw(ray->bz - place->z) + (ray->start.z - 0.5f));
+    const bk_vec3w from = bk_v3w(bk_to_fw(ray->bx - cursor->x) + (ray->start.x - 0.5f),
+                                 bk_to_fw(ray->by - cursor->y) + (ray->start.y - 0.5f),
+                                 bk_to_fw(ray->bz - cursor->z) + (ray->start.z - 0.5f));
     bk_fw f = bk_dotw(record->normal, from) - record->offset;
     bk_fw slope = bk_dotw(record->normal, ray->direction), f_in, f_out, at, t, outside;
     const bk_mask falling = bk_less(slope, zero);
@@ -272,7 +272,7 @@ BK_FN bk_uint bk_load_records(const bk_grid *grid, bk_uint bits, const bk_ulong 
 
 /* Tests the records of occupied voxels with these value indices, in the lanes of `bits`. */
 BK_FN void bk_cross_voxels(const bk_grid *grid, bk_walk *walk, const bk_ray *ray, bk_uint bits,
-                           const bk_ulong values[BK_WIDTH], const bk_place *place, bk_fw t_in,
+                           const bk_ulong values[BK_WIDTH], const bk_cursor *cursor, bk_fw t_in,
                            bk_fw t_out)
 {
     const bk_iw side = walk->side;
@@ -282,10 +282,11 @@ BK_FN void bk_cross_voxels(const bk_grid *grid, bk_walk *walk, const bk_ray *ray
 
     bk_load_records(grid, bits, values, 0, &record, &seconds);
     walk->side = bk_selecti(lanes, bk_splati(BK_APART), walk->side);
-    bk_cross_record(walk, ray, lanes, &record, place, t_in, t_out, side, falling);
+    bk_cross_record(walk, ray, lanes, &record, cursor, t_in, t_out, side, falling);
     if (seconds) {
         seconds = bk_load_records(grid, seconds, values, 1, &record, &none);
-        bk_cross_record(walk, ray, bk_mask_of(seconds), &record, place, t_in, t_out, side, falling);
+        bk_cross_record(walk, ray, bk_mask_of(seconds), &record, cursor, t_in, t_out, side,
+                        falling);
     }
 }
 

@@ -278,19 +278,19 @@ BK_FN void bk_trace_hits(const bk_grid *grid, const bk_params *params, bk_cache 
                           out);
 }
 
-/* Returns the place of a sample's hit, from which further rays start. */
-BK_FN bk_place_on_scan bk_place_of_hit(const bk_params *params, const bk_samples *samples,
+/* Returns the viewpoint at a sample's hit, from which further rays start. */
+BK_FN bk_viewpoint bk_viewpoint_of_hit(const bk_params *params, const bk_samples *samples,
                                        const bk_traced *traced, bk_uint lane)
 {
     const bk_vec3w position =
         bk_add_scaledw(traced->start.origin, traced->hits.t, traced->start.direction);
-    bk_place_on_scan place;
+    bk_viewpoint viewpoint;
 
-    place.position = bk_lane3(&position, lane);
-    place.normal = bk_lane3(&traced->hits.normal, lane);
-    place.side = traced->hits.reversed >> lane & 1u ? -1.0f : 1.0f;
-    place.share = bk_sample_share(samples->x[lane], samples->y[lane], params->samples);
-    return place;
+    viewpoint.position = bk_lane3(&position, lane);
+    viewpoint.normal = bk_lane3(&traced->hits.normal, lane);
+    viewpoint.side = traced->hits.reversed >> lane & 1u ? -1.0f : 1.0f;
+    viewpoint.share = bk_sample_share(samples->x[lane], samples->y[lane], params->samples);
+    return viewpoint;
 }
 
 /* Traces samples and the rays from their hits. */
@@ -308,7 +308,7 @@ BK_FN void bk_trace_samples(const bk_grid *grid, const bk_params *params, bk_cac
     for (lane = 0; lane < BK_WIDTH; lane++) {
         sums[lane] = bk_no_surroundings();
         if (out->found >> lane & 1u) {
-            const bk_place_on_scan from = bk_place_of_hit(params, samples, &traced, lane);
+            const bk_viewpoint from = bk_viewpoint_of_hit(params, samples, &traced, lane);
             sums[lane] = bk_look_around(grid, params, cache, &from);
         }
     }
@@ -348,34 +348,34 @@ BK_FN void bk_add_sample(const bk_params *params, const bk_map_hits *hits, bk_ui
     bk_add_to_maps(params->maps, &hit, texel);
 }
 
-/* Returns the number of a texel's sample (i, j) among the tile's samples. */
-BK_FN bk_ulong bk_sample_index(const bk_tile *tile, bk_uint n, bk_uint column, bk_uint row,
+/* Returns the number of a texel's sample (i, j) among the patch's samples. */
+BK_FN bk_ulong bk_sample_index(const bk_patch *patch, bk_uint n, bk_uint column, bk_uint row,
                                bk_uint i, bk_uint j)
 {
-    return (bk_ulong)(row * n + j) * (tile->width * n) + column * n + i;
+    return (bk_ulong)(row * n + j) * (patch->width * n) + column * n + i;
 }
 
 /* Returns the skew of the sample with this number. */
-BK_FN bk_uint bk_sample_skew(const bk_params *params, const bk_tile *tile,
+BK_FN bk_uint bk_sample_skew(const bk_params *params, const bk_patch *patch,
                              const BK_GLOBAL bk_uint *sample_triangles, bk_ulong index)
 {
     const bk_uint n = params->samples;
 
     if (!(params->flags & BK_SKEW))
         return 0;
-    return sample_triangles[(bk_ulong)(tile->width * n) * (tile->height * n) + index];
+    return sample_triangles[(bk_ulong)(patch->width * n) * (patch->height * n) + index];
 }
 
 /* Returns a sample's position along one axis of the map, in texels. */
-BK_FN float bk_sample_place(bk_uint texel, bk_uint i, bk_uint n)
+BK_FN float bk_sample_position(bk_uint texel, bk_uint i, bk_uint n)
 {
     return (float)texel + ((float)i + 0.5f) / (float)n;
 }
 
 #if BK_WIDTH == 1
-/* Adds lines of samples from `begin` to end - 1 to the sums of texel (column, row) of a tile. */
+/* Adds lines of samples from `begin` to end - 1 to the sums of texel (column, row) of a patch. */
 BK_FN void bk_sample_texel(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                           const BK_GLOBAL bk_triangle *triangles, const bk_tile *tile,
+                           const BK_GLOBAL bk_triangle *triangles, const bk_patch *patch,
                            const BK_GLOBAL bk_uint *sample_triangles, bk_uint column, bk_uint row,
                            bk_uint begin, bk_uint end, BK_GLOBAL float *texel)
 {
@@ -387,14 +387,14 @@ BK_FN void bk_sample_texel(const bk_grid *grid, const bk_params *params, bk_cach
     samples.count = 1;
     samples.texel[0] = texel;
     for (j = begin; j < end; j++) {
-        samples.y[0] = bk_sample_place(tile->y + row, j, n);
+        samples.y[0] = bk_sample_position(patch->y + row, j, n);
         for (i = 0; i < n; i++) {
-            const bk_ulong index = bk_sample_index(tile, n, column, row, i, j);
-            samples.x[0] = bk_sample_place(tile->x + column, i, n);
+            const bk_ulong index = bk_sample_index(patch, n, column, row, i, j);
+            samples.x[0] = bk_sample_position(patch->x + column, i, n);
             samples.triangle[0] = sample_triangles[index];
             if (samples.triangle[0] == BK_NO_TRIANGLE)
                 continue;
-            samples.skew[0] = bk_sample_skew(params, tile, sample_triangles, index);
+            samples.skew[0] = bk_sample_skew(params, patch, sample_triangles, index);
             bk_trace_samples(grid, params, cache, triangles, &samples, &hits);
             bk_add_sample(params, &hits, 0, texel);
         }

@@ -8,7 +8,7 @@
  * n rays of a texel has the squared radius (k + a) / n and the angle k c + b, in turns. Sample s of
  * m has the rays s, s + m, s + 2 m and so on. So samples that see the same share one set, as good
  * as that of a single sample. a and b are hashes of the texel's place in the map, so neighbours use
- * other directions and nothing depends on tiles, threads or lanes.
+ * other directions and nothing depends on patches, threads or lanes.
  *
  * Open rays start one voxel above the hit: planes of neighbouring voxels do not meet exactly, and a
  * surface must not hide itself. So gaps of less than about a voxel look open. They end at any
@@ -45,11 +45,11 @@ typedef struct bk_surroundings {
 } bk_surroundings;
 
 /* A point on the surface, and what its rays have in common. */
-typedef struct bk_place_on_scan {
+typedef struct bk_viewpoint {
     bk_vec3 position, normal; /* index space; unit, away from the solid */
     float side;               /* 1, or -1 if the scan's own normal points into the solid */
     bk_share share;
-} bk_place_on_scan;
+} bk_viewpoint;
 
 /* Return the number of open rays, and of rays into the solid, that maps need from a hit. */
 BK_FN bk_uint bk_open_rays(const bk_params *params)
@@ -213,15 +213,15 @@ BK_FN bk_uint bk_block_at(const bk_grid *grid, bk_cache *cache, bk_int x, bk_int
 
 /* Looks up the blocks of lanes that have left theirs. caches: of each lane. */
 BK_FN void bk_enter_blocks(const bk_grid *grid, bk_cache caches[BK_WIDTH], bk_uint bits,
-                           bk_place *place)
+                           bk_cursor *cursor)
 {
     bk_int x[BK_WIDTH], y[BK_WIDTH], z[BK_WIDTH], masks[BK_WIDTH], leaves[BK_WIDTH];
 
-    bk_store_lanes(x, place->x);
-    bk_store_lanes(y, place->y);
-    bk_store_lanes(z, place->z);
-    bk_store_lanes(masks, place->mask);
-    bk_store_lanes(leaves, place->leaf);
+    bk_store_lanes(x, cursor->x);
+    bk_store_lanes(y, cursor->y);
+    bk_store_lanes(z, cursor->z);
+    bk_store_lanes(masks, cursor->mask);
+    bk_store_lanes(leaves, cursor->leaf);
     for (; bits; bits &= bits - 1u) {
         const bk_uint lane = bk_first(bits);
         bk_uint leaf = 0;
@@ -229,8 +229,8 @@ BK_FN void bk_enter_blocks(const bk_grid *grid, bk_cache caches[BK_WIDTH], bk_ui
         masks[lane] = ((bk_int)1 << level) - 1;
         leaves[lane] = (bk_int)leaf;
     }
-    place->mask = bk_load_lanes(masks);
-    place->leaf = bk_load_lanes(leaves);
+    cursor->mask = bk_load_lanes(masks);
+    cursor->leaf = bk_load_lanes(leaves);
 }
 
 /* Ends walks at t, at any surface. */
@@ -244,10 +244,10 @@ BK_FN void bk_stop(bk_walk *walk, bk_mask lanes, bk_fw t)
 /* Tests the voxels that lanes are in from t to t_out, and ends the runs of lanes in empty blocks.
  * Voxels that are entered at t_coarse or later have a surface if they are occupied. */
 BK_FN void bk_meet_voxels(const bk_grid *grid, const bk_ray *ray, bk_walk *walk, bk_uint active,
-                          const bk_place *place, bk_fw t, bk_fw t_out, float t_coarse)
+                          const bk_cursor *cursor, bk_fw t, bk_fw t_out, float t_coarse)
 {
-    const bk_uint in_leaf = active & bk_bits(place->mask == 0);
-    bk_uint occupied = in_leaf ? bk_find_occupied(grid, in_leaf, place) : 0;
+    const bk_uint in_leaf = active & bk_bits(cursor->mask == 0);
+    bk_uint occupied = in_leaf ? bk_find_occupied(grid, in_leaf, cursor) : 0;
     const bk_uint coarse = occupied & bk_bits(bk_not(bk_less(t, bk_splat(t_coarse))));
     bk_mask ended = bk_mask_of(active & ~occupied);
     bk_ulong values[BK_WIDTH];
@@ -256,9 +256,9 @@ BK_FN void bk_meet_voxels(const bk_grid *grid, const bk_ray *ray, bk_walk *walk,
         bk_stop(walk, bk_mask_of(coarse), t);
         occupied &= ~coarse;
     }
-    bk_rank_voxels(grid, occupied, place, values);
+    bk_rank_voxels(grid, occupied, cursor, values);
     if (occupied)
-        ended = ended | bk_meet_records(grid, ray, walk, occupied, values, place, t, t_out);
+        ended = ended | bk_meet_records(grid, ray, walk, occupied, values, cursor, t, t_out);
     if (bk_bits(ended & (walk->side != BK_APART)))
         bk_end_run(walk, ended);
 }
@@ -303,18 +303,18 @@ BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache
     const bk_fw t_end = bk_minw(walk->t_limit, t_far);
     const bk_mask never = bk_mask_of(0);
     bk_cache caches[BK_WIDTH];
-    bk_place place;
+    bk_cursor cursor;
     bk_fw t;
-    bk_uint active = bk_begin_walk(params, ray, walk, t_near, t_end, &t, &place), lane;
+    bk_uint active = bk_begin_walk(params, ray, walk, t_near, t_end, &t, &cursor), lane;
     const bk_mask walked = bk_mask_of(active);
 
     if (!active)
         return;
     for (lane = 0; lane < BK_WIDTH; lane++)
         caches[lane] = *cache;
-    bk_enter_blocks(grid, caches, active, &place);
+    bk_enter_blocks(grid, caches, active, &cursor);
     do {
-        const bk_iw mask = place.mask, x = place.x, y = place.y, z = place.z;
+        const bk_iw mask = cursor.mask, x = cursor.x, y = cursor.y, z = cursor.z;
         const bk_iw fx = bk_exit_layer(x, mask, up_x), fy = bk_exit_layer(y, mask, up_y);
         const bk_iw fz = bk_exit_layer(z, mask, up_z);
         const bk_fw tx = bk_border(fx, ray->bx, o.x, inverse.x);
@@ -325,10 +325,10 @@ BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache
         const bk_mask along_y = bk_not(along_x) & bk_not(bk_less(tz, ty));
         const bk_mask along_z = bk_not(along_x) & bk_not(along_y);
 
-        bk_meet_voxels(grid, ray, walk, active, &place, t, t_out, t_coarse);
-        place.x = bk_selecti(along_x, fx + ~up_x, x);
-        place.y = bk_selecti(along_y, fy + ~up_y, y);
-        place.z = bk_selecti(along_z, fz + ~up_z, z);
+        bk_meet_voxels(grid, ray, walk, active, &cursor, t, t_out, t_coarse);
+        cursor.x = bk_selecti(along_x, fx + ~up_x, x);
+        cursor.y = bk_selecti(along_y, fy + ~up_y, y);
+        cursor.z = bk_selecti(along_z, fz + ~up_z, z);
         if (bk_bits(mask != 0)) {
             const bk_iw in_x =
                 bk_layer_in(x, mask, up_x, bk_not(along_x), o.x, d.x, inverse.x, t_event, ray->bx);
@@ -336,16 +336,17 @@ BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache
                 bk_layer_in(y, mask, up_y, along_z, o.y, d.y, inverse.y, t_event, ray->by);
             const bk_iw in_z =
                 bk_layer_in(z, mask, up_z, never, o.z, d.z, inverse.z, t_event, ray->bz);
-            place.x = bk_selecti(along_x, place.x, in_x);
-            place.y = bk_selecti(along_y, place.y, in_y);
-            place.z = bk_selecti(along_z, place.z, in_z);
+            cursor.x = bk_selecti(along_x, cursor.x, in_x);
+            cursor.y = bk_selecti(along_y, cursor.y, in_y);
+            cursor.z = bk_selecti(along_z, cursor.z, in_z);
         }
         t = t_out;
         active &= bk_bits(bk_less(t, t_end) & bk_not(walk->hit.found));
         bk_enter_blocks(
             grid, caches,
-            active & bk_bits((mask | (((place.x ^ x) | (place.y ^ y) | (place.z ^ z)) & ~3)) != 0),
-            &place);
+            active &
+                bk_bits((mask | (((cursor.x ^ x) | (cursor.y ^ y) | (cursor.z ^ z)) & ~3)) != 0),
+            &cursor);
     } while (active);
     bk_end_run(walk, walked);
 }
@@ -389,7 +390,7 @@ BK_FN void bk_end_surroundings(const bk_params *params, bk_surroundings *sums)
 }
 
 /* Returns where a point's rays start. */
-BK_FN bk_vec3 bk_ray_start(const bk_rays *rays, const bk_place_on_scan *from)
+BK_FN bk_vec3 bk_ray_start(const bk_rays *rays, const bk_viewpoint *from)
 {
     return rays->open ? bk_add_scaled(from->position, BK_LIFT, from->normal) : from->position;
 }
@@ -441,7 +442,7 @@ BK_FN void bk_add_looks(const bk_params *params, const bk_rays *rays, bk_uint co
 /* Sends the rays of one point, open ones first. Sums run in the order of rays, so that they do not
  * depend on BK_WIDTH. Both kinds share a loop, since a copy of the walk is long. */
 BK_FN bk_surroundings bk_look_around(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                                     const bk_place_on_scan *from)
+                                     const bk_viewpoint *from)
 {
     const bk_uint opens = bk_open_rays(params), solids = bk_solid_rays(params);
     bk_surroundings sums = bk_no_surroundings();

@@ -18,49 +18,49 @@
 
 /* Looks up the leaves or empty nodes of lanes that have left theirs. Lanes in the same node share a
  * lookup. */
-BK_FN void bk_enter(const bk_grid *grid, bk_cache *cache, bk_uint bits, bk_place *place)
+BK_FN void bk_enter(const bk_grid *grid, bk_cache *cache, bk_uint bits, bk_cursor *cursor)
 {
     while (bits) {
         const bk_uint lane = bk_first(bits);
-        const bk_int x = bk_lane(place->x, lane), y = bk_lane(place->y, lane);
-        const bk_int z = bk_lane(place->z, lane);
+        const bk_int x = bk_lane(cursor->x, lane), y = bk_lane(cursor->y, lane);
+        const bk_int z = bk_lane(cursor->z, lane);
         const bk_uint level = bk_locate(grid, cache, x, y, z);
         const bk_int apart = -((bk_int)1 << cache->side);
         const bk_uint same =
-            bits & bk_bits((((place->x ^ x) | (place->y ^ y) | (place->z ^ z)) & apart) == 0);
+            bits & bk_bits((((cursor->x ^ x) | (cursor->y ^ y) | (cursor->z ^ z)) & apart) == 0);
         const bk_mask lanes = bk_mask_of(same);
 
         (void)lane;
-        place->mask = bk_selecti(lanes, bk_splati(((bk_int)1 << level) - 1), place->mask);
-        place->apart = bk_selecti(lanes, bk_splati(apart), place->apart);
-        place->node_x = bk_selecti(lanes, bk_splati(x), place->node_x);
-        place->node_y = bk_selecti(lanes, bk_splati(y), place->node_y);
-        place->node_z = bk_selecti(lanes, bk_splati(z), place->node_z);
-        place->leaf =
-            bk_selecti(lanes, bk_splati(level == 0 ? (bk_int)cache->leaf : 0), place->leaf);
+        cursor->mask = bk_selecti(lanes, bk_splati(((bk_int)1 << level) - 1), cursor->mask);
+        cursor->apart = bk_selecti(lanes, bk_splati(apart), cursor->apart);
+        cursor->node_x = bk_selecti(lanes, bk_splati(x), cursor->node_x);
+        cursor->node_y = bk_selecti(lanes, bk_splati(y), cursor->node_y);
+        cursor->node_z = bk_selecti(lanes, bk_splati(z), cursor->node_z);
+        cursor->leaf =
+            bk_selecti(lanes, bk_splati(level == 0 ? (bk_int)cache->leaf : 0), cursor->leaf);
         bits &= ~same;
     }
 }
 
-/* Returns the lanes of `bits` whose voxel is occupied; place->leaf is the leaf around it. Occupancy
- * is hard to predict, so there are no branches on single lanes. */
-BK_FN bk_uint bk_find_occupied(const bk_grid *grid, bk_uint bits, const bk_place *place)
+/* Returns the lanes of `bits` whose voxel is occupied; cursor->leaf is the leaf around it.
+ * Occupancy is hard to predict, so there are no branches on single lanes. */
+BK_FN bk_uint bk_find_occupied(const bk_grid *grid, bk_uint bits, const bk_cursor *cursor)
 {
-    const bk_iw layer = (place->x & 7) + (bk_int)BK_LEAF_MASK;
-    const bk_iw within = (place->y & 7) << 3 | (place->z & 7);
+    const bk_iw layer = (cursor->x & 7) + (bk_int)BK_LEAF_MASK;
+    const bk_iw within = (cursor->y & 7) << 3 | (cursor->z & 7);
     bk_int layers[BK_WIDTH], places[BK_WIDTH], leaves[BK_WIDTH];
     bk_uint lane, occupied = 0;
 
 #ifdef bk_gather
     if (grid->leaf_count <= BK_GATHER_MOST / (2u * BK_LEAF_WORDS)) {
-        const bk_iw words = bk_gather(grid->leaves, place->leaf * (bk_int)(2u * BK_LEAF_WORDS) +
+        const bk_iw words = bk_gather(grid->leaves, cursor->leaf * (bk_int)(2u * BK_LEAF_WORDS) +
                                                         (layer << 1 | within >> 5));
         return bits & bk_bits((words & (bk_splati(1) << (within & 31))) != 0);
     }
 #endif
     bk_store_lanes(layers, layer);
     bk_store_lanes(places, within);
-    bk_store_lanes(leaves, place->leaf);
+    bk_store_lanes(leaves, cursor->leaf);
     for (lane = 0; lane < BK_WIDTH; lane++) {
         const bk_ulong leaf = (bk_ulong)(bk_uint)leaves[lane] * BK_LEAF_WORDS;
         occupied |= (bk_uint)(grid->leaves[leaf + (bk_uint)layers[lane]] >> places[lane] & 1u)
@@ -70,15 +70,15 @@ BK_FN bk_uint bk_find_occupied(const bk_grid *grid, bk_uint bits, const bk_place
 }
 
 /* Looks up the value indices of occupied voxels; those of other lanes are 0. */
-BK_FN void bk_rank_voxels(const bk_grid *grid, bk_uint occupied, const bk_place *place,
+BK_FN void bk_rank_voxels(const bk_grid *grid, bk_uint occupied, const bk_cursor *cursor,
                           bk_ulong values[BK_WIDTH])
 {
     bk_int layers[BK_WIDTH], places[BK_WIDTH], leaves[BK_WIDTH];
     bk_uint lane;
 
-    bk_store_lanes(layers, place->x & 7);
-    bk_store_lanes(places, (place->y & 7) << 3 | (place->z & 7));
-    bk_store_lanes(leaves, place->leaf);
+    bk_store_lanes(layers, cursor->x & 7);
+    bk_store_lanes(places, (cursor->y & 7) << 3 | (cursor->z & 7));
+    bk_store_lanes(leaves, cursor->leaf);
     for (lane = 0; lane < BK_WIDTH; lane++)
         values[lane] = 0;
     for (; occupied; occupied &= occupied - 1u) {
@@ -94,12 +94,12 @@ BK_FN void bk_rank_voxels(const bk_grid *grid, bk_uint occupied, const bk_place 
  * whose run has ended, for bk_end_run(): no sheet there faces the right way. */
 BK_FN bk_mask bk_meet_records(const bk_grid *grid, const bk_ray *ray, bk_walk *walk,
                               bk_uint occupied, const bk_ulong values[BK_WIDTH],
-                              const bk_place *place, bk_fw t, bk_fw t_out)
+                              const bk_cursor *cursor, bk_fw t, bk_fw t_out)
 {
     const bk_mask below = walk->side == BK_BELOW, here = bk_mask_of(occupied);
     bk_mask over;
 
-    bk_cross_voxels(grid, walk, ray, occupied, values, place, t, bk_minw(t_out, walk->t_limit));
+    bk_cross_voxels(grid, walk, ray, occupied, values, cursor, t, bk_minw(t_out, walk->t_limit));
     over = here & below & (walk->side == BK_APART) & bk_not(walk->hit.found);
     walk->side = bk_selecti(over, bk_splati(BK_BELOW), walk->side);
     return over;
@@ -107,7 +107,7 @@ BK_FN bk_mask bk_meet_records(const bk_grid *grid, const bk_ray *ray, bk_walk *w
 
 /* Starts walks at walk->t_start. Returns the lanes that are inside the grid's bounds. */
 BK_FN bk_uint bk_begin_walk(const bk_params *params, const bk_ray *ray, bk_walk *walk, bk_fw t_near,
-                            bk_fw t_end, bk_fw *t, bk_place *place)
+                            bk_fw t_end, bk_fw *t, bk_cursor *cursor)
 {
     const bk_int *low = params->index_min, *high = params->index_max;
     const bk_vec3w o = ray->start, d = ray->direction;
@@ -117,11 +117,11 @@ BK_FN bk_uint bk_begin_walk(const bk_params *params, const bk_ray *ray, bk_walk 
     walked = ray->valid & bk_not(bk_less(t_end, *t));
     *t = bk_keep(walked, *t);
     bk_clear_walk(walk);
-    place->x = bk_voxel_at(o.x, d.x, *t, ray->bx, bk_splati(low[0]), bk_splati(high[0]));
-    place->y = bk_voxel_at(o.y, d.y, *t, ray->by, bk_splati(low[1]), bk_splati(high[1]));
-    place->z = bk_voxel_at(o.z, d.z, *t, ray->bz, bk_splati(low[2]), bk_splati(high[2]));
-    place->mask = place->apart = place->leaf = bk_splati(0);
-    place->node_x = place->node_y = place->node_z = bk_splati(0);
+    cursor->x = bk_voxel_at(o.x, d.x, *t, ray->bx, bk_splati(low[0]), bk_splati(high[0]));
+    cursor->y = bk_voxel_at(o.y, d.y, *t, ray->by, bk_splati(low[1]), bk_splati(high[1]));
+    cursor->z = bk_voxel_at(o.z, d.z, *t, ray->bz, bk_splati(low[2]), bk_splati(high[2]));
+    cursor->mask = cursor->apart = cursor->leaf = bk_splati(0);
+    cursor->node_x = cursor->node_y = cursor->node_z = bk_splati(0);
     return bk_bits(walked);
 }
 
@@ -157,20 +157,20 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
     const bk_iw up_z = bk_upwards(inverse.z);
     const bk_fw t_end = bk_minw(walk->t_limit, t_far);
     bk_ulong values[BK_WIDTH];
-    bk_place place;
+    bk_cursor cursor;
     bk_fw t;
-    bk_uint active = bk_begin_walk(params, ray, walk, t_near, t_end, &t, &place);
+    bk_uint active = bk_begin_walk(params, ray, walk, t_near, t_end, &t, &cursor);
     const bk_mask walked = bk_mask_of(active);
 
     if (!active)
         return;
-    bk_enter(grid, cache, active, &place);
+    bk_enter(grid, cache, active, &cursor);
     do {
-        const bk_iw mask = place.mask;
+        const bk_iw mask = cursor.mask;
         const bk_uint in_leaf = active & bk_bits(mask == 0);
-        const bk_iw fx = bk_exit_layer(place.x, mask, up_x);
-        const bk_iw fy = bk_exit_layer(place.y, mask, up_y);
-        const bk_iw fz = bk_exit_layer(place.z, mask, up_z);
+        const bk_iw fx = bk_exit_layer(cursor.x, mask, up_x);
+        const bk_iw fy = bk_exit_layer(cursor.y, mask, up_y);
+        const bk_iw fz = bk_exit_layer(cursor.z, mask, up_z);
         const bk_fw tx = bk_border(fx, ray->bx, start.x, inverse.x);
         const bk_fw ty = bk_border(fy, ray->by, start.y, inverse.y);
         const bk_fw tz = bk_border(fz, ray->bz, start.z, inverse.z);
@@ -178,24 +178,24 @@ BK_FN void bk_walk_rays(const bk_grid *grid, const bk_params *params, bk_cache *
         const bk_mask along_x = bk_not(bk_less(ty, tx)) & bk_not(bk_less(tz, tx));
         const bk_mask along_y = bk_not(along_x) & bk_not(bk_less(tz, ty));
         const bk_mask along_z = bk_not(along_x) & bk_not(along_y);
-        const bk_uint occupied = bk_find_occupied(grid, in_leaf, &place);
+        const bk_uint occupied = bk_find_occupied(grid, in_leaf, &cursor);
         bk_mask ended = bk_mask_of(active & ~occupied);
         if (occupied) {
-            bk_rank_voxels(grid, occupied, &place, values);
-            ended = ended | bk_meet_records(grid, ray, walk, occupied, values, &place, t, t_out);
+            bk_rank_voxels(grid, occupied, &cursor, values);
+            ended = ended | bk_meet_records(grid, ray, walk, occupied, values, &cursor, t, t_out);
         }
         if (bk_bits(ended & (walk->side != BK_APART)))
             bk_end_run(walk, ended);
-        place.x = bk_step(place.x, mask, fx, up_x, along_x, start.x, direction.x, t_out, ray->bx);
-        place.y = bk_step(place.y, mask, fy, up_y, along_y, start.y, direction.y, t_out, ray->by);
-        place.z = bk_step(place.z, mask, fz, up_z, along_z, start.z, direction.z, t_out, ray->bz);
+        cursor.x = bk_step(cursor.x, mask, fx, up_x, along_x, start.x, direction.x, t_out, ray->bx);
+        cursor.y = bk_step(cursor.y, mask, fy, up_y, along_y, start.y, direction.y, t_out, ray->by);
+        cursor.z = bk_step(cursor.z, mask, fz, up_z, along_z, start.z, direction.z, t_out, ray->bz);
         t = t_out;
         active &= bk_bits(bk_less(t, t_end) & bk_not(walk->hit.found));
         bk_enter(grid, cache,
-                 active & bk_bits((((place.x ^ place.node_x) | (place.y ^ place.node_y) |
-                                    (place.z ^ place.node_z)) &
-                                   place.apart) != 0),
-                 &place);
+                 active & bk_bits((((cursor.x ^ cursor.node_x) | (cursor.y ^ cursor.node_y) |
+                                    (cursor.z ^ cursor.node_z)) &
+                                   cursor.apart) != 0),
+                 &cursor);
     } while (active);
     bk_end_run(walk, walked);
 }

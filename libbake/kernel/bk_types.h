@@ -72,13 +72,13 @@ typedef struct bk_params {
     bk_uint channel_words; /* of further channels, a record */
 } bk_params;
 
-/* One tile of the map. sample_triangles holds height * N rows of width * N entries, row 0 at the
+/* One patch of the map. sample_triangles holds height * N rows of width * N entries, row 0 at the
  * top: the triangle that the sample lies in, or BK_NO_TRIANGLE. With BK_SKEW, as many entries
- * follow: the skew of each sample, 0 to BK_SKEW_ONE. Sample (i, j) of a tile lies at map position
+ * follow: the skew of each sample, 0 to BK_SKEW_ONE. Sample (i, j) of a patch lies at map position
  * (x + (i + 0.5) / N, y + (j + 0.5) / N). */
-typedef struct bk_tile {
+typedef struct bk_patch {
     bk_uint x, y, width, height; /* texels */
-} bk_tile;
+} bk_patch;
 
 /* What a ray found. */
 typedef struct bk_hit {

@@ -9,7 +9,7 @@
     print FILENAME ":" FNR ": " $0 > "/dev/stderr"
     bad = 1
 }
-/\.entry bake_tile/ { kernels++ }
+/\.entry bake_patch/ { kernels++ }
 /[ \t]sqrt\.rn\.f32/ { roots++ }
 /[ \t](div|rcp)\.rn\.f32/ { divisions++ }
 END {

@@ -37,28 +37,29 @@ static double corner_angle(const float (*p)[3], int i)
 /* ---- smooth ---- */
 
 /* The corners in one place; stored with the first of them. */
-struct place {
+struct shared_corner {
     double sum[3], weights;
     bool normals_differ;
     double rise; /* of the surface over the triangles there */
 };
 
-static void add_corner(struct place *place, const float normal[3], const float first_normal[3],
-                       double weight)
+static void add_corner(struct shared_corner *shared, const float normal[3],
+                       const float first_normal[3], double weight)
 {
     for (int k = 0; k < 3; k++) {
-        place->sum[k] += weight * (double)normal[k];
-        place->normals_differ |= normal[k] != first_normal[k];
+        shared->sum[k] += weight * (double)normal[k];
+        shared->normals_differ |= normal[k] != first_normal[k];
     }
-    place->weights += weight;
+    shared->weights += weight;
 }
 
-static void choose_direction(const struct place *place, const float normal[3], float out[3])
+static void choose_direction(const struct shared_corner *shared, const float normal[3],
+                             float out[3])
 {
-    const double *s = place->sum;
+    const double *s = shared->sum;
     const double length = sqrt(s[0] * s[0] + s[1] * s[1] + s[2] * s[2]);
     memcpy(out, normal, 3 * sizeof *out);
-    if (place->normals_differ && length > LEAST_SUM * place->weights)
+    if (shared->normals_differ && length > LEAST_SUM * shared->weights)
         for (int k = 0; k < 3; k++)
             out[k] = (float)(s[k] / length);
 }
@@ -72,19 +73,19 @@ static double corner_weight(bool by_area, const float (*p)[3], int i)
 }
 
 static int smooth(struct bsq_ctx *ctx, bool by_area, uint32_t count, const float (*positions)[3],
-                  const float (*normals)[3], const uint32_t *firsts, struct place *places,
+                  const float (*normals)[3], const uint32_t *firsts, struct shared_corner *shared,
                   float (*out)[3])
 {
     int status = 0;
     for (uint32_t c = 0; c < count && status == 0; c++) {
         const uint32_t triangle = c / 3 * 3;
-        add_corner(&places[firsts[c]], normals[c], normals[firsts[c]],
+        add_corner(&shared[firsts[c]], normals[c], normals[firsts[c]],
                    corner_weight(by_area, positions + triangle, (int)(c - triangle)));
         if (c % CORNERS_A_CHECK == 0)
             status = bsq_check(ctx);
     }
     for (uint32_t c = 0; c < count; c++)
-        choose_direction(&places[firsts[c]], normals[c], out[c]);
+        choose_direction(&shared[firsts[c]], normals[c], out[c]);
     return status;
 }
 
@@ -92,11 +93,11 @@ int bake_mean_normals(struct bsq_ctx *ctx, bool by_area, uint32_t corners,
                       const float (*positions)[3], const float (*normals)[3],
                       const uint32_t *firsts, float (*out)[3])
 {
-    struct place *places;
-    int status = bsq_calloc(ctx, "corners in one place", corners, sizeof *places, &places);
+    struct shared_corner *shared;
+    int status = bsq_calloc(ctx, "corners in one place", corners, sizeof *shared, &shared);
     if (status == 0)
-        status = smooth(ctx, by_area, corners, positions, normals, firsts, places, out);
-    bsq_free(ctx, places);
+        status = smooth(ctx, by_area, corners, positions, normals, firsts, shared, out);
+    bsq_free(ctx, shared);
     return status;
 }
 
@@ -120,8 +121,8 @@ static double rise_over(const float a[3], const float b[3], const float normal_a
 
 /* Sets where rays start. Neighbours share the highest rise, so that reaches are continuous. */
 static void set_reaches(uint64_t count, const float (*positions)[3][3],
-                        const float (*normals)[3][3], const uint32_t *firsts, struct place *places,
-                        float (*out)[3])
+                        const float (*normals)[3][3], const uint32_t *firsts,
+                        struct shared_corner *shared, float (*out)[3])
 {
     for (uint64_t t = 0; t < count; t++) {
         double rise = 0;
@@ -129,10 +130,10 @@ static void set_reaches(uint64_t count, const float (*positions)[3][3],
             rise = fmax(rise,
                         rise_over(positions[t][j], positions[t][i], normals[t][j], normals[t][i]));
         for (int i = 0; i < 3; i++)
-            places[firsts[3 * t + i]].rise = fmax(places[firsts[3 * t + i]].rise, rise);
+            shared[firsts[3 * t + i]].rise = fmax(shared[firsts[3 * t + i]].rise, rise);
     }
     for (uint64_t c = 0; c < 3 * count; c++)
-        out[c / 3][c % 3] = (float)(RISES * places[firsts[c]].rise);
+        out[c / 3][c % 3] = (float)(RISES * shared[firsts[c]].rise);
 }
 
 /* ---- all kinds ---- */
@@ -154,21 +155,21 @@ int bake_ray_directions(struct bsq_ctx *ctx, enum bake_rays rays, uint64_t count
     const struct mikkt_input input = {.corner_count = corners,
                                       .positions = (const float(*)[3])positions};
     uint32_t *firsts = NULL;
-    struct place *places = NULL;
+    struct shared_corner *shared = NULL;
     int status = 0;
     BSQ_TRY(bsq_alloc(ctx, "corners in one place", corners, sizeof *firsts, &firsts));
-    BSQ_TRY(bsq_calloc(ctx, "corners in one place", corners, sizeof *places, &places));
+    BSQ_TRY(bsq_calloc(ctx, "corners in one place", corners, sizeof *shared, &shared));
     BSQ_TRY(bake_mikkt_weld(ctx, &input, firsts));
     memcpy(out, normals, count * sizeof *out);
     if (rays == BAKE_RAYS_SMOOTH)
         BSQ_TRY(smooth(ctx, false, corners, (const float(*)[3])positions,
-                       (const float(*)[3])normals, firsts, places, (float(*)[3])out));
+                       (const float(*)[3])normals, firsts, shared, (float(*)[3])out));
     for (uint64_t t = 0; t < count && rays == BAKE_RAYS_FACE; t++)
         face_directions(positions[t], normals[t], out[t]);
-    set_reaches(count, positions, normals, firsts, places, reaches);
+    set_reaches(count, positions, normals, firsts, shared, reaches);
     status = bsq_check(ctx);
 done:
-    bsq_free(ctx, places);
+    bsq_free(ctx, shared);
     bsq_free(ctx, firsts);
     return status;
 }
@@ -213,8 +214,8 @@ int bake_cage_directions(struct bsq_ctx *ctx, const struct bake_lowmesh_options 
     int status = fmt_mesh_load(ctx, options->cage_path, false, &cage);
     if (status < 0)
         return status;
-    if (options->placement)
-        bake_place_mesh(options->placement, &cage);
+    if (options->transform)
+        bake_transform_mesh(options->transform, &cage);
     status = check_topology(ctx, path, mesh, options->cage_path, &cage);
     memset(out->reaches, 0, mesh->triangle_count * sizeof *out->reaches);
     for (uint64_t t = 0; t < mesh->triangle_count && status == 0; t++)

@@ -331,8 +331,8 @@ static int load_file(struct bsq_ctx *ctx, const struct bake_lowmesh_options *opt
             "%s: a node has scales that differ by axis; engines make tangents before scaling, so "
             "their shading will be off by some degrees: apply the scale before baking",
             options->path);
-    if (options->placement)
-        bake_place_mesh(options->placement, &mesh);
+    if (options->transform)
+        bake_transform_mesh(options->transform, &mesh);
     BSQ_TRY(allocate(ctx, mesh.triangle_count, out));
     out->triangle_count = mesh.triangle_count;
     out->polygon_count = count_polygons(&mesh);

@@ -34,16 +34,16 @@ struct bake_lowmesh {
 };
 
 /* Where a mesh lies: p becomes shift + scale * turn p. */
-struct bake_placement {
+struct bake_transform {
     double scale, turn[3][3], shift[3];
 };
 /* Sets *out to what the options ask for. */
-void bake_placement_of(const struct bake_options *options, struct bake_placement *out);
+void bake_transform_of(const struct bake_options *options, struct bake_transform *out);
 /* Places a point; `out` may be `p`. */
-void bake_place(const struct bake_placement *placement, const double p[3], double out[3]);
+void bake_transform_point(const struct bake_transform *transform, const double p[3], double out[3]);
 /* Sets *out to `first`, followed by `then`. */
-void bake_placement_join(const struct bake_placement *first, const struct bake_placement *then,
-                         struct bake_placement *out);
+void bake_transform_join(const struct bake_transform *first, const struct bake_transform *then,
+                         struct bake_transform *out);
 /* Sets *out to the matrix of a word of BAKE_TURNS; writes a word for a matrix. */
 void bake_turn_matrix(unsigned turn, double out[3][3]);
 void bake_turn_word(const double turn[3][3], char out[8]);
@@ -58,7 +58,7 @@ struct bake_lowmesh_options {
     double extrude;                  /* distance of a cage along smooth directions; <= 0: none */
     enum bake_rays rays;             /* without a cage */
     enum bake_low_normals normals;   /* if a file has none */
-    const struct bake_placement *placement; /* of meshes and cage; NULL: they stay as they are */
+    const struct bake_transform *transform; /* of meshes and cage; NULL: they stay as they are */
 };
 
 /* Loads mesh files. Computes normals for files that have none, and warns unless the options choose

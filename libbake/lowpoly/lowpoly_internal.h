@@ -6,7 +6,7 @@
 #include "libbake/lowpoly/lowpoly.h"
 
 /* Scales, turns and shifts positions and normals. */
-void bake_place_mesh(const struct bake_placement *placement, struct fmt_mesh *mesh);
+void bake_transform_mesh(const struct bake_transform *transform, struct fmt_mesh *mesh);
 
 /* ---- directions ---- */
 

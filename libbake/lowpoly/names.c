@@ -88,32 +88,32 @@ done:
 /* ---- sets ---- */
 
 /* A triangle, and what its set is named by. */
-struct place {
+struct owned {
     uint32_t object, material, triangle;
 };
 
-static int compare_sets(const struct place *a, const struct place *b)
+static int compare_sets(const struct owned *a, const struct owned *b)
 {
     if (a->object != b->object)
         return a->object < b->object ? -1 : 1;
     return (a->material > b->material) - (a->material < b->material);
 }
 
-static int compare_places(const void *a, const void *b)
+static int compare_owners(const void *a, const void *b)
 {
-    const struct place *x = a, *y = b;
+    const struct owned *x = a, *y = b;
     const int sets = compare_sets(x, y);
     return sets != 0 ? sets : (x->triangle > y->triangle) - (x->triangle < y->triangle);
 }
 
-/* Makes each run of equal places a set. */
+/* Makes each run of equal owners a set. */
 static int make_sets(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
-                     const struct place *places, uint64_t count, struct bake_lowmesh *mesh)
+                     const struct owned *owned, uint64_t count, struct bake_lowmesh *mesh)
 {
     uint64_t capacity = 0;
     int status = 0;
     for (uint64_t i = 0; i < count && status == 0; i++) {
-        if (i > 0 && compare_sets(&places[i - 1], &places[i]) == 0) {
+        if (i > 0 && compare_sets(&owned[i - 1], &owned[i]) == 0) {
             mesh->sets[mesh->set_count - 1].count++;
             continue;
         }
@@ -121,9 +121,8 @@ static int make_sets(struct bsq_ctx *ctx, const struct bake_lowmesh_options *opt
                           &mesh->sets, &capacity);
         if (status == 0)
             mesh->sets[mesh->set_count++] = (struct bake_low_set){
-                .object = options->object_maps ? mesh->objects.list[places[i].object] : NULL,
-                .material =
-                    options->material_maps ? mesh->materials.list[places[i].material] : NULL,
+                .object = options->object_maps ? mesh->objects.list[owned[i].object] : NULL,
+                .material = options->material_maps ? mesh->materials.list[owned[i].material] : NULL,
                 .first = i,
                 .count = 1};
     }
@@ -134,23 +133,23 @@ static int sort_by_set(struct bsq_ctx *ctx, const struct bake_lowmesh_options *o
                        const struct bake_names *names, struct bake_lowmesh *mesh)
 {
     const uint64_t count = mesh->triangle_count;
-    struct place *places = NULL;
+    struct owned *owned = NULL;
     uint32_t *order = NULL;
     int status = 0;
-    BSQ_TRY(bsq_alloc(ctx, "sets of maps", count, sizeof *places, &places));
+    BSQ_TRY(bsq_alloc(ctx, "sets of maps", count, sizeof *owned, &owned));
     BSQ_TRY(bsq_alloc(ctx, "sets of maps", count, sizeof *order, &order));
     for (uint64_t t = 0; t < count; t++)
-        places[t] = (struct place){options->object_maps ? names->of[t][0] : 0,
-                                   options->material_maps ? names->of[t][1] : 0, (uint32_t)t};
-    bsq_sort(places, count, sizeof *places, compare_places);
-    BSQ_TRY(make_sets(ctx, options, places, count, mesh));
+        owned[t] = (struct owned){options->object_maps ? names->of[t][0] : 0,
+                                  options->material_maps ? names->of[t][1] : 0, (uint32_t)t};
+    bsq_sort(owned, count, sizeof *owned, compare_owners);
+    BSQ_TRY(make_sets(ctx, options, owned, count, mesh));
     for (uint64_t t = 0; t < count; t++)
-        order[t] = places[t].triangle;
+        order[t] = owned[t].triangle;
     if (mesh->set_count > 1)
         BSQ_TRY(bake_lowmesh_reorder(ctx, order, count, mesh));
 done:
     bsq_free(ctx, order);
-    bsq_free(ctx, places);
+    bsq_free(ctx, owned);
     return status;
 }
 

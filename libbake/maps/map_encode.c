@@ -12,7 +12,7 @@ static uint32_t place_in_mask(const struct bake_options *options, uint32_t maps)
 {
     for (uint32_t i = 0; i < options->transfer_count; ++i)
         if (options->transfers[i].in_mask)
-            return bake_place_of(maps, BK_MAP_COUNT + i);
+            return bake_map_offset(maps, BK_MAP_COUNT + i);
     return 0;
 }
 
@@ -20,7 +20,7 @@ void bake_encoder_init(const struct bake_encoding_facts *facts, uint32_t maps, u
                        struct bake_encoder *out)
 {
     *out = (struct bake_encoder){.row = bake_row_of(facts->options, number),
-                                 .offset = bake_place_of(maps, number),
+                                 .offset = bake_map_offset(maps, number),
                                  .encoding = {.scale = {1.0, 1.0, 1.0}}};
     const struct bake_encoding *encoding = &out->encoding;
     if (!out->row->resolve)

@@ -1,6 +1,6 @@
 /* map_image.c - the image that is baked, in memory or in a temporary file, and statistics of it.
  *
- * The file holds texels in row order. A tile is written as short runs, which the page cache
+ * The file holds texels in row order. A patch is written as short runs, which the page cache
  * gathers; a band is read at once. Texels that were never written are holes of the file and read as
  * zeros. */
 #include "libbake/maps/maps.h"
@@ -114,13 +114,13 @@ int bake_image_write(struct bake_image *image, uint32_t x, uint32_t y, uint32_t 
     return 0;
 }
 
-int bake_image_write_tile(struct bake_image *image, const struct bk_tile *tile,
-                          const float *samples)
+int bake_image_write_patch(struct bake_image *image, const struct bk_patch *patch,
+                           const float *samples)
 {
-    uint32_t x = tile->x, y = tile->y;
+    uint32_t x = patch->x, y = patch->y;
     if (image->blocks)
         bake_blocks_to_image(image->blocks, &x, &y);
-    return bake_image_write(image, x, y, tile->width, tile->height, samples);
+    return bake_image_write(image, x, y, patch->width, patch->height, samples);
 }
 
 int bake_image_rows(const struct bake_image *image, uint32_t y, uint32_t count, float *buffer,

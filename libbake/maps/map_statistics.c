@@ -79,7 +79,7 @@ enum { BAND_ROWS = 256 };
 
 struct measuring {
     struct bsq_ctx *ctx;
-    uint32_t width, channels, place; /* of an image; of the map's value in a texel */
+    uint32_t width, channels, offset; /* of an image; of the map's value in a texel */
     const float *texels;
     struct bake_statistics *workers; /* one each */
 };
@@ -90,7 +90,7 @@ static int measure_row(void *arg, uint64_t row, unsigned worker)
     const float *texel = measuring->texels + row * measuring->width * measuring->channels;
     for (uint32_t x = 0; x < measuring->width; ++x, texel += measuring->channels)
         if (texel[0] > 0.0f)
-            bake_statistics_add_value(&measuring->workers[worker], texel[measuring->place]);
+            bake_statistics_add_value(&measuring->workers[worker], texel[measuring->offset]);
     return 0;
 }
 
@@ -102,14 +102,14 @@ static int measure_band(void *arg, uint32_t first_row, uint32_t rows, const floa
     return bsq_parallel_for(measuring->ctx, rows, measure_row, measuring);
 }
 
-/* Adds the values at a place of the texels. */
-static int measure_values(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t place,
+/* Adds the values at an offset in the texels. */
+static int measure_values(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t offset,
                           struct bake_statistics *out)
 {
     struct measuring measuring = {.ctx = ctx,
                                   .width = bake_image_width(image),
                                   .channels = bake_image_channels(image),
-                                  .place = place};
+                                  .offset = offset};
     int status = bsq_calloc(ctx, "statistics", bsq_threads(ctx), sizeof *measuring.workers,
                             &measuring.workers);
     if (status == 0)
@@ -126,6 +126,6 @@ int bake_image_measure(struct bsq_ctx *ctx, const struct bake_image *image, uint
     int status = 0;
     for (unsigned i = 0; status == 0 && i < BK_MAP_COUNT; ++i)
         if (maps & 1u << i && bake_map_table[i].measured)
-            status = measure_values(ctx, image, bake_place_of(maps, i), &statistics[i]);
+            status = measure_values(ctx, image, bake_map_offset(maps, i), &statistics[i]);
     return status;
 }

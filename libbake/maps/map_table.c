@@ -485,7 +485,7 @@ unsigned bake_first_of(uint32_t maps)
     return number;
 }
 
-uint32_t bake_place_of(uint32_t maps, unsigned number)
+uint32_t bake_map_offset(uint32_t maps, unsigned number)
 {
     const uint32_t rows = maps & ((1u << BK_MAP_COUNT) - 1u);
     if (number < BK_MAP_COUNT)

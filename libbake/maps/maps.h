@@ -1,7 +1,7 @@
 /* maps.h - texture maps: the table of maps, the image that is baked, and the files.
  *
- * In: sums of hits, tile by tile (bk_maps.h). They become values of a float image, in memory or in
- * a temporary file. Out: dilated, encoded image files, one for each map. All appear, or none.
+ * In: sums of hits, patch by patch (bk_maps.h). They become values of a float image, in memory or
+ * in a temporary file. Out: dilated, encoded image files, one for each map. All appear, or none.
  *
  * A sample of a texel is covered if it lies in a triangle of the low-poly mesh. */
 #ifndef BAKE_MAPS_MAPS_H
@@ -170,8 +170,8 @@ const char *bake_name_of(const struct bake_options *options, unsigned number);
 char *bake_path_of(const struct bake_options *options, unsigned number);
 /* Returns the lowest number in a selection, which is not empty. */
 unsigned bake_first_of(uint32_t maps);
-/* Returns the place of a map's values in a texel of the image. */
-uint32_t bake_place_of(uint32_t maps, unsigned number);
+/* Returns the offset of a map's values in a texel of the image. */
+uint32_t bake_map_offset(uint32_t maps, unsigned number);
 
 /* Name and sums of row i, from BK_MAPS. */
 extern const char *const bake_map_names[BK_MAP_COUNT];
@@ -226,10 +226,10 @@ bool bake_image_in_memory(const struct bake_image *image);
 int bake_image_write(struct bake_image *image, uint32_t x, uint32_t y, uint32_t width,
                      uint32_t height, const float *samples);
 
-/* Stores a tile of the map likewise. For an image of blocks, (x, y) is the tile's place in the map,
- * and the tile lies in one of the blocks. */
-int bake_image_write_tile(struct bake_image *image, const struct bk_tile *tile,
-                          const float *samples);
+/* Stores a patch of the map likewise. For an image of blocks, (x, y) is the patch's place in the
+ * map, and the patch lies in one of the blocks. */
+int bake_image_write_patch(struct bake_image *image, const struct bk_patch *patch,
+                           const float *samples);
 
 /* Points *rows at `count` rows from `y` on: at the image itself if it is in memory, otherwise at
  * `buffer` (count * width * channels floats) after reading. */
@@ -251,53 +251,53 @@ int bake_image_change(struct bsq_ctx *ctx, struct bake_image *image, uint32_t ba
 int bake_image_measure(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t maps,
                        struct bake_statistics statistics[BK_MAP_COUNT]);
 
-/* ---- tiles ---- */
+/* ---- patches ---- */
 
-/* What tracing a map's tiles needs, on a grid or on triangles. */
-struct bake_tiles {
+/* What tracing a map's patches needs, on a grid or on triangles. */
+struct bake_patches {
     const struct bake_raster *raster;
     const struct bk_triangle *triangles; /* of the low-poly mesh */
     uint32_t triangle_count;
     const struct bk_params *params;
     struct bake_image *image; /* of bake_image_channels_for(params->maps) channels */
-    uint32_t tile_size;       /* side in texels */
+    uint32_t patch_side;      /* side in texels */
     struct bake_seen *seen;   /* what the rays reach (libbake/surface/); NULL: it is not wanted */
 };
 
-/* Returns a side for tiles: large if there is work for all threads, small if memory is short.
+/* Returns a side for patches: large if there is work for all threads, small if memory is short.
  * maps: a selection of maps. */
-uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, uint32_t samples,
-                        uint32_t maps);
+uint32_t bake_patch_side(struct bsq_ctx *ctx, uint32_t width, uint32_t height, uint32_t samples,
+                         uint32_t maps);
 
-/* Buffers of one worker for one tile, and its counts for the report. */
-struct bake_tile_worker {
-    uint32_t *sample_triangles; /* of a tile, as bake_raster_fill() writes them */
+/* Buffers of one worker for one patch, and its counts for the report. */
+struct bake_patch_worker {
+    uint32_t *sample_triangles; /* of a patch, as bake_raster_fill() writes them */
     float *texels;              /* sums, bk_texel_floats() each */
-    float *resolved;            /* image channels of a tile's texels */
+    float *resolved;            /* image channels of a patch's texels */
     uint64_t covered_texels, samples, hits, overlaps;
 };
 
-struct bake_tile_workers {
-    struct bake_tile_worker *workers; /* one a thread; NULL: none yet */
-    uint32_t channels;                /* of the image */
+struct bake_patch_workers {
+    struct bake_patch_worker *workers; /* one a thread; NULL: none yet */
+    uint32_t channels;                 /* of the image */
     uint32_t texel_floats;
     uint32_t maps; /* bits of enum bake_map */
 };
 
 /* Creates zeroed counts and buffers, with sums of `texel_count` texels, and begins the progress
- * "tracing" with the texels of all tiles. Call bake_tile_workers_end() also after a failure. */
-int bake_tile_workers_begin(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
-                            uint64_t texel_count, struct bake_tile_workers *out);
+ * "tracing" with the texels of all patches. Call bake_patch_workers_end() also after a failure. */
+int bake_patch_workers_begin(struct bsq_ctx *ctx, const struct bake_patches *patches,
+                             uint64_t texel_count, struct bake_patch_workers *out);
 
 /* Adds the worker's first `count` texels to its counts, and writes them to `out` as the image
  * stores them. */
-void bake_tile_worker_resolve(const struct bake_tile_workers *workers,
-                              struct bake_tile_worker *worker, uint32_t count, float *out);
+void bake_patch_worker_resolve(const struct bake_patch_workers *workers,
+                               struct bake_patch_worker *worker, uint32_t count, float *out);
 
 /* Adds all counts to the report's covered_texels, samples, hits, misses and overlapping_samples,
  * ends the progress and frees the buffers. */
-void bake_tile_workers_end(struct bsq_ctx *ctx, struct bake_tile_workers *workers,
-                           struct bake_report *report);
+void bake_patch_workers_end(struct bsq_ctx *ctx, struct bake_patch_workers *workers,
+                            struct bake_report *report);
 
 /* ---- thumbnails ---- */
 

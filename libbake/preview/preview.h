@@ -13,7 +13,7 @@
  * `missed` has the share of texels inside charts whose rays met nothing, channel 1 of the others.
  */
 struct bake_preview_tile {
-    struct bake_udim_tile place;
+    struct bake_udim_tile udim;
     const struct bake_thumbnail *normal, *color, *missed;
 };
 

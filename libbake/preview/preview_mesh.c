@@ -103,10 +103,10 @@ static const struct bake_preview_tile *tile_of(const struct bake_preview *previe
     uint32_t low = 0, high = preview->tile_count;
     while (low < high) {
         const uint32_t middle = low + (high - low) / 2;
-        const struct bake_udim_tile *place = &preview->tiles[middle].place;
-        if (triangle >= place->first && triangle < place->first + place->count)
+        const struct bake_udim_tile *udim = &preview->tiles[middle].udim;
+        if (triangle >= udim->first && triangle < udim->first + udim->count)
             return &preview->tiles[middle];
-        if (triangle < place->first)
+        if (triangle < udim->first)
             high = middle;
         else
             low = middle + 1;
@@ -119,7 +119,7 @@ static const struct bake_preview_tile *tile_numbered(const struct bake_preview *
                                                      uint32_t set, uint32_t number)
 {
     for (uint32_t i = 0; i < preview->tile_count; ++i)
-        if (preview->tiles[i].place.set == set && preview->tiles[i].place.number == number)
+        if (preview->tiles[i].udim.set == set && preview->tiles[i].udim.number == number)
             return &preview->tiles[i];
     return NULL;
 }
@@ -141,11 +141,11 @@ tile_at(const struct bake_preview *preview, uint32_t triangle, const float weigh
     }
     if (!tile || (away[0] == 0 && away[1] == 0))
         return tile;
-    const int column = (int)bake_udim_column(tile->place.number) + away[0];
-    const int row = (int)bake_udim_row(tile->place.number) + away[1];
+    const int column = (int)bake_udim_column(tile->udim.number) + away[0];
+    const int row = (int)bake_udim_row(tile->udim.number) + away[1];
     return column < 0 || column > 9 || row < 0
                ? NULL
-               : tile_numbered(preview, tile->place.set,
+               : tile_numbered(preview, tile->udim.set,
                                BAKE_FIRST_TILE + (uint32_t)(column + 10 * row));
 }
 

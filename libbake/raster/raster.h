@@ -1,5 +1,5 @@
 /* raster.h - rasterises the charts of a low-poly mesh. Takes its triangles in texture space; gives,
- * tile by tile, the triangle that each sample of the map lies in, and the triangles as the kernel
+ * patch by patch, the triangle that each sample of the map lies in, and the triangles as the kernel
  * reads them. */
 #ifndef BAKE_RASTER_RASTER_H
 #define BAKE_RASTER_RASTER_H
@@ -11,7 +11,7 @@
 /* Blocks of a map, squares of texels in row order, of which a job bakes some. Those at the right
  * and lower border may be smaller. */
 struct bake_blocks {
-    uint32_t side; /* texels; sides of tiles divide it */
+    uint32_t side; /* texels; sides of patches divide it */
     uint32_t columns, rows;
     uint32_t count;        /* blocks to bake */
     const uint32_t *slots; /* for each block: its number among those to bake, or BAKE_NO_SLOT */
@@ -22,16 +22,16 @@ struct bake_blocks {
  * one below the other. The texel must lie in such a block. */
 void bake_blocks_to_image(const struct bake_blocks *blocks, uint32_t *x, uint32_t *y);
 
-/* The triangles of a mesh in texture space, indexed by tile. */
+/* The triangles of a mesh in texture space, indexed by patch. */
 struct bake_raster;
 
 struct bake_raster_options {
     uint32_t width, height; /* of the map in texels */
     uint32_t samples;       /* N, for N x N samples a texel */
-    uint32_t tile_size;     /* side in texels; tiles at the right and lower border may be smaller */
-    uint64_t first, count;  /* triangles of the mesh to rasterise */
+    uint32_t patch_side; /* side in texels; patches at the right and lower border may be smaller */
+    uint64_t first, count; /* triangles of the mesh to rasterise */
     const struct bake_blocks
-        *blocks;                 /* makes tiles in these blocks only; NULL: in all of the map */
+        *blocks;                 /* makes patches in these blocks only; NULL: in all of the map */
     struct bake_skew_image skew; /* gives samples their skews */
 };
 
@@ -39,7 +39,7 @@ struct bake_raster_report {
     uint64_t degenerate_triangles; /* without area in texture space */
 };
 
-/* Sorts triangles into tiles, in time linear in the triangles and the tiles that they overlap.
+/* Sorts triangles into patches, in time linear in the triangles and the patches that they overlap.
  * mesh and options->blocks must outlive *out; free *out with bake_raster_free(). Errors: BSQ_EUSAGE
  * for a map that is empty or too large, BSQ_EDATA for too many triangles, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_raster_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
@@ -47,10 +47,10 @@ int bake_raster_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
                        struct bake_raster **out);
 void bake_raster_free(struct bake_raster *raster); /* NULL is allowed */
 
-/* Return the number of tiles, and the place of a tile in texels. Tiles are in row order, without
- * those that no triangle overlaps and those outside of options->blocks. */
-uint32_t bake_raster_tile_count(const struct bake_raster *raster);
-struct bk_tile bake_raster_tile(const struct bake_raster *raster, uint32_t index);
+/* Return the number of patches, and the place of a patch in texels. Patches are in row order,
+ * without those that no triangle overlaps and those outside of options->blocks. */
+uint32_t bake_raster_patch_count(const struct bake_raster *raster);
+struct bk_patch bake_raster_patch(const struct bake_raster *raster, uint32_t index);
 
 /* Returns the entries that bake_raster_fill() writes for a texel. */
 static inline uint64_t bake_raster_texel_entries(const struct bk_params *params)
@@ -58,8 +58,8 @@ static inline uint64_t bake_raster_texel_entries(const struct bk_params *params)
     return (uint64_t)params->samples * params->samples * (params->flags & BK_SKEW ? 2 : 1);
 }
 
-/* Writes the triangle of each sample of a tile, or BK_NO_TRIANGLE: height * N rows of width * N
- * entries. With a skew map, the skews follow as struct bk_tile has them; they are 0 without a
+/* Writes the triangle of each sample of a patch, or BK_NO_TRIANGLE: height * N rows of width * N
+ * entries. With a skew map, the skews follow as struct bk_patch has them; they are 0 without a
  * triangle. If triangles overlap, the first one in the mesh takes the sample; *overlaps is set to
  * the number of samples inside more than one triangle. A sample on an edge that two triangles share
  * belongs to exactly one of them (top-left rule on exact fixed-point coordinates). Thread-safe.

@@ -1,4 +1,4 @@
-/* raster_internal.h - the triangles of each tile, and triangles in texture space as spans of
+/* raster_internal.h - the triangles of each patch, and triangles in texture space as spans of
  * samples; private to this folder.
  *
  * A map has width * N by height * N samples; sample i has its centre at i + 1/2. Corners are
@@ -75,10 +75,10 @@ struct bake_raster {
     const struct bake_lowmesh *mesh;
     struct bake_raster_options options;
     struct sample_grid grid;
-    uint32_t tile_columns, tile_rows;
-    uint32_t tile_count;    /* tiles that a triangle overlaps */
-    uint32_t *tile_numbers; /* of each of them: row * tile_columns + column */
-    uint64_t *starts;       /* tile_count + 1; where the list of each begins in `triangles` */
+    uint32_t patch_columns, patch_rows;
+    uint32_t patch_count;    /* patches that a triangle overlaps */
+    uint32_t *patch_numbers; /* of each of them: row * patch_columns + column */
+    uint64_t *starts;        /* patch_count + 1; where the list of each begins in `triangles` */
     uint32_t *triangles;
 };
 

@@ -10,14 +10,14 @@ static bk_vec3 vector(const float v[3])
     return bk_v3(v[0], v[1], v[2]);
 }
 
-void bake_place_ray(const struct bk_params *params, const struct bake_place *place, bool open,
-                    uint32_t number, float origin[3], float direction[3])
+void bake_viewpoint_ray(const struct bk_params *params, const struct bake_viewpoint *viewpoint,
+                        bool open, uint32_t number, float origin[3], float direction[3])
 {
     const bk_rays kind = bk_rays_of(params, open);
-    const bk_vec3w around =
-        bk_hemisphere(&kind, place->share, vector(place->normal), vector(place->facet), number);
+    const bk_vec3w around = bk_hemisphere(&kind, viewpoint->share, vector(viewpoint->normal),
+                                          vector(viewpoint->facet), number);
     const bk_vec3 d = bk_lane3(&around, 0);
-    memcpy(origin, open ? place->open_from : place->solid_from, 3 * sizeof *origin);
+    memcpy(origin, open ? viewpoint->open_from : viewpoint->solid_from, 3 * sizeof *origin);
     direction[0] = d.x;
     direction[1] = d.y;
     direction[2] = d.z;

@@ -153,17 +153,17 @@ static bool is_marked(const struct bake_seen *seen, uint64_t cell, uint64_t axes
     return false;
 }
 
-/* ---- tiles on a device ---- */
+/* ---- patches on a device ---- */
 
 struct lines {
     float rays[LINES][6], reaches[LINES];
     uint64_t count;
 };
 
-static void trace_lines(const struct bake_surface *surface, const struct bake_tiles *tiles,
+static void trace_lines(const struct bake_surface *surface, const struct bake_patches *patches,
                         struct lines *lines)
 {
-    const struct bk_params *params = tiles->params;
+    const struct bk_params *params = patches->params;
     const bool cage = params->flags & BK_CAGE;
     const struct bake_ray_batch batch = {.rays = (const float(*)[6])lines->rays,
                                          .count = lines->count,
@@ -181,7 +181,7 @@ static void trace_lines(const struct bake_surface *surface, const struct bake_ti
         for (int k = 0; k < 3; k++)
             position[k] = (ray[k] + hits[i].t * ray[3 + k]) * params->unit;
         if (hits[i].found)
-            mark(tiles->seen, position, hits[i].normal, params->flags & BK_TWO_SIDED);
+            mark(patches->seen, position, hits[i].normal, params->flags & BK_TWO_SIDED);
     }
     lines->count = 0;
 }
@@ -192,33 +192,33 @@ static uint32_t first_of(uint32_t at, uint32_t stride)
     return (stride - at % stride) % stride;
 }
 
-void bake_seen_mark_tile(const struct bake_surface *surface, const struct bake_tiles *tiles,
-                         const struct bk_tile *tile, const uint32_t *samples)
+void bake_seen_mark_patch(const struct bake_surface *surface, const struct bake_patches *patches,
+                          const struct bk_patch *patch, const uint32_t *samples)
 {
-    const struct bk_params *params = tiles->params;
-    const uint32_t n = params->samples, stride = tiles->seen->stride;
-    const uint32_t width = tile->width * n, height = tile->height * n;
+    const struct bk_params *params = patches->params;
+    const uint32_t n = params->samples, stride = patches->seen->stride;
+    const uint32_t width = patch->width * n, height = patch->height * n;
     struct lines lines = {.count = 0};
-    for (uint32_t j = first_of(tile->y * n, stride); j < height; j += stride)
-        for (uint32_t i = first_of(tile->x * n, stride); i < width; i += stride) {
+    for (uint32_t j = first_of(patch->y * n, stride); j < height; j += stride)
+        for (uint32_t i = first_of(patch->x * n, stride); i < width; i += stride) {
             const uint64_t index = (uint64_t)j * width + i;
             if (samples[index] == BK_NO_TRIANGLE)
                 continue;
-            const struct bk_triangle *triangle = &tiles->triangles[samples[index]];
-            bk_point point = bk_point_at(triangle, bk_sample_place(tile->x + i / n, i % n, n),
-                                         bk_sample_place(tile->y + j / n, j % n, n));
+            const struct bk_triangle *triangle = &patches->triangles[samples[index]];
+            bk_point point = bk_point_at(triangle, bk_sample_position(patch->x + i / n, i % n, n),
+                                         bk_sample_position(patch->y + j / n, j % n, n));
             bk_set_lane3(&point.direction, 0,
                          bk_skewed(triangle, bk_lane3(&point.direction, 0),
-                                   bk_sample_skew(params, tile, samples, index)));
+                                   bk_sample_skew(params, patch, samples, index)));
             const bk_start start = bk_start_at(params, &point);
             float *ray = lines.rays[lines.count];
             bk_copy_lane(&start.origin, 0, ray);
             bk_copy_lane(&start.direction, 0, ray + 3);
             lines.reaches[lines.count++] = start.reach;
             if (lines.count == LINES)
-                trace_lines(surface, tiles, &lines);
+                trace_lines(surface, patches, &lines);
         }
-    trace_lines(surface, tiles, &lines);
+    trace_lines(surface, patches, &lines);
 }
 
 /* ---- areas ---- */

@@ -113,7 +113,7 @@ uint64_t bake_surface_capacity(const struct bake_surface *surface, uint64_t more
 
 /* Returns the place of a point of the index space on a Hilbert curve through the scans; 33 bits.
  * Batches of rays that follow the curve cross few chunks. */
-uint64_t bake_surface_curve_place(const struct bake_surface *surface, const float point[3]);
+uint64_t bake_surface_curve_index(const struct bake_surface *surface, const float point[3]);
 
 /* ---- secondary rays ---- */
 
@@ -159,23 +159,23 @@ void bake_seen_free(struct bake_seen *seen); /* NULL is allowed */
  * work. */
 int bake_seen_mark_hits(const struct bake_surface *surface, struct bake_seen *seen,
                         const struct bake_exact_batch *batch);
-/* Traces some samples of a tile, of a grid alone, and marks their hits. Thread-safe. */
-void bake_seen_mark_tile(const struct bake_surface *surface, const struct bake_tiles *tiles,
-                         const struct bk_tile *tile, const uint32_t *samples);
+/* Traces some samples of a patch, of a grid alone, and marks their hits. Thread-safe. */
+void bake_seen_mark_patch(const struct bake_surface *surface, const struct bake_patches *patches,
+                          const struct bk_patch *patch, const uint32_t *samples);
 /* Sets the report's seen_cell, unseen and unseen_inside, unless `seen` is NULL or overflowed. */
 void bake_seen_report(const struct bake_seen *seen, const struct bake_surface *surface,
                       const struct bake_lowmesh *mesh, struct bake_report *report);
 
 /* ---- maps ---- */
 
-/* Trace and resolve all tiles of a map into its image: on a device, of the only scan, a grid; or in
- * batches of rays, on the processor. tiles->triangles are in the surface's index space,
- * tiles->params are the surface's. object_of: of each triangle; NULL unless surface->sees is set.
- * Add to the report what bake_tile_workers_end() adds, and passes. Errors: those of the
+/* Trace and resolve all patches of a map into its image: on a device, of the only scan, a grid; or
+ * in batches of rays, on the processor. patches->triangles are in the surface's index space,
+ * patches->params are the surface's. object_of: of each triangle; NULL unless surface->sees is set.
+ * Add to the report what bake_patch_workers_end() adds, and passes. Errors: those of the
  * device, bake_surface_trace() and bake_image_write(). */
-int bake_trace_grid_tiles(const struct bake_surface *surface, struct bake_device *device,
-                          const struct bake_tiles *tiles, struct bake_report *report);
-int bake_trace_ray_tiles(const struct bake_surface *surface, const struct bake_tiles *tiles,
-                         const uint32_t *object_of, struct bake_report *report);
+int bake_trace_grid_patches(const struct bake_surface *surface, struct bake_device *device,
+                            const struct bake_patches *patches, struct bake_report *report);
+int bake_trace_ray_patches(const struct bake_surface *surface, const struct bake_patches *patches,
+                           const uint32_t *object_of, struct bake_report *report);
 
 #endif

@@ -25,13 +25,13 @@ struct bake_look {
 struct view {
     struct bake_look *look;
     const struct bake_look_hits *hits;
-    uint64_t first, count;       /* of the hits whose states are known */
-    uint32_t scan;               /* the current one */
-    struct bake_places places;   /* for the current scan */
-    struct bk_surroundings *out; /* of all hits */
+    uint64_t first, count;             /* of the hits whose states are known */
+    uint32_t scan;                     /* the current one */
+    struct bake_viewpoints viewpoints; /* for the current scan */
+    struct bk_surroundings *out;       /* of all hits */
 };
 
-/* ---- places ---- */
+/* ---- viewpoints ---- */
 
 /* Returns whether the ray of a hit sees a scan. */
 static bool sees(const struct view *view, uint64_t index, uint32_t scan)
@@ -52,9 +52,9 @@ static double lift_of(const struct bake_surface *surface, uint32_t scan)
                  : (double)BK_LIFT * surface->scans[scan].unit;
 }
 
-/* Sets the place of a hit in a space given by its origin and its unit. */
-static void set_place(const struct view *view, uint64_t index, const double translation[3],
-                      double unit, double lift, struct bake_place *out)
+/* Sets the viewpoint of a hit in a space given by its origin and its unit. */
+static void set_viewpoint(const struct view *view, uint64_t index, const double translation[3],
+                          double unit, double lift, struct bake_viewpoint *out)
 {
     const struct bake_surface *surface = view->look->surface;
     const struct bake_exact_ray *ray = &view->hits->rays[index];
@@ -74,7 +74,7 @@ static void set_place(const struct view *view, uint64_t index, const double tran
     out->share = view->hits->shares[index];
 }
 
-static bool get_place(const void *arg, uint64_t index, struct bake_place *out)
+static bool get_viewpoint(const void *arg, uint64_t index, struct bake_viewpoint *out)
 {
     const struct view *view = arg;
     const struct bake_surface *surface = view->look->surface;
@@ -82,8 +82,8 @@ static bool get_place(const void *arg, uint64_t index, struct bake_place *out)
     const struct bake_exact_hit *hit = &view->hits->hits[view->first + index];
     if (hit->triangle == BAKE_EXACT_NONE || !sees(view, view->first + index, view->scan))
         return false;
-    set_place(view, view->first + index, scan->translation, scan->unit,
-              fmax(lift_of(surface, view->scan), lift_of(surface, hit->scan)), out);
+    set_viewpoint(view, view->first + index, scan->translation, scan->unit,
+                  fmax(lift_of(surface, view->scan), lift_of(surface, hit->scan)), out);
     return true;
 }
 
@@ -94,11 +94,11 @@ static int look_task(void *arg, uint64_t task, unsigned worker)
     (void)worker;
     const struct view *view = arg;
     const struct bake_scan *scan = &view->look->surface->scans[view->scan];
-    const struct bake_places *places = &view->places;
-    const uint64_t begin = task * HITS_A_TASK, left = places->count - begin;
+    const struct bake_viewpoints *viewpoints = &view->viewpoints;
+    const uint64_t begin = task * HITS_A_TASK, left = viewpoints->count - begin;
     const uint64_t end = begin + (left < HITS_A_TASK ? left : HITS_A_TASK);
-    const double each = (double)places->progress / (double)places->count;
-    bake_trace_places(&scan->grid, &scan->params, places, begin, end, &view->look->states);
+    const double each = (double)viewpoints->progress / (double)viewpoints->count;
+    bake_trace_viewpoints(&scan->grid, &scan->params, viewpoints, begin, end, &view->look->states);
     bsq_progress_add(scan->ctx, (uint64_t)(each * (double)end) - (uint64_t)(each * (double)begin));
     return 0;
 }
@@ -110,7 +110,7 @@ static int look_at_triangles(struct view *view, const struct bake_scan *scan)
     int status = 0;
     if (!exact)
         BSQ_TRY(bake_exact_look_create(scan->exact, &scan->params, &exact));
-    status = bake_exact_look_from(exact, &view->places, &look->states);
+    status = bake_exact_look_from(exact, &view->viewpoints, &look->states);
 done:
     if (!look->kept)
         bake_exact_look_free(exact);
@@ -120,11 +120,11 @@ done:
 static int look_at_scan(struct view *view, uint64_t progress)
 {
     const struct bake_scan *scan = &view->look->surface->scans[view->scan];
-    view->places = (struct bake_places){.get = get_place,
-                                        .arg = view,
-                                        .count = view->count,
-                                        .unit = scan->unit,
-                                        .progress = progress};
+    view->viewpoints = (struct bake_viewpoints){.get = get_viewpoint,
+                                                .arg = view,
+                                                .count = view->count,
+                                                .unit = scan->unit,
+                                                .progress = progress};
     return scan->exact ? look_at_triangles(view, scan)
                        : bsq_parallel_for(scan->ctx, (view->count + HITS_A_TASK - 1) / HITS_A_TASK,
                                           look_task, view);
@@ -144,8 +144,8 @@ static double leaving(const float origin[3], const float direction[3], const dou
     return t;
 }
 
-/* Returns what is known of ray `number` of a place, as bk_look() returns it. A ray into the solid
- * that leaves the bounds of all scans within its limit has missed the solid's other side. */
+/* Returns what is known of ray `number` of a viewpoint, as bk_look() returns it. A ray into the
+ * solid that leaves the bounds of all scans within its limit has missed the solid's other side. */
 static float found_by(const struct bake_ray_states *states, const bk_rays *kind, uint64_t index,
                       uint32_t number, double leaves)
 {
@@ -157,17 +157,18 @@ static float found_by(const struct bake_ray_states *states, const bk_rays *kind,
     return kind->open || leaves < (double)kind->limit ? -1.0f : kind->limit;
 }
 
-/* Sums what the rays of a place found. index: of its state. low, high: bounds of all scans that it
- * sees. The place, the bounds and the lengths of params are in world units. */
-static struct bk_surroundings sum_rays(const struct bake_look *look, const struct bake_place *place,
-                                       uint64_t index, const double low[3], const double high[3])
+/* Sums what the rays of a viewpoint found. index: of its state. low, high: bounds of all scans that
+ * it sees. The viewpoint, the bounds and the lengths of params are in world units. */
+static struct bk_surroundings sum_rays(const struct bake_look *look,
+                                       const struct bake_viewpoint *viewpoint, uint64_t index,
+                                       const double low[3], const double high[3])
 {
     struct bk_surroundings sums = bk_no_surroundings();
     for (uint32_t open = 2; open-- > 0;) {
         const bk_rays kind = bk_rays_of(&look->params, open);
         for (uint32_t r = 0; r < kind.count; r++) {
             float from[3], d[3];
-            bake_place_ray(&look->params, place, open, r, from, d);
+            bake_viewpoint_ray(&look->params, viewpoint, open, r, from, d);
             const double leaves = open ? 0 : leaving(from, d, low, high);
             bk_add_looks(&look->params, &kind, 1, found_by(&look->states, &kind, index, r, leaves),
                          bk_v3w(d[0], d[1], d[2]), &sums);
@@ -188,7 +189,7 @@ static int sum_task(void *arg, uint64_t task, unsigned worker)
     for (uint64_t i = begin; i < begin + (left < HITS_A_TASK ? left : HITS_A_TASK); i++) {
         const uint64_t index = view->first + i;
         double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
-        struct bake_place place;
+        struct bake_viewpoint viewpoint;
         view->out[index] = bk_no_surroundings();
         if (view->hits->hits[index].triangle == BAKE_EXACT_NONE)
             continue;
@@ -197,14 +198,14 @@ static int sum_task(void *arg, uint64_t task, unsigned worker)
                 low[k] = fmin(low[k], surface->scans[s].scan_min[k] - surface->translation[k]);
                 high[k] = fmax(high[k], surface->scans[s].scan_max[k] - surface->translation[k]);
             }
-        set_place(view, index, surface->translation, 1, 0, &place);
-        view->out[index] = sum_rays(view->look, &place, i, low, high);
+        set_viewpoint(view, index, surface->translation, 1, 0, &viewpoint);
+        view->out[index] = sum_rays(view->look, &viewpoint, i, low, high);
         view->out[index].thickness /= (float)surface->unit;
     }
     return 0;
 }
 
-/* Forgets what is known of the first `count` places. */
+/* Forgets what is known of the first `count` viewpoints. */
 static void clear_states(struct bake_ray_states *states, uint64_t count)
 {
     memset(states->hidden, 0, count * states->words * sizeof *states->hidden);

@@ -237,7 +237,7 @@ uint64_t bake_surface_capacity(const struct bake_surface *surface, uint64_t more
     return least < 1 ? 1 : least;
 }
 
-uint64_t bake_surface_curve_place(const struct bake_surface *surface, const float point[3])
+uint64_t bake_surface_curve_index(const struct bake_surface *surface, const float point[3])
 {
     float low[3];
     double side = 0;
@@ -245,5 +245,5 @@ uint64_t bake_surface_curve_place(const struct bake_surface *surface, const floa
         low[k] = (float)((surface->scan_min[k] - surface->translation[k]) / surface->unit);
         side = fmax(side, (surface->scan_max[k] - surface->scan_min[k]) / surface->unit);
     }
-    return bake_exact_curve_place(point, low, side);
+    return bake_exact_curve_index(point, low, side);
 }

@@ -21,8 +21,8 @@ struct bench {
     struct rays_occluder *embree;
     unsigned rounds;
     struct bk_grid grid;
-    float (*rays)[6]; /* of a tile */
-    /* Sums over all tiles: number of rays; for each way, seconds and rays that hit. */
+    float (*rays)[6]; /* of a patch */
+    /* Sums over all patches: number of rays; for each way, seconds and rays that hit. */
     uint64_t count, total, hidden[RAYS_WAYS];
     double seconds[RAYS_WAYS];
 };
@@ -119,7 +119,7 @@ static void add_rays(struct bench *bench, const bk_grid *grid, bk_cache *cache, 
     }
 }
 
-static int trace_tile(void *arg, const struct rays_tile *tile)
+static int trace_patch(void *arg, const struct rays_patch *patch)
 {
     struct bench *bench = arg;
     const uint32_t n = bench->scene.samples;
@@ -127,14 +127,14 @@ static int trace_tile(void *arg, const struct rays_tile *tile)
     struct rays_cost cost;
     bk_cache cache = bk_cache_empty();
     bench->count = 0;
-    for (uint32_t row = 0; row < tile->tile.height * n; row++)
-        for (uint32_t column = 0; column < tile->tile.width * n; column++) {
+    for (uint32_t row = 0; row < patch->patch.height * n; row++)
+        for (uint32_t column = 0; column < patch->patch.width * n; column++) {
             const uint32_t triangle =
-                tile->sample_triangles[(uint64_t)row * tile->tile.width * n + column];
+                patch->sample_triangles[(uint64_t)row * patch->patch.width * n + column];
             if (triangle != BK_NO_TRIANGLE)
                 add_rays(bench, &bench->grid, &cache, triangle,
-                         bk_sample_place(tile->tile.x + column / n, column % n, n),
-                         bk_sample_place(tile->tile.y + row / n, row % n, n));
+                         bk_sample_position(patch->patch.x + column / n, column % n, n),
+                         bk_sample_position(patch->patch.y + row / n, row % n, n));
         }
     for (int way = 0; way < RAYS_WAYS; way++) {
         if (!rays_can_occlude(bench->embree, way))
@@ -151,7 +151,7 @@ static int trace_tile(void *arg, const struct rays_tile *tile)
 
 static int trace_with_embree(struct bench *bench)
 {
-    const uint64_t most = (uint64_t)bench->scene.job.tile_texels * bench->scene.samples *
+    const uint64_t most = (uint64_t)bench->scene.job.patch_texels * bench->scene.samples *
                           bench->scene.samples * bench->scene.job.params.open_rays;
     bench->total = 0;
     memset(bench->hidden, 0, sizeof bench->hidden);
@@ -159,7 +159,7 @@ static int trace_with_embree(struct bench *bench)
     bake_kernel_grid(bench->scene.job.grid, &bench->scene.job.params, &bench->grid);
     int status = bsq_alloc(bench->ctx, "rays", most, sizeof *bench->rays, &bench->rays);
     if (status == 0)
-        status = rays_for_tiles(&bench->scene, trace_tile, bench);
+        status = rays_for_patches(&bench->scene, trace_patch, bench);
     bsq_free(bench->ctx, bench->rays);
     return status;
 }

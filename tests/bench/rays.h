@@ -14,7 +14,7 @@ struct rays_scene {
     struct bake_raster *raster;
     struct bk_triangle *triangles;
     struct bake_job job;
-    uint32_t tile_size, tile_count, samples;
+    uint32_t patch_side, patch_count, samples;
     uint64_t count; /* ray pairs; set by rays_trace() */
 };
 
@@ -22,7 +22,7 @@ struct rays_scene {
 struct rays_cost {
     double wall, processor; /* seconds; processor: of all threads */
     uint64_t hits;
-    uint64_t checksum; /* of the texels' bytes, tile by tile */
+    uint64_t checksum; /* of the texels' bytes, patch by patch */
 };
 
 /* Opens the files. size: side of the map in texels. Errors: those of bake_run(). Close *out also
@@ -31,16 +31,16 @@ int rays_open(struct bsq_ctx *ctx, const char *scan, const char *mesh, uint32_t 
               uint32_t samples, struct rays_scene *out);
 void rays_close(struct rays_scene *scene);
 
-struct rays_tile {
+struct rays_patch {
     uint32_t index;
     unsigned worker;
-    struct bk_tile tile;
+    struct bk_patch patch;
     const uint32_t *sample_triangles;
-    float *texels; /* scratch for the tile */
+    float *texels; /* scratch for the patch */
 };
-/* Calls fn for each tile, on all threads. Stops at the first failure, and returns it. */
-int rays_for_tiles(struct rays_scene *scene, int (*fn)(void *arg, const struct rays_tile *tile),
-                   void *arg);
+/* Calls fn for each patch, on all threads. Stops at the first failure, and returns it. */
+int rays_for_patches(struct rays_scene *scene, int (*fn)(void *arg, const struct rays_patch *patch),
+                     void *arg);
 
 /* Begin and end counting the cost, from 0. */
 void rays_cost_begin(struct rays_cost *cost);

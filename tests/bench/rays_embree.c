@@ -133,20 +133,20 @@ static bool trace_pair(const struct embree *embree, uint32_t triangle, float x, 
     return intersect(embree->rtc, point.position, back, t, true, &unused) || found;
 }
 
-static int trace_tile(void *arg, const struct rays_tile *tile)
+static int trace_patch(void *arg, const struct rays_patch *patch)
 {
     const struct embree *embree = arg;
     const uint32_t n = embree->scene->samples;
-    struct tally *tally = &embree->tallies[tile->worker];
-    for (uint32_t row = 0; row < tile->tile.height * n; row++)
-        for (uint32_t column = 0; column < tile->tile.width * n; column++) {
+    struct tally *tally = &embree->tallies[patch->worker];
+    for (uint32_t row = 0; row < patch->patch.height * n; row++)
+        for (uint32_t column = 0; column < patch->patch.width * n; column++) {
             const uint32_t triangle =
-                tile->sample_triangles[(uint64_t)row * tile->tile.width * n + column];
+                patch->sample_triangles[(uint64_t)row * patch->patch.width * n + column];
             if (triangle == BK_NO_TRIANGLE)
                 continue;
-            tally->hits += trace_pair(embree, triangle,
-                                      bk_sample_place(tile->tile.x + column / n, column % n, n),
-                                      bk_sample_place(tile->tile.y + row / n, row % n, n));
+            tally->hits += trace_pair(
+                embree, triangle, bk_sample_position(patch->patch.x + column / n, column % n, n),
+                bk_sample_position(patch->patch.y + row / n, row % n, n));
         }
     return 0;
 }
@@ -159,7 +159,7 @@ static int trace(struct rays_scene *scene, RTCScene rtc, struct rays_cost *cost)
     if (status < 0)
         return status;
     rays_cost_begin(cost);
-    status = rays_for_tiles(scene, trace_tile, &embree);
+    status = rays_for_patches(scene, trace_patch, &embree);
     rays_cost_end(cost);
     for (unsigned w = 0; w < bsq_threads(scene->ctx); w++)
         cost->hits += embree.tallies[w].hits;

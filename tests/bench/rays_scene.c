@@ -1,4 +1,4 @@
-/* rays_scene.c - prepares rays as bisque-bake does, and traces them tile by tile. */
+/* rays_scene.c - prepares rays as bisque-bake does, and traces them patch by patch. */
 #include <string.h>
 #include <sys/resource.h>
 #include <xxhash.h>
@@ -23,11 +23,11 @@ static int choose_distances(struct rays_scene *scene)
 
 static int make_raster(struct rays_scene *scene, uint32_t size)
 {
-    scene->tile_size = bake_tile_size(scene->ctx, size, size, scene->samples, 0);
+    scene->patch_side = bake_patch_side(scene->ctx, size, size, scene->samples, 0);
     const struct bake_raster_options options = {.width = size,
                                                 .height = size,
                                                 .samples = scene->samples,
-                                                .tile_size = scene->tile_size,
+                                                .patch_side = scene->patch_side,
                                                 .count = scene->mesh.triangle_count};
     struct bake_raster_report report = {0};
     int status = bake_raster_create(scene->ctx, &scene->mesh, &options, &report, &scene->raster);
@@ -38,7 +38,7 @@ static int make_raster(struct rays_scene *scene, uint32_t size)
         return status;
     bake_raster_kernel_triangles(scene->raster, scene->surface.translation, scene->surface.unit,
                                  scene->triangles);
-    scene->tile_count = bake_raster_tile_count(scene->raster);
+    scene->patch_count = bake_raster_patch_count(scene->raster);
     return 0;
 }
 
@@ -66,7 +66,7 @@ int rays_open(struct bsq_ctx *ctx, const char *scan, const char *mesh, uint32_t 
     out->job.grid = &out->surface.scans->grid;
     out->job.triangles = out->triangles;
     out->job.triangle_count = (uint32_t)out->mesh.triangle_count;
-    out->job.tile_texels = out->tile_size * out->tile_size;
+    out->job.patch_texels = out->patch_side * out->patch_side;
     return status;
 }
 
@@ -78,39 +78,40 @@ void rays_close(struct rays_scene *scene)
     bake_surface_close(&scene->surface);
 }
 
-/* ---- tiles ---- */
+/* ---- patches ---- */
 
-struct tile_loop {
+struct patch_loop {
     struct rays_scene *scene;
     uint32_t **sample_triangles; /* one per worker */
     float **texels;
-    int (*fn)(void *arg, const struct rays_tile *tile);
+    int (*fn)(void *arg, const struct rays_patch *patch);
     void *arg;
 };
 
-static int do_tile(void *arg, uint64_t index, unsigned worker)
+static int do_patch(void *arg, uint64_t index, unsigned worker)
 {
-    struct tile_loop *loop = arg;
+    struct patch_loop *loop = arg;
     uint64_t overlaps;
-    const struct rays_tile tile = {.index = (uint32_t)index,
-                                   .worker = worker,
-                                   .tile = bake_raster_tile(loop->scene->raster, (uint32_t)index),
-                                   .sample_triangles = loop->sample_triangles[worker],
-                                   .texels = loop->texels[worker]};
+    const struct rays_patch patch = {.index = (uint32_t)index,
+                                     .worker = worker,
+                                     .patch =
+                                         bake_raster_patch(loop->scene->raster, (uint32_t)index),
+                                     .sample_triangles = loop->sample_triangles[worker],
+                                     .texels = loop->texels[worker]};
     int status = bake_raster_fill(loop->scene->raster, (uint32_t)index,
                                   loop->sample_triangles[worker], &overlaps);
     if (status < 0)
         return status;
-    return loop->fn(loop->arg, &tile);
+    return loop->fn(loop->arg, &patch);
 }
 
-int rays_for_tiles(struct rays_scene *scene, int (*fn)(void *arg, const struct rays_tile *tile),
-                   void *arg)
+int rays_for_patches(struct rays_scene *scene, int (*fn)(void *arg, const struct rays_patch *patch),
+                     void *arg)
 {
     struct bsq_ctx *ctx = scene->ctx;
     const unsigned threads = bsq_threads(ctx);
-    const uint64_t texels = scene->job.tile_texels;
-    struct tile_loop loop = {.scene = scene, .fn = fn, .arg = arg};
+    const uint64_t texels = scene->job.patch_texels;
+    struct patch_loop loop = {.scene = scene, .fn = fn, .arg = arg};
     int status = bsq_calloc(ctx, "workers", threads, sizeof(void *), &loop.sample_triangles);
     if (status == 0)
         status = bsq_calloc(ctx, "workers", threads, sizeof(void *), &loop.texels);
@@ -123,7 +124,7 @@ int rays_for_tiles(struct rays_scene *scene, int (*fn)(void *arg, const struct r
                           bk_texel_floats(scene->job.params.maps) * sizeof(float), &loop.texels[w]);
     }
     if (status == 0)
-        status = bsq_parallel_for(ctx, scene->tile_count, do_tile, &loop);
+        status = bsq_parallel_for(ctx, scene->patch_count, do_patch, &loop);
     for (unsigned w = 0; w < threads; w++) {
         if (loop.sample_triangles)
             bsq_free(ctx, loop.sample_triangles[w]);
@@ -147,22 +148,22 @@ struct device_loop {
     uint32_t texel_floats;
 };
 
-static int trace_tile(void *arg, const struct rays_tile *tile)
+static int trace_patch(void *arg, const struct rays_patch *patch)
 {
     struct device_loop *loop = arg;
-    struct device_tally *tally = &loop->tallies[tile->worker];
-    const uint64_t count = (uint64_t)tile->tile.width * tile->tile.height;
+    struct device_tally *tally = &loop->tallies[patch->worker];
+    const uint64_t count = (uint64_t)patch->patch.width * patch->patch.height;
     const uint32_t floats = loop->texel_floats;
-    int status = bake_device_trace(loop->device, &tile->tile, tile->sample_triangles, tile->texels,
-                                   tile->worker);
+    int status = bake_device_trace(loop->device, &patch->patch, patch->sample_triangles,
+                                   patch->texels, patch->worker);
     if (status < 0)
         return status;
     for (uint64_t i = 0; i < count; i++) {
-        tally->samples += (uint64_t)tile->texels[i * floats + BK_COVERED];
-        tally->hits += (uint64_t)tile->texels[i * floats + BK_HITS];
+        tally->samples += (uint64_t)patch->texels[i * floats + BK_COVERED];
+        tally->hits += (uint64_t)patch->texels[i * floats + BK_HITS];
     }
     tally->checksum +=
-        XXH3_64bits_withSeed(tile->texels, count * floats * sizeof(float), tile->index);
+        XXH3_64bits_withSeed(patch->texels, count * floats * sizeof(float), patch->index);
     return 0;
 }
 
@@ -194,7 +195,7 @@ int rays_trace(struct rays_scene *scene, struct bake_device *device, struct rays
     if (status < 0)
         return status;
     rays_cost_begin(cost);
-    status = rays_for_tiles(scene, trace_tile, &loop);
+    status = rays_for_patches(scene, trace_patch, &loop);
     rays_cost_end(cost);
     scene->count = 0;
     for (unsigned w = 0; w < threads; w++) {

@@ -178,7 +178,7 @@ if "$BIN/bisque-bake" --list devices | grep -q '^opencl:0 '; then
 else
     echo "# skipped: a skew map on OpenCL: there is no OpenCL device"
 fi
-# Secondary rays make a tile of the raster so dear that it is traced in bands of rows. Maps without
+# Secondary rays make a patch of the raster so dear that it is traced in bands of rows. Maps without
 # them, of the same tile in one band, have the same bytes.
 bands="$bake --size 256 --samples 2 --device cpu --front 0.5 --skew grey.pgm box.nvdb hard.obj"
 ok $bands --maps height,normal -o 'whole_<MAP>.exr'

@@ -94,7 +94,7 @@ bool fake_is_locked(const void *memory, size_t bytes);
 struct arguments {
     CUdeviceptr arrays[9];
     bk_params params;
-    bk_tile tile;
+    bk_patch patch;
     bk_uint first_row, end_row, first_line, end_line;
     CUdeviceptr samples, texels;
 };

@@ -9,7 +9,7 @@
 
 /* Sizes of a launch's arguments. */
 static const size_t argument_bytes[] = {
-    8, 8, 8, 8, 8, 8, 8, 8, 8, sizeof(bk_params), sizeof(bk_tile), 4, 4, 4, 4, 8, 8};
+    8, 8, 8, 8, 8, 8, 8, 8, 8, sizeof(bk_params), sizeof(bk_patch), 4, 4, 4, 4, 8, 8};
 enum { ARGUMENTS = sizeof argument_bytes / sizeof argument_bytes[0] };
 
 static struct ptx *ptx; /* NULL: runs the kernel as C */
@@ -19,7 +19,7 @@ static void place_arguments(struct arguments *a, void *to[ARGUMENTS])
 {
     void *const places[ARGUMENTS] = {
         &a->arrays[0], &a->arrays[1],  &a->arrays[2], &a->arrays[3], &a->arrays[4], &a->arrays[5],
-        &a->arrays[6], &a->arrays[7],  &a->arrays[8], &a->params,    &a->tile,      &a->first_row,
+        &a->arrays[6], &a->arrays[7],  &a->arrays[8], &a->params,    &a->patch,     &a->first_row,
         &a->end_row,   &a->first_line, &a->end_line,  &a->samples,   &a->texels};
 
     memcpy(to, places, sizeof places);
@@ -52,12 +52,12 @@ static void run_c(const struct work *work)
             bk_cache cache = bk_cache_empty();
             bk_uint row = a->first_row + y;
             float *to =
-                texels + ((size_t)row * a->tile.width + x) * bk_texel_floats(a->params.maps);
-            if (x >= a->tile.width || row >= a->end_row)
+                texels + ((size_t)row * a->patch.width + x) * bk_texel_floats(a->params.maps);
+            if (x >= a->patch.width || row >= a->end_row)
                 continue;
             if (a->first_line == 0)
                 bk_clear_texel(a->params.maps, to);
-            bk_sample_texel(&grid, &a->params, &cache, ARRAY(bk_triangle, 8), &a->tile, samples, x,
+            bk_sample_texel(&grid, &a->params, &cache, ARRAY(bk_triangle, 8), &a->patch, samples, x,
                             row, a->first_line, a->end_line, to);
         }
 }
@@ -95,7 +95,7 @@ void fake_run_kernel(const struct work *work)
         uint64_t lines = (uint64_t)(a->end_row - a->first_row) * (a->end_line - a->first_line);
         pthread_mutex_lock(&fake.lock);
         fake.virtual_now +=
-            fake.sample_seconds * (double)(lines * a->tile.width * a->params.samples);
+            fake.sample_seconds * (double)(lines * a->patch.width * a->params.samples);
         pthread_mutex_unlock(&fake.lock);
     }
 }
@@ -103,7 +103,7 @@ void fake_run_kernel(const struct work *work)
 /* Returns whether the entry's parameters have the sizes of argument_bytes. */
 static int entry_fits(const char *kernel)
 {
-    const char *at = strstr(kernel, ".entry bake_tile(");
+    const char *at = strstr(kernel, ".entry bake_patch(");
     const char *end = at ? strchr(at, ')') : NULL;
 
     for (int i = 0; i < ARGUMENTS; i++) {
@@ -139,7 +139,7 @@ CUresult cuModuleLoadDataEx(CUmodule *module, const void *image, unsigned count,
             strcpy(log, "ptxas fatal\nnot for this GPU");
         return INVALID_PTX;
     }
-    if (fake.runs_ptx && !(ptx = ptx_read(image, "bake_tile")))
+    if (fake.runs_ptx && !(ptx = ptx_read(image, "bake_patch")))
         return INVALID_PTX;
     *module = (CUmodule)&fake;
     fake_count_live(1);
@@ -159,7 +159,7 @@ CUresult cuModuleGetFunction(CUfunction *function, CUmodule module, const char *
 {
     BEGIN_IN_CONTEXT;
     *function = (CUfunction)module;
-    return strcmp(name, "bake_tile") == 0 ? CUDA_SUCCESS : NOT_FOUND;
+    return strcmp(name, "bake_patch") == 0 ? CUDA_SUCCESS : NOT_FOUND;
 }
 
 /* Takes memory for spilled registers at the first launch, and advances the clock. */

@@ -1,5 +1,5 @@
 /* fuzz_lowmesh.c - fuzz target for low-poly meshes: each mesh that loads has tangent frames of unit
- * vectors, and can be rasterised in small tiles with several samples a texel. */
+ * vectors, and can be rasterised in small patches with several samples a texel. */
 #include "tests/fuzz/fuzz_file.h"
 
 #include <math.h>
@@ -7,7 +7,7 @@
 #include "libbake/raster/raster.h"
 #include "libbake/udim/udim.h"
 
-enum { SIDE = 12, SAMPLES = 2, TILE = 5 };
+enum { SIDE = 12, SAMPLES = 2, PATCH = 5 };
 
 static float length(const float v[3])
 {
@@ -30,18 +30,18 @@ static void check_mesh(const struct bake_lowmesh *mesh)
         }
 }
 
-static void check_tile(const struct bake_raster *raster, const struct bake_lowmesh *mesh,
-                       uint32_t index)
+static void check_patch(const struct bake_raster *raster, const struct bake_lowmesh *mesh,
+                        uint32_t index)
 {
-    uint32_t samples[TILE * TILE * SAMPLES * SAMPLES];
-    struct bk_tile tile = bake_raster_tile(raster, index);
+    uint32_t samples[PATCH * PATCH * SAMPLES * SAMPLES];
+    struct bk_patch patch = bake_raster_patch(raster, index);
     uint64_t overlaps = 0;
-    require(tile.width > 0 && tile.width <= TILE && tile.x + tile.width <= SIDE,
-            "a tile is out of range");
-    require(tile.height > 0 && tile.height <= TILE && tile.y + tile.height <= SIDE - 1,
-            "a tile is out of range");
+    require(patch.width > 0 && patch.width <= PATCH && patch.x + patch.width <= SIDE,
+            "a patch is out of range");
+    require(patch.height > 0 && patch.height <= PATCH && patch.y + patch.height <= SIDE - 1,
+            "a patch is out of range");
     require(bake_raster_fill(raster, index, samples, &overlaps) == 0, "rasterising failed");
-    for (uint32_t i = 0; i < tile.width * tile.height * SAMPLES * SAMPLES; i++)
+    for (uint32_t i = 0; i < patch.width * patch.height * SAMPLES * SAMPLES; i++)
         require(samples[i] == BK_NO_TRIANGLE || samples[i] < mesh->triangle_count,
                 "a sample's triangle is out of range");
 }
@@ -51,7 +51,7 @@ static int rasterise(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh)
     const struct bake_raster_options options = {.width = SIDE,
                                                 .height = SIDE - 1,
                                                 .samples = SAMPLES,
-                                                .tile_size = TILE,
+                                                .patch_side = PATCH,
                                                 .count = mesh->triangle_count};
     const double translation[3] = {0.5, -2, 1e3};
     struct bake_raster_report report;
@@ -62,8 +62,8 @@ static int rasterise(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh)
         return status;
     require(report.degenerate_triangles <= mesh->triangle_count,
             "more triangles are reported than exist");
-    for (uint32_t i = 0; i < bake_raster_tile_count(raster); i++)
-        check_tile(raster, mesh, i);
+    for (uint32_t i = 0; i < bake_raster_patch_count(raster); i++)
+        check_patch(raster, mesh, i);
     status = bsq_alloc(ctx, "triangles", mesh->triangle_count, sizeof *triangles, &triangles);
     if (status == 0)
         bake_raster_kernel_triangles(raster, translation, 0.125, triangles);

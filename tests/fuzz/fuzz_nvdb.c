@@ -13,7 +13,7 @@ static int use(struct bsq_ctx *ctx)
     status = bake_check_grid(ctx, &grid);
     if (status == 0) {
         grid_use_trace(&grid);
-        status = grid_use_trace_tile(ctx, &grid);
+        status = grid_use_trace_patch(ctx, &grid);
         if (status == 0)
             status = grid_use_look_around(ctx, &grid);
     }

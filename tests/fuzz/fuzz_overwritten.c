@@ -58,17 +58,17 @@ static struct bk_grid grid_of(const struct array a[BAKE_SUBGRID_ARRAYS],
     return grid;
 }
 
-/* Traces a tile whose rays run through the whole grid, as a device with its own memory does. */
+/* Traces a patch whose rays run through the whole grid, as a device with its own memory does. */
 static void trace_subgrid(const struct bake_job *job, const struct bake_subgrid *subgrid)
 {
-    const struct bk_tile tile = {.width = SIDE, .height = SIDE};
+    const struct bk_patch patch = {.width = SIDE, .height = SIDE};
     const uint32_t samples[TEXELS] = {0};
     float texels[TEXELS][SUMS];
     struct array arrays[BAKE_SUBGRID_ARRAYS];
     load(subgrid, arrays);
     const struct bk_grid grid = grid_of(arrays, &subgrid->params);
-    bake_native_tile_base(&grid, &subgrid->params, job->triangles, &tile, 0, SIDE, samples,
-                          &(struct bake_native_memory){0}, texels[0]);
+    bake_native_patch_base(&grid, &subgrid->params, job->triangles, &patch, 0, SIDE, samples,
+                           &(struct bake_native_memory){0}, texels[0]);
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
         free(arrays[i].data);
 }
@@ -109,7 +109,7 @@ static int trace_parts(struct bsq_ctx *ctx, const struct bake_job *job)
     return status;
 }
 
-/* Makes a triangle of which a tile's rays start at the grid's lowest corner. */
+/* Makes a triangle of which a patch's rays start at the grid's lowest corner. */
 static void aim(const struct fmt_nvdb_grid *grid, struct bk_triangle *triangle)
 {
     *triangle = (struct bk_triangle){.b1 = {1.0f / SIDE, 0, 0}, .b2 = {0, 1.0f / SIDE, 0}};
@@ -129,7 +129,7 @@ static int trace_devices(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     struct bake_job job = {.grid = grid,
                            .triangles = &triangle,
                            .triangle_count = 1,
-                           .tile_texels = TEXELS,
+                           .patch_texels = TEXELS,
                            .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
                                       .samples = 1,
                                       .unit = 1,
@@ -150,7 +150,7 @@ static int use(struct bsq_ctx *ctx)
     grid_patch_overwrite(input, input_size, &fuzzed_grid);
     grid_use_look_up(&grid);
     grid_use_trace(&grid);
-    status = grid_use_trace_tile(ctx, &grid);
+    status = grid_use_trace_patch(ctx, &grid);
     if (status == 0)
         status = trace_devices(ctx, &grid);
     if (status == 0 && fuzzed_grid.verify)

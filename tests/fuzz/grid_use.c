@@ -1,4 +1,4 @@
-/* grid_use.c - what fuzz targets do with an open grid: lookups, rays and a tile. */
+/* grid_use.c - what fuzz targets do with an open grid: lookups, rays and a patch. */
 #include "tests/fuzz/grid_use.h"
 
 #include <math.h>
@@ -8,7 +8,7 @@
 #include "tests/fuzz/fuzz_file.h"
 #include "tests/grid_lookup.h"
 
-enum { SIDE = 6 }; /* texels of the tile that is traced */
+enum { SIDE = 6 }; /* texels of the patch that is traced */
 
 struct patched_grid fuzzed_grid;
 
@@ -133,22 +133,22 @@ static void make_square(const struct fmt_nvdb_grid *grid, struct bk_triangle tri
     }
 }
 
-/* Makes the samples of a tile: both triangles, and a diagonal without any. */
+/* Makes the samples of a patch: both triangles, and a diagonal without any. */
 static void make_samples(uint32_t samples[SIDE * SIDE])
 {
     for (uint32_t i = 0; i < SIDE * SIDE; i++)
         samples[i] = i % SIDE == i / SIDE ? BK_NO_TRIANGLE : i % SIDE > i / SIDE;
 }
 
-static int trace_tile(struct bsq_ctx *ctx, const struct bake_job *job, const uint32_t *samples,
-                      float *texels)
+static int trace_patch(struct bsq_ctx *ctx, const struct bake_job *job, const uint32_t *samples,
+                       float *texels)
 {
-    const struct bk_tile tile = {.width = SIDE, .height = SIDE};
+    const struct bk_patch patch = {.width = SIDE, .height = SIDE};
     struct bake_device *device;
     int status = bake_device_open(ctx, "cpu", job, &device);
     if (status)
         return status;
-    status = bake_device_trace(device, &tile, samples, texels, 0);
+    status = bake_device_trace(device, &patch, samples, texels, 0);
     bake_device_close(device);
     return status;
 }
@@ -162,7 +162,7 @@ int grid_use_look_around(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
         .grid = grid,
         .triangles = triangles,
         .triangle_count = 2,
-        .tile_texels = SIDE * SIDE,
+        .patch_texels = SIDE * SIDE,
         .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_AO | BAKE_MAP_BENT | BAKE_MAP_THICKNESS,
                    .samples = 1,
                    .unit = 1,
@@ -179,13 +179,13 @@ int grid_use_look_around(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     make_square(grid, triangles);
     make_samples(samples);
     bake_params_from_grid(grid, &job.params);
-    int status = trace_tile(ctx, &job, samples, texels);
+    int status = trace_patch(ctx, &job, samples, texels);
     for (uint32_t i = 0; !status && i < SIDE * SIDE * floats; i++)
         require(isfinite(texels[i]), "a texel that is not finite");
     return status;
 }
 
-int grid_use_trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
+int grid_use_trace_patch(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
 {
     struct bk_triangle triangles[2];
     uint32_t samples[SIDE * SIDE];
@@ -199,7 +199,7 @@ int grid_use_trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     struct bake_job job = {.grid = &used,
                            .triangles = triangles,
                            .triangle_count = 2,
-                           .tile_texels = SIDE * SIDE,
+                           .patch_texels = SIDE * SIDE,
                            .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
                                       .samples = 1,
                                       .unit = 1,
@@ -211,7 +211,7 @@ int grid_use_trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
     make_square(grid, triangles);
     make_samples(samples);
     bake_params_from_grid(&used, &job.params);
-    int status = trace_tile(ctx, &job, samples, texels);
+    int status = trace_patch(ctx, &job, samples, texels);
     for (uint32_t i = 0; !status && i < SIDE * SIDE; i++) {
         const float *texel = texels + (size_t)i * floats;
         require(texel[BK_HITS] <= texel[BK_COVERED] && texel[BK_COVERED] <= 1,

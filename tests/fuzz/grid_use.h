@@ -12,9 +12,9 @@ extern struct patched_grid fuzzed_grid;
 void grid_use_look_up(const struct fmt_nvdb_grid *grid);
 /* Traces rays through the ends of the grid and between them, along axes and askew. */
 void grid_use_trace(const struct fmt_nvdb_grid *grid);
-/* Traces a tile, to run the code for several rays at a time. */
-int grid_use_trace_tile(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
-/* Traces a tile with secondary rays, through the tree of leaves. */
+/* Traces a patch, to run the code for several rays at a time. */
+int grid_use_trace_patch(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
+/* Traces a patch with secondary rays, through the tree of leaves. */
 int grid_use_look_around(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid);
 
 #endif

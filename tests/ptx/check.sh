@@ -35,7 +35,7 @@ assemble()
         return
     fi
     text=$(readelf -SW "$cubin" 2>/dev/null |
-        awk '{ for (i = 1; i < NF; i++) if ($i == ".text.bake_tile") print $(i + 4) }')
+        awk '{ for (i = 1; i < NF; i++) if ($i == ".text.bake_patch") print $(i + 4) }')
     awk -v name="$2 for sm_$3" -v text="$((0x${text:-fffffff}))" -v registers=$registers \
         -v spill=$spill -v stack=$stack -v code=$code '
         { gsub(",", " ") }

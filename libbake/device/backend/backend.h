@@ -36,16 +36,16 @@ struct bake_backend {
      * and subgrids may still fit. */
     bool lacked_memory;
     /* Replaces what a slot holds by a subgrid. One thread calls this at a time; others may trace
-     * tiles from the other slot. NULL: the device reads the mapped file. Failures as for trace().
+     * patches from the other slot. NULL: the device reads the mapped file. Failures as for trace().
      */
     int (*load)(struct bake_backend *backend, unsigned slot, const struct bake_subgrid *subgrid,
                 char *why);
     /* Does what bake_device_trace() does, from one slot. Describes a failure in `why`
      * (BAKE_WHY_BYTES) instead of recording it, since the caller may fall back to another device.
      */
-    int (*trace)(struct bake_backend *backend, unsigned slot, const struct bk_tile *tile,
+    int (*trace)(struct bake_backend *backend, unsigned slot, const struct bk_patch *patch,
                  const uint32_t *sample_triangles, float *texels, unsigned worker, char *why);
-    /* Must not be called while tiles are traced. NULL: the device is the processor. */
+    /* Must not be called while patches are traced. NULL: the device is the processor. */
     void (*times)(struct bake_backend *backend, struct bake_device_times *out);
     void (*close)(struct bake_backend *backend);
 };

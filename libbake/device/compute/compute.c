@@ -1,4 +1,4 @@
-/* compute.c - uploads, tiles and times of devices with memory and streams of their own. */
+/* compute.c - uploads, patches and times of devices with memory and streams of their own. */
 #include "libbake/device/compute/compute.h"
 
 #include <inttypes.h>
@@ -34,8 +34,8 @@ static uint64_t texel_bytes(const struct bake_compute *compute, uint64_t texels)
 
 static uint64_t worker_bytes(const struct bake_compute *compute)
 {
-    return compute->worker_count * (sample_bytes(compute, compute->tile_texels) +
-                                    texel_bytes(compute, compute->tile_texels));
+    return compute->worker_count * (sample_bytes(compute, compute->patch_texels) +
+                                    texel_bytes(compute, compute->patch_texels));
 }
 
 static uint64_t triangle_bytes(const struct bake_job *job)
@@ -64,7 +64,7 @@ static int reserve(struct bake_compute *compute, const char *what, uint64_t byte
 static int share_memory(struct bake_compute *compute, const struct bake_job *job, uint64_t limit,
                         uint64_t buffer_bytes)
 {
-    const uint64_t samples = sample_bytes(compute, compute->tile_texels);
+    const uint64_t samples = sample_bytes(compute, compute->patch_texels);
     const uint64_t triangles = triangle_bytes(job);
     const uint64_t fixed = worker_bytes(compute) + triangles + block_waste(compute);
 
@@ -73,12 +73,12 @@ static int share_memory(struct bake_compute *compute, const struct bake_job *job
     if (triangles > buffer_bytes || samples > buffer_bytes)
         return bsq_fail(compute->ctx, BSQ_ENODEVICE,
                         "%s: the low-poly mesh's triangles take %" PRIu64
-                        " bytes and a tile's samples "
+                        " bytes and a patch's samples "
                         "%" PRIu64 ", a buffer of this device holds %" PRIu64,
                         compute->device_name, triangles, samples, buffer_bytes);
     if (fixed >= limit)
         return bsq_fail(compute->ctx, BSQ_ENODEVICE,
-                        "%s: tiles and the low-poly mesh take %" PRIu64
+                        "%s: patches and the low-poly mesh take %" PRIu64
                         " bytes of the device's memory, "
                         "%" PRIu64 " are allowed: give more, or fewer --threads",
                         compute->device_name, fixed, limit);
@@ -86,7 +86,7 @@ static int share_memory(struct bake_compute *compute, const struct bake_job *job
     compute->base.other_bytes = fixed;
     compute->base.buffer_bytes = buffer_bytes;
     return compute->shares_memory
-               ? reserve(compute, "tiles on a device that shares host memory", fixed)
+               ? reserve(compute, "patches on a device that shares host memory", fixed)
                : 0;
 }
 
@@ -297,7 +297,7 @@ static int compute_load(struct bake_backend *backend, unsigned slot,
     return status;
 }
 
-/* ---- tiles ---- */
+/* ---- patches ---- */
 
 static uint32_t min_u32(uint32_t a, uint32_t b)
 {
@@ -319,20 +319,20 @@ static uint64_t launch_samples(const struct bk_params *params)
 
 static struct bake_failure launch_batches(struct bake_compute *compute, struct bake_stream *stream,
                                           const struct bake_compute_subgrid *subgrid,
-                                          const struct bk_tile *tile)
+                                          const struct bk_patch *patch)
 {
     const uint32_t n = compute->params.samples, lines = launch_lines(&compute->params);
     const uint32_t rows = bake_batch_rows(&stream->sizer, launch_samples(&compute->params),
-                                          tile->width, tile->height);
+                                          patch->width, patch->height);
 
     for (uint32_t line = 0; line < n; line += lines)
-        for (uint32_t row = 0; row < tile->height; row += rows) {
+        for (uint32_t row = 0; row < patch->height; row += rows) {
             const struct bake_launch_batch batch = {.first_row = row,
                                                     .end_row =
-                                                        row + min_u32(rows, tile->height - row),
+                                                        row + min_u32(rows, patch->height - row),
                                                     .first_line = line,
                                                     .end_line = line + min_u32(lines, n - line)};
-            BAKE_TRY_CALL(compute->calls->launch(compute, stream, subgrid, tile, &batch));
+            BAKE_TRY_CALL(compute->calls->launch(compute, stream, subgrid, patch, &batch));
             stream->launches++;
         }
     return BAKE_NO_FAILURE;
@@ -369,21 +369,21 @@ static struct bake_failure open_worker(struct bake_compute *compute, struct bake
 
     BAKE_TRY_CALL(calls->open_stream(compute, stream));
     BAKE_TRY_CALL(
-        calls->allocate(compute, sample_bytes(compute, compute->tile_texels), &stream->samples));
+        calls->allocate(compute, sample_bytes(compute, compute->patch_texels), &stream->samples));
     BAKE_TRY_CALL(
-        calls->allocate(compute, texel_bytes(compute, compute->tile_texels), &stream->texels));
+        calls->allocate(compute, texel_bytes(compute, compute->patch_texels), &stream->texels));
     stream->open = true;
     return BAKE_NO_FAILURE;
 }
 
-/* Enqueues a tile's copies and kernels on the worker's stream and waits for them. */
-static struct bake_failure trace_tile(struct bake_compute *compute, struct bake_stream *stream,
-                                      const struct bake_compute_subgrid *subgrid,
-                                      const struct bk_tile *tile, const uint32_t *sample_triangles,
-                                      float *texels)
+/* Enqueues a patch's copies and kernels on the worker's stream and waits for them. */
+static struct bake_failure trace_patch(struct bake_compute *compute, struct bake_stream *stream,
+                                       const struct bake_compute_subgrid *subgrid,
+                                       const struct bk_patch *patch,
+                                       const uint32_t *sample_triangles, float *texels)
 {
     const struct bake_compute_calls *calls = compute->calls;
-    const uint64_t texel_count = (uint64_t)tile->width * tile->height;
+    const uint64_t texel_count = (uint64_t)patch->width * patch->height;
     const uint64_t n = compute->params.samples, bytes = sample_bytes(compute, texel_count);
 
     if (calls->attach)
@@ -393,7 +393,7 @@ static struct bake_failure trace_tile(struct bake_compute *compute, struct bake_
     memcpy(stream->host[0], sample_triangles, bytes);
     BAKE_TRY_CALL(
         calls->send(compute, stream, stream->host[0], bytes, stream->samples, 0, BAKE_SAMPLES));
-    BAKE_TRY_CALL(launch_batches(compute, stream, subgrid, tile));
+    BAKE_TRY_CALL(launch_batches(compute, stream, subgrid, patch));
     BAKE_TRY_CALL(calls->fetch(compute, stream, texel_bytes(compute, texel_count)));
     BAKE_TRY_CALL(calls->wait(compute, stream, BAKE_TEXELS));
     memcpy(texels, stream->host[0], texel_bytes(compute, texel_count));
@@ -402,21 +402,21 @@ static struct bake_failure trace_tile(struct bake_compute *compute, struct bake_
     return BAKE_NO_FAILURE;
 }
 
-static int compute_trace(struct bake_backend *backend, unsigned slot, const struct bk_tile *tile,
+static int compute_trace(struct bake_backend *backend, unsigned slot, const struct bk_patch *patch,
                          const uint32_t *sample_triangles, float *texels, unsigned worker,
                          char *why)
 {
     struct bake_compute *compute = (struct bake_compute *)backend;
 
     if (worker >= compute->worker_count ||
-        (uint64_t)tile->width * tile->height > compute->tile_texels) {
-        snprintf(why, BAKE_WHY_BYTES, "worker %u, tile of %u x %u texels: out of range", worker,
-                 (unsigned)tile->width, (unsigned)tile->height);
+        (uint64_t)patch->width * patch->height > compute->patch_texels) {
+        snprintf(why, BAKE_WHY_BYTES, "worker %u, patch of %u x %u texels: out of range", worker,
+                 (unsigned)patch->width, (unsigned)patch->height);
         return BSQ_EBUG;
     }
     struct bake_stream *stream = &compute->streams[worker];
     const struct bake_failure failure =
-        trace_tile(compute, stream, &compute->slots[slot], tile, sample_triangles, texels);
+        trace_patch(compute, stream, &compute->slots[slot], patch, sample_triangles, texels);
     if (failure.code == 0)
         return 0;
     if (!stream->open)
@@ -457,8 +457,8 @@ static int create_streams(struct bake_compute *compute)
 {
     const unsigned count = compute->worker_count + 1;
     const uint64_t stream_bytes = compute->calls->stream_bytes;
-    const uint64_t samples = sample_bytes(compute, compute->tile_texels);
-    const uint64_t texels = texel_bytes(compute, compute->tile_texels);
+    const uint64_t samples = sample_bytes(compute, compute->patch_texels);
+    const uint64_t texels = texel_bytes(compute, compute->patch_texels);
     const uint64_t host = samples > texels ? samples : texels;
     int status;
 
@@ -483,7 +483,7 @@ int bake_compute_prepare(struct bake_compute *compute, const struct bake_job *jo
     int status;
 
     compute->params = job->params;
-    compute->tile_texels = job->tile_texels;
+    compute->patch_texels = job->patch_texels;
     compute->worker_count = bsq_threads(compute->ctx);
     BSQ_TRY(create_streams(compute));
     BSQ_TRY(share_memory(compute, job, limit, buffer_bytes));

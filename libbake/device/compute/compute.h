@@ -1,7 +1,7 @@
 /* compute.h - what all devices with memory and streams of their own share, whatever their API.
  *
  * Takes struct bake_compute_calls from the API's folder, a job and subgrids; gives a struct
- * bake_backend. The grid goes up through a staging buffer, workers trace tiles in launch batches,
+ * bake_backend. The grid goes up through a staging buffer, workers trace patches in launch batches,
  * and the device's clock tells how long they took. */
 #ifndef BAKE_DEVICE_COMPUTE_COMPUTE_H
 #define BAKE_DEVICE_COMPUTE_COMPUTE_H
@@ -12,14 +12,14 @@
 
 /* ---- launch batches: launches.c ---- */
 
-/* How much of a tile one kernel launch traces.
+/* How much of a patch one kernel launch traces.
  *
  * A device does nothing else during a launch, and desktop drivers abort launches that take seconds.
  * So a launch should take BAKE_BATCH_SECONDS. The cost of a ray depends on the device, the rays'
  * lengths and the grid. Each worker therefore starts with BAKE_BATCH_FIRST samples, measures each
- * tile, and grows at most fourfold from one tile to the next. A tile whose rays cost four times as
- * much as those of the tile before still has launches of at most 0.2 s. A batch has at least one
- * row of the tile and BAKE_BATCH_LEAST samples: less would measure the overhead of a launch.
+ * patch, and grows at most fourfold from one patch to the next. A patch whose rays cost four times
+ * as much as those of the patch before still has launches of at most 0.2 s. A batch has at least
+ * one row of the patch and BAKE_BATCH_LEAST samples: less would measure the overhead of a launch.
  *
  * Samples whose hits send rays count as several.
  *
@@ -54,7 +54,7 @@ struct bake_launch_batch {
 /* Returns how many of a texel's n lines of n samples one launch traces: 1 to n. */
 uint32_t bake_batch_lines(uint32_t n);
 
-/* Returns how many rows of a tile one launch traces: 1 to height. width, height: of the tile, in
+/* Returns how many rows of a patch one launch traces: 1 to height. width, height: of the patch, in
  * texels; texel_samples: what the launch traces of each texel. */
 uint32_t bake_batch_rows(struct bake_batch_sizer *sizer, uint64_t texel_samples, uint32_t width,
                          uint32_t height);
@@ -128,11 +128,11 @@ struct bake_compute_subgrid {
     uint64_t reserved_bytes; /* of host memory, on devices that share it */
 };
 
-/* Steps of a tile, in the order in which a stream does them. */
+/* Steps of a patch, in the order in which a stream does them. */
 enum { BAKE_SAMPLES, BAKE_KERNELS, BAKE_TEXELS, BAKE_STEPS };
 
 /* Work that the device does in order, with host memory that it reads and writes by itself. Each
- * worker has a stream for its tiles, and uploads have one. */
+ * worker has a stream for its patches, and uploads have one. */
 struct bake_stream {
     void *own; /* the API's part: `stream_bytes`, zero at first */
     /* The API allocates `host_count` pieces of host memory with host_bytes each. */
@@ -140,10 +140,10 @@ struct bake_stream {
     unsigned host_count;
     uint64_t host_bytes;
     bool open;
-    /* Of a worker: samples and texels of its tile on the device. */
+    /* Of a worker: samples and texels of its patch on the device. */
     bake_memory samples, texels;
     struct bake_batch_sizer sizer;
-    struct bake_span times[BAKE_STEPS]; /* of its last tile, on the device's clock */
+    struct bake_span times[BAKE_STEPS]; /* of its last patch, on the device's clock */
     uint64_t launches;
 };
 
@@ -197,14 +197,14 @@ struct bake_compute_calls {
                                 int step);
     struct bake_failure (*launch)(struct bake_compute *compute, struct bake_stream *stream,
                                   const struct bake_compute_subgrid *subgrid,
-                                  const struct bk_tile *tile,
+                                  const struct bk_patch *patch,
                                   const struct bake_launch_batch *batch);
     struct bake_failure (*fetch)(struct bake_compute *compute, struct bake_stream *stream,
                                  uint64_t bytes);
     /* Waits until the last copy with this number is over, asleep; until all steps are. */
     struct bake_failure (*wait)(struct bake_compute *compute, struct bake_stream *stream, int step);
     struct bake_failure (*finish)(struct bake_compute *compute, struct bake_stream *stream);
-    /* Sets stream->times after a tile. */
+    /* Sets stream->times after a patch. */
     struct bake_failure (*times)(struct bake_compute *compute, struct bake_stream *stream);
 };
 
@@ -218,7 +218,7 @@ struct bake_compute {
     bake_memory triangles;
     struct bake_compute_subgrid slots[BAKE_SLOTS];
     struct bk_params params;
-    uint32_t tile_texels;
+    uint32_t patch_texels;
     unsigned worker_count;
     struct bake_stream *streams; /* of the workers, and then that of uploads */
     char *stream_memory;         /* the API's parts of them */
@@ -239,7 +239,7 @@ void bake_compute_init(struct bake_compute *compute, struct bsq_ctx *ctx, const 
                        void (*close)(struct bake_backend *backend));
 
 /* Prepares an opened device for a job and uploads the low-poly mesh. Divides `limit` bytes of
- * device memory: tiles and the mesh take their share, the grid gets the rest. buffer_bytes: limit
+ * device memory: patches and the mesh take their share, the grid gets the rest. buffer_bytes: limit
  * for one array. Errors: BSQ_ENODEVICE if that is too little or a call fails; BSQ_ENOMEM. */
 int bake_compute_prepare(struct bake_compute *compute, const struct bake_job *job, uint64_t limit,
                          uint64_t buffer_bytes);

@@ -22,7 +22,7 @@ enum { REGISTERS = 128, BLOCK_WIDTH = 8, BLOCK_HEIGHT = 16 };
 struct stream {
     CUstream stream;
     CUevent events[BAKE_STEPS + 1];
-    CUevent before;     /* the end of the previous tile, or the stream's creation */
+    CUevent before;     /* the end of the previous patch, or the stream's creation */
     double before_time; /* of that event, on the device's clock */
 };
 
@@ -200,7 +200,7 @@ static struct bake_failure cuda_finish(struct bake_compute *compute, struct bake
 
 static struct bake_failure cuda_launch(struct bake_compute *compute, struct bake_stream *stream,
                                        const struct bake_compute_subgrid *subgrid,
-                                       const struct bk_tile *tile,
+                                       const struct bk_patch *patch,
                                        const struct bake_launch_batch *batch)
 {
     struct cuda *cuda = (struct cuda *)compute;
@@ -208,7 +208,7 @@ static struct bake_failure cuda_launch(struct bake_compute *compute, struct bake
     CUdeviceptr a[BAKE_SUBGRID_ARRAYS], triangles = compute->triangles;
     CUdeviceptr samples = stream->samples, texels = stream->texels;
     struct bk_params params = subgrid->params;
-    struct bk_tile whole = *tile;
+    struct bk_patch whole = *patch;
     struct bake_launch_batch b = *batch;
     void *arguments[] = {&a[BAKE_TILES],   &a[BAKE_UPPERS], &a[BAKE_LOWERS], &a[BAKE_LEAVES],
                          &a[BAKE_NORMALS], &a[BAKE_PLANES], &a[BAKE_COLORS], &a[BAKE_SECONDS],
@@ -219,7 +219,7 @@ static struct bake_failure cuda_launch(struct bake_compute *compute, struct bake
 
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
         a[i] = subgrid->arrays[i];
-    code = cuda->api.cuLaunchKernel(cuda->kernel, (tile->width + BLOCK_WIDTH - 1) / BLOCK_WIDTH,
+    code = cuda->api.cuLaunchKernel(cuda->kernel, (patch->width + BLOCK_WIDTH - 1) / BLOCK_WIDTH,
                                     (b.end_row - b.first_row + BLOCK_HEIGHT - 1) / BLOCK_HEIGHT, 1,
                                     BLOCK_WIDTH, BLOCK_HEIGHT, 1, 0, own, arguments, NULL);
     /* Submits the launch by itself. Drivers of Windows, which WSL uses, collect launches and submit
@@ -379,7 +379,7 @@ static int load_kernel(struct cuda *cuda)
         describe_refusal(&cuda->api, code, log, reason);
         return bsq_fail(cuda->compute.ctx, BSQ_ENODEVICE, "%s: %s", cuda->device.name, reason);
     }
-    code = cuda->api.cuModuleGetFunction(&cuda->kernel, cuda->module, "bake_tile");
+    code = cuda->api.cuModuleGetFunction(&cuda->kernel, cuda->module, "bake_patch");
     return bake_compute_fail(&cuda->compute, (struct bake_failure){"cuModuleGetFunction", code});
 }
 

@@ -10,7 +10,7 @@
 #include "libbake/kernel/bk_grid.h"
 
 _Static_assert(sizeof(struct bk_triangle) == 200, "layout shared with devices");
-_Static_assert(sizeof(struct bk_tile) == 16, "layout shared with devices");
+_Static_assert(sizeof(struct bk_patch) == 16, "layout shared with devices");
 _Static_assert(sizeof(struct bk_params) == 144, "layout shared with devices");
 
 int bake_check_grid(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)

@@ -16,7 +16,7 @@ struct bake_job {
     const struct fmt_nvdb_grid *grid;
     const struct bk_triangle *triangles;
     uint32_t triangle_count;
-    uint32_t tile_texels;   /* largest width * height of a tile */
+    uint32_t patch_texels;  /* largest width * height of a patch */
     uint64_t device_memory; /* limit for a device's own memory, in bytes; 0: all that is free */
     struct bk_params params;
 };

@@ -1,4 +1,4 @@
-/* native.c - traces tiles on the calling thread, with the widest lanes that the processor has. */
+/* native.c - traces patches on the calling thread, with the widest lanes that the processor has. */
 #include "libbake/device/native/native.h"
 
 #include <stdio.h>
@@ -19,14 +19,14 @@ struct native {
     struct bk_grid grid;
     struct bk_params params;
     const struct bk_triangle *triangles;
-    bake_native_tile_fn *tile;
+    bake_native_patch_fn *patch;
     struct bake_tree tree;            /* for secondary rays */
     struct bake_tree_stream *streams; /* of each worker; NULL: there is no tree */
     float *results;                   /* of each worker: of the rays of BAKE_NATIVE_HITS hits */
     uint64_t worker_results;
 };
 
-/* Returns the rows of a band. A tile can have many millions of pairs of rays, so native_trace()
+/* Returns the rows of a band. A patch can have many millions of pairs of rays, so native_trace()
  * checks for an interruption after each band. A band has whole squares of texels, or is a single
  * row. */
 static uint32_t band_rows(uint64_t row_pairs)
@@ -35,13 +35,13 @@ static uint32_t band_rows(uint64_t row_pairs)
     return rows >= BAKE_NATIVE_SQUARE ? (uint32_t)(rows - rows % BAKE_NATIVE_SQUARE) : 1;
 }
 
-static int native_trace(struct bake_backend *backend, unsigned slot, const struct bk_tile *tile,
+static int native_trace(struct bake_backend *backend, unsigned slot, const struct bk_patch *patch,
                         const uint32_t *sample_triangles, float *texels, unsigned worker, char *why)
 {
     struct native *native = (struct native *)backend;
     const uint64_t texel_samples = (uint64_t)native->params.samples * native->params.samples;
     const uint32_t rows =
-        band_rows(tile->width * texel_samples * bake_sample_cost(&native->params));
+        band_rows(patch->width * texel_samples * bake_sample_cost(&native->params));
 
     struct bake_native_memory memory = {0};
 
@@ -50,13 +50,13 @@ static int native_trace(struct bake_backend *backend, unsigned slot, const struc
     if (native->streams)
         memory = (struct bake_native_memory){&native->tree, &native->streams[worker],
                                              native->results + worker * native->worker_results};
-    for (uint32_t row = 0; row < tile->height; row += rows) {
-        const uint32_t end = tile->height - row < rows ? tile->height : row + rows;
+    for (uint32_t row = 0; row < patch->height; row += rows) {
+        const uint32_t end = patch->height - row < rows ? patch->height : row + rows;
         int status = bsq_check(native->ctx);
         if (status < 0)
             return status;
-        native->tile(&native->grid, &native->params, native->triangles, tile, row, end,
-                     sample_triangles, &memory, texels);
+        native->patch(&native->grid, &native->params, native->triangles, patch, row, end,
+                      sample_triangles, &memory, texels);
     }
     return 0;
 }
@@ -103,14 +103,15 @@ void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *p
     BSQ_SIMD_PICK(bsq_simd_best(), bake_native_rays)(&native, params, rays, hits);
 }
 
-void bake_trace_places(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                       const struct bake_places *places, uint64_t begin, uint64_t end,
-                       struct bake_ray_states *states)
+void bake_trace_viewpoints(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                           const struct bake_viewpoints *viewpoints, uint64_t begin, uint64_t end,
+                           struct bake_ray_states *states)
 {
     struct bk_grid native;
 
     bake_kernel_grid(grid, params, &native);
-    BSQ_SIMD_PICK(bsq_simd_best(), bake_native_look)(&native, params, places, begin, end, states);
+    BSQ_SIMD_PICK(bsq_simd_best(), bake_native_look)
+    (&native, params, viewpoints, begin, end, states);
 }
 
 static void native_list(struct bsq_ctx *ctx, struct bake_device_list *out)
@@ -143,7 +144,7 @@ static int native_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_j
     bake_kernel_grid(job->grid, &job->params, &native->grid);
     native->params = job->params;
     native->triangles = job->triangles;
-    native->tile = BSQ_SIMD_PICK(bsq_simd_best(), bake_native_tile);
+    native->patch = BSQ_SIMD_PICK(bsq_simd_best(), bake_native_patch);
     status = make_tree(native, job->grid);
     if (status < 0)
         native_close(&native->base);

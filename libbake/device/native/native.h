@@ -5,7 +5,7 @@
 
 #include "libbake/device/backend/backend.h"
 
-struct bake_places;
+struct bake_viewpoints;
 struct bake_ray_states;
 
 extern const struct bake_device_kind bake_native_kind;
@@ -15,10 +15,10 @@ extern const struct bake_device_kind bake_native_kind;
 void bake_trace_rays(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
                      const struct bake_ray_batch *rays, struct bk_hit *hits);
 
-/* Traces the rays of places begin to end - 1 on the calling thread, and notes in their states what
- * the grid adds to other parts of the surface. params: maps, counts and lengths of rays. */
-void bake_trace_places(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
-                       const struct bake_places *places, uint64_t begin, uint64_t end,
-                       struct bake_ray_states *states);
+/* Traces the rays of viewpoints begin to end - 1 on the calling thread, and notes in their states
+ * what the grid adds to other parts of the surface. params: maps, counts and lengths of rays. */
+void bake_trace_viewpoints(const struct fmt_nvdb_grid *grid, const struct bk_params *params,
+                           const struct bake_viewpoints *viewpoints, uint64_t begin, uint64_t end,
+                           struct bake_ray_states *states);
 
 #endif

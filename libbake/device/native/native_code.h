@@ -6,7 +6,7 @@
 #include "libbake/device/job/job.h"
 #include "libbake/secondary/secondary.h"
 
-/* Side in texels of the squares that a tile is traced in: what they share of the grid stays in the
+/* Side in texels of the squares that a patch is traced in: what they share of the grid stays in the
  * first-level cache. */
 enum { BAKE_NATIVE_SQUARE = 8 };
 
@@ -23,26 +23,26 @@ struct bake_native_memory {
 
 enum { BAKE_NATIVE_HITS = 16 }; /* the largest BK_WIDTH of any instruction set */
 
-/* Traces rows first_row to end_row - 1 of a tile on the calling thread, as the kernel does on other
- * devices. sample_triangles and texels hold the whole tile, which has width * height texels of
- * bk_texel_floats(params->maps) floats. The texels do not depend on `memory`. */
-typedef void bake_native_tile_fn(const struct bk_grid *grid, const struct bk_params *params,
-                                 const struct bk_triangle *triangles, const struct bk_tile *tile,
-                                 uint32_t first_row, uint32_t end_row,
-                                 const uint32_t *sample_triangles,
-                                 const struct bake_native_memory *memory, float *texels);
-BSQ_SIMD_DECLARE(bake_native_tile_fn, bake_native_tile);
+/* Traces rows first_row to end_row - 1 of a patch on the calling thread, as the kernel does on
+ * other devices. sample_triangles and texels hold the whole patch, which has width * height texels
+ * of bk_texel_floats(params->maps) floats. The texels do not depend on `memory`. */
+typedef void bake_native_patch_fn(const struct bk_grid *grid, const struct bk_params *params,
+                                  const struct bk_triangle *triangles, const struct bk_patch *patch,
+                                  uint32_t first_row, uint32_t end_row,
+                                  const uint32_t *sample_triangles,
+                                  const struct bake_native_memory *memory, float *texels);
+BSQ_SIMD_DECLARE(bake_native_patch_fn, bake_native_patch);
 
 /* Traces rays on the calling thread. */
 typedef void bake_native_rays_fn(const struct bk_grid *grid, const struct bk_params *params,
                                  const struct bake_ray_batch *rays, struct bk_hit *hits);
 BSQ_SIMD_DECLARE(bake_native_rays_fn, bake_native_rays);
 
-/* Traces the rays of places begin to end - 1 on the calling thread, and notes in their states what
- * the grid adds. */
+/* Traces the rays of viewpoints begin to end - 1 on the calling thread, and notes in their states
+ * what the grid adds. */
 typedef void bake_native_look_fn(const struct bk_grid *grid, const struct bk_params *params,
-                                 const struct bake_places *places, uint64_t begin, uint64_t end,
-                                 struct bake_ray_states *states);
+                                 const struct bake_viewpoints *viewpoints, uint64_t begin,
+                                 uint64_t end, struct bake_ray_states *states);
 BSQ_SIMD_DECLARE(bake_native_look_fn, bake_native_look);
 
 #endif

@@ -1,4 +1,4 @@
-/* native_lanes.c - traces a tile, or rays, or secondary rays, BK_WIDTH at a time. */
+/* native_lanes.c - traces a patch, or rays, or secondary rays, BK_WIDTH at a time. */
 #include <string.h>
 
 #include "base/simd/simd.h"
@@ -16,7 +16,7 @@ struct group {
     bk_cache cache;
     bk_samples samples;
     uint32_t texel_floats;
-    float places[BAKE_MAX_SAMPLES]; /* of a texel's samples along an axis, from its corner */
+    float offsets[BAKE_MAX_SAMPLES]; /* of a texel's samples along an axis, from its corner */
     /* Without a tree, secondary rays walk through the grid's nodes. */
     struct bake_native_memory memory;
 };
@@ -25,7 +25,7 @@ struct group {
 
 /* Adds up what the rays of a point found, as bk_look_around() does. found: of all its rays, open
  * ones first. */
-static bk_surroundings add_up(const struct bk_params *params, const bk_place_on_scan *point,
+static bk_surroundings add_up(const struct bk_params *params, const bk_viewpoint *point,
                               const float *found)
 {
     const bk_fw zero = bk_splat(0.0f);
@@ -57,7 +57,7 @@ static void trace_with_tree(struct group *group, bk_map_hits *hits)
     const struct bk_params *params = group->params;
     const bk_uint opens = bk_open_rays(params), rays = opens + bk_solid_rays(params);
     bk_surroundings sums[BK_WIDTH];
-    bk_place_on_scan points[BK_WIDTH];
+    bk_viewpoint points[BK_WIDTH];
     uint32_t count = 0;
     bk_traced traced;
 
@@ -65,7 +65,7 @@ static void trace_with_tree(struct group *group, bk_map_hits *hits)
                   hits);
     for (bk_uint lane = 0; lane < BK_WIDTH; lane++)
         if (hits->found >> lane & 1)
-            points[count++] = bk_place_of_hit(params, &group->samples, &traced, lane);
+            points[count++] = bk_viewpoint_of_hit(params, &group->samples, &traced, lane);
     for (bk_uint open = 0; open < 2; open++) {
         const bk_rays kind = bk_rays_of(params, open);
         BSQ_SIMD_NAME(bake_tree_look)
@@ -83,7 +83,7 @@ static void trace_with_tree(struct group *group, bk_map_hits *hits)
     bk_surroundings_for_maps(params, &traced.points, sums, hits);
 }
 
-/* ---- tiles ---- */
+/* ---- patches ---- */
 
 static void trace_group(struct group *group)
 {
@@ -101,7 +101,7 @@ static void trace_group(struct group *group)
     group->samples.count = 0;
 }
 
-static void add_texel(struct group *group, const struct bk_tile *tile,
+static void add_texel(struct group *group, const struct bk_patch *patch,
                       const uint32_t *sample_triangles, bk_uint column, bk_uint row, float *texel)
 {
     const bk_uint n = group->params->samples;
@@ -109,17 +109,17 @@ static void add_texel(struct group *group, const struct bk_tile *tile,
 
     bk_clear_texel(group->params->maps, texel);
     for (bk_uint j = 0; j < n; j++) {
-        const bk_ulong first = bk_sample_index(tile, n, column, row, 0, j);
+        const bk_ulong first = bk_sample_index(patch, n, column, row, 0, j);
         const uint32_t *row_triangles = sample_triangles + first;
-        const float y = (float)(tile->y + row) + group->places[j];
+        const float y = (float)(patch->y + row) + group->offsets[j];
         for (bk_uint i = 0; i < n; i++) {
             if (row_triangles[i] == BK_NO_TRIANGLE)
                 continue;
             samples->triangle[samples->count] = row_triangles[i];
-            samples->x[samples->count] = (float)(tile->x + column) + group->places[i];
+            samples->x[samples->count] = (float)(patch->x + column) + group->offsets[i];
             samples->y[samples->count] = y;
             samples->skew[samples->count] =
-                bk_sample_skew(group->params, tile, sample_triangles, first + i);
+                bk_sample_skew(group->params, patch, sample_triangles, first + i);
             samples->texel[samples->count] = texel;
             if (++samples->count == BK_WIDTH)
                 trace_group(group);
@@ -136,22 +136,22 @@ static uint32_t even_bits(uint32_t bits)
 
 /* Adds a square of texels before row end_row in Morton order (1966), so that the samples of a group
  * are near each other on both axes. */
-static void add_square(struct group *group, const struct bk_tile *tile, uint32_t end_row,
+static void add_square(struct group *group, const struct bk_patch *patch, uint32_t end_row,
                        const uint32_t *sample_triangles, uint32_t x, uint32_t y, float *texels)
 {
     for (uint32_t i = 0; i < BAKE_NATIVE_SQUARE * BAKE_NATIVE_SQUARE; i++) {
         const uint32_t column = x + even_bits(i), row = y + even_bits(i >> 1);
-        if (column < tile->width && row < end_row)
-            add_texel(group, tile, sample_triangles, column, row,
-                      texels + ((uint64_t)row * tile->width + column) * group->texel_floats);
+        if (column < patch->width && row < end_row)
+            add_texel(group, patch, sample_triangles, column, row,
+                      texels + ((uint64_t)row * patch->width + column) * group->texel_floats);
     }
 }
 
-void BSQ_SIMD_NAME(bake_native_tile)(const struct bk_grid *grid, const struct bk_params *params,
-                                     const struct bk_triangle *triangles,
-                                     const struct bk_tile *tile, uint32_t first_row,
-                                     uint32_t end_row, const uint32_t *sample_triangles,
-                                     const struct bake_native_memory *memory, float *texels)
+void BSQ_SIMD_NAME(bake_native_patch)(const struct bk_grid *grid, const struct bk_params *params,
+                                      const struct bk_triangle *triangles,
+                                      const struct bk_patch *patch, uint32_t first_row,
+                                      uint32_t end_row, const uint32_t *sample_triangles,
+                                      const struct bake_native_memory *memory, float *texels)
 {
     struct group group = {.grid = grid,
                           .params = params,
@@ -161,10 +161,10 @@ void BSQ_SIMD_NAME(bake_native_tile)(const struct bk_grid *grid, const struct bk
                           .memory = *memory};
 
     for (bk_uint i = 0; i < params->samples; i++)
-        group.places[i] = bk_sample_place(0, i, params->samples);
+        group.offsets[i] = bk_sample_position(0, i, params->samples);
     for (uint32_t y = first_row; y < end_row; y += BAKE_NATIVE_SQUARE)
-        for (uint32_t x = 0; x < tile->width; x += BAKE_NATIVE_SQUARE)
-            add_square(&group, tile, end_row, sample_triangles, x, y, texels);
+        for (uint32_t x = 0; x < patch->width; x += BAKE_NATIVE_SQUARE)
+            add_square(&group, patch, end_row, sample_triangles, x, y, texels);
     trace_group(&group);
 }
 
@@ -229,8 +229,8 @@ struct view {
     bk_cache cache;
 };
 
-/* Returns the lanes of a place's rays `first` and following ones of which more can be known. */
-static bk_uint wanted(const struct bake_ray_states *states, uint64_t place, const bk_rays *kind,
+/* Returns the lanes of a viewpoint's rays `first` and following ones of which more can be known. */
+static bk_uint wanted(const struct bake_ray_states *states, uint64_t viewpoint, const bk_rays *kind,
                       bk_uint first)
 {
     const bk_uint left = kind->count - first;
@@ -238,58 +238,58 @@ static bk_uint wanted(const struct bake_ray_states *states, uint64_t place, cons
     if (!kind->open || states->words == 0)
         return lanes;
     /* BK_WIDTH divides 64. */
-    return lanes & ~(bk_uint)(bake_hidden_rays(states, place)[first / 64] >> first % 64);
+    return lanes & ~(bk_uint)(bake_hidden_rays(states, viewpoint)[first / 64] >> first % 64);
 }
 
-/* Notes what a ray of a place met, after t voxels. A ray into the solid that is as long as it may
- * be tells nothing of other scans. */
-static void note_hit(const struct view *view, uint64_t place, const bk_rays *kind, bk_uint ray,
+/* Notes what a ray of a viewpoint met, after t voxels. A ray into the solid that is as long as it
+ * may be tells nothing of other scans. */
+static void note_hit(const struct view *view, uint64_t viewpoint, const bk_rays *kind, bk_uint ray,
                      float t)
 {
     const struct bake_ray_states *states = view->states;
     if (t < 0.0f || (!kind->open && t >= kind->limit))
         return;
     if (kind->open && states->words > 0) {
-        bake_hidden_rays(states, place)[ray / 64] |= UINT64_C(1) << ray % 64;
+        bake_hidden_rays(states, viewpoint)[ray / 64] |= UINT64_C(1) << ray % 64;
         return;
     }
-    float *distance = bake_ray_distances(states, place, kind->open) + ray;
+    float *distance = bake_ray_distances(states, viewpoint, kind->open) + ray;
     *distance = fminf(*distance, (float)((double)t * view->unit));
 }
 
-/* Traces the rays of a place of one kind. index: of the place. */
-static void look_from(struct view *view, const struct bake_place *place, uint64_t index,
+/* Traces the rays of a viewpoint of one kind. index: of the viewpoint. */
+static void look_from(struct view *view, const struct bake_viewpoint *viewpoint, uint64_t index,
                       bk_uint open)
 {
     const bk_rays kind = bk_rays_of(view->params, open);
-    const float *n = place->normal, *f = place->facet;
-    const float *from = open ? place->open_from : place->solid_from;
+    const float *n = viewpoint->normal, *f = viewpoint->facet;
+    const float *from = open ? viewpoint->open_from : viewpoint->solid_from;
     for (bk_uint first = 0; first < kind.count; first += BK_WIDTH) {
         const bk_uint lanes = wanted(view->states, index, &kind, first);
         if (lanes == 0)
             continue;
-        const bk_vec3w direction = bk_hemisphere(&kind, place->share, bk_v3(n[0], n[1], n[2]),
+        const bk_vec3w direction = bk_hemisphere(&kind, viewpoint->share, bk_v3(n[0], n[1], n[2]),
                                                  bk_v3(f[0], f[1], f[2]), first);
         const bk_fw t = bk_look(view->grid, view->params, &view->cache, &kind,
                                 bk_splat3(bk_v3(from[0], from[1], from[2])), direction,
-                                bk_splat(place->reversed ? -1.0f : 1.0f), lanes);
+                                bk_splat(viewpoint->reversed ? -1.0f : 1.0f), lanes);
         for (bk_uint left = lanes; left; left &= left - 1)
             note_hit(view, index, &kind, first + bk_first(left), bk_lane(t, bk_first(left)));
     }
 }
 
 void BSQ_SIMD_NAME(bake_native_look)(const struct bk_grid *grid, const struct bk_params *params,
-                                     const struct bake_places *places, uint64_t begin, uint64_t end,
-                                     struct bake_ray_states *states)
+                                     const struct bake_viewpoints *viewpoints, uint64_t begin,
+                                     uint64_t end, struct bake_ray_states *states)
 {
     struct view view = {.grid = grid,
                         .params = params,
                         .states = states,
-                        .unit = places->unit,
+                        .unit = viewpoints->unit,
                         .cache = bk_cache_empty()};
-    struct bake_place place;
+    struct bake_viewpoint viewpoint;
 
     for (uint64_t i = begin; i < end; i++)
-        for (bk_uint open = places->get(places->arg, i, &place) ? 2 : 0; open-- > 0;)
-            look_from(&view, &place, i, open);
+        for (bk_uint open = viewpoints->get(viewpoints->arg, i, &viewpoint) ? 2 : 0; open-- > 0;)
+            look_from(&view, &viewpoint, i, open);
 }

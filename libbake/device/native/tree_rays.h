@@ -87,7 +87,7 @@ struct bake_tree_stream {
  * BK_OPEN_FALLOFF. The stream is scratch memory. */
 typedef void bake_tree_look_fn(const struct bk_grid *grid, const struct bk_params *params,
                                const struct bake_tree *tree, const bk_rays *kind,
-                               const bk_place_on_scan *points, uint32_t count, float *results,
+                               const bk_viewpoint *points, uint32_t count, float *results,
                                uint64_t stride, struct bake_tree_stream *stream);
 BSQ_SIMD_DECLARE(bake_tree_look_fn, bake_tree_look);
 

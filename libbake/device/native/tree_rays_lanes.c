@@ -378,7 +378,7 @@ static void find_margins(const struct bake_tree *tree, bk_vec3 start, float marg
 }
 
 /* Appends rays `first` and following ones of a point, at most BK_WIDTH. */
-static void add_rays(struct bake_tree_tracer *tracer, const bk_place_on_scan *point,
+static void add_rays(struct bake_tree_tracer *tracer, const bk_viewpoint *point,
                      const float margins[3], uint32_t first, uint32_t slot)
 {
     struct bake_tree_stream *stream = tracer->stream;
@@ -391,16 +391,16 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_place_on_scan *po
     const bk_fw limit = bk_splat(kind->limit);
     bk_walk walk = {.t_start = bk_splat(0.0f), .t_limit = limit};
     bk_fw t_near, t_far, t;
-    bk_place place;
+    bk_cursor cursor;
 
     bk_bounds(&line, tracer->params, &t_near, &t_far);
     const bk_fw t_end = bk_minw(limit, t_far);
-    const bk_uint walked = bk_begin_walk(tracer->params, &line, &walk, t_near, t_end, &t, &place);
+    const bk_uint walked = bk_begin_walk(tracer->params, &line, &walk, t_near, t_end, &t, &cursor);
     const bk_mask through = bk_mask_of(kind->open ? 0u : ~0u) & bk_not(bk_less(t_far, limit));
     const bk_fw found = bk_select(through, limit, bk_splat(-1.0f));
     memcpy(&tracer->results[slot], &found, count * sizeof(float));
 
-    /* The place of a ray that is not walked is that of the next one. */
+    /* The cursor of a ray that is not walked is that of the next one. */
     bk_int slots[BK_WIDTH];
     void *to[BK_WIDTH];
     for (bk_uint lane = 0; lane < BK_WIDTH; lane++) {
@@ -417,7 +417,7 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_place_on_scan *po
     STORE_ROW(inverse, line.inverse.x, line.inverse.y, line.inverse.z, t_before);
     STORE_ROW(start, line.start.x, line.start.y, line.start.z, bk_splat(point->side));
     STORE_ROW(base, line.bx, line.by, line.bz, t);
-    STORE_ROW(first, place.x, place.y, place.z, t_end);
+    STORE_ROW(first, cursor.x, cursor.y, cursor.z, t_end);
     STORE_ROW(direction, line.direction.x, line.direction.y, line.direction.z, bk_splati(3));
     STORE_ROW(margin, bk_absw(line.inverse.x) * margins[0], bk_absw(line.inverse.y) * margins[1],
               bk_absw(line.inverse.z) * margins[2], t_end);
@@ -429,8 +429,8 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_place_on_scan *po
 
 /* Appends rays `first` and following ones of `count` points as a bundle. slot: of the first point,
  * `stride` before that of the next one. */
-static void add_bundle(struct bake_tree_tracer *tracer, const bk_place_on_scan *points,
-                       uint32_t count, uint32_t first, uint32_t slot, uint64_t stride)
+static void add_bundle(struct bake_tree_tracer *tracer, const bk_viewpoint *points, uint32_t count,
+                       uint32_t first, uint32_t slot, uint64_t stride)
 {
     const bk_uint left = tracer->kind->count - first;
     const bk_uint end = first + (left < BAKE_TREE_POINT_RAYS ? left : BAKE_TREE_POINT_RAYS);
@@ -454,7 +454,7 @@ static void add_bundle(struct bake_tree_tracer *tracer, const bk_place_on_scan *
 
 void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_params *params,
                                    const struct bake_tree *tree, const bk_rays *kind,
-                                   const bk_place_on_scan *points, uint32_t count, float *results,
+                                   const bk_viewpoint *points, uint32_t count, float *results,
                                    uint64_t stride, struct bake_tree_stream *stream)
 {
     struct bake_tree_tracer tracer = {.grid = grid,

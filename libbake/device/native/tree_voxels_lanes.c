@@ -27,7 +27,7 @@ struct group {
     bk_iw first[3]; /* voxels in which walks begin */
     bk_fw t_begin, t_before, t_end, t_stop;
     bk_iw stop_axis;
-    bk_place place; /* the voxels */
+    bk_cursor cursor; /* the voxels */
     bk_ulong values[BK_WIDTH];
     /* How rays enter their voxels: t, and the axis of the border; -1: walks begin here. */
     bk_fw t_event;
@@ -75,11 +75,11 @@ static void load_group(const struct bake_tree_tracer *tracer, uint32_t first, ui
     }
     load_leaves(tracer->tree, blocks, &leaves);
     const bk_iw v = bk_load_lanes(inside);
-    group->place.x = leaves.corner[0] | (v >> 6 & 4) | (v >> 4 & 3);
-    group->place.y = leaves.corner[1] | (v >> 5 & 4) | (v >> 2 & 3);
-    group->place.z = leaves.corner[2] | (v >> 4 & 4) | (v & 3);
-    group->place.leaf = leaves.number;
-    group->place.mask = bk_splati(0);
+    group->cursor.x = leaves.corner[0] | (v >> 6 & 4) | (v >> 4 & 3);
+    group->cursor.y = leaves.corner[1] | (v >> 5 & 4) | (v >> 2 & 3);
+    group->cursor.z = leaves.corner[2] | (v >> 4 & 4) | (v & 3);
+    group->cursor.leaf = leaves.number;
+    group->cursor.mask = bk_splati(0);
     floats_load_rows(rays, offsetof(struct bake_tree_ray, inverse), row);
     group->ray.inverse = bk_v3w(row[0], row[1], row[2]);
     group->t_before = row[3];
@@ -112,12 +112,12 @@ static bk_fw entered(bk_iw v, bk_iw first, bk_iw base, bk_fw start, bk_fw invers
 }
 
 /* Finds how rays enter voxels: across the last of the borders of the three axes. */
-static bk_fw find_entry(const struct group *group, const bk_place *place, bk_iw *axis)
+static bk_fw find_entry(const struct group *group, const bk_cursor *cursor, bk_iw *axis)
 {
     const bk_ray *ray = &group->ray;
-    const bk_fw tx = entered(place->x, group->first[0], ray->bx, ray->start.x, ray->inverse.x);
-    const bk_fw ty = entered(place->y, group->first[1], ray->by, ray->start.y, ray->inverse.y);
-    const bk_fw tz = entered(place->z, group->first[2], ray->bz, ray->start.z, ray->inverse.z);
+    const bk_fw tx = entered(cursor->x, group->first[0], ray->bx, ray->start.x, ray->inverse.x);
+    const bk_fw ty = entered(cursor->y, group->first[1], ray->by, ray->start.y, ray->inverse.y);
+    const bk_fw tz = entered(cursor->z, group->first[2], ray->bz, ray->start.z, ray->inverse.z);
     const bk_fw xy = bk_maxw(tx, ty), t = bk_maxw(xy, tz);
     const bk_iw last = bk_selecti(bk_less(ty, tx), bk_splati(0), bk_splati(1));
     *axis = bk_selecti(bk_less(tz, xy), last, bk_splati(2));
@@ -126,11 +126,11 @@ static bk_fw find_entry(const struct group *group, const bk_place *place, bk_iw 
 }
 
 /* Finds how rays leave voxels: across the first border. */
-static bk_fw find_exit(const bk_ray *ray, const bk_place *place, bk_iw *axis)
+static bk_fw find_exit(const bk_ray *ray, const bk_cursor *cursor, bk_iw *axis)
 {
-    const bk_iw x = bk_exit_layer(place->x, place->mask, bk_upwards(ray->inverse.x));
-    const bk_iw y = bk_exit_layer(place->y, place->mask, bk_upwards(ray->inverse.y));
-    const bk_iw z = bk_exit_layer(place->z, place->mask, bk_upwards(ray->inverse.z));
+    const bk_iw x = bk_exit_layer(cursor->x, cursor->mask, bk_upwards(ray->inverse.x));
+    const bk_iw y = bk_exit_layer(cursor->y, cursor->mask, bk_upwards(ray->inverse.y));
+    const bk_iw z = bk_exit_layer(cursor->z, cursor->mask, bk_upwards(ray->inverse.z));
     const bk_fw tx = bk_border(x, ray->bx, ray->start.x, ray->inverse.x);
     const bk_fw ty = bk_border(y, ray->by, ray->start.y, ray->inverse.y);
     const bk_fw tz = bk_border(z, ray->bz, ray->start.z, ray->inverse.z);
@@ -149,41 +149,41 @@ static bk_mask comes_before(bk_fw t, bk_iw axis, bk_fw t_other, bk_iw other)
 /* Returns the neighbours of voxels along an axis, in the direction of rays or, if `back`, against
  * it.
  */
-static bk_place beside(const bk_ray *ray, const bk_place *place, bk_iw axis, bool back)
+static bk_cursor beside(const bk_ray *ray, const bk_cursor *cursor, bk_iw axis, bool back)
 {
     const bk_iw sign = bk_splati(back ? 1 : -1), none = bk_splati(0);
-    bk_place next = *place;
-    next.x = place->x + bk_selecti(axis == 0, sign * (bk_upwards(ray->inverse.x) | 1), none);
-    next.y = place->y + bk_selecti(axis == 1, sign * (bk_upwards(ray->inverse.y) | 1), none);
-    next.z = place->z + bk_selecti(axis == 2, sign * (bk_upwards(ray->inverse.z) | 1), none);
+    bk_cursor next = *cursor;
+    next.x = cursor->x + bk_selecti(axis == 0, sign * (bk_upwards(ray->inverse.x) | 1), none);
+    next.y = cursor->y + bk_selecti(axis == 1, sign * (bk_upwards(ray->inverse.y) | 1), none);
+    next.z = cursor->z + bk_selecti(axis == 2, sign * (bk_upwards(ray->inverse.z) | 1), none);
     return next;
 }
 
 /* Finds voxels beside those of a group. Returns the lanes whose voxel is occupied, and sets their
  * leaves. */
 static bk_uint find_voxels(struct bake_tree_tracer *tracer, const struct group *group,
-                           bk_uint lanes, bk_place *place)
+                           bk_uint lanes, bk_cursor *cursor)
 {
-    const bk_iw apart =
-        (place->x ^ group->place.x) | (place->y ^ group->place.y) | (place->z ^ group->place.z);
+    const bk_iw apart = (cursor->x ^ group->cursor.x) | (cursor->y ^ group->cursor.y) |
+                        (cursor->z ^ group->cursor.z);
     const bk_uint inside = lanes & bk_bits((apart & ~7) == 0);
-    bk_uint found = inside ? bk_find_occupied(tracer->grid, inside, place) : 0;
+    bk_uint found = inside ? bk_find_occupied(tracer->grid, inside, cursor) : 0;
     bk_int leaves[BK_WIDTH];
     lanes &= ~inside;
     if (lanes == 0)
         return found;
-    bk_store_lanes(leaves, place->leaf);
+    bk_store_lanes(leaves, cursor->leaf);
     for (; lanes; lanes &= lanes - 1) {
         const bk_uint lane = bk_first(lanes);
-        const bk_int x = bk_lane(place->x, lane), y = bk_lane(place->y, lane);
-        const bk_int z = bk_lane(place->z, lane);
+        const bk_int x = bk_lane(cursor->x, lane), y = bk_lane(cursor->y, lane);
+        const bk_int z = bk_lane(cursor->z, lane);
         if (bk_locate(tracer->grid, &tracer->cache, x, y, z) == 0 &&
             bk_leaf_value(tracer->grid, tracer->cache.leaf, x, y, z) != 0) {
             leaves[lane] = (bk_int)tracer->cache.leaf;
             found |= 1u << lane;
         }
     }
-    place->leaf = bk_load_lanes(leaves);
+    cursor->leaf = bk_load_lanes(leaves);
     return found;
 }
 
@@ -191,7 +191,7 @@ static bk_uint find_voxels(struct bake_tree_tracer *tracer, const struct group *
 static void recall(struct bake_tree_tracer *tracer, const struct group *group, bk_uint lanes,
                    bk_walk *walk)
 {
-    bk_place before = beside(&group->ray, &group->place, group->axis, true);
+    bk_cursor before = beside(&group->ray, &group->cursor, group->axis, true);
     bk_ulong values[BK_WIDTH];
     bk_iw axis;
     lanes = find_voxels(tracer, group, lanes & bk_bits(group->axis >= 0), &before);
@@ -210,17 +210,17 @@ static void meet_voxels(struct bake_tree_tracer *tracer, const struct group *gro
 {
     const bk_fw t_out = bk_maxw(t, group->t_exit);
     bk_uint over, below;
-    bk_place next;
+    bk_cursor next;
     recall(tracer, group, lanes, walk);
     over = bk_bits(bk_meet_records(tracer->grid, &group->ray, walk, lanes, group->values,
-                                   &group->place, t, t_out));
+                                   &group->cursor, t, t_out));
     if (over)
         bk_end_run(walk, bk_mask_of(over));
     below = lanes & bk_bits((walk->side == BK_BELOW) & bk_not(walk->hit.found));
     if (below == 0)
         return;
     /* A run that goes on is left to the next voxel. */
-    next = beside(&group->ray, &group->place, group->exit_axis, false);
+    next = beside(&group->ray, &group->cursor, group->exit_axis, false);
     below &= ~find_voxels(tracer, group, below & bk_bits(bk_less(t_out, group->t_end)), &next);
     bk_end_run(walk, bk_mask_of(below));
 }
@@ -256,8 +256,8 @@ static void test_voxels(struct bake_tree_tracer *tracer)
     for (uint32_t first = 0; first < tracer->voxels; first += BK_WIDTH) {
         const uint32_t left = tracer->voxels - first;
         load_group(tracer, first, left < BK_WIDTH ? left : BK_WIDTH, &group);
-        group.t_event = find_entry(&group, &group.place, &group.axis);
-        group.t_exit = find_exit(&group.ray, &group.place, &group.exit_axis);
+        group.t_event = find_entry(&group, &group.cursor, &group.axis);
+        group.t_exit = find_exit(&group.ray, &group.cursor, &group.exit_axis);
         const bk_uint lanes =
             bk_bits(group.ray.valid & bk_less(group.t_event, group.t_before) &
                     comes_before(group.t_event, group.axis, group.t_exit, group.exit_axis) &

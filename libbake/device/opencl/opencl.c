@@ -10,14 +10,14 @@
 #include "libbake/device/opencl/opencl.h"
 #include "libbake/device/opencl/opencl_api.h"
 
-/* Events of a tile: of each step, that of the first kernel for BAKE_KERNELS, and of the last one.
+/* Events of a patch: of each step, that of the first kernel for BAKE_KERNELS, and of the last one.
  */
 enum { LAST_KERNEL = BAKE_STEPS, EVENTS };
 
 struct stream {
     cl_command_queue queue;
     cl_kernel kernel;
-    /* Sides of a work group; one for all tiles, as some drivers compile for each. */
+    /* Sides of a work group; one for all patches, as some drivers compile for each. */
     size_t group[2];
     cl_mem pinned[2]; /* the host memory, mapped */
     cl_event events[EVENTS];
@@ -136,7 +136,7 @@ static struct bake_failure opencl_open_stream(struct bake_compute *compute,
     own->queue =
         cl->api.clCreateCommandQueue(cl->context, cl->device.id, CL_QUEUE_PROFILING_ENABLE, &code);
     CHECK("clCreateCommandQueue", code);
-    own->kernel = cl->api.clCreateKernel(cl->program, "bake_tile", &code);
+    own->kernel = cl->api.clCreateKernel(cl->program, "bake_patch", &code);
     CHECK("clCreateKernel", code);
     /* A kernel with many registers may allow fewer work items than the device. */
     CALL(clGetKernelWorkGroupInfo, own->kernel, cl->device.id, CL_KERNEL_WORK_GROUP_SIZE,
@@ -202,7 +202,7 @@ static struct bake_failure opencl_finish(struct bake_compute *compute, struct ba
 
 static struct bake_failure opencl_launch(struct bake_compute *compute, struct bake_stream *stream,
                                          const struct bake_compute_subgrid *subgrid,
-                                         const struct bk_tile *tile,
+                                         const struct bk_patch *patch,
                                          const struct bake_launch_batch *batch)
 {
     struct opencl *cl = (struct opencl *)compute;
@@ -214,14 +214,14 @@ static struct bake_failure opencl_launch(struct bake_compute *compute, struct ba
         const void *value;
     } arguments[] = {{sizeof(cl_mem), &triangles},
                      {sizeof subgrid->params, &subgrid->params},
-                     {sizeof *tile, tile},
+                     {sizeof *patch, patch},
                      {sizeof batch->first_row, &batch->first_row},
                      {sizeof batch->end_row, &batch->end_row},
                      {sizeof batch->first_line, &batch->first_line},
                      {sizeof batch->end_line, &batch->end_line},
                      {sizeof(cl_mem), &samples},
                      {sizeof(cl_mem), &texels}};
-    const size_t size[2] = {bsq_align_up(tile->width, own->group[0]),
+    const size_t size[2] = {bsq_align_up(patch->width, own->group[0]),
                             bsq_align_up(batch->end_row - batch->first_row, own->group[1])};
     const bool first = batch->first_row == 0 && batch->first_line == 0;
     cl_uint argument = 0;
@@ -261,7 +261,7 @@ static struct bake_failure opencl_times(struct bake_compute *compute, struct bak
     struct stream *own = stream->own;
 
     for (int i = 0; i < BAKE_STEPS; i++) {
-        /* A tile of one launch batch has one kernel. */
+        /* A patch of one launch batch has one kernel. */
         const bool several = i == BAKE_KERNELS && own->events[LAST_KERNEL];
         BAKE_TRY_CALL(
             span_of(cl, own->events[i], own->events[several ? LAST_KERNEL : i], &stream->times[i]));

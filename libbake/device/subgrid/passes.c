@@ -1,6 +1,6 @@
-/* passes.c - fills passes with tiles while the nodes that these need fit the device.
+/* passes.c - fills passes with patches while the nodes that these need fit the device.
  *
- * All threads find the nodes of tiles; then tile after tile is added to a pass. Tiles come in
+ * All threads find the nodes of patches; then patch after patch is added to a pass. Patches come in
  * Z-order (Morton 1966) of their nodes in space: charts that are neighbours in the map rarely are
  * neighbours on the surface. */
 #include <inttypes.h>
@@ -13,12 +13,12 @@
 #include "libbake/kernel/bk_grid.h"
 #include "libbake/raster/raster.h"
 
-enum { STACK = 64 /* a tile is halved at most once for each bit of its sides */ };
+enum { STACK = 64 /* a patch is halved at most once for each bit of its sides */ };
 
-/* The nodes that the rays of a tile look up: a range of planner.lowers. */
-struct tile_nodes {
+/* The nodes that the rays of a patch look up: a range of planner.lowers. */
+struct patch_nodes {
     uint64_t key;
-    uint32_t tile;
+    uint32_t patch;
     uint64_t first, count;
 };
 
@@ -35,8 +35,8 @@ struct planner {
     uint32_t *lowers;
     uint64_t lower_count, lower_capacity;
     uint64_t *keys; /* of each lower node of the grid */
-    struct tile_nodes *tiles;
-    uint32_t tile_count;
+    struct patch_nodes *patches;
+    uint32_t patch_count;
     struct bake_lower_set pass; /* nodes of the pass that is being filled */
     struct bake_subgrid_counts counts;
     uint64_t first_piece; /* of that pass */
@@ -93,7 +93,7 @@ done:
 
 /* Adds a piece to this pass or to a new one. *placed is false if it does not fit any; *need is that
  * of a pass with this piece. */
-static int place(struct planner *p, uint32_t tile, const struct bake_rectangle *texels,
+static int place(struct planner *p, uint32_t patch, const struct bake_rectangle *texels,
                  const uint32_t *lowers, uint64_t count, struct need *need, bool *placed)
 {
     struct bake_plan *plan = p->plan;
@@ -110,7 +110,7 @@ static int place(struct planner *p, uint32_t tile, const struct bake_rectangle *
                      &plan->pieces, &plan->piece_capacity));
     for (uint64_t i = 0; i < count; i++)
         BSQ_TRY(bake_lower_set_add(p->ctx, &p->pass, lowers[i]));
-    plan->pieces[plan->piece_count++] = (struct bake_piece){tile, *texels};
+    plan->pieces[plan->piece_count++] = (struct bake_piece){patch, *texels};
     p->counts = counts;
 done:
     return status;
@@ -131,13 +131,13 @@ static void halve(const struct bake_rectangle *whole, struct bake_rectangle halv
     }
 }
 
-/* Halves a tile that does not fit a pass until its pieces do. Notes what a single texel needs that
+/* Halves a patch that does not fit a pass until its pieces do. Notes what a single texel needs that
  * does not fit. */
 static int place_split(struct planner *p, uint32_t index)
 {
-    const struct bk_tile tile = bake_raster_tile(p->options->raster, index);
+    const struct bk_patch patch = bake_raster_patch(p->options->raster, index);
     struct bake_lower_set *set = &p->sets[0];
-    struct bake_rectangle stack[STACK] = {{0, 0, tile.width, tile.height}};
+    struct bake_rectangle stack[STACK] = {{0, 0, patch.width, patch.height}};
     struct need need;
     uint64_t overlaps;
     unsigned depth = 1;
@@ -149,7 +149,7 @@ static int place_split(struct planner *p, uint32_t index)
         bool placed;
         bake_lower_set_clear(set);
         BSQ_TRY(
-            bake_lower_set_add_rays(p->ctx, set, p->options->job, &tile, p->samples[0], &whole));
+            bake_lower_set_add_rays(p->ctx, set, p->options->job, &patch, p->samples[0], &whole));
         BSQ_TRY(place(p, index, &whole, set->lowers, set->count, &need, &placed));
         if (!placed && whole.width == 1 && whole.height == 1) {
             p->subgrid_bytes = need.total > p->subgrid_bytes ? need.total : p->subgrid_bytes;
@@ -164,7 +164,7 @@ done:
     return status;
 }
 
-/* ---- nodes of tiles ---- */
+/* ---- nodes of patches ---- */
 
 /* Notes the Morton key of a lower node. */
 static int note_key(void *arg, uint32_t lower, const int32_t origin[3])
@@ -177,19 +177,20 @@ static int note_key(void *arg, uint32_t lower, const int32_t origin[3])
     return 0;
 }
 
-/* Appends the nodes of a tile to the list of all. The tile has the key of its first node. */
-static int note_nodes(struct planner *p, struct tile_nodes *tile, const struct bake_lower_set *set)
+/* Appends the nodes of a patch to the list of all. The patch has the key of its first node. */
+static int note_nodes(struct planner *p, struct patch_nodes *patch,
+                      const struct bake_lower_set *set)
 {
     int status = 0;
     pthread_mutex_lock(&p->lock);
-    BSQ_TRY(bsq_grow(p->ctx, "nodes of tiles", p->lower_count + set->count, sizeof *p->lowers,
+    BSQ_TRY(bsq_grow(p->ctx, "nodes of patches", p->lower_count + set->count, sizeof *p->lowers,
                      &p->lowers, &p->lower_capacity));
-    tile->first = p->lower_count;
-    tile->count = set->count;
-    tile->key = UINT64_MAX;
+    patch->first = p->lower_count;
+    patch->count = set->count;
+    patch->key = UINT64_MAX;
     for (uint64_t i = 0; i < set->count; i++) {
         const uint64_t key = p->keys[set->lowers[i]];
-        tile->key = key < tile->key ? key : tile->key;
+        patch->key = key < patch->key ? key : patch->key;
         p->lowers[p->lower_count++] = set->lowers[i];
     }
 done:
@@ -200,16 +201,17 @@ done:
 static int find_nodes(void *arg, uint64_t index, unsigned worker)
 {
     struct planner *p = arg;
-    const struct bk_tile tile = bake_raster_tile(p->options->raster, (uint32_t)index);
-    const struct bake_rectangle all = {0, 0, tile.width, tile.height};
+    const struct bk_patch patch = bake_raster_patch(p->options->raster, (uint32_t)index);
+    const struct bake_rectangle all = {0, 0, patch.width, patch.height};
     struct bake_lower_set *set = &p->sets[worker];
     uint64_t overlaps;
     int status;
-    p->tiles[index].tile = (uint32_t)index;
+    p->patches[index].patch = (uint32_t)index;
     bake_lower_set_clear(set);
     BSQ_TRY(bake_raster_fill(p->options->raster, (uint32_t)index, p->samples[worker], &overlaps));
-    BSQ_TRY(bake_lower_set_add_rays(p->ctx, set, p->options->job, &tile, p->samples[worker], &all));
-    status = note_nodes(p, &p->tiles[index], set);
+    BSQ_TRY(
+        bake_lower_set_add_rays(p->ctx, set, p->options->job, &patch, p->samples[worker], &all));
+    status = note_nodes(p, &p->patches[index], set);
     bsq_progress_add(p->ctx, 1);
 done:
     return status;
@@ -217,10 +219,10 @@ done:
 
 static int by_key(const void *a, const void *b)
 {
-    const struct tile_nodes *x = a, *y = b;
+    const struct patch_nodes *x = a, *y = b;
     if (x->key != y->key)
         return x->key < y->key ? -1 : 1;
-    return (x->tile > y->tile) - (x->tile < y->tile);
+    return (x->patch > y->patch) - (x->patch < y->patch);
 }
 
 /* ---- planning ---- */
@@ -228,7 +230,7 @@ static int by_key(const void *a, const void *b)
 static int allocate(struct planner *p)
 {
     const struct bake_job *job = p->options->job;
-    const uint64_t samples = job->tile_texels * bake_raster_texel_entries(&job->params);
+    const uint64_t samples = job->patch_texels * bake_raster_texel_entries(&job->params);
     int status;
     p->workers = bsq_threads(p->ctx);
     BSQ_TRY(bsq_calloc(p->ctx, "planning", p->workers, sizeof *p->samples, &p->samples));
@@ -236,10 +238,10 @@ static int allocate(struct planner *p)
     for (unsigned i = 0; i < p->workers; i++) {
         BSQ_TRY(bake_lower_set_create(p->ctx, p->grid, &p->sets[i]));
         BSQ_TRY(
-            bsq_alloc(p->ctx, "samples of a tile", samples, sizeof **p->samples, &p->samples[i]));
+            bsq_alloc(p->ctx, "samples of a patch", samples, sizeof **p->samples, &p->samples[i]));
     }
     BSQ_TRY(bsq_calloc(p->ctx, "planning", p->grid->lower_count, sizeof *p->keys, &p->keys));
-    BSQ_TRY(bsq_calloc(p->ctx, "planning", p->tile_count, sizeof *p->tiles, &p->tiles));
+    BSQ_TRY(bsq_calloc(p->ctx, "planning", p->patch_count, sizeof *p->patches, &p->patches));
     status = bake_lower_set_create(p->ctx, p->grid, &p->pass);
 done:
     return status;
@@ -256,7 +258,7 @@ static void release(struct planner *p)
     bsq_free(p->ctx, p->sets);
     bsq_free(p->ctx, p->keys);
     bsq_free(p->ctx, p->lowers);
-    bsq_free(p->ctx, p->tiles);
+    bsq_free(p->ctx, p->patches);
     pthread_mutex_destroy(&p->lock);
 }
 
@@ -297,15 +299,15 @@ static int check_texels(const struct planner *p)
     return 0;
 }
 
-static int place_tile(struct planner *p, const struct tile_nodes *nodes)
+static int place_patch(struct planner *p, const struct patch_nodes *nodes)
 {
-    const struct bk_tile tile = bake_raster_tile(p->options->raster, nodes->tile);
-    const struct bake_rectangle all = {0, 0, tile.width, tile.height};
+    const struct bk_patch patch = bake_raster_patch(p->options->raster, nodes->patch);
+    const struct bake_rectangle all = {0, 0, patch.width, patch.height};
     struct need need;
     bool placed;
     int status =
-        place(p, nodes->tile, &all, p->lowers + nodes->first, nodes->count, &need, &placed);
-    return status == 0 && !placed ? place_split(p, nodes->tile) : status;
+        place(p, nodes->patch, &all, p->lowers + nodes->first, nodes->count, &need, &placed);
+    return status == 0 && !placed ? place_split(p, nodes->patch) : status;
 }
 
 int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *options,
@@ -316,7 +318,7 @@ int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *option
                         .grid = options->job->grid,
                         .plan = out,
                         .lock = PTHREAD_MUTEX_INITIALIZER,
-                        .tile_count = bake_raster_tile_count(options->raster),
+                        .patch_count = bake_raster_patch_count(options->raster),
                         .counts = no_nodes(),
                         .subgrid_bytes = options->subgrid_bytes,
                         .largest_array = options->buffer_bytes};
@@ -325,14 +327,14 @@ int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *option
     BSQ_TRY(check_reach(ctx, options));
     BSQ_TRY(allocate(&p));
     (void)bake_visit_nodes(p.grid, p.grid->index_min, p.grid->index_max, note_key, &p);
-    bsq_progress_begin(ctx, "planning", "tiles", p.tile_count);
-    status = bsq_parallel_for(ctx, p.tile_count, find_nodes, &p);
+    bsq_progress_begin(ctx, "planning", "patches", p.patch_count);
+    status = bsq_parallel_for(ctx, p.patch_count, find_nodes, &p);
     bsq_progress_end(ctx);
     if (status < 0)
         goto done;
-    bsq_sort(p.tiles, p.tile_count, sizeof *p.tiles, by_key);
-    for (uint32_t i = 0; i < p.tile_count; i++)
-        BSQ_TRY(place_tile(&p, &p.tiles[i]));
+    bsq_sort(p.patches, p.patch_count, sizeof *p.patches, by_key);
+    for (uint32_t i = 0; i < p.patch_count; i++)
+        BSQ_TRY(place_patch(&p, &p.patches[i]));
     BSQ_TRY(check_texels(&p));
     status = end_pass(&p);
 done:

@@ -81,7 +81,7 @@ static int add_samples(struct ray_bounds *bounds)
     return status;
 }
 
-static int add_texel(struct ray_bounds *bounds, const struct bk_tile *tile,
+static int add_texel(struct ray_bounds *bounds, const struct bk_patch *patch,
                      const uint32_t *sample_triangles, uint32_t column, uint32_t row)
 {
     const uint32_t n = bounds->job->params.samples;
@@ -89,15 +89,15 @@ static int add_texel(struct ray_bounds *bounds, const struct bk_tile *tile,
     int status = 0;
     for (uint32_t j = 0; j < n; j++)
         for (uint32_t i = 0; i < n && status == 0; i++) {
-            const bk_ulong index = bk_sample_index(tile, n, column, row, i, j);
+            const bk_ulong index = bk_sample_index(patch, n, column, row, i, j);
             const uint32_t triangle = sample_triangles[index];
             if (triangle == BK_NO_TRIANGLE)
                 continue;
             samples->triangle[samples->count] = triangle;
-            samples->x[samples->count] = bk_sample_place(tile->x + column, i, n);
-            samples->y[samples->count] = bk_sample_place(tile->y + row, j, n);
+            samples->x[samples->count] = bk_sample_position(patch->x + column, i, n);
+            samples->y[samples->count] = bk_sample_position(patch->y + row, j, n);
             samples->skew[samples->count] =
-                bk_sample_skew(&bounds->job->params, tile, sample_triangles, index);
+                bk_sample_skew(&bounds->job->params, patch, sample_triangles, index);
             if (++samples->count == BK_WIDTH)
                 status = add_samples(bounds);
         }
@@ -105,7 +105,7 @@ static int add_texel(struct ray_bounds *bounds, const struct bk_tile *tile,
 }
 
 int bake_lower_set_add_rays(struct bsq_ctx *ctx, struct bake_lower_set *set,
-                            const struct bake_job *job, const struct bk_tile *tile,
+                            const struct bake_job *job, const struct bk_patch *patch,
                             const uint32_t *sample_triangles,
                             const struct bake_rectangle *rectangle)
 {
@@ -117,7 +117,8 @@ int bake_lower_set_add_rays(struct bsq_ctx *ctx, struct bake_lower_set *set,
     int status = 0;
     for (uint32_t y = 0; y < rectangle->height; y++)
         for (uint32_t x = 0; x < rectangle->width; x++)
-            BSQ_TRY(add_texel(&bounds, tile, sample_triangles, rectangle->x + x, rectangle->y + y));
+            BSQ_TRY(
+                add_texel(&bounds, patch, sample_triangles, rectangle->x + x, rectangle->y + y));
     status = add_samples(&bounds);
 done:
     return status;

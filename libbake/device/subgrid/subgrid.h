@@ -105,15 +105,15 @@ void bake_subgrid_free(struct bsq_ctx *ctx, struct bake_subgrid *subgrid);
 
 /* ---- rays ---- */
 
-/* Texels of a tile, relative to it. */
+/* Texels of a patch, relative to it. */
 struct bake_rectangle {
     uint32_t x, y, width, height;
 };
 
 /* Adds all lower nodes that the rays of a rectangle's samples, or the blending around their hits,
- * look up. sample_triangles are those of the whole tile. */
+ * look up. sample_triangles are those of the whole patch. */
 int bake_lower_set_add_rays(struct bsq_ctx *ctx, struct bake_lower_set *set,
-                            const struct bake_job *job, const struct bk_tile *tile,
+                            const struct bake_job *job, const struct bk_patch *patch,
                             const uint32_t *sample_triangles,
                             const struct bake_rectangle *rectangle);
 /* Returns how far rays that start at hits reach from there, in voxels. */
@@ -123,9 +123,9 @@ float bake_secondary_reach(const struct bk_params *params);
 
 struct bake_raster;
 
-/* Texels that are traced together: usually a whole tile, less if a tile needs too many nodes. */
+/* Texels that are traced together: usually a whole patch, less if a patch needs too many nodes. */
 struct bake_piece {
-    uint32_t tile; /* of the raster */
+    uint32_t patch; /* of the raster */
     struct bake_rectangle texels;
 };
 
@@ -150,7 +150,7 @@ struct bake_plan_options {
     unsigned slots;
 };
 
-/* Plans passes over all tiles. Free with bake_plan_free(), also after a failure. Errors:
+/* Plans passes over all patches. Free with bake_plan_free(), also after a failure. Errors:
  * BSQ_ENODEVICE if the nodes of a single texel exceed a limit. */
 int bake_plan_passes(struct bsq_ctx *ctx, const struct bake_plan_options *options,
                      struct bake_plan *out);

@@ -217,7 +217,7 @@ static struct bake_curvature_counts measure(struct bsq_ctx *ctx, const struct sh
     bake_surface_set_params(&surface, &options, BAKE_MAP_CURVATURE);
     struct bake_image *image = make_image(ctx, shape, &surface, in_memory);
     const struct bake_curvature job = {
-        .surface = &surface, .image = image, .place = 1, .radius = radius};
+        .surface = &surface, .image = image, .offset = 1, .radius = radius};
     assert_int_equal(bake_curvature_trace(ctx, &job, &counts), 0);
     for (uint32_t y = 0; y < HEIGHT; y++) {
         const float *rows;
@@ -317,7 +317,7 @@ static void measure_edge(const char *path, const float *distances, uint32_t coun
         assert_int_equal(bake_image_write(image, i, 0, 1, 1, texel), 0);
     }
     const struct bake_curvature job = {
-        .surface = &surface, .image = image, .place = 1, .radius = 1};
+        .surface = &surface, .image = image, .offset = 1, .radius = 1};
     assert_int_equal(bake_curvature_trace(ctx, &job, &counts), 0);
     assert_int_equal(bake_image_rows(image, 0, 1, NULL, &texels), 0);
     for (uint32_t i = 0; i < count; i++)

@@ -79,7 +79,7 @@ int traced_sheet_setup(void **state)
     f->job = (struct bake_job){.grid = &f->grid,
                                .triangles = f->triangles,
                                .triangle_count = 2,
-                               .tile_texels = TEXELS,
+                               .patch_texels = TEXELS,
                                .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
                                           .samples = SAMPLES,
                                           .unit = 1,
@@ -102,7 +102,7 @@ int traced_sheet_teardown(void **state)
 
 struct sheet_texel *traced_sheet_trace(struct fixture *f, const char *name, unsigned worker)
 {
-    const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
+    const struct bk_patch patch = {.width = WIDTH, .height = HEIGHT};
     struct sheet_texel *texels = calloc(TEXELS, sizeof *texels);
     struct bake_device *device;
 
@@ -111,7 +111,7 @@ struct sheet_texel *traced_sheet_trace(struct fixture *f, const char *name, unsi
         free(texels);
         return NULL;
     }
-    assert_int_equal(bake_device_trace(device, &tile, f->samples, (float *)texels, worker), 0);
+    assert_int_equal(bake_device_trace(device, &patch, f->samples, (float *)texels, worker), 0);
     bake_device_close(device);
     return texels;
 }
@@ -119,7 +119,7 @@ struct sheet_texel *traced_sheet_trace(struct fixture *f, const char *name, unsi
 struct sheet_texel *traced_sheet_trace_dense(struct fixture *f, const char *name, uint32_t n,
                                              uint64_t *launches)
 {
-    const struct bk_tile tile = {
+    const struct bk_patch patch = {
         .x = WIDTH / 2, .y = HEIGHT / 2, .width = DENSE_WIDTH, .height = DENSE_HEIGHT};
     struct sheet_texel *texels = calloc(DENSE_TEXELS, sizeof *texels);
     uint32_t *samples = calloc(DENSE_TEXELS, n * n * sizeof *samples);
@@ -128,7 +128,7 @@ struct sheet_texel *traced_sheet_trace_dense(struct fixture *f, const char *name
     struct bake_device *device;
 
     job.params.samples = n;
-    job.tile_texels = DENSE_TEXELS;
+    job.patch_texels = DENSE_TEXELS;
     for (uint32_t i = 0; i < DENSE_TEXELS * n * n; i += 7)
         samples[i] = i % 2 ? 1 : BK_NO_TRIANGLE;
     if (bake_device_open(f->ctx, name, &job, &device) < 0) {
@@ -137,7 +137,7 @@ struct sheet_texel *traced_sheet_trace_dense(struct fixture *f, const char *name
         free(samples);
         return NULL;
     }
-    assert_int_equal(bake_device_trace(device, &tile, samples, (float *)texels, 0), 0);
+    assert_int_equal(bake_device_trace(device, &patch, samples, (float *)texels, 0), 0);
     bake_device_times(device, &times);
     *launches = times.launches;
     bake_device_close(device);

@@ -19,7 +19,7 @@ TEST(test_curve_goes_from_neighbour_to_neighbour)
         float point[3];
         for (int k = 0; k < 3; k++)
             point[k] = low[k] + 3 * ((float)cell[k] + 0.5f) / CELLS;
-        const uint64_t place = bake_exact_curve_place(point, low, 3) >> (33 - 12);
+        const uint64_t place = bake_exact_curve_index(point, low, 3) >> (33 - 12);
         assert_in_range(place, 0, ALL - 1);
         assert_int_equal(cell_at[place], -1);
         cell_at[place] = c;

@@ -63,15 +63,15 @@ static struct bake_exact_ray open_ray(const struct bake_exact *exact,
 {
     const struct bake_exact_hit *hit = &view->hits[i];
     const double lift = (double)bake_exact_lift(exact);
-    struct bake_place place = {.share = view->shares[i]};
+    struct bake_viewpoint viewpoint = {.share = view->shares[i]};
     struct bake_exact_ray ray;
     for (int k = 0; k < 3; k++)
-        place.open_from[k] =
+        viewpoint.open_from[k] =
             (float)((double)view->rays[i].origin[k] + hit->t * (double)view->rays[i].direction[k] +
                     lift * (double)hit->facet[k]);
-    memcpy(place.normal, hit->normal, sizeof place.normal);
-    memcpy(place.facet, hit->facet, sizeof place.facet);
-    bake_place_ray(params, &place, true, 0, ray.origin, ray.direction);
+    memcpy(viewpoint.normal, hit->normal, sizeof viewpoint.normal);
+    memcpy(viewpoint.facet, hit->facet, sizeof viewpoint.facet);
+    bake_viewpoint_ray(params, &viewpoint, true, 0, ray.origin, ray.direction);
     return ray;
 }
 
@@ -290,7 +290,8 @@ TEST(test_rays_are_hidden_where_embree_hides_them)
 
 /* ---- threads and memory ---- */
 
-/* Chunks pass through memory in groups if they do not fit, for one batch of places after another.
+/* Chunks pass through memory in groups if they do not fit, for one batch of viewpoints after
+ * another.
  */
 TEST(test_results_depend_on_neither_threads_nor_memory)
 {

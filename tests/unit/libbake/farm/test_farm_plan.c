@@ -66,7 +66,7 @@ static struct bake_farm_plan *make_plan(struct bsq_ctx *ctx, const struct bake_o
         for (uint32_t b = 0; b < plan->tiles[t].columns * plan->tiles[t].rows; b++)
             if (b % 5 != 4) /* the others have no samples */
                 blocks[count++] = (struct bake_farm_block){
-                    .place = (b * 37u) % 64, .tile = t, .block = b, .samples = 100 + b};
+                    .index = (b * 37u) % 64, .tile = t, .block = b, .samples = 100 + b};
     assert_int_equal(bake_farm_divide(plan, blocks, count), 0);
     return plan;
 }

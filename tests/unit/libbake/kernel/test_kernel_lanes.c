@@ -109,20 +109,20 @@ static int teardown(void **state)
 }
 
 static void one_by_one(const struct fixture *f, const struct bk_params *params,
-                       const struct bk_tile *tile, float *texels)
+                       const struct bk_patch *patch, float *texels)
 {
     bk_cache cache = bk_cache_empty();
     for (uint32_t row = 0; row < HEIGHT; row++)
         for (uint32_t column = 0; column < WIDTH; column++) {
             float *texel = texels + (row * WIDTH + column) * bk_texel_floats(params->maps);
             bk_clear_texel(params->maps, texel);
-            bk_sample_texel(&f->grid, params, &cache, f->triangles, tile, f->samples, column, row,
+            bk_sample_texel(&f->grid, params, &cache, f->triangles, patch, f->samples, column, row,
                             0, params->samples, texel);
         }
 }
 
-/* Compares tiles that are traced with the widest lanes to be had and with all narrower ones. tree:
- * for secondary rays; may be NULL. */
+/* Compares patches that are traced with the widest lanes to be had and with all narrower ones.
+ * tree: for secondary rays; may be NULL. */
 static void compare(const struct fixture *f, const struct bk_params *params,
                     const struct bake_tree *tree)
 {
@@ -130,12 +130,12 @@ static void compare(const struct fixture *f, const struct bk_params *params,
     static float results[BAKE_NATIVE_HITS * RAYS];
     static struct bake_tree_stream stream;
     const struct bake_native_memory memory = {tree, &stream, results};
-    const struct bk_tile tile = {.x = 3, .y = 1, .width = WIDTH, .height = HEIGHT};
+    const struct bk_patch patch = {.x = 3, .y = 1, .width = WIDTH, .height = HEIGHT};
     const uint64_t entries = bk_texel_floats(params->maps);
     uint64_t covered = 0, hits = 0;
 
     assert_true(entries <= FLOATS && params->open_rays + params->thickness_rays <= RAYS);
-    one_by_one(f, params, &tile, expected);
+    one_by_one(f, params, &patch, expected);
     for (uint64_t i = 0; i < TEXELS; i++) {
         covered += (uint64_t)expected[i * entries + BK_COVERED];
         hits += (uint64_t)expected[i * entries + BK_HITS];
@@ -146,9 +146,9 @@ static void compare(const struct fixture *f, const struct bk_params *params,
     if (bsq_simd_best() < BSQ_SIMD_AVX512)
         print_message("this processor cannot run all levels of instructions\n");
     for (unsigned level = BSQ_SIMD_BASE; level <= bsq_simd_best(); level++) {
-        bake_native_tile_fn *code = BSQ_SIMD_PICK(level, bake_native_tile);
+        bake_native_patch_fn *code = BSQ_SIMD_PICK(level, bake_native_patch);
         memset(found, 0xff, sizeof found);
-        code(&f->grid, params, f->triangles, &tile, 0, tile.height, f->samples, &memory, found);
+        code(&f->grid, params, f->triangles, &patch, 0, patch.height, f->samples, &memory, found);
         assert_memory_equal(found, expected, TEXELS * entries * sizeof *found);
     }
 }

@@ -67,7 +67,7 @@ static void end(struct scene *s)
 static bk_surroundings look(const struct scene *s, const double position[3], const double normal[3])
 {
     struct bk_cache cache = bk_cache_empty();
-    const bk_place_on_scan from = {
+    const bk_viewpoint from = {
         .position = bk_v3((float)position[0], (float)position[1], (float)position[2]),
         .normal = bk_v3((float)normal[0], (float)normal[1], (float)normal[2]),
         .side = 1,

@@ -11,7 +11,7 @@ struct fixture {
     struct bake_lowmesh mesh;
     enum bake_rays rays;
     enum bake_low_normals normals;
-    const struct bake_placement *placement;
+    const struct bake_transform *transform;
 };
 
 static int set_up(void **state)
@@ -39,7 +39,7 @@ static int tear_down(void **state)
 static int load_file(struct fixture *f, const char *path)
 {
     const struct bake_lowmesh_options options = {
-        .path = path, .rays = f->rays, .normals = f->normals, .placement = f->placement};
+        .path = path, .rays = f->rays, .normals = f->normals, .transform = f->transform};
     return bake_lowmesh_load(f->ctx, &options, &f->mesh);
 }
 
@@ -227,9 +227,9 @@ FIXTURE_TEST(test_placement)
     struct fixture *f = *state;
     const struct bake_options options = {
         .low_scale = 2, .low_turn = 1, .low_x = 10, .low_y = 20, .low_z = 30};
-    struct bake_placement placement;
-    bake_placement_of(&options, &placement);
-    f->placement = &placement;
+    struct bake_transform transform;
+    bake_transform_of(&options, &transform);
+    f->transform = &transform;
     load_text(f, "v 1 2 3\nv 2 2 3\nv 1 2 4\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 1 0\n"
                  "f 1/1/1 2/2/1 3/3/1\n");
     assert_true(f->mesh.positions[0][0][0] == 12 && f->mesh.positions[0][0][1] == 14 &&

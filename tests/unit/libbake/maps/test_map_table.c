@@ -226,8 +226,8 @@ TEST(test_transfer_maps_follow_the_rows)
     const float values[9] = {1, 2, 3, 4, 5, 6, 7, 8, 9};
     assert_int_equal(bk_texel_floats(maps), floats + 9);
     assert_int_equal(bake_image_channels_for(maps), place + 9);
-    assert_int_equal(bake_place_of(maps, BK_MAP_id), bake_place_of(rows, BK_MAP_id));
-    assert_int_equal(bake_place_of(maps, BK_MAP_COUNT + 2), place + 6);
+    assert_int_equal(bake_map_offset(maps, BK_MAP_id), bake_map_offset(rows, BK_MAP_id));
+    assert_int_equal(bake_map_offset(maps, BK_MAP_COUNT + 2), place + 6);
     bk_add_transfers(maps, values, texel);
     bk_add_transfers(maps, values, texel);
     for (uint32_t i = 0; i < floats; ++i)

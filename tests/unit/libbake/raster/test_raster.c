@@ -97,38 +97,38 @@ struct map {
 };
 
 static struct bake_raster *create(struct fixture *f, uint32_t width, uint32_t height, uint32_t n,
-                                  uint32_t tile_size, struct bake_raster_report *report)
+                                  uint32_t patch_side, struct bake_raster_report *report)
 {
     const struct bake_raster_options options = {
-        width, height, n, tile_size, 0, f->mesh.triangle_count, NULL, {NULL, 0}};
+        width, height, n, patch_side, 0, f->mesh.triangle_count, NULL, {NULL, 0}};
     struct bake_raster *raster = NULL;
     if (bake_raster_create(f->ctx, &f->mesh, &options, report, &raster) < 0)
         fail_msg("%s", bsq_error(f->ctx));
     return raster;
 }
 
-/* Rasterises all tiles and assembles the map. Free map.owners. */
+/* Rasterises all patches and assembles the map. Free map.owners. */
 static struct map rasterise(struct fixture *f, uint32_t width, uint32_t height, uint32_t n,
-                            uint32_t tile_size)
+                            uint32_t patch_side)
 {
     struct map map = {.columns = width * n, .rows = height * n};
-    struct bake_raster *raster = create(f, width, height, n, tile_size, &map.report);
-    uint32_t *tile_owners = resized(NULL, (uint64_t)tile_size * tile_size * n * n, 4);
+    struct bake_raster *raster = create(f, width, height, n, patch_side, &map.report);
+    uint32_t *patch_owners = resized(NULL, (uint64_t)patch_side * patch_side * n * n, 4);
 
     map.owners = resized(NULL, (uint64_t)map.columns * map.rows, 4);
     memset(map.owners, 0xff, (size_t)map.columns * map.rows * 4);
-    for (uint32_t k = 0; k < bake_raster_tile_count(raster); k++) {
-        struct bk_tile tile = bake_raster_tile(raster, k);
+    for (uint32_t k = 0; k < bake_raster_patch_count(raster); k++) {
+        struct bk_patch patch = bake_raster_patch(raster, k);
         uint64_t overlaps = UINT64_MAX;
-        assert_int_equal(bake_raster_fill(raster, k, tile_owners, &overlaps), 0);
+        assert_int_equal(bake_raster_fill(raster, k, patch_owners, &overlaps), 0);
         map.overlaps += overlaps;
-        for (uint32_t y = 0; y < tile.height * n; y++)
-            memcpy(map.owners + (uint64_t)(tile.y * n + y) * map.columns + tile.x * n,
-                   tile_owners + (uint64_t)y * tile.width * n, tile.width * n * 4);
+        for (uint32_t y = 0; y < patch.height * n; y++)
+            memcpy(map.owners + (uint64_t)(patch.y * n + y) * map.columns + patch.x * n,
+                   patch_owners + (uint64_t)y * patch.width * n, patch.width * n * 4);
     }
     for (uint64_t k = 0; k < (uint64_t)map.columns * map.rows; k++)
         map.covered += map.owners[k] != BK_NO_TRIANGLE;
-    free(tile_owners);
+    free(patch_owners);
     bake_raster_free(raster);
     return map;
 }
@@ -265,9 +265,9 @@ static void add_jittered_grid(struct fixture *f, uint32_t cells)
 }
 
 static void check_each_sample_once(struct fixture *f, uint32_t width, uint32_t height, uint32_t n,
-                                   uint32_t tile_size)
+                                   uint32_t patch_side)
 {
-    struct map map = rasterise(f, width, height, n, tile_size);
+    struct map map = rasterise(f, width, height, n, patch_side);
     if (map.covered != (uint64_t)map.columns * map.rows || map.overlaps != 0)
         fail_msg("%u x %u texels, %u samples: %llu covered, %llu overlaps", width, height, n,
                  (unsigned long long)map.covered, (unsigned long long)map.overlaps);
@@ -348,7 +348,7 @@ FIXTURE_TEST(test_top_left_rule)
     free(map.owners);
 }
 
-FIXTURE_TEST(test_tile_size_does_not_matter)
+FIXTURE_TEST(test_patch_size_does_not_matter)
 {
     struct fixture *f = *state;
     const uint32_t sizes[] = {1, 5, 16, 31, 200};
@@ -422,22 +422,22 @@ FIXTURE_TEST(test_degenerate_triangles_are_counted)
     free(map.owners);
 }
 
-FIXTURE_TEST(test_empty_tiles_are_left_out)
+FIXTURE_TEST(test_empty_patches_are_left_out)
 {
     struct fixture *f = *state;
     struct bake_raster_report report;
     struct bake_raster *raster = create(f, 64, 64, 1, 16, &report);
-    assert_int_equal(bake_raster_tile_count(raster), 0);
+    assert_int_equal(bake_raster_patch_count(raster), 0);
     bake_raster_free(raster);
 
     add_quad(f, 0.26f, 0.01f, 0.49f, 0.19f);
     add_quad(f, 0.3f, 0.8f, 0.7f, 0.9f);
     raster = create(f, 64, 60, 1, 16, &report);
-    assert_int_equal(bake_raster_tile_count(raster), 3);
-    const struct bk_tile expected[3] = {{16, 0, 16, 16}, {32, 0, 16, 16}, {16, 48, 16, 12}};
+    assert_int_equal(bake_raster_patch_count(raster), 3);
+    const struct bk_patch expected[3] = {{16, 0, 16, 16}, {32, 0, 16, 16}, {16, 48, 16, 12}};
     for (uint32_t k = 0; k < 3; k++) {
-        struct bk_tile tile = bake_raster_tile(raster, k);
-        assert_memory_equal(&tile, &expected[k], sizeof(tile));
+        struct bk_patch patch = bake_raster_patch(raster, k);
+        assert_memory_equal(&patch, &expected[k], sizeof(patch));
     }
     bake_raster_free(raster);
 }
@@ -500,16 +500,16 @@ FIXTURE_TEST(test_senseless_options_are_refused)
     }
 }
 
-/* Rasters of two complementary sets of blocks have all tiles, each in one of them, with the same
+/* Rasters of two complementary sets of blocks have all patches, each in one of them, with the same
  * samples; the blocks at the border are smaller. */
 FIXTURE_TEST(test_blocks_divide_a_map)
 {
     struct fixture *f = *state;
-    enum { WIDTH = 80, HEIGHT = 50, SIDE = 32, COLUMNS = 3, ROWS = 2, TILE = 8 };
-    static uint32_t owners[TILE * TILE], all_owners[TILE * TILE];
+    enum { WIDTH = 80, HEIGHT = 50, SIDE = 32, COLUMNS = 3, ROWS = 2, PATCH = 8 };
+    static uint32_t owners[PATCH * PATCH], all_owners[PATCH * PATCH];
     struct bake_raster_report report;
     add_jittered_grid(f, 8);
-    struct bake_raster *all = create(f, WIDTH, HEIGHT, 1, TILE, &report);
+    struct bake_raster *all = create(f, WIDTH, HEIGHT, 1, PATCH, &report);
     uint32_t found = 0;
     for (uint32_t part = 0; part < 2; part++) {
         uint32_t slots[COLUMNS * ROWS], used = 0;
@@ -517,25 +517,25 @@ FIXTURE_TEST(test_blocks_divide_a_map)
             slots[b] = b % 2 == part ? used++ : BAKE_NO_SLOT;
         const struct bake_blocks blocks = {SIDE, COLUMNS, ROWS, used, slots};
         const struct bake_raster_options options = {
-            WIDTH, HEIGHT, 1, TILE, 0, f->mesh.triangle_count, &blocks, {NULL, 0}};
+            WIDTH, HEIGHT, 1, PATCH, 0, f->mesh.triangle_count, &blocks, {NULL, 0}};
         struct bake_raster *raster = NULL;
         assert_int_equal(bake_raster_create(f->ctx, &f->mesh, &options, &report, &raster), 0);
         uint32_t at = 0;
-        for (uint32_t i = 0; i < bake_raster_tile_count(raster); i++, found++) {
-            const struct bk_tile tile = bake_raster_tile(raster, i);
+        for (uint32_t i = 0; i < bake_raster_patch_count(raster); i++, found++) {
+            const struct bk_patch patch = bake_raster_patch(raster, i);
             uint64_t overlaps;
-            struct bk_tile other = bake_raster_tile(all, at);
-            assert_int_equal((tile.y / SIDE * COLUMNS + tile.x / SIDE) % 2, part);
-            while (other.x != tile.x || other.y != tile.y)
-                other = bake_raster_tile(all, ++at);
+            struct bk_patch other = bake_raster_patch(all, at);
+            assert_int_equal((patch.y / SIDE * COLUMNS + patch.x / SIDE) % 2, part);
+            while (other.x != patch.x || other.y != patch.y)
+                other = bake_raster_patch(all, ++at);
             assert_int_equal(bake_raster_fill(raster, i, owners, &overlaps), 0);
             assert_int_equal(bake_raster_fill(all, at, all_owners, &overlaps), 0);
             assert_memory_equal(owners, all_owners,
-                                (size_t)tile.width * tile.height * sizeof *owners);
+                                (size_t)patch.width * patch.height * sizeof *owners);
         }
         bake_raster_free(raster);
     }
-    assert_int_equal(found, bake_raster_tile_count(all));
+    assert_int_equal(found, bake_raster_patch_count(all));
     assert_true(found > COLUMNS * ROWS);
     bake_raster_free(all);
 }

@@ -28,7 +28,8 @@ TEST(test_batches_follow)
 }
 
 /* A device whose threads take 0.15 s for a launch of any size up to 100,000 texels: launches grow
- * until they are whole tiles. A slow one, where more texels take longer, keeps to half a second. */
+ * until they are whole patches. A slow one, where more texels take longer, keeps to half a second.
+ */
 TEST(test_batches_of_slow_threads)
 {
     enum { SAMPLES = 512, WIDTH = 64, HEIGHT = 64 };

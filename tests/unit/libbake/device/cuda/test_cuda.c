@@ -121,10 +121,10 @@ FIXTURE_TEST(test_same_bits_with_ptx)
     free(cuda);
 }
 
-/* Returns the times of a backend that traces the whole map `tiles` times on one worker. */
-static struct bake_device_times times_of(struct fixture *f, int tiles, struct sheet_texel *texels)
+/* Returns the times of a backend that traces the whole map `patches` times on one worker. */
+static struct bake_device_times times_of(struct fixture *f, int patches, struct sheet_texel *texels)
 {
-    const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
+    const struct bk_patch patch = {.width = WIDTH, .height = HEIGHT};
     struct bake_device_times times;
     struct bake_backend *backend;
     struct bake_subgrid whole;
@@ -133,38 +133,40 @@ static struct bake_device_times times_of(struct fixture *f, int tiles, struct sh
     assert_int_equal(bake_cuda_kind.open(f->ctx, 0, &f->job, &backend), 0);
     bake_subgrid_whole(&f->grid, &f->job.params, &whole);
     assert_int_equal(backend->load(backend, 0, &whole, why), 0);
-    for (int i = 0; i < tiles; i++)
-        assert_int_equal(backend->trace(backend, 0, &tile, f->samples, (float *)texels, 0, why), 0);
+    for (int i = 0; i < patches; i++)
+        assert_int_equal(backend->trace(backend, 0, &patch, f->samples, (float *)texels, 0, why),
+                         0);
     backend->times(backend, &times);
     backend->close(backend);
     return times;
 }
 
-/* On a slow device a tile takes several launches of about BAKE_BATCH_SECONDS. */
+/* On a slow device a patch takes several launches of about BAKE_BATCH_SECONDS. */
 FIXTURE_TEST(test_batches)
 {
-    enum { TILES = 3 };
+    enum { PATCHES = 3 };
     struct fixture *f = *state;
     struct sheet_texel *native = traced_sheet_trace(f, "cpu", 0);
     struct sheet_texel *cuda = calloc(TEXELS, sizeof *cuda);
-    const double seconds = 1e-9 * 2500 * TEXELS * SAMPLES * SAMPLES; /* 66 ms a tile */
+    const double seconds = 1e-9 * 2500 * TEXELS * SAMPLES * SAMPLES; /* 66 ms a patch */
     struct bake_device_times times;
 
     times = times_of(f, 1, cuda);
     assert_int_equal(times.launches, 1);
     setenv("FAKE_CUDA_NS", "2500", 1);
-    times = times_of(f, TILES, cuda);
+    times = times_of(f, PATCHES, cuda);
     assert_same(native, cuda, TEXELS);
-    /* The first tile is below BAKE_BATCH_FIRST samples. Then 0.05 s are 20000 samples of 26412: two
-     * calls. */
+    /* The first patch is below BAKE_BATCH_FIRST samples. Then 0.05 s are 20000 samples of 26412:
+     * two calls. */
     assert_int_equal(times.launches, 1 + 2 + 2);
-    assert_true(times.kernels > 0.999 * TILES * seconds && times.kernels < 1.001 * TILES * seconds);
+    assert_true(times.kernels > 0.999 * PATCHES * seconds &&
+                times.kernels < 1.001 * PATCHES * seconds);
     free(native);
     free(cuda);
 }
 
-/* A tile's times are exact however long ago the device was opened, although the time between events
- * is a float. */
+/* A patch's times are exact however long ago the device was opened, although the time between
+ * events is a float. */
 FIXTURE_TEST(test_times_after_days)
 {
     struct fixture *f = *state;
@@ -208,8 +210,8 @@ FIXTURE_TEST(test_memory_for_the_driver)
     }
 }
 
-/* Opens a device that has memory for the grid and tiles until another program takes some and leaves
- * `left` bytes for the grid. Returns the device memory that subgrids may then take. */
+/* Opens a device that has memory for the grid and patches until another program takes some and
+ * leaves `left` bytes for the grid. Returns the device memory that subgrids may then take. */
 static uint64_t open_beside_others(struct fixture *f, struct bsq_ctx *ctx, const char *name,
                                    uint64_t left)
 {
@@ -386,7 +388,7 @@ FIXTURE_TEST(test_opening_fails)
     }
 }
 
-/* Each call of a tile fails in turn, which is an error if the user named the device. The numbers
+/* Each call of a patch fails in turn, which is an error if the user named the device. The numbers
  * skip the calls that open the device: it uploads nine arrays through two halves of a staging
  * buffer. */
 FIXTURE_TEST(test_tracing_fails)
@@ -396,7 +398,7 @@ FIXTURE_TEST(test_tracing_fails)
         "cuMemAllocHost_v2:3",    "cuMemcpyHtoDAsync_v2:10", "cuLaunchKernel:1",
         "cuMemcpyDtoHAsync_v2:1", "cuEventElapsedTime:2",    "cuStreamQuery:1"};
     struct fixture *f = *state;
-    const struct bk_tile tile = {.width = WIDTH, .height = HEIGHT};
+    const struct bk_patch patch = {.width = WIDTH, .height = HEIGHT};
     struct sheet_texel *texels = calloc(TEXELS, sizeof *texels);
     int (*live)(void) = (int (*)(void))dlsym(dlopen("libcuda.so.1", RTLD_NOW), "fake_cuda_live");
 
@@ -407,7 +409,7 @@ FIXTURE_TEST(test_tracing_fails)
         snprintf(setting, sizeof setting, "%s:719", calls[i]);
         setenv("FAKE_CUDA_FAIL", setting, 1);
         assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
-        status = bake_device_trace(device, &tile, f->samples, (float *)texels, 0);
+        status = bake_device_trace(device, &patch, f->samples, (float *)texels, 0);
         assert_int_equal(status, BSQ_ENODEVICE);
         assert_non_null(strstr(bsq_error(f->ctx), "Fake GPU 0 (CUDA): cu"));
         assert_non_null(

@@ -190,7 +190,7 @@ TEST(test_limits)
 
 /* Compares rays through the tree with bk_look() at all levels of instructions. exact: distances
  * count, not only whether a ray meets something. */
-static void compare(const struct fixture *f, const bk_rays *kind, const bk_place_on_scan *points,
+static void compare(const struct fixture *f, const bk_rays *kind, const bk_viewpoint *points,
                     bool exact)
 {
     static float found[POINTS * RAYS], expected[POINTS * RAYS];
@@ -219,8 +219,7 @@ static void compare(const struct fixture *f, const bk_rays *kind, const bk_place
     }
 }
 
-static void compare_kinds(struct fixture *f, const bk_place_on_scan *points, float sine2,
-                          float limit)
+static void compare_kinds(struct fixture *f, const bk_viewpoint *points, float sine2, float limit)
 {
     static const float coarse[] = {BK_FAR, 9.5f, 1.0f};
     bk_rays kind = {.open = 1, .count = RAYS, .samples = 1, .sine2 = sine2, .limit = limit};
@@ -241,7 +240,7 @@ static void compare_kinds(struct fixture *f, const bk_place_on_scan *points, flo
 TEST(test_edges_and_corners)
 {
     const double centre[3] = {3, -4, 5};
-    static bk_place_on_scan points[POINTS];
+    static bk_viewpoint points[POINTS];
     uint64_t seed = 11;
     (void)state;
     struct analytic_grid *grid = analytic_grid_create();
@@ -266,23 +265,23 @@ TEST(test_edges_and_corners)
 }
 
 /* Returns a point in a cube around `centre`, with any normal. */
-static bk_place_on_scan random_point(const double centre[3], double half, uint64_t *seed)
+static bk_viewpoint random_point(const double centre[3], double half, uint64_t *seed)
 {
     double n[3], p[3];
     analytic_random_unit(seed, n);
     for (int k = 0; k < 3; k++)
         p[k] = centre[k] + between(seed, -half, half);
-    return (bk_place_on_scan){.position = bk_v3((float)p[0], (float)p[1], (float)p[2]),
-                              .normal = bk_v3((float)n[0], (float)n[1], (float)n[2]),
-                              .side = 1.0f,
-                              .share.seed = (bk_uint)*seed};
+    return (bk_viewpoint){.position = bk_v3((float)p[0], (float)p[1], (float)p[2]),
+                          .normal = bk_v3((float)n[0], (float)n[1], (float)n[2]),
+                          .side = 1.0f,
+                          .share.seed = (bk_uint)*seed};
 }
 
 /* Points in and around a grid, some far outside of it. */
 TEST(test_points_everywhere)
 {
     const double centre[3] = {2, 127, 4095};
-    static bk_place_on_scan points[POINTS];
+    static bk_viewpoint points[POINTS];
     uint64_t seed = 5;
     (void)state;
     struct analytic_grid *grid = analytic_grid_create();
@@ -317,7 +316,7 @@ TEST(test_points_everywhere)
 TEST(test_wide_grid)
 {
     const double ends[2] = {128 - 0.5 * BAKE_TREE_EXTENT, 0.5 * BAKE_TREE_EXTENT - 128};
-    static bk_place_on_scan points[POINTS];
+    static bk_viewpoint points[POINTS];
     uint64_t seed = 9;
     (void)state;
     struct analytic_grid *grid = analytic_grid_create();

@@ -90,7 +90,7 @@ static int setup(void **state)
     f->job = (struct bake_job){.grid = &f->grid,
                                .triangles = f->triangles,
                                .triangle_count = TRIANGLES,
-                               .tile_texels = TEXELS,
+                               .patch_texels = TEXELS,
                                .params = {.maps = BAKE_MAP_NORMAL | BAKE_MAP_COLOR,
                                           .samples = SAMPLES,
                                           .unit = 1,
@@ -149,13 +149,13 @@ static void load(const struct bake_subgrid *subgrid, struct memory arrays[BAKE_S
 }
 
 static void trace(const struct fixture *f, const struct bake_subgrid *subgrid,
-                  const struct bk_tile *tile, const uint32_t *samples, struct sums *texels)
+                  const struct bk_patch *patch, const uint32_t *samples, struct sums *texels)
 {
     struct memory arrays[BAKE_SUBGRID_ARRAYS];
     struct bk_grid grid;
     load(subgrid, arrays, &grid);
-    bake_native_tile_base(&grid, &subgrid->params, f->triangles, tile, 0, tile->height, samples,
-                          &(struct bake_native_memory){0}, (float *)texels);
+    bake_native_patch_base(&grid, &subgrid->params, f->triangles, patch, 0, patch->height, samples,
+                           &(struct bake_native_memory){0}, (float *)texels);
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
         free(arrays[i].data);
 }
@@ -164,7 +164,7 @@ static void trace(const struct fixture *f, const struct bake_subgrid *subgrid,
 static uint64_t compare(const struct fixture *f, const struct bake_rectangle *r,
                         const struct sums *expected)
 {
-    const struct bk_tile map = {0, 0, WIDTH, HEIGHT}, tile = {r->x, r->y, r->width, r->height};
+    const struct bk_patch map = {0, 0, WIDTH, HEIGHT}, patch = {r->x, r->y, r->width, r->height};
     const uint32_t row = r->width * SAMPLES;
     uint32_t *samples = malloc(sizeof *samples * row * r->height * SAMPLES);
     struct sums *texels = malloc(sizeof *texels * r->width * r->height);
@@ -179,7 +179,7 @@ static uint64_t compare(const struct fixture *f, const struct bake_rectangle *r,
         memcpy(samples + j * row,
                f->samples + (r->y * SAMPLES + j) * WIDTH * SAMPLES + r->x * SAMPLES,
                row * sizeof *samples);
-    trace(f, &subgrid, &tile, samples, texels);
+    trace(f, &subgrid, &patch, samples, texels);
     for (uint32_t y = 0; y < r->height; y++)
         assert_memory_equal(texels + y * r->width, expected + (r->y + y) * WIDTH + r->x,
                             r->width * sizeof *texels);
@@ -197,7 +197,7 @@ TEST(test_same_bits)
     static const struct bake_rectangle rectangles[] = {
         {0, 0, WIDTH, HEIGHT}, {0, 0, 32, 16}, {17, 9, 1, 1}, {40, 31, 13, 9}, {3, 40, 60, 8}};
     static struct sums expected[TEXELS];
-    const struct bk_tile map = {0, 0, WIDTH, HEIGHT};
+    const struct bk_patch map = {0, 0, WIDTH, HEIGHT};
 
     for (size_t i = 0; i < sizeof flags / sizeof *flags; i++) {
         struct bake_subgrid whole;

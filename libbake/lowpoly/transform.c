@@ -1,4 +1,4 @@
-/* placement.c - scales, turns and shifts meshes, as options ask for. */
+/* transform.c - scales, turns and shifts meshes, as options ask for. */
 #include "libbake/lowpoly/lowpoly_internal.h"
 
 #include <stdio.h>
@@ -35,28 +35,28 @@ void bake_turn_word(const double turn[3][3], char out[8])
         strcpy(out, name);
 }
 
-void bake_placement_of(const struct bake_options *options, struct bake_placement *out)
+void bake_transform_of(const struct bake_options *options, struct bake_transform *out)
 {
-    *out = (struct bake_placement){.scale = options->low_scale,
+    *out = (struct bake_transform){.scale = options->low_scale,
                                    .shift = {options->low_x, options->low_y, options->low_z}};
     bake_turn_matrix(options->low_turn, out->turn);
 }
 
-void bake_place(const struct bake_placement *placement, const double p[3], double out[3])
+void bake_transform_point(const struct bake_transform *transform, const double p[3], double out[3])
 {
     double turned[3];
     for (int r = 0; r < 3; r++)
-        turned[r] = placement->turn[r][0] * p[0] + placement->turn[r][1] * p[1] +
-                    placement->turn[r][2] * p[2];
+        turned[r] = transform->turn[r][0] * p[0] + transform->turn[r][1] * p[1] +
+                    transform->turn[r][2] * p[2];
     for (int r = 0; r < 3; r++)
-        out[r] = placement->scale * turned[r] + placement->shift[r];
+        out[r] = transform->scale * turned[r] + transform->shift[r];
 }
 
-void bake_placement_join(const struct bake_placement *first, const struct bake_placement *then,
-                         struct bake_placement *out)
+void bake_transform_join(const struct bake_transform *first, const struct bake_transform *then,
+                         struct bake_transform *out)
 {
     out->scale = then->scale * first->scale;
-    bake_place(then, first->shift, out->shift);
+    bake_transform_point(then, first->shift, out->shift);
     for (int r = 0; r < 3; r++)
         for (int c = 0; c < 3; c++)
             out->turn[r][c] = then->turn[r][0] * first->turn[0][c] +
@@ -64,18 +64,18 @@ void bake_placement_join(const struct bake_placement *first, const struct bake_p
                               then->turn[r][2] * first->turn[2][c];
 }
 
-void bake_place_mesh(const struct bake_placement *placement, struct fmt_mesh *mesh)
+void bake_transform_mesh(const struct bake_transform *transform, struct fmt_mesh *mesh)
 {
-    struct bake_placement turn = *placement;
+    struct bake_transform turn = *transform;
     turn.scale = 1;
     memset(turn.shift, 0, sizeof turn.shift);
     for (uint64_t v = 0; v < mesh->vertex_count; v++)
-        bake_place(placement, mesh->positions[v], mesh->positions[v]);
+        bake_transform_point(transform, mesh->positions[v], mesh->positions[v]);
     for (uint64_t n = 0; n < mesh->normal_count; n++) {
         double normal[3];
         for (int k = 0; k < 3; k++)
             normal[k] = (double)mesh->normals[n][k];
-        bake_place(&turn, normal, normal);
+        bake_transform_point(&turn, normal, normal);
         for (int k = 0; k < 3; k++)
             mesh->normals[n][k] = (float)normal[k];
     }

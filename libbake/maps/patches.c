@@ -1,28 +1,28 @@
-/* tiles.c - tile size, workers and resolving of a map's tiles, for grids and for triangles. */
+/* patches.c - patch size, workers and resolving of a map's patches, for grids and for triangles. */
 #include "base/parallel.h"
 #include "libbake/maps/maps.h"
 
-/* Sides in texels, and the tiles that each thread should at least get. */
-enum { LARGEST_TILE = 256, USUAL_TILE = 64, SMALLEST_TILE = 8, TILES_A_THREAD = 16 };
+/* Sides in texels, and the patches that each thread should at least get. */
+enum { LARGEST_PATCH = 256, USUAL_PATCH = 64, SMALLEST_PATCH = 8, PATCHES_A_THREAD = 16 };
 
 /* Returns the largest size of a worker's buffers, which is that with all rows of the table. */
-static uint64_t tile_bytes(uint64_t side, uint64_t samples, uint32_t maps)
+static uint64_t patch_bytes(uint64_t side, uint64_t samples, uint32_t maps)
 {
     maps |= (1u << BK_MAP_COUNT) - 1u;
     uint64_t most_floats = bk_texel_floats(maps) + bake_image_channels_for(maps);
     return side * side * (2 * samples * samples * sizeof(uint32_t) + most_floats * sizeof(float));
 }
 
-uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, uint32_t samples,
-                        uint32_t maps)
+uint32_t bake_patch_side(struct bsq_ctx *ctx, uint32_t width, uint32_t height, uint32_t samples,
+                         uint32_t maps)
 {
     uint64_t threads = bsq_threads(ctx);
-    uint64_t share = bsq_memory_share(ctx, "tiles that are traced", 8) / threads;
+    uint64_t share = bsq_memory_share(ctx, "patches that are traced", 8) / threads;
     uint64_t texels = (uint64_t)width * height;
-    uint32_t side = LARGEST_TILE;
-    while (side > USUAL_TILE && texels / side / side < TILES_A_THREAD * threads)
+    uint32_t side = LARGEST_PATCH;
+    while (side > USUAL_PATCH && texels / side / side < PATCHES_A_THREAD * threads)
         side /= 2;
-    while (side > SMALLEST_TILE && tile_bytes(side, samples, maps) > share)
+    while (side > SMALLEST_PATCH && patch_bytes(side, samples, maps) > share)
         side /= 2;
     return side;
 }
@@ -30,32 +30,32 @@ uint32_t bake_tile_size(struct bsq_ctx *ctx, uint32_t width, uint32_t height, ui
 static uint64_t count_texels(const struct bake_raster *raster)
 {
     uint64_t texels = 0;
-    for (uint32_t i = 0; i < bake_raster_tile_count(raster); ++i) {
-        struct bk_tile tile = bake_raster_tile(raster, i);
-        texels += (uint64_t)tile.width * tile.height;
+    for (uint32_t i = 0; i < bake_raster_patch_count(raster); ++i) {
+        struct bk_patch patch = bake_raster_patch(raster, i);
+        texels += (uint64_t)patch.width * patch.height;
     }
     return texels;
 }
 
-int bake_tile_workers_begin(struct bsq_ctx *ctx, const struct bake_tiles *tiles,
-                            uint64_t texel_count, struct bake_tile_workers *out)
+int bake_patch_workers_begin(struct bsq_ctx *ctx, const struct bake_patches *patches,
+                             uint64_t texel_count, struct bake_patch_workers *out)
 {
-    const uint64_t texels = (uint64_t)tiles->tile_size * tiles->tile_size;
-    const uint32_t maps = tiles->params->maps;
+    const uint64_t texels = (uint64_t)patches->patch_side * patches->patch_side;
+    const uint32_t maps = patches->params->maps;
     int status;
-    *out = (struct bake_tile_workers){.channels = bake_image_channels_for(maps),
-                                      .texel_floats = bk_texel_floats(maps),
-                                      .maps = maps};
-    bsq_progress_begin(ctx, "tracing", "texels", count_texels(tiles->raster));
+    *out = (struct bake_patch_workers){.channels = bake_image_channels_for(maps),
+                                       .texel_floats = bk_texel_floats(maps),
+                                       .maps = maps};
+    bsq_progress_begin(ctx, "tracing", "texels", count_texels(patches->raster));
     BSQ_TRY(bsq_calloc(ctx, "workers", bsq_threads(ctx), sizeof *out->workers, &out->workers));
     for (unsigned w = 0; w < bsq_threads(ctx); w++) {
-        struct bake_tile_worker *worker = &out->workers[w];
-        BSQ_TRY(bsq_alloc(ctx, "samples of a tile",
-                          texels * bake_raster_texel_entries(tiles->params), sizeof(uint32_t),
+        struct bake_patch_worker *worker = &out->workers[w];
+        BSQ_TRY(bsq_alloc(ctx, "samples of a patch",
+                          texels * bake_raster_texel_entries(patches->params), sizeof(uint32_t),
                           &worker->sample_triangles));
-        BSQ_TRY(bsq_alloc(ctx, "texels of a tile", texel_count, out->texel_floats * sizeof(float),
+        BSQ_TRY(bsq_alloc(ctx, "texels of a patch", texel_count, out->texel_floats * sizeof(float),
                           &worker->texels));
-        BSQ_TRY(bsq_alloc(ctx, "texels of a tile", texels, out->channels * sizeof(float),
+        BSQ_TRY(bsq_alloc(ctx, "texels of a patch", texels, out->channels * sizeof(float),
                           &worker->resolved));
     }
 done:
@@ -85,8 +85,8 @@ static void resolve_texel(const float *texel, uint32_t maps, float *out)
         out[i] = sums[i] * weight;
 }
 
-void bake_tile_worker_resolve(const struct bake_tile_workers *workers,
-                              struct bake_tile_worker *worker, uint32_t count, float *out)
+void bake_patch_worker_resolve(const struct bake_patch_workers *workers,
+                               struct bake_patch_worker *worker, uint32_t count, float *out)
 {
     for (uint32_t i = 0; i < count; ++i, out += workers->channels) {
         const float *texel = worker->texels + (size_t)i * workers->texel_floats;
@@ -97,11 +97,11 @@ void bake_tile_worker_resolve(const struct bake_tile_workers *workers,
     }
 }
 
-void bake_tile_workers_end(struct bsq_ctx *ctx, struct bake_tile_workers *workers,
-                           struct bake_report *report)
+void bake_patch_workers_end(struct bsq_ctx *ctx, struct bake_patch_workers *workers,
+                            struct bake_report *report)
 {
     for (unsigned w = 0; workers->workers && w < bsq_threads(ctx); w++) {
-        const struct bake_tile_worker *worker = &workers->workers[w];
+        const struct bake_patch_worker *worker = &workers->workers[w];
         report->covered_texels += worker->covered_texels;
         report->samples += worker->samples;
         report->hits += worker->hits;
