@@ -315,7 +315,7 @@ demo-maps: all $(generator)
 	$(BUILD)/bin/bisque-bake $(demo_dir)/vase.nvdb $(demo_dir)/vase_low.obj \
 	    --maps normal,color,mask --preview $(demo_dir)/preview.png -o '$(demo_dir)/vase_<MAP>.exr'
 	$(BUILD)/bin/bisque-bake $(demo_dir)/vase.nvdb $(demo_dir)/vase_low.obj --size 1024 \
-	    --samples 1 --maps height,ao,curvature --ao-rays 16 -o '$(demo_dir)/vase_<MAP>.png'
+	    --samples 1 --maps height,ao,curvature --rays ao=16 -o '$(demo_dir)/vase_<MAP>.png'
 	$(BUILD)/bin/bisque-simplify $(demo_dir)/vase.obj --triangles 5000 \
 	    -o $(demo_dir)/vase_simplified.obj
 	$(generator) --tiles 2 vase-low -o $(demo_dir)/vase_tiles.obj
@@ -328,24 +328,7 @@ demo-maps: all $(generator)
 
 include tests/bench/bench.mk
 
-# ---- documentation ----
-.PHONY: doc
-## doc: API documentation of the libraries in build/CONFIG/doc/html, with Doxygen
-doc: deps-doc $(public_copies)
-	@mkdir -p $(BUILD)/doc
-	{ cat docs/Doxyfile; echo 'INPUT = docs/api.md $(public_copies)'; \
-	    echo 'STRIP_FROM_PATH = $(BUILD)/include .'; echo 'PROJECT_NUMBER = $(VERSION)'; \
-	    echo 'OUTPUT_DIRECTORY = $(BUILD)/doc'; } | doxygen -
-
-# Takes the lines of `make -n` that compile one source.
-compile_commands := [inputs | select(test(" -c \\S+ -o ")) | \
-    {$$directory, command: ltrimstr("$(here) "), file: capture(" -c (?<file>\\S+) -o ").file}]
-.PHONY: compile_commands.json
-## compile_commands.json: how each source is compiled, for editors and clangd (needs jq)
-compile_commands.json:
-	@$(MAKE) --no-print-directory -Bn tests-build | \
-	    jq -nR --arg directory '$(CURDIR)' '$(compile_commands)' > $@
-
+include docs/doc.mk
 include tools/packaging/packaging.mk
 include tools/python/python.mk
 

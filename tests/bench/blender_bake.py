@@ -14,6 +14,7 @@ write-normals: adds Blender's own vertex normals, of smooth shading. decimate: k
 triangles, by Blender's modifier.
 """
 import math
+import os
 import resource
 import sys
 
@@ -59,7 +60,7 @@ def make_image(low, size):
 
 
 def save_image(image, path):
-    image.filepath_raw = path
+    image.filepath_raw = os.path.abspath(path)
     image.file_format = 'OPEN_EXR'
     image.save()
 
@@ -88,7 +89,7 @@ def bake(kind, scan_path, low_path, out, size, samples, front, back):
 
 
 def pixels(path):
-    image = bpy.data.images.load(path)
+    image = bpy.data.images.load(os.path.abspath(path))
     image.colorspace_settings.name = 'Non-Color'
     values = numpy.empty(len(image.pixels), dtype=numpy.float32)
     image.pixels.foreach_get(values)

@@ -5,7 +5,7 @@
 #   BIN=DIR TESTS=DIR tests/bench/blender_job.sh small|medium
 #
 #   BIN, TESTS   directories with the programs, and with generate-scan and measure
-#   BLENDER      Blender (default: blender)
+#   BLENDER      Blender, or a Python with the module bpy (default: blender)
 #   SIZES        texels along a side of the maps (default: 256 1024)
 set -eu
 LC_ALL=C
@@ -14,18 +14,18 @@ BIN=$(cd "${BIN:?is the directory with the programs}" && pwd)
 TESTS=$(cd "${TESTS:?is the directory with the test programs}" && pwd)
 here=$(cd "$(dirname "$0")" && pwd)
 case ${1:-} in
-small) triangles=1000000 resolution=768 ;;
-medium) triangles=10000000 resolution=2048 ;;
+small) triangles=1000000 ;;
+medium) triangles=10000000 ;;
 *)
     echo "usage: BIN=DIR TESTS=DIR tests/bench/blender_job.sh small|medium" >&2
     exit 64
     ;;
 esac
 BLENDER=${BLENDER:-blender}
-"$BLENDER" -b --version >/dev/null 2>&1 || {
-    echo "bench-blender: there is no Blender: set BLENDER" >&2
+if ! { "$BLENDER" -b --version || "$BLENDER" -c 'import bpy'; } >/dev/null 2>&1; then
+    echo "bench-blender: there is neither Blender nor a Python with bpy: set BLENDER" >&2
     exit 69
-}
+fi
 work=$(mktemp -d "${TMPDIR:-/tmp}/bench-blender.XXXXXX")
 trap 'rm -rf "$work"' EXIT
 trap 'exit 75' INT TERM HUP
@@ -54,14 +54,17 @@ in_blender()
 {
     name=$1
     shift
-    cost "$name" "$BLENDER" -b --factory-startup --python-exit-code 70 --python "$here/blender_bake.py" -- "$@"
+    case $BLENDER in
+    *python*) cost "$name" "$BLENDER" "$here/blender_bake.py" "$@" ;;
+    *) cost "$name" "$BLENDER" -b --factory-startup --python-exit-code 70 --python "$here/blender_bake.py" -- "$@" ;;
+    esac
 }
 
-# bisque NAME SCAN SIZE RAYS: bakes NAME_ao.exr and NAME_mask.exr.
+# bisque NAME SCAN SIZE RAYS[,filter=MODE]: bakes NAME_ao.exr and NAME_mask.exr.
 bisque()
 {
     # shellcheck disable=SC2086 # options
-    cost "$1" "$BIN/bisque-bake" "$2.nvdb" low.obj -o "$1_<MAP>.exr" --maps ao,mask --rays ao="$4" --size "$3" --samples 1 \
+    cost "$1" "$BIN/bisque-bake" "$2.nvdb" low.obj -o "$1_<MAP>.exr" --maps ao,mask --rays "ao=$4" --size "$3" --samples 1 \
         --padding 0 --type float --device cpu $reach
 }
 
@@ -87,33 +90,61 @@ for samples in 32 64 96 128 192; do
     in_blender count bake ao coarse.obj low.obj "blender$samples.exr" 128 $samples 0.05 0.05
     theirs=$(noise "blender$samples.exr" blender.exr reference_mask.exr)
     echo "| $samples | $([ $samples = 64 ] && echo "$ours" || echo) | $theirs |"
-    # The number whose noise is nearest to that of our 64 rays.
     echo "$samples $theirs" >>noises
 done
-samples=$(awk -v ours="$ours" '{ d = $2 > ours ? $2 / ours : ours / $2; if (!best || d < best) { best = d; n = $1 } } END { print n }' noises)
+# The number of samples with the noise of our 64 rays: on a line through the logarithms of both around it.
+samples=$(awk -v ours="$ours" '{
+    if (!n && $2 <= ours)
+        n = NR == 1 ? $1 : last_n * exp(log($1 / last_n) * log(ours / last) / log($2 / last))
+    last_n = $1
+    last = $2
+} END { printf "%.0f\n", n ? n : last_n }' noises)
+
+say "the filter"
+bisque reference coarse 512 1024
+echo
+echo "At 512 x 512 texels, RMS from 1024 rays a texel:"
+echo
+echo "| rays | RMS |"
+echo "|:--|--:|"
+for rays in 16 64 16,filter=surface; do
+    bisque filtered coarse 512 $rays
+    echo "| $rays | $(noise filtered_ao.exr reference_ao.exr reference_mask.exr) |"
+done
 
 say "a scan of $triangles triangles"
 "$TESTS/generate-scan" --triangles $triangles vase -o scan.obj
 echo
 echo "Whole jobs, $triangles triangles, Bisque with 64 rays, Blender with $samples samples:"
 echo
-echo "| texels | | wall s | processor s | memory, MiB |"
-echo "|--:|:--|--:|--:|--:|"
+echo "| texels | | wall s | processor s | memory, MiB | Blender's wall / this |"
+echo "|--:|:--|--:|--:|--:|--:|"
+
+# wall NAME: prints the sum of the wall times in the file NAME.
+wall()
+{
+    tr ' ' '\n' <"$1" | awk -F = '$1 == "wall" { s += $2 } END { print s }'
+}
 
 # row SIZE NAME: prints the sum of the costs in the file NAME.
 row()
 {
-    awk -v size="$1" -v name="$2" '{
+    awk -v size="$1" -v name="$2" -v theirs="$(wall Blender)" '{
         for (i = 1; i <= NF; i++) { split($i, p, "="); v[p[1]] = p[2] }
         wall += v["wall"]; cpu += v["user"] + v["system"]; if (v["rss_kib"] > rss) rss = v["rss_kib"]
-    } END { printf "| %s | %s | %.1f | %.1f | %.0f |\n", size, name, wall, cpu, rss / 1024 }' "$2"
+    } END { printf "| %s | %s | %.1f | %.1f | %.0f | %.1f |\n", size, name, wall, cpu, rss / 1024, theirs / wall }' "$2"
 }
 for size in ${SIZES:-256 1024}; do
-    rm -f Bisque Blender
+    rm -f Bisque Filtered Blender
     say "$size x $size"
-    cost Bisque "$BIN/bisque-voxelize" scan.obj -o scan.nvdb --resolution $resolution
-    bisque Bisque scan "$size" 64
-    row "$size" Bisque
+    # A voxel of half a texel, as README.md says.
     in_blender Blender bake ao scan.obj low.obj map.exr "$size" "$samples" 0.05 0.05
-    row "$size" Blender
+    for name in Bisque Filtered; do
+        cost $name "$BIN/bisque-voxelize" scan.obj -o scan.nvdb --resolution "$size"
+    done
+    bisque Bisque scan "$size" 64
+    bisque Filtered scan "$size" 16,filter=surface
+    for name in Bisque Filtered Blender; do
+        row "$size" $name
+    done
 done
