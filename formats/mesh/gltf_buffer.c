@@ -257,7 +257,7 @@ int fmt_gltf_read_bytes(struct bsq_ctx *ctx, const struct gltf_source *source, u
                            size, from->offset + offset);
 }
 
-/* ---- accessors: elements of all types, also sparse ones ---- */
+/* ---- accessors: elements of all types ---- */
 
 uint32_t fmt_gltf_component_bytes(enum gltf_component component)
 {
@@ -300,69 +300,18 @@ static int read_type(const struct gltf_item *item, uint32_t *components)
     return fmt_gltf_fail(item, "unknown type \"%.20s\"", name ? name : "");
 }
 
-/* Checks that `count` elements of `bytes` bytes, `stride` apart, lie in the view. */
-static int check_range(const struct gltf_item *item, const struct gltf_source *source,
-                       const struct gltf_array *array, uint64_t count, uint64_t stride,
-                       uint64_t bytes)
-{
-    const uint64_t size = source->views[array->view].size;
-    if (count == 0)
-        return 0;
-    if (array->offset > size || bytes > size - array->offset ||
-        count - 1 > (size - array->offset - bytes) / stride)
-        return fmt_gltf_fail(item,
-                             "%" PRIu64 " elements of %" PRIu64
-                             " bytes are too many for bufferViews[%" PRIu32 "], which has %" PRIu64
-                             " bytes",
-                             count, bytes, array->view, size);
-    return 0;
-}
-
-/* Reads where elements of a sparse accessor are. They follow each other. */
-static int read_sparse_array(const struct gltf_item *item, const struct gltf_source *source,
-                             const json_t *object, uint64_t count, uint32_t components,
-                             struct gltf_array *out)
-{
-    out->offset = 0;
-    int status;
-    BSQ_TRY(fmt_gltf_index(item, object, "bufferView", "bufferViews", &out->view));
-    if (out->view == GLTF_NONE)
-        BSQ_TRY(fmt_gltf_fail(item, "\"sparse\" has no bufferView"));
-    BSQ_TRY(fmt_gltf_number(item, object, "byteOffset", INT64_MAX / 4, &out->offset));
-    const uint64_t bytes = (uint64_t)components * fmt_gltf_component_bytes(out->component);
-    status = check_range(item, source, out, count, bytes, bytes);
-done:
-    return status;
-}
-
-static int read_sparse(const struct gltf_item *item, const struct gltf_source *source,
-                       struct gltf_accessor *out)
-{
-    const json_t *sparse = json_object_get(item->object, "sparse");
-    const json_t *indices = json_object_get(sparse, "indices");
-    uint64_t count = GLTF_REQUIRED;
-    if (!sparse || out->components == 0)
-        return 0;
-    int status = fmt_gltf_number(item, sparse, "count", out->count, &count);
-    if (!status)
-        status = read_component(item, indices, &out->sparse_indices.component);
-    if (!status)
-        status = read_sparse_array(item, source, indices, count, 1, &out->sparse_indices);
-    out->sparse_values.component = out->elements.component;
-    if (!status)
-        status = read_sparse_array(item, source, json_object_get(sparse, "values"), count,
-                                   out->components, &out->sparse_values);
-    out->sparse_count = status ? 0 : count;
-    return status;
-}
-
-/* Such an accessor stands for zeros. There may be as many of them as the file has bytes, so that a
- * small file cannot stand for endless work. */
-int fmt_gltf_check_zeros(const struct gltf_item *item, const struct gltf_source *source,
-                         uint32_t number)
+/* An accessor without a view stands for zeros. There may be as many of them as the file has bytes,
+ * so that a small file cannot stand for endless work. */
+int fmt_gltf_check_used(const struct gltf_item *item, const struct gltf_source *source,
+                        uint32_t number)
 {
     const struct gltf_accessor *accessor = &source->accessors[number];
-    if (accessor->elements.view == GLTF_NONE && accessor->count > source->bytes)
+    if (accessor->sparse)
+        return fmt_gltf_fail(item,
+                             "accessors[%" PRIu32 "] is sparse, which is not read: save the file "
+                             "by Blender or gltfpack",
+                             number);
+    if (accessor->view == GLTF_NONE && accessor->count > source->bytes)
         return fmt_gltf_fail(item,
                              "accessors[%" PRIu32 "] has %" PRIu64
                              " elements without data, which are too many",
@@ -370,14 +319,22 @@ int fmt_gltf_check_zeros(const struct gltf_item *item, const struct gltf_source 
     return 0;
 }
 
+/* Checks that the elements of an accessor lie in its view. */
 static int check_elements(const struct gltf_item *item, const struct gltf_source *source,
-                          const struct gltf_accessor *accessor)
+                          const struct gltf_accessor *a)
 {
-    if (accessor->elements.view == GLTF_NONE || accessor->components == 0)
+    const uint64_t bytes = (uint64_t)a->components * fmt_gltf_component_bytes(a->component);
+    if (a->view == GLTF_NONE || a->components == 0 || a->count == 0)
         return 0;
-    return check_range(
-        item, source, &accessor->elements, accessor->count, fmt_gltf_stride(source, accessor),
-        (uint64_t)accessor->components * fmt_gltf_component_bytes(accessor->elements.component));
+    const uint64_t size = source->views[a->view].size;
+    if (a->offset > size || bytes > size - a->offset ||
+        a->count - 1 > (size - a->offset - bytes) / fmt_gltf_stride(source, a))
+        return fmt_gltf_fail(item,
+                             "%" PRIu64 " elements of %" PRIu64
+                             " bytes are too many for bufferViews[%" PRIu32 "], which has %" PRIu64
+                             " bytes",
+                             a->count, bytes, a->view, size);
+    return 0;
 }
 
 int fmt_gltf_read_accessor(const struct gltf_item *item, struct gltf_source *source, void *element)
@@ -385,15 +342,14 @@ int fmt_gltf_read_accessor(const struct gltf_item *item, struct gltf_source *sou
     struct gltf_accessor *out = element;
     int status;
     out->count = GLTF_REQUIRED;
-    BSQ_TRY(fmt_gltf_index(item, item->object, "bufferView", "bufferViews", &out->elements.view));
-    BSQ_TRY(
-        fmt_gltf_number(item, item->object, "byteOffset", INT64_MAX / 4, &out->elements.offset));
+    BSQ_TRY(fmt_gltf_index(item, item->object, "bufferView", "bufferViews", &out->view));
+    BSQ_TRY(fmt_gltf_number(item, item->object, "byteOffset", INT64_MAX / 4, &out->offset));
     BSQ_TRY(fmt_gltf_number(item, item->object, "count", INT64_MAX / 4, &out->count));
-    BSQ_TRY(read_component(item, item->object, &out->elements.component));
+    BSQ_TRY(read_component(item, item->object, &out->component));
     BSQ_TRY(read_type(item, &out->components));
     out->normalized = json_is_true(json_object_get(item->object, "normalized"));
-    BSQ_TRY(check_elements(item, source, out));
-    status = read_sparse(item, source, out);
+    out->sparse = json_object_get(item->object, "sparse") != NULL;
+    status = check_elements(item, source, out);
 done:
     return status;
 }
@@ -403,10 +359,10 @@ done:
 uint64_t fmt_gltf_stride(const struct gltf_source *source, const struct gltf_accessor *accessor)
 {
     const uint64_t own =
-        (uint64_t)accessor->components * fmt_gltf_component_bytes(accessor->elements.component);
-    if (accessor->elements.view == GLTF_NONE)
+        (uint64_t)accessor->components * fmt_gltf_component_bytes(accessor->component);
+    if (accessor->view == GLTF_NONE)
         return own;
-    const uint64_t stride = source->views[accessor->elements.view].stride;
+    const uint64_t stride = source->views[accessor->view].stride;
     return stride > 0 ? stride : own;
 }
 
@@ -448,121 +404,29 @@ static void convert(const uint8_t *from, uint64_t stride, enum gltf_component co
 static void normalize(const struct gltf_accessor *accessor, double *values, uint64_t count)
 {
     static const double limits[] = {127, 255, 32767, 65535, 1, 4294967295.0, 1};
-    if (!accessor->normalized || accessor->elements.component == GLTF_FLOAT)
+    if (!accessor->normalized || accessor->component == GLTF_FLOAT)
         return;
-    const double limit = limits[accessor->elements.component - GLTF_INT8];
+    const double limit = limits[accessor->component - GLTF_INT8];
     for (uint64_t i = 0; i < count; i++)
         values[i] = values[i] / limit < -1 ? -1 : values[i] / limit;
 }
 
-/* Reads elements [first, first + count) of an array to slot->bytes, and converts them. */
-static int decode_array(struct stream_slot *slot, const struct gltf_array *array, uint64_t stride,
-                        uint32_t components, uint64_t first, uint64_t count, double *to)
+/* Reads elements [first, first + count) to slot->bytes, and converts them. */
+static int read_elements(struct stream_slot *slot, const struct gltf_accessor *a, uint64_t first,
+                         uint64_t count, double *to)
 {
-    const uint64_t element = (uint64_t)components * fmt_gltf_component_bytes(array->component);
+    const struct gltf_source *source = slot->source->data;
+    const uint64_t stride = fmt_gltf_stride(source, a);
+    const uint64_t element = (uint64_t)a->components * fmt_gltf_component_bytes(a->component);
     if (count == 0)
         return 0;
     const uint64_t size = (count - 1) * stride + element;
-    int status = fmt_stream_reserve(slot, size);
-    if (!status)
-        status = fmt_gltf_read_bytes(slot->ctx, slot->source->data, array->view,
-                                     array->offset + first * stride, slot->bytes, size);
-    if (!status)
-        convert(slot->bytes, stride, array->component, components, count, to);
-    return status;
-}
-
-/* ---- sparse accessors ---- */
-
-/* Reads sparse indices [first, first + count). */
-static int read_sparse_indices(struct stream_slot *slot, const struct gltf_accessor *accessor,
-                               uint64_t first, uint64_t count, double *to)
-{
-    return decode_array(slot, &accessor->sparse_indices,
-                        fmt_gltf_component_bytes(accessor->sparse_indices.component), 1, first,
-                        count, to);
-}
-
-/* Finds the first sparse element whose index is at least `index`. */
-static int find_sparse(struct stream_slot *slot, const struct gltf_accessor *accessor,
-                       uint64_t index, uint64_t *out)
-{
-    uint64_t low = 0, high = accessor->sparse_count;
-    int status = 0;
-    while (low < high && !status) {
-        const uint64_t middle = low + (high - low) / 2;
-        double found = 0;
-        status = read_sparse_indices(slot, accessor, middle, 1, &found);
-        if (found < (double)index)
-            low = middle + 1;
-        else
-            high = middle;
-    }
-    *out = low;
-    return status;
-}
-
-enum { SPARSE_BLOCK = 256 };
-
-/* Replaces elements of [first, first + count), which are in `to`. */
-static int apply_sparse(struct stream_slot *slot, const struct gltf_accessor *accessor,
-                        uint64_t first, uint64_t count, double *to)
-{
-    const uint32_t n = accessor->components;
-    const uint64_t bytes = (uint64_t)n * fmt_gltf_component_bytes(accessor->elements.component);
-    double indices[SPARSE_BLOCK] = {0}, values[4 * SPARSE_BLOCK];
-    uint64_t next = 0;
     int status;
-    BSQ_TRY(find_sparse(slot, accessor, first, &next));
-    while (next < accessor->sparse_count) {
-        const uint64_t left = accessor->sparse_count - next;
-        const uint64_t block = left < SPARSE_BLOCK ? left : SPARSE_BLOCK;
-        BSQ_TRY(read_sparse_indices(slot, accessor, next, block, indices));
-        BSQ_TRY(decode_array(slot, &accessor->sparse_values, bytes, n, next, block, values));
-        for (uint64_t i = 0; i < block; i++) {
-            if (!(indices[i] >= (double)first && indices[i] < (double)(first + count)))
-                return 0;
-            memcpy(to + ((uint64_t)indices[i] - first) * n, values + i * n, n * sizeof *to);
-        }
-        next += block;
-    }
+    BSQ_TRY(fmt_stream_reserve(slot, size));
+    BSQ_TRY(fmt_gltf_read_bytes(slot->ctx, source, a->view, a->offset + first * stride, slot->bytes,
+                                size));
+    convert(slot->bytes, stride, a->component, a->components, count, to);
 done:
-    return status;
-}
-
-static int check_sparse(struct stream_slot *slot, const struct gltf_item *item,
-                        const struct gltf_accessor *accessor)
-{
-    double indices[SPARSE_BLOCK] = {0}, last = -1;
-    int status = 0;
-    for (uint64_t at = 0; at < accessor->sparse_count; at += SPARSE_BLOCK) {
-        const uint64_t left = accessor->sparse_count - at;
-        const uint64_t block = left < SPARSE_BLOCK ? left : SPARSE_BLOCK;
-        BSQ_TRY(bsq_check(slot->ctx));
-        BSQ_TRY(read_sparse_indices(slot, accessor, at, block, indices));
-        for (uint64_t i = 0; i < block; last = indices[i++])
-            if (!(indices[i] > last && indices[i] < (double)accessor->count))
-                BSQ_TRY(fmt_gltf_fail(item,
-                                      "its sparse index %" PRIu64 " is %.0f: it is no element, or "
-                                      "not above the one before it",
-                                      at + i, indices[i]));
-    }
-done:
-    return status;
-}
-
-int fmt_gltf_check_sparse(struct stream_source *source)
-{
-    const struct gltf_source *file = source->data;
-    struct stream_slot slot = {.ctx = source->ctx, .source = source};
-    struct gltf_document document = {.ctx = source->ctx, .file = file->own}; /* for messages */
-    int status = 0;
-    for (uint32_t i = 0; i < file->accessor_count && !status; i++)
-        if (file->accessors[i].sparse_count > 0) {
-            const struct gltf_item item = {&document, "accessors", i, NULL};
-            status = check_sparse(&slot, &item, &file->accessors[i]);
-        }
-    fmt_stream_free_slot(&slot);
     return status;
 }
 
@@ -579,13 +443,10 @@ int fmt_gltf_decode(struct stream_slot *slot, uint32_t number, uint64_t first, u
         return status;
     double *to = (double *)(void *)slot->work;
     *out = to;
-    if (accessor->elements.view == GLTF_NONE)
+    if (accessor->view == GLTF_NONE)
         memset(to, 0, bytes);
     else
-        status = decode_array(slot, &accessor->elements, fmt_gltf_stride(source, accessor),
-                              accessor->components, first, count, to);
-    if (!status && accessor->sparse_count > 0)
-        status = apply_sparse(slot, accessor, first, count, to);
+        status = read_elements(slot, accessor, first, count, to);
     if (!status)
         normalize(accessor, to, values);
     return status;

@@ -103,20 +103,12 @@ enum gltf_component {
     GLTF_FLOAT = 5126
 };
 
-/* Elements that lie in a view. */
-struct gltf_array {
-    uint32_t view; /* GLTF_NONE: all zero */
-    uint64_t offset;
-    enum gltf_component component;
-};
-
 struct gltf_accessor {
-    struct gltf_array elements;
-    uint64_t count;
+    uint32_t view; /* GLTF_NONE: all zero */
+    uint64_t offset, count;
+    enum gltf_component component;
     uint32_t components; /* of an element: 1 to 4; 0: a matrix, which no mesh has */
-    bool normalized;
-    uint64_t sparse_count; /* elements that are replaced; 0: none */
-    struct gltf_array sparse_indices, sparse_values;
+    bool normalized, sparse;
 };
 
 /* ---- meshes and materials ---- */
@@ -225,11 +217,9 @@ int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source);
 uint32_t fmt_gltf_component_bytes(enum gltf_component component);
 
 int fmt_gltf_read_accessor(const struct gltf_item *item, struct gltf_source *source, void *element);
-/* Checks an accessor of a mesh that has neither a view nor compressed data. */
-int fmt_gltf_check_zeros(const struct gltf_item *item, const struct gltf_source *source,
-                         uint32_t accessor);
-/* Checks that the indices of sparse accessors ascend and are in range. */
-int fmt_gltf_check_sparse(struct stream_source *source);
+/* Checks that an accessor of a mesh can be read. */
+int fmt_gltf_check_used(const struct gltf_item *item, const struct gltf_source *source,
+                        uint32_t accessor);
 
 /* Decodes elements [first, first + count) of an accessor to doubles, components next to each other.
  * *out lies in slot->work until the next call. */

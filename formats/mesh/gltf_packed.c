@@ -145,8 +145,8 @@ static int add_view(const struct gltf_item *item, struct gltf_source *source, ui
         status = add_decoded(item, source, view.size, &view.decoded);
     if (status)
         return status;
-    accessor->elements.view = source->view_count;
-    accessor->elements.offset = 0;
+    accessor->view = source->view_count;
+    accessor->offset = 0;
     source->views[source->view_count++] = view;
     return 0;
 }
@@ -157,7 +157,7 @@ static int add_output(const struct gltf_item *item, struct gltf_source *source, 
 {
     struct gltf_draco *mesh = &packed->draco;
     uint64_t id = GLTF_REQUIRED;
-    if (accessor == GLTF_NONE || source->accessors[accessor].elements.view != GLTF_NONE)
+    if (accessor == GLTF_NONE || source->accessors[accessor].view != GLTF_NONE)
         return 0;
     if (key && !json_object_get(attributes, key))
         return 0;
@@ -169,10 +169,10 @@ static int add_output(const struct gltf_item *item, struct gltf_source *source, 
         (struct gltf_draco_output){.indices = !key,
                                    .id = key ? (uint32_t)id : 0,
                                    .components = a->components,
-                                   .type = key ? (uint32_t)a->elements.component : GLTF_UINT32};
+                                   .type = key ? (uint32_t)a->component : GLTF_UINT32};
     if (!key)
-        source->accessors[accessor].elements.component = GLTF_UINT32;
-    const uint32_t each = fmt_gltf_component_bytes(a->elements.component);
+        source->accessors[accessor].component = GLTF_UINT32;
+    const uint32_t each = fmt_gltf_component_bytes(a->component);
     packed->sizes[mesh->output_count - 1] = a->count * a->components * each;
     packed->bytes += a->count * a->components * each;
     return add_view(item, source, accessor, each);
@@ -208,7 +208,7 @@ int fmt_gltf_read_draco(const struct gltf_item *item, struct gltf_source *source
         status = add_output(item, source, parts[i].accessor, attributes, parts[i].key, &packed);
     if (status)
         return status;
-    if (source->views[source->accessors[p->index].elements.view].decoded != GLTF_NOT_DECODED)
+    if (source->views[source->accessors[p->index].view].decoded != GLTF_NOT_DECODED)
         p->mode = 4; /* strips too are compressed as single triangles */
     if (packed.draco.output_count == 0)
         return 0;

@@ -481,8 +481,7 @@ static int enter(struct stream_source *source)
     if (file->own.fd < 0)
         BSQ_TRY(fmt_input_whole(source->input, &file->own));
     BSQ_TRY(fmt_gltf_open_buffers(source->ctx, file));
-    BSQ_TRY(fmt_gltf_unpack(source->ctx, file));
-    status = fmt_gltf_check_sparse(source);
+    status = fmt_gltf_unpack(source->ctx, file);
 done:
     return status;
 }

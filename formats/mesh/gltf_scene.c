@@ -66,7 +66,7 @@ static int read_indices(const struct gltf_item *item, struct gltf_source *source
     if (status || out->index == GLTF_NONE)
         return status;
     const struct gltf_accessor *a = &source->accessors[out->index];
-    const enum gltf_component type = a->elements.component;
+    const enum gltf_component type = a->component;
     if (a->components != 1 || a->normalized ||
         (type != GLTF_UINT8 && type != GLTF_UINT16 && type != GLTF_UINT32))
         return fmt_gltf_fail(item, "its indices are no unsigned integers");
@@ -101,7 +101,7 @@ static int read_accessors(const struct gltf_item *item, struct gltf_source *sour
     const uint32_t all[] = {out->position, out->normal, out->texcoord, out->color, out->index};
     for (int i = 0; i < 5; i++)
         if (all[i] != GLTF_NONE)
-            BSQ_TRY(fmt_gltf_check_zeros(item, source, all[i]));
+            BSQ_TRY(fmt_gltf_check_used(item, source, all[i]));
 done:
     return status;
 }

@@ -287,7 +287,7 @@ static enum ply_role role_of(enum ply_kind kind, const struct ply_property *p)
     bool list = p->count_type != PLY_NO_TYPE;
     enum ply_role role = PLY_UNUSED;
     if (list) {
-        if (kind == PLY_FACES || kind == PLY_STRIPS)
+        if (kind == PLY_FACES)
             role = find_role(index_lists, COUNT(index_lists), p->name);
         if (role == PLY_UNUSED && kind == PLY_FACES)
             role = find_role(face_lists, COUNT(face_lists), p->name);
@@ -306,9 +306,7 @@ static enum ply_kind kind_of(const char *name)
 {
     if (strcmp(name, "vertex") == 0)
         return PLY_VERTICES;
-    if (strcmp(name, "face") == 0)
-        return PLY_FACES;
-    return strcmp(name, "tristrips") == 0 ? PLY_STRIPS : PLY_OTHER;
+    return strcmp(name, "face") == 0 ? PLY_FACES : PLY_OTHER;
 }
 
 /* Returns true if the element has properties with all roles from `first` to `last`. */
@@ -382,20 +380,20 @@ static int check_is_mesh(struct bsq_ctx *ctx, const char *path, const struct ply
 {
     const struct ply_element *vertices = fmt_ply_find_element(header, PLY_VERTICES);
     const struct ply_element *faces = fmt_ply_find_element(header, PLY_FACES);
-    const struct ply_element *strips = fmt_ply_find_element(header, PLY_STRIPS);
-    const uint64_t face_count = (faces ? faces->count : 0) + (strips ? strips->count : 0);
+    for (uint32_t i = 0; i < header->element_count; i++)
+        if (strcmp(header->elements[i].name, "tristrips") == 0 && header->elements[i].count > 0)
+            return bsq_fail(ctx, BSQ_EDATA,
+                            "%s: strips of triangles (\"tristrips\"), which are not read; save the "
+                            "mesh with faces, as MeshLab does",
+                            path);
     if (!vertices || !vertices->role[PLY_X])
         return bsq_fail(ctx, BSQ_EDATA, "%s: the header has no vertices with x, y and z", path);
-    if (face_count == 0)
+    if (!faces || faces->count == 0)
         return bsq_fail(ctx, BSQ_EDATA,
                         "%s: a point cloud of %" PRIu64 " points without faces; make a mesh of it",
                         path, vertices->count);
-    if ((faces && faces->count > 0 && !faces->role[PLY_INDICES]) ||
-        (strips && strips->count > 0 && !strips->role[PLY_INDICES]))
+    if (!faces->role[PLY_INDICES])
         return bsq_fail(ctx, BSQ_EDATA, "%s: faces without a list \"vertex_indices\" of integers",
-                        path);
-    if (strips && strips->property_count > 1)
-        return bsq_fail(ctx, BSQ_EDATA, "%s: strips of triangles with more than one property",
                         path);
     return 0;
 }

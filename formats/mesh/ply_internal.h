@@ -53,7 +53,7 @@ enum ply_role {
     PLY_S,
     PLY_T,
     PLY_ALPHA,   /* not read */
-    PLY_INDICES, /* the list of a face's vertices, or of a strip's */
+    PLY_INDICES, /* the list of a face's vertices */
     PLY_CORNER_TEXCOORDS,
     PLY_TEXTURE_NUMBER,
     PLY_ROLE_COUNT
@@ -66,7 +66,7 @@ struct ply_property {
     uint64_t offset; /* in an element, if no list comes before it */
 };
 
-enum ply_kind { PLY_OTHER, PLY_VERTICES, PLY_FACES, PLY_STRIPS };
+enum ply_kind { PLY_OTHER, PLY_VERTICES, PLY_FACES };
 
 struct ply_element {
     char *name;
@@ -205,12 +205,8 @@ enum {
     PLY_LOST_TEXTURES /* faces whose texture the file does not name */
 };
 
-/* The kind of a part: the number of its element, or one of these. */
-enum {
-    PLY_PART_REST = UINT32_MAX - 1 /* the bytes after the last element */
-};
-/* This bit of a kind: a part of the list of one strip, which is longer than parts are. */
-#define PLY_PART_PIECE 0x40000000u
+/* The kind of a part: the number of its element, or this: the bytes after the last element. */
+#define PLY_PART_REST (UINT32_MAX - 1)
 
 /* ---- ply_parse.c ---- */
 

@@ -35,13 +35,6 @@ struct face {
     uint64_t at;     /* line or byte */
 };
 
-/* The state of a strip: the last two indices, and how many there are since it began or began anew.
- * From two on, only whether the number is odd counts. */
-struct strip {
-    uint64_t last[2];
-    uint32_t run;
-};
-
 /* ---- numbers ---- */
 
 /* Returns the line, or the byte of the file, at the cursor. */
@@ -468,76 +461,6 @@ static bool read_face(struct cursor *c, const struct ply_element *element)
     return good && finish_face(c, &face);
 }
 
-/* ---- strips ---- */
-
-/* Continues a strip with one index; negative: it begins anew. Adds the triangle. Returns false if
- * parsing must stop. */
-static bool add_to_strip(const struct cursor *c, struct strip *strip, int64_t index, uint64_t at)
-{
-    struct mesh_arrays *a = c->arrays;
-    if (index < 0) {
-        strip->run = 0;
-        return true;
-    }
-    if ((uint64_t)index >= INDEX_LIMIT)
-        return fail_index(c, at, index);
-    const uint64_t third = (uint64_t)index, first = strip->last[0], second = strip->last[1];
-    const bool odd = strip->run % 2 != 0, whole = strip->run >= 2;
-    strip->last[0] = second;
-    strip->last[1] = third;
-    strip->run = whole && odd ? 2 : strip->run + 1;
-    /* Strips are joined by triangles without area, which name a vertex twice. */
-    if (!whole || first == second || second == third || third == first)
-        return true;
-    uint64_t *corners = a->corners[FMT_MESH_VERTEX] + a->corner_count;
-    corners[0] = odd ? second : first;
-    corners[1] = odd ? first : second;
-    corners[2] = third;
-    a->corner_count += 3;
-    a->face_sizes[a->face_count] = 3;
-    a->vertex_bound = UINT64_MAX;         /* not counted */
-    if (c->source->tags != PLY_TAGS_NONE) /* strips have the first texture, and no colours */
-        a->face_tags[a->face_count] = c->source->tags == PLY_TAGS_TEXTURE ? 0 : PLY_NO_TAG;
-    c->slot->at = at;
-    return a->face_count++ != c->slot->last_face;
-}
-
-/* Reads `count` indices of a strip. */
-static bool read_strip(struct cursor *c, const struct ply_property *p, uint64_t count,
-                       struct strip *strip)
-{
-    int64_t index = 0;
-    for (uint64_t i = 0; i < count; i++) {
-        const uint64_t at = place(c);
-        if (!read_integer(c, p->type, &index) || !add_to_strip(c, strip, index, at))
-            return false;
-    }
-    return true;
-}
-
-static bool read_whole_strip(struct cursor *c, const struct ply_element *element)
-{
-    const struct ply_property *p = element->role[PLY_INDICES];
-    struct strip strip = {0};
-    uint64_t length;
-    return read_length(c, p, &length) && read_strip(c, p, length, &strip);
-}
-
-/* Reads a piece of a strip, which begins with the indices before it. */
-static void read_piece(struct cursor *c, const struct ply_element *element)
-{
-    const struct ply_property *p = element->role[PLY_INDICES];
-    const uint64_t count = c->slot->part.size / fmt_ply_type_bytes[p->type];
-    struct strip strip = {.run = c->slot->part.carry};
-    const uint64_t repeated = strip.run < 2 ? strip.run : 2;
-    int64_t index = 0;
-    for (uint64_t i = 0; i < repeated; i++) {
-        read_integer(c, p->type, &index);
-        strip.last[2 - repeated + i] = (uint64_t)index;
-    }
-    read_strip(c, p, count - repeated, &strip);
-}
-
 /* ---- parts ---- */
 
 /* Moves to the next line with text. Returns false if there is none. */
@@ -565,9 +488,8 @@ static bool read_element(struct cursor *c, const struct ply_element *element, ui
 {
     if (c->text && !next_line(c))
         return false;
-    const bool good = element->kind == PLY_VERTICES ? read_vertex(c, element, number)
-                      : element->kind == PLY_FACES  ? read_face(c, element)
-                                                    : read_whole_strip(c, element);
+    const bool good =
+        element->kind == PLY_VERTICES ? read_vertex(c, element, number) : read_face(c, element);
     return good && (!c->text || finish_line(c));
 }
 
@@ -605,8 +527,6 @@ static int reserve(const struct cursor *c, const struct ply_element *element)
     struct bsq_ctx *ctx = c->slot->ctx;
     struct mesh_arrays *a = c->arrays;
     const uint64_t count = c->slot->part.items, numbers = most_numbers(c, element);
-    const bool strips = element->kind == PLY_STRIPS;
-    const uint64_t faces = strips ? numbers : count, corners = strips ? 3 * numbers : numbers;
     int status;
     if (element->kind == PLY_VERTICES) {
         BSQ_TRY(FMT_RESERVE(ctx, count, a->positions, a->position_capacity));
@@ -618,16 +538,16 @@ static int reserve(const struct cursor *c, const struct ply_element *element)
             BSQ_TRY(FMT_RESERVE(ctx, count, a->texcoords, a->texcoord_capacity));
         return 0;
     }
-    BSQ_TRY(FMT_RESERVE(ctx, corners, a->corners[FMT_MESH_VERTEX],
+    BSQ_TRY(FMT_RESERVE(ctx, numbers, a->corners[FMT_MESH_VERTEX],
                         a->corner_capacity[FMT_MESH_VERTEX]));
-    BSQ_TRY(FMT_RESERVE(ctx, faces, a->face_sizes, a->size_capacity));
+    BSQ_TRY(FMT_RESERVE(ctx, count, a->face_sizes, a->size_capacity));
     if (source->corner_texcoords) {
-        BSQ_TRY(FMT_RESERVE(ctx, corners, a->corners[FMT_MESH_TEXCOORD],
+        BSQ_TRY(FMT_RESERVE(ctx, numbers, a->corners[FMT_MESH_TEXCOORD],
                             a->corner_capacity[FMT_MESH_TEXCOORD]));
         BSQ_TRY(FMT_RESERVE(ctx, numbers / 2 + 1, a->texcoords, a->texcoord_capacity));
     }
     if (source->tags != PLY_TAGS_NONE)
-        BSQ_TRY(FMT_RESERVE(ctx, faces, a->face_tags, a->tag_capacity));
+        BSQ_TRY(FMT_RESERVE(ctx, count, a->face_tags, a->tag_capacity));
 done:
     return status;
 }
@@ -651,9 +571,7 @@ int fmt_ply_parse(const struct ply_element *element, struct stream_slot *slot)
     slot->arrays.vertex_bound = 0;
     memset(slot->bytes + slot->part.size, 0, STREAM_PADDING);
     slot->bytes[slot->part.size] = (uint8_t)c.line_end;
-    if (slot->part.kind & PLY_PART_PIECE)
-        read_piece(&c, element);
-    else if (element->kind == PLY_VERTICES && element->list_count == 0 && !c.text)
+    if (element->kind == PLY_VERTICES && element->list_count == 0 && !c.text)
         count = read_equal_vertices(&c, element);
     else
         count = read_elements(&c, element);

@@ -2,8 +2,8 @@
  *
  * Understood: text and binary of both byte orders, numbers of any type, elements in any order.
  * Vertices have positions, normals, colours and texture coordinates. Faces have any number of
- * corners, colours, texture coordinates of corners and a texture's number; "tristrips" are strips
- * of triangles. Other elements and properties are skipped. */
+ * corners, colours, texture coordinates of corners and a texture's number. Other elements and
+ * properties are skipped. */
 #include <inttypes.h>
 #include <stdio.h>
 #include <string.h>
@@ -43,13 +43,13 @@ static void choose_use(struct ply_source *source)
     const struct ply_element *vertices = fmt_ply_find_element(&source->header, PLY_VERTICES);
     const struct ply_element *faces = fmt_ply_find_element(&source->header, PLY_FACES);
     source->vertex_normals = vertices->role[PLY_NX] != NULL;
-    source->corner_texcoords = faces && faces->role[PLY_CORNER_TEXCOORDS];
+    source->corner_texcoords = faces->role[PLY_CORNER_TEXCOORDS];
     if (source->corner_texcoords)
         drop_vertex_texcoords(&source->header);
     source->vertex_texcoords = vertices->role[PLY_S] != NULL;
     if (source->header.texture_count > 0 && (source->corner_texcoords || source->vertex_texcoords))
         source->tags = PLY_TAGS_TEXTURE;
-    else if (faces && faces->role[PLY_RED] && !vertices->role[PLY_RED])
+    else if (faces->role[PLY_RED] && !vertices->role[PLY_RED])
         source->tags = PLY_TAGS_COLOR;
 }
 
@@ -78,9 +78,7 @@ static void end(struct stream_source *source)
 /* ---- cutting ----
  *
  * Binary elements without lists have equal sizes, so their parts need not be loaded here. The sizes
- * of others are found by walking over their lists. Text is cut by counting lines. A strip of
- * triangles can be longer than all memory: its list is cut into pieces, each of which begins with
- * the two indices before it. */
+ * of others are found by walking over their lists. Text is cut by counting lines. */
 
 /* The state of one cut. */
 struct cutter {
@@ -223,21 +221,6 @@ static uint64_t count_whole(struct cutter *c, uint64_t *size)
     return items;
 }
 
-static int cut_piece(struct cutter *c, uint32_t run, uint64_t left);
-
-/* Begins to cut the list of one strip into pieces. */
-static int begin_pieces(struct cutter *c)
-{
-    const struct ply_property *p = c->element->role[PLY_INDICES];
-    const uint64_t prefix = fmt_ply_type_bytes[p->count_type];
-    uint64_t length = (uint64_t)ply_integer(c->slot->bytes, p->count_type, c->swap);
-    c->part->offset += prefix;
-    c->have = 0;
-    if (length > (fmt_input_size(c->source->input) - c->part->offset) / fmt_ply_type_bytes[p->type])
-        return fail_truncated(c);
-    return cut_piece(c, 0, length);
-}
-
 /* Cuts elements with lists. Loads more if not even the first one is whole. */
 static int cut_lists(struct cutter *c)
 {
@@ -247,7 +230,7 @@ static int cut_lists(struct cutter *c)
         if (status)
             return status;
         items = count_whole(c, &size);
-        if (items > 0 || c->slot->error[0] || c->at_file_end || c->element->kind == PLY_STRIPS)
+        if (items > 0 || c->slot->error[0] || c->at_file_end)
             break;
         if ((status = bsq_check(c->ctx)))
             return status;
@@ -261,40 +244,7 @@ static int cut_lists(struct cutter *c)
         c->part->end = known_size(c);
         return 1;
     }
-    return c->element->kind == PLY_STRIPS && !c->at_file_end ? begin_pieces(c) : fail_truncated(c);
-}
-
-/* Returns the state of a strip after the loaded items, see struct ply_strip. */
-static uint32_t run_after(const struct cutter *c, uint64_t items, uint32_t run)
-{
-    const enum ply_type type = c->element->role[PLY_INDICES]->type;
-    const uint32_t each = fmt_ply_type_bytes[type];
-    uint64_t since = 0;
-    while (since < items &&
-           ply_integer(c->slot->bytes + (items - since - 1) * each, type, c->swap) >= 0)
-        since++;
-    if (since == items) /* the first items are the end of the piece before */
-        since += run - smaller(run, 2);
-    return (uint32_t)(since < 2 ? since : 2 + since % 2);
-}
-
-/* Cuts the next piece of a list with `left` more items. run: the state of the strip before it. */
-static int cut_piece(struct cutter *c, uint32_t run, uint64_t left)
-{
-    const uint64_t each = fmt_ply_type_bytes[c->element->role[PLY_INDICES]->type];
-    const uint64_t repeated = smaller(run, 2), items = smaller(left, STREAM_PART_BYTES / each);
-    c->part->offset -= repeated * each;
-    int status = load(c, (repeated + items) * each);
-    if (status)
-        return status;
-    if (c->have < (repeated + items) * each)
-        return fail_truncated(c);
-    take(c, items == left, (repeated + items) * each);
-    c->part->kind |= PLY_PART_PIECE;
-    c->part->left = left - items;
-    c->part->carry = run;
-    c->part->carry_out = run_after(c, repeated + items, run);
-    return 1;
+    return fail_truncated(c);
 }
 
 /* Counts the elements in whole lines of the loaded text. Returns the bytes of these lines. */
@@ -367,10 +317,8 @@ static int cut(const struct stream_part *before, struct stream_slot *slot)
     c.part->offset = at_start ? header->bytes : before->end;
     if (text)
         c.part->first_line = at_start ? header->lines + 1 : before->first_line + before->lines;
-    if (!find_element(&c, before->kind & ~PLY_PART_PIECE, before->first_item + before->items))
+    if (!find_element(&c, before->kind, before->first_item + before->items))
         return cut_rest(&c);
-    if (before->left > 0)
-        return cut_piece(&c, before->carry_out, before->left);
     if (text)
         return cut_text(&c);
     return c.element->list_count > 0 ? cut_lists(&c) : cut_equal(&c);
@@ -401,11 +349,10 @@ done:
 static int parse(struct stream_slot *slot)
 {
     const struct ply_header *header = &((struct ply_source *)slot->source->data)->header;
-    const uint32_t number = slot->part.kind & ~PLY_PART_PIECE;
     int status;
-    if (slot->part.kind == PLY_PART_REST || header->elements[number].kind == PLY_OTHER)
+    if (slot->part.kind == PLY_PART_REST || header->elements[slot->part.kind].kind == PLY_OTHER)
         return 0;
-    const struct ply_element *element = &header->elements[number];
+    const struct ply_element *element = &header->elements[slot->part.kind];
     BSQ_TRY(fmt_stream_load(slot));
     BSQ_TRY(fmt_ply_parse(element, slot));
     slot->local = slot->arrays.count[FMT_MESH_TEXCOORD] > 0 && element->kind != PLY_VERTICES
@@ -564,7 +511,7 @@ static int finish(struct stream_source *source)
         status =
             bsq_warn_loss(source->ctx, "%s: no texture coordinates, so the texture %s is not used",
                           source->path, file->header.textures[0]);
-    if (status == 0 && faces && faces->role[PLY_RED] && file->tags != PLY_TAGS_COLOR)
+    if (status == 0 && faces->role[PLY_RED] && file->tags != PLY_TAGS_COLOR)
         status = bsq_warn_loss(source->ctx, "%s: colours of faces are not used beside %s",
                                source->path, textured ? "a texture" : "those of vertices");
     return status;
@@ -577,21 +524,16 @@ static int estimate(struct stream_source *source, uint64_t bytes, bool plain,
     const struct ply_source *file = source->data;
     const struct ply_element *vertices = fmt_ply_find_element(&file->header, PLY_VERTICES);
     const struct ply_element *faces = fmt_ply_find_element(&file->header, PLY_FACES);
-    const struct ply_element *strips = fmt_ply_find_element(&file->header, PLY_STRIPS);
-    uint64_t triangles = faces ? faces->count : 0;
-    (void)plain;
-    if (strips && strips->count > 0)
-        triangles += bytes > file->header.bytes ? (bytes - file->header.bytes) / 4 : 0;
+    (void)bytes, (void)plain;
     out->vertices += vertices->count;
     out->normals += file->vertex_normals ? vertices->count : 0;
     out->texcoords += file->vertex_texcoords   ? vertices->count
-                      : file->corner_texcoords ? 3 * triangles
+                      : file->corner_texcoords ? 3 * faces->count
                                                : 0;
-    out->faces += triangles;
-    out->corners += 3 * triangles;
+    out->faces += faces->count;
+    out->corners += 3 * faces->count;
     out->has_colors |= vertices->role[PLY_RED] != NULL;
-    out->faces_come_last &=
-        !file->corner_texcoords && (!faces || faces > vertices) && (!strips || strips > vertices);
+    out->faces_come_last &= !file->corner_texcoords && faces > vertices;
     return 0;
 }
 

@@ -68,9 +68,6 @@ def ply():
     case("wide.ply", header(face=FACE.replace("uchar int", "uint64 int64"),
                             encoding="binary_little_endian").encode() +
          data[:48] + b"".join(struct.pack("<4q", 3, *f) for f in FACES))
-    case("no_faces_but_strips.ply",
-         header(face=FACE.replace("2", "0") +
-                "element tristrips 1\nproperty list int int vertex_indices\n") + LINES + "4 0 1 2 3\n")
     case("edges.ply", header(face=FACE + "element edge 1\nproperty int vertex1\n") + LINES + INDICES + "0\n",
          '1 elements "edge" not read')
     case("rest.ply", text + "3 0 1 2\n", "8 bytes after the last element not read")

@@ -52,9 +52,9 @@ static void write_inputs(void)
                   "property float ny\nproperty float nz\nproperty uchar red\n"
                   "property uchar green\nproperty uchar blue\nelement face 1\n"
                   "property list uchar int vertex_indices\nproperty list uchar float texcoord\n"
-                  "element tristrips 1\nproperty list int int vertex_indices\nend_header\n"
+                  "end_header\n"
                   "0 0 0 0 0 1 1 2 3\n1 0 0 0 0 1 1 2 3\n0 1 0 0 0 1 1 2 3\n"
-                  "3 0 1 2 6 0 0 1 0 0 1\n4 0 1 2 0\n");
+                  "3 0 1 2 6 0 0 1 0 0 1\n");
     fclose(file);
     file = create("faces.ply");
     fprintf(file, "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\n"
@@ -165,7 +165,7 @@ static int parse_file(struct bsq_ctx *ctx, const char *path, uint64_t faces)
 
 static int parse_others(struct bsq_ctx *ctx)
 {
-    int status = parse_file(ctx, "scan.ply", 3);
+    int status = parse_file(ctx, "scan.ply", 1);
     if (status == 0)
         status = parse_file(ctx, "faces.ply", 1);
     return status == 0 ? parse_file(ctx, "scan.stl", 1) : status;
@@ -175,7 +175,7 @@ static int parse_others(struct bsq_ctx *ctx)
 static int parse_packed(struct bsq_ctx *ctx)
 {
     int status = parse_file(ctx, "scan.obj.gz", SIDE * SIDE);
-    return status == 0 ? parse_file(ctx, "scan.ply.zst", 3) : status;
+    return status == 0 ? parse_file(ctx, "scan.ply.zst", 1) : status;
 }
 
 static int load_mesh(struct bsq_ctx *ctx)

@@ -251,43 +251,6 @@ TEST(test_color_types)
     }
 }
 
-/* Sparse accessors replace elements of a view, or zeros; also across the ends of parts. */
-TEST(test_sparse)
-{
-    enum { COUNT = 30000 };
-    struct obj_fixture f;
-    struct ply_builder b;
-    char json[1500];
-    gltf_begin(&b);
-    put_vertices(&b, COUNT);
-    for (int i = 0; i < COUNT / 3; i++)
-        ply_put(&b, "S", 3.0 * i);
-    for (int i = 0; i < COUNT / 3; i++)
-        ply_put(&b, "fff", 1e6 + i, 0.0, 5.0);
-    snprintf(json, sizeof json,
-             HEAD FILE_BUFFER("scan") SCENE
-             ",'bufferViews':[{'buffer':0,'byteLength':%d},"
-             "{'buffer':0,'byteOffset':%d,'byteLength':%d},{'buffer':0,'byteOffset':%d,"
-             "'byteLength':%d}],'accessors':[{%%s'componentType':5126,'count':%d,'type':'VEC3',"
-             "'sparse':{'count':%d,'indices':{'bufferView':1,'componentType':5123},"
-             "'values':{'bufferView':2}}}],"
-             "'meshes':[{'primitives':[{'attributes':{'POSITION':0}}]}]}",
-             12 * COUNT, 12 * COUNT, 2 * (COUNT / 3), 12 * COUNT + 2 * (COUNT / 3),
-             12 * (COUNT / 3), COUNT, COUNT / 3);
-    for (int own = 0; own < 2; own++) {
-        char text[1600];
-        snprintf(text, sizeof text, json, own ? "'bufferView':0," : "");
-        gltf_read(&f, gltf_write("scan", text, &b));
-        for (int i = 0; i < COUNT; i++) {
-            const double x = i % 3 == 0 ? 1e6 + i / 3 : own ? i : 0;
-            assert_near(f.scan.positions[i][0], (double)(float)x, 0);
-            assert_near(f.scan.positions[i][2], i % 3 == 0 ? 5 : own ? -i : 0, 0);
-        }
-        obj_close(&f);
-    }
-    ply_free(&b);
-}
-
 /* ---- nodes ---- */
 
 /* Nodes in a chain and instances: a translation of a rotation of a scale, and a matrix. */

@@ -212,27 +212,6 @@ TEST(test_face_colors)
     }
 }
 
-/* ---- strips ---- */
-
-TEST(test_strips)
-{
-    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
-        struct obj_fixture f;
-        struct ply_builder b;
-        ply_begin(&b, (enum ply_test_encoding)encoding,
-                  "element vertex 6\n" XYZ
-                  "element tristrips 2\nproperty list int int vertex_indices\n");
-        put_vertices(&b, 6);
-        ply_put(&b, "iiiiiiiiiiii", 11.0, 0.0, 1.0, 2.0, 3.0, 4.0, -1.0, 5.0, 4.0, 3.0, 3.0, 2.0);
-        ply_end(&b);
-        ply_put(&b, "iiii", 3.0, 2.0, 1.0, 0.0);
-        ply_end(&b);
-        read_built(&f, &b, "scan.ply");
-        obj_assert_corners(&f, 0, 15, 0, 1, 2, 2, 1, 3, 2, 3, 4, 5, 4, 3, 2, 1, 0);
-        obj_close(&f);
-    }
-}
-
 /* Vertices and corners both with texture coordinates: those of corners count. */
 TEST(test_texcoords_of_vertices_and_corners)
 {
@@ -253,91 +232,6 @@ TEST(test_texcoords_of_vertices_and_corners)
         assert_int_equal(f.scan.totals.texcoords, 3);
         assert_memory_equal(f.scan.texcoords, uv, sizeof uv);
         obj_assert_corners(&f, 1, 3, 0, 1, 2);
-        obj_close(&f);
-    }
-}
-
-/* Strips beside faces with colours have none; in a file with textures they have the first. */
-TEST(test_materials_of_strips)
-{
-    static const char *const colors = "property uchar red\nproperty uchar green\n"
-                                      "property uchar blue\n";
-    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++)
-        for (int textured = 0; textured < 2; textured++) {
-            struct obj_fixture f;
-            struct ply_builder b;
-            struct fmt_materials materials;
-            char header[512];
-            snprintf(header, sizeof header,
-                     "%selement vertex 3\n" XYZ "%selement face 1\n" FACES "%s"
-                     "element tristrips 1\nproperty list int int vertex_indices\n",
-                     textured ? "comment TextureFile a.png\n" : "",
-                     textured ? "property float s\nproperty float t\n" : "",
-                     textured ? "" : colors);
-            ply_begin(&b, (enum ply_test_encoding)encoding, header);
-            for (int i = 0; i < 3; i++) {
-                ply_put(&b, "fff", (double)i, 2.0 * i, 0.0);
-                if (textured)
-                    ply_put(&b, "ff", 0.25, 0.5);
-                ply_end(&b);
-            }
-            ply_put(&b, "Ciii", 3.0, 0.0, 1.0, 2.0);
-            if (!textured)
-                ply_put(&b, "CCC", 255.0, 255.0, 255.0);
-            ply_end(&b);
-            ply_put(&b, "iiii", 3.0, 2.0, 1.0, 0.0);
-            ply_end(&b);
-            read_built(&f, &b, "strips.ply");
-            assert_int_equal(f.scan.totals.faces, 2);
-            assert_int_equal(f.scan.materials[0], 0);
-            assert_int_equal(f.scan.materials[1], textured ? 0 : FMT_MESH_NO_MATERIAL);
-            assert_int_equal(fmt_mesh_read_materials(f.reader, &materials), 0);
-            assert_int_equal(materials.count, 1);
-            fmt_materials_free(f.ctx, &materials);
-            obj_close(&f);
-        }
-}
-
-/* A strip that is much longer than a part; it begins anew now and then. */
-TEST(test_long_strip)
-{
-    enum { LENGTH = 400000 };
-    for (int encoding = 0; encoding < PLY_TEST_ENCODINGS; encoding++) {
-        struct obj_fixture f;
-        struct ply_builder b;
-        ply_begin(&b, (enum ply_test_encoding)encoding,
-                  "element vertex 3\n" XYZ
-                  "element tristrips 1\nproperty list int int vertex_indices\n");
-        put_vertices(&b, 3);
-        uint64_t faces = 0, run = 0;
-        int64_t strip[3] = {0};
-        uint64_t *expected = malloc(3 * LENGTH * sizeof *expected);
-        assert_non_null(expected);
-        struct ply_builder list = {.encoding = b.encoding};
-        ply_put(&list, "i", (double)LENGTH);
-        for (int i = 0; i < LENGTH; i++) {
-            bool restart = i % 70001 == 70000;
-            int64_t index = restart ? -1 : i % 3;
-            strip[0] = strip[1], strip[1] = strip[2], strip[2] = index;
-            run = restart ? 0 : run + 1;
-            if (run >= 3) {
-                expected[3 * faces] = (uint64_t)strip[run % 2 ? 0 : 1];
-                expected[3 * faces + 1] = (uint64_t)strip[run % 2 ? 1 : 0];
-                expected[3 * faces++ + 2] = (uint64_t)strip[2];
-            }
-            ply_put(&list, "i", (double)index);
-        }
-        b.capacity = b.size + list.size + 1;
-        b.bytes = realloc(b.bytes, b.capacity);
-        assert_non_null(b.bytes);
-        memcpy(b.bytes + b.size, list.bytes, list.size);
-        b.size += list.size;
-        ply_end(&b);
-        ply_free(&list);
-        read_built(&f, &b, "scan.ply");
-        assert_int_equal(f.scan.totals.faces, faces);
-        assert_memory_equal(f.scan.corners[0], expected, 3 * faces * sizeof *expected);
-        free(expected);
         obj_close(&f);
     }
 }
