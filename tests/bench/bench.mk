@@ -8,12 +8,8 @@ $(BUILD)/tests/baseline-embree: $(BUILD)/obj/tests/bench/baseline_embree.c.o
 	@mkdir -p $(@D)
 	$(CC) $(common) -o $@ $^ -lembree3
 rays_archives := $(archive.libbake) $(archive.formats) $(archive.base)
-rays_objs = $(patsubst %,$(BUILD)/obj/tests/bench/%.c.o,rays_scene $(1))
-$(BUILD)/tests/bench-rays: $(call rays_objs,rays rays_embree) $(rays_archives) \
-    | $(module_files) $(helpers) $(BUILD)/tests/lib
-	@mkdir -p $(@D)
-	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
-$(BUILD)/tests/bench-maps: $(call rays_objs,maps rays_embree) $(rays_archives) \
+$(BUILD)/tests/bench-maps: $(patsubst %,$(BUILD)/obj/tests/bench/%.c.o,maps rays_scene \
+    rays_embree) $(rays_archives) \
     | $(module_files) $(helpers) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
@@ -25,12 +21,6 @@ bench-build: all $(generator) $(bench_bins)
 bench: deps
 	@$(MAKE) --no-print-directory -j$(jobs) bench-build >&2
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/stage1.py $(BENCH)
-
-.PHONY: bench-bake
-## bench-bake: compare rays a second with Embree on each device, BENCH=small or medium (default)
-bench-bake: deps
-	@$(MAKE) --no-print-directory -j$(jobs) all $(generator) $(BUILD)/tests/bench-rays >&2
-	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/bench/bake.sh $(BENCH)
 
 .PHONY: bench-maps
 ## bench-maps: compare the cost of maps, and secondary rays with Embree, BENCH=small or medium (default)

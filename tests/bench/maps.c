@@ -40,7 +40,7 @@ static double median(double *values, unsigned count)
 }
 
 /* Traces all samples for these maps. */
-static int trace(struct bench *bench, uint32_t maps, struct rays_cost *cost)
+static int trace(struct bench *bench, uint32_t maps, double *seconds)
 {
     struct bake_device *device;
     struct bk_params *params = &bench->scene.job.params;
@@ -51,7 +51,7 @@ static int trace(struct bench *bench, uint32_t maps, struct rays_cost *cost)
     int status = bake_device_open(bench->ctx, "cpu", &bench->scene.job, &device);
     if (status < 0)
         return status;
-    status = rays_trace(&bench->scene, device, cost);
+    status = rays_trace(&bench->scene, device, seconds);
     bake_device_close(device);
     return status;
 }
@@ -69,13 +69,13 @@ static int measure_maps(struct bench *bench)
     puts("| map beside normal | processor time, ratio |\n|:--|--:|");
     for (size_t m = 0; m < sizeof maps / sizeof *maps; m++) {
         for (unsigned round = 0; round < rounds; round++) {
-            struct rays_cost alone = {0}, both = {0};
+            double alone = 0, both = 0;
             int status = trace(bench, BAKE_MAP_NORMAL, &alone);
             if (status == 0)
                 status = trace(bench, BAKE_MAP_NORMAL | maps[m].map, &both);
             if (status < 0)
                 return status;
-            ratios[round] = both.processor / alone.processor;
+            ratios[round] = both / alone;
         }
         printf("| %s | %.3f |\n", maps[m].name, median(ratios, rounds));
     }
@@ -124,7 +124,6 @@ static int trace_patch(void *arg, const struct rays_patch *patch)
     struct bench *bench = arg;
     const uint32_t n = bench->scene.samples;
     const float limit = bench->scene.job.params.open_limit;
-    struct rays_cost cost;
     bk_cache cache = bk_cache_empty();
     bench->count = 0;
     for (uint32_t row = 0; row < patch->patch.height * n; row++)
@@ -139,11 +138,10 @@ static int trace_patch(void *arg, const struct rays_patch *patch)
     for (int way = 0; way < RAYS_WAYS; way++) {
         if (!rays_can_occlude(bench->embree, way))
             continue;
-        rays_cost_begin(&cost);
+        bench->seconds[way] -= rays_seconds();
         bench->hidden[way] +=
             rays_occlude(bench->embree, way, (const float(*)[6])bench->rays, bench->count, limit);
-        rays_cost_end(&cost);
-        bench->seconds[way] += cost.processor;
+        bench->seconds[way] += rays_seconds();
     }
     bench->total += bench->count;
     return bsq_check(bench->ctx);
@@ -170,7 +168,7 @@ static int measure_rays(struct bench *bench, float limit, const char *name)
     double ours[MAX_ROUNDS], embree[RAYS_WAYS][MAX_ROUNDS], ratios[MAX_ROUNDS];
     bench->scene.job.params.open_limit = limit;
     for (unsigned round = 0; round < bench->rounds; round++) {
-        struct rays_cost alone = {0}, both = {0};
+        double alone = 0, both = 0;
         double fastest = 0;
         int status = trace(bench, BAKE_MAP_NORMAL, &alone);
         if (status == 0)
@@ -180,7 +178,7 @@ static int measure_rays(struct bench *bench, float limit, const char *name)
         if (status < 0)
             return status;
         const double rays = 1e-6 * (double)bench->total;
-        ours[round] = rays / (both.processor - alone.processor);
+        ours[round] = rays / (both - alone);
         for (int way = 0; way < RAYS_WAYS; way++) {
             const double seconds = bench->seconds[way];
             if (seconds > 0 && fabs((double)bench->hidden[way] - (double)bench->hidden[0]) >

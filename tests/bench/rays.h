@@ -15,14 +15,6 @@ struct rays_scene {
     struct bk_triangle *triangles;
     struct bake_job job;
     uint32_t patch_side, patch_count, samples;
-    uint64_t count; /* ray pairs; set by rays_trace() */
-};
-
-/* The cost of tracing all rays. */
-struct rays_cost {
-    double wall, processor; /* seconds; processor: of all threads */
-    uint64_t hits;
-    uint64_t checksum; /* of the texels' bytes, patch by patch */
 };
 
 /* Opens the files. size: side of the map in texels. Errors: those of bake_run(). Close *out also
@@ -32,7 +24,6 @@ int rays_open(struct bsq_ctx *ctx, const char *scan, const char *mesh, uint32_t 
 void rays_close(struct rays_scene *scene);
 
 struct rays_patch {
-    uint32_t index;
     unsigned worker;
     struct bk_patch patch;
     const uint32_t *sample_triangles;
@@ -42,16 +33,11 @@ struct rays_patch {
 int rays_for_patches(struct rays_scene *scene, int (*fn)(void *arg, const struct rays_patch *patch),
                      void *arg);
 
-/* Begin and end counting the cost, from 0. */
-void rays_cost_begin(struct rays_cost *cost);
-void rays_cost_end(struct rays_cost *cost);
+/* Returns the processor time that all threads took until now. */
+double rays_seconds(void);
 
-/* Traces all rays on an open device. */
-int rays_trace(struct rays_scene *scene, struct bake_device *device, struct rays_cost *cost);
-
-/* Traces the same rays against the triangles of the scan, with Embree. */
-int rays_embree(struct rays_scene *scene, const char *tris, struct rays_cost *build,
-                struct rays_cost *cost);
+/* Traces all rays on an open device. *seconds: of the processor. */
+int rays_trace(struct rays_scene *scene, struct bake_device *device, double *seconds);
 
 /* ---- rays that any hit ends, with Embree ---- */
 

@@ -1,5 +1,5 @@
-/* rays_embree.c - traces the rays of a map against the triangles of the scan with Embree. Rays are
- * the same as for the grid; triangles are transformed to its index space. */
+/* rays_embree.c - traces secondary rays against the triangles of the scan with Embree. Rays are the
+ * same as for the grid; triangles are transformed to its index space. */
 #include <embree3/rtcore.h>
 #include <stddef.h>
 #include <string.h>
@@ -13,16 +13,6 @@ struct triangles {
     float (*positions)[3];
     uint32_t (*indices)[3];
     uint64_t vertices, count;
-};
-
-struct tally {
-    uint64_t hits;
-};
-
-struct embree {
-    const struct rays_scene *scene;
-    RTCScene rtc;
-    struct tally *tallies; /* one per worker */
 };
 
 /* ---- building ---- */
@@ -69,18 +59,7 @@ static int load(const struct rays_scene *scene, struct fmt_tris_file *file, stru
     return status;
 }
 
-/* Rejects hits of surfaces that face against the low-poly mesh's normal, as the kernel does. Rays
- * against the normal have id 1. */
-static void only_facing(const struct RTCFilterFunctionNArguments *a)
-{
-    const struct RTCRay *ray = (const struct RTCRay *)a->ray;
-    const struct RTCHit *hit = (const struct RTCHit *)a->hit;
-    const float along = hit->Ng_x * ray->dir_x + hit->Ng_y * ray->dir_y + hit->Ng_z * ray->dir_z;
-    if (!((ray->id ? -along : along) > 0.0f))
-        a->valid[0] = 0;
-}
-
-static RTCScene build(RTCDevice device, const struct triangles *triangles, bool filtered)
+static RTCScene build(RTCDevice device, const struct triangles *triangles)
 {
     RTCScene scene = rtcNewScene(device);
     RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
@@ -89,82 +68,11 @@ static RTCScene build(RTCDevice device, const struct triangles *triangles, bool 
                                triangles->vertices);
     rtcSetSharedGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3,
                                triangles->indices, 0, sizeof *triangles->indices, triangles->count);
-    if (filtered)
-        rtcSetGeometryIntersectFilterFunction(geometry, only_facing);
     rtcCommitGeometry(geometry);
     rtcAttachGeometry(scene, geometry);
     rtcReleaseGeometry(geometry);
     rtcCommitScene(scene);
     return scene;
-}
-
-/* ---- tracing ---- */
-
-static bool intersect(RTCScene scene, bk_vec3w o, bk_vec3w d, float far, bool against, float *t)
-{
-    struct RTCIntersectContext context;
-    struct RTCRayHit ray = {.ray = {.org_x = o.x,
-                                    .org_y = o.y,
-                                    .org_z = o.z,
-                                    .dir_x = d.x,
-                                    .dir_y = d.y,
-                                    .dir_z = d.z,
-                                    .tfar = far,
-                                    .mask = ~0u,
-                                    .id = against},
-                            .hit = {.geomID = RTC_INVALID_GEOMETRY_ID}};
-    rtcInitIntersectContext(&context);
-    context.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
-    rtcIntersect1(scene, &context, &ray);
-    *t = ray.ray.tfar;
-    return ray.hit.geomID != RTC_INVALID_GEOMETRY_ID;
-}
-
-/* Traces a ray outwards, and one inwards that is no longer than the distance of the first hit. */
-static bool trace_pair(const struct embree *embree, uint32_t triangle, float x, float y)
-{
-    const struct bk_params *params = &embree->scene->job.params;
-    const bk_point point = bk_point_at(&embree->scene->triangles[triangle], x, y);
-    const bk_vec3w d = bk_unitw(point.direction), back = {-d.x, -d.y, -d.z};
-    float t = params->back, unused;
-    bool found = intersect(embree->rtc, point.position, d, params->front, false, &unused);
-    if (found && unused < t)
-        t = unused;
-    return intersect(embree->rtc, point.position, back, t, true, &unused) || found;
-}
-
-static int trace_patch(void *arg, const struct rays_patch *patch)
-{
-    const struct embree *embree = arg;
-    const uint32_t n = embree->scene->samples;
-    struct tally *tally = &embree->tallies[patch->worker];
-    for (uint32_t row = 0; row < patch->patch.height * n; row++)
-        for (uint32_t column = 0; column < patch->patch.width * n; column++) {
-            const uint32_t triangle =
-                patch->sample_triangles[(uint64_t)row * patch->patch.width * n + column];
-            if (triangle == BK_NO_TRIANGLE)
-                continue;
-            tally->hits += trace_pair(
-                embree, triangle, bk_sample_position(patch->patch.x + column / n, column % n, n),
-                bk_sample_position(patch->patch.y + row / n, row % n, n));
-        }
-    return 0;
-}
-
-static int trace(struct rays_scene *scene, RTCScene rtc, struct rays_cost *cost)
-{
-    struct embree embree = {.scene = scene, .rtc = rtc};
-    int status = bsq_calloc(scene->ctx, "tallies", bsq_threads(scene->ctx), sizeof *embree.tallies,
-                            &embree.tallies);
-    if (status < 0)
-        return status;
-    rays_cost_begin(cost);
-    status = rays_for_patches(scene, trace_patch, &embree);
-    rays_cost_end(cost);
-    for (unsigned w = 0; w < bsq_threads(scene->ctx); w++)
-        cost->hits += embree.tallies[w].hits;
-    bsq_free(scene->ctx, embree.tallies);
-    return status;
 }
 
 static int read_triangles(const struct rays_scene *scene, const char *path, struct triangles *out)
@@ -199,7 +107,7 @@ int rays_occluder_open(const struct rays_scene *scene, const char *path, struct 
         return bsq_fail(scene->ctx, BSQ_EBUG, "Embree does not start");
     status = read_triangles(scene, path, &occluder->triangles);
     if (status == 0)
-        occluder->scene = build(occluder->device, &occluder->triangles, false);
+        occluder->scene = build(occluder->device, &occluder->triangles);
     return status;
 }
 
@@ -327,27 +235,4 @@ uint64_t rays_occlude(const struct rays_occluder *occluder, enum rays_way way,
     default:
         return occlude_single(occluder->scene, rays, count, limit);
     }
-}
-
-/* ---- nearest hits ---- */
-
-int rays_embree(struct rays_scene *scene, const char *path, struct rays_cost *building,
-                struct rays_cost *cost)
-{
-    struct triangles triangles = {0};
-    RTCDevice device = rtcNewDevice(NULL);
-    if (!device)
-        return bsq_fail(scene->ctx, BSQ_EBUG, "Embree does not start");
-    int status = read_triangles(scene, path, &triangles);
-    if (status == 0) {
-        rays_cost_begin(building);
-        RTCScene rtc = build(device, &triangles, true);
-        rays_cost_end(building);
-        status = trace(scene, rtc, cost);
-        rtcReleaseScene(rtc);
-    }
-    rtcReleaseDevice(device);
-    bsq_free(scene->ctx, triangles.positions);
-    bsq_free(scene->ctx, triangles.indices);
-    return status;
 }

@@ -1,7 +1,6 @@
 /* rays_scene.c - prepares rays as bisque-bake does, and traces them patch by patch. */
 #include <string.h>
 #include <sys/resource.h>
-#include <xxhash.h>
 
 #include "base/context.h"
 #include "base/parallel.h"
@@ -92,8 +91,7 @@ static int do_patch(void *arg, uint64_t index, unsigned worker)
 {
     struct patch_loop *loop = arg;
     uint64_t overlaps;
-    const struct rays_patch patch = {.index = (uint32_t)index,
-                                     .worker = worker,
+    const struct rays_patch patch = {.worker = worker,
                                      .patch =
                                          bake_raster_patch(loop->scene->raster, (uint32_t)index),
                                      .sample_triangles = loop->sample_triangles[worker],
@@ -138,36 +136,13 @@ int rays_for_patches(struct rays_scene *scene, int (*fn)(void *arg, const struct
 
 /* ---- tracing on a device ---- */
 
-struct device_tally {
-    uint64_t samples, hits, checksum;
-};
-
-struct device_loop {
-    struct bake_device *device;
-    struct device_tally *tallies; /* one per worker */
-    uint32_t texel_floats;
-};
-
 static int trace_patch(void *arg, const struct rays_patch *patch)
 {
-    struct device_loop *loop = arg;
-    struct device_tally *tally = &loop->tallies[patch->worker];
-    const uint64_t count = (uint64_t)patch->patch.width * patch->patch.height;
-    const uint32_t floats = loop->texel_floats;
-    int status = bake_device_trace(loop->device, &patch->patch, patch->sample_triangles,
-                                   patch->texels, patch->worker);
-    if (status < 0)
-        return status;
-    for (uint64_t i = 0; i < count; i++) {
-        tally->samples += (uint64_t)patch->texels[i * floats + BK_COVERED];
-        tally->hits += (uint64_t)patch->texels[i * floats + BK_HITS];
-    }
-    tally->checksum +=
-        XXH3_64bits_withSeed(patch->texels, count * floats * sizeof(float), patch->index);
-    return 0;
+    return bake_device_trace(arg, &patch->patch, patch->sample_triangles, patch->texels,
+                             patch->worker);
 }
 
-static double processor_seconds(void)
+double rays_seconds(void)
 {
     struct rusage usage;
     getrusage(RUSAGE_SELF, &usage);
@@ -175,34 +150,10 @@ static double processor_seconds(void)
            1e-6 * (double)(usage.ru_utime.tv_usec + usage.ru_stime.tv_usec);
 }
 
-void rays_cost_begin(struct rays_cost *cost)
+int rays_trace(struct rays_scene *scene, struct bake_device *device, double *seconds)
 {
-    *cost = (struct rays_cost){.wall = -bsq_seconds_now(), .processor = -processor_seconds()};
-}
-
-void rays_cost_end(struct rays_cost *cost)
-{
-    cost->wall += bsq_seconds_now();
-    cost->processor += processor_seconds();
-}
-
-int rays_trace(struct rays_scene *scene, struct bake_device *device, struct rays_cost *cost)
-{
-    struct device_loop loop = {.device = device,
-                               .texel_floats = bk_texel_floats(scene->job.params.maps)};
-    const unsigned threads = bsq_threads(scene->ctx);
-    int status = bsq_calloc(scene->ctx, "tallies", threads, sizeof *loop.tallies, &loop.tallies);
-    if (status < 0)
-        return status;
-    rays_cost_begin(cost);
-    status = rays_for_patches(scene, trace_patch, &loop);
-    rays_cost_end(cost);
-    scene->count = 0;
-    for (unsigned w = 0; w < threads; w++) {
-        scene->count += loop.tallies[w].samples;
-        cost->hits += loop.tallies[w].hits;
-        cost->checksum += loop.tallies[w].checksum;
-    }
-    bsq_free(scene->ctx, loop.tallies);
+    *seconds = -rays_seconds();
+    int status = rays_for_patches(scene, trace_patch, device);
+    *seconds += rays_seconds();
     return status;
 }
