@@ -227,34 +227,18 @@ static int try_text(struct search *search, const char *text, enum form form)
     return status ? status : try_path(search, name, form);
 }
 
-/* Cuts a text before its last "#" after a blank. Returns whether there is one. What is longer than
- * a path can be is cut off too. */
-static bool cut_comment(char *text)
-{
-    size_t at = strnlen(text, PATH_MAX);
-    do
-        at -= at > 0;
-    while (at > 0 && !(text[at] == '#' && fmt_mesh_is_blank(text[at - 1])));
-    if (at == 0)
-        return false;
-    while (at > 0 && fmt_mesh_is_blank(text[at - 1]))
-        at--;
-    text[at] = '\0';
-    return true;
-}
-
-/* Tries a name as it is, and without its quotes or else without comments, the shortest first. */
+/* Tries a name as it is, and without quotes around it. */
 static int try_form(struct search *search, const char *name, enum form form)
 {
-    char *text;
-    int status = bsq_text_copy(search->ctx, name, &text);
-    if (status)
-        return status;
-    status = try_text(search, text, form);
-    if (!status && !search->path && text[0] == '"' && fmt_mesh_plain_name(text))
+    char *text = NULL;
+    int status;
+    BSQ_TRY(try_text(search, name, form));
+    if (search->path || name[0] != '"')
+        return 0;
+    BSQ_TRY(bsq_text_copy(search->ctx, name, &text));
+    if (fmt_mesh_plain_name(text))
         status = try_text(search, text, form);
-    while (!status && !search->path && name[0] != '"' && cut_comment(text))
-        status = try_text(search, text, form);
+done:
     bsq_free(search->ctx, text);
     return status;
 }

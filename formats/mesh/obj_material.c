@@ -116,103 +116,18 @@ static int read_library(const struct stream_source *source, uint64_t library,
 
 /* ---- materials of libraries ---- */
 
-/* Moves what a library says about a material to the entry of its name, unless faces do not use it
- * or an earlier library has said it. Returns the entry that has it now, or `from`. */
-static const struct fmt_material *describe(const struct obj_file *file, struct fmt_material *from,
-                                           struct fmt_materials *out)
+/* Moves what libraries say about materials to the entries of their names, unless faces do not use
+ * them or an earlier library has said it. */
+static void describe_all(const struct obj_file *file, struct fmt_materials *found,
+                         struct fmt_materials *out)
 {
-    const uint64_t number = bsq_texts_find(&file->materials, from->name);
-    if (number == file->materials.count || out->list[number].name)
-        return from;
-    out->list[number] = *from;
-    *from = (struct fmt_material){0};
-    return &out->list[number];
-}
-
-/* Forms of a name: without an obvious comment, then without anything that may be a comment. */
-enum loose_form { LOOSE_TIDY, LOOSE_PLAIN, LOOSE_FORMS };
-
-/* The names of a library's materials in both forms; `from` has the material of each. */
-struct loose_names {
-    struct bsq_texts names;
-    struct bsq_tally tally;
-    const struct fmt_material **from;
-};
-
-/* Makes a text of a name without quotes, comment and capitals, and of the form. */
-static int copy_loosely(struct bsq_ctx *ctx, const char *name, enum loose_form form, char **out)
-{
-    const size_t size = strlen(name) + 2;
-    int status = bsq_alloc(ctx, "names", size, 1, out);
-    if (status)
-        return status;
-    char *text = *out + 1;
-    memcpy(text, name, size - 1);
-    if (form == LOOSE_TIDY)
-        fmt_mesh_tidy_name(text);
-    else
-        fmt_mesh_plain_name(text);
-    for (char *c = text; *c; c++)
-        *c = *c >= 'A' && *c <= 'Z' ? (char)(*c + 'a' - 'A') : *c;
-    **out = (char)('1' + form);
-    return 0;
-}
-
-/* Enters the loose forms of a name for *material, as far as they are new. Or, if that is NULL, sets
- * it to the material that one of them was entered for. */
-static int look_up_loosely(struct bsq_ctx *ctx, struct loose_names *loose, const char *name,
-                           const struct fmt_material **material)
-{
-    const bool enters = *material != NULL;
-    char *text = NULL;
-    int status = 0;
-    for (enum loose_form form = LOOSE_TIDY; form < LOOSE_FORMS && (enters || !*material); form++) {
-        BSQ_TRY(copy_loosely(ctx, name, form, &text));
-        uint64_t number = bsq_texts_find(&loose->names, text);
-        if (number < loose->names.count && !enters) {
-            *material = loose->from[number];
-        } else if (number == loose->names.count && enters) {
-            BSQ_TRY(bsq_texts_add(ctx, &loose->tally, &loose->names, text, &number));
-            loose->from[number] = *material;
-        }
-        bsq_free(ctx, text);
-        text = NULL;
-    }
-done:
-    bsq_free(ctx, text);
-    return status;
-}
-
-/* Describes the materials of a file from its own libraries. */
-static int describe_all(const struct stream_source *source, struct fmt_materials *found,
-                        struct fmt_materials *out)
-{
-    struct bsq_ctx *ctx = source->ctx;
-    const struct obj_file *file = source->data;
-    const struct fmt_material *from;
-    struct loose_names loose = {0};
-    int status;
-    BSQ_TRY(bsq_alloc(ctx, "materials", LOOSE_FORMS * (uint64_t)found->count + 1, sizeof(void *),
-                      &loose.from));
     for (uint32_t i = 0; i < found->count; i++) {
-        if (i % 1024 == 0)
-            BSQ_TRY(bsq_check(ctx));
-        from = describe(file, &found->list[i], out);
-        BSQ_TRY(look_up_loosely(ctx, &loose, from->name, &from));
-    }
-    for (uint32_t i = 0; i < out->count; i++) {
-        if (out->list[i].name)
+        const uint64_t number = bsq_texts_find(&file->materials, found->list[i].name);
+        if (number == file->materials.count || out->list[number].name)
             continue;
-        from = NULL;
-        BSQ_TRY(look_up_loosely(ctx, &loose, file->materials.list[i], &from));
-        if (from)
-            BSQ_TRY(fmt_material_copy(ctx, from, &out->list[i]));
+        out->list[number] = found->list[i];
+        found->list[i] = (struct fmt_material){0};
     }
-done:
-    bsq_texts_free(&loose.names);
-    bsq_tally_release(ctx, &loose.tally);
-    bsq_free(ctx, loose.from);
-    return status;
 }
 
 /* ---- materials without a description ---- */
@@ -337,7 +252,7 @@ int fmt_obj_read_materials(struct stream_source *source, struct fmt_materials *o
         BSQ_TRY(fmt_materials_add(source->ctx, out, &added));
     for (uint64_t i = 0; i < file->libraries.count; i++)
         BSQ_TRY(read_library(source, i, &found));
-    BSQ_TRY(describe_all(source, &found, out));
+    describe_all(file, &found, out);
     BSQ_TRY(name_others(source, out));
     for (uint32_t i = 0; i < out->count; i++)
         fmt_mesh_tidy_name(out->list[i].name);

@@ -335,8 +335,7 @@ done:
  *
  * There may be any number of solids, and words in any case and on any line. Only "vertex" and the
  * ends of loops matter. The name of a solid ends with its line, or before "facet normal", because
- * some files are one line. Files are cut after a line that begins with "endfacet", or between
- * "endfacet" and "facet normal". */
+ * some files are one line. Files are cut after the word "endfacet". */
 
 static bool is_line_end(uint8_t c)
 {
@@ -349,45 +348,28 @@ static uint64_t skip_blanks(const uint8_t *text, uint64_t at, uint64_t size)
     return at + fmt_mesh_count_space(text + at, size - at);
 }
 
-static bool is_number(const uint8_t *text, uint64_t size)
-{
-    static const char first[13] = "+-.0123456789";
-    return size >= 3 && (memchr(first, text[0], sizeof first) ||
-                         strncasecmp((const char *)text, "nan", 3) == 0 ||
-                         strncasecmp((const char *)text, "inf", 3) == 0);
-}
-
-/* Returns whether the `size` bytes have "facet normal" and a number at `at`. */
+/* Returns whether the `size` bytes have "facet normal" at `at`. */
 static bool is_facet_normal(const uint8_t *text, uint64_t at, uint64_t size)
 {
     if (size - at < 5 || strncasecmp((const char *)text + at, "facet", 5) != 0)
         return false;
     const uint64_t normal = skip_blanks(text, at + 5, size);
-    if (normal == at + 5 || size - normal < 6 ||
-        strncasecmp((const char *)text + normal, "normal", 6) != 0)
-        return false;
-    const uint64_t number = skip_blanks(text, normal + 6, size);
-    return number > normal + 6 && is_number(text + number, size - number);
+    return normal > at + 5 && size - normal >= 6 &&
+           strncasecmp((const char *)text + normal, "normal", 6) == 0;
 }
 
-/* Returns whether a facet ends with the word "endfacet" at `at`, which ends before a blank. */
-static bool is_end_of_facet(const uint8_t *text, uint64_t at, uint64_t size)
+/* Returns whether the word "endfacet" is at `at`. */
+static bool is_end_of_facet(const uint8_t *text, uint64_t at)
 {
-    if ((text[at] | 32) != 'e' || strncasecmp((const char *)text + at, "endfacet", 8) != 0 ||
-        (at > 0 && text[at - 1] > ' '))
-        return false;
-    if (is_facet_normal(text, skip_blanks(text, at + 8, size), size))
-        return true;
-    while (at > 0 && (text[at - 1] == ' ' || text[at - 1] == '\t'))
-        at--;
-    return at == 0 || is_line_end(text[at - 1]);
+    return (text[at] | 32) == 'e' && strncasecmp((const char *)text + at, "endfacet", 8) == 0 &&
+           (at == 0 || text[at - 1] <= ' ');
 }
 
 /* Returns the position after the last facet in `size` bytes; 0: there is none. */
 static uint64_t find_cut(const uint8_t *text, uint64_t size)
 {
     for (uint64_t at = size; at >= 9; at--)
-        if (text[at - 1] <= ' ' && is_end_of_facet(text, at - 9, size))
+        if (text[at - 1] <= ' ' && is_end_of_facet(text, at - 9))
             return at - 1;
     return 0;
 }
