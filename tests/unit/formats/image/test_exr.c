@@ -3,6 +3,7 @@
 #include <ImfCRgbaFile.h>
 #include <fcntl.h>
 #include <sys/stat.h>
+#include <zlib.h>
 
 #include "base/job_files.h"
 #include "formats/image/exr_read.h"
