@@ -264,11 +264,6 @@ uint64_t bsq_memory_high(const struct bsq_ctx *ctx);
 /** Returns the bytes of the budget that are not reserved now. */
 uint64_t bsq_memory_left(const struct bsq_ctx *ctx);
 
-/** Returns the bytes of mapped files that were read, as whole pages, over all maps that are closed.
- * The system maps some pages around one that is read. Pages that it took back because memory was
- * short are missing. */
-uint64_t bsq_mapped_bytes(const struct bsq_ctx *ctx);
-
 /** Returns what is left of the budget, divided by `divisor`, for a purpose that can do with more or
  * less memory, and notes it under `name`, a string literal. */
 uint64_t bsq_memory_share(struct bsq_ctx *ctx, const char *name, uint64_t divisor);

@@ -29,7 +29,7 @@ struct bsq_stage {
 struct bsq_ctx {
     struct bsq_ctx_options options; /* tmpdir is a copy, memory_bytes and threads are resolved */
     atomic_uint_least64_t memory_used, memory_high;
-    atomic_uint_least64_t temp_bytes, mapped_bytes;
+    atomic_uint_least64_t temp_bytes;
     atomic_int interrupted;
 
     pthread_mutex_t error_lock;

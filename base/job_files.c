@@ -79,6 +79,15 @@ static bool same_place(const struct place *a, const struct place *b)
            a->inode == b->inode && (a->exists || strcmp(a->name, b->name) == 0);
 }
 
+bool bsq_same_file(const char *a, const char *b)
+{
+    struct place places[2] = {find_place(a), find_place(b)};
+    const bool same = same_place(&places[0], &places[1]);
+    free(places[0].name);
+    free(places[1].name);
+    return same;
+}
+
 /* ---- the lists ---- */
 
 static int fail_memory(struct bsq_ctx *ctx, const char *path)

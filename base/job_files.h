@@ -9,10 +9,6 @@
 
 #include "base/file.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 /* Notes an output, which need not exist. Thread-safe. Errors: BSQ_EUSAGE, which names both files,
  * if the job reads this file; BSQ_ENOMEM. */
 int bsq_note_output(struct bsq_ctx *ctx, const char *path);
@@ -34,7 +30,4 @@ void bsq_noted_input_free(struct bsq_noted_input *input);
  * openings may find another file. */
 void bsq_note_written(struct bsq_ctx *ctx, const char *path);
 
-#ifdef __cplusplus
-}
-#endif
 #endif

@@ -9,7 +9,6 @@
  * is linked, and reused after its map is closed. mmap() is a plain system call on Linux, so a
  * handler can call it. Signals that are not about a map go to the previous handler. */
 #include <errno.h>
-#include <fcntl.h>
 #include <pthread.h>
 #include <signal.h>
 #include <stdatomic.h>
@@ -248,38 +247,9 @@ int bsq_map_check(struct bsq_ctx *ctx, const struct bsq_map *map)
     return 0;
 }
 
-/* Returns the bytes of the map's pages that this process has, 0 if the system does not tell. The
- * file has 64 bits for each page of the process; the highest one is set if the page is there. */
-static uint64_t bytes_there(const struct bsq_map *map)
-{
-    enum { PAGES = 4096 };
-    uint64_t pages[PAGES], there = 0;
-    const uint64_t page = (uint64_t)sysconf(_SC_PAGESIZE);
-    const uint64_t first = (uintptr_t)map->data / page;
-    const uint64_t end = first + (map->size + page - 1) / page;
-    const int fd = open("/proc/self/pagemap", O_RDONLY | O_CLOEXEC);
-    for (uint64_t at = first, got = 1; fd >= 0 && at < end && got > 0; at += got) {
-        const uint64_t count = end - at < PAGES ? end - at : PAGES;
-        const ssize_t bytes = pread(fd, pages, count * sizeof *pages, (off_t)(at * sizeof *pages));
-        got = bytes > 0 ? (uint64_t)bytes / sizeof *pages : 0;
-        for (uint64_t i = 0; i < got; i++)
-            there += pages[i] >> 63;
-    }
-    if (fd >= 0)
-        close(fd);
-    return there * page;
-}
-
-uint64_t bsq_mapped_bytes(const struct bsq_ctx *ctx)
-{
-    return atomic_load(&ctx->mapped_bytes);
-}
-
 void bsq_map_close(struct bsq_ctx *ctx, struct bsq_map *map)
 {
     struct bsq_file file = {.fd = map->path ? map->fd : -1, .path = map->path};
-    if (map->data)
-        atomic_fetch_add(&ctx->mapped_bytes, bytes_there(map));
     if (map->range)
         unwatch(map->range);
     if (map->data)

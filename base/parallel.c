@@ -237,9 +237,8 @@ int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
  * counts sequences whose concurrent step was started, `finished` those whose serial step has
  * returned. Slot s % slot_count belongs to sequence s from its production to its last step. So a
  * slot only records for each stage whether its concurrent step is done. One lock guards all state
- * and is free while callbacks run. A thread that takes a step and sees another possible step wakes
- * one sleeper, which does the same. So no thread is woken for nothing, and no step waits while a
- * thread sleeps. */
+ * and is free while callbacks run. A thread that takes a step wakes one sleeper
+ * before, which does the same if it finds a step, so no step waits while a thread sleeps. */
 
 enum step { STEP_NONE, STEP_FINISH, STEP_EMIT, STEP_FOLLOW, STEP_WORK, STEP_PRODUCE };
 
@@ -363,29 +362,6 @@ static int take_step(struct run *run, enum step step, unsigned worker)
     }
 }
 
-/* Marks a step as taken for the other threads, and returns whether another step is possible. */
-static bool another_step(const struct run *run, enum step taken)
-{
-    struct run after = *run;
-    switch (taken) {
-    case STEP_FINISH:
-        after.stages[1].busy = true;
-        break;
-    case STEP_EMIT:
-        after.stages[0].busy = true;
-        break;
-    case STEP_FOLLOW:
-        after.stages[1].begun++;
-        break;
-    case STEP_WORK:
-        after.stages[0].begun++;
-        break;
-    default:
-        after.producing = true;
-    }
-    return possible_step(&after) != STEP_NONE;
-}
-
 static void pipeline_worker(void *arg, unsigned worker)
 {
     struct run *run = arg;
@@ -398,7 +374,7 @@ static void pipeline_worker(void *arg, unsigned worker)
             run->sleepers--;
             continue;
         }
-        if (run->sleepers > 0 && another_step(run, step))
+        if (run->sleepers > 0)
             pthread_cond_signal(&run->changed);
         int status = bsq_check(run->ctx);
         if (status == 0)

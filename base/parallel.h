@@ -9,10 +9,6 @@
 
 #include "base/context.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 /* Runs fn(arg, i, worker) for every i in [0, count), dynamically scheduled. `worker` is in [0,
  * bsq_threads()), and no two concurrent calls share it. After the first negative result no new
  * iteration starts, and that result is returned; an interrupted context gives BSQ_EINTR. Must not
@@ -48,7 +44,4 @@ int bsq_pipeline_run(struct bsq_ctx *ctx, const struct bsq_pipeline *pipeline);
  * condition, so whoever waits must call bsq_check() now and then. */
 void bsq_wait_a_little(pthread_cond_t *condition, pthread_mutex_t *lock);
 
-#ifdef __cplusplus
-}
-#endif
 #endif

@@ -76,36 +76,6 @@ char *bsq_follow_links(const char *path)
     return NULL;
 }
 
-/* Returns the absolute path of a file that need not exist; NULL if its directory does not exist. */
-static char *absolute_name(const char *path)
-{
-    char *target = bsq_follow_links(path), *name = NULL;
-    const char *slash = target ? strrchr(target, '/') : NULL;
-    char *directory = slash ? strndup(target, (size_t)(slash - target + 1)) : strdup(".");
-    char *resolved = target && directory ? realpath(directory, NULL) : NULL;
-    if (resolved && asprintf(&name, "%s/%s", resolved, slash ? slash + 1 : target) < 0)
-        name = NULL;
-    free(resolved);
-    free(directory);
-    free(target);
-    return name;
-}
-
-bool bsq_same_file(const char *a, const char *b)
-{
-    struct stat info_a, info_b;
-    bool exists_a = stat(a, &info_a) == 0, exists_b = stat(b, &info_b) == 0;
-    if (exists_a && exists_b)
-        return info_a.st_dev == info_b.st_dev && info_a.st_ino == info_b.st_ino;
-    if (exists_a != exists_b)
-        return false;
-    char *name_a = absolute_name(a), *name_b = absolute_name(b);
-    bool same = name_a && name_b && strcmp(name_a, name_b) == 0;
-    free(name_a);
-    free(name_b);
-    return same;
-}
-
 /* ---- descriptors ---- */
 
 int bsq_fd_above_standard(int fd)

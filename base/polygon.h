@@ -19,7 +19,7 @@ uint64_t bsq_triangulate_scratch(uint32_t n);
  * Clipping", 2002). positions: n triples. triangles: capacity for 3 * (n - 2) corner numbers in [0,
  * n); the winding is the polygon's. scratch: aligned to 8 bytes. Always gives n - 2 triangles, also
  * for degenerate or self-intersecting polygons, whose triangles may have any shape. Quads and
- * convex polygons take O(n), most others little more, spirals and combs O(n^2). Errors: BSQ_EINTR.
+ * convex polygons take O(n), others up to O(n^2). Errors: BSQ_EINTR.
  */
 int bsq_triangulate(struct bsq_ctx *ctx, const double (*positions)[3], uint32_t n,
                     uint32_t *triangles, void *scratch);

@@ -5,16 +5,9 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 /* Sorts `count` items of `size` bytes each. Does what qsort() does but allocates nothing, while
  * qsort() of glibc allocates a copy of the array, which no budget counts. The order of items that
  * compare equal is not specified, but always the same. */
 void bsq_sort(void *items, uint64_t count, size_t size, int (*compare)(const void *, const void *));
 
-#ifdef __cplusplus
-}
-#endif
 #endif

@@ -5,10 +5,6 @@
 
 #include "base/context.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 /* Returns a bound of the bytes that Jansson 2 needs for a text of `size` bytes, with the system's
  * overhead of each block. Reserve them before parsing. */
 uint64_t bsq_json_bound(const char *text, uint64_t size);
@@ -56,7 +52,4 @@ void bsq_texts_free(struct bsq_texts *texts);
 int bsq_tally_grow(struct bsq_ctx *ctx, struct bsq_tally *tally, uint64_t count, uint64_t size,
                    void *inout, uint64_t *capacity);
 
-#ifdef __cplusplus
-}
-#endif
 #endif

@@ -8,10 +8,6 @@
 
 #include "base/context.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 #define BSQ_TILE_COLUMNS 10u  /* u is below this */
 #define BSQ_TILE_ROWS    900u /* and v below this */
 
@@ -38,7 +34,4 @@ size_t bsq_tile_folder(const char *path);
 int bsq_tile_files_find(struct bsq_ctx *ctx, const char *path, struct bsq_tile_files *out);
 void bsq_tile_files_free(struct bsq_ctx *ctx, struct bsq_tile_files *files);
 
-#ifdef __cplusplus
-}
-#endif
 #endif

@@ -4,6 +4,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "formats/file_kind.h"
+
 static const char usage[] =
     "Usage: bisque-bake [OPTION]... SCAN.nvdb LOW.obj... -o OUT_<MAP>.exr\n"
     "       bisque-bake [OPTION]... SCAN.tris LOW.obj... -o OUT_<MAP>.exr\n"
@@ -19,6 +21,130 @@ static const char usage[] =
     "<UVTILE> by u1_v1 and so on, <OBJECT> and <MATERIAL> by names in the low-poly meshes, which then\n"
     "have maps of their own. A name that ends in .exr gives OpenEXR files, one that ends in .png PNG\n"
     "files; -o FOLDER/ gives FOLDER/LOW_<MAP>.exr, or .png with a preset. Options with KEY=VALUE take several, with commas between them: --rays ao=32,thickness=16\n";
+
+/* ---- --size and --tiles ---- */
+
+/* Reads a number at *text and advances *text past it. Returns false unless the number is 1 to
+ * `most`. */
+static bool take_number(const char **text, unsigned long long most, uint32_t *out)
+{
+    char *end;
+    bool digit = **text >= '0' && **text <= '9';
+    unsigned long long value = strtoull(*text, &end, 10);
+    *text = end;
+    *out = (uint32_t)value;
+    return digit && value >= 1 && value <= most;
+}
+
+/* Reads a character if it is there. */
+static bool take(const char **text, char character)
+{
+    bool there = **text == character;
+    *text += there;
+    return there;
+}
+
+/* Reads a number of texels, such as 4096 or 4k. */
+static bool take_side(const char **text, uint32_t *out)
+{
+    const bool good = take_number(text, BAKE_MAX_SIDE, out);
+    const uint64_t texels = take(text, 'k') ? UINT64_C(1024) * *out : *out;
+    *out = (uint32_t)texels;
+    return good && texels <= BAKE_MAX_SIDE;
+}
+
+static bool take_size(const char **text, uint32_t *width, uint32_t *height)
+{
+    bool good = take_side(text, width);
+    *height = *width;
+    return good && (!take(text, 'x') || take_side(text, height));
+}
+
+/* Adds the size of a tile. */
+static int add_tile_size(struct cli *cli, struct bake_options *options,
+                         const struct bake_tile_size *size)
+{
+    for (uint32_t i = 0; i < options->tile_size_count; i++)
+        if (options->tile_sizes[i].tile == size->tile)
+            return cli_usage(cli, "--size: tile %u is given twice", size->tile);
+    struct bake_tile_size *sizes = realloc((void *)(uintptr_t)options->tile_sizes,
+                                           (options->tile_size_count + 1) * sizeof *sizes);
+    if (!sizes)
+        return cli_usage(cli, "--size: out of memory");
+    sizes[options->tile_size_count++] = *size;
+    options->tile_sizes = sizes;
+    return 0;
+}
+
+/* Reads "1001=4096" or "*=2048". Sets *good, and *others after "*". */
+static int take_tile_size(struct cli *cli, const char **text, struct bake_options *options,
+                          bool *others, bool *good)
+{
+    struct bake_tile_size size = {0};
+    const bool all = take(text, '*');
+    *good = (all || take_number(text, BAKE_LAST_TILE, &size.tile)) && take(text, '=') &&
+            take_size(text, &size.width, &size.height);
+    if (!*good)
+        return 0;
+    if (!all)
+        return add_tile_size(cli, options, &size);
+    if (*others)
+        return cli_usage(cli, "--size: * is given twice");
+    *others = true;
+    options->width = size.width;
+    options->height = size.height;
+    return 0;
+}
+
+/* Parses N, WxH, or a list of sizes by tile. */
+static int parse_sizes(struct cli *cli, const char *text, struct bake_options *options)
+{
+    const char *at = text;
+    const uint32_t width = options->width, height = options->height;
+    bool good = take_size(&at, &options->width, &options->height) && *at == '\0';
+    int status = 0;
+    if (strchr(text, '=')) {
+        options->width = width; /* of tiles that the text does not name */
+        options->height = height;
+        at = text;
+        bool others = false;
+        do
+            status = take_tile_size(cli, &at, options, &others, &good);
+        while (status == 0 && good && take(&at, ','));
+        good = good && *at == '\0';
+    }
+    if (status == 0 && !good)
+        status = cli_usage(cli,
+                           "--size: \"%s\" is not N, WxH or TILE=SIZE,...,*=SIZE with numbers from "
+                           "1 to %d",
+                           text, BAKE_MAX_SIDE);
+    return status;
+}
+
+/* Parses a list such as "1001-1003,1011". */
+static int parse_tiles(struct cli *cli, const char *text, struct bake_options *options)
+{
+    const char *at = text;
+    do {
+        struct bake_tile_range range;
+        bool good = take_number(&at, BAKE_LAST_TILE, &range.first);
+        range.last = range.first;
+        if (good && take(&at, '-'))
+            good = take_number(&at, BAKE_LAST_TILE, &range.last);
+        if (!good || (*at != ',' && *at != '\0') || range.first < BAKE_FIRST_TILE ||
+            range.last < range.first)
+            return cli_usage(cli,
+                             "--tiles: \"%s\" is not a list such as 1001-1003,1011 from %d to %d",
+                             text, BAKE_FIRST_TILE, BAKE_LAST_TILE);
+        struct bake_tile_range *ranges = realloc((void *)(uintptr_t)options->tile_ranges,
+                                                 (options->tile_range_count + 1) * sizeof *ranges);
+        if (!ranges)
+            return cli_usage(cli, "--tiles: out of memory");
+        ranges[options->tile_range_count++] = range;
+        options->tile_ranges = ranges;
+    } while (take(&at, ','));
+    return 0;
+}
 
 /* ---- other options with a syntax of their own ---- */
 
@@ -53,9 +179,9 @@ static int take_option(struct cli *cli, void *arg, const struct bsq_option *row,
     struct bake_options *bake = &arguments->bake;
     const char *name = row->name;
     if (strcmp(name, "size") == 0)
-        return bake_parse_sizes(cli, text, bake);
+        return parse_sizes(cli, text, bake);
     if (strcmp(name, "tiles") == 0)
-        return bake_parse_tiles(cli, text, bake);
+        return parse_tiles(cli, text, bake);
     if (strcmp(name, "match") == 0) {
         bake->match_names = true;
         return strcmp(text, "name") == 0 ? 0 : parse_suffixes(cli, arguments, text);
@@ -148,6 +274,84 @@ int bake_arguments_parse(struct cli *cli, struct bake_arguments *arguments, int 
     arguments->files = argv + optind;
     arguments->file_count = argc - optind;
     return status != 0 ? status : check_arguments(cli, arguments);
+}
+
+/* ---- which inputs are scans, and which are low-poly meshes ---- */
+
+int bake_arguments_map_inputs(struct cli *cli, struct bake_arguments *arguments)
+{
+    const struct cli_table table = bake_arguments_table(arguments);
+    int status = 0;
+    for (int i = 0; i < arguments->file_count && !cli->verify; i++) {
+        const char *path = arguments->files[i];
+        BSQ_TRY(cli_map_input(cli, &path));
+        arguments->files[i] = (char *)(uintptr_t)path;
+    }
+    BSQ_TRY(cli_map_inputs(cli, &table));
+    for (uint32_t i = 0; i < arguments->transfers.count; i++)
+        BSQ_TRY(cli_map_input(cli, &arguments->transfers.maps[i].texture_path));
+    status = cli_map_input(cli, &arguments->farm.plan);
+done:
+    return status;
+}
+
+/* Writes the inputs that are scans, or those that are not, to `out`. Returns their number, or a
+ * negative status. */
+static int take_inputs(struct cli *cli, const struct bake_arguments *arguments, bool scans,
+                       const char **out)
+{
+    int count = 0;
+    for (int i = 0; i < arguments->file_count; i++) {
+        enum fmt_kind kind;
+        int status = fmt_recognise(cli->ctx, arguments->files[i], &kind);
+        if (status < 0)
+            return status;
+        if ((kind == FMT_KIND_TRIS || kind == FMT_KIND_NVDB) == scans)
+            out[count++] = arguments->files[i];
+    }
+    return count;
+}
+
+/* Points the options at sorted inputs. Without scans, the command of a bake lists its tiles. */
+static int use_inputs(struct cli *cli, struct bake_arguments *arguments, int scans, int meshes)
+{
+    struct bake_options *bake = &arguments->bake;
+    if (arguments->list_tiles && meshes == 0)
+        return cli_usage(cli, "--list tiles takes files: LOW.obj...");
+    if (!arguments->list_tiles && (scans == 0 || meshes == 0))
+        return cli_usage(cli, "%d scan%s (.nvdb, .tris) and %d low-poly mesh%s given (see --help)",
+                         scans, scans == 1 ? "" : "s", meshes, meshes == 1 ? "" : "es");
+    if (scans > 0) {
+        bake->scan_path = arguments->paths[0];
+        bake->more_scan_paths = arguments->paths + 1;
+        bake->more_scan_count = (uint32_t)scans - 1;
+    }
+    bake->mesh_path = arguments->paths[scans];
+    bake->more_mesh_paths = arguments->paths + scans + 1;
+    bake->more_mesh_count = (uint32_t)meshes - 1;
+    return 0;
+}
+
+int bake_arguments_sort_inputs(struct cli *cli, struct bake_arguments *arguments)
+{
+    const int count = arguments->file_count;
+    arguments->paths = calloc((size_t)count + 1, sizeof *arguments->paths);
+    if (!arguments->paths)
+        return bsq_fail(cli->ctx, BSQ_ENOMEM, "out of memory");
+    for (int i = 0; i < count; i++)
+        if (strcmp(arguments->files[i], "-") == 0)
+            return cli_usage(cli, "-: standard input is not read: scans and low-poly meshes must "
+                                  "be files");
+    if (count == 2 && !arguments->list_tiles) {
+        arguments->paths[0] = arguments->files[0];
+        arguments->paths[1] = arguments->files[1];
+        return use_inputs(cli, arguments, 1, 1);
+    }
+    const int scans =
+        arguments->list_tiles ? 0 : take_inputs(cli, arguments, true, arguments->paths);
+    const int meshes =
+        scans < 0 ? scans : take_inputs(cli, arguments, false, arguments->paths + scans);
+    return meshes < 0 ? meshes : use_inputs(cli, arguments, scans, meshes);
 }
 
 void bake_arguments_free(struct bake_arguments *arguments)

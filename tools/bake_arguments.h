@@ -46,10 +46,6 @@ void bake_arguments_free(struct bake_arguments *arguments);
 
 /* ---- parts of these, for bake_arguments.c ---- */
 
-/* Parses N, WxH, or a list of sizes by tile. */
-int bake_parse_sizes(struct cli *cli, const char *text, struct bake_options *options);
-/* Parses a list such as "1001-1003,1011". */
-int bake_parse_tiles(struct cli *cli, const char *text, struct bake_options *options);
 /* Takes the value of --maps, --pack or --texture. arg: the arguments. */
 int bake_maps_take(struct cli *cli, void *arg, const struct bsq_option *row, const char *text);
 /* Completes the maps when all options are read. */

@@ -156,10 +156,7 @@ int cli_recognise_scans(struct cli *cli, const char *const *paths, uint32_t coun
  */
 int cli_verify(struct cli *cli, char *const *paths, int count);
 
-/* Reads the rules of --path-map, which apply to names in files from then on. */
-int cli_load_path_map(struct cli *cli);
-
-/* Applies these rules to an input of the command line; *path may be NULL. */
+/* Applies the rules of --path-map to an input of the command line; *path may be NULL. */
 int cli_map_input(struct cli *cli, const char **path);
 
 /* Applies them to all inputs of a table. */

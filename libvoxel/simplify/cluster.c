@@ -1,10 +1,10 @@
-/* cluster.c - see cluster.h.
+/* cluster.c - see steps.h.
  *
  * A cluster has the number of its least vertex. It may become a vertex if its part of the surface
  * is contractible: if its vertices less its edges, plus its triangles, are 1. Then only edges
  * between two clusters that join, and what is left of pieces, can make a surface that is none,
  * which shows at the triangles around the new vertices. */
-#include "libvoxel/simplify/cluster.h"
+#include "libvoxel/simplify/steps.h"
 
 #include <math.h>
 #include <string.h>
@@ -136,13 +136,6 @@ static void number_cells(struct clustering *c, double share, uint32_t kept)
     }
 }
 
-static uint32_t find_root(uint32_t *owners, uint32_t v)
-{
-    while (owners[v] != v)
-        v = owners[v] = owners[owners[v]];
-    return v;
-}
-
 /* Joins two clusters. */
 static void unite(uint32_t *owners, uint32_t i, uint32_t j)
 {
@@ -161,7 +154,7 @@ static void find_clusters(struct clustering *c)
         for (int k = 0; k < 3; k++) {
             const uint32_t a = v[k], b = v[k == 2 ? 0 : k + 1];
             if (c->cells[a] == c->cells[b] && owners[a] != owners[b])
-                unite(owners, find_root(owners, a), find_root(owners, b));
+                unite(owners, vox_find_root(owners, a), vox_find_root(owners, b));
         }
     }
 }
@@ -174,14 +167,14 @@ static void join_small(struct clustering *c)
     uint32_t *sizes = c->sizes, *owners = c->owners;
     memset(sizes, 0, mesh->vertex_count * sizeof *sizes);
     for (uint32_t v = 0; v < mesh->vertex_count; v++)
-        sizes[find_root(owners, v)]++;
+        sizes[vox_find_root(owners, v)]++;
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
         const uint32_t *v = mesh->triangles[t];
         for (int k = 0; k < 3; k++) {
             const uint32_t a = v[k], b = v[k == 2 ? 0 : k + 1];
             if (c->cells[a] == c->cells[b] || ((c->cells[a] | c->cells[b]) & STAYS))
                 continue;
-            const uint32_t i = find_root(owners, a), j = find_root(owners, b);
+            const uint32_t i = vox_find_root(owners, a), j = vox_find_root(owners, b);
             if (i == j || (sizes[i] > SMALL && sizes[j] > SMALL))
                 continue;
             unite(owners, i, j);
@@ -197,7 +190,7 @@ static void judge_clusters(struct clustering *c)
     uint32_t *owners = c->owners;
     memset(c->euler, 0, mesh->vertex_count * sizeof *c->euler);
     for (uint32_t v = 0; v < mesh->vertex_count; v++) {
-        owners[v] = find_root(owners, v);
+        owners[v] = vox_find_root(owners, v);
         c->euler[owners[v]] += 2;
     }
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {

@@ -1,10 +1,10 @@
-/* collapse.c - see collapse.h.
+/* collapse.c - see steps.h.
  *
  * Each vertex keeps the sums over its triangles that costs are made of; as the planes of these go
  * through the vertex, nine numbers are enough. Candidates are in a heap. One counts only while
  * neither vertex has changed since it was made, and is computed again when it comes up, because its
  * cost may have grown as neighbours moved; then it goes back into the heap. */
-#include "libvoxel/simplify/collapse.h"
+#include "libvoxel/simplify/steps.h"
 
 #include <math.h>
 #include <string.h>

@@ -1,15 +1,13 @@
-/* groups.c - see groups.h.
+/* groups.c - see steps.h.
  *
  * With locked borders, a group keeps about as many vertices as its border has, so a level reduces a
  * mesh to an eighth at most; groups of the next level are as large as groups of this one were. */
-#include "libvoxel/simplify/groups.h"
+#include "libvoxel/simplify/steps.h"
 
 #include <string.h>
 
 #include "base/file.h"
 #include "base/parallel.h"
-#include "libvoxel/simplify/cluster.h"
-#include "libvoxel/simplify/thin.h"
 
 /* CLUSTER_FACTOR: a level begins with clusters if it leaves at least this many times the triangles
  * of the last level. Clusters are faster than collapsing edges, and as good that far from the

@@ -1,10 +1,10 @@
-/* measure.c - see measure.h.
+/* measure.c - see steps.h.
  *
  * Each chunk's vertices look for the mesh. Then samples of the mesh look for the triangles of
  * chunks that they may be closest to. Squared distances of samples only shrink, as bits of floats,
  * so workers need no lock for them and the result does not depend on their order. Sums are added up
  * in the order of chunks. */
-#include "libvoxel/simplify/measure.h"
+#include "libvoxel/simplify/steps.h"
 
 #include <float.h>
 #include <math.h>
@@ -123,11 +123,8 @@ static double square_between(const float p[3], const float q[3])
 
 static double triangle_area(const float (*positions)[3], const uint32_t triangle[3])
 {
-    double e[2][3], normal[3];
-    for (int k = 0; k < 3; k++)
-        for (int i = 0; i < 2; i++)
-            e[i][k] = (double)positions[triangle[i + 1]][k] - (double)positions[triangle[0]][k];
-    bsq_crossd(e[0], e[1], normal);
+    double normal[3];
+    vox_triangle_normal(positions, triangle, normal);
     return 0.5 * sqrt(bsq_dotd(normal, normal));
 }
 

@@ -88,6 +88,20 @@ done:
     return status;
 }
 
+int vox_mesh_copy(struct bsq_ctx *ctx, const struct vox_mesh *from, uint32_t more,
+                  struct vox_mesh *to)
+{
+    int status = vox_mesh_allocate(ctx, from->vertex_count, from->triangle_count + more, false,
+                                   from->materials != NULL, to);
+    if (status < 0)
+        return status;
+    memcpy(to->positions, from->positions, from->vertex_count * sizeof *to->positions);
+    memcpy(to->triangles, from->triangles, from->triangle_count * sizeof *to->triangles);
+    if (from->materials)
+        memcpy(to->materials, from->materials, from->triangle_count * sizeof *to->materials);
+    return 0;
+}
+
 void vox_mesh_free(struct bsq_ctx *ctx, struct vox_mesh *mesh)
 {
     bsq_free(ctx, mesh->positions);
@@ -269,18 +283,13 @@ static int add_slits(struct bsq_ctx *ctx, struct vox_mesh *mesh, const struct si
 {
     struct vox_mesh wider;
     const uint32_t before = mesh->triangle_count;
-    int status = vox_mesh_allocate(ctx, mesh->vertex_count, before + count, false,
-                                   mesh->materials != NULL, &wider);
+    int status = vox_mesh_copy(ctx, mesh, count, &wider);
     if (status < 0)
         return status;
-    memcpy(wider.positions, mesh->positions, mesh->vertex_count * sizeof *wider.positions);
-    memcpy(wider.triangles, mesh->triangles, before * sizeof *wider.triangles);
     for (uint32_t i = 0; i < count; i++) {
         const uint32_t corners[3] = {slits[i].to, slits[i].from, thirds[i]};
         memcpy(wider.triangles[before + i], corners, sizeof corners);
     }
-    if (mesh->materials)
-        memcpy(wider.materials, mesh->materials, before * sizeof *wider.materials);
     for (uint32_t i = 0; i < count && mesh->materials; i++)
         wider.materials[before + i] = mesh->materials[slits[i].triangle];
     vox_mesh_free(ctx, mesh);

@@ -23,6 +23,10 @@ struct vox_mesh {
 /* Allocates arrays for a mesh in *mesh. Errors: BSQ_ENOMEM; then *mesh is empty. */
 int vox_mesh_allocate(struct bsq_ctx *ctx, uint32_t vertices, uint32_t triangles, bool quadrics,
                       bool materials, struct vox_mesh *mesh);
+/* Copies a mesh without its quadrics, with space for more triangles, which are counted already.
+ * Errors: BSQ_ENOMEM. */
+int vox_mesh_copy(struct bsq_ctx *ctx, const struct vox_mesh *from, uint32_t more,
+                  struct vox_mesh *to);
 /* Copies a triangle and its material to number `to`, which may be the same. */
 void vox_mesh_move_triangle(struct vox_mesh *mesh, uint32_t to, uint32_t from);
 void vox_mesh_free(struct bsq_ctx *ctx, struct vox_mesh *mesh);
@@ -48,6 +52,14 @@ int vox_mesh_close_slits(struct bsq_ctx *ctx, struct vox_mesh *mesh);
 /* Sets the quadric of each vertex to the sum over its triangles, of the squared distance from each
  * one's plane times its area. */
 void vox_mesh_set_quadrics(struct vox_mesh *mesh);
+
+/* Returns the number of the set that v is in; a set has the number of one of its members. */
+static inline uint32_t vox_find_root(uint32_t *parents, uint32_t v)
+{
+    while (parents[v] != v)
+        v = parents[v] = parents[parents[v]];
+    return v;
+}
 
 /* Sets *normal to twice the area of a triangle times its normal. */
 static inline void vox_triangle_normal(const float (*positions)[3], const uint32_t triangle[3],

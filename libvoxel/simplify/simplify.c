@@ -5,10 +5,7 @@
 
 #include "base/context.h"
 #include "base/job_files.h"
-#include "libvoxel/simplify/collapse.h"
-#include "libvoxel/simplify/groups.h"
-#include "libvoxel/simplify/measure.h"
-#include "libvoxel/simplify/write_mesh.h"
+#include "libvoxel/simplify/steps.h"
 #include "libvoxel/temp_tris.h"
 
 /* Triangles in memory for the last collapse: enough that what comes before it does not show, see
@@ -31,13 +28,6 @@ struct piece {
     float low[3], high[3];
     uint32_t triangles;
 };
-
-static uint32_t find_root(uint32_t *parents, uint32_t v)
-{
-    while (parents[v] != v)
-        v = parents[v] = parents[parents[v]];
-    return v;
-}
 
 /* Counts pieces whose boxes are small, and gives them no triangles. */
 static void judge_pieces(struct simplifying *s, const uint32_t *parents, struct piece *pieces)
@@ -77,20 +67,20 @@ static int drop_pieces(struct simplifying *s)
     }
     for (uint32_t t = 0; t < mesh->triangle_count; t++)
         for (int k = 1; k < 3; k++)
-            parents[find_root(parents, mesh->triangles[t][k])] =
-                find_root(parents, mesh->triangles[t][0]);
+            parents[vox_find_root(parents, mesh->triangles[t][k])] =
+                vox_find_root(parents, mesh->triangles[t][0]);
     for (uint32_t v = 0; v < mesh->vertex_count; v++) {
-        struct piece *piece = &pieces[find_root(parents, v)];
+        struct piece *piece = &pieces[vox_find_root(parents, v)];
         for (int k = 0; k < 3; k++) {
             piece->low[k] = fminf(piece->low[k], mesh->positions[v][k]);
             piece->high[k] = fmaxf(piece->high[k], mesh->positions[v][k]);
         }
     }
     for (uint32_t t = 0; t < mesh->triangle_count; t++)
-        pieces[find_root(parents, mesh->triangles[t][0])].triangles++;
+        pieces[vox_find_root(parents, mesh->triangles[t][0])].triangles++;
     judge_pieces(s, parents, pieces);
     for (uint32_t t = 0; t < mesh->triangle_count; t++)
-        if (pieces[find_root(parents, mesh->triangles[t][0])].triangles > 0)
+        if (pieces[vox_find_root(parents, mesh->triangles[t][0])].triangles > 0)
             vox_mesh_move_triangle(mesh, kept++, t);
     mesh->triangle_count = kept;
     if (kept == 0)
@@ -137,19 +127,6 @@ static int write_level(struct simplifying *s, uint32_t level)
     return status < 0 ? status : bsq_output_group_add(&s->outputs, output);
 }
 
-static int copy_mesh(struct bsq_ctx *ctx, const struct vox_mesh *from, struct vox_mesh *to)
-{
-    int status = vox_mesh_allocate(ctx, from->vertex_count, from->triangle_count, false,
-                                   from->materials != NULL, to);
-    if (status < 0)
-        return status;
-    memcpy(to->positions, from->positions, from->vertex_count * sizeof *to->positions);
-    memcpy(to->triangles, from->triangles, from->triangle_count * sizeof *to->triangles);
-    if (from->materials)
-        memcpy(to->materials, from->materials, from->triangle_count * sizeof *to->materials);
-    return 0;
-}
-
 static double largest(const struct vox_simplified *level)
 {
     return fmax(level->from_scan.max, level->from_mesh.max);
@@ -177,7 +154,7 @@ static int simplify_to_error(struct simplifying *s)
     for (int i = 0; i < ERROR_STEPS && 1.02 * low < s->mesh.triangle_count; i++) {
         const double middle = sqrt(low * s->mesh.triangle_count);
         tried = (struct vox_simplified){.target = 0};
-        BSQ_TRY(copy_mesh(s->ctx, &s->mesh, &trial));
+        BSQ_TRY(vox_mesh_copy(s->ctx, &s->mesh, 0, &trial));
         BSQ_TRY(collapse_to(s, &trial, (uint64_t)middle));
         const bool stuck = trial.triangle_count == s->mesh.triangle_count;
         if (!stuck)

@@ -1,9 +1,9 @@
-/* thin.c - see thin.h.
+/* thin.c - see steps.h.
  *
  * A vertex goes to the neighbour where its own quadric is least; only then is the best place of
  * both computed. So most of the work is one walk around each vertex in each pass, in the order of
  * memory. The threshold of a pass is the quantile of the costs that would lead to the target. */
-#include "libvoxel/simplify/thin.h"
+#include "libvoxel/simplify/steps.h"
 
 #include <float.h>
 #include <math.h>

@@ -1,5 +1,5 @@
-/* write_mesh.c - see write_mesh.h. */
-#include "libvoxel/simplify/write_mesh.h"
+/* write_mesh.c - see steps.h. */
+#include "libvoxel/simplify/steps.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -69,11 +69,8 @@ static double angle_at(const struct vox_mesh *mesh, uint32_t corner)
 static void face_normals(struct writing *w)
 {
     for (uint32_t t = 0; t < w->mesh->triangle_count; t++) {
-        const uint32_t *triangle = w->mesh->triangles[t];
-        double a[3], b[3];
-        edge_of(w->mesh, triangle[0], triangle[1], a);
-        edge_of(w->mesh, triangle[0], triangle[2], b);
-        bsq_crossd(a, b, w->faces[t]);
+        vox_triangle_normal((const float(*)[3])w->mesh->positions, w->mesh->triangles[t],
+                            w->faces[t]);
         make_unit(w->faces[t]);
     }
 }

@@ -12,10 +12,9 @@
 #include <math.h>
 
 #include "base/file.h"
-#include "base/parallel.h"
 
-/* From this size a grid takes minutes and 10 GB. Then all triangles are read, and few triangles
- * cause a warning. */
+/* From this size a grid takes minutes and 10 GB. Then all chunks are read, and few triangles cause
+ * a warning. */
 static const double huge_voxels = 1e9;
 /* Voxels a triangle above which smaller voxels add no detail. */
 static const double fine_voxels = 16.0;
@@ -31,30 +30,15 @@ static const double voxels_of_leaf = 64.0;
 static const double voxel_bytes = 11.0, channel_bytes = 4.0;
 static const double certainty = 0.5; /* share of the estimate that the grid has at least */
 
-/* A sampled chunk: measured triangles, and their areas. */
-struct sample {
-    double area;
-    uint32_t triangles;
-};
-
-struct area_job {
-    struct bsq_ctx *ctx;
-    const struct fmt_tris_file *file;
-    uint8_t *scratch; /* one chunk for each worker */
-    uint64_t scratch_bytes;
-    struct sample *samples; /* their sum does not depend on threads */
-    uint64_t count;
-    unsigned workers;
-};
-
 /* ---- areas ---- */
 
-static struct sample projected_areas(const struct fmt_tris_chunk *chunk)
+/* Adds the areas of measured triangles of a chunk, and their number. */
+static void add_projected_areas(const struct fmt_tris_chunk *chunk, double *area,
+                                uint64_t *triangles)
 {
     const uint32_t step = chunk->triangle_count < MANY_TRIANGLES ? 1 : SAMPLE_STEP;
     double sum = 0.0;
-    uint32_t count = 0;
-    for (uint32_t t = 0; t < chunk->triangle_count; t += step, count++) {
+    for (uint32_t t = 0; t < chunk->triangle_count; t += step, ++*triangles) {
         const float *p = chunk->positions[chunk->triangles[t][0]];
         const float *q = chunk->positions[chunk->triangles[t][1]];
         const float *r = chunk->positions[chunk->triangles[t][2]];
@@ -68,79 +52,35 @@ static struct sample projected_areas(const struct fmt_tris_chunk *chunk)
             sum += fabs(u[b] * v[c] - u[c] * v[b]);
         }
     }
-    return (struct sample){sum / 2, count};
-}
-
-/* Measures every workers-th sample from `index` on. Samples are spread evenly over the file. */
-static int sum_areas(void *arg, uint64_t index, unsigned worker)
-{
-    struct area_job *job = arg;
-    uint64_t chunks = fmt_tris_get_header(job->file)->chunk_count;
-    void *scratch = job->scratch + index * job->scratch_bytes;
-    int status = 0;
-    (void)worker;
-    for (uint64_t i = index; i < job->count && status == 0; i += job->workers) {
-        uint64_t number = (2 * i + 1) * chunks / (2 * job->count);
-        struct fmt_tris_chunk chunk;
-        if ((status = bsq_check(job->ctx)) == 0 &&
-            (status = fmt_tris_load(job->file, number, scratch, &chunk)) == 0)
-            job->samples[i] = projected_areas(&chunk);
-    }
-    return status;
-}
-
-static unsigned choose_workers(const struct area_job *job)
-{
-    uint64_t fitting = bsq_memory_share(job->ctx, "estimate of voxels", 2) / job->scratch_bytes;
-    unsigned threads = bsq_threads(job->ctx);
-    return fitting >= threads ? threads : fitting > 0 ? (unsigned)fitting : 1;
+    *area += sum / 2;
 }
 
 int vox_estimate_voxels(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                         const struct vox_transform *transform, uint64_t chunks_max, double *voxels)
 {
     const struct fmt_tris_header *header = fmt_tris_get_header(file);
-    struct area_job job = {.ctx = ctx,
-                           .file = file,
-                           .scratch_bytes = (fmt_tris_load_size_max(file) + 63) & ~UINT64_C(63)};
-    job.count = header->chunk_count < chunks_max ? header->chunk_count : chunks_max;
-    job.workers = choose_workers(&job);
-    double area = 0.0, triangles = 0.0;
+    const uint64_t chunks = header->chunk_count, count = chunks < chunks_max ? chunks : chunks_max;
+    void *scratch;
+    double area = 0.0;
+    uint64_t triangles = 0;
     int status;
     *voxels = 0.0;
-    BSQ_TRY(bsq_calloc(ctx, "areas of chunks", job.count, sizeof *job.samples, &job.samples));
-    BSQ_TRY(bsq_alloc(ctx, "areas of chunks", job.workers, job.scratch_bytes, &job.scratch));
-    BSQ_TRY(bsq_parallel_for(ctx, job.workers, sum_areas, &job));
-    for (uint64_t i = 0; i < job.count; i++) {
-        area += job.samples[i].area;
-        triangles += job.samples[i].triangles;
+    BSQ_TRY(bsq_alloc(ctx, "areas of chunks", fmt_tris_load_size_max(file), 1, &scratch));
+    for (uint64_t i = 0; i < count; i++) {
+        struct fmt_tris_chunk chunk;
+        BSQ_TRY(bsq_check(ctx));
+        BSQ_TRY(fmt_tris_load(file, (2 * i + 1) * chunks / (2 * count), scratch, &chunk));
+        add_projected_areas(&chunk, &area, &triangles);
     }
-    if (triangles > 0.0)
-        *voxels = area * ((double)header->triangle_count / triangles) / transform->h / transform->h;
+    if (triangles > 0)
+        *voxels = area * ((double)header->triangle_count / (double)triangles) / transform->h /
+                  transform->h;
 done:
-    bsq_free(ctx, job.scratch);
-    bsq_free(ctx, job.samples);
+    bsq_free(ctx, scratch);
     return status;
 }
 
 /* ---- warnings and refusals ---- */
-
-/* Estimates voxels from the bounds of chunks, as if each chunk were one surface folded as little as
- * its bounds allow. */
-static double voxels_by_bounds(const struct fmt_tris_file *file,
-                               const struct vox_transform *transform)
-{
-    const struct fmt_tris_chunk_info *infos = fmt_tris_chunks(file);
-    double sum = 0.0;
-    for (uint64_t i = 0; i < fmt_tris_get_header(file)->chunk_count; i++) {
-        double side[3];
-        for (int a = 0; a < 3; a++)
-            side[a] =
-                ((double)infos[i].bounds_max[a] - (double)infos[i].bounds_min[a]) / transform->h;
-        sum += side[0] * side[1] + side[1] * side[2] + side[2] * side[0];
-    }
-    return sum;
-}
 
 double vox_estimate_bytes(double voxels, unsigned channels)
 {
@@ -174,9 +114,10 @@ int vox_estimate_check(struct bsq_ctx *ctx, const struct fmt_tris_file *file,
                        const struct vox_transform *transform, unsigned channels,
                        const char *grid_path)
 {
-    uint64_t chunks_max = voxels_by_bounds(file, transform) < huge_voxels ? SAMPLES : UINT64_MAX;
     double voxels;
-    int status = vox_estimate_voxels(ctx, file, transform, chunks_max, &voxels);
+    int status = vox_estimate_voxels(ctx, file, transform, SAMPLES, &voxels);
+    if (status == 0 && voxels > huge_voxels / 4)
+        status = vox_estimate_voxels(ctx, file, transform, UINT64_MAX, &voxels);
     if (status < 0)
         return status;
     double bytes = vox_estimate_bytes(voxels, channels);

@@ -261,7 +261,7 @@ TEST(test_degenerate)
 
 /* ---- large polygons ---- */
 
-enum { LARGE = 40000, MEDIUM = 12000 };
+enum { LARGE = 10000, MEDIUM = 4800 };
 static double large[LARGE][2];
 
 static void place(uint32_t i, double x, double y)

@@ -1,8 +1,6 @@
 /* Tests edge collapse on closed, open and broken meshes: topology, volume, borders, and what must
  * not move; and the welding before it. */
-#include "libvoxel/simplify/cluster.h"
-#include "libvoxel/simplify/collapse.h"
-#include "libvoxel/simplify/thin.h"
+#include "libvoxel/simplify/steps.h"
 #include "tests/unit/test.h"
 
 #define PI 3.14159265358979323846

@@ -1,0 +1,85 @@
+/* steps.h - the steps of simplifying a scan, in their order. */
+#ifndef VOX_SIMPLIFY_STEPS_H
+#define VOX_SIMPLIFY_STEPS_H
+
+#include "base/output.h"
+#include "formats/chunks/tris.h"
+#include "libvoxel/simplify/mesh.h"
+#include "libvoxel/voxel.h"
+
+/* ---- groups.c: from the chunks of a scan to a mesh that fits in memory ----
+ *
+ * Neighbouring chunks form groups. Each group is a mesh whose edges collapse while the vertices of
+ * its border stay, so that it still fits its neighbours. The results form groups again, whose inner
+ * borders are free now, until few enough triangles are left. */
+
+/* Makes a welded mesh of about `target` triangles, or of all triangles of the scan if it has no
+ * more. Groups and results depend on the scan and the target alone, not on memory or threads.
+ * `beside`: an output, for temporary files. materials: the mesh has them, those of equal names as
+ * the first of these, and vertices between them stay. The caller frees *mesh. Errors: BSQ_ENOMEM,
+ * BSQ_EIO, BSQ_EDATA, BSQ_EINTR. */
+int vox_reduce_chunks(struct bsq_ctx *ctx, const struct fmt_tris_file *file, uint64_t target,
+                      const char *beside, bool materials, struct vox_mesh *mesh);
+
+/* ---- cluster.c: a first reduction of meshes that are far finer than the result ----
+ *
+ * Vertices of a cell of a grid that are connected inside it become one vertex, where their quadrics
+ * are least. Unlike clustering by cells alone (Lindstrom, "Out-of-Core Simplification of Large
+ * Polygonal Models", 2000), this keeps the topology: clusters that would change it, or fold the
+ * surface, stay as they are. */
+
+/* Joins vertices of a welded mesh with quadrics, to about `share` of them, and compacts the mesh.
+ * Vertices stay at open borders, at edges with more than two triangles and between materials. The
+ * result depends on the mesh and the share alone. Errors: BSQ_ENOMEM, BSQ_EINTR. */
+int vox_cluster(struct bsq_ctx *ctx, double share, struct vox_mesh *mesh);
+
+/* ---- thin.c: fast edge collapse, far from the result ----
+ *
+ * Each vertex carries the quadric of all scan triangles that it stands for (Garland and Heckbert,
+ * "Surface Simplification Using Quadric Error Metrics", 1997), weighted by their area. There is no
+ * heap: passes over all vertices collapse what is cheaper than a threshold, which grows. */
+
+/* Collapses edges of a welded mesh with quadrics until it has at most `target` triangles, or until
+ * little more can collapse. Vertices of open borders stay. Then compacts the mesh. The result
+ * depends on the mesh and the target alone. Errors: BSQ_ENOMEM, BSQ_EINTR. */
+int vox_thin(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh);
+
+/* ---- collapse.c: edge collapse of a mesh in memory, for the last phase ----
+ *
+ * An edge collapses into one vertex, at the place where the volume between the triangles before and
+ * after is least, under the constraint that the enclosed volume stays (Lindstrom and Turk, "Fast
+ * and Memory Efficient Polygonal Simplification", 1998). Of the scan, only the way is remembered
+ * that the surface has gone from it; where that is long, edges collapse later. Vertices of open
+ * borders move along their border only. */
+
+/* Collapses edges of a welded mesh, cheapest first, until `target` triangles are left or no edge
+ * can collapse. Then compacts the mesh. Counts triangles as progress of the context. The result
+ * depends on the mesh and the target alone. Errors: BSQ_ENOMEM, BSQ_EINTR. */
+int vox_collapse(struct bsq_ctx *ctx, uint32_t target, struct vox_mesh *mesh);
+
+/* ---- measure.c: how far a low-poly mesh is from its scan, both ways ---- */
+
+/* Measures the distance of each vertex of the scan from the closest point of the mesh, and of the
+ * mesh's vertices, and points spread evenly over its area, from the closest point of the scan.
+ * Means are by area. Reads the scan twice, chunk by chunk. Stops as soon as a distance of the first
+ * kind is above `enough`; then the figures of that kind are those so far, and the others 0. Errors:
+ * BSQ_ENOMEM, BSQ_EIO, BSQ_EDATA, BSQ_EINTR. */
+int vox_measure(struct bsq_ctx *ctx, const struct fmt_tris_file *file, const struct vox_mesh *mesh,
+                double enough, struct vox_distances *scan_to_mesh,
+                struct vox_distances *mesh_to_scan);
+
+/* ---- write_mesh.c: writes a low-poly mesh with its normals ---- */
+
+/* Returns whether meshes can be written under this name: it ends in .obj, .ply or .glb. */
+bool vox_mesh_path_is_known(const char *path);
+
+/* Writes a mesh to *out, which the caller commits. Origin and names of materials are the header's;
+ * PLY files have no materials. The normal of a corner is the sum of its vertex's triangles whose
+ * normals are within `hard_angle` degrees of its own one's, each weighted by its angle there
+ * (Thuermer and Wuethrich, "Computing Vertex Normals from Polygonal Facets", 1998). Errors:
+ * BSQ_ECANTCREAT, BSQ_EIO, BSQ_ENOMEM. */
+int vox_write_mesh(struct bsq_ctx *ctx, const char *path, const struct vox_mesh *mesh,
+                   const struct fmt_tris_header *header, double hard_angle,
+                   struct bsq_output **out);
+
+#endif
