@@ -104,7 +104,7 @@ tiff("rgb_apart.tif", "rgb.ppm", rgb, 3, apart=True)
 tiff("rgb_tiles.tif", "rgb.ppm", rgb, 3, tile=16)
 tiff("rgb_tiles_apart.tif", "rgb.ppm", rgb, 3, tile=16, apart=True)
 tiff("rgb_alpha.tif", "rgb.ppm", with_alpha, 4, extra=[2])
-tiff("rgb_alpha_apart.tif", "rgb.ppm", with_alpha, 4, extra=[1], apart=True)
+tiff("rgb_alpha_apart.tif", "-", with_alpha, 4, extra=[1], apart=True)
 tiff("cmyk.tif", "rgb.ppm", inks, 4, photometric=5)
 tiff("cmyk_apart.tif", "rgb.ppm", inks, 4, photometric=5, apart=True)
 grey = [random.randrange(256) for _ in NUMBERS]
@@ -130,7 +130,7 @@ save("deep.png", b"\x89PNG\r\n\x1a\n" + b"".join(
         (b"IEND", b""))))
 tiff("deep.tif", "deep.png", deep, 3, "H")
 tiff("deep_big.tif", "deep.png", deep, 3, "H", ">")
-tiff("deep_big_apart.tif", "deep.png", deep, 3, "H", ">", apart=True)
+tiff("deep_big_apart.tif", "-", deep, 3, "H", ">", apart=True)
 light = [random.randrange(1024) / 512 for _ in NUMBERS for _ in range(3)]
 save("light.pfm", b"PF\n%d %d\n-1\n" % (WIDTH, HEIGHT) + b"".join(
     pack(light[3 * WIDTH * y:3 * WIDTH * (y + 1)], "f") for y in reversed(range(HEIGHT))))
