@@ -64,7 +64,7 @@ LIBS.texture  = $(shell $(pkg_config) --libs $(pc_texture))
 LIBS.tiff     = $(shell $(pkg_config) --libs $(pc_tiff))
 LIBS.gltf     = -ldraco -lmeshoptimizer
 LIBS.scene    = -lassimp
-LIBS.openvdb  = -lopenvdb -ltbb $(shell $(pkg_config) --libs Imath)
+LIBS.vdb      = -lopenvdb -ltbb $(shell $(pkg_config) --libs Imath)
 LIBS.bake     = -ldl $(LIBS.tools)
 LIBS.all      = $(LIBS.formats) $(LIBS.bake) $(LIBS.base)
 LIBS.tools    = $(shell $(pkg_config) --libs $(pc_tools))
@@ -88,27 +88,20 @@ archives := $(foreach l,$(libs),$(archive.$(l)))
 # All of them as one library. The number changes whenever a program must be compiled again.
 shared   := $(BUILD)/lib/libbisque.so.0
 
-# Parts of formats that are opened at their first use, see formats/module/module.h. The stamp holds
-# the version and a checksum of the headers that a module shares with its host.
-modules      := openvdb
-src.openvdb  := formats/grid/vdb_export_openvdb.cc base/vec.c
-module_stamp := formats/module/module_stamp.c
-$(foreach m,$(modules),$(eval src.$(m) += $(module_stamp)))
-module_files := $(modules:%=$(BUILD)/lib/bisque/bisque-%.so)
-module_headers  := $(addprefix base/,version.h context.h file.h file_extent.h output.h \
-    parallel.h) \
-    $(addprefix formats/,module/module.h mesh/gltf_task.h mesh/scene_file.h \
-    $(addprefix grid/,nvdb.h nvdb_layout_internal.h vdb_module.h) \
-    texture/image_rows.h)
-directory_cppflags = -DFMT_MODULE_DIRECTORY='"$(prefix)/lib/bisque"'
+# The stamp holds the version and a checksum of the headers that helpers share with the programs.
+program_stamp  := formats/program/stamp.c
+shared_headers := $(addprefix base/,version.h context.h file.h file_extent.h output.h parallel.h) \
+    $(addprefix formats/,program/program.h mesh/gltf_task.h mesh/scene_file.h texture/image_rows.h \
+    grid/nvdb.h grid/nvdb_layout_internal.h)
+directory_cppflags = -DFMT_PROGRAM_DIRECTORY='"$(prefix)/lib/bisque"'
 stamp_cppflags = \
-    -DFMT_MODULE_STAMP='"$(VERSION)-$(firstword $(shell cat $(module_headers) | cksum))"'
+    -DFMT_PROGRAM_STAMP='"$(VERSION)-$(firstword $(shell cat $(shared_headers) | cksum))"'
 
 programs := bisque-voxelize bisque-simplify bisque-bake bisque-compare
 bins     := $(addprefix $(BUILD)/bin/,$(programs))
-# Programs that are installed beside the modules and found like them, for code that may crash: they ask drivers for
-# devices, read meshes by Assimp and images by libtiff or OpenImageIO, and decompress parts of glTF files.
-helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices scene tiff texture gltf)
+# Programs that the others start, for code that may crash: they ask drivers for devices, read meshes by Assimp and
+# images by libtiff or OpenImageIO, decompress parts of glTF files, and write OpenVDB files.
+helpers  := $(addprefix $(BUILD)/lib/bisque/bisque-,devices scene tiff texture gltf vdb)
 
 # The frame and the script of reports, which programs find relative to themselves.
 report_parts := $(addprefix $(BUILD)/share/bisque/,report.html report.js)
@@ -117,8 +110,8 @@ $(BUILD)/share/bisque/%: tools/report/%
 	cp $< $@
 
 .PHONY: all
-## all: build the libraries, modules and programs (default), into build/$(config)/
-all: $(archives) $(shared) $(module_files) $(helpers) $(bins) $(report_parts)
+## all: build the libraries and programs (default), into build/$(config)/
+all: $(archives) $(shared) $(helpers) $(bins) $(report_parts)
 
 # Debug information names the folder of the sources. With this name, builds in different folders have
 # the same bytes; debuggers find the sources if they are started there.
@@ -130,9 +123,9 @@ $(BUILD)/obj/%.c.o: %.c
 $(BUILD)/obj/%.cc.o: %.cc
 	@mkdir -p $(@D)
 	$(here) $(CXX) $(CPPFLAGS) $(cppflags.$(firstword $(subst /, ,$<))) $(CXXFLAGS) -c $< -o $@
-$(BUILD)/obj/formats/module/module_directory.c.o: CPPFLAGS += $(directory_cppflags)
-$(BUILD)/obj/$(module_stamp).o: CPPFLAGS += $(stamp_cppflags)
-$(BUILD)/obj/$(module_stamp).o: $(module_headers)
+$(BUILD)/obj/formats/program/directory.c.o: CPPFLAGS += $(directory_cppflags)
+$(BUILD)/obj/$(program_stamp).o: CPPFLAGS += $(stamp_cppflags)
+$(BUILD)/obj/$(program_stamp).o: $(shared_headers)
 # Fused operations would change results. -ffp-contract=off already prevents them, and with -mno-fma
 # Clang would drop AVX-512, so only GCC gets it.
 no_fma := $(if $(findstring clang,$(shell $(CC) --version 2>/dev/null)),,-mno-fma)
@@ -157,7 +150,7 @@ cppflags.formats = $(formats_cppflags)
 cppflags.tests   = $(formats_cppflags)
 # Two sources hold much of OpenVDB and NanoVDB as templates. With all sanitizers each takes a minute
 # and a half to compile. The test's own code needs no checks, and no speed.
-$(BUILD)/obj/formats/grid/vdb_export_openvdb.cc.o: CXXFLAGS += \
+$(BUILD)/obj/formats/grid/vdb_program.cc.o: CXXFLAGS += \
     -fno-sanitize=undefined,float-cast-overflow
 $(BUILD)/obj/tests/unit/formats/grid/test_nvdb_reader.cc.o: CXXFLAGS += -O0 -fno-sanitize=all
 
@@ -168,16 +161,8 @@ $(archive.$(1)): $$(call objs,$(1))
 endef
 $(foreach l,$(libs),$(eval $(call archive_rule,$(l))))
 
-# Linking fails if a module calls a function that its host's table does not have. Clang resolves its
-# sanitizers' functions in the program, so config=fuzz cannot check this.
+# Clang resolves its sanitizers' functions in the program, so config=fuzz cannot check this.
 no_undefined := $(if $(filter fuzz,$(config)),,-Wl,-z,defs)
-define module_rule
-$(BUILD)/lib/bisque/bisque-$(1).so: $$(call objs,$(1)) formats/module/module.map
-	@mkdir -p $$(@D)
-	$$(CXX) $$(common) $$(LDFLAGS) -shared $(no_undefined) \
-	    -Wl,--version-script=formats/module/module.map -o $$@ $$(filter %.o,$$^) $$(LIBS.$(1))
-endef
-$(foreach m,$(modules),$(eval $(call module_rule,$(m))))
 
 # Exports the functions that the public headers declare, and nothing else.
 $(BUILD)/gen/libbisque.map: $(public_headers)
@@ -246,13 +231,14 @@ src.scene    := formats/mesh/scene_assimp.cc
 src.tiff     := formats/texture/tiff_rows.cc formats/texture/image_program.cc
 src.texture  := formats/texture/oiio_rows.cc formats/texture/image_program.cc
 src.gltf     := formats/mesh/gltf_decode.cc
+src.vdb      := formats/grid/vdb_program.cc
 define reader_rule
 $(BUILD)/lib/bisque/bisque-$(1): $(src.$(1):%=$(BUILD)/obj/%.o) $(archives)
 	@mkdir -p $$(@D)
 	$$(CXX) $$(common) $$(LDFLAGS) -o $$@ $$(filter %.o,$$^) $(archive.formats) $(archive.base) \
 	    $$(LIBS.$(1)) $$(LIBS.all)
 endef
-$(foreach r,scene tiff texture gltf,$(eval $(call reader_rule,$(r))))
+$(foreach r,scene tiff texture gltf vdb,$(eval $(call reader_rule,$(r))))
 
 # A folder with the installed headers and no others, for examples/ and `make doc`.
 public_copies  := $(public_headers:%=$(BUILD)/include/%)

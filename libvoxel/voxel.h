@@ -242,7 +242,7 @@ int vox_voxelize(struct bsq_ctx *ctx, const struct vox_voxelize_options *options
                  struct vox_voxelize_report *report);
 
 /** Checks that OpenVDB files can be written. vox_voxelize() checks this too; call it before other
- * long work. Errors: BSQ_ENOINPUT if the module is missing. */
+ * long work. Errors: BSQ_ENOINPUT if its program is missing. */
 int vox_check_export(struct bsq_ctx *ctx);
 
 /** Distances between two surfaces, in the scan's units. */

@@ -30,8 +30,8 @@ $(call unit_bin,$(1)): $(BUILD)/obj/$(1).o $(needs.$(call unit_lib,$(1))) \
 endef
 $(foreach s,$(unit_sources),$(eval $(call unit_rule,$(s))))
 # Libraries that some tests compare results with, or make files with.
-LIBS.tests = $(LIBS.openvdb) -lembree3 $(shell $(pkg_config) --libs libjpeg)
-# Tests look for modules in ../lib/bisque, as programs do.
+LIBS.tests = $(LIBS.vdb) -lembree3 $(shell $(pkg_config) --libs libjpeg)
+# Tests look for helpers in ../lib/bisque, as programs do.
 $(BUILD)/tests/lib:
 	@mkdir -p $(@D)
 	ln -sfn ../lib $@
@@ -45,7 +45,7 @@ $(generator): $(call scan_objs,$(basename $(notdir $(wildcard tests/scan/generat
 	@mkdir -p $(@D)
 	$(CC) $(common) -o $@ $^ -lm
 $(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(archive.libbake) \
-    $(archive.formats) $(archive.base) | $(module_files)
+    $(archive.formats) $(archive.base)
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $^ $(LIBS.all)
 
@@ -159,7 +159,7 @@ fuzz-merge:
 
 .PHONY: unit tests-build test check
 ## unit: build and run the unit tests only
-unit: $(unit_bins) $(module_files) $(fakes)
+unit: $(unit_bins) $(fakes)
 	@BIN=$(BUILD)/bin TESTS=$(BUILD)/tests tests/run.sh $(unit_bins)
 
 tests-build: all $(examples) $(unit_bins) $(generator) $(checkers) \
@@ -257,7 +257,7 @@ build/$(arm64)-sysroot/ready:
 	@tests/cross/sysroot.sh $(@D) arm64 libc6-dev $(filter lib% zlib% opencl-c%,$(packages_build)) \
 	    libcmocka-dev libembree-dev libnanovdb-dev && touch $@
 .PHONY: check-arm64 unit-build
-unit-build: $(unit_bins) $(module_files)
+unit-build: $(unit_bins)
 ## check-arm64: compile for ARM64; unit tests, and the bytes of x86, under qemu-user (installs both)
 check-arm64: all $(generator)
 	@tests/install-packages.sh gcc-$(arm64) g++-$(arm64) qemu-user-static

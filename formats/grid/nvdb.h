@@ -181,7 +181,7 @@ uint64_t fmt_nvdb_second(const struct fmt_nvdb_grid *grid, uint64_t v);
 int fmt_vdb_export(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const char *path,
                    struct bsq_output **out);
 
-/* Returns 0 if the module bisque-openvdb.so can be opened, else its error. */
+/* Returns 0 if the program bisque-vdb is installed, else its error. */
 int fmt_vdb_check(struct bsq_ctx *ctx);
 
 #ifdef __cplusplus

@@ -1,13 +1,37 @@
-/* vdb_export.c - exports a grid as an OpenVDB file, whose content the module bisque-openvdb.so
- * writes.
+/* vdb_export.c - exports a grid as an OpenVDB file, whose content the program bisque-vdb writes.
  *
  * OpenVDB writes an archive from whole grids in memory. The memory follows from the node counts and
  * is reserved before anything is built. */
+#include <inttypes.h>
+#include <math.h>
 #include <stdio.h>
+#include <sys/wait.h>
 #include <xxhash.h>
 
 #include "formats/grid/nvdb_layout_internal.h"
-#include "formats/grid/vdb_module.h"
+#include "formats/program/program.h"
+
+/* Bytes that OpenVDB takes for nodes of vectors and of bits, with malloc's overhead. bisque-vdb
+ * refuses to take more. */
+enum {
+    LEAF = 128 + 512 * 12,
+    LOWER = 66608,
+    UPPER = 532624,
+    BIT_LEAF = 112,
+    BIT_LOWER = 33840,
+    BIT_UPPER = 270480
+};
+
+static uint64_t export_bytes(const struct fmt_nvdb_grid *grid)
+{
+    const uint64_t vectors = (uint64_t)grid->leaf_count * LEAF +
+                             (uint64_t)grid->lower_count * LOWER +
+                             (uint64_t)grid->upper_count * UPPER;
+    const uint64_t bits = (uint64_t)grid->leaf_count * BIT_LEAF +
+                          (uint64_t)grid->lower_count * BIT_LOWER +
+                          (uint64_t)grid->upper_count * BIT_UPPER;
+    return bits + (grid->colors ? 2 * vectors : vectors);
+}
 
 /* Replaces the random UUID that OpenVDB gives each file by one that follows from the grid, so that
  * equal grids give equal files. It is text, after the magic number, two versions and a flag. */
@@ -25,30 +49,56 @@ static int replace_uuid(struct bsq_output *output, const struct fmt_nvdb_grid *g
     return bsq_output_write_at(output, uuid, 36, 8 + 4 + 4 + 4 + 1);
 }
 
-static int open_module(struct bsq_ctx *ctx, const struct fmt_module **module)
+static int find_program(struct bsq_ctx *ctx, char program[PATH_MAX])
 {
-    return fmt_module_open(ctx, "openvdb", "OpenVDB files", module);
+    return fmt_program_find(ctx, "bisque-vdb", "OpenVDB files", program);
 }
 
 int fmt_vdb_check(struct bsq_ctx *ctx)
 {
-    const struct fmt_module *module;
-    return open_module(ctx, &module);
+    char program[PATH_MAX];
+    return find_program(ctx, program);
+}
+
+/* Lets bisque-vdb write the file of an output. */
+static int write_content(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const char *path,
+                         struct bsq_output *output, uint64_t bytes)
+{
+    char program[PATH_MAX], stamp[48], threads[12], memory[24], text[201] = "";
+    char *arguments[] = {program, stamp, threads, memory, NULL};
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    struct fmt_program_end end;
+    uint64_t got = 0;
+    int status;
+    snprintf(stamp, sizeof stamp, "%s", fmt_program_stamp);
+    snprintf(threads, sizeof threads, "%u", bsq_threads(ctx));
+    snprintf(memory, sizeof memory, "%" PRIu64, bytes);
+    BSQ_TRY(find_program(ctx, program));
+    BSQ_TRY(fmt_program_check(ctx, "OpenVDB files"));
+    BSQ_TRY(bsq_output_read(output, &file));
+    BSQ_TRY(fmt_program_run(ctx, arguments, grid->map.fd, file.fd, INFINITY, &end));
+    if (end.error == 0 && end.state == 0)
+        goto done;
+    BSQ_TRY(bsq_file_read_some(ctx, &file, text, sizeof text - 1, 0, &got));
+    if (end.error == 0 && WIFEXITED(end.state) && WEXITSTATUS(end.state) == -BSQ_EIO)
+        status = bsq_fail(ctx, BSQ_EIO, "%s: OpenVDB cannot write it: %s", path, text);
+    else
+        status = fmt_program_fail(ctx, path, "OpenVDB", &end, text, 0, bytes);
+done:
+    bsq_file_close(ctx, &file);
+    return status;
 }
 
 int fmt_vdb_export(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const char *path,
                    struct bsq_output **out)
 {
-    const struct fmt_module *module;
     struct bsq_output *output = NULL;
+    const uint64_t bytes = export_bytes(grid);
     int status;
     *out = NULL;
-    BSQ_TRY(open_module(ctx, &module));
     BSQ_TRY(bsq_output_open(ctx, path, &output));
-    const struct fmt_vdb_module *vdb = (const struct fmt_vdb_module *)module;
-    const uint64_t bytes = vdb->memory(grid);
     BSQ_TRY(bsq_reserve(ctx, "the grids of the OpenVDB export", bytes));
-    status = vdb->write(&fmt_host_functions, ctx, grid, output, path);
+    status = write_content(ctx, grid, path, output, bytes);
     bsq_release(ctx, bytes);
     BSQ_TRY(status);
     BSQ_TRY(replace_uuid(output, grid));

@@ -175,7 +175,7 @@ void run_all(const uint8_t *input, size_t size)
     if (size < sizeof stamp)
         _exit(-BSQ_EUSAGE);
     std::memcpy(&stamp, input, sizeof stamp);
-    if (std::strncmp(stamp.text, fmt_module_stamp, sizeof stamp.text) != 0) {
+    if (std::strncmp(stamp.text, fmt_program_stamp, sizeof stamp.text) != 0) {
         std::printf("bisque-gltf is not of this program's build");
         fflush(stdout);
         _exit(-BSQ_ENOINPUT);

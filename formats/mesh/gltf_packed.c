@@ -268,7 +268,7 @@ int fmt_gltf_unpack(struct bsq_ctx *ctx, struct gltf_source *source)
     BSQ_TRY(bsq_require_disk(ctx, NULL, source->decoded_bytes));
     BSQ_TRY(bsq_file_temp(ctx, NULL, "a compressed glTF file", &input));
     BSQ_TRY(bsq_file_temp(ctx, NULL, "a decompressed glTF file", &source->decoded));
-    strncpy(stamp.text, fmt_module_stamp, sizeof stamp.text - 1);
+    strncpy(stamp.text, fmt_program_stamp, sizeof stamp.text - 1);
     BSQ_TRY(bsq_file_append(ctx, &input, &stamp, sizeof stamp));
     for (uint32_t i = 0; i < source->packed_count; i++)
         BSQ_TRY(add_task(ctx, source, &source->packed[i], &input));

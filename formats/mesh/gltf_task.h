@@ -3,7 +3,7 @@
 #ifndef FMT_MESH_GLTF_TASK_H
 #define FMT_MESH_GLTF_TASK_H
 
-#include "formats/module/module.h"
+#include "formats/program/program.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -62,7 +62,7 @@ struct gltf_packed {
 };
 
 struct gltf_stamp {
-    char text[48]; /* fmt_module_stamp of the reader */
+    char text[48]; /* fmt_program_stamp of the reader */
 };
 
 #ifdef __cplusplus

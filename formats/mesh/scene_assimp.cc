@@ -278,7 +278,7 @@ Tables describe(const aiScene &scene, const std::vector<Place> &places)
 {
     Tables out = {};
     fmt_scene_head *head = &out.head;
-    std::strncpy(head->stamp, fmt_module_stamp, sizeof head->stamp - 1);
+    std::strncpy(head->stamp, fmt_program_stamp, sizeof head->stamp - 1);
     for (unsigned i = 0; i < scene.mNumMaterials; i++) {
         fmt_scene_material material = {};
         copy_diffuse(*scene.mMaterials[i], &material);

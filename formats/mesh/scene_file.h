@@ -4,7 +4,7 @@
 #define FMT_MESH_SCENE_FILE_H
 
 #include "base/channels.h"
-#include "formats/module/module.h"
+#include "formats/program/program.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -32,7 +32,7 @@ struct fmt_scene_material {
 
 /* The start of the file. The arrays of struct fmt_scene follow in their order. */
 struct fmt_scene_head {
-    char stamp[48];        /* fmt_module_stamp of the program */
+    char stamp[48];        /* fmt_program_stamp of the program */
     uint64_t memory_bytes; /* that reading took */
     uint64_t vertex_count, face_count, corner_count, mesh_count, material_count, text_bytes;
     uint64_t short_faces;     /* points and lines, left out */

@@ -72,7 +72,7 @@ bool fmt_scene_view(const void *file, uint64_t size, struct fmt_scene *out)
     const struct fmt_scene_head *head = file;
     if (!take(&at, &size, 1, sizeof *head, &out->head) || head->mesh_count > size)
         return false;
-    return strncmp(head->stamp, fmt_module_stamp, sizeof head->stamp) == 0 &&
+    return strncmp(head->stamp, fmt_program_stamp, sizeof head->stamp) == 0 &&
            take(&at, &size, head->mesh_count + 1, sizeof *out->meshes, &out->meshes) &&
            take(&at, &size, head->material_count, sizeof *out->materials, &out->materials) &&
            take(&at, &size, head->vertex_count, sizeof *out->positions, &out->positions) &&

@@ -42,7 +42,7 @@ void add_time(uint64_t texels)
 void convert(ImageReader &reader, const char *plugin)
 {
     struct fmt_rows_head head = {};
-    std::strncpy(head.stamp, fmt_module_stamp, sizeof head.stamp - 1);
+    std::strncpy(head.stamp, fmt_program_stamp, sizeof head.stamp - 1);
     reader.open(plugin, head.info);
     add_time(uint64_t(head.info.width) * head.info.height);
     put(&head, sizeof head);

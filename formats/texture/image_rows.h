@@ -9,7 +9,7 @@
 #include <stdio.h>
 
 #include "base/file_extent.h"
-#include "formats/module/module.h"
+#include "formats/program/program.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -60,7 +60,7 @@ bool fmt_png_text(const void *state, uint32_t i, const char **name, const char *
  * of Bisque without the sign. */
 enum { FMT_ROWS_GOOD = '+', FMT_ROWS_BAD = '-' };
 struct fmt_rows_head {
-    char stamp[48]; /* fmt_module_stamp of the program */
+    char stamp[48]; /* fmt_program_stamp of the program */
     struct fmt_rows_info info;
 };
 

@@ -117,15 +117,15 @@ static int open_program(struct fmt_rows_input *input, struct fmt_rows_info *info
     BSQ_TRY(bsq_calloc(ctx, "a texture's decoder", 1, sizeof *rows, &rows));
     *state = rows;
     *rows = (struct program_rows){.input = input, .pipe = -1};
-    BSQ_TRY(fmt_module_find(ctx, input->program, purpose, program));
+    BSQ_TRY(fmt_program_find(ctx, input->program, purpose, program));
     if (input->plugin[0]) /* libtiff has few libraries */
-        BSQ_TRY(fmt_module_check(ctx, purpose, true));
+        BSQ_TRY(fmt_program_check(ctx, purpose));
     BSQ_TRY(start(rows, program));
     BSQ_TRY(take(rows, &head, sizeof head));
-    if (strncmp(head.stamp, fmt_module_stamp, sizeof head.stamp) != 0)
+    if (strncmp(head.stamp, fmt_program_stamp, sizeof head.stamp) != 0)
         return bsq_fail(ctx, BSQ_ENOINPUT,
                         "%s need the program %s, which is of another build than this program (%s)",
-                        purpose, program, fmt_module_stamp);
+                        purpose, program, fmt_program_stamp);
     *info = head.info;
     rows->row_bytes = (size_t)info->width * info->channels * info->sample_bytes;
 done:

@@ -5,7 +5,7 @@
 #include <strings.h>
 #include <unistd.h>
 
-#include "formats/module/module.h"
+#include "formats/program/program.h"
 #include "libbake/page/items.h"
 
 /* Where Debian's package libjs-three is installed, and its parts that a page needs. */
@@ -59,7 +59,7 @@ int bake_page_open(struct bsq_ctx *ctx, const char *path, struct bake_page **out
     BSQ_TRY(bsq_calloc(ctx, "page", 1, sizeof *page, &page));
     page->ctx = ctx;
     page->path = path;
-    BSQ_TRY(fmt_module_find(ctx, "../../share/bisque/report.html", "reports", frame));
+    BSQ_TRY(fmt_program_find(ctx, "../../share/bisque/report.html", "reports", frame));
     BSQ_TRY(bsq_output_open(ctx, path, &page->output));
     BSQ_TRY(put_file(page, "", frame, ""));
     if (access(THREE, R_OK) == 0 && access(LOADER, R_OK) == 0) {
@@ -126,7 +126,7 @@ int bake_page_finish(struct bake_page *page, const char *json)
     BSQ_TRY(put(page, "<script type=\"application/json\" id=\"data\">"));
     BSQ_TRY(put_json(page, json));
     BSQ_TRY(put(page, "</script>\n"));
-    BSQ_TRY(fmt_module_find(page->ctx, "../../share/bisque/report.js", "reports", script));
+    BSQ_TRY(fmt_program_find(page->ctx, "../../share/bisque/report.js", "reports", script));
     BSQ_TRY(put_file(page, "<script>\n", script, "</script>\n"));
     struct bsq_output *output = page->output;
     page->output = NULL;

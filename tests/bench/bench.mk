@@ -10,7 +10,7 @@ $(BUILD)/tests/baseline-embree: $(BUILD)/obj/tests/bench/baseline_embree.c.o
 rays_archives := $(archive.libbake) $(archive.formats) $(archive.base)
 $(BUILD)/tests/bench-maps: $(patsubst %,$(BUILD)/obj/tests/bench/%.c.o,maps rays_scene \
     rays_embree) $(rays_archives) \
-    | $(module_files) $(helpers) $(BUILD)/tests/lib
+    | $(helpers) $(BUILD)/tests/lib
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -o $@ $(filter %.o,$^) $(rays_archives) $(LIBS.all) -lembree3
 

@@ -140,7 +140,7 @@ job a.exr -- bisque-bake scan.nvdb low.obj --device cpu --size 512 --samples 1 -
 torture -m 8 ENOSPC
 torture -m 8 -c read EIO
 
-# ---- the modules: OpenVDB and textures ----
+# ---- helpers: OpenVDB and textures ----
 
 job a.nvdb a.vdb -- bisque-voxelize scan.tris -o a.nvdb --resolution 16 --vdb a.vdb --threads 2
 torture -m 30 ENOSPC

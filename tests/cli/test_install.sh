@@ -1,6 +1,6 @@
 #!/bin/sh
 # test_install.sh - an installation works: programs built with its headers, pkg-config files and
-# libraries; its modules; a moved copy of it. Uninstalling leaves no file.
+# libraries; its helpers; a moved copy of it. Uninstalling leaves no file.
 . "$(dirname "$0")/lib.sh"
 if sanitized; then
     skip "an installation" "nobody installs programs with sanitizers"
@@ -33,7 +33,7 @@ done
 is_there share/bisque/farm/bisque-slurm share/bisque/farm/asset.openjd.yaml share/bisque/farm/assets.openjd.yaml
 is_there share/bisque/farm/bisque-openjd share/bisque/farm/bisque-image share/bisque/farm/parts.openjd.yaml share/bisque/farm/bake.openjd.yaml
 is_there share/bisque/farm/bake.argo.yaml share/bisque/farm/deadline/template.yaml share/bisque/report.html share/bisque/report.js
-is_there lib/bisque/bisque-texture lib/bisque/bisque-tiff lib/bisque/bisque-openvdb.so lib/bisque/bisque-devices
+is_there lib/bisque/bisque-texture lib/bisque/bisque-tiff lib/bisque/bisque-vdb lib/bisque/bisque-devices
 is_there lib/bisque/bisque-gltf lib/bisque/bisque-scene
 command="tests/lint/symbols.sh" code=0
 "$top/tests/lint/symbols.sh" "$build/lib" >"$out" 2>"$err" || code=$?
@@ -78,14 +78,14 @@ run bake_maps box.nvdb box.obj 'box_<MAP>.png' 64
 [ -s box_color.png ] && [ -s box.vdb ]
 check "maps of a textured scan, and its OpenVDB file" $?
 
-# Modules beside a program that is started by its bare name, so that argv[0] has no directory.
+# Helpers beside a program that is started by its bare name, so that argv[0] has no directory.
 mkdir bin && mv voxelize_scan bin && mv "$prefix"/lib/bisque/* bin
 command="voxelize_scan with a texture, found by PATH" code=0
 (PATH=$PWD/bin:$PATH && $voxelize red.ppm) >"$out" 2>"$err" || code=$?
 out_like ', color$'
 mv bin/voxelize_scan . && mv bin/* "$prefix/lib/bisque"
 
-# ---- modules that are missing, broken, or of another build ----
+# ---- helpers that are missing, broken, or of another build ----
 cp -r "$prefix" moved
 rm "$prefix"/lib/bisque/*
 ok run $voxelize
@@ -93,30 +93,30 @@ run $voxelize red.ppm
 places="$PWD, ${PWD%/*}/lib/bisque or $prefix/lib/bisque"
 refused 66 "textures of this format need the program bisque-texture, which is not in $places"
 run $voxelize '' box.vdb
-refused 66 "OpenVDB files need the module bisque-openvdb.so, which is not in $places"
+refused 66 "OpenVDB files need the program bisque-vdb, which is not in $places"
 # The error comes before any work.
 printf 'v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n' >one.obj
-command="bisque-voxelize --vdb without its module" code=0
+command="bisque-voxelize --vdb without its helper" code=0
 "$prefix/bin/bisque-voxelize" one.obj -o one.nvdb --vdb one.vdb >"$out" 2>"$err" || code=$?
-refused_like 66 '^bisque-voxelize: OpenVDB files need the module bisque-openvdb\.so'
+refused_like 66 '^bisque-voxelize: OpenVDB files need the program bisque-vdb'
 [ ! -e one.tris ] && [ ! -e one.nvdb ]
-check "nothing was done before the module was missed" $?
+check "nothing was done before the program was missed" $?
 printf 'no program\n' >"$prefix/lib/bisque/bisque-texture"
 run $voxelize red.ppm
-refused_like 66 "^red.ppm: the program that reads it by OpenImageIO does not start: "
+refused_like 66 "^red.ppm: the program of OpenImageIO does not start: "
 stamp=$(grep -aEo '[0-9]+\.[0-9]+\.[0-9]+-[0-9]{6,}' moved/lib/bisque/bisque-texture | head -n 1)
 other=$(echo "$stamp" | tr 0-9 1-90)
 sed "s/$stamp/$other/g" moved/lib/bisque/bisque-texture >"$prefix/lib/bisque/bisque-texture"
 chmod +x "$prefix/lib/bisque/bisque-texture"
 run $voxelize red.ppm
 refused 66 "textures of this format need the program $prefix/lib/bisque/bisque-texture, which is of another build than this program ($stamp)"
-module=$prefix/lib/bisque/bisque-openvdb.so
-printf 'no library\n' >"$module"
+printf 'no program\n' >"$prefix/lib/bisque/bisque-vdb"
 run $voxelize '' box.vdb
-refused_like 66 "^OpenVDB files need the module $module, which cannot be opened: "
-sed "s/$stamp/$other/g" moved/lib/bisque/bisque-openvdb.so >"$module"
+refused_like 66 "^box.vdb: the program of OpenVDB does not start: "
+sed "s/$stamp/$other/g" moved/lib/bisque/bisque-vdb >"$prefix/lib/bisque/bisque-vdb"
+chmod +x "$prefix/lib/bisque/bisque-vdb"
 run $voxelize '' box.vdb
-refused 66 "OpenVDB files need the module $module, which is of build $other; this program is of $stamp"
+refused 66 "box.vdb: bisque-vdb is not of this program's build"
 
 # ---- a moved installation, and programs that open no more than they need ----
 BIN=$PWD/moved/bin

@@ -1,19 +1,19 @@
 # packaging.mk - installs Bisque, and makes its packages. Part of the Makefile.
 bindir = $(DESTDIR)$(prefix)/bin
 arcdir = $(DESTDIR)$(libdir)
-moddir = $(DESTDIR)$(prefix)/lib/bisque
+helperdir = $(DESTDIR)$(prefix)/lib/bisque
 incdir = $(DESTDIR)$(prefix)/include/bisque
 mandir = $(DESTDIR)$(prefix)/share/man/man1
 farmdir = $(DESTDIR)$(prefix)/share/bisque/farm
 farm_programs := $(addprefix tools/farm/bisque-,slurm openjd image)
 
-# Only the directory of modules differs between the build and an installation.
-other_objects := $(filter-out %/module_directory.c.o,$(all_objects))
+# Only the directory of helpers differs between the build and an installation.
+other_objects := $(filter-out %/program/directory.c.o,$(all_objects))
 
 .PHONY: install uninstall
 ## install: install programs, man pages, libraries and headers under prefix=/usr/local
 install: all
-	install -d $(bindir) $(arcdir)/pkgconfig $(moddir) $(mandir) $(farmdir)/deadline \
+	install -d $(bindir) $(arcdir)/pkgconfig $(helperdir) $(mandir) $(farmdir)/deadline \
 	    $(addprefix $(incdir)/,$(sort $(dir $(public_headers))))
 	install -m 755 $(bins) $(bindir)
 	install -m 644 $(wildcard man/*.1) $(mandir)
@@ -21,16 +21,15 @@ install: all
 	install -m 644 $(filter-out $(farm_programs),$(wildcard tools/farm/*.yaml)) $(farmdir)
 	install -m 644 $(wildcard tools/farm/deadline/*) $(farmdir)/deadline
 	install -m 644 $(report_parts) $(DESTDIR)$(prefix)/share/bisque
-	install -m 644 $(module_files) $(moddir)
-	install -m 755 $(helpers) $(moddir)
-	$(here) $(CC) $(CPPFLAGS) $(directory_cppflags) $(CFLAGS) -c formats/module/module_directory.c \
-	    -o $(arcdir)/module_directory.c.o
+	install -m 755 $(helpers) $(helperdir)
+	$(here) $(CC) $(CPPFLAGS) $(directory_cppflags) $(CFLAGS) -c formats/program/directory.c \
+	    -o $(arcdir)/program_directory.c.o
 	rm -f $(arcdir)/libbisque.a
-	$(AR) rcsD $(arcdir)/libbisque.a $(other_objects) $(arcdir)/module_directory.c.o
+	$(AR) rcsD $(arcdir)/libbisque.a $(other_objects) $(arcdir)/program_directory.c.o
 	$(link_shared) -o $(arcdir)/$(notdir $(shared)) $(other_objects) \
-	    $(arcdir)/module_directory.c.o $(LIBS.all)
+	    $(arcdir)/program_directory.c.o $(LIBS.all)
 	ln -sf $(notdir $(shared)) $(arcdir)/libbisque.so
-	rm $(arcdir)/module_directory.c.*
+	rm $(arcdir)/program_directory.c.*
 	$(foreach h,$(public_headers),install -m 644 $(h) $(incdir)/$(h) &&) true
 	sed -e 's|@prefix@|$(prefix)|; s|@libdir@|$(libdir)|; s|@version@|$(VERSION)|' \
 	    tools/packaging/bisque.pc.in > $(arcdir)/pkgconfig/bisque.pc
@@ -39,7 +38,7 @@ install: all
 uninstall:
 	rm -f $(addprefix $(bindir)/,$(programs)) $(addprefix $(mandir)/,$(notdir $(wildcard man/*.1)))
 	rm -f $(arcdir)/libbisque.* $(arcdir)/pkgconfig/bisque.pc
-	rm -rf $(incdir) $(moddir) $(farmdir) $(DESTDIR)$(prefix)/share/bisque/report.*
+	rm -rf $(incdir) $(helperdir) $(farmdir) $(DESTDIR)$(prefix)/share/bisque/report.*
 	-rmdir $(dir $(farmdir)) 2>/dev/null
 
 # ---- packages of Bisque ----

@@ -1,6 +1,6 @@
 """Builds Bisque with make, links its libraries into the extension and puts its programs beside it.
 
-bisque/bin has the programs, bisque/lib the extension, and bisque/lib/bisque the modules, which both
+bisque/bin has the programs, bisque/lib the extension, and bisque/lib/bisque the helpers, which both
 find there. OpenImageIO, OpenVDB and Assimp stay outside: their libraries are hundreds of megabytes.
 """
 import os
@@ -16,7 +16,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 BUILD = os.environ.get("BISQUE_BUILD", "build/release")
 PROGRAMS = [f"bin/bisque-{name}" for name in ("voxelize", "simplify", "bake", "compare")]
-MODULES = ["lib/bisque/bisque-gltf", "lib/bisque/bisque-devices", "lib/bisque/bisque-tiff"]
+HELPERS = ["lib/bisque/bisque-gltf", "lib/bisque/bisque-devices", "lib/bisque/bisque-tiff"]
 PAGE = ["share/bisque/report.html", "share/bisque/report.js"]
 
 
@@ -28,7 +28,7 @@ def version():
 def make():
     """Builds what the wheel carries, with as many jobs as there are processors."""
     archives = [f"{BUILD}/lib/libbisque-{name}.a" for name in ("voxel", "bake", "formats", "base")]
-    targets = archives + [f"{BUILD}/{name}" for name in PROGRAMS + MODULES + PAGE]
+    targets = archives + [f"{BUILD}/{name}" for name in PROGRAMS + HELPERS + PAGE]
     subprocess.run(["make", "-s", f"-j{os.cpu_count()}", f"BUILD={BUILD}", *targets], cwd=ROOT,
                    check=True)
 
@@ -36,7 +36,7 @@ def make():
 class Build(build_py):
     def run(self):
         super().run()
-        for name in PROGRAMS + MODULES + PAGE:
+        for name in PROGRAMS + HELPERS + PAGE:
             target = Path(self.build_lib) / "bisque" / name
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / BUILD / name, target)

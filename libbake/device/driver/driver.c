@@ -14,7 +14,7 @@
 
 #include "base/file.h"
 #include "base/version.h"
-#include "formats/module/module.h"
+#include "formats/program/program.h"
 
 /* ---- libraries ---- */
 
@@ -133,7 +133,7 @@ static int find_program(struct bsq_ctx *ctx, const struct bake_device_kind *kind
     int status;
 
     snprintf(purpose, sizeof purpose, "%s devices", kind->drivers);
-    status = fmt_module_find(ctx, "bisque-devices", purpose, path);
+    status = fmt_program_find(ctx, "bisque-devices", purpose, path);
     if (status != BSQ_ENOINPUT)
         return status;
     char *why = strdup(bsq_error(ctx));

@@ -19,7 +19,7 @@ void *bake_driver_library(const char *name, int flags, const char *const directo
 /* Lists the devices of a kind as its `list` does, but in another process: drivers may crash, hang,
  * print, or keep hundreds of megabytes, and CUDA does not work in a process that was forked from
  * one that uses it (docs/decisions/0014-drivers-that-misbehave.md). The process runs the program
- * bisque-devices, which is installed beside the modules. Errors: BSQ_ENODEVICE if a driver crashes
+ * bisque-devices, which is installed in lib/bisque. Errors: BSQ_ENODEVICE if a driver crashes
  * or takes more than 30 s, or without that program; BSQ_EINTR; BSQ_ENOMEM. */
 int bake_probe(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
                struct bake_device_list *out);

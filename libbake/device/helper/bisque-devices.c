@@ -5,7 +5,7 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "formats/module/module.h"
+#include "formats/program/program.h"
 #include "libbake/device/cuda/cuda.h"
 #include "libbake/device/driver/driver.h"
 #include "libbake/device/opencl/opencl.h"

@@ -1,1 +1,1 @@
-"""The extension, and the modules that it opens."""
+"""The extension, and the programs that it starts."""

@@ -1,5 +1,4 @@
-/* program.c - runs programs that are installed beside the modules: for code of others that may
- * crash, hang or take any amount of memory. */
+/* run.c - runs programs that are installed with Bisque. */
 #include <errno.h>
 #include <fcntl.h>
 #include <inttypes.h>
@@ -15,7 +14,7 @@
 #include <unistd.h>
 
 #include "base/context.h"
-#include "formats/module/module.h"
+#include "formats/program/program.h"
 
 /* Of a process that was killed; one that a driver blocks in the kernel may never end. */
 enum { END_SECONDS = 1 };
@@ -30,7 +29,7 @@ int fmt_program_fail(struct bsq_ctx *ctx, const char *path, const char *library,
         *c = (unsigned char)*c < ' ' || *c == 127 ? ' ' : *c;
     if (end->error || code == NOT_LINKED)
         return bsq_fail_errno(ctx, BSQ_ENOINPUT, end->error ? end->error : ELIBACC,
-                              "%s: the program that reads it by %s does not start", path, library);
+                              "%s: the program of %s does not start", path, library);
     if (code == -BSQ_EDATA || code == -BSQ_ENOINPUT)
         return bsq_fail(ctx, -code, "%s: %s", path, text);
     if (code == -BSQ_ENOMEM)
@@ -155,7 +154,7 @@ int fmt_program_convert(struct bsq_ctx *ctx, const struct fmt_converter *how, in
         arguments[count++] = how->option;
     arguments[count++] = memory;
     arguments[count] = seconds;
-    BSQ_TRY(fmt_module_find(ctx, how->program, how->purpose, program));
+    BSQ_TRY(fmt_program_find(ctx, how->program, how->purpose, program));
     BSQ_TRY(fmt_program_run(ctx, arguments, from, to->fd, INFINITY, &end));
     if (fstat(to->fd, &info) == 0)
         to->size = (uint64_t)info.st_size;

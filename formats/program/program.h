@@ -1,11 +1,7 @@
-/* module.h - opens modules: shared libraries that are loaded at their first use, because each
- * brings some 250 other libraries with it; and runs programs that are installed beside them.
- *
- * Takes the name of a module; gives its table of functions. A module exports one object,
- * `bisque_module`, whose type its folder declares and which begins with a struct fmt_module. It
- * calls functions of base through a struct fmt_host that the program hands to it. */
-#ifndef FMT_MODULE_MODULE_H
-#define FMT_MODULE_MODULE_H
+/* program.h - finds and runs programs that are installed with Bisque: for libraries that may crash,
+ * hang or take any amount of memory, and that would bring some 250 others into every start. */
+#ifndef FMT_PROGRAM_PROGRAM_H
+#define FMT_PROGRAM_PROGRAM_H
 
 #include <limits.h>
 #include <sys/types.h>
@@ -17,40 +13,14 @@
 extern "C" {
 #endif
 
-/* The functions of base that modules call: host->fail(ctx, ...) is bsq_fail(ctx, ...). */
-#define FMT_HOST_FUNCTIONS(X)                                                                      \
-    X(fail)                                                                                        \
-    X(fail_errno)                                                                                  \
-    X(check)                                                                                       \
-    X(threads)                                                                                     \
-    X(output_write_at)
+/* The version of Bisque and a checksum of all headers that such programs share with their callers
+ * (shared_headers in the Makefile). Each has a copy. */
+extern const char fmt_program_stamp[];
 
-struct fmt_host {
-#define MEMBER(name) __typeof__(bsq_##name) *name;
-    FMT_HOST_FUNCTIONS(MEMBER)
-#undef MEMBER
-};
-
-extern const struct fmt_host fmt_host_functions;
-
-/* The version of Bisque and a checksum of all headers that a module and its program share
- * (module_headers in the Makefile). The program and each module have a copy. */
-extern const char fmt_module_stamp[];
-
-/* The head of each module's table. */
-struct fmt_module {
-    const char *stamp; /* fmt_module_stamp of the module */
-};
-
-/* Opens bisque-NAME.so and checks that its stamp is the program's. The module stays open; opening
- * it again is cheap. `purpose` begins the error message: "textures need ...". Thread-safe. Errors:
- * BSQ_ENOINPUT, BSQ_ENOMEM. */
-int fmt_module_open(struct bsq_ctx *ctx, const char *name, const char *purpose,
-                    const struct fmt_module **out);
-
-/* Finds a module or program that is installed, and sets its path. An error says who needs it:
+/* Finds a program or another file that is installed, and sets its path. An error says who needs it:
  * "PURPOSE need the program FILE, which is not in ...". Errors: BSQ_ENOINPUT. */
-int fmt_module_find(struct bsq_ctx *ctx, const char *file, const char *purpose, char out[PATH_MAX]);
+int fmt_program_find(struct bsq_ctx *ctx, const char *file, const char *purpose,
+                     char out[PATH_MAX]);
 
 /* How a program ended. */
 struct fmt_program_end {
@@ -79,10 +49,10 @@ int fmt_program_fail(struct bsq_ctx *ctx, const char *path, const char *library,
                      uint64_t left);
 /* Lets such a program turn a file into another one. Its arguments are `option` (NULL: none), the
  * bytes of memory that are left and `seconds`, its input is the descriptor `from`. Sets to->size,
- * and the path of the program. Errors: those of fmt_module_find(), fmt_program_run() and
+ * and the path of the program. Errors: those of fmt_program_find(), fmt_program_run() and
  * fmt_program_fail(). */
 struct fmt_converter {
-    const char *program, *purpose; /* as fmt_module_find() takes them */
+    const char *program, *purpose; /* as fmt_program_find() takes them */
     const char *library, *path;    /* as fmt_program_fail() takes them */
     char *option;
     uint64_t seconds;
@@ -96,12 +66,12 @@ void fmt_program_isolate(void);
  * of a processor, and the descriptors of files. */
 void fmt_program_limit(uint64_t memory, uint64_t seconds, uint64_t files);
 
-/* Checks that the system allows what the libraries of a module, or of a program (`apart`), need
- * when they are loaded: threads and addresses. Some end the process without. Errors: BSQ_ENOMEM. */
-int fmt_module_check(struct bsq_ctx *ctx, const char *purpose, bool apart);
+/* Checks that the system allows what the libraries of a program need when they are loaded: threads
+ * and addresses. Some end the process without. Errors: BSQ_ENOMEM. */
+int fmt_program_check(struct bsq_ctx *ctx, const char *purpose);
 
-/* The directory that modules are installed in; compiled in. */
-extern const char fmt_module_directory[];
+/* The directory that such programs are installed in; compiled in. */
+extern const char fmt_program_directory[];
 
 #ifdef __cplusplus
 }

@@ -1,0 +1,208 @@
+/* vdb_program.cc - the program bisque-vdb: writes the grid that is its standard input as an OpenVDB
+ * file, its standard output.
+ *
+ * OpenVDB's leaves are dense: 6 KiB for 512 vectors, of which a surface sets about fifty. OpenVDB's
+ * file class ignores write errors, so the archive is written to a stream that reports them. */
+#include <array>
+#include <cerrno>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <exception>
+#include <new>
+#include <ostream>
+
+#include <ext/stdio_filebuf.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <openvdb/io/Archive.h>
+#include <openvdb/openvdb.h>
+#include <tbb/task_arena.h>
+
+extern "C" {
+#include "base/channels.h"
+#include "base/context.h"
+#include "base/vec.h"
+}
+#include "formats/grid/nvdb_layout_internal.h"
+#include "formats/program/program.h"
+
+namespace
+{
+
+/* The three grids: each functor returns the value of the voxel with a value index. */
+struct surface_value {
+    using grid_type = openvdb::MaskGrid;
+    bool operator()(const fmt_nvdb_grid &, uint64_t) const
+    {
+        return true;
+    }
+};
+
+struct normal_value {
+    using grid_type = openvdb::Vec3fGrid;
+    openvdb::Vec3f operator()(const fmt_nvdb_grid &from, uint64_t index) const
+    {
+        bsq_vec3 n = bsq_oct_unpack(from.normals[index]);
+        return openvdb::Vec3f(n.x, n.y, n.z);
+    }
+};
+
+struct color_value {
+    using grid_type = openvdb::Vec3fGrid;
+    /* Linear light of each sRGB byte. */
+    std::array<float, 256> table;
+    color_value()
+    {
+        for (int i = 0; i < 256; i++)
+            table[size_t(i)] = float(bsq_srgb_to_linear(i / 255.0));
+    }
+    float linear(uint32_t byte) const
+    {
+        return table[byte & 255];
+    }
+    openvdb::Vec3f operator()(const fmt_nvdb_grid &from, uint64_t index) const
+    {
+        uint32_t c = from.colors[index];
+        return openvdb::Vec3f(linear(c), linear(c >> 8), linear(c >> 16));
+    }
+};
+
+/* Copies all voxels into a tree. OpenVDB numbers the voxels of a leaf as NanoVDB does. Value
+ * indices are bounded because the file may shrink while it is mapped, and then reads as zeros. */
+template <typename ValueT, typename TreeT> void fill_tree(const fmt_nvdb_grid &from, TreeT &tree)
+{
+    using leaf_type = typename TreeT::LeafNodeType;
+    openvdb::tree::ValueAccessor<TreeT> accessor(tree);
+    const auto *leaves = reinterpret_cast<const nvdb_leaf *>(from.leaves);
+    ValueT value;
+    for (uint32_t i = 0; i < from.leaf_count; i++) {
+        const nvdb_leaf &leaf = leaves[i];
+        openvdb::Coord origin(leaf.bbox_min[0] & ~7, leaf.bbox_min[1] & ~7, leaf.bbox_min[2] & ~7);
+        auto *out = new leaf_type(origin, typename TreeT::ValueType(0), false);
+        uint64_t index = leaf.offset;
+        for (openvdb::Index word = 0; word < 8; word++)
+            for (uint64_t bits = leaf.mask[word]; bits; bits &= bits - 1, index++)
+                out->setValueOn(64 * word + openvdb::Index(__builtin_ctzll(bits)),
+                                value(from, index < from.record_count ? index : 0));
+        accessor.addLeaf(out); /* the tree takes ownership */
+    }
+}
+
+/* Returns the bytes of a tree's nodes, with malloc's overhead. */
+template <typename TreeT> uint64_t tree_bytes(const fmt_nvdb_grid &grid)
+{
+    using leaf_type = typename TreeT::LeafNodeType;
+    using upper_type = typename TreeT::RootNodeType::ChildNodeType;
+    using lower_type = typename upper_type::ChildNodeType;
+    uint64_t values =
+        std::is_same<TreeT, openvdb::MaskTree>::value ? 0 : 512 * sizeof(typename TreeT::ValueType);
+    return grid.leaf_count * (sizeof(leaf_type) + values + 32) +
+           grid.lower_count * (sizeof(lower_type) + uint64_t(32)) +
+           grid.upper_count * (sizeof(upper_type) + uint64_t(128));
+}
+
+uint64_t export_bytes(const fmt_nvdb_grid &grid)
+{
+    uint64_t vectors = tree_bytes<openvdb::Vec3STree>(grid);
+    return tree_bytes<openvdb::MaskTree>(grid) + (grid.colors ? 2 * vectors : vectors);
+}
+
+template <typename ValueT>
+typename ValueT::grid_type::Ptr make_grid(const fmt_nvdb_grid &from, const char *name)
+{
+    const fmt_nvdb_info &info = from.info;
+    auto grid = ValueT::grid_type::create();
+    auto transform = openvdb::math::Transform::createLinearTransform(info.voxel_size);
+    transform->postTranslate(openvdb::Vec3d(info.translation));
+    grid->setTransform(transform);
+    grid->setName(name);
+    fill_tree<ValueT>(from, grid->tree());
+    return grid;
+}
+
+struct archive : openvdb::io::Archive {
+    using Archive::write;
+};
+
+void write_archive(const fmt_nvdb_grid &from)
+{
+    openvdb::initialize();
+    openvdb::GridCPtrVec grids;
+    grids.push_back(make_grid<surface_value>(from, "surface"));
+    auto normals = make_grid<normal_value>(from, "N");
+    normals->setVectorType(openvdb::VEC_COVARIANT_NORMALIZE);
+    grids.push_back(normals);
+    if (from.colors) {
+        auto colors = make_grid<color_value>(from, "Cd");
+        colors->setVectorType(openvdb::VEC_INVARIANT);
+        grids.push_back(colors);
+    }
+    openvdb::MetaMap meta;
+    meta.insertMeta("creator", openvdb::StringMetadata("Bisque " BSQ_VERSION));
+    __gnu_cxx::stdio_filebuf<char> buffer(STDOUT_FILENO, std::ios::out | std::ios::binary,
+                                          size_t(1) << 20);
+    std::ostream stream(&buffer);
+    stream.exceptions(std::ios_base::badbit | std::ios_base::failbit);
+    archive().write(stream, grids, true, meta);
+    stream.flush();
+}
+
+/* Leaves a line in the output, instead of what was written, and ends the program. */
+[[noreturn]] void fail(int status, const char *text)
+{
+    const bool empty = ftruncate(STDOUT_FILENO, 0) == 0 && lseek(STDOUT_FILENO, 0, SEEK_SET) == 0;
+    const bool told = empty && dprintf(STDOUT_FILENO, "%s", text) > 0;
+    _exit(told ? -status : -BSQ_EIO);
+}
+
+/* Writes the grid that is the standard input, with some bytes of memory. */
+void convert(bsq_ctx *ctx, uint64_t memory)
+{
+    fmt_nvdb_grid grid;
+    struct stat info;
+    bsq_file file = {};
+    file.fd = STDIN_FILENO;
+    file.path = strdup("the grid");
+    file.size = fstat(STDIN_FILENO, &info) == 0 ? uint64_t(info.st_size) : 0;
+    int status = fmt_nvdb_open_file(ctx, &file, &grid);
+    if (status == 0 && export_bytes(grid) > memory)
+        throw std::bad_alloc();
+    if (status == 0) {
+        tbb::task_arena arena(int(bsq_threads(ctx)));
+        arena.execute([&] { write_archive(grid); });
+        status = bsq_map_check(ctx, &grid.map);
+    }
+    if (status)
+        fail(status, bsq_error(ctx));
+}
+
+} // namespace
+
+/* Arguments: the program's build, threads, bytes of memory. Ends without destructors. */
+int main(int argument_count, char **arguments)
+{
+    if (argument_count != 4) {
+        fputs("bisque-vdb: is run by bisque-voxelize for OpenVDB files\n", stderr);
+        return -BSQ_EUSAGE;
+    }
+    fmt_program_isolate();
+    if (std::strcmp(arguments[1], fmt_program_stamp) != 0)
+        fail(BSQ_ENOINPUT, "bisque-vdb is not of this program's build");
+    bsq_ctx_options options = {};
+    bsq_ctx *ctx;
+    options.threads = unsigned(atoi(arguments[2]));
+    try {
+        if (bsq_ctx_create(&options, &ctx))
+            throw std::bad_alloc();
+        convert(ctx, strtoull(arguments[3], nullptr, 10));
+    } catch (const std::bad_alloc &) {
+        fail(BSQ_ENOMEM, "OpenVDB has not enough memory for it");
+    } catch (const std::ios_base::failure &) {
+        fail(BSQ_EIO, std::strerror(errno));
+    } catch (const std::exception &failure) {
+        fail(BSQ_EIO, failure.what());
+    }
+    _exit(0);
+}
