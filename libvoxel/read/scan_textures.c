@@ -215,19 +215,19 @@ int vox_textures_check(struct bsq_ctx *ctx, const struct fmt_materials *material
 {
     struct candidate *list = NULL;
     uint64_t count = 0;
-    int status = list_candidates(ctx, textures, materials, &list, &count);
-    if (!status)
-        status = note_textures(ctx, list, count);
-    count = status || !has_texcoords ? 0 : keep_new(textures, list, count);
-    for (uint64_t i = 0; i < count && !status; i++) {
-        status = bsq_check(ctx);
-        if (!status)
-            status = check_file(ctx, &list[i]);
+    int status;
+    BSQ_TRY(list_candidates(ctx, textures, materials, &list, &count));
+    BSQ_TRY(note_textures(ctx, list, count));
+    count = has_texcoords ? keep_new(textures, list, count) : 0;
+    for (uint64_t i = 0; i < count; i++) {
+        BSQ_TRY(bsq_check(ctx));
+        BSQ_TRY(check_file(ctx, &list[i]));
     }
-    if (!status && textures->decode && count > 0)
-        status = decode_all(ctx, list, count);
-    if (!status && count > 0)
+    if (textures->decode && count > 0)
+        BSQ_TRY(decode_all(ctx, list, count));
+    if (count > 0)
         status = add_checked(ctx, textures, list, count);
+done:
     bsq_free(ctx, list);
     return status;
 }
@@ -277,16 +277,17 @@ int vox_textures_preview(struct bsq_ctx *ctx, struct fmt_mesh_reader *reader,
                          struct scan_textures *textures)
 {
     struct fmt_materials materials = {0};
-    int status = texture_path && has_texcoords ? check_given(ctx, texture_path, textures) : 0;
-    for (uint32_t c = 0; c < textures->channel_count && !status; c++)
-        if (textures->channels[c].texture_path && has_texcoords)
-            status = check_given(ctx, textures->channels[c].texture_path, textures);
-    if (!status && (!textures->only_channels || textures->channel_count > 0))
-        status = fmt_mesh_preview_materials(reader, &materials);
-    if (!status)
-        status = warn_losses(ctx, &materials, textures);
-    if (!status)
-        status = vox_textures_check(ctx, &materials, has_texcoords, textures);
+    int status = 0;
+    if (texture_path && has_texcoords)
+        BSQ_TRY(check_given(ctx, texture_path, textures));
+    for (uint32_t c = 0; c < textures->channel_count && has_texcoords; c++)
+        if (textures->channels[c].texture_path)
+            BSQ_TRY(check_given(ctx, textures->channels[c].texture_path, textures));
+    if (!textures->only_channels || textures->channel_count > 0)
+        BSQ_TRY(fmt_mesh_preview_materials(reader, &materials));
+    BSQ_TRY(warn_losses(ctx, &materials, textures));
+    status = vox_textures_check(ctx, &materials, has_texcoords, textures);
+done:
     fmt_materials_free(ctx, &materials);
     return status;
 }

@@ -33,11 +33,12 @@ struct writing {
     uint32_t *shaded_number;    /* in a primitive of a GLB file */
     uint32_t shaded_count;
     struct bsq_output *output;
+    FILE *file; /* buffers what goes to the output */
     char *buffer;
-    size_t used;
+    int status; /* of the output */
 };
 
-enum { BUFFER_BYTES = 1 << 18, LINE_BYTES = 256 };
+enum { BUFFER_BYTES = 1 << 18 };
 
 /* ---- normals ---- */
 
@@ -134,32 +135,28 @@ static void shade(struct writing *w)
 
 /* ---- files ---- */
 
-static int flush(struct writing *w)
+/* Writes the buffer of the file, as fopencookie() wants it. */
+static ssize_t write_buffer(void *writing, const char *bytes, size_t size)
 {
-    const size_t used = w->used;
-    w->used = 0;
-    return bsq_output_write(w->output, w->buffer, used);
+    struct writing *w = writing;
+    if (w->status == 0)
+        w->status = bsq_output_write(w->output, bytes, size);
+    return w->status == 0 ? (ssize_t)size : 0;
 }
 
-/* Makes space for a line, or for bytes of one. */
-static int make_space(struct writing *w)
+/* Writes the output by way of a buffer. */
+static int write_file(struct writing *w, void (*write)(struct writing *w))
 {
-    return w->used > BUFFER_BYTES - LINE_BYTES ? flush(w) : 0;
-}
-
-static void put(struct writing *w, const void *bytes, size_t size)
-{
-    memcpy(w->buffer + w->used, bytes, size);
-    w->used += size;
-}
-
-__attribute__((format(printf, 2, 3))) static void put_text(struct writing *w, const char *format,
-                                                           ...)
-{
-    va_list values;
-    va_start(values, format);
-    w->used += (size_t)vsnprintf(w->buffer + w->used, LINE_BYTES, format, values);
-    va_end(values);
+    int status = bsq_alloc(w->ctx, "writing a mesh", BUFFER_BYTES, 1, &w->buffer);
+    if (status < 0)
+        return status;
+    w->file = fopencookie(w, "w", (cookie_io_functions_t){.write = write_buffer});
+    if (!w->file)
+        return bsq_fail(w->ctx, BSQ_ENOMEM, "out of memory for writing a mesh");
+    setvbuf(w->file, w->buffer, _IOFBF, BUFFER_BYTES);
+    write(w);
+    fclose(w->file); /* the status tells of failures */
+    return w->status;
 }
 
 /* Digits that give a float back, or a sum of an origin and a float to about that precision. */
@@ -190,83 +187,64 @@ static const char *material_name(const struct writing *w, uint32_t material, cha
 }
 
 /* Writes the name of a material as one line. */
-static int put_material(struct writing *w, uint32_t material)
+static void write_material(struct writing *w, uint32_t material)
 {
     char number[32];
-    const char *name = material_name(w, material, number);
-    int status = 0;
-    BSQ_TRY(make_space(w));
-    put_text(w, "usemtl ");
-    for (; *name; name++) {
-        BSQ_TRY(make_space(w));
-        put(w, *name == '\n' || *name == '\r' ? "_" : name, 1);
-    }
-    put(w, "\n", 1);
-done:
-    return status;
+    fputs("usemtl ", w->file);
+    for (const char *name = material_name(w, material, number); *name; name++)
+        putc(*name == '\n' || *name == '\r' ? '_' : *name, w->file);
+    putc('\n', w->file);
 }
 
-static int write_obj(struct writing *w)
+static void write_obj(struct writing *w)
 {
     const struct vox_mesh *mesh = w->mesh;
     const double *o = w->header->origin;
-    int status = 0;
     for (uint32_t v = 0; v < mesh->vertex_count; v++) {
         const float *p = mesh->positions[v];
-        BSQ_TRY(make_space(w));
-        put_text(w, "v %.*g %.*g %.*g\n", digits(o[0]), o[0] + (double)p[0], digits(o[1]),
-                 o[1] + (double)p[1], digits(o[2]), o[2] + (double)p[2]);
+        fprintf(w->file, "v %.*g %.*g %.*g\n", digits(o[0]), o[0] + (double)p[0], digits(o[1]),
+                o[1] + (double)p[1], digits(o[2]), o[2] + (double)p[2]);
     }
     for (uint32_t i = 0; i < w->shaded_count; i++) {
         const float *n = w->shaded[i].normal;
-        BSQ_TRY(make_space(w));
-        put_text(w, "vn %.7g %.7g %.7g\n", (double)n[0], (double)n[1], (double)n[2]);
+        fprintf(w->file, "vn %.7g %.7g %.7g\n", (double)n[0], (double)n[1], (double)n[2]);
     }
     for (uint32_t i = 0; i < mesh->triangle_count; i++) {
         const uint32_t t = w->order[i].triangle;
         const uint32_t *v = mesh->triangles[t], *n = &w->shaded_of[3 * (size_t)t];
         if (mesh->materials && is_first_of_material(w, i))
-            BSQ_TRY(put_material(w, mesh->materials[t]));
-        BSQ_TRY(make_space(w));
-        put_text(w, "f %u//%u %u//%u %u//%u\n", v[0] + 1, n[0] + 1, v[1] + 1, n[1] + 1, v[2] + 1,
-                 n[2] + 1);
+            write_material(w, mesh->materials[t]);
+        fprintf(w->file, "f %u//%u %u//%u %u//%u\n", v[0] + 1, n[0] + 1, v[1] + 1, n[1] + 1,
+                v[2] + 1, n[2] + 1);
     }
-    status = flush(w);
-done:
-    return status;
 }
 
 /* Positions are doubles if there is an origin, so that they keep their detail. */
-static int write_ply(struct writing *w)
+static void write_ply(struct writing *w)
 {
     const struct vox_mesh *mesh = w->mesh;
     const double *origin = w->header->origin;
     const bool wide = origin[0] != 0 || origin[1] != 0 || origin[2] != 0;
     const char *type = wide ? "double" : "float";
-    const uint8_t three = 3;
-    int status = 0;
-    put_text(w, "ply\nformat binary_little_endian 1.0\nelement vertex %u\n", w->shaded_count);
-    put_text(w, "property %s x\nproperty %s y\nproperty %s z\n", type, type, type);
-    put_text(w, "property float nx\nproperty float ny\nproperty float nz\nelement face %u\n",
-             mesh->triangle_count);
-    put_text(w, "property list uchar uint vertex_indices\nend_header\n");
+    fprintf(w->file,
+            "ply\nformat binary_little_endian 1.0\nelement vertex %u\n"
+            "property %s x\nproperty %s y\nproperty %s z\n"
+            "property float nx\nproperty float ny\nproperty float nz\nelement face %u\n"
+            "property list uchar uint vertex_indices\nend_header\n",
+            w->shaded_count, type, type, type, mesh->triangle_count);
     for (uint32_t i = 0; i < w->shaded_count; i++) {
         const float *p = mesh->positions[w->shaded[i].vertex];
-        BSQ_TRY(make_space(w));
         for (int k = 0; k < 3; k++) {
             const double world = origin[k] + (double)p[k];
-            put(w, wide ? (const void *)&world : &p[k], wide ? sizeof world : sizeof p[k]);
+            fwrite(wide ? (const void *)&world : &p[k], wide ? sizeof world : sizeof p[k], 1,
+                   w->file);
         }
-        put(w, w->shaded[i].normal, sizeof w->shaded[i].normal);
+        fwrite(w->shaded[i].normal, sizeof w->shaded[i].normal, 1, w->file);
     }
     for (uint32_t t = 0; t < mesh->triangle_count; t++) {
-        BSQ_TRY(make_space(w));
-        put(w, &three, 1);
-        put(w, &w->shaded_of[3 * (size_t)t], 3 * sizeof *w->shaded_of);
+        putc(3, w->file);
+        fwrite(&w->shaded_of[3 * (size_t)t], 3 * sizeof *w->shaded_of, 1, w->file);
     }
-    status = flush(w);
-done:
-    return status;
 }
 
 /* Collects the vertices and indices of the GLB primitive that begins at triangle order[begin].
@@ -365,7 +343,6 @@ int vox_write_mesh(struct bsq_ctx *ctx, const char *path, const struct vox_mesh 
     BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.shaded, &w.shaded));
     BSQ_TRY(bsq_alloc(ctx, what, corners, sizeof *w.shaded_of, &w.shaded_of));
     BSQ_TRY(bsq_alloc(ctx, what, mesh->triangle_count, sizeof *w.order, &w.order));
-    BSQ_TRY(bsq_alloc(ctx, what, BUFFER_BYTES, 1, &w.buffer));
     for (uint32_t t = 0; t < mesh->triangle_count; t++)
         w.order[t] = (struct ordered){mesh->materials ? mesh->materials[t] : 0, t};
     if (mesh->materials)
@@ -373,9 +350,10 @@ int vox_write_mesh(struct bsq_ctx *ctx, const char *path, const struct vox_mesh 
     face_normals(&w);
     list_corners(&w);
     shade(&w);
-    status = strcasecmp(ending_of(path), ".ply") == 0   ? write_ply(&w)
-             : strcasecmp(ending_of(path), ".glb") == 0 ? write_glb(&w, path)
-                                                        : write_obj(&w);
+    if (strcasecmp(ending_of(path), ".glb") == 0)
+        BSQ_TRY(write_glb(&w, path));
+    else
+        BSQ_TRY(write_file(&w, strcasecmp(ending_of(path), ".ply") == 0 ? write_ply : write_obj));
 done:
     bsq_free(ctx, w.order);
     bsq_free(ctx, w.buffer);

@@ -140,25 +140,24 @@ static int open_input(struct vox_run *run)
     const char *path = run->options->tris_path;
     const struct vox_temp_tris *temp = run->options->temp_tris;
     const uint32_t parts = run->options->part_paths ? run->options->part_count : 0;
-    int status = temp || parts > 0 ? fmt_tris_open_parts(run->ctx, run->options->part_paths, parts,
-                                                         temp ? &temp->file : NULL, &run->file)
-                                   : fmt_tris_open(run->ctx, path, &run->file);
-    if (status < 0)
-        return status;
+    int status;
+    BSQ_TRY(temp || parts > 0 ? fmt_tris_open_parts(run->ctx, run->options->part_paths, parts,
+                                                    temp ? &temp->file : NULL, &run->file)
+                              : fmt_tris_open(run->ctx, path, &run->file));
     run->header = fmt_tris_get_header(run->file);
     if (run->header->triangle_count == 0)
         return bsq_fail(run->ctx, BSQ_EDATA, "%s: the scan has no triangles", path);
     if (run->header->chunk_count >= UINT32_MAX)
         return bsq_fail(run->ctx, BSQ_EDATA, "%s: %" PRIu64 " chunks are too many", path,
                         run->header->chunk_count);
-    status = run->options->ids ? fmt_tris_require_ids(run->file) : 0;
-    if (status == 0)
-        status = choose_channels(run);
-    if (status == 0)
-        status = check_channels(run);
-    return status < 0 ? status
-                      : vox_transform_init(run->ctx, run->header, path, run->options->resolution,
-                                           run->options->voxel_size, &run->transform);
+    if (run->options->ids)
+        BSQ_TRY(fmt_tris_require_ids(run->file));
+    BSQ_TRY(choose_channels(run));
+    BSQ_TRY(check_channels(run));
+    status = vox_transform_init(run->ctx, run->header, path, run->options->resolution,
+                                run->options->voxel_size, &run->transform);
+done:
+    return status;
 }
 
 /* Refuses a grid that does not fit on its disk or in the format, and warns of lost precision. */
@@ -224,23 +223,20 @@ static uint32_t choose_slabs(double regions, unsigned workers)
 
 static int make_workers(struct vox_run *run)
 {
-    int status = bsq_calloc(run->ctx, "workers", run->workers, sizeof *run->own, &run->own);
-    for (unsigned i = 0; i < run->workers && status == 0; i++) {
-        struct vox_worker *own = &run->own[i];
-        status = vox_accumulator_create(run->ctx, run->shares.accumulator_bytes, sums_of(run),
-                                        &own->sums);
-        if (status == 0)
-            status = bsq_alloc(run->ctx, "fragments", vox_fragment_block_bytes(), 1, &own->block);
+    const uint64_t count = UINT64_C(1) * UNITS_PER_WORKER * run->workers;
+    int status;
+    BSQ_TRY(bsq_calloc(run->ctx, "workers", run->workers, sizeof *run->own, &run->own));
+    for (struct vox_worker *own = run->own; own < run->own + run->workers; own++) {
+        BSQ_TRY(vox_accumulator_create(run->ctx, run->shares.accumulator_bytes, sums_of(run),
+                                       &own->sums));
+        BSQ_TRY(bsq_alloc(run->ctx, "fragments", vox_fragment_block_bytes(), 1, &own->block));
     }
-    if (status < 0)
-        return status;
-    uint64_t count = UINT64_C(1) * UNITS_PER_WORKER * run->workers;
-    if ((status = bsq_calloc(run->ctx, "workers", count, sizeof *run->units, &run->units)) < 0)
-        return status;
+    BSQ_TRY(bsq_calloc(run->ctx, "workers", count, sizeof *run->units, &run->units));
     run->unit_count = (unsigned)count;
     for (unsigned i = 0; i < run->unit_count; i++)
         vox_leaves_init(&run->units[i].leaves, run->ctx);
-    return 0;
+done:
+    return status;
 }
 
 /* Adds the channels of a list, each of which must be there once only. */

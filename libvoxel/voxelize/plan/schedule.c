@@ -169,20 +169,12 @@ int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_chunk_box *boxes, 
                         struct vox_schedule **out)
 {
     struct vox_schedule *s;
+    int status;
     *out = NULL;
-    int status = bsq_calloc(ctx, "region schedule", 1, sizeof *s, &s);
-    if (status < 0)
-        return status;
-    s->ctx = ctx;
-    s->boxes = boxes;
-    s->box_count = box_count;
-    status = bsq_alloc(ctx, "region schedule", box_count + 1, sizeof *s->heap, &s->heap);
-    if (status == 0)
-        status = bsq_alloc(ctx, "region schedule", box_count + 1, sizeof *s->keys, &s->keys);
-    if (status < 0) {
-        vox_schedule_destroy(s);
-        return status;
-    }
+    BSQ_TRY(bsq_calloc(ctx, "region schedule", 1, sizeof *s, &s));
+    *s = (struct vox_schedule){.ctx = ctx, .boxes = boxes, .box_count = box_count};
+    BSQ_TRY(bsq_alloc(ctx, "region schedule", box_count + 1, sizeof *s->heap, &s->heap));
+    BSQ_TRY(bsq_alloc(ctx, "region schedule", box_count + 1, sizeof *s->keys, &s->keys));
     for (uint64_t i = 0; i < box_count; i++) {
         s->keys[i] = vox_region_first(&boxes[i].box);
         s->heap[s->count++] = (struct entry){s->keys[i], i};
@@ -191,6 +183,9 @@ int vox_schedule_create(struct bsq_ctx *ctx, const struct vox_chunk_box *boxes, 
         sift_down(s, i, s->heap[i]);
     *out = s;
     return 0;
+done:
+    vox_schedule_destroy(s);
+    return status;
 }
 
 void vox_schedule_destroy(struct vox_schedule *s)
