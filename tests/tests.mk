@@ -39,7 +39,7 @@ $(BUILD)/tests/lib:
 # The scan generator and the programs that check maps.
 scan_objs = $(patsubst %,$(BUILD)/obj/tests/scan/%.c.o,$(1))
 generator := $(BUILD)/tests/generate-scan
-checkers  := $(addprefix $(BUILD)/tests/check-,vase mesh tangent)
+checkers  := $(addprefix $(BUILD)/tests/check-,vase tangent)
 $(generator): $(call scan_objs,$(basename $(notdir $(wildcard tests/scan/generate*.c))) \
     mesh_writer text_writer vase)
 	@mkdir -p $(@D)

@@ -34,6 +34,41 @@ static inline void test_add(const char *name, CMUnitTestFunction test, CMFixture
     static void name(__attribute__((unused)) void **state)
 #define TEST(name) TEST_EACH(name, NULL, NULL)
 
+/* Defines a test with what set_up puts into *state, a struct to which `f` points. */
+#define STATE_TEST(name, type, set_up, tear_down)                                                  \
+    static void in_##name(type *f);                                                                \
+    TEST_EACH(name, set_up, tear_down)                                                             \
+    {                                                                                              \
+        in_##name(*state);                                                                         \
+    }                                                                                              \
+    static void in_##name(type *f)
+
+/* Defines a test in a context `ctx` with a memory budget in bytes; 0: the default. All memory must
+ * be freed in the end. */
+#define CONTEXT_TEST(name, threads, memory)                                                        \
+    static void in_##name(struct bsq_ctx *ctx);                                                    \
+    TEST(name)                                                                                     \
+    {                                                                                              \
+        struct bsq_ctx *ctx = test_context(threads, memory);                                       \
+        in_##name(ctx);                                                                            \
+        test_context_end(ctx);                                                                     \
+    }                                                                                              \
+    static void in_##name(struct bsq_ctx *ctx)
+
+/* Declares a context that all tests of a file share, and what RUN_TESTS wants for it. */
+#define SHARED_CONTEXT(ctx, threads)                                                               \
+    static struct bsq_ctx *ctx;                                                                    \
+    static int open_##ctx(__attribute__((unused)) void **state)                                    \
+    {                                                                                              \
+        ctx = test_context(threads, 0);                                                            \
+        return 0;                                                                                  \
+    }                                                                                              \
+    static int close_##ctx(__attribute__((unused)) void **state)                                   \
+    {                                                                                              \
+        test_context_end(ctx);                                                                     \
+        return 0;                                                                                  \
+    }
+
 /* Runs the tests in the order of the file, between set_up and tear_down, which may be NULL, in an
  * empty directory of their own. It is a failure if they leave a temporary file of an output there.
  */

@@ -57,9 +57,8 @@ TEST(test_options_are_copied)
 
 /* ---- errors ---- */
 
-TEST(test_first_failure_wins)
+CONTEXT_TEST(test_first_failure_wins, 1, 0)
 {
-    struct bsq_ctx *ctx = test_context(1, 0);
     assert_int_equal(bsq_fail(ctx, BSQ_EDATA, "scan.obj:%d: no such vertex", 12), BSQ_EDATA);
     assert_int_equal(bsq_fail(ctx, BSQ_EIO, "later"), BSQ_EIO);
     assert_string_equal(bsq_error(ctx), "scan.obj:12: no such vertex");
@@ -67,7 +66,6 @@ TEST(test_first_failure_wins)
     assert_string_equal(bsq_error(ctx), "");
     bsq_fail(ctx, BSQ_EIO, "another job");
     assert_string_equal(bsq_error(ctx), "another job");
-    bsq_ctx_destroy(ctx);
 }
 
 TEST(test_errno_maps_to_status)
@@ -89,9 +87,8 @@ TEST(test_errno_maps_to_status)
     }
 }
 
-TEST(test_messages_are_one_line_of_any_length)
+CONTEXT_TEST(test_messages_are_one_line_of_any_length, 1, 0)
 {
-    struct bsq_ctx *ctx = test_context(1, 0);
     char *name = malloc(100001);
     memset(name, 'n', 100000);
     name[100000] = '\0';
@@ -100,7 +97,6 @@ TEST(test_messages_are_one_line_of_any_length)
     assert_int_equal(strlen(bsq_error(ctx)), 100004); /* the newline is "\\x0a" */
     assert_null(strchr(bsq_error(ctx), '\n'));
     free(name);
-    bsq_ctx_destroy(ctx);
 }
 
 static int fail_each(void *arg, uint64_t index, unsigned worker)
@@ -154,9 +150,8 @@ TEST(test_warnings_come_one_at_a_time)
     bsq_ctx_destroy(ctx);
 }
 
-TEST(test_interruption)
+CONTEXT_TEST(test_interruption, 1, 0)
 {
-    struct bsq_ctx *ctx = test_context(1, 0);
     assert_int_equal(bsq_check(ctx), 0);
     bsq_interrupt(ctx);
     assert_int_equal(bsq_check(ctx), BSQ_EINTR);
@@ -166,16 +161,14 @@ TEST(test_interruption)
     bsq_clear_error(ctx);
     bsq_clear_interruption(ctx);
     assert_int_equal(bsq_check(ctx), 0);
-    bsq_ctx_destroy(ctx);
 }
 
 /* ---- memory ---- */
 
 /* Small blocks count their header and alignment, and what malloc() adds. */
-TEST(test_cost_of_blocks)
+CONTEXT_TEST(test_cost_of_blocks, 1, 0)
 {
     const uint64_t huge = (uint64_t)2 << 20;
-    struct bsq_ctx *ctx = test_context(1, 0);
     for (uint64_t bytes = 0; bytes < huge - 4096; bytes = bytes * 3 + 1) {
         char *block;
         assert_int_equal(bsq_alloc(ctx, "block", bytes, 1, &block), 0);
@@ -184,7 +177,6 @@ TEST(test_cost_of_blocks)
         bsq_free(ctx, block);
         assert_int_equal(bsq_memory_used(ctx), 0);
     }
-    bsq_ctx_destroy(ctx);
 }
 
 TEST(test_budget)
@@ -216,9 +208,8 @@ TEST(test_budget)
     bsq_ctx_destroy(ctx);
 }
 
-TEST(test_sizes_that_overflow)
+CONTEXT_TEST(test_sizes_that_overflow, 1, UINT64_MAX)
 {
-    struct bsq_ctx *ctx = test_context(1, UINT64_MAX);
     static const uint64_t sizes[][2] = {
         {UINT64_MAX, 2}, {UINT64_C(1) << 32, UINT64_C(1) << 32}, {UINT64_MAX, 1}, {INT64_MAX, 1}};
     for (size_t i = 0; i < sizeof sizes / sizeof sizes[0]; i++) {
@@ -236,12 +227,10 @@ TEST(test_sizes_that_overflow)
     void *memory;
     assert_int_equal(bsq_alloc(ctx, "x", INT64_MAX / 2, 1, &memory), BSQ_ENOMEM);
     assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
 }
 
-TEST(test_blocks_are_aligned_and_zeroed)
+CONTEXT_TEST(test_blocks_are_aligned_and_zeroed, 1, 0)
 {
-    struct bsq_ctx *ctx = test_context(1, 0);
     for (uint64_t size = 0; size < 5000000; size = size * 3 + 1) {
         unsigned char *plain, *zeroed;
         assert_int_equal(bsq_alloc(ctx, "plain", size, 1, &plain), 0);
@@ -255,12 +244,10 @@ TEST(test_blocks_are_aligned_and_zeroed)
             assert_int_equal(zeroed[i], 0);
         bsq_free(ctx, zeroed);
     }
-    bsq_ctx_destroy(ctx);
 }
 
-TEST(test_growing_keeps_content)
+CONTEXT_TEST(test_growing_keeps_content, 1, 0)
 {
-    struct bsq_ctx *ctx = test_context(1, 0);
     uint32_t *list = NULL;
     uint64_t capacity = 0, moves = 0;
     for (uint32_t i = 0; i < 1000000; i++) {
@@ -275,14 +262,12 @@ TEST(test_growing_keeps_content)
     assert_true(moves < 50); /* log 1e6 / log 1.5 = 34 */
     assert_int_equal(bsq_memory_used(ctx), bsq_block_cost(capacity * sizeof *list));
     bsq_free(ctx, list);
-    bsq_ctx_destroy(ctx);
 }
 
 /* Blocks below and above the size of a huge page, which are allocated in different ways. */
-TEST(test_large_blocks)
+CONTEXT_TEST(test_large_blocks, 1, 64 << 20)
 {
     const uint64_t huge = (uint64_t)2 << 20;
-    struct bsq_ctx *ctx = test_context(1, 64 << 20);
     for (uint64_t bytes = huge - 1; bytes < huge + 8192; bytes += bytes < huge + 1 ? 1 : 4095) {
         uint8_t *block;
         assert_int_equal(bsq_calloc(ctx, "testing", bytes, 1, &block), 0);
@@ -306,7 +291,6 @@ TEST(test_large_blocks)
     assert_int_equal(bsq_memory_used(ctx), bsq_block_cost(4 * capacity));
     bsq_free(ctx, numbers);
     assert_int_equal(bsq_memory_used(ctx), 0);
-    bsq_ctx_destroy(ctx);
 }
 
 TEST(test_growing_up_to_the_budget)

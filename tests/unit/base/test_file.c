@@ -14,19 +14,8 @@
 
 /* ---- replacements of functions of the C library ---- */
 
-static int interruptions; /* number of calls of fallocate() that will return EINTR */
 static bool refuses_links;
 static int refused_links;
-
-int fallocate(int fd, int mode, off_t offset, off_t size)
-{
-    if (interruptions > 0) {
-        interruptions--;
-        errno = EINTR;
-        return -1;
-    }
-    return (int)syscall(SYS_fallocate, fd, mode, offset, size);
-}
 
 int linkat(int from_directory, const char *from, int to_directory, const char *to, int flags)
 {
@@ -200,10 +189,9 @@ static int read_page(void *arg, uint64_t page, unsigned worker)
     return byte == (page == 0 ? 'x' : '\0') ? 0 : BSQ_EBUG;
 }
 
-TEST(test_map_that_shrinks)
+CONTEXT_TEST(test_map_that_shrinks, 4, 0)
 {
     struct bsq_map map;
-    struct bsq_ctx *ctx = test_context(4, 0);
     put_pages("in");
     assert_int_equal(bsq_map_open(ctx, "in", &map), 0);
     assert_int_equal(bsq_map_check(ctx, &map), 0);
@@ -236,7 +224,6 @@ TEST(test_map_that_shrinks)
     assert_string_equal(bsq_error(ctx), "in: was changed while it was read");
     bsq_map_close(ctx, &map);
     unlink("in");
-    bsq_ctx_destroy(ctx);
 }
 
 static sigjmp_buf after_fault;
@@ -376,21 +363,6 @@ TEST(test_output_is_discarded)
     bsq_ctx_destroy(ctx);
 }
 
-TEST(test_output_permissions)
-{
-    struct bsq_ctx *ctx = create(NULL);
-    mode_t before = umask(0027);
-    struct bsq_output *output;
-    struct stat info;
-    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
-    assert_int_equal(bsq_output_commit(output), 0);
-    umask(before);
-    assert_int_equal(stat("out", &info), 0);
-    assert_int_equal(info.st_mode & 0777, 0640);
-    unlink("out");
-    bsq_ctx_destroy(ctx);
-}
-
 TEST(test_output_long_name_and_link)
 {
     struct bsq_ctx *ctx = create(NULL);
@@ -409,52 +381,6 @@ TEST(test_output_long_name_and_link)
     test_expect_text(name, "new");
     unlink("link");
     unlink(name);
-    bsq_ctx_destroy(ctx);
-}
-
-static void assert_cannot_create(const char *path, const char *message)
-{
-    struct bsq_ctx *ctx = create(NULL);
-    struct bsq_output *output;
-    assert_int_equal(bsq_output_open(ctx, path, &output), BSQ_ECANTCREAT);
-    assert_null(output);
-    assert_string_equal(bsq_error(ctx), message);
-    bsq_ctx_destroy(ctx);
-}
-
-TEST(test_what_cannot_be_created)
-{
-    assert_int_equal(mkdir("sub", 0700), 0);
-    assert_cannot_create("sub", "sub: Is a directory");
-    assert_cannot_create("sub/", "\"sub/\" is not a file name");
-    assert_cannot_create("", "\"\" is not a file name");
-    assert_cannot_create("none/out", "none/out: cannot be created: there is no folder none");
-    assert_cannot_create("/dev/null", "/dev/null: exists and is not a regular file");
-    /* Only root is told that /proc has no such file. */
-    assert_cannot_create("/proc/out",
-                         geteuid() == 0 ? "/proc/out: cannot be created: No such file or directory"
-                                        : "/proc/out: cannot be created: Permission denied");
-    rmdir("sub");
-}
-
-TEST(test_failed_write_cannot_be_committed)
-{
-    struct bsq_ctx *ctx = create(NULL);
-    struct bsq_output *output;
-    struct rlimit before, small;
-    assert_int_equal(getrlimit(RLIMIT_FSIZE, &before), 0);
-    small = before;
-    small.rlim_cur = 100;
-    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
-    assert_int_equal(setrlimit(RLIMIT_FSIZE, &small), 0);
-    char zeros[200] = {0};
-    int status = bsq_output_write(output, zeros, sizeof zeros);
-    assert_int_equal(setrlimit(RLIMIT_FSIZE, &before), 0);
-    assert_int_equal(status, BSQ_EIO);
-    assert_string_equal(bsq_error(ctx), "out: writing: File too large");
-    assert_int_equal(bsq_output_write(output, zeros, 10), 0);
-    assert_int_equal(bsq_output_commit(output), BSQ_EIO);
-    assert_int_equal(test_files_here(), 0);
     bsq_ctx_destroy(ctx);
 }
 
@@ -525,24 +451,6 @@ TEST(test_less_than_expected)
     assert_int_equal(bsq_output_expect(output, 9), 0);
     assert_int_equal(bsq_output_write(output, "not whol", 8), 0);
     assert_too_short(ctx, bsq_output_keep_temp(output, &file));
-    assert_int_equal(test_files_here(), 0);
-    bsq_ctx_destroy(ctx);
-}
-
-TEST(test_preallocation_is_interrupted)
-{
-    struct bsq_ctx *ctx = create(NULL);
-    struct bsq_output *output;
-    assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
-    interruptions = 3;
-    assert_int_equal(bsq_output_expect(output, 4), 0);
-    assert_int_equal(interruptions, 0);
-    interruptions = 3;
-    bsq_interrupt(ctx);
-    assert_int_equal(bsq_output_expect(output, 4), BSQ_EINTR);
-    assert_int_equal(interruptions, 2);
-    interruptions = 0;
-    bsq_output_discard(output);
     assert_int_equal(test_files_here(), 0);
     bsq_ctx_destroy(ctx);
 }

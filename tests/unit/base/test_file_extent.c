@@ -29,12 +29,11 @@ TEST(test_names)
 }
 
 /* Every range of base64 text of each length, against the bytes that it was made from. */
-TEST(test_base64)
+CONTEXT_TEST(test_base64, 0, 0)
 {
     static const char *const texts[] = {"",         "/w==",     "/wE=",    "/wEC",
                                         "/wECAw==", "/wECAwQ=", "/wECAwQF"};
     static const unsigned char bytes[] = {255, 1, 2, 3, 4, 5};
-    struct bsq_ctx *ctx = test_context(0, 0);
     for (uint64_t size = 0; size <= 6; size++) {
         struct bsq_file file;
         assert_int_equal(bsq_file_temp(ctx, NULL, "base64", &file), 0);
@@ -54,7 +53,6 @@ TEST(test_base64)
             }
         bsq_file_close(ctx, &file);
     }
-    bsq_ctx_destroy(ctx);
 }
 
 /* Copies the extent of this name. */

@@ -101,12 +101,10 @@ static int meet(void *arg, uint64_t index, unsigned worker)
     return atomic_load(arrived) < 2 ? BSQ_EBUG : 0;
 }
 
-TEST(test_loop_runs_concurrently)
+CONTEXT_TEST(test_loop_runs_concurrently, 2, 0)
 {
-    struct bsq_ctx *ctx = test_context(2, 0);
     atomic_int arrived = 0;
     assert_int_equal(bsq_parallel_for(ctx, 2, meet, &arrived), 0);
-    bsq_ctx_destroy(ctx);
 }
 
 /* ---- pipelines ---- */
@@ -348,13 +346,11 @@ TEST(test_pipeline_is_interrupted)
     }
 }
 
-TEST(test_pipeline_needs_budget)
+CONTEXT_TEST(test_pipeline_needs_budget, 2, 3)
 {
-    struct bsq_ctx *ctx = test_context(2, 3);
     struct pipe_state shared = {.ctx = ctx, .threads = 2, .slot_count = 4, .count = 10};
     assert_int_equal(run(&shared), BSQ_ENOMEM);
     assert_int_equal(shared.produced, 0);
-    bsq_ctx_destroy(ctx);
 }
 
 /* Emission of one slot overlaps with work on another: each waits for the other. */
@@ -395,9 +391,8 @@ static int overlap_emit(void *arg, void *slot, uint64_t sequence)
     return await(&overlap->working) ? 0 : BSQ_EBUG;
 }
 
-TEST(test_emit_overlaps_with_work)
+CONTEXT_TEST(test_emit_overlaps_with_work, 2, 0)
 {
-    struct bsq_ctx *ctx = test_context(2, 0);
     struct overlap overlap = {0};
     char slots[4];
     struct bsq_pipeline pipeline = {
@@ -410,7 +405,6 @@ TEST(test_emit_overlaps_with_work)
         .slot_count = 4,
     };
     assert_int_equal(bsq_pipeline_run(ctx, &pipeline), 0);
-    bsq_ctx_destroy(ctx);
 }
 
 /* Waiting threads sleep: one slow step with seven idle threads costs next to no processor time. */

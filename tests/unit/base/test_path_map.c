@@ -8,9 +8,8 @@ static void expect(struct bsq_ctx *ctx, const char *name, const char *path)
     assert_string_equal(bsq_map_path(ctx, name), path);
 }
 
-TEST(test_the_longest_source_is_replaced_once)
+CONTEXT_TEST(test_the_longest_source_is_replaced_once, 1, 0)
 {
-    struct bsq_ctx *ctx = test_context(1, 0);
     expect(ctx, "/mnt/a", "/mnt/a");
     assert_int_equal(bsq_add_path_rule(ctx, BSQ_PATH_POSIX, "/mnt", "/data"), 0);
     assert_int_equal(bsq_add_path_rule(ctx, BSQ_PATH_POSIX, "/mnt/scans/", "/mnt/x/"), 0);
@@ -25,12 +24,10 @@ TEST(test_the_longest_source_is_replaced_once)
     expect(ctx, "mnt/a", "mnt/a");
     assert_int_equal(bsq_add_path_rule(ctx, BSQ_PATH_POSIX, "", "/data"), BSQ_EDATA);
     bsq_clear_error(ctx);
-    test_context_end(ctx);
 }
 
-TEST(test_formats)
+CONTEXT_TEST(test_formats, 1, 0)
 {
-    struct bsq_ctx *ctx = test_context(1, 0);
     assert_int_equal(bsq_add_path_rule(ctx, BSQ_PATH_WINDOWS, "Z:\\Studio", "/studio"), 0);
     assert_int_equal(bsq_add_path_rule(ctx, BSQ_PATH_URI, "s3://bucket/a", "/s3"), 0);
     assert_int_equal(bsq_add_path_rule(ctx, BSQ_PATH_POSIX, "/", "/root"), 0);
@@ -39,7 +36,6 @@ TEST(test_formats)
     expect(ctx, "s3://bucket/a/b\\c", "/s3/b\\c");
     expect(ctx, "/etc/a", "/root/etc/a");
     expect(ctx, "etc/a", "etc/a");
-    test_context_end(ctx);
 }
 
 /* Returns a new context's text for one rule. */

@@ -3,7 +3,7 @@
 #include "tests/unit/test.h"
 
 static uint64_t random_state; /* of test_random() */
-static struct bsq_ctx *ctx;
+SHARED_CONTEXT(ctx, 1)
 
 /* Triangulates with scratch memory of exactly the size that is asked for. */
 static void triangulate(const double (*positions)[3], uint32_t n, uint32_t *triangles)
@@ -452,24 +452,6 @@ TEST(test_large_degenerate)
     free(triangles);
 }
 
-TEST(test_interruption)
-{
-    static double positions[MEDIUM][3];
-    uint32_t *triangles = malloc(3 * MEDIUM * sizeof *triangles);
-    void *scratch = malloc(bsq_triangulate_scratch(MEDIUM));
-    random_state = test_seed();
-    random_star(large, MEDIUM, 0.05);
-    for (uint32_t i = 0; i < MEDIUM; i++)
-        memcpy(positions[i], large[i], sizeof large[i]);
-    bsq_interrupt(ctx);
-    assert_int_equal(
-        bsq_triangulate(ctx, (const double(*)[3])positions, MEDIUM, triangles, scratch), BSQ_EINTR);
-    bsq_clear_interruption(ctx);
-    bsq_clear_error(ctx);
-    free(triangles);
-    free(scratch);
-}
-
 /* Polygons that need no search: on a line, and convex. */
 TEST(test_interruption_of_a_fan)
 {
@@ -495,18 +477,4 @@ TEST(test_interruption_of_a_fan)
     free(scratch);
 }
 
-static int open_context(void **state)
-{
-    (void)state;
-    ctx = test_context(1, 0);
-    return 0;
-}
-
-static int close_context(void **state)
-{
-    (void)state;
-    test_context_end(ctx);
-    return 0;
-}
-
-RUN_TESTS(open_context, close_context)
+RUN_TESTS(open_ctx, close_ctx)

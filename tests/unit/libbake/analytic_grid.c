@@ -332,3 +332,21 @@ struct bk_hit analytic_trace(const struct fmt_nvdb_grid *grid, const struct bk_p
     bake_trace_rays(grid, params, &batch, &hit);
     return hit;
 }
+
+int analytic_by_value(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+double analytic_degrees(const double a[3], const float b[3])
+{
+    double dot = 0, cross = 0;
+    for (int k = 0; k < 3; k++) {
+        int p = (k + 1) % 3, q = (k + 2) % 3;
+        double c = a[p] * b[q] - a[q] * b[p];
+        dot += a[k] * b[k];
+        cross += c * c;
+    }
+    return atan2(sqrt(cross), dot) * 180 / PI;
+}

@@ -57,4 +57,9 @@ double analytic_random(uint64_t *state);
 /* Computes a random unit vector. */
 void analytic_random_unit(uint64_t *state, double unit[3]);
 
+/* Compares two doubles for qsort(). */
+int analytic_by_value(const void *a, const void *b);
+/* Returns the angle of two vectors in degrees. */
+double analytic_degrees(const double a[3], const float b[3]);
+
 #endif

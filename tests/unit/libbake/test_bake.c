@@ -138,9 +138,8 @@ static struct errors normal_errors(const struct fmt_exr_image *image, bool objec
     return errors;
 }
 
-TEST(test_normals_are_those_of_the_formula)
+CONTEXT_TEST(test_normals_are_those_of_the_formula, 2, 0)
 {
-    struct bsq_ctx *ctx = test_context(2, 0);
     for (int variant = 0; variant < 3; ++variant) {
         struct bake_options options = options_for("<MAP>.exr");
         options.green_down = variant == 1;
@@ -160,12 +159,10 @@ TEST(test_normals_are_those_of_the_formula)
         fmt_exr_image_free(ctx, &image);
         unlink("normal.exr");
     }
-    test_context_end(ctx);
 }
 
-TEST(test_report_counts_samples)
+CONTEXT_TEST(test_report_counts_samples, 2, 0)
 {
-    struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for("n.exr");
     options.samples = 3;
     struct bake_report report = {.size = sizeof report};
@@ -181,14 +178,12 @@ TEST(test_report_counts_samples)
     assert_true(report.front > farthest && report.front < 1.5 * farthest + 2.1);
     assert_true(report.back >= 2 && report.back < 2.1);
     unlink("n.exr");
-    test_context_end(ctx);
 }
 
 /* ---- colour, mask, padding ---- */
 
-TEST(test_misses_are_masked_and_filled)
+CONTEXT_TEST(test_misses_are_masked_and_filled, 2, 0)
 {
-    struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for("<MAP>.exr");
     options.maps = BAKE_MAP_NORMAL | BAKE_MAP_MASK;
     options.front = depth; /* rays do not reach the crests */
@@ -223,12 +218,10 @@ TEST(test_misses_are_masked_and_filled)
     fmt_exr_image_free(ctx, &normal);
     unlink("normal.exr");
     unlink("mask.exr");
-    test_context_end(ctx);
 }
 
-TEST(test_padding_surrounds_the_chart)
+CONTEXT_TEST(test_padding_surrounds_the_chart, 2, 0)
 {
-    struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for("n.exr");
     struct bake_report report = {.size = sizeof report};
     bake(ctx, &options, &report);
@@ -248,7 +241,6 @@ TEST(test_padding_surrounds_the_chart)
         }
     fmt_exr_image_free(ctx, &image);
     unlink("n.exr");
-    test_context_end(ctx);
 }
 
 /* ---- UDIM tiles ---- */
@@ -277,9 +269,8 @@ static void compare_columns(struct bsq_ctx *ctx, const char *tile_path, const ch
 }
 
 /* Two tiles of a square that spans both are the halves of a map of twice the width. */
-TEST(test_tiles_are_parts_of_one_map)
+CONTEXT_TEST(test_tiles_are_parts_of_one_map, 2, 0)
 {
-    struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_options options = options_for("whole.exr");
     struct bake_report whole = {.size = sizeof whole}, tiles = {.size = sizeof tiles};
     const char *two_path = "two.obj";
@@ -304,7 +295,6 @@ TEST(test_tiles_are_parts_of_one_map)
     unlink("1002.exr");
     unlink("whole.exr");
     unlink("two.obj");
-    test_context_end(ctx);
 }
 
 /* ---- rows ---- */
@@ -330,9 +320,8 @@ static int take_rows(void *user, const struct bake_rows *rows)
     return taken->rows[mask] > taken->refuse_at ? BSQ_EUSAGE : 0;
 }
 
-TEST(test_rows_are_those_of_files)
+CONTEXT_TEST(test_rows_are_those_of_files, 2, 64 << 20)
 {
-    struct bsq_ctx *ctx = test_context(2, 64 << 20);
     struct bake_options options = options_for("rows_<MAP>.exr");
     struct bake_report report = {.size = sizeof report};
     struct taken taken = {.refuse_at = SIZE};
@@ -375,7 +364,6 @@ TEST(test_rows_are_those_of_files)
     assert_non_null(strstr(bsq_error(ctx), "struct bake_report has "));
     free(taken.samples[0]);
     free(taken.samples[1]);
-    test_context_end(ctx);
 }
 
 RUN_TESTS(make_scene, NULL)

@@ -98,22 +98,8 @@ static size_t size_of(enum bsq_option_kind kind)
     }
 }
 
-static int set_up(void **state)
+CONTEXT_TEST(test_rows_agree_with_themselves, 1, 0)
 {
-    *state = test_context(1, 0);
-    return 0;
-}
-
-static int tear_down(void **state)
-{
-    test_context_end(*state);
-    return 0;
-}
-#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
-
-FIXTURE_TEST(test_rows_agree_with_themselves)
-{
-    struct bsq_ctx *ctx = *state;
     struct bake_options options;
     size_t count;
     const struct bsq_option *rows = bake_option_rows(&count);
@@ -138,9 +124,8 @@ FIXTURE_TEST(test_rows_agree_with_themselves)
 }
 
 /* Values just outside of what a row allows are refused, and those on the limits are not. */
-FIXTURE_TEST(test_limits_are_checked)
+CONTEXT_TEST(test_limits_are_checked, 1, 0)
 {
-    struct bsq_ctx *ctx = *state;
     size_t count;
     const struct bsq_option *rows = bake_option_rows(&count);
     for (const struct bsq_option *row = rows; row < rows + count; row++) {

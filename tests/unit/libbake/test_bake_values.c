@@ -357,9 +357,8 @@ TEST(test_skews_turn_rays)
 }
 
 /* Means of many samples are as exact as single samples. */
-TEST(test_means_lose_no_precision)
+CONTEXT_TEST(test_means_lose_no_precision, 1, 0)
 {
-    struct bsq_ctx *ctx = test_context(1, 0);
     struct bake_options options = options_for(&scans[0], "p.exr");
     options.maps = BAKE_MAP_POSITION;
     options.width = options.height = 1;
@@ -373,7 +372,6 @@ TEST(test_means_lose_no_precision)
     assert_true(fabs(sample(&image, 0, "B") - scans[0].centre[2]) < 1e-4);
     fmt_exr_image_free(ctx, &image);
     unlink("p.exr");
-    test_context_end(ctx);
 }
 
 /* ---- scans that are wound inwards ---- */

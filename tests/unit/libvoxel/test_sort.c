@@ -3,13 +3,12 @@
 #include "sort_grid.h"
 #include "tests/unit/test.h"
 
-#define FIXTURE_TEST(name) TEST_EACH(name, sort_set_up, sort_tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct sort_fixture, sort_set_up, sort_tear_down)
 
 /* ---- every triangle, once ---- */
 
 FIXTURE_TEST(every_triangle_of_a_grid_comes_out_once)
 {
-    struct sort_fixture *f = *state;
     for (unsigned flags = 0; flags < 8; flags++) {
         struct sort_grid g;
         struct sorted_triangles got = {0}, expected = {0};
@@ -34,7 +33,6 @@ FIXTURE_TEST(every_triangle_of_a_grid_comes_out_once)
 /* Each triangle has its own corners, anywhere in a cube: no neighbours, and all buckets in use. */
 FIXTURE_TEST(every_triangle_of_a_soup_comes_out_once)
 {
-    struct sort_fixture *f = *state;
     struct sorted_triangles got = {0}, expected = {0};
     uint64_t seed = 77;
     FILE *file = fopen("scan.obj", "wb");
@@ -95,7 +93,6 @@ static void append_flat_triangles(const char *path, const struct sort_grid *g, u
 /* Sets limits so small that each part of the sorter uses files, one at a time and all together. */
 FIXTURE_TEST(spilling_does_not_change_the_file)
 {
-    struct sort_fixture *f = *state;
     static const unsigned kinds[] = {GRID_SHUFFLED | GRID_COLORS | GRID_NORMALS, GRID_SHUFFLED, 0};
     static const uint32_t sizes[] = {320, 190, 190};
     for (int k = 0; k < 3; k++) {
@@ -143,7 +140,6 @@ FIXTURE_TEST(spilling_does_not_change_the_file)
  * bucket is divided in further temporary files. */
 FIXTURE_TEST(buckets_stay_small_with_a_byte_for_each_vertex)
 {
-    struct sort_fixture *f = *state;
     struct vox_sort_options options = sort_scan_obj();
     struct sort_limits limits;
     struct sort_grid g;
@@ -165,7 +161,6 @@ FIXTURE_TEST(buckets_stay_small_with_a_byte_for_each_vertex)
  * scan is read again in two passes. */
 FIXTURE_TEST(vertices_after_faces_are_found_late)
 {
-    struct sort_fixture *f = *state;
     struct reference reference = {0};
     struct sort_grid g;
     sort_grid_make(&g, 190, 4);
@@ -196,7 +191,6 @@ FIXTURE_TEST(vertices_after_faces_are_found_late)
 /* More triangles than a batch holds have the same first corner, so they keep the scan's order. */
 FIXTURE_TEST(many_triangles_in_one_place_are_sorted)
 {
-    struct sort_fixture *f = *state;
     struct reference reference = {0};
     FILE *file = fopen("scan.obj", "wb");
     fputs("v -1 -1 0\nv 1 0 0\nv 0 1 0\nv 100 100 100\nv 101 100 100\nv 100 101 100\nf 4 5 6\n",
@@ -254,7 +248,6 @@ static void expect_morton_order(const struct fmt_tris_chunk *chunk,
 
 FIXTURE_TEST(triangles_are_in_morton_order)
 {
-    struct sort_fixture *f = *state;
     struct sort_grid g;
     struct fmt_tris_file *file;
     struct fmt_tris_chunk chunk;
@@ -278,7 +271,6 @@ FIXTURE_TEST(triangles_are_in_morton_order)
 
 FIXTURE_TEST(ordinary_meshes_take_14_bytes_a_triangle)
 {
-    struct sort_fixture *f = *state;
     struct sort_grid g;
     sort_grid_make(&g, 400, 5);
     sort_grid_write(&g, "scan.obj", 0, 6);
@@ -292,7 +284,6 @@ FIXTURE_TEST(ordinary_meshes_take_14_bytes_a_triangle)
 
 FIXTURE_TEST(triangles_without_area_are_counted)
 {
-    struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
     expect_sorted(f, sort_text(f, "v 0 0 0\nv 1 0 0\nv 2 0 0\nv 0 1 0\nv 0 1 0\nv 9 9 9\n"
                                   "v 0.1 0.1 0.1\nv 0.2 0.2 0.2\nv 0.3 0.3 0.3\nv -0 1 0\n"
@@ -314,7 +305,6 @@ FIXTURE_TEST(triangles_without_area_are_counted)
 
 FIXTURE_TEST(tiny_triangles_are_kept)
 {
-    struct sort_fixture *f = *state;
     expect_sorted(f, sort_text(f, "v 0 0 0\nv 1e-30 0 0\nv 0 1e-30 0\nf 1 2 3\n"
                                   "v 1000 0 0\nv 1000.0001 0 0\nv 1000 1000 0\nf 4 5 6\n"));
     assert_int_equal(f->report.triangles, 2);

@@ -2,7 +2,7 @@
 #include "sort_fixture.h"
 #include "tests/unit/test.h"
 
-#define FIXTURE_TEST(name) TEST_EACH(name, sort_set_up, sort_tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct sort_fixture, sort_set_up, sort_tear_down)
 
 /* ---- colours ---- */
 
@@ -18,7 +18,6 @@ static uint32_t color_at(const struct sorted_triangles *t, float x, float y)
 
 FIXTURE_TEST(colors_of_a_later_file_do_not_shift)
 {
-    struct sort_fixture *f = *state;
     const char *paths[2] = {"scan.obj", "more.obj"};
     struct sorted_triangles got = {0};
     test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
@@ -37,7 +36,6 @@ FIXTURE_TEST(colors_of_a_later_file_do_not_shift)
 
 FIXTURE_TEST(ordinary_scans_have_no_origin)
 {
-    struct sort_fixture *f = *state;
     expect_sorted(f, sort_text(f, "v 9000 0 0\nv 9500 0 0\nv 9000 500 0\nf 1 2 3\n"));
     assert_true(f->report.origin[0] == 0.0); /* far from zero, but not for its size */
     expect_sorted(f, sort_text(f, "v 8000 0 0\nv 8001 0 0\nv 8000 1 0\nf 1 2 3\n"));
@@ -72,7 +70,6 @@ static unsigned count_material(const struct sorted_triangles *t, uint32_t materi
 
 FIXTURE_TEST(materials_come_from_the_library)
 {
-    struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
     struct fmt_tris_header header;
     struct fmt_tris_file *file;
@@ -110,7 +107,6 @@ FIXTURE_TEST(materials_come_from_the_library)
  */
 FIXTURE_TEST(a_missing_texture_leaves_the_diffuse_colour)
 {
-    struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
     struct fmt_tris_header header;
     write_library("newmtl wall\nKd 0.5 0.5 0.5\nmap_Kd gone.png\nnewmtl red\nKd 1 0 0\n");
@@ -127,7 +123,6 @@ FIXTURE_TEST(a_missing_texture_leaves_the_diffuse_colour)
 /* A face of two corners is skipped, and its normals do not count, in one pass and in two. */
 FIXTURE_TEST(normals_of_faces_left_out_do_not_count)
 {
-    struct sort_fixture *f = *state;
     struct vox_sort_options options = sort_scan_obj();
     test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvn 0 0 1\nf 1//1 2//1\nf 1 2 3\n");
     for (int two = 0; two < 2; two++) {

@@ -3,13 +3,12 @@
 #include "sort_grid.h"
 #include "tests/unit/test.h"
 
-#define FIXTURE_TEST(name) TEST_EACH(name, sort_set_up, sort_tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct sort_fixture, sort_set_up, sort_tear_down)
 
 /* ---- bad input ---- */
 
 FIXTURE_TEST(positions_beyond_float_are_refused)
 {
-    struct sort_fixture *f = *state;
     assert_int_equal(sort_text(f, "v 0 0 0\nv 1 0 0\nv 0 1e200 0\nf 1 2 3\n"), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(f->ctx), "1e+200"));
 }
@@ -17,7 +16,6 @@ FIXTURE_TEST(positions_beyond_float_are_refused)
 /* A scan with only degenerate triangles is refused. */
 FIXTURE_TEST(a_scan_without_area_is_refused)
 {
-    struct sort_fixture *f = *state;
     assert_int_equal(sort_text(f, "v 1 2 3\nf 1 1 1\n"), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(f->ctx), "the scan's only triangle has no area"));
     assert_int_equal(sort_text(f, "v 1 2 3\nf 1 1 1\nf 1 1 1\n"), BSQ_EDATA);
@@ -29,7 +27,6 @@ FIXTURE_TEST(a_scan_without_area_is_refused)
  * that is enough. */
 FIXTURE_TEST(too_many_vertices_are_refused)
 {
-    struct sort_fixture *f = *state;
     struct vox_sort_options options = sort_scan_obj();
     struct sort_limits limits;
     struct sort_grid g;
@@ -61,7 +58,6 @@ FIXTURE_TEST(too_many_vertices_are_refused)
 /* Lets each allocation fail in turn: this is an error, and nothing is left. */
 FIXTURE_TEST(memory_may_run_out_anywhere)
 {
-    struct sort_fixture *f = *state;
     struct sort_grid g;
     struct vox_sort_options options = sort_scan_obj();
     unsigned failures = 0;

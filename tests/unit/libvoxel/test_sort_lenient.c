@@ -3,7 +3,7 @@
 #include "sort_grid.h"
 #include "tests/unit/test.h"
 
-#define FIXTURE_TEST(name) TEST_EACH(name, sort_set_up, sort_tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct sort_fixture, sort_set_up, sort_tear_down)
 
 /* Rows and columns of vertices: some blocks of text. */
 enum { SIDE = 200 };
@@ -130,7 +130,6 @@ static void sort_it(struct sort_fixture *f, unsigned way)
 
 FIXTURE_TEST(what_refers_to_nothing_is_left_out)
 {
-    struct sort_fixture *f = *state;
     struct sorted_triangles expected = {0}, got = {0};
     struct fmt_tris_header header;
     size_t size, expected_size = 0;
@@ -174,7 +173,6 @@ FIXTURE_TEST(what_refers_to_nothing_is_left_out)
 /* A block all of whose faces are left out, and a first block without any position. */
 FIXTURE_TEST(a_block_may_lose_all_its_faces)
 {
-    struct sort_fixture *f = *state;
     FILE *file = fopen("scan.obj", "wb");
     for (int i = 0; i < 90000; i++)
         fprintf(file, "v nan 0 0\n");
@@ -195,7 +193,6 @@ FIXTURE_TEST(a_block_may_lose_all_its_faces)
 /* Colours from 0 to 255 whose first 144,000 vertices are black. */
 FIXTURE_TEST(dark_beginnings_stay_dark)
 {
-    struct sort_fixture *f = *state;
     struct sorted_triangles got = {0};
     FILE *file = fopen("scan.obj", "wb");
     assert_non_null(file);
@@ -257,7 +254,6 @@ static int sort_given(struct sort_fixture *f, struct given *given, enum vox_note
 
 FIXTURE_TEST(test_a_callback_gives_a_mesh_beside_a_file)
 {
-    struct sort_fixture *f = *state;
     static const char mesh[] = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\n";
     const char *paths[2] = {"scan.obj", "more.obj"};
     struct sorted_triangles got = {0}, expected = {0};
@@ -286,7 +282,6 @@ FIXTURE_TEST(test_a_callback_gives_a_mesh_beside_a_file)
 
 FIXTURE_TEST(test_options_of_another_version_are_refused)
 {
-    struct sort_fixture *f = *state;
     struct given given = {"", 0};
     assert_int_equal(sort_given(f, &given, VOX_NOTE_NONE, 8), BSQ_EUSAGE);
     assert_non_null(strstr(bsq_error(f->ctx), "struct vox_sort_options has "));

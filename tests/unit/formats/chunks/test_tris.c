@@ -6,7 +6,7 @@
 
 #include <xxhash.h>
 
-#define FIXTURE_TEST(name) TEST_EACH(name, tris_setup, tris_teardown)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct tris_fixture, tris_setup, tris_teardown)
 
 /* ---- round trips ---- */
 
@@ -79,7 +79,6 @@ static void expect_file(struct tris_fixture *f, uint32_t chunk_count)
 
 FIXTURE_TEST(every_set_of_attributes_comes_back)
 {
-    struct tris_fixture *f = *state;
     for (uint32_t attributes = 0; attributes < 16; attributes++) {
         tris_fill(f->samples[0], attributes, 101 + attributes, 57 + attributes, 1 + attributes);
         tris_fill(f->samples[1], attributes, 1, 3, 100 + attributes);
@@ -91,7 +90,6 @@ FIXTURE_TEST(every_set_of_attributes_comes_back)
 /* 16 bits can number at most 65536 vertices. */
 FIXTURE_TEST(large_chunks_come_back)
 {
-    struct tris_fixture *f = *state;
     size_t sizes[2];
     for (uint32_t i = 0; i < 2; i++) {
         tris_fill(f->samples[0], 0, FMT_TRIS_CHUNK_TRIANGLES, 65536 + i, 9);
@@ -107,7 +105,6 @@ FIXTURE_TEST(large_chunks_come_back)
 
 FIXTURE_TEST(a_file_without_chunks_is_valid)
 {
-    struct tris_fixture *f = *state;
     tris_write_samples(f, 0, 0);
     expect_file(f, 0);
 }
@@ -130,7 +127,6 @@ static float f32_at(const uint8_t *bytes, size_t at)
 
 FIXTURE_TEST(bytes_are_those_of_the_specification)
 {
-    struct tris_fixture *f = *state;
     struct tris_sample *s = f->samples[0];
     size_t size;
     tris_fill(s, 15, 5, 7, 4);
@@ -189,7 +185,6 @@ FIXTURE_TEST(bytes_are_those_of_the_specification)
 FIXTURE_TEST(names_of_ids_come_back)
 {
     static const char *const names[] = {"body", "", "gl\xc3\xa4s"};
-    struct tris_fixture *f = *state;
     struct fmt_tris_file *file;
     size_t size;
     uint8_t *bytes = tris_write_ids(f, &size);
@@ -209,7 +204,6 @@ FIXTURE_TEST(names_of_ids_come_back)
 
 FIXTURE_TEST(channels_come_back)
 {
-    struct tris_fixture *f = *state;
     struct fmt_tris_file *file;
     size_t size;
     uint8_t *bytes = tris_write_channels(f, &size);
@@ -237,7 +231,6 @@ FIXTURE_TEST(channels_come_back)
 /* Version 4 is written if a texture has a factor, is tinted, does not repeat, or is sRGB. */
 FIXTURE_TEST(factors_and_wrap_modes_come_back)
 {
-    struct tris_fixture *f = *state;
     char *channels[] = {(char *)"roughness"};
     for (int i = 0; i < 6; i++) {
         struct fmt_tris_source source = {.texture_path = (char *)"/r.png", .value = {1, 1, 1}};
@@ -272,7 +265,6 @@ FIXTURE_TEST(factors_and_wrap_modes_come_back)
 
 FIXTURE_TEST(nothing_remains_of_a_discarded_file)
 {
-    struct tris_fixture *f = *state;
     struct fmt_tris_header header = {.attributes = 0};
     struct fmt_tris_writer *writer;
     assert_int_equal(fmt_tris_create(f->ctx, tris_path, &header, &writer), 0);

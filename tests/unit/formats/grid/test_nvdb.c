@@ -141,9 +141,8 @@ TEST(test_round_trip)
 }
 
 /* All voxels of two regions are set: full masks, entries of second records with all bits. */
-TEST(test_full_leaves)
+CONTEXT_TEST(test_full_leaves, 2, 0)
 {
-    struct bsq_ctx *ctx = test_context(2, 0);
     struct scene scene;
     scene_random(&scene, 9, 1, false);
     free(scene.voxels);
@@ -168,7 +167,6 @@ TEST(test_full_leaves)
     assert_ok(ctx, fmt_nvdb_verify(ctx, &grid));
     fmt_nvdb_close(ctx, &grid);
     scene_free(&scene);
-    bsq_ctx_destroy(ctx);
 }
 
 /* ---- NanoVDB's own tools ---- */

@@ -152,10 +152,9 @@ TEST(test_wrong_regions)
     assert_refused(NULL, &region, "second");
 }
 
-TEST(test_nothing_to_write)
+CONTEXT_TEST(test_nothing_to_write, 1, 0)
 {
     unlink(nvdb_path);
-    struct bsq_ctx *ctx = test_context(1, 0);
     struct fmt_nvdb_writer *writer = new_writer(ctx);
     struct fmt_nvdb_region nothing = {.origin = {0, 0, 0}};
     assert_ok(ctx, fmt_nvdb_append(writer, &nothing));
@@ -163,7 +162,6 @@ TEST(test_nothing_to_write)
     assert_int_equal(grid_commit(writer, &totals), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(ctx), "no voxels"));
     assert_int_equal(access(nvdb_path, F_OK), -1);
-    bsq_ctx_destroy(ctx);
 }
 
 /* ---- temporary files that change ---- */

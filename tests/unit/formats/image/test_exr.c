@@ -84,9 +84,8 @@ static size_t zip_size(const float *samples)
 }
 
 /* A compressed block of the size of its samples looks like one that is not compressed. */
-TEST(test_blocks_that_zip_to_their_own_size_are_kept)
+CONTEXT_TEST(test_blocks_that_zip_to_their_own_size_are_kept, 1, 0)
 {
-    struct bsq_ctx *ctx = test_context(1, 0);
     float samples[NOISE_SAMPLES];
     uint64_t random = 1;
     size_t size = 0;
@@ -110,13 +109,11 @@ TEST(test_blocks_that_zip_to_their_own_size_are_kept)
     assert_int_equal(fmt_exr_read(ctx, path, &image), 0);
     assert_memory_equal(image.samples, samples, sizeof samples);
     fmt_exr_image_free(ctx, &image);
-    test_context_end(ctx);
 }
 
 /* Blocks that do not get smaller are not packed. */
-TEST(test_noise_reads_back)
+CONTEXT_TEST(test_noise_reads_back, 2, 0)
 {
-    struct bsq_ctx *ctx = test_context(2, 0);
     enum { WIDTH = 1000, HEIGHT = 40, COUNT = WIDTH * HEIGHT };
     const struct fmt_image_options options = {
         .width = WIDTH, .height = HEIGHT, .channel_count = 1, .type = FMT_FLOAT};
@@ -137,7 +134,6 @@ TEST(test_noise_reads_back)
     assert_int_equal(fmt_exr_read(ctx, path, &image), 0);
     assert_memory_equal(image.samples, samples, COUNT * sizeof *samples);
     fmt_exr_image_free(ctx, &image);
-    test_context_end(ctx);
 }
 
 /* ---- sizes ---- */
@@ -148,9 +144,8 @@ static const uint32_t sizes[][4] = {
     {5, 100, 17, 0},  {300, 64, 40, 0},  {1, 1, 1, 8},     {37, 53, 7, 8},
     {16, 16, 16, 16}, {130, 33, 33, 64}, {5, 100, 17, 33}, {300, 64, 40, 17}};
 
-TEST(test_round_trip_is_exact)
+CONTEXT_TEST(test_round_trip_is_exact, 4, 0)
 {
-    struct bsq_ctx *ctx = test_context(4, 0);
     for (size_t s = 0; s < sizeof sizes / sizeof *sizes; ++s)
         for (int type = FMT_HALF; type <= FMT_FLOAT; ++type) {
             uint32_t width = sizes[s][0], height = sizes[s][1];
@@ -175,7 +170,6 @@ TEST(test_round_trip_is_exact)
             fmt_exr_image_free(ctx, &image);
             free(samples);
         }
-    test_context_end(ctx);
 }
 
 enum { SMALL_WIDTH = 45, SMALL_HEIGHT = 39 };
@@ -189,9 +183,8 @@ static void compare_pixels(const ImfRgba *pixels, const float *samples)
     }
 }
 
-TEST(test_other_reader_agrees)
+CONTEXT_TEST(test_other_reader_agrees, 3, 0)
 {
-    struct bsq_ctx *ctx = test_context(3, 0);
     float *samples = random_samples((size_t)SMALL_WIDTH * SMALL_HEIGHT * 3, 99);
     write_image(ctx, SMALL_WIDTH, SMALL_HEIGHT, FMT_HALF, samples, 11, 0);
     ImfInputFile *input = ImfOpenInputFile(path);
@@ -211,12 +204,10 @@ TEST(test_other_reader_agrees)
     ImfCloseInputFile(input);
     free(pixels);
     free(samples);
-    test_context_end(ctx);
 }
 
-TEST(test_other_reader_agrees_on_tiles)
+CONTEXT_TEST(test_other_reader_agrees_on_tiles, 3, 0)
 {
-    struct bsq_ctx *ctx = test_context(3, 0);
     float *samples = random_samples((size_t)SMALL_WIDTH * SMALL_HEIGHT * 3, 98);
     write_image(ctx, SMALL_WIDTH, SMALL_HEIGHT, FMT_HALF, samples, 11, 16);
     ImfTiledInputFile *input = ImfOpenTiledInputFile(path);
@@ -231,7 +222,6 @@ TEST(test_other_reader_agrees_on_tiles)
     ImfCloseTiledInputFile(input);
     free(pixels);
     free(samples);
-    test_context_end(ctx);
 }
 
 static void write_tiled(int width, int height, int compression, const ImfRgba *pixels)
@@ -251,13 +241,12 @@ static void write_tiled(int width, int height, int compression, const ImfRgba *p
     ImfDeleteHeader(header);
 }
 
-TEST(test_reads_tiles_of_other_writers)
+CONTEXT_TEST(test_reads_tiles_of_other_writers, 2, 0)
 {
     enum { WIDTH = 77, HEIGHT = 50 };
     static const int compressions[] = {IMF_NO_COMPRESSION, IMF_RLE_COMPRESSION,
                                        IMF_ZIPS_COMPRESSION, IMF_ZIP_COMPRESSION,
                                        IMF_PIZ_COMPRESSION};
-    struct bsq_ctx *ctx = test_context(2, 0);
     ImfRgba *pixels = calloc(WIDTH * HEIGHT, sizeof *pixels);
     for (size_t i = 0; i < WIDTH * HEIGHT; ++i) {
         ImfFloatToHalf((float)(i % WIDTH), &pixels[i].r);
@@ -283,7 +272,6 @@ TEST(test_reads_tiles_of_other_writers)
         fmt_exr_image_free(ctx, &image);
     }
     free(pixels);
-    test_context_end(ctx);
 }
 
 static void expect_damage(struct bsq_ctx *ctx, const char *what, size_t where)
@@ -298,9 +286,8 @@ static void expect_damage(struct bsq_ctx *ctx, const char *what, size_t where)
     bsq_clear_error(ctx);
 }
 
-TEST(test_truncated_files_are_refused)
+CONTEXT_TEST(test_truncated_files_are_refused, 1, 0)
 {
-    struct bsq_ctx *ctx = test_context(1, 0);
     float *samples = random_samples(20 * 40 * 3, 3);
     write_image(ctx, 20, 40, FMT_HALF, samples, 40, 0);
     size_t size;
@@ -310,16 +297,14 @@ TEST(test_truncated_files_are_refused)
         expect_damage(ctx, "length", length);
     }
     free(samples);
-    test_context_end(ctx);
 }
 
 /* Any result is allowed, but nothing may leak or be accessed out of bounds, which sanitizers
  * detect. */
-TEST(test_flipped_bytes_do_no_harm)
+CONTEXT_TEST(test_flipped_bytes_do_no_harm, 1, UINT64_C(256) << 20)
 {
     uint32_t seed = (uint32_t)getpid();
     print_message("seed %u\n", seed);
-    struct bsq_ctx *ctx = test_context(1, UINT64_C(256) << 20);
     float *samples = random_samples(20 * 40 * 3, 3);
     write_image(ctx, 20, 40, FMT_FLOAT, samples, 40, 0);
     size_t size;
@@ -340,7 +325,6 @@ TEST(test_flipped_bytes_do_no_harm)
     }
     free(bytes);
     free(samples);
-    test_context_end(ctx);
 }
 
 /* Writes a small image, whose header then claims another size. */
@@ -360,29 +344,25 @@ static void write_other_window(struct bsq_ctx *ctx, const int32_t box[4])
     free(samples);
 }
 
-TEST(test_sizes_are_held_against_the_budget)
+CONTEXT_TEST(test_sizes_are_held_against_the_budget, 1, UINT64_C(8) << 20)
 {
-    struct bsq_ctx *ctx = test_context(1, UINT64_C(8) << 20);
     write_other_window(ctx, (const int32_t[4]){0, 0, 63 + (1 << 22), 63});
     struct fmt_exr_image image;
     assert_int_equal(fmt_exr_read(ctx, path, &image), BSQ_ENOMEM);
     assert_non_null(strstr(bsq_error(ctx), "budget"));
     assert_null(image.samples);
     assert_true(bsq_memory_high(ctx) <= bsq_memory_limit(ctx));
-    test_context_end(ctx);
 }
 
 /* Without the check, OpenEXR allocates a table of 256 MiB for a file of 10 KB. */
-TEST(test_a_table_of_blocks_is_held_against_the_file)
+CONTEXT_TEST(test_a_table_of_blocks_is_held_against_the_file, 1, UINT64_C(1) << 40)
 {
-    struct bsq_ctx *ctx = test_context(1, UINT64_C(1) << 40);
     /* One texel wide, 2^29 lines high, 16 lines a block. */
     write_other_window(ctx, (const int32_t[4]){0, 0, 0, (1 << 29) - 1});
     struct fmt_exr_image image;
     assert_int_equal(fmt_exr_read(ctx, path, &image), BSQ_EDATA);
     assert_non_null(strstr(bsq_error(ctx), "table of blocks"));
     assert_true(bsq_memory_high(ctx) < 1 << 20);
-    test_context_end(ctx);
 }
 
 /* Writes the header of a file of 1 x 1 texels with very much in it. */
@@ -414,7 +394,7 @@ static void write_excess(unsigned channels, unsigned integers, unsigned bytes)
 }
 
 /* OpenEXR takes minutes to sort very many channels, and memory that nobody counted. */
-TEST(test_excessive_headers)
+CONTEXT_TEST(test_excessive_headers, 1, UINT64_C(8) << 20)
 {
     static const struct {
         unsigned channels, integers, bytes;
@@ -423,7 +403,6 @@ TEST(test_excessive_headers)
                  {3, 5000, 0, "the header has more than 4096 attributes"},
                  {3, 0, 1 << 20, "the header has more than 1 MiB"},
                  {16384, 4000, 1000, NULL}};
-    struct bsq_ctx *ctx = test_context(1, UINT64_C(8) << 20);
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         struct fmt_exr_image image;
         write_excess(cases[i].channels, cases[i].integers, cases[i].bytes);
@@ -437,7 +416,6 @@ TEST(test_excessive_headers)
         bsq_clear_error(ctx);
         bsq_forget_files(ctx);
     }
-    test_context_end(ctx);
 }
 
 RUN_TESTS(NULL, NULL)

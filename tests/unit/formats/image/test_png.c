@@ -52,11 +52,10 @@ static uint32_t sample16(const struct image *image, uint32_t y, uint32_t sample)
     return (uint32_t)image->rows[y][2 * sample] << 8 | image->rows[y][2 * sample + 1];
 }
 
-TEST(test_16_bits_are_rounded)
+CONTEXT_TEST(test_16_bits_are_rounded, 3, 0)
 {
     enum { WIDTH = 401, HEIGHT = 500 }; /* several bands */
     static const uint32_t channel_counts[] = {1, 3, 4};
-    struct bsq_ctx *ctx = test_context(3, 0);
     for (int c = 0; c < 3; ++c) {
         uint32_t channels = channel_counts[c];
         struct fmt_image_options options = {
@@ -85,13 +84,11 @@ TEST(test_16_bits_are_rounded)
         free_image(&image);
         free(samples);
     }
-    test_context_end(ctx);
 }
 
-TEST(test_color_is_encoded_as_srgb_but_alpha_is_not)
+CONTEXT_TEST(test_color_is_encoded_as_srgb_but_alpha_is_not, 1, 0)
 {
     enum { WIDTH = 256 };
-    struct bsq_ctx *ctx = test_context(1, 0);
     struct fmt_image_options options = {
         .width = WIDTH, .height = 1, .channel_count = 4, .type = FMT_UINT16, .color = true};
     float samples[WIDTH * 4];
@@ -108,7 +105,6 @@ TEST(test_color_is_encoded_as_srgb_but_alpha_is_not)
         assert_int_equal(sample16(&image, 0, 4 * i + 3), i * 257);
     }
     free_image(&image);
-    test_context_end(ctx);
 }
 
 /* Returns the mean of a channel over a block of the image. */
@@ -122,10 +118,9 @@ static double block_mean(const struct image *image, uint32_t x0, uint32_t y0, ui
     return sum / size / size;
 }
 
-TEST(test_dither_keeps_the_mean)
+CONTEXT_TEST(test_dither_keeps_the_mean, 2, 0)
 {
     enum { SIZE = 128, BLOCK = 16 };
-    struct bsq_ctx *ctx = test_context(2, 0);
     struct fmt_image_options options = {
         .width = SIZE, .height = SIZE, .channel_count = 3, .type = FMT_UINT8};
     float *samples = malloc(SIZE * SIZE * 3 * sizeof *samples);
@@ -147,13 +142,11 @@ TEST(test_dither_keeps_the_mean)
         free_image(&image);
     }
     free(samples);
-    test_context_end(ctx);
 }
 
-TEST(test_black_and_white_do_not_dither)
+CONTEXT_TEST(test_black_and_white_do_not_dither, 2, 0)
 {
     enum { SIZE = 64 };
-    struct bsq_ctx *ctx = test_context(2, 0);
     struct fmt_image_options options = {
         .width = SIZE, .height = SIZE, .channel_count = 1, .type = FMT_UINT8, .color = true};
     float *samples = malloc(SIZE * SIZE * sizeof *samples);
@@ -166,7 +159,6 @@ TEST(test_black_and_white_do_not_dither)
             assert_int_equal(image.rows[y][x], x < SIZE / 2 ? 0 : 255);
     free_image(&image);
     free(samples);
-    test_context_end(ctx);
 }
 
 RUN_TESTS(NULL, NULL)

@@ -100,24 +100,4 @@ TEST(test_again)
     obj_close(&f);
 }
 
-/* Every allocation fails in turn. */
-TEST(test_memory)
-{
-    const char *paths[FILES];
-    make_files(paths);
-    int failures = 0;
-    for (uint64_t kib = 1; kib < 4096; kib += kib / 4 + 1) {
-        struct fmt_mesh_reader *reader = NULL;
-        struct bsq_ctx *ctx = test_context(1, kib << 10);
-        int status = fmt_mesh_open(ctx, paths, FILES, &reader);
-        if (status == 0)
-            status = fmt_mesh_read(reader, NULL, NULL, NULL);
-        assert_true(status == 0 || status == BSQ_ENOMEM);
-        failures += status != 0;
-        fmt_mesh_close(reader);
-        test_context_end(ctx);
-    }
-    assert_int_not_equal(failures, 0);
-}
-
 RUN_TESTS(NULL, NULL)

@@ -264,7 +264,7 @@ static int keep_numbers(void *arg, const struct fmt_mesh_batch *batch)
 }
 
 /* With objects, a number is a material and an object; equal names in two files are one object. */
-TEST(test_objects)
+CONTEXT_TEST(test_objects, 2, 64 << 20)
 {
     static const struct {
         const char *material, *object;
@@ -276,7 +276,6 @@ TEST(test_objects)
                            "f 1 1 1\ng a b\nf 1 1 1\n"),
         test_text("2.obj", "usemtl m\nf 1 1 1\no a b\nf 1 1 1\n")};
     struct fmt_mesh_reader *reader;
-    struct bsq_ctx *ctx = test_context(2, 64 << 20);
     assert_int_equal(fmt_mesh_open(ctx, paths, 2, &reader), 0);
     fmt_mesh_use_objects(reader);
     for (int reading = 0; reading < 2; reading++) {
@@ -297,7 +296,6 @@ TEST(test_objects)
         fmt_materials_free(ctx, &materials);
     }
     fmt_mesh_close(reader);
-    test_context_end(ctx);
 }
 
 RUN_TESTS(NULL, NULL)

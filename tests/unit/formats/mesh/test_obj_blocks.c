@@ -223,23 +223,4 @@ TEST(test_every_truncated_length)
     }
 }
 
-TEST(test_every_budget)
-{
-    const char *path = test_bytes("small.obj", small_file, sizeof small_file - 1);
-    bool enough = false;
-    for (uint64_t budget = 1; !enough; budget += budget / 16 + 64) {
-        struct fmt_mesh mesh;
-        struct bsq_ctx *ctx = test_context(1, budget);
-        int status = fmt_mesh_load(ctx, path, false, &mesh);
-        if (status)
-            assert_int_equal(status, BSQ_ENOMEM);
-        else
-            fmt_mesh_free(ctx, &mesh);
-        assert_int_equal(bsq_memory_used(ctx), 0);
-        assert_true(bsq_memory_high(ctx) <= budget);
-        bsq_ctx_destroy(ctx);
-        enough = status == 0;
-    }
-}
-
 RUN_TESTS(NULL, NULL)

@@ -26,7 +26,7 @@ static int make_files(void **state)
     return 0;
 }
 
-TEST(test_spellings)
+CONTEXT_TEST(test_spellings, 1, 0)
 {
     /* The path of the file, or after "!" that which messages name. */
     static const char *const cases[][2] = {
@@ -55,7 +55,6 @@ TEST(test_spellings)
         {"\"d #1.mtl\" #lib", "!d #1.mtl"},
         {"", "!"},
     };
-    struct bsq_ctx *ctx = test_context(1, 0);
     char beside[300];
     snprintf(beside, sizeof beside, "%s", "scan.obj");
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
@@ -67,7 +66,6 @@ TEST(test_spellings)
         assert_int_equal(exists, !missing);
         bsq_free(ctx, path);
     }
-    test_context_end(ctx);
 }
 
 RUN_TESTS(make_files, NULL)

@@ -49,19 +49,6 @@ TEST(lab_of_known_colours)
 
 /* ---- maps of known errors ---- */
 
-static int set_up(void **state)
-{
-    *state = test_context(2, 64 << 20);
-    return 0;
-}
-
-static int tear_down(void **state)
-{
-    bsq_ctx_destroy(*state);
-    return 0;
-}
-#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
-
 enum { WIDTH = 10, HEIGHT = 10 };
 
 /* Writes a map whose texel i holds value(i), with `map` as its attribute bisque:map unless NULL.
@@ -126,9 +113,8 @@ static void compare_two(struct bsq_ctx *ctx, const char *a, const char *b,
     assert_int_equal(bake_compare(ctx, &options, out), 0);
 }
 
-FIXTURE_TEST(angles_have_the_right_distribution)
+CONTEXT_TEST(angles_have_the_right_distribution, 2, 64 << 20)
 {
-    struct bsq_ctx *ctx = *state;
     struct bake_compare_report r = {.size = sizeof r};
     const char *a = write_map(ctx, "a.exr", 3, tilted, "normal"),
                *b = write_map(ctx, "b.exr", 3, upright, "normal");
@@ -144,9 +130,8 @@ FIXTURE_TEST(angles_have_the_right_distribution)
     assert_true(fabs(r.above_5 - 0.49) < 0.011); /* 5.0 itself may round to either side */
 }
 
-FIXTURE_TEST(masks_give_the_agreement)
+CONTEXT_TEST(masks_give_the_agreement, 2, 64 << 20)
 {
-    struct bsq_ctx *ctx = *state;
     struct bake_compare_report r = {.size = sizeof r};
     const char *a = write_map(ctx, "a.exr", 3, tilted, NULL),
                *b = write_map(ctx, "b.exr", 3, upright, NULL);
@@ -166,9 +151,8 @@ FIXTURE_TEST(masks_give_the_agreement)
     assert_true(fabs(r.mean - 4.95) < 1e-3); /* 4.0 .. 5.9 */
 }
 
-FIXTURE_TEST(data_has_absolute_and_relative_errors)
+CONTEXT_TEST(data_has_absolute_and_relative_errors, 2, 64 << 20)
 {
-    struct bsq_ctx *ctx = *state;
     struct bake_compare_report r = {.size = sizeof r};
     const char *a = write_map(ctx, "a.exr", 1, steeper_ramp, NULL),
                *b = write_map(ctx, "b.exr", 1, ramp, NULL);
@@ -190,9 +174,8 @@ static void spoiled_mask(unsigned i, float *out)
     *out = i == 40 ? NAN : i >= 50 ? 0 : 1;
 }
 
-FIXTURE_TEST(values_that_are_not_finite_are_counted)
+CONTEXT_TEST(values_that_are_not_finite_are_counted, 2, 64 << 20)
 {
-    struct bsq_ctx *ctx = *state;
     struct bake_compare_report r = {.size = sizeof r};
     const char *a = write_map(ctx, "a.exr", 1, spoiled_ramp, NULL), *heat = "heat.png";
     const char *b = write_map(ctx, "b.exr", 1, ramp, NULL);

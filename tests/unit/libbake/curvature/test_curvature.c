@@ -230,12 +230,6 @@ static struct bake_curvature_counts measure(struct bsq_ctx *ctx, const struct sh
     return counts;
 }
 
-static int compare_doubles(const void *a, const void *b)
-{
-    const double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
 static void check_shape(const struct shape *shape, bool exact, double radius)
 {
     struct bsq_ctx *ctx = test_context(2, 0);
@@ -249,7 +243,7 @@ static void check_shape(const struct shape *shape, bool exact, double radius)
         mean += errors[i] / (WIDTH * HEIGHT);
         errors[i] = fabs(errors[i]);
     }
-    qsort(errors, WIDTH * HEIGHT, sizeof *errors, compare_doubles);
+    qsort(errors, WIDTH * HEIGHT, sizeof *errors, analytic_by_value);
     const double p95 = errors[WIDTH * HEIGHT * 95 / 100], most = errors[WIDTH * HEIGHT - 1];
     print_message("%s, %s: mean %.2g, 95 %% %.2g, most %.2g\n", shape->name,
                   exact ? "triangles" : "voxels", mean, p95, most);

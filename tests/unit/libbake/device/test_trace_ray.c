@@ -7,27 +7,7 @@
 
 #define PI 3.14159265358979323846
 
-static struct bsq_ctx *context;
-
-static int make_context(void **state)
-{
-    (void)state;
-    context = test_context(0, 0);
-    return 0;
-}
-
-static int free_context(void **state)
-{
-    (void)state;
-    test_context_end(context);
-    return 0;
-}
-
-static int by_value(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
+SHARED_CONTEXT(context, 0)
 
 static double mean(const double *values, size_t count)
 {
@@ -40,20 +20,8 @@ static double mean(const double *values, size_t count)
 /* Returns a percentile; sorts the values. */
 static double percentile(double *values, size_t count, size_t percent)
 {
-    qsort(values, count, sizeof *values, by_value);
+    qsort(values, count, sizeof *values, analytic_by_value);
     return values[count * percent / 100];
-}
-
-static double angle_degrees(const double a[3], const float b[3])
-{
-    double dot = 0, cross = 0;
-    for (int k = 0; k < 3; k++) {
-        int p = (k + 1) % 3, q = (k + 2) % 3;
-        double c = a[p] * b[q] - a[q] * b[p];
-        dot += a[k] * b[k];
-        cross += c * c;
-    }
-    return atan2(sqrt(cross), dot) * 180 / PI;
 }
 
 TEST(test_sphere)
@@ -105,7 +73,7 @@ TEST(test_sphere)
         double half = sqrt(radius * radius - offset * offset);
         for (int k = 0; k < 3; k++)
             normal[k] = (at[k] - half * direction[k]) / radius;
-        angles[count++] = angle_degrees(normal, hit.normal);
+        angles[count++] = analytic_degrees(normal, hit.normal);
         squares += (hit.t - (away - half)) * (hit.t - (away - half));
     }
     double rms = sqrt(squares / (double)count), average = mean(angles, count);
@@ -176,7 +144,7 @@ static struct sine_errors trace_sine(double wavelength, uint32_t flags, uint32_t
         assert_true(hit.found);
         worst = fmax(worst, fabs(hit.t - (analytic_sine_height(&sine, u, v) - w)));
         analytic_sine_normal(&sine, u, v, normal);
-        angles[i] = angle_degrees(normal, hit.normal);
+        angles[i] = analytic_degrees(normal, hit.normal);
         add_slopes(&sine, normal, hit.normal, &products, &squares);
     }
     errors.average = mean(angles, RAYS);
@@ -267,7 +235,7 @@ TEST(test_crease)
         }
         hit = analytic_trace(&grid, &params, o, d, 0, 20, -1);
         assert_true(hit.found);
-        angles[i] = angle_degrees(normals[u > 0], hit.normal);
+        angles[i] = analytic_degrees(normals[u > 0], hit.normal);
         above += angles[i] > 5;
     }
     double average = mean(angles, RAYS), share = (double)above / RAYS;
@@ -452,4 +420,4 @@ TEST(test_groups_have_the_hits_of_single_rays)
     fmt_nvdb_close(context, &grid);
 }
 
-RUN_TESTS(make_context, free_context)
+RUN_TESTS(open_context, close_context)

@@ -12,21 +12,6 @@ static const char *const more_meshes[] = {"/scans/m.ply"};
 static const struct bake_tile_size size_option = {1012, 64, 300};
 static const struct bake_tile_range range_option = {1001, 1012};
 
-static int set_up(void **state)
-{
-    *state = test_context(2, 0);
-    return 0;
-}
-
-static int tear_down(void **state)
-{
-    unlink("plan.json");
-    unlink("input");
-    test_context_end(*state);
-    return 0;
-}
-#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
-
 static struct bake_options some_options(void)
 {
     struct bake_options options;
@@ -72,9 +57,8 @@ static struct bake_farm_plan *make_plan(struct bsq_ctx *ctx, const struct bake_o
 }
 
 /* Tasks have about as many samples, and each block has one task. */
-FIXTURE_TEST(test_tasks_are_balanced)
+CONTEXT_TEST(test_tasks_are_balanced, 2, 0)
 {
-    struct bsq_ctx *ctx = *state;
     const struct bake_options options = some_options();
     struct bake_farm_plan *plan = make_plan(ctx, &options, TASKS);
     uint64_t all = 0, most = 0, blocks = 0, listed = 0;
@@ -118,6 +102,7 @@ static struct bake_farm_plan *write_plan(struct bsq_ctx *ctx, const struct bake_
     struct bake_farm_plan *plan = make_plan(ctx, options, TASKS);
     struct bsq_file input;
     bool kept = true;
+    unlink("plan.json");
     test_bytes("input", "some bytes", 10);
     assert_int_equal(bsq_file_open(ctx, "input", &input), 0);
     bsq_file_close(ctx, &input);
@@ -135,9 +120,8 @@ static struct bake_farm_plan *write_plan(struct bsq_ctx *ctx, const struct bake_
 
 static char bytes[1 << 16];
 
-FIXTURE_TEST(test_a_plan_is_read_back)
+CONTEXT_TEST(test_a_plan_is_read_back, 2, 0)
 {
-    struct bsq_ctx *ctx = *state;
     const struct bake_options options = some_options();
     size_t size;
     bool kept = false;
@@ -154,9 +138,8 @@ FIXTURE_TEST(test_a_plan_is_read_back)
     bake_close_plan(plan);
 }
 
-FIXTURE_TEST(test_an_interruption_is_not_lost_among_missing_parts)
+CONTEXT_TEST(test_an_interruption_is_not_lost_among_missing_parts, 2, 0)
 {
-    struct bsq_ctx *ctx = *state;
     const struct bake_options options = some_options();
     struct bake_farm_plan *plan = make_plan(ctx, &options, TASKS);
     struct bake_farm_found found;
@@ -189,9 +172,8 @@ static bool is_fraction(size_t i)
     return i < start && bytes[i] == '.';
 }
 
-FIXTURE_TEST(test_cut_and_changed_plans_are_refused)
+CONTEXT_TEST(test_cut_and_changed_plans_are_refused, 2, 0)
 {
-    struct bsq_ctx *ctx = *state;
     const struct bake_options options = some_options();
     size_t size;
     bake_close_plan(write_plan(ctx, &options, bytes, sizeof bytes, &size));
@@ -214,9 +196,8 @@ FIXTURE_TEST(test_cut_and_changed_plans_are_refused)
 }
 
 /* Such plans have a right id: only their options are wrong. */
-FIXTURE_TEST(test_impossible_options_are_refused)
+CONTEXT_TEST(test_impossible_options_are_refused, 2, 0)
 {
-    struct bsq_ctx *ctx = *state;
     for (int i = 0; i < 11; i++) {
         struct bake_options options = some_options();
         struct bake_farm_plan *read;

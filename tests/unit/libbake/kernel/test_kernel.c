@@ -9,39 +9,7 @@
 
 #define PI 3.14159265358979323846
 
-static struct bsq_ctx *context;
-
-static int make_context(void **state)
-{
-    (void)state;
-    context = test_context(0, 0);
-    return 0;
-}
-
-static int free_context(void **state)
-{
-    (void)state;
-    test_context_end(context);
-    return 0;
-}
-
-static int by_value(const void *a, const void *b)
-{
-    double x = *(const double *)a, y = *(const double *)b;
-    return (x > y) - (x < y);
-}
-
-static double angle_degrees(const double a[3], const float b[3])
-{
-    double dot = 0, cross = 0;
-    for (int k = 0; k < 3; k++) {
-        int p = (k + 1) % 3, q = (k + 2) % 3;
-        double c = a[p] * b[q] - a[q] * b[p];
-        dot += a[k] * b[k];
-        cross += c * c;
-    }
-    return atan2(sqrt(cross), dot) * 180 / PI;
-}
+SHARED_CONTEXT(context, 0)
 
 /* ---- parts ---- */
 
@@ -93,7 +61,7 @@ TEST(test_tangent_space)
                          m.x * point.tangent.y + m.y * b.y + m.z * point.normal.y,
                          m.x * point.tangent.z + m.y * b.z + m.z * point.normal.z};
         assert_true(fabsf(bk_dotw(m, m) - 1) < 1e-5f);
-        assert_true(angle_degrees(target, back) < 0.01);
+        assert_true(analytic_degrees(target, back) < 0.01);
     }
 }
 
@@ -194,7 +162,7 @@ TEST(test_tangent_space_of_halves)
         const double stretch = alike ? 1 : sqrt(size / length);
         const float back[3] = {(float)found[0], (float)found[1], (float)found[2]};
         const double limit = asin(fmin(rounding * stretch * 1.01, 1)) * 180 / PI + 1e-3;
-        assert_true(angle_degrees(target, back) <= limit);
+        assert_true(analytic_degrees(target, back) <= limit);
         mirrored += triangle.tangent[0][3] < 0;
         skewed += !alike;
     }
@@ -292,7 +260,7 @@ static int naive_faces(const double origin[3], const double direction[3], double
             faces[count++] = (f - a) / direction[k];
     }
     faces[count++] = limit;
-    qsort(faces, (size_t)count, sizeof *faces, by_value);
+    qsort(faces, (size_t)count, sizeof *faces, analytic_by_value);
     return count;
 }
 
@@ -465,4 +433,4 @@ TEST(test_degenerate_rays)
     fmt_nvdb_close(context, &grid);
 }
 
-RUN_TESTS(make_context, free_context)
+RUN_TESTS(open_context, close_context)

@@ -34,7 +34,7 @@ static int tear_down(void **state)
     free(f);
     return 0;
 }
-#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct fixture, set_up, tear_down)
 
 static int load_file(struct fixture *f, const char *path)
 {
@@ -112,7 +112,6 @@ static void write_sphere(FILE *file, const double centre[3], int columns, int ro
 /* Compares normals with the radial direction. A row of the sphere spans 5.6 degrees. */
 FIXTURE_TEST(test_missing_normals_are_smooth)
 {
-    struct fixture *f = *state;
     const double centre[3] = {3, -2, 7};
     write_sphere(f->file, centre, 64, 32);
     load(f);
@@ -134,7 +133,6 @@ FIXTURE_TEST(test_missing_normals_are_smooth)
 /* On a sphere, tangents point along the circles of latitude, and rows of v go north. */
 FIXTURE_TEST(test_tangents_of_a_sphere)
 {
-    struct fixture *f = *state;
     const double centre[3] = {0, 0, 0};
     write_sphere(f->file, centre, 64, 32);
     load(f);
@@ -154,7 +152,6 @@ FIXTURE_TEST(test_tangents_of_a_sphere)
 /* At 5,000,000 m, neighbouring floats are 0.5 m apart: half of the sphere's radius. */
 FIXTURE_TEST(test_tangents_far_from_the_origin)
 {
-    struct fixture *f = *state;
     const double centre[3] = {5000000, 400000, 300};
     write_sphere(f->file, centre, 64, 32);
     load(f);
@@ -180,7 +177,6 @@ FIXTURE_TEST(test_missing_normals_by_weight)
                  {BAKE_LOW_ANGLE, {{-1, 1}, {-0.4636476, 0.9827937}}},
                  {BAKE_LOW_SMOOTH, {{-1, 3}, {-1, 3}}},
                  {BAKE_LOW_FLAT, {{0, 1}, {0, 1}}}};
-    struct fixture *f = *state;
     fputs("v 0 0 0\nv 2 0 0\nv 0 3 0\nv 0 0 1\nvt 0 0\nvt 1 0\nvt 0 1\n"
           "f 1/1 2/2 3/3\nf 1/1 2/2 4/3\n",
           f->file);
@@ -224,7 +220,6 @@ TEST(test_turns)
 /* A mesh and its normals: scaled, then turned so that z points upwards, then shifted. */
 FIXTURE_TEST(test_placement)
 {
-    struct fixture *f = *state;
     const struct bake_options options = {
         .low_scale = 2, .low_turn = 1, .low_x = 10, .low_y = 20, .low_z = 30};
     struct bake_transform transform;
@@ -240,7 +235,6 @@ FIXTURE_TEST(test_placement)
 
 FIXTURE_TEST(test_attributes_of_the_file)
 {
-    struct fixture *f = *state;
     load_text(f, "v 0 0 0\nv 1 0 0\nv 1 1 0.25\nv 0 1 0\nvt 0.5 0.25\nvt 1 0.25\nvt 1 1\nvt 0.5 1\n"
                  "vn 0 0 5\nvn 3 0 4\nf 1/1/1 2/2/2 3/3/1 4/4/1\n");
     assert_int_equal(f->mesh.triangle_count, 2);
@@ -261,7 +255,6 @@ FIXTURE_TEST(test_attributes_of_the_file)
 /* A zero normal is replaced by the face's normal; a corner without one gets the smooth normal. */
 FIXTURE_TEST(test_zero_and_partly_missing_normals)
 {
-    struct fixture *f = *state;
     load_text(f, "v 0 0 0\nv 0 1 0\nv 0 0 1\nv 1 0 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 0\nvn 0 1 0\n"
                  "f 1/1/1 2/2/2 3/3/1\nf 1/1 4/2 2/3\n");
     assert_vector(f->mesh.normals[0][0], 1, 0, 0);
@@ -273,7 +266,6 @@ FIXTURE_TEST(test_zero_and_partly_missing_normals)
 
 FIXTURE_TEST(test_degenerate_triangle_has_a_unit_normal)
 {
-    struct fixture *f = *state;
     load_text(f, "v 0 0 0\nv 1 0 0\nv 2 0 0\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 0 0\n"
                  "f 1/1 2/2 3/3\nf 1/1/1 2/2/1 3/3/1\n");
     for (int t = 0; t < 2; t++) {
@@ -297,7 +289,6 @@ static const char hard_edge[] =
 
 FIXTURE_TEST(test_directions_are_smooth_over_hard_edges)
 {
-    struct fixture *f = *state;
     const float half = (float)sqrt(0.5);
     load_text(f, hard_edge);
     assert_vector(f->mesh.directions[0][0], 0, 0, 1);
@@ -312,7 +303,6 @@ FIXTURE_TEST(test_directions_are_smooth_over_hard_edges)
 
 FIXTURE_TEST(test_directions_of_the_mesh_and_of_faces)
 {
-    struct fixture *f = *state;
     f->rays = BAKE_RAYS_MESH;
     load_text(f, hard_edge);
     assert_memory_equal(f->mesh.directions, f->mesh.normals, 4 * sizeof *f->mesh.normals);
@@ -349,7 +339,6 @@ FIXTURE_TEST(test_reaches_cover_arcs)
                                 "v -0.38268343 0.92387953 9\nv 0.38268343 0.92387953 9\n"
                                 "vt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n";
     static const char faces[] = "f 1/1/1 2/2/2 3/3/2\nf 1/1/1 3/3/2 4/4/1\n";
-    struct fixture *f = *state;
     char text[400];
     load_text(f, hard_edge);
     snprintf(text, sizeof text, "%svn 0.38268343 0.92387953 0\nvn -0.38268343 0.92387953 0\n%s",
@@ -367,7 +356,6 @@ FIXTURE_TEST(test_reaches_cover_arcs)
 /* Normals that agree stay as they are, to the bit; so do those that cancel. */
 FIXTURE_TEST(test_directions_keep_smooth_and_opposite_normals)
 {
-    struct fixture *f = *state;
     const double centre[3] = {0};
     write_sphere(f->file, centre, 12, 7);
     load(f);
@@ -400,7 +388,6 @@ static int load_with_cage(struct fixture *f, const char *text)
 
 FIXTURE_TEST(test_cage)
 {
-    struct fixture *f = *state;
     assert_int_equal(load_with_cage(f, CAGE_VERTICES CAGE_FACES "f 6 7 8\n"), 0);
     assert_vector(f->mesh.directions[0][0], 0, 0, 1);
     assert_vector(f->mesh.directions[0][1], 1, 0, 1);
@@ -411,7 +398,6 @@ FIXTURE_TEST(test_cage)
 
 FIXTURE_TEST(test_cages_of_other_meshes)
 {
-    struct fixture *f = *state;
     assert_int_equal(load_with_cage(f, CAGE_VERTICES "f 1 2 3\nf 1 4 3\nf 5 6 8\nf 6 7 8\n"),
                      BSQ_EDATA);
     assert_non_null(strstr(bsq_error(f->ctx), "cage.obj:10: face has other vertices than the same "
@@ -424,13 +410,13 @@ FIXTURE_TEST(test_cages_of_other_meshes)
 
 FIXTURE_TEST(test_no_texture_coordinates)
 {
-    fail_text(*state, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+    fail_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
               ": no texture coordinates: the low-poly mesh has to be unwrapped");
 }
 
 FIXTURE_TEST(test_a_face_without_texture_coordinates)
 {
-    fail_text(*state,
+    fail_text(f,
               "# comment\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
               "f 1/1 2/2 3/3 4/3\n\nf 1/1 2/2 3\nf 1 2 3\n",
               ":11: face has no texture coordinates");
@@ -438,7 +424,6 @@ FIXTURE_TEST(test_a_face_without_texture_coordinates)
 
 FIXTURE_TEST(test_missing_file)
 {
-    struct fixture *f = *state;
     fclose(f->file);
     assert_int_equal(load_file(f, "/nonexistent/low.obj"), BSQ_ENOINPUT);
     assert_null(f->mesh.positions);
@@ -447,7 +432,6 @@ FIXTURE_TEST(test_missing_file)
 /* They used to become infinite. */
 FIXTURE_TEST(test_texture_coordinates_beyond_float_are_the_largest_float)
 {
-    struct fixture *f = *state;
     load_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 6e38 -1e300\nvt .5 .5\nvt -1 2\nf 1/1 2/2 3/3\n");
     assert_true(f->mesh.texcoords[0][0][0] == FLT_MAX);
     assert_true(f->mesh.texcoords[0][0][1] == -FLT_MAX);

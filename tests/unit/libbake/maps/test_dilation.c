@@ -108,11 +108,10 @@ static void check_image(struct bsq_ctx *ctx, const struct map *map, const int64_
     bake_image_free(image);
 }
 
-TEST(test_sources_are_the_nearest)
+CONTEXT_TEST(test_sources_are_the_nearest, 3, 0)
 {
     uint32_t seed = (uint32_t)getpid();
     print_message("seed %u\n", seed);
-    struct bsq_ctx *ctx = test_context(3, 0);
     uint8_t valid[60 * 60];
     int64_t expected[60 * 60];
     static const uint32_t paddings[] = {0, 1, 2, 5, 16, UINT32_MAX};
@@ -126,14 +125,12 @@ TEST(test_sources_are_the_nearest)
         check_image(ctx, &map, expected, padding, 1 + next_random(&seed) % 20, true);
         check_image(ctx, &map, expected, padding, 1 + next_random(&seed) % 20, false);
     }
-    test_context_end(ctx);
 }
 
 /* A single valid texel is carried over many bands. */
-TEST(test_padding_reaches_over_many_bands)
+CONTEXT_TEST(test_padding_reaches_over_many_bands, 2, 0)
 {
     enum { WIDTH = 300, HEIGHT = 40 };
-    struct bsq_ctx *ctx = test_context(2, 0);
     uint8_t *valid = calloc(WIDTH * HEIGHT, 1);
     int64_t *expected = malloc(WIDTH * HEIGHT * sizeof *expected);
     struct map map = {WIDTH, HEIGHT, valid};
@@ -150,7 +147,6 @@ TEST(test_padding_reaches_over_many_bands)
     check_image(ctx, &map, expected, UINT32_MAX, 7, true);
     free(valid);
     free(expected);
-    test_context_end(ctx);
 }
 
 RUN_TESTS(NULL, NULL)

@@ -129,9 +129,8 @@ TEST(test_attributes_fit_their_list)
 
 /* A user who names only a map and a file name must get the map in at least one format. Messages
  * about the others name the map. */
-TEST(test_some_format_stores_each_map)
+CONTEXT_TEST(test_some_format_stores_each_map, 1, 0)
 {
-    struct bsq_ctx *ctx = test_context(1, 0);
     for (unsigned i = 0; i < BAKE_NAMED_MAPS; ++i) {
         bool stored = false;
         for (int f = 0; fmt_image_formats[f]; ++f) {
@@ -146,7 +145,6 @@ TEST(test_some_format_stores_each_map)
         }
         assert_true(stored);
     }
-    test_context_end(ctx);
 }
 
 TEST(test_defaults_need_no_colours)
@@ -245,9 +243,8 @@ TEST(test_transfer_maps_follow_the_rows)
     assert_int_equal(bake_first_of(bake_selection(&options)), BK_MAP_COUNT);
 }
 
-TEST(test_unknown_maps_are_refused)
+CONTEXT_TEST(test_unknown_maps_are_refused, 1, 0)
 {
-    struct bsq_ctx *ctx = test_context(1, 0);
     for (unsigned bit = BAKE_NAMED_MAPS; bit < 32; ++bit) {
         if (1u << bit == BAKE_MAPS_ALL || 1u << bit == BAKE_MAPS_USUAL)
             continue;
@@ -256,7 +253,6 @@ TEST(test_unknown_maps_are_refused)
         assert_non_null(strstr(bsq_error(ctx), "unknown maps: 0x"));
         bsq_clear_error(ctx);
     }
-    test_context_end(ctx);
 }
 
 RUN_TESTS(NULL, NULL)

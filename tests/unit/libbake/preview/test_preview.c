@@ -120,10 +120,9 @@ TEST(test_views_go_around_the_vertical_axis)
 
 /* ---- misses ---- */
 
-TEST(test_misses_are_averaged)
+CONTEXT_TEST(test_misses_are_averaged, 2, 0)
 {
     enum { WIDTH = 8, HEIGHT = 130, CHANNELS = 2 };
-    struct bsq_ctx *ctx = test_context(2, 0);
     struct bake_image *image;
     const struct bake_image_options options = {.width = WIDTH,
                                                .height = HEIGHT,
@@ -152,7 +151,6 @@ TEST(test_misses_are_averaged)
     }
     bake_thumbnail_free(ctx, &missed);
     bake_image_free(image);
-    test_context_end(ctx);
 }
 
 /* Returns the light that the middle of a triangle that faces the camera sends. */

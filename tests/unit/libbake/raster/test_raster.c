@@ -40,7 +40,7 @@ static int tear_down(void **state)
     free(f);
     return 0;
 }
-#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct fixture, set_up, tear_down)
 
 static double random_between(struct fixture *f, double low, double high)
 {
@@ -189,7 +189,6 @@ static void check_against_reference(const struct fixture *f, const struct map *m
 
 FIXTURE_TEST(test_random_triangles)
 {
-    struct fixture *f = *state;
     print_message("seed %llu\n", (unsigned long long)SEED);
     for (int round = 0; round < 20; round++) {
         f->mesh.triangle_count = 0;
@@ -210,7 +209,6 @@ FIXTURE_TEST(test_random_triangles)
 /* Corners far outside, whose fixed-point coordinates do not fit 32 bits. */
 FIXTURE_TEST(test_far_corners)
 {
-    struct fixture *f = *state;
     const double distances[] = {10, 3e3, 1e6};
     for (int k = 0; k < 3; k++) {
         f->mesh.triangle_count = 0;
@@ -276,7 +274,6 @@ static void check_each_sample_once(struct fixture *f, uint32_t width, uint32_t h
 
 FIXTURE_TEST(test_triangulated_square_is_covered_once)
 {
-    struct fixture *f = *state;
     const uint32_t cells[] = {1, 2, 7, 16, 61};
     print_message("seed %llu\n", (unsigned long long)SEED);
     for (int k = 0; k < 5; k++) {
@@ -293,7 +290,6 @@ FIXTURE_TEST(test_triangulated_square_is_covered_once)
 /* Corners and edges that pass exactly through the samples' centres. */
 FIXTURE_TEST(test_edges_on_sample_centres)
 {
-    struct fixture *f = *state;
     for (uint32_t y = 0; y < 9; y++) {
         for (uint32_t x = 0; x < 9; x++) {
             float low_u = x ? (x - 0.5f) / 8 : 0, low_v = y ? (y - 0.5f) / 8 : 0;
@@ -307,7 +303,6 @@ FIXTURE_TEST(test_edges_on_sample_centres)
 /* Slivers: a fan from one corner of the square to many points on the opposite sides. */
 FIXTURE_TEST(test_fan_of_slivers_is_covered_once)
 {
-    struct fixture *f = *state;
     const int count = 700;
     const float apex[2] = {0, 0};
     for (int k = 0; k < count; k++) {
@@ -324,7 +319,6 @@ FIXTURE_TEST(test_fan_of_slivers_is_covered_once)
 
 FIXTURE_TEST(test_orientation_of_the_map)
 {
-    struct fixture *f = *state;
     add_quad(f, 0.5f, 0.75f, 1, 1); /* right half of the top quarter */
     struct map map = rasterise(f, 8, 4, 1, 4);
     for (uint32_t y = 0; y < 4; y++) {
@@ -337,7 +331,6 @@ FIXTURE_TEST(test_orientation_of_the_map)
 /* A square between the centres of samples (1, 1) and (3, 3) owns its top and left edges only. */
 FIXTURE_TEST(test_top_left_rule)
 {
-    struct fixture *f = *state;
     add_quad(f, 1.5f / 8, 1 - 3.5f / 8, 3.5f / 8, 1 - 1.5f / 8);
     struct map map = rasterise(f, 8, 8, 1, 8);
     for (uint32_t y = 0; y < 8; y++) {
@@ -350,7 +343,6 @@ FIXTURE_TEST(test_top_left_rule)
 
 FIXTURE_TEST(test_patch_size_does_not_matter)
 {
-    struct fixture *f = *state;
     const uint32_t sizes[] = {1, 5, 16, 31, 200};
     add_jittered_grid(f, 9);
     add_quad(f, 0.1f, 0.1f, 0.6f, 0.7f);
@@ -368,7 +360,6 @@ FIXTURE_TEST(test_patch_size_does_not_matter)
 
 FIXTURE_TEST(test_first_triangle_wins)
 {
-    struct fixture *f = *state;
     add_quad(f, 0, 0, 0.5f, 1);
     add_quad(f, 0.25f, 0, 1, 1);
     add_quad(f, 0.25f, 0, 0.5f, 1); /* third layer: its samples already overlap */
@@ -384,7 +375,6 @@ FIXTURE_TEST(test_first_triangle_wins)
 
 FIXTURE_TEST(test_mirrored_triangles_cover_the_same)
 {
-    struct fixture *f = *state;
     add_jittered_grid(f, 5);
     struct map expected = rasterise(f, 64, 64, 2, 16);
     for (uint64_t t = 0; t < f->mesh.triangle_count; t++) {
@@ -401,7 +391,6 @@ FIXTURE_TEST(test_mirrored_triangles_cover_the_same)
 
 FIXTURE_TEST(test_degenerate_triangles_are_counted)
 {
-    struct fixture *f = *state;
     const float inside[2] = {0.5f, 0.5f}, corner[2] = {1, 1}, edge[2] = {0, 0.25f};
     const float beyond[2] = {1.5f, 0.5f}, below[2] = {0.5f, -1e-6f}, far_away[2] = {1e30f, 0.5f};
     const float line[3][2] = {{0.1f, 0.1f}, {0.2f, 0.2f}, {0.4f, 0.4f}};
@@ -424,7 +413,6 @@ FIXTURE_TEST(test_degenerate_triangles_are_counted)
 
 FIXTURE_TEST(test_empty_patches_are_left_out)
 {
-    struct fixture *f = *state;
     struct bake_raster_report report;
     struct bake_raster *raster = create(f, 64, 64, 1, 16, &report);
     assert_int_equal(bake_raster_patch_count(raster), 0);
@@ -445,7 +433,6 @@ FIXTURE_TEST(test_empty_patches_are_left_out)
 /* Time must not be the product of triangles and samples, which would be minutes. */
 FIXTURE_TEST(test_many_triangles_over_the_same_texels)
 {
-    struct fixture *f = *state;
     const float corners[3][2] = {{-1, -1}, {3, -1}, {-1, 3}};
     add_triangle(f, corners[0], corners[1], corners[2]);
     struct map map = rasterise(f, 256, 256, 2, 64);
@@ -460,29 +447,8 @@ FIXTURE_TEST(test_many_triangles_over_the_same_texels)
     free(map.owners);
 }
 
-FIXTURE_TEST(test_interruption)
-{
-    struct fixture *f = *state;
-    static uint32_t owners[64 * 64];
-    uint64_t overlaps;
-    struct bake_raster *raster = NULL;
-    struct bake_raster_report report;
-    add_quad(f, 0, 0, 1, 1);
-    const struct bake_raster_options options = {64,   64,       1, 64, 0, f->mesh.triangle_count,
-                                                NULL, {NULL, 0}};
-    assert_int_equal(bake_raster_create(f->ctx, &f->mesh, &options, &report, &raster), 0);
-    bsq_interrupt(f->ctx);
-    assert_int_equal(bake_raster_fill(raster, 0, owners, &overlaps), BSQ_EINTR);
-    bake_raster_free(raster);
-    assert_int_equal(bake_raster_create(f->ctx, &f->mesh, &options, &report, &raster), BSQ_EINTR);
-    assert_null(raster);
-    bsq_clear_interruption(f->ctx);
-    bsq_clear_error(f->ctx);
-}
-
 FIXTURE_TEST(test_senseless_options_are_refused)
 {
-    struct fixture *f = *state;
     const struct bake_raster_options options[] = {{0, 64, 1, 16, 0, 0, NULL, {NULL, 0}},
                                                   {64, 64, 0, 16, 0, 0, NULL, {NULL, 0}},
                                                   {64, 64, 1, 0, 0, 0, NULL, {NULL, 0}},
@@ -504,7 +470,6 @@ FIXTURE_TEST(test_senseless_options_are_refused)
  * samples; the blocks at the border are smaller. */
 FIXTURE_TEST(test_blocks_divide_a_map)
 {
-    struct fixture *f = *state;
     enum { WIDTH = 80, HEIGHT = 50, SIDE = 32, COLUMNS = 3, ROWS = 2, PATCH = 8 };
     static uint32_t owners[PATCH * PATCH], all_owners[PATCH * PATCH];
     struct bake_raster_report report;
@@ -538,31 +503,6 @@ FIXTURE_TEST(test_blocks_divide_a_map)
     assert_int_equal(found, bake_raster_patch_count(all));
     assert_true(found > COLUMNS * ROWS);
     bake_raster_free(all);
-}
-
-/* Whichever allocation exceeds the budget, all memory is freed. */
-FIXTURE_TEST(test_small_budgets_fail_cleanly)
-{
-    struct fixture *f = *state;
-    int rc = BSQ_ENOMEM, failures = 0;
-    add_jittered_grid(f, 8);
-    const struct bake_raster_options options = {256,  256,      1, 16, 0, f->mesh.triangle_count,
-                                                NULL, {NULL, 0}};
-    for (uint64_t budget = 1; rc != 0; budget += 64) {
-        struct bsq_ctx *ctx = NULL;
-        struct bake_raster_report report;
-        struct bake_raster *raster = NULL;
-        assert_int_equal(
-            bsq_ctx_create(&(struct bsq_ctx_options){.memory_bytes = budget, .threads = 1}, &ctx),
-            0);
-        rc = bake_raster_create(ctx, &f->mesh, &options, &report, &raster);
-        assert_true(rc == 0 || (rc == BSQ_ENOMEM && raster == NULL));
-        assert_true(bsq_memory_high(ctx) <= budget);
-        failures += rc != 0;
-        bake_raster_free(raster);
-        test_context_end(ctx);
-    }
-    assert_true(failures > 4);
 }
 
 /* ---- kernel triangles ---- */
@@ -629,7 +569,6 @@ static struct bk_triangle *check_kernel_triangles(struct fixture *f, uint32_t wi
 
 FIXTURE_TEST(test_kernel_triangles)
 {
-    struct fixture *f = *state;
     add_jittered_grid(f, 13);
     struct bk_triangle *triangles = check_kernel_triangles(f, 100, 60, 3, 1e-3);
     check_attributes(f, triangles);
@@ -641,7 +580,6 @@ FIXTURE_TEST(test_kernel_triangles)
  * extrapolate. Along 2000 samples, float weights are off by a few samples. */
 FIXTURE_TEST(test_kernel_triangles_of_slivers)
 {
-    struct fixture *f = *state;
     const float a[2] = {0.01f, 0.013f}, b[2] = {0.97f, 0.96f};
     float last[2] = {0.5f, 0.45f};
     for (int k = 1; k <= 24; k++) {
@@ -657,7 +595,6 @@ FIXTURE_TEST(test_kernel_triangles_of_slivers)
 
 FIXTURE_TEST(test_kernel_triangles_without_area_are_zero)
 {
-    struct fixture *f = *state;
     const float a[2] = {0.1f, 0.1f}, b[2] = {0.7f, 0.3f};
     struct bake_raster_report report;
     struct bk_triangle triangle, zero;

@@ -38,7 +38,7 @@ static int tear_down(void **state)
     free(f);
     return 0;
 }
-#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct fixture, set_up, tear_down)
 
 /* Adds a triangle, whose other attributes hold its number. */
 static void add(struct fixture *f, const float uv[3][2])
@@ -102,7 +102,6 @@ static void expect_order(const struct fixture *f, uint64_t count, const uint32_t
 
 FIXTURE_TEST(test_numbers)
 {
-    struct fixture *f = *state;
     add_corner(f, 0.25f, 0.25f, 0.5f);
     add_corner(f, 9.25f, 0.25f, 0.5f);
     add_corner(f, 0.25f, 1.25f, 0.5f);
@@ -116,7 +115,6 @@ FIXTURE_TEST(test_numbers)
 
 FIXTURE_TEST(test_one_tile_stays_as_it_is)
 {
-    struct fixture *f = *state;
     add(f, (const float[3][2]){{0, 0}, {1, 0}, {0, 1}}); /* touches three other tiles */
     add_corner(f, 0.5f, 0.5f, 0);
     add_corner(f, 0.25f, 0.25f, 0.25f);
@@ -131,7 +129,6 @@ FIXTURE_TEST(test_one_tile_stays_as_it_is)
 
 FIXTURE_TEST(test_mesh_is_sorted_by_tile)
 {
-    struct fixture *f = *state;
     add_corner(f, 1.25f, 0.25f, 0.25f);
     add_corner(f, 0.25f, 0.25f, 0.25f);
     add_corner(f, 0.5f, 0.125f, 0.75f); /* in both */
@@ -153,7 +150,6 @@ FIXTURE_TEST(test_mesh_is_sorted_by_tile)
 
 FIXTURE_TEST(test_triangles_outside_the_selection_come_last)
 {
-    struct fixture *f = *state;
     add_corner(f, 1.25f, 0.25f, 0.25f);
     add_corner(f, 0.25f, 0.25f, 0.25f);
     add_corner(f, 0.5f, 0.125f, 0.75f);
@@ -171,7 +167,6 @@ FIXTURE_TEST(test_triangles_outside_the_selection_come_last)
 
 FIXTURE_TEST(test_overshoot_below_half_a_texel_is_no_tile)
 {
-    struct fixture *f = *state;
     const float texel = 1.0f / SIZE;
     add(f, (const float[3][2]){{0.5f, 0.5f}, {1 + 0.49f * texel, 0.5f}, {0.5f, 0.75f}});
     add(f, (const float[3][2]){{0.5f, 0.5f}, {0.75f, 0.5f}, {0.5f, -0.49f * texel}});
@@ -200,7 +195,6 @@ FIXTURE_TEST(test_overshoot_below_half_a_texel_is_no_tile)
 
 FIXTURE_TEST(test_only_flat_triangles)
 {
-    struct fixture *f = *state;
     add_corner(f, 3.5f, 3.5f, 0);
     add_corner(f, 0.5f, 0.5f, 0);
     arrange(f);
@@ -259,7 +253,6 @@ static bool has_tile(const struct fixture *f, uint32_t number)
 
 FIXTURE_TEST(test_tiles_are_those_that_triangles_overlap)
 {
-    struct fixture *f = *state;
     uint64_t random = test_seed();
     unsigned found = 0;
     for (int round = 0; round < 500; round++) {
@@ -288,7 +281,6 @@ FIXTURE_TEST(test_tiles_are_those_that_triangles_overlap)
 
 FIXTURE_TEST(test_messages)
 {
-    struct fixture *f = *state;
     add_corner(f, 0.25f, 0.25f, 0.25f);
     add_corner(f, 2.25f, 3.25f, 0.25f);
     f->options.output_path = "map.exr";
@@ -332,7 +324,6 @@ FIXTURE_TEST(test_messages)
 /* The first corner of each triangle lies in a tile. */
 FIXTURE_TEST(test_the_corner_outside_of_all_tiles_is_named)
 {
-    struct fixture *f = *state;
     add_corner(f, 9.25f, 0.25f, 1.25f);
     expect_failure(f,
                    "low.obj: 1 triangles have texture coordinates outside of all UDIM tiles, the "
@@ -348,7 +339,6 @@ FIXTURE_TEST(test_the_corner_outside_of_all_tiles_is_named)
 
 FIXTURE_TEST(test_long_lists_are_cut)
 {
-    struct fixture *f = *state;
     for (int v = 0; v < 10; v++)
         for (int u = 0; u < 10; u++)
             add_corner(f, (float)u + 0.25f, (float)v + 0.25f, 0.25f);
@@ -359,7 +349,6 @@ FIXTURE_TEST(test_long_lists_are_cut)
 
 FIXTURE_TEST(test_huge_coordinates_end)
 {
-    struct fixture *f = *state;
     const float far_away[][3][2] = {{{-3e38f, -3e38f}, {3e38f, -3e38f}, {0, 3e38f}},
                                     {{NAN, 0}, {0.5f, 0}, {0, 0.5f}},
                                     {{INFINITY, 0}, {0.5f, 0}, {0, 0.5f}}};

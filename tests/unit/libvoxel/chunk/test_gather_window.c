@@ -61,7 +61,7 @@ static int tear_down(void **state)
     free(f);
     return 0;
 }
-#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct fixture, set_up, tear_down)
 
 /* ---- tuples ---- */
 
@@ -181,7 +181,6 @@ static void run_window(struct fixture *f, const struct tuple_layout *layout)
 
 FIXTURE_TEST(positions_alone_come_from_a_file)
 {
-    struct fixture *f = *state;
     struct tuple_layout layout;
     fill_stream(&f->scan, SCAN_POSITIONS, VERTICES, true);
     vox_tuple_layout_for(&f->scan, &layout);
@@ -196,7 +195,6 @@ FIXTURE_TEST(positions_alone_come_from_a_file)
 /* Tries each combination of streams in files. */
 FIXTURE_TEST(columns_in_memory_stay_there)
 {
-    struct fixture *f = *state;
     for (unsigned spilled = 1; spilled < 1 << SCAN_STREAM_COUNT; spilled++) {
         static const uint64_t counts[SCAN_STREAM_COUNT] = {VERTICES, VERTICES, TEXCOORDS, NORMALS};
         struct tuple_layout layout;
@@ -263,7 +261,6 @@ static void fill_rows(struct fixture *f, enum row row, uint32_t vertices)
  * A table that does not fit is not made. */
 FIXTURE_TEST(buckets_of_vertices_are_those_of_their_keys)
 {
-    struct fixture *f = *state;
     const float low[3] = {0, 0, 0}, high[3] = {1000, 500, 800};
     const struct morton_cube cube = morton_cube_over(low, high);
     const uint32_t count = 30000;

@@ -68,7 +68,7 @@ static int tear_down(void **state)
     free(f);
     return 0;
 }
-#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct fixture, set_up, tear_down)
 
 static int sort(struct fixture *f, const struct sort_limits *limits, struct vox_sort_report *report)
 {
@@ -98,7 +98,6 @@ static struct fmt_mesh_estimate estimate(struct fixture *f)
 
 FIXTURE_TEST(estimates_are_near_the_truth)
 {
-    struct fixture *f = *state;
     static const unsigned kinds[] = {0, COLORS, NORMALS, QUADS, QUADS | COLORS, TILES};
     free_bytes = UINT64_MAX / 4;
     for (size_t k = 0; k < sizeof kinds / sizeof *kinds; k++)
@@ -131,7 +130,6 @@ FIXTURE_TEST(estimates_are_near_the_truth)
 
 FIXTURE_TEST(a_full_disk_is_found_before_the_work)
 {
-    struct fixture *f = *state;
     struct vox_sort_report report = {.size = sizeof report};
     struct sort_limits limits;
     char needed[60], available[60];
@@ -154,7 +152,6 @@ FIXTURE_TEST(a_full_disk_is_found_before_the_work)
 /* If temporary files are on the output's disk, it must have space for both. */
 FIXTURE_TEST(outputs_and_temporary_files_share_a_disk)
 {
-    struct fixture *f = *state;
     struct bsq_ctx_options elsewhere = {.tmpdir = "/proc"};
     free_bytes = 100;
     f->ctx = test_context(0, 0);

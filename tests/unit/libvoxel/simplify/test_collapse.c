@@ -5,20 +5,7 @@
 
 #define PI 3.14159265358979323846
 
-static struct bsq_ctx *ctx;
-
-static int set_up(void **state)
-{
-    (void)state;
-    ctx = test_context(1, 0);
-    return 0;
-}
-static int tear_down(void **state)
-{
-    (void)state;
-    test_context_end(ctx);
-    return 0;
-}
+SHARED_CONTEXT(ctx, 1)
 
 /* Makes a mesh of n x n squares, two triangles each, whose rows and columns close if `closed`. */
 static struct vox_mesh make_grid(uint32_t n, bool closed, void (*place)(double, double, float *))
@@ -420,4 +407,4 @@ TEST(memory_runs_out)
     }
 }
 
-RUN_TESTS(set_up, tear_down)
+RUN_TESTS(open_ctx, close_ctx)

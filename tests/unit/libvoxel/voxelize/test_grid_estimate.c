@@ -50,7 +50,7 @@ static int tear_down(void **state)
     free(f);
     return 0;
 }
-#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct fixture, set_up, tear_down)
 
 static double estimate(const struct fixture *f, double voxel_size, uint64_t chunks_max)
 {
@@ -83,7 +83,6 @@ static int check(struct fixture *f, double voxel_size)
 
 FIXTURE_TEST(test_estimates_are_those_of_grids)
 {
-    struct fixture *f = *state;
     struct scan_mesh mesh = scan_sphere(10.0, 2.0);
     scan_sort(&mesh);
     scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, mesh.triangle_count / 40);
@@ -120,7 +119,6 @@ static void write_quad(const struct fixture *f)
 
 FIXTURE_TEST(test_ordinary_grids_are_nothing_to_speak_of)
 {
-    struct fixture *f = *state;
     write_quad(f);
     assert_int_equal(check(f, 1.0 / 4096), 0);
     assert_int_equal(f->warnings, 0);
@@ -128,7 +126,6 @@ FIXTURE_TEST(test_ordinary_grids_are_nothing_to_speak_of)
 
 FIXTURE_TEST(test_huge_grids_of_few_triangles_are_warned_of)
 {
-    struct fixture *f = *state;
     write_quad(f);
     assert_int_equal(check(f, 1e-5), 0); /* 1e10 voxels of 11 bytes */
     assert_int_equal(f->warnings, 1);
@@ -140,7 +137,6 @@ FIXTURE_TEST(test_huge_grids_of_few_triangles_are_warned_of)
 /* Half of the estimate must be free, twice: the surface might overlap itself. */
 FIXTURE_TEST(test_grids_larger_than_the_disk_are_refused)
 {
-    struct fixture *f = *state;
     write_quad(f);
     free_bytes = UINT64_C(110100000000);
     assert_int_equal(check(f, 1e-5), 0);
@@ -158,7 +154,6 @@ FIXTURE_TEST(test_grids_larger_than_the_disk_are_refused)
 /* 2^32 leaves of 64 voxels are 2.7e11 voxels; an estimate may be twice that. */
 FIXTURE_TEST(test_grids_that_no_file_can_hold_are_refused)
 {
-    struct fixture *f = *state;
     write_quad(f);
     assert_int_equal(check(f, 1.4e-6), 0);
     assert_int_equal(check(f, 1.3e-6), BSQ_EUSAGE);

@@ -6,7 +6,7 @@
 #include "tests/unit/test.h"
 #include "tests/grid_lookup.h"
 
-#define FIXTURE_TEST(name) TEST_EACH(name, vox_set_up, vox_tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct vox_fixture, vox_set_up, vox_tear_down)
 
 /* ---- the sphere ---- */
 
@@ -31,7 +31,6 @@ static uint64_t exact_sphere_voxels(int64_t n)
  * voxels dip 1.5^2 / (6 R) below it. */
 FIXTURE_TEST(test_sphere_touches_the_voxels_of_the_exact_one)
 {
-    struct vox_fixture *f = *state;
     static const struct {
         uint32_t resolution;
         uint64_t voxels;
@@ -69,7 +68,6 @@ static void set_box(struct scan_mesh *mesh, uint32_t first_quad, double lo, doub
 
 FIXTURE_TEST(test_box_that_ends_on_the_bounds)
 {
-    struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(24, 12);
     set_box(&mesh, 0, -0.3, 0.7);
     vox_write_scan(f, &mesh);
@@ -84,7 +82,6 @@ FIXTURE_TEST(test_box_that_ends_on_the_bounds)
 /* With a given voxel size every border belongs to the voxel above it. */
 FIXTURE_TEST(test_box_on_multiples_of_a_voxel_size)
 {
-    struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(24, 12);
     set_box(&mesh, 0, -2.0, 3.0);
     vox_write_scan(f, &mesh);
@@ -108,7 +105,6 @@ FIXTURE_TEST(test_box_on_multiples_of_a_voxel_size)
 /* The larger sheet is the first record in either order. A sheet below a hundredth is dropped. */
 FIXTURE_TEST(test_second_sheet_is_the_smaller)
 {
-    struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(12, 6);
     scan_set_quad(&mesh, 0, (double[3]){0.1, 0.1, 0.7}, (double[3]){0.3, 0, 0},
                   (double[3]){0, 0.3, 0});
@@ -142,7 +138,6 @@ FIXTURE_TEST(test_second_sheet_is_the_smaller)
 
 FIXTURE_TEST(test_a_million_triangles_in_one_voxel)
 {
-    struct vox_fixture *f = *state;
     /* Large triangles face up; tiny ones of the same total area lean. All must count. */
     const uint32_t tiny = 1000000;
     struct scan_mesh mesh = scan_mesh_new(4 + 3, 2 + tiny);
@@ -173,7 +168,6 @@ FIXTURE_TEST(test_a_million_triangles_in_one_voxel)
  * memory. */
 FIXTURE_TEST(test_sparse_and_huge)
 {
-    struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(6, 2);
     const double far = 1073741000.0 / 1024.0;
     for (int s = 0; s < 2; s++) {
@@ -201,7 +195,6 @@ FIXTURE_TEST(test_sparse_and_huge)
 
 FIXTURE_TEST(test_bad_sizes)
 {
-    struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(4, 2);
     scan_set_quad(&mesh, 0, (double[3]){0, 0, 0}, (double[3]){2, 0, 0}, (double[3]){0, 1, 0});
     vox_write_scan(f, &mesh);
@@ -221,7 +214,6 @@ FIXTURE_TEST(test_bad_sizes)
 
 FIXTURE_TEST(test_missing_and_damaged_input)
 {
-    struct vox_fixture *f = *state;
     vox_expect_failure(f, 100, 0.0, BSQ_ENOINPUT, "scan.tris");
     struct scan_mesh mesh = scan_sphere(10.0, 0.5);
     vox_write_scan(f, &mesh);

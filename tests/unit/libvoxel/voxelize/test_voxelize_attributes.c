@@ -5,13 +5,12 @@
 #include "tests/unit/test.h"
 #include "tests/grid_lookup.h"
 
-#define FIXTURE_TEST(name) TEST_EACH(name, vox_set_up, vox_tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct vox_fixture, vox_set_up, vox_tear_down)
 
 /* ---- attributes ---- */
 
 FIXTURE_TEST(test_vertex_normals_are_interpolated)
 {
-    struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(4, 2);
     scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){10, 0, 0}, (double[3]){0, 10, 0});
     mesh.normals = calloc(4, sizeof *mesh.normals);
@@ -68,9 +67,8 @@ FIXTURE_TEST(test_facet_noise_weight_follows_the_triangles)
     } cases[] = {{0.125, 2.7}, {0.25, 2.7}, {0.5, 2.7}, {1.0, 0.4}, {1.25, 0.4}, {2.0, 0.4}};
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
         double noise = cases[i].share * 4.0 / 3.0 * cases[i].side * cases[i].side;
-        assert_int_equal(noise_of_squares(*state, cases[i].side, false),
-                         lrint(7.0 * fmin(noise, 1.0)));
-        assert_int_equal(noise_of_squares(*state, cases[i].side, true), 0);
+        assert_int_equal(noise_of_squares(f, cases[i].side, false), lrint(7.0 * fmin(noise, 1.0)));
+        assert_int_equal(noise_of_squares(f, cases[i].side, true), 0);
     }
 }
 
@@ -86,7 +84,6 @@ static double to_srgb(double linear)
 
 FIXTURE_TEST(test_vertex_colors_are_mixed_in_linear_light)
 {
-    struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(4, 2);
     scan_set_quad(&mesh, 0, (double[3]){0, 0, 0.5}, (double[3]){10, 0, 0}, (double[3]){0, 10, 0});
     mesh.colors = calloc(4, sizeof *mesh.colors);
@@ -112,7 +109,6 @@ FIXTURE_TEST(test_vertex_colors_are_mixed_in_linear_light)
 
 FIXTURE_TEST(test_materials_color_what_has_no_other)
 {
-    struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_mesh_new(8, 4);
     struct fmt_tris_material materials[2] = {{.diffuse = {0.0f, 0.5f, 1.0f}},
                                              {.diffuse = {1.0f, 0.5f, 0.2f}}};

@@ -4,7 +4,7 @@
 #include "tests/unit/sanitized.h"
 #include "tests/unit/test.h"
 
-#define FIXTURE_TEST(name) TEST_EACH(name, vox_set_up, vox_tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct vox_fixture, vox_set_up, vox_tear_down)
 
 /* ---- same bytes ---- */
 
@@ -47,7 +47,6 @@ static void check_same_bytes(uint32_t resolution)
 /* Triangles of all sizes fill most voxels, so that small budgets work in parts. */
 FIXTURE_TEST(test_noise_gives_the_same_bytes)
 {
-    struct vox_fixture *f = *state;
     const uint32_t count = 40000;
     uint64_t seed = 8;
     print_message("seed %llu\n", (unsigned long long)seed);
@@ -73,7 +72,6 @@ FIXTURE_TEST(test_noise_gives_the_same_bytes)
  * region, whose records alone exceed the budget. */
 FIXTURE_TEST(test_solid_regions_in_little_memory)
 {
-    struct vox_fixture *f = *state;
     const uint32_t size = 144;
     struct scan_mesh mesh = scan_mesh_new(4 * size, 2 * size);
     for (uint32_t i = 0; i < size; i++)
@@ -89,7 +87,6 @@ FIXTURE_TEST(test_solid_regions_in_little_memory)
 
 FIXTURE_TEST(test_sphere_gives_the_same_bytes)
 {
-    struct vox_fixture *f = *state;
     struct scan_mesh mesh = scan_sphere(100.0, 0.7);
     scan_sort(&mesh);
     vox_write_scan(f, &mesh);

@@ -71,7 +71,7 @@ static int tear_down(void **state)
     free(f);
     return 0;
 }
-#define FIXTURE_TEST(name) TEST_EACH(name, set_up, tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct fixture, set_up, tear_down)
 
 /* Processes a region that needs the chunk. next: x of the origin of the next region that needs it,
  * 0: none. Returns the status of getting the chunk. */
@@ -107,7 +107,6 @@ static void damage(struct fixture *f, uint32_t chunk)
  * the chunk needed first, so that chunks needed earlier were evicted. */
 FIXTURE_TEST(a_chunk_lent_before_its_turn_is_not_kept_instead_of_others)
 {
-    struct fixture *f = *state;
     assert_int_equal(use(f, LEFT, 128), 0);
     assert_int_equal(use(f, APART, 0), 0);
     damage(f, LEFT);
@@ -118,7 +117,6 @@ FIXTURE_TEST(a_chunk_lent_before_its_turn_is_not_kept_instead_of_others)
 
 FIXTURE_TEST(a_chunk_that_is_not_needed_any_more_goes_first)
 {
-    struct fixture *f = *state;
     assert_int_equal(use(f, APART, 0), 0);
     damage(f, APART);
     assert_int_equal(use(f, LEFT, 1000), 0); /* leaves the right one in the cache too */

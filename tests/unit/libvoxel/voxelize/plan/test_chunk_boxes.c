@@ -5,7 +5,7 @@
 #include "tests/unit/libvoxel/voxelize/voxelize_fixture.h"
 #include "tests/unit/test.h"
 
-#define FIXTURE_TEST(name) TEST_EACH(name, vox_set_up, vox_tear_down)
+#define FIXTURE_TEST(name) STATE_TEST(name, struct vox_fixture, vox_set_up, vox_tear_down)
 
 /* Makes clusters of small triangles anywhere in a cube of `size`. Each cluster has one triangle
  * more than the one before. */
@@ -119,7 +119,6 @@ static void check_cover(const struct made *made)
 
 FIXTURE_TEST(test_boxes_hold_every_triangle)
 {
-    struct vox_fixture *f = *state;
     struct scan_mesh mesh = make_clusters(60, 1e5, 31);
     scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, 700);
     /* A triangle of size 1 is less than 3 regions wide with voxels of 1/256. */
@@ -139,7 +138,6 @@ FIXTURE_TEST(test_boxes_hold_every_triangle)
 
 FIXTURE_TEST(test_little_memory_makes_larger_boxes)
 {
-    struct vox_fixture *f = *state;
     struct scan_mesh mesh = make_clusters(60, 1e5, 32);
     scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, 700);
     struct made made;
@@ -161,7 +159,6 @@ FIXTURE_TEST(test_little_memory_makes_larger_boxes)
  * them. */
 FIXTURE_TEST(test_scattered_triangles_of_one_chunk)
 {
-    struct vox_fixture *f = *state;
     struct scan_mesh mesh = make_clusters(8, 1.3e5, 33);
     uint64_t voxels[2];
     for (uint32_t i = 0; i < 2; i++) {
