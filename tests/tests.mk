@@ -251,7 +251,7 @@ check-combine: tests-build
 # The tests that need no drivers and no limits of the system, which qemu does not emulate.
 arm64 := aarch64-linux-gnu
 emulated := build/$(arm64)-emulated
-emulated_units := $(filter-out %/test_cuda %/test_fake_ptx %/test_devices, \
+emulated_units := $(filter-out %/test_cuda %/test_devices, \
     $(filter $(patsubst %,$(BUILD)/tests/%,base/% formats/% libvoxel/% libbake/%),$(unit_bins)))
 build/$(arm64)-sysroot/ready:
 	@tests/cross/sysroot.sh $(@D) arm64 libc6-dev $(filter lib% zlib% opencl-c%,$(packages_build)) \
