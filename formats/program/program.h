@@ -35,12 +35,6 @@ struct fmt_program_end {
  * it, it is left behind. Returns 0, also if the program failed, or BSQ_EINTR. */
 int fmt_program_run(struct bsq_ctx *ctx, char *const arguments[], int from, int to, double seconds,
                     struct fmt_program_end *out);
-/* The two halves of it, for a program whose output is read meanwhile. Starts the program; returns 0
- * or an errno. Waits for its end; it is killed after `seconds`, or if the context, unless it is
- * NULL, is interrupted. */
-int fmt_program_start(char *const arguments[], int from, int to, pid_t *out);
-void fmt_program_finish(struct bsq_ctx *ctx, pid_t process, double seconds,
-                        struct fmt_program_end *out);
 /* Reports that a program that reads a file with a library of others did not do so. text: its
  * output; that of an exit status BSQ_EDATA or BSQ_ENOINPUT is what is wrong. seconds: its limit.
  * `left`: the memory that was left for it. Returns the status. */
@@ -48,14 +42,14 @@ int fmt_program_fail(struct bsq_ctx *ctx, const char *path, const char *library,
                      const struct fmt_program_end *end, char *text, uint64_t seconds,
                      uint64_t left);
 /* Lets such a program turn a file into another one. Its arguments are `option` (NULL: none), the
- * bytes of memory that are left and `seconds`, its input is the descriptor `from`. Sets to->size,
- * and the path of the program. Errors: those of fmt_program_find(), fmt_program_run() and
+ * bytes of `memory` (0: what is left) and `seconds`, its input is the descriptor `from`. Sets
+ * to->size, and the path of the program. Errors: those of fmt_program_find(), fmt_program_run() and
  * fmt_program_fail(). */
 struct fmt_converter {
     const char *program, *purpose; /* as fmt_program_find() takes them */
     const char *library, *path;    /* as fmt_program_fail() takes them */
     char *option;
-    uint64_t seconds;
+    uint64_t memory, seconds;
 };
 int fmt_program_convert(struct bsq_ctx *ctx, const struct fmt_converter *how, int from,
                         struct bsq_file *to, char program[PATH_MAX]);

@@ -81,7 +81,8 @@ void fmt_program_limit(uint64_t memory, uint64_t seconds, uint64_t files)
     setrlimit(RLIMIT_NOFILE, &open);
 }
 
-int fmt_program_start(char *const arguments[], int from, int to, pid_t *out)
+/* Starts a program. Returns 0 or an errno. */
+static int start(char *const arguments[], int from, int to, pid_t *out)
 {
     posix_spawn_file_actions_t actions;
     int error = posix_spawn_file_actions_init(&actions);
@@ -117,32 +118,26 @@ static bool await(struct bsq_ctx *ctx, pid_t process, double deadline, int *stat
     return got != 0;
 }
 
-void fmt_program_finish(struct bsq_ctx *ctx, pid_t process, double seconds,
-                        struct fmt_program_end *out)
-{
-    if (await(ctx, process, bsq_seconds_now() + seconds, &out->state))
-        return;
-    out->late = true;
-    kill(process, SIGKILL);
-    await(NULL, process, bsq_seconds_now() + END_SECONDS, &out->state);
-}
-
 int fmt_program_run(struct bsq_ctx *ctx, char *const arguments[], int from, int to, double seconds,
                     struct fmt_program_end *out)
 {
     pid_t process;
     *out = (struct fmt_program_end){.state = -1};
-    out->error = fmt_program_start(arguments, from, to, &process);
+    out->error = start(arguments, from, to, &process);
     if (out->error != 0)
         return 0;
-    fmt_program_finish(ctx, process, seconds, out);
+    if (!await(ctx, process, bsq_seconds_now() + seconds, &out->state)) {
+        out->late = true;
+        kill(process, SIGKILL);
+        await(NULL, process, bsq_seconds_now() + END_SECONDS, &out->state);
+    }
     return bsq_check(ctx); /* a signal may have ended the process first */
 }
 
 int fmt_program_convert(struct bsq_ctx *ctx, const struct fmt_converter *how, int from,
                         struct bsq_file *to, char program[PATH_MAX])
 {
-    const uint64_t left = bsq_memory_left(ctx);
+    const uint64_t left = how->memory > 0 ? how->memory : bsq_memory_left(ctx);
     struct fmt_program_end end;
     struct stat info;
     char memory[24], seconds[24], text[201] = "", *arguments[5] = {program};

@@ -25,7 +25,7 @@ struct Failure {
 
 void put(const void *from, size_t size)
 {
-    if (putchar(FMT_ROWS_GOOD) == EOF || fwrite(from, size, 1, stdout) != 1)
+    if (fwrite(from, size, 1, stdout) != 1)
         throw Failure{BSQ_EIO, ""};
 }
 
@@ -46,7 +46,6 @@ void convert(ImageReader &reader, const char *plugin)
     reader.open(plugin, head.info);
     add_time(uint64_t(head.info.width) * head.info.height);
     put(&head, sizeof head);
-    fflush(stdout);
     std::vector<char> row(size_t(head.info.width) * head.info.channels * head.info.sample_bytes);
     for (uint32_t y = 0; y < head.info.height; y++) {
         reader.read_row(row.data());
@@ -59,25 +58,12 @@ void convert(ImageReader &reader, const char *plugin)
     _exit(-BSQ_ENOMEM);
 }
 
-void say(const std::string &text)
+// Leaves a text in the output, instead of what was written, and ends the program.
+[[noreturn]] void fail(int status, const std::string &text)
 {
-    putchar(FMT_ROWS_BAD);
-    fputs(text.c_str(), stdout);
-}
-
-// Reads the image; says what is wrong. Returns the exit status.
-int run(ImageReader &reader, const char *plugin)
-{
-    try {
-        convert(reader, plugin);
-        return 0;
-    } catch (const Failure &failure) {
-        say(failure.text);
-        return -failure.code;
-    } catch (const std::exception &exception) {
-        say(std::string("damaged image: ") + exception.what());
-        return -BSQ_EDATA;
-    }
+    const bool empty = ftruncate(STDOUT_FILENO, 0) == 0 && lseek(STDOUT_FILENO, 0, SEEK_SET) == 0;
+    const bool told = empty && dprintf(STDOUT_FILENO, "%s", text.c_str()) >= 0;
+    _exit(told ? -status : -BSQ_EIO);
 }
 
 } // namespace
@@ -98,16 +84,23 @@ int run(ImageReader &reader, const char *plugin)
 // Ends without destructors, which may crash for damaged images.
 int fmt_image_program(int argument_count, char **arguments, ImageReader &reader)
 {
-    enum { FILES = 8 }; // libraries open the standard input again, libtiff once for each plane
+    enum { FILES = 8 };                      // libraries open the standard input again
+    const uint64_t own = uint64_t(64) << 20; // of memory that decoders take for themselves
     struct stat info;
     if (argument_count != 4 || fstat(STDIN_FILENO, &info) != 0 || !S_ISREG(info.st_mode)) {
         fputs("this program is run by Bisque for images of some formats\n", stderr);
         return -BSQ_EUSAGE;
     }
     fmt_program_isolate();
-    fmt_program_limit(strtoull(arguments[2], nullptr, 10), strtoull(arguments[3], nullptr, 10),
-                      FILES);
+    fmt_program_limit(strtoull(arguments[2], nullptr, 10) + own,
+                      strtoull(arguments[3], nullptr, 10), FILES);
     std::set_new_handler(fail_memory);
-    const int code = run(reader, arguments[1]);
-    _exit(fflush(stdout) == 0 && !ferror(stdout) ? code : -BSQ_EIO);
+    try {
+        convert(reader, arguments[1]);
+    } catch (const Failure &failure) {
+        fail(failure.code, failure.text);
+    } catch (const std::exception &exception) {
+        fail(BSQ_EDATA, std::string("damaged image: ") + exception.what());
+    }
+    _exit(fflush(stdout) == 0 && !ferror(stdout) ? 0 : -BSQ_EIO);
 }

@@ -1,8 +1,8 @@
 // image_program.h - what the programs that decode images share: bisque-tiff and bisque-texture.
 //
 // program_rows.c runs them: damaged files make the libraries crash, loop, or take any amount of
-// memory. So they have limits of memory and time. The file is their standard input; what
-// image_rows.h describes is their standard output.
+// memory. So they have limits of memory and time. The file is their standard input; their standard
+// output becomes struct fmt_rows_head and the rows.
 #ifndef FMT_TEXTURE_IMAGE_PROGRAM_H
 #define FMT_TEXTURE_IMAGE_PROGRAM_H
 

@@ -24,7 +24,6 @@ struct format {
     const struct fmt_rows_decoder *decoder;
     const char *program, *plugin; /* if another program decodes it; OpenImageIO's name */
     bool (*recognise)(struct probe *probe);
-    bool whole; /* the program decodes the image whole */
 };
 
 /* Reads `size` bytes; zeros follow after the end of the file. */
@@ -114,23 +113,22 @@ static const char no_format[] =
 static const char oiio[] = "bisque-texture";
 
 /* OpenEXR files that OpenEXR's C API cannot decode. */
-static const struct format dwa_format = {"OpenEXR", &fmt_program_rows, oiio, "openexr", is_exr,
-                                         false};
+static const struct format dwa_format = {"OpenEXR", &fmt_program_rows, oiio, "openexr", is_exr};
 
 /* Returns the format of a file, or NULL. */
 static const struct format *find_format(struct probe *probe)
 {
     static const struct format formats[] = {
-        {"PNG", &fmt_png_rows, NULL, NULL, is_png, false},
-        {"JPEG", &fmt_jpeg_rows, NULL, NULL, is_jpeg, false},
-        {"TIFF", &fmt_program_rows, "bisque-tiff", "", is_tiff, false},
-        {"OpenEXR", &fmt_exr_texture_rows, NULL, NULL, is_exr, false},
-        {"JPEG 2000", &fmt_program_rows, oiio, "jpeg2000", is_jpeg2000, true},
-        {"WebP", &fmt_program_rows, oiio, "webp", is_webp, true},
-        {"BMP", &fmt_program_rows, oiio, "bmp", is_bmp, true},
-        {"Radiance HDR", &fmt_program_rows, oiio, "hdr", is_hdr, false},
-        {"PNM", &fmt_program_rows, oiio, "pnm", is_pnm, true},
-        {"TGA", &fmt_program_rows, oiio, "targa", is_targa, true}, /* matches loosely: last */
+        {"PNG", &fmt_png_rows, NULL, NULL, is_png},
+        {"JPEG", &fmt_jpeg_rows, NULL, NULL, is_jpeg},
+        {"TIFF", &fmt_program_rows, "bisque-tiff", "", is_tiff},
+        {"OpenEXR", &fmt_exr_texture_rows, NULL, NULL, is_exr},
+        {"JPEG 2000", &fmt_program_rows, oiio, "jpeg2000", is_jpeg2000},
+        {"WebP", &fmt_program_rows, oiio, "webp", is_webp},
+        {"BMP", &fmt_program_rows, oiio, "bmp", is_bmp},
+        {"Radiance HDR", &fmt_program_rows, oiio, "hdr", is_hdr},
+        {"PNM", &fmt_program_rows, oiio, "pnm", is_pnm},
+        {"TGA", &fmt_program_rows, oiio, "targa", is_targa}, /* matches loosely: last */
     };
     for (size_t i = 0; i < sizeof formats / sizeof *formats; i++)
         if (formats[i].recognise(probe))
@@ -195,11 +193,8 @@ static int open_decoder(struct fmt_rows *rows, const struct format *format, unsi
     int status;
     rows->input.program = format->program;
     rows->input.plugin = format->plugin;
+    rows->input.sharers = sharers;
     rows->decoder = format->decoder;
-    if (format->whole) { /* texels need memory too */
-        rows->input.program_bytes = bsq_memory_share(ctx, "decoding a texture", 2) / sharers;
-        BSQ_TRY(reserve(rows, rows->input.program_bytes));
-    }
     if (!format->program) {
         rows->input.stream =
             fopencookie(&rows->input, "r", (cookie_io_functions_t){.read = read_stream});

@@ -31,12 +31,12 @@ struct fmt_rows_input {
     struct bsq_ctx *ctx;
     const char *path; /* for messages */
     struct bsq_file file;
-    const char *program;    /* that decodes it; NULL: it is decoded here */
-    const char *plugin;     /* OpenImageIO's name of the format */
-    uint64_t program_bytes; /* reserved for it; 0: it may take what is left of the budget */
-    FILE *stream;           /* the file, for decoders here */
-    uint64_t offset;        /* of the stream */
-    int status;             /* of a failed read of the stream, or 0 */
+    const char *program; /* that decodes it; NULL: it is decoded here */
+    const char *plugin;  /* OpenImageIO's name of the format */
+    unsigned sharers;    /* images that may be decoded at the same time, this one included */
+    FILE *stream;        /* the file, for decoders here */
+    uint64_t offset;     /* of the stream */
+    int status;          /* of a failed read of the stream, or 0 */
 };
 
 /* A decoder. Errors: BSQ_EDATA, BSQ_EIO, BSQ_EINTR, BSQ_ENOMEM; BSQ_RETRY of an OpenEXR file that
@@ -55,10 +55,7 @@ extern const struct fmt_rows_decoder fmt_png_rows, fmt_jpeg_rows, fmt_exr_textur
  * state owns both. Returns false if there are fewer texts. */
 bool fmt_png_text(const void *state, uint32_t i, const char **name, const char **value);
 
-/* What a program writes: a mark and a head, then a mark and the samples of each row. Instead of
- * any of them it may write FMT_ROWS_BAD and a text, what is wrong; its exit status is then a status
- * of Bisque without the sign. */
-enum { FMT_ROWS_GOOD = '+', FMT_ROWS_BAD = '-' };
+/* What a program writes before the samples of the rows. */
 struct fmt_rows_head {
     char stamp[48]; /* fmt_program_stamp of the program */
     struct fmt_rows_info info;
@@ -74,8 +71,8 @@ struct fmt_rows {
 };
 
 /* Opens an image, of a file or of an extent of a file (base/file_extent.h). The content tells the
- * format. Reserves the memory for decoding; a program that decodes an image whole gets half of
- * what is left, or its share if several are opened at a time (`sharers`). `rows` must not move.
+ * format. Reserves the memory for decoding; a program gets half of what is left, or its share if
+ * several are opened at a time (`sharers`). `rows` must not move.
  * Close it, also after a failure. Errors: those of bsq_file_open() and of decoders. */
 int fmt_rows_open(struct bsq_ctx *ctx, const char *path, unsigned sharers, struct fmt_rows *rows);
 void fmt_rows_close(struct fmt_rows *rows); /* zeros are allowed */

@@ -27,7 +27,7 @@ class OiioReader : public ImageReader
     void read_row(char *row) override;
 
   private:
-    void describe(const std::string &plugin, struct fmt_rows_info &info);
+    void describe(struct fmt_rows_info &info);
     bool read_band();
     std::unique_ptr<ImageInput> image;
     TypeDesc type; // of samples in rows
@@ -49,16 +49,7 @@ double file_gamma(const ImageSpec &spec)
     return space.rfind("gamma", 0) == 0 && gamma > 0 ? double(gamma) : 0;
 }
 
-// Returns the rows that are decoded together: those of tiles, or of OpenEXR's compressors.
-uint64_t rows_at_once(const ImageSpec &spec, bool exr)
-{
-    if (spec.tile_width > 0)
-        return uint64_t(spec.tile_height);
-    const uint64_t rows = !exr ? 1 : spec.get_string_attribute("compression") == "dwab" ? 256 : 32;
-    return std::min(rows, uint64_t(spec.height));
-}
-
-void OiioReader::describe(const std::string &plugin, struct fmt_rows_info &info)
+void OiioReader::describe(struct fmt_rows_info &info)
 {
     const ImageSpec &spec = image->spec();
     const bool integers = spec.format == TypeDesc::UINT8 || spec.format == TypeDesc::UINT16;
@@ -71,7 +62,6 @@ void OiioReader::describe(const std::string &plugin, struct fmt_rows_info &info)
     info.gamma = file_gamma(spec);
     texel_bytes = info.channels * type.size();
     row_bytes = info.width * texel_bytes;
-    info.bytes = 2 * rows_at_once(spec, plugin == "openexr") * row_bytes;
 }
 
 void OiioReader::open(const std::string &plugin, struct fmt_rows_info &info)
@@ -92,7 +82,7 @@ void OiioReader::open(const std::string &plugin, struct fmt_rows_info &info)
         fmt_image_fail(0, unreadable, "it is not two-dimensional");
     if (spec.format == TypeDesc::DOUBLE) // OpenImageIO 2.4 reads other numbers
         fmt_image_fail(0, unreadable, "it has samples of 64 bits");
-    describe(plugin, info);
+    describe(info);
 }
 
 // Reads the row of tiles that begins with the next row.

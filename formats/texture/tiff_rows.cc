@@ -39,7 +39,6 @@ class TiffReader : public ImageReader
   private:
     void read_kind();
     uint32_t find_alpha() const;
-    uint64_t decoder_bytes() const;
     void read_tiles();
     const uint8_t *stored_row();
     void read_stored(char *row);
@@ -135,28 +134,6 @@ uint32_t TiffReader::find_alpha() const
     return 0;
 }
 
-// Returns the memory of libtiff: the longest compressed strip or tile, and what it decodes at once.
-uint64_t TiffReader::decoder_bytes() const
-{
-    uint16_t compression = COMPRESSION_NONE;
-    uint32_t strip_rows = 1,
-             count = tile_width ? TIFFNumberOfTiles(tiff) : TIFFNumberOfStrips(tiff);
-    uint64_t stored = 0;
-    TIFFGetFieldDefaulted(tiff, TIFFTAG_COMPRESSION, &compression);
-    TIFFGetFieldDefaulted(tiff, TIFFTAG_ROWSPERSTRIP, &strip_rows);
-    for (uint32_t i = 0; i < count; i++)
-        stored = std::max(stored, TIFFGetStrileByteCount(tiff, i));
-    const uint16_t by_rows[] = {COMPRESSION_NONE,          COMPRESSION_LZW,
-                                COMPRESSION_ADOBE_DEFLATE, COMPRESSION_DEFLATE,
-                                COMPRESSION_PACKBITS,      COMPRESSION_JPEG};
-    const bool single =
-        !converted && std::count(std::begin(by_rows), std::end(by_rows), compression);
-    const uint64_t rows = tile_width ? band_rows : single ? 1 : std::min(strip_rows, height);
-    const uint64_t row = tile_width ? TIFFTileRowSize64(tiff) * ((width - 1) / tile_width + 1)
-                                    : TIFFScanlineSize64(tiff);
-    return stored + 2 * rows * row + (converted ? 4 * rows * width : 0);
-}
-
 void TiffReader::open(const std::string &, struct fmt_rows_info &info)
 {
     TIFFSetErrorHandler(keep_message);
@@ -180,7 +157,6 @@ void TiffReader::open(const std::string &, struct fmt_rows_info &info)
     info.channels = channels;
     info.sample_bytes = converted ? 1 : format == SAMPLEFORMAT_IEEEFP ? 4 : bits / 8;
     info.alpha = alpha > 0 ? int32_t(channels) - 1 : -1;
-    info.bytes = decoder_bytes();
 }
 
 // Reads the row of tiles that begins with the next row.

@@ -109,7 +109,7 @@ other=$(echo "$stamp" | tr 0-9 1-90)
 sed "s/$stamp/$other/g" moved/lib/bisque/bisque-texture >"$prefix/lib/bisque/bisque-texture"
 chmod +x "$prefix/lib/bisque/bisque-texture"
 run $voxelize red.ppm
-refused 66 "textures of this format need the program $prefix/lib/bisque/bisque-texture, which is of another build than this program ($stamp)"
+refused 66 "red.ppm: $prefix/lib/bisque/bisque-texture is not of this program's build, or does not work"
 printf 'no program\n' >"$prefix/lib/bisque/bisque-vdb"
 run $voxelize '' box.vdb
 refused_like 66 "^box.vdb: the program of OpenVDB does not start: "

@@ -65,11 +65,11 @@ std::string complaint(int code, const Bytes &out)
         return out.empty() ? "no words" : "";
     if (code == -BSQ_ENOMEM)
         return "";
-    if (code != 0 || out.size() <= sizeof head)
+    if (code != 0 || out.size() < sizeof head)
         return "exit code " + std::to_string(code);
-    std::memcpy(&head, &out[1], sizeof head);
+    std::memcpy(&head, out.data(), sizeof head);
     const uint64_t row = uint64_t(head.info.width) * head.info.channels * head.info.sample_bytes;
-    return out.size() == 1 + sizeof head + head.info.height * (1 + row) ? "" : "rows are missing";
+    return out.size() == sizeof head + head.info.height * row ? "" : "rows are missing";
 }
 
 // Runs the program's code on a file. Returns how it ended; *wrong says what must not be.
