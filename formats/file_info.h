@@ -6,16 +6,9 @@
 
 #include "base/context.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 /* Sets *out to a description of a file, for the caller to free with json_decref(): an object whose
  * members bisque-voxelize --info prints. Reads meshes whole, and of other files only what is
  * needed. Errors: those of reading. */
 int fmt_describe(struct bsq_ctx *ctx, const char *path, json_t **out);
 
-#ifdef __cplusplus
-}
-#endif
 #endif

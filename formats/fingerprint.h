@@ -4,10 +4,6 @@
 
 #include "base/file.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 struct fmt_fingerprint {
     uint64_t bytes;
     char hash[33];                     /* XXH3-128 in hexadecimal digits */
@@ -24,7 +20,4 @@ int fmt_fingerprint(struct bsq_ctx *ctx, const char *path, struct fmt_fingerprin
 int fmt_is_same(struct bsq_ctx *ctx, const char *path, uint64_t bytes, const char *hash,
                 const char *identity, bool *same);
 
-#ifdef __cplusplus
-}
-#endif
 #endif

@@ -428,50 +428,16 @@ int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
 
 /* ---- parsing alone ---- */
 
-/* One call of vox_parse(). */
-struct parsing {
-    struct bsq_ctx *ctx;
-    struct fmt_mesh_reader *reader;
-    uint64_t *ends; /* vertices of each file and of earlier ones, as far as it was read */
-    bool doubtful;  /* a face refers to a vertex that comes after it, or to none */
-    bool again;     /* `ends` are known */
-    bool failed;    /* face number `face` refers to vertex `index`, which its file does not have */
-    uint64_t face, index;
-};
-
-static int parse_batch(void *arg, const struct fmt_mesh_batch *batch)
+static int count_batch(void *ctx, const struct fmt_mesh_batch *batch)
 {
-    struct parsing *p = arg;
-    uint64_t *end = &p->ends[batch->file];
-    if (!p->again) {
-        *end = batch->vertex_base + batch->vertex_count;
-        bsq_progress_add(p->ctx, batch->byte_size);
-    }
-    if (!p->failed && !fmt_mesh_check_vertices(batch, *end, &p->face, &p->index)) {
-        p->doubtful = true;
-        p->failed = p->again;
-    }
+    bsq_progress_add(ctx, batch->byte_size);
     return 0;
-}
-
-/* Reads the files, and once more if faces must be checked against all vertices. */
-static int parse_all(struct parsing *p, struct fmt_mesh_totals *totals)
-{
-    bsq_progress_begin(p->ctx, "reading", "bytes", fmt_mesh_bytes(p->reader));
-    int status = fmt_mesh_read(p->reader, parse_batch, p, totals);
-    bsq_progress_end(p->ctx);
-    p->again = true;
-    if (status == 0 && p->doubtful)
-        status = fmt_mesh_read(p->reader, parse_batch, p, NULL);
-    if (status == 0 && p->failed)
-        status = fmt_mesh_fail_index(p->reader, p->face, FMT_MESH_VERTEX, p->index);
-    return status;
 }
 
 int vox_parse(struct bsq_ctx *ctx, const struct vox_sort_options *options,
               struct vox_sort_report *report)
 {
-    struct parsing parsing = {.ctx = ctx};
+    struct fmt_mesh_reader *reader = NULL;
     struct fmt_mesh_totals totals = {0};
     const double start = bsq_seconds_now();
     const struct fmt_mesh_inputs inputs = {
@@ -479,14 +445,14 @@ int vox_parse(struct bsq_ctx *ctx, const struct vox_sort_options *options,
     int status;
     BSQ_TRY(bsq_clear_report(ctx, "vox_sort_report", report, sizeof *report));
     BSQ_TRY(bsq_check_size(ctx, "vox_sort_options", options->size, sizeof *options));
-    BSQ_TRY(bsq_calloc(ctx, "inputs", options->scan_count, sizeof *parsing.ends, &parsing.ends));
-    BSQ_TRY(fmt_mesh_open_inputs(ctx, &inputs, &parsing.reader));
-    BSQ_TRY(parse_all(&parsing, &totals));
+    BSQ_TRY(fmt_mesh_open_inputs(ctx, &inputs, &reader));
+    bsq_progress_begin(ctx, "reading", "bytes", fmt_mesh_bytes(reader));
+    status = fmt_mesh_read(reader, count_batch, ctx, &totals);
+    bsq_progress_end(ctx);
     report->triangles = totals.corners - 2 * totals.faces;
     report->seconds_read = bsq_seconds_now() - start;
     report_totals(report, &totals);
 done:
-    fmt_mesh_close(parsing.reader);
-    bsq_free(ctx, parsing.ends);
+    fmt_mesh_close(reader);
     return status;
 }

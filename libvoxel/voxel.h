@@ -156,9 +156,9 @@ void vox_sort_defaults(struct vox_sort_options *options);
 int vox_sort(struct bsq_ctx *ctx, const struct vox_sort_options *options,
              struct vox_sort_report *report);
 
-/** Reads the mesh files of a scan and keeps nothing, to measure the reader. Of the options, reads
- * scan_paths. Fills in what *report says of reading. Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_ENOMEM,
- * BSQ_EIO, BSQ_EINTR. */
+/** Reads the mesh files of a scan and keeps nothing, to measure the reader. Does not check the
+ * indices of faces. Of the options, reads scan_paths. Fills in what *report says of reading.
+ * Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_ENOMEM, BSQ_EIO, BSQ_EINTR. */
 int vox_parse(struct bsq_ctx *ctx, const struct vox_sort_options *options,
               struct vox_sort_report *report);
 

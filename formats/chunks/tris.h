@@ -9,10 +9,6 @@
 #include "base/channels.h"
 #include "base/output.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 enum fmt_tris_attribute {
     FMT_TRIS_NORMALS = 1,   /* octahedral, see base/vec.h */
     FMT_TRIS_TEXCOORDS = 2, /* two float32 */
@@ -177,7 +173,4 @@ int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratc
  * chunk and what is wrong. */
 int fmt_tris_verify(const struct fmt_tris_file *file, uint64_t *vertices);
 
-#ifdef __cplusplus
-}
-#endif
 #endif

@@ -8,10 +8,6 @@
 
 #include "base/file.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 struct fmt_exr_attribute { /* a string attribute of the header */
     char *name, *value;
 };
@@ -46,7 +42,4 @@ int fmt_exr_rows_open(struct bsq_ctx *ctx, const char *path, const struct bsq_fi
 int fmt_exr_rows_read(struct fmt_exr_rows *rows, float *out); /* the next row */
 void fmt_exr_rows_close(struct fmt_exr_rows *rows);           /* NULL is allowed */
 
-#ifdef __cplusplus
-}
-#endif
 #endif

@@ -12,10 +12,6 @@
 
 #include "base/output.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 /* How a file stores a sample. Integers hold 0 to 1; FMT_UINT8 is dithered, unless it is rounded. */
 enum fmt_sample_type { FMT_UINT8, FMT_UINT16, FMT_HALF, FMT_FLOAT };
 #define FMT_SAMPLE_BIT(type) (1u << (type))
@@ -137,7 +133,4 @@ int fmt_image_finish(struct fmt_image_writer *writer);
 int fmt_image_hand_over(struct fmt_image_writer *writer, struct bsq_output **out);
 void fmt_image_discard(struct fmt_image_writer *writer); /* NULL is allowed */
 
-#ifdef __cplusplus
-}
-#endif
 #endif

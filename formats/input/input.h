@@ -13,10 +13,6 @@
 
 #include "base/file.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 struct fmt_input;
 
 /* Looks at a file. `path` is copied. `beside`: an output path, whose directory takes temporary
@@ -85,7 +81,4 @@ int fmt_input_text(struct bsq_ctx *ctx, const char *path, uint64_t padding, char
 /* Returns true if fmt_input_create() would take `path` for a pipe. */
 bool fmt_input_is_pipe(const char *path);
 
-#ifdef __cplusplus
-}
-#endif
 #endif

@@ -12,10 +12,6 @@
 #include "base/channels.h"
 #include "base/context.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 #define FMT_MESH_NONE        UINT64_MAX /* this corner has no such index */
 #define FMT_MESH_NO_MATERIAL UINT32_MAX
 /* This or a larger index refers to a texture coordinate or normal before the first of its file. */
@@ -312,7 +308,4 @@ void fmt_mesh_free(struct bsq_ctx *ctx, struct fmt_mesh *mesh);
  * texture coordinates" is `what`. Returns BSQ_EDATA. */
 int fmt_mesh_fail_face(struct bsq_ctx *ctx, const char *path, uint64_t face, const char *what);
 
-#ifdef __cplusplus
-}
-#endif
 #endif

@@ -10,10 +10,6 @@
 #include "base/channels.h"
 #include "formats/chunks/tris.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 /* Numbers of attributes. Further channels follow. */
 enum { FMT_SHADING_COLOR, FMT_SHADING_NORMAL_MAP, FMT_SHADING_CHANNELS };
 
@@ -117,7 +113,4 @@ struct fmt_shading_footprint {
 int fmt_shade_attribute(const struct fmt_shading *shading, uint32_t attribute,
                         const struct fmt_shading_footprint *footprint, float out[3]);
 
-#ifdef __cplusplus
-}
-#endif
 #endif

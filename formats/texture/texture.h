@@ -10,10 +10,6 @@
 #include "base/context.h"
 #include "base/channels.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 struct fmt_textures;
 
 /* An image to open. */
@@ -74,7 +70,4 @@ int fmt_texture_problem(const struct fmt_textures *textures, uint32_t image, con
 int fmt_texture_sample(struct fmt_textures *textures, uint32_t image, const uint8_t wrap[2],
                        float u, float v, float du, float dv, float out[3]);
 
-#ifdef __cplusplus
-}
-#endif
 #endif

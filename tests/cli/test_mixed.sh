@@ -65,7 +65,7 @@ ok $vox s0.obj s0.obj s0.obj s3.obj --translate 0,0,0 --translate 0,1,0 --transl
 same plain.nvdb moved.nvdb
 # Faces are checked against the vertices of their own file.
 printf 'v 0 0 0\nv 1 0 0\nf 1 2 3\nv 0 1 0\nf 1 2 4294967297\n' >beyond.obj
-run bisque-voxelize --parse-only s1.ply beyond.obj
+$vox s1.ply beyond.obj -o beyond.nvdb
 refused 65 'bisque-voxelize: beyond.obj:5: face refers to vertex 4294967297, file has 3'
 
 ok run bisque-voxelize --parse-only s0.obj s1.ply
