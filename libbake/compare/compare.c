@@ -4,8 +4,11 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "base/parallel.h"
 #include "base/channels.h"
+#include "base/parallel.h"
+#include "base/text.h"
+#include "formats/image/image_writer.h"
+#include "formats/texture/image_rows.h"
 #include "libbake/compare/comparison.h"
 #include "libbake/page/items.h"
 
@@ -13,6 +16,115 @@ const char *bake_compare_unit(enum bake_compare_kind kind)
 {
     static const char *const units[] = {"", "degrees", "dE2000", "difference"};
     return units[kind];
+}
+
+/* ---- maps as floats ---- */
+
+/* Takes the texts before the texels of a PNG file. */
+static int read_texts(struct bsq_ctx *ctx, const void *png, struct fmt_exr_image *out)
+{
+    const char *name, *value;
+    uint64_t capacity = 0;
+    int status = 0;
+    for (uint32_t i = 0; fmt_png_text(png, i, &name, &value); i++) {
+        BSQ_TRY(bsq_grow(ctx, "a map's attributes", i + UINT64_C(1), sizeof *out->attributes,
+                         &out->attributes, &capacity));
+        struct fmt_exr_attribute *attribute = &out->attributes[out->attribute_count++];
+        *attribute = (struct fmt_exr_attribute){0};
+        BSQ_TRY(bsq_text_copy(ctx, name, &attribute->name));
+        BSQ_TRY(bsq_text_copy(ctx, value, &attribute->value));
+    }
+done:
+    return status;
+}
+
+static void to_floats(const struct fmt_rows_info *info, const uint8_t *row, float *out)
+{
+    const size_t count = (size_t)info->width * info->channels;
+    for (size_t i = 0; i < count; i++) {
+        uint16_t wide;
+        if (info->sample_bytes == 1) {
+            out[i] = (float)row[i] / 255.0f;
+        } else if (info->sample_bytes == 2) {
+            memcpy(&wide, row + 2 * i, sizeof wide);
+            out[i] = (float)wide / 65535.0f;
+        } else {
+            memcpy(&out[i], row + 4 * i, sizeof out[i]);
+        }
+    }
+}
+
+/* Names the channels: grey or RGB, perhaps with alpha. */
+static int name_channels(struct bsq_ctx *ctx, const struct fmt_rows_info *info,
+                         struct fmt_exr_image *out)
+{
+    static const char *const grey[] = {"Y", "A"}, *const rgb[] = {"R", "G", "B", "A"};
+    const char *const *names = info->channels >= 3 ? rgb : grey;
+    int status;
+    BSQ_TRY(
+        bsq_calloc(ctx, "a map's channels", info->channels, sizeof *out->channels, &out->channels));
+    for (; out->channel_count < info->channels; out->channel_count++)
+        BSQ_TRY(bsq_text_copy(ctx, names[out->channel_count], &out->channels[out->channel_count]));
+done:
+    return status;
+}
+
+static int read_rows(struct bsq_ctx *ctx, struct fmt_rows *rows, struct fmt_exr_image *out)
+{
+    const struct fmt_rows_info *info = &rows->info;
+    const uint64_t samples = (uint64_t)info->width * info->channels;
+    uint8_t *row = NULL;
+    int status;
+    if (info->channels > 4)
+        return bsq_fail(ctx, BSQ_EDATA, "%s: %u channels; a map that is not OpenEXR has at most 4",
+                        rows->input.path, info->channels);
+    out->width = info->width;
+    out->height = info->height;
+    BSQ_TRY(name_channels(ctx, info, out));
+    BSQ_TRY(bsq_alloc(ctx, "a map", samples * info->height, sizeof(float), &out->samples));
+    BSQ_TRY(bsq_alloc(ctx, "a row of a map", samples, info->sample_bytes, &row));
+    for (uint32_t y = 0; y < info->height; y++) {
+        BSQ_TRY(bsq_check(ctx));
+        BSQ_TRY(rows->decoder->read(rows->state, row));
+        to_floats(info, row, out->samples + y * samples);
+    }
+    if (rows->decoder == &fmt_png_rows)
+        BSQ_TRY(read_texts(ctx, rows->state, out));
+    status = bsq_file_check(ctx, &rows->input.file);
+done:
+    bsq_free(ctx, row);
+    return status;
+}
+
+/* Reads a map: OpenEXR, PNG, or another format that textures may have. Integers become 0 to 1.
+ * Bisque and other programs store the attributes of PNG files as texts. Free the image with
+ * fmt_exr_image_free(). */
+static int read_map(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *out,
+                    struct bake_samples *samples)
+{
+    static const char exr[4] = {0x76, 0x2f, 0x31, 0x01};
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    struct fmt_rows rows = {0};
+    char head[sizeof exr] = {0};
+    uint64_t got = 0;
+    int status;
+    BSQ_TRY(bsq_file_open(ctx, path, &file));
+    BSQ_TRY(bsq_file_read_some(ctx, &file, head, sizeof head, 0, &got));
+    *samples = (struct bake_samples){.gamma = 1};
+    if (memcmp(head, exr, sizeof exr) == 0) {
+        status = fmt_exr_read(ctx, path, out);
+        goto done;
+    }
+    BSQ_TRY(fmt_rows_open(ctx, path, 1, &rows));
+    samples->integers = rows.info.sample_bytes < 4;
+    samples->gamma = samples->integers ? rows.info.gamma : 1;
+    status = read_rows(ctx, &rows, out);
+done:
+    fmt_rows_close(&rows);
+    bsq_file_close(ctx, &file);
+    if (status < 0)
+        fmt_exr_image_free(ctx, out);
+    return status;
 }
 
 /* ---- inputs ---- */
@@ -31,15 +143,15 @@ static int load(struct bsq_ctx *ctx, const struct bake_compare_options *o,
 {
     struct bake_samples mask;
     int status;
-    BSQ_TRY(bake_map_read(ctx, o->a_path, &c->a, &c->a_samples));
-    BSQ_TRY(bake_map_read(ctx, o->b_path, &c->b, &c->b_samples));
+    BSQ_TRY(read_map(ctx, o->a_path, &c->a, &c->a_samples));
+    BSQ_TRY(read_map(ctx, o->b_path, &c->b, &c->b_samples));
     BSQ_TRY(check_same_size(ctx, o->a_path, &c->a, o->b_path, &c->b));
     if (o->a_mask_path) {
-        BSQ_TRY(bake_map_read(ctx, o->a_mask_path, &c->a_mask, &mask));
+        BSQ_TRY(read_map(ctx, o->a_mask_path, &c->a_mask, &mask));
         BSQ_TRY(check_same_size(ctx, o->a_mask_path, &c->a_mask, o->a_path, &c->a));
     }
     if (o->b_mask_path) {
-        BSQ_TRY(bake_map_read(ctx, o->b_mask_path, &c->b_mask, &mask));
+        BSQ_TRY(read_map(ctx, o->b_mask_path, &c->b_mask, &mask));
         BSQ_TRY(check_same_size(ctx, o->b_mask_path, &c->b_mask, o->b_path, &c->b));
     }
 done:
@@ -301,6 +413,78 @@ static int measure_row(void *arg, uint64_t y, unsigned worker)
     return 0;
 }
 
+/* ---- the heat map ---- */
+
+/* Colours of texels without an error: blue-grey, and cyan. */
+static const float not_compared[3] = {0.22f, 0.25f, 0.30f}, not_finite[3] = {0.0f, 0.9f, 0.9f};
+
+/* Returns the colour of an error; `value` is its share of the top of the scale, clamped to 0..1. */
+static void heat(double value, float color[3])
+{
+    static const float stops[][3] = {{0.02f, 0.02f, 0.07f}, {0.24f, 0.06f, 0.42f},
+                                     {0.60f, 0.15f, 0.45f}, {0.90f, 0.36f, 0.24f},
+                                     {0.98f, 0.69f, 0.22f}, {0.99f, 0.98f, 0.75f}};
+    const int last = sizeof stops / sizeof *stops - 1;
+    double x = fmin(fmax(value, 0), 1) * last;
+    int i = x < last ? (int)x : last - 1;
+    for (int k = 0; k < 3; k++)
+        color[k] = stops[i][k] + (float)(x - i) * (stops[i + 1][k] - stops[i][k]);
+}
+
+static int write_heat_rows(struct bsq_ctx *ctx, const struct bake_comparison *comparison,
+                           double top, struct fmt_image_writer *writer)
+{
+    const uint64_t width = comparison->a.width;
+    const float *error = comparison->errors;
+    float(*row)[3];
+    int status;
+    BSQ_TRY(bsq_alloc(ctx, "heat map", width, sizeof *row, &row));
+    for (uint32_t y = 0; y < comparison->a.height; y++) {
+        for (uint64_t x = 0; x < width; x++, error++)
+            if (*error >= 0)
+                heat((double)*error / top, row[x]);
+            else
+                memcpy(row[x], isnan(*error) ? not_finite : not_compared, sizeof row[x]);
+        BSQ_TRY(bsq_check(ctx));
+        BSQ_TRY(fmt_image_write_rows(writer, row[0], 1));
+    }
+done:
+    bsq_free(ctx, row);
+    return status;
+}
+
+/* Writes the error of each texel as a PNG, in colours from 0 to `top`, and adds the output to a
+ * group.
+ *
+ * Colours run from near black over purple and orange to light yellow with steadily growing
+ * lightness. So the picture reads the same in grey and for colour-blind eyes. The attribute
+ * "bisque:errors" names the error of the lightest colour: it is another one in each comparison. */
+static int write_heat_map(struct bsq_ctx *ctx, const struct bake_comparison *comparison, double top,
+                          const char *path, struct bsq_output_group *group)
+{
+    char scale[64];
+    const struct fmt_image_attribute attribute = {"bisque:errors", scale};
+    const struct fmt_image_options options = {.width = comparison->a.width,
+                                              .height = comparison->a.height,
+                                              .channel_count = 3,
+                                              .type = FMT_UINT8,
+                                              .attributes = &attribute,
+                                              .attribute_count = 1};
+    struct fmt_image_writer *writer = NULL;
+    struct bsq_output *output;
+    int status;
+    snprintf(scale, sizeof scale, "0 to %.6g %s", top, bake_compare_unit(comparison->kind));
+    BSQ_TRY(fmt_image_create(ctx, &fmt_png_format, path, &options, &writer));
+    BSQ_TRY(write_heat_rows(ctx, comparison, top, writer));
+    status = fmt_image_hand_over(writer, &output);
+    writer = NULL;
+    if (status == 0)
+        status = bsq_output_group_add(group, output);
+done:
+    fmt_image_discard(writer);
+    return status;
+}
+
 /* ---- a page ---- */
 
 /* Adds both maps, which are shown with the same range, and the error of each texel to a page. */
@@ -330,7 +514,7 @@ static int show(struct bsq_ctx *ctx, const struct bake_compare_options *options,
         BSQ_TRY(
             bake_page_add_picture(options->page, json_pack("{s:s}", "kind", "compared"), &maps[i]));
     }
-    BSQ_TRY(bake_heatmap_write(ctx, c, top, options->page->path, &errors));
+    BSQ_TRY(write_heat_map(ctx, c, top, options->page->path, &errors));
     status = bake_page_add(options->page, json_pack("{s:s}", "kind", "error"), errors.list[0]);
 done:
     bake_thumbnail_free(ctx, &maps[0].texels);
@@ -368,7 +552,7 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
                     : report->p99 > 0 && isfinite(report->p99) ? report->p99
                                                                : 1;
     if (options->heatmap_path)
-        BSQ_TRY(bake_heatmap_write(ctx, &c, report->scale, options->heatmap_path, &pictures));
+        BSQ_TRY(write_heat_map(ctx, &c, report->scale, options->heatmap_path, &pictures));
     if (options->page)
         BSQ_TRY(show(ctx, options, &c, report->scale));
     BSQ_TRY(bsq_output_group_commit(&pictures));

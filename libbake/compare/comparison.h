@@ -18,11 +18,6 @@ struct bake_samples {
     double gamma;  /* exponent that turns colours into linear light; 0: the curve of sRGB */
 };
 
-/* Reads a map. Free the image with fmt_exr_image_free(). Errors: BSQ_ENOINPUT, BSQ_EDATA, BSQ_EIO,
- * BSQ_ENOMEM. */
-int bake_map_read(struct bsq_ctx *ctx, const char *path, struct fmt_exr_image *out,
-                  struct bake_samples *samples);
-
 /* Two maps of the same size and the error of each texel. */
 struct bake_comparison {
     struct fmt_exr_image a, b, a_mask, b_mask; /* without a mask, its `samples` are NULL */
@@ -78,12 +73,5 @@ void bake_lab(const float linear[3], double lab[3]);
 /* Returns the CIEDE2000 difference of two CIELAB colours (CIE 142; Sharma, Wu & Dalal, "The
  * CIEDE2000 Color-Difference Formula: Implementation Notes", 2005). About 1 is just noticeable. */
 double bake_ciede2000(const double a[3], const double b[3]);
-
-/* ---- heat_map.c ---- */
-
-/* Writes the error of each texel as a PNG, in colours from 0 to `top`. Adds the output to a group.
- */
-int bake_heatmap_write(struct bsq_ctx *ctx, const struct bake_comparison *comparison, double top,
-                       const char *path, struct bsq_output_group *group);
 
 #endif

@@ -137,29 +137,4 @@ int bake_farm_parts_check(const struct bake_farm_plan *plan, struct bake_farm_fo
 int bake_farm_parts_read(const struct bake_farm_plan *plan, uint32_t tile,
                          struct bake_image *image);
 
-/* ---- notes ---- */
-
-/* The note that a tile is merged, so that doing it again costs nothing. The note of the preview has
- * the number after the last tile. */
-struct bake_farm_note {
-    uint32_t number;
-    char **paths; /* the files that the merge wrote */
-    uint32_t path_count;
-    struct bake_farm_counts counts; /* of the whole bake */
-    /* The note keeps the tile's thumbnails for the preview, which another process renders: normals,
-     * colours and misses. Some may have no texels; when a note is read, all have none at first. */
-    bool with_thumbnails;
-    struct bake_thumbnail *thumbnails[3];
-    uint32_t most_side; /* in texels; larger thumbnails are not read */
-};
-
-/* Writes the note, with the sizes and times of the files. Errors: BSQ_EIO, BSQ_ECANTCREAT,
- * BSQ_ENOMEM. */
-int bake_farm_note_write(const struct bake_farm_plan *plan, const struct bake_farm_note *note);
-
-/* Sets *kept if there is a note that these files were merged from the plan, and they were not
- * touched since. Then sets the counts, and the thumbnails if they are asked for. Errors:
- * BSQ_ENOMEM, BSQ_EINTR. */
-int bake_farm_note_read(const struct bake_farm_plan *plan, struct bake_farm_note *note, bool *kept);
-
 #endif

@@ -6,8 +6,177 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <xxhash.h>
 
+#include "base/output.h"
+#include "libbake/farm/farm.h"
 #include "libbake/farm/farm_steps.h"
+
+/* ---- notes ----
+ *
+ * A note is for the program that wrote it. It has the plan's id, a checksum of the sizes, times and
+ * names of the files, what the whole bake found, and thumbnails. Files that were touched since are
+ * merged again, which gives the same bytes. */
+
+enum { THUMBNAILS = 3 };
+
+/* The note that a tile is merged, so that doing it again costs nothing. The note of the preview has
+ * the number after the last tile. */
+struct note {
+    uint32_t number;
+    char **paths; /* the files that the merge wrote */
+    uint32_t path_count;
+    struct bake_farm_counts counts; /* of the whole bake */
+    /* The note keeps the tile's thumbnails for the preview, which another process renders: normals,
+     * colours and misses. Some may have no texels; when a note is read, all have none at first. */
+    bool with_thumbnails;
+    struct bake_thumbnail *thumbnails[THUMBNAILS];
+    uint32_t most_side; /* in texels; larger thumbnails are not read */
+};
+
+struct head {
+    char magic[8];
+    char plan_id[32];
+    uint64_t files; /* checksum */
+    struct bake_farm_counts counts;
+    uint32_t sizes[THUMBNAILS][5]; /* the first members of the thumbnails; zeros: there is none */
+    uint32_t reserved;
+    uint64_t texels;   /* checksum of the thumbnails, which follow */
+    uint64_t checksum; /* of all above */
+};
+static const char magic[8] = "BSQMERG\n";
+_Static_assert(offsetof(struct bake_thumbnail, texels) >= 5 * sizeof(uint32_t), "sizes are first");
+
+static uint64_t bytes_of(const struct bake_thumbnail *thumbnail)
+{
+    return (uint64_t)thumbnail->width * thumbnail->height * sizeof *thumbnail->texels;
+}
+
+static uint64_t checksum_of(const struct head *head)
+{
+    return XXH3_64bits(head, offsetof(struct head, checksum));
+}
+
+/* Adds the texels of a thumbnail to a checksum. */
+static uint64_t add_texels(uint64_t checksum, const struct bake_thumbnail *thumbnail)
+{
+    return XXH3_64bits_withSeed(thumbnail->texels, bytes_of(thumbnail), checksum);
+}
+
+/* Fills in what tells the note of these files, as they are now, from others. Returns false if one
+ * is missing. */
+static bool begin_head(const struct bake_farm_plan *plan, const struct note *note,
+                       struct head *head)
+{
+    bool all = true;
+    memset(head, 0, sizeof *head);
+    memcpy(head->magic, magic, sizeof magic);
+    memcpy(head->plan_id, plan->id, sizeof head->plan_id);
+    for (uint32_t i = 0; i < note->path_count; i++) {
+        const struct bsq_identity found = bsq_find_identity(note->paths[i]);
+        const char *name = bsq_file_name(note->paths[i]);
+        const uint64_t file[] = {head->files, found.size, (uint64_t)found.modified.tv_sec,
+                                 (uint64_t)found.modified.tv_nsec, XXH3_64bits(name, strlen(name))};
+        head->files = XXH3_64bits(file, sizeof file);
+        all &= found.inode != 0;
+    }
+    return all;
+}
+
+static int put_note(struct bsq_output *output, struct head *head, const struct note *note)
+{
+    int status;
+    for (int i = 0; i < THUMBNAILS && note->with_thumbnails; i++)
+        if (note->thumbnails[i]->texels) {
+            memcpy(head->sizes[i], note->thumbnails[i], sizeof head->sizes[i]);
+            head->texels = add_texels(head->texels, note->thumbnails[i]);
+        }
+    head->counts = note->counts;
+    head->checksum = checksum_of(head);
+    BSQ_TRY(bsq_output_write(output, head, sizeof *head));
+    for (int i = 0; i < THUMBNAILS && note->with_thumbnails; i++)
+        if (note->thumbnails[i]->texels)
+            BSQ_TRY(bsq_output_write(output, note->thumbnails[i]->texels,
+                                     bytes_of(note->thumbnails[i])));
+done:
+    return status;
+}
+
+/* Writes the note, with the sizes and times of the files. */
+static int write_note(const struct bake_farm_plan *plan, const struct note *note)
+{
+    struct bsq_output *output = NULL;
+    struct head head = {0};
+    char *path;
+    int status;
+    BSQ_TRY(bake_farm_path(plan, "merged", note->number, &path));
+    if (!begin_head(plan, note, &head))
+        BSQ_TRY(bsq_fail(plan->ctx, BSQ_EIO, "%s: an output is gone", plan->path));
+    BSQ_TRY(bsq_output_open(plan->ctx, path, &output));
+    BSQ_TRY(put_note(output, &head, note));
+    status = bsq_output_commit(output);
+    output = NULL;
+done:
+    bsq_output_discard(output);
+    free(path);
+    return status;
+}
+
+/* Reads the thumbnails. Returns BSQ_EDATA if there are none, or if they are too large or damaged.
+ */
+static int read_thumbnails(const struct bake_farm_plan *plan, const struct bsq_file *file,
+                           const struct head *head, struct note *note)
+{
+    uint64_t at = sizeof *head, checksum = 0;
+    int status = head->sizes[THUMBNAILS - 1][0] > 0 ? 0 : BSQ_EDATA;
+    for (int i = 0; i < THUMBNAILS && status == 0; i++) {
+        struct bake_thumbnail *out = note->thumbnails[i];
+        memcpy(out, head->sizes[i], sizeof head->sizes[i]);
+        if (out->width == 0)
+            continue;
+        if (out->width > note->most_side || out->height > note->most_side ||
+            bytes_of(out) > file->size - at)
+            return BSQ_EDATA;
+        BSQ_TRY(bsq_alloc(plan->ctx, "texture of the preview", 1, bytes_of(out), &out->texels));
+        BSQ_TRY(bsq_file_read(plan->ctx, file, out->texels, bytes_of(out), at));
+        at += bytes_of(out);
+        checksum = add_texels(checksum, out);
+    }
+    return status == 0 && checksum != head->texels ? BSQ_EDATA : status;
+done:
+    return status;
+}
+
+/* Sets *kept if there is a note that these files were merged from the plan, and they were not
+ * touched since. Then sets the counts, and the thumbnails if they are asked for. Errors:
+ * BSQ_ENOMEM, BSQ_EINTR. */
+static int read_note(const struct bake_farm_plan *plan, struct note *note, bool *kept)
+{
+    struct bsq_file file = BSQ_FILE_CLOSED;
+    struct head head, now = {0};
+    const bool all = begin_head(plan, note, &now);
+    char *path;
+    int status;
+    BSQ_TRY(bake_farm_path(plan, "merged", note->number, &path));
+    BSQ_TRY(bsq_file_open_as(plan->ctx, path, BSQ_OPEN_OTHER, &file));
+    BSQ_TRY(bsq_file_read(plan->ctx, &file, &head, sizeof head, 0));
+    if (!all || memcmp(&head, &now, offsetof(struct head, counts)) != 0 ||
+        checksum_of(&head) != head.checksum)
+        BSQ_TRY(BSQ_EDATA);
+    note->counts = head.counts;
+    if (note->with_thumbnails)
+        status = read_thumbnails(plan, &file, &head, note);
+done:
+    bsq_file_close(plan->ctx, &file);
+    free(path);
+    *kept = status == 0;
+    if (status == BSQ_ENOMEM || status == BSQ_EINTR)
+        return status;
+    bsq_clear_error(plan->ctx);
+    return 0;
+}
+
+/* ---- a merge ---- */
 
 struct merge {
     struct bake_work *job;
@@ -24,7 +193,7 @@ static bool is_whole(const struct merge *merge)
 
 /* ---- what was merged before ---- */
 
-static void free_paths(struct bake_farm_note *note)
+static void free_paths(struct note *note)
 {
     for (uint32_t i = 0; i < note->path_count; i++)
         free(note->paths[i]);
@@ -33,13 +202,13 @@ static void free_paths(struct bake_farm_note *note)
 
 /* Prepares the note of a tile or, after the last tile, of the preview. Free it with free_paths().
  */
-static int begin_note(const struct merge *merge, uint32_t number, struct bake_farm_note *note)
+static int begin_note(const struct merge *merge, uint32_t number, struct note *note)
 {
     struct bake_work *job = merge->job;
     struct bake_tile *tile = number < job->udim.count ? &job->tiles[number] : NULL;
     const unsigned end = tile ? bake_files_end(job->options, job->maps) : 1;
     bool good;
-    *note = (struct bake_farm_note){.number = number, .paths = calloc(end, sizeof *note->paths)};
+    *note = (struct note){.number = number, .paths = calloc(end, sizeof *note->paths)};
     good = note->paths != NULL;
     for (unsigned i = 0; good && i < end; i++)
         if (!tile || bake_has_file(&tile->options, job->maps, i))
@@ -58,13 +227,13 @@ static int begin_note(const struct merge *merge, uint32_t number, struct bake_fa
  * needs, or 0. */
 static int find_kept(struct merge *merge, uint32_t number, uint32_t side, bool *kept)
 {
-    struct bake_farm_note note;
+    struct note note;
     int status = begin_note(merge, number, &note);
     note.most_side = side;
     note.with_thumbnails = side > 0;
     *kept = false;
     if (status == 0 && !merge->force)
-        status = bake_farm_note_read(merge->plan, &note, kept);
+        status = read_note(merge->plan, &note, kept);
     if (*kept)
         merge->counts = note.counts;
     for (int i = 0; i < 3 && !*kept && note.thumbnails[i]; i++)
@@ -101,14 +270,14 @@ static int note_merged(const struct merge *merge)
     const struct bake_work *job = merge->job;
     int status = 0;
     for (uint32_t i = 0; i <= job->udim.count && status == 0; i++) {
-        struct bake_farm_note note;
+        struct note note;
         if (i < job->udim.count ? job->tiles[i].kept : job->keeps_preview)
             continue;
         status = begin_note(merge, i, &note);
         note.counts = merge->counts;
         note.with_thumbnails = !is_whole(merge) && job->options->preview_path;
         if (status == 0)
-            status = bake_farm_note_write(merge->plan, &note);
+            status = write_note(merge->plan, &note);
         free_paths(&note);
     }
     return status;

@@ -71,10 +71,6 @@ int bake_open_inputs(struct bake_work *job);
  * whether the meshes fit: see bake_fit(). */
 int bake_set_params(struct bake_work *job);
 
-/* Finds out which scans each object sees, by their names. Errors: BSQ_EUSAGE, with the names, if an
- * object sees none, or if none sees a scan. */
-int bake_match_names(struct bake_work *job);
-
 /* ---- costs ---- */
 
 /* Sets what baking `texels` of `all` texels with a surface needs. part_bytes must be set. */

@@ -1,5 +1,5 @@
 /* lowpoly_internal.h - what corners of the low-poly mesh get: normals and directions of rays; and
- * its place, objects and materials; private to this folder. */
+ * its place; private to this folder. */
 #ifndef BAKE_LOWPOLY_LOWPOLY_INTERNAL_H
 #define BAKE_LOWPOLY_LOWPOLY_INTERNAL_H
 
@@ -42,26 +42,5 @@ int bake_cage_directions(struct bsq_ctx *ctx, const struct bake_lowmesh_options 
 
 /* Turns unit directions into the way to a cage at this distance. */
 void bake_extrude(double distance, struct bake_lowmesh *mesh);
-
-/* ---- names ---- */
-
-/* The names in all files of a job, and those of each triangle. All zero at first. */
-struct bake_names {
-    struct bsq_texts objects, materials;
-    struct bsq_tally tally; /* of these */
-    uint32_t (*of)[2];      /* of each triangle: numbers of its object and material */
-    uint64_t count, capacity;
-};
-
-/* Adds the triangles of a file, which fmt_mesh_load() loaded. A triangle without an object
- * belongs to one with the file's name, without folder and suffix. */
-int bake_names_add(struct bsq_ctx *ctx, struct bake_names *names, const char *path,
-                   const struct fmt_mesh *mesh);
-
-/* Sorts the mesh by set, and gives it the sets and the objects of its triangles, as the options
- * ask. Takes the names over. */
-int bake_names_apply(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
-                     struct bake_names *names, struct bake_lowmesh *mesh);
-void bake_names_free(struct bsq_ctx *ctx, struct bake_names *names);
 
 #endif

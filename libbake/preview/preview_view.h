@@ -54,10 +54,4 @@ void bake_preview_mesh_sample(const struct bake_preview *preview, const struct p
                               uint32_t triangle, double x, double y, struct bsq_vec3 *plain,
                               struct bsq_vec3 *mapped);
 
-/* Renders the scan's panel on all threads: view->side rows of RGB, `stride` floats apart. Adds
- * view->side to the progress. Must not be called from parallel work. Errors: those of
- * bake_surface_trace(), BSQ_ENOMEM. */
-int bake_preview_scan_panel(const struct bake_preview *preview, const struct preview_view *view,
-                            float *pixels, size_t stride);
-
 #endif

@@ -121,7 +121,7 @@ void bake_raster_kernel_triangles(const struct bake_raster *raster, const double
     for (uint64_t i = 0; i < raster->options.count; i++) {
         const uint64_t t = raster->options.first + i;
         memset(&out[t], 0, sizeof(out[t]));
-        if (!raster_snap_triangle(raster, t, &snapped))
+        if (!bake_raster_snap(raster, t, &snapped))
             continue;
         const struct raster_window samples = bake_raster_bounds(&raster->grid, &snapped);
         set_weights(raster, t, &samples, &out[t]);
