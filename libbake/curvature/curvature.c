@@ -281,7 +281,7 @@ done:
 static int trace_band(void *arg, uint32_t first_row, uint32_t rows, float *texels)
 {
     struct work *work = arg;
-    const uint32_t width = bake_image_width(work->job->image);
+    const uint32_t width = work->job->image->width;
     const uint32_t columns = work->most_texels < width ? (uint32_t)work->most_texels : width;
     int status = 0;
     for (uint32_t x = 0; status == 0 && x < width; x += columns) {
@@ -294,9 +294,9 @@ static int trace_band(void *arg, uint32_t first_row, uint32_t rows, float *texel
 
 static int trace_bands(struct work *work)
 {
-    const uint64_t rows = work->most_texels / bake_image_width(work->job->image);
+    const uint64_t rows = work->most_texels / work->job->image->width;
     const uint32_t most = rows < 1 ? 1 : rows < UINT32_MAX ? (uint32_t)rows : UINT32_MAX;
-    return bake_image_change(work->ctx, work->job->image, most, trace_band, work);
+    return bake_image_bands(work->ctx, work->job->image, most, true, trace_band, work);
 }
 
 /* ---- memory ---- */
@@ -306,9 +306,9 @@ static int trace_bands(struct work *work)
 static int allocate(struct work *work)
 {
     const struct bake_image *image = work->job->image;
-    const uint64_t width = bake_image_width(image), all = width * bake_image_height(image);
+    const uint64_t width = image->width, all = width * image->height;
     const uint64_t fitting = bake_surface_capacity(work->job->surface, 0) / 2 / PROBES;
-    work->channels = bake_image_channels(image);
+    work->channels = image->channels;
     work->most_texels = fitting < 1 ? 1 : fitting < all ? fitting : all;
     const uint64_t rays = work->most_texels * PROBES;
     int status = 0;
@@ -331,7 +331,7 @@ int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job,
 {
     struct work work = {.ctx = ctx, .job = job, .counts = counts};
     bsq_progress_begin(ctx, "measuring curvature", "texels",
-                       (uint64_t)bake_image_width(job->image) * bake_image_height(job->image));
+                       (uint64_t)job->image->width * job->image->height);
     int status = 0;
     BSQ_TRY(allocate(&work));
     BSQ_TRY(trace_bands(&work));

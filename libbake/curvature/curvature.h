@@ -34,7 +34,7 @@ struct bake_curvature_counts {
 /* Computes the curvature of all valid texels on all threads, in 1 / world unit: positive where the
  * scan is convex. If only some of the rays around a hit find the scan, they give the value; if none
  * does, it is 0, and counted. Adds to *counts. Must not be called from parallel work. Errors: those
- * of bake_surface_trace() and bake_image_change(); BSQ_ENOMEM. */
+ * of bake_surface_trace() and bake_image_bands(); BSQ_ENOMEM. */
 int bake_curvature_trace(struct bsq_ctx *ctx, const struct bake_curvature *job,
                          struct bake_curvature_counts *counts);
 

@@ -91,8 +91,6 @@ static int load_grid(struct bsq_ctx *ctx, const struct bake_job *job, struct bak
         return 0;
     status = backend->load(backend, 0, &whole, why);
     backend->holds_grid = status == 0;
-    if (status == BSQ_ENODEVICE && backend->lacked_memory)
-        return 0;
     return status < 0 ? bsq_fail(ctx, status, "%s: %s", backend->name, why) : 0;
 }
 
@@ -249,11 +247,6 @@ int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_jo
 const char *bake_device_name(const struct bake_device *device)
 {
     return device->backend->name;
-}
-
-const struct bake_backend *bake_device_backend(const struct bake_device *device)
-{
-    return device->backend;
 }
 
 /* ---- passes and patches ---- */

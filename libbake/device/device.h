@@ -21,8 +21,6 @@ int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_jo
                      struct bake_device **out);
 void bake_device_close(struct bake_device *device); /* NULL is allowed */
 const char *bake_device_name(const struct bake_device *device);
-/* Returns the device's memory limits and name; for tests. */
-const struct bake_backend *bake_device_backend(const struct bake_device *device);
 
 /* Returns whether the device can trace any patch. Otherwise it needs passes. */
 bool bake_device_holds_grid(const struct bake_device *device);

@@ -10,8 +10,7 @@
 #ifndef BAKE_FARM_FARM_H
 #define BAKE_FARM_FARM_H
 
-#include "libbake/bake.h"
-#include "libbake/maps/maps.h"
+#include "libbake/job/job.h"
 
 /* ---- the plan ---- */
 
@@ -107,22 +106,16 @@ struct bake_farm_found {
     struct bake_statistics statistics[BK_MAP_COUNT];
 };
 
-/* The texels of one tile. */
-struct bake_farm_image {
-    struct bake_blocks blocks; /* those of a task; unused when parts are merged */
-    struct bake_image *image;  /* NULL: the task has no blocks in this tile */
-};
-
 /* Sets *out to the path of a task's part ("part") or of a tile's note ("merged"), which the caller
  * frees. Errors: BSQ_ENOMEM. */
 int bake_farm_path(const struct bake_farm_plan *plan, const char *kind, uint32_t number,
                    char **out);
 
-/* Writes the part of a task: one image for each tile of the plan. Blocks without covered texels are
- * left out. Tries again if another task of the same number took the file away. Errors: BSQ_EIO,
- * BSQ_ECANTCREAT, BSQ_ENOMEM, BSQ_EINTR. */
+/* Writes the part of a task from the images of its tiles, which hold blocks, or are NULL. Blocks
+ * without covered texels are left out. Tries again if another task of the same number took the file
+ * away. Errors: BSQ_EIO, BSQ_ECANTCREAT, BSQ_ENOMEM, BSQ_EINTR. */
 int bake_farm_part_write(const struct bake_farm_plan *plan, uint32_t task,
-                         const struct bake_farm_image *images, const struct bake_farm_found *found);
+                         const struct bake_tile *tiles, const struct bake_farm_found *found);
 
 /* Sets *out if the part of a task is there, complete and of this plan. Errors: BSQ_ENOMEM,
  * BSQ_EINTR. */

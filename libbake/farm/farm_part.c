@@ -206,7 +206,7 @@ int bake_farm_part_is_there(const struct bake_farm_plan *plan, uint32_t task, bo
 
 struct part_writer {
     const struct bake_farm_plan *plan;
-    const struct bake_farm_image *images;
+    const struct bake_tile *tiles;
     struct part_header header;
     struct bsq_output *output;
     struct part_entry *entries;
@@ -231,7 +231,7 @@ static int write_block(struct part_writer *writer, uint32_t tile, uint32_t block
     int status = bsq_check(writer->plan->ctx);
     if (status == 0)
         status =
-            bake_image_rows(writer->images[tile].image, slot * side, side, writer->texels, &texels);
+            bake_image_rows(writer->tiles[tile].image, slot * side, side, writer->texels, &texels);
     if (!texels || status < 0 ||
         !is_covered(texels, (uint64_t)side * side, writer->header.channels))
         return status;
@@ -244,9 +244,9 @@ static int write_blocks(struct part_writer *writer)
 {
     int status = 0;
     for (uint32_t t = 0; t < writer->plan->tile_count; t++) {
-        const struct bake_blocks *blocks = &writer->images[t].blocks;
+        const struct bake_blocks *blocks = &writer->tiles[t].blocks;
         const uint64_t count = (uint64_t)blocks->columns * blocks->rows;
-        for (uint64_t b = 0; writer->images[t].image && b < count && status == 0; b++)
+        for (uint64_t b = 0; writer->tiles[t].image && b < count && status == 0; b++)
             if (blocks->slots[b] != BAKE_NO_SLOT)
                 status = write_block(writer, t, (uint32_t)b, blocks->slots[b]);
     }
@@ -300,10 +300,10 @@ static int write_until_there(struct part_writer *writer, uint32_t task)
 }
 
 int bake_farm_part_write(const struct bake_farm_plan *plan, uint32_t task,
-                         const struct bake_farm_image *images, const struct bake_farm_found *found)
+                         const struct bake_tile *tiles, const struct bake_farm_found *found)
 {
     struct part_writer writer = {.plan = plan,
-                                 .images = images,
+                                 .tiles = tiles,
                                  .header = {.version = VERSION,
                                             .channels = channels_of(plan),
                                             .task = task,
@@ -315,7 +315,7 @@ int bake_farm_part_write(const struct bake_farm_plan *plan, uint32_t task,
     memcpy(writer.header.magic, magic, sizeof magic);
     memcpy(writer.header.plan_id, plan->id, sizeof writer.header.plan_id);
     for (uint32_t t = 0; t < plan->tile_count; t++)
-        blocks += images[t].blocks.count;
+        blocks += tiles[t].blocks.count;
     BSQ_TRY(bsq_alloc(plan->ctx, "blocks", blocks, sizeof *writer.entries, &writer.entries));
     BSQ_TRY(bsq_alloc(plan->ctx, "texels of a block", 1, block_bytes(plan), &writer.texels));
     status = write_until_there(&writer, task);

@@ -297,17 +297,12 @@ static int write_part(const struct bake_work *job, const struct bake_farm_plan *
     struct bake_farm_found found = {.counts = {report->covered_texels, report->samples,
                                                report->hits, report->overlapping_samples,
                                                job->curvature.texels, job->curvature.alone}};
-    struct bake_farm_image *images = NULL;
-    int status;
-    BSQ_TRY(bsq_alloc(job->ctx, "images", job->udim.count, sizeof *images, &images));
-    for (uint32_t i = 0; i < job->udim.count; i++) {
-        images[i] = (struct bake_farm_image){job->tiles[i].blocks, job->tiles[i].image};
-        if (images[i].image)
-            BSQ_TRY(bake_image_measure(job->ctx, images[i].image, job->maps, found.statistics));
-    }
-    status = bake_farm_part_write(plan, task, images, &found);
+    int status = 0;
+    for (uint32_t i = 0; i < job->udim.count; i++)
+        if (job->tiles[i].image)
+            BSQ_TRY(bake_image_measure(job->ctx, job->tiles[i].image, job->maps, found.statistics));
+    status = bake_farm_part_write(plan, task, job->tiles, &found);
 done:
-    bsq_free(job->ctx, images);
     return status;
 }
 

@@ -56,7 +56,7 @@ static bool is_valid(const float *texel)
 
 /* ---- layers ---- */
 
-static int widen_bounds(void *arg, uint32_t first_row, uint32_t rows, const float *texels)
+static int widen_bounds(void *arg, uint32_t first_row, uint32_t rows, float *texels)
 {
     struct work *work = arg;
     const float *end = texels + (size_t)rows * work->width * work->channels;
@@ -85,7 +85,7 @@ static uint64_t cell_of(const struct work *work, const float *guide)
     return (uint64_t)row << 32 | cell_along(work, guide, (work->axis + 2) % 3);
 }
 
-static int count_layers(void *arg, uint32_t first_row, uint32_t rows, const float *texels)
+static int count_layers(void *arg, uint32_t first_row, uint32_t rows, float *texels)
 {
     struct work *work = arg;
     const float *end = texels + (size_t)rows * work->width * work->channels;
@@ -105,7 +105,7 @@ static int make_layers(struct work *work)
         work->low[k] = INFINITY;
         work->high[k] = -INFINITY;
     }
-    BSQ_TRY(bake_image_bands(work->ctx, work->filter->image, BAND_ROWS, widen_bounds, work));
+    BSQ_TRY(bake_image_bands(work->ctx, work->filter->image, BAND_ROWS, false, widen_bounds, work));
     for (int k = 1; k < 3; k++)
         if (work->high[k] - work->low[k] > work->high[work->axis] - work->low[work->axis])
             work->axis = k;
@@ -118,7 +118,7 @@ static int make_layers(struct work *work)
                        &work->ends));
     BSQ_TRY(bsq_calloc(work->ctx, "layers of texels", work->layer_count, sizeof *work->next,
                        &work->next));
-    BSQ_TRY(bake_image_bands(work->ctx, work->filter->image, BAND_ROWS, count_layers, work));
+    BSQ_TRY(bake_image_bands(work->ctx, work->filter->image, BAND_ROWS, false, count_layers, work));
     for (uint32_t i = 1; i < work->layer_count; i++)
         work->ends[i] += work->ends[i - 1];
 done:
@@ -147,7 +147,7 @@ static void begin_reading(struct work *work)
         work->next[i] = before(work, i) - before(work, work->begin);
 }
 
-static int take_points(void *arg, uint32_t first_row, uint32_t rows, const float *texels)
+static int take_points(void *arg, uint32_t first_row, uint32_t rows, float *texels)
 {
     struct work *work = arg;
     const float *end = texels + (size_t)rows * work->width * work->channels;
@@ -326,11 +326,11 @@ static int filter_window(struct work *work)
     struct bake_image *image = work->filter->image;
     int status;
     begin_reading(work);
-    BSQ_TRY(bake_image_bands(work->ctx, image, BAND_ROWS, take_points, work));
+    BSQ_TRY(bake_image_bands(work->ctx, image, BAND_ROWS, false, take_points, work));
     BSQ_TRY(bsq_parallel_for(work->ctx, work->end - work->begin, sort_layer, work));
     BSQ_TRY(bsq_parallel_for(work->ctx, work->last - work->first, filter_layer, work));
     begin_reading(work);
-    BSQ_TRY(bake_image_change(work->ctx, image, BAND_ROWS, put_results, work));
+    BSQ_TRY(bake_image_bands(work->ctx, image, BAND_ROWS, true, put_results, work));
 done:
     return status;
 }
@@ -339,8 +339,8 @@ int bake_filter(struct bsq_ctx *ctx, const struct bake_filter *filter)
 {
     struct work work = {.ctx = ctx,
                         .filter = filter,
-                        .width = bake_image_width(filter->image),
-                        .channels = bake_image_channels(filter->image),
+                        .width = filter->image->width,
+                        .channels = filter->image->channels,
                         .radius = (float)(filter->texel * RADIUS),
                         .depth = (float)(filter->texel * DEPTH)};
     const uint64_t most =
@@ -356,7 +356,7 @@ int bake_filter(struct bsq_ctx *ctx, const struct bake_filter *filter)
         BSQ_TRY(filter_window(&work));
     }
     if (work.layer_count > 0)
-        BSQ_TRY(bake_image_change(ctx, filter->image, BAND_ROWS, take_results, &work));
+        BSQ_TRY(bake_image_bands(ctx, filter->image, BAND_ROWS, true, take_results, &work));
 done:
     bsq_progress_end(ctx);
     bsq_free(ctx, work.points);

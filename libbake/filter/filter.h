@@ -20,7 +20,7 @@ struct bake_filter {
 };
 
 /* Filters all valid texels on all threads. Must not be called from parallel work. Errors: those of
- * bake_image_change(); BSQ_ENOMEM, BSQ_EINTR. */
+ * bake_image_bands(); BSQ_ENOMEM, BSQ_EINTR. */
 int bake_filter(struct bsq_ctx *ctx, const struct bake_filter *filter);
 
 #endif

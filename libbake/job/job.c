@@ -68,7 +68,7 @@ static void end(struct bake_work *job)
     for (uint32_t i = 0; job->tiles && i < job->udim.count; ++i)
         end_tile(job->ctx, &job->tiles[i]);
     bsq_free(job->ctx, job->tiles);
-    bake_preview_discard(job->preview_file);
+    bsq_output_discard(job->preview);
     bake_asset_discard(job->asset);
     bsq_free(job->ctx, job->preview_tiles);
     bsq_free(job->ctx, job->scan_names);

@@ -52,10 +52,10 @@ struct bake_work {
     struct bake_curvature_counts curvature; /* over those that were traced */
     struct bake_device *device;             /* NULL: triangles or several scans are traced */
     struct bake_preview_tile *preview_tiles;
-    struct bake_preview_file *preview_file;
-    double preview_from;      /* where its first view is, in degrees around */
-    struct bake_asset *asset; /* NULL: there is none */
-    bool keeps_preview;       /* it is there already, or another process renders it */
+    struct bsq_output *preview; /* complete; NULL: there is none yet */
+    double preview_from;        /* where its first view is, in degrees around */
+    struct bake_asset *asset;   /* NULL: there is none */
+    bool keeps_preview;         /* it is there already, or another process renders it */
 };
 
 /* Begins and ends a job. The report must be empty; a job that failed frees it. */
@@ -107,8 +107,7 @@ void bake_end_tracing(struct bake_work *job);
  * none is written) can be created, are no inputs and have different names. Errors: BSQ_EUSAGE,
  * BSQ_ECANTCREAT, BSQ_ENOMEM. */
 int bake_check_outputs(struct bake_work *job, const char *plan);
-/* Creates the files of the first tile and the preview's. Those of other tiles are created when they
- * are written. What is kept is left out. */
+/* Prepares for the files, which are created when they are written. */
 int bake_open_outputs(struct bake_work *job);
 /* Returns the side of thumbnails for the preview, so that those of one map in all tiles take at
  * most an eighth of what is left in the budget. */

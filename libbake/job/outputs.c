@@ -146,29 +146,12 @@ static int require_descriptors(const struct bake_work *job)
     return bsq_require_descriptors(job->ctx, job->options->output_path, count);
 }
 
-static int open_files(struct bsq_ctx *ctx, struct bake_tile *tile, const struct bake_traced *traced)
-{
-    return tile->files ? 0
-                       : bake_map_files_open(ctx, &tile->options, tile->maps, traced, &tile->files);
-}
-
 int bake_open_outputs(struct bake_work *job)
 {
     int status = 0;
     if (job->options->more_scan_count > 0)
         BSQ_TRY(name_scans(job));
-    const struct bake_traced traced = traced_of(job);
     BSQ_TRY(require_descriptors(job));
-    struct bake_tile *first = NULL;
-    for (uint32_t i = job->udim.count; i-- > 0;)
-        first = job->tiles[i].kept ? first : &job->tiles[i];
-    if (first)
-        BSQ_TRY(open_files(job->ctx, first, &traced));
-    if (wants_preview(job) && !job->keeps_preview)
-        BSQ_TRY(bake_preview_open(job->ctx,
-                                  job->options->preview_path ? job->options->preview_path
-                                                             : job->options->page->path,
-                                  job->options->preview_views, &job->preview_file));
     if (job->options->glb_path)
         BSQ_TRY(bake_asset_open(job->ctx, job->options, job->udim.count, &job->asset));
 done:
@@ -245,7 +228,7 @@ int bake_write_tile(struct bake_work *job, struct bake_tile *tile, uint32_t side
 {
     const struct bake_traced traced = traced_of(job);
     int status = 0;
-    BSQ_TRY(open_files(job->ctx, tile, &traced));
+    BSQ_TRY(bake_map_files_open(job->ctx, &tile->options, tile->maps, &traced, &tile->files));
     const uint32_t number = (uint32_t)(tile - job->tiles);
     if (job->maps & 1u << BK_MAP_guide)
         BSQ_TRY(filter_tile(job, tile));
@@ -332,8 +315,10 @@ done:
 
 int bake_write_preview(struct bake_work *job)
 {
-    if (!job->preview_file)
+    if (!wants_preview(job) || job->keeps_preview)
         return 0;
+    const char *path =
+        job->options->preview_path ? job->options->preview_path : job->options->page->path;
     int status = bsq_calloc(job->ctx, "preview", job->udim.count, sizeof *job->preview_tiles,
                             &job->preview_tiles);
     if (status < 0)
@@ -352,13 +337,12 @@ int bake_write_preview(struct bake_work *job)
                                          .from = job->options->preview_from,
                                          .above = job->options->preview_above,
                                          .view_count = job->options->preview_views};
-    return bake_preview_write(job->preview_file, &preview, &job->preview_from);
+    return bake_preview_write(job->ctx, path, &preview, &job->preview_from, &job->preview);
 }
 
 int bake_commit_outputs(struct bake_work *job)
 {
     struct bsq_output_group group = {0};
-    struct bsq_output *preview;
     int status = 0;
     for (uint32_t i = 0; i < job->udim.count; ++i) {
         struct bake_map_files *files = job->tiles[i].files;
@@ -366,21 +350,15 @@ int bake_commit_outputs(struct bake_work *job)
         if (files)
             BSQ_TRY(bake_map_files_hand_over(files, &group));
     }
-    if (job->preview_file) {
-        struct bake_preview_file *file = job->preview_file;
-        job->preview_file = NULL;
-        BSQ_TRY(bake_preview_hand_over(file, &preview));
-        if (job->options->page)
-            status =
-                bake_page_add(job->options->page,
+    if (job->preview && job->options->page)
+        BSQ_TRY(bake_page_add(job->options->page,
                               json_pack("{s:s, s:f, s:f}", "kind", "preview", "from",
                                         job->preview_from, "above", job->options->preview_above),
-                              preview);
-        if (status == 0 && job->options->preview_path)
-            status = bsq_output_group_add(&group, preview);
-        else
-            bsq_output_discard(preview);
-        BSQ_TRY(status);
+                              job->preview));
+    if (job->preview && job->options->preview_path) {
+        struct bsq_output *preview = job->preview;
+        job->preview = NULL;
+        BSQ_TRY(bsq_output_group_add(&group, preview));
     }
     if (job->asset) {
         struct bake_asset *asset = job->asset;

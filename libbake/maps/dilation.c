@@ -334,9 +334,9 @@ done:
 uint64_t bake_dilation_row_bytes(const struct bake_image *image)
 {
     uint64_t texel_bytes = sizeof(uint32_t);
-    if (!bake_image_in_memory(image))
-        texel_bytes += bake_image_channels(image) * sizeof(float);
-    return texel_bytes * bake_image_width(image);
+    if (!image->samples)
+        texel_bytes += image->channels * sizeof(float);
+    return texel_bytes * image->width;
 }
 
 static int allocate(struct bake_dilation *dilation, const char *beside)
@@ -344,7 +344,7 @@ static int allocate(struct bake_dilation *dilation, const char *beside)
     struct bsq_ctx *ctx = dilation->ctx;
     const uint32_t width = dilation->width;
     const uint64_t row_bytes = (uint64_t)width * dilation->channels * sizeof(float);
-    const bool in_memory = bake_image_in_memory(dilation->image);
+    const bool in_memory = dilation->image->samples != NULL;
     const struct bake_image_options carried = {.width = width,
                                                .height = dilation->band_count,
                                                .channels = dilation->channels,
@@ -380,9 +380,9 @@ int bake_dilation_create(struct bsq_ctx *ctx, const struct bake_image *image, ui
     BSQ_TRY(bsq_calloc(ctx, "padding", 1, sizeof *dilation, &dilation));
     dilation->ctx = ctx;
     dilation->image = image;
-    dilation->width = bake_image_width(image);
-    dilation->height = bake_image_height(image);
-    dilation->channels = bake_image_channels(image);
+    dilation->width = image->width;
+    dilation->height = image->height;
+    dilation->channels = image->channels;
     dilation->band_rows = band_rows < dilation->height ? band_rows : dilation->height;
     dilation->band_count = (dilation->height - 1) / dilation->band_rows + 1;
     dilation->limit = padding == UINT32_MAX ? UINT64_MAX : (uint64_t)padding * padding;

@@ -448,7 +448,7 @@ int bake_map_files_write(struct bake_map_files *files, const struct bake_image *
     int status = choose_encodings(files, measures, report);
     if (status < 0)
         return status;
-    files->image_channels = bake_image_channels(image);
+    files->image_channels = image->channels;
     bsq_progress_begin(files->ctx, "writing", "rows", files->options->height);
     status = write_bands(files, image, report);
     bsq_progress_end(files->ctx);

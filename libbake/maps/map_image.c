@@ -11,15 +11,6 @@
 #include "base/file.h"
 #include "base/parallel.h"
 
-struct bake_image {
-    struct bsq_ctx *ctx;
-    uint32_t width, height, channels;
-    size_t texel_bytes;
-    float *samples; /* NULL: the image is in `file` */
-    struct bsq_file file;
-    const struct bake_blocks *blocks; /* NULL: an ordinary image */
-};
-
 /* Chooses between memory and a file, and allocates or creates it. */
 static int allocate(struct bake_image *image, const struct bake_image_options *options)
 {
@@ -75,26 +66,6 @@ uint32_t bake_image_channels_for(uint32_t maps)
     return channels + BK_TRANSFER_VALUES * bk_transfers(maps);
 }
 
-uint32_t bake_image_width(const struct bake_image *image)
-{
-    return image->width;
-}
-
-uint32_t bake_image_height(const struct bake_image *image)
-{
-    return image->height;
-}
-
-uint32_t bake_image_channels(const struct bake_image *image)
-{
-    return image->channels;
-}
-
-bool bake_image_in_memory(const struct bake_image *image)
-{
-    return image->samples != NULL;
-}
-
 int bake_image_write(struct bake_image *image, uint32_t x, uint32_t y, uint32_t width,
                      uint32_t height, const float *samples)
 {
@@ -141,43 +112,25 @@ int bake_image_rows(const struct bake_image *image, uint32_t y, uint32_t count, 
     return 0;
 }
 
-/* Calls `look` for each band or, if the image may change, `change`. */
-static int for_bands(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t band_rows,
-                     bake_band_fn *look, bake_change_fn *change, void *arg)
+int bake_image_bands(struct bsq_ctx *ctx, struct bake_image *image, uint32_t band_rows, bool change,
+                     bake_band_fn *fn, void *arg)
 {
     const uint64_t row_bytes = image->width * image->texel_bytes;
     const uint64_t most = bsq_memory_share(ctx, "rows of a map", 4) / row_bytes;
     const uint32_t step = most < 1 ? 1 : most < band_rows ? (uint32_t)most : band_rows;
     const float *texels;
-    float *buffer = NULL, *band;
+    float *buffer = NULL;
     int status = 0;
     if (!image->samples)
         BSQ_TRY(bsq_alloc(ctx, "rows of a map", step, row_bytes, &buffer));
     for (uint32_t y = 0; y < image->height; y += step) {
         const uint32_t rows = image->height - y < step ? image->height - y : step;
         BSQ_TRY(bake_image_rows(image, y, rows, buffer, &texels));
-        if (look) {
-            BSQ_TRY(look(arg, y, rows, texels));
-            continue;
-        }
-        band = buffer ? buffer : image->samples + (size_t)y * image->width * image->channels;
-        BSQ_TRY(change(arg, y, rows, band));
-        if (buffer)
+        BSQ_TRY(fn(arg, y, rows, (float *)(uintptr_t)texels));
+        if (buffer && change)
             BSQ_TRY(bsq_file_write(ctx, &image->file, buffer, rows * row_bytes, y * row_bytes));
     }
 done:
     bsq_free(ctx, buffer);
     return status;
-}
-
-int bake_image_bands(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t band_rows,
-                     bake_band_fn *fn, void *arg)
-{
-    return for_bands(ctx, image, band_rows, fn, NULL, arg);
-}
-
-int bake_image_change(struct bsq_ctx *ctx, struct bake_image *image, uint32_t band_rows,
-                      bake_change_fn *fn, void *arg)
-{
-    return for_bands(ctx, image, band_rows, NULL, fn, arg);
 }

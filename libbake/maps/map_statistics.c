@@ -94,7 +94,7 @@ static int measure_row(void *arg, uint64_t row, unsigned worker)
     return 0;
 }
 
-static int measure_band(void *arg, uint32_t first_row, uint32_t rows, const float *texels)
+static int measure_band(void *arg, uint32_t first_row, uint32_t rows, float *texels)
 {
     struct measuring *measuring = arg;
     (void)first_row;
@@ -103,24 +103,22 @@ static int measure_band(void *arg, uint32_t first_row, uint32_t rows, const floa
 }
 
 /* Adds the values at an offset in the texels. */
-static int measure_values(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t offset,
+static int measure_values(struct bsq_ctx *ctx, struct bake_image *image, uint32_t offset,
                           struct bake_statistics *out)
 {
-    struct measuring measuring = {.ctx = ctx,
-                                  .width = bake_image_width(image),
-                                  .channels = bake_image_channels(image),
-                                  .offset = offset};
+    struct measuring measuring = {
+        .ctx = ctx, .width = image->width, .channels = image->channels, .offset = offset};
     int status = bsq_calloc(ctx, "statistics", bsq_threads(ctx), sizeof *measuring.workers,
                             &measuring.workers);
     if (status == 0)
-        status = bake_image_bands(ctx, image, BAND_ROWS, measure_band, &measuring);
+        status = bake_image_bands(ctx, image, BAND_ROWS, false, measure_band, &measuring);
     for (unsigned w = 0; status == 0 && w < bsq_threads(ctx); w++)
         bake_statistics_add(out, &measuring.workers[w]);
     bsq_free(ctx, measuring.workers);
     return status;
 }
 
-int bake_image_measure(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t maps,
+int bake_image_measure(struct bsq_ctx *ctx, struct bake_image *image, uint32_t maps,
                        struct bake_statistics statistics[BK_MAP_COUNT])
 {
     int status = 0;

@@ -7,6 +7,7 @@
 #ifndef BAKE_MAPS_MAPS_H
 #define BAKE_MAPS_MAPS_H
 
+#include "base/file.h"
 #include "formats/image/image_writer.h"
 #include "libbake/bake.h"
 #include "libbake/kernel/bk_maps.h"
@@ -196,7 +197,15 @@ double bake_thickness_distance(const struct bake_options *options, const double 
 #define BAKE_OUTSIDE 0.0f
 #define BAKE_MISSED  (-1.0f)
 
-struct bake_image;
+/* Its members do not change. */
+struct bake_image {
+    struct bsq_ctx *ctx;
+    uint32_t width, height, channels;
+    size_t texel_bytes;
+    float *samples; /* NULL: the image is in `file` */
+    struct bsq_file file;
+    const struct bake_blocks *blocks; /* NULL: an ordinary image */
+};
 
 struct bake_image_options {
     uint32_t width, height; /* texels */
@@ -216,11 +225,6 @@ int bake_image_create(struct bsq_ctx *ctx, const struct bake_image_options *opti
                       struct bake_image **out);
 void bake_image_free(struct bake_image *image); /* NULL is allowed */
 
-uint32_t bake_image_width(const struct bake_image *image);
-uint32_t bake_image_height(const struct bake_image *image);
-uint32_t bake_image_channels(const struct bake_image *image);
-bool bake_image_in_memory(const struct bake_image *image);
-
 /* Stores a rectangle of texels, interleaved, row by row. Several threads may write disjoint ones.
  */
 int bake_image_write(struct bake_image *image, uint32_t x, uint32_t y, uint32_t width,
@@ -236,19 +240,16 @@ int bake_image_write_patch(struct bake_image *image, const struct bk_patch *patc
 int bake_image_rows(const struct bake_image *image, uint32_t y, uint32_t count, float *buffer,
                     const float **rows);
 
-/* Calls fn for bands of at most `band_rows` rows of an image, from top to bottom. Returns the first
- * failure. Errors: BSQ_ENOMEM, BSQ_EIO, and those of fn. */
-typedef int bake_band_fn(void *arg, uint32_t first_row, uint32_t rows, const float *texels);
-int bake_image_bands(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t band_rows,
+/* Calls fn for bands of at most `band_rows` rows of an image, from top to bottom. With `change`, it
+ * may change the texels, which are then stored. Returns the first failure. Errors: BSQ_ENOMEM,
+ * BSQ_EIO, and those of fn. */
+typedef int bake_band_fn(void *arg, uint32_t first_row, uint32_t rows, float *texels);
+int bake_image_bands(struct bsq_ctx *ctx, struct bake_image *image, uint32_t band_rows, bool change,
                      bake_band_fn *fn, void *arg);
-/* Does the same with a function that may change the texels of its band, which are then stored. */
-typedef int bake_change_fn(void *arg, uint32_t first_row, uint32_t rows, float *texels);
-int bake_image_change(struct bsq_ctx *ctx, struct bake_image *image, uint32_t band_rows,
-                      bake_change_fn *fn, void *arg);
 
 /* Adds the magnitudes of the values of maps whose rows are `measured`. Errors: BSQ_ENOMEM, BSQ_EIO.
  */
-int bake_image_measure(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t maps,
+int bake_image_measure(struct bsq_ctx *ctx, struct bake_image *image, uint32_t maps,
                        struct bake_statistics statistics[BK_MAP_COUNT]);
 
 /* ---- patches ---- */
@@ -318,7 +319,7 @@ int bake_thumbnail_create(struct bsq_ctx *ctx, uint32_t full_width, uint32_t ful
 /* Creates the thumbnail of an image's misses. Channel 0 has the share of texels inside charts
  * without a value, channel 1 that of texels with one, channel 2 is 0. Must not be called from
  * parallel work. Errors: BSQ_ENOMEM, and those of bake_image_rows(). */
-int bake_thumbnail_of_missed(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t side,
+int bake_thumbnail_of_missed(struct bsq_ctx *ctx, struct bake_image *image, uint32_t side,
                              struct bake_thumbnail *out);
 void bake_thumbnail_free(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail);
 

@@ -78,7 +78,7 @@ static int add_row(void *arg, uint64_t index, unsigned worker)
     return 0;
 }
 
-static int add_rows(void *arg, uint32_t first_row, uint32_t rows, const float *samples)
+static int add_rows(void *arg, uint32_t first_row, uint32_t rows, float *samples)
 {
     struct addition *addition = arg;
     uint32_t first = first_row / addition->thumbnail->factor;
@@ -93,17 +93,16 @@ int bake_thumbnail_add(struct bsq_ctx *ctx, struct bake_thumbnail *thumbnail, ui
                        uint32_t first_row, uint32_t rows, const float *samples)
 {
     struct addition addition = {.ctx = ctx, .thumbnail = thumbnail, .channels = channels};
-    return add_rows(&addition, first_row, rows, samples);
+    return add_rows(&addition, first_row, rows, (float *)(uintptr_t)samples);
 }
 
-int bake_thumbnail_of_missed(struct bsq_ctx *ctx, const struct bake_image *image, uint32_t side,
+int bake_thumbnail_of_missed(struct bsq_ctx *ctx, struct bake_image *image, uint32_t side,
                              struct bake_thumbnail *out)
 {
     struct addition addition = {
-        .ctx = ctx, .thumbnail = out, .missed = true, .channels = bake_image_channels(image)};
-    int status =
-        bake_thumbnail_create(ctx, bake_image_width(image), bake_image_height(image), side, out);
-    return status < 0 ? status : bake_image_bands(ctx, image, 256, add_rows, &addition);
+        .ctx = ctx, .thumbnail = out, .missed = true, .channels = image->channels};
+    int status = bake_thumbnail_create(ctx, image->width, image->height, side, out);
+    return status < 0 ? status : bake_image_bands(ctx, image, 256, false, add_rows, &addition);
 }
 
 /* ---- sampling ---- */

@@ -21,45 +21,14 @@ _Static_assert(SIDE_ALONE % PREVIEW_BAND == 0 && SIDE % PREVIEW_BAND == 0 &&
 
 enum { PANEL_PLAIN, PANEL_MAPPED, PANEL_SCAN };
 
-struct bake_preview_file {
-    struct bsq_ctx *ctx;
-    uint32_t side, width; /* of a panel and of the picture */
-    struct fmt_image_writer *writer;
-};
-
 struct rendering {
     struct bsq_ctx *ctx;
     const struct bake_preview *preview;
-    uint32_t side, width; /* as in struct bake_preview_file */
+    uint32_t side, width; /* of a panel and of the picture */
     struct preview_view view;
     struct preview_band *bands; /* one a worker */
     float *pixels;              /* of a view: side x width x 3 */
 };
-
-int bake_preview_open(struct bsq_ctx *ctx, const char *path, uint32_t view_count,
-                      struct bake_preview_file **out)
-{
-    *out = NULL;
-    struct bake_preview_file *file;
-    int status = bsq_calloc(ctx, "preview", 1, sizeof *file, &file);
-    if (status < 0)
-        return status;
-    file->ctx = ctx;
-    file->side = view_count == 1 ? SIDE_ALONE : SIDE;
-    file->width = PANELS * file->side + (PANELS - 1) * SEPARATOR;
-    const struct fmt_image_options options = {.width = file->width,
-                                              .height =
-                                                  view_count * (file->side + SEPARATOR) - SEPARATOR,
-                                              .channel_count = 3,
-                                              .type = FMT_UINT8,
-                                              .color = true};
-    status = fmt_image_create(ctx, &fmt_png_format, path, &options, &file->writer);
-    if (status < 0)
-        bake_preview_discard(file);
-    else
-        *out = file;
-    return status;
-}
 
 /* Computes the colours of a sample in the mesh's two panels. x, y: in samples; band_y: y inside the
  * band. */
@@ -362,36 +331,33 @@ static int write_views(struct rendering *r, struct fmt_image_writer *writer, dou
     return status;
 }
 
-int bake_preview_write(struct bake_preview_file *file, const struct bake_preview *preview,
-                       double *from)
+int bake_preview_write(struct bsq_ctx *ctx, const char *path, const struct bake_preview *preview,
+                       double *from, struct bsq_output **out)
 {
     struct rendering r = {
-        .ctx = file->ctx, .preview = preview, .side = file->side, .width = file->width};
-    int status = 0;
+        .ctx = ctx, .preview = preview, .side = preview->view_count == 1 ? SIDE_ALONE : SIDE};
+    struct fmt_image_writer *writer = NULL;
+    int status;
+    r.width = PANELS * r.side + (PANELS - 1) * SEPARATOR;
+    const struct fmt_image_options options = {.width = r.width,
+                                              .height = preview->view_count * (r.side + SEPARATOR) -
+                                                        SEPARATOR,
+                                              .channel_count = 3,
+                                              .type = FMT_UINT8,
+                                              .color = true};
+    BSQ_TRY(fmt_image_create(ctx, &fmt_png_format, path, &options, &writer));
     BSQ_TRY(allocate(&r));
     const uint64_t probe_rows = preview->from < 0 ? PROBES * PROBE_SIDE : 0;
-    bsq_progress_begin(file->ctx, "preview", "rows",
+    bsq_progress_begin(ctx, "preview", "rows",
                        UINT64_C(2) * r.side * preview->view_count + probe_rows);
-    status = write_views(&r, file->writer, from);
-    bsq_progress_end(file->ctx);
-    if (status == 0)
-        status = fmt_image_finish(file->writer);
+    status = write_views(&r, writer, from);
+    bsq_progress_end(ctx);
+    if (status == 0) {
+        status = fmt_image_hand_over(writer, out);
+        writer = NULL;
+    }
 done:
+    fmt_image_discard(writer);
     release(&r);
     return status;
-}
-
-int bake_preview_hand_over(struct bake_preview_file *file, struct bsq_output **out)
-{
-    int status = fmt_image_hand_over(file->writer, out);
-    bsq_free(file->ctx, file);
-    return status;
-}
-
-void bake_preview_discard(struct bake_preview_file *file)
-{
-    if (!file)
-        return;
-    fmt_image_discard(file->writer);
-    bsq_free(file->ctx, file);
 }

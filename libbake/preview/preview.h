@@ -28,7 +28,7 @@ struct bake_preview {
     enum bake_up up;
     double from;         /* degrees around, of the first view; below 0: of the most telling one */
     double above;        /* degrees that views look down */
-    uint32_t view_count; /* that of bake_preview_open() */
+    uint32_t view_count; /* from 1 on */
 };
 
 /* Returns the vertical axis, 1 or 2, of `preview->up` or else the mesh suggests: the one on
@@ -37,19 +37,10 @@ struct bake_preview {
  * difference, the mesh is thin along axis 2, or it would fall over if it stood on that end. */
 int bake_preview_up_axis(const struct bake_preview *preview);
 
-struct bake_preview_file;
-
-/* Creates the PNG under a temporary name. view_count: from 1 on. Errors: those of
- * fmt_image_create(), BSQ_ENOMEM. */
-int bake_preview_open(struct bsq_ctx *ctx, const char *path, uint32_t view_count,
-                      struct bake_preview_file **out);
-/* Renders on all threads and completes the file. Call it at most once, not from parallel work.
- * *from: where the first view is, in degrees around. Errors: those of bake_surface_trace(),
- * BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
-int bake_preview_write(struct bake_preview_file *file, const struct bake_preview *preview,
-                       double *from);
-/* Frees `file` in any case. *out: the complete output, for the caller to commit. */
-int bake_preview_hand_over(struct bake_preview_file *file, struct bsq_output **out);
-void bake_preview_discard(struct bake_preview_file *file); /* NULL is allowed */
+/* Renders on all threads. Must not be called from parallel work. *from: where the first view is, in
+ * degrees around. *out: the complete PNG, for the caller to commit. Errors: those of
+ * fmt_image_create() and bake_surface_trace(), BSQ_EIO, BSQ_ENOMEM, BSQ_EINTR. */
+int bake_preview_write(struct bsq_ctx *ctx, const char *path, const struct bake_preview *preview,
+                       double *from, struct bsq_output **out);
 
 #endif

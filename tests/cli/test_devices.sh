@@ -90,16 +90,6 @@ if [ -s "$ptx" ]; then
     code 0
     json '.passes > 2 and .device == "Fake GPU 0 (CUDA)"'
 
-    # In passes, too, if another program takes memory after the grid was found to fit.
-    grid=$(stat -c %s vase.nvdb)
-    FAKE_CUDA_MEMORY=$((2 * grid)) FAKE_CUDA_TAKEN=$((grid + grid / 3)) \
-        cuda --device cuda --threads 2 $maps -o 'beside_<MAP>.exr' --json
-    code 0
-    json '.passes > 1 and .device == "Fake GPU 0 (CUDA)"'
-    for map in $names; do
-        same cpu_$map.exr beside_$map.exr
-    done
-
     cuda --device cuda:1 $maps -o 'x_<MAP>.exr'
     refused 69 "$p there is no device cuda:1; there is cuda:0 Fake GPU 0"
     FAKE_CUDA_DEVICES=0 cuda --device cuda $maps -o 'x_<MAP>.exr'

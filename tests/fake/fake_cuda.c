@@ -14,7 +14,6 @@
  * cuInit() reads these environment variables:
  *  - FAKE_CUDA_DEVICES=N: number of devices (1);
  *  - FAKE_CUDA_MEMORY=BYTES: memory of each (1 GiB);
- *  - FAKE_CUDA_TAKEN=BYTES: memory that another program takes after the first cuMemGetInfo();
  *  - FAKE_CUDA_CAPABILITY=NN: compute capability (90);
  *  - FAKE_CUDA_VERSION=N: CUDA's version, 1000 * major + 10 * minor (13000);
  *  - FAKE_CUDA_FAIL=CALL:N:CODE: the Nth call of a function fails with CODE; if CODE is 700 or
@@ -152,8 +151,6 @@ CUresult cuInit(unsigned flags)
     process = process ? process : getpid();
     fake.device_count = (int)setting("FAKE_CUDA_DEVICES", 1);
     fake.memory_bytes = setting("FAKE_CUDA_MEMORY", 1u << 30);
-    fake.taken_bytes = setting("FAKE_CUDA_TAKEN", 0);
-    fake.others_bytes = 0;
     fake.capability = (int)setting("FAKE_CUDA_CAPABILITY", 90);
     fake.sample_seconds = 1e-9 * (double)setting("FAKE_CUDA_NS", 0);
     fake.hours = (double)setting("FAKE_CUDA_HOURS", 0);

@@ -44,8 +44,7 @@ struct fake_cuda {
     int live;   /* objects that exist */
     int sticky; /* the code with which all further calls fail */
     size_t memory_bytes, used_bytes;
-    size_t taken_bytes, others_bytes; /* that another program will take, and has taken */
-    size_t local_bytes;               /* taken by the first launch */
+    size_t local_bytes; /* taken by the first launch */
     struct allocation *allocations;
     double sample_seconds, virtual_now, hours;
     unsigned hold; /* FAKE_CUDA_HOLD; 0: not held */

@@ -8,9 +8,7 @@ CUresult cuMemGetInfo_v2(size_t *free_bytes, size_t *total)
 {
     BEGIN_IN_CONTEXT;
     pthread_mutex_lock(&fake.lock);
-    *free_bytes = fake.memory_bytes - fake.used_bytes - fake.others_bytes;
-    fake.others_bytes += fake.taken_bytes;
-    fake.taken_bytes = 0;
+    *free_bytes = fake.memory_bytes - fake.used_bytes;
     pthread_mutex_unlock(&fake.lock);
     *total = fake.memory_bytes;
     return CUDA_SUCCESS;
@@ -19,7 +17,7 @@ CUresult cuMemGetInfo_v2(size_t *free_bytes, size_t *total)
 bool fake_take_bytes(size_t bytes)
 {
     pthread_mutex_lock(&fake.lock);
-    bool fits = bytes <= fake.memory_bytes - fake.used_bytes - fake.others_bytes;
+    bool fits = bytes <= fake.memory_bytes - fake.used_bytes;
     fake.used_bytes += fits ? bytes : 0;
     pthread_mutex_unlock(&fake.lock);
     return fits;

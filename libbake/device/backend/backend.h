@@ -32,9 +32,6 @@ struct bake_backend {
     uint64_t memory_bytes, buffer_bytes;
     uint64_t other_bytes; /* device memory that the job uses besides */
     bool holds_grid;      /* slot 0 has the whole grid; set by device.c */
-    /* Loading the whole grid found less memory than memory_bytes said; memory_bytes is lower now
-     * and subgrids may still fit. */
-    bool lacked_memory;
     /* Replaces what a slot holds by a subgrid. One thread calls this at a time; others may trace
      * patches from the other slot. NULL: the device reads the mapped file. Failures as for trace().
      */

@@ -246,24 +246,6 @@ done:
     return status;
 }
 
-/* Lowers memory_bytes after the whole grid did not fit although it should have: other programs use
- * the device too. */
-static void learn_memory(struct bake_compute *compute, const struct bake_subgrid *whole)
-{
-    struct bake_backend *base = &compute->base;
-    uint64_t largest, left = bake_subgrid_total(whole->bytes, &largest) / 2;
-
-    unload_subgrid(compute, &compute->slots[0]);
-    if (compute->calls->free_bytes) {
-        const uint64_t free_bytes = compute->calls->free_bytes(compute),
-                       others = worker_bytes(compute) + block_waste(compute);
-        const uint64_t grid_bytes = free_bytes > others ? free_bytes - others : 0;
-        left = grid_bytes < left ? grid_bytes : left;
-    }
-    base->memory_bytes = left;
-    base->lacked_memory = true;
-}
-
 /* Describes a failure in `why`, after the part of the work that it belongs to. */
 static void describe_failure(const struct bake_compute *compute, const char *what,
                              struct bake_failure failure, char *why)
@@ -289,8 +271,6 @@ static int compute_load(struct bake_backend *backend, unsigned slot,
     status = load_subgrid(compute, &compute->slots[slot], subgrid, &what);
     if (status < 0) {
         (void)compute->calls->finish(compute, upload_stream(compute));
-        if (subgrid->whole && compute->calls->lacks_memory(compute->upload_failure.code))
-            learn_memory(compute, subgrid);
         describe_failure(compute, what, compute->upload_failure, why);
     }
     compute->upload_seconds += bsq_seconds_now() - started;

@@ -170,10 +170,6 @@ enum { BAKE_COMPUTE_TEXT = 192 };
 struct bake_compute_calls {
     /* Returns an error's text. buffer: BAKE_COMPUTE_TEXT bytes. */
     const char *(*describe)(const struct bake_compute *compute, int code, char *buffer);
-    /* Returns whether an error says that the device's memory is exhausted. */
-    bool (*lacks_memory)(int code);
-    /* Returns the device memory that the job may still allocate. NULL: the API cannot tell. */
-    uint64_t (*free_bytes)(struct bake_compute *compute);
     /* Lets the calling thread use the device. NULL: every thread may. */
     struct bake_failure (*attach)(struct bake_compute *compute);
 

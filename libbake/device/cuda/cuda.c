@@ -50,11 +50,6 @@ static const char *cuda_describe(const struct bake_compute *compute, int code, c
     return bake_cuda_error(&((const struct cuda *)compute)->api, code, buffer);
 }
 
-static bool cuda_lacks_memory(int code)
-{
-    return code == CUDA_ERROR_OUT_OF_MEMORY;
-}
-
 static struct bake_failure cuda_attach(struct bake_compute *compute)
 {
     struct cuda *cuda = (struct cuda *)compute;
@@ -92,14 +87,6 @@ static struct bake_failure free_memory(const struct cuda *cuda, uint64_t *out)
     if (free_bytes > all_bytes / 16)
         *out = free_bytes - all_bytes / 16;
     return BAKE_NO_FAILURE;
-}
-
-static uint64_t cuda_free_bytes(struct bake_compute *compute)
-{
-    uint64_t bytes;
-
-    (void)free_memory((struct cuda *)compute, &bytes);
-    return bytes;
 }
 
 /* ---- streams ---- */
@@ -251,8 +238,6 @@ static struct bake_failure cuda_times(struct bake_compute *compute, struct bake_
 }
 
 static const struct bake_compute_calls calls = {.describe = cuda_describe,
-                                                .lacks_memory = cuda_lacks_memory,
-                                                .free_bytes = cuda_free_bytes,
                                                 .attach = cuda_attach,
                                                 .blocks = true,
                                                 .allocate = cuda_allocate,

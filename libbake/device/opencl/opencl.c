@@ -51,14 +51,6 @@ static const char *opencl_describe(const struct bake_compute *compute, int code,
     return bake_opencl_error(code, buffer);
 }
 
-/* Drivers often notice that memory is exhausted only when something is copied there, and do not
- * agree on the code. */
-static bool opencl_lacks_memory(int code)
-{
-    return code == CL_MEM_OBJECT_ALLOCATION_FAILURE || code == CL_OUT_OF_RESOURCES ||
-           code == CL_OUT_OF_HOST_MEMORY || code == CL_INVALID_BUFFER_SIZE;
-}
-
 /* ---- memory ---- */
 
 static struct bake_failure opencl_allocate(struct bake_compute *compute, uint64_t bytes,
@@ -271,7 +263,6 @@ static struct bake_failure opencl_times(struct bake_compute *compute, struct bak
 }
 
 static const struct bake_compute_calls calls = {.describe = opencl_describe,
-                                                .lacks_memory = opencl_lacks_memory,
                                                 .allocate = opencl_allocate,
                                                 .release = opencl_release,
                                                 .stream_bytes = sizeof(struct stream),

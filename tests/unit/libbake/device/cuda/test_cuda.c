@@ -33,8 +33,8 @@ static int open_fake(void)
 
 static void restore(void)
 {
-    static const char *const names[] = {"DEVICES", "MEMORY", "TAKEN", "CAPABILITY", "FAIL",
-                                        "NS",      "HOURS",  "PTX",   "VERSION"};
+    static const char *const names[] = {"DEVICES", "MEMORY", "CAPABILITY", "FAIL",
+                                        "NS",      "HOURS",  "PTX",        "VERSION"};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
         char name[64];
         snprintf(name, sizeof name, "FAKE_CUDA_%s", names[i]);
@@ -185,14 +185,14 @@ FIXTURE_TEST(test_times_after_days)
 FIXTURE_TEST(test_memory_for_the_driver)
 {
     struct fixture *f = *state;
+    struct bake_backend *backend;
     struct bake_device *device;
     uint64_t other;
     char bytes[32];
 
-    assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
-    assert_true(bake_device_holds_grid(device));
-    other = bake_device_backend(device)->other_bytes;
-    bake_device_close(device);
+    assert_int_equal(bake_cuda_kind.open(f->ctx, 0, &f->job, &backend), 0);
+    other = backend->other_bytes;
+    backend->close(backend);
     snprintf(bytes, sizeof bytes, "%llu", (unsigned long long)(other + grid_bytes(f)));
     setenv("FAKE_CUDA_MEMORY", bytes, 1);
     assert_int_equal(bake_device_open(f->ctx, "cuda", &f->job, &device), 0);
@@ -208,57 +208,6 @@ FIXTURE_TEST(test_memory_for_the_driver)
         free(native);
         free(cuda);
     }
-}
-
-/* Opens a device that has memory for the grid and patches until another program takes some and
- * leaves `left` bytes for the grid. Returns the device memory that subgrids may then take. */
-static uint64_t open_beside_others(struct fixture *f, struct bsq_ctx *ctx, const char *name,
-                                   uint64_t left)
-{
-    struct bake_device *device;
-    uint64_t memory, other, all;
-    char bytes[32];
-
-    assert_int_equal(bake_device_open(ctx, name, &f->job, &device), 0);
-    assert_true(bake_device_holds_grid(device));
-    other = bake_device_backend(device)->other_bytes;
-    bake_device_close(device);
-    all = (other + grid_bytes(f)) / 15 * 16 + 32;
-    snprintf(bytes, sizeof bytes, "%llu", (unsigned long long)all);
-    setenv("FAKE_CUDA_MEMORY", bytes, 1);
-    snprintf(bytes, sizeof bytes, "%llu", (unsigned long long)(all - all / 16 - other - left));
-    setenv("FAKE_CUDA_TAKEN", bytes, 1);
-    assert_int_equal(bake_device_open(ctx, name, &f->job, &device), 0);
-    assert_string_equal(bake_device_name(device), "Fake GPU 0 (CUDA)");
-    assert_false(bake_device_holds_grid(device));
-    memory = bake_device_backend(device)->memory_bytes;
-    bake_device_close(device);
-    restore();
-    return memory;
-}
-
-/* If another program takes memory after the grid was found to fit, passes trace the grid in the
- * rest. This holds whether or not the device was named. */
-FIXTURE_TEST(test_memory_for_others)
-{
-    struct fixture *f = *state;
-    static const char *const names[] = {"cuda", "auto"};
-    int (*live)(void) = (int (*)(void))dlsym(dlopen("libcuda.so.1", RTLD_NOW), "fake_cuda_live");
-    const struct bsq_ctx_options one_thread = {.threads = 1, .on_warning = on_warning};
-    const uint64_t grid = grid_bytes(f);
-    struct bsq_ctx *ctx;
-
-    warnings[0] = '\0';
-    assert_int_equal(bsq_ctx_create(&one_thread, &ctx), 0);
-    for (size_t i = 0; i < sizeof names / sizeof *names; i++)
-        for (uint64_t share = 4; share <= 32; share *= 2) {
-            uint64_t memory = open_beside_others(f, ctx, names[i], grid / share);
-            assert_in_range(memory, grid / share - 2, grid / share);
-            assert_int_equal(live(), 0);
-            assert_int_equal(bsq_memory_used(ctx), 0);
-        }
-    assert_string_equal(warnings, "");
-    bsq_ctx_destroy(ctx);
 }
 
 /* Several launches trace a texel that has many samples. */
