@@ -74,7 +74,6 @@ double bake_ciede2000(const double a[3], const double b[3])
         turn += 360;
     double dl = b[0] - a[0], dc = p.c2 - p.c1;
     double dh = grey ? 0 : 2 * sqrt(p.c1 * p.c2) * sin(turn * pi / 360);
-
     double l = (a[0] + b[0]) / 2, c = (p.c1 + p.c2) / 2, h = p.h1 + p.h2;
     if (!grey) {
         if (fabs(p.h1 - p.h2) > 180)

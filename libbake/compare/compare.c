@@ -460,7 +460,7 @@ done:
  * lightness. So the picture reads the same in grey and for colour-blind eyes. The attribute
  * "bisque:errors" names the error of the lightest colour: it is another one in each comparison. */
 static int write_heat_map(struct bsq_ctx *ctx, const struct bake_comparison *comparison, double top,
-                          const char *path, struct bsq_output_group *group)
+                          const char *path, struct bsq_output **out)
 {
     char scale[64];
     const struct fmt_image_attribute attribute = {"bisque:errors", scale};
@@ -471,15 +471,12 @@ static int write_heat_map(struct bsq_ctx *ctx, const struct bake_comparison *com
                                               .attributes = &attribute,
                                               .attribute_count = 1};
     struct fmt_image_writer *writer = NULL;
-    struct bsq_output *output;
     int status;
     snprintf(scale, sizeof scale, "0 to %.6g %s", top, bake_compare_unit(comparison->kind));
     BSQ_TRY(fmt_image_create(ctx, &fmt_png_format, path, &options, &writer));
     BSQ_TRY(write_heat_rows(ctx, comparison, top, writer));
-    status = fmt_image_hand_over(writer, &output);
+    status = fmt_image_hand_over(writer, out);
     writer = NULL;
-    if (status == 0)
-        status = bsq_output_group_add(group, output);
 done:
     fmt_image_discard(writer);
     return status;
@@ -493,7 +490,7 @@ static int show(struct bsq_ctx *ctx, const struct bake_compare_options *options,
 {
     const uint64_t width = c->a.width;
     struct bake_page_picture maps[2] = {0};
-    struct bsq_output_group errors = {0};
+    struct bsq_output *errors = NULL;
     float(*rows)[3] = NULL;
     int status;
     for (int i = 0; i < 2; i++)
@@ -515,12 +512,12 @@ static int show(struct bsq_ctx *ctx, const struct bake_compare_options *options,
             bake_page_add_picture(options->page, json_pack("{s:s}", "kind", "compared"), &maps[i]));
     }
     BSQ_TRY(write_heat_map(ctx, c, top, options->page->path, &errors));
-    status = bake_page_add(options->page, json_pack("{s:s}", "kind", "error"), errors.list[0]);
+    status = bake_page_add(options->page, json_pack("{s:s}", "kind", "error"), errors);
 done:
     bake_thumbnail_free(ctx, &maps[0].texels);
     bake_thumbnail_free(ctx, &maps[1].texels);
     bsq_free(ctx, rows);
-    bsq_output_group_discard(&errors);
+    bsq_output_discard(errors);
     return status;
 }
 
@@ -535,7 +532,7 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
                  struct bake_compare_report *report)
 {
     struct bake_comparison c = {0};
-    struct bsq_output_group pictures = {0};
+    struct bsq_output *picture = NULL;
     int status = 0;
     BSQ_TRY(bsq_clear_report(ctx, "bake_compare_report", report, sizeof *report));
     BSQ_TRY(bsq_check_size(ctx, "bake_compare_options", options->size, sizeof *options));
@@ -552,12 +549,15 @@ int bake_compare(struct bsq_ctx *ctx, const struct bake_compare_options *options
                     : report->p99 > 0 && isfinite(report->p99) ? report->p99
                                                                : 1;
     if (options->heatmap_path)
-        BSQ_TRY(write_heat_map(ctx, &c, report->scale, options->heatmap_path, &pictures));
+        BSQ_TRY(write_heat_map(ctx, &c, report->scale, options->heatmap_path, &picture));
     if (options->page)
         BSQ_TRY(show(ctx, options, &c, report->scale));
-    BSQ_TRY(bsq_output_group_commit(&pictures));
+    if (picture) {
+        status = bsq_output_commit(picture);
+        picture = NULL;
+    }
 done:
-    bsq_output_group_discard(&pictures);
+    bsq_output_discard(picture);
     bsq_free(ctx, c.errors);
     bsq_free(ctx, c.pairs);
     fmt_exr_image_free(ctx, &c.a), fmt_exr_image_free(ctx, &c.b);

@@ -43,7 +43,6 @@ static bool parse(const char *name, const struct bake_device_kind *kind, int64_t
     const size_t length = strlen(kind->name);
     char *end;
     unsigned long number;
-
     *index = ANY_DEVICE;
     if (strncmp(name, kind->name, length) != 0)
         return false;
@@ -71,7 +70,6 @@ static const struct bake_device_kind *find_kind(const char *name, int64_t *index
 bool bake_is_device_name(const char *name)
 {
     int64_t index;
-
     return strcmp(name, "auto") == 0 || find_kind(name, &index);
 }
 
@@ -82,7 +80,6 @@ static int load_grid(struct bsq_ctx *ctx, const struct bake_job *job, struct bak
     struct bake_subgrid whole;
     uint64_t largest, total;
     int status;
-
     if (!backend->load)
         return 0;
     bake_subgrid_whole(job->grid, &job->params, &whole);
@@ -98,7 +95,6 @@ static int open_loaded(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
                        const struct bake_job *job, struct bake_backend **out)
 {
     int status = kind->open(ctx, number, job, out);
-
     if (status == 0)
         status = load_grid(ctx, job, *out);
     if (status < 0 && *out) {
@@ -127,7 +123,6 @@ static int list_or_warn(struct bsq_ctx *ctx, const struct bake_device_kind *kind
                         struct bake_device_list *out)
 {
     int status = list_kind(ctx, kind, out);
-
     if (status == BSQ_ENODEVICE) {
         bsq_warn(ctx, "%s", bsq_error(ctx));
         bsq_clear_error(ctx);
@@ -143,7 +138,6 @@ static int list_or_warn(struct bsq_ctx *ctx, const struct bake_device_kind *kind
 static uint32_t number_of(const struct bake_device_kind *kind, const struct bake_device_info *info)
 {
     int64_t number;
-
     return parse(info->id, kind, &number) && number != ANY_DEVICE ? (uint32_t)number : 0;
 }
 
@@ -153,7 +147,6 @@ static int open_gpu(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
 {
     struct bake_device_list list;
     int status = list_or_warn(ctx, kind, &list);
-
     for (uint32_t i = 0; i < list.count && status == 0 && !*out; i++) {
         if (!list.devices[i].is_gpu)
             continue;
@@ -187,7 +180,6 @@ static int choose(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
 {
     const struct bake_device_info *best = NULL;
     char there[400] = "";
-
     for (uint32_t i = 0; i < list->count; i++) {
         const struct bake_device_info *info = &list->devices[i];
         const size_t used = strlen(there);
@@ -212,7 +204,6 @@ static int open_named(struct bake_device *device, const char *name)
     struct bake_device_list list;
     uint32_t number = 0;
     int status;
-
     if (!kind)
         return bsq_fail(device->ctx, BSQ_EUSAGE, "device \"%s\" is not " BAKE_DEVICE_NAMES, name);
     BSQ_TRY(list_kind(device->ctx, kind, &list));
@@ -227,7 +218,6 @@ int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_jo
 {
     struct bake_device *device;
     int status;
-
     *out = NULL;
     status = bsq_calloc(ctx, "device", 1, sizeof *device, &device);
     if (status < 0)
@@ -284,7 +274,6 @@ int bake_device_plan(struct bake_device *device, const struct bake_raster *raste
                                               .other_bytes = backend->other_bytes,
                                               .slots = BAKE_SLOTS};
     int status;
-
     *out = (struct bake_plan){0};
     if (bake_device_holds_grid(device))
         return 0;
@@ -301,7 +290,6 @@ int bake_device_load(struct bake_device *device, unsigned slot, const struct bak
     char why[BAKE_WHY_BYTES] = "";
     struct bake_backend *backend = device->backend;
     int status;
-
     if (atomic_load(&device->lost))
         return 0;
     status = backend->load(backend, slot, subgrid, why);
@@ -325,7 +313,6 @@ int bake_device_trace(struct bake_device *device, const struct bk_patch *patch,
     char why[BAKE_WHY_BYTES] = "";
     struct bake_backend *backend = device->backend;
     int status;
-
     if (atomic_load(&device->lost))
         backend = device->fallback;
     status = backend->trace(backend, device->slot, patch, sample_triangles, texels, worker, why);
@@ -360,7 +347,6 @@ int bake_list_devices(struct bsq_ctx *ctx,
                       void (*fn)(void *arg, const struct bake_device_info *device), void *arg)
 {
     int status = 0;
-
     for (int i = 0; i < KINDS && status == 0; i++) {
         struct bake_device_list list;
         status = list_or_warn(ctx, kinds[i], &list);

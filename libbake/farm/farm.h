@@ -130,4 +130,12 @@ int bake_farm_parts_check(const struct bake_farm_plan *plan, struct bake_farm_fo
 int bake_farm_parts_read(const struct bake_farm_plan *plan, uint32_t tile,
                          struct bake_image *image);
 
+/* ---- steps of tasks and merges ---- */
+
+/* Checks that the inputs are those of the plan, opens them, and checks that they give its tiles. */
+int bake_farm_open_job(struct bake_work *job, const struct bake_farm_plan *plan);
+
+/* Checks before the work that a file of bake_farm_path() can be written. */
+int bake_farm_check_output(const struct bake_farm_plan *plan, const char *kind, uint32_t number);
+
 #endif

@@ -10,7 +10,6 @@
 
 #include "base/output.h"
 #include "libbake/farm/farm.h"
-#include "libbake/farm/farm_steps.h"
 
 /* ---- notes ----
  *

@@ -10,7 +10,7 @@
 #include "base/output.h"
 #include "base/parallel.h"
 #include "libbake/exact/exact.h"
-#include "libbake/farm/farm_steps.h"
+#include "libbake/farm/farm.h"
 #include "libbake/kernel/bk_sample.h"
 
 /* ---- the work in each block ---- */

@@ -444,21 +444,7 @@ int bake_open_inputs(struct bake_work *job)
     BSQ_TRY(bake_surface_open(job->ctx, job->options, &job->surface));
     BSQ_TRY(choose_maps(job));
     BSQ_TRY(use_attributes(job));
-    const char *output = job->options->output_path;
-    struct bake_transform transform;
-    bake_transform_of(job->options, &transform);
-    const struct bake_lowmesh_options low = {.path = job->options->mesh_path,
-                                             .more_paths = job->options->more_mesh_paths,
-                                             .more_count = job->options->more_mesh_count,
-                                             .objects = job->options->match_names,
-                                             .object_maps = strstr(output, BAKE_OBJECT_TOKEN),
-                                             .material_maps = strstr(output, BAKE_MATERIAL_TOKEN),
-                                             .cage_path = job->options->cage_path,
-                                             .extrude = job->options->extrude,
-                                             .rays = job->options->rays,
-                                             .normals = job->options->low_normals,
-                                             .transform = &transform};
-    BSQ_TRY(bake_lowmesh_load(job->ctx, &low, &job->mesh));
+    BSQ_TRY(bake_lowmesh_load(job->ctx, job->options, &job->mesh));
     job->report->low_triangles = job->mesh.triangle_count;
     job->report->low_polygons = job->mesh.polygon_count;
     if (job->options->match_names)

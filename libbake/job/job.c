@@ -73,7 +73,7 @@ static void end(struct bake_work *job)
     bsq_free(job->ctx, job->preview_tiles);
     bsq_free(job->ctx, job->scan_names);
     bsq_free(job->ctx, job->sees);
-    bake_skew_close(job->skew);
+    fmt_textures_close(job->skew);
     bake_udim_free(job->ctx, &job->udim);
     bake_lowmesh_free(job->ctx, &job->mesh);
     bake_seen_free(job->seen);
@@ -137,17 +137,16 @@ int bake_list_tiles(struct bsq_ctx *ctx, const struct bake_options *options,
 {
     struct bake_lowmesh mesh;
     struct bake_udim udim = {0};
-    const struct bake_lowmesh_options low = {.path = options->mesh_path,
-                                             .more_paths = options->more_mesh_paths,
-                                             .more_count = options->more_mesh_count,
-                                             .normals = BAKE_LOW_FLAT}; /* of no effect on tiles */
     int status = bake_check_tile_numbers(ctx, options);
-    if (status == 0)
-        status = bake_lowmesh_load(ctx, &low, &mesh);
-    if (status < 0)
-        return status;
     struct bake_options all = *options;
     all.output_path = BAKE_UDIM_TOKEN;
+    all.match_names = false;
+    all.cage_path = NULL;
+    all.low_normals = BAKE_LOW_FLAT; /* of no effect on tiles */
+    if (status == 0)
+        status = bake_lowmesh_load(ctx, &all, &mesh);
+    if (status < 0)
+        return status;
     status = bake_udim_find(ctx, &all, &mesh, &udim);
     for (uint32_t i = 0; i < udim.count && status == 0; ++i) {
         struct bake_tile_info info = {.tile = udim.tiles[i].number,

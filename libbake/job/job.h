@@ -41,7 +41,7 @@ struct bake_work {
     struct bake_lowmesh mesh;
     struct bake_udim udim;
     struct bake_tile *tiles;       /* one for each tile of `udim` */
-    struct bake_skew *skew;        /* of these tiles; NULL: there is none */
+    struct fmt_textures *skew;     /* of these tiles; NULL: there is none */
     struct bake_job traced;        /* what the device traces, if there is one */
     bool *sees;                    /* that of the surface */
     struct bk_triangle *triangles; /* of the tiles to bake, the first ones of the mesh */

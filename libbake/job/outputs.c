@@ -281,7 +281,7 @@ static int show_mesh(struct bake_work *job)
 {
     struct bake_page *page = job->options->page;
     const struct bake_options plain = {.glb_path = page->path};
-    const struct bake_preview preview = {.mesh = &job->mesh, .up = job->options->preview_up};
+    const struct bake_preview preview = {.mesh = &job->mesh, .options = job->options};
     struct bake_asset *asset = NULL;
     struct bsq_output *output = NULL;
     int status;
@@ -330,13 +330,7 @@ int bake_write_preview(struct bake_work *job)
                                          .surface = &job->surface,
                                          .tiles = job->preview_tiles,
                                          .tile_count = job->udim.count,
-                                         .normal_space = job->options->normal_space,
-                                         .green_down = job->options->green_down,
-                                         .two_sided = job->options->two_sided,
-                                         .up = job->options->preview_up,
-                                         .from = job->options->preview_from,
-                                         .above = job->options->preview_above,
-                                         .view_count = job->options->preview_views};
+                                         .options = job->options};
     return bake_preview_write(job->ctx, path, &preview, &job->preview_from, &job->preview);
 }
 

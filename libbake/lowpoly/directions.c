@@ -205,8 +205,8 @@ static float least_distance(const struct bake_lowmesh *mesh)
     return (float)(1e-6 * size);
 }
 
-int bake_cage_directions(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
-                         const char *path, const struct fmt_mesh *mesh, struct bake_lowmesh *out)
+int bake_cage_directions(struct bsq_ctx *ctx, const struct bake_options *options, const char *path,
+                         const struct fmt_mesh *mesh, struct bake_lowmesh *out)
 {
     struct fmt_mesh cage;
     const float least = least_distance(out);
@@ -214,8 +214,7 @@ int bake_cage_directions(struct bsq_ctx *ctx, const struct bake_lowmesh_options 
     int status = fmt_mesh_load(ctx, options->cage_path, false, &cage);
     if (status < 0)
         return status;
-    if (options->transform)
-        bake_transform_mesh(options->transform, &cage);
+    bake_transform_mesh(options, &cage);
     status = check_topology(ctx, path, mesh, options->cage_path, &cage);
     memset(out->reaches, 0, mesh->triangle_count * sizeof *out->reaches);
     for (uint64_t t = 0; t < mesh->triangle_count && status == 0; t++)

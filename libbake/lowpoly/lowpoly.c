@@ -211,8 +211,19 @@ static int compare_owners(const void *a, const void *b)
     return sets != 0 ? sets : (x->triangle > y->triangle) - (x->triangle < y->triangle);
 }
 
+/* Return whether each object, or each material, has maps of its own. */
+static bool object_maps(const struct bake_options *options)
+{
+    return options->output_path && strstr(options->output_path, BAKE_OBJECT_TOKEN);
+}
+
+static bool material_maps(const struct bake_options *options)
+{
+    return options->output_path && strstr(options->output_path, BAKE_MATERIAL_TOKEN);
+}
+
 /* Makes each run of equal owners a set. */
-static int make_sets(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+static int make_sets(struct bsq_ctx *ctx, const struct bake_options *options,
                      const struct owned *owned, uint64_t count, struct bake_lowmesh *mesh)
 {
     uint64_t capacity = 0;
@@ -226,15 +237,15 @@ static int make_sets(struct bsq_ctx *ctx, const struct bake_lowmesh_options *opt
                           &mesh->sets, &capacity);
         if (status == 0)
             mesh->sets[mesh->set_count++] = (struct bake_low_set){
-                .object = options->object_maps ? mesh->objects.list[owned[i].object] : NULL,
-                .material = options->material_maps ? mesh->materials.list[owned[i].material] : NULL,
+                .object = object_maps(options) ? mesh->objects.list[owned[i].object] : NULL,
+                .material = material_maps(options) ? mesh->materials.list[owned[i].material] : NULL,
                 .first = i,
                 .count = 1};
     }
     return status;
 }
 
-static int sort_by_set(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+static int sort_by_set(struct bsq_ctx *ctx, const struct bake_options *options,
                        const struct names *names, struct bake_lowmesh *mesh)
 {
     const uint64_t count = mesh->triangle_count;
@@ -244,8 +255,8 @@ static int sort_by_set(struct bsq_ctx *ctx, const struct bake_lowmesh_options *o
     BSQ_TRY(bsq_alloc(ctx, "sets of maps", count, sizeof *owned, &owned));
     BSQ_TRY(bsq_alloc(ctx, "sets of maps", count, sizeof *order, &order));
     for (uint64_t t = 0; t < count; t++)
-        owned[t] = (struct owned){options->object_maps ? names->of[t][0] : 0,
-                                  options->material_maps ? names->of[t][1] : 0, (uint32_t)t};
+        owned[t] = (struct owned){object_maps(options) ? names->of[t][0] : 0,
+                                  material_maps(options) ? names->of[t][1] : 0, (uint32_t)t};
     bsq_sort(owned, count, sizeof *owned, compare_owners);
     BSQ_TRY(make_sets(ctx, options, owned, count, mesh));
     for (uint64_t t = 0; t < count; t++)
@@ -260,8 +271,8 @@ done:
 
 /* Sorts the mesh by set, and gives it the sets and the objects of its triangles, as the options
  * ask. Takes the names over. */
-static int apply_names(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
-                       struct names *names, struct bake_lowmesh *mesh)
+static int apply_names(struct bsq_ctx *ctx, const struct bake_options *options, struct names *names,
+                       struct bake_lowmesh *mesh)
 {
     int status = 0;
     mesh->objects = names->objects;
@@ -269,12 +280,12 @@ static int apply_names(struct bsq_ctx *ctx, const struct bake_lowmesh_options *o
     mesh->names = names->tally;
     names->objects = names->materials = (struct bsq_texts){0};
     names->tally = (struct bsq_tally){0};
-    if (options->objects)
+    if (options->match_names)
         status = bsq_alloc(ctx, "objects of triangles", mesh->triangle_count,
                            sizeof *mesh->object_of, &mesh->object_of);
-    for (uint64_t t = 0; t < mesh->triangle_count && options->objects && status == 0; t++)
+    for (uint64_t t = 0; t < mesh->triangle_count && options->match_names && status == 0; t++)
         mesh->object_of[t] = names->of[t][0];
-    if (status == 0 && (options->object_maps || options->material_maps))
+    if (status == 0 && (object_maps(options) || material_maps(options)))
         status = sort_by_set(ctx, options, names, mesh);
     return status;
 }
@@ -347,7 +358,6 @@ static bool lacks_normals(const struct fmt_mesh *mesh)
 static void choose_origin(const struct bake_lowmesh *mesh, double origin[3])
 {
     double size = 0, farthest = 0;
-
     for (int k = 0; k < 3; k++) {
         size = fmax(size, mesh->bounds_max[k] - mesh->bounds_min[k]);
         farthest = fmax(farthest, fmax(fabs(mesh->bounds_min[k]), fabs(mesh->bounds_max[k])));
@@ -431,11 +441,11 @@ done:
 }
 
 /* Fills in normals that the file does not have, by its format if the options leave it open. */
-static int fill_missing_normals(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+static int fill_missing_normals(struct bsq_ctx *ctx, const struct bake_options *options,
                                 const char *path, const struct fmt_mesh *mesh,
                                 struct bake_lowmesh *out)
 {
-    enum bake_low_normals kind = options->normals;
+    enum bake_low_normals kind = options->low_normals;
     if (kind == BAKE_LOW_AUTO) {
         kind = mesh->flat_normals ? BAKE_LOW_FLAT : BAKE_LOW_ANGLE;
         bsq_warn(
@@ -450,8 +460,8 @@ static int fill_missing_normals(struct bsq_ctx *ctx, const struct bake_lowmesh_o
 
 /* Gives each corner its own normal, the one that the options choose if it has none, or that of the
  * triangle if it has no length. */
-static int fill_normals(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
-                        const char *path, const struct fmt_mesh *mesh, struct bake_lowmesh *out)
+static int fill_normals(struct bsq_ctx *ctx, const struct bake_options *options, const char *path,
+                        const struct fmt_mesh *mesh, struct bake_lowmesh *out)
 {
     fill_flat(out);
     int status = lacks_normals(mesh) ? fill_missing_normals(ctx, options, path, mesh, out) : 0;
@@ -467,7 +477,7 @@ static int fill_normals(struct bsq_ctx *ctx, const struct bake_lowmesh_options *
 }
 
 /* Computes tangents, and the directions of rays unless a cage gives them. */
-static int compute_frames(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+static int compute_frames(struct bsq_ctx *ctx, const struct bake_options *options,
                           struct bake_lowmesh *mesh)
 {
     float(*positions)[3][3] = NULL;
@@ -500,27 +510,25 @@ static uint64_t count_polygons(const struct fmt_mesh *mesh)
 }
 
 /* Loads one file, whose bounds are those of its triangles. */
-static int load_file(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
-                     const char *path, struct names *names, struct bake_lowmesh *out)
+static int load_file(struct bsq_ctx *ctx, const struct bake_options *options, const char *path,
+                     struct names *names, struct bake_lowmesh *out)
 {
-    const bool named = options->objects || options->object_maps || options->material_maps;
+    const bool named = options->match_names || object_maps(options) || material_maps(options);
     struct fmt_mesh mesh = {0};
-
     memset(out, 0, sizeof(*out));
     int status = fmt_mesh_load(ctx, path, named, &mesh);
     if (status < 0)
         return status;
     if (mesh.has_tangents)
         bsq_warn(ctx, "%s: the file's tangents are not used: they are computed (MikkTSpace)",
-                 options->path);
+                 options->mesh_path);
     if (mesh.uneven_scale)
         bsq_warn(
             ctx,
             "%s: a node has scales that differ by axis; engines make tangents before scaling, so "
             "their shading will be off by some degrees: apply the scale before baking",
-            options->path);
-    if (options->transform)
-        bake_transform_mesh(options->transform, &mesh);
+            options->mesh_path);
+    bake_transform_mesh(options, &mesh);
     BSQ_TRY(allocate(ctx, mesh.triangle_count, out));
     out->triangle_count = mesh.triangle_count;
     out->polygon_count = count_polygons(&mesh);
@@ -576,21 +584,21 @@ static int append(struct bsq_ctx *ctx, struct bake_lowmesh *other, struct bake_l
     return 0;
 }
 
-int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_options *options,
                       struct bake_lowmesh *out)
 {
     struct names names = {0};
-    int status = load_file(ctx, options, options->path, &names, out);
-    for (uint32_t i = 0; i < options->more_count && status == 0; i++) {
+    int status = load_file(ctx, options, options->mesh_path, &names, out);
+    for (uint32_t i = 0; i < options->more_mesh_count && status == 0; i++) {
         struct bake_lowmesh next;
-        status = load_file(ctx, options, options->more_paths[i], &names, &next);
+        status = load_file(ctx, options, options->more_mesh_paths[i], &names, &next);
         if (status == 0)
             status = append(ctx, &next, out);
         bake_lowmesh_free(ctx, &next);
     }
     if (status == 0 && out->triangle_count > UINT32_MAX / 3)
         status = bsq_fail(ctx, BSQ_EDATA, "%s and other files: more than %u triangles",
-                          options->path, UINT32_MAX / 3);
+                          options->mesh_path, UINT32_MAX / 3);
     if (status == 0 && names.of)
         status = apply_names(ctx, options, &names, out);
     free_names(ctx, &names);

@@ -48,25 +48,13 @@ void bake_transform_join(const struct bake_transform *first, const struct bake_t
 void bake_turn_matrix(unsigned turn, double out[3][3]);
 void bake_turn_word(const double turn[3][3], char out[8]);
 
-struct bake_lowmesh_options {
-    const char *path;
-    const char *const *more_paths; /* files whose triangles follow */
-    uint32_t more_count;
-    bool objects;                    /* the objects of triangles are wanted */
-    bool object_maps, material_maps; /* each object, or each material, has maps of its own */
-    const char *cage_path;           /* of the only file; NULL: no such cage */
-    double extrude;                  /* distance of a cage along smooth directions; <= 0: none */
-    enum bake_rays rays;             /* without a cage */
-    enum bake_low_normals normals;   /* if a file has none */
-    const struct bake_transform *transform; /* of meshes and cage; NULL: they stay as they are */
-};
-
-/* Loads mesh files. Computes normals for files that have none, and warns unless the options choose
- * them. Computes tangents and ray directions, for each file alone. Free *out with
- * bake_lowmesh_free(). Errors: those of fmt_mesh_load(); BSQ_EDATA with the line of the first face
- * that has no texture coordinates, or whose corners differ from the cage's, or for too many
- * triangles; BSQ_ENOMEM, BSQ_EINTR. */
-int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
+/* Loads the mesh files of the options, and moves them as these ask for. Names are kept of what has
+ * maps of its own or sees scans of its name. Computes normals for files that have none, and warns
+ * unless the options choose them. Computes tangents and ray directions, for each file alone. Free
+ * *out with bake_lowmesh_free(). Errors: those of fmt_mesh_load(); BSQ_EDATA with the line of the
+ * first face that has no texture coordinates, or whose corners differ from the cage's, or for too
+ * many triangles; BSQ_ENOMEM, BSQ_EINTR. */
+int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_options *options,
                       struct bake_lowmesh *out);
 /* Puts triangle order[i] in place i, for `count` places; a triangle may have several. The sets stay
  * as they are. */

@@ -5,8 +5,8 @@
 
 #include "libbake/lowpoly/lowpoly.h"
 
-/* Scales, turns and shifts positions and normals. */
-void bake_transform_mesh(const struct bake_transform *transform, struct fmt_mesh *mesh);
+/* Scales, turns and shifts positions and normals, as the options ask for. */
+void bake_transform_mesh(const struct bake_options *options, struct fmt_mesh *mesh);
 
 /* ---- directions ---- */
 
@@ -37,8 +37,8 @@ int bake_ray_directions(struct bsq_ctx *ctx, enum bake_rays rays, uint64_t count
  * cage mesh of the options, which is placed like it. `path` and `mesh` are of the low-poly mesh.
  * Errors: those of fmt_mesh_load(); BSQ_EDATA, with the first face that differs, if the two have
  * not the same faces. */
-int bake_cage_directions(struct bsq_ctx *ctx, const struct bake_lowmesh_options *options,
-                         const char *path, const struct fmt_mesh *mesh, struct bake_lowmesh *out);
+int bake_cage_directions(struct bsq_ctx *ctx, const struct bake_options *options, const char *path,
+                         const struct fmt_mesh *mesh, struct bake_lowmesh *out);
 
 /* Turns unit directions into the way to a cage at this distance. */
 void bake_extrude(double distance, struct bake_lowmesh *mesh);

@@ -96,7 +96,6 @@ int bake_mikkt_weld(struct bsq_ctx *ctx, const struct mikkt_input *input, uint32
 {
     uint32_t *table = NULL;
     uint64_t capacity = 16, steps = 0; /* a mesh can be made so that hashes collide */
-
     while (capacity < 2 * (uint64_t)input->corner_count)
         capacity *= 2;
     int status = bsq_alloc(ctx, "vertex table", capacity, sizeof(*table), &table);
@@ -155,7 +154,6 @@ static void pair_edges(const uint32_t *edges, uint32_t count, const uint32_t *ve
                        uint32_t *twins)
 {
     uint32_t unpaired = 0;
-
     for (uint32_t n = 0; n < count; n++) {
         while (unpaired < n && twins[edges[unpaired]] != NONE)
             unpaired++;
@@ -170,7 +168,6 @@ static void pair_sorted(const struct mikkt_input *input, const uint32_t *vertice
                         uint32_t *twins)
 {
     uint32_t kept = 0;
-
     for (uint32_t n = 0; n < input->corner_count; n++) {
         if (!is_degenerate(input, order[n] / 3))
             order[kept++] = order[n];
@@ -194,7 +191,6 @@ static int find_twins(struct bsq_ctx *ctx, const struct mikkt_input *input,
 {
     const uint32_t corner_count = input->corner_count;
     uint32_t *by_high = NULL, *by_both = NULL, *starts = NULL;
-
     int status = 0;
     BSQ_TRY(bsq_alloc(ctx, "edge order", corner_count, sizeof(*by_high), &by_high));
     BSQ_TRY(bsq_alloc(ctx, "edge order", corner_count, sizeof(*by_both), &by_both));
@@ -264,7 +260,6 @@ static void init_triangle(struct tangents *s, uint32_t triangle)
     const struct bsq_vec3 along_u = bsq_sub3(bsq_scale3(d1, v2), bsq_scale3(d2, v1));
     const struct bsq_vec3 along_v = bsq_sub3(bsq_scale3(d2, u1), bsq_scale3(d1, u2));
     uint8_t flags = area > 0 ? FLAG_UPRIGHT : 0;
-
     if (!not_zero(area) || !not_zero(bsq_length3(along_u) / fabsf(area)) ||
         !not_zero(bsq_length3(along_v) / fabsf(area)))
         flags |= FLAG_FLAT;
@@ -293,7 +288,6 @@ static uint32_t step_right(const struct tangents *s, uint32_t corner)
 static bool join(struct tangents *s, uint32_t corner, uint8_t upright)
 {
     uint8_t *flags = &s->flags[corner / 3];
-
     if (*flags & (FLAG_JOINED << corner % 3))
         return false;
     if ((*flags & FLAG_FLAT) && !(*flags & FLAG_JOINED_ANY))
@@ -315,7 +309,6 @@ static struct bsq_vec3 weighted_tangent(const struct tangents *s, uint32_t corne
     const float cosine =
         bsq_dot3(project_unit(bsq_sub3(a, p), normal), project_unit(bsq_sub3(b, p), normal));
     const float angle = acosf(fminf(1.0f, fmaxf(-1.0f, cosine)));
-
     return bsq_scale3(project_unit(s->tangents[corner / 3], normal), angle);
 }
 
@@ -326,7 +319,6 @@ static void make_fan(struct tangents *s, uint32_t seed)
     const uint8_t upright = s->flags[seed / 3] & FLAG_UPRIGHT;
     uint32_t first = seed, size = 1;
     struct bsq_vec3 sum = {0, 0, 0};
-
     join(s, seed, upright);
     for (uint32_t c = step_left(s, seed); c != NONE && join(s, c, upright); size++) {
         first = c;
@@ -334,7 +326,6 @@ static void make_fan(struct tangents *s, uint32_t seed)
     }
     for (uint32_t c = step_right(s, seed); c != NONE && join(s, c, upright); size++)
         c = step_right(s, c);
-
     for (uint32_t n = 0, c = first; n < size; n++, c = step_right(s, c)) {
         if (!(s->flags[c / 3] & FLAG_FLAT))
             sum = bsq_add3(sum, weighted_tangent(s, c));
@@ -368,7 +359,6 @@ static int make_fans(struct bsq_ctx *ctx, struct tangents *s)
 static void fill_degenerate(struct tangents *s, uint32_t *donors)
 {
     const uint32_t count = s->input.corner_count;
-
     memset(donors, 0xff, (size_t)count * sizeof(*donors));
     for (uint32_t c = 0; c < count; c++) {
         uint32_t *donor = &donors[s->vertices[c]];
@@ -387,7 +377,6 @@ static void fill_degenerate(struct tangents *s, uint32_t *donors)
 static int compute(struct bsq_ctx *ctx, struct tangents *s)
 {
     static const float unreached[4] = {1, 0, 0, -1};
-
     int status = bsq_check(ctx);
     for (uint32_t t = 0; t < s->input.corner_count / 3 && status == 0; t++) {
         init_triangle(s, t);

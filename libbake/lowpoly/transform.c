@@ -64,13 +64,15 @@ void bake_transform_join(const struct bake_transform *first, const struct bake_t
                               then->turn[r][2] * first->turn[2][c];
 }
 
-void bake_transform_mesh(const struct bake_transform *transform, struct fmt_mesh *mesh)
+void bake_transform_mesh(const struct bake_options *options, struct fmt_mesh *mesh)
 {
-    struct bake_transform turn = *transform;
+    struct bake_transform transform;
+    bake_transform_of(options, &transform);
+    struct bake_transform turn = transform;
     turn.scale = 1;
     memset(turn.shift, 0, sizeof turn.shift);
     for (uint64_t v = 0; v < mesh->vertex_count; v++)
-        bake_transform_point(transform, mesh->positions[v], mesh->positions[v]);
+        bake_transform_point(&transform, mesh->positions[v], mesh->positions[v]);
     for (uint64_t n = 0; n < mesh->normal_count; n++) {
         double normal[3];
         for (int k = 0; k < 3; k++)

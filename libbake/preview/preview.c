@@ -143,7 +143,7 @@ static struct bsq_vec3 hit_color(const struct strip *strip, const struct bake_ex
     struct bsq_vec3 normal = bsq_v3(hit->normal[0], hit->normal[1], hit->normal[2]);
     const double *toward = strip->view->toward;
     const double facing = normal.x * toward[0] + normal.y * toward[1] + normal.z * toward[2];
-    if (strip->preview->two_sided && facing < 0)
+    if (strip->preview->options->two_sided && facing < 0)
         normal = bsq_scale3(normal, -1.0f);
     /* Without a colour map the mesh is grey; so is the scan, to be compared with it. */
     struct bsq_vec3 albedo = strip->preview->tiles[0].color->texels
@@ -294,9 +294,9 @@ static int find_first_view(struct rendering *r, int up, double *out)
     const uint32_t side = r->side;
     double most = 0;
     int status = 0;
-    *out = r->preview->from < 0 ? first_probe : r->preview->from;
+    *out = r->preview->options->preview_from < 0 ? first_probe : r->preview->options->preview_from;
     r->side = PROBE_SIDE;
-    for (uint32_t i = 0; r->preview->from < 0 && i < PROBES; ++i) {
+    for (uint32_t i = 0; r->preview->options->preview_from < 0 && i < PROBES; ++i) {
         const double from = first_probe + i * 360.0 / PROBES;
         bake_preview_view_set(r->preview, from, up, r->side, &r->view);
         BSQ_TRY(bsq_parallel_for(r->ctx, r->side / PREVIEW_BAND, render_band, r));
@@ -317,13 +317,13 @@ static int write_views(struct rendering *r, struct fmt_image_writer *writer, dou
 {
     const int up = bake_preview_up_axis(r->preview);
     int status = find_first_view(r, up, first);
-    for (uint32_t i = 0; status == 0 && i < r->preview->view_count; ++i) {
-        const double from = *first + i * 360.0 / r->preview->view_count;
+    for (uint32_t i = 0; status == 0 && i < r->preview->options->preview_views; ++i) {
+        const double from = *first + i * 360.0 / r->preview->options->preview_views;
         bake_preview_view_set(r->preview, from, up, r->side, &r->view);
         status = render_view(r);
         if (status == 0)
             status = fmt_image_write_rows(writer, r->pixels, r->side);
-        if (status < 0 || i + 1 == r->preview->view_count)
+        if (status < 0 || i + 1 == r->preview->options->preview_views)
             break;
         memset(r->pixels, 0, (size_t)SEPARATOR * r->width * 3 * sizeof *r->pixels);
         status = fmt_image_write_rows(writer, r->pixels, SEPARATOR);
@@ -334,22 +334,23 @@ static int write_views(struct rendering *r, struct fmt_image_writer *writer, dou
 int bake_preview_write(struct bsq_ctx *ctx, const char *path, const struct bake_preview *preview,
                        double *from, struct bsq_output **out)
 {
-    struct rendering r = {
-        .ctx = ctx, .preview = preview, .side = preview->view_count == 1 ? SIDE_ALONE : SIDE};
+    struct rendering r = {.ctx = ctx,
+                          .preview = preview,
+                          .side = preview->options->preview_views == 1 ? SIDE_ALONE : SIDE};
     struct fmt_image_writer *writer = NULL;
     int status;
     r.width = PANELS * r.side + (PANELS - 1) * SEPARATOR;
-    const struct fmt_image_options options = {.width = r.width,
-                                              .height = preview->view_count * (r.side + SEPARATOR) -
-                                                        SEPARATOR,
-                                              .channel_count = 3,
-                                              .type = FMT_UINT8,
-                                              .color = true};
+    const struct fmt_image_options options = {
+        .width = r.width,
+        .height = preview->options->preview_views * (r.side + SEPARATOR) - SEPARATOR,
+        .channel_count = 3,
+        .type = FMT_UINT8,
+        .color = true};
     BSQ_TRY(fmt_image_create(ctx, &fmt_png_format, path, &options, &writer));
     BSQ_TRY(allocate(&r));
-    const uint64_t probe_rows = preview->from < 0 ? PROBES * PROBE_SIDE : 0;
+    const uint64_t probe_rows = preview->options->preview_from < 0 ? PROBES * PROBE_SIDE : 0;
     bsq_progress_begin(ctx, "preview", "rows",
-                       UINT64_C(2) * r.side * preview->view_count + probe_rows);
+                       UINT64_C(2) * r.side * preview->options->preview_views + probe_rows);
     status = write_views(&r, writer, from);
     bsq_progress_end(ctx);
     if (status == 0) {

@@ -22,16 +22,10 @@ struct bake_preview {
     const struct bake_surface *surface;
     const struct bake_preview_tile *tiles; /* by number */
     uint32_t tile_count;
-    enum bake_normal_space normal_space; /* of the normal map */
-    bool green_down;                     /* likewise */
-    bool two_sided;                      /* the scan was baked from both sides */
-    enum bake_up up;
-    double from;         /* degrees around, of the first view; below 0: of the most telling one */
-    double above;        /* degrees that views look down */
-    uint32_t view_count; /* from 1 on */
+    const struct bake_options *options;
 };
 
-/* Returns the vertical axis, 1 or 2, of `preview->up` or else the mesh suggests: the one on
+/* Returns the vertical axis, 1 or 2, of `preview_up` or else the mesh suggests: the one on
  * whose lower end more of the mesh's surface lies flat, as things stand on the ground, or more of
  * it is missing, as below a bust that was scanned on a table. Axis 1 if there is no such
  * difference, the mesh is thin along axis 2, or it would fall over if it stood on that end. */

@@ -158,9 +158,9 @@ static struct bsq_vec3 mapped_normal(const struct bake_preview *preview, uint32_
     float encoded[3];
     bake_thumbnail_sample(map, at[0], at[1], encoded);
     struct bsq_vec3 m = bsq_v3(2 * encoded[0] - 1, 2 * encoded[1] - 1, 2 * encoded[2] - 1);
-    if (preview->normal_space == BAKE_OBJECT_SPACE)
+    if (preview->options->normal_space == BAKE_OBJECT_SPACE)
         return bsq_unit3(m);
-    if (preview->green_down)
+    if (preview->options->green_down)
         m.y = -m.y;
     struct bsq_vec3 normal = blend(mesh->normals[triangle], weights);
     float tangents[3][3];

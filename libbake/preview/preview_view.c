@@ -104,8 +104,8 @@ static bool is_stable(const struct bake_lowmesh *mesh, const struct base *base, 
 
 int bake_preview_up_axis(const struct bake_preview *preview)
 {
-    if (preview->up != BAKE_UP_AUTO)
-        return preview->up == BAKE_UP_Z ? 2 : 1;
+    if (preview->options->preview_up != BAKE_UP_AUTO)
+        return preview->options->preview_up == BAKE_UP_Z ? 2 : 1;
     const struct bake_lowmesh *mesh = preview->mesh;
     const double *low = mesh->bounds_min, *high = mesh->bounds_max;
     double longest = 0;
@@ -173,7 +173,7 @@ void bake_preview_view_set(const struct bake_preview *preview, double from, int 
 {
     view->side = side;
     view->samples = side * PREVIEW_GRID;
-    set_axes(from / radian, preview->above / radian, up, view);
+    set_axes(from / radian, preview->options->preview_above / radian, up, view);
     view->key = direction(view, -0.55, 0.65, 0.55);
     view->fill = direction(view, 0.85, 0.05, 0.5);
     view->half = bsq_unit3(bsq_add3(

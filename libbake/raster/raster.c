@@ -65,7 +65,6 @@ static struct sample_grid sample_grid_of(uint32_t columns, uint32_t rows)
 {
     uint32_t longest = columns > rows ? columns : rows;
     unsigned shift = MAX_SHIFT;
-
     while (shift > 0 && ((uint64_t)longest << shift) > (uint64_t)1 << MAP_BITS)
         shift--;
     return (struct sample_grid){.columns = columns, .rows = rows, .shift = shift};
@@ -77,7 +76,6 @@ static bool snap(const struct sample_grid *grid, const float (*texcoords)[2],
                  struct raster_triangle *out)
 {
     const double one = (double)((uint32_t)1 << grid->shift);
-
     for (int i = 0; i < 3; i++) {
         double x = texcoords[i][0] * (grid->columns * one);
         double y = (1.0 - texcoords[i][1]) * (grid->rows * one);
@@ -130,7 +128,6 @@ struct raster_window bake_raster_bounds(const struct sample_grid *grid,
                                         const struct raster_triangle *triangle)
 {
     int64_t low_x = triangle->x[0], high_x = low_x, low_y = triangle->y[0], high_y = low_y;
-
     for (int i = 1; i < 3; i++) {
         low_x = triangle->x[i] < low_x ? triangle->x[i] : low_x;
         high_x = triangle->x[i] > high_x ? triangle->x[i] : high_x;
@@ -152,7 +149,6 @@ static void edge_begin(struct raster_edge *edge, const struct raster_spans *span
     const __int128 height = t->y[b] - t->y[a], width = t->x[b] - t->x[a];
     const __int128 centre = (__int128)row * one + one / 2;
     const __int128 numerator = (t->x[a] - one / 2) * height + width * (centre - t->y[a]);
-
     edge->divisor = height * one;
     edge->sample = (int64_t)-divide_down(-numerator, edge->divisor);
     edge->rest = edge->sample * edge->divisor - numerator;
@@ -192,7 +188,6 @@ static void spans_begin(const struct sample_grid *grid, const struct raster_tria
                         struct raster_window window, struct raster_spans *out)
 {
     struct raster_triangle *t = &out->corners;
-
     out->window = window;
     out->corners = *triangle;
     out->shift = grid->shift;
@@ -216,7 +211,6 @@ static void spans_begin(const struct sample_grid *grid, const struct raster_tria
 static bool spans_next(struct raster_spans *spans, uint32_t *row, uint32_t *begin, uint32_t *end)
 {
     const struct raster_window *window = &spans->window;
-
     while (spans->row < spans->end_row) {
         if (spans->row == spans->middle_row)
             edge_begin(&spans->short_edge, spans, 1, 2, spans->row);
@@ -255,7 +249,6 @@ static bool overlapped_patches(const struct bake_raster *raster, uint64_t triang
 {
     const uint32_t size = raster->options.patch_side * raster->options.samples;
     struct raster_triangle snapped;
-
     if (!bake_raster_snap(raster, triangle, &snapped))
         return false;
     struct raster_window samples = bake_raster_bounds(&raster->grid, &snapped);
@@ -296,7 +289,6 @@ static int sort_triangles(struct bake_raster *raster, uint64_t *cursors)
 {
     struct raster_window patches;
     int status = 0;
-
     for (uint64_t t = raster->options.first; t < triangles_end(raster); t++) {
         if (t % TRIANGLES_A_CHECK == 0)
             BSQ_TRY(bsq_check(raster->ctx));
@@ -322,7 +314,6 @@ static int number_patches(struct bake_raster *raster, uint64_t *counts)
     uint64_t sum = 0;
     uint32_t patch = 0;
     int status;
-
     for (uint64_t p = 0; p < places; p++)
         raster->patch_count += counts[p] > 0;
     BSQ_TRY(bsq_alloc(raster->ctx, "patch numbers", raster->patch_count,
@@ -349,7 +340,6 @@ static int sort_into_patches(struct bake_raster *raster)
 {
     uint64_t *counts = NULL;
     int status;
-
     BSQ_TRY(bsq_calloc(raster->ctx, "patch counts",
                        (uint64_t)raster->patch_columns * raster->patch_rows, sizeof *counts,
                        &counts));
@@ -367,7 +357,6 @@ done:
 static void inspect(const struct bake_raster *raster, struct bake_raster_report *report)
 {
     struct raster_triangle snapped;
-
     memset(report, 0, sizeof(*report));
     for (uint64_t t = raster->options.first; t < triangles_end(raster); t++) {
         const float(*uv)[2] = (const float(*)[2])raster->mesh->texcoords[t];
@@ -399,7 +388,6 @@ static int lay_out_patches(struct bake_raster *raster)
 {
     struct bake_raster_options *o = &raster->options;
     const uint32_t longest = o->width > o->height ? o->width : o->height;
-
     if (o->patch_side > longest)
         o->patch_side = longest;
     raster->patch_columns = (o->width - 1) / o->patch_side + 1;
@@ -417,7 +405,6 @@ int bake_raster_create(struct bsq_ctx *ctx, const struct bake_lowmesh *mesh,
 {
     struct bake_raster *raster = NULL;
     int status;
-
     *out = NULL;
     BSQ_TRY(check_options(ctx, mesh, options));
     BSQ_TRY(bsq_calloc(ctx, "raster", 1, sizeof *raster, &raster));
@@ -460,7 +447,6 @@ struct bk_patch bake_raster_patch(const struct bake_raster *raster, uint32_t ind
     const uint32_t x = number % raster->patch_columns * o->patch_side;
     const uint32_t y = number / raster->patch_columns * o->patch_side;
     struct bk_patch patch = {.x = x, .y = y};
-
     patch.width = o->width - x < o->patch_side ? o->width - x : o->patch_side;
     patch.height = o->height - y < o->patch_side ? o->height - y : o->patch_side;
     return patch;
@@ -478,7 +464,6 @@ static struct raster_window patch_window(const struct bake_raster *raster, uint3
 static uint32_t paint_span(uint32_t *samples, uint32_t count, uint32_t triangle)
 {
     uint32_t taken = 0;
-
     for (uint32_t i = 0; i < count; i++) {
         uint32_t owner = samples[i];
         taken += owner != BK_NO_TRIANGLE;
@@ -499,7 +484,6 @@ static int paint_patch(const struct bake_raster *raster, uint32_t index, uint32_
     uint64_t free = stride * (window.end_y - window.begin_y);
     uint32_t row, begin, end;
     int status = 0;
-
     *overlap = false;
     for (uint64_t k = raster->starts[index];
          k < raster->starts[index + 1] && !(free == 0 && *overlap); k++) {
@@ -528,7 +512,6 @@ static uint32_t mark_span(const uint32_t *owners, uint64_t *bits, uint32_t begin
                           uint32_t triangle)
 {
     uint32_t count = 0;
-
     for (uint32_t x = begin; x < end; x++) {
         const uint64_t overlapped = owners[x] != triangle, unmarked = ~bits[x / 64] >> x % 64;
         bits[x / 64] |= overlapped << x % 64;
@@ -551,7 +534,6 @@ static int count_overlaps_in(const struct bake_raster *raster, uint32_t index,
     struct raster_spans spans;
     uint32_t row, begin, end;
     int status = 0;
-
     for (uint64_t k = raster->starts[index]; k < raster->starts[index + 1] && unmarked > 0; k++) {
         BSQ_TRY(bsq_check(raster->ctx));
         if (!bake_raster_snap(raster, raster->triangles[k], &snapped))
@@ -575,7 +557,6 @@ static int count_overlaps(const struct bake_raster *raster, uint32_t index, cons
 {
     const struct raster_window patch = patch_window(raster, index);
     int status = 0;
-
     for (uint32_t y = patch.begin_y; y < patch.end_y; y += MARK_SIDE)
         for (uint32_t x = patch.begin_x; x < patch.end_x; x += MARK_SIDE) {
             struct raster_window window = {x, y, patch.end_x, patch.end_y};
@@ -616,16 +597,14 @@ int bake_raster_fill(const struct bake_raster *raster, uint32_t index, uint32_t 
 {
     const struct raster_window window = patch_window(raster, index);
     const size_t count = (size_t)(window.end_x - window.begin_x) * (window.end_y - window.begin_y);
-
     bool overlap;
     int status;
-
     memset(sample_triangles, 0xff, count * sizeof *sample_triangles); /* BK_NO_TRIANGLE */
     *overlaps = 0;
     BSQ_TRY(paint_patch(raster, index, sample_triangles, &overlap));
     if (overlap)
         BSQ_TRY(count_overlaps(raster, index, sample_triangles, overlaps));
-    if (raster->options.skew.skew)
+    if (raster->options.skew.textures)
         status = fill_skews(raster, &window, sample_triangles, sample_triangles + count);
 done:
     return status;

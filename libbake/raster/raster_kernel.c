@@ -27,7 +27,6 @@ static struct corners map_corners(const struct bake_raster *raster, uint64_t tri
 {
     const float(*uv)[2] = (const float(*)[2])raster->mesh->texcoords[triangle];
     struct corners c;
-
     for (int i = 0; i < 3; i++) {
         c.x[i] = uv[i][0] * (double)raster->options.width;
         c.y[i] = (1.0 - uv[i][1]) * (double)raster->options.height;
@@ -61,7 +60,6 @@ static struct weight weight_along_edge(const struct corners *c, int edge, int i)
     int other = i == edge ? (edge + 1) % 3 : edge;
     double x = c->x[i] - c->x[other], y = c->y[i] - c->y[other];
     double square = x * x + y * y;
-
     if (i == (edge + 2) % 3)
         return (struct weight){0, 0, 0, 0};
     return (struct weight){x / square, y / square, c->x[other], c->y[other]};
@@ -86,7 +84,6 @@ static void set_weights(const struct bake_raster *raster, uint64_t triangle,
     const double area = corner_area(&c);
     struct weight w1 = weight_in_triangle(&c, area, 1), w2 = weight_in_triangle(&c, area, 2);
     int longest = 0;
-
     for (int i = 1; i < 3; i++)
         longest = edge_length(&c, i) > edge_length(&c, longest) ? i : longest;
     const double length = edge_length(&c, longest);
@@ -117,7 +114,6 @@ void bake_raster_kernel_triangles(const struct bake_raster *raster, const double
 {
     const struct bake_lowmesh *mesh = raster->mesh;
     struct raster_triangle snapped;
-
     for (uint64_t i = 0; i < raster->options.count; i++) {
         const uint64_t t = raster->options.first + i;
         memset(&out[t], 0, sizeof(out[t]));

@@ -5,17 +5,11 @@
 #include <stdlib.h>
 
 #include "base/job_files.h"
-#include "formats/texture/texture.h"
 #include "libbake/bake.h"
 #include "libbake/kernel/bk_types.h"
 #include "libbake/udim/udim.h"
 
 enum { LEAST_CACHE = 12 << 20, MOST_CACHE = 256 << 20 };
-
-struct bake_skew {
-    struct bsq_ctx *ctx;
-    struct fmt_textures *textures; /* one image a tile */
-};
 
 /* Names the images of the tiles, which the caller frees. */
 static int name_images(struct bsq_ctx *ctx, const char *path, const uint32_t *tiles, uint32_t count,
@@ -32,40 +26,24 @@ static int name_images(struct bsq_ctx *ctx, const char *path, const uint32_t *ti
 }
 
 int bake_skew_open(struct bsq_ctx *ctx, const char *path, const uint32_t *tiles, uint32_t count,
-                   struct bake_skew **out)
+                   struct fmt_textures **out)
 {
-    struct fmt_texture_source *sources = NULL;
-    struct bake_skew *skew;
+    struct fmt_texture_source *sources;
     uint64_t cache = bsq_memory_share(ctx, "skew map", 16);
     *out = NULL;
-    int status = bsq_calloc(ctx, "skew map", 1, sizeof *skew, &skew);
+    int status = bsq_calloc(ctx, "skew map", count, sizeof *sources, &sources);
     if (status < 0)
         return status;
-    skew->ctx = ctx;
     cache = cache < LEAST_CACHE ? LEAST_CACHE : cache > MOST_CACHE ? MOST_CACHE : cache;
-    status = bsq_calloc(ctx, "skew map", count, sizeof *sources, &sources);
+    status = name_images(ctx, path, tiles, count, sources);
     if (status == 0)
-        status = name_images(ctx, path, tiles, count, sources);
+        status = fmt_textures_open(ctx, sources, count, cache, out);
     if (status == 0)
-        status = fmt_textures_open(ctx, sources, count, cache, &skew->textures);
-    if (status == 0)
-        status = fmt_textures_tell_losses(skew->textures);
-    for (uint32_t i = 0; sources && i < count; i++)
+        status = fmt_textures_tell_losses(*out);
+    for (uint32_t i = 0; i < count; i++)
         free((void *)(uintptr_t)sources[i].path);
     bsq_free(ctx, sources);
-    if (status < 0)
-        bake_skew_close(skew);
-    else
-        *out = skew;
     return status;
-}
-
-void bake_skew_close(struct bake_skew *skew)
-{
-    if (!skew)
-        return;
-    fmt_textures_close(skew->textures);
-    bsq_free(skew->ctx, skew);
 }
 
 int bake_skew_sample(const struct bake_skew_image *image, float u, float v, float du, float dv,
@@ -73,7 +51,7 @@ int bake_skew_sample(const struct bake_skew_image *image, float u, float v, floa
 {
     static const uint8_t wrap[2] = {BSQ_WRAP_CLAMP, BSQ_WRAP_CLAMP};
     float rgb[3];
-    int status = fmt_texture_sample(image->skew->textures, image->number, wrap, u, v, du, dv, rgb);
+    int status = fmt_texture_sample(image->textures, image->number, wrap, u, v, du, dv, rgb);
     const float value = rgb[0] > 0 ? fminf(rgb[0], 1.0F) : 0; /* not a number: 0 */
     *out = status == 0 ? (uint32_t)(value * (float)BK_SKEW_ONE + 0.5F) : 0;
     return status;

@@ -5,22 +5,19 @@
 #ifndef BAKE_SKEW_SKEW_H
 #define BAKE_SKEW_SKEW_H
 
-#include "base/context.h"
-
-struct bake_skew;
+#include "formats/texture/texture.h"
 
 /* The part of a skew map for one tile. */
 struct bake_skew_image {
-    struct bake_skew *skew; /* NULL: there is no skew map */
-    uint32_t number;        /* of the tile among those that were opened */
+    struct fmt_textures *textures; /* NULL: there is no skew map */
+    uint32_t number;               /* of the tile among those that were opened */
 };
 
 /* Opens the images of `count` UDIM tiles: `path` with its tokens replaced, as bake_tile_path()
- * does. Takes memory from the budget. Must not be called from parallel work. Errors: those of
- * fmt_textures_open(). */
+ * does. Takes memory from the budget. Close *out with fmt_textures_close(), also after a failure.
+ * Must not be called from parallel work. Errors: those of fmt_textures_open(). */
 int bake_skew_open(struct bsq_ctx *ctx, const char *path, const uint32_t *tiles, uint32_t count,
-                   struct bake_skew **out);
-void bake_skew_close(struct bake_skew *skew); /* NULL is allowed */
+                   struct fmt_textures **out);
 
 /* Sets *out to the mean of the first channel over a box around (u, v) in the tile, with v upwards
  * and sides du and dv: from 0 to BK_SKEW_ONE. Thread-safe. Errors: BSQ_EDATA, BSQ_EIO. */

@@ -50,11 +50,12 @@ int rays_open(struct bsq_ctx *ctx, const char *scan, const char *mesh, uint32_t 
     out->samples = samples;
     bake_defaults(&options);
     options.scan_path = scan;
+    options.mesh_path = mesh;
     int status = bake_surface_open(ctx, &options, &out->surface);
     if (status == 0 && out->surface.scans->exact)
         status = bsq_fail(ctx, BSQ_EDATA, "%s is not a grid", scan);
     if (status == 0)
-        status = bake_lowmesh_load(ctx, &(struct bake_lowmesh_options){.path = mesh}, &out->mesh);
+        status = bake_lowmesh_load(ctx, &options, &out->mesh);
     if (status < 0)
         return status;
     options.samples = samples;

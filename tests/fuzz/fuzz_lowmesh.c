@@ -95,7 +95,10 @@ static int use(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
     const char *path = paths[0];
     (void)count;
     struct bake_lowmesh mesh;
-    int status = bake_lowmesh_load(ctx, &(struct bake_lowmesh_options){.path = path}, &mesh);
+    struct bake_options options;
+    bake_defaults(&options);
+    options.mesh_path = path;
+    int status = bake_lowmesh_load(ctx, &options, &mesh);
     if (status)
         return status;
     check_mesh(&mesh);

@@ -127,7 +127,10 @@ int main(int argc, char **argv)
     struct bsq_ctx *ctx;
     if (bsq_ctx_create(&(struct bsq_ctx_options){.memory_bytes = UINT64_C(8) << 30}, &ctx))
         return 71;
-    if (bake_lowmesh_load(ctx, &(struct bake_lowmesh_options){.path = argv[optind]}, &c.low)) {
+    struct bake_options options;
+    bake_defaults(&options);
+    options.mesh_path = argv[optind];
+    if (bake_lowmesh_load(ctx, &options, &c.low)) {
         fprintf(stderr, "check-tangent: %s\n", bsq_error(ctx));
         return 65;
     }

@@ -6,14 +6,17 @@
 #include <string.h>
 
 #include "base/context.h"
+#include "base/parallel.h"
 #include "libbake/raster/raster.h"
 
-enum { STAGING_BYTES = 16 << 20 /* half of the staging buffer */ };
+enum {
+    STAGING_BYTES = 16 << 20, /* half of the staging buffer */
+    SHARE_BYTES = 1 << 20     /* that one thread copies at a time */
+};
 
 int bake_compute_fail(const struct bake_compute *compute, struct bake_failure failure)
 {
     char text[BAKE_COMPUTE_TEXT];
-
     if (failure.code == 0)
         return 0;
     return bsq_fail(compute->ctx, BSQ_ENODEVICE, "%s: %s: %s", compute->device_name, failure.call,
@@ -67,7 +70,6 @@ static int share_memory(struct bake_compute *compute, const struct bake_job *job
     const uint64_t samples = sample_bytes(compute, compute->patch_texels);
     const uint64_t triangles = triangle_bytes(job);
     const uint64_t fixed = worker_bytes(compute) + triangles + block_waste(compute);
-
     if (job->device_memory && job->device_memory < limit)
         limit = job->device_memory;
     if (triangles > buffer_bytes || samples > buffer_bytes)
@@ -104,13 +106,17 @@ static int note_failure(struct bake_compute *compute, struct bake_failure failur
     return failure.code ? BSQ_ENODEVICE : 0;
 }
 
-/* Sends a half of the staging buffer, see struct bake_staging_buffer. */
-static int send_half(void *device, unsigned half, uint64_t bytes)
+/* Sends the half that is being filled. Returns when the other one may be filled. */
+static int flush(struct bake_compute *compute)
 {
-    struct bake_compute *compute = device;
     struct bake_stream *stream = upload_stream(compute);
+    const unsigned half = compute->filling;
+    const uint64_t bytes = compute->used;
     int status;
-
+    if (bytes == 0)
+        return 0;
+    compute->used = 0;
+    compute->filling ^= 1;
     BSQ_TRY(note_failure(compute,
                          compute->calls->send(compute, stream, stream->host[half], bytes,
                                               compute->upload_to, compute->upload_at, (int)half)));
@@ -121,11 +127,55 @@ done:
     return status;
 }
 
-/* Sends what is put into the staging buffer from now on to an array. */
+struct copy {
+    char *to;
+    const char *from;
+    uint64_t bytes;
+};
+
+static int copy_share(void *arg, uint64_t index, unsigned worker)
+{
+    const struct copy *copy = arg;
+    const uint64_t at = index * SHARE_BYTES, left = copy->bytes - at;
+    (void)worker;
+    memcpy(copy->to + at, copy->from + at, left < SHARE_BYTES ? left : SHARE_BYTES);
+    return 0;
+}
+
+/* Copies on all threads, as one reads a mapped file several times slower than a device copies. */
+static int copy_in(const struct bake_compute *compute, struct copy copy)
+{
+    if (!compute->alone && copy.bytes > SHARE_BYTES)
+        return bsq_parallel_for(compute->ctx, (copy.bytes + SHARE_BYTES - 1) / SHARE_BYTES,
+                                copy_share, &copy);
+    memcpy(copy.to, copy.from, copy.bytes);
+    return 0;
+}
+
+/* Appends data of the array that goes up: a sink of bake_subgrid_send(). */
+static int put(void *arg, const void *data, uint64_t bytes)
+{
+    struct bake_compute *compute = arg;
+    const char *from = data;
+    int status = 0;
+    while (bytes > 0 && status == 0) {
+        const uint64_t space = STAGING_BYTES - compute->used, piece = bytes < space ? bytes : space;
+        char *to = upload_stream(compute)->host[compute->filling] + compute->used;
+        status = copy_in(compute, (struct copy){to, from, piece});
+        compute->used += piece;
+        from += piece;
+        bytes -= piece;
+        if (status == 0 && compute->used == STAGING_BYTES)
+            status = flush(compute);
+    }
+    return status;
+}
+
+/* Makes put() append to an array from now on. */
 static void begin_upload(struct bake_compute *compute, bake_memory to)
 {
     compute->upload_to = to;
-    compute->upload_at = compute->staging.used = 0;
+    compute->upload_at = compute->used = 0;
 }
 
 static int finish_upload(struct bake_compute *compute)
@@ -136,12 +186,11 @@ static int finish_upload(struct bake_compute *compute)
 static int send_triangles(struct bake_compute *compute, const struct bake_job *job)
 {
     int status;
-
     BSQ_TRY(note_failure(
         compute, compute->calls->allocate(compute, triangle_bytes(job), &compute->triangles)));
     begin_upload(compute, compute->triangles);
-    BSQ_TRY(bake_staging_put(&compute->staging, job->triangles, triangle_bytes(job)));
-    BSQ_TRY(bake_staging_flush(&compute->staging));
+    BSQ_TRY(put(compute, job->triangles, triangle_bytes(job)));
+    BSQ_TRY(flush(compute));
     status = finish_upload(compute);
 done:
     return status == BSQ_ENODEVICE ? bake_compute_fail(compute, compute->upload_failure) : status;
@@ -172,7 +221,6 @@ static int allocate_block(struct bake_compute *compute, struct bake_compute_subg
                           uint64_t bytes)
 {
     int status;
-
     unload_subgrid(compute, to);
     status = note_failure(compute, compute->calls->allocate(compute, bytes, &to->block));
     to->block_bytes = status == 0 ? bytes : 0;
@@ -187,7 +235,6 @@ static int allocate_arrays(struct bake_compute *compute, struct bake_compute_sub
     const uint64_t pass = (compute->base.memory_bytes + block_waste(compute)) / BAKE_SLOTS;
     uint64_t bytes = 0, at = 0;
     int status = 0;
-
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS && !compute->calls->blocks; i++) {
         *what = bake_subgrid_array_name(i);
         BSQ_TRY(note_failure(compute,
@@ -215,7 +262,6 @@ static int reserve_subgrid(struct bake_compute *compute, struct bake_compute_sub
     uint64_t largest;
     const uint64_t total = bake_subgrid_total(subgrid->bytes, &largest);
     int status = bsq_reserve(compute->ctx, "grid on a device that shares host memory", total);
-
     if (status == 0)
         to->reserved_bytes = total;
     return status;
@@ -225,7 +271,6 @@ static int load_subgrid(struct bake_compute *compute, struct bake_compute_subgri
                         const struct bake_subgrid *subgrid, const char **what)
 {
     int status;
-
     *what = "grid";
     if (compute->calls->attach)
         BSQ_TRY(note_failure(compute, compute->calls->attach(compute)));
@@ -238,8 +283,8 @@ static int load_subgrid(struct bake_compute *compute, struct bake_compute_subgri
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++) {
         *what = bake_subgrid_array_name(i);
         begin_upload(compute, to->arrays[i]);
-        BSQ_TRY(bake_subgrid_send(subgrid, i, bake_staging_put, &compute->staging));
-        BSQ_TRY(bake_staging_flush(&compute->staging));
+        BSQ_TRY(bake_subgrid_send(subgrid, i, put, compute));
+        BSQ_TRY(flush(compute));
     }
     status = finish_upload(compute);
 done:
@@ -251,7 +296,6 @@ static void describe_failure(const struct bake_compute *compute, const char *wha
                              struct bake_failure failure, char *why)
 {
     char text[BAKE_COMPUTE_TEXT];
-
     snprintf(why, BAKE_WHY_BYTES, "%s: %s", what,
              failure.code ? compute->calls->describe(compute, failure.code, text)
                           : bsq_error(compute->ctx));
@@ -264,9 +308,8 @@ static int compute_load(struct bake_backend *backend, unsigned slot,
     const double started = bsq_seconds_now();
     const char *what;
     int status;
-
     /* A whole grid goes up before any tracing; subgrids while the other threads trace. */
-    compute->staging.ctx = subgrid->whole ? compute->ctx : NULL;
+    compute->alone = !subgrid->whole;
     compute->upload_failure = BAKE_NO_FAILURE;
     status = load_subgrid(compute, &compute->slots[slot], subgrid, &what);
     if (status < 0) {
@@ -304,7 +347,6 @@ static struct bake_failure launch_batches(struct bake_compute *compute, struct b
     const uint32_t n = compute->params.samples, lines = launch_lines(&compute->params);
     const uint32_t rows = bake_batch_rows(&stream->sizer, launch_samples(&compute->params),
                                           patch->width, patch->height);
-
     for (uint32_t line = 0; line < n; line += lines)
         for (uint32_t row = 0; row < patch->height; row += rows) {
             const struct bake_launch_batch batch = {.first_row = row,
@@ -321,7 +363,6 @@ static struct bake_failure launch_batches(struct bake_compute *compute, struct b
 static void note_times(struct bake_compute *compute, struct bake_stream *stream, uint64_t samples)
 {
     const struct bake_span *times = stream->times;
-
     bake_batch_sizer_learn(&stream->sizer, launch_samples(&compute->params),
                            samples * bake_sample_cost(&compute->params),
                            times[BAKE_KERNELS].end - times[BAKE_KERNELS].start);
@@ -346,7 +387,6 @@ static void close_stream(struct bake_compute *compute, struct bake_stream *strea
 static struct bake_failure open_worker(struct bake_compute *compute, struct bake_stream *stream)
 {
     const struct bake_compute_calls *calls = compute->calls;
-
     BAKE_TRY_CALL(calls->open_stream(compute, stream));
     BAKE_TRY_CALL(
         calls->allocate(compute, sample_bytes(compute, compute->patch_texels), &stream->samples));
@@ -365,7 +405,6 @@ static struct bake_failure trace_patch(struct bake_compute *compute, struct bake
     const struct bake_compute_calls *calls = compute->calls;
     const uint64_t texel_count = (uint64_t)patch->width * patch->height;
     const uint64_t n = compute->params.samples, bytes = sample_bytes(compute, texel_count);
-
     if (calls->attach)
         BAKE_TRY_CALL(calls->attach(compute));
     if (!stream->open)
@@ -387,7 +426,6 @@ static int compute_trace(struct bake_backend *backend, unsigned slot, const stru
                          char *why)
 {
     struct bake_compute *compute = (struct bake_compute *)backend;
-
     if (worker >= compute->worker_count ||
         (uint64_t)patch->width * patch->height > compute->patch_texels) {
         snprintf(why, BAKE_WHY_BYTES, "worker %u, patch of %u x %u texels: out of range", worker,
@@ -410,7 +448,6 @@ static int compute_trace(struct bake_backend *backend, unsigned slot, const stru
 static void compute_times(struct bake_backend *backend, struct bake_device_times *out)
 {
     struct bake_compute *compute = (struct bake_compute *)backend;
-
     *out = (struct bake_device_times){.upload = compute->upload_seconds,
                                       .copies = bake_time_spans_seconds(&compute->copies),
                                       .kernels = bake_time_spans_seconds(&compute->kernels)};
@@ -441,7 +478,6 @@ static int create_streams(struct bake_compute *compute)
     const uint64_t texels = texel_bytes(compute, compute->patch_texels);
     const uint64_t host = samples > texels ? samples : texels;
     int status;
-
     BSQ_TRY(bsq_calloc(compute->ctx, "streams of the device", count, sizeof *compute->streams,
                        &compute->streams));
     BSQ_TRY(bsq_calloc(compute->ctx, "streams of the device", count, stream_bytes,
@@ -461,7 +497,6 @@ int bake_compute_prepare(struct bake_compute *compute, const struct bake_job *jo
                          uint64_t buffer_bytes)
 {
     int status;
-
     compute->params = job->params;
     compute->patch_texels = job->patch_texels;
     compute->worker_count = bsq_threads(compute->ctx);
@@ -470,10 +505,6 @@ int bake_compute_prepare(struct bake_compute *compute, const struct bake_job *jo
     struct bake_stream *upload = upload_stream(compute);
     upload->open = true;
     BSQ_TRY(bake_compute_fail(compute, compute->calls->open_stream(compute, upload)));
-    compute->staging = (struct bake_staging_buffer){.halves = {upload->host[0], upload->host[1]},
-                                                    .half_bytes = STAGING_BYTES,
-                                                    .send = send_half,
-                                                    .device = compute};
     status = send_triangles(compute, job);
 done:
     return status;

@@ -87,33 +87,6 @@ void bake_time_spans_add(struct bake_time_spans *spans, const struct bake_span *
 /* Returns the length of the union of all spans, in seconds. */
 double bake_time_spans_seconds(struct bake_time_spans *spans);
 
-/* ---- uploads: staging_buffer.c ---- */
-
-/* Two halves of host memory through which data goes up to a device.
- *
- * One half is filled while the device copies the other, so the host never copies anything larger.
- * The API allocates the halves and sends them. Only one thread at a time may use a buffer. */
-struct bake_staging_buffer {
-    char *halves[2]; /* of half_bytes each */
-    uint64_t half_bytes;
-    unsigned filling; /* the half that is being filled */
-    uint64_t used;    /* bytes of it */
-    /* Sends `bytes` of a half to the device, after the bytes sent before. Returns when the other
-     * half may be filled: 0 or a negative status, which the functions below pass on. */
-    int (*send)(void *device, unsigned half, uint64_t bytes);
-    void *device;
-    /* Its threads fill a half together: one thread reads a mapped file several times slower than a
-     * device empties the buffer. NULL: the calling thread alone, while the others trace. */
-    struct bsq_ctx *ctx;
-};
-
-/* Appends data, and sends each half that is full. staging: a struct bake_staging_buffer, so that
- * this can be the sink of bake_subgrid_send(). */
-int bake_staging_put(void *staging, const void *data, uint64_t bytes);
-
-/* Sends the half that is being filled. */
-int bake_staging_flush(struct bake_staging_buffer *staging);
-
 /* ---- devices: compute.c ---- */
 
 /* Device memory, as the API names it; 0: none. */
@@ -218,7 +191,11 @@ struct bake_compute {
     unsigned worker_count;
     struct bake_stream *streams; /* of the workers, and then that of uploads */
     char *stream_memory;         /* the API's parts of them */
-    struct bake_staging_buffer staging;
+    /* Data goes up through two halves of host memory, those of the last stream: one is filled while
+     * the device copies the other, so the host never copies anything larger. */
+    unsigned filling;      /* the half that is being filled */
+    uint64_t used;         /* bytes of it */
+    bool alone;            /* the calling thread fills a half by itself, while the others trace */
     bake_memory upload_to; /* array that is being sent, and the bytes sent so far */
     uint64_t upload_at;
     struct bake_failure upload_failure;

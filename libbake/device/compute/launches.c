@@ -15,7 +15,6 @@ enum { MAX_GROWTH = 4 };
 static double launch_seconds(uint64_t texel_samples)
 {
     const double wanted = 2 * THREAD_SECONDS * (double)texel_samples;
-
     if (texel_samples <= BAKE_BATCH_THREAD || wanted < BAKE_BATCH_SECONDS)
         return BAKE_BATCH_SECONDS;
     return wanted < BAKE_BATCH_SECONDS_MOST ? wanted : BAKE_BATCH_SECONDS_MOST;
@@ -32,7 +31,6 @@ uint32_t bake_batch_rows(struct bake_batch_sizer *sizer, uint64_t texel_samples,
                          uint32_t height)
 {
     const uint64_t row_samples = width * texel_samples, least = BAKE_BATCH_TEXELS * texel_samples;
-
     if (!sizer->samples)
         sizer->samples = least > BAKE_BATCH_FIRST ? least : BAKE_BATCH_FIRST;
     const uint64_t rows = row_samples ? sizer->samples / row_samples : height;
@@ -49,7 +47,6 @@ void bake_batch_sizer_learn(struct bake_batch_sizer *sizer, uint64_t texel_sampl
     double limit = (double)sizer->samples * MAX_GROWTH;
     double wanted =
         seconds > 0 ? (double)samples * (launch_seconds(texel_samples) / seconds) : limit;
-
     if (wanted > limit)
         wanted = limit;
     if (wanted > most)
@@ -69,7 +66,6 @@ static int by_start(const void *a, const void *b)
 static void merge(struct bake_time_spans *spans)
 {
     unsigned kept = 0;
-
     bsq_sort(spans->spans, spans->count, sizeof *spans->spans, by_start);
     for (unsigned i = 0; i < spans->count; i++) {
         struct bake_span span = spans->spans[i];
@@ -103,7 +99,6 @@ void bake_time_spans_add(struct bake_time_spans *spans, const struct bake_span *
 double bake_time_spans_seconds(struct bake_time_spans *spans)
 {
     double sum = spans->closed;
-
     merge(spans);
     for (unsigned i = 0; i < spans->count; i++)
         sum += spans->spans[i].end - spans->spans[i].start;

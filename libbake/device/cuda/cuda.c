@@ -53,7 +53,6 @@ static const char *cuda_describe(const struct bake_compute *compute, int code, c
 static struct bake_failure cuda_attach(struct bake_compute *compute)
 {
     struct cuda *cuda = (struct cuda *)compute;
-
     CALL(cuCtxSetCurrent, cuda->context);
     return BAKE_NO_FAILURE;
 }
@@ -65,7 +64,6 @@ static struct bake_failure cuda_allocate(struct bake_compute *compute, uint64_t 
 {
     struct cuda *cuda = (struct cuda *)compute;
     CUdeviceptr memory = 0;
-
     CALL(cuMemAlloc, &memory, bytes);
     *out = memory;
     return BAKE_NO_FAILURE;
@@ -81,7 +79,6 @@ static void cuda_release(struct bake_compute *compute, bake_memory memory)
 static struct bake_failure free_memory(const struct cuda *cuda, uint64_t *out)
 {
     size_t free_bytes = 0, all_bytes = 0;
-
     *out = 0;
     CALL(cuMemGetInfo, &free_bytes, &all_bytes);
     if (free_bytes > all_bytes / 16)
@@ -95,7 +92,6 @@ static void cuda_close_stream(struct bake_compute *compute, struct bake_stream *
 {
     const struct bake_cuda_api *api = &((struct cuda *)compute)->api;
     struct stream *own = stream->own;
-
     if (own->stream) {
         api->cuStreamSynchronize(own->stream);
         api->cuStreamDestroy(own->stream);
@@ -118,7 +114,6 @@ static struct bake_failure elapsed(const struct cuda *cuda, CUevent from, CUeven
                                    double *seconds)
 {
     float milliseconds = 0;
-
     CALL(cuEventElapsedTime, &milliseconds, from, to);
     *seconds = 1e-3 * (double)milliseconds;
     return BAKE_NO_FAILURE;
@@ -129,7 +124,6 @@ static struct bake_failure cuda_open_stream(struct bake_compute *compute,
 {
     struct cuda *cuda = (struct cuda *)compute;
     struct stream *own = stream->own;
-
     CALL(cuStreamCreate, &own->stream, CU_STREAM_NON_BLOCKING);
     for (int i = 0; i <= BAKE_STEPS; i++)
         CALL(cuEventCreate, &own->events[i], CU_EVENT_BLOCKING_SYNC);
@@ -147,7 +141,6 @@ static struct bake_failure cuda_send(struct bake_compute *compute, struct bake_s
 {
     struct cuda *cuda = (struct cuda *)compute;
     struct stream *own = stream->own;
-
     if (step == 0)
         CALL(cuEventRecord, own->events[step], own->stream);
     CALL(cuMemcpyHtoDAsync, to + at, from, bytes, own->stream);
@@ -160,7 +153,6 @@ static struct bake_failure cuda_fetch(struct bake_compute *compute, struct bake_
 {
     struct cuda *cuda = (struct cuda *)compute;
     struct stream *own = stream->own;
-
     CALL(cuEventRecord, own->events[BAKE_TEXELS], own->stream);
     CALL(cuMemcpyDtoHAsync, stream->host[0], stream->texels, bytes, own->stream);
     CALL(cuEventRecord, own->events[BAKE_TEXELS + 1], own->stream);
@@ -172,7 +164,6 @@ static struct bake_failure cuda_wait(struct bake_compute *compute, struct bake_s
                                      int step)
 {
     struct cuda *cuda = (struct cuda *)compute;
-
     CALL(cuEventSynchronize, ((struct stream *)stream->own)->events[step + 1]);
     return BAKE_NO_FAILURE;
 }
@@ -180,7 +171,6 @@ static struct bake_failure cuda_wait(struct bake_compute *compute, struct bake_s
 static struct bake_failure cuda_finish(struct bake_compute *compute, struct bake_stream *stream)
 {
     struct cuda *cuda = (struct cuda *)compute;
-
     CALL(cuStreamSynchronize, ((struct stream *)stream->own)->stream);
     return BAKE_NO_FAILURE;
 }
@@ -203,7 +193,6 @@ static struct bake_failure cuda_launch(struct bake_compute *compute, struct bake
                          &b.end_row,       &b.first_line,   &b.end_line,     &samples,
                          &texels};
     CUresult code;
-
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
         a[i] = subgrid->arrays[i];
     code = cuda->api.cuLaunchKernel(cuda->kernel, (patch->width + BLOCK_WIDTH - 1) / BLOCK_WIDTH,
@@ -222,7 +211,6 @@ static struct bake_failure cuda_times(struct bake_compute *compute, struct bake_
     struct stream *own = stream->own;
     CUevent from = own->before;
     double at[BAKE_STEPS + 1], since = own->before_time, seconds;
-
     /* Each from the previous event, so that times are as exact late in a long job. */
     for (int i = 0; i <= BAKE_STEPS; i++) {
         BAKE_TRY_CALL(elapsed(cuda, from, own->events[i], &seconds));
@@ -271,7 +259,6 @@ static int open_driver(struct bsq_ctx *ctx, uint32_t number, struct bake_cuda_ap
     const int needed = kernel_capability();
     bool faulty;
     int count;
-
     if (!bake_cuda_ptx[0])
         return bsq_fail(ctx, BSQ_ENODEVICE, "%s", bake_cuda_no_kernel);
     if (!bake_cuda_load(api, &count, why, &faulty))
@@ -295,7 +282,6 @@ int bake_cuda_version_for_ptx(int ptx_version)
         int ptx, cuda;
     } known[] = {{40, 60}, {41, 65},  {42, 70},  {43, 75},  {50, 80},  {60, 90},  {61, 91},
                  {62, 92}, {63, 100}, {64, 101}, {65, 102}, {86, 127}, {87, 128}, {88, 129}};
-
     for (size_t i = 0; i < sizeof known / sizeof known[0]; i++)
         if (known[i].ptx == ptx_version)
             return known[i].cuda;
@@ -307,7 +293,6 @@ static int kernel_version(void)
 {
     const char *line = strstr(bake_cuda_ptx, ".version ");
     int major = 0, minor = 0;
-
     if (line)
         sscanf(line, ".version %d.%d", &major, &minor);
     return 10 * major + minor;
@@ -317,7 +302,6 @@ static void describe_old_driver(const struct bake_cuda_api *api, char *buffer)
 {
     const int ptx = kernel_version(), needed = bake_cuda_version_for_ptx(ptx);
     int version = 0; /* 1000 * major + 10 * minor */
-
     if (api->cuDriverGetVersion(&version) != CUDA_SUCCESS)
         version = 0;
     snprintf(
@@ -334,7 +318,6 @@ static void describe_refusal(const struct bake_cuda_api *api, CUresult code, con
 {
     const char *advice = "";
     char text[BAKE_CUDA_TEXT];
-
     if (code == CUDA_ERROR_UNSUPPORTED_PTX_VERSION) {
         describe_old_driver(api, buffer);
         return;
@@ -359,7 +342,6 @@ static int load_kernel(struct cuda *cuda)
                      CU_JIT_MAX_REGISTERS};
     void *values[] = {log, (void *)(uintptr_t)(sizeof log - 1), (void *)(uintptr_t)REGISTERS};
     CUresult code = cuda->api.cuModuleLoadDataEx(&cuda->module, bake_cuda_ptx, 3, options, values);
-
     if (code != CUDA_SUCCESS) {
         describe_refusal(&cuda->api, code, log, reason);
         return bsq_fail(cuda->compute.ctx, BSQ_ENODEVICE, "%s: %s", cuda->device.name, reason);
@@ -371,7 +353,6 @@ static int load_kernel(struct cuda *cuda)
 static struct bake_failure open_context(struct cuda *cuda)
 {
     CUcontext context;
-
     CALL(cuDevicePrimaryCtxRetain, &context, cuda->device.device);
     cuda->context = context;
     CALL(cuCtxSetCurrent, cuda->context);
@@ -386,7 +367,6 @@ static int prepare(struct cuda *cuda, const struct bake_job *job)
     struct bake_compute *compute = &cuda->compute;
     uint64_t limit;
     int status;
-
     snprintf(compute->base.name, sizeof compute->base.name, "%.110s (CUDA)", cuda->device.name);
     BSQ_TRY(bake_compute_fail(compute, open_context(cuda)));
     BSQ_TRY(load_kernel(cuda));
@@ -399,7 +379,6 @@ done:
 static void cuda_close(struct bake_backend *backend)
 {
     struct cuda *cuda = (struct cuda *)backend;
-
     if (cuda->context) {
         cuda->api.cuCtxSetCurrent(cuda->context);
         bake_compute_unload(&cuda->compute);
@@ -418,7 +397,6 @@ static int cuda_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_job
 {
     struct cuda *cuda;
     int status = bsq_calloc(ctx, "CUDA device", 1, sizeof *cuda, &cuda);
-
     *out = NULL;
     if (status < 0)
         return status;

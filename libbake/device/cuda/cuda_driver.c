@@ -23,7 +23,6 @@ static void *open_driver(void)
     const int flags = RTLD_NOW | RTLD_LOCAL;
     void *library =
         bake_driver_library("libcuda.so.1", flags, bake_driver_directories, &directories[0]);
-
     if (directories[0])
         bake_driver_library("libnvidia-ptxjitcompiler.so.1", flags, directories, &unused);
     return library;
@@ -45,7 +44,6 @@ bool bake_cuda_load(struct bake_cuda_api *api, int *count, char *why, bool *faul
     const char *visible = getenv("CUDA_VISIBLE_DEVICES");
     void *library = open_driver();
     char text[BAKE_CUDA_TEXT];
-
     *count = 0;
     *faulty = library != NULL;
     if (!library || !load_functions(library, api)) {
@@ -75,7 +73,6 @@ bool bake_cuda_load(struct bake_cuda_api *api, int *count, char *why, bool *faul
 const char *bake_cuda_error(const struct bake_cuda_api *api, CUresult code, char *buffer)
 {
     const char *name = NULL, *text = NULL;
-
     if (api->cuGetErrorName(code, &name) != CUDA_SUCCESS || !name)
         snprintf(buffer, BAKE_CUDA_TEXT, "CUDA error %d", code);
     else if (api->cuGetErrorString(code, &text) != CUDA_SUCCESS || !text)
@@ -90,7 +87,6 @@ CUresult bake_cuda_device(const struct bake_cuda_api *api, int index, struct bak
     int major = 0, minor = 0;
     size_t bytes = 0;
     CUresult code;
-
     memset(out, 0, sizeof *out);
     code = api->cuDeviceGet(&out->device, index);
     if (code == CUDA_SUCCESS)
@@ -113,7 +109,6 @@ void bake_cuda_list(struct bsq_ctx *ctx, struct bake_device_list *out)
     struct bake_cuda_api api = {0};
     char text[BAKE_CUDA_TEXT];
     int count;
-
     (void)ctx;
     const bool works = bake_cuda_load(&api, &count, out->why, &out->faulty);
     if (!bake_cuda_ptx[0]) {

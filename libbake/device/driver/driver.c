@@ -35,7 +35,6 @@ void *bake_driver_library(const char *name, int flags, const char *const directo
                           const char **found)
 {
     void *library = dlopen(name, flags);
-
     *found = NULL;
     for (; !library && *directories; directories++) {
         char path[PATH_MAX];
@@ -131,7 +130,6 @@ static int find_program(struct bsq_ctx *ctx, const struct bake_device_kind *kind
 {
     char purpose[32];
     int status;
-
     snprintf(purpose, sizeof purpose, "%s devices", kind->drivers);
     status = fmt_program_find(ctx, "bisque-devices", purpose, path);
     if (status != BSQ_ENOINPUT)
@@ -150,7 +148,6 @@ int bake_probe(struct bsq_ctx *ctx, const struct bake_device_kind *kind,
     struct answer answer;
     char path[PATH_MAX];
     int status;
-
     BSQ_TRY(find_program(ctx, kind, path));
     BSQ_TRY(ask(ctx, kind, path, &answer, &end));
     const bool answered = status == (int)sizeof answer && answer.bytes == sizeof answer &&

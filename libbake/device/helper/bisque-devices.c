@@ -25,7 +25,6 @@ enum { KINDS = sizeof kinds / sizeof kinds[0] };
 static int isolate(void)
 {
     int answer = fcntl(STDOUT_FILENO, F_DUPFD_CLOEXEC, STDERR_FILENO + 1);
-
     fmt_program_isolate();
     alarm(LIFE_SECONDS); /* if the caller ended before that call */
     dup2(STDERR_FILENO, STDOUT_FILENO);
@@ -36,7 +35,6 @@ int main(int argument_count, char **arguments)
 {
     static struct bake_device_list list;
     int kind = 0, answer;
-
     while (kind < KINDS && !(argument_count == 2 && strcmp(arguments[1], kinds[kind].kind) == 0))
         kind++;
     if (kind == KINDS) {

@@ -61,7 +61,6 @@ static struct bake_failure opencl_allocate(struct bake_compute *compute, uint64_
     /* The kernel never reads an empty array, but an argument must be a buffer. */
     cl_mem memory =
         cl->api.clCreateBuffer(cl->context, CL_MEM_READ_WRITE, bytes ? bytes : 8, NULL, &code);
-
     CHECK("clCreateBuffer", code);
     *out = (uintptr_t)memory;
     return BAKE_NO_FAILURE;
@@ -78,7 +77,6 @@ static void opencl_close_stream(struct bake_compute *compute, struct bake_stream
 {
     const struct bake_opencl_api *api = &((struct opencl *)compute)->api;
     struct stream *own = stream->own;
-
     if (own->queue)
         api->clFinish(own->queue);
     for (int i = 0; i < EVENTS; i++)
@@ -106,7 +104,6 @@ static struct bake_failure open_host(struct opencl *cl, struct bake_stream *stre
 {
     struct stream *own = stream->own;
     cl_int code;
-
     own->pinned[number] =
         cl->api.clCreateBuffer(cl->context, CL_MEM_ALLOC_HOST_PTR, stream->host_bytes, NULL, &code);
     CHECK("clCreateBuffer", code);
@@ -124,7 +121,6 @@ static struct bake_failure opencl_open_stream(struct bake_compute *compute,
     struct stream *own = stream->own;
     size_t most = 0;
     cl_int code;
-
     own->queue =
         cl->api.clCreateCommandQueue(cl->context, cl->device.id, CL_QUEUE_PROFILING_ENABLE, &code);
     CHECK("clCreateCommandQueue", code);
@@ -154,7 +150,6 @@ static struct bake_failure opencl_send(struct bake_compute *compute, struct bake
 {
     struct opencl *cl = (struct opencl *)compute;
     struct stream *own = stream->own;
-
     CALL(clEnqueueWriteBuffer, own->queue, buffer_of(to), CL_FALSE, at, bytes, from, 0, NULL,
          fresh_event(cl, own, step));
     CALL(clFlush, own->queue);
@@ -166,7 +161,6 @@ static struct bake_failure opencl_fetch(struct bake_compute *compute, struct bak
 {
     struct opencl *cl = (struct opencl *)compute;
     struct stream *own = stream->own;
-
     CALL(clEnqueueReadBuffer, own->queue, buffer_of(stream->texels), CL_FALSE, 0, bytes,
          stream->host[0], 0, NULL, fresh_event(cl, own, BAKE_TEXELS));
     CALL(clFlush, own->queue);
@@ -178,7 +172,6 @@ static struct bake_failure opencl_wait(struct bake_compute *compute, struct bake
 {
     struct opencl *cl = (struct opencl *)compute;
     const cl_event *event = &((struct stream *)stream->own)->events[step];
-
     if (*event)
         CALL(clWaitForEvents, 1, event);
     return BAKE_NO_FAILURE;
@@ -187,7 +180,6 @@ static struct bake_failure opencl_wait(struct bake_compute *compute, struct bake
 static struct bake_failure opencl_finish(struct bake_compute *compute, struct bake_stream *stream)
 {
     struct opencl *cl = (struct opencl *)compute;
-
     CALL(clFinish, ((struct stream *)stream->own)->queue);
     return BAKE_NO_FAILURE;
 }
@@ -217,7 +209,6 @@ static struct bake_failure opencl_launch(struct bake_compute *compute, struct ba
                             bsq_align_up(batch->end_row - batch->first_row, own->group[1])};
     const bool first = batch->first_row == 0 && batch->first_line == 0;
     cl_uint argument = 0;
-
     for (; argument < BAKE_SUBGRID_ARRAYS; argument++) {
         const cl_mem array = buffer_of(subgrid->arrays[argument]);
         CALL(clSetKernelArg, own->kernel, argument, sizeof(cl_mem), &array);
@@ -239,7 +230,6 @@ static struct bake_failure span_of(const struct opencl *cl, cl_event first, cl_e
 {
     const cl_event both[] = {first, last};
     cl_ulong start = 0, end = 0;
-
     CALL(clWaitForEvents, 2, both);
     CALL(clGetEventProfilingInfo, first, CL_PROFILING_COMMAND_START, sizeof start, &start, NULL);
     CALL(clGetEventProfilingInfo, last, CL_PROFILING_COMMAND_END, sizeof end, &end, NULL);
@@ -251,7 +241,6 @@ static struct bake_failure opencl_times(struct bake_compute *compute, struct bak
 {
     struct opencl *cl = (struct opencl *)compute;
     struct stream *own = stream->own;
-
     for (int i = 0; i < BAKE_STEPS; i++) {
         /* A patch of one launch batch has one kernel. */
         const bool several = i == BAKE_KERNELS && own->events[LAST_KERNEL];
@@ -282,7 +271,6 @@ static const struct bake_compute_calls calls = {.describe = opencl_describe,
 static uint64_t memory_limit(const struct opencl *cl)
 {
     uint64_t limit = cl->device.memory_bytes / 8 * 7;
-
     if (cl->device.host_memory) {
         const uint64_t left = bsq_memory_left(cl->compute.ctx) / 4 * 3;
         limit = left < limit ? left : limit;
@@ -295,7 +283,6 @@ static struct bake_failure open_context(struct opencl *cl)
     const cl_context_properties properties[] = {CL_CONTEXT_PLATFORM,
                                                 (cl_context_properties)cl->device.platform, 0};
     cl_int code;
-
     cl->context = cl->api.clCreateContext(properties, 1, &cl->device.id, NULL, NULL, &code);
     return (struct bake_failure){"clCreateContext", code};
 }
@@ -304,7 +291,6 @@ static int prepare(struct opencl *cl, const struct bake_job *job)
 {
     struct bake_compute *compute = &cl->compute;
     int status;
-
     snprintf(compute->base.name, sizeof compute->base.name, "%s", cl->device.name);
     compute->shares_memory = cl->device.host_memory;
     BSQ_TRY(bake_compute_fail(compute, open_context(cl)));
@@ -319,7 +305,6 @@ done:
 static void opencl_close(struct bake_backend *backend)
 {
     struct opencl *cl = (struct opencl *)backend;
-
     bake_compute_unload(&cl->compute);
     if (cl->program)
         cl->api.clReleaseProgram(cl->program);
@@ -333,7 +318,6 @@ static int opencl_open(struct bsq_ctx *ctx, uint32_t number, const struct bake_j
 {
     struct opencl *cl;
     int status = bsq_calloc(ctx, "OpenCL device", 1, sizeof *cl, &cl);
-
     *out = NULL;
     if (status < 0)
         return status;

@@ -10,7 +10,6 @@
 bool bake_opencl_load(struct bake_opencl_api *api)
 {
     void *library = dlopen("libOpenCL.so.1", RTLD_NOW | RTLD_LOCAL);
-
     if (!library)
         return false;
 #define LOAD(name)                                                                                 \
@@ -72,7 +71,6 @@ static cl_ulong device_number(const struct bake_opencl_api *api, cl_device_id id
 {
     /* Values of 4 bytes leave the upper half zero: hosts are little-endian, as grid files are. */
     cl_ulong value = 0;
-
     if (api->clGetDeviceInfo(id, what, size, &value, NULL) != CL_SUCCESS)
         return 0;
     return value;
@@ -82,7 +80,6 @@ static cl_ulong device_number(const struct bake_opencl_api *api, cl_device_id id
 static void tidy(char *text)
 {
     char *to = text;
-
     for (const char *from = text; *from; from++)
         if (*from != ' ' || (to > text && to[-1] != ' '))
             *to++ = *from;
@@ -95,7 +92,6 @@ static void tidy(char *text)
 static void describe_groups(const struct bake_opencl_api *api, struct bake_opencl_device *out)
 {
     size_t sides[16] = {0};
-
     if (api->clGetDeviceInfo(out->id, CL_DEVICE_MAX_WORK_ITEM_SIZES, sizeof sides, sides, NULL) !=
         CL_SUCCESS)
         sides[0] = sides[1] = 1;
@@ -107,7 +103,6 @@ static void describe(const struct bake_opencl_api *api, cl_platform_id platform,
                      struct bake_opencl_device *out)
 {
     char name[256] = "", vendor[256] = "";
-
     memset(out, 0, sizeof *out);
     out->platform = platform;
     out->id = id;
@@ -144,7 +139,6 @@ bool bake_opencl_device(const struct bake_opencl_api *api, uint32_t index,
     cl_device_id devices[DEVICES_MAX];
     cl_uint platform_count = 0, device_count;
     uint32_t next = 0;
-
     if (api->clGetPlatformIDs(PLATFORMS_MAX, platforms, &platform_count) != CL_SUCCESS)
         return false;
     for (cl_uint p = 0; p < platform_count && p < PLATFORMS_MAX; p++) {
@@ -171,7 +165,6 @@ void bake_opencl_list(struct bsq_ctx *ctx, struct bake_device_list *out)
     struct bake_opencl_api api;
     struct bake_opencl_device device;
     const bool loaded = bake_opencl_load(&api);
-
     (void)ctx;
     while (loaded && out->count < BAKE_DEVICES_MAX &&
            bake_opencl_device(&api, out->count, &device)) {
@@ -201,7 +194,6 @@ static int fail_build(struct bsq_ctx *ctx, const struct bake_opencl_api *api,
 {
     char *log = NULL, line[400] = "", number[32];
     size_t bytes = 0, used = 0;
-
     api->clGetProgramBuildInfo(program, device->id, CL_PROGRAM_BUILD_LOG, 0, NULL, &bytes);
     if (bytes && bsq_calloc(ctx, "build log", bytes + 1, 1, &log) == 0)
         api->clGetProgramBuildInfo(program, device->id, CL_PROGRAM_BUILD_LOG, bytes, log, NULL);
@@ -226,7 +218,6 @@ int bake_opencl_build(struct bsq_ctx *ctx, const struct bake_opencl_api *api,
                               : "-cl-std=CL1.2";
     char number[32];
     cl_int code;
-
     *out = api->clCreateProgramWithSource(context, 1, &source, NULL, &code);
     if (code != CL_SUCCESS)
         return bsq_fail(ctx, BSQ_ENODEVICE, "%s: clCreateProgramWithSource: %s", device->name,

@@ -11,7 +11,7 @@ struct fixture {
     struct bake_lowmesh mesh;
     enum bake_rays rays;
     enum bake_low_normals normals;
-    const struct bake_transform *transform;
+    struct bake_options options;
 };
 
 static int set_up(void **state)
@@ -19,6 +19,7 @@ static int set_up(void **state)
     struct fixture *f = calloc(1, sizeof(*f));
     if (f == NULL || bsq_ctx_create(&(struct bsq_ctx_options){.threads = 1}, &f->ctx) < 0)
         return -1;
+    bake_defaults(&f->options);
     f->file = fopen("low.obj", "w");
     *state = f;
     return f->file ? 0 : -1;
@@ -38,9 +39,10 @@ static int tear_down(void **state)
 
 static int load_file(struct fixture *f, const char *path)
 {
-    const struct bake_lowmesh_options options = {
-        .path = path, .rays = f->rays, .normals = f->normals, .transform = f->transform};
-    return bake_lowmesh_load(f->ctx, &options, &f->mesh);
+    f->options.mesh_path = path;
+    f->options.rays = f->rays;
+    f->options.low_normals = f->normals;
+    return bake_lowmesh_load(f->ctx, &f->options, &f->mesh);
 }
 
 static void load(struct fixture *f)
@@ -220,11 +222,11 @@ TEST(test_turns)
 /* A mesh and its normals: scaled, then turned so that z points upwards, then shifted. */
 FIXTURE_TEST(test_placement)
 {
-    const struct bake_options options = {
-        .low_scale = 2, .low_turn = 1, .low_x = 10, .low_y = 20, .low_z = 30};
-    struct bake_transform transform;
-    bake_transform_of(&options, &transform);
-    f->transform = &transform;
+    f->options.low_scale = 2;
+    f->options.low_turn = 1;
+    f->options.low_x = 10;
+    f->options.low_y = 20;
+    f->options.low_z = 30;
     load_text(f, "v 1 2 3\nv 2 2 3\nv 1 2 4\nvt 0 0\nvt 1 0\nvt 0 1\nvn 0 1 0\n"
                  "f 1/1/1 2/2/1 3/3/1\n");
     assert_true(f->mesh.positions[0][0][0] == 12 && f->mesh.positions[0][0][1] == 14 &&
@@ -378,8 +380,9 @@ static int load_with_cage(struct fixture *f, const char *text)
     assert_non_null(f->file = freopen("low.obj", "w", f->file));
     fputs(hard_edge, f->file);
     fflush(f->file);
-    const struct bake_lowmesh_options options = {.path = "low.obj", .cage_path = "cage.obj"};
-    int status = bake_lowmesh_load(f->ctx, &options, &f->mesh);
+    f->options.mesh_path = "low.obj";
+    f->options.cage_path = "cage.obj";
+    int status = bake_lowmesh_load(f->ctx, &f->options, &f->mesh);
     return status;
 }
 

@@ -41,7 +41,8 @@ static int up_axis_of(double (*positions)[3][3], uint64_t count, enum bake_up up
                 mesh.bounds_max[k] = fmax(mesh.bounds_max[k], positions[t][c][k]);
             }
     }
-    const struct bake_preview preview = {.mesh = &mesh, .up = up, .from = -1};
+    const struct bake_options options = {.preview_up = up, .preview_from = -1};
+    const struct bake_preview preview = {.mesh = &mesh, .options = &options};
     return bake_preview_up_axis(&preview);
 }
 
@@ -96,7 +97,8 @@ TEST(test_views_go_around_the_vertical_axis)
     struct bake_lowmesh mesh = {.triangle_count = make_pyramid(1, 2, pyramid),
                                 .positions = pyramid};
     const struct bake_surface surface = {.scan_max = {1, 1, 1}};
-    const struct bake_preview preview = {.mesh = &mesh, .surface = &surface, .above = 17};
+    const struct bake_options options = {.preview_above = 17};
+    const struct bake_preview preview = {.mesh = &mesh, .surface = &surface, .options = &options};
     for (int up = 1; up < 3; up++) {
         const double front[3] = {0, up == 1 ? 0 : -1, up == 1 ? 1 : 0};
         struct preview_view views[4];
@@ -165,8 +167,9 @@ static struct bsq_vec3 shade_middle(const struct bake_thumbnail *missed)
     const struct bake_preview_tile tile = {
         {.number = BAKE_FIRST_TILE, .first = 0, .count = 1}, &none, &none, missed};
     const struct bake_surface surface = {.scan_max = {1, 1, 1}};
+    const struct bake_options options = {.preview_views = 1};
     const struct bake_preview preview = {
-        .mesh = &mesh, .surface = &surface, .tiles = &tile, .tile_count = 1, .view_count = 1};
+        .mesh = &mesh, .surface = &surface, .tiles = &tile, .tile_count = 1, .options = &options};
     struct preview_view view;
     bake_preview_view_set(&preview, 0, 1, 64, &view);
     struct bsq_vec3 plain, mapped;
