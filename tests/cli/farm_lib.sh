@@ -50,12 +50,9 @@ killed_at()
 twice()
 {
     rm -f $part flag
-    command=$1 code=0 tries=0
+    command=$1 code=0
     faulty_task name pause 1 &
-    while [ $tries -lt 500 ] && [ ! -e flag ]; do
-        tries=$((tries + 1))
-        sleep 0.02
-    done
+    wait_for flag
     holds "$1: the task stops" [ -e flag ]
     eval "$2"
     rm -f flag

@@ -182,6 +182,16 @@ interrupted()
     check "$program ended $late ms after SIG$signal while $stage" $?
 }
 
+# wait_for FILE: until it is there, for some seconds at most.
+wait_for()
+{
+    tries=0
+    while [ $tries -lt 1000 ] && [ ! -e "$1" ]; do
+        tries=$((tries + 1))
+        sleep 0.02
+    done
+}
+
 skip()
 {
     passed=$((passed + 1))
@@ -204,13 +214,26 @@ sanitized()
     ldd "$BIN/bisque-voxelize" | grep -q 'lib[at]san'
 }
 
-# need_oracle: skips the test if Python or its packages are missing, which oracle() needs. Another
-# Python than Debian's may come first in PATH, without Debian's packages.
+# has_opencl: true if there is a device opencl:0.
+has_opencl()
+{
+    "$BIN/bisque-bake" --list devices 2>/dev/null | grep -q '^opencl:0 '
+}
+
+# find_python: sets $python to one with numpy and xxhash, or to nothing and is false. Another Python
+# than Debian's may come first in PATH, without Debian's packages.
+find_python()
+{
+    for python in python3 /usr/bin/python3 ''; do
+        [ -z "$python" ] || ! "$python" -c 'import numpy, xxhash' 2>/dev/null || return 0
+    done
+    return 1
+}
+
+# need_oracle: skips the test if Python or its packages are missing, which oracle() needs.
 need_oracle()
 {
-    for python in python3 /usr/bin/python3; do
-        "$python" -c 'import numpy, xxhash' 2>/dev/null && return
-    done
+    ! find_python || return 0
     skip "readers in Python" "python3-numpy or python3-xxhash is not installed"
     finish
     exit

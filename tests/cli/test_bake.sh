@@ -203,8 +203,7 @@ files $start
 # ---- passes ----
 
 # A grid ten times as large as the usable memory of the device.
-if "$BIN/bisque-bake" --list devices --json --progress none | jq -e '.devices | map(.id) | contains(["opencl:0"])' \
-    >/dev/null; then
+if has_opencl; then
     awk '/^v / { print "v", $2 + 9, $3 + 9, $4 + 9; next } { print }' low.obj >moved.obj
     ok run bisque-voxelize moved.obj -o large.nvdb --no-tris --resolution 1300
     tenth=$(($(wc -c <large.nvdb) / 10))

@@ -183,22 +183,8 @@ fi
 
 # ---- OpenCL ----
 
-# Secondary rays, on a device that is compiled at run time. It rounds as the processor does.
-bake --list devices
-if grep -q '^opencl:0' "$out"; then
-    for device in cpu opencl; do
-        bake --device $device --size 48 --maps ao,bent,thickness --rays ao=20 vase.nvdb low.obj -o "${device}_<MAP>.exr"
-        code 0
-    done
-    for map in ao bent thickness; do
-        ok run bisque-compare cpu_$map.exr opencl_$map.exr --type data --max-error 0.002
-    done
-else
-    skip "secondary rays with OpenCL" "no OpenCL device"
-fi
-
-if "$BIN/bisque-bake" --list devices --json --progress none | jq -e '.devices | map(.id) | contains(["opencl:0"])' \
-    >/dev/null; then
+# A device that is compiled at run time rounds nearly as the processor does.
+if has_opencl; then
     bake --device cpu $maps -o 'cpu_<MAP>.exr'
     bake --device opencl:0 $maps -o 'opencl_<MAP>.exr'
     code 0

@@ -329,10 +329,7 @@ err "$p farm/plan.0002.part: not a part of a bake: run this task again"
 mv keep farm/plan.0002.part
 
 # The reader in Python accepts what Bisque wrote and refuses what is damaged.
-python=
-for candidate in python3 /usr/bin/python3; do
-    [ -n "$python" ] || ! "$candidate" -c 'import numpy, xxhash' 2>/dev/null || python=$candidate
-done
+find_python
 if [ -n "$python" ]; then
     "$python" -B "$top/tests/oracle/read_part.py" farm/plan.json farm/*.part >"$out" 2>"$err"
     check "the reader in Python accepts the parts" $?

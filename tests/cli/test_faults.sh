@@ -165,11 +165,7 @@ together()
     rm -f flag a.nvdb
     LD_PRELOAD=$FAULTS FAULT_UNDER=$(pwd -P) FAULT_CALLS=name FAULT_PATH=a.nvdb FAULT_AT=$1 FAULT_DO=pause FAULT_FLAG=flag \
         FAULT_PLAIN=$2 "$BIN/bisque-voxelize" scan.tris -o a.nvdb --resolution 32 >"$out" 2>"$err" &
-    tries=0
-    while [ $tries -lt 500 ] && [ ! -e flag ]; do
-        tries=$((tries + 1))
-        sleep 0.02
-    done
+    wait_for flag
     before=$(ls -A | grep -c '^\.a\.nvdb\.............\.tmp$')
     LD_PRELOAD=$FAULTS FAULT_PLAIN=$2 "$BIN/bisque-voxelize" scan.tris -o a.nvdb --resolution 32 >/dev/null 2>&1
     same a.nvdb scan.nvdb
@@ -192,11 +188,7 @@ ok run bisque-voxelize other.obj -o other.nvdb --resolution 4
 rm -f flag
 LD_PRELOAD=$FAULTS FAULT_UNDER=$(pwd -P) FAULT_CALLS=name FAULT_PATH=a.tris.job FAULT_AT=1 FAULT_DO=pause FAULT_FLAG=flag \
     "$BIN/bisque-voxelize" scan.obj -o a.nvdb --resolution 32 >"$out" 2>"$err" &
-tries=0
-while [ $tries -lt 500 ] && [ ! -e flag ]; do
-    tries=$((tries + 1))
-    sleep 0.02
-done
+wait_for flag
 [ -s a.tris ] && mv other.tris a.tris
 check "a chunk file is replaced after it was written" $?
 rm flag
@@ -216,11 +208,7 @@ shrink()
     cp scan.nvdb cut.nvdb
     LD_PRELOAD=$FAULTS FAULT_UNDER=$(pwd -P) FAULT_CALLS=open FAULT_PATH=$2 FAULT_AT=1 FAULT_DO=pause FAULT_FLAG=flag \
         "$BIN/bisque-bake" cut.nvdb low.obj --device $3 $small --maps normal,color -o 'a_<MAP>.exr' >"$out" 2>"$err" &
-    tries=0
-    while [ $tries -lt 500 ] && [ ! -e flag ]; do
-        tries=$((tries + 1))
-        sleep 0.02
-    done
+    wait_for flag
     truncate -s "$1" cut.nvdb
     rm flag
     command="bisque-bake of a grid cut to $1 bytes" code=0

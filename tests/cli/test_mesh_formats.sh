@@ -75,10 +75,7 @@ for kind in plain colors faces linear twice; do
 done
 
 ok run bisque-voxelize "$top/tests/meshes/plain.obj" -o plain.nvdb --voxel-size 0.02
-python=
-for candidate in python3 /usr/bin/python3; do
-    [ -n "$python" ] || ! "$candidate" -c 'import numpy, xxhash' 2>/dev/null || python=$candidate
-done
+find_python
 for file in "$top/tests/meshes"/packed.*; do
     ok run bisque-voxelize "$file" -o packed.nvdb --voxel-size 0.02
     if [ -n "$python" ]; then

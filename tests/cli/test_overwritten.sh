@@ -69,11 +69,7 @@ held()
     command="bisque-bake $* of $live overwritten with $kind, SEED=$SEED" code=0
     LD_PRELOAD=$TESTS/faults.so FAULT_UNDER=$(pwd -P) FAULT_CALLS=open FAULT_PATH=/low.obj FAULT_AT=1 FAULT_DO=pause \
         FAULT_FLAG=flag "$BIN/bisque-bake" $live low.obj --size 48 --maps normal,color -o 'a_<MAP>.exr' "$@" >"$out" 2>"$err" &
-    tries=0
-    while [ $tries -lt 500 ] && [ ! -e flag ]; do
-        tries=$((tries + 1))
-        sleep 0.02
-    done
+    wait_for flag
     damage "$kind"
     rm flag
     wait $! || code=$?

@@ -77,7 +77,7 @@ $bake $small both.nvdb low.obj --cage high_cage.obj --front 1 -o cage.exr
 code 64
 $bake $small both.nvdb low.obj --cage high_cage.obj --ray-directions mesh -o cage.exr
 code 64
-if "$BIN/bisque-bake" --list devices | grep -q '^opencl:0 '; then
+if has_opencl; then
     ok $bake $small both.nvdb low.obj --cage high_cage.obj --device opencl:0 -o cage.exr
     same_color cage.exr green.exr
 else
@@ -172,7 +172,7 @@ same skew_black.exr smooth.exr
 ok run bisque-compare skew_white.exr face.exr --max-error 0.01
 ! cmp -s skew_grey.exr smooth.exr && ! cmp -s skew_grey.exr skew_white.exr
 check "grey is neither" $?
-if "$BIN/bisque-bake" --list devices | grep -q '^opencl:0 '; then
+if has_opencl; then
     ok $turned --device opencl:0 --skew grey.pgm -o opencl.exr
     ok run bisque-compare opencl.exr skew_grey.exr --max-error 0.1
 else

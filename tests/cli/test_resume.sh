@@ -139,11 +139,7 @@ rm -rf *
 "$TESTS/generate-scan" --triangles 100000 vase -o vase.obj
 ok $voxelize vase.obj -o whole.nvdb --resolution 1500
 "$BIN/bisque-voxelize" vase.obj -o vase.nvdb --resolution 1500 >/dev/null 2>&1 &
-tries=0
-while [ $tries -lt 1000 ] && [ ! -e vase.tris.job ]; do
-    tries=$((tries + 1))
-    sleep 0.02
-done
+wait_for vase.tris.job
 kill -9 $!
 wait $! 2>/dev/null
 holds "killed before the grid was there" [ ! -e vase.nvdb ]

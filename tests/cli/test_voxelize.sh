@@ -72,6 +72,8 @@ mkdir dir
 $vox dir -o a.nvdb
 refused 66 "$p dir: Is a directory"
 rmdir dir
+$vox box.obj -o a.nvdb --texture none.png
+refused 66 "$p none.png: No such file or directory"
 : >empty.obj
 $vox empty.obj -o a.nvdb
 refused_like 65 'empty\.obj.*no faces'

@@ -23,6 +23,21 @@ FIXTURE_TEST(a_scan_without_area_is_refused)
     assert_int_not_equal(access("scan.tris", F_OK), 0);
 }
 
+FIXTURE_TEST(a_missing_texture_for_all_is_refused)
+{
+    struct vox_sort_options options = sort_scan_obj();
+    options.texture_path = "/nowhere/at all.png";
+    test_text("scan.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n");
+    assert_int_equal(vox_sort(f->ctx, &options, &f->report), BSQ_ENOINPUT);
+    assert_non_null(strstr(bsq_error(f->ctx), options.texture_path));
+}
+
+FIXTURE_TEST(too_little_memory_is_refused)
+{
+    sort_open_context(f, vox_memory_min(2) - 1, 2);
+    assert_int_equal(sort_text(f, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"), BSQ_ENOMEM);
+}
+
 /* Positions are in a file, and there is no memory for one byte a vertex. The message names a budget
  * that is enough. */
 FIXTURE_TEST(too_many_vertices_are_refused)

@@ -227,6 +227,11 @@ TEST(test_limits)
         fmt_nvdb_discard(writer);
         bsq_ctx_destroy(ctx);
     }
+    struct bsq_ctx *ctx = test_context(1, 0);
+    const struct fmt_nvdb_info no_size = {.type = FMT_NVDB_MASK};
+    struct fmt_nvdb_writer *writer;
+    assert_int_equal(fmt_nvdb_create(ctx, nvdb_path, &no_size, &writer), BSQ_EUSAGE);
+    test_context_end(ctx);
 }
 
 RUN_TESTS(NULL, NULL)

@@ -161,4 +161,17 @@ CONTEXT_TEST(test_black_and_white_do_not_dither, 2, 0)
     free(samples);
 }
 
+CONTEXT_TEST(test_too_few_rows_make_no_file, 1, 0)
+{
+    const float samples[8] = {0};
+    const struct fmt_image_options options = {
+        .width = 8, .height = 4, .channel_count = 1, .type = FMT_UINT8};
+    struct fmt_image_writer *writer;
+    unlink(path);
+    assert_int_equal(fmt_image_create(ctx, &fmt_png_format, path, &options, &writer), 0);
+    assert_int_equal(fmt_image_write_rows(writer, samples, 1), 0);
+    assert_int_equal(test_commit_image(writer), BSQ_EBUG);
+    assert_int_equal(access(path, F_OK), -1);
+}
+
 RUN_TESTS(NULL, NULL)

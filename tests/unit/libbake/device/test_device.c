@@ -37,6 +37,22 @@ TEST(test_opencl_batches_of_texels)
     free(opencl);
 }
 
+TEST(test_names)
+{
+    static const char *const bad[] = {"gpu",       "",          "opencl:",           "opencl:x",
+                                      "opencl:0x", "opencl:-1", "opencl:4000000000", "cpu:0"};
+    struct fixture *f = *state;
+    struct bake_device *device;
+
+    for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+        assert_false(bake_is_device_name(bad[i]));
+        assert_int_equal(bake_device_open(f->ctx, bad[i], &f->job, &device), BSQ_EUSAGE);
+        assert_null(device);
+        assert_non_null(strstr(bsq_error(f->ctx), bad[i]));
+        bsq_clear_error(f->ctx);
+    }
+}
+
 struct listing {
     int count, gpus, cpus;
 };

@@ -243,7 +243,7 @@ TEST(test_transfer_maps_follow_the_rows)
     assert_int_equal(bake_first_of(bake_selection(&options)), BK_MAP_COUNT);
 }
 
-CONTEXT_TEST(test_unknown_maps_are_refused, 1, 0)
+CONTEXT_TEST(test_unknown_maps_and_sizes_are_refused, 1, 0)
 {
     for (unsigned bit = BAKE_NAMED_MAPS; bit < 32; ++bit) {
         if (1u << bit == BAKE_MAPS_ALL || 1u << bit == BAKE_MAPS_USUAL)
@@ -251,6 +251,13 @@ CONTEXT_TEST(test_unknown_maps_are_refused, 1, 0)
         struct bake_options options = options_for(1u << bit, "a_<MAP>.exr");
         assert_int_equal(bake_check_options(ctx, &options), BSQ_EUSAGE);
         assert_non_null(strstr(bsq_error(ctx), "unknown maps: 0x"));
+        bsq_clear_error(ctx);
+    }
+    static const uint32_t sides[] = {0, BAKE_MAX_SIDE + 1};
+    for (int i = 0; i < 4; i++) {
+        struct bake_options options = options_for(BAKE_MAP_NORMAL, "a.exr");
+        *(i % 2 ? &options.width : &options.height) = sides[i / 2];
+        assert_int_equal(bake_check_options(ctx, &options), BSQ_EUSAGE);
         bsq_clear_error(ctx);
     }
 }
