@@ -92,7 +92,7 @@ fi
 
 # ---- real scans ----
 
-# against_exact NAME LIMITS TYPE: maps of a grid beside exact ones, which tests/unit/libbake/exact compares with Embree.
+# against_exact NAME LIMITS TYPE: maps of a grid beside exact ones, whose hits unit tests compare with brute force.
 against_exact()
 {
     # shellcheck disable=SC2086 # several options

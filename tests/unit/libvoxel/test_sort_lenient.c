@@ -190,34 +190,6 @@ FIXTURE_TEST(a_block_may_lose_all_its_faces)
     assert_true(f->report.origin[0] == 0);
 }
 
-/* Colours from 0 to 255 whose first 144,000 vertices are black. */
-FIXTURE_TEST(dark_beginnings_stay_dark)
-{
-    struct sorted_triangles got = {0};
-    FILE *file = fopen("scan.obj", "wb");
-    assert_non_null(file);
-    for (uint32_t i = 0; i < 288000; i++)
-        fprintf(file, "v %u %u 0 %u 1 0\n", i % 400, i / 400, i < 144000 ? i % 2 : i % 256);
-    fprintf(file, "f 1 2 402\nf 287998 287999 287598\n");
-    assert_int_equal(fclose(file), 0);
-    for (unsigned threads = 1; threads < 4; threads += 2) {
-        sort_open_context(f, 128 * MIB, threads);
-        f->warnings = 0;
-        expect_sorted(f, sort_scan(f));
-        assert_int_equal(f->warnings, 0);
-        read_sorted(f, &got, NULL);
-        for (size_t i = 0; i < got.count; i++)
-            for (int k = 0; k < 3; k++) {
-                const struct sorted_corner *c = &got.list[i].corners[k];
-                const uint32_t vertex = (uint32_t)c->position[1] * 400 + (uint32_t)c->position[0];
-                const uint32_t red = vertex < 144000 ? vertex % 2 : vertex % 256;
-                assert_int_equal(c->color, 0xff000100u | red);
-            }
-        free(got.list);
-        got = (struct sorted_triangles){0};
-    }
-}
-
 /* ---- a scan that is no file ---- */
 
 /* Gives the bytes of a text; fails at a byte that is not in the text's first half. */

@@ -1,7 +1,4 @@
-/* test_exact_reference.c - hits against brute force and against Embree, and at edges and vertices.
- */
-#include <embree3/rtcore.h>
-
+/* test_exact_reference.c - hits against brute force, and at edges and vertices. */
 #include "tests/unit/libbake/exact/exact_fixture.h"
 #include "tests/unit/test.h"
 
@@ -127,76 +124,6 @@ TEST(test_soup_agrees_with_brute_force)
         }
         assert_in_range(found, RAYS / 10, RAYS);
     }
-    triangle_scan_free(&mesh);
-}
-
-/* ---- Embree ---- */
-
-static void embree_nearest(RTCScene scene, const struct bake_exact_ray *ray, double sign,
-                           double limit, uint32_t *triangle, double *t)
-{
-    struct RTCIntersectContext context;
-    rtcInitIntersectContext(&context);
-    struct RTCRayHit query = {.ray = {.org_x = ray->origin[0],
-                                      .org_y = ray->origin[1],
-                                      .org_z = ray->origin[2],
-                                      .dir_x = (float)sign * ray->direction[0],
-                                      .dir_y = (float)sign * ray->direction[1],
-                                      .dir_z = (float)sign * ray->direction[2],
-                                      .tfar = (float)limit,
-                                      .mask = UINT32_MAX},
-                              .hit = {.geomID = RTC_INVALID_GEOMETRY_ID}};
-    rtcIntersect1(scene, &context, &query);
-    if (query.hit.geomID != RTC_INVALID_GEOMETRY_ID && (double)query.ray.tfar < fabs(*t)) {
-        *t = sign * (double)query.ray.tfar;
-        *triangle = query.hit.primID;
-    }
-}
-
-TEST(test_whole_scan_in_embree_agrees)
-{
-    enum { RAYS = 100000 };
-    struct bake_exact_ray *rays = calloc(RAYS, sizeof *rays);
-    struct bake_exact_hit *hits = calloc(RAYS, sizeof *hits);
-    struct triangle_scan mesh = exact_torus(300, 200);
-    struct exact_setup setup = {.threads = 2, .two_sided = true, .t_min = -0.7, .t_max = 0.9};
-    uint32_t same = 0, found = 0;
-    exact_write_scan(&mesh, 1500);
-    exact_random_rays(rays, RAYS, -1.5, 1.5);
-    exact_trace(&setup, rays, RAYS, hits);
-
-    RTCDevice device = rtcNewDevice("threads=1,set_affinity=0");
-    RTCScene scene = rtcNewScene(device);
-    RTCGeometry geometry = rtcNewGeometry(device, RTC_GEOMETRY_TYPE_TRIANGLE);
-    memcpy(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3, 12,
-                                   mesh.vertex_count),
-           mesh.positions, 12 * mesh.vertex_count);
-    memcpy(rtcSetNewGeometryBuffer(geometry, RTC_BUFFER_TYPE_INDEX, 0, RTC_FORMAT_UINT3, 12,
-                                   mesh.triangle_count),
-           mesh.triangles, 12 * mesh.triangle_count);
-    rtcCommitGeometry(geometry);
-    rtcAttachGeometry(scene, geometry);
-    rtcSetSceneFlags(scene, RTC_SCENE_FLAG_ROBUST);
-    rtcCommitScene(scene);
-    for (uint32_t r = 0; r < RAYS; r++) {
-        uint32_t triangle = UINT32_MAX;
-        double t = INFINITY;
-        embree_nearest(scene, &rays[r], 1, setup.t_max, &triangle, &t);
-        embree_nearest(scene, &rays[r], -1, -setup.t_min, &triangle, &t);
-        bool hit = hits[r].triangle != BAKE_EXACT_NONE;
-        found += hit;
-        same += hit == (triangle != UINT32_MAX) &&
-                (!hit || hits[r].triangle == triangle || fabs(hits[r].t - t) < 1e-5);
-    }
-    rtcReleaseGeometry(geometry);
-    rtcReleaseScene(scene);
-    rtcReleaseDevice(device);
-    /* Embree works in float: it may differ at silhouettes and at the ends of rays. */
-    print_message("%u hits, %u rays differ from Embree\n", found, RAYS - same);
-    assert_true(found > RAYS / 4);
-    assert_true(RAYS - same <= 3);
-    free(rays);
-    free(hits);
     triangle_scan_free(&mesh);
 }
 

@@ -151,14 +151,4 @@ FIXTURE_TEST(test_grids_larger_than_the_disk_are_refused)
     assert_int_equal(f->warnings, 0);
 }
 
-/* 2^32 leaves of 64 voxels are 2.7e11 voxels; an estimate may be twice that. */
-FIXTURE_TEST(test_grids_that_no_file_can_hold_are_refused)
-{
-    write_quad(f);
-    assert_int_equal(check(f, 1.4e-6), 0);
-    assert_int_equal(check(f, 1.3e-6), BSQ_EUSAGE);
-    assert_non_null(strstr(bsq_error(f->ctx), "scan.nvdb: about 5.9e+11 voxels of 1.3e-06"));
-    assert_int_equal(f->warnings, 0);
-}
-
 RUN_TESTS(NULL, NULL)
