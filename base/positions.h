@@ -17,11 +17,13 @@ struct bsq_positions {
     const float (*positions)[3];
 };
 
-/* Returns the number of slots for that number of positions; at most half of them are in use. */
+/* Returns the number of slots for that number of positions. At most a quarter of them are in use:
+ * most positions that are looked up are not in the table, and each slot in use that they meet costs
+ * a look at its position. */
 static inline uint32_t bsq_positions_slots(uint32_t positions)
 {
     uint32_t slots = 16;
-    while (slots / 2 < positions)
+    while (slots / 4 < positions)
         slots *= 2;
     return slots;
 }

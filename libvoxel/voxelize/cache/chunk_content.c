@@ -114,24 +114,50 @@ static struct vox_box box_of(const struct vox_transform *transform, const struct
     return box;
 }
 
-/* Returns the voxels of the bounds of triangles from `begin` to `end` > begin. */
-static struct vox_box triangle_box(const struct fmt_tris_chunk *chunk,
-                                   const struct vox_transform *transform, uint32_t begin,
-                                   uint32_t end)
+/* Sums over triangles: squares of their first edges, by axis; and the largest extents. */
+struct measured {
+    struct row squares;
+    four_floats extent;
+};
+
+/* Returns the voxels of the bounds of triangles from `begin` to `end` > begin, and measures them.
+ */
+LANES_INLINE struct vox_box triangle_box(const struct fmt_tris_chunk *chunk,
+                                         const struct vox_transform *transform, uint32_t begin,
+                                         uint32_t end, struct measured *sum)
 {
     struct bounds bounds = begin_at(chunk->positions[chunk->triangles[begin][0]]);
-    for (uint32_t t = begin; t < end; t++)
-        for (int corner = 0; corner < 3; corner++)
-            widen_bounds(&bounds, chunk->positions[chunk->triangles[t][corner]]);
+    for (uint32_t t = begin; t < end; t++) {
+        const uint32_t *v = chunk->triangles[t];
+        const float *a = chunk->positions[v[0]], *b = chunk->positions[v[1]];
+        const struct row edge = row_difference(row_of_floats(b), row_of_floats(a));
+        struct bounds own = begin_at(a);
+        widen_bounds(&own, b);
+        widen_bounds(&own, chunk->positions[v[2]]);
+        bounds.least = four_floats_min(own.least, bounds.least);
+        bounds.most = four_floats_max(own.most, bounds.most);
+        sum->squares = row_sum(sum->squares, row_product(edge, edge));
+        sum->extent = four_floats_max(sum->extent, own.most - own.least);
+    }
     return box_of(transform, &bounds);
 }
 
-void vox_triangle_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
-                         struct vox_box *groups)
+struct vox_triangle_sizes vox_triangle_groups(const struct fmt_tris_chunk *chunk,
+                                              const struct vox_transform *transform,
+                                              struct vox_box *groups)
 {
+    struct measured sum = {.squares = row_of(0.0, 0.0, 0.0, 0.0)};
+    float extent[4];
     for (uint32_t begin = 0; begin < chunk->triangle_count; begin += VOX_GROUP_TRIANGLES)
-        *groups++ = triangle_box(chunk, transform, begin,
-                                 vox_group_end(begin, chunk->triangle_count, VOX_GROUP_TRIANGLES));
+        *groups++ =
+            triangle_box(chunk, transform, begin,
+                         vox_group_end(begin, chunk->triangle_count, VOX_GROUP_TRIANGLES), &sum);
+    memcpy(extent, &sum.extent, sizeof extent);
+    const double squares =
+        row_number(sum.squares, 0) + row_number(sum.squares, 1) + row_number(sum.squares, 2);
+    return (struct vox_triangle_sizes){squares / (transform->h * transform->h) /
+                                           (double)chunk->triangle_count,
+                                       fmaxf(fmaxf(extent[0], extent[1]), extent[2])};
 }
 
 void vox_vertex_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
@@ -267,35 +293,6 @@ static void unpack_normals(const struct fmt_tris_chunk *source, float (*normals)
 #define NOISE_OF_FACETS   2.7
 #define NOISE_OF_VERTICES 0.4
 
-/* The mean square of the triangles' first edges, in voxels, and the largest extent of a triangle
- * along an axis, in the scan's units. */
-struct sizes {
-    double mean_square;
-    float extent;
-};
-
-static struct sizes measure_triangles(const struct fmt_tris_chunk *source, double h)
-{
-    struct row sums = row_of(0.0, 0.0, 0.0, 0.0);
-    four_floats most = {0};
-    float extent[4];
-    for (uint32_t t = 0; t < source->triangle_count; t++) {
-        const uint32_t *v = source->triangles[t];
-        const four_floats a = four_floats_load(source->positions[v[0]]),
-                          b = four_floats_load(source->positions[v[1]]),
-                          c = four_floats_load(source->positions[v[2]]);
-        const struct row edge = row_difference(row_of_floats(source->positions[v[1]]),
-                                               row_of_floats(source->positions[v[0]]));
-        sums = row_sum(sums, row_product(edge, edge));
-        most = four_floats_max(most, four_floats_max(four_floats_max(a, b), c) -
-                                         four_floats_min(four_floats_min(a, b), c));
-    }
-    memcpy(extent, &most, sizeof extent);
-    return (struct sizes){(row_number(sums, 0) + row_number(sums, 1) + row_number(sums, 2)) /
-                              (h * h) / (double)source->triangle_count,
-                          fmaxf(fmaxf(extent[0], extent[1]), extent[2])};
-}
-
 /* Marks the groups whose normals are inconsistent with their triangles. large: marks all. */
 static void find_inconsistent(bool large, struct vox_chunk_content *content)
 {
@@ -311,7 +308,7 @@ static void find_inconsistent(bool large, struct vox_chunk_content *content)
     chunk->inconsistent = any ? inconsistent : NULL;
 }
 
-/* Computes the voxels of groups. */
+/* Computes the voxels of groups, and sizes of triangles. */
 static void find_groups(const struct vox_chunk_source *from, struct vox_chunk_content *content)
 {
     struct vox_chunk *chunk = &content->chunk;
@@ -321,7 +318,7 @@ static void find_groups(const struct vox_chunk_source *from, struct vox_chunk_co
     struct vox_box *vertex_groups =
         (struct vox_box *)(void *)(content->memory + content->layout.vertex_groups_at);
     memcpy(chunk->last_cell, from->transform->voxels.hi, sizeof from->transform->voxels.hi);
-    vox_triangle_groups(source, from->transform, groups);
+    content->sizes = vox_triangle_groups(source, from->transform, groups);
     chunk->groups = groups;
     chunk->group_count = vox_group_count(source->triangle_count, VOX_GROUP_TRIANGLES);
     if (from->smooth)
@@ -341,7 +338,8 @@ int vox_chunk_read(const struct vox_chunk_source *from, uint32_t number,
 
 /* Returns the extent of triangles at whose corners creases are looked for, see struct
  * vox_smooth_chunk. */
-static float crease_extent(const struct vox_chunk_source *from, const struct sizes *sizes)
+static float crease_extent(const struct vox_chunk_source *from,
+                           const struct vox_triangle_sizes *sizes)
 {
     const float extent = (float)(CREASE_EXTENT * from->transform->h);
     if (vox_smooth_weights(from->smooth) == BSQ_SCAN_NORMALS_MAX ||
@@ -359,9 +357,8 @@ int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smoot
     double(*points)[4] = (double(*)[4])(void *)(content->memory + content->layout.points_at);
     int status = 0;
     place_points(from->transform, source, points);
-    const struct sizes sizes = measure_triangles(source, from->transform->h);
-    chunk->coarse = sizes.mean_square > COARSE_EDGE_SQUARE;
-    chunk->wide = source->normals || sizes.mean_square > WIDE_EDGE_SQUARE;
+    chunk->coarse = content->sizes.mean_square > COARSE_EDGE_SQUARE;
+    chunk->wide = source->normals || content->sizes.mean_square > WIDE_EDGE_SQUARE;
     chunk->normals = (const float(*)[4])normals;
     chunk->points = (const double(*)[4])points;
     chunk->has_seconds = false;
@@ -371,10 +368,11 @@ int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smoot
         chunk->noise_share = chunk->coarse ? NOISE_OF_VERTICES : NOISE_OF_FACETS;
     if (source->normals) {
         unpack_normals(source, normals);
-        find_inconsistent(sizes.mean_square > LARGE_EDGE_SQUARE, content);
+        find_inconsistent(content->sizes.mean_square > LARGE_EDGE_SQUARE, content);
     } else if (from->smooth && chunk->coarse) {
-        const struct vox_smooth_chunk smooth = {
-            number, {source, chunk->groups, content->vertex_groups}, crease_extent(from, &sizes)};
+        const struct vox_smooth_chunk smooth = {number,
+                                                {source, chunk->groups, content->vertex_groups},
+                                                crease_extent(from, &content->sizes)};
         status = vox_smooth_normals(from->smooth, lender, &smooth, from->transform, normals, points,
                                     &chunk->has_seconds);
     } else {

@@ -19,10 +19,18 @@ struct vox_chunk_layout {
     uint64_t points_at, normals_at, groups_at, vertex_groups_at, inconsistent_at, bytes;
 };
 
+/* The mean square of the triangles' first edges, in voxels, and the largest extent of a triangle
+ * along an axis, in the scan's units. */
+struct vox_triangle_sizes {
+    double mean_square;
+    float extent;
+};
+
 struct vox_chunk_content {
     uint8_t *memory; /* vox_chunks_slot_bytes() */
     struct vox_chunk_layout layout;
     struct vox_chunk chunk;
+    struct vox_triangle_sizes sizes;
     const struct vox_box *vertex_groups; /* for chunks that need this one's triangles */
 };
 
@@ -33,9 +41,10 @@ int vox_chunk_read(const struct vox_chunk_source *from, uint32_t number,
 int vox_chunk_finish(const struct vox_chunk_source *from, const struct vox_smooth_lender *lender,
                      uint32_t number, struct vox_chunk_content *content);
 
-/* Computes the voxels of each group's bounds. */
-void vox_triangle_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
-                         struct vox_box *groups);
+/* Compute the voxels of each group's bounds; of triangles, return the sizes too. */
+struct vox_triangle_sizes vox_triangle_groups(const struct fmt_tris_chunk *chunk,
+                                              const struct vox_transform *transform,
+                                              struct vox_box *groups);
 void vox_vertex_groups(const struct fmt_tris_chunk *chunk, const struct vox_transform *transform,
                        struct vox_box *groups);
 

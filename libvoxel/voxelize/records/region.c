@@ -216,7 +216,7 @@ static bool goes_first(const struct vox_sum *one, const struct vox_sum *other)
 static void choose_records(const struct vox_accumulator *a, uint32_t number,
                            struct brick_records *chosen)
 {
-    uint32_t other = a->others[number];
+    uint32_t other = a->second_count > 0 ? a->others[number] : 0;
     if (other != 0 && goes_first(&a->sums[other], &a->sums[number])) {
         uint32_t smaller = number;
         number = other;

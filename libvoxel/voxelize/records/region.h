@@ -242,8 +242,12 @@ LANES_INLINE bool vox_accumulator_sum(struct vox_accumulator *a, uint32_t class_
     *slot = link;
     a->sum_count -= fresh;
     *number = link & VOX_LINK_NUMBER;
-    if (__builtin_expect((link ^ class_and_voxel) > VOX_LINK_NUMBER, 0))
-        *number = vox_accumulator_find(a, link, class_bits);
+    if (__builtin_expect((link ^ class_and_voxel) > VOX_LINK_NUMBER, 0)) {
+        const uint32_t other = a->others[*number];
+        *number = other != 0 && (other ^ class_and_voxel) <= VOX_LINK_NUMBER
+                      ? other & VOX_LINK_NUMBER
+                      : vox_accumulator_find(a, link, class_bits);
+    }
     return true;
 }
 
