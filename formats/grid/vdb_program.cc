@@ -149,14 +149,6 @@ void write_archive(const fmt_nvdb_grid &from)
     stream.flush();
 }
 
-/* Leaves a line in the output, instead of what was written, and ends the program. */
-[[noreturn]] void fail(int status, const char *text)
-{
-    const bool empty = ftruncate(STDOUT_FILENO, 0) == 0 && lseek(STDOUT_FILENO, 0, SEEK_SET) == 0;
-    const bool told = empty && dprintf(STDOUT_FILENO, "%s", text) > 0;
-    _exit(told ? -status : -BSQ_EIO);
-}
-
 /* Writes the grid that is the standard input, with some bytes of memory. */
 void convert(bsq_ctx *ctx, uint64_t memory)
 {
@@ -175,7 +167,7 @@ void convert(bsq_ctx *ctx, uint64_t memory)
         status = bsq_map_check(ctx, &grid.map);
     }
     if (status)
-        fail(status, bsq_error(ctx));
+        fmt_program_refuse(status, bsq_error(ctx));
 }
 
 } // namespace
@@ -189,7 +181,7 @@ int main(int argument_count, char **arguments)
     }
     fmt_program_isolate();
     if (std::strcmp(arguments[1], fmt_program_stamp) != 0)
-        fail(BSQ_ENOINPUT, "bisque-vdb is not of this program's build");
+        fmt_program_refuse(BSQ_ENOINPUT, "bisque-vdb is not of this program's build");
     bsq_ctx_options options = {};
     bsq_ctx *ctx;
     options.threads = unsigned(atoi(arguments[2]));
@@ -198,11 +190,11 @@ int main(int argument_count, char **arguments)
             throw std::bad_alloc();
         convert(ctx, strtoull(arguments[3], nullptr, 10));
     } catch (const std::bad_alloc &) {
-        fail(BSQ_ENOMEM, "OpenVDB has not enough memory for it");
+        fmt_program_refuse(BSQ_ENOMEM, "OpenVDB has not enough memory for it");
     } catch (const std::ios_base::failure &) {
-        fail(BSQ_EIO, std::strerror(errno));
+        fmt_program_refuse(BSQ_EIO, std::strerror(errno));
     } catch (const std::exception &failure) {
-        fail(BSQ_EIO, failure.what());
+        fmt_program_refuse(BSQ_EIO, failure.what());
     }
     _exit(0);
 }

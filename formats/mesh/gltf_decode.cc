@@ -3,8 +3,6 @@
 //
 // gltf_packed.c runs it: damaged data make Draco take any amount of memory and time. So it has
 // limits of both, and can open no file. gltf_task.h describes its standard input and output.
-#include <cstdio>
-#include <cstdlib>
 #include <cstring>
 #include <memory>
 #include <new>
@@ -15,8 +13,6 @@
 #include <draco/core/decoder_buffer.h>
 #include <meshoptimizer.h>
 
-#include <sys/mman.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include "formats/mesh/gltf_task.h"
@@ -132,18 +128,11 @@ const char *decode_draco(const gltf_draco *task)
 
 // ---- tasks ----
 
-[[noreturn]] void fail_memory()
-{
-    _exit(-BSQ_ENOMEM);
-}
-
-// Replaces the output by a text, what is wrong.
+// Ends the program: a part is wrong.
 [[noreturn]] void fail(const gltf_packed &task, const char *what)
 {
-    const char *list = task.is_draco ? "meshes" : "bufferViews";
-    const bool empty = ftruncate(STDOUT_FILENO, 0) == 0 && lseek(STDOUT_FILENO, 0, SEEK_SET) == 0;
-    const bool told = empty && dprintf(STDOUT_FILENO, "%s[%u]: %s", list, task.number, what) > 0;
-    _exit(told ? -BSQ_EDATA : -BSQ_EIO);
+    const std::string list = task.is_draco ? "meshes[" : "bufferViews[";
+    fmt_program_refuse(BSQ_EDATA, (list + std::to_string(task.number) + "]: " + what).c_str());
 }
 
 // Decodes a part, and writes what it becomes.
@@ -176,9 +165,7 @@ void run_all(const uint8_t *input, size_t size)
         _exit(-BSQ_EUSAGE);
     std::memcpy(&stamp, input, sizeof stamp);
     if (std::strncmp(stamp.text, fmt_program_stamp, sizeof stamp.text) != 0) {
-        std::printf("bisque-gltf is not of this program's build");
-        fflush(stdout);
-        _exit(-BSQ_ENOINPUT);
+        fmt_program_refuse(BSQ_ENOINPUT, "bisque-gltf is not of this program's build");
     }
     for (size_t at = sizeof stamp; at + sizeof task <= size;) {
         std::memcpy(&task, input + at, sizeof task);
@@ -196,18 +183,9 @@ void run_all(const uint8_t *input, size_t size)
 // Arguments: bytes of memory, seconds of a processor. Ends without destructors.
 int main(int argument_count, char **arguments)
 {
-    struct stat info;
-    if (argument_count != 3 || fstat(STDIN_FILENO, &info) != 0 || !S_ISREG(info.st_mode)) {
-        fputs("bisque-gltf: is run by Bisque for compressed glTF files\n", stderr);
-        return -BSQ_EUSAGE;
-    }
-    fmt_program_isolate();
-    const size_t size = size_t(info.st_size);
-    const void *input = mmap(nullptr, size, PROT_READ, MAP_PRIVATE, STDIN_FILENO, 0);
-    if (input == MAP_FAILED)
-        fail_memory();
-    fmt_program_limit(strtoull(arguments[1], nullptr, 10), strtoull(arguments[2], nullptr, 10), 0);
-    std::set_new_handler(fail_memory);
-    run_all(static_cast<const uint8_t *>(input), size);
+    fmt_program_input input;
+    fmt_program_begin(argument_count, arguments, 0, 0, 0, &input);
+    std::set_new_handler([] { _exit(-BSQ_ENOMEM); });
+    run_all(input.bytes, input.size);
     _exit(0);
 }

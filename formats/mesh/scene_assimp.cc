@@ -7,17 +7,13 @@
 #include <cerrno>
 #include <cmath>
 #include <cstdio>
-#include <cstdlib>
 #include <cstring>
 #include <new>
 #include <stdexcept>
 #include <string>
 #include <vector>
 
-#include <fcntl.h>
-#include <sys/mman.h>
 #include <sys/resource.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include <assimp/Importer.hpp>
@@ -375,35 +371,20 @@ void convert(const void *file, size_t size, const char *suffix, FILE *to)
     write_scene(*scene, has_tangents, peak_memory() - before, to);
 }
 
-[[noreturn]] void fail_memory()
-{
-    _exit(-BSQ_ENOMEM);
-}
-
 } // namespace
 
 // Arguments: the suffix of the format, bytes of memory, seconds of a processor. Ends without
 // destructors, which need time, and may crash for damaged scenes.
 int main(int argument_count, char **arguments)
 {
-    struct stat info;
-    if (argument_count != 4 || fstat(STDIN_FILENO, &info) != 0 || !S_ISREG(info.st_mode)) {
-        fputs("bisque-scene: is run by Bisque for files that Assimp reads\n", stderr);
-        return -BSQ_EUSAGE;
-    }
-    fmt_program_isolate();
-    const size_t size = size_t(info.st_size);
-    const void *file = size ? mmap(nullptr, size, PROT_READ, MAP_PRIVATE, STDIN_FILENO, 0) : "";
-    if (file == MAP_FAILED)
-        fail_memory();
-    fmt_program_limit(strtoull(arguments[2], nullptr, 10), strtoull(arguments[3], nullptr, 10), 0);
-    std::set_new_handler(fail_memory);
+    fmt_program_input file;
+    fmt_program_begin(argument_count, arguments, 1, 0, 0, &file);
+    std::set_new_handler([] { _exit(-BSQ_ENOMEM); });
     try {
-        convert(file, size, arguments[1], stdout);
+        convert(file.bytes, file.size, arguments[1], stdout);
     } catch (const std::exception &error) {
-        std::printf("cannot be read: %.180s", error.what());
-        fflush(stdout);
-        _exit(-BSQ_EDATA);
+        const std::string text = std::string("cannot be read: ") + error.what();
+        fmt_program_refuse(BSQ_EDATA, text.substr(0, 196).c_str());
     }
     _exit(fflush(stdout) == 0 && !ferror(stdout) ? 0 : -BSQ_EIO);
 }

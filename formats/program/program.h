@@ -53,12 +53,23 @@ struct fmt_converter {
 };
 int fmt_program_convert(struct bsq_ctx *ctx, const struct fmt_converter *how, int from,
                         struct bsq_file *to, char program[PATH_MAX]);
-/* The first step of such a program: ends with the thread that started it, dumps no core, and dies
+/* The first step of any such program: ends with the thread that started it, dumps no core, and dies
  * of crashes, also with sanitizers, which would exit instead. */
 void fmt_program_isolate(void);
-/* The second step: limits memory to `memory` bytes more than the process has now, time to `seconds`
- * of a processor, and the descriptors of files. */
-void fmt_program_limit(uint64_t memory, uint64_t seconds, uint64_t files);
+
+/* The input of a program that fmt_program_convert() runs. */
+struct fmt_program_input {
+    const uint8_t *bytes;
+    uint64_t size;
+};
+/* Begins such a program, which has `options` arguments (0 or 1) before its memory and seconds:
+ * isolates it, maps its input, and limits its memory to `own` bytes more than the argument says,
+ * its time, and the descriptors of files. Ends the program if its arguments or its input are
+ * others. */
+void fmt_program_begin(int argument_count, char **arguments, int options, uint64_t own,
+                       uint64_t files, struct fmt_program_input *input);
+/* Ends such a program. Its output becomes a text, what is wrong. */
+__attribute__((noreturn)) void fmt_program_refuse(int status, const char *text);
 
 /* Checks that the system allows what the libraries of a program need when they are loaded: threads
  * and addresses. Some end the process without. Errors: BSQ_ENOMEM. */

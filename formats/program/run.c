@@ -6,7 +6,9 @@
 #include <signal.h>
 #include <spawn.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
+#include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
@@ -59,7 +61,9 @@ void fmt_program_isolate(void)
     setrlimit(RLIMIT_CORE, &none);
 }
 
-void fmt_program_limit(uint64_t memory, uint64_t seconds, uint64_t files)
+/* Limits memory to `memory` bytes more than the process has now, time to `seconds` of a processor,
+ * and the descriptors of files. */
+static void limit(uint64_t memory, uint64_t seconds, uint64_t files)
 {
     unsigned long pages = 0;
     FILE *statm = fopen("/proc/self/statm", "r");
@@ -79,6 +83,33 @@ void fmt_program_limit(uint64_t memory, uint64_t seconds, uint64_t files)
         setrlimit(RLIMIT_AS, &(struct rlimit){all, all});
     setrlimit(RLIMIT_CPU, &time);
     setrlimit(RLIMIT_NOFILE, &open);
+}
+
+void fmt_program_begin(int argument_count, char **arguments, int options, uint64_t own,
+                       uint64_t files, struct fmt_program_input *input)
+{
+    struct stat info;
+    if (argument_count != options + 3 || fstat(STDIN_FILENO, &info) != 0 ||
+        !S_ISREG(info.st_mode)) {
+        fprintf(stderr, "%s: is run by Bisque for files of some formats\n", arguments[0]);
+        _exit(-BSQ_EUSAGE);
+    }
+    fmt_program_isolate();
+    input->size = (uint64_t)info.st_size;
+    input->bytes = input->size == 0
+                       ? (const void *)""
+                       : mmap(NULL, input->size, PROT_READ, MAP_PRIVATE, STDIN_FILENO, 0);
+    if (input->bytes == MAP_FAILED)
+        _exit(-BSQ_ENOMEM);
+    limit(strtoull(arguments[options + 1], NULL, 10) + own,
+          strtoull(arguments[options + 2], NULL, 10), files);
+}
+
+void fmt_program_refuse(int status, const char *text)
+{
+    const bool empty = ftruncate(STDOUT_FILENO, 0) == 0 && lseek(STDOUT_FILENO, 0, SEEK_SET) == 0;
+    const bool told = empty && dprintf(STDOUT_FILENO, "%s", text) >= 0;
+    _exit(told ? -status : -BSQ_EIO);
 }
 
 /* Starts a program. Returns 0 or an errno. */

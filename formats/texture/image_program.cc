@@ -11,7 +11,6 @@
 #include <vector>
 
 #include <sys/resource.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 namespace
@@ -53,25 +52,12 @@ void convert(ImageReader &reader, const char *plugin)
     }
 }
 
-[[noreturn]] void fail_memory()
-{
-    _exit(-BSQ_ENOMEM);
-}
-
-// Leaves a text in the output, instead of what was written, and ends the program.
-[[noreturn]] void fail(int status, const std::string &text)
-{
-    const bool empty = ftruncate(STDOUT_FILENO, 0) == 0 && lseek(STDOUT_FILENO, 0, SEEK_SET) == 0;
-    const bool told = empty && dprintf(STDOUT_FILENO, "%s", text.c_str()) >= 0;
-    _exit(told ? -status : -BSQ_EIO);
-}
-
 } // namespace
 
 [[noreturn]] void fmt_image_fail(int error, const std::string &what, std::string reason)
 {
     if (error == ENOMEM)
-        fail_memory();
+        _exit(-BSQ_ENOMEM);
     if (error == EMFILE || error == ENFILE || error == EIO) // not a fault of the image
         throw Failure{BSQ_ENOINPUT, std::strerror(error)};
     for (size_t at; (at = reason.find(fmt_image_file)) != std::string::npos;)
@@ -86,21 +72,15 @@ int fmt_image_program(int argument_count, char **arguments, ImageReader &reader)
 {
     enum { FILES = 8 };                      // libraries open the standard input again
     const uint64_t own = uint64_t(64) << 20; // of memory that decoders take for themselves
-    struct stat info;
-    if (argument_count != 4 || fstat(STDIN_FILENO, &info) != 0 || !S_ISREG(info.st_mode)) {
-        fputs("this program is run by Bisque for images of some formats\n", stderr);
-        return -BSQ_EUSAGE;
-    }
-    fmt_program_isolate();
-    fmt_program_limit(strtoull(arguments[2], nullptr, 10) + own,
-                      strtoull(arguments[3], nullptr, 10), FILES);
-    std::set_new_handler(fail_memory);
+    fmt_program_input input;
+    fmt_program_begin(argument_count, arguments, 1, own, FILES, &input);
+    std::set_new_handler([] { _exit(-BSQ_ENOMEM); });
     try {
         convert(reader, arguments[1]);
     } catch (const Failure &failure) {
-        fail(failure.code, failure.text);
+        fmt_program_refuse(failure.code, failure.text.c_str());
     } catch (const std::exception &exception) {
-        fail(BSQ_EDATA, std::string("damaged image: ") + exception.what());
+        fmt_program_refuse(BSQ_EDATA, (std::string("damaged image: ") + exception.what()).c_str());
     }
     _exit(fflush(stdout) == 0 && !ferror(stdout) ? 0 : -BSQ_EIO);
 }
