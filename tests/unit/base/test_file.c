@@ -44,9 +44,8 @@ static struct bsq_ctx *create(const char *tmpdir)
 
 /* ---- input ---- */
 
-TEST(test_reading)
+CONTEXT_TEST(test_reading, 1, 0)
 {
-    struct bsq_ctx *ctx = create(NULL);
     test_text("in", "0123456789");
     struct bsq_file file;
     char buffer[32];
@@ -65,7 +64,6 @@ TEST(test_reading)
     bsq_file_close(ctx, &file);
     bsq_file_close(ctx, &file);
     unlink("in");
-    bsq_ctx_destroy(ctx);
 }
 
 TEST(test_every_truncated_length)
@@ -107,9 +105,8 @@ TEST(test_what_cannot_be_opened)
     unlink("fifo");
 }
 
-TEST(test_maps)
+CONTEXT_TEST(test_maps, 1, 0)
 {
-    struct bsq_ctx *ctx = create(NULL);
     struct bsq_map map;
     test_text("in", "0123456789");
     assert_int_equal(bsq_map_open(ctx, "in", &map), 0);
@@ -126,15 +123,13 @@ TEST(test_maps)
     bsq_map_close(ctx, &map);
     bsq_map_close(ctx, &map);
     unlink("in");
-    bsq_ctx_destroy(ctx);
 }
 
 /* ---- closed standard descriptors ---- */
 
 /* A program that uses the library may have closed them; what it prints must not get into files. */
-TEST(test_standard_descriptors_are_not_used)
+CONTEXT_TEST(test_standard_descriptors_are_not_used, 1, 0)
 {
-    struct bsq_ctx *ctx = create(NULL);
     struct bsq_file file, twin, temporary;
     struct bsq_output *output;
     struct bsq_map map;
@@ -164,7 +159,6 @@ TEST(test_standard_descriptors_are_not_used)
     bsq_file_close(ctx, &twin);
     bsq_file_close(ctx, &file);
     unlink("in");
-    bsq_ctx_destroy(ctx);
 }
 
 /* ---- maps of files that change ---- */
@@ -243,9 +237,8 @@ static void fault_elsewhere(const volatile char *byte)
 }
 
 /* The previous handler gets signals that are not about a map, and is restored afterwards. */
-TEST(test_other_bus_errors)
+CONTEXT_TEST(test_other_bus_errors, 1, 0)
 {
-    struct bsq_ctx *ctx = create(NULL);
     struct bsq_map first, second;
     struct sigaction own = {.sa_handler = on_own_fault}, original, now;
     assert_int_equal(sigaction(SIGBUS, &own, &original), 0);
@@ -267,14 +260,12 @@ TEST(test_other_bus_errors)
     munmap(mine, PAGES * PAGE);
     close(fd);
     unlink("in");
-    bsq_ctx_destroy(ctx);
 }
 
 /* ---- temporary files ---- */
 
-TEST(test_temporary_files)
+CONTEXT_TEST(test_temporary_files, 1, 0)
 {
-    struct bsq_ctx *ctx = create(NULL);
     struct bsq_file file;
     char buffer[6];
     assert_int_equal(bsq_file_temp(ctx, "out.nvdb", "testing", &file), 0);
@@ -287,7 +278,6 @@ TEST(test_temporary_files)
     assert_memory_equal(buffer, "aBcdef", 6);
     assert_int_equal(bsq_temp_bytes(ctx), 7);
     bsq_file_close(ctx, &file);
-    bsq_ctx_destroy(ctx);
 }
 
 TEST(test_temporary_directory)
@@ -303,10 +293,9 @@ TEST(test_temporary_directory)
 }
 
 /* Without a directory of its own, a temporary file lies beside the first output of the job. */
-TEST(test_temporary_files_beside_the_output)
+CONTEXT_TEST(test_temporary_files_beside_the_output, 1, 0)
 {
     assert_int_equal(unsetenv("TMPDIR"), 0);
-    struct bsq_ctx *ctx = create(NULL);
     struct bsq_file file;
     char output[64];
     snprintf(output, sizeof output, "%s/out.nvdb", test_directory);
@@ -317,23 +306,19 @@ TEST(test_temporary_files_beside_the_output)
     assert_int_equal(bsq_file_temp(ctx, NULL, "testing", &file), 0);
     bsq_file_close(ctx, &file);
     assert_int_equal(chdir(test_directory), 0);
-    bsq_ctx_destroy(ctx);
 }
 
-TEST(test_disk_space)
+CONTEXT_TEST(test_disk_space, 1, 0)
 {
-    struct bsq_ctx *ctx = create(NULL);
     assert_int_equal(bsq_require_disk(ctx, "out", 1), 0);
     assert_int_equal(bsq_require_disk(ctx, "out", UINT64_MAX), BSQ_EIO);
     assert_non_null(strstr(bsq_error(ctx), "18446744073709551615 bytes are needed"));
-    bsq_ctx_destroy(ctx);
 }
 
 /* ---- output ---- */
 
-TEST(test_output_appears_on_commit)
+CONTEXT_TEST(test_output_appears_on_commit, 1, 0)
 {
-    struct bsq_ctx *ctx = create(NULL);
     struct bsq_output *output;
     test_text("out", "old");
     assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
@@ -347,12 +332,10 @@ TEST(test_output_appears_on_commit)
     test_expect_text("out", "0AB3x");
     assert_int_equal(test_files_here(), 1);
     unlink("out");
-    bsq_ctx_destroy(ctx);
 }
 
-TEST(test_output_is_discarded)
+CONTEXT_TEST(test_output_is_discarded, 1, 0)
 {
-    struct bsq_ctx *ctx = create(NULL);
     struct bsq_output *output;
     assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
     assert_int_equal(bsq_output_write(output, "0123", 4), 0);
@@ -360,12 +343,10 @@ TEST(test_output_is_discarded)
     bsq_output_discard(output);
     bsq_output_discard(NULL);
     assert_int_equal(test_files_here(), 0);
-    bsq_ctx_destroy(ctx);
 }
 
-TEST(test_output_long_name_and_link)
+CONTEXT_TEST(test_output_long_name_and_link, 1, 0)
 {
-    struct bsq_ctx *ctx = create(NULL);
     struct bsq_output *output;
     char name[256];
     memset(name, 'n', 255);
@@ -381,7 +362,6 @@ TEST(test_output_long_name_and_link)
     test_expect_text(name, "new");
     unlink("link");
     unlink(name);
-    bsq_ctx_destroy(ctx);
 }
 
 /* Returns true if the file system of this directory can preallocate. */
@@ -395,9 +375,8 @@ static bool preallocates(void)
     return can;
 }
 
-TEST(test_space_is_preallocated)
+CONTEXT_TEST(test_space_is_preallocated, 1, 0)
 {
-    struct bsq_ctx *ctx = create(NULL);
     struct bsq_output *output;
     struct rlimit before, small;
     assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
@@ -425,7 +404,6 @@ TEST(test_space_is_preallocated)
         bsq_output_discard(output);
     }
     assert_int_equal(test_files_here(), 0);
-    bsq_ctx_destroy(ctx);
 }
 
 static void assert_too_short(struct bsq_ctx *ctx, int status)
@@ -435,9 +413,8 @@ static void assert_too_short(struct bsq_ctx *ctx, int status)
     bsq_clear_error(ctx);
 }
 
-TEST(test_less_than_expected)
+CONTEXT_TEST(test_less_than_expected, 1, 0)
 {
-    struct bsq_ctx *ctx = create(NULL);
     struct bsq_output *output;
     struct bsq_file file;
     assert_int_equal(bsq_output_open(ctx, "out", &output), 0);
@@ -452,7 +429,6 @@ TEST(test_less_than_expected)
     assert_int_equal(bsq_output_write(output, "not whol", 8), 0);
     assert_too_short(ctx, bsq_output_keep_temp(output, &file));
     assert_int_equal(test_files_here(), 0);
-    bsq_ctx_destroy(ctx);
 }
 
 /* ---- unnamed files that cannot be linked ---- */
@@ -471,9 +447,8 @@ static struct bsq_output *open_to_copy(struct bsq_ctx *ctx, char *content)
     return output;
 }
 
-TEST(test_copying_to_a_name)
+CONTEXT_TEST(test_copying_to_a_name, 1, 0)
 {
-    struct bsq_ctx *ctx = create(NULL);
     static char content[COPIED], got[COPIED + 1];
     struct bsq_output *output = open_to_copy(ctx, content);
     refuses_links = true;
@@ -494,12 +469,10 @@ TEST(test_copying_to_a_name)
     refuses_links = false;
     test_expect_text("out", "");
     unlink("out");
-    bsq_ctx_destroy(ctx);
 }
 
-TEST(test_copying_to_a_name_fails)
+CONTEXT_TEST(test_copying_to_a_name_fails, 1, 0)
 {
-    struct bsq_ctx *ctx = create(NULL);
     static char content[COPIED];
     struct bsq_output *output = open_to_copy(ctx, content);
     struct rlimit before, small;
@@ -520,7 +493,6 @@ TEST(test_copying_to_a_name_fails)
         unlink("out");
     }
     assert_int_equal(test_files_here(), 0);
-    bsq_ctx_destroy(ctx);
 }
 
 RUN_TESTS(ignore_size_signals, NULL)

@@ -70,8 +70,7 @@ FIXTURE_TEST(test_box_that_ends_on_the_bounds)
 {
     struct scan_mesh mesh = scan_mesh_new(24, 12);
     set_box(&mesh, 0, -0.3, 0.7);
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
+    vox_take_scan(f, &mesh);
     for (uint32_t n = 1; n <= 21; n += 4) {
         struct vox_voxelize_report report = vox_make(f, n, 0.0);
         uint64_t inner = n > 2 ? n - 2 : 0;
@@ -84,8 +83,7 @@ FIXTURE_TEST(test_box_on_multiples_of_a_voxel_size)
 {
     struct scan_mesh mesh = scan_mesh_new(24, 12);
     set_box(&mesh, 0, -2.0, 3.0);
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
+    vox_take_scan(f, &mesh);
     struct vox_voxelize_report report = vox_make(f, 0, 0.5);
     /* Planes at -2 fill layer -4, planes at 3 layer 6: a shell of 11^3. */
     for (int a = 0; a < 3; a++) {
@@ -93,8 +91,7 @@ FIXTURE_TEST(test_box_on_multiples_of_a_voxel_size)
         assert_int_equal(report.index_max[a], 6);
     }
     assert_int_equal(report.voxels, 11 * 11 * 11 - 9 * 9 * 9);
-    struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
+    struct fmt_nvdb_grid grid = vox_open(f);
     for (int a = 0; a < 3; a++)
         assert_true(grid.info.translation[a] == 0.25);
     fmt_nvdb_close(f->ctx, &grid);
@@ -124,8 +121,7 @@ FIXTURE_TEST(test_second_sheet_is_the_smaller)
 
     scan_set_quad(&mesh, 0, (double[3]){0.1, 0.1, 0.7}, (double[3]){0.05, 0, 0},
                   (double[3]){0, 0.05, 0});
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
+    vox_take_scan(f, &mesh);
     vox_make(f, 0, 1.0);
     assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
     index = grid_find(&grid, origin);
@@ -152,8 +148,7 @@ FIXTURE_TEST(test_a_million_triangles_in_one_voxel)
     scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, 65536);
     scan_mesh_free(&mesh);
     vox_make(f, 0, 1.0);
-    struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
+    struct fmt_nvdb_grid grid = vox_open(f);
     struct fmt_nvdb_record record = grid_get(&grid, grid_find(&grid, (int32_t[3]){0, 0, 0}));
     struct bsq_vec3 n = bsq_oct_unpack(record.normal);
     /* The mean of two unit vectors 45 degrees apart leans by 22.5. */
@@ -180,8 +175,7 @@ FIXTURE_TEST(test_sparse_and_huge)
     }
     scan_write(f->ctx, "scan.tris", &mesh, NULL, NULL, 0, 1);
     vox_make(f, 0, 1.0 / 1024.0);
-    struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
+    struct fmt_nvdb_grid grid = vox_open(f);
     for (int s = 0; s < 2; s++) {
         int32_t at = (int32_t)floor((double)mesh.positions[3 * s][0] * 1024.0);
         assert_int_not_equal(grid_find(&grid, (int32_t[3]){at, at, at}), 0);
@@ -206,8 +200,7 @@ FIXTURE_TEST(test_bad_sizes)
     vox_expect_failure(f, 2000000000, 0.0, BSQ_EUSAGE, "2000000000");
 
     scan_set_quad(&mesh, 0, (double[3]){3, 4, 5}, (double[3]){0, 0, 0}, (double[3]){0, 0, 0});
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
+    vox_take_scan(f, &mesh);
     vox_expect_failure(f, 100, 0.0, BSQ_EDATA, "(3, 4, 5)");
     assert_int_equal(vox_make(f, 0, 1.0).voxels, 1);
 }
@@ -216,8 +209,7 @@ FIXTURE_TEST(test_missing_and_damaged_input)
 {
     vox_expect_failure(f, 100, 0.0, BSQ_ENOINPUT, "scan.tris");
     struct scan_mesh mesh = scan_sphere(10.0, 0.5);
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
+    vox_take_scan(f, &mesh);
     /* Damages a byte in the middle of a chunk. This is found when the chunk is loaded, after the
      * output was begun. */
     FILE *file = fopen("scan.tris", "r+b");

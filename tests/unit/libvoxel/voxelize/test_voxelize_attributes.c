@@ -17,11 +17,9 @@ FIXTURE_TEST(test_vertex_normals_are_interpolated)
     for (int i = 0; i < 4; i++) /* they lean along x: -0.5 at x = 0, 0.5 at x = 10 */
         mesh.normals[i] =
             bsq_oct_pack(bsq_unit3(bsq_v3(i == 1 || i == 2 ? 0.5f : -0.5f, 0.0f, 1.0f)));
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
+    vox_take_scan(f, &mesh);
     vox_make(f, 0, 1.0);
-    struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
+    struct fmt_nvdb_grid grid = vox_open(f);
     for (int32_t x = 0; x < 10; x++) {
         uint64_t index = grid_find(&grid, (int32_t[3]){x, 4, 0});
         struct bsq_vec3 n = bsq_oct_unpack(grid_get(&grid, index).normal);
@@ -44,11 +42,9 @@ static uint32_t noise_of_squares(struct vox_fixture *f, double side, bool with_n
         mesh.normals = calloc(mesh.vertex_count, sizeof *mesh.normals);
     for (uint32_t v = 0; with_normals && v < mesh.vertex_count; v++)
         mesh.normals[v] = bsq_oct_pack(bsq_v3(0.0f, 0.0f, 1.0f));
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
+    vox_take_scan(f, &mesh);
     vox_make(f, 0, 1.0);
-    struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
+    struct fmt_nvdb_grid grid = vox_open(f);
     int32_t middle = (int32_t)(COUNT / 2 * side);
     uint64_t index = grid_find(&grid, (int32_t[3]){middle, middle, 0});
     assert_true(index > 0);
@@ -89,12 +85,10 @@ FIXTURE_TEST(test_vertex_colors_are_mixed_in_linear_light)
     mesh.colors = calloc(4, sizeof *mesh.colors);
     for (int i = 0; i < 4; i++)
         mesh.colors[i] = i == 1 || i == 2 ? 0xff3050ffu : 0xff305000u;
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
+    vox_take_scan(f, &mesh);
     struct vox_voxelize_report report = vox_make(f, 0, 1.0);
     assert_true(report.has_color);
-    struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
+    struct fmt_nvdb_grid grid = vox_open(f);
     for (int32_t x = 0; x < 10; x++)
         for (int32_t y = 0; y < 10; y++) {
             uint64_t index = grid_find(&grid, (int32_t[3]){x, y, 0});
@@ -122,8 +116,7 @@ FIXTURE_TEST(test_materials_color_what_has_no_other)
     scan_write(f->ctx, "scan.tris", &mesh, NULL, materials, 2, 4000);
     scan_mesh_free(&mesh);
     assert_true(vox_make(f, 0, 1.0).has_color);
-    struct fmt_nvdb_grid grid;
-    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
+    struct fmt_nvdb_grid grid = vox_open(f);
     uint32_t mixed = grid_get(&grid, grid_find(&grid, (int32_t[3]){0, 0, 0})).color;
     for (int k = 0; k < 3; k++) {
         double linear = 0.5 * (to_linear((double)materials[0].diffuse[k]) +

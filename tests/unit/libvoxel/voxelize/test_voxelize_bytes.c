@@ -63,8 +63,7 @@ FIXTURE_TEST(test_noise_gives_the_same_bytes)
         }
         scan_set_triangle(&mesh, t, 3 * t, 3 * t + 1, 3 * t + 2);
     }
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
+    vox_take_scan(f, &mesh);
     check_same_bytes(100);
 }
 
@@ -89,8 +88,7 @@ FIXTURE_TEST(test_sphere_gives_the_same_bytes)
 {
     struct scan_mesh mesh = scan_sphere(100.0, 0.7);
     scan_sort(&mesh);
-    vox_write_scan(f, &mesh);
-    scan_mesh_free(&mesh);
+    vox_take_scan(f, &mesh);
     check_same_bytes(TEST_SANITIZED ? 200 : 300);
     check_same_bytes(40);
 }

@@ -65,6 +65,19 @@ void vox_write_scan(const struct vox_fixture *f, const struct scan_mesh *mesh)
     scan_write(f->ctx, "scan.tris", mesh, NULL, NULL, 0, 4000);
 }
 
+void vox_take_scan(const struct vox_fixture *f, struct scan_mesh *mesh)
+{
+    vox_write_scan(f, mesh);
+    scan_mesh_free(mesh);
+}
+
+struct fmt_nvdb_grid vox_open(const struct vox_fixture *f)
+{
+    struct fmt_nvdb_grid grid;
+    assert_int_equal(fmt_nvdb_open(f->ctx, "scan.nvdb", &grid), 0);
+    return grid;
+}
+
 double record_plane(struct fmt_nvdb_record record)
 {
     return (double)(int16_t)(record.plane & 0xffff) / 32767.0;

@@ -17,6 +17,10 @@ int vox_tear_down(void **state);
 
 /* Writes a chunk file with 4000 triangles in a chunk. */
 void vox_write_scan(const struct vox_fixture *f, const struct scan_mesh *mesh);
+/* The same, and frees the mesh. */
+void vox_take_scan(const struct vox_fixture *f, struct scan_mesh *mesh);
+/* Opens the grid; close it with fmt_nvdb_close(). */
+struct fmt_nvdb_grid vox_open(const struct vox_fixture *f);
 /* Voxelizes tris to grid. */
 struct vox_voxelize_report vox_make(const struct vox_fixture *f, uint32_t resolution,
                                     double voxel_size);
