@@ -195,6 +195,31 @@ TEST(cones_and_frames)
 
 /* ---- open ---- */
 
+/* A floor beside a wall of height h: the floor sees it from distance d under the form factor (1 - d
+ * / sqrt(d^2 + h^2)) / 2 (Howell, "A Catalog of Radiation Heat Transfer Configuration Factors",
+ * B-1), so a large wall hides one half. */
+TEST(a_wall_hides_half_of_a_floor)
+{
+    struct scene s = begin();
+    const double h = 150;
+    add_rectangle(&s, (double[]){60, 0.3, 0.1}, (double[]){60, 0, 0}, (double[]){0, 600, 0}, 1);
+    add_rectangle(&s, (double[]){0.2, 0.3, h / 2 + 0.1}, (double[]){0, 0, h / 2},
+                  (double[]){0, 600, 0}, -1);
+    open_scene(&s);
+    for (int i = 1; i < 7; i++) {
+        const double d = 1 << i;
+        const double at[3] = {0.2 + d, 0.3, 0.1}, up[3] = {0, 0, 1};
+        const bk_surroundings found = look(&s, at, up);
+        const bk_vec3 bent = bk_unit(found.bent);
+        assert_near(found.open, 0.5 + d / sqrt(d * d + h * h) / 2, 0.01, "beside a wall");
+        assert_near(bent.y, 0, 0.03, "bent along the wall");
+        /* The mean of a half disc, 4 / (3 pi), over that of its heights, 2 / 3. */
+        if (d < 5)
+            assert_near(atan2(bent.x, bent.z), atan(2 / PI), 0.03, "bent away from the wall");
+    }
+    end(&s);
+}
+
 /* The floor's middle of a round well sees the sky under the cone tan = r / h: r^2 / (r^2 + h^2).
  * Whole voxels of the rim, 73 voxels away, narrow it by up to one voxel. */
 TEST(a_tube_leaves_a_cone)
@@ -226,6 +251,25 @@ TEST(a_tube_leaves_a_cone)
     s.params.open_sine2 = 1;
     s.params.open_limit = (float)r - 2;
     assert_near(look(&s, at, up).open, 1, 0, "with short rays");
+    end(&s);
+}
+
+/* A ceiling at height h hides rays of length t = h / cos by 1 - t / limit. Their mean share under a
+ * large ceiling is 2 (h / l) (1 - h / l) + (h / l)^2, with cosines below h / l open. */
+TEST(falloff_is_linear)
+{
+    struct scene s = begin();
+    const double h = 20.4, l = 100;
+    add_rectangle(&s, (double[]){0, 0, 0}, (double[]){4, 0, 0}, (double[]){0, 4, 0}, 1);
+    add_rectangle(&s, (double[]){0, 0, h}, (double[]){120, 0, 0}, (double[]){0, 120, 0}, -1);
+    open_scene(&s);
+    s.params.open_limit = (float)l;
+    const double share = (h - BK_LIFT) / l;
+    const double at[3] = {0.1, 0.2, 0}, up[3] = {0, 0, 1};
+    assert_near(look(&s, at, up).open, share * share, 0.01, "below a ceiling");
+    s.params.flags |= BK_OPEN_FALLOFF;
+    assert_near(look(&s, at, up).open, 2 * share * (1 - share) + share * share, 0.01,
+                "with falloff");
     end(&s);
 }
 
