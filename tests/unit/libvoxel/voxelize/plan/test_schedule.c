@@ -145,4 +145,35 @@ TEST(test_no_chunks)
     check_schedule(&none, 0);
 }
 
+/* As many chunks as 10^10 triangles have at most, side by side on a plane. Each region gets the
+ * chunks that touch it, within the memory of an entry for each. */
+TEST(test_ten_billion_triangles)
+{
+    enum { SIDE = 553, CHUNK_VOXELS = 47, COUNT = SIDE * SIDE };
+    struct vox_chunk_box *boxes = calloc(COUNT, sizeof *boxes);
+    double expected = 0.0, visits = 0.0;
+    assert_non_null(boxes);
+    assert_true(COUNT >= UINT64_C(10000000000) / (FMT_TRIS_CHUNK_TRIANGLES / 2));
+    for (uint32_t i = 0; i < COUNT; i++) {
+        const int32_t x = (int32_t)(i % SIDE) * CHUNK_VOXELS,
+                      y = (int32_t)(i / SIDE) * CHUNK_VOXELS;
+        boxes[i] =
+            (struct vox_chunk_box){{{x, y, 0}, {x + CHUNK_VOXELS - 1, y + CHUNK_VOXELS - 1, 0}}, i};
+        expected += vox_region_count(&boxes[i].box);
+    }
+    struct vox_schedule *schedule;
+    struct bsq_ctx *ctx = test_context(1, COUNT * vox_schedule_entry_bytes() + 4096);
+    assert_int_equal(vox_schedule_create(ctx, boxes, COUNT, &schedule), 0);
+    vox_region_key key, after, before = 0;
+    for (uint32_t chunk; vox_schedule_next(schedule, &key); before = key) {
+        assert_true(key > before || visits == 0.0);
+        while (vox_schedule_chunk(schedule, &chunk, &after))
+            visits += 1.0;
+    }
+    assert_true(visits == expected);
+    vox_schedule_destroy(schedule);
+    bsq_ctx_destroy(ctx);
+    free(boxes);
+}
+
 RUN_TESTS(NULL, NULL)
