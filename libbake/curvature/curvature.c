@@ -39,7 +39,7 @@ struct probe {
 };
 
 /* Rows of the image that are traced together, or a part of one row. */
-struct block {
+struct window {
     uint32_t x, y, width, height;
 };
 
@@ -48,14 +48,14 @@ struct work {
     const struct bake_curvature *job;
     struct bake_curvature_counts *counts;
     uint32_t channels;
-    float *texels;         /* of the block, in the image's rows */
-    uint32_t *objects;     /* of the texels of the block; NULL if all see all scans */
+    float *texels;         /* of the window, in the image's rows */
+    uint32_t *objects;     /* of the texels of the window; NULL if all see all scans */
     uint32_t *ray_objects; /* likewise, of the rays */
     struct bake_exact_ray *rays;
     struct bake_exact_hit *hits;
-    struct probe *probes;               /* PROBES a texel */
-    uint32_t *listed;                   /* numbers of the probes to trace */
-    uint64_t most_texels, block_texels; /* texels of the largest block, and of the current one */
+    struct probe *probes;                /* PROBES a texel */
+    uint32_t *listed;                    /* numbers of the probes to trace */
+    uint64_t most_texels, window_texels; /* texels of the largest window, and of the current one */
 };
 
 /* ---- rays ---- */
@@ -128,9 +128,9 @@ static void take_hit(const struct work *work, uint64_t probe, const struct bake_
 
 /* ---- listed probes ---- */
 
-static uint64_t block_texels(const struct block *block)
+static uint64_t window_texels(const struct window *window)
 {
-    return (uint64_t)block->width * block->height;
+    return (uint64_t)window->width * window->height;
 }
 
 /* Probes whose rays are in memory. */
@@ -248,24 +248,24 @@ static int resolve_texels(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
     const struct work *work = arg;
-    const uint64_t end = task_end(index, TEXELS_A_TASK, work->block_texels);
+    const uint64_t end = task_end(index, TEXELS_A_TASK, work->window_texels);
     for (uint64_t i = index * TEXELS_A_TASK; i < end; ++i)
         if (is_valid(work, i))
             work->texels[i * work->channels + work->job->offset] = curvature_of(work, i);
     return 0;
 }
 
-/* ---- blocks of texels ---- */
+/* ---- windows of texels ---- */
 
-static int trace_block(struct work *work, const struct block *block)
+static int trace_window(struct work *work, const struct window *window)
 {
-    const uint64_t texels = block_texels(block);
+    const uint64_t texels = window_texels(window);
     int status = 0;
-    work->block_texels = texels;
+    work->window_texels = texels;
     memset(work->probes, 0, texels * PROBES * sizeof *work->probes);
     if (work->objects)
-        BSQ_TRY(work->job->objects(work->job->objects_arg, block->x, block->y, block->width,
-                                   block->height, work->objects));
+        BSQ_TRY(work->job->objects(work->job->objects_arg, window->x, window->y, window->width,
+                                   window->height, work->objects));
     BSQ_TRY(trace_missing(work, texels, 1, work->job->radius));
     BSQ_TRY(trace_missing(work, texels, 2, sqrt(2.0) * work->job->radius));
     count_texels(work, texels);
@@ -285,9 +285,10 @@ static int trace_band(void *arg, uint32_t first_row, uint32_t rows, float *texel
     const uint32_t columns = work->most_texels < width ? (uint32_t)work->most_texels : width;
     int status = 0;
     for (uint32_t x = 0; status == 0 && x < width; x += columns) {
-        const struct block block = {x, first_row, width - x < columns ? width - x : columns, rows};
+        const struct window window = {x, first_row, width - x < columns ? width - x : columns,
+                                      rows};
         work->texels = texels + (size_t)x * work->channels;
-        status = trace_block(work, &block);
+        status = trace_window(work, &window);
     }
     return status;
 }
@@ -301,7 +302,7 @@ static int trace_bands(struct work *work)
 
 /* ---- memory ---- */
 
-/* Allocates what a block needs. Half of the rays that a caller should hold leave the other buffers
+/* Allocates what a window needs. Half of the rays that a caller should hold leave the other buffers
  * enough of the budget. */
 static int allocate(struct work *work)
 {

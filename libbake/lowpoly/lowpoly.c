@@ -39,6 +39,9 @@ static bool store_unit(const double v[3], float unit[3])
     return true;
 }
 
+/* What lies farther from 0 than so many times its size has floats relative to its middle. */
+#define FAR 64.0
+
 /* ---- arrays ---- */
 
 /* An array of a mesh, with the bytes of a triangle. */
@@ -352,25 +355,24 @@ static bool lacks_normals(const struct fmt_mesh *mesh)
     return false;
 }
 
-/* Chooses the origin of the float positions from which tangents are computed. The convention works
- * on the file's coordinates as floats, so the origin is 0. Only a mesh that is far away for its
- * size gets another one, as floats would merge its corners. */
-static void choose_origin(const struct bake_lowmesh *mesh, double origin[3])
+void bake_choose_origin(const double low[3], const double high[3], double out[3])
 {
     double size = 0, farthest = 0;
     for (int k = 0; k < 3; k++) {
-        size = fmax(size, mesh->bounds_max[k] - mesh->bounds_min[k]);
-        farthest = fmax(farthest, fmax(fabs(mesh->bounds_min[k]), fabs(mesh->bounds_max[k])));
+        size = fmax(size, high[k] - low[k]);
+        farthest = fmax(farthest, fmax(fabs(low[k]), fabs(high[k])));
     }
     for (int k = 0; k < 3; k++)
-        origin[k] = farthest > 64 * size ? (mesh->bounds_min[k] + mesh->bounds_max[k]) / 2 : 0;
+        out[k] = farthest > FAR * size ? (low[k] + high[k]) / 2 : 0;
 }
 
-/* Writes positions relative to that origin. */
+/* Writes the float positions from which tangents are computed. The convention works on the file's
+ * coordinates as floats, so the origin is 0. Only a mesh that is far away for its size gets another
+ * one, as floats would merge its corners. */
 static void copy_floats(const struct bake_lowmesh *mesh, float (*out)[3][3])
 {
     double origin[3];
-    choose_origin(mesh, origin);
+    bake_choose_origin(mesh->bounds_min, mesh->bounds_max, origin);
     for (uint64_t t = 0; t < mesh->triangle_count; t++)
         for (int i = 0; i < 3; i++)
             for (int k = 0; k < 3; k++)

@@ -60,6 +60,9 @@ int bake_lowmesh_load(struct bsq_ctx *ctx, const struct bake_options *options,
  * as they are. */
 int bake_lowmesh_reorder(struct bsq_ctx *ctx, const uint32_t *order, uint64_t count,
                          struct bake_lowmesh *mesh);
+/* Sets *out to the position that floats within these bounds should be relative to: 0, or if the
+ * bounds lie so far from 0 that floats there are coarse, their middle. */
+void bake_choose_origin(const double low[3], const double high[3], double out[3]);
 /* Returns the area of a triangle. */
 double bake_lowmesh_area(const struct bake_lowmesh *mesh, uint64_t triangle);
 /* A zeroed mesh is allowed. */

@@ -73,14 +73,17 @@ static bool resolve_mean(const float *sums, uint32_t channels, float weight, flo
 #define LEAST_HEIGHT    0x1p-16
 #define LEAST_CURVATURE 0.01
 
-static double scan_diagonal(const struct bake_encoding_facts *facts)
+static double diagonal_of(const double low[3], const double high[3])
 {
     double square = 0;
-    for (int k = 0; k < 3; ++k) {
-        const double side = facts->traced->scan_max[k] - facts->traced->scan_min[k];
-        square += side * side;
-    }
+    for (int k = 0; k < 3; ++k)
+        square += (high[k] - low[k]) * (high[k] - low[k]);
     return sqrt(square);
+}
+
+static double scan_diagonal(const struct bake_encoding_facts *facts)
+{
+    return diagonal_of(facts->traced->scan_min, facts->traced->scan_max);
 }
 
 static void encode_heights(const struct bake_encoding_facts *facts, struct bake_encoding *out)
@@ -94,21 +97,8 @@ static void encode_heights(const struct bake_encoding_facts *facts, struct bake_
 
 /* ---- positions ---- */
 
-/* Positions are whole numbers of float32 steps. An origin is needed if the scan lies so far from 0
- * that these steps are coarse: farther than FAR times its size. Then positions are exact to 2^-18
- * of the size in the worst case without an origin, and to 2^-24 with one. */
-#define FAR 64.0
-
-static void choose_origin(const struct bake_traced *traced, double out[3])
-{
-    double size = 0, farthest = 0;
-    for (int k = 0; k < 3; ++k) {
-        size = fmax(size, traced->scan_max[k] - traced->scan_min[k]);
-        farthest = fmax(farthest, fmax(fabs(traced->scan_min[k]), fabs(traced->scan_max[k])));
-    }
-    for (int k = 0; k < 3; ++k)
-        out[k] = farthest > FAR * size ? 0.5 * (traced->scan_min[k] + traced->scan_max[k]) : 0.0;
-}
+/* Positions are whole numbers of float32 steps. With bake_choose_origin(), they are exact to 2^-18
+ * of the scan's size in the worst case without an origin, and to 2^-24 with one. */
 
 /* Returns half of the width of the sphere or the box, on the longest axis; sets the halves of all
  * axes. */
@@ -131,7 +121,7 @@ static void encode_positions(const struct bake_encoding_facts *facts, struct bak
 {
     const struct bake_traced *traced = facts->traced;
     double half[3];
-    choose_origin(traced, out->origin);
+    bake_choose_origin(traced->scan_min, traced->scan_max, out->origin);
     out->range = half_widths(facts, half);
     for (int k = 0; facts->integers && k < 3; ++k) {
         const double centre = 0.5 * (traced->scan_min[k] + traced->scan_max[k]);
@@ -204,10 +194,8 @@ static bool resolve_thickness(const float *sums, uint32_t channels, float weight
 double bake_thickness_distance(const struct bake_options *options, const double scan_min[3],
                                const double scan_max[3])
 {
-    double square = 0;
-    for (int k = 0; k < 3; ++k)
-        square += (scan_max[k] - scan_min[k]) * (scan_max[k] - scan_min[k]);
-    return options->thickness_distance > 0 ? options->thickness_distance : sqrt(square);
+    return options->thickness_distance > 0 ? options->thickness_distance
+                                           : diagonal_of(scan_min, scan_max);
 }
 
 /* The usual range leaves out the thickest parts: most of a figure is much thinner than its size. */

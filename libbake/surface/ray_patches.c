@@ -21,7 +21,7 @@
 
 struct patch {
     uint64_t curve; /* on the curve through the scan */
-    uint64_t rays;  /* of the blocks with samples in triangles, see block_side() */
+    uint64_t rays;  /* of the squares with samples in triangles, see square_side() */
     uint32_t index; /* number of the patch in the raster */
 };
 
@@ -31,7 +31,7 @@ struct job {
     const struct bake_patches *patches;
     const uint32_t *object_of;         /* of each triangle; NULL: not needed */
     double units_a_length;             /* of the surface, a world unit: 1 for triangles alone */
-    struct bake_patch_workers workers; /* with sums for a row of blocks, see block_side() */
+    struct bake_patch_workers workers; /* with sums for a row of squares, see square_side() */
     struct patch *order;
     uint32_t patch_count;
     struct bake_exact_footprint *footprint_table; /* of each triangle; NULL: not needed */
@@ -69,26 +69,26 @@ static uint32_t patch_samples(const struct job *job, const struct bk_patch *patc
     return patch->width * n * (patch->height * n);
 }
 
-/* Returns the side in texels of the blocks by which the samples of a patch are numbered. Rays of a
+/* Returns the side in texels of the squares by which the samples of a patch are numbered. Rays of a
  * square meet fewer triangles of the scan than those of a line. */
-static uint32_t block_side(const struct job *job)
+static uint32_t square_side(const struct job *job)
 {
     const uint32_t n = job->patches->params->samples;
     return (3 + n) / n;
 }
 
-/* Returns the next multiple of a bundle's rays. Each block begins a bundle. */
+/* Returns the next multiple of a bundle's rays. Each square begins a bundle. */
 static uint64_t next_bundle(uint64_t ray)
 {
     return (ray + BAKE_EXACT_BUNDLE - 1) / BAKE_EXACT_BUNDLE * BAKE_EXACT_BUNDLE;
 }
 
-/* Returns the number of samples of a block that lie in a triangle. column, row: of its first texel
+/* Returns the number of samples of a square that lie in a triangle. column, row: of its first texel
  * in the patch. */
-static uint32_t block_samples(const struct job *job, const struct bk_patch *patch, uint32_t column,
-                              uint32_t row, const uint32_t *samples)
+static uint32_t square_samples(const struct job *job, const struct bk_patch *patch, uint32_t column,
+                               uint32_t row, const uint32_t *samples)
 {
-    const uint32_t n = job->patches->params->samples, side = block_side(job);
+    const uint32_t n = job->patches->params->samples, side = square_side(job);
     const uint32_t width = (side < patch->width - column ? side : patch->width - column) * n;
     const uint32_t height = (side < patch->height - row ? side : patch->height - row) * n;
     uint32_t covered = 0;
@@ -106,7 +106,7 @@ static int count_patch(void *arg, uint64_t index, unsigned number)
     struct job *job = arg;
     struct bake_patch_worker *worker = &job->workers.workers[number];
     const struct bk_patch patch = bake_raster_patch(job->patches->raster, (uint32_t)index);
-    const uint32_t all = patch_samples(job, &patch), side = block_side(job);
+    const uint32_t all = patch_samples(job, &patch), side = square_side(job);
     const uint32_t *samples = worker->sample_triangles;
     uint64_t overlaps = 0, rays = 0;
     uint32_t covered = 0, seen = 0;
@@ -117,7 +117,7 @@ static int count_patch(void *arg, uint64_t index, unsigned number)
     worker->overlaps += overlaps;
     for (uint32_t row = 0; row < patch.height; row += side)
         for (uint32_t column = 0; column < patch.width; column += side) {
-            const uint32_t here = block_samples(job, &patch, column, row, samples);
+            const uint32_t here = square_samples(job, &patch, column, row, samples);
             covered += here;
             rays += next_bundle(here);
         }
@@ -160,7 +160,7 @@ struct sample {
     uint64_t ray;              /* its number in the batch */
 };
 
-/* Calls `take` for the samples of a line of a block that lie in a triangle, from the left. column,
+/* Calls `take` for the samples of a line of a square that lie in a triangle, from the left. column,
  * end: its texels in the patch. */
 static inline void
 each_sample_of_line(struct job *job, const struct bk_patch *patch, const uint32_t *samples,
@@ -189,16 +189,16 @@ each_sample_of_line(struct job *job, const struct bk_patch *patch, const uint32_
         }
 }
 
-/* Calls `take` for the samples of a row of blocks that lie in a triangle: block by block, and line
- * by line in each. Their rays are numbered from *ray on, with gaps between blocks. row: of the
- * first texels. samples: of the patch. texels: of the row, line by line; NULL: not needed. */
+/* Calls `take` for the samples of a row of squares that lie in a triangle: square by square, and
+ * line by line in each. Their rays are numbered from *ray on, with gaps between squares. row: of
+ * the first texels. samples: of the patch. texels: of the row, line by line; NULL: not needed. */
 static inline void each_sample_of_row(struct job *job, const struct bk_patch *patch,
                                       const uint32_t *samples, uint32_t row, uint64_t *ray,
                                       void (*take)(struct job *job, const struct sample *sample,
                                                    float *texels),
                                       float *texels)
 {
-    const uint32_t n = job->patches->params->samples, side = block_side(job);
+    const uint32_t n = job->patches->params->samples, side = square_side(job);
     const uint32_t rows = side < patch->height - row ? side : patch->height - row;
     const uint64_t floats = texels ? (uint64_t)patch->width * job->workers.texel_floats : 0;
     for (uint32_t column = 0; column < patch->width; column += side) {
@@ -221,7 +221,7 @@ static inline int each_sample(struct job *job, uint64_t index, unsigned worker,
     uint32_t *samples = job->workers.workers[worker].sample_triangles;
     uint64_t overlaps, ray = job->starts[job->first + index] - job->starts[job->first];
     int status = bake_raster_fill(job->patches->raster, entry->index, samples, &overlaps);
-    for (uint32_t row = 0; row < patch.height && status == 0; row += block_side(job))
+    for (uint32_t row = 0; row < patch.height && status == 0; row += square_side(job))
         each_sample_of_row(job, &patch, samples, row, &ray, take, NULL);
     return status;
 }
@@ -240,7 +240,7 @@ static void cast_sample(struct job *job, const struct sample *sample, float *tex
         job->objects[sample->ray] = job->object_of[sample->triangle];
 }
 
-/* Writes the rays of a patch to the batch. Those between blocks have no direction. */
+/* Writes the rays of a patch to the batch. Those between squares have no direction. */
 static int cast_patch(void *arg, uint64_t index, unsigned number)
 {
     struct job *job = arg;
@@ -331,9 +331,9 @@ static int resolve_patch(void *arg, uint64_t index, unsigned number)
         bake_raster_fill(job->patches->raster, entry->index, worker->sample_triangles, &overlaps);
     if (status < 0)
         return status;
-    for (uint32_t row = 0; row < patch.height; row += block_side(job)) {
+    for (uint32_t row = 0; row < patch.height; row += square_side(job)) {
         const uint32_t left = patch.height - row,
-                       rows = left < block_side(job) ? left : block_side(job);
+                       rows = left < square_side(job) ? left : square_side(job);
         const uint32_t texels = rows * patch.width;
         memset(worker->texels, 0,
                (uint64_t)texels * job->workers.texel_floats * sizeof *worker->texels);
@@ -568,7 +568,7 @@ int bake_trace_ray_patches(const struct bake_surface *surface, const struct bake
                       .units_a_length = 1 / surface->unit};
     int status = 0;
     BSQ_TRY(bake_patch_workers_begin(
-        job.ctx, patches, (uint64_t)patches->patch_side * block_side(&job), &job.workers));
+        job.ctx, patches, (uint64_t)patches->patch_side * square_side(&job), &job.workers));
     BSQ_TRY(allocate_patches(&job));
     BSQ_TRY(order_patches(&job));
     if (patches->params->maps & BK_SECONDARY_MAPS)

@@ -226,7 +226,7 @@ if has_opencl; then
     ok $bake $passes -o few.exr --json --gpu-memory "${least:-600K}"
     same few.exr one.exr
     $bake $passes -o few2.exr --gpu-memory 1000
-    refused_like 69 '^bisque-bake: .*tiles and the low-poly mesh take [0-9]+ bytes'
+    refused_like 69 '^bisque-bake: .*texels and the low-poly mesh take [0-9]+ bytes'
     rm large.nvdb moved.obj one.exr many.exr few.exr
 else
     echo "# skipped: passes: there is no OpenCL device"

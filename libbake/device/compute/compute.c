@@ -46,13 +46,13 @@ static uint64_t triangle_bytes(const struct bake_job *job)
     return job->triangle_count * (uint64_t)sizeof *job->triangles;
 }
 
-/* Arrays in a block begin at multiples of this. A load of a warp's 32 numbers needs 128. */
+/* Arrays in a pool begin at multiples of this. A load of a warp's 32 numbers needs 128. */
 enum { ARRAY_ALIGNMENT = 256 };
 
-/* Returns the bytes that blocks need besides their arrays' bytes. */
-static uint64_t block_waste(const struct bake_compute *compute)
+/* Returns the bytes that pools need besides their arrays' bytes. */
+static uint64_t pool_waste(const struct bake_compute *compute)
 {
-    return compute->calls->blocks ? BAKE_SLOTS * BAKE_SUBGRID_ARRAYS * ARRAY_ALIGNMENT : 0;
+    return compute->calls->pools ? BAKE_SLOTS * BAKE_SUBGRID_ARRAYS * ARRAY_ALIGNMENT : 0;
 }
 
 /* Reserves bytes of the host's budget until the device is closed. */
@@ -69,7 +69,7 @@ static int share_memory(struct bake_compute *compute, const struct bake_job *job
 {
     const uint64_t samples = sample_bytes(compute, compute->patch_texels);
     const uint64_t triangles = triangle_bytes(job);
-    const uint64_t fixed = worker_bytes(compute) + triangles + block_waste(compute);
+    const uint64_t fixed = worker_bytes(compute) + triangles + pool_waste(compute);
     if (job->device_memory && job->device_memory < limit)
         limit = job->device_memory;
     if (triangles > buffer_bytes || samples > buffer_bytes)
@@ -80,7 +80,7 @@ static int share_memory(struct bake_compute *compute, const struct bake_job *job
                         compute->device_name, triangles, samples, buffer_bytes);
     if (fixed >= limit)
         return bsq_fail(compute->ctx, BSQ_ENODEVICE,
-                        "%s: patches and the low-poly mesh take %" PRIu64
+                        "%s: texels and the low-poly mesh take %" PRIu64
                         " bytes of the device's memory, "
                         "%" PRIu64 " are allowed: give more, or fewer --threads",
                         compute->device_name, fixed, limit);
@@ -196,11 +196,11 @@ done:
     return status == BSQ_ENODEVICE ? bake_compute_fail(compute, compute->upload_failure) : status;
 }
 
-/* Frees a subgrid's arrays, except a block. */
+/* Frees a subgrid's arrays, except a pool. */
 static void unload_arrays(struct bake_compute *compute, struct bake_compute_subgrid *subgrid)
 {
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++) {
-        if (subgrid->arrays[i] && !compute->calls->blocks)
+        if (subgrid->arrays[i] && !compute->calls->pools)
             compute->calls->release(compute, subgrid->arrays[i]);
         subgrid->arrays[i] = 0;
     }
@@ -211,45 +211,45 @@ static void unload_arrays(struct bake_compute *compute, struct bake_compute_subg
 static void unload_subgrid(struct bake_compute *compute, struct bake_compute_subgrid *subgrid)
 {
     unload_arrays(compute, subgrid);
-    if (subgrid->block)
-        compute->calls->release(compute, subgrid->block);
-    subgrid->block = subgrid->block_bytes = 0;
+    if (subgrid->pool)
+        compute->calls->release(compute, subgrid->pool);
+    subgrid->pool = subgrid->pool_bytes = 0;
 }
 
-/* Replaces a block. */
-static int allocate_block(struct bake_compute *compute, struct bake_compute_subgrid *to,
-                          uint64_t bytes)
+/* Replaces a pool. */
+static int allocate_pool(struct bake_compute *compute, struct bake_compute_subgrid *to,
+                         uint64_t bytes)
 {
     int status;
     unload_subgrid(compute, to);
-    status = note_failure(compute, compute->calls->allocate(compute, bytes, &to->block));
-    to->block_bytes = status == 0 ? bytes : 0;
+    status = note_failure(compute, compute->calls->allocate(compute, bytes, &to->pool));
+    to->pool_bytes = status == 0 ? bytes : 0;
     return status;
 }
 
-/* Provides memory for the arrays: for each alone, or in a block. A block for passes fits the
+/* Provides memory for the arrays: for each alone, or in a pool. A pool for passes fits the
  * subgrids of all passes, if there is memory for it. */
 static int allocate_arrays(struct bake_compute *compute, struct bake_compute_subgrid *to,
                            const struct bake_subgrid *subgrid, const char **what)
 {
-    const uint64_t pass = (compute->base.memory_bytes + block_waste(compute)) / BAKE_SLOTS;
+    const uint64_t pass = (compute->base.memory_bytes + pool_waste(compute)) / BAKE_SLOTS;
     uint64_t bytes = 0, at = 0;
     int status = 0;
-    for (int i = 0; i < BAKE_SUBGRID_ARRAYS && !compute->calls->blocks; i++) {
+    for (int i = 0; i < BAKE_SUBGRID_ARRAYS && !compute->calls->pools; i++) {
         *what = bake_subgrid_array_name(i);
         BSQ_TRY(note_failure(compute,
                              compute->calls->allocate(compute, subgrid->bytes[i], &to->arrays[i])));
     }
-    if (!compute->calls->blocks)
+    if (!compute->calls->pools)
         return 0;
     *what = "memory for the grid";
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++)
         bytes += bsq_align_up(subgrid->bytes[i], ARRAY_ALIGNMENT);
-    if (bytes > to->block_bytes &&
-        (subgrid->whole || pass <= bytes || allocate_block(compute, to, pass) < 0))
-        BSQ_TRY(allocate_block(compute, to, bytes));
+    if (bytes > to->pool_bytes &&
+        (subgrid->whole || pass <= bytes || allocate_pool(compute, to, pass) < 0))
+        BSQ_TRY(allocate_pool(compute, to, bytes));
     for (int i = 0; i < BAKE_SUBGRID_ARRAYS; i++) {
-        to->arrays[i] = subgrid->bytes[i] ? to->block + at : 0;
+        to->arrays[i] = subgrid->bytes[i] ? to->pool + at : 0;
         at += bsq_align_up(subgrid->bytes[i], ARRAY_ALIGNMENT);
     }
 done:

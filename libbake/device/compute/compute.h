@@ -95,8 +95,8 @@ typedef uint64_t bake_memory;
 /* A subgrid on the device. */
 struct bake_compute_subgrid {
     bake_memory arrays[BAKE_SUBGRID_ARRAYS];
-    bake_memory block; /* that has all arrays, if the API's `blocks` is set */
-    uint64_t block_bytes;
+    bake_memory pool; /* that has all arrays, if the API's `pools` is set */
+    uint64_t pool_bytes;
     struct bk_params params;
     uint64_t reserved_bytes; /* of host memory, on devices that share it */
 };
@@ -147,9 +147,9 @@ struct bake_compute_calls {
     struct bake_failure (*attach)(struct bake_compute *compute);
 
     /* Memory is a number, to which offsets can be added, and allocating or freeing it waits for the
-     * device. Then all arrays of a slot are in one block, which later subgrids reuse. */
-    bool blocks;
-    /* `bytes` is 0 for arrays that the kernel does not read; not if `blocks` is set. */
+     * device. Then all arrays of a slot are in one pool, which later subgrids reuse. */
+    bool pools;
+    /* `bytes` is 0 for arrays that the kernel does not read; not if `pools` is set. */
     struct bake_failure (*allocate)(struct bake_compute *compute, uint64_t bytes, bake_memory *out);
     void (*release)(struct bake_compute *compute, bake_memory memory);
 

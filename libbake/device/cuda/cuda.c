@@ -227,7 +227,7 @@ static struct bake_failure cuda_times(struct bake_compute *compute, struct bake_
 
 static const struct bake_compute_calls calls = {.describe = cuda_describe,
                                                 .attach = cuda_attach,
-                                                .blocks = true,
+                                                .pools = true,
                                                 .allocate = cuda_allocate,
                                                 .release = cuda_release,
                                                 .stream_bytes = sizeof(struct stream),
