@@ -41,22 +41,13 @@ size_t fmt_mesh_mark(const void *text, uint64_t size)
     return size >= 3 && memcmp(text, "\xef\xbb\xbf", 3) == 0 ? 3 : 0;
 }
 
-bool fmt_mesh_plain_name(char *text)
+bool fmt_mesh_unquote(char *text)
 {
     char *quote = text[0] == '"' ? strchr(text + 1, '"') : NULL;
-    if (quote) {
-        memmove(text, text + 1, (size_t)(quote - text));
-        text[quote - text - 1] = '\0';
-        return true;
-    }
-    char *end = text + 1;
-    while (*text && *end && !(*end == '#' && fmt_mesh_is_blank(end[-1])))
-        end++;
-    if (!*text || !*end)
+    if (!quote)
         return false;
-    while (end > text && fmt_mesh_is_blank(end[-1]))
-        end--;
-    *end = '\0';
+    *quote = '\0';
+    memmove(text, text + 1, (size_t)(quote - text));
     return true;
 }
 
@@ -233,10 +224,10 @@ static int try_form(struct search *search, const char *name, enum form form)
     char *text = NULL;
     int status;
     BSQ_TRY(try_text(search, name, form));
-    if (search->path || name[0] != '"')
+    if (search->path)
         return 0;
     BSQ_TRY(bsq_text_copy(search->ctx, name, &text));
-    if (fmt_mesh_plain_name(text))
+    if (fmt_mesh_unquote(text))
         status = try_text(search, text, form);
 done:
     bsq_free(search->ctx, text);
@@ -251,7 +242,7 @@ static int name_missing(struct search *search, const char *name)
     int status = bsq_text_copy(search->ctx, name, &text);
     if (status)
         return status;
-    if (text[0] != '"' || !fmt_mesh_plain_name(text))
+    if (!fmt_mesh_unquote(text))
         fmt_mesh_tidy_name(text);
     mapped = bsq_map_path(search->ctx, text);
     status =

@@ -7,10 +7,9 @@
 /* Returns the bytes of the byte order mark that text in UTF-8 may begin with: 3, or 0. */
 size_t fmt_mesh_mark(const void *text, uint64_t size);
 
-/* Takes a name out of the rest of a line, in place: without quotes around it, or else without a
- * comment, which begins with "#" after a blank. Files may have names with such signs, so try the
- * text as it is first. Returns whether the text changed. */
-bool fmt_mesh_plain_name(char *text);
+/* Takes a name out of quotes, in place, and drops what follows them. Returns whether there are any.
+ */
+bool fmt_mesh_unquote(char *text);
 
 /* Returns whether a character of a line separates words. */
 static inline bool fmt_mesh_is_blank(char c)
@@ -56,8 +55,7 @@ uint64_t fmt_mesh_statement_size(const char *text, enum mesh_continued continued
 int fmt_mesh_hex_digit(char c);
 
 /* Makes a name fit for output, in place: without a comment, which begins with "#" after a blank and
- * before a blank or the end, and without quotes around all of it. Other than fmt_mesh_plain_name(),
- * keeps "wall #3". */
+ * before a blank or the end, and without quotes around all of it. Keeps "wall #3". */
 void fmt_mesh_tidy_name(char *text);
 
 /* Copies text of a file into `out` for a message: one line, printable, shortened. */

@@ -80,8 +80,9 @@ int fmt_obj_enter_libraries(struct stream_source *source, uint64_t line, const c
     for (int pass = 0; pass < 1 + exists; pass++) {
         bsq_free(source->ctx, names);
         BSQ_TRY(bsq_text_copy(source->ctx, text, &names));
-        fmt_mesh_plain_name(names);
-        for (char *name = strtok_r(names, " \t", &rest); name; name = strtok_r(NULL, " \t", &rest))
+        fmt_mesh_unquote(names);
+        for (char *name = strtok_r(names, " \t", &rest); name && *name != '#';
+             name = strtok_r(NULL, " \t", &rest))
             BSQ_TRY(enter_library(source, line, name, pass == 0, &exists));
     }
     if (!exists)
