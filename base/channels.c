@@ -85,24 +85,6 @@ bool bsq_is_map_name(const char *name)
     return false;
 }
 
-void bsq_channel_pick(const struct bsq_channel *channel, uint32_t component, float value,
-                      float sample[3])
-{
-    float picked = sample[component < BSQ_CHANNEL_ALPHA ? component : 0];
-    if (component == BSQ_CHANNEL_CUTOUT)
-        picked = picked >= value ? 1.0f : 0.0f;
-    if (channel->values == 1)
-        sample[0] = sample[1] = sample[2] = picked;
-}
-
-void bsq_channel_scale(const struct bsq_channel *channel, const float factor[3], float sample[3])
-{
-    const bool normals = strcmp(channel->name, BSQ_CHANNEL_NORMAL_MAP) == 0;
-    for (int k = 0; k < (normals ? 2 : 3); k++)
-        if (factor[k] != 1.0f)
-            sample[k] = channel->neutral + factor[k] * (sample[k] - channel->neutral);
-}
-
 /* Returns the length of the name at the start of the rest of a list. */
 static uint64_t name_length(const char *rest, uint64_t bytes)
 {

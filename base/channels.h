@@ -66,14 +66,6 @@ bool bsq_is_channel_name(const char *name);
  * channel could not be baked as a map of its name. */
 bool bsq_is_map_name(const char *name);
 
-/* For a channel with one value, copies one component of a texture's sample to all three entries.
- * Samples of alpha have it three times already. value: of the channel, for BSQ_CHANNEL_CUTOUT. */
-void bsq_channel_pick(const struct bsq_channel *channel, uint32_t component, float value,
-                      float sample[3]);
-/* Applies the factor of a texture to its sample: neutral + factor * (sample - neutral). The third
- * value of a normal map stays as it is. */
-void bsq_channel_scale(const struct bsq_channel *channel, const float factor[3], float sample[3]);
-
 /* ---- lists: names separated by commas, as in "roughness,emission" ---- */
 
 /* Most values of all channels of a list together. */

@@ -241,10 +241,6 @@ int bsq_grow(struct bsq_ctx *ctx, const char *what, uint64_t count, uint64_t siz
 /** Frees memory of bsq_alloc(), bsq_calloc() or bsq_grow(); NULL is allowed. */
 void bsq_free(struct bsq_ctx *ctx, void *memory);
 
-/** Prefaults the whole pages in [at, at + bytes): the system assigns them now, not at their first
- * use. The content stays. Does nothing on systems that cannot do this. */
-void bsq_prefault(void *at, uint64_t bytes);
-
 /** Counts `bytes` that other code allocates, such as a library's cache, against the budget.
  * Errors: BSQ_ENOMEM. */
 int bsq_reserve(struct bsq_ctx *ctx, const char *what, uint64_t bytes);

@@ -322,22 +322,6 @@ void bsq_free(struct bsq_ctx *ctx, void *memory)
     bsq_release(ctx, cost);
 }
 
-void bsq_prefault(void *at, uint64_t bytes)
-{
-#ifdef MADV_POPULATE_WRITE
-    uintptr_t page = (uintptr_t)sysconf(_SC_PAGE_SIZE),
-              begin = ((uintptr_t)at + page - 1) & ~(page - 1);
-    uintptr_t end = ((uintptr_t)at + bytes) & ~(page - 1);
-    int error = errno;
-    if (begin < end)
-        madvise((char *)at + (begin - (uintptr_t)at), end - begin, MADV_POPULATE_WRITE);
-    errno = error;
-#else
-    (void)at;
-    (void)bytes;
-#endif
-}
-
 static void *resize_small(void *payload, uint64_t bytes)
 {
     struct header old = {0};

@@ -77,17 +77,6 @@ static bool start_thread(pthread_t *out, void *(*fn)(void *arg), void *arg)
     return started;
 }
 
-void bsq_wait_a_little(pthread_cond_t *condition, pthread_mutex_t *lock)
-{
-    enum { PATIENCE_NS = 50 * 1000 * 1000, SECOND_NS = 1000 * 1000 * 1000 };
-    struct timespec until;
-    clock_gettime(CLOCK_MONOTONIC, &until);
-    until.tv_nsec += PATIENCE_NS;
-    until.tv_sec += until.tv_nsec / SECOND_NS;
-    until.tv_nsec %= SECOND_NS;
-    pthread_cond_clockwait(condition, lock, CLOCK_MONOTONIC, &until);
-}
-
 static void start_threads(struct bsq_pool *pool, unsigned count)
 {
     while (pool->thread_count < count && !pool->refused) {

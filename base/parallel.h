@@ -40,8 +40,4 @@ struct bsq_pipeline {
 /* Runs the pipeline to its end. Returns 0 or the first failure (in time). Must not be nested. */
 int bsq_pipeline_run(struct bsq_ctx *ctx, const struct bsq_pipeline *pipeline);
 
-/* Waits for a condition as pthread_cond_wait() does, but at most 50 ms: an interruption signals no
- * condition, so whoever waits must call bsq_check() now and then. */
-void bsq_wait_a_little(pthread_cond_t *condition, pthread_mutex_t *lock);
-
 #endif

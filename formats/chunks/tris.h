@@ -33,7 +33,7 @@ enum fmt_tris_attribute {
 struct fmt_tris_source {
     char *texture_path; /* absolute, or NULL: the value is used */
     /* Of colours, linear light; a single value three times. It is the factor of a texture, see
-     * bsq_channel_scale(), but for BSQ_CHANNEL_CUTOUT. */
+     * struct bsq_channel, but for BSQ_CHANNEL_CUTOUT. */
     float value[3];
     uint32_t component; /* of the texture, see BSQ_CHANNEL_ALPHA, for channels with one value */
     struct bsq_uv uv;

@@ -189,7 +189,7 @@ struct fmt_material_channel {
     char *texture_path;  /* as in struct fmt_material, or NULL */
     char *texture_place; /* likewise */
     struct bsq_uv uv;
-    float factor[3];    /* of the texture, see bsq_channel_scale(); of colours, in linear light */
+    float factor[3];    /* of the texture, see struct bsq_channel; of colours, in linear light */
     uint32_t component; /* of the texture, see BSQ_CHANNEL_ALPHA, for channels with one value */
     const char *loss;   /* what of the channel cannot be used, for a warning; or NULL */
 };

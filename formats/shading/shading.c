@@ -242,6 +242,28 @@ uint32_t fmt_shade_id(const struct fmt_shading *shading, const struct fmt_tris_c
     return chunk->colors ? chunk->colors[chunk->triangles[triangle][nearest]] : 0;
 }
 
+/* For a channel with one value, copies one component of a texture's sample to all three entries.
+ * Samples of alpha have it three times already. value: of the channel, for BSQ_CHANNEL_CUTOUT. */
+static void pick(const struct bsq_channel *channel, uint32_t component, float value,
+                 float sample[3])
+{
+    float picked = sample[component < BSQ_CHANNEL_ALPHA ? component : 0];
+    if (component == BSQ_CHANNEL_CUTOUT)
+        picked = picked >= value ? 1.0f : 0.0f;
+    if (channel->values == 1)
+        sample[0] = sample[1] = sample[2] = picked;
+}
+
+/* Applies the factor of a texture to its sample: neutral + factor * (sample - neutral). The third
+ * value of a normal map stays as it is. */
+static void scale(const struct bsq_channel *channel, const float factor[3], float sample[3])
+{
+    const bool normals = strcmp(channel->name, BSQ_CHANNEL_NORMAL_MAP) == 0;
+    for (int k = 0; k < (normals ? 2 : 3); k++)
+        if (factor[k] != 1.0f)
+            sample[k] = channel->neutral + factor[k] * (sample[k] - channel->neutral);
+}
+
 int fmt_shade_attribute(const struct fmt_shading *shading, uint32_t attribute,
                         const struct fmt_shading_footprint *footprint, float out[3])
 {
@@ -261,8 +283,8 @@ int fmt_shade_attribute(const struct fmt_shading *shading, uint32_t attribute,
                                     at[1], width[0], width[1], out);
     if (status < 0)
         return status;
-    bsq_channel_pick(of->row, source->component, source->value[0], out);
+    pick(of->row, source->component, source->value[0], out);
     if (source->component != BSQ_CHANNEL_CUTOUT)
-        bsq_channel_scale(of->row, source->value, out);
+        scale(of->row, source->value, out);
     return 0;
 }

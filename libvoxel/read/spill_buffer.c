@@ -1,7 +1,10 @@
 /* spill_buffer.c - see spill_buffer.h. */
 #include "libvoxel/read/spill_buffer.h"
 
+#include <errno.h>
 #include <string.h>
+#include <sys/mman.h>
+#include <unistd.h>
 
 #define PREFAULT_BYTES ((uint64_t)2 << 20) /* a huge page */
 #define PREFAULT_AHEAD (2 * PREFAULT_BYTES)
@@ -20,6 +23,24 @@ void vox_spill_init(struct spill_buffer *spill, struct bsq_ctx *ctx, const char 
 }
 
 /* ---- prefaulting ---- */
+
+/* Prefaults the whole pages in [at, at + bytes): the system assigns them now, not at their first
+ * use. The content stays. Does nothing on systems that cannot do this. */
+static void prefault(void *at, uint64_t bytes)
+{
+#ifdef MADV_POPULATE_WRITE
+    uintptr_t page = (uintptr_t)sysconf(_SC_PAGE_SIZE),
+              begin = ((uintptr_t)at + page - 1) & ~(page - 1);
+    uintptr_t end = ((uintptr_t)at + bytes) & ~(page - 1);
+    int error = errno;
+    if (begin < end)
+        madvise((char *)at + (begin - (uintptr_t)at), end - begin, MADV_POPULATE_WRITE);
+    errno = error;
+#else
+    (void)at;
+    (void)bytes;
+#endif
+}
 
 static void set_unfaulted(struct spill_buffer *spill, uint8_t *from, uint8_t *to)
 {
@@ -46,7 +67,7 @@ void vox_spill_prefault(struct spill_buffer *spill)
     }
     pthread_mutex_unlock(&spill->lock);
     if (at)
-        bsq_prefault(at, size); /* no effect if a spill has freed the memory meanwhile */
+        prefault(at, size); /* no effect if a spill has freed the memory meanwhile */
 }
 
 /* ---- segments ---- */

@@ -19,6 +19,18 @@ enum { BRICK_SIZE = 8 };
  * to be written: that unit is told that memory is short and may always go on, so there is no
  * deadlock. */
 
+/* Waits for a signal, but not long, so that the caller sees an interruption. */
+static void wait_a_little(pthread_cond_t *condition, pthread_mutex_t *lock)
+{
+    enum { PATIENCE_NS = 50 * 1000 * 1000, SECOND_NS = 1000 * 1000 * 1000 };
+    struct timespec until;
+    clock_gettime(CLOCK_MONOTONIC, &until);
+    until.tv_nsec += PATIENCE_NS;
+    until.tv_sec += until.tv_nsec / SECOND_NS;
+    until.tv_nsec %= SECOND_NS;
+    pthread_cond_clockwait(condition, lock, CLOCK_MONOTONIC, &until);
+}
+
 /* Waits until `bytes` more are free for a unit, and takes them; returns 0. Returns 1 and takes
  * nothing if they are not free and the unit is the next to be written. Errors: BSQ_EINTR; the
  * status of another unit that failed. */
@@ -31,7 +43,7 @@ static int gate_take(struct vox_run *run, uint64_t sequence, uint64_t bytes)
         if (gate->turn == sequence)
             status = 1;
         else if ((status = gate->status) == 0 && (status = bsq_check(run->ctx)) == 0)
-            bsq_wait_a_little(&gate->changed, &gate->lock);
+            wait_a_little(&gate->changed, &gate->lock);
     }
     if (status == 0)
         gate->held += bytes;
