@@ -46,8 +46,9 @@ LANES_INLINE void ring_finish(const double *const normals[LANE_COUNT],
     doubles length = lanes_sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]), weight = n[3];
     lane_mask smooth = bsq_are_smooth(length, weight);
     doubles height = (n[0] * m[0] + n[1] * m[1] + n[2] * m[2]) / (3.0 * length * weight);
+    const doubles by_length = 1.0 / length;
     for (int k = 0; k < 3; k++)
-        normal[k] = lanes_keep(smooth, n[k] / length);
+        normal[k] = lanes_keep(smooth, n[k] * by_length);
     normal[3] = ring_rounded(lanes_keep(smooth, RISE_SHARE * height)) / h;
 }
 

@@ -215,7 +215,7 @@ LANES_INLINE lane_ints queue_divided(const struct shade_triangles *t, const int 
                                      struct queue *queue, lane_mask *doubtful)
 {
     const lane_ints next = lanes_all_bits(UINT64_C(1) << NUMBER_PLACE);
-    doubles third = t->area / 3.0;
+    doubles third = t->area * (1.0 / 3.0);
     queue->count = 0;
     for (int x = 0; x <= planes[0]; x++)
         for (int y = 0; y <= planes[1]; y++) {

@@ -51,17 +51,19 @@ LANES_INLINE void record_make(const struct vox_sum *const from[LANE_COUNT], floa
     lanes_gather_four(half[0], sum);
     lanes_gather_four(half[1], sum + 4);
     doubles length = lanes_sqrt(sum[0] * sum[0] + sum[1] * sum[1] + sum[2] * sum[2]), area = sum[7];
+    /* Quotients of several numbers take most of the time, so each divisor is inverted once. */
+    const doubles by_length = 1.0 / length, by_area = 1.0 / area;
     lane_mask has = lanes_less(lanes_all(0.0), length);
     for (int k = 0; k < 3; k++)
-        n[k] = lanes_select(has, sum[k] / length, lanes_all(k == 2));
+        n[k] = lanes_select(has, sum[k] * by_length, lanes_all(k == 2));
     *normal = record_pack_normal(n);
 
     /* No plane that meets the voxel is farther from its centre than half a diagonal. */
-    doubles d = (n[0] * sum[4] + n[1] * sum[5] + n[2] * sum[6]) / area;
+    doubles d = (n[0] * sum[4] + n[1] * sum[5] + n[2] * sum[6]) * by_area;
     d = lanes_min(lanes_max(d, lanes_all(-0.87)), lanes_all(0.87));
-    doubles coverage = lanes_min(length / area, lanes_all(1.0));
+    doubles coverage = lanes_min(length * by_area, lanes_all(1.0));
     lane_mask inconsistent = lanes_less(2.0 * area, sum[3]);
-    doubles noise = lanes_keep(~inconsistent, lanes_min(sum[3] / area, lanes_all(1.0)));
+    doubles noise = lanes_keep(~inconsistent, lanes_min(sum[3] * by_area, lanes_all(1.0)));
     *plane = lanes_set_bits(inconsistent, record_round(d * 32767.0) & 0xffff,
                             lanes_all_bits(FMT_NVDB_PLANE_INCONSISTENT)) |
              record_round(coverage * 255.0) << 16 |
