@@ -287,7 +287,7 @@ static int write_chunks(const struct scan *scan, const struct partition *partiti
                         const struct vox_sort_options *options, struct vox_sort_report *report)
 {
     struct fmt_tris_header header = {
-        .attributes = scan->attributes,
+        .attributes = scan_stored_attributes(scan),
         .source_faces = scan->totals.faces,
         .origin = {scan->origin[0], scan->origin[1], scan->origin[2]},
         .material_count = scan->material_count,

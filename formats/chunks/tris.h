@@ -13,18 +13,24 @@ enum fmt_tris_attribute {
     FMT_TRIS_NORMALS = 1,   /* octahedral, see base/vec.h */
     FMT_TRIS_TEXCOORDS = 2, /* two float32 */
     FMT_TRIS_COLORS = 4,    /* RGBA8, sRGB, R in the low byte */
-    FMT_TRIS_MATERIALS = 8  /* one uint32 a triangle, UINT32_MAX: none */
+    FMT_TRIS_MATERIALS = 8, /* one uint32 a triangle, UINT32_MAX: none */
+    FMT_TRIS_SAMPLES = 16   /* coarse surfaces, see fmt_tris_load_sample() */
 };
 
 /* Version 2 has what version 1 has, and ids. Version 3 has further channels and textures whose
  * coordinates move, and may have ids. Version 4 also has textures with a factor, or that do not
- * repeat. Version 5 has what version 4 has, and images. A file has the least version that it needs.
- */
+ * repeat. Version 5 has what version 4 has, and images. Version 6 has samples, and may have the
+ * rest. A file has the least version that it needs. */
 #define FMT_TRIS_VERSION          1u
 #define FMT_TRIS_VERSION_IDS      2u
 #define FMT_TRIS_VERSION_CHANNELS 3u
 #define FMT_TRIS_VERSION_FACTORS  4u
 #define FMT_TRIS_VERSION_IMAGES   5u
+#define FMT_TRIS_VERSION_SAMPLES  6u
+
+/* Scans of at least this many faces get samples. In smaller ones, a sample would be too coarse for
+ * a map, and reading all of it takes no time. */
+#define FMT_TRIS_SAMPLED_FACES (UINT64_C(1) << 22)
 
 /* Triangles of the largest chunk; small enough for 16-bit indices in ordinary meshes. */
 #define FMT_TRIS_CHUNK_TRIANGLES 65536u
@@ -89,6 +95,7 @@ struct fmt_tris_chunk {
     const uint32_t *colors;
     const uint32_t (*triangles)[3]; /* numbers of vertices in the chunk */
     const uint32_t *materials;      /* one a triangle */
+    const void *samples;            /* as in the file; encoding makes them itself */
 };
 
 /* Returns whether any of the scan's triangles has a colour: a vertex has, or a material. */
@@ -167,6 +174,12 @@ void fmt_tris_read_ahead(const struct fmt_tris_file *file, uint64_t index);
  * BSQ_EDATA; BSQ_EIO, also if the file was changed since it was opened. */
 int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratch,
                   struct fmt_tris_chunk *out);
+/* Reads the sample of a chunk instead, a fortieth of its bytes or less: a coarse surface that
+ * stands for its triangles, of fewer triangles than the chunk. It has positions and triangles only,
+ * which face as those of the chunk do. *found: false if the chunk has no sample. `scratch` and
+ * errors are those of fmt_tris_load(). */
+int fmt_tris_load_sample(const struct fmt_tris_file *file, uint64_t index, void *scratch,
+                         struct fmt_tris_chunk *out, bool *found);
 /* Checks all of FORMATS.md that fmt_tris_open() does not: loads each chunk and compares it with its
  * entry in the table. Uses all threads if the budget has space for a chunk for each, else one.
  * *vertices (may be NULL) is the sum of all chunks' vertex counts. Errors: BSQ_EDATA naming the

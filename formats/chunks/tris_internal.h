@@ -10,7 +10,7 @@
 _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "the host must be little-endian");
 
 #define TRIS_MAGIC      "BSQTRIS\n"
-#define TRIS_ATTRIBUTES 15u /* all that are known */
+#define TRIS_ATTRIBUTES 31u /* all that are known */
 /* Largest vertex count of a chunk with 16-bit indices. */
 #define TRIS_SHORT_VERTICES 65536u
 /* The length of a path that means "no texture". */
@@ -93,21 +93,56 @@ struct tris_chunk_header {
 };
 _Static_assert(sizeof(struct tris_chunk_header) == 16, "the chunk header has no padding");
 
+/* A record of a sample. Coordinates are in units of 1/65535 of the chunk's bounds. */
+struct tris_surfel {
+    uint16_t low[3], high[3];
+    uint32_t normal;
+};
+_Static_assert(sizeof(struct tris_surfel) == 16, "the record has no padding");
+#define TRIS_SURFEL_RUN 64u /* triangles for which there is a record */
+/* In place of a normal, with directions in the lower half: no writer writes such normals. */
+#define TRIS_NOT_A_PLANE 0x80000000u
+
+/* Returns the number of records of a chunk's sample. */
+static inline uint32_t tris_surfel_count(uint32_t triangles)
+{
+    return (triangles + TRIS_SURFEL_RUN - 1) / TRIS_SURFEL_RUN;
+}
+
+/* Returns its bytes: a checksum and the records. */
+static inline uint64_t tris_sample_bytes(uint32_t triangles)
+{
+    return sizeof(uint64_t) + tris_surfel_count(triangles) * sizeof(struct tris_surfel);
+}
+
+/* Corners and triangles that a record stands for at most. */
+enum { TRIS_SURFEL_CORNERS = 24, TRIS_SURFEL_TRIANGLES = 12 };
+
+/* Returns the bytes of the surface of a sample in memory, and of the sample after it. */
+static inline uint64_t tris_sample_memory(uint32_t triangles)
+{
+    return tris_surfel_count(triangles) * UINT64_C(12) *
+               (TRIS_SURFEL_CORNERS + TRIS_SURFEL_TRIANGLES) +
+           tris_sample_bytes(triangles);
+}
+
 /* The attributes of a chunk, in the order of its arrays. */
 struct tris_attribute {
     uint32_t flag;     /* of enum fmt_tris_attribute */
-    uint32_t bytes;    /* of a value */
+    uint32_t bytes;    /* of a value; 0: they are a sample */
     bool of_triangles; /* a value for each triangle; else one for each vertex */
     int absent;        /* each byte of the values of a part without the attribute */
     size_t member;     /* the array's pointer in struct fmt_tris_chunk */
 };
-enum { TRIS_ATTRIBUTE_COUNT = 4 };
+enum { TRIS_ATTRIBUTE_COUNT = 5 };
 extern const struct tris_attribute fmt_tris_attributes[TRIS_ATTRIBUTE_COUNT];
 
-static inline uint64_t tris_values_bytes(const struct tris_attribute *attribute, uint64_t triangles,
-                                         uint64_t vertices)
+static inline uint64_t tris_values_bytes(const struct tris_attribute *attribute, uint32_t triangles,
+                                         uint32_t vertices)
 {
-    return attribute->bytes * (attribute->of_triangles ? triangles : vertices);
+    return attribute->bytes == 0
+               ? tris_sample_bytes(triangles)
+               : attribute->bytes * (uint64_t)(attribute->of_triangles ? triangles : vertices);
 }
 
 static inline void tris_set_values(const struct tris_attribute *attribute,
@@ -166,12 +201,21 @@ struct fmt_tris_file {
 int fmt_tris_read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t bytes,
                             uint64_t offset);
 
+/* ---- tris_sample.c ---- */
+
+/* Writes the sample of a chunk with these bounds to `out`. */
+void fmt_tris_make_sample(const struct fmt_tris_chunk *chunk,
+                          const struct fmt_tris_chunk_info *info, uint8_t *out);
+/* Returns whether the checksum of a sample matches. */
+bool fmt_tris_sample_valid(const void *sample, uint32_t triangles);
+
 /* ---- tris_parts.c ---- */
 
 void fmt_tris_close_parts(struct fmt_tris_file *all);
 uint64_t fmt_tris_part_load_size(const struct fmt_tris_file *all, uint64_t index);
+/* found: loads the sample; NULL: the triangles. */
 int fmt_tris_load_part(const struct fmt_tris_file *all, uint64_t index, void *scratch,
-                       struct fmt_tris_chunk *out);
+                       struct fmt_tris_chunk *out, bool *found);
 
 /* ---- tris_weld.c ---- */
 
@@ -195,18 +239,20 @@ static inline struct tris_layout tris_chunk_layout(uint32_t attributes, uint32_t
         const struct tris_attribute *attribute = &fmt_tris_attributes[i];
         l.values[i] = l.triangles;
         if (attributes & attribute->flag)
-            l.triangles += tris_values_bytes(attribute, nt, nv);
+            l.triangles += tris_values_bytes(attribute, triangle_count, vertex_count);
     }
     l.end = l.triangles + (l.short_indices ? 6 : 12) * nt;
     l.bytes = bsq_align_up(l.end, 8);
     return l;
 }
 
-/* Returns the bytes of a chunk in memory: its indices are widened there. */
+/* Returns the bytes of a chunk in memory: its indices are widened there. Its sample fits, too. */
 static inline uint64_t tris_load_size(uint32_t attributes, const struct fmt_tris_chunk_info *info)
 {
     struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);
-    return bsq_align_up(l.triangles + 12 * (uint64_t)info->triangle_count, 8);
+    const uint64_t all = bsq_align_up(l.triangles + 12 * (uint64_t)info->triangle_count, 8);
+    const uint64_t sample = bsq_align_up(tris_sample_memory(info->triangle_count), 8);
+    return attributes & FMT_TRIS_SAMPLES && sample > all ? sample : all;
 }
 
 #endif

@@ -139,7 +139,7 @@ int fmt_tris_load(const struct fmt_tris_file *file, uint64_t index, void *scratc
                   struct fmt_tris_chunk *out)
 {
     if (file->parts)
-        return fmt_tris_load_part(file, index, scratch, out);
+        return fmt_tris_load_part(file, index, scratch, out, NULL);
     const struct fmt_tris_chunk_info *info = &file->chunks[index];
     const uint32_t attributes = file->header.attributes;
     struct tris_layout l = tris_chunk_layout(attributes, info->triangle_count, info->vertex_count);
@@ -232,6 +232,8 @@ static const char *fault_of(const struct fmt_tris_chunk *chunk,
         return "its bounds are not those of its vertices";
     if (!all_used(chunk, used))
         return "a vertex is not used";
+    if (chunk->samples && !fmt_tris_sample_valid(chunk->samples, chunk->triangle_count))
+        return "its sample's checksum does not match";
     if (!normals_valid(chunk))
         return "a normal is not valid";
     return colors_opaque(chunk) ? NULL : "a colour is not opaque";

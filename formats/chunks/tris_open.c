@@ -43,11 +43,11 @@ static int check_header(const struct fmt_tris_file *file, const struct tris_file
             file->ctx, BSQ_EDATA,
             "%s: chunk file with its bytes in big-endian order: Bisque reads little-endian ones",
             file->file.path);
-    if (h->version < FMT_TRIS_VERSION || h->version > FMT_TRIS_VERSION_IMAGES)
+    if (h->version < FMT_TRIS_VERSION || h->version > FMT_TRIS_VERSION_SAMPLES)
         return bsq_fail(file->ctx, BSQ_EDATA,
                         "%s: chunk file of version %" PRIu32
                         ", this program reads versions %u to %u",
-                        file->file.path, h->version, FMT_TRIS_VERSION, FMT_TRIS_VERSION_IMAGES);
+                        file->file.path, h->version, FMT_TRIS_VERSION, FMT_TRIS_VERSION_SAMPLES);
     if (XXH3_64bits(h, offsetof(struct tris_file_header, header_checksum)) != h->header_checksum)
         return fmt_tris_damaged(file, "the header's checksum does not match");
     if (h->file_bytes != file->file.size)

@@ -399,7 +399,8 @@ static uint64_t add_attributes(const struct fmt_tris_file *all, const struct tri
                                uint64_t index, uint8_t *scratch, struct fmt_tris_chunk *chunk)
 {
     const struct fmt_tris_chunk_info *info = &all->chunks[index];
-    const uint32_t lacking = all->header.attributes & ~part->file->header.attributes;
+    const uint32_t own = part->file->header.attributes | FMT_TRIS_SAMPLES;
+    const uint32_t lacking = all->header.attributes & ~own;
     uint64_t end = bsq_align_up(fmt_tris_load_size(part->file, index - part->first_chunk), 8);
     for (int i = 0; i < TRIS_ATTRIBUTE_COUNT; i++) {
         const struct tris_attribute *attribute = &fmt_tris_attributes[i];
@@ -433,7 +434,7 @@ static void make_common(const struct tris_part *part, struct fmt_tris_chunk *chu
 }
 
 int fmt_tris_load_part(const struct fmt_tris_file *all, uint64_t index, void *scratch,
-                       struct fmt_tris_chunk *out)
+                       struct fmt_tris_chunk *out, bool *found)
 {
     const struct tris_part *part = find_part(all, index);
     struct fmt_tris_file open = *part->file;
@@ -441,10 +442,13 @@ int fmt_tris_load_part(const struct fmt_tris_file *all, uint64_t index, void *sc
     memset(out, 0, sizeof *out);
     int status;
     BSQ_TRY(named ? bsq_file_open(all->ctx, part->file->file.path, &open.file) : 0);
-    BSQ_TRY(fmt_tris_load(&open, index - part->first_chunk, scratch, out));
+    BSQ_TRY(found ? fmt_tris_load_sample(&open, index - part->first_chunk, scratch, out, found)
+                  : fmt_tris_load(&open, index - part->first_chunk, scratch, out));
     make_common(part, out);
-    fmt_tris_apply_welds(all, index, (float(*)[3])out->positions);
-    add_attributes(all, part, index, scratch, out);
+    if (!found) {
+        fmt_tris_apply_welds(all, index, (float(*)[3])out->positions);
+        add_attributes(all, part, index, scratch, out);
+    }
 done:
     if (named)
         bsq_file_close(all->ctx, &open.file);

@@ -177,7 +177,7 @@ static void match_vertex(const struct welding *w, uint32_t vertex)
 
 static int load_own(struct welding *w)
 {
-    int status = fmt_tris_load_part(w->all, w->chunk, w->own_scratch, &w->own);
+    int status = fmt_tris_load_part(w->all, w->chunk, w->own_scratch, &w->own, NULL);
     for (uint32_t v = 0; status == 0 && v < w->own.vertex_count; v++)
         w->distances[v] = INFINITY;
     return status;
@@ -193,7 +193,7 @@ static int match_part(struct welding *w, const struct tris_part *other)
         if (!touches(w, &w->all->chunks[number]))
             continue;
         BSQ_TRY(w->own.vertex_count == 0 ? load_own(w) : 0);
-        BSQ_TRY(fmt_tris_load_part(w->all, number, w->other_scratch, &w->other));
+        BSQ_TRY(fmt_tris_load_part(w->all, number, w->other_scratch, &w->other, NULL));
         fill_cells(w);
         for (uint32_t v = 0; v < w->own.vertex_count; v++) {
             match_vertex(w, v);

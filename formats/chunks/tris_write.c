@@ -20,6 +20,7 @@ const struct tris_attribute fmt_tris_attributes[TRIS_ATTRIBUTE_COUNT] = {
     {FMT_TRIS_TEXCOORDS, 8, false, 0, offsetof(struct fmt_tris_chunk, texcoords)},
     {FMT_TRIS_COLORS, 4, false, 0xff, offsetof(struct fmt_tris_chunk, colors)},
     {FMT_TRIS_MATERIALS, 4, true, 0xff, offsetof(struct fmt_tris_chunk, materials)},
+    {FMT_TRIS_SAMPLES, 0, false, 0, offsetof(struct fmt_tris_chunk, samples)},
 };
 
 static uint32_t wrap_bits(const struct bsq_uv *uv)
@@ -45,11 +46,12 @@ uint32_t fmt_tris_version(const struct fmt_tris_header *header)
         for (uint32_t c = 0; c < header->channel_count; c++)
             factors |= has_factor(&m->sources[c]) || wrap_bits(&m->sources[c].uv) > 0;
     }
-    return header->has_images                   ? FMT_TRIS_VERSION_IMAGES
-           : factors                            ? FMT_TRIS_VERSION_FACTORS
-           : header->channel_count > 0 || moves ? FMT_TRIS_VERSION_CHANNELS
-           : header->ids != BSQ_IDS_NONE        ? FMT_TRIS_VERSION_IDS
-                                                : FMT_TRIS_VERSION;
+    return header->attributes & FMT_TRIS_SAMPLES ? FMT_TRIS_VERSION_SAMPLES
+           : header->has_images                  ? FMT_TRIS_VERSION_IMAGES
+           : factors                             ? FMT_TRIS_VERSION_FACTORS
+           : header->channel_count > 0 || moves  ? FMT_TRIS_VERSION_CHANNELS
+           : header->ids != BSQ_IDS_NONE         ? FMT_TRIS_VERSION_IDS
+                                                 : FMT_TRIS_VERSION;
 }
 
 uint32_t fmt_tris_find_channel(const struct fmt_tris_header *header, const char *name)
@@ -70,19 +72,18 @@ uint64_t fmt_tris_encoded_bound(uint32_t attributes, uint32_t triangle_count, ui
 static int chunk_bounds(struct bsq_ctx *ctx, const struct fmt_tris_chunk *chunk,
                         struct fmt_tris_chunk_info *info)
 {
-    for (int axis = 0; axis < 3; axis++) {
-        info->bounds_min[axis] = INFINITY;
-        info->bounds_max[axis] = -INFINITY;
-    }
-    float poison = 0.0f; /* becomes NaN with the first value that is not finite */
+    float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
+    float poison[3] = {0}; /* becomes NaN with the first value that is not finite */
     for (uint32_t v = 0; v < chunk->vertex_count; v++)
         for (int axis = 0; axis < 3; axis++) {
             float p = chunk->positions[v][axis];
-            poison += p * 0.0f;
-            info->bounds_min[axis] = p < info->bounds_min[axis] ? p : info->bounds_min[axis];
-            info->bounds_max[axis] = p > info->bounds_max[axis] ? p : info->bounds_max[axis];
+            poison[axis] += p * 0.0f;
+            low[axis] = p < low[axis] ? p : low[axis];
+            high[axis] = p > high[axis] ? p : high[axis];
         }
-    if (poison != 0.0f)
+    memcpy(info->bounds_min, low, sizeof low);
+    memcpy(info->bounds_max, high, sizeof high);
+    if (poison[0] + poison[1] + poison[2] != 0.0f)
         return bsq_fail(ctx, BSQ_EBUG, "a chunk has a vertex position that is not finite");
     return 0;
 }
@@ -124,8 +125,10 @@ int fmt_tris_encode(struct bsq_ctx *ctx, uint32_t attributes, const struct fmt_t
         const struct tris_attribute *attribute = &fmt_tris_attributes[i];
         const void *values;
         memcpy(&values, (const char *)chunk + attribute->member, sizeof values);
-        if (attributes & attribute->flag)
+        if (attributes & attribute->flag && attribute->bytes > 0)
             memcpy(bytes + l.values[i], values, tris_values_bytes(attribute, nt, nv));
+        else if (attributes & attribute->flag)
+            fmt_tris_make_sample(chunk, info, bytes + l.values[i]);
     }
     if ((status = store_indices(ctx, chunk, &l, bytes + l.triangles)) < 0)
         return status;

@@ -95,6 +95,7 @@ struct bake_exact_batch {
     bool from_reach;             /* hits with a larger t than the reach do not count */
     double gap;                  /* hits nearer to t = 0 do not count */
     bool distances_only;         /* do not evaluate normals and colours */
+    bool sampled; /* rays meet samples of chunks, coarse surfaces, if there are any */
     /* Surfaces must face the ray's origin, as for a camera. Otherwise they must face its end, as
      * for rays along the low-poly mesh's normals. */
     bool facing_origin;

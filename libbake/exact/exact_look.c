@@ -154,7 +154,7 @@ static int load_slot(void *arg, uint64_t index, unsigned worker)
     struct bake_exact_look *look = arg;
     const struct fmt_tris_chunk_info *chunk =
         &look->exact->chunks[look->memory.slots[index].number];
-    int status = bake_exact_slot_prepare(look->exact, &look->memory, index, worker);
+    int status = bake_exact_slot_prepare(look->exact, &look->memory, false, index, worker);
     if (status < 0)
         return status;
     memcpy(look->boxes[index].low, chunk->bounds_min, sizeof look->boxes[index].low);

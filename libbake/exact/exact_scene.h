@@ -118,10 +118,10 @@ int bake_exact_load(const struct bake_exact *exact, uint32_t number, void *memor
                     struct exact_chunk *out);
 /* Sets the groups of a chunk that was loaded into `memory`, unless they are set. */
 void bake_exact_set_groups(const struct bake_exact *exact, void *memory, struct exact_chunk *chunk);
-/* Loads the chunk of a slot unless it is loaded, and builds the tree of its triangles. Workers may
- * prepare different slots at the same time. */
+/* Loads the chunk of a slot, or its sample, unless it is loaded, and builds the tree of its
+ * triangles. Workers may prepare different slots at the same time. */
 int bake_exact_slot_prepare(const struct bake_exact *exact, const struct exact_slots *slots,
-                            uint64_t index, unsigned worker);
+                            bool sampled, uint64_t index, unsigned worker);
 /* Returns the buffers of a worker that prepares a slot. */
 const struct exact_scratch *bake_exact_scratch(const struct bake_exact *exact,
                                                const struct exact_slots *slots, uint64_t slot,

@@ -219,17 +219,28 @@ const struct exact_scratch *bake_exact_scratch(const struct bake_exact *exact,
     return &slots->scratches[slots->preparers < bsq_threads(exact->ctx) ? slot : worker];
 }
 
+/* Loads the sample of a chunk, or the chunk if it has none. */
+static int load_sample(const struct bake_exact *exact, uint32_t number, void *memory,
+                       struct exact_chunk *out)
+{
+    bool found = false;
+    *out = (struct exact_chunk){0};
+    const int status = fmt_tris_load_sample(exact->file, number, memory, &out->tris, &found);
+    return status < 0 || found ? status : bake_exact_load(exact, number, memory, out);
+}
+
 int bake_exact_slot_prepare(const struct bake_exact *exact, const struct exact_slots *slots,
-                            uint64_t index, unsigned worker)
+                            bool sampled, uint64_t index, unsigned worker)
 {
     struct exact_slot *slot = &slots->slots[index];
     int status = 0;
     if (!slot->loaded)
-        status = bake_exact_load(exact, slot->number, slot->chunk_memory, &slot->chunk);
+        status = (sampled ? load_sample : bake_exact_load)(exact, slot->number, slot->chunk_memory,
+                                                           &slot->chunk);
     if (status < 0)
         return status;
     slot->loaded = true;
-    if (exact->points)
+    if (exact->points && !sampled)
         bake_exact_take_areas(exact, slot->number, &slot->chunk.tris);
     build_tree(slot, bake_exact_scratch(exact, slots, index, worker));
     return 0;

@@ -81,7 +81,7 @@ static int need_hit(const struct wave *wave, struct exact_slot *slot, uint64_t r
 static int prepare_slot(void *arg, uint64_t index, unsigned worker)
 {
     struct wave *wave = arg;
-    return bake_exact_slot_prepare(wave->exact, &wave->memory, index, worker);
+    return bake_exact_slot_prepare(wave->exact, &wave->memory, wave->batch->sampled, index, worker);
 }
 
 /* Finds the vertex normals that the hits in a slot's chunk need, and the chunks that have them. */
@@ -243,9 +243,12 @@ done:
     return status;
 }
 
-/* Lets the system read the chunks of the next wave while this one is traced. */
+/* Lets the system read the chunks of the next wave while this one is traced. Samples are not worth
+ * it. */
 static void read_ahead(const struct wave *wave)
 {
+    if (wave->batch->sampled && wave->exact->header->attributes & FMT_TRIS_SAMPLES)
+        return;
     const uint64_t *starts = wave->buckets->starts;
     uint32_t next = wave->memory.slots[wave->used - 1].number + 1;
     for (uint32_t ahead = 0; next < wave->exact->chunk_count && ahead < wave->memory.count; next++)

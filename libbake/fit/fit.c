@@ -36,6 +36,20 @@ static double diagonal(const double low[3], const double high[3])
 
 /* ---- lengths ---- */
 
+/* Returns by how much a scan may stand out of its sample: a third of the side of a patch. */
+static double sample_error(const struct bake_surface *surface)
+{
+    double error = 0;
+    for (uint32_t s = 0; s < surface->scan_count; ++s) {
+        const struct bake_scan *scan = &surface->scans[s];
+        const struct fmt_tris_header *header = scan->exact ? bake_exact_header(scan->exact) : NULL;
+        if (header && header->attributes & FMT_TRIS_SAMPLES)
+            error = fmax(error, diagonal(scan->scan_min, scan->scan_max) * 11 / 3 /
+                                    sqrt((double)header->triangle_count));
+    }
+    return error;
+}
+
 static int compare_floats(const void *a, const void *b)
 {
     float x = *(const float *)a, y = *(const float *)b;
@@ -44,11 +58,11 @@ static int compare_floats(const void *a, const void *b)
 
 /* Returns the length of the rays on one side: sign 1 in front, -1 behind. Distances are sorted;
  * negative ones lie behind. */
-static double side_length(const float *distances, size_t count, double sign, double detail)
+static double side_length(const float *distances, size_t count, double sign, double more)
 {
     size_t rank = (size_t)((double)(count - 1) * 0.999);
     double d = sign * (double)distances[sign > 0 ? rank : count - 1 - rank];
-    return 1.5 * (d > 0 ? d : 0) + 2.0 * detail;
+    return 1.5 * (d > 0 ? d : 0) + more;
 }
 
 /* Adds the distances of hits to `count` of them. Returns their number. */
@@ -93,8 +107,9 @@ static int choose_lengths(const struct fit *fit, double *front, double *back)
     bsq_sort(fit->distances, count, sizeof *fit->distances, compare_floats);
     *front = *back = 0.05 * fit->scan_size;
     if (count >= PROBES / 100) {
-        *front = side_length(fit->distances, count, 1, fit->surface->detail);
-        *back = side_length(fit->distances, count, -1, fit->surface->detail);
+        const double more = 2.0 * fit->surface->detail + sample_error(fit->surface);
+        *front = side_length(fit->distances, count, 1, more);
+        *back = side_length(fit->distances, count, -1, more);
     }
     if (options->front >= 0)
         *front = options->front;

@@ -12,8 +12,9 @@
  *      normals, up to a tenth of the diagonal of the scan's bounds.
  *   2. Takes the 99.9th percentile of the distances of the hits on either side.
  *   3. Returns one and a half times that percentile plus two details (struct bake_surface).
- * If fewer than one ray in a hundred hits, both are a twentieth of the diagonal. If most rays that
- * hit nothing find something farther outwards, up to half of the diagonal, this counts too, with a
+ * Rays meet the samples of chunk files that have any. Then what these may hide is added, too. If
+ * fewer than one ray in a hundred hits, both are a twentieth of the diagonal. If most rays that hit
+ * nothing find something farther outwards, up to half of the diagonal, this counts too, with a
  * warning.
  *
  * Unless the options say that meshes are baked as they are, compares the distances with those of a

@@ -124,7 +124,8 @@ int bake_fit_trace(const struct fit *fit, uint64_t count, double from, double to
                                                            .t_max = to,
                                                            .reaches = fit->reaches + at,
                                                            .facing_origin = inverted,
-                                                           .distances_only = true},
+                                                           .distances_only = true,
+                                                           .sampled = true},
                                                  .objects =
                                                      fit->objects ? fit->objects + at : NULL};
         status = bake_surface_trace(fit->surface, &probes);

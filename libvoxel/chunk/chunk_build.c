@@ -32,7 +32,8 @@ uint64_t vox_chunk_builder_bytes(uint32_t attributes)
     return vertex * MAX_VERTICES + triangle * FMT_TRIS_CHUNK_TRIANGLES +
            ((uint64_t)4 << MAX_TABLE_BITS) + (sizeof(struct corner_cache) << CACHE_BITS) +
            (sizeof(uint64_t) << PLAIN_CACHE_BITS) +
-           fmt_tris_encoded_bound(attributes, FMT_TRIS_CHUNK_TRIANGLES, MAX_VERTICES);
+           fmt_tris_encoded_bound(attributes | FMT_TRIS_SAMPLES, FMT_TRIS_CHUNK_TRIANGLES,
+                                  MAX_VERTICES);
 }
 
 int vox_chunk_builder_init(struct chunk_builder *b, const struct scan *scan,
@@ -40,7 +41,8 @@ int vox_chunk_builder_init(struct chunk_builder *b, const struct scan *scan,
 {
     const char *what = "building chunks";
     const uint32_t attributes = scan->attributes;
-    uint64_t bound = fmt_tris_encoded_bound(attributes, FMT_TRIS_CHUNK_TRIANGLES, MAX_VERTICES);
+    uint64_t bound = fmt_tris_encoded_bound(scan_stored_attributes(scan), FMT_TRIS_CHUNK_TRIANGLES,
+                                            MAX_VERTICES);
     int status;
     *b = (struct chunk_builder){.ctx = scan->ctx, .scan = scan, .layout = layout, .used = used};
     BSQ_TRY(bsq_alloc(b->ctx, what, MAX_VERTICES, 12, &b->positions));
@@ -428,6 +430,6 @@ int vox_chunk_builder_run(struct chunk_builder *b, const uint8_t *tuples,
         .triangles = (const uint32_t(*)[3])b->triangles,
         .materials = b->materials,
     };
-    return fmt_tris_encode(b->ctx, b->scan->attributes, &chunk, b->encoded, &b->encoded_bytes,
-                           &b->info);
+    return fmt_tris_encode(b->ctx, scan_stored_attributes(b->scan), &chunk, b->encoded,
+                           &b->encoded_bytes, &b->info);
 }

@@ -254,6 +254,13 @@ static inline uint64_t scan_file_end(const struct scan *scan, uint32_t file,
     return scan->files[file].ends[kind];
 }
 
+/* Returns the attributes of the scan's chunk file. */
+static inline uint32_t scan_stored_attributes(const struct scan *scan)
+{
+    const bool sampled = scan->totals.faces >= FMT_TRIS_SAMPLED_FACES;
+    return scan->attributes | (sampled ? (uint32_t)FMT_TRIS_SAMPLES : 0);
+}
+
 /* Returns whether the chunk file has this stream's attribute, after vox_scan_find_materials(). */
 static inline bool scan_keeps(const struct scan *scan, enum scan_stream stream)
 {

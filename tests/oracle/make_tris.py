@@ -3,7 +3,7 @@ import struct
 
 import numpy
 
-from read_tris import COLORS, MATERIALS, NONE, NORMALS, TEXCOORDS
+from read_tris import COLORS, MATERIALS, NONE, NORMALS, SAMPLES, TEXCOORDS
 from refusal import checksum
 
 COORDINATES = [0.0, -0.0, 1.0, -1.5, 1e-45, -1e-38, 3.4028235e38, -3.4028235e38, 500000.125]
@@ -65,6 +65,9 @@ def _make_chunk(random, attributes, material_count):
     if attributes & MATERIALS:
         numbers = list(range(material_count)) + [NONE]
         chunk["materials"] = random.choice(numbers, nt).astype("<u4")
+    if attributes & SAMPLES:
+        sample = random.bytes(16 * ((nt + 63) // 64))
+        chunk["samples"] = numpy.frombuffer(struct.pack("<Q", checksum(sample)) + sample, "u1")
     chunk["triangles"] = corners.reshape(nt, 3).astype("<u4")
     chunk["bounds"] = _bounds(chunk["positions"])
     return chunk
@@ -76,7 +79,7 @@ def _bounds(positions):
 
 def make(random):
     """Returns a random scan as a dictionary that encode() takes."""
-    attributes = int(random.integers(0, 16))
+    attributes = int(random.integers(0, 32))
     materials = [(random.random(3), random.choice([None, b"/a.png", b"/textures/\xc3\xa9 b.jpg"]))
                  for _ in range(random.integers(0, 4))]
     ids = int(random.choice([0, 0, 1, 2, 3]))
@@ -86,6 +89,9 @@ def make(random):
         channels = list(random.permutation([b"roughness", b"a", b"x_1"])[:random.integers(1, 4)])
         channels = [bytes(c) for c in channels]
         materials = _sources(random, _names(random, materials), channels, factors)
+    elif attributes & SAMPLES:
+        channels = []
+        materials = _sources(random, _names(random, materials), channels, False)
     elif ids:
         materials = _names(random, materials)
     chunks = [_make_chunk(random, attributes, len(materials)) for _ in range(random.integers(0, 5))]
@@ -102,7 +108,7 @@ def make(random):
 def _encode_chunk(chunk):
     nt, nv = len(chunk["triangles"]), len(chunk["positions"])
     data = struct.pack("<II", nt, nv)
-    for name in ("positions", "normals", "texcoords", "colors", "materials"):
+    for name in ("positions", "normals", "texcoords", "colors", "materials", "samples"):
         if name in chunk:
             data += chunk[name].tobytes()
     data = _pad(data + chunk["triangles"].astype("<u2" if nv <= 65536 else "<u4").tobytes())
@@ -137,6 +143,8 @@ def _encode_materials(ids, channels, materials):
 
 
 def _version(scan):
+    if scan["attributes"] & SAMPLES:
+        return 6
     return 5 if scan.get("image") else 4 if scan.get("factors") else 3 if scan["channels"] is not None else 2 if scan["ids"] else 1
 
 

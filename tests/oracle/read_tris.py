@@ -12,7 +12,7 @@ import numpy
 from refusal import Refused, array, checksum, fields, has_minus_32768, is_finite, is_zero, need
 
 HEADER_BYTES, ENTRY_BYTES, MATERIAL_BYTES = 152, 56, 16
-NORMALS, TEXCOORDS, COLORS, MATERIALS = 1, 2, 4, 8
+NORMALS, TEXCOORDS, COLORS, MATERIALS, SAMPLES = 1, 2, 4, 8, 16
 NONE = 0xFFFFFFFF
 
 
@@ -57,6 +57,7 @@ class Chunk:
     texcoords: numpy.ndarray = None
     colors: numpy.ndarray = None
     materials: numpy.ndarray = None
+    samples: numpy.ndarray = None
 
 
 @dataclass
@@ -74,10 +75,11 @@ def _read_header(data):
     need(len(data) >= HEADER_BYTES and data[:8] == b"BSQTRIS\n", "not a chunk file")
     n = fields(data, 8, "IIQQQQ3d3f3fQQQIIQQQ")
     header = Header(*n[:6], n[6:9], n[9:12], n[12:15], *n[15:])
-    need(header.version in (1, 2, 3, 4, 5), f"version {header.version}")
+    need(header.version in (1, 2, 3, 4, 5, 6), f"version {header.version}")
     need(header.header_checksum == checksum(data[:144]), "checksum of the header")
     need(header.file_bytes == len(data), "length of the file")
-    need(header.attributes < 16, "unknown attributes")
+    need(header.attributes < 32, "unknown attributes")
+    need((header.attributes >= SAMPLES) == (header.version == 6), "samples and the version")
     need(header.reserved == 0, "reserved is not 0")
     need(is_finite(header.origin), "origin is not finite")
     need(is_finite(header.bounds_min + header.bounds_max), "bounds are not finite")
@@ -221,6 +223,8 @@ def _arrays(header, entry):
         arrays.append(("colors", "u4", (nv,)))
     if header.attributes & MATERIALS:
         arrays.append(("materials", "u4", (nt,)))
+    if header.attributes & SAMPLES:
+        arrays.append(("samples", "u1", (8 + 16 * ((nt + 63) // 64),)))
     arrays.append(("triangles", _index_type(nv), (nt, 3)))
     return arrays
 
@@ -291,6 +295,9 @@ def _verify_chunk(chunk):
     need(used.all(), "a vertex is not used")
     need(chunk.normals is None or not has_minus_32768(chunk.normals), "-32768 in a normal")
     need(chunk.colors is None or (chunk.colors >> 24 == 255).all(), "a colour is not opaque")
+    if chunk.samples is not None:
+        sample = chunk.samples.tobytes()
+        need(fields(sample, 0, "Q")[0] == checksum(sample[8:]), "checksum of a sample")
 
 
 def _verify_bounds(content):
@@ -306,7 +313,7 @@ def _images_end(data, content):
     """Returns where the chunks begin: after the images and their checksum, if there are any."""
     header = content.header
     images = any(_paths_of_images(m) for m in content.materials)
-    need(images == (header.version == 5), "images and the version")
+    need(images == (header.version == 5) or header.version == 6, "images and the version")
     if not images or header.chunk_count == 0:
         return HEADER_BYTES
     first, = fields(data, header.table_offset, "Q")

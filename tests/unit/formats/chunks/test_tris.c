@@ -4,6 +4,7 @@
 #include "formats/file_kind.h"
 #include "tests/unit/test.h"
 
+#include <math.h>
 #include <xxhash.h>
 
 #define FIXTURE_TEST(name) STATE_TEST(name, struct tris_fixture, tris_setup, tris_teardown)
@@ -79,7 +80,7 @@ static void expect_file(struct tris_fixture *f, uint32_t chunk_count)
 
 FIXTURE_TEST(every_set_of_attributes_comes_back)
 {
-    for (uint32_t attributes = 0; attributes < 16; attributes++) {
+    for (uint32_t attributes = 0; attributes < 32; attributes++) {
         tris_fill(f->samples[0], attributes, 101 + attributes, 57 + attributes, 1 + attributes);
         tris_fill(f->samples[1], attributes, 1, 3, 100 + attributes);
         tris_write_samples(f, attributes, 2);
@@ -101,6 +102,93 @@ FIXTURE_TEST(large_chunks_come_back)
     tris_fill(f->samples[0], 15, FMT_TRIS_CHUNK_TRIANGLES, MAX_VERTICES, 10);
     tris_write_samples(f, 15, 1);
     expect_file(f, 1);
+}
+
+/* Returns how far the nearest triangle of a sample that looks up is from a point, along z. */
+static float height_above(const struct fmt_tris_chunk *sample, const float p[3])
+{
+    float nearest = INFINITY;
+    for (uint32_t t = 0; t < sample->triangle_count; t++) {
+        const uint32_t *v = sample->triangles[t];
+        double area[3], z = 0;
+        for (int k = 0; k < 3; k++) {
+            const float *a = sample->positions[v[(k + 1) % 3]],
+                        *b = sample->positions[v[(k + 2) % 3]];
+            area[k] = (double)(a[0] - p[0]) * (double)(b[1] - p[1]) -
+                      (double)(b[0] - p[0]) * (double)(a[1] - p[1]);
+            z += area[k] * (double)sample->positions[v[k]][2];
+        }
+        const double sum = area[0] + area[1] + area[2];
+        if (area[0] < 0 || area[1] < 0 || area[2] < 0 || sum <= 0)
+            continue;
+        const float height = (float)(z / sum) - p[2];
+        nearest = fabsf(height) < fabsf(nearest) ? height : nearest;
+    }
+    return nearest;
+}
+
+/* Triangles of a wave and, below it, of a floor that looks down, in turns: each patch has both if
+ * the wall between them is thin. Far from them stands a tower. */
+static void fill_wave(struct tris_sample *s, float wall)
+{
+    enum { SIDE = 64 };
+    uint32_t triangles = 0, vertices = 0;
+    for (uint32_t side = 0; side < 2; side++)
+        for (uint32_t i = 0; i < (SIDE + 1) * (SIDE + 1); i++, vertices++) {
+            float *at = s->positions[vertices];
+            at[0] = (float)(i % (SIDE + 1));
+            at[1] = (float)(i / (SIDE + 1));
+            at[2] = side == 0 ? sinf(0.2f * at[0]) : -1 - wall;
+            if (side == 0 && i == (SIDE + 1) * 20 + 20)
+                at[2] = 30;
+        }
+    for (uint32_t i = 0; i < SIDE * SIDE; i++)
+        for (uint32_t side = 0; side < 2; side++) {
+            const uint32_t block = i / 16, a = side * (SIDE + 1) * (SIDE + 1) +
+                                               (block / 16 * 4 + i % 16 / 4) * (SIDE + 1) +
+                                               block % 16 * 4 + i % 4;
+            const uint32_t b = a + 1, c = a + SIDE + 2, d = a + SIDE + 1;
+            const uint32_t two[2][3] = {{a, side ? c : b, side ? b : c},
+                                        {a, side ? d : c, side ? c : d}};
+            memcpy(s->triangles[triangles], two, sizeof two);
+            triangles += 2;
+        }
+    s->chunk = (struct fmt_tris_chunk){.triangle_count = triangles,
+                                       .vertex_count = vertices,
+                                       .positions = (const float(*)[3])s->positions,
+                                       .triangles = (const uint32_t(*)[3])s->triangles};
+}
+
+/* A sample has no gaps, is near the triangles, and keeps what stands out. */
+FIXTURE_TEST(samples_stand_for_their_triangles)
+{
+    struct fmt_tris_file *file;
+    struct fmt_tris_chunk sample;
+    void *scratch;
+    bool found = false;
+    for (int thin = 0; thin < 2; thin++) {
+        struct tris_sample *s = f->samples[0];
+        float highest = 0;
+        fill_wave(s, thin ? 1 : 40);
+        tris_write_samples(f, FMT_TRIS_SAMPLES, 1);
+        assert_int_equal(fmt_tris_open(f->ctx, tris_path, &file), 0);
+        assert_int_equal(fmt_tris_verify(file, NULL), 0);
+        assert_int_equal(bsq_alloc(f->ctx, "test", fmt_tris_load_size(file, 0), 1, &scratch), 0);
+        assert_int_equal(fmt_tris_load_sample(file, 0, scratch, &sample, &found), 0);
+        assert_true(found && sample.triangle_count < s->chunk.triangle_count / 8);
+        for (uint32_t v = 0; v < 65 * 65; v++)
+            if (s->positions[v][2] < 2) {
+                const float p[3] = {0.01f + 0.999f * s->positions[v][0],
+                                    0.013f + 0.999f * s->positions[v][1], s->positions[v][2]};
+                const bool by_tower = hypotf(p[0] - 20, p[1] - 20) < 13;
+                assert_true(fabsf(height_above(&sample, p)) < (by_tower ? 32 : 2));
+            }
+        for (uint32_t v = 0; v < sample.vertex_count; v++)
+            highest = fmaxf(highest, sample.positions[v][2]);
+        assert_true(highest > 5);
+        bsq_free(f->ctx, scratch);
+        fmt_tris_close(file);
+    }
 }
 
 FIXTURE_TEST(a_file_without_chunks_is_valid)

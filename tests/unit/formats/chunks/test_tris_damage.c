@@ -260,8 +260,9 @@ FIXTURE_TEST(damaged_channels_are_found)
 FIXTURE_TEST(values_out_of_range_are_found)
 {
     static const struct damage cases[] = {
-        {8, 6, "version 6"},
-        {12, 31, "unknown attributes"},
+        {8, 6, "unknown ids"},
+        {8, 7, "version 7"},
+        {12, 63, "unknown attributes"},
         {24, 0x10000000, "another length"},
         {60, 0x7ff80000, "the origin is not finite"},
         {72, 0x7fc00000, "bounds"},

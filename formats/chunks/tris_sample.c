@@ -1,0 +1,311 @@
+/* tris_sample.c - a coarse surface that stands for a chunk's triangles.
+ *
+ * Triangles follow each other along a curve, so a run of them is a patch of the surface. A run ends
+ * after 128 triangles, or where the next triangle is far away: of all the distances between
+ * neighbours in the file, the largest ones. The bounds of a patch hold all of its corners. So the
+ * rectangles of neighbouring patches leave no gap between them, and nothing is missing that stands
+ * out. */
+#include "formats/chunks/tris_internal.h"
+
+#include <math.h>
+#include <xxhash.h>
+
+#include "base/vec.h"
+
+/* Triangles of a run at most; of a run, every EXAMINEDth has a say in its plane: an odd number,
+ * because sides may take turns. Chunks of fewer than LEAST triangles are not worth a sample. */
+enum { RUN = 2 * TRIS_SURFEL_RUN, EXAMINED = 5, LEAST = 1024, FAR_BITS = 20 };
+
+#define GRID 65535.0f
+
+/* ---- making ---- */
+
+/* Returns how far the first corners of a triangle and of the one before it are from each other. */
+static float distance_before(const struct fmt_tris_chunk *chunk, uint32_t triangle)
+{
+    const float *a = chunk->positions[chunk->triangles[triangle - 1][0]],
+                *b = chunk->positions[chunk->triangles[triangle][0]];
+    float most = 0.0f;
+    for (int k = 0; k < 3; k++) {
+        const float d = fabsf(b[k] - a[k]);
+        most = d > most ? d : most;
+    }
+    return most;
+}
+
+/* Returns a distance that at most one in RUN triangles reaches from the one before it. */
+static float far_distance(const struct fmt_tris_chunk *chunk)
+{
+    /* By their upper bits, which order numbers that are not negative. */
+    uint32_t counts[1 << (32 - FAR_BITS)] = {0}, far = sizeof counts / sizeof *counts, sum = 0;
+    float distance;
+    for (uint32_t t = 1; t < chunk->triangle_count; t++) {
+        uint32_t bits;
+        distance = distance_before(chunk, t);
+        memcpy(&bits, &distance, sizeof bits);
+        counts[bits >> FAR_BITS]++;
+    }
+    while (far > 1 && sum + counts[far - 1] <= chunk->triangle_count / RUN)
+        sum += counts[--far];
+    far <<= FAR_BITS;
+    memcpy(&distance, &far, sizeof distance);
+    return distance;
+}
+
+/* A patch of a surface. */
+struct patch {
+    float low[3], high[3];
+    float normal[3], area;     /* sums over the triangles that are examined: area vectors */
+    float middle[3], examined; /* sum of their middles, and their number */
+    float side;                /* of facing() */
+};
+
+/* Sets the area vector of a triangle, twice as long. */
+static void area_vector(const struct fmt_tris_chunk *chunk, uint32_t triangle, float out[3])
+{
+    const uint32_t *v = chunk->triangles[triangle];
+    const float *a = chunk->positions[v[0]], *b = chunk->positions[v[1]],
+                *c = chunk->positions[v[2]];
+    float e[3], f[3];
+    for (int k = 0; k < 3; k++) {
+        e[k] = b[k] - a[k];
+        f[k] = c[k] - a[k];
+    }
+    for (int k = 0; k < 3; k++)
+        out[k] = e[(k + 1) % 3] * f[(k + 2) % 3] - e[(k + 2) % 3] * f[(k + 1) % 3];
+}
+
+/* Returns a negative number if the vertex normals of a triangle look to the other side. */
+static float facing(const struct fmt_tris_chunk *chunk, uint32_t triangle, const float n[3])
+{
+    if (!chunk->normals)
+        return 0.0f;
+    const struct bsq_vec3 unit = bsq_oct_unpack(chunk->normals[chunk->triangles[triangle][0]]);
+    return unit.x * n[0] + unit.y * n[1] + unit.z * n[2];
+}
+
+static void examine(const struct fmt_tris_chunk *chunk, uint32_t triangle, struct patch *p)
+{
+    const uint32_t *v = chunk->triangles[triangle];
+    float n[3];
+    area_vector(chunk, triangle, n);
+    for (int k = 0; k < 3; k++) {
+        p->normal[k] += n[k];
+        p->middle[k] +=
+            (chunk->positions[v[0]][k] + chunk->positions[v[1]][k] + chunk->positions[v[2]][k]) /
+            3.0f;
+    }
+    p->area += sqrtf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+    p->examined++;
+    p->side += facing(chunk, triangle, n);
+}
+
+static void gather(const struct fmt_tris_chunk *chunk, uint32_t begin, uint32_t end,
+                   struct patch *p)
+{
+    float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
+    const uint32_t *corners = chunk->triangles[0];
+    for (uint32_t i = 3 * begin; i < 3 * end; i++) {
+        const float *at = chunk->positions[corners[i]];
+        for (int k = 0; k < 3; k++) {
+            low[k] = at[k] < low[k] ? at[k] : low[k];
+            high[k] = at[k] > high[k] ? at[k] : high[k];
+        }
+    }
+    *p = (struct patch){0};
+    memcpy(p->low, low, sizeof low);
+    memcpy(p->high, high, sizeof high);
+    for (uint32_t t = begin; t < end; t += EXAMINED)
+        examine(chunk, t, p);
+}
+
+/* Returns the axis along which a vector is longest. */
+static int main_axis(const float v[3])
+{
+    const int k = fabsf(v[1]) > fabsf(v[0]);
+    return fabsf(v[2]) > fabsf(v[k]) ? 2 : k;
+}
+
+static uint16_t to_grid(float at, float low, float high, float rounding)
+{
+    const float cell = high > low ? (at - low) / (high - low) * GRID + rounding : 0.0f;
+    return (uint16_t)(cell > 0.0f ? cell < GRID ? cell : GRID : 0.0f);
+}
+
+/* Sets the plane of a patch. Returns false if its triangles face different ways. */
+static bool set_plane(const struct patch *p, const struct fmt_tris_chunk_info *info,
+                      struct tris_surfel *out)
+{
+    const float steady = 0.8f, *n = p->normal;
+    const float length = sqrtf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+    if (!(length > steady * p->area) || !isfinite(length))
+        return false;
+    const float scale = (p->side < 0.0f ? -1.0f : 1.0f) / length;
+    out->normal = bsq_oct_pack(bsq_v3(n[0] * scale, n[1] * scale, n[2] * scale));
+    const int z = main_axis(n), x = (z + 1) % 3, y = (z + 2) % 3;
+    const float dx = 0.5f * (p->low[x] + p->high[x]) - p->middle[x] / p->examined,
+                dy = 0.5f * (p->low[y] + p->high[y]) - p->middle[y] / p->examined;
+    const float at = p->middle[z] / p->examined - (n[x] * dx + n[y] * dy) / n[z];
+    out->low[z] = to_grid(at, info->bounds_min[z], info->bounds_max[z], 0.5f);
+    out->high[z] = out->low[z];
+    return true;
+}
+
+/* Returns the directions into which triangles face: a bit for each axis and side. */
+static uint32_t directions(const struct fmt_tris_chunk *chunk, uint32_t begin, uint32_t end)
+{
+    uint32_t bits = 0;
+    for (uint32_t t = begin; t < end; t++) {
+        float n[3];
+        area_vector(chunk, t, n);
+        const int z = main_axis(n);
+        const bool against = (n[z] < 0.0f) != (facing(chunk, t, n) < 0.0f);
+        bits |= n[z] == 0.0f ? 0 : 1u << (2 * z + against);
+    }
+    return bits;
+}
+
+void fmt_tris_make_sample(const struct fmt_tris_chunk *chunk,
+                          const struct fmt_tris_chunk_info *info, uint8_t *out)
+{
+    const uint32_t count = chunk->triangle_count;
+    const uint64_t bytes = tris_sample_bytes(count) - sizeof(uint64_t);
+    uint8_t *to = out + sizeof(uint64_t);
+    memset(to, 0, bytes);
+    const float far = far_distance(chunk);
+    for (uint32_t begin = 0, end; begin < count; begin = end, to += sizeof(struct tris_surfel)) {
+        struct tris_surfel surfel;
+        struct patch patch;
+        for (end = begin + 1; end < count && end - begin < RUN; end++)
+            if (distance_before(chunk, end) >= far)
+                break;
+        gather(chunk, begin, end, &patch);
+        for (int k = 0; k < 3; k++) {
+            const float low = info->bounds_min[k], high = info->bounds_max[k];
+            surfel.low[k] = to_grid(patch.low[k], low, high, 0.0f);
+            surfel.high[k] = to_grid(patch.high[k], low, high, 1.0f);
+        }
+        if (!set_plane(&patch, info, &surfel))
+            surfel.normal = TRIS_NOT_A_PLANE | directions(chunk, begin, end);
+        memcpy(to, &surfel, sizeof surfel);
+    }
+    const uint64_t checksum = XXH3_64bits(out + sizeof checksum, bytes);
+    memcpy(out, &checksum, sizeof checksum);
+}
+
+/* ---- reading ---- */
+
+bool fmt_tris_sample_valid(const void *sample, uint32_t triangles)
+{
+    const uint8_t *records = (const uint8_t *)sample + sizeof(uint64_t);
+    uint64_t checksum;
+    memcpy(&checksum, sample, sizeof checksum);
+    return XXH3_64bits(records, tris_sample_bytes(triangles) - sizeof checksum) == checksum;
+}
+
+/* The surface while it is made of records. */
+struct surface {
+    float (*positions)[3];
+    uint32_t (*triangles)[3];
+    uint32_t positions_count, triangle_count;
+};
+
+/* Adds a rectangle across axis z that faces along it, or against it. slope: by how much the third
+ * coordinate grows along the other two, from `middle`. */
+static void add_rectangle(struct surface *s, int z, const float low[3], const float high[3],
+                          float middle, const float slope[2], bool against)
+{
+    static const uint8_t corners[2][2][3] = {{{0, 1, 3}, {0, 3, 2}}, {{3, 1, 0}, {2, 3, 0}}};
+    const int x = (z + 1) % 3, y = (z + 2) % 3;
+    const uint32_t first = s->positions_count;
+    for (int i = 0; i < 4; i++) {
+        float *at = s->positions[s->positions_count++];
+        const float half_x = 0.5f * (high[x] - low[x]) * (i & 1 ? 1.0f : -1.0f),
+                    half_y = 0.5f * (high[y] - low[y]) * (i & 2 ? 1.0f : -1.0f);
+        at[x] = i & 1 ? high[x] : low[x];
+        at[y] = i & 2 ? high[y] : low[y];
+        at[z] = middle + slope[0] * half_x + slope[1] * half_y;
+    }
+    for (int t = 0; t < 2; t++, s->triangle_count++)
+        for (int k = 0; k < 3; k++)
+            s->triangles[s->triangle_count][k] = first + corners[against][t][k];
+}
+
+/* Adds a rectangle for each direction into which triangles of a patch face: in its middle, or if
+ * some face the opposite way, as those of a thin wall, on either side. */
+static void add_box(struct surface *s, const float low[3], const float high[3], uint32_t directions)
+{
+    static const float flat[2] = {0, 0};
+    for (int z = 0; z < 3; z++) {
+        const uint32_t bits = directions >> (2 * z) & 3;
+        const float half = bits == 3 ? 0.5f * (high[z] - low[z]) : 0.0f,
+                    middle = 0.5f * (low[z] + high[z]);
+        if (bits & 1)
+            add_rectangle(s, z, low, high, middle + half, flat, false);
+        if (bits & 2)
+            add_rectangle(s, z, low, high, middle - half, flat, true);
+    }
+}
+
+/* Adds what a record stands for. */
+static void add_surfel(struct surface *s, const struct tris_surfel *surfel,
+                       const struct fmt_tris_chunk_info *info)
+{
+    float low[3], high[3];
+    for (int k = 0; k < 3; k++) {
+        const float step = info->bounds_max[k] / GRID - info->bounds_min[k] / GRID;
+        low[k] = info->bounds_min[k] + (float)surfel->low[k] * step;
+        high[k] = info->bounds_min[k] + (float)surfel->high[k] * step;
+    }
+    if (surfel->normal >> 16 == TRIS_NOT_A_PLANE >> 16) {
+        add_box(s, low, high, surfel->normal);
+        return;
+    }
+    const struct bsq_vec3 unit = bsq_oct_unpack(surfel->normal);
+    const float n[3] = {unit.x, unit.y, unit.z};
+    const int z = main_axis(n);
+    const float slope[2] = {-n[(z + 1) % 3] / n[z], -n[(z + 2) % 3] / n[z]};
+    add_rectangle(s, z, low, high, 0.5f * (low[z] + high[z]), slope, n[z] < 0.0f);
+}
+
+static bool is_empty(const struct tris_surfel *surfel)
+{
+    static const struct tris_surfel none;
+    return memcmp(surfel, &none, sizeof none) == 0;
+}
+
+int fmt_tris_load_sample(const struct fmt_tris_file *file, uint64_t index, void *scratch,
+                         struct fmt_tris_chunk *out, bool *found)
+{
+    if (file->parts)
+        return fmt_tris_load_part(file, index, scratch, out, found);
+    const struct fmt_tris_chunk_info *info = &file->chunks[index];
+    const uint32_t attributes = file->header.attributes, count = info->triangle_count;
+    const struct tris_layout l = tris_chunk_layout(attributes, count, info->vertex_count);
+    const uint32_t records = tris_surfel_count(count);
+    struct surface s = {.positions = scratch,
+                        .triangles =
+                            (uint32_t(*)[3])scratch + (size_t)TRIS_SURFEL_CORNERS * records};
+    *out = (struct fmt_tris_chunk){0};
+    *found = attributes & FMT_TRIS_SAMPLES && count >= LEAST;
+    if (!*found)
+        return 0;
+    uint8_t *bytes = (uint8_t *)scratch + (tris_sample_memory(count) - tris_sample_bytes(count));
+    const int status = fmt_tris_read_unchanged(file, bytes, tris_sample_bytes(count),
+                                               info->offset + l.values[TRIS_ATTRIBUTE_COUNT - 1]);
+    if (status < 0)
+        return status;
+    if (!fmt_tris_sample_valid(bytes, count))
+        return fmt_tris_damaged(file, "the checksum of a sample does not match");
+    for (uint32_t i = 0; i < records; i++) {
+        struct tris_surfel surfel;
+        memcpy(&surfel, bytes + sizeof(uint64_t) + i * sizeof surfel, sizeof surfel);
+        if (!is_empty(&surfel))
+            add_surfel(&s, &surfel, info);
+    }
+    out->vertex_count = s.positions_count;
+    out->triangle_count = s.triangle_count;
+    out->positions = (const float(*)[3])s.positions;
+    out->triangles = (const uint32_t(*)[3])s.triangles;
+    return 0;
+}

@@ -1,0 +1,29 @@
+#!/bin/sh
+# test_samples.sh - what an exact bake of a large scan reads: for distances the samples of its
+# chunks, for a map each chunk once.
+. "$(dirname "$0")/lib.sh"
+
+read_bytes()
+{
+    awk '$1 == "rchar:" { print $2 }' "/proc/$$/io"
+}
+
+if ! [ -r "/proc/$$/io" ]; then
+    skip "no /proc/self/io"
+    finish
+fi
+"$TESTS/generate-scan" --triangles 6000000 vase -o scan.ply >"$out" &&
+    "$TESTS/generate-scan" vase-low -o low.obj >"$out" || exit 1
+ok run bisque-voxelize scan.ply -o scan.tris
+size=$(stat -c %s scan.tris)
+chunks=$(od -An -tu8 -j24 -N8 scan.tris | tr -d ' ')
+
+before=$(read_bytes)
+ok run bisque-bake scan.tris low.obj --maps normal --size 512 -o 'map_<MAP>.exr' --tasks 2 --plan plan.json
+bytes=$(($(read_bytes) - before - 2 * $(stat -c %s low.obj)))
+check "distances read $bytes bytes of $size: at most a twentieth" $((bytes * 20 > size))
+
+ok run bisque-bake scan.tris low.obj --maps normal --size 512 -o 'map_<MAP>.exr' --json
+json ".chunk_loads <= 1.1 * $chunks"
+json '.maps.normal != null'
+finish
