@@ -290,28 +290,11 @@ static void build_triangles(struct chunk_builder *b, const uint8_t *tuples,
 #define GROUP_TRIANGLES 128u
 #define PENDING_FLAG    (1u << 31)
 
-#define MARKED_WORDS 256u
-
-/* The element after the last one is scratch for find_pending(). Marks of vertices in use wait in
- * `marks`, word n at n % MARKED_WORDS: a change that other threads see costs more than the rest of
- * a vertex's number. */
+/* The element after the last one is scratch for find_pending(). */
 struct pending_corners {
     uint32_t index[3 * GROUP_TRIANGLES + 1], number[3 * GROUP_TRIANGLES + 1];
     uint64_t hash[3 * GROUP_TRIANGLES];
-    struct marks {
-        uint64_t word, bits;
-    } marks[MARKED_WORDS];
 };
-
-static inline void mark_vertex(used_word *used, struct pending_corners *pending, uint32_t index)
-{
-    struct marks *marks = &pending->marks[index / 64 % MARKED_WORDS];
-    if (marks->word != index / 64) {
-        used_mark_word(used, marks->word, marks->bits);
-        *marks = (struct marks){.word = index / 64};
-    }
-    marks->bits |= (uint64_t)1 << index % 64;
-}
 
 static inline uint64_t *plain_place(uint64_t *cache, uint32_t index)
 {
@@ -371,7 +354,7 @@ static void number_pending(struct chunk_builder *b, struct pending_corners *pend
     for (uint32_t i = 0; i < pending_count; i++) {
         const uint32_t index = pending->index[i];
         if (b->used)
-            mark_vertex(b->used, pending, index);
+            used_mark(b->used, index);
         uint32_t number = number_position(b, stream_at(&positions, index, 12), pending->hash[i]);
         uint64_t *place = plain_place(b->plain, index);
         if (*place == ((uint64_t)(PENDING_FLAG | i) << 32 | index))
@@ -396,7 +379,6 @@ static void build_plain(struct chunk_builder *b, const uint8_t *tuples, const st
 {
     struct pending_corners pending;
     pending.number[0] = 0;
-    memset(pending.marks, 0, sizeof pending.marks);
     memset(b->plain, 0xff, sizeof *b->plain << PLAIN_CACHE_BITS);
     for (uint32_t first = 0, end; first < count; first = end) {
         end = count - first < GROUP_TRIANGLES ? count : first + GROUP_TRIANGLES;
@@ -407,8 +389,6 @@ static void build_plain(struct chunk_builder *b, const uint8_t *tuples, const st
         number_pending(b, &pending, pending_count);
         resolve_pending(&pending, b->triangles[first], 3 * (end - first));
     }
-    for (uint32_t i = 0; b->used && i < MARKED_WORDS; i++)
-        used_mark_word(b->used, pending.marks[i].word, pending.marks[i].bits);
 }
 
 int vox_chunk_builder_run(struct chunk_builder *b, const uint8_t *tuples,

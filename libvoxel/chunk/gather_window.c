@@ -196,8 +196,8 @@ static void rank(struct gather_kind *kind, used_word *used)
             uint64_t marks = atomic_load_explicit(&kind->marks[i], memory_order_relaxed);
             kind->ranks[i] = before;
             before += (uint32_t)__builtin_popcountll(marks);
-            if (used)
-                used_mark_word(used, i, marks);
+            if (marks && used)
+                atomic_fetch_or_explicit(&used[i], marks, memory_order_relaxed);
         }
     }
     kind->marked = before;

@@ -22,16 +22,13 @@ static inline uint64_t used_words(uint64_t vertices)
     return vertices / 64 + 1;
 }
 
-/* Marks vertices of a word as used. May be called from any thread. */
-static inline void used_mark_word(used_word *used, uint64_t word, uint64_t bits)
-{
-    if (bits & ~atomic_load_explicit(&used[word], memory_order_relaxed))
-        atomic_fetch_or_explicit(&used[word], bits, memory_order_relaxed);
-}
-
+/* Marks a vertex as used. May be called from any thread. */
 static inline void used_mark(used_word *used, uint64_t vertex)
 {
-    used_mark_word(used, vertex / 64, (uint64_t)1 << vertex % 64);
+    used_word *word = &used[vertex / 64];
+    uint64_t bit = (uint64_t)1 << vertex % 64;
+    if (!(atomic_load_explicit(word, memory_order_relaxed) & bit))
+        atomic_fetch_or_explicit(word, bit, memory_order_relaxed);
 }
 
 static inline bool used_is(const used_word *used, uint64_t vertex)
