@@ -31,6 +31,11 @@ static int use(struct bsq_ctx *ctx, const char *const *paths, uint32_t count)
             status = fmt_tris_load(file, i, scratch, &chunk);
         if (!status)
             check_chunk(&chunk);
+        bool found = false;
+        if (!status)
+            status = fmt_tris_load_sample(file, i, scratch, &chunk, &found);
+        if (!status && found)
+            check_chunk(&chunk);
         bsq_free(ctx, scratch);
     }
     fmt_tris_close(file);
