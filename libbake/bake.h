@@ -231,8 +231,8 @@ struct bake_options {
     uint32_t ao_rays;
     double ao_distance; /**< Length of these rays; <= 0: no limit. */
     double ao_spread;   /**< Angle of the cone that they fill, in degrees, to 180. */
-    /** In grids, a voxel at this distance from the hit or farther hides these rays as a whole, as
-     * if its surface filled it; in voxels; <= 0: none does. */
+    /** In grids, a voxel at this distance from the hit or farther ends these rays, and those of
+     * BAKE_MAP_THICKNESS, as if its surface filled it; in voxels; <= 0: none does. */
     double ao_coarse;
     /** Each texel of ao and thickness becomes a mean of those near it on the scan. */
     bool filter_rays;

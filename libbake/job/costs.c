@@ -16,7 +16,7 @@ static const double start_seconds = 0.03;
 struct speed {
     double sample, look, open, thickness, curvature;
 };
-static const struct speed grid_speed = {0.35e-6, 0.6e-6, 0.2e-6, 0.5e-6, 3.0e-6};
+static const struct speed grid_speed = {0.35e-6, 0.6e-6, 0.2e-6, 0.35e-6, 3.0e-6};
 /* Secondary rays on several scans do not go through a tree of leaves. */
 static const struct speed walk_speed = {0.35e-6, 0.6e-6, 0.5e-6, 0.9e-6, 3.0e-6};
 static const struct speed exact_speed = {0.95e-6, 0.0, 2.3e-6, 4.0e-6, 9.0e-6};

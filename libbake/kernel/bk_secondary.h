@@ -12,11 +12,11 @@
  *
  * Open rays start one voxel above the hit: planes of neighbouring voxels do not meet exactly, and a
  * surface must not hide itself. So gaps of less than about a voxel look open. They end at any
- * surface, on either side, and from params->open_coarse on at any occupied voxel: how a far surface
- * lies in its voxel hardly matters, and its records need not be read. Rays into the solid start at
- * the hit and end where they leave the solid, at a surface that faces along them; the surface they
- * start on faces against them. Rays that leave the grid inside the solid are not counted: the scan
- * has a hole, or they touched it only. */
+ * surface, on either side. Rays into the solid start at the hit and end where they leave the solid,
+ * at a surface that faces along them; the surface they start on faces against them. From
+ * params->coarse on, any occupied voxel ends both kinds: how a far surface lies in its voxel hardly
+ * matters, and its records need not be read. Rays that leave the grid inside the solid are not
+ * counted: the scan has a hole, or they touched it only. */
 #ifndef BAKE_KERNEL_BK_SECONDARY_H
 #define BAKE_KERNEL_BK_SECONDARY_H
 
@@ -26,6 +26,10 @@
 /* Distance above the hit at which open rays start, in voxels. It is larger than the margin of any
  * record, see bk_margin(). */
 #define BK_LIFT 1.0f
+
+/* From where a ray into the solid enters a far voxel to the surface, in voxels: the mean is 1 at
+ * walls along the voxels, and 2 to 3 on scans, as rays also meet them at flat angles. */
+#define BK_FAR_DEPTH 2.0f
 
 /* Weight of the direction of a hit without open rays; each open ray has up to 1. */
 #define BK_HIDDEN_WEIGHT 1.0e-3f
@@ -233,22 +237,25 @@ BK_FN void bk_enter_blocks(const bk_grid *grid, bk_cache caches[BK_WIDTH], bk_ui
     cursor->leaf = bk_load_lanes(leaves);
 }
 
-/* Ends walks at t, at any surface. */
+/* Ends walks in occupied voxels that they enter at t. */
 BK_FN void bk_stop(bk_walk *walk, bk_mask lanes, bk_fw t)
 {
+    const bk_fw depth = bk_select(walk->two_sided, bk_splat(0.0f), bk_splat(BK_FAR_DEPTH));
+
     walk->hit.found = walk->hit.found | lanes;
-    walk->hit.t = bk_select(lanes, t, walk->hit.t);
+    walk->hit.t = bk_select(lanes, t + depth, walk->hit.t);
     walk->side = bk_selecti(lanes, bk_splati(BK_APART), walk->side);
 }
 
 /* Tests the voxels that lanes are in from t to t_out, and ends the runs of lanes in empty blocks.
- * Voxels that are entered at t_coarse or later have a surface if they are occupied. */
-BK_FN void bk_meet_voxels(const bk_grid *grid, const bk_ray *ray, bk_walk *walk, bk_uint active,
-                          const bk_cursor *cursor, bk_fw t, bk_fw t_out, float t_coarse)
+ * Voxels that are entered at params->coarse or later have a surface if they are occupied. */
+BK_FN void bk_meet_voxels(const bk_grid *grid, const bk_params *params, const bk_ray *ray,
+                          bk_walk *walk, bk_uint active, const bk_cursor *cursor, bk_fw t,
+                          bk_fw t_out)
 {
     const bk_uint in_leaf = active & bk_bits(cursor->mask == 0);
     bk_uint occupied = in_leaf ? bk_find_occupied(grid, in_leaf, cursor) : 0;
-    const bk_uint coarse = occupied & bk_bits(bk_not(bk_less(t, bk_splat(t_coarse))));
+    const bk_uint coarse = occupied & bk_bits(bk_not(bk_less(t, bk_splat(params->coarse))));
     bk_mask ended = bk_mask_of(active & ~occupied);
     bk_ulong values[BK_WIDTH];
 
@@ -292,10 +299,9 @@ BK_FN bk_iw bk_layer_in(bk_iw from, bk_iw mask, bk_iw up, bk_mask ties, bk_fw st
  *
  * Borders are crossed in the order of their t and, if these are equal, of their axes. So the voxels
  * that a ray visits do not depend on the size of empty blocks, and a device may skip empty space in
- * another way. t_coarse: see bk_meet_voxels(). */
+ * another way. */
 BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache *cache,
-                          const bk_ray *ray, bk_walk *walk, bk_fw t_near, bk_fw t_far,
-                          float t_coarse)
+                          const bk_ray *ray, bk_walk *walk, bk_fw t_near, bk_fw t_far)
 {
     const bk_vec3w o = ray->start, d = ray->direction, inverse = ray->inverse;
     const bk_iw up_x = bk_upwards(inverse.x), up_y = bk_upwards(inverse.y);
@@ -325,7 +331,7 @@ BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache
         const bk_mask along_y = bk_not(along_x) & bk_not(bk_less(tz, ty));
         const bk_mask along_z = bk_not(along_x) & bk_not(along_y);
 
-        bk_meet_voxels(grid, ray, walk, active, &cursor, t, t_out, t_coarse);
+        bk_meet_voxels(grid, params, ray, walk, active, &cursor, t, t_out);
         cursor.x = bk_selecti(along_x, fx + ~up_x, x);
         cursor.y = bk_selecti(along_y, fy + ~up_y, y);
         cursor.z = bk_selecti(along_z, fz + ~up_z, z);
@@ -349,12 +355,6 @@ BK_FN void bk_walk_blocks(const bk_grid *grid, const bk_params *params, bk_cache
             &cursor);
     } while (active);
     bk_end_run(walk, walked);
-}
-
-/* Returns the t from which on an occupied voxel hides rays. */
-BK_FN float bk_coarse_from(const bk_params *params, bk_uint open)
-{
-    return open ? params->open_coarse : BK_FAR;
 }
 
 /* Adds what an open ray found. */
@@ -414,8 +414,7 @@ BK_FN bk_fw bk_look(const bk_grid *grid, const bk_params *params, bk_cache *cach
     walk.t_start = bk_splat(0.0f);
     walk.t_limit = limit;
     walk.two_sided = bk_mask_of(rays->open ? ~0u : 0u);
-    bk_walk_blocks(grid, params, cache, &ray, &walk, t_near, t_far,
-                   bk_coarse_from(params, rays->open));
+    bk_walk_blocks(grid, params, cache, &ray, &walk, t_near, t_far);
     through = bk_mask_of(rays->open ? 0u : ~0u) & bk_not(bk_less(t_far, limit));
     t = bk_select(walk.hit.found, bk_minw(walk.hit.t, limit), limit);
     return bk_select(walk.hit.found | through, t, bk_splat(-1.0f));

@@ -65,8 +65,8 @@ typedef struct bk_params {
     /* Secondary rays, see bk_secondary.h. */
     bk_uint open_rays, thickness_rays; /* a sample */
     float open_limit, thickness_limit; /* lengths in voxels */
-    float open_coarse; /* in voxels: from here on, an occupied voxel hides an open ray */
-    float open_sine2;  /* squared sine of half of the cone's angle */
+    float coarse;     /* in voxels: from here on, an occupied voxel ends a secondary ray */
+    float open_sine2; /* squared sine of half of the cone's angle */
     /* Words from the array of colours to those of ids and of further channels, low word first. */
     bk_uint id_offset[2], channel_offset[2];
     bk_uint channel_words; /* of further channels, a record */

@@ -182,9 +182,9 @@ static const struct bsq_option table[] = {
      .old_name = "ao-spread", NUMBER(ao_spread, 180, 180), .positive = true, .needs = OPEN_RAYS},
     {KEY("ao", "falloff", "MODE", "none or linear: far surfaces hide less"),
      .old_name = "ao-falloff", EITHER(ao_falloff, "none linear"), .needs = OPEN_RAYS},
-    {KEY("ao", "coarse", "N", "in grids, voxels hide as a whole from N voxels on; none"),
+    {KEY("ao", "coarse", "N", "in grids, voxels end rays as a whole from N voxels on; none"),
      .old_name = "ao-coarse", .words = "none", NUMBER(ao_coarse, MOST_LENGTH, BAKE_AO_COARSE),
-     .positive = true, .needs = OPEN_RAYS | GRID},
+     .positive = true, .needs = OPEN_RAYS | BAKE_MAP_THICKNESS | GRID},
 
     {KEY("low", "scale", "X", "multiply the low-poly mesh by X"), .heading = "Low-poly mesh",
      NUMBER(low_scale, MOST_LENGTH, 1), .positive = true},

@@ -253,7 +253,7 @@ static void set_secondary(const struct bake_options *options, double unit, doubl
     params->open_limit = far;
     if (options->ao_distance > 0)
         params->open_limit = fminf((float)(options->ao_distance / unit), far);
-    params->open_coarse = options->ao_coarse > 0 ? fminf((float)options->ao_coarse, far) : far;
+    params->coarse = options->ao_coarse > 0 ? fminf((float)options->ao_coarse, far) : far;
     params->thickness_limit = fminf((float)(thickness / unit), far);
     params->open_sine2 = (float)(sin(half) * sin(half));
     if (options->ao_falloff)

@@ -227,7 +227,7 @@ int main(int argc, char **argv)
                            (uint32_t)atoi(argv[5]), &bench.scene);
     bench.scene.job.params.open_rays = (bk_uint)atoi(argv[6]);
     bench.scene.job.params.open_sine2 = 1.0f;
-    bench.scene.job.params.open_coarse = BAKE_AO_COARSE;
+    bench.scene.job.params.coarse = BAKE_AO_COARSE;
     if (status == 0)
         status = rays_occluder_open(&bench.scene, argv[2], &bench.embree);
     if (status == 0)

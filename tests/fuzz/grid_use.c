@@ -171,7 +171,7 @@ int grid_use_look_around(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid)
                    .open_rays = 20,
                    .thickness_rays = 5,
                    .open_limit = BK_FAR,
-                   .open_coarse = 3,
+                   .coarse = 3,
                    .thickness_limit = 1000,
                    .open_sine2 = 1}};
     const uint32_t floats = bk_texel_floats(job.params.maps);

@@ -117,7 +117,6 @@ struct bake_tree_tracer {
     uint32_t rays, points, nodes, blocks, voxels; /* in the lists of `stream` */
     struct bake_tree_section section;
     bool nearest; /* distances matter */
-    float coarse; /* of bk_coarse_from() */
     bk_cache cache;
 };
 

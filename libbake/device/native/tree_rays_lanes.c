@@ -19,7 +19,7 @@
 #include "libbake/device/native/tree_rays.h"
 
 /* At most this many rays of a point are tested against a node one by one. */
-enum { SINGLE_RAYS_MOST = 16 };
+enum { SINGLE_RAYS_MOST = 24 };
 
 /* Rays that look for their nearest hit are traced in sections: the first ends after FIRST_END
  * voxels, the next at END_FACTOR times that distance, and so on. */
@@ -464,7 +464,6 @@ void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_p
                                       .stream = stream,
                                       .results = results,
                                       .nearest = !kind->open || params->flags & BK_OPEN_FALLOFF,
-                                      .coarse = bk_coarse_from(params, kind->open),
                                       .cache = bk_cache_empty()};
     if (kind->count == 0)
         return;

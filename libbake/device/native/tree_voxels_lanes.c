@@ -6,7 +6,7 @@
  *  - The records of a voxel are tested with the state that a walk has after the previous voxel on
  *    the ray. That state follows from the records of the previous voxel alone. A surface may also
  *    be crossed after a voxel, if the next one is empty.
- *  - Voxels far along an open ray hide it without their records, see bk_meet_voxels().
+ *  - Voxels far along a ray end it without their records, see bk_meet_voxels().
  *
  * Voxels are not visited in the order in which rays meet them. If distances matter, the hit counts
  * whose voxel is entered first. */
@@ -233,14 +233,13 @@ static void note_hidden(const struct bake_tree_tracer *tracer, uint32_t number)
     ray->t_stop = ray->t_last = ray->t_before = BAKE_TREE_DONE;
 }
 
-/* Notes the hit of a ray in a pair's voxel. */
-static void note_hit(const struct bake_tree_tracer *tracer, uint32_t pair, float t, float t_event,
+/* Notes the hit of a ray in a voxel that it enters at t_event across a border of `axis`. */
+static void note_hit(const struct bake_tree_tracer *tracer, uint32_t number, float t, float t_event,
                      int32_t axis)
 {
-    struct bake_tree_stream *stream = tracer->stream;
-    struct bake_tree_ray *ray = &stream->rays[stream->voxel_ray[pair]];
+    struct bake_tree_ray *ray = &tracer->stream->rays[number];
     if (!tracer->nearest) {
-        note_hidden(tracer, stream->voxel_ray[pair]);
+        note_hidden(tracer, number);
     } else if (t_event < ray->t_stop || (t_event == ray->t_stop && axis < ray->stop_axis)) {
         tracer->results[ray->slot] = bk_min(t, tracer->kind->limit);
         ray->t_stop = t_event;
@@ -263,7 +262,8 @@ static void test_voxels(struct bake_tree_tracer *tracer)
                     comes_before(group.t_event, group.axis, group.t_exit, group.exit_axis) &
                     comes_before(group.t_event, group.axis, group.t_stop, group.stop_axis));
         const bk_fw t = bk_maxw(group.t_begin, group.t_event);
-        const bk_uint coarse = lanes & bk_bits(bk_not(bk_less(t, bk_splat(tracer->coarse))));
+        const bk_uint coarse =
+            lanes & bk_bits(bk_not(bk_less(t, bk_splat(tracer->params->coarse))));
         if (lanes == 0)
             continue;
         walk.t_start = bk_splat(0.0f);
@@ -276,8 +276,8 @@ static void test_voxels(struct bake_tree_tracer *tracer)
             bk_stop(&walk, bk_mask_of(coarse), t);
         for (bk_uint found = bk_bits(walk.hit.found) & lanes; found; found &= found - 1) {
             const bk_uint lane = bk_first(found);
-            note_hit(tracer, first + lane, bk_lane(walk.hit.t, lane), bk_lane(group.t_event, lane),
-                     bk_lane(group.axis, lane));
+            note_hit(tracer, tracer->stream->voxel_ray[first + lane], bk_lane(walk.hit.t, lane),
+                     bk_lane(group.t_event, lane), bk_lane(group.axis, lane));
         }
     }
     tracer->voxels = 0;
@@ -294,7 +294,7 @@ struct layers {
 /* Pairs of rays and blocks, in lanes. */
 struct block_group {
     struct layers axes[3];
-    bk_fw t_before;
+    bk_fw t_begin, t_before, t_stop;
     bk_fw t_in; /* at which rays enter the blocks; very low in a block in which walks begin */
 };
 
@@ -349,29 +349,11 @@ static void load_blocks(const struct bake_tree_tracer *tracer, uint32_t first, u
         group->axes[axis] =
             find_layers(leaves.corner[axis] | (block << axis & 4), (bk_iw)begin[axis],
                         (bk_iw)base[axis], start[axis], inverse[axis]);
+    group->t_begin = base[3];
     group->t_before = inverse[3];
+    group->t_stop = begin[3];
     group->t_in = bk_maxw(first_entry(&group->axes[0]),
                           bk_maxw(first_entry(&group->axes[1]), first_entry(&group->axes[2])));
-}
-
-/* Returns whether a lane's ray enters one of these voxels of its block at a smaller t than that at
- * which it leaves it. If they are equal, test_voxels() finds out whether it visits the voxel. */
-static bool surely_visits(const struct block_group *group, uint32_t lane, uint64_t voxels)
-{
-    const struct layers *axes = group->axes;
-    const float t_before = bk_lane(group->t_before, lane);
-    for (; voxels; voxels &= voxels - 1) {
-        const uint32_t voxel = (uint32_t)__builtin_ctzll(voxels);
-        const uint32_t x = voxel >> 4, y = voxel >> 2 & 3, z = voxel & 3;
-        const float in = bk_max(bk_lane(axes[0].in[x], lane),
-                                bk_max(bk_lane(axes[1].in[y], lane), bk_lane(axes[2].in[z], lane)));
-        const float out =
-            bk_min(bk_lane(axes[0].out[x], lane),
-                   bk_min(bk_lane(axes[1].out[y], lane), bk_lane(axes[2].out[z], lane)));
-        if (in < out && in < t_before)
-            return true;
-    }
-    return false;
 }
 
 /* Finds the voxels that rays may visit in their blocks, bits of two words: those that they do not
@@ -394,6 +376,30 @@ static void visit_voxels(const struct block_group *group, bk_iw words[2])
     }
 }
 
+/* Returns the t at which rays enter the first of the occupied voxels that they surely visit: they
+ * enter them before they leave them; BK_FAR: there is none. *doubtful: lanes in which rays enter
+ * and leave some at the same t. */
+static bk_fw enter_voxels(const struct block_group *group, const bk_iw occupied[2],
+                          bk_mask *doubtful)
+{
+    const bk_fw far = bk_splat(BK_FAR);
+    bk_fw first = far;
+    *doubtful = bk_mask_of(0);
+    for (int yz = 0; yz < 16; yz++) {
+        const bk_fw in = bk_maxw(group->axes[1].in[yz >> 2], group->axes[2].in[yz & 3]);
+        const bk_fw out = bk_minw(group->axes[1].out[yz >> 2],
+                                  bk_minw(group->axes[2].out[yz & 3], group->t_before));
+        for (int x = 0; x < 4; x++) {
+            const bk_mask there = (occupied[x >> 1] & (bk_int)(1u << (16 * (x & 1) + yz))) != 0;
+            const bk_fw t = bk_maxw(group->axes[0].in[x], in);
+            const bk_fw t_out = bk_minw(group->axes[0].out[x], out);
+            first = bk_minw(first, bk_select(there & bk_less(t, t_out), t, far));
+            *doubtful = *doubtful | (there & (t == t_out));
+        }
+    }
+    return first;
+}
+
 /* Returns where the occupied voxels of a block are stored. */
 static inline const uint64_t *find_block(const struct bake_tree *tree, uint32_t block)
 {
@@ -402,7 +408,7 @@ static inline const uint64_t *find_block(const struct bake_tree *tree, uint32_t 
 
 /* Keeps a pair of a ray and a block with the voxels that the ray meets, and prefetches the words of
  * the leaf that say where the records of these are. */
-static inline void note_met(struct bake_tree_tracer *tracer, uint32_t pair, uint64_t voxels,
+static inline void note_met(const struct bake_tree_tracer *tracer, uint32_t pair, uint64_t voxels,
                             uint32_t at)
 {
     struct bake_tree_stream *stream = tracer->stream;
@@ -438,6 +444,41 @@ static void add_voxels(struct bake_tree_tracer *tracer, uint32_t pair, uint64_t 
     }
 }
 
+/* Loads the occupied voxels of blocks, bits of two words. */
+static void load_occupied(const struct bake_tree_tracer *tracer, uint32_t first, uint32_t count,
+                          bk_iw words[2])
+{
+    bk_int low[BK_WIDTH], high[BK_WIDTH];
+    for (uint32_t lane = 0; lane < BK_WIDTH; lane++) {
+        const uint32_t pair = first + (lane < count ? lane : 0);
+        const uint64_t voxels = *find_block(tracer->tree, tracer->stream->block[pair]);
+        low[lane] = (bk_int)(uint32_t)voxels;
+        high[lane] = (bk_int)(uint32_t)(voxels >> 32);
+    }
+    words[0] = bk_load_lanes(low);
+    words[1] = bk_load_lanes(high);
+}
+
+/* Ends rays in the first voxels of far blocks. first: of the pairs. Returns the lanes whose voxels
+ * have to be tested one by one. */
+static bk_uint meet_far_blocks(const struct bake_tree_tracer *tracer,
+                               const struct block_group *group, bk_uint lanes, uint32_t first,
+                               const bk_iw occupied[2])
+{
+    const bk_fw depth = bk_splat(tracer->kind->open ? 0.0f : BK_FAR_DEPTH);
+    bk_mask doubtful;
+    const bk_fw t_event = enter_voxels(group, occupied, &doubtful);
+    const bk_fw t = bk_maxw(t_event, group->t_begin) + depth;
+    const bk_uint met = lanes & bk_bits(bk_less(t_event, bk_splat(BK_FAR)));
+    for (bk_uint left = met; left; left &= left - 1) {
+        const bk_uint lane = bk_first(left);
+        /* A doubtful voxel at the same t comes first. */
+        note_hit(tracer, tracer->stream->block_ray[first + lane], bk_lane(t, lane),
+                 bk_lane(t_event, lane), 3);
+    }
+    return lanes & bk_bits(doubtful) & (tracer->nearest ? ~0u : ~met);
+}
+
 void BSQ_SIMD_NAME(bake_tree_test_blocks)(struct bake_tree_tracer *tracer)
 {
     const struct bake_tree_stream *stream = tracer->stream;
@@ -446,25 +487,28 @@ void BSQ_SIMD_NAME(bake_tree_test_blocks)(struct bake_tree_tracer *tracer)
     for (uint32_t i = 0; i < count && i < BK_WIDTH; i++)
         __builtin_prefetch(find_block(tracer->tree, stream->block[i]));
     for (uint32_t first = 0; first < count; first += BK_WIDTH) {
-        const uint32_t left = count - first, lanes = left < BK_WIDTH ? left : BK_WIDTH;
+        const uint32_t left = count - first, pairs = left < BK_WIDTH ? left : BK_WIDTH;
         struct block_group group;
-        bk_int low[BK_WIDTH], high[BK_WIDTH];
-        bk_iw words[2];
+        bk_iw words[2], occupied[2];
         for (uint32_t i = first + BK_WIDTH; i < count && i < first + 2 * BK_WIDTH; i++)
             __builtin_prefetch(find_block(tracer->tree, stream->block[i]));
-        load_blocks(tracer, first, lanes, &group);
+        load_blocks(tracer, first, pairs, &group);
+        load_occupied(tracer, first, pairs, occupied);
+        bk_uint lanes = ((1u << pairs) - 1u) & bk_bits(bk_not(bk_less(group.t_stop, group.t_in)));
+        const bk_uint far =
+            lanes & bk_bits(bk_not(bk_less(group.t_in, bk_splat(tracer->params->coarse))));
+        if (far)
+            lanes ^= far ^ meet_far_blocks(tracer, &group, far, first, occupied);
+        if (lanes == 0)
+            continue;
         visit_voxels(&group, words);
-        const bk_uint coarse =
-            tracer->nearest ? 0 : bk_bits(bk_not(bk_less(group.t_in, bk_splat(tracer->coarse))));
-        bk_store_lanes(low, words[0]);
-        bk_store_lanes(high, words[1]);
-        for (uint32_t lane = 0; lane < lanes; lane++) {
-            const uint64_t voxels = ((uint32_t)low[lane] | (uint64_t)(uint32_t)high[lane] << 32) &
-                                    *find_block(tracer->tree, stream->block[first + lane]);
-            if (coarse >> lane & 1 && surely_visits(&group, lane, voxels))
-                note_hidden(tracer, stream->block_ray[first + lane]);
-            else if (voxels)
-                note_met(tracer, first + lane, voxels, met++);
+        words[0] &= occupied[0];
+        words[1] &= occupied[1];
+        for (lanes &= bk_bits((words[0] | words[1]) != 0); lanes; lanes &= lanes - 1) {
+            const bk_uint lane = bk_first(lanes);
+            const uint32_t low = (uint32_t)bk_lane(words[0], lane);
+            const uint32_t high = (uint32_t)bk_lane(words[1], lane);
+            note_met(tracer, first + lane, low | (uint64_t)high << 32, met++);
         }
     }
     for (uint32_t i = 0; i < met; i++)

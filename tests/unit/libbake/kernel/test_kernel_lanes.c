@@ -187,7 +187,7 @@ TEST(test_rays_from_hits)
         params.maps = MAPS | BK_OPEN_MAPS | (counts[i][1] ? 1u << BK_MAP_thickness : 0);
         params.flags &= ~(uint32_t)BK_OPEN_FALLOFF;
         params.open_limit = i == 1 ? 7 : 300;
-        params.open_coarse = i == 2 ? 12.5f : BK_FAR;
+        params.coarse = i == 2 ? 12.5f : BK_FAR;
         params.thickness_limit = 30;
         compare(f, &params, NULL);
         compare(f, &params, &tree);

@@ -54,7 +54,7 @@ static void open_scene(struct scene *s)
     s->params.open_limit = BK_FAR;
     s->params.thickness_limit = 1000;
     s->params.open_sine2 = 1;
-    s->params.open_coarse = BAKE_AO_COARSE;
+    s->params.coarse = BAKE_AO_COARSE;
 }
 
 static void end(struct scene *s)
@@ -236,7 +236,7 @@ TEST(a_tube_leaves_a_cone)
     add_rectangle(&s, (double[]){0, 0, 0}, (double[]){r, 0, 0}, (double[]){0, r, 0}, 1);
     open_scene(&s);
     const double at[3] = {0.1, 0.2, 0}, up[3] = {0, 0, 1};
-    s.params.open_coarse = BK_FAR;
+    s.params.coarse = BK_FAR;
     assert_near(look(&s, at, up).open, r * r / (r * r + (h - BK_LIFT) * (h - BK_LIFT)), 0.01,
                 "in a tube");
     s.params.open_sine2 = 0.1f; /* a cone that fits through the opening */
@@ -245,9 +245,9 @@ TEST(a_tube_leaves_a_cone)
     const float open = look(&s, at, up).open;
     assert_near(open, r * r / (r * r + (h - BK_LIFT) * (h - BK_LIFT)) / 0.6, 0.01,
                 "in a wider cone");
-    s.params.open_coarse = BAKE_AO_COARSE;
+    s.params.coarse = BAKE_AO_COARSE;
     assert_near(open - look(&s, at, up).open, 0.013, 0.01, "behind a coarse rim");
-    s.params.open_coarse = BK_FAR;
+    s.params.coarse = BK_FAR;
     s.params.open_sine2 = 1;
     s.params.open_limit = (float)r - 2;
     assert_near(look(&s, at, up).open, 1, 0, "with short rays");
@@ -273,7 +273,7 @@ TEST(falloff_is_linear)
     end(&s);
 }
 
-/* A ray along a floor, a fifth of a voxel above it, does not cross it. From open_coarse on the
+/* A ray along a floor, a fifth of a voxel above it, does not cross it. From coarse on the
  * floor's voxels hide it: the first one that it enters there. */
 TEST(far_voxels_hide)
 {
@@ -287,11 +287,17 @@ TEST(far_voxels_hide)
         float coarse, limit;
         bk_uint open;
         double found;
-    } cases[] = {{BK_FAR, BK_FAR, 1, -1},  {64, BK_FAR, 1, 44.5 + 20.2}, {64.6f, BK_FAR, 1, 64.7},
-                 {64.8f, BK_FAR, 1, 65.7}, {64, 64.5f, 1, -1},           {64, 64.8f, 1, 64.7},
-                 {64, BK_FAR, 0, -1},      {1, BK_FAR, 1, 19.7}};
+    } cases[] = {{BK_FAR, BK_FAR, 1, -1},
+                 {64, BK_FAR, 1, 44.5 + 20.2},
+                 {64.6f, BK_FAR, 1, 64.7},
+                 {64.8f, BK_FAR, 1, 65.7},
+                 {64, 64.5f, 1, -1},
+                 {64, 64.8f, 1, 64.7},
+                 {64, BK_FAR, 0, 64.7 + BK_FAR_DEPTH},
+                 {BK_FAR, BK_FAR, 0, -1},
+                 {1, BK_FAR, 1, 19.7}};
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
-        s.params.open_coarse = cases[i].coarse;
+        s.params.coarse = cases[i].coarse;
         rays.limit = cases[i].limit;
         rays.open = cases[i].open;
         const float t = bk_look(&s.grid, &s.params, &cache, &rays, start, along, 1, 1);

@@ -225,14 +225,15 @@ static void compare_kinds(struct fixture *f, const bk_viewpoint *points, float s
     bk_rays kind = {.open = 1, .count = RAYS, .samples = 1, .sine2 = sine2, .limit = limit};
     f->params.open_limit = kind.limit;
     for (size_t i = 0; i < sizeof coarse / sizeof *coarse; i++) {
-        f->params.open_coarse = coarse[i];
+        f->params.coarse = coarse[i];
         f->params.flags = 0;
         compare(f, &kind, points, false);
         f->params.flags = BK_OPEN_FALLOFF;
         compare(f, &kind, points, true);
+        kind.open = 0;
+        compare(f, &kind, points, true);
+        kind.open = 1;
     }
-    kind.open = 0;
-    compare(f, &kind, points, true);
 }
 
 /* A cone without width has all its rays along the normal. So rays start at corners and edges of
