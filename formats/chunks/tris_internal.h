@@ -203,7 +203,8 @@ int fmt_tris_read_unchanged(const struct fmt_tris_file *file, void *to, uint64_t
 
 /* ---- tris_sample.c ---- */
 
-/* Writes the sample of a chunk with these bounds to `out`. */
+/* Writes the sample of a chunk with these bounds to `out`. Four bytes after the positions are read,
+ * too. */
 void fmt_tris_make_sample(const struct fmt_tris_chunk *chunk,
                           const struct fmt_tris_chunk_info *info, uint8_t *out);
 /* Returns whether the checksum of a sample matches. */

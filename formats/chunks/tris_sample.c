@@ -10,42 +10,45 @@
 #include <math.h>
 #include <xxhash.h>
 
+#include "base/simd/simd.h"
 #include "base/vec.h"
 
 /* Triangles of a run at most; of a run, every EXAMINEDth has a say in its plane: an odd number,
  * because sides may take turns. Chunks of fewer than LEAST triangles are not worth a sample. */
-enum { RUN = 2 * TRIS_SURFEL_RUN, EXAMINED = 5, LEAST = 1024, FAR_BITS = 20 };
+enum { RUN = 2 * TRIS_SURFEL_RUN, EXAMINED = 5, LOOKED_AT = 8, LEAST = 1024, FAR_BITS = 20 };
 
 #define GRID 65535.0f
 
 /* ---- making ---- */
 
-/* Returns how far the first corners of a triangle and of the one before it are from each other. */
-static float distance_before(const struct fmt_tris_chunk *chunk, uint32_t triangle)
+/* Loads a corner of a triangle. The fourth number is the next one in memory. */
+static four_floats corner_of(const struct fmt_tris_chunk *chunk, uint32_t triangle, int corner)
 {
-    const float *a = chunk->positions[chunk->triangles[triangle - 1][0]],
-                *b = chunk->positions[chunk->triangles[triangle][0]];
-    float most = 0.0f;
-    for (int k = 0; k < 3; k++) {
-        const float d = fabsf(b[k] - a[k]);
-        most = d > most ? d : most;
-    }
-    return most;
+    return four_floats_load(chunk->positions[chunk->triangles[triangle][corner]]);
 }
 
-/* Returns a distance that at most one in RUN triangles reaches from the one before it. */
+/* Returns the differences of two corners, without their signs. */
+static four_floats distances(four_floats a, four_floats b)
+{
+    return four_floats_max(a - b, b - a);
+}
+
+/* Returns a distance between a triangle's first corner and that of the one before it, which some
+ * one in RUN triangles reach: of every LOOKED_ATth. */
 static float far_distance(const struct fmt_tris_chunk *chunk)
 {
     /* By their upper bits, which order numbers that are not negative. */
     uint32_t counts[1 << (32 - FAR_BITS)] = {0}, far = sizeof counts / sizeof *counts, sum = 0;
     float distance;
-    for (uint32_t t = 1; t < chunk->triangle_count; t++) {
+    for (uint32_t t = 1; t < chunk->triangle_count; t += LOOKED_AT) {
+        const four_floats d = distances(corner_of(chunk, t - 1, 0), corner_of(chunk, t, 0));
         uint32_t bits;
-        distance = distance_before(chunk, t);
+        distance = d[0] > d[1] ? d[0] : d[1];
+        distance = d[2] > distance ? d[2] : distance;
         memcpy(&bits, &distance, sizeof bits);
         counts[bits >> FAR_BITS]++;
     }
-    while (far > 1 && sum + counts[far - 1] <= chunk->triangle_count / RUN)
+    while (far > 1 && sum + counts[far - 1] <= chunk->triangle_count / (RUN * LOOKED_AT))
         sum += counts[--far];
     far <<= FAR_BITS;
     memcpy(&distance, &far, sizeof distance);
@@ -100,23 +103,29 @@ static void examine(const struct fmt_tris_chunk *chunk, uint32_t triangle, struc
     p->side += facing(chunk, triangle, n);
 }
 
-static void gather(const struct fmt_tris_chunk *chunk, uint32_t begin, uint32_t end,
-                   struct patch *p)
+/* Gathers a run that begins with a triangle and ends before one that is `far` away. Returns its
+ * end. */
+static uint32_t gather(const struct fmt_tris_chunk *chunk, uint32_t begin, float far,
+                       struct patch *p)
 {
-    float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
-    const uint32_t *corners = chunk->triangles[0];
-    for (uint32_t i = 3 * begin; i < 3 * end; i++) {
-        const float *at = chunk->positions[corners[i]];
-        for (int k = 0; k < 3; k++) {
-            low[k] = at[k] < low[k] ? at[k] : low[k];
-            high[k] = at[k] > high[k] ? at[k] : high[k];
-        }
+    const uint32_t left = chunk->triangle_count - begin, most = begin + (left < RUN ? left : RUN);
+    four_floats before = corner_of(chunk, begin, 0), low = before, high = before;
+    uint32_t end = begin;
+    for (; end < most; end++) {
+        const four_floats a = corner_of(chunk, end, 0), b = corner_of(chunk, end, 1),
+                          c = corner_of(chunk, end, 2), d = distances(a, before);
+        if ((d[0] >= far) | (d[1] >= far) | (d[2] >= far))
+            break;
+        low = four_floats_min(low, four_floats_min(a, four_floats_min(b, c)));
+        high = four_floats_max(high, four_floats_max(a, four_floats_max(b, c)));
+        before = a;
     }
     *p = (struct patch){0};
-    memcpy(p->low, low, sizeof low);
-    memcpy(p->high, high, sizeof high);
+    memcpy(p->low, &low, sizeof p->low);
+    memcpy(p->high, &high, sizeof p->high);
     for (uint32_t t = begin; t < end; t += EXAMINED)
         examine(chunk, t, p);
+    return end;
 }
 
 /* Returns the axis along which a vector is longest. */
@@ -172,14 +181,16 @@ void fmt_tris_make_sample(const struct fmt_tris_chunk *chunk,
     const uint64_t bytes = tris_sample_bytes(count) - sizeof(uint64_t);
     uint8_t *to = out + sizeof(uint64_t);
     memset(to, 0, bytes);
-    const float far = far_distance(chunk);
+    float far = count < RUN ? INFINITY : far_distance(chunk);
+    uint32_t short_runs = 0;
     for (uint32_t begin = 0, end; begin < count; begin = end, to += sizeof(struct tris_surfel)) {
         struct tris_surfel surfel;
         struct patch patch;
-        for (end = begin + 1; end < count && end - begin < RUN; end++)
-            if (distance_before(chunk, end) >= far)
-                break;
-        gather(chunk, begin, end, &patch);
+        end = gather(chunk, begin, far, &patch);
+        /* There is a record for as many short runs as full ones. */
+        short_runs += end - begin < RUN;
+        if (short_runs >= count / RUN)
+            far = INFINITY;
         for (int k = 0; k < 3; k++) {
             const float low = info->bounds_min[k], high = info->bounds_max[k];
             surfel.low[k] = to_grid(patch.low[k], low, high, 0.0f);

@@ -121,6 +121,8 @@ int fmt_tris_encode(struct bsq_ctx *ctx, uint32_t attributes, const struct fmt_t
     if ((status = chunk_bounds(ctx, chunk, info)) < 0)
         return status;
     memcpy(bytes + l.positions, chunk->positions, (size_t)12 * nv);
+    struct fmt_tris_chunk in_file = *chunk;
+    in_file.positions = (const float(*)[3])(const void *)(bytes + l.positions);
     for (int i = 0; i < TRIS_ATTRIBUTE_COUNT; i++) {
         const struct tris_attribute *attribute = &fmt_tris_attributes[i];
         const void *values;
@@ -128,7 +130,7 @@ int fmt_tris_encode(struct bsq_ctx *ctx, uint32_t attributes, const struct fmt_t
         if (attributes & attribute->flag && attribute->bytes > 0)
             memcpy(bytes + l.values[i], values, tris_values_bytes(attribute, nt, nv));
         else if (attributes & attribute->flag)
-            fmt_tris_make_sample(chunk, info, bytes + l.values[i]);
+            fmt_tris_make_sample(&in_file, info, bytes + l.values[i]);
     }
     if ((status = store_indices(ctx, chunk, &l, bytes + l.triangles)) < 0)
         return status;
