@@ -127,7 +127,7 @@ other()
 reads='Bisque reads 32.4.2 (mask) and 32.6.0 (onindex)'
 cp box.tris x.tris
 put x.tris 8 7
-other x.tris 'chunk file of version 7, this program reads versions 1 to 5'
+other x.tris 'chunk file of version 7, this program reads versions 1 to 6'
 put x.tris 8 0 0 0 1
 other x.tris 'chunk file with its bytes in big-endian order: Bisque reads little-endian ones'
 # A version is major << 21 | minor << 10 | patch.
