@@ -19,7 +19,7 @@ both()
             ok run bisque-bake "$to/s.$surface" "$low" -o "$to/${surface}_<MAP>.exr" --size 96x64 --device cpu \
                 --maps all --samples 2 --rays ao=16 --rays thickness=16
             ok run bisque-bake "$to/s.$surface" "$low" -o "$to/${surface}_<MAP>.png" --size 100 --device cpu --type 8 \
-                --maps normal,color --normal space=object
+                --maps normal,height --normal space=object
         done
     done
     BIN=$own
