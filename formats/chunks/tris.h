@@ -30,7 +30,7 @@ enum fmt_tris_attribute {
 
 /* Scans of at least this many faces get samples. In smaller ones, a sample would be too coarse for
  * a map, and reading all of it takes no time. */
-#define FMT_TRIS_SAMPLED_FACES (UINT64_C(1) << 22)
+#define FMT_TRIS_SAMPLED_FACES (UINT64_C(1) << 24)
 
 /* Triangles of the largest chunk; small enough for 16-bit indices in ordinary meshes. */
 #define FMT_TRIS_CHUNK_TRIANGLES 65536u

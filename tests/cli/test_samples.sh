@@ -12,7 +12,7 @@ if ! [ -r "/proc/$$/io" ]; then
     skip "no /proc/self/io"
     finish
 fi
-"$TESTS/generate-scan" --triangles 6000000 vase -o scan.ply >"$out" &&
+"$TESTS/generate-scan" --triangles 17000000 vase -o scan.ply >"$out" &&
     "$TESTS/generate-scan" vase-low -o low.obj >"$out" || exit 1
 ok run bisque-voxelize scan.ply -o scan.tris
 size=$(stat -c %s scan.tris)
