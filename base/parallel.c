@@ -226,8 +226,9 @@ int bsq_parallel_for(struct bsq_ctx *ctx, uint64_t count,
  * counts sequences whose concurrent step was started, `finished` those whose serial step has
  * returned. Slot s % slot_count belongs to sequence s from its production to its last step. So a
  * slot only records for each stage whether its concurrent step is done. One lock guards all state
- * and is free while callbacks run. A thread that takes a step wakes one sleeper
- * before, which does the same if it finds a step, so no step waits while a thread sleeps. */
+ * and is free while callbacks run. Before a thread runs a step, it wakes one
+ * sleeper, which does the same if it finds another step to run. So no step waits while a thread
+ * sleeps. */
 
 enum step { STEP_NONE, STEP_FINISH, STEP_EMIT, STEP_FOLLOW, STEP_WORK, STEP_PRODUCE };
 

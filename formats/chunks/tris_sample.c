@@ -2,8 +2,8 @@
  *
  * Triangles follow each other along a curve, so a run of them is a patch of the surface. A run ends
  * after 128 triangles, or where the next triangle is far away: of all the distances between
- * neighbours in the file, the largest ones. The bounds of a patch hold all of its corners. So the
- * rectangles of neighbouring patches leave no gap between them, and nothing is missing that stands
+ * neighbours in the file, the largest ones. The bounds of a run hold all of its corners. So the
+ * rectangles of neighbouring runs leave no gap between them, and nothing is missing that stands
  * out. */
 #include "formats/chunks/tris_internal.h"
 
@@ -14,7 +14,9 @@
 #include "base/vec.h"
 
 /* Triangles of a run at most; of a run, every EXAMINEDth has a say in its plane: an odd number,
- * because sides may take turns. Chunks of fewer than LEAST triangles are not worth a sample. */
+ * because sides may take turns. far_distance() looks at every LOOKED_ATth pair of neighbours, and
+ * counts distances by their upper 32 - FAR_BITS bits. Chunks of fewer than LEAST triangles are not
+ * worth a sample. */
 enum { RUN = 2 * TRIS_SURFEL_RUN, EXAMINED = 5, LOOKED_AT = 8, LEAST = 1024, FAR_BITS = 20 };
 
 #define GRID 65535.0f
@@ -33,8 +35,8 @@ static four_floats distances(four_floats a, four_floats b)
     return four_floats_max(a - b, b - a);
 }
 
-/* Returns a distance between a triangle's first corner and that of the one before it, which some
- * one in RUN triangles reach: of every LOOKED_ATth. */
+/* Returns a distance that about one in RUN triangles is away from the one before it, first corner
+ * from first corner. Looks at every LOOKED_ATth pair. */
 static float far_distance(const struct fmt_tris_chunk *chunk)
 {
     /* By their upper bits, which order numbers that are not negative. */
@@ -55,27 +57,27 @@ static float far_distance(const struct fmt_tris_chunk *chunk)
     return distance;
 }
 
-/* A patch of a surface. */
-struct patch {
+/* What is known of a run of triangles. */
+struct run {
     float low[3], high[3];
     float normal[3], area;     /* sums over the triangles that are examined: area vectors */
     float middle[3], examined; /* sum of their middles, and their number */
     float side;                /* of facing() */
 };
 
+static struct bsq_vec3 vector(const float v[3])
+{
+    return bsq_v3(v[0], v[1], v[2]);
+}
+
 /* Sets the area vector of a triangle, twice as long. */
 static void area_vector(const struct fmt_tris_chunk *chunk, uint32_t triangle, float out[3])
 {
     const uint32_t *v = chunk->triangles[triangle];
-    const float *a = chunk->positions[v[0]], *b = chunk->positions[v[1]],
-                *c = chunk->positions[v[2]];
-    float e[3], f[3];
-    for (int k = 0; k < 3; k++) {
-        e[k] = b[k] - a[k];
-        f[k] = c[k] - a[k];
-    }
-    for (int k = 0; k < 3; k++)
-        out[k] = e[(k + 1) % 3] * f[(k + 2) % 3] - e[(k + 2) % 3] * f[(k + 1) % 3];
+    const struct bsq_vec3 a = vector(chunk->positions[v[0]]), b = vector(chunk->positions[v[1]]),
+                          c = vector(chunk->positions[v[2]]);
+    const struct bsq_vec3 n = bsq_cross3(bsq_sub3(b, a), bsq_sub3(c, a));
+    memcpy(out, &n, sizeof n);
 }
 
 /* Returns a negative number if the vertex normals of a triangle look to the other side. */
@@ -83,11 +85,10 @@ static float facing(const struct fmt_tris_chunk *chunk, uint32_t triangle, const
 {
     if (!chunk->normals)
         return 0.0f;
-    const struct bsq_vec3 unit = bsq_oct_unpack(chunk->normals[chunk->triangles[triangle][0]]);
-    return unit.x * n[0] + unit.y * n[1] + unit.z * n[2];
+    return bsq_dot3(bsq_oct_unpack(chunk->normals[chunk->triangles[triangle][0]]), vector(n));
 }
 
-static void examine(const struct fmt_tris_chunk *chunk, uint32_t triangle, struct patch *p)
+static void examine(const struct fmt_tris_chunk *chunk, uint32_t triangle, struct run *p)
 {
     const uint32_t *v = chunk->triangles[triangle];
     float n[3];
@@ -98,15 +99,14 @@ static void examine(const struct fmt_tris_chunk *chunk, uint32_t triangle, struc
             (chunk->positions[v[0]][k] + chunk->positions[v[1]][k] + chunk->positions[v[2]][k]) /
             3.0f;
     }
-    p->area += sqrtf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+    p->area += bsq_length3(vector(n));
     p->examined++;
     p->side += facing(chunk, triangle, n);
 }
 
 /* Gathers a run that begins with a triangle and ends before one that is `far` away. Returns its
  * end. */
-static uint32_t gather(const struct fmt_tris_chunk *chunk, uint32_t begin, float far,
-                       struct patch *p)
+static uint32_t gather(const struct fmt_tris_chunk *chunk, uint32_t begin, float far, struct run *p)
 {
     const uint32_t left = chunk->triangle_count - begin, most = begin + (left < RUN ? left : RUN);
     four_floats before = corner_of(chunk, begin, 0), low = before, high = before;
@@ -120,7 +120,7 @@ static uint32_t gather(const struct fmt_tris_chunk *chunk, uint32_t begin, float
         high = four_floats_max(high, four_floats_max(a, four_floats_max(b, c)));
         before = a;
     }
-    *p = (struct patch){0};
+    *p = (struct run){0};
     memcpy(p->low, &low, sizeof p->low);
     memcpy(p->high, &high, sizeof p->high);
     for (uint32_t t = begin; t < end; t += EXAMINED)
@@ -141,16 +141,16 @@ static uint16_t to_grid(float at, float low, float high, float rounding)
     return (uint16_t)(cell > 0.0f ? cell < GRID ? cell : GRID : 0.0f);
 }
 
-/* Sets the plane of a patch. Returns false if its triangles face different ways. */
-static bool set_plane(const struct patch *p, const struct fmt_tris_chunk_info *info,
+/* Sets the plane of a run. Returns false if its triangles face different ways. */
+static bool set_plane(const struct run *p, const struct fmt_tris_chunk_info *info,
                       struct tris_surfel *out)
 {
     const float steady = 0.8f, *n = p->normal;
-    const float length = sqrtf(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+    const float length = bsq_length3(vector(n));
     if (!(length > steady * p->area) || !isfinite(length))
         return false;
     const float scale = (p->side < 0.0f ? -1.0f : 1.0f) / length;
-    out->normal = bsq_oct_pack(bsq_v3(n[0] * scale, n[1] * scale, n[2] * scale));
+    out->normal = bsq_oct_pack(bsq_scale3(vector(n), scale));
     const int z = main_axis(n), x = (z + 1) % 3, y = (z + 2) % 3;
     const float dx = 0.5f * (p->low[x] + p->high[x]) - p->middle[x] / p->examined,
                 dy = 0.5f * (p->low[y] + p->high[y]) - p->middle[y] / p->examined;
@@ -185,18 +185,18 @@ void fmt_tris_make_sample(const struct fmt_tris_chunk *chunk,
     uint32_t short_runs = 0;
     for (uint32_t begin = 0, end; begin < count; begin = end, to += sizeof(struct tris_surfel)) {
         struct tris_surfel surfel;
-        struct patch patch;
-        end = gather(chunk, begin, far, &patch);
+        struct run run;
+        end = gather(chunk, begin, far, &run);
         /* There is a record for as many short runs as full ones. */
         short_runs += end - begin < RUN;
         if (short_runs >= count / RUN)
             far = INFINITY;
         for (int k = 0; k < 3; k++) {
             const float low = info->bounds_min[k], high = info->bounds_max[k];
-            surfel.low[k] = to_grid(patch.low[k], low, high, 0.0f);
-            surfel.high[k] = to_grid(patch.high[k], low, high, 1.0f);
+            surfel.low[k] = to_grid(run.low[k], low, high, 0.0f);
+            surfel.high[k] = to_grid(run.high[k], low, high, 1.0f);
         }
-        if (!set_plane(&patch, info, &surfel))
+        if (!set_plane(&run, info, &surfel))
             surfel.normal = TRIS_NOT_A_PLANE | directions(chunk, begin, end);
         memcpy(to, &surfel, sizeof surfel);
     }

@@ -2,34 +2,23 @@
  *
  * OpenVDB writes an archive from whole grids in memory. The memory follows from the node counts and
  * is reserved before anything is built. */
-#include <inttypes.h>
 #include <math.h>
 #include <stdio.h>
 #include <sys/wait.h>
 #include <xxhash.h>
 
 #include "formats/grid/nvdb_layout_internal.h"
+#include "formats/grid/vdb_program.h"
 #include "formats/program/program.h"
-
-/* Bytes that OpenVDB takes for nodes of vectors and of bits, with malloc's overhead. bisque-vdb
- * refuses to take more. */
-enum {
-    LEAF = 128 + 512 * 12,
-    LOWER = 66608,
-    UPPER = 532624,
-    BIT_LEAF = 112,
-    BIT_LOWER = 33840,
-    BIT_UPPER = 270480
-};
 
 static uint64_t export_bytes(const struct fmt_nvdb_grid *grid)
 {
-    const uint64_t vectors = (uint64_t)grid->leaf_count * LEAF +
-                             (uint64_t)grid->lower_count * LOWER +
-                             (uint64_t)grid->upper_count * UPPER;
-    const uint64_t bits = (uint64_t)grid->leaf_count * BIT_LEAF +
-                          (uint64_t)grid->lower_count * BIT_LOWER +
-                          (uint64_t)grid->upper_count * BIT_UPPER;
+    const uint64_t vectors = (uint64_t)grid->leaf_count * VDB_VECTOR_LEAF +
+                             (uint64_t)grid->lower_count * VDB_VECTOR_LOWER +
+                             (uint64_t)grid->upper_count * VDB_VECTOR_UPPER;
+    const uint64_t bits = (uint64_t)grid->leaf_count * VDB_BIT_LEAF +
+                          (uint64_t)grid->lower_count * VDB_BIT_LOWER +
+                          (uint64_t)grid->upper_count * VDB_BIT_UPPER;
     return bits + (grid->colors ? 2 * vectors : vectors);
 }
 
@@ -64,15 +53,14 @@ int fmt_vdb_check(struct bsq_ctx *ctx)
 static int write_content(struct bsq_ctx *ctx, const struct fmt_nvdb_grid *grid, const char *path,
                          struct bsq_output *output, uint64_t bytes)
 {
-    char program[PATH_MAX], stamp[48], threads[12], memory[24], text[201] = "";
-    char *arguments[] = {program, stamp, threads, memory, NULL};
+    char program[PATH_MAX], stamp[48], threads[12], text[201] = "";
+    char *arguments[] = {program, stamp, threads, NULL};
     struct bsq_file file = BSQ_FILE_CLOSED;
     struct fmt_program_end end;
     uint64_t got = 0;
     int status;
     snprintf(stamp, sizeof stamp, "%s", fmt_program_stamp);
     snprintf(threads, sizeof threads, "%u", bsq_threads(ctx));
-    snprintf(memory, sizeof memory, "%" PRIu64, bytes);
     BSQ_TRY(find_program(ctx, program));
     BSQ_TRY(fmt_program_check(ctx, "OpenVDB files"));
     BSQ_TRY(bsq_output_read(output, &file));

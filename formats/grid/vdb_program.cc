@@ -26,6 +26,7 @@ extern "C" {
 #include "base/vec.h"
 }
 #include "formats/grid/nvdb_layout_internal.h"
+#include "formats/grid/vdb_program.h"
 #include "formats/program/program.h"
 
 namespace
@@ -90,24 +91,20 @@ template <typename ValueT, typename TreeT> void fill_tree(const fmt_nvdb_grid &f
     }
 }
 
-/* Returns the bytes of a tree's nodes, with malloc's overhead. */
-template <typename TreeT> uint64_t tree_bytes(const fmt_nvdb_grid &grid)
-{
-    using leaf_type = typename TreeT::LeafNodeType;
+/* Checks the bytes of a tree's nodes, to which malloc adds 32 at most, or 128 for the largest. */
+template <typename TreeT, int VALUES, int LEAF, int LOWER, int UPPER> struct takes_no_more {
     using upper_type = typename TreeT::RootNodeType::ChildNodeType;
     using lower_type = typename upper_type::ChildNodeType;
-    uint64_t values =
-        std::is_same<TreeT, openvdb::MaskTree>::value ? 0 : 512 * sizeof(typename TreeT::ValueType);
-    return grid.leaf_count * (sizeof(leaf_type) + values + 32) +
-           grid.lower_count * (sizeof(lower_type) + uint64_t(32)) +
-           grid.upper_count * (sizeof(upper_type) + uint64_t(128));
-}
-
-uint64_t export_bytes(const fmt_nvdb_grid &grid)
-{
-    uint64_t vectors = tree_bytes<openvdb::Vec3STree>(grid);
-    return tree_bytes<openvdb::MaskTree>(grid) + (grid.colors ? 2 * vectors : vectors);
-}
+    static constexpr bool value = sizeof(typename TreeT::LeafNodeType) + VALUES + 32 <= LEAF &&
+                                  sizeof(lower_type) + 32 <= LOWER &&
+                                  sizeof(upper_type) + 128 <= UPPER;
+};
+static_assert(takes_no_more<openvdb::Vec3STree, 512 * sizeof(openvdb::Vec3f), VDB_VECTOR_LEAF,
+                            VDB_VECTOR_LOWER, VDB_VECTOR_UPPER>::value,
+              "the caller reserves what trees of vectors take");
+static_assert(
+    takes_no_more<openvdb::MaskTree, 0, VDB_BIT_LEAF, VDB_BIT_LOWER, VDB_BIT_UPPER>::value,
+    "the caller reserves what trees of bits take");
 
 template <typename ValueT>
 typename ValueT::grid_type::Ptr make_grid(const fmt_nvdb_grid &from, const char *name)
@@ -149,8 +146,8 @@ void write_archive(const fmt_nvdb_grid &from)
     stream.flush();
 }
 
-/* Writes the grid that is the standard input, with some bytes of memory. */
-void convert(bsq_ctx *ctx, uint64_t memory)
+/* Writes the grid that is the standard input. */
+void convert(bsq_ctx *ctx)
 {
     fmt_nvdb_grid grid;
     struct stat info;
@@ -159,8 +156,6 @@ void convert(bsq_ctx *ctx, uint64_t memory)
     file.path = strdup("the grid");
     file.size = fstat(STDIN_FILENO, &info) == 0 ? uint64_t(info.st_size) : 0;
     int status = fmt_nvdb_open_file(ctx, &file, &grid);
-    if (status == 0 && export_bytes(grid) > memory)
-        throw std::bad_alloc();
     if (status == 0) {
         tbb::task_arena arena(int(bsq_threads(ctx)));
         arena.execute([&] { write_archive(grid); });
@@ -172,10 +167,10 @@ void convert(bsq_ctx *ctx, uint64_t memory)
 
 } // namespace
 
-/* Arguments: the program's build, threads, bytes of memory. Ends without destructors. */
+/* Arguments: the program's build, threads. Ends without destructors. */
 int main(int argument_count, char **arguments)
 {
-    if (argument_count != 4) {
+    if (argument_count != 3) {
         fputs("bisque-vdb: is run by bisque-voxelize for OpenVDB files\n", stderr);
         return -BSQ_EUSAGE;
     }
@@ -188,7 +183,7 @@ int main(int argument_count, char **arguments)
     try {
         if (bsq_ctx_create(&options, &ctx))
             throw std::bad_alloc();
-        convert(ctx, strtoull(arguments[3], nullptr, 10));
+        convert(ctx);
     } catch (const std::bad_alloc &) {
         fmt_program_refuse(BSQ_ENOMEM, "OpenVDB has not enough memory for it");
     } catch (const std::ios_base::failure &) {

@@ -39,7 +39,8 @@ static bool store_unit(const double v[3], float unit[3])
     return true;
 }
 
-/* What lies farther from 0 than so many times its size has floats relative to its middle. */
+/* A mesh whose distance from the origin is more than this many times its own size has its floats
+ * relative to its middle: relative to the origin, they would be too coarse. */
 #define FAR 64.0
 
 /* ---- arrays ---- */
