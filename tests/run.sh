@@ -1,7 +1,7 @@
 #!/bin/sh
 # Runs test programs that print TAP lines, as many at once as there are processors (JOBS). Prints a
 # line for each with its seconds, and the counts at the end. A program that fails without naming a
-# failed test counts as one failure.
+# failed test counts as one failure. TEST_SECONDS: a program that runs longer is stopped, and fails.
 set -u
 export CMOCKA_MESSAGE_OUTPUT=TAP
 here=$(cd "$(dirname "$0")" && pwd) || exit 1
@@ -25,7 +25,7 @@ trap 'exit 130' INT TERM
 run_one='
     log=$(mktemp "$results/XXXXXX") || exit 1
     started=$(date +%s)
-    "$0" >"$log" 2>&1
+    ${TEST_SECONDS:+timeout --kill-after=10 "$TEST_SECONDS"} "$0" >"$log" 2>&1
     status=$?
     seconds=$(($(date +%s) - started))
     # cmocka also prints "not ok" for skipped tests.
@@ -39,7 +39,7 @@ run_one='
         echo "$0: $ok passed, $bad failed, $skip skipped, $seconds s"
         if [ "$bad" -gt 0 ]; then
             grep -av "^ok " "$log"
-            echo "exit status $status"
+            echo "exit status $status${TEST_SECONDS:+, 124 if it ran for $TEST_SECONDS s}"
         elif [ "$skip" -gt 0 ]; then
             grep -ai "# skip" "$log"
         fi

@@ -166,7 +166,13 @@ until grep -q 'openjd_status: tracing' "$out" || [ $tries -gt 6000 ]; do
     tries=$((tries + 1))
     sleep 0.1
 done
-kill -INT $pid
+# A signal that comes just before Python's main thread begins to wait is not handled until it wakes up.
+tries=0
+until grep -q 'Interruption signal' "$out" || [ $tries -gt 60 ]; do
+    tries=$((tries + 1))
+    kill -INT $pid
+    sleep 1
+done
 wait $pid || code=$?
 [ "$code" -ne 0 ] && grep -q 'openjd_fail: interrupted' "$out" && grep -q 'exited with code: 75 ' "$out"
 check "a cancelation interrupts the program" $?

@@ -41,11 +41,10 @@ CONF
 # wait_until SECONDS COMMAND...: waits for the command to succeed; fails after that time.
 wait_until()
 {
-    left=$(($1 * 5))
+    end=$(($(date +%s) + $1))
     shift
     until eval "$*"; do
-        left=$((left - 1))
-        [ $left -gt 0 ] || return 1
+        [ "$(date +%s)" -lt "$end" ] || return 1
         sleep 0.2
     done
 }
