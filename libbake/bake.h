@@ -381,7 +381,7 @@ struct bake_id {
 /** What bake_run() did. Times are wall times in seconds. */
 struct bake_report {
     size_t size;                      /**< Of the structure, see bsq_clear_report(). */
-    char device[128];                 /**< Name of the device that traced. */
+    char device[256];                 /**< Name of the device that traced. */
     uint64_t low_triangles;           /**< Triangles of the low-poly mesh. */
     uint64_t low_polygons;            /**< Its faces that had more corners. */
     uint64_t degenerate_uv_triangles; /**< Of these, without an area in the map. */

@@ -33,6 +33,7 @@ struct bake_device {
     struct bake_backend *fallback; /* native; NULL until it is needed */
     atomic_bool lost;              /* the backend failed; the fallback goes on */
     unsigned slot;                 /* that patches are traced from */
+    char name[256];                /* of the backend, and of the fallback that went on */
 };
 
 enum { ANY_DEVICE = -1 };
@@ -227,16 +228,18 @@ int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_jo
     pthread_mutex_init(&device->lock, NULL);
     atomic_init(&device->lost, false);
     status = strcmp(name, "auto") == 0 ? open_any(device) : open_named(device, name);
-    if (status < 0)
+    if (status < 0) {
         bake_device_close(device);
-    else
-        *out = device;
-    return status;
+        return status;
+    }
+    snprintf(device->name, sizeof device->name, "%s", device->backend->name);
+    *out = device;
+    return 0;
 }
 
 const char *bake_device_name(const struct bake_device *device)
 {
-    return device->backend->name;
+    return device->name;
 }
 
 /* ---- passes and patches ---- */
@@ -256,6 +259,8 @@ static bool fall_back(struct bake_device *device, const char *why)
     if (!device->fallback &&
         bake_native_kind.open(device->ctx, 0, device->job, &device->fallback) == 0) {
         bsq_warn(device->ctx, "%s: %s; going on with %s", device->backend->name, why,
+                 device->fallback->name);
+        snprintf(device->name, sizeof device->name, "%s, then %.100s", device->backend->name,
                  device->fallback->name);
         atomic_store(&device->lost, true);
     }

@@ -20,6 +20,8 @@ struct bake_device;
 int bake_device_open(struct bsq_ctx *ctx, const char *name, const struct bake_job *job,
                      struct bake_device **out);
 void bake_device_close(struct bake_device *device); /* NULL is allowed */
+/* Returns the device's name; after it failed also that of the processor, which went on. Must not be
+ * called while patches are traced. */
 const char *bake_device_name(const struct bake_device *device);
 
 /* Returns whether the device can trace any patch. Otherwise it needs passes. */

@@ -91,11 +91,7 @@ int bake_open_device(struct bake_work *job, double seconds)
                                     .patch_texels = most_texels(job),
                                     .device_memory = job->options->gpu_memory_bytes,
                                     .params = job->surface.params};
-    int status = bake_device_open(job->ctx, device_name(job, seconds), &job->traced, &job->device);
-    if (status == 0)
-        snprintf(job->report->device, sizeof job->report->device, "%s",
-                 bake_device_name(job->device));
-    return status;
+    return bake_device_open(job->ctx, device_name(job, seconds), &job->traced, &job->device);
 }
 
 /* Returns whether the scan and the low-poly mesh have about the same size and place, so that longer
@@ -136,9 +132,10 @@ static int fail_without_hit(const struct bake_work *job)
                                         "if the scan's faces are wound inwards");
 }
 
-static void note_device_times(struct bake_work *job)
+static void note_device(struct bake_work *job)
 {
     struct bake_device_times times;
+    snprintf(job->report->device, sizeof job->report->device, "%s", bake_device_name(job->device));
     bake_device_times(job->device, &times);
     job->report->seconds_upload = times.upload;
     job->report->seconds_kernels = times.kernels;
@@ -186,7 +183,7 @@ int bake_trace_maps(struct bake_work *job)
             status = trace_tile(job, &job->tiles[i], share / (job->udim.count - i));
     }
     if (job->device)
-        note_device_times(job);
+        note_device(job);
     return status;
 }
 

@@ -48,8 +48,8 @@ if [ -s "$ptx" ]; then
     done
 
     # A GPU fails during the job: "auto" falls back to the processor and makes the same map, "cuda" fails.
-    FAKE_CUDA_FAIL=cuLaunchKernel:2:719 cuda --device auto $maps -o 'lost_<MAP>.exr'
-    code 0
+    FAKE_CUDA_FAIL=cuLaunchKernel:2:719 cuda --device auto --threads 1 $maps -o 'lost_<MAP>.exr' --json
+    json '.device == "Fake GPU 0 (CUDA), then cpu, 1 thread"'
     holds "the GPU's loss is a warning" grep -q "going on with cpu" "$err"
     same cpu_normal.exr lost_normal.exr
     FAKE_CUDA_FAIL=cuLaunchKernel:2:719 cuda --device cuda $maps -o 'gone_<MAP>.exr'
