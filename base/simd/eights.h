@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "base/simd/lanes.h"
+#include "base/simd/rows.h"
 
 typedef float eights __attribute__((vector_size(32)));
 typedef int32_t eight_ints __attribute__((vector_size(32)));
@@ -63,6 +64,16 @@ LANES_INLINE eights eights_splat(float f)
 #else
     const eights_half half = f - (eights_half){0};
     return EIGHTS_JOIN(half, half);
+#endif
+}
+
+/* Returns four values and four more. */
+LANES_INLINE eights eights_join(four_floats low, four_floats high)
+{
+#ifdef __AVX2__
+    return __builtin_shufflevector(low, high, 0, 1, 2, 3, 4, 5, 6, 7);
+#else
+    return EIGHTS_JOIN(low, high);
 #endif
 }
 

@@ -140,6 +140,19 @@ LANES_INLINE four_floats four_floats_max(four_floats a, four_floats b)
 #endif
 }
 
+/* Exchanges rows and columns. */
+LANES_INLINE void four_floats_transpose(four_floats v[4])
+{
+    const four_floats low01 = __builtin_shufflevector(v[0], v[1], 0, 4, 1, 5);
+    const four_floats low23 = __builtin_shufflevector(v[2], v[3], 0, 4, 1, 5);
+    const four_floats high01 = __builtin_shufflevector(v[0], v[1], 2, 6, 3, 7);
+    const four_floats high23 = __builtin_shufflevector(v[2], v[3], 2, 6, 3, 7);
+    v[0] = __builtin_shufflevector(low01, low23, 0, 1, 4, 5);
+    v[1] = __builtin_shufflevector(low01, low23, 2, 3, 6, 7);
+    v[2] = __builtin_shufflevector(high01, high23, 0, 1, 4, 5);
+    v[3] = __builtin_shufflevector(high01, high23, 2, 3, 6, 7);
+}
+
 /* Returns x with number i replaced. */
 LANES_INLINE struct row row_with(struct row x, int i, double number)
 {

@@ -220,7 +220,7 @@ static int allocate(struct bake_exact_look *look)
     struct bsq_ctx *ctx = look->exact->ctx;
     int status = 0;
     BSQ_TRY(bake_exact_slots_create(look->exact, look->exact->chunk_count,
-                                    bsq_memory_share(ctx, "chunks for secondary rays", 3),
+                                    bsq_memory_share(ctx, "chunks for secondary rays", 3), true,
                                     &look->memory));
     const uint32_t slots = look->memory.count;
     BSQ_TRY(bsq_alloc(ctx, "tree of chunks", bake_exact_tree_bytes(slots), 1, &look->tree_memory));

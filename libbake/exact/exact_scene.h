@@ -53,8 +53,40 @@ static inline bool exact_needs_smooth(const struct bake_exact *exact)
 
 /* ---- a chunk in memory ---- */
 
-/* Triangles, and positions, whose common bounds are kept. */
-enum { EXACT_GROUP = BSQ_POSITIONS_BATCH };
+/* Triangles, and positions, whose common bounds are kept; and triangles of a leaf of the tree. */
+enum { EXACT_GROUP = BSQ_POSITIONS_BATCH, EXACT_RUN = 8 };
+
+static inline uint32_t exact_runs(uint32_t triangles)
+{
+    return (triangles + EXACT_RUN - 1) / EXACT_RUN;
+}
+
+/* Sets the bounds of a triangle. The fourth numbers are arbitrary. */
+LANES_INLINE void exact_triangle_bounds(const struct fmt_tris_chunk *chunk, uint32_t triangle,
+                                        four_floats *low, four_floats *high)
+{
+    const uint32_t *v = chunk->triangles[triangle];
+    const four_floats a = four_floats_load(chunk->positions[v[0]]),
+                      b = four_floats_load(chunk->positions[v[1]]),
+                      c = four_floats_load(chunk->positions[v[2]]);
+    *low = four_floats_min(four_floats_min(a, b), c);
+    *high = four_floats_max(four_floats_max(a, b), c);
+}
+
+/* Sets the boxes of a run's triangles. */
+LANES_INLINE void exact_run_set(const struct fmt_tris_chunk *chunk, uint32_t run,
+                                struct exact_box8 *out)
+{
+    const uint32_t first = EXACT_RUN * run;
+    four_floats low[EXACT_RUN], high[EXACT_RUN];
+    for (uint32_t i = 0; i < EXACT_RUN; i++) {
+        low[i] = (four_floats){INFINITY, INFINITY, INFINITY, INFINITY};
+        high[i] = -low[i];
+        if (first + i < chunk->triangle_count)
+            exact_triangle_bounds(chunk, first + i, &low[i], &high[i]);
+    }
+    exact_node_set(out, low, high, 0);
+}
 
 struct exact_chunk {
     struct fmt_tris_chunk tris;
@@ -64,9 +96,11 @@ struct exact_chunk {
 /* Sums of normals by position; see exact_smooth.c. */
 struct exact_smooth {
     struct bsq_positions table;
+    uint64_t *filter;   /* of positions in the table */
     uint32_t *entry_of; /* of each vertex of the chunk: index into sums[]; 0: not needed */
     float (*positions)[3];
     struct exact_box *groups; /* bounds of each EXACT_GROUP positions */
+    struct exact_box *shared; /* of those of them that are in another chunk */
     /* Of one-rings (base/smooth_normals.h), from index 1: two rows each, and of creases likewise.
      */
     double (*sums)[4], (*creases)[4], (*seconds)[4];
@@ -80,6 +114,7 @@ struct exact_slot {
     bool loaded;
     struct exact_chunk chunk;
     struct exact_tree tree;
+    struct exact_box8 *runs; /* boxes of their triangles; NULL: these are not kept */
     struct exact_smooth smooth;
     void *chunk_memory, *tree_memory, *smooth_memory;
     bool needed;    /* has hits whose normals are summed */
@@ -89,7 +124,7 @@ struct exact_slot {
 
 /* Buffers of a thread while it prepares a slot. */
 struct exact_scratch {
-    void *boxes;     /* of a chunk's triangles */
+    void *boxes;     /* of a chunk's runs */
     void *neighbour; /* another chunk */
     uint32_t *map;   /* of its vertices */
 };
@@ -102,9 +137,10 @@ struct exact_slots {
     void *memory;                    /* holds the buffers of all slots and scratches */
 };
 
-/* Allocates 1 to `most` slots, as many as fit `memory` bytes. Free them, also after a failure. */
+/* Allocates 1 to `most` slots, as many as fit `memory` bytes. runs: the boxes of triangles are
+ * kept. Free them, also after a failure. */
 int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint64_t memory,
-                            struct exact_slots *out);
+                            bool runs, struct exact_slots *out);
 void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots);
 
 /* Takes the points of a chunk that has just been loaded, unless they were taken before. */
@@ -118,8 +154,8 @@ int bake_exact_load(const struct bake_exact *exact, uint32_t number, void *memor
                     struct exact_chunk *out);
 /* Sets the groups of a chunk that was loaded into `memory`, unless they are set. */
 void bake_exact_set_groups(const struct bake_exact *exact, void *memory, struct exact_chunk *chunk);
-/* Loads the chunk of a slot, or its sample, unless it is loaded, and builds the tree of its
- * triangles. Workers may prepare different slots at the same time. */
+/* Loads the chunk of a slot, or its sample, unless it is loaded, and builds the tree of the bounds
+ * of each EXACT_RUN triangles. Workers may prepare different slots at the same time. */
 int bake_exact_slot_prepare(const struct bake_exact *exact, const struct exact_slots *slots,
                             bool sampled, uint64_t index, unsigned worker);
 /* Returns the buffers of a worker that prepares a slot. */

@@ -2,13 +2,15 @@
  * loads them, and builds the trees of their triangles. */
 #include "libbake/exact/exact_scene.h"
 
+#include <string.h>
+
 #include "base/vec.h"
 
 /* ---- memory ---- */
 
 /* Sizes in bytes of the buffers of a slot and of a scratch, which fit every chunk. */
 struct sizes {
-    uint64_t chunk, tree, smooth, near;
+    uint64_t chunk, tree, runs, smooth, near;
     uint64_t boxes, neighbour, map;
 };
 
@@ -28,7 +30,7 @@ uint64_t bake_exact_chunk_bytes(const struct bake_exact *exact)
     return tris_bytes(exact) + bsq_align_up(groups * sizeof(struct exact_box), BSQ_ALIGNMENT);
 }
 
-static struct sizes buffer_sizes(const struct bake_exact *exact)
+static struct sizes buffer_sizes(const struct bake_exact *exact, bool runs)
 {
     struct sizes sizes = {0};
     uint32_t triangles = 0, vertices = 0;
@@ -38,8 +40,9 @@ static struct sizes buffer_sizes(const struct bake_exact *exact)
         vertices = chunk->vertex_count > vertices ? chunk->vertex_count : vertices;
     }
     sizes.chunk = bake_exact_chunk_bytes(exact);
-    sizes.tree = bsq_align_up(bake_exact_tree_bytes(triangles), BSQ_ALIGNMENT);
-    sizes.boxes = bsq_align_up(triangles * sizeof(struct exact_box), BSQ_ALIGNMENT);
+    sizes.tree = bsq_align_up(bake_exact_tree_bytes(exact_runs(triangles)), BSQ_ALIGNMENT);
+    sizes.runs = runs ? exact_runs(triangles) * sizeof(struct exact_box8) : 0;
+    sizes.boxes = bsq_align_up(exact_runs(triangles) * sizeof(struct exact_box), BSQ_ALIGNMENT);
     if (exact_needs_smooth(exact)) {
         sizes.smooth = bsq_align_up(bake_exact_smooth_bytes(vertices), BSQ_ALIGNMENT);
         sizes.neighbour = sizes.chunk;
@@ -52,7 +55,8 @@ static struct sizes buffer_sizes(const struct bake_exact *exact)
 /* A slot never holds a tree and sums of normals at the same time. */
 static uint64_t slot_bytes(const struct sizes *sizes)
 {
-    return sizes->chunk + (sizes->tree > sizes->smooth ? sizes->tree : sizes->smooth) + sizes->near;
+    const uint64_t tree = sizes->tree + sizes->runs;
+    return sizes->chunk + (tree > sizes->smooth ? tree : sizes->smooth) + sizes->near;
 }
 
 static uint64_t scratch_bytes(const struct sizes *sizes)
@@ -68,10 +72,10 @@ struct plan {
 };
 
 /* Plans up to `most` slots, at least one, that fit `memory` bytes; each thread prepares one. */
-static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, uint32_t threads,
-                              uint64_t memory)
+static struct plan plan_slots(const struct bake_exact *exact, uint32_t most, bool runs,
+                              uint32_t threads, uint64_t memory)
 {
-    const struct sizes sizes = buffer_sizes(exact);
+    const struct sizes sizes = buffer_sizes(exact, runs);
     const uint64_t slot = slot_bytes(&sizes), scratch = scratch_bytes(&sizes);
     struct plan plan = {.slots = most, .preparers = most < threads ? most : threads};
     while (plan.slots > 1 && plan.slots * slot + plan.preparers * scratch > memory) {
@@ -104,9 +108,9 @@ struct bake_exact_needs bake_exact_expect(const struct bake_exact *exact, uint32
 {
     const uint32_t chunks = exact->chunk_count, slots = EXACT_SLOTS_A_THREAD * threads;
     return (struct bake_exact_needs){
-        .fixed_bytes = plan_slots(exact, slots, threads, UINT64_MAX).bytes,
+        .fixed_bytes = plan_slots(exact, slots, false, threads, UINT64_MAX).bytes,
         .ray_bytes = ray_bytes(exact),
-        .scan_bytes = plan_slots(exact, chunks, threads, UINT64_MAX).bytes,
+        .scan_bytes = plan_slots(exact, chunks, true, threads, UINT64_MAX).bytes,
         .chunk_count = chunks};
 }
 
@@ -114,11 +118,11 @@ uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes
 {
     const uint64_t left = bsq_memory_share(exact->ctx, "chunks and rays", 1);
     const uint32_t threads = bsq_threads(exact->ctx);
-    const uint64_t fixed = plan_slots(exact, exact_wave_slots(exact), threads, left / 4).bytes +
-                           bake_exact_buckets_scratch_bytes(exact) +
-                           (exact->chunk_count + 1) * sizeof(uint64_t) +
-                           (exact_bucket_entries(exact, 0) + BAKE_EXACT_BUNDLE) * BUCKET_BYTES +
-                           EXACT_LOCKS * sizeof(pthread_mutex_t) + kept_bytes(exact, left / 8);
+    const uint64_t fixed =
+        plan_slots(exact, exact_wave_slots(exact), false, threads, left / 4).bytes +
+        bake_exact_buckets_scratch_bytes(exact) + (exact->chunk_count + 1) * sizeof(uint64_t) +
+        (exact_bucket_entries(exact, 0) + BAKE_EXACT_BUNDLE) * BUCKET_BYTES +
+        EXACT_LOCKS * sizeof(pthread_mutex_t) + kept_bytes(exact, left / 8);
     const uint64_t ray = ray_bytes(exact) + more_bytes;
     /* An eighth is left to other parts of the job. */
     const uint64_t usable = left / 8 * 7;
@@ -127,11 +131,11 @@ uint64_t bake_exact_capacity(const struct bake_exact *exact, uint64_t more_bytes
 }
 
 int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint64_t memory,
-                            struct exact_slots *out)
+                            bool runs, struct exact_slots *out)
 {
     struct bsq_ctx *ctx = exact->ctx;
-    const struct sizes sizes = buffer_sizes(exact);
-    const struct plan plan = plan_slots(exact, most, bsq_threads(ctx), memory);
+    const struct sizes sizes = buffer_sizes(exact, runs);
+    const struct plan plan = plan_slots(exact, most, runs, bsq_threads(ctx), memory);
     *out = (struct exact_slots){.count = plan.slots, .preparers = plan.preparers};
     int status = 0;
     BSQ_TRY(bsq_calloc(ctx, "chunks in memory", plan.slots, sizeof *out->slots, &out->slots));
@@ -142,6 +146,8 @@ int bake_exact_slots_create(const struct bake_exact *exact, uint32_t most, uint6
     for (uint32_t s = 0; s < plan.slots; s++, at += slot_bytes(&sizes)) {
         out->slots[s].chunk_memory = at;
         out->slots[s].tree_memory = out->slots[s].smooth_memory = at + sizes.chunk;
+        if (runs)
+            out->slots[s].runs = (struct exact_box8 *)(void *)(at + sizes.chunk + sizes.tree);
         out->slots[s].near = (uint32_t *)(void *)(at + slot_bytes(&sizes) - sizes.near);
     }
     for (uint32_t p = 0; p < plan.preparers; p++, at += scratch_bytes(&sizes)) {
@@ -162,21 +168,28 @@ void bake_exact_slots_free(struct bsq_ctx *ctx, struct exact_slots *slots)
 
 /* ---- chunks ---- */
 
-static struct exact_box triangle_box(const float *a, const float *b, const float *c)
+/* Returns the bounds of some triangles. */
+static struct exact_box bounds_of(const struct fmt_tris_chunk *chunk, uint32_t begin, uint32_t end)
 {
+    four_floats least, most, low, high;
     struct exact_box box;
-    for (int k = 0; k < 3; k++) {
-        float low = a[k] < b[k] ? a[k] : b[k], high = a[k] > b[k] ? a[k] : b[k];
-        box.low[k] = c[k] < low ? c[k] : low;
-        box.high[k] = c[k] > high ? c[k] : high;
+    exact_triangle_bounds(chunk, begin, &least, &most);
+    for (uint32_t t = begin + 1; t < end; t++) {
+        exact_triangle_bounds(chunk, t, &low, &high);
+        least = four_floats_min(least, low);
+        most = four_floats_max(most, high);
     }
+    memcpy(box.low, &least, sizeof box.low);
+    memcpy(box.high, &most, sizeof box.high);
     return box;
 }
 
-static struct exact_box box_of(const struct fmt_tris_chunk *chunk, uint32_t triangle)
+/* Writes the bounds of each `step` triangles of a chunk. */
+static void set_bounds(const struct fmt_tris_chunk *chunk, uint32_t step, struct exact_box *out)
 {
-    const uint32_t *v = chunk->triangles[triangle];
-    return triangle_box(chunk->positions[v[0]], chunk->positions[v[1]], chunk->positions[v[2]]);
+    const uint32_t count = chunk->triangle_count;
+    for (uint32_t t = 0; t < count; t += step)
+        *out++ = bounds_of(chunk, t, count - t < step ? count : t + step);
 }
 
 void bake_exact_set_groups(const struct bake_exact *exact, void *memory, struct exact_chunk *chunk)
@@ -184,13 +197,7 @@ void bake_exact_set_groups(const struct bake_exact *exact, void *memory, struct 
     if (chunk->groups)
         return;
     chunk->groups = (struct exact_box *)(void *)((char *)memory + tris_bytes(exact));
-    for (uint32_t t = 0; t < chunk->tris.triangle_count; t++) {
-        const struct exact_box box = box_of(&chunk->tris, t);
-        struct exact_box *group = &chunk->groups[t / EXACT_GROUP];
-        if (t % EXACT_GROUP == 0)
-            *group = EXACT_EMPTY_BOX;
-        exact_box_grow(group, box.low, box.high);
-    }
+    set_bounds(&chunk->tris, EXACT_GROUP, chunk->groups);
 }
 
 int bake_exact_load(const struct bake_exact *exact, uint32_t number, void *memory,
@@ -205,10 +212,11 @@ int bake_exact_load(const struct bake_exact *exact, uint32_t number, void *memor
 static void build_tree(struct exact_slot *slot, const struct exact_scratch *scratch)
 {
     const struct fmt_tris_chunk *chunk = &slot->chunk.tris;
-    struct exact_box *boxes = scratch->boxes;
-    for (uint32_t t = 0; t < chunk->triangle_count; t++)
-        boxes[t] = box_of(chunk, t);
-    bake_exact_tree_build(&slot->tree, chunk->triangle_count, boxes, slot->tree_memory);
+    set_bounds(chunk, EXACT_RUN, scratch->boxes);
+    bake_exact_tree_build(&slot->tree, exact_runs(chunk->triangle_count), scratch->boxes,
+                          slot->tree_memory);
+    for (uint32_t r = 0; slot->runs && r < exact_runs(chunk->triangle_count); r++)
+        exact_run_set(chunk, r, &slot->runs[r]);
 }
 
 const struct exact_scratch *bake_exact_scratch(const struct bake_exact *exact,

@@ -25,12 +25,18 @@ static uint32_t group_count(uint32_t positions)
     return (positions + EXACT_GROUP - 1) / EXACT_GROUP;
 }
 
+static uint32_t filter_words(uint32_t positions)
+{
+    return (bsq_positions_slots(positions) + 63) / 64;
+}
+
 uint64_t bake_exact_smooth_bytes(uint32_t vertices)
 {
     const struct exact_smooth *s = NULL;
     return (uint64_t)bsq_positions_slots(vertices) * sizeof *s->table.slots +
+           filter_words(vertices) * sizeof *s->filter +
            (uint64_t)vertices * (sizeof *s->positions + sizeof *s->entry_of) +
-           group_count(vertices) * sizeof *s->groups +
+           group_count(vertices) * (sizeof *s->groups + sizeof *s->shared) +
            ((uint64_t)vertices + 1) *
                (2 * ROWS * sizeof *s->sums + sizeof *s->creases + sizeof *s->crease_of);
 }
@@ -42,16 +48,42 @@ void bake_exact_smooth_begin(struct exact_slot *slot)
     s->sums = slot->smooth_memory;
     s->seconds = s->sums + ROWS * ((uint64_t)vertices + 1);
     s->creases = s->seconds + ROWS * ((uint64_t)vertices + 1);
-    s->positions = (float(*)[3])(void *)(s->creases + vertices + 1);
+    s->filter = (uint64_t *)(void *)(s->creases + vertices + 1);
+    s->positions = (float(*)[3])(void *)(s->filter + filter_words(vertices));
     s->groups = (struct exact_box *)(void *)(s->positions + vertices);
-    s->crease_of = (uint32_t *)(void *)(s->groups + group_count(vertices));
+    s->shared = s->groups + group_count(vertices);
+    s->crease_of = (uint32_t *)(void *)(s->shared + group_count(vertices));
     s->entry_of = s->crease_of + vertices + 1;
     s->table =
         (struct bsq_positions){s->entry_of + vertices, slots - 1, (const float(*)[3])s->positions};
     s->count = 0;
     memset(s->sums[0], 0, ROWS * sizeof *s->sums);
     memset(s->table.slots, 0, slots * sizeof *s->table.slots);
+    memset(s->filter, 0, filter_words(vertices) * sizeof *s->filter);
     memset(s->entry_of, 0, vertices * sizeof *s->entry_of);
+}
+
+/* Most positions that are looked up are not in the table. Two bits of a word tell so of nearly all
+ * of them without a look at the table, which is too large for a small cache (Bloom, "Space/Time
+ * Trade-offs in Hash Coding with Allowable Errors", 1970). */
+static inline uint64_t *filter_word(const struct exact_smooth *s, uint32_t hash)
+{
+    return &s->filter[(hash & s->table.mask) / 64];
+}
+
+static inline uint64_t filter_bits(uint32_t hash)
+{
+    return UINT64_C(1) << hash % 64 | UINT64_C(1) << (hash >> 26);
+}
+
+/* Returns the entry of a position, or 0. */
+static inline uint32_t find_entry(const struct exact_smooth *s, const float position[3])
+{
+    const uint32_t hash = bsq_position_hash(position);
+    const uint64_t bits = filter_bits(hash);
+    return (*filter_word(s, hash) & bits) == bits
+               ? *bsq_positions_find_hashed(&s->table, position, hash)
+               : 0;
 }
 
 void bake_exact_smooth_need(struct exact_slot *slot, uint32_t vertex)
@@ -59,10 +91,13 @@ void bake_exact_smooth_need(struct exact_slot *slot, uint32_t vertex)
     struct exact_smooth *s = &slot->smooth;
     if (s->entry_of[vertex] != 0)
         return;
-    uint32_t *entry = bsq_positions_find(&s->table, slot->chunk.tris.positions[vertex]);
+    const uint32_t hash = bsq_position_hash(slot->chunk.tris.positions[vertex]);
+    uint32_t *entry =
+        bsq_positions_find_hashed(&s->table, slot->chunk.tris.positions[vertex], hash);
     if (*entry == 0) {
         memcpy(s->positions[s->count], slot->chunk.tris.positions[vertex], sizeof *s->positions);
         *entry = ++s->count;
+        *filter_word(s, hash) |= filter_bits(hash);
         memset(s->sums[ROWS * s->count], 0, ROWS * sizeof *s->sums);
     }
     s->entry_of[vertex] = *entry;
@@ -98,6 +133,16 @@ static bool overlap(const struct exact_box *a, const struct exact_box *b)
     return both;
 }
 
+/* Returns whether a box overlaps any of `count` others. */
+static bool overlaps_any(const struct exact_box *box, const struct exact_box *others,
+                         uint32_t count)
+{
+    bool any = false;
+    for (uint32_t i = 0; i < count && !any; i++)
+        any = overlap(box, &others[i]);
+    return any;
+}
+
 /* Sets the bounds of groups of needed positions. Returns those of all. */
 static struct exact_box set_groups(const struct exact_smooth *s)
 {
@@ -113,15 +158,15 @@ static struct exact_box set_groups(const struct exact_smooth *s)
     return all;
 }
 
-/* Finds the bounds of the vertices that a step needs and that lie within the bounds of a chunk.
- * Returns false if there are none. */
-static bool find_shared(const struct exact_smooth *s, enum step step,
-                        const struct fmt_tris_chunk_info *chunk, struct exact_box *out)
+/* Sets shared[] to the bounds of the vertices of each group that a step needs and that lie within
+ * the bounds of a chunk, and *all to those of all groups. Returns the number of groups that have
+ * any. */
+static uint32_t find_shared(const struct exact_smooth *s, enum step step,
+                            const struct fmt_tris_chunk_info *chunk, struct exact_box *all)
 {
-    uint32_t inside[EXACT_GROUP];
-    bool any = false;
-    *out = EXACT_EMPTY_BOX;
+    uint32_t inside[EXACT_GROUP], count = 0;
     struct exact_box box = EXACT_EMPTY_BOX;
+    *all = EXACT_EMPTY_BOX;
     exact_box_grow(&box, chunk->bounds_min, chunk->bounds_max);
     for (uint32_t g = 0; g < group_count(s->count); g++) {
         const uint32_t first = g * EXACT_GROUP, left = s->count - first;
@@ -130,14 +175,19 @@ static bool find_shared(const struct exact_smooth *s, enum step step,
         const uint32_t found =
             bsq_positions_inside(box.low, box.high, (const float(*)[3])s->positions + first,
                                  left < EXACT_GROUP ? left : EXACT_GROUP, inside);
+        bool any = false;
+        struct exact_box shared = EXACT_EMPTY_BOX;
         for (uint32_t i = 0; i < found; i++)
             if (is_needed(s, step, first + inside[i])) {
                 const float *p = s->positions[first + inside[i]];
-                exact_box_grow(out, p, p);
+                exact_box_grow(&shared, p, p);
                 any = true;
             }
+        if (any)
+            s->shared[count++] = shared;
+        exact_box_grow(all, shared.low, shared.high);
     }
-    return any;
+    return count;
 }
 
 static int ascending(const void *a, const void *b)
@@ -154,7 +204,7 @@ void bake_exact_smooth_find_near(const struct bake_exact *exact, struct exact_sl
     slot->near_count = 0;
     for (uint32_t i = 0; i < found; i++)
         if (slot->near[i] == slot->number ||
-            find_shared(&slot->smooth, STEP_SUM, &exact->chunks[slot->near[i]], &shared))
+            find_shared(&slot->smooth, STEP_SUM, &exact->chunks[slot->near[i]], &shared) > 0)
             slot->near[slot->near_count++] = slot->near[i];
     bsq_sort(slot->near, slot->near_count, sizeof *slot->near, ascending);
 }
@@ -191,7 +241,7 @@ static void match_corners(const struct exact_smooth *s, const struct fmt_tris_ch
         bool in = true;
         for (int k = 0; k < 3; k++)
             in &= (p[k] >= box->low[k]) & (p[k] <= box->high[k]);
-        map[v] = in ? *bsq_positions_find(&s->table, p) : 0;
+        map[v] = in ? find_entry(s, p) : 0;
     }
 }
 
@@ -203,7 +253,9 @@ static int add_neighbour(const struct exact_summing *of, enum step step, uint32_
     struct exact_chunk near;
     struct exact_box box;
     int status = bsq_check(of->exact->ctx);
-    if (status < 0 || !find_shared(s, step, &of->exact->chunks[number], &box))
+    const uint32_t shared =
+        status == 0 ? find_shared(s, step, &of->exact->chunks[number], &box) : 0;
+    if (shared == 0)
         return status;
     status = get_neighbour(of, number, &near);
     if (status < 0)
@@ -212,7 +264,8 @@ static int add_neighbour(const struct exact_summing *of, enum step step, uint32_
     memset(map, UNKNOWN_BYTE, near.tris.vertex_count * sizeof *map);
     for (uint32_t begin = 0; begin < count; begin += EXACT_GROUP) {
         const uint32_t end = count - begin < EXACT_GROUP ? count : begin + EXACT_GROUP;
-        if (!overlap(&box, &near.groups[begin / EXACT_GROUP]))
+        const struct exact_box *group = &near.groups[begin / EXACT_GROUP];
+        if (!overlap(&box, group) || !overlaps_any(group, s->shared, shared))
             continue;
         match_corners(s, &near.tris, begin, end, &box, map);
         add_chunk(s, step, of->exact->options.normals, &near.tris, begin, end, map);
@@ -223,21 +276,9 @@ static int add_neighbour(const struct exact_summing *of, enum step step, uint32_
 /* Finds the vertices that are not needed but share the position of one that is. */
 static void match_own(const struct exact_smooth *s, const struct fmt_tris_chunk *own)
 {
-    uint32_t vertices[BSQ_POSITIONS_BATCH], hashes[BSQ_POSITIONS_BATCH];
-    for (uint32_t v = 0; v < own->vertex_count;) {
-        uint32_t count = 0;
-        for (; v < own->vertex_count && count < BSQ_POSITIONS_BATCH; v++) {
-            vertices[count] = v;
-            count += s->entry_of[v] == 0;
-        }
-        for (uint32_t i = 0; i < count; i++) {
-            hashes[i] = bsq_position_hash(own->positions[vertices[i]]);
-            __builtin_prefetch(&s->table.slots[hashes[i] & s->table.mask]);
-        }
-        for (uint32_t i = 0; i < count; i++)
-            s->entry_of[vertices[i]] =
-                *bsq_positions_find_hashed(&s->table, own->positions[vertices[i]], hashes[i]);
-    }
+    for (uint32_t v = 0; v < own->vertex_count; v++)
+        if (s->entry_of[v] == 0)
+            s->entry_of[v] = find_entry(s, own->positions[v]);
 }
 
 /* Does a step for the triangles of all chunks near the needed vertices, in the order of the file.

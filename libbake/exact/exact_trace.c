@@ -312,7 +312,8 @@ static int allocate(struct wave *wave, struct exact_buckets *buckets)
         pthread_mutex_init(&wave->locks[i], NULL);
     /* Last, because they make do with little memory. */
     BSQ_TRY(bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact),
-                                    bsq_memory_share(ctx, "chunks of a wave", 2), &wave->memory));
+                                    bsq_memory_share(ctx, "chunks of a wave", 2), false,
+                                    &wave->memory));
     if (!wave->batch->distances_only && exact_needs_smooth(wave->exact))
         status = bake_exact_kept_create(wave->exact, &wave->kept);
 done:

@@ -1,6 +1,4 @@
 /* exact_tree.c - builds and searches trees of boxes, and computes places on the Hilbert curve. */
-#define SIMD_FLOATS 4 /* a vector holds a corner of a box and a neighbour's coordinate */
-
 #include "libbake/exact/exact_tree.h"
 #include "libbake/exact/exact.h"
 
@@ -38,23 +36,16 @@ uint64_t bake_exact_tree_bytes(uint32_t count)
 static struct exact_box set_node(struct exact_box8 *node, const struct exact_box boxes[8])
 {
     /* Lower bounds are values 0 to 2 of the one, upper bounds are values 1 to 3 of the other. */
-    floats low[8], high[8];
-    floats least = {INFINITY, INFINITY, INFINITY, 0}, most = {0, INFINITY, INFINITY, INFINITY};
+    four_floats low[8], high[8];
+    four_floats least = {INFINITY, INFINITY, INFINITY, 0}, most = {0, INFINITY, INFINITY, INFINITY};
     struct exact_box all;
     for (int c = 0; c < 8; c++) {
         memcpy(&low[c], &boxes[c], sizeof *low);
         memcpy(&high[c], (const char *)&boxes[c] + sizeof boxes[c] - sizeof *high, sizeof *high);
-        least = floats_min(low[c], least);
-        most = floats_min(-high[c], most);
+        least = four_floats_min(low[c], least);
+        most = four_floats_min(-high[c], most);
     }
-    for (int c = 0; c < 8; c += 4) {
-        floats_transpose_fours(&low[c]);
-        floats_transpose_fours(&high[c]);
-        for (int k = 0; k < 3; k++) {
-            memcpy(&node->planes[0][k][c], &low[c + k], sizeof *low);
-            memcpy(&node->planes[1][k][c], &high[c + k + 1], sizeof *high);
-        }
-    }
+    exact_node_set(node, low, high, 1);
     for (int k = 0; k < 3; k++) {
         all.low[k] = least[k];
         all.high[k] = -most[k + 1];

@@ -1,5 +1,5 @@
-/* exact_tree.h - a tree of boxes with eight children per node, for triangles and for chunks;
- * private to this folder.
+/* exact_tree.h - a tree of boxes with eight children per node, for runs of triangles and for
+ * chunks; private to this folder.
  *
  * Boxes are packed by eights in their order, level by level (Kamel & Faloutsos, "On Packing
  * R-trees", 1993): chunk files keep chunks and triangles along a curve through space
@@ -13,6 +13,9 @@
 
 #include <math.h>
 #include <stdint.h>
+#include <string.h>
+
+#include "base/simd/simd.h"
 
 enum { EXACT_TREE_LEVELS = 11, EXACT_TREE_STACK = 7 * EXACT_TREE_LEVELS + 1 };
 
@@ -35,6 +38,23 @@ static inline void exact_box_grow(struct exact_box *box, const float low[3], con
     for (int k = 0; k < 3; k++) {
         box->low[k] = low[k] < box->low[k] ? low[k] : box->low[k];
         box->high[k] = high[k] > box->high[k] ? high[k] : box->high[k];
+    }
+}
+
+/* Sets the boxes of a node. Lower bounds are the first three numbers of low[], upper bounds those
+ * of high[] from number `skipped` on. Overwrites both. */
+LANES_INLINE void exact_node_set(struct exact_box8 *node, four_floats low[8], four_floats high[8],
+                                 int skipped)
+{
+    for (int c = 0; c < 8; c += 4) {
+        four_floats_transpose(&low[c]);
+        four_floats_transpose(&high[c]);
+    }
+    for (int k = 0; k < 3; k++) {
+        const eights all[2] = {eights_join(low[k], low[4 + k]),
+                               eights_join(high[k + skipped], high[4 + k + skipped])};
+        memcpy(node->planes[0][k], &all[0], sizeof *all);
+        memcpy(node->planes[1][k], &all[1], sizeof *all);
     }
 }
 

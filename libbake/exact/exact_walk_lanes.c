@@ -1,7 +1,9 @@
 /* exact_walk_lanes.c - finds the nearest hits of rays among the triangles of chunks.
  *
- * The leaves of the tree are boxes of single triangles, so that most triangles that are tested in
- * double are hit. */
+ * The leaves of the tree are runs of EXACT_RUN triangles. So that most triangles that are tested in
+ * double are hit, these have boxes, too. A bundle makes those of the runs that it enters: that
+ * takes no longer than to bring them from memory. Secondary rays enter a run many times, one by
+ * one, so theirs are kept. */
 #include <string.h>
 
 #include "libbake/exact/exact_line.h"
@@ -86,6 +88,24 @@ static void try_triangle(struct trace *trace, uint32_t triangle)
     set_span(&trace->range, best, limits);
 }
 
+/* Tests the triangles of a run that have these boxes. */
+static inline void try_boxes(struct trace *trace, uint32_t run, const struct exact_box8 *boxes)
+{
+    eights distances;
+    unsigned bits =
+        exact_line_crosses(&trace->line, boxes, trace->range.span, trace->range.reach, &distances);
+    for (; bits && !trace->done; bits &= bits - 1)
+        try_triangle(trace, EXACT_RUN * run + (unsigned)__builtin_ctz(bits));
+}
+
+static void try_run(struct trace *trace, uint32_t run)
+{
+    struct exact_box8 boxes;
+    if (!trace->slot->runs)
+        exact_run_set(&trace->slot->chunk.tris, run, &boxes);
+    try_boxes(trace, run, trace->slot->runs ? &trace->slot->runs[run] : &boxes);
+}
+
 struct entry {
     float distance;
     uint32_t level, node;
@@ -148,7 +168,7 @@ static void walk_slot(struct trace *trace, const struct exact_slot *slot, uint64
 {
     trace->slot = slot;
     trace->first = first;
-    walk_tree(trace, &slot->tree, try_triangle);
+    walk_tree(trace, &slot->tree, try_run);
 }
 
 static void visit_slot(struct trace *trace, uint32_t number)
@@ -160,16 +180,18 @@ static void visit_slot(struct trace *trace, uint32_t number)
 /* ---- bundles ----
  *
  * Walking a tree waits for one node after the other. So neighbouring rays look together for the
- * leaves that any of them may cross. The boxes of these are gathered by eights, and each ray goes
+ * runs that any of them may cross. The boxes of these are gathered by eights, and each ray goes
  * through this list. */
 
-enum { MOST_LEAVES = 64 };
+enum { MOST_RUNS = 64 };
 
-/* Leaf nodes of a tree. */
-struct leaves {
-    uint32_t count; /* MOST_LEAVES + 1: there are more than fit */
-    uint32_t nodes[MOST_LEAVES];
-    struct exact_box8 boxes[MOST_LEAVES / 8];
+/* Runs of a tree. */
+struct runs {
+    uint64_t entered; /* bit i: triangles[i] is set */
+    uint32_t count;   /* MOST_RUNS + 1: there are more than fit */
+    uint32_t numbers[MOST_RUNS];
+    struct exact_box8 boxes[MOST_RUNS / 8];
+    struct exact_box8 triangles[MOST_RUNS];
 };
 
 /* A convex part of space that holds where hits of all rays of a bundle count. Between two planes
@@ -269,16 +291,19 @@ static inline unsigned beam_crosses(const struct beam *beam, const struct exact_
     return bits;
 }
 
-/* Adds the children of a node of the level above leaves. Returns false if they do not fit. */
-static bool add_leaves(struct leaves *leaves, const struct exact_box8 *boxes, uint32_t first,
-                       unsigned bits)
+/* Adds the children of a leaf node. Returns false if they do not fit. */
+static bool add_runs(struct runs *runs, const struct fmt_tris_chunk *chunk,
+                     const struct exact_box8 *boxes, uint32_t first, unsigned bits)
 {
-    if (leaves->count + (unsigned)__builtin_popcount(bits) > MOST_LEAVES)
+    if (runs->count + (unsigned)__builtin_popcount(bits) > MOST_RUNS)
         return false;
-    for (; bits; bits &= bits - 1, leaves->count++) {
-        const unsigned c = (unsigned)__builtin_ctz(bits), to = leaves->count % 8;
-        struct exact_box8 *out = &leaves->boxes[leaves->count / 8];
-        leaves->nodes[leaves->count] = first + c;
+    for (; bits; bits &= bits - 1, runs->count++) {
+        const unsigned c = (unsigned)__builtin_ctz(bits), to = runs->count % 8;
+        struct exact_box8 *out = &runs->boxes[runs->count / 8];
+        const char *triangles = (const char *)chunk->triangles[EXACT_RUN * (first + c)];
+        __builtin_prefetch(triangles);
+        __builtin_prefetch(triangles + 64);
+        runs->numbers[runs->count] = first + c;
         for (int k = 0; k < 3; k++) {
             out->planes[0][k][to] = boxes->planes[0][k][c];
             out->planes[1][k][to] = boxes->planes[1][k][c];
@@ -287,52 +312,51 @@ static bool add_leaves(struct leaves *leaves, const struct exact_box8 *boxes, ui
     return true;
 }
 
-/* Lists the leaf nodes that overlap the beam. A tree that is a single node is not searched. */
-static void find_leaves(const struct exact_tree *tree, const struct beam *beam,
-                        struct leaves *leaves)
+/* Lists the runs that overlap the beam. */
+static void find_runs(const struct exact_slot *slot, const struct beam *beam, struct runs *runs)
 {
+    const struct exact_tree *tree = &slot->tree;
     struct entry stack[EXACT_TREE_STACK];
     uint32_t depth = 1;
-    leaves->count = 0;
+    runs->count = 0;
     stack[0] = (struct entry){0, tree->levels - 1, 0};
     while (depth > 0) {
         const struct entry top = stack[--depth];
         const struct exact_box8 *boxes = &tree->nodes[tree->first[top.level] + top.node];
         unsigned bits = beam_crosses(beam, boxes);
-        if (top.level == 1) {
-            if (add_leaves(leaves, boxes, 8 * top.node, bits))
+        if (top.level == 0) {
+            if (add_runs(runs, &slot->chunk.tris, boxes, 8 * top.node, bits))
                 continue;
-            leaves->count = MOST_LEAVES + 1;
+            runs->count = MOST_RUNS + 1;
             return;
         }
         for (; bits; bits &= bits - 1)
             stack[depth++] =
                 (struct entry){0, top.level - 1, 8 * top.node + (uint32_t)__builtin_ctz(bits)};
     }
-    for (uint32_t i = leaves->count; i % 8 != 0; i++)
+    for (uint32_t i = runs->count; i % 8 != 0; i++)
         for (int k = 0; k < 3; k++) {
-            leaves->boxes[i / 8].planes[0][k][i % 8] = INFINITY;
-            leaves->boxes[i / 8].planes[1][k][i % 8] = -INFINITY;
+            runs->boxes[i / 8].planes[0][k][i % 8] = INFINITY;
+            runs->boxes[i / 8].planes[1][k][i % 8] = -INFINITY;
         }
 }
 
-static void try_leaf(struct trace *trace, uint32_t leaf)
+static void try_listed(struct trace *trace, struct runs *runs, uint32_t i)
 {
-    eights distances;
-    unsigned bits = exact_line_crosses(&trace->line, &trace->slot->tree.nodes[leaf],
-                                       trace->range.span, trace->range.reach, &distances);
-    for (; bits; bits &= bits - 1)
-        try_triangle(trace, 8 * leaf + (unsigned)__builtin_ctz(bits));
+    if (!(runs->entered >> i & 1))
+        exact_run_set(&trace->slot->chunk.tris, runs->numbers[i], &runs->triangles[i]);
+    runs->entered |= UINT64_C(1) << i;
+    try_boxes(trace, runs->numbers[i], &runs->triangles[i]);
 }
 
-static void try_leaves(struct trace *trace, const struct leaves *leaves)
+static void try_runs(struct trace *trace, struct runs *runs)
 {
-    for (uint32_t i = 0; i < leaves->count; i += 8) {
+    for (uint32_t i = 0; i < runs->count; i += 8) {
         eights distances;
-        unsigned bits = exact_line_crosses(&trace->line, &leaves->boxes[i / 8], trace->range.span,
+        unsigned bits = exact_line_crosses(&trace->line, &runs->boxes[i / 8], trace->range.span,
                                            trace->range.reach, &distances);
         for (; bits; bits &= bits - 1)
-            try_leaf(trace, leaves->nodes[i + (unsigned)__builtin_ctz(bits)]);
+            try_listed(trace, runs, i + (unsigned)__builtin_ctz(bits));
     }
 }
 
@@ -341,15 +365,16 @@ unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uin
                                               const struct exact_limits *limits,
                                               struct exact_best *best)
 {
-    struct leaves leaves;
+    struct runs runs;
     unsigned improved = 0;
     struct beam beam;
-    leaves.count = MOST_LEAVES + 1;
-    if (slot->tree.levels > 1 && set_beam(&beam, rays, count, limits->t_min, limits->t_max))
-        find_leaves(&slot->tree, &beam, &leaves);
+    runs.count = MOST_RUNS + 1;
+    runs.entered = 0;
+    if (slot->tree.levels > 0 && set_beam(&beam, rays, count, limits->t_min, limits->t_max))
+        find_runs(slot, &beam, &runs);
     struct range fresh = {0}; /* of rays without a hit, and with this reach */
     double reach = NAN;
-    for (uint32_t i = 0; i < count && leaves.count > 0; i++) {
+    for (uint32_t i = 0; i < count && runs.count > 0; i++) {
         struct trace trace;
         trace.slot = slot;
         trace.first = first;
@@ -367,8 +392,8 @@ unsigned BSQ_SIMD_NAME(bake_exact_slot_trace)(const struct exact_slot *slot, uin
             reach = best[i].reach;
             trace.range = fresh;
         }
-        if (leaves.count <= MOST_LEAVES)
-            try_leaves(&trace, &leaves);
+        if (runs.count <= MOST_RUNS)
+            try_runs(&trace, &runs);
         else
             walk_slot(&trace, slot, first);
         improved |= (unsigned)trace.improved << i;
