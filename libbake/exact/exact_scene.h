@@ -108,6 +108,27 @@ struct exact_smooth {
     uint32_t count;
 };
 
+enum { EXACT_RING_ROWS = 2 }; /* weighted normals; unit normals */
+
+/* Returns the number of groups of positions. */
+static inline uint32_t exact_groups(uint32_t positions)
+{
+    return (positions + EXACT_GROUP - 1) / EXACT_GROUP;
+}
+
+/* Most positions that are looked up are not in the table. Two bits of a word tell so of nearly all
+ * of them without a look at the table, which is too large for a small cache (Bloom, "Space/Time
+ * Trade-offs in Hash Coding with Allowable Errors", 1970). */
+static inline uint64_t *exact_filter_word(const struct exact_smooth *s, uint32_t hash)
+{
+    return &s->filter[(hash & s->table.mask) / 64];
+}
+
+static inline uint64_t exact_filter_bits(uint32_t hash)
+{
+    return UINT64_C(1) << hash % 64 | UINT64_C(1) << (hash >> 26);
+}
+
 /* Memory for a chunk, and what is computed from it. */
 struct exact_slot {
     uint32_t number; /* of the chunk */
@@ -299,7 +320,9 @@ void bake_exact_smooth_begin(struct exact_slot *slot);
 /* Makes bake_exact_smooth_sum() sum the normal of a vertex. */
 void bake_exact_smooth_need(struct exact_slot *slot, uint32_t vertex);
 /* Lists the chunks with triangles at these vertices in the slot's near[]. */
-void bake_exact_smooth_find_near(const struct bake_exact *exact, struct exact_slot *slot);
+typedef void bake_exact_smooth_find_near_fn(const struct bake_exact *exact,
+                                            struct exact_slot *slot);
+BSQ_SIMD_DECLARE(bake_exact_smooth_find_near_fn, bake_exact_smooth_find_near);
 
 /* Sums of a slot, and what they are made of. */
 struct exact_summing {
@@ -312,7 +335,8 @@ struct exact_summing {
 };
 /* Sums the normals of the vertices that are needed, and of both sides of creases. Workers may do so
  * for different slots at the same time. Errors: those of fmt_tris_load(); BSQ_EINTR. */
-int bake_exact_smooth_sum(const struct exact_summing *of);
+typedef int bake_exact_smooth_sum_fn(const struct exact_summing *of);
+BSQ_SIMD_DECLARE(bake_exact_smooth_sum_fn, bake_exact_smooth_sum);
 
 /* Evaluates the normal and colour of a ray's hit, which must lie in the slot's chunk. Tracing left
  * its barycentric weights in normal[0] and normal[1]. */

@@ -96,7 +96,7 @@ static int need_slot(void *arg, uint64_t index, unsigned worker)
     bake_exact_set_groups(wave->exact, slot->chunk_memory, &slot->chunk);
     const int status = each_hit(wave, slot, starts[0], starts[1], need_hit);
     if (status == 0 && slot->needed)
-        bake_exact_smooth_find_near(wave->exact, slot);
+        BSQ_SIMD_PICK(wave->exact->simd, bake_exact_smooth_find_near)(wave->exact, slot);
     return status;
 }
 
@@ -111,7 +111,7 @@ static int sum_slot(void *arg, uint64_t index, unsigned worker)
         .wave_count = wave->used,
         .kept = &wave->kept,
         .scratch = bake_exact_scratch(wave->exact, &wave->memory, index, worker)};
-    return of.slot->needed ? bake_exact_smooth_sum(&of) : 0;
+    return of.slot->needed ? BSQ_SIMD_PICK(wave->exact->simd, bake_exact_smooth_sum)(&of) : 0;
 }
 
 /* The rays of a bundle that have a direction, and their hits so far. */
