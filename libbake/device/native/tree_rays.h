@@ -12,8 +12,8 @@
 #include "libbake/kernel/bk_secondary.h"
 
 enum {
-    BAKE_TREE_POINT_RAYS = 64, /* rays of a point that go through the upper nodes together */
-    BAKE_TREE_RAYS = 512,      /* in a stream */
+    BAKE_TREE_BUNDLE = 64, /* rays that go through the upper nodes together */
+    BAKE_TREE_RAYS = 512,  /* in a stream */
     BAKE_TREE_AT_ONCE =
         24, /* pairs of rays and nodes that are taken together, and whose nodes are prefetched */
     /* Most levels of the tree: each level splits at another bit of those that differ between the
@@ -54,22 +54,10 @@ _Static_assert(sizeof(struct bake_tree_ray) == 128 && offsetof(struct bake_tree_
                    offsetof(struct bake_tree_ray, far) == 112,
                "rows of four words");
 
-/* A point whose rays are in a stream, or several points near each other; BAKE_TREE_POINT_RAYS at
- * most. */
-struct bake_tree_point {
-    uint32_t first, count; /* its rays */
-    float normal[3];       /* no ray is more than a right angle from it; 0 of several points */
-    /* Tolerances of box borders, in voxels: 2^-21 of the largest distance, which is eight
-     * roundings; tests of boxes have at most seven. Twice that of several points, whose tests have
-     * four more. */
-    float margins[3];
-};
-
 /* Rays, and lists of pairs of a ray and a node, a block or a voxel. Vectors are stored at the ends
  * of lists. */
 struct bake_tree_stream {
     struct bake_tree_ray rays[BAKE_TREE_RAYS + 1];
-    struct bake_tree_point points[BAKE_TREE_RAYS];
     uint32_t node[BAKE_TREE_NODES + BAKE_TREE_WIDTH], node_ray[BAKE_TREE_NODES + BAKE_TREE_WIDTH];
     /* A block is its leaf's node times BAKE_TREE_WIDTH, and its number there. */
     uint32_t block[BAKE_TREE_BLOCKS + BAKE_TREE_WIDTH];
@@ -96,10 +84,13 @@ BSQ_SIMD_DECLARE(bake_tree_look_fn, bake_tree_look);
 /* The end of a ray that is finished: below the t of every box and voxel. */
 #define BAKE_TREE_DONE (-1.0e30f)
 
-_Static_assert(BAKE_TREE_POINT_RAYS == 64 && BAKE_TREE_POINT_RAYS % BK_WIDTH == 0,
-               "the rays of a point are bits of a word, in whole lanes");
+/* More than any way through a block, in voxels, and its margin. */
+#define BAKE_TREE_BLOCK_MOST 8.0f
+
+_Static_assert(BAKE_TREE_BUNDLE == 64 && BAKE_TREE_BUNDLE % BK_WIDTH == 0,
+               "the rays of a bundle are bits of a word, in whole lanes");
 _Static_assert(BAKE_TREE_TESTED + BAKE_TREE_AT_ONCE * BAKE_TREE_WIDTH <= BAKE_TREE_BLOCKS &&
-                   BAKE_TREE_POINT_RAYS * BAKE_TREE_WIDTH <= BAKE_TREE_BLOCKS,
+                   BAKE_TREE_BUNDLE * BAKE_TREE_WIDTH <= BAKE_TREE_BLOCKS,
                "what a step adds fits in the list of blocks");
 
 /* The section of rays that is traced: boxes that they meet from t = begin to end. */
@@ -114,7 +105,10 @@ struct bake_tree_tracer {
     const bk_rays *kind;
     struct bake_tree_stream *stream;
     float *results;
-    uint32_t rays, points, nodes, blocks, voxels; /* in the lists of `stream` */
+    uint32_t rays, nodes, blocks, voxels; /* in the lists of `stream` */
+    /* Tolerances of box borders for bundles, in voxels: 2^-20 of the largest distance, which is
+     * sixteen roundings; tests of boxes have at most fifteen. */
+    float margins[3];
     struct bake_tree_section section;
     bool nearest; /* distances matter */
     bk_cache cache;

@@ -4,10 +4,10 @@
  * no step depends on what other rays do, lanes are always full, and what a step reads is prefetched
  * (after Barringer and Akenine-Möller, "Dynamic Ray Stream Traversal", 2014).
  *
- * The rays of a point, or of several points that have few, are a bundle. As long as many of them
- * meet a node, all are tested against one box at a time; then one ray at a time against the boxes
- * of all children of a node. Boxes are tested with a margin for rounding. tree_voxels_lanes.c tests
- * blocks and voxels. */
+ * Rays of points near each other, sorted by the octants of their directions, are in bundles. As
+ * long as many of a bundle meet a node, all are tested against one box at a time; then one ray at a
+ * time against the boxes of all children of a node. Boxes are tested with a margin for rounding.
+ * tree_voxels_lanes.c tests blocks and voxels. */
 #include <assert.h>
 #include <float.h>
 #include <math.h>
@@ -18,12 +18,13 @@
 #define BK_WIDTH SIMD_FLOATS
 #include "libbake/device/native/tree_rays.h"
 
-/* At most this many rays of a point are tested against a node one by one. */
+/* At most this many rays of a bundle are tested against a node one by one. */
 enum { SINGLE_RAYS_MOST = 24 };
 
 /* Rays that look for their nearest hit are traced in sections: the first ends after FIRST_END
- * voxels, the next at END_FACTOR times that distance, and so on. */
-#define FIRST_END  64.0f
+ * voxels, the next at END_FACTOR times that distance, and so on. FIRST_END is BAKE_TREE_BLOCK_MOST
+ * below the default of params->coarse. */
+#define FIRST_END  56.0f
 #define END_FACTOR 4.0f
 
 /* ---- nodes ---- */
@@ -158,13 +159,14 @@ static void drain_nodes(struct bake_tree_tracer *tracer)
 
 /* ---- bundles ---- */
 
-/* Rays of points near each other, in lanes. Unused lanes meet nothing. Borders of boxes count from
- * the start of the first ray; a ray that starts elsewhere meets them by `shift` sooner. */
+/* Rays in lanes. Unused lanes meet nothing. Borders of boxes count from the start of the first ray;
+ * a ray that starts elsewhere meets them by `shift` sooner. */
 struct bundle {
-    const struct bake_tree_point *point;
+    const uint32_t *rays; /* their numbers in the stream */
+    uint32_t count;
     float low[3], high[3]; /* a box around the rays, from the start of the first one */
-    bk_fw inverse[3][BAKE_TREE_POINT_RAYS / BK_WIDTH], shift[3][BAKE_TREE_POINT_RAYS / BK_WIDTH];
-    bk_fw t_begin[BAKE_TREE_POINT_RAYS / BK_WIDTH], t_end[BAKE_TREE_POINT_RAYS / BK_WIDTH];
+    bk_fw inverse[3][BAKE_TREE_BUNDLE / BK_WIDTH], shift[3][BAKE_TREE_BUNDLE / BK_WIDTH];
+    bk_fw t_begin[BAKE_TREE_BUNDLE / BK_WIDTH], t_end[BAKE_TREE_BUNDLE / BK_WIDTH];
 };
 
 /* Loads rays `first` and following ones of a bundle. low, high: a box around them in lanes, which
@@ -172,13 +174,13 @@ struct bundle {
 static inline void load_rays(const struct bake_tree_tracer *tracer, uint32_t first,
                              struct bundle *bundle, bk_fw low[3], bk_fw high[3])
 {
-    const struct bake_tree_ray *rays = &tracer->stream->rays[bundle->point->first];
+    const struct bake_tree_ray *all = tracer->stream->rays, *rays = &all[bundle->rays[0]];
     const struct bake_tree_section *section = &tracer->section;
-    const uint32_t left = bundle->point->count - first, group = first / BK_WIDTH;
+    const uint32_t left = bundle->count - first, group = first / BK_WIDTH;
     const void *from[BK_WIDTH];
     bk_fw inverse[4], start[4], base[4], direction[4], near[4];
     for (uint32_t lane = 0; lane < BK_WIDTH; lane++)
-        from[lane] = &rays[first + (lane < left ? lane : 0)];
+        from[lane] = &all[bundle->rays[first + (lane < left ? lane : 0)]];
     floats_load_rows(from, offsetof(struct bake_tree_ray, inverse), inverse);
     floats_load_rows(from, offsetof(struct bake_tree_ray, start), start);
     floats_load_rows(from, offsetof(struct bake_tree_ray, base), base);
@@ -199,13 +201,11 @@ static inline void load_rays(const struct bake_tree_tracer *tracer, uint32_t fir
                                      bk_splat(BAKE_TREE_DONE));
 }
 
-static void load_bundle(const struct bake_tree_tracer *tracer, const struct bake_tree_point *point,
-                        struct bundle *bundle)
+static void load_bundle(const struct bake_tree_tracer *tracer, struct bundle *bundle)
 {
     const bk_fw none = bk_splat(0.0f);
     bk_fw low[3] = {none, none, none}, high[3] = {none, none, none};
-    bundle->point = point;
-    for (uint32_t first = 0; first < point->count; first += BK_WIDTH)
+    for (uint32_t first = 0; first < bundle->count; first += BK_WIDTH)
         load_rays(tracer, first, bundle, low, high);
     for (int axis = 0; axis < 3; axis++) {
         bundle->low[axis] = bundle->high[axis] = 0.0f;
@@ -216,13 +216,15 @@ static void load_bundle(const struct bake_tree_tracer *tracer, const struct bake
     }
 }
 
-/* Returns those rays of a bundle that meet a box; low, high: its borders from the start of the
- * first ray, with a margin. */
+/* Returns those of some rays of a bundle that meet a box; low, high: its borders from the start of
+ * the first ray, with a margin. */
 static inline uint64_t meet_box(const struct bundle *bundle, const float low[3],
                                 const float high[3], uint64_t rays)
 {
     uint64_t met = 0;
-    for (uint32_t group = 0; group * BK_WIDTH < bundle->point->count; group++) {
+    for (uint32_t group = 0; group * BK_WIDTH < bundle->count; group++) {
+        if ((rays >> group * BK_WIDTH & ((1u << BK_WIDTH) - 1u)) == 0)
+            continue;
         bk_fw t_in = bundle->t_begin[group], t_out = bundle->t_end[group];
         for (int axis = 0; axis < 3; axis++) {
             const bk_fw inverse = bundle->inverse[axis][group];
@@ -236,13 +238,13 @@ static inline uint64_t meet_box(const struct bundle *bundle, const float low[3],
     return met & rays;
 }
 
-/* Appends pairs of the rays of a mask. */
-static inline uint32_t add_rays_of(uint32_t *items, uint32_t *rays, uint32_t count, uint64_t mask,
-                                   uint32_t item, uint32_t first)
+/* Appends pairs of an item and the rays of a mask. */
+static inline uint32_t add_rays_of(const struct bundle *bundle, uint64_t mask, uint32_t item,
+                                   uint32_t *items, uint32_t *rays, uint32_t count)
 {
     for (; mask; mask &= mask - 1) {
         items[count] = item;
-        rays[count++] = first + (uint32_t)__builtin_ctzll(mask);
+        rays[count++] = bundle->rays[__builtin_ctzll(mask)];
     }
     return count;
 }
@@ -259,34 +261,28 @@ struct boxes {
 };
 
 /* Finds the boxes of a node's children, with a margin for rounding. Returns those that rays of a
- * bundle may meet, one bit each: they touch the box around the rays, and are not wholly behind the
- * plane through its point. */
-static uint32_t find_boxes(const struct bundle *bundle, const struct bake_tree_ray *ray,
+ * bundle may meet, one bit each: they touch the box around the rays. */
+static uint32_t find_boxes(const struct bake_tree_tracer *tracer, const struct bundle *bundle,
                            const struct bake_tree_node *node, struct boxes *boxes)
 {
+    const struct bake_tree_ray *ray = &tracer->stream->rays[bundle->rays[0]];
     const eights unit = eights_splat((float)(1u << bake_tree_shift(node)));
-    const float *normal = bundle->point->normal;
-    eights ahead = eights_splat(0.0f);
-    float slack = 0.0f;
     uint32_t met = eights_not_above(eights_of_bytes(node->borders[0][0]),
                                     eights_of_bytes(node->borders[0][1]));
     for (int axis = 0; axis < 3; axis++) {
         const float from =
             (float)(bake_tree_corner(node, axis) - ray->base[axis]) - ray->start[axis];
-        const float margin = bundle->point->margins[axis];
+        const float margin = tracer->margins[axis];
         const eights low =
             eights_of_bytes(node->borders[axis][0]) * unit + eights_splat(from - margin);
         const eights high =
             eights_of_bytes(node->borders[axis][1]) * unit + eights_splat(from + margin);
         met &= eights_not_above(low, eights_splat(bundle->high[axis])) &
                eights_not_above(eights_splat(bundle->low[axis]), high);
-        const eights slope = eights_splat(normal[axis]);
-        ahead += eights_max(low * slope, high * slope);
-        slack += 8.0f * margin;
         memcpy(boxes->low[axis], &low, sizeof low);
         memcpy(boxes->high[axis], &high, sizeof high);
     }
-    return met & eights_not_above(eights_splat(-slack), ahead);
+    return met;
 }
 
 /* Tests a bundle against the boxes of a node's children. Children that few rays meet become
@@ -296,14 +292,12 @@ static void test_bundle(struct bake_tree_tracer *tracer, const struct bundle *bu
 {
     struct bake_tree_stream *stream = tracer->stream;
     const struct bake_tree_node *node = &tracer->tree->nodes[number];
-    const uint32_t first = bundle->point->first;
     struct boxes boxes;
-    if (tracer->blocks + BAKE_TREE_WIDTH * BAKE_TREE_POINT_RAYS > BAKE_TREE_BLOCKS)
+    if (tracer->blocks + BAKE_TREE_WIDTH * BAKE_TREE_BUNDLE > BAKE_TREE_BLOCKS)
         BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);
-    if (tracer->nodes > BAKE_TREE_POINT_RAYS * BAKE_TREE_WIDTH)
+    if (tracer->nodes > BAKE_TREE_BUNDLE * BAKE_TREE_WIDTH)
         drain_nodes(tracer);
-    for (uint32_t left = find_boxes(bundle, &stream->rays[first], node, &boxes); left;
-         left &= left - 1) {
+    for (uint32_t left = find_boxes(tracer, bundle, node, &boxes); left; left &= left - 1) {
         const uint32_t child = (uint32_t)__builtin_ctz(left);
         float low[3], high[3];
         for (int axis = 0; axis < 3; axis++) {
@@ -312,32 +306,29 @@ static void test_bundle(struct bake_tree_tracer *tracer, const struct bundle *bu
         }
         const uint64_t met = meet_box(bundle, low, high, rays);
         if (bake_tree_is_leaf(node))
-            tracer->blocks = add_rays_of(stream->block, stream->block_ray, tracer->blocks, met,
-                                         number * BAKE_TREE_WIDTH + child, first);
+            tracer->blocks = add_rays_of(bundle, met, number * BAKE_TREE_WIDTH + child,
+                                         stream->block, stream->block_ray, tracer->blocks);
         else if (__builtin_popcountll(met) > SINGLE_RAYS_MOST)
             stack[(*top)++] = (struct bundle_entry){met, node->first + child};
         else
-            tracer->nodes = add_rays_of(stream->node, stream->node_ray, tracer->nodes, met,
-                                        node->first + child, first);
+            tracer->nodes = add_rays_of(bundle, met, node->first + child, stream->node,
+                                        stream->node_ray, tracer->nodes);
     }
 }
 
-/* Sends a bundle through the tree. */
-static void trace_point(struct bake_tree_tracer *tracer, const struct bake_tree_point *point)
+/* Sends these rays through the tree, BAKE_TREE_BUNDLE at most. */
+static void trace_bundle(struct bake_tree_tracer *tracer, const uint32_t *rays, uint32_t count)
 {
     struct bake_tree_stream *stream = tracer->stream;
     struct bundle_entry stack[BAKE_TREE_DEPTH * BAKE_TREE_WIDTH];
-    struct bundle bundle;
-    uint64_t rays = 0;
+    struct bundle bundle = {.rays = rays, .count = count};
+    const uint64_t all = ~UINT64_C(0) >> (BAKE_TREE_BUNDLE - count);
     uint32_t top = 0;
-    for (uint32_t i = 0; i < point->count; i++)
-        rays |= (uint64_t)(stream->rays[point->first + i].t_last >= tracer->section.begin) << i;
-    if (__builtin_popcountll(rays) > SINGLE_RAYS_MOST) {
-        load_bundle(tracer, point, &bundle);
-        stack[top++] = (struct bundle_entry){rays, 0};
+    if (count > SINGLE_RAYS_MOST) {
+        load_bundle(tracer, &bundle);
+        stack[top++] = (struct bundle_entry){all, 0};
     } else {
-        tracer->nodes =
-            add_rays_of(stream->node, stream->node_ray, tracer->nodes, rays, 0, point->first);
+        tracer->nodes = add_rays_of(&bundle, all, 0, stream->node, stream->node_ray, tracer->nodes);
     }
     while (top > 0) {
         const struct bundle_entry next = stack[--top];
@@ -346,21 +337,50 @@ static void trace_point(struct bake_tree_tracer *tracer, const struct bake_tree_
     drain_nodes(tracer);
 }
 
+/* Lists the rays whose hits may lie in the section or behind it, by octants of their directions.
+ * Returns their number. */
+static uint32_t list_rays(const struct bake_tree_tracer *tracer, uint32_t list[BAKE_TREE_RAYS])
+{
+    const struct bake_tree_ray *rays = tracer->stream->rays;
+    uint32_t ends[9] = {0}, count = 0;
+    uint8_t octants[BAKE_TREE_RAYS];
+    for (uint32_t i = 0; i < tracer->rays; i++) {
+        const int32_t *near = rays[i].near;
+        octants[i] = (uint8_t)((near[0] & BAKE_TREE_WIDTH) >> 1 | (near[1] & BAKE_TREE_WIDTH) >> 2 |
+                               (near[2] & BAKE_TREE_WIDTH) >> 3);
+        if (rays[i].t_last < tracer->section.begin)
+            octants[i] = 8;
+        ends[octants[i]]++;
+    }
+    for (uint32_t octant = 0; octant < 8; octant++) {
+        count += ends[octant];
+        ends[octant] = count - ends[octant];
+    }
+    for (uint32_t i = 0; i < tracer->rays; i++)
+        if (octants[i] < 8)
+            list[ends[octants[i]]++] = i;
+    return count;
+}
+
 /* Traces the rays of the stream, and empties it. If the nearest hit counts, the first section of
  * all rays is traced before the next one. A ray whose hit lies in a section skips the
  * others. */
 static void trace_rays(struct bake_tree_tracer *tracer)
 {
     struct bake_tree_section *section = &tracer->section;
+    uint32_t list[BAKE_TREE_RAYS];
     *section = (struct bake_tree_section){0.0f, tracer->nearest ? FIRST_END : BK_FAR};
     for (bool more = true; more;
          section->begin = section->end, section->end = section->end * END_FACTOR) {
-        for (uint32_t i = 0; i < tracer->points; i++)
-            trace_point(tracer, &tracer->stream->points[i]);
+        const uint32_t count = list_rays(tracer, list);
+        for (uint32_t i = 0; i < count; i += BAKE_TREE_BUNDLE)
+            trace_bundle(tracer, list + i,
+                         count - i < BAKE_TREE_BUNDLE ? count - i : BAKE_TREE_BUNDLE);
         BSQ_SIMD_NAME(bake_tree_test_blocks)(tracer);
-        more = section->end < tracer->kind->limit;
+        more = count > 0 && section->end < tracer->kind->limit;
     }
-    tracer->rays = tracer->points = 0;
+    tracer->rays = 0;
+    memset(tracer->margins, 0, sizeof tracer->margins);
 }
 
 /* Finds the margins of boxes for rays that start at a point. */
@@ -427,29 +447,19 @@ static void add_rays(struct bake_tree_tracer *tracer, const bk_viewpoint *point,
               (~down_z & BAKE_TREE_WIDTH) + 4 * BAKE_TREE_WIDTH, bk_load_lanes(slots));
 }
 
-/* Appends rays `first` and following ones of `count` points as a bundle. slot: of the first point,
- * `stride` before that of the next one. */
-static void add_bundle(struct bake_tree_tracer *tracer, const bk_viewpoint *points, uint32_t count,
-                       uint32_t first, uint32_t slot, uint64_t stride)
+/* Appends rays `first` and following ones of a point, BAKE_TREE_BUNDLE at most. slot: of its first
+ * ray. */
+static void add_point(struct bake_tree_tracer *tracer, const bk_viewpoint *point, uint32_t first,
+                      uint32_t slot)
 {
     const bk_uint left = tracer->kind->count - first;
-    const bk_uint end = first + (left < BAKE_TREE_POINT_RAYS ? left : BAKE_TREE_POINT_RAYS);
-    const float side = count > 1 ? 0.0f : tracer->kind->open ? 1.0f : -1.0f;
-    const bk_vec3 n = points->normal;
-    struct bake_tree_point *point = &tracer->stream->points[tracer->points];
-    *point = (struct bake_tree_point){.first = tracer->rays,
-                                      .normal = {side * n.x, side * n.y, side * n.z}};
-    for (uint32_t i = 0; i < count; i++) {
-        float margins[3];
-        find_margins(tracer->tree, points[i].position, margins);
-        for (bk_uint ray = first; ray < end; ray += BK_WIDTH)
-            add_rays(tracer, &points[i], margins, ray, slot + (uint32_t)(i * stride) + ray);
-        for (int axis = 0; axis < 3; axis++)
-            point->margins[axis] =
-                bk_max(point->margins[axis], margins[axis] * (count > 1 ? 2.0f : 1.0f));
-    }
-    point->count = tracer->rays - point->first;
-    tracer->points += point->count > 0;
+    const bk_uint end = first + (left < BAKE_TREE_BUNDLE ? left : BAKE_TREE_BUNDLE);
+    float margins[3];
+    find_margins(tracer->tree, point->position, margins);
+    for (bk_uint ray = first; ray < end; ray += BK_WIDTH)
+        add_rays(tracer, point, margins, ray, slot + ray);
+    for (int axis = 0; axis < 3; axis++)
+        tracer->margins[axis] = bk_max(tracer->margins[axis], 2.0f * margins[axis]);
 }
 
 void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_params *params,
@@ -467,14 +477,11 @@ void BSQ_SIMD_NAME(bake_tree_look)(const struct bk_grid *grid, const struct bk_p
                                       .cache = bk_cache_empty()};
     if (kind->count == 0)
         return;
-    const uint32_t most =
-        kind->count < BAKE_TREE_POINT_RAYS ? BAKE_TREE_POINT_RAYS / kind->count : 1;
-    for (uint32_t i = 0; i < count; i += most)
-        for (bk_uint first = 0; first < kind->count; first += BAKE_TREE_POINT_RAYS) {
-            if (tracer.rays + BAKE_TREE_POINT_RAYS > BAKE_TREE_RAYS)
+    for (uint32_t i = 0; i < count; i++)
+        for (bk_uint first = 0; first < kind->count; first += BAKE_TREE_BUNDLE) {
+            if (tracer.rays + BAKE_TREE_BUNDLE > BAKE_TREE_RAYS)
                 trace_rays(&tracer);
-            add_bundle(&tracer, &points[i], count - i < most ? count - i : most, first,
-                       (uint32_t)(i * stride), stride);
+            add_point(&tracer, &points[i], first, (uint32_t)(i * stride));
         }
     trace_rays(&tracer);
 }

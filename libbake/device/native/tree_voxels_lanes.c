@@ -6,6 +6,8 @@
  *  - The records of a voxel are tested with the state that a walk has after the previous voxel on
  *    the ray. That state follows from the records of the previous voxel alone. A surface may also
  *    be crossed after a voxel, if the next one is empty.
+ *  - Near voxels whose surface faces away from a ray into the solid only end runs, which the
+ *    voxels before them see. So they are not tested.
  *  - Voxels far along a ray end it without their records, see bk_meet_voxels().
  *
  * Voxels are not visited in the order in which rays meet them. If distances matter, the hit counts
@@ -187,6 +189,22 @@ static bk_uint find_voxels(struct bake_tree_tracer *tracer, const struct group *
     return found;
 }
 
+/* Returns the lanes in which a record with one of these value indices faces along the ray. */
+static bk_uint find_facing(const bk_grid *grid, bk_uint lanes, const bk_ulong values[BK_WIDTH],
+                           bk_vec3w facing)
+{
+    const bk_fw zero = bk_splat(0.0f);
+    bk_uint seconds, none;
+    bk_record record;
+    bk_load_records(grid, lanes, values, 0, &record, &seconds);
+    const bk_uint first = lanes & bk_bits(bk_less(zero, bk_dotw(record.normal, facing)));
+    seconds &= ~first;
+    if (seconds == 0)
+        return first;
+    seconds = bk_load_records(grid, seconds, values, 1, &record, &none);
+    return first | (seconds & bk_bits(bk_less(zero, bk_dotw(record.normal, facing))));
+}
+
 /* Sets the state of walks to the one after the previous voxels on the rays. */
 static void recall(struct bake_tree_tracer *tracer, const struct group *group, bk_uint lanes,
                    bk_walk *walk)
@@ -219,10 +237,18 @@ static void meet_voxels(struct bake_tree_tracer *tracer, const struct group *gro
     below = lanes & bk_bits((walk->side == BK_BELOW) & bk_not(walk->hit.found));
     if (below == 0)
         return;
-    /* A run that goes on is left to the next voxel. */
+    /* A run that goes on is left to the next voxel. One whose surface faces away ends it, and is
+     * not tested if it is near. */
     next = beside(&group->ray, &group->cursor, group->exit_axis, false);
-    below &= ~find_voxels(tracer, group, below & bk_bits(bk_less(t_out, group->t_end)), &next);
-    bk_end_run(walk, bk_mask_of(below));
+    bk_uint on = find_voxels(tracer, group, below & bk_bits(bk_less(t_out, group->t_end)), &next);
+    const bk_uint near =
+        tracer->kind->open ? 0 : on & bk_bits(bk_less(t_out, bk_splat(tracer->params->coarse)));
+    if (near) {
+        bk_ulong values[BK_WIDTH];
+        bk_rank_voxels(tracer->grid, near, &next, values);
+        on ^= near ^ find_facing(tracer->grid, near, values, group->ray.facing);
+    }
+    bk_end_run(walk, bk_mask_of(below & ~on));
 }
 
 /* Notes that a ray is hidden, if distances do not matter. */
@@ -248,10 +274,44 @@ static void note_hit(const struct bake_tree_tracer *tracer, uint32_t number, flo
     }
 }
 
+/* Drops the voxels of rays into the solid whose surfaces face away: most of those near the start.
+ * None of them may be far. */
+static void drop_averted(struct bake_tree_tracer *tracer)
+{
+    struct bake_tree_stream *stream = tracer->stream;
+    uint32_t kept = 0;
+    for (uint32_t first = 0; first < tracer->voxels; first += BK_WIDTH) {
+        const uint32_t left = tracer->voxels - first, count = left < BK_WIDTH ? left : BK_WIDTH;
+        const void *rays[BK_WIDTH];
+        bk_ulong values[BK_WIDTH];
+        bk_fw start[4], direction[4];
+        for (uint32_t lane = 0; lane < BK_WIDTH; lane++) {
+            const uint32_t at = first + (lane < count ? lane : 0);
+            rays[lane] = &stream->rays[stream->voxel_ray[at]];
+            values[lane] = stream->voxel_value[at];
+        }
+        floats_load_rows(rays, offsetof(struct bake_tree_ray, start), start);
+        floats_load_rows(rays, offsetof(struct bake_tree_ray, direction), direction);
+        const bk_vec3w along = bk_v3w(direction[0], direction[1], direction[2]);
+        for (bk_uint lanes =
+                 find_facing(tracer->grid, (1u << count) - 1u, values, bk_scalew(along, start[3]));
+             lanes; lanes &= lanes - 1) {
+            const uint32_t at = first + bk_first(lanes);
+            stream->voxel[kept] = stream->voxel[at];
+            stream->voxel_block[kept] = stream->voxel_block[at];
+            stream->voxel_ray[kept] = stream->voxel_ray[at];
+            stream->voxel_value[kept++] = stream->voxel_value[at];
+        }
+    }
+    tracer->voxels = kept;
+}
+
 static void test_voxels(struct bake_tree_tracer *tracer)
 {
     struct group group;
     bk_walk walk;
+    if (!tracer->kind->open && tracer->section.end + BAKE_TREE_BLOCK_MOST <= tracer->params->coarse)
+        drop_averted(tracer);
     for (uint32_t first = 0; first < tracer->voxels; first += BK_WIDTH) {
         const uint32_t left = tracer->voxels - first;
         load_group(tracer, first, left < BK_WIDTH ? left : BK_WIDTH, &group);

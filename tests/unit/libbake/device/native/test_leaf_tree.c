@@ -6,7 +6,7 @@
 #include "tests/unit/libbake/analytic_grid.h"
 #include "tests/unit/test.h"
 
-enum { POINTS = 200, RAYS = BAKE_TREE_POINT_RAYS }; /* all rays that go together */
+enum { POINTS = 200, RAYS = BAKE_TREE_BUNDLE }; /* all rays that go together */
 
 struct fixture {
     struct bsq_ctx *ctx;
@@ -221,7 +221,7 @@ static void compare(const struct fixture *f, const bk_rays *kind, const bk_viewp
 
 static void compare_kinds(struct fixture *f, const bk_viewpoint *points, float sine2, float limit)
 {
-    static const float coarse[] = {BK_FAR, 9.5f, 1.0f};
+    static const float coarse[] = {BK_FAR, 64.0f, 9.5f, 1.0f};
     bk_rays kind = {.open = 1, .count = RAYS, .samples = 1, .sine2 = sine2, .limit = limit};
     f->params.open_limit = kind.limit;
     for (size_t i = 0; i < sizeof coarse / sizeof *coarse; i++) {
