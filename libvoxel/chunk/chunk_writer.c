@@ -242,10 +242,12 @@ static int divide_run(struct batches *b, const uint8_t *tuples, uint32_t count, 
         }
         const struct run_header header = {.bytes = (end - first) * bytes,
                                           .triangles = (uint16_t)(end - first),
-                                          .form = RUN_TUPLES};
-        memcpy(coded, &header, sizeof header);
-        memcpy(coded + sizeof header, tuples + first * bytes, header.bytes);
-        status = vox_buckets_add(children, child, coded, sizeof header + header.bytes, end - first);
+                                          .form = RUN_TUPLES,
+                                          .material = RUN_BARE_MATERIAL};
+        const uint32_t before = run_header_bytes(&header);
+        run_header_put(&header, coded);
+        memcpy(coded + before, tuples + first * bytes, header.bytes);
+        status = vox_buckets_add(children, child, coded, before + header.bytes, end - first);
     }
     return status;
 }
@@ -257,8 +259,8 @@ static int divide_bucket(struct batches *b, const struct batch_slice *whole, uin
 {
     const uint32_t bytes = b->partition->layout.bytes;
     uint8_t *coded = NULL;
-    int status = bsq_alloc(b->ctx, "sorting",
-                           RUN_TRIANGLES * (uint64_t)bytes + sizeof(struct run_header), 1, &coded);
+    int status =
+        bsq_alloc(b->ctx, "sorting", RUN_TRIANGLES * (uint64_t)bytes + RUN_HEADER_MAX, 1, &coded);
     vox_run_reader_seek(vox_batch_reader(&b->batch), whole->buckets, whole->bucket, 0);
     for (uint64_t done = 0, count; status == 0 && done < whole->count; done += count) {
         const uint8_t *tuples;

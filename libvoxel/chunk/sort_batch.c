@@ -282,7 +282,8 @@ int vox_batch_add(struct batch *b, const struct batch_slice *slice)
     return 0;
 }
 
-/* Reads a slice's tuples and makes their entries. If elements must be gathered first, only marks
+/* Reads a slice's tuples and makes their entries, of several runs at a time if these are short:
+ * tuples that were just written cost a wait. If elements must be gathered first, only marks
  * these. */
 static int read_slice(void *arg, uint64_t index, unsigned worker)
 {
@@ -291,17 +292,19 @@ static int read_slice(void *arg, uint64_t index, unsigned worker)
     struct run_reader *reader = &b->readers[worker];
     vox_run_reader_seek(reader, slice->buckets, slice->bucket, slice->offset);
     slice->kept = 0;
-    for (uint64_t done = 0; done < slice->count;) {
+    for (uint64_t done = 0, entered = 0; done < slice->count;) {
         uint8_t *tuples = b->tuples + (slice->tuple + done) * b->partition->layout.bytes;
         uint32_t count;
         int status = vox_run_reader_next(reader, tuples, &count);
         if (status < 0)
             return status;
+        done += count;
         if (b->gathered)
             vox_gather_mark(&b->window, tuples, count);
-        else
-            enter_tuples(b, slice, done, count);
-        done += count;
+        else if (done - entered >= RUN_TRIANGLES || done == slice->count) {
+            enter_tuples(b, slice, entered, (uint32_t)(done - entered));
+            entered = done;
+        }
     }
     return 0;
 }

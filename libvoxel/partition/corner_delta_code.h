@@ -5,8 +5,9 @@
  * two bits for each corner: the number of the same corner in the previous triangle, or CORNER_NEW.
  * Its upper two bits give the width of the differences between new indices, 1, 2 or 4 bytes.
  * Ordinary scans take about two bytes a triangle. If one difference is much wider than the others,
- * a second byte gives each width; scans whose faces have no order take about nine bytes a triangle.
- */
+ * a second byte gives each width. In scans whose faces have no order, all corners are new, and
+ * mostly the differences take four, two and two bytes; CORNER_CODE_FAR alone says so, which makes
+ * nine bytes a triangle. */
 #ifndef VOX_PARTITION_CORNER_DELTA_CODE_H
 #define VOX_PARTITION_CORNER_DELTA_CODE_H
 
@@ -40,12 +41,25 @@ static inline unsigned corner_code_width(uint64_t value)
 }
 
 #define CORNER_WIDTH_EACH 3u /* a byte with two bits of width for each new corner follows */
+#define CORNER_ALL_NEW    0x3fu
+/* Control bytes of three new corners whose differences take four, two and two bytes, and of others
+ * with a width for each. Corners that all match have no widths, so the second one is free. */
+#define CORNER_CODE_FAR  (CORNER_ALL_NEW | CORNER_WIDTH_EACH << 6)
+#define CORNER_CODE_EACH (CORNER_WIDTH_EACH << 6)
 
 /* Encodes differences, at least one of which takes four bytes or more. */
 static inline uint8_t *corner_code_put_wide(const uint64_t *differences, unsigned count,
                                             unsigned control, uint8_t *to)
 {
     unsigned widths = 0, bytes = 0, widest = 0;
+    if (control == CORNER_ALL_NEW && differences[0] <= 0xffffffffu &&
+        (differences[1] | differences[2]) <= 0xffff) {
+        *to = CORNER_CODE_FAR;
+        memcpy(to + 1, &differences[0], 4);
+        memcpy(to + 5, &differences[1], 2);
+        memcpy(to + 7, &differences[2], 2);
+        return to + 9;
+    }
     for (unsigned i = 0; i < count; i++) {
         unsigned width = corner_code_width(differences[i]);
         widths |= width << 2 * i;
@@ -56,7 +70,8 @@ static inline uint8_t *corner_code_put_wide(const uint64_t *differences, unsigne
         *to++ = (uint8_t)(control | 2u << 6);
         widths = 0x2a;
     } else {
-        *to++ = (uint8_t)(control | CORNER_WIDTH_EACH << 6);
+        *to++ = (uint8_t)(control == CORNER_ALL_NEW ? CORNER_CODE_EACH
+                                                    : control | CORNER_WIDTH_EACH << 6);
         *to++ = (uint8_t)widths;
     }
     for (unsigned i = 0; i < count; i++, to += 1u << (widths & 3), widths >>= 2)
@@ -90,22 +105,43 @@ static inline uint8_t *corner_code_put(struct corner_code *code, const uint64_t 
     return to;
 }
 
+static inline uint64_t corner_code_signed(uint64_t difference)
+{
+    return difference >> 1 ^ (0 - (difference & 1));
+}
+
+/* Decodes a triangle after CORNER_CODE_FAR. */
+static inline const uint8_t *corner_code_get_far(struct corner_code *code, const uint8_t *from,
+                                                 uint64_t index[3])
+{
+    uint32_t first;
+    uint16_t others[2];
+    memcpy(&first, from, 4);
+    memcpy(others, from + 4, 4);
+    index[0] = code->corner[0] = code->last + corner_code_signed(first);
+    index[1] = code->corner[1] = index[0] + corner_code_signed(others[0]);
+    index[2] = code->corner[2] = code->last = index[1] + corner_code_signed(others[1]);
+    return from + 8;
+}
+
 /* Decodes a triangle and returns the end of its code. */
 static inline const uint8_t *corner_code_get(struct corner_code *code, const uint8_t *from,
                                              uint64_t index[3])
 {
     static const uint64_t masks[4] = {0xff, 0xffff, 0xffffffffu, UINT64_MAX};
-    const unsigned control = *from++;
-    unsigned widths = (control >> 6) * 0x15;
-    if (control >> 6 == CORNER_WIDTH_EACH)
+    unsigned control = *from++, widths = (control >> 6) * 0x15;
+    if (control >> 6 == CORNER_WIDTH_EACH) {
+        if (control == CORNER_CODE_FAR)
+            return corner_code_get_far(code, from, index);
         widths = *from++;
+        control = control == CORNER_CODE_EACH ? CORNER_ALL_NEW : control;
+    }
     for (unsigned k = 0; k < 3; k++) {
         unsigned match = control >> 2 * k & 3;
         if (match == CORNER_NEW) {
             uint64_t value;
             memcpy(&value, from, 8);
-            value &= masks[widths & 3];
-            code->last += value >> 1 ^ (0 - (value & 1));
+            code->last += corner_code_signed(value & masks[widths & 3]);
             index[k] = code->last;
             from += 1u << (widths & 3);
             widths >>= 2;

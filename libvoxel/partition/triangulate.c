@@ -1,17 +1,18 @@
 /* triangulate.c - see triangulate.h.
  *
- * Neighbours in the file are mostly neighbours in space, so consecutive triangles in one bucket are
- * noted as one span. Then all spans of a bucket are coded together, so a bucket's triangles share
- * runs even if the faces of the file have no order. There is a fast path for most scans, whose
- * batches have triangles with positions alone and one material: these are coded while their buckets
- * are found, so each change of the bucket ends a run. That pays as long as neighbours in the file
- * are neighbours in space. */
+ * The buckets of a batch's triangles are found first; the triangles are then sorted by bucket and
+ * each bucket's are coded together, so they share runs even if the faces of the file have no order.
+ * There is a fast path for most scans, whose batches have triangles with positions alone and one
+ * material: these are coded while their buckets are found, so each change of the bucket ends a run.
+ * That pays as long as neighbours in the file are neighbours in space. */
 #include "base/polygon.h"
 #include "libvoxel/partition/corner_delta_code.h"
 #include "libvoxel/partition/triangulate.h"
 
 /* Corners are prefetched this far ahead: files without order wait for memory otherwise. */
-#define CORNERS_AHEAD 48
+#define CORNERS_AHEAD   48
+#define TRIANGLES_AHEAD 32
+#define SORTED_AHEAD    8
 
 /* Positions of a scan's file that were read last. Page n of the file is at n % PAGES. */
 enum { PAGES = 256, PAGE_VERTICES = 64 };
@@ -20,17 +21,12 @@ struct position_pages {
     float positions[PAGES][PAGE_VERTICES][3];
 };
 
-/* Consecutive triangles of a batch that are in one bucket and have one material. */
-struct triangle_span {
-    uint32_t bucket, first, count, material;
-};
-
 /* A batch of faces. */
 struct faces {
     const struct fmt_mesh_batch *batch;
     const uint32_t *sizes;                        /* NULL if all faces are triangles */
     const uint64_t *indices[FMT_MESH_KIND_COUNT]; /* of corners; NULL: none has any */
-    uint32_t material[2]; /* of triangles with texture coordinates, others */
+    bool has_materials;                           /* triangles may have different ones */
 };
 
 /* Returns the most bytes that a coded triangle of this scan takes: differences of indices take four
@@ -50,29 +46,17 @@ int vox_triangulator_init(struct triangulator *t, struct bsq_ctx *ctx,
 {
     uint64_t buckets = (uint64_t)1 << 3 * plan->levels;
     *t = (struct triangulator){.ctx = ctx, .plan = plan};
-    int status = bsq_alloc(ctx, "faces", buckets, sizeof *t->runs_of_bucket, &t->runs_of_bucket);
-    if (status == 0)
-        memset(t->runs_of_bucket, 0xff, buckets * sizeof *t->runs_of_bucket);
-    return status;
+    return bsq_calloc(ctx, "faces", buckets, sizeof *t->counts, &t->counts);
 }
 
 void vox_triangulator_free(struct triangulator *t)
 {
-    void *parts[] = {
-        t->runs,           t->bytes,   t->corners,           t->spans,           t->sorted,
-        t->runs_of_bucket, t->polygon, t->polygon_triangles, t->polygon_scratch, t->pages};
+    void *parts[] = {t->runs,  t->bytes,  t->corners, t->buckets,           t->materials,
+                     t->order, t->counts, t->polygon, t->polygon_triangles, t->polygon_scratch,
+                     t->pages};
     for (size_t i = 0; t->ctx && i < sizeof parts / sizeof *parts; i++)
         bsq_free(t->ctx, parts[i]);
     memset(t, 0, sizeof *t);
-}
-
-static int reserve_triangles(struct triangulator *t, uint64_t triangles, uint64_t spans)
-{
-    int status =
-        bsq_grow(t->ctx, "faces", triangles, sizeof *t->corners, &t->corners, &t->corner_capacity);
-    if (status == 0)
-        status = bsq_grow(t->ctx, "faces", spans, sizeof *t->spans, &t->spans, &t->span_capacity);
-    return status;
 }
 
 static int reserve_polygon(struct triangulator *t, uint32_t max_size)
@@ -120,31 +104,11 @@ static inline const void *bucket_source(const struct triangulator *t, const stru
     return corner_position(t, faces, corner);
 }
 
-static inline bool lacks_texcoord(const struct faces *faces, uint32_t a, uint32_t b, uint32_t c)
+/* Returns a corner of a triangle: its number in the batch. */
+static inline uint32_t corner_of(const struct triangulator *t, const struct faces *faces,
+                                 uint32_t triangle, uint32_t k)
 {
-    const uint64_t *t = faces->indices[FMT_MESH_TEXCOORD];
-    return !t || t[a] == FMT_MESH_NONE || t[b] == FMT_MESH_NONE || t[c] == FMT_MESH_NONE;
-}
-
-/* Notes that the next `count` triangles are in this bucket. */
-static inline void extend_spans(struct triangulator *t, uint32_t bucket, uint32_t material,
-                                uint32_t count)
-{
-    if (t->span_count == 0 || t->spans[t->span_count - 1].bucket != bucket ||
-        t->spans[t->span_count - 1].material != material)
-        t->spans[t->span_count++] = (struct triangle_span){
-            .bucket = bucket, .first = (uint32_t)t->triangles, .material = material};
-    t->spans[t->span_count - 1].count += count;
-}
-
-static inline void add_triangle(struct triangulator *t, const struct faces *faces, uint32_t a,
-                                uint32_t b, uint32_t c)
-{
-    extend_spans(t, bucket_of(t, faces, a), faces->material[lacks_texcoord(faces, a, b, c)], 1);
-    uint32_t *corners = t->corners[t->triangles++];
-    corners[0] = a;
-    corners[1] = b;
-    corners[2] = c;
+    return faces->sizes ? t->corners[triangle][k] : 3 * triangle + k;
 }
 
 /* ---- polygons ---- */
@@ -172,6 +136,14 @@ done:
     return status;
 }
 
+/* Adds the triangle of corners first + v[0], first + v[1] and first + v[2]. */
+static inline void add_triangle(struct triangulator *t, uint32_t first, const uint32_t v[3])
+{
+    uint32_t *corners = t->corners[t->triangles++];
+    for (uint32_t k = 0; k < 3; k++)
+        corners[k] = first + v[k];
+}
+
 static int add_polygon(struct triangulator *t, const struct faces *faces, uint32_t first,
                        uint32_t size)
 {
@@ -186,14 +158,34 @@ static int add_polygon(struct triangulator *t, const struct faces *faces, uint32
             t->polygon[k][axis] = p[axis];
         BSQ_TRY(bsq_check_corner(t->ctx, k));
     }
-    const uint32_t *v = t->polygon_triangles;
     BSQ_TRY(bsq_triangulate(t->ctx, (const double(*)[3])t->polygon, size, t->polygon_triangles,
                             t->polygon_scratch));
-    for (uint32_t i = 0; i < size - 2; i++, v += 3) {
-        add_triangle(t, faces, first + v[0], first + v[1], first + v[2]);
+    for (uint32_t i = 0; i < size - 2; i++) {
+        add_triangle(t, first, t->polygon_triangles + 3 * i);
         BSQ_TRY(bsq_check_corner(t->ctx, i));
     }
 done:
+    return status;
+}
+
+static int add_faces(struct triangulator *t, const struct faces *faces)
+{
+    static const uint32_t triangle[3] = {0, 1, 2};
+    const uint32_t corner_count = (uint32_t)faces->batch->corner_count;
+    uint32_t corner = 0;
+    int status = 0;
+    t->triangles = 0;
+    for (uint64_t f = 0; status == 0 && f < faces->batch->face_count; f++) {
+        const uint32_t size = faces->sizes[f];
+        for (uint32_t k = corner + CORNERS_AHEAD;
+             !t->pages && k < corner + CORNERS_AHEAD + size && k < corner_count; k++)
+            __builtin_prefetch(corner_position(t, faces, k));
+        if (size > 3)
+            status = add_polygon(t, faces, corner, size);
+        else
+            add_triangle(t, corner, triangle);
+        corner += size;
+    }
     return status;
 }
 
@@ -208,40 +200,146 @@ struct run_writer {
 };
 
 /* Completes the current run's header, if there is a run. */
-static void run_writer_end(struct run_writer *w)
+static inline void run_writer_end(struct run_writer *w)
 {
     if (!w->header)
         return;
-    w->run.bytes = (uint32_t)(w->to - w->header - (ptrdiff_t)sizeof w->run);
-    memcpy(w->header, &w->run, sizeof w->run);
+    w->run.bytes = (uint32_t)(w->to - w->header) - run_header_bytes(&w->run);
+    run_header_put(&w->run, w->header);
     w->header = NULL;
     w->run.triangles = 0;
 }
 
 /* Ends the current run, if any, and begins another. */
-static void run_writer_begin(struct run_writer *w, unsigned form, uint32_t material)
+static inline void run_writer_begin(struct run_writer *w, unsigned form, uint32_t material)
 {
     run_writer_end(w);
-    *w = (struct run_writer){.header = w->to,
-                             .to = w->to + sizeof w->run,
-                             .run = {.form = (uint16_t)form, .material = material}};
+    w->run = (struct run_header){.form = (uint16_t)form, .material = material};
+    w->header = w->to;
+    w->to += run_header_bytes(&w->run);
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        if (form >> kind & 1)
+            w->codes[kind] = (struct corner_code){0};
 }
 
-/* ---- spans ---- */
+/* ---- sorting by bucket ---- */
 
-#define NO_RUNS UINT32_MAX
-/* Spans are prefetched this far ahead: files without order wait for memory otherwise. */
-#define SPANS_AHEAD 16
+/* Finds the buckets of all triangles. A position may be in two cache lines. */
+static void find_buckets(struct triangulator *t, const struct faces *faces)
+{
+    const uint32_t triangles = (uint32_t)t->triangles;
+    for (uint32_t i = 0; i < triangles; i++) {
+        if (i + TRIANGLES_AHEAD < triangles) {
+            const char *source =
+                bucket_source(t, faces, corner_of(t, faces, i + TRIANGLES_AHEAD, 0));
+            __builtin_prefetch(source);
+            __builtin_prefetch(source + 8);
+        }
+        t->buckets[i] = (uint16_t)bucket_of(t, faces, corner_of(t, faces, i, 0));
+    }
+}
 
-static void put_triangle(const struct faces *faces, struct run_writer *w, const uint32_t corners[3])
+/* Counts the triangles of each bucket. `runs` gets the buckets in the order of their first
+ * triangles. */
+static void count_triangles(struct triangulator *t)
+{
+    uint32_t run_count = 0;
+    for (uint64_t i = 0; i < t->triangles; i++) {
+        const uint32_t bucket = t->buckets[i];
+        t->runs[run_count].bucket = bucket;
+        run_count += t->counts[bucket]++ == 0;
+    }
+    t->run_count = run_count;
+}
+
+/* Lists the triangles of each bucket in `order`, in the order of the file. */
+static void sort_by_bucket(struct triangulator *t)
+{
+    uint32_t *places = t->counts, end = 0;
+    for (uint32_t r = 0; r < t->run_count; r++) {
+        t->runs[r].triangles = places[t->runs[r].bucket];
+        places[t->runs[r].bucket] = end;
+        end += t->runs[r].triangles;
+    }
+    for (uint32_t i = 0; i < end; i++)
+        t->order[places[t->buckets[i]]++] = i;
+    memset(t->order + end, 0, SORTED_AHEAD * sizeof *t->order);
+    for (uint32_t r = 0; r < t->run_count; r++)
+        t->counts[t->runs[r].bucket] = 0;
+}
+
+/* ---- materials ---- */
+
+static inline bool lacks_texcoord(const struct triangulator *t, const struct faces *faces,
+                                  uint32_t triangle)
+{
+    const uint64_t *texcoords = faces->indices[FMT_MESH_TEXCOORD];
+    bool lacks = !texcoords;
+    for (uint32_t k = 0; k < 3 && !lacks; k++)
+        lacks = texcoords[corner_of(t, faces, triangle, k)] == FMT_MESH_NONE;
+    return lacks;
+}
+
+/* Finds the materials of triangles that may have different ones. */
+static void find_materials(struct triangulator *t, const struct faces *faces)
+{
+    const struct fmt_mesh_batch *batch = faces->batch;
+    uint32_t usemtl = batch->material_at_start, triangle = 0;
+    uint64_t change = 0;
+    for (uint64_t f = 0; f < batch->face_count; f++) {
+        while (change < batch->material_change_count && batch->material_changes[change].face <= f)
+            usemtl = batch->material_changes[change++].material;
+        for (uint32_t end = triangle + (faces->sizes ? faces->sizes[f] : 3) - 2; triangle < end;
+             triangle++)
+            t->materials[triangle] = run_material(usemtl, lacks_texcoord(t, faces, triangle));
+    }
+}
+
+/* ---- coding ---- */
+
+static inline void put_triangle(const struct triangulator *t, const struct faces *faces,
+                                unsigned form, uint32_t triangle, struct run_writer *w)
 {
     for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++) {
         const uint64_t *from = faces->indices[kind];
-        if (!from)
+        if (!(form >> kind & 1))
             continue;
-        const uint64_t index[3] = {from[corners[0]], from[corners[1]], from[corners[2]]};
+        const uint64_t index[3] = {from[corner_of(t, faces, triangle, 0)],
+                                   from[corner_of(t, faces, triangle, 1)],
+                                   from[corner_of(t, faces, triangle, 2)]};
         w->to = corner_code_put(&w->codes[kind], index, w->to);
     }
+}
+
+static inline __attribute__((always_inline)) void prefetch_triangle(const struct triangulator *t,
+                                                                    const struct faces *faces,
+                                                                    unsigned form,
+                                                                    uint32_t triangle)
+{
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        if (form >> kind & 1)
+            __builtin_prefetch(&faces->indices[kind][corner_of(t, faces, triangle, 0)]);
+}
+
+/* Writes the triangles of a bucket as runs and returns their end. Inlined, so that a constant form
+ * is one. `faces` is a copy, so that the compiler knows that nothing written here changes it. */
+static inline __attribute__((always_inline)) uint8_t *
+put_bucket(const struct triangulator *t, const struct faces faces, unsigned form,
+           const uint32_t *order, uint32_t count, uint8_t *to)
+{
+    struct run_writer w = {.to = to};
+    uint32_t material = run_material(faces.batch->material_at_start, true);
+    for (uint32_t i = 0; i < count; i++) {
+        if (faces.has_materials)
+            material = t->materials[order[i]];
+        if (w.run.triangles % RUN_TRIANGLES == 0 || w.run.material != material)
+            run_writer_begin(&w, form, material);
+        prefetch_triangle(t, &faces, form, order[i + SORTED_AHEAD]);
+        put_triangle(t, &faces, form, order[i], &w);
+        w.run.triangles++;
+    }
+    run_writer_end(&w);
+    return w.to;
 }
 
 static unsigned form_of(const struct faces *faces)
@@ -252,101 +350,22 @@ static unsigned form_of(const struct faces *faces)
     return form;
 }
 
-/* Writes a span's triangles, into the current run while it has space. */
-static void put_span(const struct triangulator *t, const struct faces *faces, unsigned form,
-                     const struct triangle_span *span, struct run_writer *w)
-{
-    const uint32_t end = span->first + span->count;
-    for (uint32_t i = span->first; i < end; i++) {
-        if (w->run.triangles == 0 || w->run.material != span->material ||
-            w->run.triangles == RUN_TRIANGLES)
-            run_writer_begin(w, form, span->material);
-        put_triangle(faces, w, t->corners[i]);
-        w->run.triangles++;
-    }
-}
-
-/* Sorts spans by bucket, stably, and makes an entry of `runs` for each bucket. */
-static void sort_spans(struct triangulator *t)
-{
-    uint32_t end = 0;
-    t->run_count = 0;
-    for (uint32_t i = 0; i < t->span_count; i++) {
-        uint32_t *number = &t->runs_of_bucket[t->spans[i].bucket];
-        if (*number == NO_RUNS) {
-            *number = t->run_count++;
-            t->runs[*number] = (struct bucket_runs){.bucket = t->spans[i].bucket};
-        }
-        t->runs[*number].span_count++;
-    }
-    for (uint32_t i = 0; i < t->run_count; i++)
-        t->runs[i].first_span = end += t->runs[i].span_count;
-    for (uint32_t i = t->span_count; i-- > 0;)
-        t->sorted[--t->runs[t->runs_of_bucket[t->spans[i].bucket]].first_span] = t->spans[i];
-    for (uint32_t i = 0; i < t->run_count; i++)
-        t->runs_of_bucket[t->runs[i].bucket] = NO_RUNS;
-}
-
-/* Prefetches indices of spans to come. Always inlined: GCC drops calls to functions that only
- * prefetch. */
-static inline __attribute__((always_inline)) void
-prefetch_spans(const struct triangulator *t, const struct faces *faces, unsigned form, uint32_t at)
-{
-    if (at + 2 * SPANS_AHEAD >= t->span_count)
-        return;
-    __builtin_prefetch(t->corners[t->sorted[at + 2 * SPANS_AHEAD].first]);
-    const uint32_t corner = t->corners[t->sorted[at + SPANS_AHEAD].first][0];
-    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
-        if (form >> kind & 1)
-            __builtin_prefetch(&faces->indices[kind][corner]);
-}
-
-/* Writes all spans of a bucket as runs. */
-static void put_bucket(struct triangulator *t, const struct faces *faces, struct bucket_runs *runs,
-                       struct run_writer *w)
+/* Codes the sorted triangles as runs. */
+static void code_sorted(struct triangulator *t, const struct faces *faces)
 {
     const unsigned form = form_of(faces);
-    runs->offset = (uint64_t)(w->to - t->bytes);
-    for (uint32_t i = runs->first_span; i < runs->first_span + runs->span_count; i++) {
-        prefetch_spans(t, faces, form, i);
-        put_span(t, faces, form, &t->sorted[i], w);
-        runs->triangles += t->sorted[i].count;
+    const uint32_t *order = t->order;
+    uint8_t *to = t->bytes;
+    for (uint32_t r = 0; r < t->run_count; r++) {
+        struct bucket_runs *runs = &t->runs[r];
+        runs->offset = (uint64_t)(to - t->bytes);
+        if (form == 1u << FMT_MESH_VERTEX)
+            to = put_bucket(t, *faces, 1u << FMT_MESH_VERTEX, order, runs->triangles, to);
+        else
+            to = put_bucket(t, *faces, form, order, runs->triangles, to);
+        runs->bytes = (uint64_t)(to - t->bytes) - runs->offset;
+        order += runs->triangles;
     }
-    run_writer_end(w);
-    runs->bytes = (uint64_t)(w->to - t->bytes) - runs->offset;
-}
-
-static int reserve(struct triangulator *t, const struct faces *faces)
-{
-    const char *what = "faces";
-    uint32_t kinds = 0;
-    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
-        kinds += faces->indices[kind] != NULL;
-    const uint64_t headers = t->span_count + t->triangles / RUN_TRIANGLES;
-    const uint64_t bytes = t->triangles * coded_triangle_bytes(t->plan, kinds) +
-                           headers * sizeof(struct run_header) + CORNER_CODE_SLACK;
-    const uint64_t buckets = (uint64_t)1 << 3 * t->plan->levels;
-    const uint64_t runs = buckets < t->span_count ? buckets : t->span_count;
-    int status;
-    BSQ_TRY(bsq_grow(t->ctx, what, bytes, 1, &t->bytes, &t->bytes_capacity));
-    BSQ_TRY(
-        bsq_grow(t->ctx, what, t->span_count, sizeof *t->sorted, &t->sorted, &t->sorted_capacity));
-    status = bsq_grow(t->ctx, what, runs, sizeof *t->runs, &t->runs, &t->run_capacity);
-done:
-    return status;
-}
-
-/* Sorts the triangulator's spans by bucket and codes them as runs. */
-static int code_spans(struct triangulator *t, const struct faces *faces)
-{
-    int status = reserve(t, faces);
-    if (status < 0)
-        return status;
-    sort_spans(t);
-    struct run_writer w = {.to = t->bytes};
-    for (uint32_t i = 0; i < t->run_count; i++)
-        put_bucket(t, faces, &t->runs[i], &w);
-    return 0;
 }
 
 /* ---- plain batches ---- */
@@ -357,8 +376,7 @@ static int code_spans(struct triangulator *t, const struct faces *faces)
 
 static bool is_plain(const struct faces *faces)
 {
-    return !faces->sizes && faces->batch->material_change_count == 0 &&
-           !faces->indices[FMT_MESH_TEXCOORD] && !faces->indices[FMT_MESH_NORMAL];
+    return !faces->sizes && !faces->has_materials && !faces->indices[FMT_MESH_NORMAL];
 }
 
 /* Returns how many changes of the bucket are tolerated. */
@@ -370,8 +388,8 @@ static uint32_t most_runs(uint64_t triangles)
 static int reserve_plain(struct triangulator *t, uint64_t triangles)
 {
     uint64_t runs = most_runs(triangles), headers = runs + triangles / RUN_TRIANGLES + 1;
-    uint64_t bytes = triangles * coded_triangle_bytes(t->plan, 1) +
-                     headers * sizeof(struct run_header) + CORNER_CODE_SLACK;
+    uint64_t bytes =
+        triangles * coded_triangle_bytes(t->plan, 1) + headers * RUN_HEADER_MAX + CORNER_CODE_SLACK;
     int status = bsq_grow(t->ctx, "faces", bytes, 1, &t->bytes, &t->bytes_capacity);
     if (status == 0)
         status = bsq_grow(t->ctx, "faces", runs, sizeof *t->runs, &t->runs, &t->run_capacity);
@@ -448,61 +466,57 @@ static int triangulate_plain(struct triangulator *t, const struct faces *faces, 
 
 /* ---- batches ---- */
 
-static int add_face(struct triangulator *t, const struct faces *faces, uint32_t first,
-                    uint32_t size)
+static int reserve(struct triangulator *t, const struct faces *faces, uint64_t triangles)
 {
-    if (size > 3)
-        return add_polygon(t, faces, first, size);
-    add_triangle(t, faces, first, first + 1, first + 2);
-    return 0;
-}
-
-static void set_material(struct faces *faces, uint32_t usemtl)
-{
-    faces->material[0] = run_material(usemtl, false);
-    faces->material[1] = run_material(usemtl, true);
-}
-
-static int add_faces(struct triangulator *t, struct faces *faces)
-{
-    const struct fmt_mesh_batch *batch = faces->batch;
-    const uint32_t corner_count = (uint32_t)batch->corner_count;
-    uint32_t corner = 0;
-    uint64_t change = 0;
-    t->triangles = 0;
-    t->span_count = 0;
-    set_material(faces, batch->material_at_start);
-    for (uint64_t f = 0; f < batch->face_count; f++) {
-        uint32_t size = faces->sizes ? faces->sizes[f] : 3;
-        while (change < batch->material_change_count && batch->material_changes[change].face <= f)
-            set_material(faces, batch->material_changes[change++].material);
-        for (uint32_t k = corner + CORNERS_AHEAD;
-             k < corner + CORNERS_AHEAD + size && k < corner_count; k += faces->sizes ? 1 : 3)
-            __builtin_prefetch(bucket_source(t, faces, k));
-        int status = add_face(t, faces, corner, size);
-        if (status < 0)
-            return status;
-        corner += size;
-    }
-    return 0;
+    const char *what = "faces";
+    uint32_t kinds = 0;
+    for (int kind = 0; kind < FMT_MESH_KIND_COUNT; kind++)
+        kinds += faces->indices[kind] != NULL;
+    /* At most a header for each triangle. */
+    const uint64_t bytes =
+        triangles * (coded_triangle_bytes(t->plan, kinds) + RUN_HEADER_MAX) + CORNER_CODE_SLACK;
+    const uint64_t buckets = (uint64_t)1 << 3 * t->plan->levels;
+    const uint64_t runs = (buckets < triangles ? buckets : triangles) + 1;
+    int status;
+    BSQ_TRY(bsq_grow(t->ctx, what, bytes, 1, &t->bytes, &t->bytes_capacity));
+    BSQ_TRY(bsq_grow(t->ctx, what, runs, sizeof *t->runs, &t->runs, &t->run_capacity));
+    BSQ_TRY(
+        bsq_grow(t->ctx, what, triangles, sizeof *t->buckets, &t->buckets, &t->bucket_capacity));
+    BSQ_TRY(bsq_grow(t->ctx, what, triangles + SORTED_AHEAD, sizeof *t->order, &t->order,
+                     &t->order_capacity));
+    if (faces->sizes)
+        BSQ_TRY(bsq_grow(t->ctx, what, triangles, sizeof *t->corners, &t->corners,
+                         &t->corner_capacity));
+    if (faces->has_materials)
+        BSQ_TRY(bsq_grow(t->ctx, what, triangles, sizeof *t->materials, &t->materials,
+                         &t->material_capacity));
+done:
+    return status;
 }
 
 int vox_triangulate_batch(struct triangulator *t, const struct fmt_mesh_batch *batch,
                           uint32_t max_size)
 {
-    struct faces faces = {
+    const struct faces faces = {
         .batch = batch,
         .sizes = max_size > 3 ? batch->face_sizes : NULL,
-        .indices = {batch->corner_vertices, batch->corner_texcoords, batch->corner_normals}};
+        .indices = {batch->corner_vertices, batch->corner_texcoords, batch->corner_normals},
+        .has_materials = batch->material_change_count > 0 || batch->corner_texcoords};
     const uint64_t triangles = batch->corner_count - 2 * batch->face_count;
     bool plain;
     int status = triangulate_plain(t, &faces, &plain);
     if (status < 0 || plain)
         return status;
-    BSQ_TRY(reserve_triangles(t, triangles, triangles));
+    BSQ_TRY(reserve(t, &faces, triangles));
     BSQ_TRY(reserve_polygon(t, max_size));
-    BSQ_TRY(add_faces(t, &faces));
-    status = code_spans(t, &faces);
+    t->triangles = triangles;
+    BSQ_TRY(faces.sizes ? add_faces(t, &faces) : 0);
+    find_buckets(t, &faces);
+    count_triangles(t);
+    sort_by_bucket(t);
+    if (faces.has_materials)
+        find_materials(t, &faces);
+    code_sorted(t, &faces);
 done:
     return status;
 }

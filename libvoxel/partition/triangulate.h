@@ -22,8 +22,7 @@ struct triangulation_plan {
 /* The runs that one batch adds to one bucket. */
 struct bucket_runs {
     uint32_t bucket, triangles;
-    uint32_t first_span, span_count; /* in `sorted`; 0 for plain batches */
-    uint64_t offset, bytes;          /* in `bytes` of the triangulator */
+    uint64_t offset, bytes; /* in `bytes` of the triangulator */
 };
 
 /* Buffers and result of triangulating one batch after the other. */
@@ -36,12 +35,14 @@ struct triangulator {
     uint8_t *bytes;
     uint64_t triangles;
     /* Buffers; capacities in elements. */
-    uint64_t run_capacity, bytes_capacity, corner_capacity, span_capacity, sorted_capacity;
-    uint32_t (*corners)[3]; /* of triangles: numbers in the batch */
-    struct triangle_span *spans, *sorted;
-    uint32_t span_count;
-    uint32_t *runs_of_bucket; /* index into `runs` for each bucket; UINT32_MAX between batches */
-    uint32_t skipped_plain;   /* batches to come for which the plain path is not tried */
+    uint64_t run_capacity, bytes_capacity, corner_capacity, bucket_capacity, material_capacity,
+        order_capacity;
+    uint32_t (*corners)[3]; /* of triangles: numbers in the batch; if there are polygons */
+    uint16_t *buckets;      /* of triangles */
+    uint32_t *materials;    /* of triangles, if they may have different ones */
+    uint32_t *order;        /* triangles, sorted by bucket */
+    uint32_t *counts;       /* of triangles in each bucket; zero between batches */
+    uint32_t skipped_plain; /* batches to come for which the plain path is not tried */
     /* For the largest polygon. */
     double (*polygon)[3];
     uint32_t *polygon_triangles;

@@ -62,8 +62,9 @@ void vox_tuple_vertex(const struct tuple_layout *layout, const struct scan *scan
 /* ---- the buffer ---- */
 
 /* Size of the largest run: delta codes of all kinds of indices. Plain tuples are never larger. */
-#define BUFFER_BYTES                                                                               \
-    (RUN_TRIANGLES * FMT_MESH_KIND_COUNT * CORNER_CODE_MAX + (uint32_t)sizeof(struct run_header))
+#define RUN_MAX      (RUN_TRIANGLES * FMT_MESH_KIND_COUNT * CORNER_CODE_MAX)
+#define BUFFER_BYTES (RUN_MAX + RUN_HEADER_MAX)
+_Static_assert(RUN_MAX < 1u << RUN_BYTES_BITS, "a run's bytes must fit in its header");
 
 int vox_run_reader_init(struct run_reader *reader, const struct scan *scan,
                         const struct tuple_layout *layout)
@@ -118,8 +119,9 @@ static void decode_plain(const uint8_t *from, uint32_t count, uint8_t *to)
     for (uint32_t t = 0; t < count; t++, to += 12) {
         uint64_t index[3];
         from = corner_code_get(&code, from, index);
-        uint32_t tuple[3] = {(uint32_t)index[0], (uint32_t)index[1], (uint32_t)index[2]};
-        memcpy(to, tuple, sizeof tuple);
+        /* One by one: a copy of all waits until they have left the processor's store buffer. */
+        for (uint32_t k = 0; k < 3; k++)
+            memcpy(to + 4 * k, &(uint32_t){(uint32_t)index[k]}, 4);
     }
 }
 
@@ -170,16 +172,20 @@ static void decode(const struct run_reader *reader, const struct run_header *hea
 int vox_run_reader_next(struct run_reader *reader, uint8_t *to, uint32_t *count)
 {
     struct run_header header;
-    int status = fill_buffer(reader, sizeof header);
-    if (status < 0)
-        return status;
-    memcpy(&header, reader->buffer + reader->begin, sizeof header);
-    status = fill_buffer(reader, (uint32_t)sizeof header + header.bytes);
-    if (status < 0)
-        return status;
+    uint32_t before;
+    int status;
+    BSQ_TRY(fill_buffer(reader, 4));
+    header = run_header_get(reader->buffer + reader->begin);
+    before = run_header_bytes(&header);
+    if (reader->end - reader->begin < before + header.bytes) {
+        BSQ_TRY(fill_buffer(reader, before));
+        header = run_header_get(reader->buffer + reader->begin);
+        BSQ_TRY(fill_buffer(reader, before + header.bytes));
+    }
     if (to)
-        decode(reader, &header, reader->buffer + reader->begin + sizeof header, to);
-    reader->begin += (uint32_t)sizeof header + header.bytes;
+        decode(reader, &header, reader->buffer + reader->begin + before, to);
+    reader->begin += before + header.bytes;
     *count = header.triangles;
-    return 0;
+done:
+    return status;
 }

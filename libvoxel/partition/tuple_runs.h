@@ -106,6 +106,50 @@ static inline uint32_t run_material(uint32_t usemtl, bool lacks_texcoord)
     return (usemtl + 1) << 1 | lacks_texcoord; /* FMT_MESH_NO_MATERIAL becomes 0 */
 }
 
+/* Runs are short if the faces have no order, so a coded header takes four bytes: from the lowest
+ * bit on, RUN_BYTES_BITS of the bytes, RUN_COUNT_BITS of the triangles minus one, and the form. The
+ * top bit says that the material follows; else the triangles have neither a material nor texture
+ * coordinates, or it is not needed. */
+#define RUN_BYTES_BITS    17u
+#define RUN_COUNT_BITS    10u
+#define RUN_FORM_BITS     4u
+#define RUN_HAS_MATERIAL  (1u << 31)
+#define RUN_BARE_MATERIAL 1u
+#define RUN_HEADER_MAX    8u
+_Static_assert(RUN_TRIANGLES <= 1u << RUN_COUNT_BITS && RUN_TUPLES < 1u << RUN_FORM_BITS,
+               "they must fit in a header");
+
+/* Returns the bytes of a coded header. */
+static inline uint32_t run_header_bytes(const struct run_header *header)
+{
+    return header->material == RUN_BARE_MATERIAL ? 4 : 8;
+}
+
+static inline void run_header_put(const struct run_header *header, uint8_t *to)
+{
+    uint32_t word = header->bytes | (header->triangles - 1u) << RUN_BYTES_BITS |
+                    (uint32_t)header->form << (RUN_BYTES_BITS + RUN_COUNT_BITS);
+    if (header->material != RUN_BARE_MATERIAL) {
+        word |= RUN_HAS_MATERIAL;
+        memcpy(to + 4, &header->material, 4);
+    }
+    memcpy(to, &word, 4);
+}
+
+/* Decodes a header. RUN_HEADER_MAX bytes must be readable. */
+static inline struct run_header run_header_get(const uint8_t *from)
+{
+    struct run_header header = {.material = RUN_BARE_MATERIAL};
+    uint32_t word;
+    memcpy(&word, from, 4);
+    if (word & RUN_HAS_MATERIAL)
+        memcpy(&header.material, from + 4, 4);
+    header.bytes = word & ((1u << RUN_BYTES_BITS) - 1);
+    header.triangles = (uint16_t)((word >> RUN_BYTES_BITS & ((1u << RUN_COUNT_BITS) - 1)) + 1);
+    header.form = word >> (RUN_BYTES_BITS + RUN_COUNT_BITS) & ((1u << RUN_FORM_BITS) - 1);
+    return header;
+}
+
 /* Reads the runs of a bucket in sequence. Each thread has its own reader. */
 struct run_reader {
     const struct scan *scan;

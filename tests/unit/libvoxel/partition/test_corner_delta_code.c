@@ -80,7 +80,7 @@ TEST(grids_take_two_bytes)
     free(triangles);
 }
 
-/* Shuffled triangles take nine bytes: control, widths, four bytes for the first corner, one for its
+/* Shuffled triangles take nine bytes: control, four bytes for the first corner, two for its
  * neighbour in the row, and two for the one in the next row, about 400 indices away. A few take
  * less, by chance. */
 TEST(grids_without_order_take_nine_bytes)
@@ -95,6 +95,23 @@ TEST(grids_without_order_take_nine_bytes)
     }
     assert_in_range(round_trip((const uint64_t(*)[3])triangles, count), 8 * count, 9.5 * count);
     free(triangles);
+}
+
+/* Three new corners at and past the limits of CORNER_CODE_FAR. */
+TEST(far_triangles_come_back)
+{
+    const uint64_t starts[] = {0x8000, 0x7fffffff, 0x80000000, (uint64_t)1 << 40};
+    const uint64_t steps[] = {1, 0x7f, 0x7fff, 0x8000, 0x80000000, (uint64_t)1 << 50};
+    for (unsigned s = 0; s < 4; s++)
+        for (unsigned a = 0; a < 6; a++)
+            for (unsigned b = 0; b < 6; b++) {
+                const uint64_t first = starts[s], second = first + steps[a];
+                const uint64_t triangles[2][3] = {{first, second, second - steps[b]},
+                                                  {second * 3, second * 3 - steps[b], 1}};
+                const uint64_t bytes = round_trip(triangles, 1);
+                assert_int_equal(bytes == 9, s < 2 && a < 3 && b < 4);
+                round_trip(triangles, 2);
+            }
 }
 
 RUN_TESTS(NULL, NULL)
