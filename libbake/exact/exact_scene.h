@@ -36,9 +36,10 @@ static inline uint64_t exact_transfer_floats(const struct bake_exact *exact)
     return count > 0 ? (uint64_t)BK_TRANSFER_VALUES * (count - FMT_SHADING_CHANNELS) : 0;
 }
 
-enum { EXACT_LOCKS = 256 /* over the hits */, EXACT_SLOTS_A_THREAD = 4 };
+enum { EXACT_LOCKS = 256 /* over the hits */, EXACT_SLOTS_A_THREAD = 2 };
 
-/* Returns the slots of a wave: several a thread, so that all threads are busy until it ends. */
+/* Returns the slots of a wave: two a thread, so that all threads are busy until it ends, and chunks
+ * stay in the cache from one step to the next. */
 static inline uint32_t exact_wave_slots(const struct bake_exact *exact)
 {
     return EXACT_SLOTS_A_THREAD * bsq_threads(exact->ctx);
