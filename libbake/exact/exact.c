@@ -88,6 +88,14 @@ uint64_t bake_exact_loads(const struct bake_exact *exact)
     return *exact->loads;
 }
 
+void bake_exact_chunks_in(const struct bake_exact *exact, const float low[3], const float high[3],
+                          uint32_t from, uint32_t *first, uint32_t *last)
+{
+    struct exact_box box = EXACT_EMPTY_BOX;
+    exact_box_grow(&box, low, high);
+    bake_exact_tree_span(&exact->tree, &box, from, first, last);
+}
+
 /* ---- attributes ---- */
 
 /* Returns the bytes that a cache of textures may take. */

@@ -105,8 +105,26 @@ struct bake_exact_batch {
     /* Out: the channels of each hit, three values for each transfer; NULL: they are not wanted.
      * Undefined for rays that hit nothing. */
     float *channels;
-    uint64_t progress; /* what the whole batch adds to the context's progress */
+    uint64_t progress;              /* what the whole batch adds to the context's progress */
+    struct bake_exact_sweep *sweep; /* NULL: the rays meet all chunks */
+    /* Of a sweep: only chunks [first_chunk, end_chunk) are met. The first `continued` rays bring
+     * along their hits in other chunks. */
+    uint32_t first_chunk, end_chunk;
+    uint64_t continued;
 };
+
+/* Batches that go through the chunks of a scan one after the other. Rays that have chunks ahead are
+ * in the next batch again. Chunks that later batches need stay in memory. */
+struct bake_exact_sweep;
+/* Begins a sweep of batches that have up to `most_rays` rays; free *out with
+ * bake_exact_sweep_free(). Errors: BSQ_ENOMEM. */
+int bake_exact_sweep_create(struct bake_exact *exact, uint64_t most_rays,
+                            struct bake_exact_sweep **out);
+void bake_exact_sweep_free(struct bake_exact_sweep *sweep); /* NULL is allowed */
+/* Sets the first and the last chunk from `from` on that overlap a box; without any, *first is above
+ * *last. */
+void bake_exact_chunks_in(const struct bake_exact *exact, const float low[3], const float high[3],
+                          uint32_t from, uint32_t *first, uint32_t *last);
 
 /* Returns the number of rays of a batch that fits what is left of the budget, at least 1. Allows
  * for the rays, hits and footprints that the caller allocates, and for more_bytes for each ray. */

@@ -13,7 +13,7 @@
 
 #include "base/parallel.h"
 
-enum { GROUP = 4, SEGMENTS_A_THREAD = 4 };
+enum { SEGMENTS_A_THREAD = 4 };
 
 /* Buffers of a thread. */
 struct worker {
@@ -63,32 +63,48 @@ uint64_t bake_exact_buckets_scratch_bytes(const struct bake_exact *exact)
 
 /* ---- groups ---- */
 
-/* Grows the box by the part of a ray where hits count, with a margin for rounding errors. */
-static void add_ray(struct exact_box *box, const struct bake_exact_ray *ray,
-                    const struct bake_exact_batch *batch)
+/* Returns a box around the parts of rays [begin, end) where hits count, with a margin for rounding
+ * errors. */
+static struct exact_box box_of_rays(const struct bake_exact_batch *batch, uint64_t begin,
+                                    uint64_t end)
 {
-    for (int k = 0; k < 3; k++) {
-        const double o = (double)ray->origin[k], d = (double)exact_component(ray->direction[k]);
-        const double a = d * batch->t_min, b = d * batch->t_max;
-        const double low = o + (a < b ? a : b), high = o + (a > b ? a : b);
-        const double slack = (fabs(o) + fabs(a) + fabs(b)) * 1e-15;
-        const struct exact_span span = exact_span_of(low - slack, high + slack);
-        box->low[k] = span.begin < box->low[k] ? span.begin : box->low[k];
-        box->high[k] = span.end > box->high[k] ? span.end : box->high[k];
+    double low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
+    const double longest = fmax(fabs(batch->t_min), fabs(batch->t_max));
+    struct exact_box box = EXACT_EMPTY_BOX;
+    struct exact_line line;
+    for (const struct bake_exact_ray *ray = batch->rays + begin; ray < batch->rays + end; ray++)
+        for (int k = exact_line_set(&line, ray->origin, ray->direction) ? 0 : 3; k < 3; k++) {
+            const double o = (double)ray->origin[k], d = (double)exact_component(ray->direction[k]);
+            const double a = o + d * batch->t_min, b = o + d * batch->t_max;
+            const double nearer = a < b ? a : b, farther = a < b ? b : a;
+            low[k] = nearer < low[k] ? nearer : low[k];
+            high[k] = farther > high[k] ? farther : high[k];
+        }
+    for (int k = 0; k < 3 && low[k] <= high[k]; k++) {
+        const double slack = (fmax(fabs(low[k]), fabs(high[k])) + 2 * longest) * 1e-15;
+        const struct exact_span span = exact_span_of(low[k] - slack, high[k] + slack);
+        box.low[k] = span.begin;
+        box.high[k] = span.end;
     }
+    return box;
 }
 
-/* Finds the chunks that rays [begin, end) may cross, and gathers their boxes by eights. Returns
- * their count. */
+/* Finds the chunks of the batch that rays [begin, end) may cross, and gathers their boxes by
+ * eights. Returns their count. */
 static uint32_t find_candidates(const struct sorting *s, uint64_t begin, uint64_t end,
                                 const struct worker *worker)
 {
-    struct exact_box box = EXACT_EMPTY_BOX;
-    struct exact_line line;
-    for (uint64_t r = begin; r < end; r++)
-        if (exact_line_set(&line, s->batch->rays[r].origin, s->batch->rays[r].direction))
-            add_ray(&box, &s->batch->rays[r], s->batch);
-    uint32_t count = bake_exact_tree_overlapping(&s->exact->tree, &box, worker->candidates);
+    struct exact_box *box =
+        &s->buckets->around[(begin / BAKE_EXACT_BUNDLE - s->first) / EXACT_SORTED];
+    if (!s->writing)
+        *box = box_of_rays(s->batch, begin, end);
+    const uint32_t first = s->batch->sweep ? s->batch->first_chunk : 0;
+    const uint32_t stop = exact_end_chunk(s->exact, s->batch);
+    const uint32_t found = bake_exact_tree_overlapping(&s->exact->tree, box, worker->candidates);
+    uint32_t count = 0;
+    for (uint32_t i = 0; i < found; i++)
+        if (worker->candidates[i] >= first && worker->candidates[i] < stop)
+            worker->candidates[count++] = worker->candidates[i];
     for (uint32_t i = 0; i < count; i++) {
         const struct fmt_tris_chunk_info *chunk = &s->exact->chunks[worker->candidates[i]];
         for (int k = 0; k < 3; k++) {
@@ -159,8 +175,8 @@ static int sort_segment(void *arg, uint64_t segment, unsigned number)
     end = end < s->count ? end : s->count;
     uint32_t *counts = s->counts + segment * s->exact->chunk_count;
     int status = 0;
-    for (; begin < end && (status = bsq_check(s->exact->ctx)) == 0; begin += GROUP) {
-        uint64_t stop = begin + GROUP < end ? begin + GROUP : end;
+    for (; begin < end && (status = bsq_check(s->exact->ctx)) == 0; begin += EXACT_SORTED) {
+        uint64_t stop = begin + EXACT_SORTED < end ? begin + EXACT_SORTED : end;
         uint32_t candidates = find_candidates(s, (s->first + begin) * BAKE_EXACT_BUNDLE,
                                               rays_end(s, s->first + stop), &worker);
         for (uint64_t b = begin; candidates > 0 && b < stop; b++)
@@ -179,8 +195,8 @@ static int run_segments(struct sorting *s)
 
 static int count_pairs(struct sorting *s)
 {
-    const uint64_t groups = (s->count + GROUP - 1) / GROUP;
-    s->segment_bundles = (groups + s->segments - 1) / s->segments * GROUP;
+    const uint64_t groups = (s->count + EXACT_SORTED - 1) / EXACT_SORTED;
+    s->segment_bundles = (groups + s->segments - 1) / s->segments * EXACT_SORTED;
     s->writing = false;
     memset(s->counts, 0, (uint64_t)s->segments * s->exact->chunk_count * sizeof *s->counts);
     return run_segments(s);

@@ -1,4 +1,5 @@
-/* exact_kept.c - keeps chunks in memory that other chunks of a batch need for vertex normals.
+/* exact_kept.c - keeps chunks in memory that other chunks of a batch or a sweep need for vertex
+ * normals.
  *
  * The chunks of a batch are traced in the order of the file, so it is known when a chunk is used
  * next: when it is traced itself, or with the next one that its bounds overlap. Of the chunks that
@@ -18,7 +19,7 @@ int bake_exact_kept_create(const struct bake_exact *exact, struct exact_kept *ou
     const uint64_t left = bsq_memory_share(ctx, "chunks near others", 1);
     const uint64_t sorting = bake_exact_buckets_scratch_bytes(exact);
     const uint64_t size = bake_exact_chunk_bytes(exact);
-    const uint64_t most = left > sorting ? (left - sorting) / 4 * 3 / size : 0;
+    const uint64_t most = left > sorting ? (left - sorting) / 8 * 7 / size : 0;
     int status = 0;
     *out = (struct exact_kept){.exact = exact};
     out->count = most < exact->chunk_count ? (uint32_t)most : exact->chunk_count;
@@ -76,7 +77,8 @@ bool bake_exact_kept_take(const struct exact_kept *kept, struct exact_slot *slot
     return entry != NULL;
 }
 
-/* Returns the next chunk with rays after `last` that uses a chunk, or NEVER. */
+/* Returns the next chunk after `last` that uses a chunk and has rays, or that later batches of a
+ * sweep meet, or NEVER. */
 static uint32_t next_use(const struct exact_kept *kept, uint32_t number, uint32_t last)
 {
     const struct fmt_tris_chunk_info *chunk = &kept->exact->chunks[number];
@@ -87,7 +89,7 @@ static uint32_t next_use(const struct exact_kept *kept, uint32_t number, uint32_
     const uint32_t near = bake_exact_tree_overlapping(&kept->exact->tree, &box, kept->near);
     for (uint32_t i = 0; i < near; i++) {
         const uint32_t c = kept->near[i];
-        if (c > last && c < next && kept->starts[c] < kept->starts[c + 1])
+        if (c > last && c < next && (c >= kept->end || kept->starts[c] < kept->starts[c + 1]))
             next = c;
     }
     return next;

@@ -36,6 +36,13 @@ static inline uint64_t exact_transfer_floats(const struct bake_exact *exact)
     return count > 0 ? (uint64_t)BK_TRANSFER_VALUES * (count - FMT_SHADING_CHANNELS) : 0;
 }
 
+/* Returns the number after the last chunk that a batch meets. */
+static inline uint32_t exact_end_chunk(const struct bake_exact *exact,
+                                       const struct bake_exact_batch *batch)
+{
+    return batch->sweep ? batch->end_chunk : exact->chunk_count;
+}
+
 enum { EXACT_LOCKS = 256 /* over the hits */, EXACT_SLOTS_A_THREAD = 2 };
 
 /* Returns the slots of a wave: two a thread, so that all threads are busy until it ends, and chunks
@@ -247,13 +254,17 @@ bool bake_exact_wound_backwards(const struct fmt_tris_chunk *chunk, uint32_t tri
 
 /* ---- rays by chunk ---- */
 
+/* Bundles for which candidate chunks are looked up together. */
+enum { EXACT_SORTED = 4 };
+
 /* The bundles of rays that cross each chunk: those of chunk c are entries starts[c] to
  * starts[c + 1] - 1, ascending. */
 struct exact_buckets {
     uint32_t *bundles;
     uint16_t *found; /* of each entry: bit i: tracing took a hit for ray i of the bundle */
     uint64_t capacity;
-    uint64_t *starts; /* chunk_count + 1 */
+    uint64_t *starts;         /* chunk_count + 1 */
+    struct exact_box *around; /* what the rays of each EXACT_SORTED bundles cross */
 };
 
 /* Returns the number of bundles that a number of rays is. */
@@ -291,6 +302,7 @@ struct exact_kept_entry {
 struct exact_kept {
     const struct bake_exact *exact;
     const uint64_t *starts; /* of the buckets, see below */
+    uint32_t end;           /* chunks from here on belong to later batches */
     uint32_t count;         /* of entries; 0: none is kept */
     struct exact_kept_entry *entries;
     uint32_t *near;     /* chunk_count numbers */
@@ -311,6 +323,14 @@ int bake_exact_kept_load(struct exact_kept *kept, const struct exact_slots *wave
 /* Keeps those chunks that are used soonest, of these and of the wave. */
 void bake_exact_kept_end_wave(struct exact_kept *kept, const struct exact_slots *wave,
                               uint32_t used);
+
+/* Memory for the chunks of one batch, or of several. */
+struct bake_exact_sweep {
+    struct bake_exact *exact;
+    uint64_t most_rays; /* of a batch; 0: a single batch */
+    struct exact_slots slots;
+    struct exact_kept kept;
+};
 
 /* ---- normals and colours ---- */
 

@@ -7,8 +7,8 @@
  * a few of them again, after it has found a better hit: that costs less than to load the chunks
  * again after the last wave.
  *
- * The tree of a chunk is built again for each batch: that takes a few milliseconds, and keeping
- * trees would take memory. */
+ * The tree of a chunk is built again for each batch that meets it: that takes a few milliseconds,
+ * and keeping trees would take memory. */
 #include "libbake/exact/exact_scene.h"
 
 #include <math.h>
@@ -32,8 +32,7 @@ struct wave {
     struct exact_buckets *buckets;
     struct exact_limits limits;
     pthread_mutex_t *locks; /* EXACT_LOCKS, each for the hits of some bundles */
-    struct exact_slots memory;
-    struct exact_kept kept;
+    struct bake_exact_sweep *memory;
     uint32_t used;         /* slots of this wave */
     bool shading;          /* after the hits of the wave were found */
     uint64_t bundle_count; /* bundles that were sorted into the buckets */
@@ -81,7 +80,8 @@ static int need_hit(const struct wave *wave, struct exact_slot *slot, uint64_t r
 static int prepare_slot(void *arg, uint64_t index, unsigned worker)
 {
     struct wave *wave = arg;
-    return bake_exact_slot_prepare(wave->exact, &wave->memory, wave->batch->sampled, index, worker);
+    return bake_exact_slot_prepare(wave->exact, &wave->memory->slots, wave->batch->sampled, index,
+                                   worker);
 }
 
 /* Finds the vertex normals that the hits in a slot's chunk need, and the chunks that have them. */
@@ -89,7 +89,7 @@ static int need_slot(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
     struct wave *wave = arg;
-    struct exact_slot *slot = &wave->memory.slots[index];
+    struct exact_slot *slot = &wave->memory->slots.slots[index];
     const uint64_t *starts = &wave->buckets->starts[slot->number];
     slot->needed = false;
     slot->near_count = 0;
@@ -106,11 +106,11 @@ static int sum_slot(void *arg, uint64_t index, unsigned worker)
     struct wave *wave = arg;
     const struct exact_summing of = {
         .exact = wave->exact,
-        .slot = &wave->memory.slots[index],
-        .wave = wave->memory.slots,
+        .slot = &wave->memory->slots.slots[index],
+        .wave = wave->memory->slots.slots,
         .wave_count = wave->used,
-        .kept = &wave->kept,
-        .scratch = bake_exact_scratch(wave->exact, &wave->memory, index, worker)};
+        .kept = &wave->memory->kept,
+        .scratch = bake_exact_scratch(wave->exact, &wave->memory->slots, index, worker)};
     return of.slot->needed ? BSQ_SIMD_PICK(wave->exact->simd, bake_exact_smooth_sum)(&of) : 0;
 }
 
@@ -200,7 +200,7 @@ static int run_block(void *arg, uint64_t index, unsigned worker)
     (void)worker;
     struct wave *wave = arg;
     const struct block *block = &wave->blocks[index];
-    struct exact_slot *slot = &wave->memory.slots[block->slot];
+    struct exact_slot *slot = &wave->memory->slots.slots[block->slot];
     if (wave->shading)
         return each_hit(wave, slot, block->begin, block->end, shade_hit);
     for (uint64_t i = block->begin; i < block->end; i++)
@@ -213,8 +213,8 @@ static int list_blocks(struct wave *wave)
 {
     wave->block_count = 0;
     for (uint32_t s = 0; s < wave->used; s++) {
-        const uint64_t end = wave->buckets->starts[wave->memory.slots[s].number + 1];
-        for (uint64_t at = wave->buckets->starts[wave->memory.slots[s].number]; at < end;
+        const uint64_t end = wave->buckets->starts[wave->memory->slots.slots[s].number + 1];
+        for (uint64_t at = wave->buckets->starts[wave->memory->slots.slots[s].number]; at < end;
              at += BLOCK) {
             int status = bsq_grow(wave->exact->ctx, "blocks of rays", wave->block_count + 1,
                                   sizeof *wave->blocks, &wave->blocks, &wave->block_capacity);
@@ -235,7 +235,7 @@ static int shade_wave(struct wave *wave)
     wave->shading = true;
     if (exact_needs_smooth(wave->exact)) {
         BSQ_TRY(bsq_parallel_for(ctx, wave->used, need_slot, wave));
-        BSQ_TRY(bake_exact_kept_load(&wave->kept, &wave->memory, wave->used));
+        BSQ_TRY(bake_exact_kept_load(&wave->memory->kept, &wave->memory->slots, wave->used));
         BSQ_TRY(bsq_parallel_for(ctx, wave->used, sum_slot, wave));
     }
     status = bsq_parallel_for(ctx, wave->block_count, run_block, wave);
@@ -250,9 +250,10 @@ static void read_ahead(const struct wave *wave)
     if (wave->batch->sampled && wave->exact->header->attributes & FMT_TRIS_SAMPLES)
         return;
     const uint64_t *starts = wave->buckets->starts;
-    uint32_t next = wave->memory.slots[wave->used - 1].number + 1;
-    for (uint32_t ahead = 0; next < wave->exact->chunk_count && ahead < wave->memory.count; next++)
-        if (starts[next] < starts[next + 1] && !bake_exact_kept_find(&wave->kept, next)) {
+    uint32_t next = wave->memory->slots.slots[wave->used - 1].number + 1;
+    for (uint32_t ahead = 0; next < wave->exact->chunk_count && ahead < wave->memory->slots.count;
+         next++)
+        if (starts[next] < starts[next + 1] && !bake_exact_kept_find(&wave->memory->kept, next)) {
             fmt_tris_read_ahead(wave->exact->file, next);
             ahead++;
         }
@@ -261,17 +262,19 @@ static void read_ahead(const struct wave *wave)
 static int run_wave(struct wave *wave)
 {
     struct bsq_ctx *ctx = wave->exact->ctx;
+    struct bake_exact_sweep *memory = wave->memory;
     int status = 0;
     wave->shading = false;
     for (uint32_t s = 0; s < wave->used; s++)
-        wave->memory.slots[s].loaded = bake_exact_kept_take(&wave->kept, &wave->memory.slots[s]);
+        memory->slots.slots[s].loaded =
+            bake_exact_kept_take(&memory->kept, &memory->slots.slots[s]);
     BSQ_TRY(bsq_parallel_for(ctx, wave->used, prepare_slot, wave));
     read_ahead(wave);
     BSQ_TRY(list_blocks(wave));
     BSQ_TRY(bsq_parallel_for(ctx, wave->block_count, run_block, wave));
     if (!wave->batch->distances_only)
         BSQ_TRY(shade_wave(wave));
-    bake_exact_kept_end_wave(&wave->kept, &wave->memory, wave->used);
+    bake_exact_kept_end_wave(&memory->kept, &memory->slots, wave->used);
     wave->used = 0;
 done:
     return status;
@@ -282,40 +285,76 @@ static int run_waves(struct wave *wave)
     const struct exact_buckets *buckets = wave->buckets;
     int status = 0;
     wave->used = 0;
-    wave->kept.starts = buckets->starts;
+    wave->memory->kept.starts = buckets->starts;
+    wave->memory->kept.end = exact_end_chunk(wave->exact, wave->batch);
     for (uint32_t c = 0; status == 0 && c < wave->exact->chunk_count; c++) {
         if (buckets->starts[c] == buckets->starts[c + 1])
             continue;
-        wave->memory.slots[wave->used++].number = c;
-        if (wave->used == wave->memory.count)
+        wave->memory->slots.slots[wave->used++].number = c;
+        if (wave->used == wave->memory->slots.count)
             status = run_wave(wave);
     }
     return status == 0 && wave->used > 0 ? run_wave(wave) : status;
 }
 
-/* ---- a batch ---- */
+/* ---- memory ---- */
+
+static void free_chunks(struct bsq_ctx *ctx, struct bake_exact_sweep *memory)
+{
+    bake_exact_kept_free(ctx, &memory->kept);
+    bake_exact_slots_free(ctx, &memory->slots);
+}
+
+int bake_exact_sweep_create(struct bake_exact *exact, uint64_t most_rays,
+                            struct bake_exact_sweep **out)
+{
+    const int status = bsq_calloc(exact->ctx, "chunks in memory", 1, sizeof **out, out);
+    if (status == 0)
+        **out = (struct bake_exact_sweep){.exact = exact, .most_rays = most_rays};
+    return status;
+}
+
+void bake_exact_sweep_free(struct bake_exact_sweep *sweep)
+{
+    if (!sweep)
+        return;
+    free_chunks(sweep->exact->ctx, sweep);
+    bsq_free(sweep->exact->ctx, sweep);
+}
+
+static int allocate_chunks(const struct wave *wave)
+{
+    struct bake_exact_sweep *memory = wave->memory;
+    const uint64_t share = bsq_memory_share(wave->exact->ctx, "chunks of a wave", 2);
+    int status = bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact), share, false,
+                                         &memory->slots);
+    if (status == 0 && !wave->batch->distances_only && exact_needs_smooth(wave->exact))
+        status = bake_exact_kept_create(wave->exact, &memory->kept);
+    return status;
+}
 
 static int allocate(struct wave *wave, struct exact_buckets *buckets)
 {
+    /* The batches of a sweep all take as much memory: the chunks that are kept take the rest. */
+    const uint64_t rays = wave->batch->sweep ? wave->memory->most_rays : wave->batch->count;
     struct bsq_ctx *ctx = wave->exact->ctx;
     const uint32_t chunks = wave->exact->chunk_count;
     int status = 0;
-    buckets->capacity = exact_bucket_entries(wave->exact, wave->batch->count);
+    buckets->capacity = exact_bucket_entries(wave->exact, rays);
     BSQ_TRY(bsq_alloc(ctx, "rays by chunk", buckets->capacity, sizeof *buckets->bundles,
                       &buckets->bundles));
     BSQ_TRY(bsq_alloc(ctx, "rays by chunk", buckets->capacity, sizeof *buckets->found,
                       &buckets->found));
     BSQ_TRY(bsq_alloc(ctx, "rays by chunk", (uint64_t)chunks + 1, sizeof *buckets->starts,
                       &buckets->starts));
+    BSQ_TRY(bsq_alloc(ctx, "rays by chunk", exact_bundles(rays) / EXACT_SORTED + 1,
+                      sizeof *buckets->around, &buckets->around));
     BSQ_TRY(bsq_alloc(ctx, "locks", EXACT_LOCKS, sizeof *wave->locks, &wave->locks));
     for (int i = 0; i < EXACT_LOCKS; i++)
         pthread_mutex_init(&wave->locks[i], NULL);
     /* Last, because they make do with little memory. */
-    BSQ_TRY(bake_exact_slots_create(wave->exact, exact_wave_slots(wave->exact),
-                                    bsq_memory_share(ctx, "chunks of a wave", 2), false,
-                                    &wave->memory));
-    if (!wave->batch->distances_only && exact_needs_smooth(wave->exact))
-        status = bake_exact_kept_create(wave->exact, &wave->kept);
+    if (wave->memory->slots.count == 0)
+        status = allocate_chunks(wave);
 done:
     return status;
 }
@@ -324,7 +363,7 @@ static int clear_hits(void *arg, uint64_t index, unsigned worker)
 {
     (void)worker;
     const struct bake_exact_batch *batch = arg;
-    const uint64_t begin = index * CLEARED, left = batch->count - begin;
+    const uint64_t begin = batch->continued + index * CLEARED, left = batch->count - begin;
     for (uint64_t i = begin; i < begin + (left < CLEARED ? left : CLEARED); i++)
         batch->hits[i] = (struct bake_exact_hit){.triangle = BAKE_EXACT_NONE};
     return 0;
@@ -347,8 +386,10 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *ba
 {
     struct bsq_ctx *ctx = exact->ctx;
     struct exact_buckets buckets = {0};
+    struct bake_exact_sweep own = {.exact = exact};
     struct wave wave = {.exact = exact,
                         .batch = batch,
+                        .memory = batch->sweep ? batch->sweep : &own,
                         .buckets = &buckets,
                         .limits = {.t_min = batch->t_min,
                                    .t_max = batch->t_max,
@@ -360,8 +401,8 @@ int bake_exact_trace(struct bake_exact *exact, const struct bake_exact_batch *ba
     if (batch->count == 0)
         return 0;
     BSQ_TRY(allocate(&wave, &buckets));
-    BSQ_TRY(bsq_parallel_for(ctx, (batch->count - 1) / CLEARED + 1, clear_hits,
-                             (void *)(uintptr_t)batch));
+    BSQ_TRY(bsq_parallel_for(ctx, (batch->count - batch->continued + CLEARED - 1) / CLEARED,
+                             clear_hits, (void *)(uintptr_t)batch));
     for (uint64_t done = 0; done < exact_bundles(batch->count);)
         BSQ_TRY(trace_part(&wave, &buckets, &done));
 done:
@@ -372,7 +413,7 @@ done:
     bsq_free(ctx, buckets.bundles);
     bsq_free(ctx, buckets.found);
     bsq_free(ctx, buckets.starts);
-    bake_exact_kept_free(ctx, &wave.kept);
-    bake_exact_slots_free(ctx, &wave.memory);
+    bsq_free(ctx, buckets.around);
+    free_chunks(ctx, &own);
     return status;
 }

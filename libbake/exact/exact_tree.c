@@ -97,13 +97,15 @@ static unsigned overlaps(const struct exact_box8 *boxes, const struct exact_box 
     return bits;
 }
 
-uint32_t bake_exact_tree_overlapping(const struct exact_tree *tree, const struct exact_box *box,
-                                     uint32_t *out)
+/* Calls `take` for the numbers of the boxes that overlap `box`. */
+static inline __attribute__((always_inline)) void
+each_overlapping(const struct exact_tree *tree, const struct exact_box *box,
+                 void (*take)(void *arg, uint32_t number), void *arg)
 {
     struct {
         uint32_t level, node;
     } stack[EXACT_TREE_STACK];
-    uint32_t depth = 0, found = 0;
+    uint32_t depth = 0;
     if (tree->levels > 0) {
         stack[0].level = tree->levels - 1;
         stack[0].node = 0;
@@ -115,14 +117,49 @@ uint32_t bake_exact_tree_overlapping(const struct exact_tree *tree, const struct
         for (; bits; bits &= bits - 1) {
             uint32_t child = 8 * node + (uint32_t)__builtin_ctz(bits);
             if (level == 0) {
-                out[found++] = child;
+                take(arg, child);
             } else {
                 stack[depth].level = level - 1;
                 stack[depth++].node = child;
             }
         }
     }
-    return found;
+}
+
+static void list_box(void *arg, uint32_t number)
+{
+    uint32_t **end = arg;
+    *(*end)++ = number;
+}
+
+uint32_t bake_exact_tree_overlapping(const struct exact_tree *tree, const struct exact_box *box,
+                                     uint32_t *out)
+{
+    uint32_t *end = out;
+    each_overlapping(tree, box, list_box, &end);
+    return (uint32_t)(end - out);
+}
+
+struct span {
+    uint32_t from, first, last;
+};
+
+static void widen_span(void *arg, uint32_t number)
+{
+    struct span *span = arg;
+    if (number < span->from)
+        return;
+    span->first = number < span->first ? number : span->first;
+    span->last = number > span->last ? number : span->last;
+}
+
+void bake_exact_tree_span(const struct exact_tree *tree, const struct exact_box *box, uint32_t from,
+                          uint32_t *first, uint32_t *last)
+{
+    struct span span = {from, UINT32_MAX, 0};
+    each_overlapping(tree, box, widen_span, &span);
+    *first = span.first;
+    *last = span.last;
 }
 
 /* ---- curve ---- */

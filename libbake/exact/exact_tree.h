@@ -82,4 +82,9 @@ void bake_exact_tree_build(struct exact_tree *tree, uint32_t count, struct exact
 uint32_t bake_exact_tree_overlapping(const struct exact_tree *tree, const struct exact_box *box,
                                      uint32_t *out);
 
+/* Sets the lowest and the highest number, from `from` on, of the boxes that overlap `box`. Without
+ * any, *first is above *last. */
+void bake_exact_tree_span(const struct exact_tree *tree, const struct exact_box *box, uint32_t from,
+                          uint32_t *first, uint32_t *last);
+
 #endif

@@ -1,11 +1,18 @@
 /* ray_patches.c - traces the samples of a map as batches of rays, against triangles and several
  * scans.
  *
- * The patches of a map form batches, each as large as the budget allows. Patches are ordered along
- * a curve through the scan, not through the map. So the rays that cross a chunk are in few batches,
- * whatever the layout of the charts. Each of the three passes over a patch rasterises it again,
- * which costs less than keeping the triangle of every sample. Rays and sums are computed by the
- * kernel's functions. */
+ * Patches have seats in memory, as many as the budget allows. If not all patches have one, they
+ * take turns in the order of the first chunk that their rays may cross. A batch meets the chunks
+ * before the first one of the patches without seats. Then patches that have no chunk ahead are
+ * written, and others take their seats. So each chunk is met once, whatever the layout of the
+ * charts. If too many patches wait for chunks ahead, a batch goes on, and the next one meets some
+ * chunks again.
+ *
+ * Several scans have no common order of chunks. Their batches, and those whose hits send further
+ * rays, meet all chunks. Their patches are ordered along a curve through the scans.
+ *
+ * Each pass over a patch rasterises it again, which costs less than keeping the triangle of every
+ * sample. Rays and sums are computed by the kernel's functions. */
 #include "libbake/surface/surface.h"
 
 #include <math.h>
@@ -19,10 +26,16 @@
  * to the surface that was hit: more than rounding errors. */
 #define NEXT_SHEET 0.02
 
+/* A box grows by this share of its coordinates: more than the rounding errors of single precision
+ * when it was computed. */
+#define BOX_SLACK 1e-6f
+
 struct patch {
-    uint64_t curve; /* on the curve through the scan */
-    uint64_t rays;  /* of the squares with samples in triangles, see square_side() */
     uint32_t index; /* number of the patch in the raster */
+    /* In a sweep the first and the last chunk that the rays may cross, of those that they have not
+     * met. Otherwise the place on the curve, and 0. */
+    uint32_t first, last;
+    float low[3], high[3]; /* what the rays cross, in the index space */
 };
 
 struct job {
@@ -34,40 +47,27 @@ struct job {
     struct bake_patch_workers workers; /* with sums for a row of squares, see square_side() */
     struct patch *order;
     uint32_t patch_count;
+    struct bake_exact_sweep *sweep;               /* NULL: each batch meets all chunks */
     struct bake_exact_footprint *footprint_table; /* of each triangle; NULL: not needed */
-    /* The current batch: patches order[first .. first + count). */
-    uint32_t first, count;
-    uint64_t *starts; /* patch_count + 1: first ray of order[i], counted over all batches */
+    /* The current batch: the patches in the first `taken` seats. Each has space for seat_rays. */
+    uint32_t seat_count, taken;
+    uint32_t next;        /* order[next] is the first patch that had no seat yet */
+    uint32_t waiting;     /* seats from the first on whose patches an earlier batch has begun */
+    struct patch *seated; /* of each seat */
+    uint64_t seat_rays;
     struct bake_exact_ray *rays;
     struct bake_exact_hit *hits;
-    struct bake_exact_hit *next; /* beside these hits, for `confidence`; else NULL */
+    struct bake_exact_hit *next_hits; /* beside these hits, for `confidence`; else NULL */
     float *reaches;
     uint32_t *footprints, *objects;
     float *channels; /* of each hit: values of transfer maps; NULL: there are none */
-    uint64_t capacity;
     /* For maps of secondary rays; else NULL. */
     struct bake_look *look;
     struct bk_share *shares;
     struct bk_surroundings *surroundings;
 };
 
-/* ---- counting and ordering ---- */
-
-/* Returns where the centre of a triangle of the low-poly mesh lies on the curve. */
-static uint64_t curve_index(const struct job *job, uint32_t triangle)
-{
-    const struct bk_triangle *t = &job->patches->triangles[triangle];
-    float centre[3];
-    for (int k = 0; k < 3; k++)
-        centre[k] = (t->position[0][k] + t->position[1][k] + t->position[2][k]) / 3.0f;
-    return bake_surface_curve_index(job->surface, centre);
-}
-
-static uint32_t patch_samples(const struct job *job, const struct bk_patch *patch)
-{
-    const uint32_t n = job->patches->params->samples;
-    return patch->width * n * (patch->height * n);
-}
+/* ---- samples to rays ---- */
 
 /* Returns the side in texels of the squares by which the samples of a patch are numbered. Rays of a
  * square meet fewer triangles of the scan than those of a line. */
@@ -83,90 +83,32 @@ static uint64_t next_bundle(uint64_t ray)
     return (ray + BAKE_EXACT_BUNDLE - 1) / BAKE_EXACT_BUNDLE * BAKE_EXACT_BUNDLE;
 }
 
-/* Returns the number of samples of a square that lie in a triangle. column, row: of its first texel
- * in the patch. */
-static uint32_t square_samples(const struct job *job, const struct bk_patch *patch, uint32_t column,
-                               uint32_t row, const uint32_t *samples)
+/* Returns the most rays of a patch. */
+static uint64_t most_rays(const struct job *job)
 {
     const uint32_t n = job->patches->params->samples, side = square_side(job);
-    const uint32_t width = (side < patch->width - column ? side : patch->width - column) * n;
-    const uint32_t height = (side < patch->height - row ? side : patch->height - row) * n;
-    uint32_t covered = 0;
-    for (uint32_t line = row * n; line < row * n + height; line++) {
-        const uint32_t *at = samples + ((uint64_t)line * patch->width + column) * n;
-        for (uint32_t i = 0; i < width; i++)
-            covered += at[i] != BK_NO_TRIANGLE;
-    }
-    return covered;
+    const uint32_t squares = (job->patches->patch_side + side - 1) / side;
+    return squares * squares * next_bundle((uint64_t)side * side * n * n);
 }
-
-/* Counts the rays of a patch, and places the patch on the curve by its middle sample. */
-static int count_patch(void *arg, uint64_t index, unsigned number)
-{
-    struct job *job = arg;
-    struct bake_patch_worker *worker = &job->workers.workers[number];
-    const struct bk_patch patch = bake_raster_patch(job->patches->raster, (uint32_t)index);
-    const uint32_t all = patch_samples(job, &patch), side = square_side(job);
-    const uint32_t *samples = worker->sample_triangles;
-    uint64_t overlaps = 0, rays = 0;
-    uint32_t covered = 0, seen = 0;
-    int status = bake_raster_fill(job->patches->raster, (uint32_t)index, worker->sample_triangles,
-                                  &overlaps);
-    if (status < 0)
-        return status;
-    worker->overlaps += overlaps;
-    for (uint32_t row = 0; row < patch.height; row += side)
-        for (uint32_t column = 0; column < patch.width; column += side) {
-            const uint32_t here = square_samples(job, &patch, column, row, samples);
-            covered += here;
-            rays += next_bundle(here);
-        }
-    job->order[index] = (struct patch){.index = (uint32_t)index, .rays = rays};
-    for (uint32_t i = 0; i < all; i++)
-        if (samples[i] != BK_NO_TRIANGLE && seen++ == covered / 2) {
-            job->order[index].curve = curve_index(job, samples[i]);
-            break;
-        }
-    return 0;
-}
-
-static int compare_patches(const void *a, const void *b)
-{
-    const struct patch *x = a, *y = b;
-    if (x->curve != y->curve)
-        return x->curve < y->curve ? -1 : 1;
-    return (x->index > y->index) - (x->index < y->index);
-}
-
-static int order_patches(struct job *job)
-{
-    int status = bsq_parallel_for(job->ctx, job->patch_count, count_patch, job);
-    if (status < 0)
-        return status;
-    bsq_sort(job->order, job->patch_count, sizeof *job->order, compare_patches);
-    job->starts[0] = 0;
-    for (uint32_t i = 0; i < job->patch_count; i++)
-        job->starts[i + 1] = job->starts[i] + job->order[i].rays;
-    return 0;
-}
-
-/* ---- samples to rays ---- */
 
 /* A sample of a patch that lies in a triangle. */
 struct sample {
-    uint32_t triangle, column; /* column: of the patch's texels */
-    float x, y;                /* map position in texels */
-    bk_point point;            /* of the low-poly mesh */
-    uint64_t ray;              /* its number in the batch */
+    uint32_t triangle;
+    uint32_t texel; /* number in the row of squares, line by line */
+    float x, y;     /* map position in texels */
+    bk_point point; /* of the low-poly mesh */
+    uint64_t ray;   /* its number in the batch */
 };
 
+/* Does something with a sample. into: where the result goes. */
+typedef void take_sample_fn(struct job *job, const struct sample *sample, void *into);
+
 /* Calls `take` for the samples of a line of a square that lie in a triangle, from the left. column,
- * end: its texels in the patch. */
-static inline void
-each_sample_of_line(struct job *job, const struct bk_patch *patch, const uint32_t *samples,
-                    uint32_t line, uint32_t column, uint32_t end, uint64_t *ray,
-                    void (*take)(struct job *job, const struct sample *sample, float *texels),
-                    float *texels)
+ * end: its texels in the patch. first: number of the line's first texel, see struct sample. */
+static inline void each_sample_of_line(struct job *job, const struct bk_patch *patch,
+                                       const uint32_t *samples, uint32_t line, uint32_t column,
+                                       uint32_t end, uint32_t first, uint64_t *ray,
+                                       take_sample_fn *take, void *into)
 {
     const struct bk_params *params = job->patches->params;
     const uint32_t n = params->samples;
@@ -174,7 +116,7 @@ each_sample_of_line(struct job *job, const struct bk_patch *patch, const uint32_
     uint64_t index = ((uint64_t)line * patch->width + column) * n;
     for (; column < end; column++)
         for (uint32_t i = 0; i < n; i++, index++) {
-            struct sample sample = {.triangle = samples[index], .column = column, .y = y};
+            struct sample sample = {.triangle = samples[index], .texel = first + column, .y = y};
             if (sample.triangle == BK_NO_TRIANGLE)
                 continue;
             const struct bk_triangle *triangle = &job->patches->triangles[sample.triangle];
@@ -185,50 +127,51 @@ each_sample_of_line(struct job *job, const struct bk_patch *patch, const uint32_
                              bk_skewed(triangle, bk_lane3(&sample.point.direction, 0),
                                        bk_sample_skew(params, patch, samples, index)));
             sample.ray = (*ray)++;
-            take(job, &sample, texels);
+            take(job, &sample, into);
         }
 }
 
 /* Calls `take` for the samples of a row of squares that lie in a triangle: square by square, and
  * line by line in each. Their rays are numbered from *ray on, with gaps between squares. row: of
- * the first texels. samples: of the patch. texels: of the row, line by line; NULL: not needed. */
+ * the first texels. samples: of the patch. */
 static inline void each_sample_of_row(struct job *job, const struct bk_patch *patch,
                                       const uint32_t *samples, uint32_t row, uint64_t *ray,
-                                      void (*take)(struct job *job, const struct sample *sample,
-                                                   float *texels),
-                                      float *texels)
+                                      take_sample_fn *take, void *into)
 {
     const uint32_t n = job->patches->params->samples, side = square_side(job);
     const uint32_t rows = side < patch->height - row ? side : patch->height - row;
-    const uint64_t floats = texels ? (uint64_t)patch->width * job->workers.texel_floats : 0;
     for (uint32_t column = 0; column < patch->width; column += side) {
         const uint32_t end = side < patch->width - column ? column + side : patch->width;
         *ray = next_bundle(*ray);
         for (uint32_t line = 0; line < rows * n; line++)
-            each_sample_of_line(job, patch, samples, row * n + line, column, end, ray, take,
-                                texels ? texels + line / n * floats : NULL);
+            each_sample_of_line(job, patch, samples, row * n + line, column, end,
+                                line / n * patch->width, ray, take, into);
     }
 }
 
-/* Calls `take` for each sample of the patch with this index in the batch that lies in a triangle.
+/* Calls `take` for each sample of a patch that lies in a triangle. ray: number of the first one's.
  */
-static inline int each_sample(struct job *job, uint64_t index, unsigned worker,
-                              void (*take)(struct job *job, const struct sample *sample,
-                                           float *texels))
+static inline int each_sample(struct job *job, uint32_t index, uint64_t ray, unsigned number,
+                              take_sample_fn *take, void *into)
 {
-    const struct patch *entry = &job->order[job->first + index];
-    const struct bk_patch patch = bake_raster_patch(job->patches->raster, entry->index);
-    uint32_t *samples = job->workers.workers[worker].sample_triangles;
-    uint64_t overlaps, ray = job->starts[job->first + index] - job->starts[job->first];
-    int status = bake_raster_fill(job->patches->raster, entry->index, samples, &overlaps);
+    const struct bk_patch patch = bake_raster_patch(job->patches->raster, index);
+    uint32_t *samples = job->workers.workers[number].sample_triangles;
+    uint64_t overlaps;
+    int status = bake_raster_fill(job->patches->raster, index, samples, &overlaps);
     for (uint32_t row = 0; row < patch.height && status == 0; row += square_side(job))
-        each_sample_of_row(job, &patch, samples, row, &ray, take, NULL);
+        each_sample_of_row(job, &patch, samples, row, &ray, take, into);
     return status;
 }
 
-static void cast_sample(struct job *job, const struct sample *sample, float *texels)
+/* Calls `take` for each sample of the patch in a seat that lies in a triangle. */
+static inline int each_seated(struct job *job, uint64_t seat, unsigned number, take_sample_fn *take)
 {
-    (void)texels;
+    return each_sample(job, job->seated[seat].index, seat * job->seat_rays, number, take, NULL);
+}
+
+static void cast_sample(struct job *job, const struct sample *sample, void *into)
+{
+    (void)into;
     const bk_start start = bk_start_at(job->patches->params, &sample->point);
     job->rays[sample->ray] =
         (struct bake_exact_ray){{start.origin.x, start.origin.y, start.origin.z},
@@ -240,17 +183,16 @@ static void cast_sample(struct job *job, const struct sample *sample, float *tex
         job->objects[sample->ray] = job->object_of[sample->triangle];
 }
 
-/* Writes the rays of a patch to the batch. Those between squares have no direction. */
+/* Writes the rays of a patch to its seat, one that does not wait. The rest have no direction. */
 static int cast_patch(void *arg, uint64_t index, unsigned number)
 {
     struct job *job = arg;
-    const uint64_t *starts = &job->starts[job->first + index];
-    const uint64_t begin = starts[0] - job->starts[job->first], count = starts[1] - starts[0];
-    memset(job->rays + begin, 0, count * sizeof *job->rays);
-    memset(job->reaches + begin, 0, count * sizeof *job->reaches);
+    const uint64_t seat = job->waiting + index, begin = seat * job->seat_rays;
+    memset(job->rays + begin, 0, job->seat_rays * sizeof *job->rays);
+    memset(job->reaches + begin, 0, job->seat_rays * sizeof *job->reaches);
     if (job->objects)
-        memset(job->objects + begin, 0, count * sizeof *job->objects);
-    return each_sample(arg, index, number, cast_sample);
+        memset(job->objects + begin, 0, job->seat_rays * sizeof *job->objects);
+    return each_seated(job, seat, number, cast_sample);
 }
 
 static void measure_footprints(const struct job *job)
@@ -295,7 +237,8 @@ static uint64_t transfer_floats(const struct job *job)
 static void set_confidence(const struct job *job, const struct sample *sample, bk_map_hits *placed)
 {
     const struct bk_params *params = job->patches->params;
-    const struct bake_exact_hit *hit = &job->hits[sample->ray], *beside = &job->next[sample->ray];
+    const struct bake_exact_hit *hit = &job->hits[sample->ray],
+                                *beside = &job->next_hits[sample->ray];
     const bk_start start = bk_start_at(params, &sample->point);
     const bk_hits hits = {.t = (float)(hit->t * job->units_a_length), .normal = placed->normal};
     const float way = (float)(beside->t * job->units_a_length), t = hits.t + way;
@@ -304,13 +247,13 @@ static void set_confidence(const struct job *job, const struct sample *sample, b
     bk_set_confidence(params, &start, &hits, other ? fabsf(way) : BK_FAR, placed);
 }
 
-/* Adds a sample to its texel. texels: the row of it. */
-static void add_sample(struct job *job, const struct sample *sample, float *texels)
+/* Adds a sample to its texel. into: the texels of its row of squares. */
+static void add_sample(struct job *job, const struct sample *sample, void *into)
 {
     const struct bk_params *params = job->patches->params;
-    float *texel = texels + sample->column * job->workers.texel_floats;
+    float *texel = (float *)into + sample->texel * (uint64_t)job->workers.texel_floats;
     bk_map_hits placed = place_hit(job, &sample->point, &job->hits[sample->ray]);
-    if (job->next)
+    if (job->next_hits)
         set_confidence(job, sample, &placed);
     if (job->look)
         bk_surroundings_for_maps(params, &sample->point, &job->surroundings[sample->ray], &placed);
@@ -319,16 +262,17 @@ static void add_sample(struct job *job, const struct sample *sample, float *texe
         bk_add_transfers(params->maps, job->channels + sample->ray * transfer_floats(job), texel);
 }
 
-/* Sums and resolves a patch, and writes it to the image. */
+/* Sums and resolves the patch of a seat, one that does not wait, and writes it to the image. */
 static int resolve_patch(void *arg, uint64_t index, unsigned number)
 {
     struct job *job = arg;
     struct bake_patch_worker *worker = &job->workers.workers[number];
-    const struct patch *entry = &job->order[job->first + index];
-    const struct bk_patch patch = bake_raster_patch(job->patches->raster, entry->index);
-    uint64_t overlaps, next = job->starts[job->first + index] - job->starts[job->first];
+    const uint32_t seat = job->waiting + (uint32_t)index, patch_index = job->seated[seat].index;
+    const struct bk_patch patch = bake_raster_patch(job->patches->raster, patch_index);
+    uint64_t overlaps, next = seat * job->seat_rays;
     int status =
-        bake_raster_fill(job->patches->raster, entry->index, worker->sample_triangles, &overlaps);
+        bake_raster_fill(job->patches->raster, patch_index, worker->sample_triangles, &overlaps);
+    worker->overlaps += overlaps;
     if (status < 0)
         return status;
     for (uint32_t row = 0; row < patch.height; row += square_side(job)) {
@@ -350,16 +294,17 @@ static int resolve_patch(void *arg, uint64_t index, unsigned number)
 /* ---- secondary rays ---- */
 
 /* Sets which of its texel's directions a sample has. */
-static void share_sample(struct job *job, const struct sample *sample, float *texels)
+static void share_sample(struct job *job, const struct sample *sample, void *into)
 {
-    (void)texels;
+    (void)into;
     job->shares[sample->ray] = bk_sample_share(sample->x, sample->y, job->patches->params->samples);
 }
 
 /* Prepares the hits of a patch's rays. */
 static int share_patch(void *arg, uint64_t index, unsigned number)
 {
-    return each_sample(arg, index, number, share_sample);
+    struct job *job = arg;
+    return each_seated(job, job->waiting + index, number, share_sample);
 }
 
 /* Looks from each hit along its ray, both ways, for the next surface that the ray could have hit.
@@ -368,15 +313,16 @@ static int look_beside(struct job *job, const struct bake_surface_rays *rays)
 {
     const struct bake_surface *surface = job->surface;
     const double most = surface->front + surface->back, unit = surface->unit;
-    const struct bake_surface_rays beside = {.batch = {.rays = job->rays,
-                                                       .hits = job->next,
+    const uint64_t first = job->waiting * job->seat_rays;
+    const struct bake_surface_rays beside = {.batch = {.rays = rays->batch.rays,
+                                                       .hits = job->next_hits + first,
                                                        .count = rays->batch.count,
                                                        .t_min = -most,
                                                        .t_max = most,
                                                        .gap = NEXT_SHEET * surface->detail,
                                                        .distances_only = true},
-                                             .objects = job->objects};
-    for (uint64_t i = 0; i < rays->batch.count; i++) {
+                                             .objects = rays->objects};
+    for (uint64_t i = first; i < first + rays->batch.count; i++) {
         const bool found = job->hits[i].triangle != BAKE_EXACT_NONE;
         struct bake_exact_ray *ray = &job->rays[i];
         for (int k = 0; k < 3; k++) {
@@ -387,37 +333,124 @@ static int look_beside(struct job *job, const struct bake_surface_rays *rays)
     return bake_surface_trace(surface, &beside);
 }
 
-/* Traces the rays from all hits of the batch. */
-static int look_around(struct job *job, uint64_t count, uint64_t progress)
+/* Traces the rays from all hits. */
+static int look_around(struct job *job, const struct bake_surface_rays *rays, uint64_t progress)
 {
-    const struct bake_look_hits hits = {.rays = job->rays,
-                                        .hits = job->hits,
-                                        .shares = job->shares,
-                                        .objects = job->objects,
-                                        .count = count,
+    const uint64_t first = job->waiting * job->seat_rays;
+    const struct bake_look_hits hits = {.rays = rays->batch.rays,
+                                        .hits = rays->batch.hits,
+                                        .shares = job->shares + first,
+                                        .objects = rays->objects,
+                                        .count = rays->batch.count,
                                         .progress = progress};
-    int status = bsq_parallel_for(job->ctx, job->count, share_patch, job);
-    return status < 0 ? status : bake_look_around(job->look, &hits, job->surroundings);
+    int status = bsq_parallel_for(job->ctx, job->taken - job->waiting, share_patch, job);
+    return status < 0 ? status : bake_look_around(job->look, &hits, job->surroundings + first);
+}
+
+/* ---- ordering ---- */
+
+/* Grows the box of a patch by the way of a sample's ray. */
+static void bound_sample(struct job *job, const struct sample *sample, void *into)
+{
+    const bk_start start = bk_start_at(job->patches->params, &sample->point);
+    const float origin[3] = {start.origin.x, start.origin.y, start.origin.z};
+    const float direction[3] = {start.direction.x, start.direction.y, start.direction.z};
+    const float front = job->patches->params->front, back = job->patches->params->back;
+    struct patch *patch = into;
+    for (int k = 0; k < 3; k++) {
+        const float a = origin[k] + front * direction[k], b = origin[k] - back * direction[k];
+        const float low = a < b ? a : b, high = a < b ? b : a;
+        patch->low[k] = low < patch->low[k] ? low : patch->low[k];
+        patch->high[k] = high > patch->high[k] ? high : patch->high[k];
+    }
+}
+
+/* Sets the first and the last chunk that a patch may need, of those from `from` on. Both are 0 if
+ * there is none. */
+static void set_chunks(const struct job *job, uint32_t from, struct patch *patch)
+{
+    bake_exact_chunks_in(job->surface->scans->exact, patch->low, patch->high, from, &patch->first,
+                         &patch->last);
+    if (patch->first > patch->last)
+        patch->first = patch->last = 0;
+}
+
+/* Finds out where a patch comes in the order of patches. */
+static int bound_patch(void *arg, uint64_t index, unsigned number)
+{
+    struct job *job = arg;
+    struct patch patch = {.index = (uint32_t)index,
+                          .low = {INFINITY, INFINITY, INFINITY},
+                          .high = {-INFINITY, -INFINITY, -INFINITY}};
+    const int status = each_sample(job, (uint32_t)index, 0, number, bound_sample, &patch);
+    float middle[3];
+    for (int k = 0; k < 3; k++) {
+        const float slack = BOX_SLACK * fmaxf(fabsf(patch.low[k]), fabsf(patch.high[k]));
+        middle[k] = 0.5f * (patch.low[k] + patch.high[k]);
+        patch.low[k] -= slack;
+        patch.high[k] += slack;
+    }
+    if (job->sweep)
+        set_chunks(job, 0, &patch);
+    else
+        patch.first = (uint32_t)(bake_surface_curve_index(job->surface, middle) >> 2);
+    job->order[index] = patch;
+    return status;
+}
+
+static int compare_patches(const void *a, const void *b)
+{
+    const struct patch *x = a, *y = b;
+    if (x->first != y->first)
+        return x->first < y->first ? -1 : 1;
+    return (x->index > y->index) - (x->index < y->index);
+}
+
+/* Lists the patches, in the order of the chunks that they need if they do not fit at once. */
+static int order_patches(struct job *job)
+{
+    if (job->seat_count == job->patch_count) {
+        for (uint32_t i = 0; i < job->patch_count; i++)
+            job->order[i] = (struct patch){.index = i};
+        return 0;
+    }
+    int status = bsq_parallel_for(job->ctx, job->patch_count, bound_patch, job);
+    if (status == 0)
+        bsq_sort(job->order, job->patch_count, sizeof *job->order, compare_patches);
+    return status;
 }
 
 /* ---- batches ---- */
 
-/* Takes the next patches, as many as fit. Returns the number of their texels. */
-static uint64_t choose_batch(struct job *job)
+/* Returns how many of the patches in seats need chunks from `end` on. */
+static uint32_t count_waiting(const struct job *job, uint32_t end)
 {
-    uint64_t texels = 0;
-    job->first += job->count;
-    job->count = 0;
-    while (job->first + job->count < job->patch_count) {
-        const uint32_t next = job->first + job->count;
-        const struct bk_patch patch =
-            bake_raster_patch(job->patches->raster, job->order[next].index);
-        if (job->starts[next + 1] - job->starts[job->first] > job->capacity)
-            break;
-        texels += (uint64_t)patch.width * patch.height;
-        job->count++;
-    }
-    return texels;
+    uint32_t waiting = 0;
+    for (uint32_t s = 0; s < job->taken; s++)
+        waiting += job->seated[s].last >= end;
+    return waiting;
+}
+
+/* Gives seats to the next patches, as long as there are some. Returns the number after the last
+ * chunk that the batch should meet: the first chunk of the patches without seats. If seats would
+ * become short, the batch goes on until a sixteenth of them is free, and the next one meets some
+ * chunks again. */
+static uint32_t take_seats(struct job *job)
+{
+    const uint32_t most = job->seat_count - (job->seat_count + 15) / 16;
+    job->taken = job->waiting;
+    while (job->taken < job->seat_count && job->next < job->patch_count)
+        job->seated[job->taken++] = job->order[job->next++];
+    if (job->next == job->patch_count || !job->sweep)
+        return UINT32_MAX;
+    uint32_t end = job->order[job->next].first;
+    if (end <= job->seated[job->waiting].first)
+        end = job->seated[job->waiting].first + 1;
+    while (count_waiting(job, end) > most)
+        end++;
+    for (; job->seated[job->taken - 1].first >= end; job->taken--)
+        job->next--;
+    return end;
 }
 
 /* Returns what a sample costs, as a multiple of its first ray. */
@@ -426,36 +459,118 @@ static uint32_t sample_cost(const struct bk_params *params)
     return 1 + bk_open_rays(params) + bk_solid_rays(params);
 }
 
-static int run_batch(struct job *job, uint64_t texels)
+static void swap_bytes(void *a, void *b, size_t size)
+{
+    unsigned char *x = a, *y = b, other[4096];
+    for (size_t i = 0; i < size; i += sizeof other) {
+        const size_t n = size - i < sizeof other ? size - i : sizeof other;
+        memcpy(other, x + i, n);
+        memcpy(x + i, y + i, n);
+        memcpy(y + i, other, n);
+    }
+}
+
+/* Exchanges the patches of two seats. */
+static void exchange_seats(const struct job *job, uint32_t a, uint32_t b)
+{
+    const uint64_t n = job->seat_rays, x = a * n, y = b * n, floats = transfer_floats(job);
+    const struct patch patch = job->seated[a];
+    job->seated[a] = job->seated[b];
+    job->seated[b] = patch;
+    swap_bytes(job->rays + x, job->rays + y, n * sizeof *job->rays);
+    swap_bytes(job->hits + x, job->hits + y, n * sizeof *job->hits);
+    swap_bytes(job->reaches + x, job->reaches + y, n * sizeof *job->reaches);
+    if (job->footprints)
+        swap_bytes(job->footprints + x, job->footprints + y, n * sizeof *job->footprints);
+    if (job->channels)
+        swap_bytes(job->channels + x * floats, job->channels + y * floats,
+                   n * floats * sizeof *job->channels);
+}
+
+/* Moves patches that need no chunk before `end` from seats [first, last) to the first ones of
+ * these. Returns the number after their last seat. */
+static uint32_t gather(struct job *job, uint32_t first, uint32_t last, uint32_t end)
+{
+    for (uint32_t s = first; s < last; s++)
+        if (job->seated[s].first >= end) {
+            if (s > first)
+                exchange_seats(job, s, first);
+            first++;
+        }
+    return first;
+}
+
+/* Moves the patches that need chunks from `end` on from seats [first, taken) to the first ones of
+ * these. */
+static void keep_waiting(struct job *job, uint32_t first, uint32_t end)
+{
+    for (struct patch *p = job->seated + first; p < job->seated + job->taken; p++)
+        if (p->last < end)
+            p->first = 0;
+        else
+            set_chunks(job, end, p);
+    job->waiting = gather(job, first, job->taken, end);
+}
+
+/* Returns the texels of the patches that do not wait for chunks from `end` on. */
+static uint64_t count_texels(const struct job *job, uint32_t end)
+{
+    uint64_t texels = 0;
+    for (uint32_t s = 0; s < job->taken; s++) {
+        const struct bk_patch patch = bake_raster_patch(job->patches->raster, job->seated[s].index);
+        texels += job->seated[s].last < end ? (uint64_t)patch.width * patch.height : 0;
+    }
+    return texels;
+}
+
+/* Returns the rays in the seats from `first` on. */
+static struct bake_surface_rays rays_of(const struct job *job, uint32_t first)
 {
     const struct bake_surface *surface = job->surface;
-    const uint64_t count = job->starts[job->first + job->count] - job->starts[job->first];
-    /* The share of the progress that the first rays have. */
-    const uint64_t first_texels = texels / sample_cost(job->patches->params);
-    const struct bake_surface_rays rays = {
-        .batch = {.rays = job->rays,
-                  .hits = job->hits,
-                  .count = count,
+    const uint64_t begin = first * job->seat_rays;
+    const uint32_t waiting = job->waiting - first;
+    return (struct bake_surface_rays){
+        .batch = {.rays = job->rays + begin,
+                  .hits = job->hits + begin,
+                  .count = (job->taken - first) * job->seat_rays,
                   .t_min = -surface->back,
                   .t_max = surface->front,
-                  .reaches = job->reaches,
+                  .reaches = job->reaches + begin,
                   .from_reach = job->patches->params->flags & BK_CAGE,
-                  .footprints = job->footprints,
+                  .footprints = job->footprints ? job->footprints + begin : NULL,
                   .footprint_table = job->footprint_table,
-                  .channels = job->channels,
-                  .progress = first_texels},
-        .objects = job->objects};
+                  .channels = job->channels ? job->channels + begin * transfer_floats(job) : NULL,
+                  .sweep = job->sweep,
+                  .continued = waiting * job->seat_rays},
+        .objects = job->objects ? job->objects + begin : NULL};
+}
+
+/* Traces the patches in the seats, and resolves those that do not wait then. */
+static int run_batch(struct job *job)
+{
+    const struct bake_surface *surface = job->surface;
+    const uint32_t end = take_seats(job);
+    const uint64_t texels = count_texels(job, end);
+    /* The share of the progress that the first rays have. */
+    const uint64_t first_texels = texels / sample_cost(job->patches->params);
+    const uint32_t idle = gather(job, 0, job->waiting, end);
+    struct bake_surface_rays rays = rays_of(job, idle);
     int status = 0;
-    BSQ_TRY(bsq_parallel_for(job->ctx, job->count, cast_patch, job));
+    rays.batch.progress = first_texels;
+    rays.batch.first_chunk = job->seated[job->waiting].first;
+    rays.batch.end_chunk = end;
+    BSQ_TRY(bsq_parallel_for(job->ctx, job->taken - job->waiting, cast_patch, job));
     BSQ_TRY(bake_surface_trace(surface, &rays));
     BSQ_TRY(bake_surface_check(surface));
+    keep_waiting(job, idle, end);
+    rays = rays_of(job, job->waiting);
     if (job->patches->seen)
         BSQ_TRY(bake_seen_mark_hits(surface, job->patches->seen, &rays.batch));
-    if (job->look && count > 0)
-        BSQ_TRY(look_around(job, count, texels - first_texels));
-    if (job->next)
+    if (job->look && rays.batch.count > 0)
+        BSQ_TRY(look_around(job, &rays, texels - first_texels));
+    if (job->next_hits)
         BSQ_TRY(look_beside(job, &rays));
-    BSQ_TRY(bsq_parallel_for(job->ctx, job->count, resolve_patch, job));
+    BSQ_TRY(bsq_parallel_for(job->ctx, job->taken - job->waiting, resolve_patch, job));
 done:
     return status;
 }
@@ -463,12 +578,8 @@ done:
 static int run_batches(struct job *job)
 {
     int status = 0;
-    while (status == 0) {
-        const uint64_t texels = choose_batch(job);
-        if (job->count == 0)
-            break;
-        status = run_batch(job, texels);
-    }
+    while (status == 0 && job->next < job->patch_count)
+        status = run_batch(job);
     return status;
 }
 
@@ -480,8 +591,6 @@ static int allocate_patches(struct job *job)
     int status = 0;
     job->patch_count = bake_raster_patch_count(job->patches->raster);
     BSQ_TRY(bsq_alloc(job->ctx, "patches", job->patch_count, sizeof *job->order, &job->order));
-    BSQ_TRY(bsq_alloc(job->ctx, "patches", (uint64_t)job->patch_count + 1, sizeof *job->starts,
-                      &job->starts));
     for (uint32_t s = 0; s < job->surface->scan_count; s++)
         wanted |= job->surface->scans[s].exact &&
                   bake_exact_wants_footprints(job->surface->scans[s].exact);
@@ -494,24 +603,36 @@ done:
     return status;
 }
 
-/* Allocates as many rays as the budget allows, but at least those of the largest patch. */
+/* Returns whether batches can be parts of a sweep: only through one order of chunks. Rays that
+ * start at hits need chunks around these, so that large batches load less. */
+static bool can_sweep(const struct job *job)
+{
+    const uint32_t from_hits = BK_SECONDARY_MAPS | BAKE_MAP_CONFIDENCE;
+    return job->surface->scan_count == 1 && job->surface->scans->exact &&
+           !(job->patches->params->maps & from_hits);
+}
+
+/* Allocates as many seats as the budget allows, but at least one. */
 static int allocate_rays(struct job *job)
 {
-    const uint64_t all = job->starts[job->patch_count];
+    const bool sweeps = can_sweep(job);
     const uint64_t look = job->look ? sizeof *job->shares + sizeof *job->surroundings : 0;
     const uint64_t object = job->object_of ? sizeof *job->objects : 0;
-    const uint64_t next = job->patches->params->maps & BAKE_MAP_CONFIDENCE ? sizeof *job->next : 0;
+    const uint64_t next =
+        job->patches->params->maps & BAKE_MAP_CONFIDENCE ? sizeof *job->next_hits : 0;
     const uint64_t channels = transfer_floats(job) * sizeof *job->channels;
     struct bsq_ctx *ctx = job->ctx;
     int status = 0;
-    job->capacity =
-        bake_surface_capacity(job->surface, look + object + next + sizeof *job->reaches);
-    for (uint32_t i = 0; i < job->patch_count; i++)
-        if (job->order[i].rays > job->capacity)
-            job->capacity = job->order[i].rays;
-    if (job->capacity > all)
-        job->capacity = all;
-    const uint64_t n = job->capacity;
+    uint64_t seats =
+        bake_surface_capacity(job->surface, look + object + next + sizeof *job->reaches) /
+        job->seat_rays;
+    seats -= sweeps ? seats / 7 * 2 : 0; /* for the chunks that a sweep keeps */
+    seats = seats < 1 ? 1 : seats;
+    job->seat_count = seats < job->patch_count ? (uint32_t)seats : job->patch_count;
+    const uint64_t n = job->seat_count * job->seat_rays;
+    if (sweeps)
+        BSQ_TRY(bake_exact_sweep_create(job->surface->scans->exact, n, &job->sweep));
+    BSQ_TRY(bsq_alloc(ctx, "patches", job->seat_count, sizeof *job->seated, &job->seated));
     BSQ_TRY(bsq_alloc(ctx, "rays", n, sizeof *job->rays, &job->rays));
     BSQ_TRY(bsq_alloc(ctx, "hits", n, sizeof *job->hits, &job->hits));
     BSQ_TRY(bsq_alloc(ctx, "rays", n, sizeof *job->reaches, &job->reaches));
@@ -520,7 +641,7 @@ static int allocate_rays(struct job *job)
         BSQ_TRY(bsq_alloc(ctx, "secondary rays", n, sizeof *job->surroundings, &job->surroundings));
     }
     if (next > 0)
-        BSQ_TRY(bsq_alloc(ctx, "hits", n, next, &job->next));
+        BSQ_TRY(bsq_alloc(ctx, "hits", n, next, &job->next_hits));
     if (job->footprint_table)
         BSQ_TRY(bsq_alloc(ctx, "footprints", n, sizeof *job->footprints, &job->footprints));
     if (object > 0)
@@ -536,11 +657,12 @@ static void release(struct job *job, struct bake_report *report)
     bake_patch_workers_end(job->ctx, &job->workers, report);
     bake_look_free(job->look);
     bsq_free(job->ctx, job->order);
-    bsq_free(job->ctx, job->starts);
+    bsq_free(job->ctx, job->seated);
+    bake_exact_sweep_free(job->sweep);
     bsq_free(job->ctx, job->footprint_table);
     bsq_free(job->ctx, job->rays);
     bsq_free(job->ctx, job->hits);
-    bsq_free(job->ctx, job->next);
+    bsq_free(job->ctx, job->next_hits);
     bsq_free(job->ctx, job->reaches);
     bsq_free(job->ctx, job->footprints);
     bsq_free(job->ctx, job->objects);
@@ -569,11 +691,12 @@ int bake_trace_ray_patches(const struct bake_surface *surface, const struct bake
     int status = 0;
     BSQ_TRY(bake_patch_workers_begin(
         job.ctx, patches, (uint64_t)patches->patch_side * square_side(&job), &job.workers));
+    job.seat_rays = most_rays(&job);
     BSQ_TRY(allocate_patches(&job));
-    BSQ_TRY(order_patches(&job));
     if (patches->params->maps & BK_SECONDARY_MAPS)
-        BSQ_TRY(bake_look_create(surface, job.starts[job.patch_count], &job.look));
+        BSQ_TRY(bake_look_create(surface, job.patch_count * job.seat_rays, &job.look));
     BSQ_TRY(allocate_rays(&job));
+    BSQ_TRY(order_patches(&job));
     BSQ_TRY(run_batches(&job));
     BSQ_TRY(tell_losses(surface));
 done:

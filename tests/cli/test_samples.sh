@@ -1,6 +1,6 @@
 #!/bin/sh
 # test_samples.sh - what an exact bake of a large scan reads: for distances the samples of its
-# chunks, for a map each chunk once.
+# chunks, for a map each chunk once, whether all rays fit into memory or not.
 . "$(dirname "$0")/lib.sh"
 
 read_bytes()
@@ -26,4 +26,15 @@ check "distances read $bytes bytes of $size: at most a twentieth" $((bytes * 20 
 ok run bisque-bake scan.tris low.obj --maps normal --size 512 -o 'map_<MAP>.exr' --json
 json ".chunk_loads <= 1.1 * $chunks"
 json '.maps.normal != null'
+
+# Also if the rays of a map do not fit into memory: its batches go through the chunks in one sweep.
+ok run bisque-bake scan.tris low.obj --maps normal --size 1024 -o 'whole_<MAP>.exr' --memory 4G
+ok run bisque-bake scan.tris low.obj --maps normal --size 1024 -o 'swept_<MAP>.exr' --memory 384M \
+    --json
+json ".chunk_loads <= 1.1 * $chunks"
+same whole_normal.exr swept_normal.exr
+ok run bisque-bake scan.tris low.obj --maps normal --size 1024 -o 'small_<MAP>.exr' --memory 64M \
+    --json
+json ".chunk_loads > 1.1 * $chunks and .chunk_loads < 8 * $chunks"
+same whole_normal.exr small_normal.exr
 finish
