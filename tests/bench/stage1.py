@@ -252,7 +252,7 @@ class Scan:
 
     def print_goals(self):
         for key, limit in (("whole", 0.25), ("parse-ply", 2), ("whole-ply", 0.6), ("parse-gz", 1),
-                           ("whole-zst", 1), ("revoxelize", 1 / 3), ("shuffled", 2),
+                           ("whole-zst", 1), ("revoxelize", 1 / 3), ("shuffled", 1.5),
                            ("whole-256M", 2.5), ("shuffled-256M", 2.5)):
             other = self.jobs.get(self.jobs[key].against) if key in self.jobs else None
             if other:
