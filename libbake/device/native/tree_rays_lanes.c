@@ -337,8 +337,8 @@ static void trace_bundle(struct bake_tree_tracer *tracer, const uint32_t *rays, 
     drain_nodes(tracer);
 }
 
-/* Lists the rays whose hits may lie in the section or behind it, by octants of their directions.
- * Returns their number. */
+/* Lists the rays that have not ended before the section. Rays whose directions have the same signs
+ * are neighbours in the list. Returns their number. */
 static uint32_t list_rays(const struct bake_tree_tracer *tracer, uint32_t list[BAKE_TREE_RAYS])
 {
     const struct bake_tree_ray *rays = tracer->stream->rays;
