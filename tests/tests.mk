@@ -52,7 +52,7 @@ $(checkers): $(BUILD)/tests/check-%: $(call scan_objs,check_% verdict vase) $(ar
 # Drivers for tests: a CUDA driver without a GPU, an OpenCL driver that crashes, an OpenCL library
 # that starts CUDA, and one whose devices are GPUs that fail.
 fake_cuda := $(BUILD)/tests/fake/libcuda.so.1
-$(fake_cuda): $(patsubst %.c,$(BUILD)/obj/%.c.o,$(wildcard tests/fake/fake_*.c tests/fake/ptx_*.c))
+$(fake_cuda): $(patsubst %.c,$(BUILD)/obj/%.c.o,$(wildcard tests/fake/fake_*.c))
 	@mkdir -p $(@D)
 	$(CC) $(common) $(LDFLAGS) -shared -Wl,-soname,libcuda.so.1 -o $@ $^ -lm
 crashing_driver := $(BUILD)/tests/fake/crashing_driver.so
@@ -202,6 +202,11 @@ check-ptx: $(BUILD)/gen/kernel-$(PTX).ptx
 	        ptx_nvcc="$$(find $(ptx_tools)/cuda13 -name nvcc -type f)" && \
 	    tests/ptx/check.sh $(ptx_tools) $(filter-out %-nvcc.ptx,$<) $(nvcc_ptx); \
 	else echo "check-ptx: skipped, NVIDIA's assemblers cannot be installed"; fi
+
+.PHONY: check-gpu
+## check-gpu: all maps of this machine's NVIDIA GPU and OpenCL devices beside the processor's, byte by byte
+check-gpu: gpu-bundle
+	@tests/gpu/check_gpu.sh
 
 # openjd-cli, and hera for the schema of Argo, in a virtual environment of the tests.
 farm_venv := build/farm-venv

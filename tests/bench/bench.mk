@@ -68,7 +68,7 @@ gpu_bundle := build/gpu
 bench-gpu: gpu-bundle
 	@tests/bench/gpu.sh $(if $(filter small,$(BENCH)),small,full)
 
-## gpu-bundle: collect what bench-gpu needs on a machine that cannot build, in build/gpu
+## gpu-bundle: collect what bench-gpu and check-gpu need on a machine that cannot build, in build/gpu
 gpu-bundle: $(bins) $(generator) $(helpers)
 	rm -rf $(gpu_bundle)
 	@mkdir -p $(gpu_bundle)/bin $(gpu_bundle)/lib/bisque

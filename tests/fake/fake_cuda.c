@@ -1,6 +1,6 @@
 /* fake_cuda.c - a libcuda.so.1 without a GPU, for the functions in cuda_api.h. It runs the kernel
- * compiled as C, or the PTX with ptx_run.c. It is stricter than a driver, so that tests find errors
- * that a GPU usually forgives:
+ * that is compiled as C, and of the PTX that it is given it only checks the entry. It is stricter
+ * than a driver, so that tests find errors that a GPU usually forgives:
  *  - streams do their work only when a call waits for it or frees memory;
  *  - streams must not use the same memory without waiting for each other, unless all only read;
  *  - device addresses are no host addresses, and copies must stay inside allocations;
@@ -22,9 +22,7 @@
  *  - FAKE_CUDA_NS=N: a sample takes N nanoseconds of event time (default: real time);
  *  - FAKE_CUDA_HOURS=N: hours of event time that pass before the first kernel;
  *  - FAKE_CUDA_HOLD=N: the first kernel ends only after a copy was enqueued on an older stream that
- *    was waited for N times before; it fails after 20 seconds;
- *  - FAKE_CUDA_PTX=1: runs the PTX that was loaded;
- *  - FAKE_CUDA_COUNT=1: prints at exit how many PTX instructions warps executed. */
+ *    was waited for N times before; it fails after 20 seconds. */
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -96,9 +94,6 @@ __attribute__((destructor)) static void report(void)
 {
     if (fake.live)
         fprintf(stderr, "fake CUDA: %d objects are left\n", fake.live);
-    if (getenv("FAKE_CUDA_COUNT"))
-        fprintf(stderr, "fake CUDA: %llu instructions of warps\n",
-                (unsigned long long)fake.instructions);
 }
 
 /* ---- devices ---- */
@@ -154,7 +149,6 @@ CUresult cuInit(unsigned flags)
     fake.capability = (int)setting("FAKE_CUDA_CAPABILITY", 90);
     fake.sample_seconds = 1e-9 * (double)setting("FAKE_CUDA_NS", 0);
     fake.hours = (double)setting("FAKE_CUDA_HOURS", 0);
-    fake.runs_ptx = setting("FAKE_CUDA_PTX", 0);
     fake.hold = (unsigned)setting("FAKE_CUDA_HOLD", 0);
     fake.sticky = 0;
     calls_left = 0;

@@ -48,8 +48,6 @@ struct fake_cuda {
     struct allocation *allocations;
     double sample_seconds, virtual_now, hours;
     unsigned hold; /* FAKE_CUDA_HOLD; 0: not held */
-    bool runs_ptx;
-    uint64_t instructions; /* of warps */
 };
 extern struct fake_cuda fake;
 extern _Thread_local CUcontext fake_current;

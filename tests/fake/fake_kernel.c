@@ -1,18 +1,16 @@
-/* fake_kernel.c - the fake driver's modules and launches: the kernel as C, or its PTX. */
+/* fake_kernel.c - the fake driver's modules and launches. They run the kernel that is compiled as
+ * C. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "libbake/kernel/bk_sample.h"
 #include "tests/fake/fake_cuda_internal.h"
-#include "tests/fake/ptx.h"
 
 /* Sizes of a launch's arguments. */
 static const size_t argument_bytes[] = {
     8, 8, 8, 8, 8, 8, 8, 8, 8, sizeof(bk_params), sizeof(bk_patch), 4, 4, 4, 4, 8, 8};
 enum { ARGUMENTS = sizeof argument_bytes / sizeof argument_bytes[0] };
-
-static struct ptx *ptx; /* NULL: runs the kernel as C */
 
 /* Returns the addresses of the kernel's arguments. */
 static void place_arguments(struct arguments *a, void *to[ARGUMENTS])
@@ -62,35 +60,11 @@ static void run_c(const struct work *work)
         }
 }
 
-static void run_ptx(const struct work *work)
-{
-    void *parameters[ARGUMENTS];
-    struct arguments arguments = work->arguments;
-    struct ptx_launch launch = {.grid_x = work->grid[0],
-                                .grid_y = work->grid[1],
-                                .block_x = work->block[0],
-                                .block_y = work->block[1],
-                                .parameters = parameters,
-                                .memory = fake_device_memory};
-    bool fine;
-
-    place_arguments(&arguments, parameters);
-    fine = ptx_run(ptx, &launch);
-    pthread_mutex_lock(&fake.lock);
-    fake.instructions += launch.instructions;
-    if (!fine)
-        fake.sticky = STICKY; /* CUDA_ERROR_ILLEGAL_ADDRESS */
-    pthread_mutex_unlock(&fake.lock);
-}
-
 void fake_run_kernel(const struct work *work)
 {
     const struct arguments *a = &work->arguments;
 
-    if (ptx)
-        run_ptx(work);
-    else
-        run_c(work);
+    run_c(work);
     if (fake.sample_seconds > 0) {
         uint64_t lines = (uint64_t)(a->end_row - a->first_row) * (a->end_line - a->first_line);
         pthread_mutex_lock(&fake.lock);
@@ -139,8 +113,6 @@ CUresult cuModuleLoadDataEx(CUmodule *module, const void *image, unsigned count,
             strcpy(log, "ptxas fatal\nnot for this GPU");
         return INVALID_PTX;
     }
-    if (fake.runs_ptx && !(ptx = ptx_read(image, "bake_patch")))
-        return INVALID_PTX;
     *module = (CUmodule)&fake;
     fake_count_live(1);
     return CUDA_SUCCESS;
@@ -149,8 +121,6 @@ CUresult cuModuleLoadDataEx(CUmodule *module, const void *image, unsigned count,
 CUresult cuModuleUnload(CUmodule module)
 {
     NEED_CONTEXT;
-    ptx_free(ptx);
-    ptx = NULL;
     fake_count_live(-1);
     return module ? CUDA_SUCCESS : INVALID_HANDLE;
 }

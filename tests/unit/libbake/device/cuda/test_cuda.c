@@ -34,7 +34,7 @@ static int open_fake(void)
 static void restore(void)
 {
     static const char *const names[] = {"DEVICES", "MEMORY", "CAPABILITY", "FAIL",
-                                        "NS",      "HOURS",  "PTX",        "VERSION"};
+                                        "NS",      "HOURS",  "VERSION"};
     for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
         char name[64];
         snprintf(name, sizeof name, "FAKE_CUDA_%s", names[i]);
@@ -103,22 +103,6 @@ FIXTURE_TEST(test_same_bits)
         free(native);
         free(cuda);
     }
-}
-
-/* The PTX gives the same bits. */
-FIXTURE_TEST(test_same_bits_with_ptx)
-{
-    struct fixture *f = *state;
-    uint64_t launches;
-    struct sheet_texel *native, *cuda;
-
-    setenv("FAKE_CUDA_PTX", "1", 1);
-    test_same_bits(state);
-    native = traced_sheet_trace_dense(f, "cpu", 17, &launches);
-    cuda = traced_sheet_trace_dense(f, "cuda", 17, &launches);
-    assert_same(native, cuda, DENSE_TEXELS);
-    free(native);
-    free(cuda);
 }
 
 /* Returns the times of a backend that traces the whole map `patches` times on one worker. */
